@@ -1,7 +1,7 @@
-"""Images to rigid motion: subset tracking, triangulation, rigid fit. Knows nothing of shakers, clocks or sensors.
+"""Images to rigid motion: subset tracking, triangulation, rigid fit.
 
-Everything named here is public; a name is imported when it is first used, so that `import photogram` costs nothing.
-Examples assume `import numpy as np` and `from photogram import *`.
+Independent of shakers, clocks and sensors. Every name exported here is public and imported at its first use, so that
+`import photogram` is fast. Examples assume `import numpy as np` and `from photogram import *`.
 """
 
 from lazy_loader import attach_stub

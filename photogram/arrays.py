@@ -1,4 +1,4 @@
-"""Array types, checks of shapes, and what a stage wants the user to know."""
+"""Array types, checks of shapes, and statistics over frames that arrive in blocks."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from shakercal._common.notices import Notice
 
-__version__ = "0.2.0"  # as in pyproject.toml: to look for the installed one takes longer than many a module
+__version__ = "0.2.0"  # as in pyproject.toml: reading the installed one takes long
 
 FloatArray = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
@@ -19,28 +19,31 @@ IntArray = NDArray[np.int64]
 BoolArray = NDArray[np.bool_]
 
 
-GOLDEN = (5.0**0.5 - 1.0) / 2.0
+GOLDEN = (5.0**0.5 - 1.0) / 2.0  # the golden ratio, least approximable by fractions
 
 
 def spread_choice(numbers: IntArray, share: float) -> BoolArray:
-    """Which of some numbers are taken so that `share` of them are, by the golden ratio: evenly, and in no period."""
+    """Return which of some numbers are chosen, `share` of them, evenly and without a period.
+
+    By the golden ratio.
+    """
     return np.asarray(numbers * GOLDEN % 1.0 < share)
 
 
 def check_shape(name: str, array: NDArray[Any], shape: tuple[int | None, ...]) -> None:
-    """Raise `ValueError` unless `array` has `shape`; `None` stands for any length."""
+    """Raise `ValueError` unless `array` has `shape`; `None` is any length."""
     fits = array.ndim == len(shape) and all(
-        want is None or want == have for want, have in zip(shape, array.shape, strict=True)
+        length is None or length == found for length, found in zip(shape, array.shape, strict=True)
     )
     if not fits:
-        wanted = "(" + ", ".join("any" if want is None else str(want) for want in shape) + ")"
-        raise ValueError(f"{name}: expected an array of shape {wanted}, found {array.shape}")
+        expected = "(" + ", ".join("any" if length is None else str(length) for length in shape) + ")"
+        raise ValueError(f"{name}: expected an array of shape {expected}, found {array.shape}")
 
 
 def derivatives(of: Callable[[FloatArray], FloatArray], step: FloatArray) -> FloatArray:
-    """Return the derivatives (..., N) of a function of N numbers, all zero, by central differences of steps (N,).
+    """Return the derivatives (...,N) of a function at zero by central differences of steps (N,).
 
-    Those by numbers whose step is zero, because they are known exactly, are zero.
+    They are zero for numbers whose step is zero, which are exact.
     """
     moved = np.flatnonzero(step)
     rates = [(of(delta) - of(-delta)) / (2.0 * delta.sum()) for delta in np.diag(step)[moved]]
@@ -50,10 +53,10 @@ def derivatives(of: Callable[[FloatArray], FloatArray], step: FloatArray) -> Flo
 
 
 class Arrays:
-    """Base of data classes of arrays: shapes are checked once, when one is made; printing shows sizes, not numbers.
+    """Base of data classes of arrays: shapes are checked once, and printing shows sizes.
 
-    `class Points(Arrays, shapes="position_m F N 3; reprojection_px F N")`: a letter is any length, the same wherever it
-    stands. A field that is None is not checked; of a tuple its length counts.
+    `class Points3D(Arrays, shapes="position_m F N 3; reprojection_px F N")`: a letter is any length, the same wherever
+    it occurs. A field that is None is not checked; of a tuple its length counts.
     """
 
     _shapes: ClassVar[tuple[list[str], ...]] = ()
@@ -63,15 +66,15 @@ class Arrays:
 
     def __post_init__(self) -> None:
         lengths: dict[str, int] = {}
-        for name, *wanted in self._shapes:
+        for name, *letters in self._shapes:
             array = getattr(self, name)
             if array is None:
                 continue
             array = np.empty(len(array)) if isinstance(array, tuple) else array
-            check_shape(name, array, tuple(int(at) if at.isdigit() else lengths.get(at) for at in wanted))
-            for letter, length in zip(wanted, array.shape, strict=True):
+            check_shape(name, array, tuple(int(at) if at.isdigit() else lengths.get(at) for at in letters))
+            for letter, length in zip(letters, array.shape, strict=True):
                 if lengths.setdefault(letter, length) != length and not letter.isdigit():
-                    raise ValueError(f"{name}: expected an array of shape ({', '.join(wanted)}), found {array.shape}")
+                    raise ValueError(f"{name}: expected an array of shape ({', '.join(letters)}), found {array.shape}")
 
     def __repr__(self) -> str:
         parts = []
@@ -89,42 +92,45 @@ class Arrays:
         return f"{type(self).__name__}({', '.join(parts)})"
 
 
-# What is known of all frames of a series that comes some frames at a time.
+# Statistics over the frames of a series that arrives in blocks.
 
 
 class RunningMean:
-    """Mean over frames of what is finite: the digits of `values.sum(axis=0)` over all of them, however they come."""
+    """Mean over frames of the finite values, independent of how the frames are divided.
+
+    It has the digits of `values.sum(axis=0)` over all of them.
+    """
 
     def __init__(self) -> None:
         self._total: FloatArray | None = None
         self.count: IntArray = np.zeros((), np.int64)
 
     def add(self, values: FloatArray) -> None:
-        """Take in further frames (F, ...)."""
-        known = np.isfinite(values)
-        rows = np.where(known, values, 0.0)
+        """Add further frames (F, ...)."""
+        finite = np.isfinite(values)
+        rows = np.where(finite, values, 0.0)
         rows = rows if self._total is None else np.concatenate([self._total[None], rows])  # in the order of the frames
-        self._total, self.count = np.asarray(rows.sum(axis=0)), self.count + known.sum(axis=0)
+        self._total, self.count = np.asarray(rows.sum(axis=0)), self.count + finite.sum(axis=0)
 
     @property
     def mean(self) -> FloatArray:
-        """The mean so far (...), NaN where nothing is known."""
+        """The mean so far (...), NaN without a finite value."""
         assert self._total is not None
         return np.asarray(self._total / np.where(self.count > 0, self.count, np.nan))
 
 
-SAMPLED = 1 << 19
+SAMPLED = 1 << 19  # values of a sample: 4 MB
 
 
 class Sample:
-    """Values of all frames, or of equally spaced ones where these are more than `SAMPLED` values: for a median."""
+    """Values of all frames, or of equally spaced ones beyond `SAMPLED` values: for a median."""
 
     def __init__(self) -> None:
         self._rows: list[FloatArray] = []
         self._every, self._frames = 1, 0
 
     def add(self, values: FloatArray) -> None:
-        """Take in further frames (F, ...)."""
+        """Add further frames (F, ...)."""
         first = -self._frames % self._every
         self._rows += [row.copy() for row in values[first :: self._every]]
         self._frames += len(values)
@@ -133,7 +139,7 @@ class Sample:
 
     @property
     def median(self) -> float:
-        """Median of what is finite, NaN where nothing is."""
+        """Median of the finite values, NaN without any."""
         values = np.array(self._rows)
         values = values[np.isfinite(values)]
         return float(np.median(values)) if len(values) else float("nan")

@@ -1,11 +1,11 @@
-"""B-spline interpolation of images: coefficients, values and gradients, and values along lines of points.
+"""B-spline interpolation of images: coefficients, values, gradients, and values along lines.
 
-Lines are the inner loop of every registration. Neighbouring points of a line read neighbouring coefficients as long as
-it does not pass into another row or drift by a column. Such runs are computed with vectors of points, written out
-here: compilers cannot know that the grey values written are no coefficients.
+Lines are the inner loop of every registration. Neighbouring points of a line read neighbouring coefficients until it
+passes into another row or drifts by a column. Such runs are computed with vectors of points, written out here:
+compilers cannot prove that the grey values written are no coefficients.
 
-Coefficients and grey values along lines are float32, whose rounding is 10⁻⁷ of full scale against the 10⁻⁵ of a pixel
-of 16 bit. Places are split into whole pixels and fraction before they are rounded.
+Coefficients and grey values along lines are float32, whose rounding is 10⁻⁷ of full scale, compared with 10⁻⁵ for a
+pixel of 16 bit. Positions are split into whole pixels and fraction before they are rounded.
 """
 
 from __future__ import annotations
@@ -42,20 +42,23 @@ from photogram.kernels.lanes import (
     store,
 )
 
-PADDING_PX = 4
+PADDING_PX = 4  # half the support of degree 7
 POLES = {
     3: (sqrt(3.0) - 2.0,),
     5: (sqrt(67.5 - sqrt(4436.25)) + sqrt(26.25) - 6.5, sqrt(67.5 + sqrt(4436.25)) - sqrt(26.25) - 6.5),
     7: (-0.53528043079643816554, -0.12255461519232669052, -0.0091486948096082769286),
 }
 REACH = 32  # pixels after which the slowest of all poles leaves 2·10⁻⁹ of a start
-DARK = np.float32(1e-20)  # far below rounding; what rings on in pure black else gets too small for fast arithmetic
-LINES, TILE = 32, 8  # rows or columns that are filtered at once; pixels of a row that change places at once
+DARK = np.float32(1e-20)  # far below rounding; avoids denormal numbers, which are slow, in black areas
+LINES, TILE = 32, 8  # rows or columns that are filtered at once; pixels of a row that are transposed at once
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Spline(Arrays, shapes="coefficients H W"):
-    """An image as a B-spline of `degree` 3, 5 or 7: coefficients (H+8,W+8), mirrored by four pixels on every side."""
+    """An image as a B-spline of `degree` 3, 5 or 7.
+
+    coefficients (H+8, W+8): mirrored by four pixels on every side.
+    """
 
     coefficients: NDArray[np.float32]
     degree: int
@@ -66,31 +69,37 @@ class Spline(Arrays, shapes="coefficients H W"):
 
 
 def poles_of(degree: int) -> tuple[float, ...]:
-    """The poles inside the unit circle of the filter of a degree; `ValueError` for other degrees."""
+    """Return the poles inside the unit circle of the filter of a degree.
+
+    Raises `ValueError` for degrees other than 3, 5 and 7.
+    """
     if degree not in POLES:
         raise ValueError(f"degree: expected 3, 5 or 7, found {degree}")
     return POLES[degree]
 
 
 def spline_of_image(image: NDArray[np.generic], degree: int = 5) -> Spline:
-    """The spline that passes exactly through the grey values of image (H,W), mirrored at the outermost pixels.
+    """Return the spline through the grey values of image (H,W), mirrored at the outermost pixels.
 
     Recursive prefilter c = Π_z (1−z)² · causal and anticausal first-order filters with the poles z of the B-spline
-    (Unser, Aldroubi, Eden 1993, IEEE Trans. Signal Process. 41, 834, eqs 2.4 and 2.5), in rows and columns. Either
-    starts from nothing `REACH` pixels out in the mirror image.
+    (Unser, Aldroubi, Eden 1993, IEEE Trans. Signal Process. 41, 834, eqs 2.4 and 2.5), in rows and columns. Both start
+    at zero `REACH` pixels outside, in the mirror image.
     """
     check_shape("image", image, (None, None))
     if min(image.shape) < 2 * PADDING_PX:
         raise ValueError(f"image: expected at least {2 * PADDING_PX} x {2 * PADDING_PX} px, found {image.shape}")
     first, second, third = (*poles_of(degree), 0.0, 0.0)[:3]
     gain = ((1.0 - first) * (1.0 - second) * (1.0 - third)) ** 4
-    kept = image.dtype in (np.uint8, np.uint16) and image.flags.c_contiguous and image.flags.writeable
-    inside = image if kept else np.array(image, np.float64)  # a kernel is compiled for each kind of array
+    usable = image.dtype in (np.uint8, np.uint16) and image.flags.c_contiguous and image.flags.writeable
+    inside = image if usable else np.array(image, np.float64)  # a kernel is compiled for each kind of array
     return Spline(_prefilter(inside, (first, second, third), gain, PADDING_PX), degree)
 
 
 def evaluate(spline: Spline, points_px: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Values (M,) and gradients (M,2) (∂/∂x, ∂/∂y) of the spline at points_px (M,2); NaN outside the image."""
+    """Return values (M,) and gradients (M, 2) of the spline at points_px (M, 2).
+
+    Gradients are ∂/∂x, ∂/∂y; NaN outside the image.
+    """
     check_shape("points_px", points_px, (None, 2))
     values, gradients = np.empty(len(points_px)), np.empty((len(points_px), 2))
     _evaluate(spline.coefficients, spline.degree, np.ascontiguousarray(points_px, dtype=np.float64), values, gradients)
@@ -98,32 +107,38 @@ def evaluate(spline: Spline, points_px: FloatArray) -> tuple[FloatArray, FloatAr
 
 
 def grey_values(spline: Spline) -> FloatArray:
-    """The image (H,W) that the spline passes through: the coefficients weighted by the B-spline at whole pixels."""
+    """Return the image (H, W) through which the spline passes.
+
+    These are the coefficients weighted by the B-spline at whole pixels.
+    """
     values, _ = _at_pixels(spline.degree)
     return _weighted(spline, values, values)
 
 
 def grey_gradients(spline: Spline) -> tuple[FloatArray, FloatArray]:
-    """∂/∂x and ∂/∂y (H,W) of the spline at whole pixels."""
+    """Return ∂/∂x and ∂/∂y (H, W) of the spline at whole pixels."""
     values, slopes = _at_pixels(spline.degree)
     return _weighted(spline, slopes, values), _weighted(spline, values, slopes)
 
 
 def third_differences(spline: Spline) -> FloatArray:
-    """Third differences (−1 3 −3 1) in x of those in y (H−3,W−3) of the image that the spline passes through."""
+    """Return third differences (H−3,W−3) in x of those in y.
+
+    (−1 3 −3 1), of the image of the spline.
+    """
     values = np.convolve(_at_pixels(spline.degree)[0], (-1.0, 3.0, -3.0, 1.0))
     return _weighted(spline, values, values)[2:-1, 2:-1]
 
 
 def _at_pixels(degree: int) -> tuple[FloatArray, FloatArray]:
-    """Values and slopes of the B-splines that reach a whole pixel, without the last one, which is zero there."""
+    """Return values and slopes of the B-splines at a whole pixel."""
     values, slopes = np.empty(8), np.empty(8)
     basis(0.0, degree, values, slopes)
     return values[:degree], slopes[:degree]
 
 
 def _weighted(spline: Spline, along: FloatArray, down: FloatArray) -> FloatArray:
-    """Sums, float64, of neighbouring coefficients with these weights in x and in y, without the frame."""
+    """Return float64 sums of neighbouring coefficients with weights in x and y, without the frame."""
     import cv2
 
     inside = slice(PADDING_PX, -PADDING_PX)
@@ -131,9 +146,10 @@ def _weighted(spline: Spline, along: FloatArray, down: FloatArray) -> FloatArray
 
 
 def noise_gain(fraction_px: FloatArray, degree: int = 5) -> FloatArray:
-    """Variance of interpolated white noise of variance 1 at one-dimensional offsets `fraction_px` from a pixel.
+    """Return the variance of interpolated white noise of variance 1 at offsets from a pixel.
 
-    Σ_k h(t−k)² of the cardinal spline h; in two dimensions the gains of x and y multiply.
+    Σ_k h(t−k)² of the cardinal spline h at one-dimensional offsets `fraction_px`; in two dimensions the gains of x and
+    y multiply.
     """
     table = noise_gain_table(degree)
     position = np.mod(fraction_px, 1.0) * (len(table) - 1)
@@ -141,16 +157,19 @@ def noise_gain(fraction_px: FloatArray, degree: int = 5) -> FloatArray:
 
 
 def mean_noise_gain(centre_px: FloatArray, warp: FloatArray, offset_px: FloatArray, degree: int = 5) -> FloatArray:
-    """Variance (N,) of interpolated white noise of variance 1, mean over the offsets (P,2) from centre_px (N,2).
+    """Return the mean variance (N,) of interpolated white noise of variance 1 over offsets (P,2).
 
-    The points lie where the affine warps (N,6) [u, u_x, u_y, v, v_x, v_y] take them.
+    The points about centre_px (N, 2) are moved by the affine warps (N, 6) [u, u_x, u_y, v, v_x, v_y].
     """
     return np.asarray(_mean_gains(centre_px, np.ascontiguousarray(warp), offset_px, noise_gain_table(degree)))
 
 
 @njit()
 def _mean_gains(centres, warps, offsets, table):  # type: ignore[no-untyped-def]
-    """Means (N,) of gains of x times those of y, linear in a table over one pixel; NaN for a warp that is none."""
+    """Return means (N,) of the gains in x times those in y.
+
+    NaN for a warp that is not finite. The gains are linear in a table over one pixel.
+    """
     gains = np.full(centres.shape[0], np.nan)
     for n in range(centres.shape[0]):
         u, u_x, u_y, v, v_x, v_y = warps[n, 0], warps[n, 1], warps[n, 2], warps[n, 3], warps[n, 4], warps[n, 5]
@@ -167,28 +186,34 @@ def _mean_gains(centres, warps, offsets, table):  # type: ignore[no-untyped-def]
 
 
 @njit()
-def _gain(table, place):  # type: ignore[no-untyped-def]
-    """Value at a place of a function that has the period of a pixel, linear between those of the table."""
-    place = (place - np.floor(place)) * (table.shape[0] - 1)
-    k = min(int(place), table.shape[0] - 2)
-    return table[k] + (place - k) * (table[k + 1] - table[k])
+def _gain(table, position):  # type: ignore[no-untyped-def]
+    """Interpolate a function that has the period of a pixel linearly in its table."""
+    position = (position - np.floor(position)) * (table.shape[0] - 1)
+    k = min(int(position), table.shape[0] - 2)
+    return table[k] + (position - k) * (table[k + 1] - table[k])
 
 
 @cache
 def noise_gain_table(degree: int) -> FloatArray:
-    """`noise_gain` at 33 offsets from 0 to 1."""
+    """Return `noise_gain` at 33 offsets from 0 to 1."""
     values, _ = _cardinal(np.add.outer(np.arange(-31.0, 31), np.linspace(0.0, 1.0, 33)).ravel(), degree)
     return np.asarray(np.sum(values.reshape(62, 33) ** 2, axis=0))
 
 
 @cache
 def slope_noise_gain(degree: int = 5) -> float:
-    """Variance of the spline's slope at a pixel for white noise of variance 1: Σ_k h′(k)² of the cardinal spline h."""
+    """Return the variance of the spline's slope for white noise of variance 1.
+
+    Σ_k h′(k)² of the cardinal spline h.
+    """
     return float(np.sum(_cardinal(np.arange(-32.0, 33), degree)[1] ** 2))
 
 
 def _cardinal(x: FloatArray, degree: int) -> tuple[FloatArray, FloatArray]:
-    """Values and slopes (M,) of the cardinal spline at x (M,), |x| ≤ 32: the response to one bright column."""
+    """Return values and slopes (M,) of the cardinal spline at x (M,), |x| ≤ 32.
+
+    It is the response to one bright column.
+    """
     impulse = np.zeros((2 * PADDING_PX, 65))
     impulse[:, 32] = 1.0
     values, gradients = evaluate(spline_of_image(impulse, degree), np.column_stack([x + 32.0, np.full_like(x, 4.0)]))
@@ -197,9 +222,9 @@ def _cardinal(x: FloatArray, degree: int) -> tuple[FloatArray, FloatArray]:
 
 @njit()
 def _prefilter(image, poles, gain, padding):  # type: ignore[no-untyped-def]
-    """Spline coefficients of an image inside a frame of `padding` pixels, its mirror image, for a gain of all poles.
+    """Return the spline coefficients of an image with a mirrored frame of `padding` pixels.
 
-    Several rows, brought side by side, or columns make each step of the recursion at once.
+    `gain`: of all poles. Several rows, placed side by side, or columns make each step of the recursion at once.
     """
     height, width = image.shape
     out = np.empty((height + 2 * padding, width + 2 * padding), np.float32)
@@ -207,11 +232,11 @@ def _prefilter(image, poles, gain, padding):  # type: ignore[no-untyped-def]
     rows = np.zeros((width + 2 * REACH, LINES), np.float32)
     columns = np.zeros((height + 2 * REACH, LINES), np.float32)
     for first in range(0, height, LINES):
-        turned = rows[REACH : REACH + width].T[: min(LINES, height - first)]
-        _copy(image[first : first + LINES], turned, np.float32(gain))
+        transposed = rows[REACH : REACH + width].T[: min(LINES, height - first)]
+        _copy(image[first : first + LINES], transposed, np.float32(gain))
         _mirror(rows, width)
         _recurse(rows, poles)
-        _copy(turned, inside[first : first + LINES], np.float32(1.0))
+        _copy(transposed, inside[first : first + LINES], np.float32(1.0))
     for first in range(0, width, LINES):
         block = inside[:, first : first + LINES]
         columns[REACH : REACH + height, : block.shape[1]] = block
@@ -230,7 +255,10 @@ def _prefilter(image, poles, gain, padding):  # type: ignore[no-untyped-def]
 
 @njit()
 def _copy(source, target, gain):  # type: ignore[no-untyped-def]
-    """Copy rows (n,W) times a gain, plus `DARK`, tile by tile: pixels near each other in either array stay in reach."""
+    """Copy rows (n, W) times a gain, plus `DARK`, tile by tile.
+
+    In tiles, neighbouring pixels of either array stay in the cache.
+    """
     whole = source.shape[1] - source.shape[1] % TILE
     for begin in range(0, whole, TILE):
         for i in range(source.shape[0]):
@@ -243,7 +271,7 @@ def _copy(source, target, gain):  # type: ignore[no-untyped-def]
 
 @njit()
 def _mirror(lines, count):  # type: ignore[no-untyped-def]
-    """Fill the first and last `REACH` rows with mirror images of the `count` rows between them."""
+    """Fill the first and last `REACH` rows with mirror images of those between."""
     period = 2 * count - 2
     for k in range(1, REACH + 1):
         before, behind = k % period, (count - 1 + k) % period
@@ -253,32 +281,38 @@ def _mirror(lines, count):  # type: ignore[no-untyped-def]
 
 @intrinsic
 def _recurse(typing, lines, poles):  # type: ignore[no-untyped-def]
-    """In place down the rows of lines (n, LINES) y_k = x_k + z·y_k−1 for three poles z one after the other, then up."""
+    """Filter lines (n,LINES) in place, down and up, for three poles.
+
+    y_k = x_k + z·y_k−1.
+    """
 
     def generate(context: Any, builder: Any, signature: Any, arguments: Sequence[Any]) -> Any:
         table = array_of(context, builder, signature, arguments, 0)
         factors = [broadcast(builder, pole, FLOATS) for pole in cgutils.unpack_tuple(builder, arguments[1], 3)]
-        (count, _), nothing = cgutils.unpack_tuple(builder, table.shape), constant(FLOATS, 0.0)
+        (count, _), zero = cgutils.unpack_tuple(builder, table.shape), constant(FLOATS, 0.0)
         last = builder.sub(count, ir.Constant(INDEX, 1))
         columns = range(0, LINES, FLOATS.count)
         for upward in (False, True):
-            states = [[cgutils.alloca_once_value(builder, nothing) for _ in factors] for _ in columns]
+            states = [[cgutils.alloca_once_value(builder, zero) for _ in factors] for _ in columns]
             with cgutils.for_range(builder, count) as loop:
                 row = builder.sub(last, loop.index) if upward else loop.index
                 for column, before in zip(columns, states, strict=True):
-                    place = element(builder, table, row, ir.Constant(INDEX, column))
-                    value = load(builder, place, FLOATS)
+                    pointer = element(builder, table, row, ir.Constant(INDEX, column))
+                    value = load(builder, pointer, FLOATS)
                     for factor, state in zip(factors, before, strict=True):
                         value = factor * Lanes(builder, builder.load(state)) + value
                         builder.store(value.value, state)
-                    store(builder, value, place)
+                    store(builder, value, pointer)
         return context.get_dummy_value()
 
     return kernel_signature(lines, poles), generate
 
 
 def weights_cubic(t: Lanes) -> tuple[Lanes, ...]:
-    """Values of the four cubic B-splines that reach offset t in [0,1) (Thévenaz et al. 2000, eq. 18)."""
+    """Return the four cubic B-splines at offset t in [0,1).
+
+    Thévenaz et al. 2000, eq. 18.
+    """
     last = t * t * t / 6.0
     first = 1.0 / 6.0 + 0.5 * t * (t - 1.0) - last
     third = t + first - 2.0 * last
@@ -286,7 +320,7 @@ def weights_cubic(t: Lanes) -> tuple[Lanes, ...]:
 
 
 def weights_quintic(t: Lanes) -> tuple[Lanes, ...]:
-    """Values of the six quintic B-splines that reach offset t in [0,1), as those of `weights_septic`."""
+    """Return the six quintic B-splines at offset t in [0, 1), as `weights_septic`."""
     h = t - 0.5
     q = h * h
     even0 = (q / 48.0 + 1.0 / 96.0) * q + 1.0 / 3840.0
@@ -300,7 +334,7 @@ def weights_quintic(t: Lanes) -> tuple[Lanes, ...]:
 
 
 def weights_septic(t: Lanes) -> tuple[Lanes, ...]:
-    """Values of the eight septic B-splines that reach offset t in [0,1).
+    """Return the eight septic B-splines at offset t in [0, 1).
 
     With h = t − ½ the splines j and 7−j are E(h²) ± h·O(h²); polynomials from the sum of truncated powers (Unser 1999,
     IEEE Signal Process. Mag. 16, 22, box 1).
@@ -330,9 +364,10 @@ def weights_septic(t: Lanes) -> tuple[Lanes, ...]:
 
 @njit()
 def basis(t, degree, values, slopes):  # type: ignore[no-untyped-def]
-    """Values and derivatives of the degree+1 B-splines that reach t in [0,1), by the recursion of de Boor and Cox.
+    """Fill values and slopes of the degree+1 B-splines at t in [0, 1).
 
-    β_n(x) = ((x + (n+1)/2) β_{n−1}(x+½) + ((n+1)/2 − x) β_{n−1}(x−½)) / n and β_n′(x) = β_{n−1}(x+½) − β_{n−1}(x−½).
+    By the recursion of de Boor and Cox: β_n(x) = ((x + (n+1)/2) β_{n−1}(x+½) + ((n+1)/2 − x) β_{n−1}(x−½)) / n and
+    β_n′(x) = β_{n−1}(x+½) − β_{n−1}(x−½).
     """
     values[:] = 0.0
     values[0] = 1.0
@@ -348,7 +383,7 @@ def basis(t, degree, values, slopes):  # type: ignore[no-untyped-def]
 
 @njit()
 def _evaluate(coefficients, degree, points, values, gradients):  # type: ignore[no-untyped-def]
-    """Value and gradient at every point."""
+    """Fill value and gradient at every point."""
     width, height = coefficients.shape[1] - 2 * PADDING_PX, coefficients.shape[0] - 2 * PADDING_PX
     first = PADDING_PX - degree // 2
     for m in range(points.shape[0]):
@@ -375,13 +410,14 @@ def _evaluate(coefficients, degree, points, values, gradients):  # type: ignore[
 
 # Spline values along straight lines of points, a vector of them at a time: the inner loop of every registration.
 
-SMALLEST_DRIFT = 1e-30
+SMALLEST_DRIFT = 1e-30  # of a line that never leaves its row or column
 
 
 def sample_squares(spline: Spline, centre_px: FloatArray, radius_px: int) -> FloatArray:
-    """Values and gradients (N,3,P) [f, f_x, f_y] on P = (2·radius+1)² points, a pixel apart, around centre_px (N,2).
+    """Return values and gradients (N,3,P) [f,f_x,f_y] on squares around centre_px (N,2).
 
-    NaN for squares that are not wholly in the image. Points of a square have the same weights, applied along x, then y.
+    P = (2·radius+1)² points, a pixel from each other. NaN for squares that are not wholly in the image. Points of a
+    square have the same weights, applied along x, then y.
     """
     check_shape("centre_px", centre_px, (None, 2))
     squares = np.full((len(centre_px), 3, (2 * radius_px + 1) ** 2), np.nan)
@@ -391,12 +427,12 @@ def sample_squares(spline: Spline, centre_px: FloatArray, radius_px: int) -> Flo
 
 @njit()
 def sample_line(c, degree, first, step, grey, span):  # type: ignore[no-untyped-def]
-    """Fill grey[begin:end], float32, with spline values at (x, y) + i·(step_x, step_y), i = 0, 1 …, all in the image.
+    """Fill grey[begin:end], float32, with spline values at equally spaced points of a line.
 
-    c (H+8,W+8): `Spline.coefficients` of degree 3, 5 or 7; pairs first: x, y, and span: begin, end. Runs in which
-    int(x)−i and int(y) stay the same are computed a vector of points at a time; the polynomials of two runs agree where
-    they meet, so that it does not matter to which run a point is given. A span, not a slice: numba counts who holds a
-    slice, which keeps the processor from going on to the next line.
+    The points are (x, y) + i·(step_x, step_y), i = 0, 1 …, all in the image. c (H+8, W+8): `Spline.coefficients` of
+    degree 3, 5 or 7; pairs first: x, y, and span: begin, end. Runs with constant int(x)−i and int(y) are computed a
+    vector of points at a time. The polynomials of two runs agree where they meet, so that a point may belong to either.
+    A span, not a slice: numba counts references to a slice, which delays the processor's next line.
     """
     begin, end = span
     start = begin
@@ -408,15 +444,21 @@ def sample_line(c, degree, first, step, grey, span):  # type: ignore[no-untyped-
 
 
 @njit()
-def sample_points(c, degree, places, grey, span):  # type: ignore[no-untyped-def]
-    """Fill grey[begin:end], float32, with spline values at places (2,n) [x, y], any points within the image."""
-    for i in range(places.shape[1]):
-        _run(c, degree, (places[0, i], places[1, i]), (0.0, 0.0), grey, (span[0] + i, span[0] + i + 1))
+def sample_points(c, degree, positions, grey, span):  # type: ignore[no-untyped-def]
+    """Fill grey[begin:end], float32, with spline values at positions (2, n) within the image.
+
+    [x, y].
+    """
+    for i in range(positions.shape[1]):
+        _run(c, degree, (positions[0, i], positions[1, i]), (0.0, 0.0), grey, (span[0] + i, span[0] + i + 1))
 
 
 @njit(inline="always")
 def warp_inside(coefficients, x, y, radius, warp):  # type: ignore[no-untyped-def]
-    """Whether all corners of the square about (x, y), warped by (6,) or (12,), lie in the image; False for NaN."""
+    """Return whether a square, warped by (6,) or (12,), lies in the image.
+
+    The square is about (x, y). False for NaN.
+    """
     x, y = x + warp[0], y + warp[3]
     reach_x = radius * (abs(1.0 + warp[1]) + abs(warp[2]))
     reach_y = radius * (abs(warp[4]) + abs(1.0 + warp[5]))
@@ -429,7 +471,7 @@ def warp_inside(coefficients, x, y, radius, warp):  # type: ignore[no-untyped-de
 
 @njit(inline="always")
 def _end_of_run(start, count, s, t, drift_x, drift_y):  # type: ignore[no-untyped-def]
-    """First point after `start` at which s + i·drift_x or t + i·drift_y has left [0, 1)."""
+    """Return the first point at which s + i·drift_x or t + i·drift_y leaves [0,1)."""
     steps = float(count - start)
     if drift_x > SMALLEST_DRIFT:
         steps = min(steps, (1.0 - s) / drift_x)
@@ -444,7 +486,7 @@ def _end_of_run(start, count, s, t, drift_x, drift_y):  # type: ignore[no-untype
 
 @njit()
 def _sample_squares(c, degree, centres, radius, squares):  # type: ignore[no-untyped-def]
-    """Every square that lies in the image: rows are weighted along x, all of them then along y."""
+    """Sample squares within the image, first along x, then along y."""
     right, bottom, side = c.shape[1] - 2 * PADDING_PX - 1, c.shape[0] - 2 * PADDING_PX - 1, 2 * radius + 1
     taps, points = degree + 1, (2 * radius + 1) ** 2
     wx, sx, wy, sy = np.empty(8), np.empty(8), np.empty(8), np.empty(8)
@@ -466,10 +508,10 @@ def _sample_squares(c, degree, centres, radius, squares):  # type: ignore[no-unt
 
 
 @intrinsic
-def _weigh(typing, source, place, weights, taps, target, span):  # type: ignore[no-untyped-def]
-    """Fill target[start + i], i < count, with Σ_k weights[k]·source[first + k·stride + i], all arrays flat.
+def _weigh(typing, source, position, weights, taps, target, span):  # type: ignore[no-untyped-def]
+    """Fill target[start + i], i < count, with Σ_k weights[k]·source[first + k·stride + i].
 
-    place: first, stride; taps: how many weights; span: start, count.
+    All arrays are flat. position: first, stride; taps: number of weights; span: start, count.
     """
 
     def generate(context: Any, builder: Any, signature: Any, arguments: Sequence[Any]) -> Any:
@@ -484,17 +526,20 @@ def _weigh(typing, source, place, weights, taps, target, span):  # type: ignore[
                 at = builder.add(builder.add(first, index), builder.mul(stride, loop.index))
                 value = weight * load(builder, builder.gep(table.data, [at]), DOUBLES, mask)
                 builder.store((Lanes(builder, builder.load(total)) + value).value, total)
-            place = builder.gep(out.data, [builder.add(start, index)])
-            store(builder, Lanes(builder, builder.load(total)), place, mask)
+            position = builder.gep(out.data, [builder.add(start, index)])
+            store(builder, Lanes(builder, builder.load(total)), position, mask)
 
         in_blocks(builder, count, DOUBLES, block)
         return context.get_dummy_value()
 
-    return kernel_signature(source, place, weights, taps, target, span), generate
+    return kernel_signature(source, position, weights, taps, target, span), generate
 
 
 def _run_by(weights: Callable[[Lanes], tuple[Lanes, ...]]) -> Any:
-    """Kernel of one run for the B-spline `weights` of one degree: whole blocks of points, then a masked one."""
+    """Return the kernel of one run for the B-spline `weights`.
+
+    Whole blocks of points, then a masked one.
+    """
 
     def generate(context: Any, builder: Any, signature: Any, arguments: Sequence[Any]) -> Any:
         table, grey = (array_of(context, builder, signature, arguments, k) for k in (0, 4))
@@ -509,20 +554,24 @@ def _run_by(weights: Callable[[Lanes], tuple[Lanes, ...]]) -> Any:
             )
             lines = []
             for k in range(len(down)):
-                place = element(builder, table, builder.add(corner[0], ir.Constant(INDEX, k)), column)
+                pointer = element(builder, table, builder.add(corner[0], ir.Constant(INDEX, k)), column)
                 taps = [
-                    load(builder, builder.gep(place, [ir.Constant(INDEX, j)]), FLOATS, mask) for j in range(len(along))
+                    load(builder, builder.gep(pointer, [ir.Constant(INDEX, j)]), FLOATS, mask)
+                    for j in range(len(along))
                 ]
                 lines.append(reduce(add, map(mul, along, taps)))
-            place = builder.gep(grey.data, [builder.add(span[0], index)])
-            store(builder, reduce(add, map(mul, down, lines)), place, mask)
+            pointer = builder.gep(grey.data, [builder.add(span[0], index)])
+            store(builder, reduce(add, map(mul, down, lines)), pointer, mask)
 
         in_blocks(builder, builder.sub(span[1], span[0]), FLOATS, block)
         return context.get_dummy_value()
 
     @intrinsic
     def run(typing, c, corner, offset, drift, grey, span):  # type: ignore[no-untyped-def]
-        """Σ_k b_k(t) Σ_j a_j(s) c[row + k, column + j + i] at the points i of one run, s and t = offset + i·drift."""
+        """Fill grey with the spline's values at the points of one run.
+
+        Σ_k b_k(t) Σ_j a_j(s) c[row + k, column + j + i] at point i. s and t = offset + i·drift.
+        """
         return kernel_signature(c, corner, offset, drift, grey, span), generate
 
     return run
@@ -533,7 +582,7 @@ _run_cubic, _run_quintic, _run_septic = map(_run_by, (weights_cubic, weights_qui
 
 @njit(inline="always")
 def _run(c, degree, first, drift, grey, span):  # type: ignore[no-untyped-def]
-    """Points start … stop of one run, the first of them at (x, y)."""
+    """Fill points start … stop of one run, the first of them at (x, y)."""
     x, y = first
     column, row = int(x), int(y)
     offset, corner = (x - column, y - row), (row + PADDING_PX - degree // 2, column + PADDING_PX - degree // 2)

@@ -1,10 +1,10 @@
-"""Cameras alone and in pairs: projection with distortion, its inverse, points by triangulation or on a known face.
+"""Cameras, single and in pairs: projection with distortion, its inverse, triangulation.
 
-To the compiled kernels a camera is the vector [fx fy cx cy k1 k2 p1 p2 k3 k4 k5 k6 s]; the model is OpenCV's rational
-one (Brown 1971, Photogrammetric Engineering 37, 855; Claus and Fitzgibbon 2005, CVPR, 213) with skew: with r² = x² + y²
-and g = (1 + k1·r² + k2·r⁴ + k3·r⁶)/(1 + k4·r² + k5·r⁴ + k6·r⁶),
-x_d = x·g + 2·p1·x·y + p2·(r² + 2·x²),  y_d = y·g + p1·(r² + 2·y²) + 2·p2·x·y,
-u = fx·x_d + s·y_d + cx,  v = fy·y_d + cy.
+To the compiled kernels a camera is the vector [fx fy cx cy k1 k2 p1 p2 k3 k4 k5 k6 s]. The model is OpenCV's rational
+one with skew (Brown 1971, Photogrammetric Engineering 37, 855; Claus and Fitzgibbon 2005, CVPR, 213). With r² = x² + y²
+the radial factor is `g = (1 + k1·r² + k2·r⁴ + k3·r⁶)/(1 + k4·r² + k5·r⁴ + k6·r⁶)`. Distorted coordinates are `x_d = x·g
++ 2·p1·x·y + p2·(r² + 2·x²)` and `y_d = y·g + p1·(r² + 2·y²) + 2·p2·x·y`. Pixels are `u = fx·x_d + s·y_d + cx` and `v =
+fy·y_d + cy`.
 """
 
 from __future__ import annotations
@@ -20,13 +20,13 @@ from photogram.arrays import Arrays, FloatArray, IntArray, check_shape, derivati
 from photogram.geometry import RigidTransform, invert, rotation_from_vector, skew
 from photogram.kernels import njit
 
-_NEWTON_STEPS = 60  # damped Newton steps of the inverse; a handful is the rule
+_NEWTON_STEPS = 60  # damped Newton steps of the inverse; usually five are needed
 _RESIDUAL = 1e-13  # largest residual, in normalised units, of a converged inverse
 
 
 @njit()
 def distort(x: float, y: float, camera: FloatArray) -> tuple[float, float, float, float, float]:
-    """Return x_d, y_d and ∂x_d/∂x, ∂x_d/∂y = ∂y_d/∂x, ∂y_d/∂y; NaN from the pole of the radial factor outwards."""
+    """Return x_d, y_d and ∂x_d/∂x, ∂x_d/∂y = ∂y_d/∂x, ∂y_d/∂y; NaN beyond a pole."""
     k1, k2, p1, p2, k3 = camera[4], camera[5], camera[6], camera[7], camera[8]
     r2 = x * x + y * y
     gain = 1.0 + r2 * (k1 + r2 * (k2 + r2 * k3))
@@ -48,7 +48,7 @@ def distort(x: float, y: float, camera: FloatArray) -> tuple[float, float, float
 
 @njit()
 def undistort(u: float, v: float, camera: FloatArray) -> tuple[float, float]:
-    """Return the normalised x, y whose image is the pixel u, v; NaN where the distortion has no inverse.
+    """Return the normalised x, y of a pixel, NaN where the distortion is not invertible.
 
     Newton's method from the distorted point, each step halved until the residual falls, to the last digit.
     """
@@ -95,7 +95,7 @@ def project_one(x: float, y: float, z: float, camera: FloatArray) -> tuple[float
 
 @njit()
 def project_all(points: FloatArray, camera: FloatArray) -> FloatArray:
-    """Return the pixels (N, 2) of points (N, 3) in the camera frame; NaN behind the camera."""
+    """Return the pixels (N,2) of points (N,3) in the camera frame; NaN behind it."""
     pixels = np.empty((points.shape[0], 2))
     for i in range(points.shape[0]):
         pixels[i, 0], pixels[i, 1] = project_one(points[i, 0], points[i, 1], points[i, 2], camera)
@@ -114,20 +114,19 @@ def undistort_all(pixels: FloatArray, camera: FloatArray) -> FloatArray:
 # The pinhole camera with lens distortion, and the stereo pair.
 
 CAMERA_PARAMETERS = ("fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6", "skew")
-_PLAIN = 9  # of these make a camera whose further ones are zero
+_PLAIN = 9  # parameters of a camera whose further ones are zero
 RIG_PARAMETERS = (
     *(f"{side}.{name}" for side in ("left", "right") for name in CAMERA_PARAMETERS[:_PLAIN]),
     *(f"{part}.{axis}" for part in ("rotation", "translation") for axis in "xyz"),
     *(f"{side}.{name}" for side in ("left", "right") for name in CAMERA_PARAMETERS[_PLAIN:]),
 )
-_PLAIN_RIG = 24
+_PLAIN_RIG = 24  # 2 x 9 of the cameras, 6 of the pose
 ROTATION, TRANSLATION = slice(18, 21), slice(21, 24)
 LEFT, RIGHT = (np.array([RIG_PARAMETERS.index(f"{s}.{n}") for n in CAMERA_PARAMETERS]) for s in ("left", "right"))
-"""Places of the two cameras' parameters among those of the rig."""
+"""Indices of the two cameras' parameters among those of the rig."""
 
 
 def _padded(name: str, array: FloatArray, plain: int, full: int) -> FloatArray:
-    """Return an array with `full` entries along each axis, those missing in one of the `plain` ones zero."""
     array = np.asarray(array, dtype=np.float64)
     if array.shape == (plain,) * array.ndim:
         return np.pad(array, (0, full - plain))
@@ -137,11 +136,18 @@ def _padded(name: str, array: FloatArray, plain: int, full: int) -> FloatArray:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Camera(Arrays, shapes="matrix 3 3; distortion 8; size_px 2"):
-    """A pinhole camera: matrix (3, 3) in px, distortion (8,) k1 k2 p1 p2 k3 k4 k5 k6, size_px (2,) width and height.
+    """A pinhole camera with lens distortion: OpenCV's model and pixels, with a skew.
 
-    OpenCV's model and pixels, with a skew s = matrix[0, 1]: u = fx·x_d + s·y_d + cx with the distorted x_d of x = X/Z;
-    an integer pixel is a pixel centre. A distortion of five coefficients has zeros for k4 k5 k6.
+    u = fx·x_d + s·y_d + cx with the distorted x_d of x = X/Z, s = matrix[0, 1]; an integer pixel is a pixel centre.
 
+    Attributes
+    ----------
+    matrix : (3, 3) in px.
+    distortion : (8,) k1 k2 p1 p2 k3 k4 k5 k6; one of five coefficients has zeros for k4 k5 k6.
+    size_px : (2,) width and height.
+
+    Examples
+    --------
     >>> camera = Camera.from_parameters(np.array([1000.0, 1000, 320, 240, -0.1, 0, 0, 0, 0]), np.array([640, 480]))
     >>> camera.project(np.array([0.05, 0.0, 0.5])).round(3)
     array([419.9, 240. ])
@@ -164,7 +170,7 @@ class Camera(Arrays, shapes="matrix 3 3; distortion 8; size_px 2"):
 
     @staticmethod
     def from_parameters(parameters: FloatArray, size_px: IntArray) -> Camera:
-        """Return the camera of parameters (13,), `CAMERA_PARAMETERS`, or the first (9,) and zeros for the others."""
+        """Return the camera of `CAMERA_PARAMETERS` (13,), or of the first (9,), others zero."""
         full = _padded("parameters", parameters, _PLAIN, len(CAMERA_PARAMETERS))
         (fx, fy, cx, cy), skew_px = full[:4], full[12]
         return Camera(np.array([[fx, skew_px, cx], [0, fy, cy], [0, 0, 1.0]]), full[4:12], size_px)
@@ -176,16 +182,15 @@ class Camera(Arrays, shapes="matrix 3 3; distortion 8; size_px 2"):
         return np.array([k[0, 0], k[1, 1], k[0, 2], k[1, 2], *self.distortion, k[0, 1]], dtype=np.float64)
 
     def project(self, points_m: FloatArray) -> FloatArray:
-        """Return the pixels (..., 2) of points (..., 3) in the camera frame, NaN for points not in front of it."""
+        """Return the pixels (...,2) of points (...,3) in the camera frame; NaN behind it."""
         points = np.asarray(points_m, dtype=np.float64)
         flat = np.ascontiguousarray(points.reshape(-1, 3))
         return np.asarray(project_all(flat, self.parameters)).reshape(*points.shape[:-1], 2)
 
     def undistort(self, pixels: FloatArray) -> FloatArray:
-        """Return the normalised coordinates (..., 2), x = X/Z and y = Y/Z, of pixels (..., 2).
+        """Return the normalised coordinates (...,2), x = X/Z and y = Y/Z, of pixels (...,2).
 
-        The inverse of `project`, converged to the last digits by damped Newton steps; NaN where the distortion
-        polynomial reaches no such pixel.
+        The inverse of `project`; NaN where the distortion reaches no such pixel.
         """
         flat = np.ascontiguousarray(np.asarray(pixels, dtype=np.float64).reshape(-1, 2))
         return np.asarray(undistort_all(flat, self.parameters)).reshape(np.shape(pixels))
@@ -193,11 +198,17 @@ class Camera(Arrays, shapes="matrix 3 3; distortion 8; size_px 2"):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class StereoRig(Arrays, shapes="covariance 32 32"):
-    """Two cameras and x_right = R·x_left + t, with the covariance (32, 32) of `RIG_PARAMETERS` or None.
+    """Two calibrated cameras with x_right = R·x_left + t.
 
-    One of the first (24, 24), without the cameras' k4 k5 k6 and skew, has zeros for these. The three
-    rotation parameters are a small rotation vector δ (rad) multiplied from the left: exp(δ)·R.
+    Attributes
+    ----------
+    left, right, right_from_left : the cameras, and R and t in m.
+    covariance : (32, 32) of `RIG_PARAMETERS`, or None. One of the first (24, 24), without the cameras' k4 k5 k6 and
+        skew, has zeros for these. The three rotation parameters are a small rotation vector δ (rad) multiplied from the
+        left: exp(δ)·R.
 
+    Examples
+    --------
     >>> camera = Camera.from_parameters(np.array([1000.0, 1000, 320, 240, 0, 0, 0, 0, 0]), np.array([640, 480]))
     >>> rig = StereoRig(camera, camera, RigidTransform(np.eye(3), np.array([-0.1, 0.0, 0.0])))
     >>> rig.project(np.array([0.0, 0.0, 0.5]))
@@ -242,7 +253,7 @@ class StereoRig(Arrays, shapes="covariance 32 32"):
         return values
 
     def perturbed(self, delta: FloatArray) -> StereoRig:
-        """Return the rig with its parameters changed by delta, (32,) or the first (24,), as in `RIG_PARAMETERS`."""
+        """Return the rig with `RIG_PARAMETERS` changed by delta, (32,) or the first (24,)."""
         delta = _padded("delta", delta, _PLAIN_RIG, len(RIG_PARAMETERS))
         return replace(
             self,
@@ -255,19 +266,19 @@ class StereoRig(Arrays, shapes="covariance 32 32"):
         )
 
     def project(self, points_m: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return the left and right pixels (..., 2) of points (..., 3) in the left camera's frame."""
+        """Return the left and right pixels (...,2) of points (...,3) in the left camera's frame."""
         return self.left.project(points_m), self.right.project(self.right_from_left.apply(points_m))
 
     @property
     def essential(self) -> FloatArray:
-        """E = [t]×·R (3, 3): (x', y', 1)·E·(x, y, 1)ᵀ = 0 for normalised left (x, y) and right (x', y')."""
+        """E = [t]×·R (3, 3): (x', y', 1)·E·(x, y, 1)ᵀ = 0 in normalised coordinates."""
         return skew(self.right_from_left.translation_m) @ self.right_from_left.rotation
 
     def fundamental(self) -> FloatArray:
-        """Return F (3, 3) with (u', v', 1)·F·(u, v, 1)ᵀ = 0 for left (u, v) and right (u', v') pixels.
+        """Return F (3,3) with (u',v',1)·F·(u,v,1)ᵀ = 0 for left (u,v) and right (u',v').
 
-        F = K_right⁻ᵀ·E·K_left⁻¹ (Hartley and Zisserman 2004, eq. 9.12), scaled to norm 1. Distortion is left out: it
-        holds for ideal pixels, and for real ones within the lenses' distortion there.
+        F = K_right⁻ᵀ·E·K_left⁻¹ (Hartley and Zisserman 2004, eq. 9.12), scaled to norm 1. Distortion is excluded: the
+        equation is valid for ideal pixels, and for real ones within the lenses' distortion.
         """
         matrix = np.linalg.inv(self.right.matrix).T @ self.essential @ np.linalg.inv(self.left.matrix)
         return np.asarray(matrix / np.linalg.norm(matrix))
@@ -276,11 +287,12 @@ class StereoRig(Arrays, shapes="covariance 32 32"):
 def epipolar_residual(
     rig: StereoRig, left_px: FloatArray, right_px: FloatArray
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return residuals (...) in px of matches (..., 2), and their derivatives (..., 2) by the left and right pixels.
+    """Return epipolar residuals (...) in px of matches (..., 2), and their derivatives.
 
-    e = x'ᵀ·F·x / |(F·x)₁₂|, the signed distance of the right point from the epipolar line of the left one (Hartley and
-    Zisserman 2004, sections 9.2 and 11.4.3) in the undistorted picture: F acts on pixels without distortion. The
-    derivatives take the distortion itself as constant over a point's noise. A NaN stays one.
+    e = x'ᵀ·F·x / |(F·x)₁₂| is the signed distance of the right point from the epipolar line of the left one (Hartley
+    and Zisserman 2004, sections 9.2 and 11.4.3). It refers to the undistorted image: F acts on pixels without
+    distortion. The derivatives (..., 2) by the left and right pixels treat the distortion as constant over a point's
+    noise. A NaN stays one.
     """
     rays = rig.left.undistort(left_px), rig.right.undistort(right_px)
     left, right = (np.concatenate([ray, np.ones((*ray.shape[:-1], 1))], axis=-1) for ray in rays)
@@ -293,26 +305,27 @@ def epipolar_residual(
 
 
 def principal_components(covariance: FloatArray) -> FloatArray:
-    """Return steps (P, N), one standard deviation along each principal component of a covariance (N, N).
+    """Return steps (P, N), one standard deviation along each principal component of a covariance.
 
-    Components of the correlation matrix, so that parameters of different units count alike: Σ sᵀ·s is the covariance.
+    Components of the correlation matrix of the covariance (N, N), so that parameters of different units count equally:
+    Σ sᵀ·s is the covariance.
     """
     sigma = np.sqrt(np.diagonal(covariance))
     scale = np.where(sigma > 0.0, sigma, 1.0)
     eigenvalues, vectors = np.linalg.eigh(covariance / np.outer(scale, scale))
-    kept = eigenvalues > 1e-9 * eigenvalues[-1]
-    return np.asarray((vectors[:, kept] * np.sqrt(eigenvalues[kept])).T * sigma)
+    significant = eigenvalues > 1e-9 * eigenvalues[-1]
+    return np.asarray((vectors[:, significant] * np.sqrt(eigenvalues[significant])).T * sigma)
 
 
 # Stereo pixels to points in space, by maximum likelihood, with covariance.
 
-_GAUSS_NEWTON_STEPS = 20  # Gauss-Newton steps allowed; two or three are the rule
+_GAUSS_NEWTON_STEPS = 20  # Gauss-Newton steps allowed; usually two or three are needed
 _CONVERGED = 1e-12  # a step this small relative to the depth ends the iteration
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Points3D(Arrays, shapes="position_m F N 3; covariance_m2 F N 3 3; reprojection_px F N"):
-    """Points in space: position_m (F, N, 3), covariance_m2 (F, N, 3, 3), reprojection_px (F, N); NaN = missing."""
+    """Points in space with covariances and reprojection residuals, NaN = missing."""
 
     position_m: FloatArray
     covariance_m2: FloatArray
@@ -333,14 +346,32 @@ def triangulate(
     covariance_left_px2: FloatArray | None = None,
     covariance_right_px2: FloatArray | None = None,
 ) -> Points3D:
-    """Return the most likely points (F, N), in the left camera's frame, for pixels (F, N, 2) seen by both cameras.
+    """Return the most likely points (F,N), in the left camera's frame, of a stereo pair.
 
-    Minimises Σ rᵀ·C⁻¹·r over both cameras, r the reprojection error in distorted pixels and C its covariance,
-    broadcast to (F, N, 2, 2); `None` stands for 1 px² in each coordinate. Gauss-Newton from the midpoint of the two
-    rays (Hartley and Sturm 1997, Computer Vision and Image Understanding 68, 146, whose optimum it is); covariance
-    (Jᵀ·C⁻¹·J)⁻¹; `reprojection_px` is the rms of the four residuals, of which one degree of freedom remains. A point
-    with NaN, without an inverse of the distortion, with parallel rays or behind a camera is NaN throughout.
+    Parameters
+    ----------
+    rig
+        The pair.
+    left_px, right_px
+        (F, N, 2) pixels of the same points in both cameras.
+    covariance_left_px2, covariance_right_px2
+        Broadcast to (F, N, 2, 2); None (default) is 1 px² in each coordinate.
 
+    Returns
+    -------
+    Points3D
+        Positions in m with covariance (Jᵀ·C⁻¹·J)⁻¹; `reprojection_px` is the rms of the four residuals, of which one
+        degree of freedom remains. NaN for a point with NaN, without an inverse of the distortion, with parallel rays or
+        behind a camera.
+
+    Notes
+    -----
+    Minimises Σ rᵀ·C⁻¹·r over both cameras, r the reprojection error in distorted pixels and C its covariance.
+    Gauss-Newton from the midpoint of the two rays (Hartley and Sturm 1997, Computer Vision and Image Understanding 68,
+    146, whose optimum it is).
+
+    Examples
+    --------
     >>> camera = Camera.from_parameters(np.array([1000.0, 1000, 320, 240, 0, 0, 0, 0, 0]), np.array([640, 480]))
     >>> rig = StereoRig(camera, camera, RigidTransform(np.eye(3), np.array([-0.1, 0.0, 0.0])))
     >>> triangulate(rig, np.array([[[320.0, 240.0]]]), np.array([[[120.0, 240.0]]])).position_m.round(6)
@@ -367,19 +398,20 @@ def triangulate(
     )
 
 
-# A camera alone: what it sees lies on a face that is known otherwise.
+# A single camera: its points lie on a face of stated position.
 
 FACE_PARAMETERS = (*CAMERA_PARAMETERS, "face.distance", "face.tilt_1", "face.tilt_2")
-ALONG = 1e4  # standard deviation along a ray over that across it: an open depth, and matrices that can be inverted
+ALONG = 1e4  # standard deviation along a ray over that across it: undetermined depth, invertible matrices
 _FACE_STEP_M = 1e-6  # of the derivative of a pixel by its point
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class FaceCamera(Arrays, shapes="point_m 3; normal 3; covariance 16 16"):
-    """A camera alone, and the plane in its frame in which the face of a body lies at rest.
+    """A single camera, and the plane of a body's face at rest.
 
-    point_m (3,) of the plane and its unit normal (3,); covariance (16, 16) of `FACE_PARAMETERS` or None: the camera's,
-    the plane's place along its normal (m), and its turns (rad) through the point about two axes across the normal.
+    The plane in the camera's frame contains point_m (3,) and has the unit normal (3,). The covariance (16, 16) is that
+    of `FACE_PARAMETERS` or None. These are the camera's, the plane's position along its normal (m), and its turns (rad)
+    about two axes across the normal.
 
     >>> camera = Camera.from_parameters(np.array([1000.0, 1000, 320, 240, 0, 0, 0, 0, 0]), np.array([640, 480]))
     >>> rig = FaceCamera(camera, np.array([0.0, 0.0, 0.5]), np.array([0.0, 0.0, -1.0]))
@@ -396,23 +428,25 @@ class FaceCamera(Arrays, shapes="point_m 3; normal 3; covariance 16 16"):
 
     @property
     def camera_poses(self) -> tuple[tuple[Camera, RigidTransform], ...]:
-        """The camera, in its own frame."""
+        """The camera, in its frame."""
         return ((self.camera, RigidTransform.identity()),)
 
     def move_face(self, by: RigidTransform) -> FaceCamera:
-        """Return the camera with the face elsewhere at rest, by a rigid motion in the camera's frame."""
+        """Return the camera with the face displaced by a rigid motion in the camera's frame."""
         return replace(self, point_m=by.apply(self.point_m), normal=by.rotation @ self.normal)
 
     def perturbed(self, delta: FloatArray) -> FaceCamera:
-        """Return the camera and the face with their parameters changed by delta (16,), as in `FACE_PARAMETERS`."""
-        own = len(CAMERA_PARAMETERS)
-        first = np.cross(self.normal, np.eye(3)[int(np.argmin(np.abs(self.normal)))])
-        first /= np.linalg.norm(first)
-        turn = rotation_from_vector(delta[own + 1] * first + delta[own + 2] * np.cross(self.normal, first))
+        """Return camera and face with `FACE_PARAMETERS` changed by delta (16,)."""
+        first_of_face = len(CAMERA_PARAMETERS)
+        across_axis = np.cross(self.normal, np.eye(3)[int(np.argmin(np.abs(self.normal)))])
+        across_axis /= np.linalg.norm(across_axis)
+        turn = rotation_from_vector(
+            delta[first_of_face + 1] * across_axis + delta[first_of_face + 2] * np.cross(self.normal, across_axis)
+        )
         return replace(
             self,
-            camera=Camera.from_parameters(self.camera.parameters + delta[:own], self.camera.size_px),
-            point_m=self.point_m + delta[own] * self.normal,
+            camera=Camera.from_parameters(self.camera.parameters + delta[:first_of_face], self.camera.size_px),
+            point_m=self.point_m + delta[first_of_face] * self.normal,
             normal=turn @ self.normal,
         )
 
@@ -426,12 +460,12 @@ def locate(
     covariances_px2: Sequence[FloatArray] | None = None,
     face_motion: FloatArray | None = None,
 ) -> Points3D:
-    """Return points (F, N) in the frame of the first camera, for pixels (F, N, 2) of each camera.
+    """Return points (F,N) in the first camera's frame from pixels (F,N,2).
 
-    Of a pair as `triangulate` does. Of a camera alone where their rays meet the face, in frames in which it has `moved`
-    (F, 6) about the camera's centre there; what a ray leaves open is 10⁴ times as uncertain along it as across it, so
-    that a fit of the points by their covariances takes the distances of the rays, and nothing is left over
-    (`reprojection_px` NaN).
+    A pair triangulates. For a single camera the points are the intersections of their rays with the face. In each frame
+    the face has the motion `face_motion` (F, 6) about the camera's centre. The undetermined direction along a ray has
+    10⁴ times the uncertainty of the directions across it. A fit of the points by their covariances therefore uses the
+    distances of the rays. No residual remains (`reprojection_px` NaN).
     """
     if isinstance(rig, StereoRig):
         return triangulate(rig, *positions_px, *(covariances_px2 or ()))
@@ -446,21 +480,21 @@ def locate(
     position[~(position[..., 2] > 0.0)] = np.nan
     slope = derivatives(lambda step: rig.camera.project(position + step), np.full(3, _FACE_STEP_M))
     weight = np.eye(2) if covariances_px2 is None else covariances_px2[0]
-    known = np.asarray(np.isfinite(slope).all(axis=(2, 3)) & np.isfinite(weight).all(axis=(-2, -1)))
-    weight = np.linalg.inv(np.where(known[..., None, None], weight, np.eye(2)))
+    finite = np.asarray(np.isfinite(slope).all(axis=(2, 3)) & np.isfinite(weight).all(axis=(-2, -1)))
+    weight = np.linalg.inv(np.where(finite[..., None, None], weight, np.eye(2)))
     across = np.swapaxes(slope, 2, 3) @ weight @ slope
-    open_ = np.einsum("fni,fnj->fnij", rays, rays) / np.sum(rays**2, axis=2)[..., None, None]
-    precision = across + open_ * (np.trace(across, axis1=2, axis2=3) / (2.0 * ALONG**2))[..., None, None]
-    covariance = np.linalg.inv(np.where(known[..., None, None], precision, np.eye(3)))
+    undetermined = np.einsum("fni,fnj->fnij", rays, rays) / np.sum(rays**2, axis=2)[..., None, None]
+    precision = across + undetermined * (np.trace(across, axis1=2, axis2=3) / (2.0 * ALONG**2))[..., None, None]
+    covariance = np.linalg.inv(np.where(finite[..., None, None], precision, np.eye(3)))
     return Points3D(
-        np.where(known[..., None], position, np.nan),
-        np.where(known[..., None, None], covariance, np.nan),
-        np.full(known.shape, np.nan),
+        np.where(finite[..., None], position, np.nan),
+        np.where(finite[..., None, None], covariance, np.nan),
+        np.full(finite.shape, np.nan),
     )
 
 
 def _precision(name: str, covariance: FloatArray | None, shape: tuple[int, ...]) -> FloatArray:
-    """Return the inverse covariances (F·N, 3) as xx, xy, yy; NaN where the covariance is not positive definite."""
+    """Return the inverse covariances (F·N, 3) as xx, xy, yy, NaN if not positive definite."""
     if covariance is None:
         return np.broadcast_to(np.array([1.0, 0.0, 1.0]), (shape[0] * shape[1], 3)).copy()
     try:
@@ -475,7 +509,7 @@ def _precision(name: str, covariance: FloatArray | None, shape: tuple[int, ...])
 
 @njit()
 def _triangulate_all(left, right, weight_left, weight_right, cameras, rotations, translations):  # type: ignore[no-untyped-def]
-    """Triangulate every point: position (M, 3), covariance (M, 3, 3), rms residual (M,); left camera first."""
+    """Return position (M, 3), covariance (M, 3, 3), rms residual (M,) of every point."""
     count = left.shape[0]
     position = np.full((count, 3), np.nan)
     covariance = np.full((count, 3, 3), np.nan)
@@ -509,7 +543,10 @@ def _triangulate_all(left, right, weight_left, weight_right, cameras, rotations,
 
 @njit()
 def _midpoint(left, right, cameras, rotation, translation, point):  # type: ignore[no-untyped-def]
-    """Set point (3,) to the middle of the shortest line between the rays, in the left frame; NaN if parallel."""
+    """Set point (3,) to the middle between the rays, NaN if parallel.
+
+    In the left frame.
+    """
     xl, yl = undistort(left[0], left[1], cameras[0])
     xr, yr = undistort(right[0], right[1], cameras[1])
     a, b, centre = np.ones(3), np.empty(3), np.empty(3)
@@ -536,7 +573,7 @@ def _midpoint(left, right, cameras, rotation, translation, point):  # type: igno
 
 @njit()
 def _add_camera(point, pixel, weight, placed, normal, gradient):  # type: ignore[no-untyped-def]
-    """Add one camera's share to JᵀWJ (3, 3) and JᵀWr (3,); return its squared residual, NaN behind the camera."""
+    """Add one camera to JᵀWJ (3,3) and JᵀWr (3,); return its squared residual or NaN."""
     camera, rotation, translation = placed
     p = np.empty(3)
     for i in range(3):

@@ -1,4 +1,4 @@
-"""Whether a stereo pair still is what was calibrated: epipolar residuals of the tracked points, frame by frame."""
+"""Check of a stereo pair's calibration: epipolar residuals of the points, frame by frame."""
 
 from __future__ import annotations
 
@@ -10,38 +10,47 @@ import numpy as np
 
 from photogram.arrays import Arrays, BoolArray, FloatArray, RunningMean, derivatives
 from photogram.camera import StereoRig, epipolar_residual, triangulate
+from photogram.epipolar_notices import CAMERA_DRIFTS, CAMERA_MOVED, CAMERA_ROTATED, PAIR_CHANGED
 from photogram.geometry import RigidTransform, rotation_from_vector
 from shakercal._common.notices import Notice
 
 if TYPE_CHECKING:
     from photogram.subsets.track import StereoTracks
 
-FEWEST_POINTS = 8
-FEWEST_FRAMES = 4
+FEWEST_POINTS = 8  # for three coefficients with a scatter
+FEWEST_FRAMES = 4  # two on either side of a step
 UNCALIBRATED_PX = 0.1  # residual that is accepted where the calibration states no uncertainty
-REMARKABLE_PX = 0.02  # residual that is not worth a word, even if the calibration promised less
-MOVED_PX = 0.005  # change within a recording that is not worth a word
+REMARKABLE_PX = 0.02  # smallest reported residual, even if the calibration is more precise
+MOVED_PX = 0.005  # smallest reported change within a recording
 UNUSABLE = 10.0  # standard uncertainties of the pattern beyond which no error of the calibration explains it
-UNUSABLE_PX = 1.0  # least residual, rms over the points, of a pair that is not what was calibrated in any sense
-RARE = 1e-4  # probability of a warning on a pair that is what was calibrated, for either test
-CLEAR = 3.0  # times the scatter of the frames that a change within the recording has to be
-OUTLIER = 5.0  # robust standard deviations beyond which a point says nothing about the cameras
-COVERAGE = 2.0
+UNUSABLE_PX = 1.0  # smallest residual, rms over the points, of a pair that is rejected
+RARE = 1e-4  # probability of a false warning, for either test
+CLEAR = 3.0  # smallest reported change within a recording over the scatter of the frames
+OUTLIER = 5.0  # robust standard deviations beyond which a point is ignored
+COVERAGE = 2.0  # k of expanded uncertainties
 _STEP = 1e-3  # of a standard uncertainty, for derivatives by the parameters
 _TURN_RAD = 1e-5  # step of the derivatives by a turn
-_TURN_EXPLAINS = 0.3  # share of the residuals that a turn may leave and still count as their cause
+_TURN_EXPLAINS = 0.3  # share of the residuals that remains after a turn that is their cause
 _WHERE = "epipolar residual"
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class EpipolarCheck(Arrays, shapes="course_px F 3; u_course_px F 3; pattern_px 3; position_px N 2; residual_px N"):
-    """Epipolar residuals of N points in F frames: how far the right point is off the left one's epipolar line, in px.
+    """Epipolar residuals of N points in F frames, in px.
 
-    `course_px` (F, 3): mean of the residual and its change across the picture along x and y, the latter two as rms over
-    the points; `u_course_px` (F, 3) their standard uncertainties from the image noise; NaN where too few points are
-    seen. `pattern_px` (3,): the same of the residual's mean over the frames, `pattern_covariance` (3, 3) what the
-    calibration and the matching of the first pictures leave open in it, None without a calibration's covariance.
-    `position_px` (N, 2), `residual_px` (N,): mean left positions and residuals of the points, NaN for outliers.
+    A residual is the distance of the right point from the left one's epipolar line.
+
+    Attributes
+    ----------
+    course_px : (F, 3) mean of the residual and its change across the image along x and y, the latter two as rms over
+        the points; NaN where too few points are seen.
+    u_course_px : (F, 3) standard uncertainties from the image noise.
+    pattern_px : (3,) the same of the residual's mean over the frames.
+    pattern_covariance : (3, 3) due to the calibration and the matching of the first images; None without a
+        calibration's covariance.
+    position_px : (N, 2) mean left positions.
+    residual_px : (N,) mean residuals of the points, NaN for outliers.
+    notices : of cameras that do not agree with their calibration.
     """
 
     course_px: FloatArray
@@ -59,13 +68,14 @@ class EpipolarCheck(Arrays, shapes="course_px F 3; u_course_px F 3; pattern_px 3
 
     @property
     def rejection_reason(self) -> str:
-        """Return why the pair cannot be what was calibrated, empty where it can.
+        """Reason why the pair does not belong to its calibration, empty if it may.
 
-        A residual of more than ten times what calibration and matching leave open is no error of the calibration but
-        another arrangement: cameras moved, exchanged or given another's file. Against a calibration that states far too
-        little, it also has to be 1 px, ten times what one without uncertainties is trusted with: real pairs with
-        published calibrations of other programs leave 0.08 to 0.13 px, and below 1 px a triangulation, first-order in
-        the residual, is wrong by no more than some 1/f of its distance, which the other instruments can judge.
+        Two limits must be exceeded. A residual of more than ten times the effect of calibration and matching is no
+        error of the calibration but another arrangement: cameras moved, exchanged or given another file. Against a
+        calibration that states far too small uncertainties, the residual must also exceed 1 px. That is ten times the
+        value for calibrations without uncertainties: real pairs with published calibrations of other programs have 0.08
+        to 0.13 px. Below 1 px a triangulation, which depends on the residual in first order, is wrong by at most 1/f of
+        its distance, which the other instruments can judge.
         """
         size = float(np.linalg.norm(self.pattern_px))
         if not size > UNUSABLE_PX:
@@ -74,31 +84,45 @@ class EpipolarCheck(Arrays, shapes="course_px F 3; u_course_px F 3; pattern_px 3
             return f"its epipolar residual is {size:.2g} px and its calibration states no uncertainty"
         inverse = np.linalg.pinv(self.pattern_covariance, hermitian=True)
         times = float(np.sqrt(self.pattern_px @ inverse @ self.pattern_px))
-        told = f"its epipolar residual is {size:.2g} px, {times:.2g} times what calibration and matching explain"
-        return told if times > UNUSABLE else ""
+        text = f"its epipolar residual is {size:.2g} px, {times:.2g} times what calibration and matching explain"
+        return text if times > UNUSABLE else ""
 
 
 def check_epipolar(
     tracks: StereoTracks | Iterable[StereoTracks], rig: StereoRig, subset_frames: BoolArray | None = None
 ) -> EpipolarCheck:
-    """Return the epipolar residuals of a recording, with warnings where the cameras are not what was calibrated.
+    """Return the epipolar residuals of a recording, with notices of disagreement.
 
-    `tracks` of all frames, or of some after the other, which are gone through twice. `sought` (F,): which frames of the
-    recording they are; None for all.
+    Parameters
+    ----------
+    tracks
+        Of all frames, or blocks of frames in turn, which are iterated twice.
+    rig
+        The calibrated pair.
+    subset_frames
+        (F,) which frames of the recording they are; None (default) for all.
 
-    Two tests, each with a chance of 10⁻⁴ to warn without cause. The pattern (mean and slopes) over all frames against
-    the covariance that the calibration and the matching give it, or against 0.1 px where the calibration has none. And
-    its course: the largest step between all frames before and all frames after an instant against the image noise,
-    which also finds a drift. Both allow for errors periodic in the pixel (`StereoTracks.bias_px`), the second one also
-    for what a body that goes far shows of a calibration that fits one part of the picture better than another.
+    Returns
+    -------
+    EpipolarCheck
+        Residuals with uncertainties, and a warning where the cameras disagree with their calibration.
 
-    A turn of a camera about an axis across the plane of sight shifts points along the epipolar lines: neither sees it.
+    Notes
+    -----
+    Two tests, each with a probability of 10⁻⁴ for a false warning. The first compares the pattern (mean and slopes)
+    over all frames with the covariance of calibration and matching, or with 0.1 px for a calibration without
+    covariance. The second compares the largest step between all frames before and all frames after an instant with the
+    image noise; it also finds a drift. Both allow for errors periodic in the pixel (`StereoTracks.bias_px`), the second
+    one also for the residual that changes with the body's position. A turn of a camera about an axis across the plane
+    of sight shifts points along the epipolar lines: neither test detects it.
 
+    Examples
+    --------
     >>> from scipy.ndimage import gaussian_filter
     >>> noise = gaussian_filter(np.random.default_rng(1).standard_normal((96, 96)), 2.0, mode="wrap")
-    >>> picture = np.rint(128 + 300 * noise).astype(np.uint8)
-    >>> left = ImageSequence(("l0", "l1"), (96, 96), 255, lambda k: np.roll(picture, k, axis=1))
-    >>> right = ImageSequence(("r0", "r1"), (96, 96), 255, lambda k: np.roll(picture, k - 5, axis=1))
+    >>> image = np.rint(128 + 300 * noise).astype(np.uint8)
+    >>> left = ImageSequence(("l0", "l1"), (96, 96), 255, lambda k: np.roll(image, k, axis=1))
+    >>> right = ImageSequence(("r0", "r1"), (96, 96), 255, lambda k: np.roll(image, k - 5, axis=1))
     >>> camera = Camera.from_parameters(np.array([1000.0, 1000, 48, 48, 0, 0, 0, 0, 0]), np.array([96, 96]))
     >>> rig = StereoRig(camera, camera, RigidTransform(np.eye(3), np.array([-0.005, 0.0, 0.0])))
     >>> check = check_epipolar(track_stereo(left, right, rig, TrackSettings(radius_px=7)), rig)
@@ -116,12 +140,12 @@ def check_epipolar(
     subset_frames = np.ones(frames, dtype=np.bool_) if subset_frames is None else subset_frames
     good = _good(mean, position)
     if np.count_nonzero(good) < FEWEST_POINTS:
-        course = np.full((len(subset_frames), 3), np.nan)
-        return EpipolarCheck(course, course, np.full(3, np.nan), None, position, np.full(len(mean), np.nan), ())
+        missing = np.full((len(subset_frames), 3), np.nan)
+        return EpipolarCheck(missing, missing, np.full(3, np.nan), None, position, np.full(len(mean), np.nan), ())
     basis = _basis(position[good])
-    changes, u_changes, paths = zip(*_courses(blocks, rig, good, mean, position), strict=True)
-    path, (change, u_course) = np.concatenate(paths), np.full((2, len(subset_frames), 3), np.nan)
-    change[subset_frames], u_course[subset_frames] = np.concatenate(changes), np.concatenate(u_changes)
+    changes, u_changes, paths = zip(*_block_residuals(blocks, rig, good, mean, position), strict=True)
+    path, (change, u_change) = np.concatenate(paths), np.full((2, len(subset_frames), 3), np.nan)
+    change[subset_frames], u_change[subset_frames] = np.concatenate(changes), np.concatenate(u_changes)
     solver = np.linalg.pinv(basis)
     pattern = solver @ mean[good]
     matches = position[good], other[good]
@@ -132,19 +156,19 @@ def check_epipolar(
         step = _STEP * np.sqrt(np.diagonal(rig.covariance))
         derivative = solver @ derivatives(lambda delta: epipolar_residual(rig.perturbed(delta), *matches)[0], step)
         covariance = derivative @ rig.covariance @ derivative.T + matching
-    excess = _unexplained(pattern, covariance)
-    # A residual that belongs to places in the picture changes as the body passes over it: by the share of how far the
-    # body goes, rms over the frames, in the extent of its points.
+    excess = _unexplained_residual(pattern, covariance)
+    # A residual that depends on the position in the image changes with the body's motion: by the ratio of its travel,
+    # rms over the frames, to the extent of its points.
     extent = np.sqrt(np.mean(np.sum((position[good] - position[good].mean(axis=0)) ** 2, axis=-1)))
     travel = float(np.sqrt(np.nanmean(np.sum(path**2, axis=-1))) / extent)
     passing_px = travel * float(np.sqrt(np.mean(mean[good] ** 2)))
     notices = [
-        None if excess is None else Notice("warning", excess + _turn_text(rig, matches) + "; calibrate again", _WHERE),
-        _course_notice(change, u_course, float(np.hypot(bias_px, passing_px))),
+        None if excess is None else _pair_notice(rig, matches, excess),
+        _change_notice(change, u_change, float(np.hypot(bias_px, passing_px))),
     ]
     return EpipolarCheck(
         change + pattern,
-        u_course,
+        u_change,
         pattern,
         covariance,
         position,
@@ -153,12 +177,13 @@ def check_epipolar(
     )
 
 
-def _courses(
+def _block_residuals(
     blocks: Iterable[StereoTracks], rig: StereoRig, good: BoolArray, mean: FloatArray, position: FloatArray
 ) -> Iterator[tuple[FloatArray, FloatArray, FloatArray]]:
-    """Yield block by block coefficients (F, 3) of the residuals beside their mean (N,), u, and the body's path (F, 2).
+    """Yield by block residual coefficients (F,3), u, and the body's path.
 
-    `good` (N,): the points that count; `position` (N, 2): their mean positions in the left camera.
+    `good` (N,): the points that count; mean (N,) residual; `position` (N, 2): mean in the left camera. The path is (F,
+    2).
     """
     basis = _basis(position[good])
     for block in blocks:
@@ -167,103 +192,118 @@ def _courses(
         variance = np.sum([np.einsum("fni,fnij,fnj->fn", by, side.covariance_px2, by) for by, side in sides], axis=0)
         path = RunningMean()
         path.add((block.left.position_px[:, good] - position[good]).swapaxes(0, 1))
-        yield (*_course(residual[:, good] - mean[good], variance[:, good], basis), path.mean)
+        yield (*_coefficients(residual[:, good] - mean[good], variance[:, good], basis), path.mean)
 
 
 def _good(mean: FloatArray, position: FloatArray) -> BoolArray:
-    """Points (N,) that are known and no outliers among their neighbours."""
-    known = np.isfinite(mean) & np.isfinite(position).all(axis=1)
-    if np.count_nonzero(known) < FEWEST_POINTS:
-        return known
+    """Return points (N,) that are finite and no outliers among their neighbours."""
+    finite = np.isfinite(mean) & np.isfinite(position).all(axis=1)
+    if np.count_nonzero(finite) < FEWEST_POINTS:
+        return finite
     basis = np.zeros((len(mean), 3))
-    basis[known] = _basis(position[known])
-    good = known
+    basis[finite] = _basis(position[finite])
+    good = finite
     for _ in range(3):
         fit = basis @ (np.linalg.pinv(basis[good]) @ mean[good])
-        away = np.abs(mean - fit)
-        good = known & (away <= OUTLIER * 1.4826 * np.median(away[good]) + 1e-12)
+        distance = np.abs(mean - fit)
+        good = finite & (distance <= OUTLIER * 1.4826 * np.median(distance[good]) + 1e-12)
     return good
 
 
 def _basis(position: FloatArray) -> FloatArray:
-    """Return constant, x and y (N, 3), uncorrelated and of rms 1 over the points; a direction of no extent is zero."""
+    """Return constant, x and y (N, 3), uncorrelated and of rms 1 over the points.
+
+    A direction of no extent is zero.
+    """
     columns = np.column_stack([np.ones(len(position)), position])
-    for place in (1, 2):
-        before = columns[:, :place]
-        columns[:, place] -= before @ (np.linalg.pinv(before) @ columns[:, place])
-        rms = np.sqrt(np.mean(columns[:, place] ** 2))
-        columns[:, place] = columns[:, place] / rms if rms > 1e-6 else 0.0
+    for column in (1, 2):
+        before = columns[:, :column]
+        columns[:, column] -= before @ (np.linalg.pinv(before) @ columns[:, column])
+        rms = np.sqrt(np.mean(columns[:, column] ** 2))
+        columns[:, column] = columns[:, column] / rms if rms > 1e-6 else 0.0
     return columns
 
 
-def _course(residual: FloatArray, variance: FloatArray, basis: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return the coefficients (F, 3) of every frame's residuals and their standard uncertainties (F, 3)."""
-    known = np.isfinite(residual) & np.isfinite(variance)
-    weight = known.astype(np.float64)
+def _coefficients(residual: FloatArray, variance: FloatArray, basis: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return the coefficients (F, 3) of every frame's residuals and their standard uncertainties."""
+    finite = np.isfinite(residual) & np.isfinite(variance)
+    weight = finite.astype(np.float64)
     normal = np.einsum("fn,na,nb->fab", weight, basis, basis)
     solver = np.linalg.pinv(normal, hermitian=True) @ (weight[:, None, :] * basis.T)
-    value = np.einsum("fan,fn->fa", solver, np.where(known, residual, 0.0))
-    u = np.sqrt(np.einsum("fan,fn->fa", solver**2, np.where(known, variance, 0.0)))
-    enough = (known.sum(axis=1) >= FEWEST_POINTS)[:, None]
+    value = np.einsum("fan,fn->fa", solver, np.where(finite, residual, 0.0))
+    u = np.sqrt(np.einsum("fan,fn->fa", solver**2, np.where(finite, variance, 0.0)))
+    enough = (finite.sum(axis=1) >= FEWEST_POINTS)[:, None]
     return np.where(enough, value, np.nan), np.where(enough, u, np.nan)
 
 
-def _turn_text(rig: StereoRig, matches: tuple[FloatArray, FloatArray]) -> str:
-    """Say which turn of the right camera about its centre puts the points on their epipolar lines, if one does.
+def _pair_notice(rig: StereoRig, matches: tuple[FloatArray, FloatArray], values: dict[str, float | str]) -> Notice:
+    """Return the warning of an unexplained residual, with a rotation that explains it."""
+    turn = _explaining_turn(rig, matches)
+    if turn is None:
+        return Notice(PAIR_CHANGED, _WHERE, **values)
+    (about_x, about_z), displaced_m = turn
+    angles = {"about_x_mrad": round(1e3 * about_x, 2) + 0.0, "about_z_mrad": round(1e3 * about_z, 2) + 0.0}
+    return Notice(CAMERA_ROTATED, _WHERE, **values, **angles, displaced_mm=1e3 * displaced_m)
 
-    Of the turns that do, it is the one without a part across the plane of sight, which no residual shows.
+
+def _explaining_turn(rig: StereoRig, matches: tuple[FloatArray, FloatArray]) -> tuple[FloatArray, float] | None:
+    """Return the turn of the right camera that explains the residuals, if any.
+
+    About its x and its optical axis in rad, with the displacement in m of the points. Of the turns that do, it is the
+    one without a part across the plane of sight, which has no effect on residuals.
     """
     residual, *_ = epipolar_residual(rig, *matches)
     axes = np.eye(3)[:, [0, 2]]
     derivative = derivatives(
-        lambda turn: epipolar_residual(_turned(rig, axes @ turn), *matches)[0], np.full(2, _TURN_RAD)
+        lambda turn: epipolar_residual(_rotated_rig(rig, axes @ turn), *matches)[0], np.full(2, _TURN_RAD)
     )
     turn, *_ = np.linalg.lstsq(derivative, -residual, rcond=None)
     if np.linalg.norm(residual + derivative @ turn) > _TURN_EXPLAINS * np.linalg.norm(residual):
-        return ""
-    turned = _turned(rig, axes @ turn)
+        return None
+    rotated = _rotated_rig(rig, axes @ turn)
     pairs = matches[0][None], matches[1][None]
-    moved = triangulate(turned, *pairs).position_m - triangulate(rig, *pairs).position_m
-    displaced = float(np.sqrt(np.nanmean(np.sum(moved**2, axis=-1))))
-    about_x, about_z = (f"{round(1e3 * angle, 2) + 0.0:.2f} mrad" for angle in turn)  # no negative zero
-    return (
-        f"; as if the right camera were turned by {about_x} about its x axis and {about_z} "
-        f"about its optical axis, which places the points at least {1e3 * displaced:.3f} mm off"
-    )
+    moved = triangulate(rotated, *pairs).position_m - triangulate(rig, *pairs).position_m
+    return np.asarray(turn), float(np.sqrt(np.nanmean(np.sum(moved**2, axis=-1))))
 
 
-def _turned(rig: StereoRig, vector_rad: FloatArray) -> StereoRig:
-    """Return the rig after a turn of the right camera about its centre, by a rotation vector (3,) in its own frame."""
+def _rotated_rig(rig: StereoRig, vector_rad: FloatArray) -> StereoRig:
+    """Return the rig after a turn of the right camera about its centre.
+
+    By a rotation vector (3,) in its frame.
+    """
     turn = RigidTransform(rotation_from_vector(vector_rad), np.zeros(3))
     return replace(rig, right_from_left=turn @ rig.right_from_left)
 
 
-def _unexplained(pattern: FloatArray, covariance: FloatArray | None) -> str | None:
-    """Return what is wrong where the pattern over the recording is more than calibration and matching explain."""
+def _unexplained_residual(pattern: FloatArray, covariance: FloatArray | None) -> dict[str, float | str] | None:
+    """Return the residual of an unexplained pattern, and the limit."""
     from scipy.special import chdtri
 
     size = float(np.linalg.norm(pattern))
     if covariance is None:
         if size <= UNCALIBRATED_PX:
             return None
-        explained = f"a calibration without uncertainties is trusted within {UNCALIBRATED_PX} px"
+        source, explained_px = "a calibration without uncertainties", UNCALIBRATED_PX
     else:
         square = float(pattern @ np.linalg.pinv(covariance, hermitian=True) @ pattern)
         if size <= REMARKABLE_PX or square <= chdtri(3, RARE):
             return None
-        explained = f"the calibration explains {COVERAGE * np.sqrt(np.trace(covariance)):.3f} px (k = 2)"
-    return f"the cameras no longer are what was calibrated: the epipolar residual is {size:.3f} px, {explained}"
+        source, explained_px = "the calibration (k = 2)", float(COVERAGE * np.sqrt(np.trace(covariance)))
+    return {"residual_px": size, "source": source, "explained_px": explained_px}
 
 
-def _course_notice(change: FloatArray, u_noise: FloatArray, bias_px: float) -> Notice | None:
-    """A warning where the pattern changes within the recording by more than noise, u, and other errors of a frame."""
+def _change_notice(change: FloatArray, u_noise: FloatArray, bias_px: float) -> Notice | None:
+    """Return a warning where the pattern changes within the recording significantly.
+
+    Compared with noise, u, and other errors of a frame.
+    """
     from scipy.special import chdtri
 
     frames = np.flatnonzero(np.isfinite(change).all(axis=1))
     if len(frames) < FEWEST_FRAMES:
         return None
     values, u = change[frames], np.hypot(u_noise[frames], bias_px)
-    # Factor, at least 1, by which neighbouring frames differ more than their noise lets expect
+    # Factor, at least 1, by which neighbouring frames differ more than expected from their noise
     difference = np.abs(np.diff(values, axis=0)) / np.sqrt(u[1:] ** 2 + u[:-1] ** 2)
     weight = 1.0 / (max(1.0, 1.4826 * float(np.median(difference))) * u) ** 2
     # The first frame after the most significant step, the step (3,), and its square in standard uncertainties. Both
@@ -272,8 +312,8 @@ def _course_notice(change: FloatArray, u_noise: FloatArray, bias_px: float) -> N
     before, after = totals[1:-2], totals[-1] - totals[1:-2]
     steps = (sums[-1] - sums[1:-2]) / after - sums[1:-2] / before
     squares = (steps**2 / (1.0 / before + 1.0 / after)).sum(axis=1)
-    place = int(np.argmax(squares))
-    split, step, square = place + 2, steps[place], float(squares[place])
+    best = int(np.argmax(squares))
+    split, step, square = best + 2, steps[best], float(squares[best])
     if square <= chdtri(3, RARE / len(frames)):
         return None
     parts = (slice(None, split), slice(split, None))
@@ -287,8 +327,6 @@ def _course_notice(change: FloatArray, u_noise: FloatArray, bias_px: float) -> N
     scatter = float(np.sqrt(np.mean(np.sum((about_line if drifts else about_step) ** 2, axis=1))))
     if change_px <= max(MOVED_PX + COVERAGE * bias_px, CLEAR * scatter):
         return None
-    what = f"a camera moved during the recording, before frame {frames[split]} (counted from 0)"
-    where = "there"
     if drifts:
-        what, where = "a camera drifts during the recording", "from the first to the last frame"
-    return Notice("warning", f"{what}: the epipolar residual changes by {change_px:.3f} px {where}", _WHERE)
+        return Notice(CAMERA_DRIFTS, _WHERE, change_px=change_px)
+    return Notice(CAMERA_MOVED, _WHERE, frame=int(frames[split]), change_px=change_px)

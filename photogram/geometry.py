@@ -12,14 +12,21 @@ import numpy as np
 from photogram.arrays import Arrays, BoolArray, FloatArray, check_shape
 from photogram.kernels import njit
 
-_ORTHONORMAL = 1e-6  # largest departure of RᵀR from the identity that is taken for a rotation
+_ORTHONORMAL = 1e-6  # largest departure of RᵀR from the identity for a rotation
 _COLLINEAR = 1e-6  # smallest ratio of width to length of a point set that fixes a rotation
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class RigidTransform(Arrays, shapes="rotation 3 3; translation_m 3"):
-    """The motion x_b = R·x_a + t, named `b_from_a`: rotation (3, 3), translation_m (3,).
+    """The motion x_b = R·x_a + t, named `b_from_a`.
 
+    Attributes
+    ----------
+    rotation : (3, 3) R.
+    translation_m : (3,) t.
+
+    Examples
+    --------
     >>> quarter_turn = RigidTransform.from_pose(np.array([0.1, 0.0, 0.0, 0.0, 0.0, np.pi / 2]))
     >>> quarter_turn.apply(np.array([0.2, 0.0, 0.0])).round(3)
     array([0.1, 0.2, 0. ])
@@ -32,18 +39,18 @@ class RigidTransform(Arrays, shapes="rotation 3 3; translation_m 3"):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        rows = self.rotation.tolist()  # numbers: for so few of them arrays take longer
+        rows = self.rotation.tolist()  # plain numbers: arrays take longer for so few
         pairs = combinations_with_replacement(rows, 2)
         if not all(abs(sum(map(mul, one, other)) - (one is other)) <= _ORTHONORMAL for one, other in pairs):
             departure = float(np.abs(self.rotation.T @ self.rotation - np.eye(3)).max())
-            raise ValueError(f"rotation: expected an orthonormal matrix, found one {departure:.1e} away from it")
+            raise ValueError(f"rotation: expected an orthonormal matrix, found a departure of {departure:.1e}")
         (a, b, c), (d, e, f), across = rows
         if sum(map(mul, (b * f - c * e, c * d - a * f, a * e - b * d), across)) < 0.0:
             raise ValueError("rotation: expected determinant +1, found -1 (a reflection)")
 
     @staticmethod
     def identity() -> RigidTransform:
-        """Return the transform that moves nothing."""
+        """Return the identity transform."""
         return RigidTransform(np.eye(3), np.zeros(3))
 
     @staticmethod
@@ -61,7 +68,7 @@ class RigidTransform(Arrays, shapes="rotation 3 3; translation_m 3"):
     def apply(self, points_m: FloatArray) -> FloatArray:
         """Return R·x + t of points (..., 3)."""
         points = np.asarray(points_m)
-        flat = points.reshape(-1, 3) @ self.rotation.T  # one product, where numpy makes one for each of the first axes
+        flat = points.reshape(-1, 3) @ self.rotation.T  # one product instead of one for each of the first axes
         return (flat + self.translation_m).reshape(points.shape)
 
     def inverse(self) -> RigidTransform:
@@ -74,7 +81,7 @@ class RigidTransform(Arrays, shapes="rotation 3 3; translation_m 3"):
 
 
 def skew(vector: FloatArray) -> FloatArray:
-    """Return the matrices (..., 3, 3) that multiply like the cross product by vectors (..., 3): [v]×·x = v × x."""
+    """Return the cross-product matrices (...,3,3) of vectors (...,3): [v]×·x = v × x."""
     v = np.asarray(vector, dtype=np.float64)
     matrix = np.zeros((*v.shape, 3))
     matrix[..., 0, 1], matrix[..., 0, 2], matrix[..., 1, 2] = -v[..., 2], v[..., 1], -v[..., 0]
@@ -83,7 +90,10 @@ def skew(vector: FloatArray) -> FloatArray:
 
 
 def displacement_jacobian(points_m: FloatArray) -> FloatArray:
-    """Return [I, −[y]×] (..., 3, 6): how points (..., 3) answer a small shift and rotation about the origin."""
+    """Return [I, −[y]×] (..., 3, 6), the displacement of points by a small motion.
+
+    Of points (..., 3) by a shift and a rotation about the origin.
+    """
     points = np.asarray(points_m, dtype=np.float64)
     return np.concatenate([np.broadcast_to(np.eye(3), (*points.shape, 3)), -skew(points)], axis=-1)
 
@@ -103,7 +113,7 @@ def rotation_from_vector(vector_rad: FloatArray) -> FloatArray:
 
 
 def vector_from_rotation(rotation: FloatArray) -> FloatArray:
-    """Return the rotation vectors (..., 3) in rad, |v| ≤ π, of rotation matrices (..., 3, 3).
+    """Return the rotation vectors (...,3) in rad, |v| ≤ π, of matrices (...,3,3).
 
     By the unit quaternion's largest component (Shepperd 1978, J. Guidance and Control 1, 223): precise from 0 to π.
     """
@@ -128,10 +138,10 @@ def vector_from_rotation(rotation: FloatArray) -> FloatArray:
 
 
 def rotation_vector_rate(vector_rad: FloatArray) -> FloatArray:
-    """Return d v / d δ (..., 3, 3): how rotation vectors v (..., 3) answer a small left-multiplied rotation δ.
+    """Return d v / d δ (...,3,3) of rotation vectors by a left-multiplied δ.
 
-    exp(δ)·exp(v) = exp(v + J⁻¹·δ), J⁻¹ = I − ½·[v]× + (1 − (φ/2)·cot(φ/2))/φ²·[v]×², the inverse left Jacobian of
-    SO(3) (Chirikjian 2012, Stochastic Models, Information Theory, and Lie Groups 2, section 10.7).
+    exp(δ)·exp(v) = exp(v + J⁻¹·δ), J⁻¹ = I − ½·[v]× + (1 − (φ/2)·cot(φ/2))/φ²·[v]×², the inverse left Jacobian of SO(3)
+    (Chirikjian 2012, Stochastic Models, Information Theory, and Lie Groups 2, section 10.7).
     """
     v = np.asarray(vector_rad, dtype=np.float64)
     angle = np.linalg.norm(v, axis=-1)[..., None, None]
@@ -144,17 +154,17 @@ def rotation_vector_rate(vector_rad: FloatArray) -> FloatArray:
 
 
 def pose_rate(pose: FloatArray) -> FloatArray:
-    """Return (..., 6, 6): how poses (..., 6) answer a small shift and a small left-multiplied rotation."""
+    """Return d pose / d (shift, left-multiplied rotation) (..., 6, 6) of poses (..., 6)."""
     rate = np.broadcast_to(np.eye(6), (*pose.shape, 6)).copy()
     rate[..., 3:, 3:] = rotation_vector_rate(pose[..., 3:])
     return rate
 
 
 def nearest_rotation(matrix: FloatArray) -> FloatArray:
-    """Return the rotations R (..., 3, 3), determinant +1, that maximise trace(Rᵀ·M) for matrices M (..., 3, 3).
+    """Return the rotations R (..., 3, 3), determinant +1, that maximise trace(Rᵀ·M).
 
-    R = U·diag(1, 1, det(U·Vᵀ))·Vᵀ with M = U·S·Vᵀ (Arun, Huang, Blostein 1987, IEEE PAMI 9, 698; the determinant from
-    Umeyama 1991, IEEE PAMI 13, 376, eq. 43, which excludes the reflection).
+    For matrices M (..., 3, 3). R = U·diag(1, 1, det(U·Vᵀ))·Vᵀ with M = U·S·Vᵀ (Arun, Huang, Blostein 1987, IEEE PAMI 9,
+    698; the determinant from Umeyama 1991, IEEE PAMI 13, 376, eq. 43, which excludes the reflection).
     """
     u, _, vt = np.linalg.svd(matrix)
     sign = np.where(np.linalg.det(u @ vt) < 0, -1.0, 1.0)
@@ -163,19 +173,20 @@ def nearest_rotation(matrix: FloatArray) -> FloatArray:
 
 
 def fixes_rotation(cross_scatter: FloatArray) -> BoolArray:
-    """Return whether centred point sets with scatter Σ w·y·xᵀ (..., 3, 3) have rank ≥ 2, so that a rotation is fixed.
+    """Return whether centred point sets determine a rotation.
 
-    Refused are coincident points and those on one line: a width below 10⁻⁶ of their length.
+    Their scatter Σ w·y·xᵀ (..., 3, 3) must have rank ≥ 2. Rejected are coincident points and those on one line: a width
+    below 10⁻⁶ of their length.
     """
     singular = np.linalg.svd(cross_scatter, compute_uv=False)
     return np.asarray((singular[..., 0] > 0) & (singular[..., 1] > _COLLINEAR**2 * singular[..., 0]))
 
 
 def fit_rigid(source_m: FloatArray, target_m: FloatArray) -> RigidTransform:
-    """Return the rigid transform that carries source (N, 3) onto target (N, 3) with least squares.
+    """Fit the rigid transform that moves source (N,3) onto target (N,3) by least squares.
 
-    Minimises Σ |y − R·x − t|²: centred on the means, rotation by `nearest_rotation` (Arun et al. 1987). Planar sets
-    are normal; points on one line, or fewer than three, leave the rotation open and are refused.
+    Minimises Σ |y − R·x − t|²: centred on the means, rotation by `nearest_rotation` (Arun et al. 1987). Planar sets are
+    allowed; points on one line, or fewer than three, do not determine the rotation and raise `ValueError`.
     """
     source, target = np.asarray(source_m, dtype=np.float64), np.asarray(target_m, dtype=np.float64)
     check_shape("source_m", source, (None, 3))
@@ -187,7 +198,7 @@ def fit_rigid(source_m: FloatArray, target_m: FloatArray) -> RigidTransform:
     source_mean, target_mean = source.mean(axis=0), target.mean(axis=0)
     scatter = (target - target_mean).T @ (source - source_mean)
     if not fixes_rotation(scatter):
-        raise ValueError("source_m: expected points that are not all on one line, found a set of rank below 2")
+        raise ValueError("source_m: expected points that determine a rotation, found all on one line")
     rotation = nearest_rotation(scatter)
     return RigidTransform(rotation, target_mean - rotation @ source_mean)
 

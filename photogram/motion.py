@@ -1,4 +1,4 @@
-"""Rigid motion of tracked points with covariance, and the deformation beside it."""
+"""Rigid motion of tracked points with covariance, and their deformation."""
 
 from __future__ import annotations
 
@@ -26,13 +26,13 @@ if TYPE_CHECKING:
 
 
 def overlap_correlation(points_px: FloatArray, radius_px: int) -> csr_array:
-    """Correlation (N,N) of the positional noise of subsets with sides w = 2·radius + 1 around points_px (N,2).
+    """Return the correlation (N, N) of the position noise of subsets that overlap.
 
-    ρ = (1 − |Δx|/w)(1 − |Δy|/w), the share of pixels in common, and 0 where there are none. A subset's error is
-    H⁻¹ Σ f′ε over its pixels (f′: steepest-descent images, ε: white noise), so two subsets have the covariance
-    σ² Hₙ⁻¹ (Σ f′f′ᵀ over the pixels in common) Hₘ⁻¹. In a homogeneous texture that sum is the share times H, and
-    translation is orthogonal to the affine terms (Σ f′² d = 0 about the centre), which leaves the share alone.
-    A subset with a NaN centre shares nothing.
+    The subsets around points_px (N, 2) have sides w = 2·radius + 1. ρ = (1 − |Δx|/w)(1 − |Δy|/w), the share of common
+    pixels, and 0 without any. A subset's error is H⁻¹ Σ f′ε over its pixels (f′: steepest-descent images, ε: white
+    noise), so two subsets have the covariance σ² Hₙ⁻¹ (Σ f′f′ᵀ over the common pixels) Hₘ⁻¹. In a homogeneous texture
+    that sum is the share times H, and translation is orthogonal to the affine terms (Σ f′² d = 0 about the centre), so
+    that only the share remains. A subset with a NaN centre is uncorrelated.
     """
     from scipy.sparse import csr_array
     from scipy.spatial import cKDTree
@@ -41,13 +41,13 @@ def overlap_correlation(points_px: FloatArray, radius_px: int) -> csr_array:
     if radius_px < 1:
         raise ValueError(f"radius_px: expected at least 1, found {radius_px}")
     count, side = len(points_px), 2 * radius_px + 1
-    known = np.flatnonzero(np.isfinite(points_px).all(axis=1))
-    pairs = known[cKDTree(points_px[known]).query_pairs(side, p=np.inf, output_type="ndarray")]
-    apart = np.abs(points_px[pairs[:, 0]] - points_px[pairs[:, 1]])
-    shared = np.prod(np.maximum(1.0 - apart / side, 0.0), axis=1)
-    own = np.arange(count)
-    rows = np.concatenate([own, pairs[:, 0], pairs[:, 1]])
-    columns = np.concatenate([own, pairs[:, 1], pairs[:, 0]])
+    finite = np.flatnonzero(np.isfinite(points_px).all(axis=1))
+    pairs = finite[cKDTree(points_px[finite]).query_pairs(side, p=np.inf, output_type="ndarray")]
+    distance = np.abs(points_px[pairs[:, 0]] - points_px[pairs[:, 1]])
+    shared = np.prod(np.maximum(1.0 - distance / side, 0.0), axis=1)
+    index = np.arange(count)
+    rows = np.concatenate([index, pairs[:, 0], pairs[:, 1]])
+    columns = np.concatenate([index, pairs[:, 1], pairs[:, 0]])
     values = np.concatenate([np.ones(count), shared, shared])
     return csr_array((values, (rows, columns)), shape=(count, count))
 
@@ -56,13 +56,13 @@ def overlap_correlation(points_px: FloatArray, radius_px: int) -> csr_array:
 
 START_ROUNDS = 8  # rounds of the robust start
 _START_POINTS = 200  # of a frame that are enough to begin with
-_CHOICE_ROUNDS = 8  # rounds in which points may be rejected and come back
-_ROUNDS = 16  # rounds altogether; two or three are the rule
+_CHOICE_ROUNDS = 8  # rounds in which points may be rejected and return
+_ROUNDS = 16  # rounds in total; usually two or three are needed
 REJECTED = 25.0  # squared distance, in scaled standard deviations, beyond which a point is an outlier
 _MEDIAN_CHI2 = 2.3659738843753377  # median of χ² with three degrees of freedom
 MEDIAN_CHI2_OF_TWO = 1.3862943611198906  # with two degrees of freedom
 _BENT = 25.0  # reduced χ² beyond which points depart from a rigid motion by more than their noise
-FEWEST = 6  # with fewer points nobody is rejected
+FEWEST = 6  # with fewer points none is rejected
 _ROUNDING = 1e-12  # of the coordinates: errors below it are rounding, never outliers
 SINGULAR = 1e-13  # smallest eigenvalue of a solvable system, scaled to a unit diagonal
 _CONVERGED = 1e-13  # a step (m, rad) this small ends the iteration
@@ -70,10 +70,17 @@ _CONVERGED = 1e-13  # a step (m, rad) this small ends the iteration
 
 @dataclass(frozen=True, eq=False, repr=False)
 class RigidMotion(Arrays, shapes="pose F 6; covariance F 6 6; residual_m F; points F; origin_m 3"):
-    """Rigid motion of a body through time: x' = R(r)·(x − o) + o + t of frame k against the reference.
+    """Rigid motion of a body through time: x' = R·(x−o) + o + t.
 
-    pose (F, 6) = [t (m), r (rad, rotation vector)], covariance (F, 6, 6) of it, residual_m (F,) rms per coordinate,
-    points (F,) used, origin_m (3,) = o. A frame that could not be fitted has NaN and 0 points.
+    R = R(r), against the reference. A frame that could not be fitted has NaN and 0 points.
+
+    Attributes
+    ----------
+    pose : (F, 6) = [t (m), r (rad, rotation vector)].
+    covariance : (F, 6, 6).
+    residual_m : (F,) rms per coordinate.
+    points : (F,) number used.
+    origin_m : (3,) o.
     """
 
     pose: FloatArray
@@ -86,34 +93,57 @@ class RigidMotion(Arrays, shapes="pose F 6; covariance F 6 6; residual_m F; poin
 def fit_motion(
     points: Points3D, reference_m: FloatArray | None, origin_m: FloatArray, correlation: sparray | None = None
 ) -> RigidMotion:
-    """Return the rigid motion of every frame's points against reference (N, 3), by default the points of frame 0.
+    """Fit the rigid motion of every frame's points against a reference.
 
-    Minimises Σ dᵢ², dᵢ² = eᵢᵀ·Cᵢ⁻¹·eᵢ, eᵢ = x'ᵢ − R·(xᵢ − o) − o − t, with the points' own covariances Cᵢ by
-    Gauss-Newton. The start is Arun's fit (`rigid.nearest_rotation`) with Cauchy weights 1/(1 + eᵢ²/median e²),
-    reweighted eight times, so that up to a third of outliers do not carry it away; of 400 points or more every second,
-    third … is enough for that, at least 200. In each round the frame's scale is
-    s² = (1 + 5/(n − 2))²·median(dᵢ²)/2.366, the median of χ² with 3 degrees of freedom and the correction for few
-    points of Rousseeuw and Leroy (1987, Robust Regression and Outlier Detection, p. 202; two points are used up by
-    the six components); points with dᵢ² > 25·s² (1.5·10⁻⁵ of normal ones) are left out, and may come back during the
-    first eight rounds. Fewer than six points reject nobody.
+    Parameters
+    ----------
+    points
+        (F, N) with covariances.
+    reference_m
+        (N, 3); None for the points of frame 0.
+    origin_m
+        (3,) about which the body rotates.
+    correlation
+        (N, N) of the noise of overlapping subsets (`overlap_correlation`); None (default) for independent points.
 
-    The covariance is (Σ Jᵀ·C⁻¹·J)⁻¹ over the points used: the noise of this single frame as the points state it, also
-    of frame 0, whose pose is exactly zero. The noise of the reference is left out: it moves all frames of a series
-    alike. A frame with fewer than three usable points, or with all on one line, is NaN.
+    Returns
+    -------
+    RigidMotion
+        Poses with covariance; NaN for a frame with fewer than three usable points, or all on one line.
+
+    Raises
+    ------
+    ValueError
+        For a reference with fewer than 3 finite points.
+
+    Notes
+    -----
+    Minimises Σ dᵢ², dᵢ² = eᵢᵀ·Cᵢ⁻¹·eᵢ, eᵢ = x'ᵢ − R·(xᵢ − o) − o − t, with the points' covariances Cᵢ by Gauss-Newton.
+    The start is Arun's fit (`geometry.nearest_rotation`) with Cauchy weights 1/(1 + eᵢ²/median e²), reweighted eight
+    times, which tolerates up to a third of outliers. Of 400 points or more every second, third … is used for the start,
+    at least 200. In each round the frame's scale is s² = (1 + 5/(n − 2))²·median(dᵢ²)/2.366, the median of χ² with 3
+    degrees of freedom and the correction for few points of Rousseeuw and Leroy (1987, Robust Regression and Outlier
+    Detection, p. 202; the six components use up two points). Points with dᵢ² > 25·s² (1.5·10⁻⁵ of normal ones) are
+    rejected, and may return during the first eight rounds. With fewer than six points none is rejected.
+
+    The covariance is (Σ Jᵀ·C⁻¹·J)⁻¹ over the points used: the noise of this single frame according to the points'
+    covariances, also of frame 0, whose pose is exactly zero. The noise of the reference is excluded: it shifts all
+    frames of a series equally.
 
     Points that depart from a rigid motion by more than five times their noise (median(dᵢ²)/2.366 > 25 at the start)
-    belong to a body that bends, which weights by noise would turn to where it is known worst; such a frame is fitted
+    belong to a body that bends. Weights by noise would turn it to its least certain points, so such a frame is fitted
     with Cᵢ = I·median(eᵢ²)/2.366.
 
-    Points of overlapping subsets have noise in common: with their `correlation` ρ (N, N) (`overlap_correlation`) and
-    C = L·Lᵀ the covariance of two points is ρ·Lₙ·Lₘᵀ, and that of the pose N⁻¹·(Σₙₘ ρₙₘ·Bₙᵀ·Bₘ)·N⁻¹ with B = L⁻¹·J and
-    N = Σ Bᵀ·B. Without it the points count as independent.
+    With the `correlation` ρ and C = L·Lᵀ the covariance of two points is ρ·Lₙ·Lₘᵀ, and that of the pose N⁻¹·(Σₙₘ
+    ρₙₘ·Bₙᵀ·Bₘ)·N⁻¹ with B = L⁻¹·J and N = Σ Bᵀ·B.
 
-    >>> from photogram.camera import Points
+    Examples
+    --------
+    >>> from photogram.camera import Points3D
     >>> body = np.random.default_rng(1).uniform(-0.01, 0.01, (20, 3))
     >>> moved = np.stack([body, body + [1e-3, 0, 0]])
     >>> noise = np.broadcast_to(1e-12 * np.eye(3), (2, 20, 3, 3))
-    >>> fit_motion(Points(moved, noise, np.zeros((2, 20))), None, np.zeros(3)).pose[1].round(9) + 0.0
+    >>> fit_motion(Points3D(moved, noise, np.zeros((2, 20))), None, np.zeros(3)).pose[1].round(9) + 0.0
     array([0.001, 0.   , 0.   , 0.   , 0.   , 0.   ])
     """
     origin = np.asarray(origin_m, dtype=np.float64)
@@ -124,17 +154,18 @@ def fit_motion(
         raise ValueError("reference_m: expected at least 3 finite points; give a reference when frame 0 has none")
     source, target = reference - origin, points.position_m - origin
     precision = _precisions(np.ascontiguousarray(points.covariance_m2, dtype=np.float64))
-    known = np.isfinite(precision).all(axis=(2, 3)) & np.isfinite(target).all(axis=2)
+    finite = np.isfinite(precision).all(axis=(2, 3)) & np.isfinite(target).all(axis=2)
     if correlation is not None and correlation.shape != (len(reference), len(reference)):
         raise ValueError(f"correlation: expected a matrix of {len(reference)} points, found {correlation.shape}")
-    return _fit(source, target, precision, known & np.isfinite(source).all(axis=1), origin, correlation)
+    return _fit(source, target, precision, finite & np.isfinite(source).all(axis=1), origin, correlation)
 
 
 def relative_to(motion: RigidMotion, mean_pose: FloatArray) -> RigidMotion:
-    """Return the motion T_k·T_mean⁻¹ against another pose (6,), such as the mean, about the same origin.
+    """Return the motion T_k·T_mean⁻¹ against another pose (6,), about the same origin.
 
-    The origin then is the material point that is there in that pose. The pose is taken as exact: with T_k changed by
-    a small left rotation δ and shift τ, t changes by τ − δ × (R_rel·t_mean). Residuals and points stay.
+    The other pose may be the mean. The origin is then the material point that is at the origin in that pose. The pose
+    is treated as exact: with T_k changed by a small left rotation δ and shift τ, t changes by τ − δ × (R_rel·t_mean).
+    Residuals and points are unchanged.
     """
     mean = np.asarray(mean_pose, dtype=np.float64)
     check_shape("mean_pose", mean, (6,))
@@ -150,11 +181,12 @@ def relative_to(motion: RigidMotion, mean_pose: FloatArray) -> RigidMotion:
 
 
 def points_with_estimated_noise(position_m: FloatArray, reference_m: FloatArray | None = None) -> Points3D:
-    """Return points (F, N, 3) of unknown covariance with the covariance that their own rigid fit shows.
+    """Return points (F, N, 3) with a covariance estimated from their rigid fit.
 
     One 3×3 covariance for all: the residuals of an unweighted rigid fit of every frame, about each point's mean over
-    time (which takes out the noise of the reference), pooled over points and frames, divided by the degrees of freedom
-    (F' − 1)·(N − 2) left of F' frames with a fit; outliers are left out as in `fit_motion`. `reprojection_px` is NaN.
+    time (which removes the noise of the reference), pooled over points and frames. They are divided by the remaining
+    degrees of freedom (F' − 1)·(N − 2) of F' frames with a fit. Outliers are rejected as in `fit_motion`.
+    `reprojection_px` is NaN.
     """
     position = np.asarray(position_m, dtype=np.float64)
     check_shape("position_m", position, (None, None, 3))
@@ -167,16 +199,16 @@ def points_with_estimated_noise(position_m: FloatArray, reference_m: FloatArray 
     # over time, without errors beyond five of their frame's rms
     inside = np.less_equal((error**2).sum(axis=2), REJECTED * motion.residual_m[start:, None] ** 2)
     count = inside.sum(axis=0)
-    kept = (inside & (count >= 2))[..., None]
+    accepted = (inside & (count >= 2))[..., None]
     tracks = int(np.count_nonzero(count >= 2))
     if tracks < 3:
-        raise ValueError("position_m: expected at least 3 points in 2 frames besides the reference to estimate noise")
-    error = np.where(kept, error, 0.0)
-    deviation = np.where(kept, error - error.sum(axis=0) / np.maximum(count, 1)[:, None], 0.0)
-    freedom = (int(kept.sum()) - tracks) * (1 - 2 / tracks)
+        raise ValueError("position_m: expected at least 3 points in 2 frames after the reference to estimate noise")
+    error = np.where(accepted, error, 0.0)
+    deviation = np.where(accepted, error - error.sum(axis=0) / np.maximum(count, 1)[:, None], 0.0)
+    freedom = (int(accepted.sum()) - tracks) * (1 - 2 / tracks)
     covariance = np.einsum("fni,fnj->ij", deviation, deviation) / freedom
-    known = np.asarray(np.isfinite(position).all(axis=2))[..., None, None]
-    return replace(unit, covariance_m2=np.where(known, covariance, np.nan))
+    finite = np.asarray(np.isfinite(position).all(axis=2))[..., None, None]
+    return replace(unit, covariance_m2=np.where(finite, covariance, np.nan))
 
 
 def _fit(
@@ -187,9 +219,9 @@ def _fit(
     origin: FloatArray,
     correlation: sparray | None,
 ) -> RigidMotion:
-    """Fit the frames that can be fitted and leave the others NaN."""
+    """Fit the frames that can be fitted; the others are NaN."""
     source, target = np.where(np.isfinite(source), source, 0.0), np.where(usable[..., None], target, 0.0)
-    some = slice(None, None, max(1, usable.shape[1] // _START_POINTS))  # where enough of them are known
+    some = slice(None, None, max(1, usable.shape[1] // _START_POINTS))  # if enough of them are finite
     if usable[:, some].sum(axis=1).min(initial=_START_POINTS) < _START_POINTS // 2:
         some = slice(None)
     rotation, translation, fixed = _robust_start(source[some], target[:, some], usable[:, some])
@@ -211,7 +243,7 @@ def _fit(
             limit = REJECTED * np.maximum(correction * _median(squares, usable) / _MEDIAN_CHI2, smallest)
             used = usable & ((count < FEWEST)[:, None] | (squares <= limit[:, None]))
         normal, gradient = _normal_equations(arm, error, precision, used)
-        # which normal matrices (F, 6, 6) fix all six components
+        # which normal matrices (F, 6, 6) determine all six components
         diagonal = np.diagonal(normal, axis1=1, axis2=2)
         positive = (diagonal > 0).all(axis=1)
         scale = np.sqrt(np.where(diagonal > 0, diagonal, 1.0))
@@ -239,7 +271,7 @@ def _fit(
 
 
 def _without_noise_weights(precision: FloatArray, error: FloatArray, usable: BoolArray) -> FloatArray:
-    """Return precisions (F, N, 3, 3), in frames whose errors are far above the points' noise those of the errors."""
+    """Return precisions (F,N,3,3), equal ones in frames with errors far above the points' noise."""
     squares = np.einsum("fni,fnij,fnj->fn", error, np.where(usable[..., None, None], precision, 0.0), error)
     bent = _median(squares, usable) > _BENT * _MEDIAN_CHI2
     bent &= usable.sum(axis=1) >= FEWEST
@@ -249,13 +281,16 @@ def _without_noise_weights(precision: FloatArray, error: FloatArray, usable: Boo
 
 
 def _correlated_normal(arm: FloatArray, precision: FloatArray, used: BoolArray, correlation: sparray) -> FloatArray:
-    """Return Σₙₘ ρₙₘ·Bₙᵀ·Bₘ (F, 6, 6) over the points used, B = Gᵀ·[I, −[a]×] with precisions G·Gᵀ."""
+    """Return Σₙₘ ρₙₘ·Bₙᵀ·Bₘ (F, 6, 6) over the points used.
+
+    B = Gᵀ·[I, −[a]×] with precisions G·Gᵀ.
+    """
     count = used.shape[1]
     total = np.empty((len(used), 6, 6))
-    for f, here in enumerate(used):
+    for f, points in enumerate(used):
         whitened = np.zeros((count, 3, 6))
-        root = np.swapaxes(np.linalg.cholesky(precision[f, here]), 1, 2)
-        whitened[here] = np.concatenate([root, -root @ skew(arm[f, here])], axis=2)
+        root = np.swapaxes(np.linalg.cholesky(precision[f, points]), 1, 2)
+        whitened[points] = np.concatenate([root, -root @ skew(arm[f, points])], axis=2)
         shared = np.asarray(correlation @ whitened.reshape(count, 18)).reshape(count, 3, 6)
         total[f] = np.einsum("nki,nkj->ij", whitened, shared)
     return total
@@ -264,7 +299,10 @@ def _correlated_normal(arm: FloatArray, precision: FloatArray, used: BoolArray, 
 def _robust_start(
     source: FloatArray, target: FloatArray, usable: BoolArray
 ) -> tuple[FloatArray, FloatArray, BoolArray]:
-    """Return rotations, translations and whether each frame's points fix them: Arun's fit with Cauchy weights."""
+    """Return rotations, translations and whether each frame's points determine them.
+
+    Arun's fit with Cauchy weights.
+    """
     weight = usable.astype(np.float64)
     rotation, translation = np.empty((len(target), 3, 3)), np.empty((len(target), 3))
     fixed = np.ones(len(target), dtype=np.bool_)
@@ -285,7 +323,7 @@ def _robust_start(
 
 @njit()
 def _precisions(covariance: FloatArray) -> FloatArray:
-    """Return the inverses of covariances (F, N, 3, 3), NaN where one is not positive definite."""
+    """Return the inverses of covariances (F, N, 3, 3), NaN if not positive definite."""
     frames, count = covariance.shape[:2]
     precision = np.full((frames, count, 3, 3), np.nan)
     inverse = np.empty((3, 3))
@@ -298,7 +336,7 @@ def _precisions(covariance: FloatArray) -> FloatArray:
 
 
 def _median(values: FloatArray, usable: BoolArray) -> FloatArray:
-    """Return each frame's median of the usable values (F, N), infinite where there is none."""
+    """Return each frame's median of the usable values (F, N), infinite without any."""
     ordered = np.sort(np.where(usable, values, np.inf), axis=1)
     count, frame = np.maximum(usable.sum(axis=1), 1), np.arange(len(values))
     return np.asarray(0.5 * (ordered[frame, (count - 1) // 2] + ordered[frame, count // 2]))
@@ -306,9 +344,9 @@ def _median(values: FloatArray, usable: BoolArray) -> FloatArray:
 
 @njit()
 def _normal_equations(arm, error, precision, used):  # type: ignore[no-untyped-def]
-    """Return Σ Jᵀ·W·J (F, 6, 6) and Σ Jᵀ·W·e (F, 6), J = [I, −[a]×], for a shift and a small left rotation.
+    """Return Σ Jᵀ·W·J (F,6,6) and Σ Jᵀ·W·e (F,6) of a small motion.
 
-    Arms a = R·x and errors e are (F, N, 3); Jᵀ·v = [v, a × v].
+    A shift and a left rotation. J = [I, −[a]×]. Arms a = R·x and errors e are (F, N, 3); Jᵀ·v = [v, a × v].
     """
     frames, count = used.shape
     normal, gradient = np.zeros((frames, 6, 6)), np.zeros((frames, 6))
@@ -333,15 +371,18 @@ def _normal_equations(arm, error, precision, used):  # type: ignore[no-untyped-d
     return normal, gradient
 
 
-# What a body does beside its rigid motion: residual of every point, with covariance.
+# Deformation of a body: residual of every point from the rigid motion, with covariance.
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Deformation(Arrays, shapes="reference_m N 3; residual_m F N 3; covariance_m2 F N 3 3"):
-    """Displacement of N points against the rigidly moving body, in its axes in the pose of the reference.
+    """Displacement of N points against the rigidly moving body, in its axes; NaN = missing.
 
-    reference_m (N, 3): where the points are at rest; residual_m (F, N, 3): about each point's mean over time;
-    covariance_m2 (F, N, 3, 3). NaN = missing.
+    Attributes
+    ----------
+    reference_m : (N, 3) the points at rest.
+    residual_m : (F, N, 3) about each point's mean over time.
+    covariance_m2 : (F, N, 3, 3).
     """
 
     reference_m: FloatArray
@@ -350,7 +391,7 @@ class Deformation(Arrays, shapes="reference_m N 3; residual_m F N 3; covariance_
 
 
 class DeformationMean:
-    """What deformation is counted from, found from all frames: the points' mean residuals in the axes of the body.
+    """Mean residuals of the points in the axes of the body, the zero of deformation.
 
     reference_m (N, 3): the points at rest.
     """
@@ -358,16 +399,16 @@ class DeformationMean:
     def __init__(self, reference_m: FloatArray) -> None:
         check_shape("reference_m", reference_m, (None, 3))
         self.reference_m = reference_m
-        self._residual, self._own = RunningMean(), RunningMean()
+        self._residual, self._covariance = RunningMean(), RunningMean()
 
     def add(self, points: Points3D, motion: RigidMotion) -> None:
-        """Take in the points (F, N) of further frames with their motion."""
-        residual, own = self._beside(points, motion)
+        """Add the points (F, N) of further frames with their motion."""
+        residual, covariance = self._residuals(points, motion)
         self._residual.add(residual)
-        self._own.add(own)
+        self._covariance.add(covariance)
 
-    def _beside(self, points: Points3D, motion: RigidMotion) -> tuple[FloatArray, FloatArray]:
-        """Return what is not rigid (F, N, 3), and its covariance, both NaN where either is not known."""
+    def _residuals(self, points: Points3D, motion: RigidMotion) -> tuple[FloatArray, FloatArray]:
+        """Return the residuals (F,N,3) from the rigid motion, and their covariance, NaN = missing."""
         frames, count, _ = points.position_m.shape
         check_shape("reference_m", self.reference_m, (count, 3))
         check_shape("motion.pose", motion.pose, (frames, 6))
@@ -378,32 +419,33 @@ class DeformationMean:
         arm = rest @ np.swapaxes(rotation, 1, 2)
         step_of_pose = np.linalg.inv(pose_rate(motion.pose))
         step_covariance = step_of_pose @ motion.covariance @ np.swapaxes(step_of_pose, 1, 2)
-        own = np.empty((*arm.shape, 3))
+        covariance = np.empty((*arm.shape, 3))
         for frame, slope in enumerate(map(displacement_jacobian, arm)):
             left = points.covariance_m2[frame] - slope @ step_covariance[frame] @ np.swapaxes(slope, 1, 2)
-            own[frame] = rotation[frame].T @ left @ rotation[frame]
-        seen = np.asarray(np.isfinite(residual).all(axis=2) & np.isfinite(own).all(axis=(2, 3)))
-        return np.where(seen[..., None], residual, np.nan), np.where(seen[..., None, None], own, np.nan)
+            covariance[frame] = rotation[frame].T @ left @ rotation[frame]
+        seen = np.asarray(np.isfinite(residual).all(axis=2) & np.isfinite(covariance).all(axis=(2, 3)))
+        return np.where(seen[..., None], residual, np.nan), np.where(seen[..., None, None], covariance, np.nan)
 
     def of(self, points: Points3D, motion: RigidMotion) -> Deformation:
-        """Return the deformation of frames that were taken in, all or some of them."""
-        residual, own = self._beside(points, motion)
+        """Return the deformation of frames that were added, all or some of them."""
+        residual, individual = self._residuals(points, motion)
         number = np.maximum(self._residual.count[:, :1], 1)
-        shared = np.nan_to_num(self._own.mean) / number[..., None]
-        covariance = (1.0 - 2.0 / number)[..., None] * own + shared
+        shared = np.nan_to_num(self._covariance.mean) / number[..., None]
+        covariance = (1.0 - 2.0 / number)[..., None] * individual + shared
         return Deformation(self.reference_m, residual - self._residual.mean, covariance)
 
 
 def deformation(points: Points3D, motion: RigidMotion, reference_m: FloatArray | None = None) -> Deformation:
-    """Return what remains of points (F, N) after their body's `motion` against reference (N, 3), by default frame 0.
+    """Return the residuals of points (F, N) after their body's `motion` against a reference.
 
-    e = Rᵀ·(x' − o − t) − (x − o) without each point's mean over the F frames in which it is seen, which takes out the
-    noise of the reference: it is constant in the axes of the body. Bending looks smaller by its best rigid fit.
+    reference (N, 3): by default frame 0. e = Rᵀ·(x' − o − t) − (x − o) without each point's mean over the F frames in
+    which it is seen. This removes the noise of the reference, which is constant in the axes of the body. Bending
+    appears reduced by its best rigid fit.
 
     Vₖ = Rᵀ·(Cₖ − J·Pₖ·Jᵀ)·R, J = [I, −[R·(x − o)]×], with the point's covariance Cₖ and that of the pose Pₖ (as shift
-    and small left rotation): the least-squares residual's own, C − J·(Σ Jᵀ·C⁻¹·J)⁻¹·Jᵀ, for points that the fit used,
-    and the same for a motion from more than these points (an efficient estimate is uncorrelated with its difference
-    from another one: Hausman 1978, Econometrica 46, 1251). The mean leaves (1 − 2/F)·Vₖ + Σ V/F².
+    and small left rotation). For points that the fit used it is the covariance of a least-squares residual, C − J·(Σ
+    Jᵀ·C⁻¹·J)⁻¹·Jᵀ. The same applies to a motion from more than these points (an efficient estimate is uncorrelated with
+    its difference from another one: Hausman 1978, Econometrica 46, 1251). The mean leaves (1 − 2/F)·Vₖ + Σ V/F².
     """
     reference = points.position_m[0] if reference_m is None else np.asarray(reference_m, dtype=np.float64)
     mean = DeformationMean(reference)

@@ -12,7 +12,7 @@ import numpy as np
 
 from photogram.arrays import Arrays, FloatArray, IntArray
 from photogram.images.sequence import check_file, wrap_read_errors
-from photogram.mat5 import check_mat5
+from shakercal._common.mat5 import check_mat5
 
 POSITION = ("x", "y", "z")
 REFERENCE = ("x0", "y0", "z0")
@@ -23,11 +23,15 @@ _MOST_ARRAYS = 10_000  # of a `.mat` file
 
 @dataclass(frozen=True, eq=False, repr=False)
 class PointTable(Arrays, shapes="frames F; position_m F N 3; reference_m N 3; u_m F N 3"):
-    """Points of F frames: position_m (F,N,3), NaN where invalid; reference_m (N,3) where the files have it; frames (F).
+    """Points of F frames, matched by identity or row.
 
-    Points are those with the same identity in all frames, or the same row where the tables have no identity. u_m
-    (F,N,3): standard uncertainties that a program states with its points, None where it states none. `program`: whose
-    layout the header has, empty where the caller named the columns.
+    Attributes
+    ----------
+    position_m : (F, N, 3), NaN where invalid.
+    reference_m : (N, 3) where the files have it, else None.
+    frames : (F) names.
+    u_m : (F, N, 3) standard uncertainties of the program, None for none.
+    program : whose layout the header has, empty where the caller named the columns.
     """
 
     position_m: FloatArray
@@ -39,7 +43,10 @@ class PointTable(Arrays, shapes="frames F; position_m F N 3; reference_m N 3; u_
 
 @dataclass(frozen=True, eq=False)
 class _TableFrame:
-    """Points of one frame: what tells them apart (R, k), here and in the first frame (R, 3), in m, NaN where lost."""
+    """Points of one frame in m, NaN where lost.
+
+    identity (R, k): numbers that identify a point; positions (R, 3) in this and in the first frame.
+    """
 
     name: str
     identity: FloatArray
@@ -54,16 +61,39 @@ def read_point_tables(
     valid_status: float | None = None,
     scale: float | None = None,
 ) -> PointTable:
-    """Read one table per frame, or one table whose column `frame` numbers the frames; lengths times `scale` are metres.
+    """Read 3-D points of other programs from one table per frame.
 
-    `columns` names the columns from left to right: x y z (needed), x0 y0 z0 (reference), status (any number; all must
-    equal `valid_status`), frame, names that begin with id (identity of a point), "_" (ignored). Separated by blanks,
-    commas or semicolons (then with a decimal comma too); lines before the first numeric one are a header. `scale` is 1
-    unless it is given.
+    Parameters
+    ----------
+    files
+        One table per frame, or one table with a column `frame`.
+    columns
+        Names from left to right: x y z (needed), x0 y0 z0 (reference), status (any number; all must equal
+        `valid_status`), frame, names that begin with id (identity of a point), "_" (ignored). None (default): the
+        header, or the file name, shows the layout of VIC-3D, ARAMIS, DICe, pyvale or MatchID.
+    valid_status
+        Value of status of a valid point; default None.
+    scale
+        Metres per unit of length. With `columns` 1 by default; without, the unit in the header (DICe states none: mm,
+        its usual unit), which a given scale replaces.
 
-    Without `columns` the header says what they hold, of VIC-3D, ARAMIS, DICe and pyvale, or the file names of MatchID's
-    matrices do; `scale` then stands against the unit in the header (DICe's has none: mm, the program's habit).
+    Returns
+    -------
+    PointTable
+        Positions in m.
 
+    Raises
+    ------
+    ValueError
+        For a table that cannot be read; the text begins with its path.
+
+    Notes
+    -----
+    Fields are separated by blanks, commas or semicolons (then with a decimal comma too). Lines before the first numeric
+    one are a header.
+
+    Examples
+    --------
     >>> from pathlib import Path
     >>> from tempfile import TemporaryDirectory
     >>> with TemporaryDirectory() as folder:
@@ -82,21 +112,21 @@ def read_point_tables(
         if path.stat().st_size > MOST_BYTES:
             raise ValueError(f"{path}: expected a table of at most {MOST_BYTES >> 20} MiB, found a larger file")
     if columns is None:
-        program, frames = _known_frames(paths, scale)
+        program, frames = _header_frames(paths, scale)
     else:
         frames = _named_frames(paths, columns, valid_status, 1.0 if scale is None else scale)
-    places, count = _places(frames)
+    indices, count = _point_indices(frames)
     position = np.full((len(frames), count, 3), np.nan)
     u = np.full_like(position, np.nan)
     reference = np.full((count, 3), np.nan)
-    for number, (frame, place) in enumerate(zip(frames, places, strict=True)):
+    for number, (frame, index) in enumerate(zip(frames, indices, strict=True)):
         valid = np.isfinite(frame.position_m).all(axis=1)
-        position[number, place[valid]] = frame.position_m[valid]
+        position[number, index[valid]] = frame.position_m[valid]
         if frame.u_m is not None:
-            u[number, place[valid]] = frame.u_m[valid]
+            u[number, index[valid]] = frame.u_m[valid]
         if frame.reference_m is not None:
-            missing = valid & np.isnan(reference[place]).any(axis=1)
-            reference[place[missing]] = frame.reference_m[missing]
+            missing = valid & np.isnan(reference[index]).any(axis=1)
+            reference[index[missing]] = frame.reference_m[missing]
     return PointTable(
         position,
         reference if frames[0].reference_m is not None else None,
@@ -123,22 +153,25 @@ def _named_frames(
     frames = []
     for name, rows in tables:
         status = rows[:, [column == "status" for column in columns]]
-        here = rows[:, [columns.index(name) for name in POSITION]] * scale
-        valid = np.isfinite(here).all(axis=1) & (valid_status is None or (status == valid_status).all(axis=1))
-        here[~valid] = np.nan
+        position = rows[:, [columns.index(name) for name in POSITION]] * scale
+        valid = np.isfinite(position).all(axis=1) & (valid_status is None or (status == valid_status).all(axis=1))
+        position[~valid] = np.nan
         before = None
         if REFERENCE[0] in columns:
             before = rows[:, [columns.index(name) for name in REFERENCE]] * scale
-        frames.append(_TableFrame(name, rows[:, [column.startswith("id") for column in columns]], here, before))
+        frames.append(_TableFrame(name, rows[:, [column.startswith("id") for column in columns]], position, before))
     return frames
 
 
 def _check_columns(columns: Sequence[str]) -> None:
-    """Every column has a known name, x y z are there, and only status and "_" come twice."""
-    known = {*POSITION, *REFERENCE, "status", "frame", IGNORED}
+    """Raise `ValueError` for an unknown, missing or repeated column name.
+
+    Only status and "_" may be repeated.
+    """
+    allowed = {*POSITION, *REFERENCE, "status", "frame", IGNORED}
     for name in columns:
-        if name not in known and not name.startswith("id"):
-            raise ValueError(f"columns: expected one of {', '.join(sorted(known))} or id…, found {name!r}")
+        if name not in allowed and not name.startswith("id"):
+            raise ValueError(f"columns: expected one of {', '.join(sorted(allowed))} or id…, found {name!r}")
         if name not in ("status", IGNORED) and columns.count(name) > 1:
             raise ValueError(f"columns: expected {name} once, found it {columns.count(name)} times")
     for group in (POSITION, REFERENCE):
@@ -147,15 +180,18 @@ def _check_columns(columns: Sequence[str]) -> None:
             raise ValueError(f"columns: expected {' '.join(group)}, found {' '.join(present) or 'none of them'}")
 
 
-def _places(frames: Sequence[_TableFrame]) -> tuple[list[IntArray], int]:
-    """Which points the rows of each table are, by their identity or else by their order; and how many."""
+def _point_indices(frames: Sequence[_TableFrame]) -> tuple[list[IntArray], int]:
+    """Return the index of the point in each row, and the number of points.
+
+    By their identity, else by their order.
+    """
     first = frames[0]
     named, count = first.identity.shape[1] > 0, len(first.position_m)
     for frame in frames:
         if not named and len(frame.position_m) != count:
             raise ValueError(
                 f"{frame.name}: expected {count} rows as in {first.name}, found {len(frame.position_m)} "
-                "(columns named id… tell points apart)"
+                "(columns named id… identify points)"
             )
         if frame.identity.shape[1] != first.identity.shape[1]:
             raise ValueError(f"{frame.name}: expected the columns of {first.name}, found others")
@@ -170,7 +206,10 @@ def _places(frames: Sequence[_TableFrame]) -> tuple[list[IntArray], int]:
 
 
 def _read_numbers(path: Path, width: int) -> FloatArray:
-    """The numeric rows (R,width) of a text table; a semicolon lets the comma be a decimal comma."""
+    """Return the numeric rows (R, width) of a text table.
+
+    A semicolon as separator permits the decimal comma.
+    """
     text = path.read_text(encoding="utf-8-sig", errors="replace")
     rows: dict[int, list[str]] = {}
     for number, line in enumerate(text.splitlines(), start=1):
@@ -196,13 +235,16 @@ def _read_numbers(path: Path, width: int) -> FloatArray:
 
 
 def _fields(line: str) -> list[str]:
-    """The fields of a line, without blanks and quotes around them; a semicolon lets the comma be a decimal comma."""
+    """Return the fields of a line, without blanks and quotes around them.
+
+    A semicolon as separator permits the decimal comma.
+    """
     fields = line.replace(",", ".").split(";") if ";" in line else line.split("," if "," in line else None)
     return [field.strip(' "\t') for field in fields]
 
 
 def _is_number(field: str) -> bool:
-    """Whether the text is a number (nan included)."""
+    """Return whether the text is a number (nan included)."""
     try:
         float(field)
     except ValueError:
@@ -210,7 +252,7 @@ def _is_number(field: str) -> bool:
     return True
 
 
-# Tables whose header says what they hold.
+# Tables whose header shows their layout.
 
 _LOST = (
     "",
@@ -219,7 +261,7 @@ _LOST = (
     "non numérique",
     "n. def.",
     "neun",
-)  # a number that is none, as .NET writes it
+)  # texts of a missing number, as .NET writes them
 _UNITS = {"m": 1.0, "mm": 1e-3, "µm": 1e-6, "um": 1e-6, "in": 0.0254}
 _QUANTITY = re.compile(r"_([A-Za-z]+) *\[(\w+)\]\.csv$")
 _MATRIX = "MatchID"
@@ -227,15 +269,20 @@ _MATRIX = "MatchID"
 
 @dataclass(frozen=True)
 class _Layout:
-    """What a program calls its columns.
+    """Names of a program's columns.
 
-    `place`: coordinates, of the first frame or (`moved`) of this one; `moves`: displacements since the first frame;
-    `identities`: alternatives of what tells points apart; `u`: standard uncertainties; `flag` with its least value of a
-    valid point; `unit`: what is taken where the header states none, None: it must be stated.
+    Attributes
+    ----------
+    position : coordinates, of the first frame or (`moved`) of this one.
+    moves : displacements since the first frame.
+    identities : alternatives of columns that identify a point.
+    u : standard uncertainties.
+    flag : a column with its least value of a valid point.
+    unit : used where the header states none; None where it must be stated.
     """
 
     program: str
-    place: tuple[str, str, str]
+    position: tuple[str, str, str]
     moves: tuple[str, str, str]
     identities: tuple[tuple[str, ...], ...]
     u: tuple[str, str, str] | None = None
@@ -262,23 +309,25 @@ _LAYOUTS = (
 )  # fmt: skip
 
 _Columns = dict[str, tuple[str, FloatArray]]
-"""Unit, empty where none is stated, and values (R,) of every column by its name."""
+"""Unit, empty for none, and values (R,) of every column by its name."""
 
 
-def _known_frames(paths: Sequence[Path], scale: float | None) -> tuple[str, list[_TableFrame]]:
-    """Return whose tables these are and what they hold."""
+def _header_frames(paths: Sequence[Path], scale: float | None) -> tuple[str, list[_TableFrame]]:
+    """Return the program of these tables and their frames."""
     if any(_QUANTITY.search(path.name) for path in paths):
         return _MATRIX, _matrix_frames(paths, scale)
     found, frames = [], []
     for path in paths:
         with wrap_read_errors(path):
             columns = _mat_columns(path) if path.suffix.lower() == ".mat" else _text_columns(path)
-        layout = next((known for known in _LAYOUTS if {*known.place, *known.moves} <= set(columns)), None)
+        layout = next(
+            (candidate for candidate in _LAYOUTS if {*candidate.position, *candidate.moves} <= set(columns)), None
+        )
         if layout is None:
             names = ", ".join(list(columns)[:8]) or "none"
-            programs = ", ".join(known.program for known in _LAYOUTS)
+            programs = ", ".join(candidate.program for candidate in _LAYOUTS)
             raise ValueError(
-                f"{path}: expected points in space and their displacements under the names of {programs}, "
+                f"{path}: expected coordinates and displacements with the names of {programs}, "
                 f"found {names}; name the columns of other programs"
             )
         frames.append(_frame(path, columns, layout, scale))
@@ -289,22 +338,24 @@ def _known_frames(paths: Sequence[Path], scale: float | None) -> tuple[str, list
 
 
 def _frame(path: Path, columns: _Columns, layout: _Layout, scale: float | None) -> _TableFrame:
-    """Return the points of one table of a known program."""
+    """Return the points of one table of a supported program."""
 
     def lengths(names: tuple[str, ...]) -> FloatArray:
         return np.stack(
             [columns[name][1] * _metres(path, name, columns[name][0] or layout.unit, scale) for name in names], 1
         )
 
-    place, moves = lengths(layout.place), lengths(layout.moves)
-    here, before = (place, place - moves) if layout.moved else (place + moves, place)
-    here[(place == 0.0).all(axis=1)] = np.nan  # zeros stand where nothing was found
+    first_position, moves = lengths(layout.position), lengths(layout.moves)
+    position, before = (
+        (first_position, first_position - moves) if layout.moved else (first_position + moves, first_position)
+    )
+    position[(first_position == 0.0).all(axis=1)] = np.nan  # zeros represent missing points
     if layout.flag is not None and layout.flag[0] in columns:
-        here[~(columns[layout.flag[0]][1] >= layout.flag[1])] = np.nan
+        position[~(columns[layout.flag[0]][1] >= layout.flag[1])] = np.nan
     names: tuple[str, ...] = next((names for names in layout.identities if set(names) <= set(columns)), ())
-    identity = np.stack([columns[name][1] for name in names], 1) if names else np.empty((len(here), 0))
+    identity = np.stack([columns[name][1] for name in names], 1) if names else np.empty((len(position), 0))
     u = lengths(layout.u) if layout.u and set(layout.u) <= set(columns) else None
-    return _TableFrame(str(path), identity, here, before, u)
+    return _TableFrame(str(path), identity, position, before, u)
 
 
 def _metres(path: Path, name: str, unit: str | None, scale: float | None) -> float:
@@ -319,7 +370,7 @@ def _metres(path: Path, name: str, unit: str | None, scale: float | None) -> flo
 
 
 def _text_columns(path: Path) -> _Columns:
-    """Return the columns of a text table by the names in the last line before its first row of numbers."""
+    """Return the columns of a text table by the names in its header."""
     rows: list[list[float]] = []
     names: list[str] = []
     for number, line in enumerate(path.read_text(encoding="utf-8-sig", errors="replace").splitlines(), start=1):
@@ -351,7 +402,7 @@ def _text_columns(path: Path) -> _Columns:
 
 
 def _number(field: str) -> float | None:
-    """The number of a field, NaN of one that says there is none, None of any other text."""
+    """Return the number of a field, NaN for a missing one, else None."""
     if field.lower() in _LOST:
         return float("nan")
     try:
@@ -364,16 +415,16 @@ _MAT_NUMBERS = ("double", "single", *(f"{sign}int{bits}" for sign in ("", "u") f
 
 
 def _mat_columns(path: Path) -> _Columns:
-    """Return the arrays of a `.mat` file that have the size of the first coordinate, flat."""
+    """Return the arrays of a `.mat` file of the first coordinate's size, flat."""
     from scipy.io import loadmat, whosmat
 
     check_mat5(path, MOST_BYTES, _MOST_ARRAYS)
     try:
         plain = {name: size for name, size, kind in whosmat(path) if kind in _MAT_NUMBERS}
         if sum(8 * math.prod(size) for size in plain.values()) > 1100 * path.stat().st_size:
-            raise ValueError("more numbers declared than a file of its length can hold")
+            raise ValueError("more numbers declared than fit into a file of its length")
         found = loadmat(path, variable_names=list(plain))
-    except Exception as error:  # whatever damaged bytes lead to
+    except Exception as error:  # any error of damaged bytes
         raise ValueError(f"{path}: expected a .mat file up to version 7, found {type(error).__name__} in it") from error
     arrays = {
         name: value for name, value in found.items() if isinstance(value, np.ndarray) and value.dtype.kind in "fiu"
@@ -383,7 +434,10 @@ def _mat_columns(path: Path) -> _Columns:
 
 
 def _matrix_frames(paths: Sequence[Path], scale: float | None) -> list[_TableFrame]:
-    """Return the points of MatchID's matrices: `FRAME_X[mm].csv` and so on, quantities X Y Z U V W of every frame."""
+    """Return the points of MatchID's matrices, `FRAME_X[mm].csv` and so on.
+
+    Quantities X Y Z U V W of every frame.
+    """
     frames: dict[str, dict[str, tuple[Path, str]]] = {}
     for path in paths:
         named = _QUANTITY.search(path.name)
@@ -411,7 +465,7 @@ def _matrix_frames(paths: Sequence[Path], scale: float | None) -> list[_TableFra
 
 
 def read_matrix(path: Path) -> FloatArray:
-    """Return a matrix (rows, columns) of MatchID, NaN where it says that there is no number, in the file's unit.
+    """Return a matrix (rows, columns) of MatchID in the file's unit, NaN for missing numbers.
 
     No header; semicolons between and after the values; a decimal comma where the system has one.
     """

@@ -1,6 +1,6 @@
-"""Signals and mechanics of shaker measurements. Knows nothing of images.
+"""Signals and mechanics of shaker measurements, independent of images.
 
-Everything named here is public; a name is imported when it is first used, so that `import shaker` costs nothing.
+Every name listed in the stub file is public. It is imported at its first use, so that `import shaker` is fast.
 """
 
 from lazy_loader import attach_stub

@@ -1,4 +1,4 @@
-"""Array types, checks of shapes, and what a stage wants the user to know."""
+"""Array types, checks of shapes, and channels that share one memory."""
 
 from __future__ import annotations
 
@@ -15,15 +15,15 @@ FloatArray = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 IntArray = NDArray[np.int64]
 BoolArray = NDArray[np.bool_]
-LONGEST_SHOWN = 60
+MAX_SHOWN_CHARACTERS = 60
 """Characters of a value that a result shows when it is printed in Python."""
 
 
 @dataclass(frozen=True, eq=False)
 class Stacked:
-    """Channels side by side, (S, C), put together where rows are asked for instead of held twice.
+    """Channels (S, C) stored as separate columns and combined only for the requested rows.
 
-    Each is a column times its factor; of the columns only `rows` (S,) where these are given.
+    Each channel is a column times its factor. `rows` (S,) selects rows of the columns; None selects all.
     """
 
     columns: tuple[FloatArray, ...]
@@ -51,20 +51,20 @@ class Stacked:
 
     def __getitem__(self, rows: slice) -> FloatArray:
         """Return rows (R, C) of all channels."""
-        own = rows if self.rows is None else self.rows[rows]
+        selected = rows if self.rows is None else self.rows[rows]
         values = np.empty((len(range(*rows.indices(len(self)))), len(self.columns)))
         for c, (column, factor) in enumerate(zip(self.columns, self.factors, strict=True)):
-            np.multiply(column[own], factor, out=values[:, c])
+            np.multiply(column[selected], factor, out=values[:, c])
         return values
 
     def iterate_channels(self) -> Iterator[FloatArray]:
-        """Yield the channels (S,) one by one."""
+        """Yield the channels (S,) in their order."""
         for column, factor in zip(self.columns, self.factors, strict=True):
-            own = column if self.rows is None else column[self.rows]
-            yield np.ascontiguousarray(own if factor == 1.0 else own * factor, dtype=np.float64)
+            samples = column if self.rows is None else column[self.rows]
+            yield np.ascontiguousarray(samples if factor == 1.0 else samples * factor, dtype=np.float64)
 
     def iterate_row_blocks(self) -> Iterator[FloatArray]:
-        """Yield all rows (R, C), some at a time."""
+        """Yield blocks of rows (R, C) in their order."""
         for first in range(0, len(self), _ROWS):
             yield self[first : first + _ROWS]
 
@@ -74,28 +74,28 @@ class Stacked:
         return replace(self, columns=columns, factors=factors)
 
     def select_rows(self, rows: BoolArray | None) -> Stacked:
-        """Return the rows (S,) that are true, None for all."""
+        """Return the rows (S,) where the mask is true; all rows for None."""
         if rows is None:
             return self
         chosen = np.flatnonzero(rows)
         return replace(self, rows=chosen if self.rows is None else self.rows[chosen])
 
 
-_ROWS = 1 << 14  # rows looked through at a time
+_ROWS = 1 << 14  # rows processed at a time
 
 
 def check_shape(name: str, array: NDArray[Any] | Stacked, shape: tuple[int | None, ...]) -> None:
-    """Raise `ValueError` unless `array` has `shape`; `None` stands for any length."""
+    """Raise `ValueError` unless `array` has `shape`; `None` means any length."""
     fits = array.ndim == len(shape) and all(
         want is None or want == have for want, have in zip(shape, array.shape, strict=True)
     )
     if not fits:
-        wanted = "(" + ", ".join("any" if want is None else str(want) for want in shape) + ")"
-        raise ValueError(f"{name}: expected an array of shape {wanted}, found {array.shape}")
+        expected = "(" + ", ".join("any" if want is None else str(want) for want in shape) + ")"
+        raise ValueError(f"{name}: expected an array of shape {expected}, found {array.shape}")
 
 
 def check_shapes(owner: Any, shape: tuple[int | None, ...], *names: str) -> None:
-    """Raise `ValueError` unless these fields of a data class have `shape`; `None` stands for any length."""
+    """Raise `ValueError` unless these fields of a data class have `shape`; `None` means any length."""
     for name in names:
         check_shape(name, getattr(owner, name), shape)
 
@@ -107,15 +107,15 @@ def brief(result: Any) -> str:
         value: Any = getattr(result, field.name, None)
         if hasattr(value, "shape"):
             text = f"array {value.shape}"
-        elif isinstance(value, tuple | dict) and len(repr(value)) > LONGEST_SHOWN:
+        elif isinstance(value, tuple | dict) and len(repr(value)) > MAX_SHOWN_CHARACTERS:
             text = f"{len(value)} of {type(value).__name__}"
         else:
-            text = repr(value) if len(repr(value)) <= LONGEST_SHOWN else type(value).__name__
+            text = repr(value) if len(repr(value)) <= MAX_SHOWN_CHARACTERS else type(value).__name__
         shown.append(f"{field.name}={text}")
     return f"{type(result).__name__}({', '.join(shown)})"
 
 
 class Brief:
-    """A data class of arrays that prints on one line: `@dataclass(frozen=True, repr=False)`."""
+    """Base of data classes with arrays that print on one line: `@dataclass(frozen=True, repr=False)`."""
 
     __repr__ = brief

@@ -1,9 +1,9 @@
-"""Nonlinear least squares: one method of Levenberg and Marquardt, and the elimination of what enters linearly.
+"""Nonlinear least squares: Levenberg-Marquardt and variable projection.
 
-Residuals are whitened: of unit variance, or of one unknown variance. A fit is a search over points. A point knows its
-parameters, its loss (the sum of squares), and on demand its normal equations; how it comes by them is its own affair:
-`Residuals` from a residual and its Jacobian, `Separable` from blocks whose coefficients are projected out (variable
-projection; Golub and Pereyra, Inverse Problems 19 (2003) R1, with Kaufman's Jacobian, BIT 15 (1975) 49).
+Residuals are whitened: they have unit variance, or one unknown variance. A fit is a search over points. A point has
+parameters, a loss (the sum of squares) and, on demand, normal equations. `WhitenedResiduals` makes them from a residual
+and its Jacobian. `SeparablePoint` makes them from blocks whose coefficients are projected out (variable projection;
+Golub and Pereyra, Inverse Problems 19 (2003) R1, with Kaufman's Jacobian, BIT 15 (1975) 49).
 """
 
 from __future__ import annotations
@@ -17,15 +17,15 @@ import numpy as np
 
 from shaker.arrays import FloatArray, IntArray
 
-_HOPED = 10  # steps as long as the one foretold, after which a search that is not where it is wanted is given up
-_NOTHING = 1e-18  # share of the first loss below which no step is worth its while: rounding alone is left
-_STILL = 1e-14  # relative change of every parameter below which nothing moves
-_MOST_BENT = 0.75  # length of the bend of a step in that of the step
+_MAX_PREDICTED_STEPS = 10  # predicted decreases within which a search must reach its tolerance; chosen
+_ROUNDING_SHARE = 1e-18  # share of the first loss below which a decrease is rounding
+_MIN_RELATIVE_STEP = 1e-14  # relative change of every parameter below which a step is rounding
+_MAX_BEND = 0.75  # largest length of a step's bend over that of the step (Transtrum and Sethna 2012)
 _RANK = 1e-12  # diagonal of a triangle, over its largest element, below which columns depend on one another
 
 
 class TrialPoint(Protocol):
-    """A trial of parameters (P,): its loss, infinite where the parameters are impossible."""
+    """Trial parameters (P,) with their loss, which is infinite where the parameters are impossible."""
 
     @property
     def parameters(self) -> FloatArray:
@@ -39,12 +39,15 @@ class TrialPoint(Protocol):
 
     @property
     def freedom(self) -> int:
-        """Number of data less that of all parameters, linear ones too, at least 1."""
+        """Number of data minus that of all parameters, linear ones too; at least 1."""
         ...
 
     @property
     def normal(self) -> tuple[FloatArray, FloatArray]:
-        """JᵀJ (P, P) and -Jᵀr (P,) of the residual r: a row and column of zeros holds a parameter where it is."""
+        """Matrix JᵀJ (P, P) and vector -Jᵀr (P,) of the residual r.
+
+        A row and column of zeros fixes a parameter.
+        """
         ...
 
 
@@ -53,13 +56,19 @@ P = TypeVar("P", bound=TrialPoint)
 
 @dataclass(frozen=True)
 class LMOptions:
-    """When a search ends, and how it is damped.
+    """Rules for damping and for ending a Levenberg-Marquardt search.
 
-    It ends where a step is foretold to lower the loss by less than max(`foretold`, `foretold_share`·loss), or where one
-    did lower it by less than max(`gained`, `gained_share`·loss); where ten steps as long as the one foretold would not
-    bring it below `wanted`; after `steps`; or where no step damped by up to `largest`, or by `tries` dampings in a row,
-    lowers it. The damping begins at `first`, times `grow` after a step refused, times `shrink` after one taken, never
-    below `least`.
+    Attributes
+    ----------
+    predicted_decrease, predicted_decrease_share : the search has converged when a step is predicted to lower the loss
+        by less than max(`predicted_decrease`, `predicted_decrease_share`·loss).
+    actual_decrease, actual_decrease_share : the same limit for the decrease that a step has achieved.
+    tolerance : largest acceptable loss; the search is given up when ten predicted decreases would not reach it.
+    max_steps : number of steps after which the search ends.
+    max_dampings : number of dampings in a row that are tried for one step.
+    initial_damping : damping of the first step.
+    damping_increase, damping_decrease : factor of the damping after a refused step, and after an accepted one.
+    min_damping, max_damping : limits of the damping.
     """
 
     predicted_decrease: float = 0.0
@@ -78,9 +87,9 @@ class LMOptions:
 
 @dataclass(frozen=True)
 class ParameterPrior:
-    """What is known of parameters beforehand: `value` (P,) with standard deviations `u` (P,), infinite where nothing.
+    """Prior knowledge of parameters: `value` (P,) with standard uncertainties `u` (P,), infinite where unknown.
 
-    Its weight against the data takes the residual's variance at the present point for that of the data.
+    Its weight relative to the data uses the variance of the residual at the present point.
     """
 
     value: FloatArray
@@ -93,7 +102,7 @@ class ParameterPrior:
 
 @dataclass(frozen=True)
 class Minimum(Generic[P]):
-    """Where a search ended: the point, the losses on the way, and whether it came to rest."""
+    """Result of a search: last point, losses of all steps, and whether it converged."""
 
     point: P
     losses: tuple[float, ...]
@@ -108,58 +117,63 @@ def levenberg_marquardt(
     prior: ParameterPrior | None = None,
     curvature: Callable[[P, FloatArray], FloatArray | None] | None = None,
 ) -> Minimum[P]:
-    """Return the least squares next to a start (Marquardt, J. SIAM 11 (1963) 431).
+    """Return the least-squares solution near a start (Marquardt, J. SIAM 11 (1963) 431).
 
-    `evaluate` gives the point of parameters (P,), of others near by where these are beyond a bound, or None where there
-    is none. Every parameter is damped by its own curvature, at least by that of `smallest` (P,), the change of it that
-    matters, so that one which the data do not tell stays where it is. `curvature`: of a point and a step -Jᵀr'' (P,),
-    r'' the residual's second derivative along the step, or None where there is none; after a refusal steps are then
-    bent to follow a curved valley (geodesic acceleration: Transtrum and Sethna, arXiv:1201.5885).
+    `evaluate` returns the point of parameters (P,), None where there is none, or the point at a bound that the
+    parameters exceed. Every parameter is damped by its curvature, at least by that of `smallest_change` (P,), the
+    change of it that matters. A parameter that the data do not determine therefore keeps its value. `curvature`
+    returns, for a point and a step, -Jᵀr'' (P,) with the second derivative r'' of the residual along the step, or None.
+    After a refused step the following ones are bent along a curved valley (geodesic acceleration: Transtrum and Sethna,
+    arXiv:1201.5885).
     """
     if not np.isfinite(start.loss):
         raise ValueError("start: expected parameters for which all residuals are finite, found others")
     floor = 1e-300 if smallest_change is None else 1.0 / smallest_change**2
-    here, damping, losses = start, options.initial_damping, [start.loss]
+    point, damping, losses = start, options.initial_damping, [start.loss]
     for _ in range(options.max_steps):
-        normal, downhill = here.normal
-        variance = here.loss / here.freedom
+        normal, downhill = point.normal
+        variance = point.loss / point.freedom
         if prior is not None:
             normal = normal + np.diag(variance / prior.u**2)
-            downhill = downhill + variance * (prior.value - here.parameters) / prior.u**2
+            downhill = downhill + variance * (prior.value - point.parameters) / prior.u**2
         scale = np.sqrt(np.maximum(np.diag(normal), floor))
         scaled, target = normal / scale / scale[:, None], downhill / scale
         for tried in range(options.max_dampings + 1):
-            step = _damped(scaled, target, damping) / scale
-            foretold = float(step @ (2.0 * downhill - normal @ step))
-            least = max(options.predicted_decrease, options.predicted_decrease_share * here.loss, _NOTHING * losses[0])
-            if not tried and here.loss - _HOPED * foretold > options.tolerance:
-                return Minimum(here, tuple(losses), False)
-            if foretold < least or np.all(np.abs(step) <= _STILL * np.abs(here.parameters)):
-                return Minimum(here, tuple(losses), True)
+            step = _damped_step(scaled, target, damping) / scale
+            predicted = float(step @ (2.0 * downhill - normal @ step))
+            limit = max(
+                options.predicted_decrease, options.predicted_decrease_share * point.loss, _ROUNDING_SHARE * losses[0]
+            )
+            if not tried and point.loss - _MAX_PREDICTED_STEPS * predicted > options.tolerance:
+                return Minimum(point, tuple(losses), False)
+            if predicted < limit or np.all(np.abs(step) <= _MIN_RELATIVE_STEP * np.abs(point.parameters)):
+                return Minimum(point, tuple(losses), True)
             if tried == options.max_dampings or damping > options.max_damping:
-                return Minimum(here, tuple(losses), tried == options.max_dampings)
-            taken: FloatArray | None = step
-            if tried and curvature is not None and (along := curvature(here, step)) is not None:
-                bend = 0.5 * _damped(scaled, along / scale, damping) / scale
-                short = np.linalg.norm(bend * scale) <= _MOST_BENT * np.linalg.norm(step * scale)
-                taken = step + bend if short else None
-            there = None if taken is None else evaluate(here.parameters + taken)
-            pull = 0.0 if prior is None or there is None else prior.pull(there.parameters) - prior.pull(here.parameters)
-            if there is not None and there.loss + variance * pull < here.loss:
+                return Minimum(point, tuple(losses), tried == options.max_dampings)
+            proposed: FloatArray | None = step
+            if tried and curvature is not None and (along := curvature(point, step)) is not None:
+                bend = 0.5 * _damped_step(scaled, along / scale, damping) / scale
+                short = np.linalg.norm(bend * scale) <= _MAX_BEND * np.linalg.norm(step * scale)
+                proposed = step + bend if short else None
+            trial = None if proposed is None else evaluate(point.parameters + proposed)
+            pull = (
+                0.0 if prior is None or trial is None else prior.pull(trial.parameters) - prior.pull(point.parameters)
+            )
+            if trial is not None and trial.loss + variance * pull < point.loss:
                 break
             damping *= options.damping_increase
-        assert there is not None
-        gained = here.loss - there.loss
-        little = gained < max(options.actual_decrease, options.actual_decrease_share * here.loss)
-        here, damping = there, max(damping * options.damping_decrease, options.min_damping)
-        losses.append(here.loss)
-        if little:
-            return Minimum(here, tuple(losses), True)
-    return Minimum(here, tuple(losses), False)
+        assert trial is not None
+        decrease = point.loss - trial.loss
+        converged = decrease < max(options.actual_decrease, options.actual_decrease_share * point.loss)
+        point, damping = trial, max(damping * options.damping_decrease, options.min_damping)
+        losses.append(point.loss)
+        if converged:
+            return Minimum(point, tuple(losses), True)
+    return Minimum(point, tuple(losses), False)
 
 
-def _damped(scaled: FloatArray, target: FloatArray, damping: float) -> FloatArray:
-    """Return the step of scaled normal equations with a damping of their diagonal."""
+def _damped_step(scaled: FloatArray, target: FloatArray, damping: float) -> FloatArray:
+    """Return the step of scaled normal equations whose diagonal is damped."""
     matrix = scaled + damping * np.eye(len(target))
     try:
         return np.asarray(np.linalg.solve(matrix, target))
@@ -169,7 +183,7 @@ def _damped(scaled: FloatArray, target: FloatArray, damping: float) -> FloatArra
 
 @dataclass(frozen=True)
 class WhitenedResiduals:
-    """A point by its whitened residual r (N,) and Jacobian dr/dx (N, P)."""
+    """A point with a whitened residual r (N,) and its Jacobian dr/dx (N, P)."""
 
     parameters: FloatArray
     residual: FloatArray
@@ -194,8 +208,15 @@ class WhitenedResiduals:
 
 @dataclass(frozen=True)
 class LinearElimination:
-    """Coefficients (B, C) of a design (N, B) by least squares, what they leave of the data (N, C), `basis` (N, B) of
-    the design's columns, and `root` (B, B) with root·rootᵀ = (AᵀA)⁻¹."""
+    """Least-squares coefficients of a design, and the remaining residual.
+
+    Attributes
+    ----------
+    coefficients : (B, C), of a design (N, B).
+    residual : (N, C), the data without the fitted part.
+    basis : (N, B), orthonormal basis of the design's columns.
+    root : (B, B) with root·rootᵀ = (AᵀA)⁻¹.
+    """
 
     coefficients: FloatArray
     residual: FloatArray
@@ -203,13 +224,16 @@ class LinearElimination:
     root: FloatArray
 
     def orthogonal_complement(self, columns: FloatArray) -> FloatArray:
-        """Return the part of columns (N, …) that the design cannot take up."""
+        """Return the part of columns (N, …) that is orthogonal to the design."""
         table = columns.reshape(len(self.basis), -1)
         return np.asarray(columns - (self.basis @ (self.basis.T @ table)).reshape(columns.shape))
 
 
 def eliminate(design: FloatArray, data: FloatArray) -> LinearElimination:
-    """Return data (N, C) explained by a design (N, B), columns scaled to one length; those that depend share alike."""
+    """Fit data (N, C) by a design (N, B) and return coefficients and residual.
+
+    Columns are scaled to unit length. Linearly dependent columns share their coefficient equally.
+    """
     size = np.sqrt(np.einsum("nb,nb->b", design, design))
     size[size == 0.0] = 1.0
     scaled = design / size
@@ -217,18 +241,22 @@ def eliminate(design: FloatArray, data: FloatArray) -> LinearElimination:
     diagonal = np.abs(np.diag(triangle))
     if diagonal.min(initial=np.inf) < _RANK * diagonal.max(initial=0.0):
         root = np.linalg.pinv(triangle, rcond=_RANK) / size[:, None]
-        own = np.linalg.lstsq(scaled, data, rcond=_RANK)[0] / size[:, None]
+        coefficients = np.linalg.lstsq(scaled, data, rcond=_RANK)[0] / size[:, None]
     else:
         root = np.linalg.inv(triangle) / size[:, None]
-        own = root @ (basis.T @ data)
-    return LinearElimination(own, data - design @ own, basis, root)
+        coefficients = root @ (basis.T @ data)
+    return LinearElimination(coefficients, data - design @ coefficients, basis, root)
 
 
 class BlockJacobian(NamedTuple):
-    """How fitted rows change, `rows` (N, p, C), with the parameters `places` (p,) that move them.
+    """Change of the fitted rows of a block with the parameters.
 
-    Of rows beside a block's own: products of their changes, `beside` (C, p, p), and of these with what is left of the
-    data there, `pull` (C, p).
+    Attributes
+    ----------
+    parameter_index : (p,), parameters that move the rows.
+    rows : (N, p, C), derivative of the rows.
+    complement_normal : (C, p, p), products of derivatives of the rows orthogonal to the block's design.
+    complement_gradient : (C, p), products of these derivatives with the remaining data.
     """
 
     parameter_index: IntArray
@@ -239,10 +267,11 @@ class BlockJacobian(NamedTuple):
 
 @dataclass(frozen=True)
 class LinearBlock:
-    """Rows `design` (N, B) that explain `data` (N, C) by coefficients of their own.
+    """Rows `design` (N, B) that describe `data` (N, C) with the block's linear coefficients.
 
-    `changes`: of coefficients (B, C), as `Changes`. Long rows may be given turned, by an orthonormal basis of their
-    design: those along it, and of the data beside them, which no coefficients explain, `squares` and number `more`.
+    `jacobian` returns the `BlockJacobian` for coefficients (B, C). Long rows may be given in an orthonormal basis of
+    their design. The part of the data orthogonal to it then enters as its sum of squares `extra_squares` and number
+    `extra_rows`.
     """
 
     design: FloatArray
@@ -254,7 +283,7 @@ class LinearBlock:
 
 @dataclass(frozen=True)
 class SeparablePoint:
-    """A point by blocks whose coefficients are projected out; parameters (P,) are those that blocks share."""
+    """A point with projected-out coefficients; blocks share the parameters (P,)."""
 
     parameters: FloatArray
     blocks: Sequence[LinearBlock]
@@ -271,7 +300,7 @@ class SeparablePoint:
 
     @property
     def residuals(self) -> tuple[FloatArray, ...]:
-        """What is left of the data (N, C) of every block."""
+        """Residual (N, C) of every block."""
         return tuple(part.residual for part in self.solved)
 
     @cached_property
@@ -279,8 +308,8 @@ class SeparablePoint:
         """Sum of squares, infinite where a design is not finite."""
         if not all(np.all(np.isfinite(block.design)) for block in self.blocks):
             return np.inf
-        beside = sum(block.extra_squares for block in self.blocks)
-        return float(sum((np.vdot(part.residual, part.residual) for part in self.solved), start=beside))
+        extra = sum(block.extra_squares for block in self.blocks)
+        return float(sum((np.vdot(part.residual, part.residual) for part in self.solved), start=extra))
 
     @property
     def freedom(self) -> int:
@@ -290,7 +319,7 @@ class SeparablePoint:
 
     @cached_property
     def jacobians(self) -> tuple[BlockJacobian, ...]:
-        """Changes of every block at its best coefficients."""
+        """Jacobian of every block at its best coefficients."""
         pairs = zip(self.blocks, self.solved, strict=True)
         return tuple(block.jacobian(part.coefficients) for block, part in pairs)
 
@@ -299,31 +328,31 @@ class SeparablePoint:
         """Normal equations of Kaufman's Jacobian."""
         count = len(self.parameters)
         normal, downhill = np.zeros((count, count)), np.zeros(count)
-        for part, (places, rows, beside, pull) in zip(self.solved, self.jacobians, strict=True):
-            free = part.orthogonal_complement(rows).transpose(0, 2, 1).reshape(-1, len(places))
-            normal[np.ix_(places, places)] += free.T @ free + beside.sum(axis=0)
-            downhill[places] += free.T @ part.residual.ravel() + pull.sum(axis=0)
+        for part, (index, rows, complement_normal, pull) in zip(self.solved, self.jacobians, strict=True):
+            free = part.orthogonal_complement(rows).transpose(0, 2, 1).reshape(-1, len(index))
+            normal[np.ix_(index, index)] += free.T @ free + complement_normal.sum(axis=0)
+            downhill[index] += free.T @ part.residual.ravel() + pull.sum(axis=0)
         return normal, downhill
 
 
-# Minima beside the least one.
+# Minima other than the lowest one.
 
-NORMAL_QUANTILE_95 = 1.96  # standard uncertainties of 95 %
-REJECT_CHI2 = 9.0  # χ² above the least from which a minimum is refuted: three standard deviations
+NORMAL_QUANTILE_95 = 1.96  # 97.5 % quantile of the normal distribution
+REJECT_CHI2 = 9.0  # excess of χ² from which a minimum is rejected: three standard deviations
 
 
 def excess_chi2_sigmas(excess: float) -> float:
-    """Return how many standard uncertainties away a minimum is whose χ² is larger than the least by `excess`.
+    """Return the distance of a minimum with χ² larger by `excess`, in standard uncertainties.
 
-    By the ratio of the likelihoods √excess; one that is as likely is at the end of a 95 % interval.
+    By the ratio of the likelihoods it is √excess. A minimum of equal χ² is placed at the end of a 95 % interval.
     """
     return float(np.sqrt(max(excess, NORMAL_QUANTILE_95**2)))
 
 
 def covariance_root(covariance: FloatArray) -> FloatArray:
-    """Return deviations (N, E) by E independent causes of variance one that make up a covariance (N, N).
+    """Return deviations (N, E) of E independent unit causes for a covariance (N, N).
 
-    It may have directions without spread, which make no cause; numbers may be of any size.
+    Directions without variance have no cause. The scale of the numbers is arbitrary.
     """
     size = np.sqrt(np.maximum(covariance.diagonal(), 0.0))
     scale = np.where(size > 0.0, size, 1.0)

@@ -1,7 +1,4 @@
-"""Names and units of axes, loads and motions, in the order in which every array of six components has them.
-
-Units are written in ASCII, as in result files (`N.m/rad`, `m/s^2`), and `typeset` where a reader sees them.
-"""
+"""Names and units of axes, motions and loads, and their typography."""
 
 from __future__ import annotations
 
@@ -23,12 +20,12 @@ def component_units(order: int) -> tuple[str, ...]:
 
 
 def load_unit(component: str) -> str:
-    """Return the unit of a load component as it stands in files: `N.m` of moments, `N` of all else."""
+    """Return the unit of a load component in files: `N.m` for moments, else `N`."""
     return "N.m" if component.startswith("M") else "N"
 
 
 class MechanicalUnits(NamedTuple):
-    """Units of what moves along or about one component."""
+    """Units of stiffness, damping and inertia of one component."""
 
     stiffness: str
     damping: str
@@ -36,11 +33,11 @@ class MechanicalUnits(NamedTuple):
 
 
 def mechanical_units(component: str) -> MechanicalUnits:
-    """Return the units of spring, damper and mass along a force, or about the axis of a moment."""
+    """Return the units of spring, damper and mass for a force or moment."""
     turning = component.startswith("M")
     return MechanicalUnits(*(("N.m/rad", "N.m.s/rad", "kg.m^2") if turning else ("N/m", "N.s/m", "kg")))
 
 
 def typeset(unit: str) -> str:
-    """Return a unit as it is printed: `kg.m^2` becomes `kg·m²`."""
+    """Return a unit in typographic form: `kg.m^2` becomes `kg·m²`."""
     return re.sub(r"(?<=[a-z)])\.(?=[a-z(])", "·", unit, flags=re.IGNORECASE).replace("^2", "²")

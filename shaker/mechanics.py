@@ -1,4 +1,4 @@
-"""Masses on springs and dampers: mechanics linear in its parameters, its response and poles, and chains of masses."""
+"""Linear mechanics of masses, springs and dampers: responses, poles, and chains of masses."""
 
 from __future__ import annotations
 
@@ -13,26 +13,33 @@ BASE = "base"
 
 
 def laplace(frequency_hz: FloatArray, added_decay_per_s: float = 0.0) -> ComplexArray:
-    """Return s = a + jω (K,) in 1/s of frequencies (K,) in Hz, a the decay that an exponential window adds."""
+    """Return s = a + jω (K,) in 1/s for frequencies (K,) in Hz.
+
+    `added_decay_per_s` is a, the decay that an exponential window adds.
+    """
     return np.asarray(added_decay_per_s + 2j * np.pi * np.asarray(frequency_hz, dtype=np.float64))
 
 
 def oscillator_hz(stiffness: float, mass: float) -> float:
-    """Return f₀ = √(k/m)/2π in Hz; of a rotation N·m/rad over kg·m²."""
+    """Return f₀ = √(k/m)/2π in Hz; for a rotation from N·m/rad and kg·m²."""
     if stiffness <= 0.0 or mass <= 0.0:
         raise ValueError(f"stiffness, mass: expected both above 0, found {stiffness} and {mass}")
     return float(np.sqrt(stiffness / mass) / (2.0 * np.pi))
 
 
 def required_stiffness(frequency_hz: float, mass: float) -> float:
-    """Return k = (2πf₀)²m, N/m of kg or N·m/rad of kg·m² (Nitsche et al., J. Sens. Sens. Syst. 7, 2018, eq. 9)."""
+    """Return k = (2πf₀)²m in N/m for kg, or N·m/rad for kg·m².
+
+    Nitsche et al., J. Sens. Sens. Syst. 7, 2018, eq. 9.
+    """
     return float((2.0 * np.pi * frequency_hz) ** 2 * mass)
 
 
 def shared_spring(frequency_hz: FloatArray, mass: FloatArray) -> tuple[float, float]:
-    """Return stiffness k and internal mass m_i that give resonances (N,) in Hz with loads (N,) of known mass.
+    """Return stiffness k and internal mass m_i for resonances (N,) with stated loads (N,).
 
-    1/(2πf)² = (m + m_i)/k is a straight line over m: exact for two loads, of least squares for more.
+    Frequencies are in Hz. 1/(2πf)² = (m + m_i)/k is a straight line over m: exact for two loads, a least-squares fit
+    for more.
     """
     check_shape("mass", np.asarray(mass), np.asarray(frequency_hz).shape)
     if len(np.unique(mass)) < 2:
@@ -43,12 +50,19 @@ def shared_spring(frequency_hz: FloatArray, mass: FloatArray) -> tuple[float, fl
 
 @dataclass(frozen=True)
 class Mechanics:
-    """What moves on a base in one recording: (M s² + B s + K) p = -s² f.
+    """Moving masses on a base in one recording.
 
-    p (n,) is the motion relative to the base per unit of the base's motion; M, B, K and f are weighted sums with the
-    weights [1, θ (P), z (E)]: constant part, parameters, numbers of the load in their standard deviations.
-    `matrices` (1+P+E, 3, n, n): M, B and K, symmetric, of each term; `forcing` (1+P+E, n): f of each term.
-    Response c reads `offset` (C,) + `rows` (C, n) · p; the reference `reference_offset` + `reference` (n,) · p.
+    The equation of motion is (M s² + B s + K) p = -s² f. p (n,) is the motion relative to the base per unit of base
+    motion. M, B, K and f are sums with the weights [1, θ (P), z (E)]: a constant part, parameters, and quantities of
+    the load in units of their standard uncertainty. Response c reads `offset` + `rows` · p. The reference reads
+    `reference_offset` + `reference` · p.
+
+    Attributes
+    ----------
+    matrices : (1+P+E, 3, n, n), symmetric M, B and K of each term.
+    forcing : (1+P+E, n), f of each term.
+    rows, offset : (C, n) and (C,), of the responses.
+    reference, reference_offset : (n,) and a number, of the reference.
     """
 
     matrices: FloatArray
@@ -72,9 +86,13 @@ class Mechanics:
 
 @dataclass(frozen=True)
 class FrequencyTerms:
-    """What depends on frequency beside a `Mechanics`: `mass` (K, n, n) of M, `forcing` (K, n), `rows`, `offset`.
+    """Terms that depend on frequency and are added to a `Mechanics`.
 
-    `rows` (K, C, n) and `offset` (K, C) of the responses.
+    Attributes
+    ----------
+    mass : (K, n, n), added to M.
+    forcing : (K, n), added to f.
+    rows, offset : (K, C, n) and (K, C), added to those of the responses.
     """
 
     mass: ComplexArray
@@ -85,10 +103,14 @@ class FrequencyTerms:
 
 @dataclass(frozen=True)
 class MechanicalResponse:
-    """Ratios `value` (K, C) of responses to reference at s (K,), and on demand their derivatives.
+    """Ratios `value` (K, C) of responses to the reference at s (K,), with derivatives.
 
-    `motion` (K, n): p, `below` (K,): what the reference reads, both per unit of the base's motion. `inverse` (K, n, n)
-    of D = M s² + B s + K; `rows`, `mass`, `push`: rows of the responses, M and f with what is beside the mechanics.
+    Attributes
+    ----------
+    motion : (K, n), p per unit of base motion.
+    reference_reading : (K,), reading of the reference per unit of base motion.
+    inverse : (K, n, n), of D = M s² + B s + K.
+    rows, mass, forcing : rows of the responses, M and f including the frequency-dependent terms.
     """
 
     mechanics: Mechanics
@@ -104,7 +126,10 @@ class MechanicalResponse:
 
     @cached_property
     def adjoint(self) -> ComplexArray:
-        """Change (K, C, n) of the ratios for one of a force on p: y = D⁻¹ (rows - H · reference) / what that reads."""
+        """Change (K, C, n) of the ratios per unit force on p.
+
+        It is y = D⁻¹ (rows - H · reference) / reference reading.
+        """
         readings = (self.rows - self.value[:, :, None] * self.mechanics.reference) / self.reference_reading[
             :, None, None
         ]
@@ -112,18 +137,19 @@ class MechanicalResponse:
 
     @property
     def by_term(self) -> ComplexArray:
-        """Derivatives (K, C, P+E) by the terms: dH = -y · (s² df + dD p).
+        """Derivatives (K, C, P+E) with respect to the terms.
 
-        D is symmetric; dD and df are linear in the terms, so that all derivatives are one product of s² yp, s yp, yp
-        and s² y with the entries of the terms' matrices; where all of them are 0 nothing is multiplied.
+        dH = -y · (s² df + dD p). D is symmetric, and dD and df are linear in the terms. All derivatives are therefore
+        one product of s² yp, s yp, yp and s² y with the entries of the terms' matrices. Entries that are zero in all
+        terms are skipped.
         """
         matrices, forcing = self.mechanics.matrices[1:], self.mechanics.forcing[1:]
         parts, terms = [], []
-        for power, own in zip((2, 1, 0), matrices.swapaxes(0, 1), strict=True):
-            row, column = np.nonzero(np.any(own, axis=0))
+        for power, term_matrices in zip((2, 1, 0), matrices.swapaxes(0, 1), strict=True):
+            row, column = np.nonzero(np.any(term_matrices, axis=0))
             pushed = self.s[:, None] ** power * self.motion[:, column]
             parts.append(self.adjoint[:, :, row] * pushed[:, None])
-            terms.append(own[:, row, column])
+            terms.append(term_matrices[:, row, column])
         (ahead,) = np.nonzero(np.any(forcing, axis=0))
         parts.append(self.adjoint[:, :, ahead] * (self.s * self.s)[:, None, None])
         terms.append(forcing[:, ahead])
@@ -133,7 +159,7 @@ class MechanicalResponse:
 
     @property
     def by_log_s(self) -> ComplexArray:
-        """Derivatives (K, C) by the logarithm of s; what is beside the mechanics is taken as constant."""
+        """Derivatives (K, C) with respect to ln s; the frequency-dependent terms are treated as constant."""
         s1 = self.s[:, None]
         faster = 2.0 * s1 * s1 * (self.forcing + (self.mass @ self.motion[:, :, None])[:, :, 0])
         return np.asarray(-np.sum(self.adjoint * (faster + s1 * (self.motion @ self.damping))[:, None], axis=2))
@@ -161,10 +187,11 @@ def respond(
 
 
 def poles(mechanics: Mechanics, weights: FloatArray) -> tuple[ComplexArray, ComplexArray]:
-    """Return the poles λ (n,) with Im λ ≥ 0, ascending |λ|, and their derivatives (n, P+E) by the terms.
+    """Return the poles λ (n,) in ascending |λ|, and their derivatives (n, P+E).
 
-    Of (M λ² + B λ + K) u = 0 with symmetric matrices: dλ = -uᵀ(dM λ² + dB λ + dK)u / uᵀ(2λM + B)u
-    (Lancaster, Lambda-Matrices and Vibrating Systems, 1966). Of two real poles of one mode the slower one is returned.
+    Only poles with Im λ ≥ 0 are returned. They solve (M λ² + B λ + K) u = 0 with symmetric matrices: dλ = -uᵀ(dM λ² +
+    dB λ + dK)u / uᵀ(2λM + B)u (Lancaster, Lambda-Matrices and Vibrating Systems, 1966). Of two real poles of one mode
+    the slower one is returned.
     """
     (mass, damping, stiffness), _ = mechanics.at(weights)
     size = len(mass)
@@ -186,11 +213,20 @@ def poles(mechanics: Mechanics, weights: FloatArray) -> tuple[ComplexArray, Comp
 
 @dataclass(frozen=True)
 class MassChain:
-    """Stages (N,) above a base that is moved, each on spring and damper that join it to the one below.
+    """Masses in a row on a moving base, connected by springs and dampers.
 
-    `mass` kg, `stiffness` N/m, `damping` N·s/m (N,) along an axis, or kg·m², N·m/rad, N·m·s/rad about it.
-    mᵢ ẍᵢ = kᵢ(xᵢ₋₁ - xᵢ) + bᵢ(ẋᵢ₋₁ - ẋᵢ) - kᵢ₊₁(xᵢ - xᵢ₊₁) - bᵢ₊₁(ẋᵢ - ẋᵢ₊₁), x₀ the base.
+    The equation of motion of stage i is mᵢ ẍᵢ = kᵢ(xᵢ₋₁ - xᵢ) + bᵢ(ẋᵢ₋₁ - ẋᵢ) - kᵢ₊₁(xᵢ - xᵢ₊₁) - bᵢ₊₁(ẋᵢ - ẋᵢ₊₁), with
+    the base motion x₀.
 
+    Attributes
+    ----------
+    stages : N names, from the base upwards.
+    mass : (N,) in kg along an axis, or kg·m² about it.
+    stiffness : (N,) in N/m, or N·m/rad.
+    damping : (N,) in N·s/m, or N·m·s/rad.
+
+    Examples
+    --------
     >>> import numpy as np
     >>> from shaker import MassChain
     >>> load = MassChain(("load",), np.array([7.7]), np.array([4e6]), np.array([50.0]))
@@ -212,32 +248,42 @@ class MassChain:
                 raise ValueError(f"{name}: expected none negative, found {getattr(self, name).tolist()}")
 
     def transfer(self, frequency_hz: FloatArray, of: str, over: str = BASE) -> MechanicalResponse:
-        """Return the motion of one stage over that of another or of the base, while the base is moved.
+        """Return the motion of a stage over that of another stage or the base.
 
-        `value` (K, 1), `by_term` (K, 1, 3N): derivatives by mass, stiffness, damping of every stage, `by_log_s` (K, 1).
+        The base moves. The result has `value` (K, 1), its derivatives `by_term` (K, 1, 3N) with respect to mass,
+        stiffness and damping of every stage, and `by_log_s` (K, 1).
         """
         for stage in (of, over):
             if stage not in (BASE, *self.stages):
                 raise ValueError(f"stage: expected one of {', '.join((BASE, *self.stages))}, found {stage}")
         row, reference = (np.array([float(stage == name) for name in self.stages]) for stage in (of, over))
-        mechanics = replace(resting_chain(len(self.stages)), rows=row[None], reference=reference)
+        mechanics = replace(fixed_base_chain(len(self.stages)), rows=row[None], reference=reference)
         return respond(mechanics, self._weights, laplace(frequency_hz))
 
     @property
     def matrices(self) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """M, B, K (N, N) of M ẍ + B ẋ + K x = 0, the base at rest."""
-        mass, damping, stiffness = resting_chain(len(self.stages)).at(self._weights)[0]
+        """Matrices M, B, K (N, N) of the chain on a fixed base.
+
+        They belong to M ẍ + B ẋ + K x = 0.
+        """
+        mass, damping, stiffness = fixed_base_chain(len(self.stages)).at(self._weights)[0]
         return mass, damping, stiffness
 
     def receptance(self, frequency_hz: FloatArray) -> ComplexArray:
-        """Return displacements (K, N, N) of stage i for a force of 1 N on stage j, the base at rest, in m/N."""
+        """Return displacements (K, N, N) of stage i per force on stage j.
+
+        They are in m/N, with a fixed base.
+        """
         mass, damping, stiffness = self.matrices
         s = laplace(frequency_hz)[:, None, None]
         return np.asarray(np.linalg.inv(s * s * mass + s * damping + stiffness))
 
     def modes(self) -> tuple[FloatArray, FloatArray]:
-        """Return f₀ = |λ|/2π in Hz and ζ = -Re λ/|λ| (N,) of the poles λ of the chain on a base at rest, ascending."""
-        roots = poles(resting_chain(len(self.stages)), self._weights)[0]
+        """Return natural frequencies in Hz and damping ratios (N,) on a fixed base, ascending.
+
+        f₀ = |λ|/2π and ζ = -Re λ/|λ| of the poles λ.
+        """
+        roots = poles(fixed_base_chain(len(self.stages)), self._weights)[0]
         size = np.abs(roots)
         return size / (2.0 * np.pi), -roots.real / size
 
@@ -248,30 +294,34 @@ class MassChain:
 
 
 def check_stages(stages: tuple[str, ...]) -> None:
-    """Raise unless stages have different names, none of them that of the base."""
+    """Raise `ValueError` unless stages have different names, none of them that of the base."""
     if not stages or len({BASE, *stages}) <= len(stages):
         raise ValueError(f"stages: expected different names other than {BASE}, found {', '.join(stages) or 'none'}")
 
 
 def chain_terms(count: int) -> tuple[FloatArray, FloatArray]:
-    """Return M, B, K (1+3N, 3, N, N) and f (1+3N, N) of nothing, then per unit of every mass, stiffness, damping."""
+    """Return the terms M, B, K and f of a chain of `count` masses.
+
+    M, B, K are (1+3N, 3, N, N), f is (1+3N, N). The first term is zero; the others are per unit of every mass,
+    stiffness and damping.
+    """
     unit = np.eye(count)
     stretch = unit - np.eye(count, k=-1)
     matrices = np.zeros((1 + 3 * count, 3, count, count))
     forcing = np.zeros((1 + 3 * count, count))
-    for place in range(count):
-        matrices[1 + place, 0] = np.outer(unit[place], unit[place])
-        matrices[1 + count + place, 2] = np.outer(stretch[place], stretch[place])
-        matrices[1 + 2 * count + place, 1] = matrices[1 + count + place, 2]
-        forcing[1 + place] = unit[place]
+    for stage in range(count):
+        matrices[1 + stage, 0] = np.outer(unit[stage], unit[stage])
+        matrices[1 + count + stage, 2] = np.outer(stretch[stage], stretch[stage])
+        matrices[1 + 2 * count + stage, 1] = matrices[1 + count + stage, 2]
+        forcing[1 + stage] = unit[stage]
     return matrices, forcing
 
 
 @cache
-def resting_chain(count: int) -> Mechanics:
-    """Return masses in a row on a base at rest, its terms those of `chain_terms`, made once for fits that ask often.
+def fixed_base_chain(count: int) -> Mechanics:
+    """Return a chain of masses on a fixed base with the terms of `chain_terms`.
 
-    Its `poles` for weights [1, masses, stiffnesses, dampings] come with their derivatives by every one of these, its
-    `at` gives the matrices M, B and K; no response is read.
+    Its `poles` for weights [1, masses, stiffnesses, dampings] include derivatives with respect to each of them. Its
+    `at` returns the matrices M, B and K. It has no response. The result is cached because fits request it often.
     """
     return Mechanics(*chain_terms(count), np.zeros((1, count)), np.ones(1), np.zeros(count), 1.0)

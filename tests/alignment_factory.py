@@ -11,10 +11,9 @@ from photogram.alignment.alignment_evidence import (
     KnownAxis,
     KnownDirection,
     calibration_steps,
-    fit_axis,
-    linear_motion,
     perpendicular_directions,
 )
+from photogram.alignment.motion_axes import fit_axis, linear_motion
 from photogram.alignment.pose_estimation import Alignment
 from photogram.arrays import ComplexArray, FloatArray
 from photogram.camera import ROTATION, Camera, StereoRig, triangulate

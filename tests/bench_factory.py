@@ -29,11 +29,11 @@ class Bench:
     keys: Mapping[str, Any] = field(default_factory=dict)
 
     def block(self, name: str) -> str:
-        """The channel in the manifest; at the origin along z where it says nothing else."""
+        """Return the channel in the manifest; by default at the origin along z."""
         if self.quantity == "output":
             return channel(name, "output", **{"channel": name, **self.keys})
-        place = {"body": "load", **AT_ORIGIN} if self.quantity not in ("force", "voltage") else {}
-        return channel(name, self.quantity, **{**place, **self.keys})
+        position = {"body": "load", **AT_ORIGIN} if self.quantity not in ("force", "voltage") else {}
+        return channel(name, self.quantity, **{**position, **self.keys})
 
 
 FORCE_OUTPUT = Bench(SENSITIVITY * MASS_KG * ACCELERATION, "V/V", "output")
@@ -61,11 +61,11 @@ def write_bench(
     time_s = np.arange(SAMPLES) / RATE_HZ
     with h5py.File(run / "daq.h5", "w") as file:
         file.attrs["sample_rate"] = RATE_HZ
-        for name, own in channels.items():
-            samples = (own.phasor * np.exp(2j * np.pi * hertz * time_s)).real
-            file[name] = samples + noise * abs(own.phasor) * rng.normal(size=SAMPLES)
-            if own.unit is not None:
-                file[name].attrs["unit"] = own.unit
-            text += own.block(name)
+        for name, bench in channels.items():
+            samples = (bench.phasor * np.exp(2j * np.pi * hertz * time_s)).real
+            file[name] = samples + noise * abs(bench.phasor) * rng.normal(size=SAMPLES)
+            if bench.unit is not None:
+                file[name].attrs["unit"] = bench.unit
+            text += bench.block(name)
     (run / "recording.toml").write_text(text, encoding="utf-8")
     return run

@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from photogram.arrays import FloatArray
+from photogram.calibration.calibration_notices import LOW_COVERAGE, TARGET_DEVIATION
 from photogram.calibration.calibration_result import (
     CalibratedImage,
     CalibratedView,
@@ -118,8 +119,8 @@ def _calibration(rig: StereoRig, views: tuple[CalibratedView, ...], shape: Float
             *left_out,
         ),
         notices=(
-            Notice("note", "the target is bent by 60 µm; its shape was estimated", "target"),
-            Notice("warning", "the lower left corner of the right picture is empty; add views there", "coverage"),
+            Notice(TARGET_DEVIATION, "target", x_um=1.2, y_um=0.9, z_um=60.0, digits=1),
+            Notice(LOW_COVERAGE, "right", share_percent=58.0, side="right"),
         ),
     )
 
@@ -138,6 +139,6 @@ def _parameters(rig: StereoRig) -> tuple[CalibrationParameter, ...]:
     for name, size, u, unit in zip(RIG_PARAMETERS[:24], value, np.sqrt(variance), UNITS, strict=True):
         state: ParameterState = "indistinct" if unit == "1" and abs(size) < 2 * u else "determined"
         parameters.append(
-            CalibrationParameter(name, float(size), float(u), unit, "open" if unit == "1" and u > 1 else state)
+            CalibrationParameter(name, float(size), float(u), unit, "undetermined" if unit == "1" and u > 1 else state)
         )
     return tuple(parameters)

@@ -48,7 +48,7 @@ def texts(root: etree._Element, path: str) -> list[str]:
 
 
 def broken_rules(document: Path, rules: Path) -> Iterator[tuple[str, str]]:
-    """Yield role and words of every assertion of the rules that fails in a document, and of every report that fires.
+    """Yield role and text of every assertion that fails in a document, and of every report that fires.
 
     The rules are of XPath 2, which elementpath evaluates: no XSLT processor is needed.
 
@@ -63,9 +63,9 @@ def broken_rules(document: Path, rules: Path) -> Iterator[tuple[str, str]]:
 
     whole = elementpath.build_lxml_node_tree(tree)
 
-    def value(path: str, item: Any, known: dict[str, Any]) -> Any:
-        parser = elementpath.XPath2Parser(names, variable_types=dict.fromkeys(known, "item()*"))
-        context = elementpath.XPathContext(whole, item=item, variables=known)
+    def value(path: str, item: Any, variables: dict[str, Any]) -> Any:
+        parser = elementpath.XPath2Parser(names, variable_types=dict.fromkeys(variables, "item()*"))
+        context = elementpath.XPathContext(whole, item=item, variables=variables)
         return list(parser.parse(path).select(context))
 
     for pattern in schema.iterfind(".//sch:pattern", SCH):
@@ -80,13 +80,13 @@ def broken_rules(document: Path, rules: Path) -> Iterator[tuple[str, str]]:
                 if id(node) in seen:
                     continue
                 seen.add(id(node))
-                known = dict(of_pattern)
+                of_rule = dict(of_pattern)
                 for child in rule:
                     if child.tag == f"{{{SCH['sch']}}}let":
-                        known[child.get("name")] = value(child.get("value"), node, known)
+                        of_rule[child.get("name")] = value(child.get("value"), node, of_rule)
                     elif child.tag in (f"{{{SCH['sch']}}}assert", f"{{{SCH['sch']}}}report"):
-                        (holds,) = value(f"boolean({child.get('test')})", node, known)
-                        if holds == child.tag.endswith("report"):
+                        (fulfilled,) = value(f"boolean({child.get('test')})", node, of_rule)
+                        if fulfilled == child.tag.endswith("report"):
                             yield child.get("role", "error"), " ".join("".join(child.itertext()).split())
 
 

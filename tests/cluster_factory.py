@@ -41,8 +41,8 @@ class Cluster:
             client.wait_for_workers(len(self.workers), PATIENCE_S)
 
     def _scheduler(self, port: str) -> subprocess.Popen[bytes]:
-        place = ("--scheduler-file", str(self.folder / "scheduler.json"), "--host", "127.0.0.1", "--port", port)
-        return _start("scheduler", *place, "--no-dashboard", folder=self.folder)
+        options = ("--scheduler-file", str(self.folder / "scheduler.json"), "--host", "127.0.0.1", "--port", port)
+        return _start("scheduler", *options, "--no-dashboard", folder=self.folder)
 
     def restart_scheduler(self, downtime_s: float) -> None:
         """Kill the scheduler, with which workers and nannies end, and start all again after a while, at its address."""
@@ -89,7 +89,7 @@ def wait_until(condition: Callable[[], bool]) -> None:
 
 
 class InlineExecutor:
-    """A crew that is this process, and tells what it was asked.
+    """An executor in this process that records its functions.
 
     `waits`: until it has as many tasks as its size, and then answers the last first.
     """
@@ -114,5 +114,7 @@ class InlineExecutor:
         if len(self.waiting) == self.batch:
             while self.waiting:
                 late, work, given = self.waiting.pop()
-                late.set_result(call(work, *(held.result() if isinstance(held, Future) else held for held in given)))
+                late.set_result(
+                    call(work, *(argument.result() if isinstance(argument, Future) else argument for argument in given))
+                )
         return future

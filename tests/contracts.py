@@ -42,12 +42,12 @@ def coverage_contract(
             inside.append([off @ np.linalg.solve(size, off) <= chi2.ppf(LEVEL, len(off))])
         else:
             inside.append(np.abs(off) <= np.atleast_1d(size))
-    held = np.sum(inside, axis=0)
-    fewest, most = acceptance(trials, len(held))
-    told = f"{held.tolist()} of {trials} trials, expected {fewest} to {most}"
-    assert np.all(held >= fewest), f"regions too small: they hold the truth in {told}"
-    assert cautious or np.all(held <= most), f"regions too large: they hold the truth in {told}"
-    return np.asarray(held / trials)
+    covered = np.sum(inside, axis=0)
+    fewest, most = acceptance(trials, len(covered))
+    counts = f"{covered.tolist()} of {trials} trials, expected {fewest} to {most}"
+    assert np.all(covered >= fewest), f"regions too small: they contain the truth in {counts}"
+    assert cautious or np.all(covered <= most), f"regions too large: they contain the truth in {counts}"
+    return np.asarray(covered / trials)
 
 
 def _real(values: ArrayLike) -> np.ndarray:
@@ -56,7 +56,8 @@ def _real(values: ArrayLike) -> np.ndarray:
     return np.concatenate([flat.real, flat.imag]) if np.iscomplexobj(flat) else flat.astype(np.float64)
 
 
-def refused(words: str, call: Callable[..., object], /, *arguments: Any, error: Any = ValueError, **named: Any) -> None:
-    """Assert that a call with these arguments ends with an error that says these words, a regular expression."""
-    with pytest.raises(error, match=words):
+def refused(words: str, call: Callable[..., object], /, *arguments: Any, error: Any = ValueError, **named: Any) -> Any:
+    """Return the error of a call with these arguments; its text matches `words`, a regular expression."""
+    with pytest.raises(error, match=words) as caught:
         call(*arguments, **named)
+    return caught.value

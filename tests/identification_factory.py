@@ -80,8 +80,8 @@ def recording(
     lines, channels = value.shape
     size = np.broadcast_to(noise, value.shape)
     covariance = np.zeros((lines, 2 * channels, 2 * channels))
-    place = np.arange(2 * channels)
-    covariance[:, place, place] = np.concatenate([size, size], axis=1) ** 2
+    index = np.arange(2 * channels)
+    covariance[:, index, index] = np.concatenate([size, size], axis=1) ** 2
     if rng is not None:
         draws = rng.standard_normal((2, lines, channels))
         value = value + size * (draws[0] + 1j * draws[1])

@@ -24,48 +24,48 @@ Below = Callable[..., NDArray[np.complex128]]
 _RATE_HZ, _LENGTH_S, _DRIVE_MPS2, _NOISE = 12800.0, 0.5, 20.0, 2e-3
 
 
-def write_campaign(folder: Path, stand: SimulatedSuspension = SMALL, seed: int = 1) -> Path:
-    """Write rigs and a chirp of each load into a new folder and return it; what is uncertain is drawn."""
+def write_campaign(folder: Path, suspension: SimulatedSuspension = SMALL, seed: int = 1) -> Path:
+    """Write rigs and a chirp of each load into a new folder and return it; uncertain quantities are drawn."""
     folder.mkdir(parents=True)
-    write_chirps(folder, stand, Draws(seed, True))
+    write_chirps(folder, suspension, Draws(seed, True))
     return folder
 
 
 def write_sines(
-    folder: Path, seed: int = 1, stand: SimulatedSuspension = SMALL, below: Below = SMALL.transfer
+    folder: Path, seed: int = 1, suspension: SimulatedSuspension = SMALL, below: Below = SMALL.transfer
 ) -> list[Path]:
     """Add a recording of each sine to a campaign and return their folders.
 
-    `below`: motion of what the sensor's spring moves over that of the base, of a rigid load that of the load.
+    `below`: motion of the mass on the sensor's spring over that of the base; for a rigid load, motion of the load.
     """
-    return [_write_sine(folder, frequency, seed, stand, below) for frequency in SINES_HZ]
+    return [_write_sine(folder, frequency, seed, suspension, below) for frequency in SINES_HZ]
 
 
-def _write_sine(folder: Path, frequency: float, seed: int, stand: SimulatedSuspension, below: Below) -> Path:
+def _write_sine(folder: Path, frequency: float, seed: int, suspension: SimulatedSuspension, below: Below) -> Path:
     """One sine: acceleration of base and load, output Fz."""
     draws, rng = Draws(seed, True), np.random.default_rng([seed, round(frequency)])
     load, internal = true_part(SMALL.loads[SINE_LOAD], draws), true_part(SMALL.internal, draws)
-    place = folder / f"sine-{frequency:04.0f}"
-    place.mkdir()
+    recording = folder / f"sine-{frequency:04.0f}"
+    recording.mkdir()
     s = 2j * np.pi * frequency
     known = load, internal, TOP, np.array([frequency])
-    top, spring = _DRIVE_MPS2 * complex(stand.transfer(*known)[0]), _DRIVE_MPS2 * complex(below(*known)[0])
+    top, spring = _DRIVE_MPS2 * complex(suspension.transfer(*known)[0]), _DRIVE_MPS2 * complex(below(*known)[0])
     force = (STIFFNESS + s * DAMPING) * (_DRIVE_MPS2 - spring) / s**2
     output = SENSITIVITY * force / (1.0 + s * DAMPING / STIFFNESS) / (1.0 + s * LAG_S)
     time_s = np.arange(round(_LENGTH_S * _RATE_HZ)) / _RATE_HZ
     turning = np.exp(s * time_s)
-    seen = {"base_motion": (_DRIVE_MPS2, _NOISE), "top_motion": (top, _NOISE), "bridge": (output, 1e-10)}
-    signals = {name: (x * turning).real + u * rng.standard_normal(len(time_s)) for name, (x, u) in seen.items()}
-    write_daq(place / "daq.h5", _RATE_HZ, signals)
-    moves = {"quantity": "acceleration", "direction": [0.0, 0.0, 1.0], "scale_uncertainty": 2e-4}
+    measured = {"base_motion": (_DRIVE_MPS2, _NOISE), "top_motion": (top, _NOISE), "bridge": (output, 1e-10)}
+    signals = {name: (x * turning).real + u * rng.standard_normal(len(time_s)) for name, (x, u) in measured.items()}
+    write_daq(recording / "daq.h5", _RATE_HZ, signals)
+    motion = {"quantity": "acceleration", "direction": [0.0, 0.0, 1.0], "scale_uncertainty": 2e-4}
     channels = [
-        {"name": "base_motion", **moves, "body": "base", "point": [0.0, 0.0, -0.05]},
-        {"name": "top_motion", **moves, "body": "load", "point": [0.0, 0.0, 0.1]},
+        {"name": "base_motion", **motion, "body": "base", "point": [0.0, 0.0, -0.05]},
+        {"name": "top_motion", **motion, "body": "load", "point": [0.0, 0.0, 0.1]},
         {"name": "bridge", "quantity": "output", "channel": "Fz", "scale_uncertainty": 1e-4},
     ]
-    driven = {"kind": "sine", "direction": [0.0, 0.0, 1.0], "frequencies": [frequency], "harmonics": []}
+    excitation = {"kind": "sine", "direction": [0.0, 0.0, 1.0], "frequencies": [frequency], "harmonics": []}
     daq = {"name": "daq", "file": "daq.h5", "clock_uncertainty": 1e-6, "channel": channels}
     names = {"name": f"sine {frequency:g} Hz", "rig": f"../{rig_file(SINE_LOAD)}"}
-    tables = {"format": 1, **names, "excitation": driven, "daq": [daq]}
-    (place / "recording.toml").write_text(to_toml(tables), encoding="utf-8")
-    return place
+    tables = {"format": 1, **names, "excitation": excitation, "daq": [daq]}
+    (recording / "recording.toml").write_text(to_toml(tables), encoding="utf-8")
+    return recording

@@ -22,17 +22,17 @@ def text(value: str, order: str = "<") -> bytes:
     return struct.pack(f"{order}L", len(raw)) + raw
 
 
-def value(own: Property, order: str = "<") -> bytes:
+def value(item: Property, order: str = "<") -> bytes:
     """A property's type and value; a `Fraction` is a time stamp in seconds since 1904."""
-    if isinstance(own, bool):
-        return struct.pack(f"{order}LB", 0x21, own)
-    if isinstance(own, Fraction):
-        parts = [("q", own.__floor__()), ("Q", int((own - own.__floor__()) * 2**64))]
+    if isinstance(item, bool):
+        return struct.pack(f"{order}LB", 0x21, item)
+    if isinstance(item, Fraction):
+        parts = [("q", item.__floor__()), ("Q", int((item - item.__floor__()) * 2**64))]
         parts = parts if order == ">" else parts[::-1]
         return struct.pack(f"{order}L{''.join(code for code, _ in parts)}", 0x44, *(number for _, number in parts))
-    if isinstance(own, str):
-        return struct.pack(f"{order}L", 0x20) + text(own, order)
-    return struct.pack(f"{order}Ld", 10, own) if isinstance(own, float) else struct.pack(f"{order}Li", 3, own)
+    if isinstance(item, str):
+        return struct.pack(f"{order}L", 0x20) + text(item, order)
+    return struct.pack(f"{order}Ld", 10, item) if isinstance(item, float) else struct.pack(f"{order}Li", 3, item)
 
 
 def plain(kind: str, count: int, order: str = "<") -> bytes:
@@ -50,17 +50,17 @@ def card(
 ) -> bytes:
     """The raw data index of a channel of cards: (type, buffer, place, number) of every raw scale, widths of buffers."""
     index = struct.pack("<LLLQL", 0x126A if digital else 0x1269, 0xFFFFFFFF, 1, count, len(scales))
-    for kind, buffer, place, number in scales:
+    for kind, buffer, first_byte, number in scales:
         codes = "LLLBL" if digital else "LLLLL"
-        index += struct.pack("<" + codes, CARD_KINDS[kind], buffer, place, 0, number)
+        index += struct.pack("<" + codes, CARD_KINDS[kind], buffer, first_byte, 0, number)
     return index + struct.pack(f"<L{len(widths)}L", len(widths), *widths)
 
 
 def entry(path: str, index: bytes, properties: Mapping[str, Property] | None = None, order: str = "<") -> bytes:
     """One object of a segment's metadata."""
-    own = properties or {}
-    listed = b"".join(text(name, order) + value(item, order) for name, item in own.items())
-    return text(path, order) + index + struct.pack(f"{order}L", len(own)) + listed
+    entries = properties or {}
+    listed = b"".join(text(name, order) + value(item, order) for name, item in entries.items())
+    return text(path, order) + index + struct.pack(f"{order}L", len(entries)) + listed
 
 
 def segment(entries: Sequence[bytes], raw: bytes, flags: int = METADATA | NEW_LIST | RAW) -> bytes:

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 from unittest.mock import patch
 
-from fusion.errors import InputError
+from fusion.errors import REFUSED_BY_READER, InputError
 
 if TYPE_CHECKING:
     from fusion.campaign.run import Job, Outcome
@@ -55,8 +55,8 @@ def refuse(kind: str) -> None:
     """Log, and fail in one of several ways."""
     logging.getLogger("shakercal").warning("a remark about %s", kind)
     if kind == "input":
-        others = (InputError("a.h5", "Fx", "b", "c"), InputError("a.h5", "Fy", "b", "c"))
-        raise InputError("a.h5", "Fz", found="b", expected="c", others=others)
+        others = (InputError(REFUSED_BY_READER, "a.h5", key, reason="b") for key in ("Fx", "Fy"))
+        raise InputError(REFUSED_BY_READER, "a.h5", "Fz", reason="b", others=others)
     if kind == "unpicklable":
         raise ValueError(lambda: kind)
     raise OSError(28, "disk full")

@@ -1,1 +1,1 @@
-"""Stereo pairs calibrated and placed."""
+"""Calibration of camera pairs, import and export, and their pose in the sensor frame."""

@@ -1,14 +1,13 @@
-"""Where the cameras stand in the sensor frame, from stills and recordings, as a block of rig.toml.
+"""Pose of the cameras in the sensor frame, as a block of rig.toml.
 
-The recordings, of a body that moves along a known direction or turns about a known axis, are evaluated here, not read
-from the results of a run: those contain the uncertainty of the pose that is sought, and no longer the calibration's
-share by its principal components, which all evidence has in common.
+The recordings are of a body that moves along a known direction or turns about a known axis. They are evaluated by this
+module rather than read from results of a run. Those results include the uncertainty of the pose to be determined, and
+not the calibration's share by its principal components, which all evidence has in common.
 """
 
 from __future__ import annotations
 
 import json
-import logging
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -27,8 +26,16 @@ from fusion.cameras.align_manifest import (
     read_pair,
     static_evidence,
 )
-from fusion.cameras.calibrate import IMAGE_FILE_SUFFIXES
-from fusion.errors import ComputeError, InputError
+from fusion.cameras.calibrate import IMAGE_FILE_SUFFIXES, log_each_notice
+from fusion.cameras.camera_notices import (
+    ELLIPTICAL_MOTION,
+    FUNDAMENTAL_UNRESOLVED,
+    NO_AXIS,
+    NO_POSE,
+    UNSTEADY_AXIS,
+    UNSUITABLE_RECORDING,
+)
+from fusion.errors import ARGUMENT, ComputeError, InputError
 from fusion.instruments.stereo import CALIBRATION
 from fusion.phasors.channel_phasors import find_channel_lines
 from fusion.phasors.shutter_refinement import refine_rolling_shutter
@@ -51,10 +58,9 @@ from photogram.alignment.alignment_evidence import (
     KnownDirection,
     PoseEvidence,
     calibration_steps,
-    fit_axis,
-    linear_motion,
     parameter_derivatives,
 )
+from photogram.alignment.motion_axes import fit_axis, linear_motion
 from photogram.alignment.pose_estimation import Alignment, align
 from photogram.camera import StereoRig, triangulate
 from photogram.geometry import RigidTransform
@@ -63,12 +69,10 @@ from photogram.motion import RigidMotion, fit_motion
 from shaker.arrays import FloatArray
 from shakercal._common.notices import Notice
 
-log = logging.getLogger("shakercal")
-
-EFFECT_FRAMES = 12  # frames and subsets that show what the calibration does to an axis
+EFFECT_FRAMES = 12  # frames and subsets for the effect of the calibration on an axis, which is smooth
 EFFECT_SUBSETS = 200
-FEWEST_SUBSETS = 6
-UNSTEADY = 4.0  # reduced chi-square of the frames against a fixed axis from which the user is told
+FEWEST_SUBSETS = 6  # least number of subsets for the pose of a body with redundancy
+UNSTEADY = 4.0  # reduced chi-square of the frames against a fixed axis for a warning
 EVIDENCE = (
     ("point", "point", "points"),
     ("face", "face", "faces"),
@@ -88,9 +92,9 @@ def align_file(
     allow_outside: bool = False,
     progress: ProgressCallback = no_progress,
 ) -> str:
-    """Return the block of rig.toml that alignment.toml leads to, and write it to `output` where one is given.
+    """Return the block of rig.toml for alignment.toml, and write it to `output` if given.
 
-    The pose of the left camera comes from all evidence that alignment.toml names. Remarks go to the log.
+    The pose of the left camera is from all evidence that alignment.toml names. Notices are logged.
     """
     if output is not None:
         check_new_file(output, force=force)
@@ -108,19 +112,25 @@ def align_file(
     notices += orientation_notices(file)
     if file.pose is not None:
         evidence.append(prior_pose_evidence(file.pose))
-    shown = file.pose is not None or file.target_view or file.common_view  # by which the search knows where to start
+    shown = file.pose is not None or file.target_view or file.common_view  # these give the search a start
     try:
         alignment = align(evidence, None if shown else stated)
     except ValueError as error:
-        raise ComputeError(f"{path}: {error}".replace("start: ", "").replace("evidence: ", "")) from error
-    turned = tag_notices(read_orientations(p for p in stated_files if p.suffix.lower() in IMAGE_FILE_SUFFIXES))
-    for notice in (*turned, *notices, *alignment.notices):
-        log.log(logging.WARNING if notice.severity == "warning" else logging.INFO, "%s", notice.text)
+        raise ComputeError(NO_POSE, str(path), reason=_without_argument(error)) from error
+    orientation_tags = tag_notices(
+        read_orientations(p for p in stated_files if p.suffix.lower() in IMAGE_FILE_SUFFIXES)
+    )
+    log_each_notice((*orientation_tags, *notices, *alignment.notices))
     text = pose_text(file, alignment, pair)
     inputs.check()
     if output is not None:
         write_atomically(output, text)
     return text
+
+
+def _without_argument(error: ValueError) -> str:
+    """Return a sentence without the name of a function's argument."""
+    return ARGUMENT.sub("", str(error), count=1)
 
 
 def _paths(value: object) -> Iterator[Path]:
@@ -142,7 +152,7 @@ class _Recorded:
 
     @property
     def sensor_from_camera(self) -> RigidTransform:
-        """The pose that the recording's rig.toml states."""
+        """Pose in the recording's rig.toml."""
         return sensor_from_camera(self.measured.sight.pair)
 
 
@@ -154,7 +164,10 @@ def _moving_evidence(
     progress: ProgressCallback,
     allow_outside: bool,
 ) -> tuple[list[PoseEvidence], RigidTransform | None, list[Notice]]:
-    """Evaluate all recordings that alignment.toml names; return also the pose that the first states, and remarks."""
+    """Evaluate all recordings of alignment.toml.
+
+    Also returned are the pose in the first one's rig.toml, and notices.
+    """
     evidence: list[PoseEvidence] = []
     notices: list[Notice] = []
     stated = None
@@ -167,12 +180,12 @@ def _moving_evidence(
         recorded = [_record(path, key, file, manifest, settings, progress) for manifest in manifests]
         stated = recorded[0].sensor_from_camera if stated is None else stated
         if isinstance(block, MotionBlock):
-            direction = _known_direction(path, block, manifests)
+            direction = _stated_direction(path, block, manifests)
             each = [_direction(block, direction, item, steps) for item in recorded]
         else:
             each = [_axis(block, item, pair) for item in recorded]
-        for known, remarks in each:
-            evidence.append(known)
+        for item_evidence, remarks in each:
+            evidence.append(item_evidence)
             notices += remarks
     return evidence, stated, notices
 
@@ -180,12 +193,12 @@ def _moving_evidence(
 def _record(
     path: Path, key: str, file: AlignmentFile, manifest: Manifest, settings: Settings, progress: ProgressCallback
 ) -> _Recorded:
-    """Measure the motion that the pair sees in one recording."""
+    """Measure the motion observed by the pair in one recording."""
     images = next((entry for entry in manifest.images if entry.stereo == file.stereo), None)
     points = next((entry for entry in manifest.points if entry.stereo == file.stereo), None)
     if images is None and points is None:
         expected = f'images or points of the stereo pair "{file.stereo}"'
-        raise InputError(path, key, f"none in {manifest.path}", expected)
+        raise InputError(UNSUITABLE_RECORDING, path, key, found=f"none in {manifest.path}", expected=expected)
     base = tie_daqs(manifest, read_daqs(manifest))
     if points is not None:
         return _Recorded(manifest, base, measure_points(manifest, base, points))
@@ -193,19 +206,20 @@ def _record(
     calibration = manifest.rig.stereo[file.stereo].calibration
     if file.calibration is None or calibration is None or sha256(calibration) != sha256(file.calibration):
         found = "none" if file.calibration is None else "another calibration"
-        raise InputError(path, "calibration", found, f"the one that {manifest.rig_path} names for {file.stereo}")
-    opened = replace(prepare_images(manifest, base, images), depth_m=None)  # by the pose that is sought
-    measured = measure_images(opened, settings, progress)
+        expected = f"the one of {file.stereo} in {manifest.rig_path}"
+        raise InputError(UNSUITABLE_RECORDING, path, "calibration", found=found, expected=expected)
+    prepared = replace(prepare_images(manifest, base, images), depth_m=None)  # depends on the pose to be determined
+    measured = measure_images(prepared, settings, progress)
     lines = find_channel_lines(manifest, base) or motion_lines(manifest, base, [measured])[0]
-    measured = refine_rolling_shutter(measured, (opened,), lines)
-    fixed = measured.sight.pair.model_copy(update={"pose_by_calibration": None})  # effects in the camera's own frame
+    measured = refine_rolling_shutter(measured, (prepared,), lines)
+    fixed = measured.sight.pair.model_copy(update={"pose_by_calibration": None})  # effects in the camera's frame
     return _Recorded(manifest, base, replace(measured, sight=replace(measured.sight, pair=fixed)))
 
 
-def _turned(
+def _to_camera_axes(
     to_camera: RigidTransform, value: FloatArray, covariance: FloatArray, changes: FloatArray
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return two vectors (1, 6), their covariance (1, 6, 6) and their changes (P, 1, 6) in the camera's axes."""
+    """Return two vectors (1, 6), their covariance (1, 6, 6) and changes in camera axes."""
     turn = np.kron(np.eye(2), to_camera.rotation)
     return (turn @ value)[None], (turn @ covariance @ turn.T)[None], (changes @ turn.T)[:, None]
 
@@ -213,46 +227,44 @@ def _turned(
 def _direction(
     block: MotionBlock, direction: FloatArray, item: _Recorded, steps: int
 ) -> tuple[PoseEvidence, list[Notice]]:
-    """Return the direction in which the body moved at its strongest line; its error is the block's."""
+    """Return the direction of the body's motion at its strongest line."""
     name, notices = f"motion {block.name}", list[Notice]()
     moved, covariance, changes, minor = _strongest(item)
     to_camera = item.sensor_from_camera.inverse()
     changes = np.pad(changes, ((0, steps - len(changes)), (0, 0)))
-    motion, covariance, effects = _turned(to_camera, moved, covariance, changes)
+    motion, covariance, effects = _to_camera_axes(to_camera, moved, covariance, changes)
     if minor > block.direction_uncertainty:
-        text = (
-            f"{item.manifest.name}: the body moves on an ellipse, {1e3 * minor:.2g} mrad wide, but direction_"
-            f"uncertainty is {1e3 * block.direction_uncertainty:.2g} mrad; is the direction known that well?"
-        )
-        notices.append(Notice("warning", text, name))
-    place, u = to_camera.translation_m[None], block.direction_uncertainty
-    return KnownDirection(name, motion, covariance, place, direction, effects, u), notices
+        widths = {"width_mrad": 1e3 * minor, "stated_mrad": 1e3 * block.direction_uncertainty}
+        notices.append(Notice(ELLIPTICAL_MOTION, name, recording=item.manifest.name, **widths))
+    origin, u = to_camera.translation_m[None], block.direction_uncertainty
+    return KnownDirection(name, motion, covariance, origin, direction, effects, u), notices
 
 
-def _known_direction(path: Path, block: MotionBlock, manifests: Sequence[Manifest]) -> FloatArray:
-    """Return the direction that the block states, else that of its recordings' excitation."""
+def _stated_direction(path: Path, block: MotionBlock, manifests: Sequence[Manifest]) -> FloatArray:
+    """Return the stated direction of the block, or that of its recordings' excitation."""
     if block.direction is not None:
         return np.array(block.direction)
     stated = [manifest.excitation.direction for manifest in manifests]
     for manifest, direction in zip(manifests, stated, strict=True):
         if direction is None or len(direction) != 3:
             expected = f"3 numbers, or the key direction in motion.{block.name} of {path}"
-            raise InputError(manifest.path, "excitation.direction", "no direction of a translation", expected)
+            key, found = "excitation.direction", "no direction of a translation"
+            raise InputError(UNSUITABLE_RECORDING, manifest.path, key, found=found, expected=expected)
         if direction != stated[0]:
-            expected = "recordings of one direction in a block, since its uncertainty is common to them"
-            raise InputError(path, f"motion.{block.name}.recordings", "several directions", expected)
+            key, expected = f"motion.{block.name}.recordings", "recordings of one direction in a block"
+            raise InputError(UNSUITABLE_RECORDING, path, key, found="several directions", expected=expected)
     return np.array(stated[0])
 
 
 def _strongest(item: _Recorded) -> tuple[FloatArray, FloatArray, FloatArray, float]:
-    """Return motion (6,), covariance, effects of the calibration and ellipse at the strongest fundamental."""
+    """Return motion (6,), covariance, calibration effects and ellipse at the strongest fundamental."""
     lines = find_channel_lines(item.manifest, item.base) or motion_lines(item.manifest, item.base, [item.measured])[0]
     seen = stereo_phasors(item.base, item.measured, lines).reading
     value = seen.phasors.value
     size = np.where(lines.multiple == 1, np.linalg.norm(value[:, :3], axis=1), np.nan)
     if not np.isfinite(size).any():
-        name = item.measured.sight.name
-        raise ComputeError(f"stereo pair {name}: its camera rate tells no fundamental of {item.manifest.path} apart")
+        name, recording = item.measured.sight.name, str(item.manifest.path)
+        raise ComputeError(FUNDAMENTAL_UNRESOLVED, f"stereo pair {name}", pair=name, recording=recording)
     line = int(np.nanargmax(size))
     covariance = seen.phasors.covariance[line].copy()
     for what, changes in seen.effects.items():
@@ -265,30 +277,29 @@ def _strongest(item: _Recorded) -> tuple[FloatArray, FloatArray, FloatArray, flo
 
 
 def _axis(block: AxisBlock, item: _Recorded, pair: CalibratedPair | None) -> tuple[PoseEvidence, list[Notice]]:
-    """Return the axis about which the body turned; its known place has the block's error."""
+    """Return the axis about which the body turned, with its known position."""
     name, notices = f"axis {block.name}", list[Notice]()
     to_camera = item.sensor_from_camera.inverse()
     try:
         axis = fit_axis(item.measured.motion)
         changes = _axis_effects(item, pair, axis.line)
     except ValueError as error:
-        raise ComputeError(f"{item.manifest.path}: {error}".replace("motion: ", "")) from error
+        raise ComputeError(NO_AXIS, str(item.manifest.path), reason=_without_argument(error)) from error
     if axis.dof and axis.chi2 / axis.dof > UNSTEADY:
-        factor = np.sqrt(axis.chi2 / axis.dof)
-        text = f"{item.manifest.name}: the body turns about no fixed axis, its frames are off by {factor:.2g} times"
-        notices.append(Notice("warning", f"{text} their noise; the axis counts as that much less certain", name))
-    line, covariance, effects = _turned(to_camera, axis.line, axis.covariance, changes)
+        ratio = float(np.sqrt(axis.chi2 / axis.dof))
+        notices.append(Notice(UNSTEADY_AXIS, name, recording=item.manifest.name, ratio=ratio))
+    line, covariance, effects = _to_camera_axes(to_camera, axis.line, axis.covariance, changes)
     line[:, :3] += to_camera.translation_m
-    point, direction, u_point = (np.array(known) for known in (block.point, block.direction, block.point_uncertainty))
+    point, direction, u_point = (np.array(values) for values in (block.point, block.direction, block.point_uncertainty))
     u = block.direction_uncertainty
     return KnownAxis(name, line, covariance, point, direction, effects, u_point, u), notices
 
 
 def _axis_effects(item: _Recorded, pair: CalibratedPair | None, line: FloatArray) -> FloatArray:
-    """Return the changes (P, 6) of the axis for each step of the rig, from a few frames and subsets.
+    """Return the changes (P, 6) of the axis for each step of the rig.
 
-    The path from the tracks onward is evaluated again with each perturbed rig. What the calibration does to an axis is
-    smooth over the image and the frames, so that twelve frames over the range of angles show it.
+    A few frames and subsets are evaluated from the tracks onward with each perturbed rig. The effect of the calibration
+    on an axis is smooth over the image and the frames, so twelve frames over the range of angles are sufficient.
     """
     view = item.measured.view
     if pair is None or view is None:
@@ -302,75 +313,75 @@ def _axis_effects(item: _Recorded, pair: CalibratedPair | None, line: FloatArray
         rows = np.intersect1d(chosen - start, np.arange(len(block.left.position_px)))
         both.append(np.concatenate([block.left.position_px[rows], block.right.position_px[rows]], axis=2))
         start += len(block.left.position_px)
-    places = np.concatenate(both)[np.argsort(np.argsort(chosen))]
-    common = np.flatnonzero(np.isfinite(places).all(axis=(0, 2)))
+    pixels = np.concatenate(both)[np.argsort(np.argsort(chosen))]
+    common = np.flatnonzero(np.isfinite(pixels).all(axis=(0, 2)))
     if len(common) < FEWEST_SUBSETS:
-        raise ValueError(f"only {len(common)} subsets are followed through all frames; look at the images")
+        raise ValueError(f"only {len(common)} subsets are followed through all frames; check the images")
     subsets = common[np.unique(np.linspace(0, len(common) - 1, EFFECT_SUBSETS).astype(int))]
-    left, right = places[:, subsets, :2], places[:, subsets, 2:]
+    left, right = pixels[:, subsets, :2], pixels[:, subsets, 2:]
     covariance = motion.covariance[chosen]
 
-    def turned(rig: StereoRig) -> FloatArray:
+    def axis_of(rig: StereoRig) -> FloatArray:
         points = triangulate(rig, left, right).transformed(item.sensor_from_camera)
         seen: RigidMotion = replace(fit_motion(points, None, np.zeros(3)), covariance=covariance)
         axis = fit_axis(seen).line
         return np.asarray(axis * np.repeat([1.0, np.sign(axis[3:] @ line[3:])], 3))
 
-    nominal = turned(pair.rig)
-    return np.array([turned(pair.rig.perturbed(step)) - nominal for step in pair.steps]).reshape(-1, 6)
+    nominal = axis_of(pair.rig)
+    return np.array([axis_of(pair.rig.perturbed(step)) - nominal for step in pair.steps]).reshape(-1, 6)
 
 
 def pose_text(file: AlignmentFile, alignment: Alignment, pair: CalibratedPair | None) -> str:
-    """Return the block in the syntax of rig.toml, with comments on its uncertainty and its origin.
+    """Return the block of rig.toml, with comments on uncertainty and origin.
 
-    How the pose answers the pair's calibration is written beside `pose_uncertainty`, which contains it, so that a run,
-    in which the same calibration's errors act again, can count them once. The calibration counts as it is stated, also
-    where this evidence would know it better, since a run does the same.
+    `pose_by_calibration` is the sensitivity of the pose to the pair's calibration, which `pose_uncertainty` includes. A
+    run uses the same calibration and needs it to count these errors once. The calibration's stated uncertainty is used,
+    even if this evidence would reduce it, since a run does the same.
     """
     relative = file.other is not None and file.other.rotation is None
     frame = f"the left camera of {file.other.stereo}" if relative and file.other else "the sensor frame"
-    u, answers = alignment.u, np.zeros((0, 0))
+    u, sensitivity = alignment.u, np.zeros((0, 0))
     if pair is not None and pair.rig.covariance is not None and not relative:
-        if not pair.is_single:  # no run asks it of a camera alone
+        if not pair.is_single:  # a run does not use it for a single camera
             covered = len(calibration_steps(pair.rig))
-            answers = parameter_derivatives(alignment.by_calibration[:, :covered], pair.steps[:covered])
-            answers = answers if answers[:, 24:].any() else answers[:, :24]
-        u = np.sqrt(np.diagonal(alignment.held_covariance) + (alignment.by_calibration**2).sum(axis=1))
-    held = K2 * np.sqrt(np.diagonal(alignment.held_covariance))
+            sensitivity = parameter_derivatives(alignment.by_calibration[:, :covered], pair.steps[:covered])
+            sensitivity = sensitivity if sensitivity[:, 24:].any() else sensitivity[:, :24]
+        u = np.sqrt(np.diagonal(alignment.conditional_covariance) + (alignment.by_calibration**2).sum(axis=1))
+    exact = K2 * np.sqrt(np.diagonal(alignment.conditional_covariance))
     blocks = [(len(getattr(file, key)), one, many) for key, one, many in EVIDENCE]
     origin = [f"{count} {one if count == 1 else many}" for count, one, many in blocks if count]
-    origin += ["the pose known before"] if file.pose is not None else []
-    said = " and ".join([", ".join(origin[:-1]), origin[-1]] if len(origin) > 1 else origin)
+    origin += ["the prior pose"] if file.pose is not None else []
+    sources = " and ".join([", ".join(origin[:-1]), origin[-1]] if len(origin) > 1 else origin)
     camera = "camera" if pair is not None and pair.is_single else "left camera"
     comments = [
-        f"Pose of the {camera} of {file.stereo} in {frame}, from {said}.",
+        f"Pose of the {camera} of {file.stereo} in {frame}, from {sources}.",
         f"U (k = 2): position {_numbers(1e3 * K2 * u[:3])} mm, rotation {_numbers(1e3 * K2 * u[3:])} mrad (x, y, z).",
-        f"Without the calibration's share: {_numbers(1e3 * held[:3])} mm and {_numbers(1e3 * held[3:])} mrad.",
+        f"Without the calibration's share: {_numbers(1e3 * exact[:3])} mm and {_numbers(1e3 * exact[3:])} mrad.",
         f"chi2 = {alignment.chi2:.3g} with {alignment.dof} degrees of freedom.",
     ]
     if alignment.enlargement > 1.0:
-        comments.append(f"The evidence does not fit together: U is enlarged by {alignment.enlargement:.3g}.")
+        comments.append(f"The evidence is contradictory: U is enlarged by {alignment.enlargement:.3g}.")
     pose = alignment.sensor_from_camera
     name = file.stereo if file.stereo.replace("_", "").replace("-", "").isalnum() else json.dumps(file.stereo)
     lines = [f"# {comment}" for comment in comments]
     lines.append(f"[relative.{name}]" if relative else f"[stereo.{name}]")
     lines.append(f"rotation = {_rows(pose.rotation)}")
     lines += [f"translation = {_row(pose.translation_m)}", f"pose_uncertainty = {_row(u)}"]
-    if answers.size:
-        lines.append(f"pose_by_calibration = {_rows(answers)}")
+    if sensitivity.size:
+        lines.append(f"pose_by_calibration = {_rows(sensitivity)}")
     return "\n".join(lines) + "\n"
 
 
 def _numbers(values: FloatArray) -> str:
-    """Three values with two digits."""
+    """Return three values with two digits."""
     return " ".join(f"{value:.2g}" for value in values)
 
 
 def _row(values: FloatArray) -> str:
-    """A row of TOML with all digits."""
+    """Return a row of TOML with all digits."""
     return f"[{', '.join(repr(float(value)) for value in values)}]"
 
 
 def _rows(values: FloatArray) -> str:
-    """A matrix in TOML, a row in every line."""
+    """Return a matrix in TOML, a row in every line."""
     return "[\n  " + ",\n  ".join(_row(row) for row in values) + "]"

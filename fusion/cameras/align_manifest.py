@@ -1,4 +1,7 @@
-"""alignment.toml as checked, typed values (the contract: the table in `docs/cameras.md`), its stills as evidence."""
+"""alignment.toml as checked values, and its static evidence.
+
+The keys are in the table of `docs/cameras.md`.
+"""
 
 from __future__ import annotations
 
@@ -12,6 +15,17 @@ from typing import Annotated, Any, Literal, Self
 import numpy as np
 from pydantic import BeforeValidator, model_validator
 
+from fusion.cameras.camera_notices import (
+    IMAGE_SIZE_MISMATCH,
+    NEEDS_STEREO_PAIR,
+    PIXEL_TABLE,
+    RAYS_DO_NOT_MEET,
+    RIGHT_PIXEL_MISSING,
+    SCALE_OF_SINGLE_CAMERA,
+    SCALE_UNSTATED,
+    SYMMETRIC_TARGET,
+    UNLIKELY_SPACING,
+)
 from fusion.errors import InputError, as_input_error
 from fusion.recording.toml import read_text, read_toml, validate
 from fusion.recording.values import (
@@ -61,19 +75,19 @@ from shakercal._common.notices import Notice
 def _size(value: Any) -> tuple[int, int]:
     """Check columns and rows of a target."""
     if not (isinstance(value, list | tuple) and len(value) == 2 and all(type(item) is int for item in value)):
-        raise refusal("2 whole numbers, columns and rows", f"{value}"[:60])
+        raise refusal("2 integers, columns and rows", f"{value}"[:60])
     return value[0], value[1]
 
 
 PIXEL_COLUMNS = ("left_x", "left_y", "right_x", "right_y")
-FEWEST_FACE_POINTS = 3
+FEWEST_FACE_POINTS = 3  # points that determine a plane
 LARGEST_TABLE = 50_000_000  # bytes
 Pixel = Annotated[tuple[float, float], BeforeValidator(vector(2))]
 Blocks = BeforeValidator(array_of_tables)
 
 
 class PointBlock(ManifestBlock):
-    """A point of known place, and where both cameras see it, or the only one."""
+    """A point of known position with its pixels in both cameras, or in one."""
 
     name: Text
     position: FreeVector
@@ -84,7 +98,7 @@ class PointBlock(ManifestBlock):
 
 
 class FaceBlock(ManifestBlock):
-    """A flat face of known place, and a table of points that both cameras see on it."""
+    """A flat face of known position, and a table of pixels of points on it."""
 
     name: Text
     point: FreeVector
@@ -108,14 +122,14 @@ class TargetBlock(ManifestBlock):
         try:
             Target(self.kind, self.spacing, self.size, self.dictionary)
         except ValueError as error:
-            key, _, told = str(error).partition(": expected ")
-            expected, _, found = told.rpartition(", found ")
+            key, _, sentence = str(error).partition(": expected ")
+            expected, _, found = sentence.rpartition(", found ")
             raise refusal(expected, found, key=key.removesuffix("_m")) from error
         return self
 
 
 class TargetViewBlock(ManifestBlock):
-    """The target mounted at a known pose, x_sensor = rotation · x_target + translation, and its pictures."""
+    """Images of the target at a known pose: x_sensor = rotation · x_target + translation."""
 
     name: Text
     left: ExistingFiles = ()
@@ -125,16 +139,16 @@ class TargetViewBlock(ManifestBlock):
     pose_uncertainty: PoseUncertainty = ZERO6
 
     @model_validator(mode="after")
-    def _pictures(self) -> Self:
+    def _check_images(self) -> Self:
         if not self.left and not self.right:
-            raise refusal("the pictures of at least one camera", "none", key="left")
+            raise refusal("the images of at least one camera", "none", key="left")
         if self.left and self.right and len(self.left) != len(self.right):
-            raise refusal(f"{len(self.left)} pictures as on the left", f"{len(self.right)}", key="right")
+            raise refusal(f"{len(self.left)} images as on the left", f"{len(self.right)}", key="right")
         return self
 
 
 class CommonView(ManifestBlock):
-    """Pictures of the target, wherever it was held, by both stereo pairs."""
+    """Images of the target, in any pose, by both stereo pairs."""
 
     name: Text
     left: ExistingFile
@@ -144,7 +158,10 @@ class CommonView(ManifestBlock):
 
 
 class OtherPair(ManifestBlock):
-    """The stereo pair that took part in common views; without a pose the result is relative to its left camera."""
+    """The other stereo pair of common views.
+
+    Without its pose the result is relative to its left camera.
+    """
 
     stereo: Text
     calibration: ExistingFile
@@ -162,7 +179,7 @@ class OtherPair(ManifestBlock):
 
 
 class MotionBlock(ManifestBlock):
-    """Recordings in one set-up, in which the sensor's origin moves along a known direction."""
+    """Recordings of one set-up in which the sensor origin moves along a known direction."""
 
     name: Text
     recordings: ExistingFiles
@@ -171,7 +188,7 @@ class MotionBlock(ManifestBlock):
 
 
 class AxisBlock(ManifestBlock):
-    """Recordings in one set-up, in which the body turns about a known axis."""
+    """Recordings of one set-up in which the body turns about a known axis."""
 
     name: Text
     recordings: ExistingFiles
@@ -182,7 +199,7 @@ class AxisBlock(ManifestBlock):
 
 
 class PosePriorBlock(ManifestBlock):
-    """What was known of the pose before."""
+    """Prior pose with its uncertainty."""
 
     rotation: Rotation
     translation: FreeVector
@@ -196,7 +213,7 @@ class PosePriorBlock(ManifestBlock):
 
 
 class AlignmentFile(ManifestBlock):
-    """alignment.toml: the evidence on where a stereo pair's left camera stands in the sensor frame."""
+    """alignment.toml: the evidence about the pose of a pair's left camera in the sensor frame."""
 
     format: Version
     stereo: Text
@@ -221,9 +238,9 @@ class AlignmentFile(ManifestBlock):
             if twice is not None:
                 raise refusal("different names", f'"{twice}" twice', key=key)
             if blocks and self.calibration is None and key not in ("motion", "axis"):
-                raise refusal(f"the calibration that [[{key}]] needs", "nothing", key="calibration")
+                raise refusal(f"the calibration that [[{key}]] requires", "nothing", key="calibration")
         if (self.target_view or self.common_view) and self.target is None:
-            raise refusal("the [target] that is seen in the views", "nothing", key="target")
+            raise refusal("the [target] of the views", "nothing", key="target")
         if self.common_view and self.other is None:
             raise refusal("the [other] pair of the common views", "nothing", key="other")
         if self.other is not None and self.other.rotation is None:
@@ -232,7 +249,7 @@ class AlignmentFile(ManifestBlock):
             )
             if stray is not None or self.pose is not None:
                 raise refusal(
-                    "the pose of the other pair, without which all else belongs to another frame",
+                    "the pose of the other pair, without which all other evidence refers to another frame",
                     "nothing",
                     key="other.rotation",
                 )
@@ -242,7 +259,7 @@ class AlignmentFile(ManifestBlock):
 
 
 def read_alignment(path: Path, allow_outside: bool = False) -> AlignmentFile:
-    """Read and check alignment.toml; its paths start in its folder and stay there."""
+    """Read and check alignment.toml, with paths relative to and within its folder."""
     folder = path.parent.resolve()
     scope = PathScope(folder, folder, allow_outside, "of this file")
     return validate(AlignmentFile, read_toml(path), path, Context(scope, {}))
@@ -250,9 +267,9 @@ def read_alignment(path: Path, allow_outside: bool = False) -> AlignmentFile:
 
 @dataclass(frozen=True, eq=False)
 class CalibratedPair:
-    """A calibrated stereo pair and the steps (P, 32) that stand for its calibration's errors.
+    """A calibrated stereo pair and the steps (P, 32) that represent its calibration errors.
 
-    `alone`: of the left camera alone, which the rig then holds on the right as well.
+    `is_single`: of a single camera, used as the left and the right one.
     """
 
     rig: StereoRig
@@ -261,58 +278,55 @@ class CalibratedPair:
 
 
 def read_pair(path: Path, calibration: Path, scale_u: float | None, key: str = "") -> CalibratedPair:
-    """Read a calibration that `path` names; one without covariance needs a stated scale, under `key`."""
+    """Read a calibration that `path` names; one without covariance requires a stated scale."""
     with as_input_error(calibration):
         if is_single(calibration):
-            return _alone(path, calibration, scale_u, key)
+            return _single_camera(path, calibration, scale_u, key)
         rig = read_calibration(calibration)
     if rig.covariance is None and scale_u is None:
-        expected = "the relative standard uncertainty of all lengths, required without a calibration's covariance"
-        raise InputError(path, f"{key}scale_uncertainty", "nothing", expected)
+        expected = "the relative standard uncertainty of all lengths"
+        raise InputError(SCALE_UNSTATED, path, f"{key}scale_uncertainty", found="nothing", expected=expected)
     return CalibratedPair(rig, calibration_steps(rig, scale_u or 0.0))
 
 
-def _alone(path: Path, calibration: Path, scale_u: float | None, key: str) -> CalibratedPair:
-    """A camera alone, whose lengths are those of what it sees."""
+def _single_camera(path: Path, calibration: Path, scale_u: float | None, key: str) -> CalibratedPair:
+    """Return a single camera, which has no scale."""
     if scale_u is not None:
-        raise InputError(
-            path, f"{key}scale_uncertainty", "one", "none of a camera alone, which has no scale of its own"
-        )
-    camera, own = read_camera(calibration)
+        key = f"{key}scale_uncertainty"
+        raise InputError(SCALE_OF_SINGLE_CAMERA, path, key, found="one", expected="none of a single camera")
+    camera, camera_covariance = read_camera(calibration)
     covariance = np.zeros((len(RIG_PARAMETERS),) * 2)
-    covariance[np.ix_(LEFT, LEFT)] = own
+    covariance[np.ix_(LEFT, LEFT)] = camera_covariance
     rig = StereoRig(camera, camera, RigidTransform.identity(), covariance)
     return CalibratedPair(rig, calibration_steps(rig), is_single=True)
 
 
 def _check_cameras(path: Path, file: AlignmentFile, pair: CalibratedPair) -> None:
-    """Refuse evidence that takes two cameras of one, and points that one of two does not see."""
-    file_told = "" if file.calibration is None else f"{file.calibration.name} being of one camera"
+    """Refuse evidence of two cameras from one, and of one camera from two."""
     if pair.is_single:
         for kind in ("face", "common_view", "motion", "axis"):
             if getattr(file, kind):
-                raise InputError(path, kind, "one", f"[[point]] or [[target_view]], {file_told}")
+                expected = "[[point]] or [[target_view]]"
+                raise InputError(NEEDS_STEREO_PAIR, path, kind, found="one", expected=expected)
         for key in (f"target_view.{view.name}.right" for view in file.target_view if view.right):
-            raise InputError(path, key, "pictures", f"none, {file_told}")
+            raise InputError(NEEDS_STEREO_PAIR, path, key, found="images", expected="none")
     for point in file.point:
+        key = f"point.{point.name}.right"
         if pair.is_single and point.right is not None:
-            raise InputError(path, f"point.{point.name}.right", "a pixel", f"none, {file_told}")
+            raise InputError(NEEDS_STEREO_PAIR, path, key, found="a pixel", expected="none")
         if not pair.is_single and point.right is None:
-            raise InputError(path, f"point.{point.name}.right", "nothing", "its pixel in the right camera")
+            expected = "the point's pixel in the right camera"
+            raise InputError(RIGHT_PIXEL_MISSING, path, key, found="nothing", expected=expected)
 
 
 def orientation_notices(file: AlignmentFile) -> list[Notice]:
-    """Return what is said of a target that looks alike after a turn, where nothing else shows how the cameras stand."""
+    """Return a notice of a symmetric target without other evidence about its orientation."""
     if file.target is None or not (file.target_view or file.common_view):
         return []
     target = Target(file.target.kind, file.target.spacing, file.target.size, file.target.dictionary)
     if not target_symmetries(target) or file.pose or file.point or file.face or file.motion or file.axis:
         return []
-    told = (
-        "the target looks alike after a turn in its plane: its first axis is taken to point to the right of the left "
-        "picture, by which the pose may be turned; state [pose], or use a target with markers"
-    )
-    return [Notice("warning", told, "target")]
+    return [Notice(SYMMETRIC_TARGET, "target")]
 
 
 def static_evidence(path: Path, file: AlignmentFile, pair: CalibratedPair) -> list[PoseEvidence]:
@@ -325,45 +339,50 @@ def static_evidence(path: Path, file: AlignmentFile, pair: CalibratedPair) -> li
         target = Target(file.target.kind, file.target.spacing, file.target.size, file.target.dictionary)
         if not target.is_likely:
             found = f"{target.spacing_m:g} m, of a target {target.length_m:.3g} m long"
-            raise InputError(path, "target.spacing", found, f"m, a target of {SHORTEST_M:g} to {LONGEST_M:g} m")
-        evidence += [known for view in file.target_view for known in _views(path, view, target, pair, datum)]
+            expected = f"a spacing in m, of a target {SHORTEST_M:g} to {LONGEST_M:g} m long"
+            raise InputError(UNLIKELY_SPACING, path, "target.spacing", found=found, expected=expected)
+        evidence += [item for view in file.target_view for item in _views(path, view, target, pair, datum)]
         if file.other is not None and file.common_view:
             evidence += _common(path, file.common_view, file.other, target, pair)
     return evidence
 
 
 def prior_pose_evidence(prior: PosePriorBlock) -> PoseEvidence:
-    """Return what was known of the pose before, the uncertainties those of sensor origin and rotation about it."""
+    """Return the prior pose as evidence.
+
+    Its uncertainties are those of the sensor origin and of the rotation about it.
+    """
     translation, u = np.array(prior.translation), np.array(prior.pose_uncertainty)
     moved = np.eye(6)
     moved[:3] = displacement_jacobian(translation)
     covariance = moved @ np.diag(u**2) @ moved.T
     pose = RigidTransform(np.array(prior.rotation), translation)
-    own = (RigidTransform.identity(),)
+    identity = (RigidTransform.identity(),)
     return KnownPoses(
-        ("the pose known before",), own, np.zeros((1, 6, 6)), (pose,), covariance[None], np.zeros((0, 1, 6))
+        ("the prior pose",), identity, np.zeros((1, 6, 6)), (pose,), covariance[None], np.zeros((0, 1, 6))
     )
 
 
 def _points(path: Path, points: Sequence[PointBlock], pair: CalibratedPair, datum: StatedFrame) -> PoseEvidence:
-    """Return the fiducials, triangulated where two cameras see them."""
+    """Return the points, triangulated if two cameras see them."""
     names, left = tuple(f"point {point.name}" for point in points), np.array([point.left for point in points])
-    u_px, known = np.array([point.pixel_uncertainty for point in points]), np.array([p.position for p in points])
+    u_px, sensor_m = np.array([point.pixel_uncertainty for point in points]), np.array([p.position for p in points])
     spread = np.array([point.position_uncertainty for point in points])[:, :, None] ** 2 * np.eye(3)
     if pair.is_single:
         noise = u_px[:, None, None] ** 2 * np.eye(2)
-        return KnownPixels(names, pair.rig.left, left, noise, known, spread, pair.steps[:, LEFT], datum)
+        return KnownPixels(names, pair.rig.left, left, noise, sensor_m, spread, pair.steps[:, LEFT], datum)
     right = np.array([point.right for point in points])
     position, covariance, effects = triangulate_points(pair.rig, pair.steps, left, right, u_px)
-    for point, place in zip(points, position, strict=True):
-        if not np.isfinite(place).all():
+    for point, point_m in zip(points, position, strict=True):
+        if not np.isfinite(point_m).all():
             expected = "pixels of one point in front of both cameras"
-            raise InputError(path, f"point.{point.name}", "rays that do not meet", expected)
-    return KnownPoints(names, position, covariance, known, spread, effects, datum)
+            key = f"point.{point.name}"
+            raise InputError(RAYS_DO_NOT_MEET, path, key, found="rays that do not meet", expected=expected)
+    return KnownPoints(names, position, covariance, sensor_m, spread, effects, datum)
 
 
 def _face(path: Path, face: FaceBlock, pair: CalibratedPair, datum: StatedFrame) -> KnownFace:
-    """Return the points of a face, triangulated; pixels whose rays do not meet are left out."""
+    """Return the triangulated points of a face, without those whose rays do not meet."""
     pixels = _pixel_table(face.pixels)
     position, covariance, effects = triangulate_points(
         pair.rig, pair.steps, pixels[:, :2], pixels[:, 2:], face.pixel_uncertainty
@@ -371,7 +390,8 @@ def _face(path: Path, face: FaceBlock, pair: CalibratedPair, datum: StatedFrame)
     met = np.isfinite(position).all(axis=1)
     if np.count_nonzero(met) < FEWEST_FACE_POINTS:
         expected = f"at least {FEWEST_FACE_POINTS} points in front of both cameras"
-        raise InputError(path, f"face.{face.name}.pixels", f"{np.count_nonzero(met)}", expected)
+        key, found = f"face.{face.name}.pixels", int(np.count_nonzero(met))
+        raise InputError(RAYS_DO_NOT_MEET, path, key, found=found, expected=expected)
     return KnownFace(
         f"face {face.name}",
         position[met],
@@ -392,33 +412,35 @@ def _pixel_table(file: Path) -> FloatArray:
         missing = [name for name in PIXEL_COLUMNS if name not in (reader.fieldnames or ())]
         if missing:
             found = describe(", ".join(reader.fieldnames or ()), plain=True) or "nothing"
-            raise InputError(file, "", found, f"the columns {', '.join(PIXEL_COLUMNS)}")
+            raise InputError(PIXEL_TABLE, file, found=found, expected=f"the columns {', '.join(PIXEL_COLUMNS)}")
         rows = [[float(row[name]) for name in PIXEL_COLUMNS] for row in reader]
     except (TypeError, ValueError, csv.Error) as error:
-        raise InputError(file, "", describe(str(error), plain=True), "a number in each column") from error
+        found = describe(str(error), plain=True)
+        raise InputError(PIXEL_TABLE, file, found=found, expected="a number in each column") from error
     pixels = np.array(rows).reshape(-1, len(PIXEL_COLUMNS))
     if not np.isfinite(pixels).all():
         line = int(np.flatnonzero(~np.isfinite(pixels).all(axis=1))[0]) + 2
-        raise InputError(file, f"line {line}", "one that is none", "finite numbers")
+        raise InputError(PIXEL_TABLE, file, f"line {line}", found="another one", expected="finite numbers")
     return pixels
 
 
 def _seen(
-    path: Path, key: str, pictures: Mapping[str, Path | None], target: Target, pair: CalibratedPair
+    path: Path, key: str, image_paths: Mapping[str, Path | None], target: Target, pair: CalibratedPair
 ) -> tuple[RigidTransform, FloatArray, FloatArray]:
-    """Return `seen_target` of the left and right picture, which are given by the names that they have in the block."""
+    """Return the target's pose with covariance and effects from the images of a block."""
     views: list[TargetView | None] = []
-    for side, picture in pictures.items():
-        if picture is None:
+    for side, image_path in image_paths.items():
+        if image_path is None:
             views.append(None)
             continue
         with as_input_error(path, f"{key}.{side}"):
-            image, full_scale = read_image(picture)
-            view = find_target(image, target, picture.name, full_scale)
+            image, full_scale = read_image(image_path)
+            view = find_target(image, target, image_path.name, full_scale)
         size = (pair.rig.right if side.endswith("right") else pair.rig.left).size_px.tolist()
         if view.size_px.tolist() != size:
-            shown = f"{picture.name} of {view.size_px[0]} x {view.size_px[1]} pixels"
-            raise InputError(path, f"{key}.{side}", shown, f"{size[0]} x {size[1]} as the calibration")
+            shown = f"{image_path.name} of {view.size_px[0]} x {view.size_px[1]} pixels"
+            expected = f"{size[0]} x {size[1]} as the calibration"
+            raise InputError(IMAGE_SIZE_MISMATCH, path, f"{key}.{side}", found=shown, expected=expected)
         views.append(view)
     with as_input_error(path, key):
         return measure_target_pose(pair.rig, pair.steps, target, *views)
@@ -427,7 +449,7 @@ def _seen(
 def _views(
     path: Path, block: TargetViewBlock, target: Target, pair: CalibratedPair, datum: StatedFrame
 ) -> Iterator[KnownPoses]:
-    """Yield the pictures of the target at one known pose, whose error they share."""
+    """Yield the images of the target at one known pose, whose error they share."""
     name, u = f"target view {block.name}", np.array(block.pose_uncertainty)
     common = {name: np.diag(u)[np.flatnonzero(u)][:, None]}
     placed = RigidTransform(np.array(block.rotation), np.array(block.translation))
@@ -435,17 +457,21 @@ def _views(
         pose, covariance, effects = _seen(
             path, f"target_view.{block.name}", {"left": left, "right": right}, target, pair
         )
-        known = np.zeros((1, 6, 6))
-        yield KnownPoses((name,), (pose,), covariance[None], (placed,), known, effects[:, None], common, datum)
+        no_covariance = np.zeros((1, 6, 6))
+        yield KnownPoses((name,), (pose,), covariance[None], (placed,), no_covariance, effects[:, None], common, datum)
 
 
 def _common(
     path: Path, views: Sequence[CommonView], other: OtherPair, target: Target, pair: CalibratedPair
 ) -> Iterator[KnownPoses]:
-    """Yield the target seen by both pairs, its pose in the sensor frame (or the other camera's) by the other pair."""
+    """Yield the target observed by both pairs, with its pose by the other one.
+
+    The pose is in the sensor frame. If the other pair has no pose, the frame is that of its left camera.
+    """
     second = read_pair(path, other.calibration, other.scale_uncertainty, "other.")
     if second.is_single:
-        raise InputError(path, "other.calibration", f"{other.calibration.name}, of one camera", "that of a pair")
+        found = f"{other.calibration.name}, of one camera"
+        raise InputError(NEEDS_STEREO_PAIR, path, "other.calibration", found=found, expected="that of a pair")
     placed = RigidTransform.identity()
     if other.rotation is not None and other.translation is not None:
         placed = RigidTransform(np.array(other.rotation), np.array(other.translation))
@@ -455,14 +481,14 @@ def _common(
         key = f"common_view.{view.name}"
         pose, covariance, effects = _seen(path, key, {"left": view.left, "right": view.right}, target, pair)
         others = {"other_left": view.other_left, "other_right": view.other_right}
-        known, known_covariance, known_effects = _seen(path, key, others, target, second)
+        other_pose, other_covariance, other_effects = _seen(path, key, others, target, second)
         yield KnownPoses(
             (f"common view {view.name}",),
             (pose,),
             covariance[None],
-            (placed @ known,),
-            (turn @ known_covariance @ turn.T)[None],
+            (placed @ other_pose,),
+            (turn @ other_covariance @ turn.T)[None],
             effects[:, None],
-            {f"calibration of {other.stereo}": (known_effects @ turn.T)[:, None]},
+            {f"calibration of {other.stereo}": (other_effects @ turn.T)[:, None]},
             frame,
         )

@@ -1,6 +1,7 @@
-"""Stereo pairs from pictures of a target (`shakercal cameras`) or from calibrations of other programs.
+"""Calibration from images of a target (`shakercal cameras`), import and export.
 
-`shakercal import-calibration` turns those into a calibration file of this one, `export-calibration` back.
+`shakercal import-calibration` converts calibrations of other programs into this program's file, `export-calibration`
+the reverse.
 """
 
 from __future__ import annotations
@@ -20,6 +21,7 @@ from typing import Any, Literal
 import numpy as np
 
 from fusion.base import ProgressCallback, check_new_file, natural_key, no_progress, versions
+from fusion.cameras.camera_notices import IMAGE_LISTS, OUTPUT_SUFFIX, TOO_FEW_IMAGES
 from fusion.cameras.camera_quantities import axes_angle_rad, baseline_m, points_of_board
 from fusion.cameras.camera_report import render_camera_report
 from fusion.errors import InputError, as_input_error
@@ -47,8 +49,9 @@ IMAGE_FILE_SUFFIXES = (".png", ".tif", ".tiff", ".jpg", ".jpeg", ".bmp", ".pgm")
 
 @dataclass(frozen=True)
 class CameraSettings:
-    """What a user may choose: the target, how shape and lens are taken, the relative uncertainty of the spacing, and a
-    length known from elsewhere.
+    """Settings of a calibration: target, geometry and lens model, scale.
+
+    `scale_u` is the relative standard uncertainty of the spacing, `known_length` an independently measured length.
     """
 
     target: Target
@@ -64,22 +67,22 @@ def calibrate_cameras(
     settings: CameraSettings,
     progress: ProgressCallback = no_progress,
 ) -> Calibration:
-    """Return the calibrated pair from the pictures of both cameras, in one order, or with `right` None a single one.
+    """Return the calibrated pair from the images of both cameras, in the same order.
 
-    A picture that cannot be read, or has no usable target, is left out and named among what was dropped, with the
-    reason. Raises `InputError` where what remains does not allow a calibration.
+    With `right` None the result is a single camera. Images that cannot be read or have no usable target are rejected
+    with the reason. Raises `InputError` if the remaining ones do not determine a calibration.
     """
-    pictures = [*left, *(right or [])]
+    images = [*left, *(right or [])]
     views: list[TargetView | None] = []
     failed: list[Rejection] = []
-    find = partial(_find, _targets(settings.target, pictures[0]))
+    find = partial(_find, _targets(settings.target, images[0]))
     with ThreadPoolExecutor(max_workers=min(8, os.cpu_count() or 1)) as workers:
-        for path, view in zip(pictures, workers.map(find, pictures), strict=True):
+        for path, view in zip(images, workers.map(find, images), strict=True):
             views.append(view if isinstance(view, TargetView) else None)
             if isinstance(view, TargetView) and view.lost:
                 failed.append(Rejection(str(path), view.lost, view.loss_reasons))
             failed += [] if isinstance(view, TargetView) else [Rejection(str(path), 0, str(view))]
-            progress("find target", len(views), len(pictures))
+            progress("find target", len(views), len(images))
     pairs: list[ViewPair] = [(view, None) for view in views]
     if right is not None:
         pairs = list(zip(views[: len(left)], views[len(left) :], strict=True))
@@ -87,22 +90,26 @@ def calibrate_cameras(
     for (side, paths), seen in zip(sides, zip(*pairs, strict=True), strict=False):
         usable = sum(view is not None for view in seen)
         if usable < FEWEST_VIEWS:
-            reasons = "; ".join(f"{Path(item.name).name}: {item.reason}" for item in failed) or "no picture failed"
-            found = f"{usable} usable of {len(paths)} {side if right is not None else ''}pictures ({reasons})"
-            raise InputError(_folder(paths), "", found=found, expected=f"at least {FEWEST_VIEWS} of each camera")
+            reasons = "; ".join(f"{Path(item.name).name}: {item.reason}" for item in failed) or "no image failed"
+            found = f"{usable} usable of {len(paths)} {side if right is not None else ''}images ({reasons})"
+            expected = f"at least {FEWEST_VIEWS} of each camera"
+            raise InputError(TOO_FEW_IMAGES, _folder(paths), found=found, expected=expected)
     progress("adjust", 0, 1)
-    with as_input_error(_folder(pictures)):
+    with as_input_error(_folder(images)):
         calibration = calibrate_pair(pairs, settings.target, settings.shape, settings.scale_u, settings.lens)
     if settings.known_length is not None:
-        with as_input_error(_folder(pictures), "--known-length"):
+        with as_input_error(_folder(images), "--known-length"):
             calibration = scale_to_length(calibration, settings.known_length)
     progress("adjust", 1, 1)
-    notices = (*tag_notices(read_orientations(pictures)), *calibration.notices)
+    notices = (*tag_notices(read_orientations(images)), *calibration.notices)
     return replace(calibration, rejections=(*failed, *calibration.rejections), notices=notices)
 
 
 def split_images(arguments: Sequence[str]) -> tuple[list[Path], list[Path]]:
-    """Return left and right pictures: of two arguments each a folder, a pattern or a file; of more, half and half."""
+    """Return left and right images of the arguments.
+
+    Each of two arguments is a folder, a pattern or a file; more are split into halves.
+    """
     parts = [_expanded(argument) for argument in arguments]
     if len(parts) == 2:
         left, right = parts
@@ -110,16 +117,16 @@ def split_images(arguments: Sequence[str]) -> tuple[list[Path], list[Path]]:
         every = [path for part in parts for path in part]
         left, right = every[: len(every) // 2], every[len(every) // 2 :]
     if len(left) != len(right):
-        expected = "as many left pictures as right ones, the left ones first"
-        raise InputError(_folder([*left, *right]), "", found=f"{len(left)} and {len(right)}", expected=expected)
+        found, expected = f"{len(left)} and {len(right)}", "equal numbers of left and right images"
+        raise InputError(IMAGE_LISTS, _folder([*left, *right]), found=found, expected=expected)
     twice = sorted(path for path in set(left) if path in right)
     if twice:
-        raise InputError(twice[0], "", found="a picture given for both cameras", expected="one for each")
+        raise InputError(IMAGE_LISTS, twice[0], found="one image for both", expected="one image for each camera")
     return left, right
 
 
 def print_calibration(calibration: Calibration, output: Path, page: Path) -> None:
-    """Print what was found, U at k = 2, and where it lies."""
+    """Print the results with U (k = 2) and the output files."""
     pairs = sum(view.left is not None and view.right is not None for view in calibration.views)
     rms = calibration.rms_sides_px
     baseline, angle = baseline_m(calibration.rig), axes_angle_rad(calibration.rig)
@@ -139,10 +146,12 @@ def print_calibration(calibration: Calibration, output: Path, page: Path) -> Non
 def run_cameras(
     arguments: Sequence[str], settings: CameraSettings, output: Path, force: bool, progress: ProgressCallback
 ) -> None:
-    """Calibrate from the pictures that the arguments name, write calibration and page, print the summary."""
+    """Calibrate from the named images, write calibration and page, print the summary."""
     started, page = time.monotonic(), output.with_suffix(".html")
     if output.suffix != ".json":
-        raise InputError(output, "", found=output.suffix or "no suffix", expected="a name that ends in .json")
+        raise InputError(
+            OUTPUT_SUFFIX, output, found=output.suffix or "no suffix", expected="a name that ends in .json"
+        )
     for path in (output, page):
         check_new_file(path, force=force)
     left, right = split_images(arguments)
@@ -168,13 +177,15 @@ def run_cameras(
 def run_camera(
     arguments: Sequence[str], settings: CameraSettings, output: Path, force: bool, progress: ProgressCallback
 ) -> None:
-    """Calibrate a single camera from the pictures that the arguments name, write its file, print the summary."""
+    """Calibrate a single camera from the named images, write its file, print the summary."""
     if output.suffix != ".json":
-        raise InputError(output, "", found=output.suffix or "no suffix", expected="a name that ends in .json")
+        raise InputError(
+            OUTPUT_SUFFIX, output, found=output.suffix or "no suffix", expected="a name that ends in .json"
+        )
     check_new_file(output, force=force)
-    pictures = [path for part in arguments for path in _expanded(part)]
-    inputs = hash_files(pictures, _folder(pictures))
-    calibration = calibrate_cameras(pictures, None, settings, progress)
+    images = [path for part in arguments for path in _expanded(part)]
+    inputs = hash_files(images, _folder(images))
+    calibration = calibrate_cameras(images, None, settings, progress)
     inputs.check()
     with report_write_errors(output):
         write_camera(output, calibration)
@@ -185,24 +196,31 @@ def run_camera(
     print(f"calibration: {output}")
 
 
+def _check_suffix(output: Path) -> None:
+    """Refuse another name than one of a JSON file."""
+    if output.suffix != ".json":
+        found = output.suffix or "no suffix"
+        raise InputError(OUTPUT_SUFFIX, output, found=found, expected="a name that ends in .json")
+
+
 def _print_remarks(calibration: Calibration) -> None:
-    """Print what was left out, and the notices."""
-    seen = [picture for view in calibration.views for picture in (view.left, view.right) if picture]
-    points = {picture.name: len(picture.used) for picture in seen}
+    """Print the rejected images and the notices."""
+    seen = [image for view in calibration.views for image in (view.left, view.right) if image]
+    points = {image.name: len(image.used) for image in seen}
     every = points_of_board(calibration.target)
     of = "" if every is None else f" of {every}"
-    print(f"points found: {min(points.values())} to {max(points.values())}{of} in a picture")
+    print(f"points found: {min(points.values())} to {max(points.values())}{of} in an image")
     for dropped in calibration.rejections:
-        what = f"{dropped.points} of {points[dropped.name]} points left out, " if dropped.points else "left out: "
+        what = f"{dropped.points} of {points[dropped.name]} points rejected, " if dropped.points else "rejected: "
         print_text(f"{dropped.name}: {what}{dropped.reason}")
     for notice in calibration.notices:
-        print_text(f"{notice.severity}: {notice.text}")
+        print_text(f"{notice.severity} {notice.code} {notice.where}: {notice.text}")
 
 
 def _targets(target: Target, first: Path) -> tuple[Target, ...]:
-    """Return the targets to look for in a picture, one after the other, the last being what was asked for.
+    """Return the targets to search for in an image; the last is the stated one.
 
-    The dictionary of a board's markers, which takes longer to find than the board, is that of the first picture.
+    The dictionary of a board's markers takes longer to find than the board; it is that of the first image.
     """
     if target.kind == "charuco" and target.dictionary is None and target.size is not None:
         with suppress(OSError, ValueError):
@@ -213,9 +231,9 @@ def _targets(target: Target, first: Path) -> tuple[Target, ...]:
 
 
 def _find(targets: Sequence[Target], path: Path) -> TargetView | str:
-    """Return the first of some targets that is in one picture, or why the last is not."""
+    """Return the first target found in one image, or the reason of the last failure."""
     if not path.exists():
-        raise InputError(path, "", found="no such file", expected="a picture")
+        raise InputError(IMAGE_LISTS, path, found="no such file", expected="an image")
     try:
         image, full_scale = read_image(path)
     except (OSError, ValueError) as error:
@@ -231,7 +249,7 @@ def _find(targets: Sequence[Target], path: Path) -> TargetView | str:
 
 
 def _expanded(argument: str) -> list[Path]:
-    """Return the pictures that a path, a folder or a pattern names, in natural order."""
+    """Return the images of a path, folder or pattern, in natural order."""
     path = Path(argument)
     if path.is_dir():
         names = [entry for entry in path.iterdir() if entry.suffix.lower() in IMAGE_FILE_SUFFIXES]
@@ -240,19 +258,21 @@ def _expanded(argument: str) -> list[Path]:
     else:
         names = [entry for entry in path.parent.glob(path.name) if entry.is_file()]
     if not names:
-        raise InputError(path, "", found="no pictures", expected=f"files {', '.join(IMAGE_FILE_SUFFIXES)}")
+        expected = f"files {', '.join(IMAGE_FILE_SUFFIXES)}"
+        raise InputError(IMAGE_LISTS, path, found="no images", expected=expected)
     return sorted(names, key=lambda entry: natural_key(entry.name))
 
 
-def _folder(pictures: Sequence[Path]) -> Path:
-    """Return the folder that all pictures have in common."""
-    return Path(os.path.commonpath([path.absolute().parent for path in pictures]))
+def _folder(images: Sequence[Path]) -> Path:
+    """Return the common folder of all images."""
+    return Path(os.path.commonpath([path.absolute().parent for path in images]))
 
 
 def convert_calibration(path: Path, output: Path, force: bool = False, **stated: Any) -> str:
-    """Write another program's calibration to `output` and return its format; `stated`: what `import_calibration` takes.
+    """Write another program's calibration to `output` and return its format.
 
-    What the user should know is logged, also the remarks that are no warnings: they say how the file was understood.
+    `stated` are arguments of `import_calibration`. Notes are logged as well as warnings: they state how the file was
+    interpreted.
     """
     check_new_file(output, force=force)
     try:
@@ -261,26 +281,27 @@ def convert_calibration(path: Path, output: Path, force: bool = False, **stated:
         raise InputError.from_exception(error, path) from error
     except ValueError as error:
         names = "|".join(stated)
-        told = re.sub(rf": ({names}): ", lambda found: f": --{found[1].replace('_', '-')}: ", str(error), count=1)
-        raise InputError.from_exception(ValueError(told), path) from error
+        text = re.sub(rf": ({names}): ", lambda found: f": --{found[1].replace('_', '-')}: ", str(error), count=1)
+        raise InputError.from_exception(ValueError(text), path) from error
     with as_input_error(output), report_write_errors(output):
         write_calibration(output, imported.rig)
-    _tell(imported.notices)
+    log_each_notice(imported.notices)
     return imported.format
 
 
 def export_calibration_file(path: Path, output: Path, force: bool = False) -> str:
-    """Write this program's calibration for the program that the suffix of `output` names, and return its name."""
+    """Write a calibration for the program of the output's suffix, and return its name."""
     check_new_file(output, force=force)
     with as_input_error(path):
         rig = read_calibration(path)
     with as_input_error(output), report_write_errors(output):
         program, notices = export_calibration(output, rig)
-    _tell(notices)
+    log_each_notice(notices)
     return program
 
 
-def _tell(notices: Sequence[Notice]) -> None:
+def log_each_notice(notices: Sequence[Notice]) -> None:
+    """Log every notice: these commands have no page that shows the notes."""
     for notice in notices:
         level = logging.WARNING if notice.severity == "warning" else logging.INFO
-        log.log(level, "%s: %s", notice.where, notice.text)
+        log.log(level, "%s %s: %s", notice.code, notice.where, notice.text)

@@ -18,10 +18,9 @@ from shaker.arrays import FloatArray, IntArray
 Side = Literal["left", "right"]
 
 SIDES: tuple[Side, Side] = ("left", "right")
-"""Places of the pair's rotation and translation among its parameters."""
-STEP = 1e-3  # of a parameter's uncertainty, by which it is moved for a derivative
-CELLS_ACROSS = 16  # of a picture, in which residuals are averaged
-NEIGHBOURS = 3  # points along a row and rows whose residuals are compared in one picture
+STEP = 1e-3  # of a parameter's uncertainty: step of a derivative
+CELLS_ACROSS = 16  # cells along the image width in which residuals are averaged
+NEIGHBOURS = 3  # points along a row and rows whose residuals are compared in one image
 LENGTH_SHARE = 0.1  # length whose uncertainty is stated, as a share of the working distance
 
 
@@ -34,8 +33,10 @@ class DerivedQuantity(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class DistortionField:
-    """What a lens does to a picture: at pixel (R, C, 2) the displacement (R, C, 2) from where a lens without distortion
-    would put the same ray, and its standard uncertainty per coordinate `u_px` (R, C); NaN where there is no such ray.
+    """Lens distortion on a grid of pixels (R, C, 2) with its uncertainty.
+
+    `displacement_px` (R, C, 2) is relative to a lens without distortion, `u_px` (R, C) its standard uncertainty per
+    coordinate; NaN without such a ray.
     """
 
     pixel: FloatArray
@@ -45,10 +46,10 @@ class DistortionField:
 
 @dataclass(frozen=True, eq=False)
 class ResidualMap:
-    """Residuals of one camera in square cells: centre (K, 2), mean (K, 2), points (K,), in the cells that have points.
+    """Residuals of one camera in square cells: centre (K, 2), mean (K, 2), points (K,).
 
-    `within_px`: rms length about the means; `systematic_px`: rms length of the means themselves, their scatter by
-    chance taken off (one-way analysis of variance, random effects).
+    Cells without points are omitted. `within_px`: rms length about the means; `systematic_px`: rms length of the means
+    themselves, corrected for their random scatter (one-way analysis of variance, random effects).
     """
 
     side_px: float
@@ -61,7 +62,7 @@ class ResidualMap:
 
 @dataclass(frozen=True, eq=False)
 class TargetShape:
-    """Departure of the target's points from its flat lattice: lattice (P, 2), across it (P, 2) and out of it (P,)."""
+    """Deviation of the target's points from the flat lattice, in plane and height."""
 
     lattice_m: FloatArray
     inside_m: FloatArray
@@ -70,10 +71,10 @@ class TargetShape:
 
 @dataclass(frozen=True)
 class ResidualParts:
-    """Rms lengths of what residuals of one camera have in common, chance taken off; the parts overlap.
+    """Rms lengths of the common parts of one camera's residuals, without random scatter.
 
-    `place_px`: at the same place in the picture; `point_px`, `point_m`: at the same point of the target, seen in its
-    plane; `smooth_px`: among neighbours in one picture; `alone_px`: what neighbours do not share.
+    The parts overlap. `position_px`: at the same position in the image; `point_px`, `point_m`: at the same point of the
+    target, in its plane; `smooth_px`: among neighbours in one image; `alone_px`: not shared by neighbours.
     """
 
     whole_px: float
@@ -85,20 +86,20 @@ class ResidualParts:
 
 
 def covariance_of(rig: StereoRig) -> FloatArray:
-    """Covariance (32, 32) of a calibrated rig."""
+    """Return the covariance (32, 32) of a calibrated rig."""
     if rig.covariance is None:
         raise ValueError("rig: expected a calibrated pair with the covariance of its parameters, found none")
     return rig.covariance
 
 
 def camera_of(rig: StereoRig, side: Side) -> tuple[Camera, FloatArray]:
-    """One camera and the covariance (13, 13) of its parameters."""
-    own = LEFT if side == "left" else RIGHT
-    return (rig.left if side == "left" else rig.right), covariance_of(rig)[np.ix_(own, own)]
+    """Return one camera and the covariance (13, 13) of its parameters."""
+    indices = LEFT if side == "left" else RIGHT
+    return (rig.left if side == "left" else rig.right), covariance_of(rig)[np.ix_(indices, indices)]
 
 
 def points_of_board(target: Target) -> int | None:
-    """How many points a target has; None for dots with ring markers, whose number nobody states."""
+    """Return the number of a target's points; None for dots with ring markers."""
     if target.size is None:
         return None
     columns, rows = target.size
@@ -106,7 +107,7 @@ def points_of_board(target: Target) -> int | None:
 
 
 def baseline_m(rig: StereoRig) -> DerivedQuantity:
-    """Distance of the two cameras: |t|, u² = eᵀ·C·e with e = t/|t|."""
+    """Return the distance of the two cameras: |t|, u² = eᵀ·C·e with e = t/|t|."""
     translation = rig.right_from_left.translation_m
     length = float(np.linalg.norm(translation))
     direction = translation / length
@@ -114,9 +115,10 @@ def baseline_m(rig: StereoRig) -> DerivedQuantity:
 
 
 def axes_angle_rad(rig: StereoRig) -> DerivedQuantity:
-    """Angle between the optical axes: a·b = cos α for a = e_z, b = R·e_z in the right camera's frame.
+    """Return the angle between the optical axes.
 
-    A small turn δ changes α by δ·(a × b)/|a × b|; parallel axes have no such direction, the largest u is taken then.
+    It is α with a·b = cos α for a = e_z, b = R·e_z. A small rotation δ changes α by δ·(a × b)/|a × b|. Parallel axes
+    have no such direction; the largest u is used then.
     """
     axis = rig.right_from_left.rotation[:, 2]
     across = np.cross([0.0, 0.0, 1.0], axis)
@@ -128,27 +130,30 @@ def axes_angle_rad(rig: StereoRig) -> DerivedQuantity:
 
 
 def distance_m(calibration: Calibration, view: CalibratedView) -> DerivedQuantity:
-    """Distance of the target's middle from the left camera."""
-    turned = view.left_from_target.rotation @ calibration.shape_m.mean(axis=0)
-    place = turned + view.left_from_target.translation_m
-    length = float(np.linalg.norm(place))
-    gradient = np.concatenate([place, -place @ skew(turned)]) / length
+    """Return the distance of the target's centre from the left camera."""
+    rotated = view.left_from_target.rotation @ calibration.shape_m.mean(axis=0)
+    centre = rotated + view.left_from_target.translation_m
+    length = float(np.linalg.norm(centre))
+    gradient = np.concatenate([centre, -centre @ skew(rotated)]) / length
     return DerivedQuantity(length, _root(gradient @ view.covariance @ gradient))
 
 
 def target_middles_m(calibration: Calibration) -> FloatArray:
-    """Middle (V, 3) of the target in every view, in the left camera's frame."""
+    """Return the centre (V, 3) of the target in the left camera's frame."""
     middle = calibration.shape_m.mean(axis=0)
     return np.array([view.left_from_target.apply(middle) for view in calibration.views])
 
 
 def working_point_m(calibration: Calibration) -> FloatArray:
-    """Where the target was in the middle of the session (3,): medians over the views."""
+    """Return the median (3,) of the target's centre over the views."""
     return np.asarray(np.median(target_middles_m(calibration), axis=0))
 
 
 def tilts_rad(calibration: Calibration) -> FloatArray:
-    """Tilt (V, 2) of the target to the right and down: the angle of its normal to the axis, towards the camera."""
+    """Return the tilt (V, 2) of the target's normal to the right and down.
+
+    The angle is that to the left camera's axis.
+    """
     normal = np.array([view.left_from_target.rotation[:, 2] for view in calibration.views])
     normal *= -np.sign(np.sum(normal * target_middles_m(calibration), axis=1, keepdims=True))
     across = np.linalg.norm(normal[:, :2], axis=1, keepdims=True)
@@ -157,16 +162,16 @@ def tilts_rad(calibration: Calibration) -> FloatArray:
 
 
 def turns_rad(calibration: Calibration) -> FloatArray:
-    """Turn (V,) of the target in the left picture: direction of its first axis, clockwise from the right."""
+    """Return the rotation (V,) of the target in the left image, clockwise from the right."""
     axis = np.array([view.left_from_target.rotation[:2, 0] for view in calibration.views])
     return np.asarray(np.arctan2(axis[:, 1], axis[:, 0]))
 
 
 def length_u(calibration: Calibration) -> FloatArray:
-    """Relative standard uncertainties (3,) of lengths along x, y, z of the left camera that the calibration leaves.
+    """Return relative standard uncertainties (3,) of lengths along x, y, z by the calibration.
 
-    Lengths of `LENGTH_SHARE` of the working distance about the working point; by moving the rig's parameters and
-    triangulating the same pixels again.
+    Axes are those of the left camera. Lengths are `LENGTH_SHARE` of the working distance, about the working point. The
+    rig's parameters are perturbed and the same pixels triangulated.
     """
     rig, middle = calibration.rig, working_point_m(calibration)
     half = 0.5 * LENGTH_SHARE * float(np.linalg.norm(middle)) * np.eye(3)
@@ -180,7 +185,7 @@ def length_u(calibration: Calibration) -> FloatArray:
 
 
 def distortion(calibration: Calibration, side: Side, columns: int = 33) -> DistortionField:
-    """Distortion of one camera on a grid over its whole picture, with the uncertainty of all parameters."""
+    """Return the distortion of one camera on a grid, with the uncertainty of all parameters."""
     camera, covariance = camera_of(calibration.rig, side)
     width, height = camera.size_px
     rows = max(3, round(columns * height / width))
@@ -197,13 +202,13 @@ def distortion(calibration: Calibration, side: Side, columns: int = 33) -> Disto
 
 
 def images_of_camera(calibration: Calibration, side: Side) -> list[CalibratedImage | None]:
-    """The picture of one camera in every view."""
+    """Return the image of one camera in every view."""
     return [view.left if side == "left" else view.right for view in calibration.views]
 
 
 def used_points(calibration: Calibration, side: Side) -> tuple[FloatArray, FloatArray, IntArray]:
-    """Positions (M, 2) and residuals (M, 2) in px of all points of one camera in the fit, and their views (M,)."""
-    taken = [(view, picture) for view, picture in enumerate(images_of_camera(calibration, side)) if picture is not None]
+    """Return positions (M, 2) and residuals (M, 2) of all fitted points, with views."""
+    taken = [(view, image) for view, image in enumerate(images_of_camera(calibration, side)) if image is not None]
     empty = [np.empty((0, 2)), np.empty((0, 2)), np.empty(0, int)]
     each = ((p.position_px[p.used], p.residual_px[p.used], np.full(p.used.sum(), view)) for view, p in taken)
     position, residual, view = (np.concatenate(parts) for parts in zip(empty, *each, strict=True))
@@ -211,18 +216,18 @@ def used_points(calibration: Calibration, side: Side) -> tuple[FloatArray, Float
 
 
 def residual_map(position_px: FloatArray, residual_px: FloatArray, side_px: float) -> ResidualMap:
-    """Means of residuals (M, 2) at positions (M, 2) in square cells of a side."""
+    """Return the means of residuals (M, 2) at positions (M, 2) in square cells."""
     cells, mean, count, within, between = _one_way(residual_px, np.floor((position_px + 0.5) / side_px))
     return ResidualMap(side_px, (cells + 0.5) * side_px - 0.5, mean, count, within, between)
 
 
 def cell_px(calibration: Calibration, side: Side) -> float:
-    """Side of the square cells of one camera's picture in which residuals are averaged."""
+    """Return the side of the square cells in which residuals are averaged."""
     return float(camera_of(calibration.rig, side)[0].size_px[0]) / CELLS_ACROSS
 
 
 def residual_parts(calibration: Calibration, side: Side) -> ResidualParts:
-    """What the residuals of one camera have in common."""
+    """Return the common parts of one camera's residuals."""
     (position, residual, view), spacing = used_points(calibration, side), calibration.target.spacing_m
     index = np.concatenate([p.index[p.used] for p in images_of_camera(calibration, side) if p is not None])
     lattice = spacing * np.column_stack([index, np.zeros(len(index))])
@@ -230,20 +235,23 @@ def residual_parts(calibration: Calibration, side: Side) -> ResidualParts:
     on_target = np.empty_like(residual)  # in the target's plane, in m
     for number in np.unique(view):
         mine = view == number
-        places = calibration.views[number].left_from_target.apply(lattice[mine, None] + step)
-        pixel = calibration.rig.project(places)[SIDES.index(side)]
+        points = calibration.views[number].left_from_target.apply(lattice[mine, None] + step)
+        pixel = calibration.rig.project(points)[SIDES.index(side)]
         jacobian = np.swapaxes(pixel[:, 1:] - pixel[:, :1], 1, 2) / (1e-3 * spacing)
         on_target[mine] = np.linalg.solve(jacobian, residual[mine, :, None])[..., 0]
-    *_, place = _one_way(residual, np.floor((position + 0.5) / cell_px(calibration, side)))
+    *_, position_px = _one_way(residual, np.floor((position + 0.5) / cell_px(calibration, side)))
     *_, print_m = _one_way(on_target, index)
     *_, alone, smooth = _one_way(residual, np.column_stack([view, index // NEIGHBOURS]))
     whole = _root((residual**2).sum(axis=1).mean())
     scale = whole / _root((on_target**2).sum(axis=1).mean())
-    return ResidualParts(whole, place, print_m * scale, print_m, smooth, alone)
+    return ResidualParts(whole, position_px, print_m * scale, print_m, smooth, alone)
 
 
 def target_shape(calibration: Calibration) -> TargetShape | None:
-    """How the target departs from its flat lattice, laid onto it as a rigid body; None where it was held flat."""
+    """Return the deviation of the target from its flat lattice; None for a flat model.
+
+    The lattice is fitted as a rigid body.
+    """
     index = calibration.shape_index
     lattice = calibration.target.spacing_m * np.column_stack([index, np.zeros(len(index))])
     if np.abs(calibration.shape_m - lattice).max() < 1e-12:
@@ -253,7 +261,7 @@ def target_shape(calibration: Calibration) -> TargetShape | None:
 
 
 def empty_cells(position_px: FloatArray, size_px: Sequence[int] | IntArray) -> FloatArray:
-    """Corners (K, 4) x0 y0 x1 y1 of the cells of a picture in which there is no point."""
+    """Return the corners (K, 4) x0 y0 x1 y1 of cells without a point."""
     width, height = (float(size) for size in size_px)
     columns, rows = COVERAGE_CELLS
     across, down = np.linspace(-0.5, width - 0.5, columns + 1), np.linspace(-0.5, height - 0.5, rows + 1)
@@ -263,17 +271,18 @@ def empty_cells(position_px: FloatArray, size_px: Sequence[int] | IntArray) -> F
 
 
 def correlation(covariance: FloatArray) -> FloatArray:
-    """Correlation coefficients of a covariance; NaN for parameters without uncertainty."""
+    """Return the correlation coefficients of a covariance; NaN for exact parameters."""
     u = np.sqrt(np.diagonal(covariance))
     u = np.where(u > 0, u, np.nan)
     return np.asarray(covariance / np.outer(u, u))
 
 
 def _one_way(vector: FloatArray, key: FloatArray | IntArray) -> tuple[FloatArray, FloatArray, IntArray, float, float]:
-    """Keys (K, C), means (K, 2) and sizes (K,) of groups of vectors (M, 2) of equal key (M, C), and two rms lengths.
+    """Return keys, means and sizes of groups of vectors, and two rms lengths.
 
-    Those within and between the groups. Analysis of variance with random effects: the mean square between groups minus
-    that which chance gives it.
+    Keys (K, C), means (K, 2) and sizes (K,) are of vectors (M, 2) of equal key (M, C). The rms lengths are those within
+    and between the groups. Analysis of variance with random effects: the mean square between groups minus its
+    expectation by chance.
     """
     keys, member = np.unique(np.asarray(key, dtype=np.float64), axis=0, return_inverse=True)
     member = member.reshape(-1)
@@ -285,12 +294,12 @@ def _one_way(vector: FloatArray, key: FloatArray | IntArray) -> tuple[FloatArray
 
 
 def _propagated(function: Callable[[FloatArray], FloatArray], covariance: FloatArray) -> FloatArray:
-    """Standard uncertainties (...) of a function (P,) → (...) of parameters about zero."""
+    """Return standard uncertainties (...) of a function (P,) → (...) of parameters about zero."""
     jacobian = derivatives(function, STEP * np.sqrt(np.diagonal(covariance)))
     variance = np.einsum("...i,ij,...j->...", jacobian, covariance, jacobian)
     return np.asarray(np.sqrt(np.maximum(variance, 0.0)))
 
 
 def _root(variance: FloatArray | float) -> float:
-    """Square root; rounding may leave a variance of zero slightly negative."""
+    """Return the square root; rounding may make a variance of zero slightly negative."""
     return float(np.sqrt(np.maximum(variance, 0.0)))

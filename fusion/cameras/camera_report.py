@@ -1,4 +1,4 @@
-"""The page of a calibration: what it tells in words, and its tables, every number rounded to its U (k = 2)."""
+"""Page of a calibration, every number rounded to its U (k = 2)."""
 
 from __future__ import annotations
 
@@ -57,8 +57,8 @@ from shaker.arrays import IntArray
 
 STATES = {
     "determined": "determined",
-    "indistinct": "not distinguishable from zero",
-    "open": "not determined by these views",
+    "indistinct": "not significantly different from zero",
+    "undetermined": "not determined by these views",
 }
 MEANINGS = {
     "fx": "focal length across",
@@ -68,9 +68,9 @@ MEANINGS = {
     "k1": "radial distortion, r²",
     "k2": "radial distortion, r⁴",
     "k3": "radial distortion, r⁶",
-    "k4": "radial distortion, r² below the fraction bar",
-    "k5": "radial distortion, r⁴ below the fraction bar",
-    "k6": "radial distortion, r⁶ below the fraction bar",
+    "k4": "radial distortion, r² of the denominator",
+    "k5": "radial distortion, r⁴ of the denominator",
+    "k6": "radial distortion, r⁶ of the denominator",
     "skew": "skew of the pixel axes",
     "p1": "tangential distortion, down",
     "p2": "tangential distortion, across",
@@ -85,25 +85,25 @@ KINDS = {
 }
 STRONGEST = 8  # correlations listed
 DISPLAY = {"m": (1e3, "mm"), "1": (1.0, "")}
-"""Factor and name of the units that are printed otherwise."""
+"""Factor and name of units that are displayed in another unit."""
 
 
 def verdict(calibration: Calibration) -> str:
-    """One or two plain sentences: whether something speaks against this calibration, and what first."""
+    """Return the first warning and the undetermined parameters in one or two sentences."""
     warnings = [notice for notice in calibration.notices if notice.severity == "warning"]
-    missing = [item.name for item in calibration.parameters if item.state == "open"]
-    text = "Nothing in number, place and angle of the views or in the residuals speaks against this calibration."
+    missing = [item.name for item in calibration.parameters if item.state == "undetermined"]
+    text = "Number, position and angle of the views and the residuals give no warning."
     if warnings:
         where = f" ({warnings[0].where})" if warnings[0].where else ""
         count = "One warning" if len(warnings) == 1 else f"{len(warnings)} warnings, the first"
-        text = f"{count}{where}: {warnings[0].text}."
+        text = f"{count}{where}: {warnings[0].text}"
     if missing:
         text += f" Not determined by these views: {', '.join(missing)}."
     return text
 
 
 def subject(calibration: Calibration) -> list[tuple[str, str]]:
-    """What was calibrated with what."""
+    """Return the target, its spacing and the image sizes."""
     target = calibration.target
     size = f", {target.size[0]} × {target.size[1]}" if target.size is not None else ""
     sizes = [
@@ -114,12 +114,12 @@ def subject(calibration: Calibration) -> list[tuple[str, str]]:
     return [
         ("Target", f"{KINDS[target.kind]}{size}"),
         ("Spacing", stated),
-        ("Pictures", f"{sizes[0]} px" if sizes[0] == sizes[1] else f"left {sizes[0]} px, right {sizes[1]} px"),
+        ("Images", f"{sizes[0]} px" if sizes[0] == sizes[1] else f"left {sizes[0]} px, right {sizes[1]} px"),
     ]
 
 
 def camera_headlines(calibration: Calibration) -> list[Headline]:
-    """The results to remember."""
+    """Return the main results."""
     rig = calibration.rig
     baseline, angle = baseline_m(rig), axes_angle_rad(rig)
     left, right = calibration.rms_sides_px
@@ -128,7 +128,11 @@ def camera_headlines(calibration: Calibration) -> list[Headline]:
     distances = 1e3 * np.linalg.norm(target_middles_m(calibration), axis=1)
     middle = float(np.median(distances))
     pixel = 1e3 * middle / float(rig.left.matrix[0, 0])
-    spacing, scale, common = "missing", "not stated", "the uncertainty of the spacing is missing in all lengths"
+    spacing, scale, common = (
+        "missing",
+        "not stated",
+        "the uncertainty of all lengths does not include that of the spacing",
+    )
     if calibration.scale_u > 0:
         spacing, scale = "included", f"U (k = 2) = {small(200.0 * calibration.scale_u)} %"
         common = "common to all points and all frames"
@@ -136,7 +140,7 @@ def camera_headlines(calibration: Calibration) -> list[Headline]:
         Headline(
             "Residuals of the pair, rms length",
             f"{calibration.rms_px:.3f} px",
-            f"left {left:.3f} px, right {right:.3f} px; noise added to the points' own: {noise} px per coordinate",
+            f"left {left:.3f} px, right {right:.3f} px; additional noise: {noise} px per coordinate",
         ),
         _views_headline(calibration),
         Headline(
@@ -160,7 +164,7 @@ def camera_headlines(calibration: Calibration) -> list[Headline]:
 
 
 def parameters_table(calibration: Calibration) -> Table | None:
-    """All parameters of the pair with their uncertainty and what the views say about them."""
+    """Return all parameters of the pair with uncertainty and state."""
     turn = vector_from_rotation(calibration.rig.right_from_left.rotation)
     turns = dict(zip(RIG_PARAMETERS[ROTATION], turn, strict=True))
 
@@ -183,13 +187,13 @@ def parameters_table(calibration: Calibration) -> Table | None:
         page_column("u (k = 1)", lambda item: printed(item)[1]),
         page_column("U (k = 2)", lambda item: printed(item)[2]),
         page_column("unit", lambda item: printed(item)[3], "l"),
-        page_column("state", lambda item: STATES[item.state] if item.u > 0 else "held", "l"),
+        page_column("state", lambda item: STATES[item.state] if item.u > 0 else "fixed", "l"),
     ]
     return table("Parameters of the pair", columns, calibration.parameters)
 
 
 def judgement_table(calibration: Calibration) -> Table | None:
-    """What halves of the views, and other models, make of the same pictures."""
+    """Return the results of halves of the views and of alternative models."""
     judged = calibration.cross_validation
     if judged is None:
         return None
@@ -222,13 +226,13 @@ def judgement_table(calibration: Calibration) -> Table | None:
         ),
         page_column("baseline / mm", lambda row: length(row[1])),
         page_column("angle / °", lambda row: turn(row[1])),
-        page_column("views left out, rms length / px", lambda row: row[2]),
+        page_column("predicted views, rms length / px", lambda row: row[2]),
     ]
-    return table("What halves of the views and other models make of the same pictures", columns, rows)
+    return table("Results of halves of the views and of other models for the same images", columns, rows)
 
 
 def views_share(calibration: Calibration) -> str:
-    """How much more than the residuals alone the views make of the uncertainties."""
+    """Return the increase of the uncertainties by the scatter of the views."""
     if calibration.cross_validation is None or calibration.rig.covariance is None:
         return ""
     u, alone = np.sqrt(np.diagonal(calibration.rig.covariance)), calibration.cross_validation.u_fit
@@ -237,13 +241,13 @@ def views_share(calibration: Calibration) -> str:
 
 
 def _every(calibration: Calibration) -> list[CalibrationParameter]:
-    """Return the rig's parameters, those that are held included."""
+    """Return the rig's parameters, including fixed ones."""
     named = {item.name: item for item in calibration.parameters}
     return [named.get(name, CalibrationParameter(name, 0.0, 0.0, "1", "determined")) for name in RIG_PARAMETERS]
 
 
 def correlations_table(calibration: Calibration) -> Table | None:
-    """The strongest correlations of different parameters."""
+    """Return the strongest correlations of different parameters."""
     coefficients = np.nan_to_num(correlation(covariance_of(calibration.rig)))
     pairs = np.column_stack(np.triu_indices(len(coefficients), 1))
     order = np.argsort(-np.abs(coefficients[tuple(pairs.T)]))[:STRONGEST]
@@ -256,34 +260,36 @@ def correlations_table(calibration: Calibration) -> Table | None:
 
 
 def residuals_table(calibration: Calibration) -> Table | None:
-    """What the residuals have in common."""
+    """Return the common parts of the residuals."""
     columns: list[TableColumn[tuple[str, ResidualParts]]] = [
         page_column("camera", lambda row: row[0], "l"),
         page_column("all", lambda row: f"{row[1].whole_px:.3f}"),
-        page_column("same place in the picture", lambda row: f"{row[1].position_px:.3f}"),
+        page_column("same position in the image", lambda row: f"{row[1].position_px:.3f}"),
         page_column("same point of the target", lambda row: f"{row[1].point_px:.3f}"),
-        page_column("neighbours in one picture", lambda row: f"{row[1].smooth_px:.3f}"),
+        page_column("neighbours in one image", lambda row: f"{row[1].smooth_px:.3f}"),
         page_column("each point alone", lambda row: f"{row[1].alone_px:.3f}"),
         page_column("same point of the target / µm", lambda row: f"{1e6 * row[1].point_m:.1f}"),
     ]
     parts = [(side, residual_parts(calibration, side)) for side in SIDES]
-    return table("What the residuals have in common, rms length / px", columns, parts)
+    return table("Common parts of the residuals, rms length / px", columns, parts)
 
 
 def lengths_table(calibration: Calibration) -> Table | None:
-    """What the calibration leaves uncertain of a length at the working point."""
+    """Return the uncertainty of a length at the working point by the calibration."""
     length = LENGTH_SHARE * float(np.linalg.norm(working_point_m(calibration)))
     columns: list[TableColumn[tuple[str, float]]] = [
         page_column("along, left camera", lambda row: row[0], "l"),
         page_column("U (k = 2) / %", lambda row: small(200.0 * row[1])),
         page_column(f"U (k = 2) of {1e3 * length:.0f} mm / µm", lambda row: small(1e6 * 2.0 * row[1] * length)),
     ]
-    ways = zip(("x, to the right", "y, down", "z, away from the camera"), length_u(calibration), strict=True)
-    return table("Lengths at the middle of the target's positions: what the calibration leaves", columns, ways)
+    directions = zip(("x, to the right", "y, down", "z, away from the camera"), length_u(calibration), strict=True)
+    return table(
+        "Uncertainty of lengths at the centre of the target's positions by the calibration", columns, directions
+    )
 
 
 def views_table(calibration: Calibration) -> Table | None:
-    """Every view: pictures, points in the fit, residuals, and how the target was held."""
+    """Return every view with images, fitted points, residuals and target pose."""
     tilt = np.degrees(np.linalg.norm(tilts_rad(calibration), axis=1))
     turn = np.degrees(turns_rad(calibration))
     lengths = (distance_m(calibration, view) for view in calibration.views)
@@ -291,22 +297,22 @@ def views_table(calibration: Calibration) -> Table | None:
 
     every = points_of_board(calibration.target)
 
-    def both(place: int, shown: Callable[[CalibratedImage], str]) -> Markup:
-        """A cell with the entry of the left picture above that of the right."""
-        view = calibration.views[place]
-        cells = (DASH if picture is None else shown(picture) for picture in (view.left, view.right))
+    def both(index: int, shown: Callable[[CalibratedImage], str]) -> Markup:
+        """Return a cell with the entry of the left image above that of the right."""
+        view = calibration.views[index]
+        cells = (DASH if image is None else shown(image) for image in (view.left, view.right))
         return Markup("{}<br>{}").format(*cells)
 
     columns: list[TableColumn[int]] = [
-        page_column("view", lambda place: str(place + 1)),
-        page_column("picture, left and right", lambda place: both(place, lambda p: p.name), "l"),
-        page_column("points", lambda place: both(place, lambda p: f"{int(p.used.sum())} of {every or len(p.used)}")),
+        page_column("view", lambda index: str(index + 1)),
+        page_column("image, left and right", lambda index: both(index, lambda p: p.name), "l"),
+        page_column("points", lambda index: both(index, lambda p: f"{int(p.used.sum())} of {every or len(p.used)}")),
         page_column(
-            "rms length / px", lambda place: both(place, lambda p: f"{p.rms_px:.3f}" if p.used.any() else DASH)
+            "rms length / px", lambda index: both(index, lambda p: f"{p.rms_px:.3f}" if p.used.any() else DASH)
         ),
-        page_column("tilt / °", lambda place: f"{tilt[place]:.1f}"),
-        page_column("turn / °", lambda place: signed_text(float(turn[place]), ".1f")),
-        page_column("distance / mm", lambda place: distances[place]),
+        page_column("tilt / °", lambda index: f"{tilt[index]:.1f}"),
+        page_column("turn / °", lambda index: signed_text(float(turn[index]), ".1f")),
+        page_column("distance / mm", lambda index: distances[index]),
     ]
     caption = (
         f"Views: points in the fit of {'those found' if every is None else 'the target'}; "
@@ -316,28 +322,28 @@ def views_table(calibration: Calibration) -> Table | None:
 
 
 def dropped_table(calibration: Calibration) -> Table | None:
-    """What did not go into the fit, and why; pictures first."""
+    """Return the rejected images and points with the reason."""
     columns: list[TableColumn[Rejection]] = [
-        page_column("picture", lambda item: item.name, "l"),
+        page_column("image", lambda item: item.name, "l"),
         page_column("points", lambda item: str(item.points) if item.points else "all"),
         page_column("reason", lambda item: item.reason, "l"),
     ]
-    return table("Left out of the fit", columns, sorted(calibration.rejections, key=lambda item: item.points > 0))
+    return table("Rejected from the fit", columns, sorted(calibration.rejections, key=lambda item: item.points > 0))
 
 
 def _views_headline(calibration: Calibration) -> Headline:
-    """Numbers of pairs, points and what was dropped."""
-    seen = [picture for side in SIDES for picture in images_of_camera(calibration, side) if picture is not None]
-    used, every = sum(int(picture.used.sum()) for picture in seen), sum(len(picture.used) for picture in seen)
+    """Return the numbers of pairs, points and rejections."""
+    seen = [image for side in SIDES for image in images_of_camera(calibration, side) if image is not None]
+    used, every = sum(int(image.used.sum()) for image in seen), sum(len(image.used) for image in seen)
     pairs = sum(view.left is not None and view.right is not None for view in calibration.views)
     whole = sum(item.points == 0 for item in calibration.rejections)
     value = f"{pairs} pairs" if pairs == len(calibration.views) else f"{pairs} pairs in {len(calibration.views)} views"
-    remark = f"{used} points in the fit, {every - used} left out; pictures dropped: {whole}"
+    remark = f"{used} points in the fit, {every - used} rejected; images rejected: {whole}"
     return Headline("Views", value, remark)
 
 
 def _focal_headline(calibration: Calibration, side: Side) -> Headline:
-    """Focal length of one camera, and what it sees."""
+    """Return focal length and field of view of one camera."""
     fx, fy = (item for item in calibration.parameters if item.name in (f"{side}.fx", f"{side}.fy"))
     size = camera_of(calibration.rig, side)[0].size_px
     field = [2.0 * np.degrees(np.arctan(0.5 * n / item.value)) for n, item in zip(size, (fx, fy), strict=True)]
@@ -347,9 +353,9 @@ def _focal_headline(calibration: Calibration, side: Side) -> Headline:
 
 
 def render_camera_report(calibration: Calibration, name: str, provenance: Provenance, duration_s: float) -> str:
-    """HTML text of one self-contained page about the calibrated stereo pair `name`.
+    """Return the HTML text of one self-contained page about the calibrated stereo pair `name`.
 
-    `provenance`: hashes of the pictures, settings, versions and the names of the files written beside the page.
+    `provenance`: hashes of the images, settings, versions and the names of the files written with the page.
     """
     shape = draw_shape(calibration)
     drawn = {

@@ -1,1 +1,1 @@
-"""Several recordings: run, joined, repeated, as a curve and as a matrix."""
+"""Evaluation of single recordings and joint evaluation of campaigns."""

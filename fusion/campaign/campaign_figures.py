@@ -1,4 +1,4 @@
-"""Figures of a campaign: curves over frequency with the scatter of recordings, all outputs, and the 6 x 6 matrix."""
+"""Figures of a campaign: curves, all outputs, cross-talk and excitation."""
 
 from __future__ import annotations
 
@@ -36,19 +36,19 @@ from shaker.labels import LOAD_COMPONENTS, typeset
 
 OUTPUT_MARKERS = ("circle", "square", "diamond", "triangle", "inverted_triangle", "cross")
 MOUNTING_MARKERS = ("circle", "square", "triangle", "inverted_triangle", "diamond")
-BESIDE_SHARE = 0.012
-"""How far ratios stand to the left of elements of matrices, as a share of the axis."""
+SHIFT_SHARE = 0.012
+"""Shift of ratios to the left of matrix elements, as a share of the axis."""
 SPREAD_SHARE = 0.008
-"""Distance of the mountings from each other beside their frequency, as a share of the axis."""
+"""Distance between the mountings of one frequency, as a share of the axis."""
 SPREAD_OVER = 0.06
-"""What all of them take of it, at most."""
+"""Largest width of all mountings of one frequency, as a share of the axis."""
 IN_LEGEND = 12
-"""Mountings that the legend names each; more of them are one entry."""
+"""Largest number of mountings with an entry in the legend; the others have one together."""
 BETWEEN_POINTS = 121
-"""Number of places at which the interpolated curve is drawn."""
+"""Number of frequencies at which the interpolated curve is drawn."""
 LARGEST_MAPS = 6
-"""Number of frequencies whose cross-talk is drawn: those spread evenly over all."""
-MAPS_BESIDE = 2
+"""Largest number of frequencies whose cross-talk is drawn, evenly chosen from all."""
+MAP_COLUMNS = 2
 CELL_IN = 0.42
 DARK_ABOVE = 0.55
 """Share of the colour scale above which text is white."""
@@ -60,35 +60,35 @@ def draw_curve(
     drives: Iterable[ExcitedLine],
     stated: StatedMatrix | None = None,
 ) -> Figure:
-    """Draw magnitude (relative to static where that is stated) and phase of one element over frequency.
+    """Draw magnitude (its deviation from static if stated) and phase over frequency.
 
-    `points`: those of the element, of single recordings and of matrices; `curves` and `drives`: all of the campaign,
-    from which the curve between the points is taken, and, below each, the single recordings if several are behind a
-    point; `stated`: of the sensor's matrix, where elements of single recordings rest on it.
+    `points`: those of the element, of single recordings and of matrices; `curves` and `drives`: all of the campaign.
+    They give the interpolated curve and, if points have several recordings, these below each panel. `stated`: the
+    stated matrix for elements of single recordings.
     """
     first, frequency = points[0], np.array([point.frequency_hz for point in points])
     title = f"output {first.channel} per load {first.component}"
     factor, power = power_of_ten(np.array([point.element.magnitude for point in points]))
     value, expanded = polar_bars([point.element for point in points], factor)
     static = [p.element.magnitude / p.relative.magnitude / factor for p in points if p.relative is not None]
-    behind = [
+    matching = [
         (curve, e)
         for curve in curves
         for e, (c, j) in enumerate(curve.elements)
         if (curve.channels[c], LOAD_COMPONENTS[j]) == (first.channel, first.component)
         and curve.kind in {point.kind for point in points}
     ]
-    alone = [(curve, e) for curve, e in behind if curve.kind != "matrix"]
-    singles = [one for curve, e in alone for one in single_points(curve, e, drives, stated)]
+    single_kind = [(curve, e) for curve, e in matching if curve.kind != "matrix"]
+    singles = [one for curve, e in single_kind for one in single_points(curve, e, drives, stated)]
     repeated = len(singles) > len(points)
     heights = [1.5, 0.9, 1.2, 0.9] if repeated else [1.5, 1.2]
     kinds = [point.kind for point in points]
-    what = "Ratio" if set(kinds) == {"ratio"} else "Sensitivity"
-    text = f"{what}, {title}: magnitude and phase over frequency; bars and band: U."
+    quantity = "Ratio" if set(kinds) == {"ratio"} else "Sensitivity"
+    text = f"{quantity}, {title}: magnitude and phase over frequency; bars and band: U."
     name = f"curve-{first.channel}-{first.component}"
     drawn = empty_figure(name, 6.9 if repeated else 4.6, heights)
     upper, lower = drawn.panels[0], drawn.panels[len(heights) // 2]
-    _draw_between((upper, lower), behind, factor)
+    _draw_between((upper, lower), matching, factor)
     for panel, level, half in zip((upper, lower), value, expanded, strict=True):
         _draw_bars(panel, frequency, kinds, level, half)
     unit = f"{power}{typeset(first.unit)}"
@@ -96,11 +96,11 @@ def draw_curve(
     lower.y.second = ("phase / °", 0.0, float(np.degrees(1.0)))
     if repeated:
         single, _ = polar_bars([element for _, _, element in singles], factor)
-        own = np.argmin(np.abs(np.array([f for f, _, _ in singles])[:, None] - frequency), axis=1)
-        turn = np.mod(single[1] - value[1, own] + np.pi, 2.0 * np.pi) - np.pi
+        nearest = np.argmin(np.abs(np.array([f for f, _, _ in singles])[:, None] - frequency), axis=1)
+        phase = np.mod(single[1] - value[1, nearest] + np.pi, 2.0 * np.pi) - np.pi
         for panel, off, half, unit in (
-            (drawn.panels[1], 100.0 * (single[0] / value[0, own] - 1.0), 100.0 * expanded[0] / value[0], "%"),
-            (drawn.panels[3], 1e3 * turn, 1e3 * expanded[1], "mrad"),
+            (drawn.panels[1], 100.0 * (single[0] / value[0, nearest] - 1.0), 100.0 * expanded[0] / value[0], "%"),
+            (drawn.panels[3], 1e3 * phase, 1e3 * expanded[1], "mrad"),
         ):
             _draw_bars(panel, frequency, kinds, np.zeros_like(half), half)
             _draw_mountings(panel, [(f, mounting) for f, mounting, _ in singles], off, _right_end(frequency))
@@ -111,18 +111,20 @@ def draw_curve(
         panel.x.limits, panel.x.link = (0.0, _right_end(frequency)), "frequency"
     drawn.panels[-1].x.label = "frequency / Hz"
     if len(set(kinds)) > 1:
-        text += " Ratios and elements of single recordings stand to the left of their frequency."
+        text += " Ratios and elements of single recordings are shifted to the left of their frequency."
     if "ratio" in kinds:
-        text += " Ratios contain what the other loads do."
+        text += " Ratios include the effect of the other loads."
     if repeated:
-        text += " Below each: single recordings (open, by mounting, beside their frequency) about the curve with its U."
-    return drawn.with_title(f"{what}, {title}", text, main=True)
+        text += (
+            " Below each: single recordings (open, by mounting, shifted in frequency) relative to the curve and its U."
+        )
+    return drawn.with_title(f"{quantity}, {title}", text, main=True)
 
 
 def draw_outputs(curve: SensitivityCurve, main: int) -> Figure:
-    """Draw the magnitude of every output over frequency, relative to the `main` one, which belongs to the load.
+    """Draw the magnitude of every output over frequency, relative to the `main` one.
 
-    The axis is logarithmic; arrows where a value is below its U.
+    The axis is logarithmic; arrows are upper bounds of values below their U.
     """
     load = LOAD_COMPONENTS[curve.elements[0][1]]
     rows = [
@@ -158,32 +160,32 @@ def draw_outputs(curve: SensitivityCurve, main: int) -> Figure:
 
 
 def draw_crosstalk(cross_talks: Sequence[CrossTalk]) -> Figure | None:
-    """Draw maps of cross-talk, numbers in the cells, one colour scale for all; None where none is known."""
+    """Draw maps of cross-talk with numbers and one colour scale; None without cross-talk."""
     if not cross_talks:
         return None
     chosen = np.linspace(0, len(cross_talks) - 1, min(len(cross_talks), LARGEST_MAPS)).round().astype(int)
-    maps = [cross_talks[place] for place in np.unique(chosen)]
-    rows, cells = -(-len(maps) // MAPS_BESIDE), max(len(found.channels) for found in maps)
+    maps = [cross_talks[index] for index in np.unique(chosen)]
+    rows, cells = -(-len(maps) // MAP_COLUMNS), max(len(found.channels) for found in maps)
     every = np.concatenate([_map(found).ravel() for found in maps])
     sizes = every[np.isfinite(every) & (every > 0.0)]
     high = float(sizes.max()) if sizes.size else 1.0
     low = max(float(sizes.min()), 1e-3 * high) if sizes.size else 0.1
     label = "share of the rated output / %, or upper bound"
     scale = Scale("Blues", low, high if high > low else 10.0 * low, label, log=True)
-    drawn = empty_figure("crosstalk", 0.5 + rows * (cells * CELL_IN + 1.3), rows, MAPS_BESIDE, shared_x=False)
+    drawn = empty_figure("crosstalk", 0.5 + rows * (cells * CELL_IN + 1.3), rows, MAP_COLUMNS, shared_x=False)
     for panel, found in zip(drawn.panels, maps, strict=False):
         _draw_map(panel, found, scale)
     for panel in drawn.panels[len(maps) :]:
         panel.blank = True
     caption = (
         "Cross-talk S_ij·capacity_j / (S_ii·capacity_i) in per cent: output i under the rated load j, as a share "
-        "of its rated output. “<”: 95 % upper bound of an element that cannot be told from zero. 1: main elements."
+        "of its rated output. “<”: 95 % upper bound of an element not distinguishable from zero. 1: main elements."
     )
     return drawn.with_title("Cross-talk", caption, main=True)
 
 
 def draw_excitation(fits: Sequence[MatrixFit]) -> Figure | None:
-    """Draw the singular values of the loads at every frequency and the level below which a matrix is refused."""
+    """Draw the singular values of the loads at every frequency, and their limit."""
     if not fits:
         return None
     drawn = empty_figure("excitation", 2.9)
@@ -195,10 +197,12 @@ def draw_excitation(fits: Sequence[MatrixFit]) -> Figure | None:
         "cividis", min(frequency), max(frequency) if len(fits) > 1 else min(frequency) + 1.0, "frequency / Hz"
     )
     singular = [fit.excitation.singular for fit in fits]
-    number = np.concatenate([np.arange(1, len(own) + 1) + beside for own, beside in zip(singular, shift, strict=True)])
-    values = np.repeat(frequency, [len(own) for own in singular])
+    number = np.concatenate(
+        [np.arange(1, len(values_of) + 1) + offset for values_of, offset in zip(singular, shift, strict=True)]
+    )
+    values = np.repeat(frequency, [len(values_of) for values_of in singular])
     panel.points(number, np.concatenate(singular), values=values, scale=scale)
-    panel.rule(MIN_SINGULAR, "least that determines", colour=RED, width=1.0, dashed=True)
+    panel.rule(MIN_SINGULAR, "limit for a matrix", colour=RED, width=1.0, dashed=True)
     panel.x.ticks = tuple(range(1, 7))
     panel.x.label, panel.y.label = "independent excitation", "amplitude / standard uncertainty"
     caption = (
@@ -209,19 +213,19 @@ def draw_excitation(fits: Sequence[MatrixFit]) -> Figure | None:
 
 
 def _right_end(frequency_hz: FloatArray) -> float:
-    """Right end of the frequency axis."""
+    """Return the right end of the frequency axis."""
     return 1.06 * float(frequency_hz.max(initial=1.0))
 
 
-def _draw_between(panels: Sequence[Panel], behind: Iterable[tuple[SensitivityCurve, int]], factor: float) -> None:
-    """Draw the interpolated element with its U, of the first curve that has enough points."""
-    for curve, element in behind:
+def _draw_between(panels: Sequence[Panel], candidates: Iterable[tuple[SensitivityCurve, int]], factor: float) -> None:
+    """Draw the interpolated element with its U, of the first curve with enough points."""
+    for curve, element in candidates:
         usable = np.isfinite(curve.value[:, element])
         if np.count_nonzero(usable) < MIN_POINTS:
             continue
-        known, one = curve.frequency_hz[usable], curve.uncertainty.at([element])
+        available, one = curve.frequency_hz[usable], curve.uncertainty.at([element])
         alone = replace(curve, elements=(curve.elements[element],), value=curve.value[:, [element]], uncertainty=one)
-        fine = interpolate(alone, np.linspace(float(known.min()), float(known.max()), BETWEEN_POINTS))
+        fine = interpolate(alone, np.linspace(float(available.min()), float(available.max()), BETWEEN_POINTS))
         found = [(f, row[0]) for f, row in zip(fine.frequency_hz, curve_elements(fine), strict=True)]
         frequency = [f for f, element in found if element is not None]
         bars = polar_bars([element for _, element in found if element is not None], factor)
@@ -234,36 +238,38 @@ def _draw_between(panels: Sequence[Panel], behind: Iterable[tuple[SensitivityCur
 def _draw_bars(
     panel: Panel, frequency: FloatArray, kinds: Sequence[str], value: FloatArray, expanded: FloatArray
 ) -> None:
-    """Points of the curve with error bars: dots for single recordings, diamonds for elements of the matrix."""
+    """Draw points of the curve with error bars, with one marker per kind."""
     looks = {
         "ratio": ("circle", BLUE, "ratio, U"),
         "element": ("circle", BLUE, "element, U"),
         "matrix": ("diamond", ORANGE, "matrix element, U"),
     }
     for kind, (marker, colour, label) in looks.items():
-        own = np.array([other == kind for other in kinds])
-        if own.any():
-            place = frequency[own] - (0.0 if kind == "matrix" or own.all() else BESIDE_SHARE * _right_end(frequency))
-            panel.points(place, value[own], label, half_y=expanded[own], colour=colour, marker=marker)
+        mask = np.array([other == kind for other in kinds])
+        if mask.any():
+            position = frequency[mask] - (
+                0.0 if kind == "matrix" or mask.all() else SHIFT_SHARE * _right_end(frequency)
+            )
+            panel.points(position, value[mask], label, half_y=expanded[mask], colour=colour, marker=marker)
 
 
 def _draw_mountings(panel: Panel, recorded: Sequence[tuple[float, str]], off: FloatArray, right: float) -> None:
-    """Single recordings of given frequency and mounting, off the curve (R,), each mounting beside its frequency."""
+    """Draw single recordings relative to the curve (R,), each mounting slightly shifted in frequency."""
     mountings, all_hz = (np.array(column) for column in ([m for _, m in recorded], [f for f, _ in recorded]))
     names = np.unique(mountings)
     step = right * min(SPREAD_SHARE, SPREAD_OVER / len(names))
-    for place, mounting in enumerate(names):
-        own = mountings == mounting
-        label = f"mounting {mounting}" if place < IN_LEGEND else f"{len(names) - IN_LEGEND} more mountings"
-        marker = MOUNTING_MARKERS[place % len(MOUNTING_MARKERS)]
-        told = (f"mounting {mounting}",) * int(own.sum())
-        frequency = all_hz[own] + step * (place + 1)
-        panel.points(frequency, off[own], label, colour=BLACK, marker=marker, open=True, size=3.8, names=told)
+    for number, mounting in enumerate(names):
+        mask = mountings == mounting
+        label = f"mounting {mounting}" if number < IN_LEGEND else f"{len(names) - IN_LEGEND} more mountings"
+        marker = MOUNTING_MARKERS[number % len(MOUNTING_MARKERS)]
+        labels = (f"mounting {mounting}",) * int(mask.sum())
+        frequency = all_hz[mask] + step * (number + 1)
+        panel.points(frequency, off[mask], label, colour=BLACK, marker=marker, open=True, size=3.8, names=labels)
     panel.rule(0.0, colour=GREY)
 
 
 def _map(found: CrossTalk) -> FloatArray:
-    """Return size or upper bound (C, 6) of every element in per cent, NaN at the main ones."""
+    """Return size or upper bound (C, 6) of every element in per cent."""
     size = 100.0 * np.abs(found.value)
     bound = np.where(found.holds_zero, size + 100.0 * found.half_axis, size)
     bound[np.arange(len(found.main)), list(found.main)] = np.nan
@@ -271,21 +277,21 @@ def _map(found: CrossTalk) -> FloatArray:
 
 
 def _draw_map(panel: Panel, found: CrossTalk, scale: Scale) -> None:
-    """One map with its numbers: an upper bound where the region holds zero."""
+    """Draw one map with its numbers; an upper bound if the region includes zero."""
     shown = _map(found)
-    i, j = (place.ravel() for place in np.indices(shown.shape))
+    i, j = (cell.ravel() for cell in np.indices(shown.shape))
     names = [f"output {found.channels[a]} under {found.components[b]}" for a, b in zip(i, j, strict=True)]
     ends = (j - 0.48, j + 0.48), (i - 0.48, i + 0.48)
     panel.boxes(*ends, values=shown.ravel(), scale=scale, names=tuple(names))
     span = np.log(scale.high / scale.low)
-    for place in np.ndindex(shown.shape):
-        size, dark = float(shown[place]), False
-        text = "1" if found.main[place[0]] == place[1] else "–"
+    for cell in np.ndindex(shown.shape):
+        size, dark = float(shown[cell]), False
+        text = "1" if found.main[cell[0]] == cell[1] else "–"
         if np.isfinite(size):
             digits = f"{size:#.2g}".removesuffix(".") if size >= 1e-4 else f"{size:.0e}"
-            text = f"< {digits}" if found.holds_zero[place] else digits
+            text = f"< {digits}" if found.holds_zero[cell] else digits
             dark = bool(np.log(max(size, scale.low) / scale.low) > DARK_ABOVE * span)
-        panel.text(place[1], place[0], text, colour=WHITE if dark else DARK if np.isfinite(size) else BLACK)
+        panel.text(cell[1], cell[0], text, colour=WHITE if dark else DARK if np.isfinite(size) else BLACK)
     panel.x.names, panel.y.names = tuple(found.components), tuple(found.channels)
     panel.x.grid = panel.y.grid = False
     panel.title = f"{found.frequency_hz:.6g} Hz: outputs down, loads across, per cent"

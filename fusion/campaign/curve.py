@@ -1,4 +1,4 @@
-"""One curve over frequency per element: ratio against amplitude, values between frequencies, relative to static."""
+"""Sensitivity curves over frequency: linearity, interpolation and values relative to static."""
 
 from __future__ import annotations
 
@@ -48,16 +48,16 @@ from shaker.labels import LOAD_COMPONENTS
 
 
 SERIES = 1.2
-"""Least ratio of the largest to the smallest amplitude of a series."""
+"""Smallest ratio of the largest to the smallest amplitude of a series."""
 
 
 @dataclass(frozen=True)
 class Linearity:
-    """How the sensor's elements, or ratios, change with amplitude in N recordings of one frequency and direction.
+    """Change of the sensor's elements, or ratios, with amplitude in N recordings of one excitation.
 
-    `amplitude` (N,) of the driven load; `slope` (C,): relative change per N or N·m, complex; `change` (C,): from the
-    smallest to the largest amplitude, with `covariance` (C, 2, 2) of (Re, Im) and `dof`; `linear` (C,): whether its
-    95 % region holds zero. `kind`: of what.
+    `amplitude` (N,) of the driven load; `slope` (C,): relative change per N or N·m, complex. `change` (C,): from the
+    smallest to the largest amplitude, with `covariance` (C, 2, 2) of (Re, Im) and `dof`. `linear` (C,): whether its 95
+    % region includes zero. `kind`: ratio or element.
     """
 
     frequency_hz: float
@@ -77,9 +77,9 @@ class Linearity:
 def find_linearity(
     drives: Iterable[ExcitedLine], capacity: Sequence[float] | None = None, stated: StatedMatrix | None = None
 ) -> tuple[Linearity, ...]:
-    """Return what changes with amplitude wherever one excitation was recorded at amplitudes 1.2 apart.
+    """Return the linearity of every excitation whose amplitudes have a ratio of 1.2 or more.
 
-    Of the sensor's elements where what is `stated` of its matrix gives them, as means and curves do.
+    It is that of the sensor's elements if the stated matrix gives them, as for means and curves.
     """
     found = []
     for group in group_excitations(drives, capacity, separate_amplitudes=False):
@@ -93,23 +93,25 @@ def find_linearity(
 def linearity(drives: Sequence[ExcitedLine], component: int, stated: StatedMatrix | None = None) -> Linearity:
     """Return the slope of elements or ratios over amplitude by generalised least squares.
 
-    S_n/S̄ = a + b·(A_n - Ā), slope b/a; scales common to all recordings cancel, since their covariance is kept. Scatter
-    beyond what is stated enlarges the covariance by chi-square per degree of freedom (Birge 1932, Phys. Rev. 40, 207).
-    Only outputs with a reading other than zero in all recordings have a slope.
+    S_n/S̄ = a + b·(A_n - Ā), slope b/a. Common scale errors cancel, since their covariance is included. Scatter beyond
+    the stated uncertainties enlarges the covariance by chi-square per degree of freedom (Birge 1932, Phys. Rev. 40,
+    207). Only outputs with a reading other than zero in all recordings have a slope.
     """
     channels = [name for name in common_outputs(drives) if all(drive.output(name) != 0.0 for drive in drives)]
-    known = known_matrix_of(drives, component, stated)
-    if known is not None:  # outputs of which the matrix tells no element would be ratios among elements
-        channels = [known.channels[row] for row in known.rows if known.channels[row] in channels]
+    matrix = known_matrix_of(drives, component, stated)
+    if matrix is not None:  # other outputs would be ratios among elements
+        channels = [matrix.channels[row] for row in matrix.rows if matrix.channels[row] in channels]
     kind, found = drive_values(drives, component, stated, channels)
     plain = unweighted_mean([value for value, _ in found])
     scaled = relative_to_mean(found, plain)
     readings = np.array([real_stack(value) for value, _ in scaled])
-    own, shared = split_covariance(scaled)
+    individual, shared = split_covariance(scaled)
     amplitude = np.array([abs(drive.load[component]) for drive in drives])
     width = float(np.ptp(amplitude))
     dof = 2 * (len(drives) - 2)
-    fits = [_slope(readings, own, shared, (amplitude - amplitude.mean()) / width, c) for c in range(len(channels))]
+    fits = [
+        _slope(readings, individual, shared, (amplitude - amplitude.mean()) / width, c) for c in range(len(channels))
+    ]
     change = np.array([fit[0] for fit in fits])
     covariance = np.array([fit[1] * (max(1.0, fit[2] / dof) if dof else 1.0) for fit in fits])
     freedom = float(dof) if dof and any(fit[2] > dof for fit in fits) else np.inf
@@ -132,27 +134,27 @@ def linearity(drives: Sequence[ExcitedLine], component: int, stated: StatedMatri
 
 
 def _slope(
-    readings: FloatArray, own: FloatArray, shared: Sequence[Shared], places: FloatArray, c: int
+    readings: FloatArray, individual: FloatArray, shared: Sequence[Shared], abscissa: FloatArray, c: int
 ) -> tuple[complex, FloatArray, float]:
-    """Relative slope of channel c over places (N,), its covariance (2, 2), and chi-square.
+    """Return the relative slope of channel c, its covariance (2, 2), and chi-square.
 
-    What all readings share are unknowns of the fit with a reading of zero ± 1 each; what some share makes these one
-    block of the covariance. Time and memory thus grow as the readings, not as their square.
+    Errors that all readings share are unknowns of the fit with a prior of zero ± 1 each; those that some share are
+    blocks of the covariance. Time and memory grow with the number of readings, not with its square.
     """
     count, both = len(readings), np.array([c, c + readings.shape[1] // 2])
-    own = own[:, both[:, None], both]
+    individual = individual[:, both[:, None], both]
     effects = [(rows, effect[:, :, both]) for rows, effect in shared]
-    total = np.trace(own, axis1=1, axis2=2).sum() + sum(float(np.sum(effect**2)) for _, effect in effects)
-    own = own + np.eye(2) * 1e-12 * total / (2 * count)
+    total = np.trace(individual, axis1=1, axis2=2).sum() + sum(float(np.sum(effect**2)) for _, effect in effects)
+    individual = individual + np.eye(2) * 1e-12 * total / (2 * count)
     wide = [effect.reshape(len(effect), -1).T for rows, effect in effects if len(rows) == count]
-    design = np.concatenate([np.kron(np.ones((count, 1)), np.eye(2)), np.kron(places[:, None], np.eye(2))], axis=1)
+    design = np.concatenate([np.kron(np.ones((count, 1)), np.eye(2)), np.kron(abscissa[:, None], np.eye(2))], axis=1)
     columns = np.column_stack([*wide, design, readings[:, both].ravel()])
     for rows, narrow in _blocks(count, [item for item in effects if len(item[0]) < count]):
-        place = {row: number for number, row in enumerate(rows)}
+        index = {row: number for number, row in enumerate(rows)}
         block = np.zeros((len(rows), 2, len(rows), 2))
-        block[range(len(rows)), :, range(len(rows))] = own[rows]
+        block[range(len(rows)), :, range(len(rows))] = individual[rows]
         for acting, effect in narrow:
-            at = [place[row] for row in acting]
+            at = [index[row] for row in acting]
             block[np.ix_(at, range(2), at)] += np.einsum("eni,emj->nimj", effect, effect)
         lines = (2 * np.array(rows)[:, None] + np.arange(2)).ravel()
         root = np.linalg.cholesky(block.reshape(2 * len(rows), -1))
@@ -168,11 +170,11 @@ def _slope(
 
 
 Shared = tuple[list[int], FloatArray]
-"""Some readings, and what acts on all of them."""
+"""Rows of the readings that share unknowns, and the effects on them."""
 
 
 def _blocks(count: int, shared: Sequence[Shared]) -> list[tuple[list[int], list[Shared]]]:
-    """All `count` readings in blocks without anything shared between them, each with what is shared within."""
+    """Return all `count` readings in blocks without shared errors between them."""
     pairs = [(rows[0], row) for rows, _ in shared for row in rows]
     first, other = np.array(pairs, dtype=np.int64).reshape(-1, 2).T
     graph = coo_array((np.ones(len(pairs)), (first, other)), shape=(count, count))
@@ -185,14 +187,14 @@ def _blocks(count: int, shared: Sequence[Shared]) -> list[tuple[list[int], list[
     return list(blocks.values())
 
 
-# Interpolation of noisy values over frequency, with what is not known between the points.
+# Interpolation of noisy values over frequency, with its uncertainty between the points.
 
 
 MIN_POINTS = 5
 _LENGTHS = np.geomspace(0.05, 10.0, 6)
-"""Correlation lengths tried first, in units of the range of ln f."""
+"""Correlation lengths of the first grid, in units of the range of ln f."""
 _SIZES = np.geomspace(1e-6, 1.0, 7)
-"""Standard deviations tried first, in units of the values."""
+"""Standard deviations of the first grid, in units of the values."""
 _JITTER = 1e-9
 """Standard deviation in units of the values that keeps matrices of noiseless points regular."""
 _DIGITS = 1e-13
@@ -200,9 +202,9 @@ _DIGITS = 1e-13
 
 @dataclass(frozen=True)
 class Weights:
-    """Values at Q frequencies as sums over K points: `weight` (Q, K), rows of sum 1.
+    """Weights (Q, K) of K points in the values at Q frequencies.
 
-    `variance` (Q,): by what lies between the points, in squares of the values' unit; `dof`: of its estimate.
+    Rows have the sum 1. `variance` (Q,): of the interpolation, in squares of the values' unit; `dof`: of its estimate.
     """
 
     weight: FloatArray
@@ -211,38 +213,38 @@ class Weights:
 
 
 def interpolation_weights(
-    frequency_hz: FloatArray, value: FloatArray, variance: FloatArray, wanted_hz: FloatArray
+    frequency_hz: FloatArray, value: FloatArray, variance: FloatArray, target_hz: FloatArray
 ) -> Weights:
-    """Return how values (K,) of random `variance` (K,) predict those at other frequencies (Q,).
+    """Return the weights of values (K,) with random `variance` (K,) for other frequencies (Q,).
 
-    Universal kriging over ln f: a parabola in f, which is what stiffness, mass and damping make far below a resonance,
-    plus a stationary process of Matérn's kind with ν = 5/2 (Rasmussen & Williams 2006, Gaussian Processes, 2.7 and
-    eq. 4.17). Its size and length by restricted maximum likelihood; where points left out are predicted worse than
-    that (mean of their normalised squares, ibid. eq. 5.12), its variance is enlarged.
+    Universal kriging over ln f. The trend is a parabola in f, as stiffness, mass and damping give far below a
+    resonance. The remainder is a stationary process of Matérn's kind with ν = 5/2 (Rasmussen & Williams 2006, Gaussian
+    Processes, 2.7 and eq. 4.17). Its size and length follow from restricted maximum likelihood. If left-out points are
+    predicted worse than that (mean of their normalised squares, ibid. eq. 5.12), its variance is enlarged.
     """
     if len(frequency_hz) < MIN_POINTS:
         raise ValueError(f"frequency_hz: expected at least {MIN_POINTS} points, found {len(frequency_hz)}")
     low, high = float(np.min(frequency_hz)), float(np.max(frequency_hz))
-    outside = wanted_hz[(wanted_hz < low) | (wanted_hz > high)]
+    outside = target_hz[(target_hz < low) | (target_hz > high)]
     if len(outside):
-        raise ValueError(f"wanted_hz: expected {low:g} to {high:g} Hz, the range of the points, found {outside[0]:g}")
+        raise ValueError(f"target_hz: expected {low:g} to {high:g} Hz, the range of the points, found {outside[0]:g}")
     largest = float(np.max(np.abs(value)))
     size = largest if largest > 0.0 else 1.0
     data = value[:, None] / size
     noise = variance / size**2 + _JITTER**2
     # Columns 1, f, f² of a trend.
-    trend, trend_wanted = (
-        np.stack([(f / high) ** power for power in range(3)], axis=1) for f in (frequency_hz, wanted_hz)
+    trend, target_trend = (
+        np.stack([(f / high) ** power for power in range(3)], axis=1) for f in (frequency_hz, target_hz)
     )
-    place, wanted = np.log(frequency_hz), np.log(wanted_hz)
-    distance = np.abs(place[:, None] - place)
+    position, target = np.log(frequency_hz), np.log(target_hz)
+    distance = np.abs(position[:, None] - position)
     contrasts = np.linalg.qr(trend, mode="complete")[0][:, trend.shape[1] :]
     best = _restricted_maximum(distance, contrasts, data, noise)
     covariance = _matern(distance, best)
-    across = _matern(np.abs(wanted[:, None] - place), best)
+    across = _matern(np.abs(target[:, None] - position), best)
     readings = covariance + np.diag(noise + _DIGITS * np.exp(2.0 * best[0]))
     projector = contrasts @ np.linalg.solve(contrasts.T @ readings @ contrasts, contrasts.T)
-    plain = trend_wanted @ np.linalg.pinv(trend)
+    plain = target_trend @ np.linalg.pinv(trend)
     weight = plain + (across - plain @ readings) @ projector
     between = np.exp(2.0 * best[0]) - 2.0 * np.sum(weight * across, axis=1)
     between = np.maximum(between + np.einsum("qk,kl,ql->q", weight, covariance, weight), 0.0)
@@ -251,14 +253,14 @@ def interpolation_weights(
 
 
 def _matern(distance: FloatArray, log_parameters: FloatArray) -> FloatArray:
-    """Matérn covariance, ν = 5/2, of standard deviation and length given by their logarithms."""
+    """Return the Matérn covariance, ν = 5/2, for the logarithms of standard deviation and length."""
     size, length = np.exp(log_parameters)
     ratio = np.sqrt(5.0) * distance / length
     return np.asarray(size**2 * (1.0 + ratio + ratio**2 / 3.0) * np.exp(-ratio))
 
 
 def _restricted_maximum(distance: FloatArray, contrasts: FloatArray, data: FloatArray, noise: FloatArray) -> FloatArray:
-    """Logarithms of size and length of greatest restricted likelihood: the best of a grid, refined."""
+    """Return the logarithms of size and length of greatest restricted likelihood."""
     from scipy.optimize import minimize
 
     span = float(np.max(distance))
@@ -266,7 +268,7 @@ def _restricted_maximum(distance: FloatArray, contrasts: FloatArray, data: Float
     left = contrasts.T @ data
 
     def cost(parameters: FloatArray) -> float:
-        """Minus twice the log-likelihood of what contrasts free of the trend leave, up to a constant."""
+        """Return minus twice the log-likelihood of the contrasts, up to a constant."""
         inside = np.clip(parameters, bounds[:, 0], bounds[:, 1])
         readings = _matern(distance, inside) + np.diag(noise + _DIGITS * np.exp(2.0 * inside[0]))
         root = np.linalg.cholesky(contrasts.T @ readings @ contrasts)
@@ -287,11 +289,13 @@ INTERPOLATION = "interpolation"
 
 @dataclass(frozen=True)
 class SensitivityCurve:
-    """E elements of the sensitivity at K frequencies: ratios, elements of single recordings, or of matrices.
+    """E elements of the sensitivity at K frequencies.
 
-    `elements`: channel and component of each; `value` (K, E), NaN where there is none; `uncertainty` of K lines, with
-    names that hold between recordings, so that what frequencies share is known; `recordings`: those behind each line,
-    none where it was interpolated.
+    `kind`: ratios, elements of single recordings, or of matrices.
+
+    `elements`: channel and component of each; `value` (K, E), NaN if there is none; `uncertainty` of K lines with
+    campaign-wide names, which includes correlations between frequencies; `recordings`: those of each line, empty if
+    interpolated.
     """
 
     kind: Literal["ratio", "element", "matrix"]
@@ -321,13 +325,12 @@ def ratio_curves(
     stated: StatedMatrix | None = None,
     mean: Mean = mean_ratio,
 ) -> tuple[SensitivityCurve, ...]:
-    """Return one curve per driven component: all outputs over it, every frequency the mean of its repeats.
+    """Return one curve per driven component: all outputs over it, averaged over repeats.
 
-    With what is `stated` of the matrix, curves of the sensor's elements instead, where that allows them.
-
-    Recordings of one excitation count as repeats whatever their amplitude. Of several excitations that drive the same
-    component at one frequency (other lever arms) the one with the least of other components is on the curve. `mean`:
-    in place of `mean_ratio` (`means_once`).
+    With a `stated` matrix, curves of the sensor's elements are returned where it allows them. Recordings of one
+    excitation are repeats whatever their amplitude. If several excitations drive the same component at one frequency
+    (other lever arms), the one with the smallest other components is used. `mean`: replaces `mean_ratio`
+    (`cached_mean_ratio`).
     """
     groups: dict[int, list[tuple[float, tuple[ExcitedLine, ...]]]] = {}
     for group in group_excitations(drives, capacity, separate_amplitudes=False):
@@ -342,15 +345,15 @@ def ratio_curves(
             chosen[-1] = impurity, group
     curves = []
     for j in sorted(groups):
-        known = [(group, known_matrix_of(group, j, stated)) for _, group in groups[j]]
-        means = [mean(group, j, own) for group, own in known if (own is None) == (stated is None)]
+        matrices = [(group, known_matrix_of(group, j, stated)) for _, group in groups[j]]
+        means = [mean(group, j, matrix) for group, matrix in matrices if (matrix is None) == (stated is None)]
         if means:
             curves.append(_ratio_curve(j, means))
     return tuple(curves)
 
 
 def matrix_curve(fits: Sequence[MatrixFit]) -> SensitivityCurve:
-    """Return the elements of matrices at several frequencies, of one sensor, as one curve."""
+    """Return the elements of matrices of one sensor at several frequencies as one curve."""
     ordered = sorted(fits, key=lambda fit: fit.frequency_hz)
     if not ordered or any(fit.channels != ordered[0].channels for fit in ordered):
         raise ValueError("fits: expected matrices of the same outputs, found others or none")
@@ -367,61 +370,65 @@ def matrix_curve(fits: Sequence[MatrixFit]) -> SensitivityCurve:
 
 
 def relative_curve(curve: SensitivityCurve, static: ArrayLike, u_static: ArrayLike) -> SensitivityCurve | None:
-    """Return the elements over their static sensitivity, of those that have one; None where none has.
+    """Return the elements over their static sensitivity; None if no element has one.
 
     `static` (C, 6), in the order of the curve's channels, with standard uncertainties `u_static` (C, 6).
     """
     table, u_table = np.asarray(static, dtype=np.float64), np.asarray(u_static, dtype=np.float64)
     check_shape("static", table, (len(curve.channels), len(LOAD_COMPONENTS)))
-    places = [e for e, element in enumerate(curve.elements) if table[element] != 0.0]
-    if not places:
+    indices = [e for e, element in enumerate(curve.elements) if table[element] != 0.0]
+    if not indices:
         return None
     chosen = replace(
         curve,
-        elements=tuple(curve.elements[e] for e in places),
-        value=curve.value[:, places],
-        uncertainty=curve.uncertainty.at(places),
+        elements=tuple(curve.elements[e] for e in indices),
+        value=curve.value[:, indices],
+        uncertainty=curve.uncertainty.at(indices),
     )
     rows, columns = np.transpose(chosen.elements)
-    names = [chosen.name(e) for e in range(len(places))]
+    names = [chosen.name(e) for e in range(len(indices))]
     stated = table[rows, columns], u_table[rows, columns]
     value, uncertainty = over_static(chosen.value, chosen.uncertainty, *stated, names)
     return replace(chosen, value=value, uncertainty=uncertainty)
 
 
 def interpolate(curve: SensitivityCurve, frequency_hz: FloatArray) -> SensitivityCurve:
-    """Return the curve at other frequencies within its range, with the uncertainty of the points and between them.
+    """Return the curve at other frequencies within its range, with its uncertainty.
 
-    Real and imaginary part of every element are weighted sums of its points (`fusion.campaign.curve`); what
-    points share acts on the sum as on them, since the weights add up to 1, and noise averages as the weights let it.
-    An element of fewer than five points has no value.
+    Real and imaginary part of every element are weighted sums of its points (`interpolation_weights`). Shared errors
+    act on the sum as on the points, since the weights add up to 1; noise averages according to the weights. An element
+    of fewer than five points has no value.
     """
-    wanted = np.asarray(frequency_hz, dtype=np.float64)
+    target_hz = np.asarray(frequency_hz, dtype=np.float64)
     lines, count = curve.value.shape
     data = real_stack(curve.value)
-    # Variance that is a point's own: noise, and unknowns that act on one frequency only.
+    # Individual variance of a point: noise, and unknowns that act on one frequency only.
     noise = np.sum([part.covariance.diagonal(axis1=1, axis2=2) for part in curve.uncertainty.random], axis=0)
     for influence in curve.uncertainty.influences:
         if np.count_nonzero(np.any(influence.effect != 0.0, axis=1)) == 1:
             noise = noise + influence.effect**2
-    weight, between = np.zeros((len(wanted), lines, 2 * count)), np.zeros((len(wanted), 2 * count))
+    weight, between = np.zeros((len(target_hz), lines, 2 * count)), np.zeros((len(target_hz), 2 * count))
     dof = np.inf
     for part in range(2 * count):
         usable = np.flatnonzero(np.isfinite(data[:, part]))
         if len(usable) < MIN_POINTS:
             weight[:, :, part] = np.nan
             continue
-        found = interpolation_weights(curve.frequency_hz[usable], data[usable, part], noise[usable, part], wanted)
+        found = interpolation_weights(curve.frequency_hz[usable], data[usable, part], noise[usable, part], target_hz)
         weight[:, usable, part], between[:, part], dof = found.weight, found.variance, min(dof, found.dof)
     sums = np.einsum("qki,ki->qi", weight, np.nan_to_num(data))
     uncertainty = _interpolated(curve, weight, between, dof)
     return replace(
-        curve, frequency_hz=wanted, value=as_complex(sums), uncertainty=uncertainty, recordings=((),) * len(wanted)
+        curve,
+        frequency_hz=target_hz,
+        value=as_complex(sums),
+        uncertainty=uncertainty,
+        recordings=((),) * len(target_hz),
     )
 
 
 def _ratio_curve(component: int, means: Sequence[RepeatMean]) -> SensitivityCurve:
-    """Curve of all outputs over one component."""
+    """Return the curve of all outputs over one component."""
     channels = tuple(dict.fromkeys(name for mean in means for name in mean.channels))
     parts = [_all_channels(mean, channels) for mean in means]
     return SensitivityCurve(
@@ -436,7 +443,7 @@ def _ratio_curve(component: int, means: Sequence[RepeatMean]) -> SensitivityCurv
 
 
 def _all_channels(mean: RepeatMean, channels: Sequence[str]) -> tuple[ComplexArray, Uncertainty]:
-    """Values and uncertainty in the order of all channels, NaN where this frequency has none."""
+    """Return values and uncertainty in the order of all channels, NaN if missing."""
     have, want = len(mean.channels), len(channels)
     value = np.full(want, complex(np.nan, np.nan))
     matrix = np.zeros((2 * want, 2 * have))
@@ -452,7 +459,7 @@ def _all_channels(mean: RepeatMean, channels: Sequence[str]) -> tuple[ComplexArr
 
 
 def _interpolated(curve: SensitivityCurve, weight: FloatArray, between: FloatArray, dof: float) -> Uncertainty:
-    """Uncertainty of weighted sums (Q, K, 2E) of the points, and of what lies between them (Q, 2E)."""
+    """Return the uncertainty of weighted sums (Q, K, 2E) of points, and of the interpolation."""
     size = np.abs(curve.value)
     size = np.where(size > 0.0, size, np.inf)
     random = [_averaged(part, weight, size) for part in curve.uncertainty.random]
@@ -464,19 +471,19 @@ def _interpolated(curve: SensitivityCurve, weight: FloatArray, between: FloatArr
 
 
 def _averaged(part: Contribution, weight: FloatArray, size: FloatArray) -> Contribution:
-    """Noise of weighted sums of lines; its degrees of freedom by Welch and Satterthwaite over relative variances.
+    """Return the noise of weighted sums of lines, with degrees of freedom by Welch–Satterthwaite.
 
-    What mountings differ by may be the same at all frequencies of a mounting, a place for instance: it does not average
-    over them, (Σ w·e)² ≤ Σ|w|·Σ|w|·e².
+    The degrees of freedom use relative variances. Differences of mountings may be equal at all frequencies of a
+    mounting, such as a position error: they do not average out, (Σ w·e)² ≤ Σ|w|·Σ|w|·e².
     """
-    known = np.nan_to_num(part.covariance)
+    covariances = np.nan_to_num(part.covariance)
     if part.label == BETWEEN:
         size_of = np.abs(weight)
         weight = np.sqrt(size_of * np.sum(size_of, axis=1, keepdims=True))
-    covariance = np.einsum("qki,kij,qkj->qij", weight, known, weight, optimize=True)
+    covariance = np.einsum("qki,kij,qkj->qij", weight, covariances, weight, optimize=True)
     if part.dof is None:
         return replace(part, covariance=covariance)
-    relative = known.diagonal(axis1=1, axis2=2) / np.tile(size, (1, 2)) ** 2
+    relative = covariances.diagonal(axis1=1, axis2=2) / np.tile(size, (1, 2)) ** 2
     share = np.einsum("qki,ki->qk", np.nan_to_num(weight) ** 2, relative)
     total, weighted = share.sum(axis=1), np.sum(share**2 / np.maximum(part.dof, 1.0), axis=1)
     dof = np.divide(total**2, weighted, out=np.full(len(total), np.inf), where=weighted > 0.0)
@@ -490,8 +497,8 @@ def _averaged(part: Contribution, weight: FloatArray, size: FloatArray) -> Contr
 class CurvePoint:
     """One element of the sensitivity at one frequency.
 
-    `channel` and `component` by name; `element`: the value; `relative`: over its static sensitivity, None where that
-    is not stated; `recordings` and `mountings` behind it; `kind`: ratio, element or matrix.
+    `channel` and `component` by name; `element`: the value; `relative`: over its static sensitivity, None if that is
+    not stated; number of `recordings` and `mountings`; `kind`: ratio, element or matrix.
     """
 
     frequency_hz: float
@@ -508,16 +515,16 @@ class CurvePoint:
 def single_points(
     curve: SensitivityCurve, element: int, drives: Iterable[ExcitedLine], stated: StatedMatrix | None = None
 ) -> list[tuple[float, str, Polar]]:
-    """Return frequency, mounting and value of every recording behind one element of a curve of ratios or elements."""
+    """Return frequency, mounting and value of every recording in one element of a curve."""
     c, component = curve.elements[element]
     channel = curve.channels[c]
-    behind = {(name, k) for k, names in enumerate(curve.recordings) for name in names}
+    contributing = {(name, k) for k, names in enumerate(curve.recordings) for name in names}
     found = []
     for drive in drives:
         line = int(np.argmin(np.abs(curve.frequency_hz - drive.frequency_hz)))
-        if (drive.recording, line) in behind and channel in drive.channels:
-            known = known_matrix_of([drive], component, stated) if curve.kind == "element" else None
-            value, uncertainty = drive_value(drive, component, [channel], known)
+        if (drive.recording, line) in contributing and channel in drive.channels:
+            matrix = known_matrix_of([drive], component, stated) if curve.kind == "element" else None
+            value, uncertainty = drive_value(drive, component, [channel], matrix)
             ((point,),) = polar_elements(value[None], uncertainty)
             if point is not None:
                 found.append((drive.frequency_hz, drive.mounting, point))
@@ -525,5 +532,5 @@ def single_points(
 
 
 def curve_elements(curve: SensitivityCurve) -> list[list[Polar | None]]:
-    """Return every element (K lines of E) with magnitude and phase, None where there is no value."""
+    """Return magnitude and phase of every element (K lines of E), or None."""
     return polar_elements(curve.value, curve.uncertainty)

@@ -1,4 +1,4 @@
-"""In which order unknowns that recordings share are eliminated, so that time and memory grow as the recordings."""
+"""Order in which shared unknowns are eliminated; time and memory grow linearly with the recordings."""
 
 from __future__ import annotations
 
@@ -10,17 +10,17 @@ import numpy as np
 from shaker.arrays import BoolArray, IntArray
 
 MOST_LOCAL = 256
-"""Largest number of unknowns of a few drives that are eliminated together."""
+"""Largest number of unknowns that are eliminated together for a group of lines (chosen for speed)."""
 CHUNK = 512
-"""Least number of drives whose readings are in memory at once."""
+"""Smallest number of lines whose readings are in memory at once (chosen for speed)."""
 
 
 @dataclass(frozen=True)
 class EliminationOrder:
-    """Unknowns by the drives on which they act, so that time and memory grow as the drives.
+    """Unknowns ordered by the lines on which they act.
 
-    `own` (R, A): slots of unknowns of one drive only; `wide` (W,): unknowns that are columns for all drives; `groups`:
-    drives that have nothing but these in common with any other, each with the unknowns that act within it.
+    `single` (R, A): slots of unknowns of one line only; `wide` (W,): unknowns that are columns for all lines; `groups`:
+    lines that share only wide unknowns with other groups, each with its unknowns.
     """
 
     single: BoolArray
@@ -28,7 +28,7 @@ class EliminationOrder:
     groups: tuple[tuple[IntArray, IntArray], ...]
 
     def chunks(self) -> Iterator[tuple[tuple[IntArray, IntArray], ...]]:
-        """Yield groups together, as many as make `CHUNK` drives."""
+        """Yield groups that together have at least `CHUNK` lines."""
         chunk: list[tuple[IntArray, IntArray]] = []
         drives = 0
         for group in self.groups:
@@ -42,10 +42,12 @@ class EliminationOrder:
 
 
 def elimination_order(acting: IntArray, count: int) -> EliminationOrder:
-    """Return it for the unknowns `acting` (R, A) on each drive, of `count` (-1: none).
+    """Return the order for the unknowns `acting` (R, A) on each line (-1: none).
 
-    What acts on more than half of the drives is wide: there are no more than 2A of these. The others join drives to
-    groups, beginning with those that act on fewest, and are wide where a group would have more than `MOST_LOCAL`.
+    `count`: number of unknowns.
+
+    An unknown of more than half of the lines is wide; there are at most 2A of these. The others join lines to groups,
+    beginning with those of fewest lines. They are wide if a group would have more than `MOST_LOCAL` unknowns.
     """
     rows, slots = np.nonzero(acting >= 0)
     names = acting[rows, slots]

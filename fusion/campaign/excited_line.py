@@ -1,4 +1,4 @@
-"""One driven line of one recording as several recordings are compared: load, outputs, and which unknowns they share."""
+"""One excited line of one recording: load, outputs and shared unknowns."""
 
 from __future__ import annotations
 
@@ -21,17 +21,17 @@ if TYPE_CHECKING:
     from fusion.sensitivity.load_phasors import LoadResult
 
 
-Kept = TypeVar("Kept")
+Item = TypeVar("Item")
 Numbers = tuple[tuple[Contribution, ...], FloatArray]
 UnknownDescription = tuple[str, str, float, str, Scope, Kind, float, Distribution]
-"""An unknown without its effect: name, label, standard uncertainty, unit, scope, type, degrees of freedom, kind."""
+"""Unknown without its effect: name, label, u, unit, scope, type, degrees of freedom, distribution."""
 
 
 class LazyUncertainty(Uncertainty):
-    """An uncertainty whose influences are made when they are asked for.
+    """Uncertainty whose influences are created on access, which needs a fifth of the memory.
 
-    Between two uses there are the random contributions and one table `effects` (E, K, 2C), in memory or on a shelf;
-    what else is known of an unknown, `about` (E), is there once wherever it acts. Objects take five times the memory.
+    In between it keeps the random contributions and one table `effects` (E, K, 2C), in memory or on disk. Each
+    unknown's `descriptions` (E) exist once for all lines.
     """
 
     descriptions: tuple[UnknownDescription, ...]
@@ -42,23 +42,23 @@ class LazyUncertainty(Uncertainty):
         object.__setattr__(self, "numbers", numbers)
 
     @classmethod
-    def of(cls, known: Uncertainty) -> LazyUncertainty:
-        """Return a known uncertainty, stored in memory."""
-        influences = known.influences
-        own = ((i.name, i.label, i.u, i.unit, i.scope, i.type, i.dof, i.distribution) for i in influences)
+    def of(cls, uncertainty: Uncertainty) -> LazyUncertainty:
+        """Return a given uncertainty with its numbers in memory."""
+        influences = uncertainty.influences
+        rows = ((i.name, i.label, i.u, i.unit, i.scope, i.type, i.dof, i.distribution) for i in influences)
         effects = np.array([influence.effect for influence in influences])
-        return cls(tuple(intern_unknown(*about) for about in own), partial(identity, (known.random, effects)))
+        return cls(tuple(intern_unknown(*row) for row in rows), partial(identity, (uncertainty.random, effects)))
 
     @property
     def random(self) -> tuple[Contribution, ...]:
-        """Return the random contributions."""
+        """Random contributions."""
         return self.numbers()[0]
 
     @property
     def influences(self) -> tuple[Influence, ...]:
-        """Return the influences."""
+        """Influences."""
         pairs = zip(self.descriptions, self.numbers()[1], strict=True)
-        return tuple(Influence(*about[:4], effect, *about[4:]) for about, effect in pairs)
+        return tuple(Influence(*row[:4], effect, *row[4:]) for row, effect in pairs)
 
     def _mapped(
         self, of_covariance: Callable[[FloatArray], FloatArray], of_effect: Callable[[FloatArray], FloatArray]
@@ -69,58 +69,57 @@ class LazyUncertainty(Uncertainty):
         return LazyUncertainty(self.descriptions, partial(identity, (mapped, effects)))
 
 
-def identity(kept: Kept) -> Kept:
-    """Return what is kept, for those that ask for it by a call."""
-    return kept
+def identity(value: Item) -> Item:
+    """Return the argument; `partial(identity, value)` is a callable that returns a value."""
+    return value
 
 
 @lru_cache(maxsize=4096)
-def intern_unknown(*about: *UnknownDescription) -> UnknownDescription:
+def intern_unknown(*description: *UnknownDescription) -> UnknownDescription:
     """Return the same object for the same unknown."""
-    return about
+    return description
 
 
 class DiskStore:
-    """Uncertainties of thousands of drives in a file, which is gone when it is closed."""
+    """Temporary file for the uncertainties of thousands of lines; it disappears when it is closed."""
 
     def __init__(self, file: IO[bytes]) -> None:
         self._file = file
 
     def put(self, drive: ExcitedLine) -> ExcitedLine:
-        """Return a drive whose uncertainties are on the shelf."""
+        """Return a line whose uncertainties are on disk."""
         load, outputs = (self._put(u) for u in (drive.load_uncertainty, drive.outputs_uncertainty))
         return replace(drive, load_uncertainty=load, outputs_uncertainty=outputs)
 
-    def store(self, kept: Kept) -> Callable[[], Kept]:
-        """Put anything on the shelf and return what takes it from there."""
-        place = self._file.seek(0, os.SEEK_END)
-        pickle.dump(kept, self._file, protocol=pickle.HIGHEST_PROTOCOL)
-        return partial(self._get, place)
+    def store(self, value: Item) -> Callable[[], Item]:
+        """Write an object to disk and return a callable that reads it."""
+        offset = self._file.seek(0, os.SEEK_END)
+        pickle.dump(value, self._file, protocol=pickle.HIGHEST_PROTOCOL)
+        return partial(self._get, offset)
 
-    def _put(self, known: Uncertainty) -> LazyUncertainty:
-        stored = known if isinstance(known, LazyUncertainty) else LazyUncertainty.of(known)
+    def _put(self, uncertainty: Uncertainty) -> LazyUncertainty:
+        stored = uncertainty if isinstance(uncertainty, LazyUncertainty) else LazyUncertainty.of(uncertainty)
         return LazyUncertainty(stored.descriptions, self.store(stored.numbers()))  # which may come from this file
 
-    def _get(self, place: int) -> Any:
-        self._file.seek(place)
+    def _get(self, offset: int) -> Any:
+        self._file.seek(offset)
         return pickle.load(self._file)
 
 
 LOADS = 6
 FREQUENCY_TOLERANCE = 0.01
-"""Relative width of a group of lines taken as one frequency: a multi-axis shaker drives several lines side by side."""
+"""Relative width of a group of lines at one frequency; a multi-axis shaker drives several lines close to each other."""
 
 
 @dataclass(frozen=True)
 class ExcitedLine:
     """One driven line (its fundamental) of one recording.
 
-    `mounting`: recordings with another text were mounted anew. `direction`: 3 or 6 numbers of the excitation. `load`
-    (6,) in N and N·m, whole, with the uncertainty of what nobody observed, `observed` (6,): which of its components are
-    results; `outputs` (C,) in the sensor's unit, NaN
-    where a channel has no usable reading; their uncertainties have one line (K = 1) and the names of the recording.
-    `grids`: where trigger edges fall between the samples of every block, none where that is not known or does not
-    stay; `start`: the first recording of which they are the same (`with_starts`), this one where empty.
+    `mounting`: recordings with different texts have different mountings. `direction`: 3 or 6 numbers of the excitation.
+    `load` (6,) in N and N·m with the uncertainty of unobserved motion; `observed` (6,): which components are results.
+    `outputs` (C,) in the sensor's unit, NaN if a channel has no usable reading. Their uncertainties have one line (K =
+    1) and the names of the recording. `grids`: positions of trigger edges between the samples of every block; empty if
+    unknown or not constant. `start`: the first recording with the same grids (`with_starts`), empty for this one.
     """
 
     recording: str
@@ -147,18 +146,21 @@ class ExcitedLine:
         )
 
     def output(self, channel: str) -> complex:
-        """Return the reading of a channel, NaN where there is none."""
-        known = channel in self.channels
-        return complex(self.outputs[self.channels.index(channel)]) if known else complex(np.nan, np.nan)
+        """Return the reading of a channel, NaN if there is none."""
+        recorded = channel in self.channels
+        return complex(self.outputs[self.channels.index(channel)]) if recorded else complex(np.nan, np.nan)
 
     def campaign_uncertainties(self) -> tuple[Uncertainty, Uncertainty]:
-        """Return the uncertainties of load and outputs with the names that hold between recordings."""
+        """Return the uncertainties of load and outputs under names that are unique in the campaign."""
         names = self.recording, self.mounting, self.start
         return with_campaign_names(self.load_uncertainty, *names), with_campaign_names(self.outputs_uncertainty, *names)
 
 
 def excited_lines_of(evaluation: Evaluation) -> tuple[ExcitedLine, ...]:
-    """Return the driven lines of a recording, none without a load, an output or a stated direction."""
+    """Return the driven lines of a recording.
+
+    None without a load, an output or a stated direction.
+    """
     manifest, load, outputs = evaluation.manifest, evaluation.load, evaluation.outputs
     if load is None or outputs is None or manifest.excitation.direction is None:
         return ()
@@ -178,7 +180,7 @@ def excited_lines(
     load: LoadResult,
     outputs: Outputs,
 ) -> tuple[ExcitedLine, ...]:
-    """Return the drives of one recording: its lines of multiple 1 at which the load is known.
+    """Return the lines of multiple 1 of one recording at which the load is available.
 
     `nominal_hz`, `multiple` (K,): of the lines of `load` and `outputs`.
     """
@@ -202,41 +204,41 @@ def excited_lines(
 
 
 def with_starts(drives: Iterable[ExcitedLine]) -> tuple[ExcitedLine, ...]:
-    """Return all drives of a campaign with the names of their `start` (`start_names`)."""
+    """Return all lines of a campaign with their `start` (`start_names`)."""
     named = tuple(drives)
     starts = start_names({drive.recording: drive.grids for drive in named})
     return tuple(replace(drive, start=starts[drive.recording]) for drive in named)
 
 
 def start_names(grids: Mapping[str, tuple[Grid, ...]]) -> dict[str, str]:
-    """Return for every recording of a campaign the first one whose `grids` are all alike, itself where they differ.
+    """Return for every recording of a campaign the first one with equal `grids`, or itself.
 
-    What sampled edges leave open of instants is one error of all these recordings, which no mean takes off.
+    The timing error between sampled edges is common to these recordings; a mean does not reduce it.
     """
-    # Firsts by where their edges begin, in steps that no two grids alike are further apart than.
-    step_s = max((grid.sample_s for own in grids.values() for grid in own), default=1.0) / 2.0
-    places: dict[int, list[tuple[int, str]]] = {}
+    # First recordings by the position of their edges, in steps no smaller than the difference of equal grids.
+    step_s = max((grid.sample_s for edges in grids.values() for grid in edges), default=1.0) / 2.0
+    firsts: dict[int, list[tuple[int, str]]] = {}
     named: dict[str, str] = {}
-    for number, (recording, own) in enumerate(grids.items()):
-        step = int(own[0].start_s // step_s) if own else 0
-        near = sorted(first for k in (-1, 0, 1) for first in places.get(step + k, ())) if own else []
-        named[recording] = next((first for _, first in near if _start_alike(grids[first], own)), recording)
-        if own and named[recording] == recording:
-            places.setdefault(step, []).append((number, recording))
+    for number, (recording, edges) in enumerate(grids.items()):
+        step = int(edges[0].start_s // step_s) if edges else 0
+        near = sorted(first for k in (-1, 0, 1) for first in firsts.get(step + k, ())) if edges else []
+        named[recording] = next((first for _, first in near if _same_grids(grids[first], edges)), recording)
+        if edges and named[recording] == recording:
+            firsts.setdefault(step, []).append((number, recording))
     return named
 
 
-def _start_alike(first: tuple[Grid, ...], other: tuple[Grid, ...]) -> bool:
-    """Whether two recordings have the same grids."""
-    return len(first) == len(other) > 0 and all(map(Grid.like, first, other))
+def _same_grids(first: tuple[Grid, ...], second: tuple[Grid, ...]) -> bool:
+    """Return whether two recordings have the same grids."""
+    return len(first) == len(second) > 0 and all(map(Grid.like, first, second))
 
 
 def with_campaign_names(uncertainty: Uncertainty, recording: str, mounting: str, start: str = "") -> Uncertainty:
-    """Return the uncertainty with every unknown under the name that identifies it among all recordings of a campaign.
+    """Return the uncertainty with names of unknowns that are unique in a campaign.
 
-    An unknown of the rig keeps its name; one of the mounting is the same in recordings of equal `mounting` only, one of
-    the start in those of equal `start` only (empty: in this one), one of the recording in this recording only. The
-    names are final: all scopes become "rig".
+    An unknown of the rig keeps its name. One of the mounting is common to recordings of equal `mounting`, one of the
+    start to those of equal `start` (empty: this recording only), one of the recording to this recording only. All
+    scopes become "rig".
     """
     suffix = {
         "rig": "",
@@ -245,31 +247,33 @@ def with_campaign_names(uncertainty: Uncertainty, recording: str, mounting: str,
         "start": f" [{start or recording}]",
     }
     if isinstance(uncertainty, LazyUncertainty):
-        about: list[UnknownDescription] = [
+        descriptions: list[UnknownDescription] = [
             (f"{a[0]}{suffix[a[4]]}", a[1], a[2], a[3], "rig", *a[5:]) for a in uncertainty.descriptions
         ]
-        return LazyUncertainty(tuple(about), uncertainty.numbers)
+        return LazyUncertainty(tuple(descriptions), uncertainty.numbers)
     influences = [replace(i, name=f"{i.name}{suffix[i.scope]}", scope="rig") for i in uncertainty.influences]
     return replace(uncertainty, influences=tuple(influences))
 
 
 def join_lines(parts: Sequence[Uncertainty]) -> Uncertainty:
-    """Return uncertainties of the same C values at single lines, joined to one of K lines, unknowns of one name as one.
+    """Join uncertainties of the same C values at single lines to one of K lines.
 
-    Names must hold between the recordings that the parts come from (`between_recordings`).
+    Unknowns of one name become one; names must be unique in the campaign (`with_campaign_names`).
     """
     lines, size = len(parts), parts[0].random[0].covariance.shape[1]
     random: dict[str, Contribution] = {}
     influences: dict[str, Influence] = {}
     for line, part in enumerate(parts):
-        for own in Uncertainty(part.random).grouped():
-            known = random.get(own.label)
-            if known is None:
+        for contribution in Uncertainty(part.random).grouped():
+            total = random.get(contribution.label)
+            if total is None:
                 empty = np.zeros((lines, size, size))
-                known = random[own.label] = Contribution(own.label, own.type, empty, np.full(lines, np.inf))
-            known.covariance[line] = own.covariance[0]
-            if own.dof is not None and known.dof is not None:
-                known.dof[line] = own.dof[0]
+                total = random[contribution.label] = Contribution(
+                    contribution.label, contribution.type, empty, np.full(lines, np.inf)
+                )
+            total.covariance[line] = contribution.covariance[0]
+            if contribution.dof is not None and total.dof is not None:
+                total.dof[line] = contribution.dof[0]
         for influence in part.influences:
             if influence.name not in influences:
                 influences[influence.name] = replace(influence, effect=np.zeros((lines, size)))
@@ -278,7 +282,7 @@ def join_lines(parts: Sequence[Uncertainty]) -> Uncertainty:
 
 
 def group_by_frequency(drives: Sequence[ExcitedLine]) -> tuple[tuple[ExcitedLine, ...], ...]:
-    """Return the drives in groups of one frequency, ascending, each 1 % wide at most."""
+    """Return the lines in groups of one frequency, ascending, each at most 1 % wide."""
     groups: list[list[ExcitedLine]] = []
     for drive in sorted(drives, key=lambda drive: drive.frequency_hz):
         if groups and drive.frequency_hz <= groups[-1][0].frequency_hz * (1.0 + FREQUENCY_TOLERANCE):

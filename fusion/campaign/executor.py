@@ -1,7 +1,7 @@
-"""Who computes the tasks of a run, one at a time each: processes of this machine, or the workers of a Dask cluster.
+"""Parallel computation by processes of this machine or workers of a Dask cluster.
 
-Linear algebra adds in an order that depends on its threads, so that with another number of them the last digits of a
-result change. Everything a run computes is therefore done with one of them, wherever it is computed.
+The order of sums in linear algebra depends on the number of threads, and with it the last digits of a result. Therefore
+every task runs with one thread.
 """
 
 from __future__ import annotations
@@ -27,6 +27,14 @@ from typing import TYPE_CHECKING, Any, cast
 from urllib.parse import urlsplit
 
 from fusion.base import PROGRAM, LocalResult, __version__, cleanup_on_signal, limit_threads
+from fusion.campaign.campaign_notices import (
+    CLUSTER_WORKERS_ENDED,
+    NO_DASK,
+    NO_SCHEDULER,
+    OTHER_WORKER_VERSION,
+    SCHEDULER_LOST,
+    WORKER_ENDED,
+)
 from fusion.errors import ComputeError, InputError
 
 if TYPE_CHECKING:
@@ -40,13 +48,13 @@ log = logging.getLogger("shakercal")
 
 LIMITS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "BLIS_NUM_THREADS")
 ONE_THREAD = dict.fromkeys((*LIMITS, "OPENCV_FOR_THREADS_NUM"), "1")
-"""What a process has to be started with for its libraries to use one thread each."""
+"""Environment of a process whose libraries use one thread each."""
 
 
 @contextmanager
 def one_blas_thread() -> Iterator[None]:
-    """Let linear algebra compute with one thread."""
-    import scipy.linalg  # noqa: F401  (brings a linear algebra of its own, which is to be limited too)
+    """Limit linear algebra to one thread."""
+    import scipy.linalg  # noqa: F401  (loads its linear algebra, which is to be limited too)
     from threadpoolctl import threadpool_limits
 
     with threadpool_limits(1, user_api="blas"):
@@ -54,7 +62,7 @@ def one_blas_thread() -> Iterator[None]:
 
 
 def with_one_thread(function: Callable[..., Any], *arguments: Any) -> Any:
-    """Call a function while every library computes with one thread."""
+    """Call a function while every library is limited to one thread."""
     import cv2
     from threadpoolctl import threadpool_limits
 
@@ -70,85 +78,90 @@ def with_one_thread(function: Callable[..., Any], *arguments: Any) -> Any:
         cv2.setNumThreads(threads)
 
 
-# A task that another process computes: what it returns, raises and logs comes back as one answer.
+# A task of another process: returned value, exception and log records are one result.
 
 
-_ALONE = threading.Lock()  # threads of one process share the logger and what the libraries are limited to
+_ALONE = threading.Lock()  # threads share the logger and the limits of the libraries
 
 
 @dataclass(frozen=True, eq=False)
 class LoggedResult(LocalResult):
-    """What a task returned or raised, and what it logged."""
+    """Returned value or exception of a task, and its log records."""
 
     log_records: tuple[logging.LogRecord, ...] = ()
 
     def __reduce__(self) -> tuple[Callable[..., LoggedResult], tuple[bytes]]:
-        """Travel in one piece: a cluster hands over large arrays apart, read where they lie in a message.
+        """Pickle the result in one piece.
 
-        There they begin at any byte, and kernels and sums over such an array are others than over one that numpy made.
+        A cluster transfers large arrays separately and reads them where they are in a message. They are then unaligned,
+        and kernels and sums give other last digits than with arrays allocated by numpy.
         """
         return _arrived, (pickle.dumps((self.value, self.error, self.log_records)),)
 
     def log(self, name: str) -> None:
-        """Log what the task logged, behind the name of what it was about."""
+        """Log the records of the task after the name of its subject."""
         for record in self.log_records:
             if log.isEnabledFor(record.levelno):
                 log.log(record.levelno, "%s: %s", name, record.getMessage())
 
 
 def _arrived(packed: bytes) -> LoggedResult:
-    """Return the answer that has travelled."""
     return LoggedResult(*pickle.loads(packed))
 
 
 def call(function: Callable[..., Any], *arguments: Any) -> LoggedResult:
-    """Call a function, one at a time in a process; answers among its arguments are opened.
+    """Call a function, one at a time in a process, and return its result.
 
-    What it logs is kept instead of told here. An exception carries the place it came from as its note.
+    Results among its arguments are unwrapped.
+
+    Its log records are collected. An exception has its traceback as a note.
     """
-    keeper = _Keeper()
+    collector = _RecordCollector()
     with _ALONE:
-        before = log.handlers, log.propagate, log.level
-        log.handlers, log.propagate = [keeper], False
+        previous = log.handlers, log.propagate, log.level
+        log.handlers, log.propagate = [collector], False
         log.setLevel(logging.DEBUG)
         try:
-            opened = [argument.unwrap() if isinstance(argument, LoggedResult) else argument for argument in arguments]
-            return LoggedResult(function(*opened), None, tuple(keeper.kept))
+            values = [argument.unwrap() if isinstance(argument, LoggedResult) else argument for argument in arguments]
+            return LoggedResult(function(*values), None, tuple(collector.records))
         except Exception as error:
             error.add_note(traceback.format_exc())
-            return LoggedResult(None, error, tuple(keeper.kept))
+            return LoggedResult(None, error, tuple(collector.records))
         finally:
-            log.handlers, log.propagate = before[:2]
-            log.setLevel(before[2])
+            log.handlers, log.propagate = previous[:2]
+            log.setLevel(previous[2])
 
 
-class _Keeper(logging.Handler):
-    """Keeps records as plain text, which can go to another process."""
+class _RecordCollector(logging.Handler):
+    """Handler that collects records as plain text, which can be sent to another process."""
 
     def __init__(self) -> None:
         super().__init__()
-        self.kept: list[logging.LogRecord] = []
+        self.records: list[logging.LogRecord] = []
 
     def emit(self, record: logging.LogRecord) -> None:
         plain = logging.makeLogRecord({**vars(record), "msg": record.getMessage(), "args": None, "exc_info": None})
-        self.kept.append(plain)
+        self.records.append(plain)
 
 
 # Processes of this machine that compute tasks, one at a time each, and are replaced when they die.
 
 
 ATTEMPTS = 3
-"""How often a task is begun before the death of its workers counts as the task's own failure."""
+"""How often a task is started before the end of its workers counts as a failure of the task."""
 SHUTDOWN_S = 5.0
-"""How long a worker may take to end when it is told to, or to start."""
+"""Time that a worker has to start, or to end after a request."""
 SIGNAL_DELAY_S = 0.5
-"""How long the end of this process may take to be known after that of a worker."""
+"""Time by which the end of this process may be noticed later than that of a worker."""
 STOP_RANK = 1 << 60
 
 
 @dataclass(order=True)
 class _Task:
-    """One call that waits for a worker; the lowest rank is the next, then the first come."""
+    """One call that waits for a worker.
+
+    The lowest rank is the next, then the first submitted.
+    """
 
     rank: int
     number: int
@@ -158,9 +171,12 @@ class _Task:
 
 
 class Workers:
-    """A number of processes, each led by a thread of this one; at the end of `with` they all end."""
+    """Processes that are each served by a thread of this one.
 
-    patience_s = 0.0  # one that died computes nothing any more
+    All end at the end of `with`.
+    """
+
+    patience_s = 0.0  # a worker that died does not compute any more
 
     def __init__(self, size: int) -> None:
         self.size = size
@@ -179,7 +195,7 @@ class Workers:
         return self
 
     def __exit__(self, *reason: object) -> None:
-        """End the workers, whatever they are doing; tasks without an answer are cancelled."""
+        """End the workers at once; tasks without a result are cancelled."""
         self._stopper.close()
         for _ in self._leaders:
             self.submit(-STOP_RANK, call)
@@ -191,31 +207,33 @@ class Workers:
         self._stop.close()
 
     def _kill(self) -> None:
-        """End all workers at once; waits for none of the locks that the process's first thread may hold."""
+        """End all workers at once, without waiting for locks of the main thread."""
         with suppress(OSError):
             self._stopper.close()
-        self._starting.acquire(timeout=SHUTDOWN_S)  # one that is being started would tell that its parent is gone
+        self._starting.acquire(timeout=SHUTDOWN_S)  # a worker during its start would report a missing parent
         for worker in self._living.copy():
             worker.kill()
 
     def submit(self, rank: int, function: Callable[..., Any], *arguments: Any) -> Future[LoggedResult]:
-        """Have a module's function called by a worker; of the tasks that wait, the lowest rank comes first.
+        """Submit a function of a module to a worker.
 
-        Futures among the arguments are done: the function receives what they hold.
+        The task of the lowest rank is started first.
+
+        Futures among the arguments must be done; the function receives their results.
         """
         self._number += 1
-        held = tuple(argument.result() if isinstance(argument, Future) else argument for argument in arguments)
-        task = _Task(rank, self._number, function, held)
+        values = tuple(argument.result() if isinstance(argument, Future) else argument for argument in arguments)
+        task = _Task(rank, self._number, function, values)
         self._queue.put(task)
         return task.future
 
     def _lead(self) -> None:
-        """Hand tasks to a worker, and to another when it dies, until the workers are to end."""
+        """Send tasks to a worker, and to a new one if it dies."""
         worker: _Worker | None = None
         while (task := self._queue.get()).rank > -STOP_RANK:
             try:
                 worker = self._complete(task, worker)
-            except Exception as error:  # told where the answer is awaited
+            except Exception as error:  # raised where the result is awaited
                 worker = None
                 task.future.set_exception(error)
         if worker is not None:
@@ -228,7 +246,10 @@ class Workers:
         return status
 
     def _complete(self, task: _Task, worker: _Worker | None) -> _Worker | None:
-        """Have a task computed and return the worker that is still there; a task that ends its workers fails."""
+        """Complete a task and return the worker that still runs.
+
+        A task that ends its workers fails.
+        """
         for _ in range(ATTEMPTS):
             if self._stop.poll():
                 break
@@ -240,15 +261,14 @@ class Workers:
             if answer is not None:
                 task.future.set_result(answer)
                 return worker
-            if self._stop.poll(SIGNAL_DELAY_S):  # what ends all processes may reach a worker first
+            if self._stop.poll(SIGNAL_DELAY_S):  # a signal to all processes may reach a worker first
                 break
             status, worker = self._end(worker), None
-            log.warning("a worker process ended with status %s; another one begins its work again", status)
+            log.warning("a worker process ended with status %s; another one repeats its task", status)
         if self._stop.poll():
             task.future.cancel()
         else:
-            text = f"{ATTEMPTS} worker processes ended while they computed it; does the memory suffice?"
-            task.future.set_result(LoggedResult(None, ComputeError(text), ()))
+            task.future.set_result(LoggedResult(None, ComputeError(WORKER_ENDED, attempts=ATTEMPTS), ()))
         return worker
 
 
@@ -274,7 +294,7 @@ class _Worker:
         other.close()
 
     def ask(self, task: tuple[Callable[..., Any], tuple[Any, ...]], stop: Any) -> LoggedResult | None:
-        """Have the process compute a task; None when it died meanwhile or `stop` was closed."""
+        """Compute a task in the process; return None if it died or `stop` was closed."""
         try:
             self._connection.send(task)
             if self._connection in wait([self._connection, self._process.sentinel, stop]):
@@ -284,13 +304,13 @@ class _Worker:
         return None
 
     def kill(self) -> None:
-        """End the process at once and wait until it is gone."""
+        """End the process at once and wait for its end."""
         with suppress(ValueError, OSError):  # that has been closed
             self._process.kill()
             self._process.join(SHUTDOWN_S)
 
     def end(self) -> int | None:
-        """End the process and return its exit status; what it was making is removed by whoever runs it."""
+        """End the process and return its exit status; the caller removes its unfinished files."""
         self._connection.close()
         self._process.terminate()
         self._process.join(SHUTDOWN_S)
@@ -304,9 +324,9 @@ class _Worker:
 
 @contextmanager
 def _without_interruptions() -> Iterator[None]:
-    """Block interruptions in this thread, and in a process that it starts meanwhile.
+    """Block interruptions in this thread, and in a process that it starts.
 
-    A terminal interrupts all processes; the first one ends the others, also while they start.
+    A terminal interrupts all processes; the first one ends the others, also during their start.
     """
     if sys.platform == "win32":
         yield
@@ -320,7 +340,7 @@ def _without_interruptions() -> Iterator[None]:
 
 
 def _serve(connection: Connection) -> None:
-    """Answer one task after another until the other side is gone."""
+    """Compute one task after another until the connection is closed."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     threading.Thread(target=_end_with_parent, daemon=True).start()
     logging.getLogger().addHandler(logging.NullHandler())
@@ -333,7 +353,7 @@ def _serve(connection: Connection) -> None:
         answer = call(function, *arguments)
         try:
             packed = pickle.dumps(answer)
-        except Exception as error:  # one that cannot travel is told in its own words
+        except Exception as error:  # one that cannot be pickled is reported as text
             what = error if answer.error is None else answer.error
             packed = pickle.dumps(
                 LoggedResult(None, RuntimeError(f"{type(what).__name__}: {what}"), answer.log_records)
@@ -343,7 +363,7 @@ def _serve(connection: Connection) -> None:
 
 
 def _end_with_parent() -> None:
-    """Wait for the end of the process that started this one, which cannot tell when it is killed, and end too."""
+    """End this process as soon as its parent has ended, also if that was killed."""
     parent = multiprocessing.parent_process()
     if parent is not None:
         parent.join()
@@ -354,22 +374,22 @@ def _end_with_parent() -> None:
 
 
 ANSWER_S, RETRY_S = 10.0, 0.2
-"""How long a scheduler may take to answer, and what passes between two attempts."""
+"""Time that a scheduler has to answer, and pause between two attempts."""
 SCHEDULER_PORT = 8786
-"""Where Dask's schedulers listen unless told otherwise."""
+"""Default port of Dask's schedulers."""
 OPTION = "--scheduler"
 
 
 SCHEDULER_TIMEOUT_S = 300.0
-"""How long a scheduler that is gone is waited for; whoever starts it again may need some minutes."""
+"""How long a run waits for a lost scheduler; to start it again may take some minutes."""
 BUSY_TIMEOUT_S = 600.0
-"""How long a worker waits for a recording that another one, cut off from the scheduler, still computes."""
+"""How long a worker waits for a recording that a disconnected worker may still compute."""
 
 
 class Cluster:
-    """The workers that a Dask scheduler has; they see the same files as this process, by the same paths.
+    """Workers of a Dask scheduler, with access to the same files as this process.
 
-    What they were to do is asked for again where the scheduler is started anew at its address.
+    Tasks are submitted again if the scheduler is restarted at its address.
     """
 
     patience_s = BUSY_TIMEOUT_S
@@ -382,29 +402,34 @@ class Cluster:
 
     @property
     def size(self) -> int:
-        """How many workers there are at present."""
+        """Current number of workers."""
         return len(self._client.nthreads())
 
     def submit(self, rank: int, function: Callable[..., Any], *arguments: Any) -> ClusterTask:
-        """Have a module's function called by a worker; of the tasks that wait, the lowest rank comes first.
+        """Submit a function of a module to a worker.
 
-        Answers among the arguments are there: the function receives what they hold, from wherever that is. A worker
-        that dies is nobody's loss: Dask computes again, elsewhere, what it had.
+        The task of the lowest rank is started first.
+
+        Tasks among the arguments must be done; the function receives their results. Dask repeats the tasks of a worker
+        that dies.
         """
         return ClusterTask(self, rank, (function, *arguments))
 
     def client(self) -> Client:
-        """Return the connection to the scheduler, a new one where it was lost; `ComputeError` where none answers."""
+        """Return the connection to the scheduler, renewed if it was lost.
+
+        Raise `ComputeError` if none answers.
+        """
         from distributed import Client
 
         with self._reconnecting:
-            told, end = False, time.monotonic() + SCHEDULER_TIMEOUT_S
+            warned, end = False, time.monotonic() + SCHEDULER_TIMEOUT_S
             while self._client.status != "running":
                 if self.ended or time.monotonic() > end:
-                    raise ComputeError("the Dask scheduler is gone; start the run again where there is one")
-                if not told:
-                    log.warning("the Dask scheduler does not answer; it is waited for %.0f s", SCHEDULER_TIMEOUT_S)
-                    told = True
+                    raise ComputeError(SCHEDULER_LOST, timeout_s=SCHEDULER_TIMEOUT_S)
+                if not warned:
+                    log.warning("the Dask scheduler does not answer; waiting for %.0f s", SCHEDULER_TIMEOUT_S)
+                    warned = True
                 if self._client.status == "closed":
                     with suppress(OSError):
                         self._client = Client(self._address, timeout=ANSWER_S, set_as_default=False)
@@ -412,13 +437,13 @@ class Cluster:
             return self._client
 
     def end(self) -> None:
-        """Give up the connection; the scheduler and its workers stay."""
+        """Close the connection; the scheduler and its workers keep running."""
         self.ended = True
         self._client.close()
 
 
 class ClusterTask:
-    """The answer of a task, asked for again where the scheduler lost it or its workers died."""
+    """Task of a cluster, submitted again if the scheduler lost it or its workers died."""
 
     def __init__(self, cluster: Cluster, rank: int, task: tuple[Any, ...]) -> None:
         self._cluster, self._rank, self._task = cluster, rank, task
@@ -428,17 +453,17 @@ class ClusterTask:
         self._begin()
 
     def _begin(self) -> None:
-        """Have the task computed, after those among its arguments that the scheduler has lost."""
-        client, held = self._cluster.client(), []
+        """Submit the task, after those among its arguments that the scheduler has lost."""
+        client, arguments = self._cluster.client(), []
         for argument in self._task:
             if isinstance(argument, ClusterTask) and argument.future.cancelled():
                 argument._begin()
-            held.append(argument.future if isinstance(argument, ClusterTask) else argument)
-        self.future = client.submit(call, with_one_thread, *held, priority=-self._rank, pure=False)
+            arguments.append(argument.future if isinstance(argument, ClusterTask) else argument)
+        self.future = client.submit(call, with_one_thread, *arguments, priority=-self._rank, pure=False)
         self.future.add_done_callback(self._ended)
 
     def _ended(self, future: ClusterFuture[LoggedResult]) -> None:
-        """Fetch the answer; called in a thread of its own as soon as there is one or none will be."""
+        """Fetch the result; called in a separate thread when the task has ended."""
         from distributed import CancelledError
         from distributed.scheduler import KilledWorker
 
@@ -450,57 +475,53 @@ class ClusterTask:
             except KilledWorker as error:
                 self._killed += 1
                 if self._killed == ATTEMPTS:
-                    text = "several workers of the cluster ended while they computed it; does their memory suffice?"
-                    raise ComputeError(text) from error
+                    raise ComputeError(CLUSTER_WORKERS_ENDED, attempts=ATTEMPTS) from error
                 self._begin()
             except (CancelledError, OSError):
                 self._begin()
-        except BaseException as error:  # told where the answer is awaited
+        except BaseException as error:  # raised where the result is awaited
             self._answer.set_exception(error)
 
-    def add_done_callback(self, told: Callable[[ClusterTask], object]) -> None:
-        """Have a function called as soon as there is an answer or none will be."""
-        self._answer.add_done_callback(lambda _: told(self))
+    def add_done_callback(self, callback: Callable[[ClusterTask], object]) -> None:
+        """Call a function when the task has ended."""
+        self._answer.add_done_callback(lambda _: callback(self))
 
     def result(self) -> LoggedResult:
-        """Return the answer; `ComputeError` where the cluster has none."""
+        """Return the result; raise `ComputeError` if the cluster has none."""
         return self._answer.result()
 
 
 @contextmanager
 def connect_cluster(address: str) -> Iterator[Cluster]:
-    """Yield the cluster whose scheduler answers at an address such as tcp://10.0.0.1:8786; leave it as it is."""
+    """Yield the cluster whose scheduler answers at an address such as tcp://10.0.0.1:8786."""
     try:
         from distributed import Client
     except ImportError as error:
-        expected = 'the packages that pip install "shakercal[cluster]" brings'
-        raise InputError(OPTION, "", found=f"none ({error})", expected=expected) from error
+        raise InputError(NO_DASK, OPTION, reason=str(error)) from error
     try:
-        # Where nobody listens this is told: a client that waits in vain does not end in silence.
+        # Test the address first: a client without a scheduler does not fail cleanly.
         parts = urlsplit(address if "://" in address else f"tcp://{address}")
         if not parts.hostname:
             raise ValueError("no address")
         socket.create_connection((parts.hostname, parts.port or SCHEDULER_PORT), timeout=ANSWER_S).close()
         client = Client(address, timeout=ANSWER_S, set_as_default=False)
     except (OSError, ValueError, TypeError) as error:
-        expected = "the address of a Dask scheduler that answers, such as tcp://10.0.0.1:8786"
-        raise InputError(OPTION, "", found=f"{address or 'nothing'}, where none does", expected=expected) from error
+        raise InputError(NO_SCHEDULER, OPTION, found=address or "an empty address") from error
     cluster = Cluster(client)
     try:
-        # Workers that would compute something else are refused; those that are still to come are not asked.
+        # Workers of another version are refused; later workers are not checked.
         versions = client.run(_version, on_error="return")
         log.info("%s has %d worker%s", client.scheduler.address, len(versions), "" if len(versions) == 1 else "s")
         for worker, version in versions.items():
             if version != __version__:
                 what = f"{PROGRAM} {version}" if isinstance(version, str) else f"none ({version})"
-                raise InputError(
-                    OPTION, "", found=f"{what} at {worker}", expected=f"workers with {PROGRAM} {__version__}"
-                )
+                expected = f"{PROGRAM} {__version__}"
+                raise InputError(OTHER_WORKER_VERSION, OPTION, found=what, worker=worker, expected=expected)
         yield cluster
     finally:
         cluster.end()
 
 
 def _version() -> str:
-    """Return the version of the program in the process that is asked."""
+    """Return the version of the program in this process."""
     return __version__

@@ -1,4 +1,4 @@
-"""What the recordings of a campaign say together."""
+"""Joint evaluation of the recordings of a campaign: matrices, curves, repeats, linearity."""
 
 from __future__ import annotations
 
@@ -12,6 +12,14 @@ import numpy as np
 from markupsafe import Markup
 
 from fusion.base import DASH
+from fusion.campaign.campaign_notices import (
+    FAILED_RECORDINGS,
+    MISSING_EXCITATIONS,
+    NO_JOINT_RESULT,
+    NO_MATRIX,
+    SEVERAL_SENSORS,
+    SINGLE_RECORDINGS,
+)
 from fusion.campaign.curve import (
     CurvePoint,
     Linearity,
@@ -45,9 +53,9 @@ from fusion.report.table import (
 )
 from fusion.report.tables import deviation, result_name
 from shaker.labels import LOAD_COMPONENTS
-from shakercal._common.notices import Notice, Severity
+from shakercal._common.notices import Notice
 
-# What the recordings of a campaign say together: matrices, cross-talk, repeats, linearity, one curve per element.
+# Joint results of a campaign: matrices, cross-talk, repeats, linearity, one curve per element.
 
 
 Joint = TypeVar("Joint")
@@ -56,14 +64,14 @@ P = TypeVar("P")
 
 @dataclass(frozen=True)
 class CampaignEvaluation:
-    """All that several recordings of one sensor yield together.
+    """Joint results of several recordings of one sensor.
 
-    `name` of the campaign; `recorded`: what could be evaluated, in order; `failed`: why others could not, by folder;
-    `curves`: ratios by driven component, the sensor's elements likewise where its matrix is stated, elements of
-    matrices; `relative`: each over its static sensitivity, None where none is stated; `repeats`: every excitation that
-    was recorded more than once; `matrices` and `cross_talks` (none where rated loads are not stated): one per frequency
-    that determines a matrix; `refused`: why the other frequencies do not; `unknowns`: what all say together of those
-    of the rig, none where nothing of it is in the loads.
+    `name` of the campaign; `recorded`: evaluated recordings in order; `failed`: reasons of the others by folder.
+    `curves`: ratios by driven component, elements of the sensor if its matrix is stated, and elements of matrices;
+    `relative`: each over its static sensitivity, None if not stated. `repeats`: every excitation that was recorded more
+    than once. `matrices` and `cross_talks` (none without rated loads): one per frequency that determines a matrix;
+    `refused`: notices for the other frequencies. `unknowns`: joint estimates of the unknowns of the rig, none if the
+    loads do not depend on them.
     """
 
     name: str
@@ -82,7 +90,7 @@ class CampaignEvaluation:
 
     @property
     def excited_lines(self) -> tuple[ExcitedLine, ...]:
-        """Return the driven lines of all recordings."""
+        """Driven lines of all recordings."""
         return tuple(drive for entry in self.recorded for drive in entry.excited_lines)
 
 
@@ -92,14 +100,13 @@ def evaluate_campaign(
     failed: Mapping[str, str],
     keep: Callable[[ExcitedLine], ExcitedLine] = lambda d: d,
 ) -> CampaignEvaluation:
-    """Evaluate the recordings of a campaign together, in the order given.
+    """Evaluate the recordings of a campaign together, in the given order.
 
-    A name that occurs twice gets the folder's beside it, since unknowns of single recordings are known by the
-    recording's name. Recordings of several sensors have nothing to say together. `keep`: where drives are put whose
-    load the campaign knows better than their recording.
+    A recording name that occurs twice is extended by the folder, since it identifies unknowns of single recordings.
+    Several sensors give no joint results. `keep`: stores lines whose load is corrected by the joint estimate.
     """
-    known, sensor, unknowns, notices = _joined(name, recorded, failed, keep)
-    driven = [drive for entry in known for drive in entry.excited_lines] if sensor is not None else []
+    corrected, sensor, unknowns, notices = _joined(name, recorded, failed, keep)
+    driven = [drive for entry in corrected for drive in entry.excited_lines] if sensor is not None else []
     capacity = None if sensor is None or sensor.capacity is None else sensor.capacity.tolist()
     matrices, refused = _fit_matrices(driven, () if sensor is None else sensor.channels)
     notices += [notice for notice in refused if notice.severity == "warning"]
@@ -109,24 +116,21 @@ def evaluate_campaign(
     elements: tuple[SensitivityCurve, ...] = ()
     if stated is not None:
         elements = _attempt("curves of elements", lambda: ratio_curves(driven, capacity, stated, mean), notices)
-    alike = _attempt("means of repeats", lambda: find_repeats(driven, capacity, stated, mean), notices)
+    excitations = _attempt("means of repeats", lambda: find_repeats(driven, capacity, stated, mean), notices)
     series = _attempt("linearity", lambda: find_linearity(driven, capacity, stated), notices)
     # The matrices of all frequencies are one curve for each set of outputs that they have.
     sets = dict.fromkeys(fit.channels for fit in matrices)
     joint = (matrix_curve([fit for fit in matrices if fit.channels == channels]) for channels in sets)
     curves = (*ratios, *elements, *joint)
-    repeats = tuple(mean for mean in alike if len(mean.recordings) > 1)
+    repeats = tuple(mean for mean in excitations if len(mean.recordings) > 1)
     notices += [notice for fit in matrices for notice in fit.notices]
     notices += repeat_notices(repeats)
-    once = len(alike) - len(repeats)
-    if once:
-        what, whose = ("was", "its") if once == 1 else ("were", "their")
-        text = f"{once} of {len(alike)} excitations {what} recorded once: repeatability and what mounting anew changes "
-        text += f"are not assessed and not in {whose} U"
-        notices.append(Notice("note", text, "repeats"))
+    single = len(excitations) - len(repeats)
+    if single:
+        notices.append(Notice(SINGLE_RECORDINGS, "repeats", single=single, count=len(excitations)))
     return CampaignEvaluation(
         name=name,
-        recorded=known,
+        recorded=corrected,
         failed=dict(failed),
         sensor=sensor,
         curves=curves,
@@ -147,35 +151,33 @@ def _joined(
     failed: Mapping[str, str],
     keep: Callable[[ExcitedLine], ExcitedLine],
 ) -> tuple[tuple[RecordingResults, ...], SensorFacts | None, tuple[JointUnknown, ...], list[Notice]]:
-    """Return recordings under names and with loads that hold in the campaign, its sensor, its unknowns, and notices."""
+    """Return recordings with unique names and corrected loads, the sensor, the unknowns, and notices."""
     count = Counter(entry.name for entry in recorded)
-    known = []
+    named = []
     for entry in recorded:
-        name_known = entry.name if count[entry.name] == 1 else f"{entry.name} [{entry.folder}]"
-        drives = tuple(replace(drive, recording=name_known) for drive in entry.excited_lines)
-        known.append(replace(entry, name=name_known, excited_lines=drives))
-    started = iter(with_starts(drive for entry in known for drive in entry.excited_lines))
-    known = [replace(entry, excited_lines=tuple(islice(started, len(entry.excited_lines)))) for entry in known]
-    sensors = {(entry.sensor.name, entry.sensor.serial): entry.sensor for entry in known if entry.sensor is not None}
+        unique = entry.name if count[entry.name] == 1 else f"{entry.name} [{entry.folder}]"
+        drives = tuple(replace(drive, recording=unique) for drive in entry.excited_lines)
+        named.append(replace(entry, name=unique, excited_lines=drives))
+    started = iter(with_starts(drive for entry in named for drive in entry.excited_lines))
+    named = [replace(entry, excited_lines=tuple(islice(started, len(entry.excited_lines)))) for entry in named]
+    sensors = {(entry.sensor.name, entry.sensor.serial): entry.sensor for entry in named if entry.sensor is not None}
     sensor = next(iter(sensors.values())) if len(sensors) == 1 else None
     notices = []
     if len(sensors) > 1:
         tested = ", ".join(f"{name} {serial}".strip() for name, serial in sensors)
-        text = f"the recordings tested several sensors ({tested}): no joint sensitivity; a campaign has one sensor"
-        notices.append(Notice("warning", text, "campaign"))
+        notices.append(Notice(SEVERAL_SENSORS, "campaign", sensors=tested))
     if failed:
-        text = f"{len(failed)} of the recordings could not be evaluated and are in no result: {', '.join(failed)}"
-        notices.append(Notice("warning", text, "campaign"))
-    carried, unknowns, told = apply_joint_estimate(name, known, keep)
-    return carried, sensor, unknowns, [*notices, *told]
+        notices.append(Notice(FAILED_RECORDINGS, "campaign", count=len(failed), names=", ".join(failed)))
+    corrected, unknowns, estimate_notices = apply_joint_estimate(name, named, keep)
+    return corrected, sensor, unknowns, [*notices, *estimate_notices]
 
 
-def _attempt(what: str, make: Callable[[], tuple[Joint, ...]], notices: list[Notice]) -> tuple[Joint, ...]:
-    """Return joint results, or say why there are none: recordings that do not fit together keep their own results."""
+def _attempt(result: str, make: Callable[[], tuple[Joint, ...]], notices: list[Notice]) -> tuple[Joint, ...]:
+    """Return joint results, or add a notice if these recordings do not allow them."""
     try:
         return make()
     except ValueError as error:
-        notices.append(Notice("warning", f"no {what}: {error}", "campaign"))
+        notices.append(Notice(NO_JOINT_RESULT, "campaign", result=result, reason=str(error)))
         return ()
 
 
@@ -189,9 +191,9 @@ def _over_static(curve: SensitivityCurve, sensor: SensorFacts | None) -> Sensiti
 
 
 def main_channel(evaluation: CampaignEvaluation, channels: Sequence[str], component: int) -> int:
-    """Return which of the outputs belongs to a load component.
+    """Return the index of the output that belongs to a load component.
 
-    The one of the same name, else the largest by static sensitivity, else the largest found.
+    It is the one of the same name, else the largest by static sensitivity, else the largest result.
     """
     if LOAD_COMPONENTS[component] in channels:
         return list(channels).index(LOAD_COMPONENTS[component])
@@ -202,40 +204,45 @@ def main_channel(evaluation: CampaignEvaluation, channels: Sequence[str], compon
     for curve in evaluation.curves:
         for e, (channel, j) in enumerate(curve.elements):
             if j == component and curve.channels[channel] in channels:
-                place = list(channels).index(curve.channels[channel])
-                size[place] = max(size[place], float(np.nanmax(np.abs(curve.value[:, e]), initial=0.0)))
+                index = list(channels).index(curve.channels[channel])
+                size[index] = max(size[index], float(np.nanmax(np.abs(curve.value[:, e]), initial=0.0)))
     return int(np.argmax(size))
 
 
 def _fit_matrices(
     drives: Sequence[ExcitedLine], channels: Sequence[str]
 ) -> tuple[tuple[MatrixFit, ...], tuple[Notice, ...]]:
-    """Return the matrix of every frequency that determines one, and why the others do not.
+    """Return the matrix of every frequency that determines one, and notices for the others.
 
-    Ratios need no matrix, so that missing excitations are worth a remark; a fit that fails is a surprise.
+    Ratios need no matrix: missing excitations are a note, a failed fit is a warning.
     """
     fits: list[MatrixFit] = []
-    refused: dict[tuple[Severity, str], list[float]] = {}
+    missing: dict[tuple[str, str], list[float]] = {}
+    failed: dict[str, list[float]] = {}
     recorded = [name for name in channels if any(name in drive.channels for drive in drives)]
     for group in group_by_frequency(drives):
         try:
             fits.append(fit_matrix(group, recorded))
         except MissingExcitationError as error:
-            reason = "the recordings excite too few independent loads; " + str(error).partition("; ")[2]
-            refused.setdefault(("note", reason), []).append(group[0].frequency_hz)
+            names = "; ".join(" with ".join(names) for names in error.missing)
+            missing.setdefault((names, error.additions), []).append(group[0].frequency_hz)
         except ValueError as error:
-            refused.setdefault(("warning", str(error)), []).append(group[0].frequency_hz)
+            failed.setdefault(str(error), []).append(group[0].frequency_hz)
     notices = []
-    for (severity, reason), places in refused.items():
-        notices.append(Notice(severity, f"no matrix at {frequencies_text(places)}: {reason}", "matrix"))
+    for (names, additions), lines in missing.items():
+        frequencies = frequencies_text(lines)
+        values = {"frequencies": frequencies, "missing": names, "additions": additions}
+        notices.append(Notice(MISSING_EXCITATIONS, "matrix", **values))
+    for reason, lines in failed.items():
+        notices.append(Notice(NO_MATRIX, "matrix", frequencies=frequencies_text(lines), reason=reason))
     return tuple(fits), tuple(notices)
 
 
-# The curves of a campaign as points: magnitude and phase of every element at every frequency, and of recordings.
+# Points of the curves: magnitude and phase of every element at every frequency.
 
 
 def curve_points(evaluation: CampaignEvaluation) -> tuple[CurvePoint, ...]:
-    """Return all points of all curves: curve by curve, frequencies ascending."""
+    """Return all points of all curves, curve by curve, with ascending frequency."""
     mounting = {entry.name: entry.mounting for entry in evaluation.recorded}
     unit = "" if evaluation.sensor is None else evaluation.sensor.unit
     points = []
@@ -267,23 +274,23 @@ def curve_points(evaluation: CampaignEvaluation) -> tuple[CurvePoint, ...]:
 
 
 FULL_HEADLINES = 2
-"""Number of driven components up to which the end of the curve has a headline, too."""
+"""Largest number of driven components for which the end of the curve has a headline, too."""
 
 
 def main_points(evaluation: CampaignEvaluation, points: Sequence[CurvePoint]) -> dict[str, list[CurvePoint]]:
-    """Return the points of the outputs that belong to their load, by component: ratios before elements of matrices."""
+    """Return the points of the main outputs by component: ratios before elements of matrices."""
     found: dict[str, list[CurvePoint]] = {}
-    for place, component in enumerate(LOAD_COMPONENTS):
-        own = [point for point in points if point.component == component]
-        channels = list(dict.fromkeys(point.channel for point in own))
-        if own:
-            main = channels[main_channel(evaluation, channels, place)]
-            found[component] = [point for point in own if point.channel == main]
+    for index, component in enumerate(LOAD_COMPONENTS):
+        matching = [point for point in points if point.component == component]
+        channels = list(dict.fromkeys(point.channel for point in matching))
+        if matching:
+            main = channels[main_channel(evaluation, channels, index)]
+            found[component] = [point for point in matching if point.channel == main]
     return found
 
 
 def headlines(evaluation: CampaignEvaluation, mains: dict[str, list[CurvePoint]]) -> list[Headline]:
-    """The results to remember: every main sensitivity at its lowest frequency, its course, the largest cross-talk."""
+    """Return the main results: every main sensitivity, its change with frequency, the largest cross-talk."""
     found = []
     for points in mains.values():
         best = best_points(points)
@@ -310,14 +317,14 @@ def headlines(evaluation: CampaignEvaluation, mains: dict[str, list[CurvePoint]]
 
 
 def best_points(points: Sequence[CurvePoint]) -> list[CurvePoint]:
-    """Return the points of the `best_kind`, ascending in frequency."""
+    """Return the points of the `best_kind` with ascending frequency."""
     return sorted(best_kind(points, lambda point: point.kind), key=lambda point: point.frequency_hz)
 
 
 def best_kind(points: Sequence[P], kind_of: Callable[[P], str]) -> list[P]:
-    """Return those of the points of one element over frequency whose kind comes nearest to the sensor's sensitivity.
+    """Return the points of the kind that is closest to the sensor's sensitivity.
 
-    Elements of matrices, unless single recordings give elements, or else ratios, at more frequencies.
+    Elements of matrices are best, unless elements of single recordings, or else ratios, exist at more frequencies.
     """
     kinds = {kind: [point for point in points if kind_of(point) == kind] for kind in ("matrix", "element", "ratio")}
     single = kinds["element"] or kinds["ratio"]
@@ -325,7 +332,7 @@ def best_kind(points: Sequence[P], kind_of: Callable[[P], str]) -> list[P]:
 
 
 def curve_tables(mains: dict[str, list[CurvePoint]]) -> list[Table]:
-    """One table per main element over frequency, ratios first, its unit in the head."""
+    """Return one table per main element over frequency, ratios first."""
     tables = []
     for points in mains.values():
         first = points[0]
@@ -339,7 +346,7 @@ def curve_tables(mains: dict[str, list[CurvePoint]]) -> list[Table]:
 
 
 def _curve_columns(exponent: int, magnitude: str) -> list[TableColumn[CurvePoint]]:
-    """Columns of a table of points, magnitudes in units of a power of ten."""
+    """Return the columns of a table of points, with a common power of ten."""
 
     def from_static(point: CurvePoint) -> str:
         over = point.relative
@@ -357,31 +364,33 @@ def _curve_columns(exponent: int, magnitude: str) -> list[TableColumn[CurvePoint
 
 
 def _scatter_headline(evaluation: CampaignEvaluation) -> list[Headline]:
-    """What mounting anew changes, over all excitations that were mounted more than once."""
-    known = [found for found in evaluation.repeats if found.between_dof and found.within_dof]
-    if not known:
+    """Return the effect of a new mounting over all excitations with several mountings."""
+    repeated = [found for found in evaluation.repeats if found.between_dof and found.within_dof]
+    if not repeated:
         return []
-    places = [main_channel(evaluation, found.channels, found.component) for found in known]
+    channels = [main_channel(evaluation, found.channels, found.component) for found in repeated]
     sizes = [
-        float(np.sqrt(np.mean([value[place] ** 2 for value, place in zip(values, places, strict=True)])))
-        for values in ([found.between for found in known], [found.within for found in known])
+        float(np.sqrt(np.mean([value[channel] ** 2 for value, channel in zip(values, channels, strict=True)])))
+        for values in ([found.between for found in repeated], [found.within for found in repeated])
     ]
-    remark = f"a recording: {small(100.0 * sizes[1])} %; rms of {len(known)} excitations, beyond what is stated"
-    return [Headline("Mounting anew, standard deviation", f"{small(100.0 * sizes[0])} %", remark)]
+    remark = (
+        f"a recording: {small(100.0 * sizes[1])} %; rms of {len(repeated)} excitations, beyond stated uncertainties"
+    )
+    return [Headline("New mounting, standard deviation", f"{small(100.0 * sizes[0])} %", remark)]
 
 
 def _crosstalk_headline(evaluation: CampaignEvaluation) -> list[Headline]:
-    """The largest cross-talk that has been shown."""
+    """Return the largest cross-talk that has been shown."""
     best: tuple[float, CrossTalk, int, int] | None = None
     for found in evaluation.cross_talks:
-        least = np.where(found.holds_zero, -np.inf, np.abs(found.value) - found.half_axis)
-        least[np.arange(len(found.main)), list(found.main)] = -np.inf
-        place = divmod(int(np.argmax(least)), least.shape[1])
-        if np.isfinite(least[place]) and (best is None or least[place] > best[0]):
-            best = float(least[place]), found, *place
+        bounds = np.where(found.holds_zero, -np.inf, np.abs(found.value) - found.half_axis)
+        bounds[np.arange(len(found.main)), list(found.main)] = -np.inf
+        index = divmod(int(np.argmax(bounds)), bounds.shape[1])
+        if np.isfinite(bounds[index]) and (best is None or bounds[index] > best[0]):
+            best = float(bounds[index]), found, *index
     if best is None:
         return []
     _, found, c, j = best
     size = quantity_html(100.0 * abs(found.value[c, j]), 100.0 * float(found.half_axis[c, j]), "%")
     where = f"output {found.channels[c]} under {found.components[j]}, {found.frequency_hz:.4f} Hz"
-    return [Headline("Largest cross-talk that is certain", size, where)]
+    return [Headline("Largest significant cross-talk", size, where)]

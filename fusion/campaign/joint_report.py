@@ -61,7 +61,6 @@ from fusion.report.recording_report import (
 from fusion.report.table import (
     Table,
     TableColumn,
-    capitalise,
     csv_text,
     number,
     page_column,
@@ -80,7 +79,10 @@ from shakercal._common.notices import gather
 
 
 class CrossTalkElement(NamedTuple):
-    """One element of the cross-talk, with the larger half axis of its 95 % region and whether that holds zero."""
+    """One element of the cross-talk, with the larger half axis of its 95 % region.
+
+    `holds_zero`: whether that region includes zero.
+    """
 
     frequency_hz: float
     channel: str
@@ -119,28 +121,30 @@ CROSSTALK: list[TableColumn[CrossTalkElement]] = [
 
 
 def campaign_tables(evaluation: CampaignEvaluation, folders: Sequence[Path]) -> dict[str, Iterable[str]]:
-    """Return every joint table in parts, by file name; `folders`: of the recordings, in the order of the rows.
+    """Return every joint table in parts, by file name.
 
-    The matrices stand among the sensitivities, with the campaign in place of a recording.
+    `folders`: of the recordings in order of the rows.
+
+    The matrices are rows of the sensitivities, with the campaign as their recording.
     """
     tables: dict[str, Iterable[str]] = {name: merged_table(name, folders) for name in MERGED_FILES}
     tables[SENSITIVITY_FILE] = chain(tables[SENSITIVITY_FILE], _of_matrices(evaluation))
     tables[CURVE_FILE] = [csv_text(CURVE, curve_points(evaluation))]
-    cross_talk = (element for found in evaluation.cross_talks for element in _beside_the_main(found))
+    cross_talk = (element for found in evaluation.cross_talks for element in _side_elements(found))
     tables[CROSSTALK_FILE] = [csv_text(CROSSTALK, cross_talk)]
     return tables
 
 
 def _of_matrices(evaluation: CampaignEvaluation) -> Iterator[str]:
-    """Yield the rows of every matrix among the sensitivities."""
+    """Yield the rows of every matrix for the table of sensitivities."""
     if evaluation.sensor is not None:
         for fit in evaluation.matrices:
             elements = sensitivity_elements(fit.sensitivity(evaluation.sensor.unit), evaluation.name)
             yield csv_text(SENSITIVITY, elements).partition("\n")[2]
 
 
-def _beside_the_main(found: CrossTalk) -> Iterator[CrossTalkElement]:
-    """Yield every element beside the main ones."""
+def _side_elements(found: CrossTalk) -> Iterator[CrossTalkElement]:
+    """Yield every element except the main ones."""
     (elements,) = polar_elements(found.value.reshape(1, -1), found.uncertainty)
     for (c, j), value in zip(np.ndindex(found.value.shape), elements, strict=True):
         if found.main[c] != j and value is not None:
@@ -148,14 +152,17 @@ def _beside_the_main(found: CrossTalk) -> Iterator[CrossTalkElement]:
             yield CrossTalkElement(found.frequency_hz, found.channels[c], found.components[j], value, size, zero)
 
 
-# campaign.h5: what the recordings of a campaign say together, every covariance and every correlation written out.
+# campaign.h5: joint results with every covariance and correlation.
 
 
 JOINT_FIELDS = ("curves", "repeats", "linearity", "matrices", "cross_talks", "unknowns", "notices")
 
 
 def campaign_h5(evaluation: CampaignEvaluation, files: Sequence[str]) -> bytes:
-    """Return the content of campaign.h5; `files` are the names of all joint files. Equal input gives equal bytes."""
+    """Return the content of campaign.h5; `files` are the names of all joint files.
+
+    Equal input gives equal bytes.
+    """
 
     def fill(file: Group) -> None:
         file.attrs["format"] = RESULT_FORMAT
@@ -180,7 +187,7 @@ def campaign_h5(evaluation: CampaignEvaluation, files: Sequence[str]) -> bytes:
 
 
 def campaign_origin(recorded: Sequence[RecordingResults]) -> Provenance:
-    """Return the inputs of all recordings, with the settings and versions that the first was evaluated with."""
+    """Return the inputs of all recordings, with settings and versions of the first."""
     hashes: dict[str, str] = {}
     for entry in recorded:
         for name, digest in entry.origin.input_hashes.items():
@@ -193,11 +200,11 @@ def campaign_origin(recorded: Sequence[RecordingResults]) -> Provenance:
 
 
 MOST_ROWS = 1000
-"""Recordings and input files beyond which a page that lists all would no longer open well."""
+"""Largest number of recordings and input files on the page; longer pages are slow to open (chosen)."""
 
 
 def recordings_table(evaluation: CampaignEvaluation) -> Table | None:
-    """Every recording that could be evaluated, its name leading to its report, then the others with the reason."""
+    """Return the table of recordings with links to their reports, failed ones last."""
     blank = "\N{NO-BREAK SPACE}"
 
     def name(entry: RecordingResults) -> str:
@@ -225,7 +232,7 @@ def recordings_table(evaluation: CampaignEvaluation) -> Table | None:
     ]
     caption, count = "Recordings in the order of the tables; names lead to their reports", len(evaluation.recorded)
     if count > MOST_ROWS:
-        caption += f". The first {MOST_ROWS} of {count}; {SENSITIVITY_FILE} has all, and every folder its own report"
+        caption += f". The first {MOST_ROWS} of {count}; {SENSITIVITY_FILE} has all, and every folder has a report"
     found = table(caption, columns, evaluation.recorded[:MOST_ROWS])
     twice = Markup('{0}<br><span class="below">{0}</span>')
     failed = [(twice.format(f), *[DASH] * 4, f"failed: {reason}") for f, reason in evaluation.failed.items()]
@@ -233,7 +240,7 @@ def recordings_table(evaluation: CampaignEvaluation) -> Table | None:
 
 
 def _agreement_table(evaluation: CampaignEvaluation) -> Table | None:
-    """How every recording agrees with the matrix that all others give, one column per frequency."""
+    """Return the agreement of every recording with the matrix of all others."""
     fits = evaluation.matrices
     if not any(np.isfinite(item.normalised_deviation) for fit in fits for item in fit.agreement):
         return None
@@ -242,10 +249,10 @@ def _agreement_table(evaluation: CampaignEvaluation) -> Table | None:
     names = [entry.name for entry in evaluation.recorded if entry.name in compared]
     rows = []
     for name in names:
-        own = [cells.get((name, k)) for k in range(len(fits))]
-        mounting = next(item.mounting for item in own if item is not None)
+        row = [cells.get((name, k)) for k in range(len(fits))]
+        mounting = next(item.mounting for item in row if item is not None)
         rows.append(
-            (name, mounting, *(DASH if item is None else signed_text(item.normalised_deviation) for item in own))
+            (name, mounting, *(DASH if item is None else signed_text(item.normalised_deviation) for item in row))
         )
     total = tuple(f"{fit.chi2:.1f} / {fit.dof}" for fit in fits)
     rows.append((Markup("<b>χ² / degrees of freedom</b>"), "", *total))
@@ -255,25 +262,25 @@ def _agreement_table(evaluation: CampaignEvaluation) -> Table | None:
 
 
 def _rank_sentences(evaluation: CampaignEvaluation) -> list[str]:
-    """What the excitations determine where they tell the six columns apart least, or what is missing."""
+    """Return sentences on the weakest independent load, or on missing excitations."""
     sentences, fits = [], evaluation.matrices
     if fits:
         least = min(fits, key=lambda fit: float(fit.excitation.singular[-1]))
-        where, count = [fit.frequency_hz for fit in fits], len(fits)
-        places = f"At {count} frequencies from {min(where):.6g} Hz to {max(where):.6g} Hz"
+        lines, count = [fit.frequency_hz for fit in fits], len(fits)
+        frequencies = f"At {count} frequencies from {min(lines):.6g} Hz to {max(lines):.6g} Hz"
         sentences.append(
-            f"{places if count > 1 else f'At {where[0]:.6g} Hz'} the recordings excite six independent loads. The "
+            f"{frequencies if count > 1 else f'At {lines[0]:.6g} Hz'} the recordings excite six independent loads. The "
             f"weakest of them is {number(float(least.excitation.singular[-1]))} times its standard uncertainty at "
             f"{least.frequency_hz:.6g} Hz; a matrix needs {MIN_SINGULAR:g}."
         )
-    return sentences + [f"{capitalise(notice.text)}." for notice in evaluation.refused]
+    return sentences + [notice.explanation for notice in evaluation.refused]
 
 
 def repeats_table(evaluation: CampaignEvaluation) -> Table | None:
-    """What recordings and mountings of one excitation scatter by, for the output that belongs to the load."""
+    """Return the scatter of recordings and mountings of one excitation, for the main output."""
 
     def expanded(found: RepeatMean) -> tuple[str, str]:
-        """U of the mean in per cent, and its factor."""
+        """Return U of the mean in per cent, and its coverage factor."""
         channel = main_channel(evaluation, found.channels, found.component)
         ((element,),) = polar_elements(found.value[None, [channel]], found.uncertainty.at([channel]))
         if element is None:
@@ -281,9 +288,9 @@ def repeats_table(evaluation: CampaignEvaluation) -> Table | None:
         return small(100.0 * element.expanded_magnitude / element.magnitude), f"{element.k:.2f}"
 
     def percent(found: RepeatMean, share: FloatArray) -> str:
-        """A standard deviation: a dash where nothing tells it, zero where nothing is left."""
-        own = share[main_channel(evaluation, found.channels, found.component)]
-        return DASH if not np.isfinite(own) else small(100.0 * own) if own > 0.0 else "0"
+        """Return a standard deviation; a dash if it is not determined."""
+        deviation = share[main_channel(evaluation, found.channels, found.component)]
+        return DASH if not np.isfinite(deviation) else small(100.0 * deviation) if deviation > 0.0 else "0"
 
     columns: list[TableColumn[RepeatMean]] = [
         page_column("frequency / Hz", lambda found: f"{found.frequency_hz:.4f}"),
@@ -297,17 +304,17 @@ def repeats_table(evaluation: CampaignEvaluation) -> Table | None:
         page_column("k", lambda found: expanded(found)[1]),
     ]
     caption = (
-        "Repeats: relative standard deviation of a recording (within) and of a mounting (between) beyond what is "
-        "stated for them, and U of the mean"
+        "Repeats: relative standard deviation of a recording (within) and of a mounting (between) beyond their stated "
+        "uncertainties, and U of the mean"
     )
     return table(caption, columns, evaluation.repeats)
 
 
 def linearity_table(evaluation: CampaignEvaluation) -> Table | None:
-    """How the sensitivity changes with amplitude, for the output that belongs to the load."""
+    """Return the change of the sensitivity with amplitude, for the main output."""
 
     def change(found: Linearity) -> tuple[str, str, str]:
-        """Change of magnitude and phase with U, and the verdict."""
+        """Return the change of magnitude and phase with U, and the verdict."""
         channel = main_channel(evaluation, found.channels, found.component)
         size, u = complex(found.change[channel]), polar(1.0 + 0.0j, found.covariance[channel], found.dof)
         magnitude = scaled_html(100.0 * size.real, 100.0 * u.expanded_magnitude, 0)
@@ -333,7 +340,7 @@ def linearity_table(evaluation: CampaignEvaluation) -> Table | None:
 
 
 def unknowns_table(evaluation: CampaignEvaluation) -> Table | None:
-    """What all recordings together say of every unknown of the rig: first what they know best."""
+    """Return the joint estimates of the unknowns of the rig, best ones first."""
 
     def value(found: JointUnknown) -> str:
         unit = "" if found.unit == "1" else found.unit
@@ -346,15 +353,18 @@ def unknowns_table(evaluation: CampaignEvaluation) -> Table | None:
         ),
         page_column("value by the campaign", value),
         page_column("u / u stated", lambda found: f"{found.remaining:.2f}"),
-        page_column("recordings that tell of it", lambda found: str(found.recordings)),
-        page_column("", lambda found: "stays as stated" if found.is_as_stated else "", "l"),
+        page_column("contributing recordings", lambda found: str(found.recordings)),
+        page_column("", lambda found: "as stated" if found.is_as_stated else "", "l"),
     ]
-    caption = "What the recordings together say of the rig: deviation from what is stated, with U (k = 2)"
+    caption = "Unknowns of the rig by all recordings: deviation from the stated values, with U (k = 2)"
     return table(caption, columns, sorted(evaluation.unknowns, key=lambda found: found.remaining)[:MOST_ROWS])
 
 
 def _crosstalk_table(found: CrossTalk) -> Table:
-    """Cross-talk at one frequency in per cent: outputs down, loads across; an upper bound where a region holds zero."""
+    """Return the cross-talk at one frequency in per cent.
+
+    An upper bound if a region includes zero.
+    """
     rows = []
     for c, channel in enumerate(found.channels):
         cells: list[str] = [f"output {channel}"]
@@ -373,26 +383,31 @@ def _crosstalk_table(found: CrossTalk) -> Table:
     return Table(caption, ("", *found.components), "l" + "r" * len(found.components), tuple(rows))
 
 
-# report.html of a campaign: one self-contained page with what its recordings say together.
+# report.html of a campaign: one self-contained page with its joint results.
 
 
 def render_campaign(evaluation: CampaignEvaluation) -> str:
-    """HTML text of the page; style and figures are inside, nothing is fetched from elsewhere."""
+    """Return the HTML text of the page.
+
+    Style and figures are included, no other file is loaded.
+    """
     mains = main_points(evaluation, curve_points(evaluation))
     ratios = [curve for curve in evaluation.curves if curve.kind == "ratio" and len(curve.channels) > 1]
     stated = None if evaluation.sensor is None else evaluation.sensor.stated_matrix
-    # Where there are elements, ratios are in the tables only.
+    # If there are elements, ratios are in the tables only.
     drawn = [
         [p for p in points if p.kind != "ratio" or all(other.kind != "element" for other in points)]
         for points in mains.values()
     ]
-    frame = origin_frame(campaign_origin(evaluation.recorded), evaluation.notices)
+    gathered = gather([(entry.folder, entry.joint_notices) for entry in evaluation.recorded])
+    listed = [notice for notice in gathered if not notice.possible_size and not notice.acknowledged]
+    tabulated = [notice.first for notice in gathered if notice.possible_size or notice.acknowledged]
+    frame = origin_frame(campaign_origin(evaluation.recorded), [*evaluation.notices, *tabulated])
     inputs: Table = frame["inputs"]
     if len(inputs.rows) > MOST_ROWS:
         what = f"{inputs.caption}: the first {MOST_ROWS} of {len(inputs.rows)}; {CAMPAIGN_FILE} has all"
         frame["inputs"] = replace(inputs, caption=what, rows=inputs.rows[:MOST_ROWS])
-    gathered = gather([(entry.folder, entry.joint_notices) for entry in evaluation.recorded])
-    of_recordings = [notice for notice in gathered if notice.severity == "warning"]
+    of_recordings = [notice for notice in listed if notice.severity == "warning"]
     frame["notices"] = sorted([*frame["notices"], *of_recordings], key=lambda notice: notice.severity != "warning")
     context = {
         "name": evaluation.name,
@@ -401,24 +416,24 @@ def render_campaign(evaluation: CampaignEvaluation) -> str:
         "curves": [draw_curve(points, evaluation.curves, evaluation.excited_lines, stated) for points in drawn],
         "curve_tables": curve_tables(mains),
         "outputs": [draw_outputs(c, main_channel(evaluation, c.channels, c.elements[0][1])) for c in ratios],
-        "maps": [picture for picture in [draw_crosstalk(evaluation.cross_talks)] if picture],
+        "maps": [figure for figure in [draw_crosstalk(evaluation.cross_talks)] if figure],
         "crosstalk": [_crosstalk_table(found) for found in evaluation.cross_talks],
         "rank": _rank_sentences(evaluation),
-        "excitations": [picture for picture in [draw_excitation(evaluation.matrices)] if picture],
+        "excitations": [figure for figure in [draw_excitation(evaluation.matrices)] if figure],
         "agreement": _agreement_table(evaluation),
         "repeats": repeats_table(evaluation),
         "linearity": linearity_table(evaluation),
         "unknowns": unknowns_table(evaluation),
         "recordings": recordings_table(evaluation),
         "count": count_text(len(evaluation.recorded) + len(evaluation.failed), "recording"),
-        "notes": gathered[len(of_recordings) :],
+        "notes": listed[len(of_recordings) :],
         **frame,
     }
     return render_page("campaign.html", context)
 
 
 def _subject(evaluation: CampaignEvaluation) -> list[tuple[str, str]]:
-    """What was measured: sensor, rigs, recordings, mountings, frequencies."""
+    """Return sensor, rigs, recordings, mountings and frequencies."""
     facts, sensor, recorded = [], evaluation.sensor, evaluation.recorded
     if sensor is not None:
         facts.append(("Sensor", f"{sensor.name}, serial number {sensor.serial}" if sensor.serial else sensor.name))
@@ -437,11 +452,11 @@ def _subject(evaluation: CampaignEvaluation) -> list[tuple[str, str]]:
 
 
 def write_campaign(top: Path, name: str, folders: Sequence[Path], failed: Mapping[str, str]) -> list[Path]:
-    """Write the joint files of the campaign `name` into the folder `top` and return their paths.
+    """Write the joint files of a campaign into the folder `top` and return their paths.
 
-    `folders`: results folders of the recordings that could be evaluated, in the order of the tables; everything is
-    read from them, so that equal results give equal files. `failed`: folders of the others, by name, and why there is
-    no result. The files appear together, or not at all where results are replaced while they are read.
+    `folders`: results folders of the evaluated recordings in the order of the tables. All data are read from them, so
+    that equal results give equal files. `failed`: reasons by folder of the others. The files appear together, or none
+    if results change while they are read.
     """
     return join_campaign(top, name, folders, failed)[1]
 
@@ -449,21 +464,21 @@ def write_campaign(top: Path, name: str, folders: Sequence[Path], failed: Mappin
 def join_campaign(
     top: Path, name: str, folders: Sequence[Path], failed: Mapping[str, str]
 ) -> tuple[CampaignEvaluation, list[Path]]:
-    """Write the joint files as `write_campaign` does, and return what they tell, too."""
+    """Write the joint files as `write_campaign` does, and return the evaluation, too."""
     inputs = InputFiles.without_hashes(folder / file for folder in folders for file in (*MERGED_FILES, RESULT_FILE))
     with ExitStack() as stack:
         with report_write_errors(top):
-            shelf = DiskStore(stack.enter_context(TemporaryFile(dir=staging_dir(top))))
+            store = DiskStore(stack.enter_context(TemporaryFile(dir=staging_dir(top))))
             entries = (read_recorded(folder) for folder in folders)
-            recorded = [_shelved(entry, shelf) for entry in entries]
-        evaluation = evaluate_campaign(name, recorded, failed, shelf.put)
+            recorded = [_stored_on_disk(entry, store) for entry in entries]
+        evaluation = evaluate_campaign(name, recorded, failed, store.put)
         return evaluation, _write(top, evaluation, folders, inputs)
 
 
-def _shelved(entry: RecordingResults, shelf: DiskStore) -> RecordingResults:
-    """Return a recording of which the large tables are on the shelf."""
-    knowledge = None if entry.knowledge is None else shelf.store(entry.knowledge())
-    return replace(entry, excited_lines=tuple(map(shelf.put, entry.excited_lines)), knowledge=knowledge)
+def _stored_on_disk(entry: RecordingResults, store: DiskStore) -> RecordingResults:
+    """Return a recording whose large tables are on disk."""
+    knowledge = None if entry.knowledge is None else store.store(entry.knowledge())
+    return replace(entry, excited_lines=tuple(map(store.put, entry.excited_lines)), knowledge=knowledge)
 
 
 def _write(top: Path, evaluation: CampaignEvaluation, folders: Sequence[Path], inputs: InputFiles) -> list[Path]:

@@ -1,4 +1,4 @@
-"""The complex 6 x 6 matrix and its cross-talk."""
+"""Complex 6 x 6 sensitivity matrix at one frequency, and its cross-talk."""
 
 from __future__ import annotations
 
@@ -7,11 +7,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from fusion.campaign.campaign_notices import DISAGREEING_RECORDINGS, MISSING_MATRIX_ROW, UNTESTED_MATRIX
 from fusion.campaign.excited_line import FREQUENCY_TOLERANCE, LOADS, ExcitedLine
+from fusion.campaign.line_stack import Stack, stack_drives
 from fusion.campaign.matrix_solve import (
     LoadExcitation,
     MatrixSolution,
-    Stack,
     changes,
     drives_excite,
     estimated_noise,
@@ -19,7 +20,6 @@ from fusion.campaign.matrix_solve import (
     judge,
     require_six,
     solve,
-    stack_drives,
 )
 from fusion.estimation.coverage import region
 from fusion.estimation.instrument_consistency import leave_out_rows
@@ -42,15 +42,15 @@ DISAGREEMENT = "disagreement of the recordings"
 DISCREPANCY_RANGE = (1e-9, 10.0)
 RANK_TOLERANCE = 1e-9
 REJECT_CHI2 = 100.0
-"""Chi-square per degree of freedom beyond which readings are not described by what is stated."""
+"""Chi-square per degree of freedom above which the stated uncertainties do not describe the readings."""
 
 
 @dataclass(frozen=True)
 class Agreement:
-    """How one drive agrees with the matrix that all others give.
+    """Agreement of one line with the matrix of all others.
 
-    `normalised_deviation`: root of chi-square per degree of freedom of its outputs (1 is expected, NaN where the others
-    do not determine a matrix); `readings`: number of real readings it was judged by.
+    `normalised_deviation`: root of chi-square per degree of freedom of its outputs (1 is expected; NaN if the others do
+    not determine a matrix); `readings`: number of real readings in this test.
     """
 
     recording: str
@@ -64,11 +64,10 @@ class Agreement:
 class MatrixFit:
     """Matrix `value` (C, 6) of outputs over loads at one frequency.
 
-    `uncertainty` (K = 1) of its 6C elements, channel by channel, its unknowns under names that hold between
-    recordings; `load_size` (6,): largest loads of the drives; `excitation`: how well they tell the columns apart;
-    `chi2` and `dof` as stated uncertainties give them; `discrepancy`: what had to be added, relative to the outputs, 0
-    where the recordings agree; `agreement` of every drive, `worst`: the one that agrees least, None where nothing tests
-    it.
+    `uncertainty` (K = 1) of its 6C elements, channel by channel, with unknowns under campaign-wide names. `load_size`
+    (6,): largest loads of the lines; `excitation`: how well the lines separate the columns. `chi2` and `dof` are those
+    with the stated uncertainties. `discrepancy`: additional standard deviation relative to the outputs, 0 if the
+    recordings agree. `agreement` of every line.
     """
 
     frequency_hz: float
@@ -85,12 +84,12 @@ class MatrixFit:
 
     @property
     def worst(self) -> Agreement | None:
-        """Return the drive that agrees least with the others."""
+        """Line that agrees least with the others; None if there is no test."""
         tested = [item for item in self.agreement if np.isfinite(item.normalised_deviation)]
         return max(tested, key=lambda item: item.normalised_deviation, default=None)
 
     def sensitivity(self, unit: str) -> Sensitivity:
-        """Return the matrix as a sensitivity of one line, `unit` being that of the outputs."""
+        """Return the matrix as a sensitivity of one line; `unit` is that of the outputs."""
         return Sensitivity(
             frequency_hz=np.array([self.frequency_hz]),
             value=self.value[None],
@@ -105,16 +104,18 @@ class MatrixFit:
 
 
 def fit_matrix(drives: Sequence[ExcitedLine], channels: Sequence[str] | None = None) -> MatrixFit:
-    """Return the matrix S of outputs = S · load at the frequency of several drives, by maximum likelihood.
+    """Return the 6 x 6 matrix of outputs over loads by maximum likelihood.
 
-    Loads and outputs err, and what drives share is one unknown for all of them (`fusion.campaign.matrix_solve`). All
-    six columns are determined or none: where the drives do not excite six independent loads,
-    `MissingExcitationError` says what to add, and only ratios of single recordings are left. Where recordings disagree
-    beyond what is stated (chi-square at 1 %, noise that was estimated counted as such, `estimated_noise`), every output
-    gets the further standard deviation τ·max_j|S_ij|·|load| that makes chi-square equal its degrees of freedom (Paule &
-    Mandel 1982, J. Res. NBS 87, 377); within one mounting and direction it counts as one error, since mounting anew is
-    its usual cause. `channels`: order of the outputs, by default that of the drives; one that is not recorded in enough
-    drives has no row.
+    Outputs are S · load. Both have errors; a shared error is one unknown for all lines
+    (`fusion.campaign.matrix_solve`). Either all six columns are determined or none. If the lines do not excite six
+    independent loads, `MissingExcitationError` names the missing ones.
+
+    Recordings may disagree beyond the stated uncertainties (chi-square at 1 %, with estimated noise as in
+    `estimated_noise`). Then every output gets the further standard deviation τ·max_j|S_ij|·|load| that makes chi-square
+    equal its degrees of freedom (Paule & Mandel 1982, J. Res. NBS 87, 377). Within one mounting and direction it is one
+    error, since a new mounting is its usual cause.
+
+    `channels`: order of the outputs, by default that of the lines; an output with too few recordings has no row.
     """
     if not drives:
         raise ValueError("drives: expected at least one, found none")
@@ -122,20 +123,19 @@ def fit_matrix(drives: Sequence[ExcitedLine], channels: Sequence[str] | None = N
     if high > low * (1.0 + FREQUENCY_TOLERANCE):
         width = f"{FREQUENCY_TOLERANCE:.2%}"
         raise ValueError(f"drives: expected one frequency within {width}, found {low:g} Hz to {high:g} Hz")
-    wanted = tuple(dict.fromkeys(name for drive in drives for name in drive.channels) if channels is None else channels)
+    names = tuple(dict.fromkeys(name for drive in drives for name in drive.channels) if channels is None else channels)
     require_six(drives_excite(drives), len(drives))
-    stack = stack_drives(drives, wanted)
+    stack = stack_drives(drives, names)
     found = excitation(stack)
     require_six(found, len(drives))
-    kept = [c for c in range(len(wanted)) if excitation(stack, np.flatnonzero(stack.usable[:, c])).determines]
-    if not kept:
+    determined = [c for c in range(len(names)) if excitation(stack, np.flatnonzero(stack.usable[:, c])).determines]
+    if not determined:
         raise ValueError("drives: expected an output recorded under six independent loads, found none")
     notices = []
-    if len(kept) < len(wanted):
-        left_out = ", ".join(name for c, name in enumerate(wanted) if c not in kept)
-        text = f"{left_out}: no row of the matrix, the recordings that have it excite too few independent loads"
-        notices.append(Notice("warning", text, "matrix"))
-    stack = stack_drives(drives, [wanted[c] for c in kept])
+    if len(determined) < len(names):
+        left_out = ", ".join(name for c, name in enumerate(names) if c not in determined)
+        notices.append(Notice(MISSING_MATRIX_ROW, "matrix", channels=left_out))
+    stack = stack_drives(drives, [names[c] for c in determined])
     solution, first, tau = _solve(stack)
     agreement = _agreement(stack, first)
     fit = MatrixFit(
@@ -153,31 +153,40 @@ def fit_matrix(drives: Sequence[ExcitedLine], channels: Sequence[str] | None = N
     )
     worst = fit.worst
     if fit.dof == 0 or worst is None:
-        text = f"{len(agreement)} recordings at {fit.frequency_hz:.6g} Hz just determine the matrix: none tests it"
-        notices.append(Notice("note", text, "matrix"))
+        numbers = {"count": len(agreement), "frequency_hz": fit.frequency_hz}
+        notices.append(Notice(UNTESTED_MATRIX, "matrix", **numbers))
     elif tau > 0.0:
-        text = (
-            f"recordings at {fit.frequency_hz:.6g} Hz disagree beyond their uncertainties (chi-square {fit.chi2:.3g} "
-            f"on {fit.dof}), most of all {worst.recording} ({worst.normalised_deviation:.3g} times what is expected): "
-            f"U covers a further {tau:.2g} of every output"
+        notices.append(
+            Notice(
+                DISAGREEING_RECORDINGS,
+                "matrix",
+                frequency_hz=fit.frequency_hz,
+                chi2=fit.chi2,
+                dof=fit.dof,
+                recording=worst.recording,
+                normalised_deviation=worst.normalised_deviation,
+                discrepancy=tau,
+            )
         )
-        notices.append(Notice("warning", text, "matrix"))
     return replace(fit, notices=tuple(notices))
 
 
 def _agreement(stack: Stack, solution: MatrixSolution) -> tuple[Agreement, ...]:
-    """Every drive's outputs against what all others say of them."""
+    """Return the agreement of every line's outputs with all others."""
     judged = []
     for r, (drive, usable) in enumerate(zip(stack.drives, np.tile(stack.usable, (1, 2)), strict=True)):
-        rows, own = np.flatnonzero(usable), (solution.projector[r], solution.projected_residual[r], solution.size[r])
-        chi2, count, _ = leave_out_rows(*own, rows, RANK_TOLERANCE)
+        rows, numbers = (
+            np.flatnonzero(usable),
+            (solution.projector[r], solution.projected_residual[r], solution.size[r]),
+        )
+        chi2, count, _ = leave_out_rows(*numbers, rows, RANK_TOLERANCE)
         deviation = float(np.sqrt(chi2 / count)) if count else np.nan
         judged.append(Agreement(drive.recording, drive.mounting, drive.frequency_hz, deviation, count))
     return tuple(judged)
 
 
 def _solve(stack: Stack) -> tuple[MatrixSolution, MatrixSolution, float]:
-    """Solution, what stated uncertainties alone say of it, and the relative disagreement it needs (0: none)."""
+    """Return the solution, that with stated uncertainties alone, and the relative disagreement (0: none)."""
     start = judge(stack)
     if start.chi2 < REJECT_CHI2 * max(start.dof, 1):
         plain = solve(stack)
@@ -188,13 +197,13 @@ def _solve(stack: Stack) -> tuple[MatrixSolution, MatrixSolution, float]:
 
 
 def _spread(stack: Stack, tau: float) -> FloatArray:
-    """Standard deviations (R, C) of real and imaginary parts of the outputs for a relative disagreement."""
+    """Return standard deviations (R, C) of both parts of the outputs for a relative disagreement."""
     matrix = judge(stack).matrix
     return np.asarray(tau * np.linalg.norm(stack.load, axis=1)[:, None] * np.max(np.abs(matrix), axis=1))
 
 
 def _disagreeing(stack: Stack) -> tuple[MatrixSolution, float]:
-    """Solution with the relative disagreement that makes chi-square its degrees of freedom, approached from above."""
+    """Return the solution with the relative disagreement that makes chi-square equal its degrees of freedom."""
     unit = _spread(stack, 1.0)
 
     def excess(log_tau: float) -> float:
@@ -209,26 +218,26 @@ def _disagreeing(stack: Stack) -> tuple[MatrixSolution, float]:
         low, high = low - 1.0, low
     if excess(low) < 0.0:
         return solve(stack), 0.0
-    from scipy.optimize import brentq  # here, for most drives agree
+    from scipy.optimize import brentq  # imported late: most lines agree
 
     tau = float(np.exp(brentq(excess, low, high, xtol=1e-2)))
     return solve(stack, tau * unit), tau
 
 
 def _uncertainty(stack: Stack, solution: MatrixSolution, tau: float) -> Uncertainty:
-    """Uncertainty of the 6C elements in their units: readings' own errors, shared unknowns, disagreement."""
+    """Return the uncertainty of the 6C elements: individual errors, shared unknowns, disagreement."""
     random: tuple[Contribution, ...] = ()
     for r, gain in enumerate(solution.gain):
         parts = [*random, *stack.output_noise[r].transformed(gain[None]).random]
         parts += stack.load_noise[r].transformed(-(gain @ solution.load_design[r])[None]).random
         random = merge_contributions(parts)
     if tau > 0.0:
-        # One error for drives mounted and driven alike.
+        # One error for lines of equal mounting and direction.
         spread = np.tile(_spread(stack, tau), (1, 2))
-        alike: dict[tuple[str, tuple[float, ...]], list[int]] = {}
+        same_setup: dict[tuple[str, tuple[float, ...]], list[int]] = {}
         for r, drive in enumerate(stack.drives):
-            alike.setdefault((drive.mounting, drive.direction), []).append(r)
-        effects = (np.sum(solution.gain[members] * spread[members, None], axis=0) for members in alike.values())
+            same_setup.setdefault((drive.mounting, drive.direction), []).append(r)
+        effects = (np.sum(solution.gain[members] * spread[members, None], axis=0) for members in same_setup.values())
         covariance = sum(
             (effect @ effect.T for effect in effects), np.zeros((solution.gain.shape[1], solution.gain.shape[1]))
         )
@@ -240,16 +249,16 @@ def _uncertainty(stack: Stack, solution: MatrixSolution, tau: float) -> Uncertai
     return Uncertainty(random, influences).transformed(real_stacked_diagonal(units))
 
 
-# Cross-talk: what the outputs of a sensor say of loads that are not theirs, at rated loads.
+# Cross-talk: response of each output to the other loads, at rated loads.
 
 
 @dataclass(frozen=True)
 class CrossTalk:
-    """Output i under the rated load j, relative to its output under its own rated load, at one frequency.
+    """Output under another rated load, relative to that under the rated main load.
 
-    `value` (C, 6) complex, 1 at the main elements; `main` (C,): component of each channel; `uncertainty` (K = 1) of
-    the 6C values, channel by channel; `half_axis` (C, 6): larger half axis of the 95 % region in the complex plane;
-    `holds_zero` (C, 6): whether that region holds zero, so that no cross-talk has been shown.
+    `value` (C, 6) complex, 1 at the main elements; `main` (C,): component of each channel. `uncertainty` (K = 1) of the
+    6C values, channel by channel. `half_axis` (C, 6): larger half axis of the 95 % region in the complex plane.
+    `holds_zero` (C, 6): whether that region includes zero, so that no cross-talk has been shown.
     """
 
     frequency_hz: float
@@ -263,9 +272,10 @@ class CrossTalk:
 
 
 def main_components(value: ComplexArray, capacity: FloatArray) -> tuple[int, ...]:
-    """Return for every channel of a matrix (C, 6) the component (0..5) it is made for.
+    """Return the main component (0..5) of every channel of a matrix (C, 6).
 
-    The one whose rated load moves it most; where two channels answer most to the same load, their order decides.
+    It is the component whose rated load gives the largest output. If two channels have the same one, their order
+    decides.
     """
     largest = np.argmax(np.abs(value) * capacity, axis=1)
     if len(set(largest.tolist())) == len(largest):
@@ -276,20 +286,20 @@ def main_components(value: ComplexArray, capacity: FloatArray) -> tuple[int, ...
 def cross_talk(fit: MatrixFit, capacity: Sequence[float]) -> CrossTalk:
     """Return c_ij = S_ij·capacity_j/(S_im·capacity_m), m the main component of channel i, with its uncertainty.
 
-    dc_ij = (capacity_j/capacity_m)·(dS_ij - S_ij·dS_im/S_im)/S_im: errors that a row has in common cancel.
+    dc_ij = (capacity_j/capacity_m)·(dS_ij - S_ij·dS_im/S_im)/S_im: common errors of a row cancel.
     """
     rated = np.asarray(capacity, dtype=np.float64)
     check_shape("capacity", rated, (LOADS,))
     channels = len(fit.channels)
     main = main_components(fit.value, rated)
-    own = fit.value[np.arange(channels), list(main)]
+    main_values = fit.value[np.arange(channels), list(main)]
     ratio = rated / rated[list(main)][:, None]
-    value = ratio * fit.value / own[:, None]
+    value = ratio * fit.value / main_values[:, None]
     jacobian = np.zeros((channels * LOADS, channels * LOADS), np.complex128)
     for i, j in np.ndindex(channels, LOADS):
         if j != main[i]:
-            jacobian[i * LOADS + j, i * LOADS + j] = ratio[i, j] / own[i]
-            jacobian[i * LOADS + j, i * LOADS + main[i]] = -value[i, j] / own[i]
+            jacobian[i * LOADS + j, i * LOADS + j] = ratio[i, j] / main_values[i]
+            jacobian[i * LOADS + j, i * LOADS + main[i]] = -value[i, j] / main_values[i]
     uncertainty = fit.uncertainty.transformed(real_design(jacobian)[None])
     matrices = uncertainty.regions(value.reshape(1, -1))[0]
     regions = [region(e, matrix) for e, matrix in zip(value.ravel().tolist(), matrices, strict=True)]

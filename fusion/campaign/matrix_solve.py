@@ -1,225 +1,64 @@
-"""Rows of the 6 x 6 matrix from several recordings, rank of the excitations, maximum likelihood."""
+"""Excitation rank of several recordings, and the 6 x 6 matrix of greatest likelihood."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import solve_triangular
 
-from fusion.campaign.elimination import EliminationOrder, elimination_order
 from fusion.campaign.excited_line import LOADS, ExcitedLine
-from fusion.estimation.uncertainty import Influence, Uncertainty, as_complex, real_design, real_stack
+from fusion.campaign.line_stack import Stack, largest_magnitude
+from fusion.estimation.uncertainty import as_complex, real_design, real_stack
 from fusion.estimation.variance_components import EstimatedNoise
-from shaker.arrays import BoolArray, ComplexArray, FloatArray, IntArray
+from shaker.arrays import ComplexArray, FloatArray, IntArray
 from shaker.labels import LOAD_COMPONENTS
 
-# Loads and outputs of several drives in units of their own size, with everything that makes them uncertain.
-
-
-SLOPE = 1.0
-"""Standard uncertainty of dln S/dln f: what is not known of a sensor below a third of its resonance."""
-SAME_LINE = 1e-7
-"""Relative difference of frequencies that changes no sensitivity."""
-LINE_SPACING = "lines apart"
-
-
-@dataclass(frozen=True)
-class Stack:
-    """R drives at one frequency, loads in units of `load_size` (6,), outputs of `output_size` (C,).
-
-    `load` (R, 6), `output` (R, C) with NaN where there is no reading; `load_noise`, `output_noise`: what is each
-    drive's own, by drive; `unknowns` (E): what drives share or load and outputs share. Of them up to A act on one
-    drive: `acting` (R, A) says which (-1: no further one), `load_effect` (R, A, 6) how they change its load for one
-    standard uncertainty, `output_effect` (R, A, C) its outputs, relative to these.
-    """
-
-    drives: tuple[ExcitedLine, ...]
-    channels: tuple[str, ...]
-    load_size: FloatArray
-    output_size: FloatArray
-    load: ComplexArray
-    output: ComplexArray
-    load_noise: tuple[Uncertainty, ...]
-    output_noise: tuple[Uncertainty, ...]
-    unknowns: tuple[Influence, ...]
-    acting: IntArray
-    load_effect: ComplexArray
-    output_effect: ComplexArray
-
-    @property
-    def frequency_hz(self) -> float:
-        """Return the mean frequency of the drives."""
-        return float(np.mean([drive.frequency_hz for drive in self.drives]))
-
-    @property
-    def usable(self) -> BoolArray:
-        """Return which outputs (R, C) have a reading."""
-        return np.isfinite(self.output)
-
-    @cached_property
-    def individual_load_covariance(self) -> FloatArray:
-        """Return the covariance (R, 12, 12) of every drive's load without what drives share."""
-        return np.concatenate([noise.covariance for noise in self.load_noise])
-
-    @cached_property
-    def individual_output_covariance(self) -> FloatArray:
-        """Return the covariance (R, 2C, 2C) of every drive's outputs without what drives share."""
-        return np.concatenate([noise.covariance for noise in self.output_noise])
-
-    def load_covariance(self) -> FloatArray:
-        """Return the whole covariance (R, 12, 12) of every drive's load, common errors included."""
-        effect = real_stack(self.load_effect)
-        return np.asarray(self.individual_load_covariance + effect.swapaxes(1, 2) @ effect)
-
-    @cached_property
-    def order(self) -> EliminationOrder:
-        """Return in which order unknowns are eliminated."""
-        acts = np.any(self.load_effect != 0.0, axis=2) | np.any(self.output_effect != 0.0, axis=2)
-        return elimination_order(np.where(acts, self.acting, -1), len(self.unknowns))
-
-
-def stack_drives(drives: Sequence[ExcitedLine], channels: Sequence[str]) -> Stack:
-    """Return drives as one stack, their outputs in the order of `channels`; a channel not recorded has no reading.
-
-    Each component of the load is measured in its largest among the drives, each output likewise.
-    """
-    if not drives:
-        raise ValueError("drives: expected at least one, found none")
-    wanted = tuple(channels)
-    load = np.stack([drive.load for drive in drives])
-    output = np.array([[drive.output(channel) for channel in wanted] for drive in drives], dtype=np.complex128)
-    load_size, output_size = _size(load), _size(output)
-    output = output / output_size
-    sized = [
-        (
-            of_load.scaled(np.asarray((1.0 / load_size)[None], dtype=np.complex128)),
-            _outputs_in_order(of_outputs, drive, wanted, output_size),
-        )
-        for drive, (of_load, of_outputs) in ((drive, drive.campaign_uncertainties()) for drive in drives)
-    ]
-    known = {influence.name: influence for both in sized for part in both for influence in part.influences}
-    place = {name: number for number, name in enumerate(known)}
-    names = [list(dict.fromkeys(i.name for part in both for i in part.influences)) for both in sized]
-    most = max(map(len, names))
-    acting = np.full((len(drives), most), -1)
-    load_effect = np.zeros((len(drives), most, LOADS), np.complex128)
-    output_effect = np.zeros((len(drives), most, len(wanted)), np.complex128)
-    for row, (own, (of_load, of_outputs)) in enumerate(zip(names, sized, strict=True)):
-        slot = {name: number for number, name in enumerate(own)}
-        acting[row, : len(own)] = [place[name] for name in own]
-        for influence in of_load.influences:
-            load_effect[row, slot[influence.name]] = as_complex(influence.effect[0])
-        # Relative to the output, zero where there is none.
-        usable = np.isfinite(output[row]) & (output[row] != 0.0)
-        for influence in of_outputs.influences:
-            change, relative = as_complex(influence.effect[0]), np.zeros(len(wanted), np.complex128)
-            output_effect[row, slot[influence.name]] = np.divide(change, output[row], out=relative, where=usable)
-    stack = Stack(
-        drives=tuple(drives),
-        channels=wanted,
-        load_size=load_size,
-        output_size=output_size,
-        load=load / load_size,
-        output=output,
-        load_noise=tuple(Uncertainty(of_load.random) for of_load, _ in sized),
-        output_noise=tuple(Uncertainty(of_outputs.random) for _, of_outputs in sized),
-        unknowns=tuple(known.values()),
-        acting=acting,
-        load_effect=load_effect,
-        output_effect=output_effect,
-    )
-    return _with_slopes(stack)
-
-
-def _size(values: ComplexArray) -> FloatArray:
-    """Largest magnitude of each column, 1 where there is none."""
-    largest = np.max(np.where(np.isfinite(values), np.abs(values), 0.0), axis=0)
-    return np.where(largest > 0.0, largest, 1.0)
-
-
-def _outputs_in_order(
-    uncertainty: Uncertainty, drive: ExcitedLine, channels: tuple[str, ...], size: FloatArray
-) -> Uncertainty:
-    """Uncertainty of the outputs by the names wanted, in units of their size; zero where there is no reading."""
-    have, want = len(drive.channels), len(channels)
-    matrix = np.zeros((2 * want, 2 * have))
-    for row, channel in enumerate(channels):
-        if np.isfinite(drive.output(channel)):
-            column = drive.channels.index(channel)
-            matrix[row, column] = matrix[row + want, column + have] = 1.0 / size[row]
-    return uncertainty.nan_as_zero().transformed(matrix[None])
-
-
-def _with_slopes(stack: Stack) -> Stack:
-    """Stack with one complex unknown per channel more: how its sensitivity changes over lines that lie side by side.
-
-    An output at f is that at the mean f₀ times 1 + s·ln(f/f₀); s has the standard uncertainty `SLOPE` in real and in
-    imaginary part, so that lines apart cost what they must, and lines of one frequency nothing.
-    """
-    away = np.log(np.array([drive.frequency_hz for drive in stack.drives]) / stack.frequency_hz)
-    if np.ptp(away) <= SAME_LINE:
-        return stack
-    unknowns, drives = [], len(stack.drives)
-    effects = np.zeros((drives, 2 * len(stack.channels), len(stack.channels)), np.complex128)
-    for place, channel in enumerate(stack.channels):
-        for number, (part, turn) in enumerate((("in phase", 1.0), ("out of phase", 1.0j))):
-            effects[:, 2 * place + number, place] = SLOPE * turn * away
-            name = f"change of {channel} with frequency at {stack.frequency_hz:.6g} Hz, {part}"
-            unknowns.append(Influence(name, LINE_SPACING, SLOPE, "", np.zeros((1, 2)), "rig"))
-    further = np.broadcast_to(len(stack.unknowns) + np.arange(len(unknowns)), effects.shape[:2])
-    none = np.zeros((drives, len(unknowns), LOADS), np.complex128)
-    return replace(
-        stack,
-        unknowns=(*stack.unknowns, *unknowns),
-        acting=np.concatenate([stack.acting, further], axis=1),
-        load_effect=np.concatenate([stack.load_effect, none], axis=1),
-        output_effect=np.concatenate([stack.output_effect, effects], axis=1),
-    )
-
-
-# Whether recordings excite all six components of the load, and what is missing where they do not.
+# Whether recordings excite all six components of the load, and which are missing.
 
 
 MIN_SINGULAR = 10.0
-"""Least size of an excitation in its standard uncertainties: its elements of the matrix are then known to 10 %."""
+"""Smallest size of an excitation in its standard uncertainties; matrix elements then have an uncertainty of 10 %."""
 MIN_SHARE = 1e-3
-"""Least size of an excitation beside the largest, every component in units of its largest load."""
+"""Smallest size of an excitation relative to the largest, every component in units of its largest load."""
 MEMBER = 0.05
-"""Share of a missing direction above which a component takes part in it."""
+"""Share of a missing direction above which a component belongs to it."""
 TOGETHER = 0.1
-"""Correlation in the missing directions above which components are told together."""
+"""Correlation in the missing directions above which components are reported together."""
 FLOOR = 1e-9
-"""Standard uncertainty, relative to a load's size, below which no load is known."""
+"""Smallest standard uncertainty of a load relative to its size, for numerical stability."""
 
 HOW = {
     "Fx": "a recording driven along x",
     "Fy": "a recording driven along y",
     "Fz": "a recording driven along z",
-    "Mx": "a recording with a moment about x (force along z off the axis in y, or along y at another height)",
-    "My": "a recording with a moment about y (force along z off the axis in x, or along x at another height)",
-    "Mz": "a recording with a moment about z (force along x or y off the axis)",
+    "Mx": "a recording with a moment about x (force along z with an offset in y, or along y at another height)",
+    "My": "a recording with a moment about y (force along z with an offset in x, or along x at another height)",
+    "Mz": "a recording with a moment about z (force along x or y with an offset)",
 }
 
 
 class MissingExcitationError(ValueError):
-    """The recordings do not excite six independent loads: `missing` names the components, alone or together."""
+    """The recordings do not excite six independent loads.
 
-    def __init__(self, text: str, missing: tuple[tuple[str, ...], ...]) -> None:
+    `missing`: the components, alone or in groups of fixed proportion; `additions`: the recordings to add.
+    """
+
+    def __init__(self, text: str, missing: tuple[tuple[str, ...], ...], additions: str) -> None:
         super().__init__(text)
-        self.missing = missing
+        self.missing, self.additions = missing, additions
 
 
 @dataclass(frozen=True)
 class LoadExcitation:
-    """How strongly R drives excite six independent loads.
+    """Strength of the six independent loads that R lines excite.
 
-    `singular` (6,): of the loads whitened by their covariance, largest first: amplitude of an independent load in its
-    standard uncertainties; `share` (6,): singular values of the loads, every component in units of its own size,
-    relative to the largest. `missing`: components that are not excited, alone or only in fixed proportion.
+    `singular` (6,): singular values of the loads whitened by their covariance, largest first: amplitude of an
+    independent load in its standard uncertainties. `share` (6,): singular values of the loads, every component in units
+    of its largest value, relative to the largest. `missing`: components that are not excited, alone or only in fixed
+    proportion.
     """
 
     singular: FloatArray
@@ -228,40 +67,39 @@ class LoadExcitation:
 
     @property
     def determines(self) -> bool:
-        """Return whether all six columns of a matrix can be determined."""
+        """Whether all six columns of a matrix can be determined."""
         return not self.missing
 
 
 def excitation(stack: Stack, drives: Sequence[int] | NDArray[np.int64] | None = None) -> LoadExcitation:
-    """Return how strongly some of the drives (all by default) excite six independent loads.
+    """Return the strength of the six independent loads that some lines (default: all) excite.
 
-    With w_r the loads and Γ_r their complex covariances, the whitened singular values are the roots of
-    vᴴ(Σ w̄_r w_rᵀ)v / vᴴ(Σ Γ̄_r)v at its extremes, a generalised eigenvalue problem: a direction v that is not excited
-    has 1 or less. A direction counts as excited where vᴴ(Σ w̄_r w_rᵀ)v exceeds the squares of both `LEAST_SINGULAR`
-    standard uncertainties and `LEAST_SHARE` of the largest excitation; the others are the negative eigenspace of the
-    difference.
+    With w_r the loads and Γ_r their complex covariances, the whitened singular values are the roots of vᴴ(Σ w̄_r w_rᵀ)v
+    / vᴴ(Σ Γ̄_r)v at its extremes, a generalised eigenvalue problem: a direction v that is not excited has 1 or less. A
+    direction is excited if vᴴ(Σ w̄_r w_rᵀ)v exceeds the squares of both `MIN_SINGULAR` standard uncertainties and
+    `MIN_SHARE` of the largest excitation. The others are the negative eigenspace of the difference.
     """
     chosen = np.arange(len(stack.load)) if drives is None else np.asarray(drives, dtype=np.int64)
     return _excitation(stack.load[chosen], np.sum(stack.load_covariance()[chosen], axis=0))
 
 
 def drives_excite(drives: Sequence[ExcitedLine]) -> LoadExcitation:
-    """Return `excitation` of drives that are not stacked yet, which takes no table of all unknowns by all drives."""
-    size = np.tile(_size(np.stack([drive.load for drive in drives])), 2)
+    """Return `excitation` of lines without stacking them, which needs less memory."""
+    size = np.tile(largest_magnitude(np.stack([drive.load for drive in drives])), 2)
     covariance = np.sum([drive.load_uncertainty.covariance[0] for drive in drives], axis=0)
     load = np.stack([drive.load for drive in drives]) / size[:LOADS]
     return _excitation(load, covariance / np.outer(size, size))
 
 
 def _excitation(load: ComplexArray, both: FloatArray) -> LoadExcitation:
-    """How strongly loads (R, 6) with the sum of their covariances (12, 12) excite six independent ones."""
+    """Return the excitation of loads (R, 6) with the sum of their covariances (12, 12)."""
     from scipy.linalg import eigh
 
     signal = load.conj().T @ load
     # E[n nᴴ] of complex errors from their covariances of [Re, Im].
     re, im, mixed = both[:LOADS, :LOADS], both[LOADS:, LOADS:], both[LOADS:, :LOADS]
     noise = (re + im + 1j * (mixed - mixed.T)).conj()
-    # Components in units of what is there of them, load or uncertainty, so that none is large or small by itself.
+    # Components in units of their load or uncertainty, so that all have a similar size.
     size = np.sqrt(np.diag(signal).real + np.diag(noise).real)
     size = np.where(size > 0.0, size, 1.0)
     signal, noise = signal / np.outer(size, size), noise / np.outer(size, size) + FLOOR**2 * np.eye(LOADS)
@@ -275,21 +113,22 @@ def _excitation(load: ComplexArray, both: FloatArray) -> LoadExcitation:
 
 
 def require_six(found: LoadExcitation, drives: int) -> None:
-    """Raise `MissingExcitationError` unless the drives excite six independent loads, saying what to add."""
+    """Raise `MissingExcitationError` unless the lines excite six independent loads."""
     if found.determines:
         return
-    told, wanted = [], []
+    missing, additions = [], []
     for group in found.missing:
         listed = f"{', '.join(group[:-1])} and {group[-1]}"
         alone = len(group) == 1
-        told.append(group[0] if alone else f"{listed} other than together")
-        wanted.append(HOW[group[-1]] + ("" if alone else f", so that {listed} are in another proportion"))
-    text = f"expected loads in six independent directions, found {drives} that do not excite {', nor '.join(told)}"
-    raise MissingExcitationError(f"drives: {text}; add {'; '.join(wanted)}", found.missing)
+        missing.append(group[0] if alone else f"{listed} in different proportions")
+        additions.append(HOW[group[-1]] + ("" if alone else f", with {listed} in another proportion"))
+    text = f"expected loads in six independent directions, found {drives} that do not excite {', nor '.join(missing)}"
+    added = "; ".join(additions)
+    raise MissingExcitationError(f"drives: {text}; add {added}", found.missing, added)
 
 
 def _missing(projector: ComplexArray) -> tuple[tuple[str, ...], ...]:
-    """Components of the missing directions: each alone, or those that occur in fixed proportion together."""
+    """Return the components of the missing directions, alone or in groups of fixed proportion."""
     size = np.diag(projector).real
     members = [j for j in range(LOADS) if size[j] > MEMBER]
     groups: list[list[int]] = []
@@ -311,13 +150,13 @@ ITERATIONS = 100
 CONVERGED = 1e-7
 """Largest step, in standard uncertainties, at which the iteration ends."""
 NOISE_FLOOR = 1e-4
-"""Smallest noise of a reading relative to the common errors in it: invisible in U, and sums keep their digits."""
+"""Smallest noise of a reading relative to its common errors; it has no visible effect on U and keeps digits."""
 DIGITS = 1e-10
 
 
 @dataclass(frozen=True)
 class LinearisationPoint:
-    """Where the likelihood is linearised: matrix (C, 6), loads (R, 6), errors (E,)."""
+    """Linearisation point of the likelihood: matrix (C, 6), loads (R, 6), errors (E,)."""
 
     matrix: ComplexArray
     load: ComplexArray
@@ -326,14 +165,14 @@ class LinearisationPoint:
 
 @dataclass(frozen=True)
 class MatrixSolution:
-    """Matrix, loads and unknowns that fit a stack best, in its units.
+    """Matrix, loads and unknowns of greatest likelihood of a stack, in its units.
 
-    `matrix` (C, 6), `load` (R, 6), `errors` (E,) in standard uncertainties; `point`: about which the model was linear.
-    Of the 2C real readings of every drive, zero where there is none: `residual` (R, 2C) of the outputs at the measured
-    loads, `noise` (R, 2C, 2C), `size` (R, 2C) of noise and unknowns together, `gain` (R, 12C, 2C) from readings to [Re,
-    Im] of the matrix, `through` (R, 2C, 12) from the loads to the readings. Of the projector P of all readings, with
-    `chi2` = residualᵀ·P·residual of `dof` degrees of freedom, `left` (R, 2C) is P·residual, `projector` (R, 2C, 2C)
-    that between readings of one drive; `step`: the last one, in standard uncertainties of the elements.
+    `matrix` (C, 6), `load` (R, 6), `errors` (E,) in standard uncertainties; `point`: linearisation point. Every line
+    has 2C real readings, zero if missing. `residual` (R, 2C): of the outputs at the measured loads. `noise` (R, 2C,
+    2C), `size` (R, 2C): of noise and unknowns together. `gain` (R, 12C, 2C): from readings to [Re, Im] of the matrix.
+    `load_design` (R, 2C, 12): from loads to readings. P is the projector of all readings, `chi2` = residualᵀ·P·residual
+    with `dof` degrees of freedom: `projected_residual` (R, 2C) is P·residual, `projector` (R, 2C, 2C) its blocks of one
+    line. `step`: the last step, in standard uncertainties of the elements.
     """
 
     matrix: ComplexArray
@@ -354,11 +193,11 @@ class MatrixSolution:
 
 @dataclass(frozen=True)
 class _Linear:
-    """The model of R drives about a point: changes of the outputs, zero where there is no reading.
+    """Linear model of R lines about a point, zero if there is no reading.
 
     `residual` (R, 2C), `design` (R, 2C, 12C) for the matrix, `through` (R, 2C, 12) for the loads, `effects` (R, 2C, A)
-    for the unknowns; `load_step` (R, 12, 12) from errors of the readings of the loads to the loads themselves; `noise`
-    (R, 2C, 2C), one where there is no reading.
+    for the unknowns. `load_step` (R, 12, 12): from errors of the measured loads to the loads. `noise` (R, 2C, 2C), one
+    if there is no reading.
     """
 
     residual: FloatArray
@@ -372,12 +211,13 @@ class _Linear:
 def solve(stack: Stack, discrepancy: FloatArray | None = None) -> MatrixSolution:
     """Return the matrix S, the loads L_r and the unknowns e of greatest likelihood.
 
-    Readings are l_r = L_r + E_r(L_r)·e + noise and y_r = (1 + Σ_k ρ_rk·e_k) ∘ (S·L_r) + noise, e with unit priors, E_r
-    following the size of the fitted load and ρ relative, so that no reading that happens to be low gains weight by its
-    common error (D'Agostini 1994, Nucl. Instrum. Methods A 346, 306). Gauss-Newton over S, L and e, in which L and e
-    are eliminated: generalised least squares with the effective covariance of y - S·l and the design at the fitted
-    loads (York 1969, Earth Planet. Sci. Lett. 5, 320, for a line). `discrepancy` (R, C): further standard deviations
-    of the real and the imaginary part of the outputs.
+    Readings are l_r = L_r + E_r(L_r)·e + noise and y_r = (1 + Σ_k ρ_rk·e_k) ∘ (S·L_r) + noise, e with unit priors. E_r
+    follows the size of the fitted load and ρ is relative, so that a low reading gets no more weight by its common error
+    (D'Agostini 1994, Nucl. Instrum. Methods A 346, 306).
+
+    Gauss-Newton over S, L and e, in which L and e are eliminated: generalised least squares with the effective
+    covariance of y - S·l and the design at the fitted loads (York 1969, Earth Planet. Sci. Lett. 5, 320, for a line).
+    `discrepancy` (R, C): further standard deviations of the real and the imaginary part of the outputs.
     """
     extra = np.zeros(stack.output.shape) if discrepancy is None else discrepancy
     solution = _step(stack, _start(stack), extra)
@@ -389,7 +229,7 @@ def solve(stack: Stack, discrepancy: FloatArray | None = None) -> MatrixSolution
 
 
 def estimated_noise(stack: Stack, solution: MatrixSolution) -> EstimatedNoise:
-    """Return how well the noise of loads and outputs is known that a solution's readings were judged by."""
+    """Return the degrees of freedom of the noise of loads and outputs in a solution."""
     parts = []
     for r, usable in enumerate(np.tile(stack.usable, (1, 2))):
         rows = r * len(usable) + np.flatnonzero(usable)
@@ -397,35 +237,35 @@ def estimated_noise(stack: Stack, solution: MatrixSolution) -> EstimatedNoise:
             (stack.output_noise[r], np.eye(len(usable))),
             (stack.load_noise[r], solution.load_design[r]),
         ):
-            own = turn[usable]
+            design = turn[usable]
             for part in noise.random:
                 dof = np.inf if part.dof is None else float(part.dof[0])
-                parts.append((rows, own @ part.covariance[0] @ own.T, dof))
+                parts.append((rows, design @ part.covariance[0] @ design.T, dof))
     return EstimatedNoise.of_parts(parts, solution.residual.size)
 
 
 def judge(stack: Stack, solution: MatrixSolution | None = None) -> MatrixSolution:
-    """Return one step from a solution, or from the start, with stated uncertainties only: what they say of it.
+    """Return one step from a solution, or from the start, with stated uncertainties only.
 
-    Where readings disagree a thousandfold, the greatest likelihood drives the unknowns far beyond where the model is
-    linear, and what it says of a single reading is meaningless; one step does not.
+    If readings disagree a thousandfold, the greatest likelihood moves the unknowns far beyond the linear range of the
+    model, and the deviation of a single reading has no meaning. One step avoids this.
     """
     point = _start(stack) if solution is None else LinearisationPoint(solution.matrix, solution.load, solution.errors)
     return _step(stack, point, np.zeros(stack.output.shape))
 
 
 def changes(stack: Stack, solution: MatrixSolution) -> FloatArray:
-    """Return by how much every unknown changes [Re, Im] of the matrix for one standard uncertainty (E, 12C)."""
+    """Return the change of the matrix by one standard uncertainty of every unknown (E, 12C)."""
     total = np.zeros((len(stack.unknowns), solution.gain.shape[1]))
     for group in stack.order.chunks():
-        drives = np.concatenate([own for own, _ in group])
+        drives = np.concatenate([members for members, _ in group])
         effects = _linearise(stack, solution.point, drives).effects
         np.add.at(total, stack.acting[drives], (solution.gain[drives] @ effects).swapaxes(1, 2))
     return total
 
 
 def _start(stack: Stack) -> LinearisationPoint:
-    """Matrix by least squares as if the loads were exact."""
+    """Return the matrix by least squares with exact loads as the first point."""
     rows = [
         np.linalg.lstsq(stack.load[usable], stack.output[usable, c], rcond=None)[0]
         for c, usable in enumerate(stack.usable.T)
@@ -434,7 +274,7 @@ def _start(stack: Stack) -> LinearisationPoint:
 
 
 def _linearise(stack: Stack, point: LinearisationPoint, drives: IntArray) -> _Linear:
-    """First-order model of the readings of some drives about a point."""
+    """Return the first-order model of the readings of some lines about a point."""
     channels, acting = len(stack.channels), point.errors[stack.acting[drives]]
     load, given, output = point.load[drives], stack.load[drives], stack.output[drives]
     of_load, of_output = stack.load_effect[drives], stack.output_effect[drives]
@@ -451,28 +291,28 @@ def _linearise(stack: Stack, point: LinearisationPoint, drives: IntArray) -> _Li
     residual = output - factor * plain + (output_effect @ acting[..., None])[..., 0]
     residual = residual - (through @ (given - load)[..., None])[..., 0]
     effects = output_effect - through @ (of_load.swapaxes(1, 2) * size[:, None, None])
-    known = np.tile(np.isfinite(output), (1, 2))
+    finite = np.tile(np.isfinite(output), (1, 2))
     turn = real_design(through)
     noise = stack.individual_output_covariance[drives] + turn @ stack.individual_load_covariance[
         drives
     ] @ turn.swapaxes(1, 2)
-    noise = np.where(known[:, :, None] & known[:, None], noise, 0.0)
+    noise = np.where(finite[:, :, None] & finite[:, None], noise, 0.0)
     return _Linear(
-        residual=np.where(known, real_stack(residual), 0.0),
-        design=np.where(known[:, :, None], real_design(rows.reshape(len(drives), channels, -1)), 0.0),
+        residual=np.where(finite, real_stack(residual), 0.0),
+        design=np.where(finite[:, :, None], real_design(rows.reshape(len(drives), channels, -1)), 0.0),
         through=turn,
-        effects=np.where(known[:, :, None], np.concatenate([effects.real, effects.imag], axis=1), 0.0),
+        effects=np.where(finite[:, :, None], np.concatenate([effects.real, effects.imag], axis=1), 0.0),
         load_step=real_design(step),
-        noise=noise + ~known[:, :, None] * np.eye(known.shape[1]),
+        noise=noise + ~finite[:, :, None] * np.eye(finite.shape[1]),
     )
 
 
 @dataclass(frozen=True)
 class _White:
-    """Readings of K drives whitened by all that is their own, for a least squares in the other unknowns.
+    """Readings of K lines, whitened by their individual errors.
 
     `turn` (K, 2C, 2C) whitens; `columns` (K, 2C, M + P): effects of up to M unknowns of a group, then of the wide
-    unknowns, design, residual (P columns). `groups`: slice of the drives and number of unknowns of each group.
+    unknowns, design, residual (P columns). `groups`: slice of the lines and number of unknowns of each group.
     """
 
     drives: IntArray
@@ -481,13 +321,13 @@ class _White:
     columns: FloatArray
     groups: tuple[tuple[slice, int], ...]
 
-    def group(self, place: slice, count: int, width: int) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Return what a group's own `count` unknowns leave of its `width` last columns.
+    def group(self, rows_of_group: slice, count: int, width: int) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Eliminate the `count` unknowns of a group from its `width` last columns.
 
-        Of the system [L B; 1 0] of its rows: Q (n, count) of L, B (n, P) less what Q takes of it, and the rows that
-        are left for the system of all groups.
+        Of the system [L B; 1 0] of its rows: Q (n, count) of L, B (n, P) less its projection on Q, and the remaining
+        rows for the system of all groups.
         """
-        rows = self.columns[place].reshape(-1, self.columns.shape[2])
+        rows = self.columns[rows_of_group].reshape(-1, self.columns.shape[2])
         within, rest = rows[:, :count], rows[:, -width:]
         if not count:
             return within, rest, rest
@@ -498,12 +338,12 @@ class _White:
 
 
 def _whitened(stack: Stack, point: LinearisationPoint, discrepancy: FloatArray) -> Iterator[_White]:
-    """Yield the readings of all drives, linearised and whitened."""
+    """Yield the readings of all lines, linearised and whitened."""
     order, readings = stack.order, real_stack(stack.output)
     digits = (DIGITS * np.max(np.abs(readings[np.isfinite(readings)]))) ** 2
     extra = np.tile(discrepancy**2, 2)
     for chunk in order.chunks():
-        drives = np.concatenate([own for own, _ in chunk])
+        drives = np.concatenate([members for members, _ in chunk])
         linear = _linearise(stack, point, drives)
         # Raised where it is far below the common errors, or below the digits of the readings.
         diagonal = np.diagonal(linear.noise, axis1=1, axis2=2) + extra[drives]
@@ -515,69 +355,78 @@ def _whitened(stack: Stack, point: LinearisationPoint, discrepancy: FloatArray) 
         one = np.broadcast_to(np.eye(raised.shape[1]), root.shape)
         upper = np.asarray(np.linalg.qr(np.concatenate([alone.swapaxes(1, 2), one], axis=1), mode="r"))
         turn = np.linalg.solve(upper.swapaxes(1, 2), np.linalg.solve(root, one))
-        # Where the effect of an unknown stands; what is its drive's own, or nothing, behind all others.
+        # Column of every unknown; individual and empty ones are last.
         most = max(len(within) for _, within in chunk)
-        place = np.full(len(stack.unknowns) + 1, most + len(order.wide))
-        place[order.wide] = most + np.arange(len(order.wide))
+        column = np.full(len(stack.unknowns) + 1, most + len(order.wide))
+        column[order.wide] = most + np.arange(len(order.wide))
         for _, within in chunk:
-            place[within] = np.arange(len(within))
+            column[within] = np.arange(len(within))
         shared = np.zeros((len(drives), most + len(order.wide) + 1, raised.shape[1]))
-        shared[np.arange(len(drives))[:, None], place[stack.acting[drives]]] = linear.effects.swapaxes(1, 2)
+        shared[np.arange(len(drives))[:, None], column[stack.acting[drives]]] = linear.effects.swapaxes(1, 2)
         parts = [shared[:, :-1].swapaxes(1, 2), linear.design, linear.residual[..., None]]
-        ends = np.cumsum([len(own) for own, _ in chunk]).tolist()
-        groups = [(slice(end - len(own), end), len(within)) for end, (own, within) in zip(ends, chunk, strict=True)]
+        ends = np.cumsum([len(members) for members, _ in chunk]).tolist()
+        groups = [
+            (slice(end - len(members), end), len(within)) for end, (members, within) in zip(ends, chunk, strict=True)
+        ]
         yield _White(drives, linear, turn, turn @ np.concatenate(parts, axis=2), tuple(groups))
 
 
 def _upper(stack: Stack, point: LinearisationPoint, discrepancy: FloatArray, width: int) -> FloatArray:
-    """Triangular factor (P - 1, P) of the system of all drives in wide unknowns and matrix, the right side last.
+    """Return the triangular factor (P - 1, P) of the system of all lines.
 
-    The system [A X y; 1 0 0], whitened, is equivalent to a covariance noise + A·Aᵀ but keeps its digits.
+    Its unknowns are the wide ones and the matrix.
+
+    The right side is the last column. The system [A X y; 1 0 0], whitened, is equivalent to a covariance noise + A·Aᵀ
+    but keeps its digits.
     """
     upper, pending = np.eye(len(stack.order.wide), width), list[FloatArray]()
     for white in _whitened(stack, point, discrepancy):
-        for place, count in white.groups:
-            pending.append(white.group(place, count, width)[2])
+        for rows_of_group, count in white.groups:
+            pending.append(white.group(rows_of_group, count, width)[2])
             if sum(map(len, pending)) > 4 * width:
                 upper, pending = np.asarray(np.linalg.qr(np.concatenate([upper, *pending]), mode="r")), []
     return np.asarray(np.linalg.qr(np.concatenate([upper, *pending]), mode="r")[: width - 1])
 
 
 def _step(stack: Stack, point: LinearisationPoint, discrepancy: FloatArray) -> MatrixSolution:
-    """One Gauss-Newton step: generalised least squares for the matrix, then loads and errors from what is left."""
+    """Return one Gauss-Newton step: generalised least squares for the matrix, then loads and errors."""
     drives, channels = stack.output.shape
-    known, shape, wide = np.tile(stack.usable, (1, 2)), (drives, 2 * channels, 2 * channels), len(stack.order.wide)
+    finite, shape, wide = np.tile(stack.usable, (1, 2)), (drives, 2 * channels, 2 * channels), len(stack.order.wide)
     width = wide + 2 * LOADS * channels + 1
     upper = _upper(stack, point, discrepancy, width)
     inverse = solve_triangular(upper[:, :-1], np.eye(width - 1))
     found, spread = inverse @ upper[:, -1], np.linalg.norm(inverse[wide:], axis=1)
-    residual, size, left = (np.zeros(known.shape) for _ in range(3))
+    residual, size, projected_residual = (np.zeros(finite.shape) for _ in range(3))
     noise, projector = np.zeros(shape), np.zeros(shape)
-    through, gain = np.zeros((*known.shape, 2 * LOADS)), np.zeros((drives, 2 * LOADS * channels, 2 * channels))
+    load_design, gain = np.zeros((*finite.shape, 2 * LOADS)), np.zeros((drives, 2 * LOADS * channels, 2 * channels))
     errors = np.zeros(len(stack.unknowns))
     steps = np.zeros((drives, 2 * LOADS, 2 * LOADS))
     for white in _whitened(stack, point, discrepancy):
-        own, linear = white.drives, white.linear
-        for place, count in white.groups:
-            q, rest, _ = white.group(place, count, width)
-            rows, turn = own[place], white.turn[place]
+        members, linear = white.drives, white.linear
+        for rows_of_group, count in white.groups:
+            q, rest, _ = white.group(rows_of_group, count, width)
+            rows, turn = members[rows_of_group], white.turn[rows_of_group]
             common = rest[:, :-1] @ inverse
             q = np.concatenate([q, common], axis=1).reshape(len(rows), 2 * channels, -1)
             projector[rows] = turn.swapaxes(1, 2) @ (np.eye(2 * channels) - q @ q.swapaxes(1, 2)) @ turn
             common = common.reshape(len(rows), 2 * channels, -1)
             gain[rows] = inverse[wide:] @ common.swapaxes(1, 2) @ turn
             off = (rest[:, -1] - rest[:, :-1] @ found).reshape(len(rows), -1, 1)
-            left[rows] = (turn.swapaxes(1, 2) @ off)[..., 0]
-        residual[own], noise[own], through[own], steps[own] = (
+            projected_residual[rows] = (turn.swapaxes(1, 2) @ off)[..., 0]
+        residual[members], noise[members], load_design[members], steps[members] = (
             linear.residual, linear.noise, linear.through, linear.load_step,
         )  # fmt: skip
-        size[own] = np.sqrt(np.diagonal(linear.noise, axis1=1, axis2=2) + np.sum(linear.effects**2, axis=2))
-        np.add.at(errors, stack.acting[own], (linear.effects.swapaxes(1, 2) @ left[own][..., None])[..., 0])
-    # What is left of a drive's outputs is shared with the noise of its load. Readings at the point,
+        size[members] = np.sqrt(np.diagonal(linear.noise, axis1=1, axis2=2) + np.sum(linear.effects**2, axis=2))
+        np.add.at(
+            errors,
+            stack.acting[members],
+            (linear.effects.swapaxes(1, 2) @ projected_residual[members][..., None])[..., 0],
+        )
+    # The residual of a line's outputs is shared with the noise of its load. Readings at the point,
     # l(L, e) = L + E(L)·e, leave l - l(L, e) - E·(e_new - e) - noise to the step of L.
-    shared = (stack.individual_load_covariance @ (through.swapaxes(1, 2) @ left[..., None]))[..., 0]
-    apart = real_stack(stack.load - point.load) - real_stack(_shift(stack, point, errors)) + shared
-    load = point.load + as_complex((steps @ apart[..., None])[..., 0])
+    shared = (stack.individual_load_covariance @ (load_design.swapaxes(1, 2) @ projected_residual[..., None]))[..., 0]
+    deviation = real_stack(stack.load - point.load) - real_stack(_shift(stack, point, errors)) + shared
+    load = point.load + as_complex((steps @ deviation[..., None])[..., 0])
     return MatrixSolution(
         matrix=point.matrix + as_complex(found[wide:]).reshape(channels, LOADS),
         load=load,
@@ -587,17 +436,17 @@ def _step(stack: Stack, point: LinearisationPoint, discrepancy: FloatArray) -> M
         noise=noise,
         size=size,
         gain=gain,
-        load_design=through,
-        projected_residual=left,
+        load_design=load_design,
+        projected_residual=projected_residual,
         projector=projector,
         step=float(np.max(np.abs(found[wide:]) / spread)),
-        chi2=float(np.sum(residual * left)),
-        dof=int(np.count_nonzero(known)) - 2 * LOADS * channels,
+        chi2=float(np.sum(residual * projected_residual)),
+        dof=int(np.count_nonzero(finite)) - 2 * LOADS * channels,
     )
 
 
 def _shift(stack: Stack, point: LinearisationPoint, errors: FloatArray) -> ComplexArray:
-    """Return by how much errors (E,) change the loads (R, 6), which are as large as at a point."""
+    """Return the changes of the loads (R, 6) by errors (E,) at a point."""
     weight = stack.load.conj() / np.sum(np.abs(stack.load) ** 2, axis=1, keepdims=True)
     size = np.sum(weight * point.load, axis=1, keepdims=True)
     return np.asarray((errors[stack.acting][:, None] @ stack.load_effect)[:, 0] * size)

@@ -1,4 +1,4 @@
-"""Results of recordings as a campaign reads them back from their folders."""
+"""Results of recordings, read from their folders for a campaign."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ from pathlib import Path
 
 import h5py
 
+from fusion.campaign.campaign_notices import NO_RECORDING_RESULTS
 from fusion.campaign.excited_line import ExcitedLine, excited_lines, identity
 from fusion.campaign.unknowns import Knowledge
 from fusion.errors import InputError
@@ -18,6 +19,7 @@ from fusion.instruments.channel import Outputs
 from fusion.phasors.timing import Grid
 from fusion.report.folder import RESULT_FILE, RESULT_FORMAT, Provenance, provenance_of
 from fusion.report.h5 import open_results, read_evidence, read_notices, read_uncertainty
+from fusion.report.report_notices import OTHER_FORMAT
 from fusion.sensitivity.analyse import REPEATS
 from fusion.sensitivity.input_evidence import InputEvidence
 from fusion.sensitivity.load_phasors import LoadResult
@@ -28,12 +30,12 @@ from shakercal._common.notices import Notice
 
 FUSED = "accelerations/load-fused"
 READ = ("excitation", "sensor", "lines", "load", "outputs", FUSED, "clocks", "notices", "evidence", "provenance")
-"""Groups of a recording's results of which a campaign reads."""
+"""Groups of a recording's results that a campaign reads."""
 
 
 @dataclass(frozen=True)
 class SensorFacts:
-    """The sensor that was tested: `channels`, their `unit`, rated loads and static sensitivity where they are stated.
+    """The tested sensor: channels, unit, rated loads and static sensitivity as stated.
 
     `capacity` (6,) in N and N.m; `static` (all channels, 6) in unit/N and unit/(N.m) with the relative standard
     uncertainty `u_static`; `cross_talk` and `u_cross_talk` over the rated output (`StatedMatrix`).
@@ -52,24 +54,24 @@ class SensorFacts:
 
     @property
     def stated_matrix(self) -> StatedMatrix:
-        """Return what is stated of the matrix."""
+        """Stated information on the matrix."""
         return StatedMatrix(
             self.channels, self.capacity, self.static, self.u_static, self.cross_talk, self.u_cross_talk
         )
 
     def static_of(self, channels: Sequence[str]) -> FloatArray | None:
-        """Return the static sensitivity of some outputs, None where it is not stated."""
+        """Return the static sensitivity of some outputs, None if it is not stated."""
         return None if self.static is None else self.static[[self.channels.index(channel) for channel in channels]]
 
 
 @dataclass(frozen=True)
 class RecordingResults:
-    """One recording's results, read from its folder.
+    """Results of one recording, read from its folder.
 
-    `kind`, `direction`, `frequencies` of the excitation as they were stated; `drives`: its driven lines with load and
-    outputs, none where there was no load, no output or no stated direction; `notices` of its own report; `date`: as
-    the recording states it; `evidence`: which of its unknowns certificates and files state; `knowledge`: yields what
-    its readings say of its unknowns, None without a load or where its instruments contradict each other.
+    `kind`, `direction`, `frequencies`: of the excitation as stated. `excited_lines`: its driven lines with load and
+    outputs; empty without a load, an output or a stated direction. `notices`: those of its report. `date`: as stated.
+    `evidence`: its unknowns that certificates and files state. `knowledge`: returns the estimate of its unknowns by its
+    readings; None without a load or if its instruments contradict each other.
     """
 
     folder: str
@@ -89,23 +91,40 @@ class RecordingResults:
 
     @property
     def joint_notices(self) -> tuple[Notice, ...]:
-        """Return its notices that stay true within a campaign, which alone knows what is repeated."""
+        """Notices that remain true in a campaign; single repeats are judged by the campaign."""
         return tuple(notice for notice in self.notices if notice.where != REPEATS)
 
 
 def read_recorded(folder: str | Path) -> RecordingResults:
-    """Return what a campaign needs of the recording whose results lie in `folder`.
+    """Return the results of one recording as a campaign needs them.
 
+    Parameters
+    ----------
+    folder : str or Path
+        Folder of the results.
+
+    Returns
+    -------
+    RecordingResults
+        Sensor, driven lines with uncertainties, notices and provenance.
+
+    Raises
+    ------
+    InputError
+        The folder has no results, or they are damaged or of another format.
+
+    Examples
+    --------
     >>> from fusion import read_recorded
     >>> recorded = read_recorded("sample_images/demo/Fz-0080/results")  # doctest: +SKIP
     """
     folder = Path(folder)
     if not (folder / RESULT_FILE).is_file():
-        raise InputError(folder / RESULT_FILE, "", found="no results", expected="the results of a recording")
+        raise InputError(NO_RECORDING_RESULTS, folder / RESULT_FILE)
     with open_results(folder / RESULT_FILE, *READ) as file:
         if file.attrs["format"] != RESULT_FORMAT:
-            expected = f"format {RESULT_FORMAT}; --force evaluates the recording anew"
-            raise InputError(folder / RESULT_FILE, "", found=f"format {file.attrs['format']}", expected=expected)
+            found = f"format {file.attrs['format']}"
+            raise InputError(OTHER_FORMAT, folder / RESULT_FILE, found=found, expected=str(RESULT_FORMAT))
         driven = file["excitation"]
         return RecordingResults(
             folder=folder.name,
@@ -126,7 +145,7 @@ def read_recorded(folder: str | Path) -> RecordingResults:
 
 
 def _drives(file: h5py.File) -> tuple[ExcitedLine, ...]:
-    """The driven lines, from load and outputs with their whole uncertainty as they were stored."""
+    """Return the driven lines from load and outputs with their uncertainty."""
     direction = _numbers(file["excitation"], "direction")
     if "load" not in file or "outputs" not in file or not direction:
         return ()
@@ -149,18 +168,21 @@ def _drives(file: h5py.File) -> tuple[ExcitedLine, ...]:
 
 
 def _knowledge(file: h5py.File) -> Callable[[], Knowledge] | None:
-    """What the readings say of the unknowns that they share."""
+    """Return a callable for the estimate of the shared unknowns by the readings."""
     fused = file.get(FUSED, {})
     if "load" not in file or "posterior" not in fused:
         return None
     both = _texts(file["load"], "both") if "both" in file["load"] else ()
     numbers = (fused[name][()] for name in ("unknowns/estimate", "posterior", "products"))
-    known = Knowledge.of(read_uncertainty(fused["uncertainty"]).influences, both, *numbers)
-    return partial(identity, known)
+    knowledge = Knowledge.of(read_uncertainty(fused["uncertainty"]).influences, both, *numbers)
+    return partial(identity, knowledge)
 
 
 def _grids(file: h5py.File) -> tuple[Grid, ...]:
-    """Where the edges of the trigger fall in every block that has one; none where a block does not tell."""
+    """Return the positions of trigger edges of every block with a trigger.
+
+    None if one block has no position.
+    """
     clocks = [clock for clock in file.get("clocks", {}).values() if "trigger" in clock]
     found = [clock["grid"].attrs for clock in clocks if "grid" in clock]
     if len(found) < len(clocks):
@@ -169,7 +191,6 @@ def _grids(file: h5py.File) -> tuple[Grid, ...]:
 
 
 def _sensor(group: h5py.Group) -> SensorFacts:
-    """What is stored of the sensor."""
     return SensorFacts(
         name=str(group.attrs["name"]),
         serial=str(group.attrs["serial"]),
@@ -185,15 +206,15 @@ def _sensor(group: h5py.Group) -> SensorFacts:
 
 
 def _number(group: h5py.Group, name: str) -> float | None:
-    """A number, None where it is not stored."""
+    """Return a number, None if it is missing."""
     return float(group.attrs[name]) if name in group.attrs else None
 
 
 def _numbers(group: h5py.Group, name: str) -> tuple[float, ...]:
-    """A list of numbers, empty where it is not stored."""
+    """Return a list of numbers, empty if it is missing."""
     return tuple(group[name][()].tolist()) if name in group else ()
 
 
 def _texts(group: h5py.Group, name: str) -> tuple[str, ...]:
-    """A list of texts, each there once for all recordings."""
+    """Return a list of texts, each interned for all recordings."""
     return tuple(map(sys.intern, group[name].asstr()[()].tolist()))

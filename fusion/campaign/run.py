@@ -1,4 +1,4 @@
-"""One recording or a campaign of several: evaluated where new or changed."""
+"""Evaluation of a recording or a campaign; only new or changed recordings are computed."""
 
 from __future__ import annotations
 
@@ -28,14 +28,14 @@ LISTEN_S = 0.5  # between looks for an interruption
 SHARED_FRAMES = 2  # workers per recording from which on they share its frames instead of the recordings
 log = logging.getLogger("shakercal")
 
-# One recording: evaluate and write, unless its results are there.
+# One recording: evaluate and write, unless its results are current.
 
 
 @dataclass(frozen=True)
 class Job:
-    """A recording.toml to evaluate, the folder of its results, and the user's choices.
+    """A recording.toml to evaluate, the folder of its results, and the user's options.
 
-    `patience_s`: how long another process may still be busy with it.
+    `patience_s`: how long to wait for another process that evaluates it.
     """
 
     recording: Path
@@ -46,17 +46,17 @@ class Job:
     patience_s: float = 0.0
 
     def with_absolute_paths(self, patience_s: float = 0.0) -> Job:
-        """Return the job with paths that hold for a process of any working folder."""
+        """Return the job with absolute paths, which any process can use."""
         recording, folder = self.recording.absolute(), self.folder.absolute()
         return replace(self, recording=recording, folder=folder, patience_s=patience_s)
 
 
 @dataclass(frozen=True)
 class Outcome:
-    """What became of one recording: its results folder, or the reason why there is none.
+    """Outcome of one recording: its results folder, or the error.
 
-    `resumed`: the results of the same inputs, settings and program version were there already. `notices`: of the
-    results, in a campaign those that stay true within it; None before they are read.
+    `resumed`: results of the same inputs, settings and program version existed already. `notices`: of the results; in a
+    campaign those that remain true within it; None before they are read.
     """
 
     recording: Path
@@ -72,24 +72,27 @@ class Outcome:
 
     @property
     def missing(self) -> str:
-        """Which driven lines have no result, and why; empty where all have one."""
-        return "; ".join(notice.text for notice in self.notices or () if notice.where == NO_RESULT)
+        """Driven lines without a result, with the reasons; empty if all have one."""
+        return " ".join(notice.text for notice in self.notices or () if notice.where == NO_RESULT)
 
     @property
     def summary(self) -> str:
-        """Where the report lies, or why there is none."""
+        """Path of the report, or the error."""
         what = "unchanged since the last run" if self.resumed else "written"
         return f"failed, {self.error}" if self.error is not None else f"report ({what}): {self.folder / REPORT_FILE}"
 
 
 def run_job(job: Job, progress: ProgressCallback = no_progress, executor: Executor | None = None) -> Outcome:
-    """Evaluate one recording unless its results are there, and write them; an executor follows its images."""
+    """Evaluate one recording unless its results are current, and write them.
+
+    `executor`: processes that share the images of the recording.
+    """
     manifest = load_manifest(job.recording, allow_outside=job.allow_outside)
     hashes = hashing(manifest.files, manifest.root, manifest.file_identities)
     try:
         return _evaluated(job, manifest, hashes, progress, executor)
     except Exception:
-        hashes.all()  # what is wrong with a file as a whole is told before what was found in it
+        hashes.all()  # an error of a file as a whole is reported first
         raise
     finally:
         hashes.end()
@@ -98,30 +101,30 @@ def run_job(job: Job, progress: ProgressCallback = no_progress, executor: Execut
 def _evaluated(
     job: Job, manifest: Manifest, hashes: Hashing, progress: ProgressCallback, executor: Executor | None
 ) -> Outcome:
-    """Evaluate a recording whose files are being hashed, unless its results are there, and write them."""
-    there = partial(is_current, job.folder, hashes, job.settings.as_dict())
-    if not job.force and there():
-        log.debug("%s: results of the same input are there, nothing to compute", job.folder)
+    """Evaluate a recording while its files are being hashed, and write the results."""
+    current = partial(is_current, job.folder, hashes, job.settings.as_dict())
+    if not job.force and current():
+        log.debug("%s: results of the same input exist", job.folder)
         return Outcome(job.recording, job.folder, resumed=True)
     check_folder(job.folder, hashes, force=job.force)
     with file_lock(job.folder, job.patience_s), one_blas_thread():
-        if job.patience_s and not job.force and there():  # whoever had it has finished it meanwhile
+        if job.patience_s and not job.force and current():  # another process has finished it meanwhile
             return Outcome(job.recording, job.folder)
         if executor is not None:
-            for _ in range(executor.size):  # workers begin while the files are opened here
+            for _ in range(executor.size):  # workers start while this process opens the files
                 executor.submit(0, _ready)
-        kept = Checkpoint(job.folder, partial(origin_key, hashes, job.settings.as_dict(), versions()))
-        evaluation = evaluate_recording(manifest, job.settings, hashes, progress, executor, kept)
+        checkpoint = Checkpoint(job.folder, partial(origin_key, hashes, job.settings.as_dict(), versions()))
+        evaluation = evaluate_recording(manifest, job.settings, hashes, progress, executor, checkpoint)
         write_results(evaluation, job.folder, hashes.all(), force=job.force)
-        kept.remove()
+        checkpoint.remove()
     return Outcome(job.recording, job.folder, notices=evaluation.notices)
 
 
-def _ready() -> None:  # a task, hence a function of this module, whose imports are what a worker needs
-    """Do nothing."""
+def _ready() -> None:  # its module imports all that a worker needs
+    """Do no work; the import of this module prepares a worker."""
 
 
-# One recording or a folder of several: evaluate here, by several processes or on a cluster; resume, merge.
+# One recording or a folder of several: evaluate by one or several processes or a cluster; resume, merge.
 
 
 def run_path(
@@ -136,13 +139,39 @@ def run_path(
 ) -> tuple[Outcome, ...]:
     """Evaluate a recording, or every recording of a campaign folder, and write the result files.
 
-    A recording writes to `output` (default RECORDING/results). A campaign writes one folder per recording below
-    `output` (default CAMPAIGN/results) and what they tell together at its top; recordings of kinds that are not
-    evaluated here, such as chirps, are left out, and one that fails does not stop the others. A single recording's
-    failure is raised. `workers`: a number of processes of this machine, or the address of the scheduler of a Dask
-    cluster. Recordings are shared among them, or, where there are too few recordings for that, stereo pairs and
-    blocks of frames. Where it is computed changes no digit of a result.
+    A campaign writes one folder per recording, and joint results at its top. Recordings of other kinds, such as chirps,
+    are ignored. A recording that fails does not stop the others; the failure of a single recording is raised.
 
+    Parameters
+    ----------
+    path : str or Path
+        Recording folder, recording.toml, or campaign folder.
+    output : str, Path or None
+        Folder of the results; None: RECORDING/results or CAMPAIGN/results.
+    settings : Settings
+        Settings of the evaluation.
+    force : bool, default False
+        Evaluate again and replace result files.
+    allow_outside : bool, default False
+        Allow files outside the folder of the rig.
+    workers : int or str, default 1
+        Number of processes, or address of a Dask scheduler. They share recordings or, if there are too few, stereo
+        pairs and blocks of frames. The results have the same digits in all cases.
+    progress : callable
+        Called as (stage, done, total).
+
+    Returns
+    -------
+    tuple of Outcome
+        One for each recording, in order.
+
+    Raises
+    ------
+    InputError, ComputeError
+        A single recording could not be evaluated, or the output folder cannot be used.
+
+    Examples
+    --------
     >>> from fusion import Settings, run_path
     >>> outcomes = run_path("sample_images/demo", "results", Settings())  # doctest: +SKIP
     """
@@ -160,16 +189,16 @@ def run_path(
     if not alone:
         check_campaign_folder(top, [folder.name for folder in folders], force=force)
     above = staging_dir(top) if alone else top
-    # What processes left that have ended is removed from the folder above the results, before and after.
+    # Unfinished files of ended processes are removed from the parent folder, before and after.
     remove_abandoned(above)
     with nullcontext() if alone else file_lock(top), cleanup_on_signal(partial(remove_abandoned, above)):
         with _executor(workers) as executor:
             if alone:
                 return (_with_notices(_run_one(jobs[0], executor, progress)),)
             if executor is None or SHARED_FRAMES * len(jobs) <= executor.size:
-                outcomes = _run_here(jobs, executor, progress)
+                outcomes = _run_local(jobs, executor, progress)
             else:
-                outcomes = _run_elsewhere(jobs, executor, progress)
+                outcomes = _run_distributed(jobs, executor, progress)
         finished = [outcome.folder for outcome in outcomes if outcome.error is None]
         failed = {outcome.name: str(outcome.error) for outcome in outcomes if outcome.error is not None}
         if finished:
@@ -185,7 +214,7 @@ def run_path(
 
 
 def _with_notices(outcome: Outcome) -> Outcome:
-    """Return an outcome with the notices of results that were there already."""
+    """Return an outcome with the notices of existing results."""
     if outcome.notices is not None or outcome.error is not None:
         return outcome
     with open_results(outcome.folder / RESULT_FILE, "notices") as file:
@@ -193,12 +222,12 @@ def _with_notices(outcome: Outcome) -> Outcome:
 
 
 def is_campaign(path: Path) -> bool:
-    """Whether a path is a folder of recordings instead of one of them."""
+    """Return whether a path is a folder of recordings and not one of them."""
     return path.is_dir() and not (path / RECORDING_NAME).is_file()
 
 
 def exit_status(outcomes: Sequence[Outcome]) -> int:
-    """Return 0 when every driven line has a result, 2 when the input of a recording is wrong, else 1."""
+    """Return 0 if every driven line has a result, 2 for wrong input, else 1."""
     errors = [outcome.error for outcome in outcomes if outcome.error is not None]
     if any(isinstance(error, InputError) for error in errors):
         return 2
@@ -206,21 +235,21 @@ def exit_status(outcomes: Sequence[Outcome]) -> int:
 
 
 def _executor(workers: int | str) -> AbstractContextManager[Executor | None]:
-    """Return those who compute; None is this process."""
+    """Return the executor; None means this process."""
     if isinstance(workers, str):
         return connect_cluster(workers)
     return Workers(workers) if workers > 1 else nullcontext()
 
 
 def _run_one(job: Job, executor: Executor | None, progress: ProgressCallback) -> Outcome:
-    """Run a recording here; an executor follows its images, by paths that hold for a process of any working folder."""
+    """Evaluate a recording in this process; an executor shares its images."""
     if executor is None:
         return run_job(job, progress)
     return replace(run_job(job.with_absolute_paths(), progress, executor), recording=job.recording, folder=job.folder)
 
 
-def _run_here(jobs: Sequence[Job], executor: Executor | None, progress: ProgressCallback) -> tuple[Outcome, ...]:
-    """Run one recording after another; what fails is kept in its outcome."""
+def _run_local(jobs: Sequence[Job], executor: Executor | None, progress: ProgressCallback) -> tuple[Outcome, ...]:
+    """Evaluate one recording after another; an error is part of its outcome."""
     outcomes = []
     for done, job in enumerate(jobs):
         progress(RECORDINGS, done, len(jobs))
@@ -229,14 +258,14 @@ def _run_here(jobs: Sequence[Job], executor: Executor | None, progress: Progress
     return tuple(outcomes)
 
 
-def _run_elsewhere(jobs: Sequence[Job], executor: Executor, progress: ProgressCallback) -> tuple[Outcome, ...]:
-    """Have all recordings computed by others; the outcomes are in the recordings' order, whoever was first."""
+def _run_distributed(jobs: Sequence[Job], executor: Executor, progress: ProgressCallback) -> tuple[Outcome, ...]:
+    """Evaluate all recordings by workers; outcomes are in the order of the recordings."""
     answered: SimpleQueue[int] = SimpleQueue()
     pending: list[Pending] = [
         executor.submit(rank, run_job, job.with_absolute_paths(executor.patience_s)) for rank, job in enumerate(jobs)
     ]
     for rank, answer in enumerate(pending):
-        answer.add_done_callback(partial(_tell, answered, rank))
+        answer.add_done_callback(partial(_announce, answered, rank))
     outcomes: dict[int, Outcome] = {}
     while len(outcomes) < len(jobs):
         progress(RECORDINGS, len(outcomes), len(jobs))
@@ -250,12 +279,12 @@ def _run_elsewhere(jobs: Sequence[Job], executor: Executor, progress: ProgressCa
     return tuple(outcomes[rank] for rank in range(len(jobs)))
 
 
-def _tell(answered: SimpleQueue[int], rank: int, _: object) -> None:
+def _announce(answered: SimpleQueue[int], rank: int, _: object) -> None:
     answered.put(rank)
 
 
 def _received(job: Job, pending: Pending) -> Outcome:
-    """Return the outcome that a task brings, in the paths that the user knows, after what it logged."""
+    """Return the outcome of a task with the user's paths, after its log records."""
     answer = pending.result()
     answer.log(job.recording.absolute().parent.name)
     outcome: Outcome = answer.unwrap()
@@ -263,7 +292,7 @@ def _received(job: Job, pending: Pending) -> Outcome:
 
 
 def _outcome(job: Job, work: Callable[[], Outcome]) -> Outcome:
-    """Do the work for a recording of a campaign; its failure is kept in the outcome."""
+    """Call `work` for a recording of a campaign; an error becomes part of its outcome."""
     try:
         return work()
     except Exception as error:

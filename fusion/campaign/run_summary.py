@@ -1,4 +1,4 @@
-"""What `shakercal run` tells when it is done: the answer first, what is to be known of it once, where the files lie."""
+"""Summary of `shakercal run` on the terminal and as JSON: results, notices, files."""
 
 from __future__ import annotations
 
@@ -25,14 +25,14 @@ if TYPE_CHECKING:
 
 MOST_ROWS = 300  # of the sensitivity that the terminal shows
 COUNTS = "recordings (mountings)"
-NO_OUTPUT = "no sensitivity, since no output of a sensor was recorded"
+NO_OUTPUT = "no sensitivity: no output of a sensor was recorded"
 CAMPAIGN = "campaign"
-"""Whose notices those are that no single recording has."""
+"""Name under which notices of the campaign itself are listed."""
 Row = dict[str, str]
 
 
 def notices_of(done: Sequence[Outcome], *, campaign: bool) -> list[GatheredNotice]:
-    """Return the notices of what is done, each once, warnings first, then those of most recordings."""
+    """Return every notice of the finished recordings once: warnings first, then those of most recordings."""
     found = gather(
         [(one.name, _notices_in(one.folder / RESULT_FILE) if one.notices is None else one.notices) for one in done]
     )
@@ -42,7 +42,7 @@ def notices_of(done: Sequence[Outcome], *, campaign: bool) -> list[GatheredNotic
 
 
 def _notices_in(path: Path) -> tuple[Notice, ...]:
-    """Return the notices of a file of results; none where it is missing."""
+    """Return the notices of a result file; none if it is missing."""
     if not path.is_file():
         return ()
     with open_results(path, "notices") as file:
@@ -50,16 +50,17 @@ def _notices_in(path: Path) -> tuple[Notice, ...]:
 
 
 def main_rows(rows: Sequence[Row]) -> list[Row]:
-    """Return of the rows of a recording's sensitivity.csv those of the main outputs at driven frequencies.
+    """Return the rows of the main outputs at driven frequencies of a recording's sensitivity.csv.
 
-    A ratio is left out where the recording gives the sensor's element. Harmonics stand in where there is nothing else.
+    A ratio is omitted if the recording gives the sensor's element. Harmonics are used only if there are no driven
+    lines.
     """
 
     def of(row: Row, *keys: str) -> tuple[str, ...]:
         return tuple(row[key] for key in ("frequency_hz", "component", *keys))
 
-    own = {of(row, "channel") for row in rows if row["kind"] == "element"}
-    shown = [row for row in rows if row["kind"] != "ratio" or of(row, "channel") not in own]
+    with_element = {of(row, "channel") for row in rows if row["kind"] == "element"}
+    shown = [row for row in rows if row["kind"] != "ratio" or of(row, "channel") not in with_element]
     mains = _main_channels(shown, of)
     shown = [row for row in shown if mains[of(row)] == row["channel"]]
     driven = [row for row in shown if row["kind"] != "harmonic"]
@@ -67,7 +68,7 @@ def main_rows(rows: Sequence[Row]) -> list[Row]:
 
 
 def main_curve(rows: Sequence[Row]) -> list[Row]:
-    """Return of the rows of a curve.csv the best statement (`best_kind`) of every main element over frequency."""
+    """Return the rows of the best kind (`best_kind`) of every main element of a curve.csv."""
     from fusion.campaign.joint_evaluation import best_kind
 
     mains = _main_channels(rows, lambda row: (row["component"],))
@@ -80,10 +81,11 @@ def main_curve(rows: Sequence[Row]) -> list[Row]:
 
 
 def sensitivity_table(rows: Sequence[Row], width: int | None = None) -> Table:
-    """Return `main_rows` or `main_curve` as a table with U = k·u for 95 %, two significant digits of it.
+    """Return rows as a table with U = k·u for 95 %.
 
-    Of a value that is not distinguishable from 0 the half-axes of its region stand in place of magnitude and phase.
-    Where the table is wider than `width` characters, columns that explain the values are left to the file.
+    U has two significant digits. A value that is not distinguishable from 0 has the half-axes of its region instead of
+    magnitude and phase. If the table is wider than `width` characters, columns that only explain the values are
+    omitted.
     """
     from rich.table import Table
 
@@ -93,10 +95,11 @@ def sensitivity_table(rows: Sequence[Row], width: int | None = None) -> Table:
     head += f" ({', '.join(kinds)})" if len(kinds) == 1 else ""
     whose = "means of all recordings" if curve else rows[0]["recording"]
     whose += f", the first {MOST_ROWS} of {len(rows)}" if len(rows) > MOST_ROWS else ""
-    told = [_cells_of(row) for row in rows[:MOST_ROWS]]
-    shown = [column for column in told[0] if column != "kind" or len(kinds) > 1]  # one that all share is in the title
+    table_cells = [_cells_of(row) for row in rows[:MOST_ROWS]]
+    # A kind that all rows share is in the title.
+    shown = [column for column in table_cells[0] if column != "kind" or len(kinds) > 1]
     for name in ("k", COUNTS, "kind", *(("unit",) if len(units) == 1 else ())):
-        if width is None or _width(told, shown) <= width:
+        if width is None or _width(table_cells, shown) <= width:
             break
         shown = [column for column in shown if column != name]
     unit = "" if "unit" in shown else f" in {units.pop()}"
@@ -104,13 +107,13 @@ def sensitivity_table(rows: Sequence[Row], width: int | None = None) -> Table:
     for column in shown:
         left = column in ("quantity", "unit", "kind")
         table.add_column(column, justify="left" if left else "right", overflow="fold")
-    for cells in told:
+    for cells in table_cells:
         table.add_row(*(cells[column] for column in shown))
     return table
 
 
 def _main_channels(rows: Sequence[Row], of: Callable[[Row], tuple[str, ...]]) -> dict[tuple[str, ...], str]:
-    """Return for rows that are alike by `of` the output of the load's name, else the largest one."""
+    """Return the output of the load's name, else the largest one, for equal `of`."""
     mains: dict[tuple[str, ...], str] = {}
     for row in sorted(rows, key=lambda row: (row["channel"] != row["component"], -float(row["magnitude"]))):
         mains.setdefault(of(row), row["channel"])
@@ -118,12 +121,12 @@ def _main_channels(rows: Sequence[Row], of: Callable[[Row], tuple[str, ...]]) ->
 
 
 def _width(rows: Sequence[Row], columns: Sequence[str]) -> int:
-    """Return how many characters a table of these columns takes with its lines."""
+    """Return the width of a table of these columns in characters."""
     return 1 + sum(max(len(column), *(len(cells[column]) for cells in rows)) + 3 for column in columns)
 
 
 def _cells_of(row: Row) -> dict[str, str]:
-    """Return the cells of a sensitivity by the heads of their columns."""
+    """Return the cells of a sensitivity by column."""
     magnitude, phase, k_factor = _values(row_element(row))
     cells = {
         "f / Hz": f"{float(row['frequency_hz']):.4f}",
@@ -138,7 +141,10 @@ def _cells_of(row: Row) -> dict[str, str]:
 
 
 def _values(element: Polar) -> tuple[str, str, str]:
-    """Magnitude and phase with U, and k; both with the power of ten that value and U share."""
+    """Return magnitude and phase with U, and k.
+
+    Value and U have the same power of ten.
+    """
 
     def with_u(value: float, expanded: float) -> str:
         text = round_to_uncertainty(value, expanded)
@@ -148,8 +154,8 @@ def _values(element: Polar) -> tuple[str, str, str]:
     if not element.region.holds_zero:
         magnitude = with_u(element.magnitude, element.expanded_magnitude)
         k_factors = magnitude_phase_text(factor_text(element.k), factor_text(element.k_phase))
-        turned = with_u(element.phase_rad, element.expanded_phase_rad) if has_phase(element) else DASH
-        return magnitude, turned, k_factors
+        phase = with_u(element.phase_rad, element.expanded_phase_rad) if has_phase(element) else DASH
+        return magnitude, phase, k_factors
     large, small = element.region.half_axes
     first = round_to_uncertainty(large, large)
     second = round_to_uncertainty(small, large, first.exponent)
@@ -158,8 +164,8 @@ def _values(element: Polar) -> tuple[str, str, str]:
 
 
 def print_outcomes(outcomes: Sequence[Outcome], *, campaign: bool) -> None:
-    """Print what lacks a result, the main sensitivities, where the rest is, and failures; notices go to stderr."""
-    console, told = stdout_console(), list[tuple[Notice | GatheredNotice, str]]()
+    """Print missing results, main sensitivities, files and failures to stdout, and notices to stderr."""
+    console, notices = stdout_console(), list[tuple[Notice | GatheredNotice, str]]()
     done, failed = _parted(outcomes)
     for outcome in (one for one in done if one.missing):
         print_text(f"{outcome.name}: {outcome.missing}" if campaign else outcome.missing)
@@ -180,12 +186,12 @@ def print_outcomes(outcomes: Sequence[Outcome], *, campaign: bool) -> None:
             console.print(f"report of all: {done[0].folder.parent / REPORT_FILE}", soft_wrap=True)
     for gathered in notices_of(done, campaign=campaign):
         single = not campaign or gathered.recordings == (CAMPAIGN,)
-        told.append((gathered, "" if single else f" ({gathered.concerned})"))
-    log_notices(told)
+        notices.append((gathered, "" if single else f" ({gathered.concerned})"))
+    log_notices(notices)
 
 
 def as_json(outcomes: Sequence[Outcome], *, campaign: bool) -> str:
-    """Return what `print_outcomes` tells for programs: numbers in full, every notice as it is, paths of the files."""
+    """Return the content of `print_outcomes` as JSON, with all digits, every notice, and paths."""
     done, _ = _parted(outcomes)
     notices = notices_of(done, campaign=campaign)
     top = outcomes[0].folder.parent if campaign else outcomes[0].folder
@@ -211,12 +217,15 @@ def as_json(outcomes: Sequence[Outcome], *, campaign: bool) -> str:
 
 
 def _parted(outcomes: Sequence[Outcome]) -> tuple[list[Outcome], list[Outcome]]:
-    """Return what is done, and what failed."""
+    """Return successful and failed outcomes."""
     return [one for one in outcomes if one.error is None], [one for one in outcomes if one.error is not None]
 
 
 def _table_file(done: Sequence[Outcome], *, campaign: bool) -> Path:
-    """Return the table of a recording, or of a campaign's curve; of a campaign of one recording that of it."""
+    """Return the table of a recording, or of a campaign's curve.
+
+    For a campaign of one recording its table.
+    """
     top = done[0].folder.parent if campaign else done[0].folder
     return top / (CURVE_FILE if campaign and len(done) > 1 else SENSITIVITY_FILE)
 
@@ -229,7 +238,7 @@ def _answer(done: Sequence[Outcome], *, campaign: bool) -> list[Row]:
 
 
 def _entry(row: Row) -> dict[str, Any]:
-    """Return one sensitivity as numbers; None where a magnitude or phase would mislead."""
+    """Return one sensitivity as numbers; None if a magnitude or phase would mislead."""
     element, zero = row_element(row), row_element(row).region.holds_zero
     numbers = {
         "frequency_hz": float(row["frequency_hz"]),
@@ -251,9 +260,9 @@ def _entry(row: Row) -> dict[str, Any]:
 
 
 def tally(outcomes: Sequence[Outcome]) -> str:
-    """Return how many recordings were finished, were done before, and failed."""
+    """Return the numbers of evaluated, unchanged and failed recordings."""
     failed = sum(outcome.error is not None for outcome in outcomes)
     resumed = sum(outcome.resumed for outcome in outcomes)
     parts = [(len(outcomes) - failed - resumed, "evaluated"), (resumed, "unchanged since the last run")]
-    told = ", ".join(f"{count} {what}" for count, what in (*parts, (failed, "failed")) if count)
-    return f"{count_text(len(outcomes), 'recording')}: {told}"
+    counts = ", ".join(f"{count} {what}" for count, what in (*parts, (failed, "failed")) if count)
+    return f"{count_text(len(outcomes), 'recording')}: {counts}"

@@ -1,4 +1,4 @@
-"""What the recordings of a campaign know together of unknowns that they share, and what that makes of their loads."""
+"""Joint estimate of the unknowns that recordings share, and the correction of their loads."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy.special import chdtrc
 
+from fusion.campaign.campaign_notices import CONTRADICTING_RECORDINGS, JOINT_UNKNOWNS, RECORDINGS_WITHOUT_ESTIMATE
 from fusion.campaign.excited_line import ExcitedLine, LazyUncertainty, UnknownDescription, intern_unknown
 from fusion.estimation.instrument_consistency import UNTESTED
 from fusion.estimation.uncertainty import Contribution, Influence, Uncertainty, as_complex
@@ -21,14 +22,14 @@ if TYPE_CHECKING:
     from fusion.campaign.recording_results import RecordingResults
 
 AS_STATED = 0.95
-"""Standard uncertainty after the joint estimate over that stated, above which an unknown stays as stated."""
+"""Ratio of the joint to the stated standard uncertainty above which an unknown counts as stated (chosen)."""
 NOISE = "noise of the joint estimate of unknowns"
-"""Label of what the noise of all recordings leaves of unknowns that they estimate together."""
+"""Label of the noise of all recordings in their joint estimate of unknowns."""
 SECOND_ORDER_U = 0.05
-"""Standard uncertainty, in that stated, by which an unknown as one recording sees it differs from that of the rig.
+"""Standard uncertainty, in the stated one, of the difference between an unknown in one recording and in the rig.
 
-What first order leaves: a direction 10 mrad off shortens a reading by 5e-5, a tenth of the u of a laser's scale, and
-recordings with little noise would take such differences for contradictions.
+It allows for errors of first order: a direction error of 10 mrad shortens a reading by 5e-5, a tenth of the u of a
+laser's scale. Recordings with little noise would otherwise contradict each other.
 """
 SECOND_ORDER = "unknowns beyond first order"
 ROUNDING = 1e-12
@@ -36,13 +37,14 @@ ROUNDING = 1e-12
 
 @dataclass(frozen=True)
 class Knowledge:
-    """What the readings of one recording say of its E unknowns: posterior mean and covariance, in their u.
+    """Estimate of the E unknowns of one recording by its readings, in their u.
 
-    `about` (E): the unknowns; `shared` (E,): those that other recordings may have, too, and that act on its load
-    through the motion alone. With A₀ = A at no errors, K its change by one u of each shared unknown, N all else that
-    is uncertain, P = N⁻¹ - N⁻¹X(XᵀN⁻¹X)⁻¹XᵀN⁻¹ and E the effects of the shared unknowns on the readings y = X·A + E·ε
-    + n, readings tell of ε through EᵀPy = M·ε + noise of covariance M alone, M = EᵀPE. What they tell of it holds of
-    the rig as far as ε = ε_rig + η, η of covariance T what first order leaves: squares of `BEYOND` and `products` (E,).
+    `descriptions` (E): the unknowns; `shared` (E,): those that other recordings may have, too, and that act on the load
+    through the motion alone. A₀ = A at no errors, K its change by one u of each shared unknown, N all other
+    uncertainty, P = N⁻¹ - N⁻¹X(XᵀN⁻¹X)⁻¹XᵀN⁻¹ and E the effects of the shared unknowns on the readings y = X·A + E·ε +
+    n. The readings determine ε through EᵀPy = M·ε + noise of covariance M alone, M = EᵀPE. The estimate applies to the
+    rig with ε = ε_rig + η, where η has the covariance T of second-order effects: squares of `SECOND_ORDER_U` and
+    `products` (E,).
     """
 
     descriptions: tuple[UnknownDescription, ...]
@@ -53,7 +55,10 @@ class Knowledge:
 
     @classmethod
     def of(cls, influences: Sequence[Influence], both: Sequence[str], *numbers: FloatArray) -> Knowledge:
-        """Return it of unknowns as they act on the motion; `both`: those that act on the load by themselves, too."""
+        """Return the estimate for unknowns of the motion.
+
+        `both`: those that also act on the load directly.
+        """
         about = tuple(
             intern_unknown(i.name, i.label, i.u, i.unit, i.scope, i.type, i.dof, i.distribution) for i in influences
         )
@@ -62,42 +67,44 @@ class Knowledge:
 
     @cached_property
     def second_order(self) -> FloatArray:
-        """Return T, of which the off-diagonal elements are zero."""
+        """T, whose off-diagonal elements are zero."""
         return np.diag(SECOND_ORDER_U**2 + self.products[self.shared] ** 2)
 
     @cached_property
     def inverse(self) -> FloatArray:
-        """Return 1 + M, the inverse of the covariance of the shared unknowns, all others marginalised."""
+        """1 + M, the inverse of the covariance of the shared unknowns, all others marginalised."""
         return np.asarray(np.linalg.inv(self.covariance[np.ix_(self.shared, self.shared)]))
 
     @cached_property
     def attenuation(self) -> FloatArray:
-        """Return (1 + MT)⁻¹, which what a recording tells of the rig passes, and transposed what it is told."""
+        """(1 + MT)⁻¹, the attenuation of information between recording and rig by second-order effects."""
         size = np.eye(len(self.inverse))
         return np.asarray(np.linalg.inv(size + (self.inverse - size) @ self.second_order))
 
     @property
     def information(self) -> FloatArray:
-        """Return what the recording tells of the rig: (1 + MT)⁻¹M."""
+        """Information of the recording on the unknowns of the rig: (1 + MT)⁻¹M."""
         product = self.attenuation @ (self.inverse - np.eye(len(self.inverse)))
         return np.asarray((product + product.T) / 2.0)
 
     @property
     def score(self) -> FloatArray:
-        """Return (1 + MT)⁻¹EᵀPy."""
+        """(1 + MT)⁻¹EᵀPy."""
         return np.asarray(self.attenuation @ self.inverse @ self.estimate[self.shared])
 
     @property
     def local(self) -> FloatArray:
-        """Return EᵀP times the effects of the unknowns that are not shared, on the readings."""
+        """EᵀP times the effects of the unshared unknowns on the readings."""
         return np.asarray(-self.inverse @ self.covariance[np.ix_(self.shared, ~self.shared)])
 
 
 @dataclass(frozen=True)
 class JointUnknown:
-    """One unknown of the rig: `estimate` and `remaining` uncertainty over the stated `u` (in `unit`) by the campaign.
+    """Campaign's estimate of one unknown of the rig, relative to its stated `u` (in `unit`).
 
-    `recordings`: how many tell of it, by more than 1 % of its u each.
+    `estimate` and `remaining` uncertainty are ratios to `u`.
+
+    `recordings`: how many recordings reduce its uncertainty by more than 1 % each.
     """
 
     name: str
@@ -110,30 +117,30 @@ class JointUnknown:
 
     @property
     def is_as_stated(self) -> bool:
-        """Return whether the campaign leaves it as stated."""
+        """Whether the campaign leaves it as stated."""
         return self.remaining > AS_STATED
 
 
 @dataclass(frozen=True)
 class _Source:
-    """A recording and where its knowledge comes from."""
+    """A recording and a callable for its estimate of unknowns."""
 
     recording: str
     mounting: str
-    known: Callable[[], Knowledge]
+    knowledge: Callable[[], Knowledge]
 
 
 @dataclass(frozen=True)
 class _Member:
-    """One recording of a mounting: where its shared unknowns stand among the wide, then those of the mounting."""
+    """One recording of a mounting; `indices`: positions of its shared unknowns, wide ones first."""
 
     source: _Source
-    places: IntArray
+    indices: IntArray
 
 
 @dataclass(frozen=True)
 class _Mounted:
-    """The recordings of one mounting: information and score of W wide unknowns and n of the mounting, joined."""
+    """Joint information and score of W wide unknowns and n of the mounting."""
 
     members: tuple[_Member, ...]
     about: tuple[UnknownDescription, ...]
@@ -143,30 +150,30 @@ class _Mounted:
 
     @cached_property
     def conditional(self) -> FloatArray:
-        """Return the covariance (n, n) of the mounting's unknowns where the wide ones are known."""
-        own = self.information[self.wide :, self.wide :]
-        return np.asarray(np.linalg.inv(np.eye(len(own)) + own))
+        """Covariance (n, n) of the mounting's unknowns for given wide ones."""
+        information = self.information[self.wide :, self.wide :]
+        return np.asarray(np.linalg.inv(np.eye(len(information)) + information))
 
     @cached_property
     def slope(self) -> FloatArray:
-        """Return by how much (n, W) the wide unknowns lower the estimate of those of the mounting."""
+        """Coefficients (n, W) of the wide unknowns in the estimate of those of the mounting."""
         return np.asarray(self.conditional @ self.information[self.wide :, : self.wide])
 
     def of_wide(self) -> tuple[FloatArray, FloatArray]:
         """Return information and score of the wide unknowns, those of the mounting marginalised."""
-        own, mixed = slice(self.wide), self.information[: self.wide, self.wide :]
+        wide, mixed = slice(self.wide), self.information[: self.wide, self.wide :]
         rest = self.conditional @ self.score[self.wide :]
-        return self.information[own, own] - mixed @ self.slope, self.score[own] - mixed @ rest
+        return self.information[wide, wide] - mixed @ self.slope, self.score[wide] - mixed @ rest
 
 
 @dataclass(frozen=True)
 class JointEstimate:
-    """Posterior of what recordings of a campaign share: `estimate` (W,) and `covariance` (W, W) of wide unknowns.
+    """Posterior of unknowns that recordings of a campaign share: `estimate` (W,) and `covariance` (W, W).
 
-    Every recording's information adds up, 1 + ΣM_i, the score likewise (Plackett 1950, Biometrika 37, 149: least
-    squares to which observations are added). Unknowns of one mounting are eliminated mounting by mounting, so that time
-    grows as the recordings. `about`: the wide unknowns, those of the rig and, where all recordings are of one mounting,
-    of that.
+    The information of the recordings adds up, 1 + ΣM_i, and so does the score (Plackett 1950, Biometrika 37, 149: least
+    squares with added observations). Unknowns of one mounting are eliminated mounting by mounting, so that time grows
+    linearly. `descriptions`: the wide unknowns, those of the rig and, if there is only one mounting, those of the
+    mounting.
     """
 
     campaign: str
@@ -180,19 +187,19 @@ class JointEstimate:
 
     @classmethod
     def of(cls, campaign: str, recorded: Sequence[RecordingResults]) -> JointEstimate:
-        """Return what recordings tell together."""
+        """Return the joint estimate of recordings."""
         sources = tuple(_Source(e.name, e.mounting, e.knowledge) for e in recorded if e.knowledge is not None)
         single = len({source.mounting for source in sources}) < 2
         about: dict[str, UnknownDescription] = {}
         count: dict[str, int] = {}
         for source in sources:
-            known = source.known()
-            remaining = np.sqrt(np.diag(known.covariance))
-            for place in np.flatnonzero(known.shared).tolist():
-                if single or known.descriptions[place][4] == "rig":
-                    name = known.descriptions[place][0]
-                    about.setdefault(name, known.descriptions[place])
-                    count[name] = count.get(name, 0) + bool(remaining[place] < UNTESTED)
+            knowledge = source.knowledge()
+            remaining = np.sqrt(np.diag(knowledge.covariance))
+            for index in np.flatnonzero(knowledge.shared).tolist():
+                if single or knowledge.descriptions[index][4] == "rig":
+                    name = knowledge.descriptions[index][0]
+                    about.setdefault(name, knowledge.descriptions[index])
+                    count[name] = count.get(name, 0) + bool(remaining[index] < UNTESTED)
         none = np.zeros(len(about))
         joint = cls(
             campaign, sources, single, tuple(about.values()), none, np.eye(len(about)), np.outer(none, none),
@@ -200,96 +207,96 @@ class JointEstimate:
         )  # fmt: skip
         information, score = np.outer(none, none), none
         for mounted in joint._mounted():
-            more, told = mounted.of_wide()
-            information, score = information + more, score + told
+            more, score_of = mounted.of_wide()
+            information, score = information + more, score + score_of
         covariance = np.asarray(np.linalg.inv(np.eye(len(none)) + information), dtype=np.float64)
         return replace(joint, information=information, covariance=covariance, estimate=covariance @ score)
 
     def unknowns(self) -> tuple[JointUnknown, ...]:
-        """Return what the campaign says of every wide unknown."""
+        """Return the campaign's estimate of every wide unknown."""
         remaining = np.sqrt(np.diag(self.covariance))
         columns = self.descriptions, self.estimate.tolist(), remaining.tolist(), self.recordings.tolist()
         return tuple(JointUnknown(*about[:4], *numbers) for about, *numbers in zip(*columns, strict=True))
 
     def _mounted(self) -> Iterator[_Mounted]:
-        """Yield the recordings of every mounting, joined."""
-        wide = {about[0]: place for place, about in enumerate(self.descriptions)}
+        """Yield the joint recordings of every mounting."""
+        wide = {one[0]: index for index, one in enumerate(self.descriptions)}
         groups: dict[str, list[_Source]] = {}
         for source in self.sources:
             groups.setdefault("" if self.single else source.mounting, []).append(source)
         for group in groups.values():
-            places, about, members = dict(wide), list[UnknownDescription](), list[_Member]()
-            information, score = np.zeros((len(places), len(places))), np.zeros(len(places))
+            positions, descriptions, members = dict(wide), list[UnknownDescription](), list[_Member]()
+            information, score = np.zeros((len(positions), len(positions))), np.zeros(len(positions))
             for source in group:
-                known = source.known()  # of one recording at a time, or memory grows as the campaign
-                own = [known.descriptions[place] for place in np.flatnonzero(known.shared).tolist()]
-                for one in own:
-                    if one[0] not in places:
-                        places[one[0]] = len(places)
-                        about.append(one)
-                more = len(places) - len(score)
+                knowledge = source.knowledge()  # of one recording at a time, or memory grows as the campaign
+                shared = [knowledge.descriptions[index] for index in np.flatnonzero(knowledge.shared).tolist()]
+                for one in shared:
+                    if one[0] not in positions:
+                        positions[one[0]] = len(positions)
+                        descriptions.append(one)
+                more = len(positions) - len(score)
                 information, score = np.pad(information, (0, more)), np.pad(score, (0, more))
-                members.append(_Member(source, np.array([places[one[0]] for one in own], np.int64)))
-                information[np.ix_(members[-1].places, members[-1].places)] += known.information
-                score[members[-1].places] += known.score
-            yield _Mounted(tuple(members), tuple(about), information, score, len(wide))
+                members.append(_Member(source, np.array([positions[one[0]] for one in shared], np.int64)))
+                information[np.ix_(members[-1].indices, members[-1].indices)] += knowledge.information
+                score[members[-1].indices] += knowledge.score
+            yield _Mounted(tuple(members), tuple(descriptions), information, score, len(wide))
 
     def _all(self, mounted: _Mounted) -> tuple[FloatArray, FloatArray]:
         """Return estimate and covariance of the wide unknowns and those of one mounting."""
-        slope, told = mounted.slope, mounted.score[mounted.wide :]
+        slope, score = mounted.slope, mounted.score[mounted.wide :]
         mixed = -slope @ self.covariance
-        estimate = np.concatenate([self.estimate, mounted.conditional @ told - slope @ self.estimate])
+        estimate = np.concatenate([self.estimate, mounted.conditional @ score - slope @ self.estimate])
         return estimate, np.block([[self.covariance, mixed.T], [mixed, mounted.conditional - mixed @ slope.T]])
 
     def contradicting(self) -> tuple[str, ...]:
-        """Return the recordings that contradict, at 1 % together, what all others say of the unknowns they share."""
+        """Return the recordings that contradict all others, at 1 % for all tests together."""
         found: list[tuple[float, str]] = []
         for mounted in self._mounted():
             estimate, covariance = self._all(mounted)
             for member in mounted.members:
-                own = member.places
-                p = _contradiction(member.source.known(), estimate[own], covariance[np.ix_(own, own)])
+                indices = member.indices
+                p = _contradiction(member.source.knowledge(), estimate[indices], covariance[np.ix_(indices, indices)])
                 found.append((p, member.source.recording))
         limit = 1.0 - TEST_LEVEL ** (1.0 / max(len(found), 1))
         return tuple(name for p, name in sorted(found) if p < limit)
 
     def corrections(self) -> Iterator[tuple[str, JointCorrection]]:
-        """Yield for every recording what carries the joint estimate into its loads."""
+        """Yield the correction of the loads of every recording by the joint estimate."""
         root = _root(self.information)
         for mounted in self._mounted():
             estimate, _ = self._all(mounted)
             for member in mounted.members:
-                yield member.source.recording, JointCorrection(self, mounted, member, estimate[member.places], root)
+                yield member.source.recording, JointCorrection(self, mounted, member, estimate[member.indices], root)
 
 
-def _contradiction(known: Knowledge, estimate: FloatArray, covariance: FloatArray) -> float:
-    """Return how likely a recording's readings lie as far from what all others say of its unknowns, or further.
+def _contradiction(knowledge: Knowledge, estimate: FloatArray, covariance: FloatArray) -> float:
+    """Return the probability that a recording deviates this far from the estimate of all others.
 
     Without it the joint estimate has S = (S_joint⁻¹ - M)⁻¹; the score less M times that has the covariance M + MSM.
-    Only directions count of which the recording by itself knows more than 1 % beyond what is stated.
+    Only directions count whose uncertainty this recording alone reduces by more than 1 %.
     """
-    values, vectors = np.linalg.eigh(known.information)
-    kept = values > 1.0 / UNTESTED**2 - 1.0
-    if not np.any(kept):
+    values, vectors = np.linalg.eigh(knowledge.information)
+    significant = values > 1.0 / UNTESTED**2 - 1.0
+    if not np.any(significant):
         return 1.0
     inverse = np.linalg.inv(covariance)
-    others = np.linalg.inv(inverse - known.information)
-    off = known.score - known.information @ (others @ (inverse @ estimate - known.score))
-    root, turned = np.sqrt(values[kept]), vectors[:, kept]
-    white = turned.T @ off / root
-    spread = np.eye(len(root)) + root[:, None] * (turned.T @ others @ turned) * root
+    others = np.linalg.inv(inverse - knowledge.information)
+    off = knowledge.score - knowledge.information @ (others @ (inverse @ estimate - knowledge.score))
+    root, directions = np.sqrt(values[significant]), vectors[:, significant]
+    white = directions.T @ off / root
+    spread = np.eye(len(root)) + root[:, None] * (directions.T @ others @ directions) * root
     return float(chdtrc(float(len(root)), white @ np.linalg.solve(spread, white)))
 
 
 @dataclass(frozen=True)
 class JointCorrection:
-    """What the joint estimate changes of a recording's loads, to first order in the unknowns.
+    """Correction of a recording's loads by the joint estimate, to first order in the unknowns.
 
-    A load l found with its recording's own estimate ε_i becomes l - K·(ε - ε_i), K = e·(1 + M) of its influences e.
-    What is then uncertain of it is (a) what is its own, N carried through: influences of its own unknowns and noise
-    lose what went through ε_i; (b) K·(ε - ε_joint), which of the wide unknowns is S·ε less S times the noise of all
-    scores, of covariance ΣM: the first by their names, the second by unknowns of the campaign; of those of the
-    mounting, where the wide are known, it is by their names a symmetric root of what is left.
+    A load l with its recording's estimate ε_i becomes l - K·(ε - ε_i), K = e·(1 + M) of its influences e. Its
+    uncertainty has two parts. (a) The individual part N: influences of unshared unknowns and noise lose their effect
+    through ε_i. (b) K·(ε - ε_joint): for the wide unknowns, S·ε less S times the noise of all scores, of covariance ΣM.
+    The first appears under their names, the second as unknowns of the campaign. For those of the mounting, given the
+    wide ones, it is a symmetric root of the remaining covariance under their names.
     """
 
     joint: JointEstimate
@@ -299,37 +306,44 @@ class JointCorrection:
     root: FloatArray
 
     def of(self, drive: ExcitedLine) -> ExcitedLine:
-        """Return a drive with the load and its uncertainty as the campaign knows them."""
-        known, wide = self.member.source.known(), self.mounted.wide
+        """Return a line with the load and its uncertainty by the joint estimate."""
+        knowledge, wide = self.member.source.knowledge(), self.mounted.wide
         uncertainty = drive.load_uncertainty
         old = {influence.name: influence for influence in uncertainty.influences}
         none = np.zeros((1, uncertainty.random[0].covariance.shape[1]))
-        effects = np.array([old[about[0]].effect[0] if about[0] in old else none[0] for about in known.descriptions])
-        shared, local = effects[known.shared], effects[~known.shared] + known.local.T @ effects[known.shared]
-        gain = known.attenuation @ known.inverse @ shared
+        effects = np.array(
+            [old[about[0]].effect[0] if about[0] in old else none[0] for about in knowledge.descriptions]
+        )
+        shared, local = (
+            effects[knowledge.shared],
+            effects[~knowledge.shared] + knowledge.local.T @ effects[knowledge.shared],
+        )
+        gain = knowledge.attenuation @ knowledge.inverse @ shared
         full = np.zeros((len(self.mounted.score), none.shape[1]))
-        full[self.member.places] = gain
+        full[self.member.indices] = gain
         through = full[:wide] - self.mounted.slope.T @ full[wide:]
         remaining = self.joint.covariance @ through
         narrow = _root(self.mounted.conditional) @ full[wide:]
         both = zip((*self.joint.descriptions, *self.mounted.about), (*remaining, *narrow), strict=True)
         found = dict(old)
-        own = [about for about, mine in zip(known.descriptions, known.shared, strict=True) if not mine]
-        for about, effect in (*both, *zip(own, local, strict=True)):
+        individual = [about for about, mine in zip(knowledge.descriptions, knowledge.shared, strict=True) if not mine]
+        for about, effect in (*both, *zip(individual, local, strict=True)):
             if about[0] in old or np.any(effect):
                 found[about[0]] = Influence(*about[:4], effect[None], *about[4:])
         for number, effect in enumerate(self.root.T @ remaining):
             name = f"campaign {self.joint.campaign}: noise of unknowns {number + 1}"
             found[name] = Influence(name, NOISE, 1.0, "1", effect[None], "rig", "A")
-        # Of N = n + E_l·E_lᵀ the noise n alone: its own part and that of the recording's own unknowns cancel together.
-        mixed = local.T @ known.local.T @ shared
+        # Of N = n + E_l·E_lᵀ the noise n alone: its part and that of the unshared unknowns cancel.
+        mixed = local.T @ knowledge.local.T @ shared
         size = np.eye(len(shared))
-        lost = shared.T @ (known.inverse - size - known.local @ known.local.T) @ shared + mixed + mixed.T
-        beyond = shared.T @ known.inverse @ known.second_order @ gain
+        lost = shared.T @ (knowledge.inverse - size - knowledge.local @ knowledge.local.T) @ shared + mixed + mixed.T
+        beyond = shared.T @ knowledge.inverse @ knowledge.second_order @ gain
         random = (*_without(uncertainty.random, lost), Contribution(SECOND_ORDER, "B", beyond[None]))
-        # The recording's own part of ε_i is T(1 + MT)⁻¹EᵀPy beside what the rig's unknowns make of it.
-        own_part = known.second_order @ known.score @ known.inverse @ shared
-        change = self.estimate @ gain + own_part - known.estimate[known.shared] @ known.inverse @ shared
+        # The individual part of ε_i is T(1 + MT)⁻¹EᵀPy, in addition to that of the rig's unknowns.
+        individual_part = knowledge.second_order @ knowledge.score @ knowledge.inverse @ shared
+        change = (
+            self.estimate @ gain + individual_part - knowledge.estimate[knowledge.shared] @ knowledge.inverse @ shared
+        )
         return replace(
             drive,
             load=drive.load - as_complex(change),
@@ -344,54 +358,52 @@ def _root(matrix: FloatArray) -> FloatArray:
 
 
 def _without(random: Sequence[Contribution], lost: FloatArray) -> tuple[Contribution, ...]:
-    """Return contributions (K = 1) that add up to a covariance less by `lost` (12, 12), and to none below zero.
+    """Return contributions (K = 1) whose sum is a covariance less `lost` (12, 12).
 
-    Each is turned by R^½(1 - R^-½·D·R^-½)^½R^-½, R being their sum and D what is lost: nothing where D is nothing.
+    Each is transformed by R^½(1 - R^-½·D·R^-½)^½R^-½, R being their sum and D `lost`; this is the identity if D is
+    zero.
     """
     total = np.sum([part.covariance[0] for part in random], axis=0)
     size = np.sqrt(np.maximum(np.diag(total), 0.0))
     size = np.where(size > 0.0, size, 1.0)
     values, vectors = np.linalg.eigh(total / np.outer(size, size))
-    kept = values > ROUNDING * values[-1]
-    root, turned = np.sqrt(values[kept]), vectors[:, kept]
-    share, ways = np.linalg.eigh((turned.T @ (lost / np.outer(size, size)) @ turned) / np.outer(root, root))
-    inner = (ways * np.sqrt(1.0 - np.minimum(share, 1.0))) @ ways.T
-    turn = (size[:, None] * turned * root) @ inner @ (turned / root / size[:, None]).T
+    significant = values > ROUNDING * values[-1]
+    root, directions = np.sqrt(values[significant]), vectors[:, significant]
+    share, axes = np.linalg.eigh((directions.T @ (lost / np.outer(size, size)) @ directions) / np.outer(root, root))
+    inner = (axes * np.sqrt(1.0 - np.minimum(share, 1.0))) @ axes.T
+    turn = (size[:, None] * directions * root) @ inner @ (directions / root / size[:, None]).T
     return tuple(replace(part, covariance=(turn @ part.covariance[0] @ turn.T)[None]) for part in random)
 
 
 def apply_joint_estimate(
     campaign: str, recorded: Sequence[RecordingResults], keep: Callable[[ExcitedLine], ExcitedLine]
 ) -> tuple[tuple[RecordingResults, ...], tuple[JointUnknown, ...], tuple[Notice, ...]]:
-    """Return recordings whose loads rest on the joint estimate of all unknowns they share, and what that says.
+    """Return recordings whose loads use the joint estimate of all shared unknowns, with notices.
 
-    Where a recording contradicts the others, all keep what they have. `keep`: where changed drives are put.
+    If a recording contradicts the others, all keep their individual estimates. `keep`: stores changed lines.
     """
     joint = JointEstimate.of(campaign, recorded)
     if len(joint.sources) < 2 or not joint.descriptions:
         return tuple(recorded), (), ()
     contradicting = joint.contradicting()
     if contradicting:
-        named = ", ".join(contradicting)
-        text = f"what {named} says of poses, scales and other unknowns of the rig contradicts all others at 1 %: the "
-        text += "recordings keep what each says of them by itself"
-        return tuple(recorded), (), (Notice("warning", text, "campaign"),)
+        named, level = ", ".join(contradicting), 100.0 * TEST_LEVEL
+        notice = Notice(CONTRADICTING_RECORDINGS, "campaign", recordings=named, level_percent=level)
+        return tuple(recorded), (), (notice,)
     unknowns = joint.unknowns()
-    places = {entry.name: place for place, entry in enumerate(recorded)}
+    index_of = {entry.name: index for index, entry in enumerate(recorded)}
     found = list(recorded)
     for name, carry in joint.corrections():
-        entry = recorded[places[name]]
-        found[places[name]] = replace(
+        entry = recorded[index_of[name]]
+        found[index_of[name]] = replace(
             entry, excited_lines=tuple(keep(carry.of(drive)) for drive in entry.excited_lines)
         )
     return tuple(found), unknowns, _notices(unknowns, len(recorded) - len(joint.sources))
 
 
-def _notices(unknowns: Sequence[JointUnknown], aside: int) -> tuple[Notice, ...]:
-    """Say what the campaign knows better than a recording, and what it takes as stated."""
-    better = [unknown for unknown in unknowns if not unknown.is_as_stated]
-    text = f"of {len(unknowns)} unknowns of the rig that readings may tell of, all recordings together know "
-    text += f"{len(better)} better than stated; the others stay as stated"
-    if aside:
-        text += f"; recordings without a load, or whose instruments contradict each other, tell nothing: {aside}"
-    return (Notice("note", text, "campaign"),)
+def _notices(unknowns: Sequence[JointUnknown], excluded: int) -> tuple[Notice, ...]:
+    improved = sum(not unknown.is_as_stated for unknown in unknowns)
+    notices = [Notice(JOINT_UNKNOWNS, "campaign", improved=improved, count=len(unknowns))]
+    if excluded:
+        notices.append(Notice(RECORDINGS_WITHOUT_ESTIMATE, "campaign", count=excluded))
+    return tuple(notices)

@@ -1,1 +1,1 @@
-"""From phasors to accelerations, with what they are uncertain by."""
+"""Fusion of instruments by least squares, with uncertainties, consistency tests and coverage factors."""

@@ -1,4 +1,4 @@
-"""Expanded uncertainties: coverage factors, and 95 % regions of complex values; values as they are stated."""
+"""Coverage factors, expanded uncertainties and 95 % regions of complex values."""
 
 from __future__ import annotations
 
@@ -14,9 +14,10 @@ COVERAGE = 0.95
 
 
 def coverage_factor(dof: float, coverage: float = COVERAGE) -> float:
-    """Return k = t_0.975(dof): ±k·u holds a real value 95 times in 100 (JCGM 100, G.3.2), or as `coverage` says.
+    """Return the coverage factor k = t_0.975(dof) of a real value (JCGM 100, G.3.2).
 
-    `dof`: effective degrees of freedom, infinite where the uncertainty is known; 1.96 then, infinite below 1e-3.
+    ±k·u covers 95 %, or the share `coverage`. `dof`: effective degrees of freedom, infinite where the uncertainty is
+    exact; then k is 1.96. Below 1e-3 degrees of freedom k is infinite.
     """
     from scipy.special import ndtri, stdtrit
 
@@ -30,10 +31,11 @@ _PERIOD, _LAST, _LEAST_WIDTH = 40.0, 300.0, 0.02  # in standard deviations of th
 
 
 def bounded_factor(widths: FloatArray, u: float, k: float) -> float:
-    """Return U/u of a sum of numbers uniform within ± `widths` (N,) and of one with U = k·u, for 95 %.
+    """Return U/u, for 95 %, of a sum of uniform and normal numbers.
 
-    P(|s| ≤ U) = 2/π·∫ sin(U·t)/t·φ(t) dt with the characteristic function φ, by the trapezoidal rule, which is that of
-    a periodic density: exact but for what lies beyond a period.
+    The uniform numbers lie within ± `widths` (N,); the rest has U = k·u. P(|s| ≤ U) = 2/π·∫ sin(U·t)/t·φ(t) dt with the
+    characteristic function φ, by the trapezoidal rule. That rule is exact for a periodic density, except for the part
+    beyond one period.
     """
     from scipy.optimize import brentq
 
@@ -52,7 +54,10 @@ def bounded_factor(widths: FloatArray, u: float, k: float) -> float:
 
 @dataclass(frozen=True)
 class RealQuantity:
-    """A real number with its standard uncertainty, NaN where that is not known, and the degrees of freedom of that."""
+    """A real number with its standard uncertainty and degrees of freedom.
+
+    `u` is NaN where it is not known.
+    """
 
     value: float
     u: float
@@ -82,11 +87,11 @@ class NamedQuantity(RealQuantity):
 
 
 def region_factor(dof: ArrayLike) -> FloatArray:
-    """Return K of `dof` (...) degrees of freedom: K·u is the half-axis of a 95 % region along a part of its own dof.
+    """Return the factor K of a half-axis K·u of a 95 % region.
 
-    K² = 2·F_0.95(2, ν) = ν·(0.05^(-2/ν) - 1), that of two parts that share one estimated variance; chi-square of two
-    degrees of freedom, 5.99, for infinite ν. Ellipses whose two half-axes have different ν, independently estimated,
-    hold 93.6 % (both of one degree of freedom) to 95.3 %.
+    `dof` (...): degrees of freedom of the part along the half-axis. K² = 2·F_0.95(2, ν) = ν·(0.05^(-2/ν) - 1), for two
+    parts that share one estimated variance; 5.99 (chi-square of two degrees of freedom) for infinite ν. An ellipse
+    whose half-axes have different, independently estimated ν covers 93.6 % (both of one degree of freedom) to 95.3 %.
     """
     nu, tail = np.asarray(dof, dtype=np.float64), -2.0 * np.log(1.0 - COVERAGE)
     # Above a power of e^500 the region is infinite for every purpose.
@@ -97,7 +102,10 @@ def region_factor(dof: ArrayLike) -> FloatArray:
 
 
 def along_and_across(value: ComplexArray | complex) -> FloatArray:
-    """Return the unit vectors (..., 2, 2), as columns, along complex values (...) and across them; the axes at zero."""
+    """Return the unit vectors along complex values and across them.
+
+    Columns of (..., 2, 2), for values (...); the coordinate axes where a value is zero.
+    """
     values = np.asarray(value, dtype=np.complex128)
     size = np.abs(values)
     unit = np.divide(values, size, out=np.ones_like(values), where=np.isfinite(values) & (size > 0.0))
@@ -105,13 +113,13 @@ def along_and_across(value: ComplexArray | complex) -> FloatArray:
 
 
 def counted_covariance(parts: FloatArray, dof: ArrayLike) -> FloatArray:
-    """Return what counts in a region of the covariance of two parts (..., 2, 2) estimated with `dof` (...) freedom.
+    """Return the covariance of two parts (..., 2, 2) that a region uses.
 
-    The ellipse of an estimated correlation r is narrow where that is large by chance: with ν = 5 it holds 91 %, with 2
-    78 %, with 1 it is a line. What one part tells of the other leaves the variance 1 - r², known with ν - 1 degrees of
-    freedom, and the error of the regression itself; so 1 - r² is taken g times as large, up to 1,
-    g = ν/(ν - 1)·(K(ν - 1)/K(ν))²·(1 + 3/ν)², with K of `region_factor`. The last factor was set by simulation: regions
-    then hold 93 to 97 %, whatever the correlation and ν (docs/uncertainty.md).
+    `dof` (...). The ellipse of an estimated correlation r is too narrow if r is large by chance: it covers 91 % with ν
+    = 5, 78 % with 2, and is a line with 1. One part predicts the other with the remaining variance 1 - r², estimated
+    with ν - 1 degrees of freedom, and with the error of the regression. The factor g enlarges 1 - r², up to 1: g = ν/(ν
+    - 1)·(K(ν - 1)/K(ν))²·(1 + 3/ν)², with K of `region_factor`. The last factor was set by simulation: regions then
+    cover 93 to 97 % for every correlation and ν (docs/uncertainty.md).
     """
     nu, mixed = np.asarray(dof, dtype=np.float64), parts[..., 0, 1]
     few = np.where(np.isposinf(nu), 2.0, np.maximum(nu, 1.0))
@@ -138,12 +146,13 @@ def region_matrix(
     mixed: ArrayLike | None = None,
     u_turn: ArrayLike = 0.0,
 ) -> FloatArray:
-    """Return M (..., 2, 2): the 95 % regions of complex values X (...) are the ellipses (z - X)ᵀ·M⁻¹·(z - X) ≤ 1.
+    """Return the matrices M (..., 2, 2) of the 95 % regions of complex values.
 
-    `covariance` (..., 2, 2) of (Re, Im), of first order; `dof` (2, ...) along X and across it, each with its own factor
-    (`region_factor`); `mixed` (...): the covariance of these two parts as it counts (`counted_covariance`), by default
-    all of it. What turns X, with the standard uncertainty `u_turn` (...) of the angle, bends the region (JCGM 100,
-    5.1.2, note): it reaches further along X, though no further than across.
+    The region of a value X is the ellipse (z - X)ᵀ·M⁻¹·(z - X) ≤ 1. `covariance` (..., 2, 2) of (Re, Im), of first
+    order. `dof` (2, ...): along X and across it, each with its factor (`region_factor`). `mixed` (...): the covariance
+    of these two parts as `counted_covariance` reduces it, by default all of it. An uncertain angle of X, with the
+    standard uncertainty `u_turn` (...), bends the region (JCGM 100, 5.1.2, note). It then reaches further along X, but
+    no further than across.
     """
     frame, turn = along_and_across(value), np.asarray(u_turn, dtype=np.float64) ** 2
     parts = frame.swapaxes(-1, -2) @ covariance @ frame
@@ -159,10 +168,10 @@ def region_matrix(
 
 @dataclass(frozen=True)
 class CoverageRegion:
-    """The 95 % region of a complex value: an ellipse about it in the complex plane (`region_matrix`).
+    """The 95 % region of a complex value: an ellipse in the complex plane (`region_matrix`).
 
-    `half_axes`: the larger and the smaller one, in the unit of the value; `angle_rad`: of the larger one from the real
-    axis, in (-π/2, π/2]; `holds_zero`: whether the origin lies inside, so that amplitude and phase say nothing.
+    `half_axes`: the larger and the smaller one, in the unit of the value. `angle_rad`: from the real axis to the larger
+    one, in (-π/2, π/2]. `holds_zero`: whether the origin lies inside, so that amplitude and phase are meaningless.
     """
 
     half_axes: tuple[float, float]
@@ -171,13 +180,15 @@ class CoverageRegion:
 
 
 def region(value: complex, matrix: FloatArray) -> CoverageRegion:
-    """Return the 95 % region of a complex value of which `matrix` (2, 2) is that of `region_matrix`."""
+    """Return the 95 % region of a complex value from its `matrix` (2, 2) (`region_matrix`)."""
     if not np.all(np.isfinite(matrix)):
         return CoverageRegion((np.inf, np.inf), 0.0, holds_zero=True)
     squares, axes = np.linalg.eigh(matrix)
     small, large = np.sqrt(np.maximum(squares, 0.0)).tolist()
-    turned = np.abs(axes.T @ [value.real, value.imag]).tolist()
-    shares = [part / half if half > 0.0 else np.inf for part, half in zip(turned, (small, large), strict=True) if part]
+    direction = np.abs(axes.T @ [value.real, value.imag]).tolist()
+    shares = [
+        part / half if half > 0.0 else np.inf for part, half in zip(direction, (small, large), strict=True) if part
+    ]
     along = axes[:, 1] * (1.0 if axes[0, 1] > 0.0 or (axes[0, 1] == 0.0 and axes[1, 1] > 0.0) else -1.0)
     angle = float(np.arctan2(along[1], along[0]))
     return CoverageRegion((large, small), angle, holds_zero=sum(share**2 for share in shares) <= 1.0)
@@ -191,13 +202,12 @@ UNIFORM_PHASE_U = float(np.pi / np.sqrt(3.0))
 
 @dataclass(frozen=True)
 class Polar:
-    """A complex value as magnitude and phase in (-pi, pi] and as parts, with standard uncertainties (k = 1).
+    """A complex value as magnitude and phase and as parts, with standard uncertainties.
 
-    `r`: correlation of real and imaginary part; `dof`: effective degrees of freedom of the complex value;
-    `dof_magnitude`, `dof_phase`: those of the real quantities, with their coverage factors for 95 %; `region_re`,
-    `region_im`, `region_r`: how far the 95 % region reaches along the real and the imaginary axis, and the
-    correlation of the ellipse, so that z = X + (a, b) lies in it where (a/region_re, b/region_im) has
-    (a² - 2r·a·b + b²)/(1 - r²) ≤ 1.
+    The phase is in (-pi, pi]. `r`: correlation of real and imaginary part. `dof`: effective degrees of freedom of the
+    complex value. `dof_magnitude`, `dof_phase`: those of the real quantities, with their coverage factors for 95 %.
+    `region_re`, `region_im`: reach of the 95 % region along the real and the imaginary axis. `region_r`: correlation of
+    its ellipse: z = X + (a, b) lies inside if (a² - 2r·a·b + b²)/(1 - r²) ≤ 1, a and b over region_re and region_im.
     """
 
     magnitude: float
@@ -250,7 +260,7 @@ class Polar:
 
     @property
     def region_factor(self) -> float:
-        """Return the one factor that makes the ellipse of the covariance as large as the region."""
+        """Return the single factor that enlarges the ellipse of the covariance to the region."""
         areas = np.linalg.det(self.region_matrix), np.linalg.det(self.covariance)
         usable = np.all(np.isfinite(areas)) and min(areas) > 0.0
         return float((areas[0] / areas[1]) ** 0.25) if usable else float(region_factor(self.dof))
@@ -270,13 +280,15 @@ def polar(
     k_polar: tuple[float, float] | None = None,
     region: FloatArray | None = None,
 ) -> Polar:
-    """First-order propagation of the covariance (2, 2) of (Re, Im) of `value` to magnitude and phase.
+    """Propagate the covariance (2, 2) of (Re, Im) of `value` to magnitude and phase.
 
-    u(|X|)^2 = e^T V e with e = (Re, Im)/|X|, u(arg X)^2 = n^T V n / |X|^2 with n = (-Im, Re)/|X| (JCGM 102, 9.4).
-    Where |X| is of the order of its uncertainty the expansion fails: u(arg X) is capped at pi/sqrt(3), the standard
-    deviation of a phase of which nothing is known, and at X = 0 u(|X|) is that of the mean direction. `dof`: of the
-    complex value; `dof_polar`: of magnitude and phase, `dof` by default; `k_polar`: their coverage factors, by default
-    those of `dof_polar`; `region` (2, 2): see `region_matrix`, by default that of a covariance estimated with `dof`.
+    u(|X|)^2 = e^T V e with e = (Re, Im)/|X|, u(arg X)^2 = n^T V n / |X|^2 with n = (-Im, Re)/|X| (JCGM 102, 9.4). The
+    expansion fails where |X| is of the order of its uncertainty. There u(arg X) is limited to pi/sqrt(3), the standard
+    deviation of a uniform phase; at X = 0, u(|X|) is that of the mean direction.
+
+    `dof`: of the complex value. `dof_polar`: of magnitude and phase, by default `dof`; `k_polar`: their coverage
+    factors, by default those of `dof_polar`. `region` (2, 2): see `region_matrix`, by default that of a covariance
+    estimated with `dof`.
     """
     re, im = float(value.real), float(value.imag)
     magnitude = float(np.hypot(re, im))
@@ -288,8 +300,8 @@ def polar(
     else:
         along, across = np.array([re, im]) / magnitude, np.array([-im, re]) / magnitude
         u_magnitude = float(np.sqrt(max(float(along @ covariance @ along), 0.0)))
-        turned = float(np.sqrt(max(float(across @ covariance @ across), 0.0)))
-        u_phase = min(turned / magnitude, UNIFORM_PHASE_U)
+        u_across = float(np.sqrt(max(float(across @ covariance @ across), 0.0)))
+        u_phase = min(u_across / magnitude, UNIFORM_PHASE_U)
     # An imaginary part of -0 does not turn pi into -pi.
     phase, freedom = float(np.arctan2(im + 0.0, re)), (dof, dof) if dof_polar is None else dof_polar
     factors = (coverage_factor(freedom[0]), coverage_factor(freedom[1])) if k_polar is None else k_polar

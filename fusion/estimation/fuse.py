@@ -1,16 +1,16 @@
-"""Generalised least squares of all instruments of a body: its six-component acceleration, and what to tell of it."""
+"""Generalised least squares of all instruments of a body: its six-component acceleration and its notices."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Literal
 
 import numpy as np
 
-from fusion.base import round_to_uncertainty
-from fusion.estimation.coverage import Polar, polar, region_factor
+from fusion.estimation.acceleration_checks import MISSED, acceleration_notices
+from fusion.estimation.coverage import Polar, region_factor
 from fusion.estimation.instrument_consistency import (
     CommonEstimate,
     Consistency,
@@ -26,10 +26,7 @@ from fusion.estimation.instrument_consistency import (
     explanation_covariance,
     explanations,
     leave_one_out,
-    likely_mistake,
-    missing_covariance,
     suspicions,
-    undetected_errors,
     without_readings,
 )
 from fusion.estimation.least_squares import (
@@ -41,18 +38,17 @@ from fusion.estimation.least_squares import (
     bounded_system,
     products,
     solve,
-    unbounded_text,
 )
 from fusion.estimation.measurement_model import SCALE, Observation, UnobservedMotion
 from fusion.estimation.uncertainty import (
     Contribution,
     Influence,
     Uncertainty,
-    element_covariance,
     merge_contributions,
     polar_elements,
     total_variance,
 )
+from fusion.estimation.undetected_errors import missing_covariance, undetected_errors
 from fusion.estimation.variance_components import (
     Discrepancy,
     EstimatedNoise,
@@ -79,19 +75,29 @@ MOST_LEFT_OUT = 4
 class Acceleration:
     """Six-component acceleration phasors of one body at the sensor origin.
 
-    `phasors` (K, 6) in m/s^2 and rad/s^2, NaN where not `observed` (K, 6). `uncertainty` of the six components, NaN
-    where not observed: noise of every instrument and the common errors, which act on all lines at once. `unknowns`:
-    what the data say of those. `consistency`, `chi2`, `dof` and its `probability` rest on what is stated; `scatter`:
-    instruments whose readings scatter beyond that. `explanations`: where instruments contradict each other, what the
-    estimate is without each suspect; `disputed` (K, 6): values that are not given (not `observed`), since these differ
-    by gross errors and nothing decides between them; None where there are none. `unseen`: what is assumed of components
-    that are not observed, `assumed` (K, 6) their amplitudes by that, infinite where nothing bounds the driven motion;
-    `driven` (K,): limit of that amplitude, None where it is not known what is driven; `leaked` (K, 12, 12): what one
-    standard uncertainty of their [Re, Im] adds to [Re, Im] of the values. `unnoticed`: of the fused estimate, which
-    components an error of a single channel may move by more than U although no test sees it. `posterior` (E, E):
-    covariance of the `unknowns` after the estimate, in their u; of the fused load only, and None where its instruments
-    contradict each other, which tells nothing of unknowns. `products` (E,): by how much, in their u, these act
-    otherwise than to first order (`least_squares.products`).
+    Attributes
+    ----------
+    body, source : body, and instruments used: `fused` or one kind of them.
+    phasors : (K, 6), m/s² and rad/s²; NaN where not observed.
+    observed : (K, 6), components that the readings determine.
+    instruments : names of the instruments used.
+    uncertainty : of the six components; noise and common errors, which act on all lines.
+    consistency : agreement of each instrument with all others.
+    chi2, dof, probability : test of the readings against their stated uncertainties.
+    unknowns : estimates of the common errors.
+    notices : notices of the estimate.
+    scatter : instruments whose readings scatter beyond their stated uncertainties.
+    unseen : limits of components that are not observed.
+    assumed : (K, 6), amplitudes of these components; infinite without a limit of the driven motion.
+    driven : (K,), largest amplitude of the driven motion; None if the drive is not stated.
+    explanations : estimates without each suspect, where instruments contradict each other.
+    disputed : (K, 6), values that are not determined because gross errors of several instruments explain a
+        contradiction; None if there are none.
+    unnoticed : shifts of components by undetected errors of a single channel; of the fused estimate.
+    leaked : (K, 12, 12), change of [Re, Im] per standard uncertainty of unobserved motion.
+    posterior : (E, E), covariance of `unknowns` after the estimate, in their u; of the fused load only, None if its
+        instruments contradict each other.
+    products : (E,), second-order action of the unknowns (`least_squares.products`).
     """
 
     body: str
@@ -121,18 +127,24 @@ class Acceleration:
 
     @cached_property
     def unobserved_amplitude(self) -> FloatArray:
-        """Return what is assumed of components that are not observed (K, 6); 0 of the others."""
-        known = np.asarray(np.nan_to_num(self.phasors.value))
-        return self.unseen.amplitude(known, self.observed) if self.assumed is None else self.assumed
+        """Return the assumed amplitudes (K, 6) of unobserved components, 0 for the others."""
+        value = np.asarray(np.nan_to_num(self.phasors.value))
+        return self.unseen.amplitude(value, self.observed) if self.assumed is None else self.assumed
 
     @property
     def contributions(self) -> tuple[Contribution, ...]:
-        """Return the budget: one contribution per label; they add up to the covariance of the phasors."""
+        """Return the budget, one contribution per label.
+
+        Their sum is the covariance of the phasors.
+        """
         return self.uncertainty.grouped()
 
     @cached_property
     def polar(self) -> list[list[Polar | None]]:
-        """Return the components (K lines of 6) as magnitude and phase, None where one is not observed."""
+        """Return the components (K lines of 6) as magnitude and phase.
+
+        None where one is not observed.
+        """
         return polar_elements(self.phasors.value, self.uncertainty, self.phasors.covariance)
 
 
@@ -145,25 +157,27 @@ def fuse(
 ) -> Acceleration:
     """Estimate the acceleration of `body` from all its instruments, jointly over all lines.
 
-    Instruments without any stated systematic uncertainty are compared with the result, not used, unless there are no
-    others. A component is observed only if the readings of its line determine it by themselves: neither a prior nor an
-    assumption about other components enters. Readings of one instrument that contradict a rigid motion get a `scatter`
-    of their own, estimated before they are weighted where none is given. If the instruments then still contradict each
-    other at 1 %, what they differ by is a further unknown of each, what remains even so enlarges U by the Birge ratio,
-    and U reaches what the estimate is without each suspect. A single suspect that is a gross error is left out; where
-    gross errors of several instruments would explain a contradiction, what they change is given no value.
+    Instruments without a stated systematic uncertainty are compared with the result and not used, unless there are no
+    others. A component is observed only if the readings of its line determine it, without priors and without
+    assumptions about other components.
+
+    Readings of one instrument that contradict a rigid motion get a `scatter`, estimated before they are weighted if
+    none is given. If the instruments then contradict each other at 1 %, their differences become further unknowns, and
+    the Birge ratio enlarges U for the remaining ones. U also covers the estimates without each suspect. A single
+    suspect with a gross error is rejected. Where gross errors of several instruments would explain a contradiction, the
+    affected components have no value.
     """
-    own = [observation for observation in observations if observation.body == body]
-    if not own:
+    of_body = [observation for observation in observations if observation.body == body]
+    if not of_body:
         raise ValueError(f"observations: expected at least one of body {body}, found none")
-    stated = [observation for observation in own if observation.stated]
-    system, alone, out = reject_gross_errors(stated or own, unobserved_motion)
+    stated = [observation for observation in of_body if observation.stated]
+    system, alone, out = reject_gross_errors(stated or of_body, unobserved_motion)
     solved = solve_consistently(system, alone, scatter)
-    first, final, parts, open_ = solved.stated, solved.final, solved.parts, solved.suspicions
+    first, final, parts, remaining_suspicions = solved.stated, solved.final, solved.parts, solved.suspicions
     unknowns = common_estimates(system.common, first)
-    suspects = [name for one in open_ for name in one.names]
+    suspects = [name for one in remaining_suspicions for name in one.names]
     tests = leave_one_out(system, first, suspects) if parts or source == "fused" else ()
-    unclear = disputed_values(system, first, open_)
+    unclear = disputed_values(system, first, remaining_suspicions)
     given = replace(system, observed=system.observed & ~unclear)
     uncertainty, leaked = _uncertainty(given, solved)
     largest = np.argmax(np.where(given.observed, np.abs(final.acceleration / SCALE), -1.0), axis=1)
@@ -175,7 +189,7 @@ def fuse(
         unit=component_units(2),
         dof=uncertainty.dof()[np.arange(len(largest)), largest],
     )
-    for observation in own if stated else ():
+    for observation in of_body if stated else ():
         if not observation.stated:
             tests += compare(observation, phasors.value, phasors.covariance)
     result = Acceleration(
@@ -194,7 +208,7 @@ def fuse(
         unseen=system.unobserved_motion,
         assumed=system.unobserved_motion.amplitude(final.acceleration, given.observed, system.share),
         driven=system.driven_limit(final.acceleration),
-        explanations=explanations(system, first, open_),
+        explanations=explanations(system, first, remaining_suspicions),
         disputed=unclear if np.any(unclear) else None,
         unnoticed=unnoticed(given, first) if source == "fused" and stated else (),
         leaked=leaked,
@@ -202,18 +216,22 @@ def fuse(
     )
     if (body, source) == ("load", "fused") and system.common and not solved.contradicted:
         result = replace(result, posterior=final.posterior, products=products(system, final.acceleration))
-    swapped = exchanged_channels(system, first, open_) if any(one.gross for one in open_) else ()
+    swapped = (
+        exchanged_channels(system, first, remaining_suspicions)
+        if any(one.gross for one in remaining_suspicions)
+        else ()
+    )
     contradicted = deviating_unknowns(system, first, unknowns) if solved.contradicted else None
-    return replace(result, notices=_notices(result, bool(stated), contradicted, swapped))
+    return replace(result, notices=acceleration_notices(result, bool(stated), contradicted, swapped))
 
 
 def reject_gross_errors(
     observations: Sequence[Observation], unobserved_motion: UnobservedMotion | None = None
 ) -> tuple[FusionSystem, FusionSolution, tuple[Consistency, ...]]:
-    """Return the system without the readings that are gross errors by all others (NaN), its solution, and those errors.
+    """Return the system without gross errors, its solution, and the tests of the rejected readings.
 
-    Left out is what alone would explain that readings contradict each other, one after another. Where several would,
-    none is.
+    A reading is rejected (NaN) if it alone explains that readings contradict each other, one after another. If several
+    would explain it, none is rejected.
     """
     out: list[Consistency] = []
     system = bounded_system(observations, unobserved_motion)
@@ -233,12 +251,13 @@ def reject_gross_errors(
 
 @dataclass(frozen=True)
 class ConsistentSolution:
-    """A system solved with what is `stated`, and, where this is contradicted, with discrepancies (`parts`): `final`.
+    """A system solved as stated, and with discrepancies where the readings contradict that.
 
-    `scatter`: of the instruments whose own readings contradict a rigid motion; `birge`: by which factor variances grow
-    where the lines agree by themselves and contradict each other only together; `beside`: the unknowns that may be the
-    cause of a contradiction, of which U has no less than they do, also in components that one instrument alone sees;
-    `contradicted`: what is stated is, and `open` are the explanations of that.
+    `stated`: solution by the stated uncertainties. `final`: solution with the discrepancies `parts`. `scatter`: of
+    instruments whose readings contradict a rigid motion. `birge`: factor of variances if the lines agree separately and
+    contradict each other only together. `undetected`: unknowns that may cause a contradiction, which U includes also in
+    components that a single instrument observes. `contradicted`: whether the readings contradict the stated
+    uncertainties; `suspicions`: explanations of that.
     """
 
     stated: FusionSolution
@@ -254,50 +273,50 @@ class ConsistentSolution:
 def solve_consistently(
     system: FusionSystem, first: FusionSolution, scatter: tuple[Scatter, ...] | None = None
 ) -> ConsistentSolution:
-    """Solve a system anew from its `first` solution, by what is stated, where the readings contradict that.
+    """Solve a system with discrepancies if its `first` solution is contradicted.
 
-    They then get the discrepancies that `fuse` tells of.
+    The discrepancies are those that `fuse` describes.
     """
     contradicted = contradicts(system, first, common_estimates(system.common, first))
-    open_ = suspicions(system, first) if contradicted else ()
+    found = suspicions(system, first) if contradicted else ()
     scatter = estimate_scatter(system, first) if scatter is None else scatter
     parts = scatter_covariances(system, first.acceleration, scatter)
     final = solve(system, np.sum([p.covariance for p in parts], axis=0)) if parts else first
-    birge, beside = 1.0, None
+    birge, undetected = 1.0, None
     unknowns = common_estimates(system.common, final)
     if contradicts(system, final, unknowns):
-        beside = undetected_errors(system, final, unknowns, INCONSISTENCY)
+        undetected = undetected_errors(system, final, unknowns, INCONSISTENCY)
         failing = failing_lines(system, final)
         parts.append(disagreement(system, final, failing or range(len(system.observed)), INCONSISTENCY))
         final = solve(system, np.sum([p.covariance for p in parts], axis=0))
         noise = EstimatedNoise.of(system, final.effects)
         beyond = not failing and noise.fails(final.chi2, final.dof, final.projector)
         birge = final.chi2 / final.dof if beyond else 1.0
-    return ConsistentSolution(first, final, scatter, tuple(parts), birge, beside, contradicted, open_)
+    return ConsistentSolution(first, final, scatter, tuple(parts), birge, undetected, contradicted, found)
 
 
 def fuse_sources(
     observations: Sequence[Observation], body: str, unobserved_motion: UnobservedMotion | None = None
 ) -> tuple[Acceleration, ...]:
-    """Return the fused acceleration of `body`, then that of each kind of instrument alone where it determines any.
+    """Return the fused acceleration of `body` and that of each kind of instrument alone.
 
-    The scatter of an instrument is estimated once, so that no source claims more of it than another, and the driven
-    motion is bounded by all instruments.
+    Kinds that determine no component are omitted. The scatter of an instrument is estimated once for all sources, and
+    the driven motion is limited by all instruments.
     """
-    own = [observation for observation in observations if observation.body == body]
-    fused = fuse(own, body, unobserved_motion=unobserved_motion)
+    of_body = [observation for observation in observations if observation.body == body]
+    fused = fuse(of_body, body, unobserved_motion=unobserved_motion)
     accelerations = [fused]
-    known = None if unobserved_motion is None else replace(unobserved_motion, driven=fused.driven)
+    limits = None if unobserved_motion is None else replace(unobserved_motion, driven=fused.driven)
     for source in SINGLE_SOURCES:
-        alone = [observation for observation in own if observation.kind == source]
+        alone = [observation for observation in of_body if observation.kind == source]
         if not alone:
             continue
         used = any(observation.title in fused.instruments for observation in alone)
-        if len(alone) == len(own):
+        if len(alone) == len(of_body):
             result = replace(fused, source=source, posterior=None, products=None)
         else:
             try:
-                result = fuse(alone, body, source, fused.scatter if used else None, known)
+                result = fuse(alone, body, source, fused.scatter if used else None, limits)
             except Unbounded:
                 continue
         if np.any(result.observed):
@@ -306,9 +325,9 @@ def fuse_sources(
 
 
 def _uncertainty(system: FusionSystem, solved: ConsistentSolution) -> tuple[Uncertainty, FloatArray]:
-    """Split gain · V · gain^T of every line into noise per instrument, discrepancies and common errors.
+    """Split gain · V · gain^T of every line into noise, discrepancies and common errors.
 
-    With it, what motion that nobody observes does to the estimate by itself (`Acceleration.leaked`).
+    Also return the direct effect of unobserved motion on the estimate (`Acceleration.leaked`).
     """
     solution, lines = solved.final, len(system.observed)
     hidden = ~np.tile(system.observed, (1, 2))
@@ -327,55 +346,51 @@ def _uncertainty(system: FusionSystem, solved: ConsistentSolution) -> tuple[Unce
         missing = missing_covariance(carried(solved.undetected.covariance), allowed)
         parts.append(Contribution(solved.undetected.label, "A", missing, solved.undetected.dof))
     if solved.suspicions:
-        wanted = explanation_covariance(solved.stated, solved.suspicions, solution.acceleration)
-        allowed = np.sum([np.zeros_like(wanted), *(part.covariance for part in parts)], axis=0)
-        parts.append(Contribution(EXPLANATIONS, "B", missing_covariance(wanted, allowed)))
+        required = explanation_covariance(solved.stated, solved.suspicions, solution.acceleration)
+        allowed = np.sum([np.zeros_like(required), *(part.covariance for part in parts)], axis=0)
+        parts.append(Contribution(EXPLANATIONS, "B", missing_covariance(required, allowed)))
     estimated = EstimatedNoise.of(system, solution.effects)
-    for place, observation in enumerate(system.observations):
-        rows = np.flatnonzero(system.observation == place)
+    for index, observation in enumerate(system.observations):
+        rows = np.flatnonzero(system.observation == index)
         dof = np.nan_to_num(observation.phasors.dof, nan=np.inf, posinf=np.inf)
-        own = carried(noise[np.ix_(rows, rows)], rows) + estimated.lost(solution.projector, gain, rows)
-        parts.append(Contribution(f"{observation.title}: noise", "A", own, dof))
+        part_covariance = carried(noise[np.ix_(rows, rows)], rows) + estimated.lost(solution.projector, gain, rows)
+        parts.append(Contribution(f"{observation.title}: noise", "A", part_covariance, dof))
     leaked, rest = solution.hidden.carried(system, gain)
     if np.any(rest):
         parts.append(Contribution(UNOBSERVED, "B", rest))
-    for place, label in enumerate(UNOBSERVED_ITSELF):
-        own = leaked[:, :, [place, place + 6]]
-        if np.any(own):
-            parts.append(Contribution(label, "B", own @ own.swapaxes(1, 2)))
+    for index, label in enumerate(UNOBSERVED_ITSELF):
+        part_covariance = leaked[:, :, [index, index + 6]]
+        if np.any(part_covariance):
+            parts.append(Contribution(label, "B", part_covariance @ part_covariance.swapaxes(1, 2)))
     if solved.birge > 1.0:
         excess = (solved.birge - 1.0) * carried(solution.noise + solution.effects @ solution.effects.T)
         parts.append(Contribution(INCONSISTENCY, "A", excess, np.full(lines, max(solution.dof / lines, 1.0))))
     effects = np.where(hidden[:, :, None], np.nan, gain @ solution.effects)
     influences = [
-        Influence(c.name, c.label, c.u, c.unit, effects[:, :, place], c.scope, c.type, c.dof)
-        for place, c in enumerate(system.common)
+        Influence(c.name, c.label, c.u, c.unit, effects[:, :, index], c.scope, c.type, c.dof)
+        for index, c in enumerate(system.common)
     ]
     unknown = hidden[:, :, None] | hidden[:, None, :]
     random = [replace(part, covariance=np.where(unknown, np.nan, part.covariance)) for part in parts]
     return Uncertainty(merge_contributions(random), tuple(influences)), np.where(hidden[:, :, None], 0.0, leaked)
 
 
-# What an estimated acceleration wants the user to know: what is missing, who disagrees, what nothing tests.
+# Unknowns that the data cannot test, and errors that they cannot detect.
 
 REMAINING = 0.9
-"""Where more than this share of a stated uncertainty remains, an error of three times as much would not be noticed."""
+"""Remaining share of a stated uncertainty above which an error of three times its size is undetected."""
 NOTABLE_SHARE = 0.1
-"""Least share in the variance of a component for which an untested unknown is worth a word."""
-EQUALLY_LIKELY = 0.95
-MOST_NAMED = 3
-MISSED = 5.0
-"""Times its stated uncertainty: the largest error of a channel that is looked for among those that no test need see."""
+"""Share in the variance of a component above which an untested unknown is listed (chosen)."""
 POWER = 0.8
-"""Chance with which the test sees an error that counts as noticed (Baarda's β)."""
+"""Probability with which the test detects an error (Baarda's β)."""
 
 
 @dataclass(frozen=True)
 class Untested:
-    """An unknown that the data cannot test: its stated `u` in `unit` is taken as it is.
+    """An unknown that the data cannot test, with its stated `u` in `unit`.
 
-    `share`: its part in the variance of the `component` that it touches most, at the strongest line; `relative`: what
-    one standard uncertainty does to that component, over the component's amplitude.
+    `share`: part in the variance of the `component` that it affects most, at the strongest line. `relative`: change of
+    that component per standard uncertainty, over the component's amplitude.
     """
 
     name: str
@@ -410,7 +425,10 @@ def untested(result: Acceleration) -> tuple[Untested, ...]:
 
 @dataclass(frozen=True)
 class Unnoticed:
-    """What an error of one `channel` (or stereo pair) alone may move a `component` by, `shift` of its U, unnoticed."""
+    """Shift of a `component` by an undetected error of one `channel` or stereo pair.
+
+    `shift`: in units of U.
+    """
 
     channel: str
     component: str
@@ -418,26 +436,28 @@ class Unnoticed:
 
 
 def unnoticed(system: FusionSystem, solution: FusionSolution) -> tuple[Unnoticed, ...]:
-    """Return what errors of single channels that a test may miss move by more than U as stated, at the strongest line.
+    """Return shifts beyond U by undetected errors of single channels, at the strongest line.
 
-    Reliability of a network (Baarda 1968, A testing procedure for use in geodetic networks): chi-square at 1 % sees an
-    error δ of the readings I with 80 % where its noncentrality δᵀ·P_II·δ is λ (internal reliability); one below that
-    moves the estimate by gain_I·δ (external reliability). Looked for are errors δ = R·z, R being the effects of one
-    standard uncertainty of the unknowns that act on I alone, with |z| up to 5. With the eigenvalues p of RᵀP_II·R each
-    of its directions goes to z² = min(25, λ/p): an ellipsoid inside both limits. Of a value it covers √μ standard
-    deviations, μ the largest eigenvalue of the ellipsoid in that value over its covariance. U that held these errors,
-    which the readings hardly show, would be too large wherever all is as stated (docs/uncertainty.md).
+    Reliability of a network (Baarda 1968, A testing procedure for use in geodetic networks). Chi-square at 1 % detects
+    an error δ of the readings I with 80 % if its noncentrality δᵀ·P_II·δ is λ (internal reliability). A smaller one
+    moves the estimate by gain_I·δ (external reliability).
+
+    The errors examined are δ = R·z, with the effects R of one standard uncertainty of the unknowns that act on I alone
+    and |z| up to 5. With the eigenvalues p of RᵀP_II·R each direction reaches z² = min(25, λ/p): an ellipsoid inside
+    both limits. It covers √μ standard deviations of a value, μ being the largest eigenvalue of the ellipsoid in that
+    value over its covariance. Including these errors would make U too large wherever the statements are correct
+    (docs/uncertainty.md).
     """
     line = int(np.argmax(np.linalg.norm(solution.acceleration / SCALE, axis=1)))
     limit = EstimatedNoise.of(system, solution.effects).noticed(solution.dof, solution.projector, POWER)
     gain = solution.gain[12 * line : 12 * line + 12]
     covariance, touched, found = as_stated(solution, gain), solution.effects != 0.0, list[Unnoticed]()
-    for place, name in enumerate(system.member_names):
-        rows = np.flatnonzero(system.member == place)
+    for index, name in enumerate(system.member_names):
+        rows = np.flatnonzero(system.member == index)
         alone = touched[rows].any(axis=0) & (touched[rows].sum(axis=0) == touched.sum(axis=0))
-        own = solution.effects[np.ix_(rows, alone)]
-        power, vectors = np.linalg.eigh(own.T @ solution.projector[np.ix_(rows, rows)] @ own)
-        reach = gain[:, rows] @ own @ (vectors / np.sqrt(np.maximum(1.0 / MISSED**2, power / limit)))
+        effects = solution.effects[np.ix_(rows, alone)]
+        power, vectors = np.linalg.eigh(effects.T @ solution.projector[np.ix_(rows, rows)] @ effects)
+        reach = gain[:, rows] @ effects @ (vectors / np.sqrt(np.maximum(1.0 / MISSED**2, power / limit)))
         moved = reach @ reach.T
         for c in np.flatnonzero(system.observed[line]).tolist():
             both = np.ix_([c, c + 6], [c, c + 6])
@@ -445,154 +465,3 @@ def unnoticed(system: FusionSystem, solution: FusionSolution) -> tuple[Unnoticed
             shift = float(np.sqrt(largest) / region_factor(np.inf))
             found += [Unnoticed(name, MOTION_COMPONENTS[c], shift)] if shift > 1.0 else []
     return tuple(found)
-
-
-def _notices(
-    result: Acceleration,
-    stated: bool,
-    contradicted: Mapping[CommonEstimate, bool] | None,
-    swapped: Sequence[tuple[str, str]],
-) -> tuple[Notice, ...]:
-    """Return the notices of an estimate.
-
-    `stated`: some instrument states a systematic uncertainty; `contradicted`: the unknowns that deviate as they come
-    out of what is stated, where the readings contradict that, and whether they explain it; `swapped`: channels that,
-    exchanged, leave no contradiction.
-    """
-    notices = []
-    titles = ", ".join(result.instruments)
-    seen = result.observed if result.disputed is None else result.observed | result.disputed
-    for pattern in [] if np.all(seen) else np.unique(~seen, axis=0):
-        if np.any(pattern):
-            lines = int(np.sum(np.all(seen == ~pattern, axis=1)))
-            missing = ", ".join(name for name, hidden in zip(MOTION_COMPONENTS, pattern, strict=True) if hidden)
-            text = (
-                f"{missing} of the {result.body} cannot be told from the readings of {titles} at {lines} of "
-                f"{len(result.observed)} lines: too few points, directions or usable lines; no values are given"
-            )
-            notices.append(Notice("note", text, result.body))
-    if np.any(np.isinf(result.unobserved_amplitude)):
-        observed = np.any(result.observed, axis=0)
-        notices.append(Notice("warning", unbounded_text(result.body, result.unseen, observed), result.body))
-    if not stated:
-        text = f"no instrument ({titles}) states a systematic uncertainty: U contains noise only"
-        notices.append(Notice("warning", text, result.body))
-    for test in (test for test in result.consistency if test.left_out):
-        text = f"{test.instrument} is left out of the {result.body}, a gross error or a wrong statement: it lies "
-        text += f"{_deviation(test)}; without it all others agree"
-        notices.append(Notice("warning", text, test.instrument))
-    for test in (test for test in result.consistency if not test.used and not test.left_out):
-        text = (
-            "states no systematic uncertainty and was compared, not fused: "
-            f"{test.normalised_deviation:.2g} times its standard uncertainty from the others, reading/prediction "
-            f"{abs(test.ratio):.5g} at {np.angle(test.ratio):.5f} rad"
-        )
-        notices.append(Notice("note", text, test.instrument))
-    if contradicted is not None:
-        notices.append(_disagreement(result, contradicted, swapped))
-    for scatter in result.scatter:
-        line = int(np.argmax(np.hypot(scatter.amplitude, scatter.phase)))
-        text = (
-            "its readings scatter beyond what is stated of them: by "
-            f"{scatter.amplitude[line]:.2g} of the motion in amplitude and {scatter.phase[line]:.2g} rad in phase at "
-            f"{result.phasors.frequency_hz[line]:.6g} Hz; this scatter is in U"
-        )
-        notices.append(Notice("warning", text, scatter.instrument))
-    rows = untested(result) if result.source == "fused" and stated else ()
-    if rows:
-        listed = ", ".join(f"{row.name} ({row.share:.0%} of the variance of {row.component})" for row in rows)
-        text = f"not tested by these data, in U as stated: {listed}"
-        notices.append(Notice("note", text, result.body))
-    if result.unnoticed:
-        text = (
-            f"an error of one channel alone, of up to {MISSED:g} of its stated standard uncertainties, that the other "
-            f"readings need not notice is not in U; beyond U it can move {_moved(result.unnoticed)}"
-        )
-        notices.append(Notice("note", text, result.body))
-    return tuple(notices)
-
-
-def _moved(found: Sequence[Unnoticed]) -> str:
-    """Which components errors move, how far, and of which channels."""
-    told = []
-    for component in dict.fromkeys(one.component for one in sorted(found, key=lambda one: -one.shift)):
-        own = [one for one in found if one.component == component]
-        most = max(one.shift for one in own)
-        told.append(f"{component} (up to {most:.2g} U: {', '.join(one.channel for one in own)})")
-    return ", ".join(told)
-
-
-def _deviation(test: Consistency) -> str:
-    """How far the readings of an instrument are from the others, and what that looks like."""
-    text = f"{test.normalised_deviation:.3g} standard uncertainties from the others"
-    if np.isfinite(test.ratio):
-        text += f", reading/prediction {abs(test.ratio):.5g} at {np.angle(test.ratio):.5f} rad"
-        mistake = likely_mistake(test.ratio)
-        text += f", as if {mistake}" if mistake else ""
-    return text
-
-
-def _disagreement(
-    result: Acceleration, unknowns: Mapping[CommonEstimate, bool], swapped: Sequence[tuple[str, str]]
-) -> Notice:
-    """Name who deviates from the others, and which stated unknown would explain it."""
-    chi2 = f"chi-square {result.chi2:.3g} for {result.dof} degrees of freedom"
-    text = f"the instruments of the {result.body} disagree ({chi2})"
-    used = [test for test in result.consistency if test.used and np.isfinite(test.normalised_deviation)]
-    used = sorted(used, key=lambda test: -test.normalised_deviation)
-    suspects = [test for test in used if test.suspect]
-    for test in suspects or used[:1]:
-        text += f"; {test.instrument} lies {_deviation(test)}"
-    named = [one.suspect for one in result.explanations]
-    if len(named) == 1:
-        text += f"; without {named[0]} all others agree" if suspects[1:] else "; without it all others agree"
-    elif all(one in (test.instrument for test in suspects) for one in named):
-        text += "; without any one of these the others agree"
-    else:
-        text += f"; the others agree without {', or without '.join(named)}"
-    text += "".join(f"; all agree if {a} and {b} are exchanged" for a, b in swapped)
-    text += _causes(result, unknowns)
-    if result.disputed is None:
-        return Notice("warning", text + "; U was enlarged to cover the disagreement", result.body)
-    return Notice("warning", f"{text}; nothing decides, so no mean is given: {_values(result)}", result.body)
-
-
-def _causes(result: Acceleration, deviating: Mapping[CommonEstimate, bool]) -> str:
-    """Which stated unknowns explain a contradiction; else those that would have to be wrong beyond reason."""
-
-    def wants(unknown: CommonEstimate) -> str:
-        unit = "" if unknown.unit == "1" else f" {unknown.unit}"
-        times = f"{abs(unknown.unconstrained_value) / unknown.u:.3g} times its standard uncertainty"
-        return f"{unknown.name} would have to be {unknown.unconstrained_value:.2g}{unit} ({times})"
-
-    # Those that deviate most, those that the readings cannot tell apart included.
-    ranked = sorted(deviating, key=lambda unknown: -abs(unknown.deviation))
-    possible, gross = [u for u in ranked if not u.gross], [u for u in ranked if u.gross]
-    possible, gross = (
-        [u for u in some if abs(u.deviation) >= EQUALLY_LIKELY * abs(some[0].deviation)] for some in (possible, gross)
-    )
-    explain = [u for u in possible if deviating[u]]
-    if explain and result.disputed is None:
-        return "".join(f"; {wants(unknown)}" for unknown in explain)
-    return f"; gross error or wrong statement: {', or '.join(map(wants, gross[:MOST_NAMED]))}" if gross else ""
-
-
-def _values(result: Acceleration) -> str:
-    """What a disputed value is without each suspect: at the line and of the component where it is largest."""
-    assert result.disputed is not None
-    values = np.stack([one.value for one in result.explanations])
-    size = np.max(np.abs(np.nan_to_num(values / SCALE)), axis=0)
-    # Rather one that each of them determines.
-    size = np.where(np.all(np.isfinite(values), axis=0), 1e6 * size, size)
-    line, c = np.unravel_index(np.argmax(np.where(result.disputed, size, -1.0)), size.shape)
-    told = []
-    for one in result.explanations:
-        text = "not determined"
-        if np.isfinite(one.value[line, c]):
-            found = polar(complex(one.value[line, c]), element_covariance(one.covariance[line], int(c)))
-            number = round_to_uncertainty(found.magnitude, found.expanded_magnitude, 0)
-            text = f"({number.value} ± {number.expanded}) {result.phasors.unit[c]}"
-        told.append(f"{text} without {one.suspect}")
-    names = [MOTION_COMPONENTS[c] for c in np.flatnonzero(np.any(result.disputed, axis=0))]
-    at = f"{MOTION_COMPONENTS[c]} at {result.phasors.frequency_hz[line]:.6g} Hz"
-    return f"{', '.join(names)} have no value; {at} is {', '.join(told)} (U, k = 2)"

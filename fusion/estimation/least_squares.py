@@ -1,4 +1,4 @@
-"""Readings of all lines as real rows; accelerations and common errors together by whitened least squares."""
+"""Readings of all lines as real rows, and their whitened least squares with common errors."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ from scipy.linalg import block_diag, solve_triangular
 from scipy.sparse import csr_array, diags_array
 
 from fusion.errors import ComputeError
+from fusion.estimation.estimation_notices import UNBOUNDED_READINGS
 from fusion.estimation.measurement_model import SCALE, UnobservedMotion, relative_change
 from fusion.estimation.uncertainty import as_complex, real_design, real_stack
 from shaker.arrays import BoolArray, ComplexArray, FloatArray, IntArray
@@ -19,23 +20,23 @@ from shaker.labels import MOTION_COMPONENTS
 if TYPE_CHECKING:
     from fusion.estimation.measurement_model import CommonError, Observation
 
-# The linear system behind the fusion: readings of all lines as real rows, and what their common errors do to them.
+# The linear system of the fusion: readings of all lines as real rows, and the effects of their common errors.
 
 
 RANK_TOLERANCE = 1e-6
 RESOLUTION_TOLERANCE = 1e-6
 ROUNDING = 1e-9
 UNOBSERVED = "unobserved motion"
-"""Label of what components that nobody observes do to observed ones, through uncertain directions and places."""
+"""Label of effects of unobserved components on observed ones, through uncertain directions and positions."""
 UNOBSERVED_ITSELF = tuple(f"unobserved {name}" for name in MOTION_COMPONENTS)
-"""Labels of what such a component does by itself: to readings whose rows have it, and to the load."""
+"""Labels of direct effects of such a component on readings and on the load."""
 
 
 def row_space(observations: Sequence[Observation], line: int) -> ComplexArray:
-    """Return a basis (6, R) of the accelerations that the usable readings of one line determine.
+    """Return a basis (6, R) of the accelerations that usable readings determine.
 
-    Rows are brought to equal length and rotations measured by `BODY_SIZE_M`, so that only the geometry decides;
-    directions whose singular value is below 1e-6 of the largest are left out. Of beams that nearly follow an axis the
+    At one line. Rows have equal length, and rotations are scaled by `BODY_SIZE_M`, so that only the geometry decides.
+    Directions whose singular value is below 1e-6 of the largest are omitted. For beams that nearly follow an axis, the
     rows along that axis decide.
     """
     stacked = np.concatenate([o.main_design[line][np.isfinite(o.phasors.value[line])] * SCALE for o in observations])
@@ -48,16 +49,19 @@ def row_space(observations: Sequence[Observation], line: int) -> ComplexArray:
 
 
 def observed_components(basis: ComplexArray) -> BoolArray:
-    """Return which components (6,) lie in the row space: diagonal of the resolution matrix equal to 1 (within 1e-6)."""
+    """Return which components (6,) lie in the row space of `basis`.
+
+    Their diagonal element of the resolution matrix is 1 within 1e-6.
+    """
     return np.asarray(np.sum(np.abs(basis) ** 2, axis=1) > 1.0 - RESOLUTION_TOLERANCE)
 
 
 @dataclass(frozen=True)
 class RowErrors:
-    """What the common errors of one observation do to its real rows, a `block` of the system's.
+    """Effects of the common errors of one observation on its real rows.
 
-    Effect (n, e) of one standard uncertainty on the rows: `slope` (n, e, 12) · [Re A, Im A] of the row's line +
-    `offset` (n, e), for the system's errors `columns` (e,).
+    `block`: these rows of the system. The effect (n, e) of one standard uncertainty is `slope` (n, e, 12) · [Re A, Im
+    A] of the row's line + `offset` (n, e), for the system's errors `columns` (e,).
     """
 
     block: slice
@@ -70,14 +74,15 @@ class RowErrors:
 class FusionSystem:
     """All usable readings of a set of observations as N real rows.
 
-    `readings` (N,), `design` (N, P) on the reduced unknowns, `noise` (N, N), `size` (N,) the largest reading of the
-    row's instrument at its line; `line`, `observation`, `channel` (of the observation), `member` (N,): where each row
-    belongs; `pairs` (N/2, 2): the rows of the real and the imaginary part of every reading; `member_names`; `expand`
-    (12K, P) from the unknowns to [Re A_k, Im A_k] of all lines; `observed` (K, 6); `common`: the E common errors, each
-    once; `errors`: their effects, observation by observation. `unseen`: what is assumed of components that nobody
-    observes; `share` (K,): which part of the driven motion is observed (`driven_share`); `beyond` (N, 12): how
-    [Re A, Im A] that are not among the unknowns act on the rows; `ways`: for each line its rows and, sparse, how they
-    act through common errors, 12 columns for each.
+    `readings` (N,); `design` (N, P) on the reduced unknowns; `noise` (N, N); `size` (N,): largest reading of the row's
+    instrument at its line. `line`, `observation`, `channel` (of the observation), `member` (N,): to which each row
+    belongs. `pairs` (N/2, 2): rows of real and imaginary part of every reading. `member_names`. `expand` (12K, P): from
+    the unknowns to [Re A_k, Im A_k] of all lines. `observed` (K, 6). `common`: the E common errors, each once;
+    `errors`: their effects per observation.
+
+    `unobserved_motion`: its assumed limits. `share` (K,): observed part of the driven motion (`driven_share`). `beyond`
+    (N, 12): effect of [Re A, Im A] that are not among the unknowns on the rows. `couplings`: for each line its rows
+    and, sparse, the effect of such motion through common errors, 12 columns for each.
     """
 
     observations: tuple[Observation, ...]
@@ -101,7 +106,10 @@ class FusionSystem:
     couplings: tuple[tuple[IntArray, csr_array], ...] = ()
 
     def effects(self, acceleration: ComplexArray) -> FloatArray:
-        """Return (N, E): change of the readings for one standard uncertainty of each common error, at A (K, 6)."""
+        """Return the changes (N, E) of the readings per standard uncertainty of each common error.
+
+        At the acceleration A (K, 6).
+        """
         effects = np.zeros((len(self.readings), len(self.common)))
         motion = real_stack(acceleration)[self.line]
         for part in self.errors:
@@ -110,42 +118,45 @@ class FusionSystem:
         return effects
 
     def driven_limit(self, acceleration: ComplexArray) -> FloatArray | None:
-        """Return up to which amplitude (K,) the driven motion goes, None where it is not known what is driven."""
+        """Return the largest amplitude (K,) of the driven motion, or None.
+
+        None if the drive is not stated.
+        """
         if self.unobserved_motion.drive is None or self.share is None:
             return None
         return self.unobserved_motion.driven_amplitude(acceleration, self.share)
 
     def hidden(self, acceleration: ComplexArray) -> UnobservedEffects:
-        """Return what components that nobody observes, zero in the estimate A (K, 6), do to the readings.
+        """Return the effects of unobserved components on the readings.
 
-        They are given the amplitudes of `unseen`; motions of different lines have nothing in common. A laser that may
-        point 5 mrad aside sees that share of a transverse motion, and all lasers of a head that is turned see the same.
-        A product of two unknowns, error times motion, has the product of their variances; it is shared by all readings
-        that share the error.
+        These components are zero in the estimate A (K, 6) and have the amplitudes of `unobserved_motion`; motions of
+        different lines are independent. A laser beam 5 mrad off its axis measures that share of a transverse motion,
+        and all beams of a tilted head measure the same. A product of two unknowns, error times motion, has the product
+        of their variances. All readings that share the error share it.
         """
         amplitude = self.unobserved_motion.amplitude(acceleration, self.observed, self.share)
-        # What nothing bounds reaches no reading that is left (`without_unbounded`).
+        # Unbounded motion reaches none of the remaining readings (`without_unbounded`).
         u = np.tile(np.where(np.isinf(amplitude), 0.0, amplitude) / np.sqrt(2.0), (1, 2))
-        own, count = self.beyond * u[self.line], len(self.readings)
+        direct, count = self.beyond * u[self.line], len(self.readings)
         through, total = np.zeros((count, count)), np.zeros((count, count))
-        for (rows, ways), parts in zip(self.couplings, u, strict=True):
+        for (rows, coupling), parts in zip(self.couplings, u, strict=True):
             if np.any(parts > 0.0):
-                here, seen = np.ix_(rows, rows), ways @ diags_array(np.tile(parts, ways.shape[1] // 12))
-                through[here] = (seen @ seen.T).toarray()
-                total[here] = through[here] + own[rows] @ own[rows].T
-        return UnobservedEffects(own, through, total)
+                block, seen = np.ix_(rows, rows), coupling @ diags_array(np.tile(parts, coupling.shape[1] // 12))
+                through[block] = (seen @ seen.T).toarray()
+                total[block] = through[block] + direct[rows] @ direct[rows].T
+        return UnobservedEffects(direct, through, total)
 
     def acceleration(self, unknowns: FloatArray) -> ComplexArray:
-        """Return A (K, 6) from the reduced unknowns (P,); what no reading determines is zero."""
+        """Return A (K, 6) from the reduced unknowns (P,), zero where no reading determines it."""
         return as_complex((self.expand @ unknowns).reshape(-1, 12))
 
 
 @dataclass(frozen=True)
 class UnobservedEffects:
-    """What components that nobody observes do to the N readings of a system.
+    """Effects of unobserved components on the N readings of a system.
 
-    `own` (N, 12): by themselves, for one standard uncertainty of [Re, Im] of each at the row's line; `through` (N, N):
-    covariance by their products with common errors; `covariance` (N, N): of both.
+    `direct` (N, 12): effect on the row for one standard uncertainty of [Re, Im] of each component at the row's line.
+    `through` (N, N): covariance of products with common errors. `covariance` (N, N): of both.
     """
 
     direct: FloatArray
@@ -153,10 +164,10 @@ class UnobservedEffects:
     covariance: FloatArray
 
     def carried(self, system: FusionSystem, gain: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return what an estimate of `gain` (K, 12, N) makes of it: two arrays (K, 12, 12).
+        """Return the effects on an estimate of `gain` (K, 12, N).
 
-        What one standard uncertainty of each such [Re, Im] adds to [Re A, Im A] of its line, and the covariance
-        from common errors and from other lines.
+        Two arrays (K, 12, 12): the change of [Re A, Im A] of a line for one standard uncertainty of each such [Re, Im],
+        and the covariance from common errors and from other lines.
         """
         rest = np.asarray(gain @ self.through @ gain.swapaxes(1, 2))
         leaked = np.zeros_like(rest)
@@ -169,7 +180,10 @@ class UnobservedEffects:
 
 @dataclass(frozen=True)
 class RowIndex:
-    """Which reading each real row (n,) of one observation is: `line`, `channel`, and whether its imaginary part."""
+    """Reading of each real row (n,) of one observation.
+
+    `line`, `channel`, and whether it is the imaginary part.
+    """
 
     line: IntArray
     channel: IntArray
@@ -188,13 +202,19 @@ class RowIndex:
         return np.where(self.imaginary, chosen.imag, chosen.real)
 
     def design(self, matrix: ComplexArray) -> FloatArray:
-        """Return (..., K, M, 6) complex rows as (..., n, 12) real rows that act on [Re A, Im A]."""
+        """Return complex rows (..., K, M, 6) as real rows (..., n, 12).
+
+        They act on [Re A, Im A].
+        """
         chosen = matrix[..., self.line, self.channel, :]
-        turned = np.where(self.imaginary[:, None], -1j * chosen, chosen)
-        return np.concatenate([turned.real, -turned.imag], axis=-1)
+        rotated = np.where(self.imaginary[:, None], -1j * chosen, chosen)
+        return np.concatenate([rotated.real, -rotated.imag], axis=-1)
 
     def covariance(self, covariance: FloatArray) -> FloatArray:
-        """Return the covariance (n, n) of the rows from that (K, 2M, 2M) of every line."""
+        """Return the covariance (n, n) of the rows from that of every line.
+
+        `covariance` (K, 2M, 2M).
+        """
         both = self.channel + self.imaginary * (covariance.shape[1] // 2)
         same = self.line[:, None] == self.line
         return np.where(same, covariance[self.line[:, None], both[:, None], both], 0.0)
@@ -215,37 +235,37 @@ def build_system(
     for error in (error for observation in observations for error in observation.common):
         common.setdefault(error.name, error)
     columns = {name: column for column, name in enumerate(common)}
-    places = [RowIndex.of(observation) for observation in observations]
-    both = list(zip(observations, places, strict=True))
-    line = np.concatenate([place.line for place in places])
-    where = np.repeat(np.arange(len(places)), [len(place.line) for place in places])
-    imaginary = np.concatenate([place.imaginary for place in places])
-    readings = np.concatenate([place.rows(o.phasors.value) for o, place in both])
-    motion = np.concatenate([place.design(o.design) for o, place in both])
-    largest = np.zeros(len(places) * lines)
+    indices = [RowIndex.of(observation) for observation in observations]
+    both = list(zip(observations, indices, strict=True))
+    line = np.concatenate([index.line for index in indices])
+    where = np.repeat(np.arange(len(indices)), [len(index.line) for index in indices])
+    imaginary = np.concatenate([index.imaginary for index in indices])
+    readings = np.concatenate([index.rows(o.phasors.value) for o, index in both])
+    motion = np.concatenate([index.design(o.design) for o, index in both])
+    largest = np.zeros(len(indices) * lines)
     np.maximum.at(largest, where * lines + line, np.abs(readings))
     errors = []
-    for number, (o, place) in enumerate(both):
+    for number, (o, index) in enumerate(both):
         if o.common:
             slopes, rows = np.stack([error.slope for error in o.common]), np.flatnonzero(where == number)
             errors.append(
                 RowErrors(
                     block=slice(rows[0], rows[-1] + 1) if len(rows) else slice(0, 0),
                     columns=np.array([columns[error.name] for error in o.common]),
-                    slope=place.design(slopes).swapaxes(0, 1),
-                    offset=place.rows(np.stack([error.offset for error in o.common])).T,
+                    slope=index.design(slopes).swapaxes(0, 1),
+                    offset=index.rows(np.stack([error.offset for error in o.common])).T,
                 )
             )
     return FusionSystem(
         observations=tuple(observations),
         readings=readings,
         design=np.einsum("nj,njp->np", motion, expand.reshape(lines, 12, -1)[line]),
-        noise=block_diag(*(place.covariance(o.phasors.covariance) for o, place in both)),
+        noise=block_diag(*(index.covariance(o.phasors.covariance) for o, index in both)),
         size=np.where(largest > 0.0, largest, 1.0)[where * lines + line],
         line=line,
         observation=where,
-        channel=np.concatenate([place.channel for place in places]),
-        member=np.concatenate([np.array([names.index(m) for m in o.members])[place.channel] for o, place in both]),
+        channel=np.concatenate([index.channel for index in indices]),
+        member=np.concatenate([np.array([names.index(m) for m in o.members])[index.channel] for o, index in both]),
         # In each line of an observation real and imaginary parts come in the same order.
         pairs=np.stack([np.flatnonzero(~imaginary), np.flatnonzero(imaginary)], axis=1),
         member_names=names,
@@ -256,12 +276,15 @@ def build_system(
         beyond=_beyond(motion, line, bases),
         unobserved_motion=unobserved_motion or UnobservedMotion(),
         share=np.array([driven_share(basis, unobserved_motion) for basis in bases]),
-        couplings=tuple(_ways(np.flatnonzero(line == k), errors, len(common)) for k in range(lines)),
+        couplings=tuple(_couplings(np.flatnonzero(line == k), errors, len(common)) for k in range(lines)),
     )
 
 
 def driven_share(basis: ComplexArray, unobserved_motion: UnobservedMotion | None) -> float:
-    """Return which share of the driven motion a basis (6, R) of observed ones holds, as a square; 1 without a drive."""
+    """Return the observed part of the driven motion as a square.
+
+    `basis` (6, R): observed motions. 1 without a stated drive.
+    """
     drive = None if unobserved_motion is None else unobserved_motion.drive
     return 1.0 if drive is None else float(np.sum(np.abs(basis.conj().T @ np.array(drive)) ** 2))
 
@@ -269,30 +292,33 @@ def driven_share(basis: ComplexArray, unobserved_motion: UnobservedMotion | None
 def without_unbounded(
     observations: Sequence[Observation], unobserved_motion: UnobservedMotion | None
 ) -> tuple[Observation, ...]:
-    """Return observations without readings (NaN) that are reached by a motion which nothing bounds.
+    """Return observations without the readings (NaN) that an unbounded motion reaches.
 
-    Where the driven motion is not observed and nothing bounds it, neither does anything bound what goes with it. It
-    reaches readings by themselves, and through what is uncertain of their directions and places. Readings that are
-    gone observe nothing any more, which may leave others open.
+    If the driven motion is neither observed nor limited, motion related to it has no limit either. It reaches readings
+    directly and through uncertain directions and positions. Rejected readings no longer observe a motion, which may
+    make others unbounded.
     """
-    kept = tuple(observations)
-    if unobserved_motion is None or unobserved_motion.drive is None or not kept:
-        return kept
-    lines = len(kept[0].phasors.frequency_hz)
+    remaining = tuple(observations)
+    if unobserved_motion is None or unobserved_motion.drive is None or not remaining:
+        return remaining
+    lines = len(remaining[0].phasors.frequency_hz)
     while True:
-        bases = [row_space(kept, line) for line in range(lines)]
+        bases = [row_space(remaining, line) for line in range(lines)]
         lost = unobserved_motion.unbounded(np.array([driven_share(basis, unobserved_motion) for basis in bases]))
-        reached = [np.isfinite(o.phasors.value) & lost[:, None] for o in kept]
-        for mask, o in zip(reached, kept, strict=True):
+        reached = [np.isfinite(o.phasors.value) & lost[:, None] for o in remaining]
+        for mask, o in zip(reached, remaining, strict=True):
             for line in np.flatnonzero(lost).tolist():
                 mask[line] &= _reached(o, line, bases[line])
         if not any(mask.any() for mask in reached):
-            return kept
-        kept = tuple(drop_rows(o, mask) for o, mask in zip(kept, reached, strict=True))
+            return remaining
+        remaining = tuple(drop_rows(o, mask) for o, mask in zip(remaining, reached, strict=True))
 
 
 def _reached(observation: Observation, line: int, basis: ComplexArray) -> BoolArray:
-    """Return which readings (M,) of a line motion beyond a basis changes, by itself or through common errors."""
+    """Return which readings (M,) of a line motion beyond a basis changes.
+
+    Directly or through common errors.
+    """
     rows, hidden = observation.design[line] * SCALE, ~observed_components(basis)
     least = ROUNDING * np.abs(rows).max(axis=1)
     found = np.abs(rows - rows @ basis @ basis.conj().T).max(axis=1) > least
@@ -302,7 +328,7 @@ def _reached(observation: Observation, line: int, basis: ComplexArray) -> BoolAr
 
 
 def drop_rows(observation: Observation, gone: BoolArray) -> Observation:
-    """Return an observation with some of its readings (K, M) gone, NaN."""
+    """Return an observation with the readings `gone` (K, M) replaced by NaN."""
     value, covariance = observation.phasors.value.copy(), observation.phasors.covariance.copy()
     value[gone] = complex(np.nan, np.nan)
     lost = np.tile(~np.isfinite(value), (1, 2))
@@ -314,7 +340,9 @@ def bounded_system(observations: Sequence[Observation], unobserved_motion: Unobs
     """Return the system of readings that no unbounded motion reaches; `Unbounded` where there are none."""
     left = without_unbounded(observations, unobserved_motion)
     if unobserved_motion is not None and not any(np.isfinite(o.phasors.value).any() for o in left):
-        raise Unbounded(unbounded_text(observations[0].body, unobserved_motion, np.zeros(6, np.bool_)))
+        body = observations[0].body
+        driven = unmeasured_drive(body, unobserved_motion, np.zeros(6, np.bool_))
+        raise Unbounded(UNBOUNDED_READINGS, body, driven=driven, unused="")
     return build_system(left, unobserved_motion)
 
 
@@ -322,41 +350,40 @@ class Unbounded(ComputeError):
     """No reading is left, since each could contain a driven motion that no instrument observes."""
 
 
-def unbounded_text(body: str, unobserved_motion: UnobservedMotion, observed: BoolArray) -> str:
-    """Say that the driven motion of a body has no limit, and which instrument would give one; `observed` (6,)."""
+def unmeasured_drive(body: str, unobserved_motion: UnobservedMotion, observed: BoolArray) -> str:
+    """Return the components of the driven motion that are not `observed` (6,), as text."""
     drive = unobserved_motion.drive or (0.0,) * 6
     named = [name for name, part, seen in zip(MOTION_COMPONENTS, drive, observed, strict=True) if part and not seen]
-    driven = f"{' and '.join(named)} of the {body}"
-    return (
-        f"no instrument observes {driven}, which excitation.direction says is driven: nothing bounds that motion, and "
-        f"what it can reach has no value; add an instrument that observes {driven}, or correct excitation.direction"
-    )
+    return f"{' and '.join(named)} of the {body}"
 
 
 def _beyond(motion: FloatArray, line: IntArray, bases: Sequence[ComplexArray]) -> FloatArray:
-    """Return how motion beyond the basis of each line acts on real rows `motion` (N, 12) of the `line` (N,)."""
+    """Return the effect (N, 12) of motion beyond each line's basis on rows.
+
+    `motion` (N, 12): the rows; `line` (N,).
+    """
     beyond = np.stack([real_design(np.eye(6) - SCALE[:, None] * (b @ b.conj().T) / SCALE) for b in bases])
-    own = np.einsum("nj,nji->ni", motion, beyond[line])
-    # What a basis that holds a row leaves of it is rounding.
-    return np.where(np.abs(own) > ROUNDING * np.abs(motion).max(axis=1, keepdims=True), own, 0.0)
+    effect = np.einsum("nj,nji->ni", motion, beyond[line])
+    # The remainder of a row that lies in the basis is rounding.
+    return np.where(np.abs(effect) > ROUNDING * np.abs(motion).max(axis=1, keepdims=True), effect, 0.0)
 
 
-def _ways(rows: IntArray, errors: Sequence[RowErrors], count: int) -> tuple[IntArray, csr_array]:
+def _couplings(rows: IntArray, errors: Sequence[RowErrors], count: int) -> tuple[IntArray, csr_array]:
     """Return the rows of one line and how motion acts on them by `count` errors."""
-    ways = np.zeros((len(rows), count, 12))
+    coupling = np.zeros((len(rows), count, 12))
     for part in errors:
         inside = np.flatnonzero((rows >= part.block.start) & (rows < part.block.stop))
-        ways[np.ix_(inside, part.columns)] = part.slope[rows[inside] - part.block.start]
-    return rows, csr_array(ways.reshape(len(rows), 12 * count))
+        coupling[np.ix_(inside, part.columns)] = part.slope[rows[inside] - part.block.start]
+    return rows, csr_array(coupling.reshape(len(rows), 12 * count))
 
 
 def products(system: FusionSystem, acceleration: ComplexArray) -> FloatArray:
-    """Return (E,): by how much a common error acts otherwise than to first order, relative to how it acts, rms.
+    """Return (E,): second-order action of each common error relative to its first order.
 
-    A relative error c multiplies what a channel reads, which differs from the prediction r at A (K, 6) by the effects
-    e_k of all other errors on it: √(Σ w|c|²Σ_k|e_k|² / Σ w|c|²|r|²) over all readings, w the inverse of the noise's
-    variance. What leaks across a channel's axis may be as large as the small motion along that axis. Zero for errors
-    that are not relative, of which the products with relative ones are small beside their own effects.
+    A relative error c multiplies the reading of a channel, which differs from the prediction r at A (K, 6) by the
+    effects e_k of all other errors. The rms over all readings is √(Σ w|c|²Σ_k|e_k|² / Σ w|c|²|r|²), with w the inverse
+    variance of the noise. Motion across the axis of a channel may be as large as the small motion along it. Zero for
+    errors that are not relative; their products with relative errors are small.
     """
     changed, plain = (np.zeros(len(system.common)) for _ in range(2))
     columns = {error.name: column for column, error in enumerate(system.common)}
@@ -386,13 +413,15 @@ CONVERGED = 1e-10
 
 @dataclass(frozen=True)
 class FusionSolution:
-    """Estimate of a system: `acceleration` (K, 6), `errors` (E,) in standard uncertainties, `effects` (N, E) there.
+    """Estimate of a system of readings.
 
-    `remaining` (E,): standard uncertainty of the errors after the estimate over that before; `posterior` (E, E): their
-    covariance after it, in standard uncertainties.
-    `gain` (12K, N): estimate = gain · readings; `projector` (N, N) = V^-1 - V^-1 X (X^T V^-1 X)^-1 X^T V^-1 with V the
-    covariance of noise and common errors, so that `chi2` = y^T P y; `dof`; `noise` (N, N) as it was used, with the
-    discrepancy and the covariance of what is `hidden` in it.
+    `acceleration` (K, 6); `errors` (E,) in standard uncertainties; `effects` (N, E) at this estimate. `remaining` (E,):
+    standard uncertainty of the errors after the estimate over that before; `posterior` (E, E): their covariance, in
+    standard uncertainties.
+
+    `gain` (12K, N): estimate = gain · readings. `projector` (N, N) = V^-1 - V^-1 X (X^T V^-1 X)^-1 X^T V^-1 with the
+    covariance V of noise and common errors, so that `chi2` = y^T P y; `dof`. `noise` (N, N): as used, with the
+    discrepancy and the covariance of unobserved motion (`hidden`).
     """
 
     acceleration: ComplexArray
@@ -412,9 +441,9 @@ def solve(system: FusionSystem, extra: FloatArray | None = None, iterations: int
     """Estimate accelerations and common errors together by least squares.
 
     The augmented system [X S; 0 I] [A; e] = [y; 0], whitened by the noise, is equivalent to generalised least squares
-    with the covariance N + S S^T. S is taken at the current estimate and the step repeated, so that no reading that
-    happens to be low gains weight by it (Peelle's puzzle; D'Agostini 1994, Nucl. Instrum. Methods A 346, 306).
-    `extra` (N, N): covariance of the readings beside what is stated.
+    with the covariance N + S S^T. S is evaluated at the current estimate and the step repeated. A low reading therefore
+    gains no weight (Peelle's puzzle; D'Agostini 1994, Nucl. Instrum. Methods A 346, 306). `extra` (N, N): covariance of
+    the readings in addition to the stated one.
     """
     noise = system.noise if extra is None else system.noise + extra
     # To start with no common errors, every reading weighted by its noise and a hundredth of its size.
@@ -432,7 +461,10 @@ def solve(system: FusionSystem, extra: FloatArray | None = None, iterations: int
 
 @dataclass(frozen=True)
 class _Step:
-    """The augmented system whitened by the `root` of the `noise`: (N + E, P + E), right side (N,), column `scale`."""
+    """The augmented system, whitened by the `root` of the `noise`.
+
+    `matrix` (N + E, P + E), right side `readings` (N,), column `scale`.
+    """
 
     matrix: FloatArray
     readings: FloatArray
@@ -454,13 +486,16 @@ class _Step:
 
 
 def _augmented(system: FusionSystem, noise: FloatArray, acceleration: ComplexArray) -> _Step:
-    """Whitened system with the effects of the common errors and of unobserved motion at an acceleration (K, 6)."""
+    """Return the whitened system with the effects at an acceleration (K, 6).
+
+    Effects of common errors and of unobserved motion.
+    """
     effects, hidden = system.effects(acceleration), system.hidden(acceleration)
     # Noise far below the common errors is raised to 1e-4 of them: invisible in U, and P keeps its digits.
     floor = (NOISE_FLOOR * np.linalg.norm(effects, axis=1)) ** 2 + (1e-12 * system.size) ** 2
     noise = noise + hidden.covariance
     variance = np.diag(noise)
-    # A share of 1e-9 of the variances keeps covariances of channels that move alike positive definite.
+    # A share of 1e-9 of the variances keeps covariances of channels with equal motion positive definite.
     noise = noise + np.diag(np.maximum(floor - variance, 0.0) + 1e-9 * variance)
     root = np.asarray(np.linalg.cholesky(noise))
     count, unknowns, errors = len(system.readings), system.design.shape[1], effects.shape[1]

@@ -1,6 +1,7 @@
-"""Instruments as rows of one linear model per line, phasors = design · acceleration + common errors + noise; and drawn.
+"""Linear model of instruments per line, and random draws of it.
 
-What a kind of instrument contributes stands in `fusion.instruments`; here is what all of them become.
+Phasors = design · acceleration + common errors + noise. The modules of `fusion.instruments` describe each kind of
+instrument as such an observation.
 """
 
 from __future__ import annotations
@@ -27,13 +28,14 @@ SCALE = np.array([1.0, 1.0, 1.0, 1.0 / BODY_SIZE_M, 1.0 / BODY_SIZE_M, 1.0 / BOD
 
 @dataclass(frozen=True)
 class CommonError:
-    """One real unknown that several readings share, with a normal prior of zero mean and standard uncertainty `u`.
+    """One real unknown of several readings, with a normal prior of mean zero.
 
-    `name` identifies the unknown: equal names in several observations are the same unknown; it contains where a channel
-    was placed, so that a channel placed elsewhere is another unknown. `label` groups it in a budget, `u` is in `unit`,
-    `scope` says how long the unknown keeps its value, `dof` how well `u` is known. Its effect on the phasors for one
-    standard uncertainty is slope · A + offset, with `slope` (K, M, 6) and `offset` (K, M), so that it follows the
-    estimate A (K, 6) and never the readings.
+    `name` identifies the unknown: equal names in several observations are one unknown. It contains the position of a
+    channel, so that a channel at another position is another unknown. `label` groups it in a budget. `u`: standard
+    uncertainty in `unit`; `scope`: how long the unknown keeps its value; `dof`: degrees of freedom of `u`.
+
+    The effect of one standard uncertainty on the phasors is slope · A + offset, with `slope` (K, M, 6) and `offset` (K,
+    M). It follows the estimate A (K, 6) and not the readings.
     """
 
     name: str
@@ -47,12 +49,15 @@ class CommonError:
     dof: float = np.inf
 
     def effect(self, acceleration: ComplexArray) -> ComplexArray:
-        """Return the change (K, M) of the phasors for one standard uncertainty, at the acceleration (K, 6)."""
+        """Return the change (K, M) of the phasors per standard uncertainty at `acceleration` (K, 6)."""
         return np.asarray(np.einsum("kmj,kj->km", self.slope, acceleration) + self.offset)
 
 
 class Geometry:
-    """Where an instrument is placed: what a Monte Carlo run draws of it without linearisation, here nothing."""
+    """Position of an instrument: the part of its uncertainty that Monte Carlo draws exactly.
+
+    This base class draws no position.
+    """
 
     @property
     def unknowns(self) -> frozenset[str]:
@@ -60,7 +65,10 @@ class Geometry:
         return frozenset()
 
     def rows(self, design: ComplexArray, deviates: Deviates) -> ComplexArray:
-        """Return the rows (N, K, M, 6) of N draws of places and directions; `design` (K, M, 6) where they are exact."""
+        """Return the rows (N, K, M, 6) of N draws of positions and directions.
+
+        `design` (K, M, 6): rows of the exact ones.
+        """
         return np.broadcast_to(design, (deviates.count, *design.shape))
 
     def moved(self, readings: ComplexArray, deviates: Deviates) -> ComplexArray:
@@ -70,13 +78,14 @@ class Geometry:
 
 @dataclass(frozen=True)
 class Observation:
-    """Readings of one body by one instrument (a stereo pair, or the channels that share a chain).
+    """Readings of one body by one instrument: a stereo pair, or channels of one chain.
 
-    `phasors` (K lines, M channels; NaN where a line is not usable), `design` (K, M, 6) complex:
-    phasors = design · [x y z rx ry rz accelerations at the sensor origin]. `members` (M,): the name under which each
-    row is tested for consistency. `stated`: some systematic uncertainty is stated, so it takes part in the fusion.
-    `main` (K, M, 6): rows along the axis that beams nearly follow, which decide what they observe; what else the beams
-    see of a motion that nobody observes is then uncertain. None where the rows themselves decide.
+    `phasors` (K lines, M channels; NaN where a line is not usable). `design` (K, M, 6), complex: phasors = design · [x
+    y z rx ry rz accelerations at the sensor origin]. `members` (M,): names by which rows are tested for consistency.
+    `stated`: a systematic uncertainty is stated, so the fusion uses it.
+
+    `main` (K, M, 6): rows along the axis that beams nearly follow. They decide which components are observed; other
+    components of unobserved motion then make the readings uncertain. None if `design` decides.
     """
 
     name: str
@@ -106,17 +115,17 @@ class Observation:
 
     @property
     def title(self) -> str:
-        """Return the name of the instrument as it stands in budgets."""
+        """Return the name of the instrument in budgets."""
         return f"stereo {self.name}" if self.kind == "photogrammetry" else self.name
 
     def draw(self, acceleration: ComplexArray, deviates: Deviates, noise: str) -> DrawnReadings:
-        """Return what the instrument says of a motion if its unknowns are what is drawn; `noise` names its stream.
+        """Return the readings of a motion for drawn unknowns; `noise`: name of its random stream.
 
-        Readings are centred on those of the estimated `acceleration` (K, 6), zero where nobody observed it, so that
-        their scatter about the estimate is not counted a second time. A relative error c of a reading, the same complex
-        factor for all motions, is taken off as (1 + Re c)·exp(j·Im c), which is exact for scales, delays and responses;
-        places and directions act exactly, too; what remains (calibration, errors periodic in the pixel) acts as its
-        first-order effect, to which a calibration's second order adds some thousandths.
+        Readings are centred on those of the estimated `acceleration` (K, 6), zero where it was not observed, so that
+        their scatter about the estimate is not counted twice. A relative error c of a reading, the same complex factor
+        for all motions, is corrected as (1 + Re c)·exp(j·Im c). This is exact for scales, delays and responses;
+        positions and directions are exact too. The remaining errors (calibration, errors periodic in the pixel) act to
+        first order; the second order of a calibration would add some thousandths.
         """
         value = np.einsum("kmj,kj->km", self.design, acceleration)
         both = deviates.noise(noise, self.phasors.covariance, self.phasors.dof)
@@ -136,7 +145,10 @@ class Observation:
 
 
 def relative_change(error: CommonError, design: ComplexArray) -> ComplexArray | None:
-    """Return the complex factors (K, M) by which an error multiplies the readings of any motion; None for others."""
+    """Return the factors (K, M) of an error that multiplies readings of any motion.
+
+    None for other errors.
+    """
     power = np.sum(np.abs(design) ** 2, axis=2)
     overlap = np.sum(error.slope * design.conj(), axis=2)
     relative = np.divide(overlap, power, out=np.zeros_like(overlap), where=power > 0.0)
@@ -147,7 +159,10 @@ def relative_change(error: CommonError, design: ComplexArray) -> ComplexArray | 
 
 @dataclass(frozen=True)
 class DrawnReadings:
-    """N draws of an instrument: `readings` (N, K, M) = `design` (N, K, M, 6) · acceleration."""
+    """N draws of an instrument.
+
+    `readings` (N, K, M) = `design` (N, K, M, 6) · acceleration.
+    """
 
     readings: ComplexArray
     design: ComplexArray
@@ -155,9 +170,9 @@ class DrawnReadings:
 
 @dataclass(frozen=True)
 class Deviates:
-    """`count` draws of every unknown, block `block` of the stream of `seed`: equal names are the same unknown.
+    """Random numbers: `count` draws of every unknown, for `block` of the stream of `seed`.
 
-    Draws of a name are the same whatever else is drawn and in whatever order.
+    Equal names are the same unknown. Draws of a name do not depend on other draws or their order.
     """
 
     seed: int
@@ -173,7 +188,10 @@ class Deviates:
         return self.stream(name).standard_normal((self.count, *shape))
 
     def unknown(self, name: str, dof: float = np.inf) -> FloatArray:
-        """Return deviates (N,) of an unknown in standard uncertainties: normal, or of Student's t (JCGM 101, 6.4.9)."""
+        """Return draws (N,) of an unknown in standard uncertainties.
+
+        Normal, or of Student's t for finite `dof` (JCGM 101, 6.4.9).
+        """
         drawn = self.normal(name)
         return (
             drawn
@@ -182,14 +200,15 @@ class Deviates:
         )
 
     def angle(self, name: str, *shape: int) -> FloatArray:
-        """Return angles (N, ...) of which nothing is known."""
+        """Return uniform angles (N, ...) over the full circle."""
         return self.stream(name).uniform(0.0, 2.0 * np.pi, (self.count, *shape))
 
     def noise(self, name: str, covariance: FloatArray, dof: FloatArray) -> FloatArray:
-        """Return deviates (N, K, M) of covariances (K, M, M) known with `dof` (K,) degrees of freedom.
+        """Return draws (N, K, M) of noise with covariances (K, M, M).
 
-        A multivariate t-distribution, scaled and shifted, is what M values with an estimated covariance leave
-        (JCGM 102, 5.3.2); for infinite degrees of freedom a normal one. What is not known (NaN) is zero.
+        M values with an estimated covariance of `dof` (K,) degrees of freedom have a scaled and shifted multivariate
+        t-distribution (JCGM 102, 5.3.2), a normal one for infinite degrees of freedom. Values that are not known (NaN)
+        are zero.
         """
         values, vectors = np.linalg.eigh(np.nan_to_num(covariance))
         root = vectors * np.sqrt(np.maximum(values, 0.0))[:, None, :]
@@ -202,17 +221,17 @@ class Deviates:
 
 @dataclass(frozen=True)
 class UnobservedMotion:
-    """Limits of what nobody observes: amplitude of a component over that of the driven motion.
+    """Limits of unobserved motion: amplitude of a component over that of the driven motion.
 
-    `transverse`: of translations; `rocking`: of rotations times 0.1 m. 10 % is what ISO 16063-21 lets a shaker move
-    aside. An amplitude at its limit with a phase of which nothing is known has the standard uncertainty limit/√2 in
-    each part (arc-sine distribution), in each component that is not observed. Motion in phase with the drive needs all
-    of it; amplitudes spread evenly over the disc up to the limit would need limit/2, amplitudes spread evenly up to the
-    limit in an even direction, as ISO 16063-21 counts them (1/√18 with the transverse sensitivity), less still.
+    `transverse`: of translations; `rocking`: of rotations times 0.1 m. The default 10 % is the limit of ISO 16063-21
+    for transverse motion of a shaker. An amplitude at its limit with uniform phase has the standard uncertainty
+    limit/√2 in each part (arc-sine distribution), in each component that is not observed. This covers motion in phase
+    with the drive; amplitudes uniform over the disc would have limit/2. Uniform amplitudes in a uniform direction, as
+    in ISO 16063-21 (1/√18 with the transverse sensitivity), would have less.
 
-    `drive` (6,): the driven motion, translations and rotations times 0.1 m, a unit vector; None where it is not known
-    and the largest component that is observed counts as driven. `driven` (K,): its amplitude as other instruments
-    bound it, for those that do not observe it.
+    `drive` (6,): driven motion, translations and rotations times 0.1 m, a unit vector; None if it is not stated, and
+    the largest observed component is the driven one. `driven` (K,): its amplitude as limited by other instruments, for
+    those that do not observe it.
     """
 
     transverse: float = 0.1
@@ -221,16 +240,20 @@ class UnobservedMotion:
     driven: FloatArray | None = None
 
     def unbounded(self, share: FloatArray) -> BoolArray:
-        """Return at which lines (K,) nothing bounds the driven motion, of which `share` (K,) is observed (`gain`)."""
-        known = np.full(share.shape, np.inf) if self.driven is None else self.driven
+        """Return the lines (K,) at which the driven motion has no limit.
+
+        `share` (K,): observed part of it (`gain`).
+        """
+        limit = np.full(share.shape, np.inf) if self.driven is None else self.driven
         none = np.zeros(share.shape, np.bool_)
-        return none if self.drive is None else np.isinf(np.where(share < FULL, known, 0.0)) & np.isinf(self.gain(share))
+        return none if self.drive is None else np.isinf(np.where(share < FULL, limit, 0.0)) & np.isinf(self.gain(share))
 
     def gain(self, share: FloatArray) -> FloatArray:
-        """Return by how much (K,) the driven amplitude s may exceed what readings show of it, infinite without limit.
+        """Return the ratio (K,) by which the driven amplitude may exceed its observed part.
 
-        They show P·(s·d + t), of the drive d and other motion t, |t| < λ|s|; `share` q² = |P·d|². Of s they show
-        d·P·(s·d + t)/q², and t moves that by no more than λ|s|·min(√(1 - q²), q)/q².
+        Infinite without limit. The readings show P·(s·d + t) of the drive d with amplitude s and other motion t, |t| <
+        λ|s|; `share` q² = |P·d|². d·P·(s·d + t)/q² is an estimate of s, which t changes by at most λ|s|·min(√(1 - q²),
+        q)/q².
         """
         q2 = np.maximum(share, np.finfo(np.float64).tiny)
         moved = max(self.transverse, self.rocking) * np.minimum(np.sqrt(np.maximum(1.0 - q2, 0.0)), np.sqrt(q2)) / q2
@@ -238,18 +261,24 @@ class UnobservedMotion:
         return np.asarray(np.divide(1.0, 1.0 - moved, out=np.full(moved.shape, np.inf), where=moved < 1.0))
 
     def driven_amplitude(self, acceleration: ComplexArray, share: FloatArray) -> FloatArray:
-        """Return the amplitude (K,) of the driven motion at A (K, 6), m/s²; infinite where nothing bounds it."""
+        """Return the largest amplitude (K,) of the driven motion at A (K, 6), in m/s².
+
+        Infinite if it has no limit.
+        """
         if self.drive is None:
             return np.zeros(len(acceleration))
         shown = np.abs(np.nan_to_num(acceleration) / SCALE @ np.array(self.drive))
         gain, seen = self.gain(share), np.maximum(share, np.finfo(np.float64).tiny)
-        own = np.where(np.isinf(gain), np.inf, shown / seen * np.where(np.isinf(gain), 0.0, gain))
-        return own if self.driven is None else np.where(share < FULL, np.minimum(own, self.driven), own)
+        amplitude = np.where(np.isinf(gain), np.inf, shown / seen * np.where(np.isinf(gain), 0.0, gain))
+        return (
+            amplitude if self.driven is None else np.where(share < FULL, np.minimum(amplitude, self.driven), amplitude)
+        )
 
     def amplitude(self, acceleration: ComplexArray, observed: BoolArray, share: FloatArray | None = None) -> FloatArray:
-        """Return the amplitudes (K, 6) assumed of what is not `observed` (K, 6) beside A (K, 6); zero for the rest.
+        """Return the assumed amplitudes (K, 6) of components that are not `observed` (K, 6).
 
-        `share` (K,) of the driven motion that is observed, all of it where None; infinite where nothing bounds that.
+        Zero for the others. `acceleration` (K, 6): the estimate; `share` (K,): observed part of the driven motion, None
+        for all of it. Infinite if the driven motion has no limit.
         """
         share = np.ones(len(acceleration)) if share is None else share
         size = np.max(np.where(observed, np.abs(acceleration / SCALE), 0.0), axis=1, keepdims=True)
@@ -257,8 +286,8 @@ class UnobservedMotion:
         limit = np.repeat([self.transverse, self.rocking], 3) * SCALE
         along = np.abs(np.zeros(6) if self.drive is None else np.array(self.drive)) * SCALE
         lost = np.isinf(driven)
-        known = limit * np.maximum(size, np.where(lost, 0.0, driven)) + along * np.where(lost, 0.0, driven)
-        return np.asarray(np.where(observed, 0.0, np.where(lost, np.inf, known)))
+        assumed = limit * np.maximum(size, np.where(lost, 0.0, driven)) + along * np.where(lost, 0.0, driven)
+        return np.asarray(np.where(observed, 0.0, np.where(lost, np.inf, assumed)))
 
     def __str__(self) -> str:
         """Return the limits in words."""

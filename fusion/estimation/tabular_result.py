@@ -25,7 +25,7 @@ class PhasorRows:
 
     Attributes
     ----------
-    name : what the values are, such as `sensitivity`.
+    name : name of the values, such as `sensitivity`.
     frequency_hz : (K,), Hz.
     value : (K, E), complex; NaN where there is no result.
     uncertainty : of all values, real parts first.
@@ -98,9 +98,9 @@ class TabularResult(ABC):
         return pandas.DataFrame(rows)
 
     def plot(self) -> MatplotlibFigure:
-        """Return a figure of magnitude and phase over frequency with U (95 %) as error bars.
+        """Return a figure of magnitude and phase with U (95 %) as error bars.
 
-        Drawn are the elements whose output belongs to their load, or all elements where none does.
+        It shows the elements whose output belongs to their load, or all elements if none does.
         """
         from matplotlib.figure import Figure
 

@@ -1,4 +1,4 @@
-"""What makes values uncertain: random contributions and named unknowns, mapped and added up with their dof."""
+"""Uncertainty of complex values: random contributions and named unknowns, propagated with their degrees of freedom."""
 
 from __future__ import annotations
 
@@ -21,21 +21,22 @@ from shaker.arrays import BoolArray, ComplexArray, FloatArray, IntArray, check_s
 from shaker.sine.phasor import real_stacked_diagonal
 
 ENLARGED = 5.0
-"""Over the square of its degrees of freedom: by how much an estimated variance is enlarged in those of a sum."""
+"""Enlargement of an estimated variance in a sum, over the square of its degrees of freedom (set by simulation)."""
 
 Kind = Literal["A", "B"]
 Distribution = Literal["normal", "uniform"]
 Scope = Literal["recording", "start", "mounting", "rig"]
-"""How long an unknown keeps its value: during one recording, in all whose recorders start alike beside the trigger (so
-that its edges fall on the same places between the samples), until something is mounted anew, or as long as the rig."""
+"""How long an unknown keeps its value: one recording; all recordings whose recorders start equally relative to the
+trigger (its edges then have the same positions between samples); until a new mounting; as long as the rig."""
 
 
 @dataclass(frozen=True)
 class Contribution:
-    """Noise of C complex values at K lines, independent from line to line and of all other contributions.
+    """Independent noise of C complex values at K lines.
 
-    `label` is its line of a budget, `type` A or B as in the GUM, `covariance` (K, 2C, 2C) of [all Re, all Im], NaN
-    where a value is not known, `dof` (K,) degrees of freedom, infinite where None.
+    It is independent from line to line and of all other contributions. `label`: its line of a budget. `type`: A or B as
+    in the GUM. `covariance` (K, 2C, 2C) of [all Re, all Im], NaN where a value is not known. `dof` (K,): degrees of
+    freedom, None for infinite.
     """
 
     label: str
@@ -49,11 +50,11 @@ Effect = TypeVar("Effect", FloatArray, ComplexArray)
 
 @dataclass(frozen=True)
 class Unknown(Generic[Effect]):
-    """One real unknown of standard uncertainty `u` (in `unit`), and the first-order `effect` of that on something.
+    """One real unknown of standard uncertainty `u` and its first-order `effect`.
 
-    `name` identifies the unknown: equal names are the same unknown, wherever they occur within its `scope`. `label`
-    groups unknowns in a budget. `dof`: degrees of freedom behind `u`, infinite where that is known. `distribution`:
-    "uniform" of what is stated as a bound, ±√3·u.
+    `name` identifies the unknown: within its `scope` equal names are one unknown. `u` is in `unit`. `label` groups
+    unknowns in a budget. `dof`: degrees of freedom of `u`, infinite if that is exact. `distribution`: "uniform" for a
+    stated bound ±√3·u.
     """
 
     name: str
@@ -67,14 +68,17 @@ class Unknown(Generic[Effect]):
     distribution: Distribution = "normal"
 
     def acting(self, effect: FloatArray) -> Influence:
-        """Return the same unknown as it acts on complex values, by its `effect` (K, 2C) on them."""
-        own = self.scope, self.type, self.dof, self.distribution
-        return Influence(self.name, self.label, self.u, self.unit, effect, *own)
+        """Return the same unknown with another `effect` (K, 2C), on complex values."""
+        attributes = self.scope, self.type, self.dof, self.distribution
+        return Influence(self.name, self.label, self.u, self.unit, effect, *attributes)
 
 
 @dataclass(frozen=True)
 class Influence(Unknown[FloatArray]):
-    """An unknown that acts on C complex values: `effect` (K, 2C) on [all Re, all Im], at all lines together."""
+    """An unknown that acts on C complex values at all lines together.
+
+    `effect` (K, 2C) on [all Re, all Im].
+    """
 
     effect: FloatArray
 
@@ -86,17 +90,17 @@ def added_up(unknowns: Iterable[AnyUnknown]) -> tuple[AnyUnknown, ...]:
     """Return every unknown once, the effects of equal names added up."""
     merged: dict[str, AnyUnknown] = {}
     for unknown in unknowns:
-        known = merged.get(unknown.name)
-        merged[unknown.name] = unknown if known is None else replace(known, effect=known.effect + unknown.effect)
+        earlier = merged.get(unknown.name)
+        merged[unknown.name] = unknown if earlier is None else replace(earlier, effect=earlier.effect + unknown.effect)
     return tuple(merged.values())
 
 
 @dataclass(frozen=True)
 class Uncertainty:
-    """Everything that makes C complex values at K lines uncertain: `random` contributions and common `influences`.
+    """Uncertainty of C complex values at K lines: `random` contributions and common `influences`.
 
-    A first-order error of the values is the sum of the random parts and of effect · ε over the influences, with one
-    standard normal ε for each name: what two results share is told by their names, and nothing is counted twice.
+    A first-order error of the values is the sum of the random parts and of effect · ε over the influences. Each name
+    has one standard normal ε, so that two results share an unknown by its name and count it once.
     """
 
     random: tuple[Contribution, ...]
@@ -126,7 +130,7 @@ class Uncertainty:
         return np.asarray(total)
 
     def grouped(self) -> tuple[Contribution, ...]:
-        """Return one contribution per label, in the order of their first appearance: the lines of a budget."""
+        """Return one contribution per label, in order: the lines of a budget."""
         groups: dict[str, list[Influence]] = {}
         for influence in self.influences:
             groups.setdefault(influence.label, []).append(influence)
@@ -136,20 +140,23 @@ class Uncertainty:
             for dof in freedom:
                 effects = np.stack([influence.effect for influence in group if influence.dof == dof])
                 square = np.einsum("eki,ekj->kij", effects, effects)
-                known = None if np.isinf(dof) else np.full(len(square), dof)
-                parts.append(Contribution(label, group[0].type, square, known))
+                finite_dof = None if np.isinf(dof) else np.full(len(square), dof)
+                parts.append(Contribution(label, group[0].type, square, finite_dof))
         return merge_contributions(parts)
 
     def _mapped(
         self, of_covariance: Callable[[FloatArray], FloatArray], of_effect: Callable[[FloatArray], FloatArray]
     ) -> Uncertainty:
-        """Map every covariance (K, 2C, 2C), and the effects (E, K, 2C) of all influences at once."""
+        """Map all covariances (K, 2C, 2C) and all effects (E, K, 2C) of influences."""
         random = tuple(replace(part, covariance=of_covariance(part.covariance)) for part in self.random)
         effects = of_effect(np.stack([i.effect for i in self.influences])) if self.influences else ()
         return Uncertainty(random, tuple(i.acting(effect) for i, effect in zip(self.influences, effects, strict=True)))
 
     def transformed(self, jacobian: FloatArray) -> Uncertainty:
-        """Return the uncertainty of D values that change by `jacobian` (K, 2D, 2C) times these values' changes."""
+        """Return the uncertainty of D values that are linear in these.
+
+        `jacobian` (K, 2D, 2C).
+        """
         return self._mapped(
             lambda covariance: jacobian @ covariance @ jacobian.swapaxes(1, 2),
             lambda effects: np.einsum("kij,ekj->eki", jacobian, effects),
@@ -160,7 +167,10 @@ class Uncertainty:
         return self.transformed(real_stacked_diagonal(np.asarray(factor, dtype=np.complex128)))
 
     def plus(self, other: Uncertainty) -> Uncertainty:
-        """Return the uncertainty of a sum: noise adds in squares, effects of equal names add as they are."""
+        """Return the uncertainty of a sum.
+
+        Noise adds in squares, effects of equal names add linearly.
+        """
         random = merge_contributions([*self.random, *other.random])
         return Uncertainty(random, added_up([*self.influences, *other.influences]))
 
@@ -172,7 +182,7 @@ class Uncertainty:
         return self._mapped(lambda covariance: covariance[:, both[:, None], both], lambda effects: effects[..., both])
 
     def at_lines(self, lines: IntArray | BoolArray | Sequence[int]) -> Uncertainty:
-        """Return the uncertainty of the values at some of the K lines, by their places or by a mask."""
+        """Return the uncertainty at some of the K lines, by indices or mask."""
         index = np.asarray(lines)
         random = tuple(
             replace(part, covariance=part.covariance[index], dof=None if part.dof is None else part.dof[index])
@@ -182,15 +192,15 @@ class Uncertainty:
         return Uncertainty(random, tuple(i.acting(effect) for i, effect in zip(self.influences, effects, strict=True)))
 
     def nan_as_zero(self) -> Uncertainty:
-        """Return the uncertainty with nothing in place of what is not known (NaN)."""
+        """Return the uncertainty with zero for values that are not known (NaN)."""
         return self._mapped(np.nan_to_num, np.nan_to_num)
 
     def dof(self) -> FloatArray:
         """Return the effective degrees of freedom (K, C) of every value.
 
-        ν = (2V_rr² + V_rr V_ii + V_ri² + 2V_ii²) / Σ (the same of a contribution)/ν_j, which makes the covariance of a
-        value scatter as much in all as a sample covariance of ν + 1 complex readings would (Willink & Hall 2002,
-        Metrologia 39, 361); contributions of one label are grouped first (JCGM 100, G.4.1).
+        ν = (2V_rr² + V_rr V_ii + V_ri² + 2V_ii²) / Σ (the same of a contribution)/ν_j. The covariance of a value then
+        scatters like a sample covariance of ν + 1 complex readings (Willink & Hall 2002, Metrologia 39, 361).
+        Contributions of one label are grouped first (JCGM 100, G.4.1).
         """
         total = _scatter(self.covariance)
         weighted = np.zeros_like(total)
@@ -204,13 +214,13 @@ class Uncertainty:
         return np.asarray(np.divide(total, weighted, out=empty, where=weighted > 0.0))
 
     def dof_along(self, direction: ComplexArray) -> FloatArray:
-        """Return the effective degrees of freedom (K, C) of every value's part along a `direction` (K, C) or (C,).
+        """Return the effective degrees of freedom (K, C) along a `direction` (K, C) or (C,).
 
-        Welch-Satterthwaite (JCGM 100, G.4.1) for the real number Re(x·conj(e)) with e the direction, (Σw)²/Σ(w²/ν),
-        w = v·(1 + 5/ν²) instead of the variance v that a contribution has in it: a v of one or two degrees of freedom
-        comes out too small too often beside what is known, and the formula with v itself covers 87 (92) in 100 where
-        it should 95; so enlarged, 93 to 97 for every share of it (docs/uncertainty.md). Alone, a contribution keeps its
-        ν. The degrees of freedom of the complex value where the direction is zero or not known.
+        Welch-Satterthwaite (JCGM 100, G.4.1) for the real number Re(x·conj(e)) with the direction e: (Σw)²/Σ(w²/ν). w =
+        v·(1 + 5/ν²) replaces the variance v of a contribution, because a v of one or two degrees of freedom is too
+        often underestimated relative to exact ones. The formula with v covers 87 (92) % instead of 95 %; with w it
+        covers 93 to 97 % for every share (docs/uncertainty.md). A single contribution keeps its ν. Where the direction
+        is zero or not known, the degrees of freedom are those of the complex value.
         """
         usable = np.isfinite(direction) & (direction != 0.0)
         unit = np.divide(direction, np.abs(direction), out=np.zeros_like(direction), where=usable)
@@ -241,14 +251,14 @@ class Uncertainty:
         return np.asarray(found if usable.all() else np.where(np.broadcast_to(usable, found.shape), found, self.dof()))
 
     def dof_polar(self, value: ComplexArray) -> FloatArray:
-        """Return the effective degrees of freedom (2, K, C) of magnitude and phase of the values (K, C)."""
+        """Return the effective degrees of freedom (2, K, C) of magnitude and phase of `value`."""
         return np.stack([self.dof_along(value), self.dof_along(1j * value)])
 
     def k_polar(self, value: ComplexArray, dof_polar: FloatArray | None = None) -> FloatArray:
-        """Return the coverage factors (2, K, C) of magnitude and phase of the values (K, C) for 95 %.
+        """Return the coverage factors (2, K, C) of magnitude and phase for 95 %.
 
-        Those of the degrees of freedom; where bounds are among the influences, what the sum of uniform numbers and of
-        the rest needs, the rest taken as normal with its U/1.96. `dof_polar`: where these are known already.
+        Of `value` (K, C). They follow from the degrees of freedom. If bounds are among the influences, they are those
+        of the sum of uniform numbers and a normal rest of its U/1.96. `dof_polar`: of `value`, if already computed.
         """
         bounds = [influence for influence in self.influences if influence.distribution == "uniform"]
         if not bounds:
@@ -258,38 +268,38 @@ class Uncertainty:
         size = value.shape[-1]
         effects = np.stack([influence.effect[:, :size] + 1j * influence.effect[:, size:] for influence in bounds])
         unit = np.divide(value, np.abs(value), out=np.ones_like(value), where=np.isfinite(value) & (value != 0.0))
-        own = element_covariances(rest.covariance)
-        for way, direction in enumerate((unit, 1j * unit)):
+        covariances = element_covariances(rest.covariance)
+        for part_index, direction in enumerate((unit, 1j * unit)):
             widths = np.sqrt(3.0) * np.abs((effects * direction.conj()).real)
             e = np.stack([direction.real, direction.imag], axis=-1)
-            u = np.sqrt(np.maximum(np.einsum("kci,kcij,kcj->kc", e, own, e), 0.0))
-            for place in np.argwhere(np.isfinite(u) & np.isfinite(k[way]) & (widths.sum(axis=0) > 0.0)).tolist():
-                one = (way, *place)
-                k[one] = bounded_factor(widths[:, *place], float(u[*place]), float(k[one]))
+            u = np.sqrt(np.maximum(np.einsum("kci,kcij,kcj->kc", e, covariances, e), 0.0))
+            for index in np.argwhere(np.isfinite(u) & np.isfinite(k[part_index]) & (widths.sum(axis=0) > 0.0)).tolist():
+                one = (part_index, *index)
+                k[one] = bounded_factor(widths[:, *index], float(u[*index]), float(k[one]))
         return k
 
     def regions(
         self, value: ComplexArray, covariance: FloatArray | None = None, dof_polar: FloatArray | None = None
     ) -> FloatArray:
-        """Return the matrices (K, C, 2, 2) of the 95 % regions of the values (K, C): `coverage.region_matrix`.
+        """Return the matrices (K, C, 2, 2) of the 95 % regions of `value` (`coverage.region_matrix`).
 
-        Each of the parts along and across a value has its own degrees of freedom; of their covariance a random
-        contribution counts as far as it is known. `covariance`, `dof_polar`: where these are known already.
+        The parts along and across a value have separate degrees of freedom. The covariance between them is used as far
+        as it is significant. `covariance`, `dof_polar`: of `value`, if already computed.
         """
         frame = along_and_across(value)
         whole = element_covariances(self.covariance if covariance is None else covariance)
         mixed = (frame.swapaxes(-1, -2) @ whole @ frame)[..., 0, 1]
         for part in self.random:
             if part.dof is not None:
-                own = frame.swapaxes(-1, -2) @ element_covariances(part.covariance) @ frame
-                mixed += counted_covariance(own, part.dof[:, None]) - own[..., 0, 1]
+                rotated = frame.swapaxes(-1, -2) @ element_covariances(part.covariance) @ frame
+                mixed += counted_covariance(rotated, part.dof[:, None]) - rotated[..., 0, 1]
         freedom = self.dof_polar(value) if dof_polar is None else dof_polar
         return region_matrix(value, whole, freedom, mixed, self._turn(value))
 
     def _turn(self, value: ComplexArray) -> FloatArray:
-        """Return by what angle (K, C) unknown times turn the values (K, C), as a standard uncertainty in rad.
+        """Return the standard uncertainty (K, C) in rad by which unknown times turn `value`.
 
-        Delays, times of clocks and of triggers: what is late by τ is turned by -ωτ, whole, not to first order only.
+        Delays, times of clocks and of triggers: a time error τ turns a value by -ωτ exactly, not only to first order.
         """
         times = [as_complex(influence.effect) for influence in self.influences if influence.unit == "s"]
         usable = np.isfinite(value) & (value != 0.0)
@@ -299,13 +309,16 @@ class Uncertainty:
 
 
 def _factors(dof: FloatArray) -> FloatArray:
-    """Return the coverage factor of each number of degrees of freedom (...), NaN where there is none."""
+    """Return the coverage factor of each number of degrees of freedom, or NaN."""
     found = [np.nan if np.isnan(one) else coverage_factor(one) for one in dof.ravel().tolist()]
     return np.array(found, dtype=np.float64).reshape(dof.shape)
 
 
 def real_design(matrix: ComplexArray) -> FloatArray:
-    """Return the real form (..., 2M, 2J) of complex matrices (..., M, J), which acts on [all Re, all Im]."""
+    """Return the real form (..., 2M, 2J) of complex matrices (..., M, J).
+
+    It acts on [all Re, all Im].
+    """
     return np.block([[matrix.real, -matrix.imag], [matrix.imag, matrix.real]])
 
 
@@ -321,7 +334,10 @@ def as_complex(values: FloatArray) -> ComplexArray:
 
 
 def _scatter(covariance: FloatArray) -> FloatArray:
-    """Sum (K, C) of the variances of the elements of a sample covariance of (Re, Im), per degree of freedom."""
+    """Return the sum (K, C) of variances of the elements of a sample covariance.
+
+    Of (Re, Im), per degree of freedom.
+    """
     diagonal = covariance.diagonal(axis1=1, axis2=2)
     size = diagonal.shape[1] // 2
     real, imaginary = diagonal[:, :size], diagonal[:, size:]
@@ -359,9 +375,9 @@ def merge_contributions(parts: Sequence[Contribution]) -> tuple[Contribution, ..
 def polar_elements(
     value: ComplexArray, uncertainty: Uncertainty, covariance: FloatArray | None = None
 ) -> list[list[Polar | None]]:
-    """Return complex values (K, C) with their uncertainty as magnitude and phase, None where a value is not known.
+    """Return complex values (K, C) as magnitude and phase with their uncertainty.
 
-    `covariance` (K, 2C, 2C): that of `uncertainty`, where it has been added up already.
+    None where a value is not known. `covariance` (K, 2C, 2C): the sum of `uncertainty`, if already computed.
     """
     covariance = uncertainty.covariance if covariance is None else covariance
     dof, along = uncertainty.dof(), uncertainty.dof_polar(value)
@@ -379,8 +395,8 @@ def over_static(
 ) -> tuple[ComplexArray, Uncertainty]:
     """Return sensitivities (K, E) over static values (E,) and the uncertainty of these ratios.
 
-    `u_static` (E,): standard uncertainties of the static values, each one unknown that is the same at all K lines;
-    `names` (E,) of the elements, such as `Fz/Fz`, by which a correction by the static matrix has them, too.
+    `u_static` (E,): standard uncertainties of the static values, each one unknown for all K lines. `names` (E,) of the
+    elements, such as `Fz/Fz`; a correction by the static matrix uses the same names.
     """
     ratio, factor = np.asarray(value / static), np.broadcast_to(1.0 / static + 0.0j, value.shape)
     references = []
@@ -394,7 +410,10 @@ def over_static(
 
 
 def element_covariances(covariance: FloatArray) -> FloatArray:
-    """Covariances (K, C, 2, 2) of (Re, Im) of every element of real-stacked covariances (K, 2C, 2C)."""
+    """Return the covariances (K, C, 2, 2) of (Re, Im) of every element.
+
+    From real-stacked covariances (K, 2C, 2C).
+    """
     size = covariance.shape[-1] // 2
     pair = np.arange(size)[:, None] + [0, size]
     return covariance[:, pair[:, :, None], pair[:, None, :]]

@@ -1,4 +1,4 @@
-"""What readings scatter by: as estimated of their noise, and beyond what is stated, as variance components."""
+"""Variance components: scatter of readings by their estimated noise, and beyond their stated uncertainty."""
 
 from __future__ import annotations
 
@@ -12,32 +12,35 @@ from fusion.estimation.measurement_model import BODY_SIZE_M, SCALE, Observation
 from shaker.arrays import ComplexArray, FloatArray, IntArray
 
 TEST_LEVEL = 0.99
-LEAST_ESTIMATED = 1e-6
-MOST_ESTIMATED = 0.8
+MIN_ESTIMATED = 1e-6
+"""Share A₂/d below which the noise is treated as exact: far below any effect on the test."""
+MAX_ESTIMATED = 0.8
 """Largest share A₂/d that the test allows for: with noise known even less, chi-square has no expectation."""
 TINY = 1e-300
-LEAST_TAIL = 4.0
+MIN_TAIL_DOF = 4.0
 """Degrees of freedom of F below which the approximation is not followed."""
 RANK_TOLERANCE = 1e-6
 VISIBLE = 1e-4
+"""Size of a contrast relative to its row below which it is rounding (chosen)."""
 ITERATIONS = 100
 DIGITS = 1e-15
+"""Relative precision of double numbers, about."""
 NO_VALUES = np.zeros(0)
 SMALL_READING = 0.1
-"""A reading below this share of the motion has no direction in the complex plane of its own."""
+"""Share of the motion below which a reading has no significant direction in the complex plane."""
 LOST_DOF = 2.0
 """Degrees of freedom that a variance has less as a weight: 1/s² is ν/(ν - 2) times 1/σ² on average."""
 MIN_DOF = 4.0
-"""Degrees of freedom of a difference between instruments are never taken as fewer: two instruments that differ by D
-then get u = D/2 about their middle and U = 1.4 D, which covers both."""
+"""Fewest degrees of freedom of a difference between instruments (chosen). Two instruments that differ by D then get
+u = D/2 about their mean and U = 1.4 D, which covers both."""
 
 
 @dataclass(frozen=True)
 class Scatter:
-    """Standard deviations by which the readings of one instrument scatter beyond what is stated of them.
+    """Scatter of the readings of one instrument beyond their stated uncertainties.
 
-    `amplitude`, `phase` (K,): of the part in phase with the reading and of that at right angles, relative to the size
-    of the motion at the line; `dof` (K,): degrees of freedom of both together, of which neither has more by itself.
+    `amplitude`, `phase` (K,): standard deviations of the parts in phase with the reading and at right angles, relative
+    to the motion at the line. `dof` (K,): degrees of freedom of both together.
     """
 
     instrument: str
@@ -48,7 +51,10 @@ class Scatter:
 
 @dataclass(frozen=True)
 class Discrepancy:
-    """A further covariance (N, N) of the readings of a system, with its `label` and degrees of freedom (K,)."""
+    """An additional covariance (N, N) of the readings of a system.
+
+    With its `label` and degrees of freedom (K,).
+    """
 
     label: str
     covariance: FloatArray
@@ -81,31 +87,31 @@ class Contrasts:
         if not len(components):
             return self.spread
         total = self.spread + np.tensordot(components, self.patterns, 1)
-        # Beside a component a million times as large nothing of what is stated may be left in the digits.
+        # Next to a component a million times as large the stated part may vanish in rounding.
         return np.asarray(total + DIGITS * np.max(np.diag(total)) * np.eye(len(total)))
 
     def normal_equations(self, components: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return F (C, C) and right side (C,) whose solution are the next components.
+        """Return F (C, C) and right side (C,) of the equations for the next components.
 
-        F_cd = tr(P D_c P D_d) = right side's derivative, right side y^T P D_c P y - tr(P D_c P V_0): restricted maximum
-        likelihood as iterated minimum norm estimates (Rao 1971; Searle, Casella, McCulloch, Variance Components, 1992,
-        sec. 6.6), P the inverse covariance of the contrasts.
+        F_cd = tr(P D_c P D_d), the right side's derivative; right side y^T P D_c P y - tr(P D_c P V_0). This is
+        restricted maximum likelihood by iterated minimum norm estimates (Rao 1971; Searle, Casella, McCulloch, Variance
+        Components, 1992, sec. 6.6). P is the inverse covariance of the contrasts.
         """
         inverse = np.linalg.inv(self._spread(components))
-        turned = inverse @ self.patterns
+        products = inverse @ self.patterns
         weighted = inverse @ self.values
         right = np.einsum("i,cij,j->c", weighted, self.patterns, weighted)
-        right = right - np.einsum("cij,ji->c", turned @ inverse, self.spread)
-        return np.einsum("cij,dji->cd", turned, turned), right
+        right = right - np.einsum("cij,ji->c", products @ inverse, self.spread)
+        return np.einsum("cij,dji->cd", products, products), right
 
 
 @dataclass(frozen=True)
 class EstimatedNoise:
-    """Covariances of a system's readings that were estimated, not stated: how well they are known.
+    """Covariances of a system's readings that were estimated, with their degrees of freedom.
 
-    `blocks`: of each instrument and line the rows (2m,), real before imaginary ones, the root (2m, 2m) of their
-    covariance and its degrees of freedom ν: S ⊗ G with S (m, m) of the readings a Wishart matrix of ν, G that of real
-    and imaginary part. `effects` (N, e): of unknowns of type A, of `dof` (e,).
+    `blocks`: per instrument and line the rows (2m,), real before imaginary ones, the root (2m, 2m) of their covariance
+    and its degrees of freedom ν. The covariance is S ⊗ G: S (m, m) of the readings is a Wishart matrix of ν, G that of
+    real and imaginary part. `effects` (N, e): of unknowns of type A, with `dof` (e,).
     """
 
     blocks: tuple[tuple[IntArray, FloatArray, float], ...]
@@ -116,9 +122,9 @@ class EstimatedNoise:
     def of(cls, system: FusionSystem, effects: FloatArray) -> EstimatedNoise:
         """Return it for a system and the `effects` (N, E) of all its common errors."""
         parts = []
-        for place, observation in enumerate(system.observations):
+        for index, observation in enumerate(system.observations):
             for k, dof in enumerate(observation.phasors.dof.tolist()):
-                rows = np.flatnonzero((system.observation == place) & (system.line == k))
+                rows = np.flatnonzero((system.observation == index) & (system.line == k))
                 parts.append((rows, system.noise[np.ix_(rows, rows)], dof))
         freedom = np.array([error.dof for error in system.common])
         finite = np.isfinite(freedom)
@@ -128,7 +134,10 @@ class EstimatedNoise:
 
     @classmethod
     def of_parts(cls, parts: Iterable[tuple[IntArray, FloatArray, float]], count: int) -> EstimatedNoise:
-        """Return it for `count` readings by the rows of each part, their covariance and its degrees of freedom."""
+        """Return the noise of `count` readings from its parts.
+
+        Each part: rows, their covariance and its degrees of freedom.
+        """
         blocks = []
         for rows, covariance, dof in parts:
             if len(rows) and np.isfinite(dof):
@@ -138,43 +147,45 @@ class EstimatedNoise:
         return cls(tuple(blocks), np.zeros((count, 0)), np.zeros(0))
 
     def moments(self, weights: FloatArray) -> tuple[float, float, float]:
-        """Return A₁ = E (tr Θ·δV)², A₂ = E tr(Θ·δV·Θ·δV), δV the error of the covariance, and by what χ² grows.
+        """Return the moments A₁ and A₂ of the covariance error, and the growth of χ².
 
-        Of weights Θ (N, N), or of only what they are within B blocks of n readings (B, n, n) that no part of the noise
-        exceeds: χ² = yᵀ·Θ·y has, of second order, the expectation d + A₂. Of a block that contributes t of d all orders
-        together make A₂ into A₂/(1 - A₂/t) if it is alone (Hotelling), which is taken for each.
+        A₁ = E (tr Θ·δV)² and A₂ = E tr(Θ·δV·Θ·δV) with the error δV of the covariance and weights Θ: (N, N), or blocks
+        (B, n, n) that no part of the noise exceeds. The expectation of χ² = yᵀ·Θ·y is d + A₂ to second order. For a
+        block that contributes t of d, all orders together give A₂/(1 - A₂/t) if it is the only one (Hotelling); this is
+        used for each block.
         """
         first = second = growth = 0.0
         for rows, root, dof in self.blocks:
             parts = self._parts(root @ _between(weights, rows) @ root)
             traces, both = np.trace(parts, axis1=2, axis2=3), parts[0, 0] + parts[1, 1]
-            own = float(np.sum(parts * parts.swapaxes(2, 3)) + np.sum(traces**2)) / dof
+            of_block = float(np.sum(parts * parts.swapaxes(2, 3)) + np.sum(traces**2)) / dof
             first += 2.0 * float(np.sum(both * both.T)) / dof
-            second += own
-            growth += own / (1.0 - min(own / max(float(np.trace(traces)), TINY), MOST_ESTIMATED))
+            second += of_block
+            growth += of_block / (1.0 - min(of_block / max(float(np.trace(traces)), TINY), MAX_ESTIMATED))
         if not len(self.dof):
             return first, second, growth
         shares = np.einsum("ne,nm,me->e", self.effects, weights, self.effects)
-        known = 2.0 * shares**2 / self.dof
-        more = known / (1.0 - np.minimum(2.0 * shares / self.dof, MOST_ESTIMATED))
-        return first + float(np.sum(known)), second + float(np.sum(known)), growth + float(np.sum(more))
+        of_unknowns = 2.0 * shares**2 / self.dof
+        more = of_unknowns / (1.0 - np.minimum(2.0 * shares / self.dof, MAX_ESTIMATED))
+        return first + float(np.sum(of_unknowns)), second + float(np.sum(of_unknowns)), growth + float(np.sum(more))
 
     def lost(self, projector: FloatArray, gain: FloatArray, rows: IntArray) -> FloatArray:
-        """Return what estimated weights add to the covariance (K, 12, 12) of gain (K, 12, N) · readings of some rows.
+        """Return the covariance (K, 12, 12) that estimated weights add to an estimate.
 
-        Λ = E gain·δV·P·δV·gainᵀ is by how much the estimate scatters more than by the best weights, and by how much
-        (Xᵀ·V⁻¹·X)⁻¹ with an estimated V is on average too small: 2Λ (Kackar & Harville 1984, J. Am. Stat. Assoc. 79,
-        853; Kenward & Roger 1997, Biometrics 53, 983, sec. 2). Of first order in 1/ν, for which 1/(ν - 2) is taken: so
-        U of means of two and three holds in 93.5 to 95.5 % from three degrees of freedom on (docs/uncertainty.md).
+        The estimate is gain (K, 12, N) · readings. Λ = E gain·δV·P·δV·gainᵀ is its additional scatter relative to the
+        best weights. (Xᵀ·V⁻¹·X)⁻¹ with an estimated V is on average too small by the same amount, hence 2Λ (Kackar &
+        Harville 1984, J. Am. Stat. Assoc. 79, 853; Kenward & Roger 1997, Biometrics 53, 983, sec. 2). It is of first
+        order in 1/ν, for which 1/(ν - 2) is used. U of means of two and three then covers 93.5 to 95.5 % from three
+        degrees of freedom on (docs/uncertainty.md).
         """
         total = np.zeros((*gain.shape[:2], gain.shape[1]))
-        for own, root, dof in (block for block in self.blocks if np.isin(block[0][0], rows)):
-            parts = self._parts(root @ projector[np.ix_(own, own)] @ root)
+        for block_rows, root, dof in (block for block in self.blocks if np.isin(block[0][0], rows)):
+            parts = self._parts(root @ projector[np.ix_(block_rows, block_rows)] @ root)
             traces = np.trace(parts, axis1=2, axis2=3)[:, :, None, None] * np.eye(parts.shape[2])
-            square = (parts.swapaxes(2, 3) + traces).swapaxes(1, 2).reshape(len(own), len(own))
+            square = (parts.swapaxes(2, 3) + traces).swapaxes(1, 2).reshape(len(block_rows), len(block_rows))
             square /= max(dof - LOST_DOF, 1.0)
-            turned = gain[:, :, own] @ root
-            total += 2.0 * turned @ square @ turned.swapaxes(1, 2)
+            rotated = gain[:, :, block_rows] @ root
+            total += 2.0 * rotated @ square @ rotated.swapaxes(1, 2)
         return total
 
     @staticmethod
@@ -184,14 +195,15 @@ class EstimatedNoise:
         return np.asarray(square.reshape(2, half, 2, half).swapaxes(1, 2))
 
     def reference(self, dof: int, weights: FloatArray) -> tuple[float, float]:
-        """Return (λ, m) so that λ·χ²/d is distributed as F(d, m), with χ² = yᵀ·Θ·y and Θ the weights (N, N).
+        """Return (λ, m) for which λ·χ²/d has the distribution F(d, m).
 
-        Scaled F approximation of Kenward & Roger (1997, sec. 3.2), exact for Hotelling's T², here of the hypothesis
-        that no contrast has an expectation; m is infinite where all covariances are stated. Beside readings whose noise
-        is known, the growth of the expectation is that of each block (`moments`), not that of its share in d.
+        χ² = yᵀ·Θ·y with weights Θ (N, N). Scaled F approximation of Kenward & Roger (1997, sec. 3.2), exact for
+        Hotelling's T², for the hypothesis that no contrast has an expectation. m is infinite if all covariances are
+        stated. With readings of exact noise the growth of the expectation is that of each block (`moments`), not that
+        of its share in d.
         """
         first, second, growth = self.moments(weights)
-        if second < LEAST_ESTIMATED * dof:
+        if second < MIN_ESTIMATED * dof:
             return 1.0, np.inf
         # A₂ that with 1/(1 - A₂/d) makes this growth: the same where one instrument's noise is all there is.
         first, second = (moment / second * dof * growth / (dof + growth) for moment in (first, second))
@@ -201,12 +213,15 @@ class EstimatedNoise:
         expectation = 1.0 / (1.0 - second / dof)
         variance = 2.0 / dof * (1.0 + c1 * b) / ((1.0 - c2 * b) ** 2 * (1.0 - c3 * b))
         m = 4.0 + (dof + 2.0) / (dof * variance / (2.0 * expectation**2) - 1.0)
-        # Where the approximation has no variance, or no more than chi-square, the expectation alone is held.
-        m = max(m, LEAST_TAIL) if variance > 0.0 and m > 0.0 else LEAST_TAIL
+        # Where the approximation has no variance, or no more than chi-square, only the expectation is matched.
+        m = max(m, MIN_TAIL_DOF) if variance > 0.0 and m > 0.0 else MIN_TAIL_DOF
         return m / (expectation * (m - 2.0)), m
 
     def probability(self, chi2: float, dof: int, weights: FloatArray) -> float:
-        """Return how often chi-square = yᵀ·Θ·y with weights Θ (N, N) is as large if all is as stated; NaN without d."""
+        """Return the probability of a chi-square yᵀ·Θ·y at least as large.
+
+        Θ (N, N): weights. NaN without degrees of freedom.
+        """
         from scipy.special import chdtrc, fdtrc
 
         if dof <= 0:
@@ -220,7 +235,10 @@ class EstimatedNoise:
         return fails(chi2, dof, level) and not self.probability(chi2, dof, weights) >= 1.0 - level
 
     def noticed(self, dof: int, weights: FloatArray, power: float) -> float:
-        """Return the noncentrality that chi-square of weights Θ (N, N) notices at 1 % with the chance `power`."""
+        """Return the noncentrality that a test at 1 % detects with the probability `power`.
+
+        The test is chi-square of weights Θ (N, N).
+        """
         from scipy.special import chdtri, chndtrinc, fdtri, ncfdtrinc
 
         if dof <= 0:
@@ -232,11 +250,11 @@ class EstimatedNoise:
 
 
 def _between(weights: FloatArray, rows: IntArray) -> FloatArray:
-    """Weights between some readings, of all (N, N) or of those within blocks (B, n, n)."""
+    """Return weights between some readings, of all (N, N) or within blocks (B, n, n)."""
     if weights.ndim == 2:
         return np.asarray(weights[np.ix_(rows, rows)])
-    block, own = divmod(rows, weights.shape[1])
-    return np.asarray(weights[block[0]][np.ix_(own, own)])
+    block, within = divmod(rows, weights.shape[1])
+    return np.asarray(weights[block[0]][np.ix_(within, within)])
 
 
 def fails(chi2: float, dof: int, level: float = TEST_LEVEL) -> bool:
@@ -247,10 +265,10 @@ def fails(chi2: float, dof: int, level: float = TEST_LEVEL) -> bool:
 
 
 def variance_components(groups: Sequence[Contrasts]) -> tuple[FloatArray, FloatArray]:
-    """Return variances (C,) common to independent groups, none negative, and their degrees of freedom (C,).
+    """Return non-negative variances (C,) common to independent groups, and their degrees of freedom (C,).
 
-    An error that is the same at all lines shows itself again at each: the groups together therefore do not have more
-    degrees of freedom than the one that knows most. 2 θ²/ν is the asymptotic variance of an estimate θ.
+    An error that is the same at all lines appears at each of them. The groups together therefore do not have more
+    degrees of freedom than the one with the most. 2 θ²/ν is the asymptotic variance of an estimate θ.
     """
     components = np.zeros(len(groups[0].patterns))
     for _ in range(ITERATIONS):
@@ -260,19 +278,22 @@ def variance_components(groups: Sequence[Contrasts]) -> tuple[FloatArray, FloatA
         if change <= 1e-6 * np.max(components):
             break
     dof = np.zeros(len(components))
-    kept = components > 0.0
+    positive = components > 0.0
     for group in groups:
-        information = group.normal_equations(components)[0][np.ix_(kept, kept)]
-        scale = np.outer(components[kept], components[kept])
+        information = group.normal_equations(components)[0][np.ix_(positive, positive)]
+        scale = np.outer(components[positive], components[positive])
         variance = np.diag(np.linalg.pinv(information * scale, hermitian=True))
-        dof[kept] = np.maximum(dof[kept], np.divide(1.0, variance, out=np.zeros_like(variance), where=variance > 1e-9))
+        dof[positive] = np.maximum(
+            dof[positive], np.divide(1.0, variance, out=np.zeros_like(variance), where=variance > 1e-9)
+        )
     return components, dof
 
 
 def _not_negative(matrix: FloatArray, right: FloatArray) -> FloatArray:
-    """Minimum of x^T F x - 2 b^T x over x ≥ 0 (Lawson and Hanson 1974, algorithm 23.10, on the normal equations).
+    """Minimise x^T F x - 2 b^T x over x ≥ 0.
 
-    Components about which the data say nothing are zero.
+    Lawson and Hanson 1974, algorithm 23.10, on the normal equations. Components that the data do not determine are
+    zero.
     """
     diagonal = np.diag(matrix)
     scale = np.sqrt(np.where(diagonal > 0.0, diagonal, np.inf))
@@ -304,46 +325,52 @@ def _not_negative(matrix: FloatArray, right: FloatArray) -> FloatArray:
 
 
 def estimate_scatter(system: FusionSystem, solution: FusionSolution) -> tuple[Scatter, ...]:
-    """Return the scatter of every instrument whose own readings contradict a rigid motion, before they are weighted.
+    """Return the scatter of each instrument whose readings contradict a rigid motion.
 
-    Each is tested by itself, line by line, against all that is stated of it. An instrument that has no more readings
-    than it sees components cannot be tested and gets none. Where one relative scatter explains all lines it is
-    estimated from all; else every line has its own.
+    Each instrument is tested separately, line by line, against its stated uncertainties, before the readings are
+    weighted. An instrument with no more readings than observed components cannot be tested and has no scatter. Where
+    one relative scatter explains all lines it is estimated from all; otherwise every line has a separate one.
     """
     sizes, noise = row_sizes(system, solution.acceleration), EstimatedNoise.of(system, solution.effects)
-    lines, places = range(len(system.observed)), range(len(system.observations))
-    rows = [[np.flatnonzero((system.observation == place) & (system.line == k)) for k in lines] for place in places]
-    tests = [[_contrasts(system, solution, own, sizes, None) for own in rows[place]] for place in places]
+    lines, indices = range(len(system.observed)), range(len(system.observations))
+    rows = [[np.flatnonzero((system.observation == index) & (system.line == k)) for k in lines] for index in indices]
+    tests = [[_contrasts(system, solution, group_rows, sizes, None) for group_rows in rows[index]] for index in indices]
     count = sum(group is not None for groups in tests for group in groups)
     scatters = []
-    for place, groups in zip(places, tests, strict=True):
+    for index, groups in zip(indices, tests, strict=True):
         if any(group is not None and _improbable(group, noise, count) for group in groups):
-            patterns = _own_patterns(system, solution.acceleration, sizes)
+            patterns = _individual_patterns(system, solution.acceleration, sizes)
             whole = {
-                k: _contrasts(system, solution, own, sizes, patterns[:, own[:, None], own])
-                for k, own in enumerate(rows[place])
+                k: _contrasts(system, solution, group_rows, sizes, patterns[:, group_rows[:, None], group_rows])
+                for k, group_rows in enumerate(rows[index])
             }
             usable = {k: group for k, group in whole.items() if group is not None}
-            scatters.append(_scatter(system.observations[place], usable, len(lines)))
+            scatters.append(_scatter(system.observations[index], usable, len(lines)))
     return tuple(scatters)
 
 
 def _scatter(observation: Observation, groups: dict[int, Contrasts], lines: int) -> Scatter:
-    """Components of one instrument, pooled over its lines unless a likelihood ratio says that these differ."""
+    """Estimate the components of one instrument, pooled over its lines.
+
+    They are separate per line if a likelihood ratio shows that the lines differ.
+    """
     from scipy.special import chdtri
 
     components, dof = np.zeros((lines, 2)), np.zeros((lines, 2))
     pooled = variance_components(list(groups.values()))
-    own = {k: variance_components([group]) for k, group in groups.items()}
-    gain = sum(group.deviance(pooled[0]) - group.deviance(own[k][0]) for k, group in groups.items())
+    separate = {k: variance_components([group]) for k, group in groups.items()}
+    gain = sum(group.deviance(pooled[0]) - group.deviance(separate[k][0]) for k, group in groups.items())
     together = gain <= chdtri(2 * len(groups) - 2, 1.0 - TEST_LEVEL) if len(groups) > 1 else True
     for k in groups:
-        components[k], dof[k] = pooled if together else own[k]
+        components[k], dof[k] = pooled if together else separate[k]
     return Scatter(observation.title, np.sqrt(components[:, 0]), np.sqrt(components[:, 1]), _joint_dof(components, dof))
 
 
 def _joint_dof(components: FloatArray, dof: FloatArray) -> FloatArray:
-    """Degrees of freedom (K,) of two variances (K, 2) together, no more than one has: their ratio is estimated too."""
+    """Return the degrees of freedom (K,) of two variances (K, 2) together.
+
+    No more than one of them has, because their ratio is estimated too.
+    """
     total = np.sum(components, axis=1)
     weighted = np.sum(components**2 / np.maximum(dof, 1e-3), axis=1)
     joint = np.divide(total**2, weighted, out=np.full(len(total), np.inf), where=weighted > 0.0)
@@ -351,7 +378,10 @@ def _joint_dof(components: FloatArray, dof: FloatArray) -> FloatArray:
 
 
 def _improbable(group: Contrasts, noise: EstimatedNoise, tests: int) -> bool:
-    """Tell whether chi-square of what is stated is too great for one of several tests together at 1 %."""
+    """Return whether a chi-square is too large for one of several tests.
+
+    At 1 % for all tests together.
+    """
     level = 1.0 - (1.0 - TEST_LEVEL) / tests
     weights = group.combined @ np.linalg.solve(group.spread, group.combined.T)
     return noise.fails(group.chi2(NO_VALUES), len(group.values), weights, level)
@@ -360,11 +390,11 @@ def _improbable(group: Contrasts, noise: EstimatedNoise, tests: int) -> bool:
 def scatter_covariances(
     system: FusionSystem, acceleration: ComplexArray, scatters: Sequence[Scatter]
 ) -> list[Discrepancy]:
-    """Return what the scatter of instruments adds to the covariance of the readings."""
+    """Return the covariances that the scatter of instruments adds to the readings."""
     if not scatters:
         return []
     sizes, parts = row_sizes(system, acceleration), []
-    patterns = _own_patterns(system, acceleration, sizes)
+    patterns = _individual_patterns(system, acceleration, sizes)
     titles = np.array([observation.title for observation in system.observations])[system.observation]
     for scatter in scatters:
         size = np.where(titles == scatter.instrument, sizes, 0.0)
@@ -376,7 +406,7 @@ def scatter_covariances(
 
 
 def failing_lines(system: FusionSystem, solution: FusionSolution) -> tuple[int, ...]:
-    """Return the lines whose readings contradict each other by themselves, at 1 % for all lines together."""
+    """Return the lines whose readings contradict each other, at 1 % for all lines together."""
     sizes, noise = row_sizes(system, solution.acceleration), EstimatedNoise.of(system, solution.effects)
     every = [np.flatnonzero(system.line == k) for k in range(len(system.observed))]
     groups = [_contrasts(system, solution, rows, sizes, None) for rows in every]
@@ -385,9 +415,9 @@ def failing_lines(system: FusionSystem, solution: FusionSolution) -> tuple[int, 
 
 
 def disagreement(system: FusionSystem, solution: FusionSolution, lines: Sequence[int], label: str) -> Discrepancy:
-    """Return what instruments differ by at some lines, as a motion that each sees beside the true one.
+    """Return the covariance of a motion that each instrument adds at some lines.
 
-    It has a variance of its own in every component, apart for the parts in phase with the motion and at right angles.
+    It has a separate variance in every component, and for the parts in phase with the true motion and at right angles.
     """
     sizes = row_sizes(system, solution.acceleration)
     covariance, dof = np.zeros((len(sizes), len(sizes))), np.full(len(system.observed), np.inf)
@@ -404,7 +434,10 @@ def disagreement(system: FusionSystem, solution: FusionSolution, lines: Sequence
 
 
 def row_sizes(system: FusionSystem, acceleration: ComplexArray) -> FloatArray:
-    """Return the size of the motion in each row's unit (N,): the estimate's or, if larger, the largest reading's."""
+    """Return the size (N,) of the motion in the unit of each row.
+
+    That of the estimate or, if larger, of the largest reading.
+    """
     size = np.linalg.norm(acceleration / SCALE, axis=1)
     factors = []
     for observation in system.observations:
@@ -425,7 +458,10 @@ def row_sizes(system: FusionSystem, acceleration: ComplexArray) -> FloatArray:
 def _contrasts(
     system: FusionSystem, solution: FusionSolution, rows: IntArray, sizes: FloatArray, patterns: FloatArray | None
 ) -> Contrasts | None:
-    """Combinations of some rows of one line that no motion changes, with patterns (C, n, n); None if there are none."""
+    """Return combinations of some rows of one line that no motion changes, or None.
+
+    With patterns (C, n, n).
+    """
     if not len(rows):
         return None
     size = sizes[rows]
@@ -436,31 +472,34 @@ def _contrasts(
         return None
     effects = solution.effects[rows]
     spread = (solution.noise[np.ix_(rows, rows)] + effects @ effects.T) / np.outer(size, size)
-    turned = np.zeros((0, 0, 0))
+    rotated = np.zeros((0, 0, 0))
     if patterns is not None:
-        # Where next to nothing of a component is left nobody can know it.
-        turned = across.T @ patterns @ across
-        left = np.trace(turned, axis1=1, axis2=2) > VISIBLE * np.trace(patterns, axis1=1, axis2=2)
-        turned = np.where(left[:, None, None], turned, 0.0)
+        # A component of which almost no part remains cannot be determined.
+        rotated = across.T @ patterns @ across
+        left = np.trace(rotated, axis1=1, axis2=2) > VISIBLE * np.trace(patterns, axis1=1, axis2=2)
+        rotated = np.where(left[:, None, None], rotated, 0.0)
     combined = np.zeros((len(sizes), across.shape[1]))
     combined[rows] = across / size[:, None]
-    return Contrasts(combined.T @ system.readings, across.T @ spread @ across, turned, combined)
+    return Contrasts(combined.T @ system.readings, across.T @ spread @ across, rotated, combined)
 
 
-def _own_patterns(system: FusionSystem, acceleration: ComplexArray, sizes: FloatArray) -> FloatArray:
-    """Return (2, N, N) for independent errors of all readings, relative to the row sizes: in phase, at right angles."""
+def _individual_patterns(system: FusionSystem, acceleration: ComplexArray, sizes: FloatArray) -> FloatArray:
+    """Return the patterns (2, N, N) of independent errors of all readings.
+
+    Relative to the row sizes: in phase and at right angles.
+    """
     predicted, coefficient = [], []
     for observation in system.observations:
-        places = RowIndex.of(observation)
-        line, channel = places.line[~places.imaginary], places.channel[~places.imaginary]
+        indices = RowIndex.of(observation)
+        line, channel = indices.line[~indices.imaginary], indices.channel[~indices.imaginary]
         rows = observation.design[line, channel]
         predicted.append(np.einsum("nj,nj->n", rows, acceleration[line]))
         largest = rows[np.arange(len(rows)), np.argmax(np.abs(rows), axis=1)]
         coefficient.append(largest / np.abs(largest) * _motion_phase(acceleration)[line])
     # The direction of a reading is its prediction's, or the motion's where that is small.
     value, other = np.concatenate(predicted), np.concatenate(coefficient)
-    own = np.abs(value) > SMALL_READING * sizes[system.pairs[:, 0]]
-    directions = np.where(own, value / np.where(own, np.abs(value), 1.0), other)
+    significant = np.abs(value) > SMALL_READING * sizes[system.pairs[:, 0]]
+    directions = np.where(significant, value / np.where(significant, np.abs(value), 1.0), other)
     patterns = np.zeros((2, len(sizes), len(sizes)))
     for number, turn in enumerate((1.0, 1.0j)):
         parts = np.stack([(directions * turn).real, (directions * turn).imag], axis=1)
@@ -475,7 +514,10 @@ def _motion_phase(acceleration: ComplexArray) -> ComplexArray:
 
 
 def _common_patterns(system: FusionSystem, acceleration: ComplexArray, rows: IntArray, sizes: FloatArray) -> FloatArray:
-    """Return (12, n, n) for a motion that each instrument sees beside the true one, by component and phase."""
+    """Return the patterns (12, n, n) of a motion that each instrument adds.
+
+    By component and phase.
+    """
     line = system.line[rows[0]]
     direction = _motion_phase(acceleration)[line]
     size = np.linalg.norm(acceleration[line] / SCALE)
@@ -483,9 +525,9 @@ def _common_patterns(system: FusionSystem, acceleration: ComplexArray, rows: Int
     patterns = np.zeros((12, len(rows), len(rows)))
     start = 0
     for observation in system.observations:
-        places = RowIndex.of(observation)
-        chosen = places.line == line
-        seen = places.design(observation.design)[chosen] @ np.concatenate([unit.real, unit.imag], axis=1).T
+        indices = RowIndex.of(observation)
+        chosen = indices.line == line
+        seen = indices.design(observation.design)[chosen] @ np.concatenate([unit.real, unit.imag], axis=1).T
         end = start + len(seen)
         scaled = seen / sizes[rows[start:end], None]
         patterns[:, start:end, start:end] = np.einsum("nc,mc->cnm", scaled, scaled)

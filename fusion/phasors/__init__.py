@@ -1,1 +1,1 @@
-"""From files to phasors of every instrument."""
+"""From recorded files to the phasors of every instrument."""

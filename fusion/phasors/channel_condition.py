@@ -1,4 +1,4 @@
-"""Phasors of channels whose samples are clipped, lost or coarse: what is fitted, and what that leaves open of them."""
+"""Phasors of channels with clipped, lost or coarse samples, and the errors that these cause."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ import numpy as np
 from fusion.errors import InputError
 from fusion.instruments.channel import NOISE_REACH, ChannelRelativeError
 from fusion.instruments.transducer import chain_name
+from fusion.phasors.phasor_notices import CLIPPED_CHANNEL, COARSE_CONVERTER, REJECTED_SAMPLES, UNUSABLE_CHANNEL
 from shaker.arrays import BoolArray, ComplexArray, FloatArray, Stacked
 from shaker.io.condition import FEWEST_STEPS, Defect, converter_step
 from shaker.sine.quantisation import quantisation_error
@@ -20,26 +21,28 @@ if TYPE_CHECKING:
     from fusion.recording.daq_records import DaqRecord
     from fusion.recording.manifest import ChannelEntry
 
-LEAST_USABLE = 0.25
-"""Of a channel's samples: with fewer that are neither clipped nor lost there is no result."""
+MIN_USABLE_SHARE = 0.25
+"""Smallest share of samples that are neither clipped nor lost (chosen); with fewer there is no result."""
 DEPTH, NARROWER = 4.0, 0.1
-"""Deviations of the residual by which a fit keeps off a limit; of the amplitude by which a second keeps farther."""
+"""Distance of used samples from a limit in deviations of the residual; further distance of a second fit, over the
+amplitude (chosen)."""
 MATTERS = 0.05
-"""Of a line's noise: the change by converter steps from which on it is part of the uncertainty."""
+"""Change by converter steps over the noise of a line above which U includes it (chosen)."""
 Fitter = Callable[[Stacked], SineFit]
 
 
 def require_usable(record: DaqRecord, channel: ChannelEntry) -> None:
-    """Refuse a channel of whose samples too few are neither clipped nor lost."""
+    """Raise if too few samples of a channel are neither clipped nor lost."""
     raw, defects = record.raw[channel.name], record.defects(channel)
-    if sum(defect.count for defect in defects) > (1.0 - LEAST_USABLE) * len(raw.samples):
+    if sum(defect.count for defect in defects) > (1.0 - MIN_USABLE_SHARE) * len(raw.samples):
         raise _unusable(record, channel, defects)
 
 
 def _unusable(record: DaqRecord, channel: ChannelEntry, defects: Sequence[Defect]) -> InputError:
-    found = " and ".join(_described(record, channel, defect) for defect in defects)
-    expected = f"at least {100 * LEAST_USABLE:g} % of the samples, at all phases, within the range of the recorder"
-    return InputError(record.entry.file, channel.stored_name, found=f"one that {found}", expected=expected)
+    defects_found = " and ".join(_described(record, channel, defect) for defect in defects)
+    expected = f"at least {100 * MIN_USABLE_SHARE:g} % of the samples, at all phases, within the range of the recorder"
+    found = f"a channel that {defects_found}"
+    return InputError(UNUSABLE_CHANNEL, record.entry.file, channel.stored_name, found=found, expected=expected)
 
 
 def _described(record: DaqRecord, channel: ChannelEntry, defect: Defect) -> str:
@@ -49,13 +52,12 @@ def _described(record: DaqRecord, channel: ChannelEntry, defect: Defect) -> str:
 def fit_usable(
     record: DaqRecord, group: Sequence[ChannelEntry], fitted: Fitter, time_s: FloatArray
 ) -> tuple[SineFit, Stacked, ComplexArray | None]:
-    """Fit lines to samples of channels that are neither lost nor clipped; return the fit and the values used (S, C).
+    """Fit lines to samples that are neither lost nor clipped.
 
-    A channel that has such samples is alone in its group.
-
-    Which samples are clipped is decided by the fitted curve, so that noise near a limit chooses none of them. The third
-    result is the relative change of the lines, as Re and Im, if the fit keeps farther off the limits: what samples
-    near these are rounded by filters, or by an amplifier that saturates. None where nothing is clipped.
+    Returns the fit and the values used (S, C). A channel with such samples is alone in its group. The fitted curve
+    decides which samples are clipped, so that noise near a limit does not select them. The third result is the relative
+    change of the lines, as Re and Im, if the fit keeps a larger distance from the limits: filters, or a saturating
+    amplifier, round samples near them. None without clipping.
     """
     channel, values = group[0], record.usable_samples(group)
     require_usable(record, channel)
@@ -69,7 +71,7 @@ def fit_usable(
         curve, before = fit.model(time_s)[:, 0], fit
         depth = DEPTH * float(fit.residual_rms[0]) + more * float(np.ptp(curve)) / 2.0
         inside = (curve > low + depth) & (curve < high - depth)
-        if np.count_nonzero(inside & np.isfinite(column[:, 0])) < LEAST_USABLE * len(values):
+        if np.count_nonzero(inside & np.isfinite(column[:, 0])) < MIN_USABLE_SHARE * len(values):
             raise _unusable(record, channel, [clipped])
         used = Stacked.from_array(np.where(inside[:, None], column, np.nan))
         try:
@@ -84,47 +86,43 @@ def fit_usable(
 def assess_condition(
     record: DaqRecord, index: int, fit: SineFit, time_s: FloatArray, clipped: ComplexArray | None, seen: BoolArray
 ) -> tuple[list[ChannelRelativeError], list[Notice]]:
-    """Return what the condition of a fitted channel's samples leaves open of its lines, and what a user should know.
+    """Return the errors of a fitted channel caused by its samples, and notices.
 
-    `clipped`: third result of `fit_usable`. The errors are those of all lines (K,), of which the fit holds those `seen`
-    first.
+    `clipped`: third result of `fit_usable`. The errors are those of all lines (K,), of which the fit contains those
+    `seen` first.
     """
     channel = next(entry for entry in record.entry.channel if entry.name == fit.phasors.channels[index])
     step = abs(channel.scale) * converter_step(record.raw[channel.name].samples)
     rounded = _rounded(fit, index, step, time_s)
-    errors, told = list[ChannelRelativeError](), list[str]()
+    where = f"{record.entry.name}, {channel.name}"
+    errors, notices = list[ChannelRelativeError](), list[Notice]()
     for kind, change in (("clipping", clipped), ("converter steps", rounded)):
         if change is not None:
             errors += _errors(channel, kind, change, seen)
     for defect in record.defects(channel):
-        text = f"{_described(record, channel, defect)}; left out"
+        text = _described(record, channel, defect)
         if defect.kind == "clipped" and clipped is not None:
-            text += f", which leaves its amplitude open to {100.0 * float(clipped.real[0]):.2g} % (in U)"
-            text += "; a larger range of the recorder avoids it"
-        told.append(text)
+            u_percent = 100.0 * float(clipped.real[0])
+            notices.append(Notice(CLIPPED_CHANNEL, where, defect=text, u_percent=u_percent))
+        else:
+            notices.append(Notice(REJECTED_SAMPLES, where, defect=text))
     size = float(np.max(np.abs(fit.phasors.value[:, index])))
     if rounded is not None and size < FEWEST_STEPS * step:
-        coarse = Defect("steps", np.zeros((0, 2), dtype=np.int64), (), step / abs(channel.scale), size / step)
-        text = f"{_described(record, channel, coarse)}, which leaves it open to {_percent(rounded)} (in U)"
-        told.append(f"{text}; a smaller range of the recorder avoids it")
-    block = record.entry.name
-    return errors, [Notice("warning", f"{block}, {channel.name}: {text}", block) for text in told]
+        bound_percent = 100.0 * float(np.sqrt(3.0) * rounded.real[0])
+        notices.append(Notice(COARSE_CONVERTER, where, steps=size / step, bound_percent=bound_percent))
+    return errors, notices
 
 
-def _percent(u: ComplexArray) -> str:
-    return f"{100.0 * float(np.sqrt(3.0) * u.real[0]):.2g} %"
+def _rounded(fit: SineFit, index: int, step: float, time_s: FloatArray) -> ComplexArray | None:
+    """Return the relative u (K,) by converter steps as Re and Im, None if negligible.
 
-
-def _rounded(fit: SineFit, place: int, step: float, time_s: FloatArray) -> ComplexArray | None:
-    """Return the standard uncertainty (K,) of the relative change by converter steps, as Re and Im; None if negligible.
-
-    The change is bounded, and as likely anywhere between its bounds.
+    The change has a uniform distribution between its bounds.
     """
-    size = np.abs(fit.phasors.value[:, place])
+    size = np.abs(fit.phasors.value[:, index])
     if not step > 0.0 or not size.any():
         return None
-    noise = np.hypot(fit.phasors.u_re[:, place], fit.phasors.u_im[:, place])
-    u = quantisation_error(fit, place, time_s, step) / np.sqrt(3.0)
+    noise = np.hypot(fit.phasors.u_re[:, index], fit.phasors.u_im[:, index])
+    u = quantisation_error(fit, index, time_s, step) / np.sqrt(3.0)
     u[size <= NOISE_REACH * noise] = 0.0
     return u if np.any(np.abs(u) * size > MATTERS * noise) else None
 

@@ -1,4 +1,4 @@
-"""Phasors of every channel: the lines of a recording, the sine approximation, delay and response taken off."""
+"""Phasors of every channel: lines of a recording, sine approximation, correction of delay and response."""
 
 from __future__ import annotations
 
@@ -7,22 +7,23 @@ from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import partial
 from hashlib import sha256
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from fusion.errors import InputError, as_input_error
+from fusion.errors import ARGUMENT, InputError, as_input_error
 from fusion.instruments.channel import (
-    NOISE_REACH,
     ChainUncertainty,
     ChannelReading,
-    chain_errors,
     nonzero_errors,
-    u_of_filter,
 )
 from fusion.instruments.transducer import HEAD, STATIONARY, TRANSDUCERS
 from fusion.phasors.channel_condition import assess_condition, fit_usable, require_usable
+from fusion.phasors.phasor_notices import (
+    LINE_ABOVE_SAMPLING,
+    LINES_FROM_BAND,
+    LINES_NOT_FOUND,
+)
 from fusion.phasors.timing import TimeBase, TimingError, combine_timing_errors
 from fusion.recording.response import read_response
 from shaker.arrays import BoolArray, ComplexArray, FloatArray, Stacked, brief
@@ -51,38 +52,33 @@ if TYPE_CHECKING:
 
 EXCERPT_PERIODS = 4
 MOST_BINS = 1 << 18
-"""Of a spectrum that is kept."""
+"""Largest number of bins of a stored spectrum (chosen for file size)."""
 DRIVEN = 0.05
-"""Of the strongest line: what a line of a multisine without stated frequencies must reach."""
+"""Smallest line of a multisine without stated frequencies, over the strongest one (chosen)."""
 MIN_BEAT_PERIODS = 2.0
-"""Periods of the beat with every wanted line that a record must hold for another line to be fitted beside them."""
+"""Beat periods with every line of the recording that a record must contain for another line to be fitted (chosen)."""
 HARMONICS = (2, 3, 4, 5)
-FOLDED = 20
-"""Order up to which harmonics are looked for that sampling folds onto a driven line."""
-OF_U = 1.0 / 3.0
-"""Of a channel's u at a line: what a folded harmonic must be likely to reach to be worth a notice."""
 TURN = 0.01
-"""Radians at the end of a record by which an unknown rate may turn a line before the lines refine it: 2e-5 of it."""
+"""Phase in rad at the end of a record by an uncertain rate, above which lines refine it: 2e-5 of the amplitude."""
 U_SHARED_FREQUENCY = 1e-8
-"""Relative standard uncertainty with which two blocks record the same frequency: a generator's drift in a minute."""
+"""Relative standard uncertainty of a frequency common to two blocks: the drift of a generator in a minute."""
 FEW = 3
-"""Fundamentals up to which their harmonics are looked at: a multisine has its own lines there, and intermodulation."""
+"""Largest number of fundamentals with harmonics: a multisine has other lines and intermodulation there."""
 _ROBUST = SineModel(robust=True)
 _NO_SPECTRUM = Spectrum(np.empty(0), np.empty((0, 1)))
-# The order in which quantities are preferred for finding the lines: those that show high frequencies best.
+# Quantities for finding the lines in order of preference: those that show high frequencies best.
 LINE_QUANTITIES = (*sorted(TRANSDUCERS, key=lambda name: -TRANSDUCERS[name].order), "output", "force", "voltage")
 
 
 @dataclass(frozen=True)
 class ChannelResult:
-    """One DAQ channel: phasors in SI at the recording's lines, and what the figures need.
+    """Phasors of one DAQ channel at the recording's lines, in SI units.
 
-    `excerpt_s`, `excerpt`, `excerpt_fit` (S,): a short stretch with its fit. `spectrum_hz`, `spectrum` (B,):
-    amplitude spectrum of the signal, of long records the highest of neighbouring bins; `residual_rms`: of what the
-    lines leave, in the channel's SI unit.
-    `stationarity`: phasors over blocks of whole periods, delay and response not corrected. `notices`: what its fit
-    wants the user to know. `harmonics`: fundamentals and their harmonics up to the fifth, whether or not they are lines
-    of the recording, as far as this channel samples them; None where there are many fundamentals.
+    `excerpt_s`, `excerpt`, `excerpt_fit` (S,): a short stretch with its fit. `spectrum_hz`, `spectrum` (B,): amplitude
+    spectrum of the signal, of long records the largest of neighbouring bins. `residual_rms`: of the residuals, in the
+    channel's SI unit. `stationarity`: phasors over blocks of whole periods, without correction of delay and response.
+    `notices`: of its fit. `harmonics`: fundamentals and their harmonics up to the fifth, whether or not they are lines
+    of the recording, as far as this channel samples them; None with many fundamentals.
     """
 
     name: str
@@ -111,7 +107,10 @@ class ChannelResult:
 
 @dataclass(frozen=True)
 class LineRecord:
-    """The channels in which a recording's lines are looked for: `values` (S, C) in SI at `time_s` (S,)."""
+    """The channels in which a recording's lines are searched.
+
+    `values` (S, C) in SI at `time_s` (S,).
+    """
 
     record: DaqRecord
     channels: tuple[ChannelEntry, ...]
@@ -120,15 +119,16 @@ class LineRecord:
 
 
 def line_clock(base: TimeBase) -> tuple[TimingError, ...]:
-    """Return what is open of the clock on which the lines are found in the fastest channels."""
+    """Return the errors of the clock on which the lines are found."""
     fastest = _fastest(base)
     return () if fastest is None else base.tie_errors(fastest[0].entry.name)
 
 
 def _fastest(base: TimeBase) -> tuple[DaqRecord, ChannelEntry] | None:
-    """Return the fastest channel and its block, of equally fast ones the first by quantity and place.
+    """Return the fastest channel and its block.
 
-    What tells of a room or a laser head, which should stand still, is the last choice.
+    Of equally fast ones the first by quantity and index. Channels of a room or a laser head, which should be at rest,
+    are the last choice.
     """
     candidates = [
         (
@@ -136,11 +136,11 @@ def _fastest(base: TimeBase) -> tuple[DaqRecord, ChannelEntry] | None:
             -record.raw[channel.name].sample_rate_hz,
             bool(record.defects(channel)),
             LINE_QUANTITIES.index(channel.quantity),
-            place,
+            index,
             record,
             channel,
         )
-        for place, record in enumerate(base.records)
+        for index, record in enumerate(base.records)
         for channel in record.entry.channel
         if channel.quantity in LINE_QUANTITIES
     ]
@@ -151,7 +151,10 @@ def _fastest(base: TimeBase) -> tuple[DaqRecord, ChannelEntry] | None:
 
 
 def line_record(base: TimeBase) -> LineRecord | None:
-    """Return the fastest channel and all that were sampled with it; None where there are only triggers."""
+    """Return the fastest channel and all sampled with it.
+
+    None if there are only triggers.
+    """
     fastest = _fastest(base)
     if fastest is None:
         return None
@@ -163,30 +166,30 @@ def line_record(base: TimeBase) -> LineRecord | None:
 
 
 def find_channel_lines(manifest: Manifest, base: TimeBase) -> LineFrequencies | None:
-    """Find the lines in the fastest channels; None where there are only triggers."""
+    """Find the lines in the fastest channels, None if there are only triggers."""
     chosen = line_record(base)
     return None if chosen is None else base.on_clock(lines_of_record(manifest, chosen), line_clock(base))
 
 
 def refine_ties(base: TimeBase, lines: LineFrequencies) -> tuple[TimeBase, LineFrequencies]:
-    """Return ties whose rates the lines refine, and the lines on the base clock as it is known then.
+    """Return ties refined by the lines, and the lines on that clock.
 
-    A wrong rate r costs a sine over T seconds (πfTr)²/6 of its amplitude, of which no first-order uncertainty knows;
-    ties whose u of the rate turns every line by less than `TURN` over half the record stay as they are. Frequencies
-    that contradict the edges are told and change nothing.
+    A wrong rate r costs a sine over T seconds (πfTr)²/6 of its amplitude, which no first-order uncertainty includes.
+    Ties whose u of the rate turns every line by less than `TURN` over half the record are unchanged. Frequencies that
+    contradict the edges are reported and change no tie.
     """
     length_s = max(float(np.ptp(fit.edge_s)) for fit in base.triggers.values()) if base.triggers else 0.0
     turn = np.pi * float(lines.frequency_hz.max()) * length_s
-    open_ties = {
+    uncertain_ties = {
         name: tie for name, tie in base.ties.items() if tie is not None and turn * tie.covariance[1, 1] ** 0.5 > TURN
     }
-    seen = line_rates(base, lines, list(open_ties))
-    ties = {name: tie.with_rate(*seen[name]) for name, tie in open_ties.items() if name in seen}
+    seen = line_rates(base, lines, list(uncertain_ties))
+    ties = {name: tie.with_rate(*seen[name]) for name, tie in uncertain_ties.items() if name in seen}
     return (base, lines) if not ties else with_ties(base, lines, ties)
 
 
 def with_ties(base: TimeBase, lines: LineFrequencies, ties: Mapping[str, ClockTie]) -> tuple[TimeBase, LineFrequencies]:
-    """Return a time base with some other ties, and the lines on its clock, whose rate was that of the tie before."""
+    """Return a time base with some ties replaced, and the lines on its clock."""
     fastest, refined = _fastest(base), replace(base, ties={**base.ties, **ties})
     if fastest is None or fastest[0].entry.name not in ties:
         return refined, lines
@@ -195,30 +198,29 @@ def with_ties(base: TimeBase, lines: LineFrequencies, ties: Mapping[str, ClockTi
     plain = replace(
         lines,
         frequency_hz=lines.frequency_hz * scale,
-        u_frequency_hz=_own(base, lines) * lines.frequency_hz,
+        u_frequency_hz=_relative_u_without_clock(base, lines) * lines.frequency_hz,
         nuisance_hz=lines.nuisance_hz * scale,
     )
     return refined, refined.on_clock(plain, line_clock(refined))
 
 
-def _own(base: TimeBase, lines: LineFrequencies) -> FloatArray:
-    """Return the relative u (K,) of the frequencies on the clock on which they were found."""
+def _relative_u_without_clock(base: TimeBase, lines: LineFrequencies) -> FloatArray:
+    """Return the relative u (K,) of the frequencies on the clock of their channel."""
     clock = float(np.linalg.norm([error.rate for error in line_clock(base)]))
     return np.sqrt(np.maximum((lines.u_frequency_hz / lines.frequency_hz) ** 2 - clock**2, 0.0))
 
 
 def line_rates(base: TimeBase, lines: LineFrequencies, names: Sequence[str]) -> dict[str, tuple[float, float]]:
-    """Return the rates of other blocks' ties, with their u, as the lines tell them without any edge.
+    """Return the rates of other blocks' ties, with u, from the lines alone.
 
-    One generator makes the lines that all blocks record, so that the ratio of two clocks' rates is that of the
-    frequencies that they find, known orders of magnitude better than from edges between samples. Blocks without lines
-    are left out.
+    One generator drives the lines of all blocks. The ratio of two clock rates is that of the frequencies found, orders
+    of magnitude more precise than from edges between samples. Blocks without lines are omitted.
     """
     fastest, first = _fastest(base), base.records[0].entry.name
     if fastest is None or not names:
         return {}
     found_in = fastest[0].entry.name
-    stretches = {found_in: (0.0, float(_own(base, lines).min()))}
+    stretches = {found_in: (0.0, float(_relative_u_without_clock(base, lines).min()))}
     for name in {first, *names} - {found_in}:
         found = line_stretch(base, name, lines)
         stretches |= {} if found is None else {name: found}
@@ -234,9 +236,9 @@ def line_rates(base: TimeBase, lines: LineFrequencies, names: Sequence[str]) -> 
 def line_stretch(
     base: TimeBase, name: str, lines: LineFrequencies, body: str = "", span_s: tuple[float, float] = (-np.inf, np.inf)
 ) -> tuple[float, float] | None:
-    """Return by how much all lines seem higher in a block, relative, with its u; None where it shows none.
+    """Return the relative offset of all line frequencies in a block, with u, or None.
 
-    In channels that see the motion of a `body`, if one is named; in the samples from one time to another.
+    None if the block has no lines. `body`: use channels of its motion only. `span_s`: use samples in this interval.
     """
     record = base.record(name)
     groups = sorted(_same_times(record), key=lambda group: -record.raw[group[0].name].sample_rate_hz)
@@ -258,37 +260,36 @@ def line_stretch(
 
 
 def lines_of_record(manifest: Manifest, chosen: LineRecord) -> LineFrequencies:
-    """Find the lines that the manifest states, their harmonics and all else in the channels chosen for it."""
+    """Find the stated lines, their harmonics and all others in the chosen channels."""
     record, together, time_s, values = chosen.record, chosen.channels, chosen.time_s, chosen.values
     harmonics, half_rate = manifest.excitation.harmonics, record.raw[together[0].name].sample_rate_hz / 2.0
     # A line above is looked for where it folds to, within `CAPTURE` of its nominal frequency: the whole band, some day.
     beyond = [f for f in manifest.excitation.frequencies or () if CAPTURE * f >= half_rate]
     if beyond:
-        least = f"at most {half_rate / CAPTURE:g} Hz, for channels at {2.0 * half_rate:g} samples a second"
-        found, expected = f"{beyond[0]:g} Hz", f"frequencies in Hz that sampling can tell: {least} ({together[0].name})"
-        raise InputError(manifest.path, "excitation.frequencies", found=found, expected=expected)
+        limit = f"at most {half_rate / CAPTURE:g} Hz, for {together[0].name} at {2.0 * half_rate:g} samples per second"
+        found, expected = f"{beyond[0]:g} Hz", f"frequencies of {limit}"
+        raise InputError(LINE_ABOVE_SAMPLING, manifest.path, "excitation.frequencies", found=found, expected=expected)
     try:
         if manifest.excitation.frequencies is not None:
             return find_lines(time_s, values, manifest.excitation.frequencies, harmonics)
         record.check_uniform(together)
-        nominal_hz, told = _driven_lines(manifest, time_s, values, [member.name for member in together])
+        nominal_hz, notice = _driven_lines(manifest, time_s, values, [member.name for member in together])
         lines = find_lines(time_s, values, nominal_hz, harmonics)
-        return replace(lines, notices=(told, *lines.notices))
+        return replace(lines, notices=(notice, *lines.notices))
     except ValueError as error:
         names = ", ".join(member.name for member in together)
         where = f"{'channel' if len(together) == 1 else 'channels'} {names} of {record.entry.file.name}"
-        raise InputError.from_exception(
-            ValueError(f"{error} ({where})"), manifest.path, "excitation.frequencies"
-        ) from error
+        reason, key = ARGUMENT.sub("", str(error), count=1), "excitation.frequencies"
+        raise InputError(LINES_NOT_FOUND, manifest.path, key, reason=reason, instruments=where) from error
 
 
 def _driven_lines(
     manifest: Manifest, time_s: FloatArray, values: Stacked, names: Sequence[str]
 ) -> tuple[Sequence[float], Notice]:
-    """Return the lines in the band of a multisine that states no frequencies, and a notice that lists them.
+    """Return the lines in the band of a multisine without stated frequencies, and a notice.
 
-    Of the reference channels where they are among these, else of all: what reaches a twentieth of the strongest line
-    and, where the period is stated, lies at a multiple of its inverse.
+    In the reference channels if they are among these, else in all. A line reaches a twentieth of the strongest one and,
+    if the period is stated, is a multiple of its inverse.
     """
     excitation = manifest.excitation
     chosen = [c for c, name in enumerate(names) if name in excitation.reference] or list(range(len(names)))
@@ -296,17 +297,15 @@ def _driven_lines(
     lines = survey_lines(fill_gaps(values.select(chosen)), rate_hz)
     low, high = excitation.band or (0.0, rate_hz / 2.0)
     in_band = lines.select((lines.frequency_hz >= low) & (lines.frequency_hz <= high))
-    kept = in_band.select(relative_strength(in_band.amplitude) >= DRIVEN) if len(in_band.frequency_hz) else in_band
-    nominal_hz = [float(f"{f:.6g}") for f in kept.frequency_hz]
+    strong = in_band.select(relative_strength(in_band.amplitude) >= DRIVEN) if len(in_band.frequency_hz) else in_band
+    nominal_hz = [float(f"{f:.6g}") for f in strong.frequency_hz]
     if excitation.period is not None:
-        turns = [(f, round(f * excitation.period) / excitation.period) for f in kept.frequency_hz.tolist()]
+        turns = [(f, round(f * excitation.period) / excitation.period) for f in strong.frequency_hz.tolist()]
         nominal_hz = [whole for f, whole in turns if abs(f - whole) <= rate_hz / len(time_s)]
     if not nominal_hz:
-        raise ValueError(
-            f"band: expected lines between {low:g} and {high:g} Hz that stand out of the noise, found none"
-        )
+        raise ValueError(f"band: expected lines between {low:g} and {high:g} Hz above the noise, found none")
     listed = ", ".join(f"{f:.6g}" for f in nominal_hz)
-    return nominal_hz, Notice("note", f"no frequencies are stated; found in the band: {listed} Hz", "excitation.band")
+    return nominal_hz, Notice(LINES_FROM_BAND, "excitation.band", count=len(nominal_hz), frequencies=listed)
 
 
 # The sine approximation, channel by channel.
@@ -315,32 +314,31 @@ def _driven_lines(
 def channel_phasors(
     manifest: Manifest, base: TimeBase, lines: LineFrequencies, *, shown: bool = True
 ) -> tuple[tuple[ChannelResult, ...], tuple[ChannelReading, ...]]:
-    """Fit the lines to every channel of every block: the phasors with what the figures show, and with their errors.
+    """Fit the lines to every channel of every block.
 
-    Lines above the Nyquist frequency are left out, since recorders filter them away, but not in the fastest channels,
-    where the lines were found. Where nothing is `shown`, spectra, harmonics and stationarity are left out, which refuse
-    nothing.
+    Lines above the Nyquist frequency are omitted, because recorders filter them, but not in the fastest channels, in
+    which the lines were found. Without `shown`, spectra, harmonics and stationarity are omitted; they cause no refusal.
     """
     groups = [(record, group) for record in base.records for group in _same_times(record)]
     rates_hz = [record.raw[group[0].name].sample_rate_hz for record, group in groups]
-    open_lines = base.line_errors(lines, line_clock(base))
+    line_errors = base.line_errors(lines, line_clock(base))
     fitted: list[tuple[ChannelResult, ChannelReading]] = []
     for (record, group), rate_hz in zip(groups, rates_hz, strict=True):
         seen = (lines.frequency_hz < rate_hz / 2.0) | (rate_hz >= max(rates_hz))
         if not seen.any():
-            above = f"a sampling rate above {2.0 * lines.frequency_hz.min():g} Hz"
-            expected = f"{above}, or no such channel in recording.toml"
-            raise InputError(record.entry.file, group[0].name, found=f"{rate_hz:g} Hz", expected=expected)
+            expected = f"a sampling rate above {2.0 * lines.frequency_hz.min():g} Hz"
+            file, name, found = record.entry.file, group[0].name, f"{rate_hz:g} Hz"
+            raise InputError(LINE_ABOVE_SAMPLING, file, name, found=found, expected=expected)
         units = [manifest.rig.unit_of(channel) for channel in group]
-        errors = combine_timing_errors([*base.tie_errors(record.entry.name), *open_lines])
+        errors = combine_timing_errors([*base.tie_errors(record.entry.name), *line_errors])
         fitted += _fit_group(base, record, group, units, (lines, seen, errors), shown)
     return tuple(result for result, _ in fitted), tuple(reading for _, reading in fitted)
 
 
 def _same_times(record: DaqRecord) -> list[list[ChannelEntry]]:
-    """Group a block's channels (triggers left out) by equal times, to be fitted in one solve.
+    """Group a block's channels, without triggers, by equal times, to be fitted together.
 
-    One that has lost or clipped samples is fitted alone.
+    A channel with lost or clipped samples is fitted alone.
     """
     groups: dict[tuple[float, float, int, bytes, str], list[ChannelEntry]] = {}
     for channel in record.entry.channel:
@@ -357,22 +355,21 @@ def _fit_group(
     record: DaqRecord,
     group: Sequence[ChannelEntry],
     units: Sequence[str],
-    wanted_lines: tuple[LineFrequencies, BoolArray, Sequence[TimingError]],
+    group_lines: tuple[LineFrequencies, BoolArray, Sequence[TimingError]],
     shown: bool,
 ) -> list[tuple[ChannelResult, ChannelReading]]:
-    """Fit the lines seen (K,) to all channels of one group and split the result by channel.
+    """Fit the lines seen (K,) to all channels of one group.
 
-    Other lines are fitted beside the wanted ones where they are below Nyquist, and so far off that they can. What is
-    open of times and lines acts through the fit.
+    Other lines are fitted too if they are below Nyquist and separable. Errors of times and lines act through the fit.
     """
-    lines, seen, errors = wanted_lines
+    lines, seen, errors = group_lines
     time_s = base.to_base_s(record.entry.name, record.time_s(group[0].name))
     rate_hz = record.raw[group[0].name].sample_rate_hz
     names = [channel.name for channel in group]
-    apart = np.abs(np.subtract.outer(lines.nuisance_hz, alias_frequency(lines.frequency_hz, rate_hz)))
-    clear = np.all(apart * float(time_s[-1] - time_s[0]) >= MIN_BEAT_PERIODS, axis=1)
-    beside = lines.nuisance_hz[clear & (lines.nuisance_hz < rate_hz / 2.0)]
-    frequency_hz = np.concatenate([lines.frequency_hz[seen], beside])
+    distance = np.abs(np.subtract.outer(lines.nuisance_hz, alias_frequency(lines.frequency_hz, rate_hz)))
+    clear = np.all(distance * float(time_s[-1] - time_s[0]) >= MIN_BEAT_PERIODS, axis=1)
+    nuisance_hz = lines.nuisance_hz[clear & (lines.nuisance_hz < rate_hz / 2.0)]
+    frequency_hz = np.concatenate([lines.frequency_hz[seen], nuisance_hz])
     first = lines.frequency_hz[(lines.multiple == 1) & seen]
     multiples = _multiples(first, frequency_hz, rate_hz, float(time_s[-1] - time_s[0]))
     added = multiples[~np.isin(multiples, frequency_hz)]
@@ -380,56 +377,59 @@ def _fit_group(
         every = np.concatenate([frequency_hz, added])
         fitted_to = partial(fit_sines, time_s, frequency_hz=every, channels=names, unit=units, model=_ROBUST)
         fit, values, clipped = fit_usable(record, group, fitted_to, time_s)
-    wanted = expand_lines(fit.phasors.at_lines(np.arange(np.count_nonzero(seen))), seen, lines.frequency_hz)
-    kept = None
+    phasors = expand_lines(fit.phasors.at_lines(np.arange(np.count_nonzero(seen))), seen, lines.frequency_hz)
+    regular = None
     if len(fit.spikes):
-        kept = np.ones(len(values), dtype=np.bool_)
-        kept[fit.spikes] = False
-    times = time_s if kept is None else time_s[kept]
-    steady = stationarity(times, values.select_rows(kept), frequency_hz, names) if shown else None
+        regular = np.ones(len(values), dtype=np.bool_)
+        regular[fit.spikes] = False
+    times = time_s if regular is None else time_s[regular]
+    steady = stationarity(times, values.select_rows(regular), frequency_hz, names) if shown else None
     fitted: list[tuple[ChannelResult, ChannelReading]] = []
     for c, channel in enumerate(group):
-        own = wanted.select([channel.name])
-        result, reading = _result(record, channel, time_s, fit, own, shown)
+        of_channel = phasors.select([channel.name])
+        result, reading = _result(record, channel, time_s, fit, of_channel, shown)
         order = -TRANSDUCERS[channel.quantity].order if channel.quantity in TRANSDUCERS else 0
-        late = [error.through(fit, seen, order).of_channel(c).relative_to(own) for error in errors]
-        open_values, told = assess_condition(record, c, fit, time_s, clipped, seen)
-        steady_here = steady and steady.select(channel.name)
+        late = [error.through(fit, seen, order).of_channel(c).relative_to(of_channel) for error in errors]
+        value_errors, notices = assess_condition(record, c, fit, time_s, clipped, seen)
+        of_blocks = steady and steady.select(channel.name)
         harmonics = _harmonics(channel, fit, every, multiples) if shown else None
-        result = replace(result, stationarity=steady_here, harmonics=harmonics, notices=(*result.notices, *told))
-        result = replace(result, spectrum_hz=fitted[0][0].spectrum_hz) if fitted else result  # the same, held once
-        fitted.append((result, replace(reading, further_errors=nonzero_errors([*late, *open_values]))))
+        result = replace(result, stationarity=of_blocks, harmonics=harmonics, notices=(*result.notices, *notices))
+        result = replace(result, spectrum_hz=fitted[0][0].spectrum_hz) if fitted else result  # the same object
+        fitted.append((result, replace(reading, further_errors=nonzero_errors([*late, *value_errors]))))
     return fitted
 
 
 def _multiples(first: FloatArray, fitted: FloatArray, rate_hz: float, length_s: float) -> FloatArray:
-    """Return fundamentals and those harmonics that are fitted anyhow, or that a fit can have beside what is fitted."""
+    """Return fundamentals and the harmonics that are lines or can be fitted separately."""
     if not 0 < len(first) <= FEW:
         return np.empty(0)
     alias, multiples = alias_frequency(fitted, rate_hz), list(first)
     for frequency in (m * f for f in first for m in HARMONICS):
-        own = fitted[np.abs(fitted - frequency) < 1e-9 * frequency]
+        equal = fitted[np.abs(fitted - frequency) < 1e-9 * frequency]
         clear = np.min(np.abs(np.append(alias, [0.0, rate_hz / 2.0]) - frequency)) * length_s >= MIN_BEAT_PERIODS
-        if len(own) or (clear and frequency < rate_hz / 2.0):
-            multiples.append(own[0] if len(own) else frequency)
+        if len(equal) or (clear and frequency < rate_hz / 2.0):
+            multiples.append(equal[0] if len(equal) else frequency)
             alias = np.append(alias, frequency)
     return np.array(multiples)
 
 
 def _harmonics(channel: ChannelEntry, fit: SineFit, fitted: FloatArray, multiples: FloatArray) -> Phasors | None:
-    """Return fundamentals and harmonics of one channel, None where its response is not stated as far as these."""
+    """Return fundamentals and harmonics of one channel, or None.
+
+    None if its response is not stated at these frequencies.
+    """
     if not len(multiples):
         return None
-    places = [int(np.argmin(np.abs(fitted - frequency))) for frequency in multiples]
-    own = fit.phasors.at_lines(np.array(places)).select([channel.name])
+    indices = [int(np.argmin(np.abs(fitted - frequency))) for frequency in multiples]
+    of_channel = fit.phasors.at_lines(np.array(indices)).select([channel.name])
     try:
-        return own.scaled(_correction(channel, own.frequency_hz)[0][:, None])
+        return of_channel.scaled(_correction(channel, of_channel.frequency_hz)[0][:, None])
     except InputError:
         return None
 
 
 def _correction(channel: ChannelEntry, frequency_hz: FloatArray) -> tuple[ComplexArray, ChainResponse | None]:
-    """Return the factor from a channel's phasor to the true one, exp(+jω·delay) / response(f), and the response."""
+    """Return the factor exp(+jω·delay) / response(f) of a channel's phasor, and the response."""
     correction = np.exp(2j * np.pi * frequency_hz * channel.delay)
     if channel.response is None:
         return correction, None
@@ -445,14 +445,14 @@ def _result(
     phasors: Phasors,
     shown: bool,
 ) -> tuple[ChannelResult, ChannelReading]:
-    """Correct one channel's phasors for delay and response, and keep what its figures need."""
+    """Correct one channel's phasors for delay and response, and collect the data of its figures."""
     block, rate_hz, values = record.entry.name, record.raw[channel.name].sample_rate_hz, record.stacked([channel])
     chain = ChainUncertainty(clock=block)
     correction, response = _correction(channel, phasors.frequency_hz)
     if response is not None:
         chain = replace(chain, u_magnitude=response.u_magnitude, u_phase_rad=response.u_phase_rad)
     phasors = phasors.scaled(correction[:, None])
-    place = fit.phasors.channels.index(channel.name)
+    index = fit.phasors.channels.index(channel.name)
     first = slice(0, min(len(values), int(EXCERPT_PERIODS * rate_hz / fit.phasors.frequency_hz[0]) + 2))
     uneven_s = None if record.raw[channel.name].stamp_s is None else time_s
     spectrum = _spectrum(fill_gaps(values), uneven_s, rate_hz) if shown else _NO_SPECTRUM
@@ -465,31 +465,31 @@ def _result(
         sample_rate_hz=rate_hz,
         samples=len(values),
         phasors=phasors,
-        residual_rms=float(fit.residual_rms[place]),
-        excerpt_s=time_s[first].copy(),  # a view would hold the whole record
+        residual_rms=float(fit.residual_rms[index]),
+        excerpt_s=time_s[first].copy(),  # a view would reference the whole record
         excerpt=values[first][:, 0],
-        excerpt_fit=fit.model(time_s[first], slice(place, place + 1))[:, 0],
+        excerpt_fit=fit.model(time_s[first], slice(index, index + 1))[:, 0],
         spectrum_hz=spectrum.frequency_hz,
         spectrum=spectrum.amplitude[:, 0],
-        notices=tuple(Notice(n.severity, f"{block}, {n.where}: {n.text}", block) for n in fit.notices),
+        notices=tuple(notice.at(f"{block}, {notice.where}") for notice in fit.notices),
     )
     return result, ChannelReading(channel, phasors, chain)
 
 
 def _spectrum(values: FloatArray | Stacked, uneven_s: FloatArray | None, rate_hz: float) -> Spectrum:
-    """Return the spectrum of a channel, of one at uneven times (S,) on the grid nearest to them."""
+    """Return the spectrum of a channel, at uneven times (S,) on the nearest grid."""
     if uneven_s is None:
         return amplitude_spectrum(values, rate_hz, MOST_BINS)
     grid = sampling_grid(uneven_s) or nearest_grid(uneven_s)
     if grid is None:
         return _NO_SPECTRUM
     column = values[:]
-    share = len(column) / grid.length  # of the places of the grid, the others are zero
+    share = len(column) / grid.length  # of the grid points, the others are zero
     return amplitude_spectrum(grid.filled(column - column.mean(axis=0)) / share, grid.rate_hz, MOST_BINS)
 
 
 def fill_gaps(values: Stacked) -> FloatArray | Stacked:
-    """Return values (S, C), those that are no numbers as the mean of their channel: enough for a spectrum."""
+    """Return values (S, C) with gaps replaced by the mean of their channel, for spectra."""
     if rows_present(values) is None:
         return values
     every = values[:]
@@ -499,9 +499,10 @@ def fill_gaps(values: Stacked) -> FloatArray | Stacked:
 def folding(
     frequency_hz: Sequence[float], rate_hz: float, samples: int, most: int = HARMONICS[-1]
 ) -> list[AliasedHarmonic]:
-    """Return the harmonics of driven lines, up to order `most`, that sampling folds within a bin of one of these.
+    """Return the harmonics of driven lines that alias onto one of these.
 
-    Of lines below half the rate; none of many lines, which fold onto each other's harmonics anyhow.
+    Up to order `most`, within a bin. Of lines below half the rate. None for many lines, whose harmonics alias onto each
+    other in any case.
     """
     few = frequency_hz if len(frequency_hz) <= FEW else ()
     below = [f for f in few if f < rate_hz / 2.0]
@@ -509,83 +510,17 @@ def folding(
 
 
 def describe_folds(folds: Sequence[AliasedHarmonic]) -> str:
-    """Name folded harmonics."""
+    """Return aliased harmonics and the lines that they alias onto."""
     return ", ".join(
-        f"harmonic {fold.multiple} of {fold.fundamental_hz:.6g} Hz folds onto {fold.line_hz:.6g} Hz" for fold in folds
+        f"harmonic {fold.multiple} of {fold.fundamental_hz:.6g} Hz aliases onto {fold.line_hz:.6g} Hz" for fold in folds
     )
 
 
-def folding_notices(
-    channels: Sequence[ChannelResult], readings: Sequence[ChannelReading], lines: LineFrequencies
-) -> tuple[list[Notice], list[str]]:
-    """Return notices of what folds onto the lines of a block and may matter, and what else folds, as not assessed.
-
-    Harmonics up to the fifth may matter wherever no channel's response tells that a filter keeps them off, others where
-    those seen of a channel let expect more than a third of its u at the line.
-    """
-    driven = lines.frequency_hz[lines.multiple == 1].tolist()
-    blocks: dict[tuple[str, float], list[tuple[ChannelResult, ChannelReading]]] = {}
-    for channel, reading in zip(channels, readings, strict=True):
-        if reading.entry.response is None:
-            blocks.setdefault((channel.daq, channel.sample_rate_hz), []).append((channel, reading))
-    notices, rest = [], []
-    for (daq, rate_hz), own in blocks.items():
-        where = f"{daq}, sampled at {rate_hz:g} Hz"
-        found: dict[bool, list[AliasedHarmonic]] = {True: [], False: []}
-        for fold in folding(driven, rate_hz, own[0][0].samples, FOLDED):
-            found[fold.multiple <= HARMONICS[-1] or any(_expected(*one, fold) for one in own)].append(fold)
-        if found[True]:
-            text = (
-                f"{where}: {describe_folds(found[True])}, where nothing tells them apart; an anti-aliasing filter must"
-            )
-            notices.append(Notice("note", f"{text} keep them off", daq))
-        if found[False]:
-            rest.append(f"high harmonics without an anti-aliasing filter ({where}: {describe_folds(found[False])})")
-    return notices, rest
-
-
-def _expected(channel: ChannelResult, reading: ChannelReading, fold: AliasedHarmonic) -> bool:
-    """Whether the harmonics seen of a channel let expect one at a fold that matters beside its u at the line.
-
-    Coefficients of a waveform without jumps fall at least as 1/m² with their order m (Zygmund 1959, Trigonometric
-    Series I, II.4), which starts at the one seen that promises most.
-    """
-    if channel.harmonics is None:
-        return False
-    seen, order = channel.harmonics, channel.harmonics.frequency_hz / fold.fundamental_hz
-    size, noise = np.abs(seen.value[:, 0]), np.hypot(seen.u_re[:, 0], seen.u_im[:, 0])
-    counted = (np.abs(order - np.rint(order)) < 1e-9 * order) & (order > 1.5) & (size > NOISE_REACH * noise)
-    line = int(np.argmin(np.abs(channel.phasors.frequency_hz - fold.line_hz)))
-    relative = [np.abs(error.effect[line, 0]) for error in chain_errors([reading])]
-    own = channel.phasors.at_lines(np.array([line]))
-    u = np.linalg.norm([own.u_re[0, 0], own.u_im[0, 0], np.abs(own.value[0, 0]) * np.linalg.norm(relative)])
-    return bool(np.max((size * (order / fold.multiple) ** 2)[counted], initial=0.0) > OF_U * u)
-
-
-ATTENUATED = 1e-3
-"""Relative attenuation that a filter of a stated delay may have, from which on the user is asked about it."""
-
-
-def delay_notices(readings: Sequence[ChannelReading], path: Path) -> list[Notice]:
-    """Ask about delays that may be those of filters, which attenuate, in the manifest at `path`."""
-    told = []
-    for entry, phasors in ((reading.entry, reading.phasors) for reading in readings if reading.entry.delay_of is None):
-        loss = np.sqrt(3.0) * u_of_filter(phasors.frequency_hz, entry.filter_delay_s)[0]
-        line = int(np.argmax(loss))
-        if loss[line] > ATTENUATED:
-            text = (
-                f"channel.{entry.name}.delay: a low-pass with this delay of {1e6 * entry.delay:.4g} us changes "
-                f"{phasors.frequency_hz[line]:.6g} Hz by up to {loss[line]:.2%}, which U contains: state delay_of = "
-                '"pure" if it is none, or the filter as response'
-            )
-            told.append(Notice("warning", text, path.name))
-    return told
-
-
 def line_strength(readings: Sequence[ChannelReading], lines: LineFrequencies) -> FloatArray | None:
-    """Return the acceleration at each line (K,) relative to the strongest: the largest share that any channel shows.
+    """Return the acceleration (K,) at each line relative to the strongest one.
 
-    Of motion channels, else of the sensor's outputs; 0 where none sees a line. None where there are no such channels.
+    The largest share in any motion channel, else in the sensor's outputs; 0 if no channel measures a line. None without
+    such channels.
     """
     moving = [(reading, TRANSDUCERS[q].order) for reading in readings if (q := reading.entry.quantity) in TRANSDUCERS]
     chosen = moving or [(reading, 0) for reading in readings if reading.entry.quantity == "output"]
@@ -597,7 +532,10 @@ def line_strength(readings: Sequence[ChannelReading], lines: LineFrequencies) ->
 
 
 def expand_lines(phasors: Phasors, mask: BoolArray, frequency_hz: FloatArray) -> Phasors:
-    """Return phasors at all lines `frequency_hz` (K,) from those at the lines of `mask` (K,), NaN at the others."""
+    """Return phasors at all lines (K,) from those at the lines of `mask` (K,).
+
+    NaN at the others.
+    """
     lines, channels = len(mask), len(phasors.channels)
     value = np.full((lines, channels), np.nan, dtype=np.complex128)
     covariance = np.full((lines, 2 * channels, 2 * channels), np.nan)

@@ -1,4 +1,4 @@
-"""Clocks tied by the motion: the period of a camera trigger from a line that its frames and the channels see."""
+"""Clocks tied by the motion: trigger periods from lines in frames and channels."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ import numpy as np
 
 from fusion.instruments.transducer import STATIONARY
 from fusion.phasors.channel_phasors import MIN_BEAT_PERIODS, U_SHARED_FREQUENCY, line_rates, line_stretch, with_ties
+from fusion.phasors.phasor_notices import PERIODS_DISAGREE
 from fusion.phasors.stereo_motion import StereoMotion, resolved_lines
 from fusion.phasors.timing import TimeBase, frame_sight
 from fusion.recording.load import Manifest
@@ -22,32 +23,34 @@ from shaker.timebase.tie import ClockTie, tie_clocks
 from shaker.timebase.trigger import MAX_DISAGREEMENT_SIGMAS, TriggerFit
 from shakercal._common.notices import Notice
 
-OPEN, JITTERS = {"sampled": 0.15, "resolved": 0.01}, 3.0
-"""Of a sample, over the length of the burst: nearly locked edges leave more, others less. And of what jitter leaves."""
-KNOWS_MORE = 0.5
-"""Of the u that edges leave of a trigger's period: what that of another answer must fall below to count."""
+UNCERTAIN_SAMPLES, JITTERS = {"sampled": 0.15, "resolved": 0.01}, 3.0
+"""Uncertainty of the burst's length above which edges are nearly locked: in samples, and over that by jitter."""
+MIN_IMPROVEMENT = 0.5
+"""Largest u of another period, over that by edges, for it to be used (chosen)."""
 
-Known = tuple[float, float]
-"""A value, and its standard uncertainty."""
+ValueWithU = tuple[float, float]
+"""A value and its standard uncertainty."""
 
 
 def tie_clocks_by_motion(
     manifest: Manifest, base: TimeBase, motions: Sequence[StereoMotion], lines: LineFrequencies
 ) -> tuple[TimeBase, tuple[StereoMotion, ...], LineFrequencies]:
-    """Return clocks, exposures and lines with the periods of camera triggers that edges leave open and others tell.
+    """Return clocks, exposures and lines with periods of camera triggers from the motion.
 
-    What moves at a frequency f that channels know turns by 2πfT from frame to frame: its alias in the frames tells the
-    trigger's period T. Another block that records the trigger tells it by its edges, on a clock whose rate the lines
-    tell. Edges that fall on the same places between samples leave T open by a sample over the record; with T known, the
-    intervals of edges that pass a sample tell the instants of all, and with them what the ties leave open. A phase
-    tells no instant: that of the outputs is the measurand, and where cameras and others see one body the fusion
-    compares their delays. A period that contradicts the edges is told and changes nothing; where none is open, the
-    same objects come back.
+    For periods that edges leave uncertain and other data determine. Motion at a frequency f known from channels turns
+    by 2πfT from frame to frame, so that its alias in the frames determines the trigger's period T. Another block that
+    records the trigger determines it by its edges, on a clock whose rate the lines determine.
+
+    Edges at equal positions between samples leave T uncertain by a sample over the record. With T, the intervals of
+    edges that pass a sample determine the instants of all, and with them the ties. Phases determine no instants: the
+    phase of the outputs is the measurand, and the fusion compares delays of cameras and other instruments on one body.
+    A period that contradicts the edges is reported and changes no clock. Without an uncertain period the same objects
+    are returned.
     """
     tied = base
     for trigger in dict.fromkeys(measured.sight.exposure.trigger for measured in motions):
-        own = [measured for measured in motions if measured.sight.exposure.trigger == trigger]
-        tied, lines = _refined(tied, own, lines, trigger)
+        of_trigger = [measured for measured in motions if measured.sight.exposure.trigger == trigger]
+        tied, lines = _refined(tied, of_trigger, lines, trigger)
     if tied is base:
         return base, tuple(motions), lines
     entries: dict[str, Images | PointFiles] = {entry.stereo: entry for entry in manifest.images}
@@ -55,30 +58,32 @@ def tie_clocks_by_motion(
     renewed = []
     for measured in motions:
         sight = measured.sight
-        again = frame_sight(manifest, tied, entries[sight.name], sight.edge - sight.edge[0])
-        sight = replace(sight, time_s=again.time_s, model_share=again.model_share)
+        renewed_sight = frame_sight(manifest, tied, entries[sight.name], sight.edge - sight.edge[0])
+        sight = replace(sight, time_s=renewed_sight.time_s, model_share=renewed_sight.model_share)
         renewed.append(replace(measured, sight=sight))
     return tied, tuple(renewed), lines
 
 
 def nearly_locked(fit: TriggerFit) -> bool:
-    """Whether the places of edges between samples leave the length of the burst open to `OPEN` of a sample and more.
+    """Return whether equal positions of edges between samples leave the burst's length uncertain.
 
-    As standard uncertainty. What jitter leaves of the slope of a line through E edges, σ·√(12/E) over their length, is
-    the same in all blocks that record them, and is left as it is.
+    By `UNCERTAIN_SAMPLES` of a sample and more, as standard uncertainty. Jitter contributes σ·√(12/E) over their length
+    to the slope of a line through E edges. It is the same in all blocks that record them, and is unchanged.
     """
     length = float(np.sqrt(fit.covariance[1, 1])) * fit.edges
-    return bool(length > max(OPEN[fit.kind] * fit.sample_s, JITTERS * fit.jitter_s * np.sqrt(12.0 / fit.edges)))
+    return bool(
+        length > max(UNCERTAIN_SAMPLES[fit.kind] * fit.sample_s, JITTERS * fit.jitter_s * np.sqrt(12.0 / fit.edges))
+    )
 
 
 def _refined(
     base: TimeBase, motions: Sequence[StereoMotion], lines: LineFrequencies, trigger: str
 ) -> tuple[TimeBase, LineFrequencies]:
-    """Return clocks and lines with the periods of one trigger that its edges leave open in some blocks.
+    """Return clocks and lines with the uncertain periods of one trigger replaced.
 
-    Each block gets the mean of what the motion and the edges in other blocks tell, where these are not open themselves;
-    a tie, which reads the intervals of both its blocks, what the motion and the lines tell. Of resolved edges the
-    crossings are paired as they are: that both rises err alike is not known.
+    Each block gets the mean of the periods by the motion and by the certain edges in other blocks. A tie, which reads
+    the intervals of both its blocks, gets those by motion and lines. Resolved edges are paired as they are, because a
+    common error of both rises is not known.
     """
     fits = {daq: fit for (daq, name), fit in base.triggers.items() if name == trigger}
     first, origin = next(iter(fits)), base.records[0].entry.name
@@ -87,63 +92,61 @@ def _refined(
     seen = period_from_motion(base, motions, lines)
     others = [daq for daq in fits if daq != origin and base.shared_triggers(origin, daq)[:1] == [trigger]]
     rates = {first: (1.0, 0.0), **line_rates(base, lines, others)}  # seconds of the first clock in one of the block's
-    told = {daq: _times((fits[daq].period_s, float(fits[daq].covariance[1, 1] ** 0.5)), rates[daq]) for daq in rates}
+    by_edges = {
+        daq: _times((fits[daq].period_s, float(fits[daq].covariance[1, 1] ** 0.5)), rates[daq]) for daq in rates
+    }
     triggers, ties, by_motion = dict(base.triggers), dict[str, ClockTie](), dict(fits)
     for daq, rate in rates.items():
-        fit, limit, back = fits[daq], KNOWS_MORE * told[daq][1], (1.0 / rate[0], rate[1] / rate[0] ** 2)
-        known = [] if seen is None else [seen]
-        known += [told[name] for name in rates if name != daq and not nearly_locked(fits[name])]
-        if known and nearly_locked(fit):
-            triggers[daq, trigger] = _with_period(fit, known, limit, back)
+        fit, limit, back = fits[daq], MIN_IMPROVEMENT * by_edges[daq][1], (1.0 / rate[0], rate[1] / rate[0] ** 2)
+        readings = [] if seen is None else [seen]
+        readings += [by_edges[name] for name in rates if name != daq and not nearly_locked(fits[name])]
+        if readings and nearly_locked(fit):
+            triggers[daq, trigger] = _with_period(fit, readings, limit, back)
         if seen is not None and seen[1] < limit:
             by_motion[daq] = fit.with_period(*_times(seen, back))
         tie = base.ties[daq]
         found = [triggers[name, trigger] for name in (first, daq)]
         sampled = all(fit.kind == "sampled" for fit in found)
         if daq != first and tie is not None and sampled and any(fit.known_period_s for fit in found):
-            pair = [replace(by_motion[n], open_s=own.open_s) for n, own in zip((first, daq), found, strict=True)]
-            ties[daq] = _read_again(tie, *pair, rate=rate)
+            pair = [replace(by_motion[n], open_s=one.open_s) for n, one in zip((first, daq), found, strict=True)]
+            ties[daq] = _renewed_tie(tie, *pair, rate=rate)
     return with_ties(replace(base, triggers=triggers), lines, ties)
 
 
-def _with_period(fit: TriggerFit, known: Sequence[Known], limit: float, back: Known) -> TriggerFit:
-    """Return a trigger with the mean of what is known of its period, if that is below a limit, on its own clock.
+def _with_period(fit: TriggerFit, readings: Sequence[ValueWithU], limit: float, back: ValueWithU) -> TriggerFit:
+    """Return a trigger with the mean period on its clock.
 
-    Answers that contradict each other are told and change nothing.
+    If u of the mean is below a limit. Readings that contradict each other are reported and change no period.
     """
-    mean = _mean(known)
-    apart, both = float(np.ptp([value for value, _ in known])), float(np.linalg.norm([u for _, u in known]))
-    if apart > MAX_DISAGREEMENT_SIGMAS * both:
-        text = (
-            f"what its frames show, and what other records do, differ by {apart / mean[0]:.2g} of its period (standard "
-            f"uncertainty {both / mean[0]:.2g}), so that its own edges stand: frames or edges are missing, or what "
-            f"moved was not what the lines were found in"
-        )
-        return replace(fit, notices=(*fit.notices, Notice("warning", text, "trigger")))
+    mean = _mean(readings)
+    difference, both = float(np.ptp([value for value, _ in readings])), float(np.linalg.norm([u for _, u in readings]))
+    if difference > MAX_DISAGREEMENT_SIGMAS * both:
+        notice = Notice(PERIODS_DISAGREE, "trigger", difference=difference / mean[0], u=both / mean[0])
+        return replace(fit, notices=(*fit.notices, notice))
     return fit.with_period(*_times(mean, back)) if mean[1] < limit else fit
 
 
-def _read_again(tie: ClockTie, base: TriggerFit, other: TriggerFit, *, rate: Known) -> ClockTie:
-    """Return a tie from the edges in both blocks with the rate that lines tell of their clocks, if it agrees with them.
+def _renewed_tie(tie: ClockTie, base: TriggerFit, other: TriggerFit, *, rate: ValueWithU) -> ClockTie:
+    """Return a tie from the edges of both blocks and the lines' rate.
 
-    Of edges that leave a gap open as much is taken to be open as the triggers by themselves leave.
+    If that rate agrees with the edges. Edges with an uncertain gap keep the uncertainty of the triggers.
     """
     agreed = tie.with_rate(*rate)
     if len(agreed.notices) > len(tie.notices):
         return replace(tie, notices=tuple(dict.fromkeys(agreed.notices)))
-    again = tie_clocks(base, other, tie.shift, rate=rate)
-    return replace(again, decided_by=tie.decided_by, notices=(*tie.notices, *again.notices))
+    renewed = tie_clocks(base, other, tie.shift, rate=rate)
+    return replace(renewed, decided_by=tie.decided_by, notices=(*tie.notices, *renewed.notices))
 
 
-def _times(one: Known, other: Known) -> Known:
+def _times(one: ValueWithU, other: ValueWithU) -> ValueWithU:
     """Return the product of two independent quantities."""
     return one[0] * other[0], float(np.hypot(one[1] * other[0], other[1] * one[0]))
 
 
-def _mean(readings: Sequence[Known]) -> Known:
-    """Return the mean of independent readings of one quantity, weighted by their variances.
+def _mean(readings: Sequence[ValueWithU]) -> ValueWithU:
+    """Return the weighted mean of independent readings of one quantity.
 
-    Readings that differ by more than they state make it more uncertain (Birge ratio).
+    Weighted by their variances; readings that differ by more than their u enlarge it (Birge ratio).
     """
     value, u = np.array(readings).T
     weight = u**-2.0
@@ -152,15 +155,15 @@ def _mean(readings: Sequence[Known]) -> Known:
     return mean, float(np.sqrt(birge / np.sum(weight)))
 
 
-def period_from_motion(base: TimeBase, motions: Sequence[StereoMotion], lines: LineFrequencies) -> Known | None:
-    """Return the period of the trigger that some pairs follow as their motion tells it; None where its edges do better.
+def period_from_motion(base: TimeBase, motions: Sequence[StereoMotion], lines: LineFrequencies) -> ValueWithU | None:
+    """Return a trigger's period as the motion of some pairs determines it, or None.
 
-    On the clock of the first block that records the trigger. Lines are compared with the channels that see the same
-    body while the frames are taken, before all on that block, else with all channels: the frequencies that these find
-    are off as its clock is, and so is the period.
+    None if its edges are more precise. On the clock of the first block that records the trigger. Lines are compared
+    with channels that measure the same body during the frames, first on that block, else with all channels. The
+    frequencies that these find have the error of their clock, and so has the period.
     """
     daq, fit = base.first_with(motions[0].sight.exposure.trigger)
-    limit, tie = KNOWS_MORE * float(np.sqrt(fit.covariance[1, 1])), base.ties[daq]
+    limit, tie = MIN_IMPROVEMENT * float(np.sqrt(fit.covariance[1, 1])), base.ties[daq]
     moving = [measured for measured in motions if measured.sight.pair.body != STATIONARY]
     frames = [(measured, seen) for measured in moving if (seen := frame_interval(measured, lines)) is not None]
     if not frames or _mean([seen for _, seen in frames])[1] > limit:
@@ -177,13 +180,12 @@ def period_from_motion(base: TimeBase, motions: Sequence[StereoMotion], lines: L
     return (period_s, u) if u < limit else None
 
 
-def frame_interval(measured: StereoMotion, lines: LineFrequencies) -> Known | None:
-    """Return the time from frame to frame on the clock on which the lines have these frequencies, with its u.
+def frame_interval(measured: StereoMotion, lines: LineFrequencies) -> ValueWithU | None:
+    """Return the time between frames, with u, on the clock with the stated line frequencies.
 
-    A fit with one free change of all frequencies (four parameters, IEEE 1057) to frames as if evenly spaced, at the
-    mean distance that they are taken to have: that is too short by as much as the lines seem too high. Of lines whose
-    beat comes round twice or more; over less, a change of frequency looks like the offset and the line itself. None
-    where no line does.
+    A fit with one free change of all frequencies (four parameters, IEEE 1057) to frames at even distances, whose error
+    is that of the lines with opposite sign. For lines with two beats or more; over fewer, a change of frequency is not
+    separable from the offset and the line. None without such a line.
     """
     number, time_s = np.arange(len(measured.sight.time_s)), measured.sight.time_s
     start_s, distance_s = np.polynomial.Polynomial.fit(number, time_s, 1).convert().coef.tolist()
@@ -203,8 +205,8 @@ def frame_interval(measured: StereoMotion, lines: LineFrequencies) -> Known | No
     return _times((distance_s, 0.0), (found[0] / frequency_hz[first], found[1] / frequency_hz[first]))
 
 
-def _reference(base: TimeBase, daq: str, measured: StereoMotion, lines: LineFrequencies) -> Known | None:
-    """Return by how much the lines seem higher in the channels that a pair's frames are compared with."""
+def _reference(base: TimeBase, daq: str, measured: StereoMotion, lines: LineFrequencies) -> ValueWithU | None:
+    """Return the relative offset of line frequencies in the channels for a pair's frames."""
     sight = measured.sight
     span_s = float(sight.time_s.min()), float(sight.time_s.max())
     names = sorted((record.entry.name for record in base.records), key=lambda name: name != daq)

@@ -1,4 +1,7 @@
-"""What a body does beside its rigid motion at the lines: point by point, and in shapes fitted to all grey values."""
+"""Deformation of a body at the lines, point by point and in shapes.
+
+Shapes are fitted to all grey values.
+"""
 
 from __future__ import annotations
 
@@ -9,6 +12,7 @@ from functools import partial
 import numpy as np
 
 from fusion.estimation.uncertainty import real_stack
+from fusion.phasors.phasor_notices import PAIR_BODY_DEFORMS
 from fusion.phasors.shutter import PhaseRotated
 from photogram.direct.shapes import PLAIN, ShapeAmplitudes
 from photogram.motion import Deformation
@@ -18,20 +22,21 @@ from shaker.sine.normal_equations import SineSums
 from shaker.sine.phasor import Phasors
 from shaker.sine.sine_fit import fit_sines
 from shaker.sine.solve import SineFit, SineModel
-from shakercal._common.notices import Notice
+from shakercal._common.notices import Notice, Value
 
-# Operating deflection shape: phasors of what a body does beside its rigid motion, point by point.
+# Operating deflection shape: phasors of the deformation of a body, point by point.
 
 
-LEAST_FREEDOM = 4  # frames beyond the unknowns of the fit that make a scatter
+MIN_FREEDOM = 4  # frames beyond the unknowns of the fit for an estimate of scatter
 
 
 @dataclass(frozen=True, eq=False)
 class DeflectionShape:
-    """Complex deflection of N points of a body at K lines, in m, peak values, in the body's axes.
+    """Complex deflection of N points of a body at K lines, in m, peak values.
 
-    `frequency_hz` (K,); `reference_m` (N, 3); `value` (K, N, 3) of x(t) = Re{X exp(jωt)}, exposure loss corrected;
-    `u` (K, N, 3): standard uncertainty of the real and of the imaginary part. A point seen too rarely is NaN.
+    In the body's axes. `frequency_hz` (K,); `reference_m` (N, 3); `value` (K, N, 3) of x(t) = Re{X exp(jωt)}, corrected
+    for the exposure; `u` (K, N, 3): standard uncertainty of the real and of the imaginary part. NaN for a point in too
+    few frames.
     """
 
     frequency_hz: FloatArray
@@ -45,37 +50,37 @@ class DeflectionShape:
 def deflection_shape(
     time_s: FloatArray, frequency_hz: FloatArray, deformation: Iterable[Deformation], exposure_s: float
 ) -> DeflectionShape:
-    """Return the phasors of a deformation of F frames at times (F,) and lines (K,), by sine approximation.
+    """Return the phasors of a deformation of F frames at K lines by sine approximation.
 
-    Least squares with all lines and an offset, as `fit_sines` does for the rigid motion, on the frames in which the
-    point is seen; u² = s²·(2/S)·(XᵀX)⁻¹ with the variance s² of the point's own residual, mean of both parts.
-    `deformation`: of some frames after the other.
+    Times (F,). Least squares with all lines and an offset, like `fit_sines` for the rigid motion, on the frames with
+    the point. u² = s²·(2/S)·(XᵀX)⁻¹ with the variance s² of the point's residual, mean of both parts. `deformation`:
+    blocks of frames.
     """
     sums = None
     for part in deformation:
         sums = SineSums(time_s, frequency_hz, np.zeros_like(part.reference_m)) if sums is None else sums
         sums.add(part.residual_m)
     assert sums is not None
-    _, value, u = sums.solve(LEAST_FREEDOM)
+    _, value, u = sums.solve(MIN_FREEDOM)
     gain = exposure_gain(frequency_hz, exposure_s)[:, None, None]
     return DeflectionShape(frequency_hz, part.reference_m, np.asarray(value / gain), u / gain)
 
 
-# Shapes whose amplitudes the grey values of all pixels tell, and whether there is any deformation at all.
+# Amplitudes of shapes by the grey values of all pixels, and the test of any deformation.
 
 LEVEL = 0.01
-"""Chance at which a rigid body seems to deform, over all lines of a recording."""
-LOUDER, SLOW = 0.001, 3.09  # chance at which white noise seems louder around a line; its quantile
+"""Probability of a false deformation of a rigid body, over all lines of a recording."""
+LOUDER, SLOW = 0.001, 3.09  # probability that white noise seems louder around a line; its quantile
 
 
 @dataclass(frozen=True, eq=False)
 class ShapePhasors:
-    """Amplitudes of S shapes of a body at K lines, in m, peak values, exposure loss corrected.
+    """Amplitudes of S shapes of a body at K lines, in m, peak values.
 
-    `phasors`: with the covariance of their noise; `effects` (P, K, S): changes by one standard uncertainty of unknowns
-    that all frames share (calibration, errors periodic in the pixel). `share` (6, S): rigid motion that an amplitude of
-    1 m puts into that of the pair. `chance` (K,): of an F at least as large on a rigid body; `modes`: how many
-    independent shapes stand out at the lines together.
+    Corrected for the exposure. `phasors`: with the covariance of their noise. `effects` (P, K, S): changes per standard
+    uncertainty of unknowns of all frames (calibration, errors periodic in the pixel). `share` (6, S): rigid motion that
+    an amplitude of 1 m adds to that of the pair. `chance` (K,): of an F at least as large on a rigid body. `modes`:
+    number of independent shapes that are significant at the lines together.
     """
 
     phasors: Phasors
@@ -100,26 +105,29 @@ class ShapePhasors:
 
     @property
     def deforms(self) -> BoolArray:
-        """At which lines (K,) a deformation is as good as sure, at 1 % over all of them."""
+        """Lines (K,) at which a deformation is significant, at 1 % over all of them."""
         return np.asarray(self.chance < LEVEL / len(self.chance))
 
     def notices(self) -> list[Notice]:
-        """Say at which lines the body deforms, in which shape most, by how much; nothing of modes that are stated."""
-        told = list[Notice]()
+        """Return a warning for each line at which the body deforms.
+
+        None if the shapes are stated modes.
+        """
+        notices = list[Notice]()
         if self.phasors.channels != PLAIN:
-            return told
+            return notices
         size = self.u_size
         for k in np.flatnonzero(self.deforms):
             most = int(np.argmax(np.abs(self.phasors.value[k]) / size[k]))
-            hertz = f"{self.phasors.frequency_hz[k]:.6g} Hz"
-            amplitude, u = 1e9 * float(np.abs(self.phasors.value[k, most])), 1e9 * float(size[k, most])
-            text = (
-                f"its body deforms at {hertz}: {self.phasors.channels[most]} of {amplitude:.3g} nm (u {u:.2g} nm), "
-                f"which a rigid body shows once in {1.0 / max(float(self.chance[k]), 1e-12):.1e} recordings; it bends "
-                "or stretches (state [[load.elastic]] with measured_by), or a camera moves against the other"
-            )
-            told.append(Notice("warning", text, hertz))
-        return told
+            frequency_hz = float(self.phasors.frequency_hz[k])
+            values: dict[str, Value] = {
+                "shape": self.phasors.channels[most],
+                "amplitude_nm": 1e9 * float(np.abs(self.phasors.value[k, most])),
+                "u_nm": 1e9 * float(size[k, most]),
+                "chance": max(float(self.chance[k]), 1e-12),
+            }
+            notices.append(Notice(PAIR_BODY_DEFORMS, f"{frequency_hz:.6g} Hz", frequency_hz=frequency_hz, **values))
+        return notices
 
 
 def shape_phasors(
@@ -131,17 +139,17 @@ def shape_phasors(
     moved: Phasors | None = None,
     phase_rotated: PhaseRotated | None = None,
 ) -> ShapePhasors | None:
-    """Return the phasors of amplitudes (F, S) at times (F,) and lines (K,); None for too few frames.
+    """Return the phasors of shape amplitudes (F, S) at K lines.
 
-    By sine approximation. Hotelling's T² = xᵀ·C⁻¹·x of the 2S parts of a line, C of ν degrees of freedom with the
-    `effects` (P, K, S) added, is 2Sν/(ν − 2S + 1) times F(2S, ν − 2S + 1) on a rigid body. `turned`: frames of a
-    rolling shutter, that show a body `moved` so.
+    None for too few frames. By sine approximation. Hotelling's T² = xᵀ·C⁻¹·x of the 2S parts of a line, with C of ν
+    degrees of freedom and the `effects` (P, K, S) added, is 2Sν/(ν − 2S + 1) times F(2S, ν − 2S + 1) on a rigid body.
+    `phase_rotated`: frames of a rolling shutter, of a body that has `moved` so.
     """
     from scipy.special import fdtrc
 
     names, count = deformed.shapes.names, len(deformed.shapes.names)
     gain = exposure_gain(frequency_hz, exposure_s)[:, None]
-    freedom = max(LEAST_FREEDOM, count if phase_rotated is None else 2 * count)
+    freedom = max(MIN_FREEDOM, count if phase_rotated is None else 2 * count)
     if np.count_nonzero(np.isfinite(deformed.amplitude).all(axis=1)) < 2 * len(frequency_hz) + 1 + freedom:
         return None
     try:
@@ -164,11 +172,12 @@ def shape_phasors(
 
 
 def _tested_noise(time_s: FloatArray, amplitude: FloatArray, fit: SineFit) -> Phasors:
-    """Return the phasors of a fit with the noise of all frames where it is white, as that of pixels is.
+    """Return the phasors of a fit with white noise, if it is white.
 
-    At a slow beat the density at a line has two degrees of freedom, which test nothing. It counts where noise surely is
-    slow, by the mean square of successive differences (von Neumann 1941, Ann. Math. Stat. 12, 367), or surely is louder
-    around the line, in all shapes together: air and lamps are not white.
+    Like pixel noise, it then has the degrees of freedom of all frames. At a slow beat the density at a line has only
+    two degrees of freedom. It is used if noise is significantly slow, by the mean square of successive differences (von
+    Neumann 1941, Ann. Math. Stat. 12, 367), or louder around the line, in all shapes together: air and lamps are not
+    white.
     """
     from scipy.special import fdtrc
 
@@ -185,15 +194,15 @@ def _tested_noise(time_s: FloatArray, amplitude: FloatArray, fit: SineFit) -> Ph
     for k in range(len(frequency)):
         parts = inverse[2 * k : 2 * k + 2, 2 * k : 2 * k + 2] * np.array([[1.0, -1.0], [-1.0, 1.0]])
         covariance[k] = np.kron(parts, sigma)
-        beside = _beside(times, frequency, k)
-        power = np.abs(white @ np.exp(-2j * np.pi * np.multiply.outer(times, beside))) ** 2 / len(times)
+        around = _neighbouring_frequencies(times, frequency, k)
+        power = np.abs(white @ np.exp(-2j * np.pi * np.multiply.outer(times, around))) ** 2 / len(times)
         if slow or (power.size and fdtrc(2.0 * power.size, dof, float(power.mean())) < LOUDER):
             covariance[k], freedom[k] = fit.phasors.covariance[k], min(fit.phasors.dof[k], dof)
     return replace(fit.phasors, covariance=covariance, dof=freedom)
 
 
-def _beside(time_s: FloatArray, frequency_hz: FloatArray, line: int) -> FloatArray:
-    """Return frequencies at which the density around a line is read, apart from those that the fit has emptied."""
+def _neighbouring_frequencies(time_s: FloatArray, frequency_hz: FloatArray, line: int) -> FloatArray:
+    """Return frequencies for the density around a line, without those that the fit removes."""
     bin_hz, rate_hz = 1.0 / float(np.ptp(time_s)), (len(time_s) - 1) / float(np.ptp(time_s))
     around = frequency_hz[line] + bin_hz * np.array([-3.5, -2.5, -1.5, 1.5, 2.5, 3.5])
     folded, taken = alias_frequency(around, rate_hz), np.append(alias_frequency(frequency_hz, rate_hz), 0.0)
@@ -201,17 +210,17 @@ def _beside(time_s: FloatArray, frequency_hz: FloatArray, line: int) -> FloatArr
 
 
 def _with_effects(phasors: Phasors, effects: ComplexArray) -> FloatArray:
-    """Covariance (K, 2S, 2S) of phasors with their noise and effects (P, K, S) of unknowns."""
+    """Return the covariance (K, 2S, 2S) of phasors with noise and effects (P, K, S)."""
     both = real_stack(effects)
     return np.asarray(phasors.covariance + np.einsum("pki,pkj->kij", both, both))
 
 
 def _independent(phasors: Phasors, covariance: FloatArray) -> int:
-    """Return how many independent shapes stand out of the amplitudes of all lines.
+    """Return the number of independent shapes that are significant at all lines together.
 
-    Real and imaginary parts of K lines as 2K rows, in units of their uncertainty, have rank r and noise: what is left
-    beside the first r singular values is then nearly χ² of (2K − r)(S − r) (Malinowski 1989, J. Chemometrics 3, 49);
-    the first r for which that is no rare value, 1 %, is the number.
+    Real and imaginary parts of K lines as 2K rows, in units of their uncertainty, have rank r and noise: the sum of
+    squares after the first r singular values is nearly χ² of (2K − r)(S − r) (Malinowski 1989, J. Chemometrics 3, 49).
+    The result is the first r for which that is not improbable, at 1 %.
     """
     from scipy.special import fdtrc
 

@@ -1,6 +1,6 @@
-"""One sequential set-up: what was recorded at once, from its files to the phasors of every instrument.
+"""One sequential set-up, recorded at once: from its files to the phasors of every instrument.
 
-A recording in sequential set-ups (`[[take]]` blocks, the points of a scan) finds its lines in all of them together.
+A recording in sequential set-ups (`[[take]]` blocks, the points of a scan) has the same lines in all of them.
 """
 
 from __future__ import annotations
@@ -19,14 +19,14 @@ from fusion.phasors.channel_phasors import (
     MIN_BEAT_PERIODS,
     ChannelResult,
     channel_phasors,
-    delay_notices,
     find_channel_lines,
-    folding_notices,
     line_clock,
     line_record,
     line_strength,
     refine_ties,
 )
+from fusion.phasors.missing_filters import delay_notices, folding_notices
+from fusion.phasors.phasor_notices import HARMONIC_UNRESOLVED, NO_INSTRUMENT, TAKES_REFUSED, TIME_STAMP_GAP
 from fusion.phasors.steadiness import distortions, enlarge_doubted, line_stationarity
 from fusion.phasors.stereo_motion import (
     PreparedImages,
@@ -50,15 +50,15 @@ if TYPE_CHECKING:
     from fusion.phasors.stereo_phasors import StereoPhasors
 
 LineKey = tuple[float, int]
-"""What makes lines of two set-ups the same: their nominal fundamental and their multiple of it."""
+"""Identity of a line in several set-ups: its nominal fundamental and its multiple of it."""
 
 
 @dataclass(frozen=True)
 class PreparedSetUp:
-    """What was recorded at once, read and checked; its images are opened and not yet followed.
+    """A set-up recorded at once, read and checked; its images are not yet tracked.
 
-    `name`: "take 2", empty where a recording has one set-up only; `where`: its place in recording.toml. `lines`: on its
-    own first block's clock, None where all its channels are triggers. Those have no phasors before `with_channels`.
+    `name`: "take 2", empty for a single set-up. `where`: its position in recording.toml. `lines`: on the clock of its
+    first block, None if all its channels are triggers; these have no phasors before `with_channels`.
     """
 
     name: str
@@ -71,16 +71,16 @@ class PreparedSetUp:
     channels: tuple[ChannelResult, ...] = ()
     readings: tuple[ChannelReading, ...] = ()
 
-    def wrong(self, key: str, found: str, expected: str) -> InputError:
-        """Return the mistake at a key of the set-up."""
-        return InputError(self.manifest.path, self.where + key, found, expected)
+    def refusal(self, key: str, *, found: str, expected: str) -> InputError:
+        """Return the error at a key of the set-up."""
+        return InputError(TAKES_REFUSED, self.manifest.path, self.where + key, found=found, expected=expected)
 
 
 @dataclass(frozen=True)
 class MeasuredSetUp:
-    """A set-up with the phasors of all its instruments at its `lines`, counted on its own first block's clock.
+    """A set-up with the phasors of all its instruments at its `lines`.
 
-    `aliased`: what was said of the lines that camera rates cannot tell apart, and of pairs that were left out.
+    On the clock of its first block. `line_notices`: of lines that frame rates cannot resolve, and of rejected pairs.
     """
 
     prepared: PreparedSetUp
@@ -89,40 +89,32 @@ class MeasuredSetUp:
     line_notices: tuple[Notice, ...]
 
     @property
-    def not_assessed(self) -> list[str]:
-        """Return what is in no U and not worth a notice of its own."""
-        return folding_notices(self.prepared.channels, self.prepared.readings, self.lines)[1]
-
-    @property
     def notices(self) -> tuple[Notice, ...]:
-        """Return what clocks, lines, channels and stereo pairs of the set-up want the user to know."""
+        """Return the notices of clocks, lines, channels and stereo pairs of the set-up."""
         base = self.prepared.base
         clocks = [(daq, notice) for (daq, _), fit in base.triggers.items() for notice in fit.notices]
         clocks += [(daq, notice) for daq, tie in base.ties.items() if tie is not None for notice in tie.notices]
-        told: list[Notice] = [Notice(n.severity, f"{daq}: {n.text}", daq) for daq, n in clocks]
-        told += base.inverted()
-        told += [
-            Notice("note", f"{r.entry.name}: {gap}; sines are fitted at the times that the file states", r.entry.name)
-            for r in base.records
-            for gap in r.gaps
-        ]
-        told += [doubt for r in base.records for doubt in unit_notices(self.prepared.manifest, r.entry, r.raw)]
-        told += [
+        notices: list[Notice] = [notice.at(f"{daq}, {notice.where}") for daq, notice in clocks]
+        notices += base.inverted()
+        notices += [Notice(TIME_STAMP_GAP, r.entry.name, gap=gap) for r in base.records for gap in r.gaps]
+        notices += [notice for r in base.records for notice in unit_notices(self.prepared.manifest, r.entry, r.raw)]
+        notices += [
             *delay_notices(self.prepared.readings, self.prepared.manifest.path),
             *self.lines.notices,
             *self.line_notices,
         ]
-        told += [notice for channel in self.prepared.channels for notice in channel.notices]
-        told += folding_notices(self.prepared.channels, self.prepared.readings, self.lines)[0]
-        told += [found.notice for found in distortions(self.prepared.channels, self.lines)]
-        told += [notice for item in self.stereo for notice in item.notices]
-        return tuple(told)
+        notices += [notice for channel in self.prepared.channels for notice in channel.notices]
+        notices += folding_notices(self.prepared.channels, self.prepared.readings, self.lines)
+        notices += [found.notice for found in distortions(self.prepared.channels, self.lines)]
+        notices += [notice for item in self.stereo for notice in item.notices]
+        return tuple(notices)
 
 
 def prepare_set_ups(manifest: Manifest, already: FileCache | None = None) -> tuple[PreparedSetUp, ...]:
-    """Read everything that was recorded, set-up by set-up, and find its lines; no channel is fitted, no image followed.
+    """Read all files set-up by set-up and find the lines.
 
-    Clocks are tied, images opened, points read; what was `already` read of the files is not read again.
+    No channel is fitted and no image tracked. Clocks are tied, images opened and points read. Files `already` read are
+    not read again.
     """
     parts = read_set_ups(manifest, already)
     tied = []
@@ -141,7 +133,10 @@ def prepare_set_ups(manifest: Manifest, already: FileCache | None = None) -> tup
 
 
 def with_channels(prepared: PreparedSetUp, *, shown: bool = True) -> PreparedSetUp:
-    """Fit the lines of a set-up to its channels; where nothing is `shown`, without what only pages and notices need."""
+    """Fit the lines of a set-up to its channels.
+
+    Without `shown`, data for pages and notices only are omitted.
+    """
     if prepared.lines is None:
         return prepared
     with errors_in_set_up(prepared.manifest.path, prepared.where, prepared.name):
@@ -156,116 +151,124 @@ def measure_set_ups(
     executor: Executor | None = None,
     checkpoints: CheckpointStore | None = None,
 ) -> list[MeasuredSetUp]:
-    """Follow the images of all set-ups, here or by an executor, and fit the lines to channels and motions.
+    """Track the images of all set-ups, and fit lines to channels and motions.
 
-    All channels are fitted while the bodies of the first set-up are prepared: what is wrong with one is told early.
+    By threads or an executor. All channels are fitted while the bodies of the first set-up are prepared, so that their
+    errors are reported early.
     """
     fitted, measured = list[PreparedSetUp](), list[MeasuredSetUp]()
-    for opened in set_ups:
-        with tracked_pairs(opened.images, settings, executor, checkpoints, opened.lines) as motions:
+    for prepared in set_ups:
+        with tracked_pairs(prepared.images, settings, executor, checkpoints, prepared.lines) as motions:
             fitted = fitted or [with_channels(each) for each in set_ups]
-            opened.base.pulses()  # kept by the records, which are asked for them in the end
-            with errors_in_set_up(opened.manifest.path, opened.where, opened.name):
+            prepared.base.pulses()  # stored by the records, which provide them later
+            with errors_in_set_up(prepared.manifest.path, prepared.where, prepared.name):
                 measured.append(_measured(fitted[len(measured)], motions(progress)))
     return measured
 
 
-def _measured(opened: PreparedSetUp, followed: Sequence[StereoMotion | RejectedPair]) -> MeasuredSetUp:
+def _measured(prepared: PreparedSetUp, followed: Sequence[StereoMotion | RejectedPair]) -> MeasuredSetUp:
     """Fit the lines to the motion of every stereo pair of a set-up."""
     from fusion.phasors.shutter_refinement import refine_rolling_shutter  # here, for `check` follows no images
     from fusion.phasors.stereo_phasors import pairs_phasors
 
-    manifest, base = opened.manifest, opened.base
+    manifest, base = prepared.manifest, prepared.base
     seen = [
         item if isinstance(item, RejectedPair) or any(item.sight.pair.row_time) else reject_decalibrated(item)
         for item in followed
     ]
     left_out = [item for item in seen if isinstance(item, RejectedPair)]
-    motions = (*(item for item in seen if isinstance(item, StereoMotion)), *opened.points)
-    _check_left(opened, motions, left_out)
-    if opened.lines is None:
+    motions = (*(item for item in seen if isinstance(item, StereoMotion)), *prepared.points)
+    _check_left(prepared, motions, left_out)
+    if prepared.lines is None:
         lines, first = motion_lines(manifest, base, motions)
         clock = base.sight_errors(first)
     else:
-        opened, motions, lines = _tied(opened, motions, opened.lines)
-        base = opened.base
+        prepared, motions, lines = _tied(prepared, motions, prepared.lines)
+        base = prepared.base
         clock = line_clock(base)
-    again = [reject_decalibrated(refine_rolling_shutter(item, opened.images, lines)) for item in motions]
-    left_out += [item for item in again if isinstance(item, RejectedPair)]
-    motions = tuple(item for item in again if isinstance(item, StereoMotion))
-    _check_left(opened, motions, left_out)
-    strength = line_strength(opened.readings, lines)
+    checked = [reject_decalibrated(refine_rolling_shutter(item, prepared.images, lines)) for item in motions]
+    left_out += [item for item in checked if isinstance(item, RejectedPair)]
+    motions = tuple(item for item in checked if isinstance(item, StereoMotion))
+    _check_left(prepared, motions, left_out)
+    strength = line_strength(prepared.readings, lines)
     stereo, aliased, unfitted = pairs_phasors(base, motions, lines, base.line_errors(lines, clock), strength)
     left_out += unfitted
-    _check_left(opened, stereo, left_out)
-    changes = line_stationarity(opened.channels, [item.result for item in stereo], lines, base.results())
-    readings = enlarge_doubted(opened.readings, changes, distortions(opened.channels, lines))
-    told = tuple(item.notice for item in left_out)
-    return MeasuredSetUp(replace(opened, readings=readings), lines, stereo, (*told, *aliased))
+    _check_left(prepared, stereo, left_out)
+    changes = line_stationarity(prepared.channels, [item.result for item in stereo], lines, base.results())
+    readings = enlarge_doubted(prepared.readings, changes, distortions(prepared.channels, lines))
+    rejections = tuple(item.notice for item in left_out)
+    return MeasuredSetUp(replace(prepared, readings=readings), lines, stereo, (*rejections, *aliased))
 
 
 def _tied(
-    opened: PreparedSetUp, motions: tuple[StereoMotion, ...], lines: LineFrequencies
+    prepared: PreparedSetUp, motions: tuple[StereoMotion, ...], lines: LineFrequencies
 ) -> tuple[PreparedSetUp, tuple[StereoMotion, ...], LineFrequencies]:
-    """Return a set-up, what its pairs saw, and its lines, with clocks that the motion ties; channels on others anew."""
+    """Return a set-up, motions and lines with clocks tied by the motion.
+
+    Channels are fitted again if their clock changes.
+    """
     from fusion.phasors.clocks import tie_clocks_by_motion
 
-    base, renewed, lines = tie_clocks_by_motion(opened.manifest, opened.base, motions, lines)
-    tied = any(tie is not opened.base.ties[name] for name, tie in base.ties.items())
-    opened = replace(opened, base=base, lines=lines)
-    return (with_channels(opened) if tied else opened), renewed, lines
+    base, renewed, lines = tie_clocks_by_motion(prepared.manifest, prepared.base, motions, lines)
+    tied = any(tie is not prepared.base.ties[name] for name, tie in base.ties.items())
+    prepared = replace(prepared, base=base, lines=lines)
+    return (with_channels(prepared) if tied else prepared), renewed, lines
 
 
-def _check_left(opened: PreparedSetUp, stereo: Sequence[object], left_out: Sequence[RejectedPair]) -> None:
-    """Raise why the first pair is left out where no other pair and no channel of the set-up measures a motion."""
-    if left_out and not stereo and all(r.entry.quantity not in TRANSDUCERS for r in opened.readings):
+def _check_left(prepared: PreparedSetUp, stereo: Sequence[object], left_out: Sequence[RejectedPair]) -> None:
+    """Raise the error of the first rejected pair if no other instrument measures a motion."""
+    if left_out and not stereo and all(r.entry.quantity not in TRANSDUCERS for r in prepared.readings):
         error = left_out[0].error
         if isinstance(error, InputError):
             raise error
-        raise ComputeError(f"no instrument is left that measures a motion: {left_out[0].notice.text}")
+        raise ComputeError(NO_INSTRUMENT, quantity="a motion", reason=f": {error.sentence}")
 
 
 # The lines of all set-ups.
 
 
 def _lines(set_ups: Sequence[PreparedSetUp]) -> list[LineFrequencies | None]:
-    """Find the lines of every set-up, each on its own clock: the same in all of them, and in the same order.
+    """Find the lines of every set-up on its clock.
 
-    A harmonic that one set-up cannot tell from another line is left out of all.
+    The same in all, and in the same order. A harmonic that one set-up cannot separate from another line is omitted from
+    all.
     """
     first = find_channel_lines(set_ups[0].manifest, set_ups[0].base)
     if len(set_ups) == 1 or first is None:
         return [first for _ in set_ups]
     nominal = tuple(np.unique(first.nominal_hz).tolist())
-    own = [first, *(_own_lines(opened, nominal) for opened in set_ups[1:])]
-    known = {key: f for lines in reversed(own) for key, f in zip(_keys(lines), lines.frequency_hz, strict=True)}
-    keys = sorted(known, key=lambda key: float(known[key]))
+    separate = [first, *(_further_lines(prepared, nominal) for prepared in set_ups[1:])]
+    frequencies = {
+        key: f for lines in reversed(separate) for key, f in zip(_keys(lines), lines.frequency_hz, strict=True)
+    }
+    keys = sorted(frequencies, key=lambda key: float(frequencies[key]))
     hidden: dict[LineKey, str] = {}
-    for opened, lines in zip(set_ups, own, strict=True):
-        hidden |= dict.fromkeys(_indistinct(opened, lines, keys), opened.name)
+    for prepared, lines in zip(set_ups, separate, strict=True):
+        hidden |= dict.fromkeys(_indistinct(prepared, lines, keys), prepared.name)
     left_out = [
         Notice(
-            "warning",
-            f"harmonic {multiple} of {nominal_hz:g} Hz is left out: {name} cannot tell it from another line",
-            f"{nominal_hz * multiple:g} Hz",
+            HARMONIC_UNRESOLVED, f"{nominal_hz * multiple:g} Hz", take=name, order=multiple, fundamental_hz=nominal_hz
         )
         for (nominal_hz, multiple), name in hidden.items()
     ]
-    own[0] = replace(own[0], notices=(*own[0].notices, *left_out))
-    return [_extended(lines, [key for key in keys if key not in hidden]) for lines in own]
+    separate[0] = replace(separate[0], notices=(*separate[0].notices, *left_out))
+    return [_extended(lines, [key for key in keys if key not in hidden]) for lines in separate]
 
 
-def _own_lines(opened: PreparedSetUp, nominal: tuple[float, ...]) -> LineFrequencies:
-    """Find the lines of a further set-up; refuse one whose channels cannot tell all fundamentals of the first."""
-    manifest = opened.manifest
+def _further_lines(prepared: PreparedSetUp, nominal: tuple[float, ...]) -> LineFrequencies:
+    """Find the lines of a further set-up.
+
+    Raises if its channels do not resolve all fundamentals.
+    """
+    manifest = prepared.manifest
     excitation = manifest.excitation.model_copy(update={"frequencies": nominal})
-    with errors_in_set_up(manifest.path, opened.where, opened.name):
-        lines = find_channel_lines(replace(manifest, excitation=excitation), opened.base)
+    with errors_in_set_up(manifest.path, prepared.where, prepared.name):
+        lines = find_channel_lines(replace(manifest, excitation=excitation), prepared.base)
     missing = [frequency for frequency in nominal if lines is None or frequency not in lines.nominal_hz]
     if lines is None or missing:
         listed = " and ".join(f"{frequency:g} Hz" for frequency in missing)
-        found, expected = f"no such line in {opened.name}", f"channels that tell {listed} as those of the first take do"
-        raise opened.wrong("daq", found, expected)
+        expected = f"channels that resolve {listed} as in the first take"
+        raise prepared.refusal("daq", found=f"no such line in {prepared.name}", expected=expected)
     return lines
 
 
@@ -273,40 +276,43 @@ def _keys(lines: LineFrequencies) -> list[LineKey]:
     return list(zip(lines.nominal_hz.tolist(), lines.multiple.tolist(), strict=True))
 
 
-def _indistinct(opened: PreparedSetUp, lines: LineFrequencies, keys: Sequence[LineKey]) -> list[LineKey]:
-    """Return the lines of other set-ups that the fastest channel of this one cannot tell from another or from zero."""
-    record = line_record(opened.base)
+def _indistinct(prepared: PreparedSetUp, lines: LineFrequencies, keys: Sequence[LineKey]) -> list[LineKey]:
+    """Return the lines of other set-ups that this one cannot separate.
+
+    From another line or from zero. In its fastest channel.
+    """
+    record = line_record(prepared.base)
     added = set(keys) - set(_keys(lines))
     if record is None or not added:
         return []
     length_s = float(record.time_s[-1] - record.time_s[0])
     rate_hz = (len(record.time_s) - 1) / length_s
-    places = alias_frequency(_extended(lines, keys).frequency_hz, rate_hz)
+    aliases = alias_frequency(_extended(lines, keys).frequency_hz, rate_hz)
     hidden = []
     for k, key in enumerate(keys):
-        others = np.concatenate([np.delete(places, k), [0.0, rate_hz / 2.0]])
-        if key in added and np.min(np.abs(others - places[k])) * length_s < MIN_BEAT_PERIODS:
+        others = np.concatenate([np.delete(aliases, k), [0.0, rate_hz / 2.0]])
+        if key in added and np.min(np.abs(others - aliases[k])) * length_s < MIN_BEAT_PERIODS:
             hidden.append(key)
     return hidden
 
 
 def _extended(lines: LineFrequencies, keys: Sequence[LineKey]) -> LineFrequencies:
-    """Return the lines named by `keys`, in that order; those that did not stand out here are multiples of their own.
+    """Return the lines named by `keys`, in that order.
 
-    Lines that are not named are fitted beside them.
+    Lines that were not significant are multiples of their fundamentals. Lines without a key are fitted in addition.
     """
-    own = {key: place for place, key in enumerate(_keys(lines))}
-    if list(own) == list(keys):
+    index_of = {key: index for index, key in enumerate(_keys(lines))}
+    if list(index_of) == list(keys):
         return lines
-    base = np.array([own.get(key, own[key[0], 1]) for key in keys])
-    beside = [f for key, f in zip(own, lines.frequency_hz.tolist(), strict=True) if key not in keys]
-    factor = np.array([1.0 if key in own else float(key[1]) for key in keys])
+    base = np.array([index_of.get(key, index_of[key[0], 1]) for key in keys])
+    further = [f for key, f in zip(index_of, lines.frequency_hz.tolist(), strict=True) if key not in keys]
+    factor = np.array([1.0 if key in index_of else float(key[1]) for key in keys])
     return replace(
         lines,
         frequency_hz=lines.frequency_hz[base] * factor,
         u_frequency_hz=lines.u_frequency_hz[base] * factor,
         nominal_hz=np.array([nominal for nominal, _ in keys]),
         multiple=np.array([multiple for _, multiple in keys], dtype=np.int64),
-        nuisance_hz=np.concatenate([lines.nuisance_hz, beside]),
-        why=tuple(lines.why[own[key]] if key in own else "stands out in another take" for key in keys),
+        nuisance_hz=np.concatenate([lines.nuisance_hz, further]),
+        why=tuple(lines.why[index_of[key]] if key in index_of else "stands out in another take" for key in keys),
     )

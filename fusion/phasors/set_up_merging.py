@@ -1,7 +1,7 @@
-"""All sequential set-ups of a recording as if recorded at once.
+"""All sequential set-ups of a recording as one.
 
-Everything is referred to the first set-up by a reference channel that all of them have, R_1/R_i times the phasors of
-set-up i; a channel that several of them recorded becomes one reading, what they scatter by being noise.
+All are referred to the first set-up by a common reference channel: R_1/R_i times the phasors of set-up i. A channel in
+several set-ups becomes one reading; their scatter is noise.
 """
 
 from __future__ import annotations
@@ -17,6 +17,12 @@ from fusion.estimation.variance_components import EstimatedNoise
 from fusion.instruments.channel import ChannelReading, ChannelRelativeError, nonzero_errors, observe_channels
 from fusion.instruments.stereo import PERIODIC, StereoReading
 from fusion.phasors.channel_phasors import ChannelResult
+from fusion.phasors.phasor_notices import (
+    LARGE_REFERENCE_DRIFT,
+    REFERENCE_DRIFT,
+    TAKE_FREQUENCY_DIFFERS,
+    TAKES_SCATTER,
+)
 from fusion.phasors.set_up import MeasuredSetUp, PreparedSetUp
 from fusion.phasors.steadiness import line_stationarity, stationarity_notices
 from fusion.phasors.stereo_phasors import StereoResult
@@ -28,24 +34,25 @@ from shaker.sine.phasor import Phasors, real_stacked_diagonal
 from shaker.sine.sine_fit import Stationarity
 from shakercal._common.notices import Notice
 
-LEAST_SNR = 6.0
-"""Of its own standard uncertainty: what the reference must reach at a line; 1/R_i is biased by u²/R², 3 % there."""
+MIN_SNR = 6.0
+"""Smallest reference over its standard uncertainty; 1/R_i is biased by u²/R², 3 % there."""
 NOTED_DRIFT, LARGE_DRIFT = 1e-3, 2e-2
-SAME_FREQUENCY = 1e-4  # relative: what clocks and generators differ by from set-up to set-up
-KEPT_NOISE = 1e-6  # of a covariance that an unknown has taken over: enough to stay positive definite
-LEAST_SPREAD = 1e-9  # of the reading: below it, rounding looks like scatter
+SAME_FREQUENCY = 1e-4  # relative difference of clocks and generators between set-ups
+REMAINING_NOISE = 1e-6  # share of a covariance that remains beside an unknown, to be positive definite
+MIN_SPREAD = 1e-9  # of the reading: rounding below it would look like scatter
 
 
-# What ties a set-up to the first one, and what that leaves open.
+# Tie of a set-up to the first one, and its uncertainty.
 
 
 @dataclass(frozen=True)
 class SetUpResult:
-    """What ties one set-up to the first: its reference channel, and the exact lines on its own clock.
+    """Tie of one set-up to the first by its reference channel.
 
-    `frequency_hz` (K,) in the order of the evaluation's lines; `value` (K,) phasors R_i of the reference, counted on
-    the set-up's own clock; `factor` (K,): R_1/R_i, by which all phasors of the set-up were multiplied, NaN where the
-    reference does not stand out; `drift` (K,): |R_i/R_1| - 1 and its standard uncertainty from noise.
+    With the exact lines on its clock. `frequency_hz` (K,) in the order of the evaluation's lines. `value` (K,): phasors
+    R_i of the reference on the set-up's clock. `factor` (K,): R_1/R_i, by which all phasors of the set-up are
+    multiplied, NaN where the reference is not significant. `drift` (K,): |R_i/R_1| - 1, with its standard uncertainty
+    by noise.
     """
 
     name: str
@@ -62,11 +69,11 @@ class SetUpResult:
 
 @dataclass(frozen=True)
 class ReferenceTie:
-    """How one set-up is tied to the first: its phasors times `factor` (K,), NaN at lines without a reference.
+    """Tie of one set-up to the first: its phasors times `factor` (K,).
 
-    `first`: this is the set-up that all are referred to. `frequency_hz` (K,): its lines, at which results are given.
-    `noise`: the reference's noise in this set-up as relative errors (K, 1) of its phasor, at lines where it stands out;
-    `errors`: those that all referred phasors of the set-up share.
+    NaN at lines without a reference. `first`: the set-up to which all are referred. `frequency_hz` (K,): its lines,
+    those of the results. `noise`: noise of the reference in this set-up as relative errors (K, 1) of its phasor, at
+    significant lines. `errors`: those that all referred phasors of the set-up share.
     """
 
     name: str
@@ -82,83 +89,90 @@ class ReferenceTie:
         return replace(phasors.scaled(self.factor[:, None]), frequency_hz=self.frequency_hz)
 
     def reading(self, reading: ChannelReading) -> ChannelReading:
-        """Return a channel of the set-up as one of the first, its clock's errors among its own."""
+        """Return a channel of the set-up as one of the first.
+
+        With the errors of its clock.
+        """
         chain = replace(reading.chain, clock=f"{self.name}: {reading.chain.clock}")
         further = nonzero_errors([*_clock_errors(self.name, reading), *self.errors])
         return ChannelReading(reading.entry, self.phasors(reading.phasors), chain, further)
 
     def reference(self, reading: ChannelReading) -> ChannelReading:
-        """Return the reference channel of the first set-up, its noise being that which all others share."""
-        known = np.zeros(len(self.frequency_hz), dtype=np.bool_)
+        """Return the reference channel of the first set-up with its noise as shared errors."""
+        significant = np.zeros(len(self.frequency_hz), dtype=np.bool_)
         for error in self.noise:
-            known |= error.effect[:, 0] != 0.0
+            significant |= error.effect[:, 0] != 0.0
         phasors = reading.phasors
-        kept = np.where(known, KEPT_NOISE, 1.0)[:, None, None]
-        own = self.reading(replace(reading, phasors=replace(phasors, covariance=phasors.covariance * kept)))
-        return replace(own, further_errors=nonzero_errors([*own.further_errors, *self.noise]))
+        remaining = np.where(significant, REMAINING_NOISE, 1.0)[:, None, None]
+        referred = self.reading(replace(reading, phasors=replace(phasors, covariance=phasors.covariance * remaining)))
+        return replace(referred, further_errors=nonzero_errors([*referred.further_errors, *self.noise]))
 
     def stereo(self, pair: StereoReading) -> StereoReading:
-        """Return a stereo pair of the set-up as one of the first; what its frames have in common stays its own."""
+        """Return a stereo pair of the set-up as one of the first.
+
+        Errors common to its frames remain separate.
+        """
         effects = {
             f"{what}, {self.name}" if what == PERIODIC else what: change * self.factor[:, None]
             for what, change in pair.effects.items()
         }
         named = [replace(e, name=f"{self.name}: {e.name}", label=f"{self.name}: {e.label}") for e in pair.errors]
-        own = [error.scaled(self.factor[:, None]) for error in named]
+        referred = [error.scaled(self.factor[:, None]) for error in named]
         through = None if pair.through_surface is None else pair.through_surface * self.factor[:, None]
-        phasors, errors = self.phasors(pair.phasors), (*own, *self.errors)
+        phasors, errors = self.phasors(pair.phasors), (*referred, *self.errors)
         return replace(pair, phasors=phasors, effects=effects, errors=errors, through_surface=through)
 
 
 def reference_ties(set_ups: Sequence[PreparedSetUp]) -> tuple[ReferenceTie, ...]:
-    """Tie set-ups to the first one by the channel with `reference = true` in all of them.
+    """Tie set-ups to the first one by their reference channel.
 
-    With R_i the reference's phasors, delay and response taken off, the factor is R_1/R_i. Its scale, delay and response
-    cancel; its noise in set-up i is one complex unknown per line for all phasors of that set-up, its noise in the first
-    one for all others and for itself. A drift of its amplitude between set-ups is made good, but what else changed with
-    it is not known: d = ||R_i/R_1| - 1|, less its noise and with twice the relative change of the frequency, acts on
-    magnitude and phase of all phasors of set-up i at that line (type B, rectangular of half-width d).
+    The one with `reference = true` in all of them. The factor is R_1/R_i of the reference's phasors, corrected for
+    delay and response. Its scale, delay and response cancel. Its noise in set-up i is one complex unknown per line for
+    all phasors of that set-up; its noise in the first one acts on all others and on itself. A drift of its amplitude is
+    corrected, but related changes are not known: d = ||R_i/R_1| - 1|, less its noise and with twice the relative change
+    of the frequency, acts on magnitude and phase of all phasors of set-up i at that line (type B, rectangular of
+    half-width d).
     """
     references = []
-    for opened in set_ups:
-        marked = [reading for reading in opened.readings if reading.entry.reference]
+    for prepared in set_ups:
+        marked = [reading for reading in prepared.readings if reading.entry.reference]
         if len(marked) != 1:
             expected = "one channel with reference = true, the same in every take"
             found = f"{len(marked) or 'none'}"
-            raise opened.wrong("daq", found, expected)
+            raise prepared.refusal("daq", found=found, expected=expected)
         references += marked
-    return tuple(_tie(set_ups, references, place) for place in range(len(set_ups)))
+    return tuple(_tie(set_ups, references, index) for index in range(len(set_ups)))
 
 
-def _tie(set_ups: Sequence[PreparedSetUp], references: Sequence[ChannelReading], place: int) -> ReferenceTie:
-    opened, first, own = set_ups[place], references[0], references[place]
-    stands_out = _standing_out(own) & _standing_out(first)
-    _check_driven(opened, own, stands_out)
+def _tie(set_ups: Sequence[PreparedSetUp], references: Sequence[ChannelReading], index: int) -> ReferenceTie:
+    prepared, first, reference = set_ups[index], references[0], references[index]
+    significant = _standing_out(reference) & _standing_out(first)
+    _check_driven(prepared, reference, significant)
     base_hz = first.phasors.frequency_hz
-    here, there = own.phasors.value[:, 0], first.phasors.value[:, 0]
+    value, first_value = reference.phasors.value[:, 0], first.phasors.value[:, 0]
     factor = np.full(len(base_hz), complex(np.nan, np.nan))
-    np.divide(there, here, out=factor, where=stands_out)
-    u_drift = np.hypot(_u_relative(own), _u_relative(first)) if place else np.zeros(len(base_hz))
+    np.divide(first_value, value, out=factor, where=significant)
+    u_drift = np.hypot(_u_relative(reference), _u_relative(first)) if index else np.zeros(len(base_hz))
     drift = 1.0 / np.abs(factor) - 1.0
-    noise = _noise(opened.name, own, base_hz, _standing_out(own))
+    noise = _noise(prepared.name, reference, base_hz, _standing_out(reference))
     errors: tuple[ChannelRelativeError, ...] = ()
-    if place:
-        known = np.sqrt(np.maximum(drift**2 - u_drift**2, 0.0))
-        half_width = known + 2.0 * np.abs(own.phasors.frequency_hz / base_hz - 1.0)
+    if index:
+        certain_drift = np.sqrt(np.maximum(drift**2 - u_drift**2, 0.0))
+        half_width = certain_drift + 2.0 * np.abs(reference.phasors.frequency_hz / base_hz - 1.0)
         first_name = set_ups[0].name
-        inherited = [*_noise(first_name, first, base_hz, stands_out), *_clock_errors(first_name, first)]
-        lost = [*noise, *_clock_errors(opened.name, own)]
+        inherited = [*_noise(first_name, first, base_hz, significant), *_clock_errors(first_name, first)]
+        lost = [*noise, *_clock_errors(prepared.name, reference)]
         taken_off = [replace(error, effect=-error.effect) for error in lost]
-        drifted = _drift(opened.name, base_hz, np.where(stands_out, half_width, 0.0))
+        drifted = _drift(prepared.name, base_hz, np.where(significant, half_width, 0.0))
         errors = nonzero_errors([*inherited, *taken_off, *drifted])
-    own_hz = own.phasors.frequency_hz
-    result = SetUpResult(opened.name, own.entry.name, own_hz, here, factor, drift, u_drift)
-    used = factor if place else np.ones(len(base_hz), dtype=np.complex128)
-    return ReferenceTie(opened.name, place == 0, base_hz, used, noise, errors, result)
+    frequency_hz = reference.phasors.frequency_hz
+    result = SetUpResult(prepared.name, reference.entry.name, frequency_hz, value, factor, drift, u_drift)
+    used = factor if index else np.ones(len(base_hz), dtype=np.complex128)
+    return ReferenceTie(prepared.name, index == 0, base_hz, used, noise, errors, result)
 
 
 def _u_relative(reading: ChannelReading) -> FloatArray:
-    """Standard uncertainty (K,) of real and imaginary part over the amplitude, mean of both."""
+    """Return the standard uncertainty (K,) of a part over the amplitude, mean of both parts."""
     phasors = reading.phasors
     u = np.sqrt((phasors.u_re[:, 0] ** 2 + phasors.u_im[:, 0] ** 2) / 2.0)
     size = np.abs(phasors.value[:, 0])
@@ -166,27 +180,30 @@ def _u_relative(reading: ChannelReading) -> FloatArray:
 
 
 def _standing_out(reading: ChannelReading) -> BoolArray:
-    """Lines (K,) at which a reference is far above its noise."""
-    return np.asarray(np.nan_to_num(_u_relative(reading), nan=np.inf) * LEAST_SNR < 1.0)
+    """Return the lines (K,) at which a reference is far above its noise."""
+    return np.asarray(np.nan_to_num(_u_relative(reading), nan=np.inf) * MIN_SNR < 1.0)
 
 
-def _check_driven(opened: PreparedSetUp, reference: ChannelReading, stands_out: BoolArray) -> None:
-    """Refuse a reference that does not show a driven line."""
-    driven = np.ones(0, dtype=np.bool_) if opened.lines is None else opened.lines.multiple == 1
-    lost = np.flatnonzero(driven & ~stands_out)
+def _check_driven(prepared: PreparedSetUp, reference: ChannelReading, significant: BoolArray) -> None:
+    """Raise if a reference does not show a driven line."""
+    driven = np.ones(0, dtype=np.bool_) if prepared.lines is None else prepared.lines.multiple == 1
+    lost = np.flatnonzero(driven & ~significant)
     if len(lost):
         key = f"daq.{reference.chain.clock}.channel.{reference.entry.name}.reference"
         amplitude, u = np.abs(reference.phasors.value[lost[0], 0]), reference.phasors.u_re[lost[0], 0]
         frequency = f"{reference.phasors.frequency_hz[lost[0]]:.6g} Hz"
-        found = f"an amplitude of {amplitude:.2g} with a standard uncertainty of {u:.2g} in {opened.name}"
+        found = f"an amplitude of {amplitude:.2g} with a standard uncertainty of {u:.2g} in {prepared.name}"
         expected = f"a channel that shows the driven line at {frequency} in every take"
-        raise opened.wrong(key, found, expected)
+        raise prepared.refusal(key, found=found, expected=expected)
 
 
 def _noise(
     name: str, reading: ChannelReading, frequency_hz: FloatArray, lines: BoolArray
 ) -> tuple[ChannelRelativeError, ...]:
-    """Relative errors (K, 1) of a reference's phasor from its noise: two real unknowns at each of the lines chosen."""
+    """Return the noise of a reference as relative errors (K, 1).
+
+    Two real unknowns at each of the chosen lines.
+    """
     errors = []
     phasors = reading.phasors
     for k in np.flatnonzero(lines):
@@ -201,14 +218,19 @@ def _noise(
 
 
 def _clock_errors(name: str, reading: ChannelReading) -> list[ChannelRelativeError]:
-    """Relative errors (K, 1) of a channel from the tie of its clock to the first one of its set-up, and from its lines'
-    frequencies; they hold for that set-up only, unless they belong to the rig."""
+    """Return the relative errors (K, 1) of a channel by its clock.
+
+    And by its lines' frequencies. They are separate for that set-up, unless they belong to the rig.
+    """
     errors = reading.further_errors
     return [error if error.scope == "rig" else replace(error, name=f"{name}: {error.name}") for error in errors]
 
 
 def _drift(name: str, frequency_hz: FloatArray, half_width: FloatArray) -> list[ChannelRelativeError]:
-    """Relative errors (K, 1) of magnitude and phase of all phasors of a set-up whose reference drifted this far."""
+    """Return the relative errors (K, 1) by drift of a reference.
+
+    Of all phasors of the set-up. Of magnitude and phase.
+    """
     label, errors = "drift between takes", []
     for k in np.flatnonzero(half_width > 0.0):
         u = float(half_width[k]) / np.sqrt(3.0)
@@ -221,23 +243,22 @@ def _drift(name: str, frequency_hz: FloatArray, half_width: FloatArray) -> list[
 
 
 def drift_notices(ties: Sequence[ReferenceTie], driven: BoolArray) -> tuple[Notice, ...]:
-    """Say how far the reference's amplitude, and the frequency, at the `driven` lines (K,) changed between set-ups."""
+    """Return notices of changed reference amplitude or frequency between set-ups.
+
+    At the `driven` lines (K,).
+    """
     notices = []
     for tie in ties:
         result = tie.result
         changed = np.abs(result.frequency_hz / tie.frequency_hz - 1.0)
         for k in np.flatnonzero(driven & np.isfinite(result.drift)):
-            at = f"{tie.frequency_hz[k]:.6g} Hz"
             if abs(result.drift[k]) > NOTED_DRIFT:
-                text = (
-                    f"the reference {result.reference} reads {100.0 * result.drift[k]:+.2g} % at {at} against the "
-                    "first take; the level is made good, the drift is part of the uncertainty"
-                )
-                large = abs(result.drift[k]) > LARGE_DRIFT
-                notices.append(Notice("warning" if large else "note", f"{tie.name}: {text}", tie.name))
+                declared = LARGE_REFERENCE_DRIFT if abs(result.drift[k]) > LARGE_DRIFT else REFERENCE_DRIFT
+                values = {"drift_percent": 100.0 * result.drift[k], "frequency_hz": tie.frequency_hz[k]}
+                notices.append(Notice(declared, tie.name, reference=result.reference, **values))
             if changed[k] > SAME_FREQUENCY:
-                text = f"driven at {result.frequency_hz[k]:.7g} Hz, in the first take at {at}"
-                notices.append(Notice("warning", f"{tie.name}: {text}", tie.name))
+                values = {"frequency_hz": result.frequency_hz[k], "first_hz": tie.frequency_hz[k]}
+                notices.append(Notice(TAKE_FREQUENCY_DIFFERS, tie.name, **values))
     return tuple(notices)
 
 
@@ -247,10 +268,11 @@ def drift_notices(ties: Sequence[ReferenceTie], driven: BoolArray) -> tuple[Noti
 def merge_readings(
     set_ups: Sequence[tuple[str, Sequence[ChannelReading]]],
 ) -> tuple[tuple[ChannelReading, ...], tuple[Notice, ...]]:
-    """Return every channel of several set-ups (name and readings, referred to the first) once.
+    """Return every channel of several set-ups once.
 
-    The same channel at the same place, and the same output of the sensor, becomes one reading. Channels of one name
-    that measured at different places remain rows of one instrument, each named by its set-up.
+    Each set-up: its name and readings, referred to the first. The same channel at the same position, and the same
+    output of the sensor, becomes one reading. Channels of one name at different positions are rows of one instrument,
+    each named by its set-up.
     """
     groups: dict[Hashable, list[tuple[str, ChannelReading]]] = {}
     for name, readings in set_ups:
@@ -264,19 +286,19 @@ def merge_readings(
         set_up, entry = group[0][0], group[0][1].entry
         if names.count(entry.name) > 1:  # the channel by its set-up, the instrument by its name
             entry = entry.model_copy(update={"name": f"{set_up}: {entry.name}", "common": entry.common or entry.name})
-        reading, told = _merged([reading for _, reading in group], entry)
+        reading, scatter = _merged([reading for _, reading in group], entry)
         merged.append(reading)
-        notices += told
+        notices += scatter
     return tuple(merged), tuple(notices)
 
 
 def _merged(readings: Sequence[ChannelReading], entry: ChannelEntry) -> tuple[ChannelReading, list[Notice]]:
-    """Return one reading of a channel in T set-ups, and where these differ by more than noise and drift make.
+    """Return one reading of a channel in T set-ups, and warnings of additional scatter.
 
-    Readings are weighed by their whole covariance over the set-ups, in which a complex value has one variance, the sum
-    of those of its parts. Where chi-square is above its degrees of freedom, all set-ups get the variance that makes it
-    equal to them (Paule & Mandel 1982, J. Res. NBS 87, 377). Noise of its own comes from noise, what weights by
-    estimated noise cost, and scatter; further errors remain by their names.
+    Readings are weighted by their whole covariance over the set-ups, in which a complex value has one variance, the sum
+    of those of its parts. If chi-square exceeds its degrees of freedom, all set-ups get the variance that makes it
+    equal to them (Paule & Mandel 1982, J. Res. NBS 87, 377). Its noise includes the cost of weights by estimated noise,
+    and the scatter; further errors keep their names.
     """
     first = readings[0]
     if len(readings) == 1:
@@ -287,20 +309,16 @@ def _merged(readings: Sequence[ChannelReading], entry: ChannelEntry) -> tuple[Ch
     value = np.stack([reading.phasors.value[:, 0] for reading in readings])
     covariance, notices = _between_set_ups(readings, value), []
     for k, f in enumerate(frequency_hz):
-        known = np.flatnonzero(np.isfinite(value[:, k]))
-        if len(known) == 1:
-            weight[known, k] = 1.0
-        elif len(known):
-            own = [(readings[t].phasors.covariance[k], float(readings[t].phasors.dof[k])) for t in known.tolist()]
-            found = _weighted(value[known, k], covariance[k][np.ix_(known, known)], own)
-            weight[known, k], spread[k], lost[k] = found.weight, found.spread, found.lost
+        finite = np.flatnonzero(np.isfinite(value[:, k]))
+        if len(finite) == 1:
+            weight[finite, k] = 1.0
+        elif len(finite):
+            noise = [(readings[t].phasors.covariance[k], float(readings[t].phasors.dof[k])) for t in finite.tolist()]
+            found = _weighted(value[finite, k], covariance[k][np.ix_(finite, finite)], noise)
+            weight[finite, k], spread[k], lost[k] = found.weight, found.spread, found.lost
             if found.fails:
                 share = spread[k] / np.nanmax(np.abs(value[:, k]))
-                text = (
-                    f"{name} differs from take to take by {100.0 * share:.2g} % at {f:.6g} Hz "
-                    "(standard deviation beyond noise and drift); the scatter is part of its uncertainty"
-                )
-                notices.append(Notice("warning", text, name))
+                notices.append(Notice(TAKES_SCATTER, name, spread_percent=100.0 * share, frequency_hz=f))
     further = [
         replace(error, effect=w[:, None] * error.effect)
         for w, reading in zip(weight, readings, strict=True)
@@ -311,51 +329,54 @@ def _merged(readings: Sequence[ChannelReading], entry: ChannelEntry) -> tuple[Ch
 
 
 def _mean(parts: Sequence[Phasors], weight: FloatArray, spread: FloatArray, lost: FloatArray) -> Phasors:
-    """Weighted mean with the covariance of noise and scatter, and its degrees of freedom (Welch-Satterthwaite).
+    """Return the weighted mean with covariance and degrees of freedom (Welch-Satterthwaite).
 
-    What estimated weights cost, `lost` (K,), enlarges the noise.
+    Of noise and scatter. The cost `lost` (K,) of estimated weights enlarges the noise.
     """
-    known, square = np.any(weight != 0.0, axis=0), weight**2
+    used, square = np.any(weight != 0.0, axis=0), weight**2
     value = np.nansum([w * p.value[:, 0] for w, p in zip(weight, parts, strict=True)], axis=0)
-    own = np.nan_to_num([s[:, None, None] * p.covariance for s, p in zip(square, parts, strict=True)])
-    noise = np.trace(own, axis1=2, axis2=3).sum(axis=0)
-    own = own * (1.0 + np.divide(lost, noise, out=np.zeros(len(lost)), where=noise > 0.0))[:, None, None]
+    variances = np.nan_to_num([s[:, None, None] * p.covariance for s, p in zip(square, parts, strict=True)])
+    noise = np.trace(variances, axis1=2, axis2=3).sum(axis=0)
+    variances = variances * (1.0 + np.divide(lost, noise, out=np.zeros(len(lost)), where=noise > 0.0))[:, None, None]
     scatter = square.sum(axis=0) * spread**2
-    covariance = own.sum(axis=0) + scatter[:, None, None] / 2.0 * np.eye(2)
-    noise = np.trace(own, axis1=2, axis2=3)
+    covariance = variances.sum(axis=0) + scatter[:, None, None] / 2.0 * np.eye(2)
+    noise = np.trace(variances, axis1=2, axis2=3)
     weighted = np.sum(noise**2 / np.maximum([p.dof for p in parts], 1.0), axis=0)
     weighted += scatter**2 / np.maximum(np.sum(weight != 0.0, axis=0) - 1.0, 1.0)
     total = np.trace(covariance, axis1=1, axis2=2)
     return replace(
         parts[0],
-        value=np.where(known, value, complex(np.nan, np.nan))[:, None],
-        covariance=np.where(known[:, None, None], covariance, np.nan),
+        value=np.where(used, value, complex(np.nan, np.nan))[:, None],
+        covariance=np.where(used[:, None, None], covariance, np.nan),
         dof=np.divide(total**2, weighted, out=np.full(len(total), np.inf), where=weighted > 0.0),
     )
 
 
 def _between_set_ups(readings: Sequence[ChannelReading], value: ComplexArray) -> FloatArray:
-    """Return (K, T, T): covariances of the complex values, from noise and from what set-ups have in common.
+    """Return covariances (K, T, T) of the complex values.
 
-    Relative errors count at the median amplitude, never at the reading itself.
+    By noise and errors common to set-ups. Relative errors act on the median amplitude, never on the reading itself.
     """
     size = np.array([np.median(np.abs(v[np.isfinite(v)])) if np.isfinite(v).any() else 0.0 for v in value.T])
-    own = np.array([np.trace(reading.phasors.covariance, axis1=1, axis2=2) for reading in readings])
-    own = np.nan_to_num(own) + (LEAST_SPREAD * size) ** 2
-    covariance = np.einsum("tk,ts->kts", own, np.eye(len(readings)))
+    noise = np.array([np.trace(reading.phasors.covariance, axis1=1, axis2=2) for reading in readings])
+    noise = np.nan_to_num(noise) + (MIN_SPREAD * size) ** 2
+    covariance = np.einsum("tk,ts->kts", noise, np.eye(len(readings)))
     names = dict.fromkeys(error.name for reading in readings for error in reading.further_errors)
-    place = {name: number for number, name in enumerate(names)}
+    index = {name: number for number, name in enumerate(names)}
     relative = np.zeros((len(names), len(readings), len(size)), dtype=np.complex128)
     for t, reading in enumerate(readings):
         for error in reading.further_errors:
-            relative[place[error.name], t] = error.effect[:, 0]
+            relative[index[error.name], t] = error.effect[:, 0]
     shared = np.einsum("ntk,nsk->kts", relative, relative.conj()).real
     return np.asarray(covariance + shared * size[:, None, None] ** 2)
 
 
 class _Weighted(NamedTuple):
-    """Weights (T,) of complex values, the standard deviation `spread` they have beyond their covariance, the variance
-    `lost` by weights that were estimated, and whether chi-square `fails` at 1 %."""
+    """Weights (T,) of complex values.
+
+    `spread`: standard deviation beyond their covariance; `lost`: variance by estimated weights; `fails`: whether
+    chi-square fails at 1 %.
+    """
 
     weight: FloatArray
     spread: float
@@ -363,16 +384,18 @@ class _Weighted(NamedTuple):
     fails: bool
 
 
-def _weighted(value: ComplexArray, covariance: FloatArray, own: Sequence[tuple[FloatArray, float]]) -> _Weighted:
-    """Return how complex values (T,) of a `covariance` (T, T) are weighed.
+def _weighted(
+    value: ComplexArray, covariance: FloatArray, parts_noise: Sequence[tuple[FloatArray, float]]
+) -> _Weighted:
+    """Return the weights of complex values (T,) with a `covariance` (T, T).
 
-    In it the noise of each has the covariance (2, 2) and the degrees of freedom of `own`.
+    `parts_noise`: covariance (2, 2) of the noise of each value, included in it, and its degrees of freedom.
     """
     from scipy.optimize import brentq
 
     count = len(value)
     dof, every = 2 * (count - 1), np.arange(2 * count)
-    parts = [(np.array([t, t + count]), *part) for t, part in enumerate(own)]
+    parts = [(np.array([t, t + count]), *part) for t, part in enumerate(parts_noise)]
     noise = EstimatedNoise.of_parts(parts, 2 * count)
 
     def projector(variance: float) -> FloatArray:
@@ -396,7 +419,7 @@ def _weighted(value: ComplexArray, covariance: FloatArray, own: Sequence[tuple[F
 
 
 def _weights(covariance: FloatArray) -> FloatArray:
-    """Weights (T,) of the best linear mean."""
+    """Return the weights (T,) of the best linear mean."""
     solved = np.linalg.solve(covariance, np.ones(len(covariance)))
     return np.asarray(solved / solved.sum())
 
@@ -406,10 +429,10 @@ def _weights(covariance: FloatArray) -> FloatArray:
 
 @dataclass(frozen=True)
 class Joined:
-    """What a recording consists of, on the clock and at the lines of its first set-up.
+    """All data of a recording on the first set-up's clock and lines.
 
-    `readings`, `pairs`: every channel and stereo pair with its errors; `clock_uncertainty`: relative, of that clock;
-    `set_ups`: empty where there is one only.
+    `readings`, `pairs`: every channel and stereo pair with its errors. `clock_uncertainty`: relative, of that clock.
+    `set_ups`: empty for a single one.
     """
 
     lines: LineFrequencies
@@ -430,14 +453,14 @@ class Joined:
 
 
 def join_set_ups(set_ups: Sequence[MeasuredSetUp]) -> Joined:
-    """Refer all set-ups to the first and name what they hold by their set-up; one alone remains as it is."""
+    """Refer all set-ups to the first, named by their set-up; a single one is unchanged."""
     first = set_ups[0]
-    opened, lines, clock = first.prepared, first.lines, first.prepared.base.records[0].entry.clock_uncertainty
+    prepared, lines, clock = first.prepared, first.lines, first.prepared.base.records[0].entry.clock_uncertainty
     if len(set_ups) == 1:
-        clocks, stereo = opened.base.results(), tuple(item.result for item in first.stereo)
-        changes = stationarity_notices(line_stationarity(opened.channels, stereo, lines, clocks))
+        clocks, stereo = prepared.base.results(), tuple(item.result for item in first.stereo)
+        changes = stationarity_notices(line_stationarity(prepared.channels, stereo, lines, clocks))
         pairs = tuple(item.reading for item in first.stereo)
-        seen = (clocks, opened.channels, stereo, opened.readings, pairs)
+        seen = (clocks, prepared.channels, stereo, prepared.readings, pairs)
         return Joined(lines, *seen, clock, (), first.line_notices, (*first.notices, *changes))
     ties = reference_ties([item.prepared for item in set_ups])
     named_pairs: list[StereoReading] = []
@@ -445,15 +468,15 @@ def join_set_ups(set_ups: Sequence[MeasuredSetUp]) -> Joined:
     channels: list[ChannelResult] = []
     by_name: dict[str, StereoResult] = {}
     referred: list[tuple[str, list[ChannelReading]]] = []
-    told: list[Notice] = []
+    notices: list[Notice] = []
     for item, tie in zip(set_ups, ties, strict=True):
         name = tie.name
         named_pairs += [tie.stereo(pair.reading) for pair in item.stereo]
         # The reference is that of the first set-up and counts once.
-        own = [r for r in item.prepared.readings if tie.first or not r.entry.reference]
-        referred.append((name, [tie.reference(r) if r.entry.reference else tie.reading(r) for r in own]))
+        used = [r for r in item.prepared.readings if tie.first or not r.entry.reference]
+        referred.append((name, [tie.reference(r) if r.entry.reference else tie.reading(r) for r in used]))
         clocks_named += [replace(c, daq=f"{name}: {c.daq}") for c in item.prepared.base.results()]
-        for channel in item.prepared.channels:  # what the figures show stays
+        for channel in item.prepared.channels:  # data of the figures are unchanged
             steady = _at_lines(channel.stationarity, item.lines, lines.frequency_hz)
             referred_channel = replace(channel, phasors=tie.phasors(channel.phasors), stationarity=steady)
             channels.append(replace(referred_channel, name=f"{name}: {channel.name}", daq=f"{name}: {channel.daq}"))
@@ -461,7 +484,7 @@ def join_set_ups(set_ups: Sequence[MeasuredSetUp]) -> Joined:
             key = f"{result.name}-{name.replace(' ', '')}" if result.name in by_name else result.name
             steady = _at_lines(result.stationarity, item.lines, lines.frequency_hz)
             by_name[key] = replace(result, name=key, stationarity=steady)
-        told += [replace(notice, text=f"{name}: {notice.text}") for notice in item.notices]
+        notices += [notice.at(f"{name}, {notice.where}") for notice in item.notices]
     readings, scattered = merge_readings(referred)
     results = tuple(by_name.values())
     changes = stationarity_notices(line_stationarity(channels, results, lines, clocks_named))
@@ -475,13 +498,13 @@ def join_set_ups(set_ups: Sequence[MeasuredSetUp]) -> Joined:
         clock_uncertainty=clock,
         set_ups=tuple(tie.result for tie in ties),
         aliased=tuple(notice for item in set_ups for notice in item.line_notices),
-        notices=(*told, *drift_notices(ties, lines.multiple == 1), *scattered, *changes),
+        notices=(*notices, *drift_notices(ties, lines.multiple == 1), *scattered, *changes),
     )
 
 
-def _at_lines(steady: Stationarity | None, own: LineFrequencies, frequency_hz: FloatArray) -> Stationarity | None:
-    """Return what a set-up says of its own lines as said of those at `frequency_hz` (K,)."""
+def _at_lines(steady: Stationarity | None, lines: LineFrequencies, frequency_hz: FloatArray) -> Stationarity | None:
+    """Return the stationarity of a set-up's lines at the lines `frequency_hz` (K,)."""
     if steady is None:
         return None
-    first = dict(zip(own.frequency_hz.tolist(), frequency_hz.tolist(), strict=True))
+    first = dict(zip(lines.frequency_hz.tolist(), frequency_hz.tolist(), strict=True))
     return replace(steady, frequency_hz=np.array([first.get(f, f) for f in steady.frequency_hz.tolist()]))

@@ -1,4 +1,4 @@
-"""When pictures were exposed: rows one after the other (`photogram.measure.exposure_motion`), cameras of a pair out of step."""
+"""Exposure of images: rolling shutters, and cameras that are not synchronous."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from fusion.errors import ComputeError
+from fusion.phasors.phasor_notices import CAMERA_DELAYED, CAMERAS_OUT_OF_STEP
 from photogram.camera import StereoRig, epipolar_residual
 from shaker.arrays import ComplexArray, FloatArray
 from shaker.sine.phasor import Phasors
@@ -18,11 +19,11 @@ from shakercal._common.notices import Notice
 
 @dataclass(frozen=True, eq=False)
 class PhaseRotated:
-    """Frames fitted cell by cell, the delays of their rows taken back at each of K lines.
+    """Frames fitted cell by cell, with row delays corrected at K lines.
 
-    pose (F, K, p): of six components and p - 6 shapes, beside the motion taken for known; `response` (K, p, p): what a
-    motion is in them; `known` (K, p): what the known one is. `late` (6, 6): by how many rows after the first one a
-    motion is seen. `delay_s` (N,): of the rows that show the points of the surface; `side_px` of the
+    `pose` (F, K, p): six components and p - 6 shapes, in addition to the reference motion. `response` (K, p, p): effect
+    of a motion on them; `reference_motion` (K, p): that of the reference. `row_delay` (6, 6): number of rows after the
+    first one at which a motion is measured. `delay_s` (N,): of the rows at the points of the surface. `side_px`: of the
     cells.
     """
 
@@ -34,13 +35,19 @@ class PhaseRotated:
     side_px: int
 
     def motion(self, time_s: FloatArray, fit: SineFit) -> Phasors:
-        """Return the phasors (K, 6) of the body at the lines of a fit, each as the mean over an exposure."""
+        """Return the phasors (K, 6) of the body at the lines.
+
+        Means over an exposure.
+        """
         return self._restored(time_s, fit, slice(0, 6), self.reference_motion[:, :6], lambda _, found: found.phasors)
 
     def shapes(
         self, time_s: FloatArray, fit: SineFit, motion: Phasors, noise: Callable[[FloatArray, SineFit], Phasors]
     ) -> Phasors:
-        """Return the amplitudes (K, S) of shapes beside that motion; `noise`: of series by their fit."""
+        """Return the amplitudes (K, S) of shapes in addition to that motion.
+
+        `noise`: noise of series by their fit.
+        """
         moved = np.einsum("kij,kj->ki", self.response[:, 6:, :6], motion.value)
         return self._restored(time_s, fit, slice(6, None), self.reference_motion[:, 6:] - moved, noise)
 
@@ -48,26 +55,27 @@ class PhaseRotated:
         self,
         time_s: FloatArray,
         fit: SineFit,
-        own: slice,
-        beside: ComplexArray,
+        columns: slice,
+        offset: ComplexArray,
         noise: Callable[[FloatArray, SineFit], Phasors],
     ) -> Phasors:
-        """Return G⁻¹·(A + jB + what is `beside` them), A and B the phasors of the real and imaginary parts of the pose.
+        """Return G⁻¹·(A + jB + `offset`).
 
-        A motion Re{X exp(jωt)} is in a pose turned back as G·X·exp(jωt)/2, beside what turns the other way; as the
-        parts are Re{A exp(jωt)} and Re{B exp(jωt)}, that is (A + jB)/2.
+        A and B are the phasors of real and imaginary part of the pose. A motion Re{X exp(jωt)} appears in a rotated
+        pose as G·X·exp(jωt)/2 and a part of opposite rotation. With the parts Re{A exp(jωt)} and Re{B exp(jωt)} that is
+        (A + jB)/2.
         """
         frequency_hz, model = fit.phasors.frequency_hz, SineModel(robust=True)
         names, unit = fit.phasors.channels, fit.phasors.unit
         both = (*(f"Re {name}" for name in names), *(f"Im {name}" for name in names))
-        inverse, unity, lines = np.linalg.inv(self.response[:, own, own]), np.eye(len(names)), list[Phasors]()
+        inverse, unity, lines = np.linalg.inv(self.response[:, columns, columns]), np.eye(len(names)), list[Phasors]()
         for k in range(len(frequency_hz)):
-            series = np.concatenate([self.pose[:, k, own].real, self.pose[:, k, own].imag], axis=1)
+            series = np.concatenate([self.pose[:, k, columns].real, self.pose[:, k, columns].imag], axis=1)
             found = noise(series, fit_sines(time_s, series, frequency_hz, both, unit * 2, model=model))
             matrix = inverse[k] @ np.hstack([unity, 1j * unity])
             lines.append(found.at_lines(np.array([k])).combined(matrix[None], names, unit))
         value, covariance = (np.concatenate([getattr(one, name) for one in lines]) for name in ("value", "covariance"))
-        value = value + np.einsum("kij,kj->ki", inverse, beside)
+        value = value + np.einsum("kij,kj->ki", inverse, offset)
         dof = np.concatenate([one.dof for one in lines])
         return replace(fit.phasors, value=value, covariance=covariance, dof=dof)
 
@@ -75,9 +83,9 @@ class PhaseRotated:
 # Cameras of a pair that were not exposed at the same time.
 
 LATE_RAD, LATE_U = 0.01, 5.0
-"""Phase between the cameras from which on it is reported; the same in standard uncertainties."""
-UNLIKE_FRAMES = 0.05
-"""Phase by which a lag may differ from that of whole frames; the frames at either end are others then."""
+"""Phase between the cameras above which it is reported, and the same in standard uncertainties (chosen)."""
+FRAME_PHASE_TOLERANCE = 0.05
+"""Largest difference in rad of a lag from whole frames: different frames at either end (chosen)."""
 MOST_FRAMES = 5
 EQUAL = 0.2
 """Relative difference of the two cameras' motion across the epipolar lines that no lag explains."""
@@ -86,11 +94,12 @@ EQUAL = 0.2
 def check_in_step(
     rig: StereoRig, frames: Sequence[FloatArray], frequency_hz: FloatArray, time_s: FloatArray
 ) -> tuple[Notice, ...]:
-    """Return a warning where the right camera lags behind the left one; raise `ComputeError` where by whole frames.
+    """Return a warning if one camera is delayed; raise `ComputeError` if by whole frames.
 
-    Across the epipolar lines both cameras see the same motion. With phasors a of n_left · L and b of n_right · R of the
-    subsets, n the derivatives of the epipolar residual, a + b·exp(jωδ) = 0 if the right camera is late by δ, hence
-    exp(jωδ) ∝ -Σ a·b*. `frames` (1 + 2K, N, 2) of each camera: mean positions, and these + Re, + Im of each phasor.
+    Across the epipolar lines both cameras measure the same motion. With phasors a of n_left · L and b of n_right · R of
+    the subsets, n being the derivatives of the epipolar residual, a + b·exp(jωδ) = 0 if the right camera is late by δ.
+    Hence exp(jωδ) ∝ -Σ a·b*. `frames` (1 + 2K, N, 2) of each camera: mean positions, and these + Re, + Im of each
+    phasor.
     """
     (left, right), (_, by_left, by_right) = frames, epipolar_residual(rig, *(side[0] for side in frames))
 
@@ -110,15 +119,16 @@ def check_in_step(
         return ()
     omega, period_s = 2.0 * np.pi * float(frequency_hz[k]), float(np.min(np.diff(time_s)))
     for count in sorted((n for n in range(-MOST_FRAMES, MOST_FRAMES + 1) if n), key=abs):
-        away = abs(np.angle(np.exp(1j * (phase - omega * count * period_s))))
-        if away < min(UNLIKE_FRAMES, abs(phase) / 2.0):
+        distance = abs(np.angle(np.exp(1j * (phase - omega * count * period_s))))
+        if distance < min(FRAME_PHASE_TOLERANCE, abs(phase) / 2.0):
             late, early = ("right", "left") if count > 0 else ("left", "right")
-            many = f"{abs(count)} frame{'s' if abs(count) > 1 else ''} ({1e3 * abs(count) * period_s:.4g} ms)"
-            raise ComputeError(f"the {late} camera is {many} late compared with the {early} one: they are out of step")
+            values = {"frames": abs(count), "delay_ms": 1e3 * abs(count) * period_s}
+            raise ComputeError(CAMERAS_OUT_OF_STEP, late=late, early=early, **values)
     late = "right" if phase > 0.0 else "left"
-    text = (
-        f"the {late} camera is exposed {1e6 * abs(phase) / omega:.3g} us later than the other one, by their motion "
-        f"across the epipolar lines at {frequency_hz[k]:.6g} Hz ({1e3 * abs(phase):.3g} mrad, u {1e3 * u:.2g} mrad): "
-        "the cameras are out of step; what that does to depth and phase is not in U"
-    )
-    return (Notice("warning", text, "exposure"),)
+    values = {
+        "delay_us": 1e6 * abs(phase) / omega,
+        "phase_mrad": 1e3 * abs(phase),
+        "frequency_hz": frequency_hz[k],
+        "u_mrad": 1e3 * u,
+    }
+    return (Notice(CAMERA_DELAYED, "exposure", late=late, **values),)

@@ -1,14 +1,15 @@
-"""Pairs whose rows are exposed one after the other, or long, looked at again with the motion that was found."""
+"""Refined motion of pairs with a rolling shutter or long exposures."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
 
 from fusion.base import Threads
 from fusion.phasors.image_effects import displacement, fit_about_mean
+from fusion.phasors.phasor_notices import COARSE_ROWS, MOTION_BLUR, ROLLING_SHUTTER, SHUTTER_NOT_CONVERGED
 from fusion.phasors.shutter import PhaseRotated
 from fusion.phasors.stereo_motion import PreparedImages, StereoMotion, motion_from_tracks, resolved_lines
 from photogram.measure.body import TrackedSubsets, body_motion
@@ -26,18 +27,19 @@ from shaker.sine.aliasing import exposure_gain
 from shaker.sine.normal_equations import SineSums
 from shakercal._common.notices import Notice
 
-FINEST_RAD_PX = 0.7  # of the waves of grey that tell the place of speckle, about
-BLUR_COUNTS = 1e-5  # of an amplitude: bias by the path of an exposure from which on it is taken off
-CLOSE, MOST_LOOKS = 3e-4, 6  # relative change of the motion within which it is known, and how often that is sought
-SETTLED = 3e-3  # the largest one at the end of which nothing is said
+FINEST_RAD_PX = 0.7  # typical wave number of grey values of speckle
+BLUR_COUNTS = 1e-5  # relative bias by blur above which it is corrected
+CLOSE, MOST_LOOKS = 3e-4, 6  # relative change of the motion at convergence, and most iterations
+NOTABLE_CHANGE = 3e-3  # largest final change without a notice
 
 
 def refine_rolling_shutter(
     measured: StereoMotion, images: Sequence[PreparedImages], lines: LineFrequencies
 ) -> StereoMotion:
-    """Return the motion of a pair by frames whose rows are taken back to one instant, their blur accounted for.
+    """Return the motion of a pair with all rows at one instant.
 
-    The same object comes back where all rows are exposed at once, and for too short a time to blur what moves.
+    Blur is accounted for. The same object is returned if all rows are exposed at once, and too briefly to blur the
+    motion.
     """
     view, pair, exposure_s = measured.view, measured.sight.pair, measured.sight.exposure.length_s
     usable, _ = resolved_lines(measured, lines)
@@ -48,13 +50,13 @@ def refine_rolling_shutter(
     blurs = _blur_bias(first, frequency_hz, phasors, exposure_s) > BLUR_COUNTS
     if not (any(pair.row_time) or blurs):
         return measured
-    (opened,) = (item for item in images if item.sight.name == measured.sight.name)
-    opened = replace(opened, sight=measured.sight)
+    (prepared,) = (item for item in images if item.sight.name == measured.sight.name)
+    prepared = replace(prepared, sight=measured.sight)
     frames = [frame for block in iterate_blocks(first.scene, first.blocks) for frame in block]
     found, last, left = measured, None, np.inf
     for _ in range(MOST_LOOKS):
         swing = ExposureMotion(frequency_hz, phasors, measured.sight.time_s, exposure_s, pair.row_time, bool(blurs))
-        found = _look(opened, prepare_exposure_correction(first.scene, swing), frames)
+        found = _look(prepared, prepare_exposure_correction(first.scene, swing), frames)
         _, _, fit = fit_about_mean(found, frequency_hz)
         answer = displacement(found, fit).value / exposure_gain(frequency_hz, exposure_s)[:, None]
         change = answer - phasors
@@ -63,40 +65,32 @@ def refine_rolling_shutter(
             break
         phasors, last = _nearer(answer, change, last), (answer, change)
     bias = _blur_bias(first, frequency_hz, phasors, exposure_s)
-    return replace(found, notices=(*found.notices, *_told(found, swing, bias, left)))
+    return replace(found, notices=(*found.notices, *_shutter_notices(found, swing, bias, left)))
 
 
-def _told(measured: StereoMotion, swing: ExposureMotion, bias: float, left: float) -> list[Notice]:
-    """Say what moves while frames are exposed, and where the motion that is taken for known did not settle."""
-    told, turned = list[Notice](), None if measured.view is None else measured.view.phase_rotated
+def _shutter_notices(measured: StereoMotion, swing: ExposureMotion, bias: float, left: float) -> Iterator[Notice]:
+    """Yield the effects of motion during exposures.
+
+    With a warning where the fit did not converge.
+    """
+    rotated = None if measured.view is None else measured.view.phase_rotated
     fastest_hz = float(swing.frequency_hz.max())
-    if turned is not None:
-        across_s = float(np.nanmax(turned.delay_s) - np.nanmin(turned.delay_s))
-        angle = 360.0 * fastest_hz * across_s
-        text = (
-            f"its rows are exposed one after the other, those with subsets of the body over {1e3 * across_s:.3g} ms, "
-            f"in which {fastest_hz:.6g} Hz turns by {angle:.3g}°: every row counts when it was exposed"
-        )
-        told.append(Notice("note", text, "row_time"))
-        if turned.side_px > WIDEST_CELL / swing.per_row:
-            spanned = turned.side_px * swing.per_row
-            text = f"the rows of the smallest cells span {spanned:.2g} periods of {fastest_hz:.6g} Hz"
-            told.append(Notice("warning", f"{text}; what that does to its phasors is not in U", "row_time"))
+    if rotated is not None:
+        across_s = float(np.nanmax(rotated.delay_s) - np.nanmin(rotated.delay_s))
+        values = {"duration_ms": 1e3 * across_s, "frequency_hz": fastest_hz, "angle": 360.0 * fastest_hz * across_s}
+        yield Notice(ROLLING_SHUTTER, "row_time", **values)
+        if rotated.side_px > WIDEST_CELL / swing.per_row:
+            periods = rotated.side_px * swing.per_row
+            yield Notice(COARSE_ROWS, "row_time", periods=periods, frequency_hz=fastest_hz)
     if bias > BLUR_COUNTS:
-        text = (
-            f"what moves is blurred by its path in exposures of {1e3 * swing.exposure_s:.3g} ms, which "
-            f"would make sharp pictures of it find about {100.0 * bias:.2g} % too much: frames and first picture were "
-            "compared as blurred alike"
-        )
-        told.append(Notice("note", text, "exposure"))
-    if left > SETTLED:
-        text = f"the motion within frames did not settle: {100.0 * left:.2g} % of it are open, which is not in U"
-        told.append(Notice("warning", text, "exposure"))
-    return told
+        values = {"exposure_ms": 1e3 * swing.exposure_s, "bias_percent": 100.0 * bias}
+        yield Notice(MOTION_BLUR, "exposure", **values)
+    if left > NOTABLE_CHANGE:
+        yield Notice(SHUTTER_NOT_CONVERGED, "exposure", change_percent=100.0 * left)
 
 
 def _nearer(answer: ComplexArray, change: ComplexArray, last: tuple[ComplexArray, ComplexArray] | None) -> ComplexArray:
-    """Return the motion that answers itself, by two answers (Anderson 1965, J. ACM 12, 547)."""
+    """Return an improved motion from two iterations (Anderson 1965, J. ACM 12, 547)."""
     if last is None:
         return answer
     step = change - last[1]
@@ -104,31 +98,34 @@ def _nearer(answer: ComplexArray, change: ComplexArray, last: tuple[ComplexArray
     return np.asarray(answer - share * (answer - last[0]))
 
 
-def _look(opened: PreparedImages, again: ExposureCorrection, frames: Sequence[FollowedFrame]) -> StereoMotion:
-    """Return what a pair sees when every frame after the first is looked at again."""
-    again = again.with_noise(1, frames[1])
+def _look(prepared: PreparedImages, correction: ExposureCorrection, frames: Sequence[FollowedFrame]) -> StereoMotion:
+    """Return the motion of a pair by correcting every frame after the first."""
+    correction = correction.with_noise(1, frames[1])
     with Threads() as crew:
-        pending = [crew.submit(0, again.correct_frame, number, frames[number]) for number in range(1, len(frames))]
+        pending = [crew.submit(0, correction.correct_frame, number, frames[number]) for number in range(1, len(frames))]
         looked = [answer.result().unwrap() for answer in pending]
-    body = body_motion(again.scene, [tuple(frame for frame, _ in looked)])
-    seen, swing = motion_from_tracks(opened, body), again.swing
+    body = body_motion(correction.scene, [tuple(frame for frame, _ in looked)])
+    seen, swing = motion_from_tracks(prepared, body), correction.swing
     if not swing.rolling_shutter:
         return seen
-    response, known = again.responses
-    pose = np.full((len(frames), *known.shape[:2]), np.nan, np.complex128)
-    for number, (_, turned) in enumerate(looked, 1):
-        if turned is not None:
-            pose[number] = turned
-    gained = swing.phasors * exposure_gain(swing.frequency_hz, swing.exposure_s)[:, None]
-    of_known = np.einsum("kij,kj->ki", known[:, :, :6], gained)
-    side_px = again.scene.views[0].cells.side_px
-    turned = PhaseRotated(pose, response, of_known, again.row_lag, again.delay_s, side_px)
+    response, of_motion = correction.responses
+    pose = np.full((len(frames), *of_motion.shape[:2]), np.nan, np.complex128)
+    for number, (_, rotated) in enumerate(looked, 1):
+        if rotated is not None:
+            pose[number] = rotated
+    blurred = swing.phasors * exposure_gain(swing.frequency_hz, swing.exposure_s)[:, None]
+    reference_motion = np.einsum("kij,kj->ki", of_motion[:, :, :6], blurred)
+    side_px = correction.scene.views[0].cells.side_px
+    rotated = PhaseRotated(pose, response, reference_motion, correction.row_lag, correction.delay_s, side_px)
     assert seen.view is not None
-    return replace(seen, view=replace(seen.view, phase_rotated=turned))
+    return replace(seen, view=replace(seen.view, phase_rotated=rotated))
 
 
 def _of_subsets(measured: StereoMotion, tracked: TrackedSubsets, frequency_hz: FloatArray) -> ComplexArray:
-    """Return the motion (K, 6) that explains where the subsets were when their rows were exposed, by least squares."""
+    """Return the motion (K, 6) from positions of subsets by rows.
+
+    By least squares.
+    """
     sums, scene = None, tracked.scene
     for block in tracked:
         both = np.concatenate([one.position_px for one in block.cameras], axis=2)
@@ -144,17 +141,18 @@ def _of_subsets(measured: StereoMotion, tracked: TrackedSubsets, frequency_hz: F
             loss = np.sinc(hertz * measured.sight.exposure.length_s) * np.sinc(hertz * row_s * side_px)
             shown.append(value[k, :, 2 * side : 2 * side + 2] * np.exp(-2j * np.pi * hertz * delay_s)[:, None] / loss)
             rates.append(seen.rates)
-        places, design = np.concatenate(shown), np.concatenate(rates)
-        known = np.isfinite(places).all(axis=1) & np.isfinite(design).all(axis=(1, 2))
-        phasors.append(np.linalg.lstsq(design[known].reshape(-1, 6), places[known].ravel(), rcond=None)[0])
+        positions, design = np.concatenate(shown), np.concatenate(rates)
+        finite = np.isfinite(positions).all(axis=1) & np.isfinite(design).all(axis=(1, 2))
+        phasors.append(np.linalg.lstsq(design[finite].reshape(-1, 6), positions[finite].ravel(), rcond=None)[0])
     return np.array(phasors)
 
 
 def _blur_bias(tracked: TrackedSubsets, frequency_hz: FloatArray, phasors: ComplexArray, exposure_s: float) -> float:
-    """Return by how much of itself, about, the path of an exposure biases a motion fitted to sharp grey values.
+    """Return the approximate relative bias of a motion by its blur.
 
-    A wave of grey exp(jkx) averaged over the path of a sine of amplitude a shifts in phase as the path's third moment
-    a³ω⁴T⁴·sin²·cos/120 says: k²a²(ωT)⁴/2880 of the amplitude at the line, and as much of three times its frequency.
+    If it is fitted to sharp grey values. A wave of grey exp(jkx) averaged over the path of a sine of amplitude a shifts
+    in phase by the third moment of the path, a³ω⁴T⁴·sin²·cos/120. This is k²a²(ωT)⁴/2880 of the amplitude at the line,
+    and the same at three times its frequency.
     """
     rates = np.concatenate([seen.rates for seen in tracked.scene.seen])
     amplitude = np.linalg.norm(np.einsum("nij,kj->nki", rates, phasors), axis=2)

@@ -1,4 +1,4 @@
-"""What a record shows beside a steady motion: driven lines that change, harmonics of outputs that the load has not."""
+"""Deviations from a steady motion: driven lines that change, and harmonics of outputs without motion."""
 
 from __future__ import annotations
 
@@ -14,25 +14,26 @@ from fusion.estimation.uncertainty import Scope
 from fusion.instruments.channel import ChannelReading, ChannelRelativeError, nonzero_errors
 from fusion.instruments.transducer import TRANSDUCERS
 from fusion.phasors.channel_phasors import HARMONICS, ChannelResult
+from fusion.phasors.phasor_notices import CUBIC_DISTORTION, HARMONIC_DISTORTION, LINE_UNSTEADY, OUTPUT_UNSTEADY
 from fusion.phasors.timing import ClockResult
 from shaker.lines.frequencies import LineFrequencies
 from shaker.sine.sine_fit import Stationarity
-from shakercal._common.notices import Notice
+from shakercal._common.notices import Notice, Value
 
 if TYPE_CHECKING:
     from fusion.phasors.stereo_phasors import StereoResult
 
-SURE = 1.0 / 16000.0  # chance that noise and rates of clocks make a change that is told
+SURE = 1.0 / 16000.0  # probability of a reported change by noise and clock rates
 MATTERS = 1e-3  # of the amplitude, or rad, over the record: a mean over another stretch differs by up to half of it
 
-# What readings of outputs are found to hold beside the load.
+# Parts of the readings of outputs that are not caused by the load.
 
 DISTORTION, DRIFT = "distortion", "drift over the record"
 SCOPES: dict[str, Scope] = {DISTORTION: "rig", DRIFT: "recording"}
 
 
 class Doubt(NamedTuple):
-    """How large a `share` of a `channel` at a line may be none of the load's, as a notice says."""
+    """Share of a `channel` at a line that may not belong to the load."""
 
     channel: str
     frequency_hz: float
@@ -42,24 +43,26 @@ class Doubt(NamedTuple):
 def enlarge_doubted(
     readings: Sequence[ChannelReading], changes: Sequence[LineStationarity], distorted: Iterable[HarmonicDistortion]
 ) -> tuple[ChannelReading, ...]:
-    """Return the readings of a set-up with what its channels are found to hold beside the load's motion."""
+    """Return the readings of a set-up with the errors of unsteady and distorted channels."""
     doubts = {DISTORTION: [found.doubt for found in distorted]}
-    doubts[DRIFT] = [doubt for frequency in _frequencies(changes) for doubt in _told(changes, frequency).doubts]
+    doubts[DRIFT] = [
+        doubt for frequency in _frequencies(changes) for doubt in _significant_changes(changes, frequency).doubts
+    ]
     return tuple(_doubted(reading, doubts) for reading in readings)
 
 
 def _doubted(reading: ChannelReading, doubts: Mapping[str, Sequence[Doubt]]) -> ChannelReading:
-    """Return a reading with the errors that are found in it.
+    """Return a reading with its additional errors.
 
-    The largest share a at a line, in a direction of the complex plane of which nothing is known: an arc-sine
-    distribution with a/√2 in either part.
+    The largest share a at a line has a uniform direction in the complex plane: an arc-sine distribution with a/√2 in
+    either part.
     """
     name, quantity, errors = reading.entry.name, reading.entry.quantity, []
     for what, found in doubts.items():
         u = np.zeros(len(reading.phasors.frequency_hz))
         for doubt in (doubt for doubt in found if doubt.channel == name):
-            here = reading.phasors.frequency_hz == doubt.frequency_hz
-            u[here] = np.maximum(u[here], doubt.share / np.sqrt(2.0))
+            at_line = reading.phasors.frequency_hz == doubt.frequency_hz
+            u[at_line] = np.maximum(u[at_line], doubt.share / np.sqrt(2.0))
         for part, turn in (("in phase", 1.0), ("in quadrature", 1.0j)):
             unknown, effect = f"{what} of {quantity} {name}: {part}", np.asarray(turn * u[:, None], np.complex128)
             errors.append(
@@ -73,12 +76,11 @@ def _doubted(reading: ChannelReading, doubts: Mapping[str, Sequence[Doubt]]) -> 
 
 @dataclass(frozen=True)
 class LineStationarity:
-    """Change of one line in one channel over its record: `amplitude`, relative to itself, and `phase_rad`.
+    """Change of one line in one channel over its record: relative `amplitude` and `phase_rad`.
 
-    `chance` is how often noise, and rates of clocks as uncertain as they are, move the blocks that far from their mean;
-    `sure_amplitude` and `sure_phase_rad`: what they reach once in 16 000 cases. `wander`: of the blocks about what a
-    wrong rate makes of them, beyond noise, as the change of a straight line with the same scatter; `output` of the
-    sensor.
+    `chance`: of blocks that far from their mean by noise and uncertain clock rates. `sure_amplitude`, `sure_phase_rad`:
+    values exceeded once in 16 000 cases. `wander`: scatter of the blocks about the effect of a wrong rate, beyond
+    noise, as the change of a straight line with the same scatter. `output`: of the sensor.
     """
 
     name: str
@@ -103,11 +105,11 @@ def line_stationarity(
     lines: LineFrequencies,
     clocks: Sequence[ClockResult],
 ) -> tuple[LineStationarity, ...]:
-    """Return the changes of the driven lines in every channel and in the strongest component of every stereo pair.
+    """Return the changes of the driven lines in every channel and every stereo pair.
 
-    A phase's drift is known no better than the rates behind it: of a clock that is tied to the first one, of the
-    trigger that exposes the frames, and the frequency of the line itself. The rate that is stated of a clock is none of
-    these, since the frequency is found on the same clock.
+    Of a pair in its strongest component. The drift of a phase is as uncertain as the rates behind it: of a clock tied
+    to the first one, of the trigger of the frames, and of the line's frequency. The stated rate of a clock has no
+    effect, because the frequency is found on the same clock.
     """
     u_rate = {clock.daq: float(np.sqrt(clock.tie.covariance[1, 1])) for clock in clocks if clock.tie is not None}
     shown = [(c.name, c.stationarity, u_rate.get(c.daq, 0.0), c.quantity == "output") for c in channels]
@@ -123,38 +125,34 @@ def line_stationarity(
 
 
 def stationarity_notices(changes: Sequence[LineStationarity]) -> tuple[Notice, ...]:
-    """Return a notice for each line whose amplitude, and one for each whose phase, surely changed by what matters.
+    """Return a notice per line for amplitude, phase, and other changes over the record.
 
-    A third one where they surely change but along no straight line, such as over a part of a beat. All say so where
-    the outputs of the sensor change and the motion does not.
+    A notice for each of amplitude and phase that changes significantly, and one for significant changes that are not
+    linear, such as over a part of a beat. They differ if only outputs of the sensor change and the motion does not.
     """
     notices: list[Notice] = []
     for frequency in _frequencies(changes):
-        grown, turned, bent, doubts = _told(changes, frequency)
-        end = "results are means over each instrument's own record"
-        if doubts:
-            end += (
-                "; only outputs of the sensor do so, the motion does not: look for a line beside the driven one, such "
-                "as a harmonic beyond half the sampling rate that folds onto it for lack of an anti-aliasing filter, "
-                "or for a drift of the amplifier; U contains as much in any direction"
-            )
-        for what, by in (
-            ("amplitude at {} changes", [f"{100.0 * d.amplitude:+.2g} % in {d.name}" for d in grown]),
-            ("phase at {} drifts", [f"{1e3 * d.phase_rad:+.2g} mrad in {d.name}" for d in turned]),
-            ("phasor at {} wanders", [f"by {100.0 * d.wander:.2g} % in {d.name}" for d in bent]),
+        grown, drifting, bent, doubts = _significant_changes(changes, frequency)
+        for quantity, changed in (
+            ("amplitude", [f"{100.0 * d.amplitude:+.2g} % in {d.name}" for d in grown]),
+            ("phase", [f"{1e3 * d.phase_rad:+.2g} mrad in {d.name}" for d in drifting]),
+            ("phasor", [f"{100.0 * d.wander:.2g} % in {d.name}" for d in bent]),
         ):
-            if by:
-                where = f"{frequency:.6g} Hz"
-                text = f"the {what.format(where)} over the record: {', '.join(by)}"
-                notices.append(Notice("warning", f"{text}; {end}", where))
+            if changed:
+                declared, listed = OUTPUT_UNSTEADY if doubts else LINE_UNSTEADY, ", ".join(changed)
+                values: dict[str, Value] = {"quantity": quantity, "frequency_hz": frequency, "changes": listed}
+                notices.append(Notice(declared, f"{frequency:.6g} Hz", **values))
     return tuple(notices)
 
 
-class _Told(NamedTuple):
-    """The changes of a line that are told; `doubts`: how far outputs changed where the motion did not."""
+class _SignificantChanges(NamedTuple):
+    """The reported changes of a line.
+
+    `doubts`: changes of outputs without a change of the motion.
+    """
 
     grown: list[LineStationarity]
-    turned: list[LineStationarity]
+    drifting: list[LineStationarity]
     bent: list[LineStationarity]
     doubts: list[Doubt]
 
@@ -163,25 +161,28 @@ def _frequencies(changes: Sequence[LineStationarity]) -> list[float]:
     return list(dict.fromkeys(line.frequency_hz for line in changes))
 
 
-def _told(changes: Sequence[LineStationarity], frequency_hz: float) -> _Told:
-    """Return which changes of a line are sure and matter."""
-    here = [line for line in changes if line.frequency_hz == frequency_hz]
-    grown = [d for d in here if abs(d.amplitude) > max(MATTERS, d.sure_amplitude)]
-    turned = [d for d in here if abs(d.phase_rad) > max(MATTERS, d.sure_phase_rad)]
-    named = {d.name for d in (*grown, *turned)}
-    bent = [d for d in here if d.chance < SURE and d.wander > MATTERS and d.name not in named]
+def _significant_changes(changes: Sequence[LineStationarity], frequency_hz: float) -> _SignificantChanges:
+    """Return the significant and relevant changes of a line."""
+    of_line = [line for line in changes if line.frequency_hz == frequency_hz]
+    grown = [d for d in of_line if abs(d.amplitude) > max(MATTERS, d.sure_amplitude)]
+    drifting = [d for d in of_line if abs(d.phase_rad) > max(MATTERS, d.sure_phase_rad)]
+    named = {d.name for d in (*grown, *drifting)}
+    bent = [d for d in of_line if d.chance < SURE and d.wander > MATTERS and d.name not in named]
     doubts = []
-    if {d.output for d in (*grown, *turned, *bent)} == {True} and not all(d.output for d in here):
-        for d in dict.fromkeys((*grown, *turned, *bent)):
-            along = np.hypot(d.amplitude * (d in grown), d.phase_rad * (d in turned))
+    if {d.output for d in (*grown, *drifting, *bent)} == {True} and not all(d.output for d in of_line):
+        for d in dict.fromkeys((*grown, *drifting, *bent)):
+            along = np.hypot(d.amplitude * (d in grown), d.phase_rad * (d in drifting))
             doubts.append(Doubt(d.name, frequency_hz, float(max(along, d.wander))))
-    return _Told(grown, turned, bent, doubts)
+    return _SignificantChanges(grown, drifting, bent, doubts)
 
 
 def _of_lines(
     name: str, steady: Stationarity, driven: Sequence[tuple[float, float]], u_rate: float, *, output: bool
 ) -> list[LineStationarity]:
-    """Return the changes of the driven lines (frequency, its u), each in the channel that shows it best."""
+    """Return the changes of the driven lines, each in the channel with the clearest signal.
+
+    `driven`: frequency and its u.
+    """
     length, changes = steady.length_s, []
     for frequency, u_frequency in driven:
         turn = 2.0 * np.pi * float(np.hypot(frequency * u_rate, u_frequency))
@@ -192,11 +193,11 @@ def _of_lines(
             c = int(np.argmax(clear))
             if mean[c] > 0.0:
                 part = length / mean[c]
-                u_amplitude, own = steady.u_amplitude_per_s[line, c] * part, steady.u_phase_rad_per_s[line, c]
-                u_phase = float(np.hypot(own, turn))
+                u_amplitude, u_noise_phase = steady.u_amplitude_per_s[line, c] * part, steady.u_phase_rad_per_s[line, c]
+                u_phase = float(np.hypot(u_noise_phase, turn))
                 dof = max(float(steady.dof[line]), 1.0)
                 # The rates are known, the noise is estimated (Welch and Satterthwaite).
-                dof_phase = dof * (u_phase / own) ** 4 if own > 0.0 else np.inf
+                dof_phase = dof * (u_phase / u_noise_phase) ** 4 if u_noise_phase > 0.0 else np.inf
                 # A straight line from -D/2 to D/2 has the variance D²/12.
                 wander = np.sqrt(12.0 * scatter[line, c]) / mean[c]
                 changes.append(
@@ -223,41 +224,41 @@ def _of_lines(
 # Harmonics of outputs that the load's motion does not have, and of the motion that no output answers to.
 
 STRONG = 0.5  # of the largest fundamental: outputs and motion channels whose harmonics are compared
-CHANGED = 0.3  # relative: what the sensor may answer otherwise at a harmonic than at its fundamental
+CHANGED = 0.3  # relative difference of the sensitivity between harmonic and fundamental
 
 
 class HarmonicDistortion(NamedTuple):
-    """What a harmonic of an output tells of its fundamental."""
+    """Distortion of a channel by one of its harmonics."""
 
     doubt: Doubt
     notice: Notice
 
 
 def distortions(channels: Sequence[ChannelResult], lines: LineFrequencies) -> Iterator[HarmonicDistortion]:
-    """Yield each harmonic of an output that is surely there, matters, and that the load's motion does not have.
+    """Yield significant harmonics of outputs that the load's motion does not have, and vice versa.
 
-    Also vice versa. Harmonics are compared relative to the fundamental: of the outputs that answer most, of the
-    acceleration in the channels that move most. A channel of the motion is compared with all others of these: what
-    neither the outputs nor the rest of the motion has was made by the channel, as by an amplifier that saturates before
-    a filter. Of x - ε·x³ the third harmonic is ε/4 of the amplitude and the fundamental lowered by 3ε/4, which is what
-    the ratio is then off by; of other harmonics it is taken to be off by as much as they have. Nothing is said where no
+    Harmonics are compared relative to the fundamental: of the outputs with the largest response, of the acceleration in
+    the channels with the largest motion. A motion channel is compared with all others: a harmonic that neither the
+    outputs nor the other motion channels have is caused by the channel, such as an amplifier that saturates before a
+    filter. Of x - ε·x³ the third harmonic is ε/4 of the amplitude and the fundamental is lower by 3ε/4, the error of
+    the ratio. For other harmonics the error is assumed to be as large as the harmonic. No harmonic is reported if no
     channel measures the load's motion.
     """
     outputs = [c for c in channels if c.quantity == "output" and c.harmonics is not None]
     motion = [c for c in channels if c.quantity in TRANSDUCERS and c.body == "load" and c.harmonics is not None]
     for f in lines.frequency_hz[lines.multiple == 1].tolist():
-        moving, answering = _strongest(motion, f), _strongest(outputs, f)
+        moving, responding = _strongest(motion, f), _strongest(outputs, f)
         for m in HARMONICS:
-            shares = {c.name: share for c in (*moving, *answering) if (share := _share(c, f, m)) is not None}
-            for channel in (*answering, *moving):
-                compared = moving if channel in answering else (*answering, *(c for c in moving if c is not channel))
+            shares = {c.name: share for c in (*moving, *responding) if (share := _share(c, f, m)) is not None}
+            for channel in (*responding, *moving):
+                compared = moving if channel in responding else (*responding, *(c for c in moving if c is not channel))
                 theirs = [shares[c.name] for c in compared if c.name in shares]
-                if channel.name in shares and theirs and moving and answering:
+                if channel.name in shares and theirs and moving and responding:
                     yield from _distortion(channel, f, m, shares[channel.name], theirs)
 
 
 def _strongest(channels: Sequence[ChannelResult], frequency_hz: float) -> list[ChannelResult]:
-    """Return the channels in which a fundamental is strong, motion in terms of acceleration."""
+    """Return the channels with a strong fundamental, motion as acceleration."""
     size = {}
     for channel in channels:
         seen = channel.phasors.frequency_hz == frequency_hz
@@ -270,7 +271,10 @@ def _strongest(channels: Sequence[ChannelResult], frequency_hz: float) -> list[C
 
 
 class _Share(NamedTuple):
-    """A harmonic over its fundamental, of motion that of the acceleration: `u` of a part; the fundamental's phase."""
+    """A harmonic over its fundamental, of motion that of the acceleration.
+
+    `u`: of a part; `phase_rad`: of the fundamental.
+    """
 
     value: complex
     u: float
@@ -279,54 +283,57 @@ class _Share(NamedTuple):
 
 
 def _share(channel: ChannelResult, frequency_hz: float, m: int) -> _Share | None:
-    """Return one harmonic of a channel, None where it has none."""
+    """Return one harmonic of a channel, None if it has none."""
     found = channel.harmonics
     if found is None:
         return None
     near = [np.flatnonzero(np.abs(found.frequency_hz / (n * frequency_hz) - 1.0) < 1e-9) for n in (1, m)]
-    if not all(len(places) for places in near):
+    if not all(len(indices) for indices in near):
         return None
-    first, place = (int(places[0]) for places in near)
+    first, index = (int(indices[0]) for indices in near)
     order = TRANSDUCERS[channel.quantity].order if channel.quantity in TRANSDUCERS else 0
     factor = float(m) ** -order / complex(found.value[first, 0])
-    u = np.sqrt((found.u_re[place, 0] ** 2 + found.u_im[place, 0] ** 2) / 2.0) * abs(factor)
-    value, phase = complex(found.value[place, 0]) * factor, float(np.angle(found.value[first, 0]))
-    return _Share(value, float(u), float(found.dof[place]), phase)
+    u = np.sqrt((found.u_re[index, 0] ** 2 + found.u_im[index, 0] ** 2) / 2.0) * abs(factor)
+    value, phase = complex(found.value[index, 0]) * factor, float(np.angle(found.value[first, 0]))
+    return _Share(value, float(u), float(found.dof[index]), phase)
 
 
 def _distortion(
     channel: ChannelResult,
     frequency_hz: float,
     m: int,
-    own: _Share,
+    share_of_channel: _Share,
     theirs: Sequence[_Share],
 ) -> Iterator[HarmonicDistortion]:
-    """Yield what is left of one harmonic of a channel after that of others, if they have less."""
+    """Yield the excess of one harmonic of a channel over that of others."""
     from scipy.special import fdtri
 
     share = np.array([one.value for one in theirs])
     weight = 1.0 / np.maximum([one.u for one in theirs], np.finfo(np.float64).tiny) ** 2
     motion = complex(np.sum(weight * share) / np.sum(weight))
     spread = float(np.sqrt(np.mean(np.abs(share - motion) ** 2) / 2.0))
-    u = float(np.sqrt(own.u**2 + 1.0 / np.sum(weight) + spread**2 / len(share)))
-    excess = own.value - motion
-    size, dof = abs(excess), max(own.dof, 1.0)
+    u = float(np.sqrt(share_of_channel.u**2 + 1.0 / np.sum(weight) + spread**2 / len(share)))
+    excess = share_of_channel.value - motion
+    size, dof = abs(excess), max(share_of_channel.dof, 1.0)
     sure = float(np.sqrt(2.0 * fdtri(2.0, dof, 1.0 - SURE / len(HARMONICS)))) * u + CHANGED * abs(motion)
     cubic = 3.0 if m == 3 else 1.0
     # With less than the others have, one of these is distorted.
-    if size <= sure or cubic * size <= MATTERS or abs(own.value) < size / 2.0:
+    if size <= sure or cubic * size <= MATTERS or abs(share_of_channel.value) < size / 2.0:
         return
     part = round_to_uncertainty(100.0 * size, 100.0 * coverage_factor(dof) * u, 0)
     output = channel.quantity == "output"
-    others = "the load's motion explains" if output else "the outputs answer to"
-    text = (
-        f"distortion of {channel.quantity} {channel.name}: harmonic {m} of {frequency_hz:.6g} Hz is "
-        f"({part.value} ± {part.expanded}) % of the fundamental beyond what {others}; "
-        f"the {'sensor' if output else 'transducer, its amplifier'} or its converter is not linear"
-    )
+    values: dict[str, Value] = {
+        "frequency_hz": frequency_hz,
+        "share": part.value,
+        "expanded": part.expanded,
+        "reference": "the motion of the load" if output else "the outputs",
+        "device": "sensor or its converter" if output else "transducer, its amplifier or its converter",
+        "u_percent": 100.0 * cubic * size,
+    }
     if m == 3:
-        flattened = (excess * np.exp(-2j * own.phase_rad)).real < 0.0
+        flattened = (excess * np.exp(-2j * share_of_channel.phase_rad)).real < 0.0
         sign = "small" if flattened == output else "large"
-        text += f"; if it is so by the cube, the ratio at the fundamental is too {sign} by about {300.0 * size:.2g} %"
-    text += f"; U contains {100.0 * cubic * size:.2g} % in any direction"
-    yield HarmonicDistortion(Doubt(channel.name, frequency_hz, cubic * size), Notice("warning", text, channel.name))
+        notice = Notice(CUBIC_DISTORTION, channel.name, sign=sign, ratio_percent=300.0 * size, **values)
+    else:
+        notice = Notice(HARMONIC_DISTORTION, channel.name, order=m, **values)
+    yield HarmonicDistortion(Doubt(channel.name, frequency_hz, cubic * size), notice)

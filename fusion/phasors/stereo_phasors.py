@@ -1,4 +1,4 @@
-"""From the motion of a stereo pair's body to displacement phasors, with what is common to all its frames."""
+"""Displacement phasors of a stereo pair's body, with errors common to all its frames."""
 
 from __future__ import annotations
 
@@ -18,6 +18,17 @@ from fusion.instruments.transducer import STATIONARY
 from fusion.phasors.channel_phasors import expand_lines
 from fusion.phasors.deformation import DeflectionShape, ShapePhasors, deflection_shape, shape_phasors
 from fusion.phasors.image_effects import THROUGH, displacement, fit_about_mean, image_effects
+from fusion.phasors.phasor_notices import (
+    BODY_DISPLACED,
+    BODY_LOST,
+    LINE_UNOBSERVED,
+    LINES_UNRESOLVED,
+    NO_RIGID_MOTION,
+    PAIR_REJECTED,
+    PERIODIC_JITTER,
+    SHORT_BEAT,
+    TOO_FEW_FRAMES_FOR_STEP,
+)
 from fusion.phasors.stereo_motion import ImageView, RejectedPair, StereoMotion, resolved_lines
 from fusion.phasors.timing import Sight, TimeBase, TimingError, combine_timing_errors
 from photogram.camera import FaceCamera, StereoRig
@@ -42,27 +53,29 @@ from shakercal._common.notices import Notice
 if TYPE_CHECKING:
     from photogram.epipolar import EpipolarCheck
 
-STEP, FEWEST_BESIDE = 20.0, 4  # of the noise: a step that no chance makes; frames beyond the unknowns of the lines
-ONE_BEAT = 1.1  # periods of a line's alias: in less, a slope looks like the line
-NO_LINE = "its camera rate tells no line of the recording apart"
+STEP, MIN_FREE_FRAMES = 20.0, 4  # step over noise that is not by chance; frames beyond the unknowns of the lines
+ONE_BEAT = 1.1  # periods of a line's alias: over fewer, a slope looks like the line
+NO_LINE = "its frame rate resolves no line of the recording"
 
 
 @dataclass(frozen=True)
 class StereoResult:
-    """Motion seen by one stereo pair, in the sensor frame.
+    """Motion of one stereo pair's body in the sensor frame.
 
-    `time_s` (F,): exposure middles on the first DAQ's clock. `motion`: from the first frame's pose.
-    `motion_from_mean`: re-referred to the mean pose, the series that `fit` (six components, m and rad) describes and
-    of which it leaves `residual` (F, 6). `phasors` (K, 6): of the body's displacement, exposure loss corrected.
-    `reference_image` (H, W) and `subsets_px` (N, 2): first left image and the subsets tracked in it, None for points
-    of another program. `usable` (K,): which lines of the recording this camera rate can tell apart. `deflection`: what
-    the points do beside the rigid motion at the usable lines, `shapes` what all pixels tell of it, both None of a
-    camera alone, which does not tell depth from stretch. `noise`: of each camera. `sigma_px` (2,): median standard
-    deviation of a subset's coordinate, as predicted from the first images and as found.
-    `epipolar`: whether the cameras are what was calibrated, frame by frame; its notices are among the evaluation's.
-    `stationarity`: the six components over blocks of whole beats, exposure loss not corrected. `u_exposure_s`: 0 where
-    the exposure is stated. `u_rate`: relative, of the rate at which its frames were taken. `surface`: the points, and
-    what they do beside the rigid motion in every frame, some frames at a time.
+    `time_s` (F,): exposure middles on the first DAQ's clock. `motion`: from the first frame's pose. `motion_from_mean`:
+    referred to the mean pose, the series of `fit` (six components, m and rad) with its `residual` (F, 6). `phasors` (K,
+    6): of the body's displacement, corrected for the exposure. `usable` (K,): lines of the recording that this frame
+    rate resolves.
+
+    `reference_image` (H, W), `subsets_px` (N, 2): first left image and its subsets, None for points of another program.
+    `deflection`: of the points at the usable lines; `shapes`: from all pixels; both None for a single camera, which
+    cannot separate depth from stretch. `noise`: of each camera. `sigma_px` (2,): median standard deviation of a
+    subset's coordinate, as predicted from the first images and as measured. `epipolar`: test of the calibration per
+    frame; its notices are among the evaluation's.
+
+    `stationarity`: the six components over blocks of whole beats, without exposure correction. `u_exposure_s`: 0 for a
+    stated exposure. `u_rate`: relative, of the frame rate. `surface`: points and their deformation in every frame, some
+    frames at a time.
     """
 
     name: str
@@ -100,10 +113,10 @@ class StereoResult:
 
 @dataclass(frozen=True)
 class StereoPhasors:
-    """What one stereo pair saw of the lines: its `result`, and its `reading` at all of them for the linear model.
+    """Phasors of one stereo pair: its `result`, and its `reading` for the linear model.
 
-    The phasors of the reading, exposure loss corrected, are NaN at lines that this camera rate cannot tell apart; so
-    are its `effects`: of each principal component of the calibration's covariance, of errors periodic in the pixel.
+    The phasors of the reading, corrected for the exposure, are NaN at lines that this frame rate does not resolve. So
+    are its `effects`: of each principal component of the calibration's covariance, and of errors periodic in the pixel.
     """
 
     result: StereoResult
@@ -118,27 +131,27 @@ def pairs_phasors(
     line_errors: Sequence[TimingError],
     strength: FloatArray | None,
 ) -> tuple[tuple[StereoPhasors, ...], tuple[Notice, ...], tuple[RejectedPair, ...]]:
-    """Fit the lines to the motion of every stereo pair, and leave out the pairs whose rate tells no line apart.
+    """Fit the lines to the motion of every stereo pair.
 
-    The notices name what was left out, line by line and pair by pair; the pairs whose motion takes no fit come last.
-    `line_errors`: what is open of the lines;
-    `strength` (K,): the acceleration at each line relative to the strongest, as far as channels tell.
+    Pairs that resolve none are rejected. The notices name rejected lines and pairs; the third result are pairs without
+    a possible fit. `line_errors`: errors of the lines. `strength` (K,): acceleration at each line relative to the
+    strongest, as far as channels measure it.
     """
     fitted: list[StereoPhasors] = []
     unfitted: list[RejectedPair] = []
     notices: list[Notice] = []
-    told_apart = []
+    resolving = []
     for measured in motions:
-        name = measured.sight.name
+        where = f"stereo pair {measured.sight.name}"
         usable, aliased = resolved_lines(measured, lines)
-        notices += [Notice(notice.severity, f"stereo pair {name}: {notice.text}", name) for notice in aliased]
+        notices += [notice.at(f"{where}, {notice.where}") for notice in aliased]
         if usable.any():
-            told_apart.append(measured)
+            resolving.append(measured)
         else:
-            notices.append(Notice("warning", f"stereo pair {name} is left out: {NO_LINE}", name))
+            notices.append(Notice(PAIR_REJECTED, where, reason=NO_LINE))
     with Threads() as crew:
-        pending = [crew.submit(0, stereo_phasors, base, one, lines, line_errors, strength) for one in told_apart]
-        for measured, answer in zip(told_apart, pending, strict=True):
+        pending = [crew.submit(0, stereo_phasors, base, one, lines, line_errors, strength) for one in resolving]
+        for measured, answer in zip(resolving, pending, strict=True):
             try:
                 fitted.append(answer.result().unwrap())
             except ComputeError as error:
@@ -153,19 +166,19 @@ def stereo_phasors(
     line_errors: Sequence[TimingError] = (),
     strength: FloatArray | None = None,
 ) -> StereoPhasors:
-    """Fit those lines to a body's motion about its mean pose that its frames tell apart.
+    """Fit the resolved lines to a body's motion about its mean pose.
 
-    What trigger, clocks and `line_errors` leave open acts through that fit: over many beats it turns the phasors, over
-    less than one it changes every part of them. So does motion at the lines left out, of which `strength` (K,) tells
-    the size: the acceleration relative to that at the strongest line.
+    Errors of trigger, clocks and lines (`line_errors`) act through that fit: over many beats they turn the phasors,
+    over less than one they change every part. So does motion at unresolved lines, with the relative acceleration
+    `strength` (K,).
     """
     sight, view = measured.sight, measured.view
     name, time_s, exposure = sight.name, sight.time_s, sight.exposure
     usable, _ = resolved_lines(measured, lines)
     if not usable.any():
-        raise ComputeError(f"stereo pair {name}: {NO_LINE}")
+        raise ComputeError(NO_RIGID_MOTION, pair=name, reason=NO_LINE)
     frequency_hz = lines.frequency_hz[usable]
-    told = _step(name, time_s, measured.motion.pose[:, :3], frequency_hz)
+    notices = _step(name, time_s, measured.motion.pose[:, :3], frequency_hz)
     measured, from_mean, fit = fit_about_mean(measured, frequency_hz)
     gain = exposure_gain(lines.frequency_hz, exposure.length_s)
     errors = [
@@ -178,7 +191,7 @@ def stereo_phasors(
     if (
         view is not None and sight.pair.body != STATIONARY
     ):  # they grow with the motion seen, of which a room has next to none
-        effects, of_shapes = image_effects(measured, view, frequency_hz, usable, gain, told)
+        effects, of_shapes = image_effects(measured, view, frequency_hz, usable, gain, notices)
         if isinstance(view.rig, StereoRig):
             of_motion = of_shapes, moved, view.phase_rotated
             shapes = shape_phasors(time_s, frequency_hz, view.deformed, exposure.length_s, *of_motion)
@@ -192,8 +205,10 @@ def stereo_phasors(
         face_m=np.asarray(np.nanmean(next(iter(measured.deformation)).reference_m, axis=0)),
         through_surface=effects.pop(THROUGH, None),
     )
-    own = [*(n for n in fit.notices if n.severity == "warning"), *told, *(shapes.notices() if shapes else ())]
-    own += _short_notices(lines, usable, sight.time_s, reading) + _jitter_notices(base, sight, lines, usable, reading)
+    of_phasors = [*(n for n in fit.notices if n.severity == "warning"), *notices, *(shapes.notices() if shapes else ())]
+    of_phasors += _short_notices(lines, usable, sight.time_s, reading) + _jitter_notices(
+        base, sight, lines, usable, reading
+    )
     pose = from_mean.pose.copy()
     pose[fit.spikes] = np.nan
     result = StereoResult(
@@ -214,31 +229,34 @@ def stereo_phasors(
         stationarity=stationarity(time_s, pose, frequency_hz, MOTION_COMPONENTS),
     )
     whole = result if view is None else _with_view(replace(result, shapes=shapes), view)
-    return StereoPhasors(whole, reading, _named(measured, own))
+    return StereoPhasors(whole, reading, _named(measured, of_phasors))
 
 
-def _named(measured: StereoMotion, own: Sequence[Notice]) -> tuple[Notice, ...]:
-    """Return the notices of a motion and those that are its phasors' own, with the name of the pair."""
-    name = measured.sight.name
-    told = [*((f"{name}, {notice.where}", notice) for notice in measured.notices), *((name, notice) for notice in own)]
-    return tuple(Notice(notice.severity, f"stereo pair {where}: {notice.text}", name) for where, notice in told)
+def _named(measured: StereoMotion, of_phasors: Sequence[Notice]) -> tuple[Notice, ...]:
+    """Return the notices of motion and phasors with the pair's name."""
+    return tuple(
+        notice.at(f"stereo pair {measured.sight.name}, {notice.where}") for notice in (*measured.notices, *of_phasors)
+    )
 
 
 def _row_time_error(measured: StereoMotion, phasors: Phasors) -> list[FittedError]:
-    """Return what one standard uncertainty of the row time does: rows seem later by u times their number."""
-    turned, pair = None if measured.view is None else measured.view.phase_rotated, measured.sight.pair
-    if turned is None or pair.row_time_uncertainty == 0.0:
+    """Return the effect of one standard uncertainty u of the row time.
+
+    Rows are later by u times their number.
+    """
+    rotated, pair = None if measured.view is None else measured.view.phase_rotated, measured.sight.pair
+    if rotated is None or pair.row_time_uncertainty == 0.0:
         return []
-    later = 2j * np.pi * phasors.frequency_hz[:, None] * (np.nan_to_num(phasors.value) @ turned.row_delay.T)
+    later = 2j * np.pi * phasors.frequency_hz[:, None] * (np.nan_to_num(phasors.value) @ rotated.row_delay.T)
     name, none = f"stereo {measured.sight.name}: row time", np.zeros((len(later), 1), np.complex128)
     u = pair.row_time_uncertainty
     return [FittedError(name, name, u, "s", none, "rig", additive=u * later)]
 
 
 def _deflection(measured: StereoMotion, frequency_hz: FloatArray) -> DeflectionShape | None:
-    """Return what the points do beside the motion at the lines, of a rolling shutter by the delays of their rows.
+    """Return the deformation of the points at the lines, None for a single camera.
 
-    None of a camera alone, which does not see them out of it.
+    For a rolling shutter, corrected by the delays of the rows.
     """
     if measured.view is not None and isinstance(measured.view.rig, FaceCamera):
         return None
@@ -253,11 +271,11 @@ def _deflection(measured: StereoMotion, frequency_hz: FloatArray) -> DeflectionS
 def _left_out(
     measured: StereoMotion, fit: SineFit, lines: LineFrequencies, usable: NDArray[np.bool_], strength: FloatArray
 ) -> list[FittedError]:
-    """Return what motion at lines that were left out does to the others: twelve unknowns at each, Re and Im.
+    """Return the effects of motion at unresolved lines on the others.
 
-    `strength` (K,): acceleration at each line relative to the strongest one, after the exposure. By it and what was
-    seen of the strongest line that is `usable`, a translation or rotation in any direction may be as large as the
-    largest there.
+    Twelve unknowns at each, Re and Im. `strength` (K,): acceleration at each line relative to the strongest one, after
+    the exposure. With the measured motion at the strongest `usable` line, a translation or rotation in any direction
+    may be as large as the largest there.
     """
     seen = np.where(usable, np.nan_to_num(strength), 0.0)
     best = int(np.argmax(seen))
@@ -288,10 +306,13 @@ def _left_out(
 def _short_notices(
     lines: LineFrequencies, usable: NDArray[np.bool_], time_s: FloatArray, reading: StereoReading
 ) -> list[Notice]:
-    """Say where a driven line's beat is longer than the record, and what that mixes into it exceeds the noise."""
+    """Return warnings of driven lines with less than a beat in the record.
+
+    If the effect exceeds the noise.
+    """
     fitted = [error for error in reading.errors if isinstance(error, FittedError)]
     interval_s = float(time_s[-1] - time_s[0]) / (len(time_s) - 1)
-    rate_hz, told = 1.0 / interval_s, []
+    rate_hz, notices = 1.0 / interval_s, []
     for k in np.flatnonzero(usable & (lines.multiple == 1)):
         frequency = float(lines.frequency_hz[k])
         alias = float(alias_frequency(frequency, rate_hz))
@@ -303,52 +324,45 @@ def _short_notices(
         )  # a change times this: relative, its real part of amplitude
         noise = float(reading.phasors.u_re[k, c] * np.abs(along))
         shares = {}
-        for cause, clock in (("errors of its clock", True), ("motion at lines that it cannot tell apart", False)):
+        for cause, clock in (("errors of its clock", True), ("motion at lines that it does not resolve", False)):
             of_amplitude = [float((e.additive[k, c] * along).real) for e in fitted if np.any(e.effect) == clock]
             shares[cause] = float(np.linalg.norm(of_amplitude))
         if beats >= ONE_BEAT or float(np.linalg.norm(list(shares.values()))) <= noise:
             continue
         causes = [f"{cause} {100.0 * u:.2g} %" for cause, u in shares.items() if u > noise / 2.0]
         clear = nearest_clear_rate(lines.frequency_hz, rate_hz, len(time_s))
-        rate = "choose another rate" if clear is None else f"choose another rate, such as {clear:.3f} Hz"
-        where = f"{frequency:.6g} Hz"
-        text = (
-            f"its record holds {beats:.2g} of a beat of {where} ({len(time_s)} frames at {rate_hz:.6g} Hz), so that "
-            f"what it cannot tell from that line dominates U of the amplitude: {', '.join(causes)} (standard "
-            f"uncertainty); record longer or {rate}"
-        )
-        told.append(Notice("warning", text, where))
-    return told
+        values = {"beats": beats, "frequency_hz": frequency, "frames": len(time_s), "rate_hz": rate_hz}
+        suggestion = "" if clear is None else f", such as {clear:.3f} Hz"
+        texts = {"causes": ", ".join(causes), "suggestion": suggestion}
+        notices.append(Notice(SHORT_BEAT, f"{frequency:.6g} Hz", **values, **texts))
+    return notices
 
 
 def _jitter_notices(
     base: TimeBase, sight: Sight, lines: LineFrequencies, usable: NDArray[np.bool_], reading: StereoReading
 ) -> list[Notice]:
-    """Say where the trigger's edges surely scatter, and what that may do to a driven line where it exceeds the noise.
+    """Return warnings of scattering trigger edges with a possible effect on a driven line.
 
-    Random scatter shows in the residuals of the lines. Instants late by a·cos(2ωt), or by anything that folds there,
-    make of the motion at ω a part ωa/2 at -ω, which is the line itself and shows nowhere; a is √2 times the scatter.
+    If the effect may exceed the noise. Random scatter appears in the residuals of the lines. Instants late by
+    a·cos(2ωt), or any alias of it, turn the motion at ω into a part ωa/2 at -ω, which is the line itself and not
+    visible; a is √2 times the scatter.
     """
     _, trigger = base.first_with(sight.exposure.trigger)
-    told = []
+    notices = []
     for k in np.flatnonzero(usable & (lines.multiple == 1)) if trigger.scatters else ():
         value = reading.phasors.value[k]
         c = int(np.argmax(np.abs(value[:3])))
         noise = float(max(reading.phasors.u_re[k, c], reading.phasors.u_im[k, c]))
         share = np.sqrt(2.0) * np.pi * float(lines.frequency_hz[k]) * trigger.jitter_s
         if share * np.abs(value[c]) > noise:
-            where = f"{lines.frequency_hz[k]:.6g} Hz"
-            text = (
-                f"the edges of its trigger {sight.exposure.trigger} scatter by {1e6 * trigger.jitter_s:.2g} us about "
-                f"equal distances; were this no random jitter but periodic, with a frequency that folds onto twice "
-                f"{where}, it would change that line by {100.0 * share:.2g} %, which is not in U"
-            )
-            told.append(Notice("warning", text, where))
-    return told
+            hertz = float(lines.frequency_hz[k])
+            values = {"jitter_us": 1e6 * trigger.jitter_s, "frequency_hz": hertz, "change_percent": 100.0 * share}
+            notices.append(Notice(PERIODIC_JITTER, f"{hertz:.6g} Hz", trigger=sight.exposure.trigger, **values))
+    return notices
 
 
 def _with_view(result: StereoResult, view: ImageView) -> StereoResult:
-    """Add what only images tell: the first one, the subsets, their noise and what it promised of their scatter."""
+    """Add the results of images: first image, subsets, noise, and predicted and measured scatter."""
     sigma_px, first = None, next(iter(view.tracks))
     if view.quality is not None:
         sigma_px = np.array([np.nanmedian([side.predicted_sigma_px for side in view.quality]), view.sigma_px])
@@ -366,19 +380,18 @@ def _with_view(result: StereoResult, view: ImageView) -> StereoResult:
 
 
 def _step(name: str, time_s: FloatArray, position_m: FloatArray, frequency_hz: FloatArray) -> list[Notice]:
-    """Say where the body stays elsewhere from some frame on: touched, or taken for a copy of itself.
+    """Return a notice if the body is displaced from some frame on.
 
-    Beside the lines and a drift, a parabola, a step at each frame in turn: the best fit counts if its step stands
-    `STEP` standard deviations out of what remains. One larger than all motion is none of the body that was calibrated:
-    `ComputeError`.
+    It was touched, or matched to another part of its pattern. In addition to the lines, a drift and a parabola, a step
+    is fitted at each frame in turn. The best one is significant if it exceeds `STEP` standard deviations of the
+    residuals. A step larger than the whole motion raises `ComputeError`.
     """
     seen = np.flatnonzero(np.isfinite(position_m).all(axis=1))
     turn = np.linspace(-1.0, 1.0, len(seen))
     design = np.column_stack([sine_columns(time_s[seen], frequency_hz), turn, turn**2])
-    fewest = design.shape[1] + FEWEST_BESIDE
+    fewest = design.shape[1] + MIN_FREE_FRAMES
     if len(seen) < fewest:
-        told = "are too few to tell whether its body stayed elsewhere from one of them on, touched or taken for a copy"
-        return [Notice("note", f"{len(seen)} frames {told} of itself; that takes {fewest}", "frames")]
+        return [Notice(TOO_FEW_FRAMES_FOR_STEP, "frames", frames=len(seen), needed=fewest)]
     base, _ = np.linalg.qr(design)
     split = np.arange(2, len(seen) - 1)  # first frame behind the step; two on either side
 
@@ -396,30 +409,25 @@ def _step(name: str, time_s: FloatArray, position_m: FloatArray, frequency_hz: F
     length = float(np.linalg.norm(shift[best]))
     if length * np.sqrt(size2[best]) <= STEP * noise:
         return []
-    frames = f"{seen[split[best] - 1]} and {seen[split[best]]}"
-    text = (
-        f"its body lies {1e3 * length:.3g} mm elsewhere from one frame to the next ({frames}, from 0) and stays there"
-    )
+    values = {"distance_mm": 1e3 * length, "before": seen[split[best] - 1], "after": seen[split[best]]}
     if length > float(np.linalg.norm(np.ptp(position_m[seen] - np.outer(later, shift[best]), axis=0))):
-        why = "it was touched, or a copy on a pattern that repeats was taken for it"
-        raise ComputeError(f"stereo pair {name}: {text}: {why}")
-    return [Notice("warning", f"{text}: was it touched? What that does to the lines is in U", f"frame {frames}")]
+        raise ComputeError(BODY_LOST, f"stereo pair {name}", **values)
+    return [Notice(BODY_DISPLACED, f"frame {values['after']}", **values)]
 
 
 def unresolved_fundamentals(
     seen: Sequence[Observation], lines: LineFrequencies, folded: Sequence[Notice]
 ) -> tuple[Notice, ...]:
-    """Return a notice for each driven line at which no instrument sees a motion, and refuse a recording without any.
+    """Return a notice for each driven line without an instrument.
 
-    `folded`: what was said of the lines that camera rates cannot tell apart.
+    Raises if no other driven line is left. `folded`: notices of lines that frame rates do not resolve.
     """
     driven = lines.frequency_hz[lines.multiple == 1]
     lost = [f for f in driven if not any(np.isfinite(o.phasors.value[o.phasors.frequency_hz == f]).any() for o in seen)]
     if len(driven) and len(lost) == len(driven) and (seen or folded):
         listed = " and ".join(f"{f:.6g} Hz" for f in lost)
-        reasons = dict.fromkeys(notice.text for notice in folded if any(f"{f:.6g} Hz" in notice.text for f in lost))
-        why = f" ({'; '.join(reasons)})" if reasons else ""
-        raise ComputeError(f"no instrument sees the motion of the driven line at {listed}{why}")
-    return tuple(
-        Notice("warning", f"no instrument sees the motion at {f:.6g} Hz, a driven line", f"{f:.6g} Hz") for f in lost
-    )
+        reasons = dict.fromkeys(
+            notice.text.rstrip(".") for notice in folded if any(f"{f:.6g} Hz" in notice.where for f in lost)
+        )
+        raise ComputeError(LINES_UNRESOLVED, frequencies=listed, reasons=f" ({'; '.join(reasons)})" if reasons else "")
+    return tuple(Notice(LINE_UNOBSERVED, f"{f:.6g} Hz", frequency_hz=f) for f in lost)

@@ -1,4 +1,4 @@
-"""One time base for a recording: trigger edges tie the clocks and say when each frame was exposed."""
+"""Time base of a recording: trigger edges tie the clocks and date the frames."""
 
 from __future__ import annotations
 
@@ -16,6 +16,16 @@ from fusion.estimation.uncertainty import Kind as ErrorType
 from fusion.estimation.uncertainty import Scope
 from fusion.instruments.channel import FittedError
 from fusion.instruments.stereo import Exposure
+from fusion.phasors.phasor_notices import (
+    EDGES_AMBIGUOUS,
+    EXPOSURE_REFUSED,
+    FRAME_NUMBER_GAP,
+    FRAME_NUMBERS_SHIFTED,
+    IMAGES_REFUSED,
+    INVERTED_TRIGGER,
+    NO_SHARED_TRIGGER,
+    TOO_FEW_EDGES,
+)
 from fusion.recording.manifest import Frames, Images, PointFiles
 from fusion.recording.rig import Stereo
 from fusion.recording.values import FILE, PULSE
@@ -23,7 +33,7 @@ from photogram.images.numbering import FrameNumbers
 from shaker.arrays import BoolArray, FloatArray, IntArray
 from shaker.timebase.tie import ClockTie, edge_instants, tie_clocks
 from shaker.timebase.trigger import PulseWidth, TriggerFit
-from shakercal._common.notices import Notice
+from shakercal._common.notices import Notice, Value
 
 if TYPE_CHECKING:
     from fusion.recording.daq_records import DaqRecord
@@ -34,11 +44,11 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Sight:
-    """One stereo pair over one recording: how it is placed, how long and when its frames were exposed.
+    """One stereo pair over one recording: placement, exposure and times of its frames.
 
-    `pair`: as the rig has it, with what the recording overrides. `time_s` (F,): exposure middles on the first block's
-    clock; `model_share`: how far, on average, an error of the trigger's periodic model moves them. `where`: file and
-    key at which mistakes of its frames are told. `edge` (F,): which edge exposed each frame.
+    `pair`: of the rig, with values of the recording. `time_s` (F,): exposure middles on the first block's clock.
+    `model_share`: mean effect of an error of the trigger's periodic model on them. `where`: file and key of errors of
+    its frames. `edge` (F,): number of the edge of each frame.
     """
 
     name: str
@@ -52,11 +62,11 @@ class Sight:
 
 @dataclass(frozen=True)
 class TimingError:
-    """One unknown of clocks, triggers or lines, by what one standard uncertainty `u` of it does.
+    """One unknown of clocks, triggers or lines, by the effect of one standard uncertainty `u`.
 
-    Times seem later by `offset_s` + `rate`·t, t on the first block's clock, and the frequencies of the K lines greater
-    by `stretch` (K,), or () for all, of themselves. `dof`: of what was fitted to edges (type A), whose errors hold for
-    the `scope` "start".
+    Times are later by `offset_s` + `rate`·t, t on the first block's clock, and the frequencies of the K lines are
+    higher by the relative `stretch` (K,), or () for all. `dof`: of a fit to edges (type A), whose errors have the
+    `scope` "start".
     """
 
     name: str
@@ -69,11 +79,12 @@ class TimingError:
     scope: Scope = "recording"
 
     def through(self, fit: SineFit, seen: BoolArray, order: int) -> FittedError:
-        """Return how it changes C readings of the lines (K,), of which a sine approximation holds those `seen` first.
+        """Return its effect on C readings of the lines (K,) through a sine approximation.
 
-        What is late by L(t), the phase of a frequency that is too great by φ among it, was y(t - L): the fit makes of
-        that X - jω·L(middle)·X, and of the rest, a slope, whatever the lines, their conjugates and the offset can
-        imitate of it over the record. Readings ∝ ω^-order of an acceleration seem larger by order·φ.
+        The fit contains the lines `seen` first. A signal late by L(t), including the phase of a frequency too high by
+        φ, was y(t - L). The fit returns X - jω·L(middle)·X, plus the part of the remaining slope that the lines, their
+        conjugates and the offset can represent over the record. Readings ∝ ω^-order of an acceleration increase by
+        order·φ.
         """
         omega, value, lines = 2.0 * np.pi * fit.phasors.frequency_hz, fit.phasors.value, np.count_nonzero(seen)
         stretch = np.zeros(len(omega))
@@ -88,18 +99,18 @@ class TimingError:
 
 
 def combine_timing_errors(errors: Iterable[TimingError]) -> tuple[TimingError, ...]:
-    """Return every unknown once, what it does added up."""
+    """Return every unknown once, with its effects added."""
     merged: dict[str, TimingError] = {}
     for error in errors:
-        known = merged.get(error.name)
+        earlier = merged.get(error.name)
         merged[error.name] = (
             error
-            if known is None
+            if earlier is None
             else replace(
-                known,
-                offset_s=known.offset_s + error.offset_s,
-                rate=known.rate + error.rate,
-                stretch=np.asarray(known.stretch + error.stretch),
+                earlier,
+                offset_s=earlier.offset_s + error.offset_s,
+                rate=earlier.rate + error.rate,
+                stretch=np.asarray(earlier.stretch + error.stretch),
             )
         )
     return tuple(merged.values())
@@ -107,8 +118,11 @@ def combine_timing_errors(errors: Iterable[TimingError]) -> tuple[TimingError, .
 
 @dataclass(frozen=True)
 class _Straight:
-    """What a straight line's covariance (2, 2), of its value at 0 and its slope, says of it: `at` which argument value
-    and slope are independent, and the standard uncertainty of either."""
+    """Uncertainty of a straight line.
+
+    From its covariance (2, 2) of value at 0 and slope. `at`: argument at which value and slope are independent, with
+    the standard uncertainty of either.
+    """
 
     at: float
     u_value: float
@@ -126,10 +140,10 @@ _SAME_PERIOD = 1e-5
 
 @dataclass(frozen=True)
 class Grid:
-    """Where the edges of a trigger fall between the samples of one block: what sampling them leaves open follows that.
+    """Positions of a trigger's edges between the samples of one block.
 
-    Seconds: first edge after the first sample, period, sampling interval, `offset_s` of the tie to the first block's
-    clock (0 for that), `width_s` of the pulses (NaN where it cannot be told).
+    They determine the sampling error. Seconds: first edge after the first sample, period, sampling interval, `offset_s`
+    of the tie to the first block's clock (0 for that), `width_s` of the pulses (NaN if not measurable).
     """
 
     start_s: float
@@ -140,7 +154,7 @@ class Grid:
 
     @classmethod
     def of(cls, trigger: TriggerFit, tie: ClockTie | None, width_s: float | None) -> Grid | None:
-        """Return the grid, None of a trigger whose jitter puts its edges elsewhere every time."""
+        """Return the grid, None for a trigger with jitter, whose positions vary."""
         sample_s = trigger.sample_s
         if trigger.jitter_s > sample_s / 2.0:
             return None
@@ -148,7 +162,7 @@ class Grid:
         return cls(trigger.start_s, trigger.period_s, sample_s, offset_s, np.nan if width_s is None else width_s)
 
     def like(self, other: Grid) -> bool:
-        """Whether edges fall on the same places: within half a sample, and in their period within 1e-5."""
+        """Return whether edges have the same positions: within half a sample, periods within 1e-5."""
         ours, theirs = ((g.start_s, g.offset_s, g.width_s) for g in (self, other))
         near = np.allclose(ours, theirs, rtol=0.0, atol=self.sample_s / 2.0, equal_nan=True)
         pace = (other.period_s / self.period_s, other.sample_s / self.sample_s)
@@ -157,10 +171,10 @@ class Grid:
 
 @dataclass(frozen=True)
 class ClockResult:
-    """One DAQ block: its file, the trigger found in it and its tie to the first block's clock (None for the first).
+    """One DAQ block: its file, its trigger and its tie to the first block's clock.
 
-    `pulse_width_s`, `u_pulse_width_s`: of the trigger's pulses, None where their ends cannot be told. `grid`: where the
-    edges fall between the samples, None without a trigger or where they fall anywhere.
+    The first block has no tie. `pulse_width_s`, `u_pulse_width_s`: of the trigger's pulses, None if not measurable.
+    `grid`: positions of the edges between the samples, None without a trigger or with jitter.
     """
 
     daq: str
@@ -173,12 +187,12 @@ class ClockResult:
 
 
 INVERTED = 0.02
-"""Of the period, by which pulses and pauses of two records of one trigger may differ for one to look inverted."""
+"""Largest difference of pulses and pauses of two records, over the period, for one to be inverted (chosen)."""
 
 
 @dataclass(frozen=True)
 class TimeBase:
-    """The clocks of a recording. Time is counted on the first block's clock from its earliest sample.
+    """The clocks of a recording; times on the first block's clock from its earliest sample.
 
     `triggers`: per block and trigger channel, in seconds from the block's earliest sample. `ties`: per block, None for
     the first.
@@ -189,7 +203,7 @@ class TimeBase:
     ties: dict[str, ClockTie | None]
 
     def to_base_s(self, daq: str, time_s: FloatArray) -> FloatArray:
-        """Return times of a block's own clock on the first block's clock."""
+        """Return times of a block's clock on the first block's clock."""
         tie = self.ties[daq]
         return time_s if tie is None else tie.to_base_s(time_s)
 
@@ -198,19 +212,20 @@ class TimeBase:
         return next((daq, fit) for (daq, name), fit in self.triggers.items() if name == trigger)
 
     def tie_errors(self, daq: str) -> tuple[TimingError, ...]:
-        """Return what the tie of a block's clock to the first one leaves open, none for the first.
+        """Return the errors of a block's tie to the first clock.
 
-        What it follows of an error of the first block's trigger is that unknown, which the frames have, too.
+        None for the first block. Effects of an error of the first block's trigger have the name of that unknown, which
+        the frames share.
         """
         tie = self.ties[daq]
         if tie is None:
             return ()
         found: list[TimingError] = []
-        own = tie.covariance - tie.noise
+        independent = tie.covariance - tie.noise
         if tie.follows is not None and tie.beside is not None:
             name = self.shared_triggers(self.records[0].entry.name, daq)[0]
             fit = self.first_with(name)[1]
-            line, own = _Straight.of(fit.covariance), tie.beside
+            line, independent = _Straight.of(fit.covariance), tie.beside
             dof = float(max(len(fit.number) - 2, 1))
             for kind, unit, u, error in (
                 ("time", "s", line.u_value, np.array([line.u_value, 0.0])),
@@ -221,7 +236,7 @@ class TimeBase:
                 offset_s -= rate * tie.offset_s
                 found.append(TimingError(f"{name}: {kind}", u, unit, offset_s, rate, np.zeros(()), dof, "start"))
         parts: tuple[tuple[str, FloatArray, Scope], ...] = (
-            ("", own, "start"),
+            ("", independent, "start"),
             (" (noise of its edges)", tie.noise, "recording"),
         )
         for what, covariance, scope in parts:
@@ -231,43 +246,42 @@ class TimeBase:
         return tuple(error for error in found if error.u > 0.0)
 
     def sight_errors(self, sight: Sight) -> tuple[TimingError, ...]:
-        """Return what the trigger's periodic model, and the tie of its clock, leave open of the frames' instants.
+        """Return the errors of the frames' instants by the trigger's periodic model and its clock.
 
-        Frames that follow what was seen of each edge follow the model by `model_share` only; what is open of all edges
-        alike stays.
+        Frames dated by each edge follow the model by `model_share` only; errors common to all edges remain.
         """
         name = sight.exposure.trigger
         daq, fit = self.first_with(name)
         line, tie = _Straight.of(fit.covariance), self.ties[daq]
         at_s = self.to_base_s(daq, np.asarray(fit.start_s + line.at * fit.period_s))
-        alike = min(fit.open_s / np.sqrt(12.0), line.u_value)
-        own = np.hypot(sight.model_share * np.sqrt(line.u_value**2 - alike**2), alike)
+        common = min(fit.open_s / np.sqrt(12.0), line.u_value)
+        u_time = np.hypot(sight.model_share * np.sqrt(line.u_value**2 - common**2), common)
         rate = sight.model_share * line.u_slope / fit.period_s
         scale = 1.0 if tie is None else tie.rate
         return (
-            *_straight_errors(name, float(at_s), scale * float(own), rate, len(fit.number)),
+            *_straight_errors(name, float(at_s), scale * float(u_time), rate, len(fit.number)),
             *self.tie_errors(daq),
         )
 
     @staticmethod
     def on_clock(lines: LineFrequencies, clock: Sequence[TimingError]) -> LineFrequencies:
-        """Return lines that were found on a clock with these errors, its rate's among those of their frequencies."""
+        """Return lines with the rate error of their clock added to u of the frequencies."""
         rate = float(np.sqrt(sum(error.rate**2 for error in clock)))
         return replace(lines, u_frequency_hz=np.hypot(lines.u_frequency_hz, rate * lines.frequency_hz))
 
     @staticmethod
     def line_errors(lines: LineFrequencies, clock: Sequence[TimingError]) -> tuple[TimingError, ...]:
-        """Return what is open of the frequencies of lines `on_clock`s with these errors.
+        """Return the errors of the frequencies of lines from `on_clock`.
 
-        A clock that runs fast makes them small. What is left of `u_frequency_hz` is each fundamental's own.
+        A fast clock lowers them. The remaining part of `u_frequency_hz` is separate for each fundamental.
         """
         shared = [replace(e, offset_s=0.0, rate=0.0, stretch=np.asarray(-e.rate)) for e in clock if e.rate]
         ours = sum(e.rate**2 for e in clock) * lines.frequency_hz**2
-        own = np.sqrt(np.maximum(lines.u_frequency_hz**2 - ours, 0.0))
+        remaining = np.sqrt(np.maximum(lines.u_frequency_hz**2 - ours, 0.0))
         for f in np.unique(lines.nominal_hz).tolist():
             group = lines.nominal_hz == f
-            u_hz = float(own[group][np.argmin(lines.multiple[group])])
-            stretch = np.where(group, own / lines.frequency_hz, 0.0)
+            u_hz = float(remaining[group][np.argmin(lines.multiple[group])])
+            stretch = np.where(group, remaining / lines.frequency_hz, 0.0)
             shared.append(TimingError(f"frequency of {f:.6g} Hz", u_hz, "Hz", 0.0, 0.0, stretch))
         return tuple(shared)
 
@@ -276,7 +290,10 @@ class TimeBase:
         return [name for daq, name in self.triggers if daq == first and (second, name) in self.triggers]
 
     def pulses(self) -> dict[tuple[str, str], PulseWidth]:
-        """Width of the pulses per block and trigger channel, where both flanks can be told; the records keep them."""
+        """Width of the pulses per block and trigger channel, if both edges are resolved.
+
+        The records store them.
+        """
         widths = {}
         for daq, name in self.triggers:
             with suppress(ValueError):
@@ -284,17 +301,19 @@ class TimeBase:
         return widths
 
     def inverted(self) -> Iterator[Notice]:
-        """Warn of a trigger whose pulses are as long in one block as the pauses between them in another."""
+        """Yield a warning of a trigger that looks inverted.
+
+        Its pulses are as long as its pauses in another block.
+        """
         widths = self.pulses()
         for (one, name), (other, same) in combinations(widths, 2):
             if name != same or one == other:
                 continue
             shares = [widths[daq, name].width_s / self.triggers[daq, name].period_s for daq in (one, other)]
             if abs(sum(shares) - 1.0) < INVERTED and abs(shares[0] - shares[1]) > 4.0 * INVERTED:
-                last = f"last {shares[0]:.1%} of the period in {one} and {shares[1]:.1%} in {other}"
-                text = f"{name}: its pulses {last}, so that one looks inverted and other flanks are paired"
-                text += '; state edge = "falling" of that one'
-                yield Notice("warning", text, other)
+                blocks = {"first_block": one, "second_block": other}
+                values = {"first_share": shares[0], "second_share": shares[1]}
+                yield Notice(INVERTED_TRIGGER, other, trigger=name, **blocks, **values)
 
     def record(self, daq: str) -> DaqRecord:
         """Return a block by its name."""
@@ -317,9 +336,9 @@ class TimeBase:
 def _straight_errors(
     name: str, at_s: float, u_s: float, rate: float, edges: int, scope: Scope = "start"
 ) -> tuple[TimingError, ...]:
-    """Return the errors of a time base that is known to `u_s` at the time `at_s`, and independently to its `rate`.
+    """Return the errors of a time base with independent offset and `rate`.
 
-    Both from as many `edges`, of which the line takes two degrees of freedom.
+    The offset has `u_s` at the time `at_s`. Both from as many `edges`, less two degrees of freedom of the line.
     """
     steady, dof = np.zeros(()), float(max(edges - 2, 1))
     both = (
@@ -330,7 +349,10 @@ def _straight_errors(
 
 
 def tie_daqs(manifest: Manifest, records: Sequence[DaqRecord]) -> TimeBase:
-    """Find the trigger edges of all blocks and tie every block's clock to the first one's by a trigger they share."""
+    """Find the trigger edges of all blocks and tie their clocks.
+
+    Every clock is tied to the first one by a shared trigger.
+    """
     base, *others = records
     first = base.entry.name
     triggers: dict[tuple[str, str], TriggerFit] = {}
@@ -346,8 +368,8 @@ def tie_daqs(manifest: Manifest, records: Sequence[DaqRecord]) -> TimeBase:
         key = f"daq.{name}.channel"
         shared = time_base.shared_triggers(first, name)
         if not shared:
-            wanted = f"a trigger channel of the same name as in block {first}, which ties the two clocks"
-            raise InputError(manifest.path, key, found="none", expected=wanted)
+            expected = f"a trigger channel of the same name as in block {first}, which ties the two clocks"
+            raise InputError(NO_SHARED_TRIGGER, manifest.path, key, found="none", expected=expected)
         later_s = other.start_s - base.start_s if base.start_s and other.start_s else None
         pair = triggers[first, shared[0]], triggers[name, shared[0]]
         with as_input_error(manifest.path, f"{key}.{shared[0]}"):
@@ -358,33 +380,36 @@ def tie_daqs(manifest: Manifest, records: Sequence[DaqRecord]) -> TimeBase:
 def frame_sight(
     manifest: Manifest, base: TimeBase, entry: Images | PointFiles, frames: int | IntArray, rows: int = 1
 ) -> Sight:
-    """Return how long and when each of some frames was exposed: its middle is edge + delay + exposure / 2.
+    """Return exposures and instants of some frames.
 
-    `frames`: how many, one after the other, or how many edges after the first one's each was exposed (F,). Of pictures
-    with so many `rows` the one that a rolling shutter reads first.
+    The middle of an exposure is edge + delay + exposure / 2. `frames`: number of consecutive frames, or the edge of
+    each relative to the first one's (F,). With a rolling shutter of `rows`, the first row.
 
-    The edge is the periodic model's where the trigger has no jitter, and follows what was seen of it where it has: also
-    what other blocks saw of it, where these edges tie them to the trigger's block. The exposure is as stated, or as
-    long as the first block saw the trigger's pulses.
+    The edge is the periodic model's for a trigger without jitter, and otherwise the measured edge. Measured edges
+    include those of other blocks that are tied by them. The exposure is as stated, or the pulse width in the first
+    block.
     """
     daq, trigger = base.first_with(entry.trigger)
     key = f"{'images' if isinstance(entry, Images) else 'points'}.{entry.stereo}"
-    place = np.arange(frames) if isinstance(frames, int) else frames
-    span = int(place[-1]) + 1
+    index = np.arange(frames) if isinstance(frames, int) else frames
+    span = int(index[-1]) + 1
     if entry.first_edge is None and trigger.edges > span:
-        wanted = f"the number of the edge that belongs to the first of {len(place)} frames"
+        expected = f"the number of the edge that belongs to the first of {len(index)} frames"
         found = f"none, and {trigger.edges} edges in {entry.trigger}"
-        raise InputError(manifest.path, f"{key}.first_edge", found=found, expected=wanted)
+        raise InputError(EDGES_AMBIGUOUS, manifest.path, f"{key}.first_edge", found=found, expected=expected)
     first = entry.first_edge or 0
     if first + span > trigger.edges:
-        wanted = f"at least {first + span} edges in {entry.trigger} for {len(place)} frames"
-        raise InputError(manifest.path, f"{key}.trigger", found=str(trigger.edges), expected=wanted)
-    elsewhere = []
+        expected, edges_found = (
+            f"at least {first + span} edges in {entry.trigger} for {len(index)} frames",
+            trigger.edges,
+        )
+        raise InputError(TOO_FEW_EDGES, manifest.path, f"{key}.trigger", found=str(edges_found), expected=expected)
+    other_records = []
     if daq == base.records[0].entry.name:
         for other, tie in base.ties.items():
             if tie is not None and base.shared_triggers(daq, other)[:1] == [entry.trigger]:
-                elsewhere.append((base.triggers[other, entry.trigger], tie))
-    edges = edge_instants(trigger, first + place, elsewhere)
+                other_records.append((base.triggers[other, entry.trigger], tie))
+    edges = edge_instants(trigger, first + index, other_records)
     if entry.exposure == PULSE:
         try:
             pulse = base.record(daq).pulse_width(entry.trigger)
@@ -393,22 +418,23 @@ def frame_sight(
         dof = float(max(pulse.pulses - 2, 1))
         exposure = Exposure(entry.trigger, pulse.width_s, pulse.u_width_s, dof)
     elif entry.exposure == FILE:
-        found, expected = f'"{FILE}", but points stand in no video file', "the exposure in s"
-        raise InputError(manifest.path, f"{key}.exposure", found=found, expected=expected)
+        found, expected = f'"{FILE}", but points have no video file', "the exposure in s"
+        raise InputError(EXPOSURE_REFUSED, manifest.path, f"{key}.exposure", found=found, expected=expected)
     else:
         exposure = Exposure(entry.trigger, entry.exposure)
     if exposure.length_s > trigger.period_s:
-        file, own = _exposure_key(manifest, entry, exposure.length_s)
+        file, exposure_key = _exposure_key(manifest, entry, exposure.length_s)
         found, expected = f"{exposure.length_s:g} s", f"less than the {trigger.period_s:.4g} s from frame to frame"
-        raise InputError(file, own, found=found, expected=expected)
+        raise InputError(EXPOSURE_REFUSED, file, exposure_key, found=found, expected=expected)
     read_s = manifest.rig.stereo[entry.stereo].readout_s(rows)
     if read_s > trigger.period_s:
         found, expected = f"{read_s:g} s for {rows} rows", f"less than the {trigger.period_s:.4g} s from frame to frame"
-        raise InputError(manifest.rig_path, f"stereo.{entry.stereo}.row_time", found=found, expected=expected)
+        row_time = f"stereo.{entry.stereo}.row_time"
+        raise InputError(EXPOSURE_REFUSED, manifest.rig_path, row_time, found=found, expected=expected)
     middle_s = base.to_base_s(daq, edges.time_s) + entry.delay + exposure.length_s / 2.0
     pair = manifest.rig.stereo[entry.stereo].model_copy(update={"delay_uncertainty": entry.delay_uncertainty})
     share = float(np.mean(edges.model_share))
-    return Sight(entry.stereo, pair, exposure, np.asarray(middle_s), share, (manifest.path, key), first + place)
+    return Sight(entry.stereo, pair, exposure, np.asarray(middle_s), share, (manifest.path, key), first + index)
 
 
 def frame_edges(
@@ -418,51 +444,58 @@ def frame_edges(
     cameras: Mapping[str, FrameNumbers | None],
     frames: int,
 ) -> tuple[IntArray, tuple[Notice, ...]]:
-    """Return how many edges after the first frame's each was exposed (F,), by the numbers that the `cameras` give them.
+    """Return the edge of each frame (F,) by the file numbers.
 
-    A number that is missing in all cameras is an edge without a frame, if there is an edge for it. Numbers that differ,
-    and edges that are too few, are refused; so are numbers that count by several where the edges leave open whether
-    those between have edges, unless `edge_step` says it.
+    Relative to the first one's. A number missing in all `cameras` is an edge without a frame, if it exists. Different
+    numbers and too few edges are refused. So are numbers in steps for which the existence of edges between is ambiguous
+    without `edge_step`.
     """
     key = f"{'images' if isinstance(entry, Images) else 'points'}.{entry.stereo}"
-    known = {side: numbers for side, numbers in cameras.items() if numbers is not None}
-    side, first = next(iter(known.items()), ("", None))
-    told = list[Notice]()
+    available = {side: numbers for side, numbers in cameras.items() if numbers is not None}
+    side, first = next(iter(available.items()), ("", None))
+    notices = list[Notice]()
     if first is None:
         return np.arange(frames) * (entry.edge_step or 1), ()
     for other, numbers in [(other, cameras[other]) for other in cameras if other != side]:
-        place, step = (np.arange(frames), first.step) if numbers is None else (numbers.frame_index, numbers.step)
-        if not np.array_equal(place, first.frame_index) or step != first.step:
+        index, step = (np.arange(frames), first.step) if numbers is None else (numbers.frame_index, numbers.step)
+        if not np.array_equal(index, first.frame_index) or step != first.step:
             found = " and ".join(f"{name}: {_gap(one)}" for name, one in cameras.items())
-            raise InputError(manifest.path, f"{key}.{other}", found, "the same numbers of frames in both cameras")
+            expected = "the same numbers of frames in both cameras"
+            raise InputError(IMAGES_REFUSED, manifest.path, f"{key}.{other}", found=found, expected=expected)
         if numbers is not None and first.exact and numbers.exact and 0 < _later(first, numbers) < frames:
-            text = (
-                f"the numbers of the files begin with {first.first} ({side}) and {numbers.first} ({other}): "
-                "the frames are paired in their order. If equal numbers are frames of one edge, one camera is late"
-            )
-            told.append(Notice("warning", text, entry.stereo))
+            cameras_named = {"first_camera": side, "second_camera": other}
+            starts = {"first": first.first, "second": numbers.first}
+            notices.append(Notice(FRAME_NUMBERS_SHIFTED, entry.stereo, **starts, **cameras_named))
     trigger = base.first_with(entry.trigger)[1]
     edges, last = trigger.edges - (entry.first_edge or 0), int(first.frame_index[-1])
     if entry.edge_step is None and first.step > 1 and first.step * last < edges:
         found = f"none, numbers of files that count by {first.step} and {trigger.edges} edges in {entry.trigger}"
         expected = f"1, where each frame has the next edge, or {first.step}, where edges between have no frame"
-        raise InputError(manifest.path, f"{key}.edge_step", found, expected)
+        raise InputError(EDGES_AMBIGUOUS, manifest.path, f"{key}.edge_step", found=found, expected=expected)
     every = entry.edge_step or 1
     if not first.missing:
-        return first.frame_index * every, tuple(told)
-    gap = f"a gap in the numbering of {frames} files ({first.first} to {first.last}): missing {first.missing}"
+        return first.frame_index * every, tuple(notices)
+    values: dict[str, Value] = {
+        "count": frames,
+        "first": first.first,
+        "last": first.last,
+        "missing": str(first.missing),
+    }
     if every * last < edges:
-        text = f"{gap}; the frames after it are dated by their numbers"
-        return first.frame_index * every, (*told, Notice("warning", text, entry.stereo))
+        notice = Notice(FRAME_NUMBER_GAP, entry.stereo, assignment="their numbers", **values)
+        return first.frame_index * every, (*notices, notice)
     if first.exact:
+        gap = f"a gap in the numbers of {frames} files ({first.first} to {first.last}): {first.missing} missing"
         expected = f"an edge in {entry.trigger} for each number, {every * last + 1} from the first frame on"
-        raise InputError(manifest.path, f"{key}.trigger", f"{edges} edges and {gap}", expected)
-    text = f"{gap}; {entry.trigger} has no edges for these, so successive frames are dated by successive edges"
-    return np.arange(frames) * every, (*told, Notice("warning", text, entry.stereo))
+        found = f"{edges} edges and {gap}"
+        raise InputError(TOO_FEW_EDGES, manifest.path, f"{key}.trigger", found=found, expected=expected)
+    assignment = f"their order, because {entry.trigger} has no edges for the gaps"
+    notice = Notice(FRAME_NUMBER_GAP, entry.stereo, assignment=assignment, **values)
+    return np.arange(frames) * every, (*notices, notice)
 
 
 def _gap(numbers: FrameNumbers | None) -> str:
-    """What numbers of frames lack, in words."""
+    """Return the gaps of frame numbers as text."""
     if numbers is None:
         return "no numbers that show gaps"
     by = f" by {numbers.step}" if numbers.step > 1 else ""
@@ -470,20 +503,20 @@ def _gap(numbers: FrameNumbers | None) -> str:
 
 
 def _later(one: FrameNumbers, other: FrameNumbers) -> int:
-    """How many steps the first numbers of two series are apart."""
+    """Return the difference of the first numbers of two series in steps."""
     return abs(int(other.first) - int(one.first)) // one.step
 
 
 def _exposure_key(manifest: Manifest, entry: Frames, stated: float | str) -> tuple[Path, str]:
-    """Return file and key at which the exposure of some frames is stated: the pair's own, or what overrides it."""
+    """Return file and key of the exposure of some frames: the pair's, or the recording's."""
     if manifest.rig.stereo[entry.stereo].exposure == stated:
         return manifest.rig_path, f"stereo.{entry.stereo}.exposure"
     return manifest.path, f"{'images' if isinstance(entry, Images) else 'points'}.{entry.stereo}.exposure"
 
 
 def no_pulse_width(manifest: Manifest, daq: str, entry: Frames, error: ValueError) -> InputError:
-    """Say at the key that asked for it why the width of a trigger's pulses cannot be measured."""
+    """Return the error of an exposure by pulse width that cannot be measured."""
     file, key = _exposure_key(manifest, entry, PULSE)
     reason = ARGUMENT.sub("", str(error), count=1)
-    found = f'"{PULSE}", but the width of the pulses of {entry.trigger} in {daq} cannot be told ({reason})'
-    return InputError(file, key, found=found, expected="the exposure in s")
+    found = f'"{PULSE}", but the width of the pulses of {entry.trigger} in {daq} cannot be measured ({reason})'
+    return InputError(EXPOSURE_REFUSED, file, key, found=found, expected="the exposure in s")

@@ -1,6 +1,6 @@
-"""Blocks of frames on a disk: a motion is computed from them one at a time, and a run that was ended goes on.
+"""Blocks of tracked frames on disk: low memory, and continuation of interrupted runs.
 
-What follows them brings numba, which naming them does without: it is imported by the functions that need it.
+Functions that track import numba; others do not.
 """
 
 from __future__ import annotations
@@ -19,6 +19,7 @@ import numpy as np
 
 from fusion.base import CheckpointStore
 from fusion.errors import ComputeError
+from fusion.phasors.phasor_notices import STORAGE_FULL
 from photogram.geometry import RigidTransform
 
 if TYPE_CHECKING:
@@ -29,7 +30,7 @@ MEMORY_BYTES = 1 << 26
 
 
 def track_block(scene: BodyScene, frames: range, device: str) -> FollowedBlock:  # a task, so of this module
-    """Follow a body through a block of frames on the device that a choice means."""
+    """Track a body through a block of frames on the chosen device."""
     from photogram.kernels.device import resolve_device
     from photogram.measure.follow import follow_block
 
@@ -37,29 +38,29 @@ def track_block(scene: BodyScene, frames: range, device: str) -> FollowedBlock: 
 
 
 class TrackedBlocks:
-    """The blocks of a pair's frames that were followed, read one at a time, in their order, as often as asked for.
+    """The tracked blocks of a pair's frames, read one at a time, in order, repeatedly.
 
-    They are in memory up to `HELD` bytes, and lie where they are kept. What is neither is in a temporary file on the
-    disk of the results, in the system's folder for such files where there are none; the file has no name where the
-    system permits it, and is gone with this object or its process. What was kept and is no longer there is followed
-    again. A pickle holds all blocks, of whatever size, and is opened in memory and the system's folder.
+    Blocks are in memory up to `MEMORY_BYTES`, and in the checkpoints. Others are in a temporary file on the disk of the
+    results, or in the system's folder without results. The file has no name if the system permits it, and vanishes with
+    this object or its process. Checkpoints that were deleted are tracked again. A pickle contains all blocks of any
+    size; it is restored in memory and the system's folder.
     """
 
     def __init__(
         self, images: PreparedImages, scene: BodyScene, device: str, checkpoints: CheckpointStore | None
     ) -> None:
         self.scene = scene
-        self._device, self._kept = device, checkpoints if len(scene.blocks) > 1 else None
-        pair = "\n".join([images.sight.name, *images.left.names[:1]])  # the first image tells it from that of a take
+        self._device, self._checkpoints = device, checkpoints if len(scene.blocks) > 1 else None
+        pair = "\n".join([images.sight.name, *images.left.names[:1]])  # the first image distinguishes takes
         self._sight, self._pair = images.sight.name, hashlib.sha256(pair.encode()).hexdigest()[:12]
-        self._hold(None if checkpoints is None else str(checkpoints.disk))
+        self._reset(None if checkpoints is None else str(checkpoints.disk))
 
-    def _hold(self, folder: str | None) -> None:
-        self._places: dict[range, tuple[int, int]] = {}
+    def _reset(self, folder: str | None) -> None:
+        self._positions: dict[range, tuple[int, int]] = {}
         self._ready: dict[range, FollowedBlock] = {}
-        self._room = MEMORY_BYTES
-        self._held = SpooledTemporaryFile(max_size=1, dir=folder)  # noqa: SIM115  (made when needed, closed with this)
-        weakref.finalize(self, self._held.close)
+        self._free_bytes = MEMORY_BYTES
+        self._file = SpooledTemporaryFile(max_size=1, dir=folder)  # noqa: SIM115  (made when needed, closed with this)
+        weakref.finalize(self, self._file.close)
 
     def __getstate__(self) -> dict[str, Any]:
         content = {frames: pack_block(block) for frames, block in zip(self.scene.blocks, self, strict=True)}
@@ -68,37 +69,38 @@ class TrackedBlocks:
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         content = state.pop("content")
-        self.__dict__.update(state, _kept=None)
-        self._hold(None)
+        self.__dict__.update(state, _checkpoints=None)
+        self._reset(None)
         for frames, block in content.items():
-            self._opened(frames, block)
+            self._unpacked(frames, block)
             if frames not in self._ready:
                 self._put(frames, block)
 
     def missing(self) -> list[range]:
-        """Return the blocks that have to be followed."""
+        """Return the blocks that are not tracked yet."""
         return [frames for frames in self.scene.blocks if self._found(frames) is None]
 
     def add(self, frames: range, block: FollowedBlock) -> None:
-        """Put a block where it is found again."""
+        """Store a tracked block."""
         content = pack_block(block)
-        if len(content) <= self._room:  # a copy: as followed, arrays lie scattered among those of pictures and splines
-            self._opened(frames, content)
-        kept = self._kept is not None and self._kept.put(self._name(frames), content)
-        if not kept and frames not in self._ready:
+        if (
+            len(content) <= self._free_bytes
+        ):  # a copy: as followed, arrays lie scattered among those of pictures and splines
+            self._unpacked(frames, content)
+        stored = self._checkpoints is not None and self._checkpoints.put(self._name(frames), content)
+        if not stored and frames not in self._ready:
             self._put(frames, content)
 
     def _put(self, frames: range, content: bytes) -> None:
-        start = self._held.seek(0, io.SEEK_END)
+        start = self._file.seek(0, io.SEEK_END)
         try:
-            self._held.write(content)
-            self._held.flush()
+            self._file.write(content)
+            self._file.flush()
         except OSError as error:
             reason = (error.strerror or str(error)).lower()
-            text = "its subsets found place neither beside the results nor in a temporary file"
-            where = f"stereo pair {self._sight}, frames {frames.start} to {frames.stop - 1}"
-            raise ComputeError(f"{where}: {text} ({reason})") from error
-        self._places[frames] = start, len(content)
+            first, last = frames.start, frames.stop - 1
+            raise ComputeError(STORAGE_FULL, pair=self._sight, first=first, last=last, reason=reason) from error
+        self._positions[frames] = start, len(content)
 
     def __iter__(self) -> Iterator[FollowedBlock]:
         for frames in self.scene.blocks:
@@ -115,29 +117,29 @@ class TrackedBlocks:
         if frames in self._ready:
             return self._ready[frames]
         content = None
-        if frames in self._places:
-            start, length = self._places[frames]
-            self._held.seek(start)
-            content = self._held.read(length)
-        elif self._kept is not None:
-            content = self._kept.get(self._name(frames))
-        return None if content is None else self._opened(frames, content)
+        if frames in self._positions:
+            start, length = self._positions[frames]
+            self._file.seek(start)
+            content = self._file.read(length)
+        elif self._checkpoints is not None:
+            content = self._checkpoints.get(self._name(frames))
+        return None if content is None else self._unpacked(frames, content)
 
-    def _opened(self, frames: range, content: bytes) -> FollowedBlock | None:
+    def _unpacked(self, frames: range, content: bytes) -> FollowedBlock | None:
         block = unpack_block(content, len(frames))
-        if block is not None and len(content) <= self._room:
-            self._ready[frames], self._room = block, self._room - len(content)
+        if block is not None and len(content) <= self._free_bytes:
+            self._ready[frames], self._free_bytes = block, self._free_bytes - len(content)
         return block
 
 
 def pack_block(block: FollowedBlock) -> bytes:
-    """Return a block of frames as a file."""
+    """Return a block of frames as the content of a file."""
     from photogram.subsets.icgn import Registration
 
     arrays: dict[str, Any] = {}
-    sought = [(number, found) for number, (found, _) in enumerate(block) if found is not None]
-    arrays["sought"] = np.array([number for number, _ in sought], dtype=np.int64)
-    for side, registered in enumerate(zip(*(found for _, found in sought), strict=True)):
+    searched = [(number, found) for number, (found, _) in enumerate(block) if found is not None]
+    arrays["sought"] = np.array([number for number, _ in searched], dtype=np.int64)
+    for side, registered in enumerate(zip(*(found for _, found in searched), strict=True)):
         for name in (field.name for field in fields(Registration)):
             arrays[f"{name}-{side}"] = np.array([getattr(found, name) for found in registered])
     fits = [(number, fit) for number, (_, fit) in enumerate(block) if fit is not None]
@@ -156,7 +158,7 @@ def pack_block(block: FollowedBlock) -> bytes:
 
 
 def unpack_block(content: bytes, frames: int) -> FollowedBlock | None:
-    """Return a block of frames that was `packed`, to the last bit; None for a damaged one."""
+    """Return a packed block of frames to the last bit, None if damaged."""
     from photogram.direct.direct_fit import DirectFit
     from photogram.subsets.icgn import Registration
 

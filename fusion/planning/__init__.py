@@ -1,1 +1,1 @@
-"""Before the evaluation: camera rates, what a recording holds and can observe, its lines."""
+"""Planning before the evaluation: camera rates, observability, lines, drafts, look, view."""

@@ -1,8 +1,9 @@
-"""What a recording holds, what its instruments can observe, what is missing, what its command would refuse."""
+"""`shakercal check`: contents of a recording, observable motions, remarks and problems."""
 
 from __future__ import annotations
 
 import os
+import re
 from collections.abc import Collection, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
@@ -42,14 +43,28 @@ from shaker.labels import LOAD_COMPONENTS, MOTION_COMPONENTS
 from shakercal._common.notices import Notice
 
 RIG, NO_REFERENCE = "rig.toml", "no channel"
+CODE = re.compile(r"^SC-\d{3} ")
+"""Code at the beginning of an error."""
+ASSUMED_EXACT, NOT_FUSED = "assumed exact", "compared with the others, not fused"
+"""Use of a channel without a stated scale uncertainty."""
 REFERENCE_HZ = 160.0
-"""At which responses are read where no lines are stated (ISO 16063-21)."""
+"""Frequency at which responses are read without stated lines (ISO 16063-21)."""
 
 
 @dataclass(frozen=True)
 class CheckReport:
-    """What `shakercal check` tells: contents, what each instrument observes, remarks, and what is wrong.
+    """Report of `shakercal check`.
 
+    Attributes
+    ----------
+    name, path : Of the recording.
+    contents : One text per group of files.
+    observed : Motion components that each instrument determines.
+    remarks : Limits of the results, and warnings.
+    problems : Errors that its command would refuse.
+
+    Examples
+    --------
     >>> from fusion import CheckReport, check, load_manifest
     >>> report = check(load_manifest("sample_images/demo/Fz-0080"))
     >>> isinstance(report, CheckReport), report.problems
@@ -64,22 +79,24 @@ class CheckReport:
     problems: tuple[str, ...]
 
     def without_repeats(self, shown: set[str]) -> CheckReport:
-        """Return the report without what other recordings `shown` before have of files outside their folders.
+        """Return the report without texts about shared files that other recordings have `shown`.
 
-        Such are those of the rig, which a campaign shows once; what this report has of them is added.
+        Shared files are those of the rig, which a campaign shows once. The texts of this report are added to `shown`.
         """
         folder, above = f"{self.path.parent}{os.sep}", str(self.path.parent.parent)
 
         def new(texts: tuple[str, ...]) -> tuple[str, ...]:
-            shared = {text for text in texts if text.startswith((RIG, above)) and not text.startswith(folder)}
-            kept = tuple(text for text in texts if text not in shared or text not in shown)
+            without_code = {text: CODE.sub("", text) for text in texts}
+            shared = {text for text in texts if without_code[text].startswith((RIG, above))}
+            shared -= {text for text in shared if without_code[text].startswith(folder)}
+            remaining = tuple(text for text in texts if text not in shared or text not in shown)
             shown.update(shared)
-            return kept
+            return remaining
 
         return replace(self, remarks=new(self.remarks), problems=new(self.problems))
 
     def parts(self) -> dict[str, Any]:
-        """Return everything that is told by its name, as JSON knows it."""
+        """Return all parts by their names, for JSON."""
         observed = [
             {"body": one.body, "instrument": one.instrument, "components": one.components} for one in self.observed
         ]
@@ -100,8 +117,19 @@ class CheckReport:
 
 
 def check(manifest: Manifest) -> CheckReport:
-    """Read what a manifest names as the command that evaluates it does, up to where images would be followed.
+    """Check a recording: read its files as its command does, without tracking images.
 
+    Parameters
+    ----------
+    manifest
+        The recording.
+
+    Returns
+    -------
+    Contents, observable motions, remarks and problems.
+
+    Examples
+    --------
     >>> from fusion import check, load_manifest
     >>> print(check(load_manifest("sample_images/demo/Fz-0080")))  # doctest: +ELLIPSIS
     Fz 80.0 Hz, simulated (...)
@@ -119,7 +147,10 @@ def check(manifest: Manifest) -> CheckReport:
 
 
 def inspect_recording(manifest: Manifest, already: FileCache) -> CheckReport:
-    """Return contents, what can be observed, and the problems of single files; what is read of these is `already`."""
+    """Return contents, observable motions and the problems of single files.
+
+    Data that were read are stored in `already`.
+    """
     kind, excitation = KINDS[manifest.excitation.kind], manifest.excitation
     remarks = [
         *kind.command_remark,
@@ -134,14 +165,14 @@ def inspect_recording(manifest: Manifest, already: FileCache) -> CheckReport:
     takes = [take for _, block in manifest.set_ups for take in _takes(block)]
     contents, problems = _contents(manifest, takes, already)
     named = {(where, daq.name): (block, daq) for where, block in manifest.set_ups for daq in block.daq}
-    doubted = [unit_notices(*named[place], raw) for place, raw in already.channels.items()]
+    doubted = [unit_notices(*named[key], raw) for key, raw in already.channels.items()]
     remarks += [f"{notice.where}: {notice.text}" for notices in doubted for notice in notices]
     observed = instrument_observability(manifest.rig, takes)
     alone = describe_single_cameras(manifest.rig, takes, observed, already)
     blank = _blank(takes, already)
     seen = {item.instrument for item in observed} - {TOGETHER} - {f"stereo {name}" for name, _ in blank}
     (remarks if seen else problems).extend(text for _, text in blank)
-    # Every channel once by its name.
+    # Every channel once, by its name.
     placed = [entry for take in takes for daq in take.daq for entry in daq.channel]
     entries = list({entry.name: entry for entry in placed}.values())
     contents += _heads(placed)
@@ -152,7 +183,7 @@ def inspect_recording(manifest: Manifest, already: FileCache) -> CheckReport:
         seen = {manifest.rig.stereo[one.stereo].body for take in takes for one in (*take.images, *take.points)}
         remarks += _unstated(manifest, entries, seen)
         remarks += [remark for take in takes for remark in _clock_remarks(take.daq)]
-        problems += _without_place(manifest, takes) if "run" in kind.commands else []
+        problems += _missing_mode_entries(manifest, takes) if "run" in kind.commands else []
     else:
         outputs = tuple(entry.channel for entry in entries if entry.quantity == "output")
         forces = tuple(entry.name for entry in entries if entry.quantity == "force")
@@ -161,9 +192,9 @@ def inspect_recording(manifest: Manifest, already: FileCache) -> CheckReport:
 
 
 def read_for_command(manifest: Manifest, already: FileCache) -> tuple[list[str], list[Notice]]:
-    """What the command that evaluates a recording refuses of its files, and what it says of them.
+    """Return the errors and notices of the recording's command while it reads the files.
 
-    An image beyond the first is not looked at.
+    Images after the first one are not read.
     """
     command = KINDS[manifest.excitation.kind].commands[0]
     try:
@@ -171,19 +202,22 @@ def read_for_command(manifest: Manifest, already: FileCache) -> tuple[list[str],
         return [], _read_as(command, manifest, already)
     except InputError as error:
         return [str(error)], []
-    except ComputeError:  # the files are as they should be
+    except ComputeError:  # the files are correct
         return [], []
 
 
 def _read_as(command: str, manifest: Manifest, already: FileCache) -> list[Notice]:
-    """Read what a command reads, and return its notices; its modules are imported for it alone."""
+    """Return the notices of a command while it reads the files.
+
+    Its modules are imported only for that command.
+    """
     notices = list[Notice]()
     if command == "run":
         from fusion.phasors.set_up import prepare_set_ups, with_channels
 
-        for opened in prepare_set_ups(manifest, already):
-            notices += [notice for images in opened.images for notice in images.notices]
-            notices += [notice for channel in with_channels(opened, shown=False).channels for notice in channel.notices]
+        for set_up in prepare_set_ups(manifest, already):
+            notices += [notice for images in set_up.images for notice in images.notices]
+            notices += [notice for channel in with_channels(set_up, shown=False).channels for notice in channel.notices]
     elif command == "transfer":
         from fusion.sensor.transfer.transfer_evaluation import estimate_transfer
         from fusion.sensor.transfer.transfer_records import TransferSettings, read_synchronous
@@ -202,43 +236,43 @@ def _read_as(command: str, manifest: Manifest, already: FileCache) -> list[Notic
 
 
 def check_together(manifests: Sequence[Manifest]) -> list[str]:
-    """Return what recordings of a campaign that are evaluated together say otherwise of their sensor."""
+    """Return the contradictions between recordings that are evaluated together."""
     loads = [manifest for manifest in manifests if "load" in KINDS[manifest.excitation.kind].commands]
     transfers = [manifest for manifest in manifests if "transfer" in KINDS[manifest.excitation.kind].commands]
-    told = list[str]()
+    contradictions = list[str]()
     if max(len(loads), len(transfers)) < 2:
-        return told
+        return contradictions
     from fusion.sensor.identify.identification_inputs import check_sensor
     from fusion.sensor.load.load_evaluation import check_one_sensor
 
-    for own, check_them in ((loads, check_one_sensor), (transfers, check_sensor)):
+    for group, check_them in ((loads, check_one_sensor), (transfers, check_sensor)):
         try:
-            if len(own) > 1:
-                check_them(own)
+            if len(group) > 1:
+                check_them(group)
         except InputError as error:
-            told.append(str(error))
-    return told
+            contradictions.append(str(error))
+    return contradictions
 
 
 def _table(manifest: Manifest, path: Path) -> tuple[list[str], list[str]]:
-    """Look at the table of a recording whose readings stand in one: contents, and what is wrong."""
+    """Return contents and problems of a recording with a table of readings."""
     from shaker.io.text import table_units
 
-    told, problems = f"table {path.name}, {_size([path])}", []
+    text, problems = f"table {path.name}, {_size([path])}", []
     try:
         units = table_units(path)
-        told += ": " + ", ".join(f"{name} [{unit}]" if unit else name for name, unit in units.items())
+        text += ": " + ", ".join(f"{name} [{unit}]" if unit else name for name, unit in units.items())
     except (OSError, ValueError) as error:
         problems.append(str(error))
     excitation = manifest.excitation
-    contents = [f"excitation: {excitation.kind} {'with' if excitation.with_load else 'without'} load", told]
+    contents = [f"excitation: {excitation.kind} {'with' if excitation.with_load else 'without'} load", text]
     if manifest.rig.load is not None:
         contents.append(f"load mass: {manifest.rig.load.true_mass:g} kg")
     return contents, problems
 
 
 def _takes(block: Manifest) -> list[Manifest]:
-    """Return what a block recorded at once: itself, or every point of its scan where that can be read."""
+    """Return a block, or every point of its scan if that can be read."""
     try:
         return [part for part, _ in split_scan(block)]
     except InputError:
@@ -246,7 +280,7 @@ def _takes(block: Manifest) -> list[Manifest]:
 
 
 def _contents(manifest: Manifest, takes: Sequence[Manifest], already: FileCache) -> tuple[list[str], list[str]]:
-    """One line for each file group, and what is wrong with it; what is read for it is `already` there."""
+    """Return one line for each group of files, and their problems."""
     excitation = manifest.excitation
     lines = ", ".join(f"{line:g} Hz" for line in excitation.frequencies or ())
     contents, problems = [f"excitation: {excitation.kind}" + (f" at {lines}" if lines else "")], []
@@ -255,14 +289,14 @@ def _contents(manifest: Manifest, takes: Sequence[Manifest], already: FileCache)
     if len(takes) > 1:
         contents.append(f"takes: {len(takes)}, tied by {reference}")
     for where, block in manifest.set_ups:
-        told = [_read_daq(block, daq, where, already) for daq in block.daq]
+        texts = [_read_daq(block, daq, where, already) for daq in block.daq]
         highest = max(block.excitation.frequencies or (0.0,))
-        told += [_read_images(images, manifest.rig.stereo[images.stereo], already, highest) for images in block.images]
+        texts += [_read_images(images, manifest.rig.stereo[images.stereo], already, highest) for images in block.images]
         for points in block.points:
             empty = [path.name for path in points.files if path.stat().st_size == 0]
             wrong = [f"points {points.stereo}: {empty[0]} is empty ({len(empty)} such files)"] if empty else []
-            told.append((f"points {points.stereo}: {len(points.files)} files, {_size(points.files)}", wrong))
-        told += [_exposure(block, frames) for frames in (*block.images, *block.points) if frames.exposure == PULSE]
+            texts.append((f"points {points.stereo}: {len(points.files)} files, {_size(points.files)}", wrong))
+        texts += [_exposure(block, frames) for frames in (*block.images, *block.points) if frames.exposure == PULSE]
         entries = [entry for daq in block.daq for entry in daq.channel]
         for path, columns in dict.fromkeys((e.response, e.response_columns) for e in entries if e.response):
             try:
@@ -270,10 +304,10 @@ def _contents(manifest: Manifest, takes: Sequence[Manifest], already: FileCache)
             except InputError as error:
                 problems.append(str(error))
         prefix = f"{where.rstrip('.')} " if where and len(manifest.set_ups) > 1 else ""
-        contents += [prefix + line for line, _ in told]
-        problems += [prefix + problem for _, wrong in told for problem in wrong]
+        contents += [prefix + line for line, _ in texts]
+        problems += [prefix + problem for _, wrong in texts for problem in wrong]
     if len(takes) > 1 and reference == NO_REFERENCE:
-        problems.append("takes: no channel with reference = true that is the same in every take")
+        problems.append("takes: no common channel with reference = true in every take")
     mounted = [f"{part.name} {part.true_mass:g} kg on the {part.body}" for part in manifest.part]
     if manifest.rig.load is not None:
         contents.append(f"load mass: {manifest.rig.load.true_mass:g} kg" + "".join(f", {part}" for part in mounted))
@@ -282,59 +316,59 @@ def _contents(manifest: Manifest, takes: Sequence[Manifest], already: FileCache)
 
 
 def _measured_modes(manifest: Manifest, takes: Sequence[Manifest]) -> tuple[list[str], list[str]]:
-    """One line for each stereo pair that measures modes of the load, and what is wrong with their tables."""
-    load, told, wrong = manifest.rig.load, list[str](), dict[str, None]()
-    asked = {name for part in (load.elastic if load is not None else ()) for name in part.measured_by}
+    """Return one line for each pair that measures modes of the load, and problems."""
+    load, texts, wrong = manifest.rig.load, list[str](), dict[str, None]()
+    measuring = {name for part in (load.elastic if load is not None else ()) for name in part.measured_by}
     for name in dict.fromkeys(images.stereo for take in takes for images in take.images):
-        if name in asked:
-            from fusion.sensitivity.mode_shapes import mode_shapes  # what the other recordings do without
+        if name in measuring:
+            from fusion.sensitivity.mode_shapes import mode_shapes  # not needed by other recordings
 
             shapes = mode_shapes(load, name)
             if shapes is not None:
-                told.append(f"stereo {name} measures modes of the load: {', '.join(shapes.names)}")
+                texts.append(f"stereo {name} measures modes of the load: {', '.join(shapes.names)}")
                 try:
                     shapes(np.zeros((1, 3)))
                 except InputError as error:
                     wrong[str(error)] = None
-    return told, list(wrong)
+    return texts, list(wrong)
 
 
-def _without_place(manifest: Manifest, takes: Sequence[Manifest]) -> list[str]:
-    """Which instruments on the load a table of elastic modes does not tell the motion of."""
+def _missing_mode_entries(manifest: Manifest, takes: Sequence[Manifest]) -> list[str]:
+    """Return the instruments on the load that a table of elastic modes omits."""
     channels = [entry for take in takes for daq in take.daq for entry in daq.channel if entry.quantity in TRANSDUCERS]
     pairs = [frames.stereo for take in takes for frames in (*take.images, *take.points)]
     names = [entry.name for entry in channels if entry.body == "load"]
     names += [name for name in pairs if manifest.rig.stereo[name].body == "load"]
-    told = []
+    missing_entries = []
     for part in manifest.rig.load.elastic if manifest.rig.load is not None else ():
         missing = [name for name in dict.fromkeys(names) if part.mode and name not in part.mode[0].displacement]
         if missing:
             key = f"load.elastic.{quote_key(part.name)}.mode.displacement"
-            told.append(
+            missing_entries.append(
                 f"{manifest.rig_path.name}: {key}: expected every instrument on the load, found no {missing[0]}"
             )
-    return told
+    return missing_entries
 
 
 def _heads(entries: Sequence[ChannelEntry]) -> list[str]:
-    """One line for each head that channels name: where its beams leave, and how many points or axes it has."""
+    """Return one line for each head of channels: its mirror and its number of channels."""
     heads = {entry.head.name: entry.head.stated for entry in entries if entry.head is not None}
-    told = []
+    texts = []
     for name, stated in heads.items():
         count = sum(entry.head is not None and entry.head.name == name for entry in entries)
-        place = "beams or axes stand as stated"
+        mirror = "beams or axes as stated"
         if stated.mirror is not None:
-            place = f"mirror at ({', '.join(f'{x:g}' for x in stated.mirror)}) m"
+            mirror = f"mirror at ({', '.join(f'{x:g}' for x in stated.mirror)}) m"
         elif stated.standoff is not None:
-            place = f"mirror {stated.standoff:g} m away"
-        told.append(f"head {name}: {place}, {count} channels or points")
-    return told
+            mirror = f"mirror {stated.standoff:g} m away"
+        texts.append(f"head {name}: {mirror}, {count} channels or points")
+    return texts
 
 
 def _read_daq(block: Manifest, daq: Daq, where: str, already: FileCache) -> tuple[str, list[str]]:
-    """Channels of a DAQ file, with samples and rate as the file has them."""
+    """Return channels, samples and rate of a DAQ file, and its problems."""
     listed = ", ".join(f"{entry.name} ({entry.quantity})" for entry in daq.channel)
-    told = f"daq {daq.name}: {daq.file.name}, {_size([daq.file])}: {listed}"
+    text = f"daq {daq.name}: {daq.file.name}, {_size([daq.file])}: {listed}"
     try:
         points = scanned_points(block, daq)
         if points is None:
@@ -342,79 +376,80 @@ def _read_daq(block: Manifest, daq: Daq, where: str, already: FileCache) -> tupl
         else:
             channels = {f"{name}/{point.number}": channel for point in points for name, channel in point.raw.items()}
     except (OSError, ValueError, KeyError, InputError) as error:
-        return told, [f"daq {daq.name}: {' '.join(str(error).split())}"]
+        return text, [f"daq {daq.name}: {' '.join(str(error).split())}"]
     first = next(iter(channels.values()))
-    periodic = block.excitation.slowest_hz is not None  # of whose samples some may be missing
+    periodic = block.excitation.slowest_hz is not None  # a periodic signal may have missing samples
     holes = [name for name, one in channels.items() if not periodic and not np.isfinite(one.samples).all()]
-    told += f"; {first.samples.size} samples at {first.sample_rate_hz:g} Hz"
-    told += "" if first.gap is None else f", not uniform: {first.gap}"
+    text += f"; {first.samples.size} samples at {first.sample_rate_hz:g} Hz"
+    text += "" if first.gap is None else f", not uniform: {first.gap}"
     folds = folding(block.excitation.frequencies or (), first.sample_rate_hz, first.samples.size)
-    told += f" ({describe_folds(folds)} unless an anti-aliasing filter keeps it off)" if folds else ""
-    told += "" if points is None else f", a scan of {len(points)} points, each a take"
-    return told, [f"daq {daq.name}: channel {name} holds values that are no finite numbers" for name in holes]
+    text += f" ({describe_folds(folds)} unless an anti-aliasing filter removes it)" if folds else ""
+    text += "" if points is None else f", a scan of {len(points)} points, each a take"
+    return text, [f"daq {daq.name}: channel {name} has values that are not finite" for name in holes]
 
 
 def _read_images(images: Images, pair: Stereo, already: FileCache, highest_hz: float) -> tuple[str, list[str]]:
-    """Frames of each camera, with their size as the files have it, and whether the pair's calibration is one of it.
+    """Return the frames of each camera with their size, and problems.
 
-    Of a rolling shutter also how much later the last row is exposed, and how far a line at most turns meanwhile.
+    The calibration is checked against the size. For a rolling shutter the readout time and the largest phase of a line
+    over it are reported.
     """
     from photogram.images.image_files import open_sequence
 
-    told = f"images {images.stereo}: {_size([*images.left, *images.right])}"
+    text = f"images {images.stereo}: {_size([*images.left, *images.right])}"
     try:
         for _, paths in images.cameras:
             already.images[paths, images.bit_depth] = open_sequence(paths, images.bit_depth)
     except (OSError, ValueError) as error:
-        return told, [f"images {images.stereo}: {' '.join(str(error).split())}", *calibration_problems(pair, ())]
+        return text, [f"images {images.stereo}: {' '.join(str(error).split())}", *calibration_problems(pair, ())]
     sequences = [already.images[paths, images.bit_depth] for _, paths in images.cameras]
     left = sequences[0]
-    told += f", {len(left)} frames of {left.size_px[0]} x {left.size_px[1]} px, grey values up to {left.full_scale:g}"
-    told += f", exposure {1e6 * left.exposure_s:.4g} µs by the file" if left.exposure_s is not None else ""
+    text += f", {len(left)} frames of {left.size_px[0]} x {left.size_px[1]} px, grey values up to {left.full_scale:g}"
+    text += f", exposure {1e6 * left.exposure_s:.4g} µs by the file" if left.exposure_s is not None else ""
     if any(pair.row_time):
         read_s = pair.readout_s(left.size_px[1])
-        told += f", rows exposed one after the other over {1e3 * read_s:.4g} ms"
-        told += f" ({360.0 * highest_hz * read_s:.3g}° at {highest_hz:g} Hz)" if highest_hz else ""
+        text += f", rows exposed successively over {1e3 * read_s:.4g} ms"
+        text += f" ({360.0 * highest_hz * read_s:.3g}° at {highest_hz:g} Hz)" if highest_hz else ""
     wrong = calibration_problems(pair, sequences)
     if len(left) != len(sequences[-1]):
         wrong.append(f"images {images.stereo}: {len(left)} frames left and {len(sequences[-1])} right")
     if len(left) < 3:
         wrong.append(f"images {images.stereo}: {len(left)} frames, at least 3 are needed")
-    return told, wrong
+    return text, wrong
 
 
 def _blank(takes: Sequence[Manifest], already: FileCache) -> list[tuple[str, str]]:
-    """Stereo pairs whose first image shows no pattern, each with what is said of it; `run` leaves them out."""
+    """Return the stereo pairs whose first image has no pattern; `run` omits them."""
     from photogram.images.exposure import missing_pattern_reason
 
-    told = list[tuple[str, str]]()
+    texts = list[tuple[str, str]]()
     for images in (images for take in takes for images in take.images):
         for side, paths in images.cameras:
             sequence = already.images.get((paths, images.bit_depth))
-            with suppress(OSError, ValueError):  # of which the command that reads it says more
+            with suppress(OSError, ValueError):  # the command that reads it reports the error
                 why = missing_pattern_reason(sequence.read(0), sequence.full_scale) if sequence is not None else ""
                 if why:
-                    told.append((images.stereo, f"images {images.stereo}: {side}: no pattern is seen: {why}"))
-    return told
+                    texts.append((images.stereo, f"images {images.stereo}: {side}: no pattern is visible: {why}"))
+    return texts
 
 
 def _exposure(block: Manifest, frames: Frames) -> tuple[str, list[str]]:
-    """How wide the pulses are that the first DAQ block has of the trigger."""
+    """Return the width of the trigger pulses in the first DAQ block that records them."""
     daq = next(daq for daq in block.daq if frames.trigger in [entry.name for entry in daq.channel])
-    told = f"exposure of {frames.stereo}: width of the pulses of {frames.trigger} in {daq.name}"
+    text = f"exposure of {frames.stereo}: width of the pulses of {frames.trigger} in {daq.name}"
     try:
         record = read_set_ups(replace(block, daq=(daq,), images=(), points=()))[0].records[0]
         pulse = record.pulse_width(frames.trigger)
     except InputError as error:
-        return told, [str(error)]
+        return text, [str(error)]
     except ValueError as error:
-        return told, [str(no_pulse_width(block, daq.name, frames, error))]
+        return text, [str(no_pulse_width(block, daq.name, frames, error))]
     width, expanded, _ = round_to_uncertainty(1e6 * pulse.width_s, 2e6 * pulse.u_width_s, 0)
-    return f"{told}, ({width} ± {expanded}) µs, U (k = 2)", []
+    return f"{text}, ({width} ± {expanded}) µs, U (k = 2)", []
 
 
 def _size(paths: Sequence[Path]) -> str:
-    """Total size of files."""
+    """Return the total size of files."""
     size = float(sum(path.stat().st_size for path in paths))
     for unit in ("B", "kB", "MB"):
         if size < 1000:
@@ -426,41 +461,41 @@ def _size(paths: Sequence[Path]) -> str:
 def _motion_remarks(
     rig: Rig, direction: Sequence[float], entries: Sequence[ChannelEntry], observed: Sequence[Observability]
 ) -> list[str]:
-    """What the results from the motion of the bodies will lack, and why."""
-    told = []
+    """Return the parts that the results from the motion will not have, with the reason."""
+    remarks = []
     rows = {body: np.vstack([np.zeros((0, 6)), *(o.rows for o in observed if o.body == body)]) for body in BODIES}
     for body in BODIES:
-        unseen = [
+        unobserved = [
             name for name, seen in zip(MOTION_COMPONENTS, observable_components(rows[body]), strict=True) if not seen
         ]
-        if 0 < len(unseen) < 6:
-            told.append(f"{body}: no instrument observes {' '.join(unseen)}")
-    told += [f"{body} has no instrument" for body in BODIES if len(rows[body]) == 0]
+        if 0 < len(unobserved) < 6:
+            remarks.append(f"{body}: no instrument observes {' '.join(unobserved)}")
+    remarks += [f"{body} has no instrument" for body in BODIES if len(rows[body]) == 0]
     seen_of_load = observable_components(rows["load"])
     hidden = [i for i, share in enumerate(direction) if share and not seen_of_load[i] and len(rows["load"])]
-    told += [f"load: no instrument observes the driven component {LOAD_COMPONENTS[i]}" for i in hidden]
+    remarks += [f"load: no instrument observes the driven component {LOAD_COMPONENTS[i]}" for i in hidden]
     if rig.load is None:
-        told.append("rig.toml has no [load]: no load and no sensitivity")
+        remarks.append("rig.toml has no [load]: no load and no sensitivity")
     if rig.sensor is None:
-        told.append("rig.toml has no [sensor]: no sensitivity")
+        remarks.append("rig.toml has no [sensor]: no sensitivity")
     elif not any(entry.quantity == "output" for entry in entries):
-        told.append("no channel is an output of the sensor: no sensitivity")
+        remarks.append("no channel is an output of the sensor: no sensitivity")
     if rig.surroundings.free_fall_mps2[0] is None:
         size = "" if rig.surroundings.latitude is None else ", only where its size follows from (down is missing)"
-        told.append(f"rig.toml states no gravity{size}: tilt is not corrected")
-    return told
+        remarks.append(f"rig.toml states no gravity{size}: tilt is not corrected")
+    return remarks
 
 
 def _unstated(manifest: Manifest, entries: Sequence[ChannelEntry], pairs: Collection[str]) -> list[str]:
-    """Name the motion channels whose scale counts as exact, and what `run` does with instruments that state no errors.
+    """Return the motion channels without a stated scale uncertainty, and their use by `run`.
 
-    `pairs`: bodies that stereo pairs see, whose calibrations state theirs.
+    `pairs`: bodies observed by stereo pairs, whose calibrations have uncertainties.
     """
     lines, read = np.array(manifest.excitation.frequencies or (REFERENCE_HZ,)), dict[Any, ChainResponse | None]()
     readable = list[tuple[ChannelEntry, ChainResponse | None]]()
     for entry in (entry for entry in entries if entry.quantity in TRANSDUCERS):
         file = entry.response, entry.response_result, entry.response_columns
-        with suppress(InputError):  # a problem of its own
+        with suppress(InputError):  # reported as a problem
             if entry.response is not None and file not in read:
                 read[file] = read_response(entry.response, lines, entry.response_result, entry.response_columns)
             readable.append((entry, read.get(file)))
@@ -473,18 +508,18 @@ def _unstated(manifest: Manifest, entries: Sequence[ChannelEntry], pairs: Collec
     remarks = []
     for name, (entry, response) in zip(instruments, readable, strict=True):
         alone = name[0] not in pairs and not any(body == name[0] for body, _, _ in stated)
-        effect = "taken as exact" if name in stated or alone else "compared with the others, not fused"
+        effect = ASSUMED_EXACT if name in stated or alone else NOT_FUSED
         if not scale_is_stated(entry, response):
             remarks.append(f"channel {entry.name} states no uncertainty of its scale: {effect}")
     return remarks
 
 
 def _clock_remarks(blocks: Sequence[Daq]) -> list[str]:
-    """Which DAQ blocks of one take share no trigger with the others."""
+    """Return the DAQ blocks of one take that share no trigger with the others."""
     triggers = {daq.name: {entry.name for entry in daq.channel if entry.quantity == "trigger"} for daq in blocks}
-    told = []
-    for name, own in triggers.items():
+    remarks = []
+    for name, own_triggers in triggers.items():
         others = set[str]().union(*(theirs for other, theirs in triggers.items() if other != name))
-        if len(triggers) > 1 and not own & others:
-            told.append(f"daq {name} shares no trigger channel with another block: its clock cannot be tied")
-    return told
+        if len(triggers) > 1 and not own_triggers & others:
+            remarks.append(f"daq {name} shares no trigger channel with another block: its clock cannot be synchronised")
+    return remarks

@@ -1,4 +1,4 @@
-"""`shakercal lines`: every line of a file or recording, how far it stands out, what it is, and who sees it."""
+"""`shakercal lines`: all lines of a file or recording with origin and aliases."""
 
 from __future__ import annotations
 
@@ -14,6 +14,7 @@ from fusion.base import K2, round_to_uncertainty
 from fusion.errors import InputError
 from fusion.phasors.channel_phasors import MOST_BINS, fill_gaps, line_record, lines_of_record
 from fusion.phasors.timing import tie_daqs
+from fusion.planning.planning_notices import NO_SIGNAL, NOT_FINITE
 from fusion.recording.daq_records import check_uniform, errors_in_set_up, read_set_ups
 from fusion.recording.load import Manifest
 from fusion.report.terminal import print_text, stdout_console
@@ -30,16 +31,17 @@ from shakercal._common.notices import Notice
 COLUMNS = ("channel", "frequency_hz", "u_frequency_hz", "amplitude", "u_amplitude", "unit", "floor_db", "what", "use")
 WHY, WHY_WIDTH = "what and why", 18
 LISTED = "lines"
-"""Where notices are about that only say what the table shows."""
-_SAME_U, _SAME_HZ = 6.0, 1e-6  # how far a line moves when it is fitted beside others
+"""Location of notices whose content the table shows."""
+_SAME_U, _SAME_HZ = 6.0, 1e-6  # largest shift of a line when it is fitted together with others
 _HANN_NOISE = 3.0  # noise power in a bin of the figure's spectrum over the variance of a fitted quadrature
 
 
 @dataclass(frozen=True)
 class LineEntry:
-    """One line: `amplitude`, `u_amplitude` (C,) NaN where it does not stand out; `floor_db` above the noise in a bin.
+    """One spectral line with amplitude, origin and aliases.
 
-    `use`: what a run does with it (empty for a file); `places`: where each camera sees it, in Hz.
+    `amplitude` and `u_amplitude` (C,) are NaN in channels without the line; `floor_db` is the level above the noise in
+    a bin. `use`: its use by a run (empty for a file); `alias_hz`: its frequency for each camera.
     """
 
     frequency_hz: float
@@ -54,9 +56,9 @@ class LineEntry:
 
 @dataclass(frozen=True)
 class ChannelLines:
-    """Lines of channels sampled together, in ascending frequency, with their noise floor, and spectrum if drawn.
+    """Lines of channels sampled together, by frequency, with their noise floor.
 
-    `cameras`: name and rate (Hz) of what sees the lines aliased.
+    `cameras`: name and rate (Hz) of cameras that observe the lines aliased. `spectrum` is None unless it is drawn.
     """
 
     source: Path
@@ -79,9 +81,10 @@ def lines_of_file(
     *,
     drawn: bool = False,
 ) -> list[ChannelLines]:
-    """Survey the channels of a DAQ file, those sampled alike together; a band keeps the lines in it.
+    """Return the lines of a DAQ file's channels, in groups of equal sampling.
 
-    `drawn`: with their spectra for the figure, which take as much memory as the samples.
+    A band selects the lines in it. `drawn`: with their spectra for the figure, which need as much memory as the
+    samples.
     """
     try:
         channels = read_channels(path, names, rate_hz)
@@ -91,14 +94,14 @@ def lines_of_file(
     for name, channel in channels.items():
         groups.setdefault((channel.sample_rate_hz, len(channel.samples)), {})[name] = channel
     if not groups:
-        raise InputError(path, "", found="none", expected="a channel of samples over time")
+        raise InputError(NO_SIGNAL, path, found="none", expected="a channel of samples over time")
     return [_file_group(path, group, band_hz, drawn=drawn) for group in groups.values()]
 
 
 def lines_of_recording(manifest: Manifest, *, drawn: bool = False) -> ChannelLines:
-    """Return the lines that a run of this recording fits, all others of the same channels, and the cameras' aliases.
+    """Return the lines that a run fits, all others, and the cameras' aliases.
 
-    Of a recording in takes these are those of the first one.
+    For a recording in takes they are those of the first one.
     """
     where, block = manifest.set_ups[0]
     with errors_in_set_up(block.path, where):
@@ -106,11 +109,12 @@ def lines_of_recording(manifest: Manifest, *, drawn: bool = False) -> ChannelLin
         manifest, base = first.manifest, tie_daqs(first.manifest, first.records)
     chosen = line_record(base)
     if chosen is None:
-        raise InputError(manifest.path, "daq", found="triggers only", expected="a channel that shows the excitation")
+        expected = "a channel that shows the excitation"
+        raise InputError(NO_SIGNAL, manifest.path, "daq", found="triggers only", expected=expected)
     lines = lines_of_record(manifest, chosen)
     names = tuple(channel.name for channel in chosen.channels)
     rates = {name: 1.0 / fit.period_s for (_, name), fit in base.triggers.items()}
-    pairs: dict[str, list[str]] = {}  # those of one trigger together
+    pairs: dict[str, list[str]] = {}  # pairs of one trigger
     for pair in (*manifest.images, *manifest.points):
         if pair.trigger in rates:
             pairs.setdefault(pair.trigger, []).append(pair.stereo)
@@ -135,33 +139,33 @@ def lines_of_recording(manifest: Manifest, *, drawn: bool = False) -> ChannelLin
 
 
 def lines_csv(lists: Sequence[ChannelLines]) -> str:
-    """Return all lines as a table: a row per line and channel in which it stands out."""
+    """Return all lines as a table: a row per line and channel."""
     stream = io.StringIO()
     writer = csv.writer(stream, lineterminator="\n")
     cameras = [f"alias_hz_{name.replace(', ', '_')}" for name, _ in lists[0].cameras]
     writer.writerow((*COLUMNS, *cameras))
     for item in lists:
         for entry in item.entries:
-            places = [f"{place:.9g}" for place in entry.alias_hz]
+            aliases = [f"{alias:.9g}" for alias in entry.alias_hz]
             frequency = [f"{entry.frequency_hz:.12g}", f"{entry.u_frequency_hz:.3g}"]
             for c in np.flatnonzero(np.isfinite(entry.amplitude)):
                 size = [f"{entry.amplitude[c]:.9g}", f"{entry.u_amplitude[c]:.3g}", item.units[c]]
-                own = [*size, f"{entry.floor_db:.1f}", entry.what, entry.use, *places]
-                writer.writerow([item.channels[c], *frequency, *own])
+                cells = [*size, f"{entry.floor_db:.1f}", entry.what, entry.use, *aliases]
+                writer.writerow([item.channels[c], *frequency, *cells])
     return stream.getvalue()
 
 
 def _file_group(
     path: Path, group: dict[str, RawChannel], band_hz: tuple[float, float] | None, *, drawn: bool
 ) -> ChannelLines:
-    """Survey channels that were sampled alike."""
+    """Return the lines of channels with equal sampling."""
     rate_hz = next(iter(group.values())).sample_rate_hz
     values = Stacked(tuple(channel.samples for channel in group.values()), (1.0,) * len(group))
     for name, channel in group.items():
         check_uniform(path, name, channel)
         missing = int(np.count_nonzero(~np.isfinite(channel.samples)))
         if missing:
-            raise InputError(path, name, found=f"{missing} that are not", expected="finite samples")
+            raise InputError(NOT_FINITE, path, name, found=f"{missing} that are not", expected="finite samples")
     try:
         survey = survey_lines(values, rate_hz)
     except ValueError as error:
@@ -205,14 +209,14 @@ def _fitted(time_s: FloatArray, values: Stacked, lines: LineFrequencies, rate_hz
 
 
 def _others(survey: Survey, nuisance_hz: FloatArray | None) -> list[LineEntry]:
-    """Return lines of a survey; beside a fit, those that are fitted with its lines are marked."""
+    """Return lines of a survey, with their use in addition to fitted lines."""
     entries = []
     for i, origin in enumerate(survey.origin):
         frequency = float(survey.frequency_hz[i])
         use = ""
         if nuisance_hz is not None:
-            beside = bool(np.any(np.abs(nuisance_hz - frequency) <= _SAME_U * survey.u_frequency_hz[i] + _SAME_HZ))
-            use = "fitted beside" if beside else "not fitted"
+            is_nuisance = bool(np.any(np.abs(nuisance_hz - frequency) <= _SAME_U * survey.u_frequency_hz[i] + _SAME_HZ))
+            use = "fitted beside" if is_nuisance else "not fitted"
         numbers = frequency, float(survey.u_frequency_hz[i]), survey.amplitude[i], survey.u_amplitude[i]
         entries.append(LineEntry(*numbers, decibel(float(survey.snr[i])), origin.text, use))
     return entries
@@ -230,7 +234,7 @@ def print_lines(lists: Sequence[ChannelLines]) -> None:
         size = f"{item.samples} samples at {item.rate_hz:.9g} Hz, {duration:.4g} s"
         print_text(f"{item.source.name}: {names}; {size}{seen}")
         if not item.entries:
-            print_text("  no line stands out of the noise")
+            print_text("  no line above the noise")
             continue
         rows = [_cells(item, entry) for entry in item.entries]
         least = sum(max(len(head), *(len(row[head]) for row in rows)) + 2 for head in [*rows[0]][:-1]) + WHY_WIDTH
@@ -246,10 +250,10 @@ def print_lines(lists: Sequence[ChannelLines]) -> None:
             table.add_row(*row.values())
         console.print(table)
     for notice in dict.fromkeys(notice for item in lists for notice in item.notices if notice.where != LISTED):
-        print_text(f"{notice.severity}: {notice.text}")
+        print_text(f"{notice.severity} {notice.code}: {notice.text}")
     print_text(
-        "U (k = 2); amplitude: in the channel in which the line stands out most; dB: its power there over that of the "
-        "noise in a bin of the Hann spectrum"
+        "U (k = 2); amplitude: in the channel with the highest line; dB: its power over that of the noise in a bin of "
+        "the Hann spectrum"
     )
 
 
@@ -257,10 +261,10 @@ def _cells(item: ChannelLines, entry: LineEntry) -> dict[str, str]:
     """Return the cells of a line by the heads of their columns."""
     best = int(np.nanargmax(entry.amplitude / np.maximum(entry.u_amplitude, np.finfo(np.float64).tiny)))
     size = _with_u(float(entry.amplitude[best]), float(entry.u_amplitude[best]))
-    places = {f"{name} / Hz": f"{place:.4f}" for (name, _), place in zip(item.cameras, entry.alias_hz, strict=True)}
+    aliases = {f"{name} / Hz": f"{alias:.4f}" for (name, _), alias in zip(item.cameras, entry.alias_hz, strict=True)}
     return {
         "frequency / Hz": _with_u(entry.frequency_hz, entry.u_frequency_hz, 0),
-        **places,
+        **aliases,
         "amplitude": f"{size} {item.units[best]}".strip(),
         **({"in channel": item.channels[best]} if len(item.channels) > 1 else {}),
         "dB": f"{entry.floor_db:.0f}",

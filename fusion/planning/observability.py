@@ -1,4 +1,4 @@
-"""What the instruments of a recording can observe by place and direction alone, and what a camera alone shows."""
+"""Motion components that instruments determine by position and direction."""
 
 from __future__ import annotations
 
@@ -18,14 +18,14 @@ from shaker.arrays import BoolArray, FloatArray
 from shaker.labels import MOTION_COMPONENTS
 
 BODIES, TOGETHER = ("load", "base"), "all together"
-EXACT, FEWEST_SUBSETS = 1e-4, 6
+EXACT, FEWEST_SUBSETS = 1e-4, 6  # u relative to that before that counts as exact; least number of subsets
 ROW_TOLERANCE = 1e-9
-"""Relative singular value below which instruments do not tell two motions apart."""
+"""Relative singular value below which instruments cannot distinguish two motions."""
 
 
 @dataclass(frozen=True)
 class Observability:
-    """Which of the six motion components of a body an instrument determines by its place and direction alone."""
+    """Motion components of a body that an instrument determines by position and direction."""
 
     body: str
     instrument: str
@@ -39,13 +39,13 @@ class Observability:
         )
 
     def __str__(self) -> str:
-        return f"{self.body}: {self.instrument}: {' '.join(self.components) or 'no component by itself'}"
+        return f"{self.body}: {self.instrument}: {' '.join(self.components) or 'no single component'}"
 
 
 def observable_components(rows: FloatArray) -> BoolArray:
-    """Which unit motions (6,) lie in the row space of geometric rows (M, 6) = [d, r×d], hence are determined.
+    """Return which unit motions (6,) are in the row space of rows [d, r×d].
 
-    Lever arms are measured in units of the longest one, so that the tolerance knows no length.
+    Rows are (M, 6). Lever arms are in units of the longest one, which makes the tolerance independent of the size.
     """
     if len(rows) == 0:
         return np.zeros(6, dtype=bool)
@@ -57,10 +57,10 @@ def observable_components(rows: FloatArray) -> BoolArray:
 
 
 def instrument_observability(rig: Rig, takes: Sequence[Manifest]) -> list[Observability]:
-    """Rows of every instrument, then of all instruments of a body together.
+    """Return the rows of every instrument, then of all instruments of a body together.
 
-    A stereo pair determines all six components of the body it sees. Channels of one `common` name are one instrument.
-    Of what looks at the room or sits on a head it is the motion of what carries it.
+    A stereo pair determines all six components of the body it observes. Channels with the same `common` name are one
+    instrument. An instrument on a head, or one that observes the room, measures the motion of its carrier.
     """
     names = dict.fromkeys(entry.stereo for take in takes for entry in (*take.images, *take.points))
     pairs = [(name, rig.stereo[name]) for name in names]
@@ -78,18 +78,18 @@ def instrument_observability(rig: Rig, takes: Sequence[Manifest]) -> list[Observ
     single += [Observability(body, name, np.stack(rows)) for (body, name), rows in groups.items()]
     observed = []
     for body in dict.fromkeys((*BODIES, *(item.body for item in single))):
-        own = [item for item in single if item.body == body]
-        observed += own
-        if len(own) > 1:
-            observed.append(Observability(body, TOGETHER, np.concatenate([item.rows for item in own])))
+        of_body = [item for item in single if item.body == body]
+        observed += of_body
+        if len(of_body) > 1:
+            observed.append(Observability(body, TOGETHER, np.concatenate([item.rows for item in of_body])))
     return observed
 
 
 def describe_single_cameras(
     rig: Rig, takes: Sequence[Manifest], observed: Sequence[Observability], already: FileCache
 ) -> list[str]:
-    """What each camera alone tells of its body, and what is left open beside the other instruments there."""
-    told = []
+    """Return the precision of each single camera and the remaining motions with all instruments."""
+    texts = []
     for images in {images.stereo: images for take in takes for images in take.images}.values():
         name, pair, first = (
             images.stereo,
@@ -98,33 +98,33 @@ def describe_single_cameras(
         )
         if pair.surface is None or first is None or calibration_problems(pair, (first,)):
             continue
-        seen = _seen_alone(name, pair, first)
+        seen = _single_camera_covariance(name, pair, first)
         if seen is None:
             continue
-        own, whole = 1e6 * np.sqrt(np.diagonal(seen[0])), seen[1]
-        told.append(
-            f"stereo {name} is one camera; of a frame it tells, by noise alone (standard uncertainty, its own axes, "
-            f"middle of the face), {own[:2].max():.2g} µm across its axis and {own[2]:.2g} µm along it, "
-            f"{own[5]:.2g} µrad about it and {own[3:5].max():.2g} µrad of tilts"
+        u, whole = 1e6 * np.sqrt(np.diagonal(seen[0])), seen[1]
+        texts.append(
+            f"stereo {name} is a single camera: u of one frame by image noise (camera axes, centre of the face) is "
+            f"{u[:2].max():.2g} µm across its axis, {u[2]:.2g} µm along it, {u[5]:.2g} µrad about it and "
+            f"{u[3:5].max():.2g} µrad in tilts"
         )
-        text = f"{pair.body}, at the sensor origin: {_sizes(whole, whole)} by stereo {name} alone"
+        text = f"{pair.body}, at the sensor origin: {_sizes(whole, whole)} by stereo {name} only"
         instruments = {item.instrument: item.rows for item in observed if item.body == pair.body}
         others = {key: rows for key, rows in instruments.items() if key not in (TOGETHER, f"stereo {name}")}
         if others:
             rows = np.concatenate(list(others.values()))
             gain = whole @ rows.T @ np.linalg.pinv(rows @ whole @ rows.T, hermitian=True)
             text += (
-                f"; {_sizes(np.asarray(whole - gain @ rows @ whole), whole)} beside {', '.join(others)}, taken as exact"
+                f"; {_sizes(np.asarray(whole - gain @ rows @ whole), whole)} with {', '.join(others)}, assumed exact"
             )
-        told.append(text)
-    return told
+        texts.append(text)
+    return texts
 
 
-def _seen_alone(name: str, pair: Stereo, images: ImageSequence) -> tuple[FloatArray, FloatArray] | None:
-    """Covariance (6, 6) of one frame's motion by the noise of the first image; None where that is of no use.
+def _single_camera_covariance(name: str, pair: Stereo, images: ImageSequence) -> tuple[FloatArray, FloatArray] | None:
+    """Return the covariance (6, 6) of one frame's motion by image noise, in two frames.
 
-    (Σ JᵀJ/σ²)⁻¹ over the subsets, J the rates of their pixels: about the middle of the face in the camera's axes, and
-    about the sensor origin in those of the sensor.
+    (Σ JᵀJ/σ²)⁻¹ over the subsets, J the rates of their pixels: about the centre of the face in camera axes, and about
+    the sensor origin in sensor axes. None if the first image is unusable.
     """
     from fusion.phasors.stereo_motion import read_rig, sensor_from_camera
     from fusion.planning.look.image_checks import examine_camera
@@ -149,16 +149,19 @@ def _seen_alone(name: str, pair: Stereo, images: ImageSequence) -> tuple[FloatAr
 
 
 def _sizes(covariance: FloatArray, before: FloatArray) -> str:
-    """Standard uncertainties of the six components, without those that are exact beside what they were `before`."""
+    """Return standard uncertainties of the six components.
+
+    Components are omitted if they are exact compared with `before`.
+    """
     u = 1e6 * np.sqrt(np.maximum(np.diagonal(covariance), 0.0))
-    open_ = u > EXACT * 1e6 * np.sqrt(np.diagonal(before))
+    undetermined = u > EXACT * 1e6 * np.sqrt(np.diagonal(before))
     units = ("µm",) * 3 + ("µrad",) * 3
-    sizes = [f"{MOTION_COMPONENTS[i]} {u[i]:.2g} {units[i]}" for i in np.flatnonzero(open_)]
-    return ", ".join(sizes) or "nothing left open"
+    sizes = [f"{MOTION_COMPONENTS[i]} {u[i]:.2g} {units[i]}" for i in np.flatnonzero(undetermined)]
+    return ", ".join(sizes) or "all determined"
 
 
 def calibration_problems(pair: Stereo, sequences: Sequence[ImageSequence]) -> list[str]:
-    """Return what is wrong with a pair's calibration, also against the size of its pictures."""
+    """Return the errors of a pair's calibration, also against the size of its images."""
     from fusion.phasors.stereo_motion import read_rig
 
     try:

@@ -1,4 +1,4 @@
-"""`shakercal plan`: camera rates for the frequencies of a calibration, as numbers, as a table in a file, in words."""
+"""`shakercal plan`: camera rates for the frequencies of a calibration."""
 
 from __future__ import annotations
 
@@ -10,6 +10,13 @@ import numpy as np
 
 from fusion.base import DASH, prefix
 from fusion.errors import InputError
+from fusion.planning.planning_notices import (
+    NOISE_UNSTATED,
+    RATE_LIMITS,
+    RATE_STEP,
+    TOO_FEW_FRAMES,
+    TOO_MANY_LISTED_LINES,
+)
 from fusion.report.table import R, TableColumn, csv_text, page_column
 from fusion.report.terminal import print_text, stdout_console
 from shaker.arrays import FloatArray
@@ -32,14 +39,17 @@ if TYPE_CHECKING:
     from rich.table import Table
 
 PER_NOISE = "noise per frame"
-MOST_LINES, MOST_LINES_OF_ALL = 200, 2000  # fitted at one point, and at all of them
-MOST_ENTRIES = 2_000_000  # lines times frames of a point
-SHOWN = 3  # frequencies that are written out; of more there is a count
+MOST_LINES, MOST_LINES_OF_ALL = 200, 2000  # lines fitted at one point, and at all points: a plan takes some seconds
+MOST_ENTRIES = 2_000_000  # lines times frames of a point: some 100 MB
+SHOWN = 3  # frequencies that are written; of more the number is
 
 
 @dataclass(frozen=True)
 class MotionSize:
-    """What makes uncertainties absolute: `noise_m` per frame; `amplitude_m` or `acceleration_mps2` of a fundamental."""
+    """Noise and amplitude of the motion, for absolute uncertainties.
+
+    `noise_m` per frame; `amplitude_m` or `acceleration_mps2` of a fundamental.
+    """
 
     noise_m: float | None = None
     amplitude_m: float | None = None
@@ -47,11 +57,14 @@ class MotionSize:
 
     @property
     def is_whole(self) -> bool:
-        """Whether relative uncertainties can be given."""
+        """Whether relative uncertainties can be calculated."""
         return self.noise_m is not None and (self.amplitude_m is not None or self.acceleration_mps2 is not None)
 
     def relative(self, plan: RatePlan, k: int) -> float | None:
-        """Relative standard uncertainty of line k's amplitude (that of its phase in rad), None if it is not known."""
+        """Return the relative standard uncertainty of line k's amplitude, None if unknown.
+
+        It is also that of its phase in rad.
+        """
         amplitude = self.amplitude_m
         if self.acceleration_mps2 is not None:
             amplitude = float(self.acceleration_mps2 / (2.0 * np.pi * plan.lines.frequency_hz[k]) ** 2)
@@ -62,8 +75,21 @@ class MotionSize:
 
 @dataclass(frozen=True)
 class Request:
-    """What to plan: excitations, together or one after the other, at `rate_hz` or within `limits_hz`.
+    """Input of a plan: excitation frequencies, sampling and camera rates.
 
+    Attributes
+    ----------
+    frequency_hz : Excitation frequencies, Hz.
+    sampling : Frames, exposure, harmonics and noise of the record.
+    together : Whether they are excited at the same time; default False.
+    rate_hz : Camera rate to explain, Hz; default None.
+    limits_hz : Smallest and largest camera rate, Hz.
+    rate_step_hz : Step of possible rates, Hz; default 0.001.
+    settle_s : Waiting time before each record, s; default 0.
+    size : Noise and amplitude, for absolute uncertainties.
+
+    Examples
+    --------
     >>> from fusion import Request
     >>> from shaker import Sampling
     >>> Request((106.25,), Sampling(frames=211), rate_hz=77.5).together
@@ -82,9 +108,9 @@ class Request:
 
 @dataclass(frozen=True)
 class PlanPoint:
-    """One point of the plan: its lines, and what its best rates (best first), or the rate given, make of them.
+    """One point of the plan: its lines and the best rates, or the given one.
 
-    `nearby`: the good rate nearest to the rate given, None where that one is good itself or none is near.
+    `nearby`: the good rate nearest to the given one; None if that one is good or none is near.
     """
 
     lines: PlannedLines
@@ -94,7 +120,7 @@ class PlanPoint:
 
 @dataclass(frozen=True)
 class SharedRate:
-    """A rate that serves several points: their indices, and what it makes of each."""
+    """A rate for several points: their indices, and its properties for each."""
 
     rate_hz: float
     points: tuple[int, ...]
@@ -103,7 +129,10 @@ class SharedRate:
 
 @dataclass(frozen=True)
 class Plan:
-    """Answer to a request: its points, and the fewest rates that serve all of them (none where a rate was given)."""
+    """Result of a request: its points, and the smallest set of common rates.
+
+    `shared` is empty if a rate was given.
+    """
 
     request: Request
     points: tuple[PlanPoint, ...]
@@ -111,8 +140,23 @@ class Plan:
 
 
 def make_plan(request: Request) -> Plan:
-    """Look for the rates of every point, or see what the given rate makes of it.
+    """Find the best camera rates for every point, or evaluate a given rate.
 
+    Parameters
+    ----------
+    request
+        Frequencies, sampling and limits.
+
+    Returns
+    -------
+    The best rates of each point and the smallest common set.
+
+    Raises
+    ------
+    InputError : No rate can serve the request; names the option.
+
+    Examples
+    --------
     >>> from fusion import Request, make_plan
     >>> from shaker import Sampling
     >>> plan = make_plan(Request((106.25,), Sampling(frames=211), limits_hz=(70.0, 80.0), rate_step_hz=0.1))
@@ -128,7 +172,8 @@ def make_plan(request: Request) -> Plan:
         rates = candidate_rates(points, sampling, request.limits_hz, request.rate_step_hz)
     except ValueError as error:
         expected = f"a step with a multiple between {request.limits_hz[0]:g} and {request.limits_hz[1]:g} Hz"
-        raise InputError("--rate-step", "", found=f"{request.rate_step_hz:g} Hz", expected=expected) from error
+        found = f"{request.rate_step_hz:g} Hz"
+        raise InputError(RATE_STEP, "--rate-step", found=found, expected=expected) from error
     if request.rate_hz is not None:
         return Plan(request, tuple(_explained(lines, request.rate_hz, rates, sampling) for lines in points), ())
     scans = [scan_rates(lines, rates, sampling) for lines in points]
@@ -144,21 +189,25 @@ def make_plan(request: Request) -> Plan:
 
 
 def _check_size(request: Request) -> None:
-    """Refuse more lines and frames than can be looked at in a sensible time and memory, naming the option."""
+    """Refuse more lines and frames than time and memory permit, naming the option."""
     frames, harmonics, excitations = request.sampling.frames, request.sampling.harmonics, len(request.frequency_hz)
     lines = harmonics * (excitations if request.together else 1)
     if lines > MOST_LINES:
-        raise InputError("--harmonics", "", found=f"{lines}", expected=f"at most {MOST_LINES} lines of a point")
+        expected = f"at most {MOST_LINES} lines of a point"
+        raise InputError(TOO_MANY_LISTED_LINES, "--harmonics", found=lines, expected=expected)
     if frames * lines > MOST_ENTRIES:
         expected = f"at most {MOST_ENTRIES // lines} for {lines} lines of a point"
-        raise InputError("--frames", "", found=str(frames), expected=expected)
+        raise InputError(TOO_MANY_LISTED_LINES, "--frames", found=frames, expected=expected)
     if excitations * harmonics > MOST_LINES_OF_ALL:
         expected = f"at most {MOST_LINES_OF_ALL // harmonics} with {harmonics} harmonics each"
-        raise InputError("--frequencies", "", found=str(excitations), expected=expected)
+        raise InputError(TOO_MANY_LISTED_LINES, "--frequencies", found=excitations, expected=expected)
 
 
 def _explained(lines: PlannedLines, rate_hz: float, rates: FloatArray, sampling: Sampling) -> PlanPoint:
-    """Return what the given rate makes of a point, with the nearest good rate unless it is good itself."""
+    """Return the given rate for a point, with the nearest good rate.
+
+    It is None if the given rate is good.
+    """
     scan = scan_rates(lines, np.sort(np.append(rates, rate_hz)), sampling)
     good = scan.rate_hz[scan.good]
     nearby = None
@@ -169,30 +218,35 @@ def _explained(lines: PlannedLines, rate_hz: float, rates: FloatArray, sampling:
 
 
 def _check(request: Request, points: Sequence[PlannedLines]) -> None:
-    """Refuse what no rate can serve, naming the option."""
+    """Refuse a request that no rate can serve, naming the option."""
     highest = max(request.limits_hz) if request.rate_hz is None else request.rate_hz
     if request.rate_hz is None and not 0.0 < request.limits_hz[0] <= request.limits_hz[1]:
         low, high = request.limits_hz
-        raise InputError("--min-rate", "", found=f"{low:g} Hz", expected=f"no more than --max-rate ({high:g} Hz)")
+        expected = f"no more than --max-rate ({high:g} Hz)"
+        raise InputError(RATE_LIMITS, "--min-rate", found=f"{low:g} Hz", expected=expected)
     needed = 2 * max(len(lines.frequency_hz) for lines in points) + 2
     frames = request.sampling.frames
     if frames < needed:
-        raise InputError("--frames", "", found=str(frames), expected=f"at least {needed} for as many lines")
+        expected = f"at least {needed} for as many lines"
+        raise InputError(TOO_FEW_FRAMES, "--frames", found=frames, expected=expected)
     exposure = request.sampling.exposure_s
     if exposure * highest > 1.0:
         expected = f"no more than the time between frames ({1.0 / highest:.3g} s)"
-        raise InputError("--exposure", "", found=f"{exposure:g} s", expected=expected)
+        raise InputError(RATE_LIMITS, "--exposure", found=f"{exposure:g} s", expected=expected)
     sized = request.size.amplitude_m is not None or request.size.acceleration_mps2 is not None
     if sized and request.size.noise_m is None:
         option = "--amplitude" if request.size.amplitude_m is not None else "--acceleration"
-        raise InputError(option, "", found="none", expected="--noise beside it")
+        raise InputError(NOISE_UNSTATED, option, found="no --noise", expected="--noise in addition")
 
 
 # The plan as tables, in a file and on the terminal.
 
 
 class _Line(NamedTuple):
-    """One line at one rate; `point`: number or excitation; `relative`: u over the amplitude, None if not known."""
+    """One line at one rate.
+
+    `point`: number or excitation; `relative`: u over the amplitude, None if unknown.
+    """
 
     point: str
     choice: str
@@ -225,7 +279,10 @@ def _lines_at(size: MotionSize, plan: RatePlan, point: str = "", choice: str = "
 
 
 def plan_csv(plan: Plan) -> str:
-    """Return the plan as a table: a row per point, choice and line; SI units, one header line."""
+    """Return the plan as a table with a row per point, choice and line.
+
+    SI units, one header line.
+    """
     size, rows = plan.request.size, list[_Line]()
     for number, point in enumerate(plan.points, start=1):
         for choice, at_rate in enumerate(point.choices, start=1):
@@ -238,7 +295,10 @@ def plan_csv(plan: Plan) -> str:
 
 
 def _line_columns(size: MotionSize) -> list[TableColumn[_Line]]:
-    """Return the columns of lines at a rate: a file has those with a name, the terminal those with a head."""
+    """Return the columns of lines at a rate.
+
+    A file has those with a name, the terminal those with a head.
+    """
     noise_m, unit = (1.0, PER_NOISE) if size.noise_m is None else (size.noise_m, "m")
     noise, shown_unit = _shown_noise(size)
 
@@ -265,7 +325,7 @@ def _line_columns(size: MotionSize) -> list[TableColumn[_Line]]:
             "of rate",
             lambda line: f"{line.alias_hz / line.plan.rate_hz:.3f}",
         ),
-        TableColumn("distance_bins", lambda line: f"{line.bins:.6g}", "apart", lambda line: f"{line.bins:.2f}"),
+        TableColumn("distance_bins", lambda line: f"{line.bins:.6g}", "distance", lambda line: f"{line.bins:.2f}"),
         page_column("nearest", nearest),
         TableColumn("exposure_gain", lambda line: f"{line.gain:.6g}", "loss / %", _loss),
         TableColumn(
@@ -281,7 +341,7 @@ def _line_columns(size: MotionSize) -> list[TableColumn[_Line]]:
 
 
 def _rate_columns(size: MotionSize) -> list[TableColumn[_Line]]:
-    """Return the columns of rates, of which each row is the least certain fundamental."""
+    """Return the columns of rates; each row is the most uncertain fundamental."""
     noise, unit = _shown_noise(size)
 
     def aliases(line: _Line) -> FloatArray:
@@ -292,7 +352,7 @@ def _rate_columns(size: MotionSize) -> list[TableColumn[_Line]]:
         page_column("rate / Hz", lambda line: f"{line.plan.rate_hz:.3f}"),
         page_column("seen at / Hz", lambda line: _range(aliases(line))),
         page_column("of rate", lambda line: _range(aliases(line) / line.plan.rate_hz)),
-        page_column("apart", lambda line: f"{line.plan.distance_bins:.2f}"),
+        page_column("distance", lambda line: f"{line.plan.distance_bins:.2f}"),
         page_column("cond.", lambda line: f"{line.plan.condition:.2f}"),
         page_column(f"u{unit}", lambda line: _three_digits(noise * line.u_amplitude)),
         page_column(f"worst u{unit}", lambda line: _three_digits(noise * float(np.max(line.plan.u_amplitude)))),
@@ -303,7 +363,7 @@ def _rate_columns(size: MotionSize) -> list[TableColumn[_Line]]:
 
 
 def _relative_columns(size: MotionSize) -> list[TableColumn[_Line]]:
-    """Return the columns of the relative uncertainty of amplitude and phase, where the size of the motion is known."""
+    """Return the columns of relative uncertainties, empty without the size of the motion."""
 
     def shown(line: _Line, factor: float) -> str:
         return "" if line.relative is None else _three_digits(factor * line.relative)
@@ -317,7 +377,7 @@ def _relative_columns(size: MotionSize) -> list[TableColumn[_Line]]:
 
 
 def _loss(line: _Line) -> str:
-    """Return what the exposure takes of an amplitude, in per cent."""
+    """Return the loss of amplitude by the exposure, in per cent."""
     return f"{100.0 * (1.0 - line.gain):.3f}"
 
 
@@ -333,14 +393,14 @@ def _three_digits(value: float) -> str:
 
 
 def _shown_noise(size: MotionSize) -> tuple[float, str]:
-    """Return the noise of one frame in a readable unit, and what stands behind u in a table's head."""
+    """Return the noise of one frame in a readable unit, and that unit."""
     if size.noise_m is None:
         return 1.0, ""
     factor, letter = prefix(np.array([0.1 * size.noise_m]))
     return size.noise_m / factor, f" / {letter}m"
 
 
-# What `shakercal plan` prints: the rates of every frequency, the fewest that serve all, or what one rate does.
+# Output of `shakercal plan`: the rates of every frequency, the smallest common set, or the effect of one rate.
 
 
 def print_plan(plan: Plan) -> None:
@@ -365,16 +425,16 @@ def print_plan(plan: Plan) -> None:
     unit = " in units of the noise of one frame" if request.size.noise_m is None else ""
     print_text(
         f"u: standard uncertainty (k = 1) of an amplitude{unit}, of the fundamental and of the worst line; "
-        "over the amplitude it is that of the phase in rad",
+        "relative to the amplitude it is that of the phase in rad",
     )
     if not request.size.is_whole:
         print_text("(--noise with --amplitude or --acceleration gives numbers)")
-    apart = "apart: smallest distance of two lines as the camera sees them, in bins of rate/frames"
-    print_text(f"{apart} ({CLEAR_BINS:g} needed); loss: of amplitude, by exposure (a run corrects it)")
+    distance_text = "distance: smallest one of two aliased lines, in bins of rate/frames"
+    print_text(f"{distance_text} ({CLEAR_BINS:g} required); loss: of amplitude, by exposure (a run corrects it)")
 
 
 def _boxed(title: str, columns: Sequence[TableColumn[R]], sections: Sequence[Sequence[R]], width: int) -> Table:
-    """Return a table for a terminal of some width, its sections with a line between them."""
+    """Return a table for a terminal of some width, with a line between its sections."""
     from rich.table import Table
 
     shown = [column for column in columns if column.head is not None]
@@ -391,7 +451,7 @@ def _boxed(title: str, columns: Sequence[TableColumn[R]], sections: Sequence[Seq
 
 
 def _print_choices(console: Console, plan: Plan) -> None:
-    """Print the rates of every point, and the fewest that serve all."""
+    """Print the rates of every point, and the smallest common set."""
     size, points, settle_s = plan.request.size, plan.points, plan.request.settle_s
     columns = _rate_columns(size)
     excited = [_range(point.lines.fundamentals_hz) for point in points]
@@ -415,10 +475,10 @@ def _print_choices(console: Console, plan: Plan) -> None:
     ]
     if sections:
         console.print(_boxed("Camera rates, best first", columns, sections, console.width))
-    fewer = "fewer harmonics, or know the frequencies better (--tolerance)"
+    fewer = "fewer harmonics, or more exact frequencies (--tolerance)"
     for name, point in zip(excited, points, strict=True):
         if not point.choices:
-            print_text(f"{name} Hz: no such rate keeps all lines apart; take more frames or {fewer}")
+            print_text(f"{name} Hz: no such rate separates all lines; use more frames or {fewer}")
     first = [point.choices[0] for point in points if point.choices]
     if len(points) > 1 and first:
         print_text(served(first, "each at its first rate"))
@@ -442,13 +502,13 @@ def _print_lines(console: Console, size: MotionSize, plan: RatePlan) -> None:
 
 
 def _print_explained(console: Console, size: MotionSize, point: PlanPoint) -> None:
-    """Print what the given rate does to one point, line by line."""
+    """Print the effect of the given rate on one point, line by line."""
     (plan,) = point.choices
     for frequency, alias in zip(plan.lines.frequency_hz, plan.alias_hz, strict=True):
-        if frequency in plan.lines.fundamentals_hz:  # so many turns between two frames and a bit: so slow a beat
+        if frequency in plan.lines.fundamentals_hz:  # whole periods between two frames and a rest: a slow beat
             turns = round(frequency / plan.rate_hz)
             sign = "+" if frequency >= turns * plan.rate_hz else "-"
-            seen = "as it is" if turns == 0 else f"as a beat of {alias:.3f} Hz"
+            seen = "directly" if turns == 0 else f"as a beat of {alias:.3f} Hz"
             print_text(
                 f"{frequency:.9g} Hz = {turns} × {plan.rate_hz:.9g} Hz {sign} {alias:.3f} Hz: seen {seen}, "
                 f"{alias * plan.duration_s:.2f} periods in {plan.duration_s:.2f} s",
@@ -467,12 +527,12 @@ def _print_explained(console: Console, size: MotionSize, point: PlanPoint) -> No
                 "change of rate brings its mirror image onto it",
             )
     if plan.distance_bins < CLEAR_BINS:
-        print_text(f"lines are only {plan.distance_bins:.2f} bins apart: {CLEAR_BINS:g} are needed to tell them apart")
+        print_text(f"lines are only {plan.distance_bins:.2f} bins apart: {CLEAR_BINS:g} are required to separate them")
     for other in plan.aliased_harmonics:
         name = f"harmonic {other.multiple} of {other.fundamental_hz:.9g} Hz, not fitted"
         print_text(f"{name}, is aliased to {other.alias_hz:.3f} Hz, within a bin of a line that is fitted")
     if point.nearby is not None:
         rate = point.nearby.rate_hz
         share = float(np.max(point.nearby.u_amplitude)) / float(np.max(plan.u_amplitude))
-        gain = f", worst u {share:.2g} times the present one" if share > 0.0 else ""
+        gain = f", worst u {share:.2g} times the given rate's" if share > 0.0 else ""
         print_text(f"Nearest good rate: {rate:.3f} Hz ({rate - plan.rate_hz:+.3f} Hz){gain}")

@@ -16,18 +16,21 @@ from shaker.lines.rate_planner import condition_over_rate, scan_rates
 from shaker.lines.spectrum import FIRST_BIN
 from shaker.sine.aliasing import MAX_CONDITION
 
-COLUMNS = 420  # of a panel; each shows the largest condition of the rates in it
-RATES_PER_COLUMN = 6
-TOP = 100.0  # where the axis ends
+COLUMNS = 420  # columns of a panel; each shows the largest condition of its rates
+RATES_PER_COLUMN = 6  # resolution within a column
+TOP = 100.0  # end of the axis
 PREFERRED_COLOUR = "#7cc9a6"
-POINTS = 1600  # of a spectrum
+POINTS = 1600  # points of a spectrum
 DETAILS = re.compile(r" of |[,(]|(?<=combination) ")
-"""Where the details of what a line is begin."""
-LABELLED = 12  # lines of a panel that are named, the highest
+"""Beginning of the details in the description of a line."""
+LABELLED = 12  # highest lines of a panel that are named
 
 
 def draw_plan(plan: Plan, kind: str) -> bytes:
-    """Draw condition number and uncertainty of every point over the camera rate, as a file (png, svg, pdf)."""
+    """Draw condition number and uncertainty of every point over the camera rate.
+
+    `kind` is the file format: png, svg or pdf.
+    """
     rates = np.linspace(*plan.request.limits_hz, COLUMNS * RATES_PER_COLUMN)
     height = 1.0 + (2.0 if len(plan.points) == 1 else 0.62 * len(plan.points))
     drawn = empty_figure("plan", height, len(plan.points))
@@ -38,9 +41,9 @@ def draw_plan(plan: Plan, kind: str) -> bytes:
 
 
 def _draw_point(panel: Panel, plan: Plan, index: int, rates: FloatArray) -> None:
-    """Condition (largest of each column) and uncertainty of one point, above where the fundamental is best seen.
+    """Draw condition (largest of each column) and uncertainty of one point.
 
-    Marks: the rates of this point, and those that serve several.
+    The band of the preferred alias frequencies, the rates of this point, and common rates are marked.
     """
     point, sampling = plan.points[index], plan.request.sampling
     scan = scan_rates(point.lines, rates, sampling)
@@ -70,7 +73,10 @@ def _draw_point(panel: Panel, plan: Plan, index: int, rates: FloatArray) -> None
 
 
 def draw_lines(lists: Sequence[ChannelLines], kind: str) -> bytes:
-    """Draw spectrum, noise floor and lines of every channel, as a file (png, svg, pdf)."""
+    """Draw spectrum, noise floor and lines of every channel.
+
+    `kind` is the file format: png, svg or pdf.
+    """
     panels = [(item, c) for item in lists for c in range(len(item.channels))]
     drawn = empty_figure("lines", 0.7 + 2.3 * len(panels), len(panels), shared_x=False)
     for panel, (item, c) in zip(drawn.panels, panels, strict=True):
@@ -80,7 +86,7 @@ def draw_lines(lists: Sequence[ChannelLines], kind: str) -> bytes:
 
 
 def _draw_channel(panel: Panel, item: ChannelLines, c: int) -> None:
-    """One channel's spectrum with its lines."""
+    """Draw one channel's spectrum with its lines."""
     if item.spectrum is None:
         raise ValueError("item: expected lines surveyed with `drawn`, found no spectrum")
     frequency, amplitude = item.spectrum.frequency_hz[FIRST_BIN:], item.spectrum.amplitude[FIRST_BIN:, c]
@@ -92,15 +98,17 @@ def _draw_channel(panel: Panel, item: ChannelLines, c: int) -> None:
         panel.line(floor_hz[above], floor[above, c], "noise floor", colour=BLACK, width=0.9)
     shown = [entry for entry in item.entries if np.isfinite(entry.amplitude[c])]
     for rank, entry in enumerate(sorted(shown, key=lambda entry: -float(entry.amplitude[c]))):
-        place = float(abs(entry.frequency_hz - item.rate_hz * round(entry.frequency_hz / item.rate_hz)))  # as sampled
+        frequency_hz = float(
+            abs(entry.frequency_hz - item.rate_hz * round(entry.frequency_hz / item.rate_hz))
+        )  # as sampled
         colour, label = (ORANGE, "unexplained") if entry.what.startswith("unexplained") else (GREY, "other lines")
         if entry.use == "fitted" or (not entry.use and entry.what.startswith("fundamental")):
             colour, label = RED, "driven, fitted"
         height = float(entry.amplitude[c])
-        panel.points(place, height, label, marker="inverted_triangle", colour=colour, size=4.0)
+        panel.points(frequency_hz, height, label, marker="inverted_triangle", colour=colour, size=4.0)
         if rank < LABELLED:
             text = f"{entry.frequency_hz:.5g} {DETAILS.split(entry.what)[0].strip()}"
-            panel.text(place, height, text, colour=colour, offset_px=(0.0, 5.0), upright=True)
+            panel.text(frequency_hz, height, text, colour=colour, offset_px=(0.0, 5.0), upright=True)
     lowest = floor[:, c] if len(floor_hz) else amplitude[amplitude > 0.0]
     panel.x.log = panel.y.log = True
     panel.x.limits = (float(frequency[0]), float(frequency[-1]))

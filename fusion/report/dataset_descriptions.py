@@ -1,4 +1,4 @@
-"""What stands in HDF5 files of results, told in the files: unit, name in words and named axes of every data set."""
+"""Unit, description and named axes of every data set in result files."""
 
 from __future__ import annotations
 
@@ -15,10 +15,11 @@ from shaker.labels import AXES, LOAD_COMPONENTS, LOAD_UNITS, MOTION_COMPONENTS, 
 
 
 class DatasetDescription(NamedTuple):
-    """What is told of a data set: names of its axes, its unit, its name in words; empty: by the rules below.
+    """Description of a data set; an empty field is filled by rules.
 
-    `axes`: of a data set of one axis in the group or above it, else any name. `unit`: ASCII; `value` for that of the
-    values of its group, `squared` for the products of those, `.` for the unit of each row in `unit` beside it.
+    `axes`: names of its axes. A name refers to the data set of one axis in the group or above it. `unit`: ASCII;
+    `value` for the unit of the group's values, `squared` for products of these, `.` for one unit per row as in the data
+    set `unit`. `text`: name in words.
     """
 
     axes: str = ""
@@ -32,12 +33,12 @@ SPREAD = {
     "u": "standard deviation of the draws",
     "low": "lower end of the 95 % interval",
     "high": "upper end of the 95 % interval",
-    "u_end": "standard uncertainty of the ends, of so many draws",
+    "u_end": "standard uncertainty of the ends by the number of draws",
     "first_u": "standard uncertainty by first order",
     "first_low": "lower end of the 95 % interval by first order",
     "first_high": "upper end of the 95 % interval by first order",
 }
-"""What is told of the draws of a real quantity."""
+"""Descriptions of the statistics of Monte Carlo draws of a real quantity."""
 DATASETS = {
     "frequency_hz": DatasetDescription(K, "Hz", "frequency"),
     "u_frequency_hz": DatasetDescription(K),
@@ -54,12 +55,12 @@ DATASETS = {
     "observed": DatasetDescription(KC, "1", "whether the component is a result"),
     "disputed": DatasetDescription(KC, "1", "whether instruments contradict each other in the component"),
     "assumed": DatasetDescription(
-        KC, "value", "largest amplitude of a component that nobody observes, infinite without a limit"
+        KC, "value", "largest amplitude of an unobserved component, infinite without a limit"
     ),
     "driven": DatasetDescription(K, "m/s^2", "largest amplitude of the driven motion, infinite without a limit"),
     "drive": DatasetDescription("motion", "1", "driven motion, rotations times 0.1 m, a unit vector"),
     "leaked": DatasetDescription(
-        "frequency_hz row column", "value", "what one u of unobserved motion adds to [Re, Im]"
+        "frequency_hz row column", "value", "contribution of one u of unobserved motion to [Re, Im]"
     ),
     "instruments": DatasetDescription("instruments"),
     "capacity": DatasetDescription("components", "load", "rated loads"),
@@ -72,7 +73,7 @@ DATASETS = {
         "element of", "1", "number of channel and of component (0 to 5: Fx to Mz) of each element"
     ),
     "half_axis": DatasetDescription("channels components", "1", "larger half axis of the 95 % region"),
-    "holds_zero": DatasetDescription("channels components", "1", "whether the 95 % region holds zero"),
+    "holds_zero": DatasetDescription("channels components", "1", "whether the 95 % region includes zero"),
     "main": DatasetDescription("channels", "1", "number of the main component (0 to 5: Fx to Mz)"),
     "load_size": DatasetDescription("components", "load", "largest loads of the recordings"),
     "effect": DatasetDescription(
@@ -85,14 +86,12 @@ DATASETS = {
     "unknowns/u": DatasetDescription("name", ".", "standard uncertainty of the unknown"),
     "unknowns/estimate": DatasetDescription("name", "1", "estimate of the unknown over its u"),
     "unknowns/remaining": DatasetDescription("name", "1", "u after the estimate over u before"),
-    "unknowns/recordings": DatasetDescription("name", "1", "number of recordings that tell of the unknown"),
+    "unknowns/recordings": DatasetDescription("name", "1", "number of recordings that determine the unknown"),
     "posterior": DatasetDescription(
         "unknown unknown_of", "1", "covariance of the unknowns after the estimate, in their u"
     ),
-    "products": DatasetDescription(
-        "unknown", "1", "by how much each unknown acts otherwise than to first order, in its u"
-    ),
-    "both": DatasetDescription("both", text="unknowns that act on the load through the motion and by themselves"),
+    "products": DatasetDescription("unknown", "1", "second-order effect of each unknown, in its u"),
+    "both": DatasetDescription("both", text="unknowns that act on the load through the motion and directly"),
     "consistency/*": DatasetDescription("instrument"),
     "consistency/channels": DatasetDescription("instrument", "1", "number of channels"),
     "consistency/normalised_deviation": DatasetDescription("instrument", "1", "normalised deviation from all others"),
@@ -106,7 +105,7 @@ DATASETS = {
     "unnoticed/shift": DatasetDescription("case", "1", "shift of the component over its U"),
     "notices/*": DatasetDescription("notice"),
     "evidence/*": DatasetDescription("input"),
-    "evidence/value": DatasetDescription("input", ".", "value of the input as it is stated"),
+    "evidence/value": DatasetDescription("input", ".", "stated value of the input"),
     "evidence/u": DatasetDescription("input", ".", "standard uncertainty of the unknown"),
     "scatter/*/amplitude": DatasetDescription(K, "1", "scatter in phase with the reading, relative to the motion"),
     "scatter/*/phase": DatasetDescription(K, "rad", "scatter at right angles to the reading, relative to the motion"),
@@ -139,15 +138,15 @@ DATASETS = {
     "motion/points": DatasetDescription("time_s", "1", "number of points used"),
     "motion_from_mean/points": DatasetDescription("time_s", "1", "number of points used"),
     "stereo/*/residual": DatasetDescription(
-        "time_s channels", "value", "what the sine approximation leaves of the pose"
+        "time_s channels", "value", "residual of the sine approximation of the pose"
     ),
-    "usable": DatasetDescription("line", "1", "whether the rate of the camera can tell the line apart"),
-    "subsets_px": DatasetDescription("subset coordinate", text="place of the subsets in the first left image"),
+    "usable": DatasetDescription("line", "1", "whether the camera rate resolves the line"),
+    "subsets_px": DatasetDescription("subset coordinate", text="position of the subsets in the first left image"),
     "sigma_px": DatasetDescription("of", text="median standard deviation of a subset's coordinate: predicted, found"),
     "read_variance_grey2": DatasetDescription("camera", "1", "variance of the dark sensor in grey values squared"),
     "variance_per_grey": DatasetDescription("camera", "1", "variance per grey value"),
     "deflection/value": DatasetDescription(
-        "frequency_hz point axis", "m", "deflection beside the rigid motion, peak phasors"
+        "frequency_hz point axis", "m", "deflection in addition to the rigid motion, peak phasors"
     ),
     "deflection/u": DatasetDescription("frequency_hz point axis", "m", "standard uncertainty of either part"),
     "shapes/effects": DatasetDescription(
@@ -158,22 +157,22 @@ DATASETS = {
     ),
     "shapes/f": DatasetDescription(K, "1", "F of the amplitudes of all shapes against a rigid body"),
     "shapes/chance": DatasetDescription(K, "1", "chance of an F as large on a rigid body"),
-    "shapes/modes": DatasetDescription("", "1", "number of independent shapes that stand out"),
-    "reference_m": DatasetDescription("point axis", text="place of the points at rest"),
+    "shapes/modes": DatasetDescription("", "1", "number of significant independent shapes"),
+    "reference_m": DatasetDescription("point axis", text="position of the points at rest"),
     "course_px": DatasetDescription("time_s share", text="epipolar residual: mean, change along x, change along y"),
     "u_course_px": DatasetDescription("time_s share", text="standard uncertainty of the epipolar residual"),
     "pattern_px": DatasetDescription(
         "share", text="epipolar residual of the recording: mean, change along x, change along y"
     ),
     "pattern_covariance": DatasetDescription(
-        "share share_of", "px^2", "what calibration and matching explain of the pattern"
+        "share share_of", "px^2", "covariance of the pattern by calibration and matching"
     ),
-    "position_px": DatasetDescription("point coordinate", text="mean place of the points in the left image"),
+    "position_px": DatasetDescription("point coordinate", text="mean position of the points in the left image"),
     "residual_px": DatasetDescription("point", text="mean epipolar residual of the points"),
     "offset": DatasetDescription("channels", "value", "offset"),
     "offset_covariance": DatasetDescription("channels component", "squared", "covariance of the offset"),
     "drift_per_s": DatasetDescription("channels", "value/s", "drift"),
-    "residual_rms": DatasetDescription("channels", "value", "rms of what the sines leave"),
+    "residual_rms": DatasetDescription("channels", "value", "rms residual of the sine approximation"),
     "decay_per_s": DatasetDescription(K, "1/s", "decay of the line"),
     "u_decay_per_s": DatasetDescription(K, "1/s"),
     "slopes": DatasetDescription("set row column", "1", "share of the lines' parts times time that the fit follows"),
@@ -186,29 +185,29 @@ DATASETS = {
     "origin": DatasetDescription(K),
     "floor": DatasetDescription("floor_hz channel", EACH, "noise floor as amplitude per bin"),
     "floor_hz": DatasetDescription("floor_hz", text="frequency of the noise floor"),
-    "nuisance_hz": DatasetDescription("nuisance_hz", text="lines fitted beside those of the recording"),
+    "nuisance_hz": DatasetDescription("nuisance_hz", text="lines fitted in addition to those of the recording"),
     "trigger/number": DatasetDescription("number", "1", "number of the edge"),
     **{f"trigger/{name}": DatasetDescription("number") for name in ("edge_s", "lower_s", "upper_s", "correction_s")},
     "trigger/missing": DatasetDescription("missed", "1", "numbers without an edge"),
     "trigger/covariance": DatasetDescription("parameter other", "s^2", "covariance of start_s and period_s"),
     "trigger/known_period_s": DatasetDescription(
-        "parts", text="period as known otherwise than by its edges, and its u"
+        "parts", text="period known from other sources than its edges, and its u"
     ),
     "tie/follows": DatasetDescription(
-        "parameter other", "[s, 1]/s", "what errors of the first start_s and period_s make of it"
+        "parameter other", "[s, 1]/s", "effect of errors of the first start_s and period_s"
     ),
     "tie/beside": DatasetDescription("parameter other", "[s, 1]^2", "covariance of the rest"),
     "tie/covariance": DatasetDescription("parameter other", "[s, 1]^2", "covariance of offset_s and rate"),
-    "tie/noise": DatasetDescription("parameter other", "[s, 1]^2", "its part that the noise of the edges makes"),
+    "tie/noise": DatasetDescription("parameter other", "[s, 1]^2", "its part by the noise of the edges"),
     "axes": DatasetDescription("across axis", "1", "directions across that of the points"),
     "place_m": DatasetDescription("channels across", text="lever arms of the points"),
     "plane": DatasetDescription(
         "frequency_hz plane_of", "[m/s^2, rad/s^2, rad/s^2]", "mean and angular accelerations of the points"
     ),
-    "points/*/residual": DatasetDescription(KC, "m/s^2", "what the plane leaves"),
+    "points/*/residual": DatasetDescription(KC, "m/s^2", "residual of the plane"),
     "fused": DatasetDescription(K, "value", "output over the load of the fused motion"),
     "set_ups/*/value": DatasetDescription(K, EACH, "phasors of the reference channel"),
-    "supports/*/observed": DatasetDescription(KC, "1", "whether the references tell the component by themselves"),
+    "supports/*/observed": DatasetDescription(KC, "1", "whether the references alone determine the component"),
     "supports/*/measured_mps2": DatasetDescription(
         K, "m/s^2", "largest translation that the instruments on it measure"
     ),
@@ -219,7 +218,7 @@ DATASETS = {
     "u_drift": DatasetDescription(K, "1"),
     "results/*/elements": DatasetDescription("elements"),
     "results/*/unit": DatasetDescription("elements"),
-    "results/*/value": DatasetDescription(KQ, "value", "values that the draws are about"),
+    "results/*/value": DatasetDescription(KQ, "value", "values of the evaluation"),
     "results/*/mean": DatasetDescription(KQ, "value", "mean of the draws"),
     "results/*/covariance": DatasetDescription(f"{KQ} part part_of", "[unit]^2", "covariance of (Re, Im) of the draws"),
     "results/*/first_covariance": DatasetDescription(
@@ -252,7 +251,7 @@ DATASETS = {
     "slope": DatasetDescription("channels", "1/driven", "relative change per unit of load"),
     "change": DatasetDescription("channels", "1", "relative change from the smallest to the largest amplitude"),
     "linearity/*/covariance": DatasetDescription("channels part part_of", "1", "covariance of (Re, Im) of the change"),
-    "linear": DatasetDescription("channels", "1", "whether the 95 % region of the change holds zero"),
+    "linear": DatasetDescription("channels", "1", "whether the 95 % region of the change includes zero"),
     "matrices/*/value": DatasetDescription("channels components", "value", "complex 6x6 matrix"),
     "singular": DatasetDescription("independent", "1", "independent loads in their standard uncertainties"),
     "excitation/share": DatasetDescription("independent", "1", "singular values relative to the largest"),
@@ -261,10 +260,10 @@ DATASETS = {
     "agreement/readings": DatasetDescription("drive", "1", "number of readings"),
     "agreement/frequency_hz": DatasetDescription("drive", "Hz", "frequency"),
     "cross_talks/*/value": DatasetDescription(
-        "channels components", "1", "output under a rated load over that under its own"
+        "channels components", "1", "output under a rated load over that under its main rated load"
     ),
 }
-"""By the tail of the path: the longest that fits counts, `*` stands for any name."""
+"""Descriptions by the end of the path: the longest match counts, `*` matches any name."""
 _TAILS: dict[str, list[list[str]]] = {}
 for _name in DATASETS:
     _TAILS.setdefault(_name.rpartition("/")[2], []).append(_name.split("/"))
@@ -273,9 +272,9 @@ SUFFIXES = {
     "_rad_per_s": "rad/s", "_per_s": "1/s", "_hz": "Hz", "_rad": "rad", "_s": "s", "_m": "m", "_m2": "m^2",
     "_px": "px", "_kg": "kg", "_n": "N", "_relative": "1", "_db": "dB",
 }  # fmt: skip
-"""Units that the names of fields end with."""
+"""Units by the ending of a field's name."""
 PHASORS = {"frequency_hz", "value", "covariance", "channels", "unit"}
-"""What a group of phasors holds, in whatever file."""
+"""Members of a group of phasors, in any file."""
 
 
 OTHERS = {
@@ -285,7 +284,9 @@ OTHERS = {
     "dof": DatasetDescription(unit="1", text="degrees of freedom"),
     "averages": DatasetDescription(unit="1", text="number of averages"),
     "coherence": DatasetDescription(unit="1", text="coherence with the reference"),
-    "line_correlation": DatasetDescription(unit="1", text="correlation of the noise of lines so many bins apart"),
+    "line_correlation": DatasetDescription(
+        unit="1", text="correlation of the noise of lines by their distance in bins"
+    ),
     "relative": DatasetDescription(unit="1", text="relative change for one u of the error"),
     "correlation": DatasetDescription(unit="1", text="correlation of the estimates"),
     "direction": DatasetDescription(unit="1", text="direction in the sensor frame"),
@@ -293,54 +294,58 @@ OTHERS = {
     "estimate": DatasetDescription(unit="1", text="estimate of the unknown over its u"),
     "remaining": DatasetDescription(unit="1", text="u after the estimate over u before"),
 }
-"""What is told of the data sets of other commands, by their names alone; `.` where `unit` beside it has as many."""
+"""Descriptions of data sets of other commands by name; `.` if `unit` in the same group has as many rows."""
 OVER = ("frequency_hz", "time_s")
-"""Axes of these, where they stand beside a data set as long."""
+"""Axes of data sets of the same length in the same group."""
 
 
 def describe(top: Group) -> None:
-    """Give every data set `units` and `long_name` as far as they are known, and its axes names as dimension scales.
+    """Set `units`, `long_name` and dimension scales of every data set.
 
-    `units` is ASCII: one unit, `[a, b]` where they differ along the last axis (for Re and again for Im where that is
-    twice as long), `[a, b]^2` for products of the units of row and column, `[unit]` where `unit` beside it has them.
-    Files of other commands say so of their phasors, and of what names say by themselves.
+    `units` is ASCII: one unit; `[a, b]` if they differ along the last axis (for Re and again for Im if that is twice as
+    long); `[a, b]^2` for products of the units of row and column; `[unit]` if the data set `unit` has them. In files of
+    other commands only phasors and names with a known ending or meaning are described.
     """
     whole = "mounting" in top.attrs or "curves" in top
     for path, group, data in sorted(top.datasets(), key=lambda one: (one[0].count("/"), len(one[2].shape), one[0])):
-        own, shape = path.rpartition("/")[2], data.shape
-        known = whole or set(group.inside) >= PHASORS
-        told = _told(path) if known else OTHERS.get(own, DatasetDescription())
+        field, shape = path.rpartition("/")[2], data.shape
+        described = whole or set(group.inside) >= PHASORS
+        description = _description(path) if described else OTHERS.get(field, DatasetDescription())
         if data.numbers:
-            unit = _unit(group, own, shape, told)
+            unit = _unit(group, field, shape, description)
             if unit:
                 data.attrs["units"] = unit
-        data.attrs["long_name"] = told.text or _words(path)
-        names = told.axes.split() if known else [name for name in OVER if _along(group, own, shape, name)]
-        if not known and not names:
+        data.attrs["long_name"] = description.text or _words(path)
+        axes = (
+            description.axes.split()
+            if described
+            else [name for name in OVER if _has_coordinates(group, field, shape, name)]
+        )
+        if not described and not axes:
             continue
-        if len(names) != len(shape):
-            rest = [own] if len(shape) == 1 else [f"{own}_{axis + 1}" for axis in range(len(shape))]
-            names = rest if known else [*names[:1], *rest[1:]]
-        for axis, name in enumerate(names):
+        if len(axes) != len(shape):
+            free_axes = [field] if len(shape) == 1 else [f"{field}_{axis + 1}" for axis in range(len(shape))]
+            axes = free_axes if described else [*axes[:1], *free_axes[1:]]
+        for axis, name in enumerate(axes):
             scale = _scale(group, name, shape[axis])
             if scale is not data:
                 data.attach(axis, scale)
 
 
-def _along(group: Group, own: str, shape: tuple[int, ...], name: str) -> bool:
-    """Whether the first axis of a data set is what a data set of this name beside it says."""
-    beside = group.get(name)
-    return isinstance(beside, Data) and own != name and len(shape) > 0 and beside.shape == shape[:1]
+def _has_coordinates(group: Group, field: str, shape: tuple[int, ...], name: str) -> bool:
+    """Return whether the data set of this name has the coordinates of the first axis."""
+    coordinates = group.get(name)
+    return isinstance(coordinates, Data) and field != name and len(shape) > 0 and coordinates.shape == shape[:1]
 
 
-def _told(path: str) -> DatasetDescription:
-    """Return what the table has of a path: of the longest tail that fits, one without `*` before one with it."""
-    return _told_of(tuple(path.strip("/").split("/")[-_LONGEST:]))
+def _description(path: str) -> DatasetDescription:
+    """Return the description for the longest match of a path, one without `*` first."""
+    return _longest_match(tuple(path.strip("/").split("/")[-_LONGEST:]))
 
 
 @cache
-def _told_of(names: tuple[str, ...]) -> DatasetDescription:
-    """Return what the table has of the last names of a path."""
+def _longest_match(names: tuple[str, ...]) -> DatasetDescription:
+    """Return the description for the last names of a path."""
     parts = [re.sub(r"^\w+_uncertainty$", "uncertainty", part) for part in names]
     fitting = [
         tail
@@ -359,11 +364,11 @@ def _words(path: str) -> str:
     return re.sub("^u(?: |$)", "standard uncertainty of the ", text).removesuffix(" of the ")
 
 
-# Units: those of the values of a group, from what it says of itself.
+# Units of the values of a group, from its members.
 
 
-def _unit(group: Group, name: str, shape: tuple[int, ...], told: DatasetDescription) -> str:
-    """Return the unit of a data set, empty where nothing tells it."""
+def _unit(group: Group, name: str, shape: tuple[int, ...], description: DatasetDescription) -> str:
+    """Return the unit of a data set, empty if unknown."""
     rules: dict[str, Callable[[], str]] = {
         "": lambda: next((unit for suffix, unit in SUFFIXES.items() if name.endswith(suffix)), ""),
         ".": lambda: _listed(group["unit"].values, "[unit]") if group["unit"].shape[0] == shape[-1] else "",
@@ -381,18 +386,18 @@ def _unit(group: Group, name: str, shape: tuple[int, ...], told: DatasetDescript
         return _units_of_values(group)
 
     try:
-        return rules[told.unit]() if told.unit in rules else told.unit
-    except KeyError:  # nothing here says of which unit
+        return rules[description.unit]() if description.unit in rules else description.unit
+    except KeyError:  # the group has no unit
         return ""
 
 
 def _squared(listed: str) -> str:
-    """Return what products of these units have."""
+    """Return the unit of products."""
     return listed if listed in ("", "1") else f"{listed}^2" if listed[0] == "[" else f"({listed})^2"
 
 
 def _is_matrix(group: Group) -> bool:
-    """Whether the values of a group stand over channels and load components."""
+    """Return whether the values of a group are over channels and load components."""
     top = group.name.split("/")
     return "uncertainty" not in top and (top[1:2] == ["matrices"] or top[1:] in (["sensitivity"], ["element"]))
 
@@ -403,24 +408,24 @@ def _sensitivity_units(group: Group) -> list[str]:
 
 
 def _listed(units: Iterable[str], several: str = "") -> str:
-    """Return the one unit of all, else `several`, by default all in brackets."""
+    """Return the common unit, else `several`, by default all units in brackets."""
     units = [str(unit) for unit in units]
     return units[0] if len(set(units)) == 1 else (several or f"[{', '.join(units)}]") if units else ""
 
 
 def _output_unit(group: Group) -> str:
-    """Return the unit of the outputs that sensitivities of a group are of."""
+    """Return the unit of the outputs of a group's sensitivities."""
     return str(group.attrs.get("unit", group.top["sensor"].attrs["unit"] if "sensor" in group.top else ""))
 
 
 def _owner(group: Group) -> tuple[Group, str]:
-    """Return the group whose values an uncertainty is of, and which of its values (`plane`, `residual`)."""
+    """Return the group whose uncertainty this is, and which of its values (`plane`, `residual`)."""
     found = re.match(r"(.*)/(?:(\w+)_)?uncertainty(/.*)?$", group.name)
     return (group.top[found[1].strip("/")], found[2] or "") if found else (group, "")
 
 
 def _units_of_values(group: Group) -> list[str]:
-    """Return the unit of each value of a group, or of what an uncertainty or a group of details belongs to."""
+    """Return the units of the values of a group or of its parent."""
     owner, which = _owner(group)
     top = owner.name.split("/")[1:]
     stated = next((inner for inner in ("unit", "phasors/unit") if inner in owner), None)
@@ -453,9 +458,12 @@ def _units_of_values(group: Group) -> list[str]:
 # Axes: coordinates of the group or of those above it, labels, or a length alone.
 
 
-def _scale(own: Group, name: str, length: int) -> Data:
-    """Return the dimension scale of an axis: of the data set's group, or of one above it, made where there is none."""
-    group = own
+def _scale(start: Group, name: str, length: int) -> Data:
+    """Return the dimension scale of an axis from this group or one above it.
+
+    Create it if missing.
+    """
+    group = start
     while True:
         near = group.get(name)
         if isinstance(near, Data) and near.shape == (length,):
@@ -464,8 +472,8 @@ def _scale(own: Group, name: str, length: int) -> Data:
         if group is group.top:
             break
         group = group.parent
-    free = next(text for text in (name, *(f"{name}_{number}" for number in range(2, 99))) if text not in own)
-    values = _coordinate(own, name, length)
+    free = next(text for text in (name, *(f"{name}_{number}" for number in range(2, 99))) if text not in start)
+    values = _coordinate(start, name, length)
     if values is None:
         scale = Data(np.zeros(length, ">f4"), stored=False)
         scale.scale = f"This is a netCDF dimension but not a netCDF variable. {length:9d}"
@@ -477,16 +485,19 @@ def _scale(own: Group, name: str, length: int) -> Data:
         )
         if scale.numbers:
             scale.attrs["units"] = "Hz"
-    own.inside[free] = scale
+    start.inside[free] = scale
     return scale
 
 
 def _coordinate(group: Group, name: str, length: int) -> Any:
-    """Return what an axis says at each place, None where nothing does."""
+    """Return the coordinates of an axis, None if only its length is known."""
     owner, which = _owner(group)
     labels = _labels(owner, which) if name in ("row", "column", "element") else []
-    places = [owner, *(owner[inner] for inner in ("phasors", "fit/phasors") if inner in owner)]
-    found: Any = next((place[name] for place in places if name in place and place[name].shape == (length,)), None)
+    groups = [owner, *(owner[inner] for inner in ("phasors", "fit/phasors") if inner in owner)]
+    found: Any = next(
+        (inner_group[name] for inner_group in groups if name in inner_group and inner_group[name].shape == (length,)),
+        None,
+    )
     if name in ("row", "column"):
         values: Any = [f"{part} {label}" for part in ("Re", "Im") for label in labels]
     elif name == "element":

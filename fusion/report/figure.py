@@ -1,9 +1,4 @@
-"""A figure as data: panels with axes and marks.
-
-`figures.js` draws it in the browser, `fusion.report.static_figure` as SVG, `fusion.report.figure_files` as other files.
-
-What a figure shows is said here once; nothing of how either of them draws it.
-"""
+"""Description of a figure: panels, axes and marks, independent of the program that draws it."""
 
 from __future__ import annotations
 
@@ -39,7 +34,10 @@ Along = Literal["x", "y"]
 
 @dataclass(frozen=True)
 class Scale:
-    """Colours of values between two limits: a name (viridis, Blues, RdBu) or colours at equal steps, and its label."""
+    """Colours of values from `low` to `high`: a name, or colours at equal steps.
+
+    With a `label` a colour bar is drawn.
+    """
 
     colours: str | tuple[str, ...]
     low: float
@@ -50,7 +48,7 @@ class Scale:
 
 @dataclass(frozen=True, kw_only=True)
 class Mark:
-    """What all marks have: the legend's name, by which it is shown and hidden, and a colour."""
+    """Part of a panel; `label` is its entry in the legend."""
 
     label: str = ""
     colour: str = BLUE
@@ -58,7 +56,10 @@ class Mark:
 
 @dataclass(frozen=True, kw_only=True)
 class Line(Mark):
-    """A line through points (N,); NaN interrupts it. `step`: level from each point to the next."""
+    """Line through points (N,); NaN interrupts it.
+
+    `step`: constant from each point to the next.
+    """
 
     x: FloatArray
     y: FloatArray
@@ -69,7 +70,10 @@ class Line(Mark):
 
 @dataclass(frozen=True, kw_only=True)
 class Points(Mark):
-    """Markers at (N,), with bars of half lengths `half_x`, `half_y` (U), names to hover, and colours by `values`."""
+    """Markers at (N,) with optional error bars, names and colours.
+
+    `half_x`, `half_y`: half lengths of the bars (U). `names`: shown by the pointer. `values`: coloured by `scale`.
+    """
 
     x: FloatArray
     y: FloatArray
@@ -134,7 +138,10 @@ class Ellipses(Mark):
 
 @dataclass(frozen=True, kw_only=True)
 class Boxes(Mark):
-    """Rectangles (N,): bars, classes of a histogram, cells of a map; filled, in one colour or by `values`, or open."""
+    """Rectangles (N,): bars, classes of a histogram or cells of a map.
+
+    They are filled in one colour or by `values`, or only outlined.
+    """
 
     left: FloatArray
     right: FloatArray
@@ -158,7 +165,10 @@ class Arrows(Mark):
 
 @dataclass(frozen=True, kw_only=True)
 class Texts(Mark):
-    """Texts at (N,), `align` left, center or right of it, `offset_px` (across, up) away; `upright`: read upwards."""
+    """Texts at (N,).
+
+    `align`: left of, centred at or right of the point; `offset_px`: shift across and up; `upright`: read upwards.
+    """
 
     x: FloatArray
     y: FloatArray
@@ -170,7 +180,7 @@ class Texts(Mark):
 
 @dataclass(frozen=True, kw_only=True)
 class Image(Mark):
-    """A grey picture (rows, columns) of bytes that fills x from `left` to `right` and y from `top` to `bottom`."""
+    """Grey image (rows, columns) of bytes that fills a rectangle of the axes."""
 
     grey: NDArray[np.uint8]
     left: float
@@ -183,9 +193,9 @@ class Image(Mark):
 class PanelAxis:
     """One axis of a panel.
 
-    `limits`: of what is shown, the first at the left or below; without them all marks. `names`: of the places 0, 1, …;
-    `ticks`: where numbers stand. `second`: label, zero and factor of a second scale, factor·(value - zero). `link`:
-    axes of this name move together, over all figures of a page.
+    `limits`: first and last value, the first at the left or below; by default those of all marks. `names`: labels at 0,
+    1, …; `ticks`: values with numbers. `second`: label, zero and factor of a second scale, factor·(value - zero).
+    `link`: axes of this name move together in all figures of a page.
     """
 
     label: str = ""
@@ -200,7 +210,10 @@ class PanelAxis:
 
 @dataclass
 class Panel:
-    """One pair of axes and the marks in it, drawn in their order. `blank`: nothing but its texts."""
+    """One pair of axes and its marks in drawing order.
+
+    `blank`: only its texts are shown.
+    """
 
     title: str = ""
     x: PanelAxis = field(default_factory=PanelAxis)
@@ -210,12 +223,12 @@ class Panel:
     blank: bool = False
 
     def line(self, x: ArrayLike, y: ArrayLike, label: str = "", **look: Any) -> None:
-        """Add a `Line`; of one with very many points the extremes of each of its stretches."""
+        """Add a `Line`; of very many points only the extremes of each stretch."""
         x, y = extremes(_row(x), _row(y))
         self.marks.append(Line(label=label, x=x, y=y, **look))
 
     def points(self, x: ArrayLike, y: ArrayLike, label: str = "", **look: Any) -> None:
-        """Add `Points`; a bar of one length for all may be a number."""
+        """Add a `Points`; one bar length for all points may be a number."""
         x, y = _row(x), _row(y)
         for name in ("half_x", "half_y", "values"):
             if look.get(name) is not None:
@@ -233,12 +246,12 @@ class Panel:
         self.marks.append(Band(label=label, x=x, **ends, **look))
 
     def span(self, low: float, high: float, label: str = "", **look: Any) -> None:
-        """Add a `Span`, light grey without a colour, faint in one."""
+        """Add a `Span`; its default colour is light grey."""
         plain: dict[str, Any] = {"colour": LIGHT, "opacity": 0.15 if "colour" in look else 0.5}
         self.marks.append(Span(label=label, low=float(low), high=float(high), **(plain | look)))
 
     def rule(self, at: ArrayLike, label: str = "", **look: Any) -> None:
-        """Add a `Rule`, black without a colour; none without values."""
+        """Add a `Rule`; its default colour is black. Without values there is no mark."""
         at = _row(at)
         if len(at):
             self.marks.append(Rule(label=label, at=at, **{"colour": BLACK, **look}))
@@ -248,8 +261,8 @@ class Panel:
     ) -> None:
         """Add one ellipse about a complex value with its half-axes."""
         width, height = (_row(2.0 * axis) for axis in axes)
-        place: Any = {"x": _row(centre.real), "y": _row(centre.imag), "angle_rad": _row(angle_rad)}
-        self.marks.append(Ellipses(label=label, **place, width=width, height=height, **look))
+        centre_fields: Any = {"x": _row(centre.real), "y": _row(centre.imag), "angle_rad": _row(angle_rad)}
+        self.marks.append(Ellipses(label=label, **centre_fields, width=width, height=height, **look))
 
     def boxes(
         self, x: tuple[ArrayLike, ArrayLike], y: tuple[ArrayLike, ArrayLike], label: str = "", **look: Any
@@ -266,15 +279,15 @@ class Panel:
         x, y = middle.T
         self.boxes((x - half, x + half), (y - half, y + half), label, **look)
 
-    def arrows(self, place: FloatArray, vector: FloatArray, label: str = "", **look: Any) -> None:
+    def arrows(self, position: FloatArray, vector: FloatArray, label: str = "", **look: Any) -> None:
         """Add `Arrows` from places (N, 2) by vectors (N, 2)."""
-        (x, y), (dx, dy) = np.asarray(place, np.float64).T, np.asarray(vector, np.float64).T
+        (x, y), (dx, dy) = np.asarray(position, np.float64).T, np.asarray(vector, np.float64).T
         self.marks.append(Arrows(label=label, x=x, y=y, dx=dx, dy=dy, **look))
 
     def text(self, x: ArrayLike, y: ArrayLike, texts: Sequence[str] | str, **look: Any) -> None:
         """Add `Texts`, black without a colour."""
-        told = (texts,) if isinstance(texts, str) else tuple(texts)
-        self.marks.append(Texts(x=_row(x), y=_row(y), texts=told, **{"colour": BLACK, **look}))
+        lines = (texts,) if isinstance(texts, str) else tuple(texts)
+        self.marks.append(Texts(x=_row(x), y=_row(y), texts=lines, **{"colour": BLACK, **look}))
 
     def image(self, grey: NDArray[np.uint8], across: tuple[float, float], down: tuple[float, float]) -> None:
         """Add an `Image` from `across` to `down` ends in the units of the axes."""
@@ -301,11 +314,11 @@ class Figure:
     main: bool = False
 
     def with_title(self, title: str, caption: str, *, main: bool = False) -> Figure:
-        """Return the figure, once its panels are drawn, with what stands beside it."""
+        """Return the figure with title and caption."""
         return replace(self, title=title, caption=caption, main=main)
 
     def json(self) -> str:
-        """Return the figure for `figures.js`, without what is at its default."""
+        """Return the figure as JSON for `figures.js`, without default values."""
         data = {
             "name": self.name,
             "title": self.title,
@@ -338,9 +351,10 @@ def empty_figure(
     shared_x: bool = True,
     shared_y: bool = False,
 ) -> Figure:
-    """Give a figure of empty panels that share their horizontal axis down a column, or their vertical one along a row.
+    """Return a figure of empty panels that share an axis.
 
-    `rows` and `columns`: how many, or their shares of height and width.
+    `rows` and `columns`: their numbers, or their shares of height and width. `shared_x`: one horizontal axis per
+    column. `shared_y`: one vertical axis per row.
     """
     heights, widths = ((1.0,) * part if isinstance(part, int) else tuple(part) for part in (rows, columns))
     panels = tuple(Panel() for _ in range(len(heights) * len(widths)))
@@ -370,7 +384,7 @@ _ENCODER = json.JSONEncoder(separators=(",", ":"), allow_nan=False)
 
 
 def _text(data: Any) -> str:
-    """Return JSON without blanks; of arrays few numbers to ten digits and many to seven, null for what is none."""
+    """Return JSON without blanks; few numbers with ten digits, many with seven, NaN as null."""
     if isinstance(data, dict):
         return f"{{{','.join(f'{_ENCODER.encode(name)}:{_text(value)}' for name, value in data.items())}}}"
     if isinstance(data, list):
@@ -382,48 +396,54 @@ def _text(data: Any) -> str:
 
 
 def jpeg_uri(grey: NDArray[np.uint8]) -> str:
-    """Return a grey picture as the source of an image element."""
+    """Return a grey image as the source of an HTML image element."""
     import cv2
 
     _, data = cv2.imencode(".jpg", grey, [cv2.IMWRITE_JPEG_QUALITY, 75])
     return "data:image/jpeg;base64," + base64.b64encode(data.tobytes()).decode("ascii")
 
 
-# What several figures draw alike.
+# Common parts of figures.
 
 
 def padded_limits(low: float, high: float, share: float = 0.15) -> tuple[float, float]:
-    """Axis limits with some room on both sides."""
-    room = share * (high - low) if high > low else share * max(abs(high), 1e-300)
-    return low - room, high + room
+    """Return axis limits with a margin on both sides."""
+    margin = share * (high - low) if high > low else share * max(abs(high), 1e-300)
+    return low - margin, high + margin
 
 
 def power_text(exponent: int) -> str:
-    """Power of ten in plain characters."""
+    """Return a power of ten in plain characters."""
     return "10" + str(exponent).translate(SUPERSCRIPT)
 
 
 def power_of_ten(values: FloatArray) -> tuple[float, str]:
-    """Return a factor to take off values, and its text before their unit: none where they are readable as they are."""
+    """Return a common power of ten of values, and its text before the unit.
+
+    Values between 0.01 and 10 000 need none: the factor is 1.
+    """
     largest = float(np.max(np.abs(values[np.isfinite(values)]), initial=0.0))
     power = int(np.floor(np.log10(largest))) if largest > 0.0 else 0
     return (1.0, "") if -2 <= power < 4 else (10.0**power, f"{power_text(power)} ")
 
 
 def extremes(x: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Smallest and largest `y` of each of `STRETCHES` stretches of a long line, in their order, with their own `x`."""
+    """Return the smallest and largest `y` of each of `STRETCHES` stretches, with their `x`."""
     each = -(-len(y) // STRETCHES)
     if each <= 4:
         return x, y
     whole = np.concatenate([y, np.full(-len(y) % each, np.nan)]).reshape(-1, each)
-    unknown = np.isnan(whole)
-    ends = np.where(unknown, np.inf, whole).argmin(axis=1), np.where(unknown, -np.inf, whole).argmax(axis=1)
-    kept = np.unique(np.concatenate(ends).reshape(2, -1) + each * np.arange(len(whole)))
-    return x[kept], y[kept]
+    missing = np.isnan(whole)
+    ends = np.where(missing, np.inf, whole).argmin(axis=1), np.where(missing, -np.inf, whole).argmax(axis=1)
+    selected = np.unique(np.concatenate(ends).reshape(2, -1) + each * np.arange(len(whole)))
+    return x[selected], y[selected]
 
 
 def decimate_edges(x: FloatArray, y: FloatArray, edges: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Largest `y` of each interval between `edges`, with its own `x`: peaks survive, the file stays small; x rises."""
+    """Return the largest `y` of each interval between `edges`, with its `x`.
+
+    Peaks remain while the file stays small. `x` must increase.
+    """
     starts = np.unique([0, *np.searchsorted(x, edges)])
     starts = starts[starts < len(x)]
     largest = np.repeat(np.maximum.reduceat(y, starts), np.diff(starts, append=len(x)))
@@ -433,7 +453,10 @@ def decimate_edges(x: FloatArray, y: FloatArray, edges: FloatArray) -> tuple[Flo
 
 
 def frequency_axis(axis: PanelAxis, frequency_hz: FloatArray, wide_band: float = 8.0) -> None:
-    """Frequency over the whole of `frequency_hz`, logarithmic where its ends are further apart than `wide_band`."""
+    """Set a frequency axis over all of `frequency_hz`.
+
+    Logarithmic if the ratio of its ends exceeds `wide_band`.
+    """
     axis.limits = (float(frequency_hz[0]), float(frequency_hz[-1]))
     axis.log = bool(frequency_hz[-1] > wide_band * frequency_hz[0])
     axis.label, axis.link = "frequency / Hz", "frequency"
@@ -450,10 +473,10 @@ def draw_response(
     dots: bool = False,
     **style: Any,
 ) -> None:
-    """Draw magnitude (logarithmic) and phase in degrees of a curve over frequency, with bands of U (k = 2).
+    """Draw magnitude and phase in degrees over frequency, with bands of U (k = 2).
 
     `u`: relative standard uncertainty of the magnitude and that of the phase in rad, (K,) each. A phase that is not
-    `unwrapped` lies within ±180° and has no strokes across that. `dots`: a dot for each value instead of a line.
+    `unwrapped` is within ±180°, and its line is interrupted at jumps. `dots`: one dot per value instead of a line.
     """
     look = {"size": 2.0, **style} if dots else {"width": 0.9, **style}
     size, phase = np.abs(value), np.degrees(np.angle(value))
@@ -473,7 +496,7 @@ def draw_response(
 
 
 def polar_bars(values: Sequence[Polar], factor: float) -> tuple[FloatArray, FloatArray]:
-    """Return magnitude over `factor` and phase in rad of values as rows (2, N), and their expanded uncertainties."""
+    """Return magnitude over `factor` and phase in rad, and their U, (2, N) each."""
     rows = [(v.magnitude / factor, v.phase_rad, v.expanded_magnitude / factor, v.expanded_phase_rad) for v in values]
     level, half = np.asarray(rows, dtype=np.float64).reshape(len(rows), 2, 2).transpose(1, 2, 0)
     return level, half
@@ -482,16 +505,16 @@ def polar_bars(values: Sequence[Polar], factor: float) -> tuple[FloatArray, Floa
 def frame_bars(
     upper: Panel, lower: Panel, bars: tuple[FloatArray, FloatArray], magnitude: str, static: tuple[float, str] | None
 ) -> None:
-    """Label `polar_bars` over frequency, in limits that hold all of them and what they are compared with.
+    """Label `polar_bars` over frequency and set limits that include bars and reference.
 
-    `magnitude`: unit of the magnitude; `static`: value at rest, with what it is called in the legend.
+    `magnitude`: unit of the magnitude; `static`: static value with its name in the legend.
     """
     references = [] if static is None else [static[0]], [0.0]
     for panel, level, half, reference in zip((upper, lower), *bars, references, strict=True):
         ends = np.concatenate([level - half, level + half, reference])
-        known = ends[np.isfinite(ends)]
-        if len(known):
-            panel.y.limits = padded_limits(float(known.min()), float(known.max()))
+        finite = ends[np.isfinite(ends)]
+        if len(finite):
+            panel.y.limits = padded_limits(float(finite.min()), float(finite.max()))
     upper.y.label, lower.y.label = f"magnitude / {magnitude}", "phase / rad"
     lower.rule(0.0, colour=GREY)
     if static is not None:

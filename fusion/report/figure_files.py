@@ -1,4 +1,4 @@
-"""Figures as files: what `fusion.report.figure` describes, as PNG or PDF by matplotlib, as SVG by `still`."""
+"""Figures as files: PNG or PDF by matplotlib, SVG by `static_figure`."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ from fusion.report.static_figure import static_svg
 
 RASTER_DPI = 200
 RASTER_ABOVE = 500
-"""Number of points above which they are drawn as an image inside the vector graphics."""
+"""Number of points above which they are a raster image inside the vector graphics."""
 UNDATED: dict[str, dict[str, Any]] = {"svg": {"Date": None, "Creator": None}, "pdf": {"CreationDate": None}, "png": {}}
 STYLE = mpl.rc_params_from_file(Path(__file__).with_name("templates") / "figures.mplstyle", use_default_template=False)
 LINE_RASTER_ABOVE = 2_000
@@ -56,7 +56,7 @@ SHAPES = {
 
 @dataclass(frozen=True)
 class PrintedFigure:
-    """One figure: an identifier, a title, a caption of one or two sentences, and the SVG text."""
+    """One figure as SVG text with an identifier, a title and a caption."""
 
     name: str
     title: str
@@ -66,31 +66,34 @@ class PrintedFigure:
 
 @contextmanager
 def drawing(name: str) -> Iterator[None]:
-    """Apply the style, and make identifiers inside the SVG depend on the figure's name only."""
+    """Apply the style, with SVG identifiers that depend only on the name of the figure."""
     settings: Any = {**STYLE, "svg.hashsalt": name}
     with mpl.rc_context(settings):
         yield
 
 
 def new_figure(height_in: float, width_in: float = WIDTH_IN) -> Canvas:
-    """Empty figure of the page's width."""
+    """Return an empty figure of the page's width."""
     return Canvas(figsize=(width_in, height_in))
 
 
 def figure_bytes(figure: Canvas, kind: str) -> bytes:
-    """Turn a figure into a png, svg or pdf file without a date."""
+    """Return a figure as a png, svg or pdf file without a date."""
     stream = io.BytesIO()
     figure.savefig(stream, format=kind, dpi=RASTER_DPI, metadata=UNDATED[kind])
     return stream.getvalue()
 
 
 def finish(figure: Canvas, name: str, title: str, caption: str) -> PrintedFigure:
-    """Turn a figure into SVG text without date or other metadata that would change from run to run."""
+    """Return a figure as SVG text without a date."""
     return PrintedFigure(name, title, caption, figure_bytes(figure, "svg").decode())
 
 
 def render_figure(figure: Figure, kind: str = "svg") -> bytes:
-    """Draw a figure as the bytes of a `kind` of file: svg, png or pdf; the same from run to run."""
+    """Return a figure as a file: svg, png or pdf.
+
+    Equal figures give equal bytes.
+    """
     if kind == "svg":
         return static_svg(figure).encode()
     with drawing(figure.name):
@@ -98,15 +101,15 @@ def render_figure(figure: Figure, kind: str = "svg") -> bytes:
 
 
 def _canvas(figure: Figure) -> Canvas:
-    """All panels of a figure in the page's width."""
+    """Return all panels of a figure in the page's width."""
     rows, columns = len(figure.heights), len(figure.widths)
     canvas = new_figure(figure.height_in)
     shared: Any = {"sharex": "col" if figure.shared_x else False, "sharey": "row" if figure.shared_y else False}
     shares = {"height_ratios": figure.heights, "width_ratios": figure.widths}
     every = canvas.subplots(rows, columns, squeeze=False, gridspec_kw=shares, **shared)
     handles, upright = dict[str, Any](), has_upright_names(figure)
-    for place, panel in enumerate(figure.panels):
-        row, column = divmod(place, columns)
+    for index, panel in enumerate(figure.panels):
+        row, column = divmod(index, columns)
         inner = (figure.shared_x and row < rows - 1, figure.shared_y and column > 0)
         if upright:
             every[row, column].tick_params(axis="x", labelrotation=90)
@@ -119,11 +122,11 @@ def _canvas(figure: Figure) -> Canvas:
 
 
 def _lay_out(figure: Figure, every: Any, legend_in: float) -> None:
-    """Put axes into their frames, labels beside them, bars of colours below."""
+    """Set the positions of axes, labels and colour bars."""
     for axes, panel, frame in zip(every.flat, figure.panels, frames(figure, legend_in), strict=True):
-        place = frame.left, figure.height_in - frame.top - frame.height, frame.width, frame.height
+        rect = frame.left, figure.height_in - frame.top - frame.height, frame.width, frame.height
         axes.set_position(
-            tuple(part / whole for part, whole in zip(place, 2 * (WIDTH_IN, figure.height_in), strict=True))
+            tuple(part / whole for part, whole in zip(rect, 2 * (WIDTH_IN, figure.height_in), strict=True))
         )
         axes.yaxis.set_label_coords(-(frame.left_margin - 0.16) / frame.width, 0.5)
         if (scale := scale_below(panel)) is not None:
@@ -131,26 +134,29 @@ def _lay_out(figure: Figure, every: Any, legend_in: float) -> None:
 
 
 def _colour_bar(axes: Axes, scale: Scale, below: float, height: float) -> None:
-    """Draw a horizontal bar of colours below a panel."""
-    place = axes.inset_axes((0.0, below - height, 1.0, height))
+    """Draw a horizontal colour bar below a panel."""
+    bar_axes = axes.inset_axes((0.0, below - height, 1.0, height))
     colours, norm = _colours(scale)
-    axes.figure.colorbar(ScalarMappable(norm, colours), cax=place, orientation="horizontal")
-    place.set_xlabel(scale.label)
-    place.grid(visible=False)
+    axes.figure.colorbar(ScalarMappable(norm, colours), cax=bar_axes, orientation="horizontal")
+    bar_axes.set_xlabel(scale.label)
+    bar_axes.grid(visible=False)
 
 
 def _draw_panel(axes: Axes, panel: Panel, inner: tuple[bool, bool]) -> dict[str, Any]:
-    """Axes and marks of one panel; `inner`: whether another panel has its numbers of x, of y; what has which name."""
-    for way in "xy":
-        if getattr(panel, way).log:
-            getattr(axes, f"set_{way}scale")("log")
+    """Draw axes and marks of one panel, and return the marks by label.
+
+    `inner`: whether another panel has its numbers of x, of y.
+    """
+    for name in "xy":
+        if getattr(panel, name).log:
+            getattr(axes, f"set_{name}scale")("log")
     handles: dict[str, Any] = {}
     for mark in panel.marks:
         drawn = DRAWN[type(mark)](axes, mark)
         if mark.label:
             handles.setdefault(mark.label, drawn)
-    for way, hidden in zip("xy", inner, strict=True):
-        _dress(axes, way, getattr(panel, way), hidden=hidden)
+    for name, hidden in zip("xy", inner, strict=True):
+        _set_axis(axes, name, getattr(panel, name), hidden=hidden)
     if panel.equal:
         axes.set_aspect("equal", adjustable="datalim" if panel.x.limits is None else "box")
     if panel.title:
@@ -160,36 +166,36 @@ def _draw_panel(axes: Axes, panel: Panel, inner: tuple[bool, bool]) -> dict[str,
     return handles
 
 
-def _dress(axes: Axes, way: str, said: PanelAxis, *, hidden: bool) -> None:
-    """Label, limits, numbers and second scale of one axis."""
-    axis = axes.xaxis if way == "x" else axes.yaxis
-    if said.label and not hidden:
-        axis.set_label_text(said.label)
-    if said.names:
-        axis.set_ticks(range(len(said.names)), [] if hidden else list(said.names))
-        getattr(axes, f"set_{way}lim")(
-            *((-0.6, len(said.names) - 0.4) if way == "x" else (len(said.names) - 0.4, -0.6))
+def _set_axis(axes: Axes, name: str, spec: PanelAxis, *, hidden: bool) -> None:
+    """Set label, limits, numbers and second scale of one axis."""
+    axis = axes.xaxis if name == "x" else axes.yaxis
+    if spec.label and not hidden:
+        axis.set_label_text(spec.label)
+    if spec.names:
+        axis.set_ticks(range(len(spec.names)), [] if hidden else list(spec.names))
+        getattr(axes, f"set_{name}lim")(
+            *((-0.6, len(spec.names) - 0.4) if name == "x" else (len(spec.names) - 0.4, -0.6))
         )
-    elif said.ticks:
-        axis.set_ticks(said.ticks)
-    elif said.log:
-        _logarithm(axes, way)
+    elif spec.ticks:
+        axis.set_ticks(spec.ticks)
+    elif spec.log:
+        _logarithm(axes, name)
     else:
         axis.set_major_locator(MaxNLocator(6))
-    if said.limits is not None:
-        getattr(axes, f"set_{way}lim")(*said.limits)
-    axes.grid(visible=said.grid and not (said.names and way == "y"), axis="x" if way == "x" else "y")
-    if said.second is not None and way == "y":
-        label, zero, factor = said.second
+    if spec.limits is not None:
+        getattr(axes, f"set_{name}lim")(*spec.limits)
+    axes.grid(visible=spec.grid and not (spec.names and name == "y"), axis="x" if name == "x" else "y")
+    if spec.second is not None and name == "y":
+        label, zero, factor = spec.second
         functions: Any = (lambda v: factor * (np.asarray(v) - zero), lambda v: np.asarray(v) / factor + zero)
         right = axes.secondary_yaxis("right", functions=functions)
         right.set_ylabel(label)
         right.spines["right"].set_visible(True)
 
 
-def _logarithm(axes: Axes, way: str) -> None:
-    """Numbers of a logarithmic axis: powers of ten, or 1, 2, 5 where it spans less than two decades."""
-    axis = axes.xaxis if way == "x" else axes.yaxis
+def _logarithm(axes: Axes, name: str) -> None:
+    """Set the numbers of a logarithmic axis: powers of ten, or 1, 2, 5."""
+    axis = axes.xaxis if name == "x" else axes.yaxis
     low, high = sorted(axis.get_view_interval())
     narrow = low > 0.0 and high < 100.0 * low and high < 1e5
     axis.set_major_locator(LogLocator(10.0, subs=(1.0, 2.0, 5.0) if narrow else (1.0,), numticks=8))
@@ -205,15 +211,15 @@ def _logarithm(axes: Axes, way: str) -> None:
 
 
 def _colours(scale: Scale) -> tuple[Colormap, Normalize]:
-    """Colours of a scale and how values are spread over them."""
+    """Return the colours of a scale and the normalisation of values."""
     if isinstance(scale.colours, str):
         colours = mpl.colormaps["RdBu_r" if scale.colours == "RdBu" else scale.colours]
     else:
-        colours = LinearSegmentedColormap.from_list("own", scale.colours)
+        colours = LinearSegmentedColormap.from_list("custom", scale.colours)
     return colours.with_extremes(bad=LIGHT), (LogNorm if scale.log else Normalize)(scale.low, scale.high)
 
 
-# One function per kind of mark; it returns what stands for it in the legend.
+# One function per kind of mark; it returns the entry of the legend.
 
 
 def _draw_line(axes: Axes, mark: Line) -> Any:
@@ -263,14 +269,14 @@ def _draw_rule(axes: Axes, mark: Rule) -> Any:
 
 
 def _draw_ellipses(axes: Axes, mark: Ellipses) -> Any:
-    place, reach = np.stack([mark.x, mark.y], 1), 0.5 * np.maximum(mark.width, mark.height)[:, None]
+    centres, reach = np.stack([mark.x, mark.y], 1), 0.5 * np.maximum(mark.width, mark.height)[:, None]
     look: dict[str, Any] = {"facecolors": "none", "edgecolors": mark.colour, "linewidths": 1.1}
     angles = np.degrees(mark.angle_rad)
     drawn = EllipseCollection(
-        mark.width, mark.height, angles, units="xy", offsets=place, offset_transform=axes.transData, **look
+        mark.width, mark.height, angles, units="xy", offsets=centres, offset_transform=axes.transData, **look
     )
     axes.add_collection(drawn)
-    axes.update_datalim(np.concatenate([place - reach, place + reach]))
+    axes.update_datalim(np.concatenate([centres - reach, centres + reach]))
     return drawn
 
 

@@ -1,4 +1,4 @@
-"""Result folders: what was run on what, page and files written whole or not at all; what every command does."""
+"""Folders of results: provenance of input files, pages, and the output of commands."""
 
 from __future__ import annotations
 
@@ -30,6 +30,15 @@ from fusion.errors import ComputeError, InputError
 from fusion.report.atomic_files import file_lock, is_internal_name, write_files, write_together
 from fusion.report.figure import Figure
 from fusion.report.page_cache import CompiledTemplates, load_or_make
+from fusion.report.report_notices import (
+    CHANGED_INPUT,
+    HASHING_ENDED,
+    NO_BOKEH,
+    OTHER_CONTENT,
+    PLACE_NOT_WRITABLE,
+    PLACE_TAKEN,
+    UNREADABLE_INPUT,
+)
 from fusion.report.static_figure import static_svg
 from fusion.report.table import Headline, Table, csv_rows, plain_text
 from fusion.report.terminal import AS_JSON, log_notices, notice_fields, print_text, show_activity
@@ -42,7 +51,7 @@ if TYPE_CHECKING:
     from fusion.recording.rig import Rig
     from fusion.report.h5_tree import Group
 
-# What was run on what: hashes of the input files, versions, and whether a folder still answers to them.
+# Provenance: hashes of the input files, versions, and whether results are current.
 
 
 RESULT_FILE, RESULT_FORMAT = "result.h5", 2
@@ -53,15 +62,15 @@ Setting = str | float | int
 
 
 class ResultOrigin(Protocol):
-    """Where a result comes from."""
+    """Provenance of a result."""
 
     @property
     def settings(self) -> dict[str, Setting]:
-        """What was chosen."""
+        """Settings of the user."""
 
     @property
     def versions(self) -> dict[str, str]:
-        """The program and the libraries that computed it."""
+        """Versions of the program and its libraries."""
 
     @property
     def input_hashes(self) -> dict[str, str]:
@@ -70,7 +79,7 @@ class ResultOrigin(Protocol):
 
 @dataclass(frozen=True)
 class Provenance:
-    """Origin of a results folder: SHA-256 of every input by its path, settings, versions, and the files written."""
+    """Provenance of a results folder: SHA-256 of inputs by path, settings, versions, written files."""
 
     input_hashes: dict[str, str]
     settings: dict[str, Setting]
@@ -80,10 +89,9 @@ class Provenance:
 
 @dataclass(frozen=True)
 class InputFiles:
-    """What is read: SHA-256 of every file by its name, and what each file was when it was hashed.
+    """SHA-256 of every input file by name, and its identity when it was hashed.
 
-    `again`: files that were changed so shortly before that a further change may not show; they are hashed again. A file
-    without a hash is taken for another one wherever anything about it is.
+    `unsettled`: files that were changed shortly before; they are hashed again. A file without a hash must be identical.
     """
 
     hashes: dict[str, str] = field(default_factory=dict)
@@ -91,7 +99,7 @@ class InputFiles:
     unsettled: frozenset[Path] = frozenset()
 
     def check(self) -> None:
-        """Raise `InputError` for a file that has changed since it was hashed, or that is gone."""
+        """Raise `InputError` for a file that is missing or has changed since it was hashed."""
         for path, (before, digest) in self.identities.items():
             now = FileIdentity.of(path)
             if now is None or now[:2] != before[:2]:
@@ -101,83 +109,83 @@ class InputFiles:
 
     @classmethod
     def without_hashes(cls, files: Iterable[Path]) -> InputFiles:
-        """Return files that are only to stay what they are, such as results of this program, which it never changes."""
+        """Return files without hashes, such as results that this program never changes."""
         return cls(identities={path: (now, "") for path in files if (now := FileIdentity.of(path)) is not None})
 
 
 def _changed(path: Path, now: FileIdentity | None) -> InputError:
-    what = "vanished" if now is None else "changed"
-    return InputError(path, "", found=f"{what} while it was read; start again when nothing writes it", expected="")
+    return InputError(CHANGED_INPUT, path, change="disappeared" if now is None else "changed")
 
 
 def sha256(path: Path) -> str:
-    """SHA-256 of a file as hexadecimal digits."""
+    """Return the SHA-256 of a file as hexadecimal digits."""
     try:
         with path.open("rb") as stream:
             return hashlib.file_digest(stream, "sha256").hexdigest()
     except OSError as error:
-        raise InputError(path, "", found=error.strerror or str(error), expected="a file that can be read") from error
+        raise InputError(UNREADABLE_INPUT, path, reason=error.strerror or str(error)) from error
 
 
 def hash_files(files: Iterable[Path], root: Path, read: Mapping[Path, FileIdentity] | None = None) -> InputFiles:
-    """SHA-256 of every file, keyed by its path relative to `root` (absolute where it lies elsewhere), sorted.
+    """Return the SHA-256 of every file, sorted by its path relative to `root`.
 
-    `read`: what files were that have been read before. A file that is no longer what it was then, or that changes
-    while it is hashed, is refused.
+    A file outside `root` has its absolute path. `read`: identities of files that were read before. A file that has
+    changed since then, or while it is hashed, is refused.
     """
-    begun = hashing(files, root, read)
+    started = hashing(files, root, read)
     try:
-        return begun.all()
+        return started.all()
     finally:
-        begun.end()
+        started.end()
 
 
 def hashing(files: Iterable[Path], root: Path, read: Mapping[Path, FileIdentity] | None = None) -> Hashing:
-    """Begin what `hash_files` does, so that files may be read beside it: what they are at this moment counts.
+    """Start `hash_files` in a thread, so that files can be read at the same time.
 
-    Where one was changed so shortly before that a further change may not show, all are hashed before this returns.
+    If a file was changed so recently that a further change may not show, all files are hashed before this returns.
     """
     files = set(files)
     check_names(files)
-    known, before, base = read or {}, list[tuple[Path, Path, FileIdentity | None]](), root.resolve()
+    earlier, before, base = read or {}, list[tuple[Path, Path, FileIdentity | None]](), root.resolve()
     for path in files:
         resolved = path.resolve()
-        before.append((path, resolved, known.get(resolved) or FileIdentity.of(path)))
-
+        before.append((path, resolved, earlier.get(resolved) or FileIdentity.of(path)))
     ended = Event()
 
     def hashed(entry: tuple[Path, Path, FileIdentity | None]) -> tuple[str, FileIdentity | None]:
         path, _, first = entry
         if ended.is_set():
-            raise ComputeError("the run has ended")
+            raise ComputeError(HASHING_ENDED)
         if first is not None and not path.exists():
             raise _changed(path, None)
         return sha256(path), FileIdentity.of(path)
 
     def collected(threads: int) -> InputFiles:
-        hashes, seen, again = {}, {}, set()
+        hashes, identities, unsettled = {}, {}, set()
         with ThreadPoolExecutor(threads) as readers:  # a hash is computed without Python's lock
             for (path, resolved, first), (digest, now) in zip(before, readers.map(hashed, before), strict=True):
                 key = resolved.relative_to(base) if resolved.is_relative_to(base) else resolved
                 if first is None or now is None or now[:2] != first[:2]:
                     raise _changed(path, now)
-                hashes[key.as_posix()], seen[path] = digest, (now, digest)
+                hashes[key.as_posix()], identities[path] = digest, (now, digest)
                 if now != first or not now.is_settled:
-                    again.add(path)
-        return InputFiles(dict(sorted(hashes.items())), seen, frozenset(again))
+                    unsettled.add(path)
+        return InputFiles(dict(sorted(hashes.items())), identities, frozenset(unsettled))
 
-    aside = ThreadPoolExecutor(1)
-    found = Hashing(aside.submit(collected, usable_cores()), ended)
-    aside.shutdown(wait=False)
+    pool = ThreadPoolExecutor(1)
+    found = Hashing(pool.submit(collected, usable_cores()), ended)
+    pool.shutdown(wait=False)
     if not all(first is not None and first.is_settled for _, _, first in before):
         found.all()
     return found
 
 
 class Hashing(Mapping[str, str]):
-    """SHA-256 of every file by its name, computed by a thread: who looks at one waits for all.
+    """SHA-256 of every file by name, computed by a thread.
 
-    `all`: returns them with what the files were; `end`: no further file is hashed, for nobody waits any more.
+    Each access waits for all of them.
+
+    `all`: returns them with the identities of the files; `end`: stops before the next file.
     """
 
     def __init__(self, found: Future[InputFiles], ended: Event) -> None:
@@ -194,7 +202,7 @@ class Hashing(Mapping[str, str]):
 
 
 def is_current(folder: Path, hashes: Mapping[str, str], settings: Mapping[str, Setting]) -> bool:
-    """Whether `folder` holds the complete results of these very inputs and settings, by this program version."""
+    """Return whether `folder` has complete results of these inputs, settings and program version."""
     found = read_provenance(folder)
     if found is None or not all((folder / name).is_file() for name in found.files):
         return False
@@ -203,38 +211,35 @@ def is_current(folder: Path, hashes: Mapping[str, str], settings: Mapping[str, S
 
 
 def origin_key(hashes: Mapping[str, str], settings: Mapping[str, Setting], versions: Mapping[str, str]) -> str:
-    """Return one hash of inputs, settings, and the program and libraries with which they are evaluated."""
+    """Return one hash of inputs, settings and versions of program and libraries."""
     whole = json.dumps([dict(hashes), dict(settings), dict(versions)], sort_keys=True)
     return hashlib.sha256(whole.encode()).hexdigest()[:32]
 
 
 def check_folder(folder: Path, hashes: Mapping[str, str], *, force: bool, marker: str = RESULT_FILE) -> None:
-    """Refuse a place for results that is no folder, or that holds something else than results of the same data.
+    """Refuse a place for results that is not a folder or has other contents.
 
-    Results of manifests that were edited since are replaced. `marker`: the file of the results that carries their
-    provenance.
+    Results of the same data are replaced, also with an edited manifest. `marker`: the file with the provenance.
     """
     if folder.exists() and not folder.is_dir():
-        raise InputError(folder, "", found="a file", expected="a folder for the results")
+        raise InputError(PLACE_TAKEN, folder)
     above = next(parent for parent in (folder, *folder.absolute().parents) if parent.exists())
     if not above.is_dir() or not os.access(above, os.W_OK | os.X_OK):
-        what = "a folder that may not be written to" if above.is_dir() else "a file"
-        raise InputError(folder, "", found=f"{what} at {above}", expected="a place for a folder with the results")
+        what = "a folder without write permission" if above.is_dir() else "a file"
+        raise InputError(PLACE_NOT_WRITABLE, folder, found=what, above=str(above))
     if force or not folder.exists() or all(is_internal_name(entry.name) for entry in folder.iterdir()):
         return
     found = read_provenance(folder, marker)
-    if found is None or not _of_same_data(found.input_hashes, hashes):
-        damaged = f"a {marker} that cannot be read" if (folder / marker).is_file() else "other files"
-        what = damaged if found is None else "results of other input files"
-        expected = "an empty folder for the results (--force writes into this one and replaces only result files)"
-        raise InputError(folder, "", found=what, expected=expected)
+    if found is None or not _is_same_data(found.input_hashes, hashes):
+        damaged = f"a damaged {marker}" if (folder / marker).is_file() else "other files"
+        raise InputError(OTHER_CONTENT, folder, found=damaged if found is None else "results of other input files")
 
 
-def _of_same_data(before: Mapping[str, str], now: Mapping[str, str]) -> bool:
-    """Whether results are of the same inputs, or of the same recordings whose manifests were edited since.
+def _is_same_data(before: Mapping[str, str], now: Mapping[str, str]) -> bool:
+    """Return whether results are of the same recordings, also if their manifests were edited since.
 
-    What recordings share, such as certificates and tables of the rig, may be other files too. Their own files may not,
-    but for those that only one of the manifests names.
+    Files that recordings share, such as certificates and tables of the rig, may differ. Files of a recording must be
+    equal if both manifests name them.
     """
     from fusion.recording.load import RECORDING_NAME
 
@@ -242,14 +247,14 @@ def _of_same_data(before: Mapping[str, str], now: Mapping[str, str]) -> bool:
         return True
     then, named = ({Path(name) for name in names if Path(name).name == RECORDING_NAME} for names in (before, now))
     common = [name for name in before if name in now and Path(name).suffix != ".toml"]
-    own = [name for name in common if not named or any(path.parent in Path(name).parents for path in named)]
-    return then == named and bool(own) and all(before[name] == now[name] for name in own)
+    recorded = [name for name in common if not named or any(path.parent in Path(name).parents for path in named)]
+    return then == named and bool(recorded) and all(before[name] == now[name] for name in recorded)
 
 
 def read_provenance(folder: Path, marker: str = RESULT_FILE, *, provenance_only: bool = False) -> Provenance | None:
-    """Provenance of the results in a folder; None where there are none, or where their file cannot be read.
+    """Return the provenance of the results in a folder, None if there are none.
 
-    `alone`: of results that nobody reads any more, so that nothing else in their file counts.
+    `provenance_only`: the other groups of the file are not checked.
     """
     import h5py  # pages alone do without
 
@@ -265,7 +270,7 @@ def read_provenance(folder: Path, marker: str = RESULT_FILE, *, provenance_only:
 
 
 def provenance_of(file: h5py.File) -> Provenance:
-    """Return the provenance of open results; `KeyError` where they have none."""
+    """Return the provenance of open results; raise `KeyError` if they have none."""
     group = file["provenance"]
     # Thousands of recordings have the same names, versions and files.
     names, digests, files = (
@@ -278,7 +283,10 @@ def provenance_of(file: h5py.File) -> Provenance:
 
 
 def write_provenance(file: Group, origin: ResultOrigin, files: Sequence[str]) -> None:
-    """Put the group `provenance` into an open result file; `files`: the names of all result files."""
+    """Write the group `provenance` into an open result file.
+
+    `files` are the names of all result files.
+    """
     from fusion.report.h5_tree import TEXT
 
     group = file.create_group("provenance")
@@ -296,11 +304,14 @@ SECTION = re.compile(r'<section id="(.*?)" aria-label="(.*?)">')
 
 
 def render_page(template: str, context: Mapping[str, Any]) -> str:
-    """HTML text of a template of this package; style and figures are inside, nothing is fetched from elsewhere."""
+    """Return the HTML text of a template.
+
+    Style and figures are included, no other file is loaded.
+    """
     shown: list[Figure] = []
 
     def live(figure: Figure) -> str:
-        """Have a figure drawn in the browser; the name under which its data stand."""
+        """Register a figure that the browser draws, and return its name."""
         shown.append(figure)
         return figure.name
 
@@ -312,7 +323,7 @@ def render_page(template: str, context: Mapping[str, Any]) -> str:
         lstrip_blocks=True,
         bytecode_cache=CompiledTemplates(),
     )
-    environment.filters |= {"data_uri": data_uri, "sections": sections, "live": live, "still": static_svg}
+    environment.filters |= {"data_uri": data_uri, "sections": sections, "live": live, "static_svg": static_svg}
     environment.globals |= {
         "shown": shown,
         "figures_library": bokeh_library,
@@ -323,7 +334,7 @@ def render_page(template: str, context: Mapping[str, Any]) -> str:
 
 
 def compress_for_page(data: bytes, *, fast: bool = True) -> Markup:
-    """Compress what a page unpacks itself, in characters that HTML leaves alone; not `quickly`: to the last byte."""
+    """Return compressed data as text for a page; `fast` uses a lower compression level."""
     from photogram.images.tiff import deflate
 
     content = deflate.compress(data, 3, wbits=GZIP) if fast else gzip.compress(data, 9, mtime=0)
@@ -332,10 +343,10 @@ def compress_for_page(data: bytes, *, fast: bool = True) -> Markup:
 
 @cache
 def bokeh_library() -> Markup:
-    """Return BokehJS, packed: the files of the installed package, which is not imported for that."""
+    """Return BokehJS, compressed, from the files of the installed package, which is not imported."""
     spec = find_spec("bokeh")
     if spec is None or not spec.submodule_search_locations:
-        raise ComputeError("the package bokeh, whose program draws the figures of the page, is not installed")
+        raise ComputeError(NO_BOKEH)
     scripts = Path(spec.submodule_search_locations[0]) / "server/static/js"
     files = [scripts / name for name in ("bokeh.min.js", "bokeh-api.min.js")]
     key = json.dumps([(str(file), file.stat().st_size, file.stat().st_mtime_ns) for file in files])
@@ -347,18 +358,18 @@ def bokeh_library() -> Markup:
 
 
 def sections(page: str) -> list[tuple[Markup, Markup]]:
-    """Identifier and label of every section of a page, in their order."""
+    """Return identifier and label of every section of a page in order."""
     return [(Markup(name), Markup(label)) for name, label in SECTION.findall(page)]
 
 
 def subject_of(rig: Rig) -> list[tuple[str, str]]:
-    """Rig and sensor, as every page names them."""
+    """Return rig and sensor as every page names them."""
     sensor = [] if rig.sensor is None else [("Sensor", f"{rig.sensor.name} {rig.sensor.serial}".strip())]
     return [("Rig", rig.name), *sensor]
 
 
 def notice_frame(notices: Iterable[Notice]) -> dict[str, Any]:
-    """Return the notices of a page, and the tables of those that are acknowledged or of what is not assessed."""
+    """Return the notices of a page, and tables of acknowledged and of not assessed ones."""
     every = warnings_first(notices)
     acknowledged = [(one.code, one.where, one.text, one.acknowledged) for one in every if one.acknowledged]
     assumed = [one for one in every if one.possible_size and not one.acknowledged]
@@ -379,7 +390,7 @@ def notice_frame(notices: Iterable[Notice]) -> dict[str, Any]:
 
 
 def origin_frame(origin: ResultOrigin, notices: Iterable[Notice]) -> dict[str, Any]:
-    """What every page shows beside its subject: notices, settings and versions, input files, the program."""
+    """Return the common context of all pages: notices, settings, versions, input files, program."""
     settings = tuple((name, str(value)) for name, value in origin.settings.items())
     inputs = tuple((name, Markup("<code>{}</code>").format(digest)) for name, digest in origin.input_hashes.items())
     return {
@@ -394,7 +405,10 @@ def origin_frame(origin: ResultOrigin, notices: Iterable[Notice]) -> dict[str, A
 
 
 def data_uri(svg: str) -> Markup:
-    """SVG text as the source of an image element; percent encoding is shorter than base64 for text."""
+    """Return SVG text as the source of an HTML image element.
+
+    Percent encoding is shorter than base64 for text.
+    """
     flat = re.sub(r"\s*\n\s*", " ", svg[svg.index("<svg") :]).replace('"', "'")
     return Markup("data:image/svg+xml,{}").format(Markup(quote(flat, safe=" ='/:;,.()+-_!*@?&$[]{}|~")))
 
@@ -403,9 +417,9 @@ def data_uri(svg: str) -> Markup:
 
 
 FORMAT = 1
-"""Of the HDF5 files of commands."""
+"""Format number of the HDF5 files of commands."""
 MOST_ROWS = 500
-"""Of a table that is printed as JSON; longer ones stand in their files."""
+"""Largest table that is printed as JSON; longer ones are in their files only (chosen)."""
 log = logging.getLogger("shakercal")
 
 
@@ -417,19 +431,19 @@ def _no_headlines(_: object) -> Iterable[Headline]:
 
 
 def command_json(command: str, **parts: Any) -> str:
-    """Return the answer of a command for programs: JSON that begins with what computed it."""
+    """Return the results of a command as JSON, after program, version and command."""
     content = {"program": PROGRAM, "version": __version__, "command": command, **parts}
     return json.dumps(content, indent=1, ensure_ascii=False, allow_nan=False)
 
 
 @dataclass(frozen=True)
 class CommandReport(Generic[E]):
-    """What a command leaves of an evaluation: a folder of files with a page, and lines on the terminal.
+    """Output of a command: a folder with files and a page, and terminal lines.
 
-    `name`: of the command and of the folder. `stem`: of page and HDF5 file, which are STEM.html and STEM.h5; the page's
-    template is NAME.html. `texts`: the other files by name, texts or pictures; `files`: all names that they may have.
-    `fill` puts the evaluation into the HDF5 file. `context`: what the template shows beside name, notices and origin;
-    `lines`: of the terminal. `headlines`: the main results, which page and JSON begin with.
+    `name`: of the command and of the folder. `stem`: page and HDF5 file are STEM.html and STEM.h5; the template of the
+    page is NAME.html. `texts`: the other files by name, texts or images; `files`: all names that they may have. `fill`
+    writes the evaluation into the HDF5 file. `context`: further context of the template. `lines`: those of the
+    terminal. `headlines`: the main results, at the top of page and JSON.
     """
 
     name: str
@@ -443,12 +457,12 @@ class CommandReport(Generic[E]):
 
     @property
     def h5_file(self) -> str:
-        """Return the name of the HDF5 file, which says that the folder is complete."""
+        """Name of the HDF5 file, which is present only in a complete folder."""
         return f"{self.stem}.h5"
 
     @property
     def page_file(self) -> str:
-        """Return the name of the page."""
+        """Name of the page."""
         return f"{self.stem}.html"
 
     def run(
@@ -459,10 +473,10 @@ class CommandReport(Generic[E]):
         *,
         force: bool,
     ) -> E:
-        """Evaluate some inputs, write results to `folder`, tell notices and results, return the evaluation.
+        """Evaluate inputs, write results to `folder`, print results and notices, and return the evaluation.
 
-        A place that cannot take the results is refused before anything is computed, and inputs that change meanwhile
-        before anything is written.
+        A place that cannot be used is refused before the evaluation. Inputs that change are refused before files are
+        written.
         """
         check_folder(folder, inputs.hashes, force=force, marker=self.h5_file)
         with file_lock(folder), show_activity(self.name):
@@ -478,7 +492,7 @@ class CommandReport(Generic[E]):
         return evaluation
 
     def json(self, evaluation: E, files: Sequence[Path]) -> str:
-        """Return what the terminal tells for programs: headlines as texts, short tables as numbers, notices, paths."""
+        """Return the evaluation as JSON: headlines, short tables, notices and paths of files."""
         tables = {path.name: csv_rows(path.read_text(encoding="utf-8")) for path in files if path.suffix == ".csv"}
         return command_json(
             self.name,
@@ -501,10 +515,10 @@ class CommandReport(Generic[E]):
         *,
         force: bool,
     ) -> E:
-        """Evaluate the recordings at some paths together as `run` does.
+        """Evaluate the recordings at some paths together, as `run` does.
 
-        Results stand in `output`, or in a folder of the command's name: of the campaign or of the only recording, or,
-        of several paths, beside the first recording's rig.
+        Results are written to `output`. Its default is a folder named after the command, in the campaign or the only
+        recording; for several paths it is next to the rig of the first recording.
         """
         first, acknowledged = manifests[0], [one for manifest in manifests for one in manifest.acknowledged]
 
@@ -515,18 +529,21 @@ class CommandReport(Generic[E]):
             made: E = replace(evaluation, notices=acknowledge(evaluation.notices, acknowledged))
             return made
 
-        own = first.root if len(paths) > 1 else first.folder if paths[0].is_file() else paths[0]
+        parent = first.root if len(paths) > 1 else first.folder if paths[0].is_file() else paths[0]
         read = {path: seen for manifest in manifests for path, seen in manifest.file_identities.items()}
         inputs = hash_files([file for manifest in manifests for file in manifest.files], first.root, read)
-        return self.run(inputs, own / self.name if output is None else output, acknowledging, force=force)
+        return self.run(inputs, parent / self.name if output is None else output, acknowledging, force=force)
 
     def write(
         self, evaluation: E, folder: Path, inputs: InputFiles | None = None, *, force: bool = False
     ) -> list[Path]:
-        """Write every file and return their paths; other folders are refused unless `force`, as are changed inputs."""
+        """Write every file and return the paths.
+
+        Folders with other contents are refused unless `force`; changed inputs are refused always.
+        """
         from fusion.report.h5 import h5_content, write_value
 
-        own = re.compile("|".join(re.escape(name) for name in (*self.files, self.page_file, self.h5_file)))
+        replaceable = re.compile("|".join(re.escape(name) for name in (*self.files, self.page_file, self.h5_file)))
 
         def make(temporary: Path) -> list[str]:
             texts = {**self.texts(evaluation), self.page_file: self.page(evaluation)}
@@ -542,13 +559,13 @@ class CommandReport(Generic[E]):
             return write_files(temporary, {**texts, self.h5_file: h5_content(fill)})
 
         inputs = InputFiles(evaluation.input_hashes) if inputs is None else inputs
-        return write_folder(folder, inputs, make, force=force, marker=self.h5_file, replaceable=own)
+        return write_folder(folder, inputs, make, force=force, marker=self.h5_file, replaceable=replaceable)
 
     def page(self, evaluation: E) -> str:
-        """Return the HTML text of the page; style and figures are inside, nothing is fetched from elsewhere."""
+        """Return the HTML text of the page, including style and figures."""
         frame = {**origin_frame(evaluation, evaluation.notices), "duration_s": evaluation.duration_s}
-        told = {"name": evaluation.name, "headlines": list(self.headlines(evaluation))}
-        return render_page(f"{self.name}.html", {**told, **self.context(evaluation), **frame})
+        heading = {"name": evaluation.name, "headlines": list(self.headlines(evaluation))}
+        return render_page(f"{self.name}.html", {**heading, **self.context(evaluation), **frame})
 
 
 # Folders.
@@ -565,10 +582,10 @@ def write_folder(
 ) -> list[Path]:
     """Write a folder of results of some inputs and return the paths of its files.
 
-    `fill` makes all files in a temporary folder and names them; then they are moved, so a failure leaves `folder` as
-    it was; inputs that have changed since they were hashed are such a failure. A folder that holds anything but
-    results of the same inputs (its file `marker` says so) is refused unless `force`; even then only files of the
-    program's `own` names are replaced, and nothing else is touched.
+    `fill` writes all files into a temporary folder and returns their names; then they are moved. A failure leaves
+    `folder` unchanged; inputs that have changed since they were hashed are a failure. `marker`: the file with the
+    provenance. A folder with other contents is refused unless `force`. Even then only files whose names match
+    `replaceable` are replaced.
     """
 
     def make(temporary: Path) -> list[str]:

@@ -1,4 +1,4 @@
-"""Data classes and uncertainties in HDF5 files: groups and names are those of the classes."""
+"""Data classes and uncertainties in HDF5 files; groups and names are those of the classes."""
 
 from __future__ import annotations
 
@@ -17,6 +17,7 @@ from fusion.errors import InputError
 from fusion.estimation.uncertainty import Contribution, Distribution, Influence, Kind, Scope, Uncertainty
 from fusion.report.dataset_descriptions import describe
 from fusion.report.h5_tree import TEXT, Group, write_tree
+from fusion.report.report_notices import DAMAGED_RESULTS, OTHER_STRUCTURE, RESULTS_TOO_LARGE
 from shaker.io.channel import check_inside, check_links, full_name, open_hdf5
 from shakercal._common.notices import Notice
 
@@ -24,7 +25,7 @@ if TYPE_CHECKING:
     from fusion.sensitivity.input_evidence import InputEvidence
 
 LEFT_OUT = {"manifest", "reference_image", "surface", "settings", "versions", "input_hashes"}
-"""Fields that are in the inputs, or stand in the group `provenance`."""
+"""Fields that the inputs contain, or that the group `provenance` contains."""
 EVIDENCE = "evidence"
 """Group of the unknowns that certificates and files state."""
 INFLUENCE_TEXTS = ("name", "label", "unit", "scope", "type", "distribution")
@@ -32,10 +33,10 @@ INFLUENCE_NUMBERS = ("u", "dof")
 
 
 def h5_content(fill: Callable[[Any], None], *, in_order: bool = True) -> bytes:
-    """Return the content of an HDF5 file that a function fills in memory: what the disk refuses is no matter of HDF5.
+    """Return the bytes of an HDF5 file that `fill` writes in memory.
 
-    Equal input gives equal bytes. `in_order`: of results: a `Group` is filled, the file keeps the order in which its
-    groups were made, and says of every data set what it is; else h5py's file itself is filled.
+    Equal input gives equal bytes. `in_order` (results): `fill` gets a `Group`; the file keeps the order of the groups
+    and describes every data set. Otherwise `fill` gets h5py's file.
     """
     with h5py.File("in memory", "w", driver="core", backing_store=False, track_order=in_order) as file:
         if in_order:
@@ -51,10 +52,11 @@ def h5_content(fill: Callable[[Any], None], *, in_order: bool = True) -> bytes:
 
 @contextmanager
 def open_results(path: Path, *only: str) -> Iterator[h5py.File]:
-    """Open the results of an earlier run; `InputError` where they are damaged or lead to other files.
+    """Open the results of an earlier run.
 
-    `only`: the groups of which something is read, and which alone are looked through then, with all below them: a
-    campaign reads a tenth of what each of its recordings has.
+    Raise `InputError` if they are damaged or link to other files.
+
+    `only`: groups that will be read; only these are checked. A campaign reads a tenth of the data of each recording.
     """
     try:
         with open_hdf5(path, links=bool(only)) as file:
@@ -64,17 +66,16 @@ def open_results(path: Path, *only: str) -> Iterator[h5py.File]:
                 _check_all(path, file)
             yield file
     except (OSError, ValueError, KeyError, RuntimeError) as error:
-        told = " ".join(str(error).split()).removeprefix(f"{path}: ")
-        raise InputError(path, "", expected="results of an earlier run", found=f"damaged ones ({told})") from error
+        reason = " ".join(str(error).split()).removeprefix(f"{path}: ")
+        raise InputError(DAMAGED_RESULTS, path, reason=reason) from error
     except MemoryError as error:
-        raise InputError(path, "", expected="results of an earlier run", found="more than the memory takes") from error
+        raise InputError(RESULTS_TOO_LARGE, path) from error
     except (AttributeError, TypeError, IndexError) as error:  # a group where numbers should be, or the other way round
-        found = "a file whose groups and numbers are not those that a run writes"
-        raise InputError(path, "", expected="results of an earlier run", found=found) from error
+        raise InputError(OTHER_STRUCTURE, path) from error
 
 
 def _check_all(path: Path, group: h5py.Group) -> None:
-    """Refuse results with data sets whose samples stand in other files, each asked as little as that takes."""
+    """Refuse results with data sets whose samples are in other files."""
 
     def check(name: bytes, what: Any) -> None:
         if what.type == h5o.TYPE_DATASET:
@@ -86,7 +87,7 @@ def _check_all(path: Path, group: h5py.Group) -> None:
 
 
 def _check_group(path: Path, group: h5py.Group, names: Sequence[str]) -> None:
-    """Refuse results of which the group that these names lead to, or anything below it, is in other files."""
+    """Refuse results if a group, or anything below it, is in another file."""
     for name in names:
         link = group.get(name, getlink=True)
         if link is None:
@@ -102,14 +103,17 @@ def _check_group(path: Path, group: h5py.Group, names: Sequence[str]) -> None:
 
 
 def write_fields(group: Group, item: Any) -> None:
-    """Write every field of a data class into a group: groups and names are those of the classes."""
+    """Write every field of a data class into a group."""
     for field in fields(item):
         if field.name not in LEFT_OUT:
             write_value(group, field.name, getattr(item, field.name))
 
 
 def write_value(group: Group, name: str, value: Any) -> None:
-    """Write one value: data classes and mappings as groups, arrays and tuples as datasets, scalars as attributes."""
+    """Write one value into a group.
+
+    Data classes and mappings become groups, arrays and tuples data sets, scalars attributes.
+    """
     if value is None:
         return
     if isinstance(value, Uncertainty):
@@ -132,7 +136,10 @@ def write_value(group: Group, name: str, value: Any) -> None:
 
 
 def _write_sequence(group: Group, name: str, items: Sequence[Any]) -> None:
-    """Write data classes as groups or as a table, lists of texts numbered, the rest as one dataset."""
+    """Write a list of items.
+
+    Data classes become groups or a table, lists of texts are numbered, others are one data set.
+    """
     if items and all(isinstance(item, Notice) for item in items):
         inner = group.create_group(name, track_order=True)
         rows = [item.as_row() for item in items]
@@ -157,36 +164,37 @@ def _write_sequence(group: Group, name: str, items: Sequence[Any]) -> None:
 
 
 def _is_row(item: Any) -> bool:
-    """Whether an item is a data class of texts and numbers only: a row of a table with one dataset per field."""
+    """Return whether an item is a data class of texts and numbers only."""
     return is_dataclass(item) and all(
         isinstance(getattr(item, field.name), str | int | float | complex) for field in fields(item)
     )
 
 
 def _label(item: Any, number: int) -> str:
-    """Name of one entry of a list: its own where it has one, else its place."""
+    """Return the name of a list entry, or its number if it has no name."""
     if hasattr(item, "body") and hasattr(item, "source"):
         return f"{item.body}-{item.source}"
-    own = [getattr(item, key) for key in ("daq", "name") if isinstance(getattr(item, key, None), str)]
-    own = own or [getattr(item, key) for key in ("label", "instrument") if isinstance(getattr(item, key, None), str)]
-    return "-".join(own) if own else f"{number:03d}"
+    names = [getattr(item, key) for key in ("daq", "name") if isinstance(getattr(item, key, None), str)]
+    others = (getattr(item, key, None) for key in ("label", "instrument"))
+    names = names or [name for name in others if isinstance(name, str)]
+    return "-".join(names) if names else f"{number:03d}"
 
 
 def write_uncertainty(group: Group, uncertainty: Uncertainty) -> None:
-    """Write an uncertainty into a group, so that `fusion.report.h5.read_uncertainty` returns it to the last bit.
+    """Write an uncertainty into a group so that `read_uncertainty` returns it bit by bit.
 
     `random/LABEL`: covariance (K, 2C, 2C) and dof (K,) of each random contribution; `name`, `label`, `u`, `unit`,
-    `scope`, `type`, `distribution`, `dof` (E,) and `effect` (E, K, 2C) of the influences; `covariance` (K, 2C, 2C): of
-    everything.
+    `scope`, `type`, `distribution`, `dof` (E,) and `effect` (E, K, 2C) of the influences; `covariance` (K, 2C, 2C):
+    total.
     """
     random = group.create_group("random", track_order=True)
     for part in uncertainty.random:
-        own = random.create_group(random.free_name(part.label))
-        own.attrs["label"] = part.label
-        own.attrs["type"] = part.type
-        own["covariance"] = part.covariance
+        contribution = random.create_group(random.free_name(part.label))
+        contribution.attrs["label"] = part.label
+        contribution.attrs["type"] = part.type
+        contribution["covariance"] = part.covariance
         if part.dof is not None:
-            own["dof"] = part.dof
+            contribution["dof"] = part.dof
     for field in INFLUENCE_TEXTS:
         group[field] = np.array([getattr(influence, field) for influence in uncertainty.influences], dtype=TEXT)
     for field in INFLUENCE_NUMBERS:
@@ -199,11 +207,11 @@ def write_uncertainty(group: Group, uncertainty: Uncertainty) -> None:
 
 
 def read_uncertainty(group: h5py.Group) -> Uncertainty:
-    """Return the `Uncertainty` that `fusion.report.h5.write_uncertainty` put into a group, to the last bit."""
+    """Return the `Uncertainty` that `write_uncertainty` wrote into a group."""
     random = []
     for part in group["random"].values():
         dof = read_numbers(part["dof"]) if "dof" in part else None
-        kind = _known("type", part.attrs["type"], Kind)
+        kind = _choice("type", part.attrs["type"], Kind)
         random.append(Contribution(str(part.attrs["label"]), kind, read_numbers(part["covariance"]), dof))
     # Thousands of recordings have the same names.
     *columns, shapes = [list(map(sys.intern, group[field].asstr()[()].tolist())) for field in INFLUENCE_TEXTS]
@@ -214,21 +222,21 @@ def read_uncertainty(group: h5py.Group) -> Uncertainty:
     influences = []
     rows = zip(*columns, *numbers, read_numbers(group["effect"]), shapes, strict=True)
     for name, label, unit, scope, kind, u, dof, effect, shape in rows:
-        known = _known("scope", scope, Scope), _known("type", kind, Kind)
-        own = *known, float(dof), _known("distribution", shape, Distribution)
-        influences.append(Influence(name, label, float(u), unit, effect, *own))
+        kinds = _choice("scope", scope, Scope), _choice("type", kind, Kind)
+        fields_of = *kinds, float(dof), _choice("distribution", shape, Distribution)
+        influences.append(Influence(name, label, float(u), unit, effect, *fields_of))
     return Uncertainty(tuple(random), tuple(influences))
 
 
 def read_numbers(stored: h5py.Dataset, kinds: str = "fiu") -> Any:
-    """Return a data set whose numbers are of one of some of numpy's kinds; `ValueError` of any other."""
+    """Return the numbers of a data set whose numpy kind is one of `kinds`."""
     if stored.dtype.kind not in kinds:
         raise ValueError(f"{stored.name}: expected numbers of kind {kinds}, found {stored.dtype}")
     return stored[()]
 
 
 def read_notices(file: h5py.File) -> tuple[Notice, ...]:
-    """Return the notices of open results; none where they hold none."""
+    """Return the notices of open results, empty if there are none."""
     group = file.get("notices", {})
     names = [one.name for one in fields(Notice) if one.name in group] if len(group) else []
     columns = [group[name].asstr()[()].tolist() for name in names]
@@ -236,7 +244,10 @@ def read_notices(file: h5py.File) -> tuple[Notice, ...]:
 
 
 def read_evidence(file: h5py.File) -> tuple[InputEvidence, ...]:
-    """Return which unknowns of open results certificates and files state; none where results do not say."""
+    """Return the unknowns of open results that certificates and files state.
+
+    Empty if there are none.
+    """
     from fusion.sensitivity.input_evidence import InputEvidence
 
     if EVIDENCE not in file:
@@ -250,7 +261,7 @@ def read_evidence(file: h5py.File) -> tuple[InputEvidence, ...]:
     return tuple(InputEvidence(*row) for row in zip(*columns, strict=True))
 
 
-def _known(what: str, text: object, choices: Any) -> Any:
+def _choice(what: str, text: object, choices: Any) -> Any:
     """Return a text that is one of the choices."""
     if text not in get_args(choices):
         raise ValueError(f"{what}: expected one of {get_args(choices)}, found {text!r}")

@@ -1,7 +1,7 @@
-"""Groups, data sets and attributes of an HDF5 file: held here until all is known of them, then written in one pass.
+"""HDF5 groups, data sets and attributes in memory, which are written in one pass.
 
-Results have thousands, and to ask HDF5 about one takes as long as to write it. What readers find is what h5py's
-`create_dataset`, `attrs` and `make_scale` would have made.
+Results have thousands of them, and each query of HDF5 takes as long as writing it. The file is the same as that of
+h5py's `create_dataset`, `attrs` and `make_scale`.
 """
 
 from __future__ import annotations
@@ -17,20 +17,20 @@ from h5py import h5a, h5d, h5g, h5p, h5r, h5s, h5t
 from numpy.typing import ArrayLike, NDArray
 
 DEFLATE_ABOVE, WORTH_IT = 512, 0.75
-"""Numbers from which on an array is deflated, where that leaves no more than this share of the bytes of a sample."""
+"""An array with more numbers is compressed if a sample shrinks to this share of its bytes (measured trade-off)."""
 SAMPLE_BYTES, CHUNK_BYTES = 1 << 15, 1 << 20
-"""The latter: what HDF5 holds of a data set while it is read."""
+"""Size of that sample, and of a chunk: HDF5's default chunk cache is 1 MiB."""
 TEXT = h5py.string_dtype()
 LISTS = h5py.vlen_dtype(h5py.ref_dtype)
 REFERENCE = np.dtype([("dataset", h5py.ref_dtype), ("dimension", np.uint32)], align=True)
-"""By what axes name their scales, and scales the axes that they belong to (HDF5 dimension scale specification)."""
+"""Type by which axes and scales refer to each other (HDF5 dimension scale specification)."""
 
 
 class Data:
-    """A data set: numbers, or texts as objects, of any shape; `stored` without: nothing but the length of an axis.
+    """Data set of numbers, or of texts as objects, of any shape.
 
-    `scales`: of each axis that has one, the data set that says what stands along it. `scale`: the name that it has as
-    such a data set itself, empty where it is none; `axes`: of which data sets it is one, and along which axis.
+    `stored`: False if only the length of an axis is needed. `scales`: by axis, the data set of the coordinates.
+    `scale`: name as a coordinate, empty if it is none; `axes`: the data sets and axes that it describes.
     """
 
     def __init__(self, values: ArrayLike, *, stored: bool = True) -> None:
@@ -43,7 +43,7 @@ class Data:
         self.id: Any = None
 
     def attach(self, axis: int, scale: Data) -> None:
-        """Have another data set say what stands along an axis."""
+        """Use another data set as the coordinates of an axis."""
         self.scales[axis] = scale
         scale.axes.append((self, axis))
 
@@ -54,12 +54,12 @@ class Data:
 
     @property
     def numbers(self) -> bool:
-        """Whether it holds numbers, or truths."""
+        """Whether its values are numbers or booleans."""
         return self.values.dtype.kind != "O"
 
 
 class Group:
-    """A group as it is filled: what h5py's group offers for that; `track_order`: it keeps the order of its making."""
+    """Group in memory with the interface of h5py's group; `track_order` keeps the order of creation."""
 
     def __init__(self, parent: Group | None = None, name: str = "/", *, track_order: bool = True) -> None:
         self.name, self.track_order = name, track_order
@@ -69,7 +69,7 @@ class Group:
         self.attrs: dict[str, Any] = {}
 
     def get(self, path: str) -> Any:
-        """Return what stands at a path below this group, None where nothing does."""
+        """Return the item at a path below this group, None if there is none."""
         found: Any = self
         for name in path.split("/"):
             found = found.inside.get(name) if isinstance(found, Group) else None
@@ -88,14 +88,14 @@ class Group:
         self.put(name, Data(values))
 
     def put(self, name: str, item: Any) -> Any:
-        """Put a new data set or group into the group, and return it."""
+        """Add a new data set or group and return it."""
         if name in self.inside:
             raise ValueError(f"{self.name}: {name}: expected a name that is free, found it taken")
         self.inside[name] = item
         return item
 
     def create_group(self, path: str, *, track_order: bool = False) -> Group:
-        """Make a new group, and those above it in its path that are not there yet, which keep their order as this."""
+        """Create a group and the missing groups above it."""
         name, _, below = path.partition("/")
         inner: Any = self.inside.get(name) if below else None
         if inner is None:
@@ -105,14 +105,14 @@ class Group:
         return made
 
     def free_name(self, text: str) -> str:
-        """Return a free name in this group for any text that a user gave: nothing that HDF5 reads as a path."""
+        """Return an unused name for a user's text, without path characters."""
         name = text.replace("/", "_")
         name = name if name.strip(".") else "_" * max(1, len(name))
         candidates = (name if number == 1 else f"{name} ({number})" for number in count(1))
         return next(candidate for candidate in candidates if candidate not in self.inside)
 
     def require_group(self, path: str) -> Group:
-        """Return the group at a path, made where it is not there yet."""
+        """Return the group at a path; create it if it is missing."""
         return found if isinstance(found := self.get(path), Group) else self.create_group(path)
 
     def datasets(self) -> Iterator[tuple[str, Group, Data]]:
@@ -128,7 +128,7 @@ class Group:
 
 
 def write_tree(file: Any, top: Group) -> None:
-    """Write all that a group holds into an open file that is empty, by its identifier."""
+    """Write a group and all its contents into an open, empty file of this identifier."""
     _write_group(file, top)
     for _, _, data in top.datasets():
         if data.scales:
@@ -146,25 +146,25 @@ def _reference(data: Data) -> Any:
     return h5r.create(data.id, b".", h5r.OBJECT)
 
 
-def _write_group(place: Any, group: Group) -> None:
-    """Write what a group holds into the open group of an identifier."""
+def _write_group(parent: Any, group: Group) -> None:
+    """Write the contents of a group into an open HDF5 group."""
     for name, item in group.inside.items():
         if isinstance(item, Group):
             link, kind = _link_kind(name.isascii()), _group_kind(item.track_order)
-            _write_group(h5g.create(place, name.encode(), link, kind), item)
+            _write_group(h5g.create(parent, name.encode(), link, kind), item)
             continue
-        item.id = _write_data(place, name, item)
+        item.id = _write_data(parent, name, item)
         for key, value in item.attrs.items():
             _write_attribute(item.id, key, value)
         if item.scale:
             for key, text in (("CLASS", "DIMENSION_SCALE"), ("NAME", item.scale)):
                 _write_attribute(item.id, key, np.bytes_(text.encode()))
     for key, value in group.attrs.items():
-        _write_attribute(place, key, value)
+        _write_attribute(parent, key, value)
 
 
-def _write_data(place: Any, name: str, data: Data) -> Any:
-    """Write a data set as a new one of the open group of an identifier, and return its own."""
+def _write_data(parent: Any, name: str, data: Data) -> Any:
+    """Write a new data set into an open HDF5 group and return its identifier."""
     values, stored = np.asarray(data.values, order="C"), _plain()
     rows, parts = _deflated(values) if data.numbers and values.size > DEFLATE_ABOVE else (0, [])
     if parts:
@@ -173,7 +173,7 @@ def _write_data(place: Any, name: str, data: Data) -> Any:
         stored.set_shuffle()
         stored.set_deflate(1)
     kind, space, link = _types(values.dtype)[0], _space(values.shape), _link_kind(name.isascii())
-    made = h5d.create(place, name.encode(), kind, space, stored, link)
+    made = h5d.create(parent, name.encode(), kind, space, stored, link)
     for number, part in enumerate(parts):
         made.write_direct_chunk((number * rows, *(0,) * (values.ndim - 1)), part)
     if data.stored and not parts:
@@ -182,7 +182,10 @@ def _write_data(place: Any, name: str, data: Data) -> Any:
 
 
 def _deflated(values: NDArray[Any]) -> tuple[int, list[bytes]]:
-    """Return an array in pieces of so many rows, bytes of equal weight together and deflated; none if not worth it."""
+    """Return an array in compressed chunks and their number of rows.
+
+    No chunks if compression gains too little.
+    """
     from photogram.images.tiff import deflate  # which has the faster of two programs for it
 
     def deflated(part: NDArray[Any]) -> bytes:
@@ -193,7 +196,7 @@ def _deflated(values: NDArray[Any]) -> tuple[int, list[bytes]]:
     if len(deflated(sample)) > WORTH_IT * sample.nbytes:
         return 0, []
     rows = max(1, min(len(values), CHUNK_BYTES * len(values) // values.nbytes))
-    whole = np.zeros((-len(values) % rows, *values.shape[1:]), values.dtype)  # what the last piece lacks
+    whole = np.zeros((-len(values) % rows, *values.shape[1:]), values.dtype)  # padding of the last chunk
     parts = [values[first : first + rows] for first in range(0, len(values), rows)]
     if len(whole):
         parts[-1] = np.concatenate([parts[-1], whole])
@@ -201,7 +204,7 @@ def _deflated(values: NDArray[Any]) -> tuple[int, list[bytes]]:
 
 
 def _write_attribute(holder: Any, name: str, value: Any, kind: str = "") -> None:
-    """Write a text, a number or several as a new attribute of what has this identifier."""
+    """Write a text, a number or an array as a new attribute."""
     values = np.asarray(value, dtype=TEXT if isinstance(value, str) else None, order="C")
     in_file, in_memory = _types(values.dtype, kind)
     made = h5a.create(holder, name.encode(), in_file, _space(values.shape))
@@ -210,7 +213,7 @@ def _write_attribute(holder: Any, name: str, value: Any, kind: str = "") -> None
 
 @cache
 def _plain() -> Any:
-    """How a data set is stored: without the time when it was made."""
+    """Return the creation properties of a data set, without its time of creation."""
     kind = h5p.create(h5p.DATASET_CREATE)
     kind.set_obj_track_times(False)
     kind.set_attr_creation_order(0)
@@ -219,7 +222,7 @@ def _plain() -> Any:
 
 @cache
 def _group_kind(track_order: bool) -> Any:
-    """How a group is stored: without that time, too."""
+    """Return the creation properties of a group, without its time of creation."""
     kind, order = h5p.create(h5p.GROUP_CREATE), h5p.CRT_ORDER_TRACKED | h5p.CRT_ORDER_INDEXED
     kind.set_obj_track_times(False)
     if track_order:
@@ -230,7 +233,7 @@ def _group_kind(track_order: bool) -> Any:
 
 @cache
 def _link_kind(plain: bool) -> Any:
-    """How a name is stored: one that is not plain as UTF-8."""
+    """Return the creation properties of a link; names other than ASCII are UTF-8."""
     kind = h5p.create(h5p.LINK_CREATE)
     kind.set_char_encoding(h5t.CSET_ASCII if plain else h5t.CSET_UTF8)
     return kind
@@ -238,15 +241,16 @@ def _link_kind(plain: bool) -> Any:
 
 @lru_cache(1000)
 def _space(shape: tuple[int, ...]) -> Any:
-    """Room for values."""
+    """Return the HDF5 data space of a shape."""
     return h5s.create_simple(shape) if shape else h5s.create(h5s.SCALAR)
 
 
 @cache
 def _types(kind: np.dtype[Any], of: str = "") -> tuple[Any, Any]:
-    """Types of values in the file and in memory, of objects those of texts or `of` references; bytes end with a zero.
+    """Return the types of values in the file and in memory.
 
-    (What numpy's types of objects stand for does not count where they are compared.)
+    Objects are texts, or references if `of` is given; bytes end with a zero. numpy's metadata of object types are
+    ignored by its comparison.
     """
     if kind.kind == "S":
         ended = h5t.C_S1.copy()

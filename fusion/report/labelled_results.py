@@ -1,4 +1,4 @@
-"""Results read back as labelled arrays with units and covariances, for programs of users: NumPy, pandas, xarray."""
+"""Results as labelled arrays with units and covariances, for NumPy, pandas and xarray."""
 
 from __future__ import annotations
 
@@ -15,22 +15,30 @@ from fusion.errors import InputError
 from fusion.estimation.uncertainty import Uncertainty, polar_elements
 from fusion.report.folder import RESULT_FILE, RESULT_FORMAT
 from fusion.report.h5 import open_results, read_numbers, read_uncertainty
+from fusion.report.report_notices import INCOMPLETE_RESULTS, NO_RESULTS, OTHER_FORMAT
 from fusion.report.table import sensitivity_unit
 from shaker.arrays import ComplexArray, FloatArray, check_shape
 from shaker.labels import LOAD_COMPONENTS, LOAD_UNITS
 
 CAMPAIGN_FILE = "campaign.h5"
 READ = ("sensor", "sensitivity", "element", "accelerations", "load", "curves", "matrices")
-"""Groups of a file that results are made of."""
+"""Groups of a file that are read."""
 
 
 @dataclass(frozen=True, repr=False)
 class LabelledPhasors:
-    """Complex values of E elements at K frequencies with names, units and all that makes them uncertain.
+    """Complex values of E elements at K frequencies with names, units and uncertainty.
 
-    `value` (K, E) peak phasors or ratios of them, NaN where there is no result; `channel` (of the sensor; of an
-    acceleration or load its body), `component` and `unit` (E texts each); `uncertainty` of all, real parts first, by
-    named unknowns. `name` says of what, `kind` (K) of which kind each line is.
+    Attributes
+    ----------
+    name : name of the quantity.
+    frequency_hz : (K,) frequencies in Hz.
+    value : (K, E) peak phasors or ratios of them; NaN if there is no result.
+    channel : (E) channel of the sensor; for an acceleration or load its body.
+    component : (E) component of the load or motion.
+    unit : (E) unit of each element.
+    uncertainty : uncertainty of all elements by named unknowns, real parts first.
+    kind : (K) kind of each line.
     """
 
     name: str
@@ -58,7 +66,7 @@ class LabelledPhasors:
 
     @property
     def covariance(self) -> FloatArray:
-        """Covariance (K, 2E, 2E) of [all Re, all Im] at each frequency, in products of the units."""
+        """Covariance (K, 2E, 2E) of [all Re, all Im] at each frequency."""
         return self.uncertainty.covariance
 
     @property
@@ -73,10 +81,10 @@ class LabelledPhasors:
         return np.asarray(self.value[:, self.elements.index(name)])
 
     def to_dataframe(self) -> Any:
-        """Return a pandas table: a row for each value that is a result, with the columns of `sensitivity.csv`."""
+        """Return a pandas table with one row per result and the columns of `sensitivity.csv`."""
         pandas = _optional("pandas")
         rows = []
-        with np.errstate(over="ignore", invalid="ignore"):  # of damaged files, whose numbers come back as they are
+        with np.errstate(over="ignore", invalid="ignore"):  # numbers of damaged files are returned unchanged
             every = polar_elements(self.value, self.uncertainty)
         for k, line in enumerate(every):
             for e, value in enumerate(line):
@@ -87,7 +95,7 @@ class LabelledPhasors:
         return pandas.DataFrame(rows)
 
     def to_xarray(self) -> Any:
-        """Return an xarray `Dataset`: `value` and `covariance` over `frequency_hz` and `element`, with their labels."""
+        """Return an xarray `Dataset` of `value` and `covariance` over `frequency_hz` and `element`."""
         parts = [f"{part} {element}" for part in ("Re", "Im") for element in self.elements]
         labels = {name: ("element", list(getattr(self, name))) for name in ("channel", "component", "unit")}
         units = set(self.unit)
@@ -114,11 +122,18 @@ class LabelledPhasors:
 
 @dataclass(frozen=True, repr=False)
 class Results:
-    """What a results folder of a recording or campaign says, as labelled arrays; None or empty where it says nothing.
+    """Results of a recording or campaign as labelled arrays.
 
-    `sensitivity`: ratios of a recording; `element`: the sensor's elements; `acceleration` by `BODY-SOURCE`; `load`.
-    Of a campaign `curve`: one for each kind and driven component, that of the matrix over frequency among them;
-    `matrix`: one for each frequency, its 6C elements channel by channel.
+    Attributes
+    ----------
+    name : name of the recording or campaign.
+    path : the file that was read.
+    sensitivity : ratios of a recording, or None.
+    element : elements of the sensor, or None.
+    acceleration : by `BODY-SOURCE`.
+    load : load of a recording, or None.
+    curve : curves of a campaign, one for each kind and driven component, including that of the matrix.
+    matrix : matrices of a campaign, one for each frequency, 6C elements channel by channel.
     """
 
     name: str
@@ -139,8 +154,25 @@ class Results:
 
 
 def read_results(path: str | Path) -> Results:
-    """Return the results that a run left in a folder (or in its `result.h5` or `campaign.h5`), with their units.
+    """Return the results of a run as labelled arrays with units.
 
+    Parameters
+    ----------
+    path : str or Path
+        Folder of results, or its `result.h5` or `campaign.h5`.
+
+    Returns
+    -------
+    Results
+        Sensitivity, elements, accelerations and load of a recording; curves and matrices of a campaign.
+
+    Raises
+    ------
+    InputError
+        The path has no results, or they are damaged, incomplete or of another format.
+
+    Examples
+    --------
     >>> from fusion import read_results
     >>> results = read_results("results/Fz-0080")  # doctest: +SKIP
     >>> results.load  # doctest: +SKIP
@@ -152,19 +184,18 @@ def read_results(path: str | Path) -> Results:
     files = [path] if path.is_file() else [path / name for name in (CAMPAIGN_FILE, RESULT_FILE)]
     file = next((file for file in files if file.is_file() and h5py.is_hdf5(file)), None)
     if file is None:
-        raise InputError(path, "", found="none of these", expected=f"{RESULT_FILE} or {CAMPAIGN_FILE} of a run")
+        raise InputError(NO_RESULTS, path, expected=f"{RESULT_FILE} or {CAMPAIGN_FILE}")
     with open_results(file, *READ) as content:
         if content.attrs.get("format") != RESULT_FORMAT or not {"recording", "campaign"} & set(content.attrs):
             found = f"format {content.attrs['format']}" if "format" in content.attrs else "another file"
-            raise InputError(file, "", found=found, expected=f"results of format {RESULT_FORMAT}; evaluate anew")
+            raise InputError(OTHER_FORMAT, file, found=found, expected=str(RESULT_FORMAT))
         try:
             return _results(content, file)
         except KeyError as error:
-            raise InputError(file, "", found=f"incomplete results ({error.args[0]})", expected="") from error
+            raise InputError(INCOMPLETE_RESULTS, file, reason=str(error.args[0])) from error
 
 
 def _results(file: h5py.File, path: Path) -> Results:
-    """Everything that a file has."""
     curves, matrices = file.get("curves", {}), file.get("matrices", {})
     return Results(
         name=str(file.attrs.get("recording", file.attrs.get("campaign"))),
@@ -179,7 +210,7 @@ def _results(file: h5py.File, path: Path) -> Results:
 
 
 def _groups(parent: Any) -> Iterator[h5py.Group]:
-    """Groups of a list, in order."""
+    """Return the groups of a list in order."""
     return (group for group in parent.values() if isinstance(group, h5py.Group)) if len(parent) else iter(())
 
 
@@ -190,10 +221,13 @@ def _texts(group: h5py.Group, name: str) -> tuple[str, ...]:
 def _labelled(
     name: str, group: h5py.Group, value: ComplexArray, labels: Sequence[tuple[str, str, str]], kind: Sequence[str]
 ) -> LabelledPhasors:
-    """Values of a group with their uncertainty; `labels`: channel, component and unit of each."""
+    """Return the values of a group with their uncertainty.
+
+    `labels`: channel, component and unit of each element.
+    """
     channel, component, unit = zip(*labels, strict=True) if labels else ((), (), ())
-    places: list[Any] = [group.get("frequency_hz"), group.get("phasors/frequency_hz")]
-    found = next((read_numbers(place) for place in places if place is not None), None)
+    datasets: list[Any] = [group.get("frequency_hz"), group.get("phasors/frequency_hz")]
+    found = next((read_numbers(dataset) for dataset in datasets if dataset is not None), None)
     frequency = np.array([group.attrs["frequency_hz"]]) if found is None else found
     uncertainty = read_uncertainty(group["uncertainty"])
     return LabelledPhasors(name, frequency, value, channel, component, unit, uncertainty, tuple(kind))
@@ -242,7 +276,7 @@ def _output_unit(group: h5py.Group) -> str:
 
 
 def _optional(name: str) -> Any:
-    """Return a package that a user may have."""
+    """Import an optional package."""
     try:
         return importlib.import_module(name)
     except ImportError:

@@ -1,4 +1,4 @@
-"""Figures of stereo pairs: motion, deformation, and whether the cameras still are what was calibrated."""
+"""Figures of stereo pairs: motion, deformation and stability of the cameras."""
 
 from __future__ import annotations
 
@@ -37,7 +37,8 @@ from shaker.sine.aliasing import alias_frequency
 
 OUT_QUANTILE, INSIDE_QUANTILE = 2.448, 3.080
 """Amplitude of one and of two components, in standard uncertainties of their parts, that noise exceeds at 5 % of the
-points: square roots of the 95 % quantiles of chi-square with 2 and 4 degrees of freedom."""
+points: square roots of the 95 % quantiles of chi-square with 2 and 4 degrees of freedom.
+"""
 LONGEST_ARROW = 1.6  # distances between neighbours
 PANEL_IN, TALLEST_IN, FLATTEST_IN = 2.2, 3.2, 0.8
 FIGURE_MARGIN_IN = 1.45
@@ -46,7 +47,10 @@ MARGIN_SHARE = 0.03
 
 @dataclass(frozen=True)
 class _View:
-    """A shape at one line as it is drawn: plan (N, 2) in mm, out of plane (N,), in plane (N, 2), and noise levels."""
+    """Deflection shape at one line as it is drawn.
+
+    `plan_mm` (N, 2): positions; `out` (N,): out of plane; `inside` (N, 2): in plane; with the levels of noise.
+    """
 
     plan_mm: FloatArray
     out: ComplexArray
@@ -63,10 +67,10 @@ class _View:
 
     @property
     def limits_mm(self) -> tuple[FloatArray, FloatArray]:
-        """Lower and upper corner of the panels: the whole body with room for a square at its edge."""
+        """Lower and upper corner of the panels: the whole body with a margin."""
         low, high = self.plan_mm.min(axis=0), self.plan_mm.max(axis=0)
-        room = 1.2 * self.side_mm + MARGIN_SHARE * float((high - low).max())
-        return low - room, high + room
+        margin = 1.2 * self.side_mm + MARGIN_SHARE * float((high - low).max())
+        return low - margin, high + margin
 
     @property
     def height_in(self) -> float:
@@ -76,15 +80,15 @@ class _View:
 
 
 def draw_deflection(shape: DeflectionShape, line: int, rigid: ComplexArray, name: str, body: str) -> Figure | None:
-    """Amplitude and phase of the deflection out of the plane of the points, and the deflection in that plane.
+    """Draw the deflection shape: amplitude and phase out of plane, and in plane.
 
-    `rigid` (6,): displacement phasors of the body at this line; phases are counted from its largest translation. None
-    when fewer than three points have a deflection.
+    `rigid` (6,): displacement phasors of the body at this line; phases are relative to its largest translation. None if
+    fewer than three points have a deflection.
     """
-    known = np.isfinite(shape.value[line]).all(axis=1)
-    if known.sum() < 3:
+    finite = np.isfinite(shape.value[line]).all(axis=1)
+    if finite.sum() < 3:
         return None
-    view = _view(shape.reference_m[known], shape.value[line][known], shape.u[line][known])
+    view = _view(shape.reference_m[finite], shape.value[line][finite], shape.u[line][finite])
     leader = int(np.argmax(np.abs(rigid[:3])))
     above = np.abs(view.out) > view.out_level
     drawn = empty_figure(f"deflection-{name}", view.height_in + FIGURE_MARGIN_IN, 1, 3)
@@ -99,18 +103,18 @@ def draw_deflection(shape: DeflectionShape, line: int, rigid: ComplexArray, name
         panel.x.label = f"{AXES[view.across[0]]} / mm"
     panels[0].y.label = f"{AXES[view.across[1]]} / mm"
     caption = (
-        f"What the {body} does beside its rigid motion at {shape.frequency_hz[line]:.4f} Hz, seen by stereo pair "
+        f"Motion of the {body} in addition to its rigid motion at {shape.frequency_hz[line]:.4f} Hz, by stereo pair "
         f"“{name}” (peak values). Left: amplitude along {AXES[view.normal]}, out of the plane of the points; "
         f"{above.sum()} of {len(above)} points are above the noise level, which noise alone exceeds at one point "
         f"in twenty. Middle: phase against the rigid translation along {AXES[leader]}, grey where the amplitude "
         "is below that level. Right: deflection in the plane at the instant of its largest extent, grey below "
-        "the noise level. Bending appears smaller by the rigid motion that fits it best."
+        "the noise level. Bending appears smaller by its best-fit rigid motion."
     )
     return drawn.with_title(f"Operating deflection shape seen by {name}", caption)
 
 
 def _view(reference_m: FloatArray, value: ComplexArray, u: FloatArray) -> _View:
-    """Plan and components of a shape (N, 3) with uncertainties (N, 3), in the plane that fits the points best."""
+    """Return plan and components of a shape (N, 3) in the points' best-fit plane."""
     _, _, axes = np.linalg.svd(reference_m - reference_m.mean(axis=0), full_matrices=False)
     normal = axes[2]
     main = int(np.argmax(np.abs(normal)))
@@ -130,7 +134,7 @@ def _view(reference_m: FloatArray, value: ComplexArray, u: FloatArray) -> _View:
 
 
 def _draw_amplitude(panel: Panel, view: _View) -> None:
-    """Squares coloured by the amplitude out of the plane."""
+    """Draw squares coloured by the amplitude out of the plane."""
     factor, letter = prefix(np.abs(view.out))
     largest = float(np.abs(view.out).max()) / factor
     level = float(np.median(view.out_level)) / factor
@@ -140,7 +144,7 @@ def _draw_amplitude(panel: Panel, view: _View) -> None:
 
 
 def _draw_phase(panel: Panel, view: _View, above: NDArray[np.bool_], leader: tuple[float, str]) -> None:
-    """Squares coloured by the phase out of the plane, against the leader's, where the amplitude is above the noise."""
+    """Draw squares coloured by the phase out of plane, for amplitudes above the noise."""
     phase = np.degrees(np.angle(view.out * np.exp(-1j * leader[0])))
     scale = Scale(PHASE_COLOURS, -180.0, 180.0, f"phase against {leader[1]} / °")
     panel.squares(view.plan_mm, 0.94 * view.side_mm, values=np.where(above, phase, np.nan), scale=scale)
@@ -148,7 +152,7 @@ def _draw_phase(panel: Panel, view: _View, above: NDArray[np.bool_], leader: tup
 
 
 def _draw_in_plane(panel: Panel, view: _View) -> None:
-    """Arrows at the instant at which the deflection in the plane is largest."""
+    """Draw arrows at the instant of the largest deflection in the plane."""
     instant = np.exp(-0.5j * np.angle(np.sum(view.inside**2)))
     vector = (view.inside * instant).real
     length = np.sqrt(np.sum(np.abs(view.inside) ** 2, axis=1))
@@ -156,15 +160,15 @@ def _draw_in_plane(panel: Panel, view: _View) -> None:
     longest = max(float(np.quantile(np.hypot(vector[:, 0], vector[:, 1]), 0.98)), 1e-12 * factor)
     shown = vector * (LONGEST_ARROW * view.side_mm / longest)
     weak = length <= view.inside_level
-    for own, colour in ((~weak, BLUE), (weak, GREY)):
-        if own.any():
-            panel.arrows(view.plan_mm[own], shown[own], colour=colour)
+    for mask, colour in ((~weak, BLUE), (weak, GREY)):
+        if mask.any():
+            panel.arrows(view.plan_mm[mask], shown[mask], colour=colour)
     level = float(np.median(view.inside_level)) / factor
     names = ", ".join(AXES[axis] for axis in view.across)
     panel.title = f"in plane ({names}): longest {longest / factor:#.2g}, noise {level:#.2g} {letter}m"
 
 
-# Figures of one stereo pair: motion over time and folded, what the fit leaves, and the image it was seen in.
+# Figures of one stereo pair: motion over time and folded, residuals, and the first image.
 
 
 MEASURED: dict[str, Any] = {"label": "measured", "colour": BLUE, "size": 2.6}
@@ -172,26 +176,26 @@ FITTED: dict[str, Any] = {"label": "sine approximation", "colour": RED}
 CURVE_POINTS = 600
 LARGEST_IMAGE_PX = 520
 MOST_PERCENT = 45.0
-"""Right end of the histograms: a class of a normal distribution in eight holds up to 35 %."""
+"""Right end of the histograms: a class of a normal distribution in eight contains up to 35 %."""
 
 
 def pair_motion_figures(stereo: StereoResult) -> list[Figure]:
-    """All figures of one stereo pair."""
-    pictures = [draw_motion(stereo), draw_residuals(stereo)]
+    """Return all figures of one stereo pair."""
+    figures = [draw_motion(stereo), draw_residuals(stereo)]
     if len(stereo.time_s) >= 8:
-        pictures.append(draw_residual_spectrum(stereo))
+        figures.append(draw_residual_spectrum(stereo))
     if stereo.epipolar is not None:
-        pictures.append(draw_epipolar(stereo.epipolar, stereo.time_s, stereo.name))
+        figures.append(draw_epipolar(stereo.epipolar, stereo.time_s, stereo.name))
     rigid = stereo.fit.phasors.value
     if stereo.deflection is None or len(rigid) == 0:
-        return pictures
+        return figures
     line = int(np.argmax(np.linalg.norm(rigid[:, :3], axis=1)))  # that of the largest motion
     bent = draw_deflection(stereo.deflection, line, rigid[line], stereo.name, stereo.body)
-    return pictures if bent is None else [*pictures, bent]
+    return figures if bent is None else [*figures, bent]
 
 
 def draw_motion(stereo: StereoResult) -> Figure:
-    """Six components over time with the fitted lines as this camera rate sees them, and folded over one period."""
+    """Draw six components over time with the fitted lines, and folded over one period."""
     frequency, rate = main_frequency(stereo), camera_rate_hz(stereo)
     start, end = stereo.time_s[0], stereo.time_s[-1]
     phase = np.mod(stereo.time_s * frequency, 1.0)
@@ -218,14 +222,14 @@ def draw_motion(stereo: StereoResult) -> Figure:
     caption = (
         f"Motion of the {stereo.body} seen by stereo pair “{stereo.name}”, about its mean pose: "
         f"{len(stereo.time_s)} frames at {rate:.4f} Hz. Points: measured; curves: sine approximation. Left, the "
-        f"curve is drawn at the beat frequency of {beat:.4f} Hz, to which this camera rate folds "
-        f"{frequency:.4f} Hz; it passes through the fit at every frame. Right, the frames are ordered by phase."
+        f"curve is drawn at the beat frequency of {beat:.4f} Hz, the alias of "
+        f"{frequency:.4f} Hz at this camera rate; it equals the fit at every frame. Right, frames ordered by phase."
     )
     return drawn.with_title(f"Motion seen by {stereo.name}", caption)
 
 
 def draw_residuals(stereo: StereoResult) -> Figure:
-    """What the sine approximation leaves of each component, over time and as a histogram."""
+    """Draw the residuals of the sine approximation over time and as histograms."""
     residual = stereo.residual
     drawn = empty_figure(f"residuals-{stereo.name}", 6.4, 6, (3.4, 1.0), shared_y=True)
     for component, (over_time, histogram) in enumerate(zip(drawn.panels[::2], drawn.panels[1::2], strict=True)):
@@ -239,14 +243,14 @@ def draw_residuals(stereo: StereoResult) -> Figure:
     drawn.panels[-2].x.label = "time / s"
     drawn.panels[-1].x.label = "frames / %"
     caption = (
-        "Measured motion minus sine approximation, frame by frame, and its distribution beside the normal "
+        "Measured motion minus sine approximation, frame by frame, and its distribution, with the normal "
         "distribution of the same standard deviation s."
     )
     return drawn.with_title(f"Residuals of {stereo.name}", caption)
 
 
 def draw_residual_spectrum(stereo: StereoResult) -> Figure:
-    """Amplitude spectrum of the residuals up to half the camera rate, with the places to which the lines fold."""
+    """Draw the amplitude spectrum of the residuals with the aliases of the lines."""
     rate = camera_rate_hz(stereo)
     spectrum_hz, amplitude = residual_spectrum(stereo)
     alias = alias_frequency(stereo.fit.phasors.frequency_hz, rate)
@@ -262,53 +266,53 @@ def draw_residual_spectrum(stereo: StereoResult) -> Figure:
         names = tuple(f"{line:.4f} Hz" for line in stereo.fit.phasors.frequency_hz)
         panel.points(alias, np.zeros_like(alias), "fitted lines", marker="triangle", colour=BLACK, names=names)
     caption = (
-        "Amplitude spectrum of the residuals over the frequency at which the camera sees them. Triangles: where "
-        "the fitted lines fold to. White noise alone gives a level spectrum; a peak elsewhere is a disturbance "
+        "Amplitude spectrum of the residuals over the frequency at the camera. Triangles: aliases of the fitted "
+        "lines. White noise alone gives a level spectrum; any other peak is a disturbance "
         "or a line that was not fitted."
     )
     return drawn.with_title(f"Residual spectrum of {stereo.name}", caption)
 
 
 def subset_figures(evaluation: Evaluation) -> list[Figure]:
-    """First left image of every stereo pair with the subsets that were tracked in it, where there are images."""
-    seen = [
+    """Draw the tracked subsets in the first left image of every stereo pair."""
+    pairs = [
         (item.name, item.reference_image, item.subsets_px)
         for item in evaluation.stereo
         if item.reference_image is not None and item.subsets_px is not None
     ]
-    if not seen:
+    if not pairs:
         return []
-    columns = max(2, len(seen))
-    tallest = max(image.shape[0] / image.shape[1] for _, image, _ in seen)
+    columns = max(2, len(pairs))
+    tallest = max(image.shape[0] / image.shape[1] for _, image, _ in pairs)
     drawn = empty_figure("subsets", 0.75 + 7.2 / columns * tallest, 1, columns)
-    for panel, (name, image, points) in zip(drawn.panels, seen, strict=False):
+    for panel, (name, image, points) in zip(drawn.panels, pairs, strict=False):
         _draw_image(panel, image)
         side = 0.92 * (21.0 if len(points) < 2 else neighbour_distance(points, 0.5))
         panel.squares(points, side, "subsets", colour=ORANGE, filled=False)
         panel.x.label, panel.title = "x / px", f"{name}: {len(points)} subsets"
-    for panel in drawn.panels[len(seen) :]:
+    for panel in drawn.panels[len(pairs) :]:
         panel.blank = True
     drawn.panels[0].y.label = "y / px"
     return [drawn.with_title("Subsets", "First left images, contrast stretched, with the subsets tracked in them.")]
 
 
 def main_frequency(stereo: StereoResult) -> float:
-    """Frequency of the strongest translational line of the fit."""
+    """Return the frequency of the strongest translational line of the fit."""
     phasors = stereo.fit.phasors
     return float(phasors.frequency_hz[np.argmax(np.abs(phasors.value[:, :3]).max(axis=1))])
 
 
 def camera_rate_hz(stereo: StereoResult) -> float:
-    """Mean frame rate: the median spacing is taken as one frame, gaps count as several."""
+    """Return the mean frame rate; the median spacing is one frame, gaps count as several."""
     spacing = np.diff(stereo.time_s)
     frames = np.round(spacing / np.median(spacing)).sum()
     return float(frames / (stereo.time_s[-1] - stereo.time_s[0]))
 
 
 def beat_curve(stereo: StereoResult, time_s: FloatArray) -> FloatArray:
-    """Fitted curve (T, 6) with every line moved to its alias, so that it can be drawn between the frames.
+    """Return the fitted curve (T, 6) at the aliases of the lines.
 
-    At frame times t_n = t_0 + n/f_c, exp(j2πft_n) = exp(j2πft_0)·exp(j2π(f − m·f_c)(t_n − t_0)) for whole m.
+    It equals the fit at every frame.
     """
     rate, start = camera_rate_hz(stereo), float(stereo.time_s[0])
     phasors = stereo.fit.phasors
@@ -319,27 +323,27 @@ def beat_curve(stereo: StereoResult, time_s: FloatArray) -> FloatArray:
 
 
 def folded_curve(stereo: StereoResult, frequency_hz: float, phase: FloatArray) -> FloatArray:
-    """Fitted curve (T, 6) of one line and its multiples over its phase in periods."""
+    """Return the fitted curve (T, 6) of one line and its multiples over its phase."""
     phasors = stereo.fit.phasors
     multiple = phasors.frequency_hz / frequency_hz
-    own = np.abs(multiple - np.round(multiple)) * frequency_hz * np.ptp(stereo.time_s) < 0.02
-    turns = np.exp(2j * np.pi * np.multiply.outer(phase, np.round(multiple[own])))
-    return np.asarray((turns @ phasors.value[own]).real)
+    multiples = np.abs(multiple - np.round(multiple)) * frequency_hz * np.ptp(stereo.time_s) < 0.02
+    turns = np.exp(2j * np.pi * np.multiply.outer(phase, np.round(multiple[multiples])))
+    return np.asarray((turns @ phasors.value[multiples]).real)
 
 
 def residual_spectrum(stereo: StereoResult) -> tuple[FloatArray, FloatArray]:
-    """Frequencies (B,) and amplitudes (B, 6) of the residuals; missing frames count as zero."""
+    """Return frequencies (B,) and amplitudes (B, 6) of the residuals; missing frames count as zero."""
     spacing = np.diff(stereo.time_s)
-    place = np.concatenate([[0], np.cumsum(np.round(spacing / np.median(spacing)))]).astype(np.int64)
-    filled = np.zeros((place[-1] + 1, 6))
-    filled[place] = np.nan_to_num(stereo.residual)
+    index = np.concatenate([[0], np.cumsum(np.round(spacing / np.median(spacing)))]).astype(np.int64)
+    filled = np.zeros((index[-1] + 1, 6))
+    filled[index] = np.nan_to_num(stereo.residual)
     frequency = np.fft.rfftfreq(len(filled), 1.0 / camera_rate_hz(stereo))
     present = int(np.isfinite(stereo.residual).all(axis=1).sum())
     return np.asarray(frequency, dtype=np.float64), np.abs(np.fft.rfft(filled, axis=0)) * 2.0 / max(present, 1)
 
 
 def _draw_histogram(panel: Panel, values: FloatArray) -> None:
-    """Horizontal histogram in per cent, with the normal distribution of the same standard deviation."""
+    """Draw a horizontal histogram in per cent, with a normal distribution."""
     panel.x.limits = (0.0, MOST_PERCENT)
     if len(values) < 3:
         return
@@ -355,7 +359,7 @@ def _draw_histogram(panel: Panel, values: FloatArray) -> None:
 
 
 def _draw_image(panel: Panel, image: NDArray[Any]) -> None:
-    """One reference image, reduced to the size at which it is shown."""
+    """Draw one reference image, reduced to its size on the page."""
     height, width = image.shape
     low, high = np.percentile(image, (0.5, 99.5))
     grey = np.clip((image - low) / max(float(high - low), 1.0), 0.0, 1.0).astype(np.float32)
@@ -367,7 +371,10 @@ def _draw_image(panel: Panel, image: NDArray[Any]) -> None:
 
 
 def neighbour_distance(points: FloatArray, least: float) -> float:
-    """Median distance of neighbours on a grid of points (N, 2); what is closer than `least` is the same point."""
+    """Return the median distance of neighbours on a grid of points (N, 2).
+
+    Points closer than `least` count as one point.
+    """
     sample = points[:: max(1, len(points) // 200)]
     across, down = (np.abs(np.subtract.outer(mine, every)) for mine, every in zip(sample.T, points.T, strict=True))
     distance = np.maximum(across, down)
@@ -375,7 +382,7 @@ def neighbour_distance(points: FloatArray, least: float) -> float:
     return float(np.median(distance.min(axis=1)))
 
 
-# Figure of one stereo pair: whether its cameras still are, and stay, what was calibrated.
+# Figure of one stereo pair: whether its cameras agree with their calibration.
 
 
 MPX = 1e3
@@ -383,26 +390,26 @@ SMALLEST_PX = 1e-3  # range of the colours where residuals are smaller
 
 
 def draw_epipolar(check: EpipolarCheck, time_s: FloatArray, name: str) -> Figure:
-    """Mean epipolar residual over time with what the calibration explains, and its mean over time over the picture."""
+    """Draw the mean epipolar residual over time and over the image."""
     drawn = empty_figure(f"epipolar-{name}", 3.0, 1, (1.5, 1.0))
-    _draw_course(drawn.panels[0], check, time_s)
+    _draw_mean_residual(drawn.panels[0], check, time_s)
     drawn.panels[0].x.link = f"time of {name}"
     _draw_residuals(drawn.panels[1], check)
     explained = (
-        "Grey band: what calibration and matching explain, k = 2. "
+        "Grey band: uncertainty of calibration and matching, k = 2. "
         if check.pattern_covariance is not None
         else "The calibration states no uncertainty to compare with. "
     )
     caption = (
-        "How far the points of the right picture are off the epipolar lines of their left ones. Left: mean over "
+        "Distance of the points of the right image from the epipolar lines of the left ones. Left: mean over "
         f"the points, frame by frame, bars: image noise, k = 2. {explained}A camera that moves makes a step or a "
-        "drift. Right: mean over the frames, over the left picture."
+        "drift. Right: mean over the frames, over the left image."
     )
     return drawn.with_title(f"Epipolar residuals of {name}", caption)
 
 
-def _draw_course(panel: Panel, check: EpipolarCheck, time_s: FloatArray) -> None:
-    """The mean residual over time."""
+def _draw_mean_residual(panel: Panel, check: EpipolarCheck, time_s: FloatArray) -> None:
+    """Draw the mean residual over time."""
     if check.pattern_covariance is not None:
         explained = MPX * COVERAGE * float(np.sqrt(check.pattern_covariance[0, 0]))
         panel.span(-explained, explained)
@@ -413,17 +420,20 @@ def _draw_course(panel: Panel, check: EpipolarCheck, time_s: FloatArray) -> None
 
 
 def _draw_residuals(panel: Panel, check: EpipolarCheck) -> None:
-    """The mean residual of every point at its place in the left picture; outliers as crosses."""
-    known = np.isfinite(check.residual_px)
-    if not known.any():
+    """Draw the mean residual of every point at its position in the left image.
+
+    Outliers as crosses.
+    """
+    finite = np.isfinite(check.residual_px)
+    if not finite.any():
         panel.blank = True
         return
-    limit = MPX * max(SMALLEST_PX, float(np.abs(check.residual_px[known]).max()))
+    limit = MPX * max(SMALLEST_PX, float(np.abs(check.residual_px[finite]).max()))
     x, y = check.position_px.T
     scale = Scale("RdBu", -limit, limit, "residual / mpx")
-    panel.points(x[known], y[known], values=MPX * check.residual_px[known], scale=scale, size=3.8)
-    if not known.all():
-        panel.points(x[~known], y[~known], "left out", marker="x", colour=RED, size=4.0)
+    panel.points(x[finite], y[finite], values=MPX * check.residual_px[finite], scale=scale, size=3.8)
+    if not finite.all():
+        panel.points(x[~finite], y[~finite], "left out", marker="x", colour=RED, size=4.0)
     panel.equal = True
     panel.x.limits = (float(x.min()) - 20.0, float(x.max()) + 20.0)
     panel.y.limits = (float(y.max()) + 20.0, float(y.min()) - 20.0)

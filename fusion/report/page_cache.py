@@ -1,7 +1,7 @@
-"""What every run would make alike, kept for the next ones in the user's folder of caches: templates, packed programs.
+"""Cache of compiled page templates and packed scripts in the user's cache folder.
 
-Where that folder cannot be, everything is made anew. Processes do not disturb each other: a file appears whole, and one
-that is not what was written counts as none.
+If that folder is not available, everything is made again. A file appears completely or not at all; a damaged file is
+ignored.
 """
 
 from __future__ import annotations
@@ -22,64 +22,67 @@ from fusion.report.atomic_files import write_file
 from photogram.kernels import user_cache
 
 UNUSED_S = 30 * 86400.0
-"""Age after which what is kept is made anew, so that nothing of older versions stays."""
+"""Age after which an entry is made again, so that entries of older versions disappear; chosen: 30 days."""
 
 
 def load_or_make(name: str, key: str, make: Callable[[], bytes]) -> bytes:
-    """Return what is kept under a name for a key, which says of what it was made; made and kept where it is not."""
-    content = _find(name, key)
+    """Return the cached content of a name and key, or make and cache it.
+
+    `key` identifies everything that the content depends on.
+    """
+    content = _read_entry(name, key)
     if content is None:
         content = make()
-        _keep(name, key, content)
+        _write_entry(name, key, content)
     return content
 
 
 class CompiledTemplates(jinja2.BytecodeCache):
-    """Templates as they are when Python has compiled them; jinja2 itself sees to its source and to Python's version."""
+    """Cache of templates as compiled Python code."""
 
     def load_bytecode(self, bucket: Bucket) -> None:
-        """Take a template's code, if it is kept."""
-        code = _find(bucket.key, self._key(bucket))
+        """Load the code of a template if it is cached."""
+        code = _read_entry(bucket.key, self._key(bucket))
         if code is not None:
             bucket.bytecode_from_string(code)
 
     def dump_bytecode(self, bucket: Bucket) -> None:
-        """Keep a template's code."""
-        _keep(bucket.key, self._key(bucket), bucket.bytecode_to_string())
+        """Cache the code of a template."""
+        _write_entry(bucket.key, self._key(bucket), bucket.bytecode_to_string())
 
     @staticmethod
     def _key(bucket: Bucket) -> str:
-        """All that the code depends on: versions, the template's text, and how it is to be read."""
-        own = bucket.environment
-        how = own.autoescape, own.trim_blocks, own.lstrip_blocks, own.undefined.__name__
+        """Return everything that the code depends on: versions, source text and parser settings."""
+        environment = bucket.environment
+        how = environment.autoescape, environment.trim_blocks, environment.lstrip_blocks, environment.undefined.__name__
         return f"{jinja2.__version__} {sys.version} {bucket.checksum} {how}"
 
 
-def _place(name: str, key: str) -> Path:
+def _entry_path(name: str, key: str) -> Path:
     return user_cache("pages") / hashlib.sha256(f"{name} {key}".encode()).hexdigest()[:32]
 
 
-def _find(name: str, key: str) -> bytes | None:
-    """Return what is kept, None where nothing is, or not what was written, or for longer than it may be."""
+def _read_entry(name: str, key: str) -> bytes | None:
+    """Return a cached content, None if it is missing, damaged or too old."""
     with suppress(OSError, RuntimeError):  # the latter of a user without a home
-        place = _place(name, key)
-        if time.time() - place.stat().st_mtime < UNUSED_S:
-            digest, content = (whole := place.read_bytes())[:32], whole[32:]
+        path = _entry_path(name, key)
+        if time.time() - path.stat().st_mtime < UNUSED_S:
+            digest, content = (whole := path.read_bytes())[:32], whole[32:]
             return content if hashlib.sha256(content).digest() == digest else None
     return None
 
 
-def _keep(name: str, key: str, content: bytes) -> None:
-    """Keep something where that can be, and remove what is too old."""
+def _write_entry(name: str, key: str, content: bytes) -> None:
+    """Write a cache entry if possible, and remove old entries."""
     with suppress(OSError, RuntimeError):
-        place = _place(name, key)
-        place.parent.mkdir(parents=True, exist_ok=True)
-        part = place.with_name(f"{place.name}-{secrets.token_hex(6)}.part")
+        path = _entry_path(name, key)
+        path.parent.mkdir(parents=True, exist_ok=True)
+        part = path.with_name(f"{path.name}-{secrets.token_hex(6)}.part")
         try:
             write_file(part, hashlib.sha256(content).digest() + content)
-            os.replace(part, place)
+            os.replace(part, path)
         finally:
             part.unlink(missing_ok=True)
-        for other in place.parent.iterdir():
+        for other in path.parent.iterdir():
             if time.time() - other.stat().st_mtime > UNUSED_S:
                 other.unlink(missing_ok=True)

@@ -1,4 +1,4 @@
-"""Page, tables and result folder of a recording; how a campaign joins the tables of several."""
+"""Result files of one recording: tables, HDF5 file and page."""
 
 from __future__ import annotations
 
@@ -35,6 +35,7 @@ from fusion.report.h5_tree import Group
 from fusion.report.labelled_results import CAMPAIGN_FILE
 from fusion.report.motion_figures import pair_motion_figures, subset_figures
 from fusion.report.points import save_points
+from fusion.report.report_notices import OTHER_CAMPAIGN_CONTENT, RESERVED_NAME
 from fusion.report.report_scene import evaluation_scene, scene_page
 from fusion.report.result_figures import acceleration_figures, draw_budget, sensitivity_figures
 from fusion.report.signal_figures import channel_figures, point_figures, trigger_figures
@@ -61,7 +62,10 @@ ACCELERATION_FILE, LOAD_FILE = "acceleration.csv", "load.csv"
 
 
 class ResultElement(NamedTuple):
-    """One complex value of a recording: of an output and load, or of a body and component, and where it is from."""
+    """One complex value with its frequency, component, unit and origin.
+
+    `of`: output or body; `origin`: kind of the sensitivity, or source of the acceleration.
+    """
 
     frequency_hz: float
     of: str
@@ -73,7 +77,7 @@ class ResultElement(NamedTuple):
 
 
 class Pose(NamedTuple):
-    """Motion of one frame: time, the pose's six components with u, rms residual, number of points."""
+    """Motion of one frame: pose with u, rms residual, number of points."""
 
     time_s: float
     pose: FloatArray
@@ -83,7 +87,7 @@ class Pose(NamedTuple):
 
 
 def _element_columns(of: str, size: str, origin: str) -> list[TableColumn[ResultElement]]:
-    """Columns of a table of complex values."""
+    """Return the columns of a table of complex values."""
     return [
         TableColumn("frequency_hz", lambda e: e.frequency_hz),
         text_column(of, lambda e: e.of),
@@ -103,27 +107,32 @@ MERGED_FILES = {SENSITIVITY_FILE: SENSITIVITY, ACCELERATION_FILE: PHASORS, LOAD_
 POSE = ("x_m", "y_m", "z_m", "rx_rad", "ry_rad", "rz_rad")
 
 
-def _pose_column(place: int, prefix: str = "") -> TableColumn[Pose]:
-    """Column of one component of the pose, or of its u."""
-    return TableColumn(prefix + POSE[place], lambda frame: float((frame.u if prefix else frame.pose)[place]))
+def _pose_column(index: int, prefix: str = "") -> TableColumn[Pose]:
+    """Return the column of one component of the pose, or of its u."""
+    return TableColumn(prefix + POSE[index], lambda frame: float((frame.u if prefix else frame.pose)[index]))
 
 
 MOTION: list[TableColumn[Pose]] = [
     TableColumn("time_s", lambda frame: frame.time_s),
-    *(_pose_column(place) for place in range(len(POSE))),
-    *(_pose_column(place, "u_") for place in range(len(POSE))),
+    *(_pose_column(index) for index in range(len(POSE))),
+    *(_pose_column(index, "u_") for index in range(len(POSE))),
     TableColumn("residual_m", lambda frame: frame.residual_m),
     TableColumn("points", lambda frame: frame.points),
 ]
 
 
 def result_tables(evaluation: Evaluation) -> dict[str, str]:
-    """Text of every CSV file of one recording, by file name."""
-    name, found = evaluation.manifest.name, [own for own in (evaluation.sensitivity, evaluation.element) if own]
+    """Return the text of every CSV file of one recording, by file name."""
+    name, found = (
+        evaluation.manifest.name,
+        [result for result in (evaluation.sensitivity, evaluation.element) if result],
+    )
     accelerations, load = evaluation.accelerations, evaluation.load
     moved = (entry for result in accelerations for entry in _phasors(result, result.body, result.source, name))
     texts = {
-        SENSITIVITY_FILE: csv_text(SENSITIVITY, (row for own in found for row in sensitivity_elements(own, name))),
+        SENSITIVITY_FILE: csv_text(
+            SENSITIVITY, (row for result in found for row in sensitivity_elements(result, name))
+        ),
         ACCELERATION_FILE: csv_text(PHASORS, moved),
         LOAD_FILE: csv_text(PHASORS, [] if load is None else _phasors(load, "load", "fused", name)),
     }
@@ -131,7 +140,7 @@ def result_tables(evaluation: Evaluation) -> dict[str, str]:
 
 
 def sensitivity_elements(found: Sensitivity, recording: str) -> Iterator[ResultElement]:
-    """One entry per line and element that could be determined, of a `recording` or of a campaign of this name."""
+    """Yield one entry per determined line and element of a recording or campaign."""
     for k, c, j in np.argwhere(np.isfinite(found.value)).tolist():
         unit, component = sensitivity_unit(found.unit, found.components[j]), found.components[j]
         value = tables.sensitivity_element(found, k, c, j)
@@ -141,12 +150,12 @@ def sensitivity_elements(found: Sensitivity, recording: str) -> Iterator[ResultE
 
 
 def row_element(row: Mapping[str, str]) -> Polar:
-    """One element of a sensitivity.csv, from the texts of its row."""
+    """Return one element of a sensitivity.csv from the texts of its row."""
     return Polar(**{field.name: float(row[field.name]) for field in fields(Polar)})
 
 
 def _phasors(result: Acceleration | LoadResult, body: str, source: str, recording: str) -> Iterator[ResultElement]:
-    """One entry per line and component that is observed."""
+    """Yield one entry per line and observed component."""
     phasors = result.phasors
     for k, row in enumerate(result.polar):
         for c, value in enumerate(row):
@@ -156,21 +165,24 @@ def _phasors(result: Acceleration | LoadResult, body: str, source: str, recordin
 
 
 def poses(stereo: StereoResult) -> Iterator[Pose]:
-    """One entry per frame: the motion from the first frame's pose; a failed frame has `nan` and no points."""
-    motion, unknown = stereo.motion, np.full(6, np.nan)
+    """Yield the motion of every frame relative to the first one.
+
+    A failed frame has `nan` and no points.
+    """
+    motion, missing = stereo.motion, np.full(6, np.nan)
     u_pose = np.sqrt(motion.covariance.diagonal(axis1=1, axis2=2))
     frames = zip(stereo.time_s, motion.pose, u_pose, motion.residual_m, motion.points, strict=True)
     for time, pose, u, residual, points in frames:
         failed = not np.isfinite(pose).all()
-        numbers = (unknown, unknown, np.nan, 0) if failed else (pose, u, float(residual), int(points))
+        numbers = (missing, missing, np.nan, 0) if failed else (pose, u, float(residual), int(points))
         yield Pose(float(time), *numbers)
 
 
 def merged_table(name: str, folders: Sequence[Path]) -> Iterator[str]:
-    """Yield one of the tables of `MERGED_FILES` joined of the recordings' by rows: its first line, then each body.
+    """Yield one of `MERGED_FILES` of several recordings: its first line, then the rows of each.
 
-    `folders`: the recordings' results folders, in the order of the rows. A folder without the table is left out. Raises
-    `ValueError` for a table of other columns.
+    `folders`: the recordings' results folders in the order of the rows; a folder without the table is skipped. Raises
+    `ValueError` for a table with other columns.
     """
     head = ",".join(column.name for column in MERGED_FILES[name])
     yield f"{head}\n"
@@ -182,17 +194,17 @@ def merged_table(name: str, folders: Sequence[Path]) -> Iterator[str]:
             yield body if body.endswith("\n") or not body else f"{body}\n"
 
 
-# Which figures the report of one recording holds.
+# Figures of the report of one recording.
 
 
 def draw_all(evaluation: Evaluation) -> dict[str, list[Figure]]:
-    """All figures of a recording, by the section of the report that shows them."""
+    """Return all figures of a recording by the section of its report."""
     return {
         "sensitivity": sensitivity_figures(evaluation),
         "acceleration": acceleration_figures(evaluation),
         "points": point_figures(evaluation),
-        "budget": [picture for picture in [draw_budget(evaluation)] if picture],
-        "motion": [picture for stereo in evaluation.stereo for picture in pair_motion_figures(stereo)],
+        "budget": [figure for figure in [draw_budget(evaluation)] if figure],
+        "motion": [figure for stereo in evaluation.stereo for figure in pair_motion_figures(stereo)],
         "subsets": subset_figures(evaluation),
         "channels": channel_figures(evaluation),
         "trigger": trigger_figures(evaluation),
@@ -206,7 +218,7 @@ REPORT_FILE = "report.html"
 
 
 def render_report(evaluation: Evaluation) -> str:
-    """HTML text of the report; style and figures are inside, nothing is fetched from elsewhere."""
+    """Return the HTML text of the report; style and figures are included."""
     context = {
         "name": evaluation.manifest.name,
         "subject": _subject(evaluation),
@@ -238,7 +250,7 @@ def render_report(evaluation: Evaluation) -> str:
 
 
 def _subject(evaluation: Evaluation) -> list[tuple[str, str]]:
-    """What was measured: rig, sensor, load mass, excitation, surroundings."""
+    """Return rig, sensor, load mass, excitation and surroundings."""
     rig, excitation = evaluation.manifest.rig, evaluation.manifest.excitation
     facts = [("Rig", rig.name)]
     if rig.sensor is not None:
@@ -249,14 +261,14 @@ def _subject(evaluation: Evaluation) -> list[tuple[str, str]]:
         facts.append(("Load mass", f"{stated}, k = 2"))
     nominal = ", ".join(f"{frequency:g} Hz" for frequency in excitation.frequencies or ())
     direction = ", ".join(f"{element:g}" for element in excitation.direction or ())
-    told = [excitation.kind, nominal, f"direction ({direction})" if direction else ""]
-    facts.append(("Excitation", ", ".join(filter(None, told))))
+    excitation_texts = [excitation.kind, nominal, f"direction ({direction})" if direction else ""]
+    facts.append(("Excitation", ", ".join(filter(None, excitation_texts))))
     manifest, around = evaluation.manifest, rig.surroundings
     parts = moving_parts(rig, manifest.part)
     if parts:
         mass, u = sum(part.mass_kg for part in parts), np.linalg.norm([part.u_mass_kg for part in parts])
         moved = quantity_html(mass, 2.0 * float(u), "kg").striptags()
-        facts.append(("Moving mass", f"{moved}, k = 2, with what moves in the sensor"))
+        facts.append(("Moving mass", f"{moved}, k = 2, including the moving parts of the sensor"))
     if around.temperature is not None:
         facts.append(("Temperature of the air", f"{around.temperature:g} °C"))
     if around.sensor_temperature is not None:
@@ -272,7 +284,7 @@ def _subject(evaluation: Evaluation) -> list[tuple[str, str]]:
 CROSSTALK_FILE = "crosstalk.csv"
 CAMPAIGN_FILES = (*MERGED_FILES, CURVE_FILE, CROSSTALK_FILE, REPORT_FILE, CAMPAIGN_FILE)
 """Files at the top of a campaign's results."""
-OWN_FILE = re.compile(
+REPLACEABLE_FILES = re.compile(
     r"(sensitivity|acceleration|load|motion-.+)\.csv|points-.+\.(csv|pvd|vtp)|result\.h5|report\.html"
 )
 
@@ -280,7 +292,7 @@ OWN_FILE = re.compile(
 def write_results(
     evaluation: Evaluation, folder: Path, inputs: InputFiles | None = None, *, force: bool = False
 ) -> list[Path]:
-    """Write every result file of one recording and return their paths, as `write_folder` does."""
+    """Write every result file of one recording and return the paths, as `write_folder` does."""
 
     def make(temporary: Path) -> list[str]:
         names = write_files(temporary, {**result_tables(evaluation), REPORT_FILE: render_report(evaluation)})
@@ -291,26 +303,25 @@ def write_results(
         return names
 
     inputs = InputFiles(evaluation.input_hashes) if inputs is None else inputs
-    return write_folder(folder, inputs, make, force=force, marker=RESULT_FILE, replaceable=OWN_FILE)
+    return write_folder(folder, inputs, make, force=force, marker=RESULT_FILE, replaceable=REPLACEABLE_FILES)
 
 
 def check_campaign_folder(top: Path, recordings: Sequence[str], *, force: bool) -> None:
-    """Refuse a place for a campaign's results that holds something else, or joint files without their recordings.
+    """Refuse a place for a campaign's results that contains other files.
 
-    `recordings`: names of the recordings' folders, each of which is checked when its turn comes. Hidden files are
-    none of the program's business.
+    `recordings`: names of the recordings' folders, each of which is checked when it is written. Hidden files are
+    ignored.
     """
     check_folder(top, {}, force=True)
     taken = next((name for name in recordings if name in CAMPAIGN_FILES), None)
     if taken is not None:
-        raise InputError(top / taken, "", found="a recording of that name", expected="this file of the whole campaign")
+        raise InputError(RESERVED_NAME, top / taken)
     names = {entry.name for entry in top.iterdir()} if top.exists() and not force else set()
-    known = set(recordings)
-    ours = {name for name in names if name in known or read_provenance(top / name) is not None}
+    expected = set(recordings)
+    ours = {name for name in names if name in expected or read_provenance(top / name) is not None}
     other = {name for name in names - ours if not name.startswith(".") and not (ours and name in CAMPAIGN_FILES)}
     if other:
-        expected = "results of this campaign only (--force writes beside them and replaces only result files)"
-        raise InputError(top, "", found=f"other files, for example {min(other)}", expected=expected)
+        raise InputError(OTHER_CAMPAIGN_CONTENT, top, found=min(other))
 
 
 SENSOR = [
@@ -325,11 +336,14 @@ SENSOR = [
     "cross_talk",
     "cross_talk_uncertainty",
 ]
-"""What a campaign has to know of the sensor that was tested."""
+"""Information on the tested sensor that a campaign needs."""
 
 
 def write_h5(path: Path, evaluation: Evaluation, files: Sequence[str]) -> None:
-    """Write the evaluation and its provenance to a new HDF5 file; `files` are the names of all result files."""
+    """Write the evaluation and its provenance to a new HDF5 file.
+
+    `files`: names of all result files.
+    """
     manifest = evaluation.manifest
 
     def fill(file: Group) -> None:

@@ -1,7 +1,7 @@
-"""The rig in space: cameras, beams, instruments and bodies as rig.toml and recording.toml place them, and their motion.
+"""The rig in space: cameras, beams, instruments and bodies from the manifests, and their motion.
 
-Everything stands in the sensor frame at rest. A page draws it twice: turned by hand and moving in slow motion
-(templates/scene.js), and as three plain views for paper and for pages without scripts (`fusion.report.scene_views`).
+All shapes are in the sensor frame at rest. A page shows them twice: interactively, in slow motion (templates/scene.js),
+and as three static views for paper and for pages without scripts (`fusion.report.scene_views`).
 """
 
 from __future__ import annotations
@@ -26,9 +26,7 @@ from fusion.instruments.transducer import (
     mirror_of,
     unit_direction,
 )
-from fusion.phasors.deformation import DeflectionShape
 from fusion.phasors.stereo_motion import read_rig, sensor_from_camera
-from fusion.phasors.stereo_phasors import StereoResult
 from fusion.recording.daq_records import split_scan
 from fusion.recording.load import Manifest
 from fusion.recording.manifest import SCAN, ChannelEntry
@@ -37,11 +35,12 @@ from fusion.report.figure import BLACK, GREY, ORANGE, PURPLE, SKY, SOURCE_COLOUR
 from fusion.report.folder import render_page
 from fusion.report.scene_views import SceneShape, make_box, solid, static_views
 from fusion.report.table import quantity_html
+from fusion.report.tracked_surface import tracked_surface
 from fusion.sensitivity.analyse import Evaluation
 from fusion.sensitivity.moving_body import MovingPart, make_moving_part, moving_parts
 from photogram.camera import Camera, FaceCamera
 from photogram.geometry import RigidTransform
-from shaker.arrays import BoolArray, ComplexArray, FloatArray, IntArray
+from shaker.arrays import ComplexArray, FloatArray
 from shaker.labels import MOTION_COMPONENTS
 from shaker.sine.phasor import derivative_factor
 
@@ -56,26 +55,24 @@ KINDS = {
     "frame": ("sensor axes", BLACK),
     "gravity": ("gravity", PURPLE),
 }
-"""What is drawn: its word in the legend and its colour."""
+"""Kinds of shapes: their name in the legend and their colour."""
 BODIES = ("load", "base")
 SMALLEST_REACH_M = 0.03
-CENTRED_M = 5e-3  # a centre of mass nearer to the origin tells no direction
-FARTHEST = 10.0  # of what cameras look at, over the distance of the left one from the sensor
+CENTRED_M = 5e-3  # a centre of mass closer to the origin gives no direction
+FARTHEST = 10.0  # largest distance of the cameras' target, over that of the left camera from the sensor
 NEAR_PARALLEL = 1e-3  # of two optical axes: the sine of their angle
-MOST_POINTS = 120  # of one tracked surface that a page shows
-GAP = 2.0  # longest side of a triangle over their median: beyond, nothing was tracked between its points
+GAP = 2.0  # longest side of a triangle over their median; longer ones are gaps in the tracked surface
 MOST_NAMES = 3  # of recordings that have one rig
 MOST_LABELS = 12  # of channels of one kind
-STANDS_OUT = 1.5  # rms of a deflection over what its noise makes of it
 SHOWN_SHARE = 0.08  # of the size of the bodies: largest displacement at the first magnification
 
 
 @dataclass(frozen=True)
 class SceneMotion:
-    """What moves at one line: phasors of x(t) = Re{X exp(+jωt)}, peak values.
+    """Motion at one line: phasors of x(t) = Re{X exp(+jωt)}, peak values.
 
     `rigid`: by body (6,), translation in m of the sensor origin and rotation in rad; `deflection`: by tracked surface
-    (N, 3) in m, beside the rigid motion. `told`: amplitudes with U.
+    (N, 3) in m, in addition to the rigid motion. `amplitudes`: texts with U.
     """
 
     name: str
@@ -87,9 +84,9 @@ class SceneMotion:
 
 @dataclass(frozen=True)
 class Scene:
-    """Shapes in the sensor frame at rest, their motion line by line, and what a reader has to know of the drawing.
+    """Shapes in the sensor frame at rest, their motion at every line, and remarks.
 
-    `up` (3,): against gravity, the sensor's z axis where that is not stated.
+    `up` (3,): against gravity; the sensor's z axis if gravity is not stated.
     """
 
     name: str
@@ -100,11 +97,11 @@ class Scene:
 
     @property
     def kinds(self) -> list[str]:
-        """Return the kinds of shapes that are there, in the order of the legend."""
+        """Existing kinds of shapes in the order of the legend."""
         return [kind for kind in KINDS if any(shape.kind == kind for shape in self.shapes)]
 
     def data(self) -> dict[str, Any]:
-        """Return what the script draws, as JSON takes it: mm, and µm and µrad of the phasors."""
+        """Return the data of the script: mm, and µm and µrad of phasors."""
         return {
             "up": _numbers(self.up, 6),
             "shapes": [_shape_data(shape) for shape in self.shapes],
@@ -113,14 +110,14 @@ class Scene:
 
 
 class ScenePage(NamedTuple):
-    """A scene as templates/scene.html takes it: `json` and `still` are safe within a page."""
+    """Context of templates/scene.html; `json` and `views` are safe within a page."""
 
     name: str
     json: Markup
-    still: Markup
+    views: Markup
     legend: list[tuple[str, str]]
     colours: list[tuple[str, str]]
-    places: list[tuple[str, str]]
+    descriptions: list[tuple[str, str]]
     lines: list[str]
     remarks: tuple[str, ...]
     deflects: bool
@@ -132,10 +129,10 @@ def scene_page(scene: Scene) -> ScenePage:
     return ScenePage(
         name=scene.name,
         json=htmlsafe_json_dumps(data, separators=(",", ":"), allow_nan=False),
-        still=static_views(scene.shapes),
+        views=static_views(scene.shapes),
         legend=[(kind, KINDS[kind][0]) for kind in scene.kinds],
         colours=[(kind, "var(--ink)" if colour == BLACK else colour) for kind, (_, colour) in KINDS.items()],
-        places=[(shape.name, shape.description) for shape in scene.shapes],
+        descriptions=[(shape.name, shape.description) for shape in scene.shapes],
         lines=[motion.name for motion in scene.motions],
         remarks=scene.remarks,
         deflects=any(motion.deflection for motion in scene.motions),
@@ -143,13 +140,13 @@ def scene_page(scene: Scene) -> ScenePage:
 
 
 def _numbers(values: FloatArray, digits: int) -> list[float]:
-    """Return numbers flat and short, whole ones without a point."""
+    """Return rounded numbers as a flat list, integers without a point."""
     rounded = np.round(np.asarray(values, dtype=np.float64).ravel(), digits) + 0.0
     return [int(value) if value == int(value) else value for value in rounded.tolist()]
 
 
 def _shape_data(shape: SceneShape) -> dict[str, Any]:
-    told = {
+    data = {
         "k": shape.kind,
         "n": shape.name,
         "t": shape.description,
@@ -165,11 +162,11 @@ def _shape_data(shape: SceneShape) -> dict[str, Any]:
         "c": int(shape.closed),
         "u": shape.surface,
     }
-    return {key: value for key, value in told.items() if value}
+    return {key: value for key, value in data.items() if value}
 
 
 def _motion_data(motion: SceneMotion, shapes: Sequence[SceneShape]) -> dict[str, Any]:
-    """Return a motion with the magnifications at which it is first shown, one for all bodies, one for deflections."""
+    """Return a motion with its first magnifications, of all bodies and of deflections."""
     points = np.concatenate([shape.points_m for shape in shapes if shape.body] or [np.zeros((1, 3))])
     reach = 0.5 * float(np.linalg.norm(np.ptp(points, axis=0)))
     rigid = [
@@ -186,7 +183,7 @@ def _motion_data(motion: SceneMotion, shapes: Sequence[SceneShape]) -> dict[str,
 
 
 def _parts(phasors: ComplexArray, digits: int) -> list[float]:
-    """Return real and imaginary part of every phasor in millionths, one after the other, with significant digits."""
+    """Return real and imaginary part of every phasor in millionths, in turn, with significant digits."""
     values = 1e6 * np.stack([phasors.real, phasors.imag], axis=-1).ravel()
     return [float(f"{value:.{digits + 2}g}") for value in values.tolist()]
 
@@ -197,39 +194,45 @@ def _magnification(reach_m: float, displacements: Sequence[ComplexArray]) -> flo
 
 
 def rigid_displacement(rigid: ComplexArray, points_m: FloatArray) -> ComplexArray:
-    """Return displacement phasors (N, 3) of points of a body, t + θ × p, from those of the sensor origin (6,)."""
+    """Return displacement phasors (N, 3) of points of a rigid body.
+
+    t + θ × p of translation and rotation.
+
+    `rigid` (6,): phasors of the sensor origin.
+    """
     return np.asarray(rigid[:3] + np.cross(rigid[3:], points_m))
 
 
-# What the manifests place.
+# Positions from the manifests.
 
 
 def rig_scene(manifest: Manifest, surfaces: Mapping[str, FloatArray] | None = None) -> Scene:
-    """Return the rig of a recording as its manifests state it; no data are read but calibrations and scan points.
+    """Return the rig of a recording as its manifests state it.
 
-    `surfaces`: points (N, 3) of the sensor frame that stereo pairs have tracked, by the name of the pair.
+    Only calibrations and scan points are read. `surfaces`: points (N, 3) in the sensor frame that stereo pairs have
+    tracked, by the name of the pair.
     """
     rig, remarks, shapes = manifest.rig, list[str](), list[SceneShape]()
     channels, parts = list(_channels(manifest)), moving_parts(rig, manifest.part)
     if not (channels or parts or rig.stereo):
-        remarks.append("The manifests place no camera, no instrument and no load.")
+        remarks.append("The manifests state no position of a camera, an instrument or a load.")
     if parts:
-        remarks.append("Load and parts are drawn as the solids that have their mass and moments of inertia.")
+        remarks.append("Load and parts are drawn as solids of their mass and moments of inertia.")
     shapes += [_solid(part, "load") for part in parts] + [_solid(part, "base") for part in _base_parts(manifest)]
     middle = sum((part.mass_kg * part.centre_of_mass_m for part in parts), np.zeros(3))
     middle = middle / max(sum(part.mass_kg for part in parts), 1e-30)
     sizes = [float(np.linalg.norm(shape.points_m, axis=1).max()) for shape in shapes]
     sizes = [max(sizes)] if sizes else [float(np.linalg.norm(measuring_point(entry))) for entry in channels]
-    reach = max(SMALLEST_REACH_M, float(np.median(sizes or [0.0])))  # of one point far away arrows know nothing
+    reach = max(SMALLEST_REACH_M, float(np.median(sizes or [0.0])))  # the median ignores a single distant point
     base = [np.array([entry.point]) for entry in channels if entry.body == "base" and entry.point is not None]
-    said: dict[str, list[str]] = {}
+    pairs_by_remark: dict[str, list[str]] = {}
     for name, pair in rig.stereo.items():
         surface = None if surfaces is None else surfaces.get(name)
-        cameras, seen, told = _pair(name, pair, surface)
+        cameras, target, remark = _pair(name, pair, surface)
         shapes += cameras if surface is None else [*cameras, _surface(name, pair.body, surface)]
-        base += [seen] if pair.body == "base" and len(seen) else []
-        said.setdefault(told, []).append(name)
-    remarks += [f"Stereo {', '.join(names)}: {told}." for told, names in said.items()]
+        base += [target] if pair.body == "base" and len(target) else []
+        pairs_by_remark.setdefault(remark, []).append(name)
+    remarks += [f"Stereo {', '.join(names)}: {remark}." for remark, names in pairs_by_remark.items()]
     if base and not any(shape.body == "base" and shape.closed for shape in shapes):
         shapes.append(_table(np.concatenate(base), middle))
         remarks.append(f"The base has no stated shape: {shapes[-1].description}.")
@@ -244,14 +247,14 @@ def rig_scene(manifest: Manifest, surfaces: Mapping[str, FloatArray] | None = No
 
 
 def _channels(manifest: Manifest) -> Iterator[ChannelEntry]:
-    """Yield every channel that is placed on a body, once."""
+    """Yield every channel with a position on a body, once."""
     seen = set()
     for _, block in manifest.set_ups:
         takes = [block]
         if any(daq.file.suffix.lower() == SCAN for daq in block.daq):
             try:
                 takes = [part for part, _ in split_scan(block)]
-            except InputError:  # whoever reads the scan says what is wrong
+            except InputError:  # the reader of the scan reports the error
                 takes = [block]
         for entry in (entry for take in takes for daq in take.daq for entry in daq.channel):
             placed = entry.quantity in TRANSDUCERS or (entry.quantity == "force" and entry.point is not None)
@@ -261,24 +264,25 @@ def _channels(manifest: Manifest) -> Iterator[ChannelEntry]:
 
 
 def _base_parts(manifest: Manifest) -> list[MovingPart]:
-    """Return the parts that are screwed to the base."""
+    """Return the parts of the base."""
     zero = np.zeros(3), np.zeros(3), np.zeros((3, 3))
-    own = [part for part in manifest.part if part.body == "base"]
+    parts = [part for part in manifest.part if part.body == "base"]
     return [
-        make_moving_part(part.name, part.true_mass, part.centre_of_mass, part.inertia, (0.0, *zero[1:])) for part in own
+        make_moving_part(part.name, part.true_mass, part.centre_of_mass, part.inertia, (0.0, *zero[1:]))
+        for part in parts
     ]
 
 
 def _solid(part: MovingPart, body: str) -> SceneShape:
-    """Return a part as the solid of its mass and inertia, its centre of mass where it has none."""
-    points, faces, strokes, told = solid(part.mass_kg, part.centre_of_mass_m, part.inertia_kgm2)
-    text = f"{part.mass_kg:.5g} kg, centre of mass {place(part.centre_of_mass_m)}, {told}"
+    """Return a part as a solid of its mass and inertia, or as a point."""
+    points, faces, strokes, shape_text = solid(part.mass_kg, part.centre_of_mass_m, part.inertia_kgm2)
+    text = f"{part.mass_kg:.5g} kg, centre of mass {position_text(part.centre_of_mass_m)}, {shape_text}"
     made = SceneShape(body, part.name, text, points, faces, strokes, body=body, closed=True, fill=0.5)
     return made if faces else replace(made, dots="one", closed=False)
 
 
-def place(point_m: FloatArray) -> str:
-    """Return a place in the sensor frame as text."""
+def position_text(point_m: FloatArray) -> str:
+    """Return a position in the sensor frame as text."""
     return "(" + ", ".join(f"{1e3 * x + 0.0:.1f}" for x in point_m) + ") mm"
 
 
@@ -287,34 +291,37 @@ def along(direction: FloatArray) -> str:
     return "(" + ", ".join(f"{x + 0.0:.3f}" for x in direction) + ")"
 
 
-def _arrow(kind: str, name: str, told: str, ends_m: tuple[FloatArray, FloatArray], **more: Any) -> SceneShape:
-    return SceneShape(kind, name, told, np.stack(ends_m), strokes=((0, 1),), arrow=True, **more)
+def _arrow(kind: str, name: str, description: str, ends_m: tuple[FloatArray, FloatArray], **more: Any) -> SceneShape:
+    return SceneShape(kind, name, description, np.stack(ends_m), strokes=((0, 1),), arrow=True, **more)
 
 
-def _dot(kind: str, name: str, told: str, at: FloatArray, **more: Any) -> SceneShape:
-    return SceneShape(kind, name, told, at[None], dots="one", **more)
+def _dot(kind: str, name: str, description: str, at: FloatArray, **more: Any) -> SceneShape:
+    return SceneShape(kind, name, description, at[None], dots="one", **more)
 
 
 def _axes(length: float) -> Iterator[SceneShape]:
     for letter, axis in zip("xyz", np.eye(3), strict=True):
-        told = f"{letter} axis of the sensor frame, from its origin"
-        yield _arrow("frame", f"axis {letter}", told, (np.zeros(3), length * axis), label=letter)
+        text = f"{letter} axis of the sensor frame, from its origin"
+        yield _arrow("frame", f"axis {letter}", text, (np.zeros(3), length * axis), label=letter)
 
 
 def _gravity(gravity: FloatArray, reach: float, shapes: Sequence[SceneShape]) -> SceneShape:
-    """Return the arrow of gravity, beside the bodies on the side away from the cameras."""
+    """Return the arrow of gravity, next to the bodies on the side opposite the cameras."""
     down = gravity / np.linalg.norm(gravity)
     seen = [shape.points_m[0] for shape in shapes if shape.kind == "camera"]
-    away = -np.mean(seen, axis=0) if seen else np.array([1.0, 0.0, 0.0])
-    across = [v - (v @ down) * down for v in (away, np.eye(3)[int(np.argmin(np.abs(down)))])]
-    aside = next(v for v in across if np.linalg.norm(v) > NEAR_PARALLEL * reach)
-    start = 1.7 * reach * aside / np.linalg.norm(aside) - 0.45 * reach * down
-    told = f"{np.linalg.norm(gravity):.4f} m/s² along {along(down)}"
-    return _arrow("gravity", "gravity", told, (start, start + 0.9 * reach * down), label="g")
+    direction = -np.mean(seen, axis=0) if seen else np.array([1.0, 0.0, 0.0])
+    across = [v - (v @ down) * down for v in (direction, np.eye(3)[int(np.argmin(np.abs(down)))])]
+    across_gravity = next(v for v in across if np.linalg.norm(v) > NEAR_PARALLEL * reach)
+    start = 1.7 * reach * across_gravity / np.linalg.norm(across_gravity) - 0.45 * reach * down
+    text = f"{np.linalg.norm(gravity):.4f} m/s² along {along(down)}"
+    return _arrow("gravity", "gravity", text, (start, start + 0.9 * reach * down), label="g")
 
 
 def _table(points: FloatArray, middle: FloatArray) -> SceneShape:
-    """Return a box about an axis on one side of which all points (N, 3) of the base lie, if possible not the load's."""
+    """Return a box about an axis with all points of the base on one side.
+
+    If possible the load is on the other side.
+    """
     side = np.sign(points).sum(axis=0) / len(points)
     beyond = np.where(np.abs(side) == 1.0, np.abs(points).min(axis=0), 0.0)
     opposite = np.where(-side * middle > CENTRED_M, beyond, 0.0)
@@ -329,23 +336,23 @@ def _table(points: FloatArray, middle: FloatArray) -> SceneShape:
         end = low if low[axis] + high[axis] <= 0.0 else high
         end[axis] += np.copysign(thin, low[axis] + high[axis] - 1e-12)
     corners, faces, edges = make_box(high - low)
-    told = f"drawn as a box about the {'xyz'[axis]} axis that holds its points"
+    text = f"drawn as a box about the {'xyz'[axis]} axis around its points"
     return SceneShape(
-        "base", "base", told, corners + (low + high) / 2.0, faces, edges, "base", closed=True, fill=0.3, dashed=True
+        "base", "base", text, corners + (low + high) / 2.0, faces, edges, "base", closed=True, fill=0.3, dashed=True
     )
 
 
 def _surface(name: str, body: str, points: FloatArray) -> SceneShape:
-    told = f"{len(points)} points on the {body} that the pair tracks, about {place(points.mean(axis=0))}"
+    text = f"{len(points)} points on the {body} tracked by the pair, centre {position_text(points.mean(axis=0))}"
     faces = _triangles(points)
     return SceneShape(
-        "surface", f"points of {name}", told, points, faces, body=body, dots="many", fill=0.5, surface=name
+        "surface", f"points of {name}", text, points, faces, body=body, dots="many", fill=0.5, surface=name
     )
 
 
 def _triangles(points: FloatArray) -> tuple[tuple[int, ...], ...]:
-    """Return the triangles between neighbours among points (N, 3) of a surface that has no folds."""
-    from scipy.spatial import Delaunay  # here, for only pages with a viewer draw a surface
+    """Return the triangles between neighbours among points (N, 3) of a smooth surface."""
+    from scipy.spatial import Delaunay  # imported late: only pages with a viewer need it
 
     _, size, axes = np.linalg.svd(points - points.mean(axis=0), full_matrices=False)
     if size[1] <= NEAR_PARALLEL * size[0]:
@@ -359,35 +366,41 @@ def _triangles(points: FloatArray) -> tuple[tuple[int, ...], ...]:
 
 
 def _pair(name: str, pair: Stereo, surface: FloatArray | None) -> tuple[list[SceneShape], FloatArray, str]:
-    """Return the cameras of a pair, where they look, and what is to be said of that."""
+    """Return the cameras of a pair, their target, and a remark on it."""
     pose = sensor_from_camera(pair)
-    origin, aside = pose.translation_m, float(np.linalg.norm(pose.translation_m))
+    origin, distance = pose.translation_m, float(np.linalg.norm(pose.translation_m))
     middle = None if surface is None else surface.mean(axis=0)
     if pair.calibration is None:
-        shape = _dot("camera", f"frame of {name}", f"origin {place(origin)}", origin, label=name)
-        told = "without a calibration only the origin of its frame is known, not where its cameras are"
-        return [shape], np.zeros((0, 3)) if surface is None else surface, told
+        shape = _dot("camera", f"frame of {name}", f"origin {position_text(origin)}", origin, label=name)
+        remark = "without a calibration only the origin of its frame is known, not the positions of its cameras"
+        return [shape], np.zeros((0, 3)) if surface is None else surface, remark
     try:
         rig = read_rig(pair, ())
     except InputError:
-        return [], np.zeros((0, 3)), "not drawn, for its calibration cannot be read"
+        return [], np.zeros((0, 3)), "not drawn, since its calibration cannot be read"
     placed = [(camera, pose @ from_left.inverse()) for camera, from_left in rig.camera_poses]
-    told = "the frusta end at the tracked points"
+    remark = "the frusta end at the tracked points"
     if middle is None and isinstance(rig, FaceCamera):
-        middle, told = pose.apply(rig.point_m), "the frustum ends at the stated surface"
+        middle, remark = pose.apply(rig.point_m), "the frustum ends at the stated surface"
     elif middle is None:
         middle = _fixation(placed[0][1], placed[1][1])
-        told = "the frusta end where the axes of both cameras come nearest to each other"
+        remark = "the frusta end at the point nearest to both optical axes"
     if middle is None:
-        middle = pose.apply(np.array([0.0, 0.0, max(-(pose.rotation.T @ origin)[2], 0.5 * aside)]))
-        told = "the axes of the cameras do not meet, and the frusta end abreast of the sensor origin"
+        middle = pose.apply(np.array([0.0, 0.0, max(-(pose.rotation.T @ origin)[2], 0.5 * distance)]))
+        remark = "the axes of the cameras do not meet; the frusta end at the depth of the sensor origin"
     names = [f"{name} {side}" for side in ("left", "right")] if len(placed) > 1 else [name]
-    shapes = [_camera(own, pair.body, *of, middle) for own, of in zip(names, placed, strict=True)]
-    return shapes, middle[None] if surface is None else surface, told
+    shapes = [
+        _camera(pair_name, pair.body, *camera_pose, middle)
+        for pair_name, camera_pose in zip(names, placed, strict=True)
+    ]
+    return shapes, middle[None] if surface is None else surface, remark
 
 
 def _fixation(left: RigidTransform, right: RigidTransform) -> FloatArray | None:
-    """Return the point nearest to both optical axes, None unless it is before both cameras."""
+    """Return the point nearest to both optical axes.
+
+    Returns None unless it is in front of both cameras.
+    """
     centre = np.stack([left.translation_m, right.translation_m])
     axis = np.stack([left.rotation[:, 2], right.rotation[:, 2]])
     if np.linalg.norm(np.cross(*axis)) < NEAR_PARALLEL:
@@ -399,7 +412,10 @@ def _fixation(left: RigidTransform, right: RigidTransform) -> FloatArray | None:
 
 
 def _camera(name: str, body: str, camera: Camera, pose: RigidTransform, target: FloatArray) -> SceneShape:
-    """Return a camera and its frustum to the depth of a target: apex, far and near corners, mark of the upper edge."""
+    """Return a camera and its frustum to the depth of a target.
+
+    Points: apex, far and near corners, mark of the upper edge.
+    """
     depth = float(pose.inverse().apply(target)[2])
     depth = depth if depth > 0.0 else max(float(np.linalg.norm(pose.translation_m)), SMALLEST_REACH_M)
     far, near = frustum(camera, pose, depth), frustum(camera, pose, 0.1 * depth)
@@ -409,17 +425,20 @@ def _camera(name: str, body: str, camera: Camera, pose: RigidTransform, target: 
     strokes = [(0, k) for k in range(1, 5)] + [(1, 2, 3, 4, 1), (5, 6, 7, 8, 5), (5, 9, 6)]
     faces = ((1, 2, 3, 4), (5, 6, 7, 8), (5, 9, 6))
     width, height = (int(length) for length in camera.size_px)
-    told = f"centre {place(pose.translation_m)}, looks along {along(pose.rotation[:, 2])} at the {body}"
-    told += f", {width} × {height} px"
-    return SceneShape("camera", f"camera {name}", told, points, faces, tuple(strokes), label=name, fill=0.1)
+    text = f"centre {position_text(pose.translation_m)}, view along {along(pose.rotation[:, 2])}, towards the {body}"
+    text += f", {width} × {height} px"
+    return SceneShape("camera", f"camera {name}", text, points, faces, tuple(strokes), label=name, fill=0.1)
 
 
 def frustum(camera: Camera, pose: RigidTransform, depth_m: float) -> FloatArray:
-    """Return the corners (4, 3) of what a camera sees at a depth, clockwise from the image's upper left."""
+    """Return the corners (4, 3) of the field of view at a depth.
+
+    They run clockwise from the upper left.
+    """
     width, height = camera.size_px.astype(np.float64) - 0.5
     corners = np.array([[-0.5, -0.5], [width, -0.5], [width, height], [-0.5, height]])
     rays = camera.undistort(corners)
-    if not np.isfinite(rays).all():  # beyond what the distortion's polynomial can undo
+    if not np.isfinite(rays).all():  # outside the range of the distortion model
         rays = replace(camera, distortion=np.zeros(8)).undistort(corners)
     return pose.apply(depth_m * np.column_stack([rays, np.ones(4)]))
 
@@ -428,39 +447,42 @@ def frustum(camera: Camera, pose: RigidTransform, depth_m: float) -> FloatArray:
 
 
 def _instruments(channels: Sequence[ChannelEntry], middle: FloatArray, reach: float) -> Iterator[SceneShape]:
-    """Yield beams, points and senses of all channels that have a place, and the mirrors of heads."""
+    """Yield beams, points and senses of all channels with a position, and mirrors."""
     beams = LaserBeams.of(channels)
     kinds = [TRANSDUCERS[e.quantity].kind if e.quantity in TRANSDUCERS else "force" for e in channels]
     mirrors, named = dict[str, FloatArray](), set[str]()
     for kind, entry in zip(kinds, channels, strict=True):
         at = measuring_point(entry)
         if entry.direction is None and not is_aimed_at_mirror(entry):
-            yield _dot(kind, entry.name, f"at {place(at)}", at, label=entry.name, body=entry.body or "")
+            yield _dot(kind, entry.name, f"at {position_text(at)}", at, label=entry.name, body=entry.body or "")
             continue
         direction = unit_direction(entry)
         label = entry.name if kinds.count(kind) <= MOST_LABELS and entry.name not in named else ""
         named.add(entry.name)
         turns = entry.quantity in TRANSDUCERS and TRANSDUCERS[entry.quantity].rotational
         sense = "positive about" if turns else "positive along"
-        told = f"{entry.quantity} of the {entry.body}, at {place(at)}, {sense} {along(direction)}"
+        text = f"{entry.quantity} of the {entry.body}, at {position_text(at)}, {sense} {along(direction)}"
         length = (0.28 if kind == "vibrometer" else 0.35) * reach
         ends = at, at + length * direction
-        yield _arrow(kind, entry.name, told, ends, body=entry.body or "", label=label, dots="one")
+        yield _arrow(kind, entry.name, text, ends, body=entry.body or "", label=label, dots="one")
         if kind == "vibrometer":
             start, head = _beam_start(entry, direction, middle if entry.body == "load" else np.zeros(3), beams, reach)
-            told = f"from {place(start)}" if head else "from an unstated place"
+            text = f"from {position_text(start)}" if head else "from an unstated position"
             name, both = f"beam of {entry.name}", np.stack([start, at])
-            yield SceneShape(kind, name, f"{told} to {place(at)}", both, strokes=((0, 1),), dashed=not head)
+            yield SceneShape(kind, name, f"{text} to {position_text(at)}", both, strokes=((0, 1),), dashed=not head)
             if head:
                 mirrors[head] = start
     for name, mirror in mirrors.items():
-        yield _dot("vibrometer", f"head {name}", f"its beams leave {place(mirror)}", mirror, label=name)
+        yield _dot("vibrometer", f"head {name}", f"its beams leave {position_text(mirror)}", mirror, label=name)
 
 
 def _beam_start(
     entry: ChannelEntry, direction: FloatArray, middle: FloatArray, beams: LaserBeams, reach: float
 ) -> tuple[FloatArray, str]:
-    """Return from where a beam comes, with the name of its head: on the free side of its body where none is stated."""
+    """Return the start of a laser beam and the name of its head.
+
+    If no start is stated, it is on the free side of the body.
+    """
     at, head = measuring_point(entry), entry.head
     if head is not None and head.stated.mirror is not None:
         return mirror_of(entry), head.name
@@ -470,13 +492,18 @@ def _beam_start(
     return at + 2.0 * reach * side * direction, ""
 
 
-# What an evaluation adds: the tracked points, and the motion at every line.
+# Additions of an evaluation: tracked points, and motion at every line.
 
 
 def evaluation_scene(evaluation: Evaluation) -> Scene:
-    """Return the rig of a recording with the motion of load and base and the deflections that stand out."""
-    seen = [own for item in evaluation.stereo if item.name in evaluation.manifest.rig.stereo for own in _tracked(item)]
-    scene = rig_scene(evaluation.manifest, {own.name: own.points_m for own in seen})
+    """Return the rig of a recording with the motion and significant deflections of its bodies."""
+    seen = [
+        surface
+        for item in evaluation.stereo
+        if item.name in evaluation.manifest.rig.stereo
+        for surface in tracked_surface(item)
+    ]
+    scene = rig_scene(evaluation.manifest, {surface.name: surface.points_m for surface in seen})
     moved = {body: result for body in BODIES if (result := _result(evaluation.accelerations, body)) is not None}
     remarks = list(scene.remarks)
     remarks += [text for body, result in moved.items() if (text := _unobserved(body, result))]
@@ -485,13 +512,13 @@ def evaluation_scene(evaluation: Evaluation) -> Scene:
     elements = {body: result.polar for body, result in moved.items()}
     displaced = {body: np.nan_to_num(displacement(result)) for body, result in moved.items()}
     for k, f in enumerate(frequency.tolist()):
-        told = [_amplitude_told(body, own[k], f) for body, own in elements.items()]
-        told += [text for surface in seen if (text := surface.told(k))]
+        texts = [_amplitude_text(body, polar[k], f) for body, polar in elements.items()]
+        texts += [text for surface in seen if (text := surface.text(k))]
         bent = {surface.name: value for surface in seen if (value := surface.deflection(k)) is not None}
-        rigid = {body: own[k] for body, own in displaced.items()}
+        rigid = {body: phasors[k] for body, phasors in displaced.items()}
         multiple = int(evaluation.lines.multiple[k]) if k < len(evaluation.lines.multiple) else 1
         title = f"{f:.4f} Hz" + (f", harmonic {multiple}" if multiple > 1 else "")
-        motions.append(SceneMotion(title, f, tuple(told), rigid, bent))
+        motions.append(SceneMotion(title, f, tuple(texts), rigid, bent))
     return replace(scene, motions=tuple(motions), remarks=tuple(remarks))
 
 
@@ -502,8 +529,8 @@ def displacement(result: Acceleration) -> ComplexArray:
 
 def _result(accelerations: Sequence[Acceleration], body: str) -> Acceleration | None:
     """Return the fused acceleration of a body, else that of its first source."""
-    own = [result for result in accelerations if result.body == body]
-    return next((result for result in own if result.source == "fused"), own[0] if own else None)
+    results = [result for result in accelerations if result.body == body]
+    return next((result for result in results if result.source == "fused"), results[0] if results else None)
 
 
 def _unobserved(body: str, result: Acceleration) -> str:
@@ -511,8 +538,8 @@ def _unobserved(body: str, result: Acceleration) -> str:
     return f"{body.capitalize()}: no instrument observes {' '.join(missing)}, drawn as 0." if missing else ""
 
 
-def _amplitude_told(body: str, elements: Sequence[Polar | None], frequency_hz: float) -> str:
-    """Return the largest translation of a body at a line, of its acceleration, with U and phase."""
+def _amplitude_text(body: str, elements: Sequence[Polar | None], frequency_hz: float) -> str:
+    """Return the largest translation of a body at a line as text."""
     square = (2.0 * np.pi * frequency_hz) ** 2
     found = [(axis, value) for axis, value in zip("xyz", elements, strict=False) if value is not None]
     if not found:
@@ -521,65 +548,15 @@ def _amplitude_told(body: str, elements: Sequence[Polar | None], frequency_hz: f
     factor, letter = prefix(value.magnitude / square)
     size = quantity_html(value.magnitude / square / factor, value.expanded_magnitude / square / factor, f"{letter}m")
     phase = np.degrees(np.angle(-complex(value.re, value.im)))
-    told = f"{body} {axis}: {size.striptags()} at {phase:.1f}° (k = {value.k_magnitude:.2f})"
-    return told.replace("-", "\N{MINUS SIGN}")
+    text = f"{body} {axis}: {size.striptags()} at {phase:.1f}° (k = {value.k_magnitude:.2f})"
+    return text.replace("-", "\N{MINUS SIGN}")
 
 
-@dataclass(frozen=True)
-class _Tracked:
-    """The surface that a pair tracks: which lines of the recording it tells, and which of its points are shown."""
-
-    name: str
-    usable: BoolArray
-    shape: DeflectionShape
-    kept: IntArray
-
-    @property
-    def points_m(self) -> FloatArray:
-        return np.asarray(self.shape.reference_m[self.kept])
-
-    def _sizes(self, line: int) -> tuple[float, float] | None:
-        """Return the rms of the deflection of all points at a line of the recording, and that of noise alone."""
-        if not self.usable[line]:
-            return None
-        k = int(np.count_nonzero(self.usable[:line]))
-        value, u = self.shape.value[k], self.shape.u[k]
-        return float(np.sqrt(3.0 * np.nanmean(np.abs(value) ** 2))), float(np.sqrt(6.0 * np.nanmean(u**2)))
-
-    def deflection(self, line: int) -> ComplexArray | None:
-        """Return the deflection (N, 3) of the points shown at a line, None where it does not stand out of the noise."""
-        sizes = self._sizes(line)
-        if sizes is None or not sizes[0] > STANDS_OUT * sizes[1]:
-            return None
-        return np.asarray(self.shape.value[int(np.count_nonzero(self.usable[:line]))][self.kept])
-
-    def told(self, line: int) -> str:
-        """Return the size of the deflection in words."""
-        sizes = self._sizes(line)
-        if sizes is None:
-            return ""
-        factor, letter = prefix(max(sizes))
-        size, noise = (f"{value / factor:.3g} {letter}m" for value in sizes)
-        end = f"of it noise {noise}" if self.deflection(line) is not None else f"as of noise ({noise}), not drawn"
-        return f"points of {self.name} beside the rigid motion: rms {size}, {end}"
-
-
-def _tracked(item: StereoResult) -> Iterator[_Tracked]:
-    """Yield the surface of a pair with the points that are shown: known at every line, and not too many."""
-    shape = item.deflection
-    if shape is None:
-        return
-    known = np.flatnonzero(np.isfinite(shape.value).all(axis=(0, 2)) & np.isfinite(shape.reference_m).all(axis=1))
-    if len(known) >= 3:
-        chosen = np.unique(np.linspace(0, len(known) - 1, min(MOST_POINTS, len(known))).round().astype(int))
-        yield _Tracked(item.name, item.usable, shape, known[chosen])
-
-
-# A page of its own, without any data.
+# A separate page without data.
 
 
 def rig_page(manifests: Sequence[Manifest]) -> str:
-    """Return a page that draws the rig of some recordings as their manifests state it, every arrangement once."""
+    """Return a page of the rig of some recordings as stated, each arrangement once."""
     scenes: dict[Markup, tuple[list[str], ScenePage]] = {}
     for manifest in manifests:
         page = scene_page(rig_scene(manifest))
@@ -590,6 +567,6 @@ def rig_page(manifests: Sequence[Manifest]) -> str:
 
 
 def _listed(names: Sequence[str]) -> str:
-    """Return the names of recordings that have the same rig, the first few of many."""
+    """Return the names of recordings with the same rig, only the first few of many."""
     more = len(names) - MOST_NAMES
     return ", ".join(names[:MOST_NAMES]) + (f" and {more} more" if more > 0 else "")

@@ -46,25 +46,25 @@ from shaker.labels import LOAD_COMPONENTS, MOTION_COMPONENTS, typeset
 
 BUDGET_ENTRIES = 14
 SHOWN_BELOW = 0.2
-"""Share of a magnitude that its U must be below to be drawn."""
+"""Relative U above which a magnitude is not drawn (chosen)."""
 
 # Figures of the acceleration: sources side by side, and weak components in the complex plane.
 
 
 def acceleration_figures(evaluation: Evaluation) -> list[Figure]:
-    """All figures of the accelerations."""
+    """Return all figures of the accelerations."""
     compared = [body for body in bodies(evaluation) if _has_reference(evaluation, body)]
-    pictures = [draw_sources(evaluation, compared)] if compared else []
-    return pictures + [draw_components(evaluation, body) for body in bodies(evaluation)]
+    figures = [draw_sources(evaluation, compared)] if compared else []
+    return figures + [draw_components(evaluation, body) for body in bodies(evaluation)]
 
 
 def draw_sources(evaluation: Evaluation, compared: list[str]) -> Figure:
-    """Driven component at the strongest line: each source's deviation from the fused value, in % and mrad."""
+    """Draw each source's deviation from the fused acceleration at the strongest line."""
     component, line = driven_component(evaluation), main_line(evaluation)
     counts = [len(by_source(evaluation, body)) for body in compared]
     drawn = empty_figure("sources", 0.95 + 0.33 * sum(counts) + 0.25 * len(compared), counts, 2)
-    for place, body in enumerate(compared):
-        left, right = drawn.panels[2 * place : 2 * place + 2]
+    for index, body in enumerate(compared):
+        left, right = drawn.panels[2 * index : 2 * index + 2]
         _draw_deviations(left, right, by_source(evaluation, body), line, component)
         left.title = f"{body}, {MOTION_COMPONENTS[component]}"
     drawn.panels[-2].x.label = "deviation of the amplitude / %"
@@ -78,25 +78,25 @@ def draw_sources(evaluation: Evaluation, compared: list[str]) -> Figure:
 
 
 def draw_components(evaluation: Evaluation, body: str) -> Figure:
-    """Six components at the strongest line in the complex plane, with 95 % ellipses of every source."""
+    """Draw six components at the strongest line in the complex plane, with 95 % ellipses."""
     line, results = main_line(evaluation), by_source(evaluation, body)
     found = {result.source: result.polar[line] for result in results}
     drawn = empty_figure(f"components-{body}", 5.9, 2, 3, shared_x=False)
     for component, panel in enumerate(drawn.panels):
         panel.title = MOTION_COMPONENTS[component]
-        known = {source: element for source, row in found.items() if (element := row[component]) is not None}
-        _draw_plane(panel, known, typeset(results[0].phasors.unit[component]))
+        available = {source: element for source, row in found.items() if (element := row[component]) is not None}
+        _draw_plane(panel, available, typeset(results[0].phasors.unit[component]))
     frequency = float(results[0].phasors.frequency_hz[line])
     caption = (
         f"Acceleration phasors of the {body} at the sensor origin, {frequency:.4f} Hz, with 95 % regions. A "
-        f"component whose region holds the origin (cross) is not told apart from zero; its amplitude and phase "
-        f"alone would mislead."
+        f"component whose region includes the origin (cross) is not distinguishable from zero; its amplitude and "
+        f"phase alone would mislead."
     )
     return drawn.with_title(f"Components of the {body} in the complex plane", caption)
 
 
 def _has_reference(evaluation: Evaluation, body: str) -> bool:
-    """Whether several instruments were fused, and the driven component stands out of its uncertainty."""
+    """Return whether several instruments were fused and the driven component exceeds its uncertainty."""
     fused = acceleration(evaluation, body, "fused")
     if fused is None or len(fused.instruments) < 2 or len(by_source(evaluation, body)) < 2:
         return False
@@ -105,7 +105,7 @@ def _has_reference(evaluation: Evaluation, body: str) -> bool:
 
 
 def _draw_deviations(left: Panel, right: Panel, results: list[Acceleration], line: int, component: int) -> None:
-    """Relative amplitude and phase differences from the first result, the fused one."""
+    """Draw relative amplitude and phase differences from the first result, the fused one."""
     names: list[str] = []
     reference = complex(results[0].phasors.value[line, component])
     for result in results:
@@ -127,16 +127,16 @@ def _draw_deviations(left: Panel, right: Panel, results: list[Acceleration], lin
         panel.y.names = tuple(names) if panel is left else ("",) * len(names)
 
 
-def _draw_plane(panel: Panel, known: Mapping[Source, Polar], unit: str) -> None:
-    """One component in the complex plane from every source that determines it, each with its 95 % region."""
-    if not known:
+def _draw_plane(panel: Panel, elements: Mapping[Source, Polar], unit: str) -> None:
+    """Draw one component in the complex plane from every source, with its 95 % region."""
+    if not elements:
         panel.text(0.5, 0.5, "not observed", colour=GREY)
         panel.x.limits = panel.y.limits = (0.0, 1.0)
         panel.blank = True
         return
-    factor, letter = prefix([element.magnitude for element in known.values()])
-    low, high = _frame(list(known.values()), factor)
-    for source, element in known.items():
+    factor, letter = prefix([element.magnitude for element in elements.values()])
+    low, high = _frame(list(elements.values()), factor)
+    for source, element in elements.items():
         look = {"label": source, "colour": SOURCE_COLOUR[source]}
         centre = complex(element.re, element.im) / factor
         first, second = (axis / factor for axis in element.region.half_axes)
@@ -148,16 +148,16 @@ def _draw_plane(panel: Panel, known: Mapping[Source, Polar], unit: str) -> None:
     panel.x.label, panel.y.label = f"Re / {letter}{unit}", f"Im / {letter}{unit}"
 
 
-def _frame(known: list[Polar], factor: float) -> tuple[complex, complex]:
-    """Corners of a square that holds the regions, and the origin where it is not far outside."""
+def _frame(elements: list[Polar], factor: float) -> tuple[complex, complex]:
+    """Return the corners of a square around the regions, with a near origin."""
 
     def square(points: NDArray[Any]) -> tuple[complex, float]:
-        """Middle and half a side, with some room."""
+        """Return centre and half side of a square with a margin."""
         middle = complex(points.real.max() + points.real.min(), points.imag.max() + points.imag.min()) / 2.0
         return middle, 0.6 * float(max(np.ptp(points.real), np.ptp(points.imag), 1e-300))
 
-    centres = np.array([complex(element.re, element.im) for element in known], dtype=np.complex128)
-    reach = np.array([element.region.half_axes[0] for element in known]) * (1 + 1j)
+    centres = np.array([complex(element.re, element.im) for element in elements], dtype=np.complex128)
+    reach = np.array([element.region.half_axes[0] for element in elements]) * (1 + 1j)
     points = np.concatenate([centres - reach, centres + reach]) / factor
     middle, half = square(points)
     if abs(middle) < 8.0 * half:
@@ -170,25 +170,25 @@ def _frame(known: list[Polar], factor: float) -> tuple[complex, complex]:
 
 
 def sensitivity_figures(evaluation: Evaluation) -> list[Figure]:
-    """All figures of the sensitivity of one recording."""
+    """Return all figures of the sensitivity of one recording."""
     sensitivity, main = evaluation.sensitivity, main_result(evaluation)
     if sensitivity is None or main is None:
         return []
     component = driven_component(evaluation)
-    known = np.isfinite(main[0].value[:, driven_channel(evaluation), component])
-    pictures = [draw_curve(evaluation, main[0])] if known.any() else []
+    available = np.isfinite(main[0].value[:, driven_channel(evaluation), component])
+    figures = [draw_curve(evaluation, main[0])] if available.any() else []
     ratio = sensitivity.value[main_line(evaluation)]
     if len(ratio) > 1 and np.isfinite(ratio[:, component]).all():
-        pictures.append(draw_outputs(evaluation, sensitivity))
-    return pictures
+        figures.append(draw_outputs(evaluation, sensitivity))
+    return figures
 
 
 def draw_curve(evaluation: Evaluation, sensitivity: Sensitivity) -> Figure:
-    """Magnitude and phase of the driven element over frequency with U (95 %), and the static value."""
+    """Draw magnitude and phase of the driven element over frequency with U."""
     component, channel = driven_component(evaluation), driven_channel(evaluation)
-    what = "Sensitivity" if "element" in sensitivity.kind else "Ratio"
+    quantity = "Sensitivity" if "element" in sensitivity.kind else "Ratio"
     label = f"output {sensitivity.channels[channel]} per load {LOAD_COMPONENTS[component]}"
-    label = f"{what}, {label}" + (", with what other loads put into it" if what == "Ratio" else "")
+    label = f"{quantity}, {label}" + (", including the effect of other loads" if quantity == "Ratio" else "")
     lines = np.flatnonzero(np.isfinite(sensitivity.value[:, channel, component])).tolist()
     points = [sensitivity_element(sensitivity, k, channel, component) for k in lines]
     shown = np.array([point.expanded_magnitude < SHOWN_BELOW * point.magnitude for point in points])
@@ -204,26 +204,26 @@ def draw_curve(evaluation: Evaluation, sensitivity: Sensitivity) -> Figure:
     rest = None if static is None else (abs(static) / factor, "static sensitivity")
     frame_bars(upper, lower, (value[:, shown], expanded[:, shown]), unit, rest)
     for panel, level, half in zip(drawn.panels, value, expanded, strict=True):
-        for own, told in (
+        for mask, legend in (
             (shown & ~harmonic, "driven frequency"),
-            (shown & harmonic, "harmonic, no part of the curve"),
+            (shown & harmonic, "harmonic, not part of the curve"),
         ):
-            if own.any():
-                look = {"half_y": half[own], "open": bool(harmonic[own].any())}
-                panel.points(frequency[own], level[own], told, **look)
+            if mask.any():
+                look = {"half_y": half[mask], "open": bool(harmonic[mask].any())}
+                panel.points(frequency[mask], level[mask], legend, **look)
         panel.x.limits, panel.x.link = (0.0, 1.12 * float(frequency.max(initial=1.0))), "frequency"
     lower.x.label = "frequency / Hz"
     hidden = len(points) - int(shown.sum())
     omitted = f" {hidden} line(s) with U above {SHOWN_BELOW:.0%} are in the table only." if hidden else ""
     return drawn.with_title(
-        f"{what} over frequency", f"{label}: magnitude and phase; bars: U (95 %).{omitted}", main=True
+        f"{quantity} over frequency", f"{label}: magnitude and phase; bars: U (95 %).{omitted}", main=True
     )
 
 
 def draw_outputs(evaluation: Evaluation, sensitivity: Sensitivity) -> Figure:
-    """All outputs at the strongest line, relative to the driven one or to each output's rated signal."""
+    """Draw all outputs at the strongest line, relative to the driven or the rated output."""
     component, driven, line = driven_component(evaluation), driven_channel(evaluation), main_line(evaluation)
-    scale, what = _output_scale(evaluation, sensitivity, driven, component)
+    scale, unit = _output_scale(evaluation, sensitivity, driven, component)
     elements = [sensitivity_element(sensitivity, line, c, component) for c in range(len(sensitivity.channels))]
     bound = np.array([element.region.holds_zero for element in elements])
     size = 100.0 * np.array([element.magnitude for element in elements]) / scale
@@ -233,19 +233,18 @@ def draw_outputs(evaluation: Evaluation, sensitivity: Sensitivity) -> Figure:
     (panel,) = drawn.panels
     _draw_levels(panel, size, 100.0 * np.array(reach) / scale, driven, bound)
     panel.y.names = tuple(f"output {name}" for name in sensitivity.channels)
-    panel.x.label = f"{what} / %"
+    panel.x.label = f"{unit} / %"
     load = LOAD_COMPONENTS[component]
     caption = (
-        f"Responses of all outputs to the driven load {load} at {sensitivity.frequency_hz[line]:.4f} Hz, {what}; "
-        f"bars: U (95 %). An arrow is an upper bound where the output is not distinguishable from 0. A cross "
-        "output of one recording holds both the sensor's cross-talk and its answer to loads that were not meant to "
-        "act."
+        f"Responses of all outputs to the driven load {load} at {sensitivity.frequency_hz[line]:.4f} Hz, {unit}; "
+        f"bars: U (95 %). An arrow is an upper bound if the output is not distinguishable from 0. A cross "
+        "output of one recording includes both the sensor's cross-talk and its response to unintended loads."
     )
     return drawn.with_title(f"All outputs under {load}", caption)
 
 
 def draw_budget(evaluation: Evaluation) -> Figure | None:
-    """Budget of sensitivity or ratio at the strongest line, largest first, with each one's share of the variance."""
+    """Draw the uncertainty budget at the strongest line, with shares of the variance."""
     main, line = main_result(evaluation), main_line(evaluation)
     if main is None:
         return None
@@ -260,30 +259,32 @@ def draw_budget(evaluation: Evaluation) -> Figure | None:
     (panel,) = drawn.panels
     entries = [sensitivity.budget[entry] for entry in order]
     for kind, colour in (("A", BLUE), ("B", ORANGE)):
-        own = np.flatnonzero([entry.type == kind for entry in entries])
-        names = tuple(f"{entries[place].label}, {share[order[place]]:.2g} % of the variance" for place in own)
-        ends = (np.zeros(len(own)), 100.0 * u_relative[order[own]])
-        panel.boxes(ends, (own - 0.33, own + 0.33), f"type {kind}", colour=colour, names=names)
+        rows = np.flatnonzero([entry.type == kind for entry in entries])
+        names = tuple(f"{entries[row].label}, {share[order[row]]:.2g} % of the variance" for row in rows)
+        ends = (np.zeros(len(rows)), 100.0 * u_relative[order[rows]])
+        panel.boxes(ends, (rows - 0.33, rows + 0.33), f"type {kind}", colour=colour, names=names)
     texts = [f"{share[entry]:.1f} %" if share[entry] >= 0.05 else "< 0.1 %" for entry in order]
     panel.text(100.0 * u_relative[order], np.arange(len(order)), texts, align="left", offset_px=(4.0, 0.0))
     panel.y.names = tuple(entry.label for entry in entries)
     panel.x.label = "relative standard uncertainty (k = 1) / %"
     panel.x.limits = (0.0, 115.0 * float(u_relative.max()))
     channel, load = sensitivity.channels[driven_channel(evaluation)], LOAD_COMPONENTS[driven_component(evaluation)]
-    what = f"{result_name(sensitivity.kind[line], channel, load, main=True)}, {sensitivity.frequency_hz[line]:.4f} Hz"
-    caption = f"Uncertainty budget of the magnitude of {what}; beside each bar its share of the variance."
+    quantity = (
+        f"{result_name(sensitivity.kind[line], channel, load, main=True)}, {sensitivity.frequency_hz[line]:.4f} Hz"
+    )
+    caption = f"Uncertainty budget of the magnitude of {quantity}; next to each bar its share of the variance."
     return drawn.with_title("Uncertainty budget", caption, main=True)
 
 
 def _output_scale(
     evaluation: Evaluation, sensitivity: Sensitivity, driven: int, component: int
 ) -> tuple[FloatArray, str]:
-    """What 100 % is for each output (C,), and its name."""
+    """Return the value of 100 % for each output (C,), and its name."""
     sensor, static = evaluation.manifest.rig.sensor, static_sensitivity(evaluation)
     if static is not None and sensor is not None and sensor.capacity is not None:
-        own = [LOAD_COMPONENTS.index(name) if name in LOAD_COMPONENTS else -1 for name in sensitivity.channels]
+        components = [LOAD_COMPONENTS.index(name) if name in LOAD_COMPONENTS else -1 for name in sensitivity.channels]
         capacity = np.asarray(sensor.capacity, dtype=np.float64)
-        rated = np.array([abs(static[c, j]) * capacity[j] if j >= 0 else 0.0 for c, j in enumerate(own)])
+        rated = np.array([abs(static[c, j]) * capacity[j] if j >= 0 else 0.0 for c, j in enumerate(components)])
         if np.all(rated > 0.0):
             return rated / capacity[component], f"share of the rated output at rated {LOAD_COMPONENTS[component]}"
     size = abs(sensitivity.value[main_line(evaluation), driven, component])
@@ -291,14 +292,14 @@ def _output_scale(
 
 
 def _draw_levels(panel: Panel, size: FloatArray, expanded: FloatArray, driven: int, bound: BoolArray) -> None:
-    """Points on a logarithmic axis; where a value may be zero (`bound`), an arrow from the end of its region."""
-    place = np.arange(len(size), dtype=np.float64)
+    """Draw points on a logarithmic axis, and upper bounds of values that may be zero."""
+    rows = np.arange(len(size), dtype=np.float64)
     panel.x.log = True
-    main = place == driven
-    for own, colour, told in ((main & ~bound, BLACK, "driven"), (~main & ~bound, BLUE, "other outputs")):
-        if own.any():
-            panel.points(size[own], place[own], told, half_x=expanded[own], colour=colour)
+    main = rows == driven
+    for mask, colour, label in ((main & ~bound, BLACK, "driven"), (~main & ~bound, BLUE, "other outputs")):
+        if mask.any():
+            panel.points(size[mask], rows[mask], label, half_x=expanded[mask], colour=colour)
     if bound.any():
-        panel.bounds((size + expanded)[bound], place[bound], "upper bound", along="x", colour=GREY)
+        panel.bounds((size + expanded)[bound], rows[bound], "upper bound", along="x", colour=GREY)
     ends = np.concatenate([(size + expanded), (size - expanded)[~bound], 0.3 * (size + expanded)[bound]])
     panel.x.limits = (0.5 * float(ends.min()), 2.0 * float(ends.max()))

@@ -1,6 +1,6 @@
-"""Shapes in the sensor frame, and three plain views of them as one SVG picture: from the front, the side, and above.
+"""Shapes in the sensor frame, and three views of them as one SVG image.
 
-Fills and strokes take the colour of the class `k-…` of their kind, which the page gives them (templates/scene.html).
+Fills and strokes have the colour of the class `k-…` of their kind, which the page defines (templates/scene.html).
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from markupsafe import Markup
 from shaker.arrays import FloatArray
 
 ROUND, SIDES = 0.05, 24  # moments of inertia that differ less are those of a round body; sides that it is drawn with
-THINNEST = 0.02  # of the largest length: thickness of a body whose inertia leaves it none
+THINNEST = 0.02  # smallest thickness of a body, over its largest length
 WIDTH_PX, TALLEST_PX, LEFT_PX, BELOW_PX, ABOVE_PX, RIGHT_PX = 940.0, 420.0, 52.0, 36.0, 24.0, 12.0
 MARGIN, LETTER_PX, LINE_PX, CLOSEST_PX = 0.06, 6.2, 13.0, 48.0
 VIEWS = (("front, seen along +y", 0, 2, -1.0), ("side, seen along −x", 1, 2, 1.0), ("from above", 0, 1, 1.0))
@@ -25,12 +25,12 @@ VIEWS = (("front, seen along +y", 0, 2, -1.0), ("side, seen along −x", 1, 2, 1
 
 @dataclass(frozen=True)
 class SceneShape:
-    """Something in space: points (N, 3) in m in the sensor frame at rest, with faces and strokes that join them.
+    """Shape of one kind, at rest in the sensor frame.
 
-    `kind`: entry of the legend; `name`, `told`: what it is, with places and units; `label`: written beside it. `body`:
-    with which it moves. `faces` of a `closed` shape run counter-clockwise seen from outside; `fill`: their opacity.
-    `arrow`: the first stroke ends in a head. `dots`: at the first point, or at each. `surface`: whose deflection it
-    has.
+    `kind`: entry of the legend; `name`, `description`: with positions and units; `label`: text in the drawing. `body`:
+    the body with which it moves. `faces` of a `closed` shape run counter-clockwise seen from outside; `fill`: their
+    opacity. `arrow`: the first stroke ends in a head. `dots`: at the first point, or at each. `surface`: the surface
+    whose deflection it has.
     """
 
     kind: str
@@ -50,7 +50,10 @@ class SceneShape:
 
     @property
     def anchor(self) -> int:
-        """Return beside which point the label stands: an arrow's head, where its foot has no dot, else the first."""
+        """Index of the point of the label.
+
+        It is the head of an arrow without a dot, else the first point.
+        """
         return -1 if self.arrow and not self.dots else 0
 
 
@@ -58,32 +61,32 @@ Faces = tuple[tuple[int, ...], ...]
 
 
 def solid(mass_kg: float, centre_m: FloatArray, inertia_kgm2: FloatArray) -> tuple[FloatArray, Faces, Faces, str]:
-    """Return points, faces, edges and name of the solid cylinder or block of a mass and inertia about its centre.
+    """Return points, faces, edges and name of a solid of this mass and inertia.
 
-    Cylinder of radius r and height h: I = m·r²/2 along its axis, m·(r²/4 + h²/12) across; block of sides a, b, c:
-    I = m·(b² + c²)/12 about a. A mass without inertia is its centre.
+    Cylinder of radius r and height h: I = m·r²/2 along its axis, m·(r²/4 + h²/12) across; block of sides a, b, c: I =
+    m·(b² + c²)/12 about a. A mass without inertia is a point at its centre.
     """
     moments, axes = np.linalg.eigh(inertia_kgm2)
     if mass_kg <= 0.0 or moments[2] <= 0.0:
         return centre_m[None], (), (), "a point mass"
-    alike = np.abs(np.diff(moments)) <= ROUND * moments[2]
-    if alike.all():
+    equal = np.abs(np.diff(moments)) <= ROUND * moments[2]
+    if equal.all():
         moments, axes = np.diagonal(inertia_kgm2), np.eye(3)
-    if not alike.any():
+    if not equal.any():
         square = 6.0 * (moments.sum() - 2.0 * moments) / mass_kg
         sides = np.sqrt(np.maximum(square, THINNEST**2 * square.max()))
         points, faces, edges = make_box(sides)
-        told = "block of " + " × ".join(f"{1e3 * side:.1f}" for side in sides) + " mm"
+        text = "block of " + " × ".join(f"{1e3 * side:.1f}" for side in sides) + " mm"
     else:
-        axis = 2 if alike[0] else 0
+        axis = 2 if equal[0] else 0
         radius = np.sqrt(2.0 * moments[axis] / mass_kg)
         across = np.delete(moments, axis).mean()
         height = np.sqrt(max(12.0 * (across / mass_kg - radius**2 / 4.0), (THINNEST * radius) ** 2))
         points, faces, edges = _cylinder(radius, height)
         axes = axes[:, [(axis + 1) % 3, (axis + 2) % 3, axis]]
-        told = f"cylinder ⌀ {2e3 * radius:.1f} × {1e3 * height:.1f} mm"
+        text = f"cylinder ⌀ {2e3 * radius:.1f} × {1e3 * height:.1f} mm"
     axes = axes * np.array([1.0, 1.0, np.linalg.det(axes)])
-    return centre_m + points @ axes.T, faces, edges, f"drawn as the {told} that has its inertia"
+    return centre_m + points @ axes.T, faces, edges, f"drawn as a {text} of this inertia"
 
 
 def make_box(sides: FloatArray) -> tuple[FloatArray, Faces, Faces]:
@@ -94,7 +97,7 @@ def make_box(sides: FloatArray) -> tuple[FloatArray, Faces, Faces]:
 
 BOX_FACES: Faces = ((3, 2, 1, 0), (4, 5, 6, 7), *((k, (k + 1) % 4, (k + 1) % 4 + 4, k + 4) for k in range(4)))
 BOX_EDGES: Faces = ((0, 1, 2, 3, 0), (4, 5, 6, 7, 4), *((k, k + 4) for k in range(4)))
-"""Of a box whose lower corners run counter-clockwise seen from above, then its upper ones."""
+"""Faces and edges of a box whose lower corners run counter-clockwise seen from above, then its upper ones."""
 
 
 def _cylinder(radius: float, height: float) -> tuple[FloatArray, Faces, Faces]:
@@ -106,7 +109,7 @@ def _cylinder(radius: float, height: float) -> tuple[FloatArray, Faces, Faces]:
     return points, (low[::-1], high, *sides), ((*low, 0), (*high, SIDES))
 
 
-# The picture.
+# Drawing.
 
 
 @dataclass(frozen=True)
@@ -121,22 +124,22 @@ class _Panel:
     corner_px: tuple[float, float]
     scale: float
 
-    def place(self, points_m: FloatArray) -> FloatArray:
+    def position_px(self, points_m: FloatArray) -> FloatArray:
         """Return points (N, 3) in px (N, 2), downwards positive."""
         flat = (points_m[:, list(self.axes)] - self.low_m) * self.scale
         return np.asarray(np.array(self.corner_px) + flat * np.array([1.0, -1.0]))
 
     def depth(self, points_m: FloatArray) -> float:
-        """Return how near the viewer points are, on average."""
+        """Return the mean depth of points; larger is closer to the viewer."""
         return self.towards * float(points_m[:, 3 - sum(self.axes)].mean())
 
 
 def static_views(shapes: Sequence[SceneShape]) -> Markup:
-    """Return the three views beside each other, to one scale, with axes in mm."""
+    """Return the three views next to each other, to one scale, with axes in mm."""
     points = np.concatenate([shape.points_m for shape in shapes])
     low, high = points.min(axis=0), points.max(axis=0)
-    room = MARGIN * float((high - low).max()) + 1e-6
-    low, high = low - room, high + room
+    margin = MARGIN * float((high - low).max()) + 1e-6
+    low, high = low - margin, high + margin
     widths = [float((high - low)[view[1]]) for view in VIEWS]
     tallest = max(float((high - low)[view[2]]) for view in VIEWS)
     free = WIDTH_PX - len(VIEWS) * (LEFT_PX + RIGHT_PX)
@@ -162,8 +165,8 @@ def _frame(panel: _Panel) -> Iterator[Markup]:
     yield _text(x, y - size[1] - 7.0, panel.title, "title")
     letters = ["xyz"[axis] for axis in panel.axes]
     yield _text(x + size[0] / 2.0, y + 30.0, f"{letters[0]} / mm", "middle")
-    turned = Markup('<text class="middle" transform="translate({:.1f} {:.1f}) rotate(-90)">{} / mm</text>')
-    yield turned.format(x - 38.0, y - size[1] / 2.0, letters[1])
+    vertical_label = Markup('<text class="middle" transform="translate({:.1f} {:.1f}) rotate(-90)">{} / mm</text>')
+    yield vertical_label.format(x - 38.0, y - size[1] / 2.0, letters[1])
     step = _step(CLOSEST_PX / panel.scale)
     for axis, marks in enumerate(zip(panel.low_m, panel.high_m, strict=True)):
         for k in range(int(np.ceil(marks[0] / step)), int(np.floor(marks[1] / step)) + 1):
@@ -178,7 +181,10 @@ def _frame(panel: _Panel) -> Iterator[Markup]:
 
 
 def _step(least: float) -> float:
-    """Return a distance of ticks, 1, 2 or 5 times a power of ten, no less than the least."""
+    """Return a round tick distance of at least `least`.
+
+    It is 1, 2 or 5 times a power of ten.
+    """
     power = 10.0 ** np.floor(np.log10(least))
     return float(power * next(factor for factor in (1.0, 2.0, 5.0, 10.0) if factor * power >= least))
 
@@ -188,24 +194,24 @@ def _text(x: float, y: float, text: str, kind: str) -> Markup:
 
 
 def _drawn(panel: _Panel, shapes: Sequence[SceneShape]) -> Iterator[Markup]:
-    """Yield what a view shows, the farthest first, and the labels that have room."""
+    """Yield the shapes of a view, the farthest first, and the labels that fit."""
     for shape in sorted(shapes, key=lambda shape: panel.depth(shape.points_m)):
         yield from _strokes(panel, shape)
     taken: list[tuple[float, float, float, float]] = []
     written = set()
     for shape in shapes:
-        place = panel.place(shape.points_m[[shape.anchor]])[0]
-        key = (shape.label, *np.round(place, 0).tolist())
+        position = panel.position_px(shape.points_m[[shape.anchor]])[0]
+        key = (shape.label, *np.round(position, 0).tolist())
         if shape.label and key not in written:
             written.add(key)
-            at = _room(panel, place, LETTER_PX * len(shape.label), taken)
+            at = _label_position(panel, position, LETTER_PX * len(shape.label), taken)
             if at is not None:
                 yield _text(*at, shape.label, f"label k-{shape.kind}")
 
 
 def _strokes(panel: _Panel, shape: SceneShape) -> Iterator[Markup]:
-    """Yield the outline of a closed shape or of tracked points, faces of others, lines, arrow head and dot."""
-    flat, kind = panel.place(shape.points_m), f"k-{shape.kind}"
+    """Yield outlines, faces, lines, arrow head and dot of a shape."""
+    flat, kind = panel.position_px(shape.points_m), f"k-{shape.kind}"
     if shape.closed or shape.dots == "many":
         yield _path([_hull(flat)], kind, fill=shape.fill or 0.35, closed=True)
     elif shape.faces:
@@ -229,7 +235,7 @@ def _path(lines: Sequence[FloatArray], kind: str, fill: float = 0.0, *, closed: 
 
 
 def _head(foot: FloatArray, tip: FloatArray, kind: str) -> Markup:
-    """Return an arrow's head; none of one that points at the viewer."""
+    """Return the head of an arrow, empty if it points at the viewer."""
     step = tip - foot
     length = float(np.hypot(*step))
     if length < 4.0:
@@ -243,16 +249,16 @@ def _hull(points: FloatArray) -> FloatArray:
     return np.asarray(cv2.convexHull(points.astype(np.float32)).reshape(-1, 2), dtype=np.float64)
 
 
-def _room(
-    panel: _Panel, place: FloatArray, width: float, taken: list[tuple[float, float, float, float]]
+def _label_position(
+    panel: _Panel, position: FloatArray, width: float, occupied: list[tuple[float, float, float, float]]
 ) -> tuple[float, float] | None:
-    """Return where a label of a width finds room beside a place within its view, and take it; None without any."""
-    x, y = place.tolist()
+    """Return a free position for a label near a point within its view, or None."""
+    x, y = position.tolist()
     (left, bottom), size = panel.corner_px, (panel.high_m - panel.low_m) * panel.scale
     for dx, dy in ((5, -4), (5, 11), (-width - 5, -4), (-width - 5, 11), (-width / 2, -8), (-width / 2, 17), (5, -18)):
         box = (x + dx, y + dy - LINE_PX + 3.0, x + dx + width, y + dy + 3.0)
         inside = box[0] >= left and box[2] <= left + size[0] and box[1] >= bottom - size[1] and box[3] <= bottom
-        if inside and all(box[2] <= t[0] or t[2] <= box[0] or box[3] <= t[1] or t[3] <= box[1] for t in taken):
-            taken.append(box)
+        if inside and all(box[2] <= t[0] or t[2] <= box[0] or box[3] <= t[1] or t[3] <= box[1] for t in occupied):
+            occupied.append(box)
             return x + dx, y + dy
     return None

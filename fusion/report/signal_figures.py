@@ -35,29 +35,29 @@ from shaker.labels import typeset
 SPECTRUM_POINTS = 700
 EXCERPT_POINTS = 300
 MOST_CHANNELS = 24
-"""Channels and triggers that a figure has room for."""
+"""Largest number of channels and triggers in a figure (chosen)."""
 
 
 def channel_figures(evaluation: Evaluation) -> list[Figure]:
-    """The figure of all channels, where there are any."""
+    """Return the figure of all channels, if there are any."""
     return [draw_channels(evaluation.channels[:MOST_CHANNELS], evaluation)] if evaluation.channels else []
 
 
 def trigger_figures(evaluation: Evaluation) -> list[Figure]:
-    """The figure of all camera triggers, where there are any."""
+    """Return the figure of all camera triggers, if there are any."""
     clocks = [clock for clock in evaluation.clocks if clock.trigger is not None and len(clock.trigger.number) > 2]
     return [draw_trigger(clocks[:MOST_CHANNELS])] if clocks else []
 
 
 def draw_channels(channels: Sequence[ChannelResult], evaluation: Evaluation) -> Figure:
-    """An excerpt of every channel with its fit and the exposures, and its amplitude spectrum with the lines found."""
+    """Draw an excerpt of every channel with its fit and exposures, and its amplitude spectrum."""
     exposures = evaluation.stereo[0].time_s if evaluation.stereo and not evaluation.set_ups else np.empty(0)
-    # Blocks have clocks of their own: no common axis.
+    # Blocks have separate clocks: no common axis.
     drawn = empty_figure("channels", 0.3 + 1.7 * len(channels), len(channels), (1.15, 1.0), shared_x=False)
-    for place, channel in enumerate(channels):
-        _draw_excerpt(drawn.panels[2 * place], channel, exposures)
-        _draw_spectrum(drawn.panels[2 * place + 1], channel, evaluation.lines.frequency_hz)
-        drawn.panels[2 * place].x.label, drawn.panels[2 * place + 1].x.label = "time / s", "frequency / Hz"
+    for index, channel in enumerate(channels):
+        _draw_excerpt(drawn.panels[2 * index], channel, exposures)
+        _draw_spectrum(drawn.panels[2 * index + 1], channel, evaluation.lines.frequency_hz)
+        drawn.panels[2 * index].x.label, drawn.panels[2 * index + 1].x.label = "time / s", "frequency / Hz"
     marks = " Vertical lines: middles of the camera exposures." if len(exposures) else ""
     more = len(evaluation.channels) - len(channels)
     caption = f"Left: samples (points) and fitted lines (curve).{marks} Right: triangles mark the lines fitted."
@@ -66,7 +66,7 @@ def draw_channels(channels: Sequence[ChannelResult], evaluation: Evaluation) -> 
 
 
 def draw_trigger(clocks: Sequence[ClockResult]) -> Figure:
-    """Deviation of every trigger edge from the periodic model, for each DAQ block."""
+    """Draw the deviation of every trigger edge from the periodic model, for each DAQ block."""
     drawn = empty_figure("trigger", 0.55 + 1.35 * len(clocks), len(clocks))
     for panel, clock in zip(drawn.panels, clocks, strict=True):
         trigger = clock.trigger
@@ -75,19 +75,19 @@ def draw_trigger(clocks: Sequence[ClockResult]) -> Figure:
         deviation = trigger.edge_s - trigger.time_s(trigger.number)
         factor, letter = prefix(np.append(deviation, trigger.resolution_s / 2.0), coarse=True)
         half = trigger.resolution_s / factor / 2.0
-        panel.span(-half, half, "left open by sampling", colour=ORANGE)
+        panel.span(-half, half, "undetermined by sampling", colour=ORANGE)
         panel.points(trigger.number, deviation / factor, colour=BLUE, size=2.6)
         panel.rule(0.0, width=0.6)
         panel.y.label, panel.title = f"deviation / {letter}s", clock.daq
         ends = np.append(deviation / factor, [-half, half])
         panel.y.limits = padded_limits(float(ends.min()), float(ends.max()))
     drawn.panels[-1].x.label = "number of the edge"
-    caption = "Camera trigger edges minus the fitted periodic model. Band: the interval that sampling leaves open."
+    caption = "Camera trigger edges minus the fitted periodic model. Band: the interval between two samples."
     return drawn.with_title("Trigger", caption)
 
 
 def _draw_excerpt(panel: Panel, channel: ChannelResult, exposures: FloatArray) -> None:
-    """Samples and fit over a short stretch of time."""
+    """Draw samples and fit over a short time."""
     time, chosen = channel.excerpt_s, slice(0, EXCERPT_POINTS)
     if channel.unit in PREFIXED:
         factor, letter = prefix(channel.excerpt)
@@ -106,7 +106,7 @@ def _draw_excerpt(panel: Panel, channel: ChannelResult, exposures: FloatArray) -
 
 
 def _draw_spectrum(panel: Panel, channel: ChannelResult, lines: FloatArray) -> None:
-    """Amplitude spectrum on logarithmic axes with the lines marked."""
+    """Draw the amplitude spectrum on logarithmic axes with the lines marked."""
     keep = (channel.spectrum_hz > 0.0) & (channel.spectrum > 0.0)
     frequency, amplitude = channel.spectrum_hz[keep], channel.spectrum[keep]
     if not len(frequency):
@@ -118,7 +118,7 @@ def _draw_spectrum(panel: Panel, channel: ChannelResult, lines: FloatArray) -> N
     width = 2.0 * (frequency[1] - frequency[0]) if len(frequency) > 1 else np.inf
     around = [slice(*np.searchsorted(frequency, (line - 2.0 * width, line + 2.0 * width))) for line in marked]
     near = [amplitude[part][np.abs(frequency[part] - line) <= width] for part, line in zip(around, marked, strict=True)]
-    tops = [float(own.max() if len(own) else np.median(amplitude)) for own in near]
+    tops = [float(values.max() if len(values) else np.median(amplitude)) for values in near]
     if len(marked):
         names = tuple(f"{line:.4f} Hz" for line in marked)
         panel.points(marked, 2.2 * np.array(tops), "lines", marker="inverted_triangle", colour=RED, names=names)
@@ -128,23 +128,23 @@ def _draw_spectrum(panel: Panel, channel: ChannelResult, lines: FloatArray) -> N
     panel.y.label, panel.title, panel.x.link = typeset(channel.unit), f"{channel.name}: amplitude spectrum", "spectrum"
 
 
-# Figure of parallel vibrometer points: where they are, how far from their mean, and what a rigid plane explains.
+# Figure of parallel vibrometer points: positions, deviations from their mean, and the best rigid plane.
 
 
 NAMES_BELOW = 24
-"""Number of points up to which each is named in the map."""
+"""Largest number of points with names in the map."""
 
 
 def point_figures(evaluation: Evaluation) -> list[Figure]:
     """Return one figure per group of parallel points."""
     line = main_line(evaluation)
-    return [draw_points(spread, line, place) for place, spread in enumerate(evaluation.points)]
+    return [draw_points(spread, line, number) for number, spread in enumerate(evaluation.points)]
 
 
-def draw_points(spread: PointSpread, line: int, place: int) -> Figure:
-    """Map of the points, and deviations of their amplitude and phase from the mean with the best plane's."""
+def draw_points(spread: PointSpread, line: int, group: int) -> Figure:
+    """Draw the vibrometer points, and the deviations of amplitude and phase from mean and plane."""
     height = max(2.9, 0.8 + 0.24 * len(spread.channels))
-    drawn = empty_figure(f"points-{place}", height, 1, (1.15, 1.0, 1.0))
+    drawn = empty_figure(f"points-{group}", height, 1, (1.15, 1.0, 1.0))
     chart, amplitude, phase = drawn.panels
     _draw_map(chart, spread, line)
     along, across, u_along, u_across = _deviations(spread, line)
@@ -156,27 +156,27 @@ def draw_points(spread: PointSpread, line: int, place: int) -> Figure:
     amplitude.x.label, phase.x.label = "amplitude from the mean / %", "phase from the mean / mrad"
     caption = (
         f"Vibrometer points along {axis_name(spread.direction)} on the {spread.body} at "
-        f"{spread.frequency_hz[line]:.4f} Hz: where they are (red: amplitude above the mean, blue: below), and "
-        f"deviation from the mean; bars: U of the deviation; open: the best rigid plane, mean and rocking, there."
+        f"{spread.frequency_hz[line]:.4f} Hz: positions (red: amplitude above the mean, blue: below), and "
+        f"deviation from the mean; bars: U of the deviation; open: best rigid plane (mean and rocking)."
     )
     return drawn.with_title("Vibrometer points and rocking", caption)
 
 
 def _deviations(spread: PointSpread, line: int) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-    """Deviations of the points from their mean, along and across it, relative to it, and their expanded uncertainty."""
+    """Return relative deviations of the points along and across their mean, and their U."""
     count = len(spread.channels)
     centre = np.kron(np.eye(2), np.eye(count) - 1.0 / count)
     every = np.broadcast_to(centre, (len(spread.mean), *centre.shape))
-    turned = spread.uncertainty.transformed(every).scaled(np.repeat(1.0 / spread.mean[:, None], count, axis=1))
-    u = np.sqrt(turned.covariance[line].diagonal())
-    parts = [turned.dof_along(np.full(count, direction))[line] for direction in (1.0 + 0.0j, 1.0j)]
+    relative = spread.uncertainty.transformed(every).scaled(np.repeat(1.0 / spread.mean[:, None], count, axis=1))
+    u = np.sqrt(relative.covariance[line].diagonal())
+    parts = [relative.dof_along(np.full(count, direction))[line] for direction in (1.0 + 0.0j, 1.0j)]
     expanded = np.array([coverage_factor(float(dof)) for dof in np.concatenate(parts)]) * u
     ratio = spread.value[line] / spread.mean[line]
     return ratio.real - 1.0, ratio.imag, expanded[:count], expanded[count:]
 
 
 def _draw_bars(panel: Panel, value: FloatArray, expanded: FloatArray, planned: FloatArray) -> None:
-    """Deviations with bars, and the plane's as open markers, one row per point."""
+    """Draw deviations with bars, and those of the plane as open markers."""
     rows = np.arange(len(value))
     panel.rule(0.0, along="x", colour=GREY)
     panel.points(value, rows, "point", half_x=expanded, colour=BLUE)
@@ -184,24 +184,24 @@ def _draw_bars(panel: Panel, value: FloatArray, expanded: FloatArray, planned: F
 
 
 def _draw_map(panel: Panel, spread: PointSpread, line: int) -> None:
-    """Points as seen against their direction, coloured by the deviation of their amplitude."""
+    """Draw points seen against their direction, coloured by the deviation of their amplitude."""
     first, second = (axis_name(axis) for axis in spread.axes)
-    place = 1e3 * spread.place_m
+    position_mm = 1e3 * spread.place_m
     deviation = 100.0 * (np.abs(spread.value[line] / spread.mean[line]) - 1.0)
     limit = float(np.max(np.abs(deviation))) or 1.0
     scale = Scale("RdBu", -limit, limit, "amplitude from the mean / %")
-    panel.points(*place.T, values=deviation, scale=scale, size=8.4, names=tuple(spread.channels))
-    if len(place) <= NAMES_BELOW:
+    panel.points(*position_mm.T, values=deviation, scale=scale, size=8.4, names=tuple(spread.channels))
+    if len(position_mm) <= NAMES_BELOW:
         panel.text(
-            place[:, 0],
-            place[:, 1],
-            [str(number + 1) for number in range(len(place))],
+            position_mm[:, 0],
+            position_mm[:, 1],
+            [str(number + 1) for number in range(len(position_mm))],
             align="left",
             offset_px=(7.0, 6.0),
         )
     panel.points(0.0, 0.0, marker="plus", colour=GREY, names=("origin",))
     panel.equal = True
-    low, high = place.min(axis=0, initial=0.0), place.max(axis=0, initial=0.0)
-    room = 0.2 * float((high - low).max())
-    panel.x.limits, panel.y.limits = (low[0] - room, high[0] + room), (low[1] - room, high[1] + room)
+    low, high = position_mm.min(axis=0, initial=0.0), position_mm.max(axis=0, initial=0.0)
+    margin = 0.2 * float((high - low).max())
+    panel.x.limits, panel.y.limits = (low[0] - margin, high[0] + margin), (low[1] - margin, high[1] + margin)
     panel.x.label, panel.y.label = f"{first} / mm", f"{second} / mm"

@@ -1,4 +1,4 @@
-"""Marks of a figure as SVG: places on a sheet in pt, strokes, areas, texts, and each kind of mark."""
+"""Marks of a figure as SVG: positions in pt, strokes, areas and texts."""
 
 from __future__ import annotations
 
@@ -32,13 +32,13 @@ from shaker.arrays import FloatArray
 
 NUMBER_PT, TEXT_PT, SMALL_PT, CAP_PT = 8.0, 7.5, 5.5, 2.5
 MANY = 200
-"""Number of points above which a line is written in less detail than can be seen."""
+"""Number of points above which a line is written with less, invisible, detail."""
 CAPPED = 500
-"""Number of points up to which bars end in strokes, those of open markers and of triangles."""
+"""Largest number of points whose error bars end in strokes (open markers and triangles)."""
 FAR_PT = 1e4
-"""Places further off the sheet than this are drawn there."""
+"""Largest coordinate; positions beyond are moved to it."""
 LEVELS = 64
-"""Colours of a scale that are told apart."""
+"""Number of different colours of a scale."""
 COLOURS = {
     "viridis": (
         "#440154", "#48186a", "#472d7b", "#424086", "#3b528b", "#33638d", "#2c728e", "#26828e", "#21918c", "#1fa088",
@@ -69,7 +69,7 @@ STROKES = {"x": ((-1, -1, 1, 1), (-1, 1, 1, -1)), "plus": ((-1, 0, 1, 0), (0, -1
 
 @dataclass(frozen=True)
 class AxisScale:
-    """How values of one axis become places on the sheet in pt: its ends, and where they stand."""
+    """Scale of one axis: the values `low` and `high` are at `start` and `end`."""
 
     low: float
     high: float
@@ -78,7 +78,7 @@ class AxisScale:
     log: bool = False
 
     def __call__(self, values: Any) -> FloatArray:
-        """Places of values; of those that a logarithm does not have, far beyond the smaller end."""
+        """Return positions of values; values without a logarithm are far beyond the smaller end."""
         values, low, high = np.asarray(values, dtype=np.float64), self.low, self.high
         if self.log:
             low, high = float(np.log10(low)), float(np.log10(high))
@@ -91,7 +91,7 @@ class AxisScale:
 
 @dataclass(frozen=True)
 class PanelRect:
-    """A panel's rectangle on the sheet in pt, both of its axes, what its frame leaves beside and below, for a title."""
+    """Rectangle of a panel in pt with the scales of both axes and its margins."""
 
     x: AxisScale
     y: AxisScale
@@ -105,61 +105,69 @@ class PanelRect:
         return self.x.end
 
     def positions(self, x: Any, y: Any) -> FloatArray:
-        """Places (N, 2) of values (N,)."""
+        """Return positions (N, 2) of values (N,)."""
         return np.column_stack([self.x(x), self.y(y)])
 
-    def contains(self, places: FloatArray, reach: float = 0.0) -> Any:
-        """Whether places lie in the panel, or no further off than `reach`."""
-        (x, y), (a, b, c, d) = places.T, (self.x.start, self.x.end, self.y.end, self.y.start)
+    def contains(self, positions: FloatArray, reach: float = 0.0) -> Any:
+        """Return whether positions are in the panel, or at most `reach` outside."""
+        (x, y), (a, b, c, d) = positions.T, (self.x.start, self.x.end, self.y.end, self.y.start)
         return (x >= a - reach) & (x <= b + reach) & (y >= c - reach) & (y <= d + reach)
 
 
-# Parts of a picture.
+# Parts of a drawing.
 
 FONT = "DejaVu Sans, Verdana, Arial, sans-serif"
 NARROW, WIDE = " .,:;'|!ijl()[]/−-ftrI⁻", "mwMW±%@∂∫"
 
 
 def svg_text(x: float, y: float, text: str, size: float = NUMBER_PT, align: str = "center", **look: Any) -> str:
-    """Text whose base line is at `y`, or at `x` where it is `turned` to be read upwards."""
-    turn = f' transform="rotate(-90 {x:.2f} {y:.2f})"' if look.get("turned") else ""
+    """Return a text with its base line at `y` (at `x` if `upright`)."""
+    turn = f' transform="rotate(-90 {x:.2f} {y:.2f})"' if look.get("upright") else ""
     anchor = {"left": "start", "center": "middle", "right": "end"}[align]
-    own = f'x="{x:.2f}" y="{y:.2f}" font-size="{size:.3g}" text-anchor="{anchor}" fill="{look.get("colour", BLACK)}"'
-    return f"<text {own}{turn}>{escape(text)}</text>"
+    attributes = (
+        f'x="{x:.2f}" y="{y:.2f}" font-size="{size:.3g}" text-anchor="{anchor}" fill="{look.get("colour", BLACK)}"'
+    )
+    return f"<text {attributes}{turn}>{escape(text)}</text>"
 
 
 def width(text: str) -> float:
-    """About the width of a text over the size of its letters, in a wide sans serif."""
+    """Return the approximate width of a text over its letter size."""
     return sum(0.36 if letter in NARROW else 0.94 if letter in WIDE else 0.63 for letter in text)
 
 
 def half_height(size: float) -> float:
-    """How far the base line of a text stands below the middle of its digits."""
+    """Return the distance from a text's base line to its middle."""
     return 0.365 * size
 
 
 def stroke(colour: str, width: float, *, dashed: bool = False) -> str:
-    """Look of a line, its dashes as long as it is wide five times."""
+    """Return the attributes of a line.
+
+    Dashes are five times as long as the line is wide.
+    """
     dash = f' stroke-dasharray="{5.0 * width:.3g} {3.0 * width:.3g}"' if dashed else ""
     return f'stroke="{colour}" stroke-width="{width:.3g}"{dash}'
 
 
 def path(d: str, look: str) -> str:
-    """Element of a path with its look; nothing of an empty one."""
+    """Return a path element with its attributes, empty for an empty path."""
     return f'<path d="{d}" {look}/>' if d else ""
 
 
 def strokes(ends: FloatArray) -> str:
-    """Path of straight strokes (N, 4) from x, y to x, y."""
+    """Return the path of straight strokes (N, 4) from x, y to x, y."""
     rows = ends[np.isfinite(ends).all(axis=1)].tolist()
     return "".join(f"M{a:.2f} {b:.2f}L{c:.2f} {d:.2f}" for a, b, c, d in rows)
 
 
-def _chain(places: FloatArray) -> str:
-    """Path through places (N, 2), interrupted where there are none; of many points in steps of a tenth of a pt."""
-    parts, many = [], len(places) > MANY
-    for known, run in groupby(places.tolist(), lambda place: place[0] == place[0] and place[1] == place[1]):
-        if known:
+def _chain(positions: FloatArray) -> str:
+    """Return the path through positions (N, 2), interrupted at NaN.
+
+    Many points are rounded to a tenth of a pt.
+    """
+    parts, many = [], len(positions) > MANY
+    for is_finite, run in groupby(positions.tolist(), lambda point: point[0] == point[0] and point[1] == point[1]):
+        if is_finite:
             points = list(run)
             parts.append(_steps(points) if many else "M" + "L".join(f"{x:.2f} {y:.2f}" for x, y in points))
             parts.append("h0" if len(points) == 1 else "")
@@ -167,7 +175,7 @@ def _chain(places: FloatArray) -> str:
 
 
 def _steps(points: Sequence[Sequence[float]]) -> str:
-    """Path through points by steps from each to the next."""
+    """Return the path through points by relative steps."""
     x, y = round(10.0 * points[0][0]), round(10.0 * points[0][1])
     parts = [f"M{x / 10:g} {y / 10:g}l"]
     for point in points[1:]:
@@ -179,21 +187,21 @@ def _steps(points: Sequence[Sequence[float]]) -> str:
 
 
 def polygons(corners: FloatArray) -> str:
-    """Path of polygons (N, C, 2)."""
-    kept = corners[np.isfinite(corners).all(axis=(1, 2))].tolist()
-    return "".join("M" + "L".join(f"{x:.2f} {y:.2f}" for x, y in polygon) + "Z" for polygon in kept)
+    """Return the path of polygons (N, C, 2)."""
+    finite = corners[np.isfinite(corners).all(axis=(1, 2))].tolist()
+    return "".join("M" + "L".join(f"{x:.2f} {y:.2f}" for x, y in polygon) + "Z" for polygon in finite)
 
 
-def _signs(places: FloatArray, marker: str, size: float, colour: str, *, edge: float, empty: bool = False) -> str:
-    """Markers at places (N, 2): filled unless `empty`, with an edge of some width; strokes have no filling."""
+def _signs(positions: FloatArray, marker: str, size: float, colour: str, *, edge: float, empty: bool = False) -> str:
+    """Return markers at positions (N, 2), filled unless `empty`."""
     half = 0.5 * size
     if marker in STROKES:
-        own = half * np.array(STROKES[marker], dtype=np.float64)
-        ends = (np.tile(places, 2)[:, None, :] + own).reshape(-1, 4)
+        attributes = half * np.array(STROKES[marker], dtype=np.float64)
+        ends = (np.tile(positions, 2)[:, None, :] + attributes).reshape(-1, 4)
         return path(strokes(ends), stroke(colour, edge or 1.0))
     border, filling = f" {stroke(colour, edge)}" if edge else "", "none" if empty else colour
     if marker == "circle":
-        rows = places[np.isfinite(places).all(axis=1)].tolist()
+        rows = positions[np.isfinite(positions).all(axis=1)].tolist()
         if not empty:
             return path(
                 "".join(f"M{x:.1f} {y:.1f}h0" for x, y in rows), f'{stroke(colour, size)} stroke-linecap="round"'
@@ -202,29 +210,29 @@ def _signs(places: FloatArray, marker: str, size: float, colour: str, *, edge: f
         round_ = (f"M{x - half:.2f} {y:.2f}{arc} {size:.3g} 0{arc} {-size:.3g} 0Z" for x, y in rows)
         return path("".join(round_), f'fill="{filling}"{border}')
     outline = half * np.array(OUTLINES[marker])
-    return path(polygons(places[:, None, :] + outline), f'fill="{filling}"{border}')
+    return path(polygons(positions[:, None, :] + outline), f'fill="{filling}"{border}')
 
 
 # Colours of values.
 
 
 def scale_colours(scale: Scale) -> FloatArray:
-    """Red, green and blue (N, 3) of a scale at equal steps."""
+    """Return red, green and blue (N, 3) of a scale at equal steps."""
     names = COLOURS[scale.colours] if isinstance(scale.colours, str) else scale.colours
     return np.array([[int(name[k : k + 2], 16) for k in (1, 3, 5)] for name in names], dtype=np.float64)
 
 
 def shade(scale: Scale, share: float) -> str:
-    """Colour at a share of a scale."""
+    """Return the colour at a share of a scale."""
     stops = scale_colours(scale)
     at = share * (len(stops) - 1)
     return "#" + "".join(f"{round(float(np.interp(at, range(len(stops)), part))):02x}" for part in stops.T)
 
 
 def _shaded(scale: Scale, values: FloatArray) -> Iterator[tuple[str, Any]]:
-    """Yield every colour that values have, with which of them have it; unknown ones are grey."""
-    way = AxisScale(scale.low, scale.high, 0.0, 1.0, scale.log)
-    share = np.clip(way(values), 0.0, 1.0)
+    """Yield every colour of some values with a mask of these; NaN is grey."""
+    axis_scale = AxisScale(scale.low, scale.high, 0.0, 1.0, scale.log)
+    share = np.clip(axis_scale(values), 0.0, 1.0)
     level = np.where(np.isnan(share), -1.0, np.round(share * (LEVELS - 1)))
     for one in np.unique(level).tolist():
         yield (LIGHT if one < 0.0 else shade(scale, one / (LEVELS - 1))), level == one
@@ -233,44 +241,44 @@ def _shaded(scale: Scale, values: FloatArray) -> Iterator[tuple[str, Any]]:
 # One function per kind of mark.
 
 
-def _line(room: PanelRect, mark: Line) -> Iterator[str]:
-    places = room.positions(mark.x, mark.y)
-    if mark.step and len(places):
-        places = np.repeat(places, 2, axis=0)
-        places = np.column_stack([places[1:, 0], places[:-1, 1]])
-    yield path(_chain(places), stroke(mark.colour, mark.width, dashed=mark.dashed))
+def _line(rect: PanelRect, mark: Line) -> Iterator[str]:
+    positions = rect.positions(mark.x, mark.y)
+    if mark.step and len(positions):
+        positions = np.repeat(positions, 2, axis=0)
+        positions = np.column_stack([positions[1:, 0], positions[:-1, 1]])
+    yield path(_chain(positions), stroke(mark.colour, mark.width, dashed=mark.dashed))
 
 
-def _points(room: PanelRect, mark: Points) -> Iterator[str]:
-    places = room.positions(mark.x, mark.y)
-    seen = room.contains(places, mark.size)
+def _points(rect: PanelRect, mark: Points) -> Iterator[str]:
+    positions = rect.positions(mark.x, mark.y)
+    seen = rect.contains(positions, mark.size)
     if mark.values is not None and mark.scale is not None:
         for colour, which in _shaded(mark.scale, mark.values):
-            yield _signs(places[which & seen], mark.marker, mark.size, colour, edge=0.0)
+            yield _signs(positions[which & seen], mark.marker, mark.size, colour, edge=0.0)
         return
     bars, caps = [np.empty((0, 4))], [np.empty((0, 4))]
     for half, cap, along in ((mark.half_x, (0.0, CAP_PT), "x"), (mark.half_y, (CAP_PT, 0.0), "y")):
         if half is not None:
             shift = (half, 0.0) if along == "x" else (0.0, half)
-            low, high = (room.positions(mark.x + sign * shift[0], mark.y + sign * shift[1]) for sign in (-1.0, 1.0))
+            low, high = (rect.positions(mark.x + sign * shift[0], mark.y + sign * shift[1]) for sign in (-1.0, 1.0))
             bars.append(np.hstack([low, high]))
             caps += [np.hstack([end - cap, end + cap]) for end in (low, high)]
     look = stroke(mark.colour, 1.0)
     yield path(strokes(np.concatenate(bars)), look)
     edge = 0.0 if not mark.open and mark.marker in ("circle", "square", "diamond") else 1.0
-    yield path(strokes(np.concatenate(caps)), look) if edge and len(places) <= CAPPED else ""
-    yield _signs(places[seen], mark.marker, mark.size, mark.colour, edge=edge, empty=mark.open)
+    yield path(strokes(np.concatenate(caps)), look) if edge and len(positions) <= CAPPED else ""
+    yield _signs(positions[seen], mark.marker, mark.size, mark.colour, edge=edge, empty=mark.open)
 
 
-def _bounds(room: PanelRect, mark: Bounds) -> Iterator[str]:
+def _bounds(rect: PanelRect, mark: Bounds) -> Iterator[str]:
     share = (0.5, 1.0) if mark.along == "x" else (1.0, 0.5)
-    start, end = room.positions(mark.x, mark.y), room.positions(share[0] * mark.x, share[1] * mark.y)
+    start, end = rect.positions(mark.x, mark.y), rect.positions(share[0] * mark.x, share[1] * mark.y)
     yield path(strokes(np.hstack([start, end])), stroke(mark.colour, 1.0))
     yield _heads(start, end, 5.0, mark.colour)
 
 
 def _heads(start: FloatArray, end: FloatArray, size: float, colour: str) -> str:
-    """Heads of arrows between places (N, 2), of short ones half as long as they are."""
+    """Return the heads of arrows between positions (N, 2)."""
     along = end - start
     length = np.hypot(*along.T)[:, None]
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -279,43 +287,43 @@ def _heads(start: FloatArray, end: FloatArray, size: float, colour: str) -> str:
     return path(polygons(np.stack([end, end - ahead + across, end - ahead - across], 1)), f'fill="{colour}"')
 
 
-def _band(room: PanelRect, mark: Band) -> Iterator[str]:
-    low, high = room.positions(mark.x, mark.low), room.positions(mark.x, mark.high)
-    known = np.isfinite(low).all(axis=1) & np.isfinite(high[:, 1])
-    ends = np.flatnonzero(np.diff(np.concatenate([[False], known, [False]]).astype(int))).reshape(-1, 2)
+def _band(rect: PanelRect, mark: Band) -> Iterator[str]:
+    low, high = rect.positions(mark.x, mark.low), rect.positions(mark.x, mark.high)
+    finite = np.isfinite(low).all(axis=1) & np.isfinite(high[:, 1])
+    ends = np.flatnonzero(np.diff(np.concatenate([[False], finite, [False]]).astype(int))).reshape(-1, 2)
     areas = [np.concatenate([low[a:b], high[a:b][::-1]]) for a, b in ends]
     yield path("".join(polygons(area[None]) for area in areas), f'fill="{mark.colour}" fill-opacity="0.25"')
 
 
-def strokes_across(room: PanelRect, values: Any, along: str) -> FloatArray:
-    """Strokes (N, 4) across the whole panel at values of x or y."""
-    at = (room.x if along == "x" else room.y)(values)
-    way = room.y if along == "x" else room.x
-    start, end = np.full_like(at, way.start), np.full_like(at, way.end)
+def strokes_across(rect: PanelRect, values: Any, along: str) -> FloatArray:
+    """Return strokes (N, 4) across the whole panel at values of x or y."""
+    at = (rect.x if along == "x" else rect.y)(values)
+    axis_scale = rect.y if along == "x" else rect.x
+    start, end = np.full_like(at, axis_scale.start), np.full_like(at, axis_scale.end)
     return np.column_stack([at, start, at, end] if along == "x" else [start, at, end, at])
 
 
-def _span(room: PanelRect, mark: Span) -> Iterator[str]:
-    (a, b, c, d), (e, f, g, h) = strokes_across(room, [mark.low, mark.high], mark.along).tolist()
+def _span(rect: PanelRect, mark: Span) -> Iterator[str]:
+    (a, b, c, d), (e, f, g, h) = strokes_across(rect, [mark.low, mark.high], mark.along).tolist()
     opacity = f'fill="{mark.colour}" fill-opacity="{mark.opacity:.3g}"'
     yield path(polygons(np.array([[[a, b], [c, d], [g, h], [e, f]]])), opacity)
 
 
-def _rule(room: PanelRect, mark: Rule) -> Iterator[str]:
-    yield path(strokes(strokes_across(room, mark.at, mark.along)), stroke(mark.colour, mark.width, dashed=mark.dashed))
+def _rule(rect: PanelRect, mark: Rule) -> Iterator[str]:
+    yield path(strokes(strokes_across(rect, mark.at, mark.along)), stroke(mark.colour, mark.width, dashed=mark.dashed))
 
 
-def _ellipses(room: PanelRect, mark: Ellipses) -> Iterator[str]:
+def _ellipses(rect: PanelRect, mark: Ellipses) -> Iterator[str]:
     turn = np.linspace(0.0, 2.0 * np.pi, 73)[:-1]
     a, b = 0.5 * mark.width[:, None] * np.cos(turn), 0.5 * mark.height[:, None] * np.sin(turn)
     cos, sin = np.cos(mark.angle_rad)[:, None], np.sin(mark.angle_rad)[:, None]
     x, y = mark.x[:, None] + cos * a - sin * b, mark.y[:, None] + sin * a + cos * b
-    yield path(polygons(np.stack([room.x(x), room.y(y)], 2)), stroke(mark.colour, 1.1))
+    yield path(polygons(np.stack([rect.x(x), rect.y(y)], 2)), stroke(mark.colour, 1.1))
 
 
-def _boxes(room: PanelRect, mark: Boxes) -> Iterator[str]:
+def _boxes(rect: PanelRect, mark: Boxes) -> Iterator[str]:
     x, y = [mark.left, mark.left, mark.right, mark.right], [mark.low, mark.high, mark.high, mark.low]
-    corners = np.stack([room.x(np.stack(x, 1)), room.y(np.stack(y, 1))], 2)
+    corners = np.stack([rect.x(np.stack(x, 1)), rect.y(np.stack(y, 1))], 2)
     if mark.values is not None and mark.scale is not None:
         for colour, which in _shaded(mark.scale, mark.values):
             yield path(polygons(corners[which]), f'fill="{colour}" {stroke(colour, 0.2)}')
@@ -323,31 +331,31 @@ def _boxes(room: PanelRect, mark: Boxes) -> Iterator[str]:
         yield path(polygons(corners), f'fill="{mark.colour}"' if mark.filled else stroke(mark.colour, 0.5))
 
 
-def _arrows(room: PanelRect, mark: Arrows) -> Iterator[str]:
-    width = 0.005 * (room.x.end - room.x.start)
-    start, end = room.positions(mark.x, mark.y), room.positions(mark.x + mark.dx, mark.y + mark.dy)
+def _arrows(rect: PanelRect, mark: Arrows) -> Iterator[str]:
+    width = 0.005 * (rect.x.end - rect.x.start)
+    start, end = rect.positions(mark.x, mark.y), rect.positions(mark.x + mark.dx, mark.y + mark.dy)
     yield path(strokes(np.hstack([start, 0.4 * start + 0.6 * end])), stroke(mark.colour, width))
     yield _heads(start, end, 6.0 * width, mark.colour)
 
 
-def _texts(room: PanelRect, mark: Texts) -> Iterator[str]:
-    places = room.positions(mark.x, mark.y)
-    seen = room.contains(places, 0.5)
-    places += np.array([mark.offset_px[0], -mark.offset_px[1]])
-    for (x, y), shown, text in zip(places.tolist(), seen, mark.texts, strict=True):
+def _texts(rect: PanelRect, mark: Texts) -> Iterator[str]:
+    positions = rect.positions(mark.x, mark.y)
+    seen = rect.contains(positions, 0.5)
+    positions += np.array([mark.offset_px[0], -mark.offset_px[1]])
+    for (x, y), shown, text in zip(positions.tolist(), seen, mark.texts, strict=True):
         if shown and mark.upright:
             side = {"left": 0.73, "center": 0.365, "right": 0.0}[mark.align] * SMALL_PT
-            yield svg_text(x + side, y, text, SMALL_PT, "left", turned=True, colour=mark.colour)
+            yield svg_text(x + side, y, text, SMALL_PT, "left", upright=True, colour=mark.colour)
         elif shown:
             yield svg_text(x, y + half_height(TEXT_PT), text, TEXT_PT, mark.align, colour=mark.colour)
 
 
-def _image(room: PanelRect, mark: Image) -> Iterator[str]:
+def _image(rect: PanelRect, mark: Image) -> Iterator[str]:
     import cv2
 
     _, data = cv2.imencode(".png", mark.grey)
     source = "data:image/png;base64," + base64.b64encode(data.tobytes()).decode("ascii")
-    (a, b), (c, d) = room.x([mark.left, mark.right]).tolist(), room.y([mark.top, mark.bottom]).tolist()
+    (a, b), (c, d) = rect.x([mark.left, mark.right]).tolist(), rect.y([mark.top, mark.bottom]).tolist()
     turn = f"matrix({(b - a):.6g} 0 0 {(d - c):.6g} {a:.2f} {c:.2f})"
     look = 'width="1" height="1" preserveAspectRatio="none"'
     yield f'<image transform="{turn}" {look} xlink:href="{source}"/>'
@@ -367,4 +375,4 @@ DRAWN: dict[type[Mark], Callable[[PanelRect, Any], Iterator[str]]] = {
     Image: _image,
 }
 HEIGHTS = ((Image,), (Span,), (), (Band, Boxes, Ellipses), (Line, Rule, Bounds, Arrows), (Points,), (Texts,))
-"""What lies below what; the grid is the third."""
+"""Drawing order of marks, lowest first; the grid is the third."""

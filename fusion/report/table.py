@@ -1,7 +1,7 @@
-"""Results declared once, a `Column` each, and numbers as pages print them: rounded to their U, with powers and units.
+"""Table columns, declared once for all views, and numbers rounded to their U.
 
-A list of columns is the declaration of a table. Files (`csv_text`), pages (`table`) and the terminal (`text_lines`) are
-views of it, so that names, numbers and heads cannot run apart and no row can be shorter than its head.
+A list of columns is the declaration of a table. Files (`csv_text`), pages (`table`) and the terminal (`text_lines`) use
+the same declaration, so that names, numbers and heads always agree.
 """
 
 from __future__ import annotations
@@ -23,6 +23,7 @@ from markupsafe import Markup
 from fusion.base import DASH, round_to_uncertainty
 from fusion.errors import InputError
 from fusion.estimation.coverage import CoverageRegion, Polar, RealQuantity
+from fusion.report.report_notices import UNREADABLE_TABLE
 from shaker.arrays import ComplexArray
 from shaker.labels import typeset
 
@@ -34,8 +35,8 @@ class TableColumn(Generic[R]):
     """One column of a table whose rows are objects R.
 
     `name`: in files, with the unit of a dimensional number; empty for pages only. `value`: of a row, text or number;
-    None leaves the cell of a file empty. `head`: on pages and the terminal, None for files only; `shown`: the printed
-    cell where it differs from the value; `align`: `l` for words, `r` for numbers.
+    None is an empty cell of a file. `head`: on pages and the terminal, None for files only; `shown`: the printed cell
+    if it differs from the value; `align`: `l` for texts, `r` for numbers.
     """
 
     name: str
@@ -50,19 +51,19 @@ class TableColumn(Generic[R]):
 
 
 def text_column(name: str, value: Callable[[R], Any], head: str | None = None) -> TableColumn[R]:
-    """Return a column of words: in files under `name`, on pages under `head`."""
+    """Return a column of texts: in files under `name`, on pages under `head`."""
     return TableColumn(name, value, head, None, "l")
 
 
 def page_column(head: str, shown: Callable[[R], str], align: str = "r") -> TableColumn[R]:
-    """Return a column that pages alone have."""
+    """Return a column for pages only."""
     return TableColumn("", shown, head, shown, align)
 
 
 def polar_columns(size: str, value: Callable[[R], Polar], *, freedom: bool = False) -> list[TableColumn[R]]:
-    """Return the ten columns of a complex value, of which `size` is the magnitude's name.
+    """Return the ten columns of a complex value; `size` is the name of its magnitude.
 
-    `freedom`: instead those of degrees of freedom, factors and of its region, which stand at the end of a table.
+    `freedom`: instead those of degrees of freedom, factors and region, for the end of a table.
     """
 
     def column(field: str) -> TableColumn[R]:
@@ -84,20 +85,20 @@ def quantity_columns(quantity: Callable[[R], RealQuantity]) -> list[TableColumn[
 
 
 def sensitivity_unit(output_unit: str, component: str) -> str:
-    """ASCII unit of output per load component, `(V/V)/N` or `(V/V)/(N.m)`."""
+    """Return the ASCII unit of output per load component, `(V/V)/N` or `(V/V)/(N.m)`."""
     numerator = f"({output_unit})" if "/" in output_unit else output_unit
     return f"{numerator}/N" if component.startswith("F") else f"{numerator}/(N.m)"
 
 
 def columns_of(row: type[Any]) -> list[TableColumn[Any]]:
-    """Return the columns of a table in a file whose rows are named tuples or data classes: one for each field."""
+    """Return one column per field of named tuples or data classes."""
     names = getattr(row, "_fields", None) or [field.name for field in fields(row)]
     return [TableColumn(name, attrgetter(name)) for name in names]
 
 
 @dataclass(frozen=True)
 class Table:
-    """A table as pages show it: caption, column heads, rows of cells, and per column `l` or `r` for its alignment."""
+    """A table for pages: caption, heads, alignment (`l` or `r` per column) and rows."""
 
     caption: str
     head: tuple[str, ...]
@@ -107,7 +108,7 @@ class Table:
 
 @dataclass(frozen=True)
 class Headline:
-    """One of the main results: what it is, its value with U, a remark."""
+    """One of the main results: its name, its value with U, a remark."""
 
     label: str
     value: str
@@ -115,12 +116,15 @@ class Headline:
 
 
 def plain_text(marked: str) -> str:
-    """Return what a page shows as plain text, powers with a caret."""
+    """Return HTML as plain text, powers with a caret."""
     return Markup(re.sub(r"<sup>(.*?)</sup>", r"^\1", str(marked))).striptags()
 
 
 def csv_rows(text: str) -> list[dict[str, str | float | None]]:
-    """Return the rows of a table in a file, numbers as such, None for those that are not known."""
+    """Return the rows of a CSV text as dictionaries.
+
+    Numbers as numbers, empty cells as None.
+    """
 
     def cell(value: str) -> str | float | None:
         try:
@@ -133,7 +137,7 @@ def csv_rows(text: str) -> list[dict[str, str | float | None]]:
 
 
 def table(caption: str, columns: Sequence[TableColumn[R]], rows: Iterable[R]) -> Table | None:
-    """Return rows as pages show them, under the columns that have a head; None where there are none."""
+    """Return rows for pages under the columns with a head; None without rows."""
     shown = [column for column in columns if column.head is not None]
     cells = tuple(tuple(column.cell(row) for column in shown) for row in rows)
     head = tuple(column.head or "" for column in shown)
@@ -141,7 +145,7 @@ def table(caption: str, columns: Sequence[TableColumn[R]], rows: Iterable[R]) ->
 
 
 def csv_text(columns: Sequence[TableColumn[R]], rows: Iterable[R]) -> str:
-    """Return header and rows as CSV text; floats in the shortest form that reads back to the same double."""
+    """Return header and rows as CSV text; floats in the shortest exact form."""
     written, stream = [column for column in columns if column.name], io.StringIO()
     writer = csv.writer(stream, lineterminator="\n")
     writer.writerow([column.name for column in written])
@@ -154,10 +158,10 @@ NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?|[+-]?(inf|nan)")
 
 
 def _cell(value: Any) -> Any:
-    """What csv writes of a value: texts as `_escaped`, floats in full, nothing for None.
+    """Return the CSV form of a value: texts escaped, floats in full, None empty.
 
-    A text that a spreadsheet would take for a formula has an apostrophe in front, as has one that begins so already:
-    names come from files of others. `read_rows` takes it away.
+    A text that a spreadsheet would read as a formula gets a leading apostrophe, also if it begins with one already.
+    Names may come from files of other people. `read_rows` removes it.
     """
     if isinstance(value, str):
         return _escaped(value)
@@ -170,12 +174,12 @@ def _escaped(text: str) -> str:
 
 
 def finite_or_none(value: float | None) -> float | None:
-    """Return a number, None where it is not known (NaN), which leaves the cell of a file empty."""
+    """Return a finite number, None for NaN, which is an empty cell in a file."""
     return None if value is None or not np.isfinite(value) else float(value)
 
 
 def text_lines(shown: Table) -> Iterator[str]:
-    """Yield the lines of a table in plain text, for the terminal and for a pipe alike."""
+    """Yield the lines of a table in plain text."""
     plain = [[Markup(cell).striptags() for cell in row] for row in (shown.head, *shown.rows)]
     widths = [max(len(row[i]) for row in plain) for i in range(len(shown.head))]
     for row in plain:
@@ -184,12 +188,15 @@ def text_lines(shown: Table) -> Iterator[str]:
 
 
 def read_rows(path: Path, most: int | None = None) -> list[dict[str, str]]:
-    """Return the rows of a result table as dictionaries of texts, the first so many where `most` says so."""
+    """Return the rows of a result table as dictionaries of texts.
+
+    `most`: largest number of rows.
+    """
     try:
         with path.open(encoding="utf-8", newline="") as stream:
             rows = list(islice(csv.DictReader(stream), most))
     except (csv.Error, UnicodeDecodeError) as error:
-        raise InputError(path, "", found=str(error), expected="a table of results") from error
+        raise InputError(UNREADABLE_TABLE, path, reason=str(error)) from error
     return [{name: text[1:] if text and QUOTED.match(text) else text for name, text in row.items()} for row in rows]
 
 
@@ -203,7 +210,7 @@ WEAK = "not distinguishable from 0"
 
 
 def quantity_html(value: float, expanded: float, unit: str = "") -> Markup:
-    """Value and expanded uncertainty as HTML: `(2.0012 ± 0.0013) × 10⁻⁷ V/N`."""
+    """Return value and expanded uncertainty as HTML: `(2.0012 ± 0.0013) × 10⁻⁷ V/N`."""
     text = round_to_uncertainty(value, expanded)
     body = text.value if text.expanded == DASH else f"{text.value} ± {text.expanded}"
     bracketed = f"({body})" if text.expanded != DASH and (unit or text.exponent) else body
@@ -213,13 +220,13 @@ def quantity_html(value: float, expanded: float, unit: str = "") -> Markup:
 
 
 def scaled_html(value: float, expanded: float, exponent: int) -> Markup:
-    """Value and expanded uncertainty in units of a power of ten that stands elsewhere."""
+    """Return value and expanded uncertainty in units of a power of ten."""
     text = round_to_uncertainty(value, expanded, exponent)
     return Markup(text.value if text.expanded == DASH else f"{text.value} ± {text.expanded}")
 
 
 def times_ten(exponent: int, unit: str) -> Markup:
-    """Unit with a power of ten before it."""
+    """Return a power of ten and a unit as HTML."""
     minus = "\N{MINUS SIGN}" if exponent < 0 else ""
     return (
         Markup("10<sup>{}{}</sup> {}").format(minus, abs(exponent), typeset(unit))
@@ -229,21 +236,20 @@ def times_ten(exponent: int, unit: str) -> Markup:
 
 
 def has_phase(element: Polar) -> bool:
-    """Whether a phase is determined: beside a magnitude that may be 0 it may be any."""
+    """Return whether a phase is determined."""
     may_vanish = element.expanded_magnitude >= element.magnitude or element.region.holds_zero
     return element.expanded_phase_rad <= LARGEST_PHASE_U and not may_vanish
 
 
 def phase(element: Polar) -> Markup:
-    """Phase with U, or a dash where it is not determined."""
+    """Return the phase with U, or a dash if it is not determined."""
     return quantity_html(element.phase_rad, element.expanded_phase_rad) if has_phase(element) else Markup(DASH)
 
 
 def polar_cells(element: Polar, exponent: int | None = None) -> tuple[str, str, str]:
-    """Magnitude and phase with U, and k; of a value that may be zero the half-axes of its region, and their factor.
+    """Return magnitude and phase with U, and k.
 
-    `exponent`: power of ten that stands elsewhere, by default with the magnitude. k of magnitude and phase, one number
-    where they are the same as printed.
+    A value that may be zero has the half-axes of its region, and their factor.
     """
     region = element.region
     if region.holds_zero:
@@ -254,17 +260,17 @@ def polar_cells(element: Polar, exponent: int | None = None) -> tuple[str, str, 
 
 
 def magnitude_phase_text(of_magnitude: str, of_phase: str) -> str:
-    """What holds for magnitude and phase: one text where it is the same for both."""
+    """Return the texts for magnitude and phase, only one if they are equal."""
     return of_magnitude if of_magnitude == of_phase else f"{of_magnitude}; {of_phase}"
 
 
 def polar_freedom(element: Polar) -> str:
-    """Degrees of freedom of magnitude and phase: of the parts along a value and across it."""
+    """Return the degrees of freedom of magnitude and phase."""
     return magnitude_phase_text(degrees_of_freedom(element.dof_magnitude), degrees_of_freedom(element.dof_phase))
 
 
 def half_axes(region: CoverageRegion, exponent: int | None = None) -> Markup:
-    """Half-axes of a region, to two digits of the larger one."""
+    """Return the half-axes of a region as text."""
     if not np.isfinite(region.half_axes[0]):
         return Markup(DASH)
     large, small_axis = region.half_axes
@@ -277,18 +283,18 @@ def half_axes(region: CoverageRegion, exponent: int | None = None) -> Markup:
 
 
 def factor_text(value: float) -> str:
-    """A coverage factor."""
+    """Return a coverage factor as text."""
     return f"{value:.2f}" if np.isfinite(value) else DASH
 
 
 def common_exponent(values: ComplexArray) -> int:
-    """Power of ten of the largest finite value, none where it is readable as it is."""
+    """Return the power of ten of the largest finite value, 0 if it is readable."""
     sizes = np.abs(values[np.isfinite(values)])
     return round_to_uncertainty(float(sizes.max()), 0.0).exponent if sizes.size else 0
 
 
 def short(value: float) -> Markup:
-    """Two significant digits, with a power of ten where that is shorter."""
+    """Return two significant digits, with a power of ten if that is shorter."""
     if not np.isfinite(value):
         return Markup(DASH)
     value = float(f"{value:.1e}")
@@ -299,17 +305,17 @@ def short(value: float) -> Markup:
 
 
 def number(value: float | None) -> str:
-    """Three significant digits, a dash for what is unknown."""
+    """Return a number with three significant digits as text."""
     return DASH if value is None or not np.isfinite(value) else f"{value:.3g}"
 
 
 def small(value: float) -> str:
-    """Two significant digits of an uncertainty; what is far below the last place of interest is only bounded."""
+    """Return two significant digits of an uncertainty, or a bound if it is very small."""
     return f"{value:#.2g}".removesuffix(".") if value >= 1e-3 else "< 0.001"
 
 
 def degrees_of_freedom(value: float) -> str:
-    """Degrees of freedom as a whole number; thousands of them are as good as any number."""
+    """Return degrees of freedom as an integer; infinity if there are thousands."""
     return f"{value:.0f}" if value <= LARGEST_DOF else ("∞" if np.isinf(value) else f"> {LARGEST_DOF}")
 
 
@@ -319,7 +325,7 @@ def microseconds(value_s: float | None, u_s: float | None) -> str:
 
 
 def quantity_text(value: float, expanded: float, unit: str = "") -> str:
-    """Value with U and unit for the terminal, without a power of ten: `(2.0012 ± 0.0013) V/N`."""
+    """Return value with U and unit for the terminal: `(2.0012 ± 0.0013) V/N`."""
     both = round_to_uncertainty(value, expanded, 0)
     if unit:
         return f"{both.text} {typeset(unit)}"
@@ -327,11 +333,11 @@ def quantity_text(value: float, expanded: float, unit: str = "") -> str:
 
 
 def signed_text(value: float, form: str = ".2f") -> str:
-    """A number with a typographic minus sign, a dash for what is unknown; no sign before zero."""
+    """Return a number with a typographic minus sign, or a dash for NaN."""
     text = format(value + 0.0, form) if np.isfinite(value) else DASH
     return text.removeprefix("-") if not text.strip("-0.") else text.replace("-", "\N{MINUS SIGN}")
 
 
 def capitalise(text: str) -> str:
-    """Text with a capital letter at its beginning."""
+    """Return a text with a capital first letter."""
     return text[:1].upper() + text[1:]

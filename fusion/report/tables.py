@@ -1,4 +1,4 @@
-"""Tables and headlines of a recording's report: sensitivity, acceleration, load, cameras, lines, channels, clocks."""
+"""Tables and headlines of a recording's report."""
 
 from __future__ import annotations
 
@@ -45,14 +45,14 @@ from shaker.labels import LOAD_COMPONENTS, LOAD_UNITS, MOTION_COMPONENTS, typese
 from shaker.timebase.tie import ClockTie
 from shaker.timebase.trigger import TriggerFit
 
-# What a reader wants first: the driven component, the output that belongs to it, and the strongest line.
+# The driven component, its output, and the strongest line.
 
 
 def driven_component(evaluation: Evaluation) -> int:
-    """Place of the driven component among x, y, z, rx, ry, rz.
+    """Return the index of the driven component among x, y, z, rx, ry, rz.
 
-    The largest element of the excitation's direction, forces and moments in shares of the rated loads; where none is
-    stated, the translation that moves most.
+    It is the largest element of the excitation's direction, forces and moments relative to the rated loads; if no
+    direction is stated, the largest translation.
     """
     direction, sensor = evaluation.manifest.excitation.direction, evaluation.manifest.rig.sensor
     if direction is not None:
@@ -63,10 +63,10 @@ def driven_component(evaluation: Evaluation) -> int:
 
 
 def driven_channel(evaluation: Evaluation) -> int:
-    """Place of the sensor output that belongs to the driven component.
+    """Return the index of the sensor output of the driven component.
 
-    The largest static sensitivity decides where one is given, else the only element, else the largest ratio at the main
-    line.
+    It has the largest static sensitivity if that is stated, else it is the only element, else it has the largest ratio
+    at the main line.
     """
     found, element = evaluation.sensitivity, evaluation.element
     if found is None:
@@ -81,21 +81,27 @@ def driven_channel(evaluation: Evaluation) -> int:
 
 
 def main_result(evaluation: Evaluation) -> tuple[Sensitivity, int] | None:
-    """What comes nearest to the sensor's sensitivity, and the place of the driven output in it; None without any.
+    """Return the result closest to the sensor's sensitivity, and the driven output's index.
 
-    The sensor's element where the main line has one, else the ratio.
+    It is the sensor's element if the main line has one, else the ratio; None without any.
     """
     if evaluation.sensitivity is None:
         return None
-    place = driven_channel(evaluation), driven_component(evaluation)
+    element_index = driven_channel(evaluation), driven_component(evaluation)
     element = evaluation.element
-    if element is not None and place in element.elements and np.isfinite(element.value[main_line(evaluation), *place]):
-        return element, element.elements.index(place)
-    return evaluation.sensitivity, evaluation.sensitivity.elements.index(place)
+    if (
+        element is not None
+        and element_index in element.elements
+        and np.isfinite(element.value[main_line(evaluation), *element_index])
+    ):
+        return element, element.elements.index(element_index)
+    return evaluation.sensitivity, evaluation.sensitivity.elements.index(element_index)
 
 
 def result_name(kind: str, channel: str, component: str, *, main: bool) -> str:
-    """What a row of sensitivities is called: only what is the sensor's own is called an element.
+    """Return the name of a row of sensitivities.
+
+    Only elements of the sensor are named as such.
 
     `kind` as in sensitivity.csv; `main`: whether the output belongs to the load.
     """
@@ -105,7 +111,7 @@ def result_name(kind: str, channel: str, component: str, *, main: bool) -> str:
 
 
 def main_line(evaluation: Evaluation) -> int:
-    """Place of the strongest line: the largest driven fused acceleration of the load, else the first line."""
+    """Return the index of the line with the strongest driven acceleration."""
     result = acceleration(evaluation, "load", "fused") or next(iter(evaluation.accelerations), None)
     if result is None:
         return 0
@@ -114,7 +120,7 @@ def main_line(evaluation: Evaluation) -> int:
 
 
 def acceleration(evaluation: Evaluation, body: str, source: str) -> Acceleration | None:
-    """Acceleration of one body from one source, None where there is none."""
+    """Return the acceleration of one body from one source, or None."""
     for result in evaluation.accelerations:
         if (result.body, result.source) == (body, source):
             return result
@@ -122,19 +128,22 @@ def acceleration(evaluation: Evaluation, body: str, source: str) -> Acceleration
 
 
 def bodies(evaluation: Evaluation) -> list[str]:
-    """Bodies whose acceleration was determined, in order of appearance."""
+    """Return the bodies with an acceleration, in order of appearance."""
     return list(dict.fromkeys(result.body for result in evaluation.accelerations))
 
 
 def by_source(evaluation: Evaluation, body: str) -> list[Acceleration]:
-    """Results of one body, fused first; only the fused one where it rests on a single instrument."""
+    """Return the results of one body, fused first.
+
+    With a single instrument only the fused one.
+    """
     results = [result for result in evaluation.accelerations if result.body == body]
     fused = acceleration(evaluation, body, "fused")
     return [fused] if fused is not None and len(fused.instruments) < 2 and len(results) < 3 else results
 
 
 def static_sensitivity(evaluation: Evaluation) -> np.typing.NDArray[np.float64] | None:
-    """Static sensitivity (C, 6) of the outputs evaluated, None where the rig states none."""
+    """Return the static sensitivity (C, 6) of the evaluated outputs, or None."""
     sensor, found = evaluation.manifest.rig.sensor, evaluation.sensitivity
     if sensor is None or found is None or sensor.static_sensitivity is None:
         return None
@@ -143,13 +152,13 @@ def static_sensitivity(evaluation: Evaluation) -> np.typing.NDArray[np.float64] 
 
 
 def static_value(evaluation: Evaluation, channel: int, component: int) -> float | None:
-    """One element of the static sensitivity, None where it is not stated or zero."""
+    """Return one element of the static sensitivity, None if it is not stated or zero."""
     static = static_sensitivity(evaluation)
     return float(static[channel, component]) if static is not None and static[channel, component] != 0.0 else None
 
 
 def sensitivity_element(sensitivity: Sensitivity, line: int, channel: int, component: int) -> Polar:
-    """One element of the sensitivity at one line, as magnitude and phase."""
+    """Return one element of the sensitivity at one line as magnitude and phase."""
     element = sensitivity.polar[line][sensitivity.elements.index((channel, component))]
     if element is None:
         raise ValueError(f"line {line}: expected a value of element ({channel}, {component}), found none")
@@ -162,11 +171,11 @@ def sensitivity_element(sensitivity: Sensitivity, line: int, channel: int, compo
 PREFIXED = {*(transducer.unit for transducer in TRANSDUCERS.values()), "N", "V"}
 """Units that take an SI prefix."""
 Facts: TypeAlias = dict[str, Callable[[R], str]]
-"""What is told of an item, by the name of its row."""
+"""Texts about an item, by the name of the row."""
 
 
 def headlines(evaluation: Evaluation) -> list[Headline]:
-    """The results to remember: sensitivity and phase, deviation from static, acceleration, load."""
+    """Return the main results: sensitivity, phase, deviation from static, acceleration, load."""
     component, line = driven_component(evaluation), main_line(evaluation)
     main = main_result(evaluation)
     found = [] if main is None else _sensitivity_headlines(evaluation, main[0], line)
@@ -185,7 +194,7 @@ def headlines(evaluation: Evaluation) -> list[Headline]:
 
 
 def sensitivity_table(evaluation: Evaluation) -> Table | None:
-    """Elements and ratios of all outputs at the driven lines, the driven output at harmonics; all of one load."""
+    """Return elements and ratios at the driven lines, and the driven output at harmonics."""
     ratios = evaluation.sensitivity
     if ratios is None:
         return None
@@ -210,7 +219,7 @@ def sensitivity_table(evaluation: Evaluation) -> Table | None:
 
 
 def source_tables(evaluation: Evaluation) -> list[Table]:
-    """Per body: six components at the strongest line in one unit of length and one of angle, one column per source."""
+    """Return one table per body: six components at the strongest line, one column per source."""
     line = main_line(evaluation)
     tables = []
     for body in bodies(evaluation):
@@ -221,7 +230,9 @@ def source_tables(evaluation: Evaluation) -> list[Table]:
         for component, name in enumerate(MOTION_COMPONENTS):
             scale, letter = prefix(sizes[:, :3] if component < 3 else sizes[:, 3:])
             unit = letter + typeset(results[0].phasors.unit[component])
-            rows.append((name, unit, *(_source_cell(own[component], round(np.log10(scale))) for own in found)))
+            rows.append(
+                (name, unit, *(_source_cell(elements[component], round(np.log10(scale))) for elements in found))
+            )
         head = ("", "unit", *(result.source for result in results))
         frequency = float(results[0].phasors.frequency_hz[line])
         caption = f"Acceleration of the {body} at the sensor origin, {frequency:.4f} Hz, with U = k·u (95 %)"
@@ -230,7 +241,7 @@ def source_tables(evaluation: Evaluation) -> list[Table]:
 
 
 def _source_cell(element: Polar | None, exponent: int) -> str:
-    """Amplitude in units of a power of ten, phase and factor below each other; a dash for what is not determined."""
+    """Return amplitude, phase and factor in one cell, or a dash."""
     if element is None:
         return DASH
     amplitude, turn, k_factor = polar_cells(element, exponent)
@@ -239,7 +250,7 @@ def _source_cell(element: Polar | None, exponent: int) -> str:
 
 
 def load_table(evaluation: Evaluation) -> Table | None:
-    """Load at the strongest line, and its driven component at the others."""
+    """Return the load at the strongest line, and its driven component at the others."""
     load, rows = evaluation.load, []
     if load is None:
         return None
@@ -256,24 +267,24 @@ def load_table(evaluation: Evaluation) -> Table | None:
 
 
 def side_by_side(caption: str, heads: Sequence[str], facts: Facts[R], items: Sequence[R]) -> Table:
-    """Return named facts of several items down, the items across under their heads."""
-    rows = tuple((name, *(told(item) for item in items)) for name, told in facts.items())
+    """Return a table of facts in rows with one column per item."""
+    rows = tuple((name, *(text(item) for item in items)) for name, text in facts.items())
     return Table(caption, ("", *heads), "l" + "r" * len(items), rows)
 
 
 def stereo_table(stereo: Sequence[StereoResult]) -> Table | None:
-    """Key figures of the stereo pairs, one column each."""
+    """Return key figures of the stereo pairs, one column each."""
 
     def frames(pair: StereoResult) -> str:
         return f"{len(pair.time_s)}, {np.sum(~np.isfinite(pair.motion.pose).all(axis=1))}"
 
     def exposure(pair: StereoResult) -> str:
-        """As stated, or as measured with U."""
+        """Return the exposure as stated, or as measured with U."""
         stated = pair.u_exposure_s == 0.0
         return f"{1e6 * pair.exposure_s:g}" if stated else microseconds(pair.exposure_s, pair.u_exposure_s)
 
     def noise(pair: StereoResult, name: str, power: float) -> str:
-        """A power of one parameter of the noise models, left and right camera."""
+        """Return a power of one parameter of the noise models, left and right camera."""
         values = [getattr(model, name) for model in pair.noise]
         return ", ".join(number(value**power) for value in values) if values and min(values) > 0.0 else DASH
 
@@ -295,30 +306,30 @@ def stereo_table(stereo: Sequence[StereoResult]) -> Table | None:
         "electrons per grey value": lambda pair: noise(pair, "variance_per_grey", -1.0),
         "image noise / grey values": lambda pair: number(pair.noise_grey),
         "condition of the sine fit": lambda pair: number(pair.fit.condition),
-        "lines told apart": lambda pair: f"{int(np.sum(pair.usable))} of {len(pair.usable)}",
+        "resolved lines": lambda pair: f"{int(np.sum(pair.usable))} of {len(pair.usable)}",
     }
     heads = [f"“{pair.name}”" for pair in stereo]
     return side_by_side("Stereo pairs", heads, facts, stereo) if stereo else None
 
 
 def shape_tables(evaluation: Evaluation) -> list[Table]:
-    """How bodies deform in shapes that all pixels tell, at the strongest line and wherever they surely do.
+    """Return tables of deformation shapes at the strongest line and where they are significant.
 
-    A table for each set of shapes: the plain ones, and the modes that a pair measures.
+    There is one table for each set of shapes: the plain ones, and the modes that a pair measures.
     """
     rows, line = dict[tuple[str, ...], list[tuple[str, ...]]](), main_line(evaluation)
     for pair in evaluation.stereo:
         found = pair.shapes
         if found is None:
             continue
-        for k, place in enumerate(np.flatnonzero(pair.usable)):
-            if place == line or found.deforms[k]:
+        for k, line_index in enumerate(np.flatnonzero(pair.usable)):
+            if line_index == line or found.deforms[k]:
                 sizes = zip(np.abs(found.phasors.value[k]), found.u_size[k], strict=True)
                 amplitudes = (quantity_html(1e9 * float(size), 2e9 * float(u)) for size, u in sizes)
                 cells = pair.name, f"{found.phasors.frequency_hz[k]:.4f}", *amplitudes, f"{found.chance[k]:.1g}"
                 rows.setdefault(found.phasors.channels, []).append(cells)
     caption = (
-        "Deformation fitted to the grey values: amplitudes in nm with U = 2u, and how often a rigid body shows more"
+        "Deformation fitted to the grey values: amplitudes in nm with U = 2u, and probability of more for a rigid body"
     )
     return [
         Table(caption, ("pair", "frequency / Hz", *names, "chance"), "lr" + "r" * (len(names) + 1), tuple(cells))
@@ -327,7 +338,7 @@ def shape_tables(evaluation: Evaluation) -> list[Table]:
 
 
 def _sensitivity_headlines(evaluation: Evaluation, found: Sensitivity, line: int) -> list[Headline]:
-    """Magnitude with its deviation from the static value, and phase."""
+    """Return magnitude with its deviation from the static value, and phase."""
     channel, component = driven_channel(evaluation), driven_component(evaluation)
     if not np.isfinite(found.value[line, channel, component]):
         return []
@@ -345,30 +356,30 @@ def _sensitivity_headlines(evaluation: Evaluation, found: Sensitivity, line: int
 
 
 def _over_static(evaluation: Evaluation, found: Sensitivity, line: int, element: tuple[int, int]) -> Polar | None:
-    """Return an element of a line over its static value; None where none is stated."""
+    """Return an element of a line over its static value; None if none is stated."""
     sensor, static = evaluation.manifest.rig.sensor, static_sensitivity(evaluation)
     if sensor is None or static is None or static[element] == 0.0:
         return None
     channel, component = element
     u, name = StatedMatrix.of(sensor).u_elements(static), f"{found.channels[channel]}/{LOAD_COMPONENTS[component]}"
-    own = found.uncertainty.at([found.elements.index(element)]).at_lines([line])
+    uncertainty = found.uncertainty.at([found.elements.index(element)]).at_lines([line])
     value, stated = found.value[line, channel, component].reshape(1, 1), (static[element][None], u[element][None])
-    ((relative,),) = polar_elements(*over_static(value, own, *stated, [name]))
+    ((relative,),) = polar_elements(*over_static(value, uncertainty, *stated, [name]))
     return relative
 
 
 def deviation(relative: Polar) -> str:
-    """Deviation of a magnitude from static in per cent."""
+    """Return the deviation of a magnitude from static in per cent."""
     return quantity_html(100.0 * (relative.magnitude - 1.0), 100.0 * relative.expanded_magnitude, "%").striptags()
 
 
 def _relative(element: Polar) -> str:
-    """Relative expanded uncertainty of a magnitude, with its coverage factor."""
+    """Return the relative expanded uncertainty of a magnitude with its coverage factor."""
     return f"U = {100.0 * element.expanded_magnitude / element.magnitude:.2g} % (k = {element.k:.2f})"
 
 
 def takes_table(evaluation: Evaluation) -> Table | None:
-    """Return frequency, amplitude and phase of the reference at the driven lines of every take; None without takes."""
+    """Return the reference at the driven lines of every take; None without takes."""
     takes = evaluation.set_ups
     if not takes:
         return None
@@ -379,16 +390,16 @@ def takes_table(evaluation: Evaluation) -> Table | None:
             ppm = 1e6 * (take.frequency_hz[k] / takes[0].frequency_hz[k] - 1.0)
             phase = np.angle(take.factor[k])
             rows.append((take.name, f"{take.frequency_hz[k]:.5f}", f"{ppm:+.2f}", drift, f"{phase:+.4f}"))
-    head = ("take", "line / Hz", "frequency − first / 10⁻⁶", "amplitude − first / %", "turned by / rad")
+    head = ("take", "line / Hz", "frequency − first / 10⁻⁶", "amplitude − first / %", "phase rotation / rad")
     caption = (
         f"Takes, referred to the first by the channel {takes[0].reference}: its line, amplitude with U (k = 2) from "
-        "noise, and the angle by which all phasors of the take were turned"
+        "noise, and the phase by which all phasors of the take were rotated"
     )
     return Table(caption, head, "lrrrr", tuple(rows))
 
 
 def supports_table(evaluation: Evaluation) -> Table | None:
-    """Return the motion of what carries cameras and lasers, at every line; None where nothing at rest tells of it."""
+    """Return the measured motion of the supports of cameras and lasers, or None."""
     rows = []
     for moved in evaluation.supports:
         spread = Uncertainty((Contribution("", "A", moved.phasors.covariance, moved.phasors.dof),))
@@ -405,32 +416,32 @@ def supports_table(evaluation: Evaluation) -> Table | None:
                     if c < 3
                     else DASH
                 )
-                told = (moved.name, ", ".join(moved.references), f"{moved.phasors.frequency_hz[k]:.4f}")
+                names = (moved.name, ", ".join(moved.references), f"{moved.phasors.frequency_hz[k]:.4f}")
                 size = quantity_html(one.magnitude, one.expanded_magnitude, unit)
-                rows.append((*told, MOTION_COMPONENTS[c], size, share))
+                rows.append((*names, MOTION_COMPONENTS[c], size, share))
     head = (
-        "what moves",
-        "told by",
+        "support",
+        "determined by",
         "line / Hz",
         "component",
         "acceleration at the origin",
         "of the motion measured / %",
     )
-    caption = "Motion of what carries cameras and lasers, taken off their readings, with U (95 %)"
+    caption = "Motion of the supports of cameras and lasers, subtracted from their readings, with U (95 %)"
     return Table(caption, head, "llrlrr", tuple(rows)) if rows else None
 
 
-# Tables of signals: lines, channels, what drifted, clocks and triggers.
+# Tables of signals: lines, channels, drifts, clocks and triggers.
 
 
 OTHER_LINES = 30
-"""Lines without results that are listed, those that stand out most."""
+"""Largest number of lines without results in the table, by signal-to-noise ratio."""
 LEAST_CHANCE = 1e-4
-"""Below it, a chance is only said to be smaller."""
+"""Smallest probability that is printed; below it only this bound."""
 
 
 def lines_table(evaluation: Evaluation) -> Table:
-    """The lines evaluated, the others that stand out most, and why."""
+    """Return the evaluated lines, and the strongest other lines with the reason."""
     lines, others = evaluation.lines, evaluation.lines.others
     rows = [
         (float(f), (quantity_html(f, 2.0 * u), f"{nominal:g}", str(int(multiple)), "result", why))
@@ -440,8 +451,8 @@ def lines_table(evaluation: Evaluation) -> Table:
     ]
     for i in np.argsort(-others.snr, kind="stable")[:OTHER_LINES].tolist():
         f, u = float(others.frequency_hz[i]), float(others.u_frequency_hz[i])
-        beside = bool(np.any(np.abs(lines.nuisance_hz - f) <= 6.0 * u))
-        use = "fitted beside" if beside else "not fitted"
+        fitted = bool(np.any(np.abs(lines.nuisance_hz - f) <= 6.0 * u))
+        use = "fitted in addition" if fitted else "not fitted"
         rows.append((f, (quantity_html(f, 2.0 * u), DASH, DASH, use, others.why[i])))
     rows.sort(key=lambda row: row[0])
     more = len(others.snr) - OTHER_LINES
@@ -451,7 +462,7 @@ def lines_table(evaluation: Evaluation) -> Table:
 
 
 def channels_table(evaluation: Evaluation) -> Table | None:
-    """Every DAQ channel at the strongest line."""
+    """Return every DAQ channel at the strongest line."""
     line, rows = main_line(evaluation), []
     for channel in evaluation.channels:
         value = complex(channel.phasors.value[line, 0])
@@ -461,15 +472,15 @@ def channels_table(evaluation: Evaluation) -> Table | None:
             element.magnitude / factor, element.expanded_magnitude / factor, letter + channel.unit
         )
         rest = Markup("{} {}").format(short(channel.residual_rms / factor), typeset(letter + channel.unit))
-        known = (channel.name, channel.daq, channel.quantity, f"{channel.sample_rate_hz:g}")
-        rows.append((*known, amplitude, phase(element), rest))
+        texts = (channel.name, channel.daq, channel.quantity, f"{channel.sample_rate_hz:g}")
+        rows.append((*texts, amplitude, phase(element), rest))
     head = ("channel", "DAQ", "quantity", "rate / Hz", "amplitude", "phase / rad", "residual rms")
     caption = "Channels at the strongest line; U (95 %) from the scatter alone"
     return Table(caption, head, "lllrrrr", tuple(rows)) if rows else None
 
 
 def drift_table(evaluation: Evaluation) -> Table | None:
-    """Return the changes of the driven lines over the record, one row per instrument; None without any."""
+    """Return the changes of the driven lines over the record, one row per instrument."""
     drifts = line_stationarity(evaluation.channels, evaluation.stereo, evaluation.lines, evaluation.clocks)
     columns: list[TableColumn[LineStationarity]] = [
         page_column("instrument", lambda drift: drift.name, "l"),
@@ -479,30 +490,31 @@ def drift_table(evaluation: Evaluation) -> Table | None:
         page_column("amplitude / %", lambda drift: scaled_html(100.0 * drift.amplitude, 200.0 * drift.u_amplitude, 0)),
         page_column("phase / mrad", lambda drift: scaled_html(1e3 * drift.phase_rad, 2e3 * drift.u_phase_rad, 0)),
         page_column(
-            "chance of noise", lambda d: f"below {LEAST_CHANCE:g}" if d.chance < LEAST_CHANCE else f"{d.chance:.2g}"
+            "probability by noise",
+            lambda d: f"below {LEAST_CHANCE:g}" if d.chance < LEAST_CHANCE else f"{d.chance:.2g}",
         ),
     ]
     caption = (
-        "Change of amplitude and phase over the record, with U (k = 2) that has the rates of the clocks in it, from "
+        "Change of amplitude and phase over the record, with U (k = 2) including the rates of the clocks, from "
         "blocks of whole periods or beats"
     )
     return table(caption, columns, drifts)
 
 
 def clocks_table(evaluation: Evaluation) -> Table | None:
-    """Triggers and ties of the DAQ blocks, one column each."""
+    """Return triggers and ties of the DAQ blocks, one column each."""
 
-    def of_trigger(told: Callable[[TriggerFit], str], none: str = DASH) -> Callable[[ClockResult], str]:
-        return lambda clock: none if clock.trigger is None else told(clock.trigger)
+    def of_trigger(text: Callable[[TriggerFit], str], none: str = DASH) -> Callable[[ClockResult], str]:
+        return lambda clock: none if clock.trigger is None else text(clock.trigger)
 
-    def of_tie(told: Callable[[ClockTie], str]) -> Callable[[ClockResult], str]:
-        return lambda clock: DASH if clock.tie is None else told(clock.tie)
+    def of_tie(text: Callable[[ClockTie], str]) -> Callable[[ClockResult], str]:
+        return lambda clock: DASH if clock.tie is None else text(clock.tie)
 
     def u_of(trigger: TriggerFit, parameter: int) -> float:
         return 2.0 * float(np.sqrt(trigger.covariance[parameter, parameter]))
 
     def offset(clock: ClockResult) -> str:
-        """Against the first block, in the middle of the common edges."""
+        """Return the offset from the first block, at the middle of the common edges."""
         tie = clock.tie
         if tie is None:
             return "time base" if clock is evaluation.clocks[0] else "time base of its take"

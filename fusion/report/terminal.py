@@ -1,4 +1,4 @@
-"""What the terminal shows: text of every encoding, tables, notices in one line, progress."""
+"""Terminal output: text of every encoding, tables, notices, progress."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 MOST_NOTES = 3  # that are shown one by one after the warnings
 log = logging.getLogger(PROGRAM)
 
-# Where tables and sentences for the user go: a terminal of its own width, a pipe in which no line ends early.
+# Output of tables and sentences: a terminal with its width, or a pipe without line breaks.
 
 
 PIPE_WIDTH = 10_000
@@ -37,18 +37,21 @@ SPELLED = str.maketrans(
     | {"–": "-", "—": "-", "…": "...", "“": '"', "”": '"', "‘": "'", "’": "'", "→": "->", "≤": "<=", "≥": ">="}
     | {"≈": "~", "√": "sqrt", "∞": "inf", "Ω": "Ohm", "✓": "yes"}
 )
-"""How signs are spelled where the encoding of the output lacks them."""
+"""ASCII spelling of characters that the encoding of the output lacks."""
 UNPRINTABLE = re.compile(r"[\x00-\x08\x0b-\x1f\x7f-\x9f\u200e\u200f\u202a-\u202e\u2066-\u2069]")
-"""Characters that steer a terminal instead of being shown: escape sequences, and changes of the writing direction."""
+"""Characters that control a terminal: escape sequences, and changes of the writing direction."""
 
 
 def printable(text: str) -> str:
-    """Return a text with what would steer a terminal spelled as escapes; names come from files of others."""
+    """Return a text with control characters as escapes.
+
+    Names may come from files of other people.
+    """
     return UNPRINTABLE.sub(lambda found: ascii(found[0])[1:-1], text)
 
 
 def _spelled(error: UnicodeError) -> tuple[str, int]:
-    """Return what stands for characters that an encoding lacks, and where to go on."""
+    """Return the replacement of characters that an encoding lacks, and the next position."""
     if not isinstance(error, UnicodeEncodeError):
         raise error
     parts = []
@@ -63,7 +66,7 @@ def _spelled(error: UnicodeError) -> tuple[str, int]:
 
 
 class Terminal:
-    """A stream of the process that takes every text: signs that its encoding lacks are spelled, none steers it."""
+    """Output stream that accepts every text: missing characters are spelled, control characters escaped."""
 
     def __init__(self, stream: Any) -> None:
         self.stream = stream
@@ -72,7 +75,7 @@ class Terminal:
             stream.reconfigure(errors="spelled")
 
     def write(self, text: str) -> int:
-        """Write a text; its own line feeds and tabs stay."""
+        """Write a text; line feeds and tabs remain."""
         return int(self.stream.write(printable(text)))
 
     def __getattr__(self, name: str) -> Any:
@@ -80,12 +83,12 @@ class Terminal:
 
 
 def _behind(stream: Any) -> Any:
-    """Return what a terminal writes to: consoles put their own colours there."""
+    """Return the stream of a terminal, to which consoles write their colours."""
     return stream.stream if isinstance(stream, Terminal) else stream
 
 
 def stdout_console() -> Console:
-    """Return a console on stdout that prints text as it is, but for what would steer the terminal."""
+    """Return a console on stdout that prints text without control characters."""
     from rich.console import Console
 
     class Stdout(Console):
@@ -101,7 +104,7 @@ def stdout_console() -> Console:
 
 
 def wrapped(text: str, stream: Any) -> str:
-    """Return a text with its lines wrapped between words where `stream` is a terminal, elsewhere as it is."""
+    """Return a text with lines wrapped between words if `stream` is a terminal."""
     if not stream.isatty():
         return text
     width, lines = shutil.get_terminal_size().columns, list[str]()
@@ -123,7 +126,10 @@ def print_text(text: str) -> None:
 
 
 def log_notices(notices: Iterable[tuple[Notice | GatheredNotice, str]]) -> None:
-    """Log notices with a remark each, every warning whole; more notes than a few are only counted, but for -v."""
+    """Log notices with a remark each.
+
+    Every warning is logged; more than a few notes are only counted, unless -v is given.
+    """
     given = list(notices)
     shown = [(notice, remark) for notice, remark in given if not notice.possible_size and not notice.acknowledged]
     verbose = log.isEnabledFor(logging.DEBUG)
@@ -153,20 +159,20 @@ def notice_fields(notice: Notice) -> dict[str, object]:
     return {**vars(notice), "values": json.loads(notice.as_row()["values"])}
 
 
-# A progress bar on a terminal, nothing in a pipe.
+# A progress bar on a terminal only.
 
 
 AS_JSON: ContextVar[bool] = ContextVar("as_json", default=False)
-"""Whether commands print their answer for programs."""
+"""Whether commands print JSON."""
 _DRAWN: ContextVar[bool] = ContextVar("drawn", default=False)
-"""Whether a bar is drawn."""
+"""Whether a progress bar is shown."""
 
 
 @contextmanager
 def progress_bar(enabled: bool) -> Iterator[ProgressCallback]:
-    """Yield a callback that draws one bar per stage on stderr when it is a terminal and `enabled`.
+    """Yield a callback that shows one bar per stage on stderr.
 
-    With -v the log has how long each stage took.
+    Bars are shown if stderr is a terminal and `enabled` is true. With -v the log has the duration of each stage.
     """
     if not (enabled and sys.stderr.isatty()):
         yield _timed(no_progress)
@@ -189,7 +195,7 @@ def progress_bar(enabled: bool) -> Iterator[ProgressCallback]:
 
 @contextmanager
 def _drawn() -> Iterator[None]:
-    """Know of a bar that is drawn."""
+    """Record that a progress bar is shown."""
     token = _DRAWN.set(True)
     try:
         yield
@@ -198,7 +204,7 @@ def _drawn() -> Iterator[None]:
 
 
 def _timed(update: ProgressCallback) -> ProgressCallback:
-    """Have a callback log how long a stage took that is complete."""
+    """Return a callback that also logs the duration of a complete stage."""
     begun: dict[str, float] = {}
 
     def timed(stage: str, done: int, total: int) -> None:
@@ -213,9 +219,9 @@ def _timed(update: ProgressCallback) -> ProgressCallback:
 
 @contextmanager
 def show_activity(what: str) -> Iterator[None]:
-    """Say on stderr, where it is a terminal and the program may be heard, that something goes on and for how long.
+    """Show on a terminal that work goes on, with its duration.
 
-    With -v the log has how long it took.
+    Messages of the level "info" must be enabled. With -v the log has the duration.
     """
     timed = _timed(no_progress)
     timed(what, 0, 1)
@@ -226,7 +232,7 @@ def show_activity(what: str) -> Iterator[None]:
 
 @contextmanager
 def _spinner(what: str) -> Iterator[None]:
-    """Show on a terminal that something goes on."""
+    """Show a spinner on a terminal."""
     loud = sys.stderr.isatty() and log.isEnabledFor(logging.INFO)
     if not loud or _DRAWN.get():
         yield

@@ -1,4 +1,4 @@
-"""Tables on what results rest: agreement of instruments, budgets, parallel vibrometer points, Monte Carlo."""
+"""Tables of uncertainty: agreement of instruments, budgets, vibrometer points, Monte Carlo."""
 
 from __future__ import annotations
 
@@ -51,15 +51,15 @@ from fusion.sensitivity.ratio import StatedMatrix, parasitic_loads, static_unkno
 from shaker.arrays import ComplexArray, FloatArray
 from shaker.labels import LOAD_COMPONENTS, MOTION_COMPONENTS, typeset
 
-# Whether instruments agree: who deviates, what scatters, what these data do not test.
+# Agreement of instruments: deviations, scatter, untested unknowns.
 
 
 LONGEST = 15
-"""Most unknowns that one table lists: those that deviate most."""
+"""Largest number of unknowns in a table, those with the largest deviations."""
 
 
 def consistency_tables(evaluation: Evaluation) -> list[Table]:
-    """Return the tables on chi-square, every instrument, scatter, and what the data say of the stated unknowns."""
+    """Return tables of chi-square, instruments, scatter and tested unknowns."""
     fused = [result for result in evaluation.accelerations if result.source == "fused"]
     found = (
         chi_square_table(evaluation),
@@ -73,7 +73,7 @@ def consistency_tables(evaluation: Evaluation) -> list[Table]:
 
 
 def chi_square_table(evaluation: Evaluation) -> Table | None:
-    """Agreement of all instruments of a result together."""
+    """Return the agreement of all instruments of a result."""
     rows = tuple(
         (result.body, result.source, ", ".join(result.instruments), f"{result.chi2:.1f}", str(result.dof))
         for result in evaluation.accelerations
@@ -84,7 +84,7 @@ def chi_square_table(evaluation: Evaluation) -> Table | None:
 
 
 def consistency_table(evaluation: Evaluation) -> Table | None:
-    """How each instrument agrees with the others."""
+    """Return the agreement of each instrument with the others."""
 
     def use(entry: Consistency) -> str:
         if not entry.used:
@@ -108,7 +108,7 @@ def consistency_table(evaluation: Evaluation) -> Table | None:
 
 
 def _explanations_table(results: list[Acceleration]) -> Table | None:
-    """What the readings say without each suspect, where instruments contradict each other."""
+    """Return the results without each suspect, for instruments that contradict each other."""
     rows = []
     for result in results:
         frequencies, units = result.phasors.frequency_hz, result.phasors.unit
@@ -116,21 +116,21 @@ def _explanations_table(results: list[Acceleration]) -> Table | None:
             for one in result.explanations:
                 if np.isfinite(one.value[k, c]):
                     value = polar(complex(one.value[k, c]), element_covariance(one.covariance[k], c))
-                    told = round_to_uncertainty(value.magnitude, value.expanded_magnitude, 0)
+                    size = round_to_uncertainty(value.magnitude, value.expanded_magnitude, 0)
                     turn = round_to_uncertainty(value.phase_rad, value.expanded_phase_rad, 0)
-                    numbers = (told.value, told.expanded, units[c], turn.value, turn.expanded)
+                    numbers = (size.value, size.expanded, units[c], turn.value, turn.expanded)
                 else:
                     numbers = (DASH,) * 5
-                use = "no mean" if result.disputed is not None and result.disputed[k, c] else "fused, U covers it"
+                use = "no mean" if result.disputed is not None and result.disputed[k, c] else "fused, covered by U"
                 where = (result.body, f"{frequencies[k]:.4f}", MOTION_COMPONENTS[c])
                 rows.append((*where, one.suspect, *numbers, use))
     head = ("body", "frequency / Hz", "component", "without", "magnitude", "U", "unit", "phase / rad", "U", "use")
-    caption = "The fused acceleration without each suspect (which of them is right the readings do not tell)"
+    caption = "The fused acceleration without each suspect (the readings do not determine which one is right)"
     return Table(caption, head, "lrllrrlrrl", tuple(rows)) if rows else None
 
 
 def _scatter_table(results: list[Acceleration]) -> Table | None:
-    """Instruments whose readings scatter beyond what is stated of them."""
+    """Return the instruments with scatter beyond the stated uncertainty."""
     rows = []
     for result in results:
         for scatter in result.scatter:
@@ -140,12 +140,12 @@ def _scatter_table(results: list[Acceleration]) -> Table | None:
                 freedom = f"{dof:.0f}" if np.isfinite(dof) else DASH
                 rows.append((result.body, scatter.instrument, f"{frequency:.4f}", *sizes, freedom))
     head = ("body", "instrument", "frequency / Hz", "amplitude / %", "phase / mrad", "dof")
-    caption = "Scatter of an instrument's readings beyond what is stated, relative to the motion (standard deviations)"
+    caption = "Scatter of an instrument's readings beyond their stated u, relative to the motion (standard deviations)"
     return Table(caption, head, "llrrrr", tuple(rows)) if rows else None
 
 
 def _estimates_table(results: list[Acceleration]) -> Table | None:
-    """What the readings say of the unknowns that they can test."""
+    """Return the estimates of the unknowns that the readings can test."""
     rows = []
     for result in results:
         tested = [u for u in result.unknowns if u.remaining < REMAINING and np.isfinite(u.deviation)]
@@ -155,80 +155,80 @@ def _estimates_table(results: list[Acceleration]) -> Table | None:
         page_column("unknown", lambda row: row[1].name, "l"),
         page_column("stated u", lambda row: f"{row[1].u:.2g}"),
         page_column("unit", lambda row: "" if row[1].unit == "1" else row[1].unit, "l"),
-        page_column("asked for", lambda row: signed_text(row[1].unconstrained_value, ".2g")),
+        page_column("value / u by the readings", lambda row: signed_text(row[1].unconstrained_value, ".2g")),
         page_column("estimate / u", lambda row: signed_text(row[1].estimate, "+.2f")),
         page_column("deviation", lambda row: signed_text(row[1].deviation, "+.2f")),
-        page_column("u left / u", lambda row: f"{row[1].remaining:.2f}"),
+        page_column("remaining u / u", lambda row: f"{row[1].remaining:.2f}"),
     ]
     caption = (
-        "What the readings say of the stated unknowns: the value they ask for, the estimate with what is stated, its "
-        "deviation (standard normal if all is as stated) and what remains of u"
+        "Stated unknowns by the readings: value without the stated uncertainty, estimate with it, deviation (standard "
+        "normal if all is as stated) and remaining u"
     )
     return table(caption, columns, rows)
 
 
 def _untested_table(results: list[Acceleration]) -> Table | None:
-    """Unknowns that matter and that nothing in these data tests."""
+    """Return the important unknowns that these data do not test."""
     columns: list[TableColumn[tuple[str, Untested]]] = [
         page_column("body", lambda row: row[0], "l"),
         page_column("unknown", lambda row: row[1].name, "l"),
         page_column("stated u", lambda row: f"{row[1].u:.2g}"),
         page_column("unit", lambda row: "" if row[1].unit == "1" else row[1].unit, "l"),
-        page_column("touches most", lambda row: row[1].component, "l"),
+        page_column("largest effect on", lambda row: row[1].component, "l"),
         page_column(
             "by / % of it", lambda row: f"{100.0 * row[1].relative:.2g}" if np.isfinite(row[1].relative) else DASH
         ),
         page_column("share of its variance / %", lambda row: f"{100.0 * row[1].share:.0f}"),
     ]
-    caption = "Not tested by these data: taken as stated, an error beyond that would not be noticed"
+    caption = "Not tested by these data: used as stated, a larger error would not be noticed"
     return table(caption, columns, [(result.body, unknown) for result in results for unknown in untested(result)])
 
 
-# Budgets of the driven component, and what other loads explain of the outputs.
+# Budgets of the driven component, and the share of other loads in the outputs.
 
 
 SMALLEST_SHARE = 0.05
-"""Share of the variance in % from which a contribution has a row of its own."""
+"""Share of the variance in % from which a contribution has a separate row."""
 SMALLEST_SLOPE = 1e-6
-"""Share of the variance in % below which a sensitivity coefficient is rounding."""
+"""Share of the variance in % below which a sensitivity coefficient is a rounding error."""
 
 
 def budget_tables(evaluation: Evaluation) -> list[Table]:
-    """Budgets of sensitivity (or ratio), load and acceleration at the strongest line, largest contributions first."""
+    """Return the budgets of sensitivity (or ratio), load and acceleration at the strongest line."""
     line, component = main_line(evaluation), driven_component(evaluation)
     main, load = main_result(evaluation), evaluation.load
     motion = acceleration(evaluation, "load", "fused")
     tables = []
     if main is not None and np.isfinite(main[0].value[line, driven_channel(evaluation), component]):
-        found, place = main
+        found, index = main
         channel = found.channels[driven_channel(evaluation)]
-        what = result_name(found.kind[line], channel, LOAD_COMPONENTS[component], main=True)
-        tables.append(_budget_table(found.budget, line, place, what, found.frequency_hz[line]))
+        quantity = result_name(found.kind[line], channel, LOAD_COMPONENTS[component], main=True)
+        tables.append(_budget_table(found.budget, line, index, quantity, found.frequency_hz[line]))
     if load is not None and load.observed[line, component]:
         entries = budget(load.uncertainty.at([component]), load.value[:, [component]])
-        what = f"load {LOAD_COMPONENTS[component]}"
-        tables.append(_budget_table(entries, line, 0, what, load.frequency_hz[line]))
+        quantity = f"load {LOAD_COMPONENTS[component]}"
+        tables.append(_budget_table(entries, line, 0, quantity, load.frequency_hz[line]))
     if motion is not None and motion.observed[line, component]:
         entries = budget(motion.uncertainty.at([component]), motion.phasors.value[:, [component]])
-        what = f"acceleration {MOTION_COMPONENTS[component]} of the load"
-        tables.append(_budget_table(entries, line, 0, what, motion.phasors.frequency_hz[line]))
+        quantity = f"acceleration {MOTION_COMPONENTS[component]} of the load"
+        tables.append(_budget_table(entries, line, 0, quantity, motion.phasors.frequency_hz[line]))
     return tables
 
 
-def _budget_table(entries: Sequence[BudgetEntry], line: int, place: int, what: str, frequency_hz: float) -> Table:
-    """One budget: what acts, how much of it, how it acts, and what it contributes to magnitude and phase.
+def _budget_table(entries: Sequence[BudgetEntry], line: int, element: int, quantity: str, frequency_hz: float) -> Table:
+    """Return one budget: contributions, their inputs, coefficients, and shares in magnitude and phase.
 
-    One recording tells neither what repeating it nor what mounting anew would change.
+    Influences that one recording cannot assess, such as repeatability and a new mounting, are listed without a number.
     """
-    u = np.array([[entry.u_relative[line, place], entry.u_phase_rad[line, place]] for entry in entries])
+    u = np.array([[entry.u_relative[line, element], entry.u_phase_rad[line, element]] for entry in entries])
     total = np.sqrt(np.sum(u**2, axis=0))
     share = 100.0 * np.divide(u**2, total**2, out=np.zeros_like(u), where=total > 0.0)
     order = np.argsort(-np.sum(u**2, axis=1), kind="stable")
-    shown = [int(place) for place in order if np.max(share[place]) >= SMALLEST_SHARE]
+    shown = [int(element) for element in order if np.max(share[element]) >= SMALLEST_SHARE]
     rows: list[tuple[str, ...]] = []
     for index in shown:
         entry = entries[index]
-        slopes = (_slope(entry.coefficient[part, line, place], share[index, part]) for part in (0, 1))
+        slopes = (_slope(entry.coefficient[part, line, element], share[index, part]) for part in (0, 1))
         kind = f"{entry.type}, {degrees_of_freedom(entry.dof[line])}"
         rows.append((entry.label, kind, _input(entry), *slopes, *_contribution(u[index], share[index])))
     rest = np.delete(np.arange(len(entries)), shown)
@@ -241,16 +241,16 @@ def _budget_table(entries: Sequence[BudgetEntry], line: int, place: int, what: s
         *("contribution", "type, dof", "u of the input", "magnitude per unit", "rad per unit"),
         *("u(magnitude) / %", "share / %", "u(phase) / mrad", "share / %"),
     )
-    return Table(f"Budget of {what} at {frequency_hz:.4f} Hz", head, "llrrrrrrr", tuple(rows))
+    return Table(f"Budget of {quantity} at {frequency_hz:.4f} Hz", head, "llrrrrrrr", tuple(rows))
 
 
 def _contribution(u: FloatArray, share: FloatArray) -> tuple[str, str, str, str]:
-    """Contribution (2,) to relative magnitude and phase, each with its share of the variance in %."""
+    """Return the contribution (2,) to magnitude and phase, each with its share in %."""
     return small(100.0 * u[0]), f"{share[0]:.1f}", small(1e3 * u[1]), f"{share[1]:.1f}"
 
 
 def _input(entry: BudgetEntry) -> str:
-    """Standard uncertainty of the unknown with its unit; a dash for noise."""
+    """Return the standard uncertainty of the unknown with its unit; a dash for noise."""
     if not np.isfinite(entry.u):
         return f"{entry.count} unknowns" if entry.count > 1 else DASH
     unit = "" if entry.unit == "1" else typeset(entry.unit)
@@ -259,14 +259,14 @@ def _input(entry: BudgetEntry) -> str:
 
 
 def _slope(value: float, share: float) -> str:
-    """Sensitivity coefficient, with its sign; of what contributes nothing only that it is about zero."""
+    """Return a sensitivity coefficient with its sign, or that it is about zero."""
     if not np.isfinite(value):
         return DASH
     return short(value) if share >= SMALLEST_SLOPE else "≈ 0"
 
 
 def other_loads_table(evaluation: Evaluation) -> Table | None:
-    """What the other load components explain of each output at the strongest line, by the static sensitivity."""
+    """Return the share of the other loads in each output at the strongest line."""
     sensitivity, outputs, load = evaluation.sensitivity, evaluation.outputs, evaluation.load
     sensor, static = evaluation.manifest.rig.sensor, static_sensitivity(evaluation)
     if sensitivity is None or outputs is None or load is None or sensor is None or static is None:
@@ -290,15 +290,15 @@ def other_loads_table(evaluation: Evaluation) -> Table | None:
         )
     frequency = f"{sensitivity.frequency_hz[line]:.4f}"
     head = ("output", "in phase / %", "across / %", "k", "dof")
-    caption = f"Share of each output that loads beside {LOAD_COMPONENTS[component]} explain at {frequency} Hz, with U"
+    caption = f"Share of each output by loads other than {LOAD_COMPONENTS[component]} at {frequency} Hz, with U"
     return Table(caption, head, "lrrrr", tuple(rows))
 
 
-# Parallel vibrometer points: each point, what they spread and rock, and each one's ratio.
+# Parallel vibrometer points: each point, their spread and rocking, and their ratios.
 
 
 def point_tables(evaluation: Evaluation) -> list[Table]:
-    """Per group of parallel points: the points at the strongest line, their spread at every line, their ratios."""
+    """Return tables of each group of parallel points: points, spread and ratios."""
     tables: list[Table | None] = []
     for spread in evaluation.points:
         tables += [_points_table(spread, main_line(evaluation)), _spread_table(spread)]
@@ -308,13 +308,13 @@ def point_tables(evaluation: Evaluation) -> list[Table]:
 
 
 def available_elements(value: ComplexArray, uncertainty: Uncertainty) -> list[list[Polar]]:
-    """Return values (K, C), all of them known, as magnitude and phase with their uncertainty."""
+    """Return finite values (K, C) as magnitude and phase with their uncertainty."""
     lines = polar_elements(value, uncertainty)
     return [[element for element in row if element is not None] for row in lines]
 
 
 def _points_table(spread: PointSpread, line: int) -> Table | None:
-    """Every point at one line: where it is, what it measures, how far it is from the mean and from the plane."""
+    """Return every point at one line: position, value, deviations from mean and plane."""
     first, second = (axis_name(axis) for axis in spread.axes)
     points = available_elements(spread.value, spread.uncertainty)[line]
     ratio, left = (values[line] / spread.mean[line] for values in (spread.value, spread.residual))
@@ -333,7 +333,7 @@ def _points_table(spread: PointSpread, line: int) -> Table | None:
 
 
 def _spread_table(spread: PointSpread) -> Table | None:
-    """Mean, spread, rocking and what the plane leaves at every line."""
+    """Return mean, spread, rocking and residual of the plane at every line."""
     planes = available_elements(spread.plane, spread.plane_uncertainty)
 
     def turn(line: int, axis: int) -> str:
@@ -354,13 +354,13 @@ def _spread_table(spread: PointSpread) -> Table | None:
     ]
     caption = (
         f"{_title(spread)}: mean with U, standard deviation over the points, best rigid plane with U, "
-        "and rms of what it leaves"
+        "and rms of its residual"
     )
     return table(caption, columns, range(len(planes)))
 
 
 def _ratios_table(spread: PointSpread, ratios: PointRatios) -> Table | None:
-    """Mean and standard deviation of the points' ratios beside the ratio of the fused motion."""
+    """Return mean and standard deviation of the points' ratios, compared with the fused ratio."""
     exponent = common_exponent(ratios.value)
     mean = ratios.value.mean(axis=1, keepdims=True)
     count = ratios.value.shape[1]
@@ -390,21 +390,21 @@ def _title(spread: PointSpread) -> str:
 
 
 def _left(spread: PointSpread, share: float) -> str:
-    """What a plane leaves, in per cent; a dash where there are no more points than it needs."""
+    """Return the residual of a plane in per cent; a dash without degrees of freedom."""
     return number(100.0 * share) if len(spread.channels) > FEWEST_POINTS else DASH
 
 
-# A Monte Carlo run: 95 % intervals of the draws beside those of first-order propagation.
+# A Monte Carlo run: 95 % intervals of the draws and of first-order propagation.
 
 
 def monte_carlo_tables(evaluation: Evaluation) -> list[Table]:
-    """Return one table per result: sensitivity first, then load and acceleration of each body; none without a run."""
+    """Return one table per result of a Monte Carlo run, sensitivity first."""
     run = evaluation.monte_carlo
     return [] if run is None else [_table(result, run.draws) for result in reversed(run.results)]
 
 
 def _table(result: Propagated, draws: int) -> Table:
-    """Both intervals of magnitude and phase of every quantity at every driven line, the region, and the verdict."""
+    """Return both intervals of every quantity at every driven line, the region, and the verdict."""
     rows = []
     for line, frequency in enumerate(result.frequency_hz):
         for element, name in enumerate(result.elements):
@@ -415,39 +415,41 @@ def _table(result: Propagated, draws: int) -> Table:
                 rows.append((f"{frequency:.4f}", named, *size, *turn, region, _verdict(result, draws, line, element)))
     head = ["frequency / Hz", "quantity / unit"]
     for what in ("magnitude", "phase / rad"):
-        head += [f"{what}, Monte Carlo", "first order", "apart / u"]
+        head += [f"{what}, Monte Carlo", "first order", "difference / u"]
     strong = [np.where(result.weak, 0.0, what.u_end / what.first_u) for what in (result.magnitude, result.phase)]
     good = float(np.nanmax(strong, initial=0.0))
     intervals = f"shortest 95 % intervals of {draws} draws"
-    caption = f"{capitalise(result.name)}: {intervals}, whose number determines their ends to {good:.2g} u"
+    caption = f"{capitalise(result.name)}: {intervals}; their number determines the ends to {good:.2g} u"
     return Table(caption, (*head, "in the region", ""), "ll" + "r" * 7 + "l", tuple(rows))
 
 
 def _verdict(result: Propagated, draws: int, line: int, element: int) -> str:
-    """Whether first-order propagation holds: in how many digits both ways agree, or that only the region is judged."""
+    """Return whether first-order propagation is valid, with the number of common digits."""
     too_small = result.rejected_parts(draws, line, element, too_small=True)
     if too_small:
         return f"first-order U too small: {', '.join(too_small)}"
     large = result.rejected_parts(draws, line, element)
     if large:
-        return f"first-order U larger than need be: {', '.join(large)}"
+        return f"first-order U too large: {', '.join(large)}"
     if result.weak[line, element]:
-        return "region confirmed; magnitude and phase say little"
+        return "region confirmed; magnitude and phase are not significant"
     digits = int(min(result.magnitude.digits[line, element], result.phase.digits[line, element]))
-    return f"agrees in {digits} digit{'s' * (digits != 1)} of u" if digits else "within what the number of draws tells"
+    return (
+        f"agrees in {digits} digit{'s' * (digits != 1)} of u" if digits else "agrees within the resolution of the draws"
+    )
 
 
 def _real_cells(spread: RealSpread, line: int, element: int) -> list[str]:
-    """Interval of the draws, that of first-order propagation, and the larger distance of their ends over u."""
+    """Return both intervals, and the larger distance of their ends over u."""
     ends = [float(end[line, element]) for end in (spread.low, spread.high, spread.first_low, spread.first_high)]
     u = float(spread.first_u[line, element])
-    apart = float(max(spread.d_low[line, element], spread.d_high[line, element]))
-    distance = f"{apart / u:.2f}" if u > 0.0 and np.isfinite(apart) else DASH
+    largest = float(max(spread.d_low[line, element], spread.d_high[line, element]))
+    distance = f"{largest / u:.2f}" if u > 0.0 and np.isfinite(largest) else DASH
     return [_interval(ends[0], ends[1], u), _interval(ends[2], ends[3], u), distance]
 
 
 def _interval(low: float, high: float, u: float) -> str:
-    """Two ends with the digits that u deserves, and their power of ten."""
+    """Return two ends with the digits that u justifies, and their power of ten."""
     exponent = round_to_uncertainty(max(abs(low), abs(high)), u).exponent
     texts = [round_to_uncertainty(end, u, exponent).value for end in (low, high)]
     if exponent:
@@ -459,19 +461,19 @@ def _interval(low: float, high: float, u: float) -> str:
 
 
 def _as_stated(item: UncertainInput) -> str:
-    """How an uncertainty is stated, and where it comes from."""
-    own = item.stated
-    if own is None:
+    """Return the form and the source of a stated uncertainty."""
+    stated = item.stated
+    if stated is None:
         return "u"
-    how = f"U, k = {own.k:g}" if own.k is not None else f"half-width, {own.distribution}"
-    freedom = "" if own.dof is None else f"{own.dof:g} degrees of freedom"
+    how = f"U, k = {stated.k:g}" if stated.k is not None else f"half-width, {stated.distribution}"
+    freedom = "" if stated.dof is None else f"{stated.dof:g} degrees of freedom"
     return ", ".join(filter(None, (how, freedom, item.source)))
 
 
 def inputs_table(inputs: Sequence[UncertainInput]) -> Table | None:
-    """Every uncertain input as it is used, with U = 2·u beside u; what is relative in per cent."""
+    """Return every uncertain input as it is used, with u and U = 2·u."""
 
-    def told(item: UncertainInput, factor: float) -> str:
+    def size_text(item: UncertainInput, factor: float) -> str:
         sizes = factor * np.unique(np.ravel(item.u))
         sizes = 100.0 * sizes if item.relative else sizes
         text = " to ".join(dict.fromkeys((f"{sizes[0]:.3g}", f"{sizes[-1]:.3g}")))
@@ -485,8 +487,8 @@ def inputs_table(inputs: Sequence[UncertainInput]) -> Table | None:
         page_column("file", lambda item: item.file.name, "l"),
         page_column("key", lambda item: item.key, "l"),
         page_column("value", value),
-        page_column("u", lambda item: told(item, 1.0)),
-        page_column("2·u", lambda item: told(item, 2.0)),
+        page_column("u", lambda item: size_text(item, 1.0)),
+        page_column("2·u", lambda item: size_text(item, 2.0)),
         page_column("stated as", _as_stated, "l"),
     )
     return table("Inputs with their standard uncertainties, in the units of the manifest", columns, inputs)

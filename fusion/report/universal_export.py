@@ -1,4 +1,4 @@
-"""Results and recordings as universal files (UFF) for programs of modal analysis (`shakercal export`)."""
+"""Export of results and recordings as universal files (UFF, `shakercal export`)."""
 
 from __future__ import annotations
 
@@ -17,6 +17,7 @@ from fusion.report.atomic_files import write_atomically
 from fusion.report.folder import RESULT_FILE
 from fusion.report.h5 import open_results
 from fusion.report.labelled_results import CAMPAIGN_FILE, LabelledPhasors, read_results
+from fusion.report.report_notices import NO_RESULTS, NO_SENSITIVITY_TO_EXPORT
 from shaker.arrays import FloatArray
 from shaker.io.universal import UniversalFunction, UniversalShape
 from shaker.io.universal_write import universal_function, universal_nodes, universal_shape, universal_units
@@ -29,7 +30,7 @@ ALONG = 1e-9
 
 
 class UniversalExport(NamedTuple):
-    """What a universal file holds: functions, nodes with their places, shapes."""
+    """Content of a universal file: functions, nodes with positions, shapes."""
 
     functions: list[UniversalFunction]
     nodes: dict[int, FloatArray]
@@ -37,7 +38,7 @@ class UniversalExport(NamedTuple):
 
 
 def export_universal(path: Path, output: Path, *, text: bool = False, force: bool = False) -> UniversalExport:
-    """Write results or a recording, whichever lies at `path`, as a universal file, and return what it holds.
+    """Write results or a recording as a universal file and return its content.
 
     `text`: functions as data set 58 instead of 58b.
     """
@@ -53,7 +54,7 @@ def export_universal(path: Path, output: Path, *, text: bool = False, force: boo
 
 
 def _exported(path: Path) -> UniversalExport:
-    """What lies at a path."""
+    """Return the content for a path."""
     readers = {
         CAMPAIGN_FILE: _of_results,
         RESULT_FILE: _of_results,
@@ -65,7 +66,7 @@ def _exported(path: Path) -> UniversalExport:
         file = path if path.is_file() and path.name == name else path / name
         if file.is_file():
             return read(file)
-    raise InputError(path, "", found="none of these", expected=f"a folder with {', '.join(readers)}")
+    raise InputError(NO_RESULTS, path, expected=" or ".join(readers))
 
 
 PHASORS = "x(t) = Re{X exp(+j omega t)}, peak values, SI"
@@ -76,29 +77,32 @@ def _titles(name: str, what: str, how: str = PHASORS) -> tuple[str, ...]:
 
 
 def _of_results(file: Path) -> UniversalExport:
-    """Sensitivities over frequency: response a node for each output, reference the load at the origin."""
+    """Return sensitivities over frequency.
+
+    Each output is a response node, the load the reference at the origin.
+    """
     results = read_results(file)
     every = [*([results.sensitivity] if results.sensitivity else []), *([results.element] if results.element else [])]
     every += results.curve
     outputs = list(dict.fromkeys(channel for found in every for channel in found.channel))
     functions = [function for found in every for function in _of_phasors(results.name, found, outputs)]
     if not functions:
-        raise InputError(file, "", found="results without a sensitivity", expected="a sensitivity")
-    nodes = {ORIGIN + place: np.zeros(3) for place in range(len(outputs) + 1)}
+        raise InputError(NO_SENSITIVITY_TO_EXPORT, file)
+    nodes = {ORIGIN + number: np.zeros(3) for number in range(len(outputs) + 1)}
     return UniversalExport(functions, nodes, [])
 
 
 def _of_phasors(name: str, found: LabelledPhasors, outputs: Sequence[str]) -> Iterator[UniversalFunction]:
-    """One function for each element, without the lines at which it is no result."""
+    """Yield one function for each element, without lines that have no result."""
     for e, (channel, component) in enumerate(zip(found.channel, found.component, strict=True)):
-        known = np.isfinite(found.value[:, e])
-        if known.any():
+        finite = np.isfinite(found.value[:, e])
+        if finite.any():
             output_unit = found.unit[e].rpartition("/")[0].removeprefix("(").removesuffix(")")
             yield UniversalFunction(
                 name=f"{channel}/{component}",
                 kind="frequency response",
-                abscissa=found.frequency_hz[known],
-                value=found.value[known, e],
+                abscissa=found.frequency_hz[finite],
+                value=found.value[finite, e],
                 abscissa_unit="Hz",
                 unit=f"({output_unit})/({load_unit(component)})",
                 response=f"{ORIGIN + 1 + outputs.index(channel)}",
@@ -108,7 +112,7 @@ def _of_phasors(name: str, found: LabelledPhasors, outputs: Sequence[str]) -> It
 
 
 def _of_transfer(file: Path) -> UniversalExport:
-    """Transfer functions: response a node for each channel, its reference the node before."""
+    """Return transfer functions: each channel is a response node, the previous node its reference."""
     functions: list[UniversalFunction] = []
     with open_results(file) as content:
         name = str(content.attrs["recording"])
@@ -116,17 +120,17 @@ def _of_transfer(file: Path) -> UniversalExport:
             ratio, reference = group["transfer/ratio"], str(group["transfer"].attrs["reference"])
             first = ORIGIN + len(functions)
             channels, units = (ratio[key].asstr()[()].tolist() for key in ("channels", "unit"))
-            for place, (channel, unit) in enumerate(zip(channels, units, strict=True)):
-                known = np.isfinite(ratio["value"][:, place])
+            for number, (channel, unit) in enumerate(zip(channels, units, strict=True)):
+                finite = np.isfinite(ratio["value"][:, number])
                 functions.append(
                     UniversalFunction(
                         name=channel,
                         kind="transmissibility" if unit == "1" else "frequency response",
-                        abscissa=ratio["frequency_hz"][()][known],
-                        value=ratio["value"][()][known, place],
+                        abscissa=ratio["frequency_hz"][()][finite],
+                        value=ratio["value"][()][finite, number],
                         abscissa_unit="Hz",
                         unit=unit,
-                        response=f"{first + 1 + place}",
+                        response=f"{first + 1 + number}",
                         reference=f"{first}",
                         titles=_titles(name, f"{channel} over {reference}"),
                     )
@@ -135,12 +139,12 @@ def _of_transfer(file: Path) -> UniversalExport:
 
 
 def _of_element(file: Path) -> UniversalExport:
-    """Nodes of the frame of an elastic element, and its natural modes."""
+    """Return nodes of the frame of an elastic element, and its natural modes."""
     with open_results(file) as content:
         frame, name = content["frame"], str(content.attrs["name"])
-        place, motion = frame["node_m"][()], frame["node_motion"][()]
+        node_m, motion = frame["node_m"][()], frame["node_motion"][()]
         frequency = frame["modes/frequency_hz"][()]
-    node = np.arange(1, len(place) + 1)
+    node = np.arange(1, len(node_m) + 1)
     shapes = [
         UniversalShape(
             node=node,
@@ -154,11 +158,11 @@ def _of_element(file: Path) -> UniversalExport:
         )
         for mode in range(len(frequency))
     ]
-    return UniversalExport([], dict(zip(node.tolist(), place, strict=True)), shapes)
+    return UniversalExport([], dict(zip(node.tolist(), node_m, strict=True)), shapes)
 
 
 def _of_recording(file: Path) -> UniversalExport:
-    """Records of a recording's channels, in SI, at the points where instruments look or stand."""
+    """Return the records of all channels in SI, at the positions of instruments."""
     manifest = load_manifest(file.parent)
     functions: list[UniversalFunction] = []
     nodes: dict[int, FloatArray] = {}
@@ -188,13 +192,13 @@ def _of_recording(file: Path) -> UniversalExport:
 
 
 def _along(direction: Sequence[float]) -> str:
-    """Return the axis that a direction is along, empty where it is along none."""
+    """Return the axis of a direction, empty if it is not along one."""
     unit = np.asarray(direction, dtype=np.float64)
     unit = unit / np.linalg.norm(unit)
-    place = int(np.argmax(np.abs(unit)))
-    if abs(unit[place]) < 1.0 - ALONG:
+    axis = int(np.argmax(np.abs(unit)))
+    if abs(unit[axis]) < 1.0 - ALONG:
         return ""
-    return f"{'+' if unit[place] > 0.0 else '-'}{AXES[place].upper()}"
+    return f"{'+' if unit[axis] > 0.0 else '-'}{AXES[axis].upper()}"
 
 
 def _unit(manifest: Any, channel: Any) -> str:

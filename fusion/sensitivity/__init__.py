@@ -1,1 +1,1 @@
-"""From accelerations to load and sensitivity: the path of one recording."""
+"""From phasors to load and sensitivity, with uncertainty budgets."""

@@ -1,4 +1,4 @@
-"""Everything after the phasors: rows on an elastic load, fuse, load, sensitivity; the result tree of one recording."""
+"""Analysis of one recording after the phasors: fusion, load, sensitivity and the result tree."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from fusion.errors import ComputeError
+from fusion.estimation.estimation_notices import UNBOUNDED_MOTION, UNBOUNDED_READINGS
 from fusion.estimation.fuse import Acceleration, fuse_sources
 from fusion.estimation.instrument_consistency import OUTPUT_MISTAKES, UNTESTED, likely_mistake
 from fusion.estimation.least_squares import Unbounded, observed_components, row_space
@@ -18,9 +19,10 @@ from fusion.instruments.channel import ChannelGeometry, Outputs
 from fusion.instruments.stereo import StereoReading
 from fusion.instruments.transducer import measuring_point, placement_name
 from fusion.instruments.vibrometer import PointSpread
+from fusion.phasors.phasor_notices import NO_INSTRUMENT
 from fusion.sensitivity.distributions import MonteCarlo
 from fusion.sensitivity.elastic import ElasticPart, InstrumentPosition, NaturalModes
-from fusion.sensitivity.load_phasors import LoadResult, load_phasors
+from fusion.sensitivity.load_phasors import LoadResult, describe_other_loads, load_phasors
 from fusion.sensitivity.moving_body import Body
 from fusion.sensitivity.ratio import (
     CHANGED,
@@ -30,11 +32,20 @@ from fusion.sensitivity.ratio import (
     contradicting_outputs,
     driven_component,
     mass_notices,
-    parasitic_loads,
     prior_matrix,
     quotient,
     sensitivity_ratio,
     sensor_element,
+)
+from fusion.sensitivity.sensitivity_notices import (
+    CROSS_TALK_BOUND,
+    DIRECTION_DOUBTED,
+    ELEMENT_CHANGED,
+    NO_RESULT_AT_LINES,
+    OTHER_LOADS_NOT_ASSESSED,
+    OUTPUT_CONTRADICTS,
+    POSITION_UNSTATED,
+    REPEATABILITY_NOT_ASSESSED,
 )
 from shaker.arrays import BoolArray, ComplexArray, FloatArray, brief
 from shaker.labels import LOAD_COMPONENTS, MOTION_COMPONENTS
@@ -50,21 +61,22 @@ if TYPE_CHECKING:
     from fusion.recording.rig import Sensor
     from fusion.sensitivity.supports import SupportMotion
 
-# Instruments on an elastic load: rows that tell the motion of its foot.
+# Instruments on an elastic load: rows for the motion of its foot.
 
 
 @dataclass(frozen=True)
 class ElasticGeometry(Geometry):
-    """An instrument on an elastic load, for the Monte Carlo run: `inner`, as it is on a rigid one with rows `rigid`.
+    """Geometry of an instrument on an elastic load, for Monte Carlo.
 
-    `stretch` (K, M, 6, 6): what its places move beside the foot; `moved_places`: for uncertain places the names of the
-    unknowns of the M channels and the change of `stretch` for one standard uncertainty of each.
+    `inner`: its geometry on a rigid load with rows `rigid`. `stretch` (K, M, 6, 6): additional motion of its positions
+    relative to the foot. `shifted_positions`: for uncertain positions the names of the unknowns of the M channels and
+    the change of `stretch` per standard uncertainty of each.
     """
 
     inner: Geometry
     rigid: ComplexArray
     stretch: ComplexArray
-    moved_places: tuple[tuple[tuple[str, ...], ComplexArray], ...]
+    shifted_positions: tuple[tuple[tuple[str, ...], ComplexArray], ...]
 
     @property
     def unknowns(self) -> frozenset[str]:
@@ -72,10 +84,10 @@ class ElasticGeometry(Geometry):
         return self.inner.unknowns
 
     def rows(self, design: ComplexArray, deviates: Deviates) -> ComplexArray:
-        """Return the rows (N, K, M, 6) at places and along directions as drawn, on the load as it is stretched."""
+        """Return rows (N, K, M, 6) of drawn positions and directions on the elastic load."""
         rigid = self.inner.rows(self.rigid, deviates)
         total = np.repeat(self.stretch[None], deviates.count, axis=0)
-        for names, change in self.moved_places:
+        for names, change in self.shifted_positions:
             size = np.stack([deviates.normal(name) for name in names], axis=1)
             total += size[:, None, :, None, None] * change
         return np.asarray(rigid + np.einsum("nkmj,nkmji->nkmi", rigid, total))
@@ -86,40 +98,43 @@ class ElasticGeometry(Geometry):
 
 
 def elastic_rows(observations: Sequence[Observation], parts: Sequence[ElasticPart]) -> tuple[Observation, ...]:
-    """Return instruments on the load with rows that act on the motion of its foot: design · (I + stretch).
+    """Return instruments on an elastic load with rows for the motion of its foot.
 
-    What is uncertain of the modes is a common error of theirs, by the name under which it acts on the load. What
-    components that nobody observes on a rigid load do through the modes decides nothing about what is observed, where
-    it would take the observed ones with it.
+    Rows are design · (I + stretch). Uncertain numbers of the modes are common errors, with the names under which they
+    act on the load. Elastic effects of components that are not observed on a rigid load do not change which components
+    are observed.
     """
-    own = [observation for observation in observations if observation.body == "load"]
-    if not parts or not own:
+    of_load = [observation for observation in observations if observation.body == "load"]
+    if not parts or not of_load:
         return tuple(observations)
-    lines = range(len(own[0].phasors.frequency_hz))
-    seen = np.array([observed_components(row_space(own, line)) for line in lines])
+    lines = range(len(of_load[0].phasors.frequency_hz))
+    seen = np.array([observed_components(row_space(of_load, line)) for line in lines])
     return tuple(_stretched(o, parts, seen) if o.body == "load" else o for o in observations)
 
 
 def _stretched(observation: Observation, parts: Sequence[ElasticPart], seen: BoolArray) -> Observation:
-    """Return one instrument on the elastic load; `seen` (K, 6): components that any instrument observes."""
+    """Return one instrument on the elastic load.
+
+    `seen` (K, 6): components that any instrument observes.
+    """
     frequency, rigid, inner = observation.phasors.frequency_hz, observation.design, observation.geometry
-    places = _places(observation)
-    stretch = _stretch(parts, frequency, places, rigid.shape[1])
-    # Errors of places act on what is observed of the stretched motion: what bends unseen is in it as it is read.
-    known = np.where(seen[:, None, None, :], stretch, 0.0)
+    positions = _positions(observation)
+    stretch = _stretch(parts, frequency, positions, rigid.shape[1])
+    # Errors of positions act on the observed part of the elastic motion; the readings include its unobserved part.
+    observed_stretch = np.where(seen[:, None, None, :], stretch, 0.0)
     slopes = {
-        error.name: error.slope + _rows(error.slope, known if error.name in inner.unknowns else stretch)
+        error.name: error.slope + _rows(error.slope, observed_stretch if error.name in inner.unknowns else stretch)
         for error in observation.common
     }
-    moved_places = tuple(_moved_places(parts, frequency, inner, places))
-    for names, change in moved_places:
-        for place, name in enumerate(names):
+    shifted_positions = tuple(_shifted_positions(parts, frequency, inner, positions))
+    for names, change in shifted_positions:
+        for index, name in enumerate(names):
             if name in slopes:
-                slopes[name][:, place] += np.where(seen, _rows(rigid, change)[:, place], 0.0)
+                slopes[name][:, index] += np.where(seen, _rows(rigid, change)[:, index], 0.0)
     none = np.zeros(rigid.shape[:2], np.complex128)
     common = [replace(error, slope=slopes[error.name]) for error in observation.common]
     for part in parts:
-        for c in part.changes(lambda modes: _stretched_places(modes, frequency, places, rigid.shape[1])):
+        for c in part.changes(lambda modes: _stretched_positions(modes, frequency, positions, rigid.shape[1])):
             # Where a number is stated too high, the readings are those of rows with less of it.
             slope = -np.where(seen[:, None, :], _rows(rigid, c.effect), 0.0)
             common.append(CommonError(c.name, c.label, c.u, c.unit, c.scope, slope, none))
@@ -128,37 +143,37 @@ def _stretched(observation: Observation, parts: Sequence[ElasticPart], seen: Boo
         observation,
         design=rigid + _rows(rigid, stretch),
         common=tuple(common),
-        geometry=ElasticGeometry(inner, rigid, stretch, moved_places),
+        geometry=ElasticGeometry(inner, rigid, stretch, shifted_positions),
         main=main + np.where(seen[:, None, :], _rows(main, stretch), 0.0),
     )
 
 
 def _rows(design: ComplexArray, stretch: ComplexArray) -> ComplexArray:
-    """Rows (K, M, 6) of what is stretched beside the foot."""
+    """Return rows (K, M, 6) of the elastic motion."""
     return np.asarray(np.einsum("kmj,kmji->kmi", design, stretch))
 
 
-def _stretched_places(
-    modes: NaturalModes, frequency_hz: FloatArray, places: Sequence[InstrumentPosition], rows: int
+def _stretched_positions(
+    modes: NaturalModes, frequency_hz: FloatArray, positions: Sequence[InstrumentPosition], rows: int
 ) -> ComplexArray:
-    """Return what M rows are stretched (K, M, 6, 6), all at one place or each at its own."""
-    each = np.stack([modes.stretch(frequency_hz, place) for place in places], axis=1)
-    return np.repeat(each, rows // len(places), axis=1)
+    """Return the elastic motion (K, M, 6, 6) of M rows."""
+    each = np.stack([modes.stretch(frequency_hz, position) for position in positions], axis=1)
+    return np.repeat(each, rows // len(positions), axis=1)
 
 
 def _stretch(
-    parts: Sequence[ElasticPart], frequency_hz: FloatArray, places: Sequence[InstrumentPosition], rows: int
+    parts: Sequence[ElasticPart], frequency_hz: FloatArray, positions: Sequence[InstrumentPosition], rows: int
 ) -> ComplexArray:
-    """Return what M rows are stretched (K, M, 6, 6) by all parts, as far as that is corrected."""
+    """Return the corrected elastic motion (K, M, 6, 6) of M rows by all parts."""
     return np.asarray(
-        sum(part.act(lambda modes: _stretched_places(modes, frequency_hz, places, rows)) for part in parts)
+        sum(part.act(lambda modes: _stretched_positions(modes, frequency_hz, positions, rows)) for part in parts)
     )
 
 
-def _moved_places(
-    parts: Sequence[ElasticPart], frequency_hz: FloatArray, inner: Geometry, places: Sequence[InstrumentPosition]
+def _shifted_positions(
+    parts: Sequence[ElasticPart], frequency_hz: FloatArray, inner: Geometry, positions: Sequence[InstrumentPosition]
 ) -> Iterator[tuple[tuple[str, ...], ComplexArray]]:
-    """Yield the names of the unknowns of M uncertain places, axis by axis, and what they change of the stretch."""
+    """Yield the unknowns of uncertain positions, and the change of the stretch."""
     if not isinstance(inner, ChannelGeometry) or inner.transducer.rotational:
         return
     for unit, letter in zip(np.eye(3), "xyz", strict=True):
@@ -166,39 +181,42 @@ def _moved_places(
         if np.any(shifts):
             ahead, behind = (
                 [
-                    replace(place, point_m=place.point_m + sign * shift)
-                    for place, shift in zip(places, shifts, strict=True)
+                    replace(position, point_m=position.point_m + sign * shift)
+                    for position, shift in zip(positions, shifts, strict=True)
                 ]
                 for sign in (1.0, -1.0)
             )
-            both = (_stretch(parts, frequency_hz, side, len(places)) for side in (ahead, behind))
+            both = (_stretch(parts, frequency_hz, side, len(positions)) for side in (ahead, behind))
             change = np.subtract(*both) / 2.0
             yield tuple(placement_name(entry, "point", letter) for entry in inner.entries), np.asarray(change)
 
 
-def _places(observation: Observation) -> list[InstrumentPosition]:
-    """Return where an instrument sees the load: each of its channels, or a stereo pair the middle of its points."""
-    seen, elastic = observation.geometry, "the load is elastic"
+def _positions(observation: Observation) -> list[InstrumentPosition]:
+    """Return the positions of an instrument on the load.
+
+    Those of its channels, or for a stereo pair the mean of its points.
+    """
+    seen = observation.geometry
     if isinstance(seen, ChannelGeometry):
         missing = [entry.name for entry in seen.entries if entry.point is None]
         if missing:
-            raise ComputeError(f"{elastic}, but channel {missing[0]} has no point; state where it sits on the load")
+            raise ComputeError(POSITION_UNSTATED, instrument=f"channel {missing[0]}", key="point")
         return [InstrumentPosition(entry.name, measuring_point(entry)) for entry in seen.entries]
     if isinstance(seen, StereoReading) and seen.face_m is not None:
         return [InstrumentPosition(seen.name, seen.face_m)]
-    raise ComputeError(f"{elastic}, but where {observation.title} sees it is not known")
+    raise ComputeError(POSITION_UNSTATED, instrument=observation.title, key="subsets of its images")
 
 
-# From the phasors of all instruments to acceleration, load and sensitivity: what follows tracks and channels.
+# From the phasors of all instruments to acceleration, load and sensitivity.
 
 
 @dataclass(frozen=True)
 class Inputs:
-    """What is known of one recording when all phasors have been found.
+    """Phasors and manifests of one recording, as the analysis needs them.
 
-    `lines`: the K lines; `observations`: the instruments as rows of the linear model; `outputs`: of the `sensor`;
-    `body`: all that moves above the elastic element, None without a load; `direction`: 3 or 6 numbers. `unseen`: what
-    is assumed of motion that nobody observes.
+    `lines`: the K lines. `observations`: instruments as rows of the linear model. `outputs`: of the `sensor`. `body`:
+    all moving parts above the elastic element, None without a load. `direction`: 3 or 6 numbers. `unobserved_motion`:
+    its assumed limits.
     """
 
     lines: LineFrequencies
@@ -212,11 +230,11 @@ class Inputs:
 
 @dataclass(frozen=True)
 class Analysis:
-    """Acceleration of every body, fused first and then by source; load and sensitivity where there are any.
+    """Acceleration of every body, load and sensitivity of one recording.
 
-    `outputs`: of the sensor, with what the instruments say of errors that they share; `sensitivity`: their ratios over
-    the driven load; `element`: the sensor's own elements, with what is `known` of its matrix, None where nothing is.
-    `doubts`: of what the excitation is said to drive.
+    `accelerations`: fused first, then by source. `outputs`: of the sensor, corrected by the estimates of shared errors.
+    `sensitivity`: their ratios to the driven load. `element`: elements of the sensor, with its `prior_matrix`; None
+    without one. `doubts`: notices of the direction of the excitation.
     """
 
     accelerations: tuple[Acceleration, ...]
@@ -231,7 +249,7 @@ class Analysis:
 
     @property
     def notices(self) -> tuple[Notice, ...]:
-        """Return what fusion, load and sensitivity want the user to know."""
+        """Return the notices of fusion, load and sensitivity."""
         results = [*(a for a in self.accelerations if a.source == "fused"), self.load, self.sensitivity]
         results.append(self.element)
         return (*self.doubts, *(notice for result in results if result is not None for notice in result.notices))
@@ -241,22 +259,18 @@ NOT_SHOWN = ("repeatability", "mounting anew")
 """What one recording does not show: lines of its budget without a number."""
 REPEATS = "repeats"
 """Where notices on repeatability belong; those of a campaign replace those of its recordings."""
-SINGLE = (
-    "one recording: repeatability and what mounting anew changes are not assessed and not in U; a campaign that holds "
-    "it again, mounted anew, has them"
-)
 
 
 def driven_motion(direction: Sequence[float], body: Body | None = None) -> tuple[float, ...]:
-    """Return the motion (6,) that an excitation drives, translations and rotations times 0.1 m, as a unit vector.
+    """Return the driven motion (6,), translations and rotations times 0.1 m, as a unit vector.
 
-    Of six load components each drives the motion along or about its own axis, force over mass and moment over moment of
-    inertia at the sensor origin; without a body, or of a point mass, that of a radius of gyration of 0.1 m.
+    Each of six load components drives the motion along or about its axis: force over mass, moment over moment of
+    inertia at the sensor origin. Without a body, or for a point mass, the radius of gyration is 0.1 m.
     """
     inertia = SCALE**-2.0
     if body is not None:
-        own = np.diag(body.rigid.mass_matrix)
-        inertia = np.where(own > 0.0, own, own[0] * inertia)
+        diagonal = np.diag(body.rigid.mass_matrix)
+        inertia = np.where(diagonal > 0.0, diagonal, diagonal[0] * inertia)
     whole = np.zeros(6)
     whole[: len(direction)] = direction
     motion = whole / inertia / SCALE
@@ -268,7 +282,7 @@ OTHER_AXIS = 2.0
 
 
 def _direction_doubts(fused: Acceleration) -> Iterator[Notice]:
-    """Ask about the direction of the excitation where the largest motion observed is another one."""
+    """Yield a warning where the largest observed motion is across the stated direction."""
     drive = np.array(fused.unseen.drive or (0.0,) * 6)
     motion = np.where(fused.observed, fused.phasors.value, 0.0) / SCALE
     line = int(np.argmax(np.linalg.norm(motion, axis=1)))
@@ -276,45 +290,49 @@ def _direction_doubts(fused: Acceleration) -> Iterator[Notice]:
     across = np.abs(motion[line] - drive * (motion[line] @ drive))
     c = int(np.argmax(across))
     if np.all(fused.observed[line] | (drive == 0.0)) and across[c] > OTHER_AXIS * along:
-        unit = "m/s^2" if c < 3 else f"m/s^2 at {1.0 / SCALE[c]:g} m"
-        text = (
-            f"{MOTION_COMPONENTS[c]} of the {fused.body} moves by {across[c]:.3g} {unit} at "
-            f"{fused.phasors.frequency_hz[line]:.6g} Hz, and only by {along:.3g} m/s^2 along what excitation.direction "
-            "says is driven: is that the driven axis?"
+        yield Notice(
+            DIRECTION_DOUBTED,
+            "excitation.direction",
+            component=MOTION_COMPONENTS[c],
+            body=fused.body,
+            across=across[c],
+            unit="m/s²" if c < 3 else f"m/s² at {1.0 / SCALE[c]:g} m",
+            frequency_hz=fused.phasors.frequency_hz[line],
+            along=along,
         )
-        yield Notice("warning", text, "excitation.direction")
 
 
 def analyse(inputs: Inputs) -> Analysis:
-    """Fuse all instruments of every body, apply the mass matrix, and divide the outputs by the driven load.
+    """Fuse all instruments of every body, and compute load and sensitivity.
 
-    Raises `ComputeError` where nothing measures a motion, or where every reading of the load may contain a driven
-    motion that nothing bounds.
+    Raises `ComputeError` if no instrument measures a motion, or if every reading of the load may contain a driven
+    motion without limit.
     """
     seen, direction = inputs.observations, inputs.direction
-    unseen = replace(
+    unobserved_motion = replace(
         inputs.unobserved_motion, drive=driven_motion(direction, inputs.body) if direction is not None else None
     )
     accelerations, doubts = list[Acceleration](), list[Notice]()
     for body in (body for body in ("load", "base") if any(observation.body == body for observation in seen)):
         try:
-            accelerations += fuse_sources(seen, body, unseen)
+            accelerations += fuse_sources(seen, body, unobserved_motion)
         except Unbounded as error:
-            own = [observation for observation in seen if observation.body == body]
-            compared = ", ".join(o.title for o in own if any(other.stated for other in own) and not o.stated)
-            text = f"{error}" + (f"; {compared} states no systematic uncertainty and is not used" if compared else "")
+            of_body = [observation for observation in seen if observation.body == body]
+            compared = ", ".join(o.title for o in of_body if any(other.stated for other in of_body) and not o.stated)
+            unused = f"; {compared} states no systematic uncertainty and is not used" if compared else ""
+            values = {**error.values, "unused": unused}
             if body == "load":
-                raise Unbounded(text) from error
-            doubts.append(Notice("warning", text, body))
+                raise Unbounded(UNBOUNDED_READINGS, body, **values) from error
+            doubts.append(Notice(UNBOUNDED_MOTION, body, **values))
     if not accelerations and not doubts:
-        raise ComputeError("no channel or camera of this recording measures a motion; add one to recording.toml")
+        raise ComputeError(NO_INSTRUMENT, quantity="a motion", reason="")
     fused = next((a for a in accelerations if a.body == "load" and a.source == "fused"), None)
     doubts += [] if fused is None else _direction_doubts(fused)
     return replace(_sensor(inputs, tuple(accelerations), fused), doubts=tuple(doubts))
 
 
 def _sensor(inputs: Inputs, accelerations: tuple[Acceleration, ...], fused: Acceleration | None) -> Analysis:
-    """Return the load under the fused acceleration of its body, and the outputs over it."""
+    """Return the load by the fused acceleration, and the outputs over it."""
     outputs, sensor, direction = inputs.outputs, inputs.sensor, inputs.direction
     if inputs.body is None or fused is None:
         return Analysis(accelerations, None, outputs, None)
@@ -323,56 +341,56 @@ def _sensor(inputs: Inputs, accelerations: tuple[Acceleration, ...], fused: Acce
         return Analysis(accelerations, load, outputs, None)
     outputs = with_estimates(outputs, fused)
     component = driven_component(direction, sensor.capacity)
-    ratio = sensitivity_ratio(outputs, load, component, inputs.lines.multiple, sensor.capacity)
+    ratio = sensitivity_ratio(outputs, load, component, inputs.lines.multiple)
     if np.any(np.isfinite(ratio.value)):
-        ratio = replace(ratio, notices=(*ratio.notices, Notice("note", SINGLE, REPEATS)))
+        ratio = replace(ratio, notices=(Notice(REPEATABILITY_NOT_ASSESSED, REPEATS),))
     sizes = np.nanmax(np.nan_to_num(np.abs(ratio.value[:, :, component])), axis=0)
-    known = prior_matrix(StatedMatrix.of(sensor), outputs.phasors.channels, component, sizes)
-    notices = _element_notices(known, outputs, load, sensor, component)
-    if known is None:
+    prior = prior_matrix(StatedMatrix.of(sensor), outputs.phasors.channels, component, sizes)
+    notices = _element_notices(prior, outputs, load, sensor, component)
+    if prior is None:
         return Analysis(accelerations, load, outputs, replace(ratio, notices=(*ratio.notices, *notices)))
-    element = sensor_element(outputs, load, known, inputs.lines.multiple, notices)
-    if not np.isfinite(element.value[:, known.main, component]).any():
+    element = sensor_element(outputs, load, prior, inputs.lines.multiple, notices)
+    if not np.isfinite(element.value[:, prior.main, component]).any():
         return Analysis(accelerations, load, outputs, ratio)
-    return Analysis(accelerations, load, outputs, ratio, element, known)
+    return Analysis(accelerations, load, outputs, ratio, element, prior)
 
 
 ESTIMATE_NOISE = "noise of the estimate of shared unknowns"
-"""Label of what instruments' noise leaves of clocks, amplifiers and whatever else outputs share with them."""
+"""Label of the noise in estimates of clocks, amplifiers and other unknowns shared with outputs."""
 COUPLED = 1e-2
-"""Least share of an unknown in the standard uncertainty that is left of another one, which is kept by its name."""
+"""Share of an unknown in the remaining standard uncertainty of another one above which it is named (chosen)."""
 
 
 def with_estimates(outputs: Outputs, fused: Acceleration) -> Outputs:
-    """Return the outputs less what the instruments of the load say of the errors that they share with them.
+    """Return the outputs corrected by the estimates of the errors that they share with instruments.
 
-    An output U that errs by o·ε beside the instruments' E·ε enters their least squares as a reading with a free motion
-    of its own, which tells nothing of ε: it becomes U·exp(-o·ε̂/U) with their posterior mean ε̂ and covariance S (both
-    in u). Errors of a chain are relative: what a late clock turns is turned back by any angle and keeps its size.
-    What is left, o·(ε - ε̂) = o·S·ε - o·S·(noise), is in their unknowns by name, those of which they take hold too, and
-    in noise of covariance o·(S - S²)·oᵀ, with what is coupled by less than `COUPLED`. That this noise is part of the
-    load's noise, turning both alike, is not used: U of their ratio is a little too large where both weigh alike.
-    Unknowns that the instruments cannot test, or that contradict each other, stay as they are.
+    An output U with the shared error o·ε enters the least squares of the instruments as a reading with a free motion,
+    which does not change the estimate of ε. It becomes U·exp(-o·ε̂/U) with the posterior mean ε̂ of the instruments and
+    its covariance S (both in u). Errors of a chain are relative: a clock error turns a phasor and keeps its magnitude.
+
+    The remaining error o·(ε - ε̂) = o·S·ε - o·S·(noise) is in their unknowns by name, and in noise of covariance o·(S -
+    S²)·oᵀ without couplings below `COUPLED`. This noise also acts on the load, which is not used: U of their ratio is
+    slightly too large. Unknowns that the instruments cannot test, or that contradict each other, are unchanged.
     """
     if fused.posterior is None:
         return outputs
-    own = {influence.name: influence for influence in outputs.uncertainty.influences}
-    tested = [(place, u) for place, u in enumerate(fused.unknowns) if u.name in own and u.remaining < UNTESTED]
+    influences = {influence.name: influence for influence in outputs.uncertainty.influences}
+    tested = [(index, u) for index, u in enumerate(fused.unknowns) if u.name in influences and u.remaining < UNTESTED]
     if not tested:
         return outputs
-    effects = np.stack([own[u.name].effect for _, u in tested])
-    known, rows = np.isfinite(effects), fused.posterior[[place for place, _ in tested]]
-    effects = np.where(known, effects, 0.0)
+    effects = np.stack([influences[u.name].effect for _, u in tested])
+    finite, rows = np.isfinite(effects), fused.posterior[[index for index, _ in tested]]
+    effects = np.where(finite, effects, 0.0)
     share = np.abs(rows) / np.array([[u.remaining] for _, u in tested])
     coupled, common = np.flatnonzero(share.max(axis=0) > COUPLED), fused.uncertainty.influences
     left = [common[e].acting(np.einsum("c,ckj->kj", rows[:, e], effects)) for e in coupled.tolist()]
-    places = [place for place, _ in tested]
-    size, ways = np.linalg.eigh(rows[:, places] - rows[:, coupled] @ rows[:, coupled].T)
-    for number, way in enumerate((ways * np.sqrt(np.maximum(size, 0.0))).T, 1):
+    indices = [index for index, _ in tested]
+    size, modes = np.linalg.eigh(rows[:, indices] - rows[:, coupled] @ rows[:, coupled].T)
+    for number, mode in enumerate((modes * np.sqrt(np.maximum(size, 0.0))).T, 1):
         name = f"{ESTIMATE_NOISE} {number}"
-        left.append(Influence(name, ESTIMATE_NOISE, 1.0, "1", np.einsum("c,ckj->kj", way, effects), "recording", "A"))
-    kept = [influence for name, influence in own.items() if name not in {u.name for _, u in tested}]
-    uncertainty = Uncertainty(outputs.uncertainty.random, added_up([*kept, *left]))
+        left.append(Influence(name, ESTIMATE_NOISE, 1.0, "1", np.einsum("c,ckj->kj", mode, effects), "recording", "A"))
+    remaining = [influence for name, influence in influences.items() if name not in {u.name for _, u in tested}]
+    uncertainty = Uncertainty(outputs.uncertainty.random, added_up([*remaining, *left]))
     value = outputs.phasors.value
     change = as_complex(np.einsum("c,ckj->kj", [u.estimate for _, u in tested], effects))
     value = value * np.exp(-np.divide(change, value, out=np.zeros_like(value), where=value != 0.0))
@@ -384,48 +402,37 @@ def with_estimates(outputs: Outputs, fused: Acceleration) -> Outputs:
 
 
 def _element_notices(
-    known: PriorMatrix | None, outputs: Outputs, load: LoadResult, sensor: Sensor, component: int
+    prior: PriorMatrix | None, outputs: Outputs, load: LoadResult, sensor: Sensor, component: int
 ) -> tuple[Notice, ...]:
-    """Say what the sensor's element is corrected for, what its U holds instead, or why there is none."""
+    """Return the missing corrections of the element and its contradictions with the static matrix."""
     named = LOAD_COMPONENTS[component]
-    if known is None:
-        text = (
-            f"results are ratios of outputs and the load {named}, not the sensor's own sensitivity: a recording "
-            "alone does not span the 6 x 6 matrix, and neither sensor.static_sensitivity (with cross-talk) nor "
-            "sensor.cross_talk is stated; what other loads put into the outputs is neither corrected nor in U"
-        )
-        return (Notice("note", text, "sensitivity"), *_far_from_static(outputs, load, sensor, component))
-    element = f"element {known.channels[known.main]} per {named}"
-    if not known.static:
-        text = (
-            f"the {element} is not corrected for other loads: U holds a cross-talk within ± {sensor.cross_talk:.2%} of "
-            "the rated output at every rated load"
-        )
-        return (Notice("note", text, "sensitivity"), *_far_from_static(outputs, load, sensor, component))
+    if prior is None:
+        others = describe_other_loads(load, component, sensor.capacity)
+        note = Notice(OTHER_LOADS_NOT_ASSESSED, "sensitivity", component=named, loads=others)
+        return (note, *_far_from_static(outputs, load, sensor, component))
+    element = f"element {prior.channels[prior.main]} per {named}"
+    if not prior.static:
+        note = Notice(CROSS_TALK_BOUND, "sensitivity", element=element, cross_talk=sensor.cross_talk or 0.0)
+        return (note, *_far_from_static(outputs, load, sensor, component))
     # Of the output that the driven load moves most, at the strongest line.
-    shares = parasitic_loads(outputs, load, known.value, component, known.unknowns)
     line = int(np.argmax(np.nan_to_num(np.abs(load.value[:, component]))))
     if not load.observed[line].any():
         return ()  # instruments that contradict each other leave no load
-    hertz = f"{outputs.phasors.frequency_hz[line]:.6g} Hz"
-    predicted = load.value[line] @ known.value[known.main]
-    course = complex(quotient(outputs.phasors.value[line, known.main], np.asarray(predicted)))
-    doubt = list(contradicting_outputs(outputs, load, known, StatedMatrix.of(sensor).rated, line))
-    doubt += mass_notices(element, course, float(outputs.phasors.frequency_hz[line]))
-    if abs(course - 1.0) > CHANGED:
-        text = (
-            f"the {element} is {abs(course):.3g} times its static value at {hertz}, turned by "
-            f"{np.angle(course):.3g} rad: other elements may have changed by as much, which U contains; check units "
-            "and signs of the static matrix"
-        )
-        doubt.append(Notice("warning", text, "sensitivity"))
-    return (*shares.notices(line, known.main, f"output {known.channels[known.main]} at {hertz}"), *doubt)
+    frequency_hz = float(outputs.phasors.frequency_hz[line])
+    predicted = load.value[line] @ prior.value[prior.main]
+    change = complex(quotient(outputs.phasors.value[line, prior.main], np.asarray(predicted)))
+    notices = list(contradicting_outputs(outputs, load, prior, StatedMatrix.of(sensor).rated, line))
+    notices += mass_notices(element, change, frequency_hz)
+    if abs(change - 1.0) > CHANGED:
+        values = {"factor": abs(change), "angle_rad": np.angle(change), "frequency_hz": frequency_hz}
+        notices.append(Notice(ELEMENT_CHANGED, "sensitivity", element=element, **values))
+    return tuple(notices)
 
 
 def _far_from_static(outputs: Outputs, load: LoadResult, sensor: Sensor, component: int) -> Iterator[Notice]:
-    """Warn of an output that is far from what its stated sensitivity to the driven load alone makes it.
+    """Yield a warning if an output is far from the driven load's prediction.
 
-    For sensors of whose matrix so little is known that `contradicting_outputs` has nothing to compare with.
+    For sensors without enough of the matrix for `contradicting_outputs`.
     """
     main = None if sensor.static_sensitivity is None else _main_output(sensor, component, outputs.phasors.channels)
     force = np.nan_to_num(load.value[:, component])
@@ -433,64 +440,67 @@ def _far_from_static(outputs: Outputs, load: LoadResult, sensor: Sensor, compone
     if sensor.static_sensitivity is None or main is None or not np.abs(force[line]) > 0.0:
         return
     static = sensor.static_sensitivity[list(sensor.channels).index(main)][component]
-    place, predicted = outputs.phasors.channels.index(main), complex(static * force[line])
-    ratio = complex(outputs.phasors.value[line, place]) / predicted
-    noise = float(np.hypot(outputs.phasors.u_re[line, place], outputs.phasors.u_im[line, place])) / abs(predicted)
+    index, predicted = outputs.phasors.channels.index(main), complex(static * force[line])
+    ratio = complex(outputs.phasors.value[line, index]) / predicted
+    noise = float(np.hypot(outputs.phasors.u_re[line, index], outputs.phasors.u_im[line, index])) / abs(predicted)
     if not abs(ratio - 1.0) > CHANGED + 3.0 * noise:
         return
-    looks = likely_mistake(ratio, CHANGED, OUTPUT_MISTAKES)
-    text = (
-        f"output {main} contradicts the static sensitivity at {outputs.phasors.frequency_hz[line]:.6g} Hz: it is "
-        f"{abs(ratio):.3g} times as large as the load {LOAD_COMPONENTS[component]} would make it, turned by "
-        f"{np.angle(ratio):.3g} rad" + (f", as if {looks}" if looks else "")
-    )
-    keys = (
+    mistake = likely_mistake(ratio, CHANGED, OUTPUT_MISTAKES)
+    text = f"{main} is {abs(ratio):.3g} times as large, turned by {np.angle(ratio):.3g} rad"
+    text += f", as if {mistake}" if mistake else ""
+    checks = (
         "sensor.static_sensitivity, sensor.unit, sensor.sense and load.mass, scale, direction and response of channels"
     )
-    yield Notice("warning", f"{text}; check {keys}", "sensitivity")
+    frequency_hz = outputs.phasors.frequency_hz[line]
+    yield Notice(OUTPUT_CONTRADICTS, "sensitivity", frequency_hz=frequency_hz, outputs=text, checks=checks)
 
 
-# Whether the recording gives what it was made for.
+# Whether the recording has its result.
 
 
 NO_RESULT = "result"
-"""Where a notice belongs that names driven lines without a result; `shakercal run` then ends with exit status 1."""
+"""Where the notice `NO_RESULT_AT_LINES` belongs; `shakercal run` then ends with exit status 1."""
 
 
 def missing_result(inputs: Inputs, analysis: Analysis) -> Iterator[Notice]:
-    """Yield a warning that names the driven lines without a result, and why; none where all have one.
+    """Yield a warning with the driven lines without a result and the reason.
 
-    The result is the sensitivity to the driven load where outputs of a sensor were recorded, else the acceleration
-    along the driven component, or along any component where no direction is stated.
+    The result is the sensitivity to the driven load if outputs of a sensor were recorded. Otherwise it is the
+    acceleration along the driven component, or along any component without a stated direction.
     """
     driven, direction = np.asarray(inputs.lines.multiple) == 1, inputs.direction
     capacity = None if inputs.sensor is None else inputs.sensor.capacity
     component = None if direction is None else driven_component(direction, capacity)
     if inputs.outputs is not None:
-        what = "sensitivity" if component is None else f"sensitivity to the driven load {LOAD_COMPONENTS[component]}"
+        name = "sensitivity" if component is None else f"sensitivity to the driven load {LOAD_COMPONENTS[component]}"
         found = _with_sensitivity(inputs, analysis, component)
     else:
-        what = "acceleration" if component is None else f"acceleration along the driven {MOTION_COMPONENTS[component]}"
+        name = "acceleration" if component is None else f"acceleration along the driven {MOTION_COMPONENTS[component]}"
         found = np.any([_observed(a, component) for a in analysis.accelerations if a.source == "fused"], axis=0)
     lacking = driven & ~found
     if lacking.any():
-        hertz = ", ".join(f"{nominal:g}" for nominal in inputs.lines.nominal_hz[lacking])
-        where = f"{hertz} Hz ({int(np.sum(lacking))} of {int(np.sum(driven))} driven lines)"
-        yield Notice("warning", f"no {what} at {where}: {_why(inputs, analysis, component, lacking)}", NO_RESULT)
+        yield Notice(
+            NO_RESULT_AT_LINES,
+            NO_RESULT,
+            quantity=name,
+            frequencies=", ".join(f"{nominal:g}" for nominal in inputs.lines.nominal_hz[lacking]),
+            lost=int(np.sum(lacking)),
+            driven=int(np.sum(driven)),
+            reason=_describe_reason(inputs, analysis, component, lacking),
+        )
 
 
 def _observed(acceleration: Acceleration, component: int | None) -> BoolArray:
-    """At which lines (K,) a component of the acceleration, or any, is determined."""
     seen = acceleration.observed
     return np.asarray(seen.any(axis=1) if component is None else seen[:, component])
 
 
-def _main_output(sensor: Sensor, component: int, among: Sequence[str] | None = None) -> str | None:
-    """Return the output that belongs to a load, by the static matrix or else by its name; None where neither shows it.
+def _main_output(sensor: Sensor, component: int, recorded: Sequence[str] | None = None) -> str | None:
+    """Return the output that belongs to a load, or None.
 
-    `among`: outputs of which it is one, by default all of the sensor.
+    By the static matrix or its name. `recorded`: outputs to choose from, by default all of the sensor.
     """
-    chosen = [name in (sensor.channels if among is None else among) for name in sensor.channels]
+    chosen = [name in (sensor.channels if recorded is None else recorded) for name in sensor.channels]
     if sensor.static_sensitivity is not None:
         size = np.abs(np.array(sensor.static_sensitivity, dtype=np.float64)[:, component]) * chosen
         return sensor.channels[int(np.argmax(size))] if size.any() else None
@@ -498,7 +508,10 @@ def _main_output(sensor: Sensor, component: int, among: Sequence[str] | None = N
 
 
 def _with_sensitivity(inputs: Inputs, analysis: Analysis, component: int | None) -> BoolArray:
-    """At which lines (K,) the output that belongs to the driven load has a sensitivity, of unnamed ones any."""
+    """Return the lines (K,) at which the main output has a sensitivity.
+
+    Any output, if none is the main one.
+    """
     found = analysis.sensitivity
     if found is None or component is None or inputs.sensor is None:
         return np.zeros(1, dtype=np.bool_)
@@ -508,48 +521,59 @@ def _with_sensitivity(inputs: Inputs, analysis: Analysis, component: int | None)
     return np.asarray(finite[:, found.channels.index(main)] if main in found.channels else np.zeros(1, dtype=np.bool_))
 
 
-def _why(inputs: Inputs, analysis: Analysis, component: int | None, lacking: BoolArray) -> str:
-    """Say why some lines (K,) have no result: what is not stated, not observed, or contradicted."""
+def _describe_reason(inputs: Inputs, analysis: Analysis, component: int | None, lacking: BoolArray) -> str:
+    """Return the reason why some lines (K,) have no result."""
     if inputs.outputs is not None and component is None:
-        return "excitation.direction is not stated, so that no load counts as driven"
+        return "`excitation.direction` is not stated"
     if inputs.outputs is not None and inputs.body is None:
-        return "no [load] is stated, with whose mass the acceleration becomes a load"
-    load, told = analysis.load, list[str]()
+        return "[load] is not stated, so its mass is not known"
+    load, reasons = analysis.load, list[str]()
     for moved in (a for a in analysis.accelerations if a.source == "fused" and (load is None or a.body == "load")):
         observed, titles = moved.observed[lacking], ", ".join(moved.instruments)
         if moved.disputed is not None and moved.disputed[lacking].any():
-            told.append(f"the instruments of the {moved.body} ({titles}) contradict each other")
+            reasons.append(f"the instruments of the {moved.body} ({titles}) contradict each other")
         elif component is None or not observed[:, component].all():
-            names = [name for name, own in zip(MOTION_COMPONENTS, observed.T, strict=True) if own.all()]
+            names = [name for name, column in zip(MOTION_COMPONENTS, observed.T, strict=True) if column.all()]
             along = f"only {', '.join(names)}" if names else "no component"
             text = f"the readings of {titles} determine {along} of the {moved.body}"
             if not names:
-                text += " (a reading off the axis of the motion moves with rotations, too: more points separate them)"
+                text += " (more points would separate translation and rotation)"
             stated = ", ".join(f"{number:g}" for number in inputs.direction or ())
-            told.append(f"{text}, and excitation.direction is [{stated}]" if component is not None else text)
+            reasons.append(f"{text}, and excitation.direction is [{stated}]" if component is not None else text)
         elif load is not None and not load.observed[lacking, component].all():
-            hidden = ", ".join(n for n, own in zip(MOTION_COMPONENTS, observed.T, strict=True) if not own.all())
-            told.append(f"no instrument determines {hidden} of its motion, which may dominate the load")
+            hidden = ", ".join(n for n, column in zip(MOTION_COMPONENTS, observed.T, strict=True) if not column.all())
+            reasons.append(f"no instrument determines {hidden} of its motion, which may dominate the load")
     if inputs.outputs is not None and load is None:
-        told = ["no instrument measures the motion of the load", *told]
-    if not told and inputs.sensor is not None and component is not None:
-        told = [f"its output {_main_output(inputs.sensor, component) or ''} is not recorded, or has no value"]
-    return "; ".join(told)
+        reasons = ["no instrument measures the motion of the load", *reasons]
+    if not reasons and inputs.sensor is not None and component is not None:
+        reasons = [f"its output {_main_output(inputs.sensor, component) or ''} is not recorded, or has no value"]
+    return "; ".join(reasons)
 
 
-# What one evaluated recording consists of: the tree handed to the result writers and the report.
+# The result tree of one recording, for result files and report.
 
 
 @dataclass(frozen=True)
 class Evaluation:
-    """Everything one recording yields.
+    """All results of one recording.
 
-    `accelerations`: one entry per body and source (`fused` first). `load`: wrench phasors at the sensor origin, N and
-    N.m, with the manifest's sense. `outputs`: of the sensor. `sensitivity`: ratios; `element`: the sensor's elements
-    under the driven load, where its matrix is known. `points`: vibrometer points that look along one direction.
-    `monte_carlo`: where it was asked for. `set_ups`: what ties them, none for one alone. `supports`: what carries
-    cameras and lasers and has a reference at rest. `settings`, `versions`,
-    `input_hashes` (file -> SHA-256) say what was run on what.
+    Attributes
+    ----------
+    manifest : the manifest of the recording.
+    lines : the lines with their frequencies.
+    clocks, channels, stereo : results of DAQ blocks, channels and stereo pairs.
+    accelerations : one entry per body and source, `fused` first.
+    load : wrench phasors at the sensor origin in N and N.m, with the manifest's sense; None without a load.
+    outputs : outputs of the sensor.
+    sensitivity : ratios of outputs to the driven load.
+    notices : notices of all stages.
+    settings, versions, input_hashes : settings, program versions, and SHA-256 of each input file.
+    duration_s : duration of the evaluation, s.
+    set_ups : ties of sequential set-ups; empty for one.
+    points : vibrometer points along one direction.
+    monte_carlo : Monte Carlo results, if requested.
+    element : elements of the sensor under the driven load, if its matrix is stated.
+    supports : motion of supports with a reference at rest.
     """
 
     manifest: Manifest

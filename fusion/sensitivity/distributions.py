@@ -1,4 +1,4 @@
-"""What draws of complex quantities say, and whether first-order propagation of uncertainty says the same."""
+"""Distributions of complex quantities by Monte Carlo draws, compared with first-order propagation of uncertainty."""
 
 from __future__ import annotations
 
@@ -26,11 +26,11 @@ and phase of smaller values are no linear functions of it within their spread.""
 
 @dataclass(frozen=True)
 class RealSpread:
-    """Magnitude or phase of Q quantities at L lines: what the draws say, and what first-order propagation says.
+    """Magnitude or phase of Q quantities at L lines, by draws and by first-order propagation.
 
-    All (L, Q): `mean`, `u` (standard deviation) of the draws; `low`, `high`: their shortest 95 % interval (JCGM 101,
-    7.7), `u_end` the standard uncertainty of its ends because of the number of draws; `first_u`, `first_low`,
-    `first_high`: first-order u, and estimate ± k·u.
+    All (L, Q). `mean`, `u` (standard deviation) of the draws. `low`, `high`: their shortest 95 % interval (JCGM 101,
+    7.7); `u_end`: standard uncertainty of its ends by the number of draws. `first_u`, `first_low`, `first_high`:
+    first-order u, and estimate ± k·u.
     """
 
     mean: FloatArray
@@ -54,13 +54,19 @@ class RealSpread:
 
     @property
     def digits(self) -> IntArray:
-        """Return in how many significant digits (L, Q) of u the ends agree: 2, 1 or 0 (JCGM 101, 8.1.3)."""
-        apart = np.maximum(self.d_low, self.d_high)
-        return np.asarray(np.sum([apart <= tolerance(self.first_u, n) for n in range(1, DIGITS + 1)], axis=0))
+        """Return the number of significant digits (L, Q) of u in which the ends agree.
+
+        2, 1 or 0 (JCGM 101, 8.1.3).
+        """
+        distance = np.maximum(self.d_low, self.d_high)
+        return np.asarray(np.sum([distance <= tolerance(self.first_u, n) for n in range(1, DIGITS + 1)], axis=0))
 
     @property
     def rejected(self) -> BoolArray:
-        """Return (L, Q) whether the ends differ in the first digit of u, by more than the number of draws explains."""
+        """Return (L, Q) whether the ends differ in the first digit of u.
+
+        By more than the number of draws explains.
+        """
         return self._beyond(np.maximum(self.d_low, self.d_high))
 
     @property
@@ -75,10 +81,10 @@ class RealSpread:
 
 @dataclass(frozen=True)
 class FirstOrder:
-    """Q complex quantities at L lines as the evaluation has them, by first-order propagation of uncertainty.
+    """Q complex quantities at L lines with their first-order uncertainty.
 
-    `elements`, `unit` (Q names). `value` (L, Q), NaN where a line does not determine a quantity; `first_covariance`
-    (L, Q, 2, 2) of its (Re, Im), `first_region` (L, Q, 2, 2) the matrix of its 95 % region (`coverage.region_matrix`),
+    `elements`, `unit` (Q names). `value` (L, Q), NaN where a line does not determine a quantity. `first_covariance` (L,
+    Q, 2, 2) of its (Re, Im). `first_region` (L, Q, 2, 2): matrix of its 95 % region (`coverage.region_matrix`).
     `k_polar` (2, L, Q): coverage factors of magnitude and phase.
     """
 
@@ -93,27 +99,26 @@ class FirstOrder:
 
     def at(self, lines: IntArray, elements: IntArray) -> FirstOrder:
         """Return some of the elements at some of the lines, by their places."""
-        place = np.ix_(lines, elements)
+        index = np.ix_(lines, elements)
         return FirstOrder(
             self.name,
             self.frequency_hz[lines],
             tuple(self.elements[q] for q in elements),
             tuple(self.unit[q] for q in elements),
-            self.value[place],
-            self.first_covariance[place],
-            self.first_region[place],
+            self.value[index],
+            self.first_covariance[index],
+            self.first_region[index],
             self.k_polar[:, lines][:, :, elements],
         )
 
 
 @dataclass(frozen=True)
 class Propagated(FirstOrder):
-    """Q complex quantities at L lines, as N draws of everything uncertain spread them.
+    """Q complex quantities at L lines by N Monte Carlo draws.
 
-    `mean` (L, Q), `covariance` (L, Q, 2, 2) of the draws,
-    `factor` (L, Q): the ellipse (z - mean)ᵀ·covariance⁻¹·(z - mean) ≤ factor² holds 95 % of them (JCGM 102, 7.7.2).
-    `first_holds` (L, Q): share of the draws inside the stated region. `magnitude`, `phase` (rad,
-    within π of the value's phase): real quantities of the same draws.
+    `mean` (L, Q), `covariance` (L, Q, 2, 2) of the draws. `factor` (L, Q): the ellipse (z - mean)ᵀ·covariance⁻¹·(z -
+    mean) ≤ factor² contains 95 % of them (JCGM 102, 7.7.2). `first_holds` (L, Q): share of the draws inside the stated
+    region. `magnitude`, `phase` (rad, within π of the value's phase): real quantities of the same draws.
     """
 
     mean: ComplexArray
@@ -133,16 +138,19 @@ class Propagated(FirstOrder):
 
     @property
     def weak(self) -> BoolArray:
-        """Return (L, Q) which values are so small beside their ellipse that magnitude and phase say little."""
-        known = np.isfinite(self.first_covariance).all(axis=(-1, -2))
+        """Return (L, Q) which values are too small for a significant magnitude and phase.
+
+        Relative to their ellipse.
+        """
+        finite = np.isfinite(self.first_covariance).all(axis=(-1, -2))
         longest = np.full(self.value.shape, np.nan)
-        longest[known] = np.sqrt(np.linalg.eigvalsh(self.first_covariance[known])[:, -1])
+        longest[finite] = np.sqrt(np.linalg.eigvalsh(self.first_covariance[finite])[:, -1])
         return np.asarray(np.abs(self.value) < WEAK * longest)
 
     def rejected_parts(self, draws: int, line: int, element: int, *, too_small: bool = False) -> tuple[str, ...]:
-        """Return what of one quantity first-order propagation gets wrong: "region", "magnitude", "phase".
+        """Return the parts of a quantity for which first-order propagation is wrong.
 
-        `too_small`: only that whose first-order U does not cover what it should.
+        "region", "magnitude", "phase". `too_small`: only those that first-order U does not cover.
         """
         chance = SIGNIFICANT * np.sqrt(COVERAGE * (1.0 - COVERAGE) / draws)
         missing = COVERAGE - float(self.first_holds[line, element])
@@ -168,16 +176,16 @@ class MonteCarlo:
 
 
 def summarise(first: FirstOrder, draws: ComplexArray) -> Propagated:
-    """Return what N draws (N, L, Q) of quantities say beside their first-order propagation."""
+    """Return statistics of N draws (N, L, Q) together with first-order propagation."""
 
     mean = draws.mean(axis=0)
     parts = np.stack([(draws - mean).real, (draws - mean).imag], axis=-1)
     covariance = np.asarray(np.einsum("nlqi,nlqj->lqij", parts, parts) / (len(draws) - 1))
     factor = np.sqrt(np.quantile(_distance(draws - mean, covariance), COVERAGE, axis=0))
     inside = _distance(draws - first.value, first.first_region) <= 1.0
-    known = np.isfinite(mean) & np.isfinite(first.value)
+    finite = np.isfinite(mean) & np.isfinite(first.value)
     size = np.abs(first.value)
-    turned = np.angle(draws * np.conj(first.value)) + np.angle(first.value)
+    angle = np.angle(draws * np.conj(first.value)) + np.angle(first.value)
     # First-order standard uncertainties of magnitude and phase (JCGM 102, 9.4).
     unit = np.divide(first.value, size, out=np.full(size.shape, complex(np.nan, np.nan)), where=size > 0.0)
     along, across = (
@@ -190,23 +198,26 @@ def summarise(first: FirstOrder, draws: ComplexArray) -> Propagated:
         mean=mean,
         covariance=covariance,
         factor=factor,
-        first_holds=np.where(known, inside.mean(axis=0), np.nan),
+        first_holds=np.where(finite, inside.mean(axis=0), np.nan),
         magnitude=_spread(np.abs(draws), size, along, k_magnitude),
-        phase=_spread(np.where(np.isfinite(draws), turned, np.nan), np.angle(first.value), across / size, k_phase),
+        phase=_spread(np.where(np.isfinite(draws), angle, np.nan), np.angle(first.value), across / size, k_phase),
     )
 
 
 def _distance(difference: ComplexArray, covariance: FloatArray) -> FloatArray:
-    """Squared Mahalanobis distance (N, L, Q); of a covariance without an inverse that along what it has."""
+    """Return squared Mahalanobis distances (N, L, Q).
+
+    For a covariance without an inverse, along the directions that it has.
+    """
     inverse = np.full(covariance.shape, np.nan)
-    known = np.isfinite(covariance).all(axis=(-1, -2))
-    inverse[known] = np.linalg.pinv(covariance[known], hermitian=True)
+    finite = np.isfinite(covariance).all(axis=(-1, -2))
+    inverse[finite] = np.linalg.pinv(covariance[finite], hermitian=True)
     re, im = difference.real, difference.imag
     return np.asarray(inverse[..., 0, 0] * re**2 + 2.0 * inverse[..., 0, 1] * re * im + inverse[..., 1, 1] * im**2)
 
 
 def _spread(draws: FloatArray, estimate: FloatArray, u: FloatArray, k: FloatArray) -> RealSpread:
-    """Statistics of real draws (N, L, Q) beside an estimate with first-order u and coverage factor k."""
+    """Return statistics of real draws (N, L, Q) for an estimate with u and k."""
     low, high = shortest_interval(draws)
     parts = [np.stack(shortest_interval(part)) for part in np.array_split(draws, BATCHES)]
     # The place of a shortest interval converges with the cube root of the number of draws (Andrews et al. 1972).
@@ -224,7 +235,10 @@ def _spread(draws: FloatArray, estimate: FloatArray, u: FloatArray, k: FloatArra
 
 
 def shortest_interval(draws: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return the ends of the shortest interval that holds 95 % of draws (N, ...) (JCGM 101, 7.7.4 and 5.3.4)."""
+    """Return the ends of the shortest interval with 95 % of draws (N, ...).
+
+    JCGM 101, 7.7.4 and 5.3.4.
+    """
     ordered = np.sort(draws, axis=0)
     inside = int(COVERAGE * len(ordered) + 0.5)
     first = np.argmin(np.nan_to_num(ordered[inside:] - ordered[:-inside]), axis=0)[None]
@@ -233,14 +247,17 @@ def shortest_interval(draws: FloatArray) -> tuple[FloatArray, FloatArray]:
 
 
 def tolerance(u: FloatArray, digits: int) -> FloatArray:
-    """Return half a unit in the last of `digits` significant digits of standard uncertainties (JCGM 101, 7.9.2)."""
+    """Return half a unit of the last of `digits` significant digits of u.
+
+    Numerical tolerance of JCGM 101, 7.9.2.
+    """
     usable = np.isfinite(u) & (u > 0.0)
     power = np.floor(np.log10(np.where(usable, u, 1.0))) - (digits - 1)
     return np.where(usable, 0.5 * 10.0**power, np.nan)
 
 
 def judged(results: Sequence[Propagated], draws: int) -> tuple[tuple[str, ...], tuple[str, ...]]:
-    """Return the quantities whose first-order U is too small, and those where it is merely larger than need be."""
+    """Return the quantities whose first-order U is too small, and too large."""
     small: list[str] = []
     large: list[str] = []
     for result in results:

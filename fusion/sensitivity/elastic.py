@@ -1,8 +1,8 @@
-"""A load that is not rigid: natural modes of rods and plates on the sensor, and what they do.
+"""Elastic load: natural modes of rods and plates on the sensor, and their effects.
 
-Modes are those of the load with its foot held. Where the foot moves by A, a mode of natural frequency f_i, damping
-ratio ζ and participation L_i (6,) moves by φ_i·G·L_iᵀ·A with G = r²/(1 - r² + 2jζr), r = f/f_i, and the foot carries
-L_i·G·L_iᵀ·A beside the load's rigid inertia (Craig and Bampton 1968, AIAA Journal 6, 1313; modal mass 1).
+The modes are those of the load with its foot clamped. If the foot moves by A, a mode of natural frequency f_i, damping
+ratio ζ and participation L_i (6,) moves by φ_i·G·L_iᵀ·A, with G = r²/(1 - r² + 2jζr) and r = f/f_i. The foot carries
+L_i·G·L_iᵀ·A in addition to the load's rigid inertia (Craig and Bampton 1968, AIAA Journal 6, 1313; modal mass 1).
 """
 
 from __future__ import annotations
@@ -18,11 +18,14 @@ from fusion.instruments.transducer import perpendicular_axes
 from shaker.arrays import ComplexArray, FloatArray, IntArray
 
 ONLY_NAMED = 1.0 / np.sqrt(3.0)
-"""Standard uncertainty of an effect between nothing and the whole, or its opposite, over the whole."""
+"""Standard uncertainty of an effect uniform between plus and minus the whole, over the whole."""
 
 
 def response(frequency_hz: FloatArray, natural_hz: FloatArray, damping: FloatArray | float) -> ComplexArray:
-    """Return (K, N): motion of modes in proportion to that of their foot, G = r²/(1 - r² + 2jζr)."""
+    """Return the motion (K, N) of modes over that of their foot.
+
+    G = r²/(1 - r² + 2jζr).
+    """
     r = frequency_hz[:, None] / natural_hz
     return np.asarray(r * r / (1.0 - r * r + 2j * damping * r))
 
@@ -32,7 +35,10 @@ def response(frequency_hz: FloatArray, natural_hz: FloatArray, damping: FloatArr
 
 @dataclass(frozen=True)
 class InstrumentPosition:
-    """Where an instrument sits on the load: `name` of its channel or stereo pair, `point_m` (3,)."""
+    """Position of an instrument on the load.
+
+    `name` of its channel or stereo pair, `point_m` (3,).
+    """
 
     name: str
     point_m: FloatArray
@@ -40,11 +46,11 @@ class InstrumentPosition:
 
 @dataclass(frozen=True)
 class MeasuredModes:
-    """What a stereo `pair` saw of the M modes `which` of a load at the K lines of a recording.
+    """Measured responses of M modes at the K lines of a recording.
 
-    `response` (K, M): motion of the modes in proportion to that of their foot; `gain` (K, 2M, 2M): its weight in the
-    mean with the stated one, of all real and all imaginary parts; `share` (M, 6): rigid motion of the sensor origin
-    that a unit of each mode puts into that of the pair.
+    `pair`: stereo pair that measures the modes `which`. `response` (K, M): motion of the modes over that of their foot.
+    `gain` (K, 2M, 2M): its weight in the mean with the stated one, of all real and all imaginary parts. `share` (M, 6):
+    rigid motion of the sensor origin that a unit of each mode adds to the motion measured by the pair.
     """
 
     pair: str
@@ -63,11 +69,11 @@ class MeasuredModes:
 
 @dataclass(frozen=True)
 class NaturalModes:
-    """N natural modes of a load whose foot is held, for a modal mass of 1 kg.
+    """N natural modes of a load with clamped foot, of modal mass 1 kg.
 
-    `frequency_hz`, `damping` (N,); `participation` (N, 6): what the foot feels of a unit acceleration of each mode, as
-    a wrench at the sensor origin; `motion` of a place: (N, 6) its displacement and its rotation. `measured`: what is
-    known of some of them at the lines of a recording, at which alone they are then asked for.
+    `frequency_hz`, `damping` (N,). `participation` (N, 6): wrench at the sensor origin for a unit acceleration of each
+    mode. `motion` of a position: (N, 6), its displacement and rotation. `measured`: measured responses of some modes at
+    the lines of a recording; only these lines can then be evaluated.
     """
 
     frequency_hz: FloatArray
@@ -84,18 +90,21 @@ class NaturalModes:
         return moved
 
     def wrench(self, frequency_hz: FloatArray) -> ComplexArray:
-        """Return (K, 6, 6): load beside that of the rigid body = matrix · acceleration of the foot."""
+        """Return matrices (K, 6, 6) from the acceleration of the foot to the elastic load.
+
+        The elastic load adds to that of the rigid body.
+        """
         moved = self.moved(frequency_hz)
         return np.asarray(np.einsum("kn,ni,nj->kij", moved, self.participation, self.participation))
 
     def stretch(self, frequency_hz: FloatArray, position: InstrumentPosition) -> ComplexArray:
-        """Return (K, 6, 6): what a place moves beside its foot = matrix · acceleration of the foot.
+        """Return matrices (K, 6, 6) of the motion of a position relative to the foot.
 
-        As that motion of the sensor origin which a rigid body would have: an instrument's rows act on it as they do on
-        the foot's.
+        They act on the acceleration of the foot. The motion is expressed as that of the sensor origin of a rigid body,
+        so that the rows of an instrument apply to it.
         """
-        own = self.motion(position)
-        about = np.concatenate([own[:, :3] - np.cross(own[:, 3:], position.point_m), own[:, 3:]], axis=1)
+        motion = self.motion(position)
+        about = np.concatenate([motion[:, :3] - np.cross(motion[:, 3:], position.point_m), motion[:, 3:]], axis=1)
         for measured in self.measured:
             if measured.pair == position.name:
                 about[measured.which] = measured.share
@@ -109,7 +118,7 @@ def join_modes(families: Sequence[NaturalModes]) -> NaturalModes:
         np.concatenate([family.frequency_hz for family in families]),
         np.concatenate([family.damping for family in families]),
         np.concatenate([family.participation for family in families]),
-        motion=lambda place: np.concatenate([family.motion(place) for family in families]),
+        motion=lambda position: np.concatenate([family.motion(position) for family in families]),
     )
 
 
@@ -118,7 +127,7 @@ ModalQuantity = Callable[[NaturalModes], ComplexArray]
 
 @dataclass(frozen=True)
 class Variant:
-    """An uncertain number behind the modes: its name and label, and the modes one standard uncertainty to each side."""
+    """An uncertain number of the modes, with the modes one standard uncertainty above and below."""
 
     name: str
     label: str
@@ -131,10 +140,10 @@ class Variant:
 
 @dataclass(frozen=True)
 class ElasticPart:
-    """What is elastic of a load: its `modes`, and what is uncertain of them.
+    """An elastic part of a load: its `modes` and their uncertain numbers.
 
-    Without `variants` it is only named: nothing is corrected, and the whole of what a correction would change is
-    uncertain, as one unknown. `mass_kg` of what bends, None where a table tells only its modes.
+    Without `variants` the part is only named: the result is not corrected, and the whole correction is uncertain as one
+    unknown. `mass_kg`: of the bending part, None if a table states only its modes.
     """
 
     name: str
@@ -143,14 +152,17 @@ class ElasticPart:
     mass_kg: float | None = None
 
     def act(self, quantity: ModalQuantity) -> ComplexArray:
-        """Return what the modes do to some quantity, in so far as it is corrected for them."""
+        """Return the correction of a quantity for the modes.
+
+        Zero for a part that is only named.
+        """
         whole = quantity(self.modes)
         return whole if self.variants else np.zeros_like(whole)
 
     def changes(self, quantity: ModalQuantity) -> tuple[Unknown[ComplexArray], ...]:
-        """Return what one standard uncertainty of each unknown changes of some quantity.
+        """Return the changes of a quantity per standard uncertainty of each unknown.
 
-        Rows of instruments and load are such quantities: the same names act on both.
+        Rows of instruments and load are such quantities; equal names act on both.
         """
         if not self.variants:
             title, whole = f"elastic {self.name}", quantity(self.modes) * ONLY_NAMED
@@ -175,7 +187,7 @@ Rows = Sequence[tuple[float | FloatArray, FloatArray]]
 
 
 def polynomials(at: FloatArray) -> FloatArray:
-    """Return s·P(2s - 1) (Q, TERMS) at places s from 0, the clamp, to 1, the end."""
+    """Return s·P(2s - 1) (Q, TERMS) from s = 0, the clamp, to 1."""
     return np.asarray(at[:, None] * legendre.legvander(2.0 * at - 1.0, TERMS - 1))
 
 
@@ -185,9 +197,10 @@ SLOPE = VALUE / AT[:, None] + 2.0 * AT[:, None] * legendre.legval(NODES, legendr
 
 
 def ritz(strains: Rows, masses: Rows) -> tuple[FloatArray, FloatArray]:
-    """Return natural frequencies (N,) in Hz and coefficients (N, P) of modes whose modal mass is 1.
+    """Return natural frequencies (N,) in Hz and coefficients (N, P) of modes.
 
-    `strains`, `masses`: moduli and masses per unit of s, numbers or (Q,), with the rows (Q, P) that they belong to.
+    Their modal mass is 1. `strains`, `masses`: moduli and masses per unit of s, numbers or (Q,), with their rows (Q,
+    P).
     """
     from scipy.linalg import eigh
 
@@ -200,9 +213,9 @@ def ritz(strains: Rows, masses: Rows) -> tuple[FloatArray, FloatArray]:
 
 @dataclass(frozen=True)
 class Rod:
-    """A round rod or tube on its foot, by drawing; `axis` (3,), of length 1, from the foot at `foot_m` to the free end.
+    """A round rod or tube on its foot, by drawing.
 
-    `tip_mass_kg`: a point mass on that end.
+    `axis` (3,): unit vector from the foot at `foot_m` to the free end. `tip_mass_kg`: a point mass on that end.
     """
 
     foot_m: FloatArray
@@ -223,7 +236,7 @@ class Rod:
 
     @property
     def mass_kg(self) -> float:
-        """Mass of the rod with what stands on its end."""
+        """Mass of the rod with its tip mass."""
         return self.density_kgpm3 * self._section[0] * self.length_m + self.tip_mass_kg
 
     def families(self) -> dict[str, NaturalModes]:
@@ -237,7 +250,7 @@ class Rod:
         value, slope = VALUE, SLOPE / self.length_m
         none, along = np.zeros_like(value), self.length_m * self.young_modulus_pa
         inertia, twist = self.length_m * self.density_kgpm3, 2.0 * second
-        # The mass at the end, as if it were everywhere what it is there.
+        # The mass at the end, distributed as its value at the end.
         end = np.repeat(polynomials(np.ones(1)), len(AT), axis=0)
         axial = ritz(
             [(along * area, slope)],
@@ -266,7 +279,7 @@ class Rod:
     def _modes(
         self, frequency_hz: FloatArray, coefficients: FloatArray, shift: FloatArray, turn: FloatArray
     ) -> NaturalModes:
-        """Return modes of which one field moves sections along `shift` (3,) and one turns them about `turn` (3,)."""
+        """Return modes of two fields: sections move along `shift` (3,) and turn about `turn` (3,)."""
         area, second = self._section
         # About a diameter the section has its second moment once, about the axis twice.
         second = second * (1.0 if np.any(shift) else 2.0)
@@ -275,12 +288,12 @@ class Rod:
             value = polynomials(at).T
             return coefficients[:, :TERMS] @ value, coefficients[:, TERMS:] @ value
 
-        def motion(place: InstrumentPosition) -> FloatArray:
-            offset = place.point_m - self.foot_m
+        def motion(position: InstrumentPosition) -> FloatArray:
+            offset = position.point_m - self.foot_m
             at = float(np.clip(offset @ self.axis / self.length_m, 0.0, 1.0))
             displacement, rotation = fields(np.array([at]))
-            beside = np.cross(turn, offset - at * self.length_m * self.axis)
-            return np.hstack([displacement * shift + rotation * beside, rotation * turn])
+            off_axis = np.cross(turn, offset - at * self.length_m * self.axis)
+            return np.hstack([displacement * shift + rotation * off_axis, rotation * turn])
 
         (displacement, rotation), tip = fields(AT), fields(np.ones(1))[0] * self.tip_mass_kg
         line = self.density_kgpm3 * self.length_m * SHARE
@@ -294,9 +307,9 @@ class Rod:
 
 @dataclass(frozen=True)
 class Plate:
-    """A round plate, held within `clamped_diameter_m` about its middle `foot_m` (3,), free at its rim; `axis` normal.
+    """A round plate clamped within `clamped_diameter_m` about its middle `foot_m` (3,), with a free rim.
 
-    It bends by Mindlin's theory; in its plane it is rigid.
+    `axis`: its normal. It bends by Mindlin's theory and is rigid in its plane.
     """
 
     foot_m: FloatArray
@@ -315,14 +328,17 @@ class Plate:
 
     @property
     def _rim(self) -> tuple[float, float]:
-        """Radius of the clamp, and the logarithm of that of the rim over it, by which s counts radii."""
+        """Radius of the clamp, and the logarithm of the rim's radius over it.
+
+        The unit of s.
+        """
         return self.clamped_diameter_m / 2.0, float(np.log(self.diameter_m / self.clamped_diameter_m))
 
     def families(self) -> dict[str, NaturalModes]:
-        """Return modes without a nodal diameter, which an axial motion drives, and with one, which tilts drive.
+        """Return modes without a nodal diameter, driven axially, and with one, driven by tilts.
 
-        Fields over the radius: deflection W, slopes P along and Q across it; deflection W cos nφ, slopes P cos nφ and
-        Q sin nφ.
+        Fields over the radius: deflection W, slopes P along and Q across it; deflection W cos nφ, slopes P cos nφ and Q
+        sin nφ.
         """
         (clamp, width), h, nu = self._rim, self.thickness_m, self.poisson_ratio
         stiffness = self.young_modulus_pa * h**3 / (12.0 * (1.0 - nu**2))
@@ -347,23 +363,26 @@ class Plate:
             sizes = (ring * self.density_kgpm3 * size for size in (h, h**3 / 12.0, h**3 / 12.0))
             masses = list(zip(sizes, rows, strict=True))
             # Without a nodal diameter Q, a turning about the axis, is no bending.
-            kept = slice(0, (2 + n) * TERMS)
+            lowest = slice(0, (2 + n) * TERMS)
             natural, coefficients = ritz(
-                *([(size, row[:, kept]) for size, row in terms] for terms in (strains, masses))
+                *([(size, row[:, lowest]) for size, row in terms] for terms in (strains, masses))
             )
             fields = np.zeros((len(natural), 3, TERMS))
-            fields.reshape(len(natural), -1)[:, kept] = coefficients
+            fields.reshape(len(natural), -1)[:, lowest] = coefficients
             found[n] = join_modes(
                 [self._modes(natural, fields, n, side) for side in perpendicular_axes(self.axis)[: n + 1]]
             )
         return {"axial": found[0], "bending": found[1]}
 
     def _modes(self, frequency_hz: FloatArray, fields: FloatArray, n: int, side: FloatArray) -> NaturalModes:
-        """Return modes by their `fields` (N, 3, TERMS); those of one nodal diameter are largest at a `side`."""
+        """Return modes by their `fields` (N, 3, TERMS).
+
+        Modes of one nodal diameter are largest at a `side`.
+        """
         (clamp, width), h = self._rim, self.thickness_m
 
-        def motion(place: InstrumentPosition) -> FloatArray:
-            offset = place.point_m - self.foot_m
+        def motion(position: InstrumentPosition) -> FloatArray:
+            offset = position.point_m - self.foot_m
             flat = offset - (offset @ self.axis) * self.axis
             distance = float(np.linalg.norm(flat))
             out = flat / distance if distance > 0.0 else side
@@ -372,9 +391,9 @@ class Plate:
             # cos nφ and sin nφ of the angle from `side`, which is 0 on the axis.
             cosine, sine = (float(out @ side), float(-around @ side)) if n else (1.0, 0.0)
             deflection, along, across_it = (fields @ polynomials(np.log([radius / clamp]) / width)[0]).T[:, :, None]
-            turned = np.cross(along * cosine * out + across_it * sine * around, self.axis)
-            shift = deflection * cosine * self.axis + np.cross(turned, offset - radius * out)
-            return np.hstack([shift, turned])
+            rotation = np.cross(along * cosine * out + across_it * sine * around, self.axis)
+            shift = deflection * cosine * self.axis + np.cross(rotation, offset - radius * out)
+            return np.hstack([shift, rotation])
 
         deflection, along, across_it = (fields @ VALUE.T).swapaxes(0, 1)
         radius = clamp * np.exp(AT * width)

@@ -1,4 +1,4 @@
-"""Which unknowns of a result rest on which certificates and files, so that results can tell what they share."""
+"""Certificates and files behind the unknowns of a result, by which results share unknowns."""
 
 from __future__ import annotations
 
@@ -21,11 +21,11 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class InputEvidence:
-    """An unknown of the rig, and what states it: a certificate by its number, a file by its SHA-256, both or neither.
+    """An unknown of the rig and its source: a certificate, a file, both or neither.
 
-    `unknown`: its name; `of`: what it is of, whatever its part or channel is called, such as `mass`; `value` as
-    stated, NaN where no one number is; `u` in `unit`: its standard uncertainty; `certificate`, `laboratory`, `sha256`:
-    empty where there is none; `input`: file and key that name it.
+    `unknown`: its name. `of`: quantity, whatever its part or channel is called, such as `mass`. `value`: as stated, NaN
+    without a single number; `u` in `unit`: its standard uncertainty. `certificate`, `laboratory`, `sha256`: empty where
+    there is none. `input`: file and key.
     """
 
     unknown: str
@@ -40,17 +40,17 @@ class InputEvidence:
 
     @property
     def proven(self) -> bool:
-        """Whether anything but a name says which input it is."""
+        """Whether a certificate or a file identifies the input."""
         return bool(self.certificate or self.sha256)
 
 
 def find_evidence(
     manifest: Manifest, influences: Iterable[Influence], hashes: Mapping[str, str]
 ) -> tuple[InputEvidence, ...]:
-    """Return what the manifests say of the inputs that hold as long as the rig; `hashes`: of all input files.
+    """Return the sources of all inputs with the scope of the rig.
 
-    What is mounted or recorded anew is no other result's, whatever certificate it has. An input without any evidence
-    has a row that says so.
+    `hashes`: of all input files. Unknowns of one mounting or recording belong to no other result, whatever their
+    certificate. An input without a source has a row without certificate and hash.
     """
     unknowns = {influence.name: influence for influence in influences if influence.scope == "rig"}
     inputs = {item.key.removesuffix("_uncertainty"): item for item in manifest.inputs}
@@ -64,29 +64,29 @@ def find_evidence(
         value = item.value if item is not None and is_number(item.value) else np.nan
         file = path if item is None else item.file
         for name in (name for name in unknowns if name == stem or name.startswith(f"{stem} ")):
-            own = unknowns[name]
+            unknown = unknowns[name]
             of, where = what + name[len(stem) :], f"{file.name if file else ''}: {key}"
-            row = InputEvidence(name, of, float(value), own.u, own.unit, number, laboratory, digest, where)
+            row = InputEvidence(name, of, float(value), unknown.u, unknown.unit, number, laboratory, digest, where)
             found.setdefault((name, number, laboratory, digest), row)
     proven = {row.unknown for row in found.values() if row.proven}
     return tuple(row for row in found.values() if row.proven or row.unknown not in proven)
 
 
 def _source(item: UncertainInput | None) -> tuple[str, str]:
-    """Number of the certificate and laboratory of an input, empty where they are not stated."""
+    """Return the number of the certificate and laboratory of an input, or empty texts."""
     stated = None if item is None else item.stated
     return ("", "") if stated is None else (" ".join(stated.certificate.split()), stated.laboratory)
 
 
 def _digest(manifest: Manifest, path: Path, hashes: Mapping[str, str]) -> str:
-    """SHA-256 of an input file by its path, empty where it is not known."""
+    """Return the SHA-256 of an input file, or an empty text."""
     whole = path.resolve()
     inside = whole.relative_to(manifest.root) if whole.is_relative_to(manifest.root) else whole
     return hashes.get(inside.as_posix(), "")
 
 
 def _stems(manifest: Manifest) -> Iterator[tuple[str, str, str, Path | None]]:
-    """Yield the key of an input, how names of its unknowns begin, what they are of, and the file that states them."""
+    """Yield key, begin of unknown names, quantity and stating file of each input."""
     rig, keys = manifest.rig, {"load": "load.", "internal mass": "sensor.internal_"}
     for part in moving_parts(rig, manifest.part):
         key = keys.get(part.name, f"part.{quote_key(part.name)}.")

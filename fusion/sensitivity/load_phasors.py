@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TYPE_CHECKING
@@ -25,6 +25,16 @@ from fusion.estimation.uncertainty import (
     total_variance,
 )
 from fusion.sensitivity.moving_body import Body
+from fusion.sensitivity.sensitivity_notices import (
+    DRAWING_TOO_HEAVY,
+    ELASTIC_CORRECTED,
+    ELASTIC_ONLY_NAMED,
+    LOAD_MAY_DEFORM,
+    LOAD_UNDETERMINED,
+    NEAR_RESONANCE,
+    UNOBSERVED_MOTION_ASSUMED,
+    UNOBSERVED_MOTION_LARGE,
+)
 from photogram.geometry import skew
 from shaker.arrays import BoolArray, ComplexArray, FloatArray, brief, check_shape, check_shapes
 from shaker.labels import LOAD_COMPONENTS, LOAD_UNITS, MOTION_COMPONENTS
@@ -38,26 +48,32 @@ if TYPE_CHECKING:
 
 
 UNOBSERVED_LIMIT = 0.05
-"""Largest relative standard uncertainty that unobserved components may bring to a load component that is given.
+"""Largest relative standard uncertainty of a load component by unobserved motion.
 
-Half of the usual 10 %: given is what the geometry keeps half of that motion away from. What is given has it in U.
+Half of the usual 10 %: the geometry must exclude half of that motion. U includes the rest.
 """
 MATTERS = 0.1
-"""Share of the variance from which on an assumption about motion that nobody observed deserves a warning."""
+"""Share of the variance above which an assumption on unobserved motion is a warning (chosen)."""
 RIGID_ENOUGH = 1e-3
-"""Relative change of a load by what is elastic of it that needs no notice, unless U is as small."""
-HEAVIER = 1.02
-NEAR_RESONANCE = 0.2
+"""Relative elastic change of a load that is not reported, unless U is equally small (chosen)."""
+MAX_MASS_RATIO = 1.02
+"""Mass of an elastic part by its drawing over all moving mass: chosen as the tolerance of drawings."""
+RESONANCE_BAND = 0.2
+"""Relative distance from a natural frequency within which its damping determines the response."""
 
 
 @dataclass(frozen=True)
 class LoadResult:
     """Wrench phasors at the sensor origin in N and N.m, with the manifest's sense.
 
-    `value` (K, 6): the whole estimate, with components of the motion that nobody observed at zero; NaN at lines without
-    any reading. `uncertainty`: of all six, in which those components are contributions of their own. `observed` (K, 6):
-    which components are given as results, since the unobserved ones matter little to them. `both`: names of unknowns
-    that act on the load through the motion and by themselves, as what is elastic of it does; None where none does.
+    Attributes
+    ----------
+    frequency_hz : (K,), Hz.
+    value : (K, 6), whole estimate with unobserved components of the motion at zero; NaN at lines without a reading.
+    uncertainty : of all six components; unobserved motion is a separate contribution.
+    observed : (K, 6), components that are results because unobserved motion has little effect on them.
+    notices : notices of the load.
+    both : names of unknowns that act on the load through the motion and directly, such as elastic parts; None for none.
     """
 
     frequency_hz: FloatArray
@@ -76,7 +92,10 @@ class LoadResult:
 
     @cached_property
     def phasors(self) -> Phasors:
-        """Return the components that are given as results, NaN elsewhere; `dof` of the largest force of each line."""
+        """Return the components that are results, NaN elsewhere.
+
+        `dof`: of the largest force of each line.
+        """
         mask = ~np.tile(self.observed, (1, 2))
         covariance = np.where(mask[:, :, None] | mask[:, None, :], np.nan, self.uncertainty.covariance)
         value = np.where(self.observed, self.value, complex(np.nan, np.nan))
@@ -87,47 +106,49 @@ class LoadResult:
 
     @property
     def contributions(self) -> tuple[Contribution, ...]:
-        """Return the budget: one contribution per label; they add up to the covariance of `value`."""
+        """Return the budget, one contribution per label; they add up to the covariance of `value`."""
         return self.uncertainty.grouped()
 
     @cached_property
     def polar(self) -> list[list[Polar | None]]:
-        """Return the components (K lines of 6) as magnitude and phase, None where one is not given."""
+        """Return the components (K lines of 6) as magnitude and phase.
+
+        None where one is not a result.
+        """
         return polar_elements(self.phasors.value, self.uncertainty, self.phasors.covariance)
 
 
 def load_phasors(acceleration: Acceleration, body: Body) -> LoadResult:
-    """Return the wrench L = ±(M A + gravity tilt) at the sensor origin, positive in the body's sense.
+    """Return the wrench L = ±(M A + gravity tilt) at the sensor origin.
 
-    Its uncertainty is that of the acceleration carried through, and one influence per uncertain number of body, joint,
-    modes and gravity, (dM/dp · A) u(p). Acceleration components that no instrument observed are taken as zero within
-    the amplitudes of `acceleration.unseen`, a type B contribution "unobserved NAME"; a load component to which they
-    bring more than 5 % is not given. No load is given at lines at which a component of the acceleration is disputed.
+    It is positive in the body's sense. Its uncertainty is that of the acceleration, and one influence per uncertain
+    number of body, joint, modes and gravity, (dM/dp · A) u(p). Unobserved components of the acceleration are zero
+    within the amplitudes of `acceleration.unseen`, a type B contribution "unobserved NAME". A load component with more
+    than 5 % from these is not a result. Lines at which a component of the acceleration is disputed have no load.
     """
     frequency = acceleration.phasors.frequency_hz
-    # At a line without any reading nothing is known, neither what is zero nor how uncertain it is; nor is it where
-    # instruments dispute a component, which is neither zero nor small.
-    known_lines = np.any(acceleration.observed, axis=1)
+    # A line without a reading has neither a load nor an uncertainty, and neither has one with a disputed component.
+    determined = np.any(acceleration.observed, axis=1)
     if acceleration.disputed is not None:
-        known_lines = known_lines & ~np.any(acceleration.disputed, axis=1)
-    seen = np.where(known_lines, 1.0, np.nan)[:, None, None]
+        determined = determined & ~np.any(acceleration.disputed, axis=1)
+    seen = np.where(determined, 1.0, np.nan)[:, None, None]
     matrix = seen * body.load_matrix(frequency)
     changes = [replace(change, effect=seen * change.effect) for change in body.matrix_changes(frequency)]
-    known = np.nan_to_num(acceleration.phasors.value)
-    value = np.einsum("kij,kj->ki", matrix, known)
+    motion = np.nan_to_num(acceleration.phasors.value)
+    value = np.einsum("kij,kj->ki", matrix, motion)
     value = np.where(_reached(acceleration, matrix, changes), complex(np.nan, np.nan), value)
     hidden = _hidden_contributions(acceleration, matrix, changes)
     spread = np.sum([np.zeros(value.shape), *(total_variance(part.covariance) for part in hidden.values())], axis=0)
     observed = np.isfinite(value) & (np.sqrt(spread) <= UNOBSERVED_LIMIT * np.abs(value))
-    # What is not observed has contributions of its own, with what it does to the rest in them.
+    # Unobserved components are separate contributions, which include their effect on the others.
     others = tuple(part for part in acceleration.uncertainty.random if part.label not in UNOBSERVED_ITSELF)
     carried = replace(acceleration.uncertainty, random=others).nan_as_zero().transformed(real_design(matrix))
-    own = tuple(c.acting(real_stack(np.einsum("kij,kj->ki", c.effect, known))) for c in changes)
+    of_parameters = tuple(c.acting(real_stack(np.einsum("kij,kj->ki", c.effect, motion))) for c in changes)
     # What is elastic acts on instruments and load by one name.
-    total = Uncertainty((*carried.random, *hidden.values()), added_up((*carried.influences, *own)))
-    rigid = np.einsum("kij,kj->ki", seen * body.rigid.load_matrix(frequency), known)
+    total = Uncertainty((*carried.random, *hidden.values()), added_up((*carried.influences, *of_parameters)))
+    rigid = np.einsum("kij,kj->ki", seen * body.rigid.load_matrix(frequency), motion)
     moved = {influence.name for influence in carried.influences}
-    both = tuple(c.name for c in own if c.name in moved) or None
+    both = tuple(c.name for c in of_parameters if c.name in moved) or None
     result = LoadResult(frequency, value, total, observed, (), both)
     notices = (
         *_notices(acceleration, total, value, observed, hidden),
@@ -137,29 +158,30 @@ def load_phasors(acceleration: Acceleration, body: Body) -> LoadResult:
 
 
 def _reached(acceleration: Acceleration, matrix: ComplexArray, changes: Sequence[Unknown[ComplexArray]]) -> BoolArray:
-    """Return which components of the load (K, 6) a motion changes that nobody observes and nothing bounds."""
+    """Return the components of the load (K, 6) that unbounded motion changes."""
     unbounded = np.isinf(acceleration.unobserved_amplitude)[:, None, :]
-    ways = (matrix, *(change.effect for change in changes))
-    return np.asarray(np.any([np.any((way != 0.0) & unbounded, axis=2) for way in ways], axis=0))
+    matrices = (matrix, *(change.effect for change in changes))
+    return np.asarray(np.any([np.any((one != 0.0) & unbounded, axis=2) for one in matrices], axis=0))
 
 
 def _hidden_contributions(
     acceleration: Acceleration, matrix: ComplexArray, changes: Sequence[Unknown[ComplexArray]]
 ) -> dict[str, Contribution]:
-    """One type B contribution per component nobody observed; its real and imaginary parts are independent.
+    """Return one type B contribution per unobserved component.
 
-    What it adds to the load it takes from, or adds to, what instruments tell of other components, with sign.
+    Real and imaginary parts are independent. The effect on the load includes the change of observed components, with
+    sign.
     """
     amplitude = acceleration.unobserved_amplitude
     u = np.where(np.isinf(amplitude), 0.0, amplitude) / np.sqrt(2.0)
     # Through the uncertain parameters an unobserved component acts even where its coefficient is zero.
-    ways = np.stack([matrix, *(c.effect for c in changes)])
+    matrices = np.stack([matrix, *(c.effect for c in changes)])
     leaked = np.zeros((len(u), 12, 12)) if acceleration.leaked is None else real_design(matrix) @ acceleration.leaked
     hidden = {}
-    for place, (name, label) in enumerate(zip(MOTION_COMPONENTS, UNOBSERVED_ITSELF, strict=True)):
-        if np.any(u[:, place] > 0.0):
-            columns = real_design(ways[..., place, None]) * u[:, place, None, None]
-            columns[0] -= leaked[:, :, [place, place + 6]]
+    for index, (name, label) in enumerate(zip(MOTION_COMPONENTS, UNOBSERVED_ITSELF, strict=True)):
+        if np.any(u[:, index] > 0.0):
+            columns = real_design(matrices[..., index, None]) * u[:, index, None, None]
+            columns[0] -= leaked[:, :, [index, index + 6]]
             hidden[name] = Contribution(label, "B", np.einsum("wkia,wkja->kij", columns, columns))
     return hidden
 
@@ -171,49 +193,47 @@ def _notices(
     observed: BoolArray,
     hidden: Mapping[str, Contribution],
 ) -> tuple[Notice, ...]:
-    """Say what was assumed of motion that nobody observed, what that does, and which load components are not given."""
-    told = []
-    disputed = acceleration.disputed
-    if disputed is not None:
-        lines = np.count_nonzero(np.any(disputed, axis=1))
-        text = f"no load, and no sensitivity, at {lines} of {len(disputed)} lines: instruments contradict each other"
-        told.append(Notice("warning", f"{text} about the acceleration and nothing decides between them", "load"))
+    """Return notices of assumed unobserved motion and of undetermined load components."""
+    notices = []
     given = np.where(observed, np.abs(value) / np.where(np.arange(6) < 3, 1.0, BODY_SIZE_M), 0.0)
     line, largest = np.unravel_index(int(np.argmax(given)), given.shape)
     if hidden and given[line, largest] > 0.0:
         whole = float(total_variance(total.covariance)[line, largest])
-        # What reaches the load directly, and what uncertain directions let into the observed components.
-        ways = [*hidden.values(), *(part for part in total.random if part.label == UNOBSERVED)]
-        part = float(sum(total_variance(way.covariance)[line, largest] for way in ways))
+        # The direct effect on the load, and that through uncertain directions of observed components.
+        contributions = [*hidden.values(), *(part for part in total.random if part.label == UNOBSERVED)]
+        part = float(sum(total_variance(one.covariance)[line, largest] for one in contributions))
         if part > 0.0:
             share, size = part / whole, np.sqrt(part / 2.0) / np.abs(value[line, largest])
-            text = (
-                f"nothing measures {', '.join(hidden)} of the load at some lines: amplitudes up to "
-                f"{acceleration.unseen} are assumed ([shaker] states others){_driven(acceleration, int(line))}; they "
-                f"make u = {100.0 * size:.2g} % of {LOAD_COMPONENTS[largest]} at "
-                f"{acceleration.phasors.frequency_hz[line]:.6g} Hz, {share:.0%} of its variance"
-            )
-            told.append(Notice("warning" if share > MATTERS else "note", text, acceleration.body))
-    missing = [name for place, name in enumerate(LOAD_COMPONENTS) if not np.any(observed[:, place])]
+            declared = UNOBSERVED_MOTION_LARGE if share > MATTERS else UNOBSERVED_MOTION_ASSUMED
+            values = {
+                "components": ", ".join(hidden),
+                "limits": str(acceleration.unseen),
+                "driven": _describe_driven(acceleration, int(line)),
+                "u_percent": 100.0 * size,
+                "load": LOAD_COMPONENTS[largest],
+                "frequency_hz": acceleration.phasors.frequency_hz[line],
+                "share": share,
+            }
+            notices.append(Notice(declared, acceleration.body, **values))
+    missing = [name for index, name in enumerate(LOAD_COMPONENTS) if not np.any(observed[:, index])]
     if missing:
-        text = f"no value of {', '.join(missing)}: components of the motion that were not observed may dominate them"
-        told.append(Notice("note", text, "load"))
-    return tuple(told)
+        notices.append(Notice(LOAD_UNDETERMINED, "load", components=", ".join(missing)))
+    return tuple(notices)
 
 
-def _driven(acceleration: Acceleration, line: int) -> str:
-    """Say how far the drive itself moves what is not observed of it at a line; empty where that is nothing."""
+def _describe_driven(acceleration: Acceleration, line: int) -> str:
+    """Return the limits of the unobserved driven components at a line, as text."""
     drive, amplitude = acceleration.unseen.drive or (0.0,) * 6, acceleration.unobserved_amplitude[line]
     units = ("m/s^2",) * 3 + ("rad/s^2",) * 3
-    own = zip(MOTION_COMPONENTS, drive, amplitude.tolist(), units, strict=True)
-    parts = [f"{name} up to {size:.3g} {unit}" for name, part, size, unit in own if part and 0.0 < size < np.inf]
+    rows = zip(MOTION_COMPONENTS, drive, amplitude.tolist(), units, strict=True)
+    parts = [f"{name} up to {size:.3g} {unit}" for name, part, size, unit in rows if part and 0.0 < size < np.inf]
     return f", and by excitation.direction {', '.join(parts)}" if parts else ""
 
 
 def _elastic_notices(
     body: Body, frequency_hz: FloatArray, value: ComplexArray, rigid: ComplexArray
 ) -> tuple[Notice, ...]:
-    """Say what joint and modes do to the largest force, at the line where that is most, and what they cannot."""
+    """Return the effect of joint and modes on the largest force, at its largest change."""
     sizes = np.nan_to_num(np.abs(rigid))
     largest, lines = np.argmax(sizes[:, :3], axis=1), np.arange(len(value))
     before, after = sizes[lines, largest], np.abs(value)[lines, largest]
@@ -222,49 +242,48 @@ def _elastic_notices(
         return ()
     line = int(np.nanargmax(np.abs(change)))
     component = int(largest[line])
-    where, percent = f"{LOAD_COMPONENTS[component]} at {frequency_hz[line]:.6g} Hz", f"{100.0 * change[line]:+.2g} %"
-    told = []
+    corrected, named = list[str](), list[tuple[str, float]]()
     if body.joint is not None:
-        resonance, stated = body.joint.frequency_hz[component], body.joint.u_frequency_hz[component] > 0.0
-        joint = f"the load's joint ({resonance:.6g} Hz)"
-        if stated and not body.elastic:
-            told.append(f"{joint} changes {where} by {percent} from that of a rigid body")
-        elif not stated:
-            told.append(f"{joint} is only named: {where} is not corrected for it, U contains it")
-    bending = [part for part in body.elastic if part.variants]
-    if bending:
-        names = ", ".join(f"{part.name} ({part.modes.frequency_hz.min():.6g} Hz)" for part in bending)
-        told.append(
-            f"the load is elastic: {names}; accelerations of the load are those of its foot, and {where} differs by "
-            f"{percent} from that of a rigid body with that motion"
-        )
-    told += [
-        f"the elastic {part.name} of the load ({part.modes.frequency_hz.min():.6g} Hz) is stated without any "
-        "uncertainty, so it is only named: nothing is corrected for it, U contains it"
-        for part in body.elastic
-        if not part.variants
-    ]
-    notices = [Notice("note", text, "load") for text in told]
+        resonance, stated = float(body.joint.frequency_hz[component]), body.joint.u_frequency_hz[component] > 0.0
+        if not stated:
+            named.append(("joint of the load", resonance))
+        elif not body.elastic:
+            corrected.append(f"the joint of the load ({resonance:.6g} Hz)")
+    for part in body.elastic:
+        natural_hz = float(part.modes.frequency_hz.min())
+        if part.variants:
+            corrected.append(f"the elastic {part.name} ({natural_hz:.6g} Hz)")
+        else:
+            named.append((f"elastic {part.name} of the load", natural_hz))
+    notices = []
+    if corrected:
+        values = {
+            "load": LOAD_COMPONENTS[component],
+            "frequency_hz": frequency_hz[line],
+            "change_percent": 100.0 * change[line],
+        }
+        notices.append(Notice(ELASTIC_CORRECTED, "load", parts=", ".join(corrected), **values))
+    notices += [Notice(ELASTIC_ONLY_NAMED, "load", part=name, frequency_hz=hertz) for name, hertz in named]
+    return (*notices, *_part_notices(body, frequency_hz))
+
+
+def _part_notices(body: Body, frequency_hz: FloatArray) -> Iterator[Notice]:
+    """Yield warnings of elastic parts that are heavier than the load, or near resonance."""
     total = body.rigid.mass_matrix[0, 0]
     for part in body.elastic:
-        if part.mass_kg is not None and part.mass_kg > HEAVIER * total:
-            text = f"the elastic {part.name} weighs {part.mass_kg:.4g} kg by its drawing, all that moves {total:.4g} kg"
-            notices.append(Notice("warning", text, "load"))
-        near = np.abs(frequency_hz[:, None] / part.modes.frequency_hz - 1.0) < NEAR_RESONANCE
+        if part.mass_kg is not None and part.mass_kg > MAX_MASS_RATIO * total:
+            yield Notice(DRAWING_TOO_HEAVY, "load", part=part.name, mass_kg=part.mass_kg, total_kg=total)
+        near = np.abs(frequency_hz[:, None] / part.modes.frequency_hz - 1.0) < RESONANCE_BAND
         for k, mode in np.argwhere(near)[:1].tolist():
-            text = (
-                f"{frequency_hz[k]:.6g} Hz is near the natural frequency {part.modes.frequency_hz[mode]:.6g} Hz of the "
-                f"elastic {part.name}: there its damping decides, and U by first order may be too small"
-            )
-            notices.append(Notice("warning", text, "load"))
-    return tuple(notices)
+            values = {"frequency_hz": frequency_hz[k], "natural_hz": part.modes.frequency_hz[mode]}
+            yield Notice(NEAR_RESONANCE, "load", part=part.name, **values)
 
 
 def _rigidity_notices(body: Body, load: LoadResult) -> tuple[Notice, ...]:
-    """Say where a load of which nothing elastic is stated may not be rigid, by mass and size alone.
+    """Return a warning if a load without stated elasticity may not be rigid.
 
-    At the line where that matters most: where it changes the largest component by more than 0.1 %, or more than a third
-    of its U, unless U is ten times as large.
+    By its mass and size, at the line with the largest effect: more than 0.1 % of the largest component or more than a
+    third of its U, unless U is ten times as large.
     """
     if body.elastic or body.first_frequency_hz is not None:
         return ()
@@ -283,17 +302,36 @@ def _rigidity_notices(body: Body, load: LoadResult) -> tuple[Notice, ...]:
     if not np.any(matters):
         return ()
     line = int(np.argmax(np.where(matters, change, -1.0)))
-    natural_hz = float(f"{first[line]:.2g}")
-    text = (
-        f"the load may not be rigid at {load.frequency_hz[line]:.6g} Hz: a solid of its mass, centre of mass and "
-        f"inertia first resonates near {natural_hz:g} Hz, which changes {LOAD_COMPONENTS[largest[line]]} there by "
-        f"about {min(change[line], 1.0):.1%}; this is neither corrected nor in U. State [[load.elastic]], or "
-        "load.first_frequency to bound it"
-    )
-    return (Notice("warning", text, "load"),)
+    values = {
+        "frequency_hz": load.frequency_hz[line],
+        "natural_hz": float(f"{first[line]:.2g}"),
+        "load": LOAD_COMPONENTS[largest[line]],
+        "change": min(change[line], 1.0),
+    }
+    return (Notice(LOAD_MAY_DEFORM, "load", **values),)
 
 
-# What mass and size alone say of a load of which nothing elastic is stated.
+def describe_other_loads(load: LoadResult, component: int, capacity: Sequence[float] | None = None) -> str:
+    """Return the other loads at the strongest line, relative to `component`, as text.
+
+    Forces and moments are compared in shares of the rated `capacity` (6,) only.
+    """
+    rated = np.ones(6) if capacity is None else np.asarray(capacity)
+    given = np.abs(np.where(load.observed, load.value, np.nan)) / rated
+    if not np.any(given[:, component] > 0.0):
+        return "loads that are not known"
+    line = int(np.nanargmax(given[:, component]))
+    share = given[line] / given[line, component]
+    others = [
+        f"{LOAD_COMPONENTS[i]} {share[i]:.2%}"
+        for i in range(6)
+        if i != component and (capacity is not None or i // 3 == component // 3) and np.isfinite(share[i])
+    ]
+    basis = "" if capacity is None else ", in shares of the rated loads"
+    return f"{', '.join(others)} of {LOAD_COMPONENTS[component]}{basis}" if others else "loads that are not known"
+
+
+# Likely resonances of a load without stated elasticity, by its mass and size.
 
 
 SPEED_OF_SOUND_MPS = 5000.0
@@ -309,11 +347,11 @@ FREE_END = np.pi**2 / 24.0
 
 
 def likely_frequencies(mass_matrix: FloatArray) -> FloatArray:
-    """Return (6,): first natural frequencies, Hz, that a metal body of some mass matrix (6, 6) likely has on its foot.
+    """Return likely first natural frequencies (6,), in Hz, of a metal body.
 
-    The foot is taken at the sensor origin; the body reaches along each axis as far as centre of mass and moments of
-    inertia tell: |c| + √3·k, k² = ∫x² dm/m, exact for rods. Along the axes: f = c/(4·reach); bending of the reach j by
-    motion along i: f = 1.875²/(2π)·c·k_i/reach_j², and its shear, by Dunkerley's sum of 1/f².
+    By its mass matrix (6, 6), with the foot at the sensor origin. Centre of mass and moments of inertia give the reach
+    along each axis: |c| + √3·k, k² = ∫x² dm/m, exact for rods. Along the axes: f = c/(4·reach). Bending of the reach j
+    by motion along i: f = 1.875²/(2π)·c·k_i/reach_j², combined with shear by Dunkerley's sum of 1/f².
     """
     mass = mass_matrix[0, 0]
     lever = mass_matrix[3:, :3] / mass
@@ -335,18 +373,18 @@ def likely_frequencies(mass_matrix: FloatArray) -> FloatArray:
     return np.asarray(np.concatenate([shifts, turns]) ** -0.5)
 
 
-# The uncertainty budget: what each cause does to magnitude and phase of complex values, line by line.
+# The uncertainty budget: contribution of each cause to magnitude and phase, line by line.
 
 
 @dataclass(frozen=True)
 class BudgetEntry:
-    """What one cause contributes to C complex values at K lines; all entries of a budget are independent.
+    """Contribution of one cause to C complex values at K lines, independent of all others.
 
-    `label`, `type` A or B; `count`: how many unknowns stand behind it, 0 for noise. `u` in `unit`: standard uncertainty
-    of the unknown, NaN for noise and where unknowns of different uncertainty were put together. `coefficient` (2, K,
-    C): change of the relative magnitude and of the phase (rad) per unit of the unknown; for several unknowns of one
-    uncertainty the root of the sum of squares. `u_relative`, `u_phase_rad` (K, C): contribution to the standard
-    uncertainty of the relative magnitude and of the phase. `dof` (K,).
+    `label`, `type` A or B. `count`: number of unknowns, 0 for noise. `u` in `unit`: standard uncertainty of the
+    unknown, NaN for noise and for unknowns of different uncertainty. `coefficient` (2, K, C): change of the relative
+    magnitude and of the phase (rad) per unit of the unknown; for several unknowns of one uncertainty the root of the
+    sum of squares. `u_relative`, `u_phase_rad` (K, C): contribution to the standard uncertainty of the relative
+    magnitude and of the phase. `dof` (K,).
     """
 
     label: str
@@ -361,10 +399,10 @@ class BudgetEntry:
 
 
 def budget(uncertainty: Uncertainty, value: ComplexArray) -> tuple[BudgetEntry, ...]:
-    """Return the budget of complex values (K, C): one entry per label, in the order of their first appearance.
+    """Return the budget of complex values (K, C), one entry per label.
 
-    With dX/X = d ln|X| + j d arg X the contributions are those to X turned and divided by X (JCGM 102, 9.4). What an
-    unknown does on several ways (to outputs and load) has been added up in its effect before any square is taken.
+    In the order of first appearance. With dX/X = d ln|X| + j d arg X the contributions are those to X turned and
+    divided by X (JCGM 102, 9.4). Effects of one unknown through outputs and load are added before any square.
     """
     usable = np.isfinite(value) & (value != 0.0)
     turn = np.divide(1.0, value, out=np.full(value.shape, complex(np.nan, np.nan)), where=usable)
@@ -376,12 +414,12 @@ def budget(uncertainty: Uncertainty, value: ComplexArray) -> tuple[BudgetEntry, 
     for part in relative.grouped():
         variance = np.maximum(part.covariance.diagonal(axis1=1, axis2=2), 0.0)
         both = np.sqrt(variance).reshape(len(value), 2, -1).swapaxes(0, 1)
-        own = unknowns.get(part.label, [])
+        members = unknowns.get(part.label, [])
         # What the unknowns of one label have in common; one alone has a sign.
-        stated = {(influence.u, influence.unit) for influence in own}
+        stated = {(influence.u, influence.unit) for influence in members}
         u, unit = stated.pop() if len(stated) == 1 else (np.nan, "")
-        signed = own[0].effect.reshape(len(value), 2, -1).swapaxes(0, 1) if len(own) == 1 else both
+        signed = members[0].effect.reshape(len(value), 2, -1).swapaxes(0, 1) if len(members) == 1 else both
         coefficient = np.asarray(signed / u) if u > 0.0 else np.full(both.shape, np.nan)
         dof = np.full(len(value), np.inf) if part.dof is None else part.dof
-        entries.append(BudgetEntry(part.label, part.type, len(own), u, unit, coefficient, both[0], both[1], dof))
+        entries.append(BudgetEntry(part.label, part.type, len(members), u, unit, coefficient, both[0], both[1], dof))
     return tuple(entries)

@@ -1,4 +1,4 @@
-"""Modes of a load as stereo pairs see them: their shapes for the fit to grey values, and what their amplitudes tell."""
+"""Modes of a load in images: their shapes, and responses by their amplitudes."""
 
 from __future__ import annotations
 
@@ -24,6 +24,7 @@ from fusion.sensitivity.elastic import (
     response,
 )
 from fusion.sensitivity.moving_body import Body, elastic_body, stated_modes
+from fusion.sensitivity.sensitivity_notices import MODES_CONTRADICT
 from photogram.camera import principal_components
 from shaker.arrays import BoolArray, ComplexArray, FloatArray, IntArray
 from shaker.io.text import read_table_columns
@@ -36,14 +37,14 @@ if TYPE_CHECKING:
 
 CONTRADICTED = 0.01
 """Chance below which a response is not the stated one."""
-NOT_DRIVEN = 1e-6  # of the modes' drives, below which a mode's response shows nothing
-NEIGHBOURS = 30  # points of a surface that tell how it moves between them
+NOT_DRIVEN = 1e-6  # share of the largest drive below which a mode is not driven
+NEIGHBOURS = 30  # points of a surface used for interpolation
 COLUMNS = ("x", "y", "z", "ux", "uy", "uz")
 
 
 @dataclass(frozen=True)
 class _Chosen:
-    """The modes of one elastic part that pictures tell: their numbers among all of it, what they are called."""
+    """The modes of one elastic part that images measure: their numbers and labels."""
 
     table: Elastic
     which: tuple[int, ...]
@@ -51,10 +52,13 @@ class _Chosen:
 
     @classmethod
     def of(cls, table: Elastic) -> _Chosen:
-        """Choose of a table the modes whose surface is known, of a drawing the first along and across its axis."""
+        """Choose the measurable modes of a table or a drawing.
+
+        Of a table those with a surface, of a drawing the first along and across its axis.
+        """
         if table.shape == "modes":
-            known = [number for number, mode in enumerate(table.mode) if mode.surface is not None]
-            return cls(table, tuple(known), tuple(f"mode {number + 1}" for number in known))
+            numbers = [number for number, mode in enumerate(table.mode) if mode.surface is not None]
+            return cls(table, tuple(numbers), tuple(f"mode {number + 1}" for number in numbers))
         which, labels, start = list[int](), list[str](), 0
         for kind, modes in elastic_body(table).families().items():
             sides = {"axial": 1, "bending": 2}.get(kind, 0)
@@ -66,7 +70,7 @@ class _Chosen:
 
     @cached_property
     def surfaces(self) -> tuple[tuple[Path, FloatArray], ...]:
-        """Files of the modes of a table, with places and displacements (P, 6) on the surface that pictures show."""
+        """Files of the modes of a table, with positions and displacements (P, 6)."""
         found = []
         for path in (self.table.mode[number].surface for number in self.which):
             assert path is not None
@@ -75,7 +79,7 @@ class _Chosen:
         return tuple(found)
 
     def displacement(self, points_m: FloatArray) -> FloatArray:
-        """Return the displacement (M, N, 3) of points (N, 3) for a unit of each mode."""
+        """Return the displacement (M, N, 3) of points (N, 3) per unit of each mode."""
         if self.table.shape == "modes":
             moved = []
             for path, surface in self.surfaces:
@@ -90,45 +94,48 @@ class _Chosen:
         return stated_modes(self.table, {})
 
     def __reduce__(self) -> tuple[type[_Chosen], tuple[Elastic, tuple[int, ...], tuple[str, ...]]]:
-        """Leave behind what was computed: the modes of a drawing are functions, which reach no other process."""
+        """Pickle without computed values: modes of a drawing are functions and cannot be pickled."""
         return _Chosen, (self.table, self.which, self.labels)
 
     @cached_property
     def size(self) -> FloatArray:
-        """The displacement (M,) for a unit of each mode where it is largest, in the table or along a drawing."""
+        """Largest displacement (M,) per unit of each mode.
+
+        In the table, or along a drawing.
+        """
         if self.table.shape == "modes":
             return np.array([np.linalg.norm(rows[:, 3:], axis=1).max() for _, rows in self.surfaces])
         shape = elastic_body(self.table)
         if isinstance(shape, Rod):
-            places = shape.foot_m + np.linspace(0.0, shape.length_m, 9)[:, None] * shape.axis
+            positions = shape.foot_m + np.linspace(0.0, shape.length_m, 9)[:, None] * shape.axis
         else:
             angle, sides = np.linspace(0.0, 2.0 * np.pi, 8, endpoint=False), np.array(perpendicular_axes(shape.axis))
             around = np.column_stack([np.cos(angle), np.sin(angle)]) @ sides
-            places = shape.foot_m + shape.diameter_m / 2.0 * around
-        return np.asarray(np.linalg.norm(self.displacement(places), axis=2).max(axis=1))
+            positions = shape.foot_m + shape.diameter_m / 2.0 * around
+        return np.asarray(np.linalg.norm(self.displacement(positions), axis=2).max(axis=1))
 
 
 def _between(surface: FloatArray, points_m: FloatArray) -> FloatArray:
-    """Return the displacement (N, 3) of points (N, 3) by places and displacements (P, 6) of a surface.
+    """Return the displacement (N, 3) of points (N, 3) between positions of a surface.
 
-    Thin plate splines over its plane, which go on straight beyond its rim.
+    `surface` (P, 6): positions and displacements. Thin plate splines over its plane, extended linearly beyond its rim.
     """
     from scipy.interpolate import RBFInterpolator
 
     middle = surface[:, :3].mean(axis=0)
     plane = np.linalg.svd(surface[:, :3] - middle, full_matrices=False)[2][:2].T
-    moved, known = np.full(points_m.shape, np.nan), np.isfinite(points_m).all(axis=1)
+    moved, finite = np.full(points_m.shape, np.nan), np.isfinite(points_m).all(axis=1)
     neighbours = min(NEIGHBOURS, len(surface))
     spline = RBFInterpolator((surface[:, :3] - middle) @ plane, surface[:, 3:], neighbors=neighbours)
-    moved[known] = spline((points_m[known] - middle) @ plane)
+    moved[finite] = spline((points_m[finite] - middle) @ plane)
     return moved
 
 
 @dataclass(frozen=True)
 class ModeShapes:
-    """The modes of elastic parts of a load whose amplitudes a stereo pair tells, as `photogram` fits them.
+    """The modes of a load that a stereo pair measures, for `photogram`.
 
-    An amplitude is the displacement in m where a mode is largest, on the surface of its table or along its drawing.
+    An amplitude is the largest displacement of a mode in m, on the surface of its table or along its drawing.
     """
 
     parts: tuple[_Chosen, ...]
@@ -139,26 +146,29 @@ class ModeShapes:
         return tuple(f"{part.table.name}: {label}" for part in self.parts for label in part.labels)
 
     def __call__(self, points_m: FloatArray) -> FloatArray:
-        """Return the displacement (S, N, 3) of points (N, 3) at rest in each mode of amplitude 1 m."""
+        """Return the displacement (S, N, 3) of points per 1 m of each mode.
+
+        `points_m` (N, 3).
+        """
         return np.concatenate([part.displacement(points_m) / part.size[:, None, None] for part in self.parts])
 
 
 def mode_shapes(load: RigLoad | None, pair: str) -> ModeShapes | None:
-    """Return the modes of a load that a stereo pair is to measure (`measured_by`); None for none."""
+    """Return the modes of a load that a stereo pair measures (`measured_by`), None for none."""
     tables = () if load is None else load.elastic
     parts = tuple(_Chosen.of(table) for table in tables if pair.rpartition(": ")[2] in table.measured_by)
     return ModeShapes(parts) if parts else None
 
 
-# What measured amplitudes say of the responses of modes, in the mean with what is stated of them.
+# Responses of modes by measured amplitudes, as the mean with the stated ones.
 
 
 @dataclass(frozen=True)
 class _Seen:
-    """One stereo pair at the lines (U,) that it tells apart: what it saw of the load and its modes.
+    """Measurement of the load and its modes by one stereo pair.
 
-    `foot` (U, 6): acceleration of the load's foot; `modal` (U, S): of the modes' amplitudes in m/s², with `covariance`
-    (U, 2S, 2S) of all real and imaginary parts; `share` (6, S).
+    At its U resolved lines. `foot` (U, 6): acceleration of the load's foot. `modal` (U, S): amplitudes of the modes in
+    m/s², with `covariance` (U, 2S, 2S) of all real and imaginary parts. `share` (6, S).
     """
 
     pair: StereoResult
@@ -169,7 +179,10 @@ class _Seen:
 
     @classmethod
     def of(cls, pair: StereoResult, parts: Sequence[tuple[ElasticPart, IntArray]]) -> _Seen:
-        """Return it; `parts`: elastic parts of the load with the numbers of the modes that the pair measures."""
+        """Return the measurement by `pair`.
+
+        `parts`: elastic parts of the load with the numbers of the modes that the pair measures.
+        """
         assert pair.shapes is not None
         frequency, shapes = pair.phasors.frequency_hz, pair.shapes
         square = -((2.0 * np.pi * frequency[:, None]) ** 2)
@@ -191,36 +204,39 @@ class _Seen:
 def with_measured_modes(
     body: Body | None, load: RigLoad | None, stereo: Sequence[StereoResult]
 ) -> tuple[Body | None, tuple[Notice, ...]]:
-    """Return a load with the responses of modes that stereo pairs measured, in the mean with those stated.
+    """Return a load whose mode responses are means of measured and stated ones.
 
-    The response G = q̈/(Lᵀ·A) of a mode with participation L follows from its amplitude and the motion of the foot that
-    the same pictures show, so that scale and clock of the pair cancel. What is stated of natural frequencies and
-    damping is its prior, where the part has any uncertainty; a response that contradicts that at 1 % stands alone.
+    The response G = q̈/(Lᵀ·A) of a mode with participation L follows from its amplitude and the motion of the foot in
+    the same images, so that scale and clock of the pair cancel. Stated natural frequencies and damping are its prior,
+    if the part has any uncertainty. A response that contradicts the prior at 1 % replaces it.
     """
     if body is None:
         return None, ()
-    parts, told = {part.name: part for part in body.elastic}, list[Notice]()
+    parts, contradictions = {part.name: part for part in body.elastic}, list[Notice]()
     for pair in stereo:
         shapes = mode_shapes(load, pair.name) if pair.body == "load" else None
         if shapes is None or pair.shapes is None or pair.shapes.phasors.channels != shapes.names:
             continue
         chosen = {part.table.name: np.array(part.which, dtype=np.int64) for part in shapes.parts}
-        nothing, start = np.zeros(0, np.int64), 0
-        seen = _Seen.of(pair, [(part, chosen.get(name, nothing)) for name, part in parts.items()])
+        none, start = np.zeros(0, np.int64), 0
+        seen = _Seen.of(pair, [(part, chosen.get(name, none)) for name, part in parts.items()])
         for one in shapes.parts:
             columns = np.arange(start, start + len(one.which))
             start += len(one.which)
             name = one.table.name
             size = one.size / np.sqrt([one.table.mode[n].modal_mass if one.table.mode else 1.0 for n in one.which])
             parts[name], notices = _measured(parts[name], chosen[name], seen, columns, size)
-            told += notices
-    return replace(body, elastic=tuple(parts.values())), tuple(told)
+            contradictions += notices
+    return replace(body, elastic=tuple(parts.values())), tuple(contradictions)
 
 
 def _measured(
     part: ElasticPart, which: IntArray, seen: _Seen, columns: IntArray, size: FloatArray
 ) -> tuple[ElasticPart, list[Notice]]:
-    """Return a part with the responses of some modes as they were seen; `size` (M,) in m for a unit of each."""
+    """Return a part with the measured responses of some modes, and notices.
+
+    `size` (M,) in m for a unit of each.
+    """
     pair, count, both = seen.pair, len(which), np.concatenate([columns, columns + seen.share.shape[1]])
     drive = seen.foot @ part.modes.participation[which].T
     driven = np.abs(drive) > NOT_DRIVEN * np.abs(drive).max(initial=1e-300)
@@ -241,22 +257,23 @@ def _measured(
 
     variants = [replace(v, above=carrying(v.above), below=carrying(v.below)) for v in part.variants]
     label = f"elastic {part.name}: as stereo {pair.name} sees it"
-    for line, hertz, own in zip(np.flatnonzero(pair.usable), frequency, covariance, strict=True):
-        for number, step in enumerate(principal_components(own)):
+    for line, hertz, of_line in zip(np.flatnonzero(pair.usable), frequency, covariance, strict=True):
+        for number, step in enumerate(principal_components(of_line)):
             change = np.zeros_like(whole)
             change[line] = as_complex(step)
             sides = carrying(part.modes, change), carrying(part.modes, -change)
             variants.append(Variant(f"{label}, {hertz:.9g} Hz {number}", label, 1.0, "1", "recording", *sides))
     found = replace(part, modes=carrying(part.modes), variants=tuple(variants))
-    return found, _told(part, which, seen, columns, contradicted)
+    return found, _contradictions(part, pair, contradicted)
 
 
 def _gain(
     part: ElasticPart, which: IntArray, frequency_hz: FloatArray, found: ComplexArray, covariance: FloatArray
 ) -> tuple[FloatArray, BoolArray]:
-    """Return the weight (U, 2M, 2M) of measured responses (U, M) against stated ones, and where these contradict.
+    """Return the weight (U, 2M, 2M) of measured responses, and where they contradict.
 
-    P·(P + C)⁻¹ with P what is stated and C what is measured of the covariance; 1 where they contradict each other.
+    P·(P + C)⁻¹ with the stated covariance P and the measured covariance C; 1 where measured responses (U, M) contradict
+    the stated ones.
     """
 
     def stated(modes: NaturalModes) -> FloatArray:
@@ -274,19 +291,8 @@ def _gain(
     return gain, contradicted
 
 
-def _told(part: ElasticPart, which: IntArray, seen: _Seen, columns: IntArray, contradicted: BoolArray) -> list[Notice]:
-    """Say what was measured of a part where its modes move most, and where that is not what is stated of it."""
-    assert seen.pair.shapes is not None
-    found, name = seen.pair.shapes, seen.pair.name
-    line = int(np.argmax(np.abs(found.phasors.value[:, columns]).max(axis=1)))
-    hertz, size = f"{found.phasors.frequency_hz[line]:.6g} Hz", found.u_size[line, columns]
-    amplitudes = zip(np.array(found.phasors.channels)[columns], found.phasors.value[line, columns], size, strict=True)
-    seen_of = ", ".join(f"{mode} {1e9 * abs(a):.3g} nm (u {1e9 * u:.2g} nm)" for mode, a, u in amplitudes)
-    told = [Notice("note", f"stereo pair {name} measures at {hertz}: {seen_of}", name)]
-    for k in np.flatnonzero(contradicted):
-        text = (
-            f"the elastic {part.name} of the load moves at {found.phasors.frequency_hz[k]:.6g} Hz otherwise than its "
-            f"stated frequencies and damping say; what stereo pair {name} measures counts"
-        )
-        told.append(Notice("warning", text, f"{found.phasors.frequency_hz[k]:.6g} Hz"))
-    return told
+def _contradictions(part: ElasticPart, pair: StereoResult, contradicted: BoolArray) -> list[Notice]:
+    """Return a warning for each line at which measured and stated responses contradict."""
+    frequency_hz = pair.phasors.frequency_hz[contradicted].tolist()
+    values = {"part": part.name, "pair": pair.name}
+    return [Notice(MODES_CONTRADICT, f"{hertz:.6g} Hz", frequency_hz=hertz, **values) for hertz in frequency_hz]

@@ -1,4 +1,4 @@
-"""The Monte Carlo run: all that follows tracks and channels, once per draw of everything uncertain."""
+"""Monte Carlo: the evaluation after tracks and channels for each draw of all uncertain quantities."""
 
 from __future__ import annotations
 
@@ -19,12 +19,17 @@ from fusion.sensitivity.analyse import Analysis, Inputs
 from fusion.sensitivity.distributions import FirstOrder, MonteCarlo, Propagated, judged, summarise
 from fusion.sensitivity.load_phasors import LoadResult
 from fusion.sensitivity.ratio import PriorMatrix, quotient
+from fusion.sensitivity.sensitivity_notices import (
+    DRAWS_NOT_CONVERGED,
+    FIRST_ORDER_TOO_LARGE,
+    FIRST_ORDER_TOO_SMALL,
+)
 from shaker.arrays import ComplexArray, FloatArray
 from shaker.labels import LOAD_COMPONENTS, LOAD_UNITS, MOTION_COMPONENTS
 from shakercal._common.notices import Notice
 
 BLOCK = 2000
-"""Draws that are made at once; each block has streams of its own, so that blocks may be computed in any order."""
+"""Draws computed at once; each block has separate random streams, so that blocks may be computed in any order."""
 CONVERGED = 1e-9
 MOST_STEPS = 60
 
@@ -32,29 +37,30 @@ MOST_STEPS = 60
 def propagate(
     inputs: Inputs, analysis: Analysis, draws: int, seed: int, progress: ProgressCallback = no_progress
 ) -> MonteCarlo:
-    """Return what N draws of everything uncertain make of every result at the driven lines.
+    """Return the distribution of every result at the driven lines from N draws.
 
-    JCGM 101 and 102: noise from multivariate t-distributions with its degrees of freedom; masses, points, directions,
-    poses, scales, delays, clocks from normal distributions of their stated standard uncertainties, each once by its
-    name; places, finite rotations, products and delays enter exactly. Motion that nobody observes has its
-    amplitude at the limit and any phase; disagreement between instruments is drawn as the evaluation states it. The
-    weights of the instruments are the evaluation's. What weights by estimated noise cost (2Λ of `EstimatedNoise.lost`,
-    in first-order U) is not drawn beside that: t-distributions are wider by as much already, having the variance
-    ν/(ν - 2), and both together would contradict a first-order U that covers (docs/uncertainty.md).
+    JCGM 101 and 102. Noise has multivariate t-distributions with its degrees of freedom. Masses, points, directions,
+    poses, scales, delays and clocks have normal distributions of their stated standard uncertainties, each once by its
+    name. Positions, finite rotations, products and delays are exact. Unobserved motion has its limit as amplitude and a
+    uniform phase; disagreement between instruments is drawn as the evaluation states it.
+
+    The weights of the instruments are the evaluation's. The cost of estimated weights (2Λ of `EstimatedNoise.lost`, in
+    first-order U) is not drawn: t-distributions are already wider by the same amount, with the variance ν/(ν - 2). Both
+    together would contradict a correct first-order U (docs/uncertainty.md).
     """
     motions = [_motion(inputs, fused) for fused in analysis.accelerations if fused.source == "fused"]
     driven = np.flatnonzero(inputs.lines.multiple == 1)
     firsts, drawn = [], {}
     for first in _first_order(analysis):
         # Of the driven lines those elements that any of them determines.
-        kept = np.flatnonzero(np.isfinite(first.value[driven]).any(axis=0))
-        firsts.append(first.at(driven, kept))
-        drawn[first.name] = np.empty((draws, len(driven), len(kept)), np.complex128), kept
+        determined = np.flatnonzero(np.isfinite(first.value[driven]).any(axis=0))
+        firsts.append(first.at(driven, determined))
+        drawn[first.name] = np.empty((draws, len(driven), len(determined)), np.complex128), determined
     for number, start in enumerate(range(0, draws, BLOCK)):
         deviates = Deviates(seed, number, min(BLOCK, draws - start))
         values = _draw(inputs, analysis, motions, deviates)
-        for name, (block, kept) in drawn.items():
-            block[start : start + deviates.count] = values[name][:, driven][:, :, kept]
+        for name, (block, determined) in drawn.items():
+            block[start : start + deviates.count] = values[name][:, driven][:, :, determined]
         progress("Monte Carlo", start + deviates.count, draws)
     unknown = complex(np.nan, np.nan)
     results = [summarise(f, np.where(np.isfinite(f.value), drawn.pop(f.name)[0], unknown)) for f in firsts]
@@ -63,11 +69,11 @@ def propagate(
 
 @dataclass(frozen=True)
 class Estimator:
-    """What turns readings into an acceleration: with the gain of the evaluation, whatever the rows are.
+    """Estimator of the acceleration from drawn readings, with the gain of the evaluation.
 
-    `observations` that were fused; `gain` (P, N) on the reduced unknowns; `expand` (12K, P) from these to
-    [Re A_k, Im A_k] of all lines. The estimate of a draw is the A for which gain · (readings - rows · A) = 0: the truth
-    itself where readings and rows belong together, and the generalised least squares to first order.
+    `observations`: those of the fusion. `gain` (P, N) on the reduced unknowns. `expand` (12K, P): from these to [Re
+    A_k, Im A_k] of all lines. The estimate of a draw is the A for which gain · (readings - rows · A) = 0: the true
+    value if readings and rows are consistent, and generalised least squares to first order.
     """
 
     observations: tuple[Observation, ...]
@@ -80,29 +86,30 @@ class Estimator:
         return cls(tuple(observations), np.asarray(np.linalg.pinv(expand) @ solution.gain), expand)
 
     def acceleration(self, drawn: Sequence[DrawnReadings], start: ComplexArray, hidden: ComplexArray) -> ComplexArray:
-        """Return the estimates (N, K, 6) from N draws of every observation, found by steps with the fixed gain.
+        """Return the estimates (N, K, 6) from N draws of every observation.
 
-        `start` (K, 6): where to start; `hidden` (N, K, 6): motion that no reading tells, which the rows may see.
+        By steps with the fixed gain. `start` (K, 6): initial value. `hidden` (N, K, 6): unobserved motion, which the
+        rows may include.
         """
         count, lines = hidden.shape[:2]
-        places = [RowIndex.of(observation) for observation in self.observations]
+        indices = [RowIndex.of(observation) for observation in self.observations]
         unknowns = np.repeat((np.linalg.pinv(self.expand) @ real_stack(start).ravel())[None], count, axis=0)
-        # What a step may leave: in each unknown's own unit, the largest of its kind in the estimate.
+        # Tolerance of a step: the largest unknown of the same kind and unit.
         limit = CONVERGED * np.max(np.abs(unknowns), initial=1e-300)
         for _ in range(MOST_STEPS):
             estimate = as_complex((unknowns @ self.expand.T).reshape(count, lines, 12))
             rest = [d.readings - np.einsum("nkmj,nkj->nkm", d.design, estimate + hidden) for d in drawn]
-            rows = [place.rows(value) for place, value in zip(places, rest, strict=True)]
+            rows = [index.rows(value) for index, value in zip(indices, rest, strict=True)]
             step = np.concatenate(rows, axis=1) @ self.gain.T
             unknowns = unknowns + step
             if np.abs(step).max(initial=0.0) <= limit:
                 return as_complex((unknowns @ self.expand.T).reshape(count, lines, 12))
-        raise ComputeError("the Monte Carlo run: places or directions are so uncertain that draws have no solution")
+        raise ComputeError(DRAWS_NOT_CONVERGED)
 
 
 @dataclass(frozen=True)
 class _Motion:
-    """The fused acceleration of a body and how it comes from its instruments; `noise`: names of their streams."""
+    """The fused acceleration of a body with its estimator; `noise`: names of the random streams."""
 
     fused: Acceleration
     observations: tuple[Observation, ...]
@@ -115,46 +122,46 @@ class _Motion:
         return f"acceleration of the {self.fused.body}"
 
     def draw(self, deviates: Deviates) -> ComplexArray:
-        """Return accelerations (N, K, 6) of the body; where nobody observed a component, what it may be.
+        """Return accelerations (N, K, 6) of the body; possible values where it is not observed.
 
-        Beside the instruments' own errors the estimate's uncertainty holds their disagreement. A variance of it that
-        the data hardly tell from zero has nominally less than one degree of freedom, of which no distribution follows;
-        it is drawn with no fewer than `LEAST_DOF`.
+        The uncertainty of the estimate includes disagreement of the instruments in addition to their errors. A variance
+        that is hardly significant has nominally less than one degree of freedom and no distribution; it is drawn with
+        at least `MIN_DOF`.
         """
         fused, estimate = self.fused, np.asarray(np.nan_to_num(self.fused.phasors.value))
         phase = deviates.angle(f"unobserved motion of the {fused.body}", *estimate.shape)
-        amplitude = fused.unobserved_amplitude  # what is unbounded reaches no value that is given
+        amplitude = fused.unobserved_amplitude  # unbounded motion reaches no value
         hidden = np.where(np.isinf(amplitude), 0.0, amplitude) * np.exp(1j * phase)
         readings = [o.draw(estimate, deviates, noise) for o, noise in zip(self.observations, self.noise, strict=True)]
         value = self.estimator.acceleration(readings, estimate, hidden)
-        own = {f"{name}: noise" for name in fused.instruments} | {UNOBSERVED, *UNOBSERVED_ITSELF}
-        known = {error.name for observation in self.observations for error in observation.common}
+        drawn_labels = {f"{name}: noise" for name in fused.instruments} | {UNOBSERVED, *UNOBSERVED_ITSELF}
+        drawn_names = {error.name for observation in self.observations for error in observation.common}
         further = np.zeros_like(value)
         for part in fused.uncertainty.random:
-            if part.label not in own:
+            if part.label not in drawn_labels:
                 dof = np.full(len(part.covariance), np.inf) if part.dof is None else np.maximum(part.dof, MIN_DOF)
                 further += as_complex(deviates.noise(f"{part.label} of the {fused.body}", part.covariance, dof))
         for influence in fused.uncertainty.influences:
-            if influence.name not in known:
+            if influence.name not in drawn_names:
                 effect = np.nan_to_num(influence.effect)
                 further += as_complex(deviates.unknown(influence.name, influence.dof)[:, None, None] * effect)
         return np.where(fused.observed, value + further, hidden)
 
 
 def _motion(inputs: Inputs, fused: Acceleration) -> _Motion:
-    """Return a fused acceleration with the instruments that took part in it."""
-    own = [(place, seen) for place, seen in enumerate(inputs.observations) if seen.body == fused.body]
-    used = [(place, seen) for place, seen in own if seen.stated] or own
+    """Return a fused acceleration with the instruments that it uses."""
+    of_body = [(index, seen) for index, seen in enumerate(inputs.observations) if seen.body == fused.body]
+    used = [(index, seen) for index, seen in of_body if seen.stated] or of_body
     system, first, _ = reject_gross_errors([seen for _, seen in used], fused.unseen)
     observations, solution = system.observations, solve_consistently(system, first, fused.scatter).final
-    noise = tuple(f"noise of instrument {place}" for place, _ in used)
+    noise = tuple(f"noise of instrument {index}" for index, _ in used)
     return _Motion(fused, observations, noise, Estimator.of(observations, system.expand, solution))
 
 
 def _draw(
     inputs: Inputs, analysis: Analysis, motions: Sequence[_Motion], deviates: Deviates
 ) -> dict[str, ComplexArray]:
-    """Return one block of draws of every result, by its name: (N, K, components)."""
+    """Return one block of draws (N, K, components) of every result, by its name."""
     drawn: dict[str, ComplexArray] = {}
     for motion in motions:
         drawn[motion.name] = acceleration = motion.draw(deviates)
@@ -171,16 +178,16 @@ def _draw(
 
 
 def _draw_elements(
-    known: PriorMatrix, outputs: Outputs, load: LoadResult, loads: ComplexArray, deviates: Deviates
+    prior: PriorMatrix, outputs: Outputs, load: LoadResult, loads: ComplexArray, deviates: Deviates
 ) -> ComplexArray:
-    """Return the sensor's elements (N, K, E) from drawn loads and outputs, and a matrix drawn unknown by unknown."""
-    matrix = np.zeros((deviates.count, loads.shape[1], *known.value.shape), np.complex128) + known.value
-    unknowns = (*known.unknowns, *known.courses(outputs.phasors.value, load.value))
+    """Return the elements (N, K, E) of the sensor from drawn loads, outputs and matrices."""
+    matrix = np.zeros((deviates.count, loads.shape[1], *prior.value.shape), np.complex128) + prior.value
+    unknowns = (*prior.unknowns, *prior.frequency_unknowns(outputs.phasors.value, load.value))
     for unknown in unknowns:
         bound = np.sqrt(3.0) * (deviates.angle(unknown.name) / np.pi - 1.0)
         off = deviates.normal(unknown.name) if unknown.distribution == "normal" else bound
         matrix += off[:, None, None, None] * unknown.effect
-    return known.elements(outputs.draw(deviates), loads, matrix)
+    return prior.elements(outputs.draw(deviates), loads, matrix)
 
 
 def _first_order(analysis: Analysis) -> Iterator[FirstOrder]:
@@ -191,9 +198,9 @@ def _first_order(analysis: Analysis) -> Iterator[FirstOrder]:
         name: str, elements: Sequence[str], units: Sequence[str], value: ComplexArray, uncertainty: Uncertainty
     ) -> FirstOrder:
         covariance, dof = uncertainty.covariance, uncertainty.dof_polar(value)
-        known = uncertainty.regions(value, covariance, dof), uncertainty.k_polar(value, dof)
-        own = element_covariances(covariance)
-        return FirstOrder(name, frequency, tuple(elements), tuple(units), value, own, *known)
+        first_order = uncertainty.regions(value, covariance, dof), uncertainty.k_polar(value, dof)
+        covariances = element_covariances(covariance)
+        return FirstOrder(name, frequency, tuple(elements), tuple(units), value, covariances, *first_order)
 
     for fused in analysis.accelerations:
         if fused.source == "fused":
@@ -211,16 +218,11 @@ def _first_order(analysis: Analysis) -> Iterator[FirstOrder]:
 
 
 def _notices(results: Sequence[Propagated], draws: int) -> tuple[Notice, ...]:
-    """Say where first-order propagation does not hold: a warning where its U is too small, else a remark."""
+    """Return a warning of too small first-order U, and a note of too large."""
     small, large = judged(results, draws)
     notices = []
     if small:
-        text = (
-            f"{draws} Monte Carlo draws do not confirm first-order propagation, whose U is too small: "
-            f"{'; '.join(small)}; the intervals and regions of the Monte Carlo run hold there"
-        )
-        notices.append(Notice("warning", text, "monte carlo"))
+        notices.append(Notice(FIRST_ORDER_TOO_SMALL, "monte carlo", draws=draws, quantities="; ".join(small)))
     if large:
-        text = f"first-order U is larger than {draws} Monte Carlo draws need it to be: {'; '.join(large)}"
-        notices.append(Notice("note", text, "monte carlo"))
+        notices.append(Notice(FIRST_ORDER_TOO_LARGE, "monte carlo", draws=draws, quantities="; ".join(large)))
     return tuple(notices)

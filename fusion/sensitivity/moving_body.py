@@ -1,4 +1,4 @@
-"""Mass matrix, lever arms and gravity tilt of the load, and what is elastic of it."""
+"""Mass matrix, lever arms and gravity tilt of the load, and its elastic parts."""
 
 from __future__ import annotations
 
@@ -22,6 +22,7 @@ from fusion.sensitivity.elastic import (
     Variant,
     join_modes,
 )
+from fusion.sensitivity.sensitivity_notices import LOAD_UNSTATED, POSITION_UNSTATED
 from photogram.geometry import skew
 from shaker.arrays import ComplexArray, FloatArray, check_shapes
 from shaker.identification.measured_curves import InertiaError
@@ -33,16 +34,16 @@ if TYPE_CHECKING:
     from fusion.recording.rig import Elastic, ElasticMode, Rig, RigLoad
     from fusion.recording.rig import RigPart as PartTable
 
-# The elastic joint: the load itself stays rigid, so all its places move alike, and the fused motion is the load's own.
+# The elastic joint: the load itself is rigid, and the fused motion is that of the load.
 
 
 @dataclass(frozen=True)
 class MountingJoint:
-    """The joint on which a load sits, with the instruments on the load.
+    """The joint of a load, with the instruments on the load.
 
-    `frequency_hz` (6,): at which the load would resonate on the joint if the lower side stood still, component by
-    component; `u_frequency_hz` (6,): its standard uncertainty, 0 where the joint is only named: then nothing is
-    corrected, and what a correction would change is uncertain as a whole; `damping`: damping ratio of that resonance.
+    `frequency_hz` (6,): resonance of the load on the joint with a fixed lower side, per component. `u_frequency_hz`
+    (6,): its standard uncertainty, 0 if the joint is only named; then the result is not corrected, and the whole
+    correction is uncertain. `damping`: damping ratio of that resonance.
     """
 
     frequency_hz: FloatArray
@@ -50,18 +51,19 @@ class MountingJoint:
     damping: float
 
     def follow(self, frequency_hz: FloatArray) -> ComplexArray:
-        """Return (K, 6): motion of the lower side over that of the load, 1/(1 + G) = 1 - r²/(1 + 2jζr).
+        """Return the motion (K, 6) of the lower side over that of the load.
 
-        The joint carries the load's inertia, -ω²·m·x_load = (k + jωb)·(x_below - x_load).
+        1/(1 + G) = 1 - r²/(1 + 2jζr). The joint carries the load's inertia, -ω²·m·x_load = (k + jωb)·(x_below -
+        x_load).
         """
         stated = self.u_frequency_hz > 0.0
         return np.asarray(np.where(stated, 1.0 - self._stretch(frequency_hz), 1.0))
 
     def change(self, frequency_hz: FloatArray) -> ComplexArray:
-        """Return (K, 6): change of `follow` for one standard uncertainty of the joint.
+        """Return the change (K, 6) of `follow` per standard uncertainty of the joint.
 
-        Where it is corrected the derivative by f_e times its uncertainty; where it is only named the root mean square,
-        1/√3 of the whole, of an error anywhere between nothing and a joint as elastic as that.
+        With correction, the derivative by f_e times its uncertainty. If the joint is only named, 1/√3 of the whole: the
+        root mean square of a joint anywhere between rigid and that elastic.
         """
         r = frequency_hz[:, None] / self.frequency_hz
         damped = 1.0 + 2j * self.damping * r
@@ -71,7 +73,10 @@ class MountingJoint:
         return np.asarray(np.where(stated, slope * self.u_frequency_hz, named))
 
     def _stretch(self, frequency_hz: FloatArray) -> ComplexArray:
-        """Share (K, 6) of the load's motion that the joint takes up: G/(1 + G), finite at the resonance too."""
+        """Share (K, 6) of the load's motion in the joint: G/(1 + G).
+
+        Finite at the resonance too.
+        """
         r = frequency_hz[:, None] / self.frequency_hz
         return np.asarray(r * r / (1.0 + 2j * self.damping * r))
 
@@ -86,20 +91,20 @@ def joint_unknown(frequency_hz: float, axis: str) -> str:
 
 
 def make_joint(frequency_hz: ArrayLike, u_frequency_hz: ArrayLike = 0.0, damping: float = 0.0) -> MountingJoint:
-    """Return a joint; one number stands for all six components."""
+    """Return a joint; one number applies to all six components."""
     frequency = np.broadcast_to(np.asarray(frequency_hz, dtype=np.float64), (6,)).copy()
     u_frequency = np.broadcast_to(np.asarray(u_frequency_hz, dtype=np.float64), (6,)).copy()
     return MountingJoint(frequency, u_frequency, float(damping))
 
 
-# Bodies about the sensor origin: mass matrix, tilt of the weight in air, and what their uncertain parameters do.
+# Bodies about the sensor origin: mass matrix, tilt of the weight in air, and effects of uncertain parameters.
 
 
 INERTIA_ENTRIES = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))
 AIR_MOVED_ALONG = 0.5
-"""Mass of the air that a body takes along, in masses of the air it displaces: a sphere's (Lamb 1932, Art. 92)."""
+"""Mass of the air that moves with a body, over the displaced air: that of a sphere (Lamb 1932, Art. 92)."""
 U_AIR_MOVED_ALONG = 0.5 / np.sqrt(3.0)
-"""Its standard uncertainty: anything from none to once the displaced air, which a long cylinder takes across."""
+"""Its standard uncertainty: uniform from zero to the displaced air, that of a long cylinder moving across."""
 
 
 @dataclass(frozen=True)
@@ -108,7 +113,7 @@ class MovingPart:
 
     `mass_kg`; `centre_of_mass_m` (3,); `inertia_kgm2` (3, 3) about its centre of mass; `u_mass_kg`;
     `u_centre_of_mass_m` (3,); `u_inertia_kgm2` (3, 3), one per entry. `air_share`: mass of the displaced air over the
-    part's own, 0 where it is not known. `below_joint`: on the sensor's side of the load's elastic joint.
+    part's mass, 0 if unknown. `below_joint`: on the sensor's side of the load's elastic joint.
     """
 
     name: str
@@ -129,7 +134,7 @@ class MovingPart:
 
     @property
     def terms(self) -> InertialTerms:
-        """What the part contributes to the equations of motion."""
+        """Contribution of the part to the equations of motion."""
         return InertialTerms.of(self.mass_kg, self.centre_of_mass_m, self.inertia_kgm2, self.air_share)
 
 
@@ -142,7 +147,10 @@ def make_moving_part(
     air_share: float = 0.0,
     below_joint: bool = False,
 ) -> MovingPart:
-    """Return a part from plain lists; one number as an uncertainty (mass, centre of mass, inertia) holds for all."""
+    """Return a part from plain lists.
+
+    One number as an uncertainty (mass, centre of mass, inertia) applies to all entries.
+    """
     u_mass, u_centre, u_inertia = uncertainties
     return MovingPart(
         name=name,
@@ -159,11 +167,11 @@ def make_moving_part(
 
 @dataclass(frozen=True)
 class InertialTerms:
-    """What a part, or the change of one, contributes to the equations of motion about the sensor origin.
+    """Contribution of a part, or of its change, to the equations of motion.
 
-    `mass_matrix` (..., 6, 6): wrench = mass_matrix · [a, alpha] of the origin. `weight_kg` (...) and
-    `weight_moment_kgm` (..., 3): mass and mass times centre of mass less those of the displaced air, which gravity acts
-    on.
+    About the sensor origin. `mass_matrix` (..., 6, 6): wrench = mass_matrix · [a, alpha] of the origin. `weight_kg`
+    (...) and `weight_moment_kgm` (..., 3): mass, and mass times centre of mass, less those of the displaced air;
+    gravity acts on these.
     """
 
     mass_matrix: FloatArray
@@ -174,7 +182,10 @@ class InertialTerms:
     def of(
         cls, mass_kg: ArrayLike, centre_of_mass_m: FloatArray, inertia_kgm2: FloatArray, air_share: float = 0.0
     ) -> InertialTerms:
-        """Return the terms of masses (...); the air that they take along has inertia but no weight."""
+        """Return the terms of masses (...).
+
+        The air that moves with a part has inertia but no weight.
+        """
         stated = np.asarray(mass_kg, dtype=np.float64)
         mass, weight = stated * (1.0 + AIR_MOVED_ALONG * air_share), stated * (1.0 - air_share)
         lever, moving = skew(centre_of_mass_m), mass[..., None, None]
@@ -186,9 +197,9 @@ class InertialTerms:
         return cls(matrix, weight, weight[..., None] * centre_of_mass_m)
 
     def load_matrix(self, frequency_hz: FloatArray, gravity_mps2: ArrayLike | None) -> FloatArray:
-        """Return (..., K, 6, 6): wrench = matrix · acceleration phasors, in body axes, with the tilt of gravity.
+        """Return matrices (..., K, 6, 6) from acceleration to wrench, with gravity tilt.
 
-        With theta = -alpha/omega^2 the weight turns in body axes: F = m (theta × g), M = c × m (theta × g).
+        In body axes. With theta = -alpha/omega^2 the weight turns: F = m (theta × g), M = c × m (theta × g).
         """
         matrix = np.repeat(self.mass_matrix[..., None, :, :], len(frequency_hz), axis=-3)
         if gravity_mps2 is not None:
@@ -202,13 +213,13 @@ class InertialTerms:
 
 @dataclass(frozen=True)
 class Body:
-    """Parts that move as one, or, where the load's `joint` is known, as one above and one below it.
+    """Parts that move together, or as one above and one below a `joint`.
 
-    `gravity_mps2` (3,) in sensor axes, None where it is not known, with its standard uncertainty. `sense`: whether
-    wrenches are positive as they act on the load or on the sensor. `elastic`: what bends of the load; accelerations are
-    then those of its foot. `first_frequency_hz` (6,): at which the load first resonates with its foot held, of which
-    nothing else is known, so that nothing is corrected for it. `cable_npm` (3,) with `u_cable_npm`: stiffness of cables
-    between the load and the room, which carry k·x = -k·a/ω² of the force along each axis.
+    `gravity_mps2` (3,) in sensor axes, None if unknown, with its standard uncertainty. `sense`: wrenches are positive
+    as they act on the load or on the sensor. `elastic`: bending parts of the load; accelerations are then those of its
+    foot. `first_frequency_hz` (6,): first resonances of the load with clamped foot, without correction. `cable_npm`
+    (3,) with `u_cable_npm`: stiffness of cables between the load and the room, which carry k·x = -k·a/ω² of the force
+    along each axis.
     """
 
     parts: tuple[MovingPart, ...]
@@ -223,7 +234,7 @@ class Body:
 
     @property
     def rigid(self) -> Body:
-        """The body without anything elastic."""
+        """The body without elastic parts."""
         return replace(self, joint=None, elastic=(), first_frequency_hz=None)
 
     @property
@@ -233,11 +244,17 @@ class Body:
 
     @property
     def mass_matrix(self) -> FloatArray:
-        """Mass matrix (6, 6) about the sensor origin, all being rigid: F = m (a + alpha × c), M = c × F + J alpha."""
+        """Mass matrix (6, 6) about the sensor origin if all parts are rigid.
+
+        F = m (a + alpha × c), M = c × F + J alpha.
+        """
         return np.asarray(np.sum([part.terms.mass_matrix for part in self.parts], axis=0))
 
     def load_matrix(self, frequency_hz: FloatArray) -> ComplexArray:
-        """Return (K, 6, 6): wrench = matrix · acceleration of the load; parts below its joint follow it."""
+        """Return matrices (K, 6, 6) from the acceleration of the load to the wrench.
+
+        Parts below its joint follow it.
+        """
         rigid = np.sum([self._carried(frequency_hz, part, part.terms) for part in self.parts], axis=0)
         rigid = rigid + self._tied(frequency_hz, self.cable_npm)
         return np.asarray(rigid + sum(part.act(partial(self._wrench, frequency_hz)) for part in self.elastic))
@@ -249,11 +266,17 @@ class Body:
         return np.asarray(sign * stiffness / (2.0 * np.pi * frequency_hz[:, None, None]) ** 2)
 
     def _wrench(self, frequency_hz: FloatArray, modes: NaturalModes) -> ComplexArray:
-        """Load matrix (K, 6, 6) of modes of what bends, whose weight turns as that of the rigid body."""
+        """Load matrix (K, 6, 6) of modes of bending parts.
+
+        Their weight turns like that of a rigid body.
+        """
         return modes.wrench(frequency_hz) if self.sense == "on_load" else -modes.wrench(frequency_hz)
 
     def _carried(self, frequency_hz: FloatArray, part: MovingPart, terms: InertialTerms) -> ComplexArray:
-        """Load matrices (..., K, 6, 6) by terms of a part, which may lie below the joint."""
+        """Load matrices (..., K, 6, 6) by terms of a part.
+
+        The part may be below the joint.
+        """
         sign = 1.0 if self.sense == "on_load" else -1.0
         matrix = sign * terms.load_matrix(frequency_hz, self.gravity_mps2).astype(np.complex128)
         if self.joint is None or not part.below_joint:
@@ -261,63 +284,67 @@ class Body:
         return matrix * self.joint.follow(frequency_hz)[:, None, :]
 
     def matrix_changes(self, frequency_hz: FloatArray) -> tuple[Unknown[ComplexArray], ...]:
-        """Return what every uncertain number does to the load matrix (K, 6, 6): parts, joint, modes, cable, gravity."""
+        """Return the changes of the load matrix (K, 6, 6) by every uncertain number.
+
+        Parts, joint, modes, cables and gravity.
+        """
         changes: list[Unknown[ComplexArray]] = []
         for part in self.parts:
             changes += _parameters(part, partial(self._carried, frequency_hz, part))
         below = tuple(part for part in self.parts if part.below_joint)
         if self.joint is not None and below:
-            # The joint holds until it is screwed together anew: one unknown per component.
+            # The joint is unchanged until the next mounting: one unknown per component.
             lower = replace(self, parts=below, joint=None, cable_npm=np.zeros(3)).load_matrix(frequency_hz)
             by_joint = self.joint.change(frequency_hz)
-            for place, axis in enumerate(MOTION_COMPONENTS):
-                stated, u = float(self.joint.frequency_hz[place]), float(self.joint.u_frequency_hz[place])
-                own = np.zeros_like(lower)
-                own[:, :, place] = lower[:, :, place] * by_joint[:, None, place]
+            for index, axis in enumerate(MOTION_COMPONENTS):
+                stated, u = float(self.joint.frequency_hz[index]), float(self.joint.u_frequency_hz[index])
+                effect = np.zeros_like(lower)
+                effect[:, :, index] = lower[:, :, index] * by_joint[:, None, index]
                 unknown = joint_unknown(stated, axis), JOINT, u or 1.0, "Hz" if u else "1"
-                changes.append(Unknown(*unknown, own, "mounting"))
+                changes.append(Unknown(*unknown, effect, "mounting"))
         for bending in self.elastic:
             changes += bending.changes(partial(self._wrench, frequency_hz))
         if self.first_frequency_hz is not None:
             above = replace(self.rigid, parts=tuple(part for part in self.parts if not part.below_joint))
-            # r²/(1 - r²) of a mass on a spring, which moves and pulls more than what is spread out; 2r² from r² = ½ on.
+            # r²/(1 - r²) of a mass on a spring, more than for a distributed mass; 2r² above r² = ½.
             square = (frequency_hz[:, None] / self.first_frequency_hz) ** 2
             bound = square / np.maximum(1.0 - square, 0.5) * ONLY_NAMED
-            for place, axis in enumerate(MOTION_COMPONENTS):
-                own = np.zeros((len(frequency_hz), 6, 6), np.complex128)
-                own[:, :, place] = above.load_matrix(frequency_hz)[:, :, place] * bound[:, None, place]
-                name, label = f"{self.first_frequency_hz[place]:.9g} Hz: {axis}", "first natural frequency of the load"
-                changes.append(Unknown(f"{label} {name}", label, 1.0, "1", own, "mounting"))
+            for index, axis in enumerate(MOTION_COMPONENTS):
+                effect = np.zeros((len(frequency_hz), 6, 6), np.complex128)
+                effect[:, :, index] = above.load_matrix(frequency_hz)[:, :, index] * bound[:, None, index]
+                name, label = f"{self.first_frequency_hz[index]:.9g} Hz: {axis}", "first natural frequency of the load"
+                changes.append(Unknown(f"{label} {name}", label, 1.0, "1", effect, "mounting"))
         for axis, tied in zip("xyz", np.diag(np.asarray(self.u_cable_npm, dtype=np.float64)), strict=True):
             if np.any(tied):
-                own, label = self._tied(frequency_hz, tied), "stiffness of cables"
-                changes.append(Unknown(f"{label} {axis}", label, float(tied.sum()), "N/m", own, "mounting"))
+                effect, label = self._tied(frequency_hz, tied), "stiffness of cables"
+                changes.append(Unknown(f"{label} {axis}", label, float(tied.sum()), "N/m", effect, "mounting"))
         # Of the vector of gravity only the tilt of the weight knows.
-        still = self.weightless.load_matrix(frequency_hz)
+        weightless = self.weightless.load_matrix(frequency_hz)
         for axis, along, u in zip("xyz", np.eye(3), np.asarray(self.u_gravity_mps2).tolist(), strict=True):
             if u > 0.0:
-                change = replace(self, gravity_mps2=along * u).load_matrix(frequency_hz) - still
+                change = replace(self, gravity_mps2=along * u).load_matrix(frequency_hz) - weightless
                 changes.append(Unknown(f"gravity {axis}", "gravity", u, "m/s^2", change, "rig"))
         return tuple(changes)
 
     def draw_load_matrices(self, frequency_hz: FloatArray, deviates: Deviates) -> ComplexArray:
-        """Return N load matrices (N, K, 6, 6) of drawn masses, centres of mass and inertias, and of whatever else errs.
+        """Return N load matrices (N, K, 6, 6) of drawn parts and other uncertain numbers.
 
-        The parts' own numbers enter exactly; gravity, joint, modes and the air by their first-order changes.
+        Masses, centres of mass and inertias of the parts are exact. Gravity, joint, modes and the air act by their
+        first-order changes.
         """
         drawn = []
         for part in self.parts:
             heavier = part.u_mass_kg * deviates.normal(f"{part.name}: mass")
             moved = part.u_centre_of_mass_m * deviates.normal(f"{part.name}: centre of mass", 3)
-            turned = part.u_inertia_kgm2 * _symmetric(deviates.normal(f"{part.name}: inertia", 6))
-            centre, inertia = part.centre_of_mass_m + moved, part.inertia_kgm2 + turned
+            inertia_change = part.u_inertia_kgm2 * _symmetric(deviates.normal(f"{part.name}: inertia", 6))
+            centre, inertia = part.centre_of_mass_m + moved, part.inertia_kgm2 + inertia_change
             terms = InertialTerms.of(part.mass_kg + heavier, centre, inertia, part.air_share)
             drawn.append(self._carried(frequency_hz, part, terms))
         drawn += [part.act(partial(self._wrench, frequency_hz)) for part in self.elastic]
         total = np.asarray(sum(drawn))
-        own = {f"{part.name}: {what}" for part in self.parts for what in ("mass", "centre of mass", "inertia")}
+        part_labels = {f"{part.name}: {what}" for part in self.parts for what in ("mass", "centre of mass", "inertia")}
         for change in self.matrix_changes(frequency_hz):
-            if change.label not in own:
+            if change.label not in part_labels:
                 # What instruments read errs by the same draws: the truth is the estimate less its error.
                 total = total - deviates.normal(change.name)[:, None, None, None] * change.effect
         return total
@@ -329,9 +356,10 @@ def _symmetric(entries: FloatArray) -> FloatArray:
 
 
 def _parameters(part: MovingPart, matrix: Callable[[InertialTerms], ComplexArray]) -> Iterator[Unknown[ComplexArray]]:
-    """Yield every uncertain number of a part with its effect on the load matrix, the `matrix` of a change of the terms.
+    """Yield every uncertain number of a part with its effect on the load matrix.
 
-    The name contains what was stated, so that another part or another place is another unknown.
+    `matrix`: from a change of the terms. The name contains the stated value, so that another part or position is
+    another unknown.
     """
     centre, rigid = part.centre_of_mass_m, np.zeros((3, 3))
 
@@ -343,7 +371,7 @@ def _parameters(part: MovingPart, matrix: Callable[[InertialTerms], ComplexArray
     if part.u_mass_kg > 0.0:
         heavier = InertialTerms.of(part.u_mass_kg, centre, rigid, part.air_share)
         yield unknown("mass", "", part.u_mass_kg, "kg", heavier)
-    place = ", ".join(f"{x:.9g}" for x in centre.tolist())
+    position = ", ".join(f"{x:.9g}" for x in centre.tolist())
     for letter, step in zip("xyz", np.diag(part.u_centre_of_mass_m), strict=True):
         if np.any(step > 0.0):
             # The terms are of second order in the place: half their difference is the derivative.
@@ -351,7 +379,7 @@ def _parameters(part: MovingPart, matrix: Callable[[InertialTerms], ComplexArray
             matrix_change = (ahead.mass_matrix - behind.mass_matrix) / 2.0
             moment_change = (ahead.weight_moment_kgm - behind.weight_moment_kgm) / 2.0
             moved = InertialTerms(matrix_change, np.zeros(()), moment_change)
-            yield unknown("centre of mass", f" [{place}] {letter}", float(step.sum()), "m", moved)
+            yield unknown("centre of mass", f" [{position}] {letter}", float(step.sum()), "m", moved)
     for entry, (row, column) in zip(np.eye(6), INERTIA_ENTRIES, strict=True):
         u = float(part.u_inertia_kgm2[row, column])
         if u > 0.0:
@@ -383,13 +411,13 @@ UNCERTAIN: Mapping[str, tuple[str, Scope]] = {
     "frequencies": ("1", "rig"),
     "participation": ("1", "rig"),
 }
-"""Keys of `[[load.elastic]]` that have an uncertainty, with the unit of that and how long they keep their value."""
+"""Keys of `[[load.elastic]]` with an uncertainty, its unit and its scope."""
 FACTORS = ("frequencies", "participation")
 """Of all modes together: 1, with a relative uncertainty."""
 
 
 def elastic_part(table: Elastic) -> ElasticPart:
-    """Return the modes that a block `[[load.elastic]]` states, and what each of its uncertain numbers does to them."""
+    """Return the modes of a block `[[load.elastic]]`, and their changes by its uncertain numbers."""
     title, variants = f"elastic {table.name}", []
 
     def add(
@@ -407,11 +435,11 @@ def elastic_part(table: Elastic) -> ElasticPart:
 
         if stated is not None:
             add(key.replace("_", " "), stated, u, unit, scope, other)
-    for place, mode in enumerate(table.mode):
+    for index, mode in enumerate(table.mode):
 
-        def shifted(frequency: float, place: int = place, mode: ElasticMode = mode) -> NaturalModes:
+        def shifted(frequency: float, index: int = index, mode: ElasticMode = mode) -> NaturalModes:
             moved = mode.model_copy(update={"frequency": frequency})
-            return stated_modes(table, {"mode": (*table.mode[:place], moved, *table.mode[place + 1 :])})
+            return stated_modes(table, {"mode": (*table.mode[:index], moved, *table.mode[index + 1 :])})
 
         add("frequency", mode.frequency, mode.frequency_uncertainty, "Hz", "rig", shifted)
     mass = None if table.shape == "modes" else elastic_body(table).mass_kg
@@ -429,7 +457,7 @@ def elastic_body(table: Elastic) -> Rod | Plate:
 
 
 def stated_modes(table: Elastic, change: Mapping[str, Any]) -> NaturalModes:
-    """Return the modes of a block of which some values are others."""
+    """Return the modes of a block with some values changed."""
     table = table.model_copy(update={key: value for key, value in change.items() if key not in FACTORS})
     if table.shape == "modes":
         modes = _tabled(table)
@@ -449,15 +477,17 @@ def stated_modes(table: Elastic, change: Mapping[str, Any]) -> NaturalModes:
 
 
 def _tabled(table: Elastic) -> NaturalModes:
-    """Return the modes that a finite element program told, brought to a modal mass of 1."""
+    """Return the modes of a finite element program, with a modal mass of 1."""
     root = np.sqrt([mode.modal_mass for mode in table.mode])
 
-    def motion(place: InstrumentPosition) -> FloatArray:
+    def motion(position: InstrumentPosition) -> FloatArray:
         # A channel of a later set-up is named by that, too.
-        names = [name for name in (place.name, place.name.rpartition(": ")[2]) if name in table.mode[0].displacement]
+        names = [
+            name for name in (position.name, position.name.rpartition(": ")[2]) if name in table.mode[0].displacement
+        ]
         if not names:
-            told = f"the load is elastic ({table.name}), but load.elastic.mode.displacement does not tell how"
-            raise ComputeError(f"{told} {place.name} moves; add its place to every mode")
+            key = f"load.elastic.mode.displacement of {table.name}"
+            raise ComputeError(POSITION_UNSTATED, instrument=position.name, key=key)
         rows = [mode.displacement[names[0]] for mode in table.mode]
         return np.array([[*row, *[0.0] * (6 - len(row))] for row in rows]) / root[:, None]
 
@@ -473,10 +503,10 @@ def _tabled(table: Elastic) -> NaturalModes:
 
 
 def moving_parts(rig: Rig, parts: Sequence[PartTable]) -> tuple[MovingPart, ...]:
-    """Return all that moves above the elastic element, none without a `[load]`: load, parts and internal mass.
+    """Return all parts that move above the elastic element: load, parts and internal mass.
 
-    Masses are true ones, in air of the density that the rig states, or that follows from its pressure, temperature,
-    humidity and height. The sensor's own mass lies below the load's joint, where there is one.
+    None without a `[load]`. Masses are true masses, in air of the density that the rig states or that follows from its
+    pressure, temperature, humidity and height. The sensor's internal mass is below the load's joint, if there is one.
     """
     load, sensor = rig.load, rig.sensor
     if load is None:
@@ -500,7 +530,7 @@ def moving_parts(rig: Rig, parts: Sequence[PartTable]) -> tuple[MovingPart, ...]
 
 
 def load_body(rig: Rig, parts: Sequence[PartTable]) -> Body | None:
-    """Return the `moving_parts`, with what is elastic and what else pulls; None without a `[load]`."""
+    """Return the `moving_parts` with elastic parts and cables, None without a `[load]`."""
     load = rig.load
     if load is None:
         return None
@@ -516,18 +546,21 @@ def load_body(rig: Rig, parts: Sequence[PartTable]) -> Body | None:
 
 
 def rigid_load(manifest: Manifest) -> Body:
-    """Return load and parts without what moves inside the sensor; `InputError` without a load."""
+    """Return load and parts without the internal mass of the sensor.
+
+    Raises `InputError` without a load.
+    """
     parts = moving_parts(manifest.rig.model_copy(update={"sensor": None}), manifest.part)
     if not parts:
         expected = "[load] with the mass, centre of mass and inertia of what is mounted on the sensor"
-        raise InputError(manifest.rig_path, "load", found="nothing", expected=expected)
+        raise InputError(LOAD_UNSTATED, manifest.rig_path, "load", found="none", expected=expected)
     return Body(parts)
 
 
 def inertia_errors(manifest: Manifest, body: Body) -> tuple[InertiaError, ...]:
-    """Return what every uncertain number of load and parts does to the mass matrix, by names that hold everywhere.
+    """Return the changes of the mass matrix by every uncertain number of load and parts.
 
-    What holds until something is mounted anew is another unknown in every mounting.
+    Their names are the same in all recordings; unknowns of a mounting are separate for every mounting.
     """
     errors = []
     for change in body.matrix_changes(np.ones(1)):

@@ -1,4 +1,4 @@
-"""The complex sensitivity: ratio of one recording, what parasitic loads contribute to it, the sensor's element."""
+"""Complex sensitivity: ratio of one recording, contributions of parasitic loads, and the sensor's element."""
 
 from __future__ import annotations
 
@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 from numpy.typing import ArrayLike
 
-from fusion.base import round_to_uncertainty
 from fusion.estimation.coverage import Polar, coverage_factor, polar
 from fusion.estimation.instrument_consistency import OUTPUT_MISTAKES, likely_mistake
 from fusion.estimation.measurement_model import BODY_SIZE_M
@@ -31,9 +30,10 @@ from fusion.instruments.channel import Outputs
 from fusion.instruments.vibrometer import PARALLEL, PointRatios, PointSpread
 from fusion.sensitivity.load_phasors import BudgetEntry, LoadResult, budget
 from fusion.sensitivity.moving_body import Body
+from fusion.sensitivity.sensitivity_notices import MASS_DOUBTED, OUTPUT_CONTRADICTS
 from shaker.arrays import BoolArray, ComplexArray, FloatArray, brief, check_shape
 from shaker.labels import LOAD_COMPONENTS
-from shakercal._common.notices import Notice
+from shakercal._common.notices import Notice, Value
 
 if TYPE_CHECKING:
     from fusion.recording.rig import Sensor
@@ -48,9 +48,17 @@ Kind = Literal["ratio", "element", "matrix", "harmonic"]
 class Sensitivity:
     """Complex sensitivities of C sensor outputs to six load components at K lines.
 
-    `value` (K, C, 6), NaN where not determined; `elements`: channel and component of the E elements determined at any
-    line, of which `uncertainty` is, NaN at lines without a value; `unit` of the outputs ("V/V"), so that an element's
-    unit is (unit)/N or (unit)/(N.m); `kind` per line; `budget` of the E elements.
+    Attributes
+    ----------
+    frequency_hz : (K,), Hz.
+    value : (K, C, 6), NaN where not determined.
+    elements : channel and component of the E elements determined at any line.
+    uncertainty : of the E elements, NaN at lines without a value.
+    channels, components : names of outputs (C) and load components (6).
+    unit : unit of the outputs, such as "V/V"; that of an element is (unit)/N or (unit)/(N.m).
+    kind : kind of each line.
+    notices : notices of the sensitivity.
+    budget : uncertainty budget of the E elements.
     """
 
     frequency_hz: FloatArray
@@ -72,7 +80,7 @@ class Sensitivity:
         if len(self.kind) != lines:
             raise ValueError(f"kind: expected {lines} words, one per line, found {len(self.kind)}")
         check_shape("uncertainty", self.uncertainty.random[0].covariance, (lines, 2 * count, 2 * count))
-        object.__setattr__(self, "budget", budget(self.uncertainty, self.value[:, *self._places()]))
+        object.__setattr__(self, "budget", budget(self.uncertainty, self.value[:, *self._element_index()]))
 
     @property
     def observed(self) -> BoolArray:
@@ -81,31 +89,35 @@ class Sensitivity:
 
     @cached_property
     def covariance(self) -> FloatArray:
-        """Return the covariance (K, C, 6, 2, 2) of (Re, Im) of every element, NaN where there is none."""
+        """Return the covariance (K, C, 6, 2, 2) of (Re, Im), or NaN."""
         every = np.full((*self.value.shape, 2, 2), np.nan)
-        every[:, *self._places()] = element_covariances(self.uncertainty.covariance)
+        every[:, *self._element_index()] = element_covariances(self.uncertainty.covariance)
         return every
 
     @cached_property
     def dof(self) -> FloatArray:
-        """Return the effective degrees of freedom (K, C, 6) of every element, NaN where there is none."""
+        """Return the effective degrees of freedom (K, C, 6) of every element, or NaN."""
         every = np.full(self.value.shape, np.nan)
-        every[:, *self._places()] = self.uncertainty.dof()
+        every[:, *self._element_index()] = self.uncertainty.dof()
         return every
 
     @cached_property
     def polar(self) -> list[list[Polar | None]]:
-        """Return the elements (K lines of E) as magnitude and phase, None where one is not known."""
-        return polar_elements(self.value[:, *self._places()], self.uncertainty)
+        """Return the elements (K lines of E) as magnitude and phase.
 
-    def _places(self) -> tuple[list[int], list[int]]:
+        None where one is not known.
+        """
+        return polar_elements(self.value[:, *self._element_index()], self.uncertainty)
+
+    def _element_index(self) -> tuple[list[int], list[int]]:
         return [channel for channel, _ in self.elements], [component for _, component in self.elements]
 
 
 def driven_component(direction: Sequence[float], capacity: Sequence[float] | None = None) -> int:
-    """Return which load component (0..5) the excitation drives: the largest of 3 or 6 numbers.
+    """Return the load component (0..5) that the excitation drives.
 
-    Forces and moments of a 6-vector are compared in shares of the rated `capacity` (6,) where it is known.
+    The largest of 3 or 6 numbers. Forces and moments of a 6-vector are compared in shares of the rated `capacity` (6,)
+    if it is stated.
     """
     size = np.abs(np.asarray(direction, dtype=np.float64))
     if size.shape not in ((3,), (6,)) or not np.any(size > 0.0):
@@ -120,12 +132,11 @@ def sensitivity_ratio(
     load: LoadResult,
     component: int,
     multiple: ArrayLike,
-    capacity: Sequence[float] | None = None,
 ) -> Sensitivity:
-    """Return output / load of the driven `component` for every output channel of one recording.
+    """Return output / load of the driven `component` for every output of one recording.
 
-    S = U/L; dS = dU/L - S dL/L, in which an unknown that acts on both (a clock, an amplifier) is one change.
-    `multiple` (K,): 1 at a fundamental ("ratio"), else "harmonic".
+    S = U/L; dS = dU/L - S dL/L, in which an unknown of both (a clock, an amplifier) is one change. `multiple` (K,): 1
+    at a fundamental ("ratio"), else "harmonic".
     """
     channels = outputs.phasors.channels
     driven = np.where(load.observed[:, component], load.value[:, component], np.nan)[:, None]
@@ -134,22 +145,6 @@ def sensitivity_ratio(
     from_outputs = outputs.uncertainty.scaled(np.broadcast_to(quotient(1.0, driven), ratio.shape))
     value = np.full((*ratio.shape, 6), complex(np.nan, np.nan))
     value[:, :, component] = ratio
-    name, notices = LOAD_COMPONENTS[component], []
-    if np.any(np.isfinite(ratio)):
-        # What else acted on the sensor at the strongest line; forces and moments compare in shares of rated loads only.
-        rated = np.ones(6) if capacity is None else np.asarray(capacity)
-        given = np.abs(np.where(load.observed, load.value, np.nan)) / rated
-        line = int(np.nanargmax(given[:, component]))
-        share = given[line] / given[line, component]
-        others = [
-            f"{LOAD_COMPONENTS[i]} {share[i]:.2%}"
-            for i in range(6)
-            if i != component and (capacity is not None or i // 3 == component // 3) and np.isfinite(share[i])
-        ]
-        if others:
-            basis = "" if capacity is None else " (in shares of the rated loads)"
-            text = f"beside {name} = 100 % the sensor carried {', '.join(others)}{basis}; the ratio contains their part"
-            notices.append(Notice("note", text, "sensitivity"))
     return Sensitivity(
         frequency_hz=outputs.phasors.frequency_hz,
         value=value,
@@ -159,7 +154,7 @@ def sensitivity_ratio(
         components=LOAD_COMPONENTS,
         unit=outputs.phasors.unit[0],
         kind=tuple("ratio" if m == 1 else "harmonic" for m in np.asarray(multiple).tolist()),
-        notices=tuple(notices),
+        notices=(),
     )
 
 
@@ -171,22 +166,25 @@ def quotient(numerator: ComplexArray | float, denominator: ComplexArray) -> Comp
     return np.asarray(np.divide(numerator, denominator, out=empty, where=usable))
 
 
-# What load components that were not meant to act contribute to the outputs of one recording, by the static matrix.
+# Contributions of other load components to the outputs of one recording, by the static matrix.
 
 
 @dataclass(frozen=True)
 class ParasiticLoads:
-    """Share (K, C) of each output that the other load components explain, and its uncertainty.
+    """Share (K, C) of each output that other load components cause.
 
-    `value`: complex, relative to the whole output, NaN where the load is not known; nearly equal to what the ratio of
-    output and driven load is wrong by, relative, if it is read as an element of the sensitivity.
+    `value`: complex, relative to the whole output, NaN where the load is not known. It is nearly the relative error of
+    the ratio of output and driven load as an element of the sensitivity.
     """
 
     value: ComplexArray
     uncertainty: Uncertainty
 
     def element(self, line: int, channel: int) -> Polar:
-        """Return one share with its uncertainty; its real part enlarges the output, its imaginary part turns it."""
+        """Return one share with its uncertainty.
+
+        Its real part enlarges the output, its imaginary part turns it.
+        """
         pair = element_covariance(self.uncertainty.covariance[line], channel)
         return polar(complex(self.value[line, channel]), pair, float(self.uncertainty.dof()[line, channel]))
 
@@ -196,20 +194,6 @@ class ParasiticLoads:
         real, imaginary = (float(one.dof_along(np.array([d]))[0, 0]) for d in (1.0 + 0.0j, 1.0j))
         return coverage_factor(real), coverage_factor(imaginary)
 
-    def notices(self, line: int, channel: int, where: str) -> tuple[Notice, ...]:
-        """Return what the output of one channel at one line owes to other loads; `where` names both."""
-        if not abs(self.value[line, channel]) > 0.0:
-            return ()
-        share = self.element(line, channel)
-        k_re, k_im = self.factors(line, channel)
-        more = round_to_uncertainty(100.0 * share.re, 100.0 * k_re * share.u_re, 0)
-        turn = round_to_uncertainty(1e3 * share.im, 1e3 * k_im * share.u_im, 0)
-        text = (
-            f"by the static sensitivity the other load components make ({more.value} ± {more.expanded}) % of {where} "
-            f"and turn it by ({turn.value} ± {turn.expanded}) mrad: the ratio contains that, the element does not"
-        )
-        return (Notice("note", text, "sensitivity"),)
-
 
 def parasitic_loads(
     outputs: Outputs,
@@ -218,11 +202,11 @@ def parasitic_loads(
     component: int,
     unknowns: Iterable[Unknown[ComplexArray]] = (),
 ) -> ParasiticLoads:
-    """Return z = Σ_{j≠d} S_cj L_j / U_c over the load components j other than the driven one d.
+    """Return the share of each output by load components other than the driven one.
 
-    `static` (C, 6): static sensitivity of the channels, its `unknowns` as the element has them (`static_unknowns`).
-    dz = Σ (S_cj dL_j + dS_cj L_j) / U_c - z dU_c / U_c, with unknowns that act on both load and outputs as one;
-    components of the motion that nobody observed are in L at zero with their uncertainty.
+    z = Σ_{j≠d} S_cj L_j / U_c with the driven component d. `static` (C, 6): static sensitivity of the channels with the
+    `unknowns` of the element (`static_unknowns`). dz = Σ (S_cj dL_j + dS_cj L_j) / U_c - z dU_c / U_c, with unknowns of
+    both load and outputs as one. Unobserved components of the motion are zero in L, with their uncertainty.
     """
     matrix = np.array(static, dtype=np.complex128)
     matrix[:, component] = 0.0
@@ -232,31 +216,31 @@ def parasitic_loads(
     value = np.sum(parts, axis=2)
     from_load = load.uncertainty.transformed(real_design(slope))
     total = from_load.plus(outputs.uncertainty.scaled(quotient(-value, signal)))
-    own = []
+    static_influences = []
     for unknown in unknowns:
         changed = unknown.effect.copy()
         changed[:, component] = 0.0
         change = quotient(load.value @ changed.T, signal)
-        own += [unknown.acting(real_stack(change))] if np.any(changed) else []
-    return ParasiticLoads(value, Uncertainty(total.random, (*total.influences, *own)))
+        static_influences += [unknown.acting(real_stack(change))] if np.any(changed) else []
+    return ParasiticLoads(value, Uncertainty(total.random, (*total.influences, *static_influences)))
 
 
-# What is stated of the sensor's matrix, and the sensor's element that one recording gives with it.
+# The stated matrix of the sensor, and the element of one recording by it.
 
 
 U_STATIC = 1e-3
-"""Standard uncertainty of a static matrix of which none is stated: relative, of main elements; over the rated output at
-the rated load, of the others. Most static calibrations of multi-component sensors are no better known a year later."""
+"""Standard uncertainty of a static matrix if none is stated: relative, of main elements; over the rated output at the
+rated load, of the others. Most static calibrations of multi-component sensors are not better a year later."""
 RATED = "rated cross-talk"
 
 
 @dataclass(frozen=True)
 class StatedMatrix:
-    """What is stated of the matrix of a sensor with outputs `channels` (C), None where something is not.
+    """Statements on the matrix of a sensor with outputs `channels` (C), None if missing.
 
-    `capacity` (6,) in N and N.m; `static` (C, 6) with the relative standard uncertainty `u_static` of every element (0:
-    not stated) and `u_cross_talk`, over the rated output, of those beside the main ones; `cross_talk`: the largest
-    there is, over the rated output at the rated load.
+    `capacity` (6,) in N and N.m. `static` (C, 6) with the relative standard uncertainty `u_static` of every element (0:
+    not stated) and `u_cross_talk`, over the rated output, of elements other than the main ones. `cross_talk`: its
+    largest value, over the rated output at the rated load.
     """
 
     channels: tuple[str, ...]
@@ -268,7 +252,7 @@ class StatedMatrix:
 
     @classmethod
     def of(cls, sensor: Sensor) -> StatedMatrix:
-        """Return what rig.toml states."""
+        """Return the statements of rig.toml."""
         capacity, static = (
             None if stated is None else np.array(stated, dtype=np.float64)
             for stated in (sensor.capacity, sensor.static_sensitivity)
@@ -282,28 +266,31 @@ class StatedMatrix:
         return self.u_static or U_STATIC
 
     def u_elements(self, static: FloatArray) -> FloatArray:
-        """Return the standard uncertainties of rows of the static matrix (C, 6), in the unit of each element."""
+        """Return the standard uncertainties of rows of the static matrix (C, 6), in their units."""
         share = U_STATIC if self.u_cross_talk is None else self.u_cross_talk
         signal = np.abs(static) * self.rated
         u = np.hypot(self.u_relative * np.abs(static), share * signal.max(axis=1)[:, None] / self.rated)
-        own = np.arange(len(static)), np.argmax(signal, axis=1)
-        u[own] = self.u_relative * np.abs(static[own])
+        main = np.arange(len(static)), np.argmax(signal, axis=1)
+        u[main] = self.u_relative * np.abs(static[main])
         return np.asarray(u)
 
     @property
     def rated(self) -> FloatArray:
-        """Return the rated loads (6,); where none are stated, moments count over 0.1 m."""
+        """Return the rated loads (6,).
+
+        If none are stated, moments are scaled by 0.1 m.
+        """
         return np.array([1.0] * 3 + [BODY_SIZE_M] * 3) if self.capacity is None else self.capacity
 
 
 @dataclass(frozen=True)
 class PriorMatrix:
-    """What is known of the matrix of C outputs where the load `component` d is driven.
+    """Prior matrix of C outputs under the driven load `component` d.
 
-    `main` m: the output that belongs to it; `rows`: the E outputs whose element a recording gives; `value` (C, 6): up
-    to one complex factor, the course of the driven element over frequency; `unknowns`: real, each with its change (C,
-    6) of the value for one standard uncertainty. `static`: whether the values are a static calibration (normal
-    unknowns), or zero beside the driven element, with rated cross-talk as bounds (uniform ones).
+    `main` m: the output that belongs to it. `rows`: the E outputs with an element of the recording. `value` (C, 6): up
+    to one complex factor, the change of the driven element over frequency. `unknowns`: real, each with its change (C,
+    6) of the value per standard uncertainty. `static`: the values are a static calibration (normal unknowns), or zero
+    except for the driven element, with rated cross-talk as bounds (uniform unknowns).
     """
 
     channels: tuple[str, ...]
@@ -317,29 +304,29 @@ class PriorMatrix:
     def elements(
         self, outputs: ComplexArray, load: ComplexArray, matrix: ComplexArray | FloatArray | None = None
     ) -> ComplexArray:
-        """Return the E elements (..., E) of outputs (..., C) under loads (..., 6); `matrix` (..., C, 6): another value.
+        """Return the E elements (..., E) of outputs (..., C) under loads (..., 6).
 
-        S_cd = (U_c - h Σ_{j≠d} S⁰_cj L_j) / L_d with h = U_m / Σ_j S⁰_mj L_j.
+        `matrix` (..., C, 6): another value. S_cd = (U_c - h Σ_{j≠d} S⁰_cj L_j) / L_d with h = U_m / Σ_j S⁰_mj L_j.
         """
         value = self.value if matrix is None else matrix
         rows, d = list(self.rows), self.component
         parts = value * load[..., None, :]
-        course = quotient(outputs[..., self.main], np.sum(parts[..., self.main, :], axis=-1))
+        change = quotient(outputs[..., self.main], np.sum(parts[..., self.main, :], axis=-1))
         others = np.sum(np.delete(parts[..., rows, :], d, axis=-1), axis=-1)
-        return quotient(outputs[..., rows] - course[..., None] * others, np.asarray(load[..., d, None] + 0.0j))
+        return quotient(outputs[..., rows] - change[..., None] * others, np.asarray(load[..., d, None] + 0.0j))
 
-    def courses(self, outputs: ComplexArray, load: ComplexArray) -> tuple[Unknown[ComplexArray], ...]:
-        """Return how far other elements may follow another course over frequency than the driven one: (K, C, 6).
+    def frequency_unknowns(self, outputs: ComplexArray, load: ComplexArray) -> tuple[Unknown[ComplexArray], ...]:
+        """Return possible deviations (K, C, 6) of other elements from the driven one's change.
 
-        The evidence is what the driven element itself has changed by since rest, |h - 1|: every other element may
-        deviate from h by as much, relative, in a direction of the complex plane of which nothing is known, hence
-        |h - 1|/√2 as standard uncertainty of real and imaginary part. Each is one unknown for all frequencies and
-        recordings, since a course is smooth and belongs to the sensor. Rated bounds have none.
+        The evidence is the change |h - 1| of the driven element from its static value. Every other element may deviate
+        from h by the same relative amount, in a uniform direction of the complex plane: |h - 1|/√2 as standard
+        uncertainty of real and imaginary part. Each is one unknown for all frequencies and recordings, because the
+        change is smooth and belongs to the sensor. Rated bounds have none.
         """
         if not self.static:
             return ()
-        course = quotient(outputs[:, self.main], load @ self.value[self.main])
-        away = np.nan_to_num(np.abs(course - 1.0)) / np.sqrt(2.0)
+        change = quotient(outputs[:, self.main], load @ self.value[self.main])
+        deviation = np.nan_to_num(np.abs(change - 1.0)) / np.sqrt(2.0)
         driven = f"{self.channels[self.main]}/{LOAD_COMPONENTS[self.component]}"
         found = list[Unknown[ComplexArray]]()
         for c, j in np.argwhere(self.value != 0.0).tolist():
@@ -347,32 +334,32 @@ class PriorMatrix:
                 continue
             name = f"course of {self.channels[c]}/{LOAD_COMPONENTS[j]} over frequency beside {driven}"
             for part, turn in (("real part", 1.0), ("imaginary part", 1j)):
-                effect = np.zeros((len(away), *self.value.shape), np.complex128)
-                effect[:, c, j] = turn * away * self.value[c, j]
+                effect = np.zeros((len(deviation), *self.value.shape), np.complex128)
+                effect[:, c, j] = turn * deviation * self.value[c, j]
                 label = "static matrix at this frequency"
-                found.append(Unknown(f"{name}, {part}", label, float(away.max(initial=0.0)), "1", effect, "rig"))
+                found.append(Unknown(f"{name}, {part}", label, float(deviation.max(initial=0.0)), "1", effect, "rig"))
         return tuple(found)
 
     def uncertainty(
         self, outputs: ComplexArray, load: ComplexArray, of_outputs: Uncertainty, of_load: Uncertainty, given: BoolArray
     ) -> Uncertainty:
-        """Return the uncertainty of the E elements of K lines, first order, unknowns of one name as one.
+        """Return the first-order uncertainty of the E elements of K lines.
 
-        dS_cd = [dU_c - h dP_c - P_c dh - S_cd dL_d] / L_d with P_c = Σ_{j≠d} S⁰_cj L_j, h = U_m/Q, Q = Σ_j S⁰_mj L_j,
-        hence dP_c = Σ_{j≠d} (S⁰_cj dL_j + L_j dS⁰_cj) and dh = (dU_m - h Σ_j (S⁰_mj dL_j + L_j dS⁰_mj)) / Q. Of a load
-        that is not `given` (K, 6) dL_j may be far larger than L_j: the variance of dL_j dS⁰_cj is added (JCGM 100,
-        5.1.2, note).
+        Unknowns of one name are one. dS_cd = [dU_c - h dP_c - P_c dh - S_cd dL_d] / L_d with P_c = Σ_{j≠d} S⁰_cj L_j, h
+        = U_m/Q, Q = Σ_j S⁰_mj L_j. Hence dP_c = Σ_{j≠d} (S⁰_cj dL_j + L_j dS⁰_cj) and dh = (dU_m - h Σ_j (S⁰_mj dL_j +
+        L_j dS⁰_mj)) / Q. For a load that is not `given` (K, 6) dL_j may be far larger than L_j: the variance of dL_j
+        dS⁰_cj is added (JCGM 100, 5.1.2, note).
         """
         rows, m, d = list(self.rows), self.main, self.component
         driven, whole = np.asarray(load[:, d, None] + 0.0j), load @ self.value[m]
         others = self.value[rows]
         others[:, d] = 0.0
-        course, parasitic = quotient(outputs[:, m], whole)[:, None], load @ others.T
-        back = quotient(course * parasitic, whole[:, None])
+        ratio, parasitic = quotient(outputs[:, m], whole)[:, None], load @ others.T
+        back = quotient(ratio * parasitic, whole[:, None])
         by_outputs = np.zeros((len(load), len(rows), len(self.channels)), np.complex128)
         by_outputs[:, range(len(rows)), rows] = 1.0
         by_outputs[:, :, m] -= quotient(parasitic, whole[:, None])
-        by_load = back[:, :, None] * self.value[m] - course[:, :, None] * others
+        by_load = back[:, :, None] * self.value[m] - ratio[:, :, None] * others
         by_load[:, :, d] -= self.elements(outputs, load)
         total = of_outputs.nan_as_zero().transformed(
             real_design(np.nan_to_num(quotient(by_outputs, driven[:, :, None])))
@@ -380,53 +367,54 @@ class PriorMatrix:
         total = total.plus(
             of_load.nan_as_zero().transformed(real_design(np.nan_to_num(quotient(by_load, driven[:, :, None]))))
         )
-        own, products = list[Influence](), list[Contribution]()
+        influences, products = list[Influence](), list[Contribution]()
         hidden = ~np.tile(given, (1, 2))
         unsure = np.where(hidden[:, :, None] & hidden[:, None, :], np.nan_to_num(of_load.covariance), 0.0)
-        unknowns = (*self.unknowns, *self.courses(outputs, load))
+        unknowns = (*self.unknowns, *self.frequency_unknowns(outputs, load))
         if unknowns:
             shape = len(load), *self.value.shape
             effect = np.stack([np.broadcast_to(unknown.effect, shape) for unknown in unknowns])
-            beside = effect[:, :, rows]
-            beside[..., d] = 0.0
-            by_each = back[:, :, None] * effect[:, :, None, m] - course[:, :, None] * beside
+            others_effect = effect[:, :, rows]
+            others_effect[..., d] = 0.0
+            by_each = back[:, :, None] * effect[:, :, None, m] - ratio[:, :, None] * others_effect
             slope = np.nan_to_num(quotient(by_each, driven[:, :, None]))
             acting = real_stack(np.einsum("ukcj,kj->ukc", slope, np.nan_to_num(load)))
             both = real_design(slope)
             spread = both @ unsure @ both.swapaxes(2, 3)
-            own = [unknown.acting(change) for unknown, change in zip(unknowns, acting, strict=True)]
+            influences = [unknown.acting(change) for unknown, change in zip(unknowns, acting, strict=True)]
             products = [Contribution(u.label, "B", square) for u, square in zip(unknowns, spread, strict=True)]
         lost = np.tile(~np.isfinite(self.elements(outputs, load)), (1, 2))
         first = total.random[0]
         blank = np.where(lost[:, :, None] | lost[:, None, :], np.nan, first.covariance)
         random = (replace(first, covariance=blank), *total.random[1:], *products)
-        return Uncertainty(merge_contributions(random), (*total.influences, *own))
+        return Uncertainty(merge_contributions(random), (*total.influences, *influences))
 
 
 def prior_matrix(stated: StatedMatrix, channels: Sequence[str], component: int, sizes: ArrayLike) -> PriorMatrix | None:
-    """Return what is known of the matrix of some outputs under a driven load, None where nothing is.
+    """Return the prior matrix of some outputs under a driven load, None without statements.
 
-    A static matrix: every other element S_cj is taken as S⁰_cj·h with the course h of the driven main element, which
-    the recording itself measures, not as S⁰_cj. What changes between rest and the frequency is first the measuring
-    chain, the same for all elements of an output, and what an elastic element does to the driven load it does in kind
-    to the others; of the two, only what differs among elements is then left over (`KnownMatrix.courses`). For the main
-    output S = S⁰_md·U_m / Σ_j S⁰_mj L_j, so that a scale error of the static calibration has no part in it. Uncertainty
-    of S⁰: relative, and, beside the main elements, over the rated output: nobody knows a cross-talk of 2 % to a
-    thousandth of itself. A row that states only its main element (zeros beside it) tells nothing of cross-talk unless
-    `u_cross_talk` says how near to zero that is.
+    With a static matrix every other element S_cj is S⁰_cj·h, with the change h of the driven main element, which the
+    recording measures. From rest to the frequency the measuring chain changes first, equally for all elements of an
+    output, and elastic parts change other loads like the driven one. Only differences between elements remain
+    (`PriorMatrix.frequency_unknowns`). For the main output S = S⁰_md·U_m / Σ_j S⁰_mj L_j, so that a scale error of the
+    static calibration cancels.
 
-    Without it, rated cross-talk x: S_mj uniform within ± x·|S_md|·capacity_d/capacity_j, for the main output only, with
-    S_md as it is measured. `sizes` (C,): outputs over the driven load, which tell the main output where neither its
-    name nor a static matrix does.
+    Uncertainty of S⁰: relative, and for other than main elements over the rated output, because a cross-talk of 2 % is
+    not known to a thousandth of itself. A row with only its main element (zeros otherwise) gives no cross-talk unless
+    `u_cross_talk` states how near to zero it is.
+
+    Without a static matrix, rated cross-talk x: S_mj uniform within ± x·|S_md|·capacity_d/capacity_j, for the main
+    output only, with the measured S_md. `sizes` (C,): outputs over the driven load, which select the main output if
+    neither its name nor a static matrix does.
     """
     names, rated = tuple(channels), stated.rated
-    places = [stated.channels.index(name) for name in names]
+    indices = [stated.channels.index(name) for name in names]
     if stated.static is not None:
-        static, own = stated.static[places], stated.channels[int(np.argmax(np.abs(stated.static[:, component])))]
-        main = names.index(own) if own in names else None
-        told = np.count_nonzero(static, axis=1) > (stated.u_cross_talk is None)
-        if main is not None and told[main] and static[main, component] != 0.0:
-            rows = tuple(np.flatnonzero(told).tolist())
+        static, main_name = stated.static[indices], stated.channels[int(np.argmax(np.abs(stated.static[:, component])))]
+        main = names.index(main_name) if main_name in names else None
+        informative = np.count_nonzero(static, axis=1) > (stated.u_cross_talk is None)
+        if main is not None and informative[main] and static[main, component] != 0.0:
+            rows = tuple(np.flatnonzero(informative).tolist())
             return PriorMatrix(
                 names, component, main, rows, static, static_unknowns(stated, names, static), static=True
             )
@@ -448,7 +436,7 @@ def prior_matrix(stated: StatedMatrix, channels: Sequence[str], component: int, 
 def static_unknowns(
     stated: StatedMatrix, channels: tuple[str, ...], static: FloatArray
 ) -> tuple[Unknown[ComplexArray], ...]:
-    """Return one unknown per element of a static matrix (C, 6), in the unit of the element."""
+    """Return one unknown per element of a static matrix (C, 6), in the element's unit."""
     u, found = stated.u_elements(static), []
     for c, j in np.ndindex(static.shape):
         effect = np.zeros(static.shape, np.complex128)
@@ -461,7 +449,10 @@ def static_unknowns(
 def sensor_element(
     outputs: Outputs, load: LoadResult, prior: PriorMatrix, multiple: ArrayLike, notices: Sequence[Notice] = ()
 ) -> Sensitivity:
-    """Return the sensor's elements of the driven load at the fundamentals of one recording (`KnownMatrix`)."""
+    """Return the sensor's elements of the driven load at the fundamentals of one recording.
+
+    By its prior matrix (`PriorMatrix.elements`).
+    """
     usable = (np.asarray(multiple) == 1) & load.observed[:, prior.component]
     force = np.where(usable[:, None], load.value, complex(np.nan, np.nan))
     signal = outputs.phasors.value
@@ -480,18 +471,18 @@ def sensor_element(
     )
 
 
-# What the outputs and the static matrix say of each other.
+# Contradictions of outputs and static matrix.
 
 CHANGED = 0.3
 """Relative change of an element since rest from which its static value is doubted."""
 CROSS_TALK = 0.05
-"""Of the rated output at the rated load: what a sensor may have that its static matrix does not state."""
+"""Cross-talk, over the rated output at the rated load, that a static matrix may omit (chosen)."""
 
 
 def contradicting_outputs(
     outputs: Outputs, load: LoadResult, prior: PriorMatrix, rated: FloatArray, line: int
 ) -> Iterator[Notice]:
-    """Yield which outputs are at one line not what the static matrix makes of the load, and what that looks like.
+    """Yield a warning of outputs that contradict the static matrix at one line.
 
     An output may deviate by `CHANGED` of its prediction, by a cross-talk of `CROSS_TALK` of the load that is largest
     over its rated one, and by three standard uncertainties.
@@ -509,8 +500,8 @@ def contradicting_outputs(
     noise = 3.0 * np.hypot(np.sqrt(pair), np.hypot(outputs.phasors.u_re[line], outputs.phasors.u_im[line]))
 
     def agrees(found: int, named: int) -> bool:
-        away = abs(signal[found] - predicted[named])
-        return bool(away <= CHANGED * abs(predicted[named]) + cross[named] + noise[named])
+        distance = abs(signal[found] - predicted[named])
+        return bool(distance <= CHANGED * abs(predicted[named]) + cross[named] + noise[named])
 
     stated = [c for c in range(len(names)) if np.isfinite(signal[c]) and full[c] > 0.0]
     doubted = [c for c in stated if not agrees(c, c)]
@@ -519,58 +510,57 @@ def contradicting_outputs(
     listed = []
     for c in doubted:
         ratio = complex(quotient(signal[c], predicted[c, None])[0])
-        looks = likely_mistake(ratio, CHANGED, OUTPUT_MISTAKES) if abs(predicted[c]) > cross[c] else ""
-        if not looks and abs(abs(ratio) - 1.0) < CHANGED:
-            looks = "the delay or response of its chain were missing or in another unit"
+        mistake = likely_mistake(ratio, CHANGED, OUTPUT_MISTAKES) if abs(predicted[c]) > cross[c] else ""
+        if not mistake and abs(abs(ratio) - 1.0) < CHANGED:
+            mistake = "the delay or response of its chain were missing or in another unit"
         factor = f"{abs(ratio):.3g} times as large, turned by {np.angle(ratio):.3g} rad"
-        listed.append(f"{names[c]} is {factor}" + (f", as if {looks}" if looks else ""))
+        listed.append(f"{names[c]} is {factor}" + (f", as if {mistake}" if mistake else ""))
     pairs = [(a, b) for a, b in combinations(doubted, 2) if agrees(a, b) and agrees(b, a)]
-    text = (
-        f"outputs contradict the static sensitivity at {outputs.phasors.frequency_hz[line]:.6g} Hz, by which the load "
-        f"would make them: {'; '.join(listed)}"
-    )
-    text += "".join(f"; outputs {names[a]} and {names[b]} look exchanged" for a, b in pairs)
-    text += (
-        "; check sensor.static_sensitivity, sensor.unit, sensor.sense, load.mass, load.inertia and load.centre_of_mass "
+    exchanges = [f"whether {names[a]} and {names[b]} are exchanged" for a, b in pairs]
+    checks = (
+        "sensor.static_sensitivity, sensor.unit, sensor.sense, load.mass, load.inertia and load.centre_of_mass "
         "in rig.toml, scale, delay, response and channel of the outputs in recording.toml"
     )
-    yield Notice("warning", text, "sensitivity")
+    yield Notice(
+        OUTPUT_CONTRADICTS,
+        "sensitivity",
+        frequency_hz=outputs.phasors.frequency_hz[line],
+        outputs="; ".join(listed),
+        checks=", ".join([*exchanges, checks]),
+    )
 
 
-UNLIKE_REST, SOFTEST_HZ = 0.03, 500.0
-"""Relative change of the driven element since rest that a resonance has to explain, and where it is to be expected."""
+MIN_CHANGE_FROM_REST, MAX_RESONANCE_HZ = 0.03, 500.0
+"""Relative change of the driven element from rest that needs a resonance, and the highest such resonance (chosen)."""
 
 
 def mass_notices(element: str, ratio: complex, frequency_hz: float) -> Iterator[Notice]:
-    """Yield the question whether a mass is wrong or missing: an element is neither as at rest nor as in a resonance.
+    """Yield a warning of a wrong or missing mass if no resonance explains the element.
 
-    `course`: the element over its static value at one frequency. Below its resonance f₀ an oscillator's is
-    1/(1 - (f/f₀)²), never below one, in phase.
+    `ratio`: the element over its static value at one frequency. Below its resonance f₀ an oscillator's is 1/(1 -
+    (f/f₀)²), never below one, in phase.
     """
-    size, told = abs(ratio), "which no resonance above that does"
-    if not UNLIKE_REST < abs(size - 1.0) <= CHANGED or abs(np.angle(ratio)) > CHANGED:
+    size, resonance = abs(ratio), "which no resonance above that explains"
+    if not MIN_CHANGE_FROM_REST < abs(size - 1.0) <= CHANGED or abs(np.angle(ratio)) > CHANGED:
         return
     if size > 1.0:
         natural_hz = frequency_hz / np.sqrt(1.0 - 1.0 / size)
-        if natural_hz > SOFTEST_HZ:
+        if natural_hz > MAX_RESONANCE_HZ:
             return
-        told = f"as a resonance at {natural_hz:.3g} Hz would make it"
-    masses = "load.mass, every part that moves with the load and sensor.internal_mass stated, each once"
-    text = (
-        f"the {element} is {size:.3g} times its static value at {frequency_hz:.6g} Hz, {told}: are {masses}, and scale"
-    )
-    yield Notice("warning", f"{text} and response of the output right?", "sensitivity")
+        resonance = f"as with a resonance at {natural_hz:.3g} Hz"
+    values: dict[str, Value] = {"factor": size, "frequency_hz": frequency_hz, "resonance": resonance}
+    yield Notice(MASS_DOUBTED, "sensitivity", element=element, **values)
 
 
 # The ratio point by point, where several vibrometer points look along the force that was driven.
 
 
 def with_ratios(spread: PointSpread, outputs: Outputs, sensitivity: Sensitivity, body: Body) -> PointSpread:
-    """Return the spread with S_i = U/(m a_i) of the output that answers most to the force along the points.
+    """Return the spread with the ratio S_i = U/(m a_i) of each point.
 
-    m is the mass that moves above the elastic element, as of a rigid load. dS = S (dU/U - da/a - dm/m), in which an
-    unknown of both sides (a clock) is one change. Where the excitation drives another component than that force
-    there is nothing to add.
+    Of the output with the largest response to the force along the points. m is the mass above the elastic element, for
+    a rigid load. dS = S (dU/U - da/a - dm/m), in which an unknown of both sides (a clock) is one change. The spread is
+    unchanged if the excitation drives another component.
     """
     axis = int(np.argmax(np.abs(spread.direction)))
     along = abs(spread.direction[axis]) > 1.0 - PARALLEL
@@ -583,8 +573,8 @@ def with_ratios(spread: PointSpread, outputs: Outputs, sensitivity: Sensitivity,
     driven = mass[:, None] * spread.value
     value = outputs.phasors.value[:, channel, None] / driven
     from_output = outputs.uncertainty.at([channel]).transformed(real_design((1.0 / driven)[:, :, None]))
-    known = from_output.plus(spread.uncertainty.scaled(-value / spread.value))
-    # What one kilogram more changes, times what the uncertain masses may be off by.
+    first_order = from_output.plus(spread.uncertainty.scaled(-value / spread.value))
+    # Change per kilogram times the uncertainty of the masses.
     masses = [
         change.acting(real_stack(-value / mass[:, None] * change.effect[:, axis, axis, None]))
         for change in rigid.matrix_changes(spread.frequency_hz)
@@ -595,7 +585,7 @@ def with_ratios(spread: PointSpread, outputs: Outputs, sensitivity: Sensitivity,
         component=sensitivity.components[axis],
         unit=sensitivity.unit,
         value=value,
-        uncertainty=Uncertainty(known.random, (*known.influences, *masses)),
+        uncertainty=Uncertainty(first_order.random, (*first_order.influences, *masses)),
         fused=sensitivity.value[:, channel, axis],
     )
     return replace(spread, ratios=ratios)

@@ -1,4 +1,4 @@
-"""The path on one page: from a recording folder to the complex sensitivity."""
+"""Evaluation of a recording: from its folder to the complex sensitivity."""
 
 from __future__ import annotations
 
@@ -40,14 +40,39 @@ def evaluate_recording(
     executor: Executor | None = None,
     checkpoints: CheckpointStore | None = None,
 ) -> Evaluation:
-    """Evaluate one sinusoidal recording: files → phasors → acceleration of load and base → load → sensitivity.
+    """Evaluate one sinusoidal recording: files → phasors → acceleration → load → sensitivity.
 
-    `recording`: its manifest or its folder. What was recorded in sequential set-ups is referred to the first before the
-    instruments are fused. An `executor` follows the images, to the same digits; `kept`: where blocks of frames that
-    were followed are found again when this did not end. `settings`: by default `Settings()`. `input_hashes` (file →
-    SHA-256) are carried into the result. Raises `InputError` for what the user can mend in the files, `ComputeError`
-    for what these files do not allow.
+    Sequential set-ups are referred to the first one before the instruments are fused.
 
+    Parameters
+    ----------
+    recording : Manifest, str or Path
+        Manifest, or folder of the recording.
+    settings : Settings, optional
+        Settings of the evaluation; default `Settings()`.
+    input_hashes : mapping, optional
+        File → SHA-256, copied into the result.
+    progress : callable, optional
+        Called with stage, step and number of steps.
+    executor : Executor, optional
+        Processes that track the images, with identical results; default threads of this process.
+    checkpoints : CheckpointStore, optional
+        Store of tracked blocks of frames, by which an interrupted evaluation continues.
+
+    Returns
+    -------
+    Evaluation
+        All results of the recording.
+
+    Raises
+    ------
+    InputError
+        If a file has a mistake that the user can correct.
+    ComputeError
+        If the files do not allow a result.
+
+    Examples
+    --------
     >>> from fusion import evaluate_recording
     >>> evaluation = evaluate_recording("sample_images/demo/Fz-0080")  # doctest: +SKIP
     >>> evaluation.sensitivity.value[:, 2, 2]  # Fz output per Fz load, line by line  # doctest: +SKIP
@@ -65,12 +90,12 @@ def evaluate_set_ups(
     settings: Settings,
     progress: ProgressCallback = no_progress,
 ) -> Evaluation:
-    """Evaluate a recording whose instruments have phasors: fuse, apply the mass matrix, divide the outputs."""
+    """Evaluate a recording from the phasors of its instruments: fusion, mass matrix, outputs over load."""
     joined = join_set_ups(set_ups)
     sensor, surroundings, body = manifest.rig.sensor, manifest.rig.surroundings, load_body(manifest.rig, manifest.part)
     observations = joined.observed(surroundings.free_fall_mps2[0])
     observations, supports, shaken = without_supports(observations, surroundings.support_motion)
-    unseen = unresolved_fundamentals(observations, joined.lines, joined.aliased)
+    unobserved_lines = unresolved_fundamentals(observations, joined.lines, joined.aliased)
     body, measured = with_measured_modes(body, manifest.rig.load, joined.stereo)
     rows = observations if body is None else elastic_rows(observations, body.elastic)
     outputs = None if sensor is None else sensor_outputs(joined.readings, sensor.channels)
@@ -84,9 +109,8 @@ def evaluate_set_ups(
     if body is not None and analysis.outputs is not None and analysis.sensitivity is not None:
         points = tuple(with_ratios(spread, analysis.outputs, analysis.sensitivity, body) for spread in points)
     parallel = beam_notices([reading.entry for reading in joined.readings])
-    folded = [text for set_up in set_ups for text in set_up.not_assessed]
     lowest_hz = float(np.min(joined.lines.frequency_hz))
-    missing = [*not_assessed(manifest.rig, observations, body, lowest_hz, folded, carried_by(supports))]
+    missing = [*not_assessed(manifest.rig, observations, body, lowest_hz, carried_by(supports))]
     if sensor is not None and direction is not None:
         entries = [reading.entry for reading in joined.readings]
         found = analysis.element or analysis.sensitivity
@@ -96,14 +120,14 @@ def evaluate_set_ups(
             driven_component(direction, sensor.capacity),
             signed=sensor.static_sensitivity is not None,
         )
-    told = [
+    notices = [
         *missing_result(inputs, analysis),
         *manifest.certificate_notices,
         *plausibility_notices(manifest),
         *joined.notices,
         *shaken,
     ]
-    told += [*parallel, *unseen, *measured, *analysis.notices, *missing, *(drawn.notices if drawn else ())]
+    notices += [*parallel, *unobserved_lines, *measured, *analysis.notices, *missing, *(drawn.notices if drawn else ())]
     return Evaluation(
         manifest=manifest,
         lines=joined.lines,
@@ -114,7 +138,7 @@ def evaluate_set_ups(
         load=analysis.load,
         outputs=analysis.outputs,
         sensitivity=analysis.sensitivity,
-        notices=tuple(dict.fromkeys(told)),
+        notices=tuple(dict.fromkeys(notices)),
         settings=settings.as_dict(),
         versions=versions(),
         input_hashes={},

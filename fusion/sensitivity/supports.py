@@ -1,8 +1,9 @@
-"""The motion of what carries cameras and lasers, from what looks at the room or sits on a head; instruments without it.
+"""Motion of the supports of cameras and lasers by references, and instruments corrected for it.
 
-A support moves by H, six components as a body does, and an instrument on it reads rows·(A - H). A patch at rest in the
-view of cameras, or a beam at the room, reads -rows·H, an accelerometer on a head rows·H. Of H is known before how large
-it may be: readings and that are one linear model for each line, solved here before the bodies are.
+A reference is a target at rest, or an instrument on a head. A support moves by H, six components like a body, and an
+instrument on it reads rows·(A - H). A patch at rest in the view of cameras, or a beam at the room, reads -rows·H, an
+accelerometer on a head rows·H. The prior of H is its possible size. Readings and prior are one linear model for each
+line, solved before the fusion of the bodies.
 """
 
 from __future__ import annotations
@@ -25,6 +26,7 @@ from fusion.instruments.channel import ChannelGeometry
 from fusion.instruments.stereo import StereoReading, carrier_of
 from fusion.instruments.transducer import HEAD, STATIONARY, carrier, measuring_point
 from fusion.sensitivity.disturbances import with_support_motion
+from fusion.sensitivity.sensitivity_notices import SUPPORT_CORRECTED, SUPPORT_EXCEEDS_LIMIT, SUPPORT_UNCERTAIN
 from photogram.camera import principal_components
 from photogram.geometry import skew
 from shaker.arrays import BoolArray, ComplexArray, FloatArray, IntArray, brief
@@ -36,26 +38,26 @@ if TYPE_CHECKING:
     from fusion.recording.manifest import ChannelEntry
 
 SHARES, RATIOS = np.geomspace(1e-5, 0.1, 13), (1.0, 0.3, 0.1)
-"""Where nothing is stated: possible standard deviations of a support's translation along what it measures, over the
-motion measured, and those of the translations across over that."""
+"""Without a statement: possible standard deviations of a support's translation along the measured motion, over that
+motion, and of the translations across, over the former."""
 CONTRADICTED = 1e-3
-"""Probability of readings below which a stated `support_motion` is not believed."""
+"""Probability of readings below which a stated `support_motion` is rejected (chosen)."""
 SMALL = 0.03
-"""Of the standard deviation of H: errors of a reference that do less to it are left out."""
+"""Effect of an error of a reference, over the standard deviation of H, below which it is omitted (chosen)."""
 NOTED, SURE = 1e-4, 4.0
-"""Of the motion measured, and of its standard uncertainty: what motion of a support is worth a word."""
+"""Motion of a support that is reported, over the measured motion, and over its standard uncertainty (chosen)."""
 WEAK = 1e-3
-"""Of the motion measured: standard uncertainty of a support's motion from which on a better reference is asked for."""
+"""Standard uncertainty of a support's motion, over the measured motion, above which it is reported (chosen)."""
 
 
 @dataclass(frozen=True, eq=False)
 class SupportMotion:
-    """How one support moved: `phasors` of acceleration of the point of it that is at the sensor origin.
+    """Motion of one support: acceleration `phasors` of its point at the sensor origin.
 
-    They are NaN at lines that no reference shows and of which nothing is stated. `observed` (K, 6): components that the
-    references tell by themselves, of the others only how large they may be is known. `measured_mps2` (K,): the largest
-    translation that the instruments on it measure. `references`: what tells of it; `carried`: rows of the instruments
-    that it was taken off, by their names.
+    They are NaN at lines without a reference and without a stated limit. `observed` (K, 6): components that the
+    references determine; the others only have their possible size. `measured_mps2` (K,): largest translation that the
+    instruments on it measure. `references`: names of the references. `carried`: names of the corrected rows of
+    instruments.
     """
 
     name: str
@@ -69,7 +71,7 @@ class SupportMotion:
 
 
 class _Seen(NamedTuple):
-    """Some `columns` of an observation, all on one support; `sign` of what they read of it, for references."""
+    """Some `columns` of an observation on one support; `sign` of its motion in references."""
 
     observation: Observation
     columns: list[int]
@@ -85,23 +87,24 @@ class _Seen(NamedTuple):
 def without_supports(
     observations: Sequence[Observation], limit: float | None
 ) -> tuple[tuple[Observation, ...], tuple[SupportMotion, ...], tuple[Notice, ...]]:
-    """Take the motion of every support with a reference off the instruments on it, and leave out the references.
+    """Correct the instruments for the motion of supports with a reference, and remove the references.
 
-    `limit`: largest amplitude of that motion over the motion measured (`environment.support_motion`), None where it is
-    not stated, for supports without a reference too. What is left open of H are unknowns of all instruments on it.
+    `limit`: largest amplitude of that motion over the measured motion (`environment.support_motion`), None if not
+    stated; also for supports without a reference. The remaining uncertainty of H is an unknown of all instruments on
+    the support.
     """
     bodies = [o for o in observations if o.body not in (STATIONARY, HEAD)]
-    found, told = list[SupportMotion](), list[Notice]()
+    found, notices = list[SupportMotion](), list[Notice]()
     for name, references in _by_support(o for o in observations if o.body in (STATIONARY, HEAD)).items():
         carried = _by_support(bodies).get(name, [])
         if not carried:
             continue
-        moved, errors, notices = _settled(name, references, carried, limit)
+        moved, errors, of_support = _settled(name, references, carried, limit)
         found.append(moved)
-        told += notices
+        notices += of_support
         names = {member for one in carried for member in _members(one)}
         bodies = [_corrected(o, [m in names for m in o.members], moved, errors) for o in bodies]
-    return with_support_motion(bodies, limit, carried_by(found)), tuple(found), tuple(told)
+    return with_support_motion(bodies, limit, carried_by(found)), tuple(found), tuple(notices)
 
 
 def _members(seen: _Seen) -> list[str]:
@@ -109,37 +112,40 @@ def _members(seen: _Seen) -> list[str]:
 
 
 def _by_support(observations: Sequence[Observation] | Iterator[Observation]) -> dict[str, list[_Seen]]:
-    """Return the rows of observations by the name of what they are on; channels without a head are on nothing."""
+    """Return the rows of observations by the name of their support.
+
+    Channels without a head have none.
+    """
     groups: dict[str, list[_Seen]] = {}
     for observation in observations:
-        own: dict[str, list[int]] = {}
+        columns_of: dict[str, list[int]] = {}
         geometry = observation.geometry
         if isinstance(geometry, StereoReading):
-            own[carrier_of(geometry.name, geometry.pair)] = list(range(len(observation.members)))
+            columns_of[carrier_of(geometry.name, geometry.pair)] = list(range(len(observation.members)))
         elif isinstance(geometry, ChannelGeometry):
             for column, entry in enumerate(geometry.entries):
                 name = carrier(entry)
                 if name is not None:
-                    own.setdefault(name, []).append(column)
-        for name, columns in own.items():
+                    columns_of.setdefault(name, []).append(column)
+        for name, columns in columns_of.items():
             groups.setdefault(name, []).append(
                 _Seen(observation, columns, -1.0 if observation.body == STATIONARY else 1.0)
             )
     return groups
 
 
-# One support: what is known of its motion before, and with the readings of its references.
+# One support: the prior of its motion, and the estimate from the readings of its references.
 
 
 def _settled(
     name: str, references: Sequence[_Seen], carried: Sequence[_Seen], limit: float | None
 ) -> tuple[SupportMotion, list[CommonError], list[Notice]]:
-    """Return the motion of one support, what is uncertain of it as (K, 6) `offset`s, and what to tell."""
+    """Return the motion of one support, its uncertainty as (K, 6) `offset`s, and notices."""
     frequency = carried[0].observation.phasors.frequency_hz
     shape, observed = _shape([*references, *carried]), np.zeros((len(frequency), 6), dtype=np.bool_)
     value = np.full((len(frequency), 6), complex(np.nan, np.nan))
     covariance = np.full((len(frequency), 12, 12), np.nan)
-    gains, dof, told = list[FloatArray | None](), np.full(len(frequency), np.inf), list[Notice]()
+    gains, dof, notices = list[FloatArray | None](), np.full(len(frequency), np.inf), list[Notice]()
     sizes = np.array([_sizes(carried, line) for line in range(len(frequency))])
     measured, stated = sizes.max(axis=1), None if limit is None else limit / 2.0
     for line, size in enumerate(measured.tolist()):
@@ -150,26 +156,25 @@ def _settled(
             continue
         one = _estimate(read, shape * size, int(np.argmax(sizes[line])), stated)
         if one.contradicts:
-            where = f"{frequency[line]:.6g} Hz"
-            text = f"{name} moves by more than environment.support_motion states, {limit:g} of the motion measured"
-            told.append(Notice("warning", f"{text}, at {where}: what it moves is taken from its reference alone", name))
+            notices.append(Notice(SUPPORT_EXCEEDS_LIMIT, name, frequency_hz=frequency[line], limit=limit or 0.0))
         value[line], covariance[line], gains[-1] = as_complex(one.mean), one.covariance, one.gain
     titles = tuple(dict.fromkeys(member for seen in references for member in _members(seen)))
     members = tuple(dict.fromkeys(member for seen in carried for member in _members(seen)))
     phasors = Phasors(frequency, value, covariance, MOTION_COMPONENTS, component_units(2), dof)
     moved = SupportMotion(name, phasors, observed, measured, titles, members)
-    own = [*_of_references(moved, references, gains)]
-    effects = np.stack([np.zeros((len(frequency), 12)), *(real_stack(error.offset) for error in own)])
+    reference_errors = [*_reference_errors(moved, references, gains)]
+    effects = np.stack([np.zeros((len(frequency), 12)), *(real_stack(error.offset) for error in reference_errors)])
     whole = replace(phasors, covariance=covariance + np.einsum("eki,ekj->kij", effects, effects))
-    told += _notices(replace(moved, phasors=whole))
-    return replace(moved, phasors=whole), [*_open(moved), *own], told
+    notices += _notices(replace(moved, phasors=whole))
+    return replace(moved, phasors=whole), [*_remaining_errors(moved), *reference_errors], notices
 
 
 def _shape(seen: Sequence[_Seen]) -> FloatArray:
-    """Return (6, 6) columns that make [Re H, Im H]'s covariance of squares of six standard deviations of size 1.
+    """Return columns (6, 6) of the covariance of [Re H, Im H].
 
-    Translations where the support is, rotations as large as these over the distance L to what is measured: cameras that
-    rock about a place at that distance. H is that of the sensor origin, t - θ × p of a support at p.
+    For six unit standard deviations: translations at the support, and rotations as large as these over the distance L
+    to the measured body, like cameras that rock about a pivot at that distance. H refers to the sensor origin, t - θ ×
+    p of a support at p.
     """
     pivots, points = list[FloatArray](), list[FloatArray]()
     for observation, columns, _ in seen:
@@ -179,7 +184,7 @@ def _shape(seen: Sequence[_Seen]) -> FloatArray:
             points.append(np.zeros(3) if geometry.face_m is None else geometry.face_m)
         elif isinstance(geometry, ChannelGeometry):
             entries = [geometry.entries[column] for column in columns]
-            pivots += [place for entry in entries if (place := _stands(entry)) is not None]
+            pivots += [position for entry in entries if (position := _head_position(entry)) is not None]
             points += [measuring_point(entry) for entry in entries if entry.body != HEAD]
     middle = np.mean(points, axis=0) if points else np.zeros(3)
     pivot = np.mean(pivots, axis=0) if pivots else middle
@@ -189,15 +194,15 @@ def _shape(seen: Sequence[_Seen]) -> FloatArray:
     return moved @ np.diag(np.repeat([1.0, 1.0 / length], 3))
 
 
-def _stands(entry: ChannelEntry) -> FloatArray | None:
-    """Return where a head is, as far as a channel tells: its mirror, else what sits on it."""
+def _head_position(entry: ChannelEntry) -> FloatArray | None:
+    """Return the position of a head: its mirror, else its instrument; None if not stated."""
     if entry.head is not None and entry.head.stated.mirror is not None:
         return np.array(entry.head.stated.mirror)
     return measuring_point(entry) if entry.body == HEAD else None
 
 
 def _sizes(carried: Sequence[_Seen], line: int) -> FloatArray:
-    """Return the largest translations (3,) along the axes, as acceleration, that instruments read at a line."""
+    """Return the largest translations (3,) along the axes, as acceleration, at a line."""
     sizes = np.zeros(3)
     for seen in carried:
         along = np.abs(seen.rows(line)[:, :3])
@@ -208,18 +213,21 @@ def _sizes(carried: Sequence[_Seen], line: int) -> FloatArray:
 
 
 class _Readings(NamedTuple):
-    """What references read at a line: real `rows` (N, 12), `values` (N,), their `noise` (N, N), how well it is `known`,
-    and its fewest degrees of freedom."""
+    """Readings of references at a line.
+
+    Real `rows` (N, 12), `values` (N,), their `noise` (N, N), the `estimated_noise` with its degrees of freedom, and
+    their smallest number `dof`.
+    """
 
     rows: FloatArray
     values: FloatArray
     noise: FloatArray
-    known: EstimatedNoise
+    estimated_noise: EstimatedNoise
     dof: float
 
     @property
     def observed(self) -> BoolArray:
-        """Components (6,) that lie in the space of the rows."""
+        """Components (6,) in the space of the rows."""
         _, singular, right = np.linalg.svd(self.rows * np.tile(SCALE, 2), full_matrices=False)
         basis = right[singular > RANK_TOLERANCE * singular.max(initial=0.0)]
         return np.asarray(np.sum(basis[:, :6] ** 2, axis=0) > 1.0 - RESOLUTION_TOLERANCE)
@@ -230,21 +238,26 @@ class _Readings(NamedTuple):
         parts = list[tuple[IntArray, FloatArray, float]]()
         for seen in references:
             phasors, value = seen.observation.phasors, seen.values(line)
-            there = np.flatnonzero(np.isfinite(value))
-            columns = np.array(seen.columns)[there]
+            finite = np.flatnonzero(np.isfinite(value))
+            columns = np.array(seen.columns)[finite]
             both = np.concatenate([columns, columns + phasors.value.shape[1]])
-            rows.append(real_design(seen.rows(line)[there]))
-            values.append(real_stack(value[there]))
-            own = count + np.arange(len(both))
-            parts.append((own, phasors.covariance[line][np.ix_(both, both)], float(phasors.dof[line])))
+            rows.append(real_design(seen.rows(line)[finite]))
+            values.append(real_stack(value[finite]))
+            indices = count + np.arange(len(both))
+            parts.append((indices, phasors.covariance[line][np.ix_(both, both)], float(phasors.dof[line])))
             count += len(both)
         noise = np.asarray(block_diag(*(covariance for _, covariance, _ in parts)))
-        known, dof = EstimatedNoise.of_parts(parts, count), [dof for own, _, dof in parts if len(own)]
-        return cls(np.concatenate(rows), np.concatenate(values), noise[:count, :count], known, min(dof, default=np.inf))
+        noise_model, dof = EstimatedNoise.of_parts(parts, count), [dof for indices, _, dof in parts if len(indices)]
+        return cls(
+            np.concatenate(rows), np.concatenate(values), noise[:count, :count], noise_model, min(dof, default=np.inf)
+        )
 
 
 class _Estimate(NamedTuple):
-    """[Re H, Im H] (12,), covariance (12, 12), gain (12, N), and whether readings contradict what is stated of H."""
+    """Estimate of [Re H, Im H] (12,) with covariance (12, 12) and gain (12, N).
+
+    `contradicts`: whether readings contradict the stated limit.
+    """
 
     mean: FloatArray
     covariance: FloatArray
@@ -255,20 +268,21 @@ class _Estimate(NamedTuple):
 def _estimate(read: _Readings, shape: FloatArray, main: int, stated: float | None) -> _Estimate:
     """Return the best linear estimate of H from readings y = rows·H + noise.
 
-    H has the covariance S = shape·diag(s²)·shapeᵀ in either part: the mean is S·Dᵀ·(D·S·Dᵀ + N)⁻¹·y, with what that
-    leaves as covariance (Henderson 1975, Biometrics 31, 423). `stated`: the standard deviation s of every translation.
-    Where none is stated, or the readings refute it, s is one of `SHARES` (even in its square root, between even in the
-    logarithm, which believes in rest, and even in s, which does not) for the translation along the `main` axis, of the
-    others that times one of `RATIOS`; rotations have their mean square. The estimate is then the mean over s, weighted
-    by the probability density of the readings (of Student's t, since N is estimated), and the covariance holds what s
-    leaves open: readings far above their noise are taken as they are, of readings within it hardly anything is.
+    H has the covariance S = shape·diag(s²)·shapeᵀ in either part. The mean is S·Dᵀ·(D·S·Dᵀ + N)⁻¹·y, with the remaining
+    covariance (Henderson 1975, Biometrics 31, 423). `stated`: the standard deviation s of every translation.
+
+    If none is stated, or the readings contradict it, s is one of `SHARES` for the translation along the `main` axis,
+    and times one of `RATIOS` for the others; rotations have the mean square. The prior of s is uniform in its square
+    root, between uniform in the logarithm, which favours rest, and uniform in s. The estimate is the mean over s
+    weighted by the probability density of the readings (Student's t, because N is estimated), and the covariance
+    includes the spread over s. Readings far above their noise are used fully, readings within it hardly.
     """
     rows, values, count = read.rows, read.values, len(read.values)
     contradicts, spreads, likely = False, np.full((1, 3), stated or 0.0), np.zeros(1)
     if stated is not None and count:
         whole = rows @ _prior(shape, spreads)[0] @ rows.T + read.noise
         weights = np.linalg.inv(whole)
-        contradicts = read.known.probability(float(values @ weights @ values), count, weights) < CONTRADICTED
+        contradicts = read.estimated_noise.probability(float(values @ weights @ values), count, weights) < CONTRADICTED
     if stated is None or contradicts:
         ratios = np.insert(np.array(list(product(RATIOS, repeat=2))), main, 1.0, axis=1)
         spreads = (SHARES[:, None, None] * ratios).reshape(-1, 3)
@@ -285,26 +299,32 @@ def _estimate(read: _Readings, shape: FloatArray, main: int, stated: float | Non
     share = np.exp(density - density.max())
     share /= share.sum()
     mean, gain = share @ means, np.einsum("g,gij->ij", share, gains)
-    kept = np.eye(12) - gains @ rows  # in squares, so that rounding leaves no negative variance
-    left = kept @ prior @ kept.swapaxes(1, 2) + gains @ read.noise @ gains.swapaxes(1, 2)
+    remainder = np.eye(12) - gains @ rows  # in squares, so that rounding leaves no negative variance
+    left = remainder @ prior @ remainder.swapaxes(1, 2) + gains @ read.noise @ gains.swapaxes(1, 2)
     off = means - mean
     covariance = np.einsum("g,gij->ij", share, left) + np.einsum("g,gi,gj->ij", share, off, off)
-    lost = read.known.lost(np.einsum("g,gij->ij", share, weights), gain[None], np.arange(count))[0]
+    lost = read.estimated_noise.lost(np.einsum("g,gij->ij", share, weights), gain[None], np.arange(count))[0]
     return _Estimate(mean, covariance + lost, gain, contradicts)
 
 
 def _prior(shape: FloatArray, spreads: FloatArray) -> FloatArray:
-    """Return covariances (G, 12, 12) of [Re H, Im H] for standard deviations (G, 3) of the translations."""
-    turned = np.sqrt(np.mean(spreads**2, axis=1, keepdims=True))
-    scaled = shape * np.concatenate([spreads, np.repeat(turned, 3, axis=1)], axis=1)[:, None, :]
+    """Return covariances (G, 12, 12) of [Re H, Im H].
+
+    For standard deviations (G, 3) of the translations.
+    """
+    rotation = np.sqrt(np.mean(spreads**2, axis=1, keepdims=True))
+    scaled = shape * np.concatenate([spreads, np.repeat(rotation, 3, axis=1)], axis=1)[:, None, :]
     return np.asarray(np.kron(np.eye(2), scaled @ scaled.swapaxes(1, 2)))
 
 
-# What is uncertain of a support's motion, and what it does to the instruments that it carries.
+# Uncertainty of a support's motion, and its effect on the instruments.
 
 
-def _open(moved: SupportMotion) -> Iterator[CommonError]:
-    """Yield what readings and prior leave open of H at each line, as independent unknowns; `offset` (K, 6) of H."""
+def _remaining_errors(moved: SupportMotion) -> Iterator[CommonError]:
+    """Yield the remaining uncertainty of H at each line as independent unknowns.
+
+    `offset` (K, 6) of H.
+    """
     phasors, label = moved.phasors, f"motion of {moved.name}"
     for line in np.flatnonzero(np.isfinite(phasors.value).all(axis=1)):
         for part, step in enumerate(principal_components(phasors.covariance[line])[::-1], 1):
@@ -317,27 +337,30 @@ def _open(moved: SupportMotion) -> Iterator[CommonError]:
 
 
 def _none(offset: ComplexArray) -> ComplexArray:
-    """Return the slope (K, 6, 6) of what does not change with a body's motion."""
+    """Return a zero slope (K, 6, 6).
+
+    Of effects that do not depend on a body's motion.
+    """
     return np.zeros((*offset.shape, 6), dtype=np.complex128)
 
 
-def _of_references(
+def _reference_errors(
     moved: SupportMotion, references: Sequence[_Seen], gains: Sequence[FloatArray | None]
 ) -> Iterator[CommonError]:
-    """Yield what errors of the references' own chains and places, by their names, do to H."""
+    """Yield the effects on H of errors of the references' chains and positions, by name."""
     names = dict.fromkeys(error.name for seen in references for error in seen.observation.common)
-    known = [line for line, gain in enumerate(gains) if gain is not None and np.any(gain)]
+    informed = [line for line, gain in enumerate(gains) if gain is not None and np.any(gain)]
     for name in names:
         offset, model, size = np.zeros_like(moved.phasors.value), None, 0.0
-        for line in known:
+        for line in informed:
             read = list[FloatArray]()
             for seen in references:
                 error = next((e for e in seen.observation.common if e.name == name), None)
-                own = np.zeros(len(seen.columns), dtype=np.complex128)
+                effect = np.zeros(len(seen.columns), dtype=np.complex128)
                 if error is not None:
                     model, motion = error, seen.sign * np.nan_to_num(moved.phasors.value)
-                    own = np.nan_to_num(error.effect(motion)[line, seen.columns])
-                read.append(real_stack(own[np.isfinite(seen.values(line))]))
+                    effect = np.nan_to_num(error.effect(motion)[line, seen.columns])
+                read.append(real_stack(effect[np.isfinite(seen.values(line))]))
             gain = gains[line]
             assert gain is not None
             change = gain @ np.concatenate(read)
@@ -351,7 +374,7 @@ def _of_references(
 def _corrected(
     observation: Observation, on_it: Sequence[bool], moved: SupportMotion, errors: Sequence[CommonError]
 ) -> Observation:
-    """Return an observation that reads the motion of its body, with what is uncertain of that of its support."""
+    """Return an observation of the body's motion, corrected for its support and with that uncertainty."""
     mine: BoolArray = np.array(on_it, dtype=np.bool_)
     if not mine.any():
         return observation
@@ -360,44 +383,40 @@ def _corrected(
         return np.where(mine, np.einsum("kmj,kj->km", observation.design, np.nan_to_num(motion)), 0.0)
 
     common: dict[str, CommonError] = {error.name: error for error in observation.common}
-    for error in errors:  # what a reading is given too much, its body does not have
-        own = replace(error, slope=np.zeros_like(observation.design), offset=read(error.offset))
+    for error in errors:  # an error added to a reading is subtracted from its body
+        changed = replace(error, slope=np.zeros_like(observation.design), offset=read(error.offset))
         before = common.get(error.name)
         if before is not None:
-            own = replace(before, offset=before.offset + own.offset)
-        common[error.name] = own
+            changed = replace(before, offset=before.offset + changed.offset)
+        common[error.name] = changed
     phasors = replace(observation.phasors, value=observation.phasors.value + read(moved.phasors.value))
     return replace(observation, phasors=phasors, common=tuple(common.values()))
 
 
 def _notices(moved: SupportMotion) -> Iterator[Notice]:
-    """Yield how a support moved at the strongest line, where that stands out, and that its reference tells little."""
+    """Yield notes on the motion of a support if it is significant or uncertain.
+
+    At the strongest line.
+    """
     line = int(np.argmax(moved.measured_mps2))
     value, size = moved.phasors.value[line], float(moved.measured_mps2[line])
     if not (np.isfinite(value).all() and size > 0.0):
         return
     u = np.maximum(moved.phasors.u_re, moved.phasors.u_im)[line]
     seen = np.flatnonzero(moved.observed[line, :3])
-    where, by = f"{moved.phasors.frequency_hz[line]:.6g} Hz", ", ".join(moved.references)
+    values = {"frequency_hz": moved.phasors.frequency_hz[line], "references": ", ".join(moved.references)}
     shaken = [c for c in seen.tolist() if abs(value[c]) > max(SURE * u[c], NOTED * size)]
     if shaken:
         c = max(shaken, key=lambda c: float(abs(value[c])))
         found = polar(complex(value[c]), element_covariance(moved.phasors.covariance[line], c))
         share = round_to_uncertainty(100.0 * found.magnitude / size, 200.0 * found.u_magnitude / size, 0)
-        text = (
-            f"what carries the instruments shakes with the excitation, along {'xyz'[c]} by ({share.value} ± "
-            f"{share.expanded}) % of the motion measured at {where} (U, k = 2, by {by}); it is taken off"
-        )
-        yield Notice("note", f"{moved.name}: {text}", moved.name)
+        shares = {"share": share.value, "expanded": share.expanded}
+        yield Notice(SUPPORT_CORRECTED, moved.name, axis="xyz"[c], **shares, **values)
     if len(seen) and float(u[seen].max()) > WEAK * size:
-        text = (
-            f"its motion remains uncertain by {float(u[seen].max()) / size:.2g} of the motion measured at {where} "
-            f"(standard uncertainty, by {by}): a larger or nearer reference, or more frames, tell it better"
-        )
-        yield Notice("note", f"{moved.name}: {text}", moved.name)
+        yield Notice(SUPPORT_UNCERTAIN, moved.name, u_relative=float(u[seen].max()) / size, **values)
 
 
 def carried_by(supports: Sequence[SupportMotion]) -> frozenset[str]:
-    """Return the rows of instruments, by their names, whose support's motion is known at some line."""
-    known = [moved for moved in supports if np.isfinite(moved.phasors.value).any()]
-    return frozenset(member for moved in known for member in moved.carried)
+    """Return the names of instrument rows with a measured support motion."""
+    measured = [moved for moved in supports if np.isfinite(moved.phasors.value).any()]
+    return frozenset(member for moved in measured for member in moved.carried)

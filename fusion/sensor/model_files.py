@@ -1,4 +1,4 @@
-"""models.json and load.json: models of outputs, and of a sensor over its load, written and read to the last bit."""
+"""models.json and load.json: models of a sensor's outputs, written and read without loss of precision."""
 
 from __future__ import annotations
 
@@ -13,6 +13,7 @@ import numpy as np
 from fusion.errors import InputError
 from fusion.recording.toml import check_values, read_text
 from fusion.recording.values import describe
+from fusion.sensor.sensor_model_notices import DAMAGED_MODEL_FILE, WRONG_MODEL_FORMAT
 from shaker.arrays import FloatArray, check_shape
 from shaker.labels import mechanical_units
 from shaker.lti.system import ModalModel
@@ -27,13 +28,20 @@ LOAD_MODEL_FILE = "load.json"
 
 @dataclass(frozen=True)
 class ModelEntry:
-    """The model of one output `channel` for one load `component` (Fx … Mz), in output `unit` per N or N·m.
+    """The model of an output `channel` for a load `component` (Fx … Mz).
 
-    `method`: what identified it; `sample_rate_hz`: of the records; `noise`: standard deviation of the output's noise at
-    that rate, in output units; `recording`: folders of the recordings it rests on, separated by ", ". `dof`: degrees of
-    freedom of `scatter`, the part of its covariance that rests on what records scatter by, all of it where None;
-    infinite where there is none. `scope`: over what U of the model holds, in words, empty where nobody said it;
-    `outside`: what it leaves out, None likewise.
+    `unit`: of the output, per N or N·m.
+
+    Attributes
+    ----------
+    method : the method that identified it.
+    sample_rate_hz : sampling rate of the records.
+    noise : standard deviation of the output's noise at that rate, in output units.
+    recording : folders of the recordings behind it, separated by ", ".
+    dof : degrees of freedom of `scatter`; infinite without scatter.
+    scope : the use that U of the model covers, in words; empty if not stated.
+    scatter : (P, P), part of the covariance that is based on the scatter of records; None: all of it.
+    outside : influences not included in U; None if not stated.
     """
 
     channel: str
@@ -52,7 +60,10 @@ class ModelEntry:
 
 @dataclass(frozen=True)
 class ModelsFile:
-    """The models of a sensor; `name` of the campaign or recording, `sensor`, `serial` as rig.toml has them."""
+    """The models of a sensor.
+
+    `name` of the campaign or recording, `sensor` and `serial` as in rig.toml.
+    """
 
     name: str
     sensor: str
@@ -63,8 +74,8 @@ class ModelsFile:
         """Return the model of an output channel for a load component, such as ["Fz", "Fz"]."""
         found = next((entry for entry in self.entries if (entry.channel, entry.component) == key), None)
         if found is None:
-            known = ", ".join(f"{entry.channel} for {entry.component}" for entry in self.entries)
-            raise ValueError(f"key: expected one of {known}, found {key[0]} for {key[1]}")
+            available = ", ".join(f"{entry.channel} for {entry.component}" for entry in self.entries)
+            raise ValueError(f"key: expected one of {available}, found {key[0]} for {key[1]}")
         return found
 
     def __iter__(self) -> Iterator[ModelEntry]:
@@ -73,7 +84,7 @@ class ModelsFile:
 
     @property
     def driven(self) -> tuple[ModelEntry, ...]:
-        """Return the models of channels for the component of their own name."""
+        """Return the models of channels for the component of the same name."""
         return tuple(entry for entry in self.entries if entry.channel == entry.component)
 
 
@@ -90,7 +101,10 @@ def models_text(models: ModelsFile) -> str:
 
 
 def read_models(path: Path) -> ModelsFile:
-    """Read models.json, or the one in a folder of results; `InputError` names what cannot be read."""
+    """Read models.json, or the one in a folder of results.
+
+    Raises `InputError` at the entry that cannot be read.
+    """
 
     def parsed(content: dict[str, Any]) -> ModelsFile:
         sensor, entries = content["sensor"], tuple(_read_entry(item) for item in content["models"])
@@ -102,24 +116,27 @@ def read_models(path: Path) -> ModelsFile:
 def read_model_file(
     path: Path, name: str, command: str, parse: Callable[[dict[str, Any]], R], content_label: str = "models"
 ) -> R:
-    """Return what a file of models, or of `what`, that a command wrote holds, or the one of this name in a folder."""
+    """Return the parsed content of a JSON file of models.
+
+    `name`: of the file if `path` is a folder. `content_label` names the content, such as "filters", in errors;
+    `command` is the command that writes the file.
+    """
     file = path / name if path.is_dir() else path
     try:
         content = json.loads(read_text(file, LARGEST_FILE, content_label))
         check_values(content, file)
         if content["format"] != FORMAT:
-            told, expected = f"format {content['format']}", f"format {FORMAT}; shakercal {command} writes it anew"
-            raise InputError(file, "format", found=told, expected=expected)
+            raise InputError(
+                WRONG_MODEL_FORMAT, file, "format", found=f"{content['format']}", expected=FORMAT, command=command
+            )
         return parse(content)
     except (LookupError, TypeError, ValueError, AttributeError, ArithmeticError, RecursionError) as error:
-        told = f"no key {error}" if isinstance(error, KeyError) else describe(str(error), plain=True)
-        raise InputError(
-            file, "", found=told, expected=f"{content_label} as shakercal {command} writes them"
-        ) from error
+        found = f"no key {error}" if isinstance(error, KeyError) else describe(str(error), plain=True)
+        raise InputError(DAMAGED_MODEL_FILE, file, found=found, expected=content_label, command=command) from error
 
 
 def _entry(entry: ModelEntry) -> dict[str, Any]:
-    """One model as nested dictionaries; what a reader wants to see beside what is read back."""
+    """Return one model as nested dictionaries, with static gain, zeros and poles for other readers."""
     model, system = entry.model, entry.model.system
     named = ("channel", "component", "unit", "method", "recording", "sample_rate_hz", "noise")
     modes = zip(model.frequency_hz.tolist(), model.damping_ratio.tolist(), model.residue.tolist(), strict=True)
@@ -144,7 +161,6 @@ def _entry(entry: ModelEntry) -> dict[str, Any]:
 
 
 def _read_entry(item: dict[str, Any]) -> ModelEntry:
-    """One model from its dictionary."""
     modes, reals = item["modes"], item["real_poles"]
 
     def numbers(items: list[dict[str, Any]], key: str) -> FloatArray:
@@ -160,27 +176,27 @@ def _read_entry(item: dict[str, Any]) -> ModelEntry:
     )
     if not np.all(np.isfinite(model.vector)):
         raise ValueError(f"expected finite parameters, found {model.vector.tolist()}")
-    told: dict[str, Any] = {key: str(item[key]) for key in ("channel", "component", "unit", "method", "recording")}
-    told |= {key: float(item[key]) for key in ("sample_rate_hz", "noise")}
-    told |= {"scope": str(item.get("scope", "")), "outside": item.get("outside")}
-    told["scatter"] = _matrix(item.get("covariance_of_scatter"))
-    if told["scatter"] is not None:
-        check_shape("covariance_of_scatter", told["scatter"], (len(model.vector),) * 2)
-    return ModelEntry(**told, model=model, dof=_freedom(item["dof"]))
+    fields: dict[str, Any] = {key: str(item[key]) for key in ("channel", "component", "unit", "method", "recording")}
+    fields |= {key: float(item[key]) for key in ("sample_rate_hz", "noise")}
+    fields |= {"scope": str(item.get("scope", "")), "outside": item.get("outside")}
+    fields["scatter"] = _matrix(item.get("covariance_of_scatter"))
+    if fields["scatter"] is not None:
+        check_shape("covariance_of_scatter", fields["scatter"], (len(model.vector),) * 2)
+    return ModelEntry(**fields, model=model, dof=_freedom(item["dof"]))
 
 
 def _freedom(stored: float | None) -> float:
-    """Degrees of freedom, infinite where none are stored."""
+    """Return degrees of freedom, infinite if none are stored."""
     return float("inf") if stored is None else float(stored)
 
 
 def _matrix(rows: list[list[float]] | None) -> FloatArray | None:
-    """A covariance as it is stored, None where it is not known."""
+    """Return a stored covariance, None without one."""
     return None if rows is None else np.array(rows, dtype=np.float64)
 
 
 class UncertaintyBasis(NamedTuple):
-    """On what U of a model over the load rests: degrees of freedom of its k, over what it holds, what it leaves out."""
+    """The basis of a model's U: degrees of freedom, covered use, and exclusions."""
 
     dof: float = np.inf
     scope: str = "within the records of the model"
@@ -188,7 +204,10 @@ class UncertaintyBasis(NamedTuple):
 
 
 def model_text(models: Sequence[tuple[LoadModel, UncertaintyBasis]], campaign: str, sensor: str, program: str) -> str:
-    """Return the content of load.json: one entry per component, or one per solution that the data cannot tell apart."""
+    """Return the content of load.json, with one entry per component.
+
+    If the data cannot distinguish solutions, there is one entry per solution.
+    """
     content = {
         "format": FORMAT,
         "campaign": campaign,
@@ -200,10 +219,23 @@ def model_text(models: Sequence[tuple[LoadModel, UncertaintyBasis]], campaign: s
 
 
 def read_load_models(path: str | Path) -> tuple[LoadModel, ...]:
-    """Read load.json, or the one in a folder of results; `InputError` names what cannot be read.
+    """Read the models of a sensor over its load from load.json.
 
-    Where one load cannot tell two solutions apart both are there, with `solutions` = 2.
+    Parameters
+    ----------
+    path
+        The file, or a folder of results that contains it.
 
+    Returns
+    -------
+    tuple of LoadModel : one per component. If the data cannot distinguish two solutions, both, with `solutions` = 2.
+
+    Raises
+    ------
+    InputError : the file is missing, or damaged at the named entry.
+
+    Examples
+    --------
     >>> from fusion import read_load_models
     >>> models = read_load_models("my-loads/load")  # doctest: +SKIP
     """
@@ -212,11 +244,11 @@ def read_load_models(path: str | Path) -> tuple[LoadModel, ...]:
 
 
 def read_loads(path: Path) -> tuple[tuple[LoadModel, UncertaintyBasis], ...]:
-    """Read the models of load.json with what their U rests on."""
+    """Read the models of load.json with the basis of their U."""
 
     def rests(item: dict[str, Any]) -> UncertaintyBasis:
-        known = {name: item[name] for name in ("scope", "outside") if name in item}
-        return UncertaintyBasis(_freedom(item.get("dof")), **known)
+        texts = {name: item[name] for name in ("scope", "outside") if name in item}
+        return UncertaintyBasis(_freedom(item.get("dof")), **texts)
 
     def parsed(content: dict[str, Any]) -> tuple[tuple[LoadModel, UncertaintyBasis], ...]:
         return tuple((_load_model(item), rests(item)) for item in content["models"])
@@ -231,7 +263,10 @@ def parameter_units(component: str) -> dict[str, str]:
 
 
 def _load_entry(model: LoadModel, rests: UncertaintyBasis) -> dict[str, Any]:
-    """One model as nested dictionaries; numbers are SI, covariances in the order of the parameters, then the mass."""
+    """Return one model as nested dictionaries, in SI units.
+
+    The rows of the covariances are the parameters, then the mass.
+    """
     total, units = model.total_covariance, parameter_units(model.component)
     u = [None] * len(model.vector) if total is None else np.sqrt(np.diag(total)).tolist()
     return {
@@ -256,12 +291,11 @@ def _load_entry(model: LoadModel, rests: UncertaintyBasis) -> dict[str, Any]:
 
 
 def _load_model(item: dict[str, Any]) -> LoadModel:
-    """One model from its dictionary."""
     named = {parameter["name"]: float(parameter["value"]) for parameter in item["parameters"]}
-    told: dict[str, Any] = {key: str(item[key]) for key in ("component", "channel", "unit")}
-    told |= {key: named[key] for key in PARAMETERS[: 2 if len(named) == 2 else 4]}
-    told |= {key: int(item[key]) for key in ("solution", "solutions")}
-    told |= {key: _matrix(item[key]) for key in ("covariance", "covariance_with_mass")}
+    fields: dict[str, Any] = {key: str(item[key]) for key in ("component", "channel", "unit")}
+    fields |= {key: named[key] for key in PARAMETERS[: 2 if len(named) == 2 else 4]}
+    fields |= {key: int(item[key]) for key in ("solution", "solutions")}
+    fields |= {key: _matrix(item[key]) for key in ("covariance", "covariance_with_mass")}
     for key in ("moving_mass", "sensitivity"):
-        told[key], told[f"u_{key}"] = float(item[key]["value"]), float(item[key]["u"])
-    return LoadModel(**told, load_masses=tuple(float(mass) for mass in item["load_masses"]))
+        fields[key], fields[f"u_{key}"] = float(item[key]["value"]), float(item[key]["u"])
+    return LoadModel(**fields, load_masses=tuple(float(mass) for mass in item["load_masses"]))

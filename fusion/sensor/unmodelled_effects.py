@@ -1,4 +1,4 @@
-"""What the records behind a model cannot show, as the rig states it: mounting, load, temperature, model structure."""
+"""Influences on a model that its records cannot show, as the rig states them."""
 
 from __future__ import annotations
 
@@ -11,9 +11,11 @@ import numpy as np
 from fusion.base import PERCENT
 from fusion.recording.rig import Rig
 from fusion.report.table import Table, capitalise, small
+from fusion.sensor.sensor_model_notices import MODEL_COVERAGE, MODEL_INFLUENCES_NOT_ASSESSED
 from shaker.arrays import FloatArray
 from shaker.decoupling.model import MultiModel
 from shaker.release.load_model import LoadModel
+from shakercal._common.notices import Notice
 
 CAUSE_LABELS = {
     "mounting": "mounting anew",
@@ -21,15 +23,15 @@ CAUSE_LABELS = {
     "temperature": "another temperature",
     "structure": "a model of another structure",
 }
-"""What changes a model, by its key in `[model]` of rig.toml."""
+"""Causes of changes of a model, by their key in `[model]` of rig.toml."""
 NOT_ASSESSED = "not assessed"
-"""What a budget says of a cause that nobody states."""
+"""Entry of a budget for a cause that is not stated."""
 RELATIVE_STEP = 1e-4
-"""Relative change of a model's numbers over which derivatives are taken."""
+"""Relative change of a model's numbers in central differences: far above rounding, far below their curvature."""
 
 
 class UnmodelledEffect(NamedTuple):
-    """An unknown of a cause: relative changes of frequencies, damping ratios and gain by one standard uncertainty."""
+    """Relative changes of frequencies, damping ratios and gain by one standard uncertainty of a cause."""
 
     cause: str
     frequency: float = 0.0
@@ -39,9 +41,15 @@ class UnmodelledEffect(NamedTuple):
 
 @dataclass(frozen=True)
 class ModelInfluences:
-    """What is known of a model beside its records: `causes` that are stated, their unknowns, and those `missing`.
+    """Influences on a model that its records do not show.
 
-    `records` in words; `single`: there is but one, which does not show by what records scatter.
+    Attributes
+    ----------
+    causes : causes that the rig states, keys of `CAUSE_LABELS`.
+    unknowns : their unknowns.
+    missing : causes that are not stated.
+    records : the records behind the model, in words.
+    single : whether there is only one record, which shows no scatter.
     """
 
     causes: tuple[str, ...] = ()
@@ -52,19 +60,22 @@ class ModelInfluences:
 
     @property
     def outside(self) -> str:
-        """Return what U leaves out, in words, empty where all is stated."""
-        scatter = ["what releases scatter by"] if self.single else []
+        """Return the influences that U does not include, in words; empty if all are stated."""
+        scatter = ["scatter between releases"] if self.single else []
         return ", ".join([*scatter, *(CAUSE_LABELS[cause] for cause in self.missing)])
 
     @property
     def scope(self) -> str:
-        """Return over what U of the model holds, in words."""
-        told = [CAUSE_LABELS[cause] for cause in self.causes]
-        words = " and ".join(filter(None, [", ".join(told[:-1]), *told[-1:]]))
-        return f"{self.records}, with {words} as stated" if told else self.records
+        """Return the use that U of the model covers, in words."""
+        labels = [CAUSE_LABELS[cause] for cause in self.causes]
+        text = " and ".join(filter(None, [", ".join(labels[:-1]), *labels[-1:]]))
+        return f"{self.records}, with {text} as stated" if labels else self.records
 
     def effects(self, numbers: Callable[[float, float, float], FloatArray]) -> FloatArray:
-        """Return how numbers (P,) of changed models move with each unknown, (E, P), by central differences."""
+        """Return the changes (E, P) of P numbers by each unknown.
+
+        Central differences; `numbers` evaluates a changed model.
+        """
 
         def slope(one: UnmodelledEffect) -> FloatArray:
             size = max(map(abs, one[1:]))
@@ -77,27 +88,27 @@ class ModelInfluences:
         return np.stack([slope(one) for one in self.unknowns]) if self.unknowns else none
 
     def by_cause(self, part: Callable[[list[int]], FloatArray]) -> dict[str, FloatArray]:
-        """Return what the unknowns of each stated cause contribute, by its words; `part`: of some by their numbers."""
-        places = {cause: [n for n, one in enumerate(self.unknowns) if one.cause == cause] for cause in self.causes}
-        return {CAUSE_LABELS[cause]: part(own) for cause, own in places.items()}
+        """Return the contribution of each stated cause by its label; `part` evaluates unknowns by index."""
+        indices = {cause: [n for n, one in enumerate(self.unknowns) if one.cause == cause] for cause in self.causes}
+        return {CAUSE_LABELS[cause]: part(of_cause) for cause, of_cause in indices.items()}
 
     @property
     def relative(self) -> dict[str, tuple[float, float]]:
         """Return relative standard uncertainties of a frequency and of a damping ratio by cause."""
         parts = np.array([(one.frequency, one.damping_ratio) for one in self.unknowns]).reshape(-1, 2)
-        norms = self.by_cause(lambda places: np.linalg.norm(parts[places], axis=0))
+        norms = self.by_cause(lambda indices: np.linalg.norm(parts[indices], axis=0))
         return {cause: (float(both[0]), float(both[1])) for cause, both in norms.items()}
 
     def budget(self, whole: FloatArray, effects: FloatArray, remainder: str) -> dict[str, FloatArray]:
-        """Return standard uncertainties (P,) by cause of numbers of variances `whole` (P,), of which `own` is the rest.
+        """Return standard uncertainties (P,) by cause of numbers with variances `whole` (P,).
 
-        `effects` (E, P): how they move with each unknown.
+        `effects` (E, P) are the changes by each unknown; `remainder` labels the remaining uncertainty.
         """
         rest = np.sqrt(np.maximum(whole - np.sum(effects**2, axis=0), 0.0))
-        return {remainder: rest, **self.by_cause(lambda places: np.linalg.norm(effects[places], axis=0))}
+        return {remainder: rest, **self.by_cause(lambda indices: np.linalg.norm(effects[indices], axis=0))}
 
     def on_loads(self, model: LoadModel) -> LoadModel:
-        """Return a model over the load with these unknowns in its covariances, where it has any."""
+        """Return a model over the load whose covariances include these unknowns."""
         if model.total_covariance is None or model.covariance is None or not self.unknowns:
             return model
         effects = self.effects(lambda *part: model.altered(*part).numbers)
@@ -111,7 +122,7 @@ class ModelInfluences:
         )
 
     def on_outputs(self, model: MultiModel) -> MultiModel:
-        """Return a model of several outputs with these unknowns in its covariance."""
+        """Return a model of several outputs whose covariance includes these unknowns."""
         if model.covariance is None or not self.unknowns:
             return model
         effects = self.effects(lambda *part: model.altered(*part).vector)
@@ -124,27 +135,27 @@ NO_INFLUENCES = ModelInfluences()
 def stated_influences(
     rig: Rig, mountings: Sequence[str], excluded: Sequence[str] = (), *, mounting_scatter: bool = True
 ) -> ModelInfluences:
-    """Return what the rig states beside records of some `mountings`, one each, and what nobody states.
+    """Return the influences that the rig states for a model, and missing ones.
 
-    `scattering`: what several mountings differ by is in U as the scatter of their records, so that a stated one is left
-    out. `without`: causes that do not apply.
+    `mountings`: the mounting of each record. `excluded`: causes that do not apply. `mounting_scatter`: the scatter of
+    several mountings is in U already, so that a stated one is not added.
     """
-    told, several = rig.model, mounting_scatter and len(set(mountings)) > 1
+    model, several = rig.model, mounting_scatter and len(set(mountings)) > 1
     by_scatter = ("mounting",) if several else ()
     causes, unknowns = list[str](), list[UnmodelledEffect]()
     for cause in CAUSE_LABELS:
-        stated = None if told is None or cause in (*excluded, *by_scatter) else getattr(told, cause)
+        stated = None if model is None or cause in (*excluded, *by_scatter) else getattr(model, cause)
         if stated is None:
             continue
         causes.append(cause)
         if cause == "temperature":
-            own = None if rig.sensor is None else rig.sensor.temperature_coefficient
-            of_gain = stated.gain_coefficient if stated.gain_coefficient is not None else own or 0.0
+            of_sensor = None if rig.sensor is None else rig.sensor.temperature_coefficient
+            of_gain = stated.gain_coefficient if stated.gain_coefficient is not None else of_sensor or 0.0
             parts = (stated.frequency_coefficient, stated.damping_ratio_coefficient, of_gain)
             unknowns.append(UnmodelledEffect(cause, *(stated.difference_uncertainty * part for part in parts)))
         else:
-            alone = (stated.frequency_uncertainty, stated.damping_ratio_uncertainty, stated.gain_uncertainty)
-            unknowns += [UnmodelledEffect(cause, *row) for row in np.diag(alone).tolist() if any(row)]
+            independent = (stated.frequency_uncertainty, stated.damping_ratio_uncertainty, stated.gain_uncertainty)
+            unknowns += [UnmodelledEffect(cause, *row) for row in np.diag(independent).tolist() if any(row)]
     missing = tuple(cause for cause in CAUSE_LABELS if cause not in (*causes, *by_scatter, *excluded))
     return ModelInfluences(tuple(causes), tuple(unknowns), missing, describe_records(mountings), len(mountings) == 1)
 
@@ -152,9 +163,9 @@ def stated_influences(
 def budget_table(
     caption: str, numbers: Mapping[str, float], u: Mapping[str, FloatArray], influences: ModelInfluences
 ) -> Table:
-    """Return a budget: relative standard uncertainties, %, of `numbers` by label; `u`: of each (Q,) by cause.
+    """Return a budget of relative standard uncertainties in % of `numbers` by label.
 
-    What nobody states has a line that says so.
+    `u` (Q,) by cause. Each cause that is not stated has a line "not assessed".
     """
     size = np.abs(list(numbers.values()))
     share = PERCENT * np.divide(1.0, size, out=np.zeros(len(size)), where=size > 0)
@@ -166,17 +177,19 @@ def budget_table(
 
 
 def describe_records(mountings: Sequence[str]) -> str:
-    """Return over what the U of a model holds: how many releases, of how many mountings, it rests on.
+    """Return the use that U of a model covers, by the mountings of its releases.
 
-    >>> scope_of(["1", "1", "1"])
+    >>> describe_records(["1", "1", "1"])
     'within these 3 releases of one mounting'
     """
-    count, places = len(mountings), len(set(mountings))
+    count, different = len(mountings), len(set(mountings))
     if count == 1:
         return "within this record of one release"
-    return f"within these {count} releases of {'one mounting' if places == 1 else f'{places} mountings'}"
+    return f"within these {count} releases of {'one mounting' if different == 1 else f'{different} mountings'}"
 
 
-def describe_coverage(scope: str, outside: str) -> str:
-    """Return what is told of U of a model: over what it holds, and what it leaves out."""
-    return f"U of the model holds {scope}" + (f"; not in it: {outside}" if outside else "")
+def coverage_notice(scope: str, outside: str, where: str) -> Notice:
+    """Return the notice of the conditions under which U of a model applies."""
+    if outside:
+        return Notice(MODEL_INFLUENCES_NOT_ASSESSED, where, scope=scope, outside=outside)
+    return Notice(MODEL_COVERAGE, where, scope=scope)

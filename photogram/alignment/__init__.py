@@ -1,1 +1,1 @@
-"""Where the cameras stand in the sensor frame."""
+"""Pose of the cameras in the sensor frame."""

@@ -1,9 +1,9 @@
-"""Six kinds of evidence about the pose of the left camera in the sensor frame, and what the cameras see of them.
+"""Six kinds of evidence about the pose of the left camera in the sensor frame.
 
-Points, pixels of points, faces, poses, motions and axes: each holds what the cameras saw, in the left camera's frame,
-and what is known of it in the sensor frame. What was seen carries its own noise as covariance, and the calibration's
-errors as effects: the changes of what was seen for one standard uncertainty of each principal component of the
-calibration's covariance, which all evidence has in common.
+The kinds are points, pixels of points, faces, poses, motions and axes. Each kind combines observations in the left
+camera's frame with stated positions in the sensor frame. Observations have a covariance from image noise and effects of
+the calibration. An effect is the change of an observation for one standard uncertainty of a principal component of the
+calibration's covariance. All evidence shares these components.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from typing import Protocol
 
 import numpy as np
 
-from photogram.arrays import Arrays, BoolArray, ComplexArray, FloatArray, check_shape, derivatives
+from photogram.arrays import Arrays, BoolArray, FloatArray, check_shape, derivatives
 from photogram.calibration.bundle import model_pixels
 from photogram.calibration.initial_bundle import estimate_target_pose, match_numbering
 from photogram.camera import TRANSLATION, Camera, StereoRig, principal_components, triangulate
@@ -26,25 +26,29 @@ from photogram.geometry import (
     skew,
     vector_from_rotation,
 )
-from photogram.motion import RigidMotion
 from photogram.targets.target_view import Target, TargetView
 
-_POINT_STEP_M = 1e-6
+_POINT_STEP_M = 1e-6  # step of the numeric derivative by a point, far below a pixel
 FEWEST_PIXELS = 4
-"""Points whose pixels in one camera leave one pose."""
+"""Least number of points for a unique pose from one camera."""
 CALIBRATION = "calibration"
-"""Name of the effects of the pair's own calibration."""
+"""Name of the effects of the pair's calibration."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class EvidenceResiduals(Arrays, shapes="piece B; residual B b; jacobian B b 6; covariance B b b; determines 6"):
-    """B groups of b residuals, predicted − known, at a trial pose, linear about it.
+    """B groups of b residuals (predicted − stated) at a trial pose, with derivatives.
 
-    `residual` (B, b); `jacobian` (B, b, 6): change for a small displacement of the pose multiplied from the left,
-    shift of the sensor origin (m) and rotation about it (rad); `covariance` (B, b, b), groups independent of each
-    other; `common`: by the name of what is common, changes (P, B, b) for one standard uncertainty of each of its P
-    unknowns; `piece` (B,): the name under which each group is tested; `determines` (6,): the components that this
-    evidence may determine: what it says about others counts only beside evidence that determines them.
+    Attributes
+    ----------
+    residual : (B, b).
+    jacobian : (B, b, 6), change for a small displacement of the pose, multiplied from the left: shift of the sensor
+        origin (m) and rotation about it (rad).
+    covariance : (B, b, b); the groups are independent of each other.
+    common : By the name of a common error, changes (P, B, b) for one standard uncertainty of each of its P unknowns.
+    piece : (B,), the name under which each group is tested.
+    determines : (6,), components that this evidence may determine. Its information about other components counts only
+        together with evidence that determines them.
     """
 
     residual: FloatArray
@@ -66,7 +70,7 @@ def perpendicular_directions(direction: FloatArray) -> FloatArray:
 
 
 class PoseEvidence(Protocol):
-    """Anything that says at a trial pose how far what was seen is from what is known."""
+    """Evidence with residuals between observed and stated quantities at a trial pose."""
 
     def residuals(self, sensor_from_camera: RigidTransform) -> EvidenceResiduals:
         """Return the residuals at a trial pose, linear about it."""
@@ -75,10 +79,10 @@ class PoseEvidence(Protocol):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class StatedFrame(Arrays, shapes="u 6"):
-    """The frame in which something is stated, and how well that frame agrees with the sensor's.
+    """A frame in which positions are stated, with its uncertainty relative to the sensor frame.
 
     `u` (6,): standard uncertainties of the position of its origin (m) and of the rotation about it (rad), sensor axes.
-    What names the same frame shares its error.
+    Evidence stated in the same frame shares its error.
     """
 
     name: str
@@ -86,8 +90,8 @@ class StatedFrame(Arrays, shapes="u 6"):
 
     def common(self, jacobian: FloatArray) -> dict[str, FloatArray]:
         """Return the changes (P, B, b) of residuals with this jacobian (B, b, 6)."""
-        kept = np.flatnonzero(self.u)
-        return {self.name: np.moveaxis(jacobian[..., kept] * self.u[kept], -1, 0)} if len(kept) else {}
+        uncertain = np.flatnonzero(self.u)
+        return {self.name: np.moveaxis(jacobian[..., uncertain] * self.u[uncertain], -1, 0)} if len(uncertain) else {}
 
 
 SENSOR_FRAME = StatedFrame("", np.zeros(6))
@@ -99,10 +103,22 @@ class KnownPoints(
     shapes="names N; camera_m N 3; sensor_m N 3; camera_covariance_m2 N 3 3; sensor_covariance_m2 N 3 3; calibration "
     "P N 3",
 ):
-    """Points seen at `camera_m` (N, 3) whose places `sensor_m` (N, 3) are known, both with covariance (N, 3, 3).
+    """Points observed in the camera frame whose positions in the sensor frame are known.
 
-    `calibration` (P, N, 3): effects of the calibration on the points seen. Residual R·x + t − X.
+    Attributes
+    ----------
+    names : Of the N points.
+    camera_m, camera_covariance_m2 : (N, 3) and (N, 3, 3), observed in the left camera's frame.
+    sensor_m, sensor_covariance_m2 : (N, 3) and (N, 3, 3), known in the sensor frame.
+    calibration : (P, N, 3), effects of the calibration on the observed points.
+    frame : The frame of `sensor_m`; default the sensor frame without uncertainty.
 
+    Notes
+    -----
+    The residual is R·x + t − X.
+
+    Examples
+    --------
     >>> seen = np.array([[0.0, 0, 0.5], [0.1, 0, 0.5], [0, 0.1, 0.5]])
     >>> known, variance = seen - [0, 0, 0.5], np.broadcast_to(1e-12 * np.eye(3), (3, 3, 3))
     >>> points = KnownPoints(("a", "b", "c"), seen, variance, known, variance, calibration=np.zeros((0, 3, 3)))
@@ -125,7 +141,7 @@ class KnownPoints(
             raise ValueError(f"camera_m: expected finite points, found none for {lost[0]}")
 
     def residuals(self, sensor_from_camera: RigidTransform) -> EvidenceResiduals:
-        """Return R·x + t − X and how it answers."""
+        """Return R·x + t − X with its derivatives."""
         rotation, placed = sensor_from_camera.rotation, sensor_from_camera.apply(self.camera_m)
         jacobian = displacement_jacobian(placed)
         return EvidenceResiduals(
@@ -143,10 +159,10 @@ class KnownPixels(
     shapes="names N; pixel_px N 2; pixel_covariance_px2 N 2 2; sensor_m N 3; sensor_covariance_m2 N 3 3; calibration "
     "P 13",
 ):
-    """Points of known places `sensor_m` (N, 3) seen by one camera at `pixel_px` (N, 2), both with covariance.
+    """Points of known position that one camera observes as pixels.
 
-    `calibration` (P, 13): steps of the camera's parameters that stand for its errors. Residual: the pixel where the
-    camera would show the point, less the one where it does.
+    `pixel_px` (N, 2) and `sensor_m` (N, 3) both have a covariance. `calibration` (P, 13): steps of the camera's
+    parameters that represent its errors. The residual is the predicted pixel minus the observed one.
 
     >>> camera = Camera.from_parameters(np.array([1000.0, 1000, 320, 240, 0, 0, 0, 0, 0]), np.array([640, 480]))
     >>> known = np.array([[0.0, 0, 0], [0.1, 0, 0], [0, 0.1, 0], [0, 0, 0.1]])
@@ -166,16 +182,16 @@ class KnownPixels(
     frame: StatedFrame = SENSOR_FRAME
 
     def residuals(self, sensor_from_camera: RigidTransform) -> EvidenceResiduals:
-        """Return the residuals, and how they answer: x = Rᵀ·(X − t) by −Rᵀ·[I, −[X]×] to a displacement of the pose."""
+        """Return the residuals: x = Rᵀ·(X − t) changes by −Rᵀ·[I, −[X]×] with the pose."""
         to_camera = sensor_from_camera.inverse()
         placed = to_camera.apply(self.sensor_m)
         shown = self.camera.project(placed)
-        lost = [name for name, place in zip(self.names, shown, strict=True) if not np.isfinite(place).all()]
+        lost = [name for name, pixel in zip(self.names, shown, strict=True) if not np.isfinite(pixel).all()]
         if lost:
-            raise ValueError(f"evidence: expected {lost[0]} before the camera, found it behind; check for mix-ups")
+            raise ValueError(f"evidence: expected {lost[0]} in front of the camera, found it behind; check for mix-ups")
         rate = derivatives(lambda step: self.camera.project(placed + step), np.full(3, _POINT_STEP_M))
-        by_place = rate @ to_camera.rotation
-        jacobian = -by_place @ displacement_jacobian(self.sensor_m)
+        by_position = rate @ to_camera.rotation
+        jacobian = -by_position @ displacement_jacobian(self.sensor_m)
         moved = [
             Camera.from_parameters(self.camera.parameters + step, self.camera.size_px).project(placed) - shown
             for step in self.calibration
@@ -183,15 +199,17 @@ class KnownPixels(
         return EvidenceResiduals(
             shown - self.pixel_px,
             jacobian,
-            self.pixel_covariance_px2 + by_place @ self.sensor_covariance_m2 @ by_place.mT,
+            self.pixel_covariance_px2 + by_position @ self.sensor_covariance_m2 @ by_position.mT,
             {CALIBRATION: np.array(moved).reshape(-1, *shown.shape), **self.frame.common(jacobian)},
             self.names,
         )
 
     @property
     def start(self) -> RigidTransform | None:
-        """A pose by perspective from four points or more (Terzakis and Lourakis 2020, ECCV, 478); None of fewer, or of
-        points on a line."""
+        """Pose by perspective from at least four points; None if they do not determine one.
+
+        Method: Terzakis and Lourakis 2020, ECCV, 478.
+        """
         import cv2
 
         if len(self.names) < FEWEST_PIXELS:
@@ -199,7 +217,7 @@ class KnownPixels(
         rays = self.camera.undistort(self.pixel_px)
         try:
             found, *pose = cv2.solvePnP(self.sensor_m, rays, np.eye(3), np.zeros(5), flags=cv2.SOLVEPNP_SQPNP)
-        except cv2.error:  # as it tells points that leave the rotation open
+        except cv2.error:  # points that do not determine the rotation
             return None
         turn, shift = (np.asarray(part, dtype=np.float64).ravel() for part in pose)
         return RigidTransform(rotation_from_vector(turn), shift).inverse() if found else None
@@ -207,10 +225,11 @@ class KnownPixels(
 
 @dataclass(frozen=True, eq=False, repr=False)
 class KnownFace(Arrays, shapes="camera_m N 3; camera_covariance_m2 N 3 3; point_m 3; calibration P N 3"):
-    """Points seen at `camera_m` (N, 3), with covariance (N, 3, 3), on a flat face of known place.
+    """Points observed at `camera_m` (N, 3) on a flat face of known position.
 
-    `point_m` (3,) lies on the face, `normal` (3,) points out of the body; `u_offset_m` along the normal at that point,
-    `u_normal_rad` about either direction across it. `calibration` (P, N, 3). Residual n·(R·x + t − p).
+    `camera_covariance_m2` (N, 3, 3). `point_m` (3,) lies on the face, `normal` (3,) points out of the body.
+    `u_offset_m` acts along the normal at that point, `u_normal_rad` about both directions in the face. `calibration`
+    (P, N, 3). The residual is n·(R·x + t − p).
     """
 
     name: str
@@ -230,20 +249,20 @@ class KnownFace(Arrays, shapes="camera_m N 3; camera_covariance_m2 N 3 3; point_
             raise ValueError("camera_m: expected finite points, found NaN")
 
     def residuals(self, sensor_from_camera: RigidTransform) -> EvidenceResiduals:
-        """Return the distances of the points from the face and how they answer."""
+        """Return the distances of the points from the face with their derivatives."""
         placed = sensor_from_camera.apply(self.camera_m)
         seen = sensor_from_camera.rotation.T @ self.normal
         jacobian = (self.normal @ displacement_jacobian(placed))[:, None, :]
         lever = (placed - self.point_m) @ perpendicular_directions(self.normal).T
-        own = np.concatenate([np.full((1, len(placed)), self.u_offset_m), self.u_normal_rad * lever.T])
-        kept = np.array([self.u_offset_m > 0.0, self.u_normal_rad > 0.0, self.u_normal_rad > 0.0])
+        stated_changes = np.concatenate([np.full((1, len(placed)), self.u_offset_m), self.u_normal_rad * lever.T])
+        uncertain = np.array([self.u_offset_m > 0.0, self.u_normal_rad > 0.0, self.u_normal_rad > 0.0])
         return EvidenceResiduals(
             ((placed - self.point_m) @ self.normal)[:, None],
             jacobian,
             np.einsum("i,nij,j->n", seen, self.camera_covariance_m2, seen)[:, None, None],
             {
                 CALIBRATION: (self.calibration @ seen)[..., None],
-                self.name: own[kept][..., None],
+                self.name: stated_changes[uncertain][..., None],
                 **self.frame.common(jacobian),
             },
             (self.name,) * len(placed),
@@ -256,11 +275,12 @@ class KnownPoses(
     shapes="names V; left_from_body V; sensor_from_body V; camera_covariance V 6 6; sensor_covariance V 6 6; "
     "calibration P V 6",
 ):
-    """A body seen V times at `left_from_body`, each with covariance (6, 6), whose pose in the sensor frame is known.
+    """A body observed in V poses that are known in the sensor frame.
 
-    `sensor_from_body` and `sensor_covariance` (V, 6, 6) hold what is known of each time; both covariances are those of
-    translation (m) and left-multiplied rotation (rad). `calibration` (P, V, 6): effects on the poses seen, in camera
-    axes; `common`: changes (P, V, 6) of the known poses, in sensor axes, by the name of what they have in common.
+    `left_from_body` are the observed poses with `camera_covariance` (V, 6, 6). `sensor_from_body` and
+    `sensor_covariance` (V, 6, 6) are the known ones. Both covariances are those of translation (m) and left-multiplied
+    rotation (rad). `calibration` (P, V, 6): effects on the observed poses, camera axes. `common`: changes (P, V, 6) of
+    the known poses, sensor axes, by the name of the common error.
     """
 
     names: tuple[str, ...]
@@ -273,13 +293,13 @@ class KnownPoses(
     frame: StatedFrame = SENSOR_FRAME
 
     def residuals(self, sensor_from_camera: RigidTransform) -> EvidenceResiduals:
-        """Return position and rotation of the bodies as seen against the known ones."""
+        """Return position and rotation of the observed bodies relative to the known ones."""
         placed = [sensor_from_camera @ seen for seen in self.left_from_body]
         shift = np.array(
             [p.translation_m - k.translation_m for p, k in zip(placed, self.sensor_from_body, strict=True)]
         )
-        turned = [p.rotation @ k.rotation.T for p, k in zip(placed, self.sensor_from_body, strict=True)]
-        turn = vector_from_rotation(np.array(turned).reshape(-1, 3, 3))
+        relative = [p.rotation @ k.rotation.T for p, k in zip(placed, self.sensor_from_body, strict=True)]
+        turn = vector_from_rotation(np.array(relative).reshape(-1, 3, 3))
         jacobian = np.zeros((len(placed), 6, 6))
         jacobian[:, :3] = displacement_jacobian(np.array([p.translation_m for p in placed]).reshape(-1, 3))
         jacobian[:, 3:, 3:] = rotation_vector_rate(turn)
@@ -299,11 +319,11 @@ class KnownPoses(
 
 @dataclass(frozen=True, eq=False, repr=False)
 class KnownDirection(Arrays, shapes="motion V 6; covariance V 6 6; camera_point_m V 3; calibration P V 6"):
-    """V motions of a body of which the material point at the sensor origin moves along a known direction.
+    """V motions whose material point at the sensor origin moves along a known direction.
 
     `motion` (V, 6): shift (m) of the body's point at `camera_point_m` (V, 3) and rotation (rad), camera axes, small, of
-    either sign; `covariance` (V, 6, 6); `calibration` (P, V, 6). `direction` (3,) in the sensor frame with standard
-    uncertainty `u_direction_rad` about either direction across it, common to all V motions.
+    either sign; `covariance` (V, 6, 6); `calibration` (P, V, 6). `direction` (3,) in the sensor frame has the standard
+    uncertainty `u_direction_rad` about both perpendicular directions, common to all V motions.
     """
 
     name: str
@@ -321,9 +341,10 @@ class KnownDirection(Arrays, shapes="motion V 6; covariance V 6 6; camera_point_
             raise ValueError("motion: expected a translation, found none")
 
     def residuals(self, sensor_from_camera: RigidTransform) -> EvidenceResiduals:
-        """Return the direction of motion across the known one: e·R·v/|v|, v = u + θ × (o − q) at the origin o.
+        """Return the components of the motion's direction across the known one.
 
-        Where the origin is decides little as long as the body hardly rocks; that little is no evidence about it.
+        They are e·R·v/|v| with v = u + θ × (o − q) at the origin o. The position of the origin has little influence as
+        long as the body hardly rocks, and is not used as evidence.
         """
         rotation, across_it = sensor_from_camera.rotation, perpendicular_directions(self.direction)
         origin = sensor_from_camera.inverse().translation_m
@@ -348,12 +369,12 @@ class KnownDirection(Arrays, shapes="motion V 6; covariance V 6 6; camera_point_
 
 @dataclass(frozen=True, eq=False, repr=False)
 class KnownAxis(Arrays, shapes="camera_axis V 6; covariance V 6 6; calibration P V 6; point_m 3; u_point_m 3"):
-    """V times a body was seen to turn about an axis that is known in the sensor frame.
+    """V rotations of a body about an axis that is known in the sensor frame.
 
     `camera_axis` (V, 6): a point of the axis (m) and its direction (unit vector of either sign) in the left camera's
-    frame, `covariance` (V, 6, 6) of it, `calibration` (P, V, 6). `point_m`, `direction` (3,) in the sensor frame,
-    `u_point_m` (3,), `u_direction_rad` about either direction across it, common to all V. Where along the axis the body
-    is stays open.
+    frame, with `covariance` (V, 6, 6) and `calibration` (P, V, 6). `point_m` and `direction` (3,) are in the sensor
+    frame. Their uncertainties `u_point_m` (3,) and `u_direction_rad`, about both perpendicular directions, are common
+    to all V. The position along the axis remains undetermined.
     """
 
     name: str
@@ -370,30 +391,35 @@ class KnownAxis(Arrays, shapes="camera_axis V 6; covariance V 6 6; calibration P
         _check_direction("direction", self.direction)
 
     def residuals(self, sensor_from_camera: RigidTransform) -> EvidenceResiduals:
-        """Return tilt (rad) and offset (m) of the axis seen, across the known one, at its known point."""
+        """Return tilt (rad) and offset (m) of the observed axis across the known one.
+
+        The offset is taken at the known point.
+        """
         rotation, across_it = sensor_from_camera.rotation, perpendicular_directions(self.direction)
         axis = self.camera_axis[:, 3:] @ rotation.T
         sign = np.where(axis @ self.direction < 0.0, -1.0, 1.0)
         tilt = sign[:, None, None] * across_it
         start = sensor_from_camera.apply(self.camera_axis[:, :3])
         along = ((self.point_m - start) @ self.direction) / (axis @ self.direction)
-        place = start + along[:, None] * axis
+        intersection = start + along[:, None] * axis
         count = len(axis)
         jacobian, by_axis = np.zeros((count, 4, 6)), np.zeros((count, 4, 6))
         jacobian[:, :2, 3:] = -tilt @ skew(axis)
-        jacobian[:, 2:] = across_it @ displacement_jacobian(place)
+        jacobian[:, 2:] = across_it @ displacement_jacobian(intersection)
         by_axis[:, :2, 3:] = tilt @ rotation
         by_axis[:, 2:, :3] = across_it @ rotation
         by_axis[:, 2:, 3:] = along[:, None, None] * (across_it @ rotation)
-        known = np.zeros((5, count, 4))
-        known[:2, :, :2] = self.u_direction_rad * np.eye(2)[:, None]
-        known[2:, :, 2:] = (across_it * self.u_point_m).T[:, None]
-        residual = np.concatenate([tilt @ axis[..., None], across_it @ (place - self.point_m)[..., None]], axis=1)
+        stated_changes = np.zeros((5, count, 4))
+        stated_changes[:2, :, :2] = self.u_direction_rad * np.eye(2)[:, None]
+        stated_changes[2:, :, 2:] = (across_it * self.u_point_m).T[:, None]
+        residual = np.concatenate(
+            [tilt @ axis[..., None], across_it @ (intersection - self.point_m)[..., None]], axis=1
+        )
         return EvidenceResiduals(
             residual[..., 0],
             jacobian,
             by_axis @ self.covariance @ np.swapaxes(by_axis, 1, 2),
-            {CALIBRATION: np.einsum("vij,pvj->pvi", by_axis, self.calibration), self.name: known},
+            {CALIBRATION: np.einsum("vij,pvj->pvi", by_axis, self.calibration), self.name: stated_changes},
             (self.name,) * count,
         )
 
@@ -406,14 +432,14 @@ def _check_direction(name: str, direction: FloatArray) -> None:
         raise ValueError(f"{name}: expected a unit vector, found one of length {length:.9g}")
 
 
-# What a calibrated pair sees of points, targets and motions, with the effects of its calibration's errors.
+# Points and target poses measured by a calibrated pair, with the effects of its calibration.
 
 
 def calibration_steps(rig: StereoRig, scale_u: float = 0.0) -> FloatArray:
-    """Return the steps (P, 32) of the rig's parameters, one standard uncertainty each, that stand for its errors.
+    """Return the parameter steps (P, 32) of one standard uncertainty that represent calibration errors.
 
-    The principal components of its covariance, and the baseline's length by `scale_u`, relative, where that is stated
-    apart from it.
+    The steps are the principal components of the rig's covariance. `scale_u` adds one for a separately stated relative
+    standard uncertainty of the baseline's length.
     """
     steps = [] if rig.covariance is None else [*principal_components(rig.covariance)]
     if scale_u > 0.0:
@@ -424,9 +450,10 @@ def calibration_steps(rig: StereoRig, scale_u: float = 0.0) -> FloatArray:
 
 
 def parameter_derivatives(change: FloatArray, steps: FloatArray) -> FloatArray:
-    """Return the derivatives (6, 32) by the rig's parameters of what changes by `change` (6, P) with `steps` (P, 24).
+    """Return the derivatives (6, 32) by the rig's parameters from changes (6, P).
 
-    The smallest ones, in units of the parameters' standard uncertainties, that give these changes.
+    `change` (6, P) are the changes for `steps` (P, 24). The result is the smallest solution in units of the parameters'
+    standard uncertainties.
     """
     sigma = np.sqrt((steps**2).sum(axis=0))
     scale = np.where(sigma > 0.0, sigma, 1.0)
@@ -436,10 +463,10 @@ def parameter_derivatives(change: FloatArray, steps: FloatArray) -> FloatArray:
 def triangulate_points(
     rig: StereoRig, steps: FloatArray, left_px: FloatArray, right_px: FloatArray, u_px: float | FloatArray
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return points (N, 3) in the left camera's frame, covariance (N, 3, 3) of the pixels' noise, effects (P, N, 3).
+    """Return points (N, 3), their covariance (N, 3, 3) and calibration effects (P, N, 3).
 
-    `left_px`, `right_px` (N, 2) with standard uncertainty `u_px` in each coordinate, of all or (N,); `steps` of
-    `calibration_steps`.
+    Points are in the left camera's frame; the covariance is that of the pixel noise. `left_px` and `right_px` (N, 2)
+    have the standard uncertainty `u_px` in each coordinate, common or (N,). `steps` are those of `calibration_steps`.
     """
     noise = np.asarray(u_px)[..., None, None] ** 2 * np.eye(2)
     points = triangulate(rig, left_px[None], right_px[None], noise, noise)
@@ -451,11 +478,11 @@ def triangulate_points(
 def measure_target_pose(
     rig: StereoRig, steps: FloatArray, target: Target, left: TargetView | None, right: TargetView | None
 ) -> tuple[RigidTransform, FloatArray, FloatArray]:
-    """Return the pose `left_from_target`, covariance (6, 6) of the pictures' noise, and effects (P, 6).
+    """Return the pose `left_from_target`, its covariance (6, 6) and calibration effects (P, 6).
 
-    Covariance and effects are those of translation (m) and left-multiplied rotation (rad); at least one picture. With
-    J and G the derivatives of the pixels by pose and rig and W their weights, a step s of the rig changes the most
-    likely pose by −(Jᵀ·W·J)⁻¹·Jᵀ·W·G·s.
+    The covariance is that of the image noise. Both refer to translation (m) and left-multiplied rotation (rad). At
+    least one view is required. With the derivatives J and G of the pixels by pose and rig and their weights W, a step s
+    of the rig changes the most likely pose by −(Jᵀ·W·J)⁻¹·Jᵀ·W·G·s.
     """
     right = match_numbering(rig, target, left, right)
     pose, covariance = estimate_target_pose(rig, target, left, right)
@@ -469,129 +496,3 @@ def measure_target_pose(
             weight = np.linalg.inv(view.covariance_px2)
             change -= covariance @ np.asarray(np.einsum("nki,nkl,nlj->ij", seen.by_pose, weight, seen.by_rig(side)))
     return pose, covariance, steps @ change.T
-
-
-# The direction in which a body moves, and the axis about which it turns.
-
-_RANK = 1e-10  # singular values below this share of the largest count as zero
-_STEPS = 30
-_CONVERGED = 1e-12
-_LEAST_TURN = 5.0  # turn of the body in standard uncertainties below which it has no axis
-
-
-def linear_motion(
-    phasor: ComplexArray, covariance: FloatArray, effects: ComplexArray
-) -> tuple[FloatArray, FloatArray, FloatArray, float]:
-    """Return the motion (6,) along the major axis of the translation's ellipse, from displacement phasors (6,).
-
-    `covariance` (12, 12) of [all Re, all Im], `effects` (P, 6) changes of the phasors. Turned by the phase φ of
-    Σ u² = |·|·e^{2jφ} over the translations u, the real part of phasors times e^{−jφ} is the motion at its largest
-    translation, and the imaginary part the minor axis. Returned are motion, covariance (6, 6), effects (P, 6), and the
-    ratio of minor to major axis: the angle (rad) by which the body's translation departs from a line.
-    """
-    phase = 0.5 * np.angle(np.sum(phasor[:3] ** 2))
-    turned = phasor * np.exp(-1j * phase)
-    real_part = np.concatenate([np.cos(phase) * np.eye(6), np.sin(phase) * np.eye(6)], axis=1)
-    minor = float(np.linalg.norm(turned[:3].imag) / np.linalg.norm(turned[:3].real))
-    changes = (effects * np.exp(-1j * phase)).real
-    return turned.real, real_part @ covariance @ real_part.T, changes, minor
-
-
-@dataclass(frozen=True, eq=False, repr=False)
-class RotationAxis(Arrays, shapes="line 6; covariance 6 6"):
-    """A fixed axis about which a body turned: `line` (6,) a point (m) and the direction (unit vector), `covariance`.
-
-    The point is the one nearest to the motion's origin. `chi2`, `dof`: of the motion against a rotation about that
-    axis; the covariance is enlarged by χ²/dof where that is above 1, since then the axis was not as fixed as the frames
-    are exact.
-    """
-
-    line: FloatArray
-    covariance: FloatArray
-    chi2: float
-    dof: int
-
-
-def fit_axis(motion: RigidMotion) -> RotationAxis:
-    """Return the axis about which a body turns, from its poses against the first frame.
-
-    Least squares over the rotation vectors and the displacements of the axis' points across the axis; those along it
-    are left free. The noise of the first frame, against which all poses count, is a common unknown whose covariance is
-    that of frame 0. Angles may be large, and their sequence is of no account.
-    """
-    used = np.isfinite(motion.pose).all(axis=1) & motion.pose.any(axis=1)
-    pose, covariance = motion.pose[used], motion.covariance[used]
-    if len(pose) < 3:
-        raise ValueError(f"motion: expected at least 3 frames after the first, found {len(pose)}")
-    direction = np.linalg.svd(pose[:, 3:], full_matrices=False)[2][0]
-    tilt = perpendicular_directions(direction)
-    held = tilt @ (np.eye(3) - rotation_from_vector(pose[:, 3:])) @ tilt.T
-    point = np.linalg.lstsq(held.reshape(-1, 2), (pose[:, :3] @ tilt.T).ravel(), rcond=None)[0]
-    line = np.concatenate([point @ tilt, direction])  # the point that moves least
-    angle = np.ptp(pose[:, 3:] @ direction)
-    noise = float(np.sqrt(np.median(covariance[:, 3:, 3:] @ line[3:] @ line[3:])))
-    if not angle > _LEAST_TURN * noise:
-        raise ValueError(f"motion: expected a body that turns, found {angle:.2g} rad with a noise of {noise:.2g}")
-    reference = motion.covariance[0] if np.isfinite(motion.covariance[0]).all() else covariance[0]
-    for _ in range(_STEPS):
-        rows, residual, tangents = _equations(pose, covariance, reference, line)
-        step = np.linalg.lstsq(rows, -residual, rcond=None)[0]
-        point, direction = np.split(line + tangents @ step[:4], 2)
-        direction = direction / np.linalg.norm(direction)
-        line = np.concatenate([point - (point @ direction) * direction, direction])  # the point nearest to the origin
-        if np.abs(step[:4]).max() <= _CONVERGED * max(1.0, float(np.abs(line).max())):
-            break
-    rows, residual, tangents = _equations(pose, covariance, reference, line)
-    chi2, dof = sum_of_squares(rows, residual)
-    free = tangents @ np.linalg.inv(rows.T @ rows)[:4, :4] @ tangents.T
-    origin = np.concatenate([motion.origin_m, np.zeros(3)])
-    return RotationAxis(line + origin, free * max(1.0, chi2 / dof), chi2, dof)
-
-
-def _equations(
-    pose: FloatArray, covariance: FloatArray, reference: FloatArray, line: FloatArray
-) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return whitened rows (4F + 6, 10), residuals and the tangents (6, 4) of the axis.
-
-    Residuals of a frame: its rotation vector and the displacement of the axis' point, both across the axis. Unknown are
-    two components of the point, two of the direction, and six of the first frame's noise. With the point held nearest
-    to the origin, a change of direction moves it along the axis, which the fourth block of the tangents says.
-    """
-    point, direction = line[:3], line[3:]
-    tilt = perpendicular_directions(direction)
-    rotation = rotation_from_vector(pose[:, 3:])
-    moved = rotation @ point + pose[:, :3] - point
-    residual = np.concatenate([pose[:, 3:] @ tilt.T, moved @ tilt.T], axis=1)
-    left = np.linalg.inv(rotation_vector_rate(pose[:, 3:]))
-    by_pose = np.zeros((len(pose), 4, 6))
-    by_pose[:, :2, 3:] = tilt
-    by_pose[:, 2:, :3] = tilt
-    by_pose[:, 2:, 3:] = -tilt @ skew(rotation @ point) @ left
-    by_axis = np.zeros((len(pose), 4, 4))
-    by_axis[:, 2:, :2] = tilt @ (rotation - np.eye(3)) @ tilt.T
-    by_axis[:, :2, 2:] = -(pose[:, 3:] @ direction)[:, None, None] * np.eye(2)
-    by_axis[:, 2:, 2:] = -(moved @ direction)[:, None, None] * np.eye(2)
-    first = np.zeros((len(pose), 6, 6))  # T·exp(n): the first frame's noise moves every pose from the right
-    first[:, :3, :3] = rotation
-    first[:, 3:, 3:] = rotation_vector_rate(-pose[:, 3:])
-    by_first = by_pose @ first
-    white = np.linalg.cholesky(by_pose @ covariance @ np.swapaxes(by_pose, 1, 2))
-    stacked = np.concatenate([by_axis, by_first @ np.linalg.cholesky(reference), residual[..., None]], axis=2)
-    stacked = np.linalg.solve(white, stacked).reshape(-1, 11)
-    rows = np.concatenate([stacked[:, :10], np.eye(10)[4:]])
-    tangents = np.zeros((6, 4))
-    tangents[:3, :2] = tilt.T
-    tangents[3:, 2:] = tilt.T
-    tangents[:3, 2:] = -np.outer(direction, tilt @ point)
-    return rows, np.concatenate([stacked[:, 10], np.zeros(6)]), tangents
-
-
-def sum_of_squares(rows: FloatArray, residual: FloatArray) -> tuple[float, int]:
-    """Return the least sum of squares of residual + rows·x and its degrees of freedom."""
-    if not len(rows):
-        return 0.0, 0
-    scale = np.linalg.norm(rows, axis=0)
-    u, singular, _ = np.linalg.svd(rows / np.where(scale > 0.0, scale, 1.0), full_matrices=False)
-    fitted = u[:, singular > _RANK * singular[0]]
-    left = residual - fitted @ (fitted.T @ residual)
-    return float(left @ left), len(rows) - fitted.shape[1]

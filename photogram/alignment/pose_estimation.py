@@ -1,4 +1,4 @@
-"""The camera frame in the sensor frame, by least squares over all evidence, and what stays open."""
+"""Pose of the camera in the sensor frame by least squares over all evidence."""
 
 from __future__ import annotations
 
@@ -14,17 +14,19 @@ from photogram.alignment.alignment_evidence import (
     KnownPoints,
     KnownPoses,
     PoseEvidence,
-    sum_of_squares,
 )
+from photogram.alignment.alignment_notices import CONTRADICTORY_EVIDENCE
+from photogram.alignment.motion_axes import sum_of_squares
 from photogram.arrays import Arrays, FloatArray, IntArray
 from photogram.geometry import RigidTransform, fit_rigid, fixes_rotation, nearest_rotation, rotation_from_vector
 from shakercal._common.notices import Notice
 
 
 def starting_pose(evidence: Sequence[PoseEvidence]) -> RigidTransform | None:
-    """Return a first `sensor_from_camera` from a known pose, three points, four of one camera, or two faces; else None.
+    """Return a first `sensor_from_camera` from the evidence, or None.
 
-    Directions and axes of motion are known up to their sense only and cannot start the search.
+    Sufficient are one known pose, three points, four points of one camera, or two faces. Directions and axes of motion
+    have an unknown sign and cannot start the search.
     """
     for item in evidence:
         if isinstance(item, KnownPoses):
@@ -37,12 +39,12 @@ def starting_pose(evidence: Sequence[PoseEvidence]) -> RigidTransform | None:
         try:
             return fit_rigid(camera, sensor)
         except ValueError:
-            pass  # points that leave the rotation open
+            pass  # points that do not determine the rotation
     return _pose_from_faces([item for item in evidence if isinstance(item, KnownFace)])
 
 
 def _pose_from_faces(faces: Sequence[KnownFace]) -> RigidTransform | None:
-    """Return the pose in which the fitted planes lie on the faces, as near as two or more normals decide."""
+    """Return the pose that fits planes to two or more faces, or None."""
     flat, centres, scatter = [], [], np.zeros((3, 3))
     for face in (face for face in faces if len(face.camera_m) >= 3):
         centre = face.camera_m.mean(axis=0)
@@ -59,16 +61,16 @@ def _pose_from_faces(faces: Sequence[KnownFace]) -> RigidTransform | None:
     return RigidTransform(rotation, np.linalg.lstsq([face.normal for face in flat], offset, rcond=1e-9)[0])
 
 
-# Which components of a pose the evidence leaves open, told by name.
+# Names of undetermined components of a pose.
 
 LIMIT = 0.1
-"""Standard uncertainty (m, rad) from which a component counts as open: nothing is evaluated with such a pose."""
-_SAME = 0.02  # sine of the angle below which a direction goes by the name of an axis
-_PURE = 1e-2  # share below which a displacement counts as one without rotation
+"""Standard uncertainty (m, rad) of an undetermined component; such a pose is useless."""
+_SAME = 0.02  # sine of the angle below which a direction has the name of an axis
+_PURE = 1e-2  # share of rotation below which a displacement is a pure shift
 
 
 class UndeterminedPose(ValueError):
-    """The evidence leaves components of the pose open; `components` names them."""
+    """The evidence does not determine all components of the pose; `components` names the others."""
 
     def __init__(self, components: tuple[str, ...]) -> None:
         self.components = components
@@ -78,15 +80,15 @@ class UndeterminedPose(ValueError):
         cures += ["a motion in another direction"] if turns else []
         cures += ["a rotation axis that is not parallel to others"] if shifts else []
         verb = "is" if len(components) == 1 and " and " not in components[0] else "are"
-        text = f"{' and '.join(components)} {verb} open: add {', '.join(cures)}, or a pose known before"
+        text = f"{' and '.join(components)} {verb} undetermined: add {', '.join(cures)}, or a prior pose"
         super().__init__(text)
 
 
 def undetermined_components(information: FloatArray) -> tuple[str, ...]:
-    """Return the names of the components that an information matrix (6, 6) leaves open, empty if none.
+    """Return the names of the components that an information matrix (6, 6) does not determine.
 
-    Open are the eigenvectors of the information, in units of `LIMIT`, whose eigenvalue is below 1, which is a standard
-    uncertainty above `LIMIT`. Shifts among them are told apart from what turns.
+    These are the eigenvectors of the information, in units of `LIMIT`, with an eigenvalue below 1: a standard
+    uncertainty above `LIMIT`. Pure shifts and rotations are named separately.
     """
     values, vectors = np.linalg.eigh(information * LIMIT**2)
     basis = vectors[:, values < 1.0]
@@ -115,22 +117,23 @@ def _axes(basis: FloatArray) -> str:
 
 def _upright(direction: FloatArray) -> FloatArray:
     """Return a direction with its largest component positive and rounding removed."""
-    turned = direction * np.sign(direction[np.argmax(np.abs(direction))])
-    return np.asarray(np.where(np.abs(turned) < _SAME, 0.0, turned))
+    positive = direction * np.sign(direction[np.argmax(np.abs(direction))])
+    return np.asarray(np.where(np.abs(positive) < _SAME, 0.0, positive))
 
 
-# All evidence in one weighted least squares: the pose, its covariance, and whether the pieces fit each other.
+# Weighted least squares over all evidence: pose, covariance, and tests of each piece.
 
-TEST_LEVEL = 0.99
-_STEPS = 50
-_CONVERGED = 1e-10  # a step (m, rad) this small ends the iteration
+TEST_LEVEL = 0.99  # of the χ² test: one consistent alignment in a hundred is enlarged
+_STEPS = 50  # limit of the Gauss–Newton steps; some ten are usual
+_CONVERGED = 1e-10  # step (m, rad) that ends the iteration
 
 
 @dataclass(frozen=True)
 class EvidenceTest:
-    """One piece of evidence against all the others: by how much it raises χ², and on how many degrees of freedom.
+    """Test of one piece of evidence against all the others.
 
-    With 0 degrees of freedom nothing else speaks about what this piece says.
+    `chi2` is the increase of χ² by this piece and `dof` that of the degrees of freedom. With `dof` 0 the other evidence
+    does not determine this piece.
     """
 
     name: str
@@ -139,24 +142,31 @@ class EvidenceTest:
 
     @property
     def normalised(self) -> float:
-        """Root of χ² per degree of freedom: 1 is expected, NaN where nothing can be compared."""
+        """Root of χ² per degree of freedom: expected 1, NaN without a comparison."""
         return float(np.sqrt(self.chi2 / self.dof)) if self.dof else float("nan")
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Alignment(Arrays, shapes="covariance 6 6; held_covariance 6 6; by_calibration 6 P"):
-    """The pose of the left camera in the sensor frame: x_sensor = R·x_camera + t.
+class Alignment(Arrays, shapes="covariance 6 6; conditional_covariance 6 6; by_calibration 6 P"):
+    """Pose of the left camera in the sensor frame: x_sensor = R·x_camera + t.
 
-    `covariance` (6, 6): of the small displacement (shift, rotation about the sensor origin; m and rad, sensor axes)
-    that, multiplied from the left, leads from this pose to the true one; it contains the calibration's share and is
-    enlarged by `enlargement`² where the evidence does not fit together (χ² beyond its 99 % quantile).
-    `held_covariance` (6, 6): the same if the calibration were exact. `by_calibration` (6, P): the displacement for one
-    standard uncertainty of each of the calibration's P errors, in the order of the evidence's effects.
+    Attributes
+    ----------
+    sensor_from_camera : The pose.
+    covariance : (6, 6), of the small displacement (shift, rotation about the sensor origin; m and rad, sensor axes)
+        that leads from this pose to the true one, multiplied from the left. It includes the calibration and the
+        enlargement.
+    conditional_covariance : (6, 6), the same with an exact calibration.
+    by_calibration : (6, P), displacement for one standard uncertainty of each of the calibration's P errors.
+    chi2, dof : Of the fit.
+    enlargement : Factor of the standard uncertainties, above 1 if χ² exceeds its 99 % quantile.
+    tests : Each piece of evidence against the others.
+    notices : Of the fit.
     """
 
     sensor_from_camera: RigidTransform
     covariance: FloatArray
-    held_covariance: FloatArray
+    conditional_covariance: FloatArray
     by_calibration: FloatArray
     chi2: float
     dof: int
@@ -166,20 +176,37 @@ class Alignment(Arrays, shapes="covariance 6 6; held_covariance 6 6; by_calibrat
 
     @property
     def u(self) -> FloatArray:
-        """Standard uncertainties (6,): position of the sensor origin (m), rotation about it (rad), sensor axes."""
+        """Standard uncertainties (6,) of the sensor origin (m) and of the rotation about it (rad)."""
         return np.asarray(np.sqrt(np.diagonal(self.covariance)))
 
 
 def align(evidence: Sequence[PoseEvidence], start: RigidTransform | None = None) -> Alignment:
-    """Return the pose of the left camera in the sensor frame that fits all evidence best.
+    """Estimate the pose of the left camera in the sensor frame from all evidence.
 
-    Minimises Σ (e + G·c)ᵀ·C⁻¹·(e + G·c) + cᵀ·c over the pose and the errors c that evidence has in common (principal
-    components of the calibration, stated directions, faces, frames; in units of their standard uncertainty), by
-    Gauss-Newton steps from `start`, by default a pose that the evidence itself gives. What is common is an unknown with
-    a prior, so that it enters the weights and is counted once (GUM, JCGM 100:2008, F.1.2.3 and H.2).
+    Parameters
+    ----------
+    evidence
+        Pieces of evidence; at least those that determine all six components.
+    start
+        First pose; default None, a pose from the evidence.
 
-    Components of the pose that the evidence leaves open raise `OpenPose`, which names them.
+    Returns
+    -------
+    The pose with covariance, tests and notices.
 
+    Raises
+    ------
+    UndeterminedPose : The evidence does not determine a component, which is named.
+    ValueError : No first pose is available, or the iteration does not converge.
+
+    Notes
+    -----
+    Minimises Σ (e + G·c)ᵀ·C⁻¹·(e + G·c) + cᵀ·c over the pose and the common errors c by Gauss–Newton steps. Common
+    errors are principal components of the calibration, stated directions, faces and frames, in units of their standard
+    uncertainty. Each is an unknown with a prior, so that it counts once (GUM, JCGM 100:2008, F.1.2.3 and H.2).
+
+    Examples
+    --------
     >>> seen = np.array([[0.0, 0, 0.5], [0.1, 0, 0.5], [0, 0.1, 0.5]])
     >>> known, variance = seen - [0, 0, 0.5], np.broadcast_to(1e-12 * np.eye(3), (3, 3, 3))
     >>> points = KnownPoints(("a", "b", "c"), seen, variance, known, variance, calibration=np.zeros((0, 3, 3)))
@@ -189,7 +216,7 @@ def align(evidence: Sequence[PoseEvidence], start: RigidTransform | None = None)
     pose = starting_pose(evidence) if start is None else start
     if pose is None:
         raise ValueError(
-            "start: expected a first pose beside this evidence, which is not enough to find one: state what is known"
+            "start: expected a first pose, which this evidence does not determine: state an approximate one"
         )
     for _ in range(_STEPS):
         system = assemble(evidence, pose)
@@ -200,7 +227,9 @@ def align(evidence: Sequence[PoseEvidence], start: RigidTransform | None = None)
         pose = RigidTransform(nearest_rotation(turn @ pose.rotation), turn @ pose.translation_m + step[:3])
         if np.abs(step).max() <= _CONVERGED:
             return _judged(pose, assemble(evidence, pose))
-    raise ValueError("evidence: expected pieces that describe one pose, found that no pose settles; check for mix-ups")
+    raise ValueError(
+        "evidence: expected pieces of one pose, found that the iteration does not converge; check for mix-ups"
+    )
 
 
 def _judged(pose: RigidTransform, system: AlignmentSystem) -> Alignment:
@@ -209,9 +238,9 @@ def _judged(pose: RigidTransform, system: AlignmentSystem) -> Alignment:
 
     chi2, dof = sum_of_squares(system.rows, system.residual)
     pieces = []
-    for number, name in enumerate(system.names):  # the fit without a piece, linear about the pose, against that with it
-        kept = system.piece != number
-        without, freedom = sum_of_squares(system.rows[kept], system.residual[kept])
+    for number, name in enumerate(system.names):  # the linear fit without a piece, compared with the whole fit
+        others = system.piece != number
+        without, freedom = sum_of_squares(system.rows[others], system.residual[others])
         pieces.append(EvidenceTest(name, max(chi2 - without, 0.0), dof - freedom))
     fits = dof == 0 or chi2 <= chi_square.ppf(TEST_LEVEL, dof)
     enlargement, notices = 1.0, list[Notice]()
@@ -219,12 +248,8 @@ def _judged(pose: RigidTransform, system: AlignmentSystem) -> Alignment:
         enlargement = float(np.sqrt(chi2 / dof))
         compared = [piece for piece in pieces if piece.dof]
         worst = min(compared, key=lambda piece: float(chi_square.logsf(piece.chi2, piece.dof)))
-        text = (
-            f"the evidence does not fit together (chi2 {chi2:.3g} with {dof} degrees of freedom); {worst.name} fits "
-            f"least, off by {worst.normalised:.2g} times what is stated; uncertainties are enlarged by "
-            f"{enlargement:.2g}"
-        )
-        notices.append(Notice("warning", text, worst.name))
+        values = {"chi2": chi2, "dof": dof, "ratio": worst.normalised, "enlargement": enlargement}
+        notices.append(Notice(CONTRADICTORY_EVIDENCE, worst.name, piece=worst.name, **values))
     return Alignment(
         pose,
         enlargement**2 * system.covariance(),
@@ -243,12 +268,12 @@ def _judged(pose: RigidTransform, system: AlignmentSystem) -> Alignment:
 
 @dataclass(frozen=True, eq=False)
 class AlignmentSystem:
-    """Rows (M, 6 + Q) and residuals (M,) in units of their standard deviations.
+    """Whitened linear system: rows (M, 6 + Q) and residuals (M,) in standard deviations.
 
     Unknown are the displacement of the pose and Q common errors, whose priors are the last Q rows. `piece` (M,): number
-    of each row's piece among `names`, −1 for priors of common errors. `columns`: first column and number of each common
-    error's unknowns. `information` (6, 6): what the evidence says about the components that it may determine,
-    common errors and all.
+    of each row's piece among `names`, −1 for priors. `columns`: first column and number of each common error's
+    unknowns. `information` (6, 6): information about the components that each piece may determine, with unknown common
+    errors.
     """
 
     rows: FloatArray
@@ -259,14 +284,14 @@ class AlignmentSystem:
     information: FloatArray
 
     def covariance(self, fixed_errors: str = "") -> FloatArray:
-        """Return the covariance (6, 6) of the pose, on condition that the common errors of one name are known."""
+        """Return the covariance (6, 6) of the pose, without the common errors of one name."""
         first, count = self.columns.get(fixed_errors, (0, 0))
         rows = np.delete(self.rows, np.s_[first : first + count], axis=1)
         covariance = np.linalg.inv(rows.T @ rows)[:6, :6]
         return np.asarray((covariance + covariance.T) / 2)
 
     def response(self, common_error: str) -> FloatArray:
-        """Return how the pose (6, Q) answers one standard uncertainty of each common error of a name."""
+        """Return the change (6, Q) of the pose per standard uncertainty of a common error."""
         first, count = self.columns.get(common_error, (0, 0))
         chosen = self.rows[:, first : first + count]
         others = np.delete(self.rows, np.s_[first : first + count], axis=1)
@@ -285,7 +310,7 @@ def assemble(evidence: Sequence[PoseEvidence], pose: RigidTransform) -> Alignmen
         width = max(width, first + count)
     names = tuple(dict.fromkeys(name for part in parts for name in part.piece))
     prior = np.eye(width)[6:]
-    blocks, claims, pieces = [], [], []
+    blocks, determining, pieces = [], [], []
     for part in parts:
         groups, size = part.residual.shape
         full = np.zeros((groups, size, width + 1))
@@ -299,17 +324,17 @@ def assemble(evidence: Sequence[PoseEvidence], pose: RigidTransform) -> Alignmen
         except np.linalg.LinAlgError as error:
             raise ValueError(f"{part.piece[0]}: expected a positive definite covariance") from error
         blocks.append(white)
-        claims.append(white[:, :-1] * np.concatenate([part.determines, np.ones(width - 6)]))
+        determining.append(white[:, :-1] * np.concatenate([part.determines, np.ones(width - 6)]))
         pieces.append(np.repeat([names.index(name) for name in part.piece], size))
     blocks.append(np.column_stack([prior, np.zeros(width - 6)]))
-    system, claimed = np.concatenate(blocks), np.concatenate([*claims, prior])
-    normal = claimed.T @ claimed
+    system, determined = np.concatenate(blocks), np.concatenate([*determining, prior])
+    normal = determined.T @ determined
     return AlignmentSystem(
         system[:, :-1],
         system[:, -1],
         np.concatenate([*pieces, np.full(width - 6, -1)]).astype(np.int64),
         names,
         columns,
-        # about the pose when the common errors are unknown: the Schur complement
+        # information about the pose with unknown common errors: the Schur complement
         normal[:6, :6] - normal[:6, 6:] @ np.linalg.solve(normal[6:, 6:], normal[6:, :6]),
     )

@@ -1,1 +1,1 @@
-"""Stereo calibration: from target views or files of other programs to a `StereoRig` with covariance."""
+"""Calibration of stereo pairs from images of a target."""

@@ -1,4 +1,4 @@
-"""Bundle adjustment: cameras, relative pose, target poses and target shape in one least squares, view by view."""
+"""Bundle adjustment of cameras, relative pose, target poses and target geometry."""
 
 from __future__ import annotations
 
@@ -21,17 +21,17 @@ from photogram.camera import LEFT, RIG_PARAMETERS, RIGHT
 from photogram.geometry import RigidTransform
 
 _RIG = len(RIG_PARAMETERS)
-_STEPS = 100  # steps allowed; five to ten are the rule, more with long focal lengths and large residuals
+_STEPS = 100  # usually 5 to 10 are sufficient; more with long focal lengths and large residuals
 _DAMPING, _DAMPING_NEAR = 1e-3, 1e-9  # of the first step
 _CONVERGED = 1e-3  # expected decrease of χ² that ends the iteration: parameters to 0.03 of their uncertainty
 
 
 @dataclass(frozen=True, eq=False)
 class RigPrior:
-    """What is known of the rig before the pictures: expected parameters (32,) and standard deviations, inf for none.
+    """Prior of the rig's parameters (32,): expected values and standard deviations.
 
-    Those with the standard deviation zero are held where they are. The three of the rotation are no parameters with a
-    value, so they have no prior. `aspect_px` (left, right): standard deviation of fx − fy around the expected.
+    `sigma` is infinite without prior information and zero for fixed parameters. The three of the rotation have no value
+    and therefore no prior. `aspect_px` (left, right): standard deviation of fx − fy around the expected difference.
     """
 
     value: FloatArray
@@ -39,17 +39,17 @@ class RigPrior:
     aspect_px: tuple[float, float]
 
     def deviations(self, parameters: FloatArray) -> FloatArray:
-        """Return how far (Q + 2,) parameters (32,) and fx − fy are from what is expected, in standard deviations."""
+        """Return the deviations (Q + 2,) of parameters and fx − fy in standard deviations."""
         return np.asarray(self.slope @ (parameters - self.value)[self.free])
 
     @property
     def free(self) -> IntArray:
-        """Places (Q,) of the parameters that are estimated."""
+        """Indices (Q,) of the estimated parameters."""
         return np.flatnonzero(self.sigma > 0)
 
     @property
     def slope(self) -> FloatArray:
-        """The derivative (Q + 2, Q) of `away` by the parameters that are estimated."""
+        """Derivative (Q + 2, Q) of `deviations` by the estimated parameters."""
         aspect = np.zeros((2, _RIG))
         for row, (camera, sigma) in enumerate(zip((LEFT, RIGHT), self.aspect_px, strict=True)):
             aspect[row, camera[:2]] = 1 / sigma, -1 / sigma
@@ -58,8 +58,16 @@ class RigPrior:
 
 @dataclass(frozen=True, eq=False)
 class AdjustedBundle:
-    """The most likely bundle, the covariance of its rig (32, 32) and of each pose (V, 6, 6), the variances (S,) of its
-    shape's values and (D,) of its drift, and the normal equations there.
+    """The most likely bundle with covariances and normal equations.
+
+    Attributes
+    ----------
+    bundle : The adjusted values.
+    covariance : (32, 32), of the rig.
+    shape_variance : (S,), of the target geometry's values.
+    drift_variance : (D,), of the focal drift.
+    pose_covariance : (V, 6, 6), of each target pose.
+    normal : Normal equations at the minimum.
     """
 
     bundle: Bundle
@@ -71,19 +79,19 @@ class AdjustedBundle:
 
 
 def adjust(start: Bundle, images: Sequence[ImageObservations], prior: RigPrior, near: bool = False) -> AdjustedBundle:
-    """Return the bundle that minimises Σ rᵀ·C⁻¹·r over all points plus the priors' squares.
+    """Minimise Σ rᵀ·C⁻¹·r over all points plus the squares of the priors.
 
-    Levenberg–Marquardt; from a start that is `near` the minimum, as one is that was adjusted with other weights, almost
-    undamped: along what the pictures hardly tell, damping makes many steps of one. All pictures have one radius of
-    dots. Raises `ValueError` when the sum of squares cannot be brought to a minimum.
+    Levenberg–Marquardt. A start that is `near` the minimum, such as one adjusted with other weights, is almost
+    undamped: damping would need many steps along poorly determined directions. All images have one radius of dots.
+    Raises `ValueError` if the sum of squares does not converge.
     """
     bundle, damping, sides = start, _DAMPING_NEAR if near else _DAMPING, _sides(images)
-    cost, seen = _looked(start, sides, prior)
+    cost, seen = _evaluate(start, sides, prior)
     normal = _normal(start, sides, seen, prior)
     for _ in range(_STEPS):
         step, pose_steps, decrease = normal.step(damping)
         tried = bundle.with_step(step, pose_steps)
-        found, seen = _looked(tried, sides, prior)
+        found, seen = _evaluate(tried, sides, prior)
         if found <= cost * (1 + 1e-12):
             bundle, cost, damping = tried, min(found, cost), max(damping / 10, 1e-12)
             normal = _normal(bundle, sides, seen, prior)
@@ -91,22 +99,22 @@ def adjust(start: Bundle, images: Sequence[ImageObservations], prior: RigPrior, 
                 return AdjustedBundle(bundle, *normal.covariance(), normal)
         else:
             damping = max(10 * damping, 1e-6)
-    raise ValueError("the bundle adjustment did not converge; add views or leave out doubtful pictures")
+    raise ValueError("the bundle adjustment did not converge; add views or remove doubtful images")
 
 
 def residuals(bundle: Bundle, images: Sequence[ImageObservations]) -> list[FloatArray]:
-    """Return the residuals found − modelled (N, 2) of each picture."""
+    """Return the residuals found − modelled (N, 2) of each image."""
     found: list[FloatArray] = [np.empty((0, 2))] * len(images)
     for side in _sides(images):
-        away = side.position_px - side.see(bundle).pixel
+        difference = side.position_px - side.see(bundle).pixel
         for number, rows in zip(side.number, side.rows, strict=True):
-            found[number] = away[rows]
+            found[number] = difference[rows]
     return found
 
 
 @dataclass(frozen=True, eq=False)
 class _Side:
-    """All pictures of one camera in one row: which these are, their rows, and of each point (N,) what they say."""
+    """All images of one camera with their points (N,) in one array."""
 
     side: int
     number: tuple[int, ...]
@@ -118,7 +126,7 @@ class _Side:
     radius_m: float
 
     def see(self, bundle: Bundle) -> ModelledPixels:
-        """Return where all points are expected."""
+        """Return the expected pixels of all points."""
         rig = bundle.rig
         camera, relative = (rig.right, rig.right_from_left) if self.side else (rig.left, RigidTransform.identity())
         points = bundle.shape.points_m[self.point]
@@ -128,7 +136,7 @@ class _Side:
         return scale_focal_lengths(seen, camera, bundle.drift.growth(self.side, self.view))
 
     def by_drift(self, bundle: Bundle, seen: ModelledPixels) -> FloatArray:
-        """Return the derivatives (N, 2, D) of what is seen by the drift of either camera's focal lengths."""
+        """Return the derivatives (N, 2, D) of the pixels by the focal drift."""
         if bundle.drift is None:
             return np.empty((*seen.pixel.shape, 0))
         camera = bundle.rig.right if self.side else bundle.rig.left
@@ -138,44 +146,48 @@ class _Side:
         return slope
 
 
-def _sides(pictures: Sequence[ImageObservations]) -> list[_Side]:
-    """Return the pictures by camera."""
+def _sides(images: Sequence[ImageObservations]) -> list[_Side]:
+    """Return the images by camera."""
     sides = []
-    for side in sorted({picture.side for picture in pictures}):
-        number = tuple(n for n, picture in enumerate(pictures) if picture.side == side)
-        mine = [pictures[n] for n in number]
-        ends = np.cumsum([0, *(len(picture.point) for picture in mine)]).tolist()
-        view = np.concatenate([np.full(len(picture.point), picture.view) for picture in mine])
+    for side in sorted({image.side for image in images}):
+        number = tuple(n for n, image in enumerate(images) if image.side == side)
+        mine = [images[n] for n in number]
+        ends = np.cumsum([0, *(len(image.point) for image in mine)]).tolist()
+        view = np.concatenate([np.full(len(image.point), image.view) for image in mine])
         position, precision = (
             np.concatenate([getattr(p, name) for p in mine]) for name in ("position_px", "precision")
         )
         rows = tuple(slice(*pair) for pair in pairwise(ends))
-        point = np.concatenate([picture.point for picture in mine])
+        point = np.concatenate([image.point for image in mine])
         sides.append(_Side(side, number, rows, view, point, position, precision, mine[0].radius_m))
     return sides
 
 
-def _looked(bundle: Bundle, sides: Sequence[_Side], prior: RigPrior) -> tuple[float, list[ModelledPixels]]:
-    """Return the sum of squares, infinite when a point falls behind a camera, and what the cameras see."""
+def _evaluate(bundle: Bundle, sides: Sequence[_Side], prior: RigPrior) -> tuple[float, list[ModelledPixels]]:
+    """Return the sum of squares, infinite for a point behind a camera, and the pixels."""
     seen = [side.see(bundle) for side in sides]
-    away, shape = prior.deviations(bundle.rig.values), bundle.shape.value_m / bundle.shape.prior_m
-    total = float(away @ away) + float(shape @ shape)
+    deviation, shape = prior.deviations(bundle.rig.values), bundle.shape.value_m / bundle.shape.prior_m
+    total = float(deviation @ deviation) + float(shape @ shape)
     if bundle.drift is not None:
         total += float(bundle.drift.value @ bundle.drift.value) / DRIFT_SPREAD**2
-    for side, there in zip(sides, seen, strict=True):
-        residual = side.position_px - there.pixel
+    for side, modelled in zip(sides, seen, strict=True):
+        residual = side.position_px - modelled.pixel
         total += float(np.einsum("ni,nij,nj->", residual, side.precision, residual))
     return (total if np.isfinite(total) else np.inf), seen
 
 
 @dataclass(frozen=True, eq=False)
 class BundleNormalEquations:
-    """Normal equations, view by view: what each says of rig, modes of the shape and drift (K,), pose, and free points.
+    """Normal equations, view by view, of rig, geometry modes and drift (K,), pose and points.
 
-    `places` (Q,): the rig's parameters among those, first; `drifts`: how many are a drift's, last. `common` (V, K, K),
-    `pose` (V, 6, 6), `point` (V, P, 3, 3) and what couples them, `common_pose` (V, K, 6), `point_common` (V, P, K, 3),
-    `point_pose` (V, P, 6, 3); right-hand sides end in `_side`. `prior`, `prior_side` (K,), `point_prior`,
-    `point_prior_side` (P, 3): what is known beforehand. Points that are not free are none (P = 0).
+    Attributes
+    ----------
+    parameter_index : (Q,), the rig's parameters, which are first among K.
+    drifts : Number of drift parameters, which are last among K.
+    common, pose, point : (V, K, K), (V, 6, 6) and (V, P, 3, 3); P = 0 if the target's points are not free.
+    common_pose, point_common, point_pose : Couplings (V, K, 6), (V, P, K, 3) and (V, P, 6, 3).
+    common_side, pose_side, point_side : Right-hand sides.
+    prior, prior_side, point_prior, point_prior_side : Prior information (K, K), (K,) and (P, 3).
     """
 
     parameter_index: IntArray
@@ -195,7 +207,7 @@ class BundleNormalEquations:
     point_prior_side: FloatArray
 
     def step(self, damping: float) -> tuple[FloatArray, FloatArray, float]:
-        """Return the damped step of rig, shape and drift (32 + S + D,), of the poses, and the decrease it promises."""
+        """Return the damped steps of rig, geometry, drift and poses and the predicted decrease."""
         reduced = self.reduced(damping)
         side = np.concatenate([self.common_side.sum(axis=0) + self.prior_side, self.pose_side.ravel()])
         point_side = self.point_side.sum(axis=0) + self.point_prior_side
@@ -204,7 +216,10 @@ class BundleNormalEquations:
         return *self.spread(step, point_step), decrease
 
     def spread(self, step: FloatArray, point_step: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return a step of rig, shape and drift (32 + S + D,), values in their places, and of the poses (V, 6)."""
+        """Return the steps of rig, geometry and drift, and of the poses.
+
+        The first (32 + S + D,) is that of rig, geometry and drift, the second (V, 6).
+        """
         rig, common = np.zeros(_RIG), len(self.prior)
         rig[self.parameter_index] = step[: len(self.parameter_index)]
         return np.concatenate([rig, point_step.ravel(), step[len(self.parameter_index) : common]]), step[
@@ -212,7 +227,7 @@ class BundleNormalEquations:
         ].reshape(-1, 6)
 
     def covariance(self) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-        """Return the covariance of the rig (32, 32), variances of shape (S,) and drift (D,), the poses' covariances."""
+        """Return the covariance of rig (32, 32) and poses and variances of geometry and drift."""
         reduced, common, free = self.reduced(), len(self.prior), len(self.parameter_index)
         every = reduced.covariance()
         rig = np.zeros((_RIG, _RIG))
@@ -224,19 +239,19 @@ class BundleNormalEquations:
         return rig, np.concatenate([points.ravel(), modes]), drift, np.array(pose)
 
     def reduced(self, damping: float = 0.0, without: int | None = None) -> ReducedEquations:
-        """Return the equations of rig, modes and poses after elimination of the points, of all views but one."""
+        """Return the equations after elimination of the points, of all views except `without`."""
         views, common, points = len(self.pose), len(self.prior), len(self.point_prior)
-        kept = [view for view in range(views) if view != without]
-        size = common + 6 * len(kept)
+        remaining = [view for view in range(views) if view != without]
+        size = common + 6 * len(remaining)
         matrix, coupling = np.zeros((size, size)), np.zeros((points, size, 3))
-        matrix[:common, :common] = self.common[kept].sum(axis=0) + self.prior
-        coupling[:, :common] = self.point_common[kept].sum(axis=0)
-        for row, view in zip(range(common, size, 6), kept, strict=True):
+        matrix[:common, :common] = self.common[remaining].sum(axis=0) + self.prior
+        coupling[:, :common] = self.point_common[remaining].sum(axis=0)
+        for row, view in zip(range(common, size, 6), remaining, strict=True):
             matrix[row : row + 6, row : row + 6] = self.pose[view]
             matrix[:common, row : row + 6] = self.common_pose[view]
             matrix[row : row + 6, :common] = self.common_pose[view].T
             coupling[:, row : row + 6] = self.point_pose[view]
-        point = self.point[kept].sum(axis=0) + self.point_prior[:, :, None] * np.eye(3)
+        point = self.point[remaining].sum(axis=0) + self.point_prior[:, :, None] * np.eye(3)
         raised = 1.0 + damping
         matrix[np.diag_indices(size)] *= raised
         point[:, range(3), range(3)] *= raised
@@ -248,8 +263,14 @@ class BundleNormalEquations:
 
 @dataclass(frozen=True, eq=False)
 class ReducedEquations:
-    """Equations (R, R) of rig, modes and poses, their diagonal (R,) before the points went, and the way back to these:
-    `answer` (P, R, 3), minus the change of a point by them, and `point` (P, 3, 3), its covariance were they known.
+    """Equations (R, R) of rig, modes and poses after elimination of the points.
+
+    Attributes
+    ----------
+    matrix : (R, R).
+    diagonal : (R,), before the elimination.
+    answer : (P, R, 3), minus the change of a point per change of the other unknowns.
+    point : (P, 3, 3), covariance of a point if the other unknowns were exact.
     """
 
     matrix: FloatArray
@@ -262,8 +283,8 @@ class ReducedEquations:
         scale = 1 / np.sqrt(self.diagonal)
         less = side - np.einsum("pri,pi->r", self.answer, point_side)
         step = np.linalg.solve(self.matrix * np.outer(scale, scale), less * scale) * scale
-        own = np.einsum("pij,pj->pi", self.point, point_side)
-        return step, own - np.einsum("pri,r->pi", self.answer, step)
+        by_side = np.einsum("pij,pj->pi", self.point, point_side)
+        return step, by_side - np.einsum("pri,r->pi", self.answer, step)
 
     def covariance(self) -> FloatArray:
         """Return the inverse (R, R)."""
@@ -283,10 +304,10 @@ def _normal(
     single, ranged = slice(0, 3 * points), slice(3 * points, None)
     precision = np.concatenate([shape.prior_m**-2.0, np.full(len(drift), DRIFT_SPREAD**-2.0)])
     side = -precision * np.concatenate([shape.value_m, drift])
-    known = np.zeros((common, common))
-    known[: len(free), : len(free)] = prior.slope.T @ prior.slope
-    known[range(len(free), common), range(len(free), common)] = precision[ranged]
-    known_side = np.concatenate([-prior.slope.T @ prior.deviations(bundle.rig.values), side[ranged]])
+    prior_matrix = np.zeros((common, common))
+    prior_matrix[: len(free), : len(free)] = prior.slope.T @ prior.slope
+    prior_matrix[range(len(free), common), range(len(free), common)] = precision[ranged]
+    prior_side = np.concatenate([-prior.slope.T @ prior.deviations(bundle.rig.values), side[ranged]])
 
     def zeros(*size: int) -> FloatArray:
         return np.zeros((views, *size))
@@ -303,18 +324,18 @@ def _normal(
         common_side=zeros(common),
         pose_side=zeros(6),
         point_side=zeros(points, 3),
-        prior=known,
-        prior_side=known_side,
+        prior=prior_matrix,
+        prior_side=prior_side,
         point_prior=precision[single].reshape(-1, 3),
         point_prior_side=side[single].reshape(-1, 3),
     )
-    for one, there in zip(sides, seen, strict=True):
-        _add_side(normal, bundle, one, there)
+    for one, modelled in zip(sides, seen, strict=True):
+        _add_side(normal, bundle, one, modelled)
     return normal
 
 
 def _add_side(normal: BundleNormalEquations, bundle: Bundle, side: _Side, seen: ModelledPixels) -> None:
-    """Add what one camera's pictures say to the normal equations."""
+    """Add the images of one camera to the normal equations."""
     by_modes = np.einsum("nki,nim->nkm", seen.by_point, bundle.shape.modes[side.point])
     by_common = [seen.by_rig(side.side)[..., normal.parameter_index], by_modes, side.by_drift(bundle, seen)]
     slope = np.concatenate(by_common, axis=-1)
@@ -322,14 +343,14 @@ def _add_side(normal: BundleNormalEquations, bundle: Bundle, side: _Side, seen: 
     residual = side.position_px - seen.pixel
     for rows in side.rows:
         view, many = side.view[rows.start], 2 * (rows.stop - rows.start)
-        own, own_pose = slope[rows].reshape(many, -1), seen.by_pose[rows].reshape(many, 6)
-        own_weighted, pose_weighted = weighted[rows].reshape(many, -1), weighted_pose[rows].reshape(many, 6)
-        away = residual[rows].ravel()
-        normal.common[view] += own.T @ own_weighted
-        normal.pose[view] += own_pose.T @ pose_weighted
-        normal.common_pose[view] += own.T @ pose_weighted
-        normal.common_side[view] += away @ own_weighted
-        normal.pose_side[view] += away @ pose_weighted
+        image_slope, image_pose = slope[rows].reshape(many, -1), seen.by_pose[rows].reshape(many, 6)
+        image_weighted, pose_weighted = weighted[rows].reshape(many, -1), weighted_pose[rows].reshape(many, 6)
+        image_residual = residual[rows].ravel()
+        normal.common[view] += image_slope.T @ image_weighted
+        normal.pose[view] += image_pose.T @ pose_weighted
+        normal.common_pose[view] += image_slope.T @ pose_weighted
+        normal.common_side[view] += image_residual @ image_weighted
+        normal.pose_side[view] += image_residual @ pose_weighted
     if len(normal.point_prior):
         at = (side.view, side.point)
         weighted_point = side.precision @ seen.by_point

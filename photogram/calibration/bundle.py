@@ -1,4 +1,4 @@
-"""What cameras see of a target: pixels with derivatives by camera, relative pose, target pose and target shape."""
+"""Model of a target's pixels with derivatives by camera, poses and target geometry."""
 
 from __future__ import annotations
 
@@ -12,18 +12,19 @@ from photogram.arrays import Arrays, BoolArray, FloatArray, IntArray
 from photogram.camera import LEFT, RIG_PARAMETERS, RIGHT, ROTATION, TRANSLATION, Camera, StereoRig
 from photogram.geometry import RigidTransform, rotation_from_vector
 
-_OVER, _UNDER = [4, 5, 8], [9, 10, 11]  # places of k1 k2 k3 and of k4 k5 k6 among a camera's parameters
-_RADII2 = np.array([0.25, 0.6, 1.0])  # squared, in units of the picture's corner's
+_OVER, _UNDER = [4, 5, 8], [9, 10, 11]  # indices of k1 k2 k3 and of k4 k5 k6 among a camera's parameters
+_RADII2 = np.array([0.25, 0.6, 1.0])  # squared radii over that of the image corner, spread over the image
 _ANGLE = 2 * np.pi * np.arange(12) / 12
-_RIM = np.column_stack([np.cos(_ANGLE), np.sin(_ANGLE)])  # where on a dot's rim the lens's distortion is looked at
+_RIM = np.column_stack([np.cos(_ANGLE), np.sin(_ANGLE)])  # points on a dot's rim at which the distortion is evaluated
 
 
 @dataclass(frozen=True, eq=False)
 class ModelledPixels:
-    """Modelled pixels (N, 2) of one picture with derivatives by the camera's parameters (N, 2, 13), by its pose after
-    the left camera (N, 2, 6), by the target's pose (N, 2, 6) and by the point in the target's frame (N, 2, 3).
+    """Modelled pixels (N, 2) of one image with derivatives.
 
-    Poses: translation, then left-multiplied rotation.
+    The derivatives are by the camera's parameters (N, 2, 13), by its pose relative to the left camera (N, 2, 6), by the
+    target's pose (N, 2, 6) and by the point in the target's frame (N, 2, 3). Poses are translation, then
+    left-multiplied rotation.
     """
 
     pixel: FloatArray
@@ -33,7 +34,10 @@ class ModelledPixels:
     by_point: FloatArray
 
     def by_rig(self, side: int) -> FloatArray:
-        """Return the derivatives (N, 2, 32) by the parameters of a pair, this being its left (0) or right (1) side."""
+        """Return the derivatives (N, 2, 32) by a pair's parameters.
+
+        `side` is 0 (left) or 1 (right).
+        """
         slope = np.zeros((len(self.pixel), 2, len(RIG_PARAMETERS)))
         slope[..., RIGHT if side else LEFT] = self.by_camera
         if side:
@@ -48,9 +52,10 @@ def model_pixels(
     point_m: FloatArray,
     radius_m: float,
 ) -> ModelledPixels:
-    """Return where a camera sees points (N, 3) of the target; dots of `radius_m` > 0 by the centre of their ellipse.
+    """Return the modelled pixels of target points (N, 3); dots by their ellipse's centre.
 
-    The derivatives leave out how the lens's bending of a dot's rim changes, some 10⁻⁵ of them.
+    `radius_m` > 0 is that of dots. The derivatives omit the change of the distortion over a dot's rim, about 10⁻⁵ of
+    them.
     """
     one = np.zeros(len(point_m), np.int64)
     return model_view_pixels(camera, camera_from_left, (left_from_target,), one, point_m, radius_m)
@@ -64,24 +69,24 @@ def model_view_pixels(
     point_m: FloatArray,
     radius_m: float,
 ) -> ModelledPixels:
-    """Return where a camera sees points (N, 3) of the target, each in the view (N,) of it; otherwise as `see`."""
+    """Return the modelled pixels of points (N, 3), each in the view (N,) of it."""
     rotations = np.stack([pose.rotation for pose in left_from_target])
     rotation, translation = rotations[view], np.stack([pose.translation_m for pose in left_from_target])[view]
     normal_left = rotation[:, :, 2]
     normal = normal_left @ camera_from_left.rotation.T
-    turned = np.einsum("nij,nj->ni", rotation, point_m)
-    in_camera_turned = (turned + translation) @ camera_from_left.rotation.T
-    in_camera = in_camera_turned + camera_from_left.translation_m
-    flat, flat_by_place, flat_by_normal = ellipse_centres(in_camera, normal, radius_m)
+    rotated = np.einsum("nij,nj->ni", rotation, point_m)
+    in_camera_rotated = (rotated + translation) @ camera_from_left.rotation.T
+    in_camera = in_camera_rotated + camera_from_left.translation_m
+    flat, flat_by_position, flat_by_normal = ellipse_centres(in_camera, normal, radius_m)
     placed, by_flat = distort_points(camera, flat)
     if radius_m > 0:
         disc = radius_m * (camera_from_left.rotation @ rotations[:, :, :2])[view]
         rim = in_camera[:, None] + _RIM @ disc.transpose(0, 2, 1)
         placed = placed + _bent(camera, rim[..., :2] / rim[..., 2:], flat, placed, by_flat)
     by_flat = camera.matrix[:2, :2] @ by_flat
-    by_place = by_flat @ flat_by_place
-    by_left = by_place @ camera_from_left.rotation
-    by_turn, by_left_turn = -_crossed(by_place, in_camera_turned), -_crossed(by_left, turned)
+    by_position = by_flat @ flat_by_position
+    by_left = by_position @ camera_from_left.rotation
+    by_turn, by_left_turn = -_crossed(by_position, in_camera_rotated), -_crossed(by_left, rotated)
     if radius_m > 0:
         by_normal = by_flat @ flat_by_normal
         by_turn -= _crossed(by_normal, normal)
@@ -89,46 +94,47 @@ def model_view_pixels(
     return ModelledPixels(
         placed @ camera.matrix[:2, :2].T + camera.matrix[:2, 2],
         _by_camera(camera, flat, placed),
-        np.concatenate([by_place, by_turn], axis=-1),
+        np.concatenate([by_position, by_turn], axis=-1),
         np.concatenate([by_left, by_left_turn], axis=-1),
         by_left @ rotation,
     )
 
 
 def _crossed(rows: FloatArray, vector: FloatArray) -> FloatArray:
-    """Return rows (N, 2, 3) times the matrices [v]× of vectors (N, 3): r·[v]× = r × v."""
+    """Return rows (N, 2, 3) times matrices [v]×: r·[v]× = r × v."""
     return np.cross(rows, vector[:, None])
 
 
 def ellipse_centres(
     centre_m: FloatArray, normal: FloatArray, radius_m: float
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return the centres (N, 2), x/z and y/z, of the ellipses that an ideal camera sees of dots around c (N, 3), and
-    their derivatives (N, 2, 3) by c and by the normal n, (3,) or (N, 3), of the dots' plane.
+    """Return the centres (N, 2) of projected dots with derivatives by centre and normal.
 
-    The cone through a dot of radius ρ has the dual conic ρ²·(I − n·nᵀ) − c·cᵀ, and the ellipse's centre is the pole
-    of the line at infinity, its last column (Heikkilä 2000, IEEE PAMI 22, 1066, eq. 16, written for n):
-    e = (c_xy·c_z + ρ²·n_xy·n_z)/(c_z² − ρ²·|n_xy|²).
+    The dots are around c (N, 3), with normal n, (3,) or (N, 3); the camera is ideal and the derivatives are (N, 2, 3).
+    The cone through a dot of radius ρ has the dual conic ρ²·(I − n·nᵀ) − c·cᵀ. The ellipse's centre is the pole of the
+    line at infinity, its last column (Heikkilä 2000, IEEE PAMI 22, 1066, eq. 16, written for n): e = (c_xy·c_z +
+    ρ²·n_xy·n_z)/(c_z² − ρ²·|n_xy|²).
     """
     across, depth = centre_m[:, :2], centre_m[:, 2:]
     normal, square = np.broadcast_to(normal, centre_m.shape), radius_m**2
     over = depth**2 - square * (normal[:, :2] ** 2).sum(axis=1, keepdims=True)
     centre = (across * depth + square * normal[:, :2] * normal[:, 2:]) / over
-    by_place = np.zeros((len(centre_m), 2, 3))
-    by_place[:, 0, 0] = by_place[:, 1, 1] = (depth / over)[:, 0]
-    by_place[:, :, 2] = (across - 2 * centre * depth) / over
+    by_position = np.zeros((len(centre_m), 2, 3))
+    by_position[:, 0, 0] = by_position[:, 1, 1] = (depth / over)[:, 0]
+    by_position[:, :, 2] = (across - 2 * centre * depth) / over
     by_normal = np.empty((len(centre_m), 2, 3))
     by_normal[:, :, :2] = 2 * square * centre[:, :, None] * normal[:, None, :2] / over[:, :, None]
     by_normal[:, :, :2] += square * normal[:, 2, None, None] * np.eye(2) / over[:, :, None]
     by_normal[:, :, 2] = square * normal[:, :2] / over
-    return centre, by_place, by_normal
+    return centre, by_position, by_normal
 
 
 def _bent(camera: Camera, rim: FloatArray, centre: FloatArray, placed: FloatArray, by_centre: FloatArray) -> FloatArray:
-    """Return how far (N, 2), normalised, a lens moves an ellipse beyond its centre, by bending the dot's rim.
+    """Return the shift (N, 2), normalised, of an ellipse by distortion of the dot's rim.
 
-    It bends the rim (N, 12, 2) by q beyond a linear map, which takes the centre (N, 2) to `placed` with the derivative
-    `by_centre` (N, 2, 2); the ellipse that fits the bent rim best along its normals n lies (Σ n·nᵀ)⁻¹·Σ n·nᵀ·q further.
+    The lens moves the rim (N, 12, 2) by q relative to a linear map. The map takes the centre (N, 2) to `placed` with
+    the derivative `by_centre` (N, 2, 2). The ellipse that fits the distorted rim best along its normals n is shifted by
+    (Σ n·nᵀ)⁻¹·Σ n·nᵀ·q.
     """
     offset = np.einsum("nij,nkj->nki", by_centre, rim - centre[:, None])
     bent = distort_points(camera, rim)[0] - placed[:, None] - offset
@@ -141,7 +147,7 @@ def _bent(camera: Camera, rim: FloatArray, centre: FloatArray, placed: FloatArra
 
 
 def distort_points(camera: Camera, undistorted: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return distorted normalised coordinates (..., 2) and their derivative (..., 2, 2) by the undistorted ones."""
+    """Return distorted normalised coordinates (..., 2) and their derivative (..., 2, 2)."""
     k1, k2, p1, p2, k3, k4, k5, k6 = camera.distortion
     x, y = undistorted[..., 0], undistorted[..., 1]
     r2 = x * x + y * y
@@ -178,24 +184,33 @@ def _by_camera(camera: Camera, flat: FloatArray, placed: FloatArray) -> FloatArr
     return by_camera
 
 
-# The target's shape: flat, bowed, or every point where it is.
+# Geometry of the target: flat, bowed, or with free points.
 
 ShapeKind = Literal["flat", "bowed", "free"]
 
-_BOW = 0.01  # what is known of a bow beforehand: its height over the target's half diagonal
-_FREE = 0.01  # and of single points: their displacement over the spacing
-_DETERMINED = 0.1  # least number of values by which a spread is told, against rounding where they tell nothing
+_BOW = 0.01  # prior of a bow: height over the target's half diagonal; printed plates are bent less
+_FREE = 0.01  # initial prior of single points: displacement over the spacing
+_DETERMINED = 0.1  # least number of determined values, against rounding without information
 _STRETCH = 3.0  # rms displacement by stretch of one axis and by shear, over that of single points
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class TargetGeometry(Arrays, shapes="index P 2; value_m S; flat_m P 3; modes P 3 M; prior_m S"):
-    """Points of a target, flat_m (P, 3) + modes (P, 3, M)·value_m, with what is known of the values beforehand.
+    """Points of a target with modes of deformation and their prior.
 
-    `index` (P, 2): lattice indices. Where the points are `free`, an offset of each, x y z point by point, comes first
-    among the values (S,), then those of the modes. `prior_m` (S,): standard deviations of the values around zero;
-    of free points they are estimated together with them, by `group` (S,): within the plane, across it, and of the modes
-    `_STRETCH` times that within the plane.
+    They are flat_m (P, 3) + modes (P, 3, M)·value_m.
+
+    Attributes
+    ----------
+    index : (P, 2), lattice indices.
+    flat_m : (P, 3), flat lattice.
+    modes : (P, 3, M).
+    value_m : (S,), values of the modes; for `free` points preceded by an offset of each point, x y z point by point.
+    prior_m : (S,), standard deviations of the values around zero; of free points they are estimated together with the
+        values.
+    group : (S,), group of each value with one prior: within the plane, across it, and modes (`_STRETCH` times that
+        within the plane).
+    free : Whether every point has an offset.
     """
 
     index: IntArray
@@ -208,42 +223,43 @@ class TargetGeometry(Arrays, shapes="index P 2; value_m S; flat_m P 3; modes P 3
 
     @property
     def points_m(self) -> FloatArray:
-        """The points (P, 3) as they are estimated."""
+        """Estimated points (P, 3)."""
         modes = self.modes.shape[2]
         offset = self.modes @ self.value_m[len(self.value_m) - modes :]
         return np.asarray(self.flat_m + offset + (self.value_m[:-modes].reshape(-1, 3) if self.free else 0.0))
 
     def with_step(self, step_m: FloatArray) -> TargetGeometry:
-        """Return the shape with its values changed by a step (S,)."""
+        """Return the geometry with its values changed by a step (S,)."""
         return replace(self, value_m=self.value_m + step_m)
 
     def with_prior_from(self, variance_m2: FloatArray) -> TargetGeometry:
-        """Return the shape with each group's prior set to the spread of its values, known to `variance_m2` (S,).
+        """Return the geometry with each group's prior estimated from its values.
 
-        A step towards the σ that is most likely with log σ added to the logarithm of the likelihood, which is never 0
-        (Chung, Rabe-Hesketh, Dorie, Gelman, Liu 2013, Psychometrika 78, 685): Σ value² + σ² = σ²·γ with the number
-        γ = Σ (1 − variance/σ²) of values that the pictures determine (MacKay 1992, Neural Computation 4, 415). Where σ
-        is small γ grows as σ², where it is large γ is constant; either way σ² = (Σ value² + σ²)/γ takes few steps.
+        `variance_m2` (S,) is that of the values. The step is towards the most likely σ with log σ added to the
+        log-likelihood, which is never 0 (Chung, Rabe-Hesketh, Dorie, Gelman, Liu 2013, Psychometrika 78, 685): Σ value²
+        + σ² = σ²·γ. Here γ = Σ (1 − variance/σ²) is the number of values that the images determine (MacKay 1992, Neural
+        Computation 4, 415). For small σ, γ grows as σ²; for large σ it is constant. In both cases σ² = (Σ value² +
+        σ²)/γ converges in few steps.
         """
         if not self.free:
             return self
 
-        def spread(own: BoolArray) -> float:
-            prior2 = float(self.prior_m[own][0]) ** 2
-            determined = max(float((1 - variance_m2[own] / prior2).sum()), _DETERMINED)
-            return float(np.sqrt(((self.value_m[own] ** 2).sum() + prior2) / determined))
+        def spread(members: BoolArray) -> float:
+            prior2 = float(self.prior_m[members][0]) ** 2
+            determined = max(float((1 - variance_m2[members] / prior2).sum()), _DETERMINED)
+            return float(np.sqrt(((self.value_m[members] ** 2).sum() + prior2) / determined))
 
         inside, across = spread(self.group == 0), spread(self.group == 1)
         return replace(self, prior_m=np.array([inside, across, _STRETCH * inside])[self.group])
 
 
 def make_shape(kind: ShapeKind, index: IntArray, spacing_m: float) -> TargetGeometry:
-    """Return the shape of the lattice points `index` (P, 2) before anything is known of it.
+    """Return the initial geometry of the lattice points `index` (P, 2).
 
-    `bowed`: height as a quadratic form of the place on the target. `free`: every point has an offset of its own, with
-    one spread within the plane and one across; scale, place and turn of all points together stay those of the lattice
-    to within what the spread allows (Strobl and Hirzinger 2011, ICCV Workshops, 1068). Since printers stretch one axis
-    and shear, these two have an rms displacement of their own, three times that of the single points.
+    `bowed`: height as a quadratic form of the position on the target. `free`: every point has an offset, with one
+    spread within the plane and one across it. Scale, position and rotation of all points together stay those of the
+    lattice within that spread (Strobl and Hirzinger 2011, ICCV Workshops, 1068). Printers stretch one axis and shear,
+    so these two modes have a separate rms displacement, three times that of single points.
     """
     flat = np.column_stack([index * spacing_m, np.zeros(len(index))])
     points = len(index)
@@ -258,13 +274,13 @@ def make_shape(kind: ShapeKind, index: IntArray, spacing_m: float) -> TargetGeom
         modes = np.zeros((points, 3, 3))
         modes[:, 2] = np.column_stack([x * x, x * y, y * y])
         return TargetGeometry(index, flat, modes, np.zeros(3), np.full(3, _BOW * half), np.zeros(3, np.int64), False)
-    place = (flat - flat.mean(axis=0))[:, :2]
+    lattice = (flat - flat.mean(axis=0))[:, :2]
     modes = np.zeros((points, 3, 2))
-    modes[:, :2, 0], modes[:, :2, 1] = place * [1, -1], place[:, ::-1]  # stretch, shear
+    modes[:, :2, 0], modes[:, :2, 1] = lattice * [1, -1], lattice[:, ::-1]  # stretch, shear
     group = np.array([*np.tile([0, 0, 1], points), 2, 2])
     prior = np.array([1.0, 1.0, _STRETCH])[group] * _FREE * spacing_m
     return TargetGeometry(
-        index, flat, modes / np.sqrt((place**2).sum(axis=1).mean()), np.zeros(len(group)), prior, group, True
+        index, flat, modes / np.sqrt((lattice**2).sum(axis=1).mean()), np.zeros(len(group)), prior, group, True
     )
 
 
@@ -273,10 +289,10 @@ _RIG = len(RIG_PARAMETERS)
 
 @dataclass(frozen=True, eq=False)
 class ImageObservations:
-    """One picture in the adjustment: which view, which side (0 left, 1 right), and its points.
+    """Observed points of one image: its view, side (0 left, 1 right) and pixels.
 
-    `point` (N,): rows of the target's points. `position_px` (N, 2); `precision` (N, 2, 2): inverse covariance, zero
-    for points that take no part.
+    `point` (N,): rows of the target's points. `position_px` (N, 2). `precision` (N, 2, 2): inverse covariance, zero for
+    rejected points.
     """
 
     view: int
@@ -289,10 +305,10 @@ class ImageObservations:
 
 @dataclass(frozen=True, eq=False)
 class FocalDrift:
-    """How focal lengths change over a session (a lens that warms up, or gives way): evenly from view to view.
+    """Linear relative change of the focal lengths over a session.
 
-    `value` (2,): relative change, left and right, from the first view to the last; the rig's are those of the middle.
-    `place` (V,): when each view was taken, −½ the first … ½ the last.
+    Causes are a lens that warms up or a loose mount. `value` (2,): relative change, left and right, from the first view
+    to the last; the rig has the values of the middle. `relative_time` (V,): time of each view, from −½ to ½.
     """
 
     value: FloatArray
@@ -300,19 +316,19 @@ class FocalDrift:
 
     @staticmethod
     def initial(views: int) -> FocalDrift:
-        """Return that of so many views before anything is known of it."""
+        """Return zero drift over a number of views."""
         return FocalDrift(np.zeros(2), np.linspace(-0.5, 0.5, views))
 
     def growth(self, side: int, view: IntArray) -> FloatArray:
-        """Return how much larger (N,), relative, the focal lengths of a side are in views (N,)."""
+        """Return the relative increase (N,) of the focal lengths of a side in views (N,)."""
         return np.asarray(self.value[side] * self.relative_time[view])
 
 
-DRIFT_SPREAD = 5e-3  # standard deviation of what is known of a drift beforehand
+DRIFT_SPREAD = 5e-3  # prior standard deviation of a relative drift; warming lenses change by some 10⁻³
 
 
 def scale_focal_lengths(seen: ModelledPixels, camera: Camera, growth: FloatArray) -> ModelledPixels:
-    """Return what a camera sees whose focal lengths are larger than its own, relative, by `growth` (N,)."""
+    """Return modelled pixels for focal lengths that are larger by `growth` (N,), relative."""
     factor, centre = 1 + growth[:, None], camera.matrix[:2, 2]
     others = (seen.by_camera, seen.by_relative, seen.by_pose, seen.by_point)
     by_camera, *rest = (slope * factor[..., None] for slope in others)
@@ -322,7 +338,7 @@ def scale_focal_lengths(seen: ModelledPixels, camera: Camera, growth: FloatArray
 
 @dataclass(frozen=True, eq=False)
 class Bundle:
-    """All unknowns: the rig, the target's pose `left_from_target` in each view, its shape; a drift, or None."""
+    """All unknowns: rig, target pose `left_from_target` in each view, target geometry, drift."""
 
     rig: StereoRig
     poses: tuple[RigidTransform, ...]
@@ -330,17 +346,17 @@ class Bundle:
     drift: FocalDrift | None = None
 
     def of_views(self, views: Sequence[int]) -> Bundle:
-        """Return the bundle of some of the views."""
+        """Return the bundle of some views."""
         drift = self.drift and replace(self.drift, relative_time=self.drift.relative_time[list(views)])
         return replace(self, poses=tuple(self.poses[view] for view in views), drift=drift)
 
     def with_step(self, step: FloatArray, pose_steps: FloatArray) -> Bundle:
-        """Return the bundle after a step of rig, shape and drift (32 + S + D,) and of the poses (V, 6).
+        """Return the bundle after a step of all unknowns.
 
-        To first order the step is added; beyond it the path follows what the pictures hold on to: the targets' middles
-        move linearly in either picture and in the logarithm of their depth, focal lengths by factors. Long focal
-        lengths trade depth for focal length, and the principal point for a turn, along a bent valley, in which
-        straight steps would have to be tiny.
+        `step` (32 + S + D,) is that of rig, geometry and drift, `pose_steps` (V, 6) that of the poses. To first order
+        they are added. Beyond it, the target centres move linearly in both images and in the logarithm of their depth,
+        and focal lengths change by factors. Long focal lengths correlate with depth, and the principal point with
+        rotation. The minimum lies in a curved valley, in which straight steps would have to be tiny.
         """
         middle = self.shape.flat_m.mean(axis=0)
         growth = step[LEFT[:2]] / self.rig.left.parameters[:2]
@@ -349,30 +365,31 @@ class Bundle:
         turns = np.cross(pose_steps[:, 3:], [pose.rotation @ middle for pose in self.poses])
         shift = np.mean(pose_steps[:, :3] + turns, axis=0)
         rig = StereoRig(
-            _camera_moved(self.rig.left, step[LEFT]),
-            _camera_moved(self.rig.right, step[RIGHT]),
-            self._relative_moved(step, before, after, shift),
+            _step_camera(self.rig.left, step[LEFT]),
+            _step_camera(self.rig.right, step[RIGHT]),
+            self._step_relative(step, before, after, shift),
         )
         ends = _RIG + len(self.shape.value_m)
         drift = self.drift and replace(self.drift, value=self.drift.value + step[ends:])
         return Bundle(rig, poses, self.shape.with_step(step[_RIG:ends]), drift)
 
-    def _relative_moved(
+    def _step_relative(
         self, step: FloatArray, before: FloatArray, after: FloatArray, shift: FloatArray
     ) -> RigidTransform:
-        """Return `right_from_left` after a step, the targets' common middle going from `before` to `after` on the left.
+        """Return `right_from_left` after a step.
 
-        `shift` (3,): its step there to first order.
+        The targets' common centre moves from `before` to `after` in the left camera; `shift` (3,) is its step to first
+        order.
         """
         relative, growth = self.rig.right_from_left, step[RIGHT[:2]] / self.rig.right.parameters[:2]
-        turned = relative.rotation @ before
-        change = np.cross(step[ROTATION], turned) + step[TRANSLATION] + relative.rotation @ shift
-        place = _places_moved(turned + relative.translation_m, change, growth)
+        rotated = relative.rotation @ before
+        change = np.cross(step[ROTATION], rotated) + step[TRANSLATION] + relative.rotation @ shift
+        centre = _step_positions(rotated + relative.translation_m, change, growth)
         rotation = rotation_from_vector(step[ROTATION]) @ relative.rotation
-        return RigidTransform(rotation, place - rotation @ after)
+        return RigidTransform(rotation, centre - rotation @ after)
 
     def model_pixels(self, image: ImageObservations) -> ModelledPixels:
-        """Return where the picture's points are expected, with derivatives."""
+        """Return the modelled pixels of an image's points with derivatives."""
         camera = self.rig.right if image.side else self.rig.left
         relative = self.rig.right_from_left if image.side else RigidTransform.identity()
         points = self.shape.points_m[image.point]
@@ -385,39 +402,40 @@ class Bundle:
 def step_poses(
     middle_m: FloatArray, poses: Sequence[RigidTransform], steps: FloatArray, growth: FloatArray
 ) -> tuple[RigidTransform, ...]:
-    """Return a target's poses after steps (V, 6), its middle moving linearly in the picture and in logarithmic depth.
+    """Return a target's poses after steps (V, 6).
 
-    `growth` (2,): steps of the focal lengths over their values.
+    The target centre moves linearly in the image and in logarithmic depth. `growth` (2,): steps of the focal lengths
+    over their values.
     """
     rotation = np.stack([pose.rotation for pose in poses])
-    turned, place = rotation @ middle_m, np.stack([pose.translation_m for pose in poses])
-    place = _places_moved(turned + place, np.cross(steps[:, 3:], turned) + steps[:, :3], growth)
+    rotated, centre = rotation @ middle_m, np.stack([pose.translation_m for pose in poses])
+    centre = _step_positions(rotated + centre, np.cross(steps[:, 3:], rotated) + steps[:, :3], growth)
     rotation = rotation_from_vector(steps[:, 3:]) @ rotation
-    return tuple(RigidTransform(*pose) for pose in zip(rotation, place - rotation @ middle_m, strict=True))
+    return tuple(RigidTransform(*pose) for pose in zip(rotation, centre - rotation @ middle_m, strict=True))
 
 
-def _places_moved(place: FloatArray, step: FloatArray, growth: FloatArray) -> FloatArray:
-    """Return places (..., 3) after steps (..., 3) that are linear in their picture and in the logarithm of their depth.
+def _step_positions(position: FloatArray, step: FloatArray, growth: FloatArray) -> FloatArray:
+    """Return positions (..., 3) after steps (..., 3), linear in the image and log depth.
 
-    `growth` (2,): steps of the focal lengths over their values, so that f·x/z, not x/z, goes straight.
+    `growth` (2,): steps of the focal lengths over their values, so that f·x/z changes linearly.
     """
-    depth, away = place[..., 2:], step[..., 2:]
-    bearing = place[..., :2] / depth
-    moved = bearing + (step[..., :2] - bearing * away) / depth + bearing * growth
-    return np.concatenate([moved * np.exp(-growth), np.ones_like(depth)], axis=-1) * depth * np.exp(away / depth)
+    depth, depth_step = position[..., 2:], step[..., 2:]
+    bearing = position[..., :2] / depth
+    moved = bearing + (step[..., :2] - bearing * depth_step) / depth + bearing * growth
+    return np.concatenate([moved * np.exp(-growth), np.ones_like(depth)], axis=-1) * depth * np.exp(depth_step / depth)
 
 
-def _camera_moved(camera: Camera, step: FloatArray) -> Camera:
+def _step_camera(camera: Camera, step: FloatArray) -> Camera:
     """Return the camera after a step (13,), focal lengths by factors.
 
-    Of a rational lens it is the radial factor at three radii, not k1, k2 and k3, that goes straight.
+    For a rational lens the radial factor at three radii changes linearly, not k1, k2 and k3.
     """
     parameters = camera.parameters + step
     parameters[:2] = camera.parameters[:2] * np.exp(step[:2] / camera.parameters[:2])
     if parameters[9:12].any():
         corner2 = float((camera.size_px**2).sum()) / 4 / float(camera.parameters[:2].mean()) ** 2
         powers = (corner2 * _RADII2)[:, None] ** np.arange(1, 4)
-        over, under = (1 + powers @ camera.parameters[places] for places in (_OVER, _UNDER))
+        over, under = (1 + powers @ camera.parameters[indices] for indices in (_OVER, _UNDER))
         change = (powers @ step[_OVER] - over / under * (powers @ step[_UNDER])) / under
         after = (over / under + change) * (1 + powers @ parameters[_UNDER])
         parameters[_OVER] = np.linalg.solve(powers, after - 1)

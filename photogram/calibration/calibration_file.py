@@ -1,4 +1,4 @@
-"""The stereo calibration file: JSON of format 1, read with every key checked, written whole or not at all."""
+"""The stereo calibration file: checked JSON of format 1, written atomically."""
 
 from __future__ import annotations
 
@@ -15,22 +15,35 @@ from photogram.calibration.calibration_result import Calibration
 from photogram.camera import CAMERA_PARAMETERS, LEFT, RIG_PARAMETERS, Camera, StereoRig, undistort
 from photogram.geometry import RigidTransform, nearest_rotation
 
-_LARGEST_FILE = 2**22  # bytes; a file of this program has some 20 kB
+_LARGEST_FILE = 2**22  # bytes; a file of this program has about 20 kB
 LARGEST = 1e12
-"""No number of a calibration is larger."""
-_SHORTEST = 0.1  # focal length over the longer side of the picture
+"""Limit of every number in a calibration."""
+_SHORTEST = 0.1  # focal length over the longer side of the image: a field of view of 158°
 _WIDEST, _FOCAL = 100_000, 1e9  # px
 _NEAR, _FAR = 1e-6, 1e4  # m
 _KEYS = ("format", "image_size", "left", "right", "rotation", "translation", "reprojection_rms", "covariance")
 
 
 def read_calibration(path: str | Path) -> StereoRig:
-    """Return the stereo pair of a calibration file; parameters absent from its covariance have variance zero.
+    """Read the stereo pair of a calibration file.
 
-    Refused with a `ValueError` naming file and key: unknown, missing or repeated keys, wrong shapes, a rotation more
-    than 10⁻⁶ from orthonormal or with determinant −1, cameras that are none (`plausible`). A rotation within that is
-    replaced by the nearest exact one.
+    Parameters
+    ----------
+    path
+        JSON file of format 1, lengths in m, pixels in px.
 
+    Returns
+    -------
+    The pair. Parameters that its covariance omits have variance zero. A rotation within 10⁻⁶ of an orthonormal matrix
+    is replaced by the nearest exact one.
+
+    Raises
+    ------
+    ValueError : Names file and key of unknown, missing or repeated keys, wrong shapes, a rotation that is none, or an
+        implausible camera (`check_plausible`).
+
+    Examples
+    --------
     >>> from tempfile import TemporaryDirectory
     >>> camera = Camera.from_parameters(np.array([1000.0, 1000, 320, 240, 0, 0, 0, 0, 0]), np.array([640, 480]))
     >>> rig = StereoRig(camera, camera, RigidTransform(np.eye(3), np.array([-0.1, 0.0, 0.0])))
@@ -48,10 +61,10 @@ def read_calibration(path: str | Path) -> StereoRig:
 
 
 def check_plausible(rig: StereoRig) -> StereoRig:
-    """Return the pair if a picture of its cameras can be: `ValueError` names what no camera and no pair has.
+    """Return the pair unless its values are impossible for cameras.
 
-    Pictures have up to 10⁵ px along a side, focal lengths lie within 1 and 10⁹ px and see less than 158°, cameras
-    within 1 µm and 10 km of each other, and a ray leads to the middle of either picture.
+    Images have up to 10⁵ px along a side. Focal lengths are within 1 and 10⁹ px, with a field of view below 158°.
+    Cameras are within 1 µm and 10 km of each other. A ray leads to the centre of each image. Otherwise `ValueError`.
     """
     for side, camera in (("left", rig.left), ("right", rig.right)):
         if not ((camera.size_px >= 1) & (camera.size_px <= _WIDEST)).all():
@@ -60,23 +73,34 @@ def check_plausible(rig: StereoRig) -> StereoRig:
         if not ((focal >= 1.0) & (focal <= _FOCAL)).all():
             raise ValueError(f"{side}.matrix: expected focal lengths of 1 to {_FOCAL:g} px, found {focal.tolist()}")
         if focal.min() < _SHORTEST * camera.size_px.max():
-            told = f"expected focal lengths in px of at least {_SHORTEST:g} of the picture's {camera.size_px.max()} px"
-            raise ValueError(f"{side}.matrix: {told}, found {focal.tolist()}, as if in mm")
+            expected = f"focal lengths in px of at least {_SHORTEST:g} of the image's {camera.size_px.max()} px"
+            raise ValueError(f"{side}.matrix: expected {expected}, found {focal.tolist()}: are they in mm?")
         middle = (camera.size_px - 1) / 2
-        # So that reading a calibration does not import numba, Python computes this one point.
+        # Plain Python computes this one point: numba would slow down the import.
         if not np.isfinite(undistort.plain(*middle.tolist(), camera.parameters.tolist())).all():
             found = f"none: principal point {camera.matrix[:2, 2].tolist()}, distortion {camera.distortion.tolist()}"
-            raise ValueError(f"{side}: expected a ray to the middle of the picture, found {found}")
+            raise ValueError(f"{side}: expected a ray to the centre of the image, found {found}")
     distance = float(np.linalg.norm(rig.right_from_left.translation_m))
     if not _NEAR <= distance <= _FAR:
-        told = f"expected the right camera {_NEAR:g} to {_FAR:g} m from the left one"
-        raise ValueError(f"translation: {told}, found {distance:g} m")
+        expected = f"the right camera {_NEAR:g} to {_FAR:g} m from the left one"
+        raise ValueError(f"translation: expected {expected}, found {distance:g} m")
     return rig
 
 
 def write_calibration(path: str | Path, rig: StereoRig, reprojection_rms_px: float | None = None) -> None:
-    """Write a stereo pair as a calibration file of format 1, by a temporary name and one replacement.
+    """Write a stereo pair as a calibration file of format 1, in one atomic step.
 
+    Parameters
+    ----------
+    path
+        File to write.
+    rig
+        Stereo pair, with or without covariance.
+    reprojection_rms_px
+        Rms length of the residuals in px; default None.
+
+    Examples
+    --------
     >>> from tempfile import TemporaryDirectory
     >>> camera = Camera.from_parameters(np.array([1000.0, 1000, 320, 240, 0, 0, 0, 0, 0]), np.array([640, 480]))
     >>> rig = StereoRig(camera, camera, RigidTransform(np.eye(3), np.array([-0.1, 0.0, 0.0])))
@@ -85,7 +109,7 @@ def write_calibration(path: str | Path, rig: StereoRig, reprojection_rms_px: flo
     """
     sizes = [[int(length) for length in camera.size_px] for camera in (rig.left, rig.right)]
     covariance = rig.covariance
-    # The lens's further terms, after the 24 parameters of every file, stand in it only where they are uncertain
+    # The lens's further terms, after the 24 parameters of every file, are written only if they are uncertain
     stated = [n for n in range(len(RIG_PARAMETERS)) if covariance is not None and (n < 24 or covariance[n, n] > 0)]
     content = {
         "format": 1,
@@ -98,7 +122,7 @@ def write_calibration(path: str | Path, rig: StereoRig, reprojection_rms_px: flo
         "covariance": None
         if covariance is None
         else {
-            "parameters": [RIG_PARAMETERS[place] for place in stated],
+            "parameters": [RIG_PARAMETERS[index] for index in stated],
             "matrix": covariance[np.ix_(stated, stated)].tolist(),
         },
     }
@@ -109,13 +133,13 @@ _CAMERA_KEYS = ("format", "image_size", "camera", "reprojection_rms", "covarianc
 
 
 def write_camera(path: str | Path, calibration: Calibration) -> None:
-    """Write the left camera of a calibration as a file of its own, covariance (P, P) of what is uncertain included.
+    """Write the left camera of a calibration as a file with its covariance.
 
     Its keys: format 1, image_size, camera (matrix, distortion), reprojection_rms, covariance (parameters, matrix).
     """
     camera, covariance = calibration.rig.left, calibration.rig.covariance
     assert covariance is not None
-    stated = [n for n, place in enumerate(LEFT) if covariance[place, place] > 0]
+    stated = [n for n, index in enumerate(LEFT) if covariance[index, index] > 0]
     content = {
         "format": 1,
         "image_size": [int(size) for size in camera.size_px],
@@ -130,9 +154,9 @@ def write_camera(path: str | Path, calibration: Calibration) -> None:
 
 
 def read_camera(path: str | Path) -> tuple[Camera, FloatArray]:
-    """Return a single camera and the covariance (13, 13) of its parameters from a file of `write_camera`.
+    """Return a single camera and the covariance (13, 13) of its parameters.
 
-    Of the file of a stereo pair it is the left one.
+    The file is one of `write_camera` or of a stereo pair, whose left camera is used.
     """
     path = Path(path)
     content = _content(path)
@@ -152,13 +176,13 @@ def read_camera(path: str | Path) -> tuple[Camera, FloatArray]:
 
 
 def is_single(path: str | Path) -> bool:
-    """Return whether a file is that of a camera alone (`write_camera`), as far as its keys say."""
+    """Return whether the keys of a file are those of a single camera (`write_camera`)."""
     content = _content(Path(path))
     return isinstance(content, dict) and "camera" in content and "left" not in content
 
 
 def _content(path: Path) -> Any:
-    """Return the content of a JSON text of a size that calibrations have."""
+    """Return the content of a JSON text of limited size."""
     with path.open("rb") as file:
         text = file.read(_LARGEST_FILE + 1)
     try:
@@ -170,7 +194,10 @@ def _content(path: Path) -> Any:
 
 
 def write_whole(path: Path, text: str) -> None:
-    """Write a text by one replacement of a temporary name that nobody else has, in containers of one number either."""
+    """Write a text under a temporary name and rename it.
+
+    The name is random, since containers on one host share process numbers.
+    """
     temporary = path.with_name(f"{path.name}.{secrets.token_hex(6)}.tmp")
     try:
         temporary.write_text(text, encoding="utf-8")
@@ -184,17 +211,17 @@ def _write(path: Path, content: dict[str, Any]) -> None:
 
 
 def _lens(camera: Camera) -> dict[str, Any]:
-    """Return a camera's part of the file: five coefficients of distortion, or eight where k4 k5 k6 are not zero."""
+    """Return a camera's keys with five coefficients, or eight of a rational lens."""
     coefficients = camera.distortion if camera.distortion[5:].any() else camera.distortion[:5]
     return {"matrix": camera.matrix.tolist(), "distortion": coefficients.tolist()}
 
 
 def _without_repeats(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
-    """Return the object of a JSON text, refusing a key that stands twice."""
+    """Return the object of a JSON text; a repeated key is refused."""
     found: dict[str, Any] = {}
     for key, value in pairs:
         if key in found:
-            raise ValueError(f"key {key!r:.60} stands twice")
+            raise ValueError(f"key {key!r:.60} occurs twice")
         found[key] = value
     return found
 
@@ -220,10 +247,10 @@ def _rig(content: Any) -> StereoRig:
 
 
 def _size(found: Any) -> FloatArray:
-    """Return the width and height of the pictures."""
+    """Return the width and height of the images."""
     size = _numbers("image_size", found, (2,))
     if (size != np.round(size)).any() or (size < 1).any():
-        raise ValueError(f"image_size: expected two whole numbers of pixels, found {found!r:.60}")
+        raise ValueError(f"image_size: expected two integers in pixels, found {found!r:.60}")
     return size
 
 
@@ -246,7 +273,9 @@ def _numbers(where: str, found: Any, shape: tuple[int, ...], largest: float = LA
     try:
         array = np.asarray(_plain(where, found), dtype=np.float64)
     except (OverflowError, RecursionError) as error:
-        raise ValueError(f"{where}: expected finite numbers, found one too large, or lists without end") from error
+        raise ValueError(
+            f"{where}: expected finite numbers, found one too large, or lists nested too deeply"
+        ) from error
     check_shape(where, array, shape)
     if not (np.abs(array) <= largest).all():
         raise ValueError(f"{where}: expected finite numbers up to {largest:g}, found {array.ravel()[:16].tolist()}")
@@ -254,7 +283,7 @@ def _numbers(where: str, found: Any, shape: tuple[int, ...], largest: float = LA
 
 
 def _plain(where: str, found: Any) -> Any:
-    """Return `found` when it is a number or lists of one length of such."""
+    """Return a number, or lists of equal length of numbers, unchanged."""
     if isinstance(found, list):
         parts = [_plain(where, part) for part in found]
         if len({len(part) if isinstance(part, list) else -1 for part in parts}) > 1:
@@ -278,21 +307,21 @@ def _camera(side: str, found: Any, size: FloatArray) -> Camera:
         raise ValueError(f"{side}.{error}") from error
 
 
-def _covariance(found: Any, known: tuple[str, ...]) -> FloatArray | None:
-    """Return the covariance (N, N) of `known` names, with zeros for parameters that the file leaves out."""
+def _covariance(found: Any, parameters: tuple[str, ...]) -> FloatArray | None:
+    """Return the covariance (N, N), zero for parameters that the file omits."""
     if found is None:
         return None
     _check_keys("covariance", found, ("parameters", "matrix"))
     names = found["parameters"]
     if not isinstance(names, list) or not names:
         raise ValueError(f"covariance.parameters: expected a list of names, found {names!r:.60}")
-    unknown = [name for name in names if name not in known]
+    unknown = [name for name in names if name not in parameters]
     if unknown:
-        raise ValueError(f"covariance.parameters: expected names like {known[0]!r}, found {unknown[0]!r:.60}")
+        raise ValueError(f"covariance.parameters: expected names like {parameters[0]!r}, found {unknown[0]!r:.60}")
     if len(set(names)) < len(names):
         raise ValueError("covariance.parameters: expected each name once, found one twice")
     matrix = _numbers("covariance.matrix", found["matrix"], (len(names), len(names)), LARGEST**2)
-    full = np.zeros((len(known), len(known)))
-    index = [known.index(name) for name in names]
+    full = np.zeros((len(parameters), len(parameters)))
+    index = [parameters.index(name) for name in names]
     full[np.ix_(index, index)] = matrix
     return full

@@ -1,4 +1,4 @@
-"""A calibrated stereo pair, how it came about, and what its user should know."""
+"""A calibrated stereo pair with its views, tests and notices."""
 
 from __future__ import annotations
 
@@ -9,20 +9,34 @@ from typing import Literal
 import numpy as np
 
 from photogram.arrays import Arrays, BoolArray, FloatArray, IntArray
+from photogram.calibration.calibration_notices import (
+    ASPECT_RATIO,
+    EXCESS_NOISE,
+    FEW_VIEWS,
+    FOCAL_DRIFT,
+    LITTLE_TILT,
+    LOW_COVERAGE,
+    MODEL_DIFFERENCE,
+    PARAMETERS_INDISTINCT,
+    PARAMETERS_UNDETERMINED,
+    SPACING_UNCERTAINTY_UNSTATED,
+    TARGET_DEVIATION,
+    UNCERTAIN_FOCAL_LENGTH,
+)
 from photogram.camera import LEFT, RIG_PARAMETERS, RIGHT, TRANSLATION, StereoRig
 from photogram.geometry import RigidTransform
 from photogram.targets.target_view import Target
 from shakercal._common.notices import Notice
 
-ParameterState = Literal["determined", "indistinct", "open"]
+ParameterState = Literal["determined", "indistinct", "undetermined"]
 
 
 @dataclass(frozen=True)
 class CalibrationParameter:
-    """One parameter of the rig: value, standard uncertainty (k = 1) and unit ("px", "1", "rad", "m").
+    """One parameter of the rig: value, standard uncertainty (k = 1) and unit.
 
-    `state`: "determined"; "indistinct", well known but not distinguishable from zero (distortion only); "open", known
-    no better than before the session: the views say nothing about it and its value is the assumption's.
+    The unit is "px", "1", "rad" or "m". `state` is "determined"; "indistinct", a distortion that is not significantly
+    different from zero; or "undetermined", as uncertain as the prior: its value is that of the prior.
     """
 
     name: str
@@ -34,10 +48,10 @@ class CalibrationParameter:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class CalibratedImage(Arrays, shapes="index N 2; position_px N 2; residual_px N 2; normalised N; used N"):
-    """One picture in the fit: points (N,), of which `used` went into it.
+    """One image in the fit with its points (N,), of which `used` were fitted.
 
-    `index` (N, 2) lattice indices, `position_px` (N, 2) as found, `residual_px` (N, 2) found − modelled,
-    `normalised` (N,) length of the residual over its standard uncertainty.
+    `index` (N, 2) are lattice indices, `position_px` (N, 2) the positions found, `residual_px` (N, 2) found − modelled.
+    `normalised` (N,) is the length of the residual over its standard uncertainty.
     """
 
     name: str
@@ -56,9 +70,9 @@ class CalibratedImage(Arrays, shapes="index N 2; position_px N 2; residual_px N 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class CalibratedView(Arrays, shapes="covariance 6 6"):
-    """One position of the target: `left_from_target` with covariance (6, 6), and the picture of either camera.
+    """One pose of the target, `left_from_target`, with covariance and the images of both cameras.
 
-    The pose's covariance holds translation (m) and left-multiplied rotation (rad), in the order x y z rx ry rz.
+    The covariance (6, 6) is that of translation (m) and left-multiplied rotation (rad), in the order x y z rx ry rz.
     """
 
     left_from_target: RigidTransform
@@ -69,7 +83,10 @@ class CalibratedView(Arrays, shapes="covariance 6 6"):
 
 @dataclass(frozen=True)
 class Rejection:
-    """A picture, or points of one, that did not go into the fit, and why; `points` 0 stands for the whole picture."""
+    """An image, or points of one, rejected from the fit, with the reason.
+
+    `points` is 0 for a whole image.
+    """
 
     name: str
     points: int
@@ -78,9 +95,10 @@ class Rejection:
 
 @dataclass(frozen=True, eq=False)
 class AlternativeModel:
-    """What another shape of the target ("flat", "free") or lens ("polynomial", "rational") makes of the same pictures.
+    """The result of another target geometry or lens model for the same images.
 
-    `predicted_px`: rms length of what the other views leave of a view's points, its pose fitted to them.
+    `shape` is "flat" or "free", `lens` "polynomial" or "rational". `predicted_px`: rms length of the residuals of a
+    view that the other views predict, with its pose fitted.
     """
 
     shape: str
@@ -91,12 +109,17 @@ class AlternativeModel:
 
 @dataclass(frozen=True, eq=False)
 class CrossValidation:
-    """What the views of a session say of each other: shape and lens taken, `predicted_px` as in `OtherModel`.
+    """Consistency of a session's views, and alternative models.
 
-    `u_fit` (32,): standard uncertainties that the residuals alone would give. `halves`: the rigs of every second view
-    and of the others, None for few views. `others`: models that were tried, and not taken. `drift` (2, 2): relative
-    change of the focal lengths, left and right, from the first view to the last, and its standard uncertainty; None
-    where none was found.
+    Attributes
+    ----------
+    shape, lens : Model used.
+    predicted_px : As in `AlternativeModel`.
+    u_fit : (32,), standard uncertainties by the residuals alone.
+    halves : Rigs of every second view and of the others; None for few views.
+    alternatives : Models that were tried and not used.
+    drift : (2, 2), relative change of the focal lengths, left and right, from the first view to the last, and its
+        standard uncertainty; None if none was found.
     """
 
     shape: str
@@ -110,15 +133,18 @@ class CrossValidation:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Calibration(Arrays, shapes="shape_index P 2; shape_m P 3"):
-    """A calibrated stereo pair and how it came about.
+    """A calibrated stereo pair with its views and quality measures.
 
-    `rms_px`: rms length of all residuals, OpenCV's definition of the reprojection error, `rms_sides_px` (left, right)
-    apart. `added_px` (left, right): noise per coordinate that comes on top of the points' own; `sigma_factor`:
-    √(reduced χ²) of `dof` degrees of freedom with both, a factor of the covariance.
-    `shape_m` (P, 3): estimated positions of the target's points (`shape_index` (P, 2)), the flat lattice where it was
-    held flat; `shape_u_m` (P, 3): their standard uncertainties, None where they have no offsets of their own.
-    `scale_u`: relative standard uncertainty of the target's spacing, contained in the rig's covariance. `covered`:
-    (left, right), share of each picture's area within the points' cells. `judged`: what the views say of each other.
+    Attributes
+    ----------
+    rms_px, rms_sides_px : rms length of all residuals, OpenCV's definition of the reprojection error; of (left, right).
+    added_px : (left, right), noise per coordinate in addition to that of the points.
+    sigma_factor : √(reduced χ²) of `dof` degrees of freedom, a factor of the covariance.
+    shape_index, shape_m : (P, 2) lattice indices and (P, 3) estimated positions of the target's points.
+    shape_u_m : (P, 3), their standard uncertainties; None without offsets of the points.
+    scale_u : Relative standard uncertainty of the target's spacing, included in the rig's covariance.
+    coverage : (left, right), share of each image's area in cells with points.
+    cross_validation : Consistency of the views.
     """
 
     rig: StereoRig
@@ -141,62 +167,58 @@ class Calibration(Arrays, shapes="shape_index P 2; shape_m P 3"):
 
     @property
     def single(self) -> bool:
-        """Whether it is of one camera only, the left one."""
+        """Whether it is of the left camera alone."""
         return all(view.right is None for view in self.views)
 
 
-COVERAGE_CELLS = (8, 6)  # columns and rows of the cells by which coverage is told
-_NO_TURN_RAD = np.radians(2.0)
+COVERAGE_CELLS = (8, 6)  # columns and rows of the cells for the coverage
+_NO_TURN_RAD = np.radians(2.0)  # rms tilt below which focal lengths are undetermined
 
 
 def coverage_share(images: Sequence[CalibratedImage], size_px: IntArray) -> float:
-    """Return the share of the picture's cells, 8 x 6, in which some point of some picture lies."""
-    points = np.concatenate([picture.position_px[picture.used] for picture in images])
+    """Return the share of the image's 8 × 6 cells that contain a point."""
+    points = np.concatenate([image.position_px[image.used] for image in images])
     cells = np.floor((points + 0.5) / size_px * COVERAGE_CELLS).astype(np.int64)
     inside = np.clip(cells, 0, np.array(COVERAGE_CELLS) - 1)
     return len(np.unique(inside, axis=0)) / (COVERAGE_CELLS[0] * COVERAGE_CELLS[1])
 
 
 def spread_of_turns(poses: Sequence[RigidTransform]) -> tuple[FloatArray, FloatArray]:
-    """Return how far the target's normal spreads (2,), in rad, and along which directions (columns) of the picture."""
+    """Return the spread (2,) of the target's normal in rad and its directions."""
     normal = np.array([pose.rotation[:, 2] * np.sign(pose.rotation[2, 2]) for pose in poses])
     variance, axes = np.linalg.eigh(np.cov(normal[:, :2].T, bias=True))
     return np.sqrt(np.maximum(variance, 0.0)), axes
 
 
 def check_view_angles(poses: Sequence[RigidTransform]) -> None:
-    """Raise `ValueError` when all views show the target under nearly one angle, which leaves the cameras open."""
+    """Raise `ValueError` if all views have nearly the same angle to the target."""
     spread, _ = spread_of_turns(poses)
     if spread.max() < _NO_TURN_RAD:
         raise ValueError(
-            f"all {len(poses)} views show the target under nearly one angle ({np.degrees(spread.max()):.1f}° rms), "
-            "which does not determine the cameras; add views turned by 20° and more about both axes of the picture"
+            f"all {len(poses)} views have nearly the same angle to the target ({np.degrees(spread.max()):.1f}° rms), "
+            "which does not determine the cameras; add views tilted by 20° or more about both axes of the image"
         )
 
 
-# Which parameters a session determines, what it covers, what to add.
+# Determined parameters, coverage, and notices of a session.
 
-_OPEN = 0.5  # share of the prior's standard deviation above which the views told nothing
-_DISTINCT = 2.0  # standard uncertainties beyond which a distortion is not zero
-_MANY_VIEWS = 8
-_LITTLE_TURN_RAD = np.radians(5.0)
-_ENOUGH_COVER = 0.6
-_FOCAL_U = 0.005  # relative standard uncertainty of a focal length above which the user is told
-_FOCAL_LIMIT = 0.05  # and above which the calibration is refused
-_ADDED_PX = 0.15  # noise beyond the pictures' own, per coordinate, above which the user is told
+_UNDETERMINED = 0.5  # share of the prior's standard deviation above which a parameter is undetermined
+_DISTINCT = 2.0  # standard uncertainties beyond which a distortion differs from zero
+_MANY_VIEWS = 8  # views from which leave-one-out tests are useful
+_LITTLE_TURN_RAD = np.radians(5.0)  # rms tilt about one axis for a warning
+_ENOUGH_COVER = 0.6  # share of covered cells below which a warning is given
+_FOCAL_U = 0.005  # relative standard uncertainty of a focal length for a warning
+_FOCAL_LIMIT = 0.05  # and for a refusal of the calibration
+_ADDED_PX = 0.15  # noise in addition to that of the images, per coordinate, for a warning
 _UNITS = {"f": "px", "c": "px", "s": "px", "k": "1", "p": "1"}
-_SQUARE = 1e-3  # pixels of a sensor are square within this, relative
-_STATES = {
-    "open": "not determined by these views (taken from an ordinary lens)",
-    "indistinct": "not distinguishable from zero",
-}
+_SQUARE = 1e-3  # relative tolerance of square pixels
 
 
 def rig_parameters(rig: StereoRig, prior_sigma: FloatArray) -> tuple[CalibrationParameter, ...]:
-    """Return the parameters of a rig with covariance, and what the views say about each beside the prior.
+    """Return the parameters of a rig with covariance and their states.
 
-    The 24 of every rig, and of the lenses' further terms those that are not known to be zero. Those with the prior's
-    standard deviation zero, held in this session, are none.
+    These are the 24 of every rig and the lenses' further terms, unless they are known to be zero. Parameters that this
+    session fixes are omitted.
     """
     covariance = np.zeros((len(RIG_PARAMETERS),) * 2) if rig.covariance is None else rig.covariance
     parameters = []
@@ -207,8 +229,8 @@ def rig_parameters(rig: StereoRig, prior_sigma: FloatArray) -> tuple[Calibration
         lens = not name.startswith(("rotation", "translation"))
         unit = _UNITS[kind] if lens else ("rad" if name.startswith("rotation") else "m")
         state: ParameterState = "determined"
-        if u > 0 and u > _OPEN * prior_sigma[number]:
-            state = "open"
+        if u > 0 and u > _UNDETERMINED * prior_sigma[number]:
+            state = "undetermined"
         elif lens and kind in "kp" and abs(value) < _DISTINCT * u:
             state = "indistinct"
         parameters.append(CalibrationParameter(name, float(value), u, unit, state))
@@ -216,121 +238,119 @@ def rig_parameters(rig: StereoRig, prior_sigma: FloatArray) -> tuple[Calibration
 
 
 def check_focal_lengths(parameters: Sequence[CalibrationParameter]) -> None:
-    """Raise `ValueError` when the views leave a focal length open."""
+    """Raise `ValueError` if the views do not determine a focal length."""
     for item in parameters:
         if item.name.endswith((".fx", ".fy")) and not item.u < _FOCAL_LIMIT * item.value:
             raise ValueError(
-                f"the views leave {item.name} open: {item.value:.0f} px, standard uncertainty {item.u:.0f} px; "
-                "add views turned by 20° and more about both axes of the picture, and at other distances"
+                f"the views do not determine {item.name}: {item.value:.0f} px, standard uncertainty {item.u:.0f} px; "
+                "add views tilted by 20° or more about both axes of the image, and at other distances"
             )
 
 
 def session_notices(calibration: Calibration) -> tuple[Notice, ...]:
-    """Return what the user should know of a calibration, and what to add to the session."""
-    notices: list[Notice] = []
+    """Return the notices of a calibration."""
+    notices = [*_view_notices(calibration), *_parameter_notices(calibration), *_target_notices(calibration)]
+    worst = max(calibration.added_px)
+    if worst >= _ADDED_PX:
+        notices.append(Notice(EXCESS_NOISE, "residuals", added_px=worst))
+    if calibration.scale_u == 0 and not calibration.single:
+        notices.append(Notice(SPACING_UNCERTAINTY_UNSTATED, "scale"))
+    return tuple(notices)
 
-    def warn(text: str, where: str) -> None:
-        notices.append(Notice("warning", text, where))
 
+def _view_notices(calibration: Calibration) -> Iterator[Notice]:
+    """Yield notices of number, tilt and coverage of the views."""
     pairs = sum(calibration.single or (view.left is not None and view.right is not None) for view in calibration.views)
     if pairs < _MANY_VIEWS:
-        many = "views" if calibration.single else "pairs"
-        warn(f"only {pairs} {many}; {_MANY_VIEWS} to 20 make a calibration that can be judged", "views")
+        yield Notice(
+            FEW_VIEWS, "views", count=pairs, kind="views" if calibration.single else "pairs", least=_MANY_VIEWS
+        )
     spread, axes = spread_of_turns([view.left_from_target for view in calibration.views])
     if spread[0] < _LITTLE_TURN_RAD:
         axis = "vertical" if abs(axes[0, 0]) > abs(axes[1, 0]) else "horizontal"
-        text = f"the target is hardly turned about the picture's {axis} axis ({np.degrees(spread[0]):.1f}° rms)"
-        warn(f"{text}; add views turned by 20° and more about it", "views")
+        yield Notice(LITTLE_TILT, "views", spread_deg=float(np.degrees(spread[0])), axis=axis)
     for side, share in zip(("left", "right"), calibration.coverage, strict=True):
         if share < _ENOUGH_COVER:
-            text = f"the points cover {100 * share:.0f} % of the {side} picture"
-            more = "add views with the target near its edges, or measure within the part that is covered"
-            warn(f"{text}; {more}", side)
+            yield Notice(LOW_COVERAGE, side, share_percent=100 * share, side=side)
+
+
+def _parameter_notices(calibration: Calibration) -> Iterator[Notice]:
+    """Yield notices of uncertain parameters, drifts and alternative models."""
     for item in calibration.parameters:
         if item.name.endswith((".fx", ".fy")) and item.u > _FOCAL_U * item.value:
-            text = f"{item.name} is known to {100 * item.u / item.value:.1f} % only (k = 1)"
-            warn(f"{text}; more turned views at other distances improve it", item.name)
-    notices += [*_aspects(calibration.rig), *_drifts(calibration), *_differences(calibration)]
-    for state, text in _STATES.items():
+            yield Notice(UNCERTAIN_FOCAL_LENGTH, item.name, parameter=item.name, u_percent=100 * item.u / item.value)
+    yield from (*_aspects(calibration.rig), *_drifts(calibration), *_differences(calibration))
+    for state, declared in (("undetermined", PARAMETERS_UNDETERMINED), ("indistinct", PARAMETERS_INDISTINCT)):
         names = [item.name for item in calibration.parameters if item.state == state]
         if names:
-            notices.append(Notice("note", f"{', '.join(names)}: {text}", "distortion"))
+            yield Notice(declared, "distortion", parameters=", ".join(names))
+
+
+def _target_notices(calibration: Calibration) -> Iterator[Notice]:
+    """Yield a notice of the target's deviation from its lattice."""
     flat = np.column_stack([calibration.shape_index * calibration.target.spacing_m, np.zeros(len(calibration.shape_m))])
     off = calibration.shape_m - flat
     if off.any():
         rms = 1e6 * np.sqrt((off**2).mean(axis=0))
-        digits = max(0, 1 - int(np.floor(np.log10(rms.max()))))  # two of the largest
-        x, y, z = (f"{value:.{digits}f}" for value in rms)
-        text = f"the target's points lie {x}, {y} µm rms off their lattice and {z} µm across it"
-        notices.append(Notice("note", f"{text}; this was estimated together with the cameras", "target"))
-    worst = max(calibration.added_px)
-    if worst >= _ADDED_PX:
-        text = f"the points are {worst:.2f} px (per coordinate) off beyond the pictures' noise: rough print, a bent"
-        warn(f"{text} target or a lens that the model does not describe; see the residual maps", "residuals")
-    if calibration.scale_u == 0 and not calibration.single:
-        warn("the uncertainty of the target's spacing is not stated, so that of all lengths lacks its share", "scale")
-    return tuple(notices)
+        digits = max(0, 1 - int(np.floor(np.log10(rms.max()))))  # two digits of the largest
+        yield Notice(TARGET_DEVIATION, "target", x_um=rms[0], y_um=rms[1], z_um=rms[2], digits=digits)
 
 
 def _aspects(rig: StereoRig) -> Iterator[Notice]:
-    """Yield what is to be said of focal lengths whose ratio is none of square pixels."""
-    for side, camera, places in (("left", rig.left, LEFT), ("right", rig.right, RIGHT)):
-        if rig.covariance is None or not rig.covariance[places[0], places[0]] > 0:
+    """Yield a notice of focal lengths whose ratio contradicts square pixels."""
+    for side, camera, indices in (("left", rig.left, LEFT), ("right", rig.right, RIGHT)):
+        if rig.covariance is None or not rig.covariance[indices[0], indices[0]] > 0:
             continue
         fx, fy = camera.parameters[:2]
         slope = np.array([1 / fy, -fx / fy**2])
-        ratio, u = fx / fy, float(np.sqrt(slope @ rig.covariance[np.ix_(places[:2], places[:2])] @ slope))
+        ratio, u = fx / fy, float(np.sqrt(slope @ rig.covariance[np.ix_(indices[:2], indices[:2])] @ slope))
         if abs(ratio - 1) > 2 * np.hypot(u, _SQUARE):
-            text = f"{side}.fx/{side}.fy is {ratio:.4f} (U = {2 * u:.4f}, k = 2); a sensor with square pixels has 1"
-            more = "a print stretched along one axis, too few turned views, or pictures scaled in one direction"
-            yield Notice("warning", f"{text}: {more}", side)
+            yield Notice(ASPECT_RATIO, side, side=side, ratio=ratio, expanded=2 * u)
 
 
 def _drifts(calibration: Calibration) -> Iterator[Notice]:
-    """Yield by how much the focal lengths changed during the session."""
+    """Yield a notice of focal lengths that changed during the session."""
     if calibration.cross_validation is None or calibration.cross_validation.drift is None:
         return
-    many = calibration.cross_validation.drift[: 1 if calibration.single else 2]
-    said = " and ".join(
-        f"{side} by {100 * value:+.3f} % (U = {200 * u:.3f} %, k = 2)"
-        for side, (value, u) in zip(("left", "right"), many, strict=False)
-    )
-    text = f"the focal lengths changed from the first view to the last: {said}; stated are those of the middle, and the"
-    yield Notice(
-        "warning", f"{text} range is in their uncertainty; let the cameras warm up, and fix the lenses", "drift"
-    )
+    drifts = calibration.cross_validation.drift[: 1 if calibration.single else 2]
+    for side, (value, u) in zip(("left", "right"), drifts, strict=False):
+        yield Notice(FOCAL_DRIFT, side, side=side, change_percent=100 * value, expanded_percent=200 * u)
 
 
 def _differences(calibration: Calibration) -> Iterator[Notice]:
-    """Yield by what models that were tried and not taken differ beyond the expanded uncertainty."""
-    judged, sigma = calibration.cross_validation, calibration.rig.covariance
-    if judged is None or sigma is None:
+    """Yield a notice of each alternative model that differs beyond the expanded uncertainty."""
+    used, sigma = calibration.cross_validation, calibration.rig.covariance
+    if used is None or sigma is None:
         return
-    for other in judged.alternatives:
-        value = _told(other.rig)
-        apart = {
-            name: (mine, value[name], 2 * u)
-            for (name, mine), u in zip(_told(calibration.rig).items(), _told_u(calibration.rig), strict=True)
-            if abs(value[name] - mine) > 2 * u > 0
-        }
-        if apart:
-            said = ", ".join(
-                f"{name} {theirs:.6g}, not {mine:.6g} (U = {u:.2g})" for name, (mine, theirs, u) in apart.items()
+    values, uncertainties = _main_values(calibration.rig), _main_uncertainties(calibration.rig)
+    for other in used.alternatives:
+        alternative = _main_values(other.rig)
+        differences = [
+            f"{name} {alternative[name]:.6g} instead of {value:.6g} (U = {2 * u:.2g})"
+            for (name, value), u in zip(values.items(), uncertainties, strict=True)
+            if abs(alternative[name] - value) > 2 * u > 0
+        ]
+        if differences:
+            yield Notice(
+                MODEL_DIFFERENCE,
+                "model",
+                shape=other.shape,
+                lens=other.lens,
+                differences=", ".join(differences),
+                used_px=used.predicted_px,
+                used_shape=used.shape,
+                used_lens=used.lens,
+                other_px=other.predicted_px,
             )
-            text = (
-                f"a {other.shape} target with a {other.lens} lens would give {said}; the views left out are predicted "
-                f"to {judged.predicted_px:.3f} px ({judged.shape}, {judged.lens}) and {other.predicted_px:.3f} px there"
-            )
-            yield Notice("warning", text, "model")
 
 
-def _told(rig: StereoRig) -> dict[str, float]:
+def _main_values(rig: StereoRig) -> dict[str, float]:
     """Return focal lengths in px and the baseline in mm."""
     focal = {f"{side}.fx / px": camera.matrix[0, 0] for side, camera in (("left", rig.left), ("right", rig.right))}
     return {**focal, "baseline / mm": 1e3 * float(np.linalg.norm(rig.right_from_left.translation_m))}
 
 
-def _told_u(rig: StereoRig) -> FloatArray:
+def _main_uncertainties(rig: StereoRig) -> FloatArray:
     """Return the standard uncertainties (3,) of these."""
     assert rig.covariance is not None
     slope = np.zeros((3, len(rig.covariance)))

@@ -1,4 +1,4 @@
-"""Where the bundle adjustment starts: pairing of views, poses, cameras."""
+"""Initial values of the bundle adjustment: pairing of views, poses, cameras."""
 
 from __future__ import annotations
 
@@ -21,28 +21,26 @@ ViewPair = tuple[TargetView | None, TargetView | None]
 Poses = dict[int, RigidTransform]
 LensKind = Literal["polynomial", "rational"]
 
-_STRANGE = 5.0  # times the median disagreement, beyond which a pair is strange
-_TOLERATED = 0.05  # disagreement that is never strange: rad, share of the distance
+_STRANGE = 5.0  # times the median disagreement, beyond which a pair is inconsistent
+_TOLERATED = 0.05  # disagreement that is always consistent: rad, share of the distance
 _QUARTER_TURN = np.array([[0, -1], [1, 0]])
 
 
 def _pair_up(
     pairs: Sequence[ViewPair], left_poses: Poses, right_poses: Poses, target: Target
 ) -> tuple[RigidTransform, list[ViewPair], Poses, list[int]]:
-    """Return the relative pose of the pair that agrees best with all others, and the numbers of those that do not.
+    """Return the relative pose that agrees best with all pairs, and the inconsistent pairs.
 
-    Between them the pairs and their right poses, numbered anew.
-
-    A target that looks alike after half a turn (a square one after a quarter) may be numbered differently in the two
-    pictures of a pair, and is in all of them where one camera is rolled about its axis. So each pair offers a relative
-    pose for every numbering of its right picture; the one to which all pairs come closest, each by the numbering that
-    suits it, is the cameras'. Raises `ValueError` when most pairs do not agree: the two lists of pictures do not belong
-    together.
+    Also returned are the pairs and their right poses, renumbered. A target with a symmetry of half a turn (a square one
+    of a quarter) may be numbered differently in the two images of a pair. If one camera is rolled about its axis, it is
+    in all of them. Each pair therefore gives a relative pose for every numbering of its right image. The result is the
+    pose to which all pairs are closest, each with its best numbering. Raises `ValueError` if most pairs disagree: the
+    two lists of images do not correspond.
     """
     common = sorted(set(left_poses) & set(right_poses))
     if not common:
         raise ValueError(
-            "no position of the target is seen by both cameras; the two lists of pictures must be in one order"
+            "both cameras see the target in no common position; both lists of images must have the same order"
         )
     depth = float(np.median([np.linalg.norm(left_poses[view].translation_m) for view in common]))
     turns = [(np.eye(2, dtype=np.int64), np.zeros(2)), *target_symmetries(target)]
@@ -51,29 +49,32 @@ def _pair_up(
     relatives = [
         each @ left_poses[view].inverse() for view, poses in zip(common, offered, strict=True) for each in poses
     ]
-    apart = _disagreement(relatives, depth).reshape(len(relatives), len(common), len(turns))
-    typical = np.median(apart.min(axis=2), axis=1)
+    disagreement = _disagreement(relatives, depth).reshape(len(relatives), len(common), len(turns))
+    typical = np.median(disagreement.min(axis=2), axis=1)
     best = int(np.argmin(typical))
     limit = max(_TOLERATED, _STRANGE * float(typical[best]))
     numbered, poses, strange = list(pairs), dict(right_poses), []
-    for place, view in enumerate(common):
-        nearest = int(np.argmin(apart[best, place]))
-        if apart[best, place, nearest] > limit:
+    for row, view in enumerate(common):
+        nearest = int(np.argmin(disagreement[best, row]))
+        if disagreement[best, row, nearest] > limit:
             strange.append(view)
             continue
         left, right = pairs[view]
         assert right is not None
-        numbered[view], poses[view] = (left, renumber_points(right, *turns[nearest])), offered[place][nearest]
+        numbered[view], poses[view] = (left, renumber_points(right, *turns[nearest])), offered[row][nearest]
     if len(strange) * 2 > len(common) or limit > 10 * _TOLERATED:
         raise ValueError(
-            "the left and right pictures do not belong together: no relative pose of the cameras fits most pairs; "
-            "give all left pictures first, then all right ones in the same order"
+            "the left and right images do not correspond: no relative pose of the cameras fits most pairs; "
+            "name all left images first, then all right ones in the same order"
         )
     return relatives[best], numbered, poses, strange
 
 
 def _disagreement(poses: Sequence[RigidTransform], depth_m: float) -> FloatArray:
-    """Return how far poses (N) are apart (N, N): rotation in rad or shift in distances, whichever is more."""
+    """Return the distance (N, N) between poses (N).
+
+    It is the larger of rotation in rad and shift over the distance.
+    """
     rotation = np.array([pose.rotation.ravel() for pose in poses])
     shift = np.array([pose.translation_m for pose in poses])
     turn = np.arccos(np.clip((rotation @ rotation.T - 1.0) / 2.0, -1.0, 1.0))
@@ -81,13 +82,16 @@ def _disagreement(poses: Sequence[RigidTransform], depth_m: float) -> FloatArray
 
 
 def target_symmetries(target: Target) -> list[tuple[IntArray, FloatArray]]:
-    """Return the turns (matrix (2, 2), shift (2,)) of lattice indices after which the target looks the same."""
+    """Return the rotations of lattice indices that leave the target unchanged.
+
+    Each is a matrix (2, 2) and a shift (2,).
+    """
     if target.size is None or target.kind == "charuco":
         return []
     columns, rows = target.size
     asymmetric, chessboard = target.kind == "asymmetric-dots", target.kind == "chessboard"
-    unlike = (columns + rows) % 2 == 1 if chessboard else asymmetric and rows % 2 == 1
-    if unlike:
+    asymmetric_colours = (columns + rows) % 2 == 1 if chessboard else asymmetric and rows % 2 == 1
+    if asymmetric_colours:
         return []
     last = np.array([2 * columns - 1 if asymmetric else columns - 1, rows - 1])
     turns = [-np.eye(2, dtype=np.int64)]
@@ -97,36 +101,37 @@ def target_symmetries(target: Target) -> list[tuple[IntArray, FloatArray]]:
 
 
 def _numbering(turn: IntArray, shift_m: FloatArray) -> RigidTransform:
-    """Return the transform of the target's points to where another numbering has them."""
+    """Return the transform of the target's points for another numbering."""
     rotation = np.eye(3)
     rotation[:2, :2] = turn
     return RigidTransform(rotation, np.append(shift_m, 0.0))
 
 
 def renumber_points(view: TargetView, turn: IntArray, shift: FloatArray) -> TargetView:
-    """Return the view with its points counted from another corner of a target that looks alike."""
+    """Return the view with points counted from another corner of a symmetric target."""
     return replace(view, index=np.rint(view.index @ turn.T + shift).astype(np.int64))
 
 
-# Where a target stands, seen by a calibrated pair.
+# Pose of a target from views of a calibrated pair.
 
-_STEPS = 30
+_STEPS = 30  # limit of the Gauss–Newton steps; some five are usual
 _CONVERGED = 1e-9  # expected decrease of the sum of squares that ends the iteration
-_WORST_PX = 3.0  # rms beyond which points are not those of the target in one pose before these cameras
+_WORST_PX = 3.0  # largest rms of points in one pose of the target
 
 
 def estimate_target_pose(
     rig: StereoRig, target: Target, left: TargetView | None, right: TargetView | None
 ) -> tuple[RigidTransform, FloatArray]:
-    """Return the pose `left_from_target` and its covariance (6, 6): translation (m), left-multiplied rotation (rad).
+    """Return the pose `left_from_target` and its covariance (6, 6).
 
-    Gauss–Newton on the points of one or both pictures, from the better of the two poses in which a plane looks alike
-    (Collins and Bartoli 2014, International Journal of Computer Vision 109, 252). The covariance is that of the
-    pictures' noise: the calibration's and the spacing's uncertainty are common to all poses and not contained.
+    Both refer to translation (m) and left-multiplied rotation (rad). Gauss–Newton on the points of one or both images,
+    from the better of the two possible poses of a plane (Collins and Bartoli 2014, International Journal of Computer
+    Vision 109, 252). The covariance is that of the image noise. The uncertainties of calibration and spacing are common
+    to all poses and not included.
     """
     seen = [(view, side) for side, view in enumerate((left, right)) if view is not None]
     if not seen:
-        raise ValueError("left, right: expected at least one picture of the target, found none")
+        raise ValueError("left, right: expected at least one image of the target, found none")
     pose, covariance, rms_px = _posed(rig, target, seen)
     if not rms_px <= _WORST_PX:
         names = " and ".join(view.name for view, _ in seen)
@@ -138,7 +143,7 @@ def estimate_target_pose(
 def match_numbering(
     rig: StereoRig, target: Target, left: TargetView | None, right: TargetView | None
 ) -> TargetView | None:
-    """Return the right view numbered as the left one, of a target that looks alike after a turn."""
+    """Return the right view of a symmetric target numbered as the left one."""
     turns = target_symmetries(target)
     if left is None or right is None or not turns:
         return right
@@ -149,13 +154,13 @@ def match_numbering(
 def _posed(
     rig: StereoRig, target: Target, seen: Sequence[tuple[TargetView, int]]
 ) -> tuple[RigidTransform, FloatArray, float]:
-    """Return pose and covariance from pictures with their sides, and the rms residual (px), infinite of no pose."""
+    """Return pose, covariance and rms residual (px), infinite without a pose."""
     import cv2
 
     index = np.unique(np.concatenate([view.index for view, _ in seen]), axis=0)
     shape = make_shape("flat", index, target.spacing_m)
-    pictures = [image_observations(view, 0, side, index, target.spacing_m) for view, side in seen]
-    first = pictures[0]
+    images = [image_observations(view, 0, side, index, target.spacing_m) for view, side in seen]
+    first = images[0]
     rays = (rig.right if first.side else rig.left).undistort(first.position_px)
     count, turns, shifts, _ = cv2.solvePnPGeneric(
         shape.flat_m[first.point], rays, np.eye(3), np.zeros(5), flags=cv2.SOLVEPNP_IPPE
@@ -164,19 +169,19 @@ def _posed(
         raise ValueError("left, right: expected points of a target that are not all on one line")
     to_left = rig.right_from_left.inverse() if first.side else RigidTransform.identity()
     starts = [to_left @ pose for pose in _opencv_poses(turns, shifts)]
-    fits = [refine_pose(Bundle(rig, (start,), shape), pictures) for start in starts]
+    fits = [refine_pose(Bundle(rig, (start,), shape), images) for start in starts]
     pose, covariance, squares = min(fits, key=lambda fit: fit[2])
     if not np.isfinite(squares):
         return pose, covariance, np.inf
     bundle = Bundle(rig, (pose,), shape)
-    residuals = [picture.position_px - bundle.model_pixels(picture).pixel for picture in pictures]
+    residuals = [image.position_px - bundle.model_pixels(image).pixel for image in images]
     return pose, covariance, float(np.sqrt((np.concatenate(residuals) ** 2).sum(axis=1).mean()))
 
 
 def image_observations(
     view: TargetView, number: int, side: int, index: IntArray, spacing_m: float
 ) -> ImageObservations:
-    """Return a target view as picture of view `number`, its points as rows of `index` (P, 2)."""
+    """Return a target view as observations, with points as rows of `index` (P, 2)."""
     rows = {tuple(pair): row for row, pair in enumerate(index.tolist())}
     point = np.array([rows[tuple(pair)] for pair in view.index.tolist()], dtype=np.int64)
     precision = np.asarray(np.linalg.inv(view.covariance_px2), dtype=np.float64)
@@ -190,16 +195,19 @@ def _opencv_poses(turns: Sequence[Any], shifts: Sequence[Any]) -> list[RigidTran
 
 
 def refine_pose(bundle: Bundle, images: list[ImageObservations]) -> tuple[RigidTransform, FloatArray, float]:
-    """Return the pose after Gauss–Newton, its covariance and the sum of squares (infinite where it diverges)."""
+    """Return the pose after Gauss–Newton, its covariance and the sum of squares.
+
+    The sum is infinite if the iteration diverges.
+    """
     for _ in range(_STEPS):
         normal, side, squares = np.zeros((6, 6)), np.zeros(6), 0.0
-        for picture in images:
-            seen = bundle.model_pixels(picture)
-            residual = picture.position_px - seen.pixel
-            weighted = picture.precision @ seen.by_pose
+        for image in images:
+            seen = bundle.model_pixels(image)
+            residual = image.position_px - seen.pixel
+            weighted = image.precision @ seen.by_pose
             normal += np.einsum("nki,nkj->ij", seen.by_pose, weighted)
             side += np.einsum("nki,nk->i", weighted, residual)
-            squares += float(np.einsum("ni,nij,nj->", residual, picture.precision, residual))
+            squares += float(np.einsum("ni,nij,nj->", residual, image.precision, residual))
         if not np.isfinite(squares):
             break
         step = np.asarray(np.linalg.solve(normal, side), dtype=np.float64)
@@ -210,14 +218,14 @@ def refine_pose(bundle: Bundle, images: list[ImageObservations]) -> tuple[RigidT
     return bundle.poses[0], np.full((6, 6), np.nan), np.inf
 
 
-# Where the bundle adjustment starts: each camera alone by OpenCV, the relative pose by agreement of the views.
+# Start of the bundle adjustment: each camera by OpenCV, the relative pose by agreement of the views.
 
-FEWEST_VIEWS = 3
-FEWEST_POINTS = 6
-_TOLERATED_PX = 1.0  # rms that is never strange
+FEWEST_VIEWS = 3  # least number of views for focal length and principal point
+FEWEST_POINTS = 6  # least number of points for a useful view
+_TOLERATED_PX = 1.0  # rms that is always consistent
 
-# What is known of a lens beforehand: principal point off the middle in widths of the picture; the terms of distortion
-# at the picture's corner, radial relative to the radius (k1, k2, k3), decentring likewise.
+# Prior of a lens: offset of the principal point in image widths; terms of distortion at the image corner, relative to
+# the radius (k1, k2, k3), and decentring.
 _CENTRE_SPREAD = 0.05
 _RADIAL_SPREAD = (0.1, 0.05, 0.05)
 _DECENTRING_SPREAD = 0.005
@@ -228,11 +236,11 @@ _ASPECT_SPREAD = 1e-3
 def start_bundle(
     pairs: Sequence[ViewPair], target: Target, shape: ShapeKind
 ) -> tuple[Bundle, tuple[ViewPair, ...], tuple[Rejection, ...]]:
-    """Return the first bundle, the pairs of target views that take part in it (one per pose), and what was dropped.
+    """Return the first bundle, the pairs of target views used, and the rejected images.
 
-    The pairs are views (left, right), None for a picture without target; without any right one a single camera's. A
-    picture whose points fit its camera's others badly is dropped, and a pair whose relative pose is not the others'.
-    Raises `ValueError` when fewer than three views remain for a camera, or no pair.
+    `pairs` are views (left, right), None for an image without target; without any right view the result is that of a
+    single camera. An image is rejected if its points contradict the others of its camera, and a pair if its relative
+    pose contradicts the others. Raises `ValueError` for fewer than three views of a camera, or without a pair.
     """
     if all(right is None for _, right in pairs):
         return _start_single(pairs, target, shape)
@@ -243,57 +251,57 @@ def start_bundle(
     relative, pairs, right_poses, strange = _pair_up(pairs, sides[0].poses, sides[1].poses, target)
     for view in strange:
         names = " and ".join(seen.name for seen in pairs[view] if seen is not None)
-        reason = "the two pictures do not show one position of the target (mixed up, mirrored, or it moved in between)"
+        reason = "the two images do not show one position of the target (mixed up, mirrored, or moved in between)"
         dropped.append(Rejection(names, 0, reason))
-    kept, poses = [], []
+    used_pairs, poses = [], []
     for view, pair in enumerate(pairs):
         used = [
             seen if view in side.poses and view not in strange else None for seen, side in zip(pair, sides, strict=True)
         ]
         if used[0] is None and used[1] is None:
             continue
-        kept.append((used[0], used[1]))
+        used_pairs.append((used[0], used[1]))
         poses.append(sides[0].poses[view] if used[0] is not None else relative.inverse() @ right_poses[view])
-    both = sum(left is not None and right is not None for left, right in kept)
+    both = sum(left is not None and right is not None for left, right in used_pairs)
     if both < FEWEST_VIEWS:
-        raise ValueError(f"{both} positions of the target are seen by both cameras, at least {FEWEST_VIEWS} are needed")
+        raise ValueError(f"both cameras see {both} positions of the target, at least {FEWEST_VIEWS} are needed")
     rig = StereoRig(sides[0].camera, sides[1].camera, relative)
-    index = np.unique(np.concatenate([seen.index for pair in kept for seen in pair if seen is not None]), axis=0)
-    return Bundle(rig, tuple(poses), make_shape(shape, index, target.spacing_m)), tuple(kept), tuple(dropped)
+    index = np.unique(np.concatenate([seen.index for pair in used_pairs for seen in pair if seen is not None]), axis=0)
+    return Bundle(rig, tuple(poses), make_shape(shape, index, target.spacing_m)), tuple(used_pairs), tuple(dropped)
 
 
 def _start_single(
     pairs: Sequence[ViewPair], target: Target, shape: ShapeKind
 ) -> tuple[Bundle, tuple[ViewPair, ...], tuple[Rejection, ...]]:
-    """Return the same of one camera alone, the left one of a pair whose right one nothing sees."""
+    """Return the same for a single camera, used as the left one of a pair."""
     side = _single(pairs, 0, target)
     check_view_angles(list(side.poses.values()))
-    kept = tuple(pairs[view] for view in side.poses)
-    index = np.unique(np.concatenate([seen.index for seen, _ in kept if seen is not None]), axis=0)
+    used_pairs = tuple(pairs[view] for view in side.poses)
+    index = np.unique(np.concatenate([seen.index for seen, _ in used_pairs if seen is not None]), axis=0)
     rig = StereoRig(side.camera, side.camera, RigidTransform.identity())
-    return Bundle(rig, tuple(side.poses.values()), make_shape(shape, index, target.spacing_m)), kept, side.dropped
+    return Bundle(rig, tuple(side.poses.values()), make_shape(shape, index, target.spacing_m)), used_pairs, side.dropped
 
 
 def lens_prior(rig: StereoRig, lens: LensKind = "polynomial", single: bool = False) -> RigPrior:
-    """Return what is known of any two lenses: their middle and their distortion, nothing of focal lengths and places.
+    """Return the prior of any two lenses: principal points and distortion.
 
-    Principal point within 5 % of the picture's width; at the picture's corner k1 changes the radius by 10 %, k2 and k3
-    by 5 %, the decentring terms by 0.5 %; fx and fy differ by 0.1 % (standard deviations). Only what the views leave
-    open keeps these values. Of a `rational` lens, a wide one, all six radial coefficients are estimated, with ten
-    times the spread; a skew is held as it is. Of a `single` camera, the left one, all of the right one is held.
+    Standard deviations: principal point 5 % of the image width; at the image corner k1 changes the radius by 10 %, k2
+    and k3 by 5 %, the decentring terms by 0.5 %; fx and fy differ by 0.1 %. The prior matters only for parameters that
+    the views do not determine. For a `rational` lens, a wide-angle one, all six radial coefficients are estimated, with
+    ten times the spread. A skew is fixed. For a `single` camera, the left one, the right one is fixed.
     """
     value, sigma = rig.values, np.zeros(len(rig.parameters))
     sigma[ROTATION] = sigma[TRANSLATION] = np.inf
-    for places, camera in ((LEFT, rig.left), (RIGHT, rig.right)):
+    for indices, camera in ((LEFT, rig.left), (RIGHT, rig.right)):
         corner = float(np.linalg.norm(camera.size_px / 2) / np.mean(camera.parameters[:2]))
-        value[places[2:4]], value[places[4:9]] = (camera.size_px - 1) / 2, 0.0
-        sigma[places[:2]], sigma[places[2:4]] = np.inf, _CENTRE_SPREAD * camera.size_px[0]
+        value[indices[2:4]], value[indices[4:9]] = (camera.size_px - 1) / 2, 0.0
+        sigma[indices[:2]], sigma[indices[2:4]] = np.inf, _CENTRE_SPREAD * camera.size_px[0]
         k1, k2, k3 = (spread / corner**power for spread, power in zip(_RADIAL_SPREAD, (2, 4, 6), strict=True))
         tangential = _DECENTRING_SPREAD / corner
-        sigma[places[4:9]] = k1, k2, tangential, tangential, k3
+        sigma[indices[4:9]] = k1, k2, tangential, tangential, k3
         if lens == "rational":
-            value[places[9:12]] = 0.0
-            sigma[places[[4, 5, 8]]] = sigma[places[9:12]] = _WIDE * np.array([k1, k2, k3])
+            value[indices[9:12]] = 0.0
+            sigma[indices[[4, 5, 8]]] = sigma[indices[9:12]] = _WIDE * np.array([k1, k2, k3])
     if single:
         sigma[RIGHT] = sigma[ROTATION] = sigma[TRANSLATION] = 0.0
     left, right = (_ASPECT_SPREAD * float(camera.parameters[0]) for camera in (rig.left, rig.right))
@@ -302,7 +310,7 @@ def lens_prior(rig: StereoRig, lens: LensKind = "polynomial", single: bool = Fal
 
 @dataclass(frozen=True, eq=False)
 class _Single:
-    """One camera alone: its parameters, the target's pose in it by view, and what was dropped."""
+    """One camera: its parameters, the target's pose in each view, and the rejected images."""
 
     camera: Camera
     poses: Poses
@@ -310,7 +318,7 @@ class _Single:
 
 
 def _single(pairs: Sequence[ViewPair], side: int, target: Target) -> _Single:
-    """Calibrate one camera by OpenCV (focal length and k1), leaving out pictures that do not fit the others."""
+    """Calibrate one camera by OpenCV (focal length and k1), without inconsistent images."""
     seen = [(number, pair[side]) for number, pair in enumerate(pairs)]
     views = {number: view for number, view in seen if view is not None and len(view.index) >= FEWEST_POINTS}
     views, dropped = _of_one_size(views)
@@ -318,7 +326,7 @@ def _single(pairs: Sequence[ViewPair], side: int, target: Target) -> _Single:
         if len(views) < FEWEST_VIEWS:
             camera_name, reasons = ("left", "right")[side], [f"; {item.name}: {item.reason}" for item in dropped]
             raise ValueError(
-                f"the {camera_name} camera has {len(views)} usable pictures of the target, at least {FEWEST_VIEWS} are "
+                f"the {camera_name} camera has {len(views)} usable images of the target, at least {FEWEST_VIEWS} are "
                 f"needed{''.join(reasons)}"
             )
         camera, poses, rms = _opencv(list(views.values()), target)
@@ -327,12 +335,12 @@ def _single(pairs: Sequence[ViewPair], side: int, target: Target) -> _Single:
         if rms[worst] <= limit:
             return _Single(camera, dict(zip(views, poses, strict=True)), tuple(dropped))
         view = list(views)[worst]
-        reason = f"its points are {rms[worst]:.1f} px off what the other pictures of this camera say"
+        reason = f"its points are {rms[worst]:.1f} px away from the prediction by the other images of this camera"
         dropped.append(Rejection(views.pop(view).name, 0, reason))
 
 
 def _of_one_size(views: dict[int, TargetView]) -> tuple[dict[int, TargetView], list[Rejection]]:
-    """Return the views of the size that most pictures of a camera have, and the others, dropped."""
+    """Return the views of the most frequent image size, and the others as rejected."""
     sizes = Counter(tuple(view.size_px.tolist()) for view in views.values())
     if len(sizes) < 2:
         return views, []
@@ -342,23 +350,23 @@ def _of_one_size(views: dict[int, TargetView]) -> tuple[dict[int, TargetView], l
             f"{next(view.name for view in views.values() if tuple(view.size_px.tolist()) == size)} of {_times(size)} px"
             for size in (most, second)
         )
-        raise ValueError(f"pictures of one camera differ in size: {' and '.join(shown)}")
-    kept = {number: view for number, view in views.items() if tuple(view.size_px.tolist()) == most}
+        raise ValueError(f"images of one camera differ in size: {' and '.join(shown)}")
+    usable = {number: view for number, view in views.items() if tuple(view.size_px.tolist()) == most}
     dropped = [
-        Rejection(view.name, 0, f"{_times(view.size_px)} px, most pictures of this camera have {_times(most)}")
+        Rejection(view.name, 0, f"{_times(view.size_px)} px, most images of this camera have {_times(most)}")
         for number, view in views.items()
-        if number not in kept
+        if number not in usable
     ]
-    return kept, dropped
+    return usable, dropped
 
 
 def _times(size: Iterable[int]) -> str:
-    """The size of a picture as users write it."""
+    """Return the size of an image as users write it."""
     return " x ".join(str(int(length)) for length in size)
 
 
 def _opencv(views: Sequence[TargetView], target: Target) -> tuple[Camera, list[RigidTransform], FloatArray]:
-    """Return camera, target poses and the rms residual of every picture."""
+    """Return camera, target poses and the rms residual of every image."""
     import cv2
 
     objects = [
@@ -367,14 +375,14 @@ def _opencv(views: Sequence[TargetView], target: Target) -> tuple[Camera, list[R
     pixels = [seen.position_px.astype(np.float32).reshape(-1, 1, 2) for seen in views]
     shape = tuple(views[0].size_px.tolist())
     flags = cv2.CALIB_FIX_K2 | cv2.CALIB_FIX_K3 | cv2.CALIB_ZERO_TANGENT_DIST
-    flags |= cv2.CALIB_FIX_PRINCIPAL_POINT | cv2.CALIB_FIX_ASPECT_RATIO  # hardly determined with long focal lengths
+    flags |= cv2.CALIB_FIX_PRINCIPAL_POINT | cv2.CALIB_FIX_ASPECT_RATIO  # poorly determined with long focal lengths
     centred = np.array([[shape[0], 0.0, (shape[0] - 1) / 2], [0.0, shape[0], (shape[1] - 1) / 2], [0.0, 0.0, 1.0]])
     try:
         _, matrix, distortion, turns, shifts, *_, rms = cv2.calibrateCameraExtended(
             objects, pixels, shape, centred, np.zeros(5), flags=flags
         )
     except cv2.error as error:
-        raise ValueError(f"the pictures of {views[0].name} and others do not determine a camera") from error
+        raise ValueError(f"the images of {views[0].name} and others do not determine a camera") from error
     parameters = np.array([matrix[0, 0], matrix[1, 1], matrix[0, 2], matrix[1, 2], *np.ravel(distortion)[:5]])
     return (
         Camera.from_parameters(parameters, views[0].size_px),

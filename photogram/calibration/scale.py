@@ -1,4 +1,4 @@
-"""A true distance, between two points of the target or two of its positions, against a calibration's scale."""
+"""Scale of a calibration from an independently known length."""
 
 from __future__ import annotations
 
@@ -7,21 +7,22 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from photogram.arrays import FloatArray
+from photogram.calibration.calibration_notices import KNOWN_LENGTH_CONTRADICTED, KNOWN_LENGTH_USED
 from photogram.calibration.calibration_result import CalibratedView, Calibration
 from photogram.camera import TRANSLATION
 from photogram.geometry import RigidTransform, skew
 from shakercal._common.notices import Notice
 
-_LIKELY_RATIO = 2.0  # of a known length to the calibration's; prints are some percent off, a wrong unit much more
-_APART = 2.0  # standard uncertainties beyond which spacing and known length contradict each other
+_LIKELY_RATIO = 2.0  # of a known length to the calibration's; prints deviate by some percent, a wrong unit by more
+_MAX_DEVIATION = 2.0  # standard uncertainties beyond which spacing and known length contradict each other
 
 
 @dataclass(frozen=True)
 class KnownLength:
-    """A distance `length_m` with standard uncertainty `u_m`, measured by other means.
+    """A distance `length_m` with standard uncertainty `u_m` from an independent measurement.
 
-    Between two points of the target, `first` and `second` as "column,row" of its lattice, or between two positions of
-    its middle, as names of pictures (the last part of the path is enough).
+    It is between two points of the target, `first` and `second` as "column,row" of its lattice, or between two
+    positions of its centre, as names of images (the last part of the path is sufficient).
     """
 
     first: str
@@ -31,12 +32,12 @@ class KnownLength:
 
     def __post_init__(self) -> None:
         if not (0 < self.length_m < np.inf and 0 <= self.u_m < self.length_m):
-            told = "a length above 0 m and a smaller uncertainty"
-            raise ValueError(f"known length: expected {told}, found {self.length_m} and {self.u_m}")
+            expected = "a length above 0 m and a smaller uncertainty"
+            raise ValueError(f"known length: expected {expected}, found {self.length_m} and {self.u_m}")
 
     @staticmethod
     def from_words(first: str, second: str, length: str, u: str) -> KnownLength:
-        """Return the known length of four words; `ValueError` where the last two are no numbers."""
+        """Return the known length of four words; `ValueError` if the last two are not numbers."""
         try:
             numbers = float(length), float(u)
         except ValueError:
@@ -45,62 +46,68 @@ class KnownLength:
 
 
 def scale_to_length(calibration: Calibration, known_length: KnownLength) -> Calibration:
-    """Return the calibration scaled by a known length, as far as this is better known than the target's spacing.
+    """Return the calibration scaled by a known length, weighted by the uncertainties.
 
-    With ratio r of the known length to that of the calibration, u(r) from both, and the spacing's relative u, all
-    lengths grow by the weighted mean of r and 1, whose u is their new relative uncertainty; a spacing of unknown
-    uncertainty has no weight. A contradiction of more than two standard uncertainties enlarges u by its size
-    (Birge 1932, Physical Review 40, 207) and is told.
+    With the ratio r of the known length to that of the calibration and u(r) of both, all lengths grow by the weighted
+    mean of r and 1. The other weight is that of the spacing's relative u; without one it is zero. The u of the mean is
+    the new relative uncertainty. A contradiction of more than two standard uncertainties multiplies u by its size
+    (Birge 1932, Physical Review 40, 207) and makes the notice a warning.
     """
     length, u = _length(calibration, known_length)
     ratio = known_length.length_m / length
     if not 1 / _LIKELY_RATIO <= ratio <= _LIKELY_RATIO:
-        told = f"about {length:.4g} m, which the spacing of {calibration.target.spacing_m:g} m makes it"
-        raise ValueError(f"known length: expected {told}, found {known_length.length_m:g} m: is one of them in mm?")
+        expected = f"about {length:.4g} m, the length by the spacing of {calibration.target.spacing_m:g} m"
+        raise ValueError(f"known length: expected {expected}, found {known_length.length_m:g} m: is one of them in mm?")
     u_ratio = ratio * float(np.hypot(known_length.u_m / known_length.length_m, u / length))
     spacing = calibration.scale_u
-    apart = abs(ratio - 1) / float(np.hypot(u_ratio, spacing)) if spacing or u_ratio else float("inf")
+    deviation = abs(ratio - 1) / float(np.hypot(u_ratio, spacing)) if spacing or u_ratio else float("inf")
     weight = spacing**2 / (spacing**2 + u_ratio**2) if spacing > 0 else 1.0
     scale, scale_u = 1 + weight * (ratio - 1), u_ratio * float(np.sqrt(weight))
-    contradicts = spacing > 0 and apart > _APART
-    told = (
-        f"the known length of {1e3 * known_length.length_m:.6g} mm from {known_length.first} to {known_length.second} is "
-        f"{1e3 * length:.6g} mm by the target's spacing ({100 * (ratio - 1):+.2g} %, U = {200 * u_ratio:.2g} %)"
-    )
+    contradicts = spacing > 0 and deviation > _MAX_DEVIATION
+    values: dict[str, str | float] = {
+        "stated_mm": 1e3 * known_length.length_m,
+        "first": known_length.first,
+        "second": known_length.second,
+        "measured_mm": 1e3 * length,
+        "difference_percent": 100 * (ratio - 1),
+        "change_percent": 100 * (scale - 1),
+    }
     if contradicts:
-        scale_u *= apart
-        told += f"; they contradict each other by {apart:.1f} standard uncertainties, measure both again"
-    told += f"; all lengths are changed by {100 * (scale - 1):+.2g} %, U = {200 * scale_u:.2g} % (k = 2)"
-    notice = Notice("warning" if contradicts else "note", told, "scale")
-    kept = [item for item in calibration.notices if item.where != "scale"]
-    return replace(_scaled(calibration, scale, scale_u), notices=(*kept, notice))
+        scale_u *= deviation
+        values |= {"deviation": deviation, "scale_expanded_percent": 200 * scale_u}
+        notice = Notice(KNOWN_LENGTH_CONTRADICTED, "scale", **values)
+    else:
+        values |= {"expanded_percent": 200 * u_ratio, "scale_expanded_percent": 200 * scale_u}
+        notice = Notice(KNOWN_LENGTH_USED, "scale", **values)
+    others = [item for item in calibration.notices if item.where != "scale"]
+    return replace(_scaled(calibration, scale, scale_u), notices=(*others, notice))
 
 
-def _length(calibration: Calibration, known: KnownLength) -> tuple[float, float]:
-    """Return the known length as the calibration has it and its u, both without the spacing's."""
-    rows = {f"{column},{row}": place for place, (column, row) in enumerate(calibration.shape_index.tolist())}
-    if known.first in rows and known.second in rows:
-        ends = [rows[known.first], rows[known.second]]
-        way = calibration.shape_m[ends[1]] - calibration.shape_m[ends[0]]
+def _length(calibration: Calibration, known_length: KnownLength) -> tuple[float, float]:
+    """Return the length in the calibration and its u, both without the spacing's."""
+    rows = {f"{column},{row}": number for number, (column, row) in enumerate(calibration.shape_index.tolist())}
+    if known_length.first in rows and known_length.second in rows:
+        ends = [rows[known_length.first], rows[known_length.second]]
+        separation = calibration.shape_m[ends[1]] - calibration.shape_m[ends[0]]
         variance = np.zeros(3) if calibration.shape_u_m is None else (calibration.shape_u_m[ends] ** 2).sum(axis=0)
         covariance: FloatArray = np.diag(variance)
     else:
-        first, second = (_view(calibration, name) for name in (known.first, known.second))
+        first, second = (_view(calibration, name) for name in (known_length.first, known_length.second))
         middle = calibration.shape_m.mean(axis=0)
-        way = second.left_from_target.apply(middle) - first.left_from_target.apply(middle)
+        separation = second.left_from_target.apply(middle) - first.left_from_target.apply(middle)
         covariance = np.zeros((3, 3))
         for view in (first, second):
             slope = np.column_stack([np.eye(3), -skew(view.left_from_target.rotation @ middle)])
             covariance = covariance + slope @ view.covariance @ slope.T
-    length = float(np.linalg.norm(way))
+    length = float(np.linalg.norm(separation))
     if length == 0:
-        raise ValueError(f"known length: expected two different places, found {known.first} twice")
-    direction = way / length
+        raise ValueError(f"known length: expected two different positions, found {known_length.first} twice")
+    direction = separation / length
     return length, float(np.sqrt(direction @ covariance @ direction))
 
 
 def _view(calibration: Calibration, name: str) -> CalibratedView:
-    """Return the view that a picture's name means."""
+    """Return the view with an image of this name."""
     found = [
         view
         for view in calibration.views
@@ -111,13 +118,13 @@ def _view(calibration: Calibration, name: str) -> CalibratedView:
     ]
     if len(found) != 1:
         raise ValueError(
-            f"known length: expected column,row of a point of the target, or a picture in the calibration, found {name}"
+            f"known length: expected column,row of a point of the target, or an image of the calibration, found {name}"
         )
     return found[0]
 
 
 def _scaled(calibration: Calibration, scale: float, scale_u: float) -> Calibration:
-    """Return a calibration in which all lengths are `scale` times as long, with this relative uncertainty."""
+    """Return a calibration with all lengths multiplied by `scale`."""
     rig = calibration.rig
     factor = np.ones(len(rig.values))
     factor[TRANSLATION] = scale

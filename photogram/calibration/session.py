@@ -1,4 +1,4 @@
-"""A calibration session: target views of two cameras to a stereo pair with covariance, and what speaks against it."""
+"""Calibration of a stereo pair, with covariance and tests, from target views."""
 
 from __future__ import annotations
 
@@ -35,18 +35,18 @@ from photogram.calibration.leave_one_out import (
 from photogram.camera import LEFT, RIGHT, TRANSLATION, StereoRig
 from photogram.targets.target_view import Target, TargetView
 
-_ROUNDS = 12
-_START_NOISE_PX = 0.2  # noise added to every point's own in the first round
-_REJECTED = 25.0  # squared distance, in standard deviations, beyond which a point is an outlier
+_ROUNDS = 12  # limit of the rounds; some four are usual
+_START_NOISE_PX = 0.2  # noise added to that of every point in the first round
+_REJECTED = 25.0  # squared distance of an outlier, in standard deviations
 _MEDIAN_CHI2 = 2 * np.log(2.0)  # median of χ² with two degrees of freedom
-_REJECTED_SHARE = 0.3  # of a picture's points, beyond which the whole picture is dropped
-_SCATTER = 5.0  # times what three quarters of the pictures stay below, beyond which a picture is dropped
-_WORTH = 1.0  # unexplained over own variance above which offsets of the target's points and other lenses are tried
-_VIEWS_FOR_MORE = 5
-_VIEWS_TO_HALVE = 8
-_CHANCE = 0.01  # that a drift is taken for one where there is none
+_REJECTED_SHARE = 0.3  # share of rejected points beyond which the whole image is rejected
+_SCATTER = 5.0  # times the upper quartile of the images' scatter, beyond which an image is rejected
+_WORTH = 1.0  # added variance over that of the points above which other models are tried
+_VIEWS_FOR_MORE = 5  # least number of views for a comparison of models
+_VIEWS_TO_HALVE = 8  # least number of views for two halves
+_CHANCE = 0.01  # level of the test for a drift
 _SETTLED = 0.01  # relative change of the added noise that ends the rounds
-_SETTLED_SPREAD = 0.1  # and of the spread of free points: where it is small it matters little, and settles slowly
+_SETTLED_SPREAD = 0.1  # and of the spread of free points, which converges slowly if it is small
 
 
 def calibrate_pair(
@@ -56,21 +56,42 @@ def calibrate_pair(
     scale_u: float = 0.0,
     lens: LensKind | Literal["auto"] = "auto",
 ) -> Calibration:
-    """Return the stereo pair that the target's views (left, right) tell, with the covariance of all its parameters.
+    """Calibrate a stereo pair from views of a target.
 
-    Without any right view it is a single camera, the left one; what the rig says of the right one is without meaning.
+    Parameters
+    ----------
+    pairs
+        Views (left, right) of each target pose; None for an image without a target. Without any right view, the
+        result is a single camera, the left one; the values of the right one are meaningless.
+    target
+        The target, with its spacing in m.
+    shape
+        "flat", "bowed", "free" or, by default, "auto".
+    scale_u
+        Relative standard uncertainty of the target's spacing; default 0.
+    lens
+        "polynomial" (OpenCV's five coefficients), "rational" (three more) or, by default, "auto".
 
-    Maximum likelihood over all pictures at once. Beside the points' own covariance, a noise common to all points of a
-    camera is estimated from the residuals (print and paper, blooming), then points beyond five standard deviations are
-    left out, and pictures in which that are too many, until nothing changes. The covariance is that of the fit times
-    the reduced χ², or what leaving out single views does to the parameters, where that is more; `scale_u`, the
-    relative standard uncertainty of the target's spacing, is added along the baseline, for with the spacing all lengths
-    grow alike. `shape` and `lens` "auto": flat, with OpenCV's five coefficients of distortion, unless offsets of the
-    single points, or the rational model's three further ones, make the other views predict a view's points better.
-    Focal lengths that change from the first pair to the last beyond what the views' scatter explains are estimated too;
-    those stated are the middle's, and that the pair may be used at any other time is in their covariance.
-    Raises `ValueError` when the views do not allow a calibration.
+    Returns
+    -------
+    The pair with the covariance of all its parameters, its views and notices.
 
+    Raises
+    ------
+    ValueError : The views do not determine a calibration.
+
+    Notes
+    -----
+    Maximum likelihood over all images at once. The residuals determine a noise common to all points of a camera (print,
+    paper, blooming), in addition to the points' covariance. Points beyond five standard deviations are rejected, then
+    images with too many such points, until the selection is stable. The covariance is that of the fit times the reduced
+    χ², or that of the leave-one-view-out changes if it is larger. `scale_u` is added along the baseline: all lengths
+    grow with the spacing. "auto" is flat and polynomial. A model with free points or a rational lens replaces it if it
+    predicts the points of a view better from the other views. A drift of the focal lengths beyond the scatter of the
+    views is estimated; the result is that of the middle of the session, and its covariance includes the drift.
+
+    Examples
+    --------
     >>> from photogram.synthetic.board import random_poses, random_rig, seen_session
     >>> rng, board, size = np.random.default_rng(1), Board(Target("chessboard", 9e-3, (8, 6))), np.array([1280, 1024])
     >>> rig = random_rig(rng, size, field_m=0.12)
@@ -94,7 +115,7 @@ def calibrate_pair(
                 continue
             try:
                 tried = _calibrated(pairs, target, model)
-            except ValueError:  # what the views do not determine is no better
+            except ValueError:  # a model that the views do not determine
                 continue
             better = _predicts_better(tried, best) if step != "flat" else not _predicts_better(best, tried)
             others.append(best if better else tried)
@@ -106,7 +127,7 @@ def calibrate_pair(
 
 @dataclass(frozen=True)
 class _Model:
-    """How the target's shape is taken, the lens, whether there is one camera only, and whether focal lengths drift."""
+    """Target geometry and lens model, single camera or pair, with or without focal drift."""
 
     shape: ShapeKind
     lens: LensKind
@@ -114,42 +135,42 @@ class _Model:
     drifts: bool = False
 
     def prior(self, rig: StereoRig) -> RigPrior:
-        """Return what is known of the cameras beforehand."""
+        """Return the prior of the cameras."""
         return lens_prior(rig, self.lens, self.single)
 
 
 def _calibrated(pairs: Sequence[ViewPair], target: Target, model: _Model) -> _Fit:
-    """Return the fit, with what was dropped on the way, pictures that do not belong to the others included."""
+    """Return the fit with all rejections, including images inconsistent with the others."""
     dropped: tuple[Rejection, ...] = ()
     while True:
         bundle, pairs, dropped_at_start = start_bundle(pairs, target, model.shape)
         session = _Session.of(bundle, pairs, target)
-        if model.lens == "rational":  # from the best polynomial, near which its bent valley is short
+        if model.lens == "rational":  # starts at the best polynomial: its curved valley is short there
             bundle = adjust(bundle, session.weighted(), replace(model, lens="polynomial").prior(bundle.rig)).bundle
         if model.drifts:
             bundle = replace(bundle, drift=FocalDrift.initial(len(bundle.poses)))
         fit = _settle(bundle, session, model)
-        bad = _bad_pictures(fit)
+        bad = _bad_images(fit)
         dropped += (*dropped_at_start, *bad)
         if not bad:
             left_out = leave_views_out(fit.adjusted, fit.session.weighted())
             return replace(fit, dropped=dropped, left_out=left_out)
         names = [None, *(item.name for item in bad)]
-        kept = [[view if view and view.name not in names else None for view in pair] for pair in pairs]
-        pairs = [(left, right) for left, right in kept if left is not None or right is not None]
+        remaining = [[view if view and view.name not in names else None for view in pair] for pair in pairs]
+        pairs = [(left, right) for left, right in remaining if left is not None or right is not None]
 
 
 def _drifting(fit: _Fit) -> bool:
-    """Return whether the focal lengths of a camera change with the order of the views, beyond chance.
+    """Return whether the focal lengths of a camera drift significantly with the order of views.
 
-    Student's t of either drift, by what single views do to it, at a level of 1 % for both together.
+    Student's t of both drifts, with the scatter of single views, at a level of 1 % for both together.
     """
     start = replace(fit.adjusted.bundle, drift=FocalDrift.initial(len(fit.adjusted.bundle.poses)))
     adjusted = adjust(start, fit.session.weighted(), fit.model.prior(start.rig), near=True)
     assert adjusted.bundle.drift is not None
     u = drift_uncertainty(adjusted, leave_views_out(adjusted), fit.factor)
     t = float((np.abs(adjusted.bundle.drift.value) / u).max())
-    if t < NormalDist().inv_cdf(1 - _CHANCE / 4):  # Student's quantiles are larger: SciPy's are not needed
+    if t < NormalDist().inv_cdf(1 - _CHANCE / 4):  # Student's quantiles are larger; SciPy is not needed
         return False
     from scipy.special import stdtrit
 
@@ -157,59 +178,62 @@ def _drifting(fit: _Fit) -> bool:
 
 
 def _predicts_better(fit: _Fit, other: _Fit) -> bool:
-    """Return whether the other views predict a view better by this fit than by the other one, beyond chance.
+    """Return whether this fit predicts left-out views significantly better than the other.
 
-    The mean over the views of the logarithm of the ratio of the residuals' mean squares, of the points used in both
-    fits, has to be negative by more than its standard uncertainty.
+    The criterion is the logarithm of the ratio of the residuals' mean squares, for the points used in both fits. Its
+    mean over the views has to be below minus its standard uncertainty.
     """
     theirs = dict(zip((view.name for view in other.session.views), other.predictions, strict=True))
     squares: dict[int, list[FloatArray]] = {}
-    for view, picture, (away, used) in zip(fit.session.views, fit.session.pictures, fit.predictions, strict=True):
+    for view, image, (residual_first, used) in zip(fit.session.views, fit.session.images, fit.predictions, strict=True):
         if view.name in theirs:
             both = used & theirs[view.name][1]
-            pair = [(residual[both] ** 2).sum(axis=1) for residual in (away, theirs[view.name][0])]
-            squares.setdefault(picture.view, []).append(np.array(pair))
+            pair = [(residual[both] ** 2).sum(axis=1) for residual in (residual_first, theirs[view.name][0])]
+            squares.setdefault(image.view, []).append(np.array(pair))
     sums = [np.concatenate(parts, axis=1).sum(axis=1) for parts in squares.values()]
-    ratio = np.log([own / their for own, their in sums if own > 0 and their > 0])
+    ratio = np.log([squares_first / their for squares_first, their in sums if squares_first > 0 and their > 0])
     return len(ratio) > 1 and bool(ratio.mean() < -ratio.std(ddof=1) / np.sqrt(len(ratio)))
 
 
 @dataclass(frozen=True, eq=False)
 class _Session:
-    """The pictures, which of their points (N,) take part, and the noise (left, right) added to the points' own."""
+    """The images with the points (N,) used and the added noise (left, right)."""
 
     views: tuple[TargetView, ...]
-    pictures: tuple[ImageObservations, ...]
+    images: tuple[ImageObservations, ...]
     used: tuple[BoolArray, ...]
     added_px: tuple[float, float]
 
     @staticmethod
     def of(bundle: Bundle, pairs: Sequence[ViewPair], target: Target) -> _Session:
         """Return the session before the first round."""
-        views, pictures = [], []
+        views, images = [], []
         radius = float(np.median([view.radius for pair in pairs for view in pair if view is not None]))
         for number, pair in enumerate(pairs):
             for side, view in enumerate(pair):
                 if view is not None:
                     same = replace(view, radius=radius)
                     views.append(same)
-                    pictures.append(image_observations(same, number, side, bundle.shape.index, target.spacing_m))
+                    images.append(image_observations(same, number, side, bundle.shape.index, target.spacing_m))
         used = tuple(np.ones(len(view.index), np.bool_) for view in views)
-        return _Session(tuple(views), tuple(pictures), used, (_START_NOISE_PX, _START_NOISE_PX))
+        return _Session(tuple(views), tuple(images), used, (_START_NOISE_PX, _START_NOISE_PX))
 
     def weighted(self, every: bool = False) -> tuple[ImageObservations, ...]:
-        """Return the pictures with the weights of this round; of `every` point, or zero for those left out."""
+        """Return the images with the weights of this round.
+
+        Rejected points have weight 0 unless `every`.
+        """
         weighted = []
-        for view, picture, used in zip(self.views, self.pictures, self.used, strict=True):
-            total = view.covariance_px2 + self.added_px[picture.side] ** 2 * np.eye(2)
+        for view, image, used in zip(self.views, self.images, self.used, strict=True):
+            total = view.covariance_px2 + self.added_px[image.side] ** 2 * np.eye(2)
             precision = np.asarray(np.linalg.inv(total), dtype=np.float64)
-            weighted.append(replace(picture, precision=precision * (used | every)[:, None, None]))
+            weighted.append(replace(image, precision=precision * (used | every)[:, None, None]))
         return tuple(weighted)
 
 
 @dataclass(frozen=True, eq=False)
 class _Fit:
-    """What the rounds settled on: residuals (N, 2) and whitened squares (N,) of every point of every picture."""
+    """Converged fit with residuals (N, 2) and whitened squares (N,) of every point."""
 
     session: _Session
     adjusted: AdjustedBundle
@@ -222,19 +246,21 @@ class _Fit:
 
     @property
     def unexplained(self) -> float:
-        """The variance that had to be added to the points' own, in units of that."""
-        own = np.median([np.median(np.einsum("nii->n", view.covariance_px2) / 2) for view in self.session.views])
-        return float(np.mean(np.square(self.session.added_px)) / own)
+        """Added variance over the variance of the points."""
+        point_variance = np.median(
+            [np.median(np.einsum("nii->n", view.covariance_px2) / 2) for view in self.session.views]
+        )
+        return float(np.mean(np.square(self.session.added_px)) / point_variance)
 
     @property
     def factor(self) -> float:
-        """The reduced χ²."""
+        """Reduced χ²."""
         taken = zip(self.squares, self.session.used, strict=True)
         return sum(float(squares[used].sum()) for squares, used in taken) / self.dof
 
     @property
     def drift(self) -> FloatArray | None:
-        """Relative change of the focal lengths over the session and its standard uncertainty (2, 2): left, right."""
+        """Relative focal drift and its standard uncertainty (2, 2): left, right."""
         drift = self.adjusted.bundle.drift
         if drift is None:
             return None
@@ -243,36 +269,36 @@ class _Fit:
 
     @property
     def predictions(self) -> list[tuple[FloatArray, BoolArray]]:
-        """What the other views leave of each picture's points (N, 2), and which of these are used (N,)."""
+        """Residuals (N, 2) predicted by the other views, and the used points (N,)."""
         assert self.left_out is not None
         return list(zip(self.left_out.prediction_residuals, self.session.used, strict=True))
 
     @property
     def covariance(self) -> FloatArray:
-        """The covariance (32, 32) of the rig that also holds what the views do."""
+        """Covariance (32, 32) of the rig, including the scatter of the views."""
         assert self.left_out is not None
         stated = stated_covariance(self.adjusted.covariance, self.left_out, self.factor)
         drift = self.adjusted.bundle.drift
-        if drift is not None:  # whenever the pair is used, it lies anywhere between the first view's and the last's
+        if drift is not None:  # in use, the drift may be anywhere in the range of the session
             change = np.zeros(len(stated))
-            for camera, places, value in zip((self.rig.left, self.rig.right), (LEFT, RIGHT), drift.value, strict=True):
-                change[places[:2]] = camera.parameters[:2] * value
+            for camera, indices, value in zip((self.rig.left, self.rig.right), (LEFT, RIGHT), drift.value, strict=True):
+                change[indices[:2]] = camera.parameters[:2] * value
             stated += np.outer(change, change) / 12
         return stated
 
     @property
     def rig(self) -> StereoRig:
-        """The pair as fitted, without covariance."""
+        """The fitted pair, without covariance."""
         return self.adjusted.bundle.rig
 
 
 def _settle(bundle: Bundle, session: _Session, model: _Model) -> _Fit:
-    """Adjust, estimate the noise and leave points out until nothing changes any more."""
+    """Adjust, estimate the noise and reject points until the selection is stable."""
     for number in range(_ROUNDS):
         fit = _fit(bundle, session, model, near=number > 0)
         bundle = fit.adjusted.bundle
         shape = bundle.shape.with_prior_from(fit.adjusted.shape_variance)
-        after = _judged(fit)
+        after = _select_points(fit)
         same = all(np.array_equal(a, b) for a, b in zip(after.used, session.used, strict=True))
         change = np.abs(np.subtract(after.added_px, session.added_px)) / np.maximum(session.added_px, 1e-3)
         spread = np.abs(shape.prior_m / bundle.shape.prior_m - 1)
@@ -285,86 +311,88 @@ def _settle(bundle: Bundle, session: _Session, model: _Model) -> _Fit:
 def _fit(bundle: Bundle, session: _Session, model: _Model, near: bool) -> _Fit:
     """Adjust once with the session's weights."""
     adjusted = adjust(bundle, session.weighted(), model.prior(bundle.rig), near)
-    pictures = session.weighted(every=True)
-    away = residuals(adjusted.bundle, pictures)
-    both = zip(away, pictures, strict=True)
+    images = session.weighted(every=True)
+    differences = residuals(adjusted.bundle, images)
+    both = zip(differences, images, strict=True)
     squares = tuple(np.einsum("ni,nij,nj->n", residual, each.precision, residual) for residual, each in both)
-    # The number of coordinates minus that of parameters, a parameter counting as far as the data fix it
+    # Number of coordinates minus effective number of parameters, which priors reduce
     drift = np.full(len(adjusted.drift_variance), DRIFT_SPREAD)
     prior = np.concatenate([model.prior(adjusted.bundle.rig).sigma, adjusted.bundle.shape.prior_m, drift])
     variance = np.concatenate([np.diagonal(adjusted.covariance), adjusted.shape_variance, adjusted.drift_variance])
-    known = variance[prior > 0] / prior[prior > 0] ** 2
-    parameters = float(np.sum(1 - known)) + 6 * len(adjusted.bundle.poses)
+    determined = variance[prior > 0] / prior[prior > 0] ** 2
+    parameters = float(np.sum(1 - determined)) + 6 * len(adjusted.bundle.poses)
     dof = 2 * sum(int(used.sum()) for used in session.used) - parameters
     if dof < 1:
-        raise ValueError("the pictures have fewer points than a calibration has unknowns; add views")
-    return _Fit(session, adjusted, model, tuple(away), squares, dof)
+        raise ValueError("the images have fewer points than a calibration has unknowns; add views")
+    return _Fit(session, adjusted, model, tuple(differences), squares, dof)
 
 
-def _judged(fit: _Fit) -> _Session:
-    """Return the session with the noise found in the residuals, and without the points that it cannot explain.
+def _select_points(fit: _Fit) -> _Session:
+    """Return the session with the noise of the residuals and without outliers.
 
-    The noise is the median's, which outliers do not move; all points are judged anew, so one left out may come back.
-    In a picture that the model fits worse as a whole they are judged by that picture's median: to leave out, or count
-    less, what disagrees with the most would make the others agree on something wrong.
+    The noise is from the median, which outliers do not change. All points are tested again, so rejected ones may
+    return. In an image with larger residuals the limit is relative to that image's median. A smaller limit or weight
+    there would make the remaining images agree on a wrong result.
     """
     session = fit.session
     share = 2 * sum(len(used) for used in session.used) / fit.dof
     added = []
     for side in (0, 1):
-        mine = [n for n, picture in enumerate(session.pictures) if picture.side == side]
+        mine = [n for n, image in enumerate(session.images) if image.side == side]
         if not mine:
             added.append(0.0)
             continue
         length2 = np.concatenate([(fit.residuals[n][session.used[n]] ** 2).sum(axis=1) for n in mine])
-        own = np.concatenate([np.einsum("nii->n", session.views[n].covariance_px2)[session.used[n]] for n in mine])
-        added.append(float(np.sqrt(max(np.median(length2) / _MEDIAN_CHI2 * share - np.median(own) / 2, 0.0))))
+        variance = np.concatenate([np.einsum("nii->n", session.views[n].covariance_px2)[session.used[n]] for n in mine])
+        added.append(float(np.sqrt(max(np.median(length2) / _MEDIAN_CHI2 * share - np.median(variance) / 2, 0.0))))
     anew = replace(session, added_px=(added[0], added[1]))
-    precision = [picture.precision for picture in anew.weighted(every=True)]
+    precision = [image.precision for image in anew.weighted(every=True)]
     squares = [np.einsum("ni,nij,nj->n", r, p, r) for r, p in zip(fit.residuals, precision, strict=True)]
     scale = max(1.0, float(np.median(np.concatenate(squares))) / _MEDIAN_CHI2)
     limits = [_REJECTED * max(scale, float(np.median(square)) / _MEDIAN_CHI2) for square in squares]
     return replace(anew, used=tuple(square <= limit for square, limit in zip(squares, limits, strict=True)))
 
 
-def _bad_pictures(fit: _Fit) -> list[Rejection]:
-    """Return the pictures whose points scatter far more than those of the others, or miss in too large a share."""
+def _bad_images(fit: _Fit) -> list[Rejection]:
+    """Return the images whose points scatter much more than the others, or are mostly rejected."""
     session, bad = fit.session, []
     spread = np.array([np.sqrt(np.median((residual**2).sum(axis=1))) for residual in fit.residuals])
     typical = float(np.quantile(spread, 0.75))
-    for view, used, own in zip(session.views, session.used, spread, strict=True):
+    for view, used, scatter in zip(session.views, session.used, spread, strict=True):
         share = 1 - used.mean()
         if share > _REJECTED_SHARE:
-            reason = f"{100 * share:.0f} % of its points are more than {np.sqrt(_REJECTED):.0f} standard deviations off"
+            reason = (
+                f"{100 * share:.0f} % of its points deviate by more than {np.sqrt(_REJECTED):.0f} standard deviations"
+            )
             bad.append(Rejection(view.name, 0, reason))
-        elif own > _SCATTER * typical:
-            reason = f"its points scatter by {own:.2f} px, those of the others by {typical:.2f} px"
+        elif scatter > _SCATTER * typical:
+            reason = f"its points scatter by {scatter:.2f} px, those of the others by {typical:.2f} px"
             bad.append(Rejection(view.name, 0, reason))
     return bad
 
 
 def _result(fit: _Fit, others: Sequence[_Fit], target: Target, scale_u: float) -> Calibration:
-    """Collect everything that the calibration tells."""
+    """Return the calibration of a converged fit."""
     bundle, session, factor = fit.adjusted.bundle, fit.session, fit.factor
     prior = fit.model.prior(bundle.rig)
     covariance = fit.covariance
     baseline = np.zeros(len(covariance))
     baseline[TRANSLATION] = bundle.rig.right_from_left.translation_m
     rig = replace(bundle.rig, covariance=covariance + scale_u**2 * np.outer(baseline, baseline))
-    pictures = [
+    images = [
         CalibratedImage(view.name, view.index, view.position_px, residual, np.sqrt(squares / factor), used)
         for view, residual, squares, used in zip(session.views, fit.residuals, fit.squares, session.used, strict=True)
     ]
     left_out = [
-        Rejection(picture.name, int((~picture.used).sum()), "more than five standard deviations off")
-        for picture in pictures
-        if not picture.used.all()
+        Rejection(image.name, int((~image.used).sum()), "more than five standard deviations away")
+        for image in images
+        if not image.used.all()
     ]
     views = []
     for number, pose in enumerate(bundle.poses):
-        sides = {p.side: seen for p, seen in zip(session.pictures, pictures, strict=True) if p.view == number}
+        sides = {p.side: seen for p, seen in zip(session.images, images, strict=True) if p.view == number}
         views.append(CalibratedView(pose, fit.adjusted.pose_covariance[number] * factor, sides.get(0), sides.get(1)))
-    by_side = [[seen for p, seen in zip(session.pictures, pictures, strict=True) if p.side == s] for s in (0, 1)]
+    by_side = [[seen for p, seen in zip(session.images, images, strict=True) if p.side == s] for s in (0, 1)]
     parameters = rig_parameters(rig, prior.sigma)
     check_focal_lengths(parameters)
     calibration = Calibration(
@@ -372,7 +400,7 @@ def _result(fit: _Fit, others: Sequence[_Fit], target: Target, scale_u: float) -
         target=target,
         views=tuple(views),
         parameters=parameters,
-        rms_px=_rms(pictures),
+        rms_px=_rms(images),
         rms_sides_px=(_rms(by_side[0]), _rms(by_side[1])),
         added_px=session.added_px,
         sigma_factor=float(np.sqrt(factor)),
@@ -393,7 +421,7 @@ def _result(fit: _Fit, others: Sequence[_Fit], target: Target, scale_u: float) -
 
 
 def _judgement(fit: _Fit, others: Sequence[_Fit], prior: RigPrior) -> CrossValidation:
-    """Return what the views say of each other and of other models."""
+    """Return the cross-validation of the views and of alternative models."""
     enough = len(fit.adjusted.bundle.poses) >= _VIEWS_TO_HALVE
     u_fit = np.sqrt(np.diagonal(fit.adjusted.covariance) * fit.factor)
     tried = [
@@ -412,12 +440,14 @@ def _judgement(fit: _Fit, others: Sequence[_Fit], prior: RigPrior) -> CrossValid
 
 
 def _predicted_rms(fit: _Fit) -> float:
-    """Return the rms length of what the other views leave of a view's points."""
-    return float(np.sqrt(np.concatenate([(away[used] ** 2).sum(axis=1) for away, used in fit.predictions]).mean()))
+    """Return the rms length of the residuals predicted by the other views."""
+    return float(
+        np.sqrt(np.concatenate([(difference[used] ** 2).sum(axis=1) for difference, used in fit.predictions]).mean())
+    )
 
 
-def _rms(pictures: Sequence[CalibratedImage]) -> float:
-    """Return the rms length of the residuals of all points in use."""
-    squares = [(picture.residual_px[picture.used] ** 2).sum(axis=1) for picture in pictures]
+def _rms(images: Sequence[CalibratedImage]) -> float:
+    """Return the rms length of the residuals of all used points."""
+    squares = [(image.residual_px[image.used] ** 2).sum(axis=1) for image in images]
     every = np.concatenate(squares) if squares else np.empty(0)
     return float(np.sqrt(every.mean())) if every.size else float("nan")

@@ -1,1 +1,1 @@
-"""Rigid motion fitted to the grey values of all pixels: cells of pixels, the fit, and the same batched for a GPU."""
+"""Rigid motion of a body fitted to the grey values of all its pixels."""

@@ -1,4 +1,4 @@
-"""The pixels of a body's textured area in square cells, and what another picture says of them at given warps."""
+"""Pixels of a body's textured area in square cells, compared with another image."""
 
 from __future__ import annotations
 
@@ -21,8 +21,8 @@ from photogram.images.noise import NoiseModel
 from photogram.kernels import njit
 from photogram.subsets.reference import RUN_SUMS, run_sums
 
-SMALLEST_GAIN = 0.1  # of the reference's contrast, below which a cell shows nothing
-MIN_FILLED_SHARE = 0.1  # of a cell, below which it is left out
+SMALLEST_GAIN = 0.1  # of the reference's contrast, below which a cell does not show the body
+MIN_FILLED_SHARE = 0.1  # of a cell, below which it is excluded
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -31,13 +31,22 @@ class Cells(
     shapes="centre_px C 2; runs R 4; pixels 4 P; mean C; weight C; energy C; count C; removed C 2 6; hessian C 6 6; "
     "hessian_noise C 6 6",
 ):
-    """The pixels of one reference image in C cells of side `side_px`, prepared once for a whole series.
+    """The pixels of one reference image in C square cells, prepared once for a series.
 
-    centre_px (C, 2); runs (R, 4): row, first column, length and place in `pixels` of every piece of a row; first
-    (C + 1,): the cells' first runs. pixels (4, P): w, w·f̃, w·f_x, w·f_y with w = 1/noise variance and the grey value f̃
-    without its weighted mean. mean (C,), weight (C,) = Σw, energy (C,) = Σw·f̃², count (C,) pixels. removed (C, 2, 6):
-    weighted mean of each steepest-descent image of the affine warp and its regression on f̃. hessian (C, 6, 6): of what
-    remains of them, gain and offset being free; hessian_noise (C, 6, 6): the part of it that is noise of the gradients.
+    Attributes
+    ----------
+    side_px : side of a cell.
+    centre_px : (C, 2).
+    runs : (R, 4) row, first column, length and first position in `pixels` of every piece of a row.
+    first : (C + 1,) the cells' first runs.
+    pixels : (4, P) w, w·f̃, w·f_x, w·f_y with w = 1/noise variance and the grey value f̃ without its weighted mean.
+    mean : (C,) weighted mean of the grey values.
+    weight : (C,) Σw.
+    energy : (C,) Σw·f̃².
+    count : (C,) pixels.
+    removed : (C, 2, 6) weighted mean of each steepest-descent image of the affine warp, and its regression on f̃.
+    hessian : (C, 6, 6) of the steepest-descent images after this removal, so that gain and offset are free.
+    hessian_noise : (C, 6, 6) contribution of the gradients' noise to it.
     """
 
     side_px: int
@@ -55,7 +64,7 @@ class Cells(
 
     @property
     def layout(self) -> tuple[FloatArray, IntArray, IntArray, float]:
-        """Where the pixels are, for kernels: centres, runs, first runs, half the side less half a pixel."""
+        """For kernels: centres, runs, first runs, half the side less half a pixel."""
         return self.centre_px, self.runs, self.first, (self.side_px - 1) / 2
 
     @property
@@ -66,10 +75,16 @@ class Cells(
 
 @dataclass(frozen=True, eq=False)
 class CellSums:
-    """What another image says at given warps: gain (C,), misfit (C,) = Σw·r² of what gain and offset leave.
+    """Comparison of the cells with another image at given warps.
 
-    slope (C, 6): Σw·SD·g over the projected steepest-descent images SD; misfit_noise (C,): expected misfit per unit of
-    noise variance ratio. A cell that leaves the image, or has less than a tenth of its contrast there, is NaN.
+    NaN for a cell that leaves the image, or has less than a tenth of its contrast there.
+
+    Attributes
+    ----------
+    gain : (C,) contrast relative to the reference.
+    misfit : (C,) Σw·r² of the residuals after gain and offset.
+    slope : (C, 6) Σw·SD·g over the projected steepest-descent images SD.
+    misfit_noise : (C,) expected misfit per unit of the noise variance ratio.
     """
 
     gain: FloatArray
@@ -84,9 +99,10 @@ class CellSums:
 
 
 def lay_cells(area: BoolArray, side_px: int) -> tuple[FloatArray, IntArray, IntArray]:
-    """Return centres (C, 2), runs (R, 4) and first runs (C + 1,) of the squares that cover `area` (H, W).
+    """Return centres (C,2), runs (R,4) and first runs of squares that cover `area`.
 
-    Squares stand side by side from the area's bounding box on; those less than a tenth filled are left out.
+    The squares lie next to each other from the bounding box of `area` (H, W) on. Those less than a tenth filled are
+    excluded.
     """
     check_shape("area", area, (None, None))
     if side_px < 3:
@@ -112,16 +128,16 @@ def pixel_coordinates(runs: IntArray) -> FloatArray:
     """Return column and row (P, 2) of every pixel of runs (R, 4) (`Cells`)."""
     length = runs[:, 2]
     along = np.arange(int(length.sum())) - np.repeat(runs[:, 3], length)
-    places = np.column_stack([np.repeat(runs[:, 1], length) + along, np.repeat(runs[:, 0], length)])
-    return places.astype(np.float64)
+    coordinates = np.column_stack([np.repeat(runs[:, 1], length) + along, np.repeat(runs[:, 0], length)])
+    return coordinates.astype(np.float64)
 
 
 def prepare_cells(spline: Spline, area: BoolArray, side_px: int, noise: NoiseModel, full_scale: float) -> Cells:
-    """Return the cells of `area` (H, W) (`lay_cells`) in the image `spline`; pixels at full scale have no weight.
+    """Return the cells of `area` (H, W) (`lay_cells`) in the image `spline`.
 
-    Steepest-descent images as in `reference.prepare_reference`, weighted by 1/noise variance of the pixel's grey value.
-    White noise of the reference also makes gradients: with the slope's noise gain γ it adds γ·diag(n, Σdx², Σdy²)
-    to the Hessian in each direction.
+    Pixels at full scale have no weight. Steepest-descent images as in `reference.prepare_reference`, weighted by
+    1/noise variance of the pixel's grey value. White noise of the reference also makes gradients: with the slope's
+    noise gain γ it adds γ·diag(n, Σdx², Σdy²) to the Hessian in each direction.
     """
     centre, runs, first = lay_cells(area, side_px)
     column, row = pixel_coordinates(runs).T.astype(np.intp)
@@ -131,7 +147,10 @@ def prepare_cells(spline: Spline, area: BoolArray, side_px: int, noise: NoiseMod
 
 
 def reweight_cells(cells: Cells, noise: NoiseModel, degree: int) -> Cells:
-    """Return the cells, of a spline of that degree, with the weights of another noise model."""
+    """Return the cells with the weights of another noise model.
+
+    `degree`: of the spline.
+    """
     weight = np.where(cells.pixels[0] > 0.0, cells.pixels[0], 1.0)
     pixels = np.concatenate([cells.pixels[:1] > 0.0, cells.pixels[1:] / weight])
     pixels[1] += cells.mean[cells.of_pixels]
@@ -141,28 +160,28 @@ def reweight_cells(cells: Cells, noise: NoiseModel, degree: int) -> Cells:
 def select_cells(cells: Cells, which: IntArray) -> Cells:
     """Return some of the cells, in the order of `which`."""
     runs = [cells.runs[cells.first[cell] : cells.first[cell + 1]] for cell in which.tolist()]
-    own = np.concatenate(runs)
-    pixels = np.concatenate([np.arange(start, start + length) for start, length in own[:, [3, 2]].tolist()])
-    own[:, 3] = np.cumsum(own[:, 2]) - own[:, 2]
+    selected = np.concatenate(runs)
+    pixels = np.concatenate([np.arange(start, start + length) for start, length in selected[:, [3, 2]].tolist()])
+    selected[:, 3] = np.cumsum(selected[:, 2]) - selected[:, 2]
     first = np.cumsum([0, *map(len, runs)])
     names = ("centre_px", "mean", "weight", "energy", "count", "removed", "hessian", "hessian_noise")
     parts = {name: getattr(cells, name)[which] for name in names}
-    return replace(cells, runs=own, first=first, pixels=np.ascontiguousarray(cells.pixels[:, pixels]), **parts)
+    return replace(cells, runs=selected, first=first, pixels=np.ascontiguousarray(cells.pixels[:, pixels]), **parts)
 
 
 def _weighted(
     layout: tuple[int, FloatArray, IntArray, IntArray], pixels: FloatArray, noise: NoiseModel, degree: int
 ) -> Cells:
-    """Return cells whose pixels (4, P) are 1 or 0 for those without weight, grey value and gradient; overwrites them.
+    """Return weighted cells from pixels (4, P), which are overwritten.
 
-    layout: side, centres, runs and first runs.
+    Rows of pixels: 1, or 0 for those without weight; grey value; gradient. layout: side, centres, runs and first runs.
     """
     _, centre, runs, first = layout
     pixels[0] = np.where(pixels[0] > 0.0, 1.0 / noise.variance(pixels[1]), 0.0)
     scalars, moments = np.zeros((len(centre), 4)), np.zeros((len(centre), 8, 8))
     extent = np.zeros((len(centre), 3))
     _prepare(centre, runs, first, pixels, scalars, moments, extent)
-    mean, total, energy, count = np.ascontiguousarray(scalars.T)  # copied or not, kernels see them alike
+    mean, total, energy, count = np.ascontiguousarray(scalars.T)  # one type of array for kernels
     solid = energy > 0.0
     safe_total, safe_energy = np.where(solid, total, 1.0), np.where(solid, energy, 1.0)
     removed = np.stack([moments[:, 0, 2:] / safe_total[:, None], moments[:, 1, 2:] / safe_energy[:, None]], axis=1)
@@ -177,37 +196,40 @@ def _weighted(
 
 
 def compare_cells(cells: Cells, target: Spline, warp: FloatArray) -> CellSums:
-    """Return what the image `target` says about the cells when each is sought at its affine warp (C, 6).
+    """Compare the cells with the image `target`, each at its affine warp (C, 6).
 
-    misfit_noise is Σ over the cell's pixels of κ_g + gain², reduced by the two fitted parameters: κ_g, the noise that
-    interpolation leaves (`noise_gain`), varies with the sub-pixel position and is averaged over nine points.
+    misfit_noise is Σ over the cell's pixels of κ_g + gain², reduced by the two fitted parameters. κ_g, the variance of
+    interpolated noise (`noise_gain`), varies with the sub-pixel position and is averaged over nine points.
     """
     check_shape("warp", warp, (len(cells.centre_px), 6))
     gain, misfit, slope = np.full(len(warp), np.nan), np.full(len(warp), np.nan), np.full((len(warp), 6), np.nan)
-    known = cells.pixels, cells.mean, cells.weight, cells.energy, cells.removed
+    reference = cells.pixels, cells.mean, cells.weight, cells.energy, cells.removed
     image = target.coefficients, target.degree
-    _compare(cells.layout, known, image, np.ascontiguousarray(warp), (gain, misfit, slope))
-    kept = _interpolated_noise(cells, warp, target.degree)
-    return CellSums(gain, misfit, slope, (cells.count - 2) * (kept + gain**2))
+    _compare(cells.layout, reference, image, np.ascontiguousarray(warp), (gain, misfit, slope))
+    interpolated = _interpolated_noise(cells, warp, target.degree)
+    return CellSums(gain, misfit, slope, (cells.count - 2) * (interpolated + gain**2))
 
 
 def pixel_residuals(cells: Cells, target: Spline, warp: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return grey value f and squared residual (g − a − b·f)²/(κ_g + b²) (P,) of every pixel, a, b fitted per cell."""
+    """Return grey value f and normalised squared residual (P,) of every pixel.
+
+    (g − a − b·f)²/(κ_g + b²). a and b are fitted per cell.
+    """
     grey = np.full(cells.pixels.shape[1], np.nan, np.float32)
     _sample_cells(cells.layout, (target.coefficients, target.degree), np.ascontiguousarray(warp), grey)
     count = len(cells.centre_px)
     cell = cells.of_pixels
     weight = cells.pixels[0]
     centred = np.where(weight > 0.0, cells.pixels[1] / np.where(weight > 0.0, weight, 1.0), 0.0)
-    known = np.isfinite(grey) & (weight > 0.0)
-    filled, used = np.where(known, grey, 0.0), np.where(known, weight, 0.0)
+    valid = np.isfinite(grey) & (weight > 0.0)
+    filled, used = np.where(valid, grey, 0.0), np.where(valid, weight, 0.0)
     total = np.bincount(cell, used, count)
     offset = np.bincount(cell, used * filled, count) / np.where(total > 0.0, total, 1.0)
     gain = np.bincount(cell, used * filled * centred, count) / np.where(cells.energy > 0, cells.energy, 1.0)
     share = _interpolated_noise(cells, warp, target.degree) + gain**2
     residual = filled - offset[cell] - gain[cell] * centred
     squares = residual**2 / share[cell] * (cells.count / np.maximum(cells.count - 2, 1))[cell]
-    return centred + cells.mean[cell], np.where(known, squares, np.nan)
+    return centred + cells.mean[cell], np.where(valid, squares, np.nan)
 
 
 def _interpolated_noise(cells: Cells, warp: FloatArray, degree: int) -> FloatArray:
@@ -217,7 +239,7 @@ def _interpolated_noise(cells: Cells, warp: FloatArray, degree: int) -> FloatArr
 
 @cache
 def nine_points(side_px: int) -> FloatArray:
-    """Return offsets (9, 2) from a cell's centre at which the noise that interpolation leaves is looked at."""
+    """Return offsets (9, 2) from a cell's centre at which interpolated noise is evaluated."""
     third = side_px / 3.0
     line = np.array([-third, 0.0, third])
     dx, dy = (grid.ravel() for grid in np.meshgrid(line, line))
@@ -226,7 +248,10 @@ def nine_points(side_px: int) -> FloatArray:
 
 @njit()
 def _prepare(centre, runs, first, pixels, scalars, moments, extent):  # type: ignore[no-untyped-def]
-    """Weight the pixels in place; mean, Σw, Σw·f̃² and count, moments of [1 f̃ SD…], Σ(w·variance)·(1, dx², dy²)."""
+    """Weight the pixels in place, and sum their moments.
+
+    Filled are mean, Σw, Σw·f̃² and count; moments of [1 f̃ SD…]; Σ(w·variance)·(1, dx², dy²).
+    """
     for c in range(centre.shape[0]):
         total, level = 0.0, 0.0
         for r in range(first[c], first[c + 1]):
@@ -258,10 +283,10 @@ def _prepare(centre, runs, first, pixels, scalars, moments, extent):  # type: ig
 
 
 @njit()
-def _compare(shape, known, target, warps, found):  # type: ignore[no-untyped-def]
-    """Fill gain, misfit and slope of every cell that has contrast and lies in the image; others stay as they are."""
+def _compare(shape, reference, target, warps, found):  # type: ignore[no-untyped-def]
+    """Fill gain, misfit and slope of every cell with contrast in the image."""
     (centres, runs, first, reach), (coefficients, degree) = shape, target
-    (pixels, means, weights, energies, removed), (gains, misfits, slopes) = known, found
+    (pixels, means, weights, energies, removed), (gains, misfits, slopes) = reference, found
     line, row, sums = np.empty(int(2 * reach) + 1, np.float32), np.empty(RUN_SUMS), np.empty(9)
     for c in range(centres.shape[0]):
         warp, mean, energy = warps[c], means[c], energies[c]
@@ -272,8 +297,8 @@ def _compare(shape, known, target, warps, found):  # type: ignore[no-untyped-def
         sums[:] = 0.0
         for r in range(first[c], first[c + 1]):
             dx, dy, length = runs[r, 1] - centres[c, 0], runs[r, 0] - centres[c, 1], runs[r, 2]
-            place = _warped(runs[r, 1], runs[r, 0], centres[c, 0], centres[c, 1], warp)
-            sample_line(coefficients, degree, place, (1.0 + warp[1], warp[4]), line, (0, length))
+            start = _warped(runs[r, 1], runs[r, 0], centres[c, 0], centres[c, 1], warp)
+            sample_line(coefficients, degree, start, (1.0 + warp[1], warp[4]), line, (0, length))
             run_sums(line, mean, pixels, (runs[r, 3], length), dx, row)
             for k in range(5):
                 sums[k] += row[k]
@@ -291,19 +316,19 @@ def _compare(shape, known, target, warps, found):  # type: ignore[no-untyped-def
 
 @njit()
 def _sample_cells(shape, target, warps, grey):  # type: ignore[no-untyped-def]
-    """Grey values of the target at all warped pixels."""
+    """Sample the target at all warped pixels."""
     (centres, runs, first, reach), (coefficients, degree) = shape, target
     for c in range(centres.shape[0]):
         warp = warps[c]
         if warp_inside(coefficients, centres[c, 0], centres[c, 1], reach, warp):
             for r in range(first[c], first[c + 1]):
-                place = _warped(runs[r, 1], runs[r, 0], centres[c, 0], centres[c, 1], warp)
+                start = _warped(runs[r, 1], runs[r, 0], centres[c, 0], centres[c, 1], warp)
                 span = runs[r, 3], runs[r, 3] + runs[r, 2]
-                sample_line(coefficients, degree, place, (1.0 + warp[1], warp[4]), grey, span)
+                sample_line(coefficients, degree, start, (1.0 + warp[1], warp[4]), grey, span)
 
 
 @njit()
 def _warped(x, y, centre_x, centre_y, warp):  # type: ignore[no-untyped-def]
-    """Where a pixel of a cell lies in the target."""
+    """Return the position of a pixel of a cell in the target."""
     dx, dy = x - centre_x, y - centre_y
     return x + warp[0] + warp[1] * dx + warp[2] * dy, y + warp[3] + warp[4] * dx + warp[5] * dy

@@ -1,4 +1,4 @@
-"""The six components of a body's motion fitted to the grey values of all its pixels in all cameras at once."""
+"""Six components of a body's motion fitted to the grey values in all cameras."""
 
 from __future__ import annotations
 
@@ -28,29 +28,33 @@ from photogram.images.noise import QUANTISATION, NoiseModel, fit_noise_model
 from photogram.kernels import njit
 from photogram.motion import MEDIAN_CHI2_OF_TWO
 
-REACH_CELLS = 4.0  # how far from the nearest known point a cell's surface may lie
-EVALUATIONS = 12
-CORRECTED = 0.3  # of the share by which noise makes a step too short, that may be left once it is corrected
-THINNED, FEWEST_THINNED = 3, 24  # one cell of so many makes an approach, and how many that has to leave in a view
-APPROACHES, LARGEST_APPROACH = 4, 100.0  # steps of it, and standard uncertainties of one that may be the last
+REACH_CELLS = 4.0  # distance from the nearest triangulated point within which a cell's surface is extrapolated
+EVALUATIONS = 12  # usually two or three are needed
+CORRECTED = 0.3  # of the shortening of a step by noise that may remain after its correction
+DECIMATION, MIN_DECIMATED = 3, 24  # one cell of so many is in a coarse fit; cells that a view has to have then
+COARSE_STEPS, MAX_COARSE_STEP = 4, 100.0  # their limit, and the size of the last one in standard uncertainties
 LEFT_OVER = 0.02  # standard uncertainties that may remain between the motion and the converged one
 LARGEST_STEP = 20.0  # standard uncertainties of a step that may be the last one
-MISFIT = 3.0  # times the median misfit per pixel, beyond which a cell shows something else than the body
-REJECTED = 25.0  # squared standard deviations by which a cell may move unlike the body
-FEWEST_CELLS = 4
+MISFIT = 3.0  # times the median misfit per pixel, beyond which a cell does not show the body
+REJECTED = 25.0  # squared standard deviations by which a cell may depart from the body's motion
+FEWEST_CELLS = 4  # three determine six components, without a check
 SINGULAR = 1e-12  # smallest eigenvalue of solvable information, scaled to a unit diagonal
-SMALLEST_EXCESS = 1e-2
+SMALLEST_EXCESS = 1e-2  # of the information's smallest eigenvalue that remains without its noise part
 SMALLEST_MISFIT = 1e-12  # of the expected one: images without noise
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class BodyView(Arrays, shapes="rates C 6 p; information C p p; information_noise C p p; translation C 2 2"):
-    """A body at rest as one camera sees it: cells of its image, their surface, and how both answer to a motion.
+    """A body at rest in one camera: cells, their surface, and their derivatives.
 
-    rates (C, 6, p): change of the affine warps by the six components and p - 6 amplitudes of its shapes; information
-    (C, p, p): of each cell about them, per unit of gain², and information_noise (C, p, p) the part of it that is noise;
-    translation (C, 2, 2): inverse Hessian of the cell's own shift. `carried`: rotations (C, 5, 3, 3) and shifts
-    (C, 5, 3) that the points of its patches have in one frame beyond the body's motion, None for none.
+    Attributes
+    ----------
+    rates : (C, 6, p) derivatives of the affine warps by the six components and p - 6 amplitudes of shapes.
+    information : (C, p, p) of each cell about these, per unit of gain².
+    information_noise : (C, p, p) contribution of noise to it.
+    translation : (C, 2, 2) inverse Hessian of the cell's shift.
+    carried : rotations (C, 5, 3, 3) and shifts (C, 5, 3) of the patches' points in one frame in addition to the body's
+        motion; None for none.
     """
 
     camera: PlacedCamera
@@ -64,25 +68,31 @@ class BodyView(Arrays, shapes="rates C 6 p; information C p p; information_noise
 
     @cached_property
     def jacobians(self) -> tuple[FloatArray, ...]:
-        """For kernels: rates, information, the part of it that is noise, misfit by rounding over that by noise."""
+        """For kernels: rates, information, its noise, ratio of the misfits by rounding and by noise."""
         rounding = QUANTISATION * self.cells.weight / self.cells.count
         flat = (part.reshape(len(rounding), -1) for part in (self.information, self.information_noise))
         return self.rates, *flat, rounding
 
     def warps(self, moved: RigidTransform) -> FloatArray:
-        """Return the affine warps (C, 6) of the cells when the body has moved by `moved`."""
+        """Return the affine warps (C,6) of the cells after the motion `moved` of the body."""
         if self.carried is None:
             return patch_warps(self.camera, self.patches, moved)
-        turned = np.einsum("ckij,ckj->cki", self.carried[0], moved.apply(self.patches.points_m))
-        return warps_of_points(self.camera, self.patches, turned + self.carried[1])
+        moved_points = np.einsum("ckij,ckj->cki", self.carried[0], moved.apply(self.patches.points_m))
+        return warps_of_points(self.camera, self.patches, moved_points + self.carried[1])
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class DirectFit(Arrays, shapes="covariance 6 6; amplitude S; amplitude_covariance S S"):
-    """One frame: moved = body's motion from rest, covariance (6, 6) of x y z (m) and the rotation vector (rad).
+    """Fit of one frame to its grey values.
 
-    noise: variance of the grey values over the one that the noise models state; cells: used of all that are seen.
-    amplitude (S,): of the body's shapes beside that motion, with covariance (S, S) (`shapes.ShapeAmplitudes`).
+    Attributes
+    ----------
+    moved : motion of the body from rest.
+    covariance : (6, 6) of x y z (m) and the rotation vector (rad).
+    noise : variance of the grey values over that of the noise models.
+    cells : number of cells used.
+    amplitude : (S,) of the body's shapes in addition to that motion (`shapes.ShapeAmplitudes`).
+    amplitude_covariance : (S, S).
     """
 
     moved: RigidTransform
@@ -96,19 +106,19 @@ class DirectFit(Arrays, shapes="covariance 6 6; amplitude S; amplitude_covarianc
 def view_body(
     camera: PlacedCamera,
     image: tuple[Spline, BoolArray, float],
-    known_m: FloatArray,
+    surface_m: FloatArray,
     side_px: int,
     noise: NoiseModel,
     shapes: Shapes | None = None,
 ) -> BodyView:
-    """Return the body at rest in one camera: `image` = its spline, its textured area (H, W), and full scale.
+    """Return the body at rest in one camera.
 
-    known_m (N, 3): points of its surface in the body's frame, from which that of all cells is interpolated. `shapes`:
-    in which it may deform beside its motion.
+    `image`: its spline, its textured area (H, W), and full scale. surface_m (N, 3): points of its surface in the body's
+    frame, from which the surface of all cells is interpolated. `shapes`: possible deformations.
     """
     spline, area, full_scale = image
     cells = prepare_cells(spline, area, side_px, noise, full_scale)
-    patches = body_patches(camera, known_m, cells.centre_px, side_px / 4, REACH_CELLS * side_px)
+    patches = body_patches(camera, surface_m, cells.centre_px, side_px / 4, REACH_CELLS * side_px)
     rates = patch_rates(camera, patches)
     if shapes is not None:
         rates = np.concatenate([rates, shape_rates(camera, patches, shapes)], axis=2)
@@ -116,46 +126,51 @@ def view_body(
 
 
 def reweight_view(view: BodyView, noise: NoiseModel, degree: int) -> BodyView:
-    """Return the body at rest, seen as a spline of that degree, with the weights of another noise model."""
+    """Return the body at rest with another noise model.
+
+    `degree`: of the spline of its image.
+    """
     return with_jacobians(view.camera, reweight_cells(view.cells, noise, degree), view.patches, view.rates)
 
 
 def with_jacobians(camera: PlacedCamera, cells: Cells, patches: Patches, rates: FloatArray) -> BodyView:
-    """Return a view whose rates are zero where they or the cell are not known, with what these tell."""
-    known = np.isfinite(rates).all(axis=(1, 2)) & np.isfinite(cells.energy)
-    rates = np.where(known[:, None, None], rates, 0.0)
-    turned = np.swapaxes(rates, 1, 2)
+    """Return a view with information and translation, its rates zero for unknown cells."""
+    finite = np.isfinite(rates).all(axis=(1, 2)) & np.isfinite(cells.energy)
+    rates = np.where(finite[:, None, None], rates, 0.0)
+    transposed = np.swapaxes(rates, 1, 2)
     shift = cells.hessian[:, [[0, 0], [3, 3]], [[0, 3], [0, 3]]]
-    solvable = known & (np.linalg.det(shift) > 0.0)
+    solvable = finite & (np.linalg.det(shift) > 0.0)
     shift = np.where(solvable[:, None, None], shift, np.eye(2))
     return BodyView(
-        camera, cells, patches, rates, turned @ cells.hessian @ rates, turned @ cells.hessian_noise @ rates,
+        camera, cells, patches, rates, transposed @ cells.hessian @ rates, transposed @ cells.hessian_noise @ rates,
         np.where(solvable[:, None, None], np.linalg.inv(shift), np.nan),
     )  # fmt: skip
 
 
 def image_noise(view: BodyView, target: Spline, moved: RigidTransform) -> NoiseModel:
-    """Return the noise model that explains what is left over in one frame, the body having moved by `moved`."""
+    """Return the noise model that explains the residuals of one frame after the motion `moved`."""
     grey, squares = pixel_residuals(view.cells, target, view.warps(moved))
-    known = np.isfinite(squares)
-    return fit_noise_model(grey[known], squares[known])
+    finite = np.isfinite(squares)
+    return fit_noise_model(grey[finite], squares[finite])
 
 
 def fit_direct(views: Sequence[BodyView], targets: Sequence[Spline], start: RigidTransform) -> DirectFit | None:
-    """Return the motion that explains the images `targets`, one per view, beginning at `start`; None if there is none.
+    """Fit the motion that explains the images `targets`, one per view, from `start`.
 
-    Minimises Σ w·(g(W(p)) − a − b·f)² over all pixels of all cells, W(p) the cells' warps by the motion p, w = 1/noise
-    variance, with an offset a and a gain b of each cell eliminated. Inverse-compositional Gauss-Newton (Baker, Matthews
-    2004) on the rigid motions: T ← T·δ⁻¹ with H′·δ = Σ b·Bᵀ·slope, B the rates of the warps. The reference's noise
-    makes H = Σ b²·Bᵀ·H·B too large by a known share, which H′ is without. A third of that share of a step may be left,
-    and iteration ends when this is below 0.02 standard uncertainties. Cells with more than three times the median
-    misfit, and cells whose own remaining shift is beyond five scaled standard deviations, are left out.
+    None if there is none. Minimises Σ w·(g(W(p)) − a − b·f)² over all pixels of all cells, W(p) the cells' warps by the
+    motion p, w = 1/noise variance, with an offset a and a gain b of each cell eliminated. Inverse-compositional
+    Gauss-Newton (Baker, Matthews 2004) on the rigid motions: T ← T·δ⁻¹ with H′·δ = Σ b·Bᵀ·slope, B the rates of the
+    warps. The reference's noise makes H = Σ b²·Bᵀ·H·B too large by a computable share, which H′ excludes. A third of
+    that share of a step may remain, and iteration ends when this is below 0.02 standard uncertainties. Rejected are
+    cells with more than three times the median misfit, and cells whose remaining shift is beyond five scaled standard
+    deviations.
 
-    The covariance is s²·H′⁻¹·H·H′⁻¹ with H′ = H less what the reference's noise adds to it, and s² the misfit per
-    expected misfit of the pixels used, at least that of rounding: a frame like the reference to the last bit has none.
-    It is that of the frame's own noise; the reference's moves all frames alike.
+    The covariance is s²·H′⁻¹·H·H′⁻¹ with H′ = H less the contribution of the reference's noise, and s² the misfit per
+    expected misfit of the pixels used, at least that of rounding: a frame equal to the reference has no misfit. It is
+    the covariance due to the frame's noise; the reference's noise shifts all frames equally.
 
-    Shapes take no part in the motion: their amplitudes are what the same sums say of them beside it (`beside`).
+    Shapes do not affect the motion: the same sums determine their amplitudes in addition to it
+    (`estimate_shape_amplitudes`).
     """
     moved = start
     for _ in range(EVALUATIONS):
@@ -172,27 +187,27 @@ def fit_direct(views: Sequence[BodyView], targets: Sequence[Spline], start: Rigi
 
 
 def coarse_fit(views: Sequence[BodyView], targets: Sequence[Spline], start: RigidTransform) -> RigidTransform | None:
-    """Return a motion near that of `fit_direct` by views with some of their cells (`thinned`); None if there is none.
+    """Return a motion near that of `fit_direct` by views with some of their cells (`decimate`).
 
-    From there all cells, whose uncertainty is that much smaller, mostly need to be compared once.
+    None if there is none. From there all cells, whose uncertainty is smaller, usually need only one comparison.
     """
     moved = start
-    for _ in range(APPROACHES):
+    for _ in range(COARSE_STEPS):
         step = _step(views, targets, moved)
         if step is None:
             return None
         moved = moved @ RigidTransform.from_pose(step.pose).inverse()
-        if step.size < LARGEST_APPROACH:
+        if step.size < MAX_COARSE_STEP:
             return moved
     return None
 
 
 def decimate(views: Sequence[BodyView]) -> tuple[BodyView, ...]:
-    """Return the views with a third of their cells, for `approach`; none where that leaves too few."""
+    """Return the views with a third of their cells, none for too few."""
     some = []
     for view in views:
-        which = np.flatnonzero(spread_choice(np.arange(len(view.rates)), 1.0 / THINNED))
-        if len(which) < FEWEST_THINNED:
+        which = np.flatnonzero(spread_choice(np.arange(len(view.rates)), 1.0 / DECIMATION))
+        if len(which) < MIN_DECIMATED:
             return ()
         patches = view.patches
         some.append(
@@ -213,10 +228,15 @@ def decimate(views: Sequence[BodyView]) -> tuple[BodyView, ...]:
 
 @dataclass(frozen=True, eq=False)
 class _FitStep:
-    """One step of the fit: pose (6,) of δ, its size in standard uncertainties, and the share of it that may be left.
+    """One step of the fit.
 
-    scale: variance of the grey values over that of the noise models; slope (p,), information and noise_part (p, p): of
-    all cells.
+    Attributes
+    ----------
+    pose : (6,) of δ.
+    size : in standard uncertainties.
+    left : share of the step that may remain.
+    scale : variance of the grey values over that of the noise models.
+    slope, information, noise_part : (p,), (p, p), (p, p) summed over all cells.
     """
 
     pose: FloatArray
@@ -230,10 +250,9 @@ class _FitStep:
 
 
 def _step(views: Sequence[BodyView], targets: Sequence[Spline], moved: RigidTransform) -> _FitStep | None:
-    """Return the step from a motion; None where too few cells are seen or they do not fix all six components.
+    """Return the step from a motion, None where the components are not determined.
 
-    Which cells count is judged where the step that all of them ask for would take them, so that it does not hang on the
-    start.
+    Cells are judged after the step that all of them require, so that the choice does not depend on the start.
     """
     both = zip(views, targets, strict=True)
     compared = [compare_cells(view.cells, target, view.warps(moved)) for view, target in both]
@@ -243,8 +262,8 @@ def _step(views: Sequence[BodyView], targets: Sequence[Spline], moved: RigidTran
         if before and all(map(np.array_equal, judged, before)):
             break
         parts, slope, sums = np.zeros((2, size**2)), np.zeros(size), np.zeros(4)
-        for view, told, used in zip(views, compared, judged, strict=True):
-            _add_cells(used, told.all, view.jacobians, (parts, slope, sums))
+        for view, sums_of_view, used in zip(views, compared, judged, strict=True):
+            _add_cells(used, sums_of_view.all, view.jacobians, (parts, slope, sums))
         whole, whole_noise = parts.reshape(2, size, size)
         information, noise_part = whole[:6, :6], whole_noise[:6, :6]
         misfit, noise, least, cells = sums.tolist()
@@ -266,26 +285,27 @@ def phase_rotated_pose(
     turns: Sequence[ComplexArray],
     pose: FloatArray,
 ) -> ComplexArray:
-    """Return what each of the K `turns` (C,), a factor of the cells of every view, makes of a fitted frame: (K, p).
+    """Return the pose (K,p) of a fitted frame whose cells are weighted by phase factors.
 
-    y = E·Σ turn·B·(slopes that the fit leaves, and those that took it by `pose` (6,) to where it is), E what turns the
-    sums into motion and shapes beside it: Σ turn·H_c·ξ_c over Σ H_c of the small motions ξ_c of the cells.
+    turns: for every view K factors of its cells, (K, C). y = E·Σ turn·B·(slopes that remain after the fit, and those
+    that led it by `pose` (6,) to its motion). E (`estimator_matrix`) converts the sums into motion and shapes: Σ
+    turn·H_c·ξ_c over Σ H_c of the small motions ξ_c of the cells.
     """
     size = views[0].rates.shape[2]
     sums, whole = np.zeros((len(turns[0]), size), np.complex128), np.zeros((size, size))
     for view, target, turn in zip(views, targets, turns, strict=True):
-        told = compare_cells(view.cells, target, view.warps(fit.moved))
-        used = _rigid_cells(view, told, np.zeros(6))
-        gain = np.where(used, told.gain, 0.0)
+        compared = compare_cells(view.cells, target, view.warps(fit.moved))
+        used = _rigid_cells(view, compared, np.zeros(6))
+        gain = np.where(used, compared.gain, 0.0)
         information = gain[:, None, None] ** 2 * (view.information - fit.noise * view.information_noise)
-        slope = np.where(used[:, None], told.slope, 0.0) * gain[:, None]
+        slope = np.where(used[:, None], compared.slope, 0.0) * gain[:, None]
         sums += turn @ (information[:, :, :6] @ pose - np.einsum("ckp,ck->cp", view.rates, slope))
         whole += information.sum(axis=0)
     return np.asarray(sums @ estimator_matrix(whole).T)
 
 
 def estimator_matrix(whole: FloatArray) -> FloatArray:
-    """Return E (p, p), which turns sums over cells of this information into a motion, and the shapes beside it."""
+    """Return E (p,p), which converts sums over cells of this information into motion and shapes."""
     estimate = np.linalg.inv(whole)
     estimate[:6] = 0.0
     estimate[:6, :6] = np.linalg.inv(whole[:6, :6])
@@ -293,38 +313,41 @@ def estimator_matrix(whole: FloatArray) -> FloatArray:
 
 
 def row_information(view: BodyView) -> FloatArray:
-    """Return what the rows of all cells, by their place in the cell, add to the information of a view: (side, p, p).
+    """Return the information (side, p, p) of a view by the row within the cells.
 
-    N = Σ w·ã·aᵀ over their pixels, a the change of grey by motion and shapes, ã what gain and offset of the cell leave
-    of it: Σ N_r·x_r is what the sums are of motions x_r that differ from row to row.
+    N = Σ w·ã·aᵀ over the pixels of a row. The change of grey by motion and shapes is a, and ã the same after gain and
+    offset of the cell. The sums for motions x_r that differ from row to row are Σ N_r·x_r.
     """
     cells, size = view.cells, view.rates.shape[2]
     column, row = pixel_coordinates(cells.runs).T
     cell = cells.of_pixels
     along, down = column - cells.centre_px[cell, 0], row - cells.centre_px[cell, 1]
-    place = np.rint(down + (cells.side_px - 1) / 2).astype(np.int64)
-    order = np.argsort(place, kind="stable")
-    parts = np.searchsorted(place[order], np.arange(cells.side_px + 1))
+    cell_row = np.rint(down + (cells.side_px - 1) / 2).astype(np.int64)
+    order = np.argsort(cell_row, kind="stable")
+    parts = np.searchsorted(cell_row[order], np.arange(cells.side_px + 1))
     removed, information = cells.removed @ view.rates, np.zeros((cells.side_px, size, size))
     for k, (start, stop) in enumerate(pairwise(parts.tolist())):
-        own = order[start:stop]
-        rates, (w, w_f, w_x, w_y) = view.rates[cell[own]], cells.pixels[:, own]
-        offset = np.stack([np.ones(len(own)), along[own], down[own]])
+        selected = order[start:stop]
+        rates, (w, w_f, w_x, w_y) = view.rates[cell[selected]], cells.pixels[:, selected]
+        offset = np.stack([np.ones(len(selected)), along[selected], down[selected]])
         u, v = (np.einsum("kn,nkp->np", offset, part) for part in (rates[:, :3], rates[:, 3:]))
         change = w_x[:, None] * u + w_y[:, None] * v
-        kept = change - np.einsum("kn,nkp->np", np.stack([w, w_f]), removed[cell[own]])
-        information[k] = kept.T @ (change / np.where(w > 0.0, w, 1.0)[:, None])
+        projected = change - np.einsum("kn,nkp->np", np.stack([w, w_f]), removed[cell[selected]])
+        information[k] = projected.T @ (change / np.where(w > 0.0, w, 1.0)[:, None])
     return information
 
 
 def rest_covariance(views: Sequence[BodyView], noise: float) -> FloatArray:
-    """Return the covariance (6, 6) of a frame like the reference with `noise` times the models' noise variance."""
+    """Return the covariance (6,6) of a frame equal to the reference, for a noise ratio.
+
+    `noise`: variance of the grey values over that of the noise models.
+    """
     information, noise_part = (part[:6, :6] for part in rest_information(views))
     return noise * pose_covariance(information, noise * noise_part, np.eye(3), np.zeros(3))
 
 
 def rest_information(views: Sequence[BodyView]) -> tuple[FloatArray, FloatArray]:
-    """Return the information (p, p) of a frame like the reference, and the part of it that is noise."""
+    """Return the information (p,p) of a frame equal to the reference, and its noise part."""
     information = np.sum([view.information.sum(axis=0) for view in views], axis=0)
     return information, np.sum([view.information_noise.sum(axis=0) for view in views], axis=0)
 
@@ -332,36 +355,36 @@ def rest_information(views: Sequence[BodyView]) -> tuple[FloatArray, FloatArray]
 def estimate_shape_amplitudes(
     pose: FloatArray, slope: FloatArray, whole: tuple[FloatArray, FloatArray], scale: FloatArray | float
 ) -> tuple[FloatArray, FloatArray]:
-    """Return amplitudes (..., S) of shapes beside the motion that a last step leads to, with covariance (..., S, S).
+    """Return amplitudes (...,S) of shapes in addition to the motion, with covariance (...,S,S).
 
-    pose (..., 6) of the step, slope (..., p), whole: information (..., p, p) and the part of it that is noise, per
-    `scale` (...). What the motion leaves of the sums that ask for a shape, g − H·δ, over what it leaves of their
-    information: the amplitudes of a joint fit. The motion is the one without shapes, with which they are therefore
-    uncorrelated (Frisch and Waugh 1933, Econometrica 1, 387). NaN where motion and shapes cannot be told apart.
+    pose (..., 6) of the last step, slope (..., p), whole: information (..., p, p) and its noise part, per `scale`
+    (...). The remaining slopes of the shapes after the motion, g − H·δ, are divided by their remaining information: the
+    amplitudes of a joint fit. The motion is the one without shapes, with which they are therefore uncorrelated (Frisch
+    and Waugh 1933, Econometrica 1, 387). NaN where motion and shapes cannot be separated.
     """
     shapes, each = slope.shape[-1] - 6, np.asarray(scale)[..., None, None]
     if not shapes:
         return np.zeros((*slope.shape[:-1], 0)), np.zeros((*slope.shape[:-1], 0, 0))
     clean = without_noise(whole[0], each * whole[1])
-    told = (np.linalg.eigvalsh(_scaled(clean))[..., 0] > SINGULAR)[..., None, None]
-    clean = np.where(told, clean, np.eye(6 + shapes))
+    separable = (np.linalg.eigvalsh(_scaled(clean))[..., 0] > SINGULAR)[..., None, None]
+    clean = np.where(separable, clean, np.eye(6 + shapes))
     mixed = clean[..., 6:, :6]
     inverse = np.linalg.inv(clean[..., 6:, 6:] - mixed @ np.linalg.solve(clean[..., :6, :6], mixed.mT))
     amplitude = -inverse @ (slope[..., 6:] - (mixed @ pose[..., None])[..., 0])[..., None]
     covariance = each * (inverse + inverse.mT) / 2.0
-    return np.where(told, amplitude, np.nan)[..., 0], np.where(told, covariance, np.nan)
+    return np.where(separable, amplitude, np.nan)[..., 0], np.where(separable, covariance, np.nan)
 
 
 def rigid_share(views: Sequence[BodyView]) -> FloatArray:
-    """Return the motion (6, S) by which a rigid body would best explain a unit amplitude of each shape."""
+    """Return the motion (6,S) that best explains a unit of each shape."""
     information, _ = rest_information(views)
     return np.asarray(np.linalg.solve(information[:6, :6], information[:6, 6:]))
 
 
 def _rigid_cells(view: BodyView, sums: CellSums, step: FloatArray) -> BoolArray:
-    """Return which cells (C,) show the body: their misfit and their own remaining shift are like the others'.
+    """Return which cells (C,) show the body, by their misfit and remaining shift.
 
-    step (6,): of the body, after which the shift is what counts.
+    step (6,): of the body, after which the shift counts.
     """
     used = np.zeros(len(sums.gain), dtype=np.bool_)
     _judge_cells(sums.all, (view.rates, view.cells.hessian, view.translation), step, used)
@@ -369,21 +392,21 @@ def _rigid_cells(view: BodyView, sums: CellSums, step: FloatArray) -> BoolArray:
 
 
 @njit(error_model="numpy")
-def _judge_cells(sums, answers, step, used):  # type: ignore[no-untyped-def]
-    """`_rigid_cells` into `used`, all false."""
-    (gain, misfit, slope, expected), (rates, hessian, translation) = sums, answers
-    count, known = gain.shape[0], 0
+def _judge_cells(sums, jacobians, step, used):  # type: ignore[no-untyped-def]
+    """Set `used`, all false before, as described in `_rigid_cells`."""
+    (gain, misfit, slope, expected), (rates, hessian, translation) = sums, jacobians
+    count, number = gain.shape[0], 0
     ratio, squares = np.empty(count), np.empty(count)
     for c in range(count):
-        told = misfit[c] / expected[c]
-        if not np.isfinite(told + slope[c].sum() + translation[c, 0, 0]) or not rates[c, :, :6].any():
+        misfit_ratio = misfit[c] / expected[c]
+        if not np.isfinite(misfit_ratio + slope[c].sum() + translation[c, 0, 0]) or not rates[c, :, :6].any():
             continue
-        used[c], ratio[known] = True, told
-        known += 1
-    if known == 0:
+        used[c], ratio[number] = True, misfit_ratio
+        number += 1
+    if number == 0:
         return
-    typical = max(np.median(ratio[:known]), SMALLEST_MISFIT)
-    known = 0
+    typical = max(np.median(ratio[:number]), SMALLEST_MISFIT)
+    number = 0
     for c in range(count):
         used[c] = used[c] and misfit[c] / expected[c] <= MISFIT * typical
         if used[c]:
@@ -396,21 +419,23 @@ def _judge_cells(sums, answers, step, used):  # type: ignore[no-untyped-def]
                 y -= gain[c] * hessian[c, 3, i] * moved
             inverse = translation[c]
             square = inverse[0, 0] * x * x + (inverse[0, 1] + inverse[1, 0]) * x * y + inverse[1, 1] * y * y
-            squares[known] = square / typical
-            known += 1
-    limit = REJECTED * max(1.0, np.median(squares[:known]) / MEDIAN_CHI2_OF_TWO)
-    known = 0
+            squares[number] = square / typical
+            number += 1
+    limit = REJECTED * max(1.0, np.median(squares[:number]) / MEDIAN_CHI2_OF_TWO)
+    number = 0
     for c in range(count):
         if used[c]:
-            used[c] = squares[known] <= limit
-            known += 1
+            used[c] = squares[number] <= limit
+            number += 1
 
 
 @njit(error_model="numpy")
-def _add_cells(used, told, answers, found):  # type: ignore[no-untyped-def]
-    """Add the used cells to information and its part that is noise (2, p·p), slope (p,), and to sums of misfit, of what
-    noise makes of it, of what rounding does, and of cells."""
-    (gain, misfit, slope, expected), (rates, information, information_noise, rounding) = told, answers
+def _add_cells(used, compared, jacobians, found):  # type: ignore[no-untyped-def]
+    """Add the used cells to information and its noise part (2,p·p), slope (p,), and sums.
+
+    The sums are the misfit, the misfits expected of noise and of rounding, and the number of cells.
+    """
+    (gain, misfit, slope, expected), (rates, information, information_noise, rounding) = compared, jacobians
     parts, whole, sums = found
     size = rates.shape[2]
     for c in range(gain.shape[0]):
@@ -421,9 +446,9 @@ def _add_cells(used, told, answers, found):  # type: ignore[no-untyped-def]
             parts[0, i] += square * information[c, i]
             parts[1, i] += square * information_noise[c, i]
         for k in range(6):
-            turned = gain[c] * slope[c, k]
+            weighted = gain[c] * slope[c, k]
             for i in range(size):
-                whole[i] += turned * rates[c, k, i]
+                whole[i] += weighted * rates[c, k, i]
         sums[0] += misfit[c]
         sums[1] += expected[c]
         sums[2] += expected[c] * rounding[c]
@@ -431,24 +456,24 @@ def _add_cells(used, told, answers, found):  # type: ignore[no-untyped-def]
 
 
 def _scaled(matrix: FloatArray) -> FloatArray:
-    """Return symmetric matrices (..., p, p) scaled to a unit diagonal; zeros where the diagonal is not positive."""
+    """Return symmetric matrices (...,p,p) scaled to a unit diagonal, zero if it is not positive."""
     diagonal = np.diagonal(matrix, axis1=-2, axis2=-1)
     scale = np.where(diagonal > 0.0, 1.0 / np.sqrt(np.where(diagonal > 0.0, diagonal, 1.0)), 0.0)
     return np.asarray(matrix * (scale[..., :, None] * scale[..., None, :]))
 
 
 def without_noise(information: FloatArray, noise_part: FloatArray) -> FloatArray:
-    """Return `information` (..., p, p) without the part of it that is noise; as it is where too little would remain."""
+    """Return `information` (..., p, p) without its noise part, unchanged if too little remains."""
     clean = information - noise_part
     enough = SMALLEST_EXCESS * np.linalg.eigvalsh(_scaled(information))[..., 0]
-    kept = np.linalg.eigvalsh(_scaled(clean))[..., 0] > enough
-    return np.where(kept[..., None, None], clean, information)
+    positive = np.linalg.eigvalsh(_scaled(clean))[..., 0] > enough
+    return np.where(positive[..., None, None], clean, information)
 
 
 def pose_covariance(
     information: FloatArray, noise_part: FloatArray, rotation: FloatArray, vector_rad: FloatArray
 ) -> FloatArray:
-    """Return H′⁻¹·H·H′⁻¹ of right-multiplied δ as that (..., 6, 6) of translation and rotation vector.
+    """Return H′⁻¹·H·H′⁻¹ of right-multiplied δ as that (..., 6, 6) of shift and rotation vector.
 
     information, noise_part (..., 6, 6); rotation (..., 3, 3) of the motion and its vector (..., 3).
     """

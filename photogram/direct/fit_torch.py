@@ -1,6 +1,6 @@
 """The fit of six components batched over frames, for a GPU: `fit_direct` by torch.
 
-Pixels are of the splines' precision, float32 as a rule; sums over them, motions and what is solved for are float64.
+Pixels have the splines' precision, usually float32; sums over them, motions and systems of equations are float64.
 """
 
 from __future__ import annotations
@@ -46,10 +46,11 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class TorchView(Squares):
-    """A `BodyView` on a device: C cells, of whose pixels those outside the body have weight 0.
+    """A `BodyView` on a device: C cells; pixels outside the body have weight 0.
 
-    All else float64: what `Cells`, `BodyView` and `Patches` call so; points_m (5·C, 3) in the camera's frame, turn
-    (3, 3) and origin_m (3,) from the body's frame to it; steady (C,): whether a cell can tell a motion.
+    All else is float64 and named as in `Cells`, `BodyView` and `Patches`. The points_m (5·C, 3) are in the camera's
+    frame. From the body's frame, turn (3, 3) and origin_m (3,) lead to it. Which cells can determine a motion is in
+    `steady` (C,).
     """
 
     source: BodyView
@@ -71,7 +72,10 @@ class TorchView(Squares):
 
 
 class _Compared(NamedTuple):
-    """What one camera's cells say of frames: gain, misfit and expected misfit (A, C), slope (A, C, 6); NaN for none."""
+    """Comparison of one camera's cells with frames, NaN for none.
+
+    gain, misfit and expected misfit (A, C), slope (A, C, 6).
+    """
 
     gain: Tensor
     misfit: Tensor
@@ -80,7 +84,7 @@ class _Compared(NamedTuple):
 
 
 class _CellSums(NamedTuple):
-    """What one camera tells of frames (A,): as in `fit_direct`, summed over the cells that show the body."""
+    """Sums over one camera's cells that show the body, for frames (A,), as in `fit_direct`."""
 
     information: Tensor
     noise_part: Tensor
@@ -97,10 +101,10 @@ def torch_view(view: BodyView, device: str, precision: str) -> TorchView:
 
     cells, camera_from_body = view.cells, view.camera.camera_from_body
     side, kind = cells.side_px, torch_type(precision)
-    own, reach = cells.of_pixels, (side - 1) / 2
-    column, row = np.rint(pixel_coordinates(cells.runs) - cells.centre_px[own] + reach).astype(np.int64).T
+    cell, reach = cells.of_pixels, (side - 1) / 2
+    column, row = np.rint(pixel_coordinates(cells.runs) - cells.centre_px[cell] + reach).astype(np.int64).T
     pixels = np.zeros((len(cells.centre_px), 4, side * side))
-    pixels[own, :, row * side + column] = cells.pixels.T
+    pixels[cell, :, row * side + column] = cells.pixels.T
     down, across = (grid.ravel() - reach for grid in np.mgrid[:side, :side])
     shape = shape_values(np.column_stack([across, down]), 1)
     steady = np.isfinite(view.translation[:, 0, 0]) & view.rates[:, :, :6].any(axis=(1, 2))
@@ -127,7 +131,10 @@ _LOADING = Lock()
 
 
 def load_solvers(device: str) -> None:
-    """Make torch load its solvers for a device, which it does on their first call and not in two threads at once."""
+    """Make torch load its solvers for a device.
+
+    It loads them on their first call, and not in two threads at once.
+    """
     import torch
 
     with _LOADING:
@@ -140,10 +147,10 @@ def fit_frames(
     targets: Sequence[tuple[TorchSplines, Sequence[int]]],
     starts: FloatArray,
 ) -> list[DirectFit | None]:
-    """Return what `fit_direct` returns for each of F frames from the pose (F, 6) that it starts from, all at once.
+    """Return the result of `fit_direct` for each of F frames, all at once.
 
     targets: for each view the splines on its device, and which F of them are the frames. Frames leave the iteration as
-    they converge; only motions, covariances and sums come back.
+    they converge; only motions, covariances and sums are copied back.
     """
     import torch
 
@@ -153,7 +160,7 @@ def fit_frames(
     numbers = [torch.tensor(list(which), device=device) for _, which in targets]
     size = views[0].rates.shape[2]
     matrices = torch.zeros((2, len(starts), size, size), dtype=torch.float64, device=device)
-    slopes = torch.zeros((2, len(starts), size), dtype=torch.float64, device=device)  # what is asked for, the last step
+    slopes = torch.zeros((2, len(starts), size), dtype=torch.float64, device=device)  # and last steps
     scales, counts = torch.full((2, len(starts)), torch.nan, dtype=torch.float64, device=device)
     active = torch.arange(len(starts), device=device)
     for _ in range(EVALUATIONS):
@@ -162,56 +169,58 @@ def fit_frames(
             for view, (frames, _), number in zip(views, targets, numbers, strict=True)
         ]
         step = torch.zeros((len(active), 6), dtype=torch.float64, device=device)
-        for _ in range(2):  # which cells count is judged where the step of all of them leads
-            parts = [_told(view, cells, step) for view, cells in zip(views, compared, strict=True)]
-            told = _CellSums(*(torch.stack(values).sum(dim=0) for values in zip(*parts, strict=True)))
-            of_motion, noise_part = told.information[:, :6, :6], told.noise_part[:, :6, :6]
+        for _ in range(2):  # the cells are judged after the step of all of them
+            parts = [_sum_cells(view, cells, step) for view, cells in zip(views, compared, strict=True)]
+            total = _CellSums(*(torch.stack(values).sum(dim=0) for values in zip(*parts, strict=True)))
+            of_motion, noise_part = total.information[:, :6, :6], total.noise_part[:, :6, :6]
             lowest = torch.linalg.eigvalsh(_scaled(of_motion))[:, 0]
-            solvable = (told.count >= FEWEST_CELLS) & (lowest > SINGULAR)
+            solvable = (total.count >= FEWEST_CELLS) & (lowest > SINGULAR)
             information = torch.where(solvable[:, None, None], of_motion, _eye(6, of_motion))
-            scale = torch.maximum(told.misfit, told.rounding) / told.expected
+            scale = torch.maximum(total.misfit, total.rounding) / total.expected
             clean = information - torch.where(solvable, scale, 0.0)[:, None, None] * noise_part
             enough = solvable & (torch.linalg.eigvalsh(_scaled(clean))[:, 0] > SMALLEST_EXCESS * lowest)
-            step = torch.linalg.solve(torch.where(enough[:, None, None], clean, information), told.slope[:, :6])
-        turned, moved = _moved_back(rotation[active], shift[active], step)
+            step = torch.linalg.solve(torch.where(enough[:, None, None], clean, information), total.slope[:, :6])
+        new_rotation, moved = _compose_inverse(rotation[active], shift[active], step)
         length = torch.sqrt(torch.einsum("ai,aij,aj->a", step, information, step) / scale)
         noise = torch.linalg.solve(information, noise_part).diagonal(dim1=1, dim2=2).sum(dim=1)
         left = scale * noise / 6.0 * torch.where(enough, CORRECTED, 1.0)
         found = solvable & (length < LARGEST_STEP) & (left * length < LEFT_OVER)
-        rotation[active], shift[active] = turned, moved
-        matrices[0, active], matrices[1, active] = told.information, told.noise_part
-        slopes[0, active], slopes[1, active, :6] = told.slope, step
-        scales[active], counts[active] = torch.where(found, scale, torch.nan), told.count.to(scales)
+        rotation[active], shift[active] = new_rotation, moved
+        matrices[0, active], matrices[1, active] = total.information, total.noise_part
+        slopes[0, active], slopes[1, active, :6] = total.slope, step
+        scales[active], counts[active] = torch.where(found, scale, torch.nan), total.count.to(scales)
         active = active[solvable & ~found]
         if len(active) == 0:
             break
-    turns, shifts, both, asked, levels, cells = (
+    turns, shifts, both, slopes_and_steps, levels, cells = (
         part.cpu().numpy() for part in (rotation, shift, matrices, slopes, scales, counts)
     )
     fits: list[DirectFit | None] = [None] * len(starts)
-    known = np.flatnonzero(np.isfinite(levels))
-    whole, level = both[:, known], levels[known]
+    fitted = np.flatnonzero(np.isfinite(levels))
+    whole, level = both[:, fitted], levels[fitted]
     each, size = level[:, None, None], slice(6)
-    rotations = turns[known], vector_from_rotation(turns[known])
+    rotations = turns[fitted], vector_from_rotation(turns[fitted])
     covariances = each * pose_covariance(whole[0, :, size, size], each * whole[1, :, size, size], *rotations)
-    amplitudes, of_shapes = estimate_shape_amplitudes(asked[1, known, :6], asked[0, known], (whole[0], whole[1]), level)
-    for k, f in enumerate(known):
+    amplitudes, of_shapes = estimate_shape_amplitudes(
+        slopes_and_steps[1, fitted, :6], slopes_and_steps[0, fitted], (whole[0], whole[1]), level
+    )
+    for k, f in enumerate(fitted):
         moved = RigidTransform(turns[f], shifts[f])
         fits[f] = DirectFit(moved, covariances[k], float(level[k]), int(cells[f]), amplitudes[k], of_shapes[k])
     return fits
 
 
-def _moved_back(rotation: Tensor, shift: Tensor, step: Tensor) -> tuple[Tensor, Tensor]:
-    """Return T·δ⁻¹ of motions (A, 3, 3), (A, 3) and steps (A, 6) of shift and rotation vector."""
+def _compose_inverse(rotation: Tensor, shift: Tensor, step: Tensor) -> tuple[Tensor, Tensor]:
+    """Return T·δ⁻¹ of motions (A,3,3), (A,3) and steps (A,6) of shift and rotation vector."""
     from kornia.geometry.liegroup import So3
 
-    turned = rotation @ So3.exp(step[:, 3:]).matrix().transpose(1, 2)
-    return turned, shift - (turned @ step[:, :3, None])[..., 0]
+    rotated = rotation @ So3.exp(step[:, 3:]).matrix().transpose(1, 2)
+    return rotated, shift - (rotated @ step[:, :3, None])[..., 0]
 
 
 @lru_cache(maxsize=16)
 def _lens(camera: Camera, device: torch.device) -> tuple[Tensor, Tensor]:
-    """The camera's matrix and distortion on a device."""
+    """Return the camera's matrix and distortion on a device."""
     import torch
 
     matrix, lens = (torch.from_numpy(part).to(device) for part in (camera.matrix, camera.distortion))
@@ -220,7 +229,7 @@ def _lens(camera: Camera, device: torch.device) -> tuple[Tensor, Tensor]:
 
 @lru_cache(maxsize=4)
 def _noise_gains(degree: int, device: torch.device) -> Tensor:
-    """`bspline.noise_gain_table` on a device."""
+    """Return `bspline.noise_gain_table` on a device."""
     import torch
 
     return torch.from_numpy(noise_gain_table(degree)).to(device)
@@ -246,20 +255,23 @@ def torch_project(camera: Camera, points_m: Tensor) -> Tensor:
 
 
 def _warps(view: TorchView, rotation: Tensor, shift: Tensor) -> Tensor:
-    """Affine warps (A, C, 6) of the cells by motions of the body (A, 3, 3), (A, 3): `motion.patch_warps`."""
+    """Return affine warps (A,C,6) of the cells by motions of the body (A,3,3), (A,3).
+
+    As `surface.patch_warps`.
+    """
     import torch
 
-    turned = view.turn @ rotation @ view.turn.T  # in the camera's frame the body moves by C·T·C⁻¹, C its pose
-    moved = shift @ view.turn.T + view.origin_m - (turned @ view.origin_m[:, None])[..., 0]
-    seen = torch_project(view.source.camera.camera, view.points_m @ turned.transpose(1, 2) + moved[:, None])
-    apart = seen.reshape(len(shift), -1, 5, 2) - view.rest_px
+    rotated = view.turn @ rotation @ view.turn.T  # in the camera's frame the body moves by C·T·C⁻¹, C its pose
+    moved = shift @ view.turn.T + view.origin_m - (rotated @ view.origin_m[:, None])[..., 0]
+    seen = torch_project(view.source.camera.camera, view.points_m @ rotated.transpose(1, 2) + moved[:, None])
+    shift_px = seen.reshape(len(shift), -1, 5, 2) - view.rest_px
     arm = 2.0 * view.source.patches.arm_px
-    along, down = (apart[:, :, 1] - apart[:, :, 2]) / arm, (apart[:, :, 3] - apart[:, :, 4]) / arm
-    return torch.stack([apart[:, :, 0], along, down], dim=3).flatten(2)
+    along, down = (shift_px[:, :, 1] - shift_px[:, :, 2]) / arm, (shift_px[:, :, 3] - shift_px[:, :, 4]) / arm
+    return torch.stack([shift_px[:, :, 0], along, down], dim=3).flatten(2)
 
 
 def _compared(view: TorchView, frames: TorchSplines, number: Tensor, rotation: Tensor, shift: Tensor) -> _Compared:
-    """Return what a camera's frames `number` (A,) say of motions (A, 3, 3), (A, 3): `cells.compare_cells`."""
+    """Compare a camera's frames `number` (A,) at motions (A, 3, 3), (A, 3): `cells.compare_cells`."""
     import torch
 
     warp = _warps(view, rotation, shift)
@@ -272,8 +284,8 @@ def _compared(view: TorchView, frames: TorchSplines, number: Tensor, rotation: T
     return _Compared(gain, misfit, expected, torch.where(gain[..., None].isfinite(), slope, torch.nan))
 
 
-def _told(view: TorchView, cells: _Compared, step: Tensor) -> _CellSums:
-    """Return the sums over the cells that show the body, as it is after a step (A, 6) of its own."""
+def _sum_cells(view: TorchView, cells: _Compared, step: Tensor) -> _CellSums:
+    """Return the sums over the cells that show the body after a step (A, 6)."""
     import torch
 
     gain, misfit, expected, slope = cells
@@ -296,56 +308,59 @@ def _told(view: TorchView, cells: _Compared, step: Tensor) -> _CellSums:
 
 
 def _cell_sums(view: TorchView, frames: TorchSplines, number: Tensor, warp: Tensor) -> Tensor:
-    """Sums (A, C, 9) of `cells._compare` over frames `number` (A,) at warps (A, C, 6); NaN outside the image."""
+    """Return the sums (A,C,9) of `cells._compare` over frames (A,) at warps (A,C,6).
+
+    NaN outside the image.
+    """
     import torch
 
     count = len(view.centre_px)
     flat, cell = warp.reshape(-1, 6), torch.arange(warp.shape[0] * count, device=warp.device) % count
     middle = view.centre_px[cell] + flat[:, ::3]
     reach = flat.reshape(-1, 2, 3)[:, :, 1:] + _eye(2, flat)
-    room = reach.abs().sum(dim=2) * (view.source.cells.side_px - 1) / 2
-    (right, bottom), after = frames.size_px, middle + room
-    inside = (middle >= room).all(dim=1) & (after[:, 0] <= right - 1.0) & (after[:, 1] <= bottom - 1.0)
+    half_size = reach.abs().sum(dim=2) * (view.source.cells.side_px - 1) / 2
+    (right, bottom), after = frames.size_px, middle + half_size
+    inside = (middle >= half_size).all(dim=1) & (after[:, 0] <= right - 1.0) & (after[:, 1] <= bottom - 1.0)
     frame = number.repeat_interleave(count)
     return square_sums(view, frames, (frame, cell, flat), inside).reshape(*warp.shape[:2], 9)
 
 
 def _interpolated_noise(view: TorchView, warp: Tensor, degree: int) -> Tensor:
-    """Variance (A, C) of interpolated white noise at warps (A, C, 6): `bspline.mean_noise_gain` at nine points."""
+    """Variance (A,C) of interpolated white noise at warps (A,C,6): `bspline.mean_noise_gain` at nine points."""
     import torch
 
     table = _noise_gains(degree, warp.device)
-    turned = warp.reshape(*warp.shape[:2], 2, 3)[..., 1:] + _eye(2, warp)
+    swapped = warp.reshape(*warp.shape[:2], 2, 3)[..., 1:] + _eye(2, warp)
     middle = view.centre_px + warp[..., ::3]
-    place = torch.einsum("acij,pj->acpi", turned, view.nine_points) + middle[:, :, None]
-    place = torch.nan_to_num(place - place.floor()) * (len(table) - 1)
-    low = place.floor().to(torch.int64).clamp(0, len(table) - 2)
-    gains = table[low] + (place - low) * (table[low + 1] - table[low])
+    table_position = torch.einsum("acij,pj->acpi", swapped, view.nine_points) + middle[:, :, None]
+    table_position = torch.nan_to_num(table_position - table_position.floor()) * (len(table) - 1)
+    low = table_position.floor().to(torch.int64).clamp(0, len(table) - 2)
+    gains = table[low] + (table_position - low) * (table[low + 1] - table[low])
     return torch.where(warp.isfinite().all(dim=2), gains.prod(dim=3).mean(dim=2), torch.nan)
 
 
 def _rigid_cells(view: TorchView, ratio: Tensor, slope: Tensor) -> Tensor:
-    """Which cells (A, C) show the body, by their misfit over the expected one (A, C) and their slope (A, C, 6)."""
-    known = ratio.isfinite() & slope.isfinite().all(dim=2) & view.steady
-    typical = _median(ratio, known).clamp(min=SMALLEST_MISFIT)[:, None]
-    known &= ratio <= MISFIT * typical
-    own = slope[..., ::3]
-    squares = (own[..., None] * own[..., None, :] * view.translation).sum(dim=(2, 3)) / typical
-    limit = REJECTED * (_median(squares, known) / MEDIAN_CHI2_OF_TWO).clamp(min=1.0)
-    return known & (squares <= limit[:, None])
+    """Return which cells (A,C) show the body, by misfit ratio (A,C) and slope (A,C,6)."""
+    finite = ratio.isfinite() & slope.isfinite().all(dim=2) & view.steady
+    typical = _median(ratio, finite).clamp(min=SMALLEST_MISFIT)[:, None]
+    finite &= ratio <= MISFIT * typical
+    cell_shift = slope[..., ::3]
+    squares = (cell_shift[..., None] * cell_shift[..., None, :] * view.translation).sum(dim=(2, 3)) / typical
+    limit = REJECTED * (_median(squares, finite) / MEDIAN_CHI2_OF_TWO).clamp(min=1.0)
+    return finite & (squares <= limit[:, None])
 
 
-def _median(values: Tensor, known: Tensor) -> Tensor:
+def _median(values: Tensor, finite: Tensor) -> Tensor:
     """Median (A,) of the known ones of values (A, C), infinite where there is none."""
     import torch
 
-    ordered = torch.where(known, values, torch.inf).sort(dim=1).values
-    count = known.sum(dim=1, keepdim=True).clamp(min=1)
+    ordered = torch.where(finite, values, torch.inf).sort(dim=1).values
+    count = finite.sum(dim=1, keepdim=True).clamp(min=1)
     return 0.5 * (ordered.gather(1, (count - 1) // 2) + ordered.gather(1, count // 2))[:, 0]
 
 
 def _scaled(matrices: Tensor) -> Tensor:
-    """Symmetric matrices (A, 6, 6) scaled to unit diagonals; zeros where a diagonal is not positive."""
+    """Symmetric matrices (A,6,6) scaled to unit diagonals; zeros where a diagonal is not positive."""
     import torch
 
     diagonal = matrices.diagonal(dim1=1, dim2=2)

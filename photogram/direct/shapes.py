@@ -1,4 +1,4 @@
-"""Shapes in which a body may deform beside its rigid motion, and their amplitudes as fitted to grey values."""
+"""Shapes of a body's deformation, and their amplitudes."""
 
 from __future__ import annotations
 
@@ -12,14 +12,17 @@ from photogram.direct.surface import RATE_STEP, Patches, PlacedCamera, warps_of_
 
 
 class Shapes(Protocol):
-    """Some shapes in which a body may deform, by their names, in the body's frame."""
+    """Shapes in which a body may deform, by their names, in the body's frame."""
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Return what the S shapes are called."""
+        """Names of the S shapes."""
 
     def __call__(self, points_m: FloatArray) -> FloatArray:
-        """Return the displacement (S, N, 3) of points (N, 3) at rest in shapes of amplitude 1, finite everywhere."""
+        """Return the displacement (S,N,3) of points (N,3) at rest in shapes of amplitude 1.
+
+        It is finite everywhere.
+        """
 
 
 PLAIN = ("bowl", "saddle", "twist", "breathing", "stretch", "shear")
@@ -27,11 +30,11 @@ PLAIN = ("bowl", "saddle", "twist", "breathing", "stretch", "shear")
 
 @dataclass(frozen=True, eq=False, repr=False)
 class PlainShapes(Arrays, shapes="middle_m 3; axes 3 3"):
-    """The six ways in which a face bends or stretches that need no knowledge of it: second order across, first along.
+    """Six general shapes of a face: second order across it, first order along it.
 
     axes (3, 3): rows u and v along the face, n across it; reach_m: from its middle to its rim. With u, v in units of it
-    the face moves across by u² + v² (bowl), u² − v² (saddle), 2uv (twist), along by (u, v) (breathing), (u, −v)
-    (stretch), (v, u) (shear): an amplitude is what the rim does against the middle, in m.
+    the face moves across by u² + v² (bowl), u² − v² (saddle) or 2uv (twist). Along it, it moves by (u, v) (breathing),
+    (u, −v) (stretch) or (v, u) (shear). An amplitude is the displacement of the rim against the middle, in m.
     """
 
     middle_m: FloatArray
@@ -40,20 +43,23 @@ class PlainShapes(Arrays, shapes="middle_m 3; axes 3 3"):
 
     @classmethod
     def of(cls, points_m: FloatArray) -> PlainShapes:
-        """Return the shapes of a face by points (N, 3) of it; u is the frame's axis that lies most along the face."""
-        known = points_m[np.isfinite(points_m).all(axis=1)]
-        middle = known.mean(axis=0)
-        normal = np.linalg.svd(known - middle, full_matrices=False)[2][2]
+        """Return the shapes of a face by points (N, 3) of it.
+
+        u is the axis of the frame that lies most along the face.
+        """
+        finite = points_m[np.isfinite(points_m).all(axis=1)]
+        middle = finite.mean(axis=0)
+        normal = np.linalg.svd(finite - middle, full_matrices=False)[2][2]
         normal = normal * np.sign(normal[np.argmax(np.abs(normal))])
         along = np.eye(3)[np.argmin(np.abs(normal))]
         along = along - (along @ normal) * normal
         along /= np.linalg.norm(along)
-        reach = np.linalg.norm(known - middle, axis=1).max()
+        reach = np.linalg.norm(finite - middle, axis=1).max()
         return cls(middle, np.stack([along, np.cross(normal, along), normal]), float(reach))
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Return what the shapes are called."""
+        """Names of the shapes."""
         return PLAIN
 
     def __call__(self, points_m: FloatArray) -> FloatArray:
@@ -65,12 +71,12 @@ class PlainShapes(Arrays, shapes="middle_m 3; axes 3 3"):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class ShapeAmplitudes(Arrays, shapes="amplitude F S; covariance F S S; share 6 S"):
-    """By how much a body deformed in its S `shapes` in each of F frames, fitted to the grey values beside its motion.
+    """Amplitudes of a body's S `shapes` in F frames, fitted to the grey values.
 
-    amplitude (F, S) and covariance (F, S, S) of the frame's noise, NaN where the motion was not so fitted; the first
-    frame is that against which deformation counts. They are uncorrelated with the motion, which is the one that
-    explains the frame as rigid: where an amplitude is q, that contains share (6, S)·q, and the motion of the body
-    beside the shape is what remains.
+    amplitude (F, S) and covariance (F, S, S) of the frame's noise, NaN where the motion was not fitted to the grey
+    values. The first frame is the reference of the deformation. The amplitudes are uncorrelated with the motion, which
+    explains the frame as rigid: for an amplitude q it contains share (6, S)·q, and the remainder is the motion of the
+    body without the shape.
     """
 
     shapes: Shapes
@@ -80,7 +86,7 @@ class ShapeAmplitudes(Arrays, shapes="amplitude F S; covariance F S S; share 6 S
 
 
 def shape_rates(camera: PlacedCamera, patches: Patches, shapes: Shapes) -> FloatArray:
-    """Return the derivatives (C, 6, S) of the patches' affine warps by the amplitudes of S shapes at rest."""
+    """Return the derivatives (C,6,S) of the patches' warps by the amplitudes of S shapes."""
     shape = shapes(patches.points_m.reshape(-1, 3))
     moved = shape.reshape(len(shape), *patches.points_m.shape)
 

@@ -1,4 +1,4 @@
-"""Image series from disk at full bit depth: pictures one file each, pages of one TIFF file, video files."""
+"""Image series from disk at full bit depth: single images, TIFF stacks, videos."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ from typing import cast
 
 import numpy as np
 
+from photogram.images.image_notices import LOSSY_IMAGES
 from photogram.images.numbering import numbers_of_names
 from photogram.images.orientation import PNG_SIGNATURE, read_orientation, tag_notices
 from photogram.images.sequence import (
@@ -26,21 +27,38 @@ from photogram.images.video import VIDEO_READERS
 from shakercal._common.notices import Notice
 
 SUFFIXES = (*TIFF_SUFFIXES, ".png", ".bmp", *VIDEO_READERS)
-PICTURE_BITS = (8, 10, 12, 14, 16)
-PNG_TAIL = 64  # last bytes among which the end mark is looked for
+BIT_DEPTHS = (8, 10, 12, 14, 16)  # of cameras
+PNG_TAIL = 64  # last bytes in which the end mark is searched
 PNG_COLOURS = {2: "colour", 3: "palette colour", 4: "grey with transparency", 6: "colour with transparency"}
 
 
 def open_sequence(paths: Sequence[str | Path], bit_depth: int | None = None) -> ImageSequence:
-    """Open grey images: TIFF, PNG or BMP files in the order given, one multi-page TIFF, or one video file.
+    """Open grey images: TIFF, PNG or BMP files, one multi-page TIFF, or one video file.
 
-    Video: Phantom .cine, Photron .cih or .cihx beside its .mraw, and .avi .mp4 .mov .mkv with a warning of what
-    compression does. Headers are checked at once (format, colour, size, truncation), pixels when a frame is read.
-    Pixels are those that the sensor stored: a tag that rotates them for display is reported and not applied, one that
-    mirrors them is refused.
-    Without `bit_depth` the stored type counts: 8 bit → full scale 255, 16 bit → 65535, cameras' video → its header's
-    bit depth.
+    Headers are checked at once (format, colour, size, truncation), pixels when a frame is read. Pixels are those that
+    the sensor stored. A tag that rotates them for display is reported and not applied; one that mirrors is refused.
 
+    Parameters
+    ----------
+    paths
+        Files in the order of the frames. Video: Phantom .cine, Photron .cih or .cihx next to its .mraw, or .avi .mp4
+        .mov .mkv.
+    bit_depth
+        Bits of a grey value. None (default): the stored type, 8 bit → full scale 255, 16 bit → 65535; of a camera's
+        video the bit depth in its header.
+
+    Returns
+    -------
+    ImageSequence
+        The frames, with the notices that their files give, such as lossy compression.
+
+    Raises
+    ------
+    ValueError, OSError
+        For a file that is damaged, missing or of another kind than the first; the text begins with its path.
+
+    Examples
+    --------
     >>> from pathlib import Path
     >>> from tempfile import TemporaryDirectory
     >>> with TemporaryDirectory() as folder:
@@ -77,39 +95,51 @@ def open_sequence(paths: Sequence[str | Path], bit_depth: int | None = None) -> 
         raise ValueError(f"{files[0]}: expected grey values up to {full_scale} that count up from black, found {found}")
     if first.pages > 1:
         names = tuple(f"{files[0]}[{page}]" for page in range(first.pages))
-        reader, places = partial(read_tiff, files[0], first), [(files[0], *place) for place in first.pixels_at]
+        reader, offsets = partial(read_tiff, files[0], first), [(files[0], *offset) for offset in first.pixels_at]
     else:
         names, reader = tuple(str(path) for path in files), partial(_read_file, files, first)
-        places = [(path, *header.pixels_at[0]) for path, header in zip(files, headers, strict=True)]
+        offsets = [(path, *header.pixels_at[0]) for path, header in zip(files, headers, strict=True)]
     numbers = numbers_of_names([path.name for path in files])
-    notices, glimpse = _header_notices(files, headers), partial(_glimpse, places)
+    notices, glimpse = _header_notices(files, headers), partial(_glimpse, offsets)
     return ImageSequence(names, first.size_px, full_scale, reader, notices=notices, numbers=numbers, glimpse=glimpse)
 
 
-def _glimpse(places: Sequence[tuple[Path, int, int]], index: int) -> bytes:
-    """Return some bytes of the pixels of image `index`."""
-    return bytes_at(*places[index])
+def _glimpse(offsets: Sequence[tuple[Path, int, int]], index: int) -> bytes:
+    return bytes_at(*offsets[index])
 
 
 def _header_notices(files: Sequence[Path], headers: Sequence[ImageHeader]) -> tuple[Notice, ...]:
-    """Warn of lossy compression, and of orientation tags that are not applied."""
+    """Return notices of lossy compression and of orientation tags that are not applied."""
     found = []
     count = headers[0].pages if headers[0].pages > 1 else len(files)
     lossy = next((path for path, header in zip(files, headers, strict=True) if header.lossy), None)
     if lossy is not None:
-        text = f"{count} pictures with lossy compression, which changes grey values; such errors are in no uncertainty"
-        found.append(Notice("warning", text, str(lossy)))
+        found.append(Notice(LOSSY_IMAGES, str(lossy), images=count))
     tags = {path: header.orientation for path, header in zip(files, headers, strict=True)}
     return (*found, *tag_notices(tags))
 
 
 def read_image(path: str | Path) -> tuple[GreyImage, int]:
-    """Single picture (H,W) of any common format as grey values, and its full scale.
+    """Read one image of any common format as grey values.
 
-    Colours become their luminance. Pixels are as stored, whatever an orientation tag says; one that mirrors is refused.
-    The full scale is that of the fewest bits among 8, 10, 12, 14, 16 that hold the brightest pixel, since files of
-    16 bit do not tell how many the camera has.
+    Parameters
+    ----------
+    path
+        The file.
 
+    Returns
+    -------
+    image : (H, W), uint8 or uint16. Colours become their luminance. Pixels are as stored, whatever the orientation tag.
+    full_scale : of the fewest bits among 8, 10, 12, 14 and 16 that contain the brightest pixel, since files of 16 bit
+        do not state the bits of the camera.
+
+    Raises
+    ------
+    ValueError, OSError
+        For a file that cannot be read, and for an orientation tag that mirrors.
+
+    Examples
+    --------
     >>> import cv2
     >>> from tempfile import TemporaryDirectory
     >>> with TemporaryDirectory() as folder:
@@ -123,11 +153,11 @@ def read_image(path: str | Path) -> tuple[GreyImage, int]:
     path = Path(path)
     with wrap_read_errors(path):
         data = np.fromfile(path, np.uint8)
-        if data[: len(PNG_SIGNATURE)].tobytes() == PNG_SIGNATURE:  # whose library writes to the terminal of its own
+        if data[: len(PNG_SIGNATURE)].tobytes() == PNG_SIGNATURE:  # whose library would write to the terminal
             _refuse_truncated_png(path, data[-PNG_TAIL:].tobytes())
         read_orientation(path)
         photometric = read_raw_tiff(data)
-        if photometric is not None and photometric.name in GREY:  # of which OpenCV does not read every layout
+        if photometric is not None and photometric.name in GREY:  # OpenCV does not read every layout of these
             header = tiff_header(path)
             check_pixels(path, header.size_px)
             if header.pages > 1:
@@ -137,16 +167,16 @@ def read_image(path: str | Path) -> tuple[GreyImage, int]:
             flags = cv2.IMREAD_ANYDEPTH | cv2.IMREAD_GRAYSCALE | cv2.IMREAD_IGNORE_ORIENTATION
             image = cast(GreyImage, cv2.imdecode(data, flags)) if data.size else None
     if image is None:
-        raise ValueError(f"{path}: not a readable picture")
+        raise ValueError(f"{path}: expected a readable image, found another file")
     if image.dtype not in (np.uint8, np.uint16):
         raise ValueError(f"{path}: expected 8 or 16 bits per pixel, found {image.dtype}")
     grey = cast(GreyImage, np.asarray(image))
-    bits = next(b for b in PICTURE_BITS if int(grey.max()) < 2**b)
+    bits = next(b for b in BIT_DEPTHS if int(grey.max()) < 2**b)
     return grey, 2**bits - 1
 
 
 def _read_header(path: Path) -> ImageHeader:
-    """Header of a file that is one picture, or of a TIFF file."""
+    """Return the header of a file that is one image, or of a TIFF file."""
     reader = {".tif": tiff_header, ".tiff": tiff_header, ".png": _png_header, ".bmp": _bmp_header}
     if path.suffix.lower() in VIDEO_READERS:
         raise ValueError(f"{path}: expected one video file for a camera, found several files")
@@ -159,7 +189,6 @@ def _read_header(path: Path) -> ImageHeader:
 
 
 def _read_file(paths: tuple[Path, ...], header: ImageHeader, index: int) -> GreyImage:
-    """The only image of file `index`."""
     path = paths[index]
     if path.suffix.lower() in TIFF_SUFFIXES:
         return read_tiff(path, header)
@@ -174,7 +203,7 @@ def _read_file(paths: tuple[Path, ...], header: ImageHeader, index: int) -> Grey
 
 
 def _png_header(path: Path) -> ImageHeader:
-    """Size and bits of a PNG file that has its end mark."""
+    """Return size and bits of a PNG file that has its end mark."""
     with path.open("rb") as file:
         head = file.read(26)
         file.seek(max(0, path.stat().st_size - PNG_TAIL))
@@ -191,13 +220,13 @@ def _png_header(path: Path) -> ImageHeader:
 
 
 def _refuse_truncated_png(path: Path, tail: bytes) -> None:
-    """Refuse a PNG file whose last bytes lack the end mark."""
+    """Raise `ValueError` for a PNG file whose last bytes lack the end mark."""
     if b"IEND" not in tail:
-        raise ValueError(f"{path}: truncated, the end mark of the PNG file is missing")
+        raise ValueError(f"{path}: truncated, the PNG file has no end mark")
 
 
 def _bmp_header(path: Path) -> ImageHeader:
-    """Size of an uncompressed BMP file of 8 bits with a grey palette."""
+    """Return the size of an uncompressed BMP file of 8 bits with a grey palette."""
     with path.open("rb") as file:
         head = file.read(54)
         if len(head) < 54 or head[:2] != b"BM":

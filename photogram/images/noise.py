@@ -1,4 +1,4 @@
-"""Image noise as a function of brightness: what the sensor reads with, and what the light itself brings."""
+"""Image noise as a function of brightness: read noise and shot noise."""
 
 from __future__ import annotations
 
@@ -12,20 +12,21 @@ from photogram.arrays import FloatArray, check_shape
 QUANTISATION = 1.0 / 12.0  # variance of rounding to whole grey values
 CUT = 9.0  # squared residuals beyond three standard deviations count as outliers
 _ENLARGED = 1.0 / (1.0 - math.sqrt(2.0 * CUT / math.pi) * math.exp(-CUT / 2.0) / math.erf(math.sqrt(CUT / 2.0)))
-"""F₁/F₃ at the cut, Fₙ the distribution of χ² with n degrees of freedom: what leaving out takes from a mean."""
+"""F₁/F₃ at the cut, Fₙ the distribution of χ² with n degrees of freedom: correction of a mean for rejection."""
 MEDIAN_CHI2 = 0.4549364231195724  # of χ² with one degree of freedom
-BINS = 32
-FEWEST_IN_BIN = 50
-NARROW = 0.1  # brightness range, relative to the brightest, below which shot noise cannot be told from read noise
-ROUNDS = 30
+BINS = 32  # enough for a line, with thousands of pixels in each
+MIN_IN_BIN = 50  # pixels, for a variance to 20 %
+NARROW = 0.1  # brightness range, relative to the brightest, below which shot noise and read noise cannot be separated
+ROUNDS = 30  # usually fewer than ten are needed
 
 
 @dataclass(frozen=True)
 class NoiseModel:
-    """Noise variance of a pixel of grey value g: read_variance_grey2 + variance_per_grey·g, at least 1/12 (rounding).
+    """Noise variance of a pixel of grey value g: read_variance_grey2 + variance_per_grey·g.
 
-    The photon transfer curve (Janesick 2007, Photon Transfer, SPIE, ch. 5; EMVA 1288 release 4.0, eq. 10): the first
-    term is the noise of the dark sensor, quantisation included, the second is shot noise, 1/(electrons per grey value).
+    It is at least 1/12, the variance of rounding. The photon transfer curve (Janesick 2007, Photon Transfer, SPIE, ch.
+    5; EMVA 1288 release 4.0, eq. 10): the first term is the noise of the dark sensor, quantisation included. The second
+    is shot noise, 1/(electrons per grey value).
     """
 
     read_variance_grey2: float
@@ -43,20 +44,21 @@ class NoiseModel:
 
 
 def fit_noise_model(grey: FloatArray, residual_grey2: FloatArray) -> NoiseModel:
-    """Noise model from pixels' brightness (M,) and squared residuals (M,), each χ² with one degree of freedom.
+    """Fit a noise model to pixels' brightness (M,) and squared residuals (M,).
 
-    Up to 32 bins of equal count along brightness. In a bin the variance s² is the mean of the residuals below 9·s²,
-    enlarged by F₁(9)/F₃(9) = 1.027 (Fₙ: distribution of χ² with n degrees of freedom, since ∫₀ᵗ x·f₁ = F₃(t)). The line
-    through the bins has no negative coefficient and relative weights, taken from the line itself. A brightness range of
-    less than 10 % of the brightest bin gives a constant. NaN pixels are left out.
+    Each squared residual is χ² distributed with one degree of freedom. Up to 32 bins of equal count divide the
+    brightness. In a bin the variance s² is the mean of the residuals below 9·s², enlarged by F₁(9)/F₃(9) = 1.027 (Fₙ:
+    distribution of χ² with n degrees of freedom, since ∫₀ᵗ x·f₁ = F₃(t)). The line through the bins has no negative
+    coefficient; its relative weights follow from the line itself. A brightness range of less than 10 % of the brightest
+    bin gives a constant. NaN pixels are ignored.
     """
     check_shape("grey", grey, (None,))
     check_shape("residual_grey2", residual_grey2, (len(grey),))
-    known = np.isfinite(grey) & np.isfinite(residual_grey2)
-    if known.sum() < FEWEST_IN_BIN:
-        raise ValueError(f"grey: expected at least {FEWEST_IN_BIN} finite pixels, found {known.sum()}")
-    order = np.flatnonzero(known)[np.argsort(grey[known])]
-    parts = np.array_split(order, max(1, min(BINS, len(order) // FEWEST_IN_BIN)))
+    finite = np.isfinite(grey) & np.isfinite(residual_grey2)
+    if finite.sum() < MIN_IN_BIN:
+        raise ValueError(f"grey: expected at least {MIN_IN_BIN} finite pixels, found {finite.sum()}")
+    order = np.flatnonzero(finite)[np.argsort(grey[finite])]
+    parts = np.array_split(order, max(1, min(BINS, len(order) // MIN_IN_BIN)))
     brightness = np.array([grey[part].mean() for part in parts])
     variance = np.array([_robust_variance(residual_grey2[part]) for part in parts])
     count = np.array([float(len(part)) for part in parts])
@@ -72,20 +74,20 @@ def fit_noise_model(grey: FloatArray, residual_grey2: FloatArray) -> NoiseModel:
 
 
 def _robust_variance(squares: FloatArray) -> float:
-    """Mean of squares of normal deviates, those beyond three standard deviations left out and made up for."""
+    """Return the mean of squares of normal deviates, corrected for those rejected beyond 3σ."""
     ordered, middle = np.sort(squares), len(squares) // 2
     median = 0.5 * float(ordered[middle] + ordered[-1 - middle])
     sums, variance = np.cumsum(ordered), median / MEDIAN_CHI2
     for _ in range(ROUNDS):
-        kept = np.searchsorted(ordered, CUT * variance, side="right")
-        before, variance = variance, _ENLARGED * float(sums[kept - 1] / kept)
+        number = np.searchsorted(ordered, CUT * variance, side="right")
+        before, variance = variance, _ENLARGED * float(sums[number - 1] / number)
         if abs(variance - before) <= 1e-6 * before:
             break
     return variance
 
 
 def _nonnegative(columns: FloatArray, values: FloatArray) -> FloatArray:
-    """The least-squares solution (2,) of values (M,) by columns (M,2), neither coefficient below zero."""
+    """Solve values (M,) by columns (M, 2) in least squares, neither coefficient below zero."""
     both, *_ = np.linalg.lstsq(columns, values)
     if (both >= 0.0).all():
         return np.asarray(both)

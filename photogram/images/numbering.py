@@ -1,4 +1,4 @@
-"""Which frames a series lacks, by the numbers in the names of its files or by the time stamps of a film."""
+"""Missing frames of a series, from numbers in file names or time stamps."""
 
 from __future__ import annotations
 
@@ -13,8 +13,8 @@ import numpy as np
 
 from photogram.arrays import FloatArray, IntArray
 
-MOST_DIGITS = 18  # of a number that 64 bits hold
-NEAR = 0.25  # intervals by which time stamps may be off
+MAX_DIGITS = 18  # of a number of 64 bits
+NEAR = 0.25  # intervals by which time stamps may be wrong
 SHOWN = 3  # missing numbers that are named
 SEXAGESIMAL = (40, 4040)  # by which hhmmss grows from one minute, or hour, to the next beyond a second
 
@@ -23,9 +23,13 @@ SEXAGESIMAL = (40, 4040)  # by which hhmmss grows from one minute, or hour, to t
 class FrameNumbers:
     """How the frames of a series are counted, from its first one on.
 
-    `place` (F,): 0, then how many frames later each one was, the missing ones counted. `first`, `last`: their numbers
-    as written. `step`: by which the numbers count. `missing`: what is not there, in words, "" where nothing is.
-    `exact`: by a counter; else by times, which may stray.
+    Attributes
+    ----------
+    frame_index : (F,) 0, then how many frames later each one was, the missing ones counted.
+    first, last : their numbers as written.
+    step : increment of the numbers.
+    missing : the missing numbers as text, "" for none.
+    exact : whether a counter numbers the frames; False for times, which may stray.
     """
 
     frame_index: IntArray
@@ -37,13 +41,14 @@ class FrameNumbers:
 
 
 def numbers_of_names(names: Sequence[str]) -> FrameNumbers | None:
-    """How file names that differ in numbers alone count their frames; None where none of the numbers does.
+    """Return how file names count their frames, None if no number in them does.
 
-    A counter is a number that ascends from file to file, in most cases by one step, in all cases by multiples of it. A
-    number that ascends by nearly one step is a time. Of several counters the one with a gap is returned.
+    The names differ in numbers alone. A counter ascends from file to file, in most cases by one step, in all cases by
+    multiples of it. A number that ascends by nearly one step is a time. Of several counters the one with a gap is
+    returned.
 
     >>> counted = numbers_of_names(["a0001.tif", "a0002.tif", "a0004.tif"])
-    >>> counted.place.tolist(), counted.missing
+    >>> counted.frame_index.tolist(), counted.missing
     ([0, 1, 3], '0003')
     """
     parts = [re.split(r"(\d+)", Path(name).name) for name in names]
@@ -57,8 +62,8 @@ def numbers_of_names(names: Sequence[str]) -> FrameNumbers | None:
 
 
 def _steps(texts: Sequence[str]) -> IntArray | None:
-    """Steps (F-1,) from number to number; None unless they ascend."""
-    if max(map(len, texts)) > MOST_DIGITS:
+    """Return steps (F-1,) from number to number, None unless they ascend."""
+    if max(map(len, texts)) > MAX_DIGITS:
         return None
     steps: IntArray = np.array([int(after) - int(before) for before, after in pairwise(texts)], dtype=np.int64)
     return steps if steps.min() > 0 else None
@@ -77,23 +82,26 @@ def _counter(texts: Sequence[str]) -> FrameNumbers | None:
         if between:
             ends = dict.fromkeys(f"{number:0{len(start)}d}" for number in (between[0], between[-1]))
             missing.append(" to ".join(ends))
-    place = np.concatenate([[0], np.cumsum(steps // step)])
-    return FrameNumbers(place, texts[0], texts[-1], step, _listed(missing))
+    frame_index = np.concatenate([[0], np.cumsum(steps // step)])
+    return FrameNumbers(frame_index, texts[0], texts[-1], step, _listed(missing))
 
 
 def _stamps(texts: Sequence[str]) -> FrameNumbers | None:
-    """Count by a number that is a time, also one written as hhmmss and parts of a second."""
+    """Count by a time in the name, also one written as hhmmss and decimals."""
     steps = _steps(texts)
     if steps is None:
         return None
     interval = float(np.median(steps))
-    for jump in (base * 10**power for base in SEXAGESIMAL for power in range(MOST_DIGITS - 4)):
+    for jump in (base * 10**power for base in SEXAGESIMAL for power in range(MAX_DIGITS - 4)):
         steps = np.where(np.abs(steps - jump - interval) <= NEAR * interval, np.int64(interval), steps)
     return _counted_by_times(np.concatenate([[0.0], np.cumsum(steps, dtype=np.float64)]), 0.0, texts)
 
 
 def numbers_of_times(time_s: FloatArray, resolution_s: float) -> FrameNumbers | None:
-    """How frames at times (F,), rounded to a resolution, are counted; None where they have no common interval."""
+    """Return how frames at times (F,) are counted, None without a common interval.
+
+    The times are rounded to a resolution.
+    """
     if len(time_s) < 3 or np.diff(time_s).min() <= 0.0:
         return None
     return _counted_by_times(time_s, resolution_s, [f"{time:.6g} s" for time in time_s.tolist()])
@@ -108,11 +116,11 @@ def _counted_by_times(time: FloatArray, resolution: float, written: Sequence[str
     missing = [
         f"{int(count[k]) - 1} between {written[k]} and {written[k + 1]}" for k in np.flatnonzero(count > 1.0).tolist()
     ]
-    place = np.concatenate([[0], np.cumsum(count.astype(np.int64))])
-    return FrameNumbers(place, written[0], written[-1], 1, _listed(missing), exact=False)
+    frame_index = np.concatenate([[0], np.cumsum(count.astype(np.int64))])
+    return FrameNumbers(frame_index, written[0], written[-1], 1, _listed(missing), exact=False)
 
 
 def _listed(missing: Sequence[str]) -> str:
-    """The first of some missing numbers in words."""
+    """Return the first missing numbers as text."""
     more = f" and {len(missing) - SHOWN} more" if len(missing) > SHOWN else ""
     return ", ".join(missing[:SHOWN]) + more

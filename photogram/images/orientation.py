@@ -1,4 +1,4 @@
-"""Orientation tags of image files: pixels are used as the sensor stored them, a tag that rotates them is reported."""
+"""Orientation tags of image files: reported, not applied, refused if they mirror."""
 
 from __future__ import annotations
 
@@ -9,40 +9,47 @@ from os import SEEK_CUR
 from pathlib import Path
 from typing import BinaryIO
 
+from photogram.images.image_notices import ORIENTATION_NOT_APPLIED
 from photogram.images.sequence import wrap_read_errors
 from shakercal._common.notices import Notice
 
 ORIENTATION = 274  # tag of TIFF and EXIF
-TURNED = {3: "rotated by 180°", 6: "rotated by 90°", 8: "rotated by 270°"}
-ROTATED = {180: 3, 90: 6, 270: 8}  # degrees, clockwise, of a film
+ROTATIONS = {3: "rotated by 180°", 6: "rotated by 90°", 8: "rotated by 270°"}
+TAG_OF_ANGLE = {180: 3, 90: 6, 270: 8}  # degrees, clockwise, of a film
 MIRRORED = {
     2: "mirrored left to right",
     4: "mirrored top to bottom",
     5: "mirrored and rotated",
     7: "mirrored and rotated",
 }
-LONGEST_EXIF = 1 << 16  # bytes
-MOST_CHUNKS = 1 << 16  # of a PNG file, segments of a JPEG file
+MAX_EXIF = 1 << 16  # bytes
+MAX_CHUNKS = 1 << 16  # of a PNG file, segments of a JPEG file
 PNG_SIGNATURE = b"\x89PNG\r\n\x1a\n"
 
 
 def tag_notices(tags: Mapping[Path, int]) -> tuple[Notice, ...]:
-    """Warn of image files whose orientation tags rotate them, of all files with their tags: they are used as stored."""
-    turned = {path: tag for path, tag in tags.items() if tag in TURNED}
-    if not turned:
+    """Return a notice of the image files whose orientation tags rotate them.
+
+    `tags`: of all files; their pixels are used as stored.
+    """
+    rotated = {path: tag for path, tag in tags.items() if tag in ROTATIONS}
+    if not rotated:
         return ()
-    path, tag = next(iter(turned.items()))
-    share = f"{len(turned)} of {len(tags)} image files"
-    text = (
-        f"orientation tag {tag} ({TURNED[tag]}) of {share} is not applied: the pixels are used as the sensor stored "
-        "them. A calibration by a program that applies such tags does not fit; calibrate by "
-        "shakercal cameras, or with images without the tag"
+    path, tag = next(iter(rotated.items()))
+    return (
+        Notice(
+            ORIENTATION_NOT_APPLIED,
+            str(path),
+            tag=tag,
+            rotation=ROTATIONS[tag],
+            tagged=len(rotated),
+            files=len(tags),
+        ),
     )
-    return (Notice("warning", text, str(path)),)
 
 
 def read_orientations(paths: Iterable[Path]) -> dict[Path, int]:
-    """Orientation tags of image files, without those that cannot be read or are mirrored."""
+    """Return the orientation tags of image files, without unreadable and mirrored ones."""
     tags = {}
     for path in paths:
         with suppress(OSError, ValueError):
@@ -51,9 +58,9 @@ def read_orientations(paths: Iterable[Path]) -> dict[Path, int]:
 
 
 def read_orientation(path: str | Path) -> int:
-    """Orientation tag 274 of a TIFF, PNG or JPEG file, 1 without one: how its pixels are to be rotated for display.
+    """Return orientation tag 274 of a TIFF, PNG or JPEG file, 1 without one.
 
-    Raises `ValueError` for one that mirrors.
+    The tag states how the pixels are to be rotated for display. Raises `ValueError` for one that mirrors.
     """
     path = Path(path)
     with wrap_read_errors(path), path.open("rb") as file:
@@ -65,7 +72,7 @@ def read_orientation(path: str | Path) -> int:
                 with tifffile.TiffFile(path) as tiff:
                     tag = int(tiff.pages[0].tags.valueof(ORIENTATION, 1))
             except (ValueError, TypeError, IndexError, KeyError, struct.error):
-                tag = 1  # whoever decodes the file says what is wrong with it
+                tag = 1  # the decoder reports the damage
         elif start == PNG_SIGNATURE[:4]:
             file.seek(len(PNG_SIGNATURE))
             tag = _exif_orientation(_png_exif(file))
@@ -78,32 +85,32 @@ def read_orientation(path: str | Path) -> int:
 
 
 def check_orientation(path: Path, tag: int) -> int:
-    """Return a tag that rotates or 1; `ValueError` for one that mirrors.
+    """Return a tag that rotates, or 1; raise `ValueError` for one that mirrors.
 
-    What a camera's program mirrored may be either, the pixels or the tag.
+    The camera's program may have mirrored either the pixels or the tag.
     """
     if tag in MIRRORED:
         found = f"orientation tag {tag} ({MIRRORED[tag]})"
-        raise ValueError(f"{path}: expected pixels as the sensor sees them, found {found}; save them without mirroring")
-    return tag if tag in TURNED else 1
+        raise ValueError(f"{path}: expected pixels as the sensor stored them, found {found}; save without mirroring")
+    return tag if tag in ROTATIONS else 1
 
 
 def _png_exif(file: BinaryIO) -> bytes:
-    """EXIF block of a PNG file, empty without one."""
-    for _ in range(MOST_CHUNKS):
+    """Return the EXIF block of a PNG file, empty without one."""
+    for _ in range(MAX_CHUNKS):
         head = file.read(8)
         if len(head) < 8:
             return b""
         (size,) = struct.unpack(">I", head[:4])
         if head[4:] == b"eXIf":
-            return file.read(min(size, LONGEST_EXIF))
+            return file.read(min(size, MAX_EXIF))
         file.seek(size + 4, SEEK_CUR)
     return b""
 
 
 def _jpeg_exif(file: BinaryIO) -> bytes:
-    """EXIF block of a JPEG file, empty without one."""
-    for _ in range(MOST_CHUNKS):
+    """Return the EXIF block of a JPEG file, empty without one."""
+    for _ in range(MAX_CHUNKS):
         head = file.read(4)
         if len(head) < 4 or head[0] != 0xFF or head[1] == 0xDA:  # the pixels begin
             return b""
@@ -115,7 +122,10 @@ def _jpeg_exif(file: BinaryIO) -> bytes:
 
 
 def _exif_orientation(exif: bytes) -> int:
-    """Tag 274 of an EXIF block, which is laid out as a TIFF file; 1 without one."""
+    """Return orientation tag 274 of an EXIF block, 1 without one.
+
+    The block is laid out as a TIFF file.
+    """
     order = {b"II": "<", b"MM": ">"}.get(exif[:2])
     with suppress(struct.error):
         if order is not None:

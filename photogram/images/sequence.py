@@ -1,4 +1,4 @@
-"""A series of grey images of one camera, read one at a time, and what its files say of times and exposures."""
+"""Series of grey images of one camera, with times and exposures."""
 
 from __future__ import annotations
 
@@ -19,18 +19,21 @@ from photogram.images.numbering import FrameNumbers
 from shakercal._common.notices import Notice
 
 GreyImage = NDArray[np.uint8 | np.uint16]
-MOST_PIXELS = 1 << 28  # of a picture
-GLIMPSE = 4096  # bytes of the pixels of a frame, as they are stored
-AHEAD = 2  # pictures that are read before they are asked for
+MAX_PIXELS = 1 << 28  # of an image
+GLIMPSE = 4096  # bytes of a frame as stored, enough to distinguish frames by their noise
+FRAMES_AHEAD = 2  # that are read in advance
 
 
 def check_file(path: Path) -> None:
-    """Raise `FileNotFoundError` for what is no file, before it is opened: a pipe would wait, a device has no end."""
+    """Raise `FileNotFoundError` for a path that is no regular file.
+
+    It is checked before the file is opened: a pipe would wait, and a device has no end.
+    """
     try:
         mode = path.stat().st_mode
     except (OSError, ValueError) as error:  # ValueError: a NUL in its name
-        told = "no such file" if isinstance(error, FileNotFoundError) else getattr(error, "strerror", None) or error
-        raise FileNotFoundError(f"{path}: {told}".replace("\0", "\\0")) from error
+        cause = "no such file" if isinstance(error, FileNotFoundError) else getattr(error, "strerror", None) or error
+        raise FileNotFoundError(f"{path}: {cause}".replace("\0", "\\0")) from error
     if not stat.S_ISREG(mode):
         found = "a folder" if stat.S_ISDIR(mode) else "a device or pipe"
         raise FileNotFoundError(f"{path}: no such file, found {found}")
@@ -38,14 +41,14 @@ def check_file(path: Path) -> None:
 
 @contextmanager
 def wrap_read_errors(path: Path) -> Iterator[None]:
-    """Turn whatever goes wrong with a file into `OSError` or `ValueError`: one sentence that begins with its path."""
+    """Turn every error of reading a file into `OSError` or `ValueError` with its path."""
     check_file(path)
     try:
         yield
     except MemoryError as error:
-        raise ValueError(f"{path}: expected a file that fits into memory, found one that does not") from error
+        raise ValueError(f"{path}: expected a file that fits into memory, found a larger one") from error
     except Exception as error:
-        # The libraries answer damaged files with errors of every kind; here they become one.
+        # The libraries raise errors of every kind for damaged files
         text = " ".join(str(error).split())
         if isinstance(error, OSError | ValueError) and text.startswith(str(path)) and type(error) is not OSError:
             raise
@@ -54,18 +57,25 @@ def wrap_read_errors(path: Path) -> Iterator[None]:
 
 
 def check_pixels(path: Path, size_px: tuple[int, int]) -> None:
-    """Raise `ValueError` for a picture without pixels or with more than any camera has."""
-    if not (min(size_px) > 0 and size_px[0] * size_px[1] <= MOST_PIXELS):
-        raise ValueError(f"{path}: expected at most {MOST_PIXELS} pixels, found {size_px[0]} x {size_px[1]}")
+    """Raise `ValueError` for an image without pixels or with more than any camera has."""
+    if not (min(size_px) > 0 and size_px[0] * size_px[1] <= MAX_PIXELS):
+        raise ValueError(f"{path}: expected at most {MAX_PIXELS} pixels, found {size_px[0]} x {size_px[1]}")
 
 
 @dataclass(frozen=True)
 class ImageHeader:
-    """What a file says about its images without decoding them: size, bits of a grey value, how many, how compressed.
+    """Properties of an image file that need no decoding.
 
-    `orientation`: TIFF or EXIF tag 274. `inverted`: 0 is white. `stack_at`: where the images of a stack with one
-    directory begin, in bytes; `pixels_at`: where some pixels of each image are, and their bytes, from the end of the
-    file for a negative place.
+    Attributes
+    ----------
+    size_px : width and height.
+    bits : of a grey value.
+    pages : number of images.
+    lossy : whether compression changes grey values.
+    orientation : TIFF or EXIF tag 274.
+    inverted : whether 0 is white.
+    stack_at : first byte of the images of a stack with one directory.
+    pixels_at : first byte and number of bytes of some pixels of each image, from the end of the file if negative.
     """
 
     size_px: tuple[int, int]
@@ -80,14 +90,24 @@ class ImageHeader:
 
 @dataclass(frozen=True)
 class ImageSequence:
-    """Grey images of one size that are read one at a time: names (F), size_px (width, height), full_scale grey value.
+    """Grey images of one size that are read one at a time.
 
-    `reader` returns frame i as it stands in its file; `read` is the checked access to it. Where the files state them:
-    `time_s` (F,) of the frames on the camera's own clock, from the first one on, the `exposure_s`, and the `numbers` of
-    the frames, which tell where some are missing. `notices` tell what the files do to the grey values. With a larger
-    share than `most_saturated` of saturated pixels a frame is refused; `clips_at` is where the sensor cuts grey values
-    off below full scale. `glimpse` returns some bytes of a frame as stored.
+    Attributes
+    ----------
+    names : of the F frames.
+    size_px : width and height.
+    full_scale : largest possible grey value.
+    reader : returns frame i as stored in its file; `read` is the checked access to it.
+    time_s : (F,) times of the frames by the camera's clock, from the first one on; None if the files state none.
+    exposure_s : exposure time; None if the files state none.
+    notices : what the files do to the grey values.
+    most_saturated : share of saturated pixels above which a frame is refused.
+    numbers : the frames' numbers, which show where some are missing.
+    glimpse : returns some bytes of a frame as stored.
+    clips_at : grey value at which the sensor clips below full scale.
 
+    Examples
+    --------
     >>> images = ImageSequence(("dark", "bright"), (640, 480), 255, lambda k: np.full((480, 640), 100 * k, np.uint8))
     >>> len(images), int(images.read(1).max())
     (2, 100)
@@ -114,11 +134,11 @@ class ImageSequence:
 
     @property
     def saturation(self) -> int:
-        """Grey value from which on pixels are saturated."""
+        """Grey value above which pixels are saturated, itself included."""
         return self.full_scale if self.clips_at is None else self.clips_at
 
     def read(self, index: int) -> GreyImage:
-        """Frame `index` as (H,W) uint8 or uint16 with every bit that the file has."""
+        """Return frame `index` (H, W) as uint8 or uint16 with every bit of the file."""
         image = self.reader(index)
         self.check(index, image)
         return image
@@ -146,13 +166,13 @@ class ImageSequence:
                 raise ValueError(f"{name}: expected an image that is not saturated, found {found}")
 
     def read_ahead(self, frames: Iterable[int]) -> Iterator[GreyImage]:
-        """Yield frames in turn; the next ones are read from the disk while the last one is worked on."""
+        """Yield frames in turn; a thread reads the next ones in advance."""
         waiting: deque[Future[GreyImage]] = deque()
         with ThreadPoolExecutor(1) as reader:
             try:
                 for number in frames:
                     waiting.append(reader.submit(self.read, number))
-                    if len(waiting) > AHEAD:
+                    if len(waiting) > FRAMES_AHEAD:
                         yield waiting.popleft().result()
                 while waiting:
                     yield waiting.popleft().result()
@@ -161,12 +181,13 @@ class ImageSequence:
 
 
 def find_copied_frames(images: ImageSequence) -> BoolArray:
-    """Which frames (F,) have every grey value of an earlier one: a grabber repeated it, since noise never does.
+    """Return which frames (F,) repeat every grey value of an earlier one.
 
-    Only frames that look alike at a glimpse are read.
+    A frame grabber copied these, since noise never repeats. Only frames that share some bytes are read.
 
     >>> grey = [np.full((4, 4), level, np.uint8) for level in (1, 2, 2)]
-    >>> copied_frames(ImageSequence(("a", "b", "c"), (4, 4), 255, lambda k: grey[k], glimpse=lambda k: b"")).tolist()
+    >>> images = ImageSequence(("a", "b", "c"), (4, 4), 255, lambda k: grey[k], glimpse=lambda k: b"")
+    >>> find_copied_frames(images).tolist()
     [False, False, True]
     """
     copied, seen = np.zeros(len(images), dtype=np.bool_), set[bytes]()
@@ -180,14 +201,20 @@ def find_copied_frames(images: ImageSequence) -> BoolArray:
 
 
 def bytes_at(path: Path, start: int, size: int) -> bytes:
-    """Return at most `GLIMPSE` of some bytes of a file from a place on, from its end for a negative one."""
+    """Return at most `GLIMPSE` bytes of a file from an offset.
+
+    A negative offset counts from its end.
+    """
     with wrap_read_errors(path), path.open("rb") as file:
         file.seek(start if start >= 0 else max(0, path.stat().st_size + start))
         return file.read(min(size, GLIMPSE))
 
 
 def full_scale_of(path: Path, stored_bits: int, bit_depth: int | None) -> int:
-    """Return the largest grey value of `bit_depth` bits (None: all stored bits), which the stored ones must hold."""
+    """Return the largest grey value of `bit_depth` bits, of all stored bits for None.
+
+    Raises `ValueError` where more bits are given than stored.
+    """
     depth = stored_bits if bit_depth is None else bit_depth
     if not 1 <= depth <= stored_bits:
         raise ValueError(f"{path}: expected images of bit depth {bit_depth}, found {stored_bits} bits per pixel")

@@ -1,4 +1,4 @@
-"""TIFF files of cameras: one image, a directory for each of several, or a stack of images with one directory."""
+"""TIFF files of cameras: one image, several pages, or a stack with one directory."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ OME_SIZES = re.compile(r'\bSize([CZT])="(\d+)"')
 
 
 def tiff_header(path: Path) -> ImageHeader:
-    """Size, bits and pages of a TIFF file whose pixel data lie within the file."""
+    """Return size, bits and pages of a TIFF file with complete pixel data."""
     import tifffile
 
     try:
@@ -78,10 +78,10 @@ def tiff_header(path: Path) -> ImageHeader:
 
 
 def _stacked(path: Path, tiff: Any, pages: Sequence[Any]) -> tuple[int, int | None]:
-    """How many images a TIFF file holds, and where they begin if one directory stands for all of them.
+    """Return the number of images of a TIFF file, and where a stack begins.
 
-    ImageJ (beyond 4 GB), tifffile and MetaMorph write such stacks. Of several images there may be one series alone: no
-    channels, slices and times together.
+    The position is None without a stack with one directory. ImageJ (beyond 4 GB), tifffile and MetaMorph write such
+    stacks. Only one series of images is allowed: no channels, slices and times together.
     """
     first, size = pages[0], tiff.filehandle.size
     axes = {axis: int(n) for axis, n in OME_SIZES.findall(first.description)} if first.is_ome and len(pages) > 1 else {}
@@ -103,13 +103,13 @@ def _stacked(path: Path, tiff: Any, pages: Sequence[Any]) -> tuple[int, int | No
 
 
 def _stored(page: Any) -> tuple[int, int]:
-    """Return where the pixels of a page of a TIFF file end, and their number of bytes."""
+    """Return end and number of the bytes of a TIFF page's pixels."""
     ends = np.add(page.dataoffsets, page.databytecounts)
     return max((int(end) for end in ends), default=1 << 62), sum(int(count) for count in page.databytecounts)
 
 
 def read_tiff(path: Path, header: ImageHeader, page: int | None = None) -> GreyImage:
-    """The only image of a TIFF file, or one of several: grey values that count up from black."""
+    """Return one image of a TIFF file, with grey values that count up from black."""
     if header.stack_at is None or page is None:
         image = _read_page(path, header.bits, page)
     else:
@@ -118,7 +118,7 @@ def read_tiff(path: Path, header: ImageHeader, page: int | None = None) -> GreyI
 
 
 def _read_stacked(path: Path, header: ImageHeader, stack_at: int, page: int) -> GreyImage:
-    """One of the images that follow each other behind one directory."""
+    """Return one of the images that follow each other after one directory."""
     (width, height), count = header.size_px, math.prod(header.size_px)
     with wrap_read_errors(path), path.open("rb") as file:
         kind = np.dtype(f"{'>' if file.read(2) == b'MM' else '<'}u{header.bits // 8}")
@@ -130,21 +130,22 @@ def _read_stacked(path: Path, header: ImageHeader, stack_at: int, page: int) -> 
 
 
 def _read_page(path: Path, bits: int, page: int | None = None) -> GreyImage:
-    """The only picture of a TIFF file, or a page of it; OpenCV takes what tifffile cannot decode (LZW, packed 12 bit).
+    """Return the only image or one page of a TIFF file.
 
-    The only one is read from the disk at once: a dozen reads in small parts are as many turns with other threads.
+    OpenCV reads what tifffile cannot decode (LZW, packed 12 bit). A single image is read from the disk at once: a dozen
+    reads of small parts are as many switches between threads.
     """
     import tifffile
 
     with wrap_read_errors(path):
         try:
             at_once = page is None and path.stat().st_size <= READ_AT_ONCE
-            # Closed here: what tifffile keeps of it in circles of references would keep the file's bytes as well.
+            # Closed explicitly: circular references of tifffile would keep the file's bytes in memory.
             content: BinaryIO = io.BytesIO(path.read_bytes()) if at_once else path.open("rb")
             with content, tifffile.TiffFile(content) as tiff:
-                own = tiff.pages[page or 0]
-                inflated = _inflated(path, tiff, own) if "DEFLATE" in own.compression.name else None
-                image = inflated if inflated is not None else np.asarray(own.asarray())
+                directory = tiff.pages[page or 0]
+                inflated = _inflated(path, tiff, directory) if "DEFLATE" in directory.compression.name else None
+                image = inflated if inflated is not None else np.asarray(directory.asarray())
                 return cast(GreyImage, image.astype(image.dtype.newbyteorder("="), copy=False))
         except (NotImplementedError, ImportError):
             return _read_tiff_opencv(path, bits, page or 0)
@@ -157,16 +158,16 @@ def _read_page(path: Path, bits: int, page: int | None = None) -> GreyImage:
 
 
 def _inflated(path: Path, tiff: Any, page: Any) -> GreyImage | None:
-    """Return a page whose strips are deflated as they are, None where tifffile has more to undo than that.
+    """Return a page whose strips are deflated, None where tifffile has more to decode.
 
-    Parts that are not as long as their pixels need are refused, before they fill the memory.
+    Parts that are longer or shorter than their pixels are refused before they fill the memory.
     """
     each, parts = math.prod(page.chunks) * page.dtype.itemsize, []
     plain = page.predictor == 1 and not page.is_tiled and page.bitspersample in (8, 16) and page.fillorder == 1
     for start, size in zip(page.dataoffsets, page.databytecounts, strict=True):
         tiff.filehandle.seek(start)
         part = deflate.decompressobj().decompress(tiff.filehandle.read(size), each + 1)
-        # The last strip of a page may be shorter than the others, or filled up.
+        # The last strip of a page may be shorter than the others, or padded
         if len(part) > each or (len(part) < each and (page.is_tiled or start != page.dataoffsets[-1])):
             raise ValueError(f"{path}: expected {each} bytes of pixels in every part, found others")
         if plain:
@@ -179,7 +180,7 @@ def _inflated(path: Path, tiff: Any, page: Any) -> GreyImage | None:
 
 
 def _read_tiff_opencv(path: Path, bits: int, page: int) -> GreyImage:
-    """One page of a TIFF file by OpenCV, which scales packed 12-bit values up to 16 bit: scaled back here."""
+    """Return one page of a TIFF file by OpenCV, its packed 12-bit values scaled back."""
     import cv2
     import tifffile
 
@@ -189,15 +190,15 @@ def _read_tiff_opencv(path: Path, bits: int, page: int) -> GreyImage:
     if len(pages) != 1:
         raise ValueError(f"{path}: not a readable TIFF file (page {page} cannot be decoded)")
     image = cast(GreyImage, np.asarray(pages[0]))
-    if inverted and image.dtype == np.uint8:  # which OpenCV inverts of itself
+    if inverted and image.dtype == np.uint8:  # which OpenCV inverts automatically
         image = ~image
     return image >> np.uint16(4) if bits == 12 else image
 
 
 def read_raw_tiff(data: NDArray[np.uint8], page: int = 0) -> Any:
-    """Set the orientation tag of a page of a TIFF file to 1, since OpenCV obeys it whatever it is asked for.
+    """Reset the orientation tag of a TIFF page in memory; return its photometric.
 
-    Return the page's photometric interpretation, None of other files.
+    OpenCV obeys the tag whatever its flags are. None for other files.
     """
     import tifffile
 
@@ -205,10 +206,10 @@ def read_raw_tiff(data: NDArray[np.uint8], page: int = 0) -> Any:
         return None
     try:
         with tifffile.TiffFile(io.BytesIO(data.tobytes())) as tiff:
-            own = tiff.pages[page]
-            tag = own.tags.get(ORIENTATION)
+            directory = tiff.pages[page]
+            tag = directory.tags.get(ORIENTATION)
             if tag is not None:
                 data[tag.valueoffset : tag.valueoffset + 2] = np.array([1], f"{tiff.byteorder}u2").view(np.uint8)
-            return own.photometric
+            return directory.photometric
     except (ValueError, TypeError, IndexError, KeyError, struct.error):
-        return None  # whoever decodes the file says what is wrong with it
+        return None  # the decoder reports the damage

@@ -1,4 +1,4 @@
-"""Video files of cameras: Photron raw video, Phantom cine, and compressed video with what compression does to it."""
+"""Video files of cameras: Photron raw video, Phantom cine, and compressed video."""
 
 from __future__ import annotations
 
@@ -15,8 +15,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from photogram.arrays import FloatArray
+from photogram.images.image_notices import (
+    COMPANDED_CODES,
+    COMPRESSED_VIDEO,
+    EXPOSURE_VARIES,
+    FILM_DECODED,
+    RAW_PHOTRON_FRAMES,
+)
 from photogram.images.numbering import numbers_of_times
-from photogram.images.orientation import ROTATED, tag_notices
+from photogram.images.orientation import TAG_OF_ANGLE, tag_notices
 from photogram.images.sequence import (
     GLIMPSE,
     GreyImage,
@@ -28,29 +35,28 @@ from photogram.images.sequence import (
 )
 from shakercal._common.notices import Notice
 
-LARGEST_HEADER = 4 << 20  # bytes of a .cih or .cihx, which are some ten thousand
-MOST_FRAMES = 1 << 21
+MAX_HEADER = 4 << 20  # bytes of a .cih or .cihx, which usually have about ten thousand
+MAX_FRAMES = 1 << 21  # more than any camera's memory
 
 
 def _names(path: Path, frames: int) -> tuple[str, ...]:
-    """Return the names of the frames of one file."""
     return tuple(f"{path}[{frame}]" for frame in range(frames))
 
 
 def _unpacked_12(raw: NDArray[np.uint8]) -> NDArray[np.uint16]:
-    """Return the values of 12 bits that stand in pairs in three bytes, the most significant bits first."""
+    """Return values of 12 bits, packed in pairs in three bytes, high bits first."""
     first, middle, last = raw.reshape(-1, 3).astype(np.uint16).T
     return np.column_stack(((first << 4) | (middle >> 4), ((middle & 15) << 8) | last)).ravel()
 
 
 def _unpacked_10(raw: NDArray[np.uint8]) -> NDArray[np.uint16]:
-    """Return the values of 10 bits that stand by four in five bytes, the most significant bits first."""
+    """Return values of 10 bits, packed by four in five bytes, high bits first."""
     a, b, c, d, e = raw.reshape(-1, 5).astype(np.uint16).T
     values = (a << 2 | b >> 6, (b & 63) << 4 | c >> 4, (c & 15) << 6 | d >> 2, (d & 3) << 8 | e)
     return np.column_stack(values).ravel()
 
 
-# Photron cameras: a header .cih or .cihx, and the frames in the .mraw beside it.
+# Photron cameras: a header .cih or .cihx, and the frames in the .mraw next to it.
 
 PHOTRON_KEYS = {
     "Total Frame": "frameInfo/totalFrame",
@@ -68,11 +74,11 @@ PHOTRON_KEYS = {
 
 
 def open_photron(header: Path, bit_depth: int | None) -> ImageSequence:
-    """Return the frames that a header .cih or .cihx announces, all of which the .mraw beside it holds."""
+    """Return the frames of a header .cih or .cihx, from the .mraw next to it."""
     entries = _photron_entries(header)
     path = next((path for path in map(header.with_suffix, (".mraw", ".MRAW")) if path.is_file()), None)
     if path is None:
-        raise FileNotFoundError(f"{header.with_suffix('.mraw')}: no such file beside {header.name}")
+        raise FileNotFoundError(f"{header.with_suffix('.mraw')}: no such file next to {header.name}")
 
     def whole(key: str) -> int:
         text = entries.get(key, "nothing")
@@ -91,8 +97,8 @@ def open_photron(header: Path, bit_depth: int | None) -> ImageSequence:
         raise ValueError(f"{header}: EffectiveBit Side: expected Lower or Higher, found {side!r}")
     frames, size_px = whole("Total Frame"), (whole("Image Width"), whole("Image Height"))
     check_pixels(header, size_px)
-    if frames > MOST_FRAMES:
-        raise ValueError(f"{header}: Total Frame: expected at most {MOST_FRAMES}, found {frames}")
+    if frames > MAX_FRAMES:
+        raise ValueError(f"{header}: Total Frame: expected at most {MAX_FRAMES}, found {frames}")
     bits = min(16, whole("EffectiveBit Depth")) if stored_bits == 16 else stored_bits
     expected, actual = frames * size_px[0] * size_px[1] * stored_bits // 8, path.stat().st_size
     if actual < expected:
@@ -100,8 +106,7 @@ def open_photron(header: Path, bit_depth: int | None) -> ImageSequence:
     shift = 16 - bits if side == "higher" else 0
     rate_hz, exposure_s = (_stated(entries, key) for key in ("Record Rate(fps)", "Shutter Speed(s)"))
     step = _stated(entries, "Save Step") or 1.0
-    told = "its frames are called raw, as those of 12 bits are; taken for monochrome, not for the mosaic of colours"
-    notices = (Notice("note", told, str(header)),) if colour.lower() == "raw" else ()
+    notices = (Notice(RAW_PHOTRON_FRAMES, str(header)),) if colour.lower() == "raw" else ()
     return ImageSequence(
         _names(path, frames),
         size_px,
@@ -116,12 +121,11 @@ def open_photron(header: Path, bit_depth: int | None) -> ImageSequence:
 
 
 def _mraw_glimpse(path: Path, size: int, index: int) -> bytes:
-    """Return some bytes of the pixels of frame `index`."""
     return bytes_at(path, index * size + size // 2, size // 2)
 
 
 def _stated(entries: dict[str, str], key: str) -> float | None:
-    """Return a positive number or fraction that a header states, None where it has none that can be read."""
+    """Return a positive number or fraction of a header, None if it cannot be read."""
     above, _, below = entries.get(key, "").partition("/")
     try:
         value = float(above) / float(below or 1)
@@ -131,11 +135,14 @@ def _stated(entries: dict[str, str], key: str) -> float | None:
 
 
 def _photron_entries(header: Path) -> dict[str, str]:
-    """Entries by their .cih names: lines `key : value`, or in a .cihx the XML that stands between other bytes."""
+    """Return the entries of a header by their .cih names.
+
+    A .cih has lines `key : value`, a .cihx XML between other bytes.
+    """
     from xml.etree import ElementTree
 
     with header.open("rb") as file:
-        text = file.read(LARGEST_HEADER).decode("utf-8", "replace")
+        text = file.read(MAX_HEADER).decode("utf-8", "replace")
     if header.suffix.lower() == ".cih":
         pairs = (line.partition(":") for line in text.splitlines() if ":" in line)
         return {key.strip(): value.strip() for key, _, value in pairs}
@@ -144,12 +151,15 @@ def _photron_entries(header: Path) -> dict[str, str]:
         root = ElementTree.fromstring(text[start : end + len("</cih>")] if start >= 0 else "")
     except ElementTree.ParseError as error:
         raise ValueError(f"{header}: expected a <cih> element ({error})") from error
-    entries = {key: root.findtext(place) for key, place in PHOTRON_KEYS.items()}
+    entries = {key: root.findtext(element) for key, element in PHOTRON_KEYS.items()}
     return {key: entry.strip() for key, entry in entries.items() if entry is not None}
 
 
 def _read_mraw(path: Path, size_px: tuple[int, int], stored_bits: int, shift: int, index: int) -> GreyImage:
-    """Frame `index` of 8, 12 or 16 stored bits per pixel; of 16 the grey value may stand `shift` bits higher."""
+    """Return frame `index` of 8, 12 or 16 stored bits per pixel.
+
+    In 16 bits the grey value may be shifted up by `shift` bits.
+    """
     width, height = size_px
     count = width * height * stored_bits // 8
     with wrap_read_errors(path):
@@ -166,13 +176,19 @@ def _read_mraw(path: Path, size_px: tuple[int, int], stored_bits: int, shift: in
 # Phantom cameras: Vision Research, "Cine file format", 2018. All numbers are little-endian.
 
 PACKED_10, PACKED_12 = 256, 1024  # of biCompression
-MOST_BLOCKS = 10_000
+MAX_BLOCKS = 10_000  # tagged ones of a cine file
 FRAME_TIMES, EXPOSURES = 1002, 1003  # types of tagged blocks
 
 
 @dataclass(frozen=True)
 class _Cine:
-    """How the frames of a cine file are stored: their offsets (F,), size, bits, and whether the bottom row is first."""
+    """Storage of the frames of a cine file.
+
+    Attributes
+    ----------
+    offsets : (F,) first bytes of the frames.
+    bottom_up : whether the bottom row is first.
+    """
 
     path: Path
     offsets: NDArray[np.int64]
@@ -183,7 +199,7 @@ class _Cine:
 
     @property
     def bytes(self) -> int:
-        """Of one frame."""
+        """Bytes of one frame."""
         pixels, bits = self.size_px[0] * self.size_px[1], {PACKED_10: 10, PACKED_12: 12}.get(self.packing)
         return pixels * (self.stored_bits if bits is None else bits) // 8
 
@@ -192,7 +208,7 @@ class _Cine:
         return bytes_at(self.path, int(self.offsets[index]) + self.bytes // 2, self.bytes // 2)
 
     def read(self, index: int) -> GreyImage:
-        """Return frame `index`; codes of 10 bits as the grey values of 12 bits that they stand for."""
+        """Return frame `index`; codes of 10 bits as grey values of 12 bits."""
         width, height = self.size_px
         with wrap_read_errors(self.path), self.path.open("rb") as file:
             file.seek(int(self.offsets[index]))
@@ -212,10 +228,11 @@ class _Cine:
 
 
 def linear_12_of_10() -> NDArray[np.uint16]:
-    """Return the linear grey values of 12 bits (1024,) of a Phantom camera's packed codes of 10 bits.
+    """Return the linear 12-bit grey values (1024,) of a Phantom camera's packed 10-bit codes.
 
-    The codes are the opto-electronic transfer of ITU-R BT.709 with black at 64 of either scale and white at 1014, 4065.
-    Within one grey value of the table that Vision Research publishes, but for the first two codes, three off.
+    The codes follow the opto-electronic transfer of ITU-R BT.709 with black at 64 of either scale and white at 1014,
+    4065. They agree within one grey value with the table that Vision Research publishes, except the first two codes
+    (three off).
     """
     level = (np.arange(1024) - 63.5) / 953.0
     light = np.where(level < 0.081, level / 4.5, ((np.maximum(level, 0.0) + 0.099) / 1.099) ** (1.0 / 0.45))
@@ -224,7 +241,7 @@ def linear_12_of_10() -> NDArray[np.uint16]:
 
 
 def open_cine(path: Path, bit_depth: int | None) -> ImageSequence:
-    """Return the frames of a monochrome .cine with their times and exposure as its tagged blocks have them."""
+    """Return the frames of a monochrome .cine with times and exposure from its tagged blocks."""
     length = path.stat().st_size
     with path.open("rb") as file:
         head = file.read(44)
@@ -239,7 +256,7 @@ def open_cine(path: Path, bit_depth: int | None) -> ImageSequence:
         (setup_length,) = struct.unpack_from("<H", setup, 142)
         ends = setup_at + setup_length, offsets_at + 8 * frames
         check_pixels(path, (width, abs(height)))
-        if setup[140:142] != b"ST" or not 0 < frames <= MOST_FRAMES or ends[1] > length:
+        if setup[140:142] != b"ST" or not 0 < frames <= MAX_FRAMES or ends[1] > length:
             raise ValueError(f"{path}: not a readable Phantom cine file (damaged header)")
         file.seek(offsets_at)
         offsets = np.frombuffer(file.read(8 * frames), "<i8")
@@ -264,19 +281,19 @@ def open_cine(path: Path, bit_depth: int | None) -> ImageSequence:
         exposure_s = float(np.median(each))
         other = int(np.count_nonzero(np.abs(each - exposure_s) > 0.01 * exposure_s))
         if other:
-            told = f"exposure of {1e6 * exposure_s:.4g} µs, but another one stated for {other} of {frames} frames"
-            notices.append(Notice("warning", told, str(path)))
+            values = {"exposure_us": 1e6 * exposure_s, "different": other, "frames": frames}
+            notices.append(Notice(EXPOSURE_VARIES, str(path), **values))
     if packing == PACKED_10:
-        notices.append(Notice("note", "10 bits a pixel, companded: rounded to 0.1 % of full scale", str(path)))
+        notices.append(Notice(COMPANDED_CODES, str(path)))
     scale = full_scale_of(path, bits, bit_depth)
     names, remarks = _names(path, frames), tuple(notices)
     return ImageSequence(names, cine.size_px, scale, cine.read, time_s, exposure_s, remarks, glimpse=cine.glimpse)
 
 
 def _tagged_blocks(file: Any, start: int, end: int) -> dict[int, bytes]:
-    """Return the tagged blocks between two places of a cine file, by their type."""
+    """Return the tagged blocks between two offsets of a cine file, by their type."""
     blocks: dict[int, bytes] = {}
-    for _ in range(MOST_BLOCKS):
+    for _ in range(MAX_BLOCKS):
         if start + 8 > end:
             break
         file.seek(start)
@@ -290,24 +307,27 @@ def _tagged_blocks(file: Any, start: int, end: int) -> dict[int, bytes]:
 
 
 def _seconds(block: bytes | None, frames: int) -> FloatArray | None:
-    """Return times (F,) from the first frame on: each 2⁻³² s, then s; None where the block has too few."""
+    """Return times (F,) from the first frame on, None where the block has too few.
+
+    Each time is stored as multiples of 2⁻³² s, then seconds.
+    """
     if block is None or len(block) < 8 * frames:
         return None
     words = np.frombuffer(block, "<u4", 2 * frames).reshape(-1, 2).astype(np.int64)
     return np.asarray((words[:, 1] - words[0, 1]) + (words[:, 0] - words[0, 0]) / 2.0**32)
 
 
-# Films, by OpenCV: grey values as stored of 8 and 16 bits, of others the luminance that the player makes of them.
+# Films, by OpenCV: grey values as stored for 8 and 16 bits, otherwise the luminance of the decoded colours.
 
 LOSSLESS = ("", "DIB", "Y800", "Y8", "GREY", "FFV1", "HFYU", "FFVH", "RAW")
-GREY_8, GREY_16 = b"Y800", b"Y1\0\x10"  # FFmpeg's tags of pixels that OpenCV hands out as they are
-FEWEST_DEEP = 9
-STAMP_S = 1e-3  # to which films of some containers round their times
+GREY_8, GREY_16 = b"Y800", b"Y1\0\x10"  # FFmpeg's tags of pixels that OpenCV returns unchanged
+MIN_DEEP = 9  # bits, of which OpenCV keeps 8
+STAMP_S = 1e-3  # rounding of times in some containers
 
 
 @dataclass
 class _Film:
-    """Frames of a film, read on from where the last one was; `raw`: grey values as they are stored."""
+    """Frames of a film, read sequentially; `raw`: grey values as stored."""
 
     path: Path
     raw: bool
@@ -329,16 +349,16 @@ class _Film:
             self.capture, self.following = _as_stored(cv2.VideoCapture(str(self.path)), self.raw), 0
         while self.following < index and self.capture.grab():
             self.following += 1
-        there, image = self.capture.read()
+        decoded, image = self.capture.read()
         self.following += 1
-        if not there:
+        if not decoded:
             raise ValueError(f"{self.path}: frame {index} cannot be decoded")
         grey = image if image.ndim == 2 else cv2.cvtColor(image, cv2.COLOR_BGR2GRAY)
         return cast(GreyImage, np.asarray(grey))
 
 
 def _as_stored(capture: Any, raw: bool) -> Any:
-    """Have a film's frames as the sensor stored them, not rotated for display."""
+    """Switch off the rotation for display, and for raw frames the conversion to colours."""
     import cv2
 
     capture.set(cv2.CAP_PROP_ORIENTATION_AUTO, 0)
@@ -348,9 +368,10 @@ def _as_stored(capture: Any, raw: bool) -> Any:
 
 
 def _pixel_bits(path: Path, tag: bytes) -> int:
-    """Return the bits of a grey value by FFmpeg's tag of the pixels; `ValueError` for those of which OpenCV keeps 8.
+    """Return the bits of a grey value by FFmpeg's pixel tag.
 
-    Such a tag has the bits of a pixel or of a colour at its end, with the most significant byte first at its beginning.
+    Such a tag has the bits of a pixel or of a colour at its end, or at its beginning with the most significant byte
+    first. Raises `ValueError` for pixels of which OpenCV keeps only 8 bits.
     """
     coloured = any(name in tag for name in (b"RGB", b"BGR"))
     sizes = [size for size in (tag[0], tag[3]) if size < ord("0") or size == 64 or (coloured and size == 48)]
@@ -359,7 +380,7 @@ def _pixel_bits(path: Path, tag: bytes) -> int:
         return 16
     if coloured and stated in (24, 32):
         return 8
-    if stated >= FEWEST_DEEP:
+    if stated >= MIN_DEEP:
         name = "".join(chr(byte) for byte in tag if byte != stated).strip("\0")
         found = f"{stated} bits ({name}), of which its decoder keeps 8"
         raise ValueError(
@@ -369,37 +390,37 @@ def _pixel_bits(path: Path, tag: bytes) -> int:
 
 
 def open_film(path: Path, bit_depth: int | None) -> ImageSequence:
-    """Return the frames of an AVI, MP4, MOV or MKV film, which are counted by decoding it once."""
-    os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")  # its library writes to the terminal of its own
+    """Return the frames of an AVI, MP4, MOV or MKV film.
+
+    The film is decoded once to count them.
+    """
+    os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")  # its library would write to the terminal
     import cv2
 
     capture = _as_stored(cv2.VideoCapture(str(path)), raw=False)
     if not capture.isOpened():
-        raise ValueError(f"{path}: not a readable film, or of a codec that is not supported; save the frames as TIFF")
+        raise ValueError(f"{path}: not a readable film, or of an unsupported codec; save the frames as TIFF")
     size_px = int(capture.get(cv2.CAP_PROP_FRAME_WIDTH)), int(capture.get(cv2.CAP_PROP_FRAME_HEIGHT))
     check_pixels(path, size_px)
     codec, tag = (
         struct.pack("<I", int(capture.get(key)) & 0xFFFFFFFF)
         for key in (cv2.CAP_PROP_FOURCC, cv2.CAP_PROP_CODEC_PIXEL_FORMAT)
     )
-    bits, turned = _pixel_bits(path, tag), int(capture.get(cv2.CAP_PROP_ORIENTATION_META)) % 360
+    bits, rotation = _pixel_bits(path, tag), int(capture.get(cv2.CAP_PROP_ORIENTATION_META)) % 360
     stamps, rows = list[float](), list[bytes]()
     while capture.grab():
         stamps.append(1e-3 * capture.get(cv2.CAP_PROP_POS_MSEC))
-        there, image = capture.retrieve()
-        rows.append(np.asarray(image)[size_px[1] // 2].tobytes()[:GLIMPSE] if there else b"")
+        decoded, image = capture.retrieve()
+        rows.append(np.asarray(image)[size_px[1] // 2].tobytes()[:GLIMPSE] if decoded else b"")
     capture.release()
     if not stamps:
         raise ValueError(f"{path}: expected frames, found none that can be decoded")
     name = codec.decode("latin-1").strip(" \0").upper()
-    told = (
-        f"a film of {bits} bits, whose player may have changed grey values; raw frames of the camera are better"
-        if name in LOSSLESS
-        else f"compressed video ({name}): its codec moves grey values and edges by what it leaves out, differently "
-        "from frame to frame. Such errors are in no uncertainty; record uncompressed frames (TIFF, cine, raw video)"
-    )
-    codec_told = Notice("note" if name in LOSSLESS else "warning", told, str(path))
-    notices = (codec_told, *tag_notices({path: ROTATED.get(turned, 1)}))
+    if name in LOSSLESS:
+        codec_notice = Notice(FILM_DECODED, str(path), bits=bits)
+    else:
+        codec_notice = Notice(COMPRESSED_VIDEO, str(path), codec=name)
+    notices = (codec_notice, *tag_notices({path: TAG_OF_ANGLE.get(rotation, 1)}))
     scale, film = full_scale_of(path, bits, bit_depth), _Film(path, tag in (GREY_8, GREY_16))
     time_s = np.array(stamps) - stamps[0]
     numbers = numbers_of_times(time_s, STAMP_S)

@@ -1,4 +1,4 @@
-"""The processor that images are compared on: the CPU, or a GPU where torch finds one."""
+"""Processor for comparing images: the CPU, or a GPU that torch can use."""
 
 from __future__ import annotations
 
@@ -10,9 +10,10 @@ DEVICES = ("auto", "cpu", "cuda")
 
 
 def resolve_device(choice: str) -> str:
-    """The device 'cpu' or 'cuda' meant by `choice`: 'auto' is 'cuda' where torch can use one, 'cpu' elsewhere.
+    """Return the device 'cpu' or 'cuda' of `choice`.
 
-    Importing torch takes seconds, so 'auto' asks it only where an NVIDIA driver can be loaded.
+    'auto' is 'cuda' where torch can use it. Importing torch takes seconds, so 'auto' imports it only if an NVIDIA
+    driver can be loaded.
     """
     if choice not in DEVICES:
         raise ValueError(f"device: expected one of {', '.join(DEVICES)}, found {choice!r}")
@@ -26,7 +27,7 @@ def resolve_device(choice: str) -> str:
 
 
 def _has_driver() -> bool:
-    """Whether the NVIDIA driver's library is there; takes microseconds where it is not."""
+    """Return whether the NVIDIA driver's library is present; takes microseconds if not."""
     try:
         ctypes.CDLL("nvcuda.dll" if sys.platform == "win32" else "libcuda.so.1")
     except OSError:
@@ -35,7 +36,7 @@ def _has_driver() -> bool:
 
 
 def _torch_finds_cuda() -> bool:
-    """Whether torch is installed, built for CUDA, and finds a device."""
+    """Return whether torch is installed, built for CUDA, and finds a device."""
     if find_spec("torch") is None:
         return False
     import torch

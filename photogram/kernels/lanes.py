@@ -1,6 +1,6 @@
-"""As many floats or doubles at a time as a register holds, with arithmetic that leaves a compiler no choice.
+"""Vectors of floats or doubles as long as a register, with fixed arithmetic.
 
-A product that goes into a sum is fused with it, and lanes are added in pairs.
+A product in a sum is fused with it, and lanes are added in pairs.
 """
 
 from __future__ import annotations
@@ -16,10 +16,13 @@ from numba.core import cgutils
 
 
 def _register_bytes() -> int:
-    """64 where the processor has AVX-512, else 32: AVX2 has too few registers for values that take two of them."""
+    """Return 64 for a processor with AVX-512, else 32.
+
+    AVX2 has too few registers for values that occupy two of them.
+    """
     try:
         return 64 if get_host_cpu_features().get("avx512f") else 32
-    except RuntimeError:  # LLVM does not know this system's way to ask
+    except RuntimeError:  # LLVM does not support this query on every system
         return 32
 
 
@@ -33,7 +36,7 @@ _NAMES = {FLOAT: "f32", DOUBLE: "f64"}
 
 @dataclass(frozen=True)
 class Lanes:
-    """`FLOATS` or `DOUBLES` with the arithmetic that formulas are written in; `factors` of a product, for its sum."""
+    """`FLOATS` or `DOUBLES` with operators for formulas; `factors` of a product, for fusing."""
 
     builder: Any
     value: Any
@@ -69,71 +72,77 @@ class Lanes:
     __radd__, __rmul__ = __add__, __mul__
 
     def _like(self, other: Any) -> Lanes:
-        """Lanes as they are; a number stands for as many of it."""
+        """Return lanes unchanged, a number in every lane."""
         return other if isinstance(other, Lanes) else Lanes(self.builder, constant(self.value.type, float(other)))
 
     def _plus_product(self, factors: tuple[Any, Any]) -> Lanes:
-        """The sum with a product, rounded once."""
+        """Return the sum with a product, rounded once."""
         kind = self.value.type
         fused = _vector_code(self.builder, "fma", kind, "", ir.FunctionType(kind, [kind, kind, kind]))
         return Lanes(self.builder, self.builder.call(fused, [*factors, self.value]))
 
 
 def constant(kind: Any, number: float) -> Any:
-    """One number in every lane."""
+    """Return one number in every lane."""
     return ir.Constant(kind, [number] * kind.count)
 
 
 def lane_numbers(builder: Any, kind: Any) -> Lanes:
-    """The numbers 0, 1 … of all lanes."""
+    """Return the numbers 0, 1 … of all lanes."""
     return Lanes(builder, ir.Constant(kind, [float(lane) for lane in range(kind.count)]))
 
 
 def broadcast(builder: Any, scalar: Any, kind: Any) -> Lanes:
-    """A double in every lane, rounded to what lanes hold."""
+    """Return a double in every lane, rounded to their type."""
     return Lanes(builder, _spread(builder, scalar if kind == DOUBLES else builder.fptrunc(scalar, FLOAT), kind))
 
 
 def array_of(context: Any, builder: Any, signature: Any, arguments: Sequence[Any], number: int) -> Any:
-    """One of the arguments of generated code that are arrays."""
+    """Return one of the arguments of generated code that are arrays."""
     return context.make_array(signature.args[number])(context, builder, arguments[number])
 
 
 def element(builder: Any, table: Any, row: Any, column: Any) -> Any:
-    """Pointer to an element of a table of contiguous rows; a row known when code is generated is a number."""
+    """Return the pointer to an element of a table of contiguous rows.
+
+    A row that is fixed when code is generated is a number.
+    """
     width = cgutils.unpack_tuple(builder, table.shape)[1]
     row = ir.Constant(INDEX, row) if isinstance(row, int) else row
     return builder.gep(table.data, [builder.add(builder.mul(row, width), column)])
 
 
 def load(builder: Any, pointer: Any, kind: Any, mask: Any = None) -> Lanes:
-    """Numbers in a row, those outside the mask zero and their memory untouched; doubles may be read from floats."""
-    held = pointer.type.pointee
-    stored = ir.VectorType(held, kind.count)
-    place, align = builder.bitcast(pointer, stored.as_pointer()), 8 if held == DOUBLE else 4
+    """Load adjacent numbers; those outside the mask are zero and their memory is not accessed.
+
+    Doubles may be loaded from floats.
+    """
+    element_type = pointer.type.pointee
+    stored = ir.VectorType(element_type, kind.count)
+    source, align = builder.bitcast(pointer, stored.as_pointer()), 8 if element_type == DOUBLE else 4
     if mask is None:
-        value = builder.load(place, align=align)
+        value = builder.load(source, align=align)
     else:
-        form = ir.FunctionType(stored, [place.type, _WORD, mask.type, stored])
+        form = ir.FunctionType(stored, [source.type, _WORD, mask.type, stored])
         masked = _vector_code(builder, "masked.load", stored, ".p0", form)
-        value = builder.call(masked, [place, ir.Constant(_WORD, align), mask, constant(stored, 0.0)])
+        value = builder.call(masked, [source, ir.Constant(_WORD, align), mask, constant(stored, 0.0)])
     return Lanes(builder, value if stored == kind else builder.fpext(value, kind))
 
 
 def store(builder: Any, lanes: Lanes, pointer: Any, mask: Any = None) -> None:
-    """Write numbers in a row where such numbers stand, only those of the mask."""
+    """Store numbers to adjacent memory of their type, only those of the mask."""
     kind = lanes.value.type
-    place, align = builder.bitcast(pointer, kind.as_pointer()), 8 if kind == DOUBLES else 4
+    target, align = builder.bitcast(pointer, kind.as_pointer()), 8 if kind == DOUBLES else 4
     if mask is None:
-        builder.store(lanes.value, place, align=align)
+        builder.store(lanes.value, target, align=align)
         return
-    form = ir.FunctionType(ir.VoidType(), [kind, place.type, _WORD, mask.type])
+    form = ir.FunctionType(ir.VoidType(), [kind, target.type, _WORD, mask.type])
     masked = _vector_code(builder, "masked.store", kind, ".p0", form)
-    builder.call(masked, [lanes.value, place, ir.Constant(_WORD, align), mask])
+    builder.call(masked, [lanes.value, target, ir.Constant(_WORD, align), mask])
 
 
 def sum_lanes(builder: Any, lanes: Lanes) -> Any:
-    """The sum of all lanes: halves added to each other until one is left."""
+    """Return the sum of all lanes, by adding halves."""
     value, width = lanes.value, lanes.value.type.count
     while width > 1:
         width //= 2
@@ -143,7 +152,10 @@ def sum_lanes(builder: Any, lanes: Lanes) -> Any:
 
 
 def in_blocks(builder: Any, count: Any, kind: Any, block: Any) -> None:
-    """Code that calls block(index, mask) for as many of `count` points as lanes, at last with a mask if need be."""
+    """Generate code that calls block(index, mask) for `count` points, a vector at a time.
+
+    The last block has a mask if it is not full.
+    """
     full = builder.and_(count, ir.Constant(INDEX, -kind.count))
     zero, step = ir.Constant(INDEX, 0), ir.Constant(INDEX, kind.count)
     with cgutils.for_range_slice(builder, zero, full, step, INDEX) as (index, _):
@@ -155,21 +167,24 @@ def in_blocks(builder: Any, count: Any, kind: Any, block: Any) -> None:
 
 
 def _spread(builder: Any, scalar: Any, kind: Any) -> Any:
-    """A vector that holds the scalar in every lane."""
+    """Return a vector with the scalar in every lane."""
     single = builder.insert_element(ir.Constant(kind, ir.Undefined), scalar, ir.Constant(_WORD, 0))
     return builder.shuffle_vector(single, single, ir.Constant(ir.VectorType(_WORD, kind.count), [0] * kind.count))
 
 
 def _vector_code(builder: Any, name: str, kind: Any, suffix: str, form: Any) -> Any:
-    """What LLVM calls by this name for vectors of this kind."""
+    """Return LLVM's function of this name for vectors of this kind."""
     whole = f"llvm.{name}.v{kind.count}{_NAMES[kind.element]}{suffix}"
     return cgutils.get_or_insert_function(builder.module, form, whole)
 
 
 def kernel_signature(*kinds: Any) -> Any:
-    """Type of generated code that fills arrays: contiguous floats or doubles; whole numbers stay whole."""
+    """Return the type of generated code that fills arrays.
+
+    Contiguous floats or doubles; whole numbers stay whole.
+    """
     for kind in kinds:
         if isinstance(kind, types.Array) and (kind.layout != "C" or kind.dtype not in (types.float32, types.float64)):
             raise TypeError(f"expected contiguous arrays of floats or doubles, found {kind}")
-    kept = types.Array | types.Integer | types.UniTuple
-    return types.void(*(kind if isinstance(kind, kept) else types.float64 for kind in kinds))
+    unchanged = types.Array | types.Integer | types.UniTuple
+    return types.void(*(kind if isinstance(kind, unchanged) else types.float64 for kind in kinds))

@@ -1,1 +1,1 @@
-"""One body through a series of stereo images: `follow` its frames, and the motion of the `body` from them."""
+"""One body through a series of stereo images: tracking, and its motion."""

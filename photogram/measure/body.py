@@ -1,4 +1,4 @@
-"""The rigid motion of a body, and what its points do beside it, from its frames as they were followed."""
+"""Rigid motion of a body and the deformation of its points, from tracked frames."""
 
 from __future__ import annotations
 
@@ -28,6 +28,7 @@ from photogram.measure.follow import (
     iterate_blocks,
     prepare_body,
 )
+from photogram.measure.rigid_notices import BODY_DEFORMS, FRAMES_WITHOUT_GREY_FIT, GREY_FIT_DISAGREES
 from photogram.motion import Deformation, DeformationMean, RigidMotion, fit_motion, overlap_correlation
 from photogram.subsets.find import BodyNotFound, DepthRange
 from photogram.subsets.icgn import TrackSettings, subset_noise, subset_positions
@@ -42,24 +43,31 @@ from photogram.subsets.track import (
 )
 from shakercal._common.notices import Notice
 
-MAX_CACHED_POSITIONS = 500_000  # subsets times frames of a series that is held with its points: some 100 MB
+MAX_CACHED_POSITIONS = 500_000  # subsets times frames of a series that is cached with its points: about 100 MB
 LARGEST_BENDING = 4.0  # rms, in standard deviations of the points; the reference's noise makes it 1.4
 LARGEST_DIFFERENCE = 2.0  # rms, in standard uncertainties of the motion of the points
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class BodyMotion(Arrays):
-    """The motion of a body seen by a stereo pair or by a camera alone, and what the user should know.
+    """Motion of a body in the images of one or two cameras.
 
-    motion: fitted to the grey values of all pixels, `motion_of_points` to the points alone, in the frames `sought` (F,)
-    in which subsets were looked for; the others have a motion with residual NaN and no points. Of each camera: noise
-    models, and quality, what the subsets promised before they were tracked; None when no frame could be fitted to the
-    grey values. deformed: how it deforms beside the motion, by the shapes that it was prepared
-    with (`direct.shapes.PlainShapes` where none were known). subsets_px: where the left camera sees the subsets first;
-    medians over subsets and frames: sigma_px, standard deviation that the noise gives to their positions, and `zncc` in
-    the left camera.
-    `tracked` and `surface` go through the subsets and points, and what these do beside the motion, some frames at a
-    time, made anew from what was followed; `tracks` and `points` are those of all frames at once.
+    Attributes
+    ----------
+    motion : fitted to the grey values of all pixels.
+    motion_of_points : fitted to the points alone, in the frames with subsets.
+    shape_amplitudes : deformation in addition to the motion, by the shapes it was prepared with (by default
+        `direct.shapes.PlainShapes`).
+    subset_frames : (F,) in which subsets were searched; the other frames have a motion with residual NaN and no points.
+    reprojection_px : rms.
+    subsets_px : first positions of the subsets in the left camera.
+    sigma_px : standard deviation of their positions due to noise, median over subsets and frames.
+    zncc : median in the left camera.
+    noise : noise models of each camera, None when no frame could be fitted to the grey values.
+    quality : of each camera, prediction of the subsets' precision, None as above.
+    notices : of tracking, subsets and the rigid fit.
+    tracked, surface : iterate over subsets and points, and over the deformation, some frames at a time, computed anew
+        from the tracked frames. `tracks` and `points` are those of all frames at once.
     """
 
     motion: RigidMotion
@@ -78,7 +86,7 @@ class BodyMotion(Arrays):
 
     @cached_property
     def tracks(self) -> StereoTracks:
-        """Subsets of all frames in which they were looked for, some 500 bytes for each in every frame."""
+        """Subsets of all frames with subsets, about 500 bytes for each."""
         blocks = list(self.tracked)
         whole = (
             Tracks(
@@ -112,19 +120,47 @@ def measure_body(
     device: str = "cpu",
     depth_m: DepthRange | None = None,
 ) -> BodyMotion:
-    """Follow a body through the left and right `images` and fit its six components, about the origin of its frame.
+    """Track a body through the images and fit its six components of motion.
 
-    Of a camera alone, whose `rig` states the face that it sees, it takes the one series of images. Subsets are tracked;
-    from the motion that brings the body to where they are (`motion.motion_of_places`) it is fitted to the grey values
-    (`direct.fit.fit_direct`), weighted by the noise that the first frame so fitted shows. A frame in which this fails
-    has the motion of its points (`motion.fit_motion`). `progress` is called with the number of finished images, 1…2F.
-    `prepare_body`, `follow_block` for each of the blocks and `body_motion` are the same in parts, for several threads.
+    Subsets are tracked. The motion that brings the body to their positions (`surface.motion_from_positions`) is the
+    start of a fit to the grey values (`direct_fit.fit_direct`), weighted by the noise of the first frame so fitted. A
+    frame in which this fails has the motion of its points (`motion.fit_motion`). `prepare_body`, `follow_block` for
+    each of the blocks and `body_motion` are the same in parts, for several threads.
 
+    Parameters
+    ----------
+    images
+        Left and right, or one of a single camera.
+    rig
+        Calibrated pair; a single camera states the face that it shows.
+    body_from_left
+        Frame of the body, about whose origin it moves.
+    settings
+        Of the subsets.
+    progress
+        Called with the number of finished images, 1…2F; default None.
+    device
+        'cpu' (default) or 'cuda'.
+    depth_m
+        Nearest and farthest possible depth in the left camera, for repeating patterns; default None.
+
+    Returns
+    -------
+    BodyMotion
+        Poses in m and rad with covariances, deformation, and notices.
+
+    Raises
+    ------
+    BodyNotFound
+        Where the images do not show the body, or its pattern repeats so that its position is undetermined.
+
+    Examples
+    --------
     >>> from scipy.ndimage import gaussian_filter
     >>> rng = np.random.default_rng(1)
-    >>> picture = np.rint(128 + 300 * gaussian_filter(rng.standard_normal((96, 96)), 2.0, mode="wrap")).astype(np.uint8)
-    >>> def camera_images(shift_px):  # a body that goes one pixel to the right between two noisy frames
-    ...     frames = [np.roll(picture, shift_px + k, axis=1) + rng.integers(0, 3, (96, 96), np.uint8) for k in (0, 1)]
+    >>> image = np.rint(128 + 300 * gaussian_filter(rng.standard_normal((96, 96)), 2.0, mode="wrap")).astype(np.uint8)
+    >>> def camera_images(shift_px):  # a body that moves one pixel to the right between two noisy frames
+    ...     frames = [np.roll(image, shift_px + k, axis=1) + rng.integers(0, 3, (96, 96), np.uint8) for k in (0, 1)]
     ...     return ImageSequence(("before", "after"), (96, 96), 255, lambda k: frames[k])
     >>> camera = Camera.from_parameters(np.array([1000.0, 1000, 48, 48, 0, 0, 0, 0, 0]), np.array([96, 96]))
     >>> rig = StereoRig(camera, camera, RigidTransform(np.eye(3), np.array([-0.005, 0.0, 0.0])))
@@ -133,34 +169,36 @@ def measure_body(
     >>> f"{1e3 * body.motion.pose[1, 0]:.1f} mm"
     '1.0 mm'
     """
-    known = BodyPrior(depth_m)
-    scene = prepare_body(images, rig, body_from_left, settings, device, progress, known)
+    prior = BodyPrior(depth_m)
+    scene = prepare_body(images, rig, body_from_left, settings, device, progress, prior)
     return body_motion(scene, [follow_block(scene, block, device, progress) for block in scene.blocks])
 
 
 def body_motion(scene: BodyScene, blocks: Iterable[FollowedBlock]) -> BodyMotion:
-    """Return the motion of the body from what was found in the scene's blocks, in their order.
+    """Return the motion of the body from the tracked blocks of a scene.
 
-    The blocks, a list or what reads them from a disk, are gone through twice, one at a time, and again whenever subsets
-    or points are asked for.
+    The blocks, a list or a reader from disk, are iterated twice, one at a time, and again for each use of subsets or
+    points.
     """
     tracked, fits = _tracked(scene, blocks)
     settings, references, noise = scene.settings, scene.references, scene.noise
     quality, remarks = None, list[Notice]()
     if noise is not None:
         sides = zip(references, scene.first, noise, scene.images, strict=True)
-        quality = tuple(assess_subsets(reference, first, own, side.saturation) for reference, first, own, side in sides)
+        quality = tuple(
+            assess_subsets(reference, first, model, side.saturation) for reference, first, model, side in sides
+        )
         named = zip(("left camera", "right camera"), quality, strict=False)
-        remarks = [notice for where, told in named for notice in told.notices(where)]
+        remarks = [notice for where, predicted in named for notice in predicted.notices(where)]
     shared = None
     if settings.grid_step_px <= 2 * settings.radius_px:
         shared = overlap_correlation(scene.grid.left_px, settings.radius_px)
     sums = _Sums()
     for block, points in tracked.with_points():
         if sums.mean is None:
-            seen = int(np.count_nonzero(np.isfinite(points.position_m[0]).all(axis=1)))  # in some later frame as well
+            seen = int(np.count_nonzero(np.isfinite(points.position_m[0]).all(axis=1)))  # also in a later frame
             if seen < 3:
-                text = f"at least 3 points that every camera sees in a later frame too, found {seen}"
+                text = f"at least 3 points that every camera shows in a later frame, found {seen}"
                 raise BodyNotFound(f"rig: expected {text}")
             sums.mean, sums.subsets_px = DeformationMean(points.position_m[0]), block.left.position_px[0]
         of_points = fit_motion(points, sums.mean.reference_m, np.zeros(3), shared)
@@ -172,7 +210,7 @@ def body_motion(scene: BodyScene, blocks: Iterable[FollowedBlock]) -> BodyMotion
     notices = (
         *tracked.summary.notices,
         *remarks,
-        *_rigid_notices(sums, _of_frames(motion, tracked.frames), of_points, fits.missed(scene.body)),
+        *_rigid_notices(sums, _of_frames(motion, tracked.frames), of_points, fits.count_missing(scene.body)),
     )
     return BodyMotion(
         motion=motion,
@@ -193,16 +231,20 @@ def body_motion(scene: BodyScene, blocks: Iterable[FollowedBlock]) -> BodyMotion
     )
 
 
-# What was followed, gone through some frames at a time.
+# Iteration over the tracked frames, some at a time.
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class TrackedSubsets(Arrays, shapes="frames S; pose S 6"):
-    """Tracked subsets of a body, some frames at a time from the first one on, as often as they are asked for.
+    """Tracked subsets of a body, some frames at a time, repeatedly.
 
-    frames (S,): in which they were looked for, pose (S, 6): of the body there. noise_grey: image noise (N,) at the
-    subsets of each camera, over these. `told`: what they say of the cameras. `held`: all of a short series with its
-    points, once these have been gone through.
+    Attributes
+    ----------
+    frames : (S,) in which subsets were searched.
+    pose : (S, 6) of the body in these frames.
+    noise_grey : image noise (N,) at the subsets of each camera, over these frames.
+    summary : properties of the cameras and notices.
+    cached_blocks : all frames of a short series with points, after the first iteration.
     """
 
     scene: BodyScene
@@ -218,7 +260,10 @@ class TrackedSubsets(Arrays, shapes="frames S; pose S 6"):
         return (tracks for tracks, _ in self.cached_blocks) if self.cached_blocks else self._computed()
 
     def with_points(self) -> Iterator[tuple[StereoTracks, Points3D]]:
-        """Yield some frames at a time with the points of their subsets, in the body's frame."""
+        """Yield some frames at a time with the points of their subsets.
+
+        In the body's frame.
+        """
         if self.cached_blocks:
             yield from self.cached_blocks
             return
@@ -243,22 +288,25 @@ class TrackedSubsets(Arrays, shapes="frames S; pose S 6"):
                 )
                 for side, noise in enumerate(self.noise_grey)
             )
-            aside = self.monitor.find_rejected(tuple(camera.position_px for camera in cameras))
-            yield self.summary.with_tracks(drop_rejected(cameras, aside))
+            rejected = self.monitor.find_rejected(tuple(camera.position_px for camera in cameras))
+            yield self.summary.with_tracks(drop_rejected(cameras, rejected))
 
     def _points(self, tracks: StereoTracks, pose: FloatArray) -> Points3D:
-        """Points of some frames, of a camera alone on the face where the body in its `pose` (F, 6) takes it."""
+        """Return points of some frames, in the body's frame.
+
+        Those of a single camera lie on the face in its `pose` (F, 6).
+        """
         rig, placed, moved = self.scene.rig, self.scene.body_from_left, None
         if not isinstance(rig, StereoRig):
             turns = (placed.inverse() @ RigidTransform.from_pose(one) @ placed for one in np.nan_to_num(pose))
             moved = np.array([turn.pose for turn in turns])
-        places = [camera.position_px for camera in tracks.cameras]
-        return locate(rig, places, [camera.covariance_px2 for camera in tracks.cameras], moved).transformed(placed)
+        positions = [camera.position_px for camera in tracks.cameras]
+        return locate(rig, positions, [camera.covariance_px2 for camera in tracks.cameras], moved).transformed(placed)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class SurfaceDeformation(Arrays):
-    """What the points of a body do beside its motion, some frames at a time, as often as it is asked for."""
+    """Deformation of the points of a body, some frames at a time, repeatedly."""
 
     mean: DeformationMean
     motion: RigidMotion
@@ -274,31 +322,31 @@ class SurfaceDeformation(Arrays):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class _Fits(Arrays, shapes="pose F 6; covariance F 6 6; amplitude F S; amplitude_covariance F S S"):
-    """The direct fits of all frames, NaN for none; the first frame has the covariance of a typical one."""
+    """Direct fits of all frames, NaN for none; the first frame has a typical covariance."""
 
     pose: FloatArray
     covariance: FloatArray
     amplitude: FloatArray
     amplitude_covariance: FloatArray
 
-    def missed(self, body: BodyPrior) -> tuple[int, int]:
-        """How many of how many later frames have none, those that are absent not counted."""
+    def count_missing(self, body: BodyPrior) -> tuple[int, int]:
+        """Return how many later frames have no fit, and how many there are."""
         later = [number for number in range(1, len(self.pose)) if not body.is_absent(number)]
         return int(np.count_nonzero(~np.isfinite(self.pose[later, 0]))), len(later)
 
     def merged(self, of_points: RigidMotion, frames: IntArray) -> RigidMotion:
-        """The motion of points in some frames, replaced where there is a direct fit."""
+        """Return the motion of points in some frames, replaced where there is a direct fit."""
         pose, covariance = self.pose[frames], self.covariance[frames]
-        known = np.asarray(np.isfinite(pose).all(axis=1))
+        fitted = np.asarray(np.isfinite(pose).all(axis=1))
         typical = np.asarray(np.isfinite(covariance).all(axis=(1, 2)))
         return replace(
             of_points,
-            pose=np.where(known[:, None], pose, of_points.pose),
+            pose=np.where(fitted[:, None], pose, of_points.pose),
             covariance=np.where(typical[:, None, None], covariance, of_points.covariance),
         )
 
     def of_all(self, of_points: RigidMotion, frames: IntArray) -> RigidMotion:
-        """The motion of all frames, that of points in some of them replaced where there is a direct fit."""
+        """Return the motion of all frames, by direct fits where available, else by points."""
         merged = self.merged(of_points, frames)
         pose, covariance = self.pose.copy(), self.covariance.copy()
         residual_m, points = np.full(len(pose), np.nan), np.zeros(len(pose), np.int64)
@@ -308,7 +356,7 @@ class _Fits(Arrays, shapes="pose F 6; covariance F 6 6; amplitude F S; amplitude
 
 
 class _Sums:
-    """What is left of the subsets and points of a body when they have been gone through once."""
+    """Running sums over the subsets and points of a body."""
 
     def __init__(self) -> None:
         self.mean: DeformationMean | None = None
@@ -318,7 +366,7 @@ class _Sums:
         self.variance_px2, self.variance_m2, self.zncc = Sample(), Sample(), Sample()
 
     def add(self, tracks: StereoTracks, points: Points3D, of_points: RigidMotion, motion: RigidMotion) -> None:
-        """Take in further frames."""
+        """Add further frames."""
         assert self.mean is not None
         self.mean.add(points, motion)
         squares = points.reprojection_px**2
@@ -335,50 +383,50 @@ class _Sums:
 
 
 def _tracked(scene: BodyScene, blocks: Iterable[FollowedBlock]) -> tuple[TrackedSubsets, _Fits]:
-    """Go through what was followed for what it takes all frames to know: noise, remarks, and the direct fits."""
-    course = EpipolarMonitor(scene.rig if isinstance(scene.rig, StereoRig) else None)
+    """Iterate over the tracked frames for noise, notices, and the direct fits."""
+    monitor = EpipolarMonitor(scene.rig if isinstance(scene.rig, StereoRig) else None)
     noise = tuple(RunningMean() for _ in scene.images)
     levels, frames, fits = list[float](), list[int](), list[tuple[FloatArray, ...]]()
     shapes = scene.views[0].rates.shape[2] - 6
-    nothing = tuple(np.full(shape, np.nan) for shape in (6, (6, 6), shapes, (shapes, shapes)))
+    missing = tuple(np.full(shape, np.nan) for shape in (6, (6, 6), shapes, (shapes, shapes)))
     centres = tuple(map(central_point, scene.seen))
     for block in iterate_blocks(scene, blocks):
-        for sought, group in groupby(block, lambda one: one[0] is not None):
+        for with_subsets, group in groupby(block, lambda one: one[0] is not None):
             run = list(group)
-            if sought:
+            if with_subsets:
                 frames += range(len(fits), len(fits) + len(run))
-                _take_in(scene, [both for both, _ in run if both is not None], course, noise)
+                _add_subsets(scene, [both for both, _ in run if both is not None], monitor, noise)
             for _, fit in run:
                 if fit is None:
-                    fits.append(nothing)
+                    fits.append(missing)
                 else:
                     fits.append((fit.moved.pose, fit.covariance, fit.amplitude, fit.amplitude_covariance))
                 levels += [] if fit is None else [fit.noise]
-                if fit is not None and not sought:
-                    course.add_motion(tuple(image_motion_px(centre, fit.moved)[0] for centre in centres))
+                if fit is not None and not with_subsets:
+                    monitor.add_motion(tuple(image_motion_px(centre, fit.moved)[0] for centre in centres))
     if levels:
-        fits[0] = (nothing[0], rest_covariance(scene.views, float(np.median(levels))), *nothing[2:])
+        fits[0] = (missing[0], rest_covariance(scene.views, float(np.median(levels))), *missing[2:])
     grey = tuple(np.sqrt(side.mean) for side in noise)
-    told = course.summarize(scene.first, scene.grid, scene.settings, grey)
+    summary = monitor.summarize(scene.first, scene.grid, scene.settings, grey)
     whole, numbers = _Fits(*map(np.array, zip(*fits, strict=True))), np.array(frames)
-    return TrackedSubsets(scene, blocks, numbers, whole.pose[numbers], grey, course, told), whole
+    return TrackedSubsets(scene, blocks, numbers, whole.pose[numbers], grey, monitor, summary), whole
 
 
-def _take_in(
-    scene: BodyScene, found: Sequence[Registrations], course: EpipolarMonitor, noise: tuple[RunningMean, ...]
+def _add_subsets(
+    scene: BodyScene, found: Sequence[Registrations], monitor: EpipolarMonitor, noise: tuple[RunningMean, ...]
 ) -> None:
-    """Add the subsets of successive frames to what all frames say."""
+    """Add the subsets of successive frames to monitor and noise."""
     sides = [list(side) for side in zip(*found, strict=True)]
     positions, statuses = zip(
         *(subset_positions(*both) for both in zip(sides, scene.references, strict=True)), strict=True
     )
-    course.add(positions, statuses)
+    monitor.add(positions, statuses)
     for running, side, reference in zip(noise, sides, scene.references, strict=True):
         running.add(subset_noise(side, reference, scene.settings.degree) ** 2)
 
 
 def _of_frames(motion: RigidMotion, frames: IntArray) -> RigidMotion:
-    """The motion in some frames."""
+    """Return the motion in some frames."""
     return RigidMotion(
         motion.pose[frames],
         motion.covariance[frames],
@@ -389,7 +437,7 @@ def _of_frames(motion: RigidMotion, frames: IntArray) -> RigidMotion:
 
 
 def _joined(parts: Sequence[RigidMotion]) -> RigidMotion:
-    """The motion of all frames."""
+    """Return the motion of all frames."""
     pose, covariance, residual_m, points = (
         np.concatenate([getattr(part, name) for part in parts])
         for name in ("pose", "covariance", "residual_m", "points")
@@ -397,28 +445,20 @@ def _joined(parts: Sequence[RigidMotion]) -> RigidMotion:
     return RigidMotion(pose, covariance, residual_m, points, parts[0].origin_m)
 
 
-def _rigid_notices(sums: _Sums, motion: RigidMotion, of_points: RigidMotion, missed: tuple[int, int]) -> list[Notice]:
-    """Warnings about points that move unlike a rigid body, frames without a direct fit, and one against the points."""
-    texts = []
-    known = np.isfinite(of_points.residual_m[1:])
-    if known.any():
-        misfit, noise = np.median(of_points.residual_m[1:][known]), np.sqrt(sums.variance_m2.median)
+def _rigid_notices(sums: _Sums, motion: RigidMotion, of_points: RigidMotion, failed: tuple[int, int]) -> list[Notice]:
+    """Return notices of departures from a rigid motion."""
+    notices, where = list[Notice](), "rigid motion"
+    finite = np.isfinite(of_points.residual_m[1:])
+    if finite.any():
+        misfit, noise = np.median(of_points.residual_m[1:][finite]), np.sqrt(sums.variance_m2.median)
         if misfit >= LARGEST_BENDING * noise:
-            texts.append(
-                f"the points depart from a rigid motion by {1e6 * misfit:.1f} µm rms, {misfit / noise:.0f} times their "
-                "noise: the body bends, or parts of it move on their own"
-            )
-    if missed[0]:
-        texts.append(
-            f"in {missed[0]} of {missed[1]} frames the motion could not be fitted to the grey values; its points count"
-        )
+            notices.append(Notice(BODY_DEFORMS, where, misfit_um=1e6 * misfit, ratio=misfit / noise))
+    if failed[0]:
+        notices.append(Notice(FRAMES_WITHOUT_GREY_FIT, where, failed=failed[0], frames=failed[1]))
     difference = (motion.pose - of_points.pose)[1:]
     both = np.isfinite(difference).all(axis=1)
     squares = difference[both] ** 2 / np.diagonal(of_points.covariance[1:], axis1=1, axis2=2)[both]
     ratio = float(np.sqrt(np.mean(squares))) if both.any() else 0.0
     if ratio > LARGEST_DIFFERENCE:
-        texts.append(
-            f"the motion fitted to the grey values is {ratio:.1f} standard uncertainties off that of the tracked "
-            "points: the body bends, something in front of it moves, or its texture is not resolved"
-        )
-    return [Notice("warning", text, "rigid motion") for text in texts]
+        notices.append(Notice(GREY_FIT_DISAGREES, where, ratio=ratio))
+    return notices

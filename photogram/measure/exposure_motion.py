@@ -1,4 +1,4 @@
-"""Frames looked at again with a motion that is known: what moves while they are exposed, row by row, and its blur."""
+"""Frames re-evaluated with an estimated motion: rolling shutter and motion blur."""
 
 from __future__ import annotations
 
@@ -33,20 +33,26 @@ from photogram.subsets.reference import ReferenceSubsets, TrackStatus, prepare_r
 
 MotionSeries = tuple[FloatArray, FloatArray]
 """Rotations (..., 3, 3) and shifts (..., 3)."""
-ROUNDS = 2  # of places, and the instants of the rows that show them
-PATH_TIMES = 16  # Gauss-Legendre, in which the path of an exposure is summed up
-BAND_PX = 24  # rows that are blurred alike where they are exposed one after the other
-WIDEST_CELL = 1.0 / 3.0  # periods of a line, in which the rows of one cell are exposed
-MOST_POINTS = 200  # of a surface that tell how their paths differ
+ROUNDS = 2  # iterations of positions and the instants of their rows
+PATH_TIMES = 16  # nodes of Gauss-Legendre quadrature over an exposure
+BAND_PX = 24  # rows with the same blur in a rolling shutter
+WIDEST_CELL = 1.0 / 3.0  # periods of a line in which the rows of one cell are exposed
+MAX_POINTS = 200  # of a surface, for the change of the path across it
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class ExposureMotion(Arrays, shapes="frequency_hz K; phasors K 6; time_s F"):
-    """How a body moves about its mean pose while its frames are exposed: by Re Σ X·exp(jωt), X (K, 6) in m and rad.
+    """Motion of a body about its mean pose while frames are exposed: Re Σ X·exp(jωt).
 
-    time_s (F,): middles of the exposures, `exposure_s` long, of the rows that are read first. `row_s`: of the left and
-    the right camera, by how much each row comes after the one above it; negative where the last one is read first, 0
-    where all are exposed at once. `blurs`: whether what the path of an exposure does to grey values counts.
+    Attributes
+    ----------
+    frequency_hz : (K,).
+    phasors : (K, 6) X in m and rad.
+    time_s : (F,) middles of the exposures of the rows that are read first.
+    exposure_s : length of an exposure.
+    row_s : of the left and the right camera, delay of each row after the one above it; negative where the last row is
+        read first, 0 where all are exposed at once.
+    motion_blur : whether the path of an exposure changes grey values significantly.
     """
 
     frequency_hz: FloatArray
@@ -76,7 +82,10 @@ class ExposureMotion(Arrays, shapes="frequency_hz K; phasors K 6; time_s F"):
     def relative_motion(
         self, start_s: FloatArray | float, end_s: FloatArray, exposure_s: float | None = None
     ) -> MotionSeries:
-        """Return the motion from one instant to others, each as the mean over an exposure, this one's by default."""
+        """Return the motion from one instant to others, each as the mean over an exposure.
+
+        `exposure_s`: of the others, by default that of the frames.
+        """
         length = self.exposure_s if exposure_s is None else exposure_s
         first, last = self.pose(np.asarray(start_s), self.exposure_s), self.pose(end_s, length)
         rotation = last[0] @ np.swapaxes(first[0], -1, -2)
@@ -84,25 +93,29 @@ class ExposureMotion(Arrays, shapes="frequency_hz K; phasors K 6; time_s F"):
 
 
 def row_delay_s(row_s: float, row_px: FloatArray, rows: int) -> FloatArray:
-    """Return how much later than the one read first rows of a picture with so many are exposed (`Swing`)."""
+    """Return the delay of rows of an image after the row that is read first.
+
+    `rows`: their number.
+    """
     return np.asarray(row_s * (row_px if row_s >= 0.0 else row_px - (rows - 1)))
 
 
 def apply_motion(carried: MotionSeries, points_m: FloatArray) -> FloatArray:
-    """Return points (..., 3) where they are carried to."""
+    """Return points (..., 3) after a motion."""
     return np.asarray(np.einsum("...ij,...j->...i", carried[0], points_m) + carried[1])
 
 
 def undo_motion(carried: MotionSeries, points_m: FloatArray) -> FloatArray:
-    """Return points (..., 3) from where they were carried."""
+    """Return points (..., 3) before a motion."""
     return np.asarray(np.einsum("...ji,...j->...i", carried[0], points_m - carried[1]))
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class ExposureCorrection(Arrays):
-    """A scene in which every frame shows its body at one instant, the middle of its first row's exposure.
+    """A scene in which every frame shows its body at one instant.
 
-    `shown`: the one in which subsets lie where pictures show them.
+    The instant is the middle of its first row's exposure. `uncorrected`: the one in which subsets have their positions
+    in the images.
     """
 
     uncorrected: BodyScene
@@ -110,9 +123,9 @@ class ExposureCorrection(Arrays):
     swing: ExposureMotion
 
     def correct_frame(self, number: int, frame: FollowedFrame) -> tuple[FollowedFrame, ComplexArray | None]:
-        """Return one frame as if all of it had been exposed at one instant, and its turned pose (K, p).
+        """Return one frame as if exposed at one instant, and its phase-rotated pose (K, p).
 
-        The latter where rows are exposed one after the other (`direct.fit.turned_pose`), None without a direct fit.
+        The latter with rolling shutters (`direct_fit.phase_rotated_pose`), else None, as without a direct fit.
         """
         (found, fit), start = frame, None
         if found is not None:
@@ -124,7 +137,9 @@ class ExposureCorrection(Arrays):
         if found is not None:
             if references:
                 found = self._registered(found, references, targets)
-            found = _placed(self.scene.references, found, _at_one_instant(self.uncorrected, self.swing, number, found))
+            found = _at_positions(
+                self.scene.references, found, _at_one_instant(self.uncorrected, self.swing, number, found)
+            )
         fit = fit_direct(views, targets, start)
         if fit is None or not self.swing.rolling_shutter:
             return (found, fit), None
@@ -137,7 +152,10 @@ class ExposureCorrection(Arrays):
         return (found, fit), phase_rotated_pose(views, targets, fit, turns, departure)
 
     def with_noise(self, number: int, frame: FollowedFrame) -> ExposureCorrection:
-        """Return it with the noise of the images that a frame shows; as it is where that cannot be fitted."""
+        """Return it with the noise of the images in a frame.
+
+        Unchanged if that cannot be fitted.
+        """
         (_, fit), _ = self.correct_frame(number, frame)
         if fit is None:
             return self
@@ -150,20 +168,22 @@ class ExposureCorrection(Arrays):
     def _registered(
         self, found: Registrations, references: Sequence[Spline], targets: Sequence[Spline]
     ) -> Registrations:
-        """Subsets found again, from where they were, in pictures that are blurred alike."""
-        again, settings = [], self.scene.settings
-        for one, own, reference, target in zip(found, self.uncorrected.references, references, targets, strict=True):
-            blurred = prepare_reference(reference, own.centre_px, settings.radius_px, settings.shape_order)
+        """Register subsets again, from their positions, in equally blurred images."""
+        renewed, settings = [], self.scene.settings
+        for one, subsets, reference, target in zip(
+            found, self.uncorrected.references, references, targets, strict=True
+        ):
+            blurred = prepare_reference(reference, subsets.centre_px, settings.radius_px, settings.shape_order)
             good = one.status == TrackStatus.OK
             now = register(blurred, target, np.where(good[:, None], one.warp, np.nan), settings)
-            again.append(replace(now, status=np.where(good, now.status, one.status)))
-        return tuple(again)
+            renewed.append(replace(now, status=np.where(good, now.status, one.status)))
+        return tuple(renewed)
 
     def _compared(self, number: int, moved: RigidTransform) -> tuple[list[BodyView], list[Spline], list[Spline]]:
-        """The body at rest, and one frame, as both are compared when the body has moved so far; the blurred references.
+        """Return the body at rest and one frame, prepared for comparison, and the blurred references.
 
-        Each is blurred as the exposure of the other one has blurred it already. Points are carried to where they are
-        when the rows that show them are exposed.
+        The body has moved by `moved`. Each image is blurred as the exposure of the other one has blurred that one.
+        Points are moved to their positions when the rows that show them are exposed.
         """
         scene, swing, rest = self.scene, self.swing, RigidTransform.identity()
         views, targets, references = list[BodyView](), list[Spline](), list[Spline]()
@@ -181,7 +201,7 @@ class ExposureCorrection(Arrays):
             if swing.rolling_shutter:
                 seen = points = moved.apply(view.patches.points_m)
                 for _ in range(ROUNDS):
-                    carried = _carried(scene, swing, number, side, view.camera.project(seen)[..., 1])
+                    carried = _motion_since(scene, swing, number, side, view.camera.project(seen)[..., 1])
                     seen = apply_motion(carried, points)
                 view = replace(view, carried=carried)
             views.append(view)
@@ -190,32 +210,35 @@ class ExposureCorrection(Arrays):
     def _blurred(
         self, side: int, image: GreyImage, at: RigidTransform, by: tuple[int, RigidTransform]
     ) -> NDArray[np.float32]:
-        """A picture of the body moved `at`, blurred by its path in the exposure of a frame in which it has moved by."""
+        """Return an image of the body, blurred by its path in an exposure.
+
+        at: the pose; by: number and motion of the frame.
+        """
         swing, (number, moved), camera = self.swing, by, self.scene.seen[side].camera
         nodes, share = np.polynomial.legendre.leggauss(PATH_TIMES)
-        known = self.scene.rest_m[np.isfinite(self.scene.rest_m).all(axis=1)]
-        known = known[:: 1 + len(known) // MOST_POINTS]
-        design = np.column_stack([np.ones(len(known)), camera.project(at.apply(known))])
+        finite_m = self.scene.rest_m[np.isfinite(self.scene.rest_m).all(axis=1)]
+        finite_m = finite_m[:: 1 + len(finite_m) // MAX_POINTS]
+        design = np.column_stack([np.ones(len(finite_m)), camera.project(at.apply(finite_m))])
         bands = max(1, len(image) // BAND_PX) if swing.rolling_shutter else 1
         middle = swing.time_s[number] + self._delay_s(side, (np.arange(bands) + 0.5) * len(image) / bands - 0.5)
         path = np.empty((bands, PATH_TIMES, 2, 3))
         for band, start_s in enumerate(middle):
             carried = swing.relative_motion(start_s, start_s + nodes * swing.exposure_s / 2.0, 0.0)
-            shown = camera.project(apply_motion((carried[0][:, None], carried[1][:, None]), moved.apply(known)))
+            shown = camera.project(apply_motion((carried[0][:, None], carried[1][:, None]), moved.apply(finite_m)))
             shown -= np.einsum("e,end->nd", share / 2.0, shown)
             path[band] = np.einsum("an,end->eda", np.linalg.pinv(design), shown)
         return blur_along_path(image, path, share / 2.0)
 
     def _delay_s(self, side: int, row_px: FloatArray) -> FloatArray:
-        """By how much later than the first one rows of a camera are exposed."""
+        """Return the delay of rows of a camera after the first one."""
         return row_delay_s(self.swing.row_s[side], row_px, int(self.scene.images[side].size_px[1]))
 
     @property
     def responses(self) -> tuple[ComplexArray, ComplexArray]:
-        """What a motion at a line, and what the one taken for known, is in turned poses: (K, p, p) each.
+        """Response of phase-rotated poses to a motion, and to the assumed motion: (K,p,p).
 
-        Turned back is the delay of each cell; within it rows differ still. The known motion is taken as its affine warp
-        is: by the instants of its middle and of points above and below.
+        The delay of each cell is compensated; within a cell rows still differ. The assumed motion acts through its
+        affine warp: by the instants of its middle and of points above and below.
         """
         informed = [row_information(view) for view in self.scene.views]
         whole = np.sum([part.sum(axis=0) for part in informed], axis=0)
@@ -223,15 +246,15 @@ class ExposureCorrection(Arrays):
         for row_s, view, part in zip(self.swing.row_s, self.scene.views, informed, strict=True):
             arm, down = view.patches.arm_px, np.arange(len(part)) - (len(part) - 1) / 2
             angle = 2.0 * np.pi * self.swing.frequency_hz[:, None] * row_s
-            for place, turn in enumerate((np.exp(1j * angle * down), 1.0 + 1j * np.sin(angle * arm) / arm * down)):
-                sums[place] += np.einsum("kr,rij->kij", turn, part)
+            for row, factor in enumerate((np.exp(1j * angle * down), 1.0 + 1j * np.sin(angle * arm) / arm * down)):
+                sums[row] += np.einsum("kr,rij->kij", factor, part)
         estimate = estimator_matrix(whole)
-        turned, known = estimate @ sums @ np.linalg.inv(estimate @ whole)
-        return turned, known
+        rotated, assumed = estimate @ sums @ np.linalg.inv(estimate @ whole)
+        return rotated, assumed
 
     @property
     def row_lag(self) -> FloatArray:
-        """By how many rows after the first one a motion is seen, (6, 6)."""
+        """Number of rows (6, 6) after the first one at which a motion is seen."""
         sums, whole = np.zeros((6, 6)), np.zeros((6, 6))
         for side, view in enumerate(self.scene.views):
             delay = self._delay_s(side, view.cells.centre_px[:, 1])
@@ -242,15 +265,16 @@ class ExposureCorrection(Arrays):
 
     @property
     def delay_s(self) -> FloatArray:
-        """By how much after the first row the subsets (N,) are exposed, in the mean of both cameras."""
+        """Delay of the subsets (N,) after the first row, in the mean of both cameras."""
         delays = [self._delay_s(side, one.centre_px[:, 1]) for side, one in enumerate(self.uncorrected.references)]
         return np.asarray(np.mean(delays, axis=0))
 
 
 def blur_along_path(image: NDArray[np.generic], path_px: FloatArray, share: FloatArray) -> NDArray[np.float32]:
-    """Return an image (H, W) as the mean of itself shifted along a path by d, weighted by shares (E,).
+    """Return an image (H,W) as the mean of itself shifted along a path.
 
-    path_px (B, E, 2, 3): d = (c + a·x + b·y) px at the pixel (x, y), in rows c, a, b, for each of B bands of rows.
+    The mean is weighted by shares (E,). The shift at the pixel (x, y) is d = (c + a·x + b·y) px. path_px (B, E, 2, 3):
+    rows c, a, b, for each of B bands of rows.
     """
     rows, columns = image.shape
     corners = np.array([[1.0, x, y] for x in (0, columns) for y in (0, rows)])
@@ -262,84 +286,88 @@ def blur_along_path(image: NDArray[np.generic], path_px: FloatArray, share: Floa
 
 
 @njit()
-def _smear(picture, path, share, line, smooth):  # type: ignore[no-untyped-def]
-    """Fill the image with its weighted mean over the path."""
-    coefficients, degree, margin = picture
+def _smear(source, path, share, line, smooth):  # type: ignore[no-untyped-def]
+    coefficients, degree, margin = source
     rows, columns = smooth.shape
     for i in range(rows):
-        own = path[i * path.shape[0] // rows]
+        band_path = path[i * path.shape[0] // rows]
         for e in range(share.size):
-            (c_x, a_x, b_x), (c_y, a_y, b_y) = own[e, 0], own[e, 1]
-            place = margin - c_x - b_x * i, margin + i - c_y - b_y * i
-            sample_line(coefficients, degree, place, (1.0 - a_x, -a_y), line, (0, columns))
+            (c_x, a_x, b_x), (c_y, a_y, b_y) = band_path[e, 0], band_path[e, 1]
+            start = margin - c_x - b_x * i, margin + i - c_y - b_y * i
+            sample_line(coefficients, degree, start, (1.0 - a_x, -a_y), line, (0, columns))
             for j in range(columns):
                 smooth[i, j] += share[e] * line[j]
 
 
 def prepare_exposure_correction(scene: BodyScene, swing: ExposureMotion) -> ExposureCorrection:
-    """Return a scene to look again at the frames that were followed in another one."""
-    again = scene
+    """Return the correction of a scene whose frames were followed, for an estimated motion."""
+    corrected = scene
     if swing.rolling_shutter:
-        own = identity_registration(scene.references[0]), identity_registration(scene.references[1])
-        places = _at_one_instant(scene, swing, 0, own)
+        at_rest = identity_registration(scene.references[0]), identity_registration(scene.references[1])
+        centres_px = _at_one_instant(scene, swing, 0, at_rest)
         left, right = (
-            replace(reference, centre_px=place) for reference, place in zip(scene.references, places, strict=True)
+            replace(reference, centre_px=centre_px)
+            for reference, centre_px in zip(scene.references, centres_px, strict=True)
         )
         rest_m = _points(scene, [left.centre_px, right.centre_px])
         seen = tuple(project_body_points(camera, rest_m) for camera in cameras_about(scene, rest_m))
-        again = replace(scene, references=(left, right), rest_m=rest_m, seen=seen)
+        corrected = replace(scene, references=(left, right), rest_m=rest_m, seen=seen)
     splines = tuple(spline_of_image(image, scene.settings.degree) for image in scene.first)
-    views = body_views(again, splines, WIDEST_CELL / swing.per_row if swing.rolling_shutter else np.inf)
+    views = body_views(corrected, splines, WIDEST_CELL / swing.per_row if swing.rolling_shutter else np.inf)
     if swing.rolling_shutter:
-        views = tuple(_with_instants(again, swing, side, view) for side, view in enumerate(views))
-    again = replace(again, views=views, near=(), noise=None, lead=(), blocks=())
-    return ExposureCorrection(scene, again, swing)
+        views = tuple(_with_instants(corrected, swing, side, view) for side, view in enumerate(views))
+    corrected = replace(corrected, views=views, near=(), noise=None, lead=(), blocks=())
+    return ExposureCorrection(scene, corrected, swing)
 
 
-def _carried(scene: BodyScene, swing: ExposureMotion, number: int, side: int, row_px: FloatArray) -> MotionSeries:
-    """By what points were moved when the rows (...) that show them were exposed, since the frame's own instant."""
+def _motion_since(scene: BodyScene, swing: ExposureMotion, number: int, side: int, row_px: FloatArray) -> MotionSeries:
+    """Return the motion of points since the frame's instant when the rows (...) are exposed."""
     begin = float(swing.time_s[number])
     return swing.relative_motion(
         begin, begin + row_delay_s(swing.row_s[side], row_px, int(scene.images[side].size_px[1]))
     )
 
 
-def _points(scene: BodyScene, places_px: list[FloatArray]) -> FloatArray:
-    """Points (N, 3) in the body's frame of places (N, 2) in both cameras."""
-    left, right = places_px
-    assert isinstance(scene.rig, StereoRig)  # of a camera alone all rows are exposed at once
+def _points(scene: BodyScene, positions_px: list[FloatArray]) -> FloatArray:
+    """Return points (N, 3) in the body's frame from positions (N, 2) in both cameras."""
+    left, right = positions_px
+    assert isinstance(scene.rig, StereoRig)  # a single camera has no rolling shutter
     return np.asarray(triangulate(scene.rig, left[None], right[None]).transformed(scene.body_from_left).position_m[0])
 
 
 def _at_one_instant(scene: BodyScene, swing: ExposureMotion, number: int, found: Registrations) -> list[FloatArray]:
-    """Where the cameras would have seen the subsets of a frame, had all rows been exposed with the first one."""
-    places = [one.centre_px + here.warp[:, [0, 3]] for one, here in zip(scene.references, found, strict=True)]
-    shifts = [np.zeros_like(place) for place in places]
+    """Return the subsets' positions if all rows were exposed with the first one."""
+    positions = [
+        one.centre_px + registration.warp[:, [0, 3]] for one, registration in zip(scene.references, found, strict=True)
+    ]
+    shifts = [np.zeros_like(position) for position in positions]
     for _ in range(ROUNDS if swing.rolling_shutter else 0):
-        points = _points(scene, [place - shift for place, shift in zip(places, shifts, strict=True)])
+        points = _points(scene, [position - shift for position, shift in zip(positions, shifts, strict=True)])
         for side, seen in enumerate(cameras_about(scene, points)):
-            there = apply_motion(_carried(scene, swing, number, side, places[side][:, 1]), points)
-            shifts[side] = seen.project(there) - seen.project(points)
-    return [place - shift for place, shift in zip(places, shifts, strict=True)]
+            displaced = apply_motion(_motion_since(scene, swing, number, side, positions[side][:, 1]), points)
+            shifts[side] = seen.project(displaced) - seen.project(points)
+    return [position - shift for position, shift in zip(positions, shifts, strict=True)]
 
 
-def _placed(references: Sequence[ReferenceSubsets], found: Registrations, places_px: list[FloatArray]) -> Registrations:
-    """Subsets as they were found, but at these places."""
-    placed = []
-    for reference, one, place in zip(references, found, places_px, strict=True):
+def _at_positions(
+    references: Sequence[ReferenceSubsets], found: Registrations, positions_px: list[FloatArray]
+) -> Registrations:
+    """Return subsets as they were registered, but at these positions."""
+    moved = []
+    for reference, one, position in zip(references, found, positions_px, strict=True):
         warp = one.warp.copy()
-        warp[:, [0, 3]] = place - reference.centre_px
-        placed.append(replace(one, warp=warp))
-    return tuple(placed)
+        warp[:, [0, 3]] = position - reference.centre_px
+        moved.append(replace(one, warp=warp))
+    return tuple(moved)
 
 
 def _with_instants(scene: BodyScene, swing: ExposureMotion, side: int, view: BodyView) -> BodyView:
-    """The body at rest as it was at the first frame's instant, by pictures whose rows saw it later.
+    """Return the body at rest at the first frame's instant, from images with later rows.
 
-    What a ray meets then is moved back; along the ray by as much as brings it onto the surface.
+    The intersection with a ray is moved back, and along the ray onto the surface.
     """
     patches = view.patches
-    carried = _carried(scene, swing, 0, side, patches.rest_px[..., 1])
+    carried = _motion_since(scene, swing, 0, side, patches.rest_px[..., 1])
     seen, points = patches.points_m, undo_motion(carried, patches.points_m)
     normal = np.cross(seen[:, 1] - seen[:, 2], seen[:, 3] - seen[:, 4])[:, None]
     ray = seen - view.camera.camera_from_body.inverse().translation_m

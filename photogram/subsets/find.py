@@ -1,4 +1,4 @@
-"""Subsets of one image found in another: by prediction, search, features, neighbours, and along epipolar lines."""
+"""Search for subsets in other images: prediction, correlation, features, neighbours, epipolar lines."""
 
 from __future__ import annotations
 
@@ -29,35 +29,35 @@ Image = NDArray[Any]
 
 
 class BodyNotFound(ValueError):
-    """Pictures that can be read do not tell where the body is: no texture, no match, or copies of a pattern."""
+    """The images do not show the body: no texture, no match, or a repeating pattern."""
 
 
-NEIGHBOUR_ROUNDS = 8
-SEEDS = 12
-LEADERS, FEWEST_LED = 24, 200  # subsets that tell how all have moved, where there are many
-MORE_LOST = 0.05  # share of missing subsets by which a body beside another copy of itself is told
-MOST_COPIES = 3
-EDGE = 1.5  # subset radii from the edge of a picture within which a subset need not be found
-LEAST_AGREEING = 0.2  # share of its neighbours that have to foretell a subset
+NEIGHBOUR_ROUNDS = 8  # of growing by one subset in every direction, chosen
+SEEDS = 12  # subsets of a search, of which four have to agree on an affine map
+LEADERS, MIN_LED = 24, 200  # subsets that show the common motion of all, and their number from which on that is faster
+MORE_LOST = 0.05  # share of missing subsets that indicates a body displaced to a copy of its pattern
+MAX_COPIES = 3  # periods by which a displaced body is searched
+EDGE = 1.5  # subset radii from the edge of an image within which a subset may be missing
+MIN_AGREEING = 0.2  # share of its neighbours that have to predict a subset
 
 
 class Follower:
-    """Finds the subsets of a reference in the later images of its series, one image after the other.
+    """Finder of the subsets of a reference in the later images of its series.
 
-    `first`: the image of the reference; subsets with pixels at `full_scale` are lost.
+    `first`: the image of the reference. Subsets with pixels at `full_scale` are lost.
     """
 
     def __init__(self, reference: ReferenceSubsets, first: Image, full_scale: int, settings: TrackSettings) -> None:
         self._reference, self._first = reference, first
         self._full_scale, self._settings = full_scale, settings
-        self._steps: FloatArray | None = None  # by which the pattern repeats, once that matters
+        self._steps: FloatArray | None = None  # periods of the pattern, once they are needed
 
     def find(
         self, frame: tuple[Image, Spline], start: FloatArray | None, last: FloatArray | None = None
     ) -> Registration:
-        """Return where they are in a picture and its spline, from warps (N,p), or for None from the reference alone.
+        """Return the subsets in an image and its spline, from warps (N,p) or from rest.
 
-        last: warps (N,p) in the picture before, if it is known how far all have moved since by how far a few have.
+        last: warps (N, p) in the previous image, if available: a few subsets then show how far all have moved since.
         """
         reference, settings = self._reference, self._settings
         if start is None:
@@ -73,7 +73,7 @@ class Follower:
         return self.unsaturated(frame[0], found)
 
     def unsaturated(self, image: Image, found: Registration) -> Registration:
-        """Return what was found in an image, less the subsets with pixels at full scale."""
+        """Return the registration in an image without the subsets with pixels at full scale."""
         centres = self._reference.centre_px + found.warp[:, [0, 3]]
         full = find_saturated(image, self._full_scale, centres, self._settings.radius_px)
         return drop_subsets(found, full, TrackStatus.SATURATED)
@@ -82,9 +82,10 @@ class Follower:
 def find_without_prediction(
     reference: ReferenceSubsets, first: Image, frame: tuple[Image, Spline], settings: TrackSettings
 ) -> Registration:
-    """Subsets of the first image in a frame of which nothing is foretold: from rest and by search, the better one.
+    """Find the subsets in a frame from rest and by search, the better one.
 
-    A start at rest finds some subsets of a body that moved by a speckle in a wrong place; a search slides along edges.
+    A start at rest finds some subsets of a body that moved by a speckle in a wrong position; a search slides along
+    edges.
     """
     rest = identity_registration(reference).warp
     found = follow(reference, first, frame, rest, settings)
@@ -97,10 +98,10 @@ def find_without_prediction(
 def follow(
     reference: ReferenceSubsets, first: Image, frame: tuple[Image, Spline], start: FloatArray, settings: TrackSettings
 ) -> Registration:
-    """Subsets of the first image in a later one: from the prediction; where that loses most, by search.
+    """Find the subsets in a later image: from the prediction, else by search.
 
-    Searched seeds within `reach_px` of the prediction, then in the whole image, then matched features, which stand
-    rotation as well; at last the lost ones from their neighbours.
+    Where the prediction loses most subsets, seeds are searched within `reach_px` of it, then in the whole image.
+    Matched features follow, which also allow rotation. At last the lost subsets are found from their neighbours.
     """
     found = register(reference, frame[1], start, settings)
     for attempt in range(3):
@@ -119,31 +120,31 @@ def follow(
 def predict_common_motion(
     reference: ReferenceSubsets, target: Spline, start: FloatArray, last: FloatArray, settings: TrackSettings
 ) -> FloatArray:
-    """Warps (N,p) in an image, from the last ones (N,p) and one affine motion of all, or `start` if that is nearer.
+    """Return warps (N,p) from the last ones and one affine motion, or `start`.
 
-    The motion is that of a few subsets, which are looked for from their start; it counts if it leads next to all of
-    them. What a few frames foretell of each subset by itself has several times the noise of its last place, from which
-    one step is enough, mostly.
+    The motion is that of a few subsets, which are registered from their start. It counts if it leads next to all of
+    them. The prediction of each individual subset has several times the noise of its last position. From that position
+    one step is usually enough.
     """
     ready = np.flatnonzero(
         np.isfinite(start).all(axis=1) & np.isfinite(last).all(axis=1) & (reference.status == TrackStatus.OK)
     )
-    if len(ready) < FEWEST_LED:
+    if len(ready) < MIN_LED:
         return start
     few = np.random.default_rng(0).choice(ready, LEADERS, replace=False)  # every n-th of a grid may lie on a line
-    sought = np.full_like(start, np.nan)
-    sought[few] = start[few]
-    found = register(reference, target, sought, settings)
+    starts = np.full_like(start, np.nan)
+    starts[few] = start[few]
+    found = register(reference, target, starts, settings)
     seen = few[found.status[few] == TrackStatus.OK]
     if 2 * len(seen) < LEADERS:
         return start
-    place = found.warp[seen][:, [0, 3]]
-    together = last.copy()
-    together[:, :6] += affine_field(reference.centre_px[seen], place - last[seen][:, [0, 3]], reference.centre_px)
-    off = [np.hypot(*(each[seen][:, [0, 3]] - place).T) for each in (together, start)]
+    position = found.warp[seen][:, [0, 3]]
+    common = last.copy()
+    common[:, :6] += affine_field(reference.centre_px[seen], position - last[seen][:, [0, 3]], reference.centre_px)
+    off = [np.hypot(*(each[seen][:, [0, 3]] - position).T) for each in (common, start)]
     if off[0].max() > LINEAR_PX or np.median(off[0]) > np.median(off[1]):
         return start
-    return np.where(np.isfinite(together), together, start)
+    return np.where(np.isfinite(common), common, start)
 
 
 def find_next_to_copies(
@@ -154,30 +155,33 @@ def find_next_to_copies(
     steps_px: FloatArray,
     settings: TrackSettings,
 ) -> Registration:
-    """`found`, or, where a pattern repeats by steps_px (K,2), the body next to it if that leaves fewer subsets missing.
+    """Return `found`, or the body displaced by a period if that leaves fewer subsets missing.
 
-    A body that is taken for a copy of itself lacks the subsets at one of its ends; where no end is seen, nothing tells.
+    The pattern repeats by steps_px (K, 2). A body that is confused with a copy of itself lacks the subsets at one of
+    its ends. Where no end is visible, the images cannot show it.
     """
     size = np.array(frame[0].shape[::-1])
-    best, missing = found, _missing(reference, found, settings.radius_px, size)
-    for _ in range(MOST_COPIES):
+    best, missing = found, _missing_share(reference, found, settings.radius_px, size)
+    for _ in range(MAX_COPIES):
         tried = []
         for step in steps_px if missing > MORE_LOST else ():
             start = neighbour_starts(reference.centre_px, best.warp)
             start[:, [0, 3]] += step
             near = replace(settings, reach_px=max(3, int(np.hypot(*step) / 4.0)))
-            there = find_by_search(reference, first, frame, start, near)
-            there = drop_disagreeing(reference, find_from_neighbours(reference, frame[1], there, settings))
-            tried.append((_missing(reference, there, settings.radius_px, size), there))
-        least, there = min(tried, key=lambda each: each[0], default=(missing, best))
+            shifted = find_by_search(reference, first, frame, start, near)
+            shifted = drop_disagreeing(reference, find_from_neighbours(reference, frame[1], shifted, settings))
+            tried.append((_missing_share(reference, shifted, settings.radius_px, size), shifted))
+        least, shifted = min(tried, key=lambda each: each[0], default=(missing, best))
         if least > missing - MORE_LOST:
             break
-        best, missing = there, least
+        best, missing = shifted, least
     return best
 
 
-def _missing(reference: ReferenceSubsets, found: Registration, radius_px: int, size_px: NDArray[np.int64]) -> float:
-    """Share of the subsets that, by their neighbours, should be in a picture of size_px (2,) and are not."""
+def _missing_share(
+    reference: ReferenceSubsets, found: Registration, radius_px: int, size_px: NDArray[np.int64]
+) -> float:
+    """Return the share of expected subsets that are not found in an image."""
     ok, expected = found.status == TrackStatus.OK, _expected(reference, found, radius_px, size_px)
     return float(np.mean(~ok[expected])) if ok.any() else 1.0
 
@@ -185,24 +189,27 @@ def _missing(reference: ReferenceSubsets, found: Registration, radius_px: int, s
 def _expected(
     reference: ReferenceSubsets, found: Registration, radius_px: int, size_px: NDArray[np.int64]
 ) -> BoolArray:
-    """Subsets (N,) that are found, or whose neighbours foretell a place well inside a picture of size_px (2,)."""
-    place = reference.centre_px + neighbour_starts(reference.centre_px, found.warp)[:, [0, 3]]
-    inside = ((place >= EDGE * radius_px) & (place <= size_px - 1.0 - EDGE * radius_px)).all(axis=1)
+    """Return subsets (N,) that are found, or whose neighbours predict them well inside the image."""
+    position = reference.centre_px + neighbour_starts(reference.centre_px, found.warp)[:, [0, 3]]
+    inside = ((position >= EDGE * radius_px) & (position <= size_px - 1.0 - EDGE * radius_px)).all(axis=1)
     return np.asarray((inside & (reference.status == TrackStatus.OK)) | (found.status == TrackStatus.OK))
 
 
 def drop_disagreeing(reference: ReferenceSubsets, found: Registration) -> Registration:
-    """`found` without the subsets that lie elsewhere than their neighbours say, as after a jump to a copy of theirs."""
-    if reference.order == 0:  # without an affine map no neighbour says where another one is
+    """Return `found` without subsets whose position disagrees with their neighbours.
+
+    Such a position arises after a jump to a copy.
+    """
+    if reference.order == 0:  # without an affine map neighbours predict no position
         return found
     agree = agreeing_neighbours(reference.centre_px, found.warp)
-    return drop_subsets(found, agree < LEAST_AGREEING, TrackStatus.NOT_CONVERGED)
+    return drop_subsets(found, agree < MIN_AGREEING, TrackStatus.NOT_CONVERGED)
 
 
 def find_from_features(
     reference: ReferenceSubsets, first: Image, frame: tuple[Image, Spline], settings: TrackSettings
 ) -> Registration:
-    """All subsets from the affine maps of matched features around them."""
+    """Find all subsets from the affine maps of matched features around them."""
     source, moved = match_features(first, frame[0])
     starts = np.full((len(reference.centre_px), 6), np.nan)
     usable = reference.status == TrackStatus.OK
@@ -213,7 +220,7 @@ def find_from_features(
 def find_by_search(
     reference: ReferenceSubsets, first: Image, frame: tuple[Image, Spline], start: FloatArray, settings: TrackSettings
 ) -> Registration:
-    """All subsets from one affine motion through a few well-textured seeds, which are searched by correlation."""
+    """Find all subsets from one affine motion of a few seeds, searched by correlation."""
     usable = np.flatnonzero(reference.status == TrackStatus.OK)
     spread = usable[np.linspace(0, len(usable) - 1, min(len(usable), 4 * SEEDS)).astype(np.int64)]
     seeds = spread[np.argsort(-reference.energy[spread])[:SEEDS]]
@@ -227,7 +234,7 @@ def find_by_search(
 def find_from_neighbours(
     reference: ReferenceSubsets, target: Spline, found: Registration, settings: TrackSettings
 ) -> Registration:
-    """Lost subsets once more from the affine maps of their nearest neighbours, as long as that finds some."""
+    """Find lost subsets from the affine maps of their nearest neighbours, repeatedly."""
     return grow_from_neighbours(
         reference, {0: found}, lambda starts: {0: register(reference, target, starts[0], settings)}
     )[0]
@@ -236,11 +243,12 @@ def find_from_neighbours(
 def grow_from_neighbours(
     reference: ReferenceSubsets,
     found: Mapping[int, Registration],
-    registered: Callable[[dict[int, FloatArray]], dict[int, Registration]],
+    register_starts: Callable[[dict[int, FloatArray]], dict[int, Registration]],
 ) -> dict[int, Registration]:
-    """What was found in frames, with the lost subsets that their neighbours lead to, as long as that finds some.
+    """Return what was found in frames, with the lost subsets that their neighbours lead to.
 
-    registered: of the frames with these starts (N,6), NaN for none.
+    It is repeated as long as that finds some. register_starts: registers the frames with these starts (N, 6), NaN for
+    none.
     """
     whole, going_on = dict(found), list(found)
     for _ in range(NEIGHBOUR_ROUNDS):
@@ -251,14 +259,14 @@ def grow_from_neighbours(
                 starts[k] = np.where(lost[:, None], neighbour_starts(reference.centre_px, whole[k].warp), np.nan)
         if not starts:
             break
-        more = registered(starts)
+        more = register_starts(starts)
         going_on = [k for k in starts if np.any(more[k].status == TrackStatus.OK)]
         whole |= {k: merge_registrations(whole[k], more[k]) for k in going_on}
-    return {k: drop_unresolved(reference, here) for k, here in whole.items()}
+    return {k: drop_unresolved(reference, found_in_frame) for k, found_in_frame in whole.items()}
 
 
 def merge_registrations(first: Registration, second: Registration) -> Registration:
-    """`first`, with the subsets that only `second` found, or that it found where they correlate better."""
+    """Return `first`, with the subsets of `second` where they correlate better or alone are found."""
     worse = (first.status != TrackStatus.OK) | (first.zncc < second.zncc)
     better = worse & (second.status == TrackStatus.OK)
     return Registration(
@@ -272,37 +280,43 @@ def merge_registrations(first: Registration, second: Registration) -> Registrati
 
 
 def drop_subsets(found: Registration, which: BoolArray, status: TrackStatus) -> Registration:
-    """`found` without the subsets `which`, which receive the status."""
+    """Return `found` without the subsets `which`, which receive the status."""
     return replace(
         found, warp=np.where(which[:, None], np.nan, found.warp), status=np.where(which, np.int8(status), found.status)
     )
 
 
 def identity_registration(reference: ReferenceSubsets) -> Registration:
-    """The reference found in itself; its noise is filled in from the other frames."""
+    """Return the registration of the reference in itself, its noise NaN."""
     ones = np.where(reference.status == TrackStatus.OK, 1.0, np.nan)
     warp = np.outer(ones, np.zeros(max(6, PARAMETERS[reference.order])))
-    nothing, none = np.full(len(ones), np.nan), np.zeros(len(ones), np.int64)
-    return Registration(warp, ones, ones, nothing, reference.status, none)
+    missing, zero = np.full(len(ones), np.nan), np.zeros(len(ones), np.int64)
+    return Registration(warp, ones, ones, missing, reference.status, zero)
 
 
-# Subsets of a calibrated pair's left picture found in the right one: on the surface that its epipolar lines allow.
+# Subsets of a calibrated pair's left image found in the right one: on a surface along the epipolar lines.
 
 DepthRange = tuple[float, float]
-LINE_SEEDS = 24
-PART_SHARE = 0.3  # of a surface's seeds that may lie on another one as well if both are parts of one body
-RIVAL_SHARE = 0.25  # of the subsets that have to fit elsewhere as well for a solution to be in doubt
-FEWEST_SHARE = 0.1
-LESS_ZNCC = 0.01
+LINE_SEEDS = 24  # subsets that are searched along their lines, enough for several parts of a surface
+PART_SHARE = 0.3  # of a surface's seeds that may also lie on another one if both are parts of one body
+RIVAL_SHARE = 0.25  # of the subsets that have to fit another surface for a solution to be in doubt
+MIN_SHARE = 0.1  # of the subsets, on a surface
+LESS_ZNCC = 0.01  # of an equal correlation
 MORE_MISSED = 0.1  # share of missing subsets by which a surface is worse than another
-LINE_PX = 0.5  # rms off the epipolar lines that a surface is allowed beside what the calibration leaves open
+LINE_PX = (
+    0.5  # permitted rms distance of a surface from the epipolar lines, in addition to the calibration's uncertainty
+)
 
 
 @dataclass(frozen=True)
 class _Surface:
-    """Subsets found on one surface: their registration, which are expected in the right image, how smooth it is.
+    """Subsets found on one surface.
 
-    smooth: share of neighbours that foretell each other; patches of several copies of a pattern have less.
+    Attributes
+    ----------
+    found : their registration.
+    expected : (N,) whether a subset should be in the right image.
+    smooth : share of neighbours that predict each other; patches of several copies of a pattern have a smaller one.
     """
 
     found: Registration
@@ -315,7 +329,7 @@ class _Surface:
 
     @property
     def missed(self) -> float:
-        """Share of the expected subsets that are not there, and of the neighbours that do not belong together."""
+        """Share of the expected subsets that are not found, plus that of disagreeing neighbours."""
         return float(np.mean(~self.ok[self.expected])) + 1.0 - self.smooth if self.expected.any() else 1.0
 
 
@@ -327,13 +341,14 @@ def find_on_lines(
     rig: StereoRig,
     depth_m: DepthRange | None = None,
 ) -> Registration | None:
-    """All subsets on the surface that correlates along the epipolar lines; None where there is none.
+    """Find all subsets on the surface that correlates along the epipolar lines, None for none.
 
-    Some subsets are looked for along their lines (`sweep.line_starts`), each with all its likely places; smooth
-    surfaces through these (`sweep.surfaces`) are followed from neighbour to neighbour. The one with most subsets
-    counts, unless another fits as well: a quarter as many of the same subsets, hardly less correlated, no further off
-    the epipolar lines, no more missing that should be in the right image, and not beyond the depths `depth_m` (nearest,
-    farthest, in the left camera) where the body is known to be. Then `BodyNotFound` says so.
+    Some subsets are searched along their lines (`sweep.line_starts`), each with all its likely positions. Smooth
+    surfaces through these (`sweep.fit_surfaces`) are followed from neighbour to neighbour. The surface with most
+    subsets counts, unless another one fits equally. That one has at least a quarter of the same subsets, which
+    correlate hardly less, are no further from the epipolar lines, and lack no more expected subsets in the right image.
+    It is also within the stated depths `depth_m` (nearest, farthest, in the left camera). In that case `BodyNotFound`
+    is raised.
     """
     usable = reference.status == TrackStatus.OK
     if usable.sum() < 3:
@@ -345,31 +360,31 @@ def find_on_lines(
     for start in starts[np.isfinite(starts).any(axis=(1, 2))]:
         spread = np.full((len(usable), 6), np.nan)
         spread[seeds] = start
-        here = register(reference, frame[1], spread, settings)
-        off, _, _ = epipolar_residual(rig, reference.centre_px, reference.centre_px + here.warp[:, [0, 3]])
-        tried.append(drop_subsets(here, ~(np.abs(off) <= 2.0 * band), TrackStatus.NO_START).warp)
+        registered = register(reference, frame[1], spread, settings)
+        off, _, _ = epipolar_residual(rig, reference.centre_px, reference.centre_px + registered.warp[:, [0, 3]])
+        tried.append(drop_subsets(registered, ~(np.abs(off) <= 2.0 * band), TrackStatus.NO_START).warp)
     if not tried:
         return None
     warps = np.stack(tried)[:, seeds]
     centre = reference.centre_px[seeds]
-    chosen = fit_surfaces(rig, centre, _once(centre + warps[..., [0, 3]]))
+    chosen = fit_surfaces(rig, centre, _without_repetitions(centre + warps[..., [0, 3]]))
     if not chosen:
         return None
-    known = np.full((len(usable), warps.shape[2]), np.nan)
+    main_warps = np.full((len(usable), warps.shape[2]), np.nan)
     main, rivals = chosen[0] >= 0, []
-    known[seeds[main]] = warps[chosen[0][main], main.nonzero()[0]]
+    main_warps[seeds[main]] = warps[chosen[0][main], main.nonzero()[0]]
     for other in chosen[1:]:
-        there = other >= 0
-        seeded = np.full_like(known, np.nan)
-        seeded[seeds[there]] = warps[other[there], there.nonzero()[0]]
-        if np.mean(main[there]) <= PART_SHARE:  # another part of the body, or more of a curved one
-            known[seeds[there & ~main]] = seeded[seeds[there & ~main]]
-            main |= there
-        elif there.sum() >= RIVAL_SHARE * main.sum():
+        on_surface = other >= 0
+        seeded = np.full_like(main_warps, np.nan)
+        seeded[seeds[on_surface]] = warps[other[on_surface], on_surface.nonzero()[0]]
+        if np.mean(main[on_surface]) <= PART_SHARE:  # another part of the body, or more of a curved one
+            main_warps[seeds[on_surface & ~main]] = seeded[seeds[on_surface & ~main]]
+            main |= on_surface
+        elif on_surface.sum() >= RIVAL_SHARE * main.sum():
             rivals.append(seeded)
-    found = [_grown(reference, frame, settings, each) for each in (known, *rivals)]
+    found = [_grown_surface(reference, frame, settings, each) for each in (main_warps, *rivals)]
     best, *others = sorted(found, key=lambda surface: -surface.smooth * float(np.sum(surface.ok)))
-    if best.ok.sum() < max(3, FEWEST_SHARE * usable.sum()):
+    if best.ok.sum() < max(3, MIN_SHARE * usable.sum()):
         return None
     for rival in others:
         _refuse_rival(reference, rig, best, rival, depth_m)
@@ -379,33 +394,33 @@ def find_on_lines(
 def _smoothed(
     reference: ReferenceSubsets, frame: tuple[Image, Spline], settings: TrackSettings, found: Registration
 ) -> Registration:
-    """All subsets once more from the affine map of those around, where they correlate as well.
+    """Register all subsets from the affine map of those around, where they correlate equally.
 
-    A start carried over from afar may end in a false minimum, and what the texture does not determine stays as it was
-    at the start.
+    A start carried over from afar may end in a false minimum. Components that the texture does not determine keep their
+    start.
     """
     usable, ok = reference.status == TrackStatus.OK, found.status == TrackStatus.OK
     centre, starts = reference.centre_px, np.full((len(usable), 6), np.nan)
     starts[usable] = affine_starts(centre[usable], centre[ok], (centre + found.warp[:, [0, 3]])[ok])
-    again = register(reference, frame[1], starts, settings)
-    as_good = (again.status == TrackStatus.OK) & ~(again.zncc < found.zncc - LESS_ZNCC)
-    return drop_disagreeing(reference, merge_registrations(again, drop_subsets(found, as_good, TrackStatus.NO_START)))
+    renewed = register(reference, frame[1], starts, settings)
+    as_good = (renewed.status == TrackStatus.OK) & ~(renewed.zncc < found.zncc - LESS_ZNCC)
+    return drop_disagreeing(reference, merge_registrations(renewed, drop_subsets(found, as_good, TrackStatus.NO_START)))
 
 
-def _once(place: FloatArray) -> FloatArray:
-    """Places (C,S,2) of which those within a pixel of an earlier one are left out."""
-    kept = place.copy()
-    for c in range(1, len(place)):
-        same = (np.abs(place[:c] - place[c]).max(axis=-1) < 1.0).any(axis=0)
-        kept[c, same] = np.nan
-    return kept
+def _without_repetitions(position_px: FloatArray) -> FloatArray:
+    """Return positions (C,S,2), NaN where one is within a pixel of an earlier one."""
+    unique = position_px.copy()
+    for c in range(1, len(position_px)):
+        same = (np.abs(position_px[:c] - position_px[c]).max(axis=-1) < 1.0).any(axis=0)
+        unique[c, same] = np.nan
+    return unique
 
 
-def _grown(
-    reference: ReferenceSubsets, frame: tuple[Image, Spline], settings: TrackSettings, known: FloatArray
+def _grown_surface(
+    reference: ReferenceSubsets, frame: tuple[Image, Spline], settings: TrackSettings, warp: FloatArray
 ) -> _Surface:
-    """The surface through the subsets whose warps (N,p) are known, without those that depart from their neighbours."""
-    start = neighbour_starts(reference.centre_px, known)
+    """Return the surface through subsets with warps (N, p), without those that disagree."""
+    start = neighbour_starts(reference.centre_px, warp)
     found = find_from_neighbours(reference, frame[1], register(reference, frame[1], start, settings), settings)
     agree = agreeing_neighbours(reference.centre_px, found.warp)
     found = drop_disagreeing(reference, found)
@@ -434,7 +449,7 @@ def _refuse_rival(
     if depth_m is not None and depth_m[0] <= depth[0] <= depth_m[1] and not depth_m[0] <= depth[1] <= depth_m[1]:
         return
     raise BodyNotFound(
-        f"right: expected one place for the body, found two that fit as well, {depth[0]:.3f} m and {depth[1]:.3f} m "
-        f"from the left camera ({best.ok.sum()} and {other.ok.sum()} subsets): its pattern repeats; show where the "
-        "pattern ends in both pictures, turn the foil by some degrees, or use one that does not repeat"
+        f"right: expected one position of the body, found two that fit equally, {depth[0]:.3f} m and {depth[1]:.3f} m "
+        f"from the left camera ({best.ok.sum()} and {other.ok.sum()} subsets). Its pattern repeats: show the ends of "
+        "the pattern in both images, rotate the foil by some degrees, or use one that does not repeat"
     )

@@ -24,15 +24,15 @@ from photogram.subsets.reference import (
     subset_offsets,
 )
 
-GAIN_AND_OFFSET = 2
-REMAINING = {2: 0.02, 6: 0.02, 12: 0.4}
-SMALL_STEP = 0.05
-LINEAR_PX = 0.3
-WORSE, SMALLEST_LOSS = 1e-3, 1e-6
-UNEXPLAINED_SIGMAS = 3.0
-OTHER_NOISE = 1.5
-LARGEST_UNRESOLVED_PX = 0.15
-TRUNCATED = 0.15
+GAIN_AND_OFFSET = 2  # parameters
+REMAINING = {2: 0.02, 6: 0.02, 12: 0.4}  # share of the error after a step, measured, by the number of parameters
+SMALL_STEP = 0.05  # standard uncertainties of the parameters: far below noise
+LINEAR_PX = 0.3  # step below which the error decreases by `REMAINING`
+WORSE, SMALLEST_LOSS = 1e-3, 1e-6  # relative and absolute increase of 1 − zncc² by rounding
+UNEXPLAINED_SIGMAS = 3.0  # permitted chance of a residual variance
+OTHER_NOISE = 1.5  # permitted ratio of the noise of both images
+LARGEST_UNRESOLVED_PX = 0.15  # displacement that shape functions of order 2 may miss, measured on waves
+TRUNCATED = 0.15  # effect of the terms after the second order over that of the second, measured on waves
 
 
 Box = tuple[int, int, int, int]
@@ -40,16 +40,25 @@ Box = tuple[int, int, int, int]
 
 @dataclass(frozen=True)
 class TrackSettings:
-    """How subsets are compared.
+    """Settings of the registration of subsets.
 
-    radius_px: subsets have (2·radius+1)² pixels; step_px: distance in the grid, by default just without overlap, so
-    that their noise is independent; degree: of the spline, 3 or 5; convergence_px: movement below which a subset stands
-    still; min_zncc: correlation below which it is lost; reach_px: how far it is looked for when prediction fails,
-    before it is looked for in the whole image; shape_order: of the shape function, 0 (translation), 1 (affine) or 2;
-    region: x, y, width, height of the part of the first left image that has subsets; mask: parts that have none.
-    frames: about how many frames subsets are looked for in where a body's motion, fitted to the grey values, tells the
-    others (`measure.follow`); None for all.
+    Attributes
+    ----------
+    radius_px : subsets have (2·radius+1)² pixels; default 10.
+    step_px : distance in the grid; by default just without overlap, so that the subsets' noise is independent.
+    degree : of the spline, 3, 5 (default) or 7.
+    max_iterations : after which a subset is lost; default 30.
+    convergence_px : displacement below which the iteration ends; default 1e-4.
+    min_zncc : correlation below which a subset is lost; default 0.75.
+    reach_px : half width of the search when the prediction fails; the whole image follows; default 32.
+    shape_order : of the shape function, 0 (translation), 1 (affine, default) or 2.
+    region : x, y, width, height of the part of the first left image that has subsets; None (default) for all.
+    mask : parts that have none.
+    frames : approximate number of frames in which subsets are searched, where a body's motion is fitted to the grey
+        values of all frames (`measure.follow`); None (default) for all.
 
+    Examples
+    --------
     >>> TrackSettings(radius_px=12).grid_step_px
     25
     """
@@ -82,13 +91,18 @@ class TrackSettings:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Registration(Arrays, shapes="warp N p; zncc N; gain N; residual_grey2 N; status N; iterations N"):
-    """How N subsets were found in an image.
+    """Result of the registration of N subsets in an image.
 
-    warp (N,6) = [u, u_x, u_y, v, v_x, v_y]: reference point c + d lies at c + d + (u, v) + [[u_x, u_y], [v_x, v_y]] d;
-    for shape functions of order 2 (N,12) with further [u_xx, u_xy, u_yy, v_xx, v_xy, v_yy], which add
-    u_xx dx²/2 + u_xy dx dy + u_yy dy²/2 to u, likewise to v.
-    zncc (N,): zero-normalised cross-correlation; gain (N,): contrast relative to the reference; residual_grey2 (N,):
-    variance of the grey values left over; status (N,) of `TrackStatus`; iterations (N,).
+    Attributes
+    ----------
+    warp : (N, 6) = [u, u_x, u_y, v, v_x, v_y]: reference point c + d is found at c + d + (u, v) + [[u_x, u_y], [v_x,
+        v_y]] d. Shape functions of order 2 have (N, 12) with further [u_xx, u_xy, u_yy, v_xx, v_xy, v_yy], which add
+        u_xx dx²/2 + u_xy dx dy + u_yy dy²/2 to u, and equally to v.
+    zncc : (N,) zero-normalised cross-correlation.
+    gain : (N,) contrast relative to the reference.
+    residual_grey2 : (N,) variance of the residual grey values.
+    status : (N,) of `TrackStatus`.
+    iterations : (N,).
     """
 
     warp: FloatArray
@@ -100,21 +114,21 @@ class Registration(Arrays, shapes="warp N p; zncc N; gain N; residual_grey2 N; s
 
 
 def register(reference: ReferenceSubsets, target: Spline, start: FloatArray, settings: TrackSettings) -> Registration:
-    """Find every subset of `reference` in the image `target`, beginning at the warps `start` (N,6); NaN = no start.
+    """Find every subset of `reference` in the image `target` from warps `start` (N, 6).
 
-    Minimises the zero-normalised sum of squared differences (its gain and offset eliminated) over the warp, by
-    W(p) ← W(p) ∘ W(δ)⁻¹ with δ = H⁻¹ Σ SDᵀ g(W(p)) / gain. The gradients of order 0 stay those of the start. Order 2
-    has warps (N,12), composed as polynomials up to second order (Gao et al. 2015, Opt. Lasers Eng. 65, 73), and takes
-    starts (N,6) as well. Where a start has no curvature, order 1 is found first and order 2 starts from there; then
-    `judged` says which results the subsets carry.
+    A NaN start is none. Minimises the zero-normalised sum of squared differences (its gain and offset eliminated) over
+    the warp, by W(p) ← W(p) ∘ W(δ)⁻¹ with δ = H⁻¹ Σ SDᵀ g(W(p)) / gain. The gradients of order 0 stay those of the
+    start. Order 2 has warps (N, 12), composed as polynomials up to second order (Gao et al. 2015, Opt. Lasers Eng. 65,
+    73), and accepts starts (N, 6). Where a start has no curvature, order 1 is found first and order 2 starts from
+    there. Then `reject_poor_curvature` decides which results the subsets support.
 
-    After a step below 0.3 px the error left is about a hundredth of it: 0.4 to 0.7 % (31 px), 0.7 to 1.1 % (21 px), 1.5
-    to 2.5 % (13 px) were measured with noise of 1/255 of full scale and dots of 4.5 px, 0.05 to 3 % without noise. So a
-    subset is found when a fiftieth of the step is below `convergence_px` of the `settings` at every point of the
-    subset, or below a twentieth of the m parameters' standard uncertainties, 0.02² δᵀ(gain² H/s²)δ < 0.05² m with the
-    residual variance s². Steps of order 2 leave up to a third of themselves where the texture hardly determines a
-    direction: there two fifths count instead of a fiftieth. What the last step takes off the sum of squares,
-    gain² δᵀHδ, is taken off in `zncc` and `residual_grey2`.
+    After a step below 0.3 px the remaining error is about a hundredth of it. Measured were 0.4 to 0.7 % (31 px), 0.7 to
+    1.1 % (21 px) and 1.5 to 2.5 % (13 px) with noise of 1/255 of full scale and dots of 4.5 px. Without noise it is
+    0.05 to 3 %. A subset is therefore found when a fiftieth of the step is below `convergence_px` of the `settings` at
+    every point of the subset. It is also found when a fiftieth is below a twentieth of the m parameters' standard
+    uncertainties, 0.02² δᵀ(gain² H/s²)δ < 0.05² m with the residual variance s². Steps of order 2 leave up to a third
+    of themselves where the texture hardly determines a direction: there the limit is two fifths instead of a fiftieth.
+    The reduction of the sum of squares by the last step, gain² δᵀHδ, is subtracted in `zncc` and `residual_grey2`.
     """
     count = len(reference.centre_px)
     columns = 12 if reference.order == 2 else 6
@@ -130,7 +144,7 @@ def register(reference: ReferenceSubsets, target: Spline, start: FloatArray, set
 
 
 def _found(reference: ReferenceSubsets, target: Spline, warp: FloatArray, settings: TrackSettings) -> Registration:
-    """Gauss-Newton steps of all subsets from `warp` (N,6 or 12), which is overwritten."""
+    """Iterate all subsets from `warp` (N, 6 or 12), which is overwritten."""
     count = len(warp)
     scores = np.full((count, 3), np.nan)
     lacking = (reference.status == TrackStatus.OK) & ~np.isfinite(warp).all(axis=1)
@@ -153,97 +167,102 @@ def _found(reference: ReferenceSubsets, target: Spline, warp: FloatArray, settin
 
 
 def affine_part(start: FloatArray) -> FloatArray:
-    """The affine part (...,6) of starts (...,12) without curvature, NaN where there is some."""
+    """Return the affine part (..., 6) of starts (..., 12), NaN where they have curvature."""
     return np.where(np.all(start[..., 6:] == 0.0, axis=-1, keepdims=True), start[..., :6], np.nan)
 
 
 def starts_from_affine(start: FloatArray, first: Registration) -> FloatArray:
-    """Starts (N,12) of order 2: those that have curvature as they are, else what order 1 found, NaN where it failed."""
+    """Return starts (N,12) of order 2: those with curvature, else results of order 1.
+
+    NaN where order 1 failed.
+    """
     flat = np.pad(first.warp, ((0, 0), (0, 6)))
     return np.where(np.isnan(affine_part(start)).any(axis=1, keepdims=True), start, flat)
 
 
 def reject_poor_curvature(reference: ReferenceSubsets, found: Registration, first: Registration) -> Registration:
-    """What order 2 found after what order 1 found (`first`) as far as the subsets carry it, `UNRESOLVED` elsewhere.
+    """Return the result of order 2 without the subsets that do not support it, `UNRESOLVED`.
 
-    Refused is what fits worse than the affine warp, which order 2 contains (1 − zncc² is larger by more than 10⁻³ of
-    itself), and what is not `resolved`. Where order 1 failed, its status says why.
+    Rejected are subsets that fit worse than the affine warp of order 1 (`first`), which order 2 contains: 1 − zncc² is
+    larger by more than 10⁻³ of itself. Rejected are also those of `drop_unresolved`. Where order 1 failed, its status
+    remains.
     """
     tried, loss = first.status != TrackStatus.NO_START, (1.0 + WORSE) * (1.0 - first.zncc**2) + SMALLEST_LOSS
     status = np.where(tried & (first.status != TrackStatus.OK), first.status, found.status)
     done = replace(found, status=status, iterations=found.iterations + first.iterations)
-    return _refused(drop_unresolved(reference, done), 1.0 - found.zncc**2 > loss)
+    return _drop_found(drop_unresolved(reference, done), 1.0 - found.zncc**2 > loss)
 
 
 def drop_unresolved(reference: ReferenceSubsets, found: Registration) -> Registration:
-    """`found` without the subsets of order 2 for which `unresolved_px` is more than 0.15 px."""
+    """Return `found` without subsets of order 2 whose `unresolved_px` is more than 0.15 px."""
     if reference.order < 2:
         return found
-    return _refused(found, np.any(unresolved_px(reference, found) > LARGEST_UNRESOLVED_PX, axis=1))
+    return _drop_found(found, np.any(unresolved_px(reference, found) > LARGEST_UNRESOLVED_PX, axis=1))
 
 
-def _refused(found: Registration, which: BoolArray) -> Registration:
-    """`found` with the subsets `which` (N,) that were found as `UNRESOLVED`."""
+def _drop_found(found: Registration, which: BoolArray) -> Registration:
+    """Return `found` with those of the subsets `which` (N,) that were found as `UNRESOLVED`."""
     gone = which & (found.status == TrackStatus.OK)
     status = np.where(gone, np.int8(TrackStatus.UNRESOLVED), found.status)
     return replace(found, warp=np.where(gone[:, None], np.nan, found.warp), status=status)
 
 
 def unresolved_px(reference: ReferenceSubsets, found: Registration) -> FloatArray:
-    """Displacement (N,2) in px, rms over the subset, that explains what is left over beyond noise.
+    """Return the displacement (N, 2) in px, rms over the subset, that explains excess residuals.
 
-    A displacement e that the shape function does not follow leaves gain²·mean(f_x²)·e² over along x, likewise along y,
-    and the position may be off by as much. Noise is what half of the subsets have less of, at most one and a half times
-    what the reference's own noise in both images leaves; three standard deviations √(2/ν) of a variance of ν pixels go
-    to chance.
+    A displacement e that the shape function cannot follow leaves the residual gain²·mean(f_x²)·e² along x, equally
+    along y. The position may be wrong by as much. The noise level is the median over the subsets, at most one and a
+    half times the reference's noise in both images. Three standard deviations √(2/ν) of a variance of ν pixels are
+    allowed for chance.
     """
     ok = found.status == TrackStatus.OK
     if not ok.any():
         return np.full((len(ok), 2), np.nan)
     slopes = np.einsum("nkp,nkp->nk", *[reference.pixels[:, 1:]] * 2, dtype=np.float64) / reference.pixels.shape[2]
     freedom = reference.pixels.shape[2] - reference.removed.shape[2] - GAIN_AND_OFFSET
-    own = OTHER_NOISE * (1.0 + found.gain**2) * np.maximum(np.median(reference.noise_grey2[ok]), QUANTISATION)
-    level = np.minimum(np.median(found.residual_grey2[ok]), own) * (1.0 + UNEXPLAINED_SIGMAS * np.sqrt(2.0 / freedom))
+    limit = OTHER_NOISE * (1.0 + found.gain**2) * np.maximum(np.median(reference.noise_grey2[ok]), QUANTISATION)
+    level = np.minimum(np.median(found.residual_grey2[ok]), limit) * (1.0 + UNEXPLAINED_SIGMAS * np.sqrt(2.0 / freedom))
     excess = np.maximum(found.residual_grey2 - level, 0.0) / found.gain**2
     square: FloatArray = np.divide(excess[:, None], slopes, out=np.full_like(slopes, np.nan), where=slopes > 0.0)
     return np.sqrt(square)
 
 
 def position_covariance(reference: ReferenceSubsets, found: Registration, noise_grey: FloatArray) -> FloatArray:
-    """Covariance (N,2,2) in px² of the found centres from white image noise of standard deviation noise_grey (N,).
+    """Return the covariance (N,2,2) in px² of the found centres from white image noise.
 
-    A V Aᵀ σ²/gain² with V the `position_variance` of the subset (affine parameters, gain and offset free) and A the
-    local deformation: the noise of the one image; that of the reference is constant over a series. With order 2, V
-    further has the squares of what the displacement field may have that the subset does not resolve: `unresolved_px`,
-    and for the terms after the second 0.15 of what the second ones change, (u_xx + u_yy)·r(r+1)/6. (In a wave
-    1.3 to 4 sides long, a parabola leaves 0.15 to 0.01 of it.)
+    noise_grey (N,): its standard deviation. A V Aᵀ σ²/gain² with V the `position_variance` of the subset (affine
+    parameters, gain and offset free) and A the local deformation: the noise of the one image. That of the reference is
+    constant over a series. With order 2, V also contains the squares of displacements that the subset does not resolve.
+    These are `unresolved_px`, and 0.15·(u_xx + u_yy)·r(r+1)/6 for the terms after the second. In a wave 1.3 to 4 sides
+    long, a parabola leaves 0.15 to 0.01 of its effect.
     """
     deformation = np.eye(2) + found.warp[:, [1, 2, 4, 5]].reshape(-1, 2, 2)
     scale = (noise_grey / found.gain) ** 2
-    turned = np.swapaxes(deformation, 1, 2)
-    covariance: FloatArray = deformation @ reference.position_variance @ turned * scale[:, None, None]
+    transposed = np.swapaxes(deformation, 1, 2)
+    covariance: FloatArray = deformation @ reference.position_variance @ transposed * scale[:, None, None]
     if reference.order == 2:
         bent = (found.warp[:, [6, 9]] + found.warp[:, [8, 11]]) * reference.radius_px * (reference.radius_px + 1) / 6.0
         left = unresolved_px(reference, found) ** 2 + (TRUNCATED * bent) ** 2
-        covariance += deformation @ (np.eye(2) * left[:, :, None]) @ turned
+        covariance += deformation @ (np.eye(2) * left[:, :, None]) @ transposed
     return covariance
 
 
 def noise_of_residual(reference: ReferenceSubsets, found: Registration, degree: int) -> FloatArray:
-    """Noise (N,), as a standard deviation in grey values of the found image, that explains what is left over.
+    """Return the noise (N,), a standard deviation in grey values, that explains the residuals.
 
-    The residual g − gain·f̃ has the variance σ²(κ_g + gain²·κ_f) when both images carry white noise σ; κ is the
-    variance that interpolation leaves (`noise_gain`), for g the mean over nine points of the subset. Shot noise is
-    covered, since every subset has its own σ; a misfit of the affine warp counts as noise too. Rounding is the least.
+    The residual g − gain·f̃ has the variance σ²(κ_g + gain²·κ_f) when both images have white noise σ. κ is the variance
+    after interpolation (`noise_gain`), for g the mean over nine points of the subset. Shot noise is covered, since
+    every subset has a separate σ. A misfit of the affine warp counts as noise too. The smallest value is that of
+    rounding.
     """
-    places = subset_offsets(1) * (2.0 / 3.0 * reference.radius_px)
-    kept = mean_noise_gain(reference.centre_px, found.warp, places, degree)
-    variance = found.residual_grey2 / (kept + found.gain**2 * reference.noise_gain)
+    offsets = subset_offsets(1) * (2.0 / 3.0 * reference.radius_px)
+    gain = mean_noise_gain(reference.centre_px, found.warp, offsets, degree)
+    variance = found.residual_grey2 / (gain + found.gain**2 * reference.noise_gain)
     return np.sqrt(np.maximum(variance, QUANTISATION))
 
 
 def compose_with_inverse(warp: Any, step: Any) -> tuple[Any, ...]:
-    """The six parts of warp ∘ step⁻¹, both affine: each a number, or a tensor of those of many warps."""
+    """Return the six parts of warp ∘ step⁻¹, both affine, as numbers or tensors."""
     a, b, c, d = 1.0 + step[1], step[2], step[4], 1.0 + step[5]
     scale = 1.0 / (a * d - b * c)
     ia, ib, ic, id_ = d * scale, -b * scale, -c * scale, a * scale
@@ -253,16 +272,16 @@ def compose_with_inverse(warp: Any, step: Any) -> tuple[Any, ...]:
     return *across, warp[3] + (r * iu + s * iv), r * ia + s * ic, r * ib + s * id_ - 1.0
 
 
-_after_inverse = njit()(compose_with_inverse)
+_compose_with_inverse = njit()(compose_with_inverse)
 
 
 @njit()
 def _register(subsets, solved, target, limits, warp, scores, outcome):  # type: ignore[no-untyped-def]
-    """Every usable subset on its own; outcome (N,2) receives status and iterations."""
+    """Register every usable subset; outcome (N, 2) receives status and iterations."""
     centres, radius, pixels, means, energies, offsets = subsets
     removed, inverse = solved
     side, parameters = 2 * radius + 1, inverse.shape[1]
-    room = (
+    buffers = (
         np.empty(max(AFFINE_SUMS, 3 + parameters)),
         np.empty((2, parameters)),
         np.zeros(warp.shape[1]),
@@ -279,21 +298,21 @@ def _register(subsets, solved, target, limits, warp, scores, outcome):  # type: 
             limits,
             warp[n],
             scores[n],
-            room,
+            buffers,
         )
 
 
 @njit()
-def _register_one(subset, solved, target, limits, warp, scores, room):  # type: ignore[no-untyped-def]
-    """Gauss-Newton steps of one subset until it stands still; returns status and iterations, fills warp and scores.
+def _register_one(subset, solved, target, limits, warp, scores, buffers):  # type: ignore[no-untyped-def]
+    """Iterate one subset until it converges; return status and iterations, fill warp and scores.
 
-    `room` is for what is computed on the way: sums, solution and slope, step, grey values, a row of places.
+    `buffers`: sums, solution and slope, step, grey values, a row of positions.
     """
     centre_x, centre_y, radius, _, _, energy, _ = subset
     removed, inverse = solved
     max_iterations, convergence, min_zncc, remaining = limits
     count, parameters = (2 * radius + 1) ** 2, inverse.shape[0]
-    sums, vectors, step, grey, places = room
+    sums, vectors, step, grey, row_points = buffers
     solution, slope = vectors[0], vectors[1]
     start_x, start_y = warp[0], warp[3]
     for iteration in range(1, max_iterations + 1):
@@ -301,7 +320,7 @@ def _register_one(subset, solved, target, limits, warp, scores, room):  # type: 
             return 1, iteration
         if not warp_inside(target[0], centre_x, centre_y, radius, warp):
             return 3, iteration
-        _sample(subset, target, warp, grey, places)
+        _sample(subset, target, warp, grey, row_points)
         _correlate(subset, grey, parameters, sums)
         spread = sums[1] - sums[0] * sums[0] / count
         gain = sums[2] / energy
@@ -320,7 +339,7 @@ def _register_one(subset, solved, target, limits, warp, scores, room):  # type: 
         if warp.size == 12:
             _compose_inverse_quadratic(warp, step)
         else:
-            warp[0], warp[1], warp[2], warp[3], warp[4], warp[5] = _after_inverse(warp, step)
+            warp[0], warp[1], warp[2], warp[3], warp[4], warp[5] = _compose_with_inverse(warp, step)
         left = max(0.0, spread - sums[2] * gain - gain * improvement)
         zncc, residual = np.sqrt(max(0.0, 1.0 - left / spread)), left / (count - parameters - GAIN_AND_OFFSET)
         small = gain * improvement < (SMALL_STEP / remaining) ** 2 * parameters * residual
@@ -332,7 +351,7 @@ def _register_one(subset, solved, target, limits, warp, scores, room):  # type: 
 
 @njit()
 def _step_of(solution, radius, step):  # type: ignore[no-untyped-def]
-    """Fill the warp `step` from the parameters found; returns the square of how far a point at the rim moves."""
+    """Fill the warp `step` from the parameters; return the squared displacement at the rim."""
     if solution.size == 2:
         step[0], step[3] = solution[0], solution[1]
     else:
@@ -346,7 +365,10 @@ def _step_of(solution, radius, step):  # type: ignore[no-untyped-def]
 
 @njit()
 def _correlate(subset, grey, parameters, sums):  # type: ignore[no-untyped-def]
-    """Sums over the subset of g, g², f̃g and of the steepest-descent images times g (g without the mean of f)."""
+    """Sum g, g², f̃g and the steepest-descent images times g.
+
+    g without the mean of f.
+    """
     _, _, _, pixels, mean, _, offsets = subset
     affine_sums(grey, mean, pixels, offsets, sums)
     if parameters == 2:
@@ -356,11 +378,14 @@ def _correlate(subset, grey, parameters, sums):  # type: ignore[no-untyped-def]
 
 
 @njit()
-def _sample(subset, target, warp, grey, room):  # type: ignore[no-untyped-def]
-    """Grey values (P,) of the target at the warped subset, row by row; `room` is for points of a curved row."""
+def _sample(subset, target, warp, grey, buffer):  # type: ignore[no-untyped-def]
+    """Sample grey values (P,) of the target at the warped subset, row by row.
+
+    `buffer`: for the points of a curved row.
+    """
     centre_x, centre_y, radius, pixels, _, _, _ = subset
     coefficients, degree = target
-    width = room.shape[1]
+    width = buffer.shape[1]
     for number in range(width):
         dy, span = number - radius, (number * width, (number + 1) * width)
         fetch(pixels, (3 * number * width, 3 * width))  # for the sums that follow
@@ -371,15 +396,18 @@ def _sample(subset, target, warp, grey, room):  # type: ignore[no-untyped-def]
                 dx = float(i - radius)
                 curved_x = 0.5 * warp[6] * dx * dx + warp[7] * dx * dy + 0.5 * warp[8] * dy * dy
                 curved_y = 0.5 * warp[9] * dx * dx + warp[10] * dx * dy + 0.5 * warp[11] * dy * dy
-                room[0, i], room[1, i] = x + i * (1.0 + warp[1]) + curved_x, y + i * warp[4] + curved_y
-            sample_points(coefficients, degree, room, grey, span)
+                buffer[0, i], buffer[1, i] = x + i * (1.0 + warp[1]) + curved_x, y + i * warp[4] + curved_y
+            sample_points(coefficients, degree, buffer, grey, span)
         else:
             sample_line(coefficients, degree, (x, y), (1.0 + warp[1], warp[4]), grey, span)
 
 
 @njit()
 def _compose_inverse_quadratic(warp, step):  # type: ignore[no-untyped-def]
-    """Warp ← warp ∘ step⁻¹ for polynomials of second order, as matrices on [dx², dx dy, dy², dx, dy, 1] (Gao 2015)."""
+    """Set warp ← warp ∘ step⁻¹ for polynomials of second order.
+
+    As matrices on [dx², dx dy, dy², dx, dy, 1] (Gao 2015).
+    """
     product = _matrix_of(warp) @ np.linalg.inv(_matrix_of(step))
     for first, row in ((0, 3), (3, 4)):
         warp[first], warp[first + 1], warp[first + 2] = product[row, 5], product[row, 3], product[row, 4]
@@ -394,7 +422,7 @@ def _compose_inverse_quadratic(warp, step):  # type: ignore[no-untyped-def]
 
 @njit()
 def _matrix_of(warp):  # type: ignore[no-untyped-def]
-    """How a warp of order 2 maps [dx², dx dy, dy², dx, dy, 1], powers above the second left out."""
+    """Return the matrix of a warp of order 2 on [dx²,dx dy,dy²,dx,dy,1], truncated."""
     matrix = np.zeros((6, 6))
     x, y = matrix[3], matrix[4]
     x[0], x[1], x[2], x[3], x[4], x[5] = 0.5 * warp[6], warp[7], 0.5 * warp[8], 1.0 + warp[1], warp[2], warp[0]
@@ -411,15 +439,15 @@ def _matrix_of(warp):  # type: ignore[no-untyped-def]
 
 
 def subset_positions(found: Sequence[Registration], reference: ReferenceSubsets) -> tuple[FloatArray, NDArray[np.int8]]:
-    """Positions (F,N,2) of all frames, NaN where a subset is not found, and statuses (F,N)."""
-    status = np.stack([here.status for here in found])
-    position = np.stack([reference.centre_px + here.warp[:, [0, 3]] for here in found])
+    """Return positions (F,N,2) of all frames, NaN where not found, and statuses (F,N)."""
+    status = np.stack([frame.status for frame in found])
+    position = np.stack([reference.centre_px + frame.warp[:, [0, 3]] for frame in found])
     position[status != TrackStatus.OK] = np.nan
     return position, status
 
 
 def subset_noise(found: Sequence[Registration], reference: ReferenceSubsets, degree: int) -> FloatArray:
-    """Image noise (F,N) of all frames at each subset, NaN where it is not found."""
-    noise = np.stack([noise_of_residual(reference, here, degree) for here in found])
-    noise[np.stack([here.status for here in found]) != TrackStatus.OK] = np.nan
+    """Return the image noise (F,N) at each subset, NaN where not found."""
+    noise = np.stack([noise_of_residual(reference, frame, degree) for frame in found])
+    noise[np.stack([frame.status for frame in found]) != TrackStatus.OK] = np.nan
     return noise

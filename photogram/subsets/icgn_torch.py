@@ -36,13 +36,16 @@ if TYPE_CHECKING:
 
 PRECISIONS = ("float64", "float32")
 PRECISION = "float32"
-"""Of pixels and coefficients of what is followed on a GPU; sums over them are float64."""
-BLOCK, SMALLEST_TERM = 128, 1e-17
+"""Of pixels and coefficients on a GPU; sums over them are float64."""
+BLOCK, SMALLEST_TERM = 128, 1e-17  # rows of a product of matrices; entries below double precision
 
 
 @dataclass(frozen=True)
 class TorchSplines:
-    """B images as B-splines of `degree` 3, 5 or 7: coefficients (B,H+8,W+8) on their device, padded as in `Spline`."""
+    """B images as B-splines of `degree` 3, 5 or 7 on a device.
+
+    coefficients (B, H+8, W+8), padded as in `Spline`.
+    """
 
     coefficients: Tensor
     degree: int
@@ -63,7 +66,7 @@ class TorchSplines:
 
 
 def spline_frames(images: NDArray[np.generic], degree: int, device: str, precision: str = "float64") -> TorchSplines:
-    """The splines through the grey values of images (B,H,W), mirrored at the outermost pixels, on the device."""
+    """Return the splines of images (B,H,W) on a device, mirrored at the outermost pixels."""
     check_shape("images", images, (None, None, None))
     if min(images.shape[1:]) < 2 * PADDING_PX:
         raise ValueError(f"images: expected at least {2 * PADDING_PX} x {2 * PADDING_PX} px, found {images.shape[1:]}")
@@ -72,39 +75,42 @@ def spline_frames(images: NDArray[np.generic], degree: int, device: str, precisi
 
 
 def upload_images(images: Sequence[NDArray[np.generic]], device: str) -> tuple[NDArray[np.generic], Tensor]:
-    """B images (B,H,W) in memory and on the device; to a GPU they go from pinned memory, beside what it computes."""
+    """Return B images (B, H, W) in memory and on the device.
+
+    A GPU receives them from pinned memory, in parallel to its computations.
+    """
     import torch
 
     kind = np.result_type(*{image.dtype for image in images}).newbyteorder("=")
     on_gpu = torch.device(device).type == "cuda"
-    there = torch.from_numpy(np.empty(0, kind)).dtype
-    stack = torch.empty((len(images), *images[0].shape), dtype=there, pin_memory=on_gpu)
-    here: NDArray[np.generic] = stack.numpy()
-    for image, place in zip(images, here, strict=True):
-        np.copyto(place, image)
+    dtype = torch.from_numpy(np.empty(0, kind)).dtype
+    stack = torch.empty((len(images), *images[0].shape), dtype=dtype, pin_memory=on_gpu)
+    in_memory: NDArray[np.generic] = stack.numpy()
+    for image, target in zip(images, in_memory, strict=True):
+        np.copyto(target, image)
     if not on_gpu:
-        return here, stack.to(device)
+        return in_memory, stack.to(device)
     stream = torch.cuda.Stream(device)
     with torch.cuda.stream(stream):
         raw = stack.to(device, non_blocking=True)
     stream.synchronize()
     raw.record_stream(torch.cuda.default_stream(device))
-    return here, raw
+    return in_memory, raw
 
 
 def splines_of(raw: Tensor, degree: int, precision: str) -> TorchSplines:
-    """The splines through the grey values of images (B,H,W) that are on a device.
+    """Return the splines of images (B, H, W) that are on a device.
 
     C = A_H · image · A_Wᵀ with A the exact inverse of the B-spline sampled at whole pixels, its mirrored borders
-    included: the recursion of `spline_of_image` as matrix products, which suit a GPU better. Blocks of A are multiplied
-    with what reaches them by more than 1e-17.
+    included: the recursion of `spline_of_image` as matrix products, which suit a GPU better. Entries of A below 1e-17
+    are neglected.
     """
     down = _filtered(raw.to(torch_type(precision)).transpose(1, 2).contiguous(), degree)
     return TorchSplines(_filtered(down.transpose(1, 2).contiguous(), degree), degree)
 
 
 def torch_type(precision: str) -> Any:
-    """The torch type named 'float64' or 'float32'."""
+    """Return the torch type named 'float64' or 'float32'."""
     import torch
 
     if precision not in PRECISIONS:
@@ -114,7 +120,7 @@ def torch_type(precision: str) -> Any:
 
 @lru_cache(maxsize=4)
 def basis_polynomials(degree: int) -> FloatArray:
-    """Coefficients (degree+1 powers of t, degree+1 splines) of the B-splines that reach the offset t in [0,1).
+    """Return the coefficients (power of t, spline) of B-splines at t in [0,1).
 
     Spline j is β(t + (degree−1)/2 − j), β the sum of truncated powers (Unser 1999, IEEE Signal Process. Mag. 16, 22,
     box 1): β(x) = Σ_k (−1)^k C(n+1,k) max(0, x + (n+1)/2 − k)^n / n!.
@@ -129,10 +135,11 @@ def basis_polynomials(degree: int) -> FloatArray:
     return table
 
 
-def sample(frames: TorchSplines, corner: Tensor, place_px: Tensor, polynomials: Tensor) -> Tensor:
-    """Grey values (n,P) at place_px (2,n,P) [x, y], relative to the pixels whose coefficients begin at corner (n,).
+def sample(frames: TorchSplines, corner: Tensor, position_px: Tensor, polynomials: Tensor) -> Tensor:
+    """Return grey values (n, P) at positions (2, n, P) relative to pixels.
 
-    A point gathers degree + 1 rows of coefficients, windows of one long line, weighted down and then along x.
+    corner (n,): where the coefficients of these pixels begin. A point gathers degree + 1 rows of coefficients, windows
+    of one long line, weighted down and then along x.
     """
     import torch
     from torch.nn.functional import embedding_bag
@@ -141,9 +148,9 @@ def sample(frames: TorchSplines, corner: Tensor, place_px: Tensor, polynomials: 
     line = frames.coefficients.view(-1)
     windows = line.as_strided((line.numel() - taps + 1, taps), (1, 1))
     stride = frames.coefficients.shape[2]
-    whole = place_px.floor()
+    whole = position_px.floor()
     # Values (2,M,degree+1) of the B-splines that reach the offsets (2,M) in [0,1)
-    fraction = (place_px - whole).view(2, -1)
+    fraction = (position_px - whole).view(2, -1)
     powers = fraction.new_empty((len(polynomials), *fraction.shape))
     powers[0], powers[1] = 1.0, fraction
     for k in range(2, len(powers)):
@@ -153,28 +160,28 @@ def sample(frames: TorchSplines, corner: Tensor, place_px: Tensor, polynomials: 
     rows = stride * torch.arange(taps, dtype=corner.dtype, device=corner.device)
     first = (corner[:, None] + row * stride + column).view(-1, 1) + rows
     summed = embedding_bag(first, windows, per_sample_weights=down, mode="sum")
-    return summed.mul_(along).sum(dim=1).view(place_px.shape[1:])
+    return summed.mul_(along).sum(dim=1).view(position_px.shape[1:])
 
 
 def sample_warped(frames: TorchSplines, squares: tuple[Tensor, Tensor, Tensor], shape: Tensor, basis: Tensor) -> Tensor:
-    """Grey values (n,P) at squares that are warped: squares are frames (n,), centres in px (n,2), warps (n,6 or 12).
+    """Return grey values (n,P) at warped squares: frames (n,), centres (n,2), warps (n,6 or 12).
 
-    shape (s,P) of their points, as in `TorchReference`. Points are placed relative to the pixel under the square's
-    centre, so that float32 resolves them to 1e-6 px; `basis`: `basis_polynomials` on the device.
+    shape (s, P) of their points, as in `TorchReference`. Points are relative to the pixel under the square's centre, so
+    that float32 resolves them to 1e-6 px; `basis`: `basis_polynomials` on the device.
     """
     import torch
 
     frame, centre_px, warp = squares
-    places = _polynomials(warp)
-    places[:, :, 0] += centre_px
-    pixel = places[:, :, 0].floor()
-    places[:, :, 0] -= pixel
-    placed = torch.matmul(places.transpose(0, 1).to(shape.dtype).contiguous(), shape)
-    return sample(frames, corner_of(frames, frame, pixel.to(torch.int64)), placed, basis)
+    polynomials = _polynomials(warp)
+    polynomials[:, :, 0] += centre_px
+    pixel = polynomials[:, :, 0].floor()
+    polynomials[:, :, 0] -= pixel
+    positions = torch.matmul(polynomials.transpose(0, 1).to(shape.dtype).contiguous(), shape)
+    return sample(frames, corner_of(frames, frame, pixel.to(torch.int64)), positions, basis)
 
 
 def corner_of(frames: TorchSplines, frame: Tensor, pixel: Tensor) -> Tensor:
-    """Flat indices (n,) of the first coefficients that reach the whole pixels (n,2) of the frames (n,)."""
+    """Return flat indices (n,) of the first coefficients of whole pixels (n,2) of frames (n,)."""
     import torch
 
     _, height, width = frames.coefficients.shape
@@ -184,7 +191,7 @@ def corner_of(frames: TorchSplines, frame: Tensor, pixel: Tensor) -> Tensor:
 
 
 def _filtered(lines: Tensor, degree: int) -> Tensor:
-    """Coefficients (...,n+8) of lines of n pixels (...,n), mirrored by four at both ends."""
+    """Return coefficients (..., n+8) of lines of n pixels, mirrored by four at both ends."""
     import torch
 
     inverse = _inverse_filter(lines.shape[-1], degree, lines.device, lines.dtype)
@@ -198,7 +205,10 @@ def _filtered(lines: Tensor, degree: int) -> Tensor:
 
 @lru_cache(maxsize=8)
 def _inverse_filter(size: int, degree: int, device: Any, kind: Any) -> Tensor:
-    """Matrix (size+8,size) from the pixels of a line to its spline coefficients, mirrored by four at both ends."""
+    """Return the matrix (size+8, size) from the pixels of a line to its spline coefficients.
+
+    The line is mirrored by four at both ends.
+    """
     import torch
 
     reach = degree // 2
@@ -216,17 +226,17 @@ def _inverse_filter(size: int, degree: int, device: Any, kind: Any) -> Tensor:
 
 # Sums over the pixels of squares that are warped into frames: of subsets, and of the cells of `direct.fit_torch`.
 
-WORKING_BYTES = {"cpu": 2**26, "cuda": 2**31}
-NUMBERS_PER_PIXEL = 48
+WORKING_BYTES = {"cpu": 2**26, "cuda": 2**31}  # of a portion: fits into a processor's cache, and into a GPU
+NUMBERS_PER_PIXEL = 48  # of temporary arrays, with spline weights of degree 5
 
 
 @dataclass(frozen=True)
 class Squares:
     """N squares of P pixels on a device.
 
-    pixels (N,3,P) = f̃, f_x, f_y or, with a weight w of each, (N,4,P) = w, w·f̃, w·f_x, w·f_y, and shape (s,P) =
-    [1, dx, dy] or [1, dx, dy, dx²/2, dx dy, dy²/2], in the precision of the sampling; in float64 centre_px (N,2) and
-    mean (N,), of the grey values in the reference.
+    pixels (N, 3, P) = f̃, f_x, f_y or, with a weight w of each, (N, 4, P) = w, w·f̃, w·f_x, w·f_y. The shape (s, P) is
+    [1, dx, dy] or [1, dx, dy, dx²/2, dx dy, dy²/2]. Both have the precision of the sampling. In float64: centre_px (N,
+    2) and mean (N,) of the grey values in the reference.
     """
 
     pixels: Tensor
@@ -240,15 +250,15 @@ Pairs = tuple["Tensor", "Tensor", "Tensor"]
 
 
 def square_sums(squares: Squares, frames: TorchSplines, pairs: Pairs, alive: Tensor) -> Tensor:
-    """Sums (n,3+2s) in float64 of w·g, w·g², w·f̃·g, w·f_x·g and w·f_y·g, the last two times the s shape functions.
+    """Return sums (n,3+2s) over the warped squares, NaN for pairs not alive (n,).
 
-    g is the warped square's grey values without the mean of the reference. NaN where a pair is not alive (n,). One
-    kernel on a GPU for which Triton is there; else torch's operations, in portions that need about 64 MiB on a CPU, 2
-    GiB on a GPU.
+    The sums are w·g, w·g², w·f̃·g, w·f_x·g and w·f_y·g, the last two times the s shape functions. g is the warped
+    square's grey values without the mean of the reference. One kernel on a GPU with Triton. Otherwise torch's
+    operations, in portions that need about 64 MiB on a CPU, 2 GiB on a GPU.
     """
     import torch
 
-    frame, own, warp = pairs
+    frame, square, warp = pairs
     sums = warp.new_full((len(warp), 3 + warp.shape[1]), torch.nan)
     if frames.coefficients.is_cuda and frames.coefficients.dtype == torch.float32 and (kernel := _kernel()):
         kernel(squares, frames, pairs, alive, sums)
@@ -256,13 +266,13 @@ def square_sums(squares: Squares, frames: TorchSplines, pairs: Pairs, alive: Ten
     basis = torch.from_numpy(basis_polynomials(frames.degree)).to(squares.pixels)
     size = NUMBERS_PER_PIXEL * squares.shape.shape[1] * squares.shape.element_size()
     for some in torch.nonzero(alive)[:, 0].split(max(1, WORKING_BYTES[warp.device.type] // size)):
-        sums[some] = _portion_sums(squares, frames, (frame[some], own[some], warp[some]), basis)
+        sums[some] = _portion_sums(squares, frames, (frame[some], square[some], warp[some]), basis)
     return sums
 
 
 @cache
 def _kernel() -> Callable[..., None] | None:
-    """`sums_triton.square_sums` where Triton is installed, which PyTorch for CUDA brings on Linux."""
+    """Return `sums_triton.square_sums` if Triton is installed (by PyTorch for CUDA on Linux)."""
     if find_spec("triton") is None:
         return None
     from photogram.subsets.sums_triton import square_sums as kernel
@@ -271,13 +281,13 @@ def _kernel() -> Callable[..., None] | None:
 
 
 def _portion_sums(squares: Squares, frames: TorchSplines, pairs: Pairs, basis: Tensor) -> Tensor:
-    """The sums (n,3+2s) by torch's operations; basis: `basis_polynomials` on the device."""
+    """Return the sums (n, 3+2s) by torch's operations; basis: `basis_polynomials` on the device."""
     import torch
 
-    frame, own, warp = pairs
-    grey = sample_warped(frames, (frame, squares.centre_px[own], warp), squares.shape, basis)
-    grey -= squares.mean[own, None].to(grey.dtype)
-    products = squares.pixels[own].mul_(grey[:, None])
+    frame, square, warp = pairs
+    grey = sample_warped(frames, (frame, squares.centre_px[square], warp), squares.shape, basis)
+    grey -= squares.mean[square, None].to(grey.dtype)
+    products = squares.pixels[square].mul_(grey[:, None])
     weighted = products[:, 0] if products.shape[1] > 3 else grey
     exact = [weighted, weighted * grey, products[:, -3]]
     slopes = torch.matmul(products[:, -2:], squares.shape.T).flatten(1).to(torch.float64)
@@ -291,10 +301,11 @@ RUNNING = -1
 
 @dataclass(frozen=True)
 class TorchReference(Squares):
-    """A `Reference` on a device: N subsets with m = 2, 6 or 12 parameters of order 0, 1 or 2.
+    """`ReferenceSubsets` on a device: N subsets with m parameters of order 0, 1 or 2.
 
-    In float64 rim (s,): the largest values of the shape functions, energy (N,), removed (N,2,m), inverse_hessian
-    (N,m,m); status (N,). source: what it was made of; affine: of order 2 the same subsets with order 1.
+    m = 2, 6 or 12. In float64: rim (s,), the largest values of the shape functions, energy (N,), removed (N, 2, m) and
+    inverse_hessian (N, m, m). The source is the subsets in memory, status (N,) theirs. In order 2 `affine` has the same
+    subsets with order 1.
     """
 
     radius_px: int
@@ -314,7 +325,10 @@ class TorchReference(Squares):
 
 
 def torch_reference(reference: ReferenceSubsets, device: str, precision: str = "float64") -> TorchReference:
-    """The reference on the device, its pixels in `precision`: 'float64', or 'float32' for GPUs without fast float64."""
+    """Return the reference on the device, its pixels in `precision` 'float64' or 'float32'.
+
+    The latter is for GPUs without fast float64.
+    """
     import torch
 
     pixel_type = torch_type(precision)
@@ -343,26 +357,29 @@ def torch_reference(reference: ReferenceSubsets, device: str, precision: str = "
 def register_frames(
     reference: TorchReference, frames: TorchSplines, start: FloatArray, settings: TrackSettings
 ) -> tuple[Registration, ...]:
-    """Find every subset in every frame, beginning at the warps `start` (B,N,6); NaN = no start. One result per frame.
+    """Find every subset in every frame from warps `start` (B,N,6); return one result per frame.
 
-    Order 2 has warps (N,12), takes starts (B,N,12) as well, and starts from order 1. Same steps, stopping rule and
-    statuses as `photogram.subsets.icgn.register`.
+    NaN is no start. Order 2 has warps (N, 12), accepts starts (B, N, 12), and starts from order 1. Same steps, stopping
+    rule and statuses as `photogram.subsets.icgn.register`.
     """
     if reference.affine is None:
-        return _frames_found(reference, frames, start, settings)
+        return _found_in_frames(reference, frames, start, settings)
     given = 12 if start.shape[2:] == (12,) else 6
     check_shape("start", start, (len(frames.coefficients), len(reference.centre_px), given))
     whole = np.pad(start, ((0, 0), (0, 0), (0, 12 - given)))
-    first = _frames_found(reference.affine, frames, affine_part(whole), settings)
-    curved = np.stack([starts_from_affine(here, plain) for here, plain in zip(whole, first, strict=True)])
-    found = _frames_found(reference, frames, curved, settings)
-    return tuple(reject_poor_curvature(reference.source, here, plain) for here, plain in zip(found, first, strict=True))
+    first = _found_in_frames(reference.affine, frames, affine_part(whole), settings)
+    curved = np.stack([starts_from_affine(frame_start, plain) for frame_start, plain in zip(whole, first, strict=True)])
+    found = _found_in_frames(reference, frames, curved, settings)
+    return tuple(
+        reject_poor_curvature(reference.source, frame_start, plain)
+        for frame_start, plain in zip(found, first, strict=True)
+    )
 
 
-def _frames_found(
+def _found_in_frames(
     reference: TorchReference, frames: TorchSplines, start: FloatArray, settings: TrackSettings
 ) -> tuple[Registration, ...]:
-    """Gauss-Newton steps of all subsets in all frames from the starts (B,N,6 or 12)."""
+    """Iterate all subsets in all frames from the starts (B, N, 6 or 12)."""
     import torch
 
     count, columns, device = len(reference.centre_px), reference.columns, reference.centre_px.device
@@ -395,9 +412,9 @@ def _register_pairs(
     pairs: Tensor,
     state: tuple[Tensor, Tensor, Tensor],
 ) -> None:
-    """Gauss-Newton steps of the pairs (flat frame·N + subset) until all stand still; updates state in place.
+    """Iterate the pairs (flat frame·N + subset) until all converge; update state in place.
 
-    The one wait for the device in every iteration is the choice of the pairs that go on.
+    Each iteration waits once for the device: to choose the pairs that continue.
     """
     import torch
 
@@ -408,7 +425,7 @@ def _register_pairs(
             return
         warp = all_warp[pairs]
         frame, subset = pairs // len(reference.centre_px), pairs % len(reference.centre_px)
-        gone = _gone(reference, frames, subset, warp, first_shift)
+        gone = _lost_status(reference, frames, subset, warp, first_shift)
         sums = square_sums(reference, frames, (frame, subset, warp), gone == RUNNING)
         step, scores, fate = _solve(reference, settings, (subset, gone), sums)
         all_warp[pairs], all_scores[pairs] = _compose_inverse(warp, step), scores
@@ -418,8 +435,10 @@ def _register_pairs(
     outcome[pairs, 0] = int(TrackStatus.NOT_CONVERGED)
 
 
-def _gone(reference: TorchReference, frames: TorchSplines, subset: Tensor, warp: Tensor, first_shift: Tensor) -> Tensor:
-    """Status (n,) of the pairs that have run away or left the image, `RUNNING` for the others."""
+def _lost_status(
+    reference: TorchReference, frames: TorchSplines, subset: Tensor, warp: Tensor, first_shift: Tensor
+) -> Tensor:
+    """Return the status (n,) of pairs that diverged or left the image, else `RUNNING`."""
     import torch
 
     radius, shift = reference.radius_px, warp[:, :6:3]
@@ -435,9 +454,10 @@ def _gone(reference: TorchReference, frames: TorchSplines, subset: Tensor, warp:
 def _solve(
     reference: TorchReference, settings: TrackSettings, pair: tuple[Tensor, Tensor], sums: Tensor
 ) -> tuple[Tensor, Tensor, Tensor]:
-    """Steps (n,6 or 12), scores (n,3) = [zncc, gain, residual variance] of those that then stand still, and statuses.
+    """Return steps (n,6 or 12), scores (n,3) of the converged pairs, and statuses (n,).
 
-    Pairs are subset and gone; the status (n,) is `RUNNING` where another step is needed.
+    Pairs are subset and status. Scores are [zncc, gain, residual variance]. The status is `RUNNING` where another step
+    is needed.
     """
     import torch
 
@@ -458,60 +478,68 @@ def _solve(
         step = torch.stack([step, torch.zeros_like(step), torch.zeros_like(step)], dim=2).flatten(1)
     moved = (step[:, :6].view(-1, 2, 3) * rim[:3]).square().sum(dim=(1, 2))
     moved = moved + rim[1] ** 4 / 4.0 * step[:, 6:].square().sum(dim=1)
-    still = (moved < LINEAR_PX**2) & (small | (remaining**2 * moved < settings.convergence_px**2))
-    still &= zncc.isfinite() & (gone == RUNNING)
-    alike = zncc >= settings.min_zncc
-    fate = torch.full_like(gone, RUNNING).masked_fill_(still & alike, int(TrackStatus.OK))
-    fate.masked_fill_((still & ~alike) | ~zncc.isfinite(), int(TrackStatus.LOW_CORRELATION))
-    scores = torch.stack([zncc, gain, residual], dim=1).masked_fill(~still[:, None], torch.nan)
+    converged = (moved < LINEAR_PX**2) & (small | (remaining**2 * moved < settings.convergence_px**2))
+    converged &= zncc.isfinite() & (gone == RUNNING)
+    similar = zncc >= settings.min_zncc
+    fate = torch.full_like(gone, RUNNING).masked_fill_(converged & similar, int(TrackStatus.OK))
+    fate.masked_fill_((converged & ~similar) | ~zncc.isfinite(), int(TrackStatus.LOW_CORRELATION))
+    scores = torch.stack([zncc, gain, residual], dim=1).masked_fill(~converged[:, None], torch.nan)
     return step, scores, torch.where(gone == RUNNING, fate, gone)
 
 
 def _polynomials(warp: Tensor) -> Tensor:
-    """Where a warp (n,6 or 12) takes dx and dy: coefficients (n,2,s) of 1, dx, dy, dx²/2, dx dy, dy²/2."""
+    """Return polynomial coefficients (n,2,s) in dx and dy of warps (n,6 or 12).
+
+    Of 1, dx, dy, dx²/2, dx dy, dy²/2.
+    """
     import torch
 
-    places = torch.cat([warp[:, :6].view(-1, 2, 3), warp[:, 6:].reshape(len(warp), 2, (warp.shape[1] - 6) // 2)], dim=2)
-    places[:, 0, 1] += 1.0
-    places[:, 1, 2] += 1.0
-    return places
+    coefficients = torch.cat(
+        [warp[:, :6].view(-1, 2, 3), warp[:, 6:].reshape(len(warp), 2, (warp.shape[1] - 6) // 2)], dim=2
+    )
+    coefficients[:, 0, 1] += 1.0
+    coefficients[:, 1, 2] += 1.0
+    return coefficients
 
 
 def _columns(values: Tensor) -> Tensor:
-    """Values (n,2,s) in the order of a warp (n,6 or 12)."""
+    """Return values (n, 2, s) in the order of a warp (n, 6 or 12)."""
     import torch
 
     return torch.cat([values[:, :, :3].flatten(1), values[:, :, 3:].flatten(1)], dim=1)
 
 
 def _compose_inverse(warp: Tensor, step: Tensor) -> Tensor:
-    """Warps (n,6 or 12) ∘ steps⁻¹: affine, or polynomials of second order as matrices on their powers (Gao 2015)."""
+    """Return warps (n, 6 or 12) ∘ steps⁻¹.
+
+    Affine, or polynomials of second order as matrices on their powers (Gao 2015).
+    """
     import torch
 
     if warp.shape[1] == 6:
         return torch.stack(compose_with_inverse(warp.T, step.T), dim=1)
     product = torch.matmul(_matrices(warp), torch.linalg.inv_ex(_matrices(step)).inverse)
-    places = product[:, 1:3].clone()
-    places[:, :, 3::2] *= 2.0
-    places[:, 0, 1] -= 1.0
-    places[:, 1, 2] -= 1.0
-    return _columns(places)
+    coefficients = product[:, 1:3].clone()
+    coefficients[:, :, 3::2] *= 2.0
+    coefficients[:, 0, 1] -= 1.0
+    coefficients[:, 1, 2] -= 1.0
+    return _columns(coefficients)
 
 
 def _matrices(warp: Tensor) -> Tensor:
-    """How warps (n,12) map [1, dx, dy, dx², dx dy, dy²], (n,6,6), powers above the second left out."""
+    """Return the matrices (n,6,6) of warps (n,12) on [1,dx,dy,dx²,dx dy,dy²], truncated."""
     import torch
 
-    places = _polynomials(warp)
-    places[:, :, 3::2] *= 0.5
-    x, y = places.unbind(dim=1)
+    coefficients = _polynomials(warp)
+    coefficients[:, :, 3::2] *= 0.5
+    x, y = coefficients.unbind(dim=1)
     one = torch.zeros_like(x)
     one[:, 0] = 1.0
     return torch.stack([one, x, y, _product(x, x), _product(x, y), _product(y, y)], dim=1)
 
 
 def _product(p: Tensor, q: Tensor) -> Tensor:
-    """Product of polynomials (n,6) in [1, dx, dy, dx², dx dy, dy²], powers above the second left out."""
+    """Multiply polynomials (n,6) in [1,dx,dy,dx²,dx dy,dy²], truncated to second order."""
     product = p[:, :1] * q + q[:, :1] * p
     product[:, 0] = p[:, 0] * q[:, 0]
     product[:, 3] += p[:, 1] * q[:, 1]

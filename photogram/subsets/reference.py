@@ -1,4 +1,4 @@
-"""What the reference image contributes to a registration, prepared once per series."""
+"""Subsets of the reference image, prepared once per series for registration."""
 
 from __future__ import annotations
 
@@ -40,9 +40,10 @@ AFFINE_SUMS, CURVED_SUMS, RUN_SUMS = 9, 6, 7
 
 @intrinsic
 def affine_sums(typing, grey, mean, pixels, offsets, sums):  # type: ignore[no-untyped-def]
-    """Fill sums (9,) with Σg, Σg², Σf̃·g and Σ(f_x, f_x·dx, f_x·dy, f_y, f_y·dx, f_y·dy)·g, g = grey (P,) − mean.
+    """Fill sums (9,) of g = grey (P,) − mean times the affine steepest-descent images.
 
-    pixels (3,P): f̃, f_x, f_y; offsets (2,P): dx, dy.
+    Σg, Σg², Σf̃·g and Σ(f_x, f_x·dx, f_x·dy, f_y, f_y·dx, f_y·dy)·g. pixels (3, P): f̃, f_x, f_y; offsets (2, P): dx,
+    dy.
     """
 
     def terms(g: Lanes, f: Lanes, along: Lanes, down: Lanes, dx: Lanes, dy: Lanes) -> _Terms:
@@ -54,7 +55,10 @@ def affine_sums(typing, grey, mean, pixels, offsets, sums):  # type: ignore[no-u
 
 @intrinsic
 def curved_sums(typing, grey, mean, pixels, offsets, sums):  # type: ignore[no-untyped-def]
-    """Fill sums (6,) with Σf_x·(dx²/2, dx·dy, dy²/2)·g and Σf_y·(…)·g; arguments as of `affine_sums`."""
+    """Fill sums (6,) with Σf_x·(dx²/2, dx·dy, dy²/2)·g and Σf_y·(…)·g.
+
+    Arguments as of `affine_sums`.
+    """
 
     def terms(g: Lanes, _: Lanes, along: Lanes, down: Lanes, dx: Lanes, dy: Lanes) -> _Terms:
         a, d = along * g, down * g
@@ -65,12 +69,12 @@ def curved_sums(typing, grey, mean, pixels, offsets, sums):  # type: ignore[no-u
 
 
 def _powers(degree: int) -> list[tuple[int, int]]:
-    """Exponents of dx and dy in all their products up to a degree, in the order of the `shape_values`."""
+    """Return exponents of dx and dy up to a degree, ordered as `shape_values`."""
     return [(d - b, b) for d in range(degree + 1) for b in range(d + 1)]
 
 
 def _moments_by(degree: int) -> Any:
-    """Sums of steepest-descent images times each other for shape functions of this degree."""
+    """Return the code of sums of products of steepest-descent images of this degree."""
     all_powers, shapes = _powers(2 * degree), _powers(degree)
 
     def terms(_: Lanes, f: Lanes, along: Lanes, down: Lanes, dx: Lanes, dy: Lanes) -> _Terms:
@@ -84,7 +88,10 @@ def _moments_by(degree: int) -> Any:
 
     @intrinsic
     def moments(typing, grey, mean, pixels, offsets, sums):  # type: ignore[no-untyped-def]
-        """Fill sums with Σ q·dx^a·dy^b: of f_x², f_x·f_y, f_y² for all powers, of f_x, f_y, f̃·f_x, f̃·f_y for shapes."""
+        """Fill sums with Σ q·dx^a·dy^b.
+
+        Of f_x², f_x·f_y, f_y² for all powers, of f_x, f_y, f̃·f_x, f̃·f_y for shapes.
+        """
         return kernel_signature(grey, mean, pixels, offsets, sums), _subset_code(
             terms, 3 * len(all_powers) + 4 * len(shapes)
         )
@@ -97,7 +104,7 @@ _affine_moments, _curved_moments = _moments_by(1), _moments_by(2)
 
 @njit()
 def _moments(pixels, offsets, curved, sums):  # type: ignore[no-untyped-def]
-    """Rows of sums (n,…) of the subsets pixels (n,3,P)."""
+    """Fill rows of sums (n, …) of the subsets pixels (n, 3, P)."""
     for n in range(pixels.shape[0]):
         if curved:
             _curved_moments(pixels[n, 0], 0.0, pixels[n], offsets, sums[n])
@@ -106,7 +113,7 @@ def _moments(pixels, offsets, curved, sums):  # type: ignore[no-untyped-def]
 
 
 def _subset_code(terms: Callable[..., _Terms], number: int) -> Callable[..., Any]:
-    """Generator of the code of sums over a subset."""
+    """Return the generator of the code of sums over a subset."""
 
     def generate(context: Any, builder: Any, signature: Any, arguments: Sequence[Any]) -> Any:
         grey, pixels, offsets, sums = (array_of(context, builder, signature, arguments, k) for k in (0, 2, 3, 4))
@@ -127,10 +134,10 @@ def _subset_code(terms: Callable[..., _Terms], number: int) -> Callable[..., Any
 
 @intrinsic
 def run_sums(typing, grey, mean, pixels, span, dx, sums):  # type: ignore[no-untyped-def]
-    """Fill sums (7,) with Σw·g, Σw·g², Σw·f̃·g, Σw·f_x·g, Σw·f_x·dx·g, Σw·f_y·g, Σw·f_y·dx·g, g = grey − mean.
+    """Fill sums (7,) over a run of pixels with g = grey − mean.
 
-    pixels (4,P): w, w·f̃, w·f_x, w·f_y; span: from which one on, and how many, the first with the first of grey; dx: of
-    the first one, the others a pixel apart.
+    Σw·g, Σw·g², Σw·f̃·g, Σw·f_x·g, Σw·f_x·dx·g, Σw·f_y·g, Σw·f_y·dx·g. pixels (4, P): w, w·f̃, w·f_x, w·f_y; span: the
+    first pixel and their number; dx: of the first one, the others 1 px from each other.
     """
 
     def generate(context: Any, builder: Any, signature: Any, arguments: Sequence[Any]) -> Any:
@@ -140,9 +147,9 @@ def run_sums(typing, grey, mean, pixels, span, dx, sums):  # type: ignore[no-unt
         begin = broadcast(builder, arguments[4], DOUBLES) + lane_numbers(builder, DOUBLES)
 
         def block(index: Any, mask: Any) -> _Terms:
-            place = builder.add(start, index)
+            pixel = builder.add(start, index)
             weight, f, along, down = (
-                load(builder, element(builder, table, row, place), DOUBLES, mask) for row in range(4)
+                load(builder, element(builder, table, row, pixel), DOUBLES, mask) for row in range(4)
             )
             g = _within(builder, load(builder, builder.gep(values.data, [index]), DOUBLES, mask) - level, mask)
             offset = begin + broadcast(builder, builder.sitofp(index, DOUBLE), DOUBLES)
@@ -157,24 +164,27 @@ def run_sums(typing, grey, mean, pixels, span, dx, sums):  # type: ignore[no-unt
 
 @intrinsic
 def fetch(typing, table, span):  # type: ignore[no-untyped-def]
-    """Ask for the floats start … start + count of an array, flat, that are read soon: memory is slower than sums."""
+    """Prefetch a span of a flat array, since memory is slower than sums."""
 
     def generate(context: Any, builder: Any, signature: Any, arguments: Sequence[Any]) -> Any:
         first = array_of(context, builder, signature, arguments, 0).data
         start, count = cgutils.unpack_tuple(builder, arguments[1], 2)
         numbers = [ir.Constant(ir.IntType(32), number) for number in (0, 3, 1)]  # to read, often, data
         form = ir.FunctionType(ir.VoidType(), [first.type, *(number.type for number in numbers)])
-        ask = cgutils.get_or_insert_function(builder.module, form, "llvm.prefetch.p0")
+        prefetch = cgutils.get_or_insert_function(builder.module, form, "llvm.prefetch.p0")
         step = ir.Constant(INDEX, FLOATS.count)
         with cgutils.for_range_slice(builder, start, builder.add(start, count), step, INDEX) as (index, _):
-            builder.call(ask, [builder.gep(first, [index]), *numbers])
+            builder.call(prefetch, [builder.gep(first, [index]), *numbers])
         return context.get_dummy_value()
 
     return kernel_signature(table, span), generate
 
 
 def _sum(builder: Any, count: Any, number: int, block: Callable[..., _Terms], sums: Any) -> None:
-    """Code that adds the `number` terms of all blocks of `count` grey values lane by lane, then the lanes."""
+    """Generate code that adds the `number` terms of all blocks lane by lane.
+
+    Then the lanes are added.
+    """
     totals = [cgutils.alloca_once(builder, DOUBLES) for _ in range(number)]
     for total in totals:
         builder.store(constant(DOUBLES, 0.0), total)
@@ -185,31 +195,32 @@ def _sum(builder: Any, count: Any, number: int, block: Callable[..., _Terms], su
 
     in_blocks(builder, count, DOUBLES, add)
     for k, total in enumerate(totals):
-        place = builder.gep(sums.data, [ir.Constant(INDEX, k)])
-        builder.store(sum_lanes(builder, Lanes(builder, builder.load(total))), place)
+        pointer = builder.gep(sums.data, [ir.Constant(INDEX, k)])
+        builder.store(sum_lanes(builder, Lanes(builder, builder.load(total))), pointer)
 
 
 def _within(builder: Any, lanes: Lanes, mask: Any) -> Lanes:
-    """The lanes of the mask, zero in the others."""
+    """Return the lanes of the mask, zero in the others."""
     return lanes if mask is None else Lanes(builder, builder.select(mask, lanes.value, constant(lanes.value.type, 0.0)))
 
 
-# Subsets of a reference image, prepared once: grey values, gradients, Hessians, and what the texture determines.
+# Subsets of a reference image, prepared once: grey values, gradients, Hessians, and determined directions.
 
-SMALLEST_NOISE = 1e-9
+SMALLEST_NOISE = 1e-9  # of the variance of the grey values, for images without noise
 SMALLEST_CONTRAST = 1e-6  # of the mean: ten times the rounding of float32
-LEAST_RATIO = 4.0
-CURVED_MARGIN = 1.2
-SMALLEST_EXCESS = 1e-2
-PARAMETERS = {0: 2, 1: 6, 2: 12}
-CHUNK = 64
+MIN_RATIO = 4.0  # of a determined direction's information to that of noise: a step is too short by a quarter
+CURVED_MARGIN = 1.2  # times the largest ratio by noise alone
+SMALLEST_EXCESS = 1e-2  # of a ratio over 1, so that variances remain finite
+PARAMETERS = {0: 2, 1: 6, 2: 12}  # by the order of the shape function
+CHUNK = 64  # subsets whose pixels fit into the processor's cache
 
 
 class TrackStatus(IntEnum):
-    """What became of one subset in one frame; every status but `OK` comes with NaN positions.
+    """Status of one subset in one frame; every status but `OK` has NaN positions.
 
-    `UNRESOLVED`, of order 2 alone: texture, noise and size of the subset do not carry the shape function, or it leaves
-    a displacement that it cannot follow, or it fits worse than the affine one, which it contains (a false minimum).
+    `UNRESOLVED` belongs to order 2. Texture, noise and size of the subset do not determine the shape function, or a
+    displacement remains that it cannot follow. Or it fits worse than the affine one, which it contains (a false
+    minimum).
     """
 
     OK = 0
@@ -228,16 +239,24 @@ class ReferenceSubsets(
     shapes="centre_px N 2; pixels N 3 P; removed N 2 m; inverse_hessian N m m; position_variance N 2 2; mean N; "
     "energy N; noise_gain N; noise_grey2 N; status N",
 ):
-    """Square subsets of P = (2·radius+1)² pixels around centre_px (N,2), prepared once for a whole sequence.
+    """N square subsets of P = (2·radius+1)² pixels, prepared once for a whole sequence.
 
-    pixels (N,3,P): grey value f̃ without its mean, gradient along x, gradient along y. mean (N,): of the grey values;
-    energy (N,): Σf̃². order: of the shape function, 0 (translation), 1 (affine) or 2, with m = 2, 6 or 12 parameters.
-    removed (N,2,m): mean of each steepest-descent image and its regression on f̃. inverse_hessian (N,m,m): of the
-    steepest-descent images without what is removed, so that gain and offset are free parameters, and without what noise
-    of the reference adds; zero along what the texture does not determine. position_variance (N,2,2): covariance of the
-    translation in px² for image noise of variance 1. noise_gain (N,): variance of the subset's grey values per variance
-    of the pixels; noise_grey2 (N,): variance of the pixels' white noise. status (N,): `OK`, `FLAT`, `LEFT_IMAGE` or
-    `UNRESOLVED`. affine: of order 2 the same subsets with order 1, from whose result it starts.
+    Attributes
+    ----------
+    centre_px : (N, 2).
+    pixels : (N, 3, P) grey value f̃ without its mean, gradient along x, gradient along y.
+    mean : (N,) of the grey values.
+    energy : (N,) Σf̃².
+    order : of the shape function, 0 (translation), 1 (affine) or 2, with m = 2, 6 or 12 parameters.
+    removed : (N, 2, m) mean of each steepest-descent image and its regression on f̃.
+    inverse_hessian : (N, m, m) of the steepest-descent images after this removal, so that gain and offset are free
+        parameters, and after subtraction of the reference's noise; zero along directions that the texture does not
+        determine.
+    position_variance : (N, 2, 2) covariance of the translation in px² for image noise of variance 1.
+    noise_gain : (N,) variance of the subset's grey values per variance of the pixels.
+    noise_grey2 : (N,) variance of the pixels' white noise.
+    status : (N,) `OK`, `FLAT`, `LEFT_IMAGE` or `UNRESOLVED`.
+    affine : of order 2 the same subsets with order 1, from whose result it starts.
     """
 
     centre_px: FloatArray
@@ -261,20 +280,21 @@ class ReferenceSubsets(
 
 
 def prepare_reference(spline: Spline, centre_px: FloatArray, radius_px: int, order: int = 1) -> ReferenceSubsets:
-    """Grey values, gradients and Hessians of the subsets of one image; centres (N,2) need not be whole pixels.
+    """Prepare the subsets of one image about centres (N, 2), which may lie between pixels.
 
-    Steepest-descent images of the affine warp: [f_x, f_x dx, f_x dy, f_y, f_y dx, f_y dy] (Baker, Matthews 2004,
-    Int. J. Comput. Vis. 56, 221; Pan, Li, Tong 2013, Exp. Mech. 53, 1277), each without its mean and its part along f̃;
-    order 0 has f_x and f_y alone, order 2 further f_x and f_y times dx²/2, dx dy, dy²/2.
+    Steepest-descent images of the affine warp: [f_x, f_x dx, f_x dy, f_y, f_y dx, f_y dy] (Baker, Matthews 2004, Int.
+    J. Comput. Vis. 56, 221; Pan, Li, Tong 2013, Exp. Mech. 53, 1277), each without its mean and its part along f̃.
+    Order 0 has f_x and f_y alone, order 2 further f_x and f_y times dx²/2, dx dy, dy²/2.
 
-    Noise of the reference makes gradients too, with the Hessian N = σ²γ·diag(1, dx², dy² …) summed over the subset. In
-    the basis H v = μ N v, directions with μ < 4 are noise, not texture (along an edge): they are held at their start.
-    Since N adds to H but not to what is found, the inverse along v is 1/(μ−1), which makes a step as long as it should
-    be (with 1/μ every step falls short by 1/μ of itself), and the variance is μ/(μ−1)².
+    Noise of the reference also makes gradients, with the Hessian N = σ²γ·diag(1, dx², dy² …) summed over the subset. In
+    the basis H v = μ N v, directions with μ < 4 are noise, not texture (along an edge): they keep their start. N adds
+    to H but not to the slope, so the inverse along v is 1/(μ−1), which makes steps of the correct length (with 1/μ
+    every step is too short by 1/μ of itself). The variance is μ/(μ−1)².
 
-    What order 2 would hold is curvature that the field may well have, and an error of the position then; so a subset
-    with such a direction is `UNRESOLVED`, and those with μ near 4 are solved for. Noise alone has μ up to (1 + √(m/P))²
-    (Marchenko, Pastur 1967, Math. USSR Sb. 1, 457), of which 1.2 times is the limit there.
+    A direction that order 2 keeps at its start would be curvature that the field may have, and an error of the
+    position. A subset with such a direction is therefore `UNRESOLVED`, and directions with μ near 4 are solved for.
+    Noise alone has μ up to (1 + √(m/P))² (Marchenko, Pastur 1967, Math. USSR Sb. 1, 457), of which 1.2 times is the
+    limit for order 2.
     """
     check_shape("centre_px", centre_px, (None, 2))
     if order not in PARAMETERS:
@@ -298,13 +318,13 @@ def prepare_reference(spline: Spline, centre_px: FloatArray, radius_px: int, ord
         floor = np.maximum(slope_noise_gain(spline.degree) * noise2[usable], SMALLEST_NOISE * energy[usable] / size)
         hessian, removed[usable] = _hessians(square[status[part] == TrackStatus.OK], energy[usable], radius_px, order)
         if order < 2:
-            known, inverse[usable], variance[usable] = _invert(hessian, floor, extent)
+            determined, inverse[usable], variance[usable] = _invert(hessian, floor, extent)
         else:
-            known, plain[usable], plain_variance[usable] = _invert(hessian[:, :6, :6], floor, extent[:3])
+            determined, plain[usable], plain_variance[usable] = _invert(hessian[:, :6, :6], floor, extent[:3])
             chance = float(np.sqrt(parameters / size))
             carried, inverse[usable], variance[usable] = _invert(hessian, floor, extent, chance)
             status[usable[~carried]] = TrackStatus.UNRESOLVED
-        status[usable[~known]] = TrackStatus.FLAT
+        status[usable[~determined]] = TrackStatus.FLAT
     gain = noise_gain(centre_px[:, 0], spline.degree) * noise_gain(centre_px[:, 1], spline.degree)
     affine = None
     subsets, ends = (centre_px, radius_px, pixels, mean, energy), (gain, noise2, status)
@@ -314,23 +334,27 @@ def prepare_reference(spline: Spline, centre_px: FloatArray, radius_px: int, ord
 
 
 def shape_values(offsets: FloatArray, order: int) -> FloatArray:
-    """Values (m/2,P) of one coordinate's shape functions at offsets (P,2): 1; dx, dy; dx²/2, dx dy, dy²/2."""
+    """Return values (m/2, P) of one coordinate's shape functions at offsets (P, 2).
+
+    1; dx, dy; dx²/2, dx dy, dy²/2.
+    """
     x, y = offsets.T
     values: FloatArray = np.stack([np.ones_like(x), x, y, x * x / 2.0, x * y, y * y / 2.0])
     return values[: PARAMETERS[order] // 2]
 
 
 def subset_offsets(radius_px: int) -> FloatArray:
-    """Pixels (P,2) of a subset relative to its centre, row by row."""
+    """Return the pixels (P, 2) of a subset relative to its centre, row by row."""
     line = np.arange(-radius_px, radius_px + 1, dtype=np.float64)
     rows, columns = np.meshgrid(line, line, indexing="ij")
     return np.column_stack([columns.ravel(), rows.ravel()])
 
 
 def _pixel_noise(spline: Spline, centre_px: FloatArray, radius_px: int) -> FloatArray:
-    """Standard deviation (N,) of white noise in each subset, from the median of mixed third differences of its pixels.
+    """Return the standard deviation (N,) of white noise in each subset.
 
-    The differences (1 −3 3 −1) in x and y suppress texture of a few pixels' size; |·| has the median 0.6745 · 20 σ.
+    From the median of mixed third differences of its pixels. The differences (1 −3 3 −1) in x and y suppress texture of
+    a few pixels' size; |·| has the median 0.6745 · 20 σ.
     """
     fine, side = np.abs(third_differences(spline)), 2 * radius_px - 2
     corner = np.rint(np.nan_to_num(centre_px, nan=-1e6)).astype(np.int64) - radius_px
@@ -345,12 +369,15 @@ def _pixel_noise(spline: Spline, centre_px: FloatArray, radius_px: int) -> Float
 
 
 def _parts(which: IntArray) -> list[IntArray]:
-    """Indices of subsets, as many at a time as are quickly at hand."""
+    """Return indices of subsets in parts that fit into the processor's cache."""
     return np.array_split(which, range(CHUNK, len(which), CHUNK))
 
 
 def _hessians(pixels: FloatArray, energy: FloatArray, radius_px: int, order: int) -> tuple[FloatArray, FloatArray]:
-    """Hessians (n,m,m) of the steepest-descent images without their mean and part along f̃, and these (n,2,m)."""
+    """Return Hessians (n,m,m) of the projected steepest-descent images, and the projections (n,2,m).
+
+    Removed from the images are their mean and their part along f̃.
+    """
     count, size, half = len(pixels), pixels.shape[2], PARAMETERS[order] // 2
     shapes, powers = _powers(max(order, 1)), _powers(2 * max(order, 1))
     sums = np.empty((count, 3 * len(powers) + 4 * len(shapes)))
@@ -373,16 +400,18 @@ def _hessians(pixels: FloatArray, energy: FloatArray, radius_px: int, order: int
 def _invert(
     hessian: FloatArray, slope_noise2: FloatArray, extent: FloatArray, chance: float = 0.0
 ) -> tuple[BoolArray, FloatArray, FloatArray]:
-    """Whether anything is determined (n,), inverse Hessians (n,m,m) of it, variances (n,2,2) of the translation.
+    """Return whether a subset is determined (n,), inverse Hessians (n, m, m), and position variances.
 
-    With `chance`, c = √(m/P): whether everything is determined. Directions are the least determined, too, because noise
-    happens to add little to them, 1 − 2c instead of 1, and to cancel texture, by c·√(μ−1): so much is not taken off.
+    The variances (n, 2, 2) are those of the translation. Without `chance` one determined direction is enough. With
+    `chance`, c = √(m/P), all directions must be determined. The least determined directions are so partly by chance:
+    noise happens to add little to them, 1 − 2c instead of 1, and to cancel texture, by c·√(μ−1). The subtraction is
+    reduced by that.
     """
     extents = np.concatenate([extent[:3], extent[:3], extent[3:], extent[3:]])
     scale = 1.0 / np.sqrt(slope_noise2[:, None] * extents)
     ratio, vectors = np.linalg.eigh(hessian * scale[:, :, None] * scale[:, None, :])
     directions = vectors * scale[:, :, None]
-    limit = CURVED_MARGIN * (1.0 + chance) ** 2 if chance else LEAST_RATIO
+    limit = CURVED_MARGIN * (1.0 + chance) ** 2 if chance else MIN_RATIO
     share = 1.0 - chance * (2.0 + np.sqrt(np.maximum(ratio - 1.0, 0.0)))
     clear = ratio > limit
     weights = np.where(clear, 1.0 / (np.maximum(ratio, limit) - share), 0.0)
@@ -390,6 +419,6 @@ def _invert(
     translation = directions[:, [0, min(3, len(extent))]]
     spread = ratio / np.maximum(ratio - share, SMALLEST_EXCESS) ** 2
     variance = (translation * spread[:, None, :]) @ np.swapaxes(translation, 1, 2)
-    known = np.asarray(clear.all(axis=1) if chance else clear.any(axis=1), dtype=np.bool_)
-    inverse[~known], variance[~known] = np.nan, np.nan
-    return known, inverse, variance
+    determined = np.asarray(clear.all(axis=1) if chance else clear.any(axis=1), dtype=np.bool_)
+    inverse[~determined], variance[~determined] = np.nan, np.nan
+    return determined, inverse, variance

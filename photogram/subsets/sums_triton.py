@@ -1,7 +1,7 @@
-"""Sums over the pixels of warped squares on a GPU, in one kernel: `icgn_torch.square_sums` by Triton.
+"""Sums over the pixels of warped squares on a GPU, in one Triton kernel.
 
-A program takes one square. Grey values, for which `icgn_torch.sample` writes every pixel's weights to memory, stay in
-registers: a square reads its pixels once, and pictures' coefficients from the cache.
+A program computes one square of `icgn_torch.square_sums`. Grey values stay in registers, whereas `icgn_torch.sample`
+writes every pixel's weights to memory. A square reads its pixels once, and the coefficients from the cache.
 """
 
 from __future__ import annotations
@@ -18,12 +18,12 @@ from photogram.subsets.icgn_torch import Pairs, Squares, TorchSplines, basis_pol
 if TYPE_CHECKING:
     from torch import Tensor
 
-BLOCK = 128
+BLOCK = 128  # pixels at a time: four warps
 
 
 @triton.jit
 def _weight(t, which: tl.constexpr, TAPS: tl.constexpr, BASIS: tl.constexpr):  # type: ignore[no-untyped-def]
-    """B-spline `which` of those that reach the offsets t in [0,1): a row of `basis_polynomials`."""
+    """B-spline `which` at the offsets t in [0, 1): a row of `basis_polynomials`."""
     value = tl.zeros_like(t) + BASIS[(TAPS - 1) * TAPS + which]
     for k in tl.static_range(TAPS - 1):
         value = value * t + BASIS[(TAPS - 2 - k) * TAPS + which]
@@ -32,7 +32,10 @@ def _weight(t, which: tl.constexpr, TAPS: tl.constexpr, BASIS: tl.constexpr):  #
 
 @triton.jit
 def _interpolated(near, width, t, s, inside, TAPS: tl.constexpr, BASIS: tl.constexpr):  # type: ignore[no-untyped-def]
-    """Grey values at the offsets t along x and s along y from pixels whose first coefficients are at `near`."""
+    """Grey values at the offsets t along x and s along y.
+
+    near: the first coefficients of the pixels.
+    """
     grey = tl.zeros_like(t)
     for j in tl.static_range(TAPS):
         line = tl.zeros_like(t)
@@ -55,7 +58,10 @@ def _shape_functions(dx, dy, ROWS: tl.constexpr):  # type: ignore[no-untyped-def
 
 @triton.jit
 def _stretched(slopes, curvatures, dx, dy, SHAPES: tl.constexpr):  # type: ignore[no-untyped-def]
-    """What the slopes u_x, u_y of a warp and, of six shapes, its curvatures u_xx, u_xy, u_yy add to a shift."""
+    """Shift by the slopes u_x, u_y of a warp and, of six shapes, its curvatures.
+
+    The curvatures are u_xx, u_xy, u_yy.
+    """
     shift = tl.load(slopes).to(tl.float32) * dx + tl.load(slopes + 1).to(tl.float32) * dy
     if SHAPES == 6:
         shift += tl.load(curvatures).to(tl.float32) * (0.5 * dx * dx) + tl.load(curvatures + 1).to(tl.float32) * dx * dy
@@ -85,13 +91,13 @@ def _sums_of_square(  # type: ignore[no-untyped-def]
     pair = tl.program_id(0).to(tl.int64)
     if tl.load(alive + pair) == 0:
         return
-    own = tl.load(square + pair)
+    index = tl.load(square + pair)
     warp += 2 * SHAPES * pair
-    pixels += LAYERS * COUNT * own
-    across, down = tl.load(centre + 2 * own) + tl.load(warp), tl.load(centre + 2 * own + 1) + tl.load(warp + 3)
-    column, row = tl.floor(across), tl.floor(down)  # places in float32 are relative to this pixel, good to 1e-6 px
+    pixels += LAYERS * COUNT * index
+    across, down = tl.load(centre + 2 * index) + tl.load(warp), tl.load(centre + 2 * index + 1) + tl.load(warp + 3)
+    column, row = tl.floor(across), tl.floor(down)  # positions in float32 are relative to this pixel, to 1e-6 px
     corner = (tl.load(frame + pair) * height + row.to(tl.int64)) * width + column.to(tl.int64)
-    level = tl.load(mean + own).to(tl.float32)
+    level = tl.load(mean + index).to(tl.float32)
     total, square_sum, product = (tl.zeros((BLOCK,), tl.float64),) * 3
     along, steep = (tl.zeros((ROWS, BLOCK), tl.float64),) * 2
     for begin in range(0, COUNT, BLOCK):
@@ -103,16 +109,20 @@ def _sums_of_square(  # type: ignore[no-untyped-def]
         left, top = tl.floor(x), tl.floor(y)
         near = coefficients + corner + top.to(tl.int64) * width + left.to(tl.int64)
         grey = tl.where(inside, _interpolated(near, width, x - left, y - top, inside, TAPS, BASIS) - level, 0.0)
-        here = pixels + pixel
+        pointer = pixels + pixel
         weighted = grey
         if LAYERS == 4:
-            weighted = grey * tl.load(here, mask=inside, other=0.0)
+            weighted = grey * tl.load(pointer, mask=inside, other=0.0)
         total += weighted.to(tl.float64)
         square_sum += (weighted * grey).to(tl.float64)
-        product += (grey * tl.load(here + (LAYERS - 3) * COUNT, mask=inside, other=0.0)).to(tl.float64)
+        product += (grey * tl.load(pointer + (LAYERS - 3) * COUNT, mask=inside, other=0.0)).to(tl.float64)
         shape = _shape_functions(dx, dy, ROWS)
-        along += (shape * (grey * tl.load(here + (LAYERS - 2) * COUNT, mask=inside, other=0.0))[None, :]).to(tl.float64)
-        steep += (shape * (grey * tl.load(here + (LAYERS - 1) * COUNT, mask=inside, other=0.0))[None, :]).to(tl.float64)
+        along += (shape * (grey * tl.load(pointer + (LAYERS - 2) * COUNT, mask=inside, other=0.0))[None, :]).to(
+            tl.float64
+        )
+        steep += (shape * (grey * tl.load(pointer + (LAYERS - 1) * COUNT, mask=inside, other=0.0))[None, :]).to(
+            tl.float64
+        )
     sums += (3 + 2 * SHAPES) * pair
     tl.store(sums, tl.sum(total))
     tl.store(sums + 1, tl.sum(square_sum))
@@ -123,11 +133,11 @@ def _sums_of_square(  # type: ignore[no-untyped-def]
 
 
 def square_sums(squares: Squares, frames: TorchSplines, pairs: Pairs, alive: Tensor, sums: Tensor) -> None:
-    """Write the sums of the pairs that are alive (n,) into sums (n,3+2s)."""
+    """Write the sums of the pairs that are alive (n,) into sums (n, 3+2s)."""
     if not len(sums):
         return
     _, height, width = frames.coefficients.shape
-    first = PADDING_PX - frames.degree // 2  # of the coefficients that reach a pixel, as against the pixel's own place
+    first = PADDING_PX - frames.degree // 2  # offset of the first coefficient that reaches a pixel
     _sums_of_square[(len(sums),)](
         (frames.coefficients.view(-1)[first * (width + 1) :], height, width),
         (squares.pixels, squares.centre_px, squares.mean),

@@ -1,4 +1,4 @@
-"""What an image offers to subsets: textured area, grid, speckle size, expected σ, bias of unresolved texture."""
+"""Texture of an image for subsets: area, grid, speckle size, expected σ, bias."""
 
 from __future__ import annotations
 
@@ -13,28 +13,29 @@ from photogram.arrays import Arrays, BoolArray, FloatArray, check_shape
 from photogram.images.noise import NoiseModel
 from photogram.subsets.reference import ReferenceSubsets, TrackStatus
 from photogram.subsets.search import score_peaks
+from photogram.subsets.subset_notices import UNRESOLVED_TEXTURE, UNUSED_SUBSETS
 from shakercal._common.notices import Notice
 
 Image = NDArray[Any]
-COARSE_WINDOW_PX = 9
-FINE_WINDOW_PX = 5
-RIM_PX = 6
-CLEAR_SEPARATION = 3.0
-SMALLEST_SHARE = 0.2
-TILE_PX = 32
-FINE_TEXTURE = 0.4
-SATURATED_SHARE = 0.01
-REPEAT_SEEDS, REPEAT_ZNCC = 12, 0.75
-MOST_STEPS = 8  # of a pattern that repeats, to its nearest copies
+COARSE_WINDOW_PX = 9  # two usual speckles
+FINE_WINDOW_PX = 5  # one usual speckle
+RIM_PX = 6  # 2 px reach of the fine window, 4 px blurred rim
+CLEAR_SEPARATION = 3.0  # factor between the contrasts of body and background
+SMALLEST_SHARE = 0.2  # of the largest part's pixels, for a part of the body
+TILE_PX = 32  # of spectra: several speckles, many tiles
+FINE_TEXTURE = 0.4  # cycles per pixel, next to the Nyquist frequency
+SATURATED_SHARE = 0.01  # of a subset's pixels, which biases it by less than noise
+REPEAT_SEEDS, REPEAT_ZNCC = 12, 0.75  # subsets that are examined; correlation of a copy between two pixels
+MAX_STEPS = 8  # displacements to the nearest copies of a pattern
 
 
 def textured_area(image: Image) -> BoolArray:
-    """Pixels (H,W) of the speckled body: background without texture and the body's rim are left out.
+    """Return the pixels (H, W) of the speckled body, without background and rim.
 
     The local standard deviation (9 x 9 px) is split by Otsu's threshold on its logarithm (Otsu 1979, IEEE Trans. Syst.
-    Man Cybern. 9, 62) and holes are closed. A window of 5 x 5 px draws the outline within the last 9 px; 6 px are taken
-    off it: 2 for the window's reach, 4 for the blurred rim. An image whose classes differ by less than a factor of 3 is
-    textured everywhere.
+    Man Cybern. 9, 62) and holes are closed. A window of 5 x 5 px refines the outline within the last 9 px; 6 px are
+    removed from it: 2 for the window's reach, 4 for the blurred rim. An image whose classes differ by less than a
+    factor of 3 is textured everywhere.
     """
     import cv2
 
@@ -54,10 +55,11 @@ def textured_area(image: Image) -> BoolArray:
 
 
 def lay_grid(area: BoolArray, radius_px: int, step_px: int) -> FloatArray:
-    """Centres (N,2) of square subsets that lie wholly in `area` (H,W), as many as rows of subsets can hold.
+    """Return centres (N,2) of as many square subsets as fit wholly into `area` (H,W).
 
-    In each row subsets are set from left to right at least `step_px` apart; the heights of the rows, as far apart, are
-    those with the largest total (dynamic programming), so that round bodies are covered to their edge.
+    In each row subsets are placed from left to right at least `step_px` from each other. The heights of the rows, with
+    the same distance, are those with the largest total (dynamic programming), so that round bodies are covered to their
+    edge.
     """
     import cv2
 
@@ -88,7 +90,10 @@ def lay_grid(area: BoolArray, radius_px: int, step_px: int) -> FloatArray:
 
 
 def subset_mean(values: Image, points_px: FloatArray, radius_px: int) -> FloatArray:
-    """Mean (N,) of values (H,W) over the subsets around points_px (N,2), rounded to pixels; beyond the image 0."""
+    """Return the mean (N,) of values (H, W) over subsets around points_px (N, 2).
+
+    Points are rounded to pixels. Beyond the image values are 0.
+    """
     height, width = values.shape
     sums = np.zeros((height + 1, width + 1))
     sums[1:, 1:] = np.cumsum(np.cumsum(values, axis=0, dtype=np.float64), axis=1)
@@ -100,14 +105,17 @@ def subset_mean(values: Image, points_px: FloatArray, radius_px: int) -> FloatAr
 
 
 def find_saturated(image: Image, full_scale: int, points_px: FloatArray, radius_px: int) -> BoolArray:
-    """Which subsets around points_px (N,2) have more than 1 % of their pixels at full scale."""
+    """Return which subsets have more than 1 % of pixels at full scale.
+
+    The subsets are around points_px (N, 2).
+    """
     if image.max() < full_scale:
         return np.zeros(len(points_px), dtype=np.bool_)
     return np.asarray(subset_mean(image >= full_scale, points_px, radius_px) > SATURATED_SHARE)
 
 
 def drop_saturated(reference: ReferenceSubsets, image: Image, full_scale: int) -> ReferenceSubsets:
-    """`reference` without NaN centres and without subsets that are saturated in it."""
+    """Return `reference` without NaN centres and saturated subsets."""
     absent = ~np.isfinite(reference.centre_px).all(axis=1)
     full = find_saturated(image, full_scale, reference.centre_px, reference.radius_px)
     status = np.where(full, np.int8(TrackStatus.SATURATED), reference.status)
@@ -115,14 +123,15 @@ def drop_saturated(reference: ReferenceSubsets, image: Image, full_scale: int) -
 
 
 def speckle_size(image: Image, area: BoolArray) -> float:
-    """Speckle size in px: full width at half maximum of the texture's autocorrelation inside `area` (H,W).
+    """Return the speckle size in px inside `area` (H, W).
 
-    The value at lag 0, raised by noise, is replaced by the Gaussian through lags 1 and 2 where that is lower; between
-    lags, too, the logarithm is taken as linear in the squared lag.
+    It is the full width at half maximum of the texture's autocorrelation. The value at lag 0, raised by noise, is
+    replaced by the Gaussian through lags 1 and 2 where that is lower. Between lags the logarithm is linear in the
+    squared lag.
     """
     check_shape("area", area, image.shape)
     grey, inside = image.astype(np.float64), area.astype(np.float64)
-    background, weight = _spread(np.where(area, grey, 0.0)), _spread(inside)
+    background, weight = _blurred(np.where(area, grey, 0.0)), _blurred(inside)
     texture = np.where(area, grey - background / np.maximum(weight, 1e-9), 0.0)
     count = min(TILE_PX, min(image.shape) // 2)
 
@@ -147,44 +156,44 @@ def speckle_size(image: Image, area: BoolArray) -> float:
 
 
 def repeat_px(image: Image, points_px: FloatArray, radius_px: int) -> float:
-    """Distance in px at which the pattern of image (H,W) repeats; NaN where it does not.
+    """Return the distance in px at which the pattern repeats, NaN if it does not.
 
-    Of some of the subsets at points_px (N,2), the median distance to the nearest copy, if a third of them have one, and
-    at the same distance.
+    It is the median distance to the nearest copy of some of the subsets at points_px (N, 2). A third of them must have
+    a copy at the same distance.
     """
     copies = _copies_px(image, points_px, radius_px)
     nearest = [float(np.hypot(*each.T).min()) if len(each) else np.inf for each in copies]
-    known = np.array([distance for distance in nearest if np.isfinite(distance)])
-    if len(known) < max(2, len(nearest) / 3):
+    finite = np.array([distance for distance in nearest if np.isfinite(distance)])
+    if len(finite) < max(2, len(nearest) / 3):
         return float("nan")
-    middle = float(np.median(known))
-    alike = np.count_nonzero(np.abs(known - middle) <= 0.1 * middle)
-    return middle if alike >= len(nearest) / 3 else float("nan")
+    middle = float(np.median(finite))
+    similar = np.count_nonzero(np.abs(finite - middle) <= 0.1 * middle)
+    return middle if similar >= len(nearest) / 3 else float("nan")
 
 
 def repeat_steps_px(image: Image, points_px: FloatArray, radius_px: int) -> FloatArray:
-    """Displacements (K,2) in px, shortest first, by which a third of the subsets find copies in either direction."""
+    """Return displacements (K,2) in px, shortest first, at which a third of the subsets repeat."""
     copies = _copies_px(image, points_px, radius_px)
     steps: list[FloatArray] = []
     for step in sorted(np.concatenate([*copies, np.empty((0, 2))]), key=lambda each: float(np.hypot(*each))):
-        apart = 0.1 * np.hypot(*step)
-        if any(np.hypot(*(step - known)) <= 2.0 * apart for known in steps):
+        tolerance = 0.1 * np.hypot(*step)
+        if any(np.hypot(*(step - earlier)) <= 2.0 * tolerance for earlier in steps):
             continue
-        near = [np.hypot(*(sign * each - step).T) <= apart for each in copies for sign in (1.0, -1.0)]
+        near = [np.hypot(*(sign * each - step).T) <= tolerance for each in copies for sign in (1.0, -1.0)]
         if (
             sum(first.any() or second.any() for first, second in zip(near[::2], near[1::2], strict=True))
             >= len(copies) / 3
         ):
             steps += [step, -step]
-        if len(steps) >= MOST_STEPS:
+        if len(steps) >= MAX_STEPS:
             break
     return np.array(steps).reshape(-1, 2)
 
 
 def _copies_px(image: Image, points_px: FloatArray, radius_px: int) -> list[FloatArray]:
-    """Of some of the subsets at points_px (N,2), where in image (H,W) copies of it are, as displacements (K,2) in px.
+    """Return displacements (K,2) in px to the copies of some of the subsets.
 
-    Places elsewhere in the whole image with a zero-normalised correlation above 0.75.
+    Copies are other positions in image (H, W) with a zero-normalised correlation above 0.75.
     """
     import cv2
 
@@ -193,16 +202,17 @@ def _copies_px(image: Image, points_px: FloatArray, radius_px: int) -> list[Floa
     inside = points_px[((points_px >= radius_px) & (points_px < np.array(grey.shape[::-1]) - radius_px)).all(axis=1)]
     for x, y in np.rint(inside[:: max(1, len(inside) // REPEAT_SEEDS)][:REPEAT_SEEDS]).astype(np.int64) - radius_px:
         score = cv2.matchTemplate(grey, grey[y : y + side, x : x + side], cv2.TM_CCOEFF_NORMED)
-        away = score_peaks(score, REPEAT_ZNCC) - np.array([x, y], dtype=np.float64)
-        copies.append(away[np.hypot(*away.T) > radius_px])
+        displacement = score_peaks(score, REPEAT_ZNCC) - np.array([x, y], dtype=np.float64)
+        copies.append(displacement[np.hypot(*displacement.T) > radius_px])
     return copies
 
 
 def fine_texture_share(image: Image, area: BoolArray, noise_grey: float) -> float:
-    """Share of the texture's power beyond 0.4 cycles per pixel in x or y, noise taken off; 0 where all is resolved.
+    """Return the share of the texture's power beyond 0.4 cycles per pixel, noise subtracted.
 
-    Mean periodogram of tiles of 32 x 32 px side by side in `area`. Texture that still has power next to the Nyquist
-    frequency has some beyond it too, folded back: it moves unlike the body and makes errors periodic in the pixel.
+    Mean periodogram of adjacent tiles of 32 x 32 px in `area`; 0 where all texture is resolved. Texture that still has
+    power next to the Nyquist frequency also has some beyond it, aliased. The aliased part moves differently from the
+    body and makes errors periodic in the pixel.
     """
     density = _periodogram(image, area, TILE_PX)
     if density is None:
@@ -214,7 +224,7 @@ def fine_texture_share(image: Image, area: BoolArray, noise_grey: float) -> floa
 
 
 def _textured(image: Image, window_px: int) -> BoolArray | None:
-    """Pixels of high local contrast; None where contrast does not fall into two classes."""
+    """Return pixels of high local contrast, None where contrast has no two classes."""
     import cv2
     from skimage.filters import threshold_otsu
 
@@ -232,7 +242,7 @@ def _textured(image: Image, window_px: int) -> BoolArray | None:
 
 
 def _closed(mask: BoolArray, radius_px: int) -> BoolArray:
-    """The mask with gaps and holes filled; what lies beyond the image is empty, so that no wedge is filled there."""
+    """Return the mask with gaps and holes filled; beyond the image it is empty."""
     import cv2
 
     closed = _morphed(np.pad(mask, 2 * radius_px), "CLOSE", radius_px).astype(np.uint8)
@@ -241,7 +251,7 @@ def _closed(mask: BoolArray, radius_px: int) -> BoolArray:
 
 
 def _morphed(mask: BoolArray, operation: str, radius_px: int) -> BoolArray:
-    """The mask after OpenCV's `operation` with a disc; the image's border is no outline."""
+    """Return the mask after OpenCV's `operation` with a disc; the image's border is no outline."""
     import cv2
 
     size = 2 * radius_px + 1
@@ -250,13 +260,16 @@ def _morphed(mask: BoolArray, operation: str, radius_px: int) -> BoolArray:
 
 
 def _lagged_products(values: FloatArray, lag: int) -> float:
-    """Σ v(x)·v(x+lag) over rows and columns."""
+    """Return Σ v(x)·v(x+lag) over rows and columns."""
     both = (values, values.T)
     return float(sum(np.einsum("ij,ij->", part[lag:], part[: len(part) - lag]) for part in both))
 
 
-def _spread(values: FloatArray) -> FloatArray:
-    """Values blurred as by a Gaussian of σ = 32 px: three box means (Wells 1986, IEEE Trans. PAMI 8, 234)."""
+def _blurred(values: FloatArray) -> FloatArray:
+    """Blur values as by a Gaussian of σ = 32 px: three box means.
+
+    Wells 1986, IEEE Trans. PAMI 8, 234.
+    """
     import cv2
 
     for _ in range(3):
@@ -264,17 +277,17 @@ def _spread(values: FloatArray) -> FloatArray:
     return values
 
 
-# What to expect of subsets before they are tracked.
+# Expected precision of subsets before they are tracked.
 
-USUAL_RADIUS_PX = 10
-SMALLEST_RADIUS_PX, LARGEST_RADIUS_PX = 7, 25
-FEWEST_SPECKLES, MOST_SPECKLES = 4.2, 5.25
-SMALLEST_SPECKLE_PX = 3.0
-LARGEST_BIAS_PX = 5e-4
+USUAL_RADIUS_PX = 10  # for speckle of 4 to 5 px
+SMALLEST_RADIUS_PX, LARGEST_RADIUS_PX = 7, 25  # for noise and aliasing, and for the rim of the body
+FEWEST_SPECKLES, MOST_SPECKLES = 4.2, 5.25  # across a subset, measured: see `default_radius_px`
+SMALLEST_SPECKLE_PX = 3.0  # iDICs Good Practices Guide: 3 to 5 px
+LARGEST_BIAS_PX = 5e-4  # of the mean of all subsets, of the order of its noise
 STEEP = 0.25  # cycles per pixel from which on the decay of the spectrum is fitted
-CORNER = 0.4
-RIM_EXPONENT = 2.0
-SCATTER = 0.2
+CORNER = 0.4  # cycles per pixel in x and y, beyond which the spectrum is mainly noise
+RIM_EXPONENT = 2.0  # of the spectrum of sharp rims
+SCATTER = 0.2  # relative, of a periodogram's bins, for weights
 DECAYS = np.concatenate([[0.0], np.geomspace(0.5, 400.0, 120)])
 REASONS = {
     TrackStatus.FLAT: "without texture",
@@ -287,11 +300,13 @@ REASONS = {
 
 @dataclass(frozen=True, eq=False, repr=False)
 class SubsetQuality(Arrays, shapes="predicted_sigma_px N 2; noise_grey N; status N"):
-    """Expected standard deviation of x and y of N subsets in one frame, and which of them are of no use.
+    """Expected standard deviation of the positions of N subsets in one frame.
 
-    predicted_sigma_px (N,2), NaN where the subset is unusable; noise_grey (N,): rms noise of the pixels that carry the
-    position; status (N,) of `TrackStatus`: `OK`, `FLAT`, `SATURATED`, `LEFT_IMAGE`, `NO_START`
-    or `UNRESOLVED`.
+    Attributes
+    ----------
+    predicted_sigma_px : (N, 2) of x and y, NaN where the subset is unusable.
+    noise_grey : (N,) rms noise of the pixels that determine the position.
+    status : (N,) of `TrackStatus`: `OK`, `FLAT`, `SATURATED`, `LEFT_IMAGE`, `NO_START` or `UNRESOLVED`.
     """
 
     predicted_sigma_px: FloatArray
@@ -300,24 +315,24 @@ class SubsetQuality(Arrays, shapes="predicted_sigma_px N 2; noise_grey N; status
 
     @property
     def usable(self) -> BoolArray:
-        """Which subsets are worth tracking."""
+        """Which subsets can be tracked."""
         return np.asarray(self.status == TrackStatus.OK)
 
     def notices(self, where: str) -> tuple[Notice, ...]:
-        """A remark on `where` that counts the unusable subsets by reason, if there are any."""
+        """Return a notice of `where` that counts the unusable subsets by reason."""
         lost = [(int(np.sum(self.status == status)), reason) for status, reason in REASONS.items()]
         parts = [f"{count} {reason}" for count, reason in lost if count > 0]
         if not parts:
             return ()
-        text = f"{np.sum(~self.usable)} of {len(self.status)} subsets are not used: {', '.join(parts)}"
-        return (Notice("note", text, where),)
+        unused, reasons = int(np.sum(~self.usable)), ", ".join(parts)
+        return (Notice(UNUSED_SUBSETS, where, unused=unused, subsets=len(self.status), reasons=reasons),)
 
 
 def assess_subsets(reference: ReferenceSubsets, image: Image, noise: NoiseModel, full_scale: int) -> SubsetQuality:
-    """What the subsets of `reference`, prepared from `image` (H,W), will yield in any frame of a camera's noise model.
+    """Predict the precision of the subsets of `reference`, prepared from `image` (H, W).
 
-    σᵢ² = Vᵢᵢ · Σ fᵢ²·s²(f) / Σ fᵢ² with V the `position_variance` per unit noise (affine map, gain and offset free), fᵢ
-    the gradient along x or y, and s² the noise model: noise counts where the gradients are.
+    σᵢ² = Vᵢᵢ · Σ fᵢ²·s²(f) / Σ fᵢ²: noise counts where the gradients are. V is the `position_variance` per unit noise
+    (affine map, gain and offset free), fᵢ the gradient along x or y, and s² the camera's noise model.
     """
     check_shape("image", image, (None, None))
     grey = image.astype(np.float64)
@@ -334,10 +349,11 @@ def assess_subsets(reference: ReferenceSubsets, image: Image, noise: NoiseModel,
 
 
 def default_radius_px(speckle_px: float) -> int:
-    """Radius, as near to 10 px as can be, of a subset 4.2 to 5.25 speckles wide, at least 7 and at most 25 px.
+    """Return the radius of a subset 4.2 to 5.25 speckles wide, in px.
 
-    Fewer speckles leave too little for affine map, gain and offset; more give no more of a rigid body than smaller
-    subsets together, and leave more of its rim uncovered. An unknown size (NaN) gives 10.
+    It is at least 7 and at most 25 px. It is as near to 10 px as possible. Fewer speckles do not determine affine map,
+    gain and offset. With more speckles a rigid body gains no precision over smaller subsets together, and more of its
+    rim stays uncovered. An unknown size (NaN) gives 10.
     """
     if not np.isfinite(speckle_px):
         return USUAL_RADIUS_PX
@@ -348,15 +364,16 @@ def default_radius_px(speckle_px: float) -> int:
 
 
 def suggested_radius_px(image: Image) -> int:
-    """`default_radius_px` of the speckle size found in the textured area of image (H,W)."""
+    """Return `default_radius_px` of the speckle size in the textured area of image (H, W)."""
     return default_radius_px(speckle_size(image, textured_area(image)))
 
 
 @dataclass(frozen=True)
 class AliasingBias:
-    """Amplitude in px of the position error that is periodic in the pixel, the larger one of x and y.
+    """Amplitude in px of the position error that is periodic in the pixel.
 
-    mean_px: of all subsets together, as long as their displacements are equal; subset_px: of one subset, rms.
+    The larger one of x and y. mean_px: of the mean of all subsets while their displacements are equal; subset_px: of
+    one subset, rms.
     """
 
     mean_px: float
@@ -364,19 +381,20 @@ class AliasingBias:
 
 
 def aliasing_bias(image: Image, area: BoolArray, noise_grey: float, radius_px: int, degree: int = 5) -> AliasingBias:
-    """Error of subsets of `image` (H,W) in `area` (H,W) that sampling and spline interpolation bring; NaN if no room.
+    """Return the error of subsets in `area` (H, W) due to sampling and spline interpolation.
 
-    Texture of frequency ν along x, shifted by u, is found by a spline at a pixel shifted by u as
-    F(ν)·[1 + W·(e^{∓2πju} − 1)]: W(ν) = H(ν−1), H the frequency response of the cardinal spline (Unser 1999, IEEE
-    Signal Process. Mag. 16(6), 22), goes from 0 below Nyquist (images left by the spline) to 1 above it (aliases). The
-    error e moves a subset by δ = Σ fₓe/Σ fₓ². With the spline's derivative D(ν) and the spectrum P the mean over
-    subsets is B·sin 2πu, B = ∫P·W·D/∫P·D² over 0 < ν < 1, of whose parts below and above Nyquist, of opposite signs,
-    the larger is taken. A subset of n pixels has beside it the rms
-    amplitude √(2∫∫P·D²·P·W²/n)/∫∫P·D².
+    NaN if `area` of `image` (H, W) is too small.
 
-    P beyond Nyquist is the folded part of the periodogram under the law A·ν⁻²·sinc²ν·exp(−cν²): rims of dots, pixel
-    aperture, lens blur, fitted from 0.25 cycles per pixel on. Noise is taken off, at most what the corners of the
-    two-dimensional spectrum show.
+    Texture of frequency ν along x, shifted by u, is found by a spline at a pixel shifted by u as F(ν)·[1 + W·(e^{∓2πju}
+    − 1)]: W(ν) = H(ν−1), H the frequency response of the cardinal spline (Unser 1999, IEEE Signal Process. Mag. 16(6),
+    22), goes from 0 below Nyquist (images left by the spline) to 1 above it (aliases). The error e moves a subset by δ
+    = Σ fₓe/Σ fₓ². With the spline's derivative D(ν) and the spectrum P, the mean over subsets is B·sin 2πu, B =
+    ∫P·W·D/∫P·D² over 0 < ν < 1. Its parts below and above Nyquist have opposite signs; the larger one is used. A subset
+    of n pixels adds the rms amplitude √(2∫∫P·D²·P·W²/n)/∫∫P·D².
+
+    P beyond Nyquist is the aliased part of the periodogram under the law A·ν⁻²·sinc²ν·exp(−cν²): rims of dots, pixel
+    aperture, lens blur, fitted from 0.25 cycles per pixel on. Noise is subtracted, at most the level at the corners of
+    the two-dimensional spectrum.
     """
     check_shape("area", area, image.shape)
     power = _periodogram(image, area, TILE_PX // 2)
@@ -393,24 +411,29 @@ def aliasing_bias(image: Image, area: BoolArray, noise_grey: float, radius_px: i
 def aliasing_notice(
     image: Image, area: BoolArray, noise_grey: float, speckle_px: float, bias: AliasingBias, where: str
 ) -> Notice | None:
-    """A warning about speckle that the camera cannot resolve: below 3 px, or with a mean bias beyond 0.5 mpx.
+    """Return a warning about speckle that the camera cannot resolve, None if it can.
 
-    `speckle_px`, `bias`: the `speckle_size` and the `aliasing_bias` of image (H,W) in `area` (H,W).
+    The limits are a speckle size of 3 px and a mean bias of 0.5 mpx. `speckle_px`, `bias`: the `speckle_size` and the
+    `aliasing_bias` of image (H, W) in `area` (H, W).
     """
     if not (speckle_px < SMALLEST_SPECKLE_PX or bias.mean_px > LARGEST_BIAS_PX):
         return None
     share = fine_texture_share(image, area, float(np.nan_to_num(noise_grey)))
-    text = (
-        f"texture is finer than the camera resolves (speckle of {speckle_px:.1f} px, {100 * share:.1f} % of its power "
-        f"beyond 0.4 cycles per pixel): positions may err by {bias.subset_px:.2g} px per subset and "
-        f"{bias.mean_px:.2g} px in the mean of all, periodic in the pixel, which appears as false harmonics of the "
-        "motion; use speckle of 4 to 5 px with soft rims or defocus slightly"
+    return Notice(
+        UNRESOLVED_TEXTURE,
+        where,
+        speckle_px=speckle_px,
+        share_percent=100 * share,
+        subset_bias_px=bias.subset_px,
+        mean_bias_px=bias.mean_px,
     )
-    return Notice("warning", text, where)
 
 
 def _periodogram(image: Image, area: BoolArray, step_px: int) -> FloatArray | None:
-    """Mean power density (32,32), in grey² (white noise: its variance), of Hann-windowed tiles `step_px` apart."""
+    """Return the mean power density (32, 32), in grey², of Hann-windowed tiles `step_px` apart.
+
+    That of white noise is its variance.
+    """
     half = TILE_PX // 2
     window = np.outer(np.hanning(TILE_PX + 1)[:-1], np.hanning(TILE_PX + 1)[:-1])
     centres = lay_grid(area, half, step_px).astype(np.int64)
@@ -424,11 +447,11 @@ def _periodogram(image: Image, area: BoolArray, step_px: int) -> FloatArray | No
 
 
 def _axis_bias(power: FloatArray, noise_power: float, pixels: int, degree: int) -> tuple[float, float]:
-    """Amplitudes of mean and single subset for a shift along the second axis of the power density."""
+    """Return amplitudes of mean and single subset for a shift along the second axis."""
     clean = np.maximum(power - noise_power, 0.0)
     along = np.mean(power, axis=0)[: TILE_PX // 2 + 1] - noise_power
     frequency = np.arange(TILE_PX // 2 + 1) / TILE_PX
-    folded = _folded_share(frequency, along, noise_power)
+    aliased = _aliased_share(frequency, along, noise_power)
     image, alias = _spline_response(frequency - 1.0, degree), _spline_response(-frequency, degree)
     # Slope of the spline through cos 2πνn at the pixels, relative to −sin 2πνn: Σ_k 2π(ν+k)·H(ν+k)
     terms = [2.0 * np.pi * (frequency + k) * _spline_response(frequency + k, degree) for k in range(-8, 9)]
@@ -438,17 +461,20 @@ def _axis_bias(power: FloatArray, noise_power: float, pixels: int, degree: int) 
     total = np.sum(count * along * slope**2)
     if total <= 0.0:
         return float("nan"), float("nan")
-    parts = np.array([np.sum(count * along * slope * w) for w in ((1.0 - folded) * image, folded * alias)])
+    parts = np.array([np.sum(count * along * slope * w) for w in ((1.0 - aliased) * image, aliased * alias)])
     mean = float(np.max(parts) / total)
     every = np.abs(np.rint(np.fft.fftfreq(TILE_PX) * TILE_PX)).astype(np.int64)
-    error = ((1.0 - folded) * image**2 + folded * alias**2)[every]
+    error = ((1.0 - aliased) * image**2 + aliased * alias**2)[every]
     steep = clean * slope[every] ** 2
     scattered = float(np.sqrt(2.0 * np.mean(steep * clean * error) / pixels) / np.mean(steep))
     return mean, float(np.hypot(mean, scattered))
 
 
-def _folded_share(frequency: FloatArray, along: FloatArray, noise_power: float) -> FloatArray:
-    """Share of the power at each frequency up to 0.5 that comes from 1 − frequency; zero below 0.25."""
+def _aliased_share(frequency: FloatArray, along: FloatArray, noise_power: float) -> FloatArray:
+    """Return the share of the power at each frequency that is aliased.
+
+    Frequencies go up to 0.5. The share is zero below 0.25.
+    """
     tail = frequency >= STEEP
     nu = frequency[tail]
     inside = np.exp(-np.multiply.outer(DECAYS, nu**2)) * nu**-RIM_EXPONENT * np.sinc(nu) ** 2
@@ -464,7 +490,7 @@ def _folded_share(frequency: FloatArray, along: FloatArray, noise_power: float) 
 
 
 def _spline_response(frequency: FloatArray, degree: int) -> FloatArray:
-    """Frequency response sinc^(n+1)(ν)/Σ_k sinc^(n+1)(ν+k) of the cardinal spline of degree n."""
+    """Return the frequency response sinc^(n+1)(ν)/Σ_k sinc^(n+1)(ν+k) of the spline of degree n."""
     power = degree + 1
     period: FloatArray = np.sum([np.sinc(frequency + k) ** power for k in range(-8, 9)], axis=0)
     return np.asarray(np.sinc(frequency) ** power / period)

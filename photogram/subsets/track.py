@@ -1,4 +1,4 @@
-"""Tracks of a grid of subsets: through time in one camera, and left to right."""
+"""Tracks of a grid of subsets through time, and from left to right."""
 
 from __future__ import annotations
 
@@ -30,6 +30,7 @@ from photogram.subsets.find import (
 from photogram.subsets.icgn import Registration, TrackSettings, position_covariance, subset_noise, subset_positions
 from photogram.subsets.reference import ReferenceSubsets, TrackStatus, prepare_reference
 from photogram.subsets.search import HISTORY, LARGEST_COEFFICIENT, predict_warp
+from photogram.subsets.subset_notices import LOST_SUBSETS, OFF_EPIPOLAR_LINES
 from photogram.subsets.sweep import TOLERANCE_PX
 from photogram.subsets.texture import (
     aliasing_bias,
@@ -46,18 +47,25 @@ from shakercal._common.notices import Notice
 
 Image = NDArray[Any]
 Progress = Callable[[int], None]
-OVERLAP = 0.95
-BORDER_PX = 5
-LARGEST_LOST_SHARE = 0.1
+OVERLAP = 0.95  # share of a subset that has to lie in the textured area of the right image
+BORDER_PX = 5  # in which the body may move without leaving the image
+LARGEST_LOST_SHARE = 0.1  # of the positions, above which a warning is given
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Tracks(Arrays, shapes="position_px F N 2; covariance_px2 F N 2 2; zncc F N; status F N; noise_grey N"):
-    """Subset centres through time: position_px (F,N,2), covariance_px2 (F,N,2,2), zncc (F,N), status (F,N).
+    """Subset centres through time; numbers are NaN where status is not `TrackStatus.OK`.
 
-    The covariance is that of the frame's own image noise; the reference frame's noise is one constant offset of the
-    whole series. Frame 0, whose positions are exact by definition, is given the covariance that it would have as any
-    other frame. noise_grey (N,): image noise at each subset. Where status is not `TrackStatus.OK`, numbers are NaN.
+    The covariance is that of the frame's image noise. The reference frame's noise is one constant offset of the whole
+    series. Frame 0, whose positions are exact by definition, has the covariance of a frame like it.
+
+    Attributes
+    ----------
+    position_px : (F, N, 2).
+    covariance_px2 : (F, N, 2, 2).
+    zncc : (F, N) zero-mean normalised cross-correlation.
+    status : (F, N) of `TrackStatus`.
+    noise_grey : (N,) image noise at each subset.
     """
 
     position_px: FloatArray
@@ -69,11 +77,18 @@ class Tracks(Arrays, shapes="position_px F N 2; covariance_px2 F N 2 2; zncc F N
 
 @dataclass(frozen=True, eq=False, repr=False)
 class StereoTracks(Arrays, shapes="cameras C; speckle_px C; noise_grey C; bias_px C"):
-    """One body seen by C cameras, two as a rule: the same N subsets in each, and what the images are like.
+    """The same N subsets of one body in C cameras, with image properties.
 
-    speckle_px (C,): speckle size, noise_grey (C,): image noise in grey values, bias_px (C,): amplitude of the error,
-    periodic in the pixel, that sampling and interpolation may leave in the mean of all subsets (`aliasing_bias`), NaN
-    where it cannot be told; of the left and the right camera, or of the only one, which counts as a left one.
+    The only camera counts as the left one.
+
+    Attributes
+    ----------
+    cameras : the tracks in each camera.
+    notices : of the cameras.
+    speckle_px : (C,) speckle size.
+    noise_grey : (C,) image noise in grey values.
+    bias_px : (C,) amplitude of the error, periodic in the pixel, that sampling and interpolation may leave in the mean
+        of all subsets (`aliasing_bias`); NaN where it is undetermined.
     """
 
     cameras: tuple[Tracks, ...]
@@ -100,7 +115,7 @@ class StereoTracks(Arrays, shapes="cameras C; speckle_px C; noise_grey C; bias_p
 
 @dataclass(frozen=True)
 class FollowedImage:
-    """One image, its spline, and where the subsets are in it."""
+    """One image with its spline and the registration of the subsets."""
 
     image: GreyImage
     spline: Spline
@@ -109,7 +124,7 @@ class FollowedImage:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class StereoGrid(Arrays):
-    """Subsets of one body in the first image of each camera: places (N,2), the textured areas (H,W), and remarks."""
+    """Centres (N,2) of subsets and textured areas (H,W) in the first images."""
 
     centres_px: tuple[FloatArray, ...]
     areas: tuple[BoolArray, ...]
@@ -117,21 +132,21 @@ class StereoGrid(Arrays):
 
     @property
     def left_px(self) -> FloatArray:
-        """Their places in the left camera, or in the only one."""
+        """Their centres in the left camera, or in the only one."""
         return self.centres_px[0]
 
     @property
     def right_px(self) -> FloatArray:
-        """Their places in the right camera of a pair."""
+        """Their centres in the right camera of a pair."""
         return self.centres_px[1]
 
 
 SplineFrame = tuple[Image, Spline]
-"""A picture and its spline."""
+"""An image and its spline."""
 
 
 def first_frame(sequence: ImageSequence, settings: TrackSettings) -> SplineFrame:
-    """The picture that stays the reference of a whole sequence."""
+    """Return the image that is the reference of a whole sequence, with its spline."""
     first = sequence.read(0)
     return first, spline_of_image(first, settings.degree)
 
@@ -145,11 +160,11 @@ def match_stereo(
     depth_m: DepthRange | None = None,
     splines: tuple[Spline, ...] | None = None,
 ) -> Tracks:
-    """Positions in the right image (F = 1) of the subsets centred at points_px (N,2) in the left image.
+    """Return positions in the right image of subsets at points_px (N,2) in the left.
 
-    With `rig` from its epipolar lines (`find_on_lines`, with `depth_m`); without it, or where no surface fits it, from
-    local affine maps of matched features, then from neighbours that were found. `splines`: of both, if at hand. Raises
-    `BodyNotFound` where the pattern repeats so that two surfaces fit as well.
+    With `rig` they are found along their epipolar lines (`find_on_lines`, within the depths `depth_m`). Without it, or
+    where no surface fits it, local affine maps of matched features lead to them, then neighbours that were found.
+    `splines`: of both images. Raises `BodyNotFound` where two surfaces fit equally.
     """
     check_shape("points_px", points_px, (None, 2))
     splines = splines or tuple(spline_of_image(image, settings.degree) for image in (left_image, right_image))
@@ -168,9 +183,9 @@ def match_stereo(
 def prepare_sequence(
     sequence: ImageSequence, points_px: FloatArray, settings: TrackSettings, frame: SplineFrame | None = None
 ) -> ReferenceSubsets:
-    """The subsets centred at points_px (N,2) in frame 0, its `first_frame`, the reference of the whole sequence.
+    """Return the subsets centred at points_px (N,2) in frame 0, the reference of the sequence.
 
-    Centres may lie between pixels; a NaN centre is carried along as `NO_START`.
+    `frame`: its `first_frame`, if available. A NaN centre has the status `NO_START`.
     """
     check_shape("points_px", points_px, (None, 2))
     first, spline = frame or first_frame(sequence, settings)
@@ -181,22 +196,22 @@ def prepare_sequence(
 def follow_sequence(
     sequence: ImageSequence, reference: ReferenceSubsets, settings: TrackSettings, frames: range | None = None
 ) -> Iterator[FollowedImage]:
-    """Every frame, or only some, in turn with where the subsets of `reference` (`prepare_sequence`) are in it.
+    """Yield every frame, or some of them, with the subsets of `reference` found in it.
 
-    Frames are read and held one at a time, and each starts from where the last ones foretell the subsets, the first
-    after frame 0 or of later `frames` from the reference alone.
+    Frames are read one at a time. Each frame starts from the prediction of the last ones. The first frame after frame
+    0, or the first of later `frames`, starts from the reference alone.
     """
-    wanted = range(len(sequence)) if frames is None else frames
+    selected = range(len(sequence)) if frames is None else frames
     first = sequence.read(0)
-    if wanted.start == 0:
+    if selected.start == 0:
         yield FollowedImage(first, spline_of_image(first, settings.degree), identity_registration(reference))
-    later = range(max(1, wanted.start), wanted.stop)
+    later = range(max(1, selected.start), selected.stop)
     follower = Follower(reference, first, sequence.saturation, settings)
     history = [identity_registration(reference)] if later.start == 1 else []
     for number, image in zip(later, sequence.read_ahead(later), strict=True):
         target = spline_of_image(image, settings.degree)
-        alone = number == later.start  # nothing foretells what the reference alone does not
-        start = None if alone else predict_warp([past.warp for past in history])
+        first_of_block = number == later.start  # starts from the reference alone
+        start = None if first_of_block else predict_warp([past.warp for past in history])
         found = follower.find((image, target), start, history[-1].warp if history else None)
         history = [*history[1 - HISTORY :], found]
         yield FollowedImage(image, target, found)
@@ -205,10 +220,7 @@ def follow_sequence(
 def track_sequence(
     sequence: ImageSequence, points_px: FloatArray, settings: TrackSettings, progress: Progress | None = None
 ) -> Tracks:
-    """Positions in every frame of the subsets centred at points_px (N,2) in frame 0.
-
-    `progress` is called with the number of finished frames.
-    """
+    """Return the tracks of subsets centred at points_px (N,2) in frame 0; report finished frames."""
     reference = prepare_sequence(sequence, points_px, settings)
     found = []
     for frame in follow_sequence(sequence, reference, settings):
@@ -226,82 +238,77 @@ def lay_stereo_grid(
     depth_m: DepthRange | None = None,
     frames: tuple[SplineFrame, ...] | None = None,
 ) -> StereoGrid:
-    """Lay a grid over the textured body in the first left image and match it to the first right image.
+    """Lay a grid over the body in the first left image, matched to the right.
 
-    frames: their `first_frame`, if at hand. Only subsets that were found there, that are not saturated and, with `rig`,
-    that lie on their epipolar lines are kept. Raises `ValueError` when the cameras have unlike numbers of frames, and
-    `BodyNotFound` when fewer than three subsets are left or the pattern repeats so that they may be elsewhere.
+    frames: their `first_frame`, if available. Kept are only subsets that were found in the right image, are not
+    saturated and, with `rig`, lie on their epipolar lines. Raises `ValueError` for different numbers of frames. Raises
+    `BodyNotFound` for fewer than three remaining subsets, and where the pattern repeats so that they may be elsewhere.
     """
     if len(left) != len(right):
         raise ValueError(f"right: expected {len(left)} frames as in left, found {len(right)}")
     images, splines = zip(*(frames or [first_frame(side, settings) for side in (left, right)]), strict=True)
     for side, camera, image in (("left", left, images[0]), ("right", right, images[1])):
         _refuse_blank(side, camera, image)
-    own, points = _laid(left.names[0], images[0], settings)
-    areas, chosen = (own, _inner_area(images[1])), _chosen_part(own.shape, settings)
+    left_area, points = _textured_grid(left.names[0], images[0], settings)
+    areas, chosen = (left_area, _inner_area(images[1])), _chosen_part(left_area.shape, settings)
     matched = match_stereo(images[0], images[1], points, settings, rig, depth_m, splines)
     right_px = matched.position_px[0]
-    kept = (matched.status[0] == TrackStatus.OK) & (subset_mean(areas[1], right_px, settings.radius_px) >= OVERLAP)
+    accepted = (matched.status[0] == TrackStatus.OK) & (subset_mean(areas[1], right_px, settings.radius_px) >= OVERLAP)
     for image, camera, centres in ((images[0], left, points), (images[1], right, right_px)):
-        kept &= ~find_saturated(image, camera.saturation, centres, settings.radius_px)
+        accepted &= ~find_saturated(image, camera.saturation, centres, settings.radius_px)
     notices: list[Notice] = []
     if rig is not None:
-        distance, _, _ = epipolar_residual(rig, points, np.where(kept[:, None], right_px, np.nan))
+        distance, _, _ = epipolar_residual(rig, points, np.where(accepted[:, None], right_px, np.nan))
         off = float(finite_median(distance))
-        kept &= np.abs(distance - off) <= TOLERANCE_PX
+        accepted &= np.abs(distance - off) <= TOLERANCE_PX
         if abs(off) > 1.0:
             period = repeat_px(images[0], points, settings.radius_px)
             if np.isfinite(period):
                 raise BodyNotFound(
-                    f"right: expected the body on its epipolar lines, found it {off:.1f} px beside them, and its "
-                    f"pattern repeats every {period:.1f} px: a copy was taken for the original, or the calibration "
-                    "does not belong to these images"
+                    f"right: expected the body on its epipolar lines, found it {off:.1f} px from them. Its pattern "
+                    f"repeats every {period:.1f} px: a copy was confused with the original, or the calibration does "
+                    "not belong to these images"
                 )
-            text = (
-                f"matched points lie {off:.1f} px off their epipolar lines on average: the calibration does not belong "
-                "to these images, or a camera has moved since"
-            )
-            notices.append(Notice("warning", text, "stereo calibration"))
-    if kept.sum() < 3:
+            notices.append(Notice(OFF_EPIPOLAR_LINES, "stereo calibration", offset_px=off))
+    if accepted.sum() < 3:
         raise BodyNotFound(
-            f"right: expected the body of {left.names[0]}, found {kept.sum()} of its {len(points)} subsets "
+            f"right: expected the body of {left.names[0]}, found {accepted.sum()} of its {len(points)} subsets "
             f"in {right.names[0]}"
         )
     if chosen is not None:
-        areas = areas[0], areas[1] & _covered(areas[1].shape, right_px[kept], settings.radius_px)
-    return StereoGrid((points[kept], right_px[kept]), areas, tuple(notices))
+        areas = areas[0], areas[1] & _covered(areas[1].shape, right_px[accepted], settings.radius_px)
+    return StereoGrid((points[accepted], right_px[accepted]), areas, tuple(notices))
 
 
 def lay_single_grid(images: ImageSequence, settings: TrackSettings, first: GreyImage) -> StereoGrid:
-    """Lay a grid over the textured body in the first image of a camera alone, without subsets that are saturated.
+    """Lay a grid over the textured body in the first image of a single camera.
 
-    Raises `BodyNotFound` when fewer than three subsets are left.
+    Saturated subsets are excluded. Raises `BodyNotFound` when fewer than three subsets remain.
     """
     _refuse_blank("left", images, first)
-    area, points = _laid(images.names[0], first, settings)
-    kept = points[~find_saturated(first, images.saturation, points, settings.radius_px)]
-    if len(kept) < 3:
+    area, points = _textured_grid(images.names[0], first, settings)
+    accepted = points[~find_saturated(first, images.saturation, points, settings.radius_px)]
+    if len(accepted) < 3:
         raise BodyNotFound(
-            f"left: expected a speckled body, found {len(kept)} unsaturated subsets in {images.names[0]}"
+            f"left: expected a speckled body, found {len(accepted)} unsaturated subsets in {images.names[0]}"
         )
-    return StereoGrid((kept,), (area,), ())
+    return StereoGrid((accepted,), (area,), ())
 
 
 def _refuse_blank(side: str, images: ImageSequence, first: Image) -> None:
-    """Raise `BodyNotFound` where the first image of a camera shows nothing but noise."""
     why = missing_pattern_reason(first, images.full_scale)
     if why:
         raise BodyNotFound(f"{side}: expected an image of a speckled body, found none in {images.names[0]}: {why}")
 
 
-def _laid(name: str, image: Image, settings: TrackSettings) -> tuple[BoolArray, FloatArray]:
-    """The textured area (H,W) of the first left image, as far as it is chosen, and the grid (N,2) over it."""
+def _textured_grid(name: str, image: Image, settings: TrackSettings) -> tuple[BoolArray, FloatArray]:
+    """Return the chosen textured area (H,W) of the first image and its grid (N,2)."""
     area = _inner_area(image)
     chosen = _chosen_part(area.shape, settings)
     area = area if chosen is None else area & chosen
     points = lay_grid(area, settings.radius_px, settings.grid_step_px)
     if len(points) < 3:
-        raise BodyNotFound(f"left: expected a speckled body, found room for {len(points)} subsets in {name}")
+        raise BodyNotFound(f"left: expected a speckled body, found {len(points)} subsets in {name}")
     return area, points
 
 
@@ -312,20 +319,20 @@ def stereo_tracks(
     settings: TrackSettings,
     rig: StereoRig | None = None,
 ) -> StereoTracks:
-    """The tracks of both cameras with what their first images are like, and remarks on both.
+    """Return the tracks of both cameras with the properties of their first images.
 
-    With `rig`, without the places at which one camera shows a subset elsewhere than the other. Raises `BodyNotFound`
+    With `rig`, positions at which the cameras show a subset in different places are rejected. Raises `BodyNotFound`
     where that happens to the whole body, or it jumps, and its pattern repeats.
     """
-    course = EpipolarMonitor(rig)
-    aside = course.add((tracks[0].position_px, tracks[1].position_px), (tracks[0].status, tracks[1].status))
-    told = course.summarize(images, grid, settings, (tracks[0].noise_grey, tracks[1].noise_grey))
-    return told.with_tracks(drop_rejected(tracks, aside))
+    monitor = EpipolarMonitor(rig)
+    rejected = monitor.add((tracks[0].position_px, tracks[1].position_px), (tracks[0].status, tracks[1].status))
+    summary = monitor.summarize(images, grid, settings, (tracks[0].noise_grey, tracks[1].noise_grey))
+    return summary.with_tracks(drop_rejected(tracks, rejected))
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class TrackSummary(Arrays, shapes="speckle_px C; noise_grey C; bias_px C"):
-    """What `StereoTracks` say beside the tracks, once all frames are known."""
+    """Properties of the cameras and notices over all frames; see `StereoTracks`."""
 
     notices: tuple[Notice, ...]
     speckle_px: FloatArray
@@ -333,14 +340,15 @@ class TrackSummary(Arrays, shapes="speckle_px C; noise_grey C; bias_px C"):
     bias_px: FloatArray
 
     def with_tracks(self, tracks: tuple[Tracks, ...]) -> StereoTracks:
-        """Return the tracks of all frames, or of some, with it."""
+        """Return it with the tracks of all frames, or of some."""
         return StereoTracks(tracks, self.notices, self.speckle_px, self.noise_grey, self.bias_px)
 
 
 class EpipolarMonitor:
-    """What the frames of a series say of its tracks, however many of them come at a time.
+    """Motion and rejected positions of a series, whose frames arrive in blocks.
 
-    With `rig`, places where one camera took a copy of a subset, off its epipolar line unlike at first, are none.
+    With `rig`, a position is rejected where its epipolar distance changes unlike that of the others: it belongs to a
+    copy.
     """
 
     def __init__(self, rig: StereoRig | None) -> None:
@@ -352,33 +360,33 @@ class EpipolarMonitor:
         self._statuses: IntArray = np.empty(0, np.int64)
 
     def add(self, positions_px: tuple[FloatArray, ...], statuses: tuple[NDArray[np.int8], ...]) -> BoolArray:
-        """Take in further frames, positions (F,N,2) and statuses (F,N) of each camera; return which are none (F,N)."""
+        """Add frames, positions (F,N,2) and statuses (F,N) of each camera; return the rejected (F,N)."""
         if not self._first:
             self._first, self._moved = tuple(side[0] for side in positions_px), tuple([] for _ in positions_px)
             self._statuses = np.zeros((len(positions_px), len(TrackStatus)), np.int64)
             if self._rig is not None:
                 self._residual = epipolar_residual(self._rig, *self._first)[0]
-        common, aside = self._apart(positions_px)
+        common, rejected = self._epipolar_changes(positions_px)
         self._common.append(common)
         for side, (position, status) in enumerate(zip(positions_px, statuses, strict=True)):
-            seen = np.where(aside[..., None], np.nan, position) - self._first[side]
+            seen = np.where(rejected[..., None], np.nan, position) - self._first[side]
             self._moved[side].append(np.array([finite_median(frame) for frame in seen]))
-            counted = np.where(aside, np.int8(TrackStatus.NOT_CONVERGED), status)
+            counted = np.where(rejected, np.int8(TrackStatus.NOT_CONVERGED), status)
             self._statuses[side] += np.bincount(counted.ravel(), minlength=len(TrackStatus))
-        return aside
+        return rejected
 
     def add_motion(self, moved_px: tuple[FloatArray, ...]) -> None:
-        """Take in a frame without subsets, from how far the body has moved in each camera, (2,)."""
+        """Add a frame without subsets, by the displacement (2,) of the body in each camera."""
         self._common.append(np.full(1, np.nan))
         for side, moved in enumerate(moved_px):
             self._moved[side].append(moved[None])
 
     def find_rejected(self, positions_px: tuple[FloatArray, ...]) -> BoolArray:
-        """Which places (F,N) of frames that were added are none."""
-        return self._apart(positions_px)[1]
+        """Return which positions (F, N) of frames that were added are rejected."""
+        return self._epipolar_changes(positions_px)[1]
 
-    def _apart(self, positions_px: tuple[FloatArray, ...]) -> tuple[FloatArray, BoolArray]:
-        """By how much all subsets left their epipolar lines (F,), and which (F,N) are elsewhere than the others."""
+    def _epipolar_changes(self, positions_px: tuple[FloatArray, ...]) -> tuple[FloatArray, BoolArray]:
+        """Return the common change of the epipolar distance (F,) and departing subsets (F,N)."""
         if self._rig is None:
             return np.zeros(len(positions_px[0])), np.zeros(positions_px[0].shape[:2], np.bool_)
         change = epipolar_residual(self._rig, *positions_px)[0] - self._residual
@@ -392,7 +400,10 @@ class EpipolarMonitor:
         settings: TrackSettings,
         noise_grey: tuple[FloatArray, ...],
     ) -> TrackSummary:
-        """Remarks on the cameras, whose subsets have the noise (N,); `BodyNotFound` as `stereo_tracks` raises it."""
+        """Return the properties of the cameras, whose subsets have the noise (N,).
+
+        Raises `BodyNotFound` as `stereo_tracks` does.
+        """
         self._refuse_copies(images[0], settings)
         for image, first, moved, side in zip(images, self._first, self._moved, ("left", "right"), strict=False):
             _refuse_jumps(image, first, np.concatenate(moved), settings, side)
@@ -408,8 +419,7 @@ class EpipolarMonitor:
             if lost > LARGEST_LOST_SHARE * counts.sum():
                 most = np.argmax(np.where(np.arange(len(counts)) == TrackStatus.OK, -1, counts))
                 why = TrackStatus(int(most)).name.lower().replace("_", " ")
-                text = f"{100 * lost / counts.sum():.0f} % of the subset positions are missing, most often: {why}"
-                notices.append(Notice("warning", text, where))
+                notices.append(Notice(LOST_SUBSETS, where, lost_percent=100 * lost / counts.sum(), status=why))
             levels.append(noise)
             biases.append(bias.mean_px)
         return TrackSummary(tuple(notices), np.array(speckle), np.array(levels), np.array(biases))
@@ -417,7 +427,8 @@ class EpipolarMonitor:
     def _refuse_copies(self, image: Image, settings: TrackSettings) -> None:
         """Raise `BodyNotFound` where all subsets leave their epipolar lines and the pattern repeats.
 
-        A camera that moves does that, or the whole body on a copy of itself in one camera; nothing tells these apart.
+        Either a camera moved, or the whole body was found on a copy of itself in one camera. The images cannot show
+        which.
         """
         common = np.concatenate(self._common)
         jumps = np.flatnonzero(np.abs(common) > TOLERANCE_PX)
@@ -427,48 +438,47 @@ class EpipolarMonitor:
         if np.isfinite(period):
             raise BodyNotFound(
                 f"right: expected the body where the left camera shows it, found it {abs(common[jumps[0]]):.1f} px "
-                f"beside its epipolar lines in frame {jumps[0]} (counted from 0), and its pattern repeats every "
-                f"{period:.1f} px: a copy was taken for the original in one camera, or a camera moved"
+                f"from its epipolar lines in frame {jumps[0]} (counted from 0). Its pattern repeats every "
+                f"{period:.1f} px: a copy was confused with the original in one camera, or a camera moved"
             )
 
 
 def _refuse_jumps(image: Image, first_px: FloatArray, moved: FloatArray, settings: TrackSettings, side: str) -> None:
-    """Raise `BodyNotFound` where a body whose pattern repeats is further than half a period from where it was foretold.
+    """Raise `BodyNotFound` where a body whose pattern repeats jumps by more than half a period.
 
-    first_px (N,2): its subsets at first; moved (F,2): by how much they have moved since, NaN where none is seen. A copy
-    of the pattern then lies nearer, and the pictures cannot tell which of them is the body.
+    The jump is the distance from the prediction. first_px (N, 2): the subsets at first; moved (F, 2): their
+    displacement since, NaN where none is found. A copy of the pattern then lies nearer, and the images cannot show
+    which one is the body.
     """
     seen = np.isfinite(moved).all(axis=1)
     path = np.vstack([np.zeros(2), moved[seen]])
     extent, step = np.hypot(*np.ptp(path, axis=0)), np.hypot(*np.diff(path, axis=0).T).max(initial=0.0)
-    # Further off no rule foretells a place: that of a sine begins three steps before it.
+    # No rule predicts a larger displacement: that of a sine starts three steps before it.
     if min((1.0 + LARGEST_COEFFICIENT) * extent, (3.0 + LARGEST_COEFFICIENT) * step) <= settings.radius_px:
         return
     warps = np.zeros((len(moved), 1, 6))
     last = np.maximum.accumulate(np.where(seen, np.arange(len(moved)), -1))
     warps[:, 0, [0, 3]] = np.where((last >= 0)[:, None], moved[np.maximum(last, 0)], 0.0)
-    foretold = [predict_warp(list(warps[max(0, frame - HISTORY) : frame])) for frame in range(1, len(warps))]
-    jump = np.hypot(*(warps[1:] - np.array(foretold).reshape(-1, 1, 6))[:, 0, [0, 3]].T)
+    predicted = [predict_warp(list(warps[max(0, frame - HISTORY) : frame])) for frame in range(1, len(warps))]
+    jump = np.hypot(*(warps[1:] - np.array(predicted).reshape(-1, 1, 6))[:, 0, [0, 3]].T)
     if not (jump > settings.radius_px).any():
         return
     period = repeat_px(image, first_px, settings.radius_px)
     jumps = np.flatnonzero(jump > period / 2.0)
     if len(jumps):
         raise BodyNotFound(
-            f"{side}: expected a motion that the last frames foretell, found a jump of {jump[jumps[0]]:.1f} px in "
-            f"frame {jumps[0] + 1} (counted from 0), more than half of the {period:.1f} px at which the pattern "
-            "repeats: a copy may have been taken for the original; use a foil that does not repeat, or more frames per "
-            "second"
+            f"{side}: expected a motion as predicted by the last frames, found a jump of {jump[jumps[0]]:.1f} px in "
+            f"frame {jumps[0] + 1} (counted from 0), more than half of the pattern's period of {period:.1f} px. A copy "
+            "may have been confused with the original: use a foil that does not repeat, or more frames per second"
         )
 
 
 def drop_rejected(tracks: tuple[Tracks, ...], rejected: BoolArray) -> tuple[Tracks, ...]:
-    """The tracks of each camera with subsets lost where they are `aside` (F,N) (`StereoCourse`)."""
-    return tuple(_without(track, rejected) for track in tracks) if rejected.any() else tracks
+    """Return the tracks of each camera without the positions `rejected` (F, N)."""
+    return tuple(_drop(track, rejected) for track in tracks) if rejected.any() else tracks
 
 
-def _without(track: Tracks, which: BoolArray) -> Tracks:
-    """The tracks with subsets lost in the frames `which` (F,N)."""
+def _drop(track: Tracks, which: BoolArray) -> Tracks:
     return replace(
         track,
         position_px=np.where(which[..., None], np.nan, track.position_px),
@@ -485,20 +495,43 @@ def track_stereo(
     settings: TrackSettings,
     progress: Progress | None = None,
 ) -> StereoTracks:
-    """Follow the subsets of `lay_stereo_grid` through both cameras' images, each by a thread.
+    """Track the subsets of a textured body through the images of two cameras.
 
-    `progress` is called with the number of finished frames of both cameras: 1…2F.
+    Each camera has a thread. The subsets are those of `lay_stereo_grid`.
 
+    Parameters
+    ----------
+    left, right
+        The images, of equal number.
+    rig
+        Calibrated pair; None matches without epipolar lines.
+    settings
+        Of the subsets.
+    progress
+        Called with the number of finished frames of both cameras, 1…2F; default None.
+
+    Returns
+    -------
+    StereoTracks
+        Positions in px with covariances, and notices.
+
+    Raises
+    ------
+    BodyNotFound
+        Where fewer than three subsets are found, or a repeating pattern leaves the position undetermined.
+
+    Examples
+    --------
     >>> from scipy.ndimage import gaussian_filter
     >>> noise = gaussian_filter(np.random.default_rng(1).standard_normal((96, 96)), 2.0, mode="wrap")
-    >>> picture = np.rint(128 + 300 * noise).astype(np.uint8)
-    >>> images = ImageSequence(("before", "after"), (96, 96), 255, lambda k: np.roll(picture, 2 * k, axis=1))
+    >>> image = np.rint(128 + 300 * noise).astype(np.uint8)
+    >>> images = ImageSequence(("before", "after"), (96, 96), 255, lambda k: np.roll(image, 2 * k, axis=1))
     >>> left = track_stereo(images, images, None, TrackSettings(radius_px=7)).left.position_px
     >>> np.median(left[1] - left[0], axis=0).round(2)
     array([2., 0.])
     """
     grid = lay_stereo_grid(left, right, rig, settings)
-    counted = None if progress is None else _together(progress)
+    counted = None if progress is None else _count_together(progress)
     with ThreadPoolExecutor(2) as cameras:
         of_left = cameras.submit(track_sequence, left, grid.left_px, settings, counted)
         of_right = cameras.submit(track_sequence, right, grid.right_px, settings, counted)
@@ -506,25 +539,24 @@ def track_stereo(
     return stereo_tracks((left.read(0), right.read(0)), grid, tracks, settings, rig)
 
 
-def _together(progress: Progress) -> Progress:
-    """A progress that counts the calls of two threads."""
+def _count_together(progress: Progress) -> Progress:
     counting, done = Lock(), count(1)
 
-    def tell(_: int) -> None:
+    def report(_: int) -> None:
         with counting:
             progress(next(done))
 
-    return tell
+    return report
 
 
 def _inner_area(image: Image) -> BoolArray:
-    """Textured pixels that can move by a few pixels without leaving the image."""
+    """Return textured pixels that can move by a few pixels without leaving the image."""
     inside = slice(BORDER_PX, -BORDER_PX)
     return np.pad(textured_area(image)[inside, inside], BORDER_PX)
 
 
 def _chosen_part(shape: tuple[int, ...], settings: TrackSettings) -> BoolArray | None:
-    """Pixels (H,W) of the first left image that are in the region and in no mask; None where neither is set."""
+    """Return the pixels (H,W) in the region and in no mask, None without both."""
     if settings.region is None and not settings.mask:
         return None
     x, y, width, height = settings.region or (0, 0, shape[1], shape[0])
@@ -536,7 +568,6 @@ def _chosen_part(shape: tuple[int, ...], settings: TrackSettings) -> BoolArray |
 
 
 def _covered(shape: tuple[int, ...], centre_px: FloatArray, radius_px: int) -> BoolArray:
-    """Pixels (H,W) that subsets about centres (N,2) cover."""
     covered = np.zeros(shape, dtype=bool)
     for x, y in np.rint(centre_px).astype(int).tolist():
         covered[max(y - radius_px, 0) : y + radius_px + 1, max(x - radius_px, 0) : x + radius_px + 1] = True
@@ -544,17 +575,17 @@ def _covered(shape: tuple[int, ...], centre_px: FloatArray, radius_px: int) -> B
 
 
 def finite_median(values: FloatArray) -> FloatArray:
-    """Return the median () or (K,) of those of the values (N,) or rows (N,K) that are known, NaN for none."""
-    known = values[np.isfinite(values).reshape(len(values), -1).all(axis=1)]
-    return np.asarray(np.median(known, axis=0) if len(known) else np.full(values.shape[1:], np.nan))
+    """Return the median of the finite values (N,) or rows (N, K), NaN for none."""
+    finite = values[np.isfinite(values).reshape(len(values), -1).all(axis=1)]
+    return np.asarray(np.median(finite, axis=0) if len(finite) else np.full(values.shape[1:], np.nan))
 
 
 def build_tracks(
     found: Sequence[Registration], reference: ReferenceSubsets, degree: int, noise_grey: FloatArray | None = None
 ) -> Tracks:
-    """Positions and covariances of all frames; the first of several is the reference itself.
+    """Return the tracks of frames of a series with the image noise (N,).
 
-    Of some frames of a series if `noise_grey` (N,) tells the noise of all.
+    Without noise_grey they are all frames, and the first one is the reference.
     """
     position, status = subset_positions(found, reference)
     ok, noise = status == TrackStatus.OK, subset_noise(found, reference, degree)
@@ -563,9 +594,7 @@ def build_tracks(
         pooled.add(noise**2)
         noise_grey = np.sqrt(pooled.mean)
     noise[0] = np.where(np.isfinite(noise[0]) | ~ok[0], noise[0], noise_grey)
-    covariance = np.stack(
-        [position_covariance(reference, here, level) for here, level in zip(found, noise, strict=True)]
-    )
+    covariance = np.stack([position_covariance(reference, one, level) for one, level in zip(found, noise, strict=True)])
     covariance[~ok] = np.nan
-    zncc = np.where(ok, np.stack([here.zncc for here in found]), np.nan)
+    zncc = np.where(ok, np.stack([frame.zncc for frame in found]), np.nan)
     return Tracks(position, covariance, zncc, status, noise_grey)

@@ -1,7 +1,7 @@
-"""Rendered pictures of calibration targets with known truth.
+"""Rendered images of calibration targets with known truth.
 
-A pattern is softened in its own plane by a Gaussian, in closed form, so that a picture is as point-symmetric about
-each corner and dot as the perspective lets it be; the mean over the pixel's square is taken by 3 x 3 Gauss points.
+A Gaussian blurs the pattern in its plane, in closed form. An image is therefore as point-symmetric about each corner
+and dot as the perspective permits. The mean over the pixel's square uses 3 × 3 Gauss points.
 """
 
 from __future__ import annotations
@@ -19,15 +19,16 @@ from photogram.geometry import RigidTransform, rotation_from_vector
 from photogram.kernels import njit
 from photogram.targets.target_view import Target, TargetView
 
-_FAR = 4.5  # σ of the softening beyond which an edge has no effect
+_FAR = 4.5  # distance in σ of the blur beyond which an edge has no effect
 _NODE = math.sqrt(0.6)  # Gauss-Legendre points of degree 5 on (−1, 1), weights 5/18, 8/18, 5/18 of the mean
 
 
 @njit(error_model="numpy")
 def _rays(row: int, camera: FloatArray, rays: FloatArray) -> None:
-    """Fill rays (W, 6) of a row of pixels: normalised x, y and ∂x/∂u, ∂x/∂v, ∂y/∂u, ∂y/∂v.
+    """Fill the rays (W, 6) of a row of pixels.
 
-    Newton steps from the neighbour's ray; a pixel that the distortion never reaches is NaN.
+    They are normalised x, y and ∂x/∂u, ∂x/∂v, ∂y/∂u, ∂y/∂v. Newton steps from the neighbour's ray; a pixel outside the
+    range of the distortion is NaN.
     """
     x, y = math.nan, math.nan
     for column in range(rays.shape[0]):
@@ -51,7 +52,7 @@ def _rays(row: int, camera: FloatArray, rays: FloatArray) -> None:
 
 @njit(error_model="numpy")
 def _plane(homography: FloatArray, x: float, y: float) -> tuple[float, float]:
-    """Return the point in the target's plane that the ray (x, y, 1) meets."""
+    """Return the point in the target's plane on the ray (x, y, 1)."""
     w = 1.0 / (homography[2, 0] * x + homography[2, 1] * y + homography[2, 2])
     u = (homography[0, 0] * x + homography[0, 1] * y + homography[0, 2]) * w
     return u, (homography[1, 0] * x + homography[1, 1] * y + homography[1, 2]) * w
@@ -59,7 +60,7 @@ def _plane(homography: FloatArray, x: float, y: float) -> tuple[float, float]:
 
 @njit(error_model="numpy")
 def _reach(homography: FloatArray, ray: FloatArray, sigma: float) -> float:
-    """Return how far from the pixel's centre, in the target's plane, an edge has an effect on the pixel."""
+    """Return the distance in the target's plane within which an edge affects a pixel."""
     u, v = _plane(homography, ray[0], ray[1])
     right_u, right_v = _plane(homography, ray[0] + ray[2], ray[1] + ray[4])
     below_u, below_v = _plane(homography, ray[0] + ray[3], ray[1] + ray[5])
@@ -69,13 +70,12 @@ def _reach(homography: FloatArray, ray: FloatArray, sigma: float) -> float:
 
 @njit(error_model="numpy")
 def _step(distance: float, sigma: float) -> float:
-    """Return the softened unit step at a signed distance from its edge."""
     return 0.5 * (1.0 + math.erf(distance / (sigma * math.sqrt(2.0))))
 
 
 @njit(error_model="numpy")
 def _interval(edges: FloatArray, value: float, guess: int) -> int:
-    """Return k with edges[k] <= value < edges[k + 1], walking from a guess; −1 before the first edge."""
+    """Return k with edges[k] <= value < edges[k + 1], −1 before the first edge."""
     k = guess
     while k >= 0 and edges[k] > value:
         k -= 1
@@ -86,7 +86,7 @@ def _interval(edges: FloatArray, value: float, guess: int) -> int:
 
 @njit(error_model="numpy")
 def _shares(edges: FloatArray, value: float, sigma: float, first: int, last: int, shares: FloatArray) -> None:
-    """Fill shares[first : last + 1] with what tiles `first` … `last` have at a place; tile k lies before edge k."""
+    """Fill shares[first : last + 1] with tile weights; tile k ends at edge k."""
     lower = 0.0
     for k in range(first, last + 1):
         upper = _step(edges[k] - value, sigma) if k < last else 1.0
@@ -96,7 +96,10 @@ def _shares(edges: FloatArray, value: float, sigma: float, first: int, last: int
 
 @njit(error_model="numpy")
 def render_tiles(camera, homography, edges_x, edges_y, tiles, sigma, image):  # type: ignore[no-untyped-def]
-    """Fill image (H, W) with a pattern that is constant on the tiles (Y + 1, X + 1) between edges (X,) and (Y,)."""
+    """Fill image (H, W) with a pattern of constant tiles.
+
+    The tiles are (Y + 1, X + 1), the edges between them (X,) and (Y,).
+    """
     rays = np.empty((image.shape[1], 6))
     share_x, share_y = np.empty(edges_x.size + 1), np.empty(edges_y.size + 1)
     for row in range(image.shape[0]):
@@ -133,7 +136,7 @@ def render_tiles(camera, homography, edges_x, edges_y, tiles, sigma, image):  # 
 
 @njit(error_model="numpy")
 def _dots_value(spots: FloatArray, first: FloatArray, u: float, v: float, sigma: float) -> float:
-    """Return the share of black at (u, v), in spacings, of the four dots around it."""
+    """Return the share of black at (u, v), in spacings, of the nearest four dots."""
     white = 1.0
     for k in range(4):
         i, j = math.floor(u) + k % 2, math.floor(v) + k // 2
@@ -149,7 +152,7 @@ def _dots_value(spots: FloatArray, first: FloatArray, u: float, v: float, sigma:
 
 @njit(error_model="numpy")
 def _plain(spots: FloatArray, first: FloatArray, sheet: FloatArray, u: float, v: float, reach: float) -> bool:
-    """Return whether no edge of a dot, a hole or the sheet lies within `reach` of (u, v)."""
+    """Return whether the distance of (u, v) to all edges exceeds `reach`."""
     if abs(min(u - sheet[0], sheet[1] - u, v - sheet[2], sheet[3] - v)) < reach or not reach < 0.5:
         return False
     for k in range(4):
@@ -164,10 +167,10 @@ def _plain(spots: FloatArray, first: FloatArray, sheet: FloatArray, u: float, v:
 
 @njit(error_model="numpy")
 def render_dots(camera, homography, spots, first, sheet, sigma, image):  # type: ignore[no-untyped-def]
-    """Fill image (H, W, 2) with the shares of black and of sheet in every pixel; lengths in lattice spacings.
+    """Fill image (H, W, 2) with the shares of black and of sheet.
 
-    spots (rows, columns, 2): radius of the dot and of the hole in it, 0 for none, at lattice points from `first` (2,).
-    sheet (4,): first and last x, first and last y of the white sheet.
+    Lengths are in lattice spacings. spots (rows, columns, 2): radius of the dot and of the hole in it, 0 for none, at
+    lattice points from `first` (2,). sheet (4,): first and last x, first and last y of the white sheet.
     """
     rays = np.empty((image.shape[1], 6))
     for row in range(image.shape[0]):
@@ -189,22 +192,33 @@ def render_dots(camera, homography, spots, first, sheet, sigma, image):  # type:
             image[row, column, 0], image[row, column, 1] = black, cover
 
 
-# Pictures of calibration targets with known truth.
+# Images of calibration targets with known truth.
 
-_FINER = 2  # pixels are drawn as so many squares across
-_SOFT_PX = 0.5  # softening of the drawn edges, in these
+_FINER = 2  # rendered squares along a pixel
+_SOFT_PX = 0.5  # blur of the rendered edges, in these squares
 
 
 @dataclass(frozen=True)
 class Board:
-    """A printed target: black on a white sheet, in the frame of `Target`, lengths in units of its spacing.
+    """A printed target for rendering: black on a white sheet.
 
-    `radius` of dots. `rings`: places (x, y) of the ring markers beside the one at (0, 0), that is at (x, 0) and
-    (0, y), None for dots without; `hole`: radius of the white hole in a ring. `lattice`: first column, last column,
-    first row, last row of the dots around ring markers. `legacy`: ChArUco pattern of OpenCV before 4.6;
-    `marker_share`: side of a marker. `margin`: of the sheet beyond the outermost squares or dots' centres.
-    `bright`, `dark`, `background`: grey levels, fractions of full scale, of the sheet, the print, and around it.
+    Lengths are in units of the target's spacing, in the frame of `Target`.
 
+    Attributes
+    ----------
+    target : Kind, spacing and size.
+    radius : Of dots; default 0.3.
+    rings : Positions (x, y) of the ring markers at (x, 0) and (0, y), in addition to the one at (0, 0); None for dots
+        without.
+    hole : Radius of the white hole in a ring; default 0.15.
+    lattice : First column, last column, first row, last row of the dots around ring markers.
+    legacy : ChArUco pattern of OpenCV before 4.6; default False.
+    marker_share : Side of a marker; default 0.75.
+    margin : Of the sheet beyond the outermost squares or dots' centres; default 1.
+    bright, dark, background : Grey levels, fractions of full scale, of the sheet, the print, and around it.
+
+    Examples
+    --------
     >>> Board(Target("dots", 5e-3, (7, 5)), radius=0.25).points_m.shape
     (35, 3)
     """
@@ -223,13 +237,13 @@ class Board:
 
     def __post_init__(self) -> None:
         if self.target.kind == "charuco" and self.target.dictionary is None:
-            raise ValueError("target: expected the dictionary of a ChArUco board to draw, found none")
+            raise ValueError("target: expected the dictionary of a ChArUco board, found none")
         if self.target.kind == "dots" and (self.target.size is None) != (self.rings is not None):
             raise ValueError(f"rings: expected them where the target has no size, found {self.rings}")
 
     @property
     def index(self) -> FloatArray:
-        """Lattice indices (N, 2), whole numbers, of all corners or dots."""
+        """Lattice indices (N, 2), integers, of all corners or dots."""
         if self.target.size is None:
             return _lattice(*self.lattice)
         columns, rows = self.target.size
@@ -247,14 +261,13 @@ class Board:
 
     @property
     def extent_m(self) -> FloatArray:
-        """First and last x, first and last y (4,) of the sheet in the target's frame."""
+        """Limits of the sheet in the target's frame (4,): x and y."""
         edge = self.margin + (1.0 if self.target.kind in {"chessboard", "charuco"} else 0.0)
         (x0, y0), (x1, y1) = self.index.min(axis=0) - edge, self.index.max(axis=0) + edge
         return np.array([x0, x1, y0, y1]) * self.target.spacing_m
 
 
 def _lattice(first_column: int, last_column: int, first_row: int, last_row: int) -> FloatArray:
-    """Return the index pairs of a rectangle of lattice points, row by row."""
     i, j = np.meshgrid(np.arange(first_column, last_column + 1.0), np.arange(first_row, last_row + 1.0))
     return np.column_stack([i.ravel(), j.ravel()])
 
@@ -267,12 +280,38 @@ def render_board(
     falloff: float = 0.12,
     slant: float = 0.0,
 ) -> FloatArray:
-    """Return the noise-free picture (H, W), fractions of full scale, of a board.
+    """Render the noise-free image of a board.
 
-    The lens blurs it by a Gaussian of σ `blur_px`: the pattern is drawn at half the pixel's width with edges softened
-    just enough (0.5 of these pixels) to be sampled, convolved with the rest of the Gaussian, and averaged over each
-    pixel's square. Light falls off by `falloff` to the picture's corners and rises by `slant` from left to right.
+    Parameters
+    ----------
+    camera
+        Camera with distortion.
+    camera_from_target
+        Pose of the board.
+    board
+        The board.
+    blur_px
+        σ of the lens's Gaussian blur in px; default 0.7.
+    falloff
+        Relative loss of light at the image corners; default 0.12.
+    slant
+        Relative increase of light from left to right; default 0.
 
+    Returns
+    -------
+    Image (H, W), fractions of full scale.
+
+    Raises
+    ------
+    ValueError : The blur is too small for the sampling.
+
+    Notes
+    -----
+    The pattern is rendered at half the pixel width with edges blurred by 0.5 of these pixels, the least for sampling.
+    It is convolved with the rest of the Gaussian and averaged over each pixel's square.
+
+    Examples
+    --------
     >>> camera = Camera.from_parameters(np.array([400.0, 400, 80, 60, 0, 0, 0, 0, 0]), np.array([160, 120]))
     >>> pose = RigidTransform(np.eye(3), np.array([-0.02, -0.015, 0.2]))
     >>> render_board(camera, pose, Board(Target("chessboard", 9e-3, (5, 4)))).shape
@@ -290,13 +329,13 @@ def render_board(
     rest = math.sqrt((_FINER * blur_px) ** 2 - _SOFT_PX**2)
     blurred = gaussian_filter(sharp, rest, mode="nearest", truncate=6.0)
     width, height = (int(n) for n in camera.size_px)
-    picture = blurred.reshape(height, _FINER, width, _FINER).mean(axis=(1, 3))
+    image = blurred.reshape(height, _FINER, width, _FINER).mean(axis=(1, 3))
     x, y = np.linspace(-1, 1, width), np.linspace(-1, 1, height)[:, None]
-    return np.asarray(picture * np.asarray(1 + slant / 2 * x - falloff * (x**2 + y**2) / 2))
+    return np.asarray(image * np.asarray(1 + slant / 2 * x - falloff * (x**2 + y**2) / 2))
 
 
 def _drawn(camera: Camera, camera_from_target: RigidTransform, board: Board, soft_px: float) -> FloatArray:
-    """Return the pattern (H, W) with edges softened in its plane, `soft_px` at the magnification of its middle."""
+    """Return the pattern (H, W) with blurred edges, `soft_px` at the board's centre."""
     spacing = board.target.spacing_m
     plane_to_ray = camera_from_target.rotation * [spacing, spacing, 1.0]
     plane_to_ray[:, 2] = camera_from_target.translation_m
@@ -304,10 +343,10 @@ def _drawn(camera: Camera, camera_from_target: RigidTransform, board: Board, sof
     sigma = soft_px / _magnification(camera, camera_from_target, board)
     width, height = (int(n) for n in camera.size_px)
     if board.target.kind in {"chessboard", "charuco"}:
-        picture = np.empty((height, width))
+        image = np.empty((height, width))
         edges_x, edges_y, tiles = _tiles(board)
-        render_tiles(camera.parameters, homography, edges_x, edges_y, tiles, sigma, picture)
-        return picture
+        render_tiles(camera.parameters, homography, edges_x, edges_y, tiles, sigma, image)
+        return image
     shares = np.empty((height, width, 2))
     spots, first = _spots(board)
     render_dots(camera.parameters, homography, spots, first, board.extent_m / spacing, sigma, shares)
@@ -316,7 +355,6 @@ def _drawn(camera: Camera, camera_from_target: RigidTransform, board: Board, sof
 
 
 def _magnification(camera: Camera, camera_from_target: RigidTransform, board: Board) -> float:
-    """Return pixels per spacing at the middle of the board."""
     x0, x1, y0, y1 = board.extent_m
     middle = np.array([(x0 + x1) / 2, (y0 + y1) / 2, 0.0])
     step = 1e-3 * board.target.spacing_m
@@ -327,10 +365,7 @@ def _magnification(camera: Camera, camera_from_target: RigidTransform, board: Bo
 
 
 def _tiles(board: Board) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return edges x (X,), y (Y,), in spacings, and the grey levels (Y + 1, X + 1) between and beyond them.
-
-    One rectangular grid holds squares and markers: the markers of a column of squares share their edges.
-    """
+    """Return edges (X,), (Y,) in spacings, and grey levels (Y + 1, X + 1)."""
     columns, rows = board.target.size or (0, 0)
     if board.target.kind == "chessboard":
         columns, rows = columns + 1, rows + 1
@@ -352,7 +387,7 @@ def _tiles(board: Board) -> tuple[FloatArray, FloatArray, FloatArray]:
 
 
 def _charuco_cells(board: Board, columns: int, rows: int) -> tuple[FloatArray, FloatArray]:
-    """Return the squares (rows, columns, B + 4, B + 4), 0 black and 1 white, with markers, and a square's edges."""
+    """Return the squares with markers, 0 black and 1 white, and a square's edges."""
     import cv2
 
     dictionary = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, str(board.target.dictionary)))
@@ -373,7 +408,7 @@ def _charuco_cells(board: Board, columns: int, rows: int) -> tuple[FloatArray, F
 
 
 def _spots(board: Board) -> tuple[FloatArray, FloatArray]:
-    """Return radius and hole (rows, columns, 2) of the dots on the lattice, and its first point (2,)."""
+    """Return radius and hole (rows, columns, 2) of the dots, and the first point."""
     index = board.index.astype(np.int64)
     first = index.min(axis=0)
     columns, rows = index.max(axis=0) - first + 1
@@ -387,17 +422,17 @@ def _spots(board: Board) -> tuple[FloatArray, FloatArray]:
     return spots, first.astype(np.float64)
 
 
-# Random stereo pairs, and random poses of a calibration target before them: sessions with known truth.
+# Random stereo pairs and random poses of a calibration target: sessions with known truth.
 
-_TRIES = 1500  # random poses tried for each that is wanted
-_STEEPEST_RAD = 0.9  # between the board's normal and the ray to either camera
+_TRIES = 1500  # random poses tried for each accepted one
+_STEEPEST_RAD = 0.9  # largest angle between the board's normal and the ray to a camera
 
 
 def random_rig(rng: np.random.Generator, size_px: IntArray, field_m: float) -> StereoRig:
-    """Return a stereo pair whose axes cross where either picture is about `field_m` wide.
+    """Return a random stereo pair whose axes cross where the images are about `field_m` wide.
 
-    Half the left field of view 8 … 25°, the angle between the axes 10 … 35°, focal lengths of a pair within 5 %,
-    principal points within 3 % of the width, distortion |k1| ≤ 0.15, |k2| ≤ 0.1, |p| ≤ 5·10⁻⁴, |k3| ≤ 0.05.
+    Half the left field of view is 8 … 25°, the angle between the axes 10 … 35°. Focal lengths of a pair are within 5 %,
+    principal points within 3 % of the width. Distortion: |k1| ≤ 0.15, |k2| ≤ 0.1, |p| ≤ 5·10⁻⁴, |k3| ≤ 0.05.
     """
     focal = float(size_px[0]) / 2 / np.tan(rng.uniform(np.radians(8), np.radians(25)))
     distance = field_m * focal / float(size_px[0])
@@ -413,7 +448,6 @@ def random_rig(rng: np.random.Generator, size_px: IntArray, field_m: float) -> S
 
 
 def _camera(rng: np.random.Generator, size_px: IntArray, focal_px: float) -> Camera:
-    """Return a camera of about this focal length."""
     centre = (size_px - 1) / 2 + rng.uniform(-0.03, 0.03, 2) * size_px[0]
     fy = focal_px * rng.uniform(0.998, 1.002)
     distortion = rng.uniform(-1, 1, 5) * [0.15, 0.1, 5e-4, 5e-4, 0.05]
@@ -421,11 +455,11 @@ def _camera(rng: np.random.Generator, size_px: IntArray, focal_px: float) -> Cam
 
 
 def random_poses(rng: np.random.Generator, rig: StereoRig, board: Board, count: int) -> list[RigidTransform]:
-    """Return `count` poses left_from_target of a board that both cameras see whole, tilted by up to 0.6 rad.
+    """Return `count` random poses left_from_target of a board in both fields of view.
 
-    The tilt is that of the board's normal against the bisector of the two axes, about any axis in the plane; the board
-    turns in its plane by up to 0.5 rad and lies anywhere between the cameras where it fits, in depth within 12 %. Of
-    dots with ring markers only the markers and the dots around them have to be seen.
+    The board's normal is tilted by up to 0.6 rad against the bisector of the two axes. The board is rotated in its
+    plane by up to 0.5 rad and is anywhere within both fields of view, in depth within 12 %. For dots with ring markers
+    only the markers and the dots around them have to be visible.
     """
     required = _required(board)
     centre, facing, distance = _working_point(rig, board)
@@ -442,12 +476,12 @@ def random_poses(rng: np.random.Generator, rig: StereoRig, board: Board, count: 
         if len(poses) == count:
             return poses
     raise ValueError(
-        f"board: expected one that fits into both pictures, found {len(poses)} poses in {_TRIES * count} tries"
+        f"board: expected one that fits into both images, found {len(poses)} poses in {_TRIES * count} tries"
     )
 
 
 def _working_point(rig: StereoRig, board: Board) -> tuple[FloatArray, FloatArray, float]:
-    """Return where the axes meet, the rotation of a board that faces both cameras, and the distance from the left."""
+    """Return where the axes meet, the rotation of a facing board, and the left distance."""
     left_from_right = rig.right_from_left.inverse()
     axes = np.stack([[0.0, 0.0, 1.0], left_from_right.rotation[:, 2]])
     across = np.eye(3) - axes[:, :, None] * axes[:, None, :]
@@ -462,7 +496,6 @@ def _working_point(rig: StereoRig, board: Board) -> tuple[FloatArray, FloatArray
 
 
 def _required(board: Board) -> FloatArray:
-    """Return the points (N, 3) in the target's frame that a picture has to show."""
     if board.rings is not None:
         x, y = board.rings
         corners = np.array([[-1.0, -1.0], [x + 1, -1], [x + 1, y + 1], [-1, y + 1]])
@@ -474,7 +507,7 @@ def _required(board: Board) -> FloatArray:
 
 
 def _seen(rig: StereoRig, pose: RigidTransform, required: FloatArray) -> bool:
-    """Return whether both cameras see the required points of a board, and it not too steeply."""
+    """Return whether both cameras see the required points, and not too obliquely."""
     points = pose.apply(required)
     for camera, camera_from_left in ((rig.left, RigidTransform.identity()), (rig.right, rig.right_from_left)):
         pixels = camera.project(camera_from_left.apply(points))
@@ -489,14 +522,17 @@ def _seen(rig: StereoRig, pose: RigidTransform, required: FloatArray) -> bool:
 
 @dataclass(frozen=True)
 class SessionFaults:
-    """What real sessions have and the noise of their points does not tell.
+    """Errors of real calibration sessions beyond the noise of their points.
 
-    `warp_m`: largest height of a bent board over its plane, a random polynomial of third order. `focus`: relative
-    change of both focal lengths from the first view to the last; `course`: evenly, as a body warms up (three time
-    constants), or all at once after a third of the views, as a lens that is touched. `smooth_px`:
-    rms error per coordinate that neighbours in one picture share (light, print on a soft sheet, air), over
-    `_SMOOTH` of the board's diagonal, new in every picture. `locking_px`: amplitude of an error that follows the
-    point's place within its pixel, as sharpened pictures give it.
+    Attributes
+    ----------
+    warp_m : Largest height of a bent board, a random polynomial of third order.
+    focus : Relative change of both focal lengths from the first view to the last.
+    smooth_px : rms error per coordinate shared by neighbours in one image (light, soft print, air), over `_SMOOTH` of
+        the board's diagonal, different in every image.
+    locking_px : Amplitude of an error that depends on the point's position within its pixel, as in sharpened images.
+    focus_profile : "even"; "warming", exponential with three time constants; "jump", at once after a third of the
+        views, as a touched lens.
     """
 
     warp_m: float = 0.0
@@ -506,16 +542,16 @@ class SessionFaults:
     focus_profile: Literal["even", "warming", "jump"] = "even"
 
     def growth(self, views: int) -> FloatArray:
-        """Return the relative change (V,) of the focal lengths in each view, its mean zero."""
-        place = np.linspace(0.0, 1.0, views)
+        """Return the relative change (V,) of the focal lengths in each view, with mean zero."""
+        time = np.linspace(0.0, 1.0, views)
         if self.focus_profile == "warming":
-            place = -np.expm1(-3 * place) / -np.expm1(-3)
+            time = -np.expm1(-3 * time) / -np.expm1(-3)
         elif self.focus_profile == "jump":
-            place = (place > 1 / 3).astype(np.float64)
-        return np.asarray(self.focus * (place - place.mean()))
+            time = (time > 1 / 3).astype(np.float64)
+        return np.asarray(self.focus * (time - time.mean()))
 
 
-_SMOOTH = 0.3
+_SMOOTH = 0.3  # correlation length of smooth errors over the board's diagonal
 
 
 def simulate_session(
@@ -526,15 +562,15 @@ def simulate_session(
     noise_px: float,
     faults: SessionFaults = SessionFaults(),
 ) -> list[tuple[TargetView, TargetView]]:
-    """Return the views (left, right) of a board's corners as found with normal noise and faults, without pictures.
+    """Return simulated views (left, right) of a board's corners, without images.
 
-    The noise is stated, the faults are not. The focal lengths of the rig are the means over the session.
+    The noise is stated in the views, the faults are not. The rig's focal lengths are the means over the session.
     """
     index = board.index.astype(np.int64)
     points = board.points_m + _warp(rng, board.points_m, faults.warp_m)
-    apart = np.linalg.norm(board.points_m[:, None] - board.points_m, axis=-1)
-    length = _SMOOTH * float(apart.max())
-    root = np.linalg.cholesky(np.exp(-0.5 * (apart / length) ** 2) + 1e-6 * np.eye(len(points)))
+    distance = np.linalg.norm(board.points_m[:, None] - board.points_m, axis=-1)
+    length = _SMOOTH * float(distance.max())
+    root = np.linalg.cholesky(np.exp(-0.5 * (distance / length) ** 2) + 1e-6 * np.eye(len(points)))
     stated = np.broadcast_to(noise_px**2 * np.eye(2), (len(points), 2, 2))
     pairs: list[tuple[TargetView, TargetView]] = []
     for pose, change in zip(poses, faults.growth(len(poses)), strict=True):
@@ -553,7 +589,7 @@ def simulate_session(
 
 
 def _warp(rng: np.random.Generator, points_m: FloatArray, height_m: float) -> FloatArray:
-    """Return offsets (N, 3) of a flat board's points (N, 3) that is bent by up to `height_m`."""
+    """Return offsets (N, 3) of a board's points that is bent by up to `height_m`."""
     x, y = ((points_m - points_m.mean(axis=0)) / np.ptp(points_m, axis=0).max() * 2)[:, :2].T
     terms = np.column_stack([x * x, x * y, y * y, 0.5 * x**3, 0.5 * x * x * y, 0.5 * x * y * y, 0.5 * y**3])
     height = terms @ rng.normal(size=7)

@@ -24,7 +24,7 @@ _SHIFT = 0.35  # largest random shift of a dot in cells
 class Texture(Arrays, shapes="coefficients I J; origin_m 2"):
     """Reflectance over a face: cubic B-spline coefficients (rows, columns) at grid points `step_m` apart.
 
-    `coefficients[i, j]` belongs to the face coordinates (u, v) = `origin_m` (2,) + `step_m`·(j, i), in m.
+    `coefficients[i, j]` is that of the face coordinates (u, v) = `origin_m` (2,) + `step_m`·(j, i), in m.
     """
 
     coefficients: NDArray[np.float32]
@@ -38,9 +38,9 @@ class Texture(Arrays, shapes="coefficients I J; origin_m 2"):
 
 
 def texture_from_samples(samples: NDArray[np.floating], step_m: float, blur_m: float = 0.0) -> Texture:
-    """Return the texture that passes through reflectance samples (rows, columns), centred on the face's origin.
+    """Return the texture through reflectance samples (rows, columns), centred on the face's origin.
 
-    `blur_m` is the σ of a Gaussian taken over the samples first: what the lens does to a face at this distance.
+    `blur_m` is the σ of a Gaussian filter of the samples: the lens blur at this distance.
     """
     smooth = np.asarray(samples, dtype=np.float64)
     if blur_m > 0:
@@ -54,11 +54,32 @@ def texture_from_samples(samples: NDArray[np.floating], step_m: float, blur_m: f
 def speckle_texture(
     size_m: tuple[float, float], diameter_m: float, step_m: float, blur_m: float, rng: np.random.Generator
 ) -> Texture:
-    """Return dark dots on a bright ground over a face of `size_m` (width along u, height along v).
+    """Return a random speckle pattern of dark dots for a face.
 
-    Dots of diameter `diameter_m` ± 15 % on a grid 1.15 diameters wide, each shifted at random by up to 0.35 of it:
-    about half of the face is dark, without order at long range. Reflectance runs from 0 to 1.
+    Parameters
+    ----------
+    size_m
+        Width along u and height along v, m.
+    diameter_m
+        Mean diameter of the dots, m.
+    step_m
+        Distance of grid points, m.
+    blur_m
+        σ of the lens blur, m.
+    rng
+        Random generator.
 
+    Returns
+    -------
+    Reflectance from 0 to 1.
+
+    Notes
+    -----
+    Dot diameters vary by ± 15 %. The dots are on a grid 1.15 diameters wide, each shifted randomly by up to 0.35 of it.
+    About half of the face is dark, without long-range order.
+
+    Examples
+    --------
     >>> speckle_texture((0.02, 0.01), diameter_m=1e-3, step_m=1e-4, blur_m=1e-4, rng=np.random.default_rng(1))
     Texture(coefficients (101, 201), origin_m=[-0.01 -0.005], step_m=0.0001)
     """
@@ -75,7 +96,7 @@ def speckle_texture(
 
 
 def tile_texture(texture: Texture, period_m: float) -> Texture:
-    """Return the texture printed from one tile of `period_m`, side by side along u and v, as printed foils are."""
+    """Return the texture repeated from one tile of `period_m`, as on printed foils."""
     count = max(4, round(period_m / texture.step_m))
     rows, columns = (np.arange(n) % min(count, n) for n in texture.coefficients.shape)
     return replace(texture, coefficients=np.ascontiguousarray(texture.coefficients[np.ix_(rows, columns)]))
@@ -83,7 +104,7 @@ def tile_texture(texture: Texture, period_m: float) -> Texture:
 
 @njit()
 def _paint_dots(samples: FloatArray, x: FloatArray, y: FloatArray, radius: FloatArray) -> None:
-    """Darken discs in place; their rims are one grid step soft."""
+    """Darken discs in place; their rims are one grid step wide."""
     rows, columns = samples.shape
     for k in range(x.size):
         reach = radius[k] + 1.0
@@ -95,7 +116,7 @@ def _paint_dots(samples: FloatArray, x: FloatArray, y: FloatArray, radius: Float
 
 @njit()
 def spline_value(coefficients: NDArray[np.float32], x: float, y: float) -> float:
-    """Return the cubic B-spline at column x and row y of the grid; outside, the outermost cell is continued."""
+    """Return the cubic B-spline at a column x and row y, clamped at the border."""
     rows, columns = coefficients.shape
     x = min(max(x, 1.0), columns - 2.000001)
     y = min(max(y, 1.0), rows - 2.000001)
@@ -116,17 +137,27 @@ def spline_value(coefficients: NDArray[np.float32], x: float, y: float) -> float
     return value
 
 
-# What a camera looks at: a flat textured face of a rigid body, and the view of it.
+# Objects: a flat textured face of a rigid body, and the view of it.
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Face(Arrays, shapes="origin_m 3; axis_u 3; axis_v 3; half_size_m 2"):
-    """A flat face of a body at rest: points origin + u·axis_u + v·axis_v in the world (the sensor) frame, in m.
+    """A flat textured face of a body at rest.
 
-    `half_size_m` (2,): half width and half height of the rectangle; of a `round` face the first is its radius.
-    `edge_blur_m`: σ of the lens blur at the rim. `bright`, `dark`: grey levels (fractions of full scale) of
-    reflectance 1 and 0; `background`: the grey level around the face.
+    Its points are origin + u·axis_u + v·axis_v in the world (sensor) frame, in m.
 
+    Attributes
+    ----------
+    origin_m, axis_u, axis_v : (3,); the axes are orthogonal unit vectors.
+    half_size_m : (2,), half width and half height of the rectangle; the first is the radius of a `round` face.
+    round : Whether it is a disc.
+    texture : Reflectance over (u, v).
+    edge_blur_m : σ of the lens blur at the rim, m.
+    bright, dark : Grey levels (fractions of full scale) of reflectance 1 and 0.
+    background : Grey level around the face.
+
+    Examples
+    --------
     >>> texture = speckle_texture((0.02, 0.02), 1e-3, 1e-4, 1e-4, np.random.default_rng(1))
     >>> face = Face(np.zeros(3), np.eye(3)[0], np.eye(3)[1], np.array([0.01, 0.01]), False, texture, edge_blur_m=1e-4)
     >>> face.plane.shape
@@ -152,13 +183,13 @@ class Face(Arrays, shapes="origin_m 3; axis_u 3; axis_v 3; half_size_m 2"):
 
     @property
     def plane(self) -> FloatArray:
-        """The matrix (3, 3) [axis_u axis_v origin] that takes (u, v, 1) to a point in the world frame."""
+        """Matrix (3, 3) [axis_u axis_v origin] from (u, v, 1) to the world frame."""
         return np.column_stack([self.axis_u, self.axis_v, self.origin_m])
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class View(Arrays, shapes="ray H W 2; ray_x H W 2; ray_y H W 2; light H W"):
-    """A camera in the world: its rays, made once, and the light that falls off towards its corners.
+    """A camera in the world with its rays and brightness.
 
     `ray` (H, W, 2): normalised coordinates x = X/Z, y = Y/Z of the pixel centres; `ray_x`, `ray_y` (H, W, 2): their
     change from one pixel to the next, along columns and rows. `light` (H, W): brightness, 1 at the image centre.
@@ -172,7 +203,10 @@ class View(Arrays, shapes="ray H W 2; ray_x H W 2; ray_y H W 2; light H W"):
     light: FloatArray
 
     def homography(self, face: Face, pose: FloatArray) -> FloatArray:
-        """Return the matrix (3, 3) that takes a ray (x, y, 1) to w·(u, v, 1) on the face of a body in `pose` (6,)."""
+        """Return the matrix (3, 3) from a ray (x, y, 1) to w·(u, v, 1).
+
+        The face is that of a body in `pose` (6,).
+        """
         camera_from_body = self.camera_from_world @ RigidTransform.from_pose(pose)
         face_to_ray = camera_from_body.rotation @ face.plane
         face_to_ray[:, 2] += camera_from_body.translation_m
@@ -180,8 +214,23 @@ class View(Arrays, shapes="ray H W 2; ray_x H W 2; ray_y H W 2; light H W"):
 
 
 def view_of(camera: Camera, camera_from_world: RigidTransform, falloff: float = 0.12) -> View:
-    """Return the view through `camera`; `falloff` is the loss of light at the image corners.
+    """Return the view through a camera.
 
+    Parameters
+    ----------
+    camera
+        Camera with distortion.
+    camera_from_world
+        Pose of the camera.
+    falloff
+        Relative loss of light at the image corners; default 0.12.
+
+    Returns
+    -------
+    Rays and brightness of every pixel.
+
+    Examples
+    --------
     >>> camera = Camera.from_parameters(np.array([400.0, 400, 31.5, 23.5, 0, 0, 0, 0, 0]), np.array([64, 48]))
     >>> view_of(camera, RigidTransform.identity()).light.shape
     (48, 64)
@@ -205,8 +254,16 @@ def view_of(camera: Camera, camera_from_world: RigidTransform, falloff: float = 
 
 @dataclass(frozen=True)
 class ImageSensor:
-    """A camera's sensor: significant bits, electrons per grey level, read noise in grey levels.
+    """Noise and digitisation of a camera's image sensor.
 
+    Attributes
+    ----------
+    bit_depth : Significant bits; default 12.
+    electrons_per_grey : Electrons per grey level; default 8.
+    read_noise_grey : Standard deviation of the read noise in grey levels; default 6.
+
+    Examples
+    --------
     >>> sensor = ImageSensor(bit_depth=10)
     >>> sensor.full_scale, int(sensor.digitise(np.array([[0.5]]), None)[0, 0])
     (1023, 512)
@@ -218,17 +275,17 @@ class ImageSensor:
 
     @property
     def full_scale(self) -> int:
-        """The largest grey level."""
+        """Largest grey level."""
         return int(2**self.bit_depth - 1)
 
     def variance(self, grey: FloatArray) -> FloatArray:
-        """Return the noise variance of grey levels: shot noise g/e, read noise, and 1/12 of rounding."""
+        """Return the noise variance of grey levels: shot noise g/e, read noise, 1/12 of rounding."""
         return np.asarray(np.maximum(grey, 0) / self.electrons_per_grey + self.read_noise_grey**2 + 1 / 12)
 
     def digitise(self, image: FloatArray, rng: np.random.Generator | None) -> NDArray[np.uint16]:
-        """Return the stored image of fractions of full scale; `rng` None stores it without noise.
+        """Return the stored image of fractions of full scale; without noise if `rng` is None.
 
-        Shot noise is taken as normal with the variance of the electron count, thousands of electrons per pixel.
+        Shot noise is approximated as normal with the variance of the electron count, thousands of electrons per pixel.
         """
         grey = np.asarray(image) * self.full_scale
         if rng is not None:
@@ -239,17 +296,36 @@ class ImageSensor:
 
 # Rendering by ray intersection: pixel aperture and exposure are integrated, lens blur is part of the face.
 
-_FAR = 4.0  # rim blur in σ beyond which a point is wholly inside or outside
+_FAR = 4.0  # distance in σ of the rim blur beyond which a point is inside or outside
 
 
 def render(view: View, face: Face, poses: FloatArray, weights: FloatArray, nodes: int = 2) -> FloatArray:
-    """Return the noise-free image (H, W), fractions of full scale, of the body in `poses` (E, 6), weighted (E,).
+    """Render the noise-free image of a face of a moving body.
 
-    Poses (H, E, 6) are those of each row of the image. Every pixel is the mean over its square by `nodes` x `nodes`
-    Gauss-Legendre points, and over the poses by the weights (summing to 1). A ray meets the moved face at
-    homography·(x, y, 1); the rim is an error function of the distance from it, the face's texture carries the lens blur
-    already.
+    Parameters
+    ----------
+    view
+        Camera and rays.
+    face
+        The face at rest.
+    poses
+        (E, 6) of the body, or (H, E, 6) of each row of the image.
+    weights
+        (E,), of the poses; their sum is 1.
+    nodes
+        Gauss–Legendre points per pixel along each side; default 2.
 
+    Returns
+    -------
+    Image (H, W), fractions of full scale.
+
+    Notes
+    -----
+    A ray meets the moved face at homography·(x, y, 1). The rim is an error function of the distance from it. The
+    texture already includes the lens blur.
+
+    Examples
+    --------
     >>> texture = speckle_texture((0.02, 0.02), 1e-3, 1e-4, 1e-4, np.random.default_rng(1))
     >>> face = Face(np.zeros(3), np.eye(3)[0], np.eye(3)[1], np.array([0.01, 0.01]), False, texture, edge_blur_m=1e-4)
     >>> camera = Camera.from_parameters(np.array([400.0, 400, 31.5, 23.5, 0, 0, 0, 0, 0]), np.array([64, 48]))
@@ -271,11 +347,11 @@ def render(view: View, face: Face, poses: FloatArray, weights: FloatArray, nodes
 def bend_view(
     view: View, face: Face, pose: FloatArray, shape_m: Callable[[FloatArray, FloatArray], FloatArray]
 ) -> View:
-    """Return the view in which the undeformed face, in `pose` (6,), shows itself as it is seen deformed.
+    """Return the view in which the undeformed face looks like the deformed one.
 
-    `shape_m` gives the small displacement (..., 3) along u, v and the normal of face points u, v (...). A ray that
-    meets the plane at (u, v) sees the material that comes to lie on it, displaced by d: it is d_n·r/r_n - d off along
-    the face, r the ray's direction, and the ray is replaced by the one to where that was. Of second order in d.
+    `shape_m` is the small displacement (..., 3) along u, v and the normal of face points u, v (...), in `pose` (6,). A
+    ray that meets the plane at (u, v) sees material displaced by d. It is shifted by d_n·r/r_n − d along the face, with
+    the ray's direction r, and the ray is replaced by that to the original position. The error is of second order in d.
     """
     hit = np.concatenate([view.ray, np.ones((*view.ray.shape[:2], 1))], axis=2) @ view.homography(face, pose).T
     u, v = hit[..., 0] / hit[..., 2], hit[..., 1] / hit[..., 2]
@@ -284,13 +360,13 @@ def bend_view(
     to_camera = camera_from_body.rotation @ axes
     origin = camera_from_body.apply(face.origin_m)
 
-    def place(u: FloatArray, v: FloatArray) -> FloatArray:
+    def position(u: FloatArray, v: FloatArray) -> FloatArray:
         return np.asarray(origin + np.stack([u, v, np.zeros_like(u)], axis=-1) @ to_camera.T)
 
-    along = place(u, v) @ to_camera
+    along = position(u, v) @ to_camera
     d = shape_m(u, v)
     off = d[..., 2:] * along[..., :2] / along[..., 2:] - d[..., :2]
-    seen = place(u + off[..., 0], v + off[..., 1])
+    seen = position(u + off[..., 0], v + off[..., 1])
     return replace(view, ray=np.ascontiguousarray(seen[..., :2] / seen[..., 2:]))
 
 
@@ -303,11 +379,11 @@ def render_exposure(
     nodes: int = 2,
     times: int = 2,
 ) -> FloatArray:
-    """Return the image (H, W) of a body moving as `pose_at(time)` (6,) over a rectangular exposure.
+    """Render the image (H, W) of a body with `pose_at(time)` (6,) over a rectangular exposure.
 
-    `middle_s`: of the exposure of the frame, or (H,) of each of its rows, as a rolling shutter exposes them. Of two
-    Gauss-Legendre `times` the error of the mean is (π·f·T)⁴/1080 of the amplitude of a line at f, below 10⁻⁸ at
-    f·T = 0.02.
+    `middle_s`: centre of the exposure of the frame, or (H,) of each of its rows, as with a rolling shutter. With two
+    Gauss–Legendre `times` the error of the mean is (π·f·T)⁴/1080 of the amplitude of a line at f, below 10⁻⁸ at f·T =
+    0.02.
     """
     offsets, shares = _gauss_legendre(times, exposure_s)
     instants = np.add.outer(np.atleast_1d(middle_s), offsets)
@@ -323,25 +399,28 @@ def add_face(
     exposure: tuple[float | FloatArray, float],
     nodes: int = 2,
 ) -> FloatArray:
-    """Return an image (H, W) with one more face, which covers none that is there; `exposed`: middle and length in s."""
+    """Return an image (H, W) with one more face that covers no other face.
+
+    `exposure`: middle and length in s.
+    """
     return image + render_exposure(view, face, pose_at, *exposure, nodes) - face.background * view.light
 
 
 def _gauss_legendre(nodes: int, length: float) -> tuple[FloatArray, FloatArray]:
-    """Return the points and weights (nodes,) of the mean over an interval of `length` around zero."""
+    """Return the points and weights (nodes,) of the mean over an interval around zero."""
     points, weights = np.polynomial.legendre.leggauss(nodes)
     return points * length / 2, weights / 2
 
 
 @njit(error_model="numpy")
 def _integrate(rays, motion, aperture, texture, size, tone, image):  # type: ignore[no-untyped-def]
-    """Fill the image with the mean over aperture and exposure, in one pass over the pixels."""
+    """Fill the image with the mean over aperture and exposure, in one pass."""
     (ray, ray_x, ray_y), (maps, weights) = rays, motion
     (offsets, shares), (coefficients, grid) = aperture, texture
     rows, columns = image.shape
     nodes, poses = offsets.size, weights.size
     for i in range(rows):
-        own = maps[min(i, maps.shape[0] - 1)]
+        row_maps = maps[min(i, maps.shape[0] - 1)]
         for j in range(columns):
             centre_x, centre_y = ray[i, j, 0], ray[i, j, 1]
             total = 0.0
@@ -351,9 +430,9 @@ def _integrate(rays, motion, aperture, texture, size, tone, image):  # type: ign
                 y = centre_y + across * ray_x[i, j, 1] + down * ray_y[i, j, 1]
                 share = shares[q // nodes] * shares[q % nodes]
                 for e in range(poses):
-                    w = 1.0 / (own[e, 2, 0] * x + own[e, 2, 1] * y + own[e, 2, 2])
-                    u = (own[e, 0, 0] * x + own[e, 0, 1] * y + own[e, 0, 2]) * w
-                    v = (own[e, 1, 0] * x + own[e, 1, 1] * y + own[e, 1, 2]) * w
+                    w = 1.0 / (row_maps[e, 2, 0] * x + row_maps[e, 2, 1] * y + row_maps[e, 2, 2])
+                    u = (row_maps[e, 0, 0] * x + row_maps[e, 0, 1] * y + row_maps[e, 0, 2]) * w
+                    v = (row_maps[e, 1, 0] * x + row_maps[e, 1, 1] * y + row_maps[e, 1, 2]) * w
                     cover = _cover(size, u, v)
                     value = tone[2]
                     if cover > 0.0:
@@ -365,7 +444,7 @@ def _integrate(rays, motion, aperture, texture, size, tone, image):  # type: ign
 
 @njit(error_model="numpy")
 def _cover(size: FloatArray, u: float, v: float) -> float:
-    """Return how much of the point (u, v) is the face's: 1 inside, 0 outside, an error function across the rim."""
+    """Return the share of the point (u, v) on the face, smooth at the rim."""
     inside = size[0] - math.sqrt(u * u + v * v) if size[2] > 0.0 else min(size[0] - abs(u), size[1] - abs(v))
     cover = inside / size[3]
     if cover > _FAR:
@@ -373,9 +452,9 @@ def _cover(size: FloatArray, u: float, v: float) -> float:
     return 0.0 if cover < -_FAR else 0.5 * (1.0 + math.erf(cover / math.sqrt(2.0)))
 
 
-# The Cramér-Rao bound of the motion in a set of images: how well any program could place the body.
+# Cramér-Rao bound of the motion in a set of images.
 
-_POSE_STEP = np.array([2e-6] * 3 + [2e-5] * 3)  # m and, at 0.1 m from the origin, rad: a few hundredths of a pixel
+_POSE_STEP = np.array([2e-6] * 3 + [2e-5] * 3)  # m and, at 0.1 m from the origin, rad: some hundredths of a pixel
 
 
 def motion_bound(
@@ -385,11 +464,12 @@ def motion_bound(
     pose: FloatArray | None = None,
     shapes: Sequence[Callable[[FloatArray, FloatArray], FloatArray]] = (),
 ) -> FloatArray:
-    """Return the smallest covariance (6, 6) of x y z rx ry rz (m, rad, at the world origin) of one frame.
+    """Return the Cramér–Rao bound (6, 6) of a motion in one frame.
 
-    (Σ w·JᵀJ)⁻¹ over all pixels of all views: J = ∂grey/∂pose by central differences of the rendered images,
-    w = 1/noise variance. Gain, offset and a reference's noise are no unknowns; estimating them costs more. With S
-    `shapes` in which the face may bend (`bent`) the covariance (6 + S, 6 + S) of all at once, amplitudes in m.
+    The components are x y z rx ry rz (m, rad, at the world origin). The bound is (Σ w·JᵀJ)⁻¹ over all pixels of all
+    views, with J = ∂grey/∂pose by central differences of the rendered images and w = 1/noise variance. Gain, offset and
+    noise of a reference are assumed known; their estimation increases the bound. With S `shapes` of bending
+    (`bend_view`) the covariance is (6 + S, 6 + S), amplitudes in m.
     """
     start = np.zeros(6) if pose is None else np.asarray(pose, dtype=np.float64)
 
@@ -409,10 +489,10 @@ def motion_bound(
     return np.asarray(np.linalg.inv(information))
 
 
-# A calibration session that was never held: the covariance that a stereo pair's parameters would have.
+# Simulated calibration session: covariance of a stereo pair's parameters.
 
-# Steps of the numeric derivative, and what is known before the session (focal lengths and centres in px, the
-# distortion of a good lens, rotation in rad, translation in m). Without the latter k3 of a narrow field is open.
+# Steps of the numeric derivative, and prior standard deviations (focal lengths and centres in px, the distortion of a
+# good lens, rotation in rad, translation in m). Without a prior, k3 of a narrow field is undetermined.
 _CAMERA_STEP = (0.1, 0.1, 0.1, 0.1, 1e-4, 1e-3, 1e-5, 1e-5, 1e-2)
 _CAMERA_PRIOR = (100.0, 100.0, 30.0, 30.0, 0.2, 0.5, 2e-3, 2e-3, 0.5)
 _STEPS = np.array([*_CAMERA_STEP, *_CAMERA_STEP, *[1e-6] * 6])
@@ -422,12 +502,12 @@ _PRIOR = np.array([*_CAMERA_PRIOR, *_CAMERA_PRIOR, *[0.1] * 3, *[0.05] * 3])
 def session_covariance(
     rig: StereoRig, working_point_m: FloatArray, field_m: float, noise_px: float, views: int, rng: np.random.Generator
 ) -> FloatArray:
-    """Return the covariance (24, 24) of the rig after `views` views of a flat target around the working point.
+    """Return the covariance (24, 24) of a rig after a simulated calibration session.
 
-    The target, 13 x 10 points over 0.9 of the field `field_m`, is held in random poses (tilts up to 0.5 rad, shifts
-    up to 0.12 of the field, in depth 0.4); corners are found to `noise_px` per coordinate. Inverse Fisher
-    information with the target's poses marginalised (Schur complement of each view's 6 x 6 block); the target's own
-    scale counts as exact and belongs to `scale_uncertainty`.
+    The flat target has 13 × 10 points over 0.9 of the field `field_m`, in `views` random poses around the working point
+    (tilts up to 0.5 rad, shifts up to 0.12 of the field, in depth 0.4). Corners are found to `noise_px` per coordinate.
+    The result is the inverse Fisher information with the target's poses marginalised (Schur complement of each view's 6
+    × 6 block). The target's scale is assumed exact; its uncertainty is `scale_uncertainty`.
     """
     x, y = np.meshgrid(np.linspace(-0.45, 0.45, 13) * field_m, np.linspace(-0.36, 0.36, 10) * field_m)
     target = np.stack([x.ravel(), y.ravel(), np.zeros(x.size)], axis=-1)
@@ -448,7 +528,7 @@ def session_covariance(
 
 
 def _slopes(rig: StereoRig, points: FloatArray, pivot: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return the derivatives of the points' pixels by the rig (Q, 24), and by their pose about a pivot (Q, 6)."""
+    """Return the derivatives of the pixels by rig (Q, 24) and pose (Q, 6)."""
 
     def pixels(seen_by: StereoRig, points: FloatArray) -> FloatArray:
         return np.concatenate([side.ravel() for side in seen_by.project(points)])

@@ -1,1 +1,1 @@
-"""Calibration targets in pictures: chessboard, ChArUco, dot grids."""
+"""Calibration targets in images: chessboard, ChArUco, dot grids."""

@@ -1,4 +1,4 @@
-"""Chessboards, and the view of any lattice of squares: corners measured, checked, judged."""
+"""Chessboards, and the view of any lattice of squares: corners measured and checked."""
 
 from __future__ import annotations
 
@@ -22,8 +22,8 @@ from photogram.targets.target_view import (
 )
 
 _LEAST_CONTRAST = 0.4  # of a corner, in units of the median over the target
-_ROOM = 0.75  # squares around the outermost corners that belong to the target's area
-_FEWEST = 6
+_MARGIN = 0.75  # squares around the outermost corners that belong to the target's area
+_FEWEST = 6  # corners of a view, for a homography with a check
 _STRIP = 0.08  # of a square, along the edges of squares with markers, at first
 _CLEAR, _NARROWEST, _WIDEST = 0.15, 0.05, 0.12  # the same later: the first less 2σ of the blur, between the others
 
@@ -37,19 +37,19 @@ def corner_view(
     name: str,
     full_scale: float,
 ) -> TargetView:
-    """Return the view of the corners `index` (N, 2) of `target` expected at start_px (N, 2), squares' sides axes_px.
+    """Return the view of the corners `index` (N, 2) of `target` near start_px (N, 2).
 
-    The corners are fitted twice: the second time with the curvature of the edges that the first found. A corner counts
-    if it has the colours of its place in the lattice and at least 0.4 of the usual contrast.
-    Where bright squares hold markers only a strip along the edges is used, the narrower the softer they are.
-    Raises `TargetNotFound` for a bad exposure, a blur, or where fewer than 6 corners, or all on one line, remain.
+    axes_px: the squares' sides. The corners are fitted twice: the second time with the edges' curvature from the first
+    fit. A corner counts if it has the colours of its position in the lattice and at least 0.4 of the usual contrast.
+    Where bright squares contain markers only a strip along the edges is used, the narrower the softer they are. Raises
+    `TargetNotFound` for a bad exposure, a blur, or where fewer than 6 corners, or all on one line, remain.
     """
     assert target.size is not None
     markers = target.kind == "charuco"
     less = 1 if markers else 0
     total = (target.size[0] - less) * (target.size[1] - less)
     across = [a * axes_px[:, 0] + b * axes_px[:, 1] for a in (-1, 1) for b in (-1, 1)]
-    area = outline(np.concatenate([start_px + _ROOM * diagonal for diagonal in across]))
+    area = outline(np.concatenate([start_px + _MARGIN * diagonal for diagonal in across]))
     check_exposure(image, area, full_scale)
     left, top = np.maximum(np.floor(area.min(axis=0)), 0).astype(int)
     right, bottom = np.ceil(area.max(axis=0)).astype(int) + 1
@@ -75,7 +75,7 @@ def corner_view(
     if good.sum() < _FEWEST:
         raise TargetNotFound(_measured(status, total))
     if np.linalg.matrix_rank(index[good] - index[good].mean(axis=0)) < 2:
-        raise TargetNotFound(f"{_measured(status, total)}; those measured lie on one line")
+        raise TargetNotFound(f"{_measured(status, total)}, all on one line")
     lost = int((~good & (status != OUTSIDE)).sum())
     return TargetView(
         name,
@@ -91,16 +91,16 @@ def corner_view(
 
 
 def lattice_bend(index: IntArray, position_px: FloatArray) -> FloatArray:
-    """Return the curvature (N, 2), 1/px, of the edges through corners index (N, 2) at position_px (N, 2).
+    """Return the curvature (N,2), 1/px, of the edges through corners index (N,2) at position_px.
 
     First the edge along the second lattice direction, then that along the first, positive where it turns towards the
-    other direction's negative side, as `refine_corners` takes it. Second differences of neighbours, smoothed by a
-    polynomial of second degree over the lattice; NaN positions are left out.
+    other direction's negative side, as `refine_corners` defines it. Second differences of neighbours, smoothed by a
+    polynomial of second degree over the lattice; NaN positions are ignored.
     """
     low = index.min(axis=0)
-    place = index - low
-    grid = np.full((*(place.max(axis=0) + 1), 2), np.nan)
-    grid[place[:, 0], place[:, 1]] = position_px
+    position = index - low
+    grid = np.full((*(position.max(axis=0) + 1), 2), np.nan)
+    grid[position[:, 0], position[:, 1]] = position_px
     bend = np.zeros((len(index), 2))
     for k, lattice in ((0, grid), (1, grid.swapaxes(0, 1))):
         before, middle, after = lattice[:, :-2], lattice[:, 1:-1], lattice[:, 2:]
@@ -115,38 +115,38 @@ def lattice_bend(index: IntArray, position_px: FloatArray) -> FloatArray:
         at = np.argwhere(np.isfinite(turn))
         if len(at) >= 3:
             terms = 6 if len(at) >= 18 else 3 if len(at) >= 9 else 1
-            powers, wanted = lattice_powers(at + np.array([0, 1])), place if k == 0 else place[:, ::-1]
+            powers, targets = lattice_powers(at + np.array([0, 1])), position if k == 0 else position[:, ::-1]
             solution = np.linalg.lstsq(powers[:, :terms], turn[tuple(at.T)], rcond=None)[0]
-            bend[:, k] = lattice_powers(wanted)[:, :terms] @ solution
+            bend[:, k] = lattice_powers(targets)[:, :terms] @ solution
     return bend
 
 
-def lattice_powers(place: FloatArray | IntArray) -> FloatArray:
-    """Return 1, x, y, x², xy, y² and those of third degree (N, 10) of lattice points (N, 2), in tens."""
-    x, y = place.T / 10.0
+def lattice_powers(index: FloatArray | IntArray) -> FloatArray:
+    """Return the powers (N,10) up to third degree of lattice points (N,2), in tens."""
+    x, y = index.T / 10.0
     return np.stack([np.ones_like(x), x, y, x * x, x * y, y * y, x**3, x * x * y, x * y * y, y**3], axis=1)
 
 
 def _measured(status: IntArray, total: int) -> str:
-    """Return how many of the board's corners are measured, and why others that ought to be seen are not."""
+    """Return the number of measured corners, and the reasons of missing ones, as text."""
     value, count = np.unique(status[status != GOOD], return_counts=True)
     lost = ", ".join(f"{count[k]} {REASONS[int(value[k])]}" for k in np.argsort(-count))
     return f"{int((status == GOOD).sum())} of {total} corners can be measured" + (f" (lost: {lost})" if lost else "")
 
 
-# A chessboard in a picture: coarse search by OpenCV, which corner is which, sub-pixel positions.
+# A chessboard in an image: coarse search by OpenCV, numbers of the corners, sub-pixel positions.
 
-SEARCHED_PX = 1400  # longest side of the picture in which the board is searched first
+SEARCHED_PX = 1400  # longest side of the reduced image in which the board is searched first
 
 
 def find_chessboard(image: NDArray[Any], target: Target, name: str, full_scale: float) -> TargetView:
-    """Return the inner corners of a chessboard that lies in the picture (H, W) as a whole.
+    """Return the inner corners of a chessboard that lies wholly in the image.
 
     Index (i, j): first index to the right, second down, so that the third axis points away from the camera, and the
-    square beyond corner (0, 0) is black. Where two orientations fulfil this (columns and rows both odd or both even)
-    the one whose first axis points to the right of the picture is taken: hold such a board upright in all pictures.
-    A chessboard's mirror image is a chessboard; no single picture tells it.
-    Raises `TargetNotFound` with what is wrong with the picture.
+    square beyond corner (0, 0) is black. Where two orientations fulfil this (columns and rows both odd or both even),
+    the one is used whose first axis points to the right of the image: keep such a board upright in all images. A
+    chessboard's mirror image is a chessboard; a single image cannot show the difference. Raises `TargetNotFound` with
+    the fault of the image.
     """
     assert target.size is not None
     grey = eight_bit(image)
@@ -154,7 +154,7 @@ def find_chessboard(image: NDArray[Any], target: Target, name: str, full_scale: 
     if corners is None:
         small, factor = downscale(grey, SEARCHED_PX)
         boards = _boards(small, target.size)
-        for board in boards:  # the one wanted may be another
+        for board in boards:  # the target may be another one
             corners = _search(_covered(grey, (board + 0.5) * factor - 0.5), target.size)
             if corners is not None:
                 break
@@ -167,19 +167,19 @@ def find_chessboard(image: NDArray[Any], target: Target, name: str, full_scale: 
         refuse_second(f"a chessboard of {target.size[0]} x {target.size[1]} inner corners")
     lattice = _oriented(grey, corners)
     index = np.stack(np.meshgrid(*[np.arange(n) for n in lattice.shape[:2]], indexing="ij"), axis=-1)
-    places = index.reshape(-1, 2), lattice.reshape(-1, 2), _axes(lattice).reshape(-1, 2, 2)
-    return corner_view(image, target, *places, name, full_scale)
+    located = index.reshape(-1, 2), lattice.reshape(-1, 2), _axes(lattice).reshape(-1, 2, 2)
+    return corner_view(image, target, *located, name, full_scale)
 
 
 def eight_bit(image: NDArray[Any]) -> NDArray[np.uint8]:
-    """Return the picture with its range of grey values, but for the outer thousandths, spread over 8 bits."""
+    """Return the image scaled to 8 bits, except the outer thousandths."""
     low, high = np.percentile(image[::4, ::4], [0.1, 99.9])
     spread = (np.arange(int(image.max()) + 1) - low) * (255 / max(high - low, 1e-6))
     return np.asarray(np.clip(np.rint(spread), 0, 255).astype(np.uint8)[image])
 
 
 def downscale(grey: NDArray[np.uint8], longest_px: int) -> tuple[NDArray[np.uint8], int]:
-    """Return a picture made smaller by a whole factor to at most `longest_px`, and the factor."""
+    """Return an image reduced by an integer factor to at most `longest_px`, and the factor."""
     import cv2
 
     factor = -(-max(grey.shape) // longest_px)
@@ -191,12 +191,15 @@ def downscale(grey: NDArray[np.uint8], longest_px: int) -> tuple[NDArray[np.uint
 
 
 def _search(grey: NDArray[np.uint8], size: tuple[int, int]) -> FloatArray | None:
-    """Return the corners (columns, rows, 2) in px that OpenCV finds, first in a smaller picture, None for none."""
+    """Return the corners (columns, rows, 2) in px that OpenCV finds, None for none.
+
+    First in a smaller image.
+    """
     import cv2
 
     small, factor = downscale(grey, SEARCHED_PX)
-    for picture, scale in ((small, factor), (grey, 1)) if factor > 1 else ((grey, 1),):
-        found, corners = cv2.findChessboardCornersSB(picture, size, flags=cv2.CALIB_CB_NORMALIZE_IMAGE)
+    for searched, scale in ((small, factor), (grey, 1)) if factor > 1 else ((grey, 1),):
+        found, corners = cv2.findChessboardCornersSB(searched, size, flags=cv2.CALIB_CB_NORMALIZE_IMAGE)
         if found:
             position = (np.asarray(corners, dtype=np.float64).reshape(size[1], size[0], 2) + 0.5) * scale - 0.5
             return position.swapaxes(0, 1)
@@ -204,17 +207,17 @@ def _search(grey: NDArray[np.uint8], size: tuple[int, int]) -> FloatArray | None
 
 
 def _axes(lattice: FloatArray) -> FloatArray:
-    """Return the sides (I, J, 2, 2) of the squares of a lattice of corners (I, J, 2)."""
+    """Return the sides (I,J,2,2) of the squares of a lattice of corners (I,J,2)."""
     return np.stack([np.gradient(lattice, axis=0), np.gradient(lattice, axis=1)], axis=2)
 
 
 def _quadrants(grey: NDArray[np.uint8], corners: FloatArray, axes: FloatArray, share: float = 0.3) -> FloatArray:
-    """Return the grey values (..., 4) of squares −−, ++, +−, −+ around corners (..., 2), NaN outside the picture.
+    """Return the grey values (...,4) of squares −−, ++, +−, −+ around corners (...,2).
 
-    `share`: of a square's sides, between the corner and where its value is read.
+    NaN outside the image. `share`: of a square's sides, between the corner and the point that is read.
     """
-    place = np.array([[-1, -1], [1, 1], [1, -1], [-1, 1]]) * share
-    points = corners[..., None, :] + place @ axes
+    offsets = np.array([[-1, -1], [1, 1], [1, -1], [-1, 1]]) * share
+    points = corners[..., None, :] + offsets @ axes
     column, row = np.rint(points[..., 0]).astype(int), np.rint(points[..., 1]).astype(int)
     inside = (column >= 0) & (row >= 0) & (column < grey.shape[1]) & (row < grey.shape[0])
     value = grey[np.clip(row, 0, grey.shape[0] - 1), np.clip(column, 0, grey.shape[1] - 1)]
@@ -222,27 +225,30 @@ def _quadrants(grey: NDArray[np.uint8], corners: FloatArray, axes: FloatArray, s
 
 
 def _saddle(quadrants: FloatArray) -> FloatArray:
-    """Return by how much the darker of one pair of opposite squares is brighter than the brighter of the other."""
+    """Return the brightness gap between two pairs of opposite squares.
+
+    Darker square of the brighter pair minus brighter square of the other.
+    """
     equal, unequal = quadrants[..., :2], quadrants[..., 2:]
     return np.asarray(np.maximum(equal.min(-1) - unequal.max(-1), unequal.min(-1) - equal.max(-1)))
 
 
 def _refuse_larger(grey: NDArray[np.uint8], corners: FloatArray) -> None:
-    """Raise `TargetNotFound` where the lattice of corners goes on beyond one of its sides."""
+    """Raise `TargetNotFound` where the lattice of corners continues beyond one of its sides."""
     axes = _axes(corners)
     saddles = _saddle(_quadrants(grey, corners, axes))
     usual = float(np.median(saddles[np.isfinite(saddles)])) if np.isfinite(saddles).any() else 0.0
     for side in range(4):
-        turned, turned_axes = np.rot90(corners, side), np.rot90(axes, side)
-        beyond = 3 * turned[0] - 3 * turned[1] + turned[2] if len(turned) > 2 else 2 * turned[0] - turned[1]
-        strength = _saddle(_quadrants(grey, beyond, turned_axes[0]))
+        rotated, rotated_axes = np.rot90(corners, side), np.rot90(axes, side)
+        beyond = 3 * rotated[0] - 3 * rotated[1] + rotated[2] if len(rotated) > 2 else 2 * rotated[0] - rotated[1]
+        strength = _saddle(_quadrants(grey, beyond, rotated_axes[0]))
         if float(np.median(np.nan_to_num(strength))) > 0.5 * usual:
             columns, rows = corners.shape[:2]
             raise TargetNotFound(f"another target: a chessboard of more than {columns} x {rows} inner corners")
 
 
 def _oriented(grey: NDArray[np.uint8], corners: FloatArray) -> FloatArray:
-    """Return the lattice (columns, rows, 2) turned so that it is right-handed and begins at a black square."""
+    """Return the lattice (columns,rows,2) rotated to be right-handed and begin at a black square."""
     columns, rows = corners.shape[:2]
     along, down = corners[-1, 0] - corners[0, 0], corners[0, -1] - corners[0, 0]
     if along[0] * down[1] - along[1] * down[0] < 0:
@@ -251,7 +257,7 @@ def _oriented(grey: NDArray[np.uint8], corners: FloatArray) -> FloatArray:
     candidates = [np.rot90(corners, turn) for turn in turns]
 
     def begins_black(lattice: FloatArray) -> bool:
-        """Whether the square beyond corner (0, 0) and those of its colour are the dark ones."""
+        """Return whether the square beyond corner (0, 0) and those of its colour are dark."""
         quadrants = _quadrants(grey, lattice, _axes(lattice))
         brighter = np.nan_to_num(quadrants[..., :2].sum(-1) - quadrants[..., 2:].sum(-1))
         parity = np.indices(lattice.shape[:2]).sum(axis=0) % 2
@@ -269,7 +275,7 @@ def _boards(small: NDArray[np.uint8], size: tuple[int, int]) -> list[FloatArray]
     import cv2
 
     lattices = []
-    for less in (1, 2, 4, max(size)):  # smaller lattices, which OpenCV lets grow
+    for less in (1, 2, 4, max(size)):  # smaller lattices, which OpenCV extends
         seed = (max(size[0] - less, 3), max(size[1] - less, 3))
         flags = cv2.CALIB_CB_LARGER | cv2.CALIB_CB_NORMALIZE_IMAGE
         found, corners, meta = cv2.findChessboardCornersSBWithMeta(small, seed, flags=flags)
@@ -279,7 +285,7 @@ def _boards(small: NDArray[np.uint8], size: tuple[int, int]) -> list[FloatArray]
 
 
 def _covered(grey: NDArray[np.uint8], board: FloatArray) -> NDArray[np.uint8]:
-    """Return the picture with the squares around the corners (I, J, 2) of a board painted over."""
+    """Return the image with the squares around a board's corners (I, J, 2) painted over."""
     import cv2
 
     axes, covered = _axes(board), grey.copy()
@@ -296,25 +302,25 @@ def _reason(
     size: tuple[int, int],
     full_scale: float,
 ) -> str:
-    """Return what is wrong with a picture in which only `boards` of other sizes were found."""
+    """Return the fault of an image in which only `boards` of other sizes were found."""
     fault = image_fault(image, full_scale)
     if fault is not None:
         return fault
-    wanted = f"{size[0]} x {size[1]}"
+    expected = f"{size[0]} x {size[1]}"
     if not boards:
-        return f"no chessboard of {wanted} inner corners"
+        return f"no chessboard of {expected} inner corners"
     lattice = boards[0]
     rows, columns = lattice.shape[:2]
     seen = f"{max(rows, columns)} x {min(rows, columns)}"
     sides = [np.rot90(lattice, turn) for turn in range(4)]
     beyond = np.concatenate([side[0] + 1.5 * (side[0] - side[1]) for side in sides])
     if ((beyond < 0) | (beyond > [small.shape[1] - 1, small.shape[0] - 1])).any():
-        return f"runs over the edge of the picture: {seen} of {wanted} inner corners are seen"
-    return f"another target, or one partly covered: a chessboard of {seen} inner corners, expected {wanted}"
+        return f"extends beyond the edge of the image: {seen} of {expected} inner corners are visible"
+    return f"another target, or one partly covered: a chessboard of {seen} inner corners, expected {expected}"
 
 
 def _is_board(grey: NDArray[np.uint8], lattice: FloatArray) -> bool:
-    """Whether the squares around a lattice of corners are evenly dark and bright, as speckles and dots are not."""
+    """Return whether the squares around corners are evenly dark and bright, unlike speckles and dots."""
     axes = _axes(lattice)
     saddles = [_saddle(_quadrants(grey, lattice, axes, share)).ravel() for share in (0.15, 0.3, 0.45)]
     seen = [saddle[np.isfinite(saddle)] for saddle in saddles]

@@ -1,4 +1,4 @@
-"""Crossings of a chessboard: where they are, and to what part of a pixel."""
+"""Sub-pixel positions of a chessboard's crossings of two blurred edges."""
 
 from __future__ import annotations
 
@@ -15,21 +15,21 @@ from photogram.kernels import njit
 
 PARAMETERS = 10  # centre x, y, angles of both edges' normals, mean, half contrast, relative slope x, y, blur of both
 GOOD, OUTSIDE, SATURATED, NO_CROSSING, FAINT = 0, 1, 2, 3, 4
-FULL, STATUS, CHI2 = PARAMETERS, PARAMETERS + 1, PARAMETERS + 2  # columns of what is fitted, after the parameters
+FULL, STATUS, CHI2 = PARAMETERS, PARAMETERS + 1, PARAMETERS + 2  # columns after those of the parameters
 SATURATION, AMOUNT, RADIUS = 3, 4, 5  # of the camera's response
 REACH = 3  # px over which noise may be correlated
-_ROUNDS = 30
-_MOST_PIXELS = 20_000  # of a window
+_ROUNDS = 30  # usually fewer than ten are needed
+_MAX_PIXELS = 20_000  # of a window
 _CENTRED_PX, _CONVERGED_PX = 1e-3, 1e-4
-"""Steps of the centre that end a fit: of the one that places the window, and of the last, which errs by far less."""
+"""Steps of the centre that end a fit: for the position of the window, and for the result, with a far smaller error."""
 _SMALLEST_WINDOW_PX = 4.0  # half width
 _SHARPEST_PX = 0.25  # smallest blur σ of the model
-_FARTHEST = 0.35  # of a square's side, that a corner may lie from where it was expected
+_FARTHEST = 0.35  # of a square's side, between a corner and its start
 
 
 @njit(error_model="numpy")
 def cholesky(matrix: FloatArray, factor: FloatArray) -> bool:
-    """Fill the lower factor of a symmetric matrix (P, P); return whether it is positive definite."""
+    """Fill the lower factor of a symmetric matrix (P,P); return whether it is positive definite."""
     size = matrix.shape[0]
     for i in range(size):
         for j in range(i + 1):
@@ -61,7 +61,10 @@ def solve(factor: FloatArray, vector: FloatArray) -> None:
 
 @njit(error_model="numpy")
 def _edge(distance: float, sharpness: float) -> tuple[float, float]:
-    """Return erf(d/(√2·σ)) and its derivative by d, sharpness 1/σ; to 10⁻¹¹ both are at their limits beyond 7 σ."""
+    """Return erf(d/(√2·σ)) and its derivative by d, sharpness 1/σ.
+
+    Beyond 7σ both are at their limits to 10⁻¹¹.
+    """
     scaled = distance * sharpness
     if abs(scaled) > 7.0:
         return math.copysign(1.0, scaled), 0.0
@@ -70,7 +73,10 @@ def _edge(distance: float, sharpness: float) -> tuple[float, float]:
 
 @njit(error_model="numpy")
 def _crossing(p, d_1, d_2, sharpness):  # type: ignore[no-untyped-def]
-    """Return E(d₁/s₁)·E(d₂/s₂) and its derivatives by d₁, d₂, σ₁, σ₂; `sharpness`: 1/s of both, s² = σ² or σ² + τ²."""
+    """Return E(d₁/s₁)·E(d₂/s₂) and its derivatives by d₁, d₂, σ₁, σ₂.
+
+    `sharpness`: 1/s of both, s² = σ² or σ² + τ².
+    """
     sharp_1, sharp_2 = sharpness
     e_1, by_1 = _edge(d_1, sharp_1)
     e_2, by_2 = _edge(d_2, sharp_2)
@@ -80,7 +86,10 @@ def _crossing(p, d_1, d_2, sharpness):  # type: ignore[no-untyped-def]
 
 @njit(error_model="numpy")
 def _edges(p, response):  # type: ignore[no-untyped-def]
-    """Return cosine and sine of both edges' directions, and their sharpness, as they are and blurred by the radius."""
+    """Return cosine and sine of both edges' directions, and their sharpness.
+
+    The sharpness as it is, and after a blur by the radius.
+    """
     radius = response[RADIUS]
     soft_1, soft_2 = 1.0 / math.sqrt(p[8] * p[8] + radius * radius), 1.0 / math.sqrt(p[9] * p[9] + radius * radius)
     turn = math.cos(p[2]), math.sin(p[2]), math.cos(p[3]), math.sin(p[3])
@@ -89,10 +98,11 @@ def _edges(p, response):  # type: ignore[no-untyped-def]
 
 @njit(error_model="numpy")
 def _model(p, edges, bend, response, x, y, slope):  # type: ignore[no-untyped-def]
-    """Return the grey value at (x, y) and fill its derivatives (10,) by the parameters; edges: see `_edges`.
+    """Return the grey value at (x, y) and fill its derivatives (10,) by the parameters.
 
-    (1 + g·r)·(a + b·Q), r from the centre, d_k = n_k·r + bend_k/2·(along the edge)². Q is E(d₁/σ₁)·E(d₂/σ₂), of a
-    picture sharpened by A at the radius τ (1 + A)·Q less A times the same with √(σ² + τ²) for σ.
+    edges: see `_edges`. (1 + g·r)·(a + b·Q), r from the centre, d_k = n_k·r + bend_k/2·(along the edge)². Q is
+    E(d₁/σ₁)·E(d₂/σ₂). For an image sharpened by A at the radius τ, it is (1 + A)·Q less A times the same with √(σ² +
+    τ²) for σ.
     """
     rx, ry = x - p[0], y - p[1]
     (cos_1, sin_1, cos_2, sin_2), sharpness, softer = edges
@@ -118,13 +128,16 @@ def _model(p, edges, bend, response, x, y, slope):  # type: ignore[no-untyped-de
 
 @njit(error_model="numpy")
 def _clipped(value: float, expected: float, response: FloatArray) -> bool:
-    """Whether a pixel at full scale says no more than that it is at least as bright, at 0 as dark, as expected."""
+    """Return whether a clipped pixel is consistent with its expected value.
+
+    The expected value is then at least as bright, or as dark.
+    """
     return (value >= response[SATURATION] and expected >= value) or (value <= 0.0 and expected <= value)
 
 
 @njit(error_model="numpy")
 def _normal_equations(image, pixels, p, bend, response, weight, matrix, vector):  # type: ignore[no-untyped-def]
-    """Fill the weighted normal equations over the pixels (M, 2); return the weighted sum of squared residuals."""
+    """Fill the weighted normal equations over the pixels (M, 2); return Σ w·r²."""
     edges, slope = _edges(p, response), np.empty(PARAMETERS)
     matrix[:] = 0.0
     vector[:] = 0.0
@@ -139,7 +152,7 @@ def _normal_equations(image, pixels, p, bend, response, weight, matrix, vector):
         for i in range(PARAMETERS):
             weighted = weight[k] * slope[i]
             vector[i] += weighted * residual
-            for j in range(PARAMETERS):  # all of them, for the compiler knows their number
+            for j in range(PARAMETERS):  # all of them: their number is fixed for the compiler
                 matrix[i, j] += weighted * slope[j]
     return total
 
@@ -155,11 +168,11 @@ def _weigh(pixels, taper, p, bend, response, weight):  # type: ignore[no-untyped
 
 @njit(error_model="numpy")
 def _window(image, centre, axes, size, pixels, taper):  # type: ignore[no-untyped-def]
-    """Fill the pixels (M, 2) of a corner's window; return their number, −1 if it runs over the picture's edge.
+    """Fill the pixels (M,2) of a corner's window; return their number, −1 outside.
 
     Along the lattice's axes the window reaches `size[0]` of a square to either side. In quadrants of the colour
     `size[2]`, 1 where both axes have the same sign, the weights `taper` (M,) fall to 0 within `size[1]` of a square
-    from the nearer edge, as (1 − x²)²: smoothly, so that what lies beyond moves nothing with the pixels' phase.
+    from the nearer edge, as (1 − x²)². The smooth decrease avoids steps with the pixels' phase.
     """
     determinant = axes[0, 0] * axes[1, 1] - axes[0, 1] * axes[1, 0]
     half_x = size[0] * (abs(axes[0, 0]) + abs(axes[1, 0]))
@@ -184,7 +197,7 @@ def _window(image, centre, axes, size, pixels, taper):  # type: ignore[no-untype
 
 @njit(error_model="numpy")
 def _start(image, pixels, centre, axes, p):  # type: ignore[no-untyped-def]
-    """Fill start values: edges along the axes, grey levels from the means of equal and unequal quadrants."""
+    """Fill start values: edges along the axes, grey levels from the means of the quadrants."""
     sums, counts = np.zeros(2), np.full(2, 1e-9)
     determinant = axes[0, 0] * axes[1, 1] - axes[0, 1] * axes[1, 0]
     for k in range(pixels.shape[0]):
@@ -203,11 +216,11 @@ def _start(image, pixels, centre, axes, p):  # type: ignore[no-untyped-def]
 
 
 @njit(error_model="numpy")
-def _fit(image, pixels, bend, response, weight, least, p, inverse):  # type: ignore[no-untyped-def]
-    """Improve the parameters by Levenberg's method; return the weighted sum of squares, NaN without convergence.
+def _fit(image, pixels, bend, response, weight, tolerance, p, inverse):  # type: ignore[no-untyped-def]
+    """Improve the parameters by Levenberg's method; return Σ w·r², NaN without convergence.
 
-    It ends with a step of the centre below `least` px. Fills inverse (2, 10), the centre's rows of the inverse of the
-    normal matrix.
+    It ends with a step of the centre below `tolerance` px. Fills inverse (2, 10), the centre's rows of the inverse of
+    the normal matrix.
     """
     matrix, factor = np.empty((PARAMETERS, PARAMETERS)), np.zeros((PARAMETERS, PARAMETERS))
     damped, vector = np.empty_like(matrix), np.empty(PARAMETERS)
@@ -225,7 +238,7 @@ def _fit(image, pixels, bend, response, weight, least, p, inverse):  # type: ign
         tried[:] = p + step
         tried[8], tried[9] = max(tried[8], _SHARPEST_PX), max(tried[9], _SHARPEST_PX)
         new_cost = _normal_equations(image, pixels, tried, bend, response, weight, matrix, vector)
-        converged = damping < 1.0 and abs(step[0]) + abs(step[1]) < least
+        converged = damping < 1.0 and abs(step[0]) + abs(step[1]) < tolerance
         if new_cost <= cost or converged:
             p[:] = tried
             cost, damping = new_cost, damping * 0.1
@@ -245,7 +258,10 @@ def _fit(image, pixels, bend, response, weight, least, p, inverse):  # type: ign
 
 @njit(error_model="numpy")
 def _box(pixels):  # type: ignore[no-untyped-def]
-    """Return left, top, width and height of the box around pixels; numba's own minimum would import SciPy's algebra."""
+    """Return left, top, width and height of the box around pixels.
+
+    Numba's minimum would import SciPy's algebra.
+    """
     left, top = pixels[0]
     right, bottom = pixels[0]
     for k in range(pixels.shape[0]):
@@ -256,9 +272,10 @@ def _box(pixels):  # type: ignore[no-untyped-def]
 
 @njit(error_model="numpy")
 def _spread(image, pixels, taper, weight, p, bend, response, inverse, patch):  # type: ignore[no-untyped-def]
-    """Fill the patch (4, H, W) around the pixels: taper, residual in standard deviations times taper, pull in x and y.
+    """Fill the patch (4,H,W) with taper, tapered residual, pull in x and y.
 
-    The pull is what the centre moves by a residual of one standard deviation; all are 0 where no pixel counts.
+    The residual is in standard deviations. The pull is the shift of the centre by a residual of one standard deviation.
+    All are 0 where no pixel counts.
     """
     edges, slope = _edges(p, response), np.empty(PARAMETERS)
     patch[:] = 0.0
@@ -281,9 +298,10 @@ def _spread(image, pixels, taper, weight, p, bend, response, inverse, patch):  #
 
 @njit(error_model="numpy")
 def _correlate(patch, out):  # type: ignore[no-untyped-def]
-    """Fill out (4, L) for lags (0 … 3, −3 … 3): products of residuals so far apart, of pulls xx, xy, yy.
+    """Fill out (4,L) with products of residuals and of pulls, by lag.
 
-    Of the residuals' products the mean, weighted by the tapers, of the pulls' the sum over pairs in both orders.
+    The mean of the residuals' products, weighted by the tapers; the sum of the pulls' products over pairs in both
+    orders.
     """
     for lag in range(out.shape[1]):
         down, along = lag // (2 * REACH + 1), lag % (2 * REACH + 1) - REACH
@@ -297,27 +315,32 @@ def _correlate(patch, out):  # type: ignore[no-untyped-def]
                 xy += patch[2, i, j] * patch[3, k, m] + patch[3, i, j] * patch[2, k, m]
                 yy += patch[3, i, j] * patch[3, k, m]
         out[0, lag] = product / max(weight, 1.0)
-        both = 1.0 if down == 0 else 2.0  # lags (0, ±k) are both there
+        both = 1.0 if down == 0 else 2.0  # lags (0, ±k) are both present
         out[1, lag], out[2, lag], out[3, lag] = both * xx, both * 0.5 * xy, both * yy
 
 
 @njit(error_model="numpy")
 def fit_crossings(image, corners, response, fitted, lags):  # type: ignore[no-untyped-def]
-    """Fill fitted (N, 13) and lags (N, 4, 28) for corners expected at start (N, 2).
+    """Fill fitted (N,13) and lags (N,4,28) for corners expected at start (N,2).
 
-    fitted: parameters (10), share of saturated pixels, status, χ² per pixel; parameters that are not NaN before are
-    where a fit begins, else it begins from the lattice, and a fit before it places the window. lags: see `_correlate`,
-    NaN without a corner. axes (N, 2, 2): a square's two sides in px. bend (N, 2): curvature of both edges, 1/px.
-    window (N, 3): see `_window`. response (6,): variance of a black pixel, its rise per grey value, its least value;
-    the grey value that counts as saturated; amount and radius of the sharpening.
+    fitted: parameters (10), share of saturated pixels, status, χ² per pixel. Finite parameters are the start of the
+    fit. Otherwise it starts from the lattice, and a preliminary fit places the window.
+
+    lags: see `_correlate`, NaN without a corner.
+
+    axes (N, 2, 2): a square's two sides in px. bend (N, 2): curvature of both edges, 1/px. window (N, 3): see
+    `_window`.
+
+    response (6,): variance of a black pixel, its rise per grey value, its least value; the grey value that counts as
+    saturated; amount and radius of the sharpening.
     """
     start, axes, bend, window = corners
-    buffer, weight, taper = np.empty((_MOST_PIXELS, 2), dtype=np.int32), np.empty(_MOST_PIXELS), np.empty(_MOST_PIXELS)
+    buffer, weight, taper = np.empty((_MAX_PIXELS, 2), dtype=np.int32), np.empty(_MAX_PIXELS), np.empty(_MAX_PIXELS)
     inverse, p, size = np.empty((2, PARAMETERS)), np.empty(PARAMETERS), np.empty(3)
     for n in range(start.shape[0]):
         out = fitted[n]
         p[:] = out[:PARAMETERS]
-        known = not math.isnan(p[0])
+        has_start = not math.isnan(p[0])
         out[:], lags[n] = math.nan, math.nan
         out[STATUS] = OUTSIDE
         shorter = math.sqrt(min(axes[n, 0, 0] ** 2 + axes[n, 0, 1] ** 2, axes[n, 1, 0] ** 2 + axes[n, 1, 1] ** 2))
@@ -332,7 +355,7 @@ def fit_crossings(image, corners, response, fitted, lags):  # type: ignore[no-un
         for k in range(count):
             full += image[buffer[k, 1], buffer[k, 0]] >= response[SATURATION]
         out[FULL], out[STATUS], cost = full / count, NO_CROSSING, 0.0
-        if not known:
+        if not has_start:
             _start(image, buffer[:count], start[n], axes[n], p)
             _weigh(buffer[:count], taper, p, bend[n], response, weight)
             cost = _fit(image, buffer[:count], bend[n], response, weight, _CENTRED_PX, p, inverse)
@@ -356,32 +379,32 @@ def fit_crossings(image, corners, response, fitted, lags):  # type: ignore[no-un
 
 REASONS = {
     GOOD: "found",
-    OUTSIDE: "too close to the picture's edge",
+    OUTSIDE: "too close to the image's edge",
     SATURATED: "overexposed",
     NO_CROSSING: "no crossing of two edges",
-    FAINT: "with less than 0.4 of the others' contrast, or the colours exchanged",
+    FAINT: "with less than 0.4 of the usual contrast, or exchanged colours",
 }
 _WINDOW = 0.55  # of a square's side, to either side of the corner
-_WIDEST_PX = 14.0  # the same, in px: beyond it edges hardly add what their curvature takes
+_WIDEST_PX = 14.0  # the same, in px: beyond it the edges' curvature costs more than they add
 _APERTURE = 1.0 / 12.0  # variance of a pixel's width, part of the fitted blur
 _SATURATED = 0.995  # of full scale
-_MOST_SATURATED = 0.3  # share of a window; a corner that fails with more of it fails for that
+_MOST_SATURATED = 0.3  # share of a window, above which it is the reason of a failure
 _LEAST_SIGNAL = 4.0  # half contrast in standard deviations of the noise
 _PROBES = 8  # corners from which the sharpening is found
 _AMOUNTS = (0.5, 1.5, 3.0)  # tried first
 _PRECISION = 0.03  # of amount and radius
 _SHARPENINGS = ((0.0, 8.0), (0.4, 4.0))  # amount, radius in px
-_FEWEST = 6  # corners that tell the noise
-_COLOURED = 0.25  # autocovariance, of the noise assumed, from which it is taken from the residuals
+_FEWEST = 6  # corners that determine the noise
+_COLOURED = 0.25  # autocovariance, relative to the assumed noise, above which that of the residuals is used
 _LEAST_VARIANCE = 0.05  # of that for independent noise
 _BETTER = 0.98  # χ² with sharpening over that without, for there to be any
 
 
 @dataclass(frozen=True)
 class CameraResponse:
-    """What the camera makes of the light: `noise` and `full_scale` in grey values, and its unsharp mask.
+    """Response of the camera: `noise` and `full_scale` in grey values, and its unsharp mask.
 
-    `amount` A and `radius_px` τ of the mask: the picture is (1 + A)·I − A·(I blurred by a Gaussian of σ = τ).
+    `amount` A and `radius_px` τ of the mask: the image is (1 + A)·I − A·(I blurred by a Gaussian of σ = τ).
     """
 
     noise: NoiseModel
@@ -390,7 +413,7 @@ class CameraResponse:
     radius_px: float = 1.0
 
     def vector(self) -> FloatArray:
-        """Return the numbers (6,) that `fit_crossings` takes."""
+        """Return the numbers (6,) for `fit_crossings`."""
         noise = self.noise.read_variance_grey2, self.noise.variance_per_grey, QUANTISATION
         return np.array([*noise, _SATURATED * self.full_scale, self.amount, self.radius_px])
 
@@ -399,11 +422,16 @@ class CameraResponse:
 class Corners(
     Arrays, shapes="position_px N 2; covariance_px2 N 2 2; blur_px N; half_contrast N; status N; parameters N P"
 ):
-    """Corners found: position_px (N, 2), covariance_px2 (N, 2, 2), NaN where `status` (N,) is not 0 (see `REASONS`).
+    """Fitted corners, NaN where `status` (N,) is not 0 (see `REASONS`).
 
-    `blur_px` (N,): σ of the edges without the pixels' own width and the sharpening. `half_contrast` (N,): half the
-    difference of the quadrants in grey values, positive where those between axes of equal sign are bright.
-    `parameters` (N, 10): all that was fitted, with which another fit may begin.
+    Attributes
+    ----------
+    position_px : (N, 2).
+    covariance_px2 : (N, 2, 2).
+    blur_px : (N,) σ of the edges without the pixels' width and the sharpening.
+    half_contrast : (N,) half the difference of the quadrants in grey values, positive where those between axes of equal
+        sign are bright.
+    parameters : (N, 10) of the fit, from which another fit may start.
     """
 
     position_px: FloatArray
@@ -423,20 +451,20 @@ def refine_corners(
     strip: float = np.inf,
     before: Corners | None = None,
 ) -> Corners:
-    """Return the corners of squares near start_px (N, 2) in a picture (H, W).
+    """Return the corners of squares near start_px (N, 2) in an image (H, W).
 
     axes_px (N, 2, 2): a square's sides from the corner, in px, along the first and the second lattice direction. The
     grey values around a corner are fitted by (1 + g·r)·(a + b·erf(d₁/√2σ₁)·erf(d₂/√2σ₂)), d₁ and d₂ the distances from
-    two lines of free direction, and as the camera sharpens that, weighted by the noise. Whatever blurs the picture, the
-    crossing of two straight edges is point-symmetric about the corner but for the light's slope g, so that an imperfect
-    edge profile moves it by no more than the pixels' phase lets it. Pixels at full scale or 0 count only where the fit
-    would have them within the range. Edges that the lens bends are not symmetric: bend_per_px (N, 2), the curvature of
-    the edges along the second and the first direction, is taken as known (`lattice_bend`). The window ends 0.55 squares
-    or 14 px from the corner; `strip`: in bright squares only pixels within so many squares of an edge count, the less
-    the farther (ChArUco: the markers lie beyond). Those found `before` begin where they were, the others at start_px.
+    two lines of free direction, sharpened as by the camera, weighted by the noise. For any blur the crossing of two
+    straight edges is point-symmetric about the corner, except for the light's slope g. An imperfect edge profile
+    therefore shifts it only with the pixels' phase. Pixels at full scale or 0 count only where the fit is within the
+    range. Edges that the lens bends are not symmetric: bend_per_px (N, 2), the curvature of the edges along the second
+    and the first direction, is fixed (`lattice_bend`). The window ends 0.55 squares or 14 px from the corner; `strip`:
+    in bright squares only pixels within so many squares of an edge count, with decreasing weight (ChArUco: the markers
+    lie beyond). Corners in `before` are the start of the fit, the others start at start_px.
 
-    The covariance is that of the weighted fit for the noise that the residuals show, the other parameters unknown:
-    where these are correlated over up to 3 px (sharpening, demosaicing, compression), for correlated noise.
+    The covariance is that of the weighted fit for the noise of the residuals, the other parameters unknown. Where
+    residuals are correlated over up to 3 px (sharpening, demosaicing, compression), it is that for correlated noise.
     """
     check_shape("start_px", start_px, (None, 2))
     fitted = np.full((len(start_px), PARAMETERS + 3), np.nan)
@@ -466,7 +494,10 @@ def _fit_all(
     strip: float,
     fitted: FloatArray,
 ) -> FloatArray:
-    """Fill `fitted` (N, 13) for corners' start, axes and bend, and return the lags (N, 4, 28), as `fit_crossings`."""
+    """Fill `fitted` (N,13) for corners' start, axes and bend, and return the lags (N,4,28).
+
+    As `fit_crossings`.
+    """
     import cv2
 
     start_px, axes_px, bend_per_px = corners
@@ -490,12 +521,12 @@ def _fit_all(
 
 
 def _covariance(lags: FloatArray, good: BoolArray, sharpened: bool) -> FloatArray:
-    """Return the covariance (N, 2, 2) of the centres for the noise's autocovariance that most corners show.
+    """Return the covariance (N, 2, 2) of the centres for the noise's autocovariance.
 
-    Of the products of residuals (`fit_crossings`) the median over the corners, where it differs by more than three
-    standard errors (√(π/2)/√N times their robust spread) from that of the noise assumed, which is independent from
-    pixel to pixel. Unless `sharpened` this is kept where none differs by a quarter, and where the variance is larger by
-    a quarter than that of the noise assumed: an imperfect profile leaves either.
+    The autocovariance is the median over the corners of the residuals' products (`fit_crossings`). It is used where it
+    differs by more than three standard errors (√(π/2)/√N times their robust spread) from that of independent pixels.
+    Unless `sharpened`, independent noise is assumed where no product differs by a quarter, and where the variance is
+    larger by a quarter: an imperfect profile causes both.
     """
     white = np.zeros(lags.shape[2])
     white[REACH] = 1.0
@@ -517,11 +548,17 @@ def _covariance(lags: FloatArray, good: BoolArray, sharpened: bool) -> FloatArra
 def find_sharpening(
     image: NDArray[Any], start_px: FloatArray, axes_px: FloatArray, response: CameraResponse, strip: float = np.inf
 ) -> CameraResponse:
-    """Return the camera's response with the unsharp mask under which some of the corners fit best, if any does."""
+    """Return the camera's response with the unsharp mask under which some corners fit best.
+
+    Unchanged if no mask improves the fit.
+    """
     probes = np.unique(np.linspace(0, len(start_px) - 1, _PROBES).astype(int))
 
     def chi2(mask: FloatArray) -> float:
-        """Median over the corners of χ² per pixel, infinite where most of them fail."""
+        """Return the median over the corners of χ² per pixel.
+
+        Infinite where most of them fail.
+        """
         (low, high), (near, far) = _SHARPENINGS
         if not (low <= mask[0] <= high and near <= mask[1] <= far):
             return math.inf

@@ -13,21 +13,23 @@ from photogram.arrays import Arrays, BoolArray, FloatArray, check_shape
 from photogram.kernels import njit
 from photogram.targets.crossing import cholesky, solve
 
-LEAST_AREA_PX = 20
-EDGE_PX = 3
-WINDOW_CELLS = 24
-LEAST_CONTRAST = 0.15
-FULL_ELLIPSE = (0.85, 1.12)
-MOST_ELONGATED = 3.5
-HOLE = (0.03, 0.6)
-HOLE_OFF_CENTRE = 0.15
+MIN_AREA_PX = 20  # of a dot with a measurable ellipse
+EDGE_PX = 3  # margin of the image
+WINDOW_CELLS = 24  # pixels of a window after reduction
+MIN_CONTRAST = 0.15  # of the usual one
+FULL_ELLIPSE = (0.85, 1.12)  # area over that of the ellipse of the same moments
+MOST_ELONGATED = 3.5  # ratio of the semi-axes, a tilt of 73°
+HOLE = (0.03, 0.6)  # area over that of the dot
+HOLE_OFF_CENTRE = 0.15  # radii
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Blobs(Arrays, shapes="centre_px N 2; shape_px2 N 2 2; ring N"):
-    """N patches: `centre_px` (N, 2), `shape_px2` S (N, 2, 2) of the ellipse xᵀ S⁻¹ x = 1 that has the patch's second
-    moments, `ring` (N,): has a round hole in its middle, which counts as filled.
-    """  # fmt: skip
+    """N patches that may be dots.
+
+    `shape_px2` S (N, 2, 2): of the ellipse xᵀ S⁻¹ x = 1 about centre_px (N, 2) with the patch's second moments. `ring`
+    (N,): whether it has a round hole in its middle, which counts as filled.
+    """
 
     centre_px: FloatArray
     shape_px2: FloatArray
@@ -40,10 +42,10 @@ class Blobs(Arrays, shapes="centre_px N 2; shape_px2 N 2 2; ring N"):
 
 
 def find_blobs(image: NDArray[Any], window_px: float) -> tuple[Blobs, Blobs]:
-    """Return the dark and the bright elliptic patches of an image (H, W) that lie wholly within it.
+    """Return the dark and the bright elliptic patches that lie wholly within an image (H,W).
 
-    The threshold is the mean of the grey closing and the grey opening over squares of `window_px`, which must be larger
-    than the dots and than the gaps between them: it follows the lighting as long as that is smooth over such a square.
+    The threshold is the mean of the grey closing and the grey opening over squares of `window_px`. These must be larger
+    than the dots and than the gaps between them. The threshold follows lighting that is smooth over such a square.
     """
     import cv2
 
@@ -55,7 +57,7 @@ def find_blobs(image: NDArray[Any], window_px: float) -> tuple[Blobs, Blobs]:
     square = cv2.getStructuringElement(cv2.MORPH_RECT, (side, side))
     upper, lower = (cv2.morphologyEx(coarse, kind, square) for kind in (cv2.MORPH_CLOSE, cv2.MORPH_OPEN))
     contrast = upper - lower
-    distinct = contrast > LEAST_CONTRAST * float(np.quantile(contrast, 0.9))
+    distinct = contrast > MIN_CONTRAST * float(np.quantile(contrast, 0.9))
     level = cv2.resize((upper + lower) / 2, (width, height), interpolation=cv2.INTER_LINEAR)
     used = cv2.resize(distinct.view(np.uint8), (width, height), interpolation=cv2.INTER_NEAREST).view(np.bool_)
     smooth = cv2.blur(grey, (3, 3)) if factor > 1 else grey
@@ -65,7 +67,7 @@ def find_blobs(image: NDArray[Any], window_px: float) -> tuple[Blobs, Blobs]:
 
 @dataclass(frozen=True, eq=False)
 class _Patches:
-    """Patches that may be dots or holes: area, centre, second central moments, and boxes x0 y0 x1 y1."""
+    """Candidates of dots or holes: area, centre, second central moments, and boxes."""
 
     area: FloatArray
     centre: FloatArray
@@ -74,7 +76,10 @@ class _Patches:
 
     @staticmethod
     def of(mask: BoolArray) -> _Patches:
-        """Patches of a mask that do not touch the picture's edge and fill their box as an ellipse or a ring may."""
+        """Return patches of a mask that fill their box as ellipse or ring.
+
+        Patches at the image's edge are excluded.
+        """
         import cv2
 
         _, found, stats, _ = cv2.connectedComponentsWithStats(mask.view(np.uint8), connectivity=4)
@@ -84,25 +89,27 @@ class _Patches:
         inside = (left >= EDGE_PX) & (top >= EDGE_PX)
         inside &= (right <= mask.shape[1] - EDGE_PX) & (bottom <= mask.shape[0] - EDGE_PX)
         longer, shorter = np.maximum(width, height), np.minimum(width, height)
-        kept = inside & (area >= LEAST_AREA_PX / 4) & (area < mask.size / 20) & (longer <= MOST_ELONGATED * shorter + 1)
-        kept &= area > 0.2 * width * height
-        kept[0] = False
-        number, count = np.full(len(kept), -1, dtype=np.int32), int(kept.sum())
-        number[kept] = np.arange(count, dtype=np.int32)
+        accepted = (
+            inside & (area >= MIN_AREA_PX / 4) & (area < mask.size / 20) & (longer <= MOST_ELONGATED * shorter + 1)
+        )
+        accepted &= area > 0.2 * width * height
+        accepted[0] = False
+        number, count = np.full(len(accepted), -1, dtype=np.int32), int(accepted.sum())
+        number[accepted] = np.arange(count, dtype=np.int32)
         patch = number[labels.reshape(-1)]
         pixels = np.flatnonzero(patch >= 0)
         patch = patch[pixels]
         y, x = np.divmod(pixels, labels.shape[1])
-        centre = np.column_stack([np.bincount(patch, axis, minlength=count) / area[kept] for axis in (x, y)])
+        centre = np.column_stack([np.bincount(patch, axis, minlength=count) / area[accepted] for axis in (x, y)])
         dx, dy = x - centre[patch, 0], y - centre[patch, 1]
         products = (dx * dx, dx * dy, dy * dy)
-        xx, xy, yy = (np.bincount(patch, product, minlength=count) / area[kept] for product in products)
+        xx, xy, yy = (np.bincount(patch, product, minlength=count) / area[accepted] for product in products)
         moments = np.stack([xx + 1 / 12, xy, xy, yy + 1 / 12], axis=-1).reshape(-1, 2, 2)  # of the pixels' areas
-        return _Patches(area[kept], centre, moments, np.column_stack([left, top, right, bottom])[kept])
+        return _Patches(area[accepted], centre, moments, np.column_stack([left, top, right, bottom])[accepted])
 
 
 def _elliptic(patches: _Patches, others: _Patches) -> Blobs:
-    """The patches that fill an ellipse, a round hole in the middle included."""
+    """Return the patches that fill an ellipse, a round hole in the middle included."""
     from scipy.spatial import cKDTree
 
     area, centre, moments = patches.area.copy(), patches.centre.copy(), patches.moments.copy()
@@ -115,39 +122,43 @@ def _elliptic(patches: _Patches, others: _Patches) -> Blobs:
         ring &= (others.box[hole][:, :2] > patches.box[:, :2]).all(axis=1)
         ring &= (others.box[hole][:, 2:] < patches.box[:, 2:]).all(axis=1)
         part, hole = share[ring, None], hole[ring]
-        apart = others.centre[hole] - centre[ring]
-        centre[ring] += part * apart
-        mixed = (1 - part[..., None]) * (moments[ring] + part[..., None] * apart[:, :, None] * apart[:, None, :])
+        offset = others.centre[hole] - centre[ring]
+        centre[ring] += part * offset
+        mixed = (1 - part[..., None]) * (moments[ring] + part[..., None] * offset[:, :, None] * offset[:, None, :])
         moments[ring] = mixed + part[..., None] * others.moments[hole]
         area[ring] = whole[ring]
     determinant, half_trace = np.linalg.det(moments), np.trace(moments, axis1=1, axis2=2) / 2
     fullness = area / np.maximum(4 * np.pi * np.sqrt(determinant), 1e-9)
     difference = np.sqrt(np.maximum(half_trace**2 - determinant, 0.0))
     slim = half_trace + difference <= MOST_ELONGATED**2 * (half_trace - difference)
-    good = slim & (fullness > FULL_ELLIPSE[0]) & (fullness < FULL_ELLIPSE[1]) & (area >= LEAST_AREA_PX)
+    good = slim & (fullness > FULL_ELLIPSE[0]) & (fullness < FULL_ELLIPSE[1]) & (area >= MIN_AREA_PX)
     return Blobs(centre[good], 4 * moments[good], ring[good])
 
 
-# The blurred ellipse that a round dot shows: its centre to a few thousandths of a pixel, with covariance.
+# The blurred ellipse of a round dot: its centre to a few thousandths of a pixel, with covariance.
 
-PARAMETERS = 10
-SECTORS = 16
-FIRST_BLUR_PX = 1.5
-COARSE_RADIUS_PX = 12.0
-FIRST_STEP_PX, LAST_STEP_PX = 0.1, 0.003
-MOST_STEPS = 25
-FIRST_DAMPING = 1e-4
-BAND_SIGMAS, LEAST_BAND_PX = 3.0, 2.0
-RING_SHARE = 0.25
+PARAMETERS = 10  # centre, shape (3), blur, background, contrast, slope of the lighting (2)
+SECTORS = 16  # of the edge, for its roughness
+FIRST_BLUR_PX = 1.5  # start of the fit
+COARSE_RADIUS_PX = 12.0  # from which the first fit uses every second pixel
+FIRST_STEP_PX, LAST_STEP_PX = 0.1, 0.003  # last steps of both fits; the error is far smaller
+MAX_STEPS = 25  # usually fewer than ten are needed
+FIRST_DAMPING = 1e-4  # of Levenberg-Marquardt
+BAND_SIGMAS, MIN_BAND_PX = 3.0, 2.0  # half width of the band about the edge
+RING_SHARE = 0.25  # of the radius, outside the hole
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class FittedEllipses(Arrays, shapes="centre_px N 2; covariance_px2 N 2 2; shape_px2 N 2 2; blur_px N; roughness_px N"):
-    """N fitted ellipses (x − c)ᵀ S⁻¹ (x − c) = 1; all NaN where the fit failed.
+    """N fitted ellipses (x−c)ᵀ·S⁻¹·(x−c) = 1; NaN where the fit failed.
 
-    `centre_px` c (N, 2) and its `covariance_px2` (N, 2, 2); `shape_px2` S (N, 2, 2), of determinant (product of the
-    semi-axes)²; `blur_px` (N,): σ of the edge; `roughness_px` (N,): rms over sixteen sectors of how far the edge lies
-    off the ellipse.
+    Attributes
+    ----------
+    centre_px : (N, 2) c.
+    covariance_px2 : (N, 2, 2) of c.
+    shape_px2 : (N, 2, 2) S, of determinant (product of the semi-axes)².
+    blur_px : (N,) σ of the edge.
+    roughness_px : (N,) rms over sixteen sectors of the distance of the edge from the ellipse.
     """
 
     centre_px: FloatArray
@@ -158,9 +169,10 @@ class FittedEllipses(Arrays, shapes="centre_px N 2; covariance_px2 N 2 2; shape_
 
     @property
     def radius_px(self) -> FloatArray:
-        """Radius (N,) of the circle of the same area, free of the blur, which moves the edge inwards by σ²/2r.
+        """Radius (N,) of the circle of the same area, corrected for the blur.
 
-        The edge of a disc that diffuses for the time σ²/2 obeys u_t = u_rr + u_r/r and so drifts at the speed −1/r.
+        Blur moves the edge inwards by σ²/2r: the edge of a disc that diffuses for the time σ²/2 obeys u_t = u_rr +
+        u_r/r and so drifts at the speed −1/r.
         """
         (xx, xy), (_, yy) = np.moveaxis(self.shape_px2, 0, -1)
         seen = (xx * yy - xy * xy) ** 0.25
@@ -176,16 +188,18 @@ def fit_ellipses(
 ) -> FittedEllipses:
     """Fit a blurred ellipse to each of N dots of an image (H, W).
 
-    I(x) = (1 + γ·(x − x₀)) (B + C/2 erfc(s/(√2 σ))), s the distance of x from the ellipse, positive outside: centre,
-    shape, σ, background B, contrast C and the slope γ of the lighting, by Levenberg–Marquardt over the pixels in a band
-    of ±(3 σ + 2 px) about the edge. s is the distance to first order (ρ − 1)/|∇ρ| with ρ² = (x − c)ᵀ S⁻¹ (x − c), exact
-    for circles (Sampson 1982, Comput. Graph. Image Process. 18, 97). Blur and the pixels' area leave a dot symmetric
-    about its centre, so a wrong profile of the edge does not move the centre. The covariance
-    H⁻¹ (Σ r²/(1 − jᵀH⁻¹j) j jᵀ) H⁻¹, H = Σ j jᵀ, holds for noise that differs from pixel to pixel (White 1980,
-    Econometrica 48, 817, with the residuals' variances as in MacKinnon and White 1985, J. Econometrics 29, 305).
+    I(x) = (1 + γ·(x − x₀)) (B + C/2 erfc(s/(√2 σ))), s the distance of x from the ellipse, positive outside. Parameters
+    are centre, shape, σ, background B, contrast C and the slope γ of the lighting. Levenberg–Marquardt uses the pixels
+    in a band of ±(3 σ + 2 px) about the edge. The distance s is (ρ − 1)/|∇ρ| to first order with ρ² = (x − c)ᵀ S⁻¹ (x −
+    c). It is exact for circles (Sampson 1982, Comput. Graph. Image Process. 18, 97). Blur and the pixels' area leave a
+    dot symmetric about its centre, so a wrong profile of the edge does not move the centre.
 
-    `start_px` (N, 2), `start_shape_px2` (N, 2, 2): where to begin. `reach_px` (N,): the band ends there outside the
-    edge, before the next dot. `ring` (N,): of these only the outer quarter of the radius is used.
+    The covariance H⁻¹ (Σ r²/(1 − jᵀH⁻¹j) j jᵀ) H⁻¹, H = Σ j jᵀ, applies to noise that differs from pixel to pixel
+    (White 1980, Econometrica 48, 817). The residuals' variances are those of MacKinnon and White 1985, J. Econometrics
+    29, 305.
+
+    `start_px` (N, 2), `start_shape_px2` (N, 2, 2): the start. `reach_px` (N,): the band ends there outside the edge,
+    before the next dot. `ring` (N,): of these only the outer quarter of the radius is used.
     """
     count = len(start_px)
     check_shape("start_px", start_px, (count, 2))
@@ -207,7 +221,10 @@ def fit_ellipses(
 
 @njit()
 def _fit_all(image, starts, precisions, reach, ring, fitted, spread):  # type: ignore[no-untyped-def]
-    """Every dot on its own, first on every second pixel of a row and column, then on all; a failed one stays NaN."""
+    """Fit every dot, first on every second row and column, then on all pixels.
+
+    A failed dot stays NaN.
+    """
     for n in range(len(starts)):
         parameters = np.zeros(PARAMETERS)
         parameters[0], parameters[1] = starts[n]
@@ -229,12 +246,15 @@ def _fit_all(image, starts, precisions, reach, ring, fitted, spread):  # type: i
 
 @njit()
 def _collect(image, origin, parameters, reach, ring, stride):  # type: ignore[no-untyped-def]
-    """Return x − x₀, y − y₀ and grey value (3, K) of the pixels in the band about the ellipse, and x₀, y₀."""
+    """Return relative x, y and grey value (3,K) of the band, and the origin.
+
+    x − x₀, y − y₀ in px; origin x₀, y₀.
+    """
     a, b, c = parameters[2], parameters[3], parameters[4]
     determinant, half = a * c - b * b, (a + c) / 2.0
     minor = 1.0 / math.sqrt(half + math.sqrt(max(half * half - determinant, 0.0)))
-    wide = BAND_SIGMAS * parameters[5] + LEAST_BAND_PX
-    inside, outside = min(wide, RING_SHARE * minor) if ring else wide, min(wide, max(reach, LEAST_BAND_PX))
+    wide = BAND_SIGMAS * parameters[5] + MIN_BAND_PX
+    inside, outside = min(wide, RING_SHARE * minor) if ring else wide, min(wide, max(reach, MIN_BAND_PX))
     half_x = math.sqrt(c / determinant) + outside + 1.0
     half_y = math.sqrt(a / determinant) + outside + 1.0
     top, bottom = max(0, math.ceil(parameters[1] - half_y)), min(image.shape[0], math.floor(parameters[1] + half_y) + 1)
@@ -262,7 +282,7 @@ def _distance(parameters, px, py):  # type: ignore[no-untyped-def]
 
 @njit()
 def _first_levels(pixels, parameters):  # type: ignore[no-untyped-def]
-    """Background and contrast from the means on both sides of the edge."""
+    """Set background and contrast from the means on both sides of the edge."""
     values, origin = pixels
     total, count = np.zeros(2), np.zeros(2)
     for k in range(values.shape[1]):
@@ -276,7 +296,7 @@ def _first_levels(pixels, parameters):  # type: ignore[no-untyped-def]
 
 @njit()
 def _evaluate(pixels, parameters, residual, jacobian, by_distance):  # type: ignore[no-untyped-def]
-    """Write residuals (K,), the model's derivatives by the parameters (10, K) and by the distance (K,)."""
+    """Fill residuals (K,), derivatives by the parameters (10, K) and by the distance (K,)."""
     values, origin = pixels
     a, b, c = parameters[2], parameters[3], parameters[4]
     sigma, background, contrast = parameters[5], parameters[6], parameters[7]
@@ -308,7 +328,6 @@ def _evaluate(pixels, parameters, residual, jacobian, by_distance):  # type: ign
 
 @njit()
 def _dot(first, second):  # type: ignore[no-untyped-def]
-    """Scalar product."""
     total = 0.0
     for k in range(len(first)):
         total += first[k] * second[k]
@@ -317,7 +336,7 @@ def _dot(first, second):  # type: ignore[no-untyped-def]
 
 @njit()
 def _normal_equations(residual, jacobian, matrix, vector):  # type: ignore[no-untyped-def]
-    """Write J Jᵀ scaled to a unit diagonal and J r scaled likewise; return the scale (10,)."""
+    """Fill scaled J·Jᵀ and J·r, with a unit diagonal; return the scale (10,)."""
     scale = np.empty(PARAMETERS)
     for i in range(PARAMETERS):
         scale[i] = math.sqrt(max(_dot(jacobian[i], jacobian[i]), 1e-300))
@@ -330,7 +349,10 @@ def _normal_equations(residual, jacobian, matrix, vector):  # type: ignore[no-un
 
 @njit()
 def _descend(pixels, parameters, small_step_px):  # type: ignore[no-untyped-def]
-    """Levenberg–Marquardt until centre and σ move less than a step; return whether it got there."""
+    """Iterate until centre and σ move less than a step; return whether they converged.
+
+    Levenberg–Marquardt.
+    """
     count = pixels[0].shape[1]
     if count <= PARAMETERS:
         return False
@@ -342,7 +364,7 @@ def _descend(pixels, parameters, small_step_px):  # type: ignore[no-untyped-def]
     squares = _dot(residual, residual)
     scale = _normal_equations(residual, jacobian, matrix, vector)
     damping = FIRST_DAMPING
-    for _ in range(MOST_STEPS):
+    for _ in range(MAX_STEPS):
         if not cholesky(matrix + damping * np.eye(PARAMETERS), lower):
             damping *= 10.0
             continue
@@ -374,7 +396,7 @@ def _descend(pixels, parameters, small_step_px):  # type: ignore[no-untyped-def]
 
 @njit()
 def _judge(pixels, parameters, spread):  # type: ignore[no-untyped-def]
-    """Write the centre's variances xx xy yy and the roughness of the edge."""
+    """Fill the centre's variances xx xy yy and the roughness of the edge."""
     values, origin = pixels
     count = values.shape[1]
     residual, by_distance, jacobian = np.empty(count), np.empty(count), np.empty((PARAMETERS, count))

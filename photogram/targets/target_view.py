@@ -1,4 +1,4 @@
-"""A target seen in a picture: image points with covariance, and the picture they come from."""
+"""A target in an image: image points with covariance, and checks of the image."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from photogram.arrays import Arrays, FloatArray, IntArray, check_shape
 from photogram.images.noise import NoiseModel, fit_noise_model
 from photogram.images.sequence import GreyImage
 
-SHORTEST_M, LONGEST_M = 1e-4, 2.0  # of targets
+SHORTEST_M, LONGEST_M = 1e-4, 2.0  # of plausible targets
 TargetKind = Literal["chessboard", "charuco", "dots", "asymmetric-dots"]
 
 
@@ -24,12 +24,17 @@ MOST_POINTS, LONGEST_SIDE = 20_000, 1000
 class Target:
     """A flat target whose points lie on a square lattice.
 
-    `spacing_m`: distance of neighbouring lattice points. Chessboard and ChArUco: the side of a square; dots: centre to
-    centre; asymmetric dots: distance of neighbouring rows, half that of dots in a row.
-    `size`: columns and rows; of a chessboard its inner corners, of a ChArUco board its squares, of dots the dots
-    (asymmetric: dots in a row, rows). None only for dots with three ring markers, which name their neighbours.
-    `dictionary`: name of the ArUco dictionary, None to find it.
+    Attributes
+    ----------
+    kind : "chessboard", "charuco", "dots" or "asymmetric-dots".
+    spacing_m : distance of neighbouring lattice points. Chessboard and ChArUco: the side of a square; dots: centre to
+        centre; asymmetric dots: distance of neighbouring rows, half that of dots in a row.
+    size : columns and rows; of a chessboard its inner corners, of a ChArUco board its squares, of dots the dots
+        (asymmetric: dots in a row, rows). None only for dots with three ring markers, which identify their neighbours.
+    dictionary : name of the ArUco dictionary, None (default) to find it.
 
+    Examples
+    --------
     >>> Target("chessboard", spacing_m=9e-3, size=(10, 7)).size
     (10, 7)
     """
@@ -54,26 +59,35 @@ class Target:
 
     @property
     def length_m(self) -> float:
-        """About the length of its longer side, of dots of unknown number that of ten."""
+        """Approximate length of its longer side; of dots of unknown number that of ten."""
         return self.spacing_m * (10 if self.size is None else max(self.size))
 
     @property
     def is_likely(self) -> bool:
-        """Whether there are targets of this length: one of 0.1 mm to 2 m, else its spacing may be in another unit."""
+        """Whether a target of this length is plausible: 0.1 mm to 2 m.
+
+        Otherwise its spacing may be in another unit.
+        """
         return SHORTEST_M <= self.length_m <= LONGEST_M
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class TargetView(Arrays, shapes="index N 2; position_px N 2; covariance_px2 N 2 2; size_px 2"):
-    """The points of a target in one picture.
+    """The points of a target in one image.
 
-    `name`: of the picture. `index` (N, 2): column and row of each point in the target's lattice, each pair once, so
-    that it lies at spacing·(column, row, 0) in the target's frame. `position_px` (N, 2): sub-pixel positions: for
-    corners the crossing itself, for dots the centre of the ellipse that is seen (`radius` > 0), which perspective moves
-    off the image of the dot's centre. `covariance_px2` (N, 2, 2): from the picture's noise. `radius`: of the dots in
-    units of the lattice spacing, 0 for corners. `blur_px`: σ of the edges' blur, median over the points. `size_px`
-    (2,): width and height of the picture. `lost`: how many points within the picture could not be measured, and
-    `lost_why` the reasons, "" for none.
+    Attributes
+    ----------
+    name : of the image.
+    index : (N, 2) column and row of each point in the target's lattice, each pair once, so that it lies at
+        spacing·(column, row, 0) in the target's frame.
+    position_px : (N, 2) sub-pixel positions: for corners the crossing itself, for dots the centre of the visible
+        ellipse (`radius` > 0), which perspective displaces from the image of the dot's centre.
+    covariance_px2 : (N, 2, 2) from the image's noise.
+    radius : of the dots in units of the lattice spacing, 0 for corners.
+    blur_px : σ of the edges' blur, median over the points.
+    size_px : (2,) width and height of the image.
+    lost : number of points within the image that could not be measured.
+    loss_reasons : of these as text, "" for none.
     """
 
     name: str
@@ -93,24 +107,24 @@ class TargetView(Arrays, shapes="index N 2; position_px N 2; covariance_px2 N 2 
 
 
 class TargetNotFound(ValueError):
-    """No target, or none that may be used, in a picture; the text says what is wrong with the picture."""
+    """An image shows no usable target; the text is its fault."""
 
 
-# Whether a picture of a target is good enough to measure in: exposure, contrast, blur, and its noise.
+# Quality of an image of a target: exposure, contrast, blur, and its noise.
 
 SATURATED = 0.995  # of full scale: what counts as saturated
-MOST_SATURATED = 0.6  # share of the target's pixels that may be saturated, where the fit leaves these out
+MOST_SATURATED = 0.6  # permitted share of the target's pixels, which the fit excludes
 _LEAST_CONTRAST = 0.02  # between bright and dark, of full scale
 _BLUR_PX, _BLUR_CELL = 2.6, 0.12  # blur σ that always passes, in px, and in units of the target's cells
-_FEWEST_PIXELS = 1000  # that tell the noise
-_FLAT = 0.02  # gradient per px, of the picture's contrast, below which a pixel counts as flat
+_FEWEST_PIXELS = 1000  # that determine the noise
+_FLAT = 0.02  # gradient per px, relative to the image's contrast, of a flat pixel
 
 
 def check_exposure(image: NDArray[Any], area: FloatArray, full_scale: float, most: float = MOST_SATURATED) -> None:
-    """Raise `TargetNotFound` for a target too bright or without contrast within the polygon `area` (P, 2) px.
+    """Raise `TargetNotFound` for a target too bright or without contrast.
 
-    Overexposed: more than the share `most` of its pixels reach full scale. Underexposed: the range between the 5th and
-    the 95th percentile is below 2 % of full scale.
+    Within the polygon `area` (P, 2) px. Overexposed: more than the share `most` of its pixels reach full scale.
+    Underexposed: the range between the 5th and the 95th percentile is below 2 % of full scale.
     """
     import cv2
 
@@ -119,7 +133,7 @@ def check_exposure(image: NDArray[Any], area: FloatArray, full_scale: float, mos
     cv2.fillPoly(filled, [np.rint(area).astype(np.int32)], 1)
     grey = image[filled > 0]
     if grey.size == 0:
-        raise ValueError("area: expected a part of the picture, found none of its pixels")
+        raise ValueError("area: expected a part of the image, found no pixel")
     fault = _exposure_fault(grey, full_scale, most, (5, 95), "target's")
     if fault is not None:
         raise TargetNotFound(fault)
@@ -128,7 +142,10 @@ def check_exposure(image: NDArray[Any], area: FloatArray, full_scale: float, mos
 def _exposure_fault(
     grey: NDArray[Any], full_scale: float, most: float, ends: tuple[int, int], whose: str
 ) -> str | None:
-    """Return what is wrong with grey values: more than a share of them saturated, or percentiles without contrast."""
+    """Return the fault of grey values: saturated, or without contrast; None for none.
+
+    Saturated: more than the share `most`. Contrast: between the percentiles `ends`.
+    """
     saturated = float((grey >= SATURATED * full_scale).mean())
     if saturated > most:
         return f"overexposed: {100 * saturated:.0f} % of the {whose} pixels reach full scale"
@@ -139,29 +156,30 @@ def _exposure_fault(
 
 
 def refuse_second(target: str) -> None:
-    """Raise `TargetNotFound` for a picture that shows a second target like the one found."""
-    told = "cover one, or nobody can tell which of them the other pictures show"
-    raise TargetNotFound(f"two targets: {target} is seen twice; {told}")
+    """Raise `TargetNotFound` for an image with a second target equal to the one found."""
+    raise TargetNotFound(
+        f"two targets: {target} is visible twice; cover one, since other images may show either of them"
+    )
 
 
 def check_blur(blur_px: float, cell_px: float) -> None:
-    """Raise `TargetNotFound` for edges blurred by σ = `blur_px` beyond both 2.6 px and 0.12 of a cell `cell_px`.
+    """Raise `TargetNotFound` for edges blurred by more than 2.6 px and 0.12 cells.
 
-    A cell is a square's side, or the dots' distance.
+    blur_px: σ. A cell, `cell_px`, is a square's side, or the dots' distance.
     """
     if not blur_px <= max(_BLUR_PX, _BLUR_CELL * cell_px):
         raise TargetNotFound(f"blurred: edges are soft by σ = {blur_px:.1f} px where cells measure {cell_px:.0f} px")
 
 
 def image_fault(image: NDArray[Any], full_scale: float) -> str | None:
-    """Return what is wrong with a picture as a whole, as the beginning of a sentence, None for nothing obvious.
+    """Return the fault of an image without a target, None for none obvious.
 
-    For pictures in which no target was found: too bright, without contrast, or nowhere a sharp edge: the steepest
-    gradient (99.9th percentile, at a scale of 1 px) against the range of grey levels gives the edges' σ.
+    The text begins a sentence: too bright, without contrast, or without a sharp edge. The steepest gradient (99.9th
+    percentile, at a scale of 1 px) and the range of grey levels give the edges' σ.
     """
     from scipy.ndimage import gaussian_gradient_magnitude
 
-    fault = _exposure_fault(image, full_scale, 0.5, (1, 99), "picture's")
+    fault = _exposure_fault(image, full_scale, 0.5, (1, 99), "image's")
     if fault is not None:
         return fault
     low, high = np.percentile(image, [1, 99])
@@ -173,11 +191,11 @@ def image_fault(image: NDArray[Any], full_scale: float) -> str | None:
 
 
 def estimate_image_noise(image: NDArray[Any], full_scale: float = np.inf) -> NoiseModel:
-    """Return the noise against brightness (grey²) of a picture (H, W) with flat areas, such as a target's.
+    """Estimate the noise against brightness (grey²) of an image with flat areas.
 
-    Squares of the difference operator [1 −2 1]ᵀ·[1 −2 1]/6, which sees no linear change of brightness and has the
-    noise's own variance (Immerkær 1996, Computer Vision and Image Understanding 64, 300), at pixels where the gradient
-    at a scale of 2 px is small; not beside pixels at 0 or full scale, which show no noise.
+    Squares of the difference operator [1 −2 1]ᵀ·[1 −2 1]/6, which is zero for a linear change of brightness and has the
+    variance of the noise (Immerkær 1996, Computer Vision and Image Understanding 64, 300). Used are pixels where the
+    gradient at a scale of 2 px is small, not next to pixels at 0 or full scale, which have no noise.
     """
     import cv2
 
@@ -201,22 +219,43 @@ def estimate_image_noise(image: NDArray[Any], full_scale: float = np.inf) -> Noi
 
 
 def outline(position_px: FloatArray) -> FloatArray:
-    """Return the convex hull (P, 2) of points (N, 2): the area that a target's points enclose."""
+    """Return the convex hull (P, 2) of points (N, 2), the area of a target."""
     import cv2
 
     return np.asarray(cv2.convexHull(position_px.astype(np.float32)), dtype=np.float64).reshape(-1, 2)
 
 
 def find_target(image: GreyImage, target: Target, name: str, full_scale: int) -> TargetView:
-    """Return the points of `target` in a picture (H, W) called `name`; `full_scale` is its largest grey value.
+    """Find the points of a calibration target in an image.
 
-    Raises `TargetNotFound` with what is wrong with the picture.
+    Parameters
+    ----------
+    image
+        (H, W).
+    target
+        The target.
+    name
+        Of the image.
+    full_scale
+        Its largest possible grey value.
 
+    Returns
+    -------
+    TargetView
+        Sub-pixel positions in px with covariance.
+
+    Raises
+    ------
+    TargetNotFound
+        With the fault of the image.
+
+    Examples
+    --------
     >>> board = Board(Target("chessboard", 9e-3, (8, 5)))
     >>> camera = Camera.from_parameters(np.array([800.0, 800, 160, 120, 0, 0, 0, 0, 0]), np.array([320, 240]))
     >>> pose = RigidTransform(np.eye(3), np.array([-0.035, -0.02, 0.3]))
-    >>> picture = ImageSensor(bit_depth=8).digitise(render_board(camera, pose, board), None)
-    >>> find_target(picture, board.target, "picture 1", 255).position_px[0].round(2)
+    >>> image = ImageSensor(bit_depth=8).digitise(render_board(camera, pose, board), None)
+    >>> find_target(image, board.target, "image 1", 255).position_px[0].round(2)
     array([66.67, 66.67])
     """
     if target.kind == "chessboard":

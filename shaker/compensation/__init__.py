@@ -1,1 +1,1 @@
-"""Filters that give a sensor other dynamics, and what they do."""
+"""Compensation filters and their effects."""

@@ -1,4 +1,4 @@
-"""What a compensation filter does: bandwidth, noise, mismatch, uncertainty."""
+"""Effects of a compensation filter: bandwidth, noise, mismatch, uncertainty."""
 
 from __future__ import annotations
 
@@ -25,14 +25,14 @@ from shaker.compensation.filter import (
 )
 from shaker.lti.system import LinearSystem
 
-# The target that keeps a whole sensor within a permitted error up to a wanted frequency.
+# Target for a permitted error of the whole sensor up to a specified frequency.
 
 MODEL_ERROR_SHARE = 0.1
-"""Share of the permitted error that is left to the uncertainty of the model."""
-HIGHEST_FACTOR = 32.0
-RESOLUTION = 1e-10
-REACH, FINE = 4.0, 2001
-POINTS = 257
+"""Share of the permitted error that is reserved for the uncertainty of the model, chosen."""
+HIGHEST_FACTOR = 32.0  # range of the search for the target's frequency over the bandwidth
+RESOLUTION = 1e-10  # relative, of the target's frequency
+REACH, FINE = 4.0, 2001  # range over the target's frequency, and points, of the search for the widest band
+POINTS = 257  # of a band
 
 
 def target_for_bandwidth(
@@ -42,10 +42,10 @@ def target_for_bandwidth(
     real_hz: float | None = None,
     low_pass_hz: float | None = None,
 ) -> CompensationTarget:
-    """Return the target of lowest natural frequency with which the whole sensor stays within 1 ± δ up to a frequency.
+    """Return the lowest target frequency that keeps a bandwidth within 1 ± δ.
 
-    All its poles and zeros count, also those that stay. A tenth of δ is left to the uncertainty of the model.
-    The lowest natural frequency passes the least noise.
+    All poles and zeros of the sensor count, including the uncancelled ones. A tenth of δ is reserved for the
+    uncertainty of the model. The lowest natural frequency passes the least noise.
     """
     from scipy.optimize import minimize_scalar
 
@@ -55,35 +55,35 @@ def target_for_bandwidth(
         raise ValueError("frequency_hz: expected a mode to compensate for a bandwidth, found real poles only")
     allowed = (1.0 - MODEL_ERROR_SHARE) * permitted_error
     start, gain = best_damping(allowed), _gains(sensor, np.linspace(0.0, bandwidth_hz, POINTS))
-    wanted = CompensationTarget(bandwidth_hz, start, real_hz, low_pass_hz)
+    template = CompensationTarget(bandwidth_hz, start, real_hz, low_pass_hz)
 
     def lowest(damping: float) -> float:
-        """Lowest natural frequency with which the band is kept, infinite where none does."""
+        """Return the lowest natural frequency that keeps the band, infinite if none does."""
 
-        def kept(frequency: float) -> bool:
-            target = replace(wanted, frequency_hz=frequency, damping_ratio=float(damping))
+        def within(frequency: float) -> bool:
+            target = replace(template, frequency_hz=frequency, damping_ratio=float(damping))
             return bool(np.max(np.abs(gain(target) - 1.0)) <= allowed)
 
         low, high = bandwidth_hz / HIGHEST_FACTOR, bandwidth_hz * HIGHEST_FACTOR
-        if not kept(high):
+        if not within(high):
             return float("inf")
         while high / low > 1.0 + RESOLUTION:
             middle = float(np.sqrt(low * high))
-            low, high = (low, middle) if kept(middle) else (middle, high)
+            low, high = (low, middle) if within(middle) else (middle, high)
         return high
 
     dampings = start + np.linspace(-0.25, 0.4, 27)
     tried = np.array([lowest(damping) for damping in dampings])
     if not np.any(np.isfinite(tried)):
         raise ValueError(
-            f"bandwidth_hz: expected one that the poles which are not compensated leave within ±{permitted_error:.2g}"
+            f"bandwidth_hz: expected a band that uncompensated poles leave within ±{permitted_error:.2g}"
             f" of the static gain, found {bandwidth_hz:g}; compensate more modes or the real poles, "
             "or raise the low-pass"
         )
     near = dampings[int(np.argmin(tried))]
     best = minimize_scalar(lowest, bounds=(near - 0.025, near + 0.025), method="bounded", options={"xatol": 1e-7})
     damping = float(best.x) if best.fun <= np.min(tried) else float(near)
-    return replace(wanted, frequency_hz=lowest(damping), damping_ratio=damping)
+    return replace(template, frequency_hz=lowest(damping), damping_ratio=damping)
 
 
 def target_for_frequency(
@@ -93,32 +93,36 @@ def target_for_frequency(
     real_hz: float | None = None,
     low_pass_hz: float | None = None,
 ) -> CompensationTarget:
-    """Return the target of a natural frequency whose damping ratio gives the whole sensor the widest band of 1 ± δ.
+    """Return the target of a frequency with the widest band of 1 ± δ.
 
-    A tenth of δ is left to the uncertainty of the model. For one mode that is `best_damping` of what is left.
+    The damping ratio is varied. The band is that of the whole sensor. A tenth of δ is reserved for the uncertainty of
+    the model. For one mode the result is `best_damping` of the remainder.
     """
     allowed = (1.0 - MODEL_ERROR_SHARE) * permitted_error
     start = best_damping(allowed)
-    wanted = CompensationTarget(frequency_hz, start, real_hz, low_pass_hz)
+    template = CompensationTarget(frequency_hz, start, real_hz, low_pass_hz)
     if not len(sensor.frequency_hz):
-        return wanted
+        return template
     gain = _gains(sensor, np.linspace(0.0, REACH * frequency_hz, FINE))
 
     def reached(damping: float) -> int:
-        outside = np.abs(gain(replace(wanted, damping_ratio=damping)) - 1.0) > allowed
+        outside = np.abs(gain(replace(template, damping_ratio=damping)) - 1.0) > allowed
         return int(np.argmax(np.append(outside, True)))
 
     dampings = np.concatenate([[start], start + np.arange(-250, 401) * 1e-3])
     best = int(np.argmax([reached(float(one)) for one in dampings]))
-    return replace(wanted, damping_ratio=float(dampings[best]))
+    return replace(template, damping_ratio=float(dampings[best]))
 
 
 def _gains(sensor: SensorDynamics, frequency_hz: FloatArray) -> Callable[[CompensationTarget], FloatArray]:
-    """The gain over the static one (K,) of the compensated sensor at frequencies (K,), as a function of the target."""
+    """Return a function from the target to the gain over the static one (K,).
+
+    The gain is that of the compensated sensor at frequencies (K,).
+    """
     s: ComplexArray = np.asarray(2j * np.pi * frequency_hz, dtype=np.complex128)
 
     def denominator(poles: list[ComplexArray]) -> ComplexArray:
-        """Π(1 - s/p) (K,) over all poles p."""
+        """Return Π(1 - s/p) (K,) over all poles p."""
         return np.asarray(np.prod(1.0 - s / np.concatenate(poles)[:, None], axis=0))
 
     rest = np.abs(sensor.system.at(s) / sensor.static_gain * denominator(cancelled_poles(sensor)))
@@ -129,13 +133,13 @@ def _gains(sensor: SensorDynamics, frequency_hz: FloatArray) -> Callable[[Compen
     return gain
 
 
-# What a compensation filter makes of the sensor's noise.
+# Noise after a compensation filter.
 
 
 def white_noise_gain(sections: Sections) -> float:
-    """Return standard deviation out over in of white noise of the sampling: √Σh², h the impulse response.
+    """Return the standard deviation of filtered white noise over that of the input: √Σh².
 
-    By the covariance P = APAᵀ + BBᵀ of the state, Σh² = CPCᵀ + D².
+    h is the impulse response. With the covariance P = APAᵀ + BBᵀ of the state Σh² = CPCᵀ + D².
     """
     from scipy.linalg import solve_discrete_lyapunov
 
@@ -145,13 +149,27 @@ def white_noise_gain(sections: Sections) -> float:
 
 
 def filtered_noise(sections: Sections, frequency_hz: FloatArray, density: FloatArray) -> tuple[FloatArray, float]:
-    """Return the density (K,) after a filter of a measured one (K,), in unit/√Hz at rising frequencies (K,), and its
-    standard deviation over that range, by trapezoids.
+    """Return the density (K,) of measured noise after a filter, and its standard deviation.
 
+    Parameters
+    ----------
+    sections
+        the filter
+    frequency_hz
+        (K,) rising, Hz
+    density
+        (K,) of the noise before the filter, unit/√Hz
+
+    Returns
+    -------
+    tuple : density (K,) after the filter in unit/√Hz, and standard deviation over the range by the trapezoidal rule
+
+    Examples
+    --------
     >>> import numpy as np
     >>> from shaker import Compensation, filtered_noise
-    >>> from shaker.compensation.filter import Target, sampled, single_mode
-    >>> sections = sampled(Compensation(single_mode(300.0, 0.02), Target(1000.0, 0.7)), 20e3)
+    >>> from shaker.compensation.filter import CompensationTarget, discretise, single_mode
+    >>> sections = discretise(Compensation(single_mode(300.0, 0.02), CompensationTarget(1000.0, 0.7)), 20e3)
     >>> after, rms = filtered_noise(sections, np.array([0.0, 100.0]), np.array([2e-6, 2e-6]))
     >>> print(f"{after[0]:.3g} {rms:.3g}")  # V/√Hz at rest, and V up to 100 Hz
     2e-06 1.89e-05
@@ -164,31 +182,32 @@ def filtered_noise(sections: Sections, frequency_hz: FloatArray, density: FloatA
 
 
 def state_space(sections: Sections) -> tuple[FloatArray, FloatArray, FloatArray, float]:
-    """Return A (2S, 2S), B, C (2S,), D of the sections in a row, x[n+1] = A x[n] + B u[n], y = C x + D u.
+    """Return A (2S, 2S), B, C (2S,) and D of the sections in a row.
 
-    The states are those of the second transposed direct form, section after section, as the streaming filter has them.
+    x[n+1] = A x[n] + B u[n], y = C x + D u. The states are those of the second transposed direct form, section by
+    section, as in the streaming filter.
     """
     size = 2 * len(sections.sos)
     a, b, c, d = np.zeros((size, size)), np.zeros(size), np.zeros(size), 1.0
-    for place, (b0, b1, b2, _, a1, a2) in enumerate(sections.sos):
-        own = slice(2 * place, 2 * place + 2)
+    for number, (b0, b1, b2, _, a1, a2) in enumerate(sections.sos):
+        rows = slice(2 * number, 2 * number + 2)
         through = np.array([b1 - a1 * b0, b2 - a2 * b0])
-        a[own] += np.outer(through, c)
-        a[own, own] += np.array([[-a1, 1.0], [-a2, 0.0]])
-        b[own] = through * d
+        a[rows] += np.outer(through, c)
+        a[rows, rows] += np.array([[-a1, 1.0], [-a2, 0.0]])
+        b[rows] = through * d
         c, d = b0 * c, b0 * d
-        c[2 * place] += 1.0
+        c[2 * number] += 1.0
     return a, b, sections.gain * c, float(sections.gain * d)
 
 
-# What is left where a filter meets another sensor than it was made for: another load, or a model that is off.
+# Mismatch of filter and sensor: another load, or an inaccurate model.
 
-PERIODS = 6
-PER_PERIOD = 256
+PERIODS = 6  # of the slowest oscillation
+PER_PERIOD = 256  # points of the fastest oscillation
 
 
 def with_parameters(sensor: SensorDynamics, vector: FloatArray) -> LinearSystem:
-    """Return the whole sensor with other values of `SensorDynamics.vector`; its other poles and zeros stay."""
+    """Return the whole sensor with other values of `SensorDynamics.vector`; other poles and zeros stay."""
     modes, reals = len(sensor.frequency_hz), len(sensor.real_hz)
     f, zeta, real, gain = np.split(np.asarray(vector, dtype=np.float64), np.cumsum([modes, modes, reals]))
     poles = [pole for one, damping in zip(f, zeta, strict=True) for pole in mode_poles(one, damping)]
@@ -198,17 +217,20 @@ def with_parameters(sensor: SensorDynamics, vector: FloatArray) -> LinearSystem:
 
 
 def with_frequency(sensor: SensorDynamics, factor: float) -> LinearSystem:
-    """Return the whole sensor with the frequencies of the cancelled modes times a factor, as another load makes it."""
+    """Return the whole sensor with the frequencies of its cancelled modes times a factor.
+
+    Another load has this effect.
+    """
     vector = sensor.vector.copy()
     vector[: len(sensor.frequency_hz)] *= factor
     return with_parameters(sensor, vector)
 
 
 def residual_ringing(compensation: Compensation, sensor: LinearSystem, after_s: float) -> float:
-    """Return the largest |y/y(∞) - 1| after a step from `after_s` on, over some periods of the slowest oscillation.
+    """Return the largest |y/y(∞) - 1| after a step from `after_s` on.
 
-    y is the response of `sensor` with the filter behind it. The sensor that the filter was made for leaves the target's
-    own decay; another one rings at its own frequency.
+    y is the response of `sensor` with the filter, over some periods of the slowest oscillation. The sensor of the
+    filter's design has the decay of the target; another sensor rings at its natural frequency.
     """
     if not after_s >= 0:
         raise ValueError(f"after_s: expected 0 or more, found {after_s}")
@@ -221,12 +243,15 @@ def residual_ringing(compensation: Compensation, sensor: LinearSystem, after_s: 
     return float(np.max(np.abs(whole.step_between(after_s, after_s + span, count) / whole.static_gain - 1.0)))
 
 
-# How well a compensated signal is known: by frequency and sample by sample.
+# Uncertainty of a compensated signal by frequency and by sample.
 
 
 @dataclass(frozen=True, repr=False)
 class GainBand(Brief):
-    """Standard uncertainties over `frequency_hz` (K,) of a compensated sensor: `u_gain` relative, `u_phase_rad`."""
+    """Standard uncertainties of a compensated sensor over `frequency_hz` (K,).
+
+    `u_gain` relative, `u_phase_rad`.
+    """
 
     frequency_hz: FloatArray
     u_gain: FloatArray
@@ -237,9 +262,8 @@ class GainBand(Brief):
 class CompensatedSignal(Brief):
     """Compensated samples `value` (C, N) with standard uncertainty `u` (C, N).
 
-    `u_model` (C, N): what the sensor's model contributes, 0 where its covariance is not known; `u_noise`: the noise
-    after the filter, the same for all samples. `u_scatter` (C, N): the part of `u_model` that rests on what records
-    scatter by.
+    `u_model` (C, N): contribution of the sensor's model, 0 without its covariance. `u_noise`: noise after the filter,
+    the same for all samples. `u_scatter` (C, N): the part of `u_model` from the scatter of records.
     """
 
     value: FloatArray
@@ -252,14 +276,15 @@ class CompensatedSignal(Brief):
 
     @property
     def u(self) -> FloatArray:
-        """Standard uncertainty (C, N): both together."""
+        """Standard uncertainty (C, N) from model and noise together."""
         return np.asarray(np.hypot(self.u_model, self.u_noise))
 
 
 def gain_band(compensation: Compensation, frequency_hz: FloatArray) -> GainBand:
-    """Return u of the compensated sensor by the model's covariance V, to first order: δT/T = Σ (∂ ln G_c/∂θ) δθ.
+    """Return u of the compensated sensor to first order by the model's covariance V.
 
-    First order holds while u of a cancelled frequency is small against half the width ζ·fn of its resonance.
+    δT/T = Σ (∂ ln G_c/∂θ) δθ. This is valid if u of a cancelled frequency is small against half the width ζ·fn of its
+    resonance.
     """
     covariance = compensation.sensor.covariance
     if covariance is None:
@@ -270,11 +295,11 @@ def gain_band(compensation: Compensation, frequency_hz: FloatArray) -> GainBand:
 
 
 class CompensationWithUncertainty:
-    """A `CompensationFilter` that also runs the filters of ∂y/∂θ along, so that every sample has its uncertainty.
+    """A `CompensationFilter` that gives the uncertainty of every sample.
 
-    u² = gᵀVg + (noise·√Σh²)², g (P,) the derivatives at the sample, V the covariance of the sensor's parameters,
-    `noise` the standard deviation of the input, white at the sampling rate. What the parameters contribute is common to
-    all samples, what noise contributes is not.
+    It also runs the filters of ∂y/∂θ: u² = gᵀVg + (noise·√Σh²)², g (P,) the derivatives at the sample, V the covariance
+    of the sensor's parameters, `noise` the standard deviation of the input, white at the sampling rate. The
+    contribution of the parameters is common to all samples, that of the noise is not.
     """
 
     def __init__(

@@ -1,4 +1,4 @@
-"""Filters that give a sensor other dynamics, scheduled on its load, sample by sample."""
+"""Compensation filters, scheduled on the load of a sensor, sample by sample."""
 
 from __future__ import annotations
 
@@ -12,16 +12,17 @@ from shaker.lti.indices import step_shares
 from shaker.lti.system import LinearSystem, ModalModel
 from shaker.release.load_model import LoadModel
 
-# What a compensation filter takes out of a sensor: modes, real poles and static gain, with covariance.
+# Dynamics of a sensor that a filter compensates: modes, real poles and static gain, with covariance.
 
 
 @dataclass(frozen=True, repr=False)
 class SensorDynamics(Brief):
-    """The poles of a sensor that a filter cancels, and the whole sensor `system`, output unit per load unit.
+    """The poles of a sensor that a filter cancels, and the whole sensor.
 
-    Modes `frequency_hz` (M,), rising, with `damping_ratio` (M,) and real poles at -2π·`real_hz` (Q,); `static_gain` =
-    H(0). `covariance` (P, P), P = 2M + Q + 1, of `vector` = [frequency_hz, damping_ratio, real_hz, static_gain]; None
-    where it is not known. `scatter` (P, P): the part of it that rests on what records scatter by, None without.
+    Modes `frequency_hz` (M,), rising, with `damping_ratio` (M,); real poles at -2π·`real_hz` (Q,); `static_gain` =
+    H(0); the whole sensor `system`, output unit per load unit. `covariance` (P, P), P = 2M + Q + 1, of `vector` =
+    [frequency_hz, damping_ratio, real_hz, static_gain], None if unknown. `scatter` (P, P): the part of it from the
+    scatter of records, None without.
     """
 
     frequency_hz: FloatArray
@@ -41,8 +42,8 @@ class SensorDynamics(Brief):
             if not np.all(getattr(self, name) > 0):
                 raise ValueError(f"{name}: expected positive numbers, found {getattr(self, name).tolist()}")
         if np.any(self.damping_ratio < 0) or np.any(self.damping_ratio >= 1):
-            told = self.damping_ratio.tolist()
-            raise ValueError(f"damping_ratio: expected 0 or more and below 1 of a stable sensor, found {told}")
+            found = self.damping_ratio.tolist()
+            raise ValueError(f"damping_ratio: expected 0 or more and below 1 of a stable sensor, found {found}")
         if not np.isfinite(self.static_gain) or self.static_gain == 0:
             raise ValueError(f"static_gain: expected a number other than 0, found {self.static_gain}")
         for name in ("covariance", "scatter"):
@@ -56,7 +57,7 @@ class SensorDynamics(Brief):
 
     @property
     def other_poles(self) -> ComplexArray:
-        """Poles in rad/s of the whole sensor that stay."""
+        """Uncancelled poles of the whole sensor in rad/s."""
         left = list(self.system.poles)
         for pole in np.concatenate(cancelled_poles(self)):
             left.pop(int(np.argmin(np.abs(np.array(left) - pole))))
@@ -64,14 +65,14 @@ class SensorDynamics(Brief):
 
     @property
     def u(self) -> FloatArray:
-        """Standard uncertainties (P,) of `vector`, NaN where they are not known."""
+        """Standard uncertainties (P,) of `vector`, NaN without a covariance."""
         if self.covariance is None:
             return np.full(len(self.vector), np.nan)
         return np.asarray(np.sqrt(np.diag(self.covariance)))
 
 
 def single_mode(frequency_hz: float, damping_ratio: float, static_gain: float = 1.0) -> SensorDynamics:
-    """Return the dynamics of G = gain·ω²/(s² + 2ζωs + ω²), known exactly."""
+    """Return the exact dynamics G = gain·ω²/(s² + 2ζωs + ω²)."""
     omega = 2 * np.pi * frequency_hz
     below = np.array([1.0, 2 * damping_ratio * omega, omega**2])
     system = LinearSystem.from_coefficients(np.array([static_gain * omega**2]), below)
@@ -80,9 +81,9 @@ def single_mode(frequency_hz: float, damping_ratio: float, static_gain: float = 
 
 
 def modal_dynamics(model: ModalModel, *, modes: int = 1, real_poles: bool = False) -> SensorDynamics:
-    """Return the `modes` modes with the largest share in the step response, and all real poles if wanted.
+    """Return the modes with the largest share in the step response, optionally with real poles.
 
-    The covariance is that of the model, static gain and poles together.
+    `modes`: their number. The covariance is that of the model, for static gain and poles together.
     """
     count = len(model.frequency_hz)
     if not 0 <= modes <= count:
@@ -101,15 +102,15 @@ def modal_dynamics(model: ModalModel, *, modes: int = 1, real_poles: bool = Fals
 
 
 def loaded_dynamics(model: LoadModel, load_mass: float, *, modes: int = 1) -> SensorDynamics:
-    """Return the dynamics of a sensor with a load mass in kg: the modes with the largest share in the step response.
+    """Return the dynamics of a sensor with a load mass in kg.
 
-    The covariance holds that of stiffnesses, dampings and moving mass, and the uncertainty of the static sensitivity.
-    A load without mass leaves one mode, also where more are wanted.
+    Selected are the modes with the largest share in the step response. The covariance includes stiffnesses, dampings,
+    moving mass and static sensitivity. A load without mass has one mode, for any value of `modes`.
     """
     system = model.system(load_mass)
     upper = np.flatnonzero(system.poles.imag > 0)
     if not len(upper):
-        raise ValueError(f"load_mass: expected a load that lets the sensor oscillate, found {load_mass} kg")
+        raise ValueError(f"load_mass: expected a load with which the sensor oscillates, found {load_mass} kg")
     if modes < 0:
         raise ValueError(f"modes: expected 0 or more, found {modes}")
     chosen = np.sort(np.argsort(-step_shares(system)[upper], kind="stable")[:modes])
@@ -126,20 +127,20 @@ def loaded_dynamics(model: LoadModel, load_mass: float, *, modes: int = 1) -> Se
     return SensorDynamics(f, zeta, np.zeros(0), float(gain[0]), system, covariance)
 
 
-# The dynamics a compensated sensor shall have, stated or found for a wanted bandwidth.
+# Target dynamics of a compensated sensor.
 
 MODE_SPACING = 2.0
-"""How far apart, over the target's frequency, further modes are put at least."""
+"""Smallest spacing of further modes over the target's frequency."""
 
 
 @dataclass(frozen=True)
 class CompensationTarget:
-    """Natural frequency in Hz and damping ratio that the lowest compensated mode shall have.
+    """Target frequency in Hz and damping ratio of the lowest compensated mode.
 
-    Further compensated modes get the same damping ratio and keep their frequency, but are moved to twice, four times, …
-    the target's where they lie below. `real_hz`: where the slowest compensated real pole shall lie, the others by the
-    same factor; needed only where there is one. `low_pass_hz`: corner of a second-order Butterworth low-pass in the
-    filter, None for none: the sensor is then damped as wanted and less noise passes.
+    Further compensated modes have the same damping ratio and their frequency, but at least twice, four times, … the
+    target's. `real_hz`: target of the slowest compensated real pole, the others change by the same factor; required
+    only with a real pole. `low_pass_hz`: corner of a second-order Butterworth low-pass in the filter, None without. It
+    reduces the noise.
     """
 
     frequency_hz: float
@@ -155,9 +156,10 @@ class CompensationTarget:
 
 
 def best_damping(permitted_error: float) -> float:
-    """Return the damping ratio with the widest band |H|/H(0) within 1 ± δ of one mode of given natural frequency.
+    """Return the damping ratio with the widest band within 1 ± δ.
 
-    Its peak 1/(2ζ√(1 - ζ²)) just comes to 1 + δ: ζ² = [1 - √(1 - (1 + δ)⁻²)]/2; 0.540 for 10 %, 0.590 for 5 %.
+    The band is that of |H|/H(0) for one mode. Its peak 1/(2ζ√(1 - ζ²)) is 1 + δ: ζ² = [1 - √(1 - (1 + δ)⁻²)]/2; 0.540
+    for 10 %, 0.590 for 5 %.
     """
     if not 0 < permitted_error < 1:
         raise ValueError(f"permitted_error: expected above 0 and below 1, found {permitted_error}")
@@ -165,9 +167,9 @@ def best_damping(permitted_error: float) -> float:
 
 
 def band_ratio(damping_ratio: float, permitted_error: float) -> float:
-    """Return up to which f/fn one mode of fn stays within |H|/H(0) = 1 ± δ.
+    """Return f/fn up to which one mode stays within |H|/H(0) = 1 ± δ.
 
-    With x = (f/fn)², |H|⁻² = x² - 2(1 - 2ζ²)x + 1; the lower of the roots for 1 + δ, where it is passed, and 1 - δ.
+    With x = (f/fn)², |H|⁻² = x² - 2(1 - 2ζ²)x + 1; the lower of the roots for 1 + δ, if it is crossed, and 1 - δ.
     """
     middle = 1.0 - 2.0 * damping_ratio**2
     up = middle**2 - 1.0 + (1.0 + permitted_error) ** -2
@@ -177,13 +179,16 @@ def band_ratio(damping_ratio: float, permitted_error: float) -> float:
 
 
 def cancelled_poles(sensor: SensorDynamics) -> list[ComplexArray]:
-    """Return the poles in rad/s that a filter cancels, section by section: a pair of each mode, one of a real pole."""
+    """Return the poles in rad/s that a filter cancels, by section.
+
+    A section has the pair of a mode, or one real pole.
+    """
     pairs = [mode_poles(f, z) for f, z in zip(sensor.frequency_hz, sensor.damping_ratio, strict=True)]
     return [*pairs, *(np.array([-2 * np.pi * f + 0j]) for f in sensor.real_hz)]
 
 
 def target_poles(sensor: SensorDynamics, target: CompensationTarget) -> list[ComplexArray]:
-    """Return the poles in rad/s that take their place, section by section."""
+    """Return the poles in rad/s that replace the cancelled ones, by section."""
     poles = []
     if len(sensor.frequency_hz):
         least = target.frequency_hz * MODE_SPACING * np.arange(1, len(sensor.frequency_hz))
@@ -191,37 +196,49 @@ def target_poles(sensor: SensorDynamics, target: CompensationTarget) -> list[Com
         poles = [mode_poles(float(f), target.damping_ratio) for f in frequencies]
     if len(sensor.real_hz):
         if target.real_hz is None:
-            raise ValueError("real_hz: expected where the slowest real pole shall lie, found none")
+            raise ValueError("real_hz: expected the target of the slowest real pole, found none")
         factor = target.real_hz / np.min(sensor.real_hz)
         poles += [np.array([-2 * np.pi * factor * f + 0j]) for f in sensor.real_hz]
     return poles
 
 
 def low_pass_poles(target: CompensationTarget) -> list[ComplexArray]:
-    """Return the poles in rad/s of the low-pass, a section of its own, or no section."""
+    """Return the poles in rad/s of the low-pass section, or no section."""
     return [] if target.low_pass_hz is None else [mode_poles(target.low_pass_hz, float(np.sqrt(0.5)))]
 
 
 def mode_poles(frequency_hz: float, damping_ratio: float) -> ComplexArray:
-    """Return both poles in rad/s of a mode, real ones from a damping ratio of 1 on."""
+    """Return both poles in rad/s of a mode.
+
+    They are real for a damping ratio of 1 or more.
+    """
     root = np.sqrt(complex(damping_ratio**2 - 1.0))
     return np.asarray(2 * np.pi * frequency_hz * np.array([-damping_ratio + root, -damping_ratio - root]))
 
 
-# The continuous compensation filter: the sensor's denominator over the wanted one.
+# Continuous compensation filter: the sensor's denominator over that of the target.
 
 
 @dataclass(frozen=True)
 class Compensation:
-    """G_c(s) = gain·Π_i [Π(s - zero)/Π(s - pole)]_i, each factor i scaled to 1 at s = 0.
+    """Continuous compensation filter: denominator of the sensor over that of the target.
 
-    The zeros are the poles of `sensor` that go, the poles those of `target`: at least as many, so that it is proper.
-    gain is 1, or 1/H(0) of the sensor where the filter is `calibrated` and turns the output into the load (paper "load
-    characteristics", eqs. 15 and 17, for one mode).
+    Attributes
+    ----------
+    sensor : dynamics with the poles to cancel
+    target : target dynamics, at least as many poles, so that the filter is proper
+    calibrated : static gain 1/H(0), so that the output is the load; default False: static gain 1
 
+    Notes
+    -----
+    G_c(s) = gain·Π_i [Π(s - zero)/Π(s - pole)]_i, each factor i scaled to 1 at s = 0 (paper "load characteristics",
+    eqs. 15 and 17, for one mode).
+
+    Examples
+    --------
     >>> from shaker import Compensation
-    >>> from shaker.compensation.filter import Target, single_mode
-    >>> faster = Compensation(single_mode(300.0, 0.02), Target(1000.0, 0.7))
+    >>> from shaker.compensation.filter import CompensationTarget, single_mode
+    >>> faster = Compensation(single_mode(300.0, 0.02), CompensationTarget(1000.0, 0.7))
     >>> print(f"gain {abs(faster.system.response([1000.0])[0]):.1f} at 1 kHz")
     gain 7.2 at 1 kHz
     """
@@ -240,7 +257,7 @@ class Compensation:
 
     @property
     def factors(self) -> list[tuple[ComplexArray, ComplexArray]]:
-        """Zeros and poles in rad/s of every factor: those of a low-pass, two of each mode, one of each real pole."""
+        """Zeros and poles in rad/s of every factor: low-pass, modes, real poles."""
         first = [(np.zeros(0, dtype=np.complex128), poles) for poles in low_pass_poles(self.target)]
         return [*first, *zip(cancelled_poles(self.sensor), target_poles(self.sensor, self.target), strict=True)]
 
@@ -252,14 +269,15 @@ class Compensation:
 
     @property
     def compensated(self) -> LinearSystem:
-        """Sensor and filter in a row, without the poles that the filter cancels."""
+        """Sensor and filter in a row, without the cancelled poles."""
         whole, made = self.sensor.system, self.system
         return LinearSystem(whole.zeros, np.concatenate([self.sensor.other_poles, made.poles]), made.gain * whole.gain)
 
     def sensitivities(self, frequency_hz: FloatArray) -> ComplexArray:
-        """Return ∂ ln G_c/∂θ (K, P) of the parameters θ of `sensor.vector` at frequencies (K,) in Hz.
+        """Return ∂ ln G_c/∂θ (K, P) by the parameters of `sensor.vector`.
 
-        A mode's factor N = 1 + 2ζs/ω + s²/ω², a real pole's N = 1 + s/a; the static gain counts if calibrated.
+        At frequencies (K,) in Hz. A mode has the factor N = 1 + 2ζs/ω + s²/ω², a real pole N = 1 + s/a; the static gain
+        counts if calibrated.
         """
         s = 2j * np.pi * np.asarray(frequency_hz, dtype=np.float64)[:, None]
         omega, a = 2 * np.pi * self.sensor.frequency_hz, 2 * np.pi * self.sensor.real_hz
@@ -271,20 +289,21 @@ class Compensation:
         return np.concatenate([by_frequency, 2.0 * s / omega / mode, by_real, by_gain], axis=1)
 
 
-# The compensation filter for samples: second-order sections, each of static gain 1, and what sampling costs.
+# Digital compensation filter: second-order sections of static gain 1, and discretisation error.
 
 Discretisation = Literal["matched", "tustin"]
 HIGHEST_SHARE = 0.45
-"""Share of the sampling rate up to which a pole or a zero may lie."""
-DISCRETE_RELATIVE_STEP = 1e-6
+"""Largest frequency of a pole or zero over the sampling rate."""
+DISCRETE_RELATIVE_STEP = 1e-6  # of central differences
 
 
 @dataclass(frozen=True, repr=False)
 class Sections(Brief):
-    """y = gain·Π_i (b0 + b1 z⁻¹ + b2 z⁻²)/(1 + a1 z⁻¹ + a2 z⁻²) u at `sample_rate_hz`.
+    """Second-order sections of a digital filter at `sample_rate_hz`.
 
-    `sos` (S, 6): rows [b0, b1, b2, 1, a1, a2], run in this order; each has the static gain 1, so that a change of the
-    coefficients between two samples leaves a constant signal alone.
+    y = gain·Π_i (b0 + b1 z⁻¹ + b2 z⁻²)/(1 + a1 z⁻¹ + a2 z⁻²) u. `sos` (S, 6): rows [b0, b1, b2, 1, a1, a2] in
+    processing order. Each has the static gain 1, so that a change of the coefficients between two samples does not
+    affect a constant signal.
     """
 
     sos: FloatArray
@@ -299,7 +318,7 @@ class Sections(Brief):
     def response(self, frequency_hz: FloatArray) -> ComplexArray:
         """Return the frequency response (K,) at frequencies (K,) in Hz, section by section.
 
-        Polynomials are taken in w = 1 - z⁻¹, which is small where the sampling is fast and differences would cancel.
+        Polynomials are evaluated in w = 1 - z⁻¹, which is small at a high sampling rate, to avoid cancellation.
         """
         w = -np.expm1(-2j * np.pi * np.asarray(frequency_hz, dtype=np.float64)[:, None] / self.sample_rate_hz)
         c0, c1, c2 = self.sos.reshape(-1, 2, 3).transpose(2, 1, 0)  # numerator and denominator of every section
@@ -308,11 +327,11 @@ class Sections(Brief):
 
 
 def discretise(compensation: Compensation, sample_rate_hz: float, method: Discretisation = "matched") -> Sections:
-    """Return a filter for samples at a rate.
+    """Return the digital filter at a sampling rate.
 
-    "matched": z = exp(s/fs) of every pole and zero; the zeros stand exactly on the poles of the sampled sensor, which
-    cancel at every rate. "tustin": s = K(z - 1)/(z + 1), K = ω/tan(ω/2fs), ω = |zero| of each section, so that the
-    frequency of every cancelled mode is kept.
+    "matched": z = exp(s/fs) of every pole and zero. The zeros are exactly the poles of the sampled sensor and cancel
+    them at every rate. "tustin": s = K(z - 1)/(z + 1), K = ω/tan(ω/2fs), ω = |zero| of each section, which preserves
+    the frequency of every cancelled mode.
     """
     if method not in ("matched", "tustin"):
         raise ValueError(f'method: expected "matched" or "tustin", found "{method}"')
@@ -326,7 +345,7 @@ def discretise(compensation: Compensation, sample_rate_hz: float, method: Discre
 
 
 def pad_sections(sections: Sections, count: int) -> Sections:
-    """Return the same filter as `count` sections, those added letting everything pass."""
+    """Return the filter as `count` sections; the added ones have the gain 1."""
     if count < len(sections.sos):
         raise ValueError(f"count: expected at least {len(sections.sos)}, as many as there are, found {count}")
     more = np.tile([1.0, 0.0, 0.0, 1.0, 0.0, 0.0], (count - len(sections.sos), 1))
@@ -334,9 +353,9 @@ def pad_sections(sections: Sections, count: int) -> Sections:
 
 
 def section_row(zeros: ComplexArray, poles: ComplexArray, rate_hz: float, method: Discretisation) -> FloatArray:
-    """Return one section (6,) of zeros and poles in rad/s, one or two of each, with the static gain 1.
+    """Return one section (6,) of zeros and poles, with static gain 1.
 
-    A low-pass, which has no zeros, is always made by Tustin's rule, prewarped at its corner.
+    One or two each, in rad/s. A low-pass, which has no zeros, always uses Tustin's rule, prewarped at its corner.
     """
     constant = None
     if method == "tustin" or not len(zeros):
@@ -350,7 +369,10 @@ def section_row(zeros: ComplexArray, poles: ComplexArray, rate_hz: float, method
 
 
 def _polynomial(roots: ComplexArray, rate_hz: float, constant: float | None) -> tuple[FloatArray, float]:
-    """Π(1 - r z⁻¹) (3,) of the images r of roots in rad/s, and its value at z = 1."""
+    """Return Π(1 - r z⁻¹) (3,) and its value at z = 1.
+
+    r are the images of roots in rad/s.
+    """
     if constant is None:
         images, rest = np.exp(roots / rate_hz), -np.expm1(roots / rate_hz)
     else:
@@ -364,16 +386,17 @@ def _polynomial(roots: ComplexArray, rate_hz: float, constant: float | None) -> 
 def parameter_sections(
     compensation: Compensation, sample_rate_hz: float, method: Discretisation = "matched"
 ) -> tuple[Sections, ...]:
-    """Return the filters of ∂y/∂θ, one per parameter θ of `sensor.vector`: the section of θ is replaced.
+    """Return the filters of ∂y/∂θ, one per parameter θ of `sensor.vector`.
 
-    The poles do not depend on the sensor, so that ∂y/∂θ is y's filter with ∂b/∂θ in place of b, by central differences.
+    The section of θ is replaced. The poles do not depend on the sensor, so that ∂y/∂θ is the filter with ∂b/∂θ instead
+    of b, by central differences.
     """
     base, sensor = discretise(compensation, sample_rate_hz, method), compensation.sensor
     modes, reals = len(sensor.frequency_hz), len(sensor.real_hz)
     first, targets = len(base.sos) - modes - reals, target_poles(sensor, compensation.target)
 
     def numerator(parameter: int, section: int, by: float) -> FloatArray:
-        """That of a section with the sensor's value moved and the target left where it is."""
+        """Return the numerator of a section for a changed sensor value and the same target."""
         value = sensor.vector.copy()
         value[parameter] += by
         if section < modes:
@@ -394,27 +417,43 @@ def parameter_sections(
 
 
 def discretisation_error(compensation: Compensation, sections: Sections, frequency_hz: FloatArray) -> ComplexArray:
-    """Return G_d/G_c - 1 (K,), the sampled filter against the continuous one, at frequencies (K,) in Hz."""
+    """Return G_d/G_c - 1 (K,) of the digital and the continuous filter."""
     return np.asarray(sections.response(frequency_hz) / compensation.system.response(frequency_hz) - 1.0)
 
 
-# A compensation filter that runs along with the data, block by block.
+# Streaming compensation filter.
 
 
 class CompensationFilter:
-    """Filters blocks (C, N) of `channels` channels and keeps its state between them.
+    """Streaming compensation filter for blocks (C, N) of `channels` channels.
 
-    The output of any split into blocks equals that of one block bit for bit. It starts settled at `level` (C,) or one
-    number, in the unit of the input; None: at the first sample. `switch` changes the coefficients before the next
-    sample: every section keeps its last two inputs and outputs, so that the output goes on from where it was. A
-    constant signal does not notice a switch, and a smooth one moves by no more than its own change over one sample.
+    It keeps its state between blocks: any split into blocks gives the same bits as one block.
 
+    Parameters
+    ----------
+    sections
+        the filter
+    channels
+        number of channels C, default 1
+    level
+        (C,) or a number, level at which the filter starts settled, unit of the input, default 0; None: the first
+        sample
+
+    Notes
+    -----
+    `switch` changes the coefficients before the next sample. Every section keeps its last two inputs and outputs, so
+    that the output is continuous. A constant signal is not affected; a smooth one changes by at most its change over
+    one sample.
+
+    Examples
+    --------
     >>> import numpy as np
     >>> from shaker import Compensation, CompensationFilter
-    >>> from shaker.compensation.filter import Target, sampled, single_mode
-    >>> run = CompensationFilter(sampled(Compensation(single_mode(300.0, 0.02), Target(1000.0, 0.7)), 20e3), level=None)
+    >>> from shaker.compensation.filter import CompensationTarget, discretise, single_mode
+    >>> sections = discretise(Compensation(single_mode(300.0, 0.02), CompensationTarget(1000.0, 0.7)), 20e3)
+    >>> run = CompensationFilter(sections, level=None)
     >>> first, second = run(np.ones((1, 100))), run(np.ones((1, 100)))
-    >>> print(first[0, -1].round(9), second[0, -1].round(9))  # a constant load stays what it is
+    >>> print(first[0, -1].round(9), second[0, -1].round(9))  # a constant load does not change
     1.0 1.0
     """
 
@@ -430,7 +469,10 @@ class CompensationFilter:
             self._settle(np.broadcast_to(np.asarray(level, dtype=np.float64), (channels,)))
 
     def __call__(self, block: FloatArray) -> FloatArray:
-        """Return the compensated block (C, N); samples that are not finite are refused, they would never fade."""
+        """Return the compensated block (C, N).
+
+        Samples that are not finite are refused, because their effect would never decay.
+        """
         from scipy.signal import sosfilt
 
         signal = np.ascontiguousarray(block, dtype=np.float64)
@@ -443,34 +485,34 @@ class CompensationFilter:
             self._settle(signal[:, 0])
             self._started = True
         self._remember(0, signal)
-        for place, row in enumerate(self._sections.sos):
-            state = np.ascontiguousarray(self._state[place].T)[None]
+        for number, row in enumerate(self._sections.sos):
+            state = np.ascontiguousarray(self._state[number].T)[None]
             signal, after = sosfilt(row[None], signal, axis=1, zi=state)
-            self._state[place] = after[0].T
-            self._remember(place + 1, signal)
+            self._state[number] = after[0].T
+            self._remember(number + 1, signal)
         return np.asarray(self._sections.gain * signal)
 
     def switch(self, sections: Sections) -> None:
-        """Use other coefficients, as many sections at the same rate, from the next sample on."""
+        """Use other coefficients from the next sample on, with equal number of sections and rate."""
         if sections.sos.shape != self._sections.sos.shape:
             raise ValueError(f"sections: expected {len(self._sections.sos)}, found {len(sections.sos)}")
         if sections.sample_rate_hz != self._sections.sample_rate_hz:
             expected = self._sections.sample_rate_hz
             raise ValueError(f"sections: expected a rate of {expected} Hz, found {sections.sample_rate_hz} Hz")
         self._sections = sections
-        for place, (_, b1, b2, _, a1, a2) in enumerate(sections.sos):
-            x, y = self._past[place], self._past[place + 1]
-            self._state[place, 1] = b2 * x[1] - a2 * y[1]
-            self._state[place, 0] = b1 * x[1] - a1 * y[1] + b2 * x[0] - a2 * y[0]
+        for number, (_, b1, b2, _, a1, a2) in enumerate(sections.sos):
+            x, y = self._past[number], self._past[number + 1]
+            self._state[number, 1] = b2 * x[1] - a2 * y[1]
+            self._state[number, 0] = b1 * x[1] - a1 * y[1] + b2 * x[0] - a2 * y[0]
 
     def _settle(self, level: FloatArray) -> None:
-        """The state of having seen one level for ever."""
+        """Set the state to that of a constant level."""
         self._past[0] = level
-        for place, row in enumerate(self._sections.sos):
-            self._past[place + 1] = self._past[place] * (np.sum(row[:3]) / np.sum(row[3:]))
+        for number, row in enumerate(self._sections.sos):
+            self._past[number + 1] = self._past[number] * (np.sum(row[:3]) / np.sum(row[3:]))
         self.switch(self._sections)
 
-    def _remember(self, place: int, signal: FloatArray) -> None:
-        """Keep the last two samples at one place between the sections, the older first."""
-        kept = np.concatenate([self._past[place], signal[:, -2:].T])
-        self._past[place] = kept[-2:]
+    def _remember(self, number: int, signal: FloatArray) -> None:
+        """Store the last two samples between two sections, the older first."""
+        samples = np.concatenate([self._past[number], signal[:, -2:].T])
+        self._past[number] = samples[-2:]

@@ -1,7 +1,8 @@
-"""Force feedback through a sensor: a user pushes a haptic handle against a virtual ball, and a loop makes him feel it.
+"""Simulated force feedback of a haptic handle with a force sensor.
 
-The check of section VI of the publication on load characteristics of force sensors, on simulated data: applied and
-fed-back force with a sensor as it is, with a compensation made for no load, and with one that knows the load.
+A user pushes the handle against a virtual ball. Section VI of the publication on load characteristics of force sensors,
+on simulated data. Compared are the applied and the fed-back force without compensation, with a compensation for no
+load, and with one for the actual load.
 """
 
 from __future__ import annotations
@@ -16,19 +17,20 @@ from shaker.compensation.filter import Sections
 from shaker.lti.system import LinearSystem
 
 RUNAWAY = 1e3
-"""Forces over the largest one the hand could give at rest from which a run is given up."""
-HIGHEST_GAIN = 1e4
-GRID = 161
+"""Force over the largest static force of the hand, above which a run is unstable."""
+HIGHEST_GAIN = 1e4  # end of the search for the stability limit
+GRID = 161  # gains over seven decades
 
 
 @dataclass(frozen=True)
 class HapticLoop:
     """Hand, device, ball and force control.
 
-    The hand holds the handle of mass M at x through a spring and a damper, F_u = k_h(x_h - x) + b_h(v_h - v), and moves
-    its own end x_h; M v' = F_u - F_a - B v. The ball pushes back with F_v = k·depth. Control makes the hand feel it:
-    F_a = F_v + K(F_v - y), y the force that the sensor tells, K = `force_gain`: the handle then feels like one of mass
-    M/(1 + K). The actuator gets each F_a one sample late. Masses in kg, stiffnesses in N/m, dampings in N·s/m.
+    The hand moves the handle of mass M at x through a spring and a damper, F_u = k_h(x_h - x) + b_h(v_h - v), with the
+    motion x_h of the hand. M v' = F_u - F_a - B v. The ball pushes back with F_v = k·depth. The control makes the hand
+    feel it: F_a = F_v + K(F_v - y) with the force y from the sensor and K = `force_gain`. The handle then feels like
+    one of mass M/(1 + K). The actuator receives each F_a one sample late. Masses in kg, stiffnesses in N/m, dampings in
+    N·s/m.
     """
 
     hand_stiffness: float
@@ -50,10 +52,11 @@ class HapticLoop:
 
 @dataclass(frozen=True, repr=False)
 class FeedbackRun(Brief):
-    """What user, sensor and ball did, samples (N,) in N; NaN from where the loop ran away.
+    """Forces of user, sensor and ball.
 
-    `applied` F_u, `told` what the sensor says of it, `fed_back` F_v of the ball. `tracking_error`: rms of F_u - F_v
-    over rms of F_v while the ball is touched, infinite for a run that ran away.
+    Samples (N,) in N; NaN after the loop became unstable. `applied` F_u, `indicated`: its value from the sensor,
+    `fed_back` F_v of the ball. `tracking_error`: rms of F_u - F_v over rms of F_v during contact, infinite for an
+    unstable run.
     """
 
     time_s: FloatArray
@@ -66,7 +69,10 @@ class FeedbackRun(Brief):
 
 @dataclass(frozen=True, repr=False)
 class _Matrices(Brief):
-    """z[n+1] = A z[n] + B [x_h, v_h, wall, noise]; rows that read F_u, told force and F_v from z and the inputs."""
+    """Sampled loop: state matrices and rows of the forces.
+
+    z[n+1] = A z[n] + B [x_h, v_h, wall, noise]; rows for F_u, indicated force and F_v.
+    """
 
     a: FloatArray
     b: FloatArray
@@ -75,7 +81,7 @@ class _Matrices(Brief):
 
 
 def push(time_s: FloatArray, depth_m: float, duration_s: float) -> FloatArray:
-    """Return the place of the hand (N,) that pushes to a depth and comes back: depth·(1 - cos 2πt/T)/2."""
+    """Return the position of the hand (N,) for one push: depth·(1 - cos 2πt/T)/2."""
     return np.asarray(0.5 * depth_m * (1.0 - np.cos(2 * np.pi * np.minimum(time_s / duration_s, 1.0))))
 
 
@@ -88,10 +94,10 @@ def simulate_feedback(
     wall_m: float = 0.0,
     noise: FloatArray | None = None,
 ) -> FeedbackRun:
-    """Return what happens as the hand moves along `hand_m` (N,) towards a ball whose surface is at `wall_m`.
+    """Return the forces as the hand moves along `hand_m` (N,) towards a ball at `wall_m`.
 
-    `sensor`: output over force with the load it carries; its output is divided by its static gain. `sections`: the
-    compensation in its static-gain-1 form, None for none. `noise` (N,) in N is added to what the sensor tells.
+    `sensor`: output over force with its load; its output is divided by its static gain. `sections`: the compensation
+    with static gain 1, None without. `noise` (N,) in N is added to the force from the sensor.
     """
     check_shape("hand_m", hand_m, (None,))
     added = np.zeros(len(hand_m)) if noise is None else noise
@@ -101,30 +107,33 @@ def simulate_feedback(
     regimes = [_matrices(loop, sensor, sections, contact) for contact in (False, True)]
     limit = RUNAWAY * loop.hand_stiffness * float(np.max(np.abs(hand_m)) + 1e-12)
     forces, state = np.full((len(inputs), 3), np.nan), np.zeros(len(regimes[0].a))
-    for place, given in enumerate(inputs):
+    for sample, given in enumerate(inputs):
         now = regimes[int(state[0] > given[2])]
-        forces[place] = now.read @ state + now.feed @ given
-        if not abs(forces[place, 0]) < limit:
-            forces[place:] = np.nan
+        forces[sample] = now.read @ state + now.feed @ given
+        if not abs(forces[sample, 0]) < limit:
+            forces[sample:] = np.nan
             break
         state = now.a @ state + now.b @ given
-    applied, told, fed_back = forces.T
+    applied, indicated, fed_back = forces.T
     touched, tracking_error = fed_back != 0.0, float("inf")
     if touched.any() and np.all(np.isfinite(forces)):
         error, size = (applied - fed_back)[touched], fed_back[touched]
         tracking_error = float(np.sqrt(np.mean(error**2) / np.mean(size**2)))
     time_s, stable = np.arange(len(hand_m)) / loop.sample_rate_hz, is_stable(loop, sensor, sections)
-    return FeedbackRun(time_s, applied, told, fed_back, stable, tracking_error)
+    return FeedbackRun(time_s, applied, indicated, fed_back, stable, tracking_error)
 
 
 def is_stable(loop: HapticLoop, sensor: LinearSystem, sections: Sections | None) -> bool:
-    """Whether every eigenvalue of the sampled loop decays, away from the ball and in it."""
+    """Return whether every eigenvalue of the sampled loop decays, with and without contact."""
     regimes = (_matrices(loop, sensor, sections, contact).a for contact in (False, True))
     return all(float(np.max(np.abs(np.linalg.eigvals(a)))) < 1.0 for a in regimes)
 
 
 def largest_stable_gain(loop: HapticLoop, sensor: LinearSystem, sections: Sections | None) -> float:
-    """Return the force gain at which the loop first loses its stability, 0 where it never has any; at most 10 000."""
+    """Return the force gain at the limit of stability.
+
+    0 if the loop is never stable, at most 10 000.
+    """
 
     def stable(gain: float) -> bool:
         return is_stable(replace(loop, force_gain=gain), sensor, sections)
@@ -132,7 +141,7 @@ def largest_stable_gain(loop: HapticLoop, sensor: LinearSystem, sections: Sectio
     if not stable(0.0):
         return 0.0
     grid = np.geomspace(1e-3, HIGHEST_GAIN, GRID)
-    lost = next((place for place, gain in enumerate(grid) if not stable(float(gain))), None)
+    lost = next((index for index, gain in enumerate(grid) if not stable(float(gain))), None)
     if lost is None:
         return HIGHEST_GAIN
     low, high = (float(grid[lost - 1]) if lost else 0.0), float(grid[lost])
@@ -143,42 +152,48 @@ def largest_stable_gain(loop: HapticLoop, sensor: LinearSystem, sections: Sectio
 
 
 def _matrices(loop: HapticLoop, sensor: LinearSystem, sections: Sections | None, contact: bool) -> _Matrices:
-    """The loop as one sampled system; z = [x, v, sensor, F_a of the sample before, filter]."""
+    """Return the loop as one sampled system.
+
+    z = [x, v, sensor, F_a of the previous sample, filter].
+    """
     plant, drive, output = _plant(loop, sensor)
     size = len(plant)
     af, bf, cf, df = np.zeros((0, 0)), np.zeros(0), np.zeros(0), 1.0
     if sections is not None:
         af, bf, cf, df = state_space(replace(sections, gain=1.0))
     total = size + 1 + len(bf)
-    tells = np.concatenate([output, [0.0], np.zeros(len(bf))])
-    told, told_feed = df * tells, np.array([0.0, 0.0, 0.0, df])
-    told[size + 1 :] += cf
+    output_row = np.concatenate([output, [0.0], np.zeros(len(bf))])
+    indicated, indicated_feed = df * output_row, np.array([0.0, 0.0, 0.0, df])
+    indicated[size + 1 :] += cf
     ball, ball_feed = np.zeros(total), np.zeros(4)
     if contact:
         ball[0], ball_feed[2] = loop.ball_stiffness, -loop.ball_stiffness
     gain = loop.force_gain
     a, b = np.zeros((total, total)), np.zeros((total, 4))
     a[:size, :size], a[:size, size], b[:size, :2] = plant, drive[:, 2], drive[:, :2]
-    a[size], b[size] = (1.0 + gain) * ball - gain * told, (1.0 + gain) * ball_feed - gain * told_feed
+    a[size], b[size] = (1.0 + gain) * ball - gain * indicated, (1.0 + gain) * ball_feed - gain * indicated_feed
     a[size + 1 :, size + 1 :] = af
-    a[size + 1 :] += np.outer(bf, tells)
+    a[size + 1 :] += np.outer(bf, output_row)
     b[size + 1 :, 3] = bf
     hand, hand_feed = np.zeros(total), np.array([loop.hand_stiffness, loop.hand_damping, 0.0, 0.0])
     hand[:2] = -hand_feed[:2]
-    return _Matrices(a, b, np.stack([hand, told, ball]), np.stack([hand_feed, told_feed, ball_feed]))
+    return _Matrices(a, b, np.stack([hand, indicated, ball]), np.stack([hand_feed, indicated_feed, ball_feed]))
 
 
 def _plant(loop: HapticLoop, sensor: LinearSystem) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Handle and sensor over one sample: state matrix, drive by [x_h, v_h, F_a] held, and the output in N."""
+    """Return handle and sensor over one sample: state matrix, input matrix and output in N.
+
+    The inputs [x_h, v_h, F_a] are constant over the sample.
+    """
     from scipy.linalg import expm
 
-    own, into, output = _modal(sensor)
+    sensor_matrix, into, output = _modal(sensor)
     size = 2 + len(into)
     a, b = np.zeros((size, size)), np.zeros((size, 3))
     hand = np.array([loop.hand_stiffness, loop.hand_damping])
     a[0, 1], a[1, :2], b[1] = 1.0, -hand / loop.mass, np.array([*hand, -1.0]) / loop.mass
     a[1, 1] -= loop.damping / loop.mass
-    a[2:, 2:], a[2:, :2], b[2:, :2] = own, -np.outer(into, hand), np.outer(into, hand)
+    a[2:, 2:], a[2:, :2], b[2:, :2] = sensor_matrix, -np.outer(into, hand), np.outer(into, hand)
     both = np.zeros((size + 3, size + 3))
     both[:size, :size], both[:size, size:] = a / loop.sample_rate_hz, b / loop.sample_rate_hz
     step = expm(both)
@@ -186,21 +201,24 @@ def _plant(loop: HapticLoop, sensor: LinearSystem) -> tuple[FloatArray, FloatArr
 
 
 def _modal(sensor: LinearSystem) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """A, B, C of a sensor over its static gain as decoupled modes and real poles."""
+    """Return A, B, C of a sensor as decoupled modes.
+
+    Over its static gain; real poles follow.
+    """
     from scipy.linalg import block_diag
 
     if len(sensor.zeros) >= len(sensor.poles):
         raise ValueError("sensor: expected more poles than zeros, found as many")
-    own: list[list[list[float]]] = []
+    blocks: list[list[list[float]]] = []
     into: list[float] = []
     output: list[float] = []
     for pole, residue in zip(sensor.poles, sensor.residues() / sensor.static_gain, strict=True):
         if pole.imag > 0:
-            own.append([[pole.real, -pole.imag], [pole.imag, pole.real]])
+            blocks.append([[pole.real, -pole.imag], [pole.imag, pole.real]])
             into += [1.0, 0.0]
             output += [2.0 * residue.real, -2.0 * residue.imag]
         elif pole.imag == 0:
-            own.append([[pole.real]])
+            blocks.append([[pole.real]])
             into.append(1.0)
             output.append(residue.real)
-    return block_diag(*own), np.array(into), np.array(output)
+    return block_diag(*blocks), np.array(into), np.array(output)

@@ -1,4 +1,4 @@
-"""A model of all outputs over all loads from records of releases of every load: the fit and what it shows."""
+"""Model of all outputs over all loads from records of releases of every load."""
 
 from __future__ import annotations
 
@@ -17,7 +17,15 @@ from shaker.decoupling.common_pole_search import (
     select_release_shape,
     try_other_durations,
 )
-from shaker.decoupling.model import MultiModel, Poles, sort_components
+from shaker.decoupling.decoupling_notices import (
+    DURATION_AMBIGUOUS,
+    DURATION_UNLIKELY,
+    RELEASE_SHAPE_MISFIT,
+    RELEASE_SIZE_SCATTER,
+    RELEASE_TOO_SLOW,
+    SINGLE_RELEASE,
+)
+from shaker.decoupling.model import MultiModel, Poles, growing_pole_notices, sort_components
 from shaker.decoupling.release_problem import (
     PoleFit,
     ReleaseTiming,
@@ -31,26 +39,49 @@ from shaker.decoupling.release_problem import (
     widen_for_lags,
 )
 from shaker.fitting import NORMAL_QUANTILE_95, excess_chi2_sigmas
+from shaker.identification.identification_notices import FIT_NOT_CONVERGED
 from shaker.release.load_response import BlockMeans, average_blocks
 from shaker.release.poles import UNCLEAR, highest_frequency, shared_poles
 from shaker.release.reading import initial_release
 from shaker.release.record import ReleaseShape, StepRecord
+from shaker.release.release_notices import DOUBTFUL_MODE
 from shakercal._common.notices import Notice
 
-_PER_PERIOD = 6.0
-_LEAST_BLOCKS = 1200
-_APART = 2.0
-_NEAR = 0.5
-_BEFORE, _AFTER = 0.3, 2.0  # time constants of the slowest mode that the number of poles is looked for in
+_PER_PERIOD = 6.0  # blocks per period of the highest significant frequency
+_LEAST_BLOCKS = 1200  # per record, if it has as many samples
+_MIN_DISTANCE = 2.0  # of different poles, in decay rates
+_NEAR = 0.5  # gain of a step of a fit that is continued later, in variances
+_BEFORE, _AFTER = 0.3, 2.0  # range of the search for the number of poles, in time constants of the slowest mode
 
 
 def fit_steps(records: Sequence[StepRecord], most_modes: int | None = None, most_reals: int = 2) -> MultiFit:
-    """Return the model with common poles of all outputs over all loads that the records release, with covariance.
+    """Fit a model with common poles of all outputs and loads to releases.
 
-    Output-error least squares over the common poles and every record's release, residues by projection; numbers of
-    modes and real poles by a rule, at most `most_modes` and `most_reals`. All records hold the same channels at one
-    rate. Loads that the outputs do not tell apart are refused with their names.
+    Parameters
+    ----------
+    records
+        releases of every load; all have the same channels, unit and sampling rate
+    most_modes
+        highest number of modes, default None: no limit
+    most_reals
+        highest number of real poles, default 2
 
+    Returns
+    -------
+    MultiFit : the model with its covariance, releases, trials and notices
+
+    Raises
+    ------
+    ValueError : the records differ in channels, unit or rate, do not oscillate, or the outputs do not distinguish loads
+        (named)
+
+    Notes
+    -----
+    Output-error least squares over the common poles and every record's release, residues by projection. Numbers of
+    modes and real poles are selected by the Schwarz criterion.
+
+    Examples
+    --------
     >>> import numpy as np
     >>> from shaker import StepRecord, fit_steps
     >>> time_s, rng = np.arange(1000) / 10e3 - 0.02, np.random.default_rng(0)
@@ -69,10 +100,10 @@ def fit_steps(records: Sequence[StepRecord], most_modes: int | None = None, most
     first = records[0]
     for other in records:
         for key in ("channels", "unit", "sample_rate_hz"):
-            own, expected = getattr(other, key), getattr(first, key)
-            if own != expected:
-                told = f"expected {key} {expected} as in {first.name}, found {own} in {other.name}"
-                raise ValueError(f"records: {told}")
+            actual, expected = getattr(other, key), getattr(first, key)
+            if actual != expected:
+                difference = f"expected {key} {expected} as in {first.name}, found {actual} in {other.name}"
+                raise ValueError(f"records: {difference}")
     releases = []
     for raw in records:
         middle_s, duration_s, shape = initial_release(raw)
@@ -89,17 +120,21 @@ def fit_steps(records: Sequence[StepRecord], most_modes: int | None = None, most
     fit, trials = select_pole_count(near, add_first_lag(near, start, tuple(releases)), most_modes, most_reals)
     fit, others = try_other_durations(near, fit)
     fit = select_release_shape(problem, near, fit_poles(problem, fit.poles, fit.releases, min_gain=_NEAR))
-    again = noise * misfits(problem, fit)
+    refined_noise = noise * misfits(problem, fit)
     weighted = [
-        replace(one, samples=replace(one.samples, value=one.samples.value * noise / again)) for one in problem.records
+        replace(one, samples=replace(one.samples, value=one.samples.value * noise / refined_noise))
+        for one in problem.records
     ]
     problem = replace(problem, records=tuple(weighted))
     fit, likely = equally_likely(problem, fit_poles(problem, fit.poles, fit.releases), others)
-    return multi_fit(records, problem, (fit, *likely), again, tuple(trials))
+    return multi_fit(records, problem, (fit, *likely), refined_noise, tuple(trials))
 
 
 def _noise(records: Sequence[StepRecord], releases: Sequence[ReleaseTiming]) -> FloatArray:
-    """Standard deviation of a sample (C,) before the releases; a silent output has that of its digits."""
+    """Return the standard deviation of a sample (C,) before the releases.
+
+    A noiseless output has that of its digits.
+    """
     sums, count = np.zeros(len(records[0].channels)), 0
     for record, release in zip(records, releases, strict=True):
         begin_s = release.middle_s - 0.5 * release.duration_s
@@ -113,7 +148,7 @@ def _noise(records: Sequence[StepRecord], releases: Sequence[ReleaseTiming]) -> 
 def _posed(
     records: Sequence[StepRecord], releases: Sequence[ReleaseTiming], noise: FloatArray
 ) -> tuple[StepProblem, Poles]:
-    """The least squares problem of means over blocks, and poles of the decays to start from."""
+    """Return the least-squares problem of block means, and start poles from the decays."""
     rate = records[0].sample_rate_hz
     decays = []
     for record, release in zip(records, releases, strict=True):
@@ -134,34 +169,35 @@ def _posed(
         [average_blocks(part, size) for part in decays], [record.component for record in records], rate / size
     )
     if not len(swings):
-        raise ValueError("records: expected outputs that swing after the release, found none")
+        raise ValueError("records: expected outputs that oscillate after the release, found none")
     poles = Poles(np.abs(swings) / (2 * np.pi), np.clip(-swings.real / np.abs(swings), 1e-4, 0.9), np.zeros(0))
     components = sort_components(record.component for record in records)
     return StepProblem(tuple(sampled), components), poles
 
 
 def _swings(decays: Sequence[FloatArray], loads: Sequence[str], rate_hz: float) -> ComplexArray:
-    """Poles of all decays together, and those of each load's decays that are not among them."""
+    """Return the poles of all decays together, and additional poles of each load's decays."""
     poles = shared_poles(decays, rate_hz)
     for load in dict.fromkeys(loads):
-        for pole in shared_poles([part for part, own in zip(decays, loads, strict=True) if own == load], rate_hz):
-            if not np.any(np.abs(poles - pole) < _APART * np.maximum(-pole.real, -poles.real)):
+        selected = [part for part, component in zip(decays, loads, strict=True) if component == load]
+        for pole in shared_poles(selected, rate_hz):
+            if not np.any(np.abs(poles - pole) < _MIN_DISTANCE * np.maximum(-pole.real, -poles.real)):
                 poles = np.append(poles, pole)
     return poles
 
 
-# What was found, in the units of the records.
+# Result of a fit, in the units of the records.
 
-_COLOURED = 2.0
-_SCATTERED = 3.0
+_COLOURED = 2.0  # residual over the noise above which a notice is given
+_SCATTERED = 3.0  # scatter of releases over their noise above which a notice is given
 
 
 @dataclass(frozen=True, repr=False)
 class ReleaseFit(Brief):
-    """One release: when (middle) and how long the load changed, in s with standard uncertainties, and how it went.
+    """One release: middle, duration and shape of the load change.
 
-    `gain`: size of the outputs over that of the model of all releases of its load, with `u_gain` of the noise; `misfit`
-    (C,): standard deviation of the residual of each output over its noise.
+    In s with standard uncertainties. `gain`: size of the outputs over that of the model of all releases of its load,
+    with `u_gain` of the noise. `misfit` (C,): standard deviation of the residual of each output over its noise.
     """
 
     record: str
@@ -179,9 +215,9 @@ class ReleaseFit(Brief):
 
 @dataclass(frozen=True, repr=False)
 class ModeRank(Brief):
-    """Singular values of a mode's residues over their noise, and how many stand out of it.
+    """Singular values of a mode's residues over their noise, and the number of significant ones.
 
-    One is a mode with one shape, which moves outputs and takes up loads in fixed shares; more are modes that coincide.
+    Rank one is a mode with one shape: fixed shares of outputs and loads. A higher rank is several modes that coincide.
     """
 
     singular: FloatArray
@@ -190,13 +226,13 @@ class ModeRank(Brief):
 
 @dataclass(frozen=True, repr=False)
 class MultiFit(Brief):
-    """A model of C outputs over D loads with what it was found from.
+    """A model of C outputs over D loads with the data of its fit.
 
-    `noise` (C,): standard deviation of one sample of every output at `sample_rate_hz`; `amplitude` (D,): the largest
-    change of each load in its records, `u_amplitude` (D,): relative, of its scale, with the scatter between releases in
-    it; `variance_accounted` (D,): 1 - |residual|²/|data|² of each load's records over all outputs in units of their
-    noise; `trials`: numbers of poles that were tried; `losses`: of the last search;
-    `ranks`: of the residues of every mode, then of every real pole.
+    `noise` (C,): standard deviation of one sample of every output at `sample_rate_hz`. `amplitude` (D,): the largest
+    change of each load in its records. `u_amplitude` (D,): relative uncertainty of its scale, including the scatter
+    between releases. `variance_accounted` (D,): 1 - |residual|²/|data|² of each load's records over all outputs in
+    units of their noise. `trials`: numbers of poles that were tried; `losses`: of the last search. `ranks`: of the
+    residues of every mode, then of every real pole.
     """
 
     model: MultiModel
@@ -219,9 +255,10 @@ def multi_fit(
     noise: FloatArray,
     trials: tuple[PoleCountTrial, ...],
 ) -> MultiFit:
-    """Return the result of a fit in the units of the records; `noise` (C,) of a sample weighted the outputs.
+    """Return the result of a fit in the units of the records.
 
-    The first of `fits` is the result; the others, which the records do not refute, lie as far away as `far_away` says.
+    The first of `fits` is the result. The others are not rejected by the records and enter the covariance
+    (`shaker.fitting`). `noise` (C,) of a sample was the weight of the outputs.
     """
     fit, *others = fits
     point, poles = fit.solution.point, fit.poles
@@ -229,24 +266,26 @@ def multi_fit(
     spread, follows = covariances(point, [misfit**2] * len(point.blocks), lag_duration_prior(fit))
     spread = widen_for_lags(fit, spread)
     scaled = noise / np.sqrt(problem.records[0].samples.length[0])
-    model, *instead = (_model(records, problem, one, scaled) for one in fits)
+    model, *alternatives = (_model(records, problem, one, scaled) for one in fits)
     far = np.array([excess_chi2_sigmas(one.loss - fit.loss) for one in others]).reshape(-1, 1)
-    away = np.array([one.vector - model.vector for one in instead]).reshape(-1, len(model.vector)) / far
+    shift = np.array([one.vector - model.vector for one in alternatives]).reshape(-1, len(model.vector)) / far
     moved = [one.solution.point.parameters - point.parameters for one in others]
     later = np.array(moved).reshape(-1, len(spread)) / far
     releases = _releases(problem, records, fit, spread + later.T @ later)
     shares = np.array([_scale_share(name, records, releases) for name in problem.components])
-    for outputs, own in zip(follows, point.coefficients, strict=True):
-        for c, follow in enumerate(outputs):  # of those that start smoothly, and as the basis of these turns
+    for outputs, coefficients in zip(follows, point.coefficients, strict=True):
+        for c, follow in enumerate(
+            outputs
+        ):  # coefficients of outputs with a smooth start, and the rotation of their basis
             outputs[c] = poles.smooth @ follow
-            outputs[c][:, : poles.count] += (poles.smooth_slopes @ own[:, c]).T
+            outputs[c][:, : poles.count] += (poles.smooth_slopes @ coefficients[:, c]).T
     elements = [follow for outputs in follows for follow in outputs]
     covariance, alone = model_covariance(model, spread, elements, np.tile(scaled, len(follows)))
     size = model.shared * len(model.channels)
     for d, share in enumerate(shares):  # all residues of a load share the uncertainty of its scale
-        here = slice(model.shared + d * size, model.shared + (d + 1) * size)
-        covariance[here, here] += share**2 * np.outer(model.vector[here], model.vector[here])
-    model = replace(model, covariance=covariance + away.T @ away)
+        rows = slice(model.shared + d * size, model.shared + (d + 1) * size)
+        covariance[rows, rows] += share**2 * np.outer(model.vector[rows], model.vector[rows])
+    model = replace(model, covariance=covariance + shift.T @ shift)
     data = [float(np.vdot(block.data, block.data)) + block.extra_squares for block in point.blocks]
     left = [
         float(np.vdot(rest, rest)) + block.extra_squares
@@ -264,19 +303,22 @@ def multi_fit(
         trials=trials,
         losses=fit.solution.losses,
         ranks=mode_ranks(model, alone),
-        notices=(*_notices(model, releases, fit), *_alike(problem, fit, others)),
+        notices=(*_notices(model, releases, fit), *_alternative_notices(problem, fit, others)),
     )
 
 
 def _model(records: Sequence[StepRecord], problem: StepProblem, fit: PoleFit, scaled: FloatArray) -> MultiModel:
-    """The model of a fit; `scaled` (C,): noise of a mean, which weighted the outputs."""
-    parts = [fit.poles.smooth @ own for own in fit.solution.point.coefficients]
+    """Return the model of a fit.
+
+    `scaled` (C,): noise of a mean, the weight of the outputs.
+    """
+    parts = [fit.poles.smooth @ coefficients for coefficients in fit.solution.point.coefficients]
     table = np.stack(parts, axis=2) * scaled[:, None]
     return MultiModel.of_poles(fit.poles, table, (records[0].channels, problem.components), records[0].unit)
 
 
 def misfits(problem: StepProblem, fit: PoleFit) -> FloatArray:
-    """Return the standard deviation of the residual of each output over its weight, all records together."""
+    """Return the standard deviation of each output's residual over its weight, all records together."""
     rests = np.concatenate([rest for _, rest in by_record(problem, fit)])
     free = sum(block.design.shape[1] for block in fit.solution.point.blocks)
     free += (fit.poles.count + 2 * len(fit.releases)) / rests.shape[1]
@@ -286,7 +328,7 @@ def misfits(problem: StepProblem, fit: PoleFit) -> FloatArray:
 def _releases(
     problem: StepProblem, records: Sequence[StepRecord], fit: PoleFit, spread: FloatArray
 ) -> tuple[ReleaseFit, ...]:
-    """What every record shows of its release, in the order of the records."""
+    """Return the fitted release of every record, in the order of the records."""
     times = np.sqrt(np.diag(spread))[fit.poles.count :].reshape(-1, 2).tolist()
     rests, results = dict(by_record(problem, fit)), []
     for i, (record, release) in enumerate(zip(problem.records, fit.releases, strict=True)):
@@ -312,69 +354,70 @@ def _releases(
 
 
 def _scale_share(component: str, records: Sequence[StepRecord], releases: Sequence[ReleaseFit]) -> float:
-    """Relative standard uncertainty of a load's scale: as stated, and what its releases scatter by beyond the noise."""
+    """Return the relative standard uncertainty of a load's scale.
+
+    As stated, and from the scatter of its releases beyond the noise.
+    """
     stated = max(record.u_amplitude for record in records if record.component == component)
-    own = [release for release in releases if release.component == component]
-    if len(own) < 2:
+    members = [release for release in releases if release.component == component]
+    if len(members) < 2:
         return stated
-    beyond = float(np.var([release.gain for release in own], ddof=1) - np.mean([r.u_gain**2 for r in own]))
-    return float(np.hypot(stated, np.sqrt(max(0.0, beyond) / len(own))))
+    beyond = float(np.var([release.gain for release in members], ddof=1) - np.mean([r.u_gain**2 for r in members]))
+    return float(np.hypot(stated, np.sqrt(max(0.0, beyond) / len(members))))
 
 
 def _notices(model: MultiModel, releases: Sequence[ReleaseFit], fit: PoleFit) -> tuple[Notice, ...]:
-    """What the user should know of the fit."""
-    told = []
+    """Return the notices of a fit."""
+    notices = []
     if not fit.solution.converged:
-        told.append(Notice("warning", "the fit did not come to rest: its poles may be off", "model"))
-    if not model.stable:
-        told.append(Notice("warning", "the model has a pole that grows", "model"))
+        notices.append(Notice(FIT_NOT_CONVERGED, "model", model="the common poles"))
+    notices += growing_pole_notices(model)
     for hz, zeta, u_zeta in zip(model.frequency_hz, model.damping_ratio, model.u.damping_ratio, strict=True):
         if u_zeta > UNCLEAR * abs(zeta):
-            text = f"the mode at {hz:.5g} Hz, ζ = {zeta:.2g} ± {u_zeta:.1g}, may be hum and none of the sensor's"
-            told.append(Notice("warning", text, "model"))
+            values = {"frequency_hz": hz, "damping_ratio": zeta, "u_damping_ratio": u_zeta}
+            notices.append(Notice(DOUBTFUL_MODE, "model", **values))
     for component in model.components:
-        own = [release for release in releases if release.component == component]
-        shortest = min(release.duration_s for release in own)
+        selected = [release for release in releases if release.component == component]
+        shortest = min(release.duration_s for release in selected)
         if slow := ", ".join(f"{hz:.5g}" for hz in np.sort(model.frequency_hz) if hz * shortest > 1.0):
-            text = f"what it does to modes at {slow} Hz may be off by more than U: no release is as short as a period"
-            told.append(Notice("warning", text, component))
-        if len(own) < 2:
-            text = f"one release of {component}: what another would change is not in U"
-            told.append(Notice("note", text, component))
+            notices.append(Notice(RELEASE_TOO_SLOW, component, frequencies=slow))
+        if len(selected) < 2:
+            notices.append(Notice(SINGLE_RELEASE, component, component=component))
             continue
-        spread, chance = np.std([r.gain for r in own], ddof=1), np.sqrt(np.mean([r.u_gain**2 for r in own]))
+        spread = np.std([r.gain for r in selected], ddof=1)
+        chance = np.sqrt(np.mean([r.u_gain**2 for r in selected]))
         if spread > _SCATTERED * chance:
-            text = f"sizes of the {len(own)} releases scatter by {100 * spread:.2g} %, which is in U"
-            told.append(Notice("note", text, component))
+            values = {"count": len(selected), "scatter_percent": 100 * spread}
+            notices.append(Notice(RELEASE_SIZE_SCATTER, component, **values))
     for release in releases:
         worst = int(np.argmax(release.misfit))
         if release.misfit[worst] > _COLOURED:
-            text = (
-                f"the model leaves {release.misfit[worst]:.1f} times the noise of {model.channels[worst]}: "
-                f"the load may go otherwise than along a line or half a cosine"
-            )
-            told.append(Notice("warning", text, release.record))
-    return tuple(told)
+            channel, factor = model.channels[worst], release.misfit[worst]
+            notices.append(Notice(RELEASE_SHAPE_MISFIT, release.record, channel=channel, factor=factor))
+    return tuple(notices)
 
 
-def _alike(problem: StepProblem, fit: PoleFit, others: Sequence[PoleFit]) -> Iterator[Notice]:
-    """Say of which load releases of other lengths explain the records as well."""
+def _alternative_notices(problem: StepProblem, fit: PoleFit, others: Sequence[PoleFit]) -> Iterator[Notice]:
+    """Yield notices on loads whose releases could have other durations."""
     for other in others:
-        lengths = [(one.duration_s, own.duration_s) for one, own in zip(other.releases, fit.releases, strict=True)]
-        i, more = int(np.argmax([abs(np.log(one / own)) for one, own in lengths])), other.loss - fit.loss
-        text = (
-            f"{problem.records[i].name} may have lasted {1e3 * lengths[i][1]:.3g} ms or {1e3 * lengths[i][0]:.3g} ms, "
-            f"which the records hardly tell apart (χ² differs by {more:.1f}): U holds both; a release "
-            "of another length tells"
+        pairs = list(zip(other.releases, fit.releases, strict=True))
+        i = int(np.argmax([abs(np.log(one.duration_s / best.duration_s)) for one, best in pairs]))
+        more, record = other.loss - fit.loss, problem.records[i]
+        yield Notice(
+            DURATION_AMBIGUOUS if more < NORMAL_QUANTILE_95**2 else DURATION_UNLIKELY,
+            record.component,
+            record=record.name,
+            duration_ms=1e3 * pairs[i][1].duration_s,
+            other_ms=1e3 * pairs[i][0].duration_s,
+            difference=more,
         )
-        yield Notice("warning" if more < NORMAL_QUANTILE_95**2 else "note", text, problem.records[i].component)
 
 
 def mode_ranks(model: MultiModel, u: FloatArray) -> tuple[ModeRank, ...]:
-    """Return the ranks of the residues of every mode, then of every real pole; `u` (P,) of the model's vector.
+    """Return the ranks of the residues of modes, then of real poles.
 
-    Of residues over standard uncertainties that are chance the largest singular value is about √C + √D, for complex
-    ones √2 times that; one that stands out is twice that size.
+    `u` (P,): standard uncertainties of the model's vector. For random residues over standard uncertainties the largest
+    singular value is about √C + √D, for complex ones √2 times that. A significant one is at least twice as large.
     """
     spread = model.parts(u)
     pairs: list[tuple[ComplexArray | FloatArray, FloatArray]] = [

@@ -1,4 +1,4 @@
-"""How many poles records of several releases ask for, and which times of the releases explain them alike."""
+"""Number of common poles of several releases, and alternative times of the releases."""
 
 from __future__ import annotations
 
@@ -16,35 +16,38 @@ from shaker.release.load_response import MOMENTS
 from shaker.release.poles import shared_poles
 from shaker.release.record import ReleaseShape
 
-_ROUNDS = 12
-_CANDIDATES = 3
-_FEW_STEPS = 12
-_ROUGH = 2.0
-_ALONG_A_VALLEY = (40, 0.1)  # steps and calm for a lag, which nearly does what a later and longer release does
+_ROUNDS = 12  # changes of the number of poles, at most
+_CANDIDATES = 3  # poles of a residual that are tried per load
+_FEW_STEPS = 12  # of a fit near its minimum
+_ROUGH = 2.0  # gain of a step of a comparison, in variances
+_ALONG_A_VALLEY = (40, 0.1)  # steps and smallest gain for a lag, which acts almost like a later and longer release
 _AS_LONG = (1.25, 1.35, 1.45, 1.55)
-"""Durations of half a cosine over that of a line that does nearly the same: 1.33 by spread, more for fast modes."""
-_LAGS = (1.5, 4.0, 10.0)  # first lags tried, in frequencies of the lowest mode
-_SHORTEST = 0.3  # of a release as read, that is left to it by a lag tried
-_REAL_SHARES = (0.3, 1.0, 3.0)  # further lags tried, in frequencies of the highest mode
-_HIGHEST_REAL = 0.45
-_TOLD_SAMPLES = 2.0
+"""Trial durations of half a cosine over that of a similar ramp: 1.33 by second moment, more for fast modes."""
+_LAGS = (1.5, 4.0, 10.0)  # trial first lags, in frequencies of the lowest mode
+_SHORTEST = 0.3  # smallest remaining share of a release's duration after a trial lag
+_REAL_SHARES = (0.3, 1.0, 3.0)  # trial further lags, in frequencies of the highest mode
+_HIGHEST_REAL = 0.45  # share of the sampling rate
+_RESOLVED_SAMPLES = 2.0  # duration below which the shape is not resolved
 _LONGER = (0.5, 2.0)
-_UNEXPLAINED = 1.5
-_CLEARLY = 10.0
-_OTHERWISE = (0.75, 1.4)
-_HARDLY_MORE = 12.0  # loss with poles held, with which no fit of all comes below `REFUTED`
-_APART = 0.1  # of durations
+_UNEXPLAINED = 1.5  # mean square residual over the noise
+_CLEARLY = 10.0  # significant difference of the loss
+_DURATION_FACTORS = (0.75, 1.4)
+_HARDLY_MORE = 12.0  # excess loss for fixed poles above which no fit of all parameters is below `REJECT_CHI2`
+_MIN_DIFFERENCE = 0.1  # relative, of different durations
 _STRONG = 0.5
-"""A mode above this share of the strongest is no make-up for releases read some hundredths of a period off."""
+"""A mode above this share of the strongest does not merely compensate for an error of the release times."""
 
 AlternativeTimes: TypeAlias = tuple[list[int], tuple[ReleaseTiming, ...]]
-"""Some records, and other releases of theirs."""
+"""Indices of some records, and alternative times of their releases."""
 
 
 @dataclass(frozen=True)
 class PoleCountTrial:
-    """One number of poles that was tried: `misfit` is the mean square residual over that of the noise, `criterion`
-    N·ln(misfit) + ln(N)·(number of parameters), of which the least wins (Schwarz, Ann. Statist. 6 (1978) 461)."""
+    """One number of poles that was tried.
+
+    `misfit`: mean square residual over that of the noise. `criterion`: N·ln(misfit) + ln(N)·(number of parameters), the
+    least is selected (Schwarz, Ann. Statist. 6 (1978) 461).
+    """
 
     modes: int
     reals: int
@@ -54,10 +57,10 @@ class PoleCountTrial:
 
 
 def add_first_lag(problem: StepProblem, poles: Poles, releases: tuple[ReleaseTiming, ...]) -> PoleCandidate:
-    """Return poles with a first lag, and releases as much earlier and shorter, that leave least.
+    """Return the best poles with a first lag, and correspondingly earlier and shorter releases.
 
-    A lag is always fitted: one too fast to be told changes amplitudes and phases of what rings all the same, and a
-    model without it states a certainty that the records do not give.
+    A lag is always fitted: even one too fast to be observed changes amplitudes and phases of the ringing. A model
+    without it would claim a certainty that the records do not give.
     """
     offers: list[PoleCandidate] = []
     for share in _LAGS:
@@ -77,75 +80,75 @@ def add_first_lag(problem: StepProblem, poles: Poles, releases: tuple[ReleaseTim
 def select_pole_count(
     problem: StepProblem, start: PoleCandidate, most: int | None, reals: int
 ) -> tuple[PoleFit, list[PoleCountTrial]]:
-    """Return the fit with the number of poles that the criterion favours, and what was tried.
+    """Return the fit with the number of poles that the criterion selects, and all trials.
 
-    Modes that the start offers and the records do not ask for are left out one by one; then modes that the residual
-    shows, and further lags, are added as long as the criterion falls. `most`, `reals`: the highest numbers of modes
-    and of real poles.
+    Unnecessary modes of the start are removed one by one. Then modes of the residual and further lags are added while
+    the criterion falls. `most`, `reals`: highest numbers of modes and of real poles.
     """
-    here = fit_poles(problem, drop_weak_modes(problem, *start, most), start[1], *_ALONG_A_VALLEY)
+    fit = fit_poles(problem, drop_weak_modes(problem, *start, most), start[1], *_ALONG_A_VALLEY)
 
-    def trial(fitted: PoleFit, kept: bool) -> PoleCountTrial:
+    def trial(fitted: PoleFit, accepted: bool) -> PoleCountTrial:
         poles, share = fitted.poles, fitted.loss / problem.values
-        return PoleCountTrial(poles.modes, len(poles.real_hz), share, criterion(problem, poles, fitted.loss), kept)
+        return PoleCountTrial(poles.modes, len(poles.real_hz), share, criterion(problem, poles, fitted.loss), accepted)
 
-    trials = [trial(here, True)]
+    trials = [trial(fit, True)]
     for _ in range(_ROUNDS):
-        there = _smaller(problem, here, most) or _larger(problem, here, most, reals)
-        if there is None:
+        changed = _smaller(problem, fit, most) or _larger(problem, fit, most, reals)
+        if changed is None:
             break
-        trials.append(trial(there, criterion(problem, there.poles, there.loss) < trials[-1].criterion))
+        trials.append(trial(changed, criterion(problem, changed.poles, changed.loss) < trials[-1].criterion))
         if not trials[-1].accepted:
             break
-        here = there
-    return here, trials
+        fit = changed
+    return fit, trials
 
 
 def select_release_shape(problem: StepProblem, near: StepProblem, fit: PoleFit) -> PoleFit:
-    """Return the fit in which each release goes along a line or half a cosine, whichever leaves clearly less.
+    """Return the fit with the better shape of each release.
 
-    `near`: the same problem with what the records hold about their releases alone, which tells the shape.
+    The shapes are a ramp and half a cosine; the loss must differ significantly. `near`: the problem restricted to the
+    samples around the releases, which determine the shape.
     """
     releases = tuple(
-        _better_shape(near, fit, i) if release.duration_s > _TOLD_SAMPLES * problem.step_s else release
+        _better_shape(near, fit, i) if release.duration_s > _RESOLVED_SAMPLES * problem.step_s else release
         for i, release in enumerate(fit.releases)
     )
     return fit if releases == fit.releases else fit_poles(problem, fit.poles, releases, _FEW_STEPS, _ROUGH)
 
 
-def _better_shape(problem: StepProblem, fit: PoleFit, place: int) -> ReleaseTiming:
-    """One release, or the same in the other shape, with its best duration, where that leaves clearly less."""
-    near = problem.record_indices(problem.records[place].component)
-    part, own = problem.part(near), fit.releases[place]
-    other: ReleaseShape = "smooth" if own.shape == "ramp" else "ramp"
+def _better_shape(problem: StepProblem, fit: PoleFit, record: int) -> ReleaseTiming:
+    """Return one release in the better of both shapes, the other with its best duration."""
+    near = problem.record_indices(problem.records[record].component)
+    part, release = problem.part(near), fit.releases[record]
+    other: ReleaseShape = "smooth" if release.shape == "ramp" else "ramp"
     ratios = _AS_LONG if other == "smooth" else [1.0 / ratio for ratio in _AS_LONG]
-    tried = [own, *(replace(own, shape=other, duration_s=ratio * own.duration_s) for ratio in ratios)]
-    places = [[one if i == place else fit.releases[i] for i in near] for one in tried]
-    losses = [part.point(fit.poles, releases).loss for releases in places]
+    tried = [release, *(replace(release, shape=other, duration_s=ratio * release.duration_s) for ratio in ratios)]
+    candidates = [[one if i == record else fit.releases[i] for i in near] for one in tried]
+    losses = [part.point(fit.poles, releases).loss for releases in candidates]
     best = int(np.argmin(losses))
-    return tried[best] if losses[best] < losses[0] - _CLEARLY else own
+    return tried[best] if losses[best] < losses[0] - _CLEARLY else release
 
 
 def try_other_durations(problem: StepProblem, fit: PoleFit) -> tuple[PoleFit, list[AlternativeTimes]]:
-    """Return the fit from the releases of each load, as they are or shorter or longer, that leave least, and others.
+    """Return the fit from the best durations of each load's releases, and the alternatives.
 
-    The others leave hardly more with the same poles. A release about as long as the period of a mode hardly drives it,
-    so that large residues of that mode make up for a length that is wrong.
+    The alternatives have the same poles and hardly more loss. A release about as long as the period of a mode hardly
+    excites it. Large residues of this mode then compensate for a wrong duration.
     """
     releases, others = list(fit.releases), list[AlternativeTimes]()
     for component in problem.components:
-        places = problem.record_indices(component)
-        part, own = problem.part(places), tuple(fit.releases[i] for i in places)
-        tried = [[replace(one, duration_s=by * one.duration_s) for one in own] for by in _OTHERWISE]
-        loss = part.point(fit.poles, own).loss
+        indices = problem.record_indices(component)
+        part, current = problem.part(indices), tuple(fit.releases[i] for i in indices)
+        tried = [[replace(one, duration_s=by * one.duration_s) for one in current] for by in _DURATION_FACTORS]
+        loss = part.point(fit.poles, current).loss
         ends = [
             (end.loss, end.releases) for end in (_timed(part, fit.poles, one, loss + _HARDLY_MORE) for one in tried)
         ]
-        ends = sorted([(loss - _ROUGH, own), *ends], key=lambda end: end[0])
-        for i, release in zip(places, ends[0][1], strict=True):
+        ends = sorted([(loss - _ROUGH, current), *ends], key=lambda end: end[0])
+        for i, release in zip(indices, ends[0][1], strict=True):
             releases[i] = release
         near = [times for loss, times in ends[1:] if loss < ends[0][0] + _HARDLY_MORE]
-        others += [(places, times) for times in near if _apart(problem, times, ends[0][1])]
+        others += [(indices, times) for times in near if _differs(problem, times, ends[0][1])]
     if tuple(releases) == fit.releases:
         return fit, others
     other = fit_poles(problem, fit.poles, releases, _FEW_STEPS, _ROUGH)
@@ -155,37 +158,44 @@ def try_other_durations(problem: StepProblem, fit: PoleFit) -> tuple[PoleFit, li
 def equally_likely(
     problem: StepProblem, fit: PoleFit, others: Sequence[AlternativeTimes]
 ) -> tuple[PoleFit, tuple[PoleFit, ...]]:
-    """Return the best fit from these releases and from `others`, and those that the records do not refute beside it."""
+    """Return the best fit and the alternatives that are not rejected.
+
+    From these releases and from `others`.
+    """
     found = [fit]
-    for places, times in others:
+    for indices, times in others:
         releases = list(fit.releases)
-        for i, release in zip(places, times, strict=True):
+        for i, release in zip(indices, times, strict=True):
             releases[i] = replace(fit.releases[i], middle_s=release.middle_s, duration_s=release.duration_s)
         found.append(fit_poles(problem, fit.poles, releases))
     found.sort(key=lambda fitted: fitted.loss)
-    kept = found[:1]
+    likely = found[:1]
     for one in found[1:]:
-        if one.loss < kept[0].loss + REJECT_CHI2 and all(
-            _apart(problem, one.releases, other.releases) for other in kept
+        if one.loss < likely[0].loss + REJECT_CHI2 and all(
+            _differs(problem, one.releases, other.releases) for other in likely
         ):
-            kept.append(one)
-    return kept[0], tuple(kept[1:])
+            likely.append(one)
+    return likely[0], tuple(likely[1:])
 
 
-def _apart(problem: StepProblem, one: Sequence[ReleaseTiming], other: Sequence[ReleaseTiming]) -> bool:
-    """Whether some release is of clearly another length."""
+def _differs(problem: StepProblem, one: Sequence[ReleaseTiming], other: Sequence[ReleaseTiming]) -> bool:
+    """Return whether some release has a clearly different duration."""
     lengths = np.array([(a.duration_s, b.duration_s) for a, b in zip(one, other, strict=True)])
-    return bool(np.any(np.ptp(lengths, axis=1) > np.maximum(_APART * lengths.max(axis=1), problem.step_s)))
+    return bool(np.any(np.ptp(lengths, axis=1) > np.maximum(_MIN_DIFFERENCE * lengths.max(axis=1), problem.step_s)))
 
 
-def _timed(problem: StepProblem, poles: Poles, releases: Sequence[ReleaseTiming], wanted: float = np.inf) -> PoleFit:
-    """The best times of releases where the poles are known, where they bring the loss down to what is `wanted`."""
-    return fit_poles(problem, poles, releases, _FEW_STEPS, _ROUGH, fixed_count=poles.count, target_loss=wanted)
+def _timed(
+    problem: StepProblem, poles: Poles, releases: Sequence[ReleaseTiming], target_loss: float = np.inf
+) -> PoleFit:
+    """Return the best times of releases for fixed poles, if the loss can reach `target_loss`."""
+    return fit_poles(problem, poles, releases, _FEW_STEPS, _ROUGH, fixed_count=poles.count, target_loss=target_loss)
 
 
 def _begun(part: StepProblem, poles: Poles, release: ReleaseTiming) -> ReleaseTiming:
-    """A release by its record alone, poles held: the best of both shapes, from shorter and longer ones
-    too where the record is not explained."""
+    """Return the best release of one record for fixed poles, of both shapes.
+
+    Shorter and longer durations are tried if the record is not explained.
+    """
     ramp, smooth = replace(release, shape="ramp"), replace(release, shape="smooth")
     tried = [_timed(part, poles, [one]) for one in (ramp, smooth)]
     if min(end.loss for end in tried) >= _UNEXPLAINED * part.values:
@@ -195,33 +205,39 @@ def _begun(part: StepProblem, poles: Poles, release: ReleaseTiming) -> ReleaseTi
 
 
 def criterion(problem: StepProblem, poles: Poles, loss: float) -> float:
-    """Return N·ln(loss/N) + ln(N)·(number of parameters): a lag adds its corner alone, its residues follow."""
+    """Return N·ln(loss/N) + ln(N)·(number of parameters).
+
+    A lag adds its corner only; its residues are determined.
+    """
     count = problem.values
     return float(count * np.log(max(loss / count, 1e-12)) + _charge(problem, poles))
 
 
 def _charge(problem: StepProblem, poles: Poles) -> float:
-    """What the criterion charges for poles."""
+    """Return the charge of the criterion for poles."""
     outputs, loads = problem.records[0].samples.value.shape[1], len(problem.components)
     parameters = 2 * poles.modes * (1 + outputs * loads) + len(poles.real_hz)
     return float(np.log(problem.values) * parameters)
 
 
 def removal_losses(poles: Poles, point: SeparablePoint) -> FloatArray:
-    """Return how much the loss grows without each pole (M + Q,), the others held: b'·[(A'A)⁻¹ of its columns]⁻¹·b."""
+    """Return the growth of the loss without each pole (M + Q,).
+
+    The other poles are fixed. b'·[(A'A)⁻¹ of its columns]⁻¹·b.
+    """
     losses = np.zeros(poles.modes + len(poles.real_hz))
     for part in point.solved:
         whole, root = poles.smooth @ part.coefficients, poles.smooth @ part.root
         inverse = root @ root.T
-        for place in range(len(losses)):
-            columns = poles.columns(place)
+        for index in range(len(losses)):
+            columns = poles.columns(index)
             weight = np.linalg.pinv(inverse[np.ix_(columns, columns)], hermitian=True)
-            losses[place] += float(np.einsum("bc,bd,dc->", whole[columns], weight, whole[columns]))
+            losses[index] += float(np.einsum("bc,bd,dc->", whole[columns], weight, whole[columns]))
     return losses
 
 
 def drop_weak_modes(problem: StepProblem, poles: Poles, releases: Sequence[ReleaseTiming], most: int | None) -> Poles:
-    """Return a start without the modes that the criterion does not ask for, or that are beyond the highest number."""
+    """Return a start without modes that the criterion rejects or that exceed the highest number."""
     while poles.modes > 1:
         point = problem.point(poles, releases)
         losses = removal_losses(poles, point)[: poles.modes]
@@ -234,65 +250,68 @@ def drop_weak_modes(problem: StepProblem, poles: Poles, releases: Sequence[Relea
     return poles
 
 
-def _smaller(problem: StepProblem, here: PoleFit, most: int | None) -> PoleFit | None:
-    """The fit without the weakest mode, None where the criterion needs all.
+def _smaller(problem: StepProblem, fit: PoleFit, most: int | None) -> PoleFit | None:
+    """Return the fit without the weakest mode, None if the criterion needs all.
 
-    What the other poles and the releases take over shows in a fit alone: a mode that makes up for a release begun
-    elsewhere looks needed as long as that release is held.
+    Only a fit shows how far the other poles and the releases replace the mode. A mode that compensates for a wrong
+    release seems necessary for fixed releases.
     """
-    poles = here.poles
+    poles = fit.poles
     if poles.modes < 2 or (most is not None and poles.modes <= most):
         return None
-    losses = removal_losses(poles, here.solution.point)[: poles.modes]
+    losses = removal_losses(poles, fit.solution.point)[: poles.modes]
     weakest = int(np.argmin(losses))
     if losses[weakest] > _STRONG * losses.max():
         return None
     fewer, count = poles.without(weakest), problem.values
-    # The loss at which the criterion is as high as here.
-    wanted = count * float(np.exp((criterion(problem, poles, here.loss) - _charge(problem, fewer)) / count))
-    fitted = fit_poles(problem, fewer, here.releases, *_ALONG_A_VALLEY, target_loss=wanted)
-    return fitted if fitted.loss < wanted else None
+    # The loss at which both criteria are equal.
+    target_loss = count * float(np.exp((criterion(problem, poles, fit.loss) - _charge(problem, fewer)) / count))
+    fitted = fit_poles(problem, fewer, fit.releases, *_ALONG_A_VALLEY, target_loss=target_loss)
+    return fitted if fitted.loss < target_loss else None
 
 
-def _larger(problem: StepProblem, here: PoleFit, most: int | None, reals: int) -> PoleFit | None:
-    """The fit with the mode or the lag that lowers the loss most, None where the numbers are reached."""
+def _larger(problem: StepProblem, fit: PoleFit, most: int | None, reals: int) -> PoleFit | None:
+    """Return the fit with the best additional mode or lag.
+
+    None at the highest numbers.
+    """
     tried = []
-    if (most is None or here.poles.modes < most) and (mode := _left(problem, here)) is not None:
-        tried.append(fit_poles(problem, here.poles.with_mode(mode), here.releases, _FEW_STEPS, _ROUGH))
-    if len(here.poles.real_hz) < reals:
-        top, limit = float(here.poles.frequency_hz.max()), _HIGHEST_REAL / problem.step_s
-        lags = [here.poles.with_real(min(share * top, limit)) for share in _REAL_SHARES]
-        lag = min(lags, key=lambda poles: problem.point(poles, here.releases).loss)
-        tried.append(fit_poles(problem, lag, here.releases, *_ALONG_A_VALLEY))
-    tried += [again for fitted in tried if (again := _again(problem, fitted)) is not None]
+    if (most is None or fit.poles.modes < most) and (mode := _left(problem, fit)) is not None:
+        tried.append(fit_poles(problem, fit.poles.with_mode(mode), fit.releases, _FEW_STEPS, _ROUGH))
+    if len(fit.poles.real_hz) < reals:
+        top, limit = float(fit.poles.frequency_hz.max()), _HIGHEST_REAL / problem.step_s
+        lags = [fit.poles.with_real(min(share * top, limit)) for share in _REAL_SHARES]
+        lag = min(lags, key=lambda poles: problem.point(poles, fit.releases).loss)
+        tried.append(fit_poles(problem, lag, fit.releases, *_ALONG_A_VALLEY))
+    tried += [renewed for fitted in tried if (renewed := _with_new_releases(problem, fitted)) is not None]
     return min(tried, key=lambda fitted: criterion(problem, fitted.poles, fitted.loss), default=None)
 
 
-def _again(problem: StepProblem, here: PoleFit) -> PoleFit | None:
-    """The fit with the releases found anew whose records it does not explain, None where it explains all."""
-    releases = list(here.releases)
-    for i, rest in by_record(problem, here):
+def _with_new_releases(problem: StepProblem, fit: PoleFit) -> PoleFit | None:
+    """Return the fit with new releases of unexplained records, None if all are explained."""
+    releases = list(fit.releases)
+    for i, rest in by_record(problem, fit):
         if float(np.mean(rest**2, axis=0).max()) > _UNEXPLAINED:
-            releases[i] = _begun(problem.part([i]), here.poles, releases[i])
-    if tuple(releases) == here.releases:
+            releases[i] = _begun(problem.part([i]), fit.poles, releases[i])
+    if tuple(releases) == fit.releases:
         return None
-    return fit_poles(problem, here.poles, releases, _FEW_STEPS, _ROUGH)
+    return fit_poles(problem, fit.poles, releases, _FEW_STEPS, _ROUGH)
 
 
-def _left(problem: StepProblem, here: PoleFit) -> complex | None:
-    """The pole, of what the fit leaves of each load after its releases, that takes most of that; None without any."""
+def _left(problem: StepProblem, fit: PoleFit) -> complex | None:
+    """Return the pole that explains most of the residual after the releases, None without any."""
     samples = problem.records[0].samples
-    rests, most, best = dict(by_record(problem, here)), 0.0, None
+    rests, most, best = dict(by_record(problem, fit)), 0.0, None
     for component in problem.components:
-        places, parts = problem.record_indices(component), []
-        part, releases = problem.part(places), [here.releases[i] for i in places]
-        for i in places:
-            end_s = here.releases[i].middle_s + here.releases[i].duration_s / 2.0
+        indices, parts = problem.record_indices(component), []
+        part, releases = problem.part(indices), [fit.releases[i] for i in indices]
+        for i in indices:
+            end_s = fit.releases[i].middle_s + fit.releases[i].duration_s / 2.0
             parts.append(rests[i][np.searchsorted(problem.records[i].samples.time_s, end_s) :].T)
         poles = shared_poles(parts, 1.0 / (samples.step_s * int(samples.length[0])))
-        loss = sum(float(np.vdot(rests[i], rests[i])) for i in places)
+        loss = sum(float(np.vdot(rests[i], rests[i])) for i in indices)
         for pole in poles[np.argsort(-poles.real)][:_CANDIDATES].tolist():  # the slowest
-            fall = loss - part.point(here.poles.with_mode(pole), releases).loss
+            fall = loss - part.point(fit.poles.with_mode(pole), releases).loss
             if fall > most:
                 most, best = fall, pole
     return best

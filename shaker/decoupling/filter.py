@@ -1,4 +1,4 @@
-"""The filter that undoes cross-talk, and the cross-talk before and after it."""
+"""Decoupling filter against cross-talk, and the cross-talk before and after it."""
 
 from __future__ import annotations
 
@@ -12,12 +12,15 @@ from numpy.random import Generator
 from shaker.arrays import Brief, ComplexArray, FloatArray, check_shape, check_shapes
 from shaker.decoupling.model import MultiModel, Poles, StateSpace, sampled_modes
 
-# The filter against cross-talk: outputs to loads, as direct taps and a bank of poles, block by block.
+# Decoupling filter: outputs to loads, as taps and a bank of poles, block by block.
 
 
 @dataclass(frozen=True, repr=False)
 class FilterState(Brief):
-    """What a filter keeps between blocks: the last inputs (L, C) and what its poles hold (N,)."""
+    """State of a filter between blocks.
+
+    The last inputs (L, C) and the states of its poles (N,).
+    """
 
     inputs: FloatArray
     poles: ComplexArray
@@ -25,11 +28,12 @@ class FilterState(Brief):
 
 @dataclass(frozen=True, repr=False)
 class DecouplingFilter(Brief):
-    """Loads `components` (D,) from outputs `channels` (C,) in `unit`, sampled at `sample_rate_hz`.
+    """Filter for loads `components` (D,) from outputs `channels` (C,) in `unit`, at `sample_rate_hz`.
 
     f[n] = Σ_k `taps`[k]·y[n - k] + Re Σ_i `shown`[:, i]·x_i[n - L], x_i[n + 1] = `poles`[i]·x_i[n] + `driven`[i]·y[n],
-    L = `delay`: taps (L + 1, D, C), poles (N,) within the unit circle, one of each conjugate pair, driven (N, C), shown
-    (D, N). The loads come L samples late, with the dynamics of one oscillator each: `target_hz`, `target_damping` (D,).
+    L = `delay`. Taps (L + 1, D, C); poles (N,) within the unit circle, one of each conjugate pair; driven (N, C); shown
+    (D, N). The loads are delayed by L samples and have the dynamics of one oscillator each: `target_hz`,
+    `target_damping` (D,).
     """
 
     channels: tuple[str, ...]
@@ -55,19 +59,19 @@ class DecouplingFilter(Brief):
 
     @property
     def delay(self) -> int:
-        """By how many samples the loads are late."""
+        """Delay of the loads in samples."""
         return len(self.taps) - 1
 
     def rest(self, outputs: FloatArray | None = None) -> FilterState:
-        """Return the state of a filter whose inputs have been constant (C,) for long, zero where not stated."""
+        """Return the state after constant inputs (C,), default zero."""
         level = np.zeros(len(self.channels)) if outputs is None else np.asarray(outputs, dtype=np.float64)
         check_shape("outputs", level, (len(self.channels),))
         return FilterState(np.tile(level, (self.delay, 1)), self.driven @ level / (1.0 - self.poles))
 
     def process(self, outputs: FloatArray, state: FilterState) -> tuple[FloatArray, FilterState]:
-        """Return the loads (N, D) of the next outputs (N, C), and the state to go on with.
+        """Return the loads (N, D) of the next outputs (N, C), and the new state.
 
-        Sums run in a fixed order sample by sample, so that blocks of any length give the same bits as one record.
+        Sums have a fixed order sample by sample, so that blocks of any length give the same bits as one record.
         """
         from scipy.signal import lfilter
 
@@ -82,20 +86,20 @@ class DecouplingFilter(Brief):
             for c, column in enumerate(tap.T):
                 for d, weight in enumerate(column):
                     loads[d] += weight * whole[c, delay - k : delay - k + count]
-        held = np.empty_like(state.poles)
+        states = np.empty_like(state.poles)
         for i, pole in enumerate(self.poles):
             drive = np.zeros(count, dtype=np.complex128)
             for weight, row in zip(self.driven[i], whole[:, :count], strict=True):
                 drive.real += weight.real * row
                 drive.imag += weight.imag * row
-            answer, held[i : i + 1] = lfilter([0.0, 1.0], [1.0, -pole], drive, zi=state.poles[i : i + 1])
+            answer, states[i : i + 1] = lfilter([0.0, 1.0], [1.0, -pole], drive, zi=state.poles[i : i + 1])
             real, imag = answer.real.copy(), answer.imag.copy()
             for d, weight in enumerate(self.shown[:, i]):
                 loads[d] += weight.real * real - weight.imag * imag
-        return loads.T.copy(), FilterState(whole[:, count:].T.copy(), held)
+        return loads.T.copy(), FilterState(whole[:, count:].T.copy(), states)
 
     def impulse_response(self, count: int) -> FloatArray:
-        """Return the loads (N, D, C) of N samples from one on in which each output alone is 1, before and after 0."""
+        """Return the loads (N, D, C) for a unit impulse of each output."""
         rings = np.zeros((count, len(self.poles)), dtype=np.complex128)
         rings[self.delay + 1 :] = self.poles ** np.arange(max(0, count - self.delay - 1))[:, None]
         pairs = self.shown.T[:, :, None] * self.driven[:, None, :]
@@ -104,7 +108,7 @@ class DecouplingFilter(Brief):
         return np.asarray(loads)
 
     def apply(self, outputs: FloatArray) -> FloatArray:
-        """Return the loads (N, D) of a whole record (N, C) that begins at rest at its first sample."""
+        """Return the loads (N, D) of a whole record (N, C) that starts at rest."""
         return self.process(outputs, self.rest(np.asarray(outputs)[0]))[0]
 
     def response(self, frequency_hz: FloatArray) -> ComplexArray:
@@ -120,35 +124,38 @@ class DecouplingFilter(Brief):
         return np.asarray(response)
 
     def target(self, frequency_hz: FloatArray) -> ComplexArray:
-        """Return the wanted dynamics (K, D) with the delay: ω²/(s² + 2ζωs + ω²)·exp(-sL/fs)."""
+        """Return the target dynamics (K, D) with the delay: ω²/(s² + 2ζωs + ω²)·exp(-sL/fs)."""
         s = 2j * np.pi * np.asarray(frequency_hz, dtype=np.float64)[:, None]
         omega = 2 * np.pi * self.target_hz
         late = np.exp(-s * self.delay / self.sample_rate_hz)
         return np.asarray(omega**2 / (s**2 + 2 * self.target_damping * omega * s + omega**2) * late)
 
     def noise(self, outputs: FloatArray) -> FloatArray:
-        """Return standard deviations (D,) of the loads for white noise of standard deviations (C,) of the outputs."""
+        """Return standard deviations (D,) of the loads for white noise (C,) of the outputs."""
         spread = np.asarray(outputs, dtype=np.float64)
         check_shape("outputs", spread, (len(self.channels),))
         power = np.einsum("ldc,c->d", self.taps**2, spread**2)
         poles = np.concatenate([self.poles, self.poles.conj()])
         driven = np.concatenate([self.driven, self.driven.conj()]) * spread
         shown = np.concatenate([self.shown, self.shown.conj()], axis=1) / 2.0
-        among = (driven @ driven.conj().T) / (1.0 - np.outer(poles, poles.conj()))
-        return np.asarray(np.sqrt(power + np.real(np.einsum("dn,nm,dm->d", shown, among, shown.conj()))))
+        gram = (driven @ driven.conj().T) / (1.0 - np.outer(poles, poles.conj()))
+        return np.asarray(np.sqrt(power + np.real(np.einsum("dn,nm,dm->d", shown, gram, shown.conj()))))
 
 
-# Design of the filter against cross-talk: the load that explains the outputs best, with wanted dynamics.
+# Design of the decoupling filter: the best estimate of the loads with target dynamics.
 
-_DELAYS = 32
-_GAIN_LEFT = 2.0
-_SMALL = 1e-2
-_REAL = 1e-9
+_DELAYS = 32  # samples, longest delay that is tried
+_GAIN_LEFT = 2.0  # error of a short delay over that of the longest
+_SMALL = 1e-2  # error over the load that is sufficient
+_REAL = 1e-9  # relative imaginary part of a real pole
 
 
 @dataclass(frozen=True, repr=False)
 class DecouplingTarget(Brief):
-    """Wanted dynamics of every load: `frequency_hz` and `damping_ratio` of one oscillator each (D,), static gain 1."""
+    """Target dynamics of every load: one oscillator each, static gain 1.
+
+    `frequency_hz` and `damping_ratio` (D,).
+    """
 
     frequency_hz: FloatArray
     damping_ratio: FloatArray
@@ -163,8 +170,11 @@ class DecouplingTarget(Brief):
 
 @dataclass(frozen=True, repr=False)
 class SignalLevels(Brief):
-    """What a filter is designed for: noise (C,) of a sample of the outputs at `sample_rate_hz`, and loads (D,): the
-    standard deviation of a sample of a white one. Their ratio rules how far the filter goes beyond the resonances."""
+    """Noise and loads for which a filter is designed.
+
+    `noise` (C,): of a sample of the outputs at `sample_rate_hz`. `load` (D,): standard deviation of a sample of a white
+    load. Their ratio determines the bandwidth of the filter beyond the resonances.
+    """
 
     sample_rate_hz: float
     noise: FloatArray
@@ -174,37 +184,60 @@ class SignalLevels(Brief):
 def design_decoupling(
     model: MultiModel, target: DecouplingTarget, recorded: SignalLevels, delay: int | None = None
 ) -> DecouplingFilter:
-    """Return the stable filter D that brings D·H closest to the target T, delayed by `delay` samples.
+    """Design the stable filter D that brings D·H closest to the delayed target T.
 
-    An inverse of H grows without bound above the resonances, and grows in time where H has zeros in the right half
-    plane. Instead the mean square of T·f - D·(H·f + noise) is made least for white loads f: the steady Kalman filter of
+    Parameters
+    ----------
+    model
+        stable model of C outputs over D loads
+    target
+        target dynamics of the D loads
+    recorded
+        sampling rate, noise of the outputs and size of the loads
+    delay
+        samples, default None: the shortest of up to 32 with an error within twice that of the longest, or below 1 %
+
+    Returns
+    -------
+    DecouplingFilter : stable filter with exact static gain
+
+    Raises
+    ------
+    ValueError : a pole of the model grows
+
+    Notes
+    -----
+    An inverse of H would grow without bound above the resonances, and in time if H has zeros in the right half plane.
+    Instead the mean square of T·f - D·(H·f + noise) is minimised for white loads f. This is the steady Kalman filter of
     the states of H and T, which share their load, with smoothing over `delay` samples (Anderson and Moore, Optimal
-    Filtering, 1979, chapters 4 and 7). It is stable whatever H is, and where the load stands clear of the noise and H
-    has no such zeros D·H = T. Its static gain is then made exact. By default the delay is the shortest of up to 32
-    samples whose error is within twice that of the longest, or below 1 % of the load, for every load.
+    Filtering, 1979, chapters 4 and 7). It is stable for every H. D·H = T if the load is far above the noise and H has
+    no such zeros. The static gain is then made exact.
 
+    Examples
+    --------
     >>> import numpy as np
     >>> from shaker import design_decoupling
-    >>> from shaker.decoupling.filter import Recorded, Target
+    >>> from shaker.decoupling.filter import DecouplingTarget, SignalLevels
     >>> from shaker.decoupling.model import MultiModel
     >>> loads, residue = ("Fx", "Fy"), -1j * np.array([[[200.0, 9.0], [5.0, 3.0]], [[2.0, 4.0], [-6.0, 190.0]]])
     >>> modes = np.array([310.0, 400.0]), np.array([0.02, 0.015])
     >>> model = MultiModel(loads, loads, "V", *modes, residue, np.zeros(0), np.zeros((0, 2, 2)))
-    >>> recorded = Recorded(10e3, noise=np.full(2, 1e-3), load=np.full(2, 10.0))
-    >>> decoupler = design_decoupling(model, Target(np.full(2, 300.0), np.full(2, 0.7)), recorded)
+    >>> recorded = SignalLevels(10e3, noise=np.full(2, 1e-3), load=np.full(2, 10.0))
+    >>> decoupler = design_decoupling(model, DecouplingTarget(np.full(2, 300.0), np.full(2, 0.7)), recorded)
     >>> print(np.abs(decoupler.response(np.zeros(1))[0].real @ model.static_gain).round(6))
     [[1. 0.]
      [0. 1.]]
     """
     if not model.stable:
-        raise ValueError("model: expected one whose poles all decay, found one that grows")
+        raise ValueError("model: expected decaying poles, found a growing one")
     check_shape("frequency_hz", target.frequency_hz, (len(model.components),))
     shape, rate = recorded.load / recorded.noise[:, None], recorded.sample_rate_hz
     plant = sampled_modes(model.poles, [residue * shape for residue in (*model.residue, *model.real_residue)], rate)
     omega, upper = 2 * np.pi * target.frequency_hz, Poles(target.frequency_hz, target.damping_ratio, np.zeros(0)).values
-    own = [np.outer(unit, unit) * omega[i] ** 2 / (2j * upper[i].imag) for i, unit in enumerate(np.eye(len(omega)))]
-    wanted = sampled_modes(upper, own, rate)  # from the loads over their size, as the plant's outputs over their noise
-    gains = _smoother(plant, wanted, _DELAYS if delay is None else delay)
+    units = enumerate(np.eye(len(omega)))
+    residues = [np.outer(unit, unit) * omega[i] ** 2 / (2j * upper[i].imag) for i, unit in units]
+    desired = sampled_modes(upper, residues, rate)  # per size of the loads, as the plant's outputs per noise
+    gains = _smoother(plant, desired, _DELAYS if delay is None else delay)
     error = np.sqrt(np.maximum(gains.left, 0.0))
     near = np.all(error <= np.maximum(_GAIN_LEFT * error[-1], _SMALL * np.sqrt(gains.size)), axis=1)
     lag = int(np.flatnonzero(near)[0]) if delay is None else delay
@@ -214,55 +247,62 @@ def design_decoupling(
 
 
 @dataclass(frozen=True, repr=False)
-class _Gains(Brief):
-    """The steady filter in units of noise and loads: x⁺ = m·x + k·y, innovations y - c·x, gains[i] of the innovation i
-    samples after the load, `left` (L + 1, D): mean square error of every load by delay; `size` (D,): mean
-    square of the load with the wanted dynamics."""
+class _KalmanGains(Brief):
+    """The steady Kalman filter in units of noise and loads.
+
+    x⁺ = m·x + k·y with innovations y - c·x. gains[i]: of the innovation i samples after the load. `left` (L + 1, D):
+    mean square error of every load by delay. `size` (D,): mean square of the load with the target dynamics.
+    """
 
     m: FloatArray
     k: FloatArray
     c: FloatArray
-    wanted: FloatArray
+    readout: FloatArray
     gains: FloatArray
     left: FloatArray
     size: FloatArray
 
 
-def _smoother(plant: StateSpace, wanted: StateSpace, delay: int) -> _Gains:
-    """Steady Kalman filter of both systems with the gains of smoothing over a delay; loads and noise of unit size."""
+def _smoother(plant: StateSpace, desired: StateSpace, delay: int) -> _KalmanGains:
+    """Return the steady Kalman filter of both systems with smoothing over a delay.
+
+    Loads and noise have unit size.
+    """
     from scipy.linalg import block_diag, solve_discrete_are, solve_discrete_lyapunov
 
-    a, b = block_diag(plant.a, wanted.a), np.concatenate([plant.b, wanted.b])
-    c = np.concatenate([plant.c, np.zeros((len(plant.c), len(wanted.a)))], axis=1)
-    shown = np.concatenate([np.zeros((len(wanted.c), len(plant.a))), wanted.c], axis=1)
+    a, b = block_diag(plant.a, desired.a), np.concatenate([plant.b, desired.b])
+    c = np.concatenate([plant.c, np.zeros((len(plant.c), len(desired.a)))], axis=1)
+    shown = np.concatenate([np.zeros((len(desired.c), len(plant.a))), desired.c], axis=1)
     r, s = np.eye(len(c)) + plant.d @ plant.d.T, b @ plant.d.T
     p = solve_discrete_are(a.T, c.T, b @ b.T, r, s=s)
     spread = c @ p @ c.T + r
     k = np.linalg.solve(spread, (a @ p @ c.T + s).T).T
     m = a - k @ c
-    first = shown @ p @ c.T + wanted.d @ plant.d.T
-    along = shown @ p @ m.T + wanted.d @ (b - k @ plant.d).T
+    first = shown @ p @ c.T + desired.d @ plant.d.T
+    along = shown @ p @ m.T + desired.d @ (b - k @ plant.d).T
     together = [first]
     for _ in range(delay):
         together.append(along @ c.T)
         along = along @ m.T
     gains = np.array([np.linalg.solve(spread, part.T).T for part in together])
-    before = np.diag(shown @ p @ shown.T + wanted.d @ wanted.d.T)
-    told = np.cumsum([np.einsum("dc,dc->d", gain, part) for gain, part in zip(gains, together, strict=True)], axis=0)
-    moved = solve_discrete_lyapunov(wanted.a, wanted.b @ wanted.b.T)
-    size = np.diag(wanted.c @ moved @ wanted.c.T + wanted.d @ wanted.d.T)
-    return _Gains(m, k, c, shown, gains, before - told, size)
+    before = np.diag(shown @ p @ shown.T + desired.d @ desired.d.T)
+    shares = [np.einsum("dc,dc->d", gain, part) for gain, part in zip(gains, together, strict=True)]
+    explained = np.cumsum(shares, axis=0)
+    moved = solve_discrete_lyapunov(desired.a, desired.b @ desired.b.T)
+    size = np.diag(desired.c @ moved @ desired.c.T + desired.d @ desired.d.T)
+    return _KalmanGains(m, k, c, shown, gains, before - explained, size)
 
 
 def _assembled(
-    model: MultiModel, target: DecouplingTarget, recorded: SignalLevels, kalman: _Gains, lag: int
+    model: MultiModel, target: DecouplingTarget, recorded: SignalLevels, kalman: _KalmanGains, lag: int
 ) -> DecouplingFilter:
-    """The filter as taps and poles: innovations up to the delay are written as outputs and the state before them.
+    """Return the filter as taps and poles.
 
-    f(t) = z·x(t) + Σ_i G_i (y(t + i) - c·x(t + i)), x(t + i) = mⁱ x(t) + Σ_{l < i} m^{i - 1 - l} k y(t + l).
+    Innovations up to the delay are expressed by outputs and the previous state. f(t) = z·x(t) + Σ_i G_i (y(t + i) -
+    c·x(t + i)), x(t + i) = mⁱ x(t) + Σ_{l < i} m^{i - 1 - l} k y(t + l).
     """
-    outputs, loads = kalman.c.shape[0], len(kalman.wanted)
-    taps, shown = np.zeros((lag + 1, loads, outputs)), kalman.wanted.copy()
+    outputs, loads = kalman.c.shape[0], len(kalman.readout)
+    taps, shown = np.zeros((lag + 1, loads, outputs)), kalman.readout.copy()
     powers = [np.eye(len(kalman.m))]
     for _ in range(lag):
         powers.append(kalman.m @ powers[-1])
@@ -273,38 +313,38 @@ def _assembled(
             taps[lag - early] -= kalman.gains[i] @ kalman.c @ powers[i - 1 - early] @ kalman.k
     poles, vectors = np.linalg.eig(kalman.m)
     driven, seen = np.linalg.solve(vectors, kalman.k.astype(np.complex128)), shown @ vectors
-    kept = poles.imag > -_REAL * np.abs(poles)
-    double = np.where(poles[kept].imag > _REAL * np.abs(poles[kept]), 2.0, 1.0)
+    upper = poles.imag > -_REAL * np.abs(poles)
+    double = np.where(poles[upper].imag > _REAL * np.abs(poles[upper]), 2.0, 1.0)
     return DecouplingFilter(
         channels=model.channels,
         components=model.components,
         unit=model.unit,
         sample_rate_hz=recorded.sample_rate_hz,
         taps=taps * recorded.load[:, None] / recorded.noise,
-        poles=poles[kept].astype(np.complex128),
-        driven=driven[kept] / recorded.noise,
-        shown=seen[:, kept] * double * recorded.load[:, None],
+        poles=poles[upper].astype(np.complex128),
+        driven=driven[upper] / recorded.noise,
+        shown=seen[:, upper] * double * recorded.load[:, None],
         target_hz=target.frequency_hz,
         target_damping=target.damping_ratio,
     )
 
 
-# How much of one load is read as another: before, with the static matrix alone, and behind the filter.
+# Cross-talk without correction, with the static matrix, and after the filter.
 
 Reader: TypeAlias = FloatArray | DecouplingFilter
-_DECAYS = 5.0
-_LONGEST = 20000
-_SHORTENED = 0.05
+_DECAYS = 5.0  # time constants of the slowest mode
+_LONGEST = 20000  # samples of a step response
+_SHORTENED = 0.05  # share of a sampled deviation, within the linear range
 
 
 @dataclass(frozen=True, repr=False)
 class Crosstalk(Brief):
-    """Loads read over loads applied at one stage, in units of the loads: N or N·m per N or N·m.
+    """Loads read over loads applied at one stage.
 
-    `stage`: "raw" (each load by the output of its name over its own sensitivity), "static" (inverse of the static
-    matrix), "filtered". `value` (K, D, D) complex at `frequency_hz` (K,): reading i for load j, with standard
-    uncertainty `u` (K, D, D) of its modulus by the model. `peak` (D, D): largest reading i in size while load j makes a
-    unit step, with `u_peak`.
+    In N or N·m per N or N·m. `stage`: "raw" (each load by the output of its name over its sensitivity), "static"
+    (inverse of the static matrix), "filtered". `value` (K, D, D) complex at `frequency_hz` (K,): reading i for load j,
+    with standard uncertainty `u` (K, D, D) of its modulus by the model. `peak` (D, D): largest |reading| i during a
+    unit step of load j, with `u_peak`.
     """
 
     stage: str
@@ -317,15 +357,18 @@ class Crosstalk(Brief):
 
 
 def static_inverse(model: MultiModel, noise: FloatArray) -> FloatArray:
-    """Return the matrix (D, C) that reads loads from outputs at rest, of more outputs than loads by least squares."""
+    """Return the matrix (D, C) from outputs to loads at rest.
+
+    Weighted least squares if there are more outputs than loads.
+    """
     weight = 1.0 / noise
     return np.asarray(np.linalg.pinv(weight[:, None] * model.static_gain) * weight)
 
 
 def raw_reading(model: MultiModel) -> FloatArray | None:
-    """Return the matrix (D, C) that reads each load from the output of its name, else from the one that it moves most.
+    """Return the matrix (D, C) that reads each load from one output, None if ambiguous.
 
-    None where two loads would be read from one output.
+    The output has the name of the load, else the load moves it most. Two loads must not share an output.
     """
     static = model.static_gain
     size = np.abs(static) / np.linalg.norm(static, axis=1, keepdims=True)
@@ -341,7 +384,7 @@ def raw_reading(model: MultiModel) -> FloatArray | None:
 
 
 def stage_readers(model: MultiModel, decoupler: DecouplingFilter, noise: FloatArray) -> dict[str, Reader]:
-    """Return what reads the loads at every stage that the outputs allow: matrices (D, C), and the filter."""
+    """Return the readers of the possible stages: matrices (D, C), and the filter."""
     raw, static = raw_reading(model), static_inverse(model, noise)
     return {**({} if raw is None else {"raw": raw}), "static": static, "filtered": decoupler}
 
@@ -354,13 +397,12 @@ def crosstalks(
     rng: Generator,
     draws: int,
 ) -> tuple[Crosstalk, ...]:
-    """Return the cross-talk at every stage that the outputs allow.
+    """Return the cross-talk at every possible stage.
 
-    Readings and filter stay those of the model; its uncertainty says how far the sensor may differ: over frequency by
-    its covariance to first order, for the peaks by the slope towards `draws` models drawn from it.
-
-    What a drawn model reads is extrapolated from a model near by: the answers are linear in what the data tell, but not
-    in poles far from the fitted ones, of which only the sum of their effects is known.
+    Readers and filter are those of the model; its uncertainty shows the possible deviation of the sensor. Over
+    frequency the covariance is propagated to first order, for the peaks by the slope towards `draws` sampled models.
+    The reading of a sampled model is extrapolated from a model nearby: outputs are linear in the determined
+    combinations, but not in poles far from the fitted ones.
     """
     if model.covariance is None:
         raise ValueError("model: expected one with covariance, found none")
@@ -375,9 +417,9 @@ def crosstalks(
             else reader[None].astype(np.complex128)
         )
         reads = _reads(reader, len(time_s))
-        here = reads(steps)
-        peak = np.max(np.abs(here), axis=0)
-        moved = [here + (reads(one) - here) / _SHORTENED for one in near]
+        readings = reads(steps)
+        peak = np.max(np.abs(readings), axis=0)
+        moved = [readings + (reads(one) - readings) / _SHORTENED for one in near]
         spread = np.mean([(np.max(np.abs(other), axis=0) - peak) ** 2 for other in moved], axis=0)
         value, u = shown @ response, _u(model, shown, frequency_hz)
         stages.append(Crosstalk(stage, model.components, frequency_hz, value, u, peak, np.asarray(np.sqrt(spread))))
@@ -385,19 +427,22 @@ def crosstalks(
 
 
 def step_readings(model: MultiModel, reader: Reader, time_s: FloatArray) -> FloatArray:
-    """Return the loads read (N, D, D) at equally spaced times while each load makes a unit step at t = 0."""
+    """Return the loads read (N, D, D) for unit steps of each load.
+
+    At equally spaced times; the step is at t = 0.
+    """
     return _reads(reader, len(time_s))(model.step(time_s))
 
 
 def step_times(model: MultiModel, decoupler: DecouplingFilter) -> FloatArray:
-    """Return the times of samples from a step till the slowest mode has decayed."""
+    """Return the times of samples from a step until the slowest mode has decayed."""
     slowest = float(np.min(-model.poles.real))
     count = min(_LONGEST, int(_DECAYS / slowest * decoupler.sample_rate_hz) + 20 * (decoupler.delay + 1))
     return np.arange(count) / decoupler.sample_rate_hz
 
 
 def _u(model: MultiModel, shown: ComplexArray, frequency_hz: FloatArray) -> FloatArray:
-    """Standard uncertainty of every reading in a direction of the complex plane, the mean of all directions."""
+    """Return the standard uncertainty of every reading, averaged over directions in the complex plane."""
     columns = []
     for load in range(len(model.components)):
         slope, covariance = model.column_sensitivity(load, frequency_hz)
@@ -406,7 +451,10 @@ def _u(model: MultiModel, shown: ComplexArray, frequency_hz: FloatArray) -> Floa
 
 
 def _root(covariance: FloatArray) -> FloatArray:
-    """Cholesky's root, of which there is one, so that draws are alike everywhere; eigenvalues are made positive."""
+    """Return the Cholesky root of a covariance, its eigenvalues made positive.
+
+    The root is unique, so that samples are the same on every machine.
+    """
     size = np.sqrt(np.maximum(np.diag(covariance), 1e-300))
     value, vector = np.linalg.eigh(covariance / np.outer(size, size))
     mended = (vector * np.maximum(value, 1e-12)) @ vector.T
@@ -414,8 +462,11 @@ def _root(covariance: FloatArray) -> FloatArray:
 
 
 def _reads(reader: Reader, count: int) -> Callable[[FloatArray], FloatArray]:
-    """What makes readings (N, D, D) of outputs (N, C, D) of `count` samples: a matrix at once, a filter by its answer
-    to a unit impulse, transformed once for all outputs."""
+    """Return a function from outputs to readings.
+
+    Outputs (N, C, D) of `count` samples give readings (N, D, D). For a filter its impulse response is transformed once
+    for all outputs.
+    """
     if not isinstance(reader, DecouplingFilter):
         return lambda outputs: np.asarray(reader @ outputs)
     from scipy.fft import irfft, next_fast_len, rfft

@@ -1,4 +1,4 @@
-"""Several outputs and loads with common poles: the model, its state space, and which loads its outputs tell apart."""
+"""Model of several outputs and loads with common poles, its state space, separable loads."""
 
 from __future__ import annotations
 
@@ -13,13 +13,18 @@ from shaker.arrays import Brief, ComplexArray, FloatArray, IntArray, check_shape
 from shaker.labels import LOAD_COMPONENTS
 from shaker.lti.system import ModalModel, modal_poles
 from shaker.release.load_response import exponentials
+from shaker.release.release_notices import GROWING_POLE
+from shakercal._common.notices import Notice
 
-# Poles that outputs and loads share.
+# Common poles of outputs and loads.
 
 
 @dataclass(frozen=True, repr=False, eq=False)
 class Poles(Brief):
-    """Common poles: `frequency_hz` and `damping_ratio` (M,) of the modes, `real_hz` (Q,); equal to themselves alone."""
+    """Common poles: `frequency_hz` and `damping_ratio` (M,) of the modes, `real_hz` (Q,).
+
+    Instances are compared by identity.
+    """
 
     frequency_hz: FloatArray
     damping_ratio: FloatArray
@@ -32,7 +37,7 @@ class Poles(Brief):
 
     @property
     def count(self) -> int:
-        """Number of parameters, which is that of the columns of a design too."""
+        """Number of parameters, also that of the columns of a design."""
         return 2 * self.modes + len(self.real_hz)
 
     @property
@@ -41,41 +46,47 @@ class Poles(Brief):
         return np.concatenate([self.frequency_hz, self.damping_ratio, np.log(self.real_hz)])
 
     def with_vector(self, vector: FloatArray) -> Poles:
-        """Return poles of other parameters."""
+        """Return the poles for other parameters."""
         f, z, log_hz = np.split(vector[: self.count], [self.modes, 2 * self.modes])
         return Poles(f, z, np.exp(np.clip(log_hz, -50.0, 50.0)))
 
     @property
     def scale(self) -> FloatArray:
-        """Size of a change of every parameter that matters."""
+        """Significant change of every parameter."""
         return np.concatenate([1e-2 * self.frequency_hz, np.full(self.modes, 1e-2), np.full(len(self.real_hz), 0.5)])
 
     @cached_property
     def slopes(self) -> tuple[IntArray, ComplexArray]:
-        """Which pole (2M + Q,) every parameter moves, and how fast."""
+        """Pole (2M + Q,) that every parameter changes, and the derivative."""
         m, omega, zeta = self.modes, 2 * np.pi * self.frequency_hz, self.damping_ratio
         root = np.sqrt(1 - zeta**2)
         by_frequency, by_damping = 2 * np.pi * (-zeta + 1j * root), omega * (-1.0 - 1j * zeta / root)
-        places = np.concatenate([np.arange(m), np.arange(m + len(self.real_hz))])
-        return places, np.concatenate([by_frequency, by_damping, self.values[m:]])
+        indices = np.concatenate([np.arange(m), np.arange(m + len(self.real_hz))])
+        return indices, np.concatenate([by_frequency, by_damping, self.values[m:]])
 
     def basis(self, frequency_hz: FloatArray) -> ComplexArray:
-        """Return what Re and Im of the residues and the real residues multiply, (K, 2M + Q), at frequencies (K,)."""
+        """Return the columns of real and imaginary parts of the residues.
+
+        (K, 2M + Q), the real residues last. At frequencies (K,).
+        """
         s = 2j * np.pi * np.asarray(frequency_hz, dtype=np.float64)[:, None]
         upper, real = np.split(self.values, [self.modes])
         above, below = 1 / (s - upper), 1 / (s - upper.conj())
         return np.concatenate([above + below, 1j * (above - below), 1 / (s - real)], axis=1)
 
     def response_slopes(self, frequency_hz: FloatArray, residues: ComplexArray) -> ComplexArray:
-        """Return derivatives (…, K, 2M + Q) of Σ R/(s - p) with conjugates, residues (…, M + Q), by the parameters."""
+        """Return derivatives (…, K, 2M + Q) of the response by the parameters.
+
+        The response is Σ R/(s - p) with conjugates. Residues (…, M + Q).
+        """
         s, (which, slope) = 2j * np.pi * np.asarray(frequency_hz, dtype=np.float64)[:, None], self.slopes
-        own = (slope * residues[..., which])[..., None, :]
-        mirrored = np.where(which < self.modes, own.conj(), 0.0)
-        return np.asarray(own / (s - self.values[which]) ** 2 + mirrored / (s - self.values[which].conj()) ** 2)
+        direct = (slope * residues[..., which])[..., None, :]
+        mirrored = np.where(which < self.modes, direct.conj(), 0.0)
+        return np.asarray(direct / (s - self.values[which]) ** 2 + mirrored / (s - self.values[which].conj()) ** 2)
 
     @property
     def allowed(self) -> bool:
-        """Whether these are poles of modes that swing and decay, as those of a sensor do."""
+        """Whether the modes oscillate and decay, as those of a sensor do."""
         damped = np.all((self.damping_ratio > 0.0) & (self.damping_ratio < 0.7))
         return bool(damped and np.all(self.frequency_hz > 0) and np.all(self.real_hz > 0))
 
@@ -85,34 +96,46 @@ class Poles(Brief):
         return modal_poles(2 * np.pi * self.frequency_hz, self.damping_ratio, 2 * np.pi * self.real_hz)
 
     def with_mode(self, pole: complex) -> Poles:
-        """Return these and one more mode."""
+        """Return the poles with one additional mode."""
         f, z = abs(pole) / (2 * np.pi), np.append(self.damping_ratio, -pole.real / abs(pole))
         return Poles(np.append(self.frequency_hz, f), np.clip(z, 1e-4, 0.9), self.real_hz)
 
     def with_real(self, hz: float) -> Poles:
-        """Return these and one more real pole."""
+        """Return the poles with one additional real pole."""
         return replace(self, real_hz=np.append(self.real_hz, hz))
 
     def without(self, index: int) -> Poles:
-        """Return these without one: a mode, or counted behind them a real pole."""
+        """Return the poles without one.
+
+        An index above the modes is that of a real pole.
+        """
         if index < self.modes:
             return Poles(np.delete(self.frequency_hz, index), np.delete(self.damping_ratio, index), self.real_hz)
         return replace(self, real_hz=np.delete(self.real_hz, index - self.modes))
 
     @cached_property
     def smooth(self) -> FloatArray:
-        """Basis (2M + Q, 2M - 1) of the coefficients of outputs that start smoothly: Σ R·p^k = 0, k = 0 … Q."""
+        """Basis (2M + Q, 2M - 1) of outputs with a smooth start.
+
+        Σ R·p^k = 0, k = 0 … Q.
+        """
         return np.asarray(np.linalg.qr(self._moments()[0], mode="complete")[0][:, len(self.real_hz) + 1 :])
 
     @cached_property
     def smooth_slopes(self) -> FloatArray:
-        """How that basis turns with every parameter (2M + Q, 2M + Q, 2M - 1): Gᵀ·S = 0, dS = -G·(GᵀG)⁻¹·dGᵀ·S."""
+        """Derivatives (2M + Q, 2M + Q, 2M - 1) of `smooth` by every parameter.
+
+        Gᵀ·S = 0, dS = -G·(GᵀG)⁻¹·dGᵀ·S.
+        """
         moments, slopes = self._moments()
-        held = np.linalg.pinv(moments).T
-        return np.asarray(-held @ (np.transpose(slopes, (0, 2, 1)) @ self.smooth))
+        inverse = np.linalg.pinv(moments).T
+        return np.asarray(-inverse @ (np.transpose(slopes, (0, 2, 1)) @ self.smooth))
 
     def _moments(self) -> tuple[FloatArray, FloatArray]:
-        """What gives Σ R·p^k (2M + Q, Q + 1) in units of the fastest pole, and its slopes by parameter in front."""
+        """Return the matrix of Σ R·p^k (2M + Q, Q + 1) and its derivatives.
+
+        In units of the fastest pole.
+        """
         m, values = self.modes, self.values
         unit = float(np.abs(values).max())
         k = np.arange(len(self.real_hz) + 1)
@@ -120,12 +143,12 @@ class Poles(Brief):
         grows = k * (values[:, None] / unit) ** np.maximum(k - 1, 0) / unit
         moments = np.concatenate([2 * power[:m].real, -2 * power[:m].imag, power[m:].real])
         slopes = np.zeros((self.count, *moments.shape))
-        for i, (place, slope) in enumerate(zip(*self.slopes, strict=True)):
-            change = slope * grows[place]
-            if place < m:
-                slopes[i, place], slopes[i, m + place] = 2 * change.real, -2 * change.imag
+        for i, (index, slope) in enumerate(zip(*self.slopes, strict=True)):
+            change = slope * grows[index]
+            if index < m:
+                slopes[i, index], slopes[i, m + index] = 2 * change.real, -2 * change.imag
             else:
-                slopes[i, m + place] = change.real
+                slopes[i, m + index] = change.real
         return moments, slopes
 
     def columns(self, index: int) -> list[int]:
@@ -133,14 +156,17 @@ class Poles(Brief):
         return [index, index + self.modes] if index < self.modes else [index + self.modes]
 
 
-# A system with several outputs and several loads as a sum of modes that all its elements share.
+# System with several outputs and loads as a sum of common modes.
 
 Names: TypeAlias = tuple[str, ...]
 
 
 @dataclass(frozen=True, repr=False)
 class ModelParts(Brief):
-    """Numbers in the places of a model's parameters: modes (M,) and residues (M, C, D), real poles (Q,), (Q, C, D)."""
+    """Numbers arranged as the parameters of a model.
+
+    Modes (M,), residues (M, C, D), real poles (Q,) and their residues (Q, C, D).
+    """
 
     frequency_hz: FloatArray
     damping_ratio: FloatArray
@@ -151,12 +177,13 @@ class ModelParts(Brief):
 
 @dataclass(frozen=True, repr=False)
 class MultiModel(Brief):
-    """H(s) = Σ_m [R_m/(s - p_m) + R̄_m/(s - p̄_m)] + Σ_q R_q/(s - p_q), outputs `channels` (C,) over loads (D,).
+    """Transfer matrix of outputs `channels` (C,) over loads `components` (D,) with common poles.
 
-    Poles are common to all elements: p_m = -ζω + jω√(1 - ζ²), ω = 2π·`frequency_hz` (M,), ζ = `damping_ratio` (M,);
-    p_q = -2π·`real_hz` (Q,). Residue matrices `residue` (M, C, D) complex, `real_residue` (Q, C, D), in `unit` per N or
-    N·m and second. `covariance` (P, P), P = (2M + Q)(1 + CD), of `vector` = [frequency_hz, damping_ratio, real_hz, then
-    for load after load and in it output after output: Re residue (M), Im residue (M), real_residue (Q)].
+    H(s) = Σ_m [R_m/(s - p_m) + R̄_m/(s - p̄_m)] + Σ_q R_q/(s - p_q) with p_m = -ζω + jω√(1 - ζ²), ω = 2π·`frequency_hz`
+    (M,), ζ = `damping_ratio` (M,) and p_q = -2π·`real_hz` (Q,). Residue matrices `residue` (M, C, D) complex,
+    `real_residue` (Q, C, D), in `unit` per N or N·m and second. `covariance` (P, P), P = (2M + Q)(1 + CD), of `vector`
+    = [frequency_hz, damping_ratio, real_hz, then for each load and each of its outputs: Re residue (M), Im residue (M),
+    real_residue (Q)].
     """
 
     channels: tuple[str, ...]
@@ -183,14 +210,14 @@ class MultiModel(Brief):
 
     @property
     def shared(self) -> int:
-        """Number 2M + Q of parameters of the poles, which is also that of each element."""
+        """Number 2M + Q of parameters of the poles, and of each element."""
         return 2 * len(self.frequency_hz) + len(self.real_hz)
 
     @staticmethod
     def of_poles(poles: Poles, table: FloatArray, names: tuple[Names, Names], unit: str) -> MultiModel:
-        """Return the model of coefficients (2M + Q, C, D) of `Poles.basis`; `names` of outputs and of loads.
+        """Return the model of coefficients (2M + Q, C, D) of `Poles.basis`.
 
-        Loads that the outputs do not tell apart are refused with their names.
+        `names` of outputs and of loads. Loads that the outputs do not distinguish are refused with their names.
         """
         re, im, real = np.split(table, [poles.modes, 2 * poles.modes])
         modes = poles.frequency_hz, poles.damping_ratio
@@ -200,20 +227,23 @@ class MultiModel(Brief):
 
     @property
     def table(self) -> FloatArray:
-        """Coefficients (2M + Q, C, D) of `Poles.basis`: Re and Im of the residues, then the real ones."""
+        """Coefficients (2M + Q, C, D) of `Poles.basis`.
+
+        Re and Im of the residues, then the real ones.
+        """
         return np.concatenate([self.residue.real, self.residue.imag, self.real_residue])
 
     @property
     def vector(self) -> FloatArray:
         """All parameters (P,) in the order of `covariance`."""
-        own = np.transpose(self.table, (2, 1, 0)).ravel()
-        return np.concatenate([self.frequency_hz, self.damping_ratio, self.real_hz, own])
+        residues = np.transpose(self.table, (2, 1, 0)).ravel()
+        return np.concatenate([self.frequency_hz, self.damping_ratio, self.real_hz, residues])
 
     def parts(self, vector: FloatArray) -> ModelParts:
-        """Return numbers in the order of `vector`, such as standard uncertainties, in the places of the parameters."""
+        """Return numbers in the order of `vector`, such as uncertainties, arranged as the parameters."""
         modes, reals = len(self.frequency_hz), len(self.real_hz)
-        f, z, hz, own = np.split(np.asarray(vector), np.cumsum([modes, modes, reals]))
-        table = own.reshape(len(self.components), len(self.channels), self.shared).transpose(2, 1, 0)
+        f, z, hz, residues = np.split(np.asarray(vector), np.cumsum([modes, modes, reals]))
+        table = residues.reshape(len(self.components), len(self.channels), self.shared).transpose(2, 1, 0)
         re, im, real = np.split(table, [modes, 2 * modes])
         return ModelParts(f, z, re + 1j * im, hz, real.copy())
 
@@ -246,7 +276,10 @@ class MultiModel(Brief):
         return np.asarray(self.response(np.zeros(1))[0].real)
 
     def step(self, time_s: FloatArray) -> FloatArray:
-        """Return the responses (N, C, D) to a unit step of each load at t = 0: Σ R/p·(exp(pt) - 1), zero before."""
+        """Return the responses (N, C, D) to a unit step of each load.
+
+        At t = 0. Σ R/p·(exp(pt) - 1), zero before.
+        """
         rings = exponentials(self.poles, np.maximum(np.asarray(time_s, dtype=np.float64), 0.0)) - 1.0
         upper, real = np.split(rings / self.poles[:, None], [len(self.frequency_hz)])
         swing = 2.0 * np.tensordot(upper.real, self.residue.real, (0, 0))
@@ -254,26 +287,27 @@ class MultiModel(Brief):
         return np.asarray(swing + np.tensordot(real.real, self.real_residue, (0, 0)))
 
     def altered(self, frequency: float = 0.0, damping_ratio: float = 0.0, gain: float = 0.0) -> MultiModel:
-        """Return the model of which every element is changed as `shaker.lti.system.ModalModel.altered` does."""
+        """Return the model with every element changed as in `shaker.lti.system.ModalModel.altered`."""
         residue, real_residue = self.residue.copy(), self.real_residue.copy()
         f, z = (1.0 + frequency) * self.frequency_hz, (1.0 + damping_ratio) * self.damping_ratio
         for c, d in np.ndindex(len(self.channels), len(self.components)):
-            own = self.residue[:, c, d], self.real_hz, self.real_residue[:, c, d]
-            element = ModalModel(self.frequency_hz, self.damping_ratio, *own).altered(frequency, damping_ratio, gain)
+            element_parts = self.residue[:, c, d], self.real_hz, self.real_residue[:, c, d]
+            element = ModalModel(self.frequency_hz, self.damping_ratio, *element_parts)
+            element = element.altered(frequency, damping_ratio, gain)
             residue[:, c, d], real_residue[:, c, d] = element.residue, element.real_residue
         return replace(self, frequency_hz=f, damping_ratio=z, residue=residue, real_residue=real_residue)
 
     @property
     def u(self) -> ModelParts:
-        """Standard uncertainties of all parameters in their places, of Re and Im of a residue each."""
+        """Standard uncertainties of all parameters, separately for Re and Im of a residue."""
         if self.covariance is None:
             raise ValueError("covariance: expected that of the parameters, found none")
         return self.parts(np.sqrt(np.diag(self.covariance)))
 
     def column_sensitivity(self, component: int, frequency_hz: FloatArray) -> tuple[ComplexArray, FloatArray]:
-        """Return ∂H_{·j}/∂parameters (K, C, P_j) of a load's column, and the covariance (P_j, P_j) of these.
+        """Return ∂H_{·j}/∂parameters (K, C, P_j) of a load's column, and their covariance (P_j, P_j).
 
-        P_j = (2M + Q)(1 + C): poles, then the residues of every output; the response is analytic in all of them.
+        P_j = (2M + Q)(1 + C): poles, then the residues of every output. The response is analytic in all of them.
         """
         if self.covariance is None:
             raise ValueError("covariance: expected that of the parameters, found none")
@@ -284,14 +318,22 @@ class MultiModel(Brief):
         slope[:, :, :n] = common.response_slopes(frequency_hz, residues).transpose(1, 0, 2) * unit
         for c in range(outputs):
             slope[:, c, n * (1 + c) : n * (2 + c)] = common.basis(frequency_hz)
-        own = n + n * outputs * component + np.arange(n * outputs)
-        places = np.concatenate([np.arange(n), own])
-        return slope, np.asarray(self.covariance[np.ix_(places, places)])
+        rows = n + n * outputs * component + np.arange(n * outputs)
+        indices = np.concatenate([np.arange(n), rows])
+        return slope, np.asarray(self.covariance[np.ix_(indices, indices)])
 
 
-# A sum of modes at the samples' times, for loads that go straight from sample to sample.
+def growing_pole_notices(model: MultiModel) -> list[Notice]:
+    """Return a notice on the fastest growing pole, if there is one."""
+    if model.stable:
+        return []
+    pole = model.poles[np.argmax(model.poles.real)]
+    return [Notice(GROWING_POLE, "model", frequency_hz=abs(pole) / (2.0 * np.pi))]
 
-_NO_SHAPE = 1e-9
+
+# Sampled sum of modes, for loads that are linear between samples.
+
+_NO_SHAPE = 1e-9  # relative singular value of a residue matrix that is rounding
 
 
 @dataclass(frozen=True, repr=False)
@@ -307,11 +349,11 @@ class StateSpace(Brief):
 def sampled_modes(
     poles: ComplexArray, residues: Sequence[ComplexArray | FloatArray], sample_rate_hz: float
 ) -> StateSpace:
-    """Return Σ R/(s - p), conjugates of complex poles with it, poles (P,) in rad/s, residues (C, D) each, sampled.
+    """Return Σ R/(s - p) sampled, poles (P,) in rad/s, residues (C, D) each.
 
-    Exact for loads that go along straight lines between samples (triangle hold), of which the response at a sample
-    depends on the load there: no half sample of delay, unlike with loads that stay. Of each residue matrix as many
-    states as its rank, scaled to unit size under white loads.
+    Conjugates of complex poles are included. The result is exact for loads that are linear between samples (triangle
+    hold). The response at a sample depends on the load at it, without the half-sample delay of constant loads. Each
+    residue matrix has as many states as its rank, scaled to unit size under white loads.
     """
     from scipy.linalg import block_diag
 
@@ -321,9 +363,9 @@ def sampled_modes(
 
 
 def _pole(pole: complex, residue: ComplexArray | FloatArray, step_s: float) -> StateSpace:
-    """One pole, a complex one with its conjugate.
+    """Return one pole, a complex one with its conjugate.
 
-    ξ[n+1] = E ξ[n] + (α + Eβ) g[n], answer ξ + βg: E = e^x, x = pΔ, α + β = Δ(E - 1)/x, β = Δ(E - 1 - x)/x².
+    ξ[n+1] = E ξ[n] + (α + Eβ) g[n], response ξ + βg: E = e^x, x = pΔ, α + β = Δ(E - 1)/x, β = Δ(E - 1 - x)/x².
     """
     left, size, right = np.linalg.svd(residue, full_matrices=False)
     rank = max(1, int(np.count_nonzero(size > _NO_SHAPE * size[0])))
@@ -343,25 +385,25 @@ def _pole(pole: complex, residue: ComplexArray | FloatArray, step_s: float) -> S
     return StateSpace(a, b, np.concatenate([2 * seen.real, -2 * seen.imag], axis=1), 2 * direct.real)
 
 
-# Whether loads were excited, and whether the outputs tell them apart.
+# Excited loads, and loads that the outputs distinguish.
 
-_SEPARATE = 1e-3
+_SEPARATE = 1e-3  # smallest singular value of the matrix of unit columns
 
 
 def sort_components(components: Iterable[str]) -> tuple[str, ...]:
-    """Return the load components that occur, once each, Fx first."""
+    """Return the different load components, Fx first."""
     named = set(components)
-    known = [name for name in LOAD_COMPONENTS if name in named]
-    return (*known, *sorted(named.difference(known)))
+    standard = [name for name in LOAD_COMPONENTS if name in named]
+    return (*standard, *sorted(named.difference(standard)))
 
 
 def missing_loads(
     channels: Sequence[str], components: Sequence[str], static_sensitivity: FloatArray | None = None
 ) -> tuple[str, ...]:
-    """Return the loads that a sensor measures and no record or response excites.
+    """Return the loads that a sensor measures without an excitation in any record or response.
 
-    It measures those that its outputs are named after, and those of which `static_sensitivity` (C, 6) holds a number
-    other than 0.
+    It measures the loads that its outputs are named after, and those with a non-zero column of `static_sensitivity` (C,
+    6).
     """
     named = {name for name in LOAD_COMPONENTS if name in channels}
     if static_sensitivity is not None:
@@ -370,9 +412,10 @@ def missing_loads(
 
 
 def check_separable(static_gain: FloatArray, channels: Sequence[str], components: Sequence[str]) -> None:
-    """Raise `ValueError` with the loads (D,) that outputs of a static matrix (C, D) do not tell apart.
+    """Raise `ValueError` for loads that the outputs do not distinguish.
 
-    Columns are compared by direction: the smallest singular value of the matrix of unit columns must reach 0.001.
+    Of a static matrix (C, D) of C outputs and D loads; the loads are named. Columns are compared by direction: the
+    smallest singular value of the matrix of unit columns must be at least 0.001.
     """
     if len(channels) < len(components):
         raise ValueError(
@@ -386,4 +429,6 @@ def check_separable(static_gain: FloatArray, channels: Sequence[str], components
     _, singular, right = np.linalg.svd(static_gain / size)
     if singular[-1] < _SEPARATE:
         mixed = [name for name, share in zip(components, np.abs(right[-1]), strict=True) if share > 0.3]
-        raise ValueError(f"components: expected loads that the outputs tell apart, found {' and '.join(mixed)} alike")
+        raise ValueError(
+            f"components: expected loads that the outputs distinguish, found {' and '.join(mixed)} in one direction"
+        )

@@ -1,4 +1,4 @@
-"""Records of several releases as one least squares problem of common poles, and what its solution leaves open."""
+"""Records of several releases as one least-squares problem of common poles, and its covariance."""
 
 from __future__ import annotations
 
@@ -31,13 +31,13 @@ from shaker.release.load_response import (
 )
 from shaker.release.record import ReleaseShape
 
-_LOOSE = (1.5, 2.0)  # standard deviations of what a start says of logarithms of real poles and of durations
-_KEPT = 2  # poles and releases of which a record keeps what they show of it
+_LOOSE = (1.5, 2.0)  # standard deviations of logarithms of real poles and of durations: wide, to guide the search
+_CACHE_SIZE = 2  # results per record: those of the current point and of the trial
 
 
 @dataclass(frozen=True)
 class ReleaseTiming:
-    """When a load changes: middle and duration in s, and how it goes."""
+    """Middle and duration of a load change in s, and its shape."""
 
     middle_s: float
     duration_s: float
@@ -45,13 +45,14 @@ class ReleaseTiming:
 
 
 PoleCandidate: TypeAlias = tuple[Poles, tuple[ReleaseTiming, ...]]
-"""Poles with the releases that they answer to, of all records."""
+"""Poles with the releases of all records."""
 
 
 class ExplainedData(NamedTuple):
-    """What poles and a release show of a record (A, C) less its level: responses (A, B) are `basis` @ `triangle`.
+    """A record as the poles and a release explain it.
 
-    `basis` (A, B) is orthonormal, `told` (B, C) the data along it, `beside` (A, C) what no residues explain of them.
+    The record (A, C) is without its mean; responses (A, B) are `basis` @ `triangle`. `basis` (A, B) is orthonormal;
+    `along` (B, C): the data along it; `orthogonal` (A, C): the data that no residues explain.
     """
 
     basis: FloatArray
@@ -62,31 +63,31 @@ class ExplainedData(NamedTuple):
 
 @dataclass(frozen=True)
 class WhitenedRecord:
-    """One record ready for a fit: means over blocks of samples (A, C) over their noise, times, load."""
+    """One record prepared for a fit: block means (A, C) over their noise, times, load."""
 
     name: str
     component: str
     amplitude: float
     samples: BlockMeans
 
-    def response_derivatives(self, poles: ComplexArray, release: ReleaseTiming, held: bool) -> BlockResponses:
-        """Return what poles, which may be held, answer to the release, with slopes."""
+    def response_derivatives(self, poles: ComplexArray, release: ReleaseTiming, fixed_poles: bool) -> BlockResponses:
+        """Return the responses of the poles to the release, with derivatives."""
         load = ReleaseLoad(release.shape, self.amplitude)
-        return responses_with_derivatives(load, poles, self.samples, release.middle_s, release.duration_s, held)
+        return responses_with_derivatives(load, poles, self.samples, release.middle_s, release.duration_s, fixed_poles)
 
     @cached_property
     def explained(self) -> Callable[[Poles, ReleaseTiming], ExplainedData]:
-        """What poles and a release show of it, the last ones kept: searches begin where others ended."""
+        """Function from poles and release to `ExplainedData`, with a cache of the last results."""
 
-        @lru_cache(_KEPT)
+        @lru_cache(_CACHE_SIZE)
         def found(poles: Poles, release: ReleaseTiming) -> ExplainedData:
             load = ReleaseLoad(release.shape, self.amplitude)
             value = responses(load, poles.values, self.samples, release.middle_s, release.duration_s).T
             upper, real = value[: poles.modes], value[poles.modes :]
             columns = np.concatenate([2 * upper.real, -2 * upper.imag, real.real])
             basis, triangle = np.linalg.qr((columns - columns.mean(axis=1, keepdims=True)).T)
-            told = basis.T @ self.samples.value
-            return ExplainedData(basis, triangle, told, self.samples.value - basis @ told)
+            along = basis.T @ self.samples.value
+            return ExplainedData(basis, triangle, along, self.samples.value - basis @ along)
 
         return found
 
@@ -98,12 +99,12 @@ class WhitenedRecord:
 
 @dataclass(frozen=True)
 class StepProblem:
-    """All records by load component: the least squares problem of poles and releases.
+    """Least-squares problem of poles and releases for all records by load component.
 
-    A sensor's outputs follow displacements, so that no load, however sudden, gives them a velocity at once, and every
-    real pole is a lag of the amplifier behind them: H falls as s^-(2 + Q), Σ R·p^k = 0 for k = 0 … Q in every element.
-    This is what tells the beginning of a release from a delay of the outputs; designs have the columns that are left
-    (`Poles.smooth`).
+    The outputs of a sensor follow displacements, so that no load, however sudden, gives them an immediate velocity.
+    Every real pole is a lag of the amplifier behind them. H therefore falls as s^-(2 + Q), and Σ R·p^k = 0 for k = 0 …
+    Q in every element. This distinguishes the onset of a release from a delay of the outputs. The designs have the
+    remaining columns (`Poles.smooth`).
 
     Parameters: those of the poles, then middle and logarithm of the duration of every record in the order of `records`.
     """
@@ -122,40 +123,44 @@ class StepProblem:
         return self.records[0].samples.step_s
 
     def record_indices(self, component: str) -> list[int]:
-        """Return the records of a load."""
+        """Return the indices of the records of a load."""
         return [i for i, record in enumerate(self.records) if record.component == component]
 
     def part(self, indices: Sequence[int]) -> StepProblem:
-        """Return some records of one load alone."""
+        """Return the problem of some records of one load."""
         return StepProblem(tuple(self.records[i] for i in indices), (self.records[indices[0]].component,))
 
     def vector(self, poles: Poles, releases: Sequence[ReleaseTiming]) -> FloatArray:
         """Return all parameters."""
-        own = [value for release in releases for value in (release.middle_s, np.log(release.duration_s))]
-        return np.concatenate([poles.vector, own])
+        times = [value for release in releases for value in (release.middle_s, np.log(release.duration_s))]
+        return np.concatenate([poles.vector, times])
 
-    def prior(self, vector: FloatArray, poles: Poles, held: int) -> ParameterPrior:
-        """Return what a start says of lags and durations, loosely: it leads a search along the valley between them."""
+    def prior(self, vector: FloatArray, poles: Poles, fixed_count: int) -> ParameterPrior:
+        """Return a wide prior of lags and durations about a start.
+
+        It guides the search along the valley between them.
+        """
         u = np.full(len(vector), np.inf)
         u[2 * poles.modes : poles.count], u[poles.count + 1 :: 2] = _LOOSE
-        return ParameterPrior(vector[held:], u[held:])
+        return ParameterPrior(vector[fixed_count:], u[fixed_count:])
 
     def split(self, vector: FloatArray, poles: Poles, releases: Sequence[ReleaseTiming]) -> PoleCandidate | None:
-        """Return poles and releases of a vector, None where they are not allowed."""
-        still = np.array_equal(vector[: poles.count], poles.vector)  # then all that they are known to make stays known
-        there, own = poles if still else poles.with_vector(vector), vector[poles.count :].reshape(-1, 2)
+        """Return poles and releases of a vector, None if they are not allowed."""
+        unchanged = np.array_equal(vector[: poles.count], poles.vector)  # keeps the cached results of these poles
+        moved_poles, times = poles if unchanged else poles.with_vector(vector), vector[poles.count :].reshape(-1, 2)
         longest = np.array([float(np.ptp(record.samples.time_s)) for record in self.records])
-        durations = np.exp(np.clip(own[:, 1], -50.0, 50.0))
-        if not there.allowed or np.any(durations > longest):
+        durations = np.exp(np.clip(times[:, 1], -50.0, 50.0))
+        if not moved_poles.allowed or np.any(durations > longest):
             return None
-        times = zip(releases, own[:, 0], durations, strict=True)
-        moved = (replace(release, middle_s=float(t), duration_s=float(length)) for release, t, length in times)
-        return there, tuple(moved)
+        triples = zip(releases, times[:, 0], durations, strict=True)
+        moved = (replace(release, middle_s=float(t), duration_s=float(length)) for release, t, length in triples)
+        return moved_poles, tuple(moved)
 
     def point(self, poles: Poles, releases: Sequence[ReleaseTiming], fixed_count: int = 0) -> SeparablePoint:
-        """Return poles and releases as a point of the search, with one block of rows per load component.
+        """Return poles and releases as a point of the search.
 
-        `held`: how many of the first parameters stay and are none of the point's.
+        It has one block of rows per load component. The first `fixed_count` parameters are fixed and not part of the
+        point.
         """
         blocks = tuple(
             _block(self, poles, releases, self.record_indices(name), fixed_count) for name in self.components
@@ -165,7 +170,7 @@ class StepProblem:
 
 @dataclass(frozen=True)
 class PoleFit:
-    """Poles and releases with the least squares solution they come from."""
+    """Poles and releases with their least-squares solution."""
 
     poles: Poles
     releases: tuple[ReleaseTiming, ...]
@@ -178,8 +183,10 @@ class PoleFit:
 
 
 def search_options(steps: int, min_gain: float, target_loss: float = np.inf) -> LMOptions:
-    """Return when a search ends: after so many steps, or where one gains less than `calm` units of the variance, or
-    where it will not come below the loss that is `wanted`."""
+    """Return the options of a search: `steps`, smallest gain of a step, loss to reach.
+
+    `min_gain` is in units of the variance. A search that cannot reach `target_loss` ends.
+    """
     return LMOptions(
         predicted_decrease=min_gain,
         predicted_decrease_share=0.0,
@@ -201,9 +208,10 @@ def fit_poles(
     fixed_count: int = 0,
     target_loss: float = np.inf,
 ) -> PoleFit:
-    """Return the least squares poles and releases from a start, by at most `steps` steps or till one gains `calm`.
+    """Return the least-squares poles and releases from a start.
 
-    `held`: how many of the first parameters stay as they are; `wanted`: loss without which the fit is of no use.
+    It takes at most `steps` steps, or ends at one that gains less than `min_gain`. The first `fixed_count` parameters
+    are fixed. The fit is useless above `target_loss`.
     """
     start = problem.vector(poles, releases)
 
@@ -211,12 +219,12 @@ def fit_poles(
         return problem.split(np.concatenate([start[:fixed_count], vector]), poles, releases)
 
     def at(vector: FloatArray) -> SeparablePoint | None:
-        there = parts(vector)
-        return None if there is None else problem.point(*there, fixed_count)
+        candidate = parts(vector)
+        return None if candidate is None else problem.point(*candidate, fixed_count)
 
     first = at(start[fixed_count:])
     if first is None:
-        raise ValueError(f"start: expected poles that swing and decay within their records, found {start.tolist()}")
+        raise ValueError(f"start: expected poles that oscillate and decay within their records, found {start.tolist()}")
     smallest = np.concatenate([poles.scale, np.tile([problem.step_s, 0.1], len(releases))])[fixed_count:]
     solution = levenberg_marquardt(
         at, first, search_options(steps, min_gain, target_loss), smallest, problem.prior(start, poles, fixed_count)
@@ -229,29 +237,29 @@ def fit_poles(
 def covariances(
     point: SeparablePoint, variances: Sequence[FloatArray], prior_precision: FloatArray
 ) -> tuple[FloatArray, list[list[FloatArray]]]:
-    """Return the covariance (P, P) of the parameters, and for every block and column how its coefficients follow them.
+    """Return the covariance of the parameters and the dependence of the coefficients.
 
-    `variances`: of the columns (C,) of every block, in units of the weights; `known` (P,): reciprocal variances of what
-    is known of the parameters beforehand. Element [i][c] (B, P + B): change of the coefficients with the parameters,
-    beside a square root of their covariance where the parameters are known.
+    (P, P) of the parameters. `variances`: of the columns (C,) of every block, in units of the weights.
+    `prior_precision` (P,): reciprocal prior variances of the parameters. Element [i][c] (B, P + B): change of the
+    coefficients with the parameters, and a square root of their covariance for fixed parameters.
     """
     inverse, count = _inverse(point.normal[0] + np.diag(prior_precision)), len(point.parameters)
     spread, follows = np.diag(prior_precision), []
-    for part, (places, change, beside, _), variance in zip(point.solved, point.jacobians, variances, strict=True):
+    for part, (indices, change, orthogonal, _), variance in zip(point.solved, point.jacobians, variances, strict=True):
         rows = []
         for c, size in enumerate(variance):
             along = part.basis.T @ change[:, :, c]
             free = change[:, :, c] - part.basis @ along
-            spread[np.ix_(places, places)] += size * (free.T @ free + beside[c])
+            spread[np.ix_(indices, indices)] += size * (free.T @ free + orthogonal[c])
             follow = np.zeros((len(part.root), count))
-            follow[:, places] = -part.root @ along
+            follow[:, indices] = -part.root @ along
             rows.append(np.concatenate([follow, np.sqrt(size) * part.root], axis=1))
         follows.append(rows)
     return inverse @ spread @ inverse, follows
 
 
 def _inverse(normal: FloatArray) -> FloatArray:
-    """Inverse of a normal matrix, without the directions that it does not tell."""
+    """Return the inverse of a normal matrix, without undetermined directions."""
     unit = 1.0 / np.sqrt(np.maximum(np.diag(normal), 1e-300))
     scale = np.outer(unit, unit)
     return np.asarray(np.linalg.pinv(normal * scale, rcond=1e-13, hermitian=True) * scale)
@@ -260,57 +268,56 @@ def _inverse(normal: FloatArray) -> FloatArray:
 def model_covariance(
     model: MultiModel, spread: FloatArray, follows: Sequence[FloatArray], scale: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Return the covariance (P, P) of the model's vector from that of the parameters of a fit, poles first.
+    """Return the covariance (P, P) of the model's vector from a fit.
 
-    `follows`: how the coefficients of each element follow them, as of `covariances`, load after load and in it output
-    after output, and their `scale`. Beside it the standard uncertainties (P,) by the noise of each element alone, 0
-    for the poles.
+    The poles are first. `follows`: dependence of the coefficients of each element as in `covariances`, load by load and
+    output by output, and their `scale`. Returned too: standard uncertainties (P,) from the noise of each element alone,
+    0 for the poles.
     """
     count, n = len(model.vector), model.shared
-    rows, own = np.zeros((count, len(spread))), np.zeros((count, count))
+    rows, by_noise = np.zeros((count, len(spread))), np.zeros((count, count))
     rows[:n, :n] = np.diag(np.concatenate([np.ones(2 * len(model.frequency_hz)), model.real_hz]))
     for i, (follow, size) in enumerate(zip(follows, scale, strict=True)):
-        here = slice(n * (1 + i), n * (2 + i))
-        rows[here] = size * follow[:, : len(spread)]
-        own[here, here] = size**2 * follow[:, len(spread) :] @ follow[:, len(spread) :].T
-    return np.asarray(rows @ spread @ rows.T + own), np.asarray(np.sqrt(np.diag(own)))
+        rows_of_element = slice(n * (1 + i), n * (2 + i))
+        rows[rows_of_element] = size * follow[:, : len(spread)]
+        by_noise[rows_of_element, rows_of_element] = size**2 * follow[:, len(spread) :] @ follow[:, len(spread) :].T
+    return np.asarray(rows @ spread @ rows.T + by_noise), np.asarray(np.sqrt(np.diag(by_noise)))
 
 
 def lag_duration_prior(fit: PoleFit) -> FloatArray:
-    """Return the reciprocal variances (P,) of lags and durations by what bounds them.
+    """Return the prior precision (P,) of lags and durations from their bounds.
 
-    A lag 1/(1 + s/a) behind a release that takes the time T acts like a later release to first order, and to second
-    order its 1/a² adds to the release's second moment, T²/12 along a line. The records tell the sum well, and even
-    where they cannot tell the parts apart each of these is positive and at most the sum, as is a time at most its root:
-    rectangular distributions of that half width.
+    To first order a lag 1/(1 + s/a) behind a release of duration T acts like a later release. To second order its 1/a²
+    adds to the release's second moment, T²/12 for a ramp. The records determine the sum well. Each part is positive and
+    at most the sum, and a time is at most its root: rectangular distributions of that half width.
     """
     poles, vector = fit.poles, fit.solution.point.parameters
     lags = np.arange(2 * poles.modes, poles.count)
-    spread, known, largest = _inverse(fit.solution.point.normal[0]), np.zeros(len(vector)), np.inf
+    spread, precision, largest = _inverse(fit.solution.point.normal[0]), np.zeros(len(vector)), np.inf
 
-    def bound(places: IntArray | list[int], square: FloatArray | float, most: float) -> None:
+    def bound(indices: IntArray | list[int], square: FloatArray | float, most: float) -> None:
         share = np.asarray(square) / most
-        known[places] = 3.0 * np.maximum(share, 4.0 * share**2)
+        precision[indices] = 3.0 * np.maximum(share, 4.0 * share**2)
 
     squares = (2.0 * np.pi * poles.real_hz) ** -2.0
     for i, release in enumerate(fit.releases):
-        own = poles.count + 2 * i + 1
+        index = poles.count + 2 * i + 1
         moment = MOMENTS[release.shape] * release.duration_s**2
         slope = np.zeros(len(vector))
-        slope[lags], slope[own] = -2.0 * squares, 2.0 * moment
+        slope[lags], slope[index] = -2.0 * squares, 2.0 * moment
         u_whole = np.sqrt(np.maximum(slope @ spread @ slope, 0.0))
         whole = float(np.sum(squares) + moment + 2.0 * u_whole)
-        bound([own], moment, whole)
+        bound([index], moment, whole)
         largest = min(largest, whole)
     bound(lags, squares, largest)
-    return known
+    return precision
 
 
 def widen_for_lags(fit: PoleFit, spread: FloatArray) -> FloatArray:
-    """Return the covariance (P, P) of the parameters, wide enough for the time 1/a of every lag.
+    """Return the covariance (P, P), enlarged for the time 1/a of every lag.
 
-    Records tell 1/a², of which the time is no linear function where little is known: along with the lag everything is
-    widened so that 1.96 standard uncertainties reach as far as the root of what 1.96 of the square allow.
+    The records determine 1/a², and the time is not a linear function of it at large uncertainties. Along with the lag
+    all parameters are widened so that 1.96 standard uncertainties include the root of the square's 1.96.
     """
     for lag in range(2 * fit.poles.modes, fit.poles.count):
         u = float(np.sqrt(spread[lag, lag]))
@@ -324,39 +331,42 @@ def widen_for_lags(fit: PoleFit, spread: FloatArray) -> FloatArray:
 
 
 def _block(
-    problem: StepProblem, poles: Poles, releases: Sequence[ReleaseTiming], places: Sequence[int], held: int
+    problem: StepProblem, poles: Poles, releases: Sequence[ReleaseTiming], indices: Sequence[int], fixed_count: int
 ) -> LinearBlock:
-    """All records of one load, each turned by the basis of its responses."""
-    records, smooth = [problem.records[i] for i in places], poles.smooth
-    shown = [record.explained(poles, releases[i]) for i, record in zip(places, records, strict=True)]
-    edges = np.cumsum([0, *(len(part.along) for part in shown)])
-    free = poles.count if held < poles.count else 0  # parameters of the poles that move
-    moved = np.concatenate([np.arange(free), *(poles.count + 2 * i + np.arange(2) for i in places)])
+    """Return the block of all records of one load.
 
-    def changes(own: FloatArray) -> BlockJacobian:
-        """Poles move the responses and turn the basis; middle and duration move those of their own record."""
-        outputs, count = own.shape[1], len(moved)
-        turned = np.tensordot(poles.smooth_slopes[:free], own, axes=1).transpose(1, 0, 2)
-        re, im, real = np.split(smooth @ own, [poles.modes, 2 * poles.modes])
-        residues = np.concatenate([2 * (re + 1j * im), real])  # those of modes twice, for their conjugates
+    Each record is rotated to the basis of its responses.
+    """
+    records, smooth = [problem.records[i] for i in indices], poles.smooth
+    shown = [record.explained(poles, releases[i]) for i, record in zip(indices, records, strict=True)]
+    edges = np.cumsum([0, *(len(part.along) for part in shown)])
+    free = poles.count if fixed_count < poles.count else 0  # parameters of free poles
+    moved = np.concatenate([np.arange(free), *(poles.count + 2 * i + np.arange(2) for i in indices)])
+
+    def changes(coefficients: FloatArray) -> BlockJacobian:
+        """Return the changes by poles, which rotate the basis too, and by middle and duration."""
+        outputs, count = coefficients.shape[1], len(moved)
+        rotated = np.tensordot(poles.smooth_slopes[:free], coefficients, axes=1).transpose(1, 0, 2)
+        re, im, real = np.split(smooth @ coefficients, [poles.modes, 2 * poles.modes])
+        residues = np.concatenate([2 * (re + 1j * im), real])  # doubled for the conjugates of modes
         rows = np.zeros((edges[-1], count, outputs))
-        beside, pull = np.zeros((outputs, count, count)), np.zeros((outputs, count))
-        for k, (i, record) in enumerate(zip(places, records, strict=True)):
+        orthogonal, pull = np.zeros((outputs, count, count)), np.zeros((outputs, count))
+        for k, (i, record) in enumerate(zip(indices, records, strict=True)):
             mine = np.r_[:free, free + 2 * k : free + 2 * k + 2]
-            here = record.response_derivatives(poles.values, releases[i], held=not free)
-            columns, weights = _moving(here, residues, poles if free else None, releases[i].duration_s)
+            answered = record.response_derivatives(poles.values, releases[i], fixed_poles=not free)
+            columns, weights = _moving(answered, residues, poles if free else None, releases[i].duration_s)
             part = shown[k]
             along = columns @ part.basis
             columns -= along @ part.basis.T
             change = (weights @ along).transpose(2, 1, 0)
-            change[:, :free] += np.tensordot(part.triangle, turned, axes=1)
+            change[:, :free] += np.tensordot(part.triangle, rotated, axes=1)
             rows[edges[k] : edges[k + 1], mine] = change
-            beside[:, mine[:, None], mine] += weights @ (columns @ columns.T) @ weights.transpose(0, 2, 1)
+            orthogonal[:, mine[:, None], mine] += weights @ (columns @ columns.T) @ weights.transpose(0, 2, 1)
             pull[:, mine] += np.einsum("cpq,qc->cp", weights, columns @ part.orthogonal)
-        chosen = np.flatnonzero(moved >= held)
+        chosen = np.flatnonzero(moved >= fixed_count)
         if len(chosen) < count:
-            rows, beside, pull = rows[:, chosen], beside[:, chosen[:, None], chosen], pull[:, chosen]
-        return BlockJacobian(moved[chosen] - held, rows, beside, pull)
+            rows, orthogonal, pull = rows[:, chosen], orthogonal[:, chosen[:, None], chosen], pull[:, chosen]
+        return BlockJacobian(moved[chosen] - fixed_count, rows, orthogonal, pull)
 
     return LinearBlock(
         np.concatenate([part.triangle for part in shown]) @ smooth,
@@ -368,13 +378,15 @@ def _block(
 
 
 def _moving(
-    here: BlockResponses, residues: ComplexArray, poles: Poles | None, duration_s: float
+    answered: BlockResponses, residues: ComplexArray, poles: Poles | None, duration_s: float
 ) -> tuple[FloatArray, FloatArray]:
-    """What moves one record's rows, (R, A) less their levels, by weights (C, p, R).
+    """Return the derivatives of one record's rows, with weights.
 
-    Parameters (p,): those of the poles, None where these are held, middle and logarithm of the duration.
+    Rows (R, A) minus their means, weights (C, p, R).
+
+    Parameters (p,): those of the poles, None for fixed ones, middle and logarithm of the duration.
     """
-    by_onset, by_length = (residues.T @ here.by_onset.T).real, duration_s * (residues.T @ here.by_length.T).real
+    by_onset, by_length = (residues.T @ answered.by_onset.T).real, duration_s * (residues.T @ answered.by_length.T).real
     outputs = len(by_onset)
     count = 0 if poles is None else poles.count
     weights = np.zeros((outputs, count + 2, count + 2 * outputs))
@@ -384,7 +396,7 @@ def _moving(
     if poles is not None:
         which, slope = poles.slopes
         by_pole, parameter, m = (slope[:, None] * residues[which]).T, np.arange(count), poles.modes
-        along = here.by_pole.T
+        along = answered.by_pole.T
         columns = [along.real, along.imag[:m], *columns]
         weights[:, parameter, which] = by_pole.real
         weights[:, parameter[: 2 * m], m + len(poles.real_hz) + which[: 2 * m]] = -by_pole.imag[:, : 2 * m]
@@ -393,7 +405,7 @@ def _moving(
 
 
 def by_record(problem: StepProblem, fit: PoleFit) -> list[tuple[int, FloatArray]]:
-    """What is left of every record (A, C), load after load."""
+    """Return the residual of every record (A, C), load by load."""
     rests: list[tuple[int, FloatArray]] = []
     for component, rest in zip(problem.components, fit.solution.point.residuals, strict=True):
         start = 0

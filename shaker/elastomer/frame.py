@@ -1,4 +1,7 @@
-"""The cross-beam element as a frame of Timoshenko beams with a rigid platform: its modes and what changes them."""
+"""Cross-beam element as a frame of Timoshenko beams with a rigid platform.
+
+Its modes, their sensitivities to the dimensions, and platform data that fit measured frequencies.
+"""
 
 from __future__ import annotations
 
@@ -10,18 +13,20 @@ from itertools import pairwise
 import numpy as np
 
 from shaker.arrays import Brief, FloatArray, IntArray, check_shape, check_shapes
+from shaker.elastomer.elastomer_notices import PLATFORM_MISFIT, PLATFORM_NOT_VALIDATED
 from shaker.elastomer.geometry import CrossBeams, ElasticMaterial, Section, beam_matrices, lump_mass
 from shaker.fitting import LMOptions, WhitenedResiduals, levenberg_marquardt
 from shakercal._common.notices import Notice
 
-# Rigid bodies of the element: the platform and what stands on it, as mass, height and inertia.
+# Rigid bodies of the element, the platform and attached parts, as mass, height and inertia.
 
 
 @dataclass(frozen=True, repr=False)
 class RigidPart(Brief):
-    """A rigid body on the axis of the element: `mass_kg`, `height_m` of its centre of mass, `inertia_kgm2` (3,).
+    """A rigid body on the axis of the element.
 
-    Heights count along z from the plane of the beams' axes, moments of inertia Jx, Jy, Jz about the body's own centre.
+    `mass_kg`; `height_m` of its centre of mass along z above the plane of the beams' axes; `inertia_kgm2` (3,): Jx, Jy,
+    Jz about the centre of mass.
     """
 
     mass_kg: float
@@ -43,7 +48,10 @@ class RigidPart(Brief):
 
     @property
     def mass_matrix(self) -> FloatArray:
-        """Mass matrix (6, 6) over (ux uy uz rx ry rz) of the point in the plane of the beams."""
+        """Mass matrix (6, 6) of the origin, in the plane of the beams.
+
+        Over (ux uy uz rx ry rz).
+        """
         m, h = self.mass_kg, self.height_m
         matrix = np.diag(np.concatenate([[m, m, m], self.inertia_kgm2 + m * h**2 * np.array([1.0, 1.0, 0.0])]))
         matrix[0, 4] = matrix[4, 0] = m * h
@@ -52,7 +60,7 @@ class RigidPart(Brief):
 
 
 def block(density_kgm3: float, half_size_m: float, thickness_m: float, height_m: float = 0.0) -> RigidPart:
-    """Return a square block of edge 2p and thickness H, its centre at a height."""
+    """Return a square block of edge 2p and thickness H at a height."""
     edge = 2.0 * half_size_m
     mass = density_kgm3 * edge**2 * thickness_m
     across = mass * (edge**2 + thickness_m**2) / 12.0
@@ -60,14 +68,14 @@ def block(density_kgm3: float, half_size_m: float, thickness_m: float, height_m:
 
 
 def pillar(density_kgm3: float, radius_m: float, length_m: float, foot_m: float) -> RigidPart:
-    """Return an upright cylinder that stands at a height `foot_m`."""
+    """Return an upright cylinder with its foot at a height `foot_m`."""
     mass = density_kgm3 * np.pi * radius_m**2 * length_m
     across = mass * (3.0 * radius_m**2 + length_m**2) / 12.0
     return RigidPart(mass, foot_m + 0.5 * length_m, np.array([across, across, 0.5 * mass * radius_m**2]))
 
 
 def join_bodies(parts: Sequence[RigidPart]) -> RigidPart:
-    """Return the one body that several make (Steiner's theorem)."""
+    """Return several bodies as one (Steiner's theorem)."""
     mass = sum(part.mass_kg for part in parts)
     if not mass > 0.0:
         raise ValueError("parts: expected a mass above 0, found none")
@@ -77,15 +85,16 @@ def join_bodies(parts: Sequence[RigidPart]) -> RigidPart:
     return RigidPart(mass, height, np.sum(inertia, axis=0))
 
 
-# A frame of beams in space with one rigid body and clamped ends: assembly and reduction.
+# Frame of beams in space with one rigid body and clamped ends: assembly and reduction.
 
 
 @dataclass(frozen=True, repr=False)
 class BeamFrame(Brief):
     """Beams between nodes: `node_m` (N, 3), `beam` (E, 2) node numbers, `section` of every beam.
 
-    `rigid` (R,): nodes that move with a body whose point of reference is the origin; `clamped` (C,). Local z of every
-    beam is the global one, so no beam may stand upright. `consistent`: mass matrix, else lumped at the ends.
+    `rigid` (R,): nodes that move with a body, whose reference point is the origin; `clamped` (C,). Local z of every
+    beam is the global one, so that no beam may be vertical. `consistent`: consistent mass matrix, else lumped at the
+    ends.
     """
 
     node_m: FloatArray
@@ -106,13 +115,16 @@ class BeamFrame(Brief):
 
     @cached_property
     def reduction(self) -> FloatArray:
-        """T (6N, F): motion of all nodes from the unknowns, the body's (ux uy uz rx ry rz) at the origin first."""
+        """T (6N, F): motion of all nodes per unknown.
+
+        The first unknowns are those of the body (ux uy uz rx ry rz) at the origin.
+        """
         count = len(self.node_m)
         free = np.setdiff1d(np.arange(count), np.concatenate([self.rigid, self.clamped]))
         first = 6 if len(self.rigid) else 0
         matrix = np.zeros((6 * count, first + 6 * len(free)))
-        for place, node in enumerate(free):
-            column = first + 6 * place
+        for index, node in enumerate(free):
+            column = first + 6 * index
             matrix[6 * node : 6 * node + 6, column : column + 6] = np.eye(6)
         for node in self.rigid:
             matrix[6 * node : 6 * node + 6, :6] = rigid_motion(self.node_m[node])
@@ -124,21 +136,24 @@ class BeamFrame(Brief):
         size = 6 * len(self.node_m)
         stiffness, mass = np.zeros((size, size)), np.zeros((size, size))
         for ends, section in zip(self.beam, self.section, strict=True):
-            places = (6 * ends[:, None] + np.arange(6)).ravel()
+            indices = (6 * ends[:, None] + np.arange(6)).ravel()
             along = self.node_m[ends[1]] - self.node_m[ends[0]]
             length = float(np.linalg.norm(along))
             elastic, inert = beam_matrices(self.material, section, length, self.shear_factor)
             inert = inert if self.consistent else lump_mass(inert)
             x, z = along / length, np.array([0.0, 0.0, 1.0])
             turn = np.kron(np.eye(4), np.stack([x, np.cross(z, x), z]))
-            stiffness[np.ix_(places, places)] += turn.T @ elastic @ turn
-            mass[np.ix_(places, places)] += turn.T @ inert @ turn
+            stiffness[np.ix_(indices, indices)] += turn.T @ elastic @ turn
+            mass[np.ix_(indices, indices)] += turn.T @ inert @ turn
         reduced = (self.reduction.T @ whole @ self.reduction for whole in (stiffness, mass))
         elastic, inert = (0.5 * (matrix + matrix.T) for matrix in reduced)
         return elastic, inert
 
     def rigid_motions(self, about_m: FloatArray) -> FloatArray:
-        """Return the unknowns (F, 6) of unit translations and of unit turns about a point (3,), clamps let go."""
+        """Return the unknowns (F, 6) for unit translations and rotations about a point (3,).
+
+        The clamps are released.
+        """
         about_origin = self.reduction.T @ np.concatenate([rigid_motion(node) for node in self.node_m])
         if len(self.rigid):
             about_origin[:6] = np.eye(6)
@@ -146,7 +161,10 @@ class BeamFrame(Brief):
 
 
 def rigid_motion(offset_m: FloatArray) -> FloatArray:
-    """Return the motion (6, 6) of a point at an offset (3,) per motion (ux uy uz rx ry rz) of the origin."""
+    """Return the motion (6, 6) of a point per motion of the origin.
+
+    The point is at an offset (3,). The motion is (ux uy uz rx ry rz).
+    """
     x, y, z = offset_m
     matrix = np.eye(6)
     matrix[:3, 3:] = [[0.0, z, -y], [-z, 0.0, x], [y, -x, 0.0]]
@@ -158,16 +176,16 @@ def rigid_motion(offset_m: FloatArray) -> FloatArray:
 MODE_NAMES = ("Tx", "Ty", "Tz", "Rx", "Ry", "Rz")
 """Translations along and rotations about the axes."""
 EQUAL = 1e-4
-"""Relative distance below which frequencies count as one, of a symmetric element's pairs."""
+"""Relative difference below which frequencies are equal, as the pairs of a symmetric element."""
 
 
 @dataclass(frozen=True, repr=False)
 class NamedModes(Brief):
-    """The six modes that are named, in the order of `NAMES`.
+    """The six named modes, in the order of `MODE_NAMES`.
 
-    `frequency_hz` (6,). `participation` (6, 6): share of each rigid motion's mass that moves in each mode, modes down,
-    `NAMES` across: (φᵀMr)²/(rᵀMr) with φᵀMφ = 1, translations r of all moving parts and turns about their common
-    centre. `shape` (D, 6): the unknowns of every mode. `others_hz`: modes in between that are none of the six.
+    `frequency_hz` (6,). `participation` (6, 6): share of each rigid motion's mass in each mode, modes down,
+    `MODE_NAMES` across: (φᵀMr)²/(rᵀMr) with φᵀMφ = 1. r are translations of all moving parts and rotations about their
+    common centre. `shape` (D, 6): unknowns of every mode. `others_hz`: modes between them.
     """
 
     frequency_hz: FloatArray
@@ -183,7 +201,10 @@ class NamedModes(Brief):
 
 
 def dense_modes(stiffness: FloatArray, mass: FloatArray, count: int = 12) -> tuple[FloatArray, FloatArray]:
-    """Return the lowest frequencies in Hz (K,) and shapes (D, K) with φᵀMφ = 1 of K φ = ω² M φ."""
+    """Return the lowest frequencies (K,) in Hz and shapes (D, K).
+
+    Of K φ = ω² M φ with φᵀMφ = 1.
+    """
     from scipy.linalg import eigh
 
     last = min(count, len(stiffness)) - 1
@@ -194,11 +215,11 @@ def dense_modes(stiffness: FloatArray, mass: FloatArray, count: int = 12) -> tup
 def named_modes(
     frequency_hz: FloatArray, shape: FloatArray, weigh: Callable[[FloatArray], FloatArray], rigid: FloatArray
 ) -> NamedModes:
-    """Return modes (K,), (D, K) with the name each deserves: as a whole the assignment of the most mass.
+    """Return the modes that deserve each name.
 
-    `weigh`: multiplies by the mass matrix. `rigid` (D, 6): translations, and turns about the centre of mass. Modes of
-    one frequency, of which any mixture is one, are mixed so that each follows one axis. The sign is such that the
-    motion a mode is named after is positive.
+    Among modes (K,), (D, K) the assignment of largest total mass is selected. `weigh`: multiplies by the mass matrix.
+    `rigid` (D, 6): translations, and rotations about the centre of mass. Modes of equal frequency are combined so that
+    each follows one axis. The sign is such that the motion that gives a mode its name is positive.
     """
     from scipy.linalg import polar, qr
 
@@ -206,9 +227,9 @@ def named_modes(
     total = np.einsum("ij,ij->j", rigid, weighed)
     factor = shape.T @ weighed / np.sqrt(total)
     shape = shape.copy()
-    apart = np.diff(frequency_hz) > EQUAL * frequency_hz[1:]
-    for group in np.split(np.arange(len(frequency_hz)), 1 + np.flatnonzero(apart)):
-        if len(group) > 1:  # turned so that each takes part in one axis as far as it can
+    separate = np.diff(frequency_hz) > EQUAL * frequency_hz[1:]
+    for group in np.split(np.arange(len(frequency_hz)), 1 + np.flatnonzero(separate)):
+        if len(group) > 1:  # rotated so that each follows one axis as closely as possible
             axes = np.sort(qr(factor[group], pivoting=True, mode="r")[1][: len(group)])
             turn = polar(factor[group][:, axes])[0]
             shape[:, group] = shape[:, group] @ turn
@@ -220,35 +241,38 @@ def named_modes(
 
 
 def assign_names(factor: FloatArray) -> IntArray:
-    """Return which mode deserves each name (N,), given how modes take part (K, N): the most mass as a whole."""
+    """Return the mode of each name (N,) from participation factors (K, N).
+
+    The total mass of the assignment is maximised.
+    """
     from scipy.optimize import linear_sum_assignment
 
     return np.asarray(linear_sum_assignment(-(np.asarray(factor) ** 2).T)[1])
 
 
-# The element as a frame: frequencies, shapes, stiffness, and what each dimension does to them.
+# The element as a frame: frequencies, shapes, stiffness, and their sensitivities to the dimensions.
 
 SAME_M = 1e-9
-"""Nodes nearer than this are one."""
+"""Distance below which nodes are the same, 1 nm."""
 
 
 def cross_frame(beams: CrossBeams, half_size_m: float, pieces: int = 6, consistent: bool = True) -> BeamFrame:
-    """Return the frame: arms from the faces of a platform of edge 2p to the axes of the compliant beams.
+    """Return the frame of a cross with a platform of edge 2p.
 
-    The platform lies within the span: arms are l/2 - p long and begin at its faces, which move with it. `pieces`: into
-    which every arm and every half of a compliant beam is divided.
+    Arms end at the axes of the compliant beams. Arms start at the faces of the platform, move with it, and are l/2 - p
+    long. `pieces`: divisions of every arm and of every half of a compliant beam.
     """
     beams.arm_m(half_size_m)
     outer, half = 0.5 * beams.span_m, 0.5 * beams.compliant_length_m
     nodes: list[FloatArray] = []
 
-    def numbered(places: list[FloatArray]) -> list[int]:
-        """Numbers of nodes at some places, which are added where no node is yet."""
+    def numbered(points: list[FloatArray]) -> list[int]:
+        """Return the numbers of the nodes at some points, adding missing nodes."""
         numbers = []
-        for place in places:
-            near = [i for i, node in enumerate(nodes) if np.linalg.norm(node - place) < SAME_M]
+        for point in points:
+            near = [i for i, node in enumerate(nodes) if np.linalg.norm(node - point) < SAME_M]
             if not near:
-                nodes.append(place)
+                nodes.append(point)
             numbers.append(near[0] if near else len(nodes) - 1)
         return numbers
 
@@ -277,9 +301,9 @@ def cross_frame(beams: CrossBeams, half_size_m: float, pieces: int = 6, consiste
 
 
 def platform_stiffness(frame: BeamFrame) -> FloatArray:
-    """Return 1/C_ii (6,): load per displacement in its own direction, nothing else being held.
+    """Return 1/C_ii (6,): load per displacement in its direction, free in all others.
 
-    Forces in N/m, moments in N·m/rad, at the origin, which is in the plane of the beams' axes.
+    Forces in N/m, moments in N·m/rad, at the origin in the plane of the beams' axes.
     """
     stiffness, _ = frame.matrices
     loads = np.eye(len(stiffness))[:, :6]
@@ -314,12 +338,31 @@ class FrameModel(Brief):
 def solve_frame(
     beams: CrossBeams, half_size_m: float, platform: RigidPart, pieces: int = 6, consistent: bool = True
 ) -> FrameModel:
-    """Return frequencies, shapes and stiffness of an element with a rigid platform of edge 2p (see `cross_frame`).
+    """Solve an element with a rigid platform for frequencies, shapes and stiffness.
 
+    Parameters
+    ----------
+    beams
+        dimensions and material of the cross
+    half_size_m
+        half the edge p of the platform, m
+    platform
+        mass, height and inertia of all rigid parts
+    pieces
+        divisions per arm, default 6
+    consistent
+        consistent mass matrix, default True; else lumped
+
+    Returns
+    -------
+    FrameModel : the frame, its named modes and stiffness (see `cross_frame`)
+
+    Examples
+    --------
     >>> from shaker import solve_frame
     >>> from shaker.elastomer.frame import block
-    >>> from shaker.elastomer.geometry import CrossBeams, Material
-    >>> cross = CrossBeams(Material(71e9, 0.33, 2810.0), 0.06, 0.006, 0.006, 0.002, 0.02, 0.006)
+    >>> from shaker.elastomer.geometry import CrossBeams, ElasticMaterial
+    >>> cross = CrossBeams(ElasticMaterial(71e9, 0.33, 2810.0), 0.06, 0.006, 0.006, 0.002, 0.02, 0.006)
     >>> print(solve_frame(cross, 0.012, block(2810.0, 0.012, 0.006)).modes.frequency_hz.round())
     [ 5830.  5830.  5130. 12575. 12575. 14082.]
     """
@@ -328,7 +371,7 @@ def solve_frame(
 
 
 def frame_modes(frame: BeamFrame, platform: RigidPart, count: int = 12) -> NamedModes:
-    """Return the named modes, of the `count` lowest, of a frame whose body is a platform."""
+    """Return the named modes among the `count` lowest of a frame with a platform."""
     stiffness, mass = frame.matrices
     mass = mass.copy()
     mass[:6, :6] += platform.mass_matrix
@@ -343,20 +386,20 @@ def frame_modes(frame: BeamFrame, platform: RigidPart, count: int = 12) -> Named
 
 
 def sensitivities(beams: CrossBeams, half_size_m: float, platform: RigidPart) -> dict[str, FloatArray]:
-    """Return d ln f/d ln x (6,) of the six modes by dimension: percent of frequency per percent of x.
+    """Return d ln f/d ln x (6,) of the six modes by dimension x.
 
-    By the dimensions of the beams, the platform's half-size, mass, height and gyration (moments at fixed mass), one at
-    a time; central differences. Young's modulus has 0.5 and is left out.
+    Dimensions are those of the beams, and the platform's half-size, mass, height and gyration (moments at constant
+    mass). Central differences; Young's modulus has 0.5 and is omitted.
     """
 
     def element(name: str, factor: float) -> tuple[CrossBeams, float, RigidPart]:
-        """The element with one quantity larger; moments of inertia grow with the mass."""
+        """Return the element with one quantity changed; moments of inertia grow with the mass."""
         if name in DIMENSIONS:
             return replace(beams, **{name: getattr(beams, name) * factor}), half_size_m, platform
         if name == "half_size_m":
             return beams, half_size_m * factor, platform
         names = (name, "inertia_kgm2") if name == "mass_kg" else (name,)
-        return beams, half_size_m, replace(platform, **{own: getattr(platform, own) * factor for own in names})
+        return beams, half_size_m, replace(platform, **{field: getattr(platform, field) * factor for field in names})
 
     def slope(name: str) -> FloatArray:
         ends = 1.0 + STEP, 1.0 - STEP
@@ -366,23 +409,23 @@ def sensitivities(beams: CrossBeams, half_size_m: float, platform: RigidPart) ->
     return {name: slope(name) for name in (*DIMENSIONS, "half_size_m", "mass_kg", "height_m", "inertia_kgm2")}
 
 
-# Platform data that give measured frequencies: a family of solutions, which validates nothing.
+# Platform data for measured frequencies: a family of solutions, which does not validate the model.
 
 NEEDED = (("Tx", "Ty"), ("Tz",), ("Rx", "Ry"), ("Rz",))
 """Of each group one frequency at least: they fix mass, height and two moments of inertia."""
 EXACT = 1e-4
-"""Relative misfit below which frequencies count as met."""
-PIECES = 3
+"""Relative misfit below which frequencies agree."""
+PIECES = 3  # per arm, chosen for speed
 SMALL = 1e-7
 """Step of the derivatives by logarithms of platform data."""
 
 
 @dataclass(frozen=True, repr=False)
 class PlatformFit(Brief):
-    """The rigid `platform` of a `half_size_m` that gives some frequencies; `frequency_hz` (6,) of `NAMES`.
+    """The rigid `platform` of a `half_size_m` for given frequencies; `frequency_hz` (6,) of `MODE_NAMES`.
 
-    `misfit`: largest relative departure from a wanted frequency, pairs by their mean. The height's sign is not told by
-    frequencies: it is given as positive.
+    `misfit`: largest relative deviation from a target frequency, pairs by their mean. Frequencies do not determine the
+    sign of the height; it is positive.
     """
 
     half_size_m: float
@@ -393,20 +436,21 @@ class PlatformFit(Brief):
 
 
 def fit_platform(beams: CrossBeams, half_size_m: float, target_hz: Mapping[str, float]) -> PlatformFit:
-    """Return mass, height and moments of inertia with which the frame has some frequencies in Hz, by name.
+    """Return mass, height and moments of inertia for which the frame has some frequencies.
 
-    Four unknowns for four distinct frequencies at every half-size: that they are met says nothing for the model, which
-    a notice tells. Jx = Jy. Where no platform meets them, the one nearest in relative least squares.
+    `target_hz`: frequencies in Hz by name. Four unknowns fit four different frequencies at every half-size. Agreement
+    therefore does not validate the model, as a notice states. Jx = Jy. If no platform fits exactly, the result has the
+    least relative squares.
     """
     unknown = [name for name in target_hz if name not in MODE_NAMES]
     if unknown or any(not any(name in target_hz for name in group) for group in NEEDED):
         expected = "Tz, Rz, one of Tx, Ty and one of Rx, Ry"
-        raise ValueError(f"wanted_hz: expected {expected}, found {', '.join(target_hz) or 'none'}")
+        raise ValueError(f"target_hz: expected {expected}, found {', '.join(target_hz) or 'none'}")
     frame = cross_frame(beams, half_size_m, PIECES)
     targets = np.array([np.mean([target_hz[name] for name in group if name in target_hz]) for group in NEEDED])
 
     def platform(logarithms: FloatArray) -> RigidPart:
-        """The platform of logarithms of mass, height, and two radii of gyration."""
+        """Return the platform from logarithms of mass, height and two radii of gyration."""
         mass, height, across, along = np.exp(np.clip(logarithms, -30.0, 30.0))  # a trial step may go anywhere
         return RigidPart(float(mass), float(height), mass * np.array([across, across, along]) ** 2)
 
@@ -415,33 +459,32 @@ def fit_platform(beams: CrossBeams, half_size_m: float, target_hz: Mapping[str, 
         return np.asarray(np.log(np.maximum(hertz[[MODE_NAMES.index(group[0]) for group in NEEDED]] / targets, 1e-30)))
 
     def point(logarithms: FloatArray) -> WhitenedResiduals:
-        here, moves = misfit(logarithms), SMALL * np.eye(len(logarithms))
-        slopes = [(misfit(logarithms + move) - here) / SMALL for move in moves]
-        return WhitenedResiduals(logarithms, here, np.stack(slopes, axis=1))
+        residual, moves = misfit(logarithms), SMALL * np.eye(len(logarithms))
+        slopes = [(misfit(logarithms + move) - residual) / SMALL for move in moves]
+        return WhitenedResiduals(logarithms, residual, np.stack(slopes, axis=1))
 
     start = point(_start(platform_stiffness(frame), targets))
     fit = levenberg_marquardt(point, start, LMOptions(predicted_decrease_share=1e-14)).point
     fitted, worst = platform(fit.parameters), float(np.max(np.abs(np.expm1(fit.residual))))
     where = f"platform of half-size {1e3 * half_size_m:g} mm"
-    text = (
-        "mass, height and moments of inertia are fitted to the frequencies: other half-sizes meet them too, with other "
-        "data, so that agreement does not validate the model; only platform data from a drawing or a balance can"
-    )
-    notices = [Notice("warning", text, where)]
+    notices = [Notice(PLATFORM_NOT_VALIDATED, where)]
     if worst > EXACT:
-        notices.append(Notice("warning", f"no platform meets all frequencies; {100.0 * worst:.2g} % are left", where))
+        notices.append(Notice(PLATFORM_MISFIT, where, misfit_percent=100.0 * worst))
     return PlatformFit(half_size_m, fitted, frame_modes(frame, fitted, 8).frequency_hz, worst, tuple(notices))
 
 
 def platform_family(
     beams: CrossBeams, half_sizes_m: Sequence[float], target_hz: Mapping[str, float]
 ) -> tuple[PlatformFit, ...]:
-    """Return the fit at every half-size: the family between whose members the frequencies do not choose."""
+    """Return the fits at several half-sizes, which the frequencies do not distinguish."""
     return tuple(fit_platform(beams, half_size, target_hz) for half_size in half_sizes_m)
 
 
 def _start(stiffness: FloatArray, targets: FloatArray) -> FloatArray:
-    """Where to begin: a mass for Tz, a height that lowers Tx to where it is, gyrations for Rx and Rz."""
+    """Return start values of mass, height and radii of gyration.
+
+    Mass from Tz, height from Tx, radii from Rx and Rz.
+    """
     omega = (2.0 * np.pi * targets) ** 2
     mass = stiffness[2] / omega[1]
     turning = stiffness[3] / omega[2] / mass

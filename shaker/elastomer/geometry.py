@@ -1,4 +1,4 @@
-"""The cross-beam element: material and dimensions, its beams as matrices, its stiffness by beam formulas."""
+"""Cross-beam element: material and dimensions, beam matrices, stiffness by beam formulas."""
 
 from __future__ import annotations
 
@@ -24,13 +24,16 @@ class ElasticMaterial:
 
     @property
     def shear_modulus_pa(self) -> float:
-        """G = E/(2(1 + ν)); the publication of the wrist sensor leaves out the 2."""
+        """G = E/(2(1 + ν)); the publication of the wrist sensor omits the 2."""
         return self.youngs_modulus_pa / (2.0 * (1.0 + self.poisson_ratio))
 
 
 @dataclass(frozen=True)
 class Section:
-    """A rectangle: `width_m` along the local y axis (in the plane of the cross), `height_m` along z (across it)."""
+    """A rectangular section.
+
+    `width_m` along the local y axis (in the plane of the cross), `height_m` along z (across it).
+    """
 
     width_m: float
     height_m: float
@@ -55,19 +58,23 @@ class Section:
 
     @property
     def torsion_m4(self) -> float:
-        """Torsion constant a·b³·(1/3 - 0.21·b/a·(1 - b⁴/12a⁴)), a ≥ b: within 0.5 % of Saint-Venant's (Roark)."""
+        """Torsion constant of the rectangle after Roark, within 0.5 % of Saint-Venant's.
+
+        a·b³·(1/3 - 0.21·b/a·(1 - b⁴/12a⁴)), a ≥ b.
+        """
         a, b = max(self.width_m, self.height_m), min(self.width_m, self.height_m)
         return a * b**3 * (1.0 / 3.0 - 0.21 * b / a * (1.0 - b**4 / (12.0 * a**4)))
 
 
 @dataclass(frozen=True)
 class CrossBeams:
-    """A cross of four beams, each joined at its outer end to the middle of a compliant beam clamped in two rims.
+    """A cross of four beams, each joined at its outer end to a compliant beam.
 
-    x and y run along the cross beams, z across the plane. `span_m` l: between the axes of opposite compliant beams,
-    through the platform. `beam_width_m` in the plane (h of Table 1), `beam_height_m` along z (b). Compliant beams:
-    `compliant_thickness_m` along the cross beam (h2), `compliant_length_m` between the rims (l2),
-    `compliant_height_m` along z. `shear_factor`: K of K·G·A, 5/6 of a rectangle.
+    The compliant beam is clamped in two rims; the joint is at its middle. x and y are along the cross beams, z is
+    across the plane. `span_m` l: between the axes of opposite compliant beams, through the platform. `beam_width_m` in
+    the plane (h of Table 1), `beam_height_m` along z (b). Compliant beams: `compliant_thickness_m` along the cross beam
+    (h2), `compliant_length_m` between the rims (l2), `compliant_height_m` along z. `shear_factor`: K of K·G·A, 5/6 for
+    a rectangle.
     """
 
     material: ElasticMaterial
@@ -94,7 +101,10 @@ class CrossBeams:
         return Section(self.compliant_thickness_m, self.compliant_height_m)
 
     def arm_m(self, half_size_m: float) -> float:
-        """Return the free length of a cross beam, from the platform's face to the compliant beam's axis."""
+        """Return the free length of a cross beam.
+
+        From the platform's face to the compliant beam's axis.
+        """
         arm = 0.5 * self.span_m - half_size_m
         if half_size_m < 0.0 or arm <= 0.0:
             raise ValueError(f"half_size_m: expected from 0 to below half the span {self.span_m}, found {half_size_m}")
@@ -102,7 +112,6 @@ class CrossBeams:
 
 
 def _check_positive(owner: object, names: tuple[str, ...]) -> None:
-    """Raise unless the named numbers are above zero."""
     for name in names:
         if not getattr(owner, name) > 0.0:
             raise ValueError(f"{name}: expected a number above 0, found {getattr(owner, name)}")
@@ -111,61 +120,67 @@ def _check_positive(owner: object, names: tuple[str, ...]) -> None:
 # Stiffness and mass of a straight Timoshenko beam in space, 12 × 12.
 
 IN_PLANE, ACROSS = [1, 5, 7, 11], [2, 4, 8, 10]
-"""Deflection and slope of both ends in the planes xy and xz; in the latter a positive slope is a negative turn."""
+"""Deflection and slope of both ends in the planes xy and xz; in xz a positive slope is a negative rotation."""
 ALONG, TWIST = [0, 6], [3, 9]
 
 
 def beam_matrices(
     material: ElasticMaterial, section: Section, length_m: float, shear_factor: float
 ) -> tuple[FloatArray, FloatArray]:
-    """Return stiffness and consistent mass (12, 12) over (ux uy uz rx ry rz) of the two ends, x along the beam.
+    """Return stiffness and consistent mass (12, 12) of a Timoshenko beam, x along the beam.
 
-    Axial, torsion, two bending planes with shear and rotary inertia, Φ = 12EI/(KGAL²): exact in statics.
-    Przemieniecki 1968, sections 5.6 and 11.3 (the cubic functions of a beam that shears).
+    Over (ux uy uz rx ry rz) of the two ends. Axial, torsion, two bending planes with shear and rotary inertia, Φ =
+    12EI/(KGAL²); exact in statics. Przemieniecki 1968, sections 5.6 and 11.3 (cubic functions of a beam with shear).
     """
     stiffness, mass = np.zeros((12, 12)), np.zeros((12, 12))
     modulus, shear = material.youngs_modulus_pa, material.shear_modulus_pa
     area, density = section.area_m2, material.density_kgm3
     planes = ((section.bending_in_plane_m4, IN_PLANE, 1.0), (section.bending_across_m4, ACROSS, -1.0))
     polar = section.bending_in_plane_m4 + section.bending_across_m4
-    for places, elastic, inert in (
+    for indices, elastic, inert in (
         (ALONG, modulus * area, density * area),
         (TWIST, shear * section.torsion_m4, density * polar),
     ):
-        stiffness[np.ix_(places, places)] += elastic / length_m * np.array([[1.0, -1.0], [-1.0, 1.0]])
-        mass[np.ix_(places, places)] += inert * length_m / 6.0 * np.array([[2.0, 1.0], [1.0, 2.0]])
-    for second_moment, places, sense in planes:
+        stiffness[np.ix_(indices, indices)] += elastic / length_m * np.array([[1.0, -1.0], [-1.0, 1.0]])
+        mass[np.ix_(indices, indices)] += inert * length_m / 6.0 * np.array([[2.0, 1.0], [1.0, 2.0]])
+    for second_moment, indices, sense in planes:
         phi = 12.0 * modulus * second_moment / (shear_factor * shear * area * length_m**2)
         turn, square = np.outer(*(np.array([1.0, sense, 1.0, sense]),) * 2), length_m**2
         bending = _symmetric(12.0, 6.0 * length_m, (4.0 + phi) * square, (2.0 - phi) * square) / (1.0 + phi)
         slope = (1.0 / 10.0 - phi / 2.0) * length_m
-        own = (2.0 / 15.0 + phi / 6.0 + phi**2 / 3.0) * square, (-1.0 / 30.0 - phi / 6.0 + phi**2 / 6.0) * square
-        rotation = _symmetric(1.2, slope, *own) / (1.0 + phi) ** 2
+        rotary = (2.0 / 15.0 + phi / 6.0 + phi**2 / 3.0) * square, (-1.0 / 30.0 - phi / 6.0 + phi**2 / 6.0) * square
+        rotation = _symmetric(1.2, slope, *rotary) / (1.0 + phi) ** 2
         inert_part = density * area * length_m * _translation(phi, length_m)
         inert_part += density * second_moment / length_m * rotation
-        stiffness[np.ix_(places, places)] += turn * (modulus * second_moment / length_m**3 * bending)
-        mass[np.ix_(places, places)] += turn * inert_part
+        stiffness[np.ix_(indices, indices)] += turn * (modulus * second_moment / length_m**3 * bending)
+        mass[np.ix_(indices, indices)] += turn * inert_part
     return stiffness, mass
 
 
 def lump_mass(mass: FloatArray) -> FloatArray:
-    """Return a diagonal mass (12, 12): half the beam's mass and twist at each end, turns as on its diagonal."""
+    """Return a diagonal mass (12, 12): half the beam's mass and twist at each end.
+
+    Rotations have the diagonal terms of the consistent matrix.
+    """
     total = float(mass[np.ix_(ALONG, ALONG)].sum())
     twist = float(mass[np.ix_(TWIST, TWIST)].sum())
     parts = np.array([total, total, total, twist, 0.0, 0.0]) / 2.0
-    for place, plane in ((5, IN_PLANE), (4, ACROSS)):
+    for index, plane in ((5, IN_PLANE), (4, ACROSS)):
         turn = mass[np.ix_(plane, plane)]
-        parts[place] = float(turn[1, 1] + turn[3, 3]) / 2.0
+        parts[index] = float(turn[1, 1] + turn[3, 3]) / 2.0
     return np.diag(np.concatenate([parts, parts]))
 
 
 def _symmetric(force: float, a: float, b: float, c: float) -> FloatArray:
-    """A matrix (4, 4) over deflection and slope of both ends that no common deflection moves."""
+    """Return a matrix (4, 4) over deflection and slope of both ends.
+
+    It is zero for a common deflection.
+    """
     return np.array([[force, a, -force, a], [a, b, -a, c], [-force, -a, force, -a], [a, c, -a, b]])
 
 
 def _translation(phi: float, length: float) -> FloatArray:
-    """Mass (4, 4) of the deflection, less ρAL."""
+    """Return the mass (4, 4) of the deflection, divided by ρAL."""
     a = 13.0 / 35.0 + 7.0 * phi / 10.0 + phi**2 / 3.0
     b = (11.0 / 210.0 + 11.0 * phi / 120.0 + phi**2 / 24.0) * length
     c = 9.0 / 70.0 + 3.0 * phi / 10.0 + phi**2 / 6.0
@@ -176,16 +191,16 @@ def _translation(phi: float, length: float) -> FloatArray:
     return np.array(rows) / (1.0 + phi) ** 2
 
 
-# Stiffness of the element by beam formulas: those of the publication by name, and what is right in their place.
+# Stiffness of the element by beam formulas: published and correct ones.
 
 
 @dataclass(frozen=True)
 class PublishedStatics:
-    """Equations 5 to 11 of J. Sensors 2018, 6216979, as printed, on a geometry; to be shown beside what is right.
+    """Published beam formulas as printed, for comparison.
 
-    They depart from mechanics in: the shear modulus (twice too large), compliant beams as cantilevers of half their
-    length (eq. 6; symmetry keeps the slope at mid-span zero, which makes them four times as stiff), the shear of those
-    (eq. 6; four times too large), and in the platform, which is a point.
+    Equations 5 to 11 of J. Sensors 2018, 6216979. They deviate from mechanics in four points. The shear modulus is
+    twice too large. Compliant beams are cantilevers of half their length (eq. 6); by symmetry the slope at mid-span is
+    zero, which makes them four times as stiff. Their shear is four times too large (eq. 6). The platform is a point.
     """
 
     beams: CrossBeams
@@ -213,26 +228,36 @@ class PublishedStatics:
 
     @property
     def beam_share(self) -> float:
-        """F_Q/F of that ratio r: F = 2F_Q + 4F_c, so r/(2r + 4); equation 10 gives 0.4."""
+        """Share F_Q/F of that ratio r.
+
+        F = 2F_Q + 4F_c gives r/(2r + 4); equation 10 gives 0.4.
+        """
         return self.force_ratio / (2.0 * self.force_ratio + 4.0)
 
     def stiffness(self, beam_share: float = 0.4) -> float:
-        """Return k = 1/(2F_Q/F·ω/F_e) in N/m, equation 11; with F_Q = 0.4F it is 1/(l³/60EI + l/5KGA)."""
+        """Return k = 1/(2F_Q/F·ω/F_e) in N/m, equation 11.
+
+        With F_Q = 0.4F it is 1/(l³/60EI + l/5KGA).
+        """
         return 1.0 / (2.0 * beam_share * self.beam_compliance)
 
 
 @dataclass(frozen=True)
 class BeamStiffness:
-    """Forces per displacement of a platform that does not turn, in N/m: along x (and y), and along z."""
+    """Forces per displacement of a platform without rotation.
+
+    In N/m: along x (and y), and along z.
+    """
 
     x: float
     z: float
 
 
 def guided_stiffness(beams: CrossBeams) -> float:
-    """Return k in N/m in the plane of a point on hinged cross beams, compliant beams guided at mid-span.
+    """Return k in N/m in the plane, of a point on hinged cross beams.
 
-    k = 1/(l³/48EI + l/4KGA) + 4/(l_c³/96EI_c + l_c/2KGA_c): the publication's model with equation 6 and G put right.
+    Compliant beams are guided at mid-span. k = 1/(l³/48EI + l/4KGA) + 4/(l_c³/96EI_c + l_c/2KGA_c): the published model
+    with correct equation 6 and G.
     """
     modulus, shear = beams.material.youngs_modulus_pa, beams.shear_factor * beams.material.shear_modulus_pa
     length, beam = beams.span_m, beams.beam
@@ -243,19 +268,19 @@ def guided_stiffness(beams: CrossBeams) -> float:
 
 
 def beam_stiffness(beams: CrossBeams, half_size_m: float) -> BeamStiffness:
-    """Return the stiffnesses of a rigid platform of half-size p that is moved without turning, in closed form.
+    """Return the stiffnesses of a rigid platform of half-size p without rotation, in closed form.
 
-    Every arm of length l/2 - p is guided by the platform and rests at its outer end on the compliant beam: on its
-    bending and elongation in the plane, on its bending and torsion across it. Two arms bend and two are pulled along
-    x; all four bend along z. Shear by Timoshenko's theory throughout.
+    Every arm of length l/2 - p is guided by the platform and supported at its outer end by the compliant beam: by its
+    bending and elongation in the plane, by its bending and torsion across it. Two arms bend and two are pulled along x;
+    all four bend along z. Shear is included by Timoshenko's theory.
     """
     material, arm = beams.material, beams.arm_m(half_size_m)
     modulus, half = material.youngs_modulus_pa, 0.5 * beams.compliant_length_m
     beam, compliant = beams.beam, beams.compliant
-    turned = 2.0 * _end(beams, half, compliant.bending_in_plane_m4, compliant.area_m2)
+    bent = 2.0 * _end(beams, half, compliant.bending_in_plane_m4, compliant.area_m2)
     pulled = 2.0 * modulus * compliant.area_m2 / half
-    sideways = _on_support(_end(beams, arm, beam.bending_in_plane_m4, beam.area_m2), pulled, turned[1, 1])
-    along = 1.0 / (arm / (modulus * beam.area_m2) + 1.0 / turned[0, 0])
+    sideways = _on_support(_end(beams, arm, beam.bending_in_plane_m4, beam.area_m2), pulled, bent[1, 1])
+    along = 1.0 / (arm / (modulus * beam.area_m2) + 1.0 / bent[0, 0])
     raised = 2.0 * _end(beams, half, compliant.bending_across_m4, compliant.area_m2)
     twisted = 2.0 * material.shear_modulus_pa * compliant.torsion_m4 / half
     upward = _on_support(_end(beams, arm, beam.bending_across_m4, beam.area_m2), raised[0, 0], twisted)
@@ -263,7 +288,10 @@ def beam_stiffness(beams: CrossBeams, half_size_m: float) -> BeamStiffness:
 
 
 def _end(beams: CrossBeams, length: float, bending_m4: float, area_m2: float) -> FloatArray:
-    """Stiffness (2, 2) of a beam's end against deflection and slope, its other end clamped."""
+    """Return the stiffness (2, 2) of a beam's free end.
+
+    For deflection and slope; the other end is clamped.
+    """
     bending = beams.material.youngs_modulus_pa * bending_m4
     shear = beams.shear_factor * beams.material.shear_modulus_pa * area_m2
     compliance = np.array([[length**2 / 3.0, length / 2.0], [length / 2.0, 1.0]]) * length / bending
@@ -272,7 +300,7 @@ def _end(beams: CrossBeams, length: float, bending_m4: float, area_m2: float) ->
 
 
 def _on_support(end: FloatArray, spring: float, turn: float) -> float:
-    """Force per displacement of an arm's guided end whose other end rests on a spring and a torsion spring."""
+    """Return the force per displacement of an arm's guided end, its other end on springs."""
     outer = end + np.diag([spring, turn])
     pushed = np.array([-end[0, 0], -end[0, 1]])
     return float(end[0, 0] - pushed @ np.linalg.solve(outer, pushed))

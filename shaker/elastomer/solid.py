@@ -1,6 +1,6 @@
-"""The element as an elastic solid of quadratic hexahedra: what the frame leaves out, joints and plates that bend.
+"""Cross-beam element as an elastic solid of quadratic hexahedra, with elastic joints and plates.
 
-Needs scikit-fem (`pip install shakercal[solid]`).
+Requires scikit-fem (`pip install shakercal[solid]`).
 """
 
 from __future__ import annotations
@@ -22,17 +22,17 @@ PARITIES = {"vertical": (False, False), "sideways": (True, False), "turning": (T
 NAMED = {"vertical": ("Tz",), "sideways": ("Tx", "Ry"), "turning": ("Rz",)}
 """Rigid motions of each kind; Ty and Rx are Tx and Ry mirrored in the diagonal."""
 COARSE_LENGTH = 6.0
-"""Longest edge of the coarsest mesh over the thinnest section: longer elements hold thin beams straight."""
+"""Longest edge of the coarsest mesh over the thinnest section; longer elements are too stiff in bending."""
 COUNT = 6
-"""Modes computed of each kind."""
+"""Number of computed modes of each kind."""
 
 
 @dataclass(frozen=True)
 class SolidBlock:
-    """The elastic platform: a block of edge 2·`half_size_m`, `thickness_m` high, its centre at `height_m`.
+    """The elastic platform: a block of edge 2·`half_size_m`, `thickness_m` high, centre at `height_m`.
 
-    `density_kgm3` of the block, 0 where `attached` holds its mass too. `attached`: rigid parts that follow the block's
-    mean motion. `stiffening`: factor on the block's modulus; a large one shows what a rigid platform would do.
+    `density_kgm3` of the block, 0 if `attached` includes its mass. `attached`: rigid parts that follow the block's mean
+    motion. `stiffening`: factor on the block's modulus; a large one shows the effect of a rigid platform.
     """
 
     half_size_m: float
@@ -52,10 +52,10 @@ class SolidBlock:
 
 @dataclass(frozen=True, repr=False)
 class SolidModel(Brief):
-    """Solution on one mesh: `frequency_hz`, `stiffness` (6,) in the order of `NAMES`; `unknowns` of the whole element.
+    """Solution on one mesh: `frequency_hz`, `stiffness` (6,) in the order of `MODE_NAMES`.
 
-    `stiffness`: load per mean displacement or turn of the platform in N/m, N·m/rad. `vertex_m` (V, 3), `cell` (C, 8) of
-    the quarter x, y ≥ 0, `motion` (6, V, 3) of its vertices in every mode.
+    `stiffness`: load per mean displacement or rotation of the platform in N/m, N·m/rad. `unknowns` of the whole
+    element. `vertex_m` (V, 3), `cell` (C, 8) of the quarter x, y ≥ 0, `motion` (6, V, 3) of its vertices in every mode.
     """
 
     frequency_hz: FloatArray
@@ -67,17 +67,17 @@ class SolidModel(Brief):
 
 
 def solve_solid(beams: CrossBeams, block: SolidBlock, refinement: int = 2) -> SolidModel:
-    """Return frequencies and stiffness of the solid, edges no longer than 6/`refinement` times the thinnest section.
+    """Return frequencies and stiffness of the solid.
 
-    Two planes of symmetry leave a quarter, solved once for each kind of motion. The sides of the compliant beams'
-    ends are clamped, as welded into rigid rims.
+    Edges are at most 6/`refinement` times the thinnest section. By two planes of symmetry a quarter is solved once for
+    each kind of motion. The sides of the compliant beams' ends are clamped, as if welded to rigid rims.
     """
     quarter = _Quarter(beams, block, refinement)
     frequency, stiffness, motion = {}, {}, {}
     for kind, names in NAMED.items():
         hertz, shapes, rigid_stiffness = quarter.solve(kind)
-        for place, name in enumerate(names):
-            frequency[name], motion[name], stiffness[name] = hertz[place], shapes[place], rigid_stiffness[place]
+        for index, name in enumerate(names):
+            frequency[name], motion[name], stiffness[name] = hertz[index], shapes[index], rigid_stiffness[index]
     for name, like in (("Ty", "Tx"), ("Rx", "Ry")):
         frequency[name], stiffness[name] = frequency[like], stiffness[like]
         motion[name] = quarter.mirrored(motion[like]) * (1.0 if name == "Ty" else -1.0)
@@ -92,7 +92,7 @@ def solve_solid(beams: CrossBeams, block: SolidBlock, refinement: int = 2) -> So
 
 
 def mesh_change(models: tuple[SolidModel, ...]) -> FloatArray:
-    """Return the relative change (6,) of the frequencies from the last mesh but one to the last."""
+    """Return the relative change (6,) of the frequencies between the last two meshes."""
     if len(models) < 2:
         raise ValueError(f"models: expected two meshes or more, found {len(models)}")
     return np.asarray(models[-1].frequency_hz / models[-2].frequency_hz - 1.0)
@@ -131,7 +131,7 @@ class _Quarter:
         return stiffness.tocsc(), mass.tocsr(), geometry.tocsr()
 
     def _assembled(self, local: FloatArray) -> Any:
-        """Sparse matrix of the matrices (C, L, 3, L, 3) of all cells."""
+        """Return the sparse matrix of the matrices (C, L, 3, L, 3) of all cells."""
         from scipy.sparse import coo_matrix
 
         unknown = 3 * self.basis.element_dofs.T[:, :, None] + np.arange(3)
@@ -141,17 +141,17 @@ class _Quarter:
         return coo_matrix((local.ravel(), (row.ravel(), column.ravel())), shape=(size, size))
 
     def solve(self, kind: str) -> tuple[FloatArray, list[FloatArray], FloatArray]:
-        """Return the modes named after the rigid motions of one kind: Hz, motion of vertices (V, 3), stiffness."""
+        """Return the modes of one kind: Hz, motion of vertices (V, 3), stiffness."""
         from scipy.sparse.linalg import LinearOperator, eigsh, splu
 
         stiffness, mass, geometry = self.matrices
         free = self._free(kind)
-        places = [MODE_NAMES.index(name) for name in NAMED[kind]]
-        rigid = np.concatenate([rigid_motion(place)[:3] for place in self.basis.doflocs.T])[:, places]
+        indices = [MODE_NAMES.index(name) for name in NAMED[kind]]
+        rigid = np.concatenate([rigid_motion(point)[:3] for point in self.basis.doflocs.T])[:, indices]
         weighed = geometry @ rigid
         mean = (weighed @ np.linalg.inv(rigid.T @ weighed))[free]
         part = self.block.attached
-        extra = np.zeros((len(places),) * 2) if part is None else part.mass_matrix[np.ix_(places, places)] / 4.0
+        extra = np.zeros((len(indices),) * 2) if part is None else part.mass_matrix[np.ix_(indices, indices)] / 4.0
         inert = mass[free][:, free]
         solver = splu(stiffness[free][:, free], permc_spec="MMD_AT_PLUS_A", options={"SymmetricMode": True})
         size = len(free)
@@ -167,7 +167,7 @@ class _Quarter:
             OPinv=LinearOperator((size, size), matvec=solver.solve, dtype=np.float64),
             v0=solver.solve(mean.sum(axis=1)),
         )
-        factor = shape.T @ weigh(_apart(rigid[free], weigh))
+        factor = shape.T @ weigh(_normalised(rigid[free], weigh))
         chosen = assign_names(factor)
         sign = np.where(factor[chosen, np.arange(len(chosen))] < 0.0, -1.0, 1.0)
         whole = np.zeros((3 * self.basis.N, len(chosen)))
@@ -181,26 +181,29 @@ class _Quarter:
         """Return the motion (V, 3) of vertices mirrored in the diagonal x = y."""
         points = self.mesh.p.T
         key = np.round(points * 1e9).astype(np.int64)
-        place = {tuple(row): i for i, row in enumerate(key.tolist())}
-        other = np.array([place[y, x, z] for x, y, z in key.tolist()])
+        index = {tuple(row): i for i, row in enumerate(key.tolist())}
+        other = np.array([index[y, x, z] for x, y, z in key.tolist()])
         return np.asarray(motion[other][:, [1, 0, 2]])
 
     def _free(self, kind: str) -> IntArray:
-        """Unknowns that neither clamp nor symmetry holds."""
+        """Return the unknowns without clamp or symmetry condition."""
         beams, near = self.beams, 1e-9
         inner, half = 0.5 * (beams.span_m - beams.compliant_thickness_m), 0.5 * beams.compliant_length_m
-        x, y, _ = place = np.asarray(self.basis.doflocs)  # node n has the unknowns 3n, 3n + 1, 3n + 2
+        x, y, _ = point = np.asarray(self.basis.doflocs)  # node n has the unknowns 3n, 3n + 1, 3n + 2
         clamped = (np.abs(y - half) < near) & (x > inner - near) | (np.abs(x - half) < near) & (y > inner - near)
-        held = np.repeat(clamped[:, None], 3, axis=1)
+        fixed = np.repeat(clamped[:, None], 3, axis=1)
         for axis, reversed_sign in enumerate(PARITIES[kind]):
-            plane = np.abs(place[axis]) < near
+            plane = np.abs(point[axis]) < near
             normal = np.arange(3) == axis
-            held |= plane[:, None] & (~normal if reversed_sign else normal)
-        return np.flatnonzero(~held.ravel())
+            fixed |= plane[:, None] & (~normal if reversed_sign else normal)
+        return np.flatnonzero(~fixed.ravel())
 
 
 def _elastic(basis: Any, first: float, second: float) -> FloatArray:
-    """Stiffness (C, L, 3, L, 3) of every cell: ∫ λ ∂_a N_i ∂_b N_j + μ (∂_b N_i ∂_a N_j + δ_ab ∇N_i·∇N_j) dV."""
+    """Return the stiffness (C, L, 3, L, 3) of every cell.
+
+    ∫ λ ∂_a N_i ∂_b N_j + μ (∂_b N_i ∂_a N_j + δ_ab ∇N_i·∇N_j) dV.
+    """
     gradient = np.stack([field.grad for (field,) in basis.basis])
     functions, axes, cells, points = gradient.shape
     flat = gradient.reshape(functions * axes, cells, points).transpose(1, 0, 2)
@@ -214,7 +217,10 @@ def _elastic(basis: Any, first: float, second: float) -> FloatArray:
 
 
 def _inert(basis: Any) -> FloatArray:
-    """Mass (C, L, 3, L, 3) of every cell at unit density: ∫ N_i N_j δ_ab dV."""
+    """Return the mass (C, L, 3, L, 3) of every cell at unit density.
+
+    ∫ N_i N_j δ_ab dV.
+    """
     value = np.stack([np.broadcast_to(np.asarray(field), basis.dx.shape) for (field,) in basis.basis], axis=1)
     product = (value * basis.dx[:, None, :]) @ value.transpose(0, 2, 1)
     local = np.zeros((*product.shape[:2], 3, product.shape[2], 3))
@@ -223,18 +229,18 @@ def _inert(basis: Any) -> FloatArray:
     return local
 
 
-def _apart(rigid: FloatArray, weigh: Callable[[FloatArray], FloatArray]) -> FloatArray:
-    """Rigid motions (N, k) of mass 1, a turn being about the centre of mass instead of the origin."""
+def _normalised(rigid: FloatArray, weigh: Callable[[FloatArray], FloatArray]) -> FloatArray:
+    """Return rigid motions (N, k) of mass 1, rotations about the centre of mass."""
     motions = rigid.copy()
-    for place in range(rigid.shape[1]):
-        for other in range(place):
-            motions[:, place] -= motions[:, other] * (motions[:, other] @ weigh(rigid[:, place]))
-        motions[:, place] /= np.sqrt(motions[:, place] @ weigh(motions[:, place]))
+    for column in range(rigid.shape[1]):
+        for other in range(column):
+            motions[:, column] -= motions[:, other] * (motions[:, other] @ weigh(rigid[:, column]))
+        motions[:, column] /= np.sqrt(motions[:, column] @ weigh(motions[:, column]))
     return motions
 
 
 def _check_mesh(beams: CrossBeams, block: SolidBlock) -> None:
-    """Refuse sizes of which no element can be made: what must meet does, what must not does not."""
+    """Refuse sizes for which parts would not meet or would overlap."""
     clear = beams.span_m - beams.compliant_thickness_m
     if beams.compliant_length_m > clear:
         expected = f"at most {clear} m, where compliant beams meet"
@@ -251,7 +257,10 @@ def _check_mesh(beams: CrossBeams, block: SolidBlock) -> None:
 
 
 def _mesh(beams: CrossBeams, block: SolidBlock, refinement: int) -> tuple[Any, Any]:
-    """Mesh of the quarter, cells of a grid that lie in one of the boxes; which of them (C,) are the platform's."""
+    """Return the mesh of the quarter, and the mask (C,) of the platform's cells.
+
+    Cells are those of a grid that lie in one of the boxes.
+    """
     from skfem import MeshHex
 
     inner, outer = (0.5 * (beams.span_m + sign * beams.compliant_thickness_m) for sign in (-1.0, 1.0))
@@ -265,16 +274,16 @@ def _mesh(beams: CrossBeams, block: SolidBlock, refinement: int) -> tuple[Any, A
     x, y, z = mesh.p[:, mesh.t].mean(axis=1)
     platform = (x < side) & (y < side) & (z > low) & (z < high)
     inside = platform.copy()
-    for along, beside in ((x, y), (y, x)):
-        inside |= (along < inner) & (beside < across) & (np.abs(z) < 0.5 * beams.beam_height_m) & (along > side)
-        compliant = (along > inner) & (along < outer) & (beside < half)
+    for along, across_axis in ((x, y), (y, x)):
+        inside |= (along < inner) & (across_axis < across) & (np.abs(z) < 0.5 * beams.beam_height_m) & (along > side)
+        compliant = (along > inner) & (along < outer) & (across_axis < half)
         inside |= compliant & (np.abs(z) < 0.5 * beams.compliant_height_m)
-    kept = np.flatnonzero(inside)
-    return mesh.restrict(kept), platform[kept]
+    cells = np.flatnonzero(inside)
+    return mesh.restrict(cells), platform[cells]
 
 
 def _divided(breaks: set[float], longest: float) -> FloatArray:
-    """Grid lines through all breaks and between them, none further apart than `longest`."""
+    """Return grid lines through all breaks, at most `longest` apart."""
     ends = np.unique(np.round(sorted(breaks), 12))
     parts = [ends[:1]]
     for start, stop in pairwise(ends):

@@ -1,1 +1,1 @@
-"""Frequency response functions: measuring chains as stated, transfer functions as measured."""
+"""Frequency response functions: stated measuring chains, and measured transfer functions."""

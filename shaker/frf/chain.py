@@ -1,4 +1,4 @@
-"""The frequency response of a measuring chain: from a table or from gain and poles, multiplied up, and taken off."""
+"""Frequency response of a measuring chain: from tables or poles, combined, and corrected."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ import numpy as np
 from shaker.arrays import BoolArray, ComplexArray, FloatArray, check_shape, check_shapes
 from shaker.frf.spline import cubic_spline
 from shaker.labels import MOTION_UNITS
-from shaker.lti.system import pair_conjugates
+from shaker.lti.roots import pair_conjugates
 from shaker.sine.phasor import derivative_factor
 
 FilterKind = Literal["butterworth", "bessel", "resonance"]
@@ -21,7 +21,7 @@ QUANTITIES = ("displacement", "velocity", "acceleration")
 """Names of the quantities that differentiation turns into each other, by the order of the derivative."""
 FEWEST_TO_HALVE = 6
 """Points of a table from which on halves and quarters of it show how the error of interpolation falls with the step."""
-LEAST_SHARE = 1.0 / 8.0
+MIN_ERROR_SHARE = 1.0 / 8.0
 """Twice the share by which halved steps lessen the error of a cubic spline through a smooth function."""
 
 
@@ -29,10 +29,15 @@ LEAST_SHARE = 1.0 / 8.0
 class ChainResponse:
     """Response of a chain at K lines: true phasor = measured phasor / `value`.
 
-    `value` (K,) complex; `errors` (E, K): the complex relative deviation of `value` (real part: of the magnitude,
-    imaginary part: of the phase in rad) that one standard deviation of each of E independent causes makes, at all
-    lines at once; `causes` (E names).
+    Attributes
+    ----------
+    value : (K,), complex response.
+    errors : (E, K), complex relative deviation of `value` for one standard deviation of each of E independent causes,
+        at all lines at once; real part: magnitude, imaginary part: phase in rad.
+    causes : E names.
 
+    Examples
+    --------
     >>> import numpy as np
     >>> from shaker import ChainResponse
     >>> amplifier = ChainResponse(np.array([0.99 - 0.1j]), np.array([[1e-3 + 2e-3j]]), ("calibration",))
@@ -61,9 +66,9 @@ class ChainResponse:
 
 @dataclass(frozen=True)
 class ResponseTable:
-    """A calibrated response at N ascending frequencies: `magnitude` > 0 and `phase_rad` (of any turn), (N,) each.
+    """A calibrated response at N ascending frequencies: `magnitude` > 0 and `phase_rad`, (N,) each.
 
-    `u_magnitude` is in the unit of the magnitude, `u_phase_rad` in rad.
+    `phase_rad` may include whole turns. `u_magnitude` is in the unit of the magnitude, `u_phase_rad` in rad.
     """
 
     frequency_hz: FloatArray
@@ -83,9 +88,10 @@ class ResponseTable:
 
 @dataclass(frozen=True)
 class PoleModel:
-    """H(jω) = k·Π(jω − z) / Π(jω − p)·exp(−jωτ), z and p in rad/s, τ = `delay_s`.
+    """Response of zeros, poles, gain and delay.
 
-    `gain` is k where `gain_hz` is None, else the value (sign included) that |H| has at this frequency.
+    H(jω) = k·Π(jω − z) / Π(jω − p)·exp(−jωτ), z and p in rad/s, τ = `delay_s`. `gain` is k where `gain_hz` is None,
+    else the value (with sign) of |H| at this frequency.
     """
 
     zeros: ComplexArray = field(default_factory=lambda: np.empty(0, dtype=np.complex128))
@@ -107,29 +113,29 @@ class PoleModel:
 def table_response(table: ResponseTable, frequency_hz: FloatArray) -> ChainResponse:
     """Interpolate a response table to frequencies (K,) in Hz within its range.
 
-    Cubic splines (not-a-knot) through ln|H| and through the phase, from which the mean delay has been taken, over f
-    or ln f, whichever predicts the table's points better from their neighbours. The table's standard uncertainties,
-    linear in between, are errors common to all lines. The interpolation adds nothing at the table's points. Between
-    them its error is what leaving out every other point (odd or even ones, whichever matters more) changes, lessened as
-    far as the table shows that narrower steps help; see `_interpolation_error`.
+    Cubic splines (not-a-knot) interpolate ln|H| and the phase minus the mean delay, over f or ln f. The better scale is
+    that which predicts the table's points better from their neighbours. The table's standard uncertainties, linear in
+    between, are errors common to all lines. The interpolation error is zero at the table's points. Between them it is
+    the change without every other point (odd or even ones, whichever is larger), reduced as far as the table shows that
+    narrower steps help; see `_interpolation_error`.
     """
     low, high = table.frequency_hz[0], table.frequency_hz[-1]
     outside = [f for f in frequency_hz if not low <= f <= high]
     if outside:
         raise ValueError(f"frequency_hz: expected {low:g} to {high:g} Hz, the range of the table, found {outside[0]:g}")
     phase = np.unwrap(table.phase_rad)
-    knots, wanted = table.frequency_hz, np.asarray(frequency_hz, dtype=np.float64)
+    knots, positions = table.frequency_hz, np.asarray(frequency_hz, dtype=np.float64)
     centred = knots - knots.mean()
     spread = float(centred @ centred)
     delay = -float(centred @ phase) / (2.0 * np.pi * spread) if spread > 0.0 else 0.0
     logarithm = np.log(table.magnitude) + 1j * (phase + 2.0 * np.pi * knots * delay)
     if knots[0] > 0.0 and len(knots) >= 4 and _missed(np.log(knots), logarithm) < _missed(knots, logarithm):
-        knots, wanted = np.log(knots), np.log(wanted)
-    fine = cubic_spline(knots, logarithm, wanted)
-    change = _interpolation_error(knots, logarithm, wanted)
+        knots, positions = np.log(knots), np.log(positions)
+    fine = cubic_spline(knots, logarithm, positions)
+    change = _interpolation_error(knots, logarithm, positions)
     value = np.asarray(np.exp(fine - 2j * np.pi * np.asarray(frequency_hz) * delay), dtype=np.complex128)
-    u_magnitude = np.interp(wanted, knots, table.u_magnitude / table.magnitude)
-    u_phase = np.interp(wanted, knots, table.u_phase_rad)
+    u_magnitude = np.interp(positions, knots, table.u_magnitude / table.magnitude)
+    u_phase = np.interp(positions, knots, table.u_phase_rad)
     errors = np.stack([u_magnitude + 0j, 1j * u_phase, change])
     return ChainResponse(value, errors, ("magnitude of the table", "phase of the table", "interpolation"))
 
@@ -144,18 +150,18 @@ def pole_response(
 ) -> ChainResponse:
     """Return the response of a pole model at frequencies (K,) in Hz.
 
-    `u_gain`: relative; `u_frequency`: relative, of all zeros and poles together (a corner frequency that is off by 1 %
-    moves every pole of its filter by 1 %); `u_delay_s`. With s = jω, ∂ln H/∂ln p = p/(s − p), ∂ln H/∂ln z = −z/(s − z)
-    and ∂ln H/∂τ = −s; where the gain is stated at a frequency, its magnitude there does not move.
+    `u_gain` is relative. `u_frequency` is relative, of all zeros and poles together: a corner frequency that is off by
+    1 % moves every pole of its filter by 1 %. `u_delay_s` is in s. With s = jω, ∂ln H/∂ln p = p/(s − p), ∂ln H/∂ln z =
+    −z/(s − z) and ∂ln H/∂τ = −s. Where the gain is stated at a frequency, its magnitude there is constant.
     """
     s = derivative_factor(frequency_hz, 1)
-    gain, held = model.gain, 0.0
+    gain, fixed_slope = model.gain, 0.0
     if model.gain_hz is not None:
         at = derivative_factor(np.array([model.gain_hz]), 1)
         gain = model.gain / _finite(abs(_product(at, model)), [model.gain_hz])[0]
-        held = float(_frequency_slope(at, model)[0].real)
+        fixed_slope = float(_frequency_slope(at, model)[0].real)
     shape = _finite(_product(s, model), frequency_hz)
-    errors = np.stack([u_gain + 0.0 * s, u_frequency * (_frequency_slope(s, model) - held), -s * u_delay_s])
+    errors = np.stack([u_gain + 0.0 * s, u_frequency * (_frequency_slope(s, model) - fixed_slope), -s * u_delay_s])
     value = np.asarray(gain * shape * np.exp(-s * model.delay_s), dtype=np.complex128)
     return ChainResponse(value, np.asarray(errors), ("gain", "frequency", "delay"))
 
@@ -163,11 +169,11 @@ def pole_response(
 def filter_poles(
     kind: FilterKind, order: int, corner_hz: float, band: PassBand = "lowpass", damping: float = np.sqrt(0.5)
 ) -> PoleModel:
-    """Return a standard analogue filter of gain 1 in its pass band, its response at `corner_hz` being −3 dB.
+    """Return a standard analogue filter of pass-band gain 1.
 
-    `butterworth`, `bessel` (normalised to −3 dB, not to its delay): of an order of 1 to 12 (scipy.signal gives the
-    poles). `resonance`: one pair of poles at |p| = 2π·corner_hz with a `damping` ratio (order 2; −3 dB only at 0.707),
-    the response of an accelerometer below and at its mounted resonance.
+    Its response at `corner_hz` is −3 dB. `butterworth`, `bessel` (normalised to −3 dB, not to its delay): of an order
+    of 1 to 12 (poles from scipy.signal). `resonance`: one pair of poles at |p| = 2π·corner_hz with a `damping` ratio
+    (order 2; −3 dB only at 0.707), the response of an accelerometer below and at its mounted resonance.
     """
     if not 1 <= order <= 12:
         raise ValueError(f"order: expected 1 to 12, found {order}")
@@ -187,21 +193,22 @@ def filter_poles(
 
         design = signal.butter if kind == "butterworth" else partial(signal.bessel, norm="mag")
         zeros, poles, gain = design(order, corner, band, analog=True, output="zpk")
-    # Held in the pass band: at 0 Hz, or (k = 1) at the highest frequencies.
-    held = (1.0, 0.0) if band == "lowpass" else (float(gain), None)
-    return PoleModel(np.asarray(zeros, dtype=np.complex128), np.asarray(poles, dtype=np.complex128), *held)
+    # The gain is that of the pass band: at 0 Hz, or (k = 1) at the highest frequencies.
+    gain_statement = (1.0, 0.0) if band == "lowpass" else (float(gain), None)
+    return PoleModel(np.asarray(zeros, dtype=np.complex128), np.asarray(poles, dtype=np.complex128), *gain_statement)
 
 
-DELAYING: tuple[tuple[FilterKind, int], ...] = tuple(
+USUAL_FILTERS: tuple[tuple[FilterKind, int], ...] = tuple(
     (kind, order) for kind in ("bessel", "butterworth") for order in range(1, 9)
 )
 """Filters that amplifiers and recorders usually have."""
 
 
 def filters_of_delay(frequency_hz: FloatArray, delay_s: float) -> ComplexArray:
-    """Return responses (F, K) of usual low-pass filters with a delay at low frequencies, less this delay.
+    """Return responses (F, K) of usual low-pass filters of one delay.
 
-    Filters of poles p are late by Σ Re(-1/p) at 0 Hz, which gives their corner. 1 means that a filter delays only.
+    The delay at low frequencies is removed. Filters of poles p have a delay of Σ Re(-1/p) at 0 Hz, which determines
+    their corner. 1 means a pure delay.
 
     >>> from shaker.frf.chain import filters_of_delay
     >>> import numpy as np
@@ -209,7 +216,7 @@ def filters_of_delay(frequency_hz: FloatArray, delay_s: float) -> ComplexArray:
     0.948
     """
     s, found = derivative_factor(frequency_hz, 1), []
-    for kind, order in DELAYING:
+    for kind, order in USUAL_FILTERS:
         model = filter_poles(kind, order, 1.0)
         scale = delay_s / float(np.sum(-1.0 / model.poles).real)
         found.append(_product(scale * s, model) / _product(0.0 * s, model) * np.exp(s * delay_s))
@@ -217,16 +224,16 @@ def filters_of_delay(frequency_hz: FloatArray, delay_s: float) -> ComplexArray:
 
 
 def cascade_responses(responses: Sequence[ChainResponse]) -> ChainResponse:
-    """Return the response of elements one behind the other; their errors are independent of each other."""
+    """Return the response of elements in series; their errors are independent of each other."""
     value = np.prod([response.value for response in responses], axis=0)
     errors = np.concatenate([response.errors for response in responses])
     return ChainResponse(value, errors, tuple(cause for response in responses for cause in response.causes))
 
 
 def common_covariance(value: ComplexArray, errors: ComplexArray) -> FloatArray:
-    """Return what E independent relative errors (E, K, C) add to the covariance of phasors (K, C): (K, 2C, 2C).
+    """Return the covariance (K, 2C, 2C) from E independent relative errors.
 
-    Σ_e d_e·d_eᵀ per line, d_e = [Re, Im] of `value`·error_e.
+    The errors (E, K, C) are those of phasors (K, C). Σ_e d_e·d_eᵀ per line, d_e = [Re, Im] of `value`·error_e.
     """
     deviation = value * errors
     stacked = np.concatenate([deviation.real, deviation.imag], axis=-1)
@@ -234,16 +241,19 @@ def common_covariance(value: ComplexArray, errors: ComplexArray) -> FloatArray:
 
 
 def motion_order(unit: str) -> tuple[int, int]:
-    """Return which family of `MOTION_UNITS` a unit belongs to and its order of derivative; refuse other units."""
+    """Return family and derivative order of a unit of `MOTION_UNITS`.
+
+    Other units are refused.
+    """
     for family, units in enumerate(MOTION_UNITS):
         if unit in units:
             return family, units.index(unit)
-    known = ", ".join(unit for units in MOTION_UNITS for unit in units)
-    raise ValueError(f"unit: expected one of {known}, found {unit}")
+    units_listed = ", ".join(unit for units in MOTION_UNITS for unit in units)
+    raise ValueError(f"unit: expected one of {units_listed}, found {unit}")
 
 
 def ratio_unit(above: str, below: str) -> str:
-    """Return the unit of a ratio, parts that are compound in brackets: `(m/s^2)/N`; 1 for equal units."""
+    """Return the unit of a ratio, such as `(m/s^2)/N`; 1 for equal units."""
     if above == below:
         return "1"
     parts = (part or "1" for part in (above, below))
@@ -252,14 +262,17 @@ def ratio_unit(above: str, below: str) -> str:
 
 
 def split_ratio(unit: str) -> tuple[str, str]:
-    """Return what stands above and below the last division of a unit that `ratio_unit` made; below is empty else."""
+    """Return the units above and below the last division of a unit by `ratio_unit`.
+
+    The second is empty for a unit that is no ratio.
+    """
     if any(unit in units for units in MOTION_UNITS):
         return unit, ""
     depth = 0
-    for place in range(len(unit) - 1, -1, -1):
-        depth += {")": 1, "(": -1}.get(unit[place], 0)
-        if unit[place] == "/" and depth == 0:
-            return _unwrapped(unit[:place]), _unwrapped(unit[place + 1 :])
+    for index in range(len(unit) - 1, -1, -1):
+        depth += {")": 1, "(": -1}.get(unit[index], 0)
+        if unit[index] == "/" and depth == 0:
+            return _unwrapped(unit[:index]), _unwrapped(unit[index + 1 :])
     return unit, ""
 
 
@@ -269,7 +282,10 @@ def _unwrapped(unit: str) -> str:
 
 
 def _product(s: ComplexArray, model: PoleModel) -> ComplexArray:
-    """Return Π(s − z) / Π(s − p) at s (K,), factor by factor so that nothing overflows before it cancels."""
+    """Return Π(s − z) / Π(s − p) at s (K,).
+
+    It is computed factor by factor to avoid overflow.
+    """
     factors = np.ones((len(s), max(len(model.zeros), len(model.poles))), dtype=np.complex128)
     factors[:, : len(model.zeros)] = s[:, None] - model.zeros
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -278,7 +294,7 @@ def _product(s: ComplexArray, model: PoleModel) -> ComplexArray:
 
 
 def _frequency_slope(s: ComplexArray, model: PoleModel) -> ComplexArray:
-    """Return ∂ln H/∂ln(all zeros and poles) at s (K,); roots at 0 stay there."""
+    """Return ∂ln H/∂ln(all zeros and poles) at s (K,); roots at 0 are constant."""
     poles, zeros = (roots[roots != 0.0] for roots in (model.poles, model.zeros))
     return np.asarray(np.sum(poles / (s[:, None] - poles), axis=1) - np.sum(zeros / (s[:, None] - zeros), axis=1))
 
@@ -293,60 +309,63 @@ def _finite(value: np.ndarray, frequency_hz: Sequence[float] | FloatArray) -> np
     return value
 
 
-def _interpolation_error(knots: FloatArray, values: ComplexArray, wanted: FloatArray) -> ComplexArray:
-    """Return the standard error of a cubic spline at wanted places, 0 at its knots.
+def _interpolation_error(knots: FloatArray, values: ComplexArray, positions: FloatArray) -> ComplexArray:
+    """Return the standard error of a cubic spline at positions, 0 at its knots.
 
-    Of a smooth function it is f⁗/24·(x − a)²·(b − x)² between two knots, so that the change by leaving out every other
-    knot, times the squared ratio of (x − a)·(b − x) with and without them, is the error. Where the function is not that
-    smooth, the change counts, or the error at either knot when it is left out, by a share: what halving the steps does
-    to such errors near by, at least 1/8, and all of it in scatter, of fewer than six knots, and in the first and last
-    interval, beyond which no knot determines the slope. Of two knots half their difference is the half-width.
+    For a smooth function it is f⁗/24·(x − a)²·(b − x)² between two knots. The change without every other knot, times
+    the squared ratio of (x − a)·(b − x) with and without them, is then the error. Where the function is less smooth,
+    the error is a share of that change, or of the error at either knot when it is left out. The share is the effect of
+    halved steps on such errors nearby, at least 1/8. It is 1 in scatter, for fewer than six knots, and in the first and
+    last interval, beyond which no knot determines the slope. For two knots half their difference is the half-width.
     """
     if len(knots) == 1:
-        return np.zeros(len(wanted), dtype=np.complex128)
-    piece = np.clip(np.searchsorted(knots, wanted, side="right") - 1, 0, len(knots) - 2)
-    inside = (wanted - knots[piece]) * (knots[piece + 1] - wanted)
+        return np.zeros(len(positions), dtype=np.complex128)
+    piece = np.clip(np.searchsorted(knots, positions, side="right") - 1, 0, len(knots) - 2)
+    inside = (positions - knots[piece]) * (knots[piece + 1] - positions)
     arch = np.maximum(4.0 * inside, 0.0) / (knots[piece + 1] - knots[piece]) ** 2
     if len(knots) == 2:
         return np.asarray(arch * (values[1] - values[0]) / np.sqrt(12.0))
     share, left_out = np.ones(len(knots)), _left_out(knots, values, 2)
     if len(knots) >= FEWEST_TO_HALVE:
         near, far = _largest_near(np.abs(left_out)), _largest_near(np.abs(_left_out(knots, values, 4)))
-        share[1:-1] = np.clip(np.divide(near, far, out=np.ones(len(knots)), where=far > 0.0), LEAST_SHARE, 1.0)[1:-1]
-    fine, share = cubic_spline(knots, values, wanted), np.maximum(share[piece], share[piece + 1])
-    outermost = (2.0 * wanted < knots[0] + knots[1]) | (2.0 * wanted > knots[-2] + knots[-1])
+        share[1:-1] = np.clip(np.divide(near, far, out=np.ones(len(knots)), where=far > 0.0), MIN_ERROR_SHARE, 1.0)[
+            1:-1
+        ]
+    fine, share = cubic_spline(knots, values, positions), np.maximum(share[piece], share[piece + 1])
+    outermost = (2.0 * positions < knots[0] + knots[1]) | (2.0 * positions > knots[-2] + knots[-1])
     changes = [np.nan_to_num(left_out[knot]) * share * arch for knot in (piece, piece + 1)]
     arch = np.where(outermost, 1.0, arch)  # no half lacks the first and the last knot
     for odd in (0, 1):
-        kept = _every(len(knots), 2, odd)
-        around = np.clip(np.searchsorted(knots[kept], wanted, side="right") - 1, 0, np.sum(kept) - 2)
-        wide = (wanted - knots[kept][around]) * (knots[kept][around + 1] - wanted)
+        used = _every(len(knots), 2, odd)
+        around = np.clip(np.searchsorted(knots[used], positions, side="right") - 1, 0, np.sum(used) - 2)
+        wide = (positions - knots[used][around]) * (knots[used][around + 1] - positions)
         smooth = np.divide(inside, wide, out=np.zeros(len(wide)), where=wide > inside) ** 2
-        changes.append((cubic_spline(knots[kept], values[kept], wanted) - fine) * np.maximum(smooth, share * arch))
+        changes.append((cubic_spline(knots[used], values[used], positions) - fine) * np.maximum(smooth, share * arch))
     largest = np.argmax(np.abs(changes), axis=0)[None]
     return np.asarray(np.take_along_axis(np.array(changes), largest, axis=0)[0])
 
 
 def _missed(knots: FloatArray, values: ComplexArray) -> float:
-    """Return the sum of squared errors with which either half of the knots predicts the other."""
+    """Return the squared errors with which half of the knots predicts the other."""
     return float(np.nansum(np.abs(_left_out(knots, values, 2)) ** 2))
 
 
 def _left_out(knots: FloatArray, values: ComplexArray, every: int) -> ComplexArray:
-    """Return the error (N,) at every knot of the spline through those at multiples of `every`, it in the middle of two.
+    """Return the error (N,) at every knot of a spline through others.
 
-    The first and the last knot are never left out, and NaN.
+    The knot is in the middle of two others. The others are those at multiples of `every`. The first and the last knot
+    are never left out, and NaN.
     """
     number, errors = np.arange(len(knots)), np.full(len(knots), np.nan, dtype=np.complex128)
     for first in range(every):
-        kept = _every(len(knots), every, first)
-        middle = ((number - first) % every == every // 2) & ~kept
-        errors[middle] = cubic_spline(knots[kept], values[kept], knots[middle]) - values[middle]
+        used = _every(len(knots), every, first)
+        middle = ((number - first) % every == every // 2) & ~used
+        errors[middle] = cubic_spline(knots[used], values[used], knots[middle]) - values[middle]
     return errors
 
 
 def _every(count: int, every: int, first: int) -> BoolArray:
-    """Return a mask (N,) of knots at steps of `every` from one on, the first and last of all with them."""
+    """Return a mask (N,) of every `every`-th knot, with both ends."""
     number = np.arange(count)
     return np.asarray((number % every == first) | np.isin(number, [0, count - 1]))
 

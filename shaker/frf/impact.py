@@ -1,4 +1,4 @@
-"""Transfer functions from blows."""
+"""Transfer functions from hammer blows."""
 
 from __future__ import annotations
 
@@ -8,69 +8,82 @@ from typing import Literal
 import numpy as np
 
 from shaker.arrays import BoolArray, ComplexArray, FloatArray, IntArray
-from shaker.frf.random import EstimatorChoice, Spectra, choose_estimator, ratio_of
+from shaker.frf.frf_notices import (
+    ESTIMATOR_FEW_HITS,
+    EXPONENTIAL_WINDOW,
+    HIT_OVERLOADED,
+    HIT_REPEATED,
+    HIT_WITHOUT_WINDOW,
+    SINGLE_HIT,
+    SINGLE_HIT_WITHOUT_NOISE,
+)
+from shaker.frf.random import EstimatorSelection, Spectra, choose_estimator, ratio_of
 from shaker.frf.result import TransferFunction, TransferRecord, circular_covariance, pooled_scatter, share_of_reference
 from shaker.lines.spectrum import hann_window
 from shaker.sine.phasor import Phasors
-from shakercal._common.notices import Notice
+from shakercal._common.notices import DeclaredNotice, Notice, Value
 
 # Hits of an impact hammer in a force record: where they are, and which of them count.
 
-_HIT = 0.1  # share of the largest force from which a pulse is a hit
-_FOOT = 0.01  # share of a pulse's peak at which it begins and ends
-_AGAIN = 0.05  # share of a pulse's peak from which a second pulse is a second hit
-_NOISE = 6.0  # standard deviations of the force at rest that no foot goes below
-_FAR = 0.3  # share of the largest excursion from which an end of the range is not the level at rest
-_CLIPPED = 3  # equal samples in a row at the range's end that tell an overload
+_HIT_SHARE = 0.1  # share of the largest force from which a pulse is a hit
+_FOOT_SHARE = 0.01  # share of a pulse's peak at which it begins and ends
+_SECOND_PULSE = 0.05  # share of a pulse's peak from which a second pulse is a second hit
+_NOISE_SIGMAS = 6.0  # standard deviations of the force at rest that no foot goes below
+_RANGE_END_SHARE = 0.3  # share of the largest excursion from which an end of the range is not the level at rest
+_CLIPPED_RUN = 3  # equal samples in a row at the range's end that indicate an overload
 
 
 @dataclass(frozen=True)
 class Hit:
-    """A pulse: first and last sample above its foot, and its peak; `refused` says why it does not count (or empty)."""
+    """A pulse: first, last and peak sample, and the reason for rejection.
+
+    First and last sample are above its foot. `rejected` is None for a valid hit. `repeated_after` is the delay of a
+    second pulse in samples.
+    """
 
     first: int
     last: int
     peak: int
-    refused: str = ""
+    rejected: DeclaredNotice | None = None
+    repeated_after: int = 0
 
 
 def find_hits(record: TransferRecord, length: int) -> list[Hit]:
-    """Return the hits of a record whose reference is a force, judged for windows of `length` samples.
+    """Return the hits of a record whose reference is a force.
 
-    A hit does not count where the record ends before its window does, where a second pulse stands in the window (which
-    is no hit of its own), and where any channel is overloaded in it.
+    They are judged for windows of `length` samples. A hit is rejected where the record ends before its window does,
+    where a second pulse follows in the window (which is no separate hit), and where any channel is overloaded in it.
     """
     force = record.reference - float(np.median(record.reference))
     noise = float(np.median(np.abs(force)) / 0.6745)
     if force.max() < -force.min():
         force = -force
     largest = float(force.max(initial=0.0))
-    if not largest > 2.0 * _NOISE * noise:
+    if not largest > 2.0 * _NOISE_SIGMAS * noise:
         raise ValueError(f"reference: expected a force with hits, found only noise in {record.reference_name}")
     overloaded, hits = _overloads(record), list[Hit]()
-    for around in _runs(force > _HIT * largest):
+    for around in _runs(force > _HIT_SHARE * largest):
         if not hits or around[0] >= hits[-1].first + length:
             hits.append(_hit(force, noise, overloaded, around, length))
     return hits
 
 
 def _hit(force: FloatArray, noise: float, overloaded: BoolArray, around: tuple[int, int], length: int) -> Hit:
-    """Return the pulse around samples low … high, with the reason why it does not count."""
+    """Return the pulse around samples low … high, with the reason for its rejection."""
     peak = around[0] + int(np.argmax(force[around[0] : around[1] + 1]))
-    foot = max(_FOOT * float(force[peak]), _NOISE * noise)
+    foot = max(_FOOT_SHARE * float(force[peak]), _NOISE_SIGMAS * noise)
     before, after = np.flatnonzero(force[: peak + 1] < foot), np.flatnonzero(force[peak:] < foot)
     first = int(before[-1]) + 1 if len(before) else 0
     last = peak + int(after[0]) - 1 if len(after) else len(force) - 1
     end, calm = first + length, 1 + (last - first + 1) // 2
-    again = np.flatnonzero(force[last + calm : end] > max(_AGAIN * float(force[peak]), _NOISE * noise))
-    refused = ""
+    second = np.flatnonzero(force[last + calm : end] > max(_SECOND_PULSE * float(force[peak]), _NOISE_SIGMAS * noise))
     if end > len(force):
-        refused = "the record ends before its window does"
-    elif overloaded[first:end].any():
-        refused = "a channel is overloaded"
-    elif len(again):
-        refused = f"a second pulse follows {again[0] + calm} samples later"
-    return Hit(first, last, peak, refused)
+        return Hit(first, last, peak, HIT_WITHOUT_WINDOW)
+    if overloaded[first:end].any():
+        return Hit(first, last, peak, HIT_OVERLOADED)
+    if len(second):
+        return Hit(first, last, peak, HIT_REPEATED, int(second[0]) + calm)
+    return Hit(first, last, peak)
 
 
 def _runs(mask: BoolArray) -> list[tuple[int, int]]:
@@ -80,28 +93,28 @@ def _runs(mask: BoolArray) -> list[tuple[int, int]]:
 
 
 def _overloads(record: TransferRecord) -> BoolArray:
-    """Tell the samples (S,) where any channel stays at the end of its range."""
+    """Return the samples (S,) where any channel stays at the end of its range."""
     overloaded = np.zeros(len(record.reference), dtype=np.bool_)
     for samples in (record.reference, *record.responses.T):
         rest = float(np.median(samples))
-        far = _FAR * float(np.max(np.abs(samples - rest)))
+        far = _RANGE_END_SHARE * float(np.max(np.abs(samples - rest)))
         for end in (samples.min(), samples.max()):
             for low, high in _runs(samples == end) if abs(end - rest) >= far else ():
-                if high - low + 1 >= _CLIPPED:
+                if high - low + 1 >= _CLIPPED_RUN:
                     overloaded[low : high + 1] = True
     return overloaded
 
 
 # Transfer functions from hammer blows: windows, average over hits, covariance over hits.
 
-_END = (1e-6, 1e-3)  # least and largest share of a response's beginning that its end may keep
-_HIDDEN = 0.3  # share of the noise at which the end of a response is hidden in it
-_STANDS_OUT = 8.0  # factor over the lines around from which a line still rings
-_AROUND = 41  # lines that are around
-_EXCITED = 0.01  # share of the force spectrum's maximum below which nothing is excited
-_ENOUGH = 5  # hits from which the coherence tells where the noise is
-_REST = 8  # samples before the hits from which noise can be read
-_REACH = 512  # lines over which errors correlate under an exponential window, at most
+_END_SHARE = (1e-6, 1e-3)  # least and largest share of a response's beginning that its end may keep
+_HIDDEN_SHARE = 0.3  # share of the noise at which the end of a response is hidden in it
+_RINGING_FACTOR = 8.0  # factor over neighbouring lines from which a line is ringing
+_NEIGHBOUR_LINES = 41  # lines that are around
+_EXCITED_SHARE = 0.01  # share of the force spectrum's maximum below which lines are not excited
+_MANY_HITS = 5  # hits from which the coherence shows where the noise is
+_MIN_REST_SAMPLES = 8  # samples before the hits from which noise can be read
+_MAX_CORRELATED_LINES = 512  # lines over which errors correlate under an exponential window, at most
 
 
 def transfer_impact(
@@ -113,15 +126,42 @@ def transfer_impact(
     estimator: Literal["auto", "H1", "H2", "Hv"] = "auto",
     band_hz: tuple[float, float] | None = None,
 ) -> TransferFunction:
-    """Return H from hammer blows: windows of `duration_s` around every hit that counts, averaged.
+    """Return H from hammer blows: the average over windows around all valid hits.
 
-    Hits with a second pulse, an overload or a window beyond the record do not count, with a notice. The force keeps its
-    pulse only (force window with cosine flanks). Force and responses are multiplied by exp(-at), t from the hit: the
-    ratio is then exactly H(a + jω), also if the response outlasts the window but for exp(-a·duration). a is
-    `added_decay_per_s`; None takes the smallest that hides what the slowest mode still does at the end in its noise,
-    often zero. The covariance is the scatter over the hits, pooled over neighbouring lines; that of a single hit
-    is the noise before it, taken as white. `pretrigger_s` is what the window shows before a hit, None 5 % of it.
+    Parameters
+    ----------
+    record
+        Force as reference, and responses.
+    duration_s
+        Length of a window in s.
+    pretrigger_s
+        Part of the window before a hit in s; default 5 % of it.
+    added_decay_per_s
+        Decay a of the exponential window in 1/s; default: the smallest needed, often zero.
+    estimator
+        "H1", "H2", "Hv"; default "auto" selects by the noise.
+    band_hz
+        Band of the result in Hz; default: all excited lines.
 
+    Returns
+    -------
+    The transfer function H(a + jω) with covariance and coherence.
+
+    Raises
+    ------
+    ValueError
+        No hit is valid, the window is too short, or the band has no excited line.
+
+    Notes
+    -----
+    Hits with a second pulse, an overload or a window beyond the record are rejected, with a notice. The force keeps
+    only its pulse (force window with cosine flanks). Force and responses are multiplied by exp(-at), t from the hit.
+    The ratio is then exactly H(a + jω), even if the response outlasts the window, except for exp(-a·duration). The
+    default a is the smallest that hides the rest of the slowest mode at the end in its noise. The covariance is the
+    scatter over the hits, pooled over neighbouring lines. For a single hit it is the noise before it, treated as white.
+
+    Examples
+    --------
     >>> import numpy as np
     >>> from scipy.signal import lfilter
     >>> from shaker import TransferRecord, transfer_impact
@@ -134,52 +174,57 @@ def transfer_impact(
     """
     rate = record.sample_rate_hz
     length = round(duration_s * rate)
-    wanted = round((0.05 * duration_s if pretrigger_s is None else pretrigger_s) * rate)
-    if not 0 <= wanted < length // 2 or length < 64:
-        raise ValueError(
-            f"duration_s: expected 64 samples or more and a shorter pretrigger_s, found {length} and {wanted} samples"
-        )
+    pretrigger = round((0.05 * duration_s if pretrigger_s is None else pretrigger_s) * rate)
+    if not 0 <= pretrigger < length // 2 or length < 64:
+        found = f"{length} and {pretrigger} samples"
+        raise ValueError(f"duration_s: expected 64 samples or more and a shorter pretrigger_s, found {found}")
     hits = find_hits(record, length)
-    taken = [hit for hit in hits if not hit.refused]
-    if not taken:
-        raise ValueError(f"record: expected a hit that counts, found {len(hits)}: {'; '.join(h.refused for h in hits)}")
-    blows = _cut(record, taken, length, min([wanted, *(hit.first for hit in taken)]))
+    valid = [hit for hit in hits if hit.rejected is None]
+    if not valid:
+        rejected = " ".join(notice.text for notice in _rejections(record, hits))
+        raise ValueError(f"record: expected a valid hit, found {len(hits)} rejected: {rejected}")
+    blows = _cut(record, valid, length, min([pretrigger, *(hit.first for hit in valid)]))
     decay = _needed_decay(blows) if added_decay_per_s is None else added_decay_per_s
     lines = _transformed(blows, decay, band_hz or (0.0, 0.5 * rate))
-    averages = np.full(len(lines.frequency_hz), float(len(taken)))
+    averages = np.full(len(lines.frequency_hz), float(len(valid)))
     spectra = Spectra(np.mean(lines.value[:, :, :, None] * lines.value.conj()[:, :, None, :], axis=0), averages)
-    few = len(taken) < _ENOUGH  # too few to tell where the noise is
-    choice = EstimatorChoice("H1", 1.0, f"fewer than {_ENOUGH} hits, and the window keeps noise off the force")
+    few = len(valid) < _MANY_HITS  # too few to show where the noise is
+    selection = EstimatorSelection("H1", 1.0, ESTIMATOR_FEW_HITS, {"enough": _MANY_HITS})
     if estimator != "auto" or not few:
-        choice = choose_estimator(spectra, estimator, 1.0 if few else None, record.reference_name)
-    ratio = ratio_of(spectra, choice)
-    # How the errors of lines 0, 1, 2 … apart correlate under the exponential window, and the force's under its own.
+        selection = choose_estimator(spectra, estimator, 1.0 if few else None, record.reference_name)
+    ratio = ratio_of(spectra, selection)
+    # Correlation of the errors of lines at distances 0, 1, 2 …: with the exponential window, and with the force window.
     square = np.exp(-2.0 * decay * blows.time_s)
     under_window = np.fft.fft(np.roll(square, -int(np.searchsorted(blows.time_s, 0.0))))
     under_force = np.fft.fft(np.mean(blows.force_window**2, axis=0) * square)
     correlation = np.ones(1, dtype=np.complex128)
     if decay > 0.0:
-        correlation = np.asarray(under_window[: min(_REACH, len(lines.frequency_hz))] / under_window[0])
+        correlation = np.asarray(under_window[: min(_MAX_CORRELATED_LINES, len(lines.frequency_hz))] / under_window[0])
     covariance, dof = _covariance(lines, ratio, (correlation, np.asarray(under_force / under_force[0])))
     return TransferFunction(
         ratio=Phasors(lines.frequency_hz, ratio, covariance, record.channels, record.ratio_unit, dof),
         coherence=spectra.coherence,
-        estimator=choice.estimator,
+        estimator=selection.estimator,
         reference=record.reference_name,
         averages=averages,
         line_spacing_hz=rate / length,
         line_correlation=correlation,
-        notices=_notices(record, hits, choice, decay, lines),
+        notices=_notices(record, hits, selection, decay, lines),
         added_decay_per_s=decay,
     )
 
 
 @dataclass(frozen=True)
 class _Blows:
-    """Windows (N samples) of n hits: `time_s` (N,) from the hit, `samples` (n, N, 1 + C) without offset, force first.
+    """Windows (N samples) of n hits without offset.
 
-    `force_window` (n, N); `noise` (1 + C, 1 + C): covariance of the samples before the hits, of `noise_dof` degrees of
-    freedom, zero where there are too few.
+    Attributes
+    ----------
+    time_s : (N,), from the hit.
+    samples : (n, N, 1 + C), force first.
+    force_window : (n, N).
+    noise, noise_dof : (1 + C, 1 + C), covariance of the samples before the hits and its degrees of freedom, zero if too
+        few.
     """
 
     time_s: FloatArray
@@ -190,8 +235,11 @@ class _Blows:
 
 
 @dataclass(frozen=True)
-class _Lines:
-    """Transforms `value` (n, K, 1 + C) at the lines excited; `noise` (K, 1 + C, 1 + C) that stands in each of them."""
+class _BlowLines:
+    """Transforms `value` (n, K, 1 + C) at the excited lines.
+
+    `noise` (K, 1 + C, 1 + C) is that of each line.
+    """
 
     frequency_hz: FloatArray
     value: ComplexArray
@@ -200,9 +248,10 @@ class _Lines:
 
 
 def _cut(record: TransferRecord, hits: list[Hit], length: int, before: int) -> _Blows:
-    """Cut the windows and take offsets off: of the force that before the hit, of the responses that of the second half.
+    """Cut the windows and subtract offsets.
 
-    A Hann weight keeps what still rings out of a response's offset.
+    The offset of the force is that before the hit, that of the responses is from the second half. A Hann weight removes
+    ringing from a response's offset.
     """
     together = np.column_stack([record.reference, record.responses])
     windows = np.stack([together[hit.first - before : hit.first - before + length] for hit in hits])
@@ -212,21 +261,21 @@ def _cut(record: TransferRecord, hits: list[Hit], length: int, before: int) -> _
     offset[:, 0] = windows[:, :before, 0].mean(axis=1) if before else np.median(record.reference)
     windows = windows - offset[:, None, :]
     rest = rest.reshape(-1, together.shape[1])
-    dof = len(hits) * (before - 1.0) if before >= _REST else 0.0
+    dof = len(hits) * (before - 1.0) if before >= _MIN_REST_SAMPLES else 0.0
     noise = rest.T @ rest / dof if dof else np.zeros((together.shape[1],) * 2)
     # One over the pulse and half its length on either side, with cosine flanks.
     pulse = np.array([[hit.last - hit.first + 1] for hit in hits])
-    half, place = np.maximum(2, pulse // 2), np.arange(length)
-    outside = np.maximum(before - half - place, place - (before + pulse - 1 + half))
+    half, index = np.maximum(2, pulse // 2), np.arange(length)
+    outside = np.maximum(before - half - index, index - (before + pulse - 1 + half))
     force_window = 0.5 + 0.5 * np.cos(np.pi * np.clip(outside / half, 0.0, 1.0))
     return _Blows((np.arange(length) - before) / record.sample_rate_hz, windows, force_window, noise, dof)
 
 
 def _needed_decay(blows: _Blows) -> float:
-    """Return the decay per second that lets every mode end below the noise, zero where none is needed.
+    """Return the decay per second that hides every mode's end in noise.
 
-    Modes are the lines that stand out of the spectrum of the window's last quarter; how much lower they are than in the
-    first quarter tells their own decay.
+    It is zero where none is needed. Modes are the significant lines in the spectrum of the window's last quarter. Their
+    level relative to the first quarter shows their decay.
     """
     from scipy.ndimage import median_filter
 
@@ -237,19 +286,22 @@ def _needed_decay(blows: _Blows) -> float:
         np.sqrt(np.mean(np.abs(np.fft.rfft(part * taper, axis=1)[:, 2:]) ** 2, axis=0))
         for part in (blows.samples[:, begin : begin + quarter, 1:], blows.samples[:, -quarter:, 1:])
     )
-    around = median_filter(last, size=(min(_AROUND, len(last)), 1), mode="nearest")
-    rings = last > _STANDS_OUT * around
+    around = median_filter(last, size=(min(_NEIGHBOUR_LINES, len(last)), 1), mode="nearest")
+    rings = last > _RINGING_FACTOR * around
     if not rings.any():
         return 0.0
     start = np.maximum(first[rings], np.finfo(np.float64).tiny)
-    allowed = np.clip(_HIDDEN * around[rings] / start, *_END)
+    allowed = np.clip(_HIDDEN_SHARE * around[rings] / start, *_END_SHARE)
     # Three quarters of the window lie between the two, four between the hit and the end.
     left = np.minimum(last[rings] / start, 1.0) ** (4.0 / 3.0)
     return max(0.0, float(np.max(np.log(left / allowed)) / blows.time_s[-1]))
 
 
-def _transformed(blows: _Blows, decay: float, band_hz: tuple[float, float]) -> _Lines:
-    """Return the transforms of the windows at the lines of the band that the force excites without a gap from zero."""
+def _transformed(blows: _Blows, decay: float, band_hz: tuple[float, float]) -> _BlowLines:
+    """Return the transforms of the windows at excited lines.
+
+    These are the lines of the band below the first unexcited one.
+    """
     length = len(blows.time_s)
     window = np.exp(-decay * blows.time_s)
     seen = blows.samples * window[:, None]
@@ -258,7 +310,7 @@ def _transformed(blows: _Blows, decay: float, band_hz: tuple[float, float]) -> _
     frequency = np.fft.rfftfreq(length, 1.0 / rate)
     value = np.fft.rfft(seen, axis=1)
     force = np.sqrt(np.mean(np.abs(value[:, :, 0]) ** 2, axis=0))
-    weak = np.flatnonzero(force < _EXCITED * force.max())
+    weak = np.flatnonzero(force < _EXCITED_SHARE * force.max())
     inside = (frequency >= band_hz[0]) & (frequency <= band_hz[1])
     inside[0] = inside[-1] = False
     inside[weak[0] if len(weak) else len(inside) :] = False
@@ -272,16 +324,17 @@ def _transformed(blows: _Blows, decay: float, band_hz: tuple[float, float]) -> _
     )
     noise = blows.noise * np.sqrt(np.multiply.outer(share, share))
     noise[0, 1:] = noise[1:, 0] = 0.0
-    return _Lines(np.asarray(frequency[inside], dtype=np.float64), value[:, inside], noise, blows.noise_dof)
+    return _BlowLines(np.asarray(frequency[inside], dtype=np.float64), value[:, inside], noise, blows.noise_dof)
 
 
 def _covariance(
-    lines: _Lines, ratio: ComplexArray, correlations: tuple[ComplexArray, ComplexArray]
+    lines: _BlowLines, ratio: ComplexArray, correlations: tuple[ComplexArray, ComplexArray]
 ) -> tuple[FloatArray, FloatArray]:
-    """Return the covariance (K, 2C, 2C) of the ratio and its dof (K,), given how lines correlate: all, force alone.
+    """Return the covariance (K, 2C, 2C) of the ratio and its dof (K,).
 
-    The force window leaves the force's noise in one hit about the same over many lines: what it does to them is known
-    from the hits only. Flat noise and noise times |H|² add as Welch and Satterthwaite say: 1/ν = (1 - s)²/ν₁ + s²/ν₂.
+    `correlations` are those of lines: in all channels, and in the force alone. The force window leaves the force's
+    noise in one hit about the same over many lines. Its effect on them is therefore only estimated from the hits. Flat
+    noise and noise times |H|² are combined by Welch and Satterthwaite: 1/ν = (1 - s)²/ν₁ + s²/ν₂.
     """
     count = len(lines.value)
     force = np.sum(np.abs(lines.value[:, :, 0]) ** 2, axis=0)[:, None, None]
@@ -302,20 +355,25 @@ def _covariance(
 
 
 def _notices(
-    record: TransferRecord, hits: list[Hit], choice: EstimatorChoice, decay: float, lines: _Lines
+    record: TransferRecord, hits: list[Hit], selection: EstimatorSelection, decay: float, lines: _BlowLines
 ) -> tuple[Notice, ...]:
-    """Return what the user should know about hits, windows and estimator."""
-    count = len(lines.value)
-    found = [choice.notice(record.reference_name, f"{count} of {len(hits)} hits")]
-    for number, hit in enumerate(hits, start=1):
-        if hit.refused:
-            seconds = hit.peak / record.sample_rate_hz
-            text = f"hit {number} at {seconds:.6g} s does not count: {hit.refused}"
-            found.append(Notice("warning", text, record.reference_name))
+    """Return notices about hits, windows and estimator."""
+    count, where = len(lines.value), record.reference_name
+    notices = [selection.notice(where, f"{count} of {len(hits)} hits"), *_rejections(record, hits)]
     if decay > 0.0:
-        text = f"exponential window exp(-{decay:.6g}/s·t): the transfer function is H(a + jω), fits take the window off"
-        found.append(Notice("note", text, record.reference_name))
+        notices.append(Notice(EXPONENTIAL_WINDOW, where, decay_per_s=decay))
     if count == 1:
-        known = "is the noise before it" if lines.noise_dof else "is not known: too few samples before it"
-        found.append(Notice("warning", f"a single hit: its uncertainty {known}", record.reference_name))
-    return tuple(found)
+        notices.append(Notice(SINGLE_HIT if lines.noise_dof else SINGLE_HIT_WITHOUT_NOISE, where))
+    return tuple(notices)
+
+
+def _rejections(record: TransferRecord, hits: list[Hit]) -> list[Notice]:
+    """Return a notice for every rejected hit."""
+    notices = []
+    for number, hit in enumerate(hits, start=1):
+        if hit.rejected is not None:
+            values: dict[str, Value] = {"number": number, "time_s": hit.peak / record.sample_rate_hz}
+            if hit.repeated_after:
+                values["samples"] = hit.repeated_after
+            notices.append(Notice(hit.rejected, record.reference_name, **values))
+    return notices

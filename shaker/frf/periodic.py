@@ -7,6 +7,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from shaker.arrays import BoolArray, ComplexArray, FloatArray, IntArray
+from shaker.frf.frf_notices import (
+    EXCITATION_AMPLITUDE_CHANGES,
+    NONLINEAR_DISTORTIONS,
+    NOT_SETTLED,
+    PERIODIC_ESTIMATE,
+    RESPONSE_DRIFTS,
+)
 from shaker.frf.result import TransferFunction, TransferRecord, circular_covariance, excited_lines, pooled_scatter
 from shaker.sine.phasor import Phasors
 from shakercal._common.notices import Notice
@@ -14,16 +21,19 @@ from shakercal._common.notices import Notice
 # Phasors of every period of a periodic signal, also where the period is no whole number of samples.
 
 _SOFT_SAMPLES = 128  # length of the seam of two soft windows, at most
-_SOFT_ORDER = 8
+_SOFT_ORDER = 8  # derivatives of a soft window that vanish at its ends; chosen for low leakage
 _WHOLE = 1e-7  # distance from a whole number of samples that no record notices
-_STEPS = 8
+_STEPS = 8  # largest number of corrections of a period
 _TOLERANCE = 1e-3  # error of a stated period that is put right
 _SAME_PERIOD = 4.0  # standard uncertainties within which a stated period is taken to be the true one
 
 
 @dataclass(frozen=True)
 class Periods:
-    """Phasors of M periods at the harmonics (K,) of 1/period: `value` (M, K, C), phases from each period's begin."""
+    """Phasors `value` (M, K, C) of M periods at the harmonics (K,) of 1/period.
+
+    Phases count from each period's begin.
+    """
 
     harmonic: IntArray
     value: ComplexArray
@@ -31,7 +41,7 @@ class Periods:
 
 @dataclass(frozen=True)
 class Period:
-    """Length of a period in samples, its uncertainty, and where the first kept period begins."""
+    """Length of a period in samples with uncertainty, begin and number."""
 
     samples: float
     u_samples: float
@@ -40,16 +50,20 @@ class Period:
 
 
 def count_periods(length: int, start: float, samples: float) -> int:
-    """Return how many periods a record holds; the last may lack less than half a seam where samples do not fit."""
+    """Return the number of periods in a record.
+
+    Where samples do not fit, the last period may lack less than half a seam.
+    """
     slack = 0.0 if _is_whole(samples) and _is_whole(start) else 0.5 * _seam(samples)
     return int(np.floor((length - start + slack) / samples + 1e-12))
 
 
 def find_period(reference: FloatArray, samples: float, settle_periods: int) -> Period:
-    """Return the exact period of `reference` (S,) from a stated one in samples, good to 0.1 %.
+    """Return the exact period of `reference` (S,) from a stated one.
 
-    Delays of all periods against their mean, d_m = Σ k·Im(X_m X̄*) / Σ k²|X̄|², weigh every line by its information;
-    their slope over m is the period's error. The stated period is kept where the record does not contradict it.
+    The stated period is in samples, good to 0.1 %. Delays of all periods relative to their mean, d_m = Σ k·Im(X_m X̄*)
+    / Σ k²|X̄|², weight every line by its information. Their slope over m is the period's error. The stated period is
+    used where the record does not contradict it.
     """
     stated, u_samples = samples, np.inf
     for step in range(_STEPS):
@@ -72,9 +86,10 @@ def find_period(reference: FloatArray, samples: float, settle_periods: int) -> P
 
 
 def _period_error(spectrum: ComplexArray, samples: float) -> tuple[float, float]:
-    """Return by how many samples the period is too short, and its uncertainty, from phasors (M, K) at 1, 2 … K.
+    """Return the error of the period in samples, positive if too short, and its uncertainty.
 
-    What repeats too late by e samples turns its k-th phasor by -2πke/P from one period to the next.
+    The input are phasors (M, K) at the harmonics 1, 2 … K. A signal that repeats e samples later turns its k-th phasor
+    by -2πke/P from one period to the next.
     """
     count, lines = spectrum.shape
     harmonic = np.arange(1.0, lines + 1.0)
@@ -84,8 +99,8 @@ def _period_error(spectrum: ComplexArray, samples: float) -> tuple[float, float]
     correlation = np.fft.irfft(np.concatenate([[0.0], cross]), n=points)
     lag = np.fft.fftfreq(points, 1.0 / points)
     inside = np.abs(lag) <= max(2.0, 1.5 * _TOLERANCE * points)
-    place = lag[inside & (correlation >= 0.98 * correlation[inside].max())]
-    coarse = float(place[np.argmin(np.abs(place))] * samples / points)
+    lags = lag[inside & (correlation >= 0.98 * correlation[inside].max())]
+    coarse = float(lags[np.argmin(np.abs(lags))] * samples / points)
     turn = np.exp(2j * np.pi * np.multiply.outer(np.arange(count), harmonic) * coarse / samples)
     aligned = spectrum * turn
     mean = aligned.mean(axis=0)
@@ -101,27 +116,28 @@ def _period_error(spectrum: ComplexArray, samples: float) -> tuple[float, float]
 
 
 def period_phasors(data: FloatArray, period: Period, share: tuple[float, float], rounds: int = 5) -> Periods:
-    """Return the phasors of every period of `data` (S, C) at the harmonics between two shares of the sampling rate.
+    """Return phasors of every period of `data` (S, C) in a band.
 
-    A period of a whole number of samples is transformed as it is. Otherwise each period is seen through a window that
-    rises and falls as 1 - rise of the next one, so that all windows add to one: then Σ w(t)·exp(j2πnt/T) is zero for
-    every n but 0 to 1e-7 or better (at 0.4 of the rate 1e-11), and the harmonics do not leak into one another. The
-    harmonics of 1/T lie on no grid of a fast Fourier transform; the chirp z-transform (Rabiner, Schafer and Rader 1969)
-    reaches them. What the seams at both ends of the record lack comes from the mean period, in some rounds.
+    `share` is the band relative to the sampling rate. A period of a whole number of samples is transformed directly.
+    For others each period has a window that rises and falls as 1 - rise of the next one, so that all windows add to
+    one. Then Σ w(t)·exp(j2πnt/T) is zero for every n but 0 to 1e-7 or better (at 0.4 of the rate 1e-11), and the
+    harmonics do not leak into one another. The harmonics of 1/T lie on no grid of a fast Fourier transform; the chirp
+    z-transform (Rabiner, Schafer and Rader 1969) computes them. Samples missing in the seams at both ends are replaced
+    by the mean period, in `rounds` iterations.
     """
     harmonic = np.arange(max(1, int(np.ceil(share[0] * period.samples))), int(share[1] * period.samples) + 1)
     if not len(harmonic):
         raise ValueError(f"band_hz: expected a band with harmonics of the period, found none of {period.samples:.6g}")
     if _is_whole(period.samples) and _is_whole(period.start):
         samples, start = round(period.samples), round(period.start)
-        kept = data[start : start + period.count * samples].reshape(period.count, samples, -1)
-        value = np.stack([np.fft.rfft(part, axis=0)[harmonic] for part in kept])
+        used = data[start : start + period.count * samples].reshape(period.count, samples, -1)
+        value = np.stack([np.fft.rfft(part, axis=0)[harmonic] for part in used])
         return Periods(harmonic, 2.0 / samples * value)
     return Periods(harmonic, _soft_phasors(data, period, harmonic, rounds))
 
 
 def _soft_phasors(data: FloatArray, period: Period, harmonic: IntArray, rounds: int) -> ComplexArray:
-    """Return phasors (M, K, C) through windows whose sum is one."""
+    """Return phasors (M, K, C) with windows whose sum is one."""
     from scipy.signal import CZT
     from scipy.special import betainc
 
@@ -137,25 +153,25 @@ def _soft_phasors(data: FloatArray, period: Period, harmonic: IntArray, rounds: 
     missing = (index < 0) | (index >= len(data))
     padded = data[np.clip(index, 0, len(data) - 1)] - data.mean(axis=0)
     padded[missing] = 0.0
-    # Places (M, N) that the window of each period sees, and its transform at the harmonics 1, 2 … K.
+    # Samples (M, N) in the window of each period, and its transform at the harmonics 1, 2 … K.
     begin = period.start + samples * np.arange(period.count)
-    place = np.searchsorted(index, begin - 0.5 * seam)[:, None] + np.arange(int(np.ceil(samples + seam)) + 1)
-    time = index[place] - begin[:, None]
+    index_in_window = np.searchsorted(index, begin - 0.5 * seam)[:, None] + np.arange(int(np.ceil(samples + seam)) + 1)
+    time = index[index_in_window] - begin[:, None]
     window = rise(time) - rise(time - samples)
     every, step = np.arange(1, int(0.49 * samples) + 1), np.exp(-2j * np.pi / samples)
-    transform = CZT(place.shape[1], m=len(every), w=step, a=1.0 / step)
+    transform = CZT(index_in_window.shape[1], m=len(every), w=step, a=1.0 / step)
 
     def phasors(m: int) -> ComplexArray:
         turn = 2.0 / samples * np.exp(-2j * np.pi * every * (time[m, 0] / samples))
-        return np.asarray(turn[:, None] * transform(window[m][:, None] * padded[place[m]], axis=0))
+        return np.asarray(turn[:, None] * transform(window[m][:, None] * padded[index_in_window[m]], axis=0))
 
     value = np.stack([phasors(m) for m in range(period.count)])
-    weight = np.bincount(place.ravel(), window.ravel(), len(index))[missing] / period.count
+    weight = np.bincount(index_in_window.ravel(), window.ravel(), len(index))[missing] / period.count
     turns = 2j * np.pi / samples * (index[missing] - period.start)
     basis = np.exp(np.multiply.outer(turns, every))
     for _ in range(rounds if missing.any() else 0):
         model = (basis @ value.mean(axis=0)).real
-        # A sample that is missing lowers the mean it is taken from by its own weight.
+        # A missing sample lowers the mean that replaces it by its weight.
         padded[missing] += (model - padded[missing]) / (1.0 - weight[:, None])
         for m in {0, period.count - 1}:
             value[m] = phasors(m)
@@ -163,36 +179,42 @@ def _soft_phasors(data: FloatArray, period: Period, harmonic: IntArray, rounds: 
 
 
 def _seam(samples: float) -> float:
-    """Return over how many samples one window passes into the next."""
+    """Return the number of samples over which one window passes into the next."""
     return float(min(_SOFT_SAMPLES, samples / 4.0))
 
 
 def _is_whole(samples: float) -> bool:
-    """Tell whether a number of samples is whole as far as any record can tell."""
+    """Return whether a number of samples is whole within the resolution of any record."""
     return abs(samples - round(samples)) < _WHOLE * max(1.0, samples / 1e4)
 
 
-# What periods tell beyond the transfer function: a structure not settled, a drift, distortions.
+# Further results of the periods: a structure not settled, drift, distortions.
 
 _BLOCK = 8  # lines that are tested together
 _UNLIKELY = 1e-4  # probability, over all blocks of a record, below which periods differ
-_GAIN = 1e-3  # change of the reference's amplitude between periods that is told
+_GAIN = 1e-3  # change of the reference's amplitude between periods that is reported
 _DISTORTION = 3.0  # mean of an unexcited line over its uncertainty, rms, from which it is a distortion
 
 
 def period_notices(
     record: TransferRecord, period: Period, lines: Periods, excited: BoolArray, ratio: ComplexArray
 ) -> tuple[Notice, ...]:
-    """Return the notices on the periods of a record; `lines.value` (M, K, 1 + C), `ratio` (E, C) at excited lines."""
+    """Return the notices about the periods of a record.
+
+    `lines.value` (M, K, 1 + C) are phasors, `ratio` (E, C) the transfer function at excited lines.
+    """
     rate = record.sample_rate_hz
     frequency = np.asarray(lines.harmonic * (rate / period.samples), dtype=np.float64)
     value = lines.value[:, excited]
-    text = (
-        f"periodic excitation, {period.count} periods of {period.samples / rate:.9g} s "
-        f"(u {period.u_samples / period.samples:.1e}), {value.shape[1]} lines: ratio of the means over periods, leaks "
-        "nothing, not biased by noise on either channel"
+    estimate = Notice(
+        PERIODIC_ESTIMATE,
+        record.reference_name,
+        lines=value.shape[1],
+        periods=period.count,
+        period_s=period.samples / rate,
+        u_relative=period.u_samples / period.samples,
     )
-    notices = [Notice("note", text, record.reference_name), *_reference_drift(value[:, :, 0], record.reference_name)]
+    notices = [estimate, *_reference_drift(value[:, :, 0], record.reference_name)]
     for c, name in enumerate(record.channels):
         error = value[:, :, 1 + c] - ratio[:, c] * value[:, :, 0]
         notices += _unsettled(error, value[:, :, 1 + c], frequency[excited], name)
@@ -201,7 +223,7 @@ def period_notices(
 
 
 def _reference_drift(reference: ComplexArray, name: str) -> list[Notice]:
-    """Tell a reference whose amplitude changes from period to period; the ratio does not suffer."""
+    """Return a notice of a reference whose amplitude changes; the ratio is not affected."""
     mean = reference.mean(axis=0)
     power = np.sum(np.abs(mean) ** 2)
     gain = np.sum(reference * mean.conj(), axis=1) / power
@@ -210,12 +232,11 @@ def _reference_drift(reference: ComplexArray, name: str) -> list[Notice]:
     span = float(np.ptp(gain.real))
     if span < max(_GAIN, 6.0 * float(u_gain)):
         return []
-    text = f"the excitation's amplitude changes by {100.0 * span:.2g} % between periods; the ratio does not suffer"
-    return [Notice("note", text, name)]
+    return [Notice(EXCITATION_AMPLITUDE_CHANGES, name, change_percent=100.0 * span)]
 
 
 def _unsettled(error: ComplexArray, response: ComplexArray, frequency: FloatArray, name: str) -> list[Notice]:
-    """Tell a first period that differs from the others, and a response that drifts over the periods."""
+    """Return a notice of a different first period, or of drift."""
     count = len(error)
     if count < 3:
         return []
@@ -224,24 +245,20 @@ def _unsettled(error: ComplexArray, response: ComplexArray, frequency: FloatArra
     early = _differs(error, first, frequency)
     if early.any():
         size = np.abs(error[0] - error[1:].mean(axis=0))[early].max() / np.abs(response.mean(axis=0))[early].max()
-        text = (
-            f"the first kept period differs from the others between {frequency[early].min():.6g} and "
-            f"{frequency[early].max():.6g} Hz, by up to {100.0 * size:.2g} % of the response: the structure had not "
-            "settled; leave out one period more (settle_periods)"
-        )
-        return [Notice("warning", text, name)]
+        band = {"low_hz": float(frequency[early].min()), "high_hz": float(frequency[early].max())}
+        return [Notice(NOT_SETTLED, name, **band, difference_percent=100.0 * float(size))]
     trend = _differs(error, np.arange(0.0, count) - 0.5 * (count - 1), frequency)
     if trend.any():
-        text = (
-            f"response over reference drifts over the periods between {frequency[trend].min():.6g} and "
-            f"{frequency[trend].max():.6g} Hz: what is given is the mean"
-        )
-        return [Notice("warning", text, name)]
+        band = {"low_hz": float(frequency[trend].min()), "high_hz": float(frequency[trend].max())}
+        return [Notice(RESPONSE_DRIFTS, name, **band)]
     return []
 
 
 def _differs(error: ComplexArray, contrast: FloatArray, frequency: FloatArray) -> BoolArray:
-    """Tell the lines (K,) in whose blocks a contrast over periods exceeds what is left: F of 2n and 2n(M-2)."""
+    """Return the lines (K,) in blocks where a contrast over periods is significant.
+
+    The ratio of powers follows F of 2n and 2n(M-2) degrees of freedom.
+    """
     from scipy.special import fdtrc
 
     unit = contrast / np.sqrt(contrast @ contrast)
@@ -258,31 +275,28 @@ def _differs(error: ComplexArray, contrast: FloatArray, frequency: FloatArray) -
 
 
 def _distortions(lines: Periods, excited: BoolArray, ratio: ComplexArray, channel: int, name: str) -> list[Notice]:
-    """Tell what stands on even and odd unexcited lines inside the band, where a multisine leaves such lines."""
-    place = np.flatnonzero(excited)
+    """Return a notice of distortions at even and odd unexcited lines of a multisine."""
+    excited_index = np.flatnonzero(excited)
     silent = ~excited
-    silent[: place[0]] = silent[place[-1] :] = False
-    if np.count_nonzero(silent) < 0.1 * len(place):
+    silent[: excited_index[0]] = silent[excited_index[-1] :] = False
+    if np.count_nonzero(silent) < 0.1 * len(excited_index):
         return []
-    through = np.interp(lines.harmonic, lines.harmonic[place], ratio.real) + 1j * np.interp(
-        lines.harmonic, lines.harmonic[place], ratio.imag
+    through = np.interp(lines.harmonic, lines.harmonic[excited_index], ratio.real) + 1j * np.interp(
+        lines.harmonic, lines.harmonic[excited_index], ratio.imag
     )
-    # What the distorted reference itself drives through the structure is no distortion of the response.
-    own = lines.value[:, :, channel] - through * lines.value[:, :, 0]
+    # The response to a distorted reference is no distortion of the structure.
+    remaining = lines.value[:, :, channel] - through * lines.value[:, :, 0]
     level = np.sqrt(np.mean(np.abs(lines.value[:, excited, channel].mean(axis=0)) ** 2))
-    told = []
+    levels = []
     for word, remainder in (("even", 0), ("odd", 1)):
         chosen = silent & (lines.harmonic % 2 == remainder)
         if not chosen.any():
             continue
-        mean = np.mean(np.abs(own[:, chosen].mean(axis=0)) ** 2)
-        noise = np.mean(np.var(own[:, chosen], axis=0, ddof=1)) / len(own)
+        mean = np.mean(np.abs(remaining[:, chosen].mean(axis=0)) ** 2)
+        noise = np.mean(np.var(remaining[:, chosen], axis=0, ddof=1)) / len(remaining)
         if mean > _DISTORTION**2 * noise:
-            told.append(f"{20.0 * np.log10(np.sqrt(mean - noise) / level):.0f} dB at {word} lines")
-    if not told:
-        return []
-    text = f"non-linear distortions: {' and '.join(told)} that are not excited, relative to the excited ones"
-    return [Notice("warning", text, name)]
+            levels.append(f"{20.0 * np.log10(np.sqrt(mean - noise) / level):.0f} dB at {word} lines")
+    return [Notice(NONLINEAR_DISTORTIONS, name, levels=" and ".join(levels))] if levels else []
 
 
 # Transfer functions from periodic excitation: errors-in-variables estimate, covariance over periods.
@@ -297,14 +311,37 @@ def transfer_periodic(
     settle_periods: int = 0,
     band_hz: tuple[float, float] | None = None,
 ) -> TransferFunction:
-    """Return H = Ȳ/X̄ at the excited harmonics of a periodic excitation (chirp, multisine) from its whole periods.
+    """Return H = Ȳ/X̄ at the excited harmonics of a periodic excitation (chirp, multisine).
 
+    Parameters
+    ----------
+    record
+        Reference and responses.
+    period_s
+        Period in s, good to 0.1 %; it is refined on the reference.
+    settle_periods
+        Number of periods skipped at the begin, default 0.
+    band_hz
+        Band in Hz; default up to 0.45 of the sampling rate.
+
+    Returns
+    -------
+    The transfer function with covariance and coherence.
+
+    Raises
+    ------
+    ValueError
+        Fewer than 2 whole periods remain, or the reference excites no line.
+
+    Notes
+    -----
     The maximum-likelihood estimate with noise on reference and responses (Pintelon and Schoukens, System
-    Identification, 2nd ed., section 2.7.2): phasors are averaged over the M periods after the first `settle_periods`,
-    then divided. The period is refined on the reference, so that an excitation clock beside the DAQ's leaks nothing.
-    The covariance follows from the scatter of Y_m - H·X_m over the periods (M ≥ 2), pooled over up to 17
-    neighbouring lines; `dof` is 2(M-1) times the lines pooled.
+    Identification, 2nd ed., section 2.7.2): phasors are averaged over the M periods, then divided. The refined period
+    avoids leakage if the excitation and the DAQ have separate clocks. The covariance is the scatter of Y_m - H·X_m over
+    the periods (M ≥ 2), pooled over up to 17 neighbouring lines; `dof` is 2(M-1) times the lines pooled.
 
+    Examples
+    --------
     >>> import numpy as np
     >>> from scipy.signal import lfilter
     >>> from shaker import TransferRecord, transfer_periodic
@@ -349,7 +386,10 @@ def transfer_periodic(
 
 
 def _ratio(value: ComplexArray, frequency_hz: FloatArray, record: TransferRecord) -> tuple[Phasors, FloatArray]:
-    """Return the ratio of the means over periods of phasors (M, K, 1 + C), reference first, and their coherence."""
+    """Return the ratio of means over periods and its coherence.
+
+    `value` (M, K, 1 + C) are phasors, reference first.
+    """
     count = len(value)
     reference, responses = value[:, :, 0], value[:, :, 1:]
     mean = reference.mean(axis=0)

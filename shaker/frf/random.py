@@ -1,25 +1,29 @@
-"""Transfer functions from noise."""
+"""Transfer functions from random excitation."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Literal
 
 import numpy as np
 
 from shaker.arrays import ComplexArray, FloatArray, IntArray, check_shape
+from shaker.frf.frf_notices import ESTIMATOR_H1, ESTIMATOR_H2, ESTIMATOR_HV, ESTIMATOR_REQUESTED
 from shaker.frf.result import TransferFunction, TransferRecord, circular_covariance, resolution_notices
 from shaker.lines.spectrum import hann_window
 from shaker.sine.phasor import Phasors
-from shakercal._common.notices import Notice
+from shakercal._common.notices import DeclaredNotice, Notice, Value
 
 _TOLERANCE = 0.3  # bias of an estimator, over its standard uncertainty, that is accepted
-_TELLING = 0.5  # coherence from which 1 - γ² is about the sum of the two noise-to-signal ratios
+_MIN_COHERENCE = 0.5  # coherence from which 1 - γ² is about the sum of the two noise-to-signal ratios
 
 
 @dataclass(frozen=True)
 class Spectra:
-    """Averaged spectra `power` (K, 1 + C, 1 + C) = E[z zᴴ] of [reference, responses], each worth `averages` (K,)."""
+    """Averaged spectra of [reference, responses].
+
+    `power` (K, 1 + C, 1 + C) is E[z zᴴ]. `averages` (K,) is the number of independent averages.
+    """
 
     power: ComplexArray
     averages: FloatArray
@@ -52,25 +56,26 @@ class Spectra:
 
 
 @dataclass(frozen=True)
-class EstimatorChoice:
-    """The estimator taken, the ratio of the noise powers that Hv uses, and why."""
+class EstimatorSelection:
+    """Selected estimator, ratio of the noise powers for Hv, and the declared reason."""
 
     estimator: Literal["H1", "H2", "Hv"]
     noise_ratio: float
-    why: str
+    reason: DeclaredNotice
+    values: dict[str, Value] = field(default_factory=dict)
 
     def notice(self, where: str, averaged: str) -> Notice:
-        """Return the notice that tells the choice."""
-        return Notice("note", f"{self.estimator} of {averaged}: {self.why}", where)
+        """Return the notice of the selection."""
+        return Notice(self.reason, where, estimator=self.estimator, averaged=averaged, **self.values)
 
 
-def ratio_covariance(spectra: Spectra, ratio: ComplexArray, choice: EstimatorChoice) -> FloatArray:
-    """Return the covariance (K, 2C, 2C) of a ratio (K, C) that `ratio_of` has found."""
+def ratio_covariance(spectra: Spectra, ratio: ComplexArray, choice: EstimatorSelection) -> FloatArray:
+    """Return the covariance (K, 2C, 2C) of a ratio (K, C) from `ratio_of`."""
     power, averages = spectra.power, spectra.averages
     if not np.all(averages > 1.0):
         return np.full((len(ratio), 2 * ratio.shape[1], 2 * ratio.shape[1]), np.nan)
     cross = ratio[:, :, None] * spectra.cross.conj()[:, None, :]
-    # Power of y - H x for the H found; for H1 it is what the regression leaves.
+    # Power of y - H x for this H; for H1 it is the residual of the regression.
     left = power[:, 1:, 1:] - cross - cross.conj().swapaxes(1, 2)
     left = left + ratio[:, :, None] * ratio.conj()[:, None, :] * power[:, :1, :1]
     noise = left / (power[:, :1, :1].real * (averages[:, None, None] - 1.0))
@@ -83,8 +88,11 @@ def ratio_covariance(spectra: Spectra, ratio: ComplexArray, choice: EstimatorCho
     return circular_covariance(hermitian)
 
 
-def ratio_of(spectra: Spectra, choice: EstimatorChoice) -> ComplexArray:
-    """Return H (K, C) by the estimator chosen; Hv minimises the noise |n_x|² + |n_y|²/κ that explains the spectra."""
+def ratio_of(spectra: Spectra, choice: EstimatorSelection) -> ComplexArray:
+    """Return H (K, C) by the selected estimator.
+
+    Hv minimises the noise |n_x|² + |n_y|²/κ that explains the spectra.
+    """
     cross, reference, responses = spectra.cross, spectra.reference[:, None], spectra.responses
     if choice.estimator == "H1":
         return np.asarray(cross / reference)
@@ -101,49 +109,55 @@ def choose_estimator(
     requested: Literal["auto", "H1", "H2", "Hv"],
     noise_ratio: float | None,
     reference_name: str,
-) -> EstimatorChoice:
-    """Return the estimator to take: the one wanted, or the one whose bias stays below its uncertainty.
+) -> EstimatorSelection:
+    """Return the requested estimator, or the one whose bias is below its uncertainty.
 
-    The coherence tells noise on the reference from noise on a response, if both are about white over the band:
-    1 - γ² = N_x/S_xx + N_y/S_yy, solved for N_x, N_y ≥ 0 by weighted least squares.
+    The coherence distinguishes noise on the reference from noise on a response if both are about white over the band: 1
+    - γ² = N_x/S_xx + N_y/S_yy, solved for N_x, N_y ≥ 0 by weighted least squares.
     """
     if noise_ratio is not None and not noise_ratio > 0.0:
         raise ValueError(f"noise_ratio: expected a positive number, found {noise_ratio}")
     on_reference, on_response, bias_h1, bias_h2 = _noise_shares(spectra)
-    told = on_reference > 0.0 and on_response > 0.0
-    if requested == "Hv" and noise_ratio is None and not told:
-        raise ValueError("noise_ratio: expected the ratio of the noise powers, found none and no noise to tell it by")
-    kappa = noise_ratio or (on_response / on_reference if told else 1.0)
+    distinguishable = on_reference > 0.0 and on_response > 0.0
+    if requested == "Hv" and noise_ratio is None and not distinguishable:
+        raise ValueError(
+            "noise_ratio: expected the ratio of the noise powers, found none and too little noise to estimate it"
+        )
+    kappa = noise_ratio or (on_response / on_reference if distinguishable else 1.0)
     if requested != "auto":
-        return EstimatorChoice(requested, kappa, "as asked")
+        return EstimatorSelection(requested, kappa, ESTIMATOR_REQUESTED)
     if bias_h1 <= _TOLERANCE:
-        return EstimatorChoice("H1", kappa, f"noise on {reference_name} biases it by less than its uncertainty")
+        return EstimatorSelection("H1", kappa, ESTIMATOR_H1, {"reference": reference_name})
     if bias_h2 <= _TOLERANCE:
-        return EstimatorChoice("H2", kappa, f"the noise is on {reference_name}, little on the responses")
-    why = f"noise on {reference_name} and on the responses, powers in the ratio 1 : {kappa:.3g}"
-    return EstimatorChoice("Hv", kappa, why)
+        return EstimatorSelection("H2", kappa, ESTIMATOR_H2, {"reference": reference_name})
+    return EstimatorSelection("Hv", kappa, ESTIMATOR_HV, {"reference": reference_name, "noise_ratio": kappa})
 
 
 def _noise_shares(spectra: Spectra) -> tuple[float, float, float, float]:
-    """Return noise powers on reference and responses, and the bias of H1 and H2 over its uncertainty (95th centile)."""
+    """Return the noise powers on reference and responses, and the bias of H1 and H2.
+
+    The bias is relative to its uncertainty (95th centile).
+    """
     from scipy.optimize import nnls
 
     coherence = spectra.coherence
     bias = (1.0 - coherence) ** 2 / spectra.averages[:, None]
     missing = np.maximum(1.0 - coherence - bias, 0.0)
-    # The estimate of 1 - γ² scatters by about √2 γ (1 - γ²)/√n; a smooth stand-in weighs the lines.
+    # The estimate of 1 - γ² scatters by about √2 γ (1 - γ²)/√n; a smooth approximation weights the lines.
     scale = 1.0 / np.maximum(missing, np.maximum(np.median(missing), 1e-12))
     fits, shares = [], []
     for c in range(coherence.shape[1]):
-        told = coherence[:, c] > _TELLING  # lines whose signal is above the noise: beside a band, noise is all there is
-        if not told.any():
-            told[:] = True
-        x, y, averages = spectra.reference[told], spectra.responses[told, c], spectra.averages[told]
-        columns = np.stack([1.0 / x, 1.0 / y], axis=1) * scale[told, c, None]
+        usable = (
+            coherence[:, c] > _MIN_COHERENCE
+        )  # lines whose signal is above the noise: outside a band there is only noise
+        if not usable.any():
+            usable[:] = True
+        x, y, averages = spectra.reference[usable], spectra.responses[usable, c], spectra.averages[usable]
+        columns = np.stack([1.0 / x, 1.0 / y], axis=1) * scale[usable, c, None]
         unit = np.linalg.norm(columns, axis=0)
-        level = nnls(columns / unit, missing[told, c] * scale[told, c])[0] / unit
+        level = nnls(columns / unit, missing[usable, c] * scale[usable, c])[0] / unit
         fits.append(level)
-        u_relative = np.sqrt(np.maximum(missing[told, c], 1e-12) / averages)
+        u_relative = np.sqrt(np.maximum(missing[usable, c], 1e-12) / averages)
         shares.append(np.quantile([level[0] / x / u_relative, level[1] / y / u_relative], 0.95, axis=1))
     noise = np.median(fits, axis=0)
     bias_h1, bias_h2 = np.max(shares, axis=0)
@@ -153,8 +167,8 @@ def _noise_shares(spectra: Spectra) -> tuple[float, float, float, float]:
 # Transfer functions by local polynomials: the spectrum of a whole record, without segments and window.
 
 _ORDER = 6  # of the polynomials in frequency
-_LOWER_ORDER = 4  # of those that show what the order matters
-_WINDOW = 5.0  # lines of the wanted spacing that one polynomial spans
+_LOWER_ORDER = 4  # of the polynomials that show the influence of the order
+_WINDOW = 5.0  # lines that one polynomial spans
 _UNKNOWNS = 2 * (_ORDER + 1)  # coefficients of transfer function and transient
 _FEWEST_BINS = 2 * _UNKNOWNS  # of a record's spectrum in a window, half of them for the noise
 LEAST_SEGMENTS = _FEWEST_BINS / _WINDOW
@@ -165,10 +179,15 @@ _TOGETHER = 200_000  # bins of all windows that are solved at once
 
 @dataclass(frozen=True)
 class LineSpectra:
-    """Spectra at K lines, `dof` real degrees of freedom of their noise, correlation of the errors of lines (D,).
+    """Spectra at K lines with the properties of their errors.
 
-    `bias` (K, C): by how much the transfer function may be off, None where its curvature tells; `text`: how they were
-    made.
+    Attributes
+    ----------
+    spectra : the spectra.
+    bias : (K, C), possible bias of the transfer function, None where it follows from the curvature.
+    dof : real degrees of freedom of the noise.
+    line_correlation : (D,), correlation of the errors of lines.
+    text : description of the method.
     """
 
     spectra: Spectra
@@ -179,17 +198,19 @@ class LineSpectra:
 
 
 def local_spectra(record: TransferRecord, length: int, frequency_hz: FloatArray) -> LineSpectra:
-    """Return spectra [reference, responses] at lines (K,), Hz, a `length`-th of the sample rate apart.
+    """Return spectra [reference, responses] at lines (K,) in Hz by local polynomials.
 
-    Over a window of five lines of the record's own DFT, r bins from the line, Y(r) = Σ g_s rˢ·X(r) + Σ t_s rˢ, s = 0 …
-    6, by least squares: t is what the record's beginning and end leave (leakage), smooth in frequency, g₀ the transfer
-    function at the line (Pintelon and Schoukens, System Identification, 2nd ed., 2012, sec. 7.2; Schoukens,
-    Vandersteen, Barbé and Pintelon, Eur. J. Control 15, 2009). What the fit leaves, per degree of freedom, is the noise
-    S_ee. Given back is S_xx = mean |X|², S_yx = g₀ S_xx, S_yy = |g₀|² S_xx + S_ee, worth n + 1 averages, n =
-    (X*QX)/S_xx, Q the projection on what the other unknowns do not explain: then var g₀ = S_ee/(n S_xx), and noise on
-    the reference lowers g₀ as it lowers H1, so that H2 and Hv can be had from these spectra as from averaged ones.
+    The lines are a `length`-th of the sample rate apart. The model in a window of five lines of the record's DFT, r
+    bins from the line, is Y(r) = Σ g_s rˢ·X(r) + Σ t_s rˢ, s = 0 … 6. It is fitted by least squares. The transient t of
+    the record's begin and end (leakage) is smooth in frequency. The transfer function at the line is g₀ (Pintelon and
+    Schoukens, System Identification, 2nd ed., 2012, sec. 7.2; Schoukens et al., Eur. J. Control 15, 2009). The residual
+    per degree of freedom is the noise S_ee.
+
+    The result is S_xx = mean |X|², S_yx = g₀ S_xx, S_yy = |g₀|² S_xx + S_ee, worth n + 1 averages. Here n =
+    (X*QX)/S_xx, with the projection Q orthogonal to the other unknowns. Then var g₀ = S_ee/(n S_xx), and noise on the
+    reference lowers g₀ as it lowers H1. Both H2 and Hv therefore follow from these spectra as from averaged ones.
     Errors of two lines correlate as far as their windows overlap. A resonance that is too narrow for these polynomials
-    is still more so for those of order 4: the difference, where noise alone does not make it, bounds the bias.
+    is even more so for those of order 4. The difference, where it exceeds the noise, bounds the bias.
     """
     samples = len(record.reference)
     if samples < LEAST_SEGMENTS * length:
@@ -199,27 +220,32 @@ def local_spectra(record: TransferRecord, length: int, frequency_hz: FloatArray)
     together = np.column_stack([record.reference, record.responses])
     transform = np.fft.rfft(together - together.mean(axis=0), axis=0)
     bins = round(_WINDOW * samples / length)
-    place = frequency_hz * (samples / record.sample_rate_hz)
-    first = np.clip(np.round(place - 0.5 * (bins - 1)).astype(np.int64), 1, len(transform) - 1 - bins)
+    position = frequency_hz * (samples / record.sample_rate_hz)
+    first = np.clip(np.round(position - 0.5 * (bins - 1)).astype(np.int64), 1, len(transform) - 1 - bins)
     count = max(1, _TOGETHER // bins)
-    parts = [_solved(transform, place[k : k + count], first[k : k + count], bins) for k in range(0, len(place), count)]
+    parts = [
+        _solved(transform, position[k : k + count], first[k : k + count], bins) for k in range(0, len(position), count)
+    ]
     power, averages, bias = (np.concatenate(part) for part in zip(*parts, strict=True))
-    # Of polynomial fits at the middle of windows that lie samples/length bins apart.
+    # Correlation of polynomial fits at the middle of windows at a distance of samples/length bins.
     centred = (np.arange(bins) - 0.5 * (bins - 1)) / (0.5 * bins)
     kernel = np.linalg.pinv(centred[:, None] ** np.arange(_ORDER + 1))[0]
-    apart = np.round(np.arange(0.0, bins, samples / length)).astype(np.int64)
-    correlation = np.array([kernel[: bins - d] @ kernel[d:] / (kernel @ kernel) for d in apart if d < bins])
+    lag = np.round(np.arange(0.0, bins, samples / length)).astype(np.int64)
+    correlation = np.array([kernel[: bins - d] @ kernel[d:] / (kernel @ kernel) for d in lag if d < bins])
     text = f"local polynomials of order {_ORDER} over {bins} bins of the whole record"
     dof = 2.0 * (bins - _UNKNOWNS)
     return LineSpectra(Spectra(power, averages), bias, dof, correlation.astype(np.complex128), text)
 
 
 def _solved(
-    transform: ComplexArray, place: FloatArray, first: IntArray, bins: int
+    transform: ComplexArray, position: FloatArray, first: IntArray, bins: int
 ) -> tuple[ComplexArray, FloatArray, ComplexArray]:
-    """Return power (K, 1 + C, 1 + C), averages (K,) and bias (K, C) of the windows that begin at the bins `first`."""
+    """Return power, averages (K,) and bias (K, C) of windows.
+
+    `power` is (K, 1 + C, 1 + C). The windows begin at bins `first`.
+    """
     index = first[:, None] + np.arange(bins)
-    powers = ((index - place[:, None]) / (0.5 * bins))[:, :, None] ** np.arange(_ORDER + 1)
+    powers = ((index - position[:, None]) / (0.5 * bins))[:, :, None] ** np.arange(_ORDER + 1)
     reference, responses = transform[index, :1], transform[index, 1:]
     ratio, information, noise = _fitted(powers, reference, responses)
     lower_ratio, lower_information, _ = _fitted(powers[:, :, : _LOWER_ORDER + 1], reference, responses)
@@ -228,8 +254,8 @@ def _solved(
     power = level[:, None, None] * through[:, :, None] * through.conj()[:, None, :]
     power[:, 1:, 1:] += noise
     # The lower fit is part of the higher one, so that the variance of their difference is that of their variances.
-    gained = 1.0 / information - 1.0 / lower_information
-    by_chance = np.einsum("kcc->kc", noise).real * gained[:, None]
+    variance_difference = 1.0 / information - 1.0 / lower_information
+    by_chance = np.einsum("kcc->kc", noise).real * variance_difference[:, None]
     difference = ratio - lower_ratio
     bias = np.where(np.abs(difference) ** 2 > _CERTAIN * by_chance, difference, 0.0)
     return power, 1.0 + information / level, bias
@@ -238,11 +264,11 @@ def _solved(
 def _fitted(
     powers: FloatArray, reference: ComplexArray, responses: ComplexArray
 ) -> tuple[ComplexArray, FloatArray, ComplexArray]:
-    """Fit polynomials with `powers` (K, B, P) of the place to responses (K, B, C) on a reference (K, B, 1).
+    """Fit polynomials with `powers` (K, B, P) of the position to responses on a reference.
 
-    Returns the ratio (K, C), the information (K,) and the noise (K, C, C) behind it.
+    `responses` (K, B, C), `reference` (K, B, 1). Returns the ratio (K, C), its information (K,) and noise (K, C, C).
     """
-    # The transfer function at the line comes last but the responses, so that the triangle holds it alone.
+    # The transfer function at the line is last before the responses, so that the triangle separates it.
     columns = np.concatenate([powers[:, :, 1:] * reference, powers, reference, responses], axis=2)
     triangle: ComplexArray = np.asarray(np.linalg.qr(columns, mode="r"))
     last = 2 * powers.shape[2] - 1
@@ -256,7 +282,7 @@ def _fitted(
 # Transfer functions from noise: local polynomials, or averaged spectra of overlapping segments; H1, H2, Hv.
 
 _HOP = 3  # segments begin every third of their length: 67 % overlap
-_FIRST_BIN = 3  # a Hann window lets what the mean left reach the bins below
+_FIRST_BIN = 3  # a Hann window spreads the rest of the mean over the bins below
 _REACH = 8  # lines over which those errors correlate
 _CORRELATED = 1e-4  # correlation of the errors of neighbouring lines that counts
 
@@ -271,17 +297,43 @@ def transfer_random(
 ) -> TransferFunction:
     """Return H from a stationary random excitation at lines `resolution_hz` apart.
 
-    "local": local polynomials on the spectrum of the whole record (see `local_spectra`), no leakage, H1, H2 or Hv of
-    the spectra that they give. "H1", "H2", "Hv": Welch's averaged spectra of Hann segments of 1/resolution that overlap
-    by 67 % and count as n independent ones (IEEE Trans. Audio Electroacoust. 15, 1967). "auto" takes "local" where the
-    record is 5.6 such segments long or more, else the segments.
-    H1 = S_xy/S_xx suffers from noise on the reference, H2 = S_yy/S_yx from noise on the response, Hv (total least
-    squares) from neither if the ratio of the noise powers, response over reference, is that of `noise_ratio`; None
-    takes it from the coherence. A notice says what was taken and why. Covariance: S_ee/(n S_xx) of what H leaves of the
-    responses (Bendat and Piersol, Random Data, 4th ed., eqs. 9.89 and 9.90, without the approximation for large n);
-    added is the square of the bias: of segments its leading term, H''/6 per line squared (the average of H over |W|²,
-    whose second moment is 1/3 for Hann), of polynomials what a lower order makes of H.
+    Parameters
+    ----------
+    record
+        Reference and responses.
+    resolution_hz
+        Distance of the lines in Hz.
+    estimator
+        "local", "H1", "H2", "Hv"; default "auto".
+    noise_ratio
+        Ratio of the noise powers, response over reference, for Hv; default: from the coherence.
+    band_hz
+        Band in Hz; default: all lines.
 
+    Returns
+    -------
+    The transfer function with covariance and coherence; a notice states the selected estimator and the reason.
+
+    Raises
+    ------
+    ValueError
+        The record is too short for the resolution, the band has no line, or Hv has no noise ratio.
+
+    Notes
+    -----
+    "local": local polynomials on the spectrum of the whole record (see `local_spectra`), without leakage, and H1, H2 or
+    Hv of these spectra. "H1", "H2", "Hv": Welch's averaged spectra of Hann segments of 1/resolution with 67 % overlap,
+    which count as n independent ones (IEEE Trans. Audio Electroacoust. 15, 1967). "auto" uses "local" where the record
+    is 5.6 such segments long or more, else the segments.
+
+    H1 = S_xy/S_xx is biased by noise on the reference, H2 = S_yy/S_yx by noise on the response. Hv (total least
+    squares) is biased by neither if `noise_ratio` is right. Covariance: S_ee/(n S_xx) of the residual of the responses
+    (Bendat and Piersol, Random Data, 4th ed., eqs. 9.89 and 9.90, without the approximation for large n), plus the
+    square of the bias. For segments that is its leading term, H''/6 per line squared (the average of H over |W|², whose
+    second moment is 1/3 for Hann). For polynomials it is the difference from a lower order.
+
+    Examples
+    --------
     >>> import numpy as np
     >>> from scipy.signal import lfilter
     >>> from shaker import TransferRecord, transfer_random
@@ -295,8 +347,8 @@ def transfer_random(
     enough = len(record.reference) >= LEAST_SEGMENTS * length
     local = estimator == "local" or (estimator == "auto" and enough)
     source = (local_spectra if local else averaged_spectra)(record, length, chosen)
-    wanted = "auto" if estimator == "local" else estimator
-    choice = choose_estimator(source.spectra, wanted, noise_ratio, record.reference_name)
+    requested = "auto" if estimator == "local" else estimator
+    choice = choose_estimator(source.spectra, requested, noise_ratio, record.reference_name)
     ratio = ratio_of(source.spectra, choice)
     noise, bias = ratio_covariance(source.spectra, ratio, choice), source.bias
     if bias is None:  # H''/6 of a Hann window, zero at both ends
@@ -304,7 +356,7 @@ def transfer_random(
         bias[1:-1] = (ratio[2:] - 2.0 * ratio[1:-1] + ratio[:-2]) / 6.0
     covariance = noise + circular_covariance(bias[:, :, None] * bias.conj()[:, None, :])
     notices = [choice.notice(record.reference_name, source.text)]
-    cause, dof = "a polynomial over five lines" if local else "leakage", np.full(len(chosen), source.dof)
+    cause, dof = "A polynomial over five lines" if local else "Leakage", np.full(len(chosen), source.dof)
     for c, name in enumerate(record.channels):
         notices += resolution_notices(chosen, ratio[:, c], np.sqrt(noise[:, c, c]), name, cause)
     return TransferFunction(
@@ -320,7 +372,7 @@ def transfer_random(
 
 
 def _lines(record: TransferRecord, resolution_hz: float, band_hz: tuple[float, float] | None) -> tuple[int, FloatArray]:
-    """Return the samples of 1/resolution, and the lines (K,), Hz, inside a band."""
+    """Return the samples of 1/resolution, and the lines (K,) in Hz inside a band."""
     rate = record.sample_rate_hz
     if not 0.0 < resolution_hz < rate / 16.0:
         raise ValueError(f"resolution_hz: expected a value in (0, {rate / 16.0:.6g}), found {resolution_hz}")
@@ -340,19 +392,20 @@ def _lines(record: TransferRecord, resolution_hz: float, band_hz: tuple[float, f
 
 
 def averaged_spectra(record: TransferRecord, length: int, frequency_hz: FloatArray) -> LineSpectra:
-    """Return spectra [reference, responses] at neighbouring lines (K,), Hz, averaged over segments of `length` samples.
+    """Return averaged spectra [reference, responses] at neighbouring lines (K,) in Hz.
 
-    Noise in two segments that begin d samples apart correlates as Σ w(n)·w(n+d)·exp(-jωn), which tells as how many
-    independent ones they count, and how errors of neighbouring lines correlate.
+    Segments have `length` samples. Noise in two segments that begin d samples apart correlates as Σ
+    w(n)·w(n+d)·exp(-jωn). This gives the number of independent segments and the correlation of errors of neighbouring
+    lines.
     """
     window, hop = hann_window(length), max(1, length // _HOP)
     starts = range(0, len(record.reference) - length + 1, hop)
     count = len(starts)
     total = np.zeros(_REACH)
-    for apart in range(min(count, -(-length // hop))):
+    for lag in range(min(count, -(-length // hop))):
         overlap = np.zeros(length)
-        overlap[: length - apart * hop] = window[apart * hop :] * window[: length - apart * hop]
-        share = (count - apart) / count * (1.0 if apart == 0 else 2.0)
+        overlap[: length - lag * hop] = window[lag * hop :] * window[: length - lag * hop]
+        share = (count - lag) / count * (1.0 if lag == 0 else 2.0)
         total = total + share * np.abs(np.fft.rfft(overlap)[:_REACH] / np.sum(window**2)) ** 2
     independent, correlation = count / float(total[0]), np.asarray(total / total[0], dtype=np.complex128)
     together = np.column_stack([record.reference, record.responses])

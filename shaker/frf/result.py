@@ -1,4 +1,4 @@
-"""What a measurement of transfer functions returns, and which of its lines were excited."""
+"""Input and result of transfer-function measurements, excited lines, and pooled noise."""
 
 from __future__ import annotations
 
@@ -10,10 +10,11 @@ from numpy.typing import NDArray
 
 from shaker.arrays import BoolArray, ComplexArray, FloatArray, check_shape
 from shaker.frf.chain import ratio_unit
+from shaker.frf.frf_notices import NARROW_PEAKS
 from shaker.sine.phasor import Phasors
-from shakercal._common.notices import Notice
+from shakercal._common.notices import Notice, Value
 
-# What goes into the estimate of a transfer function, and what comes out.
+# Input and result of the estimate of a transfer function.
 
 Estimator = Literal["H1", "H2", "Hv", "periodic", "local"]
 
@@ -22,9 +23,16 @@ Estimator = Literal["H1", "H2", "Hv", "periodic", "local"]
 class TransferRecord:
     """Samples of a reference and of C responses on one clock.
 
-    `reference` (S,), `responses` (S, C), both at `start + i / sample_rate_hz`; `reference_name` and `reference_unit`,
-    `channels` and `unit` (C names of the responses and their units).
+    Attributes
+    ----------
+    reference : (S,), samples at `start + i / sample_rate_hz`.
+    responses : (S, C), at the same times.
+    sample_rate_hz : sampling rate in Hz.
+    reference_name, reference_unit : name and unit of the reference.
+    channels, unit : C names and units of the responses.
 
+    Examples
+    --------
     >>> import numpy as np
     >>> from scipy.signal import lfilter
     >>> from shaker import TransferRecord
@@ -72,10 +80,17 @@ class TransferRecord:
 class TransferFunction:
     """Responses over a reference at K lines, H = Y/X.
 
-    `ratio`: the C responses over the reference with covariance; `coherence` (K, C), as estimated (see
-    `coherence_bias`); `averages` (K,): independent averages behind it; `added_decay_per_s`: the decay a that an
-    exponential window has added, so that `ratio` is H(s) at s = a + jω; `line_correlation` (D,): correlation of the
-    errors of lines that are 0, 1, 2 … lines of the grid `line_spacing_hz` apart, [1] where they are independent.
+    Attributes
+    ----------
+    ratio : the C responses over the reference with covariance.
+    coherence : (K, C), as estimated (see `coherence_bias`).
+    estimator : name of the estimator.
+    reference : name of the reference.
+    averages : (K,), number of independent averages.
+    line_spacing_hz : distance of the lines of the grid in Hz.
+    line_correlation : (D,), correlation of the errors of lines 0, 1, 2 … grid lines apart, [1] where independent.
+    notices : notices of the measurement.
+    added_decay_per_s : decay a of an exponential window, so that `ratio` is H(s) at s = a + jω.
     """
 
     ratio: Phasors
@@ -99,7 +114,10 @@ class TransferFunction:
 
     @property
     def coherence_bias(self) -> FloatArray:
-        """Bias (1 - γ²)²/n of the estimated coherence, (K, C); Bendat and Piersol, Random Data, 4th ed., eq. 9.76."""
+        """Bias (1 - γ²)²/n of the estimated coherence, (K, C).
+
+        Bendat and Piersol, Random Data, 4th ed., eq. 9.76.
+        """
         return np.asarray((1.0 - self.coherence) ** 2 / self.averages[:, None])
 
     def at_lines(self, lines: NDArray[Any]) -> TransferFunction:
@@ -122,7 +140,10 @@ class TransferFunction:
 
 
 def circular_covariance(complex_covariance: ComplexArray) -> FloatArray:
-    """Return the covariance (K, 2C, 2C) of [all Re, all Im] of circular noise with E[e eᴴ] given as (K, C, C)."""
+    """Return the real covariance (K, 2C, 2C) of circular complex noise.
+
+    It is that of [all Re, all Im]; the input is E[e eᴴ] (K, C, C).
+    """
     half = 0.5 * complex_covariance
     return np.asarray(np.block([[half.real, -half.imag], [half.imag, half.real]]))
 
@@ -137,10 +158,10 @@ _DENSE = 0.7  # share of strong lines from which every line of a band is excited
 
 
 def excited_lines(reference: ComplexArray) -> BoolArray:
-    """Tell which lines (K,) the phasors (M, K) of M periods of a reference excite.
+    """Return which lines (K,) a periodic reference with phasors (M, K) of M periods excites.
 
-    A line is excited that stands ten times above its own standard uncertainty and, where only some lines are excited
-    (multisine with unexcited lines that show distortions), above a tenth of the largest line nearby.
+    An excited line exceeds ten times its standard uncertainty. Where only some lines are excited (multisine with
+    unexcited lines that show distortions), it also exceeds a tenth of the largest line nearby.
     """
     from scipy.ndimage import maximum_filter1d, uniform_filter1d
 
@@ -154,17 +175,17 @@ def excited_lines(reference: ComplexArray) -> BoolArray:
     strong = signal & (magnitude > _STRONG * nearby) & (magnitude > _WEAKEST * magnitude.max(initial=0.0))
     if not strong.any():
         return np.asarray(strong)
-    place = np.flatnonzero(strong)
+    strong_index = np.flatnonzero(strong)
     inside = np.zeros(lines, dtype=np.bool_)
-    inside[place[0] : place[-1] + 1] = True
+    inside[strong_index[0] : strong_index[-1] + 1] = True
     dense = np.count_nonzero(strong) > _DENSE * np.count_nonzero(inside)
     return np.asarray(inside & signal if dense else strong)
 
 
 # Whether the lines of a transfer function resolve its resonances.
 
-_LEAST = 6.0  # lines of a Hann window, or of local polynomials, between half-power points below which a peak reads low
-_PROMINENCE = 2.0  # factor by which a peak stands above its surroundings
+_MIN_WIDTH = 6.0  # lines between half-power points; below it a Hann window or local polynomials lower a peak
+_PROMINENCE = 2.0  # factor by which a peak exceeds its surroundings
 _REACH = 40  # lines on either side that are its surroundings
 _CERTAIN = 0.1  # relative uncertainty of |H| from which a peak may be noise
 
@@ -172,7 +193,10 @@ _CERTAIN = 0.1  # relative uncertainty of |H| from which a peak may be noise
 def resolution_notices(
     frequency_hz: FloatArray, ratio: ComplexArray, u_ratio: FloatArray, name: str, cause: str
 ) -> list[Notice]:
-    """Tell peaks of |H| (K,), uncertainty `u_ratio` (K,), so narrow that the `cause` named lowers and widens them."""
+    """Return a notice of peaks of |H| narrower than the line spacing allows.
+
+    `u_ratio` (K,) is the uncertainty of |H|. `cause` names the effect that lowers and widens such peaks.
+    """
     from scipy.signal import find_peaks, peak_widths
 
     magnitude = np.abs(ratio)
@@ -185,35 +209,34 @@ def resolution_notices(
     prominences = (np.full(len(peaks), 0.5 * np.log(2.0)), np.maximum(peaks - _REACH, 0), peaks + _REACH)
     bounds = (prominences[0], prominences[1], np.minimum(prominences[2], len(level) - 1))
     widths = peak_widths(level, peaks, rel_height=1.0, prominence_data=bounds)[0]
-    narrow = widths < _LEAST
+    narrow = widths < _MIN_WIDTH
     if not narrow.any():
         return []
     spacing = float(frequency_hz[1] - frequency_hz[0])
     listed = ", ".join(f"{frequency_hz[p]:.6g}" for p in peaks[narrow][:6])
     width = float(widths[narrow].min())
-    text = (
-        f"half-power width of {width:.2g} lines at {listed} Hz: {cause} lowers and widens such a peak; lines "
-        f"{spacing * max(1.0, width) / (2.0 * _LEAST):.2g} Hz apart would show it"
-    )
-    return [Notice("warning", text, name)]
+    needed = spacing * max(1.0, width) / (2.0 * _MIN_WIDTH)
+    values: dict[str, Value] = {"frequencies": listed, "width_lines": width, "cause": cause, "spacing_hz": needed}
+    return [Notice(NARROW_PEAKS, name, **values)]
 
 
 # Noise of neighbouring lines taken together.
 
 _NEIGHBOURS = 8  # lines on either side that share one estimate of the noise
 _BLOCK = 64  # lines over which the shares of the noise are steady
-_SHAPE_STEPS = 60
-_STANDS_OUT = 1e-5  # probability below which a line counts as noisier than its neighbours
+_SHAPE_STEPS = 60  # multiplicative steps of the noise shape; chosen
+_OUTLIER_PROBABILITY = 1e-5  # probability below which a line counts as noisier than its neighbours
 
 
 def pooled_scatter(scatter: ComplexArray, ratio: ComplexArray, dof: float) -> tuple[ComplexArray, FloatArray]:
-    """Return the noise (K, C, C) averaged over up to 17 neighbouring lines, and how many lines (K,) each average has.
+    """Return the noise (K, C, C) averaged over neighbouring lines, and their number.
 
-    Across a resonance the noise of y - Hx is not level: that of the response is, that of the reference arrives times
-    |H|², and so does what shakes the base. So every line's scatter is first divided by a shape A + B|H|², A, B ≥ 0
-    steady over 64 lines, then averaged, then multiplied by the shape again. A line that is noisier than `dof` degrees
-    of freedom allow (mains, a spur) keeps its own noise to itself; where its scatter has too few degrees of freedom for
-    the correlation of C responses, that of the neighbours, enlarged.
+    Up to 17 lines are averaged. Across a resonance the noise of y - Hx is not level. The noise of the response is, but
+    that of the reference, and of vibrations of the base, is multiplied by |H|². Every line's scatter is therefore
+    divided by a shape A + B|H|², A, B ≥ 0 constant over 64 lines, averaged, and multiplied by the shape again. A line
+    that is noisier than `dof` degrees of freedom allow (mains, a spur) keeps its noise and is excluded from the
+    average. Where its scatter has too few degrees of freedom for the correlation of C responses, that of the neighbours
+    is used, enlarged.
     """
     from scipy.ndimage import convolve1d
 
@@ -221,32 +244,36 @@ def pooled_scatter(scatter: ComplexArray, ratio: ComplexArray, dof: float) -> tu
     shape = np.sqrt(np.sum(_shape(level, np.abs(ratio) ** 2), axis=0))
     product = shape[:, :, None] * shape[:, None, :]
     even = scatter / product
-    alone = _stands_out(level / shape**2, dof)
+    alone = _outlying(level / shape**2, dof)
     counted = np.where(alone[:, None, None], 0.0, even)
     near = np.ones(2 * _NEIGHBOURS + 1)
     total = convolve1d(counted, near, axis=0, mode="constant")
     number = convolve1d((~alone).astype(np.float64), near, mode="constant")
     mean = np.asarray(total / np.maximum(number, 1.0)[:, None, None], dtype=np.complex128)
-    own = even
-    if dof < 2.0 * level.shape[1]:  # the neighbours' noise times what the line's own exceeds it by where most so
+    single = even
+    if dof < 2.0 * level.shape[1]:  # the neighbours' noise times the largest ratio of the line's noise to it
         around = np.einsum("kcc->kc", mean).real
         factor = np.max(level / shape**2 / np.maximum(around, np.finfo(np.float64).tiny), axis=1)
-        own = np.where(np.any(around > 0.0, axis=1)[:, None, None], mean * factor[:, None, None], even)
-    mean = np.where(alone[:, None, None], own, mean)
+        single = np.where(np.any(around > 0.0, axis=1)[:, None, None], mean * factor[:, None, None], even)
+    mean = np.where(alone[:, None, None], single, mean)
     return np.asarray(mean * product), np.where(alone, 1.0, number)
 
 
 def share_of_reference(scatter: ComplexArray, ratio: ComplexArray) -> FloatArray:
-    """Return the share (K, C) that arrives times |H|² in the noise (K, C, C) of y - Hx, as `pooled_scatter` sees it."""
+    """Return the share (K, C) of noise proportional to |H|².
+
+    The noise is that of y - Hx. The shape is that of `pooled_scatter`.
+    """
     level, gain = np.einsum("kcc->kc", scatter).real, np.abs(ratio) ** 2
     flat, through = _shape(level, gain)
     return np.asarray(through / (flat + through))
 
 
 def _shape(level: FloatArray, gain: FloatArray) -> FloatArray:
-    """Return A and B·gain (2, K, C) of noise levels with an exponential-like scatter, by maximum Whittle likelihood.
+    """Return A and B·gain (2, K, C) of noise levels by maximum Whittle likelihood.
 
-    The multiplicative steps are those of Févotte, Bertin and Durrieu, Neural Computation 21 (2009).
+    The scatter is exponential-like. The multiplicative steps are those of Févotte, Bertin and Durrieu, Neural
+    Computation 21 (2009).
     """
     tiny = np.finfo(np.float64).tiny ** 0.25
     lines = len(level)
@@ -266,10 +293,13 @@ def _shape(level: FloatArray, gain: FloatArray) -> FloatArray:
     return np.asarray(np.moveaxis(basis * np.repeat(coefficients, count, axis=0), -1, 0) + 0.5 * tiny)
 
 
-def _stands_out(level: FloatArray, dof: float) -> BoolArray:
-    """Tell which lines are noisier than a common noise lets a line be in any channel of `level` (K, C)."""
+def _outlying(level: FloatArray, dof: float) -> BoolArray:
+    """Return which lines are noisier than common noise allows.
+
+    `level` (K, C) is examined in every channel.
+    """
     from scipy.ndimage import median_filter
     from scipy.special import chdtri
 
     around = median_filter(level, size=(min(2 * _NEIGHBOURS + 1, len(level)), 1), mode="nearest")
-    return np.asarray(np.any(level > chdtri(dof, _STANDS_OUT) / chdtri(dof, 0.5) * around, axis=1))
+    return np.asarray(np.any(level > chdtri(dof, _OUTLIER_PROBABILITY) / chdtri(dof, 0.5) * around, axis=1))

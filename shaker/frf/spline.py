@@ -1,4 +1,4 @@
-"""The cubic spline through values at knots."""
+"""Cubic spline interpolation."""
 
 from __future__ import annotations
 
@@ -12,9 +12,9 @@ Numbers = TypeVar("Numbers", FloatArray, ComplexArray)
 
 
 def cubic_spline(knots: FloatArray, values: Numbers, position: FloatArray) -> Numbers:
-    """Return the not-a-knot cubic spline through values (N,) at wanted places; a constant for one knot.
+    """Return the not-a-knot cubic spline through values (N,) at positions; a constant for one knot.
 
-    The digits are those of `scipy.interpolate.CubicSpline`, whose package takes as long to import as to check a whole
+    The digits are those of `scipy.interpolate.CubicSpline`, whose package takes as long to import as a check of a whole
     recording.
     """
     if len(knots) == 1:
@@ -30,8 +30,11 @@ def cubic_spline(knots: FloatArray, values: Numbers, position: FloatArray) -> Nu
 
 
 def _slopes(knots: FloatArray, step: FloatArray, rise: Numbers) -> Numbers:
-    """Return the spline's slopes (N,) at the knots, which make its second derivative continuous there, and the third
-    one at the second and the last but one (de Boor 2001, A Practical Guide to Splines, chapter IV)."""
+    """Return the spline's slopes (N,) at the knots.
+
+    They make its second derivative continuous there, and the third one at the second and the last but one (de Boor
+    2001, A Practical Guide to Splines, chapter IV).
+    """
     if len(knots) == 2:
         return np.repeat(rise, 2)
     inner: FloatArray = 2.0 * (step[:-1] + step[1:])

@@ -1,4 +1,4 @@
-"""The least-squares problem of an identification: what transducers read, its unknowns in one vector, its starts."""
+"""Least-squares problem of an identification: readings, vector of unknowns, starts."""
 
 from __future__ import annotations
 
@@ -16,15 +16,15 @@ from shaker.mechanics import FrequencyTerms, MechanicalResponse, Mechanics, pole
 
 DELAY_UNIT_S = 1e-6
 """Unit in which free delays are unknown."""
-_NOTHING = 1e-12  # share of a change below which it is rounding
+_ROUNDING = 1e-12  # share of a change below which it is rounding
 
 
 @dataclass(frozen=True, repr=False)
 class Displacements(Brief):
-    """Transducers elsewhere than stated: what one standard deviation of S unknowns changes of the C readings.
+    """Change of C readings for one standard deviation of S uncertain placements.
 
-    `places` (S,) among all unknowns; `rows` (S, C, n) of p and `offset` (S, C) of the base's motion, `reference` (S,)
-    what the reference reads of the latter.
+    `unknown_indices` (S,): indices of the unknowns. `rows` (S, C, n) of p, `offset` (S, C) of the base motion and
+    `reference` (S,) of the reference's reading of the base motion.
     """
 
     unknown_indices: IntArray
@@ -33,7 +33,7 @@ class Displacements(Brief):
     reference: FloatArray
 
     def moved(self, mechanics: Mechanics, vector: FloatArray) -> Mechanics:
-        """Return mechanics as seen from where the unknowns say that the transducers are."""
+        """Return the mechanics as the displaced transducers read them."""
         if not len(self.unknown_indices):
             return mechanics
         off = vector[self.unknown_indices]
@@ -45,7 +45,10 @@ class Displacements(Brief):
         )
 
     def derivatives(self, response: MechanicalResponse) -> ComplexArray:
-        """Return the derivatives (K, C, S) of ratios: a row that changes by r reads r·X/(d·X_base) more."""
+        """Return the derivatives (K, C, S) of the ratios.
+
+        A row that changes by r adds r·X/(d·X_base) to its ratio.
+        """
         above = np.einsum("kn,scn->kcs", response.motion, self.rows) + self.offset.T
         return np.asarray(
             (above - response.value[:, :, None] * self.reference) / response.reference_reading[:, None, None]
@@ -53,37 +56,40 @@ class Displacements(Brief):
 
 
 def effective_placement_errors(record: MeasuredTransfer, body: FloatArray) -> tuple[PlacementError, ...]:
-    """Return the placement errors that change a reading of a load that moves along `body` (6, n) beside its base."""
+    """Return the placement errors that change a reading of the load.
+
+    The load moves by `body` (6, n) · p relative to its base.
+    """
     seen = np.column_stack([record.drive / np.linalg.norm(record.drive), body])
     return tuple(
         error
         for error in record.placement_errors
         if np.abs(error.change @ (seen[:, :1] if error.response_index == REFERENCE_INDEX else seen)).max()
-        > _NOTHING * np.abs(error.change).max()
+        > _ROUNDING * np.abs(error.change).max()
     )
 
 
 def displacements(record: MeasuredTransfer, body: FloatArray, names: Mapping[str, int]) -> Displacements:
-    """Return the placement errors of a recording that act, with the places of their `names` among the unknowns."""
+    """Return the effective placement errors of a recording, indexed by their `names`."""
     errors = effective_placement_errors(record, body)
     changes = np.reshape([error.change for error in errors], (len(errors), 6))
-    place = np.array([error.response_index for error in errors], dtype=np.int64)
-    own = (place[:, None] == np.arange(len(record.tops))).astype(np.float64)
+    response = np.array([error.response_index for error in errors], dtype=np.int64)
+    mask = (response[:, None] == np.arange(len(record.tops))).astype(np.float64)
     along = changes @ record.drive
     return Displacements(
         unknown_indices=np.array([names[f"error: {error.name}"] for error in errors], dtype=np.int64),
-        rows=own[:, :, None] * (changes @ body)[:, None],
-        offset=own * along[:, None],
-        reference=along * (place == REFERENCE_INDEX),
+        rows=mask[:, :, None] * (changes @ body)[:, None],
+        offset=mask * along[:, None],
+        reference=along * (response == REFERENCE_INDEX),
     )
 
 
 @dataclass(frozen=True, repr=False)
 class LoadBending(Brief):
-    """What a load that is not rigid adds to its mechanics, as stated and per standard deviation of V unknowns.
+    """Contribution of an elastic load to its mechanics, as stated and per unknown.
 
-    `places` (V,) among all unknowns; `mass` (1+V, K, n, n), `forcing` (1+V, K, n), `rows` (1+V, K, C, n), `offset`
-    (1+V, K, C) as in `Beside`.
+    `unknown_indices` (V,): indices of the unknowns. `mass` (1+V, K, n, n), `forcing` (1+V, K, n), `rows` (1+V, K, C, n)
+    and `offset` (1+V, K, C) as in the frequency-dependent part of `respond`.
     """
 
     unknown_indices: IntArray
@@ -93,14 +99,17 @@ class LoadBending(Brief):
     offset: ComplexArray
 
     def at(self, vector: FloatArray) -> FrequencyTerms:
-        """Return what it adds for the unknowns in a vector."""
+        """Return the contribution for a vector of unknowns."""
         weights = np.concatenate([[1.0], vector[self.unknown_indices]])
         return FrequencyTerms(
             *(np.tensordot(weights, part, 1) for part in (self.mass, self.forcing, self.rows, self.offset))
         )
 
     def derivatives(self, response: MechanicalResponse, s: ComplexArray) -> ComplexArray:
-        """Return the derivatives (K, C, V) of ratios: a pull that grows by f changes them by -y·s²·f."""
+        """Return the derivatives (K, C, V) of the ratios.
+
+        An inertial load f changes them by -y·s²·f.
+        """
         pull = np.einsum("vkij,kj->vki", self.mass[1:], response.motion) + self.forcing[1:]
         read = np.einsum("vkcj,kj->kcv", self.rows[1:], response.motion) + self.offset[1:].transpose(1, 2, 0)
         moved = np.einsum("kci,vki->kcv", response.adjoint, pull) * s[:, None, None] ** 2
@@ -110,10 +119,11 @@ class LoadBending(Brief):
 def load_bending(
     record: MeasuredTransfer, body: FloatArray, names: Mapping[str, int]
 ) -> tuple[LoadBending | None, FloatArray]:
-    """Return what is not rigid of a recording's load that moves along `body` (6, n) beside its base, and its mass.
+    """Return the elastic contribution of a recording's load, and a constant mass (6, 6).
 
-    The mass (6, 6) is what it has at the line of the largest ratio beside the rigid one, so that poles are those of
-    the load as it is near its resonance; it is not in what is returned first.
+    The load moves by `body` (6, n) · p relative to its base. The constant mass is the elastic contribution at the line
+    of the largest ratio. It is added to the rigid mass, so that poles are those of the load near its resonance, and is
+    subtracted from the first result.
     """
     if record.bending is None:
         return None, np.zeros((6, 6))
@@ -122,17 +132,17 @@ def load_bending(
     constant = inertia[0, line].real.copy()
     inertia[0] -= constant
     pull, read = np.einsum("im,vkij->vkmj", body, inertia), record.drive
-    places = np.array([names[f"error: {name}"] for name in record.bending.names], dtype=np.int64)
-    return LoadBending(places, pull @ body, pull @ read, stretch @ body, stretch @ read), constant
+    indices = np.array([names[f"error: {name}"] for name in record.bending.names], dtype=np.int64)
+    return LoadBending(indices, pull @ body, pull @ read, stretch @ body, stretch @ read), constant
 
 
 @dataclass(frozen=True, repr=False)
 class RecordingModel(Brief):
-    """One recording ready to be compared: which unknowns act on it and how.
+    """Model of one recording with the indices of its unknowns.
 
-    `terms` (P+E,): places of the weights of `mechanics` among the unknowns; `factors` (F,) those of what multiplies the
-    ratios by exp(z · `relative` (K, C, F)); `displacements`: of transducers elsewhere than stated; `bends`: of a load
-    that is not rigid; `clock`: place of the clock's error, -1 without. `whitening` (K, 2C, 2C).
+    `terms` (P+E,): indices of the weights of `mechanics`. `factors` (F,): indices of the factors exp(z · `relative` (K,
+    C, F)) on the ratios. `displacements`: of displaced transducers. `bends`: of an elastic load, None for a rigid one.
+    `clock`: index of the clock error, -1 without one. `whitening` (K, 2C, 2C).
     """
 
     record: MeasuredTransfer
@@ -150,47 +160,47 @@ class RecordingModel(Brief):
         return np.concatenate([[1.0], vector[self.terms]])
 
     def possible(self, vector: FloatArray) -> bool:
-        """Return whether masses and stiffnesses of the mechanics are positive definite."""
+        """Return whether mass and stiffness matrices are positive definite."""
         (mass, _, stiffness), _ = self.mechanics.at(self.weights(vector))
         if len(mass) == 1:
             return bool(min(mass[0, 0], stiffness[0, 0]) > 0.0)
         return bool(min(np.linalg.eigvalsh(mass)[0], np.linalg.eigvalsh(stiffness)[0]) > 0.0)
 
     def poles(self, vector: FloatArray) -> tuple[ComplexArray, ComplexArray]:
-        """Return the poles (n,) of the mechanics that unknowns lead to, with derivatives (n, N) by all unknowns."""
+        """Return the poles (n,) of the mechanics and their derivatives (n, N) by all unknowns."""
         roots, by_term = poles(self.mechanics, self.weights(vector))
         by_unknown = np.zeros((len(roots), len(vector)), dtype=np.complex128)
         np.add.at(by_unknown.T, self.terms, by_term.T)
         return roots, by_unknown
 
     def has_same_poles(self, other: RecordingModel) -> bool:
-        """Return whether another recording has the same poles whatever the unknowns: the load is the same."""
-        own, its = self.mechanics.matrices, other.mechanics.matrices
-        return np.array_equal(self.terms, other.terms) and np.array_equal(own, its)
+        """Return whether another recording has the same load, and therefore the same poles."""
+        matrices, its = self.mechanics.matrices, other.mechanics.matrices
+        return np.array_equal(self.terms, other.terms) and np.array_equal(matrices, its)
 
     @property
     def unknown_indices(self) -> IntArray:
-        """Places of the columns of `modelled` among the unknowns."""
+        """Indices of the unknowns that belong to the columns of the derivatives."""
         last = [] if self.bends is None else [self.bends.unknown_indices]
         last += [np.array([self.clock])] if self.clock >= 0 else []
         return np.concatenate([self.terms, self.factors, self.displacements.unknown_indices, *last])
 
     def modelled(self, vector: FloatArray) -> ModelledRatios:
-        """Return the ratios that unknowns lead to."""
+        """Return the ratios for a vector of unknowns."""
         u_clock = self.record.u_clock if self.clock >= 0 else 0.0
         s = self.record.s * (1.0 + u_clock * vector[self.clock])
-        beside = None if self.bends is None else self.bends.at(vector)
-        response = respond(self.displacements.moved(self.mechanics, vector), self.weights(vector), s, beside)
+        bending = None if self.bends is None else self.bends.at(vector)
+        response = respond(self.displacements.moved(self.mechanics, vector), self.weights(vector), s, bending)
         return ModelledRatios(self, response, np.exp(self.relative @ vector[self.factors]))
 
     def whitened(self, deviation: ComplexArray) -> FloatArray:
-        """Return complex deviations (K, C, L) as independent real ones of variance one, (K, 2C, L)."""
+        """Return complex deviations (K, C, L) as whitened real ones (K, 2C, L)."""
         return np.asarray(self.whitening @ np.concatenate([deviation.real, deviation.imag], axis=1))
 
 
 @dataclass(frozen=True, repr=False)
 class ModelledRatios(Brief):
-    """What unknowns make of a curve: its mechanics' `response` times `factor` (K, C)."""
+    """Ratios of one recording for a vector of unknowns: `response` times `factor` (K, C)."""
 
     curve: RecordingModel
     response: MechanicalResponse
@@ -203,7 +213,7 @@ class ModelledRatios(Brief):
 
     @property
     def derivatives(self) -> ComplexArray:
-        """Derivatives (K, C, L) of the ratios by the unknowns at the curve's `places`."""
+        """Derivatives (K, C, L) of the ratios by the unknowns at `unknown_indices`."""
         curve, response, factor = self.curve, self.response, self.factor[:, :, None]
         moved = curve.displacements.derivatives(response) * factor
         columns = [response.by_term * factor, self.value[:, :, None] * curve.relative, moved]
@@ -216,10 +226,11 @@ class ModelledRatios(Brief):
 
 @dataclass(frozen=True, repr=False)
 class IdentificationProblem(Brief):
-    """All recordings and all unknowns (N,): parameters first, then free factors, then named errors.
+    """All recordings and all unknowns (N,): parameters, then free factors, then named errors.
 
-    `parameters`: what is fitted, with `kind` (P,) the place in the structure. `names` (N,). A priori an unknown is
-    `expected` (N,) with `precision` (N,) = 1/u², zero without knowledge; `fixed` (N,) ones stay there.
+    `parameters`: the fitted ones; `kind` (P,): index of each in the structure. `names` (N,). The prior of an unknown is
+    `expected` (N,) with `precision` (N,) = 1/u², zero without a prior. Unknowns in the mask `fixed` (N,) stay at
+    `expected`.
     """
 
     curves: tuple[RecordingModel, ...]
@@ -231,7 +242,7 @@ class IdentificationProblem(Brief):
     fixed: BoolArray
 
     def weighed(self, factors: Sequence[FloatArray]) -> IdentificationProblem:
-        """Return the problem with the covariances of its lines times `factors` (K,) per recording."""
+        """Return the problem with the covariances of its lines multiplied by `factors` (K,) per recording."""
         curves = [
             replace(curve, whitening=curve.whitening / np.sqrt(factor)[:, None, None])
             for curve, factor in zip(self.curves, factors, strict=True)
@@ -240,14 +251,14 @@ class IdentificationProblem(Brief):
 
 
 def whole_inertia(problem: IdentificationProblem, vector: FloatArray) -> FloatArray:
-    """Return the smallest inertia (P,) that each parameter is a part of at a vector, NaN of those of no inertia."""
+    """Return the smallest inertia (P,) that contains each parameter, NaN for springs and dampers."""
     whole = np.full(len(problem.kind), np.nan)
     for curve in problem.curves:
         mass = curve.mechanics.at(curve.weights(vector))[0][0].diagonal()
-        for place, matrices in zip(curve.terms, curve.mechanics.matrices[1:], strict=True):
+        for index, matrices in zip(curve.terms, curve.mechanics.matrices[1:], strict=True):
             share = matrices[0].diagonal()
-            if place < len(whole) and np.any(share > 0.0):
-                whole[place] = np.fmin(whole[place], np.min(mass[share > 0.0] / share[share > 0.0]))
+            if index < len(whole) and np.any(share > 0.0):
+                whole[index] = np.fmin(whole[index], np.min(mass[share > 0.0] / share[share > 0.0]))
     return whole
 
 
@@ -259,10 +270,10 @@ def build_problem(
     gain: Collection[str],
     delay: Collection[str],
 ) -> IdentificationProblem:
-    """Return recordings and unknowns in the form that is solved."""
+    """Return the recordings and unknowns as a least-squares problem."""
     _check(records, structure, stated_values, each_recording, [*gain, *delay])
-    parameters, kinds, places = _parameters(records, structure, each_recording)
-    names = {parameter.name: place for place, parameter in enumerate(parameters)}
+    parameters, kinds, indices = _parameters(records, structure, each_recording)
+    names = {parameter.name: index for index, parameter in enumerate(parameters)}
     factors = [_free(record, gain, delay) for record in records]
     for free in factors:
         for name in free:
@@ -275,64 +286,71 @@ def build_problem(
         for name in [*causes, record.clock] if record.u_clock > 0.0 else causes:
             names.setdefault(f"error: {name}", len(names))
     curves = tuple(
-        _curve(record, structure, place, free, names)
-        for record, place, free in zip(records, places, factors, strict=True)
+        _curve(record, structure, index, free, names)
+        for record, index, free in zip(records, indices, factors, strict=True)
     )
     count = len(names)
     expected, precision, fixed = np.zeros(count), np.zeros(count), np.zeros(count, dtype=np.bool_)
     precision[first_error:] = 1.0
-    for place, kind in enumerate(kinds):
+    for index, kind in enumerate(kinds):
         if (stated := stated_values.get(structure.parameters[kind].name)) is not None:
-            expected[place], fixed[place] = stated[0], stated[1] == 0.0
-            precision[place] = 0.0 if fixed[place] else 1.0 / stated[1] ** 2
+            expected[index], fixed[index] = stated[0], stated[1] == 0.0
+            precision[index] = 0.0 if fixed[index] else 1.0 / stated[1] ** 2
     return IdentificationProblem(curves, parameters, np.array(kinds), tuple(names), expected, precision, fixed)
 
 
 def _check(
     records: Sequence[MeasuredTransfer],
     structure: MechanicalStructure,
-    known: Mapping[str, tuple[float, float]],
+    stated_values: Mapping[str, tuple[float, float]],
     each_recording: Collection[str],
     channels: Sequence[str],
 ) -> None:
-    """Refuse names that do not exist and recordings that cannot be told apart."""
+    """Refuse unknown names and ambiguous recordings."""
     if not records:
         raise ValueError("records: expected one recording or more, found none")
     if len({record.name for record in records}) < len(records):
         raise ValueError(f"records: expected different names, found {', '.join(r.name for r in records)}")
     have = [parameter.name for parameter in structure.parameters]
     measured = {channel for record in records for channel in record.ratio.channels}
-    wanted = (("known", known, have), ("each_recording", each_recording, have), ("gain, delay", channels, measured))
-    for argument, names, allowed in wanted:
+    checked = (
+        ("stated_values", stated_values, have),
+        ("each_recording", each_recording, have),
+        ("gain, delay", channels, measured),
+    )
+    for argument, names, allowed in checked:
         for name in names:
             if name not in allowed:
                 raise ValueError(f"{argument}: expected some of {', '.join(allowed)}, found {name}")
-    for name, (_, u) in known.items():
+    for name, (_, u) in stated_values.items():
         if not u >= 0.0:
-            raise ValueError(f"known: expected an uncertainty of 0 or more for {name}, found {u}")
+            raise ValueError(f"stated_values: expected an uncertainty of 0 or more for {name}, found {u}")
     for record in records:
         if abs(float(record.base.row @ record.drive)) < 1e-9 * float(np.abs(record.drive).max()):
-            raise ValueError(f"records: expected a reference that sees the drive of {record.name}, found one across it")
+            raise ValueError(f"records: expected a reference along the drive of {record.name}, found one across it")
 
 
 def _parameters(
     records: Sequence[MeasuredTransfer], structure: MechanicalStructure, each_recording: Collection[str]
 ) -> tuple[tuple[StructureParameter, ...], list[int], IntArray]:
-    """Return the parameters fitted, the structure's they stand for, and the places (R, P) that each recording uses."""
+    """Return the fitted parameters and their indices by structure and by recording.
+
+    The latter have the shape (R, P).
+    """
     fitted: list[StructureParameter] = []
     kinds: list[int] = []
-    places = np.zeros((len(records), len(structure.parameters)), dtype=np.int64)
+    indices = np.zeros((len(records), len(structure.parameters)), dtype=np.int64)
     for kind, parameter in enumerate(structure.parameters):
-        own = [parameter]
+        members = [parameter]
         if parameter.name in each_recording:
-            own = [
+            members = [
                 replace(parameter, name=f"{parameter.name}: {record.name}", label=f"{parameter.label}, {record.name}")
                 for record in records
             ]
-        places[:, kind] = len(fitted) + (np.arange(len(records)) if len(own) > 1 else 0)
-        fitted += own
-        kinds += [kind] * len(own)
-    return tuple(fitted), kinds, places
+        indices[:, kind] = len(fitted) + (np.arange(len(records)) if len(members) > 1 else 0)
+        fitted += members
+        kinds += [kind] * len(members)
+    return tuple(fitted), kinds, indices
 
 
 def factor_name(kind: str, record: MeasuredTransfer, channel: str) -> str:
@@ -341,7 +359,10 @@ def factor_name(kind: str, record: MeasuredTransfer, channel: str) -> str:
 
 
 def _free(record: MeasuredTransfer, gain: Collection[str], delay: Collection[str]) -> dict[str, ComplexArray]:
-    """Return what one unit of every free factor changes of the logarithm of a recording's ratios (K, C)."""
+    """Return the effect of each free factor on the logarithm of the ratios.
+
+    The change (K, C) is for one unit of the factor.
+    """
     free: dict[str, ComplexArray] = {}
     for c, channel in enumerate(record.ratio.channels):
         column = np.zeros(record.ratio.value.shape, dtype=np.complex128)
@@ -378,21 +399,21 @@ def _curve(
     )
 
 
-# Where a fit starts: parameters whose modes are those of the measured poles, and the gains that follow.
+# Start values: parameters whose modes have the measured poles, and the gains for them.
 
 _RULES = LMOptions(predicted_decrease=1e-2, predicted_decrease_share=1e-4, max_steps=40)
-_POLE_PRECISION = 3e-3  # relative, of a measured pole
-_FACTOR_RANGE = 2.0  # standard deviation of ln k and ln b about where a structure starts
-_INERTIA_RANGE = 0.3  # standard deviation of an inertia, in parts of the whole
-_LARGEST_DAMPING_RATIO = 0.4  # of what is taken for a mode
-_SIGNIFICANT = 30.0  # decrease of χ² per real number by which a pole is more than a feature of the noise
-_ALIKE = 1e-3  # relative difference of starting values that are one
+_POLE_PRECISION = 3e-3  # relative standard deviation of a measured pole, chosen for start values
+_FACTOR_RANGE = 2.0  # standard deviation of ln k and ln b about the structure's start: a factor of 7
+_INERTIA_RANGE = 0.3  # standard deviation of an inertia, share of the whole
+_LARGEST_DAMPING_RATIO = 0.4  # of a mode; poles above it do not ring
+_SIGNIFICANT = 30.0  # decrease of χ² per real number by a significant pole
+_SAME_START = 1e-3  # relative difference below which start values are equal
 
 
 def starting_vectors(problem: IdentificationProblem, starts: FloatArray) -> list[FloatArray]:
-    """Return vectors of unknowns to start from, made from a structure's `starts` (S, P)."""
+    """Return start vectors of the unknowns from the `starts` (S, P) of a structure."""
     measured = []
-    for curve in problem.curves:  # poles that lie in the band, ring and stand out
+    for curve in problem.curves:  # significant poles in the band that ring
         roots = curve.record.poles(curve.mechanics.forcing.shape[1])
         size, s = np.abs(roots), np.abs(curve.record.s)
         inside = (size > 0.7 * s.min()) & (size < 1.3 * s.max()) & (-roots.real < _LARGEST_DAMPING_RATIO * size)
@@ -404,15 +425,15 @@ def starting_vectors(problem: IdentificationProblem, starts: FloatArray) -> list
         vector = problem.expected.copy()
         vector[:count] = np.where(stated, vector[:count], start[problem.kind])
         vector = _matched(problem, vector, measured, np.flatnonzero(~stated))
-        if not any(np.allclose(vector, other, rtol=_ALIKE, atol=0.0) for other in vectors):
+        if not any(np.allclose(vector, other, rtol=_SAME_START, atol=0.0) for other in vectors):
             vectors.append(vector)
-    return [_gained(problem, vector) for vector in vectors]
+    return [_with_best_gains(problem, vector) for vector in vectors]
 
 
 def _significant(record: MeasuredTransfer, roots: ComplexArray) -> ComplexArray:
-    """Return those of some poles without which a sum of partial fractions explains the ratios clearly worse.
+    """Return the poles without which a sum of partial fractions fits the ratios much worse.
 
-    Basis: 1/(s - λ) and 1/(s - λ*) of each pole, 1, s and s², for each response by itself.
+    Basis: 1/(s - λ) and 1/(s - λ*) of each pole, 1, s and s², separately for each response.
     """
     if len(roots) < 2:
         return roots
@@ -422,7 +443,7 @@ def _significant(record: MeasuredTransfer, roots: ComplexArray) -> ComplexArray:
     fractions = [np.stack([unit / (s - root), unit / (s - root.conjugate())], axis=1) for root in roots]
 
     def misfit(columns: Sequence[ComplexArray]) -> float:
-        """χ² of the best sums of columns for the ratios, each with its own coefficients."""
+        """Return χ² of the best sums of columns, separately for each ratio."""
         total = 0.0
         for c in range(value.shape[1]):
             right = value[:, c] / noise[:, c]
@@ -438,10 +459,13 @@ def _significant(record: MeasuredTransfer, roots: ComplexArray) -> ComplexArray:
 def _matched(
     problem: IdentificationProblem, start: FloatArray, measured: Sequence[ComplexArray], free: IntArray
 ) -> FloatArray:
-    """Return unknowns whose modes have the measured poles, near where they start: springs and dampers by factors."""
+    """Return unknowns near a start whose modes have the measured poles.
+
+    Springs and dampers change by factors.
+    """
     whole = whole_inertia(problem, start)[free]
     factors = np.isnan(whole)
-    alike = [
+    representative = [
         next(k for k, other in enumerate(problem.curves) if other.has_same_poles(curve)) for curve in problem.curves
     ]
 
@@ -455,12 +479,12 @@ def _matched(
         vector = moved(x)
         scale = np.where(factors, _FACTOR_RANGE * vector[free], _INERTIA_RANGE * whole)
         residuals, slopes = [x], [np.eye(len(x))]
-        if not all(problem.curves[k].possible(vector) for k in set(alike)):
+        if not all(problem.curves[k].possible(vector) for k in set(representative)):
             return None
-        every = {k: problem.curves[k].poles(vector) for k in set(alike)}
-        for k, roots in zip(alike, measured, strict=True):
+        every = {k: problem.curves[k].poles(vector) for k in set(representative)}
+        for k, roots in zip(representative, measured, strict=True):
             modes, by_unknown = every[k]
-            whose = np.arange(len(modes))  # in order, or of the nearest where some lack
+            whose = np.arange(len(modes))  # in order; the nearest if a measured pole is missing
             if len(roots) != len(modes):
                 whose = np.argmin(np.abs(np.log(np.abs(roots[:, None] / modes))), axis=1)
             off, slope = np.log(modes[whose] / roots), by_unknown[whose][:, free] * scale / modes[whose, None]
@@ -472,19 +496,19 @@ def _matched(
     return start if first is None else moved(levenberg_marquardt(point, first, _RULES).point.parameters)
 
 
-def _gained(problem: IdentificationProblem, vector: FloatArray) -> FloatArray:
-    """Return unknowns with the free gains that bring the modelled curves nearest to the measured ones."""
-    gained = vector.copy()
-    places = {name: place for place, name in enumerate(problem.names)}
+def _with_best_gains(problem: IdentificationProblem, vector: FloatArray) -> FloatArray:
+    """Return the unknowns with the free gains that fit the measured curves best."""
+    scaled = vector.copy()
+    indices = {name: index for index, name in enumerate(problem.names)}
     for curve in problem.curves:
         record = curve.record
         value = curve.modelled(vector).value
         noise = record.ratio.u_re**2 + record.ratio.u_im**2
         for c, channel in enumerate(record.ratio.channels):
-            place = places.get(factor_name("ln gain", record, channel))
-            if place is not None:
+            index = indices.get(factor_name("ln gain", record, channel))
+            if index is not None:
                 weighted = value[:, c].conj() / noise[:, c]
                 gain = complex(np.sum(weighted * record.ratio.value[:, c]) / np.sum(weighted * value[:, c]))
-                gained[place] = np.log(max(abs(gain), np.finfo(np.float64).tiny))
-                gained[places[factor_name("gain phase", record, channel)]] = np.angle(gain)
-    return gained
+                scaled[index] = np.log(max(abs(gain), np.finfo(np.float64).tiny))
+                scaled[indices[factor_name("gain phase", record, channel)]] = np.angle(gain)
+    return scaled

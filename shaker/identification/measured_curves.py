@@ -1,4 +1,4 @@
-"""Measured curves with their errors by name, what the models of a sensor are fitted to; how large their noise is."""
+"""Measured curves with named errors, poles for a start, and the noise of the lines."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ from shaker.mechanics import laplace
 from shaker.sine.phasor import Phasors
 
 REFERENCE_INDEX = -1
-"""Place of the reference among the transducers of a recording, whose responses count from 0."""
+"""Index of the reference among the transducers of a recording; responses count from 0."""
 
 
 @dataclass(frozen=True, repr=False)
 class Placement(Brief):
-    """Where and along which unit direction a transducer measures: `point_m` (3,), `direction` (3,), sensor axes.
+    """Position and direction of a transducer: `point_m` (3,) and unit `direction` (3,), sensor axes.
 
-    `turning`: it measures how the body turns about the direction, which is the same everywhere.
+    `turning`: the transducer measures the rotation about the direction, which does not depend on the point.
     """
 
     point_m: FloatArray
@@ -34,7 +34,10 @@ class Placement(Brief):
 
     @property
     def row(self) -> FloatArray:
-        """Row (6,) that turns the motion of the sensor origin into the reading: [d, r × d], of a turn [0, d]."""
+        """Row (6,) from the motion of the sensor origin to the reading.
+
+        It is [d, r × d], for a rotation [0, d].
+        """
         if self.turning:
             return np.concatenate([np.zeros(3), self.direction])
         return np.concatenate([self.direction, np.cross(self.point_m, self.direction)])
@@ -42,9 +45,10 @@ class Placement(Brief):
 
 @dataclass(frozen=True, repr=False)
 class CurveError(Brief):
-    """One named cause of error: `relative` (K, C), relative complex deviation of a curve for one standard deviation.
+    """One named cause of error of a curve.
 
-    Causes of one name in several curves are the same unknown.
+    `relative` (K, C): relative complex deviation of the curve for one standard deviation. Causes with equal names in
+    several curves are the same unknown.
     """
 
     name: str
@@ -53,9 +57,10 @@ class CurveError(Brief):
 
 @dataclass(frozen=True, repr=False)
 class InertiaError(Brief):
-    """One uncertain number of the load: `change` (6, 6) of its mass matrix for one standard deviation.
+    """One uncertain number of the load.
 
-    Equal names in several recordings are the same unknown (a part that stands on both).
+    `change` (6, 6) of its mass matrix for one standard deviation. Equal names in several recordings are the same
+    unknown, for example a part that both loads contain.
     """
 
     name: str
@@ -67,11 +72,10 @@ class InertiaError(Brief):
 
 @dataclass(frozen=True, repr=False)
 class PlacementError(Brief):
-    """One uncertain number of where or along what a transducer measures: `change` (6,) of its row for one standard
-    deviation.
+    """One uncertain position or direction of a transducer.
 
-    `place`: which response it is, or `AT_THE_BASE` for the reference. Equal names, in one recording or several, are the
-    same unknown.
+    `change` (6,) of its row for one standard deviation. `response_index`: number of the response, or `REFERENCE_INDEX`.
+    Equal names, in one recording or several, are the same unknown.
     """
 
     name: str
@@ -84,11 +88,11 @@ class PlacementError(Brief):
 
 @dataclass(frozen=True, repr=False)
 class Bending(Brief):
-    """What is not rigid of a load at K lines, in terms of the motion A (6,) of what the sensor's springs move.
+    """Elastic behaviour of a load at K lines.
 
-    `inertia` (1+V, K, 6, 6): what pulls there beside the mass matrix, per A; `stretch` (1+V, K, C, 6): what C responses
-    read beside their rows, per A. First as stated, then the change for one standard deviation of each unknown of
-    `names` (V,).
+    All terms are per motion A (6,) of the body on the springs. `inertia` (1+V, K, 6, 6): inertial load in addition to
+    the mass matrix, per A. `stretch` (1+V, K, C, 6): reading of C responses in addition to their rows, per A. The first
+    element is the stated one; the others are the changes for one standard deviation of each unknown in `names` (V,).
     """
 
     names: tuple[str, ...]
@@ -103,15 +107,14 @@ class Bending(Brief):
 
 @dataclass(frozen=True, repr=False)
 class MeasuredTransfer(Brief):
-    """Motion of the load over motion of the base in one recording, with what is known of the load.
+    """Ratios of load motion to base motion in one recording, with the stated load.
 
-    `ratio`: C ratios (K, C) at K lines, `covariance` (K, 2C, 2C) of [all Re, all Im] the noise alone; `tops`: where the
-    C responses measure on the load, `base`: where the reference measures; `drive` (6,): direction in which the base
-    moves as a rigid body, [x y z rx ry rz] about the sensor origin. `mass_matrix` (6, 6): load and parts about the
-    sensor origin, without what moves inside the sensor. `line_correlation` (D,) as in `TransferFunction`.
-    `clock`, `u_clock`: name and relative standard uncertainty of the clock, and so of all frequencies.
-    `placement_errors`: what is uncertain of places and directions of the transducers. `bending`: None of a load that is
-    rigid.
+    `ratio`: C ratios (K, C) at K lines; its `covariance` (K, 2C, 2C) of [all Re, all Im] contains the noise only.
+    `tops`: placement of the C responses on the load; `base`: placement of the reference. `drive` (6,): direction of the
+    rigid base motion, [x y z rx ry rz] about the sensor origin. `mass_matrix` (6, 6): load and parts about the sensor
+    origin, without the internal mass of the sensor. `line_correlation` (D,) as in `TransferFunction`. `clock`,
+    `u_clock`: name and relative standard uncertainty of the clock, which applies to all frequencies.
+    `placement_errors`: uncertain positions and directions of the transducers. `bending`: None for a rigid load.
     """
 
     name: str
@@ -139,24 +142,23 @@ class MeasuredTransfer(Brief):
         check_shape("mass_matrix", self.mass_matrix, (6, 6))
         for error in self.errors:
             check_shape(f"errors: {error.name}", error.relative, shape)
-        for moved in self.placement_errors:
-            if not REFERENCE_INDEX <= moved.response_index < shape[1]:
-                raise ValueError(
-                    f"placement_errors: expected a place of {REFERENCE_INDEX} to {shape[1] - 1}, found {moved.response_index}"
-                )
+        for placement in self.placement_errors:
+            if not REFERENCE_INDEX <= placement.response_index < shape[1]:
+                expected = f"a response index of {REFERENCE_INDEX} to {shape[1] - 1}"
+                raise ValueError(f"placement_errors: expected {expected}, found {placement.response_index}")
 
     @property
     def s(self) -> ComplexArray:
-        """Return s = a + jω (K,) in 1/s."""
+        """Laplace variable s = a + jω (K,) in 1/s."""
         return laplace(self.ratio.frequency_hz, self.added_decay_per_s)
 
     @property
     def noise(self) -> FloatArray:
-        """Return the standard uncertainty (K, C) of a part of each ratio, Re and Im taken together."""
+        """Standard uncertainty (K, C) of each ratio, rms of Re and Im."""
         return np.asarray(np.sqrt(0.5 * (self.ratio.u_re**2 + self.ratio.u_im**2)))
 
     def poles(self, count: int) -> ComplexArray:
-        """Return the poles (count,) that all ratios share, by `rational_poles`."""
+        """Return the common poles (count,) of all ratios by `rational_poles`."""
         return rational_poles(self.s, self.ratio.value, self.noise, count)
 
 
@@ -164,9 +166,9 @@ class MeasuredTransfer(Brief):
 class MeasuredSensitivity(Brief):
     """Complex sensitivity of one output for one load component over frequency.
 
-    `frequency_hz` (K,) ascending; `value` (K,) in `unit`, e.g. "(V/V)/N"; `covariance` (K, 2, 2) of [Re, Im], the part
-    that is independent from line to line; `errors`: relative deviations (K, 1) by cause; `static`, `u_static`: static
-    sensitivity in the same unit, None where it is not known.
+    `frequency_hz` (K,) ascending. `value` (K,) in `unit`, e.g. "(V/V)/N". `covariance` (K, 2, 2) of [Re, Im]: the part
+    that is independent between lines. `errors`: relative deviations (K, 1) by cause. `static`, `u_static`: static
+    sensitivity in the same unit, None if it is not stated.
     """
 
     channel: str
@@ -190,7 +192,10 @@ class MeasuredSensitivity(Brief):
 
 @dataclass(frozen=True)
 class ParameterEstimate:
-    """One fitted or derived number: `name` for files, `label` for readers, `value` and standard `u` in `unit`."""
+    """One fitted or derived number.
+
+    `name` is used in files, `label` on pages; `value` and standard uncertainty `u` in `unit`.
+    """
 
     name: str
     label: str
@@ -201,7 +206,10 @@ class ParameterEstimate:
 
 @dataclass(frozen=True)
 class NamedUnknown:
-    """A named error as the recordings see it: `estimate` in its standard deviations, of which `remaining` is left."""
+    """A named error as the recordings determine it.
+
+    `estimate` in its standard deviations; `remaining`: its standard uncertainty after the fit.
+    """
 
     name: str
     estimate: float
@@ -210,12 +218,20 @@ class NamedUnknown:
 
 @dataclass(frozen=True, repr=False)
 class MeasuredCurve(Brief):
-    """H `value` (K,) at ascending `frequency_hz` (K,), `covariance` (K, 2, 2) of [Re, Im], the noise of each line.
+    """One complex frequency response with the noise of each line.
 
-    `line_correlation` (D,): correlation of the errors of lines 0, 1, 2 … apart, as in `TransferFunction`;
-    `added_decay_per_s`: the a of an exponential window, s = a + jω. `dof` (K,): degrees of freedom behind the
-    covariance where it was estimated, None where it is known.
+    Attributes
+    ----------
+    frequency_hz : (K,), Hz, positive and ascending
+    value : (K,) complex, not zero
+    covariance : (K, 2, 2) of [Re, Im], noise of each line
+    line_correlation : (D,) correlation of the errors of lines 0, 1, 2 … lines apart, as in `TransferFunction`; default
+        None
+    added_decay_per_s : the decay a of an exponential window in s = a + jω, 1/s, default 0
+    dof : (K,) degrees of freedom of an estimated covariance, default None for a known one
 
+    Examples
+    --------
     >>> import numpy as np
     >>> from shaker import MeasuredCurve
     >>> hertz = np.array([100.0, 200.0])
@@ -253,7 +269,7 @@ class MeasuredCurve(Brief):
         return MeasuredCurve(*seen, part.line_correlation, part.added_decay_per_s, ratio.dof)
 
     def at_lines(self, lines: BoolArray) -> MeasuredCurve:
-        """Return the lines chosen by a mask (K,)."""
+        """Return the curve at the lines of a mask (K,)."""
         return replace(
             self,
             frequency_hz=self.frequency_hz[lines],
@@ -264,7 +280,7 @@ class MeasuredCurve(Brief):
 
     @property
     def spacing_hz(self) -> float:
-        """Return the distance of neighbouring lines."""
+        """Smallest distance between neighbouring lines."""
         return float(np.min(np.diff(self.frequency_hz)))
 
     def variance_along(self, direction: ComplexArray) -> FloatArray:
@@ -273,7 +289,10 @@ class MeasuredCurve(Brief):
         return np.asarray(re * re * c[:, 0, 0] + 2.0 * re * im * c[:, 0, 1] + im * im * c[:, 1, 1])
 
     def propagated(self, gradient: ComplexArray) -> FloatArray:
-        """Return the covariance (P, P) of numbers y with δy = Σₖ Re{conj(g)·δH}, `gradient` g (P, K)."""
+        """Return the covariance (P, P) of numbers y with δy = Σₖ Re{conj(g)·δH}.
+
+        `gradient`: g (P, K).
+        """
         first = np.sqrt(self.covariance[:, 0, 0])
         second = self.covariance[:, 0, 1] / first
         rest = np.sqrt(self.covariance[:, 1, 1] - second**2)
@@ -282,20 +301,21 @@ class MeasuredCurve(Brief):
         return np.asarray(spread + line_correlation_term(self.frequency_hz, white.T, self.line_correlation))
 
 
-# Poles of measured curves from a linear rational fit: where an identification starts.
+# Poles of measured curves from a linear rational fit, as start values of an identification.
 
-_ROUNDS = 8
-_SETTLED = 1e-4  # change of the denominator's coefficients that no longer moves a start
+_ROUNDS = 8  # of reweighting, at most
+_SETTLED = 1e-4  # change of the denominator's coefficients without effect on start values
 
 
 def rational_poles(
     s: ComplexArray, value: ComplexArray, noise: FloatArray, count: int, lowest: int = 0
 ) -> ComplexArray:
-    """Return poles (count,) (Im λ > 0, ascending |λ|) of a common denominator of curves (K, C) with some noise (K, C).
+    """Return the common poles (count,) of curves (K, C), ascending.
 
-    Curves are fitted by Nᶜ(s)/D(s), D of degree 2·count, N with complex coefficients of powers from `lowest` to that,
-    linearised (Levy, IRE Trans. Autom. Control 4, 1959) and weighted anew in rounds (Sanathanan and Koerner, IEEE
-    Trans. Autom. Control 8, 1963). Unstable poles are mirrored; in place of real ones stand poles above the band.
+    `noise` (K, C); the poles have Im λ > 0. Curves are fitted by Nᶜ(s)/D(s). D has the degree 2·count; N has complex
+    coefficients for the powers from `lowest` to 2·count. The fit is linearised (Levy, IRE Trans. Autom. Control 4,
+    1959) and reweighted iteratively (Sanathanan and Koerner, IEEE Trans. Autom. Control 8, 1963). Unstable poles are
+    mirrored. Real poles are replaced by poles above the band.
     """
     middle = float(np.sqrt(np.abs(s).min() * np.abs(s).max()))
     q = (s / middle)[:, None]
@@ -303,10 +323,10 @@ def rational_poles(
     numerator = np.concatenate([above, 1j * above], axis=1)
 
     def denominator_of(weight: FloatArray) -> FloatArray:
-        """Coefficients of one weighted linear fit, the numerator projected out of each response."""
+        """Return the denominator of one weighted linear fit, with the numerators projected out."""
         rows = []
-        for own, scale in zip(value.T[:, :, None], weight.T[:, :, None], strict=True):
-            both = np.concatenate([numerator, own * power, own * highest], axis=1) * scale
+        for column, scale in zip(value.T[:, :, None], weight.T[:, :, None], strict=True):
+            both = np.concatenate([numerator, column * power, column * highest], axis=1) * scale
             triangle = np.asarray(np.linalg.qr(np.concatenate([both.real, both.imag]), mode="r"))
             rows.append(triangle[numerator.shape[1] :, numerator.shape[1] :])
         below = np.concatenate(rows)
@@ -326,11 +346,11 @@ def rational_poles(
     return np.concatenate([oscillating[np.argsort(np.abs(oscillating))], beyond])
 
 
-# The noise of measured lines: whitened, correlated between lines, as stated from scatter and as residuals show it.
+# Noise of measured lines: whitening, correlation between lines, estimate from residuals.
 
 
 def whitening_matrices(covariance: FloatArray, name: str = "covariance") -> FloatArray:
-    """Return the matrices (K, p, p) that turn errors of the given covariances into independent ones of variance one."""
+    """Return the matrices (K, p, p) that whiten errors of the given covariances."""
     try:
         return np.asarray(np.linalg.inv(np.linalg.cholesky(covariance)))
     except np.linalg.LinAlgError as error:
@@ -340,33 +360,35 @@ def whitening_matrices(covariance: FloatArray, name: str = "covariance") -> Floa
 def line_correlation_term(
     frequency_hz: FloatArray, columns: ComplexArray, correlation: ComplexArray | None
 ) -> FloatArray:
-    """Return Re Tᴴ(R - 1)T (N, N) of whitened columns T (K, …, N) at lines (K,).
+    """Return the term of the correlation between lines, Re Tᴴ(R - 1)T.
 
-    R: the `correlation` (D,) of the errors of lines 0, 1, 2 … apart, as in `TransferFunction`.
+    The result is (N, N), for whitened columns T (K, …, N) at lines (K,). R is given by `correlation` (D,), that of the
+    errors of lines 0, 1, 2 … lines apart, as in `TransferFunction`.
     """
     count = columns.shape[-1]
     total = np.zeros((count, count))
     if correlation is None or len(correlation) < 2:
         return total
-    place = np.round((frequency_hz - frequency_hz.min()) / np.min(np.diff(np.sort(frequency_hz)))).astype(np.int64)
-    length = int(place.max()) + 1
+    index = np.round((frequency_hz - frequency_hz.min()) / np.min(np.diff(np.sort(frequency_hz)))).astype(np.int64)
+    length = int(index.max()) + 1
     grid = np.zeros((length + len(correlation), *columns.shape[1:]), dtype=np.complex128)
-    grid[place] = columns
-    here = grid[:length].reshape(-1, count)
-    for apart, value in enumerate(correlation[1:], start=1):
-        pair = value * (grid[apart : apart + length].reshape(-1, count).conj().T @ here)
+    grid[index] = columns
+    first = grid[:length].reshape(-1, count)
+    for lag, value in enumerate(correlation[1:], start=1):
+        pair = value * (grid[lag : lag + length].reshape(-1, count).conj().T @ first)
         total += (pair + pair.conj().T).real
     return total
 
 
-_FEWEST_DOF, _MOST_DOF = 3.0, 1e9  # of a stated covariance, as used
+_FEWEST_DOF, _MOST_DOF = 3.0, 1e9  # limits of the degrees of freedom: variances exist above 2
 
 
 @dataclass(frozen=True, repr=False)
 class CurveResidual(Brief):
-    """Residuals of one curve: `length` (K,) = T² = rᵀS⁻¹r over the covariance S stated of p real numbers, `dof` (K,).
+    """Residuals of one curve with K lines and p real numbers per line.
 
-    `size` is p; `dof` are the degrees of freedom ν behind S, infinite where S is known.
+    `length` (K,): T² = rᵀS⁻¹r over the stated covariance S. `dof` (K,): degrees of freedom ν of S, infinite for a known
+    S. `size`: p.
     """
 
     length: FloatArray
@@ -380,10 +402,11 @@ class CurveResidual(Brief):
 
 @dataclass(frozen=True, repr=False)
 class ResidualNoise(Brief):
-    """Factors on the stated covariances: `lines` (K,) per curve, used as weights; `common` λ ≥ 1 to all of them.
+    """Factors on the stated covariances of all lines, estimated from residuals.
 
-    `chi_squared` of the residuals over the covariances as stated, `dof` what it would be by noise alone, were these
-    exact, `expected` its mean over `dof` as they are; `chance`: relative standard deviation of χ²/dof by noise alone.
+    `lines` (K,) per curve are used as weights; `common` λ ≥ 1 applies to all of them. `chi_squared`: of the residuals
+    over the stated covariances; `dof`: its expectation for noise alone and exact covariances. `expected`: mean of
+    χ²/dof for covariances with few degrees of freedom. `chance`: relative standard deviation of χ²/dof for noise alone.
     """
 
     lines: tuple[FloatArray, ...]
@@ -395,18 +418,18 @@ class ResidualNoise(Brief):
 
 
 def estimate_residual_noise(curves: Sequence[CurveResidual], unknowns: float) -> ResidualNoise:
-    """Return the noise that residuals of a fit with a number of `unknowns` show.
+    """Return the noise that the residuals of a fit with a number of `unknowns` show.
 
-    T² and the covariance S of ν degrees of freedom both say how noisy a line is, so that it weighs (ν + p)/(ν + T²), as
-    in Student's likelihood (Lange, Little and Taylor, J. Am. Stat. Assoc. 84, 1989). With n = ν + p, νS + rrᵀ ~ χ²ₙ:
-    the weights come out too large by n/(n - 2) in the mean, and such an estimate has n/(n - 2) times the variance of
-    one with S known; both factors are in `lines`. λ = χ²/dof over its expectation ν/(ν - 2), at least 1.
+    T² and the covariance S of ν degrees of freedom both estimate the noise of a line. Its weight is therefore (ν +
+    p)/(ν + T²), as in Student's likelihood (Lange, Little and Taylor, J. Am. Stat. Assoc. 84, 1989). With n = ν + p, νS
+    + rrᵀ ~ χ²ₙ: the weights are on average too large by n/(n - 2). The estimate has n/(n - 2) times the variance of one
+    with known S. Both factors are contained in `lines`. λ = χ²/dof over its expectation ν/(ν - 2), at least 1.
     """
     freedoms = [np.clip(curve.dof, _FEWEST_DOF, _MOST_DOF) for curve in curves]
     pairs = list(zip(curves, freedoms, strict=True))
     real = sum(curve.size * len(curve.length) for curve in curves)
     chi_squared = float(sum(curve.length.sum() for curve in curves))
-    # T² of p real numbers varies more than χ² does, as the F distribution says.
+    # By the F distribution T² of p real numbers varies more than χ².
     spread = sum(c.size * np.sum((v + c.size - 2.0) / np.maximum(v - 4.0, 1.0)) for c, v in pairs) / real
     expected = float(sum(curve.size * np.sum(v / (v - 2.0)) for curve, v in pairs) / real)
     dof = max(1.0, real - unknowns)

@@ -1,4 +1,4 @@
-"""One resonance: fitted to a transfer function with covariance, and read from it without a fit."""
+"""One resonance of a transfer function, fitted with covariance or read without a fit."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ import numpy as np
 
 from shaker.arrays import BoolArray, Brief, ComplexArray, FloatArray, check_shape
 from shaker.fitting import BlockJacobian, LinearBlock, LMOptions, SeparablePoint, levenberg_marquardt
+from shaker.identification.circle_fit import FEWEST_LINES, fit_circle
 from shaker.identification.measured_curves import (
     CurveResidual,
     MeasuredCurve,
@@ -29,20 +30,20 @@ _ORDER: dict[str, int] = {"transmissibility": 0, "receptance": 0, "mobility": 1,
 _RULES = LMOptions(
     predicted_decrease=1e-13, predicted_decrease_share=0.0, max_steps=60, max_dampings=13, initial_damping=1e-6
 )
-"""A fit has converged where the whitened model would change by 3e-7, or where no damping up to 1e6 helps."""
-_NOISE_ROUNDS = 5
-_EVEN = 0.01  # relative spread over the lines of what their covariances change by, at which weights have settled
+"""A fit has converged if the whitened model would change by 3e-7, or if no damping up to 1e6 helps."""
+_NOISE_ROUNDS = 5  # of reweighting by the residuals, at most
+_EVEN = 0.01  # relative spread over the lines of the change of their covariances at which weights have settled
 
 
 @dataclass(frozen=True, repr=False)
 class Resonance(Brief):
     """A resonance with its uncertainty.
 
-    `frequency_hz`: f₀ of the undamped oscillator; `damping_ratio` ζ; complex `gain` G; `delay_s`; `residual` (2,)
-    complex: the mass line R₋/s² and the constant R₊ of all other modes; delay and residual are zero where not fitted.
-    `parameters` (P,) names what was fitted, in the order of `covariance` (P, P); `chi_squared` is that of the residuals
-    over the uncertainties given, divided by ν/(ν - 2) where these have ν degrees of freedom, so that noise alone gives
-    `dof` in the mean. The covariance is enlarged by χ²/dof where that exceeds one.
+    `frequency_hz`: f₀ of the undamped oscillator. `damping_ratio` ζ; complex `gain` G; `delay_s`. `residual` (2,)
+    complex: mass line R₋/s² and constant R₊ of all other modes. Delay and residual are zero if they were not fitted.
+    `parameters` (P,): names of the fitted parameters in the order of `covariance` (P, P), which is enlarged by χ²/dof
+    if that is above one. `chi_squared`: of the residuals over the given uncertainties, divided by ν/(ν - 2) for ν
+    degrees of freedom. Its mean is `dof` for noise alone.
     """
 
     kind: ResonanceKind
@@ -72,8 +73,8 @@ class Resonance(Brief):
         """Return the standard uncertainty of a fitted parameter."""
         if parameter not in self.parameters:
             raise ValueError(f"parameter: expected one of {', '.join(self.parameters)}, found {parameter}")
-        place = self.parameters.index(parameter)
-        return float(np.sqrt(self.covariance[place, place]))
+        index = self.parameters.index(parameter)
+        return float(np.sqrt(self.covariance[index, index]))
 
     @property
     def quality(self) -> float:
@@ -86,12 +87,31 @@ def fit_resonance(
 ) -> Resonance:
     """Fit one resonance to a measured curve (K lines).
 
-    With p = s/ω₀, s = a + jω and D = 1 + 2ζp + p²: transmissibility G·(1 + 2ζp)/D (base excitation), receptance G/D,
-    mobility G·s/D, accelerance G·s²/D, so that G = 1/k of an oscillator driven by a force; `residual_terms` adds
-    R₋/s² + R₊ to 1/D's place, `delay` a factor exp(-sτ). Least squares of the residuals whitened by their covariance,
-    started by `rational_poles`; where the covariance has few degrees of freedom, lines weigh by it and by their
-    residuals together (see `seen_noise`). Correlation between lines enters the covariance of the result.
+    Parameters
+    ----------
+    curve
+        measured frequency response
+    kind
+        "transmissibility", "receptance", "mobility" or "accelerance"
+    delay
+        fit a factor exp(-sτ), default False
+    residual_terms
+        fit the contribution of other modes R₋/s² + R₊, added to the shape, default False
 
+    Raises
+    ------
+    ValueError : too few lines, or no resonance inside the band
+
+    Notes
+    -----
+    With p = s/ω₀, s = a + jω and D = 1 + 2ζp + p²: transmissibility G·(1 + 2ζp)/D (base excitation), receptance G/D,
+    mobility G·s/D, accelerance G·s²/D. G = 1/k for an oscillator driven by a force. The residuals are whitened by their
+    covariance; the fit starts at `rational_poles`. If the covariance has few degrees of freedom, the weights follow
+    from it and the residuals (`estimate_residual_noise`). The correlation between lines enters the covariance of the
+    result.
+
+    Examples
+    --------
     >>> import numpy as np
     >>> from shaker import MeasuredCurve, fit_resonance
     >>> hertz = np.arange(250.0, 350.0, 2.0)
@@ -130,7 +150,7 @@ def fit_resonance(
 def _evaluate(
     kind: ResonanceKind, names: tuple[str, ...], s: ComplexArray, vector: FloatArray
 ) -> tuple[ComplexArray, ComplexArray]:
-    """Return H (K,) and its derivatives (K, P) by the parameters named."""
+    """Return H (K,) and its derivatives (K, P) by the named parameters."""
     fitted = dict(zip(names, vector, strict=True))
     zeta, delay = fitted["damping_ratio"], fitted.get("delay_s", 0.0)
     gain = complex(fitted["gain_re"], fitted["gain_im"])
@@ -157,14 +177,14 @@ def _evaluate(
 
 
 def _real(whitening: FloatArray, columns: ComplexArray) -> FloatArray:
-    """Return complex columns (K, P) as whitened real ones (K, 2, P)."""
+    """Return whitened real columns (K, 2, P) of complex ones (K, P)."""
     return np.asarray(whitening @ np.stack([columns.real, columns.imag], axis=1))
 
 
 def _weighed(
     curve: MeasuredCurve, kind: ResonanceKind, names: tuple[str, ...]
 ) -> tuple[FloatArray, FloatArray, ResidualNoise]:
-    """Return the parameters, the derivatives (K, 2, P) whitened by the noise seen in the lines, and that noise."""
+    """Return parameters, whitened derivatives (K, 2, P) and the noise of the lines."""
     s, whitening = laplace(curve.frequency_hz, curve.added_decay_per_s), whitening_matrices(curve.covariance)
     dof = np.full(len(s), np.inf) if curve.dof is None else curve.dof
     size, noise = np.abs(s ** _ORDER[kind]), np.sqrt(0.5 * np.trace(curve.covariance, axis1=1, axis2=2))
@@ -193,12 +213,12 @@ def _adjusted(
     whitening: FloatArray,
     start: FloatArray,
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return the parameters of least squares, the whitened residuals (K, 2) and derivatives (K, 2, P) there."""
+    """Return least-squares parameters with whitened residuals (K, 2) and derivatives (K, 2, P)."""
     linear = np.array([name.endswith(("_re", "_im")) for name in names])
     measured = _real(whitening, value[:, None]).reshape(-1, 1)
 
     def point(parameters: FloatArray) -> SeparablePoint | None:
-        """Gain and residual terms are linear and follow frequency, damping and delay."""
+        """Return the gain and the residual terms that follow frequency, damping and delay."""
         if min(parameters[:2]) <= 0.0:
             return None
         vector = np.zeros(len(names))
@@ -216,142 +236,26 @@ def _adjusted(
     assert first is not None
     search = levenberg_marquardt(point, first, _RULES)
     if not search.converged:
-        raise ValueError(
-            "value: expected a transfer function with a resonance inside its band, found none that a fit meets"
-        )
+        raise ValueError("value: expected a transfer function with a resonance inside its band, found none")
     vector = start.copy()
     vector[~linear], vector[linear] = search.point.parameters, search.point.coefficients[0][:, 0]
     model, derivative = _evaluate(kind, names, s, vector)
     return vector, _real(whitening, (value - model)[:, None])[:, :, 0], _real(whitening, derivative)
 
 
-# The circle that a resonance draws in the complex plane, and the frequency and damping that its angles tell.
-
-_PASSES = 3
-_FEWEST_LINES = 5
-
-
-@dataclass(frozen=True, repr=False)
-class CircleFit(Brief):
-    """Natural frequency f₀ of the undamped oscillator and damping ratio ζ with `covariance` (2, 2) of both.
-
-    `centre`, `radius`: the circle in the plane of H·(jf/f₀)/(1 + 2jζf/f₀).
-    """
-
-    frequency_hz: float
-    damping_ratio: float
-    covariance: FloatArray
-    centre: complex
-    radius: float
-
-
-def fit_circle(curve: MeasuredCurve, frequency_hz: float, damping_ratio: float) -> CircleFit | None:
-    """Return f₀ and ζ of a base-excited oscillator from the angles of its circle, None where no circle is found.
-
-    G·(1 + 2jζr)/(1 - r² + 2jζr) times jr/(1 + 2jζr), r = f/f₀, is G/(2ζ + j(r - 1/r)): a circle, whose angle about its
-    centre is θ = α + 2 atan((1/r - r)/(2ζ)), so that f·tan((θ - α)/2) is a straight line over f². The circle: algebraic
-    (Taubin, IEEE Trans. PAMI 13, 1991), then of least weighted distances; the angles: f₀, ζ and α by weighted least
-    squares (Kennedy and Pancoast, J. Aeronaut. Sci. 14, 1947; Ewins, Modal Testing, 2000, 4.3). A constant that other
-    modes add moves the circle and not the angles. `frequency_hz`, `damping_ratio`: start, also of which lines are used:
-    those above half the maximum, at least five.
-    """
-    f0, zeta = frequency_hz, damping_ratio
-    for _ in range(_PASSES):
-        distance = np.abs(curve.frequency_hz - f0)
-        nearest = float(np.sort(distance)[min(_FEWEST_LINES, len(distance)) - 1])
-        part = curve.at_lines(distance <= max(np.sqrt(3.0) * zeta * f0, nearest))
-        r = part.frequency_hz / f0
-        factor = 1j * r / (1.0 + 2j * zeta * r)
-        points = part.value * factor
-        circle = _geometric(points, part, factor)
-        angles = _angles(points, part, factor, circle[0], (f0, zeta)) if circle is not None else None
-        if circle is None or angles is None:
-            return None
-        (x, y, radius), by_point = circle
-        (f0, zeta), by_angle = angles
-    # f₀ and ζ change with every point by its own angle and by the centre that all points set.
-    out = points - complex(x, y)
-    tangent, normal = 1j * out / np.abs(out) ** 2, out / np.abs(out)
-    by_centre = np.stack([by_angle @ tangent.real, by_angle @ tangent.imag], axis=1)
-    gradient = (by_angle * tangent - (by_centre @ by_point[:2]) * normal) * factor.conj()
-    return CircleFit(f0, zeta, part.propagated(gradient), complex(x, y), float(radius))
-
-
-def _geometric(
-    points: ComplexArray, curve: MeasuredCurve, factor: ComplexArray
-) -> tuple[FloatArray, FloatArray] | None:
-    """Return the circle (3,) of least weighted distances, and its change (3, K) with the distance of each point.
-
-    Started by the algebraic circle, Taubin's normalisation.
-    """
-    middle = points.mean()
-    around = points - middle
-    square = np.abs(around) ** 2
-    scale = 2.0 * np.sqrt(square.mean())
-    columns = np.stack([(square - square.mean()) / scale, around.real, around.imag], axis=1)
-    a, b, c = np.linalg.svd(columns, full_matrices=False)[2][2]
-    with np.errstate(all="ignore"):
-        shift = -complex(b, c) / (2.0 * a / scale)
-        centre = middle + shift
-    circle = np.array([centre.real, centre.imag, np.sqrt(abs(shift) ** 2 + square.mean())])
-    for _ in range(20):
-        if not np.all(np.isfinite(circle)):
-            return None
-        out = points - complex(circle[0], circle[1])
-        normal = out / np.maximum(np.abs(out), np.finfo(np.float64).tiny)
-        root = 1.0 / np.sqrt(curve.variance_along(normal * factor.conj()))
-        columns = np.stack([normal.real, normal.imag, np.ones(len(points))], axis=1)
-        change = np.linalg.pinv(columns * root[:, None]) * root
-        step = change @ (np.abs(out) - circle[2])
-        circle = circle + step
-        if np.abs(step).max() < 1e-12 * circle[2]:
-            break
-    return circle, change
-
-
-def _angles(
-    points: ComplexArray, curve: MeasuredCurve, factor: ComplexArray, circle: FloatArray, start: tuple[float, float]
-) -> tuple[tuple[float, float], FloatArray] | None:
-    """Return f₀ and ζ of the angles about the centre, and their change (2, K) with the angle of each point."""
-    frequency = curve.frequency_hz
-    out = points - complex(circle[0], circle[1])
-    tangent = 1j * out / np.abs(out) ** 2
-    root = 1.0 / np.sqrt(curve.variance_along(tangent * factor.conj()))
-    f0, zeta = start
-    alpha = float(np.angle(np.sum(out * np.exp(-1j * _angle_model(frequency, f0, zeta)[0]))))
-    for _ in range(30):
-        model, columns = _angle_model(frequency, f0, zeta)
-        change = np.linalg.pinv(columns * root[:, None]) * root
-        step = change @ np.angle(out * np.exp(-1j * (model + alpha)))
-        step *= min(1.0, 0.5 / max(abs(step[0]), abs(step[1])))
-        f0, zeta, alpha = f0 * np.exp(step[0] * zeta), zeta * np.exp(step[1]), alpha + step[2]
-        if not (np.isfinite(f0) and 1e-9 < zeta < 1.0):
-            return None
-        if np.abs(step).max() < 1e-12:
-            break
-    if np.abs(step).max() > 1e-6:
-        return None
-    return (float(f0), float(zeta)), change[:2] * np.array([[zeta * f0], [zeta]])
-
-
-def _angle_model(frequency_hz: FloatArray, f0: float, zeta: float) -> tuple[FloatArray, FloatArray]:
-    """Return 2 atan((1/r - r)/(2ζ)) (K,) and its derivatives (K, 3) by ln(f₀)/ζ, ln ζ and the angle α."""
-    r = frequency_hz / f0
-    tangent = (1.0 / r - r) / (2.0 * zeta)
-    by_tangent = 2.0 / (1.0 + tangent**2)
-    columns = [by_tangent * (1.0 / r + r) / 2.0, -by_tangent * tangent, np.ones(len(r))]
-    return np.asarray(2.0 * np.arctan(tangent)), np.stack(columns, axis=1)
-
-
-# Where |H| of one resonance is largest and where it has fallen to a given share of that, between the lines.
+# The maximum of |H| and the points at a given share of it, between the lines.
 
 PeakWidth = Literal["half_power", "half_amplitude"]
+_PASSES = 3  # refinements of the search, chosen
 LEVELS: dict[PeakWidth, float] = {"half_power": 2.0, "half_amplitude": 4.0}  # of 1/|H|², relative to the maximum
 
 
 @dataclass(frozen=True, repr=False)
 class PeakPoint(Brief):
-    """A frequency read from a curve, 1/|H|² there, and their gradients (K,) by 1/|H|² of every line; NaN: not found."""
+    """A frequency read from a curve and 1/|H|² at it.
+
+    `by_line`, `inverse_by_line` (K,): their gradients by 1/|H|² of every line. All are NaN if the point was not found.
+    """
 
     frequency_hz: float
     inverse: float
@@ -359,19 +263,19 @@ class PeakPoint(Brief):
     inverse_by_line: FloatArray
 
 
-def _nowhere(curve: MeasuredCurve) -> PeakPoint:
-    """Return the place that was not found."""
-    nothing = np.full(len(curve.frequency_hz), np.nan)
-    return PeakPoint(np.nan, np.nan, nothing, nothing)
+def _no_point(curve: MeasuredCurve) -> PeakPoint:
+    """Return a point of NaN for one that was not found."""
+    missing = np.full(len(curve.frequency_hz), np.nan)
+    return PeakPoint(np.nan, np.nan, missing, missing)
 
 
 def read_shape(curve: MeasuredCurve) -> tuple[PeakPoint, dict[PeakWidth, tuple[PeakPoint, PeakPoint]]]:
     """Return the maximum and the crossings below and above it for both widths.
 
-    1/|H|² of one base-excited oscillator is a parabola over f², but for a factor 1 + 4ζ²f²/f₀². The maximum is the
-    vertex of the parabola of the lines above half power, a crossing that of the lines within a quarter width around it.
-    The first look: the line of the maximum and where the lines next to it first fall below 1/√2 of it, mirrored if
-    absent, |H|² averaged over as many lines as make 3 % of its noise at the maximum, a twentieth at most.
+    For one base-excited oscillator 1/|H|² is a parabola over f², except for a factor 1 + 4ζ²f²/f₀². The maximum is the
+    vertex of the parabola through the lines above half power. A crossing is read from the lines within a quarter width
+    around it. The search starts at the line of the maximum and at the nearest lines below 1/√2 of it; a missing side is
+    mirrored. |H|² is averaged until the noise at the maximum is 3 %, over at most a twentieth of the lines.
     """
     magnitude = np.abs(curve.value)
     largest = int(np.argmax(magnitude))
@@ -384,7 +288,7 @@ def read_shape(curve: MeasuredCurve) -> tuple[PeakPoint, dict[PeakWidth, tuple[P
     ends = [*below[below < largest][-1:], *below[below > largest][:1]]
     reach = float(np.min(np.abs(curve.frequency_hz[ends] - frequency))) if ends else float(np.ptp(curve.frequency_hz))
     low, high = frequency - reach, frequency + reach
-    top = _nowhere(curve)
+    top = _no_point(curve)
     crossings: dict[PeakWidth, tuple[PeakPoint, PeakPoint]] = {}
     for _ in range(_PASSES):
         width = high - low
@@ -392,10 +296,10 @@ def read_shape(curve: MeasuredCurve) -> tuple[PeakPoint, dict[PeakWidth, tuple[P
         if not np.isfinite(top.frequency_hz):
             return top, dict.fromkeys(LEVELS, (top, top))
         for name, level in LEVELS.items():
-            away = 0.5 * width * np.sqrt(level - 1.0)
-            pair = [_crossing(curve, top, level, top.frequency_hz + side * away, 0.25 * width) for side in (-1, 1)]
+            offset = 0.5 * width * np.sqrt(level - 1.0)
+            pair = [_crossing(curve, top, level, top.frequency_hz + side * offset, 0.25 * width) for side in (-1, 1)]
             crossings[name] = pair[0], pair[1]
-        found = [place.frequency_hz for place in crossings["half_power"]]
+        found = [point.frequency_hz for point in crossings["half_power"]]
         if not np.all(np.isfinite(found)):
             break
         frequency, (low, high) = top.frequency_hz, found
@@ -405,11 +309,12 @@ def read_shape(curve: MeasuredCurve) -> tuple[PeakPoint, dict[PeakWidth, tuple[P
 def _parabola(
     curve: MeasuredCurve, frequency_hz: float, reach_hz: float, fewest: int
 ) -> tuple[FloatArray, FloatArray, Callable[[float, FloatArray], tuple[float, FloatArray]]]:
-    """Return c (3,) of 1/|H|² = c₀ + c₁u + c₂u² near one frequency, its change (3, K) with 1/|H|² of every line, and
-    what gives the frequency at u, with its gradient (K,) by that of u.
+    """Return the parabola 1/|H|² = c₀ + c₁u + c₂u² near a frequency, with derivatives.
 
-    u ∝ f² less that of the frequency. By weights to the lines within reach, the nearest at least. Noise of variances
-    σᵣ², σₜ² along and across H makes 1/|H|² too large by (3σᵣ² - σₜ²)/|H|⁴ on average.
+    Returned are c (3,), its change (3, K) with 1/|H|² of every line, and a function. The function gives the frequency
+    at u with its gradient (K,), from the gradient of u. u is proportional to f² minus the square of the frequency.
+    Lines within reach are used, at least the nearest ones. Noise of variances σᵣ², σₜ² along and across H makes 1/|H|²
+    too large by (3σᵣ² - σₜ²)/|H|⁴ on average.
     """
     distance = np.abs(curve.frequency_hz - frequency_hz)
     reach = max(reach_hz, float(np.sort(distance)[fewest - 1]))
@@ -429,51 +334,51 @@ def _parabola(
     by_line = np.zeros((3, len(distance)))
     by_line[:, chosen] = solve
 
-    def place(u: float, u_by_line: FloatArray) -> tuple[float, FloatArray]:
+    def frequency_at(u: float, u_by_line: FloatArray) -> tuple[float, FloatArray]:
         frequency = float(np.sqrt(centre + scale * u))
         return frequency, u_by_line * scale / (2.0 * frequency)
 
-    return coefficients, by_line, place
+    return coefficients, by_line, frequency_at
 
 
 def _top(curve: MeasuredCurve, frequency_hz: float, reach_hz: float) -> PeakPoint:
-    """Return the vertex of the parabola of the lines around a maximum."""
-    (c0, c1, c2), by_line, place = _parabola(curve, frequency_hz, reach_hz, 3)
+    """Return the vertex of the parabola through the lines around a maximum."""
+    (c0, c1, c2), by_line, frequency_at = _parabola(curve, frequency_hz, reach_hz, 3)
     u = -0.5 * c1 / c2 if c2 > 0.0 else np.nan
     inverse = c0 + 0.5 * c1 * u
     if not (abs(u) < 2.0 and inverse > 0.0):
-        return _nowhere(curve)
-    frequency, frequency_by_line = place(u, (c1 / c2 * by_line[2] - by_line[1]) / (2.0 * c2))
+        return _no_point(curve)
+    frequency, frequency_by_line = frequency_at(u, (c1 / c2 * by_line[2] - by_line[1]) / (2.0 * c2))
     return PeakPoint(frequency, float(inverse), frequency_by_line, np.array([1.0, u, u * u]) @ by_line)
 
 
 def _crossing(curve: MeasuredCurve, top: PeakPoint, level: float, frequency_hz: float, reach_hz: float) -> PeakPoint:
-    """Return where the parabola of the lines around a flank has `level` times the 1/|H|² of the maximum."""
+    """Return the point of a flank where 1/|H|² is `level` times that of the maximum."""
     if not curve.frequency_hz[0] <= frequency_hz <= curve.frequency_hz[-1]:
-        return _nowhere(curve)
-    (c0, c1, c2), by_line, place = _parabola(curve, frequency_hz, reach_hz, 4)
+        return _no_point(curve)
+    (c0, c1, c2), by_line, frequency_at = _parabola(curve, frequency_hz, reach_hz, 4)
     target, by_target = level * top.inverse, level * top.inverse_by_line
     root = c1 * c1 - 4.0 * c2 * (c0 - target)
     slope = np.sign(frequency_hz - top.frequency_hz) * np.sqrt(max(root, 0.0))
     u = 2.0 * (target - c0) / (slope + c1) if root > 0.0 else np.nan
     if not abs(u) < 3.0:
-        return _nowhere(curve)
-    frequency, frequency_by_line = place(u, (by_target - np.array([1.0, u, u * u]) @ by_line) / slope)
+        return _no_point(curve)
+    frequency, frequency_by_line = frequency_at(u, (by_target - np.array([1.0, u, u * u]) @ by_line) / slope)
     return PeakPoint(frequency, target, frequency_by_line, by_target)
 
 
 def uncertainties(curve: MeasuredCurve, *by_inverse: FloatArray) -> FloatArray:
-    """Return standard uncertainties (P,) of numbers with these gradients (K,) by 1/|H|² of every line."""
+    """Return standard uncertainties (P,) from gradients (K,) by 1/|H|² of every line."""
     square = np.abs(curve.value) ** 2
     gradient = np.stack(by_inverse) * (-2.0 * curve.value / square**2)
     return np.asarray(np.sqrt(np.diag(curve.propagated(gradient))))
 
 
-def wandering_hz2(curve: MeasuredCurve, top: PeakPoint, width_hz: float) -> float:
-    """Return the variance of the line of the largest |H| that comes from noise: which line wins, all equally spaced.
+def peak_line_variance_hz2(curve: MeasuredCurve, top: PeakPoint, width_hz: float) -> float:
+    """Return the variance in Hz² that noise causes in the line of the largest |H|.
 
-    The lines above half power are independent and normal about |H| of the oscillator; each wins with the probability
-    ∫ φₖ(a) Πⱼ Φⱼ(a) da.
+    The lines above half power are independent and normal about |H| of the oscillator, and equally spaced. Each is the
+    largest with the probability ∫ φₖ(a) Πⱼ Φⱼ(a) da.
     """
     from scipy.special import log_ndtr
 
@@ -490,14 +395,14 @@ def wandering_hz2(curve: MeasuredCurve, top: PeakPoint, width_hz: float) -> floa
     return float(chance @ (frequency - chance @ frequency) ** 2)
 
 
-_RESOLVED_LINES = 4.0  # in the half-power width, below which a width read from the lines is not to be trusted
+_RESOLVED_LINES = 4.0  # in the half-power width, below which a width from the lines is unreliable
 
 
 @dataclass(frozen=True)
 class PeakReading:
-    """One reading: frequency, width and damping ratio with standard uncertainties; NaN for what it does not tell.
+    """One reading of a resonance: frequency, width and damping ratio with standard uncertainties.
 
-    `note`: what the reader of these numbers has to know, empty for most.
+    Numbers that the method does not provide are NaN. `note`: a restriction of these numbers, usually empty.
     """
 
     method: str
@@ -514,11 +419,11 @@ class PeakReading:
 class PeakReadings:
     """All readings of one resonance of a base-excited mass.
 
-    `maximum_bin`: the line of the largest |H|; `maximum`: the top between the lines; both are the frequency of the
-    maximum, which lies ζ²f₀ below f₀. `half_power`: f₀ and ζ from the two frequencies where |H| is 1/√2 of its maximum.
-    `half_amplitude`: f₀ = frequency of the maximum and ζ = width/(2f₀) with the width at half the maximum, as equation
-    10 of Nitsche et al. (J. Sens. Sens. Syst. 7, 2018) words it: √3 times the damping there is. `circle`: f₀ and ζ from
-    the angles of the Nyquist circle. `lines_in_width`: half-power width over line spacing.
+    `maximum_bin`: the line of the largest |H|. `maximum`: the maximum between the lines. Both are the frequency of the
+    maximum, ζ²f₀ below f₀. `half_power`: f₀ and ζ from the two frequencies with |H| at 1/√2 of its maximum.
+    `half_amplitude`: equation 10 of Nitsche et al. (J. Sens. Sens. Syst. 7, 2018) as printed, with the width at half
+    the maximum; the damping is √3 times too large. `circle`: f₀ and ζ from the angles of the Nyquist circle.
+    `lines_in_width`: half-power width over line spacing.
     """
 
     maximum_bin: PeakReading
@@ -530,17 +435,17 @@ class PeakReadings:
 
     @property
     def all(self) -> tuple[PeakReading, ...]:
-        """Return the readings in the order of their description."""
+        """All readings in the order of their description."""
         return self.maximum_bin, self.maximum, self.half_power, self.half_amplitude, self.circle
 
 
 def peak_readings(curve: MeasuredCurve) -> PeakReadings:
-    """Read the highest resonance of H = motion of a mass over that of its base.
+    """Read the highest resonance of load motion over base motion.
 
-    All but `maximum_bin` are free of bias by the line spacing.
+    The line spacing biases `maximum_bin` only.
     """
-    if len(curve.frequency_hz) < _FEWEST_LINES:
-        raise ValueError(f"frequency_hz: expected at least {_FEWEST_LINES} lines, found {len(curve.frequency_hz)}")
+    if len(curve.frequency_hz) < FEWEST_LINES:
+        raise ValueError(f"frequency_hz: expected at least {FEWEST_LINES} lines, found {len(curve.frequency_hz)}")
     top, crossings = read_shape(curve)
     width = crossings["half_power"][1].frequency_hz - crossings["half_power"][0].frequency_hz
     lines, note = width / curve.spacing_hz, ""
@@ -549,12 +454,12 @@ def peak_readings(curve: MeasuredCurve) -> PeakReadings:
             f"{lines:.1f} lines in the half-power width, fewer than {_RESOLVED_LINES:.0f}: between them the curve is "
         )
         note += "taken to be that of one oscillator"
-    # The line of the maximum is uncertain by half a spacing and by which line noise lets win.
+    # The line of the maximum is uncertain by half a spacing and by the effect of noise on its selection.
     line_hz = float(curve.frequency_hz[np.argmax(np.abs(curve.value))])
-    wandering = wandering_hz2(curve, top, width) if np.isfinite(width) else np.nan
+    wandering = peak_line_variance_hz2(curve, top, width) if np.isfinite(width) else np.nan
     u_line = float(np.sqrt(curve.spacing_hz**2 / 12.0 + wandering))
     between = "" if np.isfinite(top.frequency_hz) else "no maximum between the lines of this band"
-    half_power, half_amplitude = (_by_width(own, curve, top, *crossings[own], note) for own in LEVELS)
+    half_power, half_amplitude = (_by_width(name, curve, top, *crossings[name], note) for name in LEVELS)
     fit, circle = None, PeakReading("circle", note="no circle found in the complex plane")
     if np.isfinite(half_power.damping_ratio):
         fit = fit_circle(curve, half_power.frequency_hz, half_power.damping_ratio)
@@ -574,8 +479,10 @@ def peak_readings(curve: MeasuredCurve) -> PeakReadings:
 
 
 def transmissibility_levels(damping_ratio: float, level: float = 2.0) -> tuple[float, float, float]:
-    """Return r = f/f₀ of the maximum of |(1 + 2jζr)/(1 - r² + 2jζr)|, and below and above it where 1/|H|² is `level`
-    times as large, zero where that is nowhere: r² solves y² - (2 - 4ζ² + 4ζ²c)y + 1 - c = 0, c = level/|H|²max.
+    """Return r = f/f₀ of the maximum and of a level on both sides.
+
+    The transmissibility is |(1 + 2jζr)/(1 - r² + 2jζr)|; at the level 1/|H|² is `level` times its value at the maximum.
+    r² solves y² - (2 - 4ζ² + 4ζ²c)y + 1 - c = 0, c = level/|H|²max. The lower r is zero if the level is not reached.
     """
     square = 4.0 * damping_ratio**2
     highest = 2.0 / (np.sqrt(1.0 + 2.0 * square) + 1.0)
@@ -588,10 +495,10 @@ def transmissibility_levels(damping_ratio: float, level: float = 2.0) -> tuple[f
 def _by_width(
     method: PeakWidth, curve: MeasuredCurve, top: PeakPoint, low: PeakPoint, high: PeakPoint, note: str
 ) -> PeakReading:
-    """Return what a maximum and the width at a level tell.
+    """Return the reading from a maximum and the width at a level.
 
-    Half power: the f₀ and ζ of which the oscillator has its maximum and its half-power points where they were read.
-    Half amplitude: equation 10 with the width at half the maximum, without the √3 that this width is wider.
+    Half power: f₀ and ζ of the oscillator whose maximum and half-power points are those that were read. Half amplitude:
+    equation 10 with the width at half the maximum, uncorrected for its factor √3.
     """
     width = high.frequency_hz - low.frequency_hz
     if not np.isfinite(width):

@@ -1,4 +1,4 @@
-"""What damper and measuring chain do to the sensitivity over frequency, and which of them the data support."""
+"""Influence of damper and measuring chain on the sensitivity over frequency, with model selection."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ import numpy as np
 
 from shaker.arrays import Brief, ComplexArray, FloatArray, check_shape
 from shaker.fitting import LMOptions, WhitenedResiduals, levenberg_marquardt
+from shaker.identification.identification_notices import FIT_NOT_CONVERGED, OUTPUT_LEADS, STATED_ERROR_TOO_SMALL
 from shaker.identification.measured_curves import (
     MeasuredSensitivity,
     NamedUnknown,
@@ -23,9 +24,9 @@ from shakercal._common.notices import Notice
 
 @dataclass(frozen=True)
 class SpringPrior:
-    """Stiffness and damping as a resonance gives them, with their standard uncertainties and correlation.
+    """Stiffness and damping from a resonance, with standard uncertainties and correlation.
 
-    k in N/m, b in kg/s; of a rotation N·m/rad and N·m·s/rad.
+    k in N/m, b in kg/s; for a rotation N·m/rad and N·m·s/rad.
     """
 
     k: float
@@ -42,7 +43,7 @@ class SpringPrior:
 
     @property
     def time_s(self) -> float:
-        """τ = b/k in s, the time constant of the lag that the damper makes."""
+        """τ = b/k in s, the time constant of the damper's lag."""
         return self.b / self.k
 
     @property
@@ -66,19 +67,19 @@ LABELS = {
 }
 """The parameters of a `SensitivityFit` in words."""
 _RULES = LMOptions(predicted_decrease=1e-12, predicted_decrease_share=1e-12, max_steps=200)
-_SMALLEST_TURN = 0.01  # rad at the highest line with which a lag starts, lest it be the same as a delay
+_SMALLEST_TURN = 0.01  # rad at the highest line: start of a lag that differs from a delay
 
 
 @dataclass(frozen=True, repr=False)
 class SensitivityFit(Brief):
-    """S(f) = S₀ / (1 + jωτ) · chain(f), τ = b/k, fitted to a measured sensitivity under one shape of the chain.
+    """Lag and chain fitted to a measured sensitivity.
 
-    `sensitivity` S₀ in `unit`; `spring_time_s` τ. `parameters` (P,) names what was fitted, in the order of
-    `covariance` (P, P): `sensitivity`, `spring_time_s` (where it is unknown), then those of the chain. `residual` (K,):
-    measured less the model with all common errors found. `chi_squared` holds residuals, common errors and what is known
-    beforehand of τ and S₀; `dof`, and the `probability` of a χ² as large by chance. The noise is enlarged to χ²/dof in
-    the covariance where that exceeds one. `converged`: whether the fit settled; it does not where the readings leave
-    parameters open, or are nothing like the model.
+    S(f) = S₀ / (1 + jωτ) · chain(f) with τ = b/k. `sensitivity` S₀ in `unit`; `spring_time_s` τ. `parameters` (P,):
+    names in the order of `covariance` (P, P): `sensitivity`, `spring_time_s` (if it is unknown), then those of the
+    chain. `residual` (K,): measured minus model with all common errors as estimated. `chi_squared`: of residuals,
+    common errors and the priors of τ and S₀, with `dof` and the `probability` of a χ² at least as large. If χ²/dof is
+    above one, the noise is enlarged to it in the covariance. `converged` is False if the readings do not determine the
+    parameters or do not follow the model.
     """
 
     sensitivity: float
@@ -103,11 +104,11 @@ class SensitivityFit(Brief):
         return np.asarray(self.sensitivity / lag * self.chain.response(frequency_hz))
 
     def u(self, parameter: str) -> float:
-        """Return the standard uncertainty of a parameter, 0 of one that was not fitted."""
+        """Return the standard uncertainty of a parameter, 0 if it was not fitted."""
         if parameter not in self.parameters:
             return 0.0
-        place = self.parameters.index(parameter)
-        return float(np.sqrt(self.covariance[place, place]))
+        index = self.parameters.index(parameter)
+        return float(np.sqrt(self.covariance[index, index]))
 
     @property
     def estimates(self) -> tuple[ParameterEstimate, ...]:
@@ -131,19 +132,19 @@ class SensitivityFit(Brief):
 def fit_chain(
     measured: MeasuredSensitivity, kind: ChainKind, spring: SpringPrior | None, *, spring_free: bool = False
 ) -> SensitivityFit:
-    """Fit S₀, τ = b/k and a chain of one kind to a measured sensitivity (K lines).
+    """Fit S₀, τ = b/k and a chain of one kind to a sensitivity.
 
-    Measured is S₀ / (1 + jωτ) · chain · exp(Σ z r): r are the relative errors by name, z ~ N(0, 1) unknown, so that no
-    covariance is made of the readings. τ is held by `spring` within its uncertainty; `spring_free` lets it be any;
-    without either it is 0, since a lag of the chain and one of the spring are the same curve. A static sensitivity
-    that is stated is one more reading of S₀.
+    The measured value is S₀ / (1 + jωτ) · chain · exp(Σ z r) with relative errors r by name and unknowns z ~ N(0, 1).
+    The readings need no joint covariance. `spring` is the prior of τ; `spring_free` makes τ free. Without either τ is
+    0, because a lag of the chain and one of the spring have the same curve. A stated static sensitivity is one more
+    reading of S₀.
     """
     from scipy.special import chdtrc
 
     lines = len(measured.frequency_hz)
     if lines < 4:
         raise ValueError(f"frequency_hz: expected at least 4 lines, found {lines}")
-    problem = _Problem.of(measured, kind, spring, spring_free)
+    problem = _ChainProblem.of(measured, kind, spring, spring_free)
     search = levenberg_marquardt(problem.point, problem.point(problem.start()), _RULES)
     point, count = search.point, len(problem.names)
     chi_squared, dof = point.loss, len(point.residual) - len(point.parameters)
@@ -174,37 +175,40 @@ def fit_chain(
 
 
 @dataclass(frozen=True)
-class _Problem:
-    """A measured sensitivity over unknowns x = [S₀, τ where unknown, chain, z of each common error].
+class _ChainProblem:
+    """A measured sensitivity with its unknowns.
 
-    `names`: the unknowns but for z; `time_s`: τ where it is none of them, else where to start; `known`: (place, value,
-    u) of unknowns known beforehand, z among them; `relative` (K, E); `whitening` (K, 2, 2): noise to variance one.
+    x = [S₀, τ if unknown, chain, z of common errors]. `names`: the unknowns except z. `time_s`: τ if it is fixed, else
+    its start. `priors`: (index, value, u) of unknowns with a prior, z among them. `relative` (K, E). `whitening` (K, 2,
+    2): noise to variance one.
     """
 
     measured: MeasuredSensitivity
     kind: ChainKind
     names: tuple[str, ...]
     time_s: float
-    known: tuple[tuple[int, float, float], ...]
+    priors: tuple[tuple[int, float, float], ...]
     relative: ComplexArray
     whitening: FloatArray
 
     @staticmethod
-    def of(measured: MeasuredSensitivity, kind: ChainKind, spring: SpringPrior | None, spring_free: bool) -> _Problem:
-        known: list[tuple[int, float, float]] = []
+    def of(
+        measured: MeasuredSensitivity, kind: ChainKind, spring: SpringPrior | None, spring_free: bool
+    ) -> _ChainProblem:
+        priors: list[tuple[int, float, float]] = []
         if measured.static is not None:
             if not measured.u_static > 0.0:
                 raise ValueError(f"u_static: expected a value above 0, found {measured.u_static:g}")
-            known.append((0, measured.static, measured.u_static))
-        held = spring is not None and not spring_free and spring.u_time_s > 0.0
-        if held and spring is not None:
-            known.append((1, spring.time_s, spring.u_time_s))
-        names = ("sensitivity", *(("spring_time_s",) if held or spring_free else ()), *CHAIN_PARAMETERS[kind])
-        known += [(len(names) + number, 0.0, 1.0) for number in range(len(measured.errors))]
+            priors.append((0, measured.static, measured.u_static))
+        has_prior = spring is not None and not spring_free and spring.u_time_s > 0.0
+        if has_prior and spring is not None:
+            priors.append((1, spring.time_s, spring.u_time_s))
+        names = ("sensitivity", *(("spring_time_s",) if has_prior or spring_free else ()), *CHAIN_PARAMETERS[kind])
+        priors += [(len(names) + number, 0.0, 1.0) for number in range(len(measured.errors))]
         relative = [np.empty((len(measured.value), 0)), *(error.relative for error in measured.errors)]
         time_s = 0.0 if spring is None else spring.time_s
         whitening = whitening_matrices(measured.covariance)
-        return _Problem(measured, kind, names, time_s, tuple(known), np.concatenate(relative, axis=1), whitening)
+        return _ChainProblem(measured, kind, names, time_s, tuple(priors), np.concatenate(relative, axis=1), whitening)
 
     def split(self, x: FloatArray) -> tuple[float, float, ChainModel]:
         """Return S₀, τ and the chain of the unknowns."""
@@ -219,7 +223,7 @@ class _Problem:
         return np.asarray(scale / (1.0 + laplace(hertz) * time) * chain.response(hertz) * errors)
 
     def point(self, x: FloatArray) -> WhitenedResiduals:
-        """Return measured less curve, whitened, then what is known beforehand: the sum of their squares is χ²."""
+        """Return whitened residuals and then those of the priors; the sum of squares is χ²."""
         _, time, chain = self.split(x)
         s, curve = laplace(self.measured.frequency_hz), self.curve(x)
         slopes = [np.full((len(s), 1), 1.0 / x[0])]
@@ -228,22 +232,22 @@ class _Problem:
         columns = np.column_stack([self.measured.value - curve, -curve[:, None] * np.concatenate(slopes, axis=1)])
         lines = (self.whitening @ np.stack([columns.real, columns.imag], axis=1)).reshape(-1, 1 + len(x))
         unit = np.eye(len(x))
-        rows = [np.append(x[place] - value, unit[place]) / u for place, value, u in self.known]
+        rows = [np.append(x[index] - value, unit[index]) / u for index, value, u in self.priors]
         both = np.vstack([lines, *rows])
         return WhitenedResiduals(x, both[:, 0], both[:, 1:])
 
     def start(self) -> FloatArray:
-        """Return starting values: sign and delay from the phases, the rest from the magnitudes.
+        """Return start values: sign and delay from the phases, the rest from the magnitudes.
 
-        1/|chain|² = 1 + (a₁² - 2a₂)ω² + a₂²ω⁴, so that its slope over ω² tells a lag from a delay.
+        1/|chain|² = 1 + (a₁² - 2a₂)ω² + a₂²ω⁴: its slope over ω² distinguishes a lag from a delay.
         """
         angular, value = 2.0 * np.pi * self.measured.frequency_hz, self.measured.value
         left = []
-        for sign in (1.0, -1.0):  # sign and delay that together leave the smallest phases
+        for sign in (1.0, -1.0):  # sign and delay of the smallest remaining phases
             phase = np.unwrap(np.angle(sign * value))
             for delay in (0.0, -float(angular @ phase / (angular @ angular))):
-                turned = np.angle(sign * value * np.exp(1j * angular * delay))
-                left.append((float(np.sum(np.abs(turned))), sign, delay))
+                rotated = np.angle(sign * value * np.exp(1j * angular * delay))
+                left.append((float(np.sum(np.abs(rotated))), sign, delay))
         _, sign, delay = min(left, key=lambda one: one[0])
         smallest = _SMALLEST_TURN / float(angular.max())
         slope, static = np.polyfit(angular**2, np.abs(value) ** -2.0, 1)
@@ -257,25 +261,25 @@ class _Problem:
 
 
 def sensor_model(fit: SensitivityFit, mechanics: FloatArray, covariance: FloatArray) -> SensorModel:
-    """Join a sensitivity with `mechanics` (3,) [k, b, m_i] of an identification and their `covariance` (3, 3).
+    """Join a sensitivity with `mechanics` (3,) [k, b, m_i] of an identification and their `covariance`.
 
-    The fit must have had the same k and b as its `SpringPrior`. What it added to the knowledge of τ = b/k moves k, b
-    and m_i along C·g, g = ∂τ/∂[k, b, m_i], C their covariance.
+    The fit must have used the same k and b in its `SpringPrior`. Its information on τ = b/k changes k, b and m_i along
+    C·g, with g = ∂τ/∂[k, b, m_i] and their covariance C (3, 3).
     """
     check_shape("mechanics", mechanics, (3,))
     check_shape("covariance", covariance, (3, 3))
     k, b = float(mechanics[0]), float(mechanics[1])
     slope = np.array([-b / k**2, 1.0 / k, 0.0])
     variance = float(slope @ covariance @ slope)
-    known = "spring_time_s" in fit.parameters
-    if known != (variance > 0.0) or (not known and fit.spring_time_s != b / k):
-        raise ValueError("fit: expected one that holds b/k by these k and b, found another")
-    others = [place for place, name in enumerate(fit.parameters) if name != "spring_time_s"]
+    fitted = "spring_time_s" in fit.parameters
+    if fitted != (variance > 0.0) or (not fitted and fit.spring_time_s != b / k):
+        raise ValueError("fit: expected one with b/k of these k and b, found another")
+    others = [index for index, name in enumerate(fit.parameters) if name != "spring_time_s"]
     joined = np.zeros((3 + len(others), 3 + len(others)))
     joined[:3, :3] = covariance
     joined[3:, 3:] = fit.covariance[np.ix_(others, others)]
     moved = np.asarray(mechanics, dtype=np.float64)
-    if known:
+    if fitted:
         gain = covariance @ slope / variance
         moved = moved + gain * (fit.spring_time_s - b / k)
         joined[:3, :3] -= np.multiply.outer(gain, gain) * (variance - fit.covariance[1, 1])
@@ -287,16 +291,16 @@ def sensor_model(fit: SensitivityFit, mechanics: FloatArray, covariance: FloatAr
     return SensorModel(fit.sensitivity, stiffness, damping, mass, fit.chain, covariance, fit.unit)
 
 
-# What makes the sensitivity change with frequency: the sensor's damper, or the measuring chain behind it.
+# Causes of a frequency-dependent sensitivity: the sensor's damper, or the measuring chain.
 
 Verdict = Literal["supported", "more than needed", "refuted"]
 
 SIGNIFICANCE = 0.01
-"""Probability below which a test refutes."""
+"""Probability below which a test rejects, 1 % by convention."""
 SMALLEST_WEIGHT = 0.05
-"""Akaike weight, relative to the best, below which an explanation is refuted by a better one."""
+"""Akaike weight, relative to the best, below which an explanation is refuted by a better one (Δ AICc of 6)."""
 FARTHEST_ERROR = 3.0
-"""Standard uncertainties of a common error beyond which the fit stretches it."""
+"""Standard uncertainties of a common error above which its statement is doubtful, 3 σ."""
 CHAIN_WORDS: dict[ChainKind, str] = {
     "none": "the sensor's damper alone",
     "delay": "a delay",
@@ -305,9 +309,9 @@ CHAIN_WORDS: dict[ChainKind, str] = {
     "second_order": "a low-pass of second order",
     "delay_lag": "a delay with a first-order lag",
 }
-"""What each explanation says of the chain, where the resonance tells the sensor's own damping."""
+"""Each explanation in words, if the resonance determines the damping of the sensor."""
 WORDS_WITHOUT_RESONANCE = CHAIN_WORDS | {"none": "a constant sensitivity"}
-"""What each says where nothing does: its lag is that of the chain and of the sensor's damper together."""
+"""Each explanation in words without a resonance: the lag is that of chain and damper together."""
 _PART_OF: dict[ChainKind, tuple[ChainKind, ...]] = {
     "none": (),
     "delay": ("none",),
@@ -320,11 +324,12 @@ _PART_OF: dict[ChainKind, tuple[ChainKind, ...]] = {
 
 @dataclass(frozen=True)
 class DampingTest:
-    """b/k that the sensitivity would need with no chain against that of the resonance's width, with u in s.
+    """Comparison of b/k from the sensitivity and from the resonance width.
 
-    `deviation`: √Δχ² with the sign of their difference, Δχ² what χ² grows by when b/k is held by the resonance (over
-    χ²/dof where that exceeds one): for small differences the difference over its standard uncertainty, but right as
-    well where the magnitude hangs on (b/k)². `probability` of a deviation as large by chance.
+    In s; the sensitivity is fitted without a chain. `deviation`: √Δχ² with the sign of the difference. Δχ² is the
+    growth of χ² if b/k has the prior of the resonance, divided by χ²/dof if that is above one. Small differences give
+    the difference over its standard uncertainty. The test is also right if the magnitude depends on (b/k)².
+    `probability` of a deviation at least as large.
     """
 
     needed_s: float
@@ -337,16 +342,16 @@ class DampingTest:
 
     @property
     def contradicts(self) -> bool:
-        """Whether the two cannot both be right."""
+        """Whether the two values contradict each other."""
         return self.probability < SIGNIFICANCE
 
 
 @dataclass(frozen=True, repr=False)
 class SensitivityComparison(Brief):
-    """Explanations of one sensitivity: `fits` (E), Akaike `weight` (E,), sum 1, and `verdict` (E).
+    """Explanations of one sensitivity: `fits` (E), Akaike `weight` (E,) with sum 1, `verdict` (E).
 
-    `spring`: what the resonance says of k and b, None where nothing does; `damping`: whether S(f) with no chain agrees
-    with it, None without it. `text`: in one sentence, which explanations the data support and which they refute.
+    `spring`: k and b of the resonance, None without one. `damping`: test whether S(f) without a chain agrees with it.
+    `text`: a sentence on the explanations that the data support or refute.
     """
 
     fits: tuple[SensitivityFit, ...]
@@ -362,7 +367,7 @@ class SensitivityComparison(Brief):
 
     @property
     def best(self) -> SensitivityFit:
-        """The explanation to use: the supported one of the largest weight; with none supported, of all."""
+        """The supported explanation of largest weight; without a supported one, that of largest weight."""
         supported = [i for i, verdict in enumerate(self.verdict) if verdict == "supported"] or range(len(self.fits))
         return self.fits[max(supported, key=lambda i: float(self.weight[i]))]
 
@@ -372,14 +377,13 @@ class SensitivityComparison(Brief):
 
 
 def fit_sensitivity(measured: MeasuredSensitivity, spring: SpringPrior | None = None) -> SensitivityComparison:
-    """Fit every explanation of a sensitivity over frequency, compare them, and test the damping against the resonance.
+    """Fit every explanation of a sensitivity, compare them, and test the damping against the resonance.
 
-    With `spring` every explanation has the sensor's own lag 1/(1 + jωb/k), b/k held within its uncertainty. Without it
-    nothing tells that lag from one of the chain, they being the same curve: the fits then have one lag for both.
-    Weights: AICc = χ²/ĉ + 2p + 2p(p + 1)/(n - p - 1) of p free parameters and n real readings, ĉ = χ²/dof of the
-    explanation that fits best, where that exceeds one (Burnham and Anderson, Model selection, 2002, 2.5). Refuted is
-    what leaves a χ² too large (`SIGNIFICANCE`), needs a filter that is not stable, or has too small a weight and no
-    part that is supported; more than needed is an explanation of which a part is supported as well.
+    With `spring` every explanation contains the lag 1/(1 + jωb/k) of the sensor, with the prior of b/k. Without it this
+    lag and that of the chain have the same curve and are one lag. Weights: AICc = χ²/ĉ + 2p + 2p(p + 1)/(n - p - 1) for
+    p free parameters and n real readings. ĉ = χ²/dof of the best explanation if it is above one (Burnham and Anderson,
+    Model selection, 2002, 2.5). An explanation is refuted if χ² is too large (`SIGNIFICANCE`), the filter is unstable,
+    or its weight is too small and no part of it is supported. It is more than needed if a part of it is supported too.
     """
     fits = tuple(fit_chain(measured, kind, spring) for kind in CHAIN_PARAMETERS)
     readings = 2 * len(measured.value) + (measured.static is not None)
@@ -398,11 +402,11 @@ def fit_sensitivity(measured: MeasuredSensitivity, spring: SpringPrior | None = 
 
 
 def _verdicts(fits: tuple[SensitivityFit, ...], weight: FloatArray) -> tuple[Verdict, ...]:
-    """Return what the data say of each explanation."""
+    """Return the verdict of the data on each explanation."""
     acceptable = {fit.chain.kind for fit in fits if fit.probability >= SIGNIFICANCE}
     supported = set()
     for fit, share in zip(fits, weight / weight.max(), strict=True):
-        # A filter's poles lie on the left: a₁ and a₂ are not below 0 beyond twice their uncertainty.
+        # A stable filter: a₁ and a₂ are not significantly negative (2 u).
         stable = all(getattr(fit.chain, name) >= -2.0 * fit.u(name) for name in fit.chain.names if name != "delay_s")
         if fit.chain.kind in acceptable and share >= SMALLEST_WEIGHT and stable:
             supported.add(fit.chain.kind)
@@ -415,41 +419,41 @@ def _verdicts(fits: tuple[SensitivityFit, ...], weight: FloatArray) -> tuple[Ver
     return tuple(verdict(fit.chain.kind) for fit in fits)
 
 
-def _damping_test(measured: MeasuredSensitivity, held: SensitivityFit, spring: SpringPrior) -> DampingTest:
-    """Compare b/k fitted to S(f) with no chain with that of the resonance, by which the other fit is held."""
+def _damping_test(measured: MeasuredSensitivity, restricted: SensitivityFit, spring: SpringPrior) -> DampingTest:
+    """Compare b/k fitted to S(f) without a chain with b/k of the resonance."""
     from scipy import special
 
     needed = fit_chain(measured, "none", None, spring_free=True)
-    growth = max(0.0, held.chi_squared - needed.chi_squared) / max(1.0, needed.chi_squared / needed.dof)
+    growth = max(0.0, restricted.chi_squared - needed.chi_squared) / max(1.0, needed.chi_squared / needed.dof)
     deviation = float(np.copysign(np.sqrt(growth), needed.spring_time_s - spring.time_s))
     probability = float(special.erfc(abs(deviation) / np.sqrt(2.0)))
     u_needed = needed.u("spring_time_s")
     from_curve = _microseconds(needed.spring_time_s, u_needed)
     from_width = _microseconds(spring.time_s, spring.u_time_s)
-    says = "they contradict each other" if probability < SIGNIFICANCE else "they agree"
+    conclusion = "they contradict each other" if probability < SIGNIFICANCE else "they agree"
     text = (
-        f"With no chain the sensitivity needs b/k = {from_curve}, the width of the resonance gives {from_width}: {says}"
-        f" (normalised deviation {deviation:.1f})"
+        f"Without a chain the sensitivity requires b/k = {from_curve}, the width of the resonance gives {from_width}: "
+        f"{conclusion} (normalised deviation {deviation:.1f})"
     )
     if needed.probability < SIGNIFICANCE:
-        text += f", and even so the curve does not fit (χ²/dof = {needed.chi_squared / needed.dof:.1f})"
+        text += f", and the curve does not fit (χ²/dof = {needed.chi_squared / needed.dof:.1f})"
     seen = needed.spring_time_s, u_needed, spring.time_s, spring.u_time_s
     return DampingTest(*seen, deviation, probability, f"{text}.")
 
 
 def _sentence(fits: tuple[SensitivityFit, ...], verdict: tuple[Verdict, ...], alone: bool) -> str:
-    """Say in one sentence which explanations the data support and which they refute."""
+    """Return a sentence on the explanations that the data support and refute."""
     words = WORDS_WITHOUT_RESONANCE if alone else CHAIN_WORDS
     named: dict[Verdict, list[str]] = {"supported": [], "more than needed": [], "refuted": []}
-    for fit, own in zip(fits, verdict, strict=True):
-        named[own].append(_explained(fit, alone) if own == "supported" else words[fit.chain.kind])
+    for fit, kind in zip(fits, verdict, strict=True):
+        named[kind].append(_explained(fit, alone) if kind == "supported" else words[fit.chain.kind])
     if not named["supported"]:
         best = min(fits, key=lambda fit: fit.chi_squared / fit.dof)
         text = f"The data support none of these explanations: even {_explained(best, alone)} leaves χ²/dof = "
         return f"{text}{best.chi_squared / best.dof:.1f}; a cause is missing, or uncertainties are stated too small."
 
-    def listed(own: Verdict, last: str) -> str:
-        *first, end = named[own]
+    def listed(kind: Verdict, last: str) -> str:
+        *first, end = named[kind]
         return f"{', '.join(first)} {last} {end}" if first else end
 
     parts = [f"The data support {listed('supported', 'or')}"]
@@ -478,25 +482,23 @@ def _explained(fit: SensitivityFit, alone: bool) -> str:
 
 
 def _notices(fit: SensitivityFit, channel: str) -> Iterator[Notice]:
-    """Say of the explanation to use what a reader should doubt."""
+    """Yield doubts about the explanation in use."""
     if fit.chain.delay_s < -2.0 * fit.u("delay_s"):
-        lead = _microseconds(-fit.chain.delay_s, fit.u("delay_s"))
-        yield Notice("warning", f"the output leads by {lead}: no chain does, the reference is late", channel)
+        yield Notice(OUTPUT_LEADS, channel, lead_us=-1e6 * fit.chain.delay_s, expanded_us=2e6 * fit.u("delay_s"))
     if not fit.converged:
-        yield Notice("warning", "the fit of the chain did not settle: the readings leave it open", channel)
+        yield Notice(FIT_NOT_CONVERGED, channel, model="the measuring chain")
     for error in fit.unknowns:
         if abs(error.estimate) > FARTHEST_ERROR:
-            text = f"{error.name} is found {error.estimate:.1f} of its standard uncertainties away: stated too small"
-            yield Notice("warning", text, channel)
+            yield Notice(STATED_ERROR_TOO_SMALL, channel, cause=error.name, deviation=abs(error.estimate))
 
 
 def _microseconds(value_s: float, u_s: float) -> str:
-    """Return a time with its expanded uncertainty, k = 2, in µs."""
+    """Return a time in µs with its expanded uncertainty, k = 2."""
     return _with_u(1e6 * value_s, 1e6 * u_s, "µs")
 
 
 def _with_u(value: float, u: float, unit: str) -> str:
-    """Return a number with its expanded uncertainty, k = 2, to two digits of the latter."""
+    """Return a number with its expanded uncertainty (k = 2, two digits)."""
     if not u > 0.0:
         return f"{value:.4g} {unit}"
     digits = max(0, 1 - int(np.floor(np.log10(2.0 * u))))

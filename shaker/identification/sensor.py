@@ -1,4 +1,4 @@
-"""The sensor as a model: output over force with a load, its usable band, and phasors and records corrected by it."""
+"""Sensor model: output over force with a load, usable band, correction of phasors and records."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ import numpy as np
 from shaker.arrays import Brief, ComplexArray, FloatArray, check_shape
 from shaker.fitting import covariance_root
 from shaker.frf.chain import ChainResponse, common_covariance, split_ratio
+from shaker.identification.identification_notices import SIGNAL_ABOVE_BAND
 from shaker.mechanics import laplace
 from shaker.sine.phasor import Phasors
 from shakercal._common.notices import Notice
@@ -31,10 +32,10 @@ CHAIN_PARAMETERS: dict[ChainKind, tuple[str, ...]] = {
 
 @dataclass(frozen=True, repr=False)
 class ChainModel(Brief):
-    """exp(−sD) / (1 + a₁s + a₂s²), s = jω, with the terms that `kind` has.
+    """Response exp(−sD) / (1 + a₁s + a₂s²) of a measuring chain, s = jω.
 
-    `parameters` (P,) in the order of `CHAIN_PARAMETERS`: D `delay_s`, a₁ `lag_s`, a₂ `square_s2`. A low-pass of
-    second order has a₁ = 2ζ/ω_c and a₂ = 1/ω_c²; a Butterworth filter a₂ = a₁²/2.
+    `kind` selects the terms. `parameters` (P,) in the order of `CHAIN_PARAMETERS`: D `delay_s`, a₁ `lag_s`, a₂
+    `square_s2`. A low-pass of second order has a₁ = 2ζ/ω_c and a₂ = 1/ω_c², a Butterworth filter a₂ = a₁²/2.
     """
 
     kind: ChainKind
@@ -77,9 +78,10 @@ class ChainModel(Brief):
         return np.array([columns[name] for name in self.names], dtype=np.complex128).reshape(-1, len(s)).T
 
     def corner(self, covariance: FloatArray) -> tuple[tuple[float, float], tuple[float, float]] | None:
-        """Return (f_c, u) in Hz and (ζ, u) of a low-pass from the covariance (P, P) of its parameters.
+        """Return corner frequency and damping ratio of a low-pass, each with u.
 
-        f_c = 1/(2π√a₂), ζ = a₁/(2√a₂); None where the chain has no low-pass of second order (a₂ ≤ 0).
+        (f_c, u) in Hz and (ζ, u); None without a low-pass of second order. f_c = 1/(2π√a₂), ζ = a₁/(2√a₂), for a₂ > 0;
+        u from the covariance (P, P) of the parameters.
         """
         if self.kind not in {"butterworth", "second_order"} or not self.square_s2 > 0.0:
             return None
@@ -93,7 +95,7 @@ class ChainModel(Brief):
         return (frequency, u[0]), (damping, u[1])
 
     def _value(self, name: str) -> float:
-        """Return a parameter, 0 where the shape has none of this name."""
+        """Return a parameter, 0 if this kind does not have it."""
         return float(self.parameters[self.names.index(name)]) if name in self.names else 0.0
 
     def _divisor(self, s: ComplexArray) -> ComplexArray:
@@ -102,10 +104,10 @@ class ChainModel(Brief):
 
 
 NO_CHAIN = ChainModel("none", np.empty(0))
-"""A chain that passes everything as it is."""
+"""A chain with the response 1."""
 
 
-# The sensor as a whole: what it puts out for the force on its load.
+# The sensor: output for a force on its load.
 
 SensorExcitation = Literal["base", "force"]
 
@@ -114,10 +116,16 @@ SENSOR_PARAMETERS = ("sensitivity", "stiffness", "damping", "internal_mass")
 
 @dataclass(frozen=True)
 class Load:
-    """A mass on the sensor and how it is driven: `base` moves under the sensor, or a `force` acts on the load.
+    """A mass on the sensor and its excitation.
 
-    `mass` ± `u_mass` in kg; of a rotation the moment of inertia in kg·m².
+    Attributes
+    ----------
+    mass : kg, or kg·m² for a rotation; above 0
+    drive : "base" if the base below the sensor moves, "force" if a force acts on the load
+    u_mass : standard uncertainty of `mass`, default 0
 
+    Examples
+    --------
     >>> from shaker import Load
     >>> Load(mass=4.236, drive="force", u_mass=3e-4)
     Load(mass=4.236, drive='force', u_mass=0.0003)
@@ -136,11 +144,11 @@ class Load:
 
 @dataclass(frozen=True, repr=False)
 class SensorModel(Brief):
-    """Static `sensitivity` S₀ in `unit`, `stiffness` k, `damping` b, `internal_mass` m_i (as estimated, by
-    chance below 0) and the chain behind them.
+    """Static sensitivity, spring, damper, internal mass and measuring chain of a sensor.
 
-    `covariance` (4 + P, 4 + P) of [S₀, k, b, m_i, parameters of the chain]. N/m, kg/s and kg; of a rotation N·m/rad,
-    N·m·s/rad and kg·m².
+    `sensitivity` S₀ in `unit`, `stiffness` k in N/m, `damping` b in kg/s, `internal_mass` m_i in kg, which may be
+    estimated below 0; for a rotation N·m/rad, N·m·s/rad and kg·m². `covariance` (4 + P, 4 + P) of [S₀, k, b, m_i,
+    parameters of the chain].
     """
 
     sensitivity: float
@@ -161,7 +169,7 @@ class SensorModel(Brief):
         """Return √(k/(m + m_i))/2π, the undamped resonance with a load."""
         total = load.mass + self.internal_mass
         if not total > 0.0:
-            raise ValueError(f"load: expected a mass that with the internal one is above 0, found {total:g}")
+            raise ValueError(f"load: expected a positive sum of load and internal mass, found {total:g}")
         return float(np.sqrt(self.stiffness / total) / (2.0 * np.pi))
 
     def output_factor(self, frequency_hz: FloatArray, load: Load) -> ComplexArray:
@@ -174,56 +182,62 @@ class SensorModel(Brief):
         return np.asarray(gain / self._divisor(laplace(frequency_hz), load) * self.chain.response(frequency_hz))
 
     def log_slopes(self, frequency_hz: FloatArray, load: Load) -> ComplexArray:
-        """Return the derivatives (K, 4 + P + 1) of ln `output_factor` by the parameters and by the load's mass."""
+        """Return the derivatives of ln `output_factor` by parameters and load mass.
+
+        The shape is (K, 4 + P + 1).
+        """
         s, total = laplace(frequency_hz), load.mass + self.internal_mass
         divisor = self._divisor(s, load)
         by_force = np.asarray(-s * s / self.stiffness / divisor)
         mass = by_force if load.drive == "force" else np.full(len(s), 1.0 / total + 0j)
-        own = mass if load.drive == "force" else mass - 1.0 / load.mass
+        by_load = mass if load.drive == "force" else mass - 1.0 / load.mass
         columns = [
             np.full(len(s), 1.0 / self.sensitivity + 0j),
             (divisor - 1.0) / self.stiffness / divisor,
             -s / self.stiffness / divisor,
             mass,
             *self.chain.log_slopes(frequency_hz).T,
-            own,
+            by_load,
         ]
         return np.stack(columns, axis=1)
 
     def covariance_root(self, load: Load) -> FloatArray:
-        """Return the parameters' deviations (4 + P + 1, E) by E independent causes of variance one."""
+        """Return a square root of the covariance of parameters and load mass.
+
+        Deviations (4 + P + 1, E) for E independent causes of variance one.
+        """
         count = len(self.covariance)
         whole = np.zeros((count + 1, count + 1))
         whole[:count, :count], whole[count, count] = self.covariance, load.u_mass**2
         return covariance_root(whole)
 
     def response(self, frequency_hz: FloatArray, load: Load) -> ChainResponse:
-        """Return `output_factor` with the relative deviations that the parameters' covariance makes at all lines."""
+        """Return `output_factor` with the relative deviations from the parameters' covariance."""
         errors = (self.log_slopes(frequency_hz, load) @ self.covariance_root(load)).T
         causes = tuple(f"sensor model {number}" for number in range(1, len(errors) + 1))
         return ChainResponse(self.output_factor(frequency_hz, load), np.asarray(errors), causes)
 
     def _divisor(self, s: ComplexArray, load: Load) -> ComplexArray:
-        """Return (k + bs)/k of a moving base, (k + bs + Ms²)/k of a force on the load."""
+        """Return (k + bs)/k, for a force plus Ms²/k."""
         mass = load.mass + self.internal_mass if load.drive == "force" else 0.0
         return np.asarray(1.0 + (self.damping + s * mass) * s / self.stiffness)
 
 
-# Up to which frequency the static sensitivity is enough.
+# Usable band of the static sensitivity.
 
 
 Limit = Literal["rise", "drop", "phase", "nothing"]
 
 _LIMITS: tuple[Limit, Limit, Limit] = ("rise", "drop", "phase")
-_POINTS_PER_DECADE = 200
+_POINTS_PER_DECADE = 200  # of the grid that brackets the first edge: steps of 1 %
 
 
 @dataclass(frozen=True)
 class UsableBand:
-    """Frequencies from 0 to `upper_hz` at which the output stays within what is permitted of its static value.
+    """Frequencies from 0 to `upper_hz` in which the output stays within a permitted deviation.
 
-    `permitted`: relative deviation of the magnitude; `permitted_phase_rad`: of the phase, None where any is permitted;
-    `limit`: what ends the band. `upper_hz` is infinite where nothing does.
+    `permitted`: relative deviation of the magnitude from its static value. `permitted_phase_rad`: deviation of the
+    phase, None if it is not limited. `limit`: the criterion that limits the band; `upper_hz` is infinite if none does.
     """
 
     upper_hz: float
@@ -236,11 +250,11 @@ class UsableBand:
 def usable_band(
     model: SensorModel, load: Load, permitted: float, permitted_phase_rad: float | None = None
 ) -> UsableBand:
-    """Return the band in which `output_factor` keeps within ± `permitted` of its value at f → 0, with its uncertainty.
+    """Return the band with `output_factor` within ± `permitted` of its value at f → 0.
 
-    The factor (1 + m_i/m) of a moving base is the same at all frequencies and no deviation here. Light damping and no
-    chain give f = f₀√(p/(1 + p)) for a force on the load: 0.2182 f₀ at 5 %, 0.3015 f₀ at 10 %. The edge moves with the
-    parameters by -(∂Λ/∂θ)/(∂Λ/∂f), Λ the logarithm of the magnitude, or the phase.
+    The factor (1 + m_i/m) of a moving base does not depend on frequency and is not a deviation here. Light damping
+    without a chain gives f = f₀√(p/(1 + p)) for a force on the load: 0.2182 f₀ at 5 %, 0.3015 f₀ at 10 %. The edge
+    moves with the parameters by -(∂Λ/∂θ)/(∂Λ/∂f), Λ the logarithm of the magnitude, or the phase.
     """
     if not 0.0 < permitted < 1.0:
         raise ValueError(f"permitted: expected a share between 0 and 1, found {permitted:g}")
@@ -251,8 +265,8 @@ def usable_band(
     def excess(frequency_hz: FloatArray) -> FloatArray:
         ratio = model.output_factor(frequency_hz, load) / model.output_factor(np.zeros(1), load)
         size = np.abs(ratio)
-        turned = np.abs(np.angle(ratio)) - (np.inf if permitted_phase_rad is None else permitted_phase_rad)
-        return np.stack([size - 1.0 - permitted, 1.0 - permitted - size, turned])
+        rotated = np.abs(np.angle(ratio)) - (np.inf if permitted_phase_rad is None else permitted_phase_rad)
+        return np.stack([size - 1.0 - permitted, 1.0 - permitted - size, rotated])
 
     # From far below to far above all time constants, dense enough to meet the first edge.
     chain = model.chain
@@ -279,20 +293,21 @@ def usable_band(
     return UsableBand(upper, u, permitted, permitted_phase_rad, _LIMITS[which])
 
 
-# Force on the load from the sensor's output: the model's response taken off, with the uncertainty of the model.
+# Force on the load from the sensor's output by the inverse model, with its uncertainty.
 
 
 TRANSITION = 0.25
-"""Share of the band above its limit in which the taper falls to nothing."""
+"""Width of the taper's transition over the band; shorter ones need longer filters."""
 ATTENUATION_DB = 100.0
-"""Attenuation of the taper beyond, and so its ripple below: 1e-5."""
+"""Attenuation of the taper above the band, equal to its ripple below: 1e-5."""
 
 
 @dataclass(frozen=True, repr=False)
 class CorrectedPhasors(Brief):
-    """Phasors of the force (random covariance only) and `errors` (E, K, 1): what the model's parameters may add.
+    """Phasors of the force and the errors from the sensor model.
 
-    `errors` are relative deviations common to all lines and channels, of E independent causes.
+    `phasors` contain the random covariance only. `errors` (E, K, 1): relative deviations from E independent causes,
+    common to all lines and channels.
     """
 
     phasors: Phasors
@@ -303,17 +318,17 @@ class CorrectedPhasors(Brief):
 
     @property
     def covariance(self) -> FloatArray:
-        """Covariance (K, 2C, 2C) of both together."""
+        """Covariance (K, 2C, 2C) of phasors and model errors together."""
         return np.asarray(self.phasors.covariance + common_covariance(self.phasors.value, self.errors))
 
 
 @dataclass(frozen=True, repr=False)
 class CorrectedRecord(Brief):
-    """Force on the load (N,) at the instants of the output's samples, up to `band_hz`.
+    """Force on the load (N,) at the sampling instants of the output, up to `band_hz`.
 
-    `u` (N,) standard uncertainty from noise and model; `errors` (E, N) force that one standard deviation of each of E
-    independent causes of the model makes. Within `settling` samples of either end the result depends on what was
-    before and after the record. `beyond`: rms of what the output held above the band, as force by the static factor.
+    `u` (N,): standard uncertainty from noise and model. `errors` (E, N): force for one standard deviation of each of E
+    independent causes of the model. Within `settling` samples of either end the result depends on the signal outside
+    the record. `removed_rms`: rms of the output above the band, as force by the static factor.
     """
 
     force: FloatArray
@@ -332,8 +347,23 @@ class CorrectedRecord(Brief):
 
 
 def correct_phasors(phasors: Phasors, model: SensorModel, load: Load) -> CorrectedPhasors:
-    """Return the force on the load from phasors (K, C) of the output, all channels by the same model: X / factor.
+    """Return the force on the load from phasors of the output: divided by `output_factor`.
 
+    Parameters
+    ----------
+    phasors
+        phasors of the output, one channel or more
+    model
+        identified sensor model
+    load
+        mass on the sensor and its excitation
+
+    Returns
+    -------
+    CorrectedPhasors : phasors of the force and the deviations that the model's covariance causes
+
+    Examples
+    --------
     >>> from shaker import Load, correct_phasors
     >>> force = correct_phasors(lines, sensor, Load(mass=4.236, drive="force")).phasors  # doctest: +SKIP
     """
@@ -349,13 +379,40 @@ def correct_phasors(phasors: Phasors, model: SensorModel, load: Load) -> Correct
 def correct_record(
     output: FloatArray, sample_rate_hz: float, model: SensorModel, load: Load, band_hz: float, *, u_noise: float = 0.0
 ) -> CorrectedRecord:
-    """Return the force on the load from a uniformly sampled record (N,) of the output.
+    """Return the force on the load from a uniformly sampled record of the output.
 
-    The spectrum is divided by `output_factor` and multiplied by a taper of zero phase: 1 up to `band_hz`, 0 from
-    (1 + `TRANSITION`)·`band_hz`, the response of a symmetric Kaiser-window filter of 2h + 1 taps. The record is
-    continued by its odd reflection over h samples (and the chain's delay) at both ends, so that no end sees the other.
-    `u_noise`: standard deviation of white noise of one sample. The model's covariance is carried by derivatives.
+    Parameters
+    ----------
+    output
+        (N,) record in the output unit of `model`
+    sample_rate_hz
+        sampling rate, Hz
+    model
+        identified sensor model
+    load
+        mass on the sensor and its excitation
+    band_hz
+        upper limit of the corrected band, Hz
+    u_noise
+        standard deviation of white noise of one sample, default 0
 
+    Returns
+    -------
+    CorrectedRecord : force, its standard uncertainty and errors
+
+    Raises
+    ------
+    ValueError : the record is shorter than the filter, or the band too wide for the rate
+
+    Notes
+    -----
+    The spectrum is divided by `output_factor` and multiplied by a taper of zero phase: 1 up to `band_hz`, 0 from (1 +
+    `TRANSITION`)·`band_hz`. The taper is the response of a symmetric Kaiser-window filter of 2h + 1 taps. The record is
+    continued by its odd reflection over h samples and the delay of the chain at both ends. The covariance of the model
+    is propagated by derivatives.
+
+    Examples
+    --------
     >>> from shaker import Load, correct_record
     >>> load = Load(mass=4.236, drive="force")
     >>> force = correct_record(output, 20e3, sensor, load, band_hz=900.0).force  # doctest: +SKIP
@@ -391,8 +448,7 @@ def correct_record(
     least = max(float(np.sqrt(np.mean(u**2))), 10.0 ** (-ATTENUATION_DB / 20.0) * float(np.abs(force).max()))
     unit, notices = split_ratio(model.unit)[1], []
     if beyond > least:  # more than uncertainty and ripple
-        text = f"the output holds {beyond:.3g} {unit} rms above {band_hz:g} Hz, which is removed, not corrected"
-        notices.append(Notice("warning", text, "band"))
+        notices.append(Notice(SIGNAL_ABOVE_BAND, "band", rms=beyond, unit=unit, band_hz=band_hz))
     return CorrectedRecord(force, u, errors, unit, sample_rate_hz, band_hz, settling, beyond, tuple(notices))
 
 

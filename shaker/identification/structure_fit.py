@@ -1,4 +1,7 @@
-"""Parameters of a linear structure from all recordings in one fit, every named error an unknown."""
+"""Parameters of a linear structure from all recordings in one fit.
+
+Every named error of the recordings is an unknown of the fit.
+"""
 
 from __future__ import annotations
 
@@ -10,6 +13,20 @@ import numpy as np
 
 from shaker.arrays import Brief, ComplexArray, FloatArray, check_shape
 from shaker.fitting import LMOptions, levenberg_marquardt
+from shaker.identification.identification_notices import (
+    DAMPING_UNDETERMINED,
+    FIT_UNSETTLED,
+    INERTIA_UNDETERMINED,
+    MODEL_MISFIT,
+    NEGATIVE_DAMPING,
+    NEGATIVE_INERTIA,
+    NEGATIVE_WITHIN_U,
+    RESIDUAL_NOISE,
+    STATED_ERROR_TOO_SMALL,
+    STATED_VALUE_CONTRADICTED,
+    STATED_VALUE_UNCHANGED,
+    STIFFNESS_UNDETERMINED,
+)
 from shaker.identification.identification_problem import (
     DELAY_UNIT_S,
     IdentificationProblem,
@@ -30,16 +47,16 @@ from shaker.identification.measured_curves import (
 )
 from shaker.identification.structures import MechanicalStructure
 from shaker.labels import typeset
-from shakercal._common.notices import Notice
+from shakercal._common.notices import Notice, Value
 
-# What an identification says: parameters, modes, named errors, how well the model explains the curves.
+# Result of an identification: parameters, modes, named errors, residuals.
 
 
 @dataclass(frozen=True)
 class ModeEstimate:
-    """One mode of one recording, `number` from 0 by rising frequency, with standard uncertainties.
+    """One mode of one recording with standard uncertainties, numbered from 0 by rising frequency.
 
-    `frequency_hz` f₀ = |λ|/2π of the undamped oscillator, `damping_ratio` ζ = -Re λ/|λ| of the pole λ.
+    `frequency_hz` f₀ = |λ|/2π of the undamped oscillator and `damping_ratio` ζ = -Re λ/|λ|, from the pole λ.
     """
 
     record: str
@@ -52,7 +69,10 @@ class ModeEstimate:
 
 @dataclass(frozen=True)
 class FreeFactor:
-    """Gain or delay of one response in one recording that was left free: the curve is H · gain · exp(-s delay)."""
+    """Fitted gain or delay of one response in one recording.
+
+    The model of the curve is H · gain · exp(-s delay).
+    """
 
     record: str
     channel: str
@@ -67,13 +87,23 @@ class FreeFactor:
 class Identification(Brief):
     """Parameters of a structure from all recordings together.
 
-    `estimates` (P): parameters, of one recording alone "name: recording"; `covariance` (P, P) of them, infinite
-    where the recordings leave one open. `derived`: b/k of each spring and damper. `modes`: of each recording.
-    `unknowns`: named errors. `factors`: free gains and delays. `model`, `residual` (K, C): per recording, curve with
-    all errors found, and what was measured less the model. `chi_squared` of the residuals over the covariances as
-    stated, with `dof`; where χ²/dof exceeds what noise explains, the noise is enlarged by the excess. `budget` by
-    cause: change (P,) of the parameters for one standard deviation of a named error or of a number stated beforehand,
-    and what "noise" adds; their squares sum up to the variances.
+    Attributes
+    ----------
+    estimates : P parameters; one that belongs to a single recording is named "name: recording"
+    covariance : (P, P) of `estimates`, infinite where the recordings do not determine a parameter
+    derived : b/k of each spring and damper
+    modes : of every recording
+    unknowns : named errors as estimated
+    factors : free gains and delays
+    model, residual : (K, C) per recording, the curve with all estimated errors, and measured minus model
+    chi_squared, dof : of the residuals over the stated covariances
+    budget : contributions (P,) by cause
+
+    Notes
+    -----
+    If χ²/dof is larger than noise explains, the noise is enlarged by the excess. The budget contains the change of the
+    parameters for one standard deviation of each named error and of each stated number, and the contribution "noise".
+    Their squares sum to the variances.
     """
 
     estimates: tuple[ParameterEstimate, ...]
@@ -115,16 +145,16 @@ class Identification(Brief):
 
     @property
     def correlation(self) -> FloatArray:
-        """Correlation matrix (P, P) of the parameters; zero for what is fixed or open."""
+        """Correlation matrix (P, P) of the parameters, zero for fixed and undetermined ones."""
         size = np.sqrt(self.covariance.diagonal())
-        known = np.isfinite(size) & (size > 0.0)
+        finite = np.isfinite(size) & (size > 0.0)
         correlation = np.zeros_like(self.covariance)
-        inside = np.ix_(known, known)
-        correlation[inside] = self.covariance[inside] / np.multiply.outer(size[known], size[known])
+        inside = np.ix_(finite, finite)
+        correlation[inside] = self.covariance[inside] / np.multiply.outer(size[finite], size[finite])
         return correlation + np.diag(1.0 - correlation.diagonal())
 
 
-# Least squares over all recordings, and the covariance of what it finds.
+# Least squares over all recordings, and the covariance of the result.
 
 _RULES = LMOptions(
     predicted_decrease=1e-8,
@@ -136,16 +166,16 @@ _RULES = LMOptions(
     min_damping=1e-12,
     max_damping=1e8,
 )
-"""A fit has converged where a step would be 1e-4 of the standard uncertainties, or lowers χ² by less than 1e-4."""
-_SHARE = 0.1  # of a step, over which the curvature of the residuals is seen
-_OPEN = 1e-10  # singular value, columns of unit length, below which a direction is open
+"""A fit has converged if a step would be 1e-4 of the standard uncertainties, or lowers χ² by less than 1e-4."""
+_SHARE = 0.1  # of a step, over which the curvature of the residuals is evaluated
+_RANK_TOLERANCE = 1e-10  # singular value, columns of unit length, below which a direction is undetermined
 
 
 @dataclass(frozen=True, repr=False)
 class FitState(Brief):
-    """Unknowns `parameters` (N,) with what they make of every curve, and the whitened residuals (K, 2C).
+    """Unknowns (N,) with the modelled curves and the whitened residuals (K, 2C).
 
-    `loss`: χ² of lines and of what was known beforehand together. Derivatives are worked out where they are asked for.
+    `loss`: χ² of lines and priors together. Derivatives are computed on first use.
     """
 
     problem: IdentificationProblem
@@ -161,12 +191,15 @@ class FitState(Brief):
 
     @cached_property
     def jacobians(self) -> tuple[FloatArray, ...]:
-        """Derivatives (K, 2C, L) of the model's whitened readings by each curve's own unknowns."""
+        """Derivatives (K, 2C, L) of the whitened model by the unknowns of each curve."""
         return tuple(part.curve.whitened(part.derivatives) for part in self.modelled)
 
     @cached_property
     def normal(self) -> tuple[FloatArray, FloatArray]:
-        """Half second derivatives (N, N) of the loss, and what goes downhill (N,), zero for unknowns that are fixed."""
+        """Normal matrix (N, N) and descent direction (N,), zero for fixed unknowns.
+
+        These are half the second derivatives and the negative half gradient of the loss.
+        """
         problem = self.problem
         normal, downhill = np.diag(problem.precision), problem.precision * (problem.expected - self.parameters)
         for curve, residual, jacobian in zip(problem.curves, self.residuals, self.jacobians, strict=True):
@@ -180,7 +213,10 @@ class FitState(Brief):
 
 
 def evaluate(problem: IdentificationProblem, vector: FloatArray) -> FitState | None:
-    """Return a vector of unknowns with its residuals, None where a mass or a stiffness is not positive."""
+    """Return the fit state of a vector, None if a parameter is impossible.
+
+    Masses and stiffnesses must be positive.
+    """
     if not all(curve.possible(vector) for curve in problem.curves):
         return None
     modelled = tuple(curve.modelled(vector) for curve in problem.curves)
@@ -193,20 +229,23 @@ def evaluate(problem: IdentificationProblem, vector: FloatArray) -> FitState | N
 
 
 def solve(problem: IdentificationProblem, state: FitState) -> FitState:
-    """Return the unknowns of least χ² of lines and priors, from a state on; what many steps reach where more lack."""
+    """Return the state of least χ² of lines and priors, starting from a state.
+
+    The result of the last step is returned even if the fit has not converged.
+    """
 
     def at(vector: FloatArray) -> FitState | None:
         return evaluate(problem, vector)
 
-    def curvature(here: FitState, step: FloatArray) -> FloatArray | None:
-        """The residuals' second derivative along a step is that of a difference over a tenth of it."""
-        ahead = at(here.parameters + _SHARE * step)
+    def curvature(point: FitState, step: FloatArray) -> FloatArray | None:
+        """Return the residuals' second derivative along a step, by a finite difference."""
+        ahead = at(point.parameters + _SHARE * step)
         if ahead is None:
             return None
         downhill = np.zeros(len(step))
-        parts = zip(problem.curves, here.residuals, here.jacobians, ahead.residuals, strict=True)
-        for curve, now, jacobian, there in parts:
-            second = (there - now + _SHARE * (jacobian @ step[curve.unknown_indices])) * (2.0 / _SHARE**2)
+        parts = zip(problem.curves, point.residuals, point.jacobians, ahead.residuals, strict=True)
+        for curve, now, jacobian, ahead_residual in parts:
+            second = (ahead_residual - now + _SHARE * (jacobian @ step[curve.unknown_indices])) * (2.0 / _SHARE**2)
             np.add.at(downhill, curve.unknown_indices, np.tensordot(second, jacobian, 2))
         downhill[problem.fixed] = 0.0
         return downhill
@@ -215,7 +254,7 @@ def solve(problem: IdentificationProblem, state: FitState) -> FitState:
 
 
 def effective(problem: IdentificationProblem, state: FitState) -> float:
-    """Return the number of unknowns that the lines determine: the trace of (JᵀJ + P)⁻¹ JᵀJ."""
+    """Return the number of unknowns that the lines determine: tr[(JᵀJ + P)⁻¹ JᵀJ]."""
     whole = state.normal[0]
     scale = np.sqrt(np.maximum(whole.diagonal(), np.finfo(np.float64).tiny))
     pair = np.multiply.outer(scale, scale)
@@ -224,41 +263,50 @@ def effective(problem: IdentificationProblem, state: FitState) -> float:
 
 @dataclass(frozen=True, repr=False)
 class UnknownsCovariance(Brief):
-    """Covariance of all unknowns, and the directions that the recordings leave open.
+    """Covariance of all unknowns, and the directions that the recordings do not determine.
 
-    `covariance` (N, N) of the determined part, `opened` (Z, N) orthonormal directions in units of `scale` (N,);
-    `prior` (N, N): change of all unknowns (rows) for one standard deviation of what was known beforehand of each
-    (columns). `unsettled`: length in standard uncertainties of the step that linearisation would still take.
+    `covariance` (N, N) of the determined part. `undetermined` (Z, N): orthonormal directions in units of `scale` (N,).
+    `prior` (N, N): change of all unknowns (rows) for one standard deviation of the prior of each (columns).
+    `unsettled`: length of the next linearised step, in standard uncertainties.
     """
 
     covariance: FloatArray
-    opened: FloatArray
+    undetermined: FloatArray
     scale: FloatArray
     prior: FloatArray
     unsettled: float
 
     def u(self, gradient: FloatArray) -> float:
-        """Return the standard uncertainty of a number with a `gradient` (N,), infinite where it is open."""
-        own = gradient * self.scale
-        size = float(np.linalg.norm(own))
-        if size > 0.0 and len(self.opened) and np.linalg.norm(self.opened @ own) > 1e-4 * size:
+        """Return the standard uncertainty of a function of the unknowns with a `gradient` (N,).
+
+        It is infinite if the gradient has a part in an undetermined direction.
+        """
+        scaled = gradient * self.scale
+        size = float(np.linalg.norm(scaled))
+        if size > 0.0 and len(self.undetermined) and np.linalg.norm(self.undetermined @ scaled) > 1e-4 * size:
             return float("inf")
         return float(np.sqrt(max(0.0, float(gradient @ self.covariance @ gradient))))
 
     def covariance_of(self, gradients: FloatArray) -> FloatArray:
-        """Return the covariance (G, G) of numbers with `gradients` (G, N): open ones infinite, and without relation."""
+        """Return the covariance (G, G) of functions of the unknowns with `gradients` (G, N).
+
+        Undetermined ones have infinite variance and no covariance with the others.
+        """
         covariance = gradients @ self.covariance @ gradients.T
-        open_ones = ~np.isfinite([self.u(gradient) for gradient in gradients])
-        covariance[open_ones] = 0.0
-        covariance[:, open_ones] = 0.0
-        covariance[open_ones, open_ones] = np.inf
+        undetermined = ~np.isfinite([self.u(gradient) for gradient in gradients])
+        covariance[undetermined] = 0.0
+        covariance[:, undetermined] = 0.0
+        covariance[undetermined, undetermined] = np.inf
         return np.asarray(covariance)
 
 
 def spread(problem: IdentificationProblem, state: FitState) -> UnknownsCovariance:
-    """Return the covariance A⁻¹ (JᵀRJ + P) A⁻¹, A = JᵀJ + P: R the correlation of lines, P what was known beforehand.
+    """Return the covariance of all unknowns.
 
-    In a basis in which A = 1, so that what the stated masses and scales leave open does not lose its digits.
+    It is A⁻¹ (JᵀRJ + P) A⁻¹ with A = JᵀJ + P.
+
+    R is the correlation between lines, P the precision of the priors. The basis is chosen such that A = 1. This keeps
+    the digits of directions that the stated masses and scales do not determine.
     """
     count, free = len(state.parameters), ~problem.fixed
     unit = np.diag(free.astype(np.float64))
@@ -271,7 +319,7 @@ def spread(problem: IdentificationProblem, state: FitState) -> UnknownsCovarianc
     singular, rotation = np.linalg.svd(np.linalg.qr((stacked / size)[:, free], mode="r"))[1:]
     directions = np.zeros((len(rotation), count))
     directions[:, free] = rotation
-    determined = singular > _OPEN * singular.max()
+    determined = singular > _RANK_TOLERANCE * singular.max()
     basis = directions[determined].T / singular[determined] / size[:, None]
     middle = np.eye(basis.shape[1])
     for curve, by_all in zip(problem.curves, wide, strict=True):
@@ -283,20 +331,15 @@ def spread(problem: IdentificationProblem, state: FitState) -> UnknownsCovarianc
     return UnknownsCovariance(basis @ middle @ basis.T, directions[~determined], 1.0 / size, prior, unsettled)
 
 
-# What is to be said of an identification: what the recordings leave open, what contradicts what was stated.
+# Notices of an identification: undetermined parameters and contradicted statements.
 
-_UNKNOWN = 1.0 / 3.0  # u over value from which a parameter is called open
-_NEGLIGIBLE = 0.02  # part of the whole inertia below which an internal one need not be known
-_PULL = 3.0  # deviation in standard uncertainties that is named
-_NOISE_INFO, _NOISE_WARNING = 1.2, 4.0  # χ²/dof that is named
-_CHANCES = 5.0  # standard deviations by which χ²/dof exceeds what noise leaves
+_UNKNOWN = 1.0 / 3.0  # u over value above which a parameter counts as undetermined: 2u would reach 2/3 of it
+_NEGLIGIBLE = 0.02  # share of the whole inertia below which an internal one does not matter for the resonance
+_MAX_DEVIATION = 3.0  # standard uncertainties, the usual limit of 3 σ
+_NOISE_NOTE, _NOISE_WARNING = 1.2, 4.0  # χ²/dof: 10 % and a factor of 2 in the noise
+_CHANCES = 5.0  # standard deviations of χ²/dof for noise alone
 _SETTLED = 0.1  # standard uncertainties from the minimum that do not matter
-_UNTOUCHED = 0.95  # of a stated uncertainty, left: the recordings say nothing of it
-_HELPS = {
-    "internal": "loads that differ more tell it, or a stated value does",
-    "stiffness": "a band that holds its resonance tells it; where the masses are open, stiffness is too",
-    "damping": "lines closer to its resonance tell it",
-}
+_UNCHANGED = 0.95  # share of a stated uncertainty that remains if the recordings add no information
 
 
 def _notices(
@@ -306,75 +349,54 @@ def _notices(
     estimates: tuple[ParameterEstimate, ...],
     noise: ResidualNoise,
 ) -> Iterator[Notice]:
-    if noise.common >= max(_NOISE_INFO, 1.0 + _CHANCES * noise.chance):
-        far = noise.common >= _NOISE_WARNING
-        text = (
-            f"the curves depart from the model by {np.sqrt(noise.common):.2g} times their noise; the uncertainties are "
-            "enlarged by this factor"
-        )
-        text += ", and the parameters depend on the lines that are fitted" if far else ""
-        yield Notice("warning" if far else "note", text, "identification")
+    if noise.common >= max(_NOISE_NOTE, 1.0 + _CHANCES * noise.chance):
+        declared = MODEL_MISFIT if noise.common >= _NOISE_WARNING else RESIDUAL_NOISE
+        yield Notice(declared, "identification", factor=np.sqrt(noise.common))
     if found.unsettled >= _SETTLED:
-        text = (
-            f"the fit ended {found.unsettled:.2g} standard uncertainties before it settled; state what is known of "
-            "the parameters, or fit fewer components"
-        )
-        yield Notice("warning", text, "identification")
+        yield Notice(FIT_UNSETTLED, "identification", distance=found.unsettled)
     whole = np.nan_to_num(whole_inertia(problem, state.parameters))
-    for place in np.flatnonzero(~problem.fixed[: len(estimates)]).tolist():
-        estimate = estimates[place]
-        if problem.precision[place] > 0.0:
-            yield from _against_stated(estimate, problem.expected[place], problem.precision[place] ** -0.5)
-        elif estimate.u > _UNKNOWN * max(abs(estimate.value), _NEGLIGIBLE * whole[place]):
-            told = f"{estimate.u:.2g} {typeset(estimate.unit)}"
-            size = f": its uncertainty is {told}" if np.isfinite(estimate.u) else ""
-            helps = next((text for start, text in _HELPS.items() if estimate.name.startswith(start)), "state its value")
-            yield Notice("warning", f"the data cannot tell the {estimate.label}{size}; {helps}", estimate.name)
+    for index in np.flatnonzero(~problem.fixed[: len(estimates)]).tolist():
+        estimate = estimates[index]
+        if problem.precision[index] > 0.0:
+            yield from _against_stated(estimate, problem.expected[index], problem.precision[index] ** -0.5)
+        elif estimate.u > _UNKNOWN * max(abs(estimate.value), _NEGLIGIBLE * whole[index]):
+            kinds = {"stiffness": STIFFNESS_UNDETERMINED, "damping": DAMPING_UNDETERMINED}
+            declared = kinds.get(estimate.name.partition("_")[0], INERTIA_UNDETERMINED)
+            unit = typeset(estimate.unit)
+            yield Notice(declared, estimate.name, parameter=estimate.label, u=estimate.u, unit=unit)
             continue
         yield from _negative(estimate)
-    for place in range(len(estimates), len(problem.names)):
-        off, remaining = float(state.parameters[place]), float(found.covariance[place, place])
-        if problem.precision[place] > 0.0 and off**2 > _PULL**2 * max(1e-6, 1.0 - remaining):
-            name = problem.names[place].removeprefix("error: ")
-            text = f"the fit needs {name} to be off by {abs(off):.2g} times its standard uncertainty"
-            yield Notice("warning", text, name)
+    for index in range(len(estimates), len(problem.names)):
+        off, remaining = float(state.parameters[index]), float(found.covariance[index, index])
+        if problem.precision[index] > 0.0 and off**2 > _MAX_DEVIATION**2 * max(1e-6, 1.0 - remaining):
+            name = problem.names[index].removeprefix("error: ")
+            yield Notice(STATED_ERROR_TOO_SMALL, name, cause=name, deviation=abs(off))
 
 
 def _negative(estimate: ParameterEstimate) -> Iterator[Notice]:
-    """Say that a mass or a damping came out below zero."""
+    """Yield a notice if a mass or a damping is below zero."""
     if estimate.value >= 0.0 or not np.isfinite(estimate.u):
         return
-    number = f"{estimate.label} is {estimate.value:.4g} ± {estimate.u:.2g} {typeset(estimate.unit)} (k = 1)"
+    declared = NEGATIVE_INERTIA if estimate.name.startswith("internal") else NEGATIVE_DAMPING
     if estimate.value > -2.0 * estimate.u:
-        yield Notice("note", f"{number}: zero within its uncertainty", estimate.name)
-        return
-    text = "a delay or a mode outside the model turns the phase at the resonance"
-    if estimate.name.startswith("internal"):
-        text = (
-            "these resonances are not those of the load on the springs assumed, but of another motion, e.g. pitching "
-            "or a mount that gives"
-        )
-    yield Notice("warning", f"{number}, below zero: {text}", estimate.name)
+        declared = NEGATIVE_WITHIN_U
+    unit = typeset(estimate.unit)
+    yield Notice(declared, estimate.name, parameter=estimate.label, value=estimate.value, u=estimate.u, unit=unit)
 
 
 def _against_stated(estimate: ParameterEstimate, stated: float, u: float) -> Iterator[Notice]:
-    """Say that a stated parameter is contradicted, or that the recordings add nothing to it."""
-    known = f"{stated:.6g} ± {u:.2g} {typeset(estimate.unit)}"
-    if estimate.u > _UNTOUCHED * u:
-        text = f"the {estimate.label} is as stated, {known}: the data cannot tell it better"
-        yield Notice("note", text, estimate.name)
-    elif (pull := abs(estimate.value - stated) / float(np.sqrt(u**2 - estimate.u**2))) >= _PULL:
-        text = (
-            f"the {estimate.label} stated, {known}, is contradicted by the recordings: together they give "
-            f"{estimate.value:.6g} {typeset(estimate.unit)}, {pull:.2g} standard deviations off"
-        )
-        yield Notice("warning", text, estimate.name)
+    """Yield a notice if a stated parameter is contradicted or not improved."""
+    values: dict[str, Value] = {"parameter": estimate.label, "value": stated, "u": u, "unit": typeset(estimate.unit)}
+    if estimate.u > _UNCHANGED * u:
+        yield Notice(STATED_VALUE_UNCHANGED, estimate.name, **values)
+    elif (pull := abs(estimate.value - stated) / float(np.sqrt(u**2 - estimate.u**2))) >= _MAX_DEVIATION:
+        yield Notice(STATED_VALUE_CONTRADICTED, estimate.name, **values, estimate=estimate.value, deviation=pull)
 
 
 # All recordings in one complex least-squares fit.
 
-_EXPLAINED = 4.0  # χ² per line below which no other start is tried
-_NOISE_ROUNDS = 4
+_EXPLAINED = 4.0  # χ² per real number below which no other start is tried
+_NOISE_ROUNDS = 4  # of reweighting by the residuals, at most
 
 
 def identify(
@@ -386,18 +408,31 @@ def identify(
     gain: Collection[str] = (),
     delay: Collection[str] = (),
 ) -> Identification:
-    """Fit a structure's parameters to all lines of all recordings together.
+    """Fit the parameters of a structure to all lines of all recordings together.
 
-    Measured is H(s) · exp(Σ z r): r are the relative errors by name, z ~ N(0, 1) unknown, equal names one unknown, as
-    are numbers of the load, places and directions of transducers, and the rate of the clock. `known`: (value, u) of
-    parameters stated beforehand, u = 0 fixed. `each_recording`: parameters that have a value of their own in every
-    recording. `gain`, `delay`: channels whose complex gain, or delay, is free in every recording, the scale being
-    unstated.
+    Parameters
+    ----------
+    records
+        transfer functions of the recordings, each with a different name
+    structure
+        the structure, e.g. `SpringSuspension`
+    stated_values
+        (value, u) of parameters that are stated; u = 0 fixes the parameter
+    each_recording
+        names of the parameters that have a separate value in every recording
+    gain, delay
+        channels whose complex gain or delay is free in every recording, because their scale is not stated
+
+    Notes
+    -----
+    The measured ratio is H(s) · exp(Σ z r) with relative errors r by name and unknowns z ~ N(0, 1). Equal names are one
+    unknown. Uncertain numbers of the load, positions and directions of transducers, and the clock rate are unknowns
+    too.
     """
     problem = build_problem(records, structure, stated_values or {}, each_recording, gain, delay)
     lines = sum(2 * record.ratio.value.size for record in records)
     if lines <= np.count_nonzero((problem.precision == 0.0) & ~problem.fixed):
-        raise ValueError(f"records: expected more real values than unknowns, found {lines} for {len(problem.names)}")
+        raise ValueError(f"records: expected more real values than {len(problem.names)} unknowns, found {lines}")
     tried: list[FitState] = []
     vectors = starting_vectors(problem, structure.starts(records))
     starts = filter(None, (evaluate(problem, vector) for vector in vectors))
@@ -410,7 +445,7 @@ def identify(
 
 
 def _weighed(problem: IdentificationProblem, state: FitState) -> tuple[IdentificationProblem, FitState, ResidualNoise]:
-    """Return the problem with its lines weighed by the noise seen in them, its solution, and that noise."""
+    """Return the problem weighted by the noise of the residuals, its solution and that noise."""
 
     def seen(problem: IdentificationProblem, state: FitState) -> ResidualNoise:
         curves = [
@@ -438,19 +473,19 @@ def _result(
 ) -> Identification:
     count, unit = len(problem.kind), np.eye(len(problem.names))
     estimates = tuple(
-        ParameterEstimate(p.name, p.label, float(state.parameters[place]), found.u(unit[place]), p.unit)
-        for place, p in enumerate(problem.parameters)
+        ParameterEstimate(p.name, p.label, float(state.parameters[index]), found.u(unit[index]), p.unit)
+        for index, p in enumerate(problem.parameters)
     )
     model = tuple(part.value for part in state.modelled)
     unknowns, causes = [], {}
-    for place, name in enumerate(problem.names):
+    for index, name in enumerate(problem.names):
         cause = name.removeprefix("error: ")
-        if place >= count and name.startswith("error: "):
-            unknowns.append(NamedUnknown(cause, float(state.parameters[place]), found.u(unit[place])))
-        if problem.precision[place] > 0.0:
-            causes[cause if place >= count else f"{name} as stated"] = found.prior[:count, place]
-    known = np.sum([np.zeros(count), *(change**2 for change in causes.values())], axis=0)
-    noise_left = np.sqrt(np.maximum(found.covariance.diagonal()[:count] - known, 0.0))
+        if index >= count and name.startswith("error: "):
+            unknowns.append(NamedUnknown(cause, float(state.parameters[index]), found.u(unit[index])))
+        if problem.precision[index] > 0.0:
+            causes[cause if index >= count else f"{name} as stated"] = found.prior[:count, index]
+    from_causes = np.sum([np.zeros(count), *(change**2 for change in causes.values())], axis=0)
+    noise_left = np.sqrt(np.maximum(found.covariance.diagonal()[:count] - from_causes, 0.0))
     return Identification(
         estimates=estimates,
         covariance=found.covariance_of(unit[:count]),
@@ -468,23 +503,26 @@ def _result(
 
 
 def _lags(problem: IdentificationProblem, state: FitState, found: UnknownsCovariance) -> tuple[ParameterEstimate, ...]:
-    """Return b/k of every damper with its spring: what S(f) of the sensor would show."""
-    places = {parameter.name: place for place, parameter in enumerate(problem.parameters)}
+    """Return b/k of every damper with its spring.
+
+    It is the time constant of the sensor's lag in S(f).
+    """
+    indices = {parameter.name: index for index, parameter in enumerate(problem.parameters)}
     derived = []
-    for name, place in places.items():
+    for name, index in indices.items():
         spring = name.replace("damping_", "stiffness_", 1)
-        shared = places.get(spring, places.get(spring.partition(":")[0]))
+        shared = indices.get(spring, indices.get(spring.partition(":")[0]))
         if not name.startswith("damping_") or shared is None:
             continue
-        ending, b, k = name.removeprefix("damping_"), state.parameters[place], state.parameters[shared]
+        ending, b, k = name.removeprefix("damping_"), state.parameters[index], state.parameters[shared]
         gradient = np.zeros(len(state.parameters))
-        gradient[place], gradient[shared] = 1.0 / k, -b / k**2
+        gradient[index], gradient[shared] = 1.0 / k, -b / k**2
         derived.append(ParameterEstimate(f"lag_{ending}", f"b/k, {ending}", float(b / k), found.u(gradient), "s"))
     return tuple(derived)
 
 
 def _modes(problem: IdentificationProblem, state: FitState, found: UnknownsCovariance) -> tuple[ModeEstimate, ...]:
-    """Return the modes of every recording, from the poles of its fitted mechanics."""
+    """Return the modes of every recording from the poles of its fitted mechanics."""
     modes = []
     for curve in problem.curves:
         for number, (root, change) in enumerate(zip(*curve.poles(state.parameters), strict=True)):
@@ -497,11 +535,11 @@ def _modes(problem: IdentificationProblem, state: FitState, found: UnknownsCovar
 
 
 def _factors(problem: IdentificationProblem, state: FitState, found: UnknownsCovariance) -> tuple[FreeFactor, ...]:
-    places, unit = {name: place for place, name in enumerate(problem.names)}, np.eye(len(problem.names))
+    indices, unit = {name: index for index, name in enumerate(problem.names)}, np.eye(len(problem.names))
 
     def of(name: str) -> tuple[float, float]:
-        place = places.get(name)
-        return (0.0, 0.0) if place is None else (float(state.parameters[place]), found.u(unit[place]))
+        index = indices.get(name)
+        return (0.0, 0.0) if index is None else (float(state.parameters[index]), found.u(unit[index]))
 
     factors = []
     for record in (curve.record for curve in problem.curves):

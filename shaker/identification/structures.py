@@ -17,7 +17,7 @@ from shaker.mechanics import Mechanics, chain_terms, check_stages
 
 @dataclass(frozen=True)
 class StructureParameter:
-    """One number of a structure: `name` for files, e.g. "stiffness_z", `label` for readers, `unit`."""
+    """One number of a structure: `name` in files, e.g. "stiffness_z", `label` on pages, `unit`."""
 
     name: str
     label: str
@@ -25,21 +25,27 @@ class StructureParameter:
 
 
 class MechanicalStructure(Protocol):
-    """What is fitted: named parameters, what they mean in a recording, and where a fit may start."""
+    """A model for a fit: named parameters, their mechanics in a recording, start values."""
 
     @property
     def parameters(self) -> tuple[StructureParameter, ...]:
-        """Parameters (P,); "stiffness_…" and "damping_…" with one ending belong together."""
+        """Parameters (P,); "stiffness_…" and "damping_…" with the same ending are one spring and its damper."""
 
     @property
     def body(self) -> FloatArray:
-        """How the load moves beside the base, (6, n) [x y z rx ry rz] per p; the base moves as `record.drive`."""
+        """Motion (6, n) of the load relative to the base per p.
+
+        In the order x y z rx ry rz. The base moves as `record.drive`.
+        """
 
     def mechanics(self, record: MeasuredTransfer) -> Mechanics:
         """Return the mechanics of a recording, terms in the order 1, `parameters`, `record.inertia_errors`."""
 
     def starts(self, records: Sequence[MeasuredTransfer]) -> FloatArray:
-        """Return starting values (S, P), the right order of magnitude; the best of what they lead to is taken."""
+        """Return start values (S, P) of the right order of magnitude.
+
+        The best result of all starts is used.
+        """
 
 
 def _spring_and_damper(component: int, ending: str, words: str) -> tuple[StructureParameter, StructureParameter]:
@@ -50,7 +56,7 @@ def _spring_and_damper(component: int, ending: str, words: str) -> tuple[Structu
 
 
 def _internal(component: int) -> StructureParameter:
-    """Return what moves with the load inside the sensor: a mass, or a moment of inertia about an axis."""
+    """Return the parameter of the internal mass, or moment of inertia about an axis."""
     unit = mechanical_units(LOAD_COMPONENTS[component]).inertia
     if component < 3:
         return StructureParameter("internal_mass", "internal mass m_i", unit)
@@ -59,31 +65,34 @@ def _internal(component: int) -> StructureParameter:
 
 
 def _seen(record: MeasuredTransfer, body: FloatArray, matrices: FloatArray, forcing: FloatArray) -> Mechanics:
-    """Return mechanics of p as a recording sees them: responses on the load, which moves by `body` · p beside the base,
-    the reference on the base."""
+    """Return the mechanics of p with the readings of a recording.
+
+    Responses are on the load, which moves by `body` · p relative to the base. The reference is on the base.
+    """
     rows = np.stack([sight.row for sight in record.tops])
     base = float(record.base.row @ record.drive)
     return Mechanics(matrices, forcing, rows @ body, rows @ record.drive, np.zeros(body.shape[1]), base)
 
 
 SENSOR = "sensor"
-"""Name of the stage that is the sensor itself."""
-_APART = 1.5  # factor between the resonances of the components where a fit starts
-_FAR_APART = 6.0  # the same where only the lowest is seen
-_MOST_ORDERS = 24  # of resonances to components that are tried
-_DAMPING_RATIO = 0.01  # where a fit starts
+"""Name of the stage of the sensor."""
+_SPACING = 1.5  # factor between the resonances of the components in a start
+_WIDE_SPACING = 6.0  # the same if only the lowest is observed
+_MOST_ORDERS = 24  # assignments of resonances to components, at most
+_DAMPING_RATIO = 0.01  # of a start
 
 
 @dataclass(frozen=True)
 class SpringSuspension:
-    """Load on springs k and dampers b along `components` (indices into x y z rx ry rz), rigid along all others.
+    """Load on springs k and dampers b along `components`, rigid along all others.
 
-    The base moves as a rigid body along `record.drive` = d, the load with it and by p along the free components F:
-    (M_FF s² + b s + k) p = -s² (M d)_F, M = mass matrix of the load + internal mass at the origin (Nitsche et al.,
-    J. Sens. Sens. Syst. 7, 2018, eqs 8, 9 for one translation). With component z alone H = (k + bs)/((m + m_i)s² + bs +
-    k); (0, 4) pitches, since the height of the centre of mass couples x and ry in M; (4,) turns: J α against k_ry.
-    What moves with the load inside the sensor is unknown: a mass for all translations, a moment of inertia for each
-    rotation. Recordings of one load alone leave it open; `identify` takes it as known where it is stated.
+    `components`: indices into x y z rx ry rz. The base moves as a rigid body along `record.drive` = d. The load follows
+    it and moves in addition by p along the free components F: (M_FF s² + b s + k) p = -s² (M d)_F. M is the mass matrix
+    of the load with the internal mass at the origin (Nitsche et al., J. Sens. Sens. Syst. 7, 2018, eqs 8, 9 for one
+    translation). With component z alone H = (k + bs)/((m + m_i)s² + bs + k). (0, 4) is pitching: the height of the
+    centre of mass couples x and ry in M. (4,) is a rotation, J α against k_ry. The internal mass is unknown: one mass
+    for all translations, one moment of inertia per rotation. Recordings of a single load do not determine it;
+    `identify` uses a stated value.
     """
 
     components: tuple[int, ...]
@@ -102,17 +111,17 @@ class SpringSuspension:
 
     @property
     def _internal(self) -> list[tuple[StructureParameter, FloatArray]]:
-        """What moves with the load inside the sensor, and its mass matrix (6, 6) per unit."""
+        """Internal mass and moments of inertia, each with its mass matrix (6, 6) per unit."""
         masses = [(_internal(0), np.diag([1.0, 1.0, 1.0, 0.0, 0.0, 0.0]))] if min(self.components) < 3 else []
         return masses + [(_internal(c), np.diag(np.eye(6)[c])) for c in self.components if c >= 3]
 
     @property
     def body(self) -> FloatArray:
-        """Motion (6, n) of the load beside the base: along the free components."""
+        """Motion (6, n) of the load relative to the base: along the free components."""
         return np.asarray(np.eye(6)[:, list(self.components)])
 
     def mechanics(self, record: MeasuredTransfer) -> Mechanics:
-        """Return M, b, k and M d of a recording along the free components; other readings are those of the base."""
+        """Return M, b, k and M d of a recording along the free components."""
         free = np.array(self.components)
         size = len(free)
         masses = [record.mass_matrix, *(matrix for _, matrix in self._internal)]
@@ -120,19 +129,22 @@ class SpringSuspension:
         full = np.stack([masses[0], *np.zeros((2 * size, 6, 6)), *masses[1:]])
         matrices = np.zeros((len(full), 3, size, size))
         matrices[:, 0] = full[:, free[:, None], free]
-        place = np.arange(size)
-        matrices[1 + place, 2, place, place] = 1.0
-        matrices[1 + size + place, 1, place, place] = 1.0
+        index = np.arange(size)
+        matrices[1 + index, 2, index, index] = 1.0
+        matrices[1 + size + index, 1, index, index] = 1.0
         return _seen(record, self.body, matrices, (full @ record.drive)[:, free])
 
     def starts(self, records: Sequence[MeasuredTransfer]) -> FloatArray:
-        """Return starts (S, P): resonances of the components around the largest ratio and above it, in every order."""
+        """Return starts (S, P) with resonances around the largest ratio and above it.
+
+        Resonances are assigned to the components in every order.
+        """
         size = len(self.components)
         largest = max(records, key=lambda record: float(np.abs(record.ratio.value).max()))
         line = int(np.argmax(np.abs(largest.ratio.value).max(axis=1)))
         peak = 2.0 * np.pi * float(largest.ratio.frequency_hz[line])
         rank = np.arange(size)
-        spacings = [peak * _APART ** (rank - 0.5 * (size - 1)), peak * _FAR_APART**rank]
+        spacings = [peak * _SPACING ** (rank - 0.5 * (size - 1)), peak * _WIDE_SPACING**rank]
         spacings = spacings[: 1 if size == 1 else 2]
         orders = np.array([order for omega in spacings for order in islice(permutations(omega), _MOST_ORDERS)])
         inertia = largest.mass_matrix.diagonal()[list(self.components)]
@@ -142,7 +154,10 @@ class SpringSuspension:
 
 @dataclass(frozen=True)
 class Stage:
-    """A stage whose spring and damper are sought; `own_mass`: whether it has an unknown mass besides the load."""
+    """A stage with an unknown spring and damper.
+
+    `has_mass`: whether it has an unknown mass in addition to the load.
+    """
 
     name: str
     has_mass: bool = True
@@ -150,12 +165,13 @@ class Stage:
 
 @dataclass(frozen=True)
 class ChainStructure:
-    """What `identify` fits where the base is measured below a mount that gives way: stages in a row, load on the last.
+    """Stages in a row with the load on the last.
 
-    `component`: index into x y z rx ry rz of the axis along which, or about which, the chain moves; along all others
-    everything moves as the base. Parameters: stiffness and damping of every stage, then the masses of those that have
-    one of their own. Those of the stage "sensor" are named as `Suspension` names them: "stiffness_z", "damping_z",
-    "internal_mass" (or "internal_inertia_rz"); of others "stiffness_z_adapter", "damping_z_adapter", "mass_adapter".
+    It is fitted if the base is measured below a compliant mount. `component`: index into x y z rx ry rz of the axis
+    along or about which the chain moves. Along all others everything moves as the base. Parameters: stiffness and
+    damping of every stage, then the masses of stages with a mass. Those of the stage "sensor" are named as in
+    `SpringSuspension`: "stiffness_z", "damping_z", "internal_mass" (or "internal_inertia_rz"). Those of other stages
+    are named "stiffness_z_adapter", "damping_z_adapter", "mass_adapter".
     """
 
     component: int
@@ -168,44 +184,50 @@ class ChainStructure:
 
     @property
     def parameters(self) -> tuple[StructureParameter, ...]:
-        """Stiffness of every stage, damping of every stage, masses of their own."""
+        """Stiffness of every stage, damping of every stage, masses of the stages."""
         axis, pairs, masses = MOTION_COMPONENTS[self.component], [], []
         for stage in self.stages:
             name = stage.name
             ending, words = (axis, axis) if name == SENSOR else (f"{axis}_{name}", f"{axis}, {name}")
             pairs.append(_spring_and_damper(self.component, ending, words))
-            own = _internal(self.component)
+            inertia = _internal(self.component)
             if name != SENSOR and self.component < 3:
-                own = replace(own, name=f"mass_{name}", label=f"mass, {name}")
+                inertia = replace(inertia, name=f"mass_{name}", label=f"mass, {name}")
             elif name != SENSOR:
-                own = replace(own, name=f"inertia_{ending}", label=f"moment of inertia, {words}")
-            masses += [own] if stage.has_mass else []
+                inertia = replace(inertia, name=f"inertia_{ending}", label=f"moment of inertia, {words}")
+            masses += [inertia] if stage.has_mass else []
         springs, dampers = zip(*pairs, strict=True)
         return (*springs, *dampers, *masses)
 
     @property
     def body(self) -> FloatArray:
-        """Motion (6, n) of the last stage beside the base."""
+        """Motion (6, n) of the last stage relative to the base."""
         return np.outer(np.eye(6)[self.component], np.eye(len(self.stages))[-1])
 
     def mechanics(self, record: MeasuredTransfer) -> Mechanics:
-        """Return M, B, K and f of a recording; its responses stand on the last stage, its reference on the base."""
+        """Return M, B, K and f of a recording.
+
+        Its responses are on the last stage, its reference is on the base.
+        """
         count = len(self.stages)
         matrices, forcing = chain_terms(count)
         mass = slice(1, 1 + count)
         spring, damper = (matrices[1 + shift : 1 + shift + count] for shift in (count, 2 * count))
-        own = [place for place, stage in enumerate(self.stages) if stage.has_mass]
+        massive = [index for index, stage in enumerate(self.stages) if stage.has_mass]
         loads = [record.mass_matrix, *(error.change for error in record.inertia_errors)]
         load = np.array([matrix[self.component, self.component] for matrix in loads])[:, None, None, None]
         push = np.array([matrix[self.component] @ record.drive for matrix in loads])[:, None]
         last, ahead = matrices[count], forcing[count]
-        own_push = forcing[mass][own] * record.drive[self.component]
-        moved = np.concatenate([load[:1] * last, spring, damper, matrices[mass][own], load[1:] * last])
-        pushed = np.concatenate([push[:1] * ahead, 0.0 * forcing[: 2 * count], own_push, push[1:] * ahead])
+        stage_forcing = forcing[mass][massive] * record.drive[self.component]
+        moved = np.concatenate([load[:1] * last, spring, damper, matrices[mass][massive], load[1:] * last])
+        pushed = np.concatenate([push[:1] * ahead, 0.0 * forcing[: 2 * count], stage_forcing, push[1:] * ahead])
         return _seen(record, self.body, moved, pushed)
 
     def starts(self, records: Sequence[MeasuredTransfer]) -> FloatArray:
-        """Return starting values (S, P): the measured poles in every order to the springs, as if each bore the load."""
+        """Return start values (S, P) from the measured poles in every order.
+
+        Each spring is set as if it carried the load.
+        """
         load = records[0].mass_matrix[self.component, self.component]
         masses = [0.1 * load for stage in self.stages if stage.has_mass]
         starts = []

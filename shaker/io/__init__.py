@@ -1,4 +1,4 @@
-"""Channels of any file that a data acquisition system writes."""
+"""Readers of the files of data acquisition systems."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ _EXPORTS = {
 
 
 def unsupported_suffix(path: Path) -> tuple[str, str] | None:
-    """Return what is expected instead of a file that no reader takes, and what it is; None where one takes it."""
+    """Return the expected suffixes and a description of an unsupported file, else None."""
     suffix = path.suffix.lower()
     if suffix in _READERS:
         return None
@@ -53,17 +53,34 @@ def unsupported_suffix(path: Path) -> tuple[str, str] | None:
 def read_channels(
     path: str | Path, names: Sequence[str] | None = None, sample_rate_hz: float | None = None
 ) -> dict[str, RawChannel]:
-    """Read the named channels (None: all) of a file, by its suffix.
+    r"""Read channels of a file with the reader of its suffix.
 
-    `sample_rate_hz` serves files that state no rate of their own. NaN is handed on. Anything wrong raises `OSError`
-    or `ValueError` with one sentence that begins with the file's path.
+    Parameters
+    ----------
+    path
+        The file.
+    names
+        Channels to read; None reads all.
+    sample_rate_hz
+        Sampling rate in Hz for a file that states none; it must agree with the rate that a file states.
 
+    Returns
+    -------
+    The channels by name. Missing samples are NaN.
+
+    Raises
+    ------
+    OSError, ValueError
+        The file cannot be read; the message is one sentence that begins with the path.
+
+    Examples
+    --------
     >>> from pathlib import Path
     >>> from tempfile import TemporaryDirectory
     >>> from shaker import read_channels
     >>> with TemporaryDirectory() as folder:
     ...     file = Path(folder, "daq.csv")
-    ...     _ = file.write_text("time,Fz\\ns,N\\n0.0,1.5\\n0.1,2.5\\n0.2,3.5\\n")
+    ...     _ = file.write_text("time,Fz\ns,N\n0.0,1.5\n0.1,2.5\n0.2,3.5\n")
     ...     read_channels(file)
     {'Fz': RawChannel(3 samples at 10 Hz from 0 s, unit N)}
     """

@@ -26,15 +26,18 @@ from shaker.io.channel import (
     read_datasets,
     select_names,
 )
-from shaker.io.mat5 import check_mat5
 from shaker.io.times import SampleTimes, agreed_rate, times_of_stamps
+from shakercal._common.mat5 import check_mat5
 
 _RATES = ("sample_rate", "sampling_rate", "sampling_frequency", "fs")
 _MATLAB_RATES = ("sample_rate", "fs", "Fs")
 _STARTS, _UNITS = ("start_time",), ("unit", "units")
 _TIMES = ("time", "Time", "t")
 _TIME_UNITS = ("time_unit", "time_units")
-_PERHAPS, _ALIKE = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}, 0.01  # units of times that state none, by the rate
+_ASSUMED_UNITS, _UNIT_TOLERANCE = (
+    {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9},
+    0.01,
+)  # units of times that state none, by the rate
 _CF_PACKING = ("scale_factor", "add_offset", "_FillValue")
 _NWB_PACKING = ("conversion", "offset", "_FillValue")
 _LONGEST_TEXT = 1 << 20  # letters
@@ -43,21 +46,24 @@ _MOST_ARRAYS = 250_000  # of a MATLAB file
 
 @dataclass(frozen=True)
 class _Packing:
-    """Numbers as stored: factor and addend that unpack them, and the one that stands for a missing sample."""
+    """How stored numbers are packed: factor, addend, and the number of a missing sample."""
 
     factor: float
     addend: float
     missing: float | None
 
     def unpacked(self, stored: NDArray[Any]) -> FloatArray:
-        """Return the samples that the numbers stand for, NaN where one is missing."""
+        """Return the samples of stored numbers, NaN where a sample is missing."""
         values = np.multiply(stored, self.factor, dtype=np.float64) + self.addend
         return values if self.missing is None else np.where(stored == self.missing, np.nan, values)
 
 
 @dataclass(frozen=True)
 class _Stated:
-    """What a file states of a channel: rate, start, unit, the vector of times by name, its unit, and packings."""
+    """Statements of a file about a channel.
+
+    `times` is the name of the vector of times, `time_unit` its unit; the packings are those of samples and times.
+    """
 
     rate: float | None
     start: float | None
@@ -68,18 +74,18 @@ class _Stated:
     time_packing: _Packing | None = None
 
 
-def _put_together(
+def _build_channels(
     path: Path,
     datasets: Mapping[str, Any],
     columns: Mapping[str, DatasetColumn],
-    wanted: Mapping[str, _Stated],
+    requested: Mapping[str, _Stated],
     sample_rate_hz: float | None,
 ) -> dict[str, RawChannel]:
-    """Return the channels wanted, dated by the rate and the vector of times that the file states, or the rate given."""
-    times = {stated.times for stated in wanted.values() if stated.times}
-    values = read_datasets(path, datasets, {name: columns[name] for name in {*wanted, *times}}, times)
+    """Return the requested channels with times from the file or the given rate."""
+    times = {stated.times for stated in requested.values() if stated.times}
+    values = read_datasets(path, datasets, {name: columns[name] for name in {*requested, *times}}, times)
     result = {}
-    for name, stated in wanted.items():
+    for name, stated in requested.items():
         stamps = None if stated.times is None else values[stated.times]
         samples = values[name] if stated.packing is None else stated.packing.unpacked(values[name])
         sampled = _sampled(path, f'channel "{name}"', stated, stamps, sample_rate_hz)
@@ -92,7 +98,7 @@ def _sampled(
 ) -> SampleTimes:
     """Return the times of a channel's samples.
 
-    Rate and vector of times must agree where a file states both: the vector shows gaps, the rate has more digits.
+    Rate and vector of times must agree where a file states both. The vector shows gaps; the rate has more digits.
     """
     if stamps is None:
         return SampleTimes(agreed_rate(path, where, stated.rate, given_hz), stated.start or 0.0)
@@ -102,7 +108,9 @@ def _sampled(
         stamps = stated.time_packing.unpacked(stamps)
     if rate is not None and not unit and len(stamps) > 1:
         step = float(np.median(np.diff(stamps)))
-        unit = next((name for name, factor in _PERHAPS.items() if abs(step * factor * rate - 1.0) < _ALIKE), "")
+        unit = next(
+            (name for name, factor in _ASSUMED_UNITS.items() if abs(step * factor * rate - 1.0) < _UNIT_TOLERANCE), ""
+        )
         if step == 1.0 and not unit:  # numbers of samples
             stamps, unit = stamps / rate, "s"
     found = times_of_stamps(path, where, stamps, unit, given_hz=given_hz if rate is None else rate)
@@ -114,13 +122,15 @@ def _sampled(
 def read_hdf5(path: Path, names: Sequence[str] | None, sample_rate_hz: float | None) -> dict[str, RawChannel]:
     """Read channels by the names of their datasets, in groups as `group/name`.
 
-    A table (S, C) or (C, S) has the channels `name/1`, `name/2`, …, a dataset of records one channel `name/field` per
-    field of numbers. The rate is the attribute `sample_rate` (or `sampling_rate`, `sampling_frequency`, `fs`) of the
-    dataset, else of the groups around it, else of the file. A dataset or field `time` next to the channel and of its
-    length dates the samples, in s or as its attribute `units` says; without rate and `time`, `sample_rate_hz` counts.
-    `unit` (or `units`) and `start_time` are searched for where the rate is. Packed numbers are unpacked: times
-    `scale_factor` plus `add_offset`, `_FillValue` is NaN (CF conventions), or times `conversion` plus `offset` (NWB).
-    Memory: the result and one block.
+    A table (S, C) or (C, S) has the channels `name/1`, `name/2`, …. A dataset of records has one channel `name/field`
+    per numeric field. The rate is the attribute `sample_rate` (or `sampling_rate`, `sampling_frequency`, `fs`) of the
+    dataset, of the groups around it, or of the file. A dataset or field `time` next to the channel and of the same
+    length contains the times, in s or in the unit of its attribute `units`. Without rate and `time`, `sample_rate_hz`
+    is used.
+
+    `unit` (or `units`) and `start_time` are searched for in the same places as the rate. Packed numbers are unpacked:
+    times `scale_factor` plus `add_offset` with `_FillValue` as NaN (CF conventions), or times `conversion` plus
+    `offset` (NWB). Memory: the result and one block.
     """
     import h5py
 
@@ -137,11 +147,11 @@ def read_hdf5(path: Path, names: Sequence[str] | None, sample_rate_hz: float | N
             if name not in columns and isinstance(file.get(name, getlink=True), h5py.ExternalLink):
                 raise ValueError(f'{path}: channel "{name}": expected samples in this file, found a link to another')
         present = columns if names is not None else [name for name in columns if not is_time(name.rsplit("/", 1)[-1])]
-        wanted = {}
+        requested = {}
         for name in select_names(path, names, present):
             node, index, where = file[columns[name].dataset], columns[name].index, f'{path}: channel "{name}"'
             rate, start = (_number(where, _attribute(node, keys), index) for keys in (_RATES, _STARTS))
-            times = _time_beside(name, columns)
+            times = _neighbouring_time(name, columns)
             if times is not None and _holder(node, _RATES).name.rstrip("/").count("/") < times.count("/"):
                 rate = None  # stated for a group around that of the times
             unit = _one_text(_attribute(node, _UNITS, ""), index)
@@ -150,32 +160,32 @@ def read_hdf5(path: Path, names: Sequence[str] | None, sample_rate_hz: float | N
                 dated = file[columns[times].dataset]
                 packings[1] = _packing(where, dated, columns[times].index)
                 time_unit = _one_text(next((dated.attrs[key] for key in _UNITS if key in dated.attrs), ""), None)
-            wanted[name] = _Stated(rate, start, unit, times, time_unit, *packings)
-        return _put_together(path, file, columns, wanted, sample_rate_hz)
+            requested[name] = _Stated(rate, start, unit, times, time_unit, *packings)
+        return _build_channels(path, file, columns, requested, sample_rate_hz)
 
 
 def _attribute(node: Any, keys: Sequence[str], default: Any = None) -> Any:
-    """Return an attribute of a dataset, else of the groups around it, else of the file."""
+    """Return an attribute of a dataset, of the groups around it, or of the file."""
     attributes = _holder(node, keys).attrs
     return next((attributes[key] for key in keys if key in attributes), default)
 
 
 def _holder(node: Any, keys: Sequence[str]) -> Any:
-    """Return the dataset, or the nearest of the groups around it, that has one of some attributes; else the file."""
+    """Return the dataset, nearest group or file that has one of the attributes."""
     while node.name != "/" and not any(key in node.attrs for key in keys):
         node = node.parent
     return node
 
 
 def _one_text(value: Any, index: int | None) -> str:
-    """Return a text, of several for the columns of a table that of one column."""
+    """Return a text; of several texts that of one column."""
     texts = np.asarray(value, dtype=object).reshape(-1)
     text = texts[index if index is not None and index < len(texts) else 0] if len(texts) else ""
     return text.decode("utf-8", "replace") if isinstance(text, bytes) else str(text)
 
 
 def _packing(where: str, node: Any, index: int | None) -> _Packing | None:
-    """Return how the numbers of a dataset are packed, None where they are the samples themselves."""
+    """Return the packing of a dataset's numbers, None where they are samples."""
     keys = _NWB_PACKING if "conversion" in node.attrs else _CF_PACKING
     if not any(key in node.attrs for key in keys):
         return None
@@ -183,19 +193,19 @@ def _packing(where: str, node: Any, index: int | None) -> _Packing | None:
     return _Packing(1.0 if factor is None else factor, addend or 0.0, missing)
 
 
-def _time_beside(name: str, columns: Mapping[str, DatasetColumn]) -> str | None:
-    """Return the dataset or field `time` beside a channel (or beside its table) and of its length."""
+def _neighbouring_time(name: str, columns: Mapping[str, DatasetColumn]) -> str | None:
+    """Return the `time` next to a channel or its table, of equal length."""
     group = name.rpartition("/")[0]
     for other, column in columns.items():
         parent, _, tail = other.rpartition("/")
-        beside = parent in (group, group.rpartition("/")[0])
-        if beside and is_time(tail) and column.length == columns[name].length:
+        neighbouring = parent in (group, group.rpartition("/")[0])
+        if neighbouring and is_time(tail) and column.length == columns[name].length:
             return other
     return None
 
 
 def _number(where: str, value: Any, index: int | None) -> float | None:
-    """Return an attribute's number (one for all columns of a table, or one each), None where there is none."""
+    """Return an attribute's number for one column of a table; None where there is none."""
     if value is None:
         return None
     try:
@@ -212,17 +222,17 @@ _HDF5_SIGNATURE = b"\x89HDF\r\n\x1a\n"
 
 
 class _Unreadable(str):
-    """What stands in the place of a variable that cannot be read: its kind in words."""
+    """Description of a variable that cannot be read, used instead of its values."""
 
 
 def read_matlab(path: Path, names: Sequence[str] | None, sample_rate_hz: float | None) -> dict[str, RawChannel]:
-    """Read vectors by their names, fields of structs as `struct.field`, columns of a table (S, C) as `name/1`, ….
+    """Read vectors by name, fields as `struct.field`, and table columns as `name/1`, ….
 
-    The rate is a scalar `sample_rate` (or `fs`, `Fs`) beside the channel, else in the structs around it, else in the
-    file. A vector `time` (or `t`) there of the channel's length dates the samples, in s or as a text `time_unit` there
-    says; without rate and times, `sample_rate_hz` counts.
-    Texts `unit` (or `units`) and the scalar `start_time` are looked for in the same places. Cell arrays, arrays of
-    structs and objects (among them `timeseries`) are refused by name.
+    The rate is a scalar `sample_rate` (or `fs`, `Fs`) next to the channel, in the structs around it, or in the file. A
+    vector `time` (or `t`) there of the channel's length contains the times, in s or in the unit of a text `time_unit`
+    there. Without rate and times, `sample_rate_hz` is used. Texts `unit` (or `units`) and the scalar `start_time` are
+    searched for in the same places. Cell arrays, arrays of structs and objects (including `timeseries`) are refused by
+    name.
     """
     with path.open("rb") as stream:
         head = stream.read(520)
@@ -236,7 +246,7 @@ def read_matlab(path: Path, names: Sequence[str] | None, sample_rate_hz: float |
 def _channels(
     path: Path, variables: Mapping[str, Any], names: Sequence[str] | None, sample_rate_hz: float | None
 ) -> dict[str, RawChannel]:
-    """Return the channels among the variables of a file: arrays of numbers, texts, and `_Unreadable` ones."""
+    """Return the channels among a file's variables: arrays, texts and `_Unreadable` ones."""
     columns: dict[str, DatasetColumn] = {}
     for name, variable in variables.items():
         if not isinstance(variable, str) and variable.size > 1:
@@ -245,23 +255,23 @@ def _channels(
         if name not in columns and isinstance(kind := variables.get(name), _Unreadable):
             raise ValueError(f'{path}: channel "{name}": expected a vector of numbers, found {kind}')
     present = columns if names is not None else [n for n in columns if n.rpartition(".")[2] not in _TIMES]
-    wanted = {}
+    requested = {}
     for name in select_names(path, names, present):
         (rate_key, rate), (_, start) = (_scalar(path, variables, name, keys) for keys in (_MATLAB_RATES, _STARTS))
-        near = [columns[other] for other in _beside(name, _TIMES) if other in columns and other != name]
-        times = next((own.dataset for own in near if own.length == columns[name].length), None)
-        units = (variables.get(key) for key in _beside(name, _UNITS))
+        near = [columns[other] for other in _neighbouring_keys(name, _TIMES) if other in columns and other != name]
+        times = next((column.dataset for column in near if column.length == columns[name].length), None)
+        units = (variables.get(key) for key in _neighbouring_keys(name, _UNITS))
         unit = next((text for text in units if type(text) is str), "")
-        texts = (variables.get(key) for key in _beside(name, _TIME_UNITS))
+        texts = (variables.get(key) for key in _neighbouring_keys(name, _TIME_UNITS))
         time_unit = next((text for text in texts if type(text) is str), "")
         if times is not None and rate_key.count(".") < times.count("."):
             rate = None  # stated for a struct around that of the times
-        wanted[name] = _Stated(rate, start, unit, times, time_unit)
-    return _put_together(path, variables, columns, wanted, sample_rate_hz)
+        requested[name] = _Stated(rate, start, unit, times, time_unit)
+    return _build_channels(path, variables, columns, requested, sample_rate_hz)
 
 
-def _beside(name: str, keys: Sequence[str]) -> Iterator[str]:
-    """Yield the names that keys have beside a channel, in the structs around it, and in the file."""
+def _neighbouring_keys(name: str, keys: Sequence[str]) -> Iterator[str]:
+    """Yield full names of keys next to a channel and in all enclosing levels."""
     struct = name.rpartition("/")[0] or name
     while struct:
         struct = struct.rpartition(".")[0]
@@ -269,8 +279,8 @@ def _beside(name: str, keys: Sequence[str]) -> Iterator[str]:
 
 
 def _scalar(path: Path, variables: Mapping[str, Any], name: str, keys: Sequence[str]) -> tuple[str, float | None]:
-    """Return the name and value of the number that one of the keys has for a channel, None where there is none."""
-    for key in _beside(name, keys):
+    """Return name and value of the first scalar among the keys, else None."""
+    for key in _neighbouring_keys(name, keys):
         if getattr(variable := variables.get(key), "size", 0) == 1:
             check_stored(path, key, variable)
             return key, float(np.asarray(variable).reshape(()))
@@ -303,7 +313,7 @@ def _hdf5_leaves(prefix: str, group: Any) -> Iterator[tuple[str, Any]]:
 
 
 def _classic(path: Path, names: Sequence[str] | None) -> dict[str, Any]:
-    """Return the variables of an older file, where only some channels are asked for those that matter to them."""
+    """Return the variables of an older file; for requested channels only the relevant ones."""
     from scipy.io import loadmat, whosmat
 
     check_mat5(path, max_sample_bytes(path), _MOST_ARRAYS)
@@ -313,13 +323,13 @@ def _classic(path: Path, names: Sequence[str] | None) -> dict[str, Any]:
         if roots <= {name for name, *_ in whosmat(str(path))}:
             roots |= {*_MATLAB_RATES, *_STARTS, *_UNITS, *_TIMES, *_TIME_UNITS}
         else:
-            roots = None  # a name is wrong: all of them stand in the message
+            roots = None  # a name is wrong: the message lists all of them
     content = loadmat(str(path), variable_names=roots)
     return dict(leaf for name, value in content.items() for leaf in _classic_leaves(name, value))
 
 
 def _classic_leaves(name: str, value: Any) -> Iterator[tuple[str, Any]]:
-    """Yield a variable of an older file, of a struct its fields."""
+    """Yield a variable of an older file, or the fields of a struct."""
     if name.startswith("__") or not isinstance(value, np.ndarray):
         return
     if type(value).__name__ in ("MatlabOpaque", "MatlabFunction", "MatlabObject"):
@@ -343,16 +353,16 @@ def _classic_leaves(name: str, value: Any) -> Iterator[tuple[str, Any]]:
 
 
 def read_wave(path: Path, names: Sequence[str] | None, sample_rate_hz: float | None) -> dict[str, RawChannel]:
-    """Read channels by number, counted from 1, in the file's own numbers.
+    """Read channels by their number, counted from 1, without scaling.
 
-    16- and 32-bit integers come as they are, 24-bit ones as the upper bytes of 32 bits (times 256), 8-bit ones from 0
-    to 255; floats as they are. The channel's scale has to turn these into SI units. RIFF, RIFX and RF64 files are
-    read. The file states its own sampling rate, which `sample_rate_hz` must not contradict.
+    16- and 32-bit integers keep their values, 24-bit ones are the upper bytes of 32 bits (times 256), and 8-bit ones
+    range from 0 to 255. Floats keep their values. The channel's scale has to convert these into SI units. RIFF, RIFX
+    and RF64 files are read. The file states its sampling rate, which `sample_rate_hz` must not contradict.
     """
     from scipy.io import wavfile
 
     with warnings.catch_warnings():
-        # Chunks with remarks of the recorder are passed over; a record shorter than its header says is not.
+        # Chunks with remarks of the recorder are skipped; a record shorter than stated is refused.
         warnings.simplefilter("ignore", wavfile.WavFileWarning)
         warnings.filterwarnings("error", message="Reached EOF", category=wavfile.WavFileWarning)
         try:
@@ -361,6 +371,6 @@ def read_wave(path: Path, names: Sequence[str] | None, sample_rate_hz: float | N
         except wavfile.WavFileWarning as error:
             raise ValueError(f"{path}: expected a complete WAV file, found its end too early") from error
     columns = samples.reshape(len(samples), -1)
-    wanted = select_names(path, names, [str(i + 1) for i in range(columns.shape[1])])
+    requested = select_names(path, names, [str(i + 1) for i in range(columns.shape[1])])
     rate_hz = agreed_rate(path, "the record", float(rate), sample_rate_hz)
-    return {name: RawChannel(as_sample_array(path, name, columns[:, int(name) - 1]), rate_hz) for name in wanted}
+    return {name: RawChannel(as_sample_array(path, name, columns[:, int(name) - 1]), rate_hz) for name in requested}

@@ -1,4 +1,4 @@
-"""Raw channels, and what the readers of all formats share."""
+"""Raw channels, and functions that the readers of all formats share."""
 
 from __future__ import annotations
 
@@ -22,12 +22,18 @@ T = TypeVar("T")
 
 @dataclass(frozen=True)
 class RawChannel:
-    """Samples of one channel in the file's own unit.
+    """Samples of one channel in the unit of the file.
 
-    `samples` (S,), taken at `start_s + i / sample_rate_hz`; `start_s` is the file's start time (s, 0 where the file
-    states none), `unit` the file's own words (empty where it has none). Where the file's times are not uniform,
-    `stamp_s` (S,) are the seconds from the first sample, and `sample_rate_hz` is one over their median interval.
+    Attributes
+    ----------
+    samples : (S,), taken at `start_s + i / sample_rate_hz`.
+    sample_rate_hz : sampling rate in Hz; one over the median interval where times are not uniform.
+    start_s : start time of the file in s, 0 where the file states none.
+    unit : unit as the file writes it, empty where it states none.
+    stamp_s : (S,), seconds from the first sample where the times are not uniform, else None.
 
+    Examples
+    --------
     >>> import numpy as np
     >>> from shaker import RawChannel
     >>> RawChannel(np.zeros(500), 1000.0, unit="V")
@@ -54,12 +60,12 @@ class RawChannel:
 
     @property
     def gap(self) -> str | None:
-        """Where the times first leave a uniform grid, in words; None where they are uniform."""
+        """Description of the first deviation from a uniform grid; None where times are uniform."""
         return first_gap(SampleTimes(self.sample_rate_hz, self.start_s, self.stamp_s))
 
     @property
     def time_s(self) -> FloatArray:
-        """Times (S,) of the samples from the first one (s)."""
+        """Times (S,) of the samples in s from the first one."""
         uniform = self.stamp_s is None
         return np.arange(len(self.samples)) / self.sample_rate_hz if uniform else np.asarray(self.stamp_s)
 
@@ -71,26 +77,26 @@ class RawChannel:
         return f"RawChannel({len(self.samples)} samples at {rate} from {self.start_s:g} s, {unit})"
 
 
-# What all file readers share: choosing channels by name, and errors of one sentence that name the file.
+# Shared by all file readers: channels by name, and errors of one sentence with the file.
 
 BLOCK = 1 << 20  # bytes read at a time
 MOST_CHANNELS = 10_000  # of a table
 LONGEST_LINE = 16 << 20  # bytes of a line of text
 MAX_NESTING = 64  # groups or structs inside one another
-_FREE, _EXPANSION = 512 << 20, 100  # bytes of samples that any file may have, and how many more for each of its own
+_FREE, _EXPANSION = 512 << 20, 100  # bytes of samples that any file may have, and how many more per byte of the file
 
 
 @contextmanager
 def convert_read_errors(path: Path) -> Iterator[None]:
-    """Turn whatever goes wrong with a file into `OSError` or `ValueError`: one sentence that begins with its path.
+    """Convert every read error into `OSError` or `ValueError`: one sentence with the path.
 
-    What is no file is refused before it is opened: a pipe would wait for ever, a device may have no end.
+    A path that is no file is refused before it is opened: a pipe would wait for ever, and a device may have no end.
     """
     try:
         mode = path.stat().st_mode
     except (OSError, ValueError) as error:  # ValueError: a NUL in its name
-        told = "none" if isinstance(error, FileNotFoundError) else getattr(error, "strerror", None) or error
-        raise FileNotFoundError(f"{path}: expected a file, found {told}".replace("\0", "\\0")) from error
+        cause = "none" if isinstance(error, FileNotFoundError) else getattr(error, "strerror", None) or error
+        raise FileNotFoundError(f"{path}: expected a file, found {cause}".replace("\0", "\\0")) from error
     if not stat.S_ISREG(mode):
         raise FileNotFoundError(
             f"{path}: expected a file, found {'a folder' if stat.S_ISDIR(mode) else 'a device or pipe'}"
@@ -100,7 +106,7 @@ def convert_read_errors(path: Path) -> Iterator[None]:
     except MemoryError as error:
         raise ValueError(f"{path}: expected a file that fits into memory, found one that does not") from error
     except Exception as error:
-        # The libraries answer damaged files with errors of every kind; here they become one.
+        # The libraries raise errors of every kind for damaged files; they are converted into one.
         text = " ".join(str(error).split())
         if isinstance(error, OSError | ValueError) and text.startswith(str(path)) and type(error) is not OSError:
             raise
@@ -109,15 +115,15 @@ def convert_read_errors(path: Path) -> Iterator[None]:
 
 
 def max_sample_bytes(path: Path) -> int:
-    """Return how many bytes of samples a file of that length can hold.
+    """Return the largest number of sample bytes in a file of this length.
 
-    Compression makes measured samples a few times smaller, a trigger between its edges perhaps a hundred times.
+    Compression makes measured samples a few times smaller, and a trigger between its edges perhaps a hundred times.
     """
     return _FREE + _EXPANSION * path.stat().st_size
 
 
 def check_size(path: Path, what: str, size: int) -> None:
-    """Raise `ValueError` where a file of that length cannot hold what it declares, `size` bytes once read."""
+    """Raise `ValueError` where a file declares more bytes, `size`, than its length allows."""
     most = max_sample_bytes(path)
     if size > most:
         found = f"{size / 1e6:.0f} MB declared in a file of {path.stat().st_size / 1e6:.3g} MB"
@@ -125,7 +131,7 @@ def check_size(path: Path, what: str, size: int) -> None:
 
 
 def select_names(path: Path, names: Sequence[str] | None, present: Iterable[str]) -> list[str]:
-    """Return the names wanted (all present ones for None), or raise `ValueError` naming those present."""
+    """Return the requested names (None: all present), or raise `ValueError` with those present."""
     available = dict.fromkeys(present)
     if names is None:
         return list(available)
@@ -138,11 +144,14 @@ def select_names(path: Path, names: Sequence[str] | None, present: Iterable[str]
 def select_by_either_name(
     path: Path, names: Sequence[str] | None, present: Mapping[str, T], short: Sequence[str]
 ) -> dict[str, T]:
-    """Return what belongs to the names wanted (None: all present); who has a `short` name alone answers to it, too."""
+    """Return the items of the requested names (None: all).
+
+    A unique `short` name is accepted too.
+    """
     count = Counter(short)
-    alone = {own: item for own, item in zip(short, present.values(), strict=True) if count[own] == 1}
-    known = {**present, **alone, **present}
-    return {name: known[name] for name in (present if names is None else select_names(path, names, known))}
+    alone = {name: item for name, item in zip(short, present.values(), strict=True) if count[name] == 1}
+    items = {**present, **alone, **present}
+    return {name: items[name] for name in (present if names is None else select_names(path, names, items))}
 
 
 def format_names(names: Sequence[str], most: int = 12) -> str:
@@ -154,12 +163,12 @@ def format_names(names: Sequence[str], most: int = 12) -> str:
 
 
 def is_time(name: str) -> bool:
-    """Tell whether a channel or column is the time by its name, in whatever case."""
+    """Return whether a channel or column is called `time`, in upper or lower case."""
     return name.strip().lower() == "time"
 
 
 def as_sample_array(path: Path, name: str, samples: object) -> FloatArray:
-    """Return samples as float64 (S,), or raise `ValueError` naming the channel."""
+    """Return samples as float64 (S,), or raise `ValueError` with the channel's name."""
     array = np.asarray(samples)
     if array.ndim != 1 or array.dtype.kind not in "biuf":
         raise ValueError(
@@ -178,7 +187,10 @@ _SLENDER = 4  # a table has at least that many times more samples than channels;
 
 @dataclass(frozen=True)
 class DatasetColumn:
-    """Where a channel's `length` samples stand: along `axis` of a dataset, at `index` across it, or in a `field`."""
+    """Position of a channel's `length` samples in a dataset.
+
+    They lie along `axis`, at `index` across it, or in a `field` of records.
+    """
 
     dataset: str
     length: int
@@ -188,10 +200,10 @@ class DatasetColumn:
 
 
 def columns_of(name: str, dataset: Any) -> dict[str, DatasetColumn]:
-    """Return the channels of a dataset by name, none where it holds no series of numbers.
+    """Return the channels of a dataset by name, empty where it contains no numeric series.
 
     A table (S, C) or (C, S) has the channels `name/1`, `name/2`, … across its longer side, a dataset of records
-    `name/field`; a vector, and a table of one row or column, is one channel.
+    `name/field`. A vector is one channel, and so is a table of one row or column.
     """
     if getattr(dataset, "shape", None) is None or dataset.size < 1 or dataset.ndim > 2:
         return {}
@@ -211,9 +223,9 @@ def columns_of(name: str, dataset: Any) -> dict[str, DatasetColumn]:
 
 @contextmanager
 def open_hdf5(path: Path, *, links: bool = False) -> Iterator[Any]:
-    """Open an HDF5 file for reading, the one way for all; with `links` to other files for who follows none himself.
+    """Open an HDF5 file for reading; links to other files are refused unless `links`.
 
-    Whether the samples of a dataset stand in the file is asked of `check_inside` and `check_stored`.
+    Call `check_inside` and `check_stored` to verify that the samples of a dataset are in the file.
     """
     import h5py
 
@@ -224,21 +236,21 @@ def open_hdf5(path: Path, *, links: bool = False) -> Iterator[Any]:
 
 
 def full_name(group: Any, name: bytes) -> str:
-    """Return the name in its file of what has this name in a group of an HDF5 file."""
+    """Return the full name in the file of an entry of an HDF5 group."""
     return f"{group.name}/{name.decode('utf-8', 'replace')}".lstrip("/")
 
 
 def check_links(path: Path, group: Any, *, soft: bool = True) -> None:
-    """Refuse a group of an HDF5 file with links to other files below it; unless `soft`, also to other groups."""
+    """Refuse links to other files below an HDF5 group; also soft links unless `soft`."""
     import h5py
 
-    own = (h5py.h5l.TYPE_HARD, h5py.h5l.TYPE_SOFT)[: 1 + soft]
+    local_types = (h5py.h5l.TYPE_HARD, h5py.h5l.TYPE_SOFT)[: 1 + soft]
 
     def wrong(name: bytes, link: Any) -> str | None:
         if name.count(b"/") > MAX_NESTING:
             return f"groups in {MAX_NESTING} others"
-        told = f'"{full_name(group, name)}": expected samples in this file, found a link to another'
-        return None if link.type in own else told
+        refusal = f'"{full_name(group, name)}": expected samples in this file, found a link to another'
+        return None if link.type in local_types else refusal
 
     found = group.id.links.visit(wrong, info=True)
     if found is not None:
@@ -246,14 +258,14 @@ def check_links(path: Path, group: Any, *, soft: bool = True) -> None:
 
 
 def check_inside(path: Path, name: str, dataset: Any) -> None:
-    """Refuse a dataset of an HDF5 file whose samples stand in other files; groups and arrays in memory pass."""
+    """Refuse an HDF5 dataset with samples in other files; groups and arrays in memory pass."""
     if hasattr(dataset, "is_virtual") and (dataset.is_virtual or dataset.external):
         found = "a virtual one, made of others" if dataset.is_virtual else "one in other files (external storage)"
         raise ValueError(f'{path}: dataset "{name}": expected samples in this file, found {found}')
 
 
 def check_stored(path: Path, name: str, dataset: Any) -> None:
-    """Refuse a dataset of an HDF5 file whose samples stand in other files, or nowhere; arrays in memory pass."""
+    """Refuse an HDF5 dataset without samples in its file; arrays in memory pass."""
     if not hasattr(dataset, "is_virtual"):
         return  # an array in memory
     check_inside(path, name, dataset)
@@ -266,9 +278,9 @@ def check_stored(path: Path, name: str, dataset: Any) -> None:
 def read_datasets(
     path: Path, datasets: Mapping[str, Any], requested: Mapping[str, DatasetColumn], exact: Collection[str] = ()
 ) -> dict[str, NDArray[Any]]:
-    """Return the samples (S,) of channels by name, as float64, those of `exact` names in the type that is stored.
+    """Return the samples (S,) of the requested channels as float64.
 
-    Each dataset is read once, in blocks of whole chunks.
+    Channels of `exact` names keep their stored type. Each dataset is read once, in blocks of whole chunks.
     """
     total = 0
     for name in {column.dataset for column in requested.values()}:
@@ -278,10 +290,10 @@ def read_datasets(
         check_size(path, f'channel "{name}"', total)
     results: dict[str, NDArray[Any]] = {}
     for name in dict.fromkeys(column.dataset for column in requested.values()):
-        own = {key: column for key, column in requested.items() if column.dataset == name}
-        dataset, first_own = datasets[name], next(iter(own.values()))
-        length, axis = first_own.length, first_own.axis
-        for key, column in own.items():
+        columns = {key: column for key, column in requested.items() if column.dataset == name}
+        dataset, first_column = datasets[name], next(iter(columns.values()))
+        length, axis = first_column.length, first_column.axis
+        for key, column in columns.items():
             stored = dataset.dtype if column.field is None else dataset.dtype[column.field]
             results[key] = np.empty(length, stored.newbyteorder("=") if key in exact else np.float64)
         chunks = getattr(dataset, "chunks", None)
@@ -291,7 +303,7 @@ def read_datasets(
         for first in range(0, length, rows):
             part = slice(first, min(first + rows, length))
             block = np.asarray(dataset[part] if axis == 0 else dataset[:, part])
-            for key, column in own.items():
+            for key, column in columns.items():
                 if column.field is not None:
                     results[key][part] = block[column.field]
                 elif column.index is None:

@@ -1,4 +1,4 @@
-"""The condition of a channel's samples: stretches that were lost, ranges that were exceeded, steps of the converter."""
+"""Defects in a channel's samples: lost stretches, clipping, coarse converter steps."""
 
 from __future__ import annotations
 
@@ -29,29 +29,32 @@ _BEYOND = (
 )  # shares of all samples that may lie beyond a limit: none, spikes, noise added later
 _CURVED = 25.0  # times the range and the square of such a share: ten times the depth of a sine's crest of this share
 _WIDEST = 0.03  # of the range: how far samples at one limit may differ
-_HELD = 4.0 / 3.0  # samples within eight widths of a limit over those within one
+_CLIPPED_RATIO = 4.0 / 3.0  # samples within eight widths of a limit over those within one
 # Widths, samples within them over those within one that are fewer than the √widths of a smooth crest, and samples from
 # which on that is no chance.
 _CROWDED = ((8.0, 1.8, 200), (4.0, 1.5, 300), (2.0, 1.25, 1000))
 _RUN = 3  # samples at a limit one after another, which no sampling of a smooth crest can give without others nearby
 _CHOSEN, _CLUSTER = 4096, 2.5  # values of the middle half whose clusters are counted; samples at a limit over theirs
-_LIKE = 1e-5  # of the range: how far values of one cluster lie apart
+_LIKE = 1e-5  # of the range: largest distance of values in one cluster
 _CLUSTERED = 0.5  # of the middle half of the values that the widest twentieth of their gaps takes
-_RESTS = 0.02  # of the record: a level kept for longer at a time is where the signal rests
-_OUTSIDE = 12.0  # resolutions that the record falls off beside a cut peak; the top of a wave falls off by 9 at most
+_RESTS = 0.02  # of the record: a level that lasts longer at a time is the resting level
+_OUTSIDE = 12.0  # resolutions by which the record falls next to a clipped peak; the top of a wave falls by 9 at most
 _NOISE, _MEDIAN_DIFFERENCE = 6.0, 0.954  # standard deviations of noise; median difference of two samples of unit noise
 _NAMED = 3  # stretches named
 
 
 @dataclass(frozen=True)
 class Defect:
-    """What is wrong with some samples of a channel.
+    """A defect in the samples of a channel.
 
-    `kind`: "lost" (constant, quiet or not a number for longer than the signal can be), "clipped" (held at a limit) or
-    "steps" (few steps of the converter in the driven line). `spans` (N, 2): first sample and the one after the last of
-    each stretch, none for steps. `levels`: the values at which samples were held; the limits of clipped ones, lower
-    first, -inf or inf where that side is not clipped. `step`: of the converter, 0 where none shows. `steps`: how many
-    the amplitude of the driven line has, infinite if that is not known.
+    Attributes
+    ----------
+    kind : "lost" (constant, quiet or NaN for longer than the signal can be), "clipped" (constant at a limit) or "steps"
+        (few converter steps in the driven line).
+    spans : (N, 2), first sample and the one after the last of each stretch; empty for steps.
+    levels : constant values of lost stretches; limits of clipped samples, lower first, -inf or inf for an intact side.
+    step : converter step, 0 where none is visible.
+    steps : number of converter steps in the amplitude of the driven line, infinite if unknown.
     """
 
     kind: DefectKind
@@ -71,7 +74,7 @@ class Defect:
         return int(np.sum(self.spans[:, 1] - self.spans[:, 0]))
 
     def mask(self, samples: int) -> BoolArray:
-        """Return which of so many samples are in a stretch, (S,)."""
+        """Return which of `samples` samples lie in a stretch, (S,)."""
         change = np.zeros(samples + 1, dtype=np.int64)
         np.add.at(change, self.spans[:, 0], 1)
         np.add.at(change, self.spans[:, 1], -1)
@@ -89,19 +92,19 @@ class Defect:
             limits = [f"{level:.5g}{unit}" for level in (low, high) if np.isfinite(level)]
             return f"is clipped at {' and '.join(limits)}: {share}"
         ends = [(float(time_s[first]), float(time_s[last - 1])) for first, last in self.spans[:_NAMED].tolist()]
-        told = ", ".join(f"{first:.6g} s to {last:.6g} s" for first, last in ends)
+        times = ", ".join(f"{first:.6g} s to {last:.6g} s" for first, last in ends)
         more = f" and {len(self.spans) - _NAMED} more" if len(self.spans) > _NAMED else ""
-        return f"has no signal (constant, quiet or no numbers) from {told}{more}: {share}"
+        return f"has no signal (constant, quiet or no numbers) from {times}{more}: {share}"
 
 
 def examine_samples(
     samples: FloatArray, sample_rate_hz: float, amplitude: float | None = None, frequency_hz: float | None = None
 ) -> list[Defect]:
-    """Find lost stretches, clipping and few converter steps in samples (S,) of one channel.
+    """Find lost stretches, clipping and coarse converter steps in the samples (S,) of a channel.
 
-    `amplitude`: of the driven line in this channel, in the unit of the samples; `frequency_hz`: of the slowest driven
-    line. Without a driven line only clipping is sought: a signal that comes to rest is constant by nature, and so is
-    the level at which most samples lie.
+    `amplitude` is that of the driven line in this channel, in the unit of the samples. `frequency_hz` is that of the
+    slowest driven line. Without a driven line only clipping is searched for: a decaying signal becomes constant anyway,
+    and the level of most samples is no limit.
 
     >>> import numpy as np
     >>> time_s = np.arange(20_000) / 2000.0
@@ -140,9 +143,9 @@ def _spans(chosen: BoolArray) -> IntArray:
 
 
 def converter_step(samples: FloatArray) -> float:
-    """Return the step between neighbouring values of samples (S,); 0 where they show none.
+    """Return the step between neighbouring values of samples (S,); 0 where none is visible.
 
-    The smallest difference between distinct values, of which all other differences are multiples.
+    It is the smallest difference between distinct values, of which all other differences are multiples.
     """
     excerpt = samples[:_EXCERPT]
     excerpt = excerpt[np.isfinite(excerpt)]
@@ -151,12 +154,12 @@ def converter_step(samples: FloatArray) -> float:
     levels = np.unique(excerpt)
     if len(levels) < 2:
         return 0.0
-    apart = np.diff(levels)
-    apart = apart[apart > _ROUNDING * float(np.max(np.abs(levels)))]
-    if not len(apart):
+    gaps = np.diff(levels)
+    gaps = gaps[gaps > _ROUNDING * float(np.max(np.abs(levels)))]
+    if not len(gaps):
         return 0.0
-    step = float(np.median(apart[apart < 1.5 * apart.min()]))
-    off = np.abs(apart / step - np.rint(apart / step))
+    step = float(np.median(gaps[gaps < 1.5 * gaps.min()]))
+    off = np.abs(gaps / step - np.rint(gaps / step))
     return step if np.mean(off < 0.1) > 0.95 else 0.0
 
 
@@ -164,12 +167,12 @@ def converter_step(samples: FloatArray) -> float:
 
 
 def find_lost(samples: FloatArray, step: float, period: float) -> Defect | None:
-    """Find stretches of samples (S,) without a signal of this `period` (samples): constant, quiet or no numbers.
+    """Find stretches without a signal of this `period` (samples) in samples (S,).
 
-    Constant for longer than the signal can be: what is typical are the longest constant runs of the parts of the
-    record; the crest of a sine between two steps of a converter, or at a limit, is one of these. Quiet: whole periods
-    in which next to nothing moves. Both begin or end with the usual signal: a beat, or a motion that dies away, comes
-    to rest instead.
+    A stretch is constant for longer than the signal can be, quiet, or not a number. The longest constant runs in the
+    parts of the record show which length is typical. Such a run may be the crest of a sine between two converter steps
+    or at a limit. Quiet means whole periods with almost no motion. Both begin or end abruptly next to the usual signal,
+    whereas a beat or a decaying motion fades.
     """
     bad = ~np.isfinite(samples)
     values = np.where(bad, np.inf, samples) if bad.any() else samples
@@ -198,55 +201,59 @@ def find_lost(samples: FloatArray, step: float, period: float) -> Defect | None:
 
 
 def _swings(blocks: FloatArray) -> FloatArray:
-    """Return the range of the finite values of each block (B, L), NaN where it has none."""
+    """Return the range of the finite values of each block (B, L), NaN without any."""
     high = np.max(np.where(np.isfinite(blocks), blocks, -np.inf), axis=1)
     low = np.min(np.where(np.isfinite(blocks), blocks, np.inf), axis=1)
     return np.where(high >= low, high - low, np.nan)
 
 
 def _interruptions(samples: FloatArray, spans: IntArray, reach: int, least: float) -> Iterator[tuple[int, int]]:
-    """Yield the spans (N, 2) within `reach` of which samples swing by more than `least`, before or after."""
+    """Yield the spans (N, 2) with a swing above `least` within `reach` samples."""
     for first, last in spans.tolist():
-        beside = [part for part in (samples[max(first - reach, 0) : first], samples[last : last + reach]) if len(part)]
-        if least < 0.0 or any(float(_swings(part[None])[0]) > least for part in beside):
+        neighbours = [
+            part for part in (samples[max(first - reach, 0) : first], samples[last : last + reach]) if len(part)
+        ]
+        if least < 0.0 or any(float(_swings(part[None])[0]) > least for part in neighbours):
             yield first, last
 
 
-# Limits at which samples are held.
+# Limits at which samples are clipped.
 
 
 def clip_levels(samples: FloatArray, step: float, *, resting: bool = False) -> tuple[float, float]:
-    """Return the limits from which on samples (S,) are held, -inf and inf where they are not.
+    """Return the lower and upper clipping limits of samples (S,), -inf and inf where intact.
 
-    A smooth crest has √8 times as many samples within eight widths of its top as within one; one that is cut off has
-    hardly more, whether the values at the limit are equal or scatter a little. `resting`: a level at which most samples
-    lie is where the signal rests, and no limit.
+    A smooth crest has √8 times as many samples within eight widths of its top as within one. A clipped crest has hardly
+    more, whether the values at the limit are equal or scatter a little. With `resting`, the level of most samples is
+    the resting level of the signal and no limit.
     """
     samples = samples[np.isfinite(samples)]
     if len(samples) < 2 * _FEWEST or np.ptp(samples) == 0.0:
         return -np.inf, np.inf
-    high, low = (_held_from(signal, step, resting) for signal in (samples, -samples))
-    return (-low, high) if -low < high else (-np.inf, np.inf)  # one level, at which the signal rests between its peaks
+    high, low = (_clipping_level(signal, step, resting) for signal in (samples, -samples))
+    return (
+        (-low, high) if -low < high else (-np.inf, np.inf)
+    )  # one level: the resting level of the signal between its peaks
 
 
 def cut_run(samples: FloatArray, resolution: float, noise: float) -> int:
-    """Return the length of a run of equal samples (N,) at which their largest value is a limit; 0 if there is none.
+    """Return the length of a run of equal samples at a clipped maximum, else 0.
 
-    A run of equal samples at the top of a wave of resolution q falls off by 9q at most within its own length on either
-    side; a cut one falls off by more.
+    The top of a wave of resolution q falls by 9q at most within the length of the run on either side. A clipped one
+    falls by more.
     """
     top = _spans(samples >= samples.max() - 0.25 * resolution)
     for start, end in top.tolist():
         length = end - start
         if length >= _RUN and start - length >= 0 and end + length <= len(samples):
-            beside = samples.max() - max(samples[start - length], samples[end + length - 1])
-            if beside > _OUTSIDE * resolution + _NOISE * noise:
+            drop = samples.max() - max(samples[start - length], samples[end + length - 1])
+            if drop > _OUTSIDE * resolution + _NOISE * noise:
                 return int(length)
     return 0
 
 
-def _held_from(samples: FloatArray, step: float, resting: bool) -> float:
-    """Return the level from which on samples are held at their upper limit, inf where they are not."""
+def _clipping_level(samples: FloatArray, step: float, resting: bool) -> float:
+    """Return the level above which samples are clipped, inf where they are not."""
     span, total = float(np.ptp(samples)), len(samples)
     exact = step * (1.0 - 1e-3) if step > 0.0 else _ROUNDING * float(np.max(np.abs(samples)))
     for share in _BEYOND:
@@ -266,7 +273,10 @@ def _held_from(samples: FloatArray, step: float, resting: bool) -> float:
 
 
 def _is_limit(samples: FloatArray, near: BoolArray, where: tuple[float, float, float], resting: bool) -> bool:
-    """Return whether the samples `near` a top, within a width, are held there; `exact` is the width of equal ones."""
+    """Return whether the samples `near` a top are clipped there.
+
+    `where` is the top, the width below it, and the width of equal samples.
+    """
     top, width, exact = where
     count, spans = int(np.count_nonzero(near)), _spans(near)
     length = spans[:, 1] - spans[:, 0]
@@ -275,18 +285,18 @@ def _is_limit(samples: FloatArray, near: BoolArray, where: tuple[float, float, f
         if len(spans) < 3 or np.max(visits[:, 1] - visits[:, 0]) > _RESTS * len(near):
             return False
     within = [int(np.count_nonzero(samples > top - widths * width)) for widths, _, _ in _CROWDED]
-    if within[0] < _HELD * int(np.sum(length[length >= _RUN])):
+    if within[0] < _CLIPPED_RATIO * int(np.sum(length[length >= _RUN])):
         return True
-    held = within[0] < _HELD * count and (width <= exact or count >= _CROWDED[0][2])
+    equal = within[0] < _CLIPPED_RATIO * count and (width <= exact or count >= _CROWDED[0][2])
     crowded = any(
         count >= fewest and number < most * count for (_, most, fewest), number in zip(_CROWDED, within, strict=True)
     )
-    if not (held or crowded):
+    if not (equal or crowded):
         return False
     # Samples synchronous with the signal lie in clusters everywhere, not at its limits alone.
     quarter = len(samples) // 4
     inner = np.sort(np.partition(samples, (quarter, -1 - quarter))[quarter:-quarter])
-    if held:
+    if equal:
         middle = inner[:: -(-len(inner) // _CHOSEN)]
         half = max(width, _LIKE * float(np.ptp(samples))) / 2.0
         like = np.searchsorted(inner, middle + half) - np.searchsorted(inner, middle - half)

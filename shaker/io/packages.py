@@ -1,8 +1,8 @@
 """Files that optional packages read: ASAM MDF 4, Dewesoft, Parquet.
 
-`pip install shakercal[formats]` brings them: asammdf, dwdatareader (which wraps Dewesoft's own library), pyarrow. Only
-the channels asked for are read. Times count from the earliest of these, since a time of day in floating-point seconds
-has steps of a quarter of a microsecond.
+`pip install shakercal[formats]` installs asammdf, dwdatareader (a wrapper of Dewesoft's library) and pyarrow. Only the
+requested channels are read. Times count from the earliest of these, because a time of day in floating-point seconds has
+steps of a quarter of a microsecond.
 """
 
 from __future__ import annotations
@@ -48,7 +48,7 @@ _Samples = Callable[[], tuple[NDArray[Any] | None, FloatArray, str]]
 
 
 def _package(path: Path, name: str) -> Any:
-    """Import an optional package, or say which one is missing and how it comes."""
+    """Import an optional package; `ValueError` with the command that installs it if missing."""
     try:
         return import_module(name)
     except ImportError as error:
@@ -60,8 +60,8 @@ def _package(path: Path, name: str) -> Any:
 
 @contextmanager
 def _silent() -> Iterator[None]:
-    """Keep what a package prints of damaged files off the terminal, also when its half-made objects are deleted."""
-    told, hook = "", sys.unraisablehook
+    """Suppress the output of a package about damaged files, including that of deleted objects."""
+    error_text, hook = "", sys.unraisablehook
     sys.unraisablehook = lambda _: None
     try:
         with redirect_stdout(StringIO()), redirect_stderr(StringIO()):
@@ -70,26 +70,26 @@ def _silent() -> Iterator[None]:
             except Exception as error:
                 if isinstance(error, ValueError) and ": expected " in str(error):
                     raise
-                told = " ".join(f"{type(error).__name__} {error}".split())[:200]
+                error_text = " ".join(f"{type(error).__name__} {error}".split())[:200]
                 cause: BaseException | None = error
                 while cause is not None:
                     clear_frames(cause.__traceback__)
                     cause = cause.__cause__ or cause.__context__
-            if told:
+            if error_text:
                 gc.collect()
     finally:
         sys.unraisablehook = hook
-    if told:
-        raise ValueError(f"expected a readable file, found a damaged one ({told})")
+    if error_text:
+        raise ValueError(f"expected a readable file, found a damaged one ({error_text})")
 
 
 def read_mdf(
     path: Path, names: Sequence[str] | None = None, sample_rate_hz: float | None = None
 ) -> dict[str, RawChannel]:
-    """Read channels of an MDF 4 file as physical values, each on the master channel (time) of its group.
+    """Read channels of an MDF 4 file as physical values with their times.
 
-    Channels are called `group/channel`, by the group's acquisition name or number, or `channel` where only one group
-    has it. Text, arrays and bus frames are passed over; `sample_rate_hz` serves groups without a time.
+    Channels are called `group/channel`, with the group's acquisition name or number, or `channel` where only one group
+    has it. Text, arrays and bus frames are skipped. `sample_rate_hz` is used for groups without a time.
     """
     asammdf = _package(path, "asammdf")
     with path.open("rb") as stream:
@@ -98,38 +98,42 @@ def read_mdf(
     with _silent(), asammdf.MDF(path) as file:
         present: dict[str, tuple[int, int]] = {}
         for number, group in enumerate(file.groups):
-            own = group.channel_group.acq_name or f"{number}"
+            group_name = group.channel_group.acq_name or f"{number}"
             for index, channel in enumerate(group.channels):
                 if index != file.masters_db.get(number) and channel.data_type <= _MDF_REAL:
-                    key = f"{own}/{channel.name}"
-                    present[key if key not in present else f"{own} {number}.{index}/{channel.name}"] = number, index
+                    key = f"{group_name}/{channel.name}"
+                    present[key if key not in present else f"{group_name} {number}.{index}/{channel.name}"] = (
+                        number,
+                        index,
+                    )
         short = [file.groups[number].channels[index].name for number, index in present.values()]
 
-        def samples(place: tuple[int, int]) -> _Samples:
+        def samples(position: tuple[int, int]) -> _Samples:
             def read() -> tuple[NDArray[Any] | None, FloatArray, str]:
-                group = file.groups[place[0]].channel_group
-                check_size(path, f"group {place[0]}", max(group.cycles_nr, 1) * group.samples_byte_nr)
-                signal = file.get(group=place[0], index=place[1])
+                group = file.groups[position[0]].channel_group
+                check_size(path, f"group {position[0]}", max(group.cycles_nr, 1) * group.samples_byte_nr)
+                signal = file.get(group=position[0], index=position[1])
                 master, kind = signal.master_metadata or ("", 0)
                 if kind not in (*_MDF_TIME, _MDF_INDEX):
-                    raise ValueError(f'{path}: group {place[0]}: expected samples over time, found over "{master}"')
+                    raise ValueError(f'{path}: group {position[0]}: expected samples over time, found over "{master}"')
                 dated = kind in _MDF_TIME and len(signal.timestamps)
                 return signal.timestamps if dated else None, signal.samples, signal.unit
 
             return read
 
-        wanted = select_by_either_name(path, names, present, short)
-        return _dated(path, {key: samples(place) for key, place in wanted.items()}, names, sample_rate_hz)
+        selected = select_by_either_name(path, names, present, short)
+        return _dated(path, {key: samples(position) for key, position in selected.items()}, names, sample_rate_hz)
 
 
 def read_dewesoft(
     path: Path, names: Sequence[str] | None = None, sample_rate_hz: float | None = None
 ) -> dict[str, RawChannel]:
-    """Read channels of a Dewesoft file (.dxd, .dxz, .d7d) as physical values at the times that the file has.
+    """Read channels of a Dewesoft file (.dxd, .dxz, .d7d) as physical values.
 
-    Its header's sampling rate is not used: files exist that were stored at another one. Dewesoft's library ends the
-    whole program where a file is damaged, or looks for ever, so a process of its own reads. It has 8 s of the
-    processor, or one for every 2 MB where these are more; sound files need a tenth of that.
+    Their times are those of the file. The sampling rate of the header is not used, because files exist that were stored
+    at another rate. Dewesoft's library ends the whole program on a damaged file, or never returns. A separate process
+    therefore reads the file. It has 8 s of processor time, or one second for every 2 MB where that is more; intact
+    files need a tenth of it.
     """
     _package(path, "dwdatareader")
     longest_s = max(_LONGEST_S, path.stat().st_size / _SLOWEST)
@@ -159,22 +163,22 @@ def read_dewesoft(
 
 
 def dewesoft_process(file: str, out: str, names: str, longest_s: str) -> None:
-    """Read a Dewesoft file here and leave its channels, or the sentence that refuses it, in a file."""
-    path, wanted_names = Path(file), json.loads(names)
+    """Read a Dewesoft file in this process; write channels or refusal to a file."""
+    path, requested_names = Path(file), json.loads(names)
     Thread(target=_ended_after, args=(float(longest_s), Path(out)), daemon=True).start()
     result: dict[str, RawChannel] | str
     try:
-        with _package(path, "dwdatareader").DWFile(file) as opened:
-            present = {channel.name: channel for channel in opened.values() if channel.number_of_samples > 1}
+        with _package(path, "dwdatareader").DWFile(file) as dw_file:
+            present = {channel.name: channel for channel in dw_file.values() if channel.number_of_samples > 1}
 
             def samples(channel: Any) -> _Samples:
                 return lambda: (*channel.scaled(), channel.unit or "")
 
             for name, channel in present.items():
                 check_size(path, f'channel "{name}"', 16 * channel.number_of_samples)
-            wanted = {name: samples(present[name]) for name in select_names(path, wanted_names, present)}
-            result = _dated(path, wanted, wanted_names, None)
-    except Exception as error:  # the library's own, of every kind
+            selected = {name: samples(present[name]) for name in select_names(path, requested_names, present)}
+            result = _dated(path, selected, requested_names, None)
+    except Exception as error:  # errors of every kind from the library
         result = str(error).removeprefix(file) or type(error).__name__
     _leave(Path(out), result)
 
@@ -186,7 +190,7 @@ def _leave(out: Path, result: object) -> None:
 
 
 def _ended_after(longest_s: float, out: Path) -> None:
-    """End this process when it has used that many seconds of the processor."""
+    """End this process when it has used this many seconds of processor time."""
     while time.process_time() < longest_s:
         time.sleep(0.1)
     if not out.exists():
@@ -197,16 +201,17 @@ def _ended_after(longest_s: float, out: Path) -> None:
 def read_parquet(
     path: Path, names: Sequence[str] | None = None, sample_rate_hz: float | None = None
 ) -> dict[str, RawChannel]:
-    """Read columns of a Parquet table, which a column `time` dates: time stamps, durations, or numbers.
+    """Read columns of a Parquet table with a column `time`.
 
-    A column's metadata may have a `unit`. Numbers in the column `time` are seconds without one, whole numbers need one.
+    Times are time stamps, durations or numbers. A column's metadata may have a `unit`. Floating-point times without a
+    unit are seconds; whole numbers need a unit.
     """
     table = _package(path, "pyarrow.parquet").ParquetFile(path)
     rows = table.metadata.num_rows
     check_size(path, f"{rows} rows", 16 * rows)
     fields = {field.name: field for field in table.schema_arrow}
     times = next((name for name in fields if is_time(name)), None)
-    wanted = select_names(path, names, [name for name in fields if name != times])
+    selected = select_names(path, names, [name for name in fields if name != times])
 
     def column(name: str) -> NDArray[Any]:
         return np.asarray(table.read(columns=[name]).column(0).to_numpy())
@@ -221,19 +226,19 @@ def read_parquet(
         return lambda: (stamps, column(name), unit(name))
 
     time_unit = "" if times is None else unit(times)
-    return _dated(path, {name: samples(name) for name in wanted}, names, sample_rate_hz, time_unit)
+    return _dated(path, {name: samples(name) for name in selected}, names, sample_rate_hz, time_unit)
 
 
 def _dated(
     path: Path,
-    wanted: dict[str, _Samples],
+    channels_to_read: dict[str, _Samples],
     names: Sequence[str] | None,
     sample_rate_hz: float | None,
     time_unit: str = "",
 ) -> dict[str, RawChannel]:
-    """Return channels from stamps and samples; one that is no series of numbers over time is refused if asked for."""
+    """Return channels from stamps and samples; one without numbers over time is refused if requested."""
     channels, refusals = {}, list[ValueError]()
-    for name, read in wanted.items():
+    for name, read in channels_to_read.items():
         where = f'channel "{name}"'
         try:
             stamps, samples, unit = read()
@@ -242,7 +247,7 @@ def _dated(
                 times = SampleTimes(agreed_rate(path, where, None, sample_rate_hz))
             else:
                 times = times_of_stamps(path, where, stamps, time_unit, given_hz=sample_rate_hz)
-        except Exception as error:  # the packages' own, of every kind, for channels that they do not read
+        except Exception as error:  # errors of every kind from the packages, for channels that they do not read
             if isinstance(error, ValueError):
                 refusals.append(error)
             else:

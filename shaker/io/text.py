@@ -2,19 +2,18 @@
 
 Text export of a scanning vibrometer, as in PTB's data set 10.7795/720.20181105 (`Scan_time.asc`).
 
-The published description (content.txt) says: from line 19 on stand the x, y, z coordinates of the scan points, then a
-line with the number of samples and the sampling interval (line 29 in one file, 44 in another), then data blocks, each
-with one data set per scan point: block 1 the vibrometer, blocks 2 and 3 reference, force or camera trigger. What it
-leaves open is decided here, and only here:
+The published description (content.txt) states this order: from line 19 the x, y, z coordinates of the scan points, then
+a line with the number of samples and the sampling interval (line 29 in one file, 44 in another), then data blocks with
+one data set per scan point. Block 1 is the vibrometer, blocks 2 and 3 are reference, force or camera trigger. This
+module decides the points that the description does not define:
 
-- Coordinates are metres; a scan point is a line of exactly three numbers, and the list ends at the first line that is
-  none.
-- The acquisition line is the first line after it with exactly two numbers, a whole number of samples and a positive
-  interval in seconds.
-- Numbers are separated by blanks, tabs or semicolons, with a decimal point or comma. Lines that are not all numbers
-  (titles, blank lines) are passed over.
-- A block is a table of one row per sample with one column per scan point, or, where rows have another length, the
-  data sets of its points one after another. All blocks have the same size; there may be any number of them.
+- Coordinates are metres. A scan point is a line of exactly three numbers; the list ends at the first other line.
+- The acquisition line is the first line after the list with exactly two numbers, a whole number of samples and a
+  positive interval in seconds.
+- Numbers are separated by blanks, tabs or semicolons, with a decimal point or comma. Lines with other content (titles,
+  blank lines) are skipped.
+- A block is a table of one row per sample with one column per scan point. Where rows have another length, it is the
+  data sets of its points one after another. All blocks have the same size; their number is arbitrary.
 - Units are not read from the file: the manifest's scale converts.
 - The first sample of every data set is at time zero.
 """
@@ -45,7 +44,7 @@ from shaker.io.channel import (
 )
 from shaker.io.times import SampleTimes, agreed_rate, times_of_stamps
 
-# Rows of numbers in text files: whole blocks at once, line by line only where a block holds anything unusual.
+# Rows of numbers in text files: whole blocks at once, line by line only for unusual blocks.
 
 _COMMENT = "#"
 _SAMPLE = 1 << 12  # bytes of a table from which the digits of its times are read
@@ -54,9 +53,9 @@ _COMMA_TO_POINT = bytes.maketrans(b",", b".")
 
 @dataclass(frozen=True)
 class TextLayout:
-    """How rows are written: number of columns, delimiter (empty: white space), decimal comma or point.
+    """Layout of rows: number of columns, delimiter (empty: white space), decimal comma or point.
 
-    `remarks` tells whether what follows the last column is a remark; else it has to be empty.
+    With `remarks`, text after the last column is a remark; otherwise that column must be empty.
     """
 
     path: Path
@@ -67,24 +66,25 @@ class TextLayout:
 
 
 def read_columns(layout: TextLayout, start: int, stop: int, line: int, numbers: Sequence[int]) -> dict[int, FloatArray]:
-    """Return columns by their numbers, each (S,), of rows in bytes `start` to `stop`, the first in `line`.
+    """Return columns (S,) by index from the rows in bytes `start` to `stop`.
 
-    Empty cells are NaN; empty lines and lines that begin with # are passed over. Memory: the result and one block.
+    The first row is in line `line`. Empty cells are NaN. Empty lines and lines that begin with # are skipped. Memory:
+    the result and one block.
     """
     columns = [np.empty(0) for _ in numbers]
     filled = 0
     with layout.path.open("rb") as stream:
-        for place, block in whole_lines(stream, start, stop):
+        for position, block in whole_lines(stream, start, stop):
             rows = _whole_block(layout, block)
             rows = _line_by_line(layout, block, line, numbers) if rows is None else rows[:, list(numbers)]
             line += block.count(b"\n")
             if columns and filled + len(rows) > len(columns[0]):
-                share = (place - start) / (stop - start)
-                room = max(filled + len(rows), int((filled + len(rows)) / share * 1.01))
+                share = (position - start) / (stop - start)
+                capacity = max(filled + len(rows), int((filled + len(rows)) / share * 1.01))
                 for column in columns:
-                    column.resize(room, refcheck=False)
-            for column, own in zip(columns, rows.T, strict=True):
-                column[filled : filled + len(rows)] = own
+                    column.resize(capacity, refcheck=False)
+            for column, values in zip(columns, rows.T, strict=True):
+                column[filled : filled + len(rows)] = values
             filled += len(rows)
     for column in columns:
         column.resize(filled, refcheck=False)
@@ -94,10 +94,10 @@ def read_columns(layout: TextLayout, start: int, stop: int, line: int, numbers: 
 
 
 def last_digit(layout: TextLayout, start: int, stop: int, column: int) -> float:
-    """Return the last digit that a column of rows in bytes `start` to `stop` prints, 0.001 for 12.345 and 1.2345E1.
+    """Return the last printed digit of a column, 0.001 for 12.345.
 
-    Of the first and of the last rows, since zeros at the end may be left out, the coarser one, since numbers of a fixed
-    number of significant digits are coarser the larger they are.
+    The rows are in bytes `start` to `stop`. Of the first and the last rows the coarser digit is returned. Trailing
+    zeros may be missing, and numbers with a fixed number of significant digits become coarser as they grow.
     """
     digits = []
     with layout.path.open("rb") as stream:
@@ -111,7 +111,7 @@ def last_digit(layout: TextLayout, start: int, stop: int, column: int) -> float:
 
 
 def digit_of(cell: str, comma: bool) -> float:
-    """Return the last digit that a number prints."""
+    """Return the last printed digit of a number: 0.001 for 1.2345E1."""
     mantissa, _, exponent = cell.lower().replace(",", "." if comma else ",").partition("e")
     try:
         return float(10.0 ** (int(exponent or 0) - len(mantissa.partition(".")[2])))
@@ -120,7 +120,7 @@ def digit_of(cell: str, comma: bool) -> float:
 
 
 def find_bytes(stream: BinaryIO, text: bytes, start: int, stop: int) -> int:
-    """Return where a text first stands in bytes `start` to `stop` of a file, -1 where it does not."""
+    """Return the position of a text in a range of bytes, -1 if absent."""
     with mmap(stream.fileno(), 0, access=ACCESS_READ) as mapped:
         return mapped.find(text, start, stop)
 
@@ -134,7 +134,10 @@ def decode_text(raw: bytes) -> str:
 
 
 def whole_lines(stream: BinaryIO, start: int, stop: int) -> Iterator[tuple[int, bytes]]:
-    """Yield blocks of whole lines, each ending with a line end, and the place behind them."""
+    """Yield end position and content of blocks of whole lines.
+
+    Each line ends with a line end.
+    """
     stream.seek(start)
     rest = b""
     while start < stop and (block := stream.read(min(BLOCK, stop - start))):
@@ -151,13 +154,13 @@ def whole_lines(stream: BinaryIO, start: int, stop: int) -> Iterator[tuple[int, 
 
 
 def check_line(line: bytes) -> None:
-    """Raise `ValueError` for a line that no text has: it would be searched for its end through the whole file."""
+    """Raise `ValueError` for a line longer than any text has."""
     if len(line) > LONGEST_LINE:
         raise ValueError(f"a line of more than {LONGEST_LINE >> 20} MiB")
 
 
 def _whole_block(layout: TextLayout, block: bytes) -> FloatArray | None:
-    """Return the rows of a block in which every row has the same cells and all hold numbers, else None."""
+    """Return the rows of a purely numeric block of equal rows, else None."""
     delimiter = layout.delimiter.encode()
     block = block.replace(b"\r\n", b"\n")
     if layout.comma:
@@ -174,7 +177,7 @@ def _whole_block(layout: TextLayout, block: bytes) -> FloatArray | None:
 
 
 def plain_rows(block: bytes, delimiter: str) -> FloatArray | None:
-    """Return the rows (S, columns) of a block with nothing but numbers in equally many cells, else None."""
+    """Return the rows (S, columns) of a purely numeric block, else None."""
     if not block.strip() or _COMMENT.encode() in block:
         return None
     try:
@@ -183,8 +186,11 @@ def plain_rows(block: bytes, delimiter: str) -> FloatArray | None:
         return None
 
 
-def _line_by_line(layout: TextLayout, block: bytes, line: int, wanted: Sequence[int]) -> FloatArray:
-    """Return the columns wanted (S, W) of a block, or raise `ValueError` naming the line; others may hold texts."""
+def _line_by_line(layout: TextLayout, block: bytes, line: int, requested: Sequence[int]) -> FloatArray:
+    """Return columns (S, W) of a block, read line by line.
+
+    `ValueError` with the line number for a text in one of them.
+    """
     rows = []
     for number, text in enumerate(decode_text(block.replace(b"\r\n", b"\n")).split("\n"), line):
         if not text.strip() or text.startswith(_COMMENT):
@@ -195,10 +201,10 @@ def _line_by_line(layout: TextLayout, block: bytes, line: int, wanted: Sequence[
         if len(cells) != layout.columns:
             raise ValueError(f"{layout.path}: line {number}: expected {layout.columns} columns, found {len(cells)}")
         try:
-            rows.append([number_of(cells[i], layout.comma) for i in wanted])
+            rows.append([number_of(cells[i], layout.comma) for i in requested])
         except ValueError as error:
             raise ValueError(f"{layout.path}: line {number}: expected numbers, found {text.strip()[:60]!r}") from error
-    return np.array(rows).reshape(-1, len(wanted))
+    return np.array(rows).reshape(-1, len(requested))
 
 
 def number_of(cell: str, comma: bool) -> float:
@@ -210,13 +216,13 @@ def number_of(cell: str, comma: bool) -> float:
 # CSV: a header with the channels' names, an optional row of units, numbers.
 
 _DELIMITERS = ("\t", ";", ",")
-_STATED = re.compile(r'"?sep=(.)"?\s*', re.IGNORECASE)  # how Excel is told the delimiter
+_STATED = re.compile(r'"?sep=(.)"?\s*', re.IGNORECASE)  # a line that states the delimiter to Excel
 _NAME_AND_UNIT = re.compile(r"(.*\S)\s*(?:\[([^][]*)\]|\(([^()]*)\))")
 
 
 @dataclass(frozen=True)
 class _Head:
-    """What stands above the numbers: names, their units, the layout, byte and line number of the first row."""
+    """Header of a table: names, units, layout, and position of the first row."""
 
     names: list[str]
     units: list[str]
@@ -231,32 +237,35 @@ class _Head:
 
     @property
     def plain(self) -> list[str]:
-        """Names without their units where these tell them apart."""
+        """Names without their units where these names are unique."""
         short = self.short
         count = Counter(short)
-        return [own if count[own] == 1 else name for own, name in zip(short, self.names, strict=True)]
+        return [plain if count[plain] == 1 else name for plain, name in zip(short, self.names, strict=True)]
 
-    def columns(self, wanted: Sequence[int]) -> dict[int, FloatArray]:
-        """Return columns by their places."""
+    def columns(self, requested: Sequence[int]) -> dict[int, FloatArray]:
+        """Return columns by their index."""
         size = self.layout.path.stat().st_size
-        return read_columns(self.layout, self.start, size, self.line, wanted)
+        return read_columns(self.layout, self.start, size, self.line, requested)
 
 
 def read_table(path: Path, names: Sequence[str] | None, sample_rate_hz: float | None) -> dict[str, RawChannel]:
     """Read a text table with a header line; lines that begin with # are remarks.
 
-    The delimiter is the one that a first line `sep=;` states, else the tab, semicolon or comma that splits the header
-    into most cells, else white space; decimal commas are understood where the comma is not the delimiter. A row of
-    units may follow the header, or units may stand in it (`Fz [N]`, `Fz (N)`; the channel answers to `Fz` too). Times
-    come from a column `time`, in s or as its unit says (ms, us, ns, min, h), else from `sample_rate_hz`. Times that
-    are uniform within their printed digits have the slope of the straight line through them as their rate, all others
-    count as they are. Empty cells and `nan` are NaN. Memory: the result and one block.
+    The delimiter is that of a first line `sep=;`, else the tab, semicolon or comma that splits the header into most
+    cells, else white space. Decimal commas are accepted where the comma is not the delimiter. A row of units may follow
+    the header, or units may be part of it (`Fz [N]`, `Fz (N)`; the channel is also found as `Fz`).
+
+    Times are those of a column `time`, in s or its stated unit (ms, us, ns, min, h), else of `sample_rate_hz`. Times
+    that are uniform within their printed digits get the slope of the straight line through them as their rate. Other
+    times are used as printed. Empty cells and `nan` are NaN. Memory: the result and one block.
     """
     head = _head(path)
     time = next((i for i, name in enumerate(head.short) if is_time(name)), None)
     present = {name: i for i, name in enumerate(head.names) if i != time}
-    places = select_by_either_name(path, names, present, [name for i, name in enumerate(head.short) if i != time])
-    columns = head.columns(sorted({*places.values(), *([] if time is None else [time])}))
+    columns_by_name = select_by_either_name(
+        path, names, present, [name for i, name in enumerate(head.short) if i != time]
+    )
+    columns = head.columns(sorted({*columns_by_name.values(), *([] if time is None else [time])}))
     if time is None:
         times = SampleTimes(agreed_rate(path, 'a table without a column "time"', None, sample_rate_hz))
     else:
@@ -264,23 +273,26 @@ def read_table(path: Path, names: Sequence[str] | None, sample_rate_hz: float | 
         digit = last_digit(head.layout, head.start, size, time)
         stamps, unit = columns.pop(time), head.units[time]
         times = times_of_stamps(path, where, stamps, unit, digit=digit, given_hz=sample_rate_hz)
-    return {name: RawChannel.from_times(times, columns[i], head.units[i]) for name, i in places.items()}
+    return {name: RawChannel.from_times(times, columns[i], head.units[i]) for name, i in columns_by_name.items()}
 
 
 def table_units(path: Path) -> dict[str, str]:
-    """Return the columns of a text table, named without their units, and the unit of each."""
+    """Return the unit of each table column by its name without unit."""
     with convert_read_errors(path):
         head = _head(path)
         return dict(zip(head.plain, head.units, strict=True))
 
 
 def read_table_columns(path: Path, names: Sequence[str]) -> FloatArray:
-    """Read columns, named as `table_units` does, of a text table whose rows need no times, as (S, len(names))."""
+    """Read columns of a text table without times, as (S, len(names)).
+
+    The names are those of `table_units`.
+    """
     with convert_read_errors(path):
         head = _head(path)
-        places = [head.plain.index(name) for name in select_names(path, names, head.plain)]
-        columns = head.columns(sorted(set(places)))
-        return np.stack([columns[place] for place in places], axis=1)
+        columns_by_name = [head.plain.index(name) for name in select_names(path, names, head.plain)]
+        columns = head.columns(sorted(set(columns_by_name)))
+        return np.stack([columns[index] for index in columns_by_name], axis=1)
 
 
 def _head(path: Path) -> _Head:
@@ -310,13 +322,16 @@ def _head(path: Path) -> _Head:
     texts = [cell for cell in cells if cell and not _is_number(cell, comma)]
     if texts and not any(_is_number(cell, comma) for cell in cells if cell != "1"):
         stripped = [cell.strip("[]()").strip() for cell in cells] + [""] * len(names)
-        units = [row or own for row, own in zip(stripped, units, strict=False)]
+        units = [row or unit for row, unit in zip(stripped, units, strict=False)]
         start, line = behind, line + 1
     return _Head(names, units, TextLayout(path, len(names), delimiter, comma), start, line)
 
 
 def _next_line(stream: BinaryIO, line: int) -> tuple[int, int, str]:
-    """Return place, number and text of the next line that is neither empty nor a remark; no text at the end."""
+    """Return position, number and text of the next line with content.
+
+    Remarks and empty lines are skipped. The text is empty at the end of the file.
+    """
     while True:
         start, raw = stream.tell(), stream.readline(LONGEST_LINE + 1)
         check_line(raw)
@@ -355,7 +370,10 @@ _PLAIN = bytes.maketrans(b",;", b". ")  # decimal comma to point, semicolon to b
 
 @dataclass(frozen=True)
 class VibrometerScan:
-    """A scan: `point_m` (P, 3), `samples` (B blocks, P points, S), taken point after point, each from time zero."""
+    """A scan of P points: `point_m` (P, 3) and `samples` (B blocks, P points, S).
+
+    Points are recorded one after another, each from time zero.
+    """
 
     point_m: FloatArray
     samples: FloatArray
@@ -366,7 +384,7 @@ class VibrometerScan:
         check_shape("samples", self.samples, (None, len(self.point_m), None))
 
     def channels_at(self, point: int) -> dict[str, RawChannel]:
-        """Return what was recorded at one scan point: block numbers "1", "2", … to channels."""
+        """Return the channels of one scan point by their block number "1", "2", …."""
         return {
             str(block + 1): RawChannel(self.samples[block, point], self.sample_rate_hz)
             for block in range(len(self.samples))
@@ -374,7 +392,7 @@ class VibrometerScan:
 
 
 def read_scan_asc(path: Path) -> VibrometerScan:
-    """Read a scanning vibrometer's text; every scan point is a take of its own."""
+    """Read the text export of a scanning vibrometer; every scan point is a separate recording."""
     with convert_read_errors(path), path.open("rb") as stream:
         for _ in range(_FIRST_POINT - 1):
             check_line(stream.readline(LONGEST_LINE + 1))
@@ -404,7 +422,7 @@ def read_scan_asc(path: Path) -> VibrometerScan:
 
 
 def read_scan_channels(path: Path, names: Sequence[str] | None, sample_rate_hz: float | None) -> dict[str, RawChannel]:
-    """Read a scan by `block/point`, both counted from 1; `block` alone where the scan has one point."""
+    """Read a scan by `block/point`, both counted from 1; a single point also by `block`."""
     scan = read_scan_asc(path)
     agreed_rate(path, "the scan", scan.sample_rate_hz, sample_rate_hz)
     present = {
@@ -418,7 +436,7 @@ def read_scan_channels(path: Path, names: Sequence[str] | None, sample_rate_hz: 
 
 
 def _numbers(line: bytes) -> list[float]:
-    """Return a line's numbers, none where it holds anything else."""
+    """Return a line's numbers, none where it has other content."""
     try:
         return [float(cell) for cell in line.translate(_PLAIN).split()]
     except ValueError:
@@ -426,7 +444,7 @@ def _numbers(line: bytes) -> list[float]:
 
 
 def _data(stream: BinaryIO, start: int, stop: int) -> tuple[FloatArray, set[int]]:
-    """Return all numbers behind the acquisition line one after another, and the lengths of their rows."""
+    """Return all numbers after the acquisition line, and the lengths of their rows."""
     parts, widths = [], set()
     for _, block in whole_lines(stream, start, stop):
         rows = plain_rows(block.translate(_PLAIN), "")

@@ -1,4 +1,4 @@
-"""When samples were taken: one representation for the readers of all files, and what files state about time."""
+"""Times of samples: one representation for all readers, and statements of files about time."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ CONTINUOUS = 0.5
 SAME_RATE = 1e-6
 """Relative difference of two statements of one sampling rate that agree."""
 _GRID = 0.01  # sampling intervals by which a stamp may lie off a uniform grid: 0.03 rad of phase at the Nyquist rate
-_ROUNDING = 8.0  # units in the last place of a stamp that a uniform grid may leave
+_ROUNDING = 8.0  # units in the last place by which a stamp may deviate from a uniform grid
 _DIGITS = 0.75  # of the last printed digit: rounding leaves a half, a straight line through few samples a little more
 _COARSE = 0.25  # last printed digit over the sampling interval, from which on stamps may hide a lost sample
 _FINEST_DIGIT = 9  # decimals of a second that numbers without text are searched for: nanoseconds
@@ -41,7 +41,7 @@ _BY_NAME = {name: _FACTORS[unit] for unit, names in _SECONDS.items() for name in
 class SampleTimes:
     """Times of the samples of a channel, in seconds.
 
-    Uniform, they are `start_s` + i / `rate_hz`. Otherwise they are `start_s` + `stamp_s` (S,), ascending from 0, and
+    Uniform times are `start_s` + i / `rate_hz`. Other times are `start_s` + `stamp_s` (S,), ascending from 0, and
     `rate_hz` is one over their median interval.
     """
 
@@ -52,7 +52,7 @@ class SampleTimes:
 
 @dataclass(frozen=True)
 class Segment:
-    """Samples that a file states as taken without a break: `count` of them every `interval_s` from `start_s` on."""
+    """Samples that a file states as uninterrupted: `count` every `interval_s` from `start_s`."""
 
     start_s: float
     count: int
@@ -60,7 +60,7 @@ class Segment:
 
 
 def seconds_of(path: Path, where: str, unit: str) -> float:
-    """Return the seconds in a unit of time as files write it (`ms`, `µs`, `milliseconds since 1970-01-01`).
+    """Return the seconds of a time unit of files (`ms`, `µs`, `milliseconds since 1970-01-01`).
 
     No unit means seconds. `ValueError` names a unit that is none of time.
     """
@@ -73,10 +73,10 @@ def seconds_of(path: Path, where: str, unit: str) -> float:
 
 
 def agreed_rate(path: Path, where: str, stated_hz: float | None, given_hz: float | None, u: float = SAME_RATE) -> float:
-    """Return the sampling rate that a file states, or the one given where it states none.
+    """Return the stated sampling rate of a file, or the given one without.
 
-    `u`: relative difference that the digits of the file's statement leave. Within it the given rate is used, since it
-    knows more. `ValueError` where there is no rate, where it is not positive, or where the two contradict each other.
+    `u` is the relative uncertainty of the stated rate from its digits. Within it the given rate is used, which has more
+    digits. `ValueError` where there is no rate, where it is not positive, or where the two contradict each other.
     """
     rate = given_hz if stated_hz is None else stated_hz
     if rate is None:
@@ -87,31 +87,31 @@ def agreed_rate(path: Path, where: str, stated_hz: float | None, given_hz: float
         return float(rate)
     if not abs(given_hz - rate) <= max(u, SAME_RATE) * rate:
         raise ValueError(
-            f"{path}: {where}: expected sample_rate = {rate:.9g} Hz, which the file states, found {given_hz:.9g} Hz; "
+            f"{path}: {where}: expected sample_rate = {rate:.9g} Hz as in the file, found {given_hz:.9g} Hz; "
             f"correct or remove sample_rate"
         )
     return float(given_hz if u > SAME_RATE else rate)
 
 
 def times_of_segments(path: Path, where: str, segments: Sequence[Segment]) -> SampleTimes:
-    """Return the times of samples that a file holds in segments, each with its own start.
+    """Return the times of samples in segments, each with its start.
 
-    Segments that continue one another are uniform together, by the clock of the samples. Pauses between them stay
-    pauses. `ValueError` where two segments have different rates, or one begins before the other has ended.
+    Segments that continue one another are uniform together, by the clock of the samples. Pauses between them are
+    preserved. `ValueError` where two segments have different rates, or one begins before the previous one has ended.
     """
     first, interval = segments[0], segments[0].interval_s
-    gaps, place = False, 0
+    gaps, index = False, 0
     for before, after in pairwise(segments):
-        place += before.count
+        index += before.count
         if abs(after.interval_s - interval) > SAME_RATE * interval:
             raise ValueError(
-                f"{path}: {where}: expected one sampling rate, found {1.0 / interval:.9g} Hz and, from sample {place} "
+                f"{path}: {where}: expected one sampling rate, found {1.0 / interval:.9g} Hz and, from sample {index} "
                 f"on, {1.0 / after.interval_s:.9g} Hz"
             )
         end = before.start_s + before.count * interval
         if after.start_s < end - CONTINUOUS * interval:
             raise ValueError(
-                f"{path}: {where}: expected a segment that begins at its {end - first.start_s:.6f} s or later, found "
+                f"{path}: {where}: expected a segment that begins at {end - first.start_s:.6f} s or later, found "
                 f"one that begins at {after.start_s - first.start_s:.6f} s, before the last one has ended"
             )
         gaps = gaps or after.start_s > end + CONTINUOUS * interval
@@ -130,18 +130,18 @@ def times_of_stamps(
     digit: float | None = None,
     given_hz: float | None = None,
 ) -> SampleTimes:
-    """Return the times of samples (S,) with a stamp each: numbers in a unit of time, or dates.
+    """Return the times of samples (S,) from stamps: numbers or dates.
 
-    Stamps that differ from a straight line through them by no more than their digits explain are uniform, at the rate
-    of its slope. All others count as they are. `digit`: the last digit that a text prints, in its unit. `given_hz`: a
-    rate that is known otherwise. `ValueError` where the stamps go back, where their digits are so coarse that a lost
-    sample could not be seen and no rate is given, and where they contradict the rate that is given.
+    Numbers are in a time unit. Stamps that deviate from a straight line by no more than their digits explain are
+    uniform, at the rate of its slope. All others are used unchanged. `digit` is the last printed digit of a text, in
+    its unit. `given_hz` is a rate from another source. `ValueError` where stamps decrease, where they contradict the
+    given rate, and where their digits are so coarse that a lost sample would be hidden and no rate is given.
     """
     if len(stamps) < 2:
         raise ValueError(f"{path}: {where}: expected at least 2 samples, found {len(stamps)}")
     time_s, start_s, digit_s = _from_first(path, where, stamps, unit, digit)
     if not np.isfinite(time_s[-1]) or not np.isfinite(np.sum(time_s)):
-        raise ValueError(f"{path}: {where}: expected times, found {int(np.sum(~np.isfinite(time_s)))} that are none")
+        raise ValueError(f"{path}: {where}: expected times, found {int(np.sum(~np.isfinite(time_s)))} invalid ones")
     interval, offset, deviation = _line(time_s)
     if interval <= 0.0:
         raise ValueError(f"{path}: {where}: expected ascending times, found {_backwards(time_s)}")
@@ -172,12 +172,12 @@ def times_of_stamps(
 def _from_first(
     path: Path, where: str, stamps: NDArray[Any], unit: str, digit: float | None
 ) -> tuple[FloatArray, float, float]:
-    """Return seconds (S,) from the first stamp, the first stamp in seconds, and the last digit of all in seconds."""
+    """Return seconds (S,) from the first stamp, that stamp, and the last digit, in seconds."""
     kind = stamps.dtype.kind
     if kind in "mM":
         name, multiple = np.datetime_data(stamps.dtype)
         if name not in _FACTORS or np.isnat(stamps).any():
-            raise ValueError(f"{path}: {where}: expected dates, found {int(np.isnat(stamps).sum())} that are none")
+            raise ValueError(f"{path}: {where}: expected dates, found {int(np.isnat(stamps).sum())} invalid ones")
         ticks, factor, digit = stamps.astype(np.int64), multiple * _FACTORS[name], 1.0
     elif kind in "iuf":
         ticks, factor = stamps, seconds_of(path, where, unit)
@@ -197,9 +197,9 @@ def _from_first(
 
 
 def _last_digit(time_s: FloatArray) -> float:
-    """Return the power of ten (s) of which all times are multiples, 0 where there is none as coarse as 1 ns.
+    """Return the power of ten (s) that divides all times.
 
-    Of whole intervals it says nothing: these are exact.
+    It is 0 if finer than 1 ns. Whole intervals are exact and return 0.
     """
     interval = float(np.median(np.diff(time_s[:_BLOCK])))
     for decimals in range(_FINEST_DIGIT + 1):
@@ -211,9 +211,9 @@ def _last_digit(time_s: FloatArray) -> float:
 
 
 def _line(time_s: FloatArray) -> tuple[float, float, float]:
-    """Return slope, offset and largest deviation of the straight line through times (S,) over their number.
+    """Return slope, offset and largest deviation of the straight line through times (S,).
 
-    Where rounding alone separates them from the line between the first and the last, that line counts.
+    Where only rounding separates them from the line between the first and the last, that line is used.
     """
     count = len(time_s)
     interval, half = float(time_s[-1] - time_s[0]) / (count - 1), (count - 1) / 2.0
@@ -221,9 +221,9 @@ def _line(time_s: FloatArray) -> tuple[float, float, float]:
     parts = [slice(first, first + _BLOCK) for first in range(0, count, _BLOCK)]
     largest = 0.0
     for part in parts:
-        place = np.arange(part.start, min(part.stop, count))
-        off = time_s[part] - interval * place
-        total, moment = total + float(np.sum(off)), moment + float(off @ (place - half))
+        index = np.arange(part.start, min(part.stop, count))
+        off = time_s[part] - interval * index
+        total, moment = total + float(np.sum(off)), moment + float(off @ (index - half))
         largest = max(largest, float(np.max(np.abs(off))))
     if largest <= _ROUNDING * float(np.spacing(np.max(np.abs(time_s)))):
         return interval, 0.0, largest
@@ -238,13 +238,13 @@ def _line(time_s: FloatArray) -> tuple[float, float, float]:
 
 def _backwards(time_s: FloatArray) -> str:
     """Describe the first step that does not go forward."""
-    place = int(np.argmax(~(np.diff(time_s) > 0.0)))
-    step = time_s[place + 1] - time_s[place]
-    return f"a step of {step:.6g} s after sample {place}, {time_s[place]:.6g} s from the first"
+    index = int(np.argmax(~(np.diff(time_s) > 0.0)))
+    step = time_s[index + 1] - time_s[index]
+    return f"a step of {step:.6g} s after sample {index}, {time_s[index]:.6g} s from the first"
 
 
 def first_gap(times: SampleTimes) -> str | None:
-    """Describe where times that are not uniform first leave the grid; None of uniform ones."""
+    """Describe the first deviation of non-uniform times from the grid; None for uniform ones."""
     if times.stamp_s is None:
         return None
     step = np.diff(times.stamp_s)
@@ -253,7 +253,7 @@ def first_gap(times: SampleTimes) -> str | None:
     gaps = off[step[off] > median]
     if not len(gaps):
         return f"intervals between {step.min():.4g} s and {step.max():.4g} s"
-    place = int(gaps[0])
+    index = int(gaps[0])
     more = f", the first of {len(gaps)} gaps" if len(gaps) > 1 else ""
-    where = f"between samples {place} and {place + 1}, {times.stamp_s[place]:.6g} s from the first"
-    return f"{step[place]:.6g} s {where}{more}"
+    where = f"between samples {index} and {index + 1}, {times.stamp_s[index]:.6g} s from the first"
+    return f"{step[index]:.6g} s {where}{more}"

@@ -1,9 +1,9 @@
 """Universal files: data sets 55, 58 and 58b (SDRC/UC-SDRL, "Universal file formats").
 
-The binary form 58b (UC-SDRL, "The binary 58 universal file format") holds the same eleven text records and then the
-numbers of record 12 one after another without field widths or line ends, as many bytes as its first line says. Byte
-order and floating point format stand in that line. For unevenly spaced values of double precision the description
-leaves open whether the abscissa, single precision in the text form, is; the number of bytes tells.
+The binary form 58b (UC-SDRL, "The binary 58 universal file format") has the same eleven text records. Then follow the
+numbers of record 12 without field widths or line ends. The first line states their number of bytes, byte order and
+floating-point format. For unevenly spaced values of double precision the description does not define the precision of
+the abscissa, which is single in the text form. The number of bytes determines it.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ _MARK = b"-1"
 _HEADER = 11  # text records before the numbers of data set 58
 _DIRECTIONS = {0: "", 1: "+X", 2: "+Y", 3: "+Z", 4: "+RX", 5: "+RY", 6: "+RZ"}
 _DIRECTIONS |= {-key: "-" + text[1:] for key, text in _DIRECTIONS.items() if key}
-_NOTHING = ("", "NONE")
+_UNSTATED = ("", "NONE")
 _ORDERS = {1: "<", 2: ">"}
 _IEEE = 2
 _FLOATS = {1: "DEC VMS", 3: "IBM 5/370"}
@@ -36,7 +36,7 @@ _FLOATS = {1: "DEC VMS", 3: "IBM 5/370"}
 
 @dataclass(frozen=True)
 class DataSet:
-    """One data set: its number, the rest of its first line, and its bytes `start` to `stop` in the file."""
+    """One data set: number, rest of its first line, and byte range."""
 
     kind: int
     more: bytes
@@ -47,7 +47,7 @@ class DataSet:
 
 @dataclass(frozen=True)
 class UniversalAxis:
-    """What an axis of a function shows: its label and unit (empty where not stated)."""
+    """Label and unit of an axis of a function, empty where not stated."""
 
     label: str
     unit: str
@@ -55,7 +55,7 @@ class UniversalAxis:
 
 @dataclass(frozen=True)
 class FunctionHeader:
-    """The text records of a function: its kind, points (`12+Z`), form of the numbers and axes."""
+    """Text records of a function: kind, points (`12+Z`), form of the numbers, and axes."""
 
     titles: tuple[str, ...]
     kind: int
@@ -83,7 +83,7 @@ class FunctionHeader:
 
 
 def data_sets(path: Path, stream: BinaryIO) -> Iterator[DataSet]:
-    """Yield the data sets of a file in their order; `ValueError` where an end mark is missing."""
+    """Yield the data sets of a file in order; `ValueError` without an end mark."""
     line = 0
     while text := stream.readline(LONGEST_LINE):
         line += 1
@@ -91,7 +91,7 @@ def data_sets(path: Path, stream: BinaryIO) -> Iterator[DataSet]:
             continue
         if text.strip() != _MARK:
             raise ValueError(f"{path}: line {line}: expected the mark -1 before a data set, found {_shown(text)}")
-        first, place = stream.readline(), line
+        first, line_number = stream.readline(), line
         kind = first[:6].strip()
         if not kind.isdigit():
             raise ValueError(f"{path}: line {line + 1}: expected the number of a data set, found {_shown(first)}")
@@ -106,31 +106,34 @@ def data_sets(path: Path, stream: BinaryIO) -> Iterator[DataSet]:
                     raise ValueError(f"{path}: line {line + 1 + lines}: expected {end}")
                 stop, lines = stop + len(text), lines + 1
         line += lines + 2
-        yield DataSet(int(kind), more, place + 1, start, stop)
+        yield DataSet(int(kind), more, line_number + 1, start, stop)
 
 
 def _skip_binary(path: Path, stream: BinaryIO, more: bytes, line: int) -> int:
-    """Move behind the end mark of a binary data set; return the end of its numbers."""
+    """Skip a binary data set and its end mark; return its last byte."""
     records = [stream.readline() for _ in range(_HEADER)]
-    head, place = function_header(path, records, line), stream.tell()
+    head, position = function_header(path, records, line), stream.tell()
     stated = _integer(more[25:37])
     value = (8 if head.is_double else 4) * (2 if head.is_complex else 1)
     sizes = [head.count * (value + abscissa) for abscissa in ((0,) if head.even else (4, 8))]
     sizes.sort(key=lambda size: size != stated)
     for size in sizes:
-        stream.seek(place + size)
+        stream.seek(position + size)
         tail = stream.readline()
         if not tail.strip():
             tail = stream.readline()
         if tail.strip() == _MARK:
-            return place + size
+            return position + size
     raise ValueError(
         f"{path}: line {line}: expected the end mark -1 after {sizes[0]} bytes of {head.count} values, found none"
     )
 
 
 def function_header(path: Path, records: Sequence[bytes], line: int) -> FunctionHeader:
-    """Return what the eleven text records of data set 58 say; `line` is that of the data set's number."""
+    """Return the content of the eleven text records of data set 58.
+
+    `line` is the line of the data set's number.
+    """
     if len(records) < _HEADER or not records[-1]:
         raise ValueError(f"{path}: line {line}: expected {_HEADER} records of data set 58, found fewer")
     texts = [_decoded(record) for record in records]
@@ -156,7 +159,7 @@ def function_header(path: Path, records: Sequence[bytes], line: int) -> Function
 def function_values(
     path: Path, stream: BinaryIO, data: DataSet, head: FunctionHeader
 ) -> tuple[FloatArray, NDArray[np.float64] | NDArray[np.complex128]]:
-    """Return abscissa (N,) and values (N,) of a function, real or complex as it is stored."""
+    """Return abscissa (N,) and values (N,) of a function, real or complex as stored."""
     stream.seek(data.start)
     for _ in range(_HEADER):
         stream.readline()
@@ -189,7 +192,7 @@ def _binary(path: Path, stream: BinaryIO, data: DataSet, head: FunctionHeader) -
 
 
 def _text(path: Path, stream: BinaryIO, data: DataSet, head: FunctionHeader) -> FloatArray:
-    """Return the numbers of a text function (columns, N), by the field widths of its case or else by blanks."""
+    """Return the numbers of a text function (columns, N), in fixed fields or between blanks."""
     columns = (2 if head.is_complex else 1) + (0 if head.even else 1)
     start = stream.tell()
     if columns * head.count > data.stop - start:
@@ -217,16 +220,19 @@ def _text(path: Path, stream: BinaryIO, data: DataSet, head: FunctionHeader) -> 
 
 
 def fixed_width(lines: Sequence[bytes], widths: Sequence[int]) -> FloatArray | None:
-    """Return the numbers in lines of fixed fields, None where one is no number; the last line may end early."""
+    """Return the numbers in lines of fixed fields, None for other content.
+
+    The last line may end early.
+    """
     total = sum(widths)
     padded = b"".join(line.rstrip(b"\r\n").ljust(total)[:total] for line in lines)
     table = np.frombuffer(padded.translate(_EXPONENT), np.uint8).reshape(-1, total)
     spaced = np.full((len(table), total + len(widths)), ord(" "), np.uint8)
     spaced[:, -1] = ord("\n")
-    place = 0
+    position = 0
     for i, width in enumerate(widths):
-        spaced[:, place + i : place + i + width] = table[:, place : place + width]
-        place += width
+        spaced[:, position + i : position + i + width] = table[:, position : position + width]
+        position += width
     last = free_width(spaced[-1:].tobytes())
     if len(spaced) < 2 or last is None:
         return last
@@ -235,7 +241,7 @@ def fixed_width(lines: Sequence[bytes], widths: Sequence[int]) -> FloatArray | N
 
 
 def free_width(raw: bytes) -> FloatArray | None:
-    """Return the numbers between blanks, None where anything else stands there; Fortran's D is an exponent too."""
+    """Return the numbers between blanks, None for other content; Fortran's D is an exponent too."""
     try:
         return np.array(raw.translate(_EXPONENT).split(), dtype=np.float64)
     except ValueError:
@@ -264,7 +270,7 @@ def _real(text: str) -> float:
 
 def _name(text: str) -> str:
     """Return a field's text, empty for NONE."""
-    return "" if text.strip().upper() in _NOTHING else text.strip()
+    return "" if text.strip().upper() in _UNSTATED else text.strip()
 
 
 def _point(node: str, direction: str) -> str:
@@ -289,10 +295,17 @@ _COMPLEX = 5  # data type of complex values
 
 @dataclass(frozen=True)
 class UniversalShape:
-    """A shape: `value` (N, D) at nodes `node` (N,), D components in the order x, y, z (, rx, ry, rz).
+    """A shape at nodes, from data set 55.
 
-    `analysis` and `quantity` in words ("normal mode", "frequency response"; "displacement", …); `frequency_hz` is NaN
-    where the analysis has none, `damping_ratio` where the file states none, `time_s` except for transients.
+    Attributes
+    ----------
+    node : (N,), node numbers.
+    value : (N, D), D components in the order x, y, z (, rx, ry, rz).
+    analysis, quantity : in words ("normal mode", "frequency response"; "displacement", …).
+    frequency_hz : frequency in Hz, NaN where the analysis has none.
+    damping_ratio : NaN where the file states none.
+    time_s : time of a transient in s, else NaN.
+    titles : text lines of the data set.
     """
 
     node: IntArray
@@ -310,8 +323,24 @@ class UniversalShape:
 
 
 def read_universal_shapes(path: str | Path) -> tuple[UniversalShape, ...]:
-    """Read all shapes of a universal file, in its order; data sets of other kinds are passed over.
+    """Read all shapes of a universal file in their order; other data sets are skipped.
 
+    Parameters
+    ----------
+    path
+        The file.
+
+    Returns
+    -------
+    One `UniversalShape` for each data set 55.
+
+    Raises
+    ------
+    OSError, ValueError
+        The file cannot be read.
+
+    Examples
+    --------
     >>> from shaker import read_universal_shapes
     >>> entries = read_universal_shapes("modes.unv")  # doctest: +SKIP
     """
@@ -326,16 +355,16 @@ def read_universal_shapes(path: str | Path) -> tuple[UniversalShape, ...]:
 
 
 def _shape(path: Path, line: int, lines: list[bytes]) -> UniversalShape:
-    """Return the shape that the lines of one data set hold."""
+    """Return the shape in the lines of one data set."""
     if len(lines) < 8:
         raise ValueError(f"{path}: line {line}: expected at least 8 records of data set 55, found {len(lines)}")
     _, analysis, _, quantity, data_type, components = _integers(lines[5], 6)
     counts = _integers(lines[6], 2)
-    place = 7 + (2 + counts[0] - 1) // 8  # eight whole numbers a line, its two counts among them
+    first_real_line = 7 + (2 + counts[0] - 1) // 8  # eight whole numbers a line, its two counts among them
     real_lines = max(1, -(-counts[1] // 6))
-    reals = _reals(path, line, lines[place : place + real_lines])
+    reals = _reals(path, line, lines[first_real_line : first_real_line + real_lines])
     values = components * (2 if data_type == _COMPLEX else 1)
-    rows, each = [text for text in lines[place + real_lines :] if text.strip()], 1 + max(1, -(-values // 6))
+    rows, each = [text for text in lines[first_real_line + real_lines :] if text.strip()], 1 + max(1, -(-values // 6))
     if not rows or len(rows) % each:
         raise ValueError(f"{path}: line {line}: expected {each} lines for every node, found {len(rows)} in all")
     node = np.array([_integers(text, 1)[0] for text in rows[::each]], dtype=np.int64)
@@ -374,7 +403,10 @@ def _integers(text: bytes, count: int) -> list[int]:
 
 
 def _reals(path: Path, line: int, lines: list[bytes], count: int | None = None) -> np.ndarray:
-    """Return the numbers of records of format 6E13.5, or between blanks, `count` of them where it is known."""
+    """Return the numbers of records of format 6E13.5, or between blanks.
+
+    `count` is their number where it is stated.
+    """
     for values in (fixed_width(lines, (13,) * 6), free_width(b" ".join(lines))):
         if values is not None and count in (None, len(values)):
             return values
@@ -394,12 +426,12 @@ _KINDS = (
 
 @dataclass(frozen=True)
 class UniversalFunction:
-    """A function of data set 58: `value` (N,), real or complex as stored, over `abscissa` (N,).
+    """A function of data set 58: `value` (N,) over `abscissa` (N,).
 
-    `kind` in words ("frequency response", "spectrum", …); `response` and `reference` are node and direction (`12+Z`);
-    `unit` is the ordinate's, over that of its denominator where it has one (`(m/s^2)/N`); texts are empty where the
-    file says nothing. Frequency responses follow the file's own sign; universal files state none, and exp(+jωt) is
-    usual.
+    Values are real or complex as stored. `kind` is in words ("frequency response", "spectrum", …). `response` and
+    `reference` are node and direction (`12+Z`). `unit` is that of the ordinate, divided by that of its denominator
+    where it has one (`(m/s^2)/N`). Texts are empty where the file has none. Frequency responses keep the sign
+    convention of the file. Universal files state none; exp(+jωt) is usual.
     """
 
     name: str
@@ -420,12 +452,11 @@ class UniversalFunction:
 def read_universal(path: Path, names: Sequence[str] | None, sample_rate_hz: float | None) -> dict[str, RawChannel]:
     """Read the time responses of a universal file.
 
-    A channel is called by its response entity name where it has one, else by the label of its ordinate, else by node
-    and direction (`12+Z`); names that occur twice get node and direction after them (`Mic 3+X`), and where these do
-    not tell them apart either, the place in the file (`Mic #2`). Its unit is the ordinate's units label, the unit of
-    time that of the abscissa (s without one). Data sets of other kinds are passed over. Text headers hold the sampling
-    interval with six digits, so a clock read from them may be wrong by several parts in 10⁷; the trigger edges put that
-    right.
+    The name of a channel is its response entity name, else the label of its ordinate, else node and direction (`12+Z`).
+    Names that occur twice get node and direction appended (`Mic 3+X`). If they are still equal, their position in the
+    file is appended (`Mic #2`). The unit of the channel is the ordinate's units label; the time unit is that of the
+    abscissa (s without one). Other data sets are skipped. Text headers have a sampling interval of six digits, so that
+    a clock read from them may be wrong by several parts in 10⁷. The trigger edges correct that.
     """
     headers = _headers(path)
     present = {name: item for name, item in _named(headers).items() if item[1].kind == _TIME_RESPONSE}
@@ -449,8 +480,24 @@ def read_universal(path: Path, names: Sequence[str] | None, sample_rate_hz: floa
 
 
 def read_universal_functions(path: str | Path) -> tuple[UniversalFunction, ...]:
-    """Read all functions of data set 58 of a universal file: frequency responses, spectra, and time responses.
+    """Read all functions of data set 58: frequency responses, spectra, and time responses.
 
+    Parameters
+    ----------
+    path
+        The file.
+
+    Returns
+    -------
+    One `UniversalFunction` for each data set 58, in the order of the file.
+
+    Raises
+    ------
+    OSError, ValueError
+        The file cannot be read.
+
+    Examples
+    --------
     >>> from shaker import read_universal_functions
     >>> entries = read_universal_functions("modes.unv")  # doctest: +SKIP
     """

@@ -1,9 +1,9 @@
-"""Universal files written: units (164), nodes (2411), shapes (55), functions (58, 58b); as `universal` reads them.
+"""Writers of universal files: units (164), nodes (2411), shapes (55), functions (58, 58b).
 
-Doubles throughout: 58b has unevenly spaced abscissas in double precision, as other programs read it; text has 13
-digits of values and six of an uneven abscissa. Where six digits do not hold start and interval of even spacing, eight
-are written, which fill their field. Exponents have an E, which Fortran's format D reads, too, and other programs need;
-the end mark follows binary numbers at once.
+All numbers are doubles. 58b has unevenly spaced abscissas in double precision, as other programs read it. Text has 13
+digits of values and six of an uneven abscissa. Where six digits cannot represent start and interval of even spacing,
+eight are written, which fill their field. Exponents have an E, which Fortran's format D also reads and other programs
+need. The end mark follows binary numbers at once. `universal` reads these files.
 """
 
 from __future__ import annotations
@@ -24,13 +24,13 @@ _QUANTITIES = {
     "m": 8, "rad": 8, "m/s": 11, "rad/s": 11, "m/s^2": 12, "rad/s^2": 12, "N": 13, "N.m": 13, "s": 17, "Hz": 18,
 }  # fmt: skip
 """Specific data type of a unit: displacement, velocity, acceleration, excitation force, time, frequency; 1: general."""
-_EXACT = 1e-9  # relative, of what counts as the same number
+_EXACT = 1e-9  # relative difference of numbers that count as equal
 _ANALYSES = {"normal mode": 2, "frequency response": 5}
 _SHAPES = {"displacement": 8, "velocity": 11, "acceleration": 12}
 
 
 def universal_units() -> bytes:
-    """Return data set 164: everything is SI."""
+    """Return data set 164: all units are SI."""
     factors = [f"{f:25.16E}" for f in (1.0, 1.0, 1.0, 273.15)]
     return _text_set(164, [f"{1:10d}{'SI: meter (newton)':20s}{2:10d}", "".join(factors[:3]), factors[3]])
 
@@ -39,13 +39,13 @@ def universal_nodes(node: IntArray, position_m: FloatArray) -> bytes:
     """Return data set 2411: nodes (N,) at `position_m` (N, 3)."""
     check_shape("position_m", position_m, (len(node), 3))
     lines = []
-    for number, place in zip(node.tolist(), position_m.tolist(), strict=True):
-        lines += [f"{number:10d}{1:10d}{1:10d}{11:10d}", "".join(f"{x:25.16E}" for x in place)]
+    for number, coordinates in zip(node.tolist(), position_m.tolist(), strict=True):
+        lines += [f"{number:10d}{1:10d}{1:10d}{11:10d}", "".join(f"{x:25.16E}" for x in coordinates)]
     return _text_set(2411, lines)
 
 
 def universal_shape(shape: UniversalShape, number: int) -> bytes:
-    """Return data set 55: a normal mode or a frequency response at nodes, with three or six components."""
+    """Return data set 55: a normal mode or frequency response with three or six components."""
     if shape.analysis not in _ANALYSES or shape.value.shape[1] not in (3, 6):
         raise ValueError(f"shape: expected {' or '.join(_ANALYSES)} of 3 or 6 components, found {shape.analysis}")
     analysis, complex_values = _ANALYSES[shape.analysis], bool(np.iscomplexobj(shape.value) and shape.value.imag.any())
@@ -63,7 +63,7 @@ def universal_shape(shape: UniversalShape, number: int) -> bytes:
 
 
 def universal_function(function: UniversalFunction, *, binary: bool = True) -> bytes:
-    """Return data set 58, or 58b if `binary`: a function over time or frequency in double precision."""
+    """Return data set 58, or 58b if `binary`: a function over time or frequency."""
     x, y = function.abscissa, function.value
     start, step = _spacing(function)
     even = step != ""
@@ -81,9 +81,9 @@ def universal_function(function: UniversalFunction, *, binary: bool = True) -> b
 
 
 def _spacing(function: UniversalFunction) -> tuple[str, str]:
-    """Return start and interval of an abscissa as texts; both empty where even spacing does not hold it.
+    """Return start and interval of an evenly spaced abscissa as texts; both empty for others.
 
-    Times may be off by a hundredth of the interval, which every recorder's clock exceeds; frequencies stand exactly.
+    Times may be off by a hundredth of the interval, which every recorder's clock exceeds; frequencies must be exact.
     """
     x = function.abscissa
     if len(x) < 2:
@@ -104,7 +104,7 @@ def _header(function: UniversalFunction, start: str, step: str) -> list[str]:
     numerator, denominator = function.unit, ""
     if parts := re.fullmatch(r"\((.*)\)/\((.*)\)", function.unit):
         numerator, denominator = parts[1], parts[2]
-    response, reference = (f"{node:10d}{direction:4d}" for node, direction in map(_place, _ends(function)))
+    response, reference = (f"{node:10d}{direction:4d}" for node, direction in map(_node_and_direction, _ends(function)))
     ordinate = 6 if np.iscomplexobj(function.value) else 4
     spacing = f"{int(step != ''):10d}{start or f'{0.0:13.5E}'}{step or f'{0.0:13.5E}'}{0.0:13.5E}"
     return [
@@ -116,7 +116,7 @@ def _header(function: UniversalFunction, start: str, step: str) -> list[str]:
 
 
 def _axis(unit: str) -> str:
-    """The record of an axis: what it shows, and its unit."""
+    """Return the record of an axis: its quantity and unit."""
     kind = _QUANTITIES.get(unit, 1) if unit else 0
     return f"{kind:10d}{0:5d}{0:5d}{0:5d} {'NONE':20s} {_ascii(unit, 20) or 'NONE':20s}"
 
@@ -125,7 +125,7 @@ def _ends(function: UniversalFunction) -> tuple[str, str]:
     return function.response, function.reference
 
 
-def _place(point: str) -> tuple[int, int]:
+def _node_and_direction(point: str) -> tuple[int, int]:
     """Return node and direction of a point such as 12+Z or 12-RX."""
     found = re.fullmatch(r"(\d*)([+-]?)(R?[XYZ])?", point)
     if found is None:
@@ -134,12 +134,12 @@ def _place(point: str) -> tuple[int, int]:
 
 
 def _titles(titles: Sequence[str]) -> list[str]:
-    """The five records for people."""
+    """Return the title records."""
     return [_ascii(title, 80) or "NONE" for title in (*titles, *[""] * 5)[:5]]
 
 
 def _ascii(text: str, length: int) -> str:
-    """Return a text as fields hold it."""
+    """Return a text in the characters and length of a field."""
     return "".join(c if " " <= c <= "~" else "?" for c in text)[:length].strip()
 
 

@@ -1,1 +1,1 @@
-"""Which lines a record has, and which of them sampling can tell apart."""
+"""Lines of a record, and rates that separate them."""

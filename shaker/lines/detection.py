@@ -1,4 +1,4 @@
-"""Every line of a record, and what it is: driven, harmonic, mains, alias."""
+"""Detection and naming of the lines of a record: driven, harmonic, mains, alias."""
 
 from __future__ import annotations
 
@@ -10,11 +10,12 @@ from typing import Any, Literal
 import numpy as np
 
 from shaker.arrays import BoolArray, FloatArray, Stacked, check_shape, check_shapes
+from shaker.lines.line_detection_notices import NO_NOMINAL_LINE, TOO_MANY_LINES
 from shaker.lines.peaks import MOST_LINES, FloorSpectrum, Peaks, find_peaks
 from shaker.sine.aliasing import CAPTURE, alias_frequency, frequency_of_alias
 from shakercal._common.notices import Notice
 
-# What a line most likely is: fundamental, multiple or part of one, combination, mains, side band, or unexplained.
+# Most likely explanation of a line.
 
 Kind = Literal[
     "fundamental",
@@ -27,28 +28,28 @@ Kind = Literal[
     "side band",
     "unexplained",
 ]
-MAINS_HZ = (50.0, 60.0)
-MAINS_MULTIPLES = 20
+MAINS_HZ = (50.0, 60.0)  # nominal frequencies of public grids
+MAINS_MULTIPLES = 20  # highest harmonic of the mains that is named; chosen
 _MAINS_ALONE = 7  # highest multiple taken for mains without another mains line to prove it
-MAX_MULTIPLE = 40
-_LOW_MULTIPLE = 10  # of a folded harmonic that is told beside another explanation
+MAX_MULTIPLE = 40  # highest harmonic that is named; chosen
+_LOW_MULTIPLE = 10  # highest multiple of an aliased harmonic that is mentioned in addition to another explanation
 _MAINS_TOLERANCE = 2e-3  # relative: how far a grid strays
 _TOLERANCE_U = 4.0  # standard uncertainties within which two frequencies agree
 _TOLERANCE_BINS = 0.2  # and resolutions
 _SIMPLE_ORDERS, _HIGHER_ORDERS = range(2, 4), range(4, 6)  # m + n of the combinations m·f1 ± n·f2
-_FUNDAMENTAL = 0.01  # of the strongest line: below it, what nothing explains is unexplained, not another fundamental
+_FUNDAMENTAL = 0.01  # of the strongest line: a weaker line without explanation is no fundamental
 _BASE = 0.05  # of a line that is to be a harmonic of it: the weakest fundamental
-_PROOF = 1e-3  # of the line that is to be a harmonic: what a further multiple must reach
+_PROOF = 1e-3  # of the line that is to be a harmonic: smallest further multiple that proves it
 _HUM = 0.2  # of the strongest line: the largest mains line that is not taken for a fundamental
-_SMALLER = 0.5  # of the fundamental: the largest side band, combination, part of it or folded harmonic
-_ALIKE = 2.0  # ratio up to which two side bands are a pair
-_DIVISORS = (2, 3)
+_SMALLER = 0.5  # of the fundamental: the largest side band, combination, part of it or aliased harmonic
+_PAIR_RATIO = 2.0  # ratio up to which two side bands are a pair
+_DIVISORS = (2, 3)  # of the sub-harmonics that are named
 _PERHAPS = 0.1  # expected number of chance coincidences from which a name is doubtful
 
 
 @dataclass(frozen=True)
 class LineOrigin:
-    """What a line is: kind, the words for it, fundamental it belongs to (Hz, NaN where none), and its multiple."""
+    """Explanation of a line: kind, description, fundamental (Hz, NaN without one), and multiple."""
 
     kind: Kind
     text: str
@@ -61,7 +62,7 @@ UNEXPLAINED = LineOrigin("unexplained", "unexplained")
 
 @dataclass(frozen=True)
 class DetectedLines:
-    """Lines to be explained: `frequency_hz`, `u_hz`, `strength` (L,) relative to the strongest, and their sampling."""
+    """Lines to be explained, with frequency, uncertainty and relative strength (L,)."""
 
     frequency_hz: FloatArray
     u_hz: FloatArray
@@ -71,8 +72,8 @@ class DetectedLines:
 
 
 @dataclass
-class _State:
-    """Names found so far, and the fundamentals they rest on: in Hz, with uncertainty and strength, strongest first."""
+class _Naming:
+    """Names found so far, and the fundamentals in use."""
 
     lines: DetectedLines
     fundamentals: FloatArray = field(default_factory=lambda: np.empty((3, 0)))
@@ -81,42 +82,42 @@ class _State:
 
     def accept(self, frequency: float, u: float, strength: float) -> None:
         """Add a fundamental."""
-        place = int(np.searchsorted(-self.fundamentals[2], -strength, side="right"))
-        self.fundamentals = np.insert(self.fundamentals, place, (frequency, u, strength), axis=1)
+        index = int(np.searchsorted(-self.fundamentals[2], -strength, side="right"))
+        self.fundamentals = np.insert(self.fundamentals, index, (frequency, u, strength), axis=1)
 
     def tolerance(self, i: int, u_other: FloatArray | float) -> FloatArray:
-        """Return within which distance line i agrees with predictions of these uncertainties."""
+        """Return the distance within which line i agrees with predictions of these uncertainties."""
         u = np.hypot(self.lines.u_hz[i], u_other)
         return np.asarray(np.maximum(_TOLERANCE_U * u, _TOLERANCE_BINS * self.lines.resolution_hz))
 
-    def fits(self, i: int, wanted: FloatArray | float, u_wanted: FloatArray | float) -> BoolArray:
-        """Tell whether line i lies where `wanted` appears in the spectrum."""
-        place = np.abs(wanted - self.lines.rate_hz * np.round(np.divide(wanted, self.lines.rate_hz)))
-        return np.asarray(np.abs(place - self.lines.frequency_hz[i]) <= self.tolerance(i, u_wanted))
+    def fits(self, i: int, predicted: FloatArray | float, u_predicted: FloatArray | float) -> BoolArray:
+        """Return whether line i lies at the alias of a predicted frequency."""
+        alias = np.abs(predicted - self.lines.rate_hz * np.round(np.divide(predicted, self.lines.rate_hz)))
+        return np.asarray(np.abs(alias - self.lines.frequency_hz[i]) <= self.tolerance(i, u_predicted))
 
-    def find(self, wanted: float, u_wanted: float) -> int | None:
+    def find(self, predicted: float, u_predicted: float) -> int | None:
         """Return the line nearest to a frequency, None where none agrees."""
-        if wanted >= self.lines.rate_hz / 2.0:
+        if predicted >= self.lines.rate_hz / 2.0:
             return None
-        i = int(np.argmin(np.abs(self.lines.frequency_hz - wanted)))
-        return i if self.fits(i, wanted, u_wanted) else None
+        i = int(np.argmin(np.abs(self.lines.frequency_hz - predicted)))
+        return i if self.fits(i, predicted, u_predicted) else None
 
-    def perhaps(self, i: int, places: float) -> str:
-        """Return a word of doubt where so many predicted places hit a line by chance."""
-        chance = places * 4.0 * float(self.tolerance(i, 0.0)) / self.lines.rate_hz
+    def perhaps(self, i: int, predictions: float) -> str:
+        """Return "perhaps " where a chance coincidence with one of the predictions is likely."""
+        chance = predictions * 4.0 * float(self.tolerance(i, 0.0)) / self.lines.rate_hz
         return "perhaps " if chance > _PERHAPS else ""
 
 
 def name_lines(lines: DetectedLines, fundamental_hz: FloatArray | None = None) -> tuple[LineOrigin, ...]:
-    """Return what each line is, with the fundamentals given, or with those that explain the most.
+    """Return the explanation of each line, with given fundamentals or those that explain most.
 
-    Without any given, lines are taken in the order of their strength. One that no fundamental so far explains becomes
-    a fundamental itself, or, where there is a line at its half, third, … and a further multiple of that which it does
-    not explain, a harmonic of it: the strongest line may be the second harmonic, but a lone sub-harmonic is not the
-    fundamental. Mains and pairs of side bands are told first; what is weaker than a hundredth of the strongest line and
-    explained by nothing is no fundamental.
+    Without given fundamentals, lines are examined in the order of their strength. A line that no fundamental explains
+    becomes a fundamental. With a line at its half, third, … and a further multiple of that which it does not explain,
+    it becomes a harmonic instead. The strongest line may thus be the second harmonic, but a single sub-harmonic is not
+    the fundamental. Mains and pairs of side bands are named first. An unexplained line weaker than a hundredth of the
+    strongest one is no fundamental.
     """
-    state, strongest_first = _State(lines), np.argsort(-lines.strength, kind="stable").tolist()
+    state, strongest_first = _Naming(lines), np.argsort(-lines.strength, kind="stable").tolist()
     for f in () if fundamental_hz is None else fundamental_hz:
         _accept(state, float(f))
     for i in strongest_first if fundamental_hz is None else ():
@@ -135,8 +136,8 @@ def name_lines(lines: DetectedLines, fundamental_hz: FloatArray | None = None) -
     return tuple(state.origins[i] for i in range(len(lines.frequency_hz)))
 
 
-def _accept(state: _State, frequency: float, index: int | None = None) -> None:
-    """Take a frequency as a fundamental and name its line where there is one."""
+def _accept(state: _Naming, frequency: float, index: int | None = None) -> None:
+    """Accept a frequency as a fundamental and name its line where there is one."""
     if index is None:
         folded = float(alias_frequency(frequency, state.lines.rate_hz))
         index = state.find(folded, 0.0) if len(state.lines.frequency_hz) else None
@@ -151,8 +152,8 @@ def _accept(state: _State, frequency: float, index: int | None = None) -> None:
         state.origins[index] = LineOrigin("fundamental", f"fundamental{above}{doubt}", frequency, 1)
 
 
-def _lowest(state: _State, i: int) -> int:
-    """Return the line of which line i is a harmonic, with a further multiple to prove it; i itself where none is."""
+def _lowest(state: _Naming, i: int) -> int:
+    """Return the line of which line i is a proven harmonic, else i."""
     f, u = float(state.lines.frequency_hz[i]), float(state.lines.u_hz[i])
     strength = state.lines.strength
     for m in reversed(_DIVISORS):
@@ -165,8 +166,8 @@ def _lowest(state: _State, i: int) -> int:
     return i
 
 
-def _explain(state: _State, i: int) -> LineOrigin | None:
-    """Return the simplest explanation of a line, None where there is none; with a low folded harmonic as another."""
+def _explain(state: _Naming, i: int) -> LineOrigin | None:
+    """Return the simplest explanation of a line, None without one."""
     plain = _harmonic(state, i) or _mains(state, i, range(1, 2))
     if plain is not None:
         return plain
@@ -184,8 +185,8 @@ def _explain(state: _State, i: int) -> LineOrigin | None:
     return replace(found, text=found.text + other)
 
 
-def _harmonic(state: _State, i: int) -> LineOrigin | None:
-    """Explain a line as a multiple of a fundamental, the lowest there is."""
+def _harmonic(state: _Naming, i: int) -> LineOrigin | None:
+    """Explain a line as the lowest fitting multiple of a fundamental."""
     f, u, strength = state.fundamentals
     m = np.round(state.lines.frequency_hz[i] / f)
     fits = (m >= 2) & (m <= MAX_MULTIPLE) & (m * f < state.lines.rate_hz / 2.0) & state.fits(i, m * f, m * u)
@@ -196,8 +197,8 @@ def _harmonic(state: _State, i: int) -> LineOrigin | None:
     return LineOrigin("harmonic", text, float(f[best]), int(m[best]))
 
 
-def _mains(state: _State, i: int, multiples: range) -> LineOrigin | None:
-    """Explain a line by the grid; once one of its lines is found, the others must be multiples of that one's."""
+def _mains(state: _Naming, i: int, multiples: range) -> LineOrigin | None:
+    """Explain a line as a multiple of the mains frequency."""
     f, u = float(state.lines.frequency_hz[i]), float(state.lines.u_hz[i])
     for mains in MAINS_HZ if state.lines.strength[i] < _HUM else ():
         m = round(f / mains)
@@ -213,8 +214,8 @@ def _mains(state: _State, i: int, multiples: range) -> LineOrigin | None:
     return None
 
 
-def _sub_harmonic(state: _State, i: int) -> LineOrigin | None:
-    """Explain a line as a half or a third of a fundamental, or, where that is there, as a multiple of it."""
+def _sub_harmonic(state: _Naming, i: int) -> LineOrigin | None:
+    """Explain a line as half or third of a fundamental, or its multiple."""
     f, u, strength = state.fundamentals[..., None]
     part = np.array(_DIVISORS)
     k = np.round(part * state.lines.frequency_hz[i] / f)
@@ -226,55 +227,56 @@ def _sub_harmonic(state: _State, i: int) -> LineOrigin | None:
     return None
 
 
-def _combination(state: _State, i: int, orders: range, folded: bool = False) -> LineOrigin | None:
-    """Explain a line as the simplest combination of two stronger fundamentals, in band or folded."""
-    known = state.fundamentals[:2, _SMALLER * state.fundamentals[2] > state.lines.strength[i]]
-    places = state.fundamentals.shape[1] * (state.fundamentals.shape[1] - 1) * orders[-1]
-    for order in orders if known.shape[1] > 1 else ():
-        found = _sum(state, i, known, order, folded)
+def _combination(state: _Naming, i: int, orders: range, folded: bool = False) -> LineOrigin | None:
+    """Explain a line as the simplest combination of two stronger fundamentals, in band or aliased."""
+    available = state.fundamentals[:2, _SMALLER * state.fundamentals[2] > state.lines.strength[i]]
+    predictions = state.fundamentals.shape[1] * (state.fundamentals.shape[1] - 1) * orders[-1]
+    for order in orders if available.shape[1] > 1 else ():
+        found = _sum(state, i, available, order, folded)
         if found is not None:
             (m, f1), (n, f2) = found
-            wanted = m * f1 + n * f2
-            # Its positive part is told first.
-            told = found if n > 0 or wanted >= 0.0 else ((-n, f2), (-m, f1))
-            first, second = (f"{abs(k)}·{f:.6g}" if abs(k) > 1 else f"{f:.6g}" for k, f in told)
-            text = f"{state.perhaps(i, places)}combination {first} {'+' if n > 0 else '-'} {second} Hz"
+            predicted = m * f1 + n * f2
+            # The positive part is written first.
+            positive_first = found if n > 0 or predicted >= 0.0 else ((-n, f2), (-m, f1))
+            first, second = (f"{abs(k)}·{f:.6g}" if abs(k) > 1 else f"{f:.6g}" for k, f in positive_first)
+            text = f"{state.perhaps(i, predictions)}combination {first} {'+' if n > 0 else '-'} {second} Hz"
             if folded:
-                return LineOrigin("folded combination", f"{text}, folded from {abs(wanted):.6g} Hz")
+                return LineOrigin("folded combination", f"{text}, aliased from {abs(predicted):.6g} Hz")
             return LineOrigin("combination", text)
     return None
 
 
 def _sum(
-    state: _State, i: int, known: FloatArray, order: int, folded: bool
+    state: _Naming, i: int, available: FloatArray, order: int, folded: bool
 ) -> tuple[tuple[int, float], tuple[int, float]] | None:
-    """Return (m, f1), (n, f2) of the strongest pair of fundamentals for which line i is m·f1 + n·f2, |m| + |n| = order.
+    """Return the strongest pair of fundamentals that explains line i.
 
-    Of `known` (2, F), frequencies and their uncertainties, each is taken as f1, and f2 looked for among all in order.
+    The result is (m, f1), (n, f2) with line i = m·f1 + n·f2. |m| + |n| = order. Each of `available` (2, F), frequencies
+    and their uncertainties, is tried as f1, and f2 is searched for among all.
     """
-    f, u = known
+    f, u = available
     rate_hz = state.lines.rate_hz
     terms = np.array([(m, sign * (order - m)) for m in range(1, order) for sign in (1, -1)], dtype=np.float64)
     seen = float(state.lines.frequency_hz[i])
     # Where the line may come from; m·f1 + n·f2 may be negative.
     turns = range(1, round(order * float(f.max()) / rate_hz) + 1) if folded else ()
     origin = [turn * rate_hz + part for turn in turns for part in (seen, -seen)] if folded else [seen]
-    origin += [-place for place in origin]
+    origin += [-frequency for frequency in origin]
     ascending = np.argsort(f)
     m, n = terms.T[..., None, None]
     partner = (np.array(origin)[:, None] - m * f) / n
-    # As wide as the least certain pair asks for, and rounding: what is found is looked at exactly.
+    # As wide as the least certain pair and rounding need; matches are then tested exactly.
     reach = (float(state.tolerance(i, order * float(u.max()))) + 1e-9 * rate_hz) / np.abs(n)
     low, high = (np.searchsorted(f[ascending], partner + sign * reach) for sign in (-1, 1))
-    here = np.argwhere(high > low)
+    matches = np.argwhere(high > low)
     count = (high - low)[high > low]
-    term, _, one = np.repeat(here, count, axis=0).T
+    term, _, one = np.repeat(matches, count, axis=0).T
     within = np.arange(len(term)) - np.repeat(np.cumsum(count) - count, count)
     other = ascending[np.repeat(low[high > low], count) + within]
     m, n = terms[term].T
-    wanted = np.abs(m * f[one] + n * f[other])
-    fits = (other > one) & (wanted > 0.0) & ((wanted >= rate_hz / 2.0) == folded)
-    fits &= state.fits(i, wanted, np.hypot(m * u[one], n * u[other]))
+    predicted = np.abs(m * f[one] + n * f[other])
+    fits = (other > one) & (predicted > 0.0) & ((predicted >= rate_hz / 2.0) == folded)
+    fits &= state.fits(i, predicted, np.hypot(m * u[one], n * u[other]))
     if not np.any(fits):
         return None
     term, one, other = term[fits], one[fits], other[fits]
@@ -283,8 +285,8 @@ def _sum(
     return (int(m1), float(f[a])), (int(n1), float(f[b]))
 
 
-def _folded(state: _State, i: int) -> LineOrigin | None:
-    """Explain a line as a harmonic above the Nyquist frequency that no filter kept out."""
+def _folded(state: _Naming, i: int) -> LineOrigin | None:
+    """Explain a line as an aliased harmonic above the Nyquist frequency."""
     f, u, strength = state.fundamentals
     m = np.arange(2, MAX_MULTIPLE + 1)[:, None]
     beyond = (m * f >= state.lines.rate_hz / 2.0) & (state.lines.strength[i] < _SMALLER * strength)
@@ -293,12 +295,12 @@ def _folded(state: _State, i: int) -> LineOrigin | None:
         return None
     multiple, base = int(m[fits[0, 0], 0]), float(f[fits[0, 1]])
     doubt = state.perhaps(i, multiple * len(f))
-    text = f"{doubt}harmonic {multiple} of {base:.6g} Hz, folded from {multiple * base:.6g} Hz"
+    text = f"{doubt}harmonic {multiple} of {base:.6g} Hz, aliased from {multiple * base:.6g} Hz"
     return LineOrigin("folded harmonic", text, base, multiple)
 
 
-def _side_band(state: _State, i: int) -> LineOrigin | None:
-    """Explain a line by the modulation of a stronger one: a partner of like height on the other side, or mains."""
+def _side_band(state: _Naming, i: int) -> LineOrigin | None:
+    """Explain a line as one of two equal side bands of a stronger line."""
     lines = state.lines
     frequency, u = float(lines.frequency_hz[i]), float(lines.u_hz[i])
     named = [j for j, origin in state.origins.items() if origin.kind in ("fundamental", "harmonic")]
@@ -306,39 +308,48 @@ def _side_band(state: _State, i: int) -> LineOrigin | None:
         carrier = float(lines.frequency_hz[j])
         if lines.strength[i] > _SMALLER * lines.strength[j] or i == j:
             continue
-        apart = frequency - carrier
-        partner = state.find(carrier - apart, float(np.hypot(u, 2.0 * lines.u_hz[j]))) if apart < carrier else None
+        distance = frequency - carrier
+        partner = (
+            state.find(carrier - distance, float(np.hypot(u, 2.0 * lines.u_hz[j]))) if distance < carrier else None
+        )
         if partner is None or partner == i or partner in named:
             continue
         ratio = float(lines.strength[partner] / lines.strength[i])
-        if 1.0 / _ALIKE <= ratio <= _ALIKE:
-            text = f"side band of {carrier:.6g} Hz at {'+' if apart > 0 else '-'}{abs(apart):.4g} Hz"
+        if 1.0 / _PAIR_RATIO <= ratio <= _PAIR_RATIO:
+            text = f"side band of {carrier:.6g} Hz at {'+' if distance > 0 else '-'}{abs(distance):.4g} Hz"
             return LineOrigin("side band", state.perhaps(i, len(named)) + text, carrier)
     return None
 
 
-# Every line of a record, how far it stands out of the noise, and what it most likely is.
+# Every line of a record, its level over the noise, and its explanation.
 
 FALSE_ALARM = 1e-3  # probability that noise alone adds any line to the list
 _SAME_BINS = 0.75  # lines of two channels closer than this are one
-_EXPECTED_MULTIPLE = 20
-_EXPECTED_MAINS = 7
+_EXPECTED_MULTIPLE = 20  # highest multiple of a fundamental that is expected; chosen
+_EXPECTED_MAINS = 7  # highest multiple of the mains that is expected; chosen
 _FEWEST = 32  # samples
 _MOST_COMBINED = 6  # fundamentals whose sums and differences are expected
-_FLOOR_POINTS = 400
-_KEPT = 1 << 24  # bins of spectra that are kept from the first look for the second
+_FLOOR_POINTS = 400  # of the decimated noise floor, enough for a figure
+_MAX_STORED_BINS = 1 << 24  # bins of spectra that are stored from the first search for the second: 256 MiB
 _PER_LINE = ("frequency_hz", "u_frequency_hz", "amplitude", "u_amplitude", "snr")
 _HANN_NOISE = 3.0  # noise power in a Hann bin over the variance of a fitted quadrature: 6 σ²/N over 2 σ²/N
 
 
 @dataclass(frozen=True)
 class Survey:
-    """Lines of a record in ascending frequency, as they stand in its spectrum (folded lines at their alias).
+    """Lines of a record in ascending frequency.
 
-    `frequency_hz`, `u_frequency_hz` (L,); `amplitude`, `u_amplitude` (L, C) peak amplitude in each channel with the
-    standard uncertainty from its noise, NaN where the line does not stand out of that channel; `snr` (L,) power of the
-    line over the noise power in a bin of the Hann spectrum, the best of the channels; `origin` (L,) what it most likely
-    is. `floor_hz` (B,), `floor` (B, C): the noise floor as amplitude per bin, thinned.
+    Aliased lines are at their alias.
+
+    Attributes
+    ----------
+    frequency_hz, u_frequency_hz : (L,), in Hz.
+    amplitude, u_amplitude : (L, C), peak amplitude in each channel with standard uncertainty from noise, NaN where the
+        line does not exceed the noise of that channel.
+    snr : (L,), power of the line over the noise power in a bin of the Hann spectrum, the best of the channels.
+    origin : L explanations.
+    floor_hz, floor : (B,) and (B, C), decimated noise floor as amplitude per bin.
+    notices : notices of the search.
     """
 
     frequency_hz: FloatArray
@@ -365,7 +376,7 @@ class Survey:
 
     @property
     def why(self) -> tuple[str, ...]:
-        """For each line, what it is and how far it stands out."""
+        """Description of each line, with its level over the noise floor."""
         return tuple(
             f"{origin.text}, {decibel(snr):.0f} dB over the noise floor"
             for origin, snr in zip(self.origin, self.snr.tolist(), strict=True)
@@ -373,13 +384,13 @@ class Survey:
 
     def select(self, chosen: BoolArray) -> Survey:
         """Return the lines of a mask (L,) only."""
-        kept: dict[str, Any] = {name: getattr(self, name)[chosen] for name in _PER_LINE}
-        return replace(self, origin=tuple(self.origin[i] for i in np.flatnonzero(chosen)), **kept)
+        selected: dict[str, Any] = {name: getattr(self, name)[chosen] for name in _PER_LINE}
+        return replace(self, origin=tuple(self.origin[i] for i in np.flatnonzero(chosen)), **selected)
 
     def joined(
         self, frequency_hz: FloatArray, u_frequency_hz: FloatArray, amplitude: FloatArray, u_amplitude: FloatArray
     ) -> Survey:
-        """Return the lines with others (N,) of amplitude (N, C) that had been taken out of the record."""
+        """Return the survey with further lines (N,) of amplitude (N, C)."""
         power = np.max(amplitude**2 / np.maximum(_HANN_NOISE * u_amplitude**2, np.finfo(np.float64).tiny), axis=1)
         order = np.argsort(np.concatenate([self.frequency_hz, frequency_hz]), kind="stable")
         origin = (*self.origin, *(UNEXPLAINED,) * len(frequency_hz))
@@ -391,9 +402,9 @@ class Survey:
 
 
 def empty_survey() -> Survey:
-    """Return a survey of nothing."""
-    nothing, none = np.empty(0), np.empty((0, 0))
-    return Survey(nothing, nothing, none, none, nothing, (), nothing, none)
+    """Return a survey without lines."""
+    empty, no_channels = np.empty(0), np.empty((0, 0))
+    return Survey(empty, empty, no_channels, no_channels, empty, (), empty, no_channels)
 
 
 def decibel(power_ratio: float) -> float:
@@ -407,13 +418,36 @@ def survey_lines(
     nominal_hz: Sequence[float] = (),
     false_alarm: float = FALSE_ALARM,
 ) -> Survey:
-    """Find and name the lines of uniform samples (S,) or (S, C): peaks of each channel's spectrum over its noise floor.
+    """Find and name the lines of uniform samples: spectral peaks over the noise floor.
 
-    Noise alone adds a line with probability `false_alarm`, whatever the length of the record and the number of
-    channels, for noise whose spectrum is smooth over some 16 bins. Places where lines are expected (harmonics and
-    halves of the fundamentals, mains) need less height; for this the record is looked at twice. Without nominal
-    frequencies the fundamentals are those that explain the most.
+    Parameters
+    ----------
+    values
+        (S,) or (S, C), uniform samples without NaN.
+    rate_hz
+        Sampling rate in Hz.
+    nominal_hz
+        Nominal fundamentals in Hz; default: those that explain most lines.
+    false_alarm
+        Probability that noise alone adds a line; default 1e-3.
 
+    Returns
+    -------
+    The lines with their explanations, and the noise floor.
+
+    Raises
+    ------
+    ValueError
+        There are too few samples, NaN, or no positive rate.
+
+    Notes
+    -----
+    `false_alarm` is for any length of the record and number of channels, if the noise spectrum is smooth over some 16
+    bins. Frequencies where lines are expected (harmonics and halves of the fundamentals, mains) need less height. The
+    record is therefore searched twice.
+
+    Examples
+    --------
     >>> import numpy as np
     >>> from shaker import survey_lines
     >>> time_s, noise = np.arange(4000) / 1000.0, np.random.default_rng(0).normal(size=4000)
@@ -443,18 +477,18 @@ def survey_lines(
 
 
 class _Spectra:
-    """The spectra of channels one by one, each time anew but for those first ones that together take little memory."""
+    """Spectra of channels one by one; small first ones are stored."""
 
     def __init__(self, data: Stacked) -> None:
-        self._data, self._kept = data, list[FloorSpectrum]()
+        self._data, self._stored = data, list[FloorSpectrum]()
 
     def __iter__(self) -> Iterator[FloorSpectrum]:
-        yield from self._kept
+        yield from self._stored
         bins = len(self._data) // 2 + 1
-        for c in range(len(self._kept), self._data.shape[1]):
+        for c in range(len(self._stored), self._data.shape[1]):
             floored = FloorSpectrum(next(self._data.select([c]).iterate_channels()))
-            if len(self._kept) == c and (c + 1) * bins <= _KEPT:
-                self._kept.append(floored)
+            if len(self._stored) == c and (c + 1) * bins <= _MAX_STORED_BINS:
+                self._stored.append(floored)
             yield floored
 
 
@@ -467,10 +501,11 @@ def detect_lines(
     fitted_hz: FloatArray | None = None,
     min_amplitude: FloatArray | None = None,
 ) -> Survey:
-    """Return the lines of the spectra of C columns of uniform samples (S,), `shape` (S, C), not yet named.
+    """Return the unnamed lines of the spectra of C channels.
 
-    `expected_hz`: where less height is enough. `taken_hz`: lines whose fit left these samples as residual. `smallest`
-    (C,): amplitude below which a peak is rounding.
+    `shape` (S, C) is that of their uniform samples. Lines at `expected_hz` need less height. `fitted_hz` are lines
+    already fitted, with these samples as residual. `min_amplitude` (C,) is the amplitude below which a peak is
+    rounding.
     """
     samples, channels = shape
     to_bins = samples / rate_hz
@@ -478,24 +513,26 @@ def detect_lines(
     taken = np.empty(0) if fitted_hz is None else alias_frequency(fitted_hz, rate_hz) * to_bins
     least = np.zeros(channels) if min_amplitude is None else min_amplitude
     peaks = [
-        find_peaks(spectrum, false_alarm / channels, expected, taken, float(smallest_here))
-        for spectrum, smallest_here in zip(spectra, least, strict=True)
+        find_peaks(spectrum, false_alarm / channels, expected, taken, float(smallest))
+        for spectrum, smallest in zip(spectra, least, strict=True)
     ]
     return _merged(peaks, rate_hz / samples)
 
 
 def expected_frequencies(fundamental_hz: FloatArray, rate_hz: float) -> FloatArray:
-    """Return where lines are expected below the Nyquist frequency: multiples, parts, sums of fundamentals, mains."""
-    places = [m * mains for mains in MAINS_HZ for m in range(1, _EXPECTED_MAINS + 1)]
+    """Return expected lines below the Nyquist frequency: multiples, parts, sums of fundamentals, mains."""
+    frequencies = [m * mains for mains in MAINS_HZ for m in range(1, _EXPECTED_MAINS + 1)]
     for f in fundamental_hz.tolist():
-        places += [m * f for m in range(1, _EXPECTED_MULTIPLE + 1)] + [f * part for part in (1 / 3, 0.5, 2 / 3, 1.5)]
+        frequencies += [m * f for m in range(1, _EXPECTED_MULTIPLE + 1)] + [
+            f * part for part in (1 / 3, 0.5, 2 / 3, 1.5)
+        ]
     for f, g in combinations(fundamental_hz.tolist()[:_MOST_COMBINED], 2):
-        places += [f + g, abs(f - g)]
-    return np.unique([place for place in places if place < rate_hz / 2.0])
+        frequencies += [f + g, abs(f - g)]
+    return np.unique([frequency for frequency in frequencies if frequency < rate_hz / 2.0])
 
 
 def with_origins(survey: Survey, rate_hz: float, samples: int, fundamental_hz: FloatArray | None = None) -> Survey:
-    """Return a survey with its lines named, by the fundamentals given or those that explain the most."""
+    """Return a survey with explained lines, by given fundamentals or those that explain most."""
     if not len(survey.frequency_hz):
         return survey
     strength = relative_strength(survey.amplitude)
@@ -504,7 +541,7 @@ def with_origins(survey: Survey, rate_hz: float, samples: int, fundamental_hz: F
 
 
 def relative_strength(amplitude: FloatArray) -> FloatArray:
-    """Return the amplitudes (L, C) relative to each channel's largest, the best of the channels (L,)."""
+    """Return the amplitudes (L, C) over each channel's largest, best channel (L,)."""
     filled = np.nan_to_num(amplitude)
     return np.asarray(np.max(filled / np.maximum(filled.max(axis=0), np.finfo(np.float64).tiny), axis=1))
 
@@ -512,7 +549,7 @@ def relative_strength(amplitude: FloatArray) -> FloatArray:
 def _nominal(
     survey: Survey, nominal_hz: Sequence[float], rate_hz: float, samples: int
 ) -> tuple[FloatArray, tuple[Notice, ...]]:
-    """Return the strongest line near each nominal frequency (at its alias), and a notice where there is none."""
+    """Return the strongest line near each nominal frequency's alias, or notices."""
     found, notices = [], []
     strength = relative_strength(survey.amplitude) if len(survey.frequency_hz) else np.empty(0)
     for nominal in sorted(set(nominal_hz)):
@@ -523,13 +560,12 @@ def _nominal(
             seen = survey.frequency_hz[near[np.argmax(strength[near])]]
             found.append(float(frequency_of_alias(seen, np.asarray(nominal), rate_hz)))
         else:
-            text = f"no line stands out of the noise within {capture:.3g} Hz of the nominal {nominal:.6g} Hz"
-            notices.append(Notice("warning", text, f"{nominal:.6g} Hz"))
+            notices.append(Notice(NO_NOMINAL_LINE, f"{nominal:.6g} Hz", capture_hz=capture, nominal_hz=nominal))
     return np.array(found), tuple(notices)
 
 
 def _merged(peaks: Sequence[Peaks], resolution_hz: float) -> Survey:
-    """Put the lines of all channels together: one line where they lie closer than a bin can tell."""
+    """Merge the lines of all channels: one line where they are closer than the resolution."""
     every = sorted((float(p.bin_position[i]), c, i) for c, p in enumerate(peaks) for i in range(len(p.bin_position)))
     groups: list[list[tuple[float, int, int]]] = []
     for item in every:
@@ -538,27 +574,27 @@ def _merged(peaks: Sequence[Peaks], resolution_hz: float) -> Survey:
         else:
             groups.append([item])
     lines, channels = len(groups), len(peaks)
-    place, u_place, snr = np.empty(lines), np.empty(lines), np.empty(lines)
+    bin_position, u_bin_position, snr = np.empty(lines), np.empty(lines), np.empty(lines)
     amplitude, u_amplitude = np.full((lines, channels), np.nan), np.full((lines, channels), np.nan)
     for k, group in enumerate(groups):
         weight = np.array([1.0 / float(peaks[c].u_bin_position[i]) ** 2 for _, c, i in group])
-        place[k] = weight @ np.array([item[0] for item in group]) / weight.sum()
-        u_place[k] = 1.0 / np.sqrt(weight.sum())
+        bin_position[k] = weight @ np.array([item[0] for item in group]) / weight.sum()
+        u_bin_position[k] = 1.0 / np.sqrt(weight.sum())
         for _, c, i in group:
             amplitude[k, c], u_amplitude[k, c] = abs(peaks[c].value[i]), peaks[c].u_value[i]
         snr[k] = max(float(abs(peaks[c].value[i]) ** 2 / peaks[c].noise[i]) for _, c, i in group)
     bins = len(peaks[0].level)
     shown = np.unique(np.round(np.geomspace(1.0, max(bins - 1, 1), _FLOOR_POINTS)).astype(np.int64))
     cut = sum(p.cut for p in peaks)
-    told = f"more than {MOST_LINES} lines in a channel; the {cut} weakest are left out"
+    notices = (Notice(TOO_MANY_LINES, "spectrum", most=MOST_LINES, left_out=cut),) if cut else ()
     return Survey(
-        frequency_hz=place * resolution_hz,
-        u_frequency_hz=u_place * resolution_hz,
+        frequency_hz=bin_position * resolution_hz,
+        u_frequency_hz=u_bin_position * resolution_hz,
         amplitude=amplitude,
         u_amplitude=u_amplitude,
         snr=snr,
         origin=(UNEXPLAINED,) * lines,
         floor_hz=np.asarray(shown * resolution_hz, dtype=np.float64),
         floor=np.stack([np.sqrt(p.level[shown]) for p in peaks], axis=1),
-        notices=(Notice("note", told, "spectrum"),) if cut else (),
+        notices=notices,
     )

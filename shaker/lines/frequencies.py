@@ -1,4 +1,4 @@
-"""Which lines a recording contains: fundamentals refined, harmonics that stand out, and what else there is."""
+"""Lines of a recording: refined fundamentals, significant harmonics, and other lines."""
 
 from __future__ import annotations
 
@@ -19,6 +19,7 @@ from shaker.lines.detection import (
     name_lines,
     relative_strength,
 )
+from shaker.lines.line_detection_notices import HARMONIC_OUT_OF_REACH, HARMONICS_ON_ALIAS, OTHER_LINES
 from shaker.lines.peaks import FloorSpectrum, excess_power
 from shaker.sine.aliasing import (
     CAPTURE,
@@ -32,17 +33,17 @@ from shaker.sine.aliasing import (
 )
 from shaker.sine.sine_fit import fit_sines, rows_present
 from shaker.sine.solve import SineFit, SineModel
-from shakercal._common.notices import Notice
+from shakercal._common.notices import Notice, Value
 
-MAX_MULTIPLE = 20  # harmonics looked for
+MAX_MULTIPLE = 20  # harmonics searched for
 _PROMINENT = 36.0  # times the noise power that a fundamental must reach; exp(-36) by chance in one bin
-_NYQUIST_SHARE = 0.98  # of the Nyquist frequency up to which harmonics are looked for
+_NYQUIST_SHARE = 0.98  # of the Nyquist frequency up to which harmonics are searched for
 _SMALLEST = 1e-9  # of the strongest line: below it, rounding looks like lines
-_ROUNDS = 4  # of fitting and looking at what is left, where gaps let lines leak
-_FINER = 8  # places of the searched grid to an interval, where samples lie on no grid
-_LEAK = 0.1  # of a line's uncertainty: what another line may leave in it before it is fitted too
-_MOST_NUISANCES = 12
-_NAMED = 4  # folded harmonics named in one notice
+_ROUNDS = 4  # of fitting and searching the residual, where gaps let lines leak
+_FINER = 8  # grid points per interval for the search, where samples lie on no grid
+_LEAK = 0.1  # of a line's uncertainty: leakage of another line above which that is fitted too
+_MOST_NUISANCES = 12  # other lines fitted at most; chosen to limit the fit
+_NAMED = 4  # aliased harmonics named in one notice
 _STRANGERS = 3  # other lines named in one notice
 
 
@@ -50,10 +51,14 @@ _STRANGERS = 3  # other lines named in one notice
 class LineFrequencies:
     """Lines of a recording in ascending frequency.
 
-    `frequency_hz`, `u_frequency_hz` (K,) on the clock of the times given; `nominal_hz` (K,) the nominal fundamental
-    each belongs to, `multiple` (K,) its harmonic number; `why` (K,) why it is in the list. `others`: what else the
-    recording holds, at the places where the spectrum shows it, and what it most likely is. `nuisance_hz` (N,): those of
-    the others that would leak into the lines and are to be fitted with them, though they are no result.
+    Attributes
+    ----------
+    frequency_hz, u_frequency_hz : (K,), in Hz on the clock of the given times.
+    nominal_hz, multiple : (K,), nominal fundamental and harmonic number of each line.
+    why : K reasons for including the line.
+    notices : notices of the search.
+    others : other lines of the recording at their spectral position, with their explanation.
+    nuisance_hz : (N,), other lines that would leak into the lines; they are fitted too but are no result.
     """
 
     frequency_hz: FloatArray
@@ -78,16 +83,17 @@ def find_lines(
     nominal_hz: Sequence[float],
     harmonics: Literal["auto"] | Sequence[int] = "auto",
 ) -> LineFrequencies:
-    """Find the lines of a recording in its fastest channels: `values` (S,) or (S, C) at `time_s` (S,).
+    """Find the lines of a recording in its fastest channels.
 
-    Times that lie on no uniform grid are searched on the nearest one and fitted as they are.
+    `values` (S,) or (S, C) are samples at `time_s` (S,). Times on no uniform grid are searched on the nearest one and
+    fitted unchanged.
 
-    Each nominal fundamental must stand out of the spectrum within 0.5 % and two bins and is refined by least squares;
-    below the Nyquist rate it is looked for at its alias. What the fit leaves is searched for further lines as
-    `survey_lines` does: "auto" adds the harmonics among them (up to the 20th, below 0.98 of the Nyquist frequency), so
-    that noise alone adds any with probability 1e-3 only; a list adds those multiples instead. All else is told as
-    `others`; those that would leak into a line by more than a tenth of its uncertainty are fitted with them. Lines
-    folding onto another are left out.
+    Each nominal fundamental must exceed the noise of the spectrum within 0.5 % and two bins, and is refined by least
+    squares. Below the Nyquist rate it is searched for at its alias. `survey_lines` searches the residual for further
+    lines. "auto" adds the harmonics among them (up to the 20th, below 0.98 of the Nyquist frequency), so that noise
+    alone adds any with probability 1e-3 only. A list adds those multiples instead. All other lines are reported as
+    `others`. Those that would leak into a line by more than a tenth of its uncertainty are fitted with it. Lines that
+    alias onto another are left out.
     """
     time, data = _complete(time_s, values)
     exact = sampling_grid(time)
@@ -97,59 +103,60 @@ def find_lines(
     nominal = np.array(sorted(set(nominal_hz)), dtype=np.float64)
     usable, notices = usable_lines(time, nominal)
     if not np.any(usable):
-        raise ValueError(f"nominal_hz: expected a line that the sampling can tell apart, but {notices[0].text}")
+        raise ValueError(f"nominal_hz: expected a line that the sampling can separate, found none: {notices[0].text}")
     notices += _unfiltered(nominal[usable], nominal, grid)
     nominal = nominal[usable]
     record = _Record(time, data, grid, fine)
-    chosen = _Chosen(record.peaks_near(nominal), [[1] for _ in nominal], np.empty(0))
+    chosen = _LineSelection(record.peaks_near(nominal), [[1] for _ in nominal], np.empty(0))
     if harmonics != "auto":
         multiples, above = _listed(nominal, harmonics, grid)
-        chosen, notices = _Chosen(chosen.fundamental, multiples, np.empty(0)), notices + above
+        chosen, notices = _LineSelection(chosen.fundamental, multiples, np.empty(0)), notices + above
     fitted = record.fit(chosen)
     for _ in range(_ROUNDS if len(time) < grid.length else 1):  # where samples are missing, lines leak
-        others = record.look(fitted)
-        wanted = _extended(record, fitted, others, harmonics == "auto")
-        added = wanted.lines.size > fitted.chosen.lines.size or wanted.nuisance.size > fitted.chosen.nuisance.size
-        others = others.select(~_near(others.frequency_hz, record.alias(wanted.lines), record.resolution_hz))
+        others = record.search(fitted)
+        extended = _extended(record, fitted, others, harmonics == "auto")
+        added = extended.lines.size > fitted.chosen.lines.size or extended.nuisance.size > fitted.chosen.nuisance.size
+        others = others.select(~_near(others.frequency_hz, record.alias(extended.lines), record.resolution_hz))
         if not added:
             break
-        fitted = record.fit(wanted)
+        fitted = record.fit(extended)
     return _as_lines(fitted, others, nominal, notices, harmonics == "auto")
 
 
 @dataclass(frozen=True)
-class _Chosen:
-    """What is fitted: fundamentals (Q,) in Hz with their multiples, and nuisances (N,) in Hz."""
+class _LineSelection:
+    """Fundamentals (Q,) in Hz with their multiples, and nuisance lines (N,) in Hz."""
 
     fundamental: FloatArray
     multiples: list[list[int]]
     nuisance: FloatArray
 
     @property
-    def place(self) -> list[tuple[int, int]]:
+    def line_orders(self) -> list[tuple[int, int]]:
         """Fundamental and multiple of each line."""
         return [(q, m) for q, orders in enumerate(self.multiples) for m in orders]
 
     @property
     def lines(self) -> FloatArray:
         """All lines (K,) in Hz, fundamental by fundamental."""
-        return np.array([m * self.fundamental[q] for q, m in self.place])
+        return np.array([m * self.fundamental[q] for q, m in self.line_orders])
 
 
 @dataclass(frozen=True)
 class _Fitted:
-    """The lines chosen, at their refined frequencies, and their fit, nuisances last."""
+    """The fitted lines at their refined frequencies, and their fit with nuisance lines last."""
 
-    chosen: _Chosen
+    chosen: _LineSelection
     u_fundamental: FloatArray
     fit: SineFit
 
 
 @dataclass(frozen=True)
 class _Record:
-    """Complete samples (S, C) on a grid, and the one on which peaks are searched: finer where the first only is near.
+    """Complete samples (S, C) on a grid, and a finer grid for the search.
 
-    A sample at the nearest place of a grid is up to half an interval off, which would turn a line by its phase there.
+    A sample at the nearest grid point is up to half an interval off, which would rotate a line by its phase there. The
+    finer grid is used where samples lie only near a grid.
     """
 
     time_s: FloatArray
@@ -167,28 +174,31 @@ class _Record:
         return alias_frequency(frequency_hz, self.grid.rate_hz)
 
     def peaks_near(self, nominal: FloatArray) -> FloatArray:
-        """Return the frequencies of the peaks nearest to nominal ones (at their aliases), or raise `ValueError`."""
+        """Return the peaks nearest to the aliases of nominal frequencies, or raise `ValueError`."""
         rate_hz = self.fine.rate_hz
         alias = alias_frequency(nominal, rate_hz)
-        apart = np.abs(np.subtract.outer(alias, alias)) + np.where(np.eye(len(alias)) > 0.0, np.inf, 0.0)
-        capture = np.minimum(CAPTURE * nominal + 2.0 * self.resolution_hz, apart.min(axis=1) / 2.0)
+        distance = np.abs(np.subtract.outer(alias, alias)) + np.where(np.eye(len(alias)) > 0.0, np.inf, 0.0)
+        capture = np.minimum(CAPTURE * nominal + 2.0 * self.resolution_hz, distance.min(axis=1) / 2.0)
         capture = np.maximum(capture, self.resolution_hz)
         bin_hz = rate_hz / self.fine.length
         intervals = np.stack([alias - capture, alias + capture], axis=1) / bin_hz
-        peaks = [excess_power(self.fine.filled(own - own.mean()), intervals) for own in self.data.iterate_channels()]
+        peaks = [
+            excess_power(self.fine.filled(samples - samples.mean()), intervals)
+            for samples in self.data.iterate_channels()
+        ]
         height = np.stack([ratio for ratio, _ in peaks], axis=1)
         for q in np.flatnonzero(~(height.max(axis=1) > _PROMINENT)):
             raise ValueError(
-                f"nominal_hz: expected {nominal[q]:.6g} Hz to stand out of the spectrum, found no peak above "
+                f"nominal_hz: expected {nominal[q]:.6g} Hz to exceed the noise of the spectrum, found no peak above "
                 f"{np.sqrt(_PROMINENT):g} times the noise within {capture[q]:.3g} Hz"
             )
         best = np.argmax(height, axis=1)
         seen = np.array([peaks[c][1][q] for q, c in enumerate(best)]) * bin_hz
         return frequency_of_alias(seen, nominal, rate_hz)
 
-    def fit(self, chosen: _Chosen) -> _Fitted:
-        """Refine the fundamentals jointly with their harmonics, nuisances free beside them."""
-        label = [q for q, _ in chosen.place] + [len(chosen.fundamental) + n for n in range(len(chosen.nuisance))]
+    def fit(self, chosen: _LineSelection) -> _Fitted:
+        """Refine the fundamentals jointly with their harmonics; nuisance lines are free."""
+        label = [q for q, _ in chosen.line_orders] + [len(chosen.fundamental) + n for n in range(len(chosen.nuisance))]
         start = np.concatenate([chosen.lines, chosen.nuisance])
         names = [str(c) for c in range(self.data.shape[1])]
         try:
@@ -196,19 +206,19 @@ class _Record:
         except ValueError:
             if not len(chosen.nuisance):
                 raise
-            return self.fit(_Chosen(chosen.fundamental, chosen.multiples, np.empty(0)))
+            return self.fit(_LineSelection(chosen.fundamental, chosen.multiples, np.empty(0)))
         first, frequency = [label.index(q) for q in range(len(chosen.fundamental))], fit.phasors.frequency_hz
-        order = np.array([chosen.place[k][1] for k in first], dtype=np.float64)
-        refined = _Chosen(frequency[first] / order, chosen.multiples, frequency[len(chosen.lines) :])
+        order = np.array([chosen.line_orders[k][1] for k in first], dtype=np.float64)
+        refined = _LineSelection(frequency[first] / order, chosen.multiples, frequency[len(chosen.lines) :])
         return _Fitted(refined, fit.u_frequency_hz[first] / order, fit)
 
-    def look(self, fitted: _Fitted) -> Survey:
-        """Return the lines in what a fit leaves, and its nuisances, named."""
+    def search(self, fitted: _Fitted) -> Survey:
+        """Return the named lines of the residual, with the nuisance lines."""
         lines, fit = fitted.chosen.lines, fitted.fit
         amplitude = np.abs(fit.phasors.value)
         residuals = (
-            FloorSpectrum(self.grid.filled(own - fit.model(self.time_s, slice(c, c + 1))[:, 0]))
-            for c, own in enumerate(self.data.iterate_channels())
+            FloorSpectrum(self.grid.filled(samples - fit.model(self.time_s, slice(c, c + 1))[:, 0]))
+            for c, samples in enumerate(self.data.iterate_channels())
         )
         others = detect_lines(
             residuals,
@@ -221,8 +231,8 @@ class _Record:
         )
         if len(lines) < len(amplitude):  # the nuisances that were fitted are put back
             u = np.sqrt((fit.phasors.u_re**2 + fit.phasors.u_im**2) / 2.0)[len(lines) :]
-            place, u_place = fit.phasors.frequency_hz[len(lines) :], fit.u_frequency_hz[len(lines) :]
-            others = others.joined(place, u_place, amplitude[len(lines) :], u)
+            nuisance_hz, u_nuisance_hz = fit.phasors.frequency_hz[len(lines) :], fit.u_frequency_hz[len(lines) :]
+            others = others.joined(nuisance_hz, u_nuisance_hz, amplitude[len(lines) :], u)
         frequency = np.concatenate([self.alias(lines), others.frequency_hz])
         u = np.concatenate([fit.u_frequency_hz[: len(lines)], others.u_frequency_hz])
         strength = relative_strength(np.concatenate([amplitude[: len(lines)], others.amplitude]))
@@ -230,66 +240,67 @@ class _Record:
         return replace(others, origin=name_lines(every, fitted.chosen.fundamental)[len(lines) :])
 
 
-def _extended(record: _Record, fitted: _Fitted, others: Survey, auto: bool) -> _Chosen:
-    """Return what is to be fitted: the lines so far, harmonics among the others, and others that leak into them."""
+def _extended(record: _Record, fitted: _Fitted, others: Survey, auto: bool) -> _LineSelection:
+    """Return the lines of the next fit.
+
+    These are the previous ones, new harmonics, and other lines that leak.
+    """
     multiples = [list(orders) for orders in fitted.chosen.multiples]
     limit = _NYQUIST_SHARE * record.grid.rate_hz / 2.0
     for frequency, origin in zip(others.frequency_hz, others.origin, strict=True):
         if auto and origin.kind == "harmonic" and origin.multiple <= MAX_MULTIPLE and frequency < limit:
             q = int(np.argmin(np.abs(fitted.chosen.fundamental - origin.fundamental_hz)))
             multiples[q] = sorted({*multiples[q], origin.multiple})
-    chosen = _Chosen(fitted.chosen.fundamental, multiples, fitted.chosen.nuisance)
+    chosen = _LineSelection(fitted.chosen.fundamental, multiples, fitted.chosen.nuisance)
     lines = record.alias(chosen.lines)
     left = others.select(~_near(others.frequency_hz, lines, record.resolution_hz))
     if not len(left.frequency_hz):
         return chosen
     phasors = fitted.fit.phasors
     u = np.sqrt((phasors.u_re**2 + phasors.u_im**2) / 2.0)[: len(fitted.chosen.lines)].min(axis=0)
-    apart = np.min(np.abs(np.subtract.outer(left.frequency_hz, lines)), axis=1) / record.resolution_hz
-    leak = np.max(np.nan_to_num(left.amplitude) / np.maximum(u, np.finfo(np.float64).tiny), axis=1) / (np.pi * apart)
+    distance = np.min(np.abs(np.subtract.outer(left.frequency_hz, lines)), axis=1) / record.resolution_hz
+    leak = np.max(np.nan_to_num(left.amplitude) / np.maximum(u, np.finfo(np.float64).tiny), axis=1) / (np.pi * distance)
     strongest = np.argsort(-leak, kind="stable")[:_MOST_NUISANCES]
-    return _Chosen(chosen.fundamental, multiples, np.sort(left.frequency_hz[strongest[leak[strongest] > _LEAK]]))
+    return _LineSelection(chosen.fundamental, multiples, np.sort(left.frequency_hz[strongest[leak[strongest] > _LEAK]]))
 
 
 def _near(frequency_hz: FloatArray, lines: FloatArray, resolution_hz: float) -> BoolArray:
-    """Tell which frequencies (L,) are those of lines."""
+    """Return which frequencies (L,) coincide with lines."""
     return np.asarray(np.any(np.abs(np.subtract.outer(frequency_hz, lines)) < 1.5 * resolution_hz, axis=1))
 
 
 def _complete(time_s: FloatArray, values: FloatArray | Stacked) -> tuple[FloatArray, Stacked]:
-    """Return times and values (S, C) of the samples without NaN, channels that never change left out."""
+    """Return times and values (S, C) without NaN and without constant channels."""
     check_shape("time_s", time_s, (None,))
     data = Stacked.from_array(values)
     check_shape("values", data, (len(time_s), None))
     present = rows_present(data)
     time_s, data = time_s if present is None else time_s[present], data.select_rows(present)
-    moving = [c for c, own in enumerate(data.iterate_channels()) if len(own) and np.ptp(own) > 0.0]
+    moving = [c for c, samples in enumerate(data.iterate_channels()) if len(samples) and np.ptp(samples) > 0.0]
     if not moving:
         raise ValueError(f"values: expected a channel that changes, found {data.shape[1]} without any change")
     return time_s, data.select(moving)
 
 
 def _unfiltered(nominal: FloatArray, all_nominal: FloatArray, grid: SamplingGrid) -> tuple[Notice, ...]:
-    """Name for each fundamental above the Nyquist frequency the harmonics that nothing can have kept off its alias."""
+    """Return notices of harmonics that share the alias of a fundamental above the Nyquist frequency."""
     resolution = grid.rate_hz / grid.length
     notices = []
     for frequency in nominal[nominal > grid.rate_hz / 2.0].tolist():
         folds = find_aliased_harmonics(frequency, all_nominal.tolist(), grid.rate_hz, resolution, MAX_MULTIPLE)
         if folds:
             names = [f"{fold.frequency_hz:.6g} Hz ({fold.multiple} × {fold.fundamental_hz:.6g} Hz)" for fold in folds]
-            text = (
-                f"{frequency:.6g} Hz, sampled at {grid.rate_hz:.6g} Hz, is read at {folds[0].alias_hz:.5g} Hz, where "
-                f"these would be too and add to it: {', '.join(names[:_NAMED])}"
-            )
             more = f" and {len(names) - _NAMED} higher ones" if len(names) > _NAMED else ""
-            notices.append(Notice("warning", text + more, f"{frequency:.6g} Hz"))
+            values: dict[str, Value] = {"alias_hz": folds[0].alias_hz, "harmonics": ", ".join(names[:_NAMED]) + more}
+            where = f"{frequency:.6g} Hz"
+            notices.append(Notice(HARMONICS_ON_ALIAS, where, frequency_hz=frequency, rate_hz=grid.rate_hz, **values))
     return tuple(notices)
 
 
 def _listed(
     nominal: FloatArray, harmonics: Sequence[int], grid: SamplingGrid
 ) -> tuple[list[list[int]], tuple[Notice, ...]]:
-    """Return the multiples asked for that lie below the Nyquist frequency, and notices about the others."""
+    """Return the requested multiples below the Nyquist frequency, and notices about the others."""
     wrong = [m for m in harmonics if m < 1]
     if wrong:
         raise ValueError(f"harmonics: expected multiples of 1 and above, found {wrong[0]}")
@@ -300,8 +311,8 @@ def _listed(
     for m in sorted({1, *harmonics}):
         for q, f in enumerate(nominal):
             if m > 1 and m * f >= limit:
-                text = f"harmonic {m} of {f:.6g} Hz lies above {limit:.6g} Hz, out of reach of the fastest channel"
-                notices.append(Notice("warning", text, f"{m * f:.6g} Hz"))
+                values = {"multiple": m, "fundamental_hz": f, "limit_hz": limit}
+                notices.append(Notice(HARMONIC_OUT_OF_REACH, f"{m * f:.6g} Hz", **values))
             elif not any(abs(m * f - other) <= 1.5 * grid.rate_hz / grid.length for other in taken):
                 multiples[q].append(m)
                 taken.append(m * f)
@@ -311,31 +322,30 @@ def _listed(
 def _as_lines(
     fitted: _Fitted, others: Survey, nominal: FloatArray, notices: tuple[Notice, ...], auto: bool
 ) -> LineFrequencies:
-    """Assemble the result in ascending frequency, with reasons and remarks."""
+    """Return the result in ascending frequency, with reasons and notices."""
     chosen, phasors = fitted.chosen, fitted.fit.phasors
-    place, lines = chosen.place, chosen.lines
+    line_orders, lines = chosen.line_orders, chosen.lines
     amplitude = np.abs(phasors.value)[: len(lines)]
     level = np.sqrt((phasors.u_re**2 + phasors.u_im**2) / 2.0)[: len(lines)]
     height = np.max(amplitude / np.maximum(level, np.finfo(np.float64).tiny), axis=1)
-    first = {q: k for k, (q, m) in enumerate(place) if m == 1}
+    first = {q: k for k, (q, m) in enumerate(line_orders) if m == 1}
     why = []
-    for k, (q, m) in enumerate(place):
+    for k, (q, m) in enumerate(line_orders):
         share = float(np.max(amplitude[k] / amplitude[first[q]]))
-        reason = "stands out" if auto else "asked for"
+        reason = "is significant" if auto else "requested"
         why.append(
             f"fundamental, {height[k]:.3g} times its noise"
             if m == 1
             else f"harmonic {m} of {nominal[q]:.6g} Hz {reason}: {share:.2g} of the fundamental, "
             f"{height[k]:.3g} times its noise"
         )
-    told = [f"{others.frequency_hz[i]:.6g} Hz ({others.why[i]})" for i in np.argsort(-others.snr, kind="stable")]
-    if told:
-        more = f" and {len(told) - _STRANGERS} more" if len(told) > _STRANGERS else ""
-        text = f"no results for other lines of the record: {'; '.join(told[:_STRANGERS])}{more}"
-        notices += (Notice("note", text, "lines"),)
+    listed = [f"{others.frequency_hz[i]:.6g} Hz ({others.why[i]})" for i in np.argsort(-others.snr, kind="stable")]
+    if listed:
+        more = f" and {len(listed) - _STRANGERS} more" if len(listed) > _STRANGERS else ""
+        notices += (Notice(OTHER_LINES, "lines", count=len(listed), lines="; ".join(listed[:_STRANGERS]) + more),)
     order = np.argsort(lines)
-    index = np.array([q for q, _ in place])
-    order_of = np.array([m for _, m in place])
+    index = np.array([q for q, _ in line_orders])
+    order_of = np.array([m for _, m in line_orders])
     return LineFrequencies(
         frequency_hz=lines[order],
         u_frequency_hz=(order_of * fitted.u_fundamental[index])[order],

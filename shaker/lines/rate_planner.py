@@ -1,4 +1,4 @@
-"""What a camera rate makes of excited lines, the uncertainty to expect, and which rates are good."""
+"""Camera rates for excited lines: aliases, expected uncertainty, and the best rates."""
 
 from __future__ import annotations
 
@@ -27,13 +27,13 @@ _REFINEMENT = 16  # points of the noise integral per bin of the record
 def amplitude_covariance(
     frequency_hz: FloatArray, rate_hz: float, frames: int, corner_hz: float = 0.0
 ) -> tuple[FloatArray, float]:
-    """Return the covariance (K, 2, 2) of the fitted cosine and sine amplitudes of lines (K,), and the condition number.
+    """Return the covariance (K, 2, 2) of fitted amplitudes, and the condition number.
 
-    For an ordinary least-squares fit of the lines and an offset to `frames` uniform samples, disturbed by noise of
-    spectral density S(f) = (2/rate)·(1 + corner/f): white with unit variance per frame, and 1/f noise that is as
-    strong at `corner_hz`. With C = (XᵀX)⁻¹Xᵀ the covariance is (XᵀX)⁻¹ + ∫(corner/|f|)·C(f)·C(f)ᴴ df/rate, where C(f)
-    are the Fourier transforms of the rows of C; for well separated lines both quadratures have (2/frames)·(1 +
-    corner/alias). The integral is finite because the fitted offset takes out what is constant.
+    The amplitudes are those of cosine and sine in an ordinary least-squares fit of the lines and an offset to `frames`
+    uniform samples. The noise has the spectral density S(f) = (2/rate)·(1 + corner/f): white with unit variance per
+    frame, and 1/f noise that is as strong at `corner_hz`. With C = (XᵀX)⁻¹Xᵀ the covariance is (XᵀX)⁻¹ +
+    ∫(corner/|f|)·C(f)·C(f)ᴴ df/rate, with the Fourier transforms C(f) of the rows of C. For well separated lines both
+    quadratures have (2/frames)·(1 + corner/alias). The integral is finite because the fitted offset removes constants.
     """
     check_shape("frequency_hz", frequency_hz, (None,))
     lines = len(frequency_hz)
@@ -58,25 +58,34 @@ def amplitude_covariance(
 
 
 def rms_uncertainty(covariance: FloatArray) -> FloatArray:
-    """Return √(trace/2) of covariances (K, 2, 2): the standard uncertainty of an amplitude, over all phases (K,)."""
+    """Return √(trace/2) of covariances (K, 2, 2).
+
+    It is the standard uncertainty of an amplitude, averaged over all phases (K,).
+    """
     return np.asarray(np.sqrt(np.trace(covariance, axis1=1, axis2=2) / 2.0))
 
 
-# One point of a plan: the lines of an excitation, and what one camera rate makes of them.
+# One point of a plan: the lines of an excitation at one camera rate.
 
 WATCHED = 20
-"""Highest multiple of a fundamental whose fold onto a fitted line is looked for."""
+"""Highest multiple of a fundamental whose alias on a fitted line is searched for."""
 _SAME = 1e-9  # relative difference below which a harmonic of one fundamental is a line of another
 
 
 @dataclass(frozen=True)
 class Sampling:
-    """What stays the same while camera rates are compared.
+    """Conditions that are constant while camera rates are compared.
 
-    `frames` per point, `exposure_s` of each; `harmonics` fitted with every fundamental (1: it alone); `corner_hz` at
-    which 1/f noise is as strong as white noise; `tolerance`, the relative accuracy to which excitation and camera
-    rate are known beforehand.
+    Attributes
+    ----------
+    frames : number of frames per point.
+    exposure_s : exposure time in s, default 0.
+    harmonics : harmonics fitted with every fundamental, default 5; 1 means the fundamental alone.
+    corner_hz : frequency in Hz at which 1/f noise equals white noise, default 5.
+    tolerance : relative accuracy of the stated excitation and camera rate, default 1e-4.
 
+    Examples
+    --------
     >>> from shaker import Sampling
     >>> Sampling(frames=500, exposure_s=2e-3).harmonics
     5
@@ -100,7 +109,7 @@ class Sampling:
 
 @dataclass(frozen=True)
 class PlannedLines:
-    """Lines (K,) that a point excites: `frequency_hz` = `multiple` · `fundamental_hz`, fundamentals first."""
+    """Lines (K,) of an excitation: `frequency_hz` = `multiple` · `fundamental_hz`, fundamentals first."""
 
     frequency_hz: FloatArray
     fundamental_hz: FloatArray
@@ -111,19 +120,25 @@ class PlannedLines:
 
     @property
     def fundamentals_hz(self) -> FloatArray:
-        """Frequencies excited, (E,)."""
+        """Excited frequencies (E,)."""
         return np.asarray(self.frequency_hz[self.multiple == 1])
 
 
 @dataclass(frozen=True)
 class RatePlan:
-    """What one camera rate makes of a point.
+    """Lines of one excitation at one camera rate.
 
-    For each line (K,): `alias_hz`, where it appears; `gain`, what the exposure leaves of its amplitude; `u_amplitude`,
-    the standard uncertainty of its amplitude, corrected for the exposure, for white noise of unit variance per frame
-    (over the amplitude it is that of the phase in rad); `distance_hz` from the nearest other line, zero or the Nyquist
-    frequency, and `neighbour_hz`, the frequency of that line (0 for zero, inf for the Nyquist frequency). `condition`
-    of the design matrix; `folds`, unfitted harmonics that fall within a bin of a fitted line; `duration_s`.
+    Attributes
+    ----------
+    lines, rate_hz, frames : the lines and the sampling.
+    alias_hz : (K,), alias of each line.
+    gain : (K,), gain of the exposure.
+    u_amplitude : (K,), standard uncertainty of the amplitude corrected for exposure, for white noise of unit variance
+        per frame; over the amplitude it is that of the phase in rad.
+    distance_hz : (K,), distance to the nearest other line, zero or the Nyquist frequency.
+    neighbour_hz : (K,), frequency of that line, 0 for zero, inf for the Nyquist frequency.
+    condition : condition number of the design matrix.
+    aliased_harmonics : harmonics not fitted that alias within a bin of a fitted line.
     """
 
     lines: PlannedLines
@@ -154,8 +169,26 @@ class RatePlan:
 
 
 def lines_of(fundamentals_hz: Sequence[float], harmonics: int) -> PlannedLines:
-    """Return the lines that fundamentals excited at the same time bring: multiples 1 to `harmonics` of each, once.
+    """Return the lines of simultaneously excited fundamentals: each multiple up to `harmonics`, once.
 
+    Parameters
+    ----------
+    fundamentals_hz
+        Excited frequencies in Hz, above 0.
+    harmonics
+        Highest multiple.
+
+    Returns
+    -------
+    The lines, fundamentals first.
+
+    Raises
+    ------
+    ValueError
+        A frequency is not above 0.
+
+    Examples
+    --------
     >>> from shaker import lines_of
     >>> lines_of([80.0, 160.0], harmonics=3).frequency_hz
     array([ 80., 160., 320., 240., 480.])
@@ -167,16 +200,36 @@ def lines_of(fundamentals_hz: Sequence[float], harmonics: int) -> PlannedLines:
     multiple = np.repeat(np.arange(1, harmonics + 1, dtype=np.int64), len(fundamentals))
     fundamental = np.tile(fundamentals, harmonics)
     frequency = np.asarray(multiple * fundamental, dtype=np.float64)
-    kept: list[int] = []
+    distinct: list[int] = []
     for k in range(len(frequency)):
-        if all(abs(frequency[k] - frequency[i]) > _SAME * frequency[k] for i in kept):
-            kept.append(k)
-    return PlannedLines(frequency[kept], fundamental[kept], multiple[kept])
+        if all(abs(frequency[k] - frequency[i]) > _SAME * frequency[k] for i in distinct):
+            distinct.append(k)
+    return PlannedLines(frequency[distinct], fundamental[distinct], multiple[distinct])
 
 
 def plan_at(lines: PlannedLines, rate_hz: float, sampling: Sampling) -> RatePlan:
-    """Return what `rate_hz` makes of the lines: aliases, neighbours, loss by exposure, uncertainty.
+    """Return aliases, neighbours, exposure loss and uncertainty of lines at a camera rate.
 
+    Parameters
+    ----------
+    lines
+        The lines of an excitation.
+    rate_hz
+        Camera rate in Hz.
+    sampling
+        Frames, exposure and noise.
+
+    Returns
+    -------
+    The plan for this rate.
+
+    Raises
+    ------
+    ValueError
+        There are too few frames for the lines.
+
+    Examples
+    --------
     >>> from shaker import Sampling, lines_of, plan_at
     >>> plan = plan_at(lines_of([80.0], harmonics=2), rate_hz=21.3, sampling=Sampling(frames=500))
     >>> print(plan.alias_hz, f"{plan.distance_bins:.0f} bins apart")
@@ -185,19 +238,17 @@ def plan_at(lines: PlannedLines, rate_hz: float, sampling: Sampling) -> RatePlan
     frequency = lines.frequency_hz
     covariance, condition = amplitude_covariance(frequency, rate_hz, sampling.frames, sampling.corner_hz)
     gain, alias = exposure_gain(frequency, sampling.exposure_s), alias_frequency(frequency, rate_hz)
-    among = np.abs(np.subtract.outer(alias, alias))
-    np.fill_diagonal(among, np.inf)
-    # A line near the Nyquist frequency meets its own mirror image, which is twice as far away.
-    distance = np.column_stack([among, alias, rate_hz - 2.0 * alias])
-    folds: dict[
-        float, AliasedHarmonic
-    ] = {}  # harmonics, not fitted themselves, that come within a bin of a fitted line
+    alias_distance = np.abs(np.subtract.outer(alias, alias))
+    np.fill_diagonal(alias_distance, np.inf)
+    # A line near the Nyquist frequency meets its mirror image, which is twice as far.
+    distance = np.column_stack([alias_distance, alias, rate_hz - 2.0 * alias])
+    aliased: dict[float, AliasedHarmonic] = {}  # harmonics without a fit within a bin of a fitted line
     for line in frequency:
         for fold in find_aliased_harmonics(
             line, lines.fundamentals_hz.tolist(), rate_hz, rate_hz / sampling.frames, WATCHED
         ):
             if np.all(np.abs(frequency - fold.frequency_hz) > _SAME * fold.frequency_hz):
-                folds[fold.frequency_hz] = fold
+                aliased[fold.frequency_hz] = fold
     return RatePlan(
         lines=lines,
         rate_hz=rate_hz,
@@ -208,7 +259,7 @@ def plan_at(lines: PlannedLines, rate_hz: float, sampling: Sampling) -> RatePlan
         distance_hz=distance.min(axis=1),
         neighbour_hz=np.append(frequency, [0.0, np.inf])[distance.argmin(axis=1)],
         condition=condition,
-        aliased_harmonics=tuple(folds[f] for f in sorted(folds)),
+        aliased_harmonics=tuple(aliased[f] for f in sorted(aliased)),
     )
 
 
@@ -217,22 +268,25 @@ def plan_at(lines: PlannedLines, rate_hz: float, sampling: Sampling) -> RatePlan
 PREFERRED = (0.1, 0.4)
 """Share of the camera rate between which fundamentals are best seen: above 1/f noise, below the Nyquist frequency."""
 _NEAR_BEST = 1.05  # uncertainties this close are equal, and the distance between lines decides
-_CHOICES = 3
-_APART = 0.02  # of the range of rates: choices closer than this are one choice
+_CHOICES = 3  # rates proposed at most
+_CHOICE_DISTANCE = 0.02  # of the range of rates: choices closer than this are one choice
 _POINTS_PER_INTERVAL = 4  # rates tried within the narrowest interval in which two lines meet
-_MAX_ENTRIES = 4_000_000  # points times rates held at a time
+_MAX_ENTRIES = 4_000_000  # points times rates stored at a time
 _MAX_GRAM_ENTRIES = 1_000_000  # of Gram matrices formed at a time
-_UNMIXED_BINS = 1.0  # between a fitted line and a harmonic that is not
+_SEPARATED_BINS = 1.0  # between a fitted line and a harmonic that is not
 
 
 @dataclass(frozen=True)
 class RateScan:
-    """Rates (R,) tried for a point.
+    """Rates (R,) examined for one point.
 
-    `margin_bins`, smallest distance of two lines less what the tolerance may take of it; `penalty`, the largest factor
-    by which 1/f noise raises a line's uncertainty above that of white noise; `preferred`, number of fundamentals
-    between 0.1 and 0.4 of the rate; `unmixed`, the clear rates at which no harmonic that is not fitted comes within a
-    bin of a line.
+    Attributes
+    ----------
+    rate_hz : (R,), the rates in Hz.
+    margin_bins : (R,), smallest distance of two lines in bins, reduced by the tolerance.
+    penalty : (R,), largest factor by which 1/f noise raises a line's uncertainty above that of white noise.
+    preferred : (R,), number of fundamentals between 0.1 and 0.4 of the rate.
+    separated : (R,), whether at a clear rate no harmonic that is not fitted lies within a bin of a line.
     """
 
     rate_hz: FloatArray
@@ -246,12 +300,15 @@ class RateScan:
 
     @property
     def clear(self) -> BoolArray:
-        """Where every line is far enough from every other."""
+        """Whether every line is far enough from every other, (R,)."""
         return np.asarray(self.margin_bins >= CLEAR_BINS)
 
     @property
     def good(self) -> BoolArray:
-        """The clear rates that see most fundamentals where they are best seen, unmixed ones only if there are any."""
+        """Clear rates with most fundamentals in the preferred band.
+
+        Only separated ones count if there are any.
+        """
         good = self.clear
         if good.any():
             good &= self.preferred == self.preferred[good].max()
@@ -261,10 +318,10 @@ class RateScan:
 def candidate_rates(
     points: Sequence[PlannedLines], sampling: Sampling, limits_hz: tuple[float, float], step_hz: float
 ) -> FloatArray:
-    """Return the multiples of `step_hz` within the limits that are worth looking at, for all points.
+    """Return the multiples of `step_hz` within the limits that are worth examining for all points.
 
     Two lines whose frequencies differ by F (modulo the rate) meet within a bin over a range of rates of
-    rate²/(frames·F): some rates within the narrowest such range are enough.
+    rate²/(frames·F). Some rates within the narrowest such range are enough.
     """
     low, high = limits_hz
     if not 0.0 < low <= high:
@@ -283,19 +340,21 @@ def candidate_rates(
 
 
 def scan_rates(lines: PlannedLines, rate_hz: FloatArray, sampling: Sampling) -> RateScan:
-    """Look at every rate (R,) for the lines of one point, by their aliases alone."""
-    # The tolerance moves two lines together or apart: those of one fundamental as far as their difference.
+    """Evaluate every rate (R,) for the lines of one point by their aliases."""
+    # The tolerance changes the distance of two lines: for one fundamental in proportion to their difference.
     first, second = np.triu_indices(len(lines.frequency_hz), k=1)
     one = lines.fundamental_hz[first] == lines.fundamental_hz[second]
-    apart = differences_hz(lines.frequency_hz)
-    slack = apart.copy()
-    slack[len(apart) - len(one) :] = np.where(one, apart[len(apart) - len(one) :], apart[-2 * len(one) :][: len(one)])
-    margin = _margin_bins(apart, slack, rate_hz, sampling)
-    unmixed = margin >= CLEAR_BINS  # the other rates are not good whatever else folds there
+    differences = differences_hz(lines.frequency_hz)
+    slack = differences.copy()
+    slack[len(differences) - len(one) :] = np.where(
+        one, differences[len(differences) - len(one) :], differences[-2 * len(one) :][: len(one)]
+    )
+    margin = _margin_bins(differences, slack, rate_hz, sampling)
+    separated = margin >= CLEAR_BINS  # the other rates are not good in any case
     watched = np.outer(np.arange(sampling.harmonics + 1, WATCHED + 1), lines.fundamentals_hz).ravel()
-    mixed = np.abs(np.concatenate([np.add.outer(watched, sign * lines.frequency_hz).ravel() for sign in (1, -1)]))
-    mixed = mixed[mixed > 1e-6 * lines.frequency_hz.max()]
-    unmixed[unmixed] = _margin_bins(mixed, np.zeros_like(mixed), rate_hz[unmixed], sampling) >= _UNMIXED_BINS
+    sums = np.abs(np.concatenate([np.add.outer(watched, sign * lines.frequency_hz).ravel() for sign in (1, -1)]))
+    sums = sums[sums > 1e-6 * lines.frequency_hz.max()]
+    separated[separated] = _margin_bins(sums, np.zeros_like(sums), rate_hz[separated], sampling) >= _SEPARATED_BINS
     penalty = np.zeros(len(rate_hz))
     preferred = np.zeros(len(rate_hz), dtype=np.int64)
     for frequency, multiple in zip(lines.frequency_hz, lines.multiple, strict=True):
@@ -304,29 +363,30 @@ def scan_rates(lines: PlannedLines, rate_hz: FloatArray, sampling: Sampling) -> 
         lowest = np.maximum(share, 0.5 / sampling.frames)
         penalty = np.maximum(penalty, np.sqrt(1.0 + sampling.corner_hz / (lowest * rate_hz)))
         preferred += (multiple == 1) & (share >= PREFERRED[0]) & (share <= PREFERRED[1])
-    return RateScan(rate_hz, margin, penalty, preferred, unmixed)
+    return RateScan(rate_hz, margin, penalty, preferred, separated)
 
 
 def best_rates(scan: RateScan) -> tuple[float, ...]:
-    """Return up to three rates, best first; empty where no rate keeps the lines apart.
+    """Return up to three rates, best first; empty where no rate separates the lines.
 
-    The best is, among the good rates whose penalty is within 5 % of the smallest, the one that keeps the lines
-    farthest apart; the next are the best of those that are not near one already chosen.
+    The best is, among the good rates whose penalty is within 5 % of the smallest, the one with the largest margin. The
+    next are the best of those that are not near a chosen one.
     """
     left = scan.good
-    apart = _APART * float(scan.rate_hz[-1] - scan.rate_hz[0])
+    min_distance = _CHOICE_DISTANCE * float(scan.rate_hz[-1] - scan.rate_hz[0])
     chosen: list[float] = []
     while left.any() and len(chosen) < _CHOICES:
         rate = float(scan.rate_hz[_best_of(left, scan.penalty, scan.margin_bins)])
         chosen.append(rate)
-        left = left & (np.abs(scan.rate_hz - rate) > apart)
+        left = left & (np.abs(scan.rate_hz - rate) > min_distance)
     return tuple(chosen)
 
 
 def fewest_rates(scans: Sequence[RateScan]) -> tuple[tuple[float, tuple[int, ...]], ...]:
-    """Return a smallest set of rates, found greedily, that is good for every point that has a good rate.
+    """Return a small set of rates that includes a good one per point.
 
-    Each with the indices of the points that it serves. All scans have the same rates.
+    It is found greedily; points without a good rate are left out. Each rate has the indices of its points. All scans
+    have the same rates.
     """
     good = np.array([scan.good for scan in scans])
     penalty = np.array([scan.penalty for scan in scans])
@@ -348,7 +408,7 @@ def fewest_rates(scans: Sequence[RateScan]) -> tuple[tuple[float, tuple[int, ...
 def condition_over_rate(lines: PlannedLines, rate_hz: FloatArray, frames: int) -> FloatArray:
     """Return the condition number of the design matrix at rates (R,), from Dirichlet's kernel.
 
-    Cosines, sines and offset are unitarily equivalent to the exponentials at 0 and ±f, whose Gram matrix over frames
+    Cosines, sines and offset are unitarily equivalent to the exponentials at 0 and ±f. Their Gram matrix over frames
     counted from the middle is sin(πNδ)/(N·sin πδ) with their distances δ per frame.
     """
     check_shape("rate_hz", rate_hz, (None,))
@@ -359,7 +419,7 @@ def condition_over_rate(lines: PlannedLines, rate_hz: FloatArray, frames: int) -
     for part in parts:
         turns = distance / part[:, None, None]
         below = np.sin(np.pi * turns)
-        met = np.abs(below) < 1e-9  # there the kernel is ±1
+        met = np.abs(below) < 1e-9  # where the kernel is ±1
         limit = np.cos(np.pi * frames * turns) * np.cos(np.pi * turns)
         gram = np.where(met, limit, np.sin(np.pi * frames * turns) / (frames * np.where(met, 1.0, below)))
         smallest, *_, largest = np.linalg.eigvalsh(gram).T
@@ -369,13 +429,16 @@ def condition_over_rate(lines: PlannedLines, rate_hz: FloatArray, frames: int) -
 
 
 def _best_of(allowed: BoolArray, penalty: FloatArray, margin: FloatArray) -> int:
-    """Return the index of the widest margin among the allowed rates with nearly the smallest penalty."""
+    """Return the allowed rate of widest margin with nearly the smallest penalty."""
     near = allowed & (penalty <= _NEAR_BEST * penalty[allowed].min())
     return int(np.argmax(np.where(near, margin, -np.inf)))
 
 
 def _margin_bins(difference: FloatArray, slack: FloatArray, rate_hz: FloatArray, sampling: Sampling) -> FloatArray:
-    """Return the smallest distance of any two exponentials at each rate, less the tolerance's share, in bins."""
+    """Return the smallest distance of two exponentials at each rate in bins.
+
+    It is reduced by the share of the tolerance.
+    """
     smallest = np.full(len(rate_hz), 0.5)
     # Each pair once: harmonics of one fundamental repeat them.
     for distance, loose in np.unique(np.round(np.column_stack([difference, slack]), 9), axis=0):

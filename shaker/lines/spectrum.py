@@ -1,9 +1,7 @@
-"""Amplitude spectra, and their noise floor.
+"""Amplitude spectra, Hann lines fitted in few bins, and the noise floor.
 
-Hann spectra whose lines can be fitted and taken out bin by bin.
-
-Time is counted from the middle of the record, so that the spectrum of a sine is its phasor times a real kernel that
-falls as the cube of the distance: a line touches the bins around it only.
+Time is counted from the middle of the record. The spectrum of a sine is then its phasor times a real kernel that falls
+as the cube of the distance, so that a line affects only the bins around it.
 """
 
 from __future__ import annotations
@@ -34,15 +32,15 @@ class Spectrum:
 
 
 def hann_window(samples: int) -> FloatArray:
-    """Return a periodic Hann window (S,) with mean 1, so that a sine keeps its amplitude."""
+    """Return a periodic Hann window (S,) of mean 1, which preserves a sine's amplitude."""
     return np.asarray(1.0 - np.cos(2.0 * np.pi * np.arange(samples) / samples))
 
 
 def amplitude_spectrum(samples: FloatArray | Stacked, sample_rate_hz: float, most_bins: int | None = None) -> Spectrum:
-    """Return the one-sided amplitude spectrum of samples (S,) or (S, C) under a Hann window, their mean removed.
+    """Return the one-sided Hann amplitude spectrum of samples (S,) or (S, C) without their mean.
 
-    A sine on a bin shows its peak amplitude, one between two bins up to 15 % less. Of more than `most_bins` bins the
-    highest of each few neighbours is kept, at their mean frequency.
+    A sine on a bin shows its peak amplitude, one between two bins up to 15 % less. With more than `most_bins` bins, the
+    highest of neighbouring bins is returned at their mean frequency.
     """
     count = len(samples)
     if count < 2:
@@ -57,10 +55,10 @@ def amplitude_spectrum(samples: FloatArray | Stacked, sample_rate_hz: float, mos
         spectrum[0] /= 2.0
         if count % 2 == 0:
             spectrum[-1] /= 2.0
-        own = np.empty(bins)
+        magnitude = np.empty(bins)
         for part in split_bins(bins):
-            own[part] = np.abs(spectrum[part]) * (2.0 / count)
-        amplitude[:, c] = np.maximum.reduceat(own, first)
+            magnitude[part] = np.abs(spectrum[part]) * (2.0 / count)
+        amplitude[:, c] = np.maximum.reduceat(magnitude, first)
     last = np.minimum(first + merged, bins) - 1
     frequency = (first + last) / 2.0 * (1.0 / (count * (1.0 / sample_rate_hz)))
     return Spectrum(frequency, amplitude.reshape(-1, *samples.shape[1:]))
@@ -69,18 +67,21 @@ def amplitude_spectrum(samples: FloatArray | Stacked, sample_rate_hz: float, mos
 # Hann spectra whose lines can be fitted and taken out bin by bin.
 
 _SPAN = 3  # bins on either side from which a line is fitted
-_STEPS = 10
-_CONVERGED = 1e-6  # of the variance of the place: the square of the last step
-_BIN_CORRELATION = (1.0, 2.0 / 3.0, 1.0 / 6.0)  # of white noise in Hann bins 0, 1, 2 apart
-_DRIFT_FROM = 1e4  # power over noise from which a line's own slow change of amplitude is taken out with it
-_NEGLIGIBLE = 0.05  # of the noise amplitude: what a line leaves beyond the bins it is taken out of
-_WIDEST = 20_000
+_STEPS = 10  # Gauss-Newton steps of a line at most
+_CONVERGED = 1e-6  # of the variance of the position: the square of the last step
+_BIN_CORRELATION = (1.0, 2.0 / 3.0, 1.0 / 6.0)  # of white noise in Hann bins at distances 0, 1, 2
+_DRIFT_FROM = 1e4  # power over noise from which a line's slow change of amplitude is subtracted with it
+_NEGLIGIBLE = 0.05  # of the noise amplitude: rest of a line outside the bins from which it is subtracted
+_WIDEST = 20_000  # bins on either side of a line at most
 _SERIES_BELOW = 1e-5  # bins: nearer to its centre the kernel is taken from its series
 
 
 @dataclass(frozen=True)
 class BinLine:
-    """One line: `place` in bins, `value` its phasor at the middle of the record, `slope` its change, uncertainties."""
+    """A line: position in bins, phasor `value`, `slope`, and uncertainties.
+
+    The phasor is that at the middle of the record.
+    """
 
     bin_position: float
     value: complex
@@ -90,9 +91,9 @@ class BinLine:
 
 
 def centred_spectrum(samples: FloatArray) -> ComplexArray:
-    """Return the Hann spectrum (B,) of samples (S,), their mean removed: the phasor of a sine that lies on a bin.
+    """Return the Hann spectrum (B,) of samples (S,) without mean.
 
-    The window is symmetric about the middle of the record, to which the phases refer.
+    A sine on a bin shows its phasor. The window is symmetric about the middle of the record, to which the phases refer.
     """
     count = len(samples)
     spectrum = _hann_rfft(samples, (count - 1) / 2.0)
@@ -103,23 +104,23 @@ def centred_spectrum(samples: FloatArray) -> ComplexArray:
     return spectrum
 
 
-_LONG = 1 << 22  # samples from which a transform is put together from shorter ones, in little more than its own memory
+_LONG = 1 << 22  # samples from which a transform is combined from shorter ones, to save memory
 _PART = 1 << 18  # bins worked on at a time
-_FEWEST_PARTS, _MOST_PARTS = 16, 64
+_FEWEST_PARTS, _MOST_PARTS = 16, 64  # of a transform that is combined from shorter ones
 _RETURNED = 1 << 26  # bytes of an array whose memory the system has back at once
 
 
 def split_bins(bins: int, most: int = _PART) -> list[slice]:
-    """Return slices, of at most so many, that cover bins."""
+    """Return slices of at most `most` bins that cover all bins."""
     return [slice(first, min(first + most, bins)) for first in range(0, bins, most)]
 
 
 def _hann_rfft(samples: FloatArray, middle: float) -> ComplexArray:
-    """Return the transform (B,) of samples (S,), their mean removed, times 1 + cos(2π/S·(n - middle)).
+    """Return the transform (B,) of samples (S,) without mean, times 1 + cos(2π/S·(n - middle)).
 
-    Of long records every r-th sample is transformed for itself, r a divisor of S, and the r transforms F_q are put
-    together (decimation in time, Cooley and Tukey 1965): X(jM + m) = Σ_q exp(-2πi·qj/r)·exp(-2πi·qm/S)·F_q(m), M = S/r,
-    a transform of r numbers for each m. m up to M/2 are enough: X(jM + M - m) is the conjugate of X((r - 1 - j)M + m).
+    Long records are split: every r-th sample is transformed, r a divisor of S, and the r transforms F_q are combined
+    (decimation in time, Cooley and Tukey 1965): X(jM + m) = Σ_q exp(-2πi·qj/r)·exp(-2πi·qm/S)·F_q(m), M = S/r, a
+    transform of r numbers for each m. m up to M/2 are enough: X(jM + M - m) is the conjugate of X((r - 1 - j)M + m).
     """
     count, mean = len(samples), samples.mean()
     pieces = next((r for r in range(_FEWEST_PARTS, _MOST_PARTS + 1) if count % r == 0), 1) if count >= _LONG else 1
@@ -140,11 +141,11 @@ def _hann_rfft(samples: FloatArray, middle: float) -> ComplexArray:
         step = np.exp(np.arange(part.start, part.stop) * (-1j * turn))
         twist = np.ones(len(step), dtype=np.complex128)
         twisted = np.empty((pieces, len(step)), dtype=np.complex128)
-        for half, own in zip(halves, twisted, strict=True):
-            np.multiply(half[part], twist, out=own)
+        for half, row in zip(halves, twisted, strict=True):
+            np.multiply(half[part], twist, out=row)
             twist *= step
-        for half, own in zip(halves, np.fft.fft(twisted, axis=0), strict=True):
-            half[part] = own
+        for half, row in zip(halves, np.fft.fft(twisted, axis=0), strict=True):
+            half[part] = row
     del half
     result = np.empty(bins, dtype=np.complex128)
     last = (bins - 1) // length
@@ -160,7 +161,10 @@ def _hann_rfft(samples: FloatArray, middle: float) -> ComplexArray:
 
 
 def _windowed(samples: FloatArray, mean: float, middle: float, which: slice) -> FloatArray:
-    """Return some of the samples (S,) less their mean, times 1 + cos(2π/S·(n - middle)), in little more memory."""
+    """Return some samples (S,) without mean, times a Hann window.
+
+    The window is 1 + cos(2π/S·(n - middle)); little memory is used.
+    """
     window = np.arange(which.start, which.stop, which.step, dtype=np.float64)
     window -= middle
     window *= 2.0 * np.pi / len(samples)
@@ -171,9 +175,10 @@ def _windowed(samples: FloatArray, mean: float, middle: float, which: slice) -> 
 
 
 def hann_kernel(position: float, low: int, high: int, samples: int) -> tuple[FloatArray, FloatArray]:
-    """Return what a unit line at `place` leaves in the bins from `low` to below `high`, and its derivative by `place`.
+    """Return the spectrum of a unit line in some bins, and its derivative.
 
-    K(δ) = D(δ) + ½D(δ - 1) + ½D(δ + 1) with Dirichlet's kernel D(δ) = sin(πδ) / (N sin(πδ/N)).
+    The line is at `position`, the bins are `low` to `high` - 1. K(δ) = D(δ) + ½D(δ - 1) + ½D(δ + 1) with Dirichlet's
+    kernel D(δ) = sin(πδ) / (N sin(πδ/N)).
     """
     distance = position - np.arange(low - 1, high + 1)
     near = np.abs(distance) < _SERIES_BELOW
@@ -191,43 +196,47 @@ def hann_kernel(position: float, low: int, high: int, samples: int) -> tuple[Flo
 
 
 def fit_line(spectrum: ComplexArray, samples: int, start: float, noise: float) -> BinLine:
-    """Fit a line to the bins around `start` by least squares, weighted with the correlation of Hann bins.
+    """Fit a line to the bins around `start` by weighted least squares.
 
-    Y = A·K(δ) + B·K'(δ): the part of B in phase with A is a shift of the line, Gauss-Newton takes it off; the other
-    part is a linear change of the amplitude. `noise` is the noise power of a bin.
+    The weights allow for correlated Hann bins. Y = A·K(δ) + B·K'(δ). The part of B in phase with A is a shift of the
+    line, which Gauss-Newton steps remove; the other part is a linear change of the amplitude. `noise` is the noise
+    power of a bin.
     """
     low, high = max(1, round(start) - _SPAN), min(len(spectrum), round(start) + _SPAN + 1)
     weight = _hann_weight(high - low)
-    place, value = start, 0j
+    position, value = start, 0j
     for _ in range(_STEPS):
-        data = spectrum[low:high] - np.conj(value) * hann_kernel(-place, low, high, samples)[0]
-        design = np.stack(hann_kernel(place, low, high, samples))
+        data = spectrum[low:high] - np.conj(value) * hann_kernel(-position, low, high, samples)[0]
+        design = np.stack(hann_kernel(position, low, high, samples))
         weighted = design @ weight
         covariance = np.linalg.inv(weighted @ design.T)
         value, slope = (complex(c) for c in covariance @ (weighted @ data))
         step = (slope / value).real if value else 0.0
-        place += min(max(step, -0.5), 0.5)
-        if abs(place - start) > 1.0:
-            place = start
+        position += min(max(step, -0.5), 0.5)
+        if abs(position - start) > 1.0:
+            position = start
             break
         if abs(step * value) ** 2 < _CONVERGED * covariance[1, 1] * noise:
             break
     quadrature = noise / 2.0 * covariance.diagonal()
     change = 1j * value * (slope / value).imag if value else 0j
     tame = abs(value) ** 2 > _DRIFT_FROM * noise and abs(change) < 0.3 * abs(value)
-    u_place = float(np.sqrt(quadrature[1])) / max(abs(value), np.finfo(np.float64).tiny)
-    return BinLine(place, value, change if tame else 0j, u_place, float(np.sqrt(quadrature[0])))
+    u_position = float(np.sqrt(quadrature[1])) / max(abs(value), np.finfo(np.float64).tiny)
+    return BinLine(position, value, change if tame else 0j, u_position, float(np.sqrt(quadrature[0])))
 
 
 def bins_of(line: BinLine, bins: int, noise: float) -> tuple[int, int]:
-    """Return the first of the bins of a spectrum in which a line can be told from a noise power, and the one behind."""
+    """Return the range of bins in which a line exceeds a noise power.
+
+    It is the first bin, and one after the last.
+    """
     reach = (abs(line.value) / (_NEGLIGIBLE * np.sqrt(noise) * np.pi)) ** (1.0 / 3.0)
     width = int(min(max(reach, 4.0), _WIDEST)) + 2
     return max(0, round(line.bin_position) - width), min(bins, round(line.bin_position) + width + 1)
 
 
 def add_line(spectrum: ComplexArray, samples: int, line: BinLine, bins: tuple[int, int], sign: float) -> None:
-    """Add a line times `sign` to the bins of a spectrum from the first to below the second, in place."""
+    """Add a line times `sign` to a range of bins of a spectrum, in place."""
     low, high = bins
     shape, slope = hann_kernel(line.bin_position, low, high, samples)
     part = line.value * shape + np.conj(line.value) * hann_kernel(-line.bin_position, low, high, samples)[0]
@@ -237,23 +246,23 @@ def add_line(spectrum: ComplexArray, samples: int, line: BinLine, bins: tuple[in
 @lru_cache(maxsize=8)
 def _hann_weight(count: int) -> FloatArray:
     """Return the inverse of the correlation matrix of white noise in neighbouring Hann bins."""
-    apart = np.abs(np.subtract.outer(np.arange(count), np.arange(count)))
-    return np.asarray(np.linalg.inv(np.array([*_BIN_CORRELATION, *[0.0] * count])[apart]))
+    lag = np.abs(np.subtract.outer(np.arange(count), np.arange(count)))
+    return np.asarray(np.linalg.inv(np.array([*_BIN_CORRELATION, *[0.0] * count])[lag]))
 
 
 # The noise floor of a power spectrum, and how far above it chance alone does not reach.
 
-FIRST_BIN = 3  # the lowest bin looked at: fewer periods are drift
+FIRST_BIN = 3  # the lowest bin used: fewer periods are drift
 _BLOCKS = (64, 256)  # bins per median, narrow and wide
 _LOW_BINS = 256  # in which a slope of the noise towards zero is taken off first
-_CAPPED = 4.0  # times the floor: what stands higher does not pull at the slope
-_FIT_STEPS = 60
+_CAPPED = 4.0  # times the floor: limit of the power in the fit of the slope
+_FIT_STEPS = 60  # of the slope of the noise; chosen
 _ROUNDING = 1e-9  # by which an interpolated level may fall short of its neighbours, with a wide margin
 BINS_PER_INDEPENDENT = 1.94  # 1 + 2·(4/9 + 1/36): Hann bins share their noise
 
 
 class Power:
-    """Power of the bins of a spectrum (B,), taken from it where it is asked for: all of it is half its memory."""
+    """Power of the bins of a spectrum (B,), computed on demand to save memory."""
 
     def __init__(self, spectrum: ComplexArray) -> None:
         self._spectrum = spectrum
@@ -262,8 +271,8 @@ class Power:
         return len(self._spectrum)
 
     def __getitem__(self, bins: slice | int | IntArray) -> FloatArray:
-        own = np.asarray(self._spectrum[bins])
-        return np.asarray(np.square(own.real) + np.square(own.imag))
+        values = np.asarray(self._spectrum[bins])
+        return np.asarray(np.square(values.real) + np.square(values.imag))
 
     @property
     def highest(self) -> float:
@@ -273,10 +282,10 @@ class Power:
 
 @dataclass(frozen=True, eq=False)
 class NoiseLevel:
-    """Noise power of the bins (B,), interpolated where it is asked for, and no less than `least`.
+    """Noise power of the bins (B,), interpolated on demand, and no less than `minimum`.
 
-    `curves`: centres of blocks and the logarithm of their level; `trend`: factor of the lowest bins; `independent`: the
-    number of independent bins each value rests on.
+    `curves` are centres of blocks and the logarithm of their level. `trend` is a factor of the lowest bins.
+    `independent` is the number of independent bins behind each value.
     """
 
     bins: int
@@ -297,7 +306,7 @@ class NoiseLevel:
         return np.asarray(np.maximum(level, self.minimum))
 
     def lower_bound(self, bins: slice) -> float:
-        """Return a power that none of these bins falls short of."""
+        """Return a power that the level of these bins does not fall below."""
         lowest = -np.inf
         for centres, log_level in self.curves:
             first, last = np.searchsorted(centres, (bins.start, bins.stop - 1))
@@ -316,13 +325,13 @@ def noise_level(
 ) -> NoiseLevel:
     """Return the noise power of every bin (B,).
 
-    Medians of blocks of bins, which pass over lines, divided by ln 2 (a bin's power has an exponential distribution)
-    and interpolated; of narrow and wide blocks the higher value. Towards zero frequency, where drift and 1/f noise
-    rise faster than a block sees, a parabola in log power over log frequency is taken off first, by maximum Whittle
-    likelihood of the power capped at four times the floor.
+    It is the median of blocks of bins, which ignores lines, divided by ln 2 (a bin's power has an exponential
+    distribution) and interpolated; the higher value of narrow and wide blocks. Towards zero frequency, drift and 1/f
+    noise rise faster than a block resolves. A parabola in log power over log frequency is therefore divided out first,
+    by maximum Whittle likelihood of the power limited to four times the floor.
 
-    `before`: the level as it was before the power of some bins `changed`, from the first to below the second, and of
-    the lowest; the medians of all other blocks are its own.
+    `previous` is the level before the power of some bins `changed` (ranges) and of the lowest; it supplies the medians
+    of all other blocks.
     """
     usable = len(power) - FIRST_BIN
     if usable < 1:
@@ -335,22 +344,22 @@ def noise_level(
         if blocks == 1 and counts:
             break
         edges = FIRST_BIN + np.round(np.linspace(0.0, usable, blocks + 1)).astype(np.int64)
-        own = np.ones(blocks, dtype=np.bool_)
+        new_blocks = np.ones(blocks, dtype=np.bool_)
         log_level = np.empty(blocks)
         if previous is not None:
-            own[:] = False
+            new_blocks[:] = False
             log_level[:] = previous.curves[len(curves)][1]
             for low, high in (*changed, (0, len(trend))):
-                own[max(0, np.searchsorted(edges, low, "right") - 1) : np.searchsorted(edges, high)] = True
-        medians = _medians(power, trend, edges[:-1][own], int(np.min(np.diff(edges))))
-        log_level[own] = np.log(np.maximum(medians / np.log(2.0), np.finfo(np.float64).tiny))
+                new_blocks[max(0, np.searchsorted(edges, low, "right") - 1) : np.searchsorted(edges, high)] = True
+        medians = _medians(power, trend, edges[:-1][new_blocks], int(np.min(np.diff(edges))))
+        log_level[new_blocks] = np.log(np.maximum(medians / np.log(2.0), np.finfo(np.float64).tiny))
         curves.append(((edges[:-1] + edges[1:] - 1) / 2.0, log_level))
         counts.append(usable / blocks)
     return NoiseLevel(len(power), tuple(curves), trend, max(counts) / BINS_PER_INDEPENDENT)
 
 
 def _medians(power: FloatArray | Power, trend: FloatArray, first: IntArray, length: int) -> FloatArray:
-    """Return the medians of blocks of bins of a length from their first ones on, the trend taken off."""
+    """Return the medians of blocks of bins from their first ones, with the trend removed."""
     medians = np.empty(len(first))
     step = max(1, _PART // length)
     for k in range(0, len(first), step):
@@ -363,7 +372,7 @@ def _medians(power: FloatArray | Power, trend: FloatArray, first: IntArray, leng
 
 
 def _low_trend(power: FloatArray | Power) -> FloatArray:
-    """Return the slope of the noise over the lowest bins, as many as it has; it is 1 beyond them."""
+    """Return the trend of the noise over the lowest bins; it is 1 beyond them."""
     last = min(_LOW_BINS, len(power) - 1)
     if last - FIRST_BIN < 16:
         return np.ones(0)
@@ -382,9 +391,9 @@ def _low_trend(power: FloatArray | Power) -> FloatArray:
 
 @lru_cache(maxsize=256)
 def chance_height(chance: float, independent: float) -> float:
-    """Return by which factor a bin exceeds the noise level with probability `chance`, the level being a median.
+    """Return the factor by which a bin exceeds the median noise level with probability `chance`.
 
-    The level is known from `independent` bins only: of n exponential values, another exceeds T times the k-th smallest
+    The level is estimated from `independent` bins. Of n exponential values, another exceeds T times the k-th smallest
     with probability Π (n - i) / (n - i + T), i < k (Rohling, IEEE Trans. AES 19 (1983), eq. 39).
     """
     n = max(independent, 1.5)

@@ -1,8 +1,9 @@
-"""The indices of any system: what describes how a sensor follows a load that changes, with uncertainty.
+"""Characteristic figures of a linear system, with uncertainty.
 
-A figure is where a smooth function of frequency or time passes a level or turns. Its change with the parameters is that
-of the function at the fixed place, over the function's slope there; so no place is searched for again. Where the gain
-just touches a band's limit the slope goes to nothing and the uncertainty, rightly, without bound.
+A figure is the position where a smooth function of frequency or time crosses a level or turns. Its change with the
+parameters is the change of the function at the fixed position, divided by the function's slope there. No position is
+therefore searched for again. Where the gain only touches a band's limit the slope vanishes, and the uncertainty
+correctly grows without bound.
 """
 
 from __future__ import annotations
@@ -13,6 +14,14 @@ from dataclasses import dataclass
 import numpy as np
 
 from shaker.arrays import FloatArray
+from shaker.lti.lti_notices import (
+    ALTERNATING_POLE,
+    FIGURES_NOT_LINEAR,
+    FIGURES_WITHOUT_U,
+    POLE_ABOVE_NYQUIST,
+    POLE_ZERO_CANCELLATION,
+    UNSTABLE_POLES,
+)
 from shaker.lti.responses import (
     band_edges,
     band_end,
@@ -52,9 +61,10 @@ LABELS = {
 
 @dataclass(frozen=True)
 class Mode:
-    """An oscillating mode: pole in rad/s, f_n = |p|/2π, f_d = Im p/2π, ζ = -Re p/|p|.
+    """An oscillating mode of a system.
 
-    `step_share`: amplitude of its oscillation after a step over the static gain, None where poles coincide.
+    The pole is in rad/s, f_n = |p|/2π, f_d = Im p/2π, ζ = -Re p/|p|. `step_share`: amplitude of its oscillation after a
+    step over the static gain, None where poles coincide.
     """
 
     pole: complex
@@ -68,12 +78,23 @@ class Mode:
 class Indices:
     """Figures of one system; None where the system has no such figure.
 
-    `modes` by natural frequency and `dominant`, the one that oscillates most after a step; `natural_hz`, `damped_hz`
-    and `damping_ratio` are its. `peak_gain` is over the static gain. Bands end where |H| first leaves ±5 or ±10 % of
-    |H(0)|, or of the nominal gain; infinite where it never does (at half the rate for samples); `half_power_hz`: where
-    it first falls below |H(0)|/√2; `quadrature_hz`: where the phase first is 90° from that at rest. `overshoot`: the
-    highest value after a step beyond the final one over the final one; `rise_s` from its first 10 % to its first 90 %;
-    `settling_2_s`, `settling_5_s`: from where on the response stays within 2 or 5 % of the final value.
+    Attributes
+    ----------
+    static_gain : |H(0)| with sign.
+    stable : whether every pole decays.
+    modes, dominant : oscillating modes by natural frequency, and the one with the largest oscillation after a step;
+        `natural_hz`, `damped_hz` and `damping_ratio` are those of the dominant mode.
+    real_poles_hz : decay rates of real poles over 2π.
+    peak_hz, peak_gain : frequency of the highest gain, and that gain over the static gain.
+    quadrature_hz : frequency where the phase first differs by 90° from the static one.
+    half_power_hz : frequency where |H| first falls below |H(0)|/√2.
+    band_5_hz, band_10_hz : frequency where |H| first leaves ±5 or ±10 % of |H(0)|; infinite (half the rate for samples)
+        where it never does.
+    band_5_nominal_hz, band_10_nominal_hz : the same relative to the nominal gain.
+    overshoot : highest value after a step beyond the final one, over the final one.
+    rise_s : time from the first 10 % to the first 90 % in s.
+    settling_2_s, settling_5_s : time after which the response stays within 2 or 5 % of the final value, in s.
+    notices : notices about the poles.
     """
 
     static_gain: float
@@ -121,11 +142,25 @@ def unit_of(name: str) -> str:
 
 
 def indices(system: LinearSystem, nominal_gain: float = 1.0, sample_rate_hz: float | None = None) -> Indices:
-    """Return all figures of a system, continuous or sampled; `nominal_gain` is what its gain should be.
+    """Return all figures of a continuous or sampled system.
 
-    A sampled system's poles are ln(z)·fs, its gain that on the unit circle, its times those of samples.
-    `sample_rate_hz`: that of the samples a continuous system was identified from, for notices of its poles.
+    A sampled system's poles are ln(z)·fs, its gain is that on the unit circle, and its times are those of samples.
 
+    Parameters
+    ----------
+    system
+        The system.
+    nominal_gain
+        Specified gain, default 1.
+    sample_rate_hz
+        Rate in Hz of the samples from which a continuous system was identified, for notices of its poles.
+
+    Returns
+    -------
+    The figures, with None where the system has no such figure.
+
+    Examples
+    --------
     >>> import numpy as np
     >>> from shaker import LinearSystem, indices
     >>> omega = 2 * np.pi * 300.0
@@ -179,65 +214,70 @@ def modes(system: LinearSystem) -> tuple[Mode, ...]:
 
 
 def step_shares(system: LinearSystem) -> FloatArray:
-    """Return for each pole (P,) how much it swings after a step, pairs together, over the static gain."""
+    """Return the oscillation amplitude of each pole (P,) after a step, over the static gain.
+
+    Both poles of a pair are included.
+    """
     below = system.poles - system.static_point
     pairs = np.where(system.poles.imag == 0, 1.0, 2.0)
     with np.errstate(divide="ignore", invalid="ignore"):
         return np.asarray(np.abs(pairs * system.residues() / below / system.static_gain))
 
 
-# What makes a model's poles doubtful.
+# Doubtful poles of a model.
 
-FAR = 0.5
-"""Share of the sampling rate from which on a pole says nothing of the sensor."""
-NEAR = 1e-2
-"""Distance of a zero from a pole, over that of the pole from rest, below which the two nearly cancel."""
+MAX_POLE_SHARE = 0.5
+"""Share of the sampling rate above which a pole cannot belong to the sensor: the Nyquist frequency."""
+CANCELLATION_DISTANCE = 1e-2
+"""Distance of a zero from a pole, over that of the pole from rest, below which both nearly cancel; chosen."""
 
 
 def pole_notices(system: LinearSystem, sample_rate_hz: float | None = None) -> tuple[Notice, ...]:
-    """Return notices on stability, poles without a meaning, and zeros that nearly cancel poles.
+    """Return notices of instability, poles without physical meaning, and near cancellations.
 
-    `sample_rate_hz`: that of the samples a continuous model was found from; a sampled model has its own.
+    `sample_rate_hz` is that of the samples from which a continuous model was identified; a sampled model has a rate.
     """
-    own_rate = system.sample_rate_hz
-    rate, notices = own_rate or sample_rate_hz, []
+    system_rate = system.sample_rate_hz
+    rate, notices = system_rate or sample_rate_hz, []
     if not system.stable:
-        grows = system.poles.real >= 0 if own_rate is None else np.abs(system.poles) >= 1
-        notices.append(Notice("warning", f"{int(grows.sum())} of {len(grows)} poles do not decay.", "stability"))
+        grows = system.poles.real >= 0 if system_rate is None else np.abs(system.poles) >= 1
+        notices.append(Notice(UNSTABLE_POLES, "stability", unstable=int(grows.sum()), poles=len(grows)))
     for pole in system.poles[system.poles.imag >= 0]:
         value = f"{pole.real:.5g}" if pole.imag == 0 else f"{pole.real:.5g} ± {pole.imag:.5g}j"
-        where = f"pole {value}{' rad/s' if own_rate is None else ''}"
-        if own_rate is not None and pole.imag == 0 and pole.real < 0:
-            text = f"turns its sign with every sample, z = {pole.real:.4g}: no motion of a sensor, a product of noise"
-            notices.append(Notice("warning", f"The pole {text} or of too high an order.", where))
+        where = f"pole {value}{' rad/s' if system_rate is None else ''}"
+        if system_rate is not None and pole.imag == 0 and pole.real < 0:
+            notices.append(Notice(ALTERNATING_POLE, where, pole_z=float(pole.real)))
             continue
-        if own_rate is not None and pole == 0:  # a delay of one sample
+        if system_rate is not None and pole == 0:  # a delay of one sample
             continue
-        size = abs(pole if own_rate is None else np.log(pole) * own_rate) / (2 * np.pi)
-        if rate is not None and size > FAR * rate:
-            text = f"The pole at {size:.4g} Hz lies beyond half the sampling rate of {rate:.6g} Hz: the samples do not"
-            notices.append(Notice("warning", f"{text} show it.", where))
-        distance = np.abs(system.zeros - pole)
-        if np.any(distance < NEAR * abs(pole - system.static_point)):
-            text = f"A zero lies {100 * distance.min() / abs(pole - system.static_point):.2g} % from it: the two nearly cancel,"
-            notices.append(Notice("note", f"{text} and the order may be too high.", where))
+        size = abs(pole if system_rate is None else np.log(pole) * system_rate) / (2 * np.pi)
+        if rate is not None and size > MAX_POLE_SHARE * rate:
+            notices.append(Notice(POLE_ABOVE_NYQUIST, where, pole_hz=float(size), rate_hz=rate))
+        distance, from_rest = np.abs(system.zeros - pole), abs(pole - system.static_point)
+        if np.any(distance < CANCELLATION_DISTANCE * from_rest):
+            percent = 100 * float(distance.min()) / float(from_rest)
+            notices.append(Notice(POLE_ZERO_CANCELLATION, where, distance_percent=percent))
     return tuple(notices)
 
 
 # Whether figures change in proportion within U: a band that another turning point cuts short, a gain that bends.
 
-REACH = 2.0
-"""Standard uncertainties by which a model is moved to see that."""
-ALIKE = 0.98
-"""Correlation of two figures from which on both move the model the same way."""
-BENT = 1.2
-"""Factor between what a figure changes by and first order from which the user is told."""
+REACH_SIGMAS = 2.0
+"""Standard uncertainties by which a model is shifted, about the half-width of a 95 % interval."""
+SAME_DIRECTION = 0.98
+"""Correlation of two figures above which both shift the model in the same direction; chosen."""
+NONLINEAR_FACTOR = 1.2
+"""Ratio of a figure's change to its first-order change above which a notice is given; chosen."""
 
 
 @dataclass(frozen=True)
 class FigureRange:
-    """The lowest and highest values of figures (Q,) within `REACH` standard uncertainties of a model, NaN where a
-    figure ceases to be; `factor` (Q,): what u of first order has to be multiplied by to hold them, at least 1.
+    """Range of figures (Q,) within `REACH_SIGMA` standard uncertainties of a model.
+
+    Attributes
+    ----------
+    low, high : (Q,), lowest and highest values, NaN where a figure ceases to exist.
+    factor : (Q,), factor by which a first-order u must be multiplied to include them, at least 1.
     """
 
     low: FloatArray
@@ -245,66 +285,63 @@ class FigureRange:
     factor: FloatArray
 
     def notices(self, names: Sequence[str]) -> Iterator[Notice]:
-        """Say of which figures, names (Q,) as in `LABELS`, first order does not hold."""
-        gone = [LABELS[name] for name, factor in zip(names, self.factor, strict=True) if np.isnan(factor)]
-        if gone:
-            text = f"within {REACH:g} standard uncertainties of the model there may be none of these, which have no U: "
-            yield Notice("warning", text + ", ".join(gone), "indices")
-        bent = [
+        """Yield notices of figures that do not change linearly; names (Q,) as in `LABELS`."""
+        lost = [LABELS[name] for name, factor in zip(names, self.factor, strict=True) if np.isnan(factor)]
+        if lost:
+            yield Notice(FIGURES_WITHOUT_U, "indices", reach_sigmas=REACH_SIGMAS, figures=", ".join(lost))
+        ranges = [
             f"{LABELS[name]}: {low:.5g} … {high:.5g} {unit_of(name)}".rstrip()
             for name, low, high, factor in zip(names, self.low, self.high, self.factor, strict=True)
-            if factor > BENT
+            if factor > NONLINEAR_FACTOR
         ]
-        if bent:
-            text = (
-                f"within {REACH:g} standard uncertainties of the model these do not change in proportion to it, and U "
-            )
-            yield Notice("note", f"{text}is widened to hold where they come to: {'; '.join(bent)}", "indices")
+        if ranges:
+            yield Notice(FIGURES_NOT_LINEAR, "indices", reach_sigmas=REACH_SIGMAS, figures="; ".join(ranges))
 
 
 def find_figure_range(
     covariance: FloatArray, slope: FloatArray, figures_after: Callable[[FloatArray], FloatArray]
 ) -> FigureRange:
-    """Return what figures come to within the covariance (P, P) of a model, whose derivatives are `slope` (Q, P).
+    """Return the range of figures within the covariance (P, P) of a model.
 
-    `moved` gives the figures (Q,), NaN or infinite where there is none, for a move (P,) of the parameters. These are
-    moved to either side as far as each figure can go to first order, V·g/√(gᵀVg): nothing else moves that figure by
-    as much. Every figure is looked at in the direction of every other, since a band may end where the highest gain
-    comes to touch its limit, which the gain at its own end does not tell. One that is linear never changes more than
-    first order says, in whatever direction.
+    `slope` (Q, P) are their derivatives. `figures_after` returns the figures (Q,) for a shift (P,) of the parameters,
+    NaN or infinite where there is none. The parameters are shifted to both sides as far as each figure can change to
+    first order, V·g/√(gᵀVg): no other shift changes that figure as much. Every figure is evaluated for the direction of
+    every other. A band may end where the highest gain touches its limit, which the gain at its end does not show. A
+    linear figure never changes more than its first-order change, for any direction.
     """
     value, u = (
         figures_after(np.zeros(len(covariance))),
         np.sqrt(np.maximum(np.einsum("qp,pr,qr->q", slope, covariance, slope), 0)),
     )
-    ways: list[FloatArray] = []
-    for own, size in zip(slope, u, strict=True):
-        alike = [abs(own @ way) > ALIKE * size for way in ways]
-        if np.isfinite(size) and size > 0 and not any(alike):
-            ways.append(covariance @ own / size)
-    seen = np.array([value, *(figures_after(sign * REACH * way) for way in ways for sign in (-1.0, 1.0))])
-    known, finite = np.isfinite(value) & np.isfinite(u), np.all(np.isfinite(seen), axis=0)
+    shifts: list[FloatArray] = []
+    for row, size in zip(slope, u, strict=True):
+        same = [abs(row @ shift) > SAME_DIRECTION * size for shift in shifts]
+        if np.isfinite(size) and size > 0 and not any(same):
+            shifts.append(covariance @ row / size)
+    seen = np.array([value, *(figures_after(sign * REACH_SIGMAS * shift) for shift in shifts for sign in (-1.0, 1.0))])
+    exists, finite = np.isfinite(value) & np.isfinite(u), np.all(np.isfinite(seen), axis=0)
     low, high = (np.where(finite, of(seen, axis=0), np.nan) for of in (np.min, np.max))
-    far = np.maximum(high - value, value - low)
-    factor = np.maximum(np.divide(far, REACH * u, out=np.ones(len(u)), where=known & (u > 0)), 1.0)
-    return FigureRange(low, high, np.where(known & (u > 0), factor, 1.0))
+    largest = np.maximum(high - value, value - low)
+    factor = np.maximum(np.divide(largest, REACH_SIGMAS * u, out=np.ones(len(u)), where=exists & (u > 0)), 1.0)
+    return FigureRange(low, high, np.where(exists & (u > 0), factor, 1.0))
 
 
 # Standard uncertainties of the indices of an identified model.
 
-Figure = Callable[[ModalModel], float]
+ModelFigure = Callable[[ModalModel], float]
 SETTLING = {"settling_5_s": 0.05, "settling_2_s": 0.02}
 OVER_STATIC = ("half_power_hz", "band_5_hz", "band_10_hz")
 OVER_NOMINAL = ("band_5_nominal_hz", "band_10_nominal_hz")
 
 
 def moving_figures(model: ModalModel, found: Indices) -> tuple[tuple[str, ...], Callable[[ModalModel], FloatArray]]:
-    """Return names (Q,) and a function of models whose Q values change as the figures of `found` do close to `model`.
+    """Return functions of models whose values change like the figures.
 
-    For `ModalModel.propagate` and `.jacobian`, which need changes only; figures that there are not are left out, and
-    settling times, for which see `settling_u`.
+    The result are names (Q,) and one function with Q values. It is valid close to `model`, for `ModalModel.propagate`
+    and `.jacobian`, which need changes only. Missing figures are left out, and settling times, for which see
+    `settling_u`.
     """
-    parts: dict[str, tuple[Figure, float]] = {"static_gain": (lambda at: at.static_gain, 1.0)}
+    parts: dict[str, tuple[ModelFigure, float]] = {"static_gain": (lambda at: at.static_gain, 1.0)}
     if found.dominant is not None:
         mode = int(np.argmin(np.abs(model.poles[: len(model.frequency_hz)] - found.dominant.pole)))
         parts["natural_hz"] = lambda at: float(at.frequency_hz[mode]), 1.0
@@ -323,15 +360,20 @@ def moving_figures(model: ModalModel, found: Indices) -> tuple[tuple[str, ...], 
     return tuple(parts), lambda at: np.array([factor * figure(at) for figure, factor in parts.values()])
 
 
-def _over_frequency(system: LinearSystem, found: Indices) -> dict[str, tuple[Figure, float]]:
-    """Return what stands for peak, bands, -3 dB and 90° at their frequencies, and what these change by with it."""
+def _over_frequency(system: LinearSystem, found: Indices) -> dict[str, tuple[ModelFigure, float]]:
+    """Return functions for figures over frequency, with scale factors.
 
-    def level_at(hertz: float, over_static: bool) -> Figure:
+    They are peak, bands, -3 dB and 90° at fixed frequency.
+    """
+
+    def level_at(hertz: float, over_static: bool) -> ModelFigure:
         """ln|H|, over the static gain or not."""
-        place = np.array([hertz])
-        return lambda at: float(np.log(np.abs(at.response(place)[0]) / (abs(at.static_gain) if over_static else 1.0)))
+        position = np.array([hertz])
+        return lambda at: float(
+            np.log(np.abs(at.response(position)[0]) / (abs(at.static_gain) if over_static else 1.0))
+        )
 
-    parts: dict[str, tuple[Figure, float]] = {}
+    parts: dict[str, tuple[ModelFigure, float]] = {}
     if found.peak_hz is not None and found.peak_gain is not None:
         top, step = np.array([found.peak_hz]), 1e-6 * found.peak_hz
         bend = np.diff(log_slope(system, found.peak_hz + np.array([-step, step])))[0] / (2 * step)
@@ -352,10 +394,9 @@ def _over_frequency(system: LinearSystem, found: Indices) -> dict[str, tuple[Fig
 def settling_u(model: ModalModel, tolerance: float) -> float:
     """Return the standard uncertainty in s of a settling time, NaN where there is none.
 
-    Two parts: the crossing moves by τ with slope·τ ± curvature·τ²/2 = u of the response, away from the turning point
-    before it or towards that, which it does not pass; and it jumps to the next turning point, half a period away, where
-    one that is just outside comes to be inside, or the other way: variance (half period)²·P(1 - P) with the probability
-    P of that.
+    It has two parts. The crossing moves by τ with slope·τ ± curvature·τ²/2 = u of the response, away from the previous
+    turning point or towards it, but not past it. And it jumps to the next turning point, half a period away, if one
+    that is just outside moves inside, or the reverse: variance (half period)²·P(1 - P) with the probability P of that.
     """
     from scipy.special import ndtr
 
@@ -367,8 +408,8 @@ def settling_u(model: ModalModel, tolerance: float) -> float:
     half = points[2] - points[1]
     near = model.impulse(points[0] + 1e-5 * half * np.arange(-1, 2)) / model.static_gain
     slope, bend = abs(near[1]), abs(near[2] - near[0]) / (2e-5 * half)
-    away, back = slope**2 + 2 * bend * u[0], max(slope**2 - 2 * bend * u[0], 0.0)
-    moved = 0.5 * (np.sqrt(away) - np.sqrt(back)) / bend if bend > 0 else u[0] / slope
+    outward, back = slope**2 + 2 * bend * u[0], max(slope**2 - 2 * bend * u[0], 0.0)
+    moved = 0.5 * (np.sqrt(outward) - np.sqrt(back)) / bend if bend > 0 else u[0] / slope
     margin = np.abs(np.abs(value[1:] - 1) - tolerance)
     jump = ndtr(-np.divide(margin, u[1:], out=np.full(2, np.inf), where=u[1:] > 0))
     return float(np.hypot(moved, half * np.sqrt(np.sum(jump * (1 - jump)))))

@@ -1,4 +1,7 @@
-"""What a system does over frequency and in time: peak, bands, overshoot, rise, settling; found to the last digits."""
+"""Gain over frequency and step response of a system: peak, bands, overshoot, rise, settling.
+
+All figures are computed to the last digits.
+"""
 
 from __future__ import annotations
 
@@ -12,27 +15,30 @@ import numpy as np
 from shaker.arrays import Brief, ComplexArray, FloatArray, IntArray
 from shaker.lti.system import LinearSystem, exponentials_between
 
-STEPS = 120
+STEPS = 120  # of a root search at most; chosen
 TINY = 2.0 * float(np.finfo(np.float64).eps)
 """Share of a root to which it is found."""
 
 
 def sign_changes(value: FloatArray) -> IntArray:
-    """Return the places i at which `value` (N,) changes its sign between i and i + 1, or is 0 at i + 1."""
+    """Return the indices i after which `value` (N,) changes sign.
+
+    A zero at i + 1 counts too.
+    """
     positive = value > 0
     return np.asarray(np.flatnonzero(positive[1:] != positive[:-1]), dtype=np.int64)
 
 
 def roots_between(function: Callable[[FloatArray], FloatArray], low: FloatArray, high: FloatArray) -> FloatArray:
-    """Return a root (R,) of a function of (R,) between each `low` and `high`, at which its signs differ, or one place.
+    """Return roots (R,) of a function, each between `low` and `high`.
 
-    Inverse quadratic interpolation where it is safe, else bisection (Chandrupatla, Adv. Eng. Softw. 28 (1997) 145-149),
-    to the last digits.
+    The function has different signs there. Inverse quadratic interpolation where it is safe, else bisection
+    (Chandrupatla, Adv. Eng. Softw. 28 (1997) 145-149), to the last digits.
     """
     at_low, at_high = np.asarray(low, dtype=np.float64), np.asarray(high, dtype=np.float64)
     if not len(at_high):
         return at_high
-    other, point = np.array([at_low, function(at_low)]), np.array([at_high, function(at_high)])  # place and value
+    other, point = np.array([at_low, function(at_low)]), np.array([at_high, function(at_high)])  # position and value
     ahead = np.full(len(at_high), 0.5)
     with np.errstate(all="ignore"):
         for _ in range(STEPS):
@@ -48,9 +54,9 @@ def roots_between(function: Callable[[FloatArray], FloatArray], low: FloatArray,
             beyond, gap = third - point, other - third
             where, level = span / gap
             safe = (level**2 < where) & ((1.0 - level) ** 2 < 1.0 - where)
-            place = third[1] / span[1] - beyond[0] / span[0] / beyond[1] * other[1]
-            place *= point[1] / gap[1]
-            ahead = np.minimum(np.maximum(np.where(safe, place, 0.5), least), 1.0 - least)
+            interpolated = third[1] / span[1] - beyond[0] / span[0] / beyond[1] * other[1]
+            interpolated *= point[1] / gap[1]
+            ahead = np.minimum(np.maximum(np.where(safe, interpolated, 0.5), least), 1.0 - least)
             ahead[found] = 0.0
     nearer = np.where(np.abs(point[1]) < np.abs(other[1]), point[0], other[0])
     return np.asarray(np.where(point[1] == 0, point[0], np.where(other[1] == 0, other[0], nearer)))
@@ -65,10 +71,10 @@ POINTS = 60
 
 @dataclass(frozen=True, repr=False)
 class GainCurve(Brief):
-    """|H| over frequency: `edges_hz` (E,), rising from 0, with `gain` (E,), between which |H| only rises or only falls.
+    """|H| over frequency: `edges_hz` (E,) from 0 with `gain` (E,), monotonic in between.
 
-    The last edge is half the sampling rate, or, of a continuous system, far above every pole and zero, where |H| has
-    come to its last slope. `points_hz` (G,), rising, with `response` (G,), lie as close as poles and zeros ask for.
+    The last edge is half the sampling rate. For a continuous system it is far above every pole and zero, where |H| has
+    its final slope. `points_hz` (G,), ascending, with `response` (G,), are dense near poles and zeros.
     """
 
     system: LinearSystem
@@ -79,9 +85,9 @@ class GainCurve(Brief):
     passed: dict[float, FloatArray] = field(default_factory=dict, compare=False)
 
     def crossings(self, *levels: float) -> list[float]:
-        """Return every frequency in Hz at which |H| passes one of the levels, rising.
+        """Return every frequency in Hz at which |H| crosses one of the levels, ascending.
 
-        Each level is looked for once, those of one call together.
+        Each level is searched once, and all levels of one call together.
         """
         new = [level for level in dict.fromkeys(levels) if level not in self.passed]
         if new:
@@ -89,21 +95,24 @@ class GainCurve(Brief):
         return [float(root) for root in np.sort(np.concatenate([self.passed[level] for level in levels]))]
 
     def _search(self, new: Sequence[float]) -> None:
-        """Look for the frequencies at which |H| passes levels, all in one search."""
+        """Find the frequencies at which |H| crosses new levels, in one search."""
         hertz, order = np.unique(np.concatenate([self.edges_hz, self.points_hz]), return_index=True)
         gain = np.concatenate([self.gain, np.abs(self.response)])[order]
         changes = [sign_changes(gain - level) for level in new]
-        counts, places = [len(own) for own in changes], np.concatenate(changes)
+        counts, changed = [len(indices) for indices in changes], np.concatenate(changes)
         level = np.repeat(new, counts)
 
         def above(at: FloatArray) -> FloatArray:
             return np.asarray(np.abs(self.system.response(at)) / level - 1.0)
 
-        roots = roots_between(above, hertz[places], hertz[places + 1])
+        roots = roots_between(above, hertz[changed], hertz[changed + 1])
         self.passed.update(zip(new, np.split(roots, np.cumsum(counts)[:-1]), strict=True))
 
     def inside(self, low: float, high: float) -> list[tuple[float, float]]:
-        """Return the ranges of frequency in Hz in which low ≤ |H| ≤ high, rising; the last may be endless."""
+        """Return the ranges of frequency in Hz in which low ≤ |H| ≤ high.
+
+        The last may be infinite.
+        """
         ends = [0.0, *self.crossings(low, high), float(self.edges_hz[-1])]
         middle = np.abs(self.system.response(np.array([0.5 * (begin + end) for begin, end in pairwise(ends)])))
         ranges: list[tuple[float, float]] = []
@@ -117,20 +126,23 @@ class GainCurve(Brief):
 
 
 def gain_curve(system: LinearSystem) -> GainCurve:
-    """Return |H| over frequency in pieces that only rise or only fall.
+    """Return |H| over frequency in monotonic pieces.
 
     The turning points are the zeros of d ln|H|/dω = Re{x'·[Σ 1/(x - zero) - Σ 1/(x - pole)]}, x' = dx/dω, between
-    points that lie close where poles and zeros are near: no resonance is too narrow.
+    points that are dense near poles and zeros: no resonance is too narrow.
     """
     grid = _grid(system)
-    places = sign_changes(log_slope(system, grid))
-    turns = roots_between(lambda hertz: log_slope(system, hertz), grid[places], grid[places + 1])
+    turning = sign_changes(log_slope(system, grid))
+    turns = roots_between(lambda hertz: log_slope(system, hertz), grid[turning], grid[turning + 1])
     edges = np.concatenate([[0.0], turns, grid[-1:]])
     return GainCurve(system, edges, np.abs(system.response(edges)), grid, system.response(grid))
 
 
 def roots_rad(system: LinearSystem) -> tuple[ComplexArray, ComplexArray]:
-    """Return zeros and poles as s in rad/s, those of samples by ln(z)·rate; z = 0 is left out."""
+    """Return zeros and poles as s in rad/s.
+
+    Those of samples are ln(z)·rate; z = 0 is left out.
+    """
     if system.sample_rate_hz is None:
         return system.zeros, system.poles
     zeros, poles = (np.log(part[part != 0]) * system.sample_rate_hz for part in (system.zeros, system.poles))
@@ -138,7 +150,7 @@ def roots_rad(system: LinearSystem) -> tuple[ComplexArray, ComplexArray]:
 
 
 def _grid(system: LinearSystem) -> FloatArray:
-    """Return frequencies (G,) in Hz, rising, that lie as close as zeros and poles make the gain change."""
+    """Return ascending frequencies (G,) in Hz that are dense near zeros and poles."""
     features = np.concatenate(roots_rad(system))
     features = features[np.abs(features) > 0] / (2 * np.pi)
     if not len(features):
@@ -148,58 +160,64 @@ def _grid(system: LinearSystem) -> FloatArray:
     if system.sample_rate_hz is not None:
         most = 0.5 * system.sample_rate_hz
     parts = [np.geomspace(min(least, 1e-3 * most), most, int(POINTS * np.log10(most / min(least, 1e-3 * most))) + 2)]
-    for place, size in zip(features, sizes, strict=True):
-        if place.imag <= 0:
+    for feature, size in zip(features, sizes, strict=True):
+        if feature.imag <= 0:
             continue
-        width = max(abs(place.real), 1e-9 * size)
-        away = np.geomspace(1e-2 * width, size, int(POINTS * np.log10(1e2 * size / width)) + 2)
-        parts += [place.imag - away, place.imag + away]
+        width = max(abs(feature.real), 1e-9 * size)
+        distance = np.geomspace(1e-2 * width, size, int(POINTS * np.log10(1e2 * size / width)) + 2)
+        parts += [feature.imag - distance, feature.imag + distance]
     grid = np.unique(np.concatenate([*parts, [most]]))
     return np.asarray(grid[(grid > 0) & (grid <= most)])
 
 
 def log_slope(system: LinearSystem, hertz: FloatArray) -> FloatArray:
-    """Return d ln|H|/dω (K,) in s at frequencies (K,) in Hz, 0 on a zero or a pole, where it changes its sign."""
+    """Return d ln|H|/dω (K,) in s at frequencies (K,).
+
+    Frequencies are in Hz. The slope is 0 on a zero or pole.
+    """
     x = 2j * np.pi * np.asarray(hertz)
     change: ComplexArray = np.full(len(x), 1j)
     if system.sample_rate_hz is not None:
         x = np.exp(x / system.sample_rate_hz)
         change = 1j * x / system.sample_rate_hz
-    away = x[:, None] - np.concatenate([system.zeros, system.poles])
+    offset = x[:, None] - np.concatenate([system.zeros, system.poles])
     sense = np.repeat([1.0, -1.0], [len(system.zeros), len(system.poles)])
-    hit = away == 0
-    slope = (change * np.sum(sense / np.where(hit, 1.0, away), axis=1)).real
+    hit = offset == 0
+    slope = (change * np.sum(sense / np.where(hit, 1.0, offset), axis=1)).real
     return np.asarray(np.where(np.any(hit, axis=1), 0.0, slope))
 
 
 def band_edges(reference: float, tolerance: float) -> tuple[float, float]:
-    """Return the levels of |H| that are ±`tolerance` off |`reference|`."""
+    """Return the levels of |H| at ±`tolerance` from |`reference`|."""
     return (1 - tolerance) * abs(reference), (1 + tolerance) * abs(reference)
 
 
 def band_end(curve: GainCurve, reference: float, tolerance: float) -> float | None:
-    """Return the frequency in Hz up to which |H| is within ±`tolerance` of |`reference`|, None if not at rest."""
+    """Return the frequency in Hz up to which |H| is within ±`tolerance` of |`reference`|.
+
+    None where |H(0)| is outside.
+    """
     ranges = curve.inside(*band_edges(reference, tolerance))
     return ranges[0][1] if ranges and ranges[0][0] == 0.0 else None
 
 
 def half_power(curve: GainCurve) -> float | None:
-    """Return the frequency in Hz at which |H| first falls below |H(0)|/√2, None if nowhere."""
+    """Return the frequency in Hz at which |H| first falls below |H(0)|/√2, else None."""
     if curve.gain[0] == 0:
         return None
     return next(iter(curve.crossings(float(curve.gain[0]) / np.sqrt(2.0))), None)
 
 
 def peak(curve: GainCurve) -> tuple[float, float] | None:
-    """Return frequency in Hz and |H| of the highest maximum between rest and the end, None if |H| only falls."""
-    place = int(np.argmax(curve.gain))
-    if place in (0, len(curve.gain) - 1):
+    """Return frequency in Hz and |H| of the highest maximum, None if |H| only falls."""
+    index = int(np.argmax(curve.gain))
+    if index in (0, len(curve.gain) - 1):
         return None
-    return float(curve.edges_hz[place]), float(curve.gain[place])
+    return float(curve.edges_hz[index]), float(curve.gain[index])
 
 
 def quadrature(curve: GainCurve) -> float | None:
-    """Return the first frequency in Hz at which H is 90° from H(0), None if nowhere."""
+    """Return the first frequency in Hz at which H is 90° from H(0), else None."""
     first = sign_changes(curve.response.real)[:1]
     if not len(first) or curve.gain[0] == 0:
         return None
@@ -214,21 +232,22 @@ PER_PERIOD = 48
 """Points per period, or per time constant, of the fastest pole that still matters."""
 SAMPLES = 1 << 22
 """Longest response of a sampled system that is computed."""
-BLOCK = 1024
+BLOCK = 1024  # points of a response computed at a time
 SHORT = 0.01
 """Share by which a turning point may lie beyond the points around it: 1 - cos(π/48) is a fifth of that."""
 FORGOTTEN = 1e-8
 """Share of the final value below which a pole's part no longer decides where the grid's points lie."""
 
 COINCIDING = 1e12
-"""Bound of the parts, over the final value, where poles coincide and the parts themselves say nothing."""
+"""Bound of the parts over the final value where poles coincide and the parts are undefined."""
 
 
 @dataclass(frozen=True)
 class Transient:
-    """Figures of a step response: `overshoot` over the final value; times in s; None where there is none.
+    """Figures of a step response, None where there is none.
 
-    `highest_s`, `passing_s` (2,): when it is highest and when it first reaches 10 and 90 %; of a continuous system.
+    `overshoot` is over the final value, times are in s. For a continuous system, `highest_s` is the time of the highest
+    value, and `passing_s` (2,) are the times at which 10 and 90 % are first reached.
     """
 
     overshoot: float | None = None
@@ -240,7 +259,10 @@ class Transient:
 
 
 def transient(system: LinearSystem) -> Transient:
-    """Return overshoot, rise and settling; nothing for a system that is unstable or has no static gain."""
+    """Return overshoot, rise and settling.
+
+    They are None for an unstable system or one without static gain.
+    """
     if not system.stable or not system.static_gain or not np.isfinite(system.static_gain):
         return Transient()
     if not len(system.poles):
@@ -249,22 +271,25 @@ def transient(system: LinearSystem) -> Transient:
         return _sampled(system, system.sample_rate_hz)
     response = _Response(system)
     passings = [response.first_passing(0.1), response.first_passing(0.9), *map(response.settling, (0.02, 0.05))]
-    first, last, settled_2, settled_5 = response.places(passings).tolist()
+    first, last, settled_2, settled_5 = response.times(passings).tolist()
     over, highest = response.overshoot()
     return Transient(over, last - first, settled_2, settled_5, highest, (first, last))
 
 
 def settling_points(system: LinearSystem, tolerance: float) -> FloatArray | None:
-    """Return times (3,) in s of a continuous system: settled, the turning points before and after; None if never."""
+    """Return settling time and neighbouring turning points (3,) in s.
+
+    The system is continuous. None if it never settles.
+    """
     if not system.stable or not system.static_gain or not len(system.poles):
         return None
     response = _Response(system)
     last = response.settling(tolerance)
-    return np.array([*response.places([last]), last.begin, last.end])
+    return np.array([*response.times([last]), last.begin, last.end])
 
 
 def _sampled(system: LinearSystem, rate: float) -> Transient:
-    """Return the figures of a sampled system from its samples, crossings between two of them by a straight line."""
+    """Return the figures of a sampled system, with linear interpolation between samples."""
     slowest = float(np.max(np.abs(system.poles)))
     length = len(system.poles) + 64 + (int(40.0 / -np.log(slowest)) if slowest > 0 else 0)
     if length > SAMPLES:
@@ -272,9 +297,9 @@ def _sampled(system: LinearSystem, rate: float) -> Transient:
     ratio = system.step(np.arange(length) / rate) / system.static_gain
 
     def passing(level: float) -> float:
-        place = int(np.argmax(ratio >= level))
-        before = ratio[place - 1] if place else 0.0
-        return float(place - (ratio[place] - level) / (ratio[place] - before)) if place else 0.0
+        index = int(np.argmax(ratio >= level))
+        before = ratio[index - 1] if index else 0.0
+        return float(index - (ratio[index] - level) / (ratio[index] - before)) if index else 0.0
 
     def settled(tolerance: float) -> float:
         outside = np.flatnonzero(np.abs(ratio - 1) > tolerance)
@@ -286,7 +311,10 @@ def _sampled(system: LinearSystem, rate: float) -> Transient:
 
 @dataclass(frozen=True)
 class _Passing:
-    """Where a response passes a share `level` of its final value: between two times in s, or there if they agree."""
+    """Bracket in s of the time at which a response crosses a level.
+
+    `level` is a share of the final value. `begin` equals `end` where the time is exact.
+    """
 
     begin: float
     end: float
@@ -294,37 +322,38 @@ class _Passing:
 
 
 class _Response:
-    """A continuous step response over its final value, with what decides how finely it is looked at."""
+    """A continuous step response over its final value, with a suitable spacing of points."""
 
     def __init__(self, system: LinearSystem) -> None:
-        """Split the response into its poles where they are apart."""
+        """Split the response into its poles where they are separate."""
         self.system, self.gain, self.poles = system, system.static_gain, system.poles
         self.slowest = float(np.min(-self.poles.real))
-        terms, self.apart = system.step_terms()
-        self.terms = terms / self.gain if self.apart else terms
-        self.size: FloatArray = np.abs(self.terms) if self.apart else np.full(len(terms), COINCIDING)
+        terms, self.separate = system.step_terms()
+        self.terms = terms / self.gain if self.separate else terms
+        self.size: FloatArray = np.abs(self.terms) if self.separate else np.full(len(terms), COINCIDING)
         self.pieces: dict[tuple[float, float], tuple[FloatArray, FloatArray]] = {}
 
     def ratio(self, time_s: FloatArray) -> FloatArray:
         """Return the response over its final value (N,)."""
-        if not self.apart:
+        if not self.separate:
             return self.system.step(time_s) / self.gain
         return np.asarray(1.0 + np.real(np.exp(time_s[:, None] * self.poles) @ self.terms))
 
     def slope(self, time_s: FloatArray) -> FloatArray:
         """Return its derivative (N,) in 1/s."""
-        if not self.apart:
+        if not self.separate:
             return self.system.impulse(time_s) / self.gain
         return np.asarray(np.real(np.exp(time_s[:, None] * self.poles) @ (self.terms * self.poles)))
 
     def envelope(self, time_s: float) -> float:
-        """Return a bound of what is still to come: Σ |r/p|·exp(Re p t) over the final value."""
+        """Return a bound of the remaining oscillation: Σ |r/p|·exp(Re p t) over the final value."""
         return float(np.sum(self.size * np.exp(self.poles.real * time_s)))
 
     def quiet(self, level: float) -> float:
-        """Return a time from which on the envelope is below `level`, within a millionth of the slowest time constant.
+        """Return a time after which the envelope is below `level`.
 
-        The logarithm of a sum of decays is convex: Newton's steps from before that time never pass it.
+        It is accurate within 1e-6 of the slowest time constant. The logarithm of a sum of decays is convex: Newton's
+        steps from before that time never pass it.
         """
         decay, time, step = -self.poles.real, 0.0, np.inf
         while step > 1e-6 / self.slowest:
@@ -337,18 +366,18 @@ class _Response:
         return time + 1e-6 / self.slowest if time else 0.0
 
     def spacing(self, time_s: float) -> float:
-        """Return how far apart points may lie from a time on."""
+        """Return the largest suitable distance of points after a time."""
         alive = self.size * np.exp(self.poles.real * time_s) > FORGOTTEN
         fastest = np.max(np.abs(self.poles[alive]), initial=self.slowest)
         return float(2 * np.pi / fastest / PER_PERIOD)
 
     @cached_property
     def last(self) -> float:
-        """When nothing is left that a level of 10 or 90 % or the overshoot could notice."""
+        """Time after which the remaining oscillation affects neither rise time nor overshoot."""
         return self.quiet(1e-4)
 
     def blocks(self) -> Iterator[tuple[float, float]]:
-        """Yield begin and end of pieces with evenly spaced points, until nothing is left."""
+        """Yield begin and end of pieces with evenly spaced points until the response is settled."""
         begin, last = 0.0, self.last
         while begin < last:
             end = begin + BLOCK * self.spacing(begin)
@@ -356,50 +385,53 @@ class _Response:
             begin = end
 
     def coarse(self, begin: float, end: float) -> FloatArray:
-        """Return the response at the points of a piece, between which it exceeds them by less than `SHORT`."""
-        if not self.apart:
+        """Return the response at the points of a piece.
+
+        In between it exceeds them by less than `SHORT`.
+        """
+        if not self.separate:
             return self.ratio(np.linspace(begin, end, BLOCK + 1))
         return 1.0 + exponentials_between(self.poles, self.terms, begin, end, BLOCK + 1)
 
     def extremes(self, begin: float, end: float) -> tuple[FloatArray, FloatArray]:
-        """Return times, begin, every turning point and end, and the response there; looked for once."""
+        """Return begin, every turning point and end of a piece, and the response there; cached."""
         if (begin, end) not in self.pieces:
             time = np.linspace(begin, end, BLOCK + 1)
-            if self.apart:
+            if self.separate:
                 slope = exponentials_between(self.poles, self.terms * self.poles, begin, end, BLOCK + 1)
             else:
                 slope = self.slope(time)
-            places = sign_changes(slope)
-            turns = np.concatenate([[begin], roots_between(self.slope, time[places], time[places + 1]), [end]])
+            turning = sign_changes(slope)
+            turns = np.concatenate([[begin], roots_between(self.slope, time[turning], time[turning + 1]), [end]])
             self.pieces[begin, end] = turns, self.ratio(turns)
         return self.pieces[begin, end]
 
     def overshoot(self) -> tuple[float, float | None]:
-        """Return the highest value less the final one and its time; 0 and None where the final one is the highest."""
+        """Return overshoot and its time; 0 and None without overshoot."""
         best, when = 0.0, None
         for begin, end in self.blocks():
             if float(self.coarse(begin, end).max()) - 1.0 >= (1 - SHORT) * best:
                 time, value = self.extremes(begin, end)
-                place = int(np.argmax(value))
-                if value[place] - 1.0 > best:
-                    best, when = float(value[place]) - 1.0, float(time[place])
+                index = int(np.argmax(value))
+                if value[index] - 1.0 > best:
+                    best, when = float(value[index]) - 1.0, float(time[index])
             if self.envelope(end) <= best:
                 break
         return best, when
 
     def first_passing(self, level: float) -> _Passing:
-        """Return where the response first reaches a share of the final value."""
+        """Return the bracket in which the response first reaches a share of the final value."""
         begin = end = 0.0
         for begin, end in self.blocks():
             time, value = self.extremes(begin, end)
             above = np.flatnonzero(value >= level)
             if len(above):
-                place = int(above[0])
-                return _Passing(float(time[max(place - 1, 0)]), float(time[place]), level)
+                index = int(above[0])
+                return _Passing(float(time[max(index - 1, 0)]), float(time[index]), level)
         return _Passing(end, end, level)
 
     def settling(self, tolerance: float) -> _Passing:
-        """Return where it comes to stay within a tolerance: between the turning points before and after that."""
+        """Return the bracket, between two turning points, after which it stays within a tolerance."""
         period = 2 * np.pi / float(np.min(np.abs(self.poles)))
         end = min(self.quiet(tolerance) + period, self.quiet(0.05 * tolerance))
         while end > 0:
@@ -410,13 +442,13 @@ class _Response:
             time, value = self.extremes(begin, end)
             outside = np.flatnonzero(np.abs(value - 1) > tolerance)
             if len(outside):
-                place = int(outside[-1])
-                level = float(1 + np.copysign(tolerance, value[place] - 1))
-                return _Passing(float(time[place]), float(time[min(place + 1, len(time) - 1)]), level)
+                index = int(outside[-1])
+                level = float(1 + np.copysign(tolerance, value[index] - 1))
+                return _Passing(float(time[index]), float(time[min(index + 1, len(time) - 1)]), level)
             end = begin
         return _Passing(0.0, 0.0, 1.0)
 
-    def places(self, passings: Sequence[_Passing]) -> FloatArray:
-        """Return the times (N,) in s of passings, all in one search."""
+    def times(self, passings: Sequence[_Passing]) -> FloatArray:
+        """Return the times (N,) in s of brackets, all in one search."""
         begin, end, level = np.array([(one.begin, one.end, one.level) for one in passings]).T
         return roots_between(lambda time: self.ratio(time) - level, begin, end)

@@ -1,4 +1,4 @@
-"""Linear systems, continuous or sampled: zeros, poles and gain, their conversions; sums of modes with covariance."""
+"""Linear systems by zeros, poles and gain, their conversions, and modal models with covariance."""
 
 from __future__ import annotations
 
@@ -10,20 +10,29 @@ from typing import Literal
 import numpy as np
 
 from shaker.arrays import Brief, ComplexArray, FloatArray, check_shape, check_shapes
+from shaker.lti.roots import hold_factor, logarithms, pair_conjugates, tustin_constant
 
 Method = Literal["tustin", "zoh", "matched"]
-LEAST_LAG, MOST_DAMPED = 0.02, 0.999
-SOUND = 1e5
+MIN_LAG, MAX_DAMPING = 0.02, 0.999  # smallest share of a shifted lag or frequency; largest |ζ|; chosen
+MAX_TERM_RATIO = 1e5
 """How much larger than their sum the parts of a response may be; beyond, poles count as coinciding."""
 
 
 @dataclass(frozen=True, repr=False)
 class LinearSystem(Brief):
-    """H = gain·Π(x - zeros)/Π(x - poles), x = s in rad/s, or x = z of samples at `sample_rate_hz`.
+    """Linear system, continuous or sampled, by zeros, poles and gain.
 
-    `zeros` (Z,), `poles` (P,) complex, those that are not real in conjugate pairs; Z ≤ P. Polynomial coefficients are
-    made from them where a format asks for it and never kept: rounded ones move the poles of an oversampled system.
+    H = gain·Π(x - zeros)/Π(x - poles), x = s in rad/s, or x = z of samples. Polynomial coefficients are computed only
+    where a format needs them and never stored: rounded ones move the poles of an oversampled system.
 
+    Attributes
+    ----------
+    zeros, poles : (Z,) and (P,), complex, in conjugate pairs where not real; Z ≤ P.
+    gain : leading coefficient.
+    sample_rate_hz : rate of the samples in Hz; None for a continuous system.
+
+    Examples
+    --------
     >>> import numpy as np
     >>> from shaker import LinearSystem
     >>> omega = 2 * np.pi * 300.0  # one mode at 300 Hz, damped by 5 %
@@ -49,7 +58,10 @@ class LinearSystem(Brief):
     def from_coefficients(
         numerator: FloatArray, denominator: FloatArray, sample_rate_hz: float | None = None
     ) -> LinearSystem:
-        """Return the system of polynomials in falling powers of s or z (of z⁻¹: both padded to one length)."""
+        """Return the system of polynomials in falling powers of s or z.
+
+        For powers of z⁻¹ both are padded to one length.
+        """
         top, bottom = (np.trim_zeros(np.asarray(part, float), "f") for part in (numerator, denominator))
         if not len(top) or not len(bottom):
             raise ValueError("numerator, denominator: expected a coefficient other than 0 in both, found none")
@@ -60,25 +72,25 @@ class LinearSystem(Brief):
     def from_residues(
         poles: ComplexArray, residues: ComplexArray, direct: float = 0.0, sample_rate_hz: float | None = None
     ) -> LinearSystem:
-        """Return the system direct + Σ residue/(x - pole) of different poles (P,), in conjugate pairs.
+        """Return the system direct + Σ residue/(x - pole).
 
-        The numerator is made in powers of x less the x of frequency zero, in units of the poles' typical distance from
-        it, so that the poles of oversampled signals, all near z = 1, keep their digits. Leading coefficients that are
-        zero but for rounding are left out.
+        The poles (P,) differ and are in conjugate pairs. The numerator is computed in powers of x minus the x of
+        frequency zero, in units of the poles' typical distance from it. Poles of oversampled signals, all near z = 1,
+        thus keep their digits. Leading coefficients that are zero within rounding are dropped.
         """
         p, r = np.asarray(poles, dtype=np.complex128), np.asarray(residues, dtype=np.complex128)
         rest = 0.0 if sample_rate_hz is None else 1.0
-        away = np.abs(p - rest)
-        scale = float(np.exp(np.mean(np.log(away[away > 0])))) if np.any(away > 0) else 1.0
+        distance = np.abs(p - rest)
+        scale = float(np.exp(np.mean(np.log(distance[distance > 0])))) if np.any(distance > 0) else 1.0
         near = (p - rest) / scale
         terms = [direct * np.atleast_1d(np.poly(near))]
         for i, residue in enumerate(r):
             terms.append(np.concatenate([[0.0], residue / scale * np.atleast_1d(np.poly(np.delete(near, i)))]))
         total, size = np.sum(terms, axis=0).real, np.sum(np.abs(terms), axis=0)
-        kept = np.flatnonzero(np.abs(total) > 1e-13 * size)
-        if not len(kept):
-            raise ValueError("residues: expected one other than 0, found none")
-        first = int(kept[0])
+        significant = np.flatnonzero(np.abs(total) > 1e-13 * size)
+        if not len(significant):
+            raise ValueError("residues: expected a residue other than 0, found none")
+        first = int(significant[0])
         zeros = np.asarray(np.roots(total[first:]) * scale + rest + 0j)
         return LinearSystem(zeros, p, float(total[first]) * scale**first, sample_rate_hz)
 
@@ -99,17 +111,20 @@ class LinearSystem(Brief):
         return float(self.at(np.array([self.static_point]))[0].real)
 
     def at(self, x: ComplexArray) -> ComplexArray:
-        """Return H (K,) at s or z (K,), factor by factor, so that no coefficient loses digits; infinite at a pole."""
-        place = np.asarray(x, dtype=np.complex128)[:, None]
-        above = np.full((len(place), len(self.poles)), 1.0 + 0j)
-        above[:, : len(self.zeros)] = place - self.zeros
-        below = place - self.poles
+        """Return H (K,) at s or z (K,), infinite at a pole.
+
+        It is computed factor by factor, so that no coefficient loses digits.
+        """
+        point = np.asarray(x, dtype=np.complex128)[:, None]
+        above = np.full((len(point), len(self.poles)), 1.0 + 0j)
+        above[:, : len(self.zeros)] = point - self.zeros
+        below = point - self.poles
         hit = np.any(below == 0, axis=1)
         value = self.gain * np.prod(above / np.where(below == 0, 1.0, below), axis=1)
         return np.asarray(np.where(hit, np.inf + 0j, value))
 
     def response(self, frequency_hz: FloatArray) -> ComplexArray:
-        """Return H (K,) at frequencies (K,) in Hz: at s = jω, or at z = exp(jω/fs)."""
+        """Return H (K,) at frequencies (K,) in Hz: s = jω or z = exp(jω/fs)."""
         s = 2j * np.pi * np.asarray(frequency_hz, dtype=np.float64)
         return self.at(np.asarray(s if self.sample_rate_hz is None else np.exp(s / self.sample_rate_hz)))
 
@@ -123,7 +138,7 @@ class LinearSystem(Brief):
         from scipy.signal import zpk2sos
 
         if self.sample_rate_hz is None:
-            raise ValueError("sample_rate_hz: expected that of a sampled system, found none")
+            raise ValueError("sample_rate_hz: expected a sampled system, found a continuous one")
         rows = np.asarray(zpk2sos(self.zeros, self.poles, self.gain))
         late = len(self.poles) - len(self.zeros)
         for row in rows:  # zpk2sos fills up with zeros at z = 0, each of which makes the output a sample early
@@ -134,11 +149,14 @@ class LinearSystem(Brief):
 
     @property
     def direct(self) -> float:
-        """H at infinite s or z: what passes at once."""
+        """H at infinite s or z: the direct feedthrough."""
         return self.gain if len(self.zeros) == len(self.poles) else 0.0
 
     def residues(self) -> ComplexArray:
-        """Return r (P,) of H = direct + Σ r/(x - pole), infinite where poles coincide."""
+        """Return the residues r (P,) of H = direct + Σ r/(x - pole).
+
+        They are infinite where poles coincide.
+        """
         parts = np.full(len(self.poles), self.gain, dtype=np.complex128)
         with np.errstate(divide="ignore", invalid="ignore"):
             for i, pole in enumerate(self.poles):
@@ -150,31 +168,34 @@ class LinearSystem(Brief):
         return np.asarray(np.where(np.isfinite(parts), parts, np.inf))
 
     def step_terms(self) -> tuple[ComplexArray, bool]:
-        """Return a (P,) of the response direct + Σ a·(exp(pole·t) - 1) to a step, and whether poles are far apart."""
+        """Return terms a (P,) of the step response, and whether poles are separate."""
         if self.sample_rate_hz is not None or np.any(self.poles == 0):
-            raise ValueError("system: expected a continuous one without a pole at 0")
+            raise ValueError("system: expected a continuous system without a pole at 0")
         parts = self.residues()
         if not np.all(np.isfinite(parts)):
             return parts, False
         terms = parts / self.poles
-        return terms, bool(np.sum(np.abs(terms)) < SOUND * max(abs(self.static_gain), abs(self.direct)))
+        return terms, bool(np.sum(np.abs(terms)) < MAX_TERM_RATIO * max(abs(self.static_gain), abs(self.direct)))
 
     def step(self, time_s: FloatArray) -> FloatArray:
-        """Return the response (N,) to a unit step at t = 0, zero before; of samples the last one at each time."""
+        """Return the response (N,) to a unit step at t = 0, zero before.
+
+        For samples it is the last one at each time.
+        """
         return self._driven(time_s, step=True)
 
     def impulse(self, time_s: FloatArray) -> FloatArray:
-        """Return the response (N,) to a unit impulse, without what passes at once; of samples that to a unit sample."""
+        """Return the response (N,) to a unit impulse, or to a unit sample."""
         return self._driven(time_s, step=False)
 
     def _driven(self, time_s: FloatArray, step: bool) -> FloatArray:
-        """Return a response by poles where they are apart, by the matrix exponential where they coincide."""
+        """Return a response by poles where they are separate, else by the matrix exponential."""
         time = np.asarray(time_s, dtype=np.float64)
         late = time >= 0
         response, t = np.zeros(len(time)), time[late]
         if not len(t):
             return response
-        terms, apart = self._terms()
+        terms, separate = self._terms()
         if self.sample_rate_hz is not None:
             from scipy.signal import sosfilt
 
@@ -182,7 +203,7 @@ class LinearSystem(Brief):
             drive = np.ones(int(index.max()) + 1)
             drive[1:] = 1.0 if step else 0.0
             response[late] = sosfilt(self.sections(), drive)[index]
-        elif not apart:
+        elif not separate:
             response[late] = self._by_matrix(t, step)
         elif step:
             response[late] = self.direct + np.real(np.expm1(t[:, None] * self.poles) @ terms)
@@ -191,13 +212,13 @@ class LinearSystem(Brief):
         return response
 
     def _terms(self) -> tuple[ComplexArray, bool]:
-        """Return `step_terms`, and that poles are not far apart where there are none: of samples, with a pole at 0."""
+        """Return `step_terms`; poles of samples, or with one at 0, count as coinciding."""
         return (self.poles, False) if self.sample_rate_hz or np.any(self.poles == 0) else self.step_terms()
 
     def step_between(self, begin_s: float, end_s: float, count: int) -> FloatArray:
-        """Return the response (count,) to a unit step at evenly spaced times, none before it."""
-        terms, apart = self._terms()
-        if not apart:
+        """Return the response (count,) to a unit step at evenly spaced times."""
+        terms, separate = self._terms()
+        if not separate:
             return self.step(np.linspace(begin_s, end_s, count))
         return self.static_gain + exponentials_between(self.poles, terms, begin_s, end_s, count)
 
@@ -214,13 +235,13 @@ class LinearSystem(Brief):
             return np.asarray((expm(time_s[:, None, None] * state) @ drive @ output).real)
         now, onward = expm(time_s[0] * state) @ drive, expm(np.mean(steps) * state)
         states = np.empty((len(time_s), len(now)), dtype=np.complex128)
-        for place in range(len(states)):
-            states[place] = now
+        for row in range(len(states)):
+            states[row] = now
             now = onward @ now
         return np.asarray((states @ output).real)
 
     def _chain(self) -> tuple[ComplexArray, ComplexArray, ComplexArray]:
-        """Return state (P, P), drive (P,) and output (P,) of factors 1 + (p - z)/(s - p) and 1/(s - p) in a row."""
+        """Return state (P, P), drive (P,) and output (P,) of first-order factors in series."""
         count = len(self.poles)
         state = np.diag(self.poles).astype(np.complex128)
         drive, output = np.zeros((2, count), dtype=np.complex128)
@@ -236,22 +257,22 @@ class LinearSystem(Brief):
         return state, drive, output
 
     def sampled(self, rate_hz: float, method: Method = "zoh", prewarp_hz: float | None = None) -> LinearSystem:
-        """Return the system of samples at `rate_hz` that stands for this continuous one.
+        """Return the system of samples at `rate_hz` equivalent to this continuous one.
 
-        `zoh`: the same response to a load that is constant between samples, poles exp(p/fs). `tustin`:
-        s = c (z - 1)/(z + 1), c = 2 fs, or ω/tan(ω/2fs) so that H is the same at `prewarp_hz`. `matched`: zeros and
-        poles exp(·/fs), zeros at infinity to z = -1, the same static gain (|H| at fs/100 where that is 0 or infinite).
+        `zoh`: the same response to a load that is constant between samples, poles exp(p/fs). `tustin`: s = c (z - 1)/(z
+        + 1), c = 2 fs, or ω/tan(ω/2fs) so that H is the same at `prewarp_hz`. `matched`: zeros and poles exp(·/fs),
+        zeros at infinity to z = -1, the same static gain (|H| at fs/100 where that is 0 or infinite).
         """
         if self.sample_rate_hz is not None:
-            raise ValueError(f"system: expected a continuous one, found samples at {self.sample_rate_hz} Hz")
+            raise ValueError(f"system: expected a continuous system, found samples at {self.sample_rate_hz} Hz")
         if not rate_hz > 0:
             raise ValueError(f"rate_hz: expected a positive number, found {rate_hz}")
         if prewarp_hz is not None and method != "tustin":
-            raise ValueError(f"prewarp_hz: expected with tustin only, found with {method}")
+            raise ValueError(f"prewarp_hz: expected only with tustin, found with {method}")
         zeros, poles = self.zeros, self.poles
         at_infinity = np.full(len(poles) - len(zeros), -1.0 + 0j)
         if method == "tustin":  # z = (c + s)/(c - s)
-            c = _tustin_constant(rate_hz, prewarp_hz)
+            c = tustin_constant(rate_hz, prewarp_hz)
             factor = np.prod((c - zeros) / (c - poles[: len(zeros)])) / np.prod(c - poles[len(zeros) :])
             moved = np.concatenate([(c + zeros) / (c - zeros), at_infinity])
             return LinearSystem(moved, (c + poles) / (c - poles), float(np.real(self.gain * factor)), rate_hz)
@@ -259,77 +280,53 @@ class LinearSystem(Brief):
         if method == "matched":
             shape = LinearSystem(np.concatenate([np.exp(zeros / rate_hz), at_infinity]), z, 1.0, rate_hz)
             return replace(shape, gain=_same_gain(self, shape, rate_hz))
-        return LinearSystem.from_residues(z, self._held_residues() * _held(poles, rate_hz), self.direct, rate_hz)
+        return LinearSystem.from_residues(z, self._hold_residues() * hold_factor(poles, rate_hz), self.direct, rate_hz)
 
     def continuous(self, method: Method = "tustin", prewarp_hz: float | None = None) -> LinearSystem:
-        """Return the continuous system that a sampled one stands for, the inverse of `sampled`.
+        """Return the continuous system equivalent to a sampled one, the inverse of `sampled`.
 
-        Refused: a real pole or zero at or below z = 0 but by `tustin`, which alone has a place for it.
+        A real pole or zero at or below z = 0 is refused except for `tustin`, which alone can map it.
         """
         rate = self.sample_rate_hz
         if rate is None:
-            raise ValueError("sample_rate_hz: expected that of a sampled system, found none")
+            raise ValueError("sample_rate_hz: expected a sampled system, found a continuous one")
         if prewarp_hz is not None and method != "tustin":
-            raise ValueError(f"prewarp_hz: expected with tustin only, found with {method}")
+            raise ValueError(f"prewarp_hz: expected only with tustin, found with {method}")
         zeros, poles = self.zeros, self.poles
         left = zeros[zeros != -1]  # those at z = -1 go to infinity
         if method == "tustin":
             if np.any(poles == -1):
-                raise ValueError("poles: expected none at z = -1 for the Tustin conversion, found one")
-            c, far = _tustin_constant(rate, prewarp_hz), len(poles) - len(zeros)
+                raise ValueError("poles: expected no pole at z = -1 for the Tustin conversion, found one")
+            c, far = tustin_constant(rate, prewarp_hz), len(poles) - len(zeros)
             moved = np.concatenate([c * (left - 1) / (left + 1), np.full(far, c + 0j)])
             factor = np.prod(left + 1) * (2 * c) ** (len(zeros) - len(left)) * (-1.0) ** far / np.prod(poles + 1)
             return LinearSystem(moved, c * (poles - 1) / (poles + 1), float(np.real(self.gain * factor)))
-        p = _logarithms(poles, rate)
+        p = logarithms(poles, rate)
         if method == "matched":
-            shape = LinearSystem(_logarithms(left, rate), p, 1.0)
+            shape = LinearSystem(logarithms(left, rate), p, 1.0)
             return replace(shape, gain=1.0 / _same_gain(shape, self, rate))
-        return LinearSystem.from_residues(p, self._held_residues() / _held(p, rate), self.direct)
+        return LinearSystem.from_residues(p, self._hold_residues() / hold_factor(p, rate), self.direct)
 
-    def _held_residues(self) -> ComplexArray:
-        """Residues of poles that differ, which the zoh conversion needs."""
+    def _hold_residues(self) -> ComplexArray:
+        """Return residues of different poles, as the zoh conversion needs."""
         parts = self.residues()
         if not np.all(np.isfinite(parts)):
-            expected = "different ones for the zoh conversion"
+            expected = "separate poles for the zoh conversion"
             raise ValueError(f"poles: expected {expected}, found some that coincide; use tustin")
         return parts
 
     def times(self, other: LinearSystem) -> LinearSystem:
-        """Return the product of two systems; nothing is cancelled."""
+        """Return the product of two systems without cancellation."""
         if self.sample_rate_hz != other.sample_rate_hz:
-            raise ValueError(f"other: expected one at {self.sample_rate_hz}, found one at {other.sample_rate_hz} Hz")
+            raise ValueError(
+                f"other: expected a system at {self.sample_rate_hz}, found one at {other.sample_rate_hz} Hz"
+            )
         zeros, poles = np.concatenate([self.zeros, other.zeros]), np.concatenate([self.poles, other.poles])
         return LinearSystem(zeros, poles, self.gain * other.gain, self.sample_rate_hz)
 
 
-def _tustin_constant(rate_hz: float, prewarp_hz: float | None) -> float:
-    """Return c of s = c (z - 1)/(z + 1) in rad/s: 2 fs, or ω/tan(ω/2fs), for which one frequency stays in place."""
-    if prewarp_hz is None:
-        return 2.0 * rate_hz
-    if not 0 < prewarp_hz < 0.5 * rate_hz:
-        raise ValueError(f"prewarp_hz: expected one between 0 and {0.5 * rate_hz} Hz, found {prewarp_hz}")
-    return float(2 * np.pi * prewarp_hz / np.tan(np.pi * prewarp_hz / rate_hz))
-
-
-def _held(poles: ComplexArray, rate_hz: float) -> ComplexArray:
-    """Return what holding between samples makes of residues: (exp(p/fs) - 1)/p, 1/fs of a pole at 0."""
-    away = np.expm1(poles / rate_hz) / np.where(poles == 0, 1.0, poles)
-    return np.where(poles == 0, 1 / rate_hz, away)
-
-
-def _logarithms(z: ComplexArray, rate_hz: float) -> ComplexArray:
-    """Return ln(z)·fs; a z that no real continuous system has is refused."""
-    alone = z[(z.imag == 0) & (z.real <= 0)]
-    if len(alone):
-        raise ValueError(
-            f"system: expected no real pole or zero at or below z = 0, found {alone[0].real:.6g}: such a one turns its "
-            "sign with every sample, which nothing continuous does; use tustin"
-        )
-    return np.asarray(np.log(z) * rate_hz)
-
-
 def _same_gain(continuous: LinearSystem, samples: LinearSystem, rate_hz: float) -> float:
-    """Return what the sampled system must be multiplied by for the gain at rest, or at fs/100 where that has none."""
+    """Return the gain correction of a sampled system at rest, or at fs/100."""
     if np.all(continuous.zeros != 0) and np.all(continuous.poles != 0):
         return continuous.static_gain / samples.static_gain
     near = np.array([rate_hz / 100])
@@ -337,41 +334,32 @@ def _same_gain(continuous: LinearSystem, samples: LinearSystem, rate_hz: float) 
     return float(np.copysign(abs(ratio), ratio.real))
 
 
-def pair_conjugates(roots: ComplexArray, name: str) -> ComplexArray:
-    """Return roots (N,) with conjugate pairs exact, pairs first by size, then real ones; one alone is refused."""
-    scale = 1e-9 * max(1e-300, float(np.max(np.abs(roots), initial=0.0)))
-    above = roots[roots.imag > scale]
-    below = roots[roots.imag < -scale]
-    real = roots[np.abs(roots.imag) <= scale].real
-    left = list(below.conj())
-    for root in above:
-        near = int(np.argmin(np.abs(np.array(left) - root))) if left else -1
-        if near < 0 or abs(left[near] - root) > 1e-6 * abs(root):
-            raise ValueError(f"{name}: expected conjugate pairs, found {root} without its conjugate")
-        left.pop(near)
-    if left:
-        raise ValueError(f"{name}: expected conjugate pairs, found {left[0].conjugate()} without its conjugate")
-    above = above[np.argsort(np.abs(above), kind="stable")]
-    return np.concatenate([np.stack([above, above.conj()], axis=1).ravel(), np.sort(real) + 0j])
-
-
-# A system as a sum of modes: what is fitted to a record, with its covariance.
+# A system as a sum of modes, as fitted to a record, with its covariance.
 
 
 def modal_poles(omega: FloatArray, damping_ratio: FloatArray, rate: FloatArray) -> ComplexArray:
-    """Return poles in rad/s: ω(-ζ + j√(1 - ζ²)), the upper ones, of modes (…, M), then the real ones -`rate` (…, Q)."""
+    """Return poles in rad/s of modes (…, M) and real poles (…, Q).
+
+    They are ω(-ζ + j√(1 - ζ²)), then -`rate`.
+    """
     upper = omega * (-damping_ratio + 1j * np.sqrt(1 - damping_ratio**2))
     return np.concatenate([upper, -rate + 0j], axis=-1)
 
 
 @dataclass(frozen=True, repr=False)
 class ModalModel(Brief):
-    """H(s) = Σ_m [r_m/(s - p_m) + r̄_m/(s - p̄_m)] + Σ_q r_q/(s - p_q), output over load.
+    """Sum of modes with covariance: output over load.
 
-    Oscillating modes m: p = -ζω + jω√(1 - ζ²), ω = 2π·`frequency_hz` (M,), `damping_ratio` ζ (M,), complex `residue`
-    (M,); real poles q: p = -2π·`real_hz` (Q,), `real_residue` (Q,). Residues in output unit per load unit and second.
-    `covariance` (P, P), P = 4M + 2Q, of `vector` = [frequency_hz, damping_ratio, Re residue, Im residue, real_hz,
-    real_residue], None where it is not known. ζ < 1; a negative ζ or `real_hz` is an unstable model, kept as found.
+    H(s) = Σ_m [r_m/(s - p_m) + r̄_m/(s - p̄_m)] + Σ_q r_q/(s - p_q). Oscillating modes m have p = -ζω + jω√(1 - ζ²),
+    real poles q have p = -2π·`real_hz`. ζ < 1; a negative ζ or `real_hz` is an unstable model.
+
+    Attributes
+    ----------
+    frequency_hz : (M,), ω/2π in Hz.
+    damping_ratio : (M,), ζ.
+    residue : (M,), complex, in output unit per load unit and second.
+    real_hz, real_residue : (Q,), of the real poles.
+    covariance : (P, P), P = 4M + 2Q, of `vector`, None where unknown.
     """
 
     frequency_hz: FloatArray
@@ -406,7 +394,7 @@ class ModalModel(Brief):
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Names of the parameters: frequency_hz_1, … with the number of the mode or of the real pole."""
+        """Names of the parameters with the number of mode or real pole."""
         modes = ("frequency_hz", "damping_ratio", "residue_re", "residue_im")
         of_modes = [f"{name}_{m + 1}" for name in modes for m in range(len(self.frequency_hz))]
         of_reals = [f"{name}_{q + 1}" for name in ("real_hz", "real_residue") for q in range(len(self.real_hz))]
@@ -419,7 +407,7 @@ class ModalModel(Brief):
 
     @property
     def terms(self) -> tuple[ComplexArray, ComplexArray]:
-        """Poles and residues (2M + Q,) of all partial fractions, conjugates too."""
+        """Poles and residues (2M + Q,) of all partial fractions, including conjugates."""
         upper, real = np.split(self.poles, [len(self.frequency_hz)])
         residues = np.concatenate([self.residue, self.residue.conj(), self.real_residue + 0j])
         return np.concatenate([upper, upper.conj(), real]), residues
@@ -435,35 +423,34 @@ class ModalModel(Brief):
         return float(self.response(np.zeros(1))[0].real)
 
     def step(self, time_s: FloatArray) -> FloatArray:
-        """Return the response (N,) to a unit step at t = 0: Σ r/p·(exp(pt) - 1), zero before."""
+        """Return the response (N,) to a unit step: Σ r/p·(exp(pt) - 1)."""
         t = np.maximum(np.asarray(time_s, dtype=np.float64), 0.0)[:, None]
         return np.real(np.expm1(self.poles * t) @ (self._doubled / self.poles))
 
     def impulse(self, time_s: FloatArray) -> FloatArray:
-        """Return the response (N,) to a unit impulse at t = 0: Σ r·exp(pt), zero before."""
+        """Return the response (N,) to a unit impulse: Σ r·exp(pt)."""
         time = np.asarray(time_s, dtype=np.float64)
         t = np.maximum(time, 0.0)[:, None]
         return np.asarray(np.real(np.exp(self.poles * t) @ self._doubled) * (time >= 0))
 
     @property
     def _doubled(self) -> ComplexArray:
-        """Residues of `poles`, those of modes doubled for their conjugates: real parts of sums are whole."""
+        """Residues of `poles`, doubled for modes to include their conjugates."""
         return np.concatenate([2.0 * self.residue, self.real_residue + 0j])
 
     @property
     def system(self) -> LinearSystem:
-        """The same as zeros, poles and gain."""
+        """The model as zeros, poles and gain."""
         return LinearSystem.from_residues(*self.terms)
 
     def jacobian(
         self, function: Callable[[ModalModel], FloatArray], step: float = 1e-2
     ) -> tuple[FloatArray, FloatArray]:
-        """Return a function's values (Q,) and their derivatives (Q, P), by central differences over each parameter.
+        """Return a function's values (Q,) and their derivatives (Q, P) by central differences.
 
-        `step`: by how many of its standard uncertainties a parameter is moved to either side, real poles by 5 % at
-        most; one without uncertainty is not moved.
+        `step` is the shift of a parameter in its standard uncertainties, at most 5 % for real poles.
         """
-        moves = step * np.sqrt(np.maximum(np.diag(self._known_covariance()), 0.0))  # less than 0 by rounding
+        moves = step * np.sqrt(np.maximum(np.diag(self._require_covariance()), 0.0))  # less than 0 by rounding
         reals = slice(4 * len(self.frequency_hz), 4 * len(self.frequency_hz) + len(self.real_hz))
         moves[reals] = np.minimum(moves[reals], 0.05 * np.abs(self.real_hz))
         return differences(lambda moved: function(self.with_vector(moved)), self.vector, moves)
@@ -473,35 +460,36 @@ class ModalModel(Brief):
     ) -> tuple[FloatArray, FloatArray]:
         """Return a function's values (Q,) and their covariance (Q, Q) by its `jacobian`."""
         value, slope = self.jacobian(function, step)
-        return value, np.asarray(slope @ self._known_covariance() @ slope.T)
+        return value, np.asarray(slope @ self._require_covariance() @ slope.T)
 
     def with_move(self, move: FloatArray) -> ModalModel:
-        """Return the model with its parameters moved by `move` (P,) to first order, straight in `to_coordinates`.
+        """Return the model with its parameters shifted by `move` (P,).
 
-        There what a record tells well stays as smooth and static as it is however far the move. Frequencies and lags
-        that may be about zero do not turn their sign: they stay above `LEAST_LAG` of their own size.
+        The shift is of first order, and linear in `to_coordinates`. Properties that a record determines well, such as
+        smoothness and static gain, stay constant for large shifts. Frequencies and lags near zero do not change sign:
+        they stay above `LEAST_LAG` of their size.
         """
         modes, reals = len(self.frequency_hz), len(self.real_hz)
-        scale, coordinates, slope = self._straight
+        scale, coordinates, slope = self._linear_coordinates
         by = slope @ move
         by[np.abs(by) < 1e-9 * coordinate_sizes(coordinates, reals)] = 0.0  # rounding, which would make a far zero
         far = coordinates + by
         signed = np.r_[:modes, 2 * modes : 2 * modes + reals]
-        far[signed] = coordinates[signed] * np.maximum(far[signed] / coordinates[signed], LEAST_LAG)
+        far[signed] = coordinates[signed] * np.maximum(far[signed] / coordinates[signed], MIN_LAG)
         return self.with_vector(from_coordinates(far, modes, reals, scale))
 
     @cached_property
-    def _straight(self) -> tuple[float, FloatArray, FloatArray]:
+    def _linear_coordinates(self) -> tuple[float, FloatArray, FloatArray]:
         """Scale, `to_coordinates` (2P,) and their derivatives (2P, P) by the parameters."""
         scale = scale_of(self)
         return scale, *self.jacobian(lambda at: to_coordinates(at, scale))
 
     def altered(self, frequency: float = 0.0, damping_ratio: float = 0.0, gain: float = 0.0) -> ModalModel:
-        """Return the model of which all modes' frequencies, damping ratios, and the gain are changed by relative parts.
+        """Return the model with relative changes of all frequencies, damping ratios, and the gain.
 
-        The mechanics, modes and zeros, become H(s/(1 + `frequency`)), as with stiffer springs throughout; their damping
-        terms, odd powers of s above and below the line, grow by `damping_ratio`. Real poles, those of the amplifier,
-        and without `gain` the static gain stay.
+        The mechanics, modes and zeros, become H(s/(1 + `frequency`)), as with uniformly stiffer springs. Their damping
+        terms, odd powers of s in numerator and denominator, grow by `damping_ratio`. Real poles, those of the
+        amplifier, are constant, and so is the static gain unless `gain` is given.
         """
         modes, reals, scale = len(self.frequency_hz), len(self.real_hz), scale_of(self)
         powers = np.arange(2 * modes + reals)
@@ -511,37 +499,39 @@ class ModalModel(Brief):
         other = to_coordinates(self, scale) * np.concatenate([poles, numerator])
         return self.with_vector(from_coordinates(other, modes, reals, scale))
 
-    def _known_covariance(self) -> FloatArray:
-        """The covariance, which must be there."""
+    def _require_covariance(self) -> FloatArray:
+        """Return the covariance, or raise `ValueError`."""
         if self.covariance is None:
-            raise ValueError("covariance: expected that of the parameters, found none")
+            raise ValueError("covariance: expected the covariance of the parameters, found none")
         return self.covariance
 
 
 def differences(
     function: Callable[[FloatArray], FloatArray], parameters: FloatArray, moves: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Return a function's values (Q,) and their derivatives (Q, P) by its parameters (P,), as central differences.
+    """Return a function's values (Q,) and their derivatives (Q, P) by central differences.
 
-    Each parameter is moved to either side by its part of `moves` (P,); derivatives by those that are not moved are 0.
+    Each parameter is shifted to both sides by its part of `moves` (P,); derivatives by parameters that are not shifted
+    are 0.
     """
     value = np.asarray(function(parameters))
     slopes = np.zeros((len(value), len(parameters)))
-    for place in np.flatnonzero(moves):
-        shift = np.eye(len(moves))[place] * moves[place]
+    for index in np.flatnonzero(moves):
+        shift = np.eye(len(moves))[index] * moves[index]
         up, down = (np.asarray(function(parameters + sign * shift)) for sign in (1.0, -1.0))
-        slopes[:, place] = (up - down) / (2.0 * moves[place])
+        slopes[:, index] = (up - down) / (2.0 * moves[index])
     return value, slopes
 
 
 def even_exponentials(rates: ComplexArray, begin_s: float, step_s: float, count: int) -> tuple[ComplexArray, ...]:
-    """Return coarse and fine (P, m) of exp(rate·(begin + kΔ)) = coarse[:, k // m]·fine[:, k % m], for k below `count`.
+    """Return coarse and fine factors (P, m) of evenly spaced exponentials.
 
-    So many evenly spaced times take 2√count exponentials for each rate.
+    exp(rate·(begin + kΔ)) = coarse[:, k // m]·fine[:, k % m]. For k below `count`. Evenly spaced times thus need
+    2√count exponentials for each rate.
     """
     size = int(np.sqrt(count - 1)) + 1
-    places, p = np.arange(size), rates[:, None]
-    return np.exp(p * (size * step_s * places)), np.exp(p * (begin_s + step_s * places))
+    steps, p = np.arange(size), rates[:, None]
+    return np.exp(p * (size * step_s * steps)), np.exp(p * (begin_s + step_s * steps))
 
 
 def exponentials_between(
@@ -552,40 +542,46 @@ def exponentials_between(
     return np.asarray(((coarse.T * weights) @ fine).real.ravel()[:count])
 
 
-# Coordinates of models in which means and large moves are sound: what a record tells well is linear in them.
+# Coordinates of models for means and large shifts: well determined properties are linear in them.
 
 
 def to_coordinates(model: ModalModel, scale: float) -> FloatArray:
-    """Return [f_n (M), ζ (M), 1/real_hz (Q), n_0 … n_{P-1}] (2P,), P = 2M + Q, of a model.
+    """Return smooth coordinates (2P,) of a model, P = 2M + Q.
 
-    H(s) = Σ n_k (s/ω0)^k/Π(1 - s/p), ω0 = `scale` in rad/s: n_0 is the static gain, and a response that starts
-    smoothly has its highest n_k zero, in every mean too. A real pole enters by its lag: one far above the modes, which
-    hardly shows, has a lag about zero, while its frequency may be anything.
+    They are [f_n (M), ζ (M), 1/real_hz (Q), n_0 … n_{P-1}]. H(s) = Σ n_k (s/ω0)^k/Π(1 - s/p), ω0 = `scale` in rad/s.
+    n_0 is the static gain. A response that starts smoothly has zero for its highest n_k, and so has every mean. A real
+    pole is represented by its lag: for a pole far above the modes, which is hardly visible, the lag is near zero, while
+    its frequency is arbitrary.
     """
     poles, residues = model.terms
-    parts = [r * np.poly(np.delete(poles, place) / scale)[::-1] / scale for place, r in enumerate(residues)]
+    parts = [r * np.poly(np.delete(poles, index) / scale)[::-1] / scale for index, r in enumerate(residues)]
     numerator = np.sum(parts, axis=0) / np.prod(-poles / scale)
     return np.concatenate([model.frequency_hz, model.damping_ratio, 1.0 / model.real_hz, numerator.real])
 
 
 def from_coordinates(coordinates: FloatArray, modes: int, reals: int, scale: float) -> FloatArray:
-    """Return the vector (2P,) of a `ModalModel` of coordinates (2P,), the inverse of `to_coordinates`; |ζ| < 1."""
+    """Return the vector (2P,) of a `ModalModel` from coordinates (2P,).
+
+    It is the inverse of `to_coordinates`; |ζ| < 1.
+    """
     order = 2 * modes + reals
     frequency, damping, lag, numerator = np.split(coordinates, [modes, 2 * modes, order])
-    damping = np.clip(damping, -MOST_DAMPED, MOST_DAMPED)
+    damping = np.clip(damping, -MAX_DAMPING, MAX_DAMPING)
     frame = ModalModel(frequency, damping, np.zeros(modes, dtype=np.complex128), 1.0 / lag, np.zeros(reals))
     unscaled, _ = frame.terms
     poles, real_hz = unscaled / scale, -unscaled[2 * modes :].real / (2 * np.pi)
     # residues over the scale of Σ n_k x^k/Π(1 - x/p)
-    kept = [*range(modes), *range(2 * modes, order)]
+    retained = [*range(modes), *range(2 * modes, order)]
     top = -poles * np.polyval(numerator[::-1], poles)
-    residues = scale * np.array([top[place] / np.prod(1.0 - poles[place] / np.delete(poles, place)) for place in kept])
+    residues = scale * np.array(
+        [top[index] / np.prod(1.0 - poles[index] / np.delete(poles, index)) for index in retained]
+    )
     of_modes, of_reals = np.split(residues.astype(np.complex128), [modes])
     return np.concatenate([frequency, damping, of_modes.real, of_modes.imag, real_hz, of_reals.real])
 
 
 def coordinate_sizes(coordinates: FloatArray, reals: int) -> FloatArray:
-    """Return how large coordinates (2P,) are: themselves, those of the numerator the largest of these."""
+    """Return the magnitudes of coordinates (2P,); of numerator and lags the largest."""
     half = len(coordinates) // 2
     size: FloatArray = np.abs(coordinates)
     size[half:] = size[half:].max()

@@ -1,6 +1,7 @@
-"""Differential evolution, rand/1/bin, of all members at once (Storn, Price, J. Global Optim. 11 (1997) 341).
+"""Differential evolution, rand/1/bin, of all members at once.
 
-Importing this module brings numba, which compiles what follows members sample by sample.
+After Storn and Price, J. Global Optim. 11 (1997) 341. Importing this module imports numba, which compiles
+`output_errors`.
 """
 
 from __future__ import annotations
@@ -16,16 +17,19 @@ from numba.core.caching import FunctionCache
 from shaker.arrays import FloatArray
 
 MUTATION, CROSSOVER = 0.8, 0.7  # the published settings
-HUGE = 1e100  # loss from which a model counts as grown without bound
+HUGE = 1e100  # loss above which a model has grown without bound
 
 Losses = Callable[[FloatArray, FloatArray], FloatArray]
-"""Of members (P, N) and the losses (P,) that they have to keep to: losses (P,), infinite where a member exceeds its."""
+"""Function from members (P, N) and their largest losses (P,) to losses (P,), infinite above the largest."""
 
 
 def evolve(
     losses: Losses, bounds: Sequence[tuple[float, float]], rng: np.random.Generator, effort: tuple[int, int]
 ) -> tuple[FloatArray, tuple[float, ...]]:
-    """Return the best vector (N,) and the best loss of every generation; `effort`: members and generations."""
+    """Return the best vector (N,) and the best loss of every generation.
+
+    `effort`: numbers of members and generations.
+    """
     from scipy.optimize import differential_evolution
 
     low, high = np.array(bounds).T
@@ -55,10 +59,10 @@ def evolve(
 
 
 def _compiled(function: Callable[..., Any]) -> Callable[..., Any]:
-    """Compile a function, once for all runs of a user who has a folder for caches."""
+    """Compile a function and cache it if a cache folder exists."""
 
-    class Cache(FunctionCache):  # type: ignore[misc]
-        """A cache without which a run goes on: where it is damaged, or its disk takes nothing."""
+    class TolerantCache(FunctionCache):  # type: ignore[misc]
+        """A cache that ignores damaged entries and failed writes."""
 
         def load_overload(self, *key: Any) -> Any:
             with suppress(Exception):  # a damaged pickle may raise anything
@@ -69,8 +73,8 @@ def _compiled(function: Callable[..., Any]) -> Callable[..., Any]:
                 super().save_overload(*entry)
 
     kernel = numba.njit(nogil=True)(function)
-    with suppress(RuntimeError, OSError):  # no folder for it
-        kernel._cache = Cache(function)
+    with suppress(RuntimeError, OSError):  # no cache folder
+        kernel._cache = TolerantCache(function)
     compiled: Callable[..., Any] = kernel
     return compiled
 
@@ -79,10 +83,11 @@ def _compiled(function: Callable[..., Any]) -> Callable[..., Any]:
 def output_errors(
     members: FloatArray, most: FloatArray, load: FloatArray, output: FloatArray, before: float
 ) -> FloatArray:
-    """Return the squared output errors (P,) of difference equations, infinite from `most` (P,) or 1e100 on.
+    """Return the squared output errors (P,) of difference equations, infinite above a limit.
 
-    `members` (P, 2n): [b_n, a_n, …, b_1, a_1] each, of H(z) = Σ b z⁻ⁱ/(1 + Σ a z⁻ⁱ); `before`: squares of the output
-    before `load` (N,) begins, with which `output` (N,) does. A model is followed no further than its error allows.
+    `members` (P, 2n): [b_n, a_n, …, b_1, a_1] each, of H(z) = Σ b z⁻ⁱ/(1 + Σ a z⁻ⁱ). The limit is `most` (P,), at most
+    1e100. `before`: squares of the output before the start of `load` (N,) and `output` (N,). A simulation stops at its
+    limit.
     """
     count, order = members.shape[0], members.shape[1] // 2
     found = np.full(count, np.inf)
@@ -93,8 +98,8 @@ def output_errors(
         for k in range(len(load)):
             x, y = load[k], state[0]
             for i in range(order):
-                place = 2 * (order - 1 - i)
-                state[i] = state[i + 1] + x * members[p, place] - y * members[p, place + 1]
+                column = 2 * (order - 1 - i)
+                state[i] = state[i + 1] + x * members[p, column] - y * members[p, column + 1]
             square += (output[k] - y) ** 2
             if not square <= limit:
                 break

@@ -1,4 +1,4 @@
-"""Two and three masses in a row under several loads: poles, load characteristics, bands, load limit."""
+"""Two-mass and three-mass models of a loaded sensor: poles, load characteristics, bands, load limits."""
 
 from __future__ import annotations
 
@@ -22,16 +22,18 @@ PARAMETERS = ("stiffness", "damping", "coupling_stiffness", "coupling_damping")
 
 @dataclass(frozen=True, repr=False)
 class LoadModel(Brief):
-    """Moving mass m_E on the sensor's spring k, c; the load mass m_L on it through k_L, c_L, which may be rigid (None).
+    """Sensor and load as two masses in a row.
 
-    Output U = n·x_E over a force on the load (eqs. 2, 3 of the publication named in `docs/load.md`):
-    H(s) = n (c_L s + k_L)/B(s), B(s) = m_L m_E s⁴ + [m_L (c + c_L) + m_E c_L] s³ + [m_L (k + k_L) + c c_L + m_E k_L] s²
-    + (k c_L + c k_L) s + k k_L; rigid: H(s) = n/[(m_E + m_L) s² + c s + k]. `moving_mass` in kg with `u_moving_mass`,
-    stiffnesses in N/m, dampings in N·s/m, `sensitivity` = n/k in output unit per N. `covariance` (P, P) of
-    `PARAMETERS`, the first two where the load is rigid, for the stated masses; `covariance_with_mass` (P + 1, P + 1) of
-    [*parameters, moving mass] with what the uncertain masses add; None where they are not known. `load_masses`: those
-    that the model was fitted to. `solution` of `solutions`: number of this one of those that the data cannot tell
-    apart. Of a moment, inertias stand in place of masses, N·m/rad in place of N/m.
+    The moving mass m_E is on the sensor's spring k, c; the load mass m_L is on it by k_L, c_L. `coupling_stiffness` k_L
+    and `coupling_damping` c_L are None for a rigid coupling. Output U = n·x_E over a force on the load (eqs. 2, 3 of
+    the publication named in `docs/load.md`): H(s) = n (c_L s + k_L)/B(s), B(s) = m_L m_E s⁴ + [m_L (c + c_L) + m_E c_L]
+    s³ + [m_L (k + k_L) + c c_L + m_E k_L] s² + (k c_L + c k_L) s + k k_L; rigid: H(s) = n/[(m_E + m_L) s² + c s + k].
+
+    `moving_mass` in kg with `u_moving_mass`, stiffnesses in N/m, dampings in N·s/m, `sensitivity` = n/k in output unit
+    per N. For a moment: inertias instead of masses, N·m/rad instead of N/m. `covariance` (P, P) of `PARAMETERS`, the
+    first two for a rigid load, for the stated masses. `covariance_with_mass` (P + 1, P + 1) of [*parameters, moving
+    mass], including the uncertainty of the masses. Both are None if they are not available. `load_masses`: masses of
+    the fitted records. `solution` of `solutions`: number among the solutions that the data cannot distinguish.
     """
 
     component: str
@@ -61,7 +63,7 @@ class LoadModel(Brief):
 
     @property
     def is_rigid(self) -> bool:
-        """Whether the load moves as one with the sensor's moving mass (two-mass model)."""
+        """Whether load and moving mass move as one (two-mass model)."""
         return self.coupling_stiffness is None
 
     @property
@@ -72,7 +74,10 @@ class LoadModel(Brief):
 
     @property
     def total_covariance(self) -> FloatArray | None:
-        """Covariance (P + 1, P + 1) of [*parameters, moving mass]; without `covariance_with_mass` masses add only u."""
+        """Covariance (P + 1, P + 1) of [*parameters, moving mass].
+
+        Without `covariance_with_mass` the moving mass is independent of the parameters.
+        """
         if self.covariance_with_mass is not None or self.covariance is None:
             return self.covariance_with_mass
         size = len(self.vector)
@@ -88,7 +93,7 @@ class LoadModel(Brief):
         return replace(self, moving_mass=mass, stiffness=k, damping=c, coupling_stiffness=kl, coupling_damping=cl)
 
     def jacobian(self, function: Callable[[LoadModel], FloatArray]) -> tuple[FloatArray, FloatArray]:
-        """Return a function's values (Q,) and derivatives (Q, P) by every number, as central differences."""
+        """Return a function's values (Q,) and derivatives (Q, P) by all numbers, as central differences."""
         total = self.total_covariance
         if total is None:
             raise ValueError("covariance: expected that of the parameters, found none")
@@ -98,7 +103,7 @@ class LoadModel(Brief):
 
     @property
     def numbers(self) -> FloatArray:
-        """Return all numbers (P,) of `total_covariance`: `vector`, and the moving mass."""
+        """All numbers (P,) of `total_covariance`: `vector` and the moving mass."""
         return np.append(self.vector, self.moving_mass)
 
     def propagate(self, function: Callable[[LoadModel], FloatArray]) -> tuple[FloatArray, FloatArray]:
@@ -107,20 +112,23 @@ class LoadModel(Brief):
         return value, np.asarray(slope @ np.asarray(self.total_covariance) @ slope.T)
 
     def altered(self, frequency: float = 0.0, damping_ratio: float = 0.0, gain: float = 0.0) -> LoadModel:
-        """Return the model of which natural frequencies, damping ratios, sensitivity are changed by relative parts.
+        """Return the model with relative changes of natural frequencies, damping ratios and sensitivity.
 
-        With every load: stiffnesses by (1 + `frequency`)², dampings by (1 + `frequency`)(1 + `damping_ratio`).
+        For every load: stiffnesses by (1 + `frequency`)², dampings by (1 + `frequency`)(1 + `damping_ratio`).
         """
         spring, damper = (1.0 + frequency) ** 2, (1.0 + frequency) * (1.0 + damping_ratio)
         factors = np.append(np.tile([spring, damper], len(self.vector) // 2), 1.0)
         return replace(self.with_numbers(factors * self.numbers), sensitivity=(1.0 + gain) * self.sensitivity)
 
     def poles(self, load_mass: float) -> ComplexArray:
-        """Return all poles in rad/s with a load mass in kg, 2 or 4; a load of no mass is rigid."""
+        """Return all 2 or 4 poles in rad/s with a load mass in kg.
+
+        A load without mass is rigid.
+        """
         return self.system(load_mass).poles
 
     def system(self, load_mass: float) -> LinearSystem:
-        """Return output over the force on a load of given mass, in output unit per N."""
+        """Return output over force on a load, in output unit per N."""
         if not load_mass >= 0:
             raise ValueError(f"load_mass: expected 0 or more, found {load_mass}")
         m, k, c, n = self.moving_mass, self.stiffness, self.damping, self.sensitivity * self.stiffness
@@ -131,43 +139,44 @@ class LoadModel(Brief):
         return LinearSystem.from_coefficients(n * np.array([cl, kl]), np.array(below))
 
 
-# Poles of the loaded sensor and how they move with every stiffness, damping and mass.
+# Poles of the loaded sensor and their derivatives by stiffness, damping and mass.
 
 
 def upper_poles(numbers: FloatArray, moving_mass: float, load_mass: float) -> tuple[ComplexArray, ComplexArray]:
-    """Return the upper poles (M,) in rad/s, the lowest first, and their derivatives (M, P + 2).
+    """Return the upper poles (M,) in rad/s, ascending, with derivatives (M, P + 2).
 
-    `numbers` (P,): stiffness, damping, and those of the coupling unless the load is rigid. Derivatives by the numbers,
-    the moving mass and the load mass. A load of no mass has no second mode. Overdamped modes have no upper pole and
-    are missing.
+    `numbers` (P,): stiffness and damping, and those of the coupling unless the load is rigid. Derivatives by the
+    numbers, the moving mass and the load mass. A load without mass has one mode. Overdamped modes have no upper pole
+    and are missing.
     """
     if len(numbers) == 2 or load_mass == 0.0:
-        weights, terms, places = [moving_mass + load_mass, *numbers[:2]], [1, 2, 0, 0], [0, 1, -2, -1]
+        weights, terms, columns = [moving_mass + load_mass, *numbers[:2]], [1, 2, 0, 0], [0, 1, -2, -1]
     else:
         k, c, kl, cl = numbers
-        weights, terms, places = [moving_mass, load_mass, k, kl, c, cl], [2, 4, 3, 5, 0, 1], [0, 1, 2, 3, -2, -1]
+        weights, terms, columns = [moving_mass, load_mass, k, kl, c, cl], [2, 4, 3, 5, 0, 1], [0, 1, 2, 3, -2, -1]
     roots, slopes = poles(_chain(len(weights) // 3), np.array([1.0, *weights]))
-    kept = roots.imag > 0.0
-    rates = np.zeros((np.count_nonzero(kept), len(numbers) + 2), dtype=np.complex128)
-    rates[:, places] = slopes[kept][:, terms]
-    return roots[kept], rates
+    upper = roots.imag > 0.0
+    rates = np.zeros((np.count_nonzero(upper), len(numbers) + 2), dtype=np.complex128)
+    rates[:, columns] = slopes[upper][:, terms]
+    return roots[upper], rates
 
 
 @cache
 def _chain(count: int) -> Mechanics:
-    """Return one mass or two in a row on a base at rest, made once: a fit asks for thousands of poles."""
+    """Return the mechanics of one or two masses in a row on a fixed base."""
     return Mechanics(*chain_terms(count), np.zeros((1, count)), np.ones(1), np.zeros(count), 1.0)
 
 
-# Resonance and damping of a sensor over the mass it carries, with their uncertainties.
+# Resonance and damping of a sensor over the load mass, with uncertainties.
 
 
 @dataclass(frozen=True, repr=False)
 class LoadCurve(Brief):
-    """Modes over load masses (K,) in kg: natural frequencies in Hz and damping ratios, first and second mode.
+    """Frequencies and damping ratios of two modes over load masses.
 
-    `frequency_hz`, `damping_ratio` and their standard uncertainties (K, 2), NaN where there is no second mode or no
-    covariance. f = |p|/2π, ζ = -Re p/|p| of the poles p of `LoadModel.system`.
+    Load masses (K,) in kg; frequencies are natural frequencies in Hz. `frequency_hz`, `damping_ratio` and their
+    standard uncertainties (K, 2), NaN without a second mode or a covariance. f = |p|/2π and ζ = -Re p/|p| of the poles
+    p of `LoadModel.system`.
     """
 
     load_mass: FloatArray
@@ -182,9 +191,9 @@ class LoadCurve(Brief):
 
 
 def load_curve(model: LoadModel, load_mass: FloatArray, u_load_mass: FloatArray | None = None) -> LoadCurve:
-    """Return frequencies and dampings of both modes over load masses (K,).
+    """Return frequencies and damping ratios of both modes over load masses (K,).
 
-    Uncertainties by the model's covariance and those of the load masses (K,), none by default.
+    Uncertainties follow from the covariance of the model and `u_load_mass` (K,), default none.
     """
     masses = np.asarray(load_mass, dtype=np.float64)
     if model.total_covariance is None:
@@ -208,29 +217,30 @@ def first_mode_hz(model: LoadModel, load_mass: float) -> float:
 
 
 def rigid_formula_hz(model: LoadModel, load_mass: float) -> float:
-    """Return √(k/(m_E + m_L))/2π in Hz: what the stiffness would mean were the load rigid (eq. 6)."""
+    """Return √(k/(m_E + m_L))/2π in Hz, the resonance of a rigid load (eq. 6)."""
     return float(np.sqrt(model.stiffness / (model.moving_mass + load_mass)) / (2.0 * np.pi))
 
 
 def _modes(model: LoadModel, masses: FloatArray) -> FloatArray:
-    """Frequencies, then damping ratios, (2 K 2,) of the modes by size; NaN for a second one that is not there."""
+    """Return frequencies, then damping ratios, (2 K 2,) by mode; NaN without a second one."""
     modes = np.full((2, len(masses), 2), np.nan)
-    for place, mass in enumerate(masses):
+    for index, mass in enumerate(masses):
         upper, _ = upper_poles(model.vector, model.moving_mass, float(mass))
-        modes[:, place, : len(upper)] = np.abs(upper) / (2.0 * np.pi), -upper.real / np.abs(upper)
+        modes[:, index, : len(upper)] = np.abs(upper) / (2.0 * np.pi), -upper.real / np.abs(upper)
     return modes.ravel()
 
 
-# How far a loaded sensor can be used as it is.
+# Working bands of a loaded sensor.
 
-TOLERANCES = (0.05, 0.10)  # departures of the gain from that at rest for which bands are given
-SMALLEST_DAMPING = 1e-4  # damping ratio that stands for none: bands do not depend on it
+TOLERANCES = (0.05, 0.10)  # deviations of the gain from the static one, as usual in data sheets
+SMALLEST_DAMPING = 1e-4  # damping ratio for an undamped model: bands do not depend on it
 
 
 def working_bands(model: LoadModel, load_mass: float, tolerances: tuple[float, ...] = TOLERANCES) -> FloatArray:
-    """Return the frequencies (T,) in Hz up to which |H| stays within each tolerance of |H(0)|, NaN if it always does.
+    """Return the frequencies (T,) in Hz up to which |H| stays within tolerances of |H(0)|.
 
-    A model without damping, as resonances alone tell it, has the same bands as one of very light damping.
+    A band without an end is NaN. A model without damping, from resonances alone, has the bands of one of very light
+    damping.
     """
     if model.damping == 0.0:
         light = 2.0 * SMALLEST_DAMPING * np.sqrt(model.stiffness * model.moving_mass)
@@ -244,14 +254,14 @@ def working_bands(model: LoadModel, load_mass: float, tolerances: tuple[float, .
 
 
 MIN_PARAMETER_SHARE = 0.02
-"""Share of itself to which a stiffness, damping or mass may fall when a model is moved within its uncertainty."""
+"""Smallest share of a stiffness, damping or mass that remains when a model is varied within its uncertainty."""
 
 
 def figures_u(model: LoadModel, figures: Callable[[LoadModel], FloatArray]) -> tuple[FloatArray, FigureRange]:
-    """Return standard uncertainties (Q,) of figures of a model, wide enough for all they come to, and how far that is.
+    """Return standard uncertainties (Q,) of figures of a model, and their reach.
 
-    To first order by the model's covariance, times the factor of `shaker.lti.indices.reach`; `figures` gives NaN where
-    there is none.
+    To first order by the covariance of the model, multiplied by the factor of `shaker.lti.indices.reach`. `figures`
+    returns NaN for a figure that does not exist.
     """
     total, slope = np.asarray(model.total_covariance, dtype=np.float64), model.jacobian(figures)[1]
 
@@ -262,24 +272,27 @@ def figures_u(model: LoadModel, figures: Callable[[LoadModel], FloatArray]) -> t
     return np.asarray(seen.factor * np.sqrt(np.maximum(np.einsum("qp,pr,qr->q", slope, total, slope), 0.0))), seen
 
 
-# How much load a sensor bears before its resonance, or a formula for it, is off by more than permitted.
+# Load limits: masses above which the resonance, or a formula for it, deviates by more than permitted.
 
-ROUNDING = 1e-9  # relative uncertainty that only the rounding of a root makes
-HEAVIEST = 1e4  # load mass over the moving mass up to which limits are looked for
+ROUNDING = 1e-9  # relative uncertainty from the rounding of a root
+HEAVIEST = 1e4  # load mass over the moving mass, upper end of the search for limits
 
 
 class LoadLimit(NamedTuple):
-    """A load mass in kg (kg·m² of a moment) with its standard uncertainty, NaN where that is not known."""
+    """A load mass in kg with its standard uncertainty.
+
+    For a moment kg·m²; the uncertainty is NaN if it is not available.
+    """
 
     load_mass: float
     u: float
 
 
 def formula_limit(model: LoadModel, permitted: float) -> LoadLimit | None:
-    """Return the load mass from which √(k/(m_E + m_L)) is too high by more than a share `permitted` of the resonance.
+    """Return the load mass above which the rigid formula is too high.
 
-    None where it never is: a rigid load, or a coupling that is stiff enough. For large loads the formula is too high by
-    √(1 + k/k_L).
+    √(k/(m_E + m_L)) then exceeds the resonance by more than a share `permitted`. None if this never happens: for a
+    rigid load, or a sufficiently stiff coupling. For large loads the formula is too high by √(1 + k/k_L).
     """
     _check_share(permitted)
     most = 1.0 + permitted
@@ -287,29 +300,31 @@ def formula_limit(model: LoadModel, permitted: float) -> LoadLimit | None:
 
 
 def change_limit(model: LoadModel, permitted: float) -> LoadLimit | None:
-    """Return the load mass that lowers the resonance by a share `permitted` of that without load."""
+    """Return the load mass that lowers the resonance by a share `permitted`."""
     _check_share(permitted)
     least = 1.0 - permitted
     return _limit(model, lambda changed, load: least - first_mode_hz(changed, load) / first_mode_hz(changed, 0.0))
 
 
 def frequency_limit(model: LoadModel, target_hz: float) -> LoadLimit | None:
-    """Return the load mass up to which the resonance stays at or above `wanted_hz`, None where it never is."""
+    """Return the load mass up to which the resonance is at least `target_hz`.
+
+    None if it never is.
+    """
     if not target_hz > 0:
-        raise ValueError(f"wanted_hz: expected a frequency above 0, found {target_hz}")
+        raise ValueError(f"target_hz: expected a frequency above 0, found {target_hz}")
     if first_mode_hz(model, 0.0) < target_hz:
         return None
     return _limit(model, lambda changed, load: target_hz / first_mode_hz(changed, load) - 1.0)
 
 
 def _check_share(permitted: float) -> None:
-    """Refuse what is no share."""
     if not 0.0 < permitted < 1.0:
         raise ValueError(f"permitted: expected a share between 0 and 1, found {permitted}")
 
 
 def _limit(model: LoadModel, beyond: Callable[[LoadModel, float], float]) -> LoadLimit | None:
-    """The root of a function of the load that rises from below zero, with its uncertainty by the model's covariance."""
+    """Return the root of a rising function of the load, with its uncertainty."""
     from scipy.optimize import brentq
 
     def root(changed: LoadModel) -> float:

@@ -1,4 +1,4 @@
-"""What is measured of a series of loads: output, masses, and resonances from the ringing of every load."""
+"""Data of a series of loads: output, masses, and measured resonances."""
 
 from __future__ import annotations
 
@@ -11,12 +11,12 @@ from shaker.fitting import BlockJacobian, LinearBlock, LMOptions, SeparablePoint
 from shaker.labels import mechanical_units, typeset
 from shaker.release.record import ReleaseReading, StepRecord
 
-# The output that is read, and the masses of a series of loads as named unknowns.
+# The output, and the masses of a series of loads as named unknowns.
 
 
 @dataclass(frozen=True)
 class SeriesOutput:
-    """What was recorded: load component, output channel, its unit, static output per N or N·m, that one's u."""
+    """Recorded output: load component, channel, unit, static output per N or N·m with its u."""
 
     component: str
     channel: str
@@ -26,16 +26,16 @@ class SeriesOutput:
 
     @property
     def mass_unit(self) -> str:
-        """Printed unit of what stands for a mass."""
+        """Printed unit of the mass, or of the moment of inertia."""
         return typeset(mechanical_units(self.component).inertia)
 
 
 @dataclass(frozen=True, repr=False)
 class SeriesMasses(Brief):
-    """Moving mass and the load masses (R,) of R records in kg, with their errors by name.
+    """Moving mass and load masses (R,) of R records in kg, with their named errors.
 
-    `names` (Q,) of what is uncertain; one standard uncertainty of it changes the moving mass by `moving_effect` (Q,)
-    and the load masses by `load_effect` (R, Q), so that an adapter that two records share is one unknown.
+    `names` (Q,) of the uncertain parts. One standard uncertainty of a part changes the moving mass by `moving_effect`
+    (Q,) and the load masses by `load_effect` (R, Q). An adapter in two records is therefore one unknown.
     """
 
     moving: float
@@ -64,12 +64,15 @@ class SeriesMasses(Brief):
         return np.asarray(np.linalg.norm(self.load_effect, axis=1))
 
     def at(self, deviates: FloatArray) -> tuple[float, FloatArray]:
-        """Return moving and load masses with every named error (Q,) at so many of its standard uncertainties."""
+        """Return moving and load masses for deviations (Q,) of the named errors in standard uncertainties."""
         return self.moving + float(self.moving_effect @ deviates), self.load + self.load_effect @ deviates
 
 
 def stated_masses(moving: float, u_moving: float, load: FloatArray, u_load: FloatArray | None = None) -> SeriesMasses:
-    """Return masses whose errors are independent: the moving mass, and every load mass (R,) that differs."""
+    """Return masses with independent errors.
+
+    The moving mass and every different load mass (R,) have one error each.
+    """
     loads = np.asarray(load, dtype=np.float64)
     spread = np.zeros(len(loads)) if u_load is None else np.asarray(u_load, dtype=np.float64)
     uncertain = np.unique(loads[spread > 0.0])
@@ -81,14 +84,15 @@ def stated_masses(moving: float, u_moving: float, load: FloatArray, u_load: Floa
     return SeriesMasses(float(moving), loads, names[first:], moved[first:], effect[:, first:])
 
 
-# What is measured of every load: resonances and dampings, read from records or stated.
+# Resonances and dampings of every load, from records or stated.
 
 
 @dataclass(frozen=True, repr=False)
 class Resonances(Brief):
-    """First and second mode of R records: natural frequencies in Hz and damping ratios, (R, 2) each, NaN where unknown.
+    """First and second mode of R records.
 
-    `u_…`: standard uncertainties, 0 where none is known, so that only the scatter about a model tells.
+    Natural frequencies in Hz and damping ratios (R, 2). Unknown values are NaN. `u_…`: standard uncertainties. They are
+    0 if none is stated; the scatter about a model then determines them.
     """
 
     names: tuple[str, ...]
@@ -100,12 +104,12 @@ class Resonances(Brief):
     def __post_init__(self) -> None:
         modes = (len(self.names), 2)
         check_shapes(self, modes, "frequency_hz", "u_frequency_hz", "damping_ratio", "u_damping_ratio")
-        known = self.frequency_hz[np.isfinite(self.frequency_hz)]
-        if np.any(known <= 0) or np.any(np.isnan(self.frequency_hz[:, 0])):
+        finite = self.frequency_hz[np.isfinite(self.frequency_hz)]
+        if np.any(finite <= 0) or np.any(np.isnan(self.frequency_hz[:, 0])):
             raise ValueError("frequency_hz: expected a first resonance above 0 of every record, found none")
 
     def without_second(self, mask: BoolArray) -> Resonances:
-        """Return the resonances with the second modes of some records (R,) left out."""
+        """Return the resonances without the second modes of the records in a mask (R,)."""
         left_out = mask[:, None] & [False, True]
         values = (self.frequency_hz, self.u_frequency_hz, self.damping_ratio, self.u_damping_ratio)
         return Resonances(self.names, *(np.where(left_out, np.nan, value) for value in values))
@@ -114,9 +118,9 @@ class Resonances(Brief):
 def stated_resonances(
     first_hz: FloatArray, u_first_hz: FloatArray | None = None, second_hz: FloatArray | None = None
 ) -> Resonances:
-    """Return resonances without damping: first ones (R,), where known their uncertainties, and second ones or NaN.
+    """Return resonances without damping: first (R,) with uncertainties if stated, second or NaN.
 
-    A second one is taken to be known as well, in parts of itself, as the first.
+    A second resonance has the same relative uncertainty as the first.
     """
     first = np.asarray(first_hz, dtype=np.float64)
     u = np.zeros_like(first) if u_first_hz is None else np.asarray(u_first_hz, dtype=np.float64)
@@ -126,23 +130,24 @@ def stated_resonances(
     return Resonances(tuple(f"{f:g} Hz" for f in first), both, both * (u / first)[:, None], empty, empty)
 
 
-# The free oscillation after a release, decimated: what the poles of a load are fitted to.
+# The decimated free oscillation after a release, to which the poles of a load are fitted.
 
 RATE_OVER_FIRST = 16.0
 """Sampling rate over the first resonance: second modes up to six times the first stay in the passband."""
-PASSBAND = 0.42  # edge of the decimating filter's passband over the rate it decimates to
-TAPS = 20  # length of the decimating filter in samples of the decimated record
-FEWEST = 64
+PASSBAND = 0.42  # edge of the decimating filter's passband over the decimated rate
+TAPS = 20  # length of the decimating filter, in samples of the decimated record
+FEWEST = 64  # samples after the release
 SEARCH = LMOptions(initial_damping=1e-4, damping_decrease=0.2, min_damping=1e-15, max_damping=1e12)
-"""How a search for poles, stiffnesses and dampings is damped; it ends where a step promises 10⁻¹⁰ of the loss."""
+"""Damping of a search for poles, stiffnesses and dampings; it ends at a predicted gain of 10⁻¹⁰ of the loss."""
 
 
 @dataclass(frozen=True, repr=False)
 class FreeDecay(Brief):
-    """The output of one record from the end of its release on: `value` (N,) in output units at `time_s` (N,).
+    """The output of one record after the end of its release.
 
-    Low-pass filtered and decimated by `decimation`. A filter scales every exponential by a number of its own, which the
-    free amplitudes take up; so does the release, whatever its shape, once it is over. Poles stay as they are.
+    `value` (N,) at `time_s` (N,). In output units, low-pass filtered and decimated by `decimation`. A filter multiplies
+    every exponential by a constant, and so does the release after its end, for any shape. The free amplitudes contain
+    these constants; poles do not change.
     """
 
     name: str
@@ -160,7 +165,10 @@ class FreeDecay(Brief):
 
 
 def free_decay(record: StepRecord, channel: str, reading: ReleaseReading) -> FreeDecay:
-    """Return the free oscillation of one channel after its release, of which `reading` says when it is over."""
+    """Return the free oscillation of one channel after its release.
+
+    `reading` determines the end of the release.
+    """
     from scipy.signal import firwin, upfirdn
 
     begin = reading.onset_s + 2.0 * reading.u_onset_s + reading.release_s + reading.u_release_s
@@ -184,22 +192,26 @@ def free_decay(record: StepRecord, channel: str, reading: ReleaseReading) -> Fre
 
 
 def project_amplitudes(decay: FreeDecay, poles: ComplexArray) -> tuple[FloatArray, FloatArray]:
-    """Return what free amplitudes of modes (M,) and a level leave (N,), and its derivatives (N, 2M) by Re p and Im p.
+    """Return the residual (N,) of free modes and its derivatives (N, 2M).
 
-    y = b + Σ Re{a_m exp(p_m t)} with b and a_m by linear least squares (variable projection, Golub & Pereyra 1973, the
-    derivatives in Kaufman's form).
+    Modes (M,) with free amplitudes, and a level. Derivatives are by Re p and Im p of each pole. y = b + Σ Re{a_m
+    exp(p_m t)} with b and a_m by linear least squares (variable projection, Golub & Pereyra 1973, the derivatives in
+    Kaufman's form).
     """
     point = free_modes(decay, poles)
     return point.residuals[0][:, 0], -point.solved[0].orthogonal_complement(point.jacobians[0].rows)[:, :, 0]
 
 
 def free_modes(decay: FreeDecay, poles: ComplexArray) -> SeparablePoint:
-    """Return modes (M,) with free amplitudes and a level as a point of a fit, parameters [Re p, Im p] of each mode."""
+    """Return modes (M,) with free amplitudes and a level as a point of a fit.
+
+    Its parameters are [Re p, Im p] of each mode.
+    """
     t = decay.time_s - decay.time_s[0]
     waves = np.exp(t[:, None] * poles)
 
-    def changes(own: FloatArray) -> BlockJacobian:
-        amplitude = own[1:, 0].reshape(2, -1)
+    def changes(coefficients: FloatArray) -> BlockJacobian:
+        amplitude = coefficients[1:, 0].reshape(2, -1)
         swing = t[:, None] * waves * (amplitude[0] + 1j * amplitude[1])
         change = np.stack([swing.real, -swing.imag], axis=2).reshape(len(t), -1, 1)
         return BlockJacobian(np.arange(change.shape[1]), change)
@@ -210,9 +222,10 @@ def free_modes(decay: FreeDecay, poles: ComplexArray) -> SeparablePoint:
 
 
 def coloured_normal(slope: FloatArray, residual: FloatArray) -> FloatArray:
-    """Return Jᵀ R J (P, P): derivatives (N, P) and the autocovariance R of the noise that the residual (N,) shows.
+    """Return the normal matrix Jᵀ R J for coloured noise.
 
-    R has the residual's periodogram, smoothed over neighbouring lines, as its spectrum.
+    (P, P) of derivatives (N, P), with R of the noise in the residual (N,). The spectrum of R is the periodogram of the
+    residual, smoothed over neighbouring lines.
     """
     count = len(residual)
     power = np.abs(np.fft.rfft(residual)) ** 2 / count
@@ -227,22 +240,23 @@ def coloured_normal(slope: FloatArray, residual: FloatArray) -> FloatArray:
     return np.asarray((lines.conj().T * (smooth * weight / count)) @ lines).real
 
 
-# The modes that one record shows after its release, by itself.
+# Modes of one record after its release.
 
-PARTS = (1, 3, 9, 27)  # the record and ever shorter beginnings of it in which modes of any damping stand out
-NEAREST = 2  # number of starts that are followed, those that leave least
-SEPARATE = 1.15  # ratio to the first resonance from which another one counts as second mode
-CLEAR = 8.0  # height of a line over the median of the spectrum from which it may be a mode
-SURE = 1e-6  # chance of a second mode in noise above which none is taken to be seen
+PARTS = (1, 3, 9, 27)  # beginnings of the record, by their share 1/n, for modes of any damping
+NEAREST = 2  # number of starts that are fitted, those of least residual
+SEPARATE = 1.15  # lowest ratio of a second mode to the first
+CLEAR = 8.0  # height of a line over the median of the spectrum of a possible mode
+SURE = 1e-6  # largest chance in noise of a second mode that is accepted
 HEAVIEST, VAGUEST = 0.3, 0.05
-"""Damping ratio and relative uncertainty of the frequency up to which a second mode is used."""
+"""Largest damping ratio and relative uncertainty of the frequency of a second mode that is used."""
 
 
 @dataclass(frozen=True, repr=False)
 class RecordModes(Brief):
-    """One or two modes of a record: upper poles (M,) in rad/s, covariance (2M, 2M) of [Re p, Im p] of each mode.
+    """One or two modes of a record with their covariance.
 
-    `noise`: standard deviation of what the modes leave, in output units.
+    Upper poles (M,) in rad/s. The covariance is of [Re p, Im p] of each mode. `noise`: standard deviation of the
+    residual, in output units.
     """
 
     name: str
@@ -266,13 +280,13 @@ class RecordModes(Brief):
         p, size, modes = self.poles, np.abs(self.poles), np.arange(len(self.poles))
         by_f = np.stack([p.real, p.imag], axis=1) / (2.0 * np.pi * size[:, None])
         by_zeta = np.stack([-(p.imag**2), p.real * p.imag], axis=1) / size[:, None] ** 3
-        own = self.covariance.reshape(len(p), 2, len(p), 2)[modes, :, modes]
-        u_f, u_zeta = (np.sqrt(np.einsum("mi,mij,mj->m", by, own, by)) for by in (by_f, by_zeta))
+        blocks = self.covariance.reshape(len(p), 2, len(p), 2)[modes, :, modes]
+        u_f, u_zeta = (np.sqrt(np.einsum("mi,mij,mj->m", by, blocks, by)) for by in (by_f, by_zeta))
         return u_f, u_zeta
 
 
 def record_modes(decay: FreeDecay) -> RecordModes:
-    """Return the first mode of a record, and a second above it where one stands out of the noise."""
+    """Return the first mode of a record, and a significant second one."""
     from scipy.special import fdtrc
 
     one = _fitted(decay, _starts(decay, decay.value - np.mean(decay.value), 0.0), np.zeros(0, dtype=np.complex128))
@@ -298,7 +312,7 @@ def as_resonances(records: list[RecordModes]) -> Resonances:
 
 
 def _starts(decay: FreeDecay, value: FloatArray, above_hz: float) -> list[complex]:
-    """Poles at the highest line of each beginning of a record that stands out of its spectrum.
+    """Return poles from the highest spectral line of the record and of shorter beginnings.
 
     The decay rate follows from the line's amplitudes in the first and in the second half.
     """
@@ -310,9 +324,9 @@ def _starts(decay: FreeDecay, value: FloatArray, above_hz: float) -> list[comple
         size = np.abs(np.fft.rfft((value[:count] - np.mean(value[:count])) * np.hanning(count), 4 * count))
         hertz = np.fft.rfftfreq(4 * count, 1.0 / decay.rate_hz)
         size[(hertz <= above_hz) | (hertz < 2.0 * decay.rate_hz / count)] = 0.0
-        place = int(np.argmax(size))
-        if size[place] > CLEAR * np.median(size[size > 0.0]) or above_hz == 0.0:
-            omega, half = 2.0 * np.pi * float(hertz[place]), count // 2
+        index = int(np.argmax(size))
+        if size[index] > CLEAR * np.median(size[size > 0.0]) or above_hz == 0.0:
+            omega, half = 2.0 * np.pi * float(hertz[index]), count // 2
             wave = np.hanning(half) * np.exp(-1j * omega * np.arange(half) / decay.rate_hz)
             early, late = abs(wave @ value[:half]), abs(wave @ value[half : 2 * half])
             rate = float(max(np.log(early / max(late, 1e-300)), 0.1) * decay.rate_hz / half)
@@ -320,9 +334,9 @@ def _starts(decay: FreeDecay, value: FloatArray, above_hz: float) -> list[comple
     return starts
 
 
-def _fitted(decay: FreeDecay, starts: list[complex], known: ComplexArray) -> RecordModes:
-    """The best of the fits that begin at known poles and a further one."""
-    tried = [free_modes(decay, np.append(known, start)) for start in starts]
+def _fitted(decay: FreeDecay, starts: list[complex], poles_before: ComplexArray) -> RecordModes:
+    """Return the best fit from start poles and one additional pole."""
+    tried = [free_modes(decay, np.append(poles_before, start)) for start in starts]
     if not tried:
         raise ValueError(f"decay: expected an oscillation after the release of {decay.name}, found none")
     tried.sort(key=lambda point: point.loss)

@@ -1,9 +1,9 @@
-"""What poles answer to a release: how the load goes, the samples that see it, responses with their derivatives.
+"""Responses of poles to a release, in blocks of samples, with derivatives.
 
-The load goes from 0 to `amplitude` from the onset on, in the length T: at once ("step"), along a straight line
-("ramp"), along half a cosine ("smooth"), or as a force channel shows it ("measured"). With τ from the onset and σ from
-the end of the release, a pole answers (F·exp(pσ) - 1)/p after it, F = (exp(x) - 1)/x of a ramp and
-½π²(1 + exp(x))/(x² + π²) of half a cosine, x = pT; the mean of samples in a block multiplies exp(pσ) by a number.
+The load changes from 0 to `amplitude` from the onset, within the length T: at once ("step"), linearly ("ramp"), along
+half a cosine ("smooth"), or as a force channel shows ("measured"). With τ from the onset and σ from the end of the
+release, a pole responds by (F·exp(pσ) - 1)/p after it. F = (exp(x) - 1)/x for a ramp and ½π²(1 + exp(x))/(x² + π²) for
+half a cosine, x = pT. The mean of the samples of a block multiplies exp(pσ) by a constant.
 """
 
 from __future__ import annotations
@@ -18,22 +18,22 @@ from shaker.arrays import Brief, ComplexArray, FloatArray, IntArray, check_shape
 from shaker.lti.system import even_exponentials
 from shaker.release.record import ReleaseShape
 
-_SMALL = 1e-2  # |x| below which factors are taken from their series
-_SERIES = 64  # evenly spaced times from which on exponentials at them are products of two short series
-_EVEN = 1e-9  # intervals by which times may be off even ones
-_RESTS = 40  # blocks of what comes before the release
+_SMALL = 1e-2  # |x| below which factors are computed from their series
+_SERIES = 64  # number of equally spaced times above which exponentials are products of two short series
+_EVEN = 1e-9  # deviation of equally spaced times, in intervals
+_RESTS = 40  # number of blocks before the release
 MOMENTS: dict[ReleaseShape, float] = {"step": 0.0, "ramp": 1.0 / 12.0, "smooth": 0.25 - 2.0 / np.pi**2}
-"""Second moment of a release about its middle over its squared length: what 1/a² of a lag adds to."""
-BLOCKS_PER_PERIOD = 12  # blocks in a period of the fastest mode: its mean over one loses 1 % of it, sinc(1/12)
+"""Second moment of a release about its middle over its squared length; 1/a² of a lag adds to it."""
+BLOCKS_PER_PERIOD = 12  # blocks per period of the fastest mode: the mean of a block is 1 % lower, sinc(1/12)
 
 
 @dataclass(frozen=True, repr=False)
 class BlockMeans(Brief):
-    """Means of neighbouring samples: block b is the mean `value` (B, …) of `length` (B,) samples.
+    """Means over blocks of neighbouring samples.
 
-    They are `step_s` apart and the first of them is taken at `time_s` (B,). Noise of white samples stays white, with
-    1/√length of its standard deviation, and what a pole answers stays an exponential, so nothing is filtered away
-    and no filter has to be modelled.
+    Block b is the mean `value` (B, …) of `length` (B,) samples. Samples are `step_s` apart; the first of a block is at
+    `time_s` (B,). White noise stays white, with 1/√length of its standard deviation, and the response of a pole stays
+    an exponential. No filter has to be modelled.
     """
 
     time_s: FloatArray
@@ -48,7 +48,7 @@ class BlockMeans(Brief):
 
     @cached_property
     def runs(self) -> tuple[slice, ...]:
-        """Stretches of blocks of one length."""
+        """Slices of blocks of equal length."""
         edges = [0, *(np.flatnonzero(np.diff(self.length)) + 1).tolist(), len(self.length)]
         return tuple(slice(first, stop) for first, stop in pairwise(edges))
 
@@ -58,9 +58,9 @@ class BlockMeans(Brief):
         return np.sqrt(self.length.astype(np.float64))
 
     def between(self, from_s: float, to_s: float) -> BlockMeans:
-        """Return the blocks that begin in a stretch of time."""
-        kept = (self.time_s >= from_s) & (self.time_s <= to_s)
-        return BlockMeans(self.time_s[kept], self.length[kept], self.value[kept], self.step_s)
+        """Return the blocks that start between two times."""
+        selected = (self.time_s >= from_s) & (self.time_s <= to_s)
+        return BlockMeans(self.time_s[selected], self.length[selected], self.value[selected], self.step_s)
 
 
 def every_sample(value: FloatArray, time_s: FloatArray, step_s: float) -> BlockMeans:
@@ -69,16 +69,16 @@ def every_sample(value: FloatArray, time_s: FloatArray, step_s: float) -> BlockM
 
 
 def reduce_to_blocks(whole: BlockMeans, fine_from_s: float, fine_to_s: float, length: int) -> BlockMeans:
-    """Return samples one by one between two times, as means of `length` after them, as means of many before them."""
+    """Return single samples between two times, blocks of `length` after them, long ones before."""
 
     def edges(start: int, stop: int, size: int) -> IntArray:
-        """Return where blocks of a size begin; what is left over is the first one."""
+        """Return the starts of blocks of a size; the remainder is the first block."""
         if stop <= start:
             return np.zeros(0, dtype=np.int64)
-        places = np.arange(stop - size, start, -size, dtype=np.int64)[::-1]
-        return np.concatenate([np.array([start], dtype=np.int64), places[places > start]])
+        starts = np.arange(stop - size, start, -size, dtype=np.int64)[::-1]
+        return np.concatenate([np.array([start], dtype=np.int64), starts[starts > start]])
 
-    first, last = (int(place) for place in np.searchsorted(whole.time_s, [fine_from_s, fine_to_s]))
+    first, last = (int(index) for index in np.searchsorted(whole.time_s, [fine_from_s, fine_to_s]))
     parts = (edges(0, first, max(1, first // _RESTS)), np.arange(first, last), edges(last, len(whole.value), length))
     begins = np.concatenate([*parts, [len(whole.value)]]).astype(np.int64)
     lengths = np.diff(begins)
@@ -87,20 +87,28 @@ def reduce_to_blocks(whole: BlockMeans, fine_from_s: float, fine_to_s: float, le
 
 
 def block_length(sample_rate_hz: float, highest_hz: float) -> int:
-    """Return how many samples a block after the release takes, twelve blocks in the period of the fastest mode."""
+    """Return the samples per block after the release.
+
+    There are twelve blocks per period of the fastest mode.
+    """
     return max(1, int(sample_rate_hz / (BLOCKS_PER_PERIOD * highest_hz)))
 
 
 def average_blocks(samples: FloatArray, size: int) -> FloatArray:
-    """Return means (…, A) over blocks of `size` samples (…, N); samples that fill no block are left out."""
+    """Return means (…, A) over blocks of `size` samples (…, N).
+
+    An incomplete last block is omitted.
+    """
     count = samples.shape[-1] // size
     return np.asarray(samples[..., : count * size].reshape(*samples.shape[:-1], count, size).mean(axis=-1))
 
 
 @dataclass(frozen=True, repr=False)
 class ReleaseLoad(Brief):
-    """How a load goes: by `amplitude` in a `shape`, or as the samples `force` (N,) from `start_s`, for "measured",
-    linear between its samples and less its level of rest."""
+    """Time course of a load: by `amplitude` in a `shape`, or measured samples.
+
+    `force` (N,) from `start_s` for "measured": linear between its samples, with the level at rest subtracted.
+    """
 
     shape: ReleaseShape
     amplitude: float
@@ -114,14 +122,15 @@ class ReleaseLoad(Brief):
 
     @property
     def lasting(self) -> bool:
-        """Whether the release takes a time that is unknown."""
+        """Whether the release has an unknown duration."""
         return self.shape in ("ramp", "smooth")
 
 
 def load_share(shape: ReleaseShape, time_s: FloatArray, onset_s: float, release_s: float) -> FloatArray:
-    """Return the share (N,) of the load's change at `time_s` (N,): 0 before `onset_s`, 1 from its end on.
+    """Return the share (N,) of the load's change at `time_s` (N,).
 
-    In between, with x = (t - onset)/T: x of a "ramp", (1 - cos πx)/2 of a "smooth" release.
+    It is 0 before `onset_s` and 1 at the end. Between them, with x = (t - onset)/T: x for a "ramp", (1 - cos πx)/2 for
+    a "smooth" release.
     """
     tau = np.asarray(time_s, dtype=np.float64) - onset_s
     if release_s <= 0.0 or shape == "step":
@@ -131,7 +140,7 @@ def load_share(shape: ReleaseShape, time_s: FloatArray, onset_s: float, release_
 
 
 def load_rate(shape: ReleaseShape, time_s: FloatArray, onset_s: float, release_s: float) -> FloatArray:
-    """Return the derivative (N,) of `load_share` in 1/s, 0 of a step."""
+    """Return the derivative (N,) of `load_share` in 1/s, 0 for a step."""
     tau = np.asarray(time_s, dtype=np.float64) - onset_s
     if release_s <= 0.0 or shape == "step":
         return np.zeros(len(tau))
@@ -143,9 +152,10 @@ def load_rate(shape: ReleaseShape, time_s: FloatArray, onset_s: float, release_s
 def pole_responses(
     poles: ComplexArray, time_s: FloatArray, onset_s: float, release_s: float, shape: ReleaseShape = "ramp"
 ) -> ComplexArray:
-    """Return responses (N, P) of 1/(s - p), poles (P,) in rad/s, at `time_s` (N,), to a load from 0 to 1.
+    """Return responses (N, P) of 1/(s - p) to a load from 0 to 1.
 
-    The load goes in a shape, by itself along a line, from `onset_s` on in `release_s` ≥ 0, as a step where that is 0.
+    At `time_s` (N,). `poles` (P,) in rad/s. The load changes in a shape, by default a ramp, from `onset_s` on within
+    `release_s` ≥ 0; 0 is a step.
     """
     if release_s < 0:
         raise ValueError(f"release_s: expected 0 or more, found {release_s}")
@@ -156,9 +166,10 @@ def pole_responses(
 
 
 def exponentials(poles: ComplexArray, tau: FloatArray) -> ComplexArray:
-    """Return exp(pτ) (P, N), poles (P,) in rad/s, at times `tau` (N,) in s, none below 0.
+    """Return exp(pτ) (P, N) at times `tau` (N,) of at least 0.
 
-    At times that rise evenly they are products of two short series (`even_exponentials`).
+    `poles` (P,) in rad/s, times in s. At equally spaced times they are products of two short series
+    (`even_exponentials`).
     """
     count = len(tau)
     p = poles[:, None]
@@ -173,10 +184,10 @@ def exponentials(poles: ComplexArray, tau: FloatArray) -> ComplexArray:
 
 @dataclass(frozen=True, repr=False)
 class BlockResponses(Brief):
-    """Responses (B, P) of 1/(s - p) in blocks, and their derivatives: to the onset, the release's length, the poles.
+    """Responses (B, P) of 1/(s - p) in blocks, and their derivatives.
 
-    That to the length moves the onset too, by half as much to the other side: the middle of the release stays. Where
-    poles are held, there is none to the poles (B, 0).
+    The derivatives are by the onset, the length of the release and the poles. That by the length keeps the middle of
+    the release: the onset moves by half the change. For fixed poles `by_pole` is empty (B, 0).
     """
 
     value: ComplexArray
@@ -193,9 +204,10 @@ def responses_with_derivatives(
     length_s: float,
     fixed_poles: bool = False,
 ) -> BlockResponses:
-    """Return what poles (P,) in rad/s answer to a load whose release of `length_s` has its middle at `middle_s`.
+    """Return the responses of poles (P,) in rad/s to a load, with derivatives.
 
-    `held`: without the derivative to the poles.
+    The release has the length `length_s` and its middle at `middle_s`. `fixed_poles`: without the derivative by the
+    poles.
     """
     if load.shape == "measured":
         return _to_force(load, poles, samples)
@@ -206,7 +218,7 @@ def responses_with_derivatives(
 def responses(
     load: ReleaseLoad, poles: ComplexArray, samples: BlockMeans, middle_s: float, length_s: float
 ) -> ComplexArray:
-    """Return the responses (B, P) of `answers` alone, for half the work."""
+    """Return the responses (B, P) only, in half the time."""
     if load.shape == "measured":
         return _to_force(load, poles, samples).value
     return np.asarray(_answered(load, poles, samples, (middle_s, length_s), 1)[0])
@@ -215,7 +227,7 @@ def responses(
 def _answered(
     load: ReleaseLoad, poles: ComplexArray, samples: BlockMeans, release: tuple[float, float], rows: int
 ) -> ComplexArray:
-    """Return the first rows of `Answers` (R, B, P), one, three or all four, to a release of a middle and a length."""
+    """Return the first R rows of `BlockResponses` (R, B, P), one, three or all four."""
     length = release[1] if load.lasting else 0.0
     tau = samples.time_s - (release[0] - 0.5 * length)
     whole = np.zeros((rows, len(poles), len(tau)), dtype=np.complex128)
@@ -237,16 +249,19 @@ def _answered(
 
 
 def release_factor(shape: ReleaseShape, x: ComplexArray) -> tuple[ComplexArray, ComplexArray]:
-    """Return F = ∫ du/dt·exp(p(T - t)) dt over the release, x = pT, and its derivative to x; 1 and ½ for x = 0."""
+    """Return the factor F of a release and its derivative by x.
+
+    F = ∫ du/dt·exp(p(T - t)) dt over the release, x = pT. F = 1 and its derivative is ½ at x = 0.
+    """
     if shape == "smooth":
         below, grown = x**2 + np.pi**2, np.exp(x)
         value = 0.5 * np.pi**2 * (1.0 + grown) / below
         return value, 0.5 * np.pi**2 * grown / below - 2.0 * x * value / below
     small = np.abs(x) < _SMALL
     safe: ComplexArray = np.where(small, 1.0, x).astype(np.complex128)
-    away = np.expm1(safe)
-    value = away / safe
-    slope = (away + 1.0 - value) / safe
+    growth = np.expm1(safe)
+    value = growth / safe
+    slope = (growth + 1.0 - value) / safe
     if np.any(small):
         value = np.where(small, 1 + x / 2 + x**2 / 6 + x**3 / 24 + x**4 / 120, value)
         slope = np.where(small, 0.5 + x / 3 + x**2 / 8 + x**3 / 30 + x**4 / 144, slope)
@@ -260,9 +275,10 @@ def _after(
     means: tuple[ComplexArray, ComplexArray],
     out: ComplexArray,
 ) -> None:
-    """Put what blocks show (R, P, B), as `Answers`, whose first sample is `sigma` (B,) after the release's end.
+    """Write the responses (R, P, B) of blocks after the release to `out`, as `BlockResponses`.
 
-    `means`, (P,) each: of exp(pt) over a block's samples, and its derivative to p.
+    `sigma` (B,): first sample of each block after the end of the release. `means`, (P,) each: of exp(pt) over a block's
+    samples, and its derivative by p.
     """
     (mean, mean_slope), (shape, length) = means, load
     factor, slope = release_factor(shape, p * length) if length > 0 else (np.ones_like(p), np.full_like(p, 0.5))
@@ -278,7 +294,10 @@ def _after(
 
 
 def _at_times(shape: ReleaseShape, p: ComplexArray, tau: FloatArray, length: float, rows: int) -> ComplexArray:
-    """Return what single samples show (R, P, B), as `Answers`, `tau` (B,) after the onset; zero before it."""
+    """Return the responses (R, P, B) of single samples.
+
+    `tau` (B,) after the onset; zero before it.
+    """
     whole = np.zeros((rows, len(p), len(tau)), dtype=np.complex128)
     if np.any(tau[1:] < tau[:-1]):
         order = np.argsort(tau)
@@ -295,24 +314,29 @@ def _at_times(shape: ReleaseShape, p: ComplexArray, tau: FloatArray, length: flo
         during[0] = value
         if rows > 1:
             by_onset = -(p * value + share)
-            # the answer is T·f(τ/T, pT), so that the derivative to the length follows from those to time and pole
+            # the response is T·f(τ/T, pT): the derivative by the length follows from those by time and pole
             by_length = (value + early * by_onset + p * by_pole) / length - 0.5 * by_onset
             during[1:] = (by_onset, by_length, by_pole)[: rows - 1]
     return whole
 
 
 def _along_line(p: ComplexArray, tau: FloatArray, length: float) -> tuple[FloatArray, ComplexArray, ComplexArray]:
-    """Return a ramp's load, its response [(exp(pτ) - 1)/p - τ]/(pT) and the derivative to the pole."""
-    away = np.expm1(p * tau)
-    rise = away / p
+    """Return a ramp's load, its response and the derivative by p.
+
+    The response is [(exp(pτ) - 1)/p - τ]/(pT).
+    """
+    grown = np.expm1(p * tau)
+    rise = grown / p
     value = (rise - tau) / (p * length)
-    slope = (tau * (away + 1.0) - rise) / p
+    slope = (tau * (grown + 1.0) - rise) / p
     return tau / length, value, slope / (p * length) - value / p
 
 
 def _along_cosine(p: ComplexArray, tau: FloatArray, length: float) -> tuple[FloatArray, ComplexArray, ComplexArray]:
-    """Return the load of half a cosine, its response and the derivative to the pole; with ω = π/T the response is
-    [(exp(pτ) - 1)/p - (p(exp(pτ) - cos ωτ) + ω sin ωτ)/(p² + ω²)]/2."""
+    """Return the load of half a cosine, its response and the derivative by the pole.
+
+    With ω = π/T the response is [(exp(pτ) - 1)/p - (p(exp(pτ) - cos ωτ) + ω sin ωτ)/(p² + ω²)]/2.
+    """
     omega = np.pi / length
     swing, cosine, sine = np.exp(p * tau), np.cos(omega * tau), np.sin(omega * tau)
     below, top = p**2 + omega**2, p * (swing - cosine) + omega * sine
@@ -322,7 +346,10 @@ def _along_cosine(p: ComplexArray, tau: FloatArray, length: float) -> tuple[Floa
 
 
 def _means(p: ComplexArray, size: int, step_s: float) -> tuple[ComplexArray, ComplexArray]:
-    """Return the mean of exp(pt) (P,) over so many samples from t = 0 on, and its derivative to the pole."""
+    """Return the mean of exp(pt) (P,) over `size` samples, with derivative.
+
+    The first sample is at t = 0.
+    """
     if size == 1:
         return np.ones_like(p), np.zeros_like(p)
     k = np.arange(size)[:, None]
@@ -331,19 +358,19 @@ def _means(p: ComplexArray, size: int, step_s: float) -> tuple[ComplexArray, Com
 
 
 def _to_force(load: ReleaseLoad, poles: ComplexArray, samples: BlockMeans) -> BlockResponses:
-    """Return what poles answer to a measured force, exact where it is linear between samples."""
+    """Return the responses to a measured force, exact if it is linear between samples."""
     from scipy.signal import lfilter
 
     assert load.force is not None
     force, step = load.force, samples.step_s
     first = np.round((samples.time_s - load.start_s) / step).astype(int)
     value, slope = np.zeros((2, len(force), len(poles)), dtype=np.complex128)
-    for place, p in enumerate(poles):
-        fall, now, next_ = _hold(p, step)
-        value[:, place] = lfilter([next_[0], now[0]], [1.0, -fall], force)
-        moved = lfilter([0.0, step * fall], [1.0, -fall], value[:, place])
-        slope[:, place] = moved + lfilter([next_[1], now[1]], [1.0, -fall], force)
-    start = -force[0] * np.array([_hold(p, step)[2] for p in poles])
+    for column, p in enumerate(poles):
+        fall, now, next_ = _linear_weights(p, step)
+        value[:, column] = lfilter([next_[0], now[0]], [1.0, -fall], force)
+        moved = lfilter([0.0, step * fall], [1.0, -fall], value[:, column])
+        slope[:, column] = moved + lfilter([next_[1], now[1]], [1.0, -fall], force)
+    start = -force[0] * np.array([_linear_weights(p, step)[2] for p in poles])
     decay = np.exp(np.arange(len(force))[:, None] * step * poles)
     value += start[:, 0] * decay
     slope += (start[:, 1] + start[:, 0] * np.arange(len(force))[:, None] * step) * decay
@@ -357,8 +384,8 @@ def _to_force(load: ReleaseLoad, poles: ComplexArray, samples: BlockMeans) -> Bl
     return BlockResponses(value, blank, blank, slope)
 
 
-def _hold(p: complex, step: float) -> tuple[complex, FloatArray, FloatArray]:
-    """Return exp(pΔ) and the weights, with derivatives to p, of a sample and of the next for a straight line."""
+def _linear_weights(p: complex, step: float) -> tuple[complex, FloatArray, FloatArray]:
+    """Return exp(pΔ) and the weights of two samples for a straight line, with derivatives."""
     x = p * step
     if abs(x) < _SMALL:
         now = 0.5 + x / 3 + x**2 / 8 + x**3 / 30 + x**4 / 144

@@ -1,17 +1,16 @@
-"""Two masses or three: stiffnesses and dampings from the releases of several loads, and which model these support."""
+"""Load models from the releases of several loads: two masses or three, stiffnesses and dampings."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
-from functools import cached_property
 
 import numpy as np
 
-from shaker.arrays import BoolArray, Brief, ComplexArray, FloatArray, check_shape
+from shaker.arrays import FloatArray
 from shaker.fitting import WhitenedResiduals, levenberg_marquardt
 from shaker.labels import mechanical_units, typeset
-from shaker.release.load_model import LoadModel, upper_poles
+from shaker.release.load_model import LoadModel
 from shaker.release.load_modes import (
     SEARCH,
     FreeDecay,
@@ -21,213 +20,41 @@ from shaker.release.load_modes import (
     coloured_normal,
     project_amplitudes,
 )
-from shakercal._common.notices import Notice, Severity
-
-# Rows and unknowns of a fit of load models to resonances.
-
-LARGEST = 100.0  # logarithm of a stiffness or damping, in size, from which a step has gone astray
-FLOOR = 1e-8  # relative uncertainty that stands where none is stated and none has shown yet
-
-
-@dataclass(frozen=True)
-class SeriesProblem:
-    """A fit of ln f and ln ζ of the modes that were seen; a rigid load has first modes only.
-
-    Unknown x (X,): logarithms of k and, unless `rigid`, k_L, then of c and c_L where a damping is known, then the named
-    mass errors in their standard uncertainties.
-    """
-
-    measured: Resonances
-    masses: SeriesMasses
-    rigid: bool
-
-    def __post_init__(self) -> None:
-        check_shape("masses", self.masses.load, (len(self.measured.names),))
-        if not self.rigid and (self.rows[0].sum() < 2 or not np.any(self.masses.load > 0)):
-            raise ValueError(
-                "measured: expected two resonances, one of them with a load, to tell the coupling's stiffness, found "
-                f"{int(self.rows[0].sum())}"
-            )
-
-    @cached_property
-    def rows(self) -> tuple[BoolArray, BoolArray]:
-        """Which frequencies and which dampings (R, 2) enter."""
-        seen = np.isfinite(self.measured.frequency_hz)
-        seen[:, 1] &= (self.masses.load > 0) & (not self.rigid)
-        return seen, seen & (np.nan_to_num(self.measured.damping_ratio) > 0)
-
-    @cached_property
-    def powers(self) -> FloatArray:
-        """Powers (P, S) of the exponentials of springs and dampers that make k, c or k, c, k_L, c_L.
-
-        Where one damping alone is known, c_L = c·k_L/k; where none is, all are 0.
-        """
-        springs = 1 if self.rigid else 2
-        dampers = min(springs, int(self.rows[1].sum()))
-        powers = np.zeros((2 * springs, springs + dampers))
-        powers[::2, :springs] = np.eye(springs)
-        powers[1::2, springs:] = np.eye(springs, dampers)
-        if dampers == 1 and springs == 2:
-            powers[3] = [-1.0, 1.0, 1.0]
-        return powers
-
-    @property
-    def springs(self) -> int:
-        """Number of stiffnesses."""
-        return len(self.powers) // 2
-
-    @property
-    def dampers(self) -> int:
-        """Number of dampings that the known ones tell."""
-        return int(self.powers.shape[1]) - self.springs
-
-    @property
-    def dof(self) -> tuple[int, int]:
-        """Degrees of freedom of the frequencies and of the dampings."""
-        f, z = self.rows
-        return int(f.sum()) - self.springs, int(z.sum()) - self.dampers
-
-    def numbers(self, x: FloatArray) -> FloatArray:
-        """Return k, c or k, c, k_L, c_L of unknowns x; dampings of 0 where none is known."""
-        numbers = np.exp(self.powers @ x[: self.powers.shape[1]])
-        numbers[1::2] *= self.dampers > 0
-        return np.asarray(numbers)
-
-    def unknowns(self, fit: SeriesFit) -> FloatArray:
-        """Return the unknowns (X,) that a fit found."""
-        springs, dampers = fit.numbers[::2], fit.numbers[1::2][: self.dampers]
-        return np.concatenate([np.log(springs), np.log(dampers), fit.deviates])
-
-    def deviates(self, x: FloatArray) -> FloatArray:
-        """Return the named mass errors (Q,) among the unknowns."""
-        return x[self.powers.shape[1] :]
-
-    def is_sound(self, x: FloatArray) -> bool:
-        """Whether all numbers of unknowns x are numbers that a computer and a sensor may have."""
-        moving, loads = self.masses.at(self.deviates(x))
-        logarithms = np.abs(x[: self.powers.shape[1]])
-        return bool(np.all(logarithms < LARGEST) and moving > 0.0 and np.all(loads[self.masses.load > 0] > 0.0))
-
-    def number_rates(self, x: FloatArray) -> FloatArray:
-        """Return the derivatives (P, S) of the numbers by the logarithms of springs and dampers."""
-        return np.asarray(self.numbers(x)[:, None] * self.powers)
-
-    def poles(self, x: FloatArray, record: int) -> tuple[ComplexArray, ComplexArray]:
-        """Return the upper poles (M,) of one record and their derivatives (M, X)."""
-        moving, loads = self.masses.at(self.deviates(x))
-        load = float(loads[record]) if self.masses.load[record] > 0 else 0.0
-        poles, moved = upper_poles(self.numbers(x), moving, load)
-        by_mass = np.outer(moved[:, -2], self.masses.moving_effect)
-        by_mass = by_mass + np.outer(moved[:, -1], self.masses.load_effect[record])
-        return poles, np.hstack([moved[:, :-2] @ self.number_rates(x), by_mass])
-
-    def modes(self, x: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return frequencies and damping ratios [f, ζ] (2, R, 2), and the derivatives of ln f and ζ (2, R, 2, X)."""
-        values = np.full((2, len(self.masses.load), 2), np.nan)
-        rates = np.zeros((*values.shape, len(x)))
-        for r in range(values.shape[1]):
-            poles, change = self.poles(x, r)
-            count, size = len(poles), np.abs(poles)
-            along = (np.conj(poles)[:, None] * change).real / size[:, None] ** 2
-            values[0, r, :count], values[1, r, :count] = size / (2.0 * np.pi), -poles.real / size
-            rates[0, r, :count] = along
-            rates[1, r, :count] = -change.real / size[:, None] + (poles.real / size)[:, None] * along
-        return values, rates
-
-    def residual(self, x: FloatArray, sigma: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return weighted residuals (N + Q,) and their derivatives (N + Q, X); `sigma` (N,) of ln f, then ln ζ."""
-        (f, z), rates = self.modes(x)
-        f_rows, z_rows = self.rows
-        left, slopes = [np.log(f[f_rows] / self.measured.frequency_hz[f_rows])], [rates[0][f_rows]]
-        if self.dampers:
-            with np.errstate(invalid="ignore", divide="ignore"):
-                left.append(np.log(z[z_rows] / self.measured.damping_ratio[z_rows]))
-                slopes.append(rates[1][z_rows] / z[z_rows][:, None])
-        own, by_own = self.prior(x)
-        residual = np.concatenate([np.concatenate(left) / sigma, own])
-        return residual, np.vstack([np.vstack(slopes) / sigma[:, None], by_own])
-
-    def prior(self, x: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return what is stated of the masses as residuals (Q,) with their derivatives (Q, X)."""
-        own = self.deviates(x)
-        return own, np.eye(len(x))[len(x) - len(own) :]
-
-    def stated(self) -> tuple[FloatArray, FloatArray]:
-        """Return the relative standard uncertainties stated of the frequencies and of the dampings that enter."""
-        f_rows, z_rows = self.rows
-        seen = self.measured
-        f = seen.u_frequency_hz[f_rows] / seen.frequency_hz[f_rows]
-        z = seen.u_damping_ratio[z_rows] / seen.damping_ratio[z_rows] if self.dampers else np.zeros(0)
-        return np.nan_to_num(f), np.nan_to_num(z)
-
-    def groups(self, x: FloatArray) -> list[tuple[FloatArray, FloatArray, int]]:
-        """Return deviations, relative standard uncertainties stated and freedom, of ln f and of ln ζ."""
-        f, z = self.stated()
-        left = self.residual(x, np.ones(len(f) + len(z)))[0]
-        parts = left[: len(f)], left[len(f) : len(f) + len(z)]
-        return list(zip(parts, (f, z), self.dof, strict=True))
-
-    def sigma(self, scatter: tuple[float, float]) -> FloatArray:
-        """Return the relative standard deviations (N,) of all rows with scatter beyond what is stated."""
-        parts = [np.sqrt(u**2 + tau**2 + FLOOR**2) for u, tau in zip(self.stated(), scatter, strict=True)]
-        return np.concatenate(parts)
-
-    def start(self, ratio: float) -> FloatArray:
-        """Return unknowns (X,) with k_L/k as given that meet the first resonance and damping of the lightest load."""
-        lightest = int(np.argmin(self.masses.load))
-        shape = np.array([1.0, 0.0] if self.rigid else [1.0, 0.0, ratio, 0.0])
-        load = float(self.masses.load[lightest])
-        omega = 2.0 * np.pi * float(self.measured.frequency_hz[lightest, 0])
-        k = (omega / abs(upper_poles(shape, self.masses.moving, load)[0][0])) ** 2
-        springs = np.log(k * shape[::2])
-        zeta = self.measured.damping_ratio[self.rows[1]]
-        dampers = springs[: self.dampers] + (np.log(2.0 * np.median(zeta) / omega) if self.dampers else 0.0)
-        return np.concatenate([springs, dampers, np.zeros(len(self.masses.names))])
-
+from shaker.release.release_notices import (
+    AMBIGUOUS_SOLUTIONS,
+    MASS_CONTRADICTED,
+    NO_SERIES_UNCERTAINTY,
+    SCATTER_UNCERTAINTY,
+    SECOND_MODE_EXCLUDED,
+    SERIES_SCATTER,
+    THREE_MASSES,
+    TWO_MASSES_ASSUMED,
+    TWO_MASSES_SUFFICIENT,
+)
+from shaker.release.series_problem import SeriesFit, SeriesProblem
+from shakercal._common.notices import Notice, Value
 
 # Stiffnesses and dampings from the resonances of several loads.
 
-STARTS = np.geomspace(0.03, 30.0, 9)  # ratios k_L/k from which the fit starts
-ALIKE = 1e-2  # relative difference of parameters below which two minima are one
+STARTS = np.geomspace(0.03, 30.0, 9)  # ratios k_L/k of the starts
+SAME_MINIMUM = 1e-2  # relative difference of parameters below which two minima are the same
 COARSE = (1e-2, 1e-1)
-"""Relative scatter of frequencies and dampings with which minima are approached: their valleys are wide then."""
-FARTHEST = 1e4  # ratio of the stiffnesses beyond which one of them means nothing
-INDISTINCT = 3.84  # difference of chi-squared up to which a second minimum cannot be excluded (95 %)
-CHANCE = 1e-3  # chance below which deviations are not explained by what is stated
-
-
-@dataclass(frozen=True, repr=False)
-class SeriesFit(Brief):
-    """Parameters of a load model from a series of R records.
-
-    `numbers` (P,): stiffness, damping and those of the coupling unless rigid; dampings are 0 where none was measured.
-    `deviates` (Q,): named mass errors in their standard uncertainties. `covariance` (P + Q, P + Q) of both, None where
-    the scatter is unknown and cannot show. `frequency_hz`, `damping_ratio` (R, 2) of the model. `scatter`: relative
-    standard deviations of frequencies and of dampings about the model beyond what is stated. `chi_squared` of both by
-    what is stated alone, with degrees of freedom `dof`; `excess`: chi-squared over that of the best minimum.
-    """
-
-    numbers: FloatArray
-    deviates: FloatArray
-    covariance: FloatArray | None
-    frequency_hz: FloatArray
-    damping_ratio: FloatArray
-    scatter: tuple[float, float]
-    chi_squared: tuple[float, float]
-    dof: tuple[int, int]
-    excess: float = 0.0
+"""Relative scatter of frequencies and dampings in a first fit, which widens the valleys of the minima."""
+MAX_STIFFNESS_RATIO = 1e4  # ratio of the stiffnesses above which one of them has no effect
+INDISTINCT = 3.84  # difference of χ² up to which a second minimum cannot be excluded (95 %)
+CHANCE = 1e-3  # chance below which the stated uncertainties do not explain the deviations
 
 
 def fit_resonances(measured: Resonances, masses: SeriesMasses, *, rigid: bool) -> tuple[SeriesFit, ...]:
-    """Return the fits that explain frequencies and dampings best, more than one where the data cannot tell.
+    """Return the fits that explain frequencies and dampings best, several if indistinguishable.
 
-    Weighted least squares on ln f and ln ζ with every named mass error as an unknown of its own, from several starts.
-    Scatter beyond what is stated is estimated as of random effects (Mandel & Paule 1970), of frequencies and dampings
-    each by itself, where chance would explain it less than once in 1000, or where nothing is stated.
+    Weighted least squares on ln f and ln ζ from several starts; every named mass error is an unknown. Scatter in
+    addition to the stated uncertainties is estimated as a random effect (Mandel & Paule 1970), separately for
+    frequencies and dampings. It is estimated if its chance is below 1 in 1000, or without stated uncertainties.
     """
     problem = SeriesProblem(measured, masses, rigid)
     scatter = _scatter(problem, _minima(problem, (0.0, 0.0))[0][0])
-    known = all(tau > 0.0 or bool(np.all(u > 0.0)) for tau, u in zip(scatter, problem.stated(), strict=True))
+    determined = all(tau > 0.0 or bool(np.all(u > 0.0)) for tau, u in zip(scatter, problem.stated(), strict=True))
     fits = []
     for x, excess in _minima(problem, scatter):
         _, slope = problem.residual(x, problem.sigma(scatter))
@@ -239,7 +66,7 @@ def fit_resonances(measured: Resonances, masses: SeriesMasses, *, rigid: bool) -
             SeriesFit(
                 numbers=problem.numbers(x),
                 deviates=problem.deviates(x),
-                covariance=_of_numbers(problem, x, inner) if known else None,
+                covariance=_of_numbers(problem, x, inner) if determined else None,
                 frequency_hz=f,
                 damping_ratio=z,
                 scatter=scatter,
@@ -251,20 +78,20 @@ def fit_resonances(measured: Resonances, masses: SeriesMasses, *, rigid: bool) -
     return tuple(fits)
 
 
-def _least(
+def _minimise(
     problem: SeriesProblem,
     residual: Callable[[FloatArray], tuple[FloatArray, FloatArray]],
     start: FloatArray,
     tolerance: float = SEARCH.predicted_decrease_share,
 ) -> WhitenedResiduals:
-    """Return the least squares next to a start, among unknowns that a sensor may have."""
+    """Return the least squares next to a start, within the range of a real sensor."""
 
     def at(x: FloatArray) -> WhitenedResiduals | None:
         return WhitenedResiduals(x, *residual(x)) if problem.is_sound(x) else None
 
     begin = at(start)
     if begin is None:
-        raise ValueError("start: expected unknowns that a sensor may have, found others")
+        raise ValueError("start: expected unknowns within the range of a sensor, found others")
     return levenberg_marquardt(at, begin, replace(SEARCH, predicted_decrease_share=tolerance)).point
 
 
@@ -274,14 +101,14 @@ def _refined(
     scatter: tuple[float, float],
     tolerance: float = SEARCH.predicted_decrease_share,
 ) -> tuple[FloatArray, float]:
-    """Return the unknowns (X,) at the minimum next to a start, and chi-squared there."""
+    """Return the unknowns (X,) at the minimum next to a start, and their χ²."""
     sigma = problem.sigma(scatter)
-    end = _least(problem, lambda x: problem.residual(x, sigma), start, tolerance)
+    end = _minimise(problem, lambda x: problem.residual(x, sigma), start, tolerance)
     return end.parameters, end.loss
 
 
 def _minima(problem: SeriesProblem, scatter: tuple[float, float]) -> list[tuple[FloatArray, float]]:
-    """Minima that cannot be excluded, the best first, with chi-squared beyond the best."""
+    """Return the minima that cannot be excluded, the best first, with χ² above the best."""
     ratios = STARTS[:1] if problem.rigid else STARTS
     coarse = _distinct(problem, [_refined(problem, problem.start(ratio), COARSE, 1e-5) for ratio in ratios])
     minima = _distinct(problem, [_refined(problem, x, scatter) for x, _ in coarse])
@@ -289,25 +116,26 @@ def _minima(problem: SeriesProblem, scatter: tuple[float, float]) -> list[tuple[
 
 
 def _distinct(problem: SeriesProblem, minima: list[tuple[FloatArray, float]]) -> list[tuple[FloatArray, float]]:
-    """Minima that differ and mean something, the best first; the best at any rate."""
+    """Return the different and meaningful minima, the best first; at least the best one."""
     ordered = sorted(minima, key=lambda item: item[1])
     ratios = [1.0 if problem.rigid else float(np.divide(*problem.numbers(x)[2::-2])) for x, _ in ordered]
-    sound = [item for item, ratio in zip(ordered, ratios, strict=True) if 1.0 / FARTHEST < ratio < FARTHEST]
-    kept: list[tuple[FloatArray, float]] = []
+    low, high = 1.0 / MAX_STIFFNESS_RATIO, MAX_STIFFNESS_RATIO
+    sound = [item for item, ratio in zip(ordered, ratios, strict=True) if low < ratio < high]
+    distinct: list[tuple[FloatArray, float]] = []
     for x, cost in sound or ordered[:1]:
         numbers = problem.numbers(x)[::2]
-        if all(np.max(np.abs(numbers / problem.numbers(other)[::2] - 1.0)) > ALIKE for other, _ in kept):
-            kept.append((x, cost))
-    return kept
+        if all(np.max(np.abs(numbers / problem.numbers(other)[::2] - 1.0)) > SAME_MINIMUM for other, _ in distinct):
+            distinct.append((x, cost))
+    return distinct
 
 
 def _scatter(problem: SeriesProblem, x: FloatArray) -> tuple[float, float]:
-    """Relative scatter of frequencies and dampings beyond what is stated: where chi-squared equals its freedom."""
+    """Return the relative scatter of frequencies and dampings for which χ² equals its freedom."""
     from scipy.optimize import brentq
     from scipy.special import chdtrc
 
     def tau(deviation: FloatArray, u: FloatArray, dof: int) -> float:
-        """Solve Σ d²/(u² + τ²) = dof."""
+        """Return τ with Σ d²/(u² + τ²) = dof."""
 
         def beyond(tau: float) -> float:
             return float(np.sum(deviation**2 / (u**2 + tau**2))) - dof
@@ -317,12 +145,12 @@ def _scatter(problem: SeriesProblem, x: FloatArray) -> tuple[float, float]:
         return float(brentq(beyond, low, high * (1.0 + 1e-9))) if high > 0.0 and beyond(low) > 0.0 else 0.0
 
     scatter = (0.0, 0.0)
-    wanted = [
+    estimated = [
         dof > 0 and (bool(np.any(u == 0.0)) or bool(chdtrc(dof, np.sum((deviation / u) ** 2)) < CHANCE))
         for deviation, u, dof in problem.groups(x)
     ]
-    for _ in range(50 if any(wanted) else 0):
-        f, z = (tau(*group) if told else 0.0 for group, told in zip(problem.groups(x), wanted, strict=True))
+    for _ in range(50 if any(estimated) else 0):
+        f, z = (tau(*group) if estimate else 0.0 for group, estimate in zip(problem.groups(x), estimated, strict=True))
         if np.allclose((f, z), scatter, rtol=1e-6, atol=0.0):
             break
         scatter = (f, z)
@@ -331,27 +159,30 @@ def _scatter(problem: SeriesProblem, x: FloatArray) -> tuple[float, float]:
 
 
 def _of_numbers(problem: SeriesProblem, x: FloatArray, covariance: FloatArray) -> FloatArray:
-    """Return the covariance (P + Q, P + Q) of numbers and named mass errors from that of the unknowns (X, X)."""
-    rates, (_, by_own) = problem.number_rates(x), problem.prior(x)
-    turn = np.vstack([np.pad(rates, ((0, 0), (0, len(by_own)))), by_own])
+    """Return the covariance of numbers and mass errors from that of x.
+
+    Both are (P + Q, P + Q).
+    """
+    rates, (_, by_prior) = problem.number_rates(x), problem.prior(x)
+    turn = np.vstack([np.pad(rates, ((0, 0), (0, len(by_prior)))), by_prior])
     return np.asarray(turn @ covariance @ turn.T)
 
 
-# One load model fitted to the time records of all loads together.
+# One load model fitted to the records of all loads together.
 
-ALLOWED = 2.0  # excess over that of white noise that is taken for the noise's colour
+ALLOWED = 2.0  # excess over that of white noise that coloured noise explains
 
 
 def fit_decays(
     decays: tuple[FreeDecay, ...], noise: FloatArray, problem: SeriesProblem, start: SeriesFit
 ) -> tuple[SeriesFit, bool]:
-    """Return the parameters that explain all records at once, and whether they explain them, but for chance.
+    """Return the parameters that fit all records best, and whether they explain the records.
 
-    Unknown are what all records share, k, c, k_L, c_L and the named masses, from those that explain the resonances;
-    level and complex amplitude of every mode are free in every record. `noise` (R,): standard deviations of what free
-    modes leave, the weights. The covariance takes the colour of the noise from the residuals. Σ |r|²/s² of the model
-    less that of free modes is a chi-squared with as many degrees of freedom as the model has fewer unknowns; twice its
-    quantile (1 in 1000) is allowed, since the noise of a decimated record is not quite white.
+    Unknown are the common k, c, k_L, c_L and the named masses, starting from those of the resonances. Level and complex
+    amplitude of every mode are free in every record. `noise` (R,): standard deviations of the residuals of free modes,
+    the weights. The covariance uses the colour of the noise in the residuals. Σ |r|²/s² of the model minus that of free
+    modes is a χ²; its degrees of freedom are the difference of the numbers of unknowns. Twice its quantile (1 in 1000)
+    is allowed, because the noise of a decimated record is not exactly white.
     """
     from scipy.special import chdtri
 
@@ -368,10 +199,10 @@ def fit_decays(
         left, slopes = zip(*records(x), problem.prior(x), strict=True)
         return np.concatenate(left), np.vstack(slopes)
 
-    end = _least(problem, residual, problem.unknowns(start))
-    x, parts, by_own = end.parameters, records(end.parameters), problem.prior(end.parameters)[1]
+    end = _minimise(problem, residual, problem.unknowns(start))
+    x, parts, by_prior = end.parameters, records(end.parameters), problem.prior(end.parameters)[1]
     inner = np.linalg.inv(end.jacobian.T @ end.jacobian)
-    middle = sum((coloured_normal(slope, left) for left, slope in parts), by_own.T @ by_own)
+    middle = sum((coloured_normal(slope, left) for left, slope in parts), by_prior.T @ by_prior)
     modes = np.sum(np.isfinite(problem.measured.frequency_hz), axis=1)
     more = sum(float(left @ left) - (len(left) - 1 - 4 * int(modes[r])) for r, (left, _) in enumerate(parts))
     (f, z), _ = problem.modes(x)
@@ -388,41 +219,41 @@ def fit_decays(
 
 # Which second modes belong to the coupling of the load.
 
-BELONGING_FARTHEST = 0.10
-"""Relative distance of a second mode from where the first ones put it, from which it is another one."""
+MAX_SECOND_DEVIATION = 0.10
+"""Relative deviation of a second mode from its prediction by the first ones, above which it is foreign."""
 
 
 def belonging(measured: Resonances, masses: SeriesMasses) -> tuple[Resonances, tuple[int, ...]]:
-    """Return the resonances without second modes that no coupling explains, and the records that had such.
+    """Return the resonances without foreign second modes, and the records with such modes.
 
-    Where first resonances of several load masses tell k and k_L, they tell the second modes too. Without load there is
-    none: what is seen there is of something else.
+    First resonances of several load masses determine k and k_L and therefore the second modes. A second mode without
+    load is always foreign.
     """
     seen = np.isfinite(measured.frequency_hz[:, 1])
     foreign = seen & (masses.load == 0)
     if np.any(seen & ~foreign) and len(np.unique(np.round(masses.load / masses.moving, 3))) > 1:
         alone = measured.without_second(np.ones(len(seen), dtype=np.bool_))
-        foretold = np.array([fit.frequency_hz[:, 1] for fit in fit_resonances(alone, masses, rigid=False)])
-        off = np.abs(measured.frequency_hz[:, 1] / foretold - 1.0)
-        foreign |= seen & (masses.load > 0) & (np.min(off, axis=0) > BELONGING_FARTHEST)
-    return measured.without_second(foreign), tuple(int(place) for place in np.flatnonzero(foreign))
+        predicted = np.array([fit.frequency_hz[:, 1] for fit in fit_resonances(alone, masses, rigid=False)])
+        off = np.abs(measured.frequency_hz[:, 1] / predicted - 1.0)
+        foreign |= seen & (masses.load > 0) & (np.min(off, axis=0) > MAX_SECOND_DEVIATION)
+    return measured.without_second(foreign), tuple(int(record) for record in np.flatnonzero(foreign))
 
 
-# The model that a series of loads supports.
+# Selection of the model that a series of loads supports.
 
 CONTRADICTED = 0.01  # chance below which a rigid load is contradicted
-NEGLIGIBLE = 1e-3  # deviation in % that is not worth a number
-UNLIKELY = 3.0  # standard uncertainties by which a mass may differ from what is stated before the user is told
+NEGLIGIBLE = 1e-3  # deviation in % below which 0 is reported
+UNLIKELY = 3.0  # standard uncertainties by which a mass may deviate from its statement without a notice, 3 σ
 
 
 @dataclass(frozen=True)
 class LoadIdentification:
-    """The model of a sensor and its loads, and what it rests on.
+    """The model of a sensor and its loads, with its alternatives.
 
-    `rigid`, `elastic`: fits of the two-mass and of the three-mass model to the resonances, none of the latter where
-    they cannot tell it; `chosen`: of the model that the data support, fitted to the records where `from_records`, more
-    than one where the data cannot tell solutions apart, the stiffest coupling first. `models`: as `chosen`; `reason`:
-    why this structure.
+    `rigid`, `elastic`: fits of the two-mass and of the three-mass model to the resonances; `elastic` is empty if the
+    resonances cannot determine it. `chosen`: fits of the supported model, to the records if `from_records`. There are
+    several if the data cannot distinguish solutions, the stiffest coupling first. `models`: in the order of `chosen`.
+    `reason`: justification of the structure.
     """
 
     rigid: SeriesFit
@@ -446,27 +277,48 @@ def identify_loads(
     decays: tuple[FreeDecay, ...] = (),
     noise: FloatArray | None = None,
 ) -> LoadIdentification:
-    """Return the model that resonances of R records support, fitted to their `decays` where these are given.
+    """Identify the model that resonances of R records support.
 
-    Three masses are chosen where a second mode was seen, or where a rigid load contradicts the first ones (chance below
-    1 in 100); second modes that no coupling explains are left out. Where resonances scatter about the model beyond what
-    is stated, and the model leaves more of the records than noise, the fit to the resonances, which knows of that
-    scatter, takes the place of the fit to the records. `noise` (R,) of the records, in output units.
+    Parameters
+    ----------
+    measured
+        resonances and dampings of R records
+    masses
+        moving mass and load masses with their errors
+    output
+        output channel and its static sensitivity
+    decays
+        free decays of the R records, default none: the model is fitted to the resonances alone
+    noise
+        (R,) standard deviations of the records' residuals, output unit, default None
 
+    Returns
+    -------
+    LoadIdentification : supported model, alternatives and notices
+
+    Notes
+    -----
+    Three masses are selected if a second mode was observed, or if a rigid load contradicts the first ones (chance below
+    1 in 100). Second modes that no coupling explains are excluded. The fit to the resonances replaces that to the
+    records if the resonances scatter more than stated and the records are not explained within their noise. It includes
+    that scatter.
+
+    Examples
+    --------
     >>> import numpy as np
     >>> from shaker import identify_loads
-    >>> from shaker.release.load_modes import Output, stated_masses, stated_resonances
+    >>> from shaker.release.load_modes import SeriesOutput, stated_masses, stated_resonances
     >>> load = np.array([0.0, 0.5, 1.0, 2.0])  # kg on 0.3 kg that move, on a spring of 4 N/µm
     >>> seen = stated_resonances(np.sqrt(4e6 / (0.3 + load)) / (2 * np.pi))
-    >>> found = identify_loads(seen, stated_masses(0.3, 0.0, load), Output("Fz", "Fz", "V"))
+    >>> found = identify_loads(seen, stated_masses(0.3, 0.0, load), SeriesOutput("Fz", "Fz", "V"))
     >>> print(f"{found.model.stiffness:.3g} N/m")
     4e+06 N/m
     """
-    seen, unit = measured, output.mass_unit
+    observed, unit = measured, output.mass_unit
     measured, foreign = belonging(measured, masses)
     rigid = fit_resonances(measured, masses, rigid=True)[0]
-    told = np.isfinite(measured.frequency_hz) & np.stack([np.ones_like(masses.load), masses.load], axis=1).astype(bool)
-    different = sum(len(np.unique(masses.load[told[:, mode]])) for mode in range(2))  # repeats of a load tell no more
+    used = np.isfinite(measured.frequency_hz) & np.stack([np.ones_like(masses.load), masses.load], axis=1).astype(bool)
+    different = sum(len(np.unique(masses.load[used[:, mode]])) for mode in range(2))  # repeats do not count
     enough = different >= 2 and bool(np.any(masses.load > 0))
     elastic = fit_resonances(measured, masses, rigid=False) if enough else ()
     supported, reason = _supports(measured, masses, rigid, elastic, unit)
@@ -480,38 +332,39 @@ def identify_loads(
     if supported:
         chosen = tuple(sorted(chosen, key=lambda fit: -float(fit.numbers[2])))
     models = tuple(_model(fit, masses, output, n, len(chosen)) for n, fit in enumerate(chosen, 1))
-    remarks: list[tuple[Severity, str]] = []
+    where, notices = output.component, list[Notice]()
     if foreign:
-        places = ", ".join(f"{seen.frequency_hz[r, 1]:.5g} Hz with {_mass(masses.load[r], unit)}" for r in foreign)
-        remarks.append(("warning", f"modes that no coupling of the load explains are left out: {places}"))
-    remarks.append(("note", f"{'three' if supported else 'two'} masses: {reason}"))
-    remarks += _remarks(masses, output, chosen[0], models, bool(np.any(measured.u_frequency_hz[:, 0] > 0)))
-    notices = tuple(Notice(severity, text, output.component) for severity, text in remarks)
-    return LoadIdentification(rigid, elastic, chosen, from_records, models, reason, notices)
+        modes = ", ".join(f"{observed.frequency_hz[r, 1]:.5g} Hz with {_mass(masses.load[r], unit)}" for r in foreign)
+        notices.append(Notice(SECOND_MODE_EXCLUDED, where, modes=modes))
+    notices.append(reason.at(where))
+    notices += _remarks(masses, output, chosen[0], models, bool(np.any(measured.u_frequency_hz[:, 0] > 0)))
+    text = f"{reason.text} {reason.effect}"
+    return LoadIdentification(rigid, elastic, chosen, from_records, models, text, tuple(notices))
 
 
 def _supports(
     measured: Resonances, masses: SeriesMasses, rigid: SeriesFit, elastic: tuple[SeriesFit, ...], unit: str
-) -> tuple[bool, str]:
-    """Whether the data support three masses, and why: a second mode, or two fit worse than chance explains."""
+) -> tuple[bool, Notice]:
+    """Return whether the data support three masses, and the reason."""
     from scipy.special import chdtrc, fdtrc
 
     if not elastic:
-        return False, "one resonance of one load cannot tell the coupling's stiffness: the load is taken as rigid"
+        return False, Notice(TWO_MASSES_ASSUMED)
 
-    def largest(fit: SeriesFit) -> str:
-        deviation = 100.0 * (fit.frequency_hz[:, 0] / first - 1.0)
-        place = int(np.argmax(np.abs(deviation)))
-        size = float(abs(deviation[place]))
-        told = f"{size:.2g} %" if size > NEGLIGIBLE else f"less than {NEGLIGIBLE:g} %"
-        return f"{told} with {_mass(masses.load[place], unit)}"
+    def largest(fit: SeriesFit) -> tuple[float, str]:
+        deviation = 100.0 * np.abs(fit.frequency_hz[:, 0] / first - 1.0)
+        index = int(np.argmax(deviation))
+        size = float(deviation[index])
+        return size if size > NEGLIGIBLE else 0.0, _mass(masses.load[index], unit)
 
     first, seen = measured.frequency_hz[:, 0], np.isfinite(measured.frequency_hz[:, 1]) & (masses.load > 0)
-    told = f"two masses miss the resonance by {largest(rigid)}, three by {largest(elastic[0])}"
+    (two, two_load), (three, three_load) = largest(rigid), largest(elastic[0])
+    values: dict[str, Value] = {"two_percent": two, "two_load": two_load}
+    values |= {"three_percent": three, "three_load": three_load}
     if seen.any():
-        place = int(np.flatnonzero(seen)[0])
-        second = f"{measured.frequency_hz[place, 1]:.5g} Hz with {_mass(masses.load[place], unit)}"
-        return True, f"a second resonance is seen ({second}), which a rigid load does not have; {told}"
+        index = int(np.flatnonzero(seen)[0])
+        second = f"{measured.frequency_hz[index, 1]:.5g} Hz with {_mass(masses.load[index], unit)}"
+        return True, Notice(THREE_MASSES, evidence=f"a second resonance at {second}", **values)
     scatter, freedom = elastic[0].scatter[0], elastic[0].dof[0]
     variance = (measured.u_frequency_hz[:, 0] / first) ** 2 + scatter**2
     if np.all(variance > 0.0):
@@ -520,25 +373,27 @@ def _supports(
         )
         gain = max(float(of_two - of_three), 0.0)
         if (fdtrc(1, freedom, gain) if scatter > 0.0 else chdtrc(1, gain)) < CONTRADICTED:
-            return True, f"a rigid load contradicts the resonances: {told}"
-    return False, f"a rigid load explains the resonances: {told}"
+            return True, Notice(THREE_MASSES, evidence="the first resonances", **values)
+    return False, Notice(TWO_MASSES_SUFFICIENT, **values)
 
 
 def _mass(load: float, unit: str) -> str:
-    """A load mass in words."""
+    """Return a load mass in words."""
     return f"a load of {load:.4g} {unit}" if load > 0 else "no load"
 
 
 def _model(fit: SeriesFit, masses: SeriesMasses, output: SeriesOutput, number: int, count: int) -> LoadModel:
-    """The model of a fit, with covariance for given masses and with that of the masses."""
+    """Return the load model of a fit, with covariances for given and for uncertain masses."""
     size = len(fit.numbers)
-    own, total = None, None
+    conditional, total = None, None
     if fit.covariance is not None:
         whole = fit.covariance
         turn = np.vstack([np.eye(size, len(whole)), np.append(np.zeros(size), masses.moving_effect)])
         total = turn @ whole @ turn.T
         across = whole[:size, size:]
-        own = whole[:size, :size] - (across @ np.linalg.solve(whole[size:, size:], across.T) if across.size else 0.0)
+        conditional = whole[:size, :size]
+        if across.size:
+            conditional = conditional - across @ np.linalg.solve(whole[size:, size:], across.T)
     k, c, *coupling = (float(number) for number in fit.numbers)
     kl, cl = coupling or (None, None)
     return LoadModel(
@@ -552,7 +407,7 @@ def _model(fit: SeriesFit, masses: SeriesMasses, output: SeriesOutput, number: i
         cl,
         sensitivity=output.sensitivity,
         u_moving_mass=masses.u_moving if total is None else float(np.sqrt(total[-1, -1])),
-        covariance=own,
+        covariance=conditional,
         u_sensitivity=output.u_sensitivity,
         covariance_with_mass=total,
         load_masses=tuple(float(mass) for mass in masses.load),
@@ -563,31 +418,20 @@ def _model(fit: SeriesFit, masses: SeriesMasses, output: SeriesOutput, number: i
 
 def _remarks(
     masses: SeriesMasses, output: SeriesOutput, fit: SeriesFit, models: tuple[LoadModel, ...], stated: bool
-) -> Iterator[tuple[Severity, str]]:
-    """What the user should know: solutions that cannot be told apart, scatter about the model, masses contradicted."""
+) -> Iterator[Notice]:
+    """Yield notices on ambiguous solutions, scatter about the model and contradicted masses."""
+    where = output.component
     if len(models) > 1:
         unit = typeset(mechanical_units(output.component).stiffness)
         pairs = " or ".join(f"k = {m.stiffness:.4g}, k_L = {m.coupling_stiffness:.4g} {unit}" for m in models)
-        bare = " or ".join(f"{abs(m.poles(0.0)[0]) / (2.0 * np.pi):.5g} Hz" for m in models)
-        yield (
-            "warning",
-            f"the recorded loads cannot tell {len(models)} solutions apart: {pairs}; all are given. Another load mass "
-            f"does: without load the resonance would be {bare}",
-        )
-    for tau, what, known in zip(fit.scatter, ("resonances", "damping ratios"), (stated, True), strict=True):
-        if tau > 0.0 and known:
-            yield (
-                "warning",
-                f"{what} scatter about the model by {100.0 * tau:.2g} % more than their uncertainties explain: U holds "
-                "it, and the model is fitted to them, not to the records",
-            )
-        elif tau > 0.0:
-            yield (
-                "note",
-                f"no uncertainties of the {what} are stated: U follows from their scatter of {100.0 * tau:.2g} %",
-            )
+        unloaded = " or ".join(f"{abs(m.poles(0.0)[0]) / (2.0 * np.pi):.5g} Hz" for m in models)
+        yield Notice(AMBIGUOUS_SOLUTIONS, where, count=len(models), solutions=pairs, unloaded=unloaded)
+    for tau, quantity, has_u in zip(fit.scatter, ("resonances", "damping ratios"), (stated, True), strict=True):
+        if tau > 0.0:
+            declared = SERIES_SCATTER if has_u else SCATTER_UNCERTAINTY
+            yield Notice(declared, where, quantity=quantity, scatter_percent=100.0 * tau)
     if fit.covariance is None:
-        yield "warning", "neither stated uncertainties nor more resonances than unknowns: no U can be given"
+        yield Notice(NO_SERIES_UNCERTAINTY, where)
     for name, value in zip(masses.names, fit.deviates, strict=True):
         if abs(value) > UNLIKELY:
-            yield "warning", f"{name}: the resonances ask for {value:+.1f} standard uncertainties"
+            yield Notice(MASS_CONTRADICTED, where, cause=name, deviation=value)

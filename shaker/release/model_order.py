@@ -1,4 +1,4 @@
-"""How many poles a release shows, and what speaks against a fit."""
+"""Number of poles that a release shows, and doubts about a fit."""
 
 from __future__ import annotations
 
@@ -24,30 +24,44 @@ from shaker.release.output_error import (
 )
 from shaker.release.poles import UNCLEAR, decimate, instrumental_variables, matrix_pencil, peaks_hz, start_poles
 from shaker.release.record import ReleaseReading, StepRecord
-from shakercal._common.notices import Notice, Severity
+from shaker.release.release_notices import (
+    COLOURED_NOISE,
+    DOUBTFUL_MODE,
+    DOUBTFUL_REAL_POLE,
+    GROWING_POLE,
+    MODE_NEAR_SAMPLING_LIMIT,
+    ONSET_CONTRADICTED,
+    ONSET_UNCERTAIN,
+    OUTPUT_AT_LIMIT,
+    RELEASE_OUTSIDE_SEARCH,
+    RESIDUAL_ABOVE_NOISE,
+)
+from shakercal._common.notices import Notice
 
-# The modes that ring after a release: how many, and where the fit with the release starts from.
+# Modes that ring after a release: their number, and start values of the fit with the release.
 
-MOST = 4  # modes that the rule looks for
-CLEAR = 12.0  # fall of B·ln(sum of squares) by a parameter that is taken for real
-_STEEP = 0.5  # damping ratio above which a further mode is taken for a disturbance
+MOST = 4  # largest number of modes by the rule
+CLEAR = 12.0  # fall of B·ln(sum of squares) by a significant parameter
+_STEEP = 0.5  # damping ratio above which a further mode is a disturbance
 
 
 def decay_modes(
     whole: BlockMeans, reading: ReleaseReading, method: Literal["pencil", "arx"], count: int | None
 ) -> tuple[ComplexArray, float]:
-    """Return the upper poles (M,) in rad/s that ring after the release, as many as told or supported, and the colour.
+    """Return the upper poles of the decay, and the noise colour.
 
-    Exponentials with free amplitudes and a level are fitted to the decay alone, so that neither the release nor fast
-    poles matter. A further mode stays where its line stands out of the residual's spectrum, its ζ is between 0 and
-    0.5, and it lowers B·ln(sum of squares) by more than 12 for each of its four parameters. The colour: density of the
-    residual's blocks over that of white noise of the same variance.
+    The poles (M,) in rad/s ring after the release. `count`: their number, None for as many as the record supports.
+    Exponentials with free amplitudes and a level are fitted to the decay only, so that the release and fast poles do
+    not matter. A further mode is accepted if its line is significant in the residual's spectrum, its ζ is between 0 and
+    0.5, and it lowers B·ln(sum of squares) by more than 12 for each of its four parameters. The colour is the density
+    of the residual's blocks over that of white noise of the same variance.
     """
     start = reading.onset_s + reading.release_s + reading.u_onset_s
     decay = whole.between(min(start, float(whole.time_s[len(whole.time_s) * 3 // 4])), np.inf)
     near = peaks_hz(decay.value, decay.step_s, count or 1)
     if not near.size:
-        raise ValueError(f"{reading.record}, {reading.channel}: no oscillation above the noise after the release")
+        where = f"{reading.record}, {reading.channel}"
+        raise ValueError(f"{where}: expected an oscillation above the noise after the release, found none")
     values, coarse = decimate(decay.value, decay.step_s, float(near.max()))
     find = matrix_pencil if method == "pencil" else instrumental_variables
     modes = start_poles(find(values - values.mean(), coarse, 2 * (count or 1) + 1), count or 1, near)
@@ -72,7 +86,7 @@ def _rung(decay: BlockMeans, modes: ComplexArray) -> OutputErrorFit:
 
 
 def _with_another(decay: BlockMeans, found: OutputErrorFit) -> OutputErrorFit | None:
-    """Return the fit with one more mode, None where the decay does not support it."""
+    """Return the fit with one additional mode, None if the decay does not support it."""
     rest = replace(decay, value=_left(decay, found))
     near = peaks_hz(rest.value, rest.step_s, 1, local=True)
     if not near.size:
@@ -93,19 +107,22 @@ def _left(decay: BlockMeans, found: OutputErrorFit) -> FloatArray:
     return np.asarray(decay.value - design(found.problem, found.vector, decay) @ found.linear)
 
 
-# When and how a load goes, how fast the real poles are, how smooth the start is: the best of a grid, modes known.
+# Start values of release and real poles: the best of a grid, for known modes.
 
-LENGTHS = (0.25, 0.6, 1.2)  # lengths of the release tried, in rise times
-TERM = 8.0  # fall of B·ln(sum of squares) by a numerator term that is taken for real
-_REAL = (1.5, 4.0, 10.0)  # real poles tried, in frequencies of the lowest mode
-_LAG = (0.0, 0.08, 0.17, 0.25)  # periods by which the half-way point follows the middle of the release
-_LOOSE = (1.5, 2.0)  # standard deviations of what the grid says of logarithms of real poles and of the length
+LENGTHS = (0.25, 0.6, 1.2)  # trial lengths of the release, in rise times
+TERM = 8.0  # fall of B·ln(sum of squares) by a significant numerator term
+_REAL = (1.5, 4.0, 10.0)  # trial real poles, in frequencies of the lowest mode
+_LAG = (0.0, 0.08, 0.17, 0.25)  # trial delays of the half-way point after the middle of the release, in periods
+_LOOSE = (1.5, 2.0)  # standard deviations of logarithms of real poles and of the length about the grid point
 
 
-def first_vectors(
+def start_vectors(
     structure: PoleStructure, load: ReleaseLoad, samples: BlockMeans, modes: ComplexArray, reading: ReleaseReading
 ) -> list[FloatArray]:
-    """Return, for every number of numerator terms up to all, the grid point that leaves least about the release."""
+    """Return the best grid point for every number of numerator terms.
+
+    The residual around the release decides.
+    """
     lowest = float(np.abs(modes).min()) / (2 * np.pi)
     rise = min(reading.rise_s, 3.0 / lowest + reading.release_s)
     near = samples.between(reading.onset_s - 2.0 / lowest, reading.onset_s + reading.release_s + rise + 2.0 / lowest)
@@ -115,7 +132,7 @@ def first_vectors(
         costs = squares(
             OutputErrorProblem(rich, load, near, vector, np.ones(len(vector)), reading.onset_s), vector[None]
         )[0]
-        found = [vector if cost < old else kept for cost, old, kept in zip(costs, best, found, strict=True)]
+        found = [vector if cost < old else last for cost, old, last in zip(costs, best, found, strict=True)]
         best = np.minimum(best, costs)
     return found
 
@@ -123,7 +140,10 @@ def first_vectors(
 def with_loose_prior(
     problem: OutputErrorProblem, vector: FloatArray, highest_hz: float
 ) -> tuple[OutputErrorProblem, FloatArray]:
-    """Return a problem that knows a vector beforehand, widely, and the vector; the onset to 1/`highest_hz`."""
+    """Return a problem with a wide prior about a vector, and the vector.
+
+    The prior of the onset has the standard deviation 1/`highest_hz`.
+    """
     modes, order = problem.structure.modes, problem.structure.order
     wide = np.full(len(vector), np.inf)
     wide[2 * modes : order] = _LOOSE[0]
@@ -139,7 +159,7 @@ def _grid(
     reading: ReleaseReading,
     rise: float,
 ) -> list[FloatArray]:
-    """Return the vectors that are tried; sets of real poles rise within a set."""
+    """Return the start vectors of a grid; real poles ascend within a vector."""
     lowest = float(np.abs(modes).min()) / (2 * np.pi)
     change = reading.steady - reading.baseline
     passed = np.flatnonzero((near.value - reading.baseline) * change >= 0.5 * change**2)
@@ -162,15 +182,18 @@ def _grid(
     return vectors
 
 
-# How many poles a record tells, how its load went, and how smoothly its response starts.
+# Order search: number of poles, time course of the load, numerator terms.
 
-_ROUNDING = 1e-9  # share of the output below which a residual is taken for rounding
+_ROUNDING = 1e-9  # share of the output below which a residual is rounding
 
 
 @dataclass(frozen=True)
 class OrderSearch:
-    """What is looked for in a record: `whole` its samples, `loads` that come into question; `modes` and `reals` where
-    they are given; `colour` of the noise as in `Problem`."""
+    """Data and limits of the order search.
+
+    `whole`: all samples. `loads`: candidate loads. `modes` and `reals`: given numbers, else None. `colour` of the noise
+    as in `OutputErrorProblem`.
+    """
 
     whole: BlockMeans
     reading: ReleaseReading
@@ -183,23 +206,23 @@ class OrderSearch:
 
 @dataclass(frozen=True)
 class SupportedFit:
-    """A fit that a record supports, and the sums of squares on the way."""
+    """A fit that a record supports, and the sums of squares of its steps."""
 
     solution: OutputErrorFit
     path: tuple[float, ...]
 
 
 def search_order(search: OrderSearch) -> tuple[SupportedFit, ...]:
-    """Return the fits that the record supports, one for each load that comes into question, the likeliest first.
+    """Return the supported fits, one for each candidate load, the likeliest first.
 
-    Modes are counted on the decay. One real pole and the length of the release are always fitted: a lag or a release
-    too short to be told changes the amplitude and the phase of the ringing all the same, and a model without it states
-    a certainty that the record does not give. A second real pole is there, for every load, where it lowers χ² of the
-    likeliest by more than 12, a numerator term where by more than 8; χ² is B·ln(sum of squares), B the number of
-    blocks, over the density of coloured noise, which lowers it without any reason.
+    Modes are counted on the decay. One real pole and the length of the release are always fitted: even if they are too
+    short to be observed they change amplitude and phase of the ringing, and a model without them would claim a
+    certainty that the record does not give. A second real pole is added, for every load, if it lowers χ² of the
+    likeliest by more than 12; a numerator term if by more than 8. χ² is B·ln(sum of squares) with the number B of
+    blocks, divided by the density of coloured noise, which would lower it by chance.
     """
     ringing, force = search.whole, search.loads[0].force
-    if force is not None:  # what simply follows a measured load is taken off, so that what rings is left
+    if force is not None:  # the part proportional to a measured load is subtracted, so that the ringing remains
         follows = np.stack([np.ones(len(force)), force], axis=1)
         left = ringing.value - follows @ np.linalg.lstsq(follows, ringing.value, rcond=None)[0]
         ringing = replace(ringing, value=left)
@@ -216,7 +239,10 @@ def search_order(search: OrderSearch) -> tuple[SupportedFit, ...]:
 
 
 def _with_real(found: SupportedFit, least: float) -> SupportedFit | None:
-    """Return the fit with one real pole more, None where χ² is not foretold to fall by as much as asked."""
+    """Return the fit with one more real pole, None without sufficient gain.
+
+    The predicted fall of χ² must be at least `least`.
+    """
     plain = found.solution
     structure, order = plain.problem.structure, plain.problem.structure.order
     two = replace(plain.problem, structure=replace(structure, reals=structure.reals + 1))
@@ -229,7 +255,10 @@ def _with_real(found: SupportedFit, least: float) -> SupportedFit | None:
 
 
 def penalised_chi_squared(fit: OutputErrorFit) -> float:
-    """Return χ² of a fit, but for what all fits of its samples share, and 8 for a numerator term, 12 for a pole."""
+    """Return χ² plus 8 per numerator term and 12 per pole.
+
+    A constant common to all fits of the samples is omitted.
+    """
     samples, structure = fit.problem.samples, fit.problem.structure
     least = _ROUNDING**2 * float(np.sum((samples.weight * samples.value) ** 2))
     chi_square = fit.size * float(np.log(fit.square + least)) / fit.problem.colour
@@ -237,20 +266,23 @@ def penalised_chi_squared(fit: OutputErrorFit) -> float:
 
 
 def _fit_one(search: OrderSearch, load: ReleaseLoad, modes: ComplexArray, reals: int) -> OutputErrorFit:
-    """Return the fit for one load, with the numerator terms that it needs."""
+    """Return the fit for one load with the numerator terms it needs."""
     reading, whole = search.reading, search.whole
     highest, lowest = (float(edge) / (2 * np.pi) for edge in (np.abs(modes).max(), np.abs(modes).min()))
     structure = PoleStructure(len(modes), reals, 1, float(np.exp(np.mean(np.log(np.abs(modes))))))
     margin = 0.5 / lowest + 3.0 * whole.step_s
     end = reading.onset_s + reading.release_s + 2.0 * margin
     samples = reduce_to_blocks(whole, reading.onset_s - margin, end, block_length(1.0 / whole.step_s, highest))
-    starts = first_vectors(structure, load, samples, modes, reading)
+    starts = start_vectors(structure, load, samples, modes, reading)
     problem = OutputErrorProblem(structure, load, samples, starts[0], starts[0], reading.onset_s, search.colour)
     return add_numerator_terms(solve(*with_loose_prior(problem, starts[0], highest)), starts, highest)
 
 
 def add_numerator_terms(found: OutputErrorFit, starts: list[FloatArray], highest_hz: float) -> OutputErrorFit:
-    """Return the fit with the numerator terms that it is worth, each tried from the last fit or from its own start."""
+    """Return the fit with additional numerator terms that are significant.
+
+    Each is tried from the last fit or from its separate start.
+    """
     problem = found.problem
     for terms in range(2, problem.structure.order + 1):
         richer = replace(problem, structure=replace(problem.structure, terms=terms))
@@ -267,66 +299,58 @@ def add_numerator_terms(found: OutputErrorFit, starts: list[FloatArray], highest
     return found
 
 
-# What the user should know of an identification.
+# Notices of an identification.
 
-_MORE = 1.5  # residual's variance over that of the noise before the release that a right model would leave
+_MORE = 1.5  # variance of the residual over that of the noise before the release; a correct model leaves about 1
 
 
 def fit_notices(
-    record: StepRecord, reading: ReleaseReading, solution: OutputErrorFit, model: ModalModel, known: FitCovariance
+    record: StepRecord, reading: ReleaseReading, solution: OutputErrorFit, model: ModalModel, spread: FitCovariance
 ) -> tuple[Notice, ...]:
-    """Return remarks on the poles, on the residual and on the release."""
+    """Return notices on the poles, the residual and the release."""
     where = f"{record.name}, {reading.channel}"
-    told = [*_of_poles(model, record.sample_rate_hz), *_of_residual(reading, known)]
-    told += [*_of_release(record, solution, known)]
-    return tuple(Notice(severity, text, where) for severity, text in told)
+    notices = [*_of_poles(model, record.sample_rate_hz, where), *_of_residual(reading, spread, where)]
+    return (*notices, *_of_release(record, solution, spread, where))
 
 
-def _of_poles(model: ModalModel, rate_hz: float) -> Iterator[tuple[Severity, str]]:
-    """Yield what is wrong with poles: growing ones, ones that the sampling cannot tell, ones of no clear value."""
+def _of_poles(model: ModalModel, rate_hz: float, where: str) -> Iterator[Notice]:
+    """Yield notices on growing poles, poles near the sampling limit, and uncertain ones."""
     assert model.covariance is not None
     u, modes = np.sqrt(np.diag(model.covariance)), len(model.frequency_hz)
     for hz, zeta, u_zeta in zip(model.frequency_hz, model.damping_ratio, u[modes : 2 * modes], strict=True):
         if zeta < 0:
-            yield "warning", f"the mode at {hz:.5g} Hz grows, ζ = {zeta:.3g}: the model is unstable"
+            yield Notice(GROWING_POLE, where, frequency_hz=hz)
         elif u_zeta > UNCLEAR * zeta or zeta > 0.6:
-            yield "warning", f"the mode at {hz:.5g} Hz, ζ = {zeta:.2g} ± {u_zeta:.1g}, may be none of the sensor's"
+            yield Notice(DOUBTFUL_MODE, where, frequency_hz=hz, damping_ratio=zeta, u_damping_ratio=u_zeta)
         if hz > 0.4 * rate_hz:
-            yield "warning", f"the mode at {hz:.5g} Hz lies near half the sampling rate of {rate_hz:.6g} Hz"
+            yield Notice(MODE_NEAR_SAMPLING_LIMIT, where, frequency_hz=hz, rate_hz=rate_hz)
     for hz, u_hz in zip(model.real_hz, u[4 * modes :], strict=False):
         if hz > 0.5 * rate_hz or u_hz > UNCLEAR * abs(hz):
-            yield "warning", f"the real pole at {hz:.3g} ± {u_hz:.1g} Hz is hardly told by the record"
+            yield Notice(DOUBTFUL_REAL_POLE, where, frequency_hz=hz, u_hz=u_hz)
 
 
-def _of_residual(reading: ReleaseReading, known: FitCovariance) -> Iterator[tuple[Severity, str]]:
-    """Yield what the residual says of the model's order and of the noise."""
-    ratio = float(np.std(known.residual)) / reading.noise if reading.noise > 0 else np.inf
+def _of_residual(reading: ReleaseReading, spread: FitCovariance, where: str) -> Iterator[Notice]:
+    """Yield notices on the order of the model and on the noise."""
+    ratio = float(np.std(spread.residual)) / reading.noise if reading.noise > 0 else np.inf
     if ratio**2 > _MORE:
-        text = f"the residual is {ratio:.3g} times the noise before the release: the model's order is doubtful"
-        yield "warning", text
-    elif not known.white:
-        text = f"the noise is coloured: the uncertainty of the poles is {np.sqrt(known.excess):.2g} times as large"
-        yield "note", text
+        yield Notice(RESIDUAL_ABOVE_NOISE, where, factor=ratio)
+    elif not spread.white:
+        yield Notice(COLOURED_NOISE, where, factor=np.sqrt(spread.excess))
     if reading.clipped:
-        yield "warning", "the output ran into its limit: what was cut off bends the model"
+        yield Notice(OUTPUT_AT_LIMIT, where)
 
 
-def _of_release(record: StepRecord, solution: OutputErrorFit, known: FitCovariance) -> Iterator[tuple[Severity, str]]:
-    """Yield what the release leaves open."""
+def _of_release(record: StepRecord, solution: OutputErrorFit, spread: FitCovariance, where: str) -> Iterator[Notice]:
+    """Yield notices on the onset and the release."""
     load, samples = solution.problem.load, solution.problem.samples
     if not load.timed:
         return
     middle, length = solution.problem.release(solution.vector)
     fastest = float(np.exp(np.max(solution.vector[: solution.problem.structure.modes]))) / (2 * np.pi)
-    if known.u_onset_s > 0.1 / fastest:
-        yield (
-            "note",
-            f"the onset is known to {known.u_onset_s:.1g} s only, and with it the phases of the residues; "
-            "poles and static gain do not depend on it",
-        )
+    if spread.u_onset_s > 0.1 / fastest:
+        yield Notice(ONSET_UNCERTAIN, where, u_onset_s=spread.u_onset_s)
     coarse = samples.time_s[samples.length > 1]
     if np.any(np.abs(coarse - middle) < 0.5 * length):
-        yield "warning", f"the release at {middle:.6g} s lies outside the part of the record where it was looked for"
+        yield Notice(RELEASE_OUTSIDE_SEARCH, where, middle_s=middle)
     if record.onset_s is not None and abs(record.onset_s - middle + 0.5 * length) > 1.0 / fastest:
-        onset_s = middle - 0.5 * length
-        yield "warning", f"the onset found, {onset_s:.6g} s, is not the one stated, {record.onset_s:.6g} s"
+        yield Notice(ONSET_CONTRADICTED, where, found_s=middle - 0.5 * length, stated_s=record.onset_s)

@@ -1,4 +1,4 @@
-"""Onset and shape of a release: where the load begins to leave, how, and how fast the output rises."""
+"""Onset and time course of a release, and the rise time of the output."""
 
 from __future__ import annotations
 
@@ -14,20 +14,20 @@ from shaker.release.load_response import load_rate, load_share, pole_responses
 from shaker.release.poles import ringing_poles
 from shaker.release.record import Location, ReleaseShape
 
-# The beginning of a response: onset and length of the release, by the modes that answer it.
+# Fit of the onset and the length of a release from the response of the modes.
 
-_GROWTH = 30.0  # largest exponent by which a trial mode may grow over the window
-_DIFFERENCE = 1e-5
-_AHEAD = 2  # rows ahead of the samples
-_SHORT = 0.3  # samples: shortest release and lag by which slopes are taken
+_GROWTH = 30.0  # largest exponent of a growing trial mode over the window
+_DIFFERENCE = 1e-5  # relative step of numerical derivatives
+_AHEAD = 2  # prior rows before the samples
+_SHORT = 0.3  # samples: smallest step of release and lag for derivatives
 
 
 @dataclass(frozen=True, repr=False)
 class Window(Brief):
-    """Samples (N,) at `time_s` (N,) around the beginning, and the mean of `before` samples ahead of them, `rest`.
+    """Samples (N,) at `time_s` (N,) around the onset.
 
-    `small`: standard deviation of a sample over that of the change which modes too high to be seen may carry;
-    `longest_s`: of releases that are thought of.
+    `rest`: mean of `before` earlier samples. `small`: standard deviation of a sample over that of the change in modes
+    too high to be observed. `longest_s`: longest release that is considered.
     """
 
     time_s: FloatArray
@@ -45,14 +45,16 @@ class Window(Brief):
 
 @dataclass(frozen=True, repr=False)
 class OnsetModel(Brief):
-    """y = b + Σ g·S + h·L: modes ω²/(s² + 2ζωs + ω²) behind one lag 1/(1 + τs) answer a load of `shape`.
+    """Response of modes behind one lag to a load of `shape`.
 
-    Free residues would tell nothing of the onset: a delay δ of H(s) is, to first order, a zero, H(s)·(1 - δs). That
-    every mode begins like t², behind a lag like t³, is what fixes it. A short release and a lag do what a delay does to
-    first order and show in second order only, so that centre = onset + T/2 + τ, T² and τ² are the parameters.
-    Modes too high to be seen follow the load, L, behind the lag; what they carry, h, is small beforehand (`Window`).
-    `frequency_hz`, `damping_ratio` (M,) of the modes, `linear` = [b, g (M,), h]; `covariance` of `vector`, None before
-    the fit; `squares` of the residual over `rows`.
+    y = b + Σ g·S + h·L. Modes ω²/(s² + 2ζωs + ω²) behind one lag 1/(1 + τs). Free residues would not determine the
+    onset, because a delay δ of H(s) is to first order a zero, H(s)·(1 - δs). The onset is determined because every mode
+    starts like t², behind a lag like t³. A short release and a lag act like a delay to first order and differ in second
+    order only. The parameters are therefore centre = onset + T/2 + τ, T² and τ². Modes too high to be observed follow
+    the load L behind the lag; their part h has a small prior (`Window`).
+
+    `frequency_hz`, `damping_ratio` (M,) of the modes. `linear` = [b, g (M,), h]. `covariance` of `vector`, None before
+    the fit. `squares` of the residual over `rows`.
     """
 
     shape: ReleaseShape
@@ -68,7 +70,7 @@ class OnsetModel(Brief):
 
     @property
     def onset_s(self) -> float:
-        """When the load begins to change."""
+        """Time at which the load starts to change."""
         return self.centre_s - 0.5 * self.release_s - self.lag_s
 
     @property
@@ -78,7 +80,7 @@ class OnsetModel(Brief):
         return np.concatenate([times, self.frequency_hz, self.damping_ratio, self.linear])
 
     def with_vector(self, vector: FloatArray) -> OnsetModel:
-        """Return the same with other parameters; squared times below zero are taken as zero."""
+        """Return the model with other parameters; negative squared times are set to zero."""
         modes = len(self.frequency_hz)
         (centre, release, lag), f, z, linear = np.split(vector, np.cumsum([3, modes, modes]))
         return replace(
@@ -98,27 +100,33 @@ class OnsetModel(Brief):
 
     @cached_property
     def poles(self) -> ComplexArray:
-        """Upper poles of the modes (M,), and that of the lag where there is one, in rad/s."""
+        """Upper poles of modes and lag in rad/s.
+
+        The modes (M,) are first; the pole of a lag follows if there is one.
+        """
         rate = np.array([1.0 / self.lag_s] if self.lag_s > 0 else [])
         return modal_poles(2 * np.pi * self.frequency_hz, self.damping_ratio, rate)
 
     @cached_property
     def weights(self) -> ComplexArray:
-        """Weights (P, M) with which responses of `poles` (P,) add up, as real parts, to those of the modes."""
+        """Weights from the responses of `poles` to those of the modes.
+
+        (P, M); the real part of the product is the response.
+        """
         modes = len(self.frequency_hz)
         upper, omega = self.poles[:modes], 2 * np.pi * self.frequency_hz
-        own = np.diag(omega**2 / (1j * upper.imag * (1.0 + self.lag_s * upper)))
+        direct = np.diag(omega**2 / (1j * upper.imag * (1.0 + self.lag_s * upper)))
         if self.lag_s <= 0:
-            return np.asarray(own)
+            return np.asarray(direct)
         behind = omega**2 * self.lag_s / ((1.0 + self.lag_s * upper) * (1.0 + self.lag_s * upper.conj()))
-        return np.concatenate([own, behind[None]])
+        return np.concatenate([direct, behind[None]])
 
     def responses(self, time_s: FloatArray) -> ComplexArray:
-        """Return what `poles` answer (N, P), which `columns` and `speed` may be given."""
+        """Return the responses (N, P) of `poles`, an optional argument of `columns` and `speed`."""
         return pole_responses(self.poles, time_s, self.onset_s, self.release_s, self.shape)
 
     def columns(self, time_s: FloatArray, responses: ComplexArray | None = None) -> FloatArray:
-        """Return what `linear` multiplies (N, 2 + M)."""
+        """Return the design (N, 2 + M) of `linear`."""
         responses = self.responses(time_s) if responses is None else responses
         if self.lag_s > 0:
             follows = responses[:, -1].real / self.lag_s
@@ -132,7 +140,10 @@ class OnsetModel(Brief):
         return np.asarray(self.columns(time_s) @ self.linear)
 
     def speed(self, time_s: FloatArray, responses: ComplexArray | None = None) -> FloatArray:
-        """Return dy/dt (N,): of a response R of 1/(s - p) it is pR + load."""
+        """Return the derivative dy/dt (N,).
+
+        For a response R of 1/(s - p) it is pR + load.
+        """
         responses = self.responses(time_s) if responses is None else responses
         load = load_share(self.shape, time_s, self.onset_s, self.release_s)
         rates = responses * self.poles + load[:, None]
@@ -151,9 +162,9 @@ class OnsetModel(Brief):
 
 @dataclass(frozen=True)
 class OnsetTrial:
-    """A beginning with its linear parts solved, as a point of the search: times and modes are its parameters.
+    """An onset model with its linear part solved, as a point of the search.
 
-    Ahead of the samples stand the mean of the rest and the smallness of h.
+    Times and modes are its parameters. The first rows are the mean of the rest and the prior of h.
     """
 
     fit: OnsetModel
@@ -176,18 +187,21 @@ class OnsetTrial:
 
     @property
     def normal(self) -> tuple[FloatArray, FloatArray]:
-        """Normal equations; a parameter at a bound that the way downhill would leave is held."""
+        """Normal equations, with parameters fixed at active bounds.
+
+        A bound is active if the descent would leave it.
+        """
         normal, downhill = (part.copy() for part in self.projected.normal)
-        fit, held = self.fit, np.zeros(len(downhill), dtype=np.bool_)
-        held[1] = fit.release_s <= 0.0 and downhill[1] < 0.0
+        fit, fixed = self.fit, np.zeros(len(downhill), dtype=np.bool_)
+        fixed[1] = fit.release_s <= 0.0 and downhill[1] < 0.0
         longest = fit.lag_s >= (1.0 - 1e-9) * longest_lag_s(fit)
-        held[2] = (fit.lag_s <= 0.0 and downhill[2] < 0.0) or (longest and downhill[2] > 0.0)
-        normal[held], normal[:, held], downhill[held] = 0.0, 0.0, 0.0
+        fixed[2] = (fit.lag_s <= 0.0 and downhill[2] < 0.0) or (longest and downhill[2] > 0.0)
+        normal[fixed], normal[:, fixed], downhill[fixed] = 0.0, 0.0, 0.0
         return normal, downhill
 
     @property
     def with_covariance(self) -> OnsetModel:
-        """The fit with the covariance of the joint problem, by the variance of the residual."""
+        """The fit with the covariance of the joint problem, from the variance of the residual."""
         columns = self.projected.blocks[0].design
         jacobian = np.concatenate([self.projected.jacobians[0].rows[:, :, 0], columns], axis=1)
         scale = np.maximum(np.linalg.norm(jacobian, axis=0), 1e-300)
@@ -197,9 +211,9 @@ class OnsetTrial:
 
 
 def fit_onset(window: Window, start: OnsetModel, min_gain: float) -> OnsetTrial:
-    """Return the least-squares fit of everything in `start`, linear parts projected out.
+    """Return the least-squares fit of all parameters of `start`, linear ones projected out.
 
-    It ends where a step gains less than `calm` times the variance of the residual.
+    The fit ends at a step that gains less than `min_gain` times the variance of the residual.
     """
     rows = len(window.samples) + _AHEAD
     rules = LMOptions(
@@ -207,21 +221,21 @@ def fit_onset(window: Window, start: OnsetModel, min_gain: float) -> OnsetTrial:
     )
 
     def at(parameters: FloatArray) -> OnsetTrial | None:
-        there = bounded_parameters(window, start, parameters)
-        return None if there is None else solve_amplitudes(window, there)
+        model = bounded_parameters(window, start, parameters)
+        return None if model is None else solve_amplitudes(window, model)
 
     return levenberg_marquardt(at, solve_amplitudes(window, start), rules).point
 
 
 def solve_amplitudes(window: Window, start: OnsetModel) -> OnsetTrial:
-    """Return a beginning with its linear parts solved."""
+    """Return an onset model with its linear part solved."""
     responses = start.responses(window.time_s)
     columns, target = _rows(window, start.columns(window.time_s, responses))
     count = 3 + 2 * len(start.frequency_hz)
 
-    def changes(own: FloatArray) -> BlockJacobian:
+    def changes(coefficients: FloatArray) -> BlockJacobian:
         return BlockJacobian(
-            np.arange(count), _slopes(window, replace(start, linear=own[:, 0]), columns, responses)[:, :, None]
+            np.arange(count), _slopes(window, replace(start, linear=coefficients[:, 0]), columns, responses)[:, :, None]
         )
 
     point = SeparablePoint(start.vector[:count], (LinearBlock(columns, target[:, None], changes),))
@@ -230,7 +244,10 @@ def solve_amplitudes(window: Window, start: OnsetModel) -> OnsetTrial:
 
 
 def _rows(window: Window, columns: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return columns (…, N + 2, 2 + M) and their target (N + 2,): those of the samples behind what stands ahead."""
+    """Return columns and target with the two prior rows first.
+
+    (…, N + 2, 2 + M) and (N + 2,).
+    """
     weight = np.sqrt(window.before)
     ahead = np.zeros((*columns.shape[:-2], _AHEAD, columns.shape[-1]))
     ahead[..., 0, 0], ahead[..., 1, -1] = weight, window.small
@@ -238,81 +255,88 @@ def _rows(window: Window, columns: FloatArray) -> tuple[FloatArray, FloatArray]:
 
 
 def _slopes(window: Window, fit: OnsetModel, columns: FloatArray, responses: ComplexArray) -> FloatArray:
-    """Return the derivatives (N + 2, K) of y by centre, squared length and lag, frequencies and damping ratios."""
+    """Return the derivatives (N + 2, K) of y by times, frequencies and damping ratios.
+
+    The times are centre, squared length and squared lag.
+    """
     time = window.time_s
     slopes = np.zeros((len(time) + _AHEAD, len(fit.vector) - len(fit.linear)))
     slopes[_AHEAD:, 0] = -fit.speed(time, responses)
-    here = columns[_AHEAD:] @ fit.linear
+    fitted = columns[_AHEAD:] @ fit.linear
     vector, modes = fit.vector, len(fit.frequency_hz)
-    for place in (1, 2):
+    for index in (1, 2):
         shifted = vector.copy()
-        span = max(_DIFFERENCE * abs(vector[place]), (_SHORT * window.step_s) ** 2)
-        shifted[place] += span
-        slopes[_AHEAD:, place] = (fit.with_vector(shifted).at(time) - here) / span
-    # every frequency and every damping ratio moves its own mode alone: all that are moved, side by side
+        span = max(_DIFFERENCE * abs(vector[index]), (_SHORT * window.step_s) ** 2)
+        shifted[index] += span
+        slopes[_AHEAD:, index] = (fit.with_vector(shifted).at(time) - fitted) / span
+    # a frequency or damping ratio affects its mode only: all changed modes are evaluated together
     f, z = np.tile(fit.frequency_hz, 2), np.tile(fit.damping_ratio, 2)
     spans = _DIFFERENCE * np.abs(vector[3 : 3 + 2 * modes])
     spans[modes:] = np.maximum(spans[modes:], 1e-9)
     f[:modes], z[modes:] = f[:modes] + spans[:modes], z[modes:] + spans[modes:]
-    beside = replace(fit, frequency_hz=f, damping_ratio=z).columns(time)[:, 1:-1] - np.tile(columns[_AHEAD:, 1:-1], 2)
-    slopes[_AHEAD:, 3:] = beside * (np.tile(fit.linear[1:-1], 2) / spans)
+    changed = replace(fit, frequency_hz=f, damping_ratio=z).columns(time)[:, 1:-1]
+    differences = changed - np.tile(columns[_AHEAD:, 1:-1], 2)
+    slopes[_AHEAD:, 3:] = differences * (np.tile(fit.linear[1:-1], 2) / spans)
     return slopes
 
 
 def bounded_parameters(window: Window, fit: OnsetModel, parameters: FloatArray) -> OnsetModel | None:
-    """Return the fit with other times and modes, moved up to their bounds, None outside what can be."""
+    """Return the fit with other times and modes within their bounds, None if impossible."""
     vector = fit.vector
     vector[: len(parameters)] = parameters
     vector[2] = min(vector[2], longest_lag_s(fit) ** 2)
-    there = fit.with_vector(vector)
-    inside = window.time_s[0] <= there.onset_s <= window.time_s[-1] and there.release_s < window.longest_s
-    modes = (there.frequency_hz > 0) & (there.frequency_hz < 0.5 / window.step_s) & (np.abs(there.damping_ratio) < 0.9)
-    modes &= -there.damping_ratio * 2 * np.pi * there.frequency_hz * np.ptp(window.time_s) < _GROWTH
-    return there if inside and bool(np.all(modes)) else None
+    model = fit.with_vector(vector)
+    inside = window.time_s[0] <= model.onset_s <= window.time_s[-1] and model.release_s < window.longest_s
+    modes = (model.frequency_hz > 0) & (model.frequency_hz < 0.5 / window.step_s) & (np.abs(model.damping_ratio) < 0.9)
+    modes &= -model.damping_ratio * 2 * np.pi * model.frequency_hz * np.ptp(window.time_s) < _GROWTH
+    return model if inside and bool(np.all(modes)) else None
 
 
 def longest_lag_s(fit: OnsetModel) -> float:
-    """Return the lag whose corner frequency is that of the lowest mode: what records it rings slower than no mode."""
+    """Return the lag whose corner frequency is that of the lowest mode.
+
+    A recording instrument is faster than that.
+    """
     return float(1.0 / (2 * np.pi * np.min(fit.frequency_hz)))
 
 
-# The fit of a beginning from start values that the record itself gives.
+# Fit of an onset from start values of the record.
 
-_PERIODS = 12.0  # of the lowest mode after the release that the fit takes
-_PER_PERIOD = 50  # samples per period of the highest mode below which nothing is averaged
-_MOST = 2000
-_LENGTHS = np.array([0.1, 0.35, 0.55, 0.75, 0.95, 1.15, 1.4])  # tried, over that of a ramp that the output follows
-_LONGEST = 2.0
-_CENTRES = 7
-_GRID = 160  # samples that the search for start values takes
-_SMOOTHER = 1.33  # length of a smooth release over that of the ramp of the same spread
-_UNSEEN = 0.03  # share of the change that modes too high to be seen may carry, standard deviation
-_NOTHING = 1e6  # weight that leaves nothing to modes that are not seen, in the search for start values
-_DECIDED = 6.0  # difference of the Schwarz criterion that decides
+_PERIODS = 12.0  # of the lowest mode after the release, in the fit
+_PER_PERIOD = 50  # samples per period of the highest mode that are retained
+_MOST = 2000  # blocks in the fit, at most
+_LENGTHS = np.array([0.1, 0.35, 0.55, 0.75, 0.95, 1.15, 1.4])  # trial lengths over that of the longest plausible ramp
+_LONGEST = 2.0  # length of a release over that of the longest plausible ramp, at most
+_CENTRES = 7  # trial centres
+_GRID = 160  # samples in the search for start values
+_SMOOTHER = 1.33  # length of a smooth release over that of the ramp of equal second moment
+_HIGH_MODE_SHARE = 0.03  # standard deviation of the share of the change in modes too high to be observed
+_NO_HIGH_MODES = 1e6  # prior weight that suppresses unobserved modes in the search for start values
+_DECIDED = 6.0  # significant difference of the Schwarz criterion
 _CALM = 1e-3  # gain of a step, in variances of the residual, at which a search ends
 
 
 def find_onset(
     samples: FloatArray, sample_rate_hz: float, start_s: float, location: Location, min_gain: float = _CALM
 ) -> tuple[Window, OnsetTrial]:
-    """Return the window around the beginning of samples (N,), the first at `start_s`, and its fit.
+    """Return the window around the onset of samples (N,), and its fit.
 
-    The release is taken as a straight ramp unless the Schwarz criterion asks for a smooth one. Where nothing rings, the
-    one mode tried is all there is. `calm`: as of `fit_beginning`.
+    The first sample is at `start_s`. The release is a straight ramp unless the Schwarz criterion selects a smooth one.
+    Without ringing, one trial mode is fitted. `min_gain` as in `fit_onset`.
     """
-    # a sample that is after the release with all likelihood
+    # a sample that is almost certainly after the release
     end = location.first + 1.5 * max(location.high - location.first, 4.0)
     after = int(min(end, location.first + 0.5 * (len(samples) - location.first)))
     poles = ringing_poles(samples[after:] - location.steady, sample_rate_hz, location.noise)
     sets = [poles]
-    if not len(poles):  # one well damped mode at several times the rise
+    if not len(poles):  # trial modes with large damping, by the rise time
         rise_s = max(location.high - location.low, 2.0) / sample_rate_hz
         frequency = np.minimum(np.array([0.3, 1.0, 3.0]) / rise_s, 0.2 * sample_rate_hz)
         sets = [2 * np.pi * f * np.array([-0.5 + 0.75**0.5 * 1j]) for f in frequency]
     fits = []
     for trial in sets:
         window = _window(samples, sample_rate_hz, start_s, location, trial)
-        seen = replace(window, small=_NOTHING)
+        seen = replace(window, small=_NO_HIGH_MODES)
         first = fit_onset(seen, _start(seen, location, trial, sample_rate_hz, start_s), min_gain)
         fits.append((window, fit_onset(window, first.fit, min_gain)) if len(poles) else (seen, first))
     window, ramp = min(fits, key=lambda trial: trial[1].loss / trial[1].fit.rows)
@@ -321,18 +345,20 @@ def find_onset(
     return window, smooth if smooth.fit.penalty < ramp.fit.penalty - _DECIDED else ramp
 
 
-def _window(samples: FloatArray, sample_rate_hz: float, start_s: float, place: Location, poles: ComplexArray) -> Window:
-    """Return the samples around the beginning, as means of blocks where they are denser than is needed."""
+def _window(
+    samples: FloatArray, sample_rate_hz: float, start_s: float, location: Location, poles: ComplexArray
+) -> Window:
+    """Return the samples around the onset, averaged in blocks if they are denser than necessary."""
     block = max(1, int(2 * np.pi * sample_rate_hz / (_PER_PERIOD * float(np.max(np.abs(poles))))))
-    length = place.high - place.first
+    length = location.high - location.first
     period = 2 * np.pi * sample_rate_hz / float(np.min(np.abs(poles)))
-    margin = int(min(place.first // 2, 2.0 * length + 0.7 * period + 4 * block))
-    low = place.first - margin
+    margin = int(min(location.first // 2, 2.0 * length + 0.7 * period + 4 * block))
+    low = location.first - margin
     count = int(min(len(samples) - low, _MOST * block, margin + 2.0 * length + _PERIODS * period))
     blocks = count // block
     means = np.asarray(samples[low : low + blocks * block].reshape(blocks, block).mean(axis=1))
     middle = low + (np.arange(blocks, dtype=np.float64) + 0.5) * block - 0.5
-    small = place.noise / np.sqrt(block) / max(_UNSEEN * abs(place.steady - place.baseline), 1e-300)
+    small = location.noise / np.sqrt(block) / max(_HIGH_MODE_SHARE * abs(location.steady - location.baseline), 1e-300)
     rest = float(np.mean(samples[:low])) if low else 0.0
     return Window(
         np.asarray(start_s + middle / sample_rate_hz),
@@ -340,12 +366,17 @@ def _window(samples: FloatArray, sample_rate_hz: float, start_s: float, place: L
         rest,
         low / block,
         float(small),
-        _LONGEST * place.longest / sample_rate_hz,
+        _LONGEST * location.longest / sample_rate_hz,
     )
 
 
-def _start(window: Window, place: Location, poles: ComplexArray, sample_rate_hz: float, start_s: float) -> OnsetModel:
-    """Return the best of a grid of centres and lengths, with fixed modes and no lag."""
+def _start(
+    window: Window, location: Location, poles: ComplexArray, sample_rate_hz: float, start_s: float
+) -> OnsetModel:
+    """Return the best of a grid of centres and lengths without lag.
+
+    The modes are fixed.
+    """
     every = max(1, len(window.samples) // _GRID)
     thin = replace(
         window,
@@ -354,14 +385,14 @@ def _start(window: Window, place: Location, poles: ComplexArray, sample_rate_hz:
         before=window.before / every,
         small=float(window.small / np.sqrt(every)),
     )
-    plain_s = place.longest / sample_rate_hz
-    middle_s = start_s + 0.5 * (place.low + place.high) / sample_rate_hz
+    plain_s = location.longest / sample_rate_hz
+    middle_s = start_s + 0.5 * (location.low + location.high) / sample_rate_hz
     early_s = np.linspace(0.0, 0.3 * 2 * np.pi / float(np.min(np.abs(poles))), _CENTRES)
     frequency, damping = np.abs(poles) / (2 * np.pi), -poles.real / np.abs(poles)
     best, least = OnsetModel("ramp", middle_s, plain_s, 0.0, frequency, damping, np.zeros(0)), np.inf
     for length in _LENGTHS * plain_s:
         trial = replace(best, centre_s=middle_s, release_s=length)
-        times = thin.time_s + early_s[:, None]  # as the samples are seen from a centre that much earlier
+        times = thin.time_s + early_s[:, None]  # times relative to an earlier centre
         columns, target = _rows(thin, trial.columns(times.ravel()).reshape(*times.shape, -1))
         joined = np.concatenate([columns, np.broadcast_to(target[:, None], (*columns.shape[:2], 1))], axis=-1)
         squares = np.asarray(np.linalg.qr(joined, mode="r"))[:, -1, -1] ** 2
@@ -371,18 +402,18 @@ def _start(window: Window, place: Location, poles: ComplexArray, sample_rate_hz:
     return solve_amplitudes(thin, best).fit
 
 
-# The rise time of a response from its fitted beginning.
+# Rise time of a response from its fitted onset.
 
 _SHARES = np.array([0.1, 0.9])
-_CURVE = 800  # samples of it in which crossings are looked for
-_SOON = 1.5  # periods of the lowest mode after release and lag
+_CURVE = 800  # points of the curve for the search of crossings
+_SOON = 1.5  # periods of the lowest mode after release and lag within which the crossings must be
 
 
 def rise_time(fit: OnsetModel) -> tuple[float, float] | None:
-    """Return how long the fitted curve takes from 10 % to 90 % of its change, first crossings, and its uncertainty.
+    """Return the rise time of the fitted curve with its uncertainty.
 
-    None where the curve does not get there soon. A crossing t of the level b + share·Σg moves by
-    -(∂(y - level)/∂θ)/(dy/dt) with the parameters θ of the fit.
+    It is the time from 10 % to 90 % of the change. First crossings count; None if the curve does not reach them soon. A
+    crossing t of the level b + share·Σg moves by -(∂(y - level)/∂θ)/(dy/dt) with the parameters θ of the fit.
     """
     if fit.covariance is None:
         raise ValueError("fit: expected one with its covariance, found none")
@@ -400,9 +431,9 @@ def rise_time(fit: OnsetModel) -> tuple[float, float] | None:
 
     vector, u = fit.vector, np.sqrt(np.maximum(np.diagonal(fit.covariance), 0.0))
     slopes = np.zeros((2, len(u)))
-    for place in np.flatnonzero(u):
+    for index in np.flatnonzero(u):
         shifted = vector.copy()
-        shifted[place] += 1e-2 * u[place]
-        slopes[:, place] = (above(fit.with_vector(shifted)) - above(fit)) / (1e-2 * u[place])
+        shifted[index] += 1e-2 * u[index]
+        slopes[:, index] = (above(fit.with_vector(shifted)) - above(fit)) / (1e-2 * u[index])
     gradient = np.diff(-slopes / fit.speed(times)[:, None], axis=0)[0]
     return float(times[1] - times[0]), float(np.sqrt(max(gradient @ fit.covariance @ gradient, 0.0)))

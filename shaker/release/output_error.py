@@ -20,16 +20,17 @@ from shaker.lti.system import ModalModel, modal_poles
 from shaker.release.load_response import BlockMeans, BlockResponses, ReleaseLoad, responses, responses_with_derivatives
 from shaker.release.record import TESTED_LAGS, is_white, slow_noise
 
-# How many poles and zeros a model has, and what its parameters make of them.
+# Numbers of poles and zeros of a model, and their parameters.
 
 
 @dataclass(frozen=True)
 class PoleStructure:
-    """Poles of `modes` oscillating modes and `reals` real ones, and `terms` of the numerator, 1 … 2M + Q.
+    """Numbers of poles and numerator terms of a model.
 
-    H(s) = Σ_k z_k (s/ω0)^k·Π ω0/(s - p), k below `terms`: 2M + Q terms are residues without a condition, fewer make
-    the response start smoother: its first 2M + Q - terms derivatives are continuous at a step.
-    A vector is [ln ω (M), ζ (M), ln a (Q)], poles ω(-ζ ± j√(1 - ζ²)) and -a in rad/s. `scale` ω0 in rad/s, fixed.
+    `modes` oscillating modes, `reals` real poles, `terms` of the numerator, 1 … 2M + Q. H(s) = Σ_k z_k (s/ω0)^k·Π ω0/(s
+    - p), k below `terms`. With 2M + Q terms the residues are free. With fewer terms the response starts more smoothly:
+    its first 2M + Q - terms derivatives are continuous at a step. A vector is [ln ω (M), ζ (M), ln a (Q)], poles ω(-ζ ±
+    j√(1 - ζ²)) and -a in rad/s. `scale` ω0 in rad/s is fixed.
     """
 
     modes: int
@@ -44,14 +45,17 @@ class PoleStructure:
 
     @property
     def smoothest(self) -> int:
-        """Number of numerator terms of a chain of masses whose displacement is read, behind low-pass filters: 2M - 1.
+        """Number of numerator terms of a chain of masses with displacement output: 2M - 1.
 
-        The displacement of a mass answers a force like 1/s² at first, and every low-pass filter adds 1/s.
+        The displacement of a mass initially responds to a force like 1/s², and every low-pass filter adds 1/s.
         """
         return max(1, 2 * self.modes - 1)
 
     def poles(self, vector: FloatArray) -> ComplexArray:
-        """Return the upper poles of the modes and the real ones (…, M + Q) in rad/s of vectors (…, K)."""
+        """Return upper and real poles (…, M + Q) in rad/s of vectors.
+
+        The vectors have the shape (…, K).
+        """
         log_omega, zeta, log_real = np.split(vector[..., : self.order], [self.modes, 2 * self.modes], axis=-1)
         return modal_poles(np.exp(log_omega), zeta, np.exp(log_real))
 
@@ -61,7 +65,7 @@ class PoleStructure:
         return np.concatenate([np.log(np.abs(upper)), -upper.real / np.abs(upper), np.log(np.abs(real))])
 
     def pole_slopes(self, vector: FloatArray) -> ComplexArray:
-        """Return derivatives (M + Q, 2M + Q) of the poles to the parameters."""
+        """Return derivatives (M + Q, 2M + Q) of the poles by the parameters."""
         poles, zeta = self.poles(vector), vector[self.modes : 2 * self.modes]
         slopes = np.zeros((len(poles), self.order), dtype=np.complex128)
         mode, real = np.arange(self.modes), np.arange(self.modes, len(poles))
@@ -80,37 +84,41 @@ class PoleStructure:
         return np.asarray(first[..., None] * (poles[..., None] / self.scale) ** np.arange(self.terms))
 
     def share_slopes(self, vector: FloatArray) -> ComplexArray:
-        """Return derivatives (M + Q, terms, 2M + Q) of `shares` to the parameters."""
+        """Return derivatives (M + Q, terms, 2M + Q) of `shares` by the parameters."""
         poles, slopes = self.poles(vector), self.pole_slopes(vector)
         moves = np.concatenate([slopes, slopes[: self.modes].conj()])
         spread = slopes[:, None, :] - moves[None, :, :]
-        own = np.arange(self.terms)[:, None] * (slopes / poles[:, None])[:, None, :]
-        rate = own - (spread / self._gaps(poles)[:, :, None]).sum(axis=1)[:, None]
+        by_power = np.arange(self.terms)[:, None] * (slopes / poles[:, None])[:, None, :]
+        rate = by_power - (spread / self._gaps(poles)[:, :, None]).sum(axis=1)[:, None]
         return np.asarray(self.shares(vector)[:, :, None] * rate)
 
     def _gaps(self, poles: ComplexArray) -> ComplexArray:
-        """Return how far all poles, conjugates last, lie from each (…, M + Q, 2M + Q); `scale` from itself."""
+        """Return differences of each pole to all poles, conjugates last.
+
+        The shape is (…, M + Q, 2M + Q). The difference of a pole to itself is replaced by `scale`.
+        """
         gaps = poles[..., None] - np.concatenate([poles, poles[..., : self.modes].conj()], axis=-1)[..., None, :]
-        own = np.arange(poles.shape[-1])
-        gaps[..., own, own] = self.scale
+        diagonal = np.arange(poles.shape[-1])
+        gaps[..., diagonal, diagonal] = self.scale
         return np.asarray(gaps)
 
 
 # Output-error least squares: linear parameters projected out, the others by Levenberg-Marquardt.
 
-_STEPS = 60  # more than any solvable case was seen to take
-_ENOUGH = 1e-4  # foretold fall of the sum of squares, over the variance, below which a step changes nothing
+_STEPS = 60  # more than any solvable case has needed
+_ENOUGH = 1e-4  # predicted fall of the sum of squares, over the variance, below which a step has no effect
 _STEEPEST = 0.995  # largest |ζ| of an oscillating mode
 
 
 @dataclass(frozen=True, repr=False)
 class OutputErrorProblem(Brief):
-    """What is fitted: a structure's answer to a load, to samples.
+    """A least-squares problem: the response of a structure to a load, and samples.
 
-    Parameters: those of the structure, then the release's middle in s (a timed load) and the logarithm of its length
-    in s (a lasting one). `known`, `u_known` (K,): what is known of them beforehand, wide, infinitely so for the modes:
-    a record that does not tell the real poles or the release is solved all the same. `onset_s` of a load without one;
-    `colour`: density of the blocks' noise over that of white noise with the samples' variance, 1 where it is white.
+    Parameters: those of the structure, then the middle of the release in s (a timed load) and the logarithm of its
+    length in s (a lasting one). `prior`, `u_prior` (K,): prior values and standard deviations, wide, infinite for the
+    modes. With them a record that does not determine real poles or the release can be fitted. `onset_s`: of a load
+    without a timed release. `colour`: density of the blocks' noise over that of white noise with the samples' variance,
+    1 for white noise.
     """
 
     structure: PoleStructure
@@ -130,8 +138,11 @@ class OutputErrorProblem(Brief):
 
 @dataclass(frozen=True, repr=False)
 class OutputErrorFit(Brief):
-    """A fit: `vector` of the nonlinear parameters, `linear` [baseline, numerator terms], `square` weighted sum of
-    squares of the residual, `path` of it over the steps; `problem` that was solved."""
+    """A fit of a problem.
+
+    `vector`: nonlinear parameters. `linear`: [baseline, numerator terms]. `square`: weighted sum of squares of the
+    residual. `path`: its values over the steps.
+    """
 
     problem: OutputErrorProblem
     vector: FloatArray
@@ -146,12 +157,15 @@ class OutputErrorFit(Brief):
 
     @property
     def variance(self) -> float:
-        """Variance of a sample's noise by the residual."""
+        """Variance of the noise of a sample, from the residual."""
         return self.square / max(1, self.size - len(self.vector) - len(self.linear))
 
 
 def columns(problem: OutputErrorProblem, vector: FloatArray, samples: BlockMeans) -> tuple[FloatArray, BlockResponses]:
-    """Return the design (B, 1 + terms) of baseline and numerator terms, unweighted, and the poles' answers."""
+    """Return the unweighted design (B, 1 + terms) and the responses of the poles.
+
+    The design has columns of the baseline and the numerator terms.
+    """
     answered = responses_with_derivatives(
         problem.load, problem.structure.poles(vector), samples, *problem.release(vector)
     )
@@ -159,7 +173,7 @@ def columns(problem: OutputErrorProblem, vector: FloatArray, samples: BlockMeans
 
 
 def design(problem: OutputErrorProblem, vector: FloatArray, samples: BlockMeans) -> FloatArray:
-    """Return the design of `columns` alone."""
+    """Return the design of `columns` only."""
     value = responses(problem.load, problem.structure.poles(vector), samples, *problem.release(vector))
     return _design(problem, vector, value)
 
@@ -171,7 +185,7 @@ def _design(problem: OutputErrorProblem, vector: FloatArray, value: ComplexArray
 
 
 def slopes(problem: OutputErrorProblem, vector: FloatArray, linear: FloatArray, answered: BlockResponses) -> FloatArray:
-    """Return derivatives (B, K) of the fitted output to the nonlinear parameters, unweighted."""
+    """Return unweighted derivatives (B, K) of the fitted output by the nonlinear parameters."""
     structure = problem.structure
     twice = _twice(structure)
     residues = twice * (structure.shares(vector) @ linear[1:])
@@ -186,9 +200,9 @@ def slopes(problem: OutputErrorProblem, vector: FloatArray, linear: FloatArray, 
 
 
 def squares(problem: OutputErrorProblem, vectors: FloatArray) -> FloatArray:
-    """Return the weighted sums of squares (V, terms) that 1, 2, … numerator terms leave, by one factorisation each.
+    """Return the weighted sums of squares (V, terms) for 1, 2, … numerator terms.
 
-    `vectors` (V, K) of different poles, but of one release.
+    `vectors` (V, K) have different poles but the same release. Each takes one factorisation.
     """
     structure, samples = problem.structure, problem.samples
     poles = structure.poles(vectors)
@@ -198,11 +212,11 @@ def squares(problem: OutputErrorProblem, vectors: FloatArray) -> FloatArray:
         parts = np.real(residues @ value.reshape(*poles.shape, -1))
     rows = np.ones((len(vectors), structure.terms + 2, len(samples.value)))
     rows[:, 1:-1], rows[:, -1] = parts, samples.value
-    known = np.all(np.isfinite(parts), axis=(1, 2))
-    rows[~known] = 0.0
+    finite = np.all(np.isfinite(parts), axis=(1, 2))
+    rows[~finite] = 0.0
     last = np.asarray(np.linalg.qr((rows * samples.weight).swapaxes(1, 2), mode="r"))[:, :, -1]
     left = np.cumsum(last[:, ::-1] ** 2, axis=1)[:, ::-1][:, 2:]
-    return np.where(known[:, None], left, np.inf)
+    return np.where(finite[:, None], left, np.inf)
 
 
 def solve(problem: OutputErrorProblem, start: FloatArray) -> OutputErrorFit:
@@ -213,7 +227,7 @@ def solve(problem: OutputErrorProblem, start: FloatArray) -> OutputErrorFit:
     longest = np.log(problem.samples.time_s[-1] - problem.samples.time_s[0])
 
     def at(vector: FloatArray) -> SeparablePoint | None:
-        """Return the best baseline and numerator for given poles and release, None where these are impossible."""
+        """Return the best baseline and numerator for given poles and release, None if impossible."""
         steep = np.any(np.abs(vector[modes : 2 * modes]) > _STEEPEST)
         if steep or np.any(np.abs(vector[:order]) > 50.0) or (problem.load.lasting and vector[-1] > longest):
             return None
@@ -221,8 +235,8 @@ def solve(problem: OutputErrorProblem, start: FloatArray) -> OutputErrorFit:
             matrix, answered = columns(problem, vector, problem.samples)
             weighted = matrix * weight
 
-        def changes(own: FloatArray) -> BlockJacobian:
-            change = slopes(problem, vector, own[:, 0], answered) * weight
+        def changes(coefficients: FloatArray) -> BlockJacobian:
+            change = slopes(problem, vector, coefficients[:, 0], answered) * weight
             return BlockJacobian(np.arange(change.shape[1]), change[:, :, None])
 
         return SeparablePoint(vector, (LinearBlock(weighted, data, changes),))
@@ -240,18 +254,19 @@ def solve(problem: OutputErrorProblem, start: FloatArray) -> OutputErrorFit:
 def predicted_gain(
     plain: OutputErrorFit, problem: OutputErrorProblem, vectors: list[FloatArray]
 ) -> tuple[float, FloatArray]:
-    """Return how much of B·ln(sum of squares) a fit would lose by a step towards a richer model, and the best vector.
+    """Return the predicted gain of a richer model, and the best vector.
 
-    The richer model's design at each vector joins the fit's own design and derivatives; what the three together leave
-    of the samples tells, without a solution, whether the richer model is worth one.
+    The gain is the fall of B·ln(sum of squares) by one step. The design of the richer model at each vector is joined
+    with the design and derivatives of the fit. The residual of the three together shows, without a solution, whether
+    the richer model is worth a fit.
     """
     weight = plain.problem.samples.weight[:, None]
-    own, answered = columns(plain.problem, plain.vector, plain.problem.samples)
-    own = np.concatenate([own, slopes(plain.problem, plain.vector, plain.linear, answered)], axis=1)
+    design_of_fit, answered = columns(plain.problem, plain.vector, plain.problem.samples)
+    design_of_fit = np.concatenate([design_of_fit, slopes(plain.problem, plain.vector, plain.linear, answered)], axis=1)
     value = plain.problem.samples.value * weight[:, 0]
     best, chosen = 0.0, vectors[0]
     for vector in vectors:
-        whole = np.concatenate([own, design(problem, vector, plain.problem.samples)], axis=1) * weight
+        whole = np.concatenate([design_of_fit, design(problem, vector, plain.problem.samples)], axis=1) * weight
         left = eliminate(whole, value[:, None]).residual[:, 0]
         gain = plain.size * float(np.log(plain.square / (left @ left)))
         if gain > best:
@@ -260,21 +275,25 @@ def predicted_gain(
 
 
 def _twice(structure: PoleStructure) -> FloatArray:
-    """Return 2 for every upper pole, which stands for its conjugate too, and 1 for every real one."""
+    """Return 2 for an upper pole and 1 for a real one.
+
+    An upper pole also represents its conjugate.
+    """
     return np.concatenate([np.full(structure.modes, 2.0), np.ones(structure.reals)])
 
 
-# Covariance of a fit, honest with noise that is coloured by a filter and with a coarse converter.
+# Covariance of a fit, also for coloured noise and for a coarse converter.
 
-_LAGS = 20  # the record's length over the lags of the residual's correlation that are kept, at least `TESTED`
+_LAGS = 20  # length of the record over the lags of the residual's correlation; at least `TESTED_LAGS` are used
 
 
 @dataclass(frozen=True, repr=False)
 class FitCovariance(Brief):
-    """Covariance (P, P) of a modal model's vector, without that of the load; standard uncertainties of the release.
+    """Covariance (P, P) of a modal model, and of the release.
 
-    `fitted`, `residual` (N,): at every sample; `white`: whether the residual passes as white noise; `excess`: its
-    density about the lowest mode over that of white noise, 1 where it is white.
+    The uncertainty of the load is not included. `u_onset_s`, `u_release_s`: standard uncertainties of the release.
+    `fitted`, `residual` (N,): at every sample. `white`: whether the residual passes a test for white noise. `excess`:
+    its density about the lowest mode over that of white noise, 1 for white noise.
     """
 
     covariance: FloatArray
@@ -287,10 +306,10 @@ class FitCovariance(Brief):
 
 
 def fit_covariance(solution: OutputErrorFit, whole: BlockMeans) -> FitCovariance:
-    """Return what is known of a fit's parameters, from the residual at every sample.
+    """Return the covariance of a fit's parameters from the residual at every sample.
 
-    Where the residual is not white, (JᵀJ)⁻¹JᵀRJ(JᵀJ)⁻¹ with R of its correlation through a Parzen window. A converter
-    whose step is not dithered by noise errs by one value for a whole level: that is added for both levels.
+    If the residual is not white: (JᵀJ)⁻¹JᵀRJ(JᵀJ)⁻¹ with R of its correlation through a Parzen window. A converter
+    whose step is not dithered by noise has a constant error at a constant level. It is added for both levels.
     """
     problem = solution.problem
     linear_part, answered = columns(problem, solution.vector, whole)
@@ -302,8 +321,8 @@ def fit_covariance(solution: OutputErrorFit, whole: BlockMeans) -> FitCovariance
     scale = np.sqrt(np.einsum("nk,nk->k", jacobian, jacobian))
     scale[scale == 0] = 1.0
     scaled = jacobian / scale
-    known = _known(solution, scale, scaled.T @ scaled, variance)
-    normal = scaled.T @ scaled + known * variance
+    prior = _prior_normal(solution, scale, scaled.T @ scaled, variance)
+    normal = scaled.T @ scaled + prior * variance
     inverse = np.linalg.pinv(normal, rcond=1e-14, hermitian=True)
     gain = inverse @ scaled.T
     white = is_white(residual)
@@ -313,7 +332,7 @@ def fit_covariance(solution: OutputErrorFit, whole: BlockMeans) -> FitCovariance
         coloured = gain @ _correlated(residual, gain.T) * len(residual) / freedom
         excess = float(coloured[0, 0] / max(1e-300, (gain @ gain.T)[0, 0] * variance))
         slow, taken = slow_noise(scaled, residual, gain, variance)
-        middle = coloured + (taken * slow) @ taken.T + inverse @ (known * variance**2) @ inverse
+        middle = coloured + (taken * slow) @ taken.T + inverse @ (prior * variance**2) @ inverse
     middle = middle + _converter(whole, residual, gain, fitted)
     covariance = middle / np.outer(scale, scale)
     u_onset_s = u_release_s = 0.0
@@ -329,7 +348,7 @@ def fit_covariance(solution: OutputErrorFit, whole: BlockMeans) -> FitCovariance
 
 
 def modal_model(solution: OutputErrorFit, covariance: FloatArray, u_amplitude: float) -> ModalModel:
-    """Return a fit as a model; the load's relative uncertainty joins the residues."""
+    """Return a fit as a modal model; residues include the load's relative uncertainty."""
     structure = solution.problem.structure
     poles, m = structure.poles(solution.vector), structure.modes
     residues = structure.shares(solution.vector) @ solution.linear[1:]
@@ -341,12 +360,12 @@ def modal_model(solution: OutputErrorFit, covariance: FloatArray, u_amplitude: f
     return ModalModel(omega / (2 * np.pi), damping, residues[:m], hz, residues[m:].real, 0.5 * (total + total.T))
 
 
-def _known(solution: OutputErrorFit, scale: FloatArray, normal: FloatArray, variance: float) -> FloatArray:
-    """Return what is known beforehand as the scaled normal matrix of one variance.
+def _prior_normal(solution: OutputErrorFit, scale: FloatArray, normal: FloatArray, variance: float) -> FloatArray:
+    """Return the prior as the scaled normal matrix of unit variance.
 
-    Of the onset it is what the fit was given. Of real poles and the release's length, which the fit was only led by, it
-    is that each of the squares 1/a² and T²/12 is positive and at most their sum, which the record tells well even where
-    it cannot tell them apart.
+    The prior of the onset is that of the fit. The priors of real poles and of the release's length only guided the fit.
+    Each of the squares 1/a² and T²/12 is positive and at most their sum, which the record determines well even if it
+    does not separate them.
     """
     problem, structure = solution.problem, solution.problem.structure
     added, squares = np.zeros(len(scale)), np.zeros(len(scale))
@@ -367,14 +386,17 @@ def _known(solution: OutputErrorFit, scale: FloatArray, normal: FloatArray, vari
 
 
 def _correlated(residual: FloatArray, columns_: FloatArray) -> FloatArray:
-    """Return R·columns (N, K), R the correlation matrix of the residual (N,) by a Parzen window."""
+    """Return R·columns (N, K) with the correlation matrix R of the residual.
+
+    R of the residual (N,) is estimated with a Parzen window.
+    """
     count = len(residual)
     size = 2 ** int(np.ceil(np.log2(2 * count)))
     correlation = np.fft.irfft(np.abs(np.fft.rfft(residual, size)) ** 2)[:count] / count
     x = np.arange(count) / max(TESTED_LAGS, count // _LAGS)
     window = np.where(x <= 0.5, 1 - 6 * x**2 + 6 * x**3, 2 * np.maximum(0.0, 1 - x) ** 3)
-    kept = correlation * window
-    density = np.fft.rfft(np.concatenate([kept, np.zeros(size - 2 * count + 1), kept[:0:-1]]))
+    windowed = correlation * window
+    density = np.fft.rfft(np.concatenate([windowed, np.zeros(size - 2 * count + 1), windowed[:0:-1]]))
     spectrum = np.fft.rfft(columns_, size, axis=0)
     return np.asarray(np.fft.irfft(density[:, None] * spectrum, size, axis=0)[:count])
 
@@ -382,7 +404,8 @@ def _correlated(residual: FloatArray, columns_: FloatArray) -> FloatArray:
 def _converter(whole: BlockMeans, residual: FloatArray, gain: FloatArray, fitted: FloatArray) -> FloatArray:
     """Return the covariance (K, K) that a converter's rounding adds through both levels.
 
-    Gaussian noise of σ leaves q/π·exp(-2π²σ²/q²) of the rounding's error of a steady level, q the converter's step.
+    Gaussian noise of σ leaves q/π·exp(-2π²σ²/q²) of the rounding's error of a steady level, with the step q of the
+    converter.
     """
     steps = np.diff(np.unique(whole.value))
     q = float(steps.min()) if steps.size else 0.0
@@ -394,7 +417,10 @@ def _converter(whole: BlockMeans, residual: FloatArray, gain: FloatArray, fitted
 
 
 def _model_slopes(structure: PoleStructure, vector: FloatArray, linear: FloatArray) -> FloatArray:
-    """Return derivatives (P, K + 1 + terms) of a modal model's vector to the fit's parameters."""
+    """Return derivatives of a modal model's vector by the fit's parameters.
+
+    The shape is (P, K + 1 + terms).
+    """
     m, n, count = structure.modes, structure.order, len(vector)
     shares, by_vector = structure.shares(vector), structure.share_slopes(vector)
     out = np.zeros((4 * m + 2 * structure.reals, count + len(linear)))

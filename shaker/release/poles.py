@@ -1,8 +1,8 @@
-"""Where fits of poles start: matrix pencils of what rings after a release, and the lines of its spectrum.
+"""Start values of poles from matrix pencils and spectral lines.
 
-Every window of L samples of Σ a·exp(p t) lies in the span of the vectors exp(p n/f), n = 0 … L - 1, whatever a is. The
-leading singular vectors of the windows span it, and a shift by one sample turns it by exp(p/f) (Hua and Sarkar, IEEE
-Trans. ASSP 38 (1990) 814; Roy and Kailath, ESPRIT, 1989).
+Every window of L samples of Σ a·exp(p t) is in the span of the vectors exp(p n/f), n = 0 … L - 1, for any amplitudes a.
+The leading singular vectors of the windows span it. A shift by one sample multiplies it by exp(p/f) (Hua and Sarkar,
+IEEE Trans. ASSP 38 (1990) 814; Roy and Kailath, ESPRIT, 1989).
 """
 
 from __future__ import annotations
@@ -13,13 +13,16 @@ import numpy as np
 
 from shaker.arrays import ComplexArray, FloatArray
 
-PER_PERIOD = 8  # samples that are left of the period of the fastest mode
-_LONGEST = 240  # of them that a start is taken from
-UNCLEAR = 0.25  # relative standard uncertainty of a real pole or of a damping ratio that says little of it
+PER_PERIOD = 8  # samples per period of the fastest mode after decimation
+_LONGEST = 240  # samples for a start, at most
+UNCLEAR = 0.25  # relative standard uncertainty of a real pole or damping ratio above which it is doubtful
 
 
 def shift_poles(space: FloatArray, step_s: float) -> ComplexArray:
-    """Return the poles in rad/s by which a shift of `step_s` turns a space (L, P), those at zero left out."""
+    """Return the non-zero poles in rad/s of a space under a shift.
+
+    The space is (L, P), the shift `step_s`.
+    """
     turns = np.linalg.eigvals(np.linalg.lstsq(space[:-1], space[1:], rcond=None)[0]).astype(np.complex128)
     return np.asarray(np.log(turns[np.abs(turns) > 1e-6]) / step_s)
 
@@ -33,8 +36,8 @@ def matrix_pencil(values: FloatArray, step_s: float, order: int) -> ComplexArray
 def instrumental_variables(values: FloatArray, step_s: float, order: int) -> ComplexArray:
     """Return poles (≤ order,) in rad/s of an autoregression, older samples as instruments.
 
-    White noise of the output biases y(k) = Σ a_i y(k - i) fitted by least squares; samples older than all of these
-    share no noise with them, and as many older ones as three times the order make the equations.
+    White noise of the output biases the least squares of y(k) = Σ a_i y(k - i). Older samples have independent noise.
+    Three times the order of them make the equations.
     """
     more = 3 * order
     windows = np.lib.stride_tricks.sliding_window_view(values, more + order + 1)
@@ -44,17 +47,18 @@ def instrumental_variables(values: FloatArray, step_s: float, order: int) -> Com
     return np.asarray(np.log(turns[np.abs(turns) > 1e-6]) / step_s)
 
 
-# One output that rings: as many modes as stand out of its noise.
+# One ringing output: all modes above its noise.
 
-_LINE = 6.0  # noise levels that a line of the spectrum must stand above
-_SMALL = 3e-3  # share of the highest line below which others are left out
-_MODES = 3
+_LINE = 6.0  # smallest height of a spectral line, in noise levels
+_SMALL = 3e-3  # share of the highest line below which others are ignored
+_MODES = 3  # at most
 
 
 def ringing_poles(samples: FloatArray, sample_rate_hz: float, noise: float) -> ComplexArray:
-    """Return the upper poles (M,) in rad/s of a free decay (N,) about zero, the strongest first, none where none rings.
+    """Return the upper poles (M,) in rad/s of a free decay, strongest first.
 
-    Matrix pencil of block means; the number of modes follows from the singular values above the noise.
+    The decay (N,) is about zero. Matrix pencil of block means; the number of modes is that of singular values above the
+    noise. The result is empty without ringing.
     """
     highest_hz = _highest_line(samples, sample_rate_hz, noise)
     if highest_hz is None:
@@ -63,10 +67,10 @@ def ringing_poles(samples: FloatArray, sample_rate_hz: float, noise: float) -> C
     rough = noise / np.sqrt(step_s * sample_rate_hz)
     hankel = np.lib.stride_tricks.sliding_window_view(means, len(means) // 3 + 1)
     _, size, right = np.linalg.svd(hankel, full_matrices=False)
-    # the largest singular value of a white Hankel matrix, about σ(√rows + √columns), is passed by a margin
+    # 1.5 times the largest singular value of a white Hankel matrix, about σ(√rows + √columns)
     threshold = 1.5 * rough * (np.sqrt(hankel.shape[0]) + np.sqrt(hankel.shape[1]))
-    kept = int(np.clip(np.count_nonzero(size > max(threshold, 1e-9 * size[0])), 2, 2 * _MODES))
-    poles = shift_poles(right[: kept + kept % 2].T, step_s)
+    rank = int(np.clip(np.count_nonzero(size > max(threshold, 1e-9 * size[0])), 2, 2 * _MODES))
+    poles = shift_poles(right[: rank + rank % 2].T, step_s)
     powers = np.exp(np.outer(np.arange(len(means)) * step_s, poles))
     weights = np.linalg.lstsq(powers, means.astype(np.complex128), rcond=None)[0]
     upper = (poles.imag > 0) & (np.abs(poles.imag) < 0.9 * np.pi / step_s)
@@ -75,7 +79,10 @@ def ringing_poles(samples: FloatArray, sample_rate_hz: float, noise: float) -> C
 
 
 def _highest_line(samples: FloatArray, sample_rate_hz: float, noise: float) -> float | None:
-    """Return the highest frequency at which the spectrum has a line above noise and above a share of the strongest."""
+    """Return the highest frequency of a significant spectral line.
+
+    It must be above the noise and above a share of the strongest line.
+    """
     count = len(samples)
     window = np.cos(0.5 * np.pi * np.arange(count) / count) ** 2
     size = np.abs(np.fft.rfft(samples * window))
@@ -85,17 +92,18 @@ def _highest_line(samples: FloatArray, sample_rate_hz: float, noise: float) -> f
     return float(lines[-1] * sample_rate_hz / count) if lines.size else None
 
 
-# One output, modes one by one: those of the highest peaks.
+# One output, modes of the highest peaks.
 
-_STRETCHES = 16  # stretches of the spectrum that tell their own noise
-_FLOOR = 25.0  # power of a peak over the median of the spectrum, that noise alone passes once in 10^7 lines
+_STRETCHES = 16  # parts of the spectrum with separate noise levels
+_FLOOR = 25.0  # power of a peak over the median of the spectrum; noise alone exceeds it once in 10^7 lines
 
 
 def peaks_hz(decay: FloatArray, step_s: float, count: int, local: bool = False) -> FloatArray:
-    """Return frequencies (≤ count,) in Hz of the highest peaks, above the noise, in the spectrum of a decay (N,).
+    """Return frequencies in Hz of the highest spectral peaks of a decay.
 
-    The level of its end is taken off, and a window that falls from 1 to 0 keeps the strong beginning. The noise is the
-    median of the spectrum, or where `local` that of the lines about, for noise that is not the same everywhere.
+    At most `count`, all significant; the decay has the shape (N,). The final level is subtracted, and a window that
+    falls from 1 to 0 emphasises the strong beginning. The noise is the median of the spectrum, or with `local` the
+    median of neighbouring lines, for noise that depends on frequency.
     """
     phase = 0.5 * np.pi * np.arange(len(decay)) / len(decay)
     level = float(np.average(decay, weights=np.sin(phase) ** 4 + 1e-300))
@@ -109,83 +117,90 @@ def peaks_hz(decay: FloatArray, step_s: float, count: int, local: bool = False) 
         middle = (np.arange(len(stretches)) + 0.5) * size
         floor = np.interp(np.arange(len(power)), middle, np.median(stretches, axis=1))[top]
     lines = top[(power[top] > _FLOOR * floor) & (frequency[top] > 3.0 / (len(decay) * step_s))]
-    kept: list[int] = []
+    selected: list[int] = []
     for line in lines[np.argsort(power[lines])[::-1]]:
-        if all(abs(line - other) > 4 for other in kept):
-            kept.append(int(line))
-    return np.asarray(frequency[kept[:count]])
+        if all(abs(line - other) > 4 for other in selected):
+            selected.append(int(line))
+    return np.asarray(frequency[selected[:count]])
 
 
 def decimate(decay: FloatArray, step_s: float, highest_hz: float) -> tuple[FloatArray, float]:
-    """Return means of blocks of a decay and their distance in s: eight in the period of the fastest mode."""
+    """Return block means of a decay and their distance in s.
+
+    There are eight blocks per period of the fastest mode.
+    """
     length = max(1, int(1.0 / (step_s * PER_PERIOD * highest_hz)))
     size = min(len(decay) // length, _LONGEST)
     return decay[: size * length].reshape(size, length).mean(axis=1), length * step_s
 
 
 def start_poles(offered: ComplexArray, modes: int, near_hz: FloatArray) -> ComplexArray:
-    """Return as many upper poles (M,) as asked: those next to the peaks of the spectrum, then lightly damped ones.
+    """Return `modes` upper poles (M,): those next to the spectral peaks, then lightly damped ones.
 
     A peak without a pole within 15 % of it starts at ζ = 0.02.
     """
     left = [complex(pole) for pole in offered if pole.imag > 0 and abs(pole.real) < 0.5 * abs(pole)]
-    kept = []
+    selected = []
     for omega in 2 * np.pi * near_hz[:modes]:
         nearest = min(left, key=lambda pole: abs(abs(pole) - omega), default=0j)
         fits = abs(abs(nearest) - omega) < 0.15 * omega
-        kept.append(nearest if fits else complex(omega * (-0.02 + 1j)))
-        left = [pole for pole in left if pole != kept[-1]]
+        selected.append(nearest if fits else complex(omega * (-0.02 + 1j)))
+        left = [pole for pole in left if pole != selected[-1]]
     left.sort(key=lambda pole: -pole.real / abs(pole))
-    kept += left[: modes - len(kept)]
-    kept += [kept[-1] * 1.1 ** (k + 1) for k in range(modes - len(kept))]
-    settled = [complex(-max(abs(pole.real), 1e-3 * abs(pole)), pole.imag) for pole in kept]
+    selected += left[: modes - len(selected)]
+    selected += [selected[-1] * 1.1 ** (k + 1) for k in range(modes - len(selected))]
+    settled = [complex(-max(abs(pole.real), 1e-3 * abs(pole)), pole.imag) for pole in selected]
     return np.asarray(sorted(settled, key=abs), dtype=np.complex128)
 
 
 # Many outputs of many records that share their poles.
 
-_WINDOW = 128
-_STANDS_OUT = 30.0  # noise alone reaches this density, over its mean, once in exp(30) lines
-_ABOVE_NOISE = 1.5
-_MOST = 40
-_QUICKEST = 0.4
+_WINDOW = 128  # samples, at most
+_SIGNIFICANT_DENSITY = 30.0  # density over its mean; noise alone reaches it once in exp(30) lines
+_ABOVE_NOISE = 1.5  # significant eigenvalue over that of the noise
+_MOST = 40  # dimensions of the space, at most
+_QUICKEST = 0.4  # largest damping ratio of a mode
 
 
 def highest_frequency(parts: Sequence[FloatArray], rate_hz: float) -> float:
-    """Return the highest frequency in Hz at which a record (C, N) of unit noise swings clearly above its noise."""
+    """Return the highest frequency in Hz of significant oscillation in records of unit noise.
+
+    `parts`: records (C, N).
+    """
     highest = 0.0
     for part in parts:
         window = np.hanning(part.shape[1])
         lines = np.fft.rfft((part - part.mean(axis=1, keepdims=True)) * window, axis=1)
         density = np.abs(lines) ** 2 / np.sum(window**2)
         floor = np.maximum(1.0, np.median(density[:, density.shape[1] // 2 :], axis=1, keepdims=True) / np.log(2.0))
-        clear = np.flatnonzero(np.any(density > _STANDS_OUT * floor, axis=0))
+        clear = np.flatnonzero(np.any(density > _SIGNIFICANT_DENSITY * floor, axis=0))
         highest = max(highest, float(clear[-1] if clear.size else 1) * rate_hz / part.shape[1])
     return highest
 
 
 def shared_poles(parts: Sequence[FloatArray], rate_hz: float) -> ComplexArray:
-    """Return the upper poles in rad/s of decaying records (C, N) of equal white noise that share a sampling rate.
+    """Return the common upper poles in rad/s of decaying records.
 
-    The eigenvectors of the sum of the windows' products that stand above the noise span their space.
+    Records (C, N) have equal white noise. The eigenvectors of the summed products of windows with eigenvalues above the
+    noise span the space of the poles.
     """
     length = min(_WINDOW, min(part.shape[1] for part in parts) // 2)
     gram, windows = np.zeros((length, length)), 0
     for part in parts:
-        # G[i, j] sums y(n + i)·y(n + j) over the beginnings n of windows; one place on along a diagonal it has the
-        # product behind the last window more and the one ahead of the first less
+        # G[i, j] sums y(n + i)·y(n + j) over the first samples n of windows. The next element of a diagonal contains
+        # in addition the product after the last window, and not that before the first
         count = part.shape[1] - length + 1
         head, tail = part[:, : length - 1], part[:, count:]
         gram[1:, 1:] += tail.T @ tail - head.T @ head
         gram[0] += sum(row[:count] @ np.lib.stride_tricks.sliding_window_view(row, length) for row in part)
         windows += count * len(part)
-    for place in range(1, length):
-        gram[place, place:] += gram[place - 1, place - 1 : -1]
+    for index in range(1, length):
+        gram[index, index:] += gram[index - 1, index - 1 : -1]
     gram = np.triu(gram) + np.triu(gram, 1).T
     value, vector = np.linalg.eigh(gram / windows)
     noise = float(np.median(value[: length // 2]))
     count = int(np.clip(np.count_nonzero(value > _ABOVE_NOISE * noise), 3, min(_MOST, length // 2)))
     poles = shift_poles(vector[:, -count:], 1.0 / rate_hz)
     ratio = -poles.real / np.abs(poles)
-    kept = (poles.imag > 2e-3 * rate_hz) & (poles.imag < 0.9 * np.pi * rate_hz)
-    return np.asarray(poles[kept & (ratio > 0.0) & (ratio < _QUICKEST)])
+    oscillating = (poles.imag > 2e-3 * rate_hz) & (poles.imag < 0.9 * np.pi * rate_hz)
+    return np.asarray(poles[oscillating & (ratio > 0.0) & (ratio < _QUICKEST)])

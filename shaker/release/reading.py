@@ -1,4 +1,4 @@
-"""The reading of a release: when, how long, from which level to which, what rings; and how release devices compare."""
+"""Reading of a release: times, levels and ringing; comparison of release devices."""
 
 from __future__ import annotations
 
@@ -34,14 +34,22 @@ from shaker.release.record import (
     ringing_level,
     spectrum_peaks,
 )
-from shakercal._common.notices import Notice, Severity
+from shaker.release.release_notices import (
+    FORCE_CONTRADICTS_AMPLITUDE,
+    LEVEL_DRIFT,
+    OTHER_CHANNEL_TIMES,
+    OUTPUT_AT_LIMIT,
+    RELEASE_BY_LINE,
+    RELEASE_MISFIT,
+)
+from shakercal._common.notices import Notice
 
-# Onset and length of a release with what noise, and an unknown lag behind the sensor, leave open of them.
+# Onset and length of a release with uncertainties from noise and an unknown lag behind the sensor.
 
-_NODES = 13  # lags at which everything else is fitted anew
-_FEWEST = 5
-_TIMES = 121
-_FAR, _NEAR = 10.0, 6.0  # standard deviations that the lags, and the lengths at each of them, reach
+_NODES = 13  # lags at which all other parameters are fitted
+_FEWEST = 5  # lags for an interpolation
+_TIMES = 121  # points of the integration over lags and lengths
+_FAR, _NEAR = 10.0, 6.0  # range of the lags, and of the lengths at each of them, in standard deviations
 _COVERAGE = 1.96  # half a 95 % interval over its standard uncertainty
 _LIKELY = (1.92, 3.0)  # logarithm of the likelihood below its largest: 95 % of one and of two parameters
 _DAMPER = 2.0 / np.sqrt(3.0)  # of ζ/ω: rectangular distribution of half width 2ζ/ω
@@ -49,7 +57,7 @@ _DAMPER = 2.0 / np.sqrt(3.0)  # of ζ/ω: rectangular distribution of half width
 
 @dataclass(frozen=True)
 class Interval:
-    """When a load begins to change and how long it does, in s with standard uncertainties."""
+    """Start and duration of a change of load, in s with standard uncertainties."""
 
     onset_s: float
     u_onset_s: float
@@ -58,9 +66,10 @@ class Interval:
 
 
 class _Node(NamedTuple):
-    """What a given lag leaves: squares of the residual at the best length, its square and `centre_s` there.
+    """Result of a fit at a fixed lag.
 
-    `by_square`: change of the centre with the squared length; variances of the latter and of the centre beside it.
+    `squares` of the residual at the best length, with `length2` (its square) and `centre_s`. `by_square`: change of the
+    centre with the squared length. `variance`: of the squared length; `centre_variance`: of the centre at fixed length.
     """
 
     squares: float
@@ -68,45 +77,50 @@ class _Node(NamedTuple):
     variance: float
     centre_s: float
     by_square: float
-    own: float
+    centre_variance: float
 
 
 def release_times(window: Window, fit: OnsetModel, correlation: float) -> tuple[Interval, float] | None:
-    """Return means and standard deviations of onset and length T, and the mean lag τ, of a fit to a window.
+    """Return means and standard deviations of onset and length T, and the mean lag τ.
 
-    At each lag everything else is fitted, the likelihood being normal in T²; priors are flat in T ≥ 0 and in τ from 0
-    to the lag whose corner is the lowest mode's frequency. Onset = centre - T/2 - τ. `correlation`: by how much that of
-    the residual enlarges variances. Added to the onset: an output that holds the force of the sensor's damper too,
-    (2ζs/ω + 1), comes earlier by 2ζ/ω. None where the lags cannot be told apart at all.
+    All other parameters are fitted at each lag; the likelihood is normal in T². Priors are flat in T ≥ 0 and in τ from
+    0 to the lag whose corner is the lowest mode's frequency. Onset = centre - T/2 - τ. `correlation`: factor on
+    variances for the correlation of the residual. An output that includes the force of the sensor's damper, (2ζs/ω +
+    1), is early by 2ζ/ω; this is added to the uncertainty of the onset. None if the data do not distinguish the lags.
     """
     variance = fit.squares / max(fit.rows - len(fit.vector), 1) * correlation
     lags, nodes = _nodes(window, fit, variance)
     if len(nodes) < _FEWEST:
         return None
     lag = np.linspace(lags[0], lags[-1], _TIMES)
-    squares, length2, spread, centre, by_square, own = (cubic_spline(lags, part, lag) for part in np.array(nodes).T)
-    spread, own = np.maximum(spread, 1e-300), np.maximum(own, 0.0)
+    squares, length2, spread, centre, by_square, centre_variance = (
+        cubic_spline(lags, part, lag) for part in np.array(nodes).T
+    )
+    spread, centre_variance = np.maximum(spread, 1e-300), np.maximum(centre_variance, 0.0)
     u_square = np.sqrt(spread)
     low = np.sqrt(np.maximum(length2 - _NEAR * u_square, 0.0))
     high = np.sqrt(np.maximum(length2 + _NEAR * u_square, 1e-3 * u_square))
     length = np.linspace(low, high, _TIMES, axis=1)
-    away = length**2 - length2[:, None]
-    log_weight = -0.5 * ((squares - squares.min()) / variance)[:, None] - 0.5 * away**2 / spread[:, None]
+    deviation = length**2 - length2[:, None]
+    log_weight = -0.5 * ((squares - squares.min()) / variance)[:, None] - 0.5 * deviation**2 / spread[:, None]
     weight = np.exp(log_weight - log_weight.max()) * (length[:, -1] - length[:, 0])[:, None]
     weight /= weight.sum()
-    onset = centre[:, None] + by_square[:, None] * away - 0.5 * length - lag[:, None]
+    onset = centre[:, None] + by_square[:, None] * deviation - 0.5 * length - lag[:, None]
     edges = np.concatenate([log_weight[0], log_weight[-1], log_weight[length == 0.0]])
     bounded = bool(np.any(edges > log_weight.max() - _LIKELY[0]))
     likely = log_weight > log_weight.max() - _LIKELY[int(bounded)]
     damper = _DAMPER * float(np.max(np.abs(fit.damping_ratio) / (2 * np.pi * fit.frequency_hz)))
     onset_s, u_onset_s = _moments(weight, onset, likely)
     release_s, u_release_s = _moments(weight, length, likely)
-    u_onset_s = float(np.sqrt(u_onset_s**2 + np.sum(weight * own[:, None]) + damper**2))
+    u_onset_s = float(np.sqrt(u_onset_s**2 + np.sum(weight * centre_variance[:, None]) + damper**2))
     return Interval(onset_s, u_onset_s, release_s, u_release_s), float(np.sum(weight * lag[:, None]))
 
 
 def _nodes(window: Window, fit: OnsetModel, variance: float) -> tuple[FloatArray, list[_Node]]:
-    """Return lags (L,) around that of the fit, and what each of them leaves, each started from its neighbour."""
+    """Return lags (L,) around that of the fit with their results.
+
+    Each starts from its neighbour.
+    """
     if fit.covariance is None:
         raise ValueError("fit: expected one with its covariance, found none")
     u_square = float(np.sqrt(fit.covariance[2, 2] / max(fit.squares / max(fit.rows - len(fit.vector), 1), 1e-300)))
@@ -116,68 +130,67 @@ def _nodes(window: Window, fit: OnsetModel, variance: float) -> tuple[FloatArray
     lags = np.linspace(min(low, 0.99 * high), high, _NODES)
     middle = int(np.argmin(np.abs(lags - fit.lag_s)))
     nodes: dict[int, _Node] = {}
-    for way in (range(middle, _NODES), range(middle - 1, -1, -1)):
-        here = fit
-        for place in way:
-            at_lag = _node(window, here, float(lags[place]), variance)
+    for direction in (range(middle, _NODES), range(middle - 1, -1, -1)):
+        neighbour = fit
+        for index in direction:
+            at_lag = _node(window, neighbour, float(lags[index]), variance)
             if at_lag is None:
                 break
-            nodes[place], here = at_lag
-    places = sorted(nodes)
-    return lags[places], [nodes[place] for place in places]
+            nodes[index], neighbour = at_lag
+    indices = sorted(nodes)
+    return lags[indices], [nodes[index] for index in indices]
 
 
 def _node(window: Window, near: OnsetModel, lag_s: float, variance: float) -> tuple[_Node, OnsetModel] | None:
-    """Return what a lag leaves, by one step of Gauss and Newton from a fit near by, and the fit there.
+    """Return the result at a lag from a nearby fit, and the fit.
 
-    None where the step leads out of what can be.
+    One Gauss-Newton step is taken. None if the step leaves the possible range.
     """
     square = near.release_s**2 + (near.lag_s**2 - lag_s**2) / MOMENTS[near.shape]
     start = replace(near, lag_s=lag_s, release_s=float(np.sqrt(max(square, 0.0))))
     trial = solve_amplitudes(window, start)
-    here, (normal, downhill) = trial.fit, trial.projected.normal
+    fit, (normal, downhill) = trial.fit, trial.projected.normal
     others = np.arange(len(downhill)) != 2
     scale = np.sqrt(np.maximum(np.diag(normal)[others], 1e-300))
     inverse = np.linalg.pinv(normal[np.ix_(others, others)] / np.outer(scale, scale), rcond=1e-12, hermitian=True)
     inverse = inverse / np.outer(scale, scale)
     step = inverse @ downhill[others]
     parameters = trial.parameters + np.insert(step, 2, 0.0)
-    there = bounded_parameters(window, here, parameters)
-    if there is None:
+    moved = bounded_parameters(window, fit, parameters)
+    if moved is None:
         return None
     covariance = variance * inverse
     by_square = float(covariance[0, 1] / covariance[1, 1])
     node = _Node(
-        squares=here.squares - float(downhill[others] @ step),
+        squares=fit.squares - float(downhill[others] @ step),
         length2=float(parameters[1]),
         variance=float(covariance[1, 1]),
         centre_s=float(parameters[0]),
         by_square=by_square,
-        own=max(float(covariance[0, 0] - by_square * covariance[0, 1]), 0.0),
+        centre_variance=max(float(covariance[0, 0] - by_square * covariance[0, 1]), 0.0),
     )
-    return node, there
+    return node, moved
 
 
 def _moments(weight: FloatArray, value: FloatArray, likely: BoolArray) -> tuple[float, float]:
     """Return mean and standard deviation of values under weights that sum to 1.
 
-    The standard deviation is at least what makes the 95 % interval hold every likely value: zero, where a time may be
-    zero.
+    The standard deviation is large enough for the 95 % interval to include every likely value, also a time of zero.
     """
     mean = float(np.sum(weight * value))
-    away = float(np.max(np.abs(value[likely] - mean)))
-    return mean, max(float(np.sqrt(np.sum(weight * (value - mean) ** 2))), away / _COVERAGE)
+    farthest = float(np.max(np.abs(value[likely] - mean)))
+    return mean, max(float(np.sqrt(np.sum(weight * (value - mean) ** 2))), farthest / _COVERAGE)
 
 
-# The release as a force channel measured it.
+# The release in a force channel.
 
-_LENGTHS = 3.0  # of the release on either side that the fit takes
+_LENGTHS = 3.0  # lengths of the release on either side, in the fit
 
 
 class ForceReading(NamedTuple):
-    """The load's change in N or N·m with its standard uncertainty, when it happened, and its shape.
+    """Change of the load with its standard uncertainty, time and shape.
 
-    `shape`: the better of a straight ramp and half a cosine.
+    In N or N·m. `shape`: the better of a straight ramp and half a cosine.
     """
 
     interval: Interval
@@ -187,14 +200,14 @@ class ForceReading(NamedTuple):
 
 
 def read_force(force: FloatArray, sample_rate_hz: float, start_s: float) -> ForceReading:
-    """Return what a force channel (N,), its first sample at `start_s`, shows of a release.
+    """Return the release as a force channel (N,) with first sample at `start_s` shows it.
 
     Least squares of level, change, middle and length of `load_share` around the release.
     """
-    place = locate(force)
-    length = max((place.high - place.low) / 0.8, 2.0)
-    low = max(0, int(place.low - _LENGTHS * length - 8))
-    high = min(len(force), int(place.high + _LENGTHS * length + 8))
+    location = locate(force)
+    length = max((location.high - location.low) / 0.8, 2.0)
+    low = max(0, int(location.low - _LENGTHS * length - 8))
+    high = min(len(force), int(location.high + _LENGTHS * length + 8))
     number, data = np.arange(low, high, dtype=np.float64), force[low:high, None]
 
     def at(times: FloatArray, shape: Literal["ramp", "smooth"]) -> SeparablePoint | None:
@@ -206,13 +219,13 @@ def read_force(force: FloatArray, sample_rate_hz: float, start_s: float) -> Forc
         slopes = np.stack([-rate, -rate * (number - middle) / long], axis=1)
         design = np.stack([np.ones(len(number)), share], axis=1)
 
-        def changes(own: FloatArray) -> BlockJacobian:
-            return BlockJacobian(np.arange(2), (own[1, 0] * slopes)[:, :, None])
+        def changes(coefficients: FloatArray) -> BlockJacobian:
+            return BlockJacobian(np.arange(2), (coefficients[1, 0] * slopes)[:, :, None])
 
         return SeparablePoint(times, (LinearBlock(design, data, changes),))
 
     def fitted(shape: Literal["ramp", "smooth"]) -> tuple[ForceReading, float]:
-        begin = at(np.array([0.5 * (place.low + place.high), length]), shape)
+        begin = at(np.array([0.5 * (location.low + location.high), length]), shape)
         assert begin is not None
         point = levenberg_marquardt(lambda times: at(times, shape), begin, LMOptions()).point
         part = point.solved[0]
@@ -229,21 +242,21 @@ def read_force(force: FloatArray, sample_rate_hz: float, start_s: float) -> Forc
     return min((fitted("ramp"), fitted("smooth")), key=lambda reading: reading[1])[0]
 
 
-# When the channels of a record were released, and what they ring with.
+# Times and ringing of the channels of a record.
 
-STRONG = 5.0  # change of level, over the noise of a sample, from which a channel shows the release by itself
-_NEAR_ENOUGH = 1.0  # variances of the residual that a step has to gain where a fit is no more than a start
-_ROUGH = 2.0  # of the longest ramp that the output may follow: what lag, ringing and noise make of times without a fit
+STRONG = 5.0  # change of level, over the noise of a sample, above which a channel is read separately
+_NEAR_ENOUGH = 1.0  # gain of a step in variances of the residual, for a fit that is only a start
+_ROUGH = 2.0  # uncertainty of times without a fit, over the longest plausible ramp: lag, ringing and noise
 
 
 @dataclass(frozen=True)
 class Timing(Interval):
-    """When a load changes as channel `of` shows it; `fit` is None where none describes it.
+    """Times of a load change from the output `reference_channel`; `fit` is None without a model.
 
     `misfit`: standard deviation of the fit's residual over the noise at rest.
     """
 
-    of: str
+    reference_channel: str
     lag_s: float
     rise_s: float
     u_rise_s: float
@@ -252,23 +265,23 @@ class Timing(Interval):
     misfit: float
 
 
-def places_of(record: StepRecord) -> list[Location]:
-    """Return where every channel's release is, roughly; a record without one is refused."""
+def locate_channels(record: StepRecord) -> list[Location]:
+    """Return the approximate release of every channel; a record without one is refused."""
     near = None if record.onset_s is None else round((record.onset_s - record.start_s) * record.sample_rate_hz)
-    places = [locate(samples, near) for samples in record.samples]
-    strength = max(place.strength for place in places)
+    locations = [locate(samples, near) for samples in record.samples]
+    strength = max(location.strength for location in locations)
     if strength < STRONG:
         raise ValueError(
             f"record: expected an output that changes by {STRONG:g} standard deviations of its noise or more, found "
             f"{strength:.2g} at most in {record.name}"
         )
-    return places
+    return locations
 
 
-def timing_of(record: StepRecord, channel: int, place: Location) -> Timing:
-    """Return when a channel was released; where the force was measured along, it tells begin and length."""
+def timing_of(record: StepRecord, channel: int, location: Location) -> Timing:
+    """Return the times of a channel's release; a measured force gives start and length."""
     samples, name = record.samples[channel], record.channels[channel]
-    window, found = find_onset(samples, record.sample_rate_hz, record.start_s, place)
+    window, found = find_onset(samples, record.sample_rate_hz, record.start_s, location)
     fit = found.with_covariance
     residual = (window.samples - fit.at(window.time_s))[window.time_s > fit.onset_s]
     correlation = correlation_factor(residual)
@@ -278,15 +291,15 @@ def timing_of(record: StepRecord, channel: int, place: Location) -> Timing:
     if crossing is None or times is None:
         # a straight line through 10 % and 90 %
         step_s = 1.0 / record.sample_rate_hz
-        rise_s = max(place.high - place.low, 1.0) * step_s
-        u = float(np.hypot(_ROUGH * place.longest * step_s, step_s))
-        onset_s = record.start_s + place.low * step_s - rise_s / 8.0
+        rise_s = max(location.high - location.low, 1.0) * step_s
+        u = float(np.hypot(_ROUGH * location.longest * step_s, step_s))
+        onset_s = record.start_s + location.low * step_s - rise_s / 8.0
         timing = Timing(onset_s, u, rise_s / 0.8, u, name, 0.0, rise_s, u, "ramp", None, 1.0)
     else:
         interval, lag_s = times
         shape: ReleaseShape = "step" if interval.release_s < 2.0 * interval.u_release_s else fit.shape
         block = window.step_s * record.sample_rate_hz
-        misfit = float(np.sqrt(block * np.mean(residual**2))) / max(place.noise, 1e-300)
+        misfit = float(np.sqrt(block * np.mean(residual**2))) / max(location.noise, 1e-300)
         when = interval.onset_s, interval.u_onset_s, interval.release_s, interval.u_release_s
         timing = Timing(*when, name, lag_s, *crossing, shape, fit, misfit)
     if record.force is None:
@@ -295,19 +308,36 @@ def timing_of(record: StepRecord, channel: int, place: Location) -> Timing:
     return replace(timing, **asdict(interval), shape="measured")
 
 
-# Reading of a release: when, how long, from which level to which, and what rings then.
+# Reading of a release: times, levels and ringing.
 
-_SETTLED = 8.0  # lags after the release from which the ringing is free
-_LEAST = 32  # samples of either level
-_DRIFTS = 4.0  # standard uncertainties
-_MISFIT = 1.5
+_SETTLED = 8.0  # lags after the release; exp(-8) of the lag's response remains
+_LEAST = 32  # samples of either level, at least
+_DRIFTS = 4.0  # significant drift, in standard uncertainties
+_MISFIT = 1.5  # residual over the noise at rest above which a notice is given
 
 
 def read_release(record: StepRecord, channel: str) -> ReleaseReading:
-    """Return what one channel of a record shows of its release.
+    """Read the release that one channel of a record shows.
 
-    A channel whose level hardly changes is read at the times of the one that changes most.
+    A channel whose level hardly changes is read at the times of the channel with the largest change.
 
+    Parameters
+    ----------
+    record
+        outputs during one release
+    channel
+        name of the output
+
+    Returns
+    -------
+    ReleaseReading : times, levels, static gain, noise and spectral peaks, with standard uncertainties
+
+    Raises
+    ------
+    ValueError : unknown channel, no change of level, or too few samples before or after the release
+
+    Examples
+    --------
     >>> import numpy as np
     >>> from shaker import StepRecord, read_release
     >>> time_s, noise = np.arange(4000) / 10e3 - 0.05, 1e-3 * np.random.default_rng(0).normal(size=4000)
@@ -320,36 +350,36 @@ def read_release(record: StepRecord, channel: str) -> ReleaseReading:
     """
     if channel not in record.channels:
         raise ValueError(f"channel: expected one of {', '.join(record.channels)}, found {channel!r}")
-    places = places_of(record)
-    own = record.channels.index(channel)
-    timed = own if places[own].strength >= STRONG else _strongest(places)
-    return _reading(record, own, places[own], timing_of(record, timed, places[timed]))
+    locations = locate_channels(record)
+    index = record.channels.index(channel)
+    timed = index if locations[index].strength >= STRONG else _strongest(locations)
+    return _reading(record, index, locations[index], timing_of(record, timed, locations[timed]))
 
 
 def initial_release(record: StepRecord) -> tuple[float, float, ReleaseShape]:
-    """Return middle and length in s of a release and its shape, to start a fit from: one without a lag.
+    """Return middle, length and shape of a release, to start a fit.
 
-    The force shows it where that was measured along, else the channel whose level changes most over its noise. What a
-    lag behind the sensor does to first and second order is a later and longer release: of a fitted one the middle is
-    that much later, and its second moment adds to the release's.
+    Times in s, without a lag. They are from a measured force, else from the channel with the largest change of level
+    over its noise. To second order a lag behind the sensor acts like a later and longer release: the middle of the
+    fitted release is later by the lag, and its second moment adds to the release's.
     """
-    places = places_of(record)
+    locations = locate_channels(record)
     shape: ReleaseShape
     if record.force is not None:
         interval, _, _, shape = read_force(record.force, record.sample_rate_hz, record.start_s)
         middle_s, length_s = interval.onset_s + 0.5 * interval.release_s, interval.release_s
     else:
-        own, rate = _strongest(places), record.sample_rate_hz
-        fit = find_onset(record.samples[own], rate, record.start_s, places[own], _NEAR_ENOUGH)[1].fit
+        index, rate = _strongest(locations), record.sample_rate_hz
+        fit = find_onset(record.samples[index], rate, record.start_s, locations[index], _NEAR_ENOUGH)[1].fit
         middle_s, shape = fit.centre_s, fit.shape
         length_s = float(np.sqrt(fit.release_s**2 + fit.lag_s**2 / MOMENTS[shape]))
     ends = (middle_s + length_s * np.array([-0.5, 0.5]) - record.start_s) * record.sample_rate_hz
-    _check_room(record, float(ends[0]), float(ends[1]) + 1.0)
+    _check_length(record, float(ends[0]), float(ends[1]) + 1.0)
     return middle_s, length_s, shape
 
 
-def _check_room(record: StepRecord, rests_to: float, rings_from: float) -> None:
-    """Refuse a record with too few samples before the onset or after the release, which are at such samples."""
+def _check_length(record: StepRecord, rests_to: float, rings_from: float) -> None:
+    """Refuse a record with too few samples before the onset or after the release."""
     count = record.samples.shape[1]
     if rests_to < _LEAST or rings_from > count - _LEAST:
         raise ValueError(
@@ -359,34 +389,36 @@ def _check_room(record: StepRecord, rests_to: float, rings_from: float) -> None:
 
 
 def read_releases(record: StepRecord) -> tuple[ReleaseReading, ...]:
-    """Return what every channel of a record shows of its release, as `read_release`."""
-    places = places_of(record)
-    strongest = _strongest(places)
-    common = timing_of(record, strongest, places[strongest])
+    """Return the readings of all channels of a record, as `read_release`."""
+    locations = locate_channels(record)
+    strongest = _strongest(locations)
+    common = timing_of(record, strongest, locations[strongest])
     readings = []
-    for channel, place in enumerate(places):
-        by_itself = place.strength >= STRONG and channel != strongest
-        readings.append(_reading(record, channel, place, timing_of(record, channel, place) if by_itself else common))
+    for channel, location in enumerate(locations):
+        by_itself = location.strength >= STRONG and channel != strongest
+        readings.append(
+            _reading(record, channel, location, timing_of(record, channel, location) if by_itself else common)
+        )
     return tuple(readings)
 
 
-def _strongest(places: list[Location]) -> int:
-    """Return the channel whose level changes most, over its noise."""
-    return int(np.argmax([place.strength for place in places]))
+def _strongest(locations: list[Location]) -> int:
+    """Return the channel with the largest change of level over its noise."""
+    return int(np.argmax([location.strength for location in locations]))
 
 
-def _reading(record: StepRecord, channel: int, place: Location, timing: Timing) -> ReleaseReading:
-    """Return the reading of a channel at known times."""
+def _reading(record: StepRecord, channel: int, location: Location, timing: Timing) -> ReleaseReading:
+    """Return the reading of a channel at given times."""
     samples, rate = record.samples[channel], record.sample_rate_hz
     rests_to = (timing.onset_s - 2.0 * timing.u_onset_s - record.start_s) * rate
     end_s = timing.onset_s + timing.release_s + 2.0 * timing.u_release_s + _SETTLED * timing.lag_s
     rings_from = (end_s - record.start_s) * rate + 1.0
-    _check_room(record, rests_to, rings_from)
+    _check_length(record, rests_to, rings_from)
     poles, after = np.zeros(0, dtype=np.complex128), int(np.ceil(rings_from))
     if timing.fit is not None:
         poles = np.asarray(timing.fit.poles[: len(timing.fit.frequency_hz)] / rate)
-    baseline = ringing_level(samples[: int(rests_to)], poles[:0], place.resolution)
-    steady = ringing_level(samples[after:], poles, place.resolution)
+    baseline = ringing_level(samples[: int(rests_to)], poles[:0], location.resolution)
+    steady = ringing_level(samples[after:], poles, location.resolution)
     change = steady.value - baseline.value
     gain = change / record.amplitude
     u_gain = np.hypot(np.hypot(baseline.u, steady.u) / record.amplitude, gain * record.u_amplitude)
@@ -411,7 +443,7 @@ def _reading(record: StepRecord, channel: int, place: Location, timing: Timing) 
         static_gain=gain,
         u_static_gain=float(u_gain),
         noise=baseline.noise,
-        clipped=any(cut_run(side, place.resolution, baseline.noise) for side in (samples, -samples)),
+        clipped=any(cut_run(side, location.resolution, baseline.noise) for side in (samples, -samples)),
         peaks=spectrum_peaks(samples[after:] - steady.value, rate, baseline.noise),
     )
     return replace(reading, notices=_remarks(record, reading, timing, (baseline, steady)))
@@ -420,45 +452,39 @@ def _reading(record: StepRecord, channel: int, place: Location, timing: Timing) 
 def _remarks(
     record: StepRecord, reading: ReleaseReading, timing: Timing, levels: tuple[Level, Level]
 ) -> tuple[Notice, ...]:
-    """Return what the user should know of a reading."""
-    told: list[tuple[Severity, str]] = []
-    strength = abs(reading.steady - reading.baseline) / reading.noise
+    """Return the notices of a reading."""
+    where, notices = reading.channel, list[Notice]()
     if reading.clipped:
-        told.append(("warning", "the output stands at its limit: the record is cut, its peaks and poles are wrong"))
-    if timing.of != reading.channel:
-        text = f"changes by {strength:.2g} standard deviations of its noise: read at the times of {timing.of}"
-        told.append(("note", text))
+        notices.append(Notice(OUTPUT_AT_LIMIT, where))
+    if timing.reference_channel != reading.channel:
+        strength = abs(reading.steady - reading.baseline) / reading.noise
+        notices.append(Notice(OTHER_CHANNEL_TIMES, where, strength=strength, channel=timing.reference_channel))
     elif timing.fit is None:
-        text = "modes behind a lag do not describe the release: onset and length by a straight line from 10 % to 90 %"
-        told.append(("warning", text))
+        notices.append(Notice(RELEASE_BY_LINE, where))
     elif timing.misfit > _MISFIT:
-        text = (
-            f"modes that start together behind one lag leave {timing.misfit:.3g} times the noise at rest around the "
-            "release: onset and length are less certain than stated"
-        )
-        told.append(("warning", text))
-    for level, name in zip(levels, ("before the release", "after the ringing"), strict=True):
+        notices.append(Notice(RELEASE_MISFIT, where, factor=timing.misfit))
+    for level, stage in zip(levels, ("before the release", "after the ringing"), strict=True):
         if abs(level.drift_over_u) > _DRIFTS:
             share = level.drift / (reading.steady - reading.baseline)
-            told.append(("warning", f"the level {name} drifts by {share:.2g} of the change over its samples"))
+            notices.append(Notice(LEVEL_DRIFT, where, stage=stage, share=share))
     if record.force is not None:
         force = read_force(record.force, record.sample_rate_hz, record.start_s)
         u = float(np.hypot(force.u_change, record.u_amplitude * record.amplitude))
         if abs(force.change - record.amplitude) >= max(3.0 * u, 0.01 * abs(record.amplitude)):
-            text = f"the force changes by {force.change:.5g}, stated are {record.amplitude:.5g}"
-            told.append(("warning", f"{text}: the gain is over the stated one"))
-    return tuple(Notice(severity, text, reading.channel) for severity, text in told)
+            measured, stated = force.change, record.amplitude
+            notices.append(Notice(FORCE_CONTRADICTS_AMPLITUDE, where, measured=measured, stated=stated))
+    return tuple(notices)
 
 
-# Comparison of what lets go: which release is fastest, and which repeats best.
+# Comparison of release devices: rise time and repeatability.
 
 
 @dataclass(frozen=True)
 class RepeatedMean:
-    """Mean of one quantity over releases with its standard uncertainty, and the standard deviation of a single one.
+    """Mean of one quantity over releases, and the standard deviation of a single release.
 
-    `u_mean` has `dof` degrees of freedom: infinite where the readings' own uncertainties are all that is known of one
-    release, whose `repeatability` is NaN. `u_repeatability` is s/√(2(n - 1)).
+    `u_mean` has `dof` degrees of freedom. They are infinite if only the readings' uncertainties are available;
+    `repeatability` of a single release is NaN. `u_repeatability` is s/√(2(n - 1)).
     """
 
     mean: float
@@ -470,10 +496,10 @@ class RepeatedMean:
 
 @dataclass(frozen=True)
 class ReleaseKind:
-    """Releases by one means, `release`: how many, their rise time and the length of the release in s.
+    """Releases by one device, `release`: their number, rise time and length in s.
 
-    `rank` 1 has the shortest rise time. `faster`: probability that it rises faster than the next rank does, from
-    Welch's t; NaN of the last one and where one release alone does not tell how it repeats.
+    `rank` 1 has the shortest rise time. `faster`: probability of a shorter rise time than the next rank, from Welch's
+    t. It is NaN for the last rank and for a single release without repeatability.
     """
 
     release: str
@@ -486,15 +512,17 @@ class ReleaseKind:
 
 def compare_releases(readings: Sequence[ReleaseReading]) -> tuple[ReleaseKind, ...]:
     """Return the kinds of release among readings of one output and one component, by rank."""
-    places = {(reading.channel, reading.component) for reading in readings}
-    if len(places) != 1:
-        told = ", ".join(f"{channel} under {component}" for channel, component in sorted(places)) or "none"
-        raise ValueError(f"readings: expected those of one output under one component, found {told}")
+    outputs = {(reading.channel, reading.component) for reading in readings}
+    if len(outputs) != 1:
+        found = ", ".join(f"{channel} under {component}" for channel, component in sorted(outputs)) or "none"
+        raise ValueError(f"readings: expected those of one output under one component, found {found}")
     kinds = []
     for name in dict.fromkeys(reading.release for reading in readings):
-        own = [reading for reading in readings if reading.release == name]
-        rise = _spread([r.rise_s for r in own], [r.u_rise_s for r in own])
-        kinds.append((name, len(own), rise, _spread([r.release_s for r in own], [r.u_release_s for r in own])))
+        members = [reading for reading in readings if reading.release == name]
+        rise = _spread([r.rise_s for r in members], [r.u_rise_s for r in members])
+        kinds.append(
+            (name, len(members), rise, _spread([r.release_s for r in members], [r.u_release_s for r in members]))
+        )
     kinds.sort(key=lambda kind: kind[2].mean)
     faster = [*(_faster(one[2], other[2]) for one, other in pairwise(kinds)), np.nan]
     ranked = enumerate(zip(kinds, faster, strict=True), 1)
@@ -502,20 +530,22 @@ def compare_releases(readings: Sequence[ReleaseReading]) -> tuple[ReleaseKind, .
 
 
 def _spread(values: Sequence[float], u: Sequence[float]) -> RepeatedMean:
-    """Return mean and scatter of values; the mean is no better known than the values' own uncertainties allow."""
+    """Return mean and scatter of values; `u_mean` is at least that of the values' uncertainties."""
     value: FloatArray = np.asarray(values, dtype=np.float64)
     count = len(value)
-    own = float(np.sqrt(np.sum(np.square(u)))) / count
+    u_readings = float(np.sqrt(np.sum(np.square(u)))) / count
     if count == 1:
-        return RepeatedMean(float(value[0]), own, np.nan, np.nan, np.inf)
+        return RepeatedMean(float(value[0]), u_readings, np.nan, np.nan, np.inf)
     scatter = float(np.std(value, ddof=1))
     u_mean = scatter / np.sqrt(count)
-    dof = float(count - 1) if u_mean >= own else np.inf
-    return RepeatedMean(float(value.mean()), max(u_mean, own), scatter, scatter / np.sqrt(2.0 * (count - 1)), dof)
+    dof = float(count - 1) if u_mean >= u_readings else np.inf
+    return RepeatedMean(
+        float(value.mean()), max(u_mean, u_readings), scatter, scatter / np.sqrt(2.0 * (count - 1)), dof
+    )
 
 
 def _faster(one: RepeatedMean, other: RepeatedMean) -> float:
-    """Return the probability that one mean is below another (Welch 1947), NaN where one release has no scatter."""
+    """Return the probability that one mean is below another (Welch 1947), NaN without scatter."""
     from scipy.special import stdtr
 
     if np.isnan(one.repeatability) or np.isnan(other.repeatability):

@@ -1,4 +1,4 @@
-"""The record of a release: where it is, its levels, peaks and ringing."""
+"""Record of a release: location, levels, peaks and ringing."""
 
 from __future__ import annotations
 
@@ -16,13 +16,25 @@ from shakercal._common.notices import Notice
 
 @dataclass(frozen=True)
 class StepRecord:
-    """Outputs of a sensor while a load is put on or taken off at once.
+    """Outputs of a sensor while a load is suddenly applied or removed.
 
-    `samples` (C, N) of the outputs `channels` (C,) in `unit`, at `sample_rate_hz`; sample n is at `start_s` + n/rate.
-    `component` (Fx … Mz) changes by `amplitude`, signed, in N or N·m, with relative standard uncertainty `u_amplitude`.
-    `force` (N,): the load measured along, in N or N·m, None where it was not. `onset_s`: when the release begins, where
-    it is stated. `release`: what let go, such as "fishing line", or "". `name` is for messages.
+    Attributes
+    ----------
+    name : of the record, for messages
+    channels : names of C outputs
+    unit : of the outputs
+    samples : (C, N) outputs
+    sample_rate_hz : Hz, above 0
+    component : load component that changes, Fx … Mz
+    amplitude : signed change of the load, N or N·m, not 0
+    u_amplitude : relative standard uncertainty of `amplitude`, default 0
+    start_s : time of the first sample, s, default 0
+    force : (N,) measured load, N or N·m, default None
+    onset_s : stated start of the release, s, default None
+    release : release device, such as "fishing line", default ""
 
+    Examples
+    --------
     >>> import numpy as np
     >>> from shaker import StepRecord
     >>> StepRecord("line 1", ("Fz",), "V", np.zeros((1, 4000)), 10e3, "Fz", -20.0)
@@ -62,16 +74,19 @@ class StepRecord:
         return np.asarray(self.start_s + np.arange(self.samples.shape[1]) / self.sample_rate_hz)
 
 
-# What a record shows of its release before any model is identified.
+# Reading of a record before a model is identified.
 
 ReleaseShape = Literal["step", "ramp", "smooth", "measured"]
-"""How the load goes: at once, along a straight line, along half a cosine, or as the force channel shows."""
+"""Time course of a load: at once, linear, along half a cosine, or as the force channel shows."""
 
 
 @dataclass(frozen=True)
 class SpectrumPeak:
-    """A peak of the response's amplitude spectrum: frequency with standard uncertainty in Hz, and amplitude over that
-    of the highest peak (`share`) with its standard uncertainty."""
+    """A peak of the amplitude spectrum of the response.
+
+    Frequency with standard uncertainty in Hz; amplitude over that of the highest peak (`share`) with its standard
+    uncertainty.
+    """
 
     frequency_hz: float
     u_frequency_hz: float
@@ -81,13 +96,14 @@ class SpectrumPeak:
 
 @dataclass(frozen=True)
 class ReleaseReading:
-    """One release as one output shows it; times in s of the record's clock, levels in the output's `unit`.
+    """One release as one output shows it.
 
-    `onset_s`: when the load begins to change, `release_s`: how long it changes, `shape`: how; all with standard
-    uncertainties `u_…`. `baseline`, `steady`: output before and long after; `sign` of their difference. `rise_s`: from
-    10 % to 90 % of it. `static_gain`: (steady - baseline)/amplitude, in output unit per N or N·m. `noise`: standard
-    deviation of a sample. `clipped`: whether the output ran into its limit. `peaks`: first and second of the spectrum.
-    `record`, `release`: names of the record and of what let go.
+    Times in s of the record's clock, levels in `unit`. `onset_s`: start of the change of load, `release_s`: its
+    duration, `shape`: its time course, with standard uncertainties `u_…`. `baseline`, `steady`: output before and long
+    after the release; `sign` of their difference; `rise_s`: from 10 % to 90 % of it. `static_gain`: (steady -
+    baseline)/amplitude, in output unit per N or N·m. `noise`: standard deviation of a sample. `clipped`: whether the
+    output reached its limit. `peaks`: first and second of the spectrum. `record`, `release`: names of the record and
+    the release device.
     """
 
     record: str
@@ -115,20 +131,21 @@ class ReleaseReading:
     notices: tuple[Notice, ...] = ()
 
 
-# Where in a record the release is, found without a model.
+# Location of the release in a record, without a model.
 
-_FIRST = 0.005  # share of the record that is taken for rest before the release is looked for
-_LAST = 0.2  # share of what follows the release from which the new level is read
-_MOTION = 5.0  # standard deviations that a sample must leave the baseline by
-_RUN = 3  # samples in a row that must have passed a level
-_GUARD = 0.9  # share of the rest before the first motion that is free of it beyond doubt
+_FIRST = 0.005  # share of the record that is at rest in the first step of the search
+_LAST = 0.2  # share of the samples after the release that give the new level
+_MOTION = 5.0  # significant deviation of a sample from the baseline, in standard deviations
+_RUN = 3  # successive samples beyond a level
+_GUARD = 0.9  # share of the samples before the first motion that are certainly at rest
 
 
 @dataclass(frozen=True)
 class Location:
-    """Rough place of a release: sample of the first motion above the noise, and levels with the samples' noise.
+    """Approximate location of a release, and levels with the noise of the samples.
 
-    `low`, `high`: where the output first passes 10 % and 90 % of the change, in samples with fractions.
+    `first`: sample of the first motion above the noise. `low`, `high`: first passage of 10 % and 90 % of the change, in
+    fractional samples.
     """
 
     first: int
@@ -146,15 +163,18 @@ class Location:
 
     @property
     def longest(self) -> float:
-        """Length in samples of a ramp that the output follows from 10 % to 90 %, more where noise hides its begin."""
+        """Length in samples of the longest plausible ramp.
+
+        The output rises as fast; it is longer if noise hides the start.
+        """
         seen = max(0.9 - max(0.1, _MOTION / max(self.strength, 1e-300)), 0.2)
         return max(self.high - self.low, 2.0) * 0.8 / seen**2
 
 
 def locate(samples: FloatArray, near: int | None = None) -> Location:
-    """Return where samples (N,) begin to change and where to; `near`: the sample where that is stated to happen.
+    """Return the location of the change of samples (N,); `near`: its stated sample.
 
-    The first motion is the last sample within five standard deviations of the baseline ahead of the half-way point.
+    The first motion follows the last sample within five standard deviations of the baseline before the half-way point.
     """
     count = len(samples)
     if count < 64:
@@ -180,9 +200,9 @@ def locate(samples: FloatArray, near: int | None = None) -> Location:
 
 
 def _passing(samples: FloatArray, baseline: float, steady: float, share: float, start: int) -> float:
-    """Return where samples first pass a share of the change after `start`, between samples by a straight line.
+    """Return the first passage of a share of the change after `start`, linear between samples.
 
-    So many samples in a row must have passed that noise does not.
+    Several successive samples must have passed, so that noise does not count.
     """
     change = steady - baseline
     relative = (samples[start:] - baseline) / change if change else np.zeros(len(samples) - start)
@@ -190,19 +210,21 @@ def _passing(samples: FloatArray, baseline: float, steady: float, share: float, 
     above = np.flatnonzero(runs[: len(relative)] >= _RUN)
     if not above.size:
         return float(len(samples) - 1)
-    place = int(above[0])
-    if place == 0:
+    index = int(above[0])
+    if index == 0:
         return float(start)
-    return start + place - 1 + float((share - relative[place - 1]) / (relative[place] - relative[place - 1]))
+    return start + index - 1 + float((share - relative[index - 1]) / (relative[index] - relative[index - 1]))
 
 
-# Levels before and after a release, and whether the record holds all of it.
+# Levels before and after a release, and noise.
 
 
 @dataclass(frozen=True)
 class Level:
-    """A level with standard uncertainty, the standard deviation of the samples about it (and about what rings), and
-    how much it drifts over the samples, over the standard uncertainty of that (`drift`)."""
+    """A level with standard uncertainty, noise of the samples about it, and drift.
+
+    `drift`: over the samples; `drift_over_u`: over its standard uncertainty.
+    """
 
     value: float
     u: float
@@ -212,15 +234,16 @@ class Level:
 
 
 def ringing_level(samples: FloatArray, poles: ComplexArray, resolution: float) -> Level:
-    """Return the level about which samples (N,) ring, by least squares with decays of upper poles (M,) per sample.
+    """Return the level of ringing samples (N,) by least squares.
 
-    Without poles it is the mean at rest. The uncertainty holds the correlation of what is left, the last digit, and by
-    how much slow noise may be off at the end, where the release is.
+    Decays of upper poles (M,) are fitted together with the level. Poles are per sample; without poles the level is the
+    mean at rest. The uncertainty includes the correlation of the residual, the last digit, and the deviation of slow
+    noise at the end of the samples that is next to the release.
     """
     count = len(samples)
-    place = np.arange(count, dtype=np.float64)
-    decays = np.exp(np.outer(place, poles))
-    middle = (place - place.mean()) / count
+    number = np.arange(count, dtype=np.float64)
+    decays = np.exp(np.outer(number, poles))
+    middle = (number - number.mean()) / count
     columns = np.concatenate([np.ones((count, 1)), decays.real, decays.imag], axis=1)
     value, u, residual = _fitted(columns, samples, 0)
     drift, u_drift, _ = _fitted(np.concatenate([columns, middle[:, None]], axis=1), samples, columns.shape[1])
@@ -233,24 +256,24 @@ def ringing_level(samples: FloatArray, poles: ComplexArray, resolution: float) -
     return Level(value, float(np.hypot(u, digit)), max(noise, least), drift, drift / max(u_drift, digit, 1e-300))
 
 
-def _fitted(columns: FloatArray, samples: FloatArray, wanted: int) -> tuple[float, float, FloatArray]:
+def _fitted(columns: FloatArray, samples: FloatArray, column: int) -> tuple[float, float, FloatArray]:
     """Return one coefficient with standard uncertainty, and the residual (N,)."""
     size = np.maximum(np.linalg.norm(columns, axis=0), 1e-300)
     inverse = np.linalg.pinv((columns / size).T @ (columns / size), rcond=1e-12, hermitian=True)
     linear = inverse @ ((columns / size).T @ samples)
     residual = samples - (columns / size) @ linear
     variance = float(residual @ residual) / max(len(samples) - columns.shape[1], 1) * correlation_factor(residual)
-    u = float(np.sqrt(variance * inverse[wanted, wanted]) / size[wanted])
-    return float(linear[wanted] / size[wanted]), u, residual
+    u = float(np.sqrt(variance * inverse[column, column]) / size[column])
+    return float(linear[column] / size[column]), u, residual
 
 
-TESTED_LAGS = 40  # lags that a residual is tested for correlation at
-_WHITE = 73.4  # largest sum of N·r² over forty lags that white noise passes 999 times in 1000
-_SLOW = 20  # half periods over a record up to which noise counts as slow
+TESTED_LAGS = 40  # lags of the test of a residual for correlation
+_WHITE = 73.4  # 99.9 % quantile of the sum of N·r² over 40 lags for white noise: χ² of 40
+_SLOW = 20  # half periods per record of the fastest slow noise
 
 
 def is_white(residual: FloatArray) -> bool:
-    """Tell whether a residual (N,) passes as white noise; one of zeros does."""
+    """Return whether a residual (N,) passes as white noise; one of zeros does."""
     correlation = np.fft.irfft(np.abs(np.fft.rfft(residual, 2 * len(residual))) ** 2)[: TESTED_LAGS + 1]
     return not np.any(residual) or bool(len(residual) * np.sum((correlation[1:] / correlation[0]) ** 2) < _WHITE)
 
@@ -258,12 +281,12 @@ def is_white(residual: FloatArray) -> bool:
 def slow_noise(
     columns: FloatArray, residual: FloatArray, gain: FloatArray, variance: float
 ) -> tuple[FloatArray, FloatArray]:
-    """Return variances (S,) of drift, hum and 1/f noise, and what they make of a fit's coefficients (K, S).
+    """Return variances (S,) of slow noise, and their effect on a fit.
 
-    A correlation over lags tells little of what is as slow as the record. Of the cosines of 1, 2, … half periods over
-    it, fitted to the residual (N,) one by one beside the columns (N, K), each has the variance that those up to an
-    octave above it show beyond white noise of a `variance`, as the fit takes up most of the slowest itself; `gain`
-    (K, N): coefficients from samples.
+    Slow noise is drift, hum and 1/f noise; the effect on the coefficients is (K, S). A correlation over lags hardly
+    shows noise as slow as the record. Cosines of 1, 2, … half periods over it are fitted to the residual (N,) one by
+    one, orthogonal to the columns (N, K). Each has the variance that cosines up to an octave above it show beyond white
+    noise of a `variance`, because the fit absorbs most of the slowest itself. `gain` (K, N): coefficients from samples.
     """
     count = len(residual)
     wave = np.cos(np.pi * np.arange(1, 2 * _SLOW + 1) * (np.arange(count)[:, None] + 0.5) / count)
@@ -278,10 +301,9 @@ def slow_noise(
 
 
 def correlation_factor(residual: FloatArray) -> float:
-    """Return by how much correlation enlarges the variance of a mean over that of white noise, at least 1.
+    """Return the factor by which correlation enlarges the variance of a mean, at least 1.
 
-    1 + 2Σρ over lags until a pair of neighbouring ones no longer sums to more than its scatter (Geyer, Stat. Sci. 7,
-    1992).
+    1 + 2Σρ over lags until the sum of two neighbouring ones is within its scatter (Geyer, Stat. Sci. 7, 1992).
     """
     count = len(residual)
     centred = residual - residual.mean()
@@ -295,20 +317,20 @@ def correlation_factor(residual: FloatArray) -> float:
     return max(1.0, 1.0 + 2.0 * total)
 
 
-# The spectrum of a response: its first and second peak.
+# Spectrum of a response with its first and second peak.
 
-_LEVEL = 5.0  # noise levels that a peak must stand above
+_LEVEL = 5.0  # smallest height of a peak, in noise levels
 _PADDED = 4  # length of the transform over that of the record, at least
-_DIP = 7.0  # noise levels that the spectrum dips by between two peaks
-_SHARE = 1e-3  # of the highest peak below which others are the window's
-_REFINED = 40
+_DIP = 7.0  # smallest dip between two peaks, in noise levels
+_SHARE = 1e-3  # of the highest peak; lower ones are side lobes of the window
+_REFINED = 40  # Newton steps, at most
 
 
 def response_spectrum(ringing: FloatArray, sample_rate_hz: float) -> Spectrum:
-    """Return the one-sided amplitude spectrum of what rings (N,) about its level, in its unit.
+    """Return the one-sided amplitude spectrum of ringing samples (N,) about their level.
 
-    Weighted with half a Hann window, cos²(πn/2N), which begins with the ringing and ends it softly; a lasting sine
-    shows its amplitude.
+    The weight is half a Hann window, cos²(πn/2N), which is 1 at the start of the ringing and 0 at its end. A lasting
+    sine has its amplitude.
     """
     window, count = _window(len(ringing)), _PADDED * len(ringing)
     even = 1 << max(0, count.bit_length() - 6)  # multiples of which have no large prime factors
@@ -319,10 +341,10 @@ def response_spectrum(ringing: FloatArray, sample_rate_hz: float) -> Spectrum:
 
 
 def spectrum_peaks(ringing: FloatArray, sample_rate_hz: float, noise: float, most: int = 2) -> tuple[SpectrumPeak, ...]:
-    """Return the `most` highest peaks of `response_spectrum`, in order of frequency, found between its lines.
+    """Return the `most` highest peaks of `response_spectrum`, by frequency, between its lines.
 
-    At a maximum of |X|², X(f) = Σ w·y·exp(-j2πft), white noise of standard deviation `noise` moves the frequency by
-    -Σ n·c/(|X|²)'' with c = d(|X|²)'/dy, and the amplitude by Re(X* N)/|X|.
+    At a maximum of |X|², X(f) = Σ w·y·exp(-j2πft), white noise of standard deviation `noise` moves the frequency by -Σ
+    n·c/(|X|²)'' with c = d(|X|²)'/dy, and the amplitude by Re(X* N)/|X|.
     """
     spectrum = response_spectrum(ringing, sample_rate_hz)
     window = _window(len(ringing))
@@ -332,9 +354,9 @@ def spectrum_peaks(ringing: FloatArray, sample_rate_hz: float, noise: float, mos
     tops = tops[(tops >= 2 * _PADDED) & (size[tops] > max(_LEVEL * floor, _SHARE * size.max()))]
     order: list[int] = []
     for top in tops[np.argsort(-size[tops], kind="stable")].tolist():
-        dip = min(size[top] / 1.5, size[top] - _DIP * floor)  # what the spectrum falls below between two peaks
-        apart = all(np.min(size[min(top, other) : max(top, other) + 1]) < dip for other in order)
-        if apart and len(order) < most:
+        dip = min(size[top] / 1.5, size[top] - _DIP * floor)  # level below which the spectrum falls between two peaks
+        separated = all(np.min(size[min(top, other) : max(top, other) + 1]) < dip for other in order)
+        if separated and len(order) < most:
             order.append(top)
     weighted, near = ringing * window, spectrum.frequency_hz[order].tolist()
     refined = np.array([_refined(weighted, window, sample_rate_hz, hertz, noise) for hertz in near]).reshape(-1, 4)
@@ -349,21 +371,21 @@ def spectrum_peaks(ringing: FloatArray, sample_rate_hz: float, noise: float, mos
 def _refined(
     weighted: FloatArray, window: FloatArray, sample_rate_hz: float, near_hz: float, noise: float
 ) -> tuple[float, float, float, float]:
-    """Return frequency, its standard uncertainty, amplitude and its standard uncertainty of the maximum near a line."""
+    """Return frequency and amplitude of the maximum near a line, each with its uncertainty."""
     time_s = (np.arange(len(weighted)) - 0.5 * len(weighted)) / sample_rate_hz
     omega = 2 * np.pi * near_hz
     limit = np.pi * sample_rate_hz / (_PADDED * len(weighted))
     for _ in range(_REFINED):
-        turned = np.exp(-1j * omega * time_s)
-        x0, x1, x2 = (np.sum(weighted * turned * (-1j * time_s) ** k) for k in range(3))
+        rotation = np.exp(-1j * omega * time_s)
+        x0, x1, x2 = (np.sum(weighted * rotation * (-1j * time_s) ** k) for k in range(3))
         slope = 2.0 * float(np.real(np.conj(x0) * x1))
         curvature = 2.0 * float(np.abs(x1) ** 2 + np.real(np.conj(x0) * x2))
         move = float(np.clip(-slope / curvature, -limit, limit)) if curvature < 0 else float(np.sign(slope)) * limit
         omega += move
         if abs(move) < 1e-9 * omega:
             break
-    by_sample = 2.0 * np.real(window * turned * (np.conj(x0) * (-1j * time_s) + np.conj(x1)))
-    by_size = np.real(np.conj(x0) * window * turned) / abs(x0)
+    by_sample = 2.0 * np.real(window * rotation * (np.conj(x0) * (-1j * time_s) + np.conj(x1)))
+    by_size = np.real(np.conj(x0) * window * rotation) / abs(x0)
     scale = 2.0 / window.sum()
     u_omega = noise * float(np.linalg.norm(by_sample)) / abs(curvature)
     u_size = noise * float(np.linalg.norm(by_size)) * scale
@@ -371,5 +393,5 @@ def _refined(
 
 
 def _window(count: int) -> FloatArray:
-    """Return half a Hann window (N,) that begins at 1."""
+    """Return half a Hann window (N,) that starts at 1."""
     return np.asarray(np.cos(0.5 * np.pi * np.arange(count) / count) ** 2)

@@ -1,4 +1,4 @@
-"""Models of a step response by every method, side by side: output error, all orders at once (SIM), evolution."""
+"""Models of a step response by every method: output error, simultaneous identification (SIM), evolution."""
 
 from __future__ import annotations
 
@@ -26,9 +26,10 @@ from shaker.release.model_order import (
 from shaker.release.output_error import OutputErrorProblem, PoleStructure, fit_covariance, modal_model, solve, squares
 from shaker.release.reading import read_release
 from shaker.release.record import ReleaseReading, ReleaseShape, StepRecord
+from shaker.release.release_notices import NO_CONTINUOUS_MODEL, OUTPUT_DIVERGES, RELEASE_SHAPE_UNDETERMINED
 from shakercal._common.notices import Notice
 
-# What an identification from a step response returns, whatever the method.
+# Result of an identification from a step response, for all methods.
 
 Method = Literal["pencil", "arx", "sim", "sim_zoh", "evolution", "evolution_coefficients"]
 
@@ -37,12 +38,12 @@ Method = Literal["pencil", "arx", "sim", "sim_zoh", "evolution", "evolution_coef
 class StepFit(Brief):
     """A model of one output for one load component.
 
-    `model`: continuous, in output unit per load unit, None where the poles of `system` have no modal form; `system`:
-    the same, or what the method itself yields, at full precision; `sample_rate_hz`, `decimation`: of the samples that
-    were fitted; `fitted`, `residual` (N,) over `time_s` (N,) in output units; `onset_s`, `u_onset_s`, `release_s`,
-    `u_release_s`: begin and length of the release, taken for one of `shape`; `variance_accounted`:
-    1 - |residual|²/|y - mean|²; `convergence`: loss over iterations or generations, or over the order 1, 2, …;
-    `order`: number of poles; `duration_s`: time taken; `excess`: χ² above that of the likeliest shape.
+    `model`: continuous, in output unit per load unit; None if the poles of `system` have no modal form. `system`: the
+    same, or the system of the method itself, at full precision. `sample_rate_hz`, `decimation`: of the fitted samples.
+    `fitted`, `residual` (N,) over `time_s` (N,) in output units. `onset_s`, `u_onset_s`, `release_s`, `u_release_s`:
+    start and length of the release, whose time course is `shape`. `variance_accounted`: 1 - |residual|²/|y - mean|².
+    `convergence`: loss over iterations, generations or the order 1, 2, …. `order`: number of poles. `duration_s`:
+    computing time. `excess`: χ² above that of the likeliest shape.
     """
 
     method: Method
@@ -73,18 +74,21 @@ class StepFit(Brief):
         check_shapes(self, self.time_s.shape, "fitted", "residual")
 
 
-# A solution as what an identification returns.
+# A solution as a result.
 
 
 def as_step_fit(
     record: StepRecord, reading: ReleaseReading, found: SupportedFit, method: Method, began: float
 ) -> StepFit:
-    """Return what was found with its covariance from every sample; `began`: when the identification did."""
+    """Return a result with its covariance from every sample.
+
+    `began`: starting time of the identification.
+    """
     solution = found.solution
     value = record.samples[record.channels.index(reading.channel)]
     whole = every_sample(value, record.time_s, 1.0 / record.sample_rate_hz)
-    known = fit_covariance(solution, whole)
-    model = modal_model(solution, known.covariance, record.u_amplitude)
+    covariance = fit_covariance(solution, whole)
+    model = modal_model(solution, covariance.covariance, record.u_amplitude)
     middle, length = solution.problem.release(solution.vector)
     timed = solution.problem.load.timed
     decimation = int(solution.problem.samples.length[-1])
@@ -96,24 +100,24 @@ def as_step_fit(
         model=model,
         system=model.system,
         time_s=whole.time_s,
-        fitted=known.fitted,
-        residual=known.residual,
+        fitted=covariance.fitted,
+        residual=covariance.residual,
         sample_rate_hz=record.sample_rate_hz / decimation,
         decimation=decimation,
         order=solution.problem.structure.order,
-        variance_accounted=1.0 - float(np.sum(known.residual**2) / np.sum((value - value.mean()) ** 2)),
+        variance_accounted=1.0 - float(np.sum(covariance.residual**2) / np.sum((value - value.mean()) ** 2)),
         convergence=np.array(found.path),
         duration_s=time.perf_counter() - began,
         onset_s=middle - 0.5 * length if timed else reading.onset_s,
-        u_onset_s=known.u_onset_s if timed else reading.u_onset_s,
+        u_onset_s=covariance.u_onset_s if timed else reading.u_onset_s,
         release_s=length,
-        u_release_s=known.u_release_s,
+        u_release_s=covariance.u_release_s,
         shape=solution.problem.load.shape,
-        notices=fit_notices(record, reading, solution, model, known),
+        notices=fit_notices(record, reading, solution, model, covariance),
     )
 
 
-# A model of a sensor from the record of one release.
+# Model of a sensor from the record of one release.
 
 SHAPES = {"step": "a step", "ramp": "a ramp", "smooth": "half a cosine", "measured": "the measured force"}
 ReleaseOption = Literal["step", "ramp", "smooth", "measured"]
@@ -129,14 +133,35 @@ def fit_step(
     method: Literal["pencil", "arx"] = "pencil",
     release: ReleaseOption | None = None,
 ) -> StepFit:
-    """Return the model of one output with covariance, by output-error least squares.
+    """Fit a model of one output to one release by output-error least squares.
 
-    `reading`: what `read_release` says of this channel, read here where it is None; `modes`, `real_poles`: numbers of
-    oscillating modes and of real poles, chosen by rule where None; `release`: how the load goes, "measured" with a
-    measured force and else the likelier of a ramp and half a cosine where None; `method`: what the start comes from.
-    The covariance holds the record's noise, coloured or not, the baseline, the release, its other shape where the
-    record does not refute that, and the load's amplitude.
+    Parameters
+    ----------
+    record
+        outputs during one release
+    channel
+        name of the output
+    reading
+        result of `read_release` for this channel, default None: it is read first
+    modes, real_poles
+        numbers of oscillating modes and real poles, default None: selected by rule
+    method
+        start values from a matrix "pencil" (default) or an "arx" model
+    release
+        "step", "ramp", "smooth" or "measured"; default None: the measured force, else the likelier of ramp and half
+        cosine
 
+    Returns
+    -------
+    StepFit : the model with its covariance
+
+    Notes
+    -----
+    The covariance contains the noise of the record, coloured or white, the baseline, the release and the amplitude of
+    the load. It also contains the effect of the other shape of the release if the record does not reject it.
+
+    Examples
+    --------
     >>> import numpy as np
     >>> from shaker import StepRecord, fit_step
     >>> time_s, noise = np.arange(4000) / 10e3 - 0.05, 1e-3 * np.random.default_rng(0).normal(size=4000)
@@ -150,10 +175,13 @@ def fit_step(
     reading = reading or read_release(record, channel)
     fits = fit_shapes(record, channel, reading, modes, real_poles, method, release)
     fit = merge_alternatives(fits)
-    told = [text for other in fits[1:] if other.excess < REJECT_CHI2 and (text := describe_difference(fits[0], other))]
+    shapes = [
+        text for other in fits[1:] if other.excess < REJECT_CHI2 and (text := describe_difference(fits[0], other))
+    ]
     where = f"{record.name}, {channel}"
-    notices = [Notice("note", f"the record does not tell whether the release is {text}", where) for text in told]
-    return replace(fit, notices=(*fit.notices, *notices))
+    return replace(
+        fit, notices=(*fit.notices, *(Notice(RELEASE_SHAPE_UNDETERMINED, where, alternatives=text) for text in shapes))
+    )
 
 
 def fit_shapes(
@@ -165,9 +193,9 @@ def fit_shapes(
     method: Literal["pencil", "arx"] = "pencil",
     release: ReleaseOption | None = None,
 ) -> tuple[StepFit, ...]:
-    """Return what `fit_step` finds for each shape that the release may have, the likeliest first.
+    """Return the result of `fit_step` for each possible shape of the release, the likeliest first.
 
-    All have the same numbers of poles; none counts the others in its covariance.
+    All have the same numbers of poles. The covariance of each does not include the other shapes.
     """
     began = time.perf_counter()
     whole = every_sample(record.samples[record.channels.index(channel)], record.time_s, 1.0 / record.sample_rate_hz)
@@ -180,9 +208,9 @@ def fit_shapes(
 
 
 def merge_alternatives(fits: Sequence[StepFit], excess: float | None = None) -> StepFit:
-    """Return the first fit of `fit_shapes` with the others in its uncertainty, where they are not refuted.
+    """Return the first fit of `fit_shapes`, its uncertainty including fits that are not rejected.
 
-    `excess`: by how much χ² of another is larger, that of the record itself where None.
+    `excess`: χ² of the other fit above the first, default None: that of the record itself.
     """
     first = fits[0]
     for other in fits[1:]:
@@ -190,10 +218,10 @@ def merge_alternatives(fits: Sequence[StepFit], excess: float | None = None) -> 
         if more >= REJECT_CHI2 or first.model is None or other.model is None or first.model.covariance is None:
             continue
         far = excess_chi2_sigmas(more)
-        away = (other.model.vector - first.model.vector) / far
+        shift = (other.model.vector - first.model.vector) / far
         first = replace(
             first,
-            model=replace(first.model, covariance=first.model.covariance + np.outer(away, away)),
+            model=replace(first.model, covariance=first.model.covariance + np.outer(shift, shift)),
             u_onset_s=float(np.hypot(first.u_onset_s, (other.onset_s - first.onset_s) / far)),
             u_release_s=float(np.hypot(first.u_release_s, (other.release_s - first.release_s) / far)),
         )
@@ -201,22 +229,25 @@ def merge_alternatives(fits: Sequence[StepFit], excess: float | None = None) -> 
 
 
 def describe_difference(first: StepFit, other: StepFit) -> str:
-    """Return what it would mean for the model if the load had gone as the other fit has it; "" where that is little."""
+    """Return both release shapes with their real poles in words.
+
+    "" for a small difference.
+    """
     if first.model is None or other.model is None or first.model.covariance is None:
         return ""
-    away = np.abs(other.model.vector - first.model.vector)
-    if not np.any(away > np.sqrt(np.diag(first.model.covariance))):
+    difference = np.abs(other.model.vector - first.model.vector)
+    if not np.any(difference > np.sqrt(np.diag(first.model.covariance))):
         return ""
     shapes = [SHAPES[fit.shape] for fit in (first, other)]
     poles = [" and ".join(f"{hz:.3g}" for hz in np.sort(fit.model.real_hz)) for fit in (first, other) if fit.model]
-    of_poles = f"the real pole is {poles[0]} Hz or {poles[1]} Hz, and " if poles[0] else ""
-    return f"{shapes[0]} or {shapes[1]}: {of_poles}gains between rest and resonance depend on which; U holds both"
+    of_poles = f" (real pole at {poles[0]} Hz or {poles[1]} Hz)" if poles[0] else ""
+    return f"{shapes[0]} or {shapes[1]}{of_poles}"
 
 
 def candidate_loads(
     record: StepRecord, reading: ReleaseReading, release: ReleaseOption | None
 ) -> tuple[ReleaseLoad, ...]:
-    """Return the loads that come into question."""
+    """Return the time courses of the load that are fitted."""
     if release == "measured" or (release is None and record.force is not None):
         if record.force is None:
             raise ValueError(
@@ -232,16 +263,16 @@ def candidate_loads(
 
 # Difference equations of every order from one factorisation of the data.
 
-_BEND = 0.15  # share of the whole fall of ln J that may be left beyond the order chosen
+_BEND = 0.15  # share of the fall of ln J that may remain above the selected order
 
 
 @dataclass(frozen=True, repr=False)
 class OrderFamily(Brief):
-    """Least-squares difference equations of order 0 … n at once.
+    """Least-squares difference equations of order 0 … n from one factorisation.
 
     `triangle` (2n + 2, 2n + 2): R of the QR factorisation of the rows [u(k-n) y(k-n) … u(k-1) y(k-1) u(k) y(k)] over
-    all instants k; the interleaved order makes every leading part the data of a lower order (augmented UD
-    identification, also called simultaneous identification of order and parameters). `sample_rate_hz` of the samples.
+    all instants k, sampled at `sample_rate_hz`. In this interleaved order every leading part is the data of a lower
+    order. The method is known as augmented UD identification, or simultaneous identification of order and parameters.
     """
 
     triangle: FloatArray
@@ -256,13 +287,19 @@ class OrderFamily(Brief):
         return len(self.triangle) // 2 - 1
 
     def loss(self, direct: bool = True) -> FloatArray:
-        """Return J (n,): the sum of squared equation errors of order 1 … n, with or without a term b0·u(k)."""
+        """Return J (n,), the sum of squared equation errors of order 1 … n.
+
+        `direct`: with a term b0·u(k).
+        """
         last = 2 * np.arange(1, self.most + 1) + 1
-        own = self.triangle[last, last] ** 2
-        return np.asarray(own if direct else own + self.triangle[last - 1, last] ** 2)
+        squares = self.triangle[last, last] ** 2
+        return np.asarray(squares if direct else squares + self.triangle[last - 1, last] ** 2)
 
     def parameters(self, order: int, direct: bool = True) -> FloatArray:
-        """Return [b_n, -a_n, …, b_1, -a_1, b_0] (2·order + 1,), without b_0 where not `direct`, of one order."""
+        """Return the parameters of one order, interleaved.
+
+        [b_n, -a_n, …, b_1, -a_1, b_0] (2·order + 1,), b_0 only if `direct`.
+        """
         if not 1 <= order <= self.most:
             raise ValueError(f"order: expected 1 to {self.most}, found {order}")
         size = 2 * order + direct
@@ -271,16 +308,20 @@ class OrderFamily(Brief):
         )
 
     def system(self, order: int, direct: bool = True) -> LinearSystem:
-        """Return the difference equation y(k) = Σ b_i u(k-i) - Σ a_i y(k-i) of one order as a sampled system."""
-        own = self.parameters(order, direct)
-        load, past = own[: 2 * order : 2][::-1], own[1 : 2 * order : 2][::-1]
-        numerator = np.concatenate([own[-1:] if direct else [0.0], load])
+        """Return the difference equation of one order as a sampled system.
+
+        y(k) = Σ b_i u(k-i) - Σ a_i y(k-i).
+        """
+        parameters = self.parameters(order, direct)
+        load, past = parameters[: 2 * order : 2][::-1], parameters[1 : 2 * order : 2][::-1]
+        numerator = np.concatenate([parameters[-1:] if direct else [0.0], load])
         return LinearSystem.from_coefficients(numerator, np.concatenate([[1.0], -past]), self.sample_rate_hz)
 
     def bend(self, direct: bool = True) -> int:
-        """Return the order at which the loss bends: the first that leaves 15 % of the fall of ln J to higher ones.
+        """Return the order at the bend of the loss.
 
-        A test of significance is no help here: with noise on the output every further order lowers the loss.
+        It is the lowest order that leaves at most 15 % of the fall of ln J to higher ones. A significance test is not
+        useful: with noise on the output every additional order lowers the loss.
         """
         loss = np.log(np.maximum(self.loss(direct), 1e-300))
         left = (loss - loss.min()) / max(1e-12, loss[0] - loss.min())
@@ -288,7 +329,10 @@ class OrderFamily(Brief):
 
 
 def fit_all_orders(load: FloatArray, output: FloatArray, sample_rate_hz: float, most: int = 9) -> OrderFamily:
-    """Return the difference equations of order 0 … `most` between a load (N,) and an output (N,)."""
+    """Return the difference equations of order 0 … `most`.
+
+    Between a load (N,) and an output (N,).
+    """
     check_shape("output", output, load.shape)
     if len(load) < 4 * most + 4:
         raise ValueError(f"load: expected at least {4 * most + 4} samples for order {most}, found {len(load)}")
@@ -297,7 +341,7 @@ def fit_all_orders(load: FloatArray, output: FloatArray, sample_rate_hz: float, 
     return OrderFamily(np.asarray(np.linalg.qr(rows)[1]), sample_rate_hz)
 
 
-# Simultaneous identification of order and parameters, as the published work does it.
+# Simultaneous identification of order and parameters, as published.
 
 
 def fit_sim(
@@ -310,13 +354,13 @@ def fit_sim(
     decimation: int = 1,
     most: int = 9,
 ) -> StepFit:
-    """Return the difference equation of one output, made continuous, without covariance.
+    """Fit order and parameters of a difference equation simultaneously; return it as a continuous model.
 
-    `order`: number of poles, by the bend of the loss over order 1 … `most` where None; `conversion` to continuous
-    time: "tustin", as the published model of 100 kHz samples, or "zoh", exact for a load that holds between samples;
-    `decimation`: samples to a mean before anything else. `system.sampled(sample_rate_hz, conversion)` is the
-    difference equation. Least squares of the equation error is biased by output noise, the more the faster the
-    sampling: at 100 kHz and 40 dB a mode of ζ = 0.015 comes out with a multiple of its damping.
+    `order`: number of poles, by the bend of the loss over order 1 … `most` if None. `conversion` to continuous time:
+    "tustin" as in the published model of 100 kHz samples, or "zoh", exact for a load that is constant between samples.
+    `decimation`: samples averaged to one before the fit. `system.sampled(sample_rate_hz, conversion)` is the difference
+    equation. The result has no covariance. Output noise biases the least squares of the equation error, increasingly
+    with the sampling rate: at 100 kHz and 40 dB the damping of a mode of ζ = 0.015 is several times too large.
     """
     began = time.perf_counter()
     reading = reading or read_release(record, channel)
@@ -336,9 +380,9 @@ def difference_fit(
     signals: FloatArray,
     convergence: FloatArray,
 ) -> StepFit:
-    """Return what a difference equation makes of `constructed` signals (3, N), with its continuous system.
+    """Return the fit of a difference equation to signals (3, N) of `load_and_output`.
 
-    Where a pole has no continuous counterpart the sampled system stays, with a notice.
+    If a pole has no continuous counterpart, the sampled system is returned with a notice.
     """
     from scipy.signal import sosfilt
 
@@ -348,12 +392,12 @@ def difference_fit(
     try:
         system = sampled.continuous(conversion)
     except ValueError as error:
-        notices = (Notice("warning", f"no continuous model: {error}", where),)
+        notices = (Notice(NO_CONTINUOUS_MODEL, where, reason=str(error)),)
     notices += pole_notices(system, rate)
     with np.errstate(over="ignore", invalid="ignore"):
         fitted = np.asarray(sosfilt(sampled.sections(), load))
     if not np.all(np.isfinite(fitted)):
-        notices += (Notice("warning", "the model's output grows without bound: shown is the output's mean", where),)
+        notices += (Notice(OUTPUT_DIVERGES, where),)
         fitted = np.full_like(output, output.mean())
     with np.errstate(over="ignore"):
         accounted = 1.0 - float(np.sum((output - fitted) ** 2) / np.sum((output - output.mean()) ** 2))
@@ -382,7 +426,10 @@ def difference_fit(
 
 
 def load_and_output(record: StepRecord, reading: ReleaseReading, decimation: int) -> FloatArray:
-    """Return load, measured or a step at the onset that was read, output above its baseline, and time (3, N)."""
+    """Return load, output above its baseline, and time (3, N).
+
+    The load is the measured one, or a step at the onset that was read.
+    """
     value = record.samples[record.channels.index(reading.channel)] - reading.baseline
     load = record.amplitude * (record.time_s >= reading.onset_s) if record.force is None else record.force
     if record.force is not None:
@@ -391,7 +438,10 @@ def load_and_output(record: StepRecord, reading: ReleaseReading, decimation: int
 
 
 def modal_form(system: LinearSystem) -> ModalModel | None:
-    """Return a continuous system as a sum of modes, None where it has a direct term, double poles or is sampled."""
+    """Return a continuous system as a sum of modes, None if impossible.
+
+    This is the case with a direct term or double poles, and for a sampled system.
+    """
     if system.sample_rate_hz is not None or len(system.zeros) == len(system.poles):
         return None
     gaps = np.abs(system.poles[:, None] - system.poles) + np.diag(np.full(len(system.poles), np.inf))
@@ -409,12 +459,12 @@ def modal_form(system: LinearSystem) -> ModalModel | None:
     )
 
 
-# Differential evolution: with the published settings, and on parameters that suit the problem.
+# Differential evolution: with the published settings, and on modal parameters.
 
 POPULATION, GENERATIONS, BOUND = 100, 500, 5.0  # the published settings
-_FEWER = (30, 40)  # members and generations that three bounded parameters take
+_FEWER = (30, 40)  # members and generations for three bounded parameters
 _DAMPING = (1e-4, 0.5)
-_BLOCKS = 1000  # blocks of the record that the evolution looks at
+_BLOCKS = 1000  # blocks of the record in the evolution
 
 
 def fit_evolution(
@@ -426,12 +476,12 @@ def fit_evolution(
     parametrisation: Literal["coefficients", "modes"] = "modes",
     order: int = 3,
 ) -> StepFit:
-    """Return the model of one output by differential evolution (rand/1/bin, mutation 0.8, crossover 0.7).
+    """Fit a model of one output by differential evolution (rand/1/bin, mutation 0.8, crossover 0.7).
 
     "coefficients": as published, [b_n, a_n, …, b_1, a_1] of H(z) = Σ b z⁻ⁱ/(1 + Σ a z⁻ⁱ) within ±5, population 100, 500
-    generations, loss the squared output error; `convergence` is the best member's over the generations. "modes": fn, ζ
-    and a real pole for order 3 (fn, ζ for order 2), the numerator by linear least squares, then the default method's
-    output-error steps from the best member, which bring the covariance.
+    generations. The loss is the squared output error; `convergence` is that of the best member over the generations.
+    "modes": fn, ζ and a real pole for order 3 (fn, ζ for order 2), the numerator by linear least squares. The default
+    method then continues from the best member and gives the covariance.
     """
     from shaker.release.evolution import evolve
 
@@ -453,7 +503,7 @@ def fit_evolution(
     bounds = [(slow, fast), _DAMPING, *[(slow, edge)] * structure.reals]
 
     def losses(members: FloatArray, _: FloatArray) -> FloatArray:
-        vectors = np.insert(members, order, onset_s, axis=1)  # as many at once as the processor holds near by
+        vectors = np.insert(members, order, onset_s, axis=1)  # groups that fit the cache of the processor
         return np.concatenate([squares(problem, part)[:, -1] for part in np.array_split(vectors, _FEWER[0] // 10)])
 
     best, path = evolve(losses, bounds, rng, _FEWER)
@@ -467,11 +517,11 @@ def fit_evolution(
 def _published(
     record: StepRecord, reading: ReleaseReading, rng: np.random.Generator, order: int, began: float
 ) -> StepFit:
-    """Return the model found as published, in coefficients of the difference equation."""
+    """Return the model by the published method, in coefficients of the difference equation."""
     from shaker.release.evolution import evolve, output_errors
 
     signals = load_and_output(record, reading, 1)
-    begin = int(np.argmax(signals[0] != 0.0))  # until then no model answers
+    begin = int(np.argmax(signals[0] != 0.0))  # no model responds before it
     load, output = signals[:2, begin:]
     before = float(np.sum(signals[1, :begin] ** 2))
     bounds = [(-BOUND, BOUND)] * (2 * order)
@@ -501,8 +551,9 @@ def fit_all_methods(
 ) -> tuple[StepFit, ...]:
     """Return the fits of one output by several methods, in the order of `methods`.
 
-    All share one reading of the release. `modes` and `real_poles` are those of the two methods that take them; the
-    published ones choose their order themselves or keep the published three poles. `rng` draws the first generation.
+    All use one reading of the release. `modes` and `real_poles` apply to the two methods with these options. The
+    published methods select their order themselves or use the published three poles. `rng` samples the first
+    generation.
     """
     reading = reading or read_release(record, channel)
 
@@ -512,7 +563,7 @@ def fit_all_methods(
             return fit_step(record, channel, reading=reading, modes=modes, real_poles=real_poles, method=start)
         if method in ("sim", "sim_zoh"):
             return fit_sim(record, channel, reading=reading, conversion="tustin" if method == "sim" else "zoh")
-        own: Literal["modes", "coefficients"] = "modes" if method == "evolution" else "coefficients"
-        return fit_evolution(record, channel, rng=rng, reading=reading, parametrisation=own)
+        parametrisation: Literal["modes", "coefficients"] = "modes" if method == "evolution" else "coefficients"
+        return fit_evolution(record, channel, rng=rng, reading=reading, parametrisation=parametrisation)
 
     return tuple(map(fitted, methods))

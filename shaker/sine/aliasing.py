@@ -1,4 +1,4 @@
-"""What sampling does to lines: aliases, loss by exposure, and which sampling times can tell lines apart."""
+"""Effects of sampling on lines: aliases, exposure loss, and separable lines."""
 
 from __future__ import annotations
 
@@ -8,19 +8,20 @@ from dataclasses import dataclass
 import numpy as np
 
 from shaker.arrays import BoolArray, FloatArray, IntArray, check_shape
-from shakercal._common.notices import Notice
+from shaker.sine.sine_fit_notices import ALIASED_LINE, ALIASED_LINE_OTHER_RATE, INSEPARABLE_LINE
+from shakercal._common.notices import Notice, Value
 
 CAPTURE = 5e-3  # relative: how far a fundamental may lie from its nominal frequency, besides two bins
 _GAP = 3.0  # times the median interval: longer ones are gaps
-_MOST_GAPS, _LONGEST_GRID = 16, 1 << 22  # places of a grid: times the samples, and as many as any may have
+_MAX_GAP_RATIO, _MAX_GRID_POINTS = 16, 1 << 22  # grid points: limit relative to the samples, and in total
 GRID_TOLERANCE = 1e-2  # of a sampling interval: times this close to a grid are treated as being on it
 
 
 @dataclass(frozen=True)
 class AliasedHarmonic:
-    """A harmonic that a sampling rate folds onto another line `line_hz`: `frequency_hz` = `multiple`·`fundamental_hz`.
+    """A harmonic that aliases onto another line `line_hz`: `frequency_hz` = `multiple`·`fundamental_hz`.
 
-    `alias_hz`: where it appears.
+    `alias_hz` is the frequency at which it appears.
     """
 
     frequency_hz: float
@@ -40,11 +41,11 @@ class SamplingGrid:
 
     @property
     def length(self) -> int:
-        """Number of grid places from the first to the last sample."""
+        """Number of grid points from the first to the last sample."""
         return int(self.index[-1]) + 1
 
     def filled(self, values: FloatArray) -> FloatArray:
-        """Return values (S,) or (S, C) on all places of the grid, zero in the gaps."""
+        """Return values (S,) or (S, C) on all grid points, zero in the gaps."""
         if len(values) == self.length:
             return values
         full = np.zeros((self.length, *values.shape[1:]))
@@ -53,25 +54,34 @@ class SamplingGrid:
 
 
 def alias_frequency(frequency_hz: FloatArray | float, rate_hz: float) -> FloatArray:
-    """Return where lines appear between zero and the Nyquist frequency: |f - rate·round(f / rate)|."""
+    """Return the alias |f - rate·round(f / rate)| of lines.
+
+    It lies between zero and the Nyquist frequency.
+    """
     f = np.asarray(frequency_hz, dtype=np.float64)
     return np.asarray(np.abs(f - rate_hz * np.round(f / rate_hz)))
 
 
 def frequency_of_alias(seen_hz: FloatArray, nominal_hz: FloatArray, rate_hz: float) -> FloatArray:
-    """Return the frequencies near nominal ones that appear at `seen_hz`; one folded downwards moves the other way."""
+    """Return the frequencies near nominal ones whose aliases are `seen_hz`.
+
+    An alias from a falling branch moves opposite to its frequency.
+    """
     off = seen_hz - alias_frequency(nominal_hz, rate_hz)
     downwards = nominal_hz - rate_hz * np.floor(nominal_hz / rate_hz) > rate_hz / 2.0
     return np.asarray(nominal_hz + np.where(downwards, -off, off))
 
 
 def exposure_gain(frequency_hz: FloatArray, exposure_s: float) -> FloatArray:
-    """Return sin(πfT) / (πfT): what a rectangular exposure of T seconds leaves of a line's amplitude."""
+    """Return sin(πfT) / (πfT), the gain of a rectangular exposure of T seconds."""
     return np.asarray(np.sinc(np.asarray(frequency_hz, dtype=np.float64) * exposure_s))
 
 
 def sampling_grid(time_s: FloatArray) -> SamplingGrid | None:
-    """Return the uniform grid (with gaps) on which ascending times lie within 1 % of an interval, or None."""
+    """Return the uniform grid, with gaps, of ascending times, else None.
+
+    The limit of 1 % is relative to the sampling interval.
+    """
     check_shape("time_s", time_s, (None,))
     steps = np.diff(time_s)
     if len(time_s) < 3 or not np.all(steps > 0.0):
@@ -94,26 +104,28 @@ def sampling_grid(time_s: FloatArray) -> SamplingGrid | None:
 
 
 def nearest_grid(time_s: FloatArray, oversampling: int = 1) -> SamplingGrid | None:
-    """Return a uniform grid with each of ascending times at its nearest place; None where gaps make it far longer.
+    """Return a uniform grid with each ascending time at its nearest point.
 
-    It has so many `places` to the mean interval, gaps left out. Two samples may share a place, of which `filled` keeps
-    the later: what is read off such a grid is a spectrum to search in, never a phase.
+    `oversampling` is the number of grid points per mean interval without gaps. None where gaps make the grid far
+    longer. Two samples may share a point, of which `filled` uses the later. Use such a grid for a spectrum to search
+    in, never for a phase.
     """
     steps = np.diff(time_s)
     if len(time_s) < 3 or not np.all(steps > 0.0):
         return None
     interval = float(np.mean(steps[steps <= _GAP * float(np.median(steps))]))
-    if (time_s[-1] - time_s[0]) / interval > max(_LONGEST_GRID, _MOST_GAPS * len(time_s)):
+    if (time_s[-1] - time_s[0]) / interval > max(_MAX_GRID_POINTS, _MAX_GAP_RATIO * len(time_s)):
         return None
     interval /= oversampling
     return SamplingGrid(float(time_s[0]), 1.0 / interval, np.rint((time_s - time_s[0]) / interval).astype(np.int64))
 
 
 def sine_columns(time_s: FloatArray, frequency_hz: FloatArray) -> FloatArray:
-    """Return the design matrix (S, 2K + 1): cos and sin of each line in turn, then the offset.
+    """Return the design matrix (S, 2K + 1) of lines and offset.
 
-    Columns have unit length for ideal sampling (cos, sin by √(2/S)), so the condition number says how far the actual
-    sampling is from it; a line at zero or the Nyquist frequency keeps a vanishing column and is seen at once.
+    Its columns are cos and sin of each line in turn, then the offset. Columns have unit length for ideal sampling (cos,
+    sin by √(2/S)). The condition number therefore shows the deviation from ideal sampling. A line at zero or the
+    Nyquist frequency has a vanishing column.
     """
     samples, lines = len(time_s), len(frequency_hz)
     columns = np.empty((samples, 2 * lines + 1), order="F")
@@ -127,14 +139,20 @@ def sine_columns(time_s: FloatArray, frequency_hz: FloatArray) -> FloatArray:
 
 
 def angles(turns: FloatArray) -> FloatArray:
-    """Return angles in rad, from -π to π, of numbers of turns, in their memory: long records keep their last digits."""
+    """Return the angles in rad from -π to π of numbers of turns, in place.
+
+    Whole turns are subtracted first, which keeps the last digits in long records.
+    """
     turns -= np.rint(turns)
     turns *= 2.0 * np.pi
     return turns
 
 
 def condition_number(gram: FloatArray) -> float:
-    """Return the condition number of a design matrix from its Gram matrix XᵀX (infinite where singular)."""
+    """Return the condition number of a design matrix, infinite if singular.
+
+    The input is its Gram matrix XᵀX.
+    """
     eigenvalues = np.linalg.eigvalsh(gram)
     limit = float(eigenvalues[-1]) * len(gram) * float(np.finfo(np.float64).eps)
     return float(np.sqrt(eigenvalues[-1] / eigenvalues[0])) if eigenvalues[0] > limit else float("inf")
@@ -147,9 +165,9 @@ def find_aliased_harmonics(
     resolution_hz: float,
     max_multiple: int = 20,
 ) -> tuple[AliasedHarmonic, ...]:
-    """Return the harmonics of the fundamentals that `rate_hz` folds within `resolution_hz` of a line's alias.
+    """Return the harmonics of the fundamentals that alias within `resolution_hz` of a line's alias.
 
-    What they contain in an unfiltered record is added to the line, and no fit can take it out.
+    In an unfiltered record they add to the line, and no fit can separate them.
     """
     alias = float(alias_frequency(frequency_hz, rate_hz))
     found: dict[float, AliasedHarmonic] = {}
@@ -158,56 +176,59 @@ def find_aliased_harmonics(
             other = multiple * fundamental
             other_alias = float(alias_frequency(other, rate_hz))
             same_line = abs(other - frequency_hz) <= resolution_hz
-            known = any(abs(other - f) <= resolution_hz for f in found)
-            if abs(other_alias - alias) <= resolution_hz and not same_line and not known:
+            duplicate = any(abs(other - f) <= resolution_hz for f in found)
+            if abs(other_alias - alias) <= resolution_hz and not same_line and not duplicate:
                 found[other] = AliasedHarmonic(other, float(fundamental), multiple, other_alias, frequency_hz)
     return tuple(sorted(found.values(), key=lambda fold: fold.frequency_hz))
 
 
-# Which lines a series of sampling times can tell apart, and the nearest rate that can.
+# Lines that sampling times can separate, and the nearest rate that can.
 
 MAX_CONDITION = 10.0  # above it, the standard uncertainty of a line is several times that of well-spread sampling
 CLEAR_BINS = 1.25
 """Distance, in bins of rate/frames, of lines that are clear of each other: the condition number is then at most 3."""
-_MAX_CHANGE = 0.2  # of the rate: a cure that lies farther away is a new measurement, not a change of this one
-_RATE_STEP_HZ = 1e-3
+_MAX_CHANGE = 0.2  # of the rate: a larger change would be another measurement
+_RATE_STEP_HZ = 1e-3  # resolution of proposed camera rates
 
 
 def usable_lines(time_s: FloatArray, frequency_hz: FloatArray) -> tuple[BoolArray, tuple[Notice, ...]]:
-    """Return which lines (K,) these sampling times can tell apart, and a notice for each that is dropped.
+    """Return which lines (K,) are separable, and notices of the dropped ones.
 
-    Lines are taken in the order given (fundamentals first, please); one is dropped when, with the lines kept so far
-    and the offset, it lifts the condition number of the design matrix above `MAX_CONDITION`. The notice says what it
-    folds onto and which nearby rate would separate all the lines.
+    Lines are examined in the given order, so put fundamentals first. A line is dropped if it raises the condition
+    number of the design matrix, with the accepted lines and the offset, above `MAX_CONDITION`. The notice names the
+    line or frequency onto which it aliases, and a nearby rate that would separate all lines.
     """
     columns = sine_columns(time_s, frequency_hz)
     gram = columns.T @ columns
-    kept: list[int] = []
+    accepted: list[int] = []
     dropped: list[int] = []
     for k in range(len(frequency_hz)):
-        chosen = [i for line in [*kept, k] for i in (2 * line, 2 * line + 1)] + [-1]
+        chosen = [i for line in [*accepted, k] for i in (2 * line, 2 * line + 1)] + [-1]
         usable = condition_number(gram[np.ix_(chosen, chosen)]) <= MAX_CONDITION
-        (kept if usable else dropped).append(k)
+        (accepted if usable else dropped).append(k)
     grid = sampling_grid(time_s) if dropped else None
     lines = np.asarray(frequency_hz, dtype=np.float64)
-    notices = tuple(_dropped(grid, float(lines[k]), lines[[i for i in kept if i < k]], lines) for k in dropped)
-    return np.isin(np.arange(len(lines)), kept), notices
+    notices = tuple(_dropped(grid, float(lines[k]), lines[[i for i in accepted if i < k]], lines) for k in dropped)
+    return np.isin(np.arange(len(lines)), accepted), notices
 
 
 def separation_bins(frequency_hz: FloatArray, rate_hz: float, frames: int) -> float:
-    """Return how far apart lines (K,) and zero lie when sampled uniformly, in bins of rate/frames.
+    """Return the smallest distance of uniformly sampled lines (K,) and zero, in bins of rate/frames.
 
-    The smallest distance, modulo the rate, between any two of the complex exponentials at 0 and ±f that the lines
-    are made of; a line's distance from the Nyquist frequency thus counts twice. A distance of s > 1 bins bounds the
-    condition number of the design matrix by √((s + 1)/(s - 1)), whatever the number of lines (Moitra, Proc. 47th
-    ACM Symp. Theory of Computing (2015), Theorem 2.3, for many frames).
+    It is the distance, modulo the rate, between any two of the complex exponentials at 0 and ±f of the lines. The
+    distance of a line from the Nyquist frequency thus counts twice. A distance of s > 1 bins limits the condition
+    number of the design matrix to √((s + 1)/(s - 1)), for any number of lines (Moitra, Proc. 47th ACM Symp. Theory of
+    Computing (2015), Theorem 2.3, for many frames).
     """
     turns = differences_hz(frequency_hz) / rate_hz
     return float(frames * np.min(np.abs(turns - np.round(turns)), initial=0.5))
 
 
 def differences_hz(frequency_hz: FloatArray) -> FloatArray:
-    """Return the distances f_i, 2·f_i, f_i + f_j and |f_i - f_j| of the exponentials at 0 and ±f of lines (K,)."""
+    """Return the distances f_i, 2·f_i, f_i + f_j and |f_i - f_j| between lines (K,).
+
+    They are those of the exponentials at 0 and ±f.
+    """
     check_shape("frequency_hz", frequency_hz, (None,))
     first, second = np.triu_indices(len(frequency_hz), k=1)
     f, g = frequency_hz[first], frequency_hz[second]
@@ -222,11 +243,11 @@ def nearest_clear_rate(
     step_hz: float = _RATE_STEP_HZ,
     max_change: float = _MAX_CHANGE,
 ) -> float | None:
-    """Return the rate nearest to `rate_hz` at which lines (K,) are `CLEAR_BINS` apart, None if there is none.
+    """Return the rate nearest to `rate_hz` that separates lines (K,) by `CLEAR_BINS`; None without one.
 
-    Only multiples of `step_hz` within `max_change`·`rate_hz` count. Two exponentials that differ by F are too close
-    where |F/rate - k| < `CLEAR_BINS`/frames for a whole number k, which is an interval of rates; from the present rate
-    outwards, each interval met is left at its far end, so no rate is missed and few are looked at.
+    Only multiples of `step_hz` within `max_change`·`rate_hz` are considered. Two exponentials at a distance F are too
+    close where |F/rate - k| < `CLEAR_BINS`/frames for a whole number k, which is an interval of rates. The search moves
+    outwards from the present rate and leaves each interval at its far end. It therefore misses no rate and tries few.
     """
     if not (rate_hz > 0.0 and step_hz > 0.0):
         raise ValueError(f"rate_hz, step_hz: expected numbers above 0, found {rate_hz} and {step_hz}")
@@ -244,7 +265,7 @@ def nearest_clear_rate(
 def _clear_rate_towards(
     differences: FloatArray, margin: float, start: float, step: float, limit: float
 ) -> float | None:
-    """Return the first multiple of `step` from `start` towards `limit` that no interval excludes."""
+    """Return the first multiple of `step` from `start` towards `limit` outside all excluded intervals."""
     outward = 1.0 if step > 0.0 else -1.0
     count = np.ceil(start / step - 1e-9)  # a negative step turns "next above" into "next below"
     while outward * (limit - count * step) >= 0.0:
@@ -255,33 +276,37 @@ def _clear_rate_towards(
         if not close.any():
             return float(np.round(rate, 9))
         ends = nearest[close] - outward * margin
-        if np.any(ends <= 0.0):  # these two come no farther apart in this direction
+        if np.any(ends <= 0.0):  # the distance of these two does not increase in this direction
             return None
         edge = outward * np.max(outward * differences[close] / ends)
         count = max(count + 1.0, np.ceil(edge / step))
     return None
 
 
-def _dropped(grid: SamplingGrid | None, frequency: float, kept: FloatArray, wanted: FloatArray) -> Notice:
-    """Say why a line cannot be used: what it folds onto, with the alias frequencies, and the rate that cures it."""
+def _dropped(grid: SamplingGrid | None, frequency: float, accepted: FloatArray, all_lines: FloatArray) -> Notice:
+    """Return the notice of a dropped line with its alias and a better rate."""
     where = f"{frequency:.6g} Hz"
     if grid is None:
-        return Notice("warning", f"{where} cannot be told apart from the other lines at these sampling times", where)
+        return Notice(INSEPARABLE_LINE, where, frequency_hz=frequency)
     rate, resolution = grid.rate_hz, grid.rate_hz / grid.length
     alias = float(alias_frequency(frequency, rate))
-    reasons = [(alias, "zero"), (abs(rate / 2.0 - alias), "the Nyquist frequency")]
-    for other in kept:
+    neighbours = [(alias, "zero"), (abs(rate / 2.0 - alias), "the Nyquist frequency")]
+    for other in accepted:
         other_alias = float(alias_frequency(other, rate))
-        reasons.append((abs(alias - other_alias), f"the line {other:.6g} Hz (at {other_alias:.4g} Hz)"))
-    distance, target = min(reasons)
-    close = f"onto {target}" if distance < 1e-3 * resolution else f"to within {distance:.3g} Hz of {target}"
-    text = (
-        f"{where} is dropped: sampled at {rate:.6g} Hz it folds to {alias:.4g} Hz, {close}, "
-        f"and {grid.length / rate:.4g} s of record resolve {resolution:.3g} Hz"
-    )
-    for lines, what in ((wanted, "all lines"), (np.append(kept, frequency), "it")):
-        cure = nearest_clear_rate(lines, rate, grid.length)
-        if cure is not None:
-            text += f"; a camera rate of {cure:.3f} Hz ({cure - rate:+.3f} Hz) would separate {what}"
-            break
-    return Notice("warning", text, where)
+        neighbours.append((abs(alias - other_alias), f"the line {other:.6g} Hz (at {other_alias:.4g} Hz)"))
+    distance, neighbour = min(neighbours)
+    values: dict[str, Value] = {
+        "frequency_hz": frequency,
+        "alias_hz": round(alias, 9),
+        "distance_hz": distance if distance > 1e-3 * resolution else 0.0,
+        "neighbour": neighbour,
+        "rate_hz": rate,
+        "duration_s": grid.length / rate,
+        "resolution_hz": resolution,
+    }
+    for lines, separated in ((all_lines, "all lines"), (np.append(accepted, frequency), "this line")):
+        better = nearest_clear_rate(lines, rate, grid.length)
+        if better is not None:
+            values |= {"better_rate_hz": better, "rate_change_hz": better - rate, "separated": separated}
+            return Notice(ALIASED_LINE_OTHER_RATE, where, **values)
+    return Notice(ALIASED_LINE, where, **values)

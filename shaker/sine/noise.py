@@ -1,4 +1,4 @@
-"""The noise of a line: spectral density of what remains around it."""
+"""Noise of a line: spectral density of the residual around it."""
 
 from __future__ import annotations
 
@@ -9,59 +9,60 @@ import numpy as np
 
 from shaker.arrays import ComplexArray, FloatArray, IntArray
 
-# Sines that stand out beside lines, and straight-line changes of the lines, taken off before noise is read.
+# Distinct sines next to lines and straight-line changes of the lines, subtracted before noise is estimated.
 
-OFFSET_BIN = 0.5  # a place up to here is that of the offset
-TONE_CLEARANCE = 1.9  # bins beside a line within which a peak is the line's own unrest
-_TONE_LIMIT = 9.2  # height of a sine over the level: exceeded by pure noise once in 10⁴ places
-_TONES = 16  # sines and changes that are looked for
+OFFSET_BIN = 0.5  # bins: positions up to this are that of the offset
+TONE_CLEARANCE = 1.9  # bins from a line within which a peak belongs to the line's fluctuation
+_TONE_LIMIT = 9.2  # height of a sine over the level: exceeded by pure noise once in 10⁴ ordinates
+_TONES = 16  # sines and changes that are searched for
 
 
 def _highest_sine(
     ordinates: ComplexArray, level: FloatArray, bins: FloatArray, line_bin: FloatArray, length: int
 ) -> tuple[FloatArray, ComplexArray, FloatArray]:
-    """Return place in bins, transform and height (K, C) of the sine between two ordinates that stands highest.
+    """Return position, transform and height (K, C) of the highest sine.
 
-    Ordinates on a bin and, as half the squared difference of neighbours, between two bins are standard exponential
-    variables over the level where there is no sine. Near a line a peak is the line's own unrest. For a rectangular
-    window the two ordinates are as 1/distance from the sine, of opposite sign.
+    The position is in bins, between two ordinates. Ordinates on a bin are standard exponential variables over the level
+    where there is no sine. Between two bins so is half the squared difference of neighbours. A peak near a line belongs
+    to the line's fluctuation. For a rectangular window the two ordinates are as 1/distance from the sine, with opposite
+    signs.
     """
     relative = ordinates / np.sqrt(level)
     between = np.abs(relative[:, 1:] - relative[:, :-1]) ** 2 / 2.0
     height = np.maximum(between, np.maximum(np.abs(relative[:, 1:]) ** 2, np.abs(relative[:, :-1]) ** 2))
-    away = np.abs(bins[:, None, :] - line_bin[None, :, None]).min(axis=1) > TONE_CLEARANCE
-    allowed = (np.diff(bins, axis=1) == 1.0) & away[:, :-1] & away[:, 1:]
+    clear = np.abs(bins[:, None, :] - line_bin[None, :, None]).min(axis=1) > TONE_CLEARANCE
+    allowed = (np.diff(bins, axis=1) == 1.0) & clear[:, :-1] & clear[:, 1:]
     height = np.where(allowed[:, :, None], height, 0.0)
     # Of the two pairs that an ordinate belongs to, the one with the higher partner.
     pair = np.abs(relative[:, 1:]) ** 2 + np.abs(relative[:, :-1]) ** 2
     top = height.max(axis=1, keepdims=True)
-    place = np.argmax(np.where(height >= top, pair, -1.0), axis=1, keepdims=True)
-    low, high = (np.take_along_axis(ordinates, place + step, axis=1)[:, 0] for step in (0, 1))
+    index = np.argmax(np.where(height >= top, pair, -1.0), axis=1, keepdims=True)
+    low, high = (np.take_along_axis(ordinates, index + step, axis=1)[:, 0] for step in (0, 1))
     difference = high - low
     share = np.clip((high / np.where(difference == 0.0, 1.0, difference)).real, 0.0, 1.0)
     before, after = _kernel(-share, length), _kernel(1.0 - share, length)
     value = (low * before.conj() + high * after.conj()) / (np.abs(before) ** 2 + np.abs(after) ** 2)
-    where = np.take_along_axis(bins[:, :, None], place, axis=1)[:, 0] + share
+    where = np.take_along_axis(bins[:, :, None], index, axis=1)[:, 0] + share
     return where, np.asarray(value), top[:, 0]
 
 
 def _without_tones(
     ordinates: ComplexArray, bins: FloatArray, line_bin: FloatArray, length: int
 ) -> tuple[ComplexArray, ComplexArray, FloatArray]:
-    """Take sines and straight-line changes of lines (K,) at fractional bins off ordinates (K, M, C) at bins (K, M).
+    """Subtract sines and straight-line changes of lines (K,) from ordinates (K, M, C).
 
-    Sines on and between bins and what a line's straight-line change makes are compared by their height over the noise
-    level that what is left shows, and the highest goes first, until pure noise would be as high (Högbom 1974, CLEAN,
-    one channel and line at a time). Returns what is left (K, M, C), what is left with the sines still in it, and the
-    power (K, C) that the sines have left in the fitted lines.
+    The ordinates are at bins (K, M). The heights of sines on and between bins and of straight-line changes are compared
+    relative to the remaining noise level. The highest is subtracted first, until pure noise would be as high (Högbom
+    1974, CLEAN, one channel and line at a time). Returned are the remainder (K, M, C), the remainder including the
+    sines, and the power (K, C) of the sines in the fitted lines.
     """
     shape, rest, changed = _shapes(bins), ordinates.copy(), np.zeros_like(ordinates)
     leaked = np.zeros((len(bins), ordinates.shape[2]))
-    places = line_bin[line_bin > OFFSET_BIN]
+    line_positions = line_bin[line_bin > OFFSET_BIN]
     for _ in range(_TONES):
-        level = _fit_levels(np.abs(rest) ** 2 + _NOTHING, shape).mean
+        level = _fit_levels(np.abs(rest) ** 2 + _NO_POWER, shape).mean
         where, top, height = _highest_sine(rest, level, bins, line_bin, length)
-        change, drift_height = _highest_change(rest, level, bins, places, length)
+        change, drift_height = _highest_change(rest, level, bins, line_positions, length)
         drifts = (drift_height > height) & (drift_height > _TONE_LIMIT)
         peaks = (height >= drift_height) & (height > _TONE_LIMIT)
         if not (drifts.any() or peaks.any()):
@@ -75,36 +76,48 @@ def _without_tones(
 
 
 def _highest_change(
-    ordinates: ComplexArray, level: FloatArray, bins: FloatArray, places: FloatArray, length: int
+    ordinates: ComplexArray, level: FloatArray, bins: FloatArray, line_positions: FloatArray, length: int
 ) -> tuple[ComplexArray, FloatArray]:
-    """Return what the straight-line change of a line that stands highest makes (K, M, C), and its height (K, C)."""
+    """Return the highest straight-line change of a line.
+
+    It is given as transform (K, M, C) and height (K, C).
+    """
     best, height = np.zeros_like(ordinates), np.zeros((len(bins), ordinates.shape[2]))
-    for place in places:
-        near = (bins[:, 0] < place) & (place < bins[:, -1])
-        ramp = np.where(near[:, None], _ramp_kernel(bins - place, length), 0.0)[:, :, None]
+    for position in line_positions:
+        near = (bins[:, 0] < position) & (position < bins[:, -1])
+        ramp = np.where(near[:, None], _ramp_kernel(bins - position, length), 0.0)[:, :, None]
         seen = np.sum(np.abs(ramp) ** 2 / level, axis=1)
         size = np.sum(ramp.conj() * ordinates / level, axis=1) / np.where(near[:, None], seen, 1.0)
-        own = np.abs(size) ** 2 * seen
+        line_height = np.abs(size) ** 2 * seen
         size = size[:, None, :]
-        made = size * ramp + size.conj() * _ramp_kernel(bins + place, length)[:, :, None]
-        best = np.where((own > height)[:, None, :], made, best)
-        height = np.maximum(own, height)
+        made = size * ramp + size.conj() * _ramp_kernel(bins + position, length)[:, :, None]
+        best = np.where((line_height > height)[:, None, :], made, best)
+        height = np.maximum(line_height, height)
     return best, height
 
 
-def _sine(bins: FloatArray, place: FloatArray, top: ComplexArray, length: int) -> ComplexArray:
-    """Return the transform at `bins` of a real sine: `top` at its place, and its image below zero."""
-    return np.asarray(top * _kernel(bins - place, length) + top.conj() * _kernel(bins + place, length))
+def _sine(bins: FloatArray, position: FloatArray, top: ComplexArray, length: int) -> ComplexArray:
+    """Return the transform at `bins` of a real sine with its mirror image.
+
+    `top` is its transform at its position.
+    """
+    return np.asarray(top * _kernel(bins - position, length) + top.conj() * _kernel(bins + position, length))
 
 
 def _kernel(distance: FloatArray, length: int) -> ComplexArray:
-    """Return the transform of a complex sine of `length` samples at `distance` bins from it, 1 at its place."""
+    """Return the transform of a complex sine of `length` samples, 1 at its frequency.
+
+    `distance` is in bins from the sine.
+    """
     turn = np.exp(-1j * np.pi * distance * (1.0 - 1.0 / length))
     return np.asarray(np.sinc(distance) / np.sinc(distance / length) * turn)
 
 
 def _ramp_kernel(distance: FloatArray, length: int) -> ComplexArray:
-    """Return the transform of a complex sine that grows from -1 to 1 over the record, at `distance` bins from it."""
+    """Return the transform of a complex sine that grows linearly.
+
+    Its amplitude changes from -1 to 1 over the record. `distance` is in bins from the sine.
+    """
     angle = np.pi * distance
     size = (np.cos(angle) - np.sinc(distance)) / np.where(angle == 0.0, 1.0, angle)
     return np.asarray(1j * size * np.exp(-1j * angle * (1.0 - 1.0 / length)))
@@ -113,24 +126,24 @@ def _ramp_kernel(distance: FloatArray, length: int) -> ComplexArray:
 # The noise that disturbs a line: spectral density of the residual around it.
 
 _NEIGHBOURS = 96  # bins from which the noise around a line is estimated
-_MIN_NEIGHBOURS = 12
-_CLEARANCE = 0.75  # bins beside a line that its own fit has emptied
+_MIN_NEIGHBOURS = 12  # bins below which no noise is estimated; chosen
+_CLEARANCE = 0.75  # bins from a line that its fit has emptied
 # Shapes that the noise may have: S(j) = s·(1 + (corner/j)^exponent), the corner in bins.
-# With a corner below four bins a steep one differs from white noise in the first ordinates only, which tell too little.
+# With a corner below four bins a steep shape differs from white noise in the first ordinates only: too few to decide.
 _CORNERS = {1.0: 2.0 ** np.arange(0, 10), 2.0: 2.0 ** np.arange(2, 10), 3.0: 2.0 ** np.arange(2, 10)}
 _WHITE_WEIGHT = 0.25  # prior weight of white noise; the exponents share the rest
 _PRIOR = np.concatenate(
     [[_WHITE_WEIGHT], *(np.full(len(c), (1.0 - _WHITE_WEIGHT) / len(_CORNERS) / len(c)) for c in _CORNERS.values())]
 )
-_BLOCK_BINS = 4  # ordinates nearest to a line, which say what blocks of the record scatter by
+_BLOCK_BINS = 4  # ordinates nearest to a line, which show the scatter between blocks of the record
 _BLOCK_LIMIT = 3.27  # their mean over the level: exceeded by pure noise once in 1000 lines
-_NEWTON_STEPS = 30
-_NOTHING = 1e-77  # power of an ordinate below which there is no noise
+_NEWTON_STEPS = 30  # of the radius of a 95 % region at most
+_NO_POWER = 1e-77  # power of an ordinate without noise
 
 
 @dataclass(frozen=True)
 class LineNoise:
-    """Variance that a white series would need to disturb each line as the actual noise does.
+    """Variance of white noise that would disturb each line as the actual noise does.
 
     `variance` (K, C) in the squared unit of the samples, `dof` (K,) of the estimate.
     """
@@ -141,7 +154,13 @@ class LineNoise:
 
 @dataclass(frozen=True)
 class _Levels:
-    """What `count` ordinates (K, M, C) say of N shapes: `shape` (K, N, M), `weight` and `scale` (K, N, C)."""
+    """Noise levels of N shapes from `count` ordinates (K, M, C).
+
+    Attributes
+    ----------
+    shape : (K, N, M), the shapes at the bins.
+    weight, scale : (K, N, C), probability and level of each shape.
+    """
 
     shape: FloatArray
     weight: FloatArray
@@ -155,11 +174,12 @@ class _Levels:
 
 
 def line_noise(residual: FloatArray, samples: int, line_bin: FloatArray, *, blocks: bool = True) -> LineNoise | None:
-    """Return the noise of lines at fractional bins (K,) from the residual (L, C) of their fit, zero-filled in gaps.
+    """Return the noise of lines (K,) from the residual (L, C) of their fit.
 
-    `samples` is the number of samples present. Sines that stand out between the lines (mains) are no noise: they are
-    taken off, and what they leave in a line is added to its variance. Without `blocks` the noise may be smaller than
-    the scatter between blocks. None where the record has too few bins.
+    `line_bin` are fractional bins. The residual is zero in gaps, and `samples` is the number of samples present.
+    Distinct sines between the lines (mains) are not noise. They are subtracted, and their contribution to a line is
+    added to its variance. Without `blocks` the noise may be smaller than the scatter between blocks. None where the
+    record has too few bins.
     """
     bins = neighbour_bins(len(residual), line_bin)
     if bins is None:
@@ -173,19 +193,19 @@ def line_noise(residual: FloatArray, samples: int, line_bin: FloatArray, *, bloc
 def noise_of_ordinates(
     ordinates: ComplexArray, bins: FloatArray, line_bin: FloatArray, length: int, *, blocks: bool = True
 ) -> LineNoise:
-    """Return the noise of lines (K,) from ordinates (K, M, C), DFT over the root of the number of samples, near each.
+    """Return the noise of lines (K,) from nearby ordinates (K, M, C).
 
-    As `levels_at_lines`, but sines that stand out between the lines are taken off first, and so is what a straight-line
-    change of a line's amplitude and phase makes of it, where that stands out: the mean over the record is as well
-    known as that of a steady line, and `stationarity` tells the change. The noise is no smaller than the scatter
-    between blocks of the record about that straight line, which is the mean of the ordinates nearest to the line,
-    where that is significantly larger. `length`: of the record.
+    An ordinate is the DFT over the root of the number of samples. As `levels_at_lines`, but distinct sines between the
+    lines are subtracted first. So is the significant straight-line change of a line's amplitude and phase: the mean
+    over the record is as certain as that of a steady line, and `stationarity` reports the change. The noise is no
+    smaller than the scatter between blocks of the record about that straight line, where this is significantly larger.
+    That scatter is the mean of the ordinates nearest to the line. `length` is that of the record.
     """
     rest, steady, leaked = _without_tones(ordinates, bins, line_bin, length)
     variance, dof, level = levels_at_lines(np.abs(rest) ** 2, bins, line_bin)
     if blocks:
         distance = np.abs(bins - line_bin[:, None])
-        # Beside the line a sine may be the line's own unrest; farther off it is another's.
+        # Near the line a sine may be the line's fluctuation; farther off it is another line.
         near = np.where((distance < TONE_CLEARANCE + 0.5)[:, :, None], steady, rest)
         nearest = np.argsort(distance, axis=1, kind="stable")[:, :_BLOCK_BINS, None]
         power = np.take_along_axis(np.abs(near) ** 2, nearest, axis=1)
@@ -199,10 +219,10 @@ def noise_of_ordinates(
 
 
 def neighbour_bins(length: int, line_bin: FloatArray) -> IntArray | None:
-    """Return the bins (K, M) of a record of `length` samples from which the noise of lines (K,) is read.
+    """Return the bins (K, M) that determine the noise of lines (K,).
 
-    The nearest to each line, ascending, without those that a fitted line or the mean has emptied; None where there are
-    too few.
+    The record has `length` samples. They are the nearest to each line, ascending, without those that a fitted line or
+    the mean has emptied. None where there are too few.
     """
     # Bin 0 is the offset's and the Nyquist bin of an even length has one quadrature only.
     free = np.ones((length + 1) // 2, dtype=np.bool_)
@@ -224,18 +244,20 @@ def neighbour_bins(length: int, line_bin: FloatArray) -> IntArray | None:
 def levels_at_lines(
     power: FloatArray, bins: FloatArray, line_bin: FloatArray
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return variance and degrees of freedom (K, C) of lines at fractional bins (K,), and the level (K, M, C) beside.
+    """Return noise variance, degrees of freedom and level of lines.
 
-    From periodogram ordinates (K, M, C) at bins (K, M) near each line: |DFT|² over the number of samples, so that white
-    noise of variance σ² has mean σ². Each is its level S(j) times a standard exponential variable (Whittle's
-    likelihood); S(j) = s·h(j) with shapes h white, 1/f, 1/f² and 1/f³ above white noise of various corners. With the
-    prior 1/s a shape has the weight Π 1/h(j)·Q^-M, Q = Σ I(j)/h(j), and s the inverse gamma distribution (M, Q). The
-    noise of the line, s·h(line), is distributed as their mixture, from which come its degrees of freedom and the
-    variance whose 95 % region is that of the mixture: drift and 1/f noise count where they act, as far as they are
-    known. A place up to half a bin is that of the offset.
+    The first two are (K, C), the nearby level is (K, M, C). The input are periodogram ordinates (K, M, C) at bins (K,
+    M) near each line at fractional bins (K,): |DFT|² over the number of samples, so that white noise of variance σ² has
+    mean σ². Each is its level S(j) times a standard exponential variable (Whittle's likelihood). S(j) = s·h(j) with
+    shapes h that are white, 1/f, 1/f² and 1/f³ above white noise with various corners. With the prior 1/s a shape has
+    the weight Π 1/h(j)·Q^-M, Q = Σ I(j)/h(j), and s has the inverse gamma distribution (M, Q).
+
+    The noise of the line, s·h(line), is distributed as their mixture. Its degrees of freedom follow from that, and so
+    does the variance with the same 95 % region. Drift and 1/f noise thus count where they act, as far as the ordinates
+    show them. A position up to half a bin is that of the offset.
     """
-    # What the fit of the lines has taken away is put back; numbers of any size become moderate ones.
-    top = np.maximum(power.max(axis=1, keepdims=True), _NOTHING)
+    # The power that the fit of the lines has removed is restored; numbers of any size become moderate ones.
+    top = np.maximum(power.max(axis=1, keepdims=True), _NO_POWER)
     distance = bins[None, :, :] - line_bin[line_bin > OFFSET_BIN][:, None, None]
     lost = np.minimum(np.sum(np.sinc(distance) ** 2, axis=0), 0.8)
     relative = np.maximum(power / top, 1e-30) / (1.0 - lost)[:, :, None]
@@ -246,10 +268,10 @@ def levels_at_lines(
 
 
 def _shapes(bins: FloatArray) -> FloatArray:
-    """Return the shapes (K, N, M) at bins (K, M), white noise first."""
-    place = bins[:, None, :]
-    coloured = [1.0 + (corner[:, None] / place) ** exponent for exponent, corner in _CORNERS.items()]
-    return np.concatenate([np.ones_like(place), *coloured], axis=1)
+    """Return the noise shapes (K, N, M) at bins (K, M), white noise first."""
+    position = bins[:, None, :]
+    coloured = [1.0 + (corner[:, None] / position) ** exponent for exponent, corner in _CORNERS.items()]
+    return np.concatenate([np.ones_like(position), *coloured], axis=1)
 
 
 def _fit_levels(power: FloatArray, shape: FloatArray) -> _Levels:
@@ -262,10 +284,11 @@ def _fit_levels(power: FloatArray, shape: FloatArray) -> _Levels:
 
 
 def _mixture(levels: _Levels, at_line: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return variance and degrees of freedom (K, C) for the mixture of the level at the line, shapes (K, N) there.
+    """Return variance and degrees of freedom (K, C) of mixed levels.
 
-    |error|²/2 over the level is a standard exponential variable, so P(|error|²/2 > r) = Σ w (1 + r/(h·Q))^-M. The
-    degrees of freedom are those of the scaled inverse χ² distribution with the same variance of the logarithm.
+    `at_line` (K, N) are the shapes there. |error|²/2 over the level is a standard exponential variable, so that
+    P(|error|²/2 > r) = Σ w (1 + r/(h·Q))^-M. The degrees of freedom are those of the scaled inverse χ² distribution
+    with the same variance of the logarithm.
     """
     count = levels.count
     total = at_line[:, :, None] * levels.scale * count

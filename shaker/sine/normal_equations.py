@@ -1,10 +1,9 @@
-"""Sampling times, and normal equations of sines over records of any length, in one pass.
+"""Sampling times and normal equations of damped sines for long records.
 
-Normal equations of damped sines, gathered block by block without a design matrix.
-
-In a block of local times τ around its centre t_b, a line Re{X exp(s·t)}, s = -δ + jω, is Re{X exp(s·t_b) · exp(s·τ)}:
-its columns are those of any other block, turned by exp(s·t_b). Columns of uniform blocks are therefore made once.
-Times are counted from the middle of the record throughout.
+The normal equations are summed block by block without a design matrix. In a block of local times τ around its centre
+t_b, a line Re{X exp(s·t)} with s = -δ + jω is Re{X exp(s·t_b) · exp(s·τ)}. Its columns are those of any other block,
+multiplied by exp(s·t_b). Columns of uniform blocks are therefore computed once. Times count from the middle of the
+record.
 """
 
 from __future__ import annotations
@@ -22,15 +21,15 @@ from shaker.sine.aliasing import angles, condition_number, sine_columns
 
 # Sampling times of a record, cut into blocks whose phases are exact however long the record is.
 
-LONG = 1 << 17  # samples from which a record is never copied, and its residual never held
+LONG = 1 << 17  # samples from which a record is never copied and its residual never stored
 _BLOCKS = 2048  # blocks of a long record
 _SHORT_BLOCK = 2048  # samples in a block of a short one
-_ROUNDING = 8.0  # units in the last place by which the times of a uniform grid may be off
+_ROUNDING = 8.0  # units in the last place by which the times of a uniform grid may deviate
 
 
 @dataclass(frozen=True)
 class UniformTimes:
-    """Times `start_s` + i / `rate_hz`, i < `samples`, in place of an array that would hold them."""
+    """Times `start_s` + i / `rate_hz`, i < `samples`, without an array of them."""
 
     start_s: float
     rate_hz: float
@@ -40,7 +39,7 @@ class UniformTimes:
         return self.samples
 
     def array(self) -> FloatArray:
-        """Return the times (S,) written out."""
+        """Return the times (S,) as an array."""
         return np.asarray(self.start_s + np.arange(self.samples) / self.rate_hz)
 
 
@@ -49,7 +48,10 @@ Times = FloatArray | UniformTimes
 
 @dataclass(frozen=True)
 class _Grid:
-    """A uniform grid: sample i at `start_s` + i·`interval_s`, both exact; block centres at samples `centre` (B,)."""
+    """A uniform grid: sample i at `start_s` + i·`interval_s`, both exact.
+
+    `centre` (B,) are the samples at the block centres.
+    """
 
     start_s: Fraction
     interval_s: Fraction
@@ -61,8 +63,13 @@ class _Grid:
 class Timeline:
     """Times of S samples in B blocks: t = `middle_s` + `centre_s[b]` + local time.
 
-    `edges` (B + 1,) rows at which blocks begin; `local_s` one block's local times where the sampling is uniform
-    (`grid`), those of all samples (S,) where it is not.
+    Attributes
+    ----------
+    edges : (B + 1,), rows at which blocks begin.
+    middle_s : middle of the record in s.
+    centre_s : (B,), block centres from the middle in s.
+    local_s : local times of one block where sampling is uniform, else of all samples (S,).
+    grid : the uniform grid, None where sampling is not uniform.
     """
 
     edges: IntArray
@@ -86,23 +93,23 @@ class Timeline:
         return self.local_s[: rows.stop - rows.start] if self.grid else self.local_s[rows]
 
     def is_full(self, block: int) -> bool:
-        """Tell whether a block has the same local times as all other full ones."""
+        """Return whether a block has the same local times as all other full ones."""
         return self.grid is not None and self.edges[block + 1] - self.edges[block] == len(self.local_s)
 
     def turns(self, frequency_hz: float) -> FloatArray:
-        """Return the periods (B,) from the middle of the record to the centre of each block, whole ones taken off.
+        """Return the fractional periods (B,) from the record's middle to each block.
 
-        On a grid by a phase accumulator of 64 bits (as in a numerically controlled oscillator): 3·10⁶ samples leave
-        no more than 10⁻¹² rad.
+        Each block is represented by its centre. On a grid a phase accumulator of 64 bits is used (as in a numerically
+        controlled oscillator): 3·10⁶ samples leave no more than 10⁻¹² rad.
         """
         if self.grid is None:
             return np.mod(frequency_hz * self.centre_s, 1.0)
         step = round(Fraction(frequency_hz) * self.grid.interval_s % 1 * 2**64) % 2**64
-        places = (self.grid.centre - self.grid.middle).view(np.uint64)
-        return np.asarray((places * np.array([step], dtype=np.uint64)) / 2.0**64, dtype=np.float64)
+        offsets = (self.grid.centre - self.grid.middle).view(np.uint64)
+        return np.asarray((offsets * np.array([step], dtype=np.uint64)) / 2.0**64, dtype=np.float64)
 
     def middle_turns(self, frequency_hz: float) -> float:
-        """Return the periods from time zero to the middle of the record, whole ones taken off."""
+        """Return the fractional periods from time zero to the middle of the record."""
         if self.grid is None:
             return float(np.mod(frequency_hz * self.middle_s, 1.0))
         middle = self.grid.start_s + self.grid.middle * self.grid.interval_s
@@ -110,7 +117,7 @@ class Timeline:
 
 
 def timeline(times: Times, used: BoolArray | None) -> Timeline:
-    """Return the blocks of a record; several that are uniform but for rounding become a grid."""
+    """Return the blocks of a record; times that are uniform within rounding become a grid."""
     if isinstance(times, UniformTimes):
         return _on_grid(Fraction(times.start_s), 1 / Fraction(times.rate_hz), times.samples)
     grid = _uniform(times) if len(times) > _SHORT_BLOCK else None
@@ -143,9 +150,9 @@ def _on_grid(start_s: Fraction, interval_s: Fraction, samples: int) -> Timeline:
 
 
 def _uniform(time_s: FloatArray) -> tuple[Fraction, Fraction] | None:
-    """Return start and interval of the grid from which only rounding separates the times; None if something else does.
+    """Return start and interval of times that are uniform within rounding, else None.
 
-    The line through the deviations is added exactly, so that what rounding did to single times averages out.
+    The line through the deviations is added exactly, so that the rounding of single times averages out.
     """
     samples = len(time_s)
     start, interval = float(time_s[0]), float(time_s[-1] - time_s[0]) / (samples - 1)
@@ -173,11 +180,11 @@ _ORDERS = 4  # powers of time per block: 30 bins off in 2048 blocks, they leave 
 
 @dataclass(frozen=True)
 class Demodulator:
-    """Discrete Fourier transform of a record at chosen bins only, (K, M) in K groups of neighbours.
+    """Discrete Fourier transform of a record at chosen bins (K, M).
 
-    In each block the record is turned down by the bin in the middle of a group and multiplied by the powers of time of
-    a Taylor series; what remains of the exponential is smooth over a block, so these moments yield all the bins of the
-    group, without the droop and the aliases of a decimation.
+    There are K groups of neighbouring bins. In each block the record is demodulated by the middle bin of a group and
+    multiplied by the powers of time of a Taylor series. The remaining exponential is smooth over a block. These moments
+    therefore yield all bins of the group, without the droop and the aliases of a decimation.
     """
 
     timeline: Timeline
@@ -185,40 +192,49 @@ class Demodulator:
 
     @property
     def centre(self) -> IntArray:
-        """Bin (K,) to which each group is turned down."""
+        """Bin (K,) by which each group is demodulated."""
         return np.asarray((self.bins.min(axis=1) + self.bins.max(axis=1)) // 2)
 
     def columns(self) -> FloatArray:
-        """Return the columns (L, 2·K·4) of a full block: cosine and sine, times powers of time from -1 to 1."""
+        """Return the columns (L, 2·K·4) of a full block.
+
+        They are cosine and sine, times powers of time from -1 to 1.
+        """
         length = int(self.timeline.edges[1])
-        place = np.arange(length) - length // 2
-        angle = 2.0 * np.pi * np.mod(np.multiply.outer(place, self.centre) / self.timeline.samples, 1.0)
+        index = np.arange(length) - length // 2
+        angle = 2.0 * np.pi * np.mod(np.multiply.outer(index, self.centre) / self.timeline.samples, 1.0)
         turn = np.stack([np.cos(angle), -np.sin(angle)], axis=1)
-        powers = (place / self._half)[:, None] ** np.arange(_ORDERS)
+        powers = (index / self._half)[:, None] ** np.arange(_ORDERS)
         return np.asfortranarray((turn[..., None] * powers[:, None, None, :]).reshape(length, -1))
 
     def transform(self, moments: FloatArray) -> ComplexArray:
-        """Return the transform (K, M, C) from the blocks' sums (B, 2·K·4, C) of columns times samples."""
+        """Return the transform (K, M, C) from the sums of the blocks.
+
+        `moments` (B, 2·K·4, C) are the sums of columns times samples.
+        """
         blocks, _, channels = moments.shape
         groups, samples = self.bins.shape[0], self.timeline.samples
         parts = moments.reshape(blocks, 2, groups, _ORDERS, channels)
         together = parts[:, 0] + 1j * parts[:, 1]
         centre = self.timeline.edges[:-1] + int(self.timeline.edges[1]) // 2
-        offsets, place = np.unique(self.bins - self.centre[:, None], return_inverse=True)
+        offsets, inverse_index = np.unique(self.bins - self.centre[:, None], return_inverse=True)
 
         def turns(bins: IntArray) -> ComplexArray:
-            """Return exp(-2πj·j·n/N) of bins (M,) at the blocks' centres, j·n mod N in whole numbers: exact phases."""
+            """Return exp(-2πj·j·n/N) of bins (M,) at the block centres.
+
+            j·n mod N is computed in whole numbers, which gives exact phases.
+            """
             angle = 2.0 * np.pi * (np.multiply.outer(bins, centre) % samples) / samples
             return np.asarray(np.cos(angle) - 1j * np.sin(angle))
 
-        # Of all groups alike: what neighbours of the bin in the middle turn by against it.
+        # Equal for all groups: phase of the neighbours relative to the bin in the middle.
         change = 2.0 * np.pi * offsets * self._half / samples
         scale = np.array([(-1j) ** m / factorial(m) for m in range(_ORDERS)])
         series = scale * change[:, None] ** np.arange(_ORDERS)
         kernel = (turns(offsets)[:, :, None] * series[:, None, :]).reshape(len(offsets), -1)
-        turned = together * turns(self.centre).T[:, :, None, None]
-        by_group = turned.transpose(1, 0, 2, 3).reshape(groups, -1, channels)
-        found = np.take_along_axis(kernel @ by_group, place.reshape(self.bins.shape)[:, :, None], axis=1)
+        rotated = together * turns(self.centre).T[:, :, None, None]
+        by_group = rotated.transpose(1, 0, 2, 3).reshape(groups, -1, channels)
+        found = np.take_along_axis(kernel @ by_group, inverse_index.reshape(self.bins.shape)[:, :, None], axis=1)
         return found
 
     @property
@@ -233,9 +249,9 @@ _CHUNK = 1 << 16  # values worked on at a time: they stay in the processor's cac
 
 @dataclass(frozen=True)
 class SineSamples:
-    """What is fitted: `values` (S, C) at the times of `timeline`, rows weighted by `root` (S,) or (S, C), 0 = left out.
+    """Samples to be fitted: `values` (S, C) at the times of `timeline` with weights.
 
-    `root` is one over the standard deviation; None stands for ones.
+    `root` (S,) or (S, C) is one over the standard deviation, 0 for rows left out; None means ones.
     """
 
     timeline: Timeline
@@ -244,25 +260,25 @@ class SineSamples:
 
     @property
     def count(self) -> int:
-        """Number of rows that take part."""
+        """Number of rows that are used."""
         return self.timeline.samples if self.root is None else int(np.count_nonzero(self.used_rows()))
 
     def used_rows(self) -> BoolArray:
-        """Return which rows (S,) take part."""
+        """Return which rows (S,) are used."""
         if self.root is None:
             return np.ones(self.timeline.samples, dtype=np.bool_)
         return np.asarray(self.root > 0.0 if self.root.ndim == 1 else (self.root > 0.0).all(axis=1))
 
     def drop_rows(self, rows: BoolArray) -> SineSamples:
-        """Return the same samples less some rows (S,)."""
+        """Return the samples without some rows (S,)."""
         if self.root is None:
             return replace(self, root=(~rows).astype(np.float64))
         return replace(self, root=np.where(rows if self.root.ndim == 1 else rows[:, None], 0.0, self.root))
 
     def chunks(self) -> Iterator[Chunk]:
-        """Yield all blocks: those with the same columns side by side, the others alone.
+        """Yield all blocks: those with the same columns side by side, the others separately.
 
-        Few large products instead of many small ones, which threads of the linear algebra would fight over.
+        A few large products replace many small ones, for which threads of the linear algebra would compete.
         """
         times = self.timeline
         blocks, length, channels = len(times.centre_s), int(times.edges[1]), self.values.shape[1]
@@ -285,9 +301,9 @@ class SineSamples:
 
 @dataclass(frozen=True)
 class Chunk:
-    """Blocks `first` to `last` - 1 side by side: `values` (n, B·C), weights `root` (n, 1) or (n, C), None for ones.
+    """Blocks `first` to `last` - 1 side by side: `values` (n, B·C) with weights.
 
-    A block with weights stands alone.
+    `root` (n, 1) or (n, C) are the weights, None for ones. A block with weights is a separate chunk.
     """
 
     first: int
@@ -301,7 +317,7 @@ class Chunk:
         return values if self.root is None else values * self.root**power
 
     def columns(self, columns: SineColumns, timeline: Timeline, common: FloatArray) -> FloatArray:
-        """Return the columns of these blocks, `common` those of the first one and all full ones."""
+        """Return the columns of these blocks; `common` are those of all full ones."""
         shared = self.first == 0 or timeline.is_full(self.first)
         return common if shared else columns.local(timeline.local(self.first))
 
@@ -320,10 +336,10 @@ class Chunk:
 
 @dataclass(frozen=True)
 class SineColumns:
-    """The columns of a fit: Re and Im of each line exp((-δ + 2πjf)·t) in turn, offset, `drift`, and the `slopes`.
+    """Columns of a fit: lines, offset, drift, and slopes.
 
-    `frequency_hz`, `decay_per_s`: f and δ (K,). The slopes are the lines' columns times t: what a change of frequency
-    or decay rate does.
+    A line has Re and Im of exp((-δ + 2πjf)·t) in turn. `frequency_hz`, `decay_per_s`: f and δ (K,). The slopes are the
+    lines' columns times t, the effect of a change of frequency or decay rate.
     """
 
     frequency_hz: FloatArray
@@ -358,7 +374,7 @@ class SineColumns:
         return columns
 
     def block_transforms(self, timeline: Timeline) -> FloatArray:
-        """Return the matrices (B, P, P) that turn coefficients of the record into those of each block."""
+        """Return matrices (B, P, P) from coefficients of the record to blocks."""
         lines, linear, centre = self.lines, self.linear, timeline.centre_s
         size = linear + (2 * lines if self.slopes else 0)
         matrix = np.zeros((len(centre), size, size))
@@ -366,12 +382,12 @@ class SineColumns:
             angle = 2.0 * np.pi * timeline.turns(float(self.frequency_hz[k]))
             factor = np.exp(1j * angle - self.decay_per_s[k] * centre)
             turn = np.array([[factor.real, -factor.imag], [factor.imag, factor.real]]).transpose(2, 0, 1)
-            own = slice(2 * k, 2 * k + 2)
-            matrix[:, own, own] = turn
+            block_columns = slice(2 * k, 2 * k + 2)
+            matrix[:, block_columns, block_columns] = turn
             if self.slopes:
                 slope = slice(linear + 2 * k, linear + 2 * k + 2)
                 matrix[:, slope, slope] = turn
-                matrix[:, own, slope] = centre[:, None, None] * turn
+                matrix[:, block_columns, slope] = centre[:, None, None] * turn
         matrix[:, 2 * lines, 2 * lines] = 1.0
         if self.drift:
             matrix[:, 2 * lines + 1, 2 * lines + 1] = 1.0
@@ -381,9 +397,10 @@ class SineColumns:
 
 @dataclass(frozen=True)
 class SineNormalEquations:
-    """Sums over all samples: `gram` (D, D, P, P) of the weighted columns, `right` (P, C), `power` (C,) of the values.
+    """Sums over all samples: `gram`, `right`, `power`.
 
-    D = 1 where all channels have the same weights, else C; the power is summed only where there are slopes.
+    `gram` (D, D, P, P) of the weighted columns, `right` (P, C), `power` (C,). D = 1 where all channels have the same
+    weights, else C. `power` is that of the values, and is summed only if there are slopes.
     """
 
     gram: FloatArray
@@ -392,15 +409,15 @@ class SineNormalEquations:
 
 
 def normal_equations(samples: SineSamples, columns: SineColumns) -> SineNormalEquations:
-    """Gather the normal equations of a fit in one pass over its samples."""
+    """Return the normal equations of a fit from one pass over its samples."""
     timeline = samples.timeline
-    turned = columns.block_transforms(timeline)
-    size, channels = turned.shape[1], samples.values.shape[1]
+    transforms = columns.block_transforms(timeline)
+    size, channels = transforms.shape[1], samples.values.shape[1]
     common = columns.local(timeline.local(0))
     common_gram = common.T @ common
     each = samples.root is not None and samples.root.ndim == 2
     gram = np.zeros((channels, channels, size, size) if each else (1, 1, size, size))
-    alike = np.zeros(len(timeline.centre_s), dtype=np.bool_)
+    shares_columns = np.zeros(len(timeline.centre_s), dtype=np.bool_)
     local_right = np.empty((len(timeline.centre_s), size, channels))
     power = np.zeros(channels)
     for chunk in samples.chunks():
@@ -411,33 +428,33 @@ def normal_equations(samples: SineSamples, columns: SineColumns) -> SineNormalEq
             power += np.einsum("ij,ij->j", *pair)
         local_right[chunk.first : chunk.last] = chunk.by_block(basis.T @ weighted)
         if chunk.root is None and basis is common:
-            alike[chunk.first : chunk.last] = True
+            shares_columns[chunk.first : chunk.last] = True
         else:
-            turn = turned[chunk.first]
+            turn = transforms[chunk.first]
             root = np.ones((1, 1)) if chunk.root is None else chunk.root
             kinds = root.shape[1]
             weighted = (root[:, :, None] * basis[:, None, :]).reshape(len(basis), kinds * size)
-            own = (weighted.T @ weighted).reshape(kinds, size, kinds, size).transpose(0, 2, 1, 3)
-            gram += turn.T @ own @ turn
-    chosen = turned[alike]
+            block_gram = (weighted.T @ weighted).reshape(kinds, size, kinds, size).transpose(0, 2, 1, 3)
+            gram += turn.T @ block_gram @ turn
+    chosen = transforms[shares_columns]
     gram += np.sum(chosen.swapaxes(1, 2) @ common_gram @ chosen, axis=0)
-    right = np.sum(turned.swapaxes(1, 2) @ local_right, axis=0)
+    right = np.sum(transforms.swapaxes(1, 2) @ local_right, axis=0)
     return SineNormalEquations(gram, np.asarray(right), power)
 
 
 def residuals(
     samples: SineSamples, columns: SineColumns, coefficients: FloatArray
 ) -> Iterator[tuple[Chunk, FloatArray, FloatArray]]:
-    """Yield chunk by chunk the blocks, their columns (n, P) and their residual (n, B·C), weighted, zero where left out.
+    """Yield chunks with their columns (n, P) and weighted residual (n, B·C).
 
-    `coefficients` (P or fewer, C): those of the first columns.
+    The residual is zero where left out. `coefficients` (P or fewer, C) are those of the first columns.
     """
     timeline = samples.timeline
-    own = columns.block_transforms(timeline)[:, :, : len(coefficients)] @ coefficients
+    local_coefficients = columns.block_transforms(timeline)[:, :, : len(coefficients)] @ coefficients
     common = columns.local(timeline.local(0))
     for chunk in samples.chunks():
         basis = chunk.columns(columns, timeline, common)
-        residual = chunk.values - basis @ chunk.side_by_side(own[chunk.first : chunk.last])
+        residual = chunk.values - basis @ chunk.side_by_side(local_coefficients[chunk.first : chunk.last])
         yield chunk, basis, chunk.weighted(residual, 1)
 
 
@@ -453,7 +470,7 @@ SINGULAR = 1e6  # condition above which the normal equations carry no informatio
 
 @dataclass(frozen=True)
 class SineSolution:
-    """Least-squares solution of a design matrix: `coefficients` (P, C), `inverse` (P, P) of XᵀX, `residual` (S, C)."""
+    """Least-squares solution: `coefficients` (P, C), `inverse` (P, P) of XᵀX, `residual` (S, C)."""
 
     coefficients: FloatArray
     inverse: FloatArray
@@ -461,9 +478,9 @@ class SineSolution:
     condition: float
 
     def phasors(self, lines: int) -> tuple[ComplexArray, FloatArray]:
-        """Return the phasors (K, C) of the first lines of `sine_columns`, and the variance (K,) of their parts.
+        """Return phasors (K, C) of the first lines, and their variance (K,).
 
-        The variance is that for noise of variance 1, the mean of both parts.
+        The lines are those of `sine_columns`. The variance is that for noise of variance 1, the mean of both parts.
         """
         scale = np.sqrt(2.0 / len(self.residual))
         spread = np.diag(self.inverse)[: 2 * lines].reshape(-1, 2).mean(axis=1)
@@ -471,10 +488,10 @@ class SineSolution:
 
 
 def solve_sines(columns: FloatArray, data: FloatArray) -> SineSolution:
-    """Solve columns (S, P) · coefficients = data (S, C) by normal equations with one step of refinement.
+    """Solve columns · coefficients = data by refined normal equations.
 
-    The columns have about unit length and a condition number below 10⁶ is demanded, so the refined solution has the
-    accuracy of an orthogonal factorisation at a fraction of its time.
+    Columns are (S, P), data (S, C). The columns have about unit length, and a condition number below 10⁶ is required.
+    The refined solution therefore has the accuracy of an orthogonal factorisation in a fraction of its time.
     """
     samples, parameters = columns.shape
     check_samples(samples, parameters)
@@ -490,7 +507,7 @@ def solve_sines(columns: FloatArray, data: FloatArray) -> SineSolution:
 def sine_amplitudes(
     time_s: FloatArray, values: FloatArray, frequency_hz: FloatArray
 ) -> tuple[FloatArray, ComplexArray]:
-    """Return offset (C,) and phasors (K, C) of `values` (S, C) at `time_s` (S,) as `fit_sines`, without covariance.
+    """Return offset (C,) and phasors (K, C) of `values` (S, C) as `fit_sines`, without covariance.
 
     For many channels, whose covariance matrix would be large.
     """
@@ -500,9 +517,10 @@ def sine_amplitudes(
 
 
 class SineSums:
-    """Sines at the same times in N series of C values each, samples missing here and there, some samples at a time.
+    """Sines at the same times in N series of C values, added in parts.
 
-    Only sums are held, (2K + 1)² numbers for each series. Values count from `origin` (N, C), which lies near them.
+    Samples may be missing. Only sums are stored, (2K + 1)² numbers for each series. Values count from `origin` (N, C),
+    which lies near them.
     """
 
     def __init__(self, time_s: FloatArray, frequency_hz: FloatArray, origin: FloatArray) -> None:
@@ -511,26 +529,27 @@ class SineSums:
         self._gram = np.zeros((series, parameters, parameters))
         self._right = np.zeros((parameters, series, channels))
         self._square = np.zeros((series, channels))
-        self._taken = 0
+        self._added = 0
         self.count: IntArray = np.zeros(series, np.int64)
 
     def add(self, values: FloatArray) -> None:
-        """Take in the next samples (S, N, C); one with a NaN is missing in its series."""
-        rows = self._columns[self._taken : self._taken + len(values)]
-        known = np.asarray(np.isfinite(values).all(axis=2))
-        filled = np.where(known[..., None], values - self._origin, 0.0)
+        """Add the next samples (S, N, C); a NaN marks a missing sample."""
+        rows = self._columns[self._added : self._added + len(values)]
+        present = np.asarray(np.isfinite(values).all(axis=2))
+        filled = np.where(present[..., None], values - self._origin, 0.0)
         products = (rows[:, :, None] * rows[:, None, :]).reshape(len(rows), -1)
-        self._gram += (known.T.astype(np.float64) @ products).reshape(self._gram.shape)
+        self._gram += (present.T.astype(np.float64) @ products).reshape(self._gram.shape)
         self._right += (rows.T @ filled.reshape(len(rows), -1)).reshape(self._right.shape)
         self._square += (filled**2).sum(axis=0)
-        self._taken += len(values)
-        self.count = self.count + known.sum(axis=0)
+        self._added += len(values)
+        self.count = self.count + present.sum(axis=0)
 
     def solve(self, freedom: int) -> tuple[FloatArray, ComplexArray, FloatArray]:
-        """Return offsets (N, C), phasors (K, N, C) and u (K, N, C) of their real and of their imaginary parts.
+        """Return offsets (N, C), phasors (K, N, C) and their u (K, N, C).
 
-        NaN for a series of fewer than `freedom` samples beyond the unknowns, or whose samples cannot tell the lines
-        apart. u² = s²·(XᵀX)⁻¹ with the variance s² of the residual, mean of both parts.
+        u is that of the real and of the imaginary part. NaN for a series with fewer than `freedom` samples beyond the
+        unknowns, or whose samples cannot separate the lines. u² = s²·(XᵀX)⁻¹ with the variance s² of the residual, mean
+        of both parts.
         """
         samples, parameters = self._columns.shape
         good = self.count >= parameters + freedom
@@ -560,9 +579,9 @@ def check_samples(samples: int, parameters: int) -> None:
 
 
 def check_condition(condition: float) -> None:
-    """Refuse lines that the sampling folds onto each other."""
+    """Refuse lines that alias onto each other."""
     if not condition < SINGULAR:
         raise ValueError(
-            f"frequency_hz: expected lines that the sampling times can tell apart, found condition number "
+            f"frequency_hz: expected lines that the sampling times can separate, found condition number "
             f"{condition:.2g}; drop those that usable_lines names"
         )

@@ -14,11 +14,20 @@ from shaker.arrays import ComplexArray, FloatArray, check_shape
 
 @dataclass(frozen=True)
 class Phasors:
-    """Peak phasors X of x(t) = Re{X exp(+jωt)}, so that X = a - jb for a·cos ωt + b·sin ωt.
+    """Peak phasors X of x(t) = Re{X exp(+jωt)} with covariance.
 
-    `frequency_hz` (K,), `value` (K, C) complex, `covariance` (K, 2C, 2C) of [all Re, all Im], `channels` and `unit`
-    (C names), `dof` (K,) degrees of freedom behind the covariance.
+    X = a - jb for a·cos ωt + b·sin ωt.
 
+    Attributes
+    ----------
+    frequency_hz : (K,), frequencies of the lines in Hz.
+    value : (K, C), complex amplitudes.
+    covariance : (K, 2C, 2C), of [all Re, all Im].
+    channels, unit : C names and units.
+    dof : (K,), degrees of freedom of the covariance.
+
+    Examples
+    --------
     >>> import numpy as np
     >>> from shaker import Phasors
     >>> position = Phasors(np.array([80.0]), np.array([[1e-6 + 0j]]), np.zeros((1, 2, 2)), ("z",), ("m",), np.ones(1))
@@ -58,7 +67,7 @@ class Phasors:
         return np.sqrt(self.covariance.diagonal(axis1=1, axis2=2)[:, len(self.channels) :])
 
     def select(self, channels: Sequence[str]) -> Phasors:
-        """Return the named channels, in the order named."""
+        """Return the named channels in the given order."""
         unknown = [name for name in channels if name not in self.channels]
         if unknown:
             raise ValueError(f"channels: expected some of {', '.join(self.channels)}, found {', '.join(unknown)}")
@@ -83,7 +92,7 @@ class Phasors:
         )
 
     def scaled(self, factor: ComplexArray | FloatArray | complex, unit: Sequence[str] | None = None) -> Phasors:
-        """Return the phasors times `factor`, broadcast to (K, C), with the covariance carried along."""
+        """Return the phasors times `factor`, broadcast to (K, C), with propagated covariance."""
         complex_factor = np.broadcast_to(np.asarray(factor, dtype=np.complex128), self.value.shape)
         jacobian = real_stacked_diagonal(complex_factor)
         return replace(
@@ -94,7 +103,7 @@ class Phasors:
         )
 
     def combined(self, matrix: ComplexArray, channels: Sequence[str], unit: Sequence[str]) -> Phasors:
-        """Return D `channels` that complex matrices (K, D, C) make of these, with the covariance carried along."""
+        """Return D `channels` by complex matrices (K, D, C), with propagated covariance."""
         jacobian = np.block([[matrix.real, -matrix.imag], [matrix.imag, matrix.real]])
         return replace(
             self,
@@ -105,19 +114,22 @@ class Phasors:
         )
 
     def differentiated(self, order: int, unit: Sequence[str]) -> Phasors:
-        """Return the phasors of the `order`-th time derivative (negative: integral), in the units named."""
+        """Return the phasors of the `order`-th time derivative (negative: integral), in given units."""
         return self.scaled(derivative_factor(self.frequency_hz, order)[:, None], unit)
 
 
 def derivative_factor(frequency_hz: FloatArray, order: int) -> ComplexArray:
-    """Return (jω)^order for frequencies in Hz: 2 turns a displacement into an acceleration, -1 into its integral."""
-    # Powers of j are exact here; complex powers would leave 1e-16 in the part that is zero.
+    """Return (jω)^order for frequencies in Hz: 2 from displacement to acceleration, -1 integrates."""
+    # These powers of j are exact; complex powers would leave 1e-16 in the part that is zero.
     turn = np.array([1.0, 1.0j, -1.0, -1.0j])[order % 4]
     return np.asarray(turn * (2.0 * np.pi * np.asarray(frequency_hz, dtype=np.float64)) ** float(order))
 
 
 def real_stacked_diagonal(factor: ComplexArray) -> FloatArray:
-    """Return the real (K, 2C, 2C) matrices that multiply [all Re, all Im] as `factor` (K, C) multiplies the phasors."""
+    """Return the real matrices (K, 2C, 2C) equivalent to multiplication by `factor` (K, C).
+
+    They act on [all Re, all Im].
+    """
     lines, channels = factor.shape
     matrix = np.zeros((lines, 2 * channels, 2 * channels))
     diagonal = np.arange(channels)
@@ -129,7 +141,7 @@ def real_stacked_diagonal(factor: ComplexArray) -> FloatArray:
 
 
 def stack_phasors(parts: Sequence[Phasors]) -> Phasors:
-    """Join phasors of independent channels at the same lines into one, with a block-diagonal covariance."""
+    """Join phasors of independent channels at the same lines, with a block-diagonal covariance."""
     first = parts[0]
     for part in parts[1:]:
         if not np.array_equal(part.frequency_hz, first.frequency_hz):

@@ -1,4 +1,4 @@
-"""Sine approximation over exact times, and its stationarity over blocks of whole periods."""
+"""Sine approximation at exact times, and its stationarity over blocks of whole periods."""
 
 from __future__ import annotations
 
@@ -27,6 +27,7 @@ from shaker.sine.normal_equations import (
     solve_sines,
     timeline,
 )
+from shaker.sine.sine_fit_notices import MISSING_SAMPLES, SPIKES_REJECTED
 from shaker.sine.solve import (
     Estimate,
     SineFit,
@@ -40,10 +41,10 @@ from shaker.sine.solve import (
     phasors_at_zero,
     sum_remainder,
 )
-from shakercal._common.notices import Notice
+from shakercal._common.notices import Notice, Value
 
-_PLAIN = SineModel()
-_ROUNDING = 1e-15  # of a channel's lines: no residual is known better
+_NO_ADDITIONS = SineModel()
+_ROUNDING = 1e-15  # of a channel's lines: no residual is more certain
 
 
 def fit_sines(
@@ -53,23 +54,52 @@ def fit_sines(
     channels: Sequence[str],
     unit: Sequence[str],
     *,
-    model: SineModel = _PLAIN,
+    model: SineModel = _NO_ADDITIONS,
     variance: FloatArray | None = None,
 ) -> SineFit:
-    """Fit offset, lines (K,) and what `model` adds to `values` (S, C) at `time_s` (S,) by least squares.
+    """Fit offset, lines and the additions of a model to samples by least squares.
 
-    The three-parameter fit of IEEE 1057 and method 3 of ISO 16063-11 for any number of lines and channels at once,
-    above or below the Nyquist rate alike; with free frequencies the four-parameter fit, its frequencies common to all
-    channels. Rows with a NaN in any channel are dropped. `variance` (S,) or (S, C): noise variances of the samples, up
-    to a common factor for each channel.
+    The method is the three-parameter fit of IEEE 1057 and method 3 of ISO 16063-11, for any number of lines and
+    channels, above or below the Nyquist rate. With free frequencies it is the four-parameter fit, with frequencies
+    common to all channels. Rows with a NaN in any channel are dropped.
 
-    The covariance of a line is (XᵀX)⁻¹ ⊗ Σ with the residuals' covariance Σ = F·Fᵀ (C, C), plus what frequency and
-    decay add. Where the times lie on a grid and the record is long enough, Σ = F·diag(S)·Fᵀ instead, S the spectral
-    density around the line's alias of the series F⁻¹·residual: noise counts where it acts, and combinations of channels
-    that are known better than each channel keep their own.
+    Parameters
+    ----------
+    time_s
+        (S,), sampling times in s, or `UniformTimes`.
+    values
+        (S, C), samples of C channels.
+    frequency_hz
+        (K,), frequencies of the lines in Hz; start values where they are free.
+    channels
+        C names.
+    unit
+        C units.
+    model
+        Free frequencies, drift, decay, removal of spikes; default: none of them.
+    variance
+        (S,) or (S, C), noise variances of the samples up to a factor per channel; None: all equal.
 
-    Uniform records above 10⁵ samples pass through block by block; neither columns nor residual are ever held.
+    Returns
+    -------
+    The fit with phasors, offset, uncertainties and notices.
 
+    Raises
+    ------
+    ValueError
+        Shapes differ, samples are too few, lines cannot be separated, or the fit does not converge.
+
+    Notes
+    -----
+    The covariance of a line is (XᵀX)⁻¹ ⊗ Σ with the residuals' covariance Σ = F·Fᵀ (C, C), plus the contributions of
+    frequency and decay. Where the times lie on a grid and the record is long enough, Σ = F·diag(S)·Fᵀ. S is the
+    spectral density of the series F⁻¹·residual around the line's alias. Noise then counts at the frequency where it
+    acts, and a combination of channels with little noise keeps its small uncertainty.
+
+    Uniform records above 10⁵ samples are processed block by block; neither columns nor residual are stored.
+
+    Examples
+    --------
     >>> import numpy as np
     >>> from shaker import fit_sines
     >>> time_s = np.arange(400) / 21.3  # a camera far below the Nyquist rate
@@ -88,18 +118,16 @@ def fit_sines(
     notices: tuple[Notice, ...] = ()
     if present is not None:
         missing = len(time_s) - int(np.count_nonzero(present))
-        notices = (Notice("note", f"{missing} of {len(time_s)} samples are missing", where),)
+        notices = (Notice(MISSING_SAMPLES, where, missing=missing, samples=len(time_s)),)
     parameters = 2 * len(frequency_hz) + (2 if model.drift else 1) + int(model.exponents(frequency_hz).shape[1])
     check_samples(samples.count, parameters)
     if not model.robust:
         return _fitted(time_s, samples, frequency_hz, model, names, notices)
     spikes, limit = find_spikes(samples, frequency_hz, model)
     if spikes.any():
-        text = (
-            f"{np.count_nonzero(spikes)} of {samples.count} samples stand out of the noise by more than {limit:.2g} "
-            f"standard deviations and are left out, the first at {_written_out(time_s)[np.argmax(spikes)]:.6g} s"
-        )
-        notices += (Notice("warning", text, where),)
+        first_s = _as_array(time_s)[np.argmax(spikes)]
+        counts: dict[str, Value] = {"spikes": int(np.count_nonzero(spikes)), "samples": samples.count}
+        notices += (Notice(SPIKES_REJECTED, where, **counts, limit_sigmas=limit, first_s=first_s),)
         samples = samples.drop_rows(spikes)
     check_samples(samples.count, parameters)
     return replace(_fitted(time_s, samples, frequency_hz, model, names, notices), spikes=np.flatnonzero(spikes))
@@ -113,7 +141,7 @@ def _fitted(
     names: tuple[tuple[str, ...], tuple[str, ...]],
     notices: tuple[Notice, ...],
 ) -> SineFit:
-    """Fit the samples kept, and turn parameters about the middle of the record into the result."""
+    """Fit the remaining samples, and refer the parameters about the middle to time zero."""
     lines, unknown = len(frequency_hz), model.exponents(frequency_hz)
     columns, system, coefficients = estimate(samples, frequency_hz, model, slopes=True)
     columns = columns if unknown.shape[1] else replace(columns, slopes=False)
@@ -122,13 +150,11 @@ def _fitted(
     free = samples.count - system.linear - unknown.shape[1] / channels
     # The last step, on the exact residual.
     change = system.coefficients(left.right)
-    gained = left.right[: system.linear].T @ change
-    power = left.power - (gained + gained.T) / 2.0
+    explained = left.right[: system.linear].T @ change
+    power = left.power - (explained + explained.T) / 2.0
     power += np.diag(np.maximum(0.0, -power.diagonal()))
     factor, whitening = factor_of(power / free)
-    noise = noise_at_lines(
-        samples, columns, left, whitening, _written_out(time_s) if left.residual is not None else None
-    )
+    noise = noise_at_lines(samples, columns, left, whitening, _as_array(time_s) if left.residual is not None else None)
     if noise is None:
         noise = LineNoise(np.ones((lines + 1, channels)), np.full(lines + 1, free))
     best = Estimate(columns, coefficients + change, system, factor, noise.variance, unknown, None)
@@ -171,21 +197,24 @@ def rows_present(values: FloatArray | Stacked) -> BoolArray | None:
 
 
 def _root(values: FloatArray | Stacked, variance: FloatArray | None, present: BoolArray | None) -> FloatArray | None:
-    """Return weights 1/σ (S,) or (S, C) with mean square one over the rows present, zero elsewhere; None for ones."""
+    """Return weights 1/σ (S,) or (S, C) with unit mean square; None for equal weights.
+
+    Rows that are not present have weight zero.
+    """
     if variance is None:
         return None if present is None else present.astype(np.float64)
     if variance.shape not in (values.shape, values.shape[:1]):
         expected = f"an array of shape {values.shape[:1]} or {values.shape}"
         raise ValueError(f"variance: expected {expected}, found {variance.shape}")
-    kept = np.ones(len(values), dtype=np.bool_) if present is None else present
-    if not np.all((variance[kept] > 0.0) & np.isfinite(variance[kept])):
+    used = np.ones(len(values), dtype=np.bool_) if present is None else present
+    if not np.all((variance[used] > 0.0) & np.isfinite(variance[used])):
         raise ValueError("variance: expected positive numbers, found others")
     root = np.zeros(variance.shape)
-    root[kept] = 1.0 / np.sqrt(variance[kept])
-    return np.asarray(root / np.sqrt(np.mean(root[kept] ** 2, axis=0)))
+    root[used] = 1.0 / np.sqrt(variance[used])
+    return np.asarray(root / np.sqrt(np.mean(root[used] ** 2, axis=0)))
 
 
-def _written_out(time_s: Times) -> FloatArray:
+def _as_array(time_s: Times) -> FloatArray:
     return time_s.array() if isinstance(time_s, UniformTimes) else time_s
 
 
@@ -204,25 +233,34 @@ def _check_arguments(
 
 # Whether amplitude and phase of lines stay the same through a record, from blocks of whole periods.
 
-MAX_BLOCKS = 10
+MAX_BLOCKS = 10  # of a record in the test for drift; chosen
 _FULL, _FEWEST = 0.5, 2  # of the mean number of samples in a block that it must have; blocks that show a drift
 _UNUSED = 0.02  # of the record may be left over for the sake of more blocks
-_APART = 8.0  # bins between lines from which on a drift can be taken off without touching their noise
+_DRIFT_SEPARATION = 8.0  # bins between lines from which on a drift can be taken off without touching their noise
 _SLOPES = ("amplitude_per_s", "u_amplitude_per_s", "phase_rad_per_s", "u_phase_rad_per_s", "p_value")
 _TURNS = 3  # of estimating a wrong rate
-_NO_NOISE = 1e-200  # variance that stands for none: sums of its inverse are numbers
+_NO_NOISE = 1e-200  # variance used for zero: sums of its inverse are finite
 _NOISE_SAMPLES = 1 << 17  # of a longer record no more are needed for its noise density
 
 
 @dataclass(frozen=True)
 class Stationarity:
-    """Phasors of K lines in C channels over B blocks of a record, and what they say of a drift.
+    """Phasors of lines over blocks of a record, with a test for drift.
 
-    `time_s` (B,) middles of the blocks, of `block_s` each; `periods`, how many of the first line's periods a block
-    holds (below twice its frequency, those of its alias), `whole` whether that is a whole number. `value` (B, K, C),
-    referred to time zero as those of the whole record, with `u` (B, K, C), standard uncertainty of either part.
-    `amplitude_per_s` and `phase_rad_per_s` (K, C): slope of a straight line through the blocks, with their `u_`.
-    `p_value` (K, C): how often noise alone moves the blocks that far from their mean; `dof` (K,): of that noise.
+    K lines, C channels, B blocks.
+
+    Attributes
+    ----------
+    frequency_hz : (K,), frequencies of the lines in Hz.
+    channels : C names.
+    time_s : (B,), middles of the blocks in s.
+    block_s : length of a block in s.
+    periods : periods of the first line in a block; of its alias below twice its frequency.
+    whole : whether `periods` is a whole number.
+    value, u : (B, K, C), phasors referred to time zero, and the standard uncertainty of either part.
+    amplitude_per_s, phase_rad_per_s : (K, C), slopes of a straight line through the blocks; `u_…`: their uncertainties.
+    p_value : (K, C), probability that noise alone moves the blocks as far from their mean.
+    dof : (K,), degrees of freedom of that noise.
     """
 
     frequency_hz: FloatArray
@@ -248,29 +286,32 @@ class Stationarity:
         check_shape("dof", self.dof, per_line[:1])
 
     def p_value_with_rate(self, u_phase_rad_per_s: ArrayLike) -> FloatArray:
-        """Return how often noise, and times or a frequency of a wrong rate, move the blocks that far, as `p_value`.
+        """Return the probability of such a scatter from noise and an uncertain rate, like `p_value`.
 
-        `u_phase_rad_per_s` (K,) or number: standard uncertainty of the phase's slope by what turns all blocks in
-        proportion to time, such as the rate of a clock. It widens the covariance of the blocks along one direction, so
-        that χ² falls, to first order by that of the slope times the share of this variance in that of the slope
+        `u_phase_rad_per_s` (K,) or number is the standard uncertainty of the phase slope from an influence that rotates
+        all blocks in proportion to time, such as the rate of a clock. It widens the covariance of the blocks along one
+        direction. To first order χ² falls by that of the slope times the share of this variance in that of the slope
         (Sherman & Morrison).
         """
         return _by_chance(self._chi_square(u_phase_rad_per_s), len(self.time_s), self.dof)
 
     def excess_variance(self, u_phase_rad_per_s: ArrayLike) -> FloatArray:
-        """Return the variance (K, C) of the blocks beyond noise and such a rate (`p_value_beside`), both parts."""
+        """Return the variance (K, C) of the blocks beyond noise and rate error.
+
+        It includes both parts.
+        """
         blocks = len(self.time_s)
         more = np.maximum(self._chi_square(u_phase_rad_per_s) - 2.0 * (blocks - 1), 0.0)
         return np.asarray(more / np.sum(1.0 / np.maximum(self.u**2, _NO_NOISE), axis=0))
 
     def _chi_square(self, u_phase_rad_per_s: ArrayLike) -> FloatArray:
-        """Return the weighted sum of squares (K, C) of the blocks about their mean and of the likeliest wrong rate."""
+        """Return the χ² (K, C) about the mean and of the likeliest rate."""
         rate = np.broadcast_to(np.asarray(u_phase_rad_per_s, dtype=np.float64), self.frequency_hz.shape)[:, None] ** 2
         weight = 1.0 / np.maximum(self.u**2, _NO_NOISE)
         total = np.sum(weight, axis=0)
         time = self.time_s[:, None, None] - np.sum(weight * self.time_s[:, None, None], axis=0) / total
-        own = np.maximum(self.u_phase_rad_per_s, np.finfo(np.float64).tiny) ** 2
-        part = rate / (own + rate)
+        slope_variance = np.maximum(self.u_phase_rad_per_s, np.finfo(np.float64).tiny) ** 2
+        part = rate / (slope_variance + rate)
         # Turned back by the likeliest rate, not subtracted: a tenth of a radian bends the blocks beyond their noise.
         rest, turn = self.value, part * self.phase_rad_per_s
         for _ in range(_TURNS):
@@ -292,23 +333,25 @@ class Stationarity:
         """Return one channel."""
         if channel not in self.channels:
             raise ValueError(f"channel: expected one of {', '.join(self.channels)}, found {channel}")
-        place = self.channels.index(channel)
+        index = self.channels.index(channel)
         names = ("value", "u", *_SLOPES)
-        chosen = {name: getattr(self, name)[..., place : place + 1] for name in names}
+        chosen = {name: getattr(self, name)[..., index : index + 1] for name in names}
         return replace(self, channels=(channel,), **chosen)
 
 
 def stationarity(
     time_s: FloatArray, values: FloatArray | Stacked, frequency_hz: FloatArray, channels: Sequence[str]
 ) -> Stationarity | None:
-    """Fit the lines (K,) to blocks of `values` (S, C) at ascending times (S,), the blocks holding whole periods.
+    """Fit the lines (K,) to blocks of whole periods and test whether they drift.
 
-    The periods are those of the first line's alias, so that beyond the Nyquist rate a block holds whole beats; where
-    the record has fewer than two, its halves are the blocks. At most ten blocks. Phasors of a block come from the fit
-    of all lines and an offset to its samples, their noise from the density around each line of what the whole record's
-    fit leaves, without the sidebands that a drift makes. The test is that of Fisher for 2(B - 1) real residuals about
-    the weighted mean. None where the blocks are too short to tell the lines apart, or gaps leave one only.
-    Blocks with less than half of their samples are left out, and so are rows with a NaN.
+    `values` (S, C) are samples at ascending times (S,). The periods are those of the first line's alias, so that a
+    block contains whole beats beyond the Nyquist rate. A record with fewer than two periods is cut into halves. There
+    are at most ten blocks. Phasors of a block are those of a fit of all lines and an offset. Their noise is the density
+    around each line of the residual of the whole record, without the sidebands that a drift makes. The test is that of
+    Fisher for 2(B - 1) real residuals about the weighted mean.
+
+    None where the blocks are too short to separate the lines, or gaps leave fewer than two blocks. Blocks with less
+    than half of their samples are left out, and so are rows with a NaN.
     """
     tiny = np.finfo(np.float64).tiny
     check_shape("time_s", time_s, (None,))
@@ -326,7 +369,7 @@ def stationarity(
         return None
     try:
         every = (solve_sines(sine_columns(time[rows], frequency_hz), data[rows]) for rows in blocks)
-        found = [(one.condition, *one.phasors(len(frequency_hz))) for one in every]  # the residuals are not held
+        found = [(one.condition, *one.phasors(len(frequency_hz))) for one in every]  # the residuals are not stored
     except ValueError:
         return None
     condition, value, spread = (np.stack(part) for part in zip(*found, strict=True))
@@ -340,11 +383,11 @@ def stationarity(
     weight = 1.0 / np.maximum(u**2, _NO_NOISE)
     mean = np.sum(weight * value, axis=0) / np.sum(weight, axis=0)
     # Along the mean phasor the change of amplitude, across it that of phase times amplitude.
-    turned = (value - mean) * np.exp(-1j * np.angle(mean))
-    chi2 = np.sum(weight * np.abs(turned) ** 2, axis=0)
+    rotated = (value - mean) * np.exp(-1j * np.angle(mean))
+    chi2 = np.sum(weight * np.abs(rotated) ** 2, axis=0)
     centred = middle[:, None, None] - np.sum(weight * middle[:, None, None], axis=0) / np.sum(weight, axis=0)
     information = np.sum(weight * centred**2, axis=0)
-    slope, u_slope = np.sum(weight * centred * turned, axis=0) / information, 1.0 / np.sqrt(information)
+    slope, u_slope = np.sum(weight * centred * rotated, axis=0) / information, 1.0 / np.sqrt(information)
     size = np.maximum(np.abs(mean), tiny)
     return Stationarity(
         frequency_hz=frequency_hz,
@@ -365,7 +408,10 @@ def stationarity(
 
 
 def _by_chance(chi2: FloatArray, blocks: int, dof: FloatArray) -> FloatArray:
-    """Return how often 2(B - 1) normal variables over noise of `dof` (K,) exceed χ² (K, C): Fisher's distribution."""
+    """Return the probability that noise exceeds χ² (K, C), by Fisher's distribution.
+
+    There are 2(B - 1) normal variables. `dof` (K,) are the degrees of freedom of the noise.
+    """
     from scipy.special import fdtrc
 
     free = 2.0 * (blocks - 1)
@@ -373,7 +419,10 @@ def _by_chance(chi2: FloatArray, blocks: int, dof: FloatArray) -> FloatArray:
 
 
 def _block_length(time: FloatArray, frequency_hz: FloatArray) -> tuple[float, float, bool]:
-    """Return length of a block in s, the first line's periods in it, and whether these are whole."""
+    """Return length of a block in s, periods in it, and whether whole.
+
+    The periods are those of the first line.
+    """
     grid = sampling_grid(time)
     if grid is None:
         length, seen_hz = float(time[-1] - time[0]), float(frequency_hz[0])
@@ -393,7 +442,7 @@ def _block_length(time: FloatArray, frequency_hz: FloatArray) -> tuple[float, fl
 def _noise(time: FloatArray, data: FloatArray, frequency_hz: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return the noise variance (K, C) around the lines, and its degrees of freedom (K,)."""
     columns, lines, grid = sine_columns(time, frequency_hz), len(frequency_hz), sampling_grid(time)
-    if grid is not None and separation_bins(frequency_hz, grid.rate_hz, grid.length) >= _APART:
+    if grid is not None and separation_bins(frequency_hz, grid.rate_hz, grid.length) >= _DRIFT_SEPARATION:
         # A drift of amplitude and phase makes skirts around each line that would count as noise.
         span = np.sqrt(3.0) * (2.0 * (time - time[0]) / (time[-1] - time[0]) - 1.0)
         columns = np.hstack([columns, columns[:, : 2 * lines] * span[:, None]])

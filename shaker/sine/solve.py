@@ -1,4 +1,4 @@
-"""Sines by least squares: free frequencies, drift, decay, spikes; what they return."""
+"""Least-squares sines with free frequencies, drift, decay and spike removal."""
 
 from __future__ import annotations
 
@@ -25,23 +25,28 @@ from shaker.sine.normal_equations import (
 from shaker.sine.phasor import Phasors
 from shakercal._common.notices import Notice
 
-_STEPS = 40
+_STEPS = 40  # Gauss-Newton steps at most
 _CONVERGED = 1e-3  # of the standard uncertainty: the last step is taken on the exact residual
-_STANDS = 1e-9  # rad: a step that turns the ends of the record by less is the last, too
+_MIN_ROTATION = 1e-9  # rad: a step that turns the ends of the record by less is the last, too
 _FARTHEST = 2.0  # rad by which one step may turn the ends of the record against its middle
 _ROUNDING = 1e-14  # of a channel's power: below it, differences of sums are rounding
-_SINGULAR = 1e-12
+_SINGULAR = 1e-12  # smallest eigenvalue of a scaled Hessian, near rounding
 
 
 @dataclass(frozen=True)
 class SineModel:
-    """What is fitted beside amplitudes, phases and an offset.
+    """Terms of a fit in addition to amplitudes, phases and an offset.
 
-    `drift`: a linear drift. `free`: a label per line; the frequencies of lines with the same label share one relative
-    change, as harmonics do and everything made by one generator; -1 for a known frequency, None for all known.
-    `decay`: lines decay as exp(-δt), all at one rate or each at its own. `robust`: rows whose residual stands out of
-    the noise so far that Gaussian noise loses none in 99 of 100 records are left out, and named.
+    Attributes
+    ----------
+    drift : fit a linear drift.
+    free : a label per line; lines with the same label share one relative change of frequency, as harmonics of one
+        generator do. -1 fixes a frequency; None fixes all.
+    decay : lines decay as exp(-δt): "none", "common" for one rate, "each" for individual rates.
+    robust : leave out and report rows with an outlying residual; Gaussian noise loses none in 99 of 100 records.
 
+    Examples
+    --------
     >>> from shaker import SineModel
     >>> SineModel(drift=True, free=(0, 0))  # a fundamental and its harmonic at an unknown frequency
     SineModel(drift=True, free=(0, 0), decay='none', robust=False)
@@ -53,7 +58,10 @@ class SineModel:
     robust: bool = False
 
     def exponents(self, frequency_hz: FloatArray) -> ComplexArray:
-        """Return the derivative (K, Q) of the exponents s = -δ + jω by the Q unknowns: relative frequencies, then δ."""
+        """Return the derivative (K, Q) of the exponents by the unknowns.
+
+        The exponents are s = -δ + jω. The unknowns are relative frequencies, then δ.
+        """
         lines = len(frequency_hz)
         labels = np.full(lines, -1) if self.free is None else np.asarray(self.free)
         if labels.shape != (lines,):
@@ -67,9 +75,12 @@ class SineModel:
 class SineSystem:
     """Normal equations solved for the linear parameters.
 
-    `gram` (D, D, P', P') of all columns, D = 1 where all channels have the same weights, else C; `inverse` (D, P, P)
-    for the P linear ones; `project` (D, P', 2K) combines columns to slopes that the linear ones cannot imitate;
-    `condition` of the linear columns at unit length.
+    Attributes
+    ----------
+    gram : (D, D, P', P'), of all columns; D = 1 where all channels have the same weights, else C.
+    inverse : (D, P, P), for the P linear columns.
+    project : (D, P', 2K), combines columns to slopes orthogonal to the linear ones.
+    condition : condition number of the linear columns at unit length.
     """
 
     gram: FloatArray
@@ -87,17 +98,23 @@ class SineSystem:
         return _products(self.inverse, right[: self.linear])
 
     def information(self) -> FloatArray:
-        """Return the products (D, D, 2K, 2K) of the projected slopes of one channel with those of another."""
+        """Return the products (D, D, 2K, 2K) of projected slopes of two channels."""
         return np.asarray(self.project.swapaxes(1, 2)[:, None] @ self.gram @ self.project[None])
 
     def spread(self) -> FloatArray:
-        """Return G⁻¹·XᵀX·G⁻¹ (D, D, P, P): the linear parameters' covariance between channels for unit noise."""
+        """Return the covariance of linear parameters for unit noise.
+
+        It is G⁻¹·XᵀX·G⁻¹ (D, D, P, P) between channels.
+        """
         gram = self.gram[:, :, : self.linear, : self.linear]
         return np.asarray(self.inverse[:, None] @ gram @ self.inverse[None])
 
 
 def _products(matrices: FloatArray, right: FloatArray) -> FloatArray:
-    """Return the products (N, C) of one matrix (1, N, M), or of each channel's own (C, N, M), with columns (M, C)."""
+    """Return the products (N, C) of matrices and columns (M, C).
+
+    There is one matrix (1, N, M), or one per channel (C, N, M).
+    """
     if len(matrices) == 1:
         return np.asarray(matrices[0] @ right)
     return np.asarray((matrices @ right.T[:, :, None])[:, :, 0].T)
@@ -106,19 +123,22 @@ def _products(matrices: FloatArray, right: FloatArray) -> FloatArray:
 def solve_linear(normal: SineNormalEquations, columns: SineColumns) -> SineSystem:
     """Invert the normal equations of the linear columns, scaled to unit length."""
     lines, linear = columns.lines, columns.linear
-    own = np.einsum("ddpq->dpq", normal.gram)
-    squares = np.einsum("dpp->dp", own)[:, :linear].copy()
-    pairs = squares[:, : 2 * lines].reshape(len(own), lines, 2)
+    diagonal_blocks = np.einsum("ddpq->dpq", normal.gram)
+    squares = np.einsum("dpp->dp", diagonal_blocks)[:, :linear].copy()
+    pairs = squares[:, : 2 * lines].reshape(len(diagonal_blocks), lines, 2)
     # Both columns of a line by the same factor: at zero or the Nyquist frequency one of them vanishes, and must.
     squares[:, : 2 * lines] = np.repeat(pairs.mean(axis=2), 2, axis=1)
     scale = 1.0 / np.sqrt(squares)
-    scaled = own[:, :linear, :linear] * scale[:, :, None] * scale[:, None, :]
+    scaled = diagonal_blocks[:, :linear, :linear] * scale[:, :, None] * scale[:, None, :]
     condition = max(condition_number(matrix) for matrix in scaled)
     check_condition(condition)
     inverse = np.linalg.inv(scaled) * scale[:, :, None] * scale[:, None, :]
     inverse = (inverse + inverse.swapaxes(1, 2)) / 2.0
-    carried = -inverse @ own[:, :linear, linear:]
-    rest = np.broadcast_to(np.eye(own.shape[1] - linear), (len(own), own.shape[1] - linear, own.shape[1] - linear))
+    carried = -inverse @ diagonal_blocks[:, :linear, linear:]
+    rest = np.broadcast_to(
+        np.eye(diagonal_blocks.shape[1] - linear),
+        (len(diagonal_blocks), diagonal_blocks.shape[1] - linear, diagonal_blocks.shape[1] - linear),
+    )
     return SineSystem(normal.gram, inverse, np.concatenate([carried, rest], axis=1), condition)
 
 
@@ -126,7 +146,8 @@ def solve_linear(normal: SineNormalEquations, columns: SineColumns) -> SineSyste
 class GaussNewtonStep:
     """A Gauss-Newton step: `change` (Q,) of the unknowns, `inverse` (Q, Q) of the Hessian.
 
-    `derivative` (C, 2K, Q): of the slopes' coefficients in each channel; `pull`: the same over its noise variance.
+    `derivative` (C, 2K, Q) is that of the slopes' coefficients in each channel; `pull` is the same over its noise
+    variance.
     """
 
     change: FloatArray
@@ -138,21 +159,22 @@ class GaussNewtonStep:
 def frequency_step(
     system: SineSystem, right: FloatArray, value: ComplexArray, exponents: ComplexArray, variance: FloatArray
 ) -> GaussNewtonStep:
-    """Return the step of frequencies and decay rates from products `right` (P', C) with values or residuals.
+    """Return the step of frequencies and decay rates.
 
-    Gauss-Newton on the nonlinear unknowns alone, the linear ones projected out (variable projection; Golub and Pereyra
-    1973, with Kaufman's simplification). Channels weigh by their noise variance (C,).
+    Gauss-Newton on the nonlinear unknowns alone, with the linear ones projected out (variable projection; Golub and
+    Pereyra 1973, with Kaufman's simplification). `right` (P', C) are products with values or residuals. Channels are
+    weighted by their noise variance (C,).
     """
     product = value.T[:, :, None] * exponents[None]
     derivative = np.stack([product.real, product.imag], axis=2).reshape(len(variance), -1, exponents.shape[1])
     weight = np.divide(1.0, variance, out=np.zeros_like(variance), where=variance > 0.0)
     pull = derivative * weight[:, None, None]
-    own = np.einsum("ddpq->dpq", system.information())
-    hessian = np.sum(pull.swapaxes(1, 2) @ own @ derivative, axis=0)
+    diagonal_blocks = np.einsum("ddpq->dpq", system.information())
+    hessian = np.sum(pull.swapaxes(1, 2) @ diagonal_blocks @ derivative, axis=0)
     size = np.sqrt(hessian.diagonal())
     scaled = hessian / np.multiply.outer(size, size) if np.all(size > 0.0) else np.zeros_like(hessian)
     if not np.linalg.eigvalsh(scaled)[0] > _SINGULAR:
-        raise ValueError("frequency_hz: expected lines whose frequencies and decays the record tells, found none")
+        raise ValueError("frequency_hz: expected lines whose frequencies and decays the record determines, found none")
     inverse = np.linalg.inv(scaled) / np.multiply.outer(size, size)
     gradient = np.einsum("ckq,kc->q", pull, _products(system.project.swapaxes(1, 2), right))
     return GaussNewtonStep(inverse @ gradient, inverse, derivative, pull)
@@ -168,10 +190,11 @@ def apply_step(columns: SineColumns, exponents: ComplexArray, change: FloatArray
 def estimate(
     samples: SineSamples, frequency_hz: FloatArray, model: SineModel, *, slopes: bool = False
 ) -> tuple[SineColumns, SineSystem, FloatArray]:
-    """Return columns, normal equations and linear parameters (P, C), frequencies and decays within 1/1000 of their u.
+    """Return columns, normal equations and linear parameters (P, C) of a converged fit.
 
-    One pass over the data where frequencies are known and nothing decays, else one per step. `slopes`: the normal
-    equations hold the slopes of the lines even where nothing nonlinear is fitted.
+    Frequencies and decays are converged within 1/1000 of their u. One pass over the data is needed where frequencies
+    are fixed and no line decays, else one per step. With `slopes` the normal equations include the slopes of the lines
+    even where no nonlinear parameter is fitted.
     """
     exponents = model.exponents(frequency_hz)
     count = exponents.shape[1]
@@ -179,8 +202,8 @@ def estimate(
     columns = SineColumns(lines, np.zeros(len(lines)), model.drift, count > 0 or slopes)
     half_s = float(np.max(np.abs(samples.timeline.centre_s))) + float(np.max(np.abs(samples.timeline.local_s)))
     # Not by `shaker.fitting`: the channels' weights follow the fit, so no sum of squares falls, and each trial is a
-    # pass over the record. On the likelihood it comes to the same sines, in up to twice the passes, but from 0.9 bins
-    # away it leaps into a side lobe; steps limited by the phase that they turn do not.
+    # pass over the record. On the likelihood it finds the same sines, in up to twice the passes, but from 0.9 bins
+    # off it leaps into a side lobe; steps limited by their phase do not.
     for _ in range(_STEPS):
         normal = normal_equations(samples, columns)
         system = solve_linear(normal, columns)
@@ -195,7 +218,7 @@ def estimate(
         power = np.sum(np.abs(value) ** 2, axis=1)
         rate = np.sqrt(power @ np.abs(exponents @ step.change) ** 2 / np.sum(power)) if power.any() else 0.0
         turn = half_s * float(rate)
-        if turn <= _STANDS or np.all(np.abs(step.change) <= _CONVERGED * np.sqrt(step.inverse.diagonal())):
+        if turn <= _MIN_ROTATION or np.all(np.abs(step.change) <= _CONVERGED * np.sqrt(step.inverse.diagonal())):
             return columns, system, coefficients
         shorter = min(1.0, _FARTHEST / turn) if turn > 0.0 else 1.0
         columns = apply_step(columns, exponents, shorter * step.change)
@@ -206,19 +229,26 @@ def estimate(
 # Result of a sine approximation, with the covariance that frequencies and decay rates share with the phasors.
 
 _CHUNK = 1 << 16  # samples for which the curve is worked out at a time
-_SAME_TURN = 1e-9  # rad, by which the phases of lines in two parts may differ and count as alike
+_SAME_ROTATION = 1e-9  # rad, largest difference of the phases of lines in two parts that count as equal
 
 
 @dataclass(frozen=True)
 class SineFit:
     """Sine approximation of C channels over S times.
 
-    `phasors` (K lines, C channels), at time zero also where lines decay; `offset` (C,), the value at mean phase zero,
-    with `offset_covariance` (C, C); `drift_per_s` (C,), zero where no drift was fitted, counted from `middle_s`;
-    `u_frequency_hz` (K,), zero where the frequency was known; `decay_per_s`, `u_decay_per_s` (K,), δ of exp(-δt), zero
-    where none was fitted; `slopes` (1 or C, 2K, 2K): what the fit makes of Re and Im of each line times the time from
-    `middle_s`, about that middle; `residual_rms` (C,) over the samples used; `spikes`, the rows left out for standing
-    out; `condition` of the design matrix with columns of unit length.
+    Attributes
+    ----------
+    phasors : K lines, C channels, at time zero also where lines decay.
+    offset, offset_covariance : (C,) and (C, C), the value at mean phase zero.
+    drift_per_s : (C,), counted from `middle_s`; zero where no drift was fitted.
+    middle_s : middle of the record in s.
+    u_frequency_hz : (K,), zero where the frequency was fixed.
+    decay_per_s, u_decay_per_s : (K,), δ of exp(-δt), zero where none was fitted.
+    slopes : (1 or C, 2K, 2K), response of the fit about the middle to Re and Im of each line times the time from there.
+    residual_rms : (C,), over the samples used.
+    spikes : rows left out as outliers.
+    condition : condition number of the design matrix with columns of unit length.
+    notices : notices of the fit.
     """
 
     phasors: Phasors
@@ -246,26 +276,30 @@ class SineFit:
         return f"SineFit({self.phasors}, condition {self.condition:.3g}, {len(self.spikes)} spikes)"
 
     def model(self, time_s: FloatArray, channels: slice = slice(None)) -> FloatArray:
-        """Return the fitted curve (T, C) at times (T,): offset + drift + Σ Re{X exp((jω - δ)t)}; of some channels."""
+        """Return the fitted curve (T, C) at times (T,), of some channels.
+
+        It is offset + drift + Σ Re{X exp((jω - δ)t)}.
+        """
         offset, drift_per_s, value = self.offset[channels], self.drift_per_s[channels], self.phasors.value[:, channels]
         curve = np.empty((len(time_s), len(offset)))
         exponent = 2j * np.pi * self.phasors.frequency_hz - self.decay_per_s
-        alike, turns = np.empty(0), np.empty((0, len(exponent)), np.complex128)
+        cached_local, turns = np.empty(0), np.empty((0, len(exponent)), np.complex128)
         for first in range(0, len(time_s), _CHUNK):
             time = time_s[first : first + _CHUNK]
             local = time - time[0]
-            off = np.max(np.abs(local - alike[: len(local)])) if len(alike) >= len(local) else np.inf
-            if off * np.max(np.abs(exponent)) > _SAME_TURN:
-                alike, turns = local, np.exp(np.multiply.outer(local, exponent))
+            off = np.max(np.abs(local - cached_local[: len(local)])) if len(cached_local) >= len(local) else np.inf
+            if off * np.max(np.abs(exponent)) > _SAME_ROTATION:
+                cached_local, turns = local, np.exp(np.multiply.outer(local, exponent))
             lines = (turns[: len(time)] @ (np.exp(exponent * time[0])[:, None] * value)).real
             curve[first : first + _CHUNK] = offset + np.multiply.outer(time - self.middle_s, drift_per_s) + lines
         return curve
 
     def slope_response(self, change: ComplexArray) -> ComplexArray:
-        """Return what the fit makes (K, C), first order, of Σ Re{change·(t - middle_s)·exp((jω - δ)t)} in the values.
+        """Return the first-order response (K, C) of the fit to a slope of the lines.
 
-        `change` (K, C), at time zero. It is next to nothing over many periods, or beats of an alias; over less than
-        one, slopes look like the lines themselves, their conjugates, and the offset.
+        The values change by Σ Re{change·(t - middle_s)·exp((jω - δ)t)} with `change` (K, C) at time zero. The response
+        is negligible over many periods, or beats of an alias. Over less than one, slopes resemble the lines, their
+        conjugates, and the offset.
         """
         to_middle = np.exp((2j * np.pi * self.phasors.frequency_hz - self.decay_per_s) * self.middle_s)[:, None]
         middle = change * to_middle
@@ -273,7 +307,10 @@ class SineFit:
         return np.asarray(as_complex(_products(self.slopes, parts), len(middle)) / to_middle)
 
     def residual_of(self, time_s: FloatArray, values: FloatArray) -> FloatArray:
-        """Return values (T, C) at times (T,) less the fitted curve; rows with a NaN in any channel are NaN."""
+        """Return values (T, C) at times (T,) minus the curve.
+
+        Rows with a NaN are NaN.
+        """
         residual = values - self.model(time_s)
         residual[~np.isfinite(values).all(axis=1)] = np.nan
         return np.asarray(residual)
@@ -281,11 +318,16 @@ class SineFit:
 
 @dataclass(frozen=True)
 class Estimate:
-    """A solved fit about the middle of its record: what covariances are made of.
+    """A solved fit about the middle of its record, the input of the covariances.
 
-    `coefficients` (P, C); `system`; `factor` (C, C) with F·Fᵀ the residuals' covariance and `noise` (K + 1, C), the
-    density of F⁻¹·residual around each line and zero over its mean; `exponents` (K, Q) derivative of each line's
-    exponent by the Q unknown frequencies and decay rates, `step` the last one, None where there are none.
+    Attributes
+    ----------
+    columns, system : columns and solved normal equations.
+    coefficients : (P, C), linear parameters.
+    factor : (C, C) with F·Fᵀ the residuals' covariance.
+    noise : (K + 1, C), density of F⁻¹·residual around each line and zero over its mean.
+    exponents : (K, Q), derivative of each line's exponent by the Q unknown frequencies and decay rates.
+    step : the last step, None where no unknown is nonlinear.
     """
 
     columns: SineColumns
@@ -297,12 +339,15 @@ class Estimate:
     step: GaussNewtonStep | None
 
     def noise_between(self, first: int, second: int) -> FloatArray:
-        """Return the noise covariance (C, C) between what two lines see; equal ones for that of a line."""
+        """Return the noise covariance (C, C) between two lines.
+
+        Equal indices give that of a line.
+        """
         level = np.sqrt(self.noise[first] * self.noise[second])
         return np.asarray(self.factor * level @ self.factor.T)
 
     def exponent_covariance(self) -> FloatArray:
-        """Return the covariance (Q, Q) of the unknown frequencies and decay rates, with the noise of each line."""
+        """Return the covariance (Q, Q) of the unknown frequencies and decay rates."""
         if self.step is None:
             return np.zeros((0, 0))
         seen = np.repeat(self.factor[:, None, :] * np.sqrt(self.noise[: self.columns.lines]), 2, axis=1)
@@ -313,7 +358,7 @@ class Estimate:
         return np.asarray(self.step.inverse @ middle @ self.step.inverse)
 
     def linear_change(self) -> FloatArray:
-        """Return the derivative (P, C, Q) of the linear parameters by the unknown frequencies and decay rates."""
+        """Return the derivative (P, C, Q) of the linear parameters by the nonlinear unknowns."""
         if self.step is None:
             return np.zeros((*self.coefficients.shape, 0))
         carried = self.system.project[:, : self.system.linear] @ self.step.derivative
@@ -328,10 +373,11 @@ def phasors_at_zero(
     dof: FloatArray,
     names: tuple[tuple[str, ...], tuple[str, ...]],
 ) -> Phasors:
-    """Return the phasors at time zero from those about the middle, `factor` (K,) = exp(-s·middle) apart.
+    """Return the phasors at time zero from those about the middle.
 
-    Error of frequency and decay turns and scales a phasor from the middle to time zero: dX = exp(-s·t)·(dX' - X'·t·ds),
-    which with the covariance of s adds to the (XᵀX)⁻¹ ⊗ Σ of a fit at known frequencies.
+    `factor` (K,) = exp(-s·middle). An error of frequency and decay rotates and scales a phasor between the middle and
+    time zero: dX = exp(-s·t)·(dX' - X'·t·ds). With the covariance of s that adds to the (XᵀX)⁻¹ ⊗ Σ of a fit at fixed
+    frequencies.
     """
     lines, channels = found.columns.lines, found.coefficients.shape[1]
     value = as_complex(found.coefficients, lines)
@@ -339,8 +385,8 @@ def phasors_at_zero(
     change = as_complex(found.linear_change(), lines) - middle_s * value[:, :, None] * found.exponents[:, None, :]
     covariance = np.empty((lines, 2 * channels, 2 * channels))
     for k in range(lines):
-        own = slice(2 * k, 2 * k + 2)
-        block = spread[:, :, own, own] * found.noise_between(k, k)[:, :, None, None]
+        quadratures = slice(2 * k, 2 * k + 2)
+        block = spread[:, :, quadratures, quadratures] * found.noise_between(k, k)[:, :, None, None]
         stacked = np.concatenate([change[k].real, change[k].imag])
         covariance[k] = block.transpose(2, 0, 3, 1).reshape(2 * channels, 2 * channels)
         covariance[k] += stacked @ exponent_covariance @ stacked.T
@@ -348,18 +394,23 @@ def phasors_at_zero(
     return middle.scaled(factor[:, None])
 
 
-# What a fit leaves: its sums, its covariance between channels, and its density around each line.
+# Residual of a fit: its sums, its covariance between channels, and its density around each line.
 
 _DEPENDENT = 1e-12  # smallest eigenvalue of a correlation matrix that counts, for channels that depend on others
 
 
 @dataclass(frozen=True)
 class FitRemainder:
-    """Sums over the residual of a fit, each weighted.
+    """Weighted sums over the residual of a fit.
 
-    `right` (P, C): columns times residual; `power` (C, C): residual times residual; `held` (S, C) the residual itself
-    of a short record, of a long one `transform` (K + 1, M, C), its Fourier transform at `bins` (K + 1, M) near the
-    places `line_bin` (K + 1,) of the lines and of the offset.
+    Attributes
+    ----------
+    right : (P, C), columns times residual.
+    power : (C, C), residual times residual.
+    residual : (S, C), of a short record, else None.
+    transform : (K + 1, M, C), Fourier transform of a long record's residual at `bins`, else None.
+    bins : (K + 1, M), bins near the lines and the offset.
+    line_bin : (K + 1,), positions of the lines and of the offset in bins.
     """
 
     right: FloatArray
@@ -371,9 +422,9 @@ class FitRemainder:
 
 
 def sum_remainder(samples: SineSamples, columns: SineColumns, coefficients: FloatArray) -> FitRemainder:
-    """Gather what a fit leaves in one pass over its samples."""
+    """Return the sums over the residual of a fit from one pass over its samples."""
     timeline, channels = samples.timeline, samples.values.shape[1]
-    turned = columns.block_transforms(timeline)
+    transforms = columns.block_transforms(timeline)
     long = timeline.grid is not None and timeline.samples > LONG
     line_bin, bins = None, None
     if timeline.grid is not None and long:
@@ -381,9 +432,9 @@ def sum_remainder(samples: SineSamples, columns: SineColumns, coefficients: Floa
         bins = neighbour_bins(timeline.samples, line_bin)
     demodulator = None if bins is None else Demodulator(timeline, bins)
     down = np.empty((0, 0)) if demodulator is None else demodulator.columns()
-    moments = np.empty((len(turned), down.shape[1], channels))
-    held = None if long else np.empty(samples.values.shape)
-    local_right = np.empty((len(turned), turned.shape[1], channels))
+    moments = np.empty((len(transforms), down.shape[1], channels))
+    stored = None if long else np.empty(samples.values.shape)
+    local_right = np.empty((len(transforms), transforms.shape[1], channels))
     power = np.zeros((channels, channels))
     for chunk, basis, residual in residuals(samples, columns, coefficients):
         blocks = slice(chunk.first, chunk.last)
@@ -392,11 +443,11 @@ def sum_remainder(samples: SineSamples, columns: SineColumns, coefficients: Floa
         local_right[blocks] = chunk.by_block(basis.T @ chunk.weighted(residual, 1))
         if demodulator is not None:
             moments[blocks] = chunk.by_block(down[: len(residual)].T @ residual)
-        if held is not None:
-            held[timeline.edges[chunk.first] : timeline.edges[chunk.last]] = chunk.in_order(residual)
-    right = np.asarray(np.sum(turned.swapaxes(1, 2) @ local_right, axis=0))
+        if stored is not None:
+            stored[timeline.edges[chunk.first] : timeline.edges[chunk.last]] = chunk.in_order(residual)
+    right = np.asarray(np.sum(transforms.swapaxes(1, 2) @ local_right, axis=0))
     transform = None if demodulator is None else demodulator.transform(moments)
-    return FitRemainder(right, power, held, transform, bins, line_bin)
+    return FitRemainder(right, power, stored, transform, bins, line_bin)
 
 
 def noise_at_lines(
@@ -406,9 +457,10 @@ def noise_at_lines(
     whitening: FloatArray,
     time_s: FloatArray | None,
 ) -> LineNoise | None:
-    """Return the noise of the whitened series at each line and, last, at the lowest bin for the offset.
+    """Return the noise of the whitened series at each line and the offset.
 
-    `time_s`: the times of a record whose residual is held. None where times lie on no grid or are too few.
+    The offset is last and is represented by the lowest bin. `time_s` are the times of a record whose residual is
+    stored. None where times lie on no grid or are too few.
     """
     if remainder.transform is not None and remainder.bins is not None and remainder.line_bin is not None:
         ordinates = remainder.transform @ whitening.T / np.sqrt(samples.count)
@@ -417,27 +469,27 @@ def noise_at_lines(
         )
     if remainder.residual is None or time_s is None:
         return None
-    kept = samples.used_rows()
-    exact = sampling_grid(time_s[kept])
-    grid = exact or nearest_grid(time_s[kept])
+    used = samples.used_rows()
+    exact = sampling_grid(time_s[used])
+    grid = exact or nearest_grid(time_s[used])
     if grid is None:
         return None
-    whitened = np.asarray(remainder.residual[kept] @ whitening.T)
+    whitened = np.asarray(remainder.residual[used] @ whitening.T)
     found = line_noise(grid.filled(whitened), len(whitened), line_bins(columns, grid.length, grid.rate_hz))
     # Uneven times bring noise of all frequencies to a line: that of a white series of this power is the least.
     return found if exact or found is None else replace(found, variance=np.maximum(found.variance, 1.0))
 
 
 def line_bins(columns: SineColumns, length: int, rate: float) -> FloatArray:
-    """Return the places of all lines in bins of a record, and half a bin for the offset."""
+    """Return the bins of all lines of a record, last the offset."""
     return np.append(alias_frequency(columns.frequency_hz, rate) * length / rate, 0.5)
 
 
 def factor_of(covariance: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return F (C, C) with F·Fᵀ = covariance, and F⁻¹, zero for channels without noise.
 
-    F = D·√R with the symmetric root of the correlation matrix: of all roots the one that mixes the channels least, and
-    the same in whatever order they stand.
+    F = D·√R with the symmetric root of the correlation matrix. Of all roots it mixes the channels least, and it does
+    not depend on their order.
     """
     sigma = np.sqrt(covariance.diagonal())
     inverse_sigma = np.divide(1.0, sigma, out=np.zeros_like(sigma), where=sigma > 0.0)
@@ -449,25 +501,25 @@ def factor_of(covariance: FloatArray) -> tuple[FloatArray, FloatArray]:
     return np.asarray(factor), np.asarray(inverse)
 
 
-# Samples that stand out of the noise of a fit.
+# Outlying samples of a fit.
 
 _FALSE_ALARM = 0.01  # samples of a whole record that Gaussian noise may lose
 _SCATTER = 1.16  # relative standard deviation of a median absolute deviation, times the root of the samples
 _SAMPLE = 1 << 16  # residuals from which the scale of a long record is read
 _NORMAL_MEDIAN = 0.6744897501960817  # of |x| for a standard normal x
-_ROUNDS = 20
+_ROUNDS = 20  # of fitting and rejecting spikes at most
 _FINEST = 1e-12  # of the largest coefficient: no residual is judged more finely
 _MOST = 0.25  # of the samples: more are no spikes
 
 
 def find_spikes(samples: SineSamples, frequency_hz: FloatArray, model: SineModel) -> tuple[BoolArray, float]:
-    """Return the rows (S,) whose residual stands out of the noise in any channel, and by how many deviations at least.
+    """Return the outlying rows (S,) of the residual, and the limit in standard deviations.
 
-    So many that Gaussian noise does so in 1 of 100 records, and two standard deviations of the scale more, so that
-    short records lose no more. Fit, take away what stands out, fit again, until it is the same set; every row is judged
-    anew each time. The deviation is that of the median absolute residual, which half of the rows may spoil (Hampel, J.
-    Am. Stat. Assoc. 69 (1974) 383). Where more than a quarter stands out, this is no Gaussian noise with spikes, and
-    nothing is left out.
+    The limit is such that Gaussian noise exceeds it in 1 of 100 records, plus two standard deviations of the scale, so
+    that short records lose no more. Fitting and rejection are repeated until the set is stable; every row is tested
+    again each time. The standard deviation is estimated from the median absolute residual, which tolerates up to half
+    of the rows as outliers (Hampel, J. Am. Stat. Assoc. 69 (1974) 383). Where more than a quarter would be rejected,
+    the noise is not Gaussian with spikes, and no row is rejected.
     """
     count, parameters = samples.count, 2 * len(frequency_hz) + (2 if model.drift else 1)
     limit = -NormalDist().inv_cdf(_FALSE_ALARM / (2.0 * count * samples.values.shape[1]))
@@ -489,7 +541,10 @@ def find_spikes(samples: SineSamples, frequency_hz: FloatArray, model: SineModel
 
 
 def _scale(samples: SineSamples, columns: SineColumns, coefficients: FloatArray) -> FloatArray:
-    """Return the standard deviation (C,) of the weighted residual, from evenly spaced rows, by its median."""
+    """Return the standard deviation (C,) of the weighted residual from its median.
+
+    Evenly spaced rows are used.
+    """
     step = -(-samples.timeline.samples // _SAMPLE)
     chosen = []
     for chunk, _, residual in residuals(samples, columns, coefficients):

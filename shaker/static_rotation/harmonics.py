@@ -9,7 +9,7 @@ import numpy as np
 
 from shaker.arrays import Brief, ComplexArray, FloatArray, check_shape
 
-# What a weighing needs of its surroundings: gravity from latitude and height, density of the air.
+# Ambient conditions of a weighing: gravity from latitude and height, density of the air.
 
 GRS80_EQUATOR_MPS2 = 9.7803267715
 GRS80_POLE_MPS2 = 9.8321863685
@@ -18,28 +18,28 @@ GRS80_FLATTENING = 1.0 / 298.257222101
 GRS80_ROTATION = 0.00344978600308
 """m = ω²a²b/(GM) of the Geodetic Reference System 1980."""
 U_NORMAL_GRAVITY = 0.5e-4
-"""Relative standard uncertainty with which normal gravity stands for gravity at a place.
+"""Relative standard uncertainty of normal gravity as an estimate of local gravity.
 
 Half of the 10⁻⁴ that PTB states for the same formula from latitude and height above the sea (g-Extractor of the gravity
 information system). Measured gravity differs from it by some 35·10⁻⁵ m/s² on the global average; in high mountains, and
 on ocean islands, it may differ by several times as much.
 """
-LAYER_K, LAPSE_K_PER_M, SEA_PRESSURE_PA = 288.15, 0.0065, 101_325.0
-STANDARD_EXPONENT = 5.255877
+LAYER_K, LAPSE_K_PER_M, SEA_PRESSURE_PA = 288.15, 0.0065, 101_325.0  # ISO 2533
+STANDARD_EXPONENT = 5.255877  # g/(R·lapse rate), ISO 2533
 AIR_GAS_CONSTANT = 3.483740e-3  # kg K/J, molar mass of dry air with 400 ppm CO2 over R, CIPM-2007 eq. 2
 ABSOLUTE_ZERO_C = -273.15
 U_FORMULA = 22e-6
 """Relative standard uncertainty of the CIPM-2007 formula itself."""
-WEATHER_PA, ANY_PLACE_PA = 1000.0, 4000.0
-"""Standard deviation of the pressure about the standard atmosphere's: at a known height, and where none is known."""
-ROOM_C, U_ROOM_C = 20.0, 3.0
-HUMIDITY, U_HUMIDITY = 0.5, 0.2
+WEATHER_PA, UNKNOWN_HEIGHT_PA = 1000.0, 4000.0
+"""Standard deviation of the pressure from the standard atmosphere: at a known height, and at an unknown one."""
+USUAL_C, U_USUAL_C = 20.0, 3.0  # of a laboratory, assumed
+HUMIDITY, U_HUMIDITY = 0.5, 0.2  # of a laboratory, assumed
 U_MEASURED_PA, U_MEASURED_C, U_MEASURED_HUMIDITY = 100.0, 0.5, 0.05
-"""Standard uncertainties that are taken for pressure, temperature and humidity where somebody has measured them."""
+"""Assumed standard uncertainties of measured pressure, temperature and humidity."""
 
 
 class SourcedValue(NamedTuple):
-    """A number with its standard uncertainty, and where it comes from in words."""
+    """A number with its standard uncertainty and its source in words."""
 
     value: float
     u: float
@@ -47,10 +47,11 @@ class SourcedValue(NamedTuple):
 
 
 def normal_gravity(latitude_rad: float, height_m: float) -> float:
-    """Return gravity in m/s² of the Geodetic Reference System 1980 at a height above its ellipsoid.
+    """Return normal gravity in m/s² at a height above the ellipsoid.
 
-    On the ellipsoid γ = (a γ_e cos²φ + b γ_p sin²φ)/√(a² cos²φ + b² sin²φ) (Somigliana 1929; constants: Moritz 2000, J.
-    Geodesy 74, 128), above it γ·(1 - 2(1 + f + m - 2f sin²φ)h/a + 3(h/a)²) (Heiskanen & Moritz 1967, eq. 2-123).
+    Geodetic Reference System 1980. On the ellipsoid γ = (a γ_e cos²φ + b γ_p sin²φ)/√(a² cos²φ + b² sin²φ) (Somigliana
+    1929; constants: Moritz 2000, J. Geodesy 74, 128), above it γ·(1 - 2(1 + f + m - 2f sin²φ)h/a + 3(h/a)²) (Heiskanen
+    & Moritz 1967, eq. 2-123).
     """
     if not abs(latitude_rad) <= np.pi / 2.0 + 1e-12:
         raise ValueError(f"latitude_rad: expected an angle from -pi/2 to pi/2, found {latitude_rad}")
@@ -65,10 +66,10 @@ def normal_gravity(latitude_rad: float, height_m: float) -> float:
 
 
 def gravity_at(latitude_rad: float, height_m: float) -> SourcedValue:
-    """Return gravity in m/s² at a place by its latitude and its height above the sea, with its standard uncertainty.
+    """Return gravity in m/s² from latitude and height above the sea, with its uncertainty.
 
-    The height above the sea stands for that above the ellipsoid, as in PTB's g-Extractor: the anomalies that make up
-    the uncertainty are those about this value.
+    The height above the sea replaces that above the ellipsoid, as in PTB's g-Extractor. The uncertainty is that of the
+    anomalies about this value.
     """
     value = normal_gravity(latitude_rad, height_m)
     source = f"normal gravity (GRS 80) at {np.degrees(latitude_rad):.6g}° and {height_m:g} m"
@@ -81,10 +82,11 @@ def standard_pressure(height_m: float) -> float:
 
 
 def moist_air_density(pressure_pa: float, temperature_c: float, humidity: float) -> float:
-    """Return the density of air in kg/m³ with 400 ppm of CO2; `humidity`: relative, from 0 to 1.
+    """Return the density of air in kg/m³ with 400 ppm of CO2.
 
-    ρ = p M_a/(Z R T)·(1 - 0.3780 x_v) by CIPM-2007 (Picard et al. 2008, Metrologia 45, 149), relative standard
-    uncertainty 22·10⁻⁶ within 600 to 1100 hPa and 15 to 27 °C, where it was made; a few 10⁻⁵ further off.
+    `humidity`: relative, from 0 to 1. ρ = p M_a/(Z R T)·(1 - 0.3780 x_v) by CIPM-2007 (Picard et al. 2008, Metrologia
+    45, 149). Its relative standard uncertainty is 22·10⁻⁶ within its range of 600 to 1100 hPa and 15 to 27 °C, and a
+    few 10⁻⁵ outside.
     """
     if not 0.0 <= humidity <= 1.0:
         raise ValueError(f"humidity: expected a number from 0 to 1, found {humidity}")
@@ -102,15 +104,16 @@ def moist_air_density(pressure_pa: float, temperature_c: float, humidity: float)
 def air_density_at(
     height_m: float | None, pressure_pa: float | None, temperature_c: float | None, humidity: float | None
 ) -> SourcedValue:
-    """Return the density of air in kg/m³ from what is known of it; what is not is a laboratory's usual condition.
+    """Return the density of air in kg/m³ from measured or usual conditions.
 
-    Pressure: of the standard atmosphere at the height, ±10 hPa of weather, without a height that at sea level ±40 hPa;
-    20 °C ± 3 K; relative humidity 0.5 ± 0.2. Measured values count as known to 1 hPa, 0.5 K and 0.05 (all k = 1).
+    Pressure: the standard atmosphere at the height, ±10 hPa for weather; without a height that at sea level ±40 hPa. 20
+    °C ± 3 K. Relative humidity 0.5 ± 0.2. Measured values have 1 hPa, 0.5 K and 0.05 (all k = 1).
     """
-    weather = SourcedValue(standard_pressure(height_m or 0.0), ANY_PLACE_PA if height_m is None else WEATHER_PA, "")
+    u_weather = UNKNOWN_HEIGHT_PA if height_m is None else WEATHER_PA
+    weather = SourcedValue(standard_pressure(height_m or 0.0), u_weather, "")
     parts = [
         weather if pressure_pa is None else SourcedValue(pressure_pa, U_MEASURED_PA, "pressure"),
-        SourcedValue(ROOM_C, U_ROOM_C, "")
+        SourcedValue(USUAL_C, U_USUAL_C, "")
         if temperature_c is None
         else SourcedValue(temperature_c, U_MEASURED_C, "temperature"),
         SourcedValue(HUMIDITY, U_HUMIDITY, "")
@@ -120,7 +123,7 @@ def air_density_at(
     centre = np.array([part.value for part in parts])
 
     def density(conditions: FloatArray) -> float:
-        """At pressure, temperature and a humidity kept within its limits."""
+        """Return the density at pressure, temperature and a humidity limited to 0 … 1."""
         return moist_air_density(conditions[0], conditions[1], float(np.clip(conditions[2], 0.0, 1.0)))
 
     value = moist_air_density(*centre)
@@ -131,20 +134,23 @@ def air_density_at(
     return SourcedValue(value, u, f"CIPM-2007 from {', '.join(stated) or 'the usual conditions of a laboratory'}")
 
 
-# Readings over the angle of an indexing head as harmonics: all channels in one solve, only what the data show.
+# Readings over the angle of an indexing head as harmonics: all channels together, significant terms only.
 
 CHANCE = 1e-3
-"""Probability with which a term that is not there may enter a fit."""
-HIGHEST_ORDER = 8
-LEAST_DOF = 3
-LARGEST_CONDITION = 30.0
-SAME_ANGLE_RAD = 1e-3
+"""Probability of a false term in a fit."""
+HIGHEST_ORDER = 8  # of a harmonic
+MIN_DOF = 3  # of a fit with an additional term
+LARGEST_CONDITION = 30.0  # of a design, above which angles do not separate the terms
+SAME_ANGLE_RAD = 1e-3  # about 0.06°
 ROUNDING, FINEST, WHOLE = 1e-12, 1e-12, 1e-3
-"""Relative precision of computed numbers, that of the finest display looked for, and what counts as a whole number."""
+"""Relative precision of computed numbers, that of the finest display, and the tolerance of a whole number."""
 
 
 class Reversal(NamedTuple):
-    """What turning back changes: `angle_rad` (K,) read in both senses, `difference` (K, C) forward less backward."""
+    """Difference between both senses of rotation.
+
+    `angle_rad` (K,) read in both senses, `difference` (K, C) forward minus backward.
+    """
 
     angle_rad: FloatArray
     difference: FloatArray
@@ -152,12 +158,13 @@ class Reversal(NamedTuple):
 
 @dataclass(frozen=True, repr=False)
 class AngleFit(Brief):
-    """Readings (N, C) at angles (N,) as a sum of terms: reading = design · coefficient + residual.
+    """Readings (N, C) at angles (N,) as a sum of terms.
 
-    `terms` (P,) names the columns of `design` (N, P): offset, cos 1, sin 1, and where the data show them cos n, sin n,
-    drift (over the order of the readings, from -1 to 1) and sense (difference between turning forward and back).
-    `inverse` (P, P): (XᵀX)⁻¹; `noise` (C, C): covariance of a reading with `dof` degrees of freedom, so that the
-    covariance of coefficients p, q of channels c, d is noise[c, d]·inverse[p, q].
+    reading = design · coefficient + residual. `terms` (P,): names of the columns of `design` (N, P). They are offset,
+    cos 1, sin 1, and if significant cos n, sin n, drift (over the order of the readings, from -1 to 1) and sense
+    (difference between forward and backward rotation). `inverse` (P, P): (XᵀX)⁻¹. `noise` (C, C): covariance of a
+    reading with `dof` degrees of freedom. The covariance of coefficients p, q of channels c, d is noise[c,
+    d]·inverse[p, q].
     """
 
     channels: tuple[str, ...]
@@ -180,55 +187,55 @@ class AngleFit(Brief):
 
     @property
     def residual(self) -> FloatArray:
-        """Return what the terms leave of the readings (N, C)."""
+        """Residuals (N, C) of the readings."""
         return np.asarray(self.reading - self.design @ self.coefficient)
 
     @property
     def orders(self) -> tuple[int, ...]:
-        """Return the harmonics in the fit, ascending."""
+        """Harmonics in the fit, ascending."""
         return tuple(int(name[4:]) for name in self.terms if name.startswith("cos "))
 
     def amplitude(self, order: int = 1) -> ComplexArray:
         """Return A (C,) of a harmonic, so that the reading is Re{A exp(+j·order·angle)}."""
-        cosine, sine = self._places(order)
+        cosine, sine = self._columns(order)
         return np.asarray(self.coefficient[cosine] - 1j * self.coefficient[sine])
 
     def covariance(self, order: int = 1) -> FloatArray:
-        """Return the covariance (2C, 2C) of [all Re, all Im] of a harmonic's amplitude, the noise alone."""
-        places = self._places(order)
+        """Return the noise covariance (2C, 2C) of [all Re, all Im] of a harmonic's amplitude."""
+        indices = self._columns(order)
         turn = np.array([[1.0, -1.0], [-1.0, 1.0]])
-        return np.asarray(np.kron(turn * self.inverse[np.ix_(places, places)], self.noise))
+        return np.asarray(np.kron(turn * self.inverse[np.ix_(indices, indices)], self.noise))
 
     def curve(self, angle_rad: FloatArray) -> FloatArray:
         """Return offset and harmonics at angles (M,) as (M, C), without drift and sense."""
         return np.asarray(np.stack([_periodic(name, angle_rad) for name in self.terms], axis=1) @ self.coefficient)
 
     def reversal(self) -> Reversal:
-        """Return the differences between readings of both senses of turning at angles that were met in both."""
-        sense, turned = turning_sense(self.angle_rad), np.mod(self.angle_rad, 2.0 * np.pi)
-        met, differences = [], []
-        for angle in _distinct(turned):
-            here = np.abs(np.angle(np.exp(1j * (turned - angle)))) < SAME_ANGLE_RAD
-            forward, back = here & (sense > 0.0), here & (sense < 0.0)
+        """Return the differences between readings at angles that were read in both senses."""
+        sense, angles = turning_sense(self.angle_rad), np.mod(self.angle_rad, 2.0 * np.pi)
+        both, differences = [], []
+        for angle in _distinct(angles):
+            near = np.abs(np.angle(np.exp(1j * (angles - angle)))) < SAME_ANGLE_RAD
+            forward, back = near & (sense > 0.0), near & (sense < 0.0)
             if forward.any() and back.any():
-                met.append(angle)
+                both.append(angle)
                 differences.append(self.reading[forward].mean(axis=0) - self.reading[back].mean(axis=0))
-        return Reversal(np.array(met), np.reshape(differences, (len(met), len(self.channels))))
+        return Reversal(np.array(both), np.reshape(differences, (len(both), len(self.channels))))
 
-    def _places(self, order: int) -> list[int]:
+    def _columns(self, order: int) -> list[int]:
         if order not in self.orders:
             raise ValueError(f"order: expected one of {self.orders}, found {order}")
         return [self.terms.index(f"{part} {order}") for part in ("cos", "sin")]
 
 
 def fit_angles(channels: tuple[str, ...], angle_rad: FloatArray, reading: FloatArray) -> AngleFit:
-    """Fit offset and first harmonic to readings (N, C) of C channels at angles (N,), and further terms that they show.
+    """Fit offset, first harmonic and significant further terms to readings (N, C) at angles (N,).
 
-    Offered are harmonics 2, 3, … as far as the angles tell them apart, a linear drift over the order of the readings
-    and, where the head was turned both ways, the difference of the two (offset and first harmonic). A term enters, the
-    clearest first, where an F test of one channel gives it to chance less than once in 1000, all channels together.
-    Angles in any order, repeated or not. A reading is at least as uncertain as its
-    last digit a, a²/12.
+    Further terms are harmonics 2, 3, … as far as the angles resolve them, a linear drift over the order of the readings
+    and, if the head was rotated both ways, the difference between both senses (offset and first harmonic). The most
+    significant term enters first. It must be significant in an F test of one channel with a chance below 1 in 1000 for
+    all channels together. Angles may have any order and repeat. The variance of a reading is at least a²/12 for its
+    last digit a.
     """
     angle, values = np.asarray(angle_rad, np.float64), np.asarray(reading, np.float64)
     check_shape("angle_rad", angle, (None,))
@@ -239,7 +246,7 @@ def fit_angles(channels: tuple[str, ...], angle_rad: FloatArray, reading: FloatA
     design = np.stack([columns for _, columns in terms], axis=1)
     if len(angle) <= design.shape[1] or np.linalg.cond(design) > LARGEST_CONDITION:
         spread = f"{len(angle)} readings at {len(_distinct(np.mod(angle, 2.0 * np.pi)))} angles"
-        raise ValueError(f"angle_rad: expected at least four angles spread over most of a turn, found {spread}")
+        raise ValueError(f"angle_rad: expected at least four angles over most of a revolution, found {spread}")
     digit = np.array([_last_digit(column) for column in values.T])
     floor = digit**2 / 12.0 + (ROUNDING * np.abs(values).max(axis=0)) ** 2
     names = [name for name, _ in terms]
@@ -257,9 +264,10 @@ def fit_angles(channels: tuple[str, ...], angle_rad: FloatArray, reading: FloatA
 
 
 def turning_sense(angle_rad: FloatArray) -> FloatArray:
-    """Return +1 or -1 (N,): in which sense the head came to each angle, by the shorter way; 0 for a single reading.
+    """Return the sense +1 or -1 (N,) of approach to each angle.
 
-    The first reading counts as come to like the second, one at the same angle like the one before.
+    By the shorter path. 0 for a single reading. The first reading has the sense of the second, one at the same angle
+    that of the previous one.
     """
     step = np.angle(np.exp(1j * np.diff(angle_rad)))
     sense = np.where(np.abs(step) < SAME_ANGLE_RAD, 0.0, np.sign(step))
@@ -274,7 +282,7 @@ Term = tuple[str, FloatArray]
 
 
 def _offered(angle: FloatArray) -> tuple[list[Term], list[list[Term]]]:
-    """Terms of every fit, and the blocks of terms that the data may add."""
+    """Return the terms of every fit, and blocks of further terms."""
     count = len(_distinct(np.mod(angle, 2.0 * np.pi)))
     always = [(name, _periodic(name, angle)) for name in ("offset", "cos 1", "sin 1")]
     highest = min(HIGHEST_ORDER, (count - 1) // 2)
@@ -288,23 +296,29 @@ def _offered(angle: FloatArray) -> tuple[list[Term], list[list[Term]]]:
 
 
 def _periodic(name: str, angle: FloatArray) -> FloatArray:
-    """Column of a term that depends on the angle alone, zeros for the others."""
+    """Return the column of a term that depends on the angle only.
+
+    Other terms give zeros.
+    """
     kind, _, order = name.partition(" ")
     if kind in ("cos", "sin"):
         return np.asarray(getattr(np, kind)(int(order) * angle))
     return np.full(len(angle), float(name == "offset"))
 
 
-def _distinct(turned: FloatArray) -> FloatArray:
-    """Angles within a turn that differ by more than what counts as the same."""
-    ordered = np.sort(turned)
-    kept = ordered[np.diff(ordered, prepend=-np.inf) > SAME_ANGLE_RAD]
-    wraps = len(kept) > 1 and kept[0] + 2.0 * np.pi - kept[-1] < SAME_ANGLE_RAD
-    return np.asarray(kept[:-1] if wraps else kept)
+def _distinct(angle: FloatArray) -> FloatArray:
+    """Return the different angles within one revolution."""
+    ordered = np.sort(angle)
+    distinct = ordered[np.diff(ordered, prepend=-np.inf) > SAME_ANGLE_RAD]
+    wraps = len(distinct) > 1 and distinct[0] + 2.0 * np.pi - distinct[-1] < SAME_ANGLE_RAD
+    return np.asarray(distinct[:-1] if wraps else distinct)
 
 
 def _last_digit(column: FloatArray) -> float:
-    """Largest of 1, 2, 5 times a power of ten of which all readings are multiples, 0 where there is none."""
+    """Return the last digit of all readings, or 0.
+
+    It is the largest of 1, 2, 5 times a power of ten that divides them.
+    """
     largest = float(np.abs(column).max())
     if FINEST * largest < np.finfo(np.float64).tiny:
         return 0.0
@@ -317,24 +331,24 @@ def _last_digit(column: FloatArray) -> float:
 
 
 def _clearest(design: FloatArray, blocks: list[list[Term]], values: FloatArray, floor: FloatArray) -> int | None:
-    """Which block the readings show most clearly, None where it may be chance."""
+    """Return the index of the most significant block, None without one."""
     from scipy.special import fdtrc
 
     basis = np.linalg.qr(design)[0]
     left = values - basis @ (basis.T @ values)
     before = np.sum(left**2, axis=0)
     best, least = None, CHANCE / max(1, len(floor))
-    for place, block in enumerate(blocks):
+    for index, block in enumerate(blocks):
         columns = np.stack([column for _, column in block], axis=1)
-        own = columns - basis @ (basis.T @ columns)
+        orthogonal = columns - basis @ (basis.T @ columns)
         dof = len(design) - design.shape[1] - len(block)
-        axes, size, _ = np.linalg.svd(own, full_matrices=False)
-        if dof < LEAST_DOF or size[-1] * LARGEST_CONDITION < np.linalg.norm(columns[:, 0]):
+        axes, size, _ = np.linalg.svd(orthogonal, full_matrices=False)
+        if dof < MIN_DOF or size[-1] * LARGEST_CONDITION < np.linalg.norm(columns[:, 0]):
             continue
         gain = np.sum((axes.T @ left) ** 2, axis=0)
         noise = np.maximum((before - gain) / dof, floor)
         ratio = gain / len(block) / np.where(noise > 0.0, noise, 1.0)
         chance = float(np.min(fdtrc(len(block), dof, ratio)))
         if chance < least:
-            best, least = place, chance
+            best, least = index, chance
     return best

@@ -1,4 +1,4 @@
-"""What turns the readings of an indexing head, and the masses they mean."""
+"""Masses and centres of mass from the readings of an indexing head."""
 
 from __future__ import annotations
 
@@ -16,15 +16,16 @@ FORCES = 3
 UNKNOWNS_PER_RECORD = 7
 """Unknowns of a recording: weight N, first moment N·m (3), zero angle rad, tilt of the axis rad (2)."""
 MIN_FORCE_SHARE = 0.3
-"""Share of the weight that a force component must feel at some angle for a weight of its own."""
-DETERMINED = 1e-6
+"""Smallest share of the weight in a force component, at some angle, for a separate weight."""
+DETERMINED = 1e-6  # tolerance of the unit matrix
 
 
 @dataclass(frozen=True, repr=False)
 class SensorOutputs(Brief):
-    """How C outputs answer the load: `sensitivity` (C, 6) output per Fx … Mz, `u` (C, 6) of every element, independent.
+    """Response of C outputs to the load.
 
-    `sense`: +1 where outputs are positive for the load on the sensor, -1 for that of the sensor on what it carries.
+    `sensitivity` (C, 6): output per Fx … Mz; `u` (C, 6) of every element, independent. `sense`: +1 for outputs that are
+    positive for the load on the sensor, -1 for the force of the sensor on its load.
     """
 
     sensitivity: FloatArray
@@ -37,25 +38,25 @@ class SensorOutputs(Brief):
 
     @cached_property
     def inverse(self) -> FloatArray:
-        """Return the calibration matrix (6, C), load per output: the pseudo-inverse, columns scaled to one size."""
+        """Calibration matrix (6, C), load per output: pseudo-inverse with columns scaled to one size."""
         size = np.linalg.norm(self.sensitivity, axis=0)
         scale = np.where(size > 0.0, size, 1.0)
         return np.asarray(np.linalg.pinv(self.sensitivity / scale, rcond=1e-9) / scale[:, None])
 
     @cached_property
     def determined(self) -> BoolArray:
-        """Return (6,): which load components the outputs tell from all others."""
+        """Mask (6,) of the load components that the outputs separate from all others."""
         identity = self.inverse @ self.sensitivity
         return np.asarray(np.all(np.abs(identity - np.eye(6)) < DETERMINED, axis=1))
 
 
 @dataclass(frozen=True, repr=False)
 class RotationRecord(Brief):
-    """One recording: first harmonics of the C outputs and how the head stood.
+    """One recording: first harmonics of the C outputs and the orientation of the head.
 
-    `amplitude` (C,): output = Re{amplitude exp(+jθ)}, θ counted as the sensor turns, right-handed about `axis` (3,);
-    `covariance` (2C, 2C) of [all Re, all Im], of noise with `dof` degrees of freedom; `down` (3,): direction of gravity
-    at θ = 0, both unit vectors in sensor axes.
+    `amplitude` (C,): output = Re{amplitude exp(+jθ)}, θ is the rotation of the sensor, right-handed about `axis` (3,).
+    `covariance` (2C, 2C) of [all Re, all Im], of noise with `dof` degrees of freedom. `down` (3,): direction of gravity
+    at θ = 0. Both are unit vectors in sensor axes.
     """
 
     name: str
@@ -73,30 +74,33 @@ class RotationRecord(Brief):
 
     @cached_property
     def frame(self) -> tuple[float, FloatArray, FloatArray]:
-        """Return the share of gravity that turns, its direction at θ = 0, and that across it: axis × direction."""
+        """Rotating share of gravity, its direction at θ = 0, and axis × direction."""
         across = self.down - self.axis * float(self.axis @ self.down)
         share = float(np.linalg.norm(across))
         return share, across / share, np.cross(self.axis, across) / share
 
 
-def weight_load(record: RotationRecord, own: FloatArray, sense: int) -> tuple[ComplexArray, ComplexArray]:
-    """Return the load (6,) phasor of a recording's unknowns `own` (7,), and its derivatives (6, 7)."""
+def weight_load(record: RotationRecord, unknowns: FloatArray, sense: int) -> tuple[ComplexArray, ComplexArray]:
+    """Return the load phasor (6,) of a recording's unknowns (7,), and its derivatives (6, 7)."""
     share, _, _ = record.frame
-    turn = sense * np.exp(1j * own[4])
-    phasor = turn * turning_phasor(record, own[5:])
+    turn = sense * np.exp(1j * unknowns[4])
+    phasor = turn * turning_phasor(record, unknowns[5:])
     tilts = turn * share * np.outer(record.axis, [-1.0, -1j])
     columns = np.zeros((6, UNKNOWNS_PER_RECORD), np.complex128)
     columns[:3, 0] = phasor
     columns[3:, 1:4] = np.cross(np.eye(3), phasor).T
-    load = columns[:, :4] @ own[:4]
+    load = columns[:, :4] @ unknowns[:4]
     columns[:, 4] = 1j * load
-    columns[:3, 5:] = own[0] * tilts
-    columns[3:, 5:] = np.cross(own[1:4], tilts, axisb=0).T
+    columns[:3, 5:] = unknowns[0] * tilts
+    columns[3:, 5:] = np.cross(unknowns[1:4], tilts, axisb=0).T
     return np.asarray(load), columns
 
 
 def start_values(record: RotationRecord, outputs: SensorOutputs) -> FloatArray:
-    """Return the unknowns (7,) of a recording from the forces alone; refuses readings that turn the other way round."""
+    """Return start values of the unknowns (7,) of a recording from the forces.
+
+    Readings for the opposite sense of rotation are refused.
+    """
     phasor = outputs.sense * turning_phasor(record, np.zeros(2))
     seen = outputs.determined[:FORCES] & (np.abs(phasor) > MIN_FORCE_SHARE)
     if not seen.any():
@@ -106,8 +110,8 @@ def start_values(record: RotationRecord, outputs: SensorOutputs) -> FloatArray:
     against = np.sum(force * phasor[seen]) / size
     if abs(against) > 1.5 * abs(with_axis):
         raise ValueError(
-            "axis: expected the sense of turning for which gravity turns backwards in the sensor, found readings that "
-            "turn the other way round; reverse the axis"
+            "axis: expected a rotation for which gravity rotates backwards in the sensor, found the opposite sense; "
+            "reverse the axis"
         )
     if abs(with_axis) == 0.0:
         raise ValueError("amplitude: expected forces that change with the angle, found none")
@@ -115,7 +119,10 @@ def start_values(record: RotationRecord, outputs: SensorOutputs) -> FloatArray:
 
 
 def turning_phasor(record: RotationRecord, tilt: FloatArray) -> ComplexArray:
-    """Return U (3,), gravity's direction in sensor axes as a phasor, the axis tilted along and across it at zero."""
+    """Return U (3,), the direction of gravity in sensor axes as a phasor.
+
+    The axis is tilted along and across gravity at zero angle.
+    """
     from scipy.spatial.transform import Rotation
 
     share, along, across = record.frame
@@ -123,17 +130,17 @@ def turning_phasor(record: RotationRecord, tilt: FloatArray) -> ComplexArray:
     return np.asarray(share * (turn @ (along + 1j * across)))
 
 
-# Weights, first moments and masses from the first harmonic of a sensor that is turned about a horizontal axis.
+# Weights, first moments and masses from the first harmonic of a sensor rotated about a horizontal axis.
 
 Number = TypeVar("Number", float, FloatArray)
 ROWS = UNKNOWNS_PER_RECORD + FORCES
-"""Numbers of a recording in `WeightFit`: its unknowns, then the weight by each force component alone."""
+"""Numbers of a recording in `WeightFit`: its unknowns, then the weight from each force component."""
 LEVER_M, TILT_RAD = 1.0, 0.1
-"""Standard deviations of what nothing is known of: lever of the weight, tilt of the axis."""
+"""Standard deviations of the priors without a statement: lever of the weight, tilt of the axis."""
 USUAL_LEVER_M = 0.1
-"""Lever at which forces and moments count alike where outputs of either kind are told apart."""
+"""Lever at which forces and moments have equal weight in the classification of outputs."""
 CHANCE, CHANCE_OF_FEW, FEW_DOF = 1e-3, 1e-2, 5.0
-"""Probability with which channels that agree may be taken for ones that do not; with fewer degrees of freedom, more."""
+"""Probability of a false disagreement of channels; larger with few degrees of freedom."""
 _RULES = LMOptions(
     predicted_decrease=1e-14,
     predicted_decrease_share=0.0,
@@ -142,20 +149,23 @@ _RULES = LMOptions(
     initial_damping=1e-9,
     min_damping=1e-12,
 )
-"""A fit has converged where a step would be 1e-7 of the standard uncertainties."""
+"""A fit has converged if a step would be 1e-7 of the standard uncertainties."""
 _SMALLEST_DEPARTURE, _DEPARTURE_STEP = 1e-9, 1.001
 
 
 def mass_of_weight(weight_n: Number, gravity_mps2: Number, air_share: Number | float = 0.0) -> Number:
-    """Return the mass in kg of a weight in air, m = F/(g·(1 - ρ_air/ρ)); `air_share`: ρ_air/ρ of the body.
+    """Return the mass in kg of a weight in air, m = F/(g·(1 - ρ_air/ρ)).
 
-    Nitsche et al. 2018, eq. 7, whose masses are without buoyancy (`air_share` 0).
+    `air_share`: ρ_air/ρ of the body. Nitsche et al. 2018, eq. 7, without buoyancy (`air_share` 0).
     """
     return weight_n / (gravity_mps2 * (1.0 - air_share))
 
 
 class WeightErrorSource(NamedTuple):
-    """Independent errors of one kind: `effect` (V, r) of r unit deviates on all V numbers of a fit, with `dof`."""
+    """Independent errors of one kind with their effect on all V numbers of a fit.
+
+    `effect` (V, r): of r unit deviations, with `dof`.
+    """
 
     name: str
     kind: Literal["A", "B"]
@@ -168,11 +178,11 @@ class WeightFit(Brief):
     """Weights of R recordings with one sensor.
 
     `value` (R·10,), for each recording in turn: weight N, first moment x y z (weight times centre of mass, N·m), zero
-    angle rad, tilt of the axis rad along gravity at zero angle and across it, and the weight by Fx, Fy, Fz alone (NaN
-    where a component does not tell). `sources`: every cause of error with its effect on all of them. `load` (R, 6):
-    first harmonics of the load by the calibration matrix (NaN where not determined). `chi_squared`, `dof`: how well
-    weights explain all outputs; `departure`: share of the weight by which every first harmonic departs from that of a
-    turned weight beyond what is stated, 0 where the channels agree.
+    angle rad, tilt of the axis rad along gravity at zero angle and across it, and the weight from Fx, Fy, Fz separately
+    (NaN if a component does not determine it). `sources`: every cause of error with its effect on all values. `load`
+    (R, 6): first harmonics of the load by the calibration matrix, NaN if not determined. `chi_squared`, `dof`: of all
+    outputs. `departure`: share of the weight by which first harmonics deviate from that of a rotated weight in addition
+    to the stated uncertainties, 0 if the channels agree.
     """
 
     names: tuple[str, ...]
@@ -189,32 +199,55 @@ class WeightFit(Brief):
 
     @property
     def covariance(self) -> FloatArray:
-        """Return the covariance of `value`."""
+        """Covariance of `value`."""
         return np.asarray(sum(source.effect @ source.effect.T for source in self.sources))
 
     def row_index(self, recording: int, row: int) -> int:
-        """Return where a number of a recording stands in `value`."""
+        """Return the index of a recording's number in `value`."""
         return ROWS * recording + row
 
 
 def fit_weights(records: Sequence[RotationRecord], outputs: SensorOutputs, u_angle_rad: float = 0.0) -> WeightFit:
     """Fit weight, first moment, zero angle and axis of every recording to all first harmonics.
 
-    In sensor axes gravity turns backwards: force = W·U·exp(jθ₀), moment = μ × U·exp(jθ₀), U = d + j n × d with n the
-    axis, d gravity's direction at zero angle. Every element of the sensitivity is an unknown with its stated
-    uncertainty, common to all recordings; so are errors of the head's angle twice per turn (ε_s sin 2θ + ε_c cos 2θ,
-    `u_angle_rad` each), the only ones that first harmonics feel: A → A - (j/2)·conj(A)·(ε_c - jε_s). Outputs weigh by
-    their own noise. Where an F test gives what all outputs, or those of forces, leave to chance less than once in 1000
-    (of few readings: in 100), every first harmonic is taken to be uncertain by one more share of the weight, as large
-    as makes χ² its degrees of freedom (Paule & Mandel 1982, J. Res. NBS 87, 377).
+    Parameters
+    ----------
+    records
+        first harmonics of each recording
+    outputs
+        sensitivity of the outputs with its uncertainty
+    u_angle_rad
+        standard uncertainty of the head's angle errors twice per revolution, rad, default 0
 
+    Returns
+    -------
+    WeightFit : values with the effects of all causes of error
+
+    Raises
+    ------
+    ValueError : no record, no output for a force across the axis, or readings for the opposite sense of rotation
+
+    Notes
+    -----
+    In sensor axes gravity rotates backwards: force = W·U·exp(jθ₀), moment = μ × U·exp(jθ₀), U = d + j n × d with the
+    axis n and gravity's direction d at zero angle. Every element of the sensitivity is an unknown with its stated
+    uncertainty, common to all recordings. Errors of the head's angle twice per revolution (ε_s sin 2θ + ε_c cos 2θ,
+    `u_angle_rad` each) are unknowns too. They alone affect first harmonics: A → A - (j/2)·conj(A)·(ε_c - jε_s). Outputs
+    are weighted by their noise.
+
+    An F test checks the residuals of all outputs and of the force outputs. If the chance is below 1 in 1000 (for few
+    readings: 1 in 100), every first harmonic has an additional uncertainty, a share of the weight that makes χ² equal
+    to its degrees of freedom (Paule & Mandel 1982, J. Res. NBS 87, 377).
+
+    Examples
+    --------
     >>> import numpy as np
     >>> from shaker import fit_weights
-    >>> from shaker.static_rotation.masses import SensorOutputs, Turned
+    >>> from shaker.static_rotation.masses import RotationRecord, SensorOutputs
     >>> axis, down = np.array([0.0, 1.0, 0.0]), np.array([0.0, 0.0, -1.0])
     >>> turning = down + 1j * np.cross(axis, down)
     >>> load = np.concatenate([10.0 * turning, np.cross([0.0, 0.0, 0.3], turning)])  # 10 N, 30 mm above the origin
-    >>> record = Turned("bar", load, 1e-8 * np.eye(12), 20.0, axis, down)
+    >>> record = RotationRecord("bar", load, 1e-8 * np.eye(12), 20.0, axis, down)
     >>> fit = fit_weights([record], SensorOutputs(np.eye(6), np.zeros((6, 6))))
     >>> print(np.abs(fit.value[:4]).round(6))  # weight in N, first moment in N·m
     [10.   0.   0.   0.3]
@@ -223,8 +256,8 @@ def fit_weights(records: Sequence[RotationRecord], outputs: SensorOutputs, u_ang
 
     if not records:
         raise ValueError("records: expected at least one, found none")
-    problem = _Problem(tuple(records), outputs, u_angle_rad)
-    fit = _Fit.of(problem)
+    problem = _WeightProblem(tuple(records), outputs, u_angle_rad)
+    fit = _WeightSolution.of(problem)
     noise_dof = sum(record.dof for record in records)
     chance = CHANCE if noise_dof >= FEW_DOF else CHANCE_OF_FEW
     if all(test.dof < 0.5 or fdtrc(test.dof, noise_dof, test.excess) >= chance for test in fit.tests):
@@ -232,7 +265,7 @@ def fit_weights(records: Sequence[RotationRecord], outputs: SensorOutputs, u_ang
     low, high = _SMALLEST_DEPARTURE, 1.0
     while high > low * _DEPARTURE_STEP:
         middle = float(np.sqrt(low * high))
-        fit = _Fit.of(replace(problem, departure=middle))
+        fit = _WeightSolution.of(replace(problem, departure=middle))
         low, high = (middle, high) if max(test.excess for test in fit.tests) > 1.0 else (low, middle)
     return _result(fit)
 
@@ -245,13 +278,16 @@ class _Test(NamedTuple):
 
     @property
     def excess(self) -> float:
-        """χ² per degree of freedom, none where there is no freedom."""
+        """χ² per degree of freedom, 0 without degrees of freedom."""
         return self.chi_squared / self.dof if self.dof > 0.5 else 0.0
 
 
 @dataclass(frozen=True)
-class _Problem:
-    """All recordings with one sensor as a least-squares problem of real rows; unknowns: recordings', then shared."""
+class _WeightProblem:
+    """All recordings with one sensor as a least-squares problem of real rows.
+
+    Unknowns: those of the recordings, then the shared ones.
+    """
 
     records: tuple[RotationRecord, ...]
     outputs: SensorOutputs
@@ -260,13 +296,13 @@ class _Problem:
 
     @cached_property
     def start(self) -> FloatArray:
-        """Unknowns before the first step."""
-        own = [start_values(record, self.outputs) for record in self.records]
-        return np.concatenate([*own, np.zeros(self.shared)])
+        """Start values of the unknowns."""
+        starts = [start_values(record, self.outputs) for record in self.records]
+        return np.concatenate([*starts, np.zeros(self.shared)])
 
     @cached_property
     def departures(self) -> FloatArray:
-        """What `departure` makes of every real row: that share of the weight, of moments at the usual lever."""
+        """Standard deviation of every real row from `departure`, moments at the usual lever."""
         lever = np.repeat([1.0, USUAL_LEVER_M], FORCES)
         size = np.max(np.abs(self.outputs.sensitivity) * lever, axis=1)
         weights = self.start[: UNKNOWNS_PER_RECORD * len(self.records) : UNKNOWNS_PER_RECORD]
@@ -274,7 +310,7 @@ class _Problem:
 
     @cached_property
     def forces(self) -> BoolArray:
-        """Which outputs answer to forces rather than moments (C,)."""
+        """Mask (C,) of outputs that respond to forces rather than moments."""
         size = np.abs(self.outputs.sensitivity)
         return np.asarray(size[:, :FORCES].sum(axis=1) > USUAL_LEVER_M * size[:, FORCES:].sum(axis=1))
 
@@ -285,7 +321,7 @@ class _Problem:
 
     @property
     def shared(self) -> int:
-        """Number of unknowns that all recordings share: elements, then twice-per-turn errors (cos, sin) of the head."""
+        """Number of shared unknowns: elements, then twice-per-revolution errors (cos, sin) of the head."""
         return len(self.elements) + (2 if self.u_angle_rad > 0.0 else 0)
 
     @cached_property
@@ -304,26 +340,27 @@ class _Problem:
         return np.array([*weights, *([1.0] * self.shared)])
 
     def point(self, vector: FloatArray) -> WhitenedResiduals:
-        """Model less outputs at a vector over the noise, then the unknowns over their prior deviation."""
+        """Return the weighted residuals, and the unknowns over their prior standard deviation."""
         residuals, blocks = [], []
-        own = UNKNOWNS_PER_RECORD * len(self.records)
+        shared_start = UNKNOWNS_PER_RECORD * len(self.records)
         elements, matrix = self.elements, self.outputs.sensitivity.copy()
         rows, columns = elements.T
-        matrix[rows, columns] += vector[own : own + len(elements)] * self.outputs.u[rows, columns]
+        matrix[rows, columns] += vector[shared_start : shared_start + len(elements)] * self.outputs.u[rows, columns]
         for r, record in enumerate(self.records):
-            load, by_own = weight_load(
+            load, by_unknowns = weight_load(
                 record, vector[UNKNOWNS_PER_RECORD * r : UNKNOWNS_PER_RECORD * (r + 1)], self.outputs.sense
             )
             if self.u_angle_rad > 0.0:
                 twice = self.u_angle_rad * complex(vector[-2], -vector[-1])
                 by_head = -0.5j * np.conj(load)[:, None] * self.u_angle_rad * np.array([1.0, -1j])
-                load, by_own = load - 0.5j * np.conj(load) * twice, by_own - 0.5j * np.conj(by_own) * twice
+                by_unknowns = by_unknowns - 0.5j * np.conj(by_unknowns) * twice
+                load = load - 0.5j * np.conj(load) * twice
             else:
                 by_head = np.zeros((6, 0), np.complex128)
             jacobian = np.zeros((len(matrix), len(vector)), np.complex128)
-            jacobian[:, UNKNOWNS_PER_RECORD * r : UNKNOWNS_PER_RECORD * (r + 1)] = matrix @ by_own
-            jacobian[rows, own + np.arange(len(elements))] = self.outputs.u[rows, columns] * load[columns]
-            jacobian[:, own + len(elements) :] = matrix @ by_head
+            jacobian[:, UNKNOWNS_PER_RECORD * r : UNKNOWNS_PER_RECORD * (r + 1)] = matrix @ by_unknowns
+            jacobian[rows, shared_start + np.arange(len(elements))] = self.outputs.u[rows, columns] * load[columns]
+            jacobian[:, shared_start + len(elements) :] = matrix @ by_head
             missing = record.amplitude - matrix @ load
             residuals += [missing.real, missing.imag]
             blocks += [jacobian.real, jacobian.imag]
@@ -333,37 +370,37 @@ class _Problem:
 
 
 @dataclass(frozen=True)
-class _Fit:
-    """A problem at its solution: the unknowns and their covariance, of variance one in all rows."""
+class _WeightSolution:
+    """A solved problem: the unknowns and their covariance for rows of variance one."""
 
-    problem: _Problem
+    problem: _WeightProblem
     point: WhitenedResiduals
     inverse: FloatArray
 
     @staticmethod
-    def of(problem: _Problem) -> _Fit:
+    def of(problem: _WeightProblem) -> _WeightSolution:
         point = problem.point(problem.start)
-        for _ in range(2):  # what is little beside the loss of a far start may be much beside the noise
+        for _ in range(2):  # a gain that is small against the loss of a far start may be large against the noise
             point = levenberg_marquardt(problem.point, point, _RULES).point
         normal, _ = point.normal
         scale = 1.0 / np.sqrt(np.diag(normal))
-        return _Fit(problem, point, scale[:, None] * np.linalg.inv(normal * np.outer(scale, scale)) * scale)
+        return _WeightSolution(problem, point, scale[:, None] * np.linalg.inv(normal * np.outer(scale, scale)) * scale)
 
     @property
     def tests(self) -> tuple[_Test, _Test]:
-        """χ² of all outputs and of those of forces."""
+        """χ² of all outputs and of the force outputs."""
         problem, count = self.problem, len(self.problem.records)
-        own, shares = np.split(self.point.residual**2, [len(problem.weight)])
-        known = (problem.prior * np.diag(self.inverse))[: UNKNOWNS_PER_RECORD * count]
+        squares, shares = np.split(self.point.residual**2, [len(problem.weight)])
+        from_prior = (problem.prior * np.diag(self.inverse))[: UNKNOWNS_PER_RECORD * count]
         rows = 2 * int(problem.forces.sum())
         freedom = count * max(0, rows - 2 - (2 if rows > 4 else 0))
-        forces = float(own.reshape(count, 2, -1)[:, :, problem.forces].sum())
-        every = _Test(self.point.loss, len(own) - float(np.sum(1.0 - known)))
+        forces = float(squares.reshape(count, 2, -1)[:, :, problem.forces].sum())
+        every = _Test(self.point.loss, len(squares) - float(np.sum(1.0 - from_prior)))
         return every, _Test(forces + float(shares.sum()), float(freedom))
 
 
-def _result(fit: _Fit) -> WeightFit:
-    """Values, sources and the test of a fit."""
+def _result(fit: _WeightSolution) -> WeightFit:
+    """Return values, sources and the test of a fit."""
     problem, vector, names = fit.problem, fit.point.parameters, tuple(record.name for record in fit.problem.records)
     loads, value = np.full((len(names), 6), np.nan, dtype=np.complex128), np.empty((len(names), ROWS))
     for r, record in enumerate(problem.records):
@@ -374,26 +411,33 @@ def _result(fit: _Fit) -> WeightFit:
     return WeightFit(names, value.ravel(), tuple(_sources(fit)), loads, every.chi_squared, every.dof, problem.departure)
 
 
-def _projection(problem: _Problem, r: int, vector: FloatArray) -> ComplexArray:
-    """Factors (3,) whose product with a force component has the weight as its real part; NaN where it feels little."""
-    own = vector[UNKNOWNS_PER_RECORD * r : UNKNOWNS_PER_RECORD * (r + 1)]
-    phasor = problem.outputs.sense * np.exp(1j * own[4]) * turning_phasor(problem.records[r], own[5:])
+def _projection(problem: _WeightProblem, r: int, vector: FloatArray) -> ComplexArray:
+    """Return factors (3,) from a force component to the weight, NaN for small components.
+
+    The weight is the real part of the product.
+    """
+    unknowns = vector[UNKNOWNS_PER_RECORD * r : UNKNOWNS_PER_RECORD * (r + 1)]
+    phasor = problem.outputs.sense * np.exp(1j * unknowns[4]) * turning_phasor(problem.records[r], unknowns[5:])
     size = np.abs(phasor)
     seen = problem.outputs.determined[:FORCES] & (size > MIN_FORCE_SHARE)
     return np.asarray(np.where(seen, np.conj(phasor) / np.where(seen, size, 1.0) ** 2, np.nan))
 
 
-def _sources(fit: _Fit) -> Iterator[WeightErrorSource]:
-    """Every cause of error with its effect on all values; effects of deviates that are one in truth."""
+def _sources(fit: _WeightSolution) -> Iterator[WeightErrorSource]:
+    """Yield every cause of error with its effect on all values.
+
+    Deviations that represent the same cause share one effect.
+    """
     problem, vector, outputs = fit.problem, fit.point.parameters, fit.problem.outputs
     count, elements, u_angle = len(problem.records), problem.elements, problem.u_angle_rad
-    own, (row, column) = UNKNOWNS_PER_RECORD * count, elements.T
-    wide = np.zeros((ROWS * count, len(vector)))  # which value is which unknown
-    wide.reshape(count, ROWS, -1)[:, :UNKNOWNS_PER_RECORD, :own] = np.eye(own).reshape(count, UNKNOWNS_PER_RECORD, own)
+    shared_start, (row, column) = UNKNOWNS_PER_RECORD * count, elements.T
+    wide = np.zeros((ROWS * count, len(vector)))  # derivatives of the values by the unknowns
+    unit = np.eye(shared_start).reshape(count, UNKNOWNS_PER_RECORD, shared_start)
+    wide.reshape(count, ROWS, -1)[:, :UNKNOWNS_PER_RECORD, :shared_start] = unit
     by_row = wide @ fit.inverse @ (fit.point.jacobian[: len(problem.weight)].T * np.sqrt(problem.weight))
     shared = -wide @ (fit.inverse * problem.prior)
     size = 2 * len(outputs.sensitivity)
-    for r, record in enumerate(problem.records):  # weights by each force component alone have effects of their own
+    for r, record in enumerate(problem.records):  # weights from each force component have separate effects
         alone, rows = slice(ROWS * r + UNKNOWNS_PER_RECORD, ROWS * (r + 1)), slice(size * r, size * (r + 1))
         projection = _projection(problem, r, vector)[:, None]
         to_load = outputs.inverse[:FORCES] * projection
@@ -402,17 +446,17 @@ def _sources(fit: _Fit) -> Iterator[WeightErrorSource]:
         by_element = outputs.inverse[:FORCES, row] * outputs.u[row, column] * load[column]
         by_head = -0.5j * u_angle * np.conj(load[:FORCES, None]) * np.array([1.0, -1j])
         every = np.hstack([by_element, by_head]) if u_angle > 0.0 else by_element
-        shared[alone, own:] = np.real(every * projection)
+        shared[alone, shared_start:] = np.real(every * projection)
         yield WeightErrorSource(
             f"noise of {record.name}", "A", record.dof, by_row[:, rows] @ covariance_root(record.covariance)
         )
     if problem.departure > 0.0:
         freedom = min(test.dof for test in fit.tests if test.dof > 0.5)
         yield WeightErrorSource("channels that disagree", "A", freedom, by_row * problem.departures)
-    ends = own + len(elements)
+    ends = shared_start + len(elements)
     if len(elements):
-        yield WeightErrorSource("calibration matrix", "B", np.inf, shared[:, own:ends])
+        yield WeightErrorSource("calibration matrix", "B", np.inf, shared[:, shared_start:ends])
     if u_angle > 0.0:
         yield WeightErrorSource("angle of the head", "B", np.inf, shared[:, ends:])
-    weak = [UNKNOWNS_PER_RECORD * r + place for r in range(count) for place in (1, 2, 3, 5, 6)]
+    weak = [UNKNOWNS_PER_RECORD * r + unknown for r in range(count) for unknown in (1, 2, 3, 5, 6)]
     yield WeightErrorSource("what no channel tells", "B", np.inf, shared[:, weak] / np.sqrt(problem.prior[weak]))

@@ -1,4 +1,4 @@
-"""Edges in a sampled signal, which edge is which of a periodic trigger, and signals read at other times."""
+"""Edges in sampled signals, numbers of a periodic trigger's edges, and resampling."""
 
 from __future__ import annotations
 
@@ -12,23 +12,27 @@ from shaker.arrays import BoolArray, FloatArray, IntArray, check_shape, check_sh
 EdgeKind = Literal["sampled", "resolved"]
 
 _HYSTERESIS = 0.1  # of the distance from the threshold to the nearer level
-_ON_RISE = 0.12  # of the step: samples beside the crossings further than this from their level lie on the rise
+_ON_RISE = 0.12  # of the step: samples next to a crossing further than this from their level lie on the rise
 _SHORT_PAUSE = 0.25  # of the usual pause between pulses: after a shorter one, a pulse is a bounce of the one before
-_LIKE_PAUSE, _USUAL = 0.1, 0.45  # how much equal pauses may differ; pauses over the commonest ones that are usual
+_EQUAL_PAUSE, _USUAL = 0.1, 0.45  # how much equal pauses may differ; pauses over the commonest ones that are usual
 _BOUNCES = 0.2  # of all edges from which on bounces are no single strays
 _HALF_WIDTH = 24  # samples of the interpolation kernel on each side
-_KAISER = 8.0
+_KAISER = 8.0  # parameter of the Kaiser window: side lobes below -80 dB
 
 
 @dataclass(frozen=True)
 class Edges:
     """Edges of a trigger signal, in seconds from the record's first sample.
 
-    Each crossing lies in (`lower_s`, `upper_s`] (E,), between the last sample below the level and the first at or above
-    it. `estimate_s` (E,): without the half-sample bias, the middle where no sample lies on the rise (`kind` "sampled"),
-    the crossing of the reconstructed signal where the rise is "resolved"; `u_reading_s` is then what the noise of the
-    samples does to it. `record_s` is the record's length, `threshold` the level used. `bounces`: edges left out since
-    their pulses begin right after others end.
+    Attributes
+    ----------
+    lower_s, upper_s : (E,), last sample below the level, and first at or above it, in s.
+    estimate_s : (E,), the middle of both, or the crossing of the reconstructed signal.
+    kind : "sampled" where no sample lies on the rise, "resolved" where the crossing is reconstructed.
+    u_reading_s : effect of the samples' noise on a resolved crossing.
+    record_s : length of the record in s.
+    threshold : level used.
+    bounces : edges left out because their pulses begin right after others end.
     """
 
     lower_s: FloatArray
@@ -54,15 +58,38 @@ def find_edges(
     threshold: float | None = None,
     edge: Literal["rising", "falling"] = "rising",
 ) -> Edges:
-    """Find where samples (S,) cross `threshold` in the sense of `edge`.
+    """Find the crossings of a threshold in a sampled signal.
 
-    Default threshold: midway between the 5 % and 95 % quantiles; where these do not span the signal (pulses shorter
-    than 5 % of the record), midway between the smallest and largest sample. A hysteresis of 10 % of the step keeps
-    noise from counting twice. Where most edges have a sample on the rise, the crossing is that of the signal
-    reconstructed by a Kaiser-windowed sinc: exact for a band-limited input, and a start for `shaker.timebase.trigger`
-    where the rise is another. Where pulses regularly come twice or more, as from a contact that bounces, the first edge
-    of each counts.
+    Parameters
+    ----------
+    samples
+        (S,), finite samples.
+    sample_rate_hz
+        Sampling rate in Hz.
+    threshold
+        Level; default midway between the 5 % and 95 % quantiles, or between the smallest and largest sample where
+        pulses are shorter than 5 % of the record.
+    edge
+        "rising" (default) or "falling".
 
+    Returns
+    -------
+    The edges with their intervals and estimates.
+
+    Raises
+    ------
+    ValueError
+        Samples are not finite, or the signal does not cross the threshold.
+
+    Notes
+    -----
+    A hysteresis of 10 % of the step prevents noise from counting twice. Where most edges have a sample on the rise, the
+    crossing is that of the signal reconstructed by a Kaiser-windowed sinc. It is exact for a band-limited input, and a
+    start for `shaker.timebase.trigger` for other rises. Where pulses regularly occur twice or more, as from a bouncing
+    contact, the first edge of each counts.
+
+    Examples
+    --------
     >>> import numpy as np
     >>> from shaker import find_edges
     >>> pulses = (np.arange(2000) % 200 >= 190).astype(float)
@@ -106,7 +133,7 @@ def find_edges(
 
 
 def _crossings(signal: FloatArray, level: float, hysteresis: float) -> IntArray:
-    """Return the index of the first sample at or above `level` of each rise through the hysteresis band."""
+    """Return the first sample at or above `level` of each rise through the hysteresis band."""
     outside = np.flatnonzero(np.abs(signal - level) >= hysteresis)
     high = signal[outside] > level
     # A rise begins at the last low sample before a high one.
@@ -116,24 +143,26 @@ def _crossings(signal: FloatArray, level: float, hysteresis: float) -> IntArray:
 
 
 def _without_bounces(rises: IntArray, falls: IntArray) -> IntArray:
-    """Return the rises (E,) without those right after a fall, if these are a regular part of the signal.
+    """Return the rises (E,) without those right after a fall, where such bounces are regular.
 
-    The usual pause is the longest of those that are common: of pulses that come twice, that between the pairs.
+    The usual pause is the longest common one: of pulses that occur twice, that between the pairs.
     """
     last = np.searchsorted(falls, rises) - 1
     pause = np.full(len(rises), np.inf)
     pause[last >= 0] = rises[last >= 0] - falls[last[last >= 0]]
-    known = np.sort(pause[np.isfinite(pause)])
-    if len(known) < 3:
+    finite = np.sort(pause[np.isfinite(pause)])
+    if len(finite) < 3:
         return rises
-    like = np.searchsorted(known, known * (1.0 + _LIKE_PAUSE)) - np.searchsorted(known, known * (1.0 - _LIKE_PAUSE))
-    usual = float(np.max(known[like >= _USUAL * like.max()]))
+    like = np.searchsorted(finite, finite * (1.0 + _EQUAL_PAUSE)) - np.searchsorted(
+        finite, finite * (1.0 - _EQUAL_PAUSE)
+    )
+    usual = float(np.max(finite[like >= _USUAL * like.max()]))
     bounce = pause < _SHORT_PAUSE * usual
     return rises[~bounce] if np.count_nonzero(bounce) >= _BOUNCES * len(rises) else rises
 
 
 def _reconstructed(signal: FloatArray, after: IntArray, level: float) -> tuple[FloatArray, float]:
-    """Return the crossings of the band-limited signal between sample after-1 and after, and their noise, in samples."""
+    """Return the band-limited crossings between sample after-1 and after, and their noise, in samples."""
     tap = np.arange(-_HALF_WIDTH, _HALF_WIDTH)
     index = np.clip(after[:, None] + tap, 0, len(signal) - 1)
     local = signal[index] - level
@@ -149,9 +178,9 @@ def _reconstructed(signal: FloatArray, after: IntArray, level: float) -> tuple[F
     return after + estimate, noise / float(np.median(np.abs(slope)))
 
 
-def _interpolate(local: FloatArray, tap: IntArray, place: FloatArray) -> FloatArray:
-    """Return the signal at fractional places from its neighbours by a Kaiser-windowed sinc, (E,)."""
-    distance = place[:, None] - tap
+def _interpolate(local: FloatArray, tap: IntArray, position: FloatArray) -> FloatArray:
+    """Return the signal at fractional positions (E,) by a Kaiser-windowed sinc."""
+    distance = position[:, None] - tap
     inside = np.clip(1.0 - (distance / _HALF_WIDTH) ** 2, 0.0, None)
     kernel = np.sinc(distance) * np.i0(_KAISER * np.sqrt(inside)) / np.i0(_KAISER)
     return np.asarray(np.sum(local * kernel, axis=1) / np.sum(kernel, axis=1))
@@ -160,12 +189,15 @@ def _interpolate(local: FloatArray, tap: IntArray, place: FloatArray) -> FloatAr
 # Numbers of the edges of a periodic trigger: which edge is which period, and which are none.
 
 _ALTERNATING, _MOSTLY = 0.1, 0.8  # of two distances by which they alternate; of all that do
-_CAPTURE = 0.2  # of a period: an edge further from its place is spurious
+_CAPTURE = 0.2  # of a period: an edge further from its expected time is spurious
 
 
 @dataclass(frozen=True)
 class Numbering:
-    """Number of every edge (E,), which are kept (E,) as the period's own, and how many were doubled or spurious."""
+    """Number of every edge (E,), and which edges (E,) are accepted as periodic.
+
+    `doubled` and `spurious` are the numbers of rejected edges.
+    """
 
     number: IntArray
     accepted: BoolArray
@@ -179,7 +211,8 @@ class Numbering:
 def number_edges(edges: Edges) -> Numbering:
     """Number the edges by the period that most of them share.
 
-    Of several edges at one place the nearest stays, the others are doubled; those off every place are spurious.
+    Of several edges near one expected time the nearest is accepted, and the others are doubled. Edges far from every
+    expected time are spurious.
     """
     time = edges.estimate_s
     if len(time) < 3:
@@ -189,31 +222,33 @@ def number_edges(edges: Edges) -> Numbering:
     start = period * np.angle(np.mean(np.exp(2j * np.pi * time / period))) / (2.0 * np.pi)
     # The first line is drawn aside by doubled edges; one through the edges that agree with each other is not.
     for _ in range(3):
-        place = (time - start) / period
-        number = np.round(place).astype(np.int64)
-        distance = np.abs(place - number)
-        kept = distance <= _CAPTURE
-        order = np.lexsort((distance, number))  # of several edges with one number the nearest to its place stays
-        kept[order[1:][np.diff(number[order]) == 0]] = False
-        kept = _without_outliers(number, edges, kept)
-        own = int(np.count_nonzero(kept))
-        if own < 3 or 2 * own < len(time):
+        position = (time - start) / period
+        number = np.round(position).astype(np.int64)
+        distance = np.abs(position - number)
+        accepted = distance <= _CAPTURE
+        order = np.lexsort(
+            (distance, number)
+        )  # of several edges with one number the nearest to the expected time is accepted
+        accepted[order[1:][np.diff(number[order]) == 0]] = False
+        accepted = _without_outliers(number, edges, accepted)
+        count = int(np.count_nonzero(accepted))
+        if count < 3 or 2 * count < len(time):
             raise ValueError(
-                f"edges: expected at least 3 edges of one period and half of all, found {own} of {len(time)}"
+                f"edges: expected at least 3 edges of one period and half of all, found {count} of {len(time)}"
             )
-        period, start = np.polyfit(number[kept], time[kept], 1)
+        period, start = np.polyfit(number[accepted], time[accepted], 1)
     near = np.abs((time - start) / period - number) <= _CAPTURE
-    doubled = int(np.count_nonzero(~kept & near & np.isin(number, number[kept])))
-    return Numbering(number, kept, doubled, int(np.count_nonzero(~kept)) - doubled)
+    doubled = int(np.count_nonzero(~accepted & near & np.isin(number, number[accepted])))
+    return Numbering(number, accepted, doubled, int(np.count_nonzero(~accepted)) - doubled)
 
 
 def _check_no_alternation(gap: FloatArray) -> None:
-    """Refuse edges whose distances alternate between two values: no period tells which of them are the trigger's."""
+    """Refuse edges whose distances alternate between two values, since their period is ambiguous."""
     if len(gap) < 4:
         return
-    pair, apart = gap[1:] + gap[:-1], np.abs(gap[1:] - gap[:-1])
+    pair, difference = gap[1:] + gap[:-1], np.abs(gap[1:] - gap[:-1])
     both = float(np.median(pair))
-    alternate = (np.abs(pair - both) < 0.5 * _ALTERNATING * both) & (apart > _ALTERNATING * both)
+    alternate = (np.abs(pair - both) < 0.5 * _ALTERNATING * both) & (difference > _ALTERNATING * both)
     short, long = (float(np.median(part)) for part in np.array_split(np.sort(gap), 2))
     if np.mean(alternate) > _MOSTLY:
         raise ValueError(
@@ -237,35 +272,39 @@ def _period(time: FloatArray, width: FloatArray) -> float:
     return 1.0 / float(rate[int(np.argmax(coherence))])
 
 
-def _without_outliers(number: IntArray, edges: Edges, kept: BoolArray) -> BoolArray:
-    """Drop edges far from a straight line through the others: by 6 robust standard deviations and more."""
+def _without_outliers(number: IntArray, edges: Edges, accepted: BoolArray) -> BoolArray:
+    """Reject edges far from a straight line through the others.
+
+    The limit is 6 robust standard deviations.
+    """
     resolution = (1.5 if edges.kind == "sampled" else 0.1) * float(np.median(edges.upper_s - edges.lower_s))
     for _ in range(10):
-        if np.count_nonzero(kept) < 3:
+        if np.count_nonzero(accepted) < 3:
             break
-        line = np.polynomial.Polynomial.fit(number[kept], edges.estimate_s[kept], 1)
+        line = np.polynomial.Polynomial.fit(number[accepted], edges.estimate_s[accepted], 1)
         deviation = np.abs(edges.estimate_s - line(number))
-        spread = 1.4826 * float(np.median(deviation[kept]))
-        stay = kept & (deviation <= max(6.0 * spread, resolution))
-        if np.array_equal(stay, kept):
+        spread = 1.4826 * float(np.median(deviation[accepted]))
+        stay = accepted & (deviation <= max(6.0 * spread, resolution))
+        if np.array_equal(stay, accepted):
             break
-        kept = stay
-    return kept
+        accepted = stay
+    return accepted
 
 
 # A sampled signal read at other times: band-limited interpolation.
 
 PASS_BAND = 0.4
-"""Share of the lower of the two rates below which a resampled signal is what it was."""
+"""Share of the lower of the two rates below which a resampled signal is unchanged."""
 _BETA = 10.06  # Kaiser window of -100 dB
 _BLOCK = 1 << 14  # times interpolated at once
 _PHASES = 1 << 11  # rows of the kernel's table per sample; linear in between errs by less than 1e-6
 
 
 def kernel_reach(share: float) -> int:
-    """Return how many samples to either side of a time enter its value, at a new rate of `share` of the old one.
+    """Return how many samples on either side of a time enter its value.
 
-    Half of Kaiser's N = (A - 8)/(2.285·Δω) for A = 100 dB and the transition from 0.4 to 0.6 of the lower rate.
+    `share` is the new rate over the old one. Half of Kaiser's N = (A - 8)/(2.285·Δω) for A = 100 dB and the transition
+    from 0.4 to 0.6 of the lower rate.
     """
     taps = (100.0 - 8.0) / (2.285 * 2.0 * np.pi * (1.0 - 2.0 * PASS_BAND) * share)
     return int(np.ceil(0.5 * taps))
@@ -274,9 +313,9 @@ def kernel_reach(share: float) -> int:
 def resample(samples: FloatArray, position: FloatArray, share: float = 1.0) -> FloatArray:
     """Return samples (S,) at fractional positions (T,), counted in samples from the first one.
 
-    Convolution with a sinc of the pass band up to half of `share` of the sampling rate, under a Kaiser window (Kaiser
-    and Schafer, IEEE Trans. Acoust. 28, 1980): a line below 0.4·`share` of the rate keeps amplitude and phase to 3e-5,
-    what lies above 0.6·`share`, and would fold onto it at a rate of `share`, is taken out by 100 dB. `share` is the
+    Convolution with a sinc of the pass band up to half of `share` of the sampling rate, with a Kaiser window (Kaiser
+    and Schafer, IEEE Trans. Acoust. 28, 1980). A line below 0.4·`share` of the rate keeps amplitude and phase to 3e-5.
+    Lines above 0.6·`share`, which would alias onto it at a rate of `share`, are attenuated by 100 dB. `share` is the
     new rate over the old one where that is lower. Positions must lie `kernel_reach` inside the record.
     """
     check_shape("samples", samples, (None,))
@@ -289,9 +328,9 @@ def resample(samples: FloatArray, position: FloatArray, share: float = 1.0) -> F
         raise ValueError(
             f"position: expected {reach - 1} to {len(samples) - reach} samples, found {low:.1f} to {high:.1f}"
         )
-    # Weights of the samples around a time, by its place between two samples.
-    away = np.arange(1 - reach, reach + 1) - np.linspace(0.0, 1.0, _PHASES + 1)[:, None]
-    table = np.sinc(share * away) * np.i0(_BETA * np.sqrt(np.maximum(0.0, 1.0 - (away / reach) ** 2)))
+    # Weights of the samples around a time, by its phase between two samples.
+    distance = np.arange(1 - reach, reach + 1) - np.linspace(0.0, 1.0, _PHASES + 1)[:, None]
+    table = np.sinc(share * distance) * np.i0(_BETA * np.sqrt(np.maximum(0.0, 1.0 - (distance / reach) ** 2)))
     table /= table.sum(axis=1, keepdims=True)
     offsets = np.arange(1 - reach, reach + 1)
     found = np.empty(len(position))
@@ -299,8 +338,8 @@ def resample(samples: FloatArray, position: FloatArray, share: float = 1.0) -> F
         part = position[start : start + _BLOCK]
         first = np.floor(part).astype(np.int64)
         row, between = np.divmod((part - first) * _PHASES, 1.0)
-        place = row.astype(np.int64)
+        table_row = row.astype(np.int64)
         near = samples[first[:, None] + offsets]
-        lower, upper = (np.einsum("ts,ts->t", table[place + step], near) for step in (0, 1))
+        lower, upper = (np.einsum("ts,ts->t", table[table_row + step], near) for step in (0, 1))
         found[start : start + _BLOCK] = lower + between * (upper - lower)
     return found

@@ -1,4 +1,4 @@
-"""What intervals say about straight lines: the posterior of a trigger's model by adaptive importance sampling."""
+"""Posterior of straight lines given intervals, by adaptive importance sampling."""
 
 from __future__ import annotations
 
@@ -14,17 +14,17 @@ from shaker.arrays import FloatArray, check_shape
 
 _POINTS, _LAST_POINTS = 250, 1000  # while the proposals settle, and afterwards
 _WIDER = 1.35  # of the standard deviation: proposals reach over the corners of a polygon
-_ROUNDS = 30
+_ROUNDS = 30  # of fitting a proposal at most
 _SETTLED = 0.15  # relative change of the standard deviations below which the sampling has settled
 _STRAY = 1e-6  # probability of an edge that the model does not explain
 _STEP = 1.0  # in the logarithm of the jitter
 _STEEP = 2.0  # change of the log-likelihood from step to step above which a step is halved
-_LEAST_STEP = 0.02
-_NO_MATTER = 0.1  # of the line's smallest standard deviation: jitter below it changes nothing any more
-_NO_CHANCE = 1e-4  # share of the whole below which a step of the jitter does not count
+_MIN_STEP = 0.02  # in the logarithm of the jitter; chosen
+_NEGLIGIBLE_JITTER = 0.1  # of the line's smallest standard deviation: smaller jitter has no effect
+_NEGLIGIBLE_SHARE = 1e-4  # share of the whole below which a step of the jitter does not count
 _NODES, _WIDE_NODES, _FARTHEST = 512, 64, 9.0  # of Φ and of ln ΔΦ: how many for one standard deviation, up to where
-_AT_ONCE = 16384  # values of Φ: what they need stays in the processor's cache
-_ALIKE = 1e-6  # relative difference between the widths of intervals that one record reads
+_AT_ONCE = 16384  # values of Φ: their memory stays in the processor's cache
+_EQUAL_WIDTH = 1e-6  # relative difference between the widths of intervals that one record reads
 
 
 @dataclass(frozen=True)
@@ -41,8 +41,10 @@ class Posterior:
 
 @dataclass(frozen=True)
 class Slopes:
-    """What is known of the half spans h (R,) of R lines by other means: normal about `mean` (R,) with the inverse
-    covariance `weight` (R, R), which is singular where only a combination of them is known.
+    """External information about the half spans h (R,) of R lines.
+
+    They are normal about `mean` (R,) with the inverse covariance `weight` (R, R), which is singular where only a
+    combination of them is stated.
     """
 
     mean: FloatArray
@@ -52,13 +54,13 @@ class Slopes:
         check_shape("weight", self.weight, (len(self.mean), len(self.mean)))
 
     def update(self, line: Posterior) -> Posterior:
-        """Return normal lines with this taken for a reading of theirs, by linear least squares."""
+        """Return normal lines updated with this reading by linear least squares."""
         select = np.kron(np.eye(len(self.mean)), [0.0, 1.0])
         cross = line.covariance @ select.T
-        own, apart = select @ cross, self.mean - select @ line.mean
-        gain = cross @ np.linalg.solve(np.eye(len(own)) + self.weight @ own, self.weight)
+        covariance, difference = select @ cross, self.mean - select @ line.mean
+        gain = cross @ np.linalg.solve(np.eye(len(covariance)) + self.weight @ covariance, self.weight)
         left = line.covariance - gain @ cross.T
-        return Posterior(line.mean + gain @ apart, (left + left.T) / 2.0, line.jitter_s)
+        return Posterior(line.mean + gain @ difference, (left + left.T) / 2.0, line.jitter_s)
 
     def log_likelihood(self, points: FloatArray) -> FloatArray:
         """Return the log-likelihood (N,) of lines (N, 2R)."""
@@ -74,38 +76,38 @@ def line_posterior(
     min_jitter_s: float,
     slopes: Slopes | None = None,
 ) -> Posterior:
-    """Return what intervals (R, E) in R records say about one line of instants per record.
+    """Return the posterior of one line of instants per record.
 
-    Record r puts edge e, with jitter ε_e common to all records, at m_r + h_r·place_e + ε_e, which lies in
-    (lower_re, upper_re]; infinite bounds stand for an edge that record has not seen. Parameters: m_1 h_1 m_2 h_2 …
-    Likelihood of an edge: Φ(b/σ) - Φ(a/σ) with a the largest lower and b the smallest upper bound less its line;
-    Gaussian jitter σ of unknown size, log-uniform above `least_jitter_s`. The posterior tends to the polygon of all
-    intervals as the jitter vanishes and to the paired differences as it grows. `start` need only be roughly right;
-    `slopes` is what else is known, a further factor of the likelihood.
+    The input are intervals (R, E) in R records. Record r has edge e, with jitter ε_e common to all records, at m_r +
+    h_r·position_e + ε_e, which lies in (lower_re, upper_re]. Infinite bounds mark an edge that a record has not seen.
+    Parameters: m_1 h_1 m_2 h_2 …. The likelihood of an edge is Φ(b/σ) - Φ(a/σ) with a the largest lower and b the
+    smallest upper bound minus its line. The jitter is Gaussian with unknown σ, log-uniform above `min_jitter_s`. The
+    posterior tends to the polygon of all intervals as the jitter vanishes and to the paired differences as it grows.
+    `start` need only be roughly right. `slopes` is external information, a further factor of the likelihood.
 
-    The lines are sampled for one jitter after the other, from the largest down to where it no longer matters, with
-    smaller steps where the likelihood is steep, and averaged: together with the jitter they fill a funnel that no
-    Gaussian proposal fits.
+    The lines are sampled for one jitter after another, from the largest down to where it no longer matters, with
+    smaller steps where the likelihood is steep, and averaged. Lines and jitter together fill a funnel that no Gaussian
+    proposal fits.
     """
     width = upper - lower
     most = 3.0 * start.jitter_s + 0.3 * float(np.median(width[np.isfinite(width)]))
     left = float(np.log(max(most / min_jitter_s, 3.0)))
     start = start if slopes is None else slopes.update(start)
     intervals, line = (position, lower, upper, slopes), (start.mean, start.covariance)
-    steps: list[_Step] = []
+    steps: list[_JitterStep] = []
     while left > 0.0:
         step = _at_jitter(float(np.log(min_jitter_s)) + left, min(left, _STEP), line, intervals)
         best, line = max([step.log_weight, *(s.log_weight for s in steps)]), (step.mean, step.covariance)
-        settled = step.jitter_s < _NO_MATTER * np.sqrt(np.diagonal(step.covariance).min())
+        settled = step.jitter_s < _NEGLIGIBLE_JITTER * np.sqrt(np.diagonal(step.covariance).min())
         steps.append(replace(step, width=left) if settled else step)
-        left -= left if settled or step.log_weight < best + np.log(_NO_CHANCE) else step.width
+        left -= left if settled or step.log_weight < best + np.log(_NEGLIGIBLE_SHARE) else step.width
     while True:
         level = np.array([s.log_weight - np.log(s.width) for s in steps])
         counts = _shares(steps) > 0.01
         steep = np.abs(np.diff(level)) > _STEEP
         halved = (
             counts
-            & (np.array([s.width for s in steps]) > _LEAST_STEP)
+            & (np.array([s.width for s in steps]) > _MIN_STEP)
             & (np.append(steep, False) | np.append(False, steep))
         )
         if not halved.any():
@@ -113,7 +115,7 @@ def line_posterior(
         steps = [
             part for s, split in zip(steps, halved, strict=True) for part in (s.halves(intervals) if split else (s,))
         ]
-    steps = [s.again(intervals) for s, share in zip(steps, _shares(steps), strict=True) if share > _NO_CHANCE]
+    steps = [s.refined(intervals) for s, share in zip(steps, _shares(steps), strict=True) if share > _NEGLIGIBLE_SHARE]
     share = _shares(steps)
     means = np.array([s.mean for s in steps])
     mean = share @ means
@@ -126,8 +128,11 @@ _Intervals = tuple[FloatArray, FloatArray, FloatArray, Slopes | None]
 
 
 @dataclass(frozen=True)
-class _Step:
-    """Lines at the middle jitter of a step of its logarithm, `width` down from `top`: mean (P,), covariance (P, P)."""
+class _JitterStep:
+    """Lines at the middle jitter of a step of its logarithm, `width` down from `top`.
+
+    `mean` (P,) and `covariance` (P, P) are those of the lines.
+    """
 
     top: float
     width: float
@@ -145,38 +150,38 @@ class _Step:
         """Jitter in the middle of the step."""
         return float(np.exp(self.top - 0.5 * min(self.width, _STEP)))
 
-    def halves(self, intervals: _Intervals) -> tuple[_Step, _Step]:
+    def halves(self, intervals: _Intervals) -> tuple[_JitterStep, _JitterStep]:
         """Return the two halves of the step."""
         line, half = (self.mean, self.covariance), 0.5 * self.width
         return _at_jitter(self.top, half, line, intervals), _at_jitter(self.top - half, half, line, intervals)
 
-    def again(self, intervals: _Intervals) -> _Step:
+    def refined(self, intervals: _Intervals) -> _JitterStep:
         """Return the step from more points."""
         normal = _normal_points(len(self.mean))
         log_likelihood, mean, covariance, _ = _sampled(self.jitter_s, (self.mean, self.covariance), normal, intervals)
-        return _Step(self.top, self.width, log_likelihood, mean, covariance)
+        return _JitterStep(self.top, self.width, log_likelihood, mean, covariance)
 
 
-def _shares(steps: Sequence[_Step]) -> FloatArray:
+def _shares(steps: Sequence[_JitterStep]) -> FloatArray:
     """Return the share of each step in the integral of the likelihood."""
     log_weight = np.array([step.log_weight for step in steps])
     weight = np.exp(log_weight - log_weight.max())
     return np.asarray(weight / weight.sum())
 
 
-def _at_jitter(top: float, width: float, line: tuple[FloatArray, FloatArray], intervals: _Intervals) -> _Step:
-    """Return a step of the jitter. `line`: mean and covariance to begin with.
+def _at_jitter(top: float, width: float, line: tuple[FloatArray, FloatArray], intervals: _Intervals) -> _JitterStep:
+    """Return a step of the jitter. `line`: mean and covariance of the first proposal.
 
-    Gaussian proposals are fitted to the weighted points, tempered where few points carry the weight, until they settle
-    (Cappé et al., Statistics and Computing 18, 2008: adaptive importance sampling). No random numbers: the points are
-    a low-discrepancy sequence.
+    Gaussian proposals are fitted to the weighted points until they settle, tempered where few points have most of the
+    weight (Cappé et al., Statistics and Computing 18, 2008: adaptive importance sampling). The points are a
+    low-discrepancy sequence, not random numbers.
     """
-    step = _Step(top, width, -np.inf, *line)
+    step = _JitterStep(top, width, -np.inf, *line)
     normal = _normal_points(len(step.mean))[:_POINTS]
     for _ in range(_ROUNDS):
         old = step.covariance
         log_likelihood, mean, covariance, power = _sampled(step.jitter_s, (step.mean, old), normal, intervals)
-        step = _Step(top, width, log_likelihood, mean, covariance)
+        step = _JitterStep(top, width, log_likelihood, mean, covariance)
         change = np.sqrt(np.diagonal(step.covariance) / np.diagonal(old)) - 1.0
         if power == 1.0 and np.max(np.abs(change)) < _SETTLED:
             break
@@ -186,8 +191,10 @@ def _at_jitter(top: float, width: float, line: tuple[FloatArray, FloatArray], in
 def _sampled(
     jitter_s: float, line: tuple[FloatArray, FloatArray], normal: FloatArray, intervals: _Intervals
 ) -> tuple[float, FloatArray, FloatArray, float]:
-    """Return the logarithm of the mean likelihood of lines under a jitter, their mean and covariance from points with
-    their weights to a power, and that power, 1 where at least a twentieth of the points counts."""
+    """Return log mean likelihood, mean, covariance and power from weighted points.
+
+    The power of the weights is 1 where at least a twentieth of the points counts.
+    """
     mean, covariance = line
     root = _WIDER * np.linalg.cholesky(covariance)
     points = mean + normal @ root.T
@@ -207,32 +214,33 @@ def _sampled(
 
 
 def _log_likelihood(points: FloatArray, jitter: float, intervals: _Intervals) -> FloatArray:
-    """Return the log-likelihood (N,) of points (N, 2R), a line per record, under a jitter."""
-    place, lower, upper, slopes = intervals
+    """Return the log-likelihood (N,) of points (N, 2R), a line per record, at a jitter."""
+    position, lower, upper, slopes = intervals
     width = upper[0] - lower[0]
-    alike = len(lower) == 1 and np.ptp(width) <= _ALIKE * width.max()
-    chance = _log_chance(float(width.mean()) / jitter) if alike else None
-    own, rows = np.empty(len(points)), max(1, _AT_ONCE // len(place))
+    equal_widths = len(lower) == 1 and np.ptp(width) <= _EQUAL_WIDTH * width.max()
+    chance = _log_chance(float(width.mean()) / jitter) if equal_widths else None
+    result, rows = np.empty(len(points)), max(1, _AT_ONCE // len(position))
     for first in range(0, len(points), rows):
         line = points[first : first + rows].T[:, :, None]
-        lines = line[::2] + line[1::2] * place
+        lines = line[::2] + line[1::2] * position
         below, above = (lower[:, None] - lines).max(axis=0), (upper[:, None] - lines).min(axis=0)
-        # Edges whose intervals hold every line with room to spare say nothing.
+        # Edges whose intervals include every line with a margin contribute no information.
         telling = (below.max(axis=0) > -6.0 * jitter) | (above.min(axis=0) < 6.0 * jitter)
         below, above = below[:, telling] / jitter, above[:, telling] / jitter
         if chance is not None:
             each = _series(np.minimum(above, -below), chance, _WIDE_NODES)
         else:
             each = np.log(np.maximum(normal_cdf(above) - normal_cdf(below), 0.0) + _STRAY)
-        own[first : first + rows] = each.sum(axis=1)
-    return own if slopes is None else own + slopes.log_likelihood(points)
+        result[first : first + rows] = each.sum(axis=1)
+    return result if slopes is None else result + slopes.log_likelihood(points)
 
 
 @lru_cache(4)  # proposals of one jitter follow each other
 def _log_chance(width: float) -> FloatArray:
-    """Return Taylor's series (3, N) of ln(Φ(v) - Φ(v - width) + a stray's), to 10⁻⁶, units: the jitter.
+    """Return Taylor's series (3, N) of an interval's log-likelihood, to 10⁻⁶.
 
-    Of lines v inside the nearer bound of intervals of one width.
+    It is ln(Φ(v) - Φ(v - width) + a stray's). Units: the jitter. v is the distance of lines inside the nearer bound of
+    intervals of one width.
     """
     node = np.arange(2.0 * _WIDE_NODES * _FARTHEST + 1.0) / _WIDE_NODES - _FARTHEST
     share = normal_cdf(node) - normal_cdf(node - width) + _STRAY
@@ -243,21 +251,24 @@ def _log_chance(width: float) -> FloatArray:
 
 
 def normal_cdf(x: FloatArray) -> FloatArray:
-    """Return Φ(x) to 2·10⁻¹⁴: Taylor's series to the third order about the nearest of nodes 1/512 apart.
+    """Return Φ(x) to 2·10⁻¹⁴ by Taylor's series of third order.
 
-    SciPy's own takes a fifth of a second to be imported.
+    Its nodes are 1/512 apart. SciPy's function takes a fifth of a second to import.
     """
     return _series(x, _normal_series(), _NODES)
 
 
 def _series(x: FloatArray, coefficients: FloatArray, nodes: int) -> FloatArray:
-    """Return Taylor's series (K, N) about nodes from -9 to 9, so many for one standard deviation, at x of any shape."""
+    """Return Taylor's series (K, N) at x of any shape.
+
+    Its nodes are from -9 to 9. `nodes` is their number per standard deviation.
+    """
     flat, found = x.ravel(), np.empty(x.size)
     for first in range(0, x.size, _AT_ONCE):
         off = np.clip(flat[first : first + _AT_ONCE], -_FARTHEST, _FARTHEST)
-        place = (nodes * off + (nodes * _FARTHEST + 0.5)).astype(np.intp)
-        off -= place / nodes - _FARTHEST
-        *lower, highest = (order.take(place) for order in coefficients)
+        node_index = (nodes * off + (nodes * _FARTHEST + 0.5)).astype(np.intp)
+        off -= node_index / nodes - _FARTHEST
+        *lower, highest = (order.take(node_index) for order in coefficients)
         found[first : first + _AT_ONCE] = reduce(lambda value, order: order + off * value, lower[::-1], highest)
     return found.reshape(x.shape)
 

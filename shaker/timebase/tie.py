@@ -1,4 +1,4 @@
-"""The tie between two clocks: which edges belong together, and the line between them."""
+"""Tie between two clocks: matching edges, and the straight line between the clocks."""
 
 from __future__ import annotations
 
@@ -17,34 +17,35 @@ from shaker.timebase.trigger import (
     fit_resolved,
     straight_line,
 )
-from shakercal._common.notices import Notice
+from shaker.timebase.trigger_notices import CONTRADICTORY_CLOCK_RATE, START_TIMES_DISAGREE
+from shakercal._common.notices import Notice, Value
 
-# Which edges of two records belong together: the whole-period shift and what decides it.
+# Matching edges of two records: the whole-period shift and its evidence.
 
 _GAP_MATCH = 0.8  # share of the missing edges that must be missing in both records for gaps to decide the shift
 _GAP_CHANCE = 1e-3  # probability of as many coincidences at any shift by chance, where gaps lie outside the overlap
 _START_MATCH = 0.25  # of a period: how well start times must agree with a whole number of periods
-_JITTER_EDGES = 20
+_JITTER_EDGES = 20  # common edges below which jitter decides no shift; chosen
 _JITTER_SHARE = 0.4  # of an edge's interval: jitter that rises above the pattern which sampling makes
 _JITTER_RESOLVED = 0.1  # of a sample: the interval that the unknown shape of a resolved rise may leave
-_JITTER_SCORE = 6.0  # standard deviations by which one shift's correlation of the jitter must stand out
+_JITTER_SCORE = 6.0  # standard deviations by which one shift's correlation of the jitter must exceed zero
 _JITTER_RIVAL = 0.6  # of the best shift's correlation: largest that any other shift may reach
 
 
 @dataclass(frozen=True)
 class Shift:
-    """Which base edge the other record's edge 0 is, and what decided that, in words."""
+    """Base edge that corresponds to the other record's edge 0, and the evidence in words."""
 
     edges: int
     decided_by: str
 
 
 def decide_shift(base: TriggerFit, other: TriggerFit, start_difference_s: float | None = None) -> Shift:
-    """Return which base edge the other record's edge 0 is.
+    """Return the base edge that corresponds to the other record's edge 0.
 
-    Burst starts and ends that the records show leave a range of shifts; where it is more than one, gaps that both
-    show, the jitter that both saw, or start times (good to a quarter period) choose among them. Where start and end
-    contradict each other, because edges are lost at an end, the same three choose. `ValueError` where none does.
+    Visible burst starts and ends limit the range of shifts. Where it is more than one, common gaps, the common jitter,
+    or start times (good to a quarter period) choose among them. Where start and end contradict each other, because
+    edges are lost at an end, the same three choose. `ValueError` where none does.
     """
     low, high = _bounds(base, other)
     if low == high:
@@ -60,18 +61,18 @@ def decide_shift(base: TriggerFit, other: TriggerFit, start_difference_s: float 
         if shift is not None and between[0] <= shift <= between[1]:
             return Shift(shift, name)
     if low > high:
-        found = f"{base.edges} and {other.edges} edges whose ends of the burst say {low} and {high}"
+        found = f"{base.edges} and {other.edges} edges with shifts from the ends of the burst of {low} and {high}"
     else:
         found = f"{high - low + 1} whole-period shifts from {low} to {high}"
         found += f" that fit {base.edges} and {other.edges} edges"
     raise ValueError(
-        f"shift: expected burst start, burst end, gaps or start times to say which edges belong together, found "
+        f"shift: expected burst start, burst end, gaps or start times that determine the matching edges, found "
         f"{found}; give first_edge"
     )
 
 
 def by_start_times(base: TriggerFit, other: TriggerFit, start_difference_s: float | None) -> int | None:
-    """Return the shift that start times tell, None where they lie between two."""
+    """Return the shift from start times, None where they lie between two."""
     if start_difference_s is None:
         return None
     exact = (other.start_s + start_difference_s - base.start_s) / base.period_s
@@ -94,48 +95,51 @@ def _bounds(base: TriggerFit, other: TriggerFit) -> tuple[int, int]:
 
 
 def _by_gaps(base: TriggerFit, other: TriggerFit, low: int, high: int) -> int | None:
-    """Return the one shift in the range at which the missing edges of both records coincide, else None."""
+    """Return the only shift in the range at which missing edges coincide, else None."""
     from scipy.stats import hypergeom
 
     matching = []
     for shift in range(low, high + 1):
         first, last = max(0, shift), min(base.edges, other.edges + shift) - 1
-        here = {i for i in base.missing if first <= i <= last}
-        there = {i + shift for i in other.missing if first <= i + shift <= last}
-        both, overlap = len(here & there), last - first + 1
-        if not both or both < _GAP_MATCH * len(here | there) or 2 * overlap < other.edges:
+        base_index = {i for i in base.missing if first <= i <= last}
+        other_index = {i + shift for i in other.missing if first <= i + shift <= last}
+        both, overlap = len(base_index & other_index), last - first + 1
+        if not both or both < _GAP_MATCH * len(base_index | other_index) or 2 * overlap < other.edges:
             continue
         everything = both >= _GAP_MATCH * max(len(base.missing), len(other.missing))
         # Probability that at least so many of two independent sets of missing edges coincide.
-        chance = hypergeom.sf(both - 1, overlap, len(here), len(there))
+        chance = hypergeom.sf(both - 1, overlap, len(base_index), len(other_index))
         if everything or (high - low + 1) * chance < _GAP_CHANCE:
             matching.append(shift)
     return matching[0] if len(matching) == 1 else None
 
 
 def _by_jitter(base: TriggerFit, other: TriggerFit, low: int, high: int) -> int | None:
-    """Return the one shift in the range at which the deviations from the period agree, else None."""
+    """Return the only shift in the range with equal deviations, else None.
+
+    The deviations are those from the period.
+    """
     if not (_jitters(base) and _jitters(other)):
         return None
-    here, there = _deviations(base), _deviations(other)
+    base_index, other_index = _deviations(base), _deviations(other)
     score = np.zeros(high - low + 1)
     for i, shift in enumerate(range(low, high + 1)):
         first, last = max(0, shift), min(base.edges, other.edges + shift)
         if last - first < _JITTER_EDGES:
             continue
-        a, b = here[first:last], there[first - shift : last - shift]
+        a, b = base_index[first:last], other_index[first - shift : last - shift]
         norm = float(np.sqrt((a @ a) * (b @ b)))
         score[i] = float(a @ b) / norm * np.sqrt(np.count_nonzero(a * b)) if norm > 0.0 else 0.0
     best = int(np.argmax(score))
     rivals = np.delete(score, best)
-    stands_out = score[best] > _JITTER_SCORE and np.all(rivals < _JITTER_RIVAL * score[best])
-    return low + best if stands_out else None
+    unique = score[best] > _JITTER_SCORE and np.all(rivals < _JITTER_RIVAL * score[best])
+    return low + best if unique else None
 
 
 def _jitters(fit: TriggerFit) -> bool:
-    """Tell whether the jitter rises above what sampling and the shape of the rise do to an edge."""
-    least = 1.0 if fit.kind == "sampled" else _JITTER_RESOLVED
-    return fit.jitter_s > _JITTER_SHARE * max(fit.resolution_s, least * fit.sample_s)
+    """Return whether the jitter exceeds the effect of sampling and rise shape on an edge."""
+    min_interval = 1.0 if fit.kind == "sampled" else _JITTER_RESOLVED
+    return fit.jitter_s > _JITTER_SHARE * max(fit.resolution_s, min_interval * fit.sample_s)
 
 
 def _deviations(fit: TriggerFit) -> FloatArray:
@@ -147,17 +151,21 @@ def _deviations(fit: TriggerFit) -> FloatArray:
 
 # The straight line from one clock to another, from the edges that both have seen.
 
-_LEAST_PAIRS = 4
+_MIN_PAIRS = 4  # common edges below which only the two models are compared
 _DIFFERENCE = np.array([[1.0, 0.0, -1.0, 0.0], [0.0, 1.0, 0.0, -1.0]])
 
 
 @dataclass(frozen=True)
 class ClockLine:
-    """t_base = offset_s + rate·t_other with covariance (2, 2) of (offset_s, rate).
+    """Line t_base = offset_s + rate·t_other with covariance (2, 2) of (offset_s, rate).
 
-    `noise` (2, 2): what of it is by noise of the samples, and so another error in every record. `follows` (2, 2): what
-    an error of the base trigger's (start_s, period_s) makes of it, where that is known, and `beside` (2, 2) the
-    covariance of the rest; `covariance` holds both.
+    Attributes
+    ----------
+    offset_s, rate : the line.
+    covariance : (2, 2), in total.
+    noise : (2, 2), part from the samples' noise, which differs in every record.
+    follows : (2, 2), response to an error of the base trigger's (start_s, period_s), where available.
+    beside : (2, 2), covariance of the remaining part.
     """
 
     offset_s: float
@@ -184,53 +192,54 @@ class ClockLine:
         """Return the line with the two clocks exchanged."""
         rate = 1.0 / self.rate
         jacobian = np.array([[-rate, self.offset_s * rate**2], [0.0, -(rate**2)]])
-        covariance, noise = (jacobian @ own @ jacobian.T for own in (self.covariance, self.noise))
+        covariance, noise = (jacobian @ part @ jacobian.T for part in (self.covariance, self.noise))
         return ClockLine(-self.offset_s * rate, rate, covariance, noise=noise)
 
 
 def clock_line(base: TriggerFit, other: TriggerFit, shift: int, rate: tuple[float, float] | None = None) -> ClockLine:
-    """Return the line from the other clock to the base clock; `shift` is the base edge that is the other's edge 0.
+    """Return the line from the other clock to the base clock.
 
-    The trigger's jitter is the same in both records and cancels in the differences of paired edges; what sampling
-    leaves open is not. Where both records give intervals, both lines and the common jitter are estimated together;
-    where one resolves its edges, they take the period's place for the other's intervals; where both do, the
-    differences are fitted. Two periodic models one by one are the start, and the result where they know more. `rate`:
-    that of the clocks and its standard uncertainty as found otherwise, which intervals are read with.
+    `shift` is the base edge that is the other's edge 0. The trigger's jitter is the same in both records and cancels in
+    the differences of paired edges; the timing uncertainty from sampling does not. Where both records have intervals,
+    both lines and the common jitter are estimated together. Where one resolves its edges, they replace the period for
+    the other's intervals. Where both do, the differences are fitted. Two separate periodic models are the start, and
+    the result where they are more certain. `rate` is that of the clocks and its standard uncertainty from another
+    source, with which intervals are read.
     """
-    _, here, there = np.intersect1d(base.number, other.number + shift, return_indices=True)
+    _, base_index, other_index = np.intersect1d(base.number, other.number + shift, return_indices=True)
     single = _from_models(base, other, shift)
-    if len(here) < _LEAST_PAIRS:
+    if len(base_index) < _MIN_PAIRS:
         return single
     if base.kind == other.kind:
-        paired = _from_pairs(base, other, here, there)
-        middle = np.asarray(np.mean(other.edge_s[there]))
+        paired = _from_pairs(base, other, base_index, other_index)
+        middle = np.asarray(np.mean(other.edge_s[other_index]))
         line = paired if paired.u_to_base_s(middle) < single.u_to_base_s(middle) else single
         if base.kind == "sampled":
             line = _from_intervals(base, other, shift, (line, line is paired), rate)
         elif line is single:
             variance = float(line.u_to_base_s(middle)) ** 2
-            opened = (base.open_s**2 + other.open_s**2) / 12.0
-            own = min(f.resolution_s**2 / (f.resolution_s**2 + 12.0 * f.jitter_s**2) for f in (base, other))
-            return replace(line, noise=line.covariance * own * max(1.0 - opened / variance, 0.0))
+            common_variance = (base.open_s**2 + other.open_s**2) / 12.0
+            sample_share = min(f.resolution_s**2 / (f.resolution_s**2 + 12.0 * f.jitter_s**2) for f in (base, other))
+            return replace(line, noise=line.covariance * sample_share * max(1.0 - common_variance / variance, 0.0))
     elif base.kind == "resolved":
-        line = _from_one_resolved(base, other, here, there).inverse()
+        line = _from_one_resolved(base, other, base_index, other_index).inverse()
     else:
-        line = _from_one_resolved(other, base, there, here)
-    # As in `fit_trigger`: what is open between samples is the least, what is open of a rise comes on top.
+        line = _from_one_resolved(other, base, other_index, base_index)
+    # As in `fit_trigger`: the gap between samples is a lower limit, the uncertainty of a rise is added.
     fits = base, other
     gaps = sum(f.open_s**2 for f in fits if f.kind == "sampled") / 12.0
     if base.kind == other.kind:  # the shapes of both rises are in the line
         rises = sum((RINGING * f.sample_s) ** 2 for f in fits if f.kind == "resolved") / 12.0
     else:
         rises = sum(f.open_s**2 for f in fits if f.kind == "resolved") / 12.0
-    known = float(line.u_to_base_s(np.asarray(np.mean(other.edge_s[there])))) ** 2
-    more = np.diag([rises + max(gaps - known, 0.0), 0.0])
-    beside = None if line.beside is None else line.beside + more
-    return replace(line, covariance=line.covariance + more, beside=beside)
+    variance_before = float(line.u_to_base_s(np.asarray(np.mean(other.edge_s[other_index])))) ** 2
+    more = np.diag([rises + max(gaps - variance_before, 0.0), 0.0])
+    rest = None if line.beside is None else line.beside + more
+    return replace(line, covariance=line.covariance + more, beside=rest)
 
 
 def _from_models(base: TriggerFit, other: TriggerFit, shift: int) -> ClockLine:
-    """Compare the two periodic models as if their errors had nothing in common."""
+    """Compare the two periodic models as if their errors were independent."""
     rate = base.period_s / other.period_s
     offset = base.start_s + shift * base.period_s - rate * other.start_s
     jacobian = np.array(
@@ -244,28 +253,33 @@ def _from_models(base: TriggerFit, other: TriggerFit, shift: int) -> ClockLine:
     return ClockLine(offset, rate, jacobian @ joint @ jacobian.T)
 
 
-def _from_pairs(base: TriggerFit, other: TriggerFit, here: IntArray, there: IntArray) -> ClockLine:
-    """Fit a line to paired edges, free of the trigger's jitter: to middles of intervals, or to resolved crossings."""
+def _from_pairs(base: TriggerFit, other: TriggerFit, base_index: IntArray, other_index: IntArray) -> ClockLine:
+    """Fit a line to paired edges, free of the trigger's jitter.
+
+    The edges are middles of intervals, or resolved crossings.
+    """
     if base.kind == "sampled":
-        place, unscale = _scaled(other.edge_s[there])
-        return unscale(straight_line(place, base.edge_s[here], 0.3 * base.resolution_s))
-    place, unscale = _scaled(other.crossing_s[there])
-    rises = [replace(rise, phase=rise.phase[at]) for rise, at in ((base.rise, here), (other.rise, there))]
+        position, unscale = _scaled(other.edge_s[other_index])
+        return unscale(straight_line(position, base.edge_s[base_index], 0.3 * base.resolution_s))
+    position, unscale = _scaled(other.crossing_s[other_index])
+    rises = [replace(rise, phase=rise.phase[at]) for rise, at in ((base.rise, base_index), (other.rise, other_index))]
     read = (base.resolution_s**2 + other.resolution_s**2) / 12.0
-    found = fit_resolved(base.crossing_s[here], place, rises, float(np.sqrt(read)))
-    # What edges scatter by beyond the samples' noise may be of the rise.
+    found = fit_resolved(base.crossing_s[base_index], position, rises, float(np.sqrt(read)))
+    # Scatter of the edges beyond the samples' noise may be caused by the rise.
     share = min(read / max(found.line.jitter_s**2, 1e-30), 1.0)
     noise = unscale(replace(found.line, covariance=share * found.noise)).covariance
     return replace(unscale(found.line), noise=noise)
 
 
-def _from_one_resolved(resolved: TriggerFit, sampled: TriggerFit, here: IntArray, there: IntArray) -> ClockLine:
+def _from_one_resolved(
+    resolved: TriggerFit, sampled: TriggerFit, base_index: IntArray, other_index: IntArray
+) -> ClockLine:
     """Return the line from the clock with resolved edges to the one with intervals."""
-    place, unscale = _scaled(resolved.edge_s[here])
-    lower, upper = sampled.lower_s[there], sampled.upper_s[there]
+    position, unscale = _scaled(resolved.edge_s[base_index])
+    lower, upper = sampled.lower_s[other_index], sampled.upper_s[other_index]
     width = float(np.median(upper - lower))
-    start = straight_line(place, (lower + upper) / 2.0, 0.3 * width)
-    return unscale(line_posterior(place, lower[None], upper[None], start, MIN_JITTER * width))
+    start = straight_line(position, (lower + upper) / 2.0, 0.3 * width)
+    return unscale(line_posterior(position, lower[None], upper[None], start, MIN_JITTER * width))
 
 
 def _from_intervals(
@@ -277,8 +291,8 @@ def _from_intervals(
 ) -> ClockLine:
     """Estimate both lines and the common jitter from the intervals of both records.
 
-    The other record's intervals are read on the base clock by the line to `begin` with, which was found from pairs or
-    not; the two lines then differ by what it lacks.
+    The other record's intervals are read on the base clock by the first line to `begin` with, found from pairs or not.
+    The two lines then differ by its error.
     """
     start, paired = begin
     numbers = np.union1d(base.number, other.number + shift)
@@ -290,11 +304,13 @@ def _from_intervals(
     lower[1], upper[1] = start.to_base_s(lower[1]), start.to_base_s(upper[1])
     to_middle = np.array([[1.0, centre], [0.0, half]])
     line = to_middle @ np.array([base.start_s, base.period_s])
-    own = to_middle @ base.covariance @ to_middle.T
+    base_covariance = to_middle @ base.covariance @ to_middle.T
     over = np.array([[1.0, other.time_s(centre - shift)], [0.0, half * other.period_s]])
     difference = over @ start.covariance @ over.T
-    cross, second = (own, own + difference) if paired else (np.zeros((2, 2)), difference - own)
-    covariance = np.block([[own, cross], [cross, second]])
+    cross, second = (
+        (base_covariance, base_covariance + difference) if paired else (np.zeros((2, 2)), difference - base_covariance)
+    )
+    covariance = np.block([[base_covariance, cross], [cross, second]])
     both = Posterior(np.tile(line, 2), covariance, max(base.jitter_s, other.jitter_s))
     slopes = None if rate is None else _slopes(half, base, rate[0] / start.rate, rate[1] / start.rate)
     both = line_posterior((numbers - centre) / half, lower, upper, both, MIN_JITTER * base.resolution_s, slopes)
@@ -305,28 +321,31 @@ def _from_intervals(
     jacobian = np.array([[1.0, (start.offset_s - line[0]) / line[1]], [0.0, start.rate / line[1]]])
     into_line = jacobian @ _DIFFERENCE
     covariance = into_line @ both.covariance @ into_line.T
-    # By regression: the base trigger's own line is among what was estimated.
+    # By regression: the line of the base trigger is among the estimates.
     on_base = np.linalg.solve(both.covariance[:2, :2], both.covariance[:2]).T
-    beside = both.covariance - on_base @ both.covariance[:2]
+    rest = both.covariance - on_base @ both.covariance[:2]
     return ClockLine(
         float(offset),
         float(stretch * start.rate),
         covariance,
         follows=into_line @ on_base @ to_middle,
-        beside=into_line @ beside @ into_line.T,
+        beside=into_line @ rest @ into_line.T,
     )
 
 
 def _slopes(half: float, base: TriggerFit, ratio: float, u_ratio: float) -> Slopes:
-    """Return what is known of the half spans of `half` periods of two lines: their ratio, and the base line's own."""
+    """Return external information about the half spans of `half` periods of two lines.
+
+    It is their ratio, and the half span of the base line.
+    """
     period, u_period = base.known_period_s or (base.period_s, np.inf)
-    span, apart = half * period, np.array([1.0, -1.0])
-    weight = np.diag([(half * u_period) ** -2.0, 0.0]) + np.multiply.outer(apart, apart) / (u_ratio * span) ** 2
+    span, signs = half * period, np.array([1.0, -1.0])
+    weight = np.diag([(half * u_period) ** -2.0, 0.0]) + np.multiply.outer(signs, signs) / (u_ratio * span) ** 2
     return Slopes(span * np.array([1.0, 2.0 - ratio]), weight)
 
 
 def _scaled(time: FloatArray) -> tuple[FloatArray, Callable[[Posterior], ClockLine]]:
-    """Return times as places within ±1, and what turns a line over places into one over times."""
+    """Return times as positions within ±1, and the inverse scaling of lines."""
     centre, half = (time[0] + time[-1]) / 2.0, (time[-1] - time[0]) / 2.0
     jacobian = np.array([[1.0, -centre / half], [0.0, 1.0 / half]])
 
@@ -344,10 +363,18 @@ _SAME_PERIOD = 0.01  # relative: clocks differ by less, two triggers by more
 
 @dataclass(frozen=True)
 class ClockTie(ClockLine):
-    """One clock read on another: t_base = offset_s + rate·t_other, both in seconds from their record's first sample.
+    """A clock tied to another: t_base = offset_s + rate·t_other.
 
-    `covariance` (2, 2) of (offset_s, rate); `shift` is the base edge that the other record's edge 0 belongs to,
-    `decided_by` what says so; `pairs` edges were seen by both, `middle_s` is the middle of these on the other clock.
+    Both count from their record's first sample.
+
+    Attributes
+    ----------
+    offset_s, rate, covariance : the line with the covariance (2, 2) of (offset_s, rate).
+    shift : base edge of the other record's edge 0.
+    decided_by : evidence for the shift.
+    pairs : number of edges that both records show.
+    middle_s : middle of these edges on the other clock in s.
+    notices : notices of the tie.
     """
 
     shift: int
@@ -357,20 +384,22 @@ class ClockTie(ClockLine):
     notices: tuple[Notice, ...]
 
     def with_rate(self, rate: float, u_rate: float) -> ClockTie:
-        """Return the tie with a rate that was also found otherwise: both by their variances, the line about its middle.
+        """Return the tie combined with an independent rate, weighted by variances, about its middle.
 
-        One that contradicts the edges is told and changes nothing.
+        A rate that contradicts the edges is reported and not used.
         """
-        both, apart = float(self.covariance[1, 1]) + u_rate**2, rate - self.rate
-        if abs(apart) > MAX_DISAGREEMENT_SIGMAS * np.sqrt(both):
-            way = "higher" if apart > 0.0 else "lower"
-            text = (
-                f"its lines are {abs(apart):.2g} of themselves {way} than the edges of the trigger let expect "
-                f"(standard uncertainty {np.sqrt(both):.2g}): edges are wrong, or what drove was not the same"
+        both, difference = float(self.covariance[1, 1]) + u_rate**2, rate - self.rate
+        if abs(difference) > MAX_DISAGREEMENT_SIGMAS * np.sqrt(both):
+            notice = Notice(
+                CONTRADICTORY_CLOCK_RATE,
+                "clock",
+                relative_difference=abs(difference),
+                direction="higher" if difference > 0.0 else "lower",
+                u_relative=float(np.sqrt(both)),
             )
-            return replace(self, notices=(*self.notices, Notice("warning", text, "clock")))
+            return replace(self, notices=(*self.notices, notice))
         gain = self.covariance[:, 1] / both
-        offset_s, rate = np.array([self.offset_s, self.rate]) + gain * apart
+        offset_s, rate = np.array([self.offset_s, self.rate]) + gain * difference
         covariance = self.covariance - np.outer(gain, self.covariance[1])
         left = np.eye(2) - np.outer(gain, [0.0, 1.0])
         return replace(
@@ -390,13 +419,30 @@ def tie_clocks(
     start_difference_s: float | None = None,
     rate: tuple[float, float] | None = None,
 ) -> ClockTie:
-    """Tie another DAQ's clock to the base clock by the trigger both have recorded: t_base = offset_s + rate·t_other.
+    """Tie another DAQ's clock to the base clock by the trigger that both have recorded.
 
-    `shift` is the number of the base edge that is the other record's edge 0. Where it is not given, it is found
-    (`decide_shift`), with `start_difference_s` (how much later the other record started) among the evidence; where
-    nothing decides it, `ValueError`. The line is that of `clock_line`. `rate`: that of the clocks with its standard
-    uncertainty where it is known otherwise and agrees with the edges, with which intervals in both are read.
+    Parameters
+    ----------
+    base, other
+        Fits of the trigger in both records.
+    shift
+        Base edge that is the other record's edge 0; None determines it (`decide_shift`).
+    start_difference_s
+        How much later the other record started, in s; None if unknown.
+    rate
+        Rate of the clocks with its standard uncertainty from another source that agrees with the edges; None without.
 
+    Returns
+    -------
+    The line t_base = offset_s + rate·t_other with covariance (see `clock_line`).
+
+    Raises
+    ------
+    ValueError
+        The periods differ, or no evidence determines the shift.
+
+    Examples
+    --------
     >>> import numpy as np
     >>> from shaker import find_edges, fit_trigger, tie_clocks
     >>> def trigger(start_s, rate_hz):
@@ -416,20 +462,17 @@ def tie_clocks(
     decided = decide_shift(base, other, start_difference_s) if shift is None else Shift(shift, "first_edge")
     by_start = by_start_times(base, other, start_difference_s)
     notices: tuple[Notice, ...] = ()
-    if by_start not in (None, decided.edges):
-        text = (
-            f"the start times put edge 0 at edge {by_start} of the first clock, {decided.decided_by} at "
-            f"{decided.edges}, which counts; first_edge states it where that is wrong"
-        )
-        notices = (Notice("note", text, "clock"),)
-    pairs, _, there = np.intersect1d(base.number, other.number + decided.edges, return_indices=True)
+    if by_start is not None and by_start != decided.edges:
+        values: dict[str, Value] = {"evidence": decided.decided_by, "used_edge": decided.edges}
+        notices = (Notice(START_TIMES_DISAGREE, "clock", start_time_edge=by_start, **values),)
+    pairs, _, other_index = np.intersect1d(base.number, other.number + decided.edges, return_indices=True)
     # Always from the coarser to the finer record, so that exchanged roles give the same tie.
     finer = min((base, other), key=lambda fit: (fit.resolution_s, fit.edges, fit.start_s))
     if finer is other and rate is None:
         line = clock_line(other, base, -decided.edges).inverse()
     else:
         line = clock_line(base, other, decided.edges, rate)
-    middle_s = float(np.mean(other.edge_s[there] if len(pairs) else other.edge_s))
+    middle_s = float(np.mean(other.edge_s[other_index] if len(pairs) else other.edge_s))
     return ClockTie(
         line.offset_s,
         line.rate,
@@ -445,14 +488,15 @@ def tie_clocks(
     )
 
 
-# Instants of single trigger edges from all records that saw them: the periodic model and each edge's own deviation.
+# Instants of single trigger edges from all records: the periodic model and each edge's deviation.
 
 
 @dataclass(frozen=True)
 class EdgeInstants:
-    """Times (F,) of edges on the base clock and their standard uncertainty (F,), which holds that of model and ties.
+    """Times (F,) of edges on the base clock with standard uncertainty (F,).
 
-    `model_share` (F,): how far an error of the periodic model moves them; 1 where nothing else was seen of an edge.
+    The uncertainty includes model and ties. `model_share` (F,) is their response to an error of the periodic model, 1
+    for an edge that no record shows.
     """
 
     time_s: FloatArray
@@ -467,19 +511,22 @@ class EdgeInstants:
 def edge_instants(
     base: TriggerFit, number: IntArray, others: Sequence[tuple[TriggerFit, ClockTie]] = ()
 ) -> EdgeInstants:
-    """Return the instants of the base record's edges numbered (F,), with what other records saw of the same edges.
+    """Return the instants of the base record's edges `number` (F,).
 
-    An edge is the model's time plus a Gaussian deviation of the size of the jitter. Resolved crossings update it as
-    readings with their own noise, intervals truncate what is left. So edges without jitter follow the model, those with
-    much follow what was seen, and one that no record has seen keeps the model's time and the jitter as uncertainty.
-    What is open of a model is told by single edges, too, but not where all of them leave it open alike, or another
-    answer than theirs went into it: there the jitter alone moves them, less where the shape of a rise may be all of it.
+    All records that show them are used. An edge is the model's time plus a Gaussian deviation of the size of the
+    jitter. Resolved crossings update it as readings with their noise; intervals truncate the remaining distribution.
+    Edges without jitter thus follow the model, and those with much jitter follow their readings. An edge that no record
+    shows keeps the model's time, with the jitter as uncertainty.
+
+    Single edges also reduce the uncertainty of the model, but not where that is common to all of them, or where
+    external information has entered the model. There the jitter alone moves them, less where the shape of a rise may
+    explain all of it.
     """
     records = [(base, base.number, None), *((fit, fit.number + tie.shift, tie) for fit, tie in others)]
-    alike = base.locked or base.known_period_s is not None
+    common_error = base.locked or base.known_period_s is not None
     u_model = base.u_time_s(number)
-    shape = min(base.u_shape_s, base.jitter_s) ** 2  # of what edges scatter by
-    first = base.jitter_s**2 - shape + (0.0 if alike else u_model**2)
+    shape = min(base.u_shape_s, base.jitter_s) ** 2  # of the scatter of the edges
+    first = base.jitter_s**2 - shape + (0.0 if common_error else u_model**2)
     mean, variance = np.zeros(len(number)), np.full(len(number), first)
     below, above = np.full(len(number), -np.inf), np.full(len(number), np.inf)
     model = base.time_s(number)
@@ -498,19 +545,19 @@ def edge_instants(
         else:
             below[at], above[at] = np.maximum(below[at], lower), np.minimum(above[at], upper)
     mean, variance = _truncated(mean, variance, below, above)
-    # A prior's mean moves that of the posterior by the ratio of their variances, for readings and for bounds alike.
+    # A prior's mean shifts that of the posterior by the ratio of their variances, for readings and for bounds.
     share = np.divide(variance, first, out=np.ones_like(variance), where=np.asarray(first) > 0.0)
-    return EdgeInstants(model + mean, np.sqrt(variance + shape + (share * u_model) ** 2 * alike), share)
+    return EdgeInstants(model + mean, np.sqrt(variance + shape + (share * u_model) ** 2 * common_error), share)
 
 
 def _truncated(
     mean: FloatArray, variance: FloatArray, below: FloatArray, above: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Return mean and variance of Gaussians (F,) between bounds; as they were where the bounds are far off."""
+    """Return mean and variance of Gaussians (F,) between bounds; unchanged for distant bounds."""
     deviation = np.sqrt(np.maximum(variance, 1e-30))
     low, high = np.clip((below - mean) / deviation, -40.0, 40.0), np.clip((above - mean) / deviation, -40.0, 40.0)
     share = normal_cdf(high) - normal_cdf(low)
-    # An interval that the model misses by more than the jitter explains says nothing about the jitter.
+    # An interval that the model misses by more than the jitter explains is ignored.
     inside = share > 1e-6
     share = np.where(inside, share, 1.0)
     density_low, density_high = np.exp(-0.5 * low**2), np.exp(-0.5 * high**2)

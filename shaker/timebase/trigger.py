@@ -1,4 +1,4 @@
-"""The periodic model of a trigger: start, period, jitter, width of its pulses."""
+"""Periodic model of a trigger: start, period, jitter, and width of its pulses."""
 
 from __future__ import annotations
 
@@ -12,11 +12,20 @@ import numpy as np
 from shaker.arrays import FloatArray, IntArray, check_shape, check_shapes
 from shaker.timebase.edges import EdgeKind, Edges, find_edges, number_edges
 from shaker.timebase.intervals import Posterior, Slopes, line_posterior
+from shaker.timebase.trigger_notices import (
+    CONTRADICTORY_PERIOD,
+    DOUBLED_EDGES,
+    EXTERNAL_PERIOD,
+    LOCKED_EDGES,
+    MISSING_EDGES,
+    STRAY_EDGES,
+    TRIGGER_JITTER,
+)
 from shakercal._common.notices import Notice
 
-# Crossings of a resolved rise: what its shape adds to the reconstruction, learnt from all edges.
+# Crossings of a resolved rise: the effect of its shape on the reconstruction, estimated from all edges.
 
-_TERMS = 16
+_TERMS = 16  # sines of the shape of a rise; chosen
 _ORDER = np.arange(1.0, _TERMS + 1)
 _DECAYS = (1.5, 2.5)  # powers of the order by which the sines fall off: kinks of the rise near the crossing, and far
 _SMALLEST, _LARGEST = (
@@ -24,13 +33,16 @@ _SMALLEST, _LARGEST = (
     0.15,
 )  # of a sample: first sine's standard deviation, from filters to RC inputs of half a one
 _RATIO = 3.0  # from one size of the sines to the next
-_LOCKED_SINES = 0.12, 1.5  # of a sample, and power: standard deviations of sines at places too few to learn them
+_LOCKED_SINES = (
+    0.12,
+    1.5,
+)  # of a sample, and power: standard deviations of sines where phases are too few to estimate them
 
 
 def straight_line(position: FloatArray, time_s: FloatArray, min_scatter_s: float = 0.0) -> Posterior:
-    """Fit time_s (E,) = m + h·place by least squares.
+    """Fit time_s (E,) = m + h·position by least squares.
 
-    The jitter is the scatter about the fit, the covariance that for one of at least `least_scatter_s`.
+    The jitter is the scatter about the fit, the covariance that for a scatter of at least `min_scatter_s`.
     """
     columns = np.column_stack([np.ones_like(position), position])
     inverse, centre = np.linalg.inv(columns.T @ columns), float(time_s.mean())
@@ -42,9 +54,9 @@ def straight_line(position: FloatArray, time_s: FloatArray, min_scatter_s: float
 
 @dataclass(frozen=True)
 class Rise:
-    """Where resolved edges of a record lie between two samples: phase (E,) from 0 to 1, and the sampling interval.
+    """Phases (E,) of resolved edges between two samples, and the interval.
 
-    `locked`: they take too few places for the shape of the rise to be learnt from them.
+    Phases range from 0 to 1. `locked`: the phases are too few for estimating the shape of the rise.
     """
 
     phase: FloatArray
@@ -53,14 +65,16 @@ class Rise:
 
     @property
     def sines(self) -> FloatArray:
-        """What a shape of one sample's size adds to the edges (E, J), in seconds."""
+        """Shift of the edges (E, J) in s by unit shape terms."""
         return np.asarray(self.sample_s * np.sin(np.pi * _ORDER * self.phase[:, None]))
 
 
 @dataclass(frozen=True)
 class ResolvedLine:
-    """A line through resolved edges, the share `noise` (2, 2) of its covariance that the edges' own scatter makes, and
-    what the shapes of the rises add to each edge (E,)."""
+    """Line through resolved edges, with the edge shifts (E,) by rise shapes.
+
+    `noise` (2, 2) is the part of its covariance from the individual scatter of the edges.
+    """
 
     line: Posterior
     noise: FloatArray
@@ -74,22 +88,25 @@ class ResolvedLine:
 def fit_resolved(
     time_s: FloatArray, position: FloatArray, rises: Sequence[Rise], min_scatter_s: float = 0.0
 ) -> ResolvedLine:
-    """Fit time_s (E,) = m + h·place + e_1(φ_1) - e_2(φ_2) with the phases φ (E,) of crossings between two samples.
+    """Fit a line to resolved edges, with the shapes of the rises.
 
-    A rise that is not band-limited (a ramp, an exponential) leaves the reconstruction with an error e that depends on
-    where the crossing lies between two samples, and only on that (the idea is that of the effective point-spread
-    function: Anderson & King, PASP 112, 2000). It vanishes where a sample is the crossing, hence e = Σ a_j sin(π j φ).
-    The a_j are Gaussian about 0 with a standard deviation that falls off as a power of j; its size and the power are
-    unknown and averaged over by the restricted likelihood of the edges (Patterson & Thompson, Biometrika 58, 1971), so
-    that what few or unevenly spread edges cannot tell of the shape stays in the covariance. A phase is the time read,
-    not the true one: dφ_true/dφ = 1 - e' enters the likelihood, without which edges that drift slowly past the samples
-    would put all of their drift down to the shape. A locked rise is not learnt: what RC inputs would make of the
-    line is in its covariance. The second rise is of the clock on which `place` counts.
+    The model is time_s (E,) = m + h·position + e_1(φ_1) - e_2(φ_2) with phases φ (E,) of the crossings. A rise that is
+    not band-limited (a ramp, an exponential) leaves the reconstruction with an error e. It depends only on the phase of
+    the crossing between two samples (the idea is that of the effective point-spread function: Anderson & King, PASP
+    112, 2000). It vanishes where a sample is the crossing, hence e = Σ a_j sin(π j φ). The a_j are Gaussian about 0
+    with a standard deviation that falls as a power of j. Its size and the power are unknown and averaged by the
+    restricted likelihood of the edges (Patterson & Thompson, Biometrika 58, 1971). The covariance thus includes the
+    uncertainty of a shape that few or unevenly spread edges do not determine.
+
+    A phase is the time read, not the true one: dφ_true/dφ = 1 - e' enters the likelihood. Without it, edges that drift
+    slowly past the samples would attribute all of their drift to the shape. A locked rise is not estimated; the
+    possible effect of RC inputs on the line is in its covariance. The second rise is that of the clock on which
+    `position` counts.
     """
     columns = np.column_stack([np.ones_like(position), position])
     inverse = np.linalg.inv(columns.T @ columns)
-    least = max(min_scatter_s, MIN_JITTER * max(r.sample_s for r in rises))
-    start, unlearnt = straight_line(position, time_s, least), np.zeros((2, 2))
+    min_scatter = max(min_scatter_s, MIN_JITTER * max(r.sample_s for r in rises))
+    start, unlearnt = straight_line(position, time_s, min_scatter), np.zeros((2, 2))
     for rise in rises:
         if rise.locked:
             tilt = inverse @ (columns.T @ rise.sines) * (_LOCKED_SINES[0] * _ORDER ** -_LOCKED_SINES[1])
@@ -100,10 +117,10 @@ def fit_resolved(
         return ResolvedLine(line, start.covariance, np.zeros_like(time_s))
     sines = np.hstack([sign * rise.sines for sign, rise in learnt])
     into_line = inverse @ (columns.T @ sines)
-    left, apart = time_s - columns @ start.mean, sines - columns @ into_line
-    normal, right, edges = apart.T @ apart, apart.T @ left, len(position)
+    left, orthogonal = time_s - columns @ start.mean, sines - columns @ into_line
+    normal, right, edges = orthogonal.T @ orthogonal, orthogonal.T @ left, len(position)
     # Standard deviations of the a_j over the scatter of the edges, for every size and power.
-    low, high = _SMALLEST / max(start.jitter_s, least), _LARGEST / least
+    low, high = _SMALLEST / max(start.jitter_s, min_scatter), _LARGEST / min_scatter
     sizes = np.geomspace(low, high, 1 + int(np.ceil(np.log(high / low) / np.log(_RATIO))))
     one = [size * _ORDER**-power for size in sizes for power in _DECAYS]
     spread = np.array([np.concatenate(pair) for pair in product(one, repeat=len(learnt))])
@@ -111,14 +128,14 @@ def fit_resolved(
     posterior = np.linalg.inv(whitened) * spread[:, :, None] * spread[:, None, :]
     shape = posterior @ right
     squares = np.maximum(left @ left - shape @ right, 0.0)
-    variance = np.maximum(squares / max(edges - 2, 1), least**2)
+    variance = np.maximum(squares / max(edges - 2, 1), min_scatter**2)
     score = -0.5 * (np.linalg.slogdet(whitened)[1] + (edges - 2) * np.log(variance) + squares / variance)
     allowed = np.ones(len(spread), dtype=bool)
     for number, (_, rise) in enumerate(learnt):
-        own = slice(number * _TERMS, (number + 1) * _TERMS)
-        slope = shape[:, own] @ (np.pi * _ORDER * np.cos(np.pi * _ORDER * rise.phase[:, None])).T
+        terms = slice(number * _TERMS, (number + 1) * _TERMS)
+        slope = shape[:, terms] @ (np.pi * _ORDER * np.cos(np.pi * _ORDER * rise.phase[:, None])).T
         score += np.log(np.maximum(np.abs(1.0 - slope), 1e-9)).sum(axis=1)
-        allowed &= spread[:, own.start] * np.sqrt(variance) <= _LARGEST
+        allowed &= spread[:, terms.start] * np.sqrt(variance) <= _LARGEST
     score = np.where(allowed | ~allowed.any(), score, -np.inf)
     weight = np.exp(score - score.max())
     weight /= weight.sum()
@@ -134,25 +151,36 @@ def fit_resolved(
 
 # The periodic model of a camera trigger: start, period, jitter, missing, doubled and spurious edges.
 
-MIN_JITTER = 5e-6  # of a sample: 0.1 ns at 51.2 kHz, what a logic output that a quartz drives has at least
-_IDLE = 1.05  # periods without an edge at an end of the record that show the burst to begin or end there
-_LOCKED = 0.15  # of a sample: no edge over this range of phases once there are enough of them
-MAX_DISAGREEMENT_SIGMAS = 5.0  # standard uncertainties by which two answers to one question may differ
-RINGING = 1e-3  # of a sample: interval that the ringing of the pulse's other edge leaves open of a resolved one
+MIN_JITTER = 5e-6  # of a sample: 0.1 ns at 51.2 kHz, the least jitter of a logic output driven by a quartz
+_IDLE = 1.05  # periods without an edge at an end of the record that show the begin or end of the burst
+_LOCKED = 0.15  # of a sample: gap in the phases of many edges that marks them as locked
+MAX_DISAGREEMENT_SIGMAS = (
+    5.0  # standard uncertainties by which two values of one quantity may differ; chosen for few false alarms
+)
+RINGING = 1e-3  # of a sample: timing uncertainty of a resolved edge from the ringing of the pulse's other edge
 
 
 @dataclass(frozen=True)
 class TriggerFit:
-    """Periodic model t_k = start_s + k·period_s of a trigger, in seconds from the record's first sample.
+    """Periodic model t_k = start_s + k·period_s of a trigger.
 
-    `number` (E,): count of each edge kept (0 = first), which lies in (`lower_s`, `upper_s`] (E,); `edge_s` (E,) their
-    own estimates, from which `correction_s` (E,) for the shape of the rise is taken off already. `kind`: what the model
-    rests on, the intervals ("sampled") or the estimates ("resolved"); `resolution_s`: √12 times what sampling and noise
-    leave open of one edge; `open_s`: of all edges alike, because they keep falling on the same places between samples,
-    for the shape of a resolved rise or the ringing of others. `covariance` (2, 2) of (start_s, period_s); `jitter_s`
-    standard deviation of the edges about the model beyond what sampling explains; `missing` numbers without an edge,
-    `doubled` and `spurious` edges dropped. `idle_before`, `idle_after`: the record shows that the burst begins or ends
-    here. `known_period_s`: the period and its standard uncertainty as found otherwise than from edges (`with_period`).
+    Times count in seconds from the record's first sample.
+
+    Attributes
+    ----------
+    start_s, period_s, covariance : the model with the covariance (2, 2) of (start_s, period_s).
+    number : (E,), count of each accepted edge, 0 for the first.
+    lower_s, upper_s : (E,), interval (lower, upper] of each edge.
+    edge_s, correction_s : (E,), individual estimates, and the correction for the rise's shape already subtracted.
+    kind : input of the model, the intervals ("sampled") or the estimates ("resolved").
+    jitter_s : standard deviation of the edges about the model beyond the effect of sampling.
+    missing : numbers without an edge.
+    doubled, spurious : numbers of rejected edges.
+    idle_before, idle_after : whether the record shows the begin and the end of the burst.
+    resolution_s : √12 times the uncertainty of one edge from sampling and noise.
+    open_s : the same for an error common to all edges: locked phases, rise shape, or ringing.
+    notices : notices of the fit.
+    known_period_s : period and standard uncertainty from another source (`with_period`), else None.
     """
 
     start_s: float
@@ -186,12 +214,15 @@ class TriggerFit:
 
     @property
     def edges(self) -> int:
-        """Number of edges from the first to the last, missing ones counted."""
+        """Number of edges from the first to the last, including missing ones."""
         return int(self.number[-1]) + 1
 
     @property
     def scatters(self) -> bool:
-        """Whether edges surely scatter: intervals that one line meets leave less than one of them over their number."""
+        """Whether edges certainly scatter.
+
+        Intervals that one line meets allow a jitter of less than one of them over their number.
+        """
         return self.jitter_s * (len(self.number) if self.kind == "sampled" else 1) > self.resolution_s
 
     @property
@@ -201,12 +232,12 @@ class TriggerFit:
 
     @property
     def locked(self) -> bool:
-        """Whether the edges keep falling on few places between two samples."""
+        """Whether the edges always have few phases between two samples."""
         return _locked(self.number, self.period_s / self.sample_s, self.jitter_s / self.sample_s) > 0.0
 
     @property
     def rise(self) -> Rise:
-        """Where the crossings lie between two samples."""
+        """Phases of the crossings between two samples."""
         return Rise((self.crossing_s - self.lower_s) / self.sample_s, self.sample_s, self.locked)
 
     @property
@@ -216,39 +247,46 @@ class TriggerFit:
 
     @property
     def u_shape_s(self) -> float:
-        """What the shape of a resolved rise leaves open of one edge where these are too alike to learn it (rms)."""
+        """Standard uncertainty of one edge from the unknown shape of a resolved rise (rms).
+
+        It is zero where the edges have enough different phases to estimate the shape.
+        """
         if self.kind == "sampled" or not (self.locked or self.known_period_s):
             return 0.0
         size, power = _LOCKED_SINES
         return self.sample_s * size * float(np.sqrt(0.5 * np.sum(_ORDER ** (-2.0 * power))))
 
     def time_s(self, number: IntArray) -> FloatArray:
-        """Return the modelled times of the edges numbered (any shape), seconds from the record's first sample."""
+        """Return the modelled times of edges `number` in s.
+
+        They count from the first sample; `number` has any shape.
+        """
         return np.asarray(self.start_s + self.period_s * np.asarray(number, dtype=np.float64))
 
     def u_time_s(self, number: IntArray) -> FloatArray:
-        """Return the standard uncertainty of `time_s` from the fit (the single edge's jitter is not in it)."""
+        """Return the standard uncertainty of `time_s` without single-edge jitter."""
         k = np.asarray(number, dtype=np.float64)
         c = self.covariance
         return np.asarray(np.sqrt(c[0, 0] + 2.0 * k * c[0, 1] + k**2 * c[1, 1]))
 
     def with_period(self, period_s: float, u_period_s: float) -> TriggerFit:
-        """Return the fit with a period that was also found otherwise, which is a reading of the line's slope.
+        """Return the fit with an independent period, used as a reading of the line's slope.
 
-        Intervals are read again with it: edges that pass one sample in the record then tell the instants of all. Of the
-        gap between the places of locked edges (`open_s`) what the intervals leave of it is open then, since no other
-        period is possible. Of resolved rises, whose shape is open, the line turns about the middle of the burst. A
-        period that contradicts the edges is told and changes nothing.
+        Intervals are read again with it. Edges that pass one sample during the record then determine the instants of
+        all. The gap between the phases of locked edges (`open_s`) is reduced to the uncertainty that the intervals
+        leave, since no other period is possible. For resolved rises with unknown shape, the line rotates about the
+        middle of the burst. A period that contradicts the edges is reported and not used.
         """
-        apart, both = period_s - self.period_s, np.hypot(u_period_s, np.sqrt(self.covariance[1, 1]))
-        if abs(apart) > MAX_DISAGREEMENT_SIGMAS * both:
-            way = "longer" if apart > 0.0 else "shorter"
-            text = (
-                f"what its frames show, or other records, says that its period is {abs(apart) / self.period_s:.2g} of "
-                f"itself {way} than its edges do (standard uncertainty {both / self.period_s:.2g}), which stand: "
-                f"frames or edges are missing, or what moved was not what the lines were found in"
+        difference, both = period_s - self.period_s, np.hypot(u_period_s, np.sqrt(self.covariance[1, 1]))
+        if abs(difference) > MAX_DISAGREEMENT_SIGMAS * both:
+            notice = Notice(
+                CONTRADICTORY_PERIOD,
+                "trigger",
+                relative_difference=abs(difference) / self.period_s,
+                direction="longer" if difference > 0.0 else "shorter",
+                u_relative=both / self.period_s,
             )
-            return replace(self, notices=(*self.notices, Notice("warning", text, "trigger")))
+            return replace(self, notices=(*self.notices, notice))
         half, number = self.number[-1] / 2.0, self.number
         slopes = Slopes(np.array([half * period_s]), np.array([[(half * u_period_s) ** -2.0]]))
         to_middle = np.array([[1.0, half], [0.0, half]])
@@ -276,7 +314,7 @@ class TriggerFit:
         return replace(fit, notices=_notices(fit))
 
     def delay_by(self, lag_s: float) -> TriggerFit:
-        """Return the same trigger on a time axis on which it comes `lag_s` later."""
+        """Return the same trigger on a time axis on which it is `lag_s` later."""
         return replace(
             self,
             start_s=self.start_s + lag_s,
@@ -287,14 +325,31 @@ class TriggerFit:
 
 
 def fit_trigger(edges: Edges) -> TriggerFit:
-    """Fit t_k = start + k·period to the edges of a periodic trigger and number them.
+    """Fit the periodic model t_k = start + k·period to trigger edges.
 
-    Missing edges are counted, doubled and stray ones dropped. Each true instant is known to lie in an interval one
-    sample wide; the estimate is the mean of the posterior of (start, period) under Gaussian jitter of unknown size,
-    which tends to the centre of the polygon of all intervals as the jitter vanishes (error ~ 1/edges) and to least
-    squares as it grows (error ~ 1/√edges). Where the rise is resolved, the line is fitted to the reconstructed
-    crossings (`fit_resolved`), whose noise intervals would take for jitter. At least three edges are needed.
+    Parameters
+    ----------
+    edges
+        At least three edges of the trigger.
 
+    Returns
+    -------
+    The periodic model with its covariance; missing edges are counted, doubled and stray ones rejected.
+
+    Raises
+    ------
+    ValueError
+        Fewer than three edges, or fewer than half of them, share a period.
+
+    Notes
+    -----
+    Each true instant lies in an interval one sample wide. The estimate is the mean of the posterior of (start, period)
+    under Gaussian jitter of unknown size. It tends to the centre of the polygon of all intervals as the jitter vanishes
+    (error ~ 1/edges) and to least squares as it grows (error ~ 1/√edges). Where the rise is resolved, the line is
+    fitted to the reconstructed crossings (`fit_resolved`), whose noise intervals would treat as jitter.
+
+    Examples
+    --------
     >>> import numpy as np
     >>> from shaker import find_edges, fit_trigger
     >>> time_s = np.arange(20_000) / 10e3
@@ -304,32 +359,32 @@ def fit_trigger(edges: Edges) -> TriggerFit:
     43 edges, 21.30 Hz
     """
     numbering = number_edges(edges)
-    kept = numbering.accepted
-    n = numbering.number[kept] - numbering.number[kept][0]
-    lower, upper, estimate = edges.lower_s[kept], edges.upper_s[kept], edges.estimate_s[kept]
+    accepted = numbering.accepted
+    n = numbering.number[accepted] - numbering.number[accepted][0]
+    lower, upper, estimate = edges.lower_s[accepted], edges.upper_s[accepted], edges.estimate_s[accepted]
     half = n[-1] / 2.0
-    place = (n - half) / half
+    position = (n - half) / half
     sample = float(np.median(upper - lower))
     kind: EdgeKind = "sampled"
     # Rounding to samples scatters by 0.29 of one, except where period and sampling are commensurate.
-    rough = straight_line(place, (lower + upper) / 2.0, 0.3 * sample)
+    rough = straight_line(position, (lower + upper) / 2.0, 0.3 * sample)
     edge, correction = (lower + upper) / 2.0, np.zeros(len(n))
     if edges.kind == "resolved":
-        step = straight_line(place, estimate)
+        step = straight_line(position, estimate)
         rise = Rise(
             (estimate - lower) / sample, sample, _locked(n, step.mean[1] / half / sample, step.jitter_s / sample) > 0
         )
-        found = fit_resolved(estimate, place, [rise], edges.u_reading_s)
+        found = fit_resolved(estimate, position, [rise], edges.u_reading_s)
         line, shape = found.line, found.correction_s
         line = replace(line, jitter_s=float(np.sqrt(max(line.jitter_s**2 - edges.u_reading_s**2, 0.0))))
         kind, edge, correction, resolution = "resolved", estimate - shape, shape, np.sqrt(12.0) * edges.u_reading_s
-        # What the rise's shape and the ringing of other flanks leave open is the same in all edges.
+        # The uncertainty from the rise's shape and the ringing of other flanks is common to all edges.
         more = (RINGING * sample) ** 2 / 12.0
         open_s = float(np.sqrt(12.0 * (more + max(line.covariance[0, 0] - found.noise[0, 0], 0.0))))
     else:
-        line, resolution = line_posterior(place, lower[None], upper[None], rough, MIN_JITTER * sample), sample
-        # A gap is open in all instants alike where the period is a simple multiple of the sampling interval. Intervals
-        # take any period for as likely: of the two answers the larger one counts.
+        line, resolution = line_posterior(position, lower[None], upper[None], rough, MIN_JITTER * sample), sample
+        # A gap is common to all instants where the period is a simple multiple of the sampling interval. Intervals
+        # treat all periods as equally likely: the larger of the two uncertainties counts.
         open_s = sample * _locked(n, line.mean[1] / half / sample, line.jitter_s / sample)
         more = max(open_s**2 / 12.0 - line.covariance[0, 0], 0.0)
     line = replace(line, covariance=line.covariance + np.diag([more, 0.0]))
@@ -361,9 +416,10 @@ def fit_trigger(edges: Edges) -> TriggerFit:
 
 
 def _locked(number: IntArray, period: float, jitter: float) -> float:
-    """Return the widest gap (samples) that edges numbered (E,) leave between two samples where they take few places.
+    """Return the widest gap (samples) between the phases of locked edges, 0 for others.
 
-    Period and jitter in samples. 0 where they take many, or jitter does so for them.
+    `number` are the numbered edges (E,). Period and jitter are in samples. Edges are not locked where they have many
+    phases, or where jitter spreads them.
     """
     phase = np.sort(number * period % 1.0)
     gap = float(np.max(np.append(np.diff(phase), phase[0] + 1.0 - phase[-1])))
@@ -371,42 +427,37 @@ def _locked(number: IntArray, period: float, jitter: float) -> float:
 
 
 def _notices(fit: TriggerFit) -> tuple[Notice, ...]:
-    """Tell about edges that were not where the period puts them."""
-    warnings = []
+    """Return notices of missing, rejected, scattering and locked edges."""
+    notices = []
     if fit.missing:
         listed = ", ".join(str(i) for i in fit.missing[:5]) + (", …" if len(fit.missing) > 5 else "")
-        warnings.append(f"{len(fit.missing)} edges are missing (numbers {listed})")
-    off = f"edges off the period of {fit.period_s:.6g} s"
-    dropped = ((fit.doubled, "doubled edges"), (fit.spurious, off))
-    warnings += [f"{count} {what} were dropped" for count, what in dropped if count]
+        notices.append(Notice(MISSING_EDGES, "trigger", missing=len(fit.missing), numbers=listed))
+    if fit.doubled:
+        notices.append(Notice(DOUBLED_EDGES, "trigger", doubled=fit.doubled))
+    if fit.spurious:
+        notices.append(Notice(STRAY_EDGES, "trigger", stray=fit.spurious, period_s=fit.period_s))
     if fit.jitter_s > 1e-3 * fit.period_s:
-        warnings.append(f"jitter of {fit.jitter_s * 1e6:.3g} us, over 0.1 % of the period")
-    notices = [Notice("warning", text, "trigger") for text in warnings]
+        notices.append(Notice(TRIGGER_JITTER, "trigger", jitter_us=fit.jitter_s * 1e6))
     if fit.known_period_s:
         period, u = fit.known_period_s
-        text = f"its edges leave its period open; what its frames show, or other records, tells it to {u / period:.2g}"
-        notices.append(Notice("note", f"{text} of itself (standard uncertainty)", "trigger"))
+        notices.append(Notice(EXTERNAL_PERIOD, "trigger", u_relative=u / period))
     if fit.locked:
         u_middle = float(fit.u_time_s(np.asarray(fit.edges // 2)))
-        text = (
-            f"the edges always fall on the same places between two samples, which leaves their instants open to "
-            f"{u_middle * 1e6:.2g} us; a period that is no simple multiple of the sampling interval removes this"
-        )
-        notices.append(Notice("note", text, "trigger"))
+        notices.append(Notice(LOCKED_EDGES, "trigger", u_us=u_middle * 1e6))
     return tuple(notices)
 
 
 # Width of a trigger's pulses, as a strobe's exposure needs it.
 
-_LEAST = 1.5  # samples: pulses shorter than one fall between the samples, and those seen seem one long
-_LEAST_RISES = 5.0  # of the rise: shorter pulses do not settle at their level
-_NEAR = 16  # samples beside a flank on which its rise is looked for
+_MIN_WIDTH = 1.5  # samples: pulses shorter than one fall between the samples, and those seen seem one long
+_MIN_RISES = 5.0  # of the rise: shorter pulses do not settle at their level
+_NEAR = 16  # samples on either side of a flank in which its rise is searched for
 _FLANKS = 0.2  # u in samples² over the width: crossings of one flank on the ringing of the other
 
 
 @dataclass(frozen=True)
 class PulseWidth:
-    """Mean width of a signal's pulses with its standard uncertainty, their number, and the models of both flanks."""
+    """Mean width of a signal's pulses with its standard uncertainty, their number, and both flanks."""
 
     width_s: float
     u_width_s: float
@@ -423,15 +474,14 @@ def pulse_width(
     edge: Literal["rising", "falling"] = "rising",
     begin_fit: TriggerFit | None = None,
 ) -> PulseWidth:
-    """Measure the width of the pulses that begin with `edge` in samples (S,), where they cross `threshold`.
+    """Measure the width of the pulses that begin with `edge` at `threshold` in samples (S,).
 
-    `begun`: the fit of their beginnings at another threshold, taken where that lies between the same samples.
-
+    `begin_fit` is the fit of their beginnings at another threshold; it is used where that crosses the same samples.
     Default threshold: half height, midway between the medians of the samples of either level. Both flanks follow the
-    same periodic model (`fit_trigger`); the width is the distance of their lines in the middle of the burst, where
+    same periodic model (`fit_trigger`). The width is the distance of their lines in the middle of the burst, where
     neither depends on the period. Independent errors are assumed: jitter common to both flanks makes the uncertainty
-    too large, never too small. Behind a low-pass filter one flank lies on the ringing of the other, an ideal filter's
-    being sin(πx)/(π²x) at x samples from it, which the uncertainty of short pulses allows for.
+    too large, never too small. Behind a low-pass filter one flank lies on the ringing of the other, sin(πx)/(π²x) at x
+    samples for an ideal filter. The uncertainty of short pulses includes it.
     """
     ends: Literal["rising", "falling"] = "falling" if edge == "rising" else "rising"
     above = samples >= find_edges(samples, sample_rate_hz, threshold, edge).threshold
@@ -453,13 +503,13 @@ def pulse_width(
     width = float(end.time_s(partner) - begin.time_s(middle))
     # The rise: how many samples per flank lie between 10 % and 90 % of the height.
     flanks = np.rint(sample_rate_hz * np.concatenate([begin.edge_s, end.edge_s])).astype(np.int64)
-    beside = np.unique(np.clip(flanks[:, None] + np.arange(-_NEAR, _NEAR + 1), 0, len(samples) - 1))
-    rising = np.count_nonzero(np.abs((samples[beside] - low) / (high - low) - 0.5) < 0.4)
-    least = max(_LEAST, _LEAST_RISES * float(rising / len(flanks)))
-    if width * sample_rate_hz < least:
+    flank_samples = np.unique(np.clip(flanks[:, None] + np.arange(-_NEAR, _NEAR + 1), 0, len(samples) - 1))
+    rising = np.count_nonzero(np.abs((samples[flank_samples] - low) / (high - low) - 0.5) < 0.4)
+    min_width = max(_MIN_WIDTH, _MIN_RISES * float(rising / len(flanks)))
+    if width * sample_rate_hz < min_width:
         raise ValueError(
-            f"samples: expected pulses of at least {least:.2g} samples, {1e6 * least / sample_rate_hz:.3g} us, found "
-            f"some of {1e6 * width:.3g} us"
+            f"samples: expected pulses of at least {min_width:.2g} samples, {1e6 * min_width / sample_rate_hz:.3g} µs, "
+            f"found pulses of {1e6 * width:.3g} µs"
         )
     u = float(np.hypot(begin.u_time_s(middle), end.u_time_s(partner)))
     if "resolved" in (begin.kind, end.kind):

@@ -10,45 +10,48 @@ import pytest
 from bench_factory import ACCELERATION, FORCE_OUTPUT, Bench, write_bench
 from support import block, channel, evaluated
 
+from fusion.phasors.phasor_notices import INVERTED_TRIGGER
 from fusion.planning.look.look import look
+from fusion.sensitivity.sensitivity_notices import OUTPUT_CONTRADICTS
+from shakercal._common.notices import Notice
 
 STATIC = [[0.0, 0.0, 2e-6, 0.0, 0.0, 0.0]]
 ACC = Bench(ACCELERATION, "m/s^2", keys={"scale": 1.0, "scale_uncertainty": 1e-3})
 
 
-def warned(folder) -> list[str]:
-    return [notice.text for notice in evaluated(folder).notices if notice.severity == "warning"]
+def warned(folder) -> list[Notice]:
+    return [notice for notice in evaluated(folder).notices if notice.severity == "warning"]
 
 
 @pytest.mark.parametrize("more", [{}, {"cross_talk": 0.02, "capacity": [1e3, 1e3, 1e3, 1e2, 1e2, 1e2]}])
 @pytest.mark.parametrize(
-    ("acc", "output", "words"),
+    ("acc", "output", "factor"),
     [
         (ACC, FORCE_OUTPUT, None),
-        (replace(ACC, keys={**ACC.keys, "direction": [0.0, 0.0, -1.0]}), FORCE_OUTPUT, "as if its sign were reversed"),
-        (replace(ACC, phasor=0.01 * ACCELERATION), FORCE_OUTPUT, "100 times as large"),
+        (replace(ACC, keys={**ACC.keys, "direction": [0.0, 0.0, -1.0]}), FORCE_OUTPUT, "sign"),
+        (replace(ACC, phasor=0.01 * ACCELERATION), FORCE_OUTPUT, "100"),
         (ACC, replace(FORCE_OUTPUT, phasor=1.2 * FORCE_OUTPUT.phasor), None),
     ],
 )
-def test_a_main_element_far_from_its_static_value_is_named(tmp_path, more, acc, output, words):
+def test_a_main_element_far_from_its_static_value_is_named(tmp_path, more, acc, output, factor):
     """Also of a sensor of which no cross-talk is stated, so that there is no matrix to compare outputs with."""
     found = warned(write_bench(tmp_path, {"acc": acc, "Fz": output}, sensor={"static_sensitivity": STATIC, **more}))
-    said = [text for text in found if "contradicts the static sensitivity" in text]
-    assert [words in text for text in said] == ([] if words is None else [True])
+    contradictions = [notice for notice in found if notice.code == OUTPUT_CONTRADICTS.code]
+    assert [factor in notice.values["outputs"] for notice in contradictions] == ([] if factor is None else [True])
 
 
 @pytest.mark.parametrize(
-    ("acc", "output", "words"),
+    ("acc", "output", "word"),
     [
-        (replace(ACC, keys={**ACC.keys, "direction": [0.0, 0.0, -1.0]}), FORCE_OUTPUT, "Fz opposes the load"),
-        (replace(ACC, unit="counts"), FORCE_OUTPUT, "codes of a converter"),
-        (replace(ACC, unit="LSB"), FORCE_OUTPUT, "codes of a converter"),
-        (ACC, replace(FORCE_OUTPUT, phasor=2.5 * ACCELERATION), "swings by 125 V/V"),
+        (replace(ACC, keys={**ACC.keys, "direction": [0.0, 0.0, -1.0]}), FORCE_OUTPUT, "phase"),
+        (replace(ACC, unit="counts"), FORCE_OUTPUT, "converter"),
+        (replace(ACC, unit="LSB"), FORCE_OUTPUT, "converter"),
+        (ACC, replace(FORCE_OUTPUT, phasor=2.5 * ACCELERATION), "125 V/V"),
     ],
 )
-def test_without_a_static_value_sign_codes_and_size_are_asked_about(tmp_path, acc, output, words):
+def test_without_a_static_value_sign_codes_and_size_are_reported(tmp_path, acc, output, word):
     folder = write_bench(tmp_path, {"acc": acc, "Fz": output})
-    assert any(words in text for text in warned(folder))
+    assert any(word in notice.text for notice in warned(folder))
     assert look(folder).level != "good"
 
 
@@ -65,4 +68,4 @@ def test_a_trigger_that_is_inverted_in_one_block_is_named(tmp_path, inverted):
     text += channel("sync", "trigger") + block("[daq]", name="other", file="other.h5", first_edge=0)
     text += channel("sync", "trigger") + channel("U", "voltage")
     (folder / "recording.toml").write_text(text, encoding="utf-8")
-    assert any("looks inverted" in one for one in warned(folder)) == inverted
+    assert any(notice.code == INVERTED_TRIGGER.code for notice in warned(folder)) == inverted

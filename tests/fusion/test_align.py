@@ -34,6 +34,16 @@ from fusion.cameras.align_manifest import (
     TargetViewBlock,
     read_alignment,
 )
+from fusion.cameras.camera_notices import (
+    ELLIPTICAL_MOTION,
+    NEEDS_STEREO_PAIR,
+    NO_POSE,
+    PIXEL_TABLE,
+    RIGHT_PIXEL_MISSING,
+    SCALE_OF_SINGLE_CAMERA,
+    UNLIKELY_SPACING,
+    UNSTEADY_AXIS,
+)
 from fusion.cli import main
 from fusion.recording.rig import Stereo
 from fusion.recording.toml import to_toml
@@ -116,7 +126,7 @@ def test_fiducials_give_a_block_of_the_rig(tmp_path: Path, aligned: Aligned) -> 
     text = block.pop("text")
     assert (tmp_path / "pose.toml").read_text(encoding="utf-8") == text
     assert "[stereo.top]" in text
-    assert "from 8 points" in text
+    assert " 8 points" in text
     assert "U (k = 2)" in text
     assert np.abs(normalised(block, world.sensor_from_camera)).max() < 4.5
     assert max(block["pose_uncertainty"][3:]) < 2e-4
@@ -130,27 +140,30 @@ def alone(folder: Path, world: World, **blocks: Any) -> Path:
     return write(folder, world, **{"calibration": "camera.json", **blocks})
 
 
-def test_a_camera_alone_is_placed_by_fiducials_and_told_what_it_cannot_see(
+def test_a_single_camera_is_placed_by_fiducials_and_other_evidence_is_refused(
     tmp_path: Path, aligned: Aligned, refused: RefusedCommand
 ) -> None:
     world = make_world(1)
     seen = [{key: value for key, value in point.items() if key != "right"} for point in fiducials(world)]
     block = aligned(alone(tmp_path, world, point=seen))
     text = block.pop("text")
-    assert "Pose of the camera of top in the sensor frame, from 8 points" in text
+    assert "Pose of the camera" in text
+    assert " 8 points" in text
     assert np.abs(normalised(block, world.sensor_from_camera)).max() < 4.5
     assert max(block["pose_uncertainty"][:3]) < 5e-4
     surface = {"point": [0, 0, 0.07], "normal": [0, 0, 1], "distance_uncertainty": 1e-4, "tilt_uncertainty": 1e-3}
     Stereo.model_validate({**block, "body": "load", "exposure": 1e-5, "surface": surface})
-    told = refused("align", alone(tmp_path, world, point=fiducials(world)), "-q")
-    assert "point.P0.right: expected none" in told
-    told = refused("align", alone(tmp_path, world, point=seen, scale_uncertainty=1e-4), "-q")
-    assert "scale_uncertainty: expected none of a camera alone" in told
-    told = refused("align", alone(tmp_path, world, **WRONG["face"][0]), "-q")
-    assert "face: expected [[point]] or [[target_view]], camera.json being of one camera, found one" in told
-    assert "point.P0.right: expected its pixel in the right camera, found nothing" in refused(
-        "align", write(tmp_path, world, point=seen), "-q"
-    )
+    for blocks, declared, key in (
+        ({"point": fiducials(world)}, NEEDS_STEREO_PAIR, "point.P0.right"),
+        ({"point": seen, "scale_uncertainty": 1e-4}, SCALE_OF_SINGLE_CAMERA, "scale_uncertainty"),
+        (WRONG["face"][0], NEEDS_STEREO_PAIR, "face"),
+    ):
+        error = refused("align", alone(tmp_path, world, **blocks), "-q")
+        assert f"{declared.code} " in error
+        assert f": {key}: " in error
+    error = refused("align", write(tmp_path, world, point=seen), "-q")
+    assert f"{RIGHT_PIXEL_MISSING.code} " in error
+    assert ": point.P0.right: " in error
 
 
 def test_faces_come_from_tables_of_pixels(tmp_path: Path, aligned: Aligned) -> None:
@@ -176,16 +189,16 @@ def test_a_datum_adds_to_the_uncertainty(tmp_path: Path, aligned: Aligned) -> No
     np.testing.assert_allclose(within**2 - without**2, datum**2, rtol=2e-2, atol=3e-11)
 
 
-def test_what_is_open_is_told_in_one_sentence(tmp_path: Path, refused: RefusedCommand) -> None:
+def test_undetermined_components_are_named_in_one_sentence(tmp_path: Path, refused: RefusedCommand) -> None:
     world = make_world(4)
     points = fiducials(world, 2)
     pose = displaced(world.sensor_from_camera, np.full(6, 1e-3))
-    assert "expected a first pose" in refused("align", write(tmp_path, world, point=points), status=1)
+    assert NO_POSE.code in refused("align", write(tmp_path, world, point=points), status=1)
     path = write(tmp_path, world, point=points, pose={**stated(pose), "pose_uncertainty": [0.2] * 6})
     output = tmp_path / "pose.toml"
-    told = refused("align", path, "-o", output, status=1)
-    assert "rotation about" in told
-    assert "open: add" in told
+    error = refused("align", path, "-o", output, status=1)
+    assert NO_POSE.code in error
+    assert "rotation" in error
     assert not output.exists()
 
 
@@ -204,23 +217,23 @@ def test_an_output_that_is_there_is_refused_without_force(
 
 AT_ORIGIN = {"rotation": np.eye(3).tolist(), "translation": [0.0] * 3}
 WRONG = {
-    "calibration": ({"calibration": "none.json"}, "alignment.toml: calibration: expected an existing file"),
-    "no evidence": ({"point": []}, "at least one block of evidence"),
-    "unknown key": ({"points": []}, 'probably "point"'),
+    "calibration": ({"calibration": "none.json"}, "alignment.toml: calibration: "),
+    "no evidence": ({"point": []}, "[[point]]"),
+    "unknown key": ({"points": []}, ' "point"'),
     "a certain pose": (
         {"pose": {**AT_ORIGIN, "pose_uncertainty": [0.0] * 6}},
-        "pose.pose_uncertainty: expected 6 numbers above 0",
+        "pose.pose_uncertainty: ",
     ),
     "target in mm": (
         {
             "target": {**TABLE, "spacing": 8.0},
             "target_view": [{"name": "a", "left": "top.json", **AT_ORIGIN}],
         },
-        "target.spacing: expected m, a target of 0.0001 to 2 m, found 8 m, of a target 72 m long",
+        UNLIKELY_SPACING.code,
     ),
     "target view": (
         {"target_view": [{"name": "a", "left": "top.json", **AT_ORIGIN}]},
-        "target: expected the [target] that is seen in the views",
+        "target: ",
     ),
     "no picture": (
         {"target": TABLE, "target_view": [{"name": "plate", "left": "top.json", **AT_ORIGIN}]},
@@ -228,13 +241,13 @@ WRONG = {
     ),
     "motion": (
         {"motion": [{"name": "z", "recordings": "*/recording.toml", "direction_uncertainty": 1e-3}]},
-        "motion.z.recordings: expected at least one file",
+        "motion.z.recordings: ",
     ),
     "face": (
         {"face": [{"name": "t", "point": [0] * 3, "normal": [0, 0, 1], "pixels": "top.json", "pixel_uncertainty": 1}]},
-        "expected the columns left_x, left_y, right_x, right_y",
+        PIXEL_TABLE.code,
     ),
-    "names": ({"point": "twice"}, 'point: expected different names, found "P0" twice'),
+    "names": ({"point": "twice"}, '"P0"'),
 }
 
 
@@ -301,11 +314,11 @@ def test_a_target_at_a_known_pose(pictures: Pictures, aligned: Aligned) -> None:
     keys = {**stated(world.sensor_from_camera @ seen), "pose_uncertainty": [1e-6] * 3 + [1e-5] * 3}
     view = {"name": "plate", **pictures.take("plate", world, seen), **keys}
     block = aligned(write(folder, world, target=TABLE, target_view=[view]))
-    assert "from 1 target view." in block["text"]
+    assert " 1 target view." in block["text"]
     assert np.abs(normalised(block, world.sensor_from_camera)).max() < 4.5
     del view["right"]
     one = aligned(alone(folder, world, target=TABLE, target_view=[view]))
-    assert "Pose of the camera of top" in one["text"]
+    assert "Pose of the camera" in one["text"]
     assert np.abs(normalised(one, world.sensor_from_camera)).max() < 4.5
 
 
@@ -319,7 +332,7 @@ def test_common_views_give_the_relative_pose(pictures: Pictures, aligned: Aligne
     pair = {"stereo": "side", "calibration": "other.json"}
     block = aligned(write(folder, own, target=TABLE, other=pair, common_view=[view]))
     assert "[relative.top]" in block["text"]
-    assert "in the left camera of side" in block["text"]
+    assert " side, from" in block["text"]
     assert np.abs(normalised(block, true)).max() < 4.5
 
 
@@ -346,11 +359,13 @@ def test_one_direction_puts_two_angles_right(
     path = campaign / "alignment.toml"
     path.write_text(to_toml({**head, "motion": [motion]}), encoding="utf-8")
     assert main(["align", str(path), "-q"]) == 1
-    assert "rotation about z and position along x, y and z are open" in capsys.readouterr().err
+    error = capsys.readouterr().err
+    assert NO_POSE.code in error
+    assert re.search("rotation.* z .*position.* x, y.* z ", error)
     path.write_text(to_toml({**head, "pose": before, "motion": [motion]}), encoding="utf-8")
     assert main(["align", str(path), "-q"]) == 0
     printed = capsys.readouterr()
-    assert "moves on an ellipse" in printed.err
+    assert ELLIPTICAL_MOTION.code in printed.err
     block = tomllib.loads(printed.out)["stereo"]["top"]
     error = vector_from_rotation(true @ np.array(block["rotation"]).T)
     u = np.array(block["pose_uncertainty"])[3:]
@@ -402,10 +417,11 @@ def test_two_axes_place_the_camera() -> None:
     assert np.abs(normalised).max() < 4.5
 
 
-def test_an_unsteady_axis_is_told() -> None:
+def test_an_unsteady_axis_gives_a_warning() -> None:
     world = make_world(1)
     seen = seen_turning(world, np.zeros(3), np.eye(3)[0])
     motion = seen.measured.motion
     seen.measured.motion = replace(motion, pose=motion.pose + 1e-4 * world.rng.normal(size=motion.pose.shape))
     _, (notice,) = _axis(axis("x", np.zeros(3), np.eye(3)[0]), seen, None)
-    assert "turns about no fixed axis" in notice.text
+    assert notice.code == UNSTEADY_AXIS.code
+    assert notice.values["ratio"] > 2

@@ -15,6 +15,7 @@ from fusion.errors import InputError
 from fusion.recording.load import load_manifest
 from fusion.sensitivity.load_phasors import LoadResult, load_phasors
 from fusion.sensitivity.moving_body import Body, MovingPart, load_body, make_joint, make_moving_part
+from fusion.sensitivity.sensitivity_notices import ELASTIC_CORRECTED, ELASTIC_ONLY_NAMED
 from fusion.simulate.preset import Preset, face_of, nominal_rig, read_preset
 from fusion.simulate.world import Draws
 from photogram.subsets.texture import textured_area
@@ -140,7 +141,11 @@ def test_force_below_an_elastic_joint_is_that_of_a_chain_of_two_masses():
     found = load_phasors(MOVING, Body(parts, make_joint(resonance, 10.0, damping)))
     np.testing.assert_allclose(found.value[:, 2], force, rtol=1e-12)
     assert abs(found.value[1, 2] / (7.73 * TRUTH[1, 2])) == pytest.approx(1.0 - 0.0081, abs=2e-4)
-    assert found.notices[0].text.endswith("(3500 Hz) changes Fz at 1000 Hz by -0.81 % from that of a rigid body")
+    notice = found.notices[0]
+    assert (notice.code, notice.values["load"]) == (ELASTIC_CORRECTED.code, "Fz")
+    assert "3500 Hz" in notice.values["parts"]
+    assert notice.values["change_percent"] == pytest.approx(-0.81, abs=0.005)
+    assert notice.values["frequency_hz"] == 1000.0
 
 
 def test_a_joint_is_one_unknown_per_component_and_mounting():
@@ -156,7 +161,8 @@ def test_a_joint_is_one_unknown_per_component_and_mounting():
 def test_a_joint_that_is_only_named_corrects_nothing_and_is_uncertain_as_a_whole():
     named, stated, rigid = load_on(3500.0), load_on(3500.0, 1e-9), load_on(1e9, 1.0)
     np.testing.assert_allclose(named.value, rigid.value, rtol=1e-9)
-    assert "only named: Fz at" in named.notices[0].text
+    assert named.notices[0].code == ELASTIC_ONLY_NAMED.code
+    assert named.notices[0].values["frequency_hz"] == 3500.0
     total = np.sum([i.effect for i in named.uncertainty.influences], axis=0)
     np.testing.assert_allclose(total[:, :6] + 1j * total[:, 6:], (stated.value - rigid.value) / np.sqrt(3.0), rtol=1e-5)
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import shutil
 from argparse import ArgumentTypeError
 from collections.abc import Callable, Iterable
@@ -14,11 +15,14 @@ import pytest
 from alignment_factory import rig_error
 from support import RefusedCommand
 
+from fusion.cameras.camera_notices import IMAGE_LISTS, TOO_FEW_IMAGES
 from fusion.cli import main
 from fusion.commands.options import EXIT_DONE, in_metres, length
 from fusion.simulate.preset import read_preset
 from fusion.simulate.statics import SessionPreset
 from photogram.calibration.calibration_file import read_calibration, read_camera
+from photogram.calibration.calibration_notices import KNOWN_LENGTH_USED, SPACING_UNCERTAINTY_UNSTATED
+from photogram.calibration.exchange.exchange_notices import CAMERA_GEOMETRY, UNCERTAINTIES_MISSING
 from photogram.geometry import RigidTransform
 from photogram.synthetic.board import random_poses, random_rig, render_board
 
@@ -60,14 +64,13 @@ def test_the_true_pair_comes_back(session: tuple[Path, object], pictures: Path, 
     told = capsys.readouterr().out
     found = read_calibration(pictures / "top.json")
     assert (np.abs(rig_error(found, session[1])) <= 4.5 * np.sqrt(np.diagonal(found.covariance))).all()
-    assert f"{VIEWS} pairs, rms 0.0" in told
+    assert re.search(rf"{VIEWS} pairs\b.* 0\.0\d+ px", told)
     assert "baseline " in told
-    assert " of 70 in a picture" in told
-    assert "spacing is not stated" not in told
+    assert " of 70 " in told
+    assert SPACING_UNCERTAINTY_UNSTATED.code not in told
     page = (pictures / "top.html").read_text(encoding="utf-8")
     assert page.startswith("<!doctype html>")
-    assert "all views (flat, polynomial)" in page
-    assert "median of the parameters" in page
+    assert "(flat, polynomial)" in page
 
 
 def test_a_picture_that_cannot_be_read_is_left_out_by_name_and_a_known_length_sets_the_scale(
@@ -80,15 +83,16 @@ def test_a_picture_that_cannot_be_read_is_left_out_by_name_and_a_known_length_se
     assert main(_command(pictures, "-q", *known, "45.09mm", "5e-6")) == EXIT_DONE
     told = capsys.readouterr().out
     (line,) = (line for line in told.splitlines() if "9.png" in line)
-    assert line.endswith("9.png: left out: not a readable picture")
-    assert "the known length of 45.09 mm from 0,0 to 5,0 is 45 mm" in told
+    assert ": rejected: " in line
+    (line,) = (line for line in told.splitlines() if KNOWN_LENGTH_USED.code in line)
+    assert re.search("45.09 mm.* 0,0 .* 5,0 .* 45 mm", line)
     found = read_calibration(pictures / "top.json")
     assert main(_command(pictures, "-q", "--force")) == EXIT_DONE
     plain = read_calibration(pictures / "top.json").right_from_left.translation_m
     assert np.allclose(found.right_from_left.translation_m, 1.002 * plain, rtol=1e-9)
     assert "column,row" in refused(*_command(pictures, "-q", "--force", "--known-length", "0,0", "99,0", "0.1", "0"))
     told = refused(*_command(pictures, "-q", "--force", *known, "long", "0"))
-    assert "--known-length: expected a length and its standard uncertainty in m, found 'long' '0'" in told
+    assert re.search("--known-length: .*'long' '0'", told)
 
 
 def test_a_spacing_with_its_unit_and_cameras_of_two_sizes(session: tuple[Path, object], pictures: Path) -> None:
@@ -105,15 +109,15 @@ def test_a_spacing_with_its_unit_and_cameras_of_two_sizes(session: tuple[Path, o
 @pytest.mark.parametrize(
     ("spacing", "told"),
     [
-        ("9", "--spacing: expected a unit with it: 9mm or 9m, found 9 m, of a target 99 m long"),
-        ("0.9", "of a target 9.9 m long"),
-        ("9e-6", "of a target 9.9e-05 m long"),
+        ("9", "--spacing: .*9mm .*9m, .*9 m, .* 99 m "),
+        ("0.9", r" 9\.9 m "),
+        ("9e-6", r" 9\.9e-05 m "),
     ],
 )
 def test_a_spacing_that_no_target_has_needs_its_unit(
     pictures: Path, refused: RefusedCommand, spacing: str, told: str
 ) -> None:
-    assert told in refused(*[spacing if text == "9e-3" else text for text in _command(pictures, "-q")])
+    assert re.search(told, refused(*[spacing if text == "9e-3" else text for text in _command(pictures, "-q")]))
     assert not list(pictures.glob("top.*"))
 
 
@@ -146,7 +150,7 @@ def test_a_single_camera_comes_back(
     command = ["cameras", str(pictures / "left"), *TARGET, "--mono", "-o", str(pictures / "left.json"), "-q"]
     assert main(command) == EXIT_DONE
     told = capsys.readouterr().out
-    assert f"{VIEWS} views, rms 0.0" in told
+    assert re.search(rf"{VIEWS} views\b.* 0\.0\d+ px", told)
     camera, covariance = read_camera(pictures / "left.json")
     error = camera.parameters - session[1].left.parameters
     assert (np.abs(error) <= 4.5 * np.sqrt(np.diagonal(covariance))).all()
@@ -196,7 +200,8 @@ def test_no_calibration_from_spoilt_pictures_and_an_earlier_one_is_kept(
 ) -> None:
     reasons = _spoil(pictures, range(8, 8 + VIEWS))
     told = refused(*_command(pictures, "-q"))
-    assert f"0 usable of {VIEWS} left pictures" in told
+    assert TOO_FEW_IMAGES.code in told
+    assert re.search(rf" 0 .* {VIEWS} left ", told)
     for number, reason in reasons.items():
         assert f"{number}.png: {reason}" in told
     assert not list(pictures.glob("top.*"))
@@ -210,9 +215,9 @@ def test_no_calibration_from_spoilt_pictures_and_an_earlier_one_is_kept(
     [
         (["left", "right", "--target", "charuco", "--spacing", "9e-3"], "--size"),
         (["left/8.png", "left/9.png", "right/8.png", *TARGET], "1 and 2"),
-        (["left", "left", *TARGET], "both cameras"),
-        (["left", "nowhere/*.png", *TARGET], "no pictures"),
-        (["left/8.png", "right/8.png", *TARGET], "at least 3"),
+        (["left", "left", *TARGET], IMAGE_LISTS.code),
+        (["left", "nowhere/*.png", *TARGET], IMAGE_LISTS.code),
+        (["left/8.png", "right/8.png", *TARGET], TOO_FEW_IMAGES.code),
         (["left", "right", *TARGET, "--dictionary", "DICT_OWN"], "DICT_OWN"),
         (["left/8.png", "left/8.json", "right/8.png", "right/9.png", *TARGET], "8.json"),
     ],
@@ -260,15 +265,16 @@ def test_a_calibration_is_written_and_explained(
     command = ["import-calibration", str(opencv_file), "-o", str(output), "--image-size", "1280x1024"]
     assert main([*command, "--length-unit", "mm"]) == EXIT_DONE
     told = capsys.readouterr()
-    assert told.out == f"calibration of OpenCV written: {output}\n"
-    assert "150.00 mm apart" in told.err
-    assert "scale_uncertainty" in told.err
+    assert "OpenCV" in told.out
+    assert told.out.endswith(f": {output}\n")
+    assert "150.00 mm" in told.err
+    assert {CAMERA_GEOMETRY.code, UNCERTAINTIES_MISSING.code} <= set(re.findall(r"SC-\d+", told.err))
     rig = read_calibration(output)
     np.testing.assert_allclose(rig.right_from_left.translation_m, [-0.15, 0, 0])
     assert rig.left.size_px.tolist() == [1280, 1024]
 
     written = output.read_bytes()
-    assert "expected a new file (--force replaces it)" in refused(*command, "--length-unit", "m")
+    assert "--force" in refused(*command, "--length-unit", "m")
     assert output.read_bytes() == written
     assert main([*command, "--length-unit", "m", "--force"]) == EXIT_DONE
     assert read_calibration(output).right_from_left.translation_m[0] == -150.0
@@ -277,8 +283,8 @@ def test_a_calibration_is_written_and_explained(
 @pytest.mark.parametrize(
     ("file", "options", "told"),
     [
-        ("stereo.yml", ["--image-size", "1280x1024"], "stereo.yml: --length-unit: expected m or mm"),
-        ("stereo.yml", ["--length-unit", "mm"], "stereo.yml: --image-size: expected width and height"),
+        ("stereo.yml", ["--image-size", "1280x1024"], "stereo.yml: --length-unit: "),
+        ("stereo.yml", ["--length-unit", "mm"], "stereo.yml: --image-size: "),
         ("none.xml", [], "none.xml"),
     ],
 )
@@ -296,9 +302,11 @@ def test_a_calibration_goes_out_and_comes_back(
     command = ["import-calibration", str(opencv_file), "-o", str(ours), "--image-size", "1280x1024"]
     assert main([*command, "--length-unit", "mm"]) == EXIT_DONE
     assert main(["export-calibration", str(ours), "-o", str(theirs)]) == EXIT_DONE
-    assert capsys.readouterr().out.endswith(f"calibration for VIC-3D written: {theirs}\n")
+    printed = capsys.readouterr().out.splitlines()[-1]
+    assert "VIC-3D" in printed
+    assert printed.endswith(f": {theirs}")
     assert main(["import-calibration", str(theirs), "-o", str(again)]) == EXIT_DONE
     np.testing.assert_allclose(read_calibration(again).values, read_calibration(ours).values, rtol=1e-12)
-    assert "expected a new file" in refused("export-calibration", ours, "-o", theirs)
-    assert "ends in .yml" in refused("export-calibration", ours, "-o", tmp_path / "top.txt")
+    assert "--force" in refused("export-calibration", ours, "-o", theirs)
+    assert ".yml" in refused("export-calibration", ours, "-o", tmp_path / "top.txt")
     assert "stereo.yml" in refused("export-calibration", opencv_file, "-o", tmp_path / "new.xml")

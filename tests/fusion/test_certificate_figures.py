@@ -15,6 +15,12 @@ from support import RefusedCommand, edit, rows
 from fusion.cli import main
 from fusion.recording.dcc import read_dcc
 from fusion.recording.load import load_manifest
+from fusion.sensor.certificate.certificate_notices import (
+    DAMAGED_RESULT_TABLE,
+    MISSING_CERTIFICATE_ENTRIES,
+    NO_CERTIFIABLE_RESULT,
+    OUTDATED_RESULTS,
+)
 from fusion.sensor.certificate.certified_numbers import CERTIFIED_COMMANDS
 
 NUMBERED = FORM.replace('model = "W6"', 'model = "W6"\ncustomer_number = "C-1"')
@@ -30,7 +36,7 @@ def filled(source: Path, folder: Path) -> Path:
 
 @pytest.fixture(scope="module")
 def rotated(commanded: Callable[[str], Path], tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return filled(commanded("rotation"), tmp_path_factory.mktemp("turned") / "rotation")
+    return filled(commanded("rotation"), tmp_path_factory.mktemp("rotation") / "rotation")
 
 
 def certified(folder: Path, out: Path) -> etree._Element:
@@ -60,19 +66,19 @@ def check_valid(file: Path) -> None:
     assert {role for role, _ in broken_rules(file, RULES)} <= {"information"}
 
 
-def test_masses_of_a_rotation_test_stand_in_its_certificate(rotated, tmp_path, capsys) -> None:
+def test_a_certificate_states_the_masses_of_a_rotation_test(rotated, tmp_path, capsys) -> None:
     root = certified(rotated, tmp_path / "out")
-    assert "Masses and centres of mass of the sensor under test and its load: 8 numbers" in capsys.readouterr().out
+    assert ": 8 numbers" in capsys.readouterr().out
     table = {(row["name"], row["component"]): row for row in rows(rotated / "rotate" / "rotation.csv")}
-    own = table["internal_mass", "joint"]
+    mass = table["internal_mass", "joint"]
     found = stated(root)
     name, value, expanded, k = found[0]
-    assert (name, value, k) == ("Internal mass", own["value"], own["k"])
-    assert float(expanded) == pytest.approx(float(own["U"]), rel=1e-12)
+    assert (name, value, k) == ("Internal mass", mass["value"], mass["k"])
+    assert float(expanded) == pytest.approx(float(mass["U"]), rel=1e-12)
     assert [line[1] for line in found] == [
-        table[what, place]["value"]
+        table[name, component]["value"]
         for body in ("internal", "load")
-        for what, place in ((f"{body}_mass", "joint"), *((f"{body}_centre_of_mass", axis) for axis in "xyz"))
+        for name, component in ((f"{body}_mass", "joint"), *((f"{body}_centre_of_mass", axis) for axis in "xyz"))
     ]
     assert texts(root, ".//si:real/si:unit")[:2] == [r"\kilogram", r"\metre"]
     assert "Internal centre of mass x" in (tmp_path / "out" / "certificate.html").read_text(encoding="utf-8")
@@ -88,9 +94,9 @@ def test_its_mass_is_an_input_of_the_next_recording(rotated, tmp_path, demo_reco
     new = 'internal_mass = { dcc = "mass.xml", result = "Internal mass" }\n'
     edit(tmp_path / "demo" / "rig.toml", old, new)
     sensor = load_manifest(tmp_path / "demo" / "Fz-0080").rig.sensor
-    own = next(row for row in rows(rotated / "rotate" / "rotation.csv") if row["name"] == "internal_mass")
-    assert sensor.internal_mass == float(own["value"])
-    assert sensor.internal_mass_uncertainty == pytest.approx(float(own["u"]), rel=1e-9)
+    mass = next(row for row in rows(rotated / "rotate" / "rotation.csv") if row["name"] == "internal_mass")
+    assert sensor.internal_mass == float(mass["value"])
+    assert sensor.internal_mass_uncertainty == pytest.approx(float(mass["u"]), rel=1e-9)
     assert read_dcc(tmp_path / "demo" / "mass.xml").number == "2026-0815"
 
 
@@ -117,7 +123,7 @@ def test_numbers_of_other_commands_are_those_of_their_tables(
     assert texts(root, ".//si:real/si:unit")[: len(units)] == units
     if command == "step":
         table = [row for row in table if row["channel"] == row["component"]]
-        assert "U holds within these" in " ".join(texts(root, ".//dcc:statement/dcc:declaration/dcc:content"))
+        assert "within these" in " ".join(texts(root, ".//dcc:statement/dcc:declaration/dcc:content"))
     assert [line[1] for line in found] == [row["value"] for row in table]
     assert [float(line[2]) for line in found] == pytest.approx([float(row["U"]) for row in table], rel=1e-12)
     check_valid(tmp_path / "out" / "certificate.xml")
@@ -131,7 +137,7 @@ def test_schematron_rules_find_what_is_wrong(rotated, tmp_path) -> None:
     assert {role for role, _ in broken_rules(RULES.with_name("minimal_dcc.xml"), RULES)} == {"information"}
     certified(rotated, tmp_path / "out")
     text = (tmp_path / "out" / "certificate.xml").read_text(encoding="utf-8")
-    for old, new, said in (
+    for old, new, words in (  # of the published rules
         ("<dcc:endPerformanceDate>2026-11-20", "<dcc:endPerformanceDate>2026-11-01", "date"),
         ('refId="item"', 'refId="nothing"', "Invalid reference ID"),
         ('lang="en"', 'lang="no"', "Invalid language code"),
@@ -141,26 +147,31 @@ def test_schematron_rules_find_what_is_wrong(rotated, tmp_path) -> None:
         changed = re.sub(old, new, text, count=1)
         assert changed != text
         wrong.write_text(changed, encoding="utf-8")
-        assert any(role == "error" and said in told for role, told in broken_rules(wrong, RULES)), said
+        assert any(role == "error" and words in text for role, text in broken_rules(wrong, RULES)), words
 
 
-def test_a_draft_names_the_method_and_what_is_missing_is_told(rotated, tmp_path, refused: RefusedCommand) -> None:
+def test_a_draft_names_the_method_and_missing_entries_are_named(rotated, tmp_path, refused: RefusedCommand) -> None:
     folder = filled(rotated, tmp_path / "rotation")
     (folder / "certificate.toml").unlink()
     assert main(["certificate", str(folder), "--draft"]) == 0
-    assert 'method = "Rotation in gravity' in (folder / "certificate.toml").read_text(encoding="utf-8")
+    assert CERTIFIED_COMMANDS["rotate"].method in (folder / "certificate.toml").read_text(encoding="utf-8")
     (folder / "certificate.toml").write_text(FORM, encoding="utf-8")
-    assert "item.customer_number, or the serial number of the sensor in rig.toml" in refused("certificate", folder)
+    refusal = refused("certificate", folder)
+    assert f"{MISSING_CERTIFICATE_ENTRIES.code} " in refusal
+    assert "item.customer_number" in refusal
     (folder / "certificate.toml").write_text(NUMBERED, encoding="utf-8")
     edit(folder / "certificate.toml", "warnings_reviewed = true", "")
     table = folder / "rotate" / "rotation.csv"
     good = table.read_text(encoding="utf-8")
-    for broken, said in (
-        (good.replace("joint,0.", "joint,x0.", 1), "rotation.csv: line 2: expected the table of shakercal rotate"),
-        (good.partition("\n")[0] + "\n", "no number with an uncertainty"),
+    for broken, declared in (
+        (good.replace("joint,0.", "joint,x0.", 1), DAMAGED_RESULT_TABLE),
+        (good.partition("\n")[0] + "\n", NO_CERTIFIABLE_RESULT),
     ):
         table.write_text(broken, encoding="utf-8")
-        assert said in refused("certificate", folder)
+        refusal = refused("certificate", folder)
+        assert f"{declared.code} {table}: " in refusal
     table.write_text(good, encoding="utf-8")
     edit(folder / "rig.toml", "mass = 6.9605", "mass = 6.9606")
-    assert "results of other input files (rig.toml is not what it was)" in refused("certificate", folder)
+    refusal = refused("certificate", folder)
+    assert f"{OUTDATED_RESULTS.code} " in refusal
+    assert "rig.toml" in refusal

@@ -22,10 +22,12 @@ from fusion.campaign.recording_results import RecordingResults, SensorFacts, rea
 from fusion.cli import main
 from fusion.recording.load import load_manifest
 from fusion.report.folder import Provenance, hash_files
+from fusion.report.h5 import read_notices
 from fusion.report.recording_report import write_results
 from fusion.sensitivity.input_evidence import InputEvidence
 from fusion.sensor.compare.comparison_evaluation import ComparisonEvaluation, evaluate_comparison
 from fusion.sensor.compare.comparison_inputs import ComparedResult, ComparedValue, read_result
+from fusion.sensor.compare.comparison_notices import CONTRADICTORY_CLAIMS, POSSIBLY_SHARED
 from fusion.sensor.compare.reference_value import weighted_mean
 from fusion.sensor.compare.shared_inputs import covariance_of, find_shared_inputs
 from shaker.labels import LOAD_COMPONENTS
@@ -33,7 +35,7 @@ from shaker.labels import LOAD_COMPONENTS
 MASS = InputEvidence("load: mass", "mass", 9.73, 6e-3, "kg", "M-1", "", "", "rig.toml: load.mass")
 SENSOR = SensorFacts("transducer", "1", LOAD_COMPONENTS, "V/V", "on_load", CAPACITY, None, 0.0)
 MAIN = "Fz", "magnitude"
-U_MASS = 6e-3  # kg of 9.73 kg: 6.2e-4 beside 3.0e-4 of each laboratory's own
+U_MASS = 6e-3  # kg of 9.73 kg: 6.2e-4, with 3.0e-4 of each laboratory
 
 
 def laboratory(
@@ -82,27 +84,27 @@ def agreement(evaluation: ComparisonEvaluation, truth: complex) -> list[float]:
 @pytest.mark.slow
 @pytest.mark.usefixtures("heavy")
 def test_two_laboratories_with_one_mass_agree_in_95_percent(tmp_path) -> None:
-    """1000 pairs of simulated laboratories: shared mass, all else their own; the truth is the simulator's."""
+    """1000 pairs of simulated laboratories: shared mass, everything else independent; the truth is the simulator's."""
     draws, rng = 1000, np.random.default_rng(5)
     read = [results_of(tmp_path / name, laboratory(n, 0.0)[0], name) for n, name in enumerate(("one", "two"))]
-    held: dict[str, list[list[float]]] = {"shared": [], "independent": []}
+    outcomes: dict[str, list[list[float]]] = {"shared": [], "independent": []}
     for draw in range(draws):
-        error, own = float(rng.standard_normal()), []
-        for place, result in enumerate(read):
-            recorded, truth = laboratory(2 + 2 * draw + place, error)
+        error, drawn = float(rng.standard_normal()), []
+        for index, result in enumerate(read):
+            recorded, truth = laboratory(2 + 2 * draw + index, error)
             (drive,) = recorded.excited_lines
             value = complex(drive.outputs[2] / drive.load[2])
             (stated,) = (v for v in result.values if v.channel == "Fz")
             found: ComparedValue = replace(stated, magnitude=abs(value), phase_rad=float(np.angle(value)))
-            own.append(replace(result, values=(found,)))
-        held["shared"].append(agreement(compared(own), truth))
-        held["independent"].append(agreement(compared([replace(r, evidence=()) for r in own]), truth))
-    e_n = {name: np.array(found) for name, found in held.items()}
+            drawn.append(replace(result, values=(found,)))
+        outcomes["shared"].append(agreement(compared(drawn), truth))
+        outcomes["independent"].append(agreement(compared([replace(r, evidence=()) for r in drawn]), truth))
+    e_n = {name: np.array(found) for name, found in outcomes.items()}
     shared, independent = (np.sum(found <= 1.0, axis=0) / np.isfinite(found).sum(axis=0) for found in e_n.values())
     low, high = np.array(acceptance(draws, 3)) / draws
     assert low <= shared[0] <= high
     assert low <= shared[1] <= high
-    assert low <= shared[2] <= high, "the mean's U holds the mass once"
+    assert low <= shared[2] <= high, "U of the mean contains the mass once"
     assert independent[0] > 0.99, "visibly too many"
     assert independent[1] > 0.975
     assert independent[2] < 0.92, "a mean of two that are taken as independent is too sure"
@@ -111,8 +113,8 @@ def test_two_laboratories_with_one_mass_agree_in_95_percent(tmp_path) -> None:
 @pytest.mark.usefixtures("heavy")
 def test_a_shared_mass_is_the_covariance_of_two_results(tmp_path) -> None:
     """Closed form: relative covariance (6e-3 kg/9.73 kg)²; E_n over U of the difference without it."""
-    own = [results_of(tmp_path / n, laboratory(k, 0.3, day=date(2020 + k, 7, 1))[0], n) for k, n in enumerate("ab")]
-    evaluation = compared(own)
+    results = [results_of(tmp_path / n, laboratory(k, 0.3, day=date(2020 + k, 7, 1))[0], n) for k, n in enumerate("ab")]
+    evaluation = compared(results)
     assert [(item.of, item.evidence) for item in evaluation.shared] == [("mass", "certificate M-1")]
     found = next(c for c in evaluation.quantities if (c.channel, c.quantity) == ("Fz", "magnitude"))
     common = (U_MASS / 9.73) ** 2 * found.value[0] * found.value[1]
@@ -125,15 +127,15 @@ def test_a_shared_mass_is_the_covariance_of_two_results(tmp_path) -> None:
 
 
 def test_a_shared_relative_error_pulls_no_mean_below_its_values() -> None:
-    """Peelle's puzzle: 1.5 and 1.0, 10 % of their own and 20 % in common, are 0.88 if readings scale what is common."""
-    value, own = np.array([1.5, 1.0]), np.array([0.15, 0.10])
-    u = np.hypot(own, 0.2 * value)
+    """Peelle's puzzle: 1.5 and 1.0, 10 % each and 20 % in common, are 0.88 if readings scale what is common."""
+    value, separate = np.array([1.5, 1.0]), np.array([0.15, 0.10])
+    u = np.hypot(separate, 0.2 * value)
     mean, u_mean, _, _ = weighted_mean(value, covariance_of(np.array([[0.2, 0.2]]), u, value)[0])
     naive = np.diag(u**2) + 0.04 * np.outer(value, value) * (1.0 - np.eye(2))
     assert weighted_mean(value, naive)[0] == pytest.approx(0.882, abs=1e-3), "as published"
-    weights = own**-2 / np.sum(own**-2)
+    weights = separate**-2 / np.sum(separate**-2)
     assert mean == pytest.approx(weights @ value)
-    assert u_mean == pytest.approx(np.hypot(np.sum(own**-2) ** -0.5, 0.2 * mean), rel=1e-9)
+    assert u_mean == pytest.approx(np.hypot(np.sum(separate**-2) ** -0.5, 0.2 * mean), rel=1e-9)
 
 
 @pytest.mark.parametrize(
@@ -155,7 +157,7 @@ def test_inputs_are_shared_by_evidence_only(other, shared) -> None:
     assert len(find_shared_inputs([one, two])) == shared
 
 
-def test_a_file_is_evidence_and_several_axes_are_told_apart() -> None:
+def test_a_file_is_evidence_and_several_axes_are_distinguished() -> None:
     table = InputEvidence("amp: response phase", "response of output phase", np.nan, 1.0, "1", "", "", "cd" * 32, "")
     axes = [
         InputEvidence(f"a{axis}: scale", "scale of acceleration", 100.0, 0.003, "1", "K-9", "", "", "")
@@ -165,7 +167,7 @@ def test_a_file_is_evidence_and_several_axes_are_told_apart() -> None:
     renamed = [replace(row, unknown=f"b{n}: scale") for n, row in enumerate(axes)]
     two = ComparedResult("two", Path("b"), (), evidence=(replace(table, unknown="bridge: response phase"), *renamed))
     assert [item.of for item in find_shared_inputs([one, two])] == ["response of output phase"], (
-        "nothing tells the axes"
+        "the axes are not distinguished"
     )
     three = ComparedResult("three", Path("c"), (), evidence=(axes[1],))
     assert [item.unknowns for item in find_shared_inputs([one, three])] == [{"one": "ay: scale", "three": "ay: scale"}]
@@ -182,38 +184,39 @@ def test_two_certificates_behind_one_unknown_are_both_needed() -> None:
 
 
 @pytest.mark.usefixtures("heavy")
-def test_page_table_and_terminal_say_what_is_shared(tmp_path, capsys) -> None:
+def test_page_table_and_terminal_name_shared_inputs(tmp_path, capsys) -> None:
     days = date(2024, 5, 2), date(2025, 5, 2), date(2026, 5, 2)
     stated = (MASS,), (MASS,), (replace(MASS, u=8e-3),)
     for n, name in enumerate("abc"):
         results_of(tmp_path / name, laboratory(n, 0.3, stated[n], days[n])[0], name)
     out = tmp_path / "out"
     assert main(["compare", *(str(tmp_path / name) for name in "abc"), "-o", str(out)]) == 0
-    told = capsys.readouterr()
-    assert "taken as shared: mass (certificate M-1)" in told.out
-    assert "a and c name the same certificate for mass (certificate M-1), but state different values or U" in told.err
+    assert "mass (certificate M-1)" in capsys.readouterr().out
+    with h5py.File(out / "comparison.h5") as file:
+        claims = [notice.values for notice in read_notices(file) if notice.code == CONTRADICTORY_CLAIMS.code]
+    assert {"first": "a", "second": "c", "inputs": "mass (certificate M-1)"} in claims
     found = {row["result"]: row for row in rows(out / "comparison.csv") if (row["channel"], row["quantity"]) == MAIN}
     assert [found[name]["shared"] for name in "abc"] == ["mass (certificate M-1)", "mass (certificate M-1)", ""]
     assert float(found["a"]["per_year"]) != 0.0, "dated by its recordings"
     page = (out / "comparison.html").read_text(encoding="utf-8")
-    assert "Inputs taken as shared" in page
-    assert "Control chart of Fz per Fz" in page
+    assert "mass (certificate M-1)" in page
+    assert "chart-Fz-Fz" in page
     with h5py.File(out / "comparison.h5") as file:
         assert file["comparison/0/covariance"].shape == (3, 3)
 
 
 @pytest.mark.usefixtures("heavy")
-def test_equal_names_without_evidence_are_a_remark(tmp_path, capsys) -> None:
-    """Two results of one rig whose mass nobody names a certificate of: independent, but said so."""
+def test_equal_names_without_evidence_are_a_note(tmp_path) -> None:
+    """Two results of one rig without a certificate of its mass are independent, with a notice."""
     bare = replace(MASS, certificate="")
     light = replace(bare, unknown="bridge: scale", of="scale of output", u=1e-4, unit="1")
     for n, name in enumerate("ab"):
         results_of(tmp_path / name, laboratory(n, 0.3, (bare, light))[0], name)
     assert main(["compare", str(tmp_path / "a"), str(tmp_path / "b"), "-o", str(tmp_path / "out")]) == 0
-    told = capsys.readouterr()
-    assert "a and b both rest on load: mass with the same u, and name no certificate for it" in told.err
-    assert "bridge: scale" not in told.err, "2 % of a variance"
-    assert "taken as shared" not in told.out
+    with h5py.File(tmp_path / "out" / "comparison.h5") as file:
+        (notice,) = (one for one in read_notices(file) if one.code == POSSIBLY_SHARED.code)
+        assert not [name for name in file["comparison"].values() if len(name["shared"])]
+    assert notice.values == {"first": "a", "second": "b", "inputs": "load: mass"}, "the scale has 2 % of a variance"
 
 
 def test_files_without_evidence_stay_readable(tmp_path) -> None:
@@ -226,7 +229,7 @@ def test_files_without_evidence_stay_readable(tmp_path) -> None:
 
 
 @pytest.mark.parametrize("damage", ["evidence/of", "recordings/name", "date", "whole"])
-def test_a_damaged_file_beside_the_table_is_one_sentence(damage, tmp_path, capsys) -> None:
+def test_a_damaged_companion_file_is_one_sentence(damage, tmp_path, capsys) -> None:
     for name in "ab":
         results_of(tmp_path / name, laboratory(0, 0.0)[0], name)
     if damage == "whole":
@@ -250,7 +253,7 @@ CERTIFIED = [
 ]  # fmt: skip
 
 
-def test_a_recording_tells_date_and_evidence_of_its_unknowns(tmp_path, demo_recording, demo_evaluation, no_pages):
+def test_a_recording_has_date_and_evidence_of_its_unknowns(tmp_path, demo_recording, demo_evaluation, no_pages):
     """Every name in the evidence is one of the result's, and what is mounted anew is not among them."""
     shutil.copytree(demo_recording, tmp_path / "demo")
     for file, old, new in CERTIFIED:

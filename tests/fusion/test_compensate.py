@@ -24,6 +24,12 @@ from support import block, channel, rows
 from fusion.cli import main
 from fusion.errors import InputError
 from fusion.sensor.compensate.compensation_evaluation import evaluate_compensation, white_noise
+from fusion.sensor.compensate.compensation_notices import (
+    FILTER_REFUSED,
+    MODE_NOT_COMPENSATED,
+    NO_MODEL_FILE,
+    WRONG_COMPENSATION_OPTION,
+)
 from fusion.sensor.compensate.compensation_report import header_text, json_text, read_compensation_filters
 from fusion.sensor.compensate.compensation_subjects import CompensationSettings, read_sources
 from fusion.sensor.model_files import (
@@ -35,8 +41,10 @@ from fusion.sensor.model_files import (
     models_text,
     read_models,
 )
+from fusion.sensor.sensor_model_notices import DAMAGED_MODEL_FILE, WRONG_MODEL_FORMAT
 from shaker.compensation.filter import CompensationFilter
-from shaker.lti.indices import indices
+from shaker.lti.indices import LABELS, indices
+from shaker.lti.lti_notices import FIGURES_NOT_LINEAR
 from shaker.lti.system import ModalModel
 from shaker.release.load_model import LoadModel
 
@@ -70,10 +78,10 @@ def _write_models(folder: Path) -> Path:
     return file
 
 
-def _write_loads(folder: Path, *, known: bool = False) -> Path:
-    """load.json of three masses, with a covariance if it is to be known."""
+def _write_loads(folder: Path, *, with_covariance: bool = False) -> Path:
+    """load.json of three masses, with a covariance on request."""
     folder.mkdir()
-    covariance = np.diag([100.0, 0.01, 200.0, 0.05]) ** 2 if known else None
+    covariance = np.diag([100.0, 0.01, 200.0, 0.05]) ** 2 if with_covariance else None
     model = LoadModel(
         "Fy", "Fy", "V", 0.240, 2.36e6, 6.0, 1.89e6, 4.0, GAIN,
         covariance=covariance, load_masses=(0.0, 0.048, 0.198),
@@ -105,9 +113,8 @@ def test_the_published_case_from_numbers(tmp_path, capsys):
     arguments = ["--sensor-frequency", "500", "--sensor-damping", "0.004", "--frequency", "1000", "--damping", "0.5"]
     assert main(["compensate", *arguments, "-o", str(out)]) == 0
     printed = capsys.readouterr().out
-    assert "overshoot: 98.751 % -> 16.303 %" in printed
-    assert "±10 % band: 150.76 Hz -> 472.77 Hz" in printed
-    assert "2 % settling: 311.03 ms -> 1.2854 ms" in printed
+    for before, after in (("98.751 %", "16.303 %"), ("150.76 Hz", "472.77 Hz"), ("311.03 ms", "1.2854 ms")):
+        assert f": {before} -> {after}" in printed
     assert sorted(path.name for path in out.iterdir()) == [
         "compensate.csv", "compensate.h5", "compensate.html", "compensation.h", "compensation.json",
     ]  # fmt: skip
@@ -142,9 +149,9 @@ def test_models_of_a_step_campaign(tmp_path):
 
 @pytest.mark.usefixtures("no_pages")
 def test_a_filter_for_every_load_of_one_target(tmp_path, capsys):
-    out, loads = tmp_path / "out", _write_loads(tmp_path / "load", known=True)
-    wish = ["--frequency", "1000", "--damping", "0.5", "--modes", "2", "--load-mass", "0", "0.198"]
-    assert main(["compensate", str(loads), *wish, "-o", str(out)]) == 0
+    out, loads = tmp_path / "out", _write_loads(tmp_path / "load", with_covariance=True)
+    options = ["--frequency", "1000", "--damping", "0.5", "--modes", "2", "--load-mass", "0", "0.198"]
+    assert main(["compensate", str(loads), *options, "-o", str(out)]) == 0
     found = read_compensation_filters(out)
     assert [one.load_mass for one in found] == [0.0, 0.198]
     assert {len(one.sections.sos) for one in found} == {2}
@@ -154,26 +161,36 @@ def test_a_filter_for_every_load_of_one_target(tmp_path, capsys):
     assert np.all(np.diff(ringing) > 0)
 
 
-def test_force_feedback_with_and_without_knowing_the_load(tmp_path):
+def test_force_feedback_with_and_without_the_load(tmp_path):
     out, loads = tmp_path / "out", _write_loads(tmp_path / "load")
-    wish = ["--frequency", "1000", "--modes", "2", "--load-mass", "0.198", "--sample-rate", "20000", "--ball", "1000"]
-    assert main(["compensate", str(loads), *wish, "-o", str(out)]) == 0
+    options = [
+        "--frequency",
+        "1000",
+        "--modes",
+        "2",
+        "--load-mass",
+        "0.198",
+        "--sample-rate",
+        "20000",
+        "--ball",
+        "1000",
+    ]
+    assert main(["compensate", str(loads), *options, "-o", str(out)]) == 0
     page = (out / "compensate.html").read_text(encoding="utf-8")
     rows = re.findall(r'<td class="l">((?:no )?filter[^<]*)</td><td class="r">([^<]*)</td>', page)
     gains = {name: float(gain) for name, gain in rows}
     assert gains["filter for 198 g"] > 10 * max(gains["no filter"], gains["filter for no load"])
-    assert "runs away" in page
     assert main(["compensate", *NUMBERS, "--frequency", "900", "--ball", "1000", "-o", str(out)]) == 2
 
 
-def test_one_mode_of_two_is_told(tmp_path):
-    sources, wish = (
+def test_one_mode_of_two_is_reported(tmp_path):
+    sources, options = (
         read_sources([_write_loads(tmp_path / "load")]),
         CompensationSettings(frequency_hz=1000.0, load_masses=(0.198,)),
     )
-    found = evaluate_compensation(sources, wish, None, {})
-    told = [notice.text for notice in found.notices if notice.severity == "warning"]
-    assert any("--modes compensates it too" in text for text in told)
+    found = evaluate_compensation(sources, options, None, {})
+    (notice,) = (notice for notice in found.notices if notice.code == MODE_NOT_COMPENSATED.code)
+    assert notice.values["share_percent"] > 1.0
 
 
 @pytest.mark.usefixtures("no_pages")
@@ -182,8 +199,8 @@ def test_a_recording_is_filtered_for_the_load_of_its_rig(tmp_path):
     file, out = tmp_path / "load.json", tmp_path / "out"
     file.write_text(model_text([(TWO_MASSES, UncertaintyBasis())], "bench", "sensor", "shakercal"), encoding="utf-8")
     _write_recording(tmp_path / "release")
-    wish = ["--frequency", "1000", "--damping", "0.6", "--calibrated", "--apply", str(tmp_path / "release")]
-    assert main(["compensate", str(file), *wish, "-o", str(out)]) == 0
+    options = ["--frequency", "1000", "--damping", "0.6", "--calibrated", "--apply", str(tmp_path / "release")]
+    assert main(["compensate", str(file), *options, "-o", str(out)]) == 0
     assert read_compensation_filters(out)[0].load_mass == LOAD_MASS
     table = np.genfromtxt(out / "compensated.csv", delimiter=",", names=True)
     omega, since = 2 * np.pi * 1000.0, np.maximum(table["time_s"] - 0.02, 0.0)
@@ -230,10 +247,10 @@ def test_the_c_header_gives_the_same_bits(tmp_path):
         pytest.skip("no C compiler (cc) on this machine")
     out = tmp_path / "out"
     out.mkdir()
-    wish = CompensationSettings(
+    options = CompensationSettings(
         frequency_hz=1000.0, damping_ratio=0.5, modes=2, load_masses=(0.0, 0.198), calibrated=True
     )
-    evaluation = evaluate_compensation(read_sources([_write_loads(tmp_path / "load")]), wish, None, {})
+    evaluation = evaluate_compensation(read_sources([_write_loads(tmp_path / "load")]), options, None, {})
     (out / "compensation.h").write_text(header_text(evaluation), encoding="utf-8")
     (out / "compensation.json").write_text(json_text(evaluation), encoding="utf-8")
     (out / "main.c").write_text(PROGRAM, encoding="utf-8")
@@ -241,39 +258,44 @@ def test_the_c_header_gives_the_same_bits(tmp_path):
     subprocess.run([compiler, *flags, str(out / "main.c")], check=True)
     data = 5.0 + np.random.default_rng(9).normal(size=700).cumsum()
     text = "\n".join(value.hex() for value in data.tolist())
-    told = subprocess.run([str(out / "run")], input=text, capture_output=True, text=True, check=True).stdout
-    in_c = np.array([float.fromhex(line) for line in told.split()])
+    output = subprocess.run([str(out / "run")], input=text, capture_output=True, text=True, check=True).stdout
+    in_c = np.array([float.fromhex(line) for line in output.split()])
     first, second = (one.sections for one in read_compensation_filters(out))
     stream = CompensationFilter(first, level=None)
     before = stream(data[None, :300])
     stream.switch(second)
-    here = np.concatenate([before, stream(data[None, 300:])], axis=1)[0]
-    np.testing.assert_allclose(in_c, here, rtol=1e-14, atol=1e-12 * np.max(np.abs(here)))
+    in_python = np.concatenate([before, stream(data[None, 300:])], axis=1)[0]
+    np.testing.assert_allclose(in_c, in_python, rtol=1e-14, atol=1e-12 * np.max(np.abs(in_python)))
     if "x86_64" in subprocess.run(["uname", "-m"], capture_output=True, text=True, check=True).stdout:
-        np.testing.assert_array_equal(in_c, here)
+        np.testing.assert_array_equal(in_c, in_python)
 
 
 NUMBERS = ["--sensor-frequency", "500", "--sensor-damping", "0.004"]
 
 
+OPTION = WRONG_COMPENSATION_OPTION.code
+
+
 @pytest.mark.parametrize(
-    ("arguments", "told"),
+    ("arguments", "code", "found"),
     [
-        (NUMBERS, "expected either --frequency or --bandwidth, found none"),
-        ([*NUMBERS, "--frequency", "900", "--bandwidth", "900"], "found both"),
-        ([*NUMBERS, "--bandwidth", "900", "--damping", "0.5"], "no --damping beside --bandwidth"),
-        (["--frequency", "900"], "models.json, load.json, a folder with one"),
-        ([*NUMBERS[:2], "--sensor-damping", "1.5", "--frequency", "900"], "a damping ratio below 1"),
-        ([*NUMBERS, "--frequency", "900", "--sample-rate", "1000"], "at least 2000 for a filter to 900 Hz"),
-        ([*NUMBERS, "--frequency", "900", "--permitted-error", "200"], "a permitted error above 0 and below 100 %"),
-        ([*NUMBERS, "--frequency", "900", "--channel", "Fq"], "expected one of sensor, found Fq"),
-        ([*NUMBERS, "--frequency", "900", "--load-mass", "0.1"], "over the load (load.json) for it, found 0.1 kg"),
-        ([*NUMBERS, "--frequency", "900", "--modes", "2"], "expected 1 of a sensor stated by frequency and damping"),
-        (["nowhere", "--frequency", "900"], "nowhere"),
+        (NUMBERS, OPTION, "--bandwidth"),
+        ([*NUMBERS, "--frequency", "900", "--bandwidth", "900"], OPTION, "--bandwidth"),
+        ([*NUMBERS, "--bandwidth", "900", "--damping", "0.5"], OPTION, "--damping: "),
+        (["--frequency", "900"], OPTION, "models.json"),
+        ([*NUMBERS[:2], "--sensor-damping", "1.5", "--frequency", "900"], OPTION, "--sensor-damping: "),
+        ([*NUMBERS, "--frequency", "900", "--sample-rate", "1000"], FILTER_REFUSED.code, "--sample-rate (sensor): "),
+        ([*NUMBERS, "--frequency", "900", "--permitted-error", "200"], OPTION, "--permitted-error: "),
+        ([*NUMBERS, "--frequency", "900", "--channel", "Fq"], OPTION, "Fq"),
+        ([*NUMBERS, "--frequency", "900", "--load-mass", "0.1"], OPTION, "0.1 kg"),
+        ([*NUMBERS, "--frequency", "900", "--modes", "2"], FILTER_REFUSED.code, "--modes (sensor): "),
+        (["nowhere", "--frequency", "900"], "", "nowhere"),
     ],
 )
-def test_bad_input_is_one_sentence(arguments, told, refused):
-    assert told in refused("compensate", *arguments)
+def test_bad_input_is_one_sentence(arguments, code, found, refused):
+    refusal = refused("compensate", *arguments)
+    assert f"{code} " in refusal
+    assert found in refusal
 
 
 def test_bad_files_are_one_sentence(tmp_path, refused):
@@ -282,16 +304,17 @@ def test_bad_files_are_one_sentence(tmp_path, refused):
     broken.write_text('{"models": 3}', encoding="utf-8")
     _write_recording(tmp_path / "release")
     both = ["--load-mass", "0", "0.1", "--apply", tmp_path / "release", "-o", tmp_path / "out"]
-    for path, more, told in (
-        (empty, [], "found none of them"),
-        (broken, [], "models as shakercal step or shakercal load writes them"),
-        (loads, ["--real-pole", "9000"], "a model over the load has none"),
-        (loads, both, "one load mass with --apply"),
-        (_write_models(tmp_path / "step"), ["--modes", "2"], "expected 0 to 1"),
+    for path, more, code in (
+        (empty, [], NO_MODEL_FILE.code),
+        (broken, [], DAMAGED_MODEL_FILE.code),
+        (loads, ["--real-pole", "9000"], f"{OPTION} shakercal compensate: --real-pole:"),
+        (loads, both, f"{OPTION} shakercal compensate: --load-mass:"),
+        (_write_models(tmp_path / "step"), ["--modes", "2"], FILTER_REFUSED.code),
     ):
-        assert told in refused("compensate", path, "--frequency", "900", *more)
-    with pytest.raises(InputError, match="filters as shakercal compensate writes them"):
+        assert f"{code} " in refused("compensate", path, "--frequency", "900", *more)
+    with pytest.raises(InputError) as caught:
         read_compensation_filters(broken)
+    assert (caught.value.code, caught.value.values["command"]) == (DAMAGED_MODEL_FILE.code, "compensate")
 
 
 SIZES = st.tuples(st.integers(1, 3), st.integers(0, 2))
@@ -317,7 +340,7 @@ def entry(model: ModalModel, channel: str = "Fz", component: str = "Fz") -> Mode
 
 @settings(max_examples=40, deadline=None)
 @given(SIZES, st.integers(0, 2**32 - 1))
-def test_a_model_comes_back_to_the_last_bit(sizes, seed):
+def test_model_is_read_back_to_the_last_bit(sizes, seed):
     model = random_model(*sizes, np.random.default_rng(seed))
     file = ModelsFile("campaign µ", "sensor", "7", (entry(model), entry(model, "Fx")))
     with TemporaryDirectory() as folder:
@@ -331,7 +354,7 @@ def test_a_model_comes_back_to_the_last_bit(sizes, seed):
     assert (found.recording, found.dof) == ("a, b", 2.0)
     assert [(one.channel, one.component) for one in back] == [("Fz", "Fz"), ("Fx", "Fz")]
     assert [one.channel for one in back.driven] == ["Fz"]
-    with pytest.raises(ValueError, match="expected one of Fz for Fz, Fx for Fz, found Mx for Mx"):
+    with pytest.raises(ValueError, match=r"^key: .*Fz.*Fx.*Mx"):
         back["Mx", "Mx"]
 
 
@@ -346,40 +369,42 @@ def test_poles_zeros_and_gain_for_other_programs_are_those_of_the_model():
 
 
 def without(*keys: Any) -> dict[str, Any]:
-    """A good file with something taken out."""
+    """A good file without one entry."""
     model = random_model(1, 1, np.random.default_rng(2))
     content: dict[str, Any] = json.loads(models_text(ModelsFile("c", "", "", (entry(model),))))
-    place: Any = content
+    table: Any = content
     for key in keys[:-1]:
-        place = place[key]
-    del place[keys[-1]]
+        table = table[key]
+    del table[keys[-1]]
     return content
 
 
 @pytest.mark.parametrize(
-    ("content", "told"),
+    ("content", "declared", "found"),
     [
-        (None, "expected an existing file"),
-        (without("models"), "no key 'models'"),
-        (without("models", 0, "modes", 0, "damping_ratio"), "no key 'damping_ratio'"),
-        ({**without("name"), "format": 2, "name": "c"}, "expected format 1"),
-        (without("models", 0, "covariance", 0), r"covariance: expected an array of shape \(6, 6\)"),
+        (None, None, ""),
+        (without("models"), DAMAGED_MODEL_FILE, "'models'"),
+        (without("models", 0, "modes", 0, "damping_ratio"), DAMAGED_MODEL_FILE, "'damping_ratio'"),
+        ({**without("name"), "format": 2, "name": "c"}, WRONG_MODEL_FORMAT, "2"),
+        (without("models", 0, "covariance", 0), DAMAGED_MODEL_FILE, "(6, 6)"),
     ],
 )
-def test_what_cannot_be_read_is_named(tmp_path, content, told):
+def test_an_unreadable_file_is_named(tmp_path, content, declared, found):
     path = tmp_path / MODELS_FILE
     if content is not None:
         path.write_text(json.dumps(content), encoding="utf-8")
-    with pytest.raises(InputError, match=told) as caught:
+    with pytest.raises(InputError) as caught:
         read_models(tmp_path)
     assert caught.value.file == path
+    assert declared is None or caught.value.code == declared.code
+    assert declared is None or found in caught.value.values["found"]
 
 
 DRAWN = 200
 
 
 @pytest.mark.parametrize("times", [1.0, pytest.param(10.0, marks=pytest.mark.slow)])
-def test_figures_carry_what_is_open_of_all_poles_and_zeros(tmp_path, times):
+def test_u_of_figures_includes_all_poles_and_zeros(tmp_path, times):
     # Truth: indices of models drawn from the covariance, through the filter that was made for the one found.
     spread = times * np.array([1e-3, 2e-6, 0.05, 0.05, 6.0, 0.04])
     mode = _mode(500.0, 0.02, GAIN)
@@ -396,14 +421,14 @@ def test_figures_carry_what_is_open_of_all_poles_and_zeros(tmp_path, times):
     for vector in model.vector + spread * rng.normal(size=(DRAWN, len(spread))):
         sensor = model.with_vector(vector).system
         drawn.append([indices(one) for one in (sensor, sensor.times(made.compensation.system))])
-    for place, figures in enumerate((made.before, made.after)):
+    for stage, figures in enumerate((made.before, made.after)):
         for name in ("band_10_hz", "overshoot", "natural_hz"):
             u = figures.u[name]
             assert u is not None
-            values = [one[place].figures()[name] for one in drawn]
+            values = [one[stage].figures()[name] for one in drawn]
             value = figures.indices.figures()[name]
-            assert times > 1.0 or u == pytest.approx(np.std(values), rel=3.0 / np.sqrt(2 * DRAWN)), (place, name)
-            assert np.sum(np.abs(np.array(values) - value) <= 2.0 * u) >= binom.ppf(1e-2, DRAWN, 0.954), (place, name)
+            assert times > 1.0 or u == pytest.approx(np.std(values), rel=3.0 / np.sqrt(2 * DRAWN)), (stage, name)
+            assert np.sum(np.abs(np.array(values) - value) <= 2.0 * u) >= binom.ppf(1e-2, DRAWN, 0.954), (stage, name)
 
 
 def test_a_band_that_a_peak_may_cut_short_is_covered(tmp_path):
@@ -432,12 +457,14 @@ def test_a_band_that_a_peak_may_cut_short_is_covered(tmp_path):
     assert value is not None
     assert u_value is not None
     assert np.mean(np.abs(np.array(ends, float) - value) < 2.0 * u_value) >= 0.93
-    assert any("do not change in proportion" in n.text and "±10 %" in n.text for n in found.notices)
+    nonlinear = [notice for notice in found.notices if notice.code == FIGURES_NOT_LINEAR.code]
+    stated = [notice.values["figures"] for notice in nonlinear if notice.where == "Fz, after the filter"]
+    assert any(LABELS["band_10_hz"] in text for text in stated)
 
 
 @pytest.mark.slow
-def test_bands_and_overshoot_of_simulated_campaigns_hold_the_truth(monkeypatch):
-    """Each of 12 figures per row is held 95 times in 100: fewer than 10 are seen by chance once in 50."""
+def test_bands_and_overshoot_of_simulated_campaigns_agree_with_the_truth(monkeypatch):
+    """Each of 12 figures per row is covered 95 times in 100: fewer than 10 occur by chance once in 50."""
     monkeypatch.syspath_prepend(str(Path(__file__).parents[2] / "benchmarks"))
     found = import_module("steps").errors_over_u
     ratio = np.abs(np.array([one for seed in (1, 3) for one in found(seed).values()]))

@@ -29,14 +29,22 @@ from scipy.optimize import brentq
 from scipy.stats import binom, chi2, f, ncf, ncx2, t
 from support import region_distance
 
+from fusion.estimation.estimation_notices import (
+    GROSS_ERROR,
+    INSTRUMENTS_DISAGREE,
+    INSTRUMENTS_DISPUTED,
+    SINGLE_ERROR_NOT_ASSESSED,
+)
 from fusion.estimation.fuse import INCONSISTENCY, Acceleration, fuse, fuse_sources, untested
-from fusion.estimation.instrument_consistency import as_stated, explanations, missing_covariance, suspicion
+from fusion.estimation.instrument_consistency import as_stated, explanations, suspicion
 from fusion.estimation.least_squares import build_system, solve
 from fusion.estimation.measurement_model import Observation
 from fusion.estimation.uncertainty import as_complex
+from fusion.estimation.undetected_errors import missing_covariance
 from fusion.estimation.variance_components import Contrasts, EstimatedNoise, variance_components
 from fusion.sensitivity.load_phasors import load_phasors
 from fusion.sensitivity.moving_body import Body, make_moving_part
+from shakercal._common.notices import Notice
 
 TURN_RAD = 5e-3
 
@@ -51,8 +59,8 @@ def error(result: Acceleration, component: int, truth: np.ndarray = TRUTH) -> fl
     return float(abs(result.phasors.value[0, component] - truth[0, component]))
 
 
-def warning(result: Acceleration) -> str:
-    return next(notice.text for notice in result.notices if notice.severity == "warning")
+def warning(result: Acceleration) -> Notice:
+    return next(notice for notice in result.notices if notice.severity == "warning")
 
 
 def scattered(noise: float, count: int, seed: int) -> tuple[Contrasts, float]:
@@ -137,8 +145,8 @@ def test_a_turned_camera_is_named_and_covered(others, axis):
     suspects = {test.instrument for test in result.consistency if test.suspect}
     assert "stereo top" in suspects
     assert len(suspects) == (1 if others == "both" and axis == 1 else 2)
-    assert f"stereo top: pose rotation {'xy'[axis]} would have to be 0.00" in warning(result)
-    assert "U was enlarged" in warning(result)
+    assert warning(result).code == INSTRUMENTS_DISAGREE.code
+    assert f"stereo top: pose rotation {'xy'[axis]} of 0.00" in warning(result).values["causes"]
     assert error(result, 1 - axis) < expanded(result, 1 - axis)
     for component in range(6):
         assert error(result, component) < 1.6 * expanded(result, component)
@@ -154,8 +162,6 @@ def test_axial_beams_alone_do_not_test_a_turn_and_the_result_says_so():
     assert (row.component, row.u, row.unit) == ("x", 5e-4, "rad")
     assert row.share > 0.9
     assert row.relative == pytest.approx(5e-4 * 189.0 / abs(result.phasors.value[0, 0]), rel=1e-3)
-    (text,) = (notice.text for notice in result.notices if "not tested" in notice.text)
-    assert "stereo top: pose rotation y (100% of the variance of x)" in text
 
 
 def test_where_instruments_agree_fused_is_no_worse_than_the_best_of_them():
@@ -330,14 +336,13 @@ def test_two_instruments_thirty_per_cent_apart_give_both_values_and_no_mean(wron
     assert fused.disputed[0, 2]
     assert {one.suspect for one in fused.explanations} == {"stereo top", "p0"}
     assert all(one.gross for one in fused.explanations)
-    text = warning(fused)
-    assert "nothing decides, so no mean is given" in text
-    assert "; gross error or wrong statement: " in text
-    assert "U was enlarged" not in text
+    notice = warning(fused)
+    assert notice.code == INSTRUMENTS_DISPUTED.code
+    assert "z" in notice.values["components"].split(", ")
+    assert "gross" in notice.values["causes"]
     assert single[0].phasors.value[0, 2].real == pytest.approx(189.0 * (1.3 if wrong == 0 else 1.0), rel=2e-3)
     load = load_phasors(fused, Body((make_moving_part("cube", 1.0, (0.0, 0.0, 0.03), np.eye(3) * 1e-3),)))
     assert not load.observed.any()
-    assert any("no load, and no sensitivity" in notice.text for notice in load.notices)
 
 
 def test_both_values_of_a_dispute_are_told_with_their_u():
@@ -346,10 +351,10 @@ def test_both_values_of_a_dispute_are_told_with_their_u():
     by_laser, by_camera = (np.array(one.value[0, 2]) for one in result.explanations)
     assert abs(by_laser) == pytest.approx(1.3 * 189.0, rel=2e-3)
     assert abs(by_camera) == pytest.approx(189.0, rel=2e-3)
-    told = re.search(r"z at 106.25 Hz is \((\S+) ± (\S+)\) m/s\^2 without stereo top, \((\S+) ±", warning(result))
-    assert told is not None
-    assert [float(told[1]), float(told[3])] == pytest.approx([abs(by_laser), abs(by_camera)], rel=1e-3)
-    assert float(told[2]) == pytest.approx(2.0 * 3.1e-4 * 245.0, rel=0.5)
+    reported = re.search(r"z at 106.25 Hz is \((\S+) ± (\S+)\).*stereo top, \((\S+) ±", warning(result).effect)
+    assert reported is not None
+    assert [float(reported[1]), float(reported[3])] == pytest.approx([abs(by_laser), abs(by_camera)], rel=1e-3)
+    assert float(reported[2]) == pytest.approx(2.0 * 3.1e-4 * 245.0, rel=0.5)
 
 
 def test_what_one_of_three_gets_grossly_wrong_is_left_out_and_nothing_else():
@@ -360,7 +365,7 @@ def test_what_one_of_three_gets_grossly_wrong_is_left_out_and_nothing_else():
     (left,) = (test for test in result.consistency if test.left_out)
     assert left.instrument == "laser as a whole"
     assert not left.used
-    assert "laser as a whole is left out of the load, a gross error or a wrong statement" in warning(result)
+    assert (warning(result).code, warning(result).where) == (GROSS_ERROR.code, "laser as a whole")
     np.testing.assert_allclose(result.phasors.value, right.phasors.value, rtol=1e-9)
     np.testing.assert_allclose(result.phasors.covariance, right.phasors.covariance, rtol=1e-6)
     assert result.instruments == ("stereo top", "triaxial", "side")
@@ -401,7 +406,7 @@ def test_a_reversed_channel_and_a_mistaken_unit_are_named(factor, words, alone):
     clean = [camera(), CENTRE, *([] if alone else [second])]
     seen = simulated_readings(clean, np.random.default_rng(4))
     result = fuse([seen[0], scaled(seen[1], factor), *seen[2:]])
-    assert f"as if {words}" in warning(result)
+    assert f"as if {words}" in warning(result).text  # names of MISTAKES, which are data
     assert any(test.instrument == "p0" and test.suspect for test in result.consistency)
 
 
@@ -409,7 +414,7 @@ def test_two_exchanged_channels_are_named():
     (optical, axes) = simulated_readings([camera(), triaxial()], np.random.default_rng(5))
     value = axes.phasors.value[:, [2, 1, 0]]
     result = fuse([optical, with_values(axes, value)])
-    assert "all agree if ax and az are exchanged" in warning(result)
+    assert "ax and az" in warning(result).values["checks"]
     assert "triaxial as a whole" in {test.instrument for test in result.consistency if test.suspect}
 
 
@@ -497,8 +502,9 @@ def test_what_five_u_of_one_point_of_a_circle_move_beyond_u_is_told(count, compo
         moved = 5.0 * np.sqrt((1.0 if one.component == "z" else 2.0) / count) / REGION
         assert one.shift == pytest.approx(moved, rel=1e-3)
     assert {one.channel for one in result.unnoticed if one.component == "ry"} == {"p0", f"p{count // 2}"}
-    (told,) = (notice for notice in result.notices if "one channel alone" in notice.text)
-    assert f"ry (up to {5.0 * np.sqrt(2.0 / count) / REGION:.2g} U: p0, p{count // 2})" in told.text
+    (notice,) = (notice for notice in result.notices if notice.code == SINGLE_ERROR_NOT_ASSESSED.code)
+    assert notice.values["limit"] == 5.0
+    assert f"{5.0 * np.sqrt(2.0 / count) / REGION:.2g} U (p0, p{count // 2})" in notice.possible_size
 
 
 def test_an_error_that_the_test_sees_is_not_unnoticed():
@@ -586,7 +592,8 @@ def test_the_cause_of_a_contradiction_is_named_where_noise_was_estimated():
     for trial in range(60):
         stereo, *others = estimated(trial, 8)
         result = fuse([rotated_frame(stereo, 1, 3.5e-3), *others])
-        named += ["pose rotation y would have to be" in n.text for n in result.notices if "disagree" in n.text]
+        causes = [n.values["causes"] for n in result.notices if n.code == INSTRUMENTS_DISAGREE.code]
+        named += ["pose rotation y" in text for text in causes]
     assert len(named) > 10
     assert np.mean(named) > 0.9
 

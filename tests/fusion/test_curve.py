@@ -83,7 +83,7 @@ def test_ratios_make_one_curve_per_driven_component():
     # Other components of the motion, one per cent of it, come in by the cross-talk of two per cent.
     assert np.all(np.abs(along_z.value[:, 2].real - true) < 4.0 * u + 2e-3 * np.abs(true))
     assert along_z.kind == "ratio"
-    refused("expected 12 lists", replace, along_z, recordings=())
+    refused("^recordings: .*12", replace, along_z, recordings=())
 
 
 def test_of_several_lever_arms_the_purest_is_on_the_curve():
@@ -93,7 +93,7 @@ def test_of_several_lever_arms_the_purest_is_on_the_curve():
     assert curve.recordings == (("axis",),)
 
 
-def test_an_output_that_a_frequency_lacks_is_no_number_there():
+def test_a_missing_output_of_a_frequency_is_nan():
     drives, _ = sweep(lines=6)
     forces = slice(3)
     fewer = [
@@ -134,7 +134,7 @@ def test_matrices_make_a_curve_that_shares_its_unknowns():
     assert np.all(effects["laser: scale"][:, 14] != 0.0)
     covariance = np.concatenate([fits[1].uncertainty.covariance, fits[0].uncertainty.covariance])
     np.testing.assert_allclose(curve.uncertainty.covariance, covariance, rtol=1e-9, atol=1e-30)
-    refused("matrices of the same outputs", matrix_curve, [fits[0], replace(fits[1], channels=LOAD_COMPONENTS[::-1])])
+    refused("^fits: ", matrix_curve, [fits[0], replace(fits[1], channels=LOAD_COMPONENTS[::-1])])
 
 
 def test_relative_to_static():
@@ -150,7 +150,7 @@ def test_relative_to_static():
     assert relative_curve(curve, np.zeros((6, 6)), np.zeros((6, 6))) is None
 
 
-def test_interpolation_keeps_what_all_points_share():
+def test_interpolation_keeps_common_errors_of_all_points():
     drives, truth = sweep()
     (curve,) = ratio_curves(drives, CAPACITY.tolist())
     found = interpolate(curve, np.linspace(60.0, 950.0, 9))
@@ -164,7 +164,7 @@ def test_interpolation_keeps_what_all_points_share():
     assert np.all(u / np.abs(found.value[:, 2]) > np.linalg.norm([2.5e-4, 1e-4, 1e-4, 1e-3 / 9.73]) * 0.999)
     assert INTERPOLATION in {part.label for part in found.uncertainty.random}
     assert found.recordings == ((),) * 9
-    refused("the range of the points, found 2000", interpolate, curve, np.array([2000.0]))
+    refused("^target_hz: .*2000", interpolate, curve, np.array([2000.0]))
 
 
 def test_weights_reproduce_a_parabola_and_points_without_noise():
@@ -184,7 +184,7 @@ def test_weights_reproduce_a_parabola_and_points_without_noise():
     np.testing.assert_allclose(exact.weight @ value, value, rtol=1e-6)
     assert np.all(exact.variance < 1e-10)
     few = np.arange(1.0, MIN_POINTS)
-    refused(f"at least {MIN_POINTS} points, found {MIN_POINTS - 1}", interpolation_weights, few, few, few, few)
+    refused(f"^frequency_hz: .*{MIN_POINTS}.*{MIN_POINTS - 1}", interpolation_weights, few, few, few, few)
 
 
 @pytest.mark.slow
@@ -207,7 +207,7 @@ def test_interpolated_values_are_covered():
     assert np.median(ratio) < 10.0
 
 
-def test_a_legend_of_many_mountings_says_how_many_more():
+def test_a_legend_of_many_mountings_counts_the_others():
     panel, mountings = Panel(), [f"{number:03d}" for number in range(300)]
     _draw_mountings(panel, [(80.0, mounting) for mounting in mountings], np.zeros(300), 1000.0)
     drawn = [mark for mark in panel.marks if isinstance(mark, Points)]

@@ -10,11 +10,13 @@ from contracts import refused
 
 from fusion.errors import InputError
 from fusion.phasors.deformation import ShapePhasors, shape_phasors
+from fusion.phasors.phasor_notices import PAIR_BODY_DEFORMS
 from fusion.planning.check import _measured_modes
 from fusion.recording.load import load_manifest
 from fusion.recording.rig import Elastic
 from fusion.sensitivity.mode_shapes import mode_shapes, with_measured_modes
 from fusion.sensitivity.moving_body import Body, elastic_part, stated_modes
+from fusion.sensitivity.sensitivity_notices import MODES_CONTRADICT
 from photogram.direct.shapes import PlainShapes, ShapeAmplitudes
 from shaker.sine.phasor import Phasors
 
@@ -66,8 +68,10 @@ def test_deformation_is_found_with_its_amplitude_phase_and_number_of_shapes():
         u = np.mean([each.u_size[0, 0] for each in found])
         assert abs(value.mean() - moved[0, 0]) < 4 * u * np.sqrt(2.0 / len(value))
         assert np.sqrt(np.mean(np.abs(value - moved[0, 0]) ** 2) / 2) == pytest.approx(u, rel=0.25)
-        assert "bowl" in found[0].notices()[0].text
-        assert "nm" in found[0].notices()[0].text
+        (notice, *_) = found[0].notices()
+        assert (notice.code, notice.values["shape"]) == (PAIR_BODY_DEFORMS.code, "bowl")
+        expected = 1e9 * abs(found[0].phasors.value[0, found[0].phasors.channels.index("bowl")])
+        assert notice.values["amplitude_nm"] == pytest.approx(expected)
 
 
 def test_what_all_frames_share_is_no_deformation():
@@ -149,13 +153,10 @@ def test_a_measured_mode_has_the_force_that_it_has_and_the_uncertainty_that_it_n
         errors = []
         for _ in range(draws):
             pair, force = seen_plate(rng, 0.08 * rng.standard_normal(), u_m)
-            measured, told = with_measured_modes(stated, load, (pair,))
+            measured, _ = with_measured_modes(stated, load, (pair,))
             value, u = pulled(measured)
             errors.append(((value - force[2]) / value * abs(value)).real / u)
             assert u < u_stated
-            assert told[0].severity == "note"
-            assert "plate: axial" in told[0].text
-            assert "nm" in told[0].text
         inside = np.count_nonzero(np.abs(errors) < 1.96)
         assert inside >= 42  # 95 % of 50: fewer once in 1000 tries
         assert 0.7 < np.std(errors) < 1.35
@@ -164,19 +165,19 @@ def test_a_measured_mode_has_the_force_that_it_has_and_the_uncertainty_that_it_n
 def test_a_response_that_contradicts_what_is_stated_stands_alone():
     pair, force = seen_plate(np.random.default_rng(8), -0.4, 4e-9)
     stated = Body((), elastic=(elastic_part(PLATE),))
-    measured, told = with_measured_modes(stated, SimpleNamespace(elastic=(PLATE,)), (pair,))
+    measured, (notice,) = with_measured_modes(stated, SimpleNamespace(elastic=(PLATE,)), (pair,))
     value, u = pulled(measured)
     assert abs(value - force[2]) < 4 * u < 0.2 * abs(value)
-    assert [notice.severity for notice in told] == ["note", "warning"]
-    assert "1020.3 Hz" in told[1].text
+    assert notice.code == MODES_CONTRADICT.code
+    assert notice.values["frequency_hz"] == pytest.approx(1020.3)
 
 
 def test_where_a_pair_tells_nothing_what_is_stated_stays():
     pair, _ = seen_plate(np.random.default_rng(9), 0.05, 4e-9)
     stated = Body((), elastic=(elastic_part(PLATE),))
     for other in (SimpleNamespace(**{**vars(pair), "body": "base"}), SimpleNamespace(**{**vars(pair), "shapes": None})):
-        same, told = with_measured_modes(stated, SimpleNamespace(elastic=(PLATE,)), (other,))
-        assert told == ()
+        same, reported = with_measured_modes(stated, SimpleNamespace(elastic=(PLATE,)), (other,))
+        assert reported == ()
         assert pulled(same) == pulled(stated)
 
 
@@ -217,6 +218,7 @@ def test_check_tells_of_a_table_that_tells_no_surface(make_campaign):
     )
     folder = make_campaign(replace=(("rig.toml", "[[part]]", block),))
     (folder.parent / "mode.csv").write_text("x,y,z,ux,uy\n1,2,3,4,5\n", encoding="utf-8")
-    told = _measured_modes(load_manifest(folder), (load_manifest(folder),))
-    assert told[0] == ["stereo top measures modes of the load: plate: mode 1"]
-    assert "mode.csv" in told[1][0]
+    reported = _measured_modes(load_manifest(folder), (load_manifest(folder),))
+    assert len(reported[0]) == 1
+    assert "plate: mode 1" in reported[0][0]
+    assert "mode.csv" in reported[1][0]

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -37,7 +39,7 @@ def test_sines_noise_and_drift_are_no_step(seed, frames, drift_m):
 def test_a_step_beyond_all_motion_is_refused_with_its_frames(at, axis):
     time_s, position = motion(1)
     position[at:, axis] += 8e-3
-    with pytest.raises(ComputeError, match=rf"lies 8 mm elsewhere .* \({at - 1} and {at}, from 0\)"):
+    with pytest.raises(ComputeError, match=rf"\b8 mm .*\b{at - 1} and {at}\b"):
         _step("top", time_s, position, FREQUENCY_HZ)
 
 
@@ -46,15 +48,14 @@ def test_a_small_step_is_told():
     position[25:, 0] += 1e-5
     (notice,) = _step("top", time_s, position, FREQUENCY_HZ)
     assert notice.severity == "warning"
-    assert "0.00996 mm elsewhere from one frame to the next (24 and 25, from 0)" in notice.text
+    assert re.search(r"\b0\.00996 mm .*\b24 and 25\b", notice.text)
 
 
 def test_frames_too_few_to_tell_are_told():
     (notice,) = _step("top", *motion(1, 8), FREQUENCY_HZ)
     needed = 2 * len(FREQUENCY_HZ) + 7
     assert notice.severity == "note"
-    assert notice.text.startswith("8 frames are too few to tell whether its body stayed elsewhere")
-    assert notice.text.endswith(f"that takes {needed}")
+    assert re.search(rf"\b8 .*\b{needed}\b", notice.text)
     assert _step("top", *motion(1, needed), FREQUENCY_HZ) == []
 
 
@@ -62,7 +63,7 @@ def test_lost_frames_keep_their_numbers():
     time_s, position = motion(3)
     position[[4, 20]] = np.nan
     position[21:, 1] -= 5e-3
-    with pytest.raises(ComputeError, match=r"\(19 and 21, from 0\)"):
+    with pytest.raises(ComputeError, match=r"\b19 and 21\b"):
         _step("top", time_s, position, FREQUENCY_HZ)
 
 
@@ -77,5 +78,5 @@ def test_a_displaced_pair_is_left_out_by_name(tmp_path):
     table.write_text("\n".join([head, *(",".join(row) for row in moved)]) + "\n")
     evaluation = evaluated(recording)
     assert [result.name for result in evaluation.stereo] == ["base"]
-    (text,) = [notice.text for notice in evaluation.notices if "top is left out" in notice.text]
-    assert "8 mm elsewhere from one frame to the next (19 and 20, from 0)" in text
+    texts = [notice.text for notice in evaluation.notices if re.search(r"\btop\b", f"{notice.where} {notice.text}")]
+    assert any(re.search(r"\b8 mm .*\b19 and 20\b", text) for text in texts)

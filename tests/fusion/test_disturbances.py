@@ -22,6 +22,14 @@ from fusion.sensitivity.disturbances import (
 )
 from fusion.sensitivity.moving_body import load_body
 from fusion.sensitivity.ratio import Sensitivity
+from fusion.sensitivity.sensitivity_notices import (
+    BASE_STRAIN_NOT_ASSESSED,
+    CABLES_NOT_ASSESSED,
+    OUTPUT_LAGS,
+    OUTPUT_LEADS_LOAD,
+    SUPPORT_MOTION_NOT_ASSESSED,
+    TEMPERATURE_NOT_ASSESSED,
+)
 from shaker.labels import LOAD_COMPONENTS
 from shaker.sine.phasor import Phasors
 
@@ -131,15 +139,18 @@ def test_what_the_rig_does_not_state_is_said_to_be_missing():
     rig = Rig(format=1, name="r", sensor=SENSOR, load=LOAD, environment=known)
     assert not list(not_assessed(rig, laser, load_body(rig, ()), 80.0))
     silent = rig.model_copy(update={"environment": None, "load": LOAD.model_copy(update={"cable_stiffness": None})})
-    (notice,) = not_assessed(silent, laser, load_body(silent, ()), 80.0)
-    assert "temperature of the sensor" in notice.text
-    assert "strain of the sensor's foot by bending of what it stands on (environment.base_strain)" in notice.text
-    assert "nothing here can show it" in notice.text
-    # 1 kN/m beside 5 kg: 1000/(5·(2π·80)²) = 0.0792 %; at 800 Hz a hundredth of that, not worth a word.
-    assert "1000 N/m would change the force by 0.08% at 80 Hz" in notice.text
-    (notice,) = not_assessed(silent, [*laser, *other], load_body(silent, ()), 800.0)
-    assert "only accelerometers on the load" in notice.text
-    assert "N/m" not in notice.text
+    notices = {notice.code: notice for notice in not_assessed(silent, laser, load_body(silent, ()), 80.0)}
+    temperature, cables = notices[TEMPERATURE_NOT_ASSESSED.code], notices[CABLES_NOT_ASSESSED.code]
+    assert temperature.values["share"] == pytest.approx(1e-4 * 5.0)
+    assert "`environment.base_strain` is" in notices[BASE_STRAIN_NOT_ASSESSED.code].values["missing"]
+    assert "no instrument" in notices[SUPPORT_MOTION_NOT_ASSESSED.code].values["detectable"]
+    # 1 kN/m on 5 kg: 1000/(5·(2π·80)²) = 0.0792 %; at 800 Hz a hundredth of that, which is not reported.
+    assert cables.values["share"] == pytest.approx(1000.0 / (5.0 * (2.0 * np.pi * 80.0) ** 2), rel=1e-6)
+    assert "0.08%" in cables.possible_size
+    both = [*laser, *other]
+    notices = {notice.code: notice for notice in not_assessed(silent, both, load_body(silent, ()), 800.0)}
+    assert "accelerometers" in notices[SUPPORT_MOTION_NOT_ASSESSED.code].values["detectable"]
+    assert CABLES_NOT_ASSESSED.code not in notices
 
 
 def test_cables_carry_part_of_the_force():
@@ -159,16 +170,16 @@ def test_cables_carry_part_of_the_force():
 
 
 @pytest.mark.parametrize(
-    ("turn_rad", "stated", "asked"),
+    ("turn_rad", "stated", "expected"),
     [
-        (-20e-3, {}, "lags the load by 20 mrad at 80 Hz, as much as 39.8 us"),
-        (np.pi + 12e-3, {}, "leads the load by 12 mrad"),
+        (-20e-3, {}, (OUTPUT_LAGS.code, 20.0)),
+        (np.pi + 12e-3, {}, (OUTPUT_LEADS_LOAD.code, 12.0)),
         (-3e-3, {}, None),
         (-20e-3, {"delay": 4e-5}, None),
         (-20e-3, {"delay_uncertainty": 1e-6}, None),
     ],
 )
-def test_an_amplifier_that_nobody_states_is_asked_for(turn_rad, stated, asked):
+def test_an_unstated_amplifier_is_reported(turn_rad, stated, expected):
     entry = ChannelEntry(name="bridge", quantity="output", channel="Fz", **stated)
     value = np.full((2, 1, 6), np.nan, dtype=np.complex128)
     value[:, 0, 2] = 7e-7 * np.exp(1j * turn_rad)
@@ -177,8 +188,11 @@ def test_an_amplifier_that_nobody_states_is_asked_for(turn_rad, stated, asked):
         FREQUENCY_HZ, value, ((0, 2),), Uncertainty((spread,), ()), ("Fz",), LOAD_COMPONENTS, "V/V",
         ("ratio", "harmonic"), (),
     )  # fmt: skip
-    told = [notice.text for notice in unstated_chain(found, [entry], 2, signed=True)]
-    assert len(told) == (asked is not None)
-    assert all(f"output bridge {asked}" in text for text in told)
+    notices = list(unstated_chain(found, [entry], 2, signed=True))
+    assert len(notices) == (expected is not None)
+    for notice in notices:
+        assert (notice.code, notice.values["output"]) == (expected[0], "bridge")
+        assert notice.values["lag_mrad"] == pytest.approx(expected[1])
+        assert notice.values["lag_us"] == pytest.approx(1e3 * expected[1] / (2.0 * np.pi * 80.0))
     assert list(unstated_chain(None, [entry], 2, signed=True)) == []
     assert list(unstated_chain(found, [entry], 0, signed=True)) == []

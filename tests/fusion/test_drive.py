@@ -14,6 +14,7 @@ from support import AT_ORIGIN, block, channel, evaluated, recording_head, write_
 
 from fusion.cli import main
 from fusion.errors import ComputeError
+from fusion.phasors.phasor_notices import LINE_UNSTEADY, LINES_UNRESOLVED, PAIR_REJECTED
 from fusion.phasors.steadiness import line_stationarity, stationarity_notices
 from fusion.report.recording_report import write_h5
 from fusion.report.tables import drift_table
@@ -91,9 +92,11 @@ def test_the_change_over_each_record_is_found_and_told(grown):
     assert abs(pair.phase_rad) < 4.0 * pair.u_phase_rad
     assert laser.whole
     assert pair.whole
-    (told,) = (notice for notice in grown.notices if "changes over the record" in notice.text)
-    assert told.severity == "warning"
-    assert "the amplitude at 106.25 Hz changes over the record: +0.55 % in laser" in told.text
+    (notice,) = (notice for notice in grown.notices if notice.code == LINE_UNSTEADY.code)
+    assert notice.severity == "warning"
+    assert notice.values["quantity"] == "amplitude"
+    assert notice.values["frequency_hz"] == pytest.approx(106.25, rel=1e-6)
+    assert notice.values["changes"].startswith("+0.55 % in laser")
     table = drift_table(grown)
     assert [row[0] for row in table.rows] == [laser.name, pair.name]
     assert "0.552" in table.rows[0][4]
@@ -115,7 +118,7 @@ def test_a_steady_drive_at_a_clear_rate_needs_no_notice(tmp_path):
     assert len(changes) == 2
     assert stationarity_notices(changes) == ()
     assert len(steady.stereo) == 1
-    assert not [notice for notice in steady.notices if "dropped" in notice.text]
+    assert not [notice for notice in steady.notices if notice.where.startswith("stereo pair base, 106.25 Hz")]
 
 
 def test_the_rate_of_a_tied_clock_is_part_of_a_phase(grown):
@@ -138,16 +141,16 @@ def test_the_rate_of_the_trigger_is_part_of_a_phase_that_frames_show(grown):
     # A drift of twice that is none.
     drifted = replace(vague, amplitude=0.0, phase_rad=2.0 * vague.u_phase_rad, wander=0.0)
     assert stationarity_notices((drifted,)) == ()
-    assert "drifts" in stationarity_notices((replace(drifted, phase_rad=50.0 * vague.u_phase_rad),))[0].text
+    (notice,) = stationarity_notices((replace(drifted, phase_rad=50.0 * vague.u_phase_rad),))
+    assert (notice.code, notice.values["quantity"]) == (LINE_UNSTEADY.code, "phase")
 
 
 def test_a_vibrometer_goes_on_where_the_cameras_lose_the_line(tmp_path):
     evaluation = evaluated(recording(tmp_path, FOLDING_HZ, laser=True))
     assert evaluation.stereo == ()
-    texts = [notice.text for notice in evaluation.notices]
-    assert any("106.25 Hz is dropped" in text and "onto zero" in text for text in texts)
-    assert any("a camera rate of" in text for text in texts)  # that cures it
-    assert "stereo pair base is left out: its camera rate tells no line of the recording apart" in texts
+    assert any(notice.where == "stereo pair base, 106.25 Hz" for notice in evaluation.notices)
+    rejected = [notice for notice in evaluation.notices if notice.code == PAIR_REJECTED.code]
+    assert [notice.where for notice in rejected] == ["stereo pair base"]
     (fused,) = [a for a in evaluation.accelerations if a.source == "fused"]
     expected = AMPLITUDE_M * (2.0 * np.pi * DRIVEN_HZ) ** 2
     assert abs(abs(fused.phasors.value[0, 2]) / expected - 1.0) < 1e-3
@@ -156,9 +159,8 @@ def test_a_vibrometer_goes_on_where_the_cameras_lose_the_line(tmp_path):
 def test_a_harmonic_that_folds_onto_zero_is_left_to_the_laser(tmp_path):
     evaluation = evaluated(recording(tmp_path, 0.75 * DRIVEN_HZ, laser=True, harmonics=[3], overtone=0.2))
     assert evaluation.stereo[0].usable.tolist() == [True, False]
-    dropped = [notice.text for notice in evaluation.notices if "dropped" in notice.text]
-    assert len(dropped) == 1
-    assert "318.75 Hz is dropped" in dropped[0]
+    rejected = [notice for notice in evaluation.notices if notice.where.startswith("stereo pair base, ")]
+    assert [notice.where for notice in rejected] == ["stereo pair base, 318.75 Hz"]
     (fused,) = [a for a in evaluation.accelerations if a.source == "fused"]
     omega = 2.0 * np.pi * DRIVEN_HZ
     expected = -AMPLITUDE_M * np.array([1.0, 0.2 * 9.0]) * omega**2
@@ -168,9 +170,10 @@ def test_a_harmonic_that_folds_onto_zero_is_left_to_the_laser(tmp_path):
 
 def test_cameras_alone_fail_in_one_sentence(tmp_path, capsys):
     place = recording(tmp_path, FOLDING_HZ, laser=False)
-    refused(r"no instrument sees the motion .* at 106\.25 Hz .*a camera rate of", evaluated, place, error=ComputeError)
+    error = refused("106[.]25 Hz", evaluated, place, error=ComputeError)
+    assert (error.code, error.values["frequencies"]) == (LINES_UNRESOLVED.code, "106.25 Hz")
     assert main(["run", str(place), "--quiet"]) == 1
-    told = capsys.readouterr().err.strip()
-    assert told.count("\n") == 0
-    assert "folds to" in told
-    assert "Traceback" not in told
+    reported = capsys.readouterr().err.strip()
+    assert reported.count("\n") == 0
+    assert LINES_UNRESOLVED.code in reported
+    assert "Traceback" not in reported

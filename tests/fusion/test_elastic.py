@@ -32,6 +32,12 @@ from fusion.sensitivity.elastic import (
 from fusion.sensitivity.load_phasors import likely_frequencies, load_phasors
 from fusion.sensitivity.monte_carlo import propagate
 from fusion.sensitivity.moving_body import Body, elastic_part, load_body
+from fusion.sensitivity.sensitivity_notices import (
+    ELASTIC_CORRECTED,
+    ELASTIC_ONLY_NAMED,
+    LOAD_MAY_DEFORM,
+    POSITION_UNSTATED,
+)
 from shaker.labels import MOTION_COMPONENTS, component_units
 from shaker.sine.phasor import Phasors
 
@@ -267,19 +273,20 @@ def write_rod(folder: Path, frequency: float, elastic: str) -> Path:
 def test_a_rod_of_15_cm_is_corrected_at_1_khz_or_noticed(tmp_path):
     blocks = {"stated": block("[load.elastic]", **STEEL_ROD), "nothing": "", "first": "first_frequency = 8412.0\n"}
     blocks["named"] = block("[load.elastic]", **{k: v for k, v in STEEL_ROD.items() if "uncertainty" not in k})
-    error, expanded, texts = {}, {}, {}
+    error, expanded, codes = {}, {}, {}
     for name, elastic in blocks.items():
         (tmp_path / name).mkdir()
         evaluation = evaluated(write_rod(tmp_path / name, 1000.0, elastic))
         error[name] = evaluation.sensitivity.value[0, 0, 2] / SENSITIVITY - 1.0
         expanded[name] = 2.0 * np.sqrt(evaluation.sensitivity.covariance[0, 0, 2, 0, 0]) / SENSITIVITY
-        texts[name] = " ".join(notice.text for notice in evaluation.notices)
+        codes[name] = {notice.code: notice for notice in evaluation.notices}
     assert abs(error["stated"]) < 3e-4
-    assert "the load is elastic: rod (" in texts["stated"]
-    assert "is stated without any uncertainty, so it is only named" in texts["named"]
+    assert "rod" in codes["stated"][ELASTIC_CORRECTED.code].values["parts"]
+    assert "rod" in codes["named"][ELASTIC_ONLY_NAMED.code].values["part"]
     for name in ("nothing", "first", "named"):
         assert error[name].real == pytest.approx(wave(1000.0) - 1.0, abs=3e-4)
-    assert {name for name in blocks if "may not be rigid at 1000 Hz" in texts[name]} == {"nothing"}
+    assert {name for name in blocks if LOAD_MAY_DEFORM.code in codes[name]} == {"nothing"}
+    assert codes["nothing"][LOAD_MAY_DEFORM.code].values["frequency_hz"] == pytest.approx(1000.0, rel=1e-6)
     assert expanded["nothing"] < 4e-4 < abs(error["nothing"])
     assert all(abs(error[name]) < expanded[name] < 0.02 for name in ("stated", "first", "named"))
     # Of the correction of 0.58 % the modulus is known to 2 %, so the correction too.
@@ -367,7 +374,7 @@ def test_a_camera_on_the_top_of_a_bending_rod(shape, frequency):
     np.testing.assert_allclose(load.value[0, [0, 4]], reaction, rtol=2e-4)
     rigid = load_phasors(fuse((camera.observation(),)), body.rigid)
     assert abs(rigid.value[0, 0] / reaction[0] - 1.0) > 2e-3
-    assert any("may not be rigid" in notice.text for notice in rigid.notices)
+    assert LOAD_MAY_DEFORM.code in {notice.code for notice in rigid.notices}
 
 
 def test_the_monte_carlo_run_draws_what_the_first_order_says():
@@ -419,7 +426,7 @@ def test_estimates_from_mass_and_size_alone():
 
 
 def test_a_compact_load_at_80_hz_is_rigid(demo_evaluation):
-    assert not any("rigid" in notice.text for notice in demo_evaluation.notices)
+    assert LOAD_MAY_DEFORM.code not in {notice.code for notice in demo_evaluation.notices}
 
 
 @pytest.mark.parametrize(
@@ -440,12 +447,12 @@ def test_a_compact_load_at_80_hz_is_rigid(demo_evaluation):
         (
             'shape = "rod"\nlength = 0.1\ndiameter = 0.02\nyoung_modulus = 2e11\ndensity = 7e3\nmeasured_by = ["base"]'
             "\nfrequencies_uncertainty = 0.1",
-            r"elastic\.rod\.measured_by: expected a stereo pair of two cameras that sees the load \(top\), found base",
+            r"elastic\.rod\.measured_by: .*top.*base",
         ),
         (
             'shape = "modes"\nmeasured_by = ["top"]\nfrequencies_uncertainty = 0.1\n[[load.elastic.mode]]\n'
             "frequency = 900.0\nparticipation = [0, 0, 1, 0, 0, 0]\ndisplacement = { top = [0, 0, 1] }",
-            r"elastic\.rod\.measured_by: expected the surface of at least one mode",
+            r"elastic\.rod\.measured_by: .*surface",
         ),
     ],
 )
@@ -463,9 +470,10 @@ def test_a_bound_beside_modes_and_a_place_without_a_shape_are_refused(make_campa
             ("rig.toml", "mass = 6.9605 ", "first_frequency = 3000\nmass = 6.9605 "),
         )
     )
-    refused("load.first_frequency: expected either the modes", load_manifest, folder, error=InputError)
+    refused("load[.]first_frequency: ", load_manifest, folder, error=InputError)
     mode = {"frequency": 900.0, "participation": [0.0] * 6, "displacement": {"elsewhere": [0.0, 0.0, 1.0]}}
     table = {"name": "m", "shape": "modes", "mode": [mode]}
     parts = (elastic_part(RigLoad.model_validate(LOAD | {"elastic": [table]}).elastic[0]),)
     seen = observe_channels(laser_readings(np.array([1.0 + 0j]), np.array([100.0])))
-    refused("does not tell how a0 moves", elastic_rows, seen, parts, error=ComputeError)
+    error = refused("a0", elastic_rows, seen, parts, error=ComputeError)
+    assert (error.code, error.values["instrument"]) == (POSITION_UNSTATED.code, "a0")

@@ -31,6 +31,12 @@ from fusion.sensor.elastomer.element_evaluation import (
     solid_shapes,
     spread,
 )
+from fusion.sensor.elastomer.element_notices import (
+    BLOCK_THICKNESS_MISSING,
+    PLATFORM_AS_STATED,
+    SOLID_PACKAGE_MISSING,
+    SOLID_REFUSED,
+)
 from fusion.simulate.statics import write_element
 from shaker.elastomer.frame import MODE_NAMES
 from shaker.lti.system import ModalModel
@@ -47,10 +53,10 @@ def simulated(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture(scope="module")
 def evaluated(simulated: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str]:
     """The command's folder of results, and what it printed."""
-    out, told = tmp_path_factory.mktemp("evaluated") / "results", StringIO()
-    with redirect_stdout(told):
+    out, printed = tmp_path_factory.mktemp("evaluated") / "results", StringIO()
+    with redirect_stdout(printed):
         assert main(["elastomer", str(simulated), "-q", "-o", str(out)]) == 0
-    return out, told.getvalue()
+    return out, printed.getvalue()
 
 
 @pytest.fixture
@@ -63,7 +69,7 @@ def element(simulated: Path, tmp_path: Path) -> Path:
 
 
 @pytest.fixture
-def no_pictures(monkeypatch: pytest.MonkeyPatch, no_pages: None) -> None:
+def no_figures(monkeypatch: pytest.MonkeyPatch, no_pages: None) -> None:
     """Leave page and pictures empty where they are not what is tested."""
     monkeypatch.setattr("fusion.sensor.elastomer.element_report.mode_shape_figures", lambda _: {})
 
@@ -87,8 +93,8 @@ def _evaluate(folder: Path, *, solid: bool = False, **changes: object) -> Elemen
     return evaluate_element(read_definition(folder / "elastomer.toml"), {}, solid=solid)
 
 
-def test_command_writes_a_folder_that_holds_what_it_prints(simulated, evaluated):
-    out, told = evaluated
+def test_command_writes_the_results_that_it_prints(simulated, evaluated):
+    out, printed = evaluated
     names = {"comparison.csv", "modes.csv", "stiffness.csv", "statics.csv", "platform.csv", "elastomer.h5"}
     assert {file.name for file in out.iterdir()} == names | {"elastomer.html", "shapes-frame.png"}
     assert (out / "shapes-frame.png").read_bytes().startswith(b"\x89PNG")
@@ -106,14 +112,14 @@ def test_command_writes_a_folder_that_holds_what_it_prints(simulated, evaluated)
     family = rows(out / "platform.csv")
     assert float(family[2]["mass_kg"]) == pytest.approx(5.34e-3, rel=0.01)
     assert max(float(row["largest_misfit"]) for row in family) < 1e-6
-    assert f"{comparison['frame', 'Rz']:.1f}" in told
+    assert f"{comparison['frame', 'Rz']:.1f}" in printed
     with h5py.File(out / "elastomer.h5") as file:
         assert file["frame/modes/frequency_hz"][()].tolist() == [comparison["frame", name] for name in MODE_NAMES]
         assert file["frame/node_motion"].shape[1] == 6
         assert "provenance" in file
 
 
-def test_simulator_replaces_its_own_element_and_nothing_else(tmp_path, capsys):
+def test_simulator_replaces_only_simulated_elements(tmp_path, capsys):
     out = tmp_path / "element"
     simulate = ["simulate", str(out), "--preset", "elastomer", "--force", "--seed"]
     assert main([*simulate, "1"]) == 0
@@ -124,9 +130,9 @@ def test_simulator_replaces_its_own_element_and_nothing_else(tmp_path, capsys):
     (out / "notes.txt").write_text("mine")
     capsys.readouterr()
     assert main([*simulate, "3"]) == 2
-    said = capsys.readouterr().err
-    assert "notes.txt" in said
-    assert len(said.strip().splitlines()) == 1
+    refusal = capsys.readouterr().err
+    assert "notes.txt" in refusal
+    assert len(refusal.strip().splitlines()) == 1
     assert (out / "notes.txt").read_text() == "mine"
     assert (out / "truth.json").read_text() == second
 
@@ -134,22 +140,21 @@ def test_simulator_replaces_its_own_element_and_nothing_else(tmp_path, capsys):
 def test_page_is_whole(evaluated):
     text = (evaluated[0] / "elastomer.html").read_text(encoding="utf-8")
     self_contained(text)
-    for heading in ("Mode shapes", "Stiffness", "Mounted", "Tolerances"):
-        assert f"<h2>{heading}</h2>" in text
+    assert len(re.findall("<h2>", text)) >= 4
 
 
-@pytest.mark.usefixtures("no_pictures")
+@pytest.mark.usefixtures("no_figures")
 def test_second_run_replaces_its_results_only(element):
     assert main(["elastomer", str(element / "elastomer.toml"), "-q"]) == 0
     assert main(["elastomer", str(element), "-q"]) == 0
-    (element / "elastomer" / "mine.txt").write_text("kept", encoding="utf-8")
+    (element / "elastomer" / "mine.txt").write_text("mine", encoding="utf-8")
     _edit(element, name="another")
     assert main(["elastomer", str(element), "-q"]) == 0  # of an edited definition
-    assert (element / "elastomer" / "mine.txt").read_text(encoding="utf-8") == "kept"
+    assert (element / "elastomer" / "mine.txt").read_text(encoding="utf-8") == "mine"
 
 
 @pytest.mark.slow
-def test_solid_stands_beside_the_frame(element):
+def test_solid_agrees_with_the_frame(element):
     pytest.importorskip("skfem")
     _edit(element, solid={"refinements": [1, 2]}, platform={"half_size": 0.008, "thickness": 0.006})
     evaluation = _evaluate(element, solid=True, beams={"span": 0.04}, compliant_beams={"length": 0.016})
@@ -170,27 +175,30 @@ def test_platform_as_data_is_its_block(element):
     first = _evaluate(element)
     block = first.definition.platform
     data = {"mass": block.mass_kg, "inertia": block.inertia_kgm2.tolist(), "thickness": None}
-    again = _evaluate(element, platform=data)
-    assert again.frame.modes.frequency_hz == pytest.approx(first.frame.modes.frequency_hz, rel=1e-12)
-    assert any("taken as stated" in notice.text for notice in again.notices)
-    with pytest.raises(InputError, match=r"platform\.thickness"):
+    as_data = _evaluate(element, platform=data)
+    assert as_data.frame.modes.frequency_hz == pytest.approx(first.frame.modes.frequency_hz, rel=1e-12)
+    assert PLATFORM_AS_STATED.code in {notice.code for notice in as_data.notices}
+    with pytest.raises(InputError) as caught:
         _evaluate(element, solid=True)
+    assert (caught.value.code, caught.value.key) == (BLOCK_THICKNESS_MISSING.code, "platform.thickness")
 
 
-def test_a_solid_that_cannot_be_computed_says_what_to_do(element, monkeypatch):
+def test_error_of_a_solid_that_cannot_be_computed_has_a_remedy(element, monkeypatch):
     pytest.importorskip("skfem")
-    with pytest.raises(InputError, match=r"elastomer\.toml: platform\.height: expected a block that the beams reach"):
+    with pytest.raises(InputError) as caught:
         _evaluate(element, solid=True, platform={"height": 0.02})
+    assert (caught.value.code, caught.value.key) == (SOLID_REFUSED.code, "platform.height")
     monkeypatch.setitem(sys.modules, "skfem", None)
-    with pytest.raises(InputError, match=r'pip install "shakercal\[solid\]"'):
+    with pytest.raises(InputError) as caught:
         _evaluate(element, solid=True, platform={"height": 0.0})
+    assert (caught.value.code, str(caught.value.file)) == (SOLID_PACKAGE_MISSING.code, "--solid")
 
 
 def test_a_hand_as_a_part_lowers_every_frequency(element):
     hand = {"name": "hand", "mass": 0.1, "centre_of_mass": 0.01, "inertia": [1e-5, 1e-5, 1e-5]}
-    bare, held = _evaluate(element), _evaluate(element, part=[hand])
-    assert np.all(held.frame.modes.frequency_hz < bare.frame.modes.frequency_hz)
-    assert held.frame.stiffness == pytest.approx(bare.frame.stiffness, rel=1e-12)
+    bare, with_hand = _evaluate(element), _evaluate(element, part=[hand])
+    assert np.all(with_hand.frame.modes.frequency_hz < bare.frame.modes.frequency_hz)
+    assert with_hand.frame.stiffness == pytest.approx(bare.frame.stiffness, rel=1e-12)
 
 
 def test_spread_is_that_of_the_published_table():
@@ -208,8 +216,8 @@ def test_spread_is_that_of_the_published_table():
 
 def test_dominant_mode_is_the_one_that_swings_most():
     residue, none = np.array([10.0j, 500.0j]), np.zeros(0)
-    known = np.diag(np.arange(1.0, 9.0))
-    model = ModalModel(np.array([900.0, 1700.0]), np.array([0.01, 0.02]), residue, none, none, known)
+    covariance = np.diag(np.arange(1.0, 9.0))
+    model = ModalModel(np.array([900.0, 1700.0]), np.array([0.01, 0.02]), residue, none, none, covariance)
     assert dominant(model) == (1700.0, pytest.approx(np.sqrt(2.0)))
 
 
@@ -222,27 +230,27 @@ def test_models_that_are_missing_leave_a_gap(element):
 
 
 @pytest.mark.parametrize(
-    ("changes", "said"),
+    ("changes", "key"),
     [
-        ({"beams": {"widht": 0.004}}, 'beams.widht: expected a known key, probably "width"'),
-        ({"beam": {"width": 0.004}}, 'beam: expected a known key, probably "beams"'),
-        ({"beams": {"span": -1.0}}, "beams.span: expected a number above 0"),
+        ({"beams": {"widht": 0.004}}, "beams.widht"),
+        ({"beam": {"width": 0.004}}, "beam"),
+        ({"beams": {"span": -1.0}}, "beams.span"),
         ({"material": {"poisson_ratio": 0.5}}, "material.poisson_ratio"),
-        ({"platform": {"half_size": 0.04}}, "platform: expected a half-size below half the span"),
-        ({"platform": {"mass": 0.01}}, "platform.inertia: expected mass and inertia together"),
-        ({"platform": {"thickness": None}}, "platform.thickness: expected the thickness of the block"),
-        ({"platform": {"mass": 0.01, "inertia": [1.0, 1.0, 5.0]}}, "platform.inertia: expected three moments"),
-        ({"solid": {"refinements": [2, 1]}}, "solid.refinements: expected two or more whole numbers"),
-        ({"fit": {"half_sizes": [0.01], "frequencies": {"Tx": 1.0}}}, "fit.frequencies: expected Tz, Rz"),
-        ({"fit": {"half_sizes": [], "frequencies": {"Tx": 1.0}}}, "fit.half_sizes: expected a list of numbers"),
-        ({"mounting": {"direction": "x"}}, "mounting.direction: expected"),
-        ({"measured": "missing.json"}, "measured: expected an existing file"),
-        ({"stated": [{"name": "a"}, {"name": "a"}]}, 'stated: expected different names, found "a" twice'),
+        ({"platform": {"half_size": 0.04}}, "platform"),
+        ({"platform": {"mass": 0.01}}, "platform.inertia"),
+        ({"platform": {"thickness": None}}, "platform.thickness"),
+        ({"platform": {"mass": 0.01, "inertia": [1.0, 1.0, 5.0]}}, "platform.inertia"),
+        ({"solid": {"refinements": [2, 1]}}, "solid.refinements"),
+        ({"fit": {"half_sizes": [0.01], "frequencies": {"Tx": 1.0}}}, "fit.frequencies"),
+        ({"fit": {"half_sizes": [], "frequencies": {"Tx": 1.0}}}, "fit.half_sizes"),
+        ({"mounting": {"direction": "x"}}, "mounting.direction"),
+        ({"measured": "missing.json"}, "measured"),
+        ({"stated": [{"name": "a"}, {"name": "a"}]}, "stated"),
     ],
 )
-def test_wrong_input_is_told_in_one_sentence(element, changes, said, refused):
+def test_wrong_input_is_refused_in_one_sentence(element, changes, key, refused):
     _edit(element, **changes)
-    assert f"elastomer.toml: {said}" in refused("elastomer", element, "-q")
+    assert f"elastomer.toml: {key}: " in refused("elastomer", element, "-q")
     assert not (element / "elastomer").exists()
 
 

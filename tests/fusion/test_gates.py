@@ -117,47 +117,47 @@ FLOODS = {
     "a long key": (f'"{"k" * 5000}" = 1', "at most 4096 characters"),
     "NUL": ('x = "a\\u0000b"', r'without control characters, found the text "a\\u0000b"'),
     "an escape": ('x = ["a", "\\u001b[31m"]', r'x\[2\]: .*found the text "\\u001b\[31m"'),
-    "writing from the right": ('x = "a\\u202eb"', "without control characters"),
+    "writing from the right": ('x = "a\\u202eb"', "x: "),
     "a key with an escape": ('"\\u001b" = 1', r"found the name \\u001b"),
-    "a number that overflows": ("x = 1e300", "0 or a size of 1e-100 to 1e[+]30, found 1e[+]300"),
-    "a number that vanishes": ("x = 1e-300", "0 or a size of 1e-100"),
-    "a whole number that overflows": ("x = " + "9" * 4000, "found a whole number of hundreds of digits"),
+    "a number that overflows": ("x = 1e300", "1e-100 .*1e[+]30.* 1e[+]300"),
+    "a number that vanishes": ("x = 1e-300", "1e-100"),
+    "a whole number that overflows": ("x = " + "9" * 4000, "x: "),
     "no whole number": ("x = " + "9" * 5000, "TOML"),
     "too much": ("x = 1\n" * (LARGEST_TOML // 6 + 1), f"at most {LARGEST_TOML} bytes"),
 }
 
 
 @pytest.mark.parametrize(
-    ("encoded", "told"),
+    ("encoded", "pattern"),
     [
         (lambda text: text.replace("\n", "\r\n").encode(), None),
         (lambda text: text.encode("utf-8-sig"), None),
         (lambda text: text.replace("\n", "\r\n").encode("utf-8-sig"), None),
-        (lambda text: text.encode("utf-16"), "found UTF-16"),
+        (lambda text: text.encode("utf-16"), "UTF-16"),
         (lambda text: text.encode("utf-16-be"), "TOML|encoding"),
-        (lambda text: text.encode("cp1252"), "found a letter of another encoding in line 2, such as code page 1252"),
-        (lambda text: text.replace("\n", "\r").encode(), "expected TOML, found "),
+        (lambda text: text.encode("cp1252"), "line 2.* 1252"),
+        (lambda text: text.replace("\n", "\r").encode(), "TOML"),
     ],
 )
-def test_manifests_of_editors_of_other_systems(encoded, told, tmp_path):
+def test_manifests_of_editors_of_other_systems(encoded, pattern, tmp_path):
     """Line ends and byte order marks of Windows are read; another encoding is one sentence."""
     text = 'format = 1\nname = "Prüfstand"\n\n[load]\nmass = 1.5\n'
     path = tmp_path / "rig.toml"
     path.write_bytes(encoded(text))
-    if told is None:
+    if pattern is None:
         assert read_toml(path) == {"format": 1, "name": "Prüfstand", "load": {"mass": 1.5}}
         return
-    with pytest.raises(InputError, match=rf"rig\.toml: .*({told})") as error:
+    with pytest.raises(InputError, match=rf"rig\.toml: .*({pattern})") as error:
         read_toml(path)
     assert str(error.value).isprintable()
 
 
 @pytest.mark.parametrize("what", list(FLOODS))
 def test_what_no_manifest_holds_is_refused_at_once(what, tmp_path):
-    content, told = FLOODS[what]
+    content, pattern = FLOODS[what]
     path = tmp_path / "rig.toml"
     path.write_text(content, encoding="utf-8")
-    with pytest.raises(InputError, match=told) as error:
+    with pytest.raises(InputError, match=pattern) as error:
         read_toml(path)
     assert str(error.value).isprintable()
     assert len(str(error.value)) < 600 + len(str(path))
@@ -202,41 +202,46 @@ def test_devices_pipes_and_circles_are_no_files(command, place, tmp_path, capsys
 
 
 UNITS = [
-    # file, old, new, what is said
-    ("rig.toml", "mass = 6.9605", "mass = 6960.5", "load.mass: expected a mass in kg .* denser than any metal"),
-    ("rig.toml", "mass = 6.9605", "mass = 696050.0", r"load.mass: expected at most 100000 kg, found .*if meant in g"),
-    ("rig.toml", "[0.0, 0.0, 0.0310]]", "[0.0, 0.0, 0.0310e6]]", r"load.inertia: expected"),
-    ("rig.toml", "centre_of_mass = [0.0, 0.0, 0.010]", "centre_of_mass = [0.0, 0.0, 10.0]", r"0.01 m if meant in mm"),
-    ("rig.toml", "translation = [0.0, 0.0, 0.30]", "translation = [0.0, 0.0, 300.0]", r"0.3 m if meant in mm"),
-    ("rig.toml", "exposure = 40e-6", "exposure = 40", r"stereo.top.exposure: .*0.04 s if meant in ms"),
-    ("rig.toml", "temperature = 23.0", "temperature = 296.15", "environment.temperature: expected a number of at most"),
-    ("rig.toml", "mass = 6.9605", "mass = 1e25", r"load.mass: expected at most 100000 kg, found 1e[+]25$"),
-    ("rig.toml", "scale_uncertainty = 2e-4", "scale_uncertainty = 2.0", r"at most 1, found 2 \(0.02 .*percent"),
+    # file, old, new, pattern of the error
+    ("rig.toml", "mass = 6.9605", "mass = 6960.5", "load.mass: "),
+    ("rig.toml", "mass = 6.9605", "mass = 696050.0", r"load.mass: .*100000 kg"),
+    ("rig.toml", "[0.0, 0.0, 0.0310]]", "[0.0, 0.0, 0.0310e6]]", r"load.inertia: "),
+    (
+        "rig.toml",
+        "centre_of_mass = [0.0, 0.0, 0.010]",
+        "centre_of_mass = [0.0, 0.0, 10.0]",
+        r"centre_of_mass.*0.01 m",
+    ),
+    ("rig.toml", "translation = [0.0, 0.0, 0.30]", "translation = [0.0, 0.0, 300.0]", r"translation.*0.3 m"),
+    ("rig.toml", "exposure = 40e-6", "exposure = 40", r"stereo.top.exposure: .*0.04 s"),
+    ("rig.toml", "temperature = 23.0", "temperature = 296.15", "environment.temperature: "),
+    ("rig.toml", "mass = 6.9605", "mass = 1e25", r"load.mass: .*100000 kg.*1e[+]25$"),
+    ("rig.toml", "scale_uncertainty = 2e-4", "scale_uncertainty = 2.0", r"scale_uncertainty: .*0.02"),
     (
         "recording.toml",
         "direction_uncertainty = 5e-3",
         "direction_uncertainty = 5",
-        r"0.0872665 rad if meant in degrees",
+        r"direction_uncertainty: .*0.0872665 rad",
     ),
-    ("recording.toml", "clock_uncertainty = 1e-6", "clock_uncertainty = 50", "clock_uncertainty: expected at most 1"),
-    ("recording.toml", "point = [0.030, 0.0, 0.040]", "point = [30, 0, 40]", r"0.03 m if meant in mm"),
-    ("recording.toml", "delay = 0.0 ", "delay = 40.0 ", r"delay: expected at most 10 s, found 40"),
-    ("recording.toml", "frequencies = [106.25]", "frequencies = [-106.25]", "frequencies above 0, found -106.25"),
-    ("recording.toml", "frequencies = [106.25]", f"frequencies = {list(range(1, 3000))}", "at most 2000 frequencies"),
-    ("recording.toml", 'harmonics = "auto"', "harmonics = [2, 1000000]", "multiples of at most 1000"),
+    ("recording.toml", "clock_uncertainty = 1e-6", "clock_uncertainty = 50", "clock_uncertainty: "),
+    ("recording.toml", "point = [0.030, 0.0, 0.040]", "point = [30, 0, 40]", r"point.*0.03 m"),
+    ("recording.toml", "delay = 0.0 ", "delay = 40.0 ", r"delay: .*10 s.*40"),
+    ("recording.toml", "frequencies = [106.25]", "frequencies = [-106.25]", "frequencies.*-106.25"),
+    ("recording.toml", "frequencies = [106.25]", f"frequencies = {list(range(1, 3000))}", "frequencies: .*2000"),
+    ("recording.toml", 'harmonics = "auto"', "harmonics = [2, 1000000]", "harmonics.*1000"),
     ("recording.toml", "first_edge = 0 ", "first_edge = 9999999999 ", "first_edge"),
-    ("recording.toml", "format = 1", "format = true", "format: expected 1, the version of the format, found true"),
+    ("recording.toml", "format = 1", "format = true", "format: .*1.*true"),
 ]
 
 
-@pytest.mark.parametrize(("file", "old", "new", "told"), UNITS)
-def test_a_value_of_another_unit_is_told(file, old, new, told, make_campaign):
-    with pytest.raises(InputError, match=told):
+@pytest.mark.parametrize(("file", "old", "new", "pattern"), UNITS)
+def test_a_value_of_another_unit_is_told(file, old, new, pattern, make_campaign):
+    with pytest.raises(InputError, match=pattern):
         load_manifest(make_campaign(replace=((file, old, new),)))
 
 
 @pytest.mark.parametrize(
-    ("name", "told"),
+    ("name", "pattern"),
     [
         ("CON", "device's on Windows"),
         ("nul.x", "device's on Windows"),
@@ -250,11 +255,11 @@ def test_a_value_of_another_unit_is_told(file, old, new, told, make_campaign):
         ("\N{FULLWIDTH LATIN SMALL LETTER T}op", 'differs from "top"'),
     ],
 )
-def test_names_of_stereo_pairs_are_names_of_files(name, told, make_campaign):
+def test_names_of_stereo_pairs_are_names_of_files(name, pattern, make_campaign):
     folder = make_campaign()
     text = (folder.parent / "rig.toml").read_text(encoding="utf-8")
     (folder.parent / "rig.toml").write_text(text.replace("[stereo.base]", f'[stereo."{name}"]'), encoding="utf-8")
-    with pytest.raises(InputError, match=told):
+    with pytest.raises(InputError, match=pattern):
         load_manifest(folder)
 
 
@@ -266,17 +271,17 @@ def element(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.mark.parametrize(
-    ("old", "new", "told"),
+    ("old", "new", "pattern"),
     [
-        ("span = 0.064", "span = 64.0", r"beams.span: expected at most 2 m, found 64 \(0.064 m if meant in mm\)"),
-        ("width = 0.0038", "width = 0.38", "beams.width: expected at most the side of the platform, 0.0358 m"),
-        ("length = 0.032", "length = 0.00032", "thickness: expected at most the length of the compliant beam"),
-        ("density = 2820.0", "density = 2.82", r"2820 kg/m\^3 if meant in g/cm\^3"),
-        ("youngs_modulus = 72000000000.0", "youngs_modulus = 72", "7.2e[+]10 Pa if meant in GPa"),
-        ('measured = "models.json"', 'measured = "../../secret.json"', "inside the folder above this file"),
+        ("span = 0.064", "span = 64.0", r"beams.span: .*2 m.*64 .*0.064 m"),
+        ("width = 0.0038", "width = 0.38", "beams.width: .*0.0358 m"),
+        ("length = 0.032", "length = 0.00032", "thickness: "),
+        ("density = 2820.0", "density = 2.82", r"density: .*2820 kg/m"),
+        ("youngs_modulus = 72000000000.0", "youngs_modulus = 72", "youngs_modulus: .*7.2e[+]10 Pa"),
+        ('measured = "models.json"', 'measured = "../../secret.json"', "measured: "),
     ],
 )
-def test_a_drawing_in_another_unit_is_refused(old, new, told, element, tmp_path):
+def test_a_drawing_in_another_unit_is_refused(old, new, pattern, element, tmp_path):
     text = (element / "elastomer.toml").read_text(encoding="utf-8")
     folder = tmp_path / "above" / "own"
     folder.mkdir(parents=True)
@@ -285,20 +290,20 @@ def test_a_drawing_in_another_unit_is_refused(old, new, told, element, tmp_path)
     (folder / "elastomer.toml").write_text(text, encoding="utf-8")
     read_definition(folder / "elastomer.toml")
     edit(folder / "elastomer.toml", old, new)
-    with pytest.raises(InputError, match=told):
+    with pytest.raises(InputError, match=pattern):
         read_definition(folder / "elastomer.toml")
 
 
 @pytest.mark.parametrize(
-    ("arguments", "told"),
+    ("arguments", "pattern"),
     [
-        ("--frequency 100 --modes 9", "--modes (Fx): expected 0 to 1, as many as the model has"),
-        ("--frequency 1e6 --sample-rate 10", "--sample-rate (Fx): expected at least"),
+        ("--frequency 100 --modes 9", "--modes (Fx): "),
+        ("--frequency 1e6 --sample-rate 10", "--sample-rate (Fx): "),
     ],
 )
-def test_a_wish_that_cannot_be_met_names_its_option(arguments, told, element, tmp_path, refused: RefusedCommand):
-    said = refused("compensate", element / "models.json", *arguments.split(), "-o", tmp_path / "out")
-    assert told in said
+def test_a_wish_that_cannot_be_met_names_its_option(arguments, pattern, element, tmp_path, refused: RefusedCommand):
+    error_text = refused("compensate", element / "models.json", *arguments.split(), "-o", tmp_path / "out")
+    assert pattern in error_text
     assert not (tmp_path / "out").exists()
 
 
@@ -332,9 +337,9 @@ def inputs(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", fuzz_manifests.KINDS, ids=lambda kind: kind.name)
 def test_wrong_manifests_end_with_one_sentence(kind, inputs):
-    told = fuzz_manifests.fuzzed(kind, inputs, EXAMPLES.get(kind.name, USUAL))
-    assert not told.broken
-    assert not told.unnoticed
+    found = fuzz_manifests.fuzzed(kind, inputs, EXAMPLES.get(kind.name, USUAL))
+    assert not found.broken
+    assert not found.unnoticed
 
 
 @pytest.mark.slow

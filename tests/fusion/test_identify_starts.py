@@ -1,4 +1,4 @@
-"""Identification with tied clocks: what the ties leave open is one error of all recordings that start alike."""
+"""Identification with tied clocks: the remaining time error is shared by recordings with the same start."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ TIE_S = 3e-7
 
 @pytest.fixture(scope="module")
 def prepared(tmp_path_factory: pytest.TempPathFactory) -> list[PreparedTransfer]:
-    """Two loads, twice each; of a curve nothing but its noise and loads is uncertain."""
+    """Two loads, twice each; only noise and loads of a curve are uncertain."""
     folder = write_campaign(tmp_path_factory.mktemp("starts") / "campaign", replace(SMALL, tops={"top": (0, 0, 0.1)}))
     loads = [prepare(load_manifest(folder / f"chirp-{name}"), name, BELOW_HZ)[0] for name in SMALL.loads]
     return [
@@ -48,7 +48,7 @@ def prepared(tmp_path_factory: pytest.TempPathFactory) -> list[PreparedTransfer]
 
 
 def late(item: PreparedTransfer, by_s: float, rng: np.random.Generator) -> PreparedTransfer:
-    """The curve of loads as stated, with its noise, its response late by an error of a tie of `TIE_S`."""
+    """Curve of the stated loads with noise, its response delayed by an error of a clock tie (`TIE_S`)."""
     measured, none = item.measured, Draws(0, False)
     load = true_part(SMALL.loads[measured.name[:3]], none)
     ratio = measured.ratio
@@ -60,12 +60,12 @@ def late(item: PreparedTransfer, by_s: float, rng: np.random.Generator) -> Prepa
     return replace(item, measured=replace(measured, ratio=replace(ratio, value=value), errors=errors))
 
 
-def errors_of_damping(prepared: list[PreparedTransfer], anew: bool, shared: bool, trials: int) -> np.ndarray:
-    """Errors over u of campaigns, the curves' ties named as those of one start or of their own."""
+def errors_of_damping(prepared: list[PreparedTransfer], separate_starts: bool, shared: bool, trials: int) -> np.ndarray:
+    """Errors over u of campaigns, the ties of the curves named as those of one start or of separate starts."""
     rng, found = np.random.default_rng(3), []
     for _ in range(trials):
         tie = TIE_S * rng.standard_normal(len(prepared))
-        drawn = [late(item, tie[n if anew else 0], rng) for n, item in enumerate(prepared)]
+        drawn = [late(item, tie[n if separate_starts else 0], rng) for n, item in enumerate(prepared)]
         named = [add_clock_errors(item, "first" if shared else item.measured.name) for item in drawn]
         (fit,) = joint_fits(named, IdentifySettings(internal_mass="stated"))
         damping = fit.identification["damping_z"]
@@ -74,63 +74,63 @@ def errors_of_damping(prepared: list[PreparedTransfer], anew: bool, shared: bool
 
 
 @pytest.mark.slow
-def test_damping_is_covered_however_recorders_start(prepared):
-    """Errors over u are 1 rms; named as if each recording had a tie of its own, those of one tie are half too large."""
-    ways = ((False, True), (False, False), (True, False))
-    alike, apart, anew = (errors_of_damping(prepared, *way, trials=40) for way in ways)
-    for found in (alike, anew):
+def test_u_of_damping_covers_shared_and_separate_starts(prepared):
+    """Errors over u are 1 rms; if one shared tie is named as separate ties, they are half too large."""
+    cases = ((False, True), (False, False), (True, False))
+    shared, misnamed, separate = (errors_of_damping(prepared, *case, trials=40) for case in cases)
+    for found in (shared, separate):
         assert 0.7 < np.sqrt(np.mean(found**2)) < 1.3
-    assert np.sqrt(np.mean(apart**2)) > 1.3
+    assert np.sqrt(np.mean(misnamed**2)) > 1.3
 
 
-def on_two_clocks(folders: Iterable[Path], second: str, periods: int, anew: bool) -> None:
-    """Move one channel of every recording to a block of its own, a part of a sample late, and tie both by a trigger.
+def on_two_clocks(folders: Iterable[Path], second: str, periods: int, separate_starts: bool) -> None:
+    """Move one channel of every recording to a separate block, delayed by part of a sample, tied by a trigger.
 
     Records consist of `periods` periods, which a transform moves exactly.
     """
     rng = np.random.default_rng(8)
-    edge, by = 40.0, 0.3
-    for place in folders:
-        edge, by = (rng.uniform(0.0, PERIOD), rng.uniform()) if anew else (edge, by)
-        manifest = tomllib.loads((place / "recording.toml").read_text())
+    edge, delay = 40.0, 0.3
+    for folder in folders:
+        edge, delay = (rng.uniform(0.0, PERIOD), rng.uniform()) if separate_starts else (edge, delay)
+        manifest = tomllib.loads((folder / "recording.toml").read_text())
         (daq,) = manifest["daq"]
-        with h5py.File(place / daq["file"]) as file:
+        with h5py.File(folder / daq["file"]) as file:
             samples = {name: np.asarray(file[name], dtype=np.float64) for name in file}
         turn = samples[second].reshape(periods, -1)
-        turned = np.fft.rfft(turn, axis=1) * np.exp(2j * np.pi * np.fft.rfftfreq(turn.shape[1]) * by)
-        moved = np.fft.irfft(turned, turn.shape[1], axis=1).ravel()
+        shifted = np.fft.rfft(turn, axis=1) * np.exp(2j * np.pi * np.fft.rfftfreq(turn.shape[1]) * delay)
+        moved = np.fft.irfft(shifted, turn.shape[1], axis=1).ravel()
         del samples[second]
         blocks = {"first": samples, "second": {second: moved}}
         daqs = []
-        for name, kept in blocks.items():
-            time = np.arange(len(moved)) + (by if name == "second" else 0.0)
+        for name, signals in blocks.items():
+            time = np.arange(len(moved)) + (delay if name == "second" else 0.0)
             trigger = 5.0 * ((time - edge) % PERIOD < PERIOD / 4.0)
-            write_daq(place / f"{name}.h5", RATE_HZ, {**kept, "camera": trigger})
-            channels = [channel for channel in daq["channel"] if channel["name"] in kept]
+            write_daq(folder / f"{name}.h5", RATE_HZ, {**signals, "camera": trigger})
+            channels = [channel for channel in daq["channel"] if channel["name"] in signals]
             channels.append({"name": "camera", "quantity": "trigger", "threshold": 2.5})
             daqs.append({**daq, "name": name, "file": f"{name}.h5", "first_edge": 0, "channel": channels})
         del daqs[0]["first_edge"]
-        (place / "recording.toml").write_text(to_toml({**manifest, "daq": daqs}), encoding="utf-8")
+        (folder / "recording.toml").write_text(to_toml({**manifest, "daq": daqs}), encoding="utf-8")
 
 
-@pytest.mark.parametrize("anew", [False, True])
-def test_chirps_have_one_tie_where_their_recorders_start_alike(tmp_path, anew):
+@pytest.mark.parametrize("separate_starts", [False, True])
+def test_chirps_with_the_same_start_share_one_tie(tmp_path, separate_starts):
     folder = write_campaign(tmp_path / "campaign", replace(SMALL, tops={"top": (0, 0, 0.1)}))
-    on_two_clocks(sorted(folder.glob("chirp-*")), "top", 4, anew)
+    on_two_clocks(sorted(folder.glob("chirp-*")), "top", 4, separate_starts)
     (component,) = evaluate_identification(read_campaign(folder), IdentifySettings()).components
     names = {unknown.name for unknown in component.fit.identification.unknowns}
-    assert sum(name.startswith(f"{CLOCK}second") for name in names) == (2 if anew else 1)
+    assert sum(name.startswith(f"{CLOCK}second") for name in names) == (2 if separate_starts else 1)
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("anew", [False, True])
-def test_sines_have_one_tie_where_their_recorders_start_alike(tmp_path, anew, monkeypatch):
+@pytest.mark.parametrize("separate_starts", [False, True])
+def test_sines_with_the_same_start_share_one_tie(tmp_path, separate_starts, monkeypatch):
     folder = write_campaign(tmp_path / "campaign")
-    on_two_clocks(write_sines(folder), "bridge", 1, anew)
+    on_two_clocks(write_sines(folder), "bridge", 1, separate_starts)
     without_pages(monkeypatch)
     assert [outcome.error for outcome in run_path(folder, None, Settings())] == [None] * len(SINES_HZ)
     (component,) = evaluate_identification(read_campaign(folder), IdentifySettings()).components
     names = [error.name for error in component.sensitivity.measured.errors]
-    assert sum(name.startswith(f"{CLOCK}second: time") for name in names) == (len(SINES_HZ) if anew else 1)
+    assert sum(name.startswith(f"{CLOCK}second: time") for name in names) == (len(SINES_HZ) if separate_starts else 1)
     chain = component.sensitivity.comparison.best
     assert abs(chain.chain.lag_s - LAG_S) < 2.0 * chain.u("lag_s")

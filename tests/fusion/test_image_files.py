@@ -20,6 +20,7 @@ from fusion.phasors.timing import tie_daqs
 from fusion.planning.check import check
 from fusion.recording.daq_records import read_daqs
 from fusion.recording.load import load_manifest
+from photogram.images.image_notices import ORIENTATION_NOT_APPLIED
 
 FRAMES = 24
 Named = Callable[[int], str | None]
@@ -68,10 +69,10 @@ def told(run: Path) -> str:
     ("name", "edges", "words"),
     [
         (lambda k: f"{k}.tif", range(FRAMES), ""),
-        (lambda k: f"f{1000 + k}.tif" if k not in (2, 9) else None, {*range(FRAMES)} - {2, 9}, "missing 1002, 1009"),
+        (lambda k: f"f{1000 + k}.tif" if k not in (2, 9) else None, {*range(FRAMES)} - {2, 9}, "1002, 1009"),
         (lambda k: f"f{5 * k:04d}.tif", range(FRAMES), ""),
-        (lambda k: f"f{5 * k:04d}.tif" if k != 7 else None, {*range(FRAMES)} - {7}, "missing 0035"),
-        (lambda k: f"{10**9 + 26 * k + k % 3}.tif" if k != 7 else None, {*range(FRAMES)} - {7}, "missing 1 between"),
+        (lambda k: f"f{5 * k:04d}.tif" if k != 7 else None, {*range(FRAMES)} - {7}, "0035"),
+        (lambda k: f"{10**9 + 26 * k + k % 3}.tif" if k != 7 else None, {*range(FRAMES)} - {7}, "1 between"),
     ],
 )
 def test_frames_are_exposed_by_the_edge_of_their_number(run, name, edges, words):
@@ -88,19 +89,19 @@ def test_frames_are_exposed_by_the_edge_of_their_number(run, name, edges, words)
 def test_numbers_that_contradict_the_edges_or_each_other_are_refused(run):
     renamed(run, lambda k: f"{k if k < 12 else k + 3:04d}.tif")
     refused(
-        "top.trigger: expected an edge .* 27 .*found 24 edges and a gap .*missing 0012 to 0014",
+        "top.trigger: .*0012 to 0014",
         opened,
         run,
         error=InputError,
     )
     renamed(run, lambda k: f"{k:04d}.tif" if k != 4 else None, ("left",))
     renamed(run, lambda k: f"{k:04d}.tif" if k != 6 else None, ("right",))
-    refused("top.right: .*left: 0000 to 0023, missing 0004 and right: .*missing 0006", opened, run, error=InputError)
+    refused("top.right: .*0004.*0006", opened, run, error=InputError)
 
 
 def test_a_camera_that_begins_with_another_number_is_named(run):
     renamed(run, lambda k: f"{k + 1:04d}.tif", ("right",))
-    assert "begin with 0000 (left) and 0001 (right)" in told(run)
+    assert re.search("0000.*0001", told(run))
     renamed(run, lambda k: f"{k + 700:04d}.tif", ("right",))
     assert not told(run)
 
@@ -108,7 +109,7 @@ def test_a_camera_that_begins_with_another_number_is_named(run):
 def test_numbers_that_count_by_two_ask_which_edges_have_frames(run):
     renamed(run, lambda k: f"{k:04d}.tif" if k % 2 == 0 else None)
     stated(run, "first_edge = 0")
-    refused("top.edge_step: expected 1, .* or 2, .*count by 2 and 24 edges", opened, run, error=InputError)
+    refused("top.edge_step: .* 24 ", opened, run, error=InputError)
     for step in (1, 2):
         stated(run, f"edge_step = {step}")
         assert opened(run).sight.edge.tolist() == list(range(0, 12 * step, step))
@@ -122,7 +123,7 @@ def test_one_image_is_no_series(run):
         shutil.copy(run / f"top-{side}" / "0000.tif", run / f"{side}.tif")
         text = text.replace(f'"top-{side}/*.tif"', f'"{side}.tif"')
     (run / "recording.toml").write_text(text, encoding="utf-8")
-    refused("top.left: expected at least 3 frames, found 1 in left.tif", opened, run, error=InputError)
+    refused("top.left: .* 3 frames.* 1 .*left.tif", opened, run, error=InputError)
 
 
 def turned(path: Path, tag: int) -> None:
@@ -132,12 +133,13 @@ def turned(path: Path, tag: int) -> None:
 def test_a_tag_that_rotates_is_reported_and_one_that_mirrors_refused(run, capsys):
     for path in (run / "top-left").glob("*.tif"):
         turned(path, 3)
-    assert "orientation tag 3 (rotated by 180°) of 24 of 24" in told(run)
+    (notice,) = (notice for notice in opened(run).notices if notice.code == ORIENTATION_NOT_APPLIED.code)
+    assert [notice.values[name] for name in ("tag", "tagged", "files")] == [3, 24, 24]
     assert main(["check", str(run)]) == 0
-    assert "orientation tag 3" in capsys.readouterr().out
+    assert "tag 3" in capsys.readouterr().out
     turned(run / "top-left" / "0003.tif", 4)
     assert main(["check", str(run)]) == 2
-    assert "0003.tif: expected pixels as the sensor sees them, found orientation tag 4" in capsys.readouterr().out
+    assert re.search("0003.tif: .*tag 4", capsys.readouterr().out)
 
 
 @pytest.mark.parametrize("sides", [("right",), BOTH])
@@ -149,10 +151,10 @@ def test_black_images_are_named(run, sides, capsys):
             tifffile.imwrite(path, rng.poisson(12.0, tifffile.imread(path).shape).astype(np.uint16))
     report = check(load_manifest(run))
     for side in sides:
-        assert any(f"images top: {side}: no pattern is seen: dark" in remark for remark in report.remarks)
+        assert any(re.search(f"images top: .*{side}.*dark", remark) for remark in report.remarks)
     assert report.problems == ()
     assert main(["look", str(run)]) == 1
-    assert f"top {sides[0]}: no speckled body is seen: dark" in capsys.readouterr().out
+    assert re.search(f"top {sides[0]}: .*dark", capsys.readouterr().out)
 
 
 @pytest.mark.parametrize(
@@ -173,20 +175,18 @@ def test_copies_of_earlier_frames_are_named_and_take_no_part(run, sides, copies)
 def test_a_frozen_camera_is_refused(run):
     for number in range(2, FRAMES):
         shutil.copy(run / "top-left" / "0001.tif", run / "top-left" / f"{number:04d}.tif")
-    words = "images.top: expected at least 3 different frames, found 2 of 24"
+    words = "images.top: .* 2 of 24"
     refused(words, measure_images, opened(run), Settings(), no_progress, error=InputError)
 
 
-@pytest.mark.parametrize(("share", "outcome"), [(0.3, "not saturated, found 3.* % of its pixels at"), (0.012, "")])
+@pytest.mark.parametrize(("share", "outcome"), [(0.3, r" 3\d\.\d % "), (0.012, "")])
 def test_a_sensor_that_clips_below_full_scale_is_saturated_there(run, share, outcome):
     limit = int(np.quantile(tifffile.imread(run / "top-left" / "0000.tif"), 1.0 - share))
     for side in BOTH:
         for path in (run / f"top-{side}").glob("*.tif"):
             tifffile.imwrite(path, np.minimum(tifffile.imread(path), np.uint16(limit)), compression="zlib")
     if outcome:
-        refused(
-            f"0000.tif: .*{outcome} {limit}, where the sensor clips .full scale is 1023", opened, run, error=InputError
-        )
+        refused(f"0000.tif: .*{outcome}.* {limit}, .* 1023", opened, run, error=InputError)
         return
     images = opened(run)
     assert [camera.clips_at for camera in images.cameras] == [limit, limit]

@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-import re
-
 import numpy as np
 import pytest
 
 from fusion.errors import ComputeError
+from fusion.phasors.phasor_notices import CAMERA_DELAYED, CAMERAS_OUT_OF_STEP
 from fusion.phasors.shutter import check_in_step
 from photogram.camera import Camera, StereoRig
 from photogram.geometry import RigidTransform, rotation_from_vector
+from shakercal._common.notices import Notice
 
 FREQUENCY_HZ, PERIOD_S, NOISE_PX = 80.0, 0.0261, 2e-3
 CAMERA = Camera.from_parameters(np.array([2000.0, 2000, 320, 240, 0, 0, 0, 0, 0]), np.array([640, 480]))
@@ -34,10 +34,10 @@ def phasor_frames(late_s: float, motion_m: np.ndarray, rng: np.random.Generator)
     return frames
 
 
-def checked(late_s: float, motion_m: np.ndarray, seed: int = 1) -> str:
+def checked(late_s: float, motion_m: np.ndarray, seed: int = 1) -> tuple[Notice, ...]:
     frames = phasor_frames(late_s, motion_m, np.random.default_rng(seed))
     times = PERIOD_S * np.arange(24.0)
-    return " ".join(notice.text for notice in check_in_step(RIG, frames, np.array([FREQUENCY_HZ]), times))
+    return check_in_step(RIG, frames, np.array([FREQUENCY_HZ]), times)
 
 
 ACROSS, ALONG = np.array([5e-6, 3e-5 * np.exp(0.7j), 1e-5j]), np.array([3e-5 + 0j, 0.0, 0.0])
@@ -50,15 +50,17 @@ def test_cameras_in_step_are_not_doubted(motion):
 
 @pytest.mark.parametrize(("late_s", "side"), [(60e-6, "right"), (-200e-6, "left")])
 def test_a_lag_is_measured_within_its_uncertainty(late_s, side):
-    text = checked(late_s, ACROSS)
-    lag, u_mrad = re.search(rf"the {side} camera is exposed ([0-9.]+) us later.* u ([0-9.]+) mrad", text).groups()
-    assert abs(1e-6 * float(lag) - abs(late_s)) < 3e-3 * float(u_mrad) / (2 * np.pi * FREQUENCY_HZ)
-    assert float(u_mrad) < 3.0
+    (notice,) = checked(late_s, ACROSS)
+    assert (notice.code, notice.values["late"]) == (CAMERA_DELAYED.code, side)
+    lag_us, u_mrad = notice.values["delay_us"], notice.values["u_mrad"]
+    assert abs(1e-6 * lag_us - abs(late_s)) < 3e-3 * u_mrad / (2 * np.pi * FREQUENCY_HZ)
+    assert u_mrad < 3.0
 
 
 @pytest.mark.parametrize(("count", "side"), [(1, "right"), (-1, "left"), (3, "right"), (-2, "left")])
 def test_whole_frames_are_named(count, side):
-    with pytest.raises(
-        ComputeError, match=rf"the {side} camera is {abs(count)} frames? \({1e3 * abs(count) * PERIOD_S:.4g} ms"
-    ):
+    with pytest.raises(ComputeError) as error:
         checked(count * PERIOD_S, ACROSS)
+    assert (error.value.code, error.value.values["late"]) == (CAMERAS_OUT_OF_STEP.code, side)
+    assert error.value.values["frames"] == abs(count)
+    assert error.value.values["delay_ms"] == pytest.approx(1e3 * abs(count) * PERIOD_S)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import shutil
 import tomllib
 from pathlib import Path
@@ -84,8 +85,8 @@ def test_the_demo_drafted_and_filled_in_is_the_demo(tmp_path, demo_recording, ca
     assert main(["check", str(folder)]) == 2
     told = capsys.readouterr().err.splitlines()
     assert len(told) == asked
-    assert all('found "?", not filled in yet' in line for line in told)
-    assert "recording.toml: daq.vibrometer.channel.velocity_1.point: expected where it measures" in told[0]
+    assert all('"?"' in line for line in told)
+    assert "recording.toml: daq.vibrometer.channel.velocity_1.point: " in told[0]
     fill(folder, source)
     assert main(["check", str(folder)]) == 0
     for name in (MANIFESTS[0], f"Fz-0080/{MANIFESTS[1]}"):
@@ -120,8 +121,8 @@ def test_a_camera_without_a_partner_is_drafted_as_one_alone_before_a_face(tmp_pa
     (images,) = tomllib.loads(text)["images"]
     assert images == {"stereo": "top", "left": "top-left/*.tif", "trigger": "camera_trigger"}
     left_out = text.partition("# Left out:")[2]
-    assert "# base-left/*.tif: 24 frames of 304 x 240 px, and base-right/*.tif has 21 frames" in left_out
-    assert "# photographs/rig*.tif: 3 frames of 304 x 240 px, and no camera beside it" in left_out
+    assert re.search(r"# base-left/\*\.tif: 24 frames .*base-right/\*\.tif .*21 frames", left_out)
+    assert re.search(r"# photographs/rig\*\.tif: 3 frames of 304 x 240 px", left_out)
     # Filled in, it is a recording that can be evaluated.
     run_init(folder)
     original = tomllib.loads((demo_recording / "rig.toml").read_text())
@@ -132,7 +133,7 @@ def test_a_camera_without_a_partner_is_drafted_as_one_alone_before_a_face(tmp_pa
         text = (folder / name).read_text()
         (folder / name).write_text(to_toml(filled(tomllib.loads(text), whole, text, name)))
     assert main(["check", str(folder)]) == 0
-    assert "stereo top is one camera" in capsys.readouterr().out
+    assert re.search("stereo top .*camera", capsys.readouterr().out)
 
 
 def _without_images(source: Path) -> Any:
@@ -204,7 +205,7 @@ def test_a_recording_like_another_asks_for_nothing(tmp_path, demo_recording, cap
     other = folder / "Fz-0081"
     stripped(folder / "Fz-0080", other)
     assert main(["init", str(other), "--from", str(folder / "Fz-0080")]) == 0
-    assert "left to fill in" not in capsys.readouterr().out
+    assert '"?"' not in capsys.readouterr().out
     own, first = (tomllib.loads((place / "recording.toml").read_text()) for place in (other, folder / "Fz-0080"))
     assert own == {**first, "name": "Fz-0081"}
     assert check(load_manifest(other)).problems == ()
@@ -379,10 +380,10 @@ def test_the_example_is_that_of_the_document(tmp_path):
 
 def test_a_folder_without_manifest_leads_to_init(tmp_path, refused):
     _one_laser(tmp_path)
-    assert f"shakercal init {tmp_path} drafts one" in refused("run", tmp_path)
+    assert f"shakercal init {tmp_path} " in refused("run", tmp_path)
     file = tmp_path / "Mx-0050" / "a.h5"
-    assert "found a recorder's file" in refused("check", file)
-    assert f"shakercal init {file.parent} drafts one" in refused("run", file)
+    assert f"shakercal init {file.parent} " in refused("check", file)
+    assert f"shakercal init {file.parent} " in refused("run", file)
 
 
 def _nothing(folder: Path) -> str:
@@ -453,7 +454,7 @@ def test_mistakes_of_both_files_are_told_at_once(tmp_path, demo_recording, capsy
     told = capsys.readouterr().err
     for key in ("load.mass", "stereo.top.bit_depth", "excitation.kind", "channel.velocity_1.scale"):
         assert f"{key}: expected" in told
-    with pytest.raises(InputError, match=r"load.mass: .* \(3 more problems, also in recording.toml\)"):
+    with pytest.raises(InputError, match=r"load.mass: .* \(3 .*recording.toml\)"):
         load_manifest(find_recordings(folder)[0])
 
 
@@ -463,4 +464,4 @@ def test_pulses_of_one_rate_have_one_name(tmp_path):
         pulses = 3.0 * ((time_s - 0.02) % (1 / 20.5) < 1e-3)
         write_daq(tmp_path / f"{name}.h5", 10e3, {channel: pulses, "other": 3.0 * (time_s % (1 / 31.0) < 1e-3)})
     names = [[item.name for item in recorder.channels] for recorder in guess_recorders(survey_folder(tmp_path).daqs)]
-    assert names == [["other", "sync out"], ["other", "sync out"]]
+    assert names == 2 * [["other", "sync out"]]

@@ -29,7 +29,7 @@ def made(calls: list[str], content: bytes = b"content"):
     return make
 
 
-def test_what_is_kept_is_made_once_for_each_key(folder):
+def test_an_entry_is_made_once_for_each_key(folder):
     calls: list[str] = []
     assert load_or_make("a", "1", made(calls)) == load_or_make("a", "1", made(calls)) == b"content"
     assert calls == ["made"]
@@ -40,7 +40,7 @@ def test_what_is_kept_is_made_once_for_each_key(folder):
 
 
 @pytest.mark.parametrize("damage", [b"", b"short", None])
-def test_what_is_not_as_it_was_written_is_made_anew(folder, damage):
+def test_a_damaged_entry_is_made_again(folder, damage):
     calls: list[str] = []
     load_or_make("a", "1", made(calls))
     (file,) = folder.iterdir()
@@ -50,7 +50,7 @@ def test_what_is_not_as_it_was_written_is_made_anew(folder, damage):
     assert calls == ["made", "made"]
 
 
-def test_what_is_old_is_made_anew_and_goes(folder):
+def test_an_old_entry_is_removed_and_made_again(folder):
     calls: list[str] = []
     load_or_make("a", "1", made(calls))
     load_or_make("b", "1", made(calls))
@@ -86,7 +86,7 @@ def test_several_at_once_find_it_whole(folder):
     assert len(list(folder.iterdir())) == 1
 
 
-def test_templates_that_are_kept_are_read_as_the_others(folder):
+def test_cached_templates_give_the_same_text(folder):
     def environment(**more: object) -> jinja2.Environment:
         return jinja2.Environment(loader=jinja2.FileSystemLoader(TEMPLATES), autoescape=True, **more)
 

@@ -112,7 +112,7 @@ def test_every_figure_of_every_command_is_drawn(browser, preset, commanded):
     opened.close()
 
 
-def test_hovering_tells_the_number_of_the_table(browser, results):
+def test_hovering_shows_the_number_of_the_table(browser, results):
     """The curve's first point against the row of sensitivity.csv it stands for."""
     opened = Page(browser, results / "report.html")
     opened.draw("sensitivity")
@@ -121,9 +121,9 @@ def test_hovering_tells_the_number_of_the_table(browser, results):
     value, half = float(row["magnitude"]), float(row["u_magnitude"]) * float(row["k_magnitude"])
     place = (float(row["frequency_hz"]), 1e7 * value)
     opened.page.mouse.move(*opened.page.evaluate(PLACE, ["sensitivity", 0, *place]))
-    told = opened.page.locator(".tip", has_text="±").first.inner_text()
-    assert told.splitlines()[0] == "driven frequency"
-    label, number = told.splitlines()[2].rsplit(": ", 1)
+    tip_text = opened.page.locator(".tip", has_text="±").first.inner_text()
+    assert tip_text.splitlines()[0] == "driven frequency"
+    label, number = tip_text.splitlines()[2].rsplit(": ", 1)
     assert label == "magnitude / 10⁻⁷ (V/V)/N"
     shown, u = (float(part) for part in number.split(" ± "))
     assert shown == pytest.approx(1e7 * value, abs=0.006e7 * half)
@@ -139,9 +139,9 @@ def test_every_kind_of_mark_and_no_name_is_markup(browser, drawn):
     opened.page.mouse.move(*opened.page.evaluate(PLACE, ["every", 0, 1.0, 10.0]))
     tips = opened.page.locator(".tip")
     tips.filter(has_text="±").first.wait_for()
-    told = "\n".join(tips.all_inner_texts())
-    assert "10.0 ± 1.0" in told
-    assert "</script><b>" in told
+    tip_text = "\n".join(tips.all_inner_texts())
+    assert "10.0 ± 1.0" in tip_text
+    assert "</script><b>" in tip_text
     assert tips.locator("b").count() == 0
     buttons.nth(1).click()
     assert buttons.nth(1).get_attribute("aria-pressed") == "false"
@@ -152,7 +152,7 @@ def test_every_kind_of_mark_and_no_name_is_markup(browser, drawn):
     opened.close()
 
 
-def test_zooming_by_keyboard_moves_what_is_linked(browser, results):
+def test_zooming_by_keyboard_moves_linked_axes(browser, results):
     opened = Page(browser, results / "report.html")
     opened.draw("motion-top")
     opened.draw("residuals-top")
@@ -176,7 +176,7 @@ def test_a_logarithmic_axis_zooms_about_its_geometric_middle(browser, results):
     opened.close()
 
 
-def test_a_figure_is_kept_as_svg_and_its_data_as_csv(browser, drawn):
+def test_a_figure_is_saved_as_svg_and_its_data_as_csv(browser, drawn):
     opened = Page(browser, drawn, accept_downloads=True)
     figure = opened.draw("every")
     with opened.page.expect_download() as kept:

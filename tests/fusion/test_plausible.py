@@ -33,11 +33,11 @@ CASES = [
 ]  # fmt: skip
 
 
-@pytest.mark.parametrize(("file", "old", "new", "key", "told"), CASES)
-def test_what_has_no_ground_is_asked_about(make_campaign: Campaign, file, old, new, key, told) -> None:
+@pytest.mark.parametrize(("file", "old", "new", "key", "reported"), CASES)
+def test_what_has_no_ground_is_asked_about(make_campaign: Campaign, file, old, new, key, reported) -> None:
     manifest = load_manifest(make_campaign(replace=((file, old, new),)))
     notice = next(notice for notice in plausibility_notices(manifest) if f"{key}:" in notice.text)
-    assert told in notice.text
+    assert reported in notice.text
     assert notice.where == file
 
 
@@ -45,8 +45,7 @@ def test_a_body_as_light_as_air_is_asked_about(make_campaign: Campaign) -> None:
     inertia = "inertia = [[36.0, 0.0, 0.0], [0.0, 36.0, 0.0], [0.0, 0.0, 31.0]]"
     manifest = load_manifest(make_campaign(replace=(("rig.toml", INERTIA, inertia),)))
     (notice,) = plausibility_notices(manifest)
-    assert "load.inertia: a ball of 6.9605 kg" in notice.text
-    assert "0.036 kg/m^3" in notice.text
+    assert all(number in notice.text for number in ("6.9605 kg", "0.036 kg/m^3"))
     assert notice.where == "rig.toml"
 
 
@@ -56,11 +55,11 @@ def test_cameras_far_apart_are_asked_about(make_campaign: Campaign) -> None:
     file = recording.parent / "calibration" / "top.json"
     file.write_text(file.read_text().replace("[-0.15, 0, 0]", "[-150, 0, 0]"))
     (notice,) = plausibility_notices(load_manifest(recording))
-    assert "stereo.top.calibration: its cameras are 150 m apart and the left one 0.3 m from the sensor" in notice.text
+    assert all(number in notice.text for number in ("150 m", "0.3 m"))
 
 
 @pytest.mark.parametrize(
-    ("rotation", "translation", "told"),
+    ("rotation", "translation", "reported"),
     [
         ("[[0.8, 0, 0.6], [0, 1, 0], [-0.6, 0, 0.8]]", "[-0.18, 0, 0.135]", None),
         ("[[0.8, 0, 0.6], [0, 1, 0], [-0.6, 0, 0.8]]", "[-0.00018, 0, 0.000135]", "cross 0.0003 m before the left one"),
@@ -68,7 +67,7 @@ def test_cameras_far_apart_are_asked_about(make_campaign: Campaign) -> None:
     ],
 )
 def test_axes_that_do_not_cross_near_the_sensor_are_asked_about(
-    make_campaign: Campaign, rotation: str, translation: str, told: str | None
+    make_campaign: Campaign, rotation: str, translation: str, reported: str | None
 ) -> None:
     """Right camera 0.225 m to the right, turned by the larger angle of a triangle 3-4-5: axes cross 0.3 m away."""
     recording = make_campaign()
@@ -76,18 +75,15 @@ def test_axes_that_do_not_cross_near_the_sensor_are_asked_about(
     text = file.read_text().replace("[-0.15, 0, 0]", translation)
     file.write_text(text.replace('[[1, 0, 0], [0, 1, 0], [0, 0, 1]], "trans', f'{rotation}, "trans'))
     notices = plausibility_notices(load_manifest(recording))
-    assert [told in notice.text for notice in notices if told is not None] == [True] * (told is not None)
-    assert told is not None or not notices
+    assert [reported in notice.text for notice in notices if reported is not None] == [True] * (reported is not None)
+    assert reported is not None or not notices
 
 
 def test_a_pair_that_looks_away_is_asked_about(make_campaign: Campaign) -> None:
     """A rotation of 180 degrees about x turns the camera 0.3 m above the sensor towards it; none, upwards."""
     upwards = ("rig.toml", "[0.0, -1.0, 0.0], [0.0, 0.0, -1.0]]   #", "[0.0, 1.0, 0.0], [0.0, 0.0, 1.0]]   #")
     (notice,) = plausibility_notices(load_manifest(make_campaign(replace=(upwards,))))
-    assert (
-        "stereo.top.rotation: by it and the translation the left camera looks 180° past the sensor, 180° by its inverse"
-        in notice.text
-    )
+    assert notice.text.count("180°") == 2
 
 
 def test_the_examples_of_the_document_are_not_doubted(make_campaign: Campaign) -> None:

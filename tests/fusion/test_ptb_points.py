@@ -16,6 +16,7 @@ from take_factory import EXPOSURE_S, FREQUENCY_HZ, MASS_KG, RIG, SENSITIVITY, ca
 from fusion.base import Settings
 from fusion.errors import InputError
 from fusion.estimation.fuse import Acceleration
+from fusion.phasors.phasor_notices import EDGES_AMBIGUOUS
 from fusion.report.points import HEAD
 from fusion.report.recording_report import write_results
 from fusion.report.tables import acceleration
@@ -155,7 +156,7 @@ def test_a_known_program_needs_no_columns(campaign):
         assert stereo.motion.points.min() > 40
     np.testing.assert_allclose(second.stereo[0].motion.pose, first.stereo[0].motion.pose, atol=1e-12)
     campaign.text[-1] = block("[points]", **keys, valid_status=3)
-    refused(r"points\.base\.columns: expected a column \"status\"", campaign.evaluate, error=InputError)
+    refused(r"points\.base\.columns: .*status", campaign.evaluate, error=InputError)
 
 
 def test_saved_points_are_those_of_the_files(campaign, tmp_path):
@@ -243,6 +244,7 @@ def test_tables_that_do_not_fit_are_named(campaign):
     campaign.add_points()
     last = campaign.folder / "DIC_results" / "result_B63.txt"
     last.write_text("1 2 3 3 3 0 0 0 0 0\n")
-    refused(r"result_B63\.txt: line 1: expected 11 columns, found 10", campaign.evaluate, error=InputError)
+    refused(r"result_B63\.txt: line 1: .*11 .*10", campaign.evaluate, error=InputError)
     last.unlink()
-    refused(r"points\.base\.first_edge: expected .* of 63 frames, .* 64 edges", campaign.evaluate, error=InputError)
+    error = refused(r"points\.base\.first_edge: .*63 .*64", campaign.evaluate, error=InputError)
+    assert error.code == EDGES_AMBIGUOUS.code

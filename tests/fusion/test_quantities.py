@@ -78,7 +78,7 @@ def test_labels_of_axes_are_those_of_the_values(result, demo_evaluation):
         assert np.array_equal(file["accelerations/load-fused/frequency_hz"], frequency)
 
 
-def test_a_campaign_reads_what_the_recording_knows_of_its_unknowns(result, demo_evaluation):
+def test_a_campaign_reads_the_recording_estimate_of_its_unknowns(result, demo_evaluation):
     fused = demo_evaluation.accelerations[0]
     known = read_recorded(result.parent).knowledge()
     assert np.array_equal(known.covariance, fused.posterior)
@@ -133,7 +133,7 @@ def test_a_tree_becomes_what_h5py_itself_would_have_written(monkeypatch):
         write_tree(ours.id, tree)
         _assert_same(ours, theirs)
         assert [ours[name].chunks for name in ("even", "noise", "turned")] == [(175, 5), None, (14, 30)]
-    with pytest.raises(ValueError, match="taken"):
+    with pytest.raises(ValueError, match=r"^/"):
         tree.create_group("z")
 
 

@@ -20,6 +20,7 @@ from support import region_distance
 from violations import JITTER_S, Rig, preset_of
 
 from fusion.base import Settings
+from fusion.campaign.campaign_notices import ONE_MOUNTING, TWO_REPEATS
 from fusion.campaign.curve import _slope, find_linearity
 from fusion.campaign.excited_line import (
     DiskStore,
@@ -35,11 +36,13 @@ from fusion.campaign.repeats import (
     PHASE_DIFFERENCES,
     RepeatMean,
     find_repeats,
+    frequencies_text,
     group_excitations,
     mean_ratio,
     repeat_notices,
     split_covariance,
 )
+from fusion.estimation.coverage import coverage_factor
 from fusion.estimation.uncertainty import Contribution, Influence, Uncertainty, polar_elements
 from fusion.phasors.timing import Grid
 from fusion.recording.load import load_manifest
@@ -91,7 +94,7 @@ def test_variance_components_are_those_of_an_unbalanced_analysis_of_variance():
     assert parts[BETWEEN].dof == pytest.approx([2.0])
 
 
-def test_what_all_recordings_share_does_not_average_away():
+def test_common_errors_of_all_recordings_do_not_average_out():
     rng = np.random.default_rng(2)
     drives = [recorded(1.0 + 1e-6 * rng.standard_normal(), f"{n}", f"{n % 5}") for n in range(25)]
     (found,) = find_repeats(drives)
@@ -103,7 +106,7 @@ def test_what_all_recordings_share_does_not_average_away():
 
 
 @pytest.mark.parametrize("mountings", ["11", "112", "123"])
-def test_motion_that_no_instrument_observes_does_not_average_away(mountings):
+def test_unobserved_motion_does_not_average_out(mountings):
     """A bound of 2 % of the load in either part, the same in every recording, which therefore agree to 1e-6."""
     along = 2e-2 * LOAD[2] * np.isin(np.arange(12), (2, 8))
     drives = []
@@ -119,7 +122,7 @@ def test_motion_that_no_instrument_observes_does_not_average_away(mountings):
     assert not find_repeats(unknown), "of a load that is no result, no mean"
 
 
-def test_stated_errors_of_a_recording_are_not_counted_again_as_scatter():
+def test_stated_errors_of_a_recording_are_not_counted_as_scatter():
     # Trigger times of 1e-3 rad scatter the phases as stated: nothing is left for a further component on average.
     rng, left = np.random.default_rng(4), []
     for _ in range(100):
@@ -127,8 +130,8 @@ def test_stated_errors_of_a_recording_are_not_counted_again_as_scatter():
         for n in range(6):
             turn = [("trigger: time", "recording", -1e-3j * LOAD)]
             late = 1.0 - 1e-3j * rng.standard_normal()
-            drives.append(make_excited_line(LOAD * late, np.array([1000.0]), uncertainty(NOISE, turn), uncertainty([1e-6]),
-                                      recording=f"{n}", mounting=f"{n // 2}"))  # fmt: skip
+            numbers = LOAD * late, np.array([1000.0]), uncertainty(NOISE, turn), uncertainty([1e-6])
+            drives.append(make_excited_line(*numbers, recording=f"{n}", mounting=f"{n // 2}"))
         (found,) = find_repeats(drives)
         left.append([found.within[0] ** 2, found.between[0] ** 2])
     # The positive part of an estimate about zero keeps some of its spread.
@@ -136,7 +139,7 @@ def test_stated_errors_of_a_recording_are_not_counted_again_as_scatter():
     assert np.mean(np.array(left) == 0.0) > 0.4
 
 
-def test_what_counts_as_a_repeat_and_as_one_frequency():
+def test_definition_of_a_repeat_and_of_one_frequency():
     first = recorded(1.0, "a")
     louder = recorded(1.0, "b", load=1.5 * LOAD)
     eccentric = recorded(1.0, "c", load=LOAD + 30.0 * np.eye(6)[4])
@@ -155,18 +158,20 @@ def test_what_counts_as_a_repeat_and_as_one_frequency():
     assert [[d.frequency_hz for d in g] for g in group_by_frequency(drives)] == [[100.0, 100.9], [101.5], [200.0]]
 
 
-def test_what_has_no_component_no_mean_or_no_slope():
+def test_cases_without_component_mean_or_slope():
     (single,) = find_repeats([recorded(1.0, "a")])
     assert np.isnan([single.within, single.between]).all()
     (same,) = find_repeats([recorded(1.0, "a"), recorded(1.001, "b")])
     assert (same.within_dof, same.between_dof) == (1, 0)
-    assert "100 Hz: 2 recordings are of one mounting" in repeat_notices([same])[0].text
+    notice = repeat_notices([same])[0]
+    assert notice.code == ONE_MOUNTING.code
+    assert notice.values == {"frequencies": "100 Hz", "recordings": 2}
     partial = recorded(1.0, "b")
     partial = replace(partial, outputs=np.array([partial.outputs[0], complex(np.nan, np.nan)]))
     (found,) = find_repeats([recorded(1.0, "a"), partial])
     assert found.channels == ("U0",)
     silent = replace(partial, outputs=np.full(2, complex(np.nan, np.nan)))
-    refused("expected an output that all recordings", find_repeats, [silent])
+    refused("^drives: ", find_repeats, [silent])
     drives = [recorded(1.0 + 1e-3 * n, f"{n}", load=n * LOAD) for n in (1, 2, 3)]
     dead = [replace(drive, outputs=drive.outputs * [1.0, 0.0]) for drive in drives]
     found = mean_ratio(dead, 2)
@@ -245,12 +250,17 @@ def test_magnitude_and_phase_of_means_are_covered(each, u, mounted):
     assert accepted(held), held.mean(axis=0)
 
 
-def test_few_mountings_and_single_recordings_are_told():
+def test_few_mountings_and_single_recordings_are_reported():
     (two,) = find_repeats([recorded(1.0, "a", "1"), recorded(1.001, "b", "2")])
-    (told,) = repeat_notices([two])
-    assert "100 Hz: two mountings tell what they differ by with one degree of freedom" in told.text
-    (told,) = repeat_notices([replace(two, frequency_hz=300.0), two])
-    assert told.text.startswith("2 frequencies, 100 to 300 Hz: two mountings tell what")
+    (notice,) = repeat_notices([two])
+    assert (notice.code, notice.values["frequencies"], notice.values["repeated"]) == (
+        TWO_REPEATS.code,
+        "100 Hz",
+        "mountings",
+    )
+    assert notice.values["k_two"] == pytest.approx(coverage_factor(1.0))
+    (notice,) = repeat_notices([replace(two, frequency_hz=300.0), two])
+    assert notice.values["frequencies"] == frequencies_text([100.0, 300.0])
     (three,) = find_repeats([recorded(1.0 + 1e-3 * n, f"{n}", f"{n}") for n in range(3)])
     assert not repeat_notices([three])
     # Unknowns of one recording or mounting are in what these differ by, and counted once.
@@ -269,7 +279,7 @@ def test_few_mountings_and_single_recordings_are_told():
 GRID = Grid(start_s=0.1, period_s=0.02, sample_s=2e-5, offset_s=0.04, width_s=2e-3)
 
 
-def test_grids_are_alike_within_half_a_sample():
+def test_grids_are_equal_within_half_a_sample():
     grids = [(GRID, replace(GRID, start_s=0.2))] * 2
     other = (replace(GRID, start_s=0.1 + 9e-6), replace(GRID, start_s=0.2 - 9e-6, offset_s=0.04 + 9e-6))
     apart = [
@@ -340,7 +350,7 @@ def test_joint_covariance_is_the_sum_over_noise_and_named_unknowns():
 
 
 @pytest.mark.parametrize("anew", [False, True])
-def test_times_by_edges_average_away_where_recorders_start_anew_only(anew: bool):
+def test_edge_times_average_out_only_for_separate_starts(anew: bool):
     """Four recordings whose edges leave 1 mrad open, one error of all or one of each, beside noise of 0.05 mrad."""
     rng, held, size = np.random.default_rng(31), [], []
     for _ in range(200):
@@ -404,7 +414,7 @@ def test_phases_of_means_are_covered_however_the_recorders_start(tmp_path, anew:
 
 
 @pytest.mark.parametrize("turned", [0.01, 0.1])
-def test_the_magnitude_of_a_mean_holds_what_its_phases_take_from_it(turned: float):
+def test_the_magnitude_of_a_mean_is_covered_for_different_phases(turned: float):
     # Recordings that are turned and otherwise alike: the mean is short by half the mean square of the angles.
     rng, inside, lengths = np.random.default_rng(8), [], []
     for _ in range(100):
@@ -418,7 +428,7 @@ def test_the_magnitude_of_a_mean_holds_what_its_phases_take_from_it(turned: floa
     assert np.mean(inside) > 0.93
 
 
-def test_what_scatters_along_a_mean_as_across_it_takes_nothing_from_it():
+def test_equal_scatter_along_and_across_a_mean_causes_no_loss():
     rng, parts = np.random.default_rng(9), []
     for _ in range(200):
         values = 1.0 + 0.01 * (rng.standard_normal(6) + 1j * rng.standard_normal(6))
@@ -491,7 +501,7 @@ def test_scatter_of_a_series_enlarges_the_uncertainty_of_its_slope():
     assert 0.9 < np.mean(inside) <= 1.0
 
 
-def test_names_between_recordings_and_what_lines_joined_share():
+def test_campaign_wide_names_and_shared_unknowns_of_joined_lines():
     effect = np.ones(1)
     parts = [("laser: scale", "rig", effect), ("point x", "mounting", effect), ("trigger: time", "recording", effect)]
     names = [i.name for i in with_campaign_names(uncertainty([1.0], parts), "Fz 100", "B").influences]
@@ -507,7 +517,7 @@ def test_names_between_recordings_and_what_lines_joined_share():
     np.testing.assert_allclose(joined.covariance, np.concatenate([part.covariance for part in lines]))
 
 
-def test_elements_are_averaged_as_ratios_and_what_is_not_known_of_the_matrix_stays():
+def test_elements_are_averaged_like_ratios_and_keep_the_uncertainty_of_the_matrix():
     static = np.array([[5e-2, 0.0, 1.0, 0.0, 0.0, 0.0], [1.0, 0.0, 0.1, 0.0, 0.0, 0.0]])
     stated = StatedMatrix(("Fz", "Fx"), np.full(6, 1000.0), static, 1e-3, None, 2e-3)
     load = np.array([100.0, 0.0, 1000.0, 0.0, 0.0, 0.0])
@@ -554,7 +564,7 @@ def test_a_slope_by_blocks_is_generalised_least_squares_written_out():
         assert chi2 == pytest.approx(residual @ weight @ residual, rel=1e-7)
 
 
-def test_uncertainties_on_a_shelf_are_the_same_to_the_last_bit(tmp_path):
+def test_uncertainties_on_disk_are_the_same_to_the_last_bit(tmp_path):
     first, second = simulate_drives(eight_setups(np.random.default_rng(1))[:2], *truth_and_errors(1))
     with (tmp_path / "shelf").open("w+b") as file:
         shelf = DiskStore(file)

@@ -56,14 +56,14 @@ def page(evaluation: Evaluation, pictures: dict[str, list[Figure]]) -> str:
         return render_report(evaluation)
 
 
-def test_page_is_self_contained_and_shows_results_warnings_and_origin(page):
+def test_page_is_self_contained_and_shows_results_warnings_and_origin(page, evaluation):
     found = self_contained(page)
     assert any(address.startswith("#") for address in found.addresses)
     assert len(page.encode()) < 6_000_000
     text = "".join(found.text)
     assert "(1.9720 ± 0.0019) × 10−7 (V/V)/N" in text
     assert "(−0.03370 ± 0.00099) rad" in text
-    assert "318.75 Hz is left out: <u> above its limit & more" in text
+    assert all(notice.text in text for notice in evaluation.notices)  # one of them with < and &
     assert text.index("Warning") < text.index("Note")
     assert "cd" * 32 in text
     assert "subset_radius_px" in text
@@ -77,7 +77,8 @@ def test_a_recording_without_anything_to_determine_still_has_a_page(evaluation):
     nothing = {"accelerations": (), "load": None, "sensitivity": None, "notices": ()}
     page = render_report(replace(evaluation, stereo=(), channels=(), clocks=(), **nothing))
     assert html.escape(RIG_NAME) in page
-    assert "neither an acceleration nor a sensitivity" in "".join(outline(page).text)
+    assert "result" in outline(page).ids
+    assert not {"sensitivity", "acceleration", "load"} & set(outline(page).ids)
 
 
 def test_undetermined_values_do_not_break_the_page(tmp_path):
@@ -90,7 +91,7 @@ def test_undetermined_values_do_not_break_the_page(tmp_path):
     assert "nan" not in "".join(outline(page).text).lower().replace("resonan", "")
 
 
-def test_sources_stand_side_by_side_and_headlines_name_the_deviation_from_static(evaluation):
+def test_sources_are_columns_and_headlines_name_the_deviation_from_static(evaluation):
     load, base = source_tables(evaluation)
     assert load.head == ("", "unit", "fused", "photogrammetry", "vibrometer", "accelerometer")
     assert base.head == ("", "unit", "fused")
@@ -123,7 +124,7 @@ def test_budget_is_sorted_and_its_shares_make_a_whole(evaluation):
     assert "acceleration z of the load" in motion.caption
 
 
-def test_what_other_loads_explain(evaluation):
+def test_share_of_other_loads(evaluation):
     table = other_loads_table(evaluation)
     shares = {row[0]: row[1:] for row in table.rows}
     assert shares["Fz"][0] == "–"  # the static sensitivity of the factory is diagonal and tells nothing of cross-talk
@@ -146,7 +147,7 @@ def test_numbers_as_html():
 SVG = "{http://www.w3.org/2000/svg}"
 
 
-def test_every_figure_is_well_formed_on_paper_and_asks_for_nothing_outside(pictures):
+def test_every_figure_is_well_formed_on_paper_and_self_contained(pictures):
     every = [picture for group in pictures.values() for picture in group]
     assert len({picture.name for picture in every}) == len(every) >= 13
     for picture in every:
@@ -162,7 +163,7 @@ def test_every_figure_is_well_formed_on_paper_and_asks_for_nothing_outside(pictu
         assert json.loads(picture.json(), parse_constant=pytest.fail)["name"] == picture.name
 
 
-def test_numbers_of_a_page_have_ten_digits_where_they_are_few_and_null_where_there_is_none():
+def test_few_numbers_of_a_page_have_ten_digits_and_nan_is_null():
     drawn = empty_figure("numbers", 2.0)
     many = np.exp(np.linspace(-30.0, 30.0, 1000))
     drawn.panels[0].points([np.pi, np.nan, -np.inf], [-1e-7 / 3.0, 2.0, 0.0], names=("a nan", "b", "c"))
@@ -188,7 +189,7 @@ def test_beat_curve_passes_through_the_fit_at_every_frame_and_the_folded_one_is_
     assert np.allclose(folded[:, 2], model[:, 2], rtol=0, atol=5e-9)
 
 
-def test_residual_spectrum_shows_the_amplitude_of_what_was_not_fitted(evaluation):
+def test_residual_spectrum_shows_the_amplitude_of_an_unfitted_line(evaluation):
     stereo = evaluation.stereo[0]
     rate = camera_rate_hz(stereo)
     bins = 40 * rate / len(stereo.time_s)
@@ -263,7 +264,7 @@ def test_a_bent_plate_is_drawn_from_any_side(axis):
     assert ElementTree.fromstring(render_figure(picture)).tag.endswith("svg")
     assert picture.name == "deflection-top"
     assert "106.2500 Hz" in picture.caption
-    assert f"amplitude along {'xyz'[axis]}, out of the plane" in picture.caption
+    assert f"along {'xyz'[axis]}, " in picture.caption
     assert "translation along z" in picture.caption
     amplitude = picture.panels[0].marks[0].values  # in µm, of 1 µm at the edges
     np.testing.assert_allclose(np.max(amplitude), 1.0, atol=0.15)
@@ -328,7 +329,7 @@ def test_the_shape_comes_back_within_its_uncertainty(bend):
         assert abs(fitted - bend) < 3.5 * u < 0.1 * abs(bend)
 
 
-def test_missing_frames_cost_nothing_but_their_share():
+def test_missing_frames_cost_only_their_share():
     time, _, residual = bending_body(1, BEND)
     residual.residual_m[::3, 5] = np.nan
     residual.residual_m[:90, 6] = np.nan
@@ -340,10 +341,10 @@ def test_missing_frames_cost_nothing_but_their_share():
 
 
 @pytest.mark.parametrize("with_covariance", [True, False])
-def test_the_epipolar_check_says_what_the_calibration_explains(evaluation, with_covariance):
+def test_the_epipolar_figure_shows_the_uncertainty_of_the_calibration(evaluation, with_covariance):
     stereo = evaluation.stereo[0]
     check = stereo.epipolar if with_covariance else replace(stereo.epipolar, pattern_covariance=None)
     picture = draw_epipolar(check, stereo.time_s, "top")
-    assert ("what calibration and matching explain" in picture.caption) == with_covariance
+    assert picture.caption.count("k = 2") == 1 + with_covariance  # image noise, and the band of the calibration
     nothing = replace(check, course_px=np.full_like(check.course_px, np.nan), residual_px=check.residual_px * np.nan)
     assert render_figure(draw_epipolar(nothing, stereo.time_s, "top"))

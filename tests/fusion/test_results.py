@@ -16,6 +16,7 @@ from evaluation_factory import ACCELERATION, LOAD_COMPONENTS, STATIC, Choice, ma
 from support import documented_columns, folder_contents, rows, without_pages
 
 from fusion.base import versions
+from fusion.campaign.campaign_notices import NO_RECORDING_RESULTS
 from fusion.campaign.excited_line import excited_lines_of
 from fusion.campaign.recording_results import read_recorded
 from fusion.errors import InputError
@@ -23,6 +24,7 @@ from fusion.estimation.uncertainty import Influence, Uncertainty
 from fusion.report import recording_report as results
 from fusion.report.folder import check_folder, hash_files, is_current, read_provenance, sha256
 from fusion.report.recording_report import MERGED_FILES, merged_table, write_results
+from fusion.report.report_notices import DAMAGED_RESULTS, OTHER_CONTENT, OTHER_FORMAT, PLACE_TAKEN
 from fusion.report.tables import headlines, sensitivity_table
 from fusion.sensitivity.analyse import Evaluation
 from fusion.sensor.identify import joint_fit
@@ -87,7 +89,7 @@ def test_phasors_are_read_back_to_the_last_bit(folder, evaluation):
     assert float(first["dof"]) == pytest.approx(204.0)
 
 
-def test_only_what_a_source_determines_has_rows(folder):
+def test_only_components_that_a_source_determines_have_rows(folder):
     laser = [row for row in rows(folder / "acceleration.csv") if row["source"] == "vibrometer"]
     assert [row["component"] for row in laser] == ["z"] * 3
     driven = next(row for row in rows(folder / "acceleration.csv") if row["component"] == "z")
@@ -101,7 +103,7 @@ def test_only_what_a_source_determines_has_rows(folder):
     assert all(-np.pi < float(row["phase_rad"]) <= np.pi for row in found)
 
 
-def test_elements_have_rows_after_the_ratios_and_stand_in_the_headline(write, tmp_path):
+def test_elements_have_rows_after_the_ratios_and_are_in_the_headline(write, tmp_path):
     plain = make_evaluation(tmp_path, Choice(frames=24, images=False))
     value = plain.sensitivity.value.copy()
     value[1:] = np.nan
@@ -130,7 +132,7 @@ def test_failed_frame_keeps_its_row(folder):
     assert found[1]["points"] == "437"
 
 
-def test_result_file_holds_everything(folder, evaluation):
+def test_result_file_contains_everything(folder, evaluation):
     with h5py.File(folder / "result.h5") as file:
         fused = file["accelerations/load-fused"]
         assert np.array_equal(fused["phasors/value"][()], evaluation.accelerations[0].phasors.value)
@@ -153,7 +155,7 @@ def test_result_file_holds_everything(folder, evaluation):
         assert file["provenance/versions"].attrs["numpy"] == "2.0"
 
 
-def test_results_answer_for_the_same_input_only(folder, evaluation, monkeypatch):
+def test_results_are_current_for_the_same_input_only(folder, evaluation, monkeypatch):
     hashes, settings = evaluation.input_hashes, evaluation.settings
     assert is_current(folder, hashes, settings)
     assert not is_current(folder, {**hashes, "rig.toml": "00" * 32}, settings)
@@ -164,14 +166,14 @@ def test_results_answer_for_the_same_input_only(folder, evaluation, monkeypatch)
 
 
 @pytest.mark.usefixtures("no_pages")
-def test_results_are_replaced_by_those_of_the_same_input_or_by_force_and_nothing_else(evaluation, tmp_path):
+def test_results_are_replaced_only_by_those_of_the_same_input_or_by_force(evaluation, tmp_path):
     out = tmp_path / "results"
     first = {path.name: path.read_bytes() for path in write_results(evaluation, out) if path.suffix == ".csv"}
     write_results(evaluation, out)
     assert {name: (out / name).read_bytes() for name in first} == first
     (out / "motion-mine.csv").write_text("not a result of the program", encoding="utf-8")
     other = replace(evaluation, stereo=(), input_hashes={"rig.toml": "11" * 32})
-    refused("other input", write_results, other, out, error=InputError)
+    refused(OTHER_CONTENT.code, write_results, other, out, error=InputError)
     write_results(other, out, force=True)
     assert not (out / "motion-top.csv").exists()
     assert (out / "motion-mine.csv").exists()
@@ -180,7 +182,7 @@ def test_results_are_replaced_by_those_of_the_same_input_or_by_force_and_nothing
     assert not is_current(out, other.input_hashes, other.settings)
     (tmp_path / "b").mkdir()
     (tmp_path / "b" / "notes.txt").write_text("mine", encoding="utf-8")
-    refused("expected an empty folder", write_results, evaluation, tmp_path / "b", error=InputError)
+    refused(OTHER_CONTENT.code, write_results, evaluation, tmp_path / "b", error=InputError)
     assert [path.name for path in (tmp_path / "b").iterdir()] == ["notes.txt"]
     assert all(path.is_file() for path in write_results(evaluation, tmp_path / "b", force=True))
     assert (tmp_path / "b" / "notes.txt").read_text(encoding="utf-8") == "mine"
@@ -214,8 +216,8 @@ def test_recording_without_sensor_and_cameras(write, tmp_path):
     assert read_recorded(write(replace(bare, notices=()))).notices == ()
     with h5py.File(folder / "result.h5", "r+") as file:
         file.attrs["format"] = 1
-    refused("--force evaluates the recording anew", read_recorded, folder, error=InputError)
-    refused("no results", read_recorded, tmp_path, error=InputError)
+    refused(OTHER_FORMAT.code, read_recorded, folder, error=InputError)
+    refused(NO_RECORDING_RESULTS.code, read_recorded, tmp_path, error=InputError)
 
 
 def _external_link(file: h5py.File, other: Path) -> None:
@@ -235,9 +237,9 @@ def _virtual(file: h5py.File, other: Path) -> None:
 @pytest.mark.parametrize(
     ("change", "found"),
     [
-        (_external_link, "a link to another"),
-        (_external_storage, "one in other files"),
-        (_virtual, "a virtual one, made of others"),
+        (_external_link, "link"),
+        (_external_storage, "files"),
+        (_virtual, "virtual"),
     ],
 )
 def test_results_that_lead_to_other_files_are_none(write, tmp_path, change, found):
@@ -248,12 +250,12 @@ def test_results_that_lead_to_other_files_are_none(write, tmp_path, change, foun
     assert read_provenance(folder) is not None
     with h5py.File(folder / "result.h5", "r+") as file:
         change(file, tmp_path / "other.h5")
-    told = rf"result\.h5: expected results of an earlier run, found damaged ones \(.*notices/more.*{found}"
-    refused(told, read_recorded, folder, error=InputError)
+    damaged = rf"^{DAMAGED_RESULTS.code} .*result\.h5: .*notices/more.*{found}"
+    refused(damaged, read_recorded, folder, error=InputError)
     sines = EvaluatedSines(make_evaluation(tmp_path, Choice(images=False)).manifest, folder)
-    refused(told, joint_fit._transfer, sines, "Fz", "", None, error=InputError)
+    refused(damaged, joint_fit._transfer, sines, "Fz", "", None, error=InputError)
     assert read_provenance(folder) is None
-    refused("--force", check_folder, folder, {}, force=False, error=InputError)
+    refused(OTHER_CONTENT.code, check_folder, folder, {}, force=False, error=InputError)
 
 
 def _group_elsewhere(file: h5py.File, other: Path) -> None:
@@ -275,7 +277,7 @@ def _names_outside(file: h5py.File, other: Path) -> None:
 
 @pytest.mark.usefixtures("no_pages")
 @pytest.mark.parametrize("change", [_group_elsewhere, _names_elsewhere, _names_outside])
-def test_files_that_make_way_are_named_by_the_results_themselves(tmp_path, change):
+def test_replaced_files_are_named_by_the_results(tmp_path, change):
     """What stands elsewhere in the file that is replaced counts no more; the list of files must be its own."""
     evaluation = make_evaluation(tmp_path, Choice(images=False))
     folder = tmp_path / "own"
@@ -306,7 +308,7 @@ def test_campaign_tables_are_the_recordings_rows_in_order(tmp_path):
         assert rows(tmp_path / name) == separate
     assert rows(tmp_path / "load.csv")[-1]["recording"] == 'Fz "second"'
     (tmp_path / "load.csv").write_text("a,b\n1,2\n", encoding="utf-8")
-    refused(r"load\.csv: expected the columns", lambda: list(merged_table("load.csv", [tmp_path])))
+    refused(r"load\.csv: ", lambda: list(merged_table("load.csv", [tmp_path])))
 
 
 def identical(first: Any, second: Any) -> bool:
@@ -367,7 +369,7 @@ def test_hashes_are_of_whole_files_named_from_the_root_and_sorted(tmp_path):
     assert list(hashes) == sorted(["rig.toml", "b/x.tif", paths[2].resolve().as_posix()])
 
 
-def test_versions_name_the_program_and_only_what_was_imported():
+def test_versions_name_the_program_and_only_imported_libraries():
     assert {"shakercal", "python", "platform", "numpy", "h5py"} <= set(versions())
     assert "pyarrow" not in versions()
 
@@ -376,9 +378,9 @@ def test_folder_rules(tmp_path):
     check_folder(tmp_path / "absent", {}, force=False)
     check_folder(tmp_path, {}, force=False)
     (tmp_path / "thesis.txt").write_text("mine")
-    refused("--force", check_folder, tmp_path, {}, force=False, error=InputError)
+    refused(OTHER_CONTENT.code, check_folder, tmp_path, {}, force=False, error=InputError)
     check_folder(tmp_path, {}, force=True)
-    refused("a folder", check_folder, tmp_path / "thesis.txt", {}, force=True, error=InputError)
+    refused(PLACE_TAKEN.code, check_folder, tmp_path / "thesis.txt", {}, force=True, error=InputError)
     (tmp_path / "result.h5").write_bytes(b"not HDF5")
     assert read_provenance(tmp_path) is None
     with h5py.File(tmp_path / "result.h5", "w") as file:

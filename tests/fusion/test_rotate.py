@@ -17,9 +17,25 @@ from support import DOCS, documented_columns, edit, rows
 from fusion.cli import main
 from fusion.recording.load import load_manifest
 from fusion.sensor.rotate.rotation_evaluation import evaluate_rotation
+from fusion.sensor.rotate.rotation_notices import (
+    CONSTANT_CHANNELS,
+    DIFFERENT_ROTATION_CHANNELS,
+    GRAVITY_NOT_DETERMINED,
+    GRAVITY_OFFSET,
+    GRAVITY_REVERSED,
+    LOAD_MASS_DEVIATES,
+    MATRIX_UNCERTAINTY_NOT_STATED,
+    MISSING_CHANNEL_COLUMNS,
+    MISSING_ROTATION_ENTRY,
+    NO_LOADED_RECORDING,
+    NO_UNLOADED_RECORDING,
+    WEIGHT_NOT_EXPLAINED,
+    WRONG_ROTATION_TABLE,
+)
 from fusion.sensor.rotate.rotation_readings import JOINT, RotationEvaluation
 from fusion.simulate.statics import BARE, LOADED, write_rotation
 from shaker.labels import LOAD_COMPONENTS
+from shakercal._common.notices import DeclaredNotice, Notice
 
 ANGLES = np.arange(0.0, 360.0, 22.5)
 BODIES = ("internal", "load")
@@ -79,8 +95,8 @@ def _evaluated(folder: Path, *names: str) -> RotationEvaluation:
     return evaluate_rotation("test", [load_manifest(folder / name) for name in names or (BARE, LOADED)], {})
 
 
-def _notices(evaluation: RotationEvaluation) -> str:
-    return "\n".join(notice.text for notice in evaluation.notices)
+def _notices(evaluation: RotationEvaluation, declared: DeclaredNotice) -> list[Notice]:
+    return [notice for notice in evaluation.notices if notice.code == declared.code]
 
 
 def _paper(folder: Path) -> Path:
@@ -99,9 +115,9 @@ def _paper(folder: Path) -> Path:
 
 def test_simulated_masses_come_back_within_u(simulated, once):
     truth = json.loads((simulated / LOADED / "truth.json").read_text())
-    true = {(f"{own}_mass", part): truth[f"{own}_mass_kg"] for own in BODIES for part in (JOINT, "Fx", "Fy")}
-    for own in BODIES:
-        true |= {(f"{own}_centre_of_mass", axis): truth[f"{own}_centre_m"][i] for i, axis in enumerate("xyz")}
+    true = {(f"{body}_mass", part): truth[f"{body}_mass_kg"] for body in BODIES for part in (JOINT, "Fx", "Fy")}
+    for body in BODIES:
+        true |= {(f"{body}_centre_of_mass", axis): truth[f"{body}_centre_m"][i] for i, axis in enumerate("xyz")}
     for key, value in true.items():
         found = once.find(*key)
         assert abs(found.value - value) < 1.5 * found.expanded, key
@@ -122,8 +138,9 @@ def test_published_amplitudes_give_the_published_table(tmp_path):
     assert value["load_mass_relative_deviation", "Fx"] == pytest.approx(0.028, abs=5e-4)
     assert value["load_mass_relative_deviation", "Fy"] == pytest.approx(-0.139, abs=2e-3)
     assert value["internal_mass_relative_difference", "Fx-Fy"] == pytest.approx(0.345, abs=1e-3)
-    assert "does not explain all channels" in _notices(evaluation)
-    assert "no uncertainty of the calibration matrix" in _notices(evaluation)
+    (notice,) = _notices(evaluation, WEIGHT_NOT_EXPLAINED)
+    assert notice.values["departure_percent"] == pytest.approx(100.0 * evaluation.weights.departure)
+    assert _notices(evaluation, MATRIX_UNCERTAINTY_NOT_STATED)
     assert evaluation.find("internal_centre_of_mass", "x") is None
     assert evaluation.find("weight", JOINT, BARE).value == pytest.approx(np.mean([7.558, 7.532]), abs=1e-3)
     assert 1e-3 < evaluation.weights.departure < 2e-3  # 0.35 % and 0.19 % between the axes
@@ -152,21 +169,22 @@ def test_a_head_that_was_set_anew_does_not_matter(tmp_path):
     table.write_text("\n".join([head, *moved]))
     after = _evaluated(folder)
     assert after.find("load_mass").value == pytest.approx(before.value, rel=1e-7)
-    assert "lies -33.0° from its stated direction" in _notices(after)
+    (notice,) = _notices(after, GRAVITY_OFFSET)
+    assert notice.values["offset_deg"] == pytest.approx(-33.0, abs=0.05)
 
 
-def test_one_recording_tells_what_it_can(simulated):
+def test_one_recording_determines_one_mass(simulated):
     bare, loaded = _evaluated(simulated, BARE), _evaluated(simulated, LOADED)
     assert bare.find("internal_mass") is not None
     assert bare.find("load_mass") is None
-    assert "internal mass only" in _notices(bare)
-    assert "what the weighed load leaves" in _notices(loaded)
-    difference, alone = loaded.find("internal_mass"), bare.find("internal_mass")
-    assert difference.u > 5.0 * alone.u  # the calibration's scale acts on the whole weight
-    assert abs(difference.value - alone.value) < 2.0 * difference.expanded
+    assert _notices(bare, NO_LOADED_RECORDING)
+    assert _notices(loaded, NO_UNLOADED_RECORDING)
+    difference, direct = loaded.find("internal_mass"), bare.find("internal_mass")
+    assert difference.u > 5.0 * direct.u  # the calibration's scale acts on the whole weight
+    assert abs(difference.value - direct.value) < 2.0 * difference.expanded
 
 
-def test_a_part_on_one_recording_is_taken_off_there(campaign, once):
+def test_part_of_one_recording_is_subtracted_from_it(campaign, once):
     part = (
         '\n[[part]]\nname = "plate"\nbody = "load"\nmass = 0.1\ndensity = 7900.0\ncentre_of_mass = [0.0, 0.0, 0.02]\n'
     )
@@ -179,23 +197,31 @@ def test_a_part_on_one_recording_is_taken_off_there(campaign, once):
 
 def test_repeats_are_averaged(campaign, once):
     shutil.copytree(campaign / BARE, campaign / "without-again")
-    again, first = _evaluated(campaign, BARE, "without-again", LOADED).find("internal_mass"), once.find("internal_mass")
-    assert again.value == pytest.approx(first.value, rel=1e-4)
-    assert again.budget[f"noise of {BARE}"] < 0.6 * first.budget[f"noise of {BARE}"]
-    assert again.budget["calibration matrix"] == pytest.approx(first.budget["calibration matrix"], rel=0.01)
+    repeated, first = (
+        _evaluated(campaign, BARE, "without-again", LOADED).find("internal_mass"),
+        once.find("internal_mass"),
+    )
+    assert repeated.value == pytest.approx(first.value, rel=1e-4)
+    assert repeated.budget[f"noise of {BARE}"] < 0.6 * first.budget[f"noise of {BARE}"]
+    assert repeated.budget["calibration matrix"] == pytest.approx(first.budget["calibration matrix"], rel=0.01)
 
 
-def test_reversed_sense_of_the_sensor_is_told_and_does_no_harm(campaign, once):
+def test_reversed_sense_of_the_sensor_is_reported_without_effect(campaign, once):
     edit(campaign / "rig.toml", 'sense = "on_sensor"', 'sense = "on_load"')
     after = _evaluated(campaign)
-    assert "sense of the sensor or zero_gravity may be the wrong way round" in _notices(after)
+    assert [notice.where for notice in _notices(after, GRAVITY_REVERSED)] == [BARE, LOADED]
     for key in (("load_mass", JOINT), ("load_centre_of_mass", "z")):
         assert after.find(*key).value == pytest.approx(once.find(*key).value, rel=1e-6)
 
 
-def test_a_load_that_weighs_something_else_is_told(campaign):
+def test_a_load_of_another_weight_is_reported(campaign):
     edit(campaign / "rig.toml", "mass = 6.9605", "mass = 6.9405")
-    assert "the load mass by joint and the weighed mass differ by" in _notices(_evaluated(campaign))
+    evaluation = _evaluated(campaign)
+    found = {notice.values["component"]: notice.values["ratio"] for notice in _notices(evaluation, LOAD_MASS_DEVIATES)}
+    for component, ratio in found.items():
+        assert ratio == pytest.approx(abs(evaluation.find("load_mass_normalised_deviation", component).value))
+        assert ratio > 1.0
+    assert JOINT in found
 
 
 def test_scale_replaces_the_unit_of_a_column(campaign, once):
@@ -208,9 +234,8 @@ def test_scale_replaces_the_unit_of_a_column(campaign, once):
 
 def test_files_of_a_run(campaign, capsys):
     assert main(["rotate", str(campaign)]) == 0
-    told = capsys.readouterr().out
-    assert re.search(r"^internal mass: joint \(0\.76\d* ± 0\.000\d+\) kg", told, re.MULTILINE)
-    assert "normalised deviation of the load mass: joint " in told
+    printed = capsys.readouterr().out
+    assert re.search(r"^internal mass: joint \(0\.76\d* ± 0\.000\d+\) kg", printed, re.MULTILINE)
     folder = campaign / "rotate"
     assert sorted(path.name for path in folder.iterdir()) == ["rotation.csv", "rotation.h5", "rotation.html"]
     found = rows(folder / "rotation.csv")
@@ -228,7 +253,6 @@ def test_files_of_a_run(campaign, capsys):
         assert file["weights/covariance"][0, 0] > 0.0
     page = (folder / "rotation.html").read_text(encoding="utf-8")
     self_contained(page)
-    assert "Budgets of the masses" in page
     assert page.count("<figure") == 5
 
 
@@ -241,17 +265,15 @@ def test_the_example_of_the_documentation_is_the_simulated_recording(simulated):
 
 def test_other_commands_name_this_one(campaign, capsys):
     assert main(["check", str(campaign / BARE)]) == 0
-    told = capsys.readouterr().out
-    assert "excitation: rotation without load" in told
-    assert "readings.csv, " in told
-    assert "angle [deg], Fx [mV/V]" in told
+    printed = capsys.readouterr().out
+    assert all(name in printed for name in ("readings.csv", "angle [deg]", "Fx [mV/V]"))
     for command in ("run", "transfer"):
         assert main([command, str(campaign / BARE)]) == 2
         assert "shakercal rotate" in capsys.readouterr().err
 
 
 @pytest.mark.usefixtures("no_pages")
-def test_where_results_stand(campaign, tmp_path):
+def test_folders_of_results(campaign, tmp_path):
     for paths, folder in (((BARE,), BARE), ((LOADED, BARE), ""), ((f"{LOADED}/recording.toml",), LOADED)):
         assert main(["rotate", *(str(campaign / path) for path in paths)]) == 0
         assert (campaign / folder / "rotate" / "rotation.csv").is_file()
@@ -265,69 +287,75 @@ def test_other_kinds_of_a_campaign_are_left_out(campaign, capsys):
     (campaign / "chirp" / "recording.toml").write_text(text + daq)
     (campaign / "chirp" / "d.h5").write_bytes(b"")
     assert main(["rotate", str(campaign)]) == 0
-    assert "left out, since their kind is not rotation: chirp" in capsys.readouterr().err
+    assert "chirp" in capsys.readouterr().err
     assert (campaign / "rotate" / "rotation.csv").is_file()
 
 
 RIG, RECORDING, TABLE = "rig.toml", f"{BARE}/recording.toml", f"{BARE}/readings.csv"
-CASES = [
-    (RIG, "latitude = 52.296\n", "", "environment.gravity", "local gravity, or latitude and height"),
-    (RIG, "height = 79.0\n", "", "environment.height", "the height above the sea"),
-    (RIG, "latitude = 52.296", "latitude = 152.0", "environment.latitude", "at most 90"),
-    (RIG, "height = 79.0", "height = 79.0\nhumidity = 45.0", "environment.humidity", "at most 1"),
-    (RIG, "height = 79.0", "height = 79.0\npressure = 1013.25", "environment.pressure", "at least 30000"),
-    (RECORDING, 'angle_unit = "deg"', 'angle_unit = "rad"', "excitation.angle_unit", "the unit of the column angle"),
-    (RECORDING, "axis = [0.0, 0.0, 1.0]", "axis = [0.0, 0.0, -1.0]", "excitation.axis", "reverse the axis"),
-    (RECORDING, "axis = [0.0, 0.0, 1.0]", "axis = [0.0, 1.0, 0.0]", "excitation.axis", "one across gravity"),
-    (RECORDING, "with_load = false\n", "", "excitation.with_load", "required for kind"),
-    (RECORDING, "with_load = false", "with_load = false\nscale = 0", "excitation.scale", "a number other than 0"),
-    (RECORDING, 'file = "readings.csv"', 'file = "no.csv"', "excitation.file", "an existing file"),
-    (TABLE, "angle [deg]", "theta", "angle", "a column of this name"),
-    (TABLE, "Fx [mV/V]", "Fx [kN]", "Fx", 'expected "V/V"'),
-    (TABLE, "Fx [mV/V]", "Fx [N]", "Fy", "N or N.m as of Fx"),
-    (TABLE, ",".join(f"{name} [mV/V]" for name in LOAD_COMPONENTS), "a,b,c,d,e,f", None, "columns of the sensor"),
-    (TABLE, "\n22.5,", "\n22.5,nan,0,0,0,0,0\n22.5,", "Fx", "a number in every row"),
-    (TABLE, "\n22.5,", "\ntwenty,", None, "expected numbers"),
-    (TABLE, "Mz [mV/V]", "remark", None, "the channels of without-load"),
+TABLE_CODE = WRONG_ROTATION_TABLE.code
+CASES = [  # file, its old and new text, the key of the refusal, its code where this command declares it
+    (RIG, "latitude = 52.296\n", "", "environment.gravity", GRAVITY_NOT_DETERMINED.code),
+    (RIG, "height = 79.0\n", "", "environment.height", ""),
+    (RIG, "latitude = 52.296", "latitude = 152.0", "environment.latitude", ""),
+    (RIG, "height = 79.0", "height = 79.0\nhumidity = 45.0", "environment.humidity", ""),
+    (RIG, "height = 79.0", "height = 79.0\npressure = 1013.25", "environment.pressure", ""),
+    (RECORDING, 'angle_unit = "deg"', 'angle_unit = "rad"', "excitation.angle_unit", TABLE_CODE),
+    (RECORDING, "axis = [0.0, 0.0, 1.0]", "axis = [0.0, 0.0, -1.0]", "excitation.axis", ""),
+    (RECORDING, "axis = [0.0, 0.0, 1.0]", "axis = [0.0, 1.0, 0.0]", "excitation.axis", ""),
+    (RECORDING, "with_load = false\n", "", "excitation.with_load", ""),
+    (RECORDING, "with_load = false", "with_load = false\nscale = 0", "excitation.scale", ""),
+    (RECORDING, 'file = "readings.csv"', 'file = "no.csv"', "excitation.file", ""),
+    (TABLE, "angle [deg]", "theta", "angle", TABLE_CODE),
+    (TABLE, "Fx [mV/V]", "Fx [kN]", "Fx", TABLE_CODE),
+    (TABLE, "Fx [mV/V]", "Fx [N]", "Fy", TABLE_CODE),
+    (TABLE, ",".join(f"{name} [mV/V]" for name in LOAD_COMPONENTS), "a,b,c,d,e,f", None, TABLE_CODE),
+    (TABLE, "\n22.5,", "\n22.5,nan,0,0,0,0,0\n22.5,", "Fx", TABLE_CODE),
+    (TABLE, "\n22.5,", "\ntwenty,", None, ""),
+    (TABLE, "Mz [mV/V]", "remark", None, DIFFERENT_ROTATION_CHANNELS.code),
 ]
 
 
-@pytest.mark.parametrize(("file", "old", "new", "key", "expected"), CASES)
-def test_a_mistake_is_one_sentence(campaign, file, old, new, key, expected, refused):
+@pytest.mark.parametrize(("file", "old", "new", "key", "code"), CASES)
+def test_a_mistake_is_one_sentence(campaign, file, old, new, key, code, refused):
     edit(campaign / file, old, new)
-    told = refused("rotate", "-q", campaign)
-    assert Path(file).name in told
-    assert expected in told
-    assert key is None or f"{key}: " in told
+    refusal = refused("rotate", "-q", campaign)
+    assert Path(file).name in refusal
+    assert f"{code} " in refusal
+    assert key is None or f"{key}: " in refusal
     assert not (campaign / "rotate").exists()
 
 
 def test_other_recordings_are_refused(campaign, tmp_path, refused):
     (tmp_path / "other").mkdir()
     write_rotation(tmp_path / "other", 2)
-    assert "the rig of without-load" in refused("rotate", campaign / BARE, tmp_path / "other" / LOADED)
+    assert LOADED in refused("rotate", campaign / BARE, tmp_path / "other" / LOADED)
     edit(campaign / RECORDING, "../rig.toml", "rig.toml")
     bare = 'format = 1\nname = "no sensor"\n'
     (campaign / BARE / "rig.toml").write_text(bare)
     assert "environment.gravity" in refused("rotate", campaign / BARE)
     (campaign / BARE / "rig.toml").write_text(bare + "[environment]\ngravity = [0, 0, -9.81]\n")
-    assert "rig.toml: sensor: expected the [sensor]" in refused("rotate", campaign / BARE)
+    refusal = refused("rotate", campaign / BARE)
+    assert f"{MISSING_ROTATION_ENTRY.code} " in refusal
+    assert "rig.toml: sensor: " in refusal
 
 
 def test_outputs_without_a_matrix_are_refused(campaign, refused):
     lines = (campaign / RIG).read_text(encoding="utf-8").splitlines()
     (campaign / RIG).write_text("\n".join(line for line in lines if not line.startswith("static_sensitivity ")))
-    told = refused("rotate", campaign)
-    assert "sensor.static_sensitivity: expected the sensitivities that turn outputs into loads" in told
+    refusal = refused("rotate", campaign)
+    assert f"{MISSING_ROTATION_ENTRY.code} " in refusal
+    assert "sensor.static_sensitivity: " in refusal
 
 
-@pytest.mark.usefixtures("no_pages")
-def test_a_channel_that_stands_still_or_is_missing_is_left_out(campaign, capsys):
+def test_a_channel_that_is_constant_or_missing_is_left_out(campaign):
     for name in (BARE, LOADED):
         table = campaign / name / "readings.csv"
         lines = table.read_text().replace("Fz [mV/V]", "remark").splitlines()
         table.write_text("\n".join(re.sub(r",[^,]*$", ",0", row) if i else row for i, row in enumerate(lines)))
-    assert main(["rotate", str(campaign)]) == 0
-    told = capsys.readouterr().err
-    assert "Mz: every reading is the same, left out" in told
-    assert "without-load, with-load: readings.csv has no column of Fz" in told
+    evaluation = _evaluated(campaign)
+    for declared, values in (
+        (CONSTANT_CHANNELS, {"channels": "Mz"}),
+        (MISSING_CHANNEL_COLUMNS, {"file": "readings.csv", "channels": "Fz"}),
+    ):
+        found = _notices(evaluation, declared)
+        assert [(notice.where, notice.values) for notice in found] == [(BARE, values), (LOADED, values)]

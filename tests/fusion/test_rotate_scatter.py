@@ -16,6 +16,7 @@ from fusion.cli import main
 from fusion.estimation.coverage import coverage_factor
 from fusion.recording.load import load_manifest
 from fusion.sensor.rotate.rotation_evaluation import MEAN_ROWS, RotationCampaign, evaluate_rotation, quantities
+from fusion.sensor.rotate.rotation_notices import SINGLE_MOUNTING
 from fusion.sensor.rotate.rotation_readings import (
     JOINT,
     RepeatedResults,
@@ -42,16 +43,16 @@ ONE = np.ones((1, 1))
 
 
 def _carried(value: np.ndarray, noise: float, mountings: tuple[str, ...], shared: float = 0.0) -> RepeatedResults:
-    """Readings (N,) of one number with noise of their own, and a shared error."""
+    """Readings (N,) of one number with independent noise, and a shared error."""
     count = len(value)
     effects = (noise * np.eye(count)[:, None, :], np.full((count, 1, 1), shared))
     return RepeatedResults("with load", tuple(f"r{i}" for i in range(count)), mountings, value[:, None], effects)
 
 
-def _effective(found: ScatterComponent, known: float) -> float:
-    """Effective degrees of freedom of a mean with a variance that is known beside the scatter's."""
+def _effective(found: ScatterComponent, variance: float) -> float:
+    """Effective degrees of freedom of a mean with a known variance and that of the scatter."""
     wide, dof = float(found.wide[0]), float(found.dof[0])
-    return (wide + known) ** 2 / (wide**2 / dof) if wide > 0.0 else np.inf
+    return (wide + variance) ** 2 / (wide**2 / dof) if wide > 0.0 else np.inf
 
 
 def test_scatter_far_beyond_noise_is_that_of_the_mean():
@@ -76,7 +77,7 @@ def test_noise_and_scatter_together_have_u_and_freedom_of_the_mean_square():
     assert (explained.in_mean[0], explained.wide[0]) == (0.0, 0.0)
 
 
-def test_unbalanced_mountings_come_apart_in_the_mean_over_many():
+def test_unbalanced_mountings_are_separated_in_the_mean():
     rng, mountings = np.random.default_rng(2), ("1", "1", "1", "2", "3", "3")
     forms = nested_anova(mountings)
     assert (forms.within_dof, forms.between_dof) == (3, 2)
@@ -93,29 +94,29 @@ def test_unbalanced_mountings_come_apart_in_the_mean_over_many():
 
 
 @pytest.mark.parametrize(("count", "scatter"), [(4, 0.0), (3, 0.5), (5, 1.0), (3, 2.0), (3, 10.0), (4, 10.0)])
-def test_intervals_of_a_mean_hold_the_truth(count, scatter):
-    rng, held, trials = np.random.default_rng(3), 0, 1000
+def test_intervals_of_a_mean_contain_the_truth(count, scatter):
+    rng, covered, trials = np.random.default_rng(3), 0, 1000
     for _ in range(trials):
         value = np.hypot(1.0, scatter) * rng.standard_normal(count)
         found = dict(scatter_components(_carried(value, 1.0, ("1",) * count), ONE))[WITHIN]
         variance = 1.0 / count + found.in_mean[0]
-        held += abs(value.mean()) <= coverage_factor(_effective(found, 1.0 / count)) * np.sqrt(variance)
+        covered += abs(value.mean()) <= coverage_factor(_effective(found, 1.0 / count)) * np.sqrt(variance)
     # Whether noise explains the scatter is itself read from few recordings: 93 % of three at worst, 97 % without any.
-    assert 0.915 <= held / trials <= 0.985
+    assert 0.915 <= covered / trials <= 0.985
 
 
 def _copies(folder: Path, extra: dict[str, tuple[str, str, float]]) -> list[str]:
-    """Recordings beside the simulated two: name to its source, its mounting, what its outputs are multiplied by."""
+    """Recordings in addition to the simulated two: name to source, mounting, and factor of its outputs."""
     for name, (source, mounting, factor) in extra.items():
         shutil.copytree(folder / source, folder / name)
         recording = folder / name / "recording.toml"
         recording.write_text(f'mounting = "{mounting}"\n' + recording.read_text())
         head, *rows = (folder / name / "readings.csv").read_text().splitlines()
-        told = []
+        lines = []
         for row in rows:
             angle, *outputs = row.split(",")
-            told.append(",".join([angle, *(f"{factor * float(output):.9f}" for output in outputs)]))
-        (folder / name / "readings.csv").write_text("\n".join([head, *told]) + "\n")
+            lines.append(",".join([angle, *(f"{factor * float(output):.9f}" for output in outputs)]))
+        (folder / name / "readings.csv").write_text("\n".join([head, *lines]) + "\n")
     return [BARE, LOADED, *extra]
 
 
@@ -139,12 +140,12 @@ def test_repeats_enter_the_budget_of_what_rests_on_them(repeated):
     # 75.8 N times 0.11 % between three mountings, of which the last counts twice
     assert load.budget[f"{BETWEEN} with load"] * 9.8125 == pytest.approx(0.07 * np.sqrt(6.0) / 4.0, rel=0.3)
     assert load.dof < 10.0
-    (again,) = evaluation.repeats
-    assert again.recordings == (LOADED, "again", "anew", "anew-again")
-    assert again.mountings == ("1", "2", "3", "3")
-    assert (again.within_dof, again.between_dof) == (1, 2)
+    (repeats,) = evaluation.repeats
+    assert repeats.recordings == (LOADED, "again", "anew", "anew-again")
+    assert repeats.mountings == ("1", "2", "3", "3")
+    assert (repeats.within_dof, repeats.between_dof) == (1, 2)
     off, weights = (
-        [evaluation.find(key, JOINT, name) for name in again.recordings] for key in ("weight_deviation", "weight")
+        [evaluation.find(key, JOINT, name) for name in repeats.recordings] for key in ("weight_deviation", "weight")
     )
     plain = np.array([q.value for q in weights])
     np.testing.assert_allclose([q.value for q in off], plain - plain.mean(), atol=1e-12)
@@ -152,13 +153,14 @@ def test_repeats_enter_the_budget_of_what_rests_on_them(repeated):
     assert not any(BETWEEN in name for q in weights for name in q.budget)
 
 
-def test_one_mounting_is_told_and_single_recordings_are_not(repeated):
+def test_one_mounting_is_reported_and_single_recordings_are_not(repeated):
     folder, _ = repeated
-    told = [notice.text for notice in _evaluated(folder, [BARE, "anew", "anew-again"]).notices]
-    assert any("2 recordings with load are of one mounting" in text for text in told)
+    repeats = _evaluated(folder, [BARE, "anew", "anew-again"])
+    (notice,) = (notice for notice in repeats.notices if notice.code == SINGLE_MOUNTING.code)
+    assert notice.values == {"count": 2, "state": "with load"}
     single = _evaluated(folder, [BARE, LOADED])
     assert not single.repeats
-    assert not any("mounting" in notice.text for notice in single.notices)
+    assert SINGLE_MOUNTING.code not in {notice.code for notice in single.notices}
     assert all(not name.startswith((WITHIN, BETWEEN)) for q in single.quantities for name in q.budget)
 
 
@@ -179,7 +181,7 @@ def test_files_of_repeats(repeated, tmp_path):
 
 
 class _Trials:
-    """A fit to many recordings without errors, to which errors by its own sources and scatter are drawn."""
+    """A fit to many recordings without errors, to which errors are drawn by its sources and scatter."""
 
     def __init__(self, folder: Path, sizes: tuple[int, ...]) -> None:
         """`sizes`: recordings of every mounting, of either state."""
@@ -222,16 +224,16 @@ class _Trials:
     [((1, 1, 1), 0.0, 5e-4), ((4,), 3e-4, 0.0), ((2, 1, 2), 1e-4, 4e-4)],
     ids=["three mountings", "four recordings of one", "five of three"],
 )
-def test_intervals_of_masses_hold_the_truth(sizes, within, between, tmp_path):
+def test_intervals_of_masses_contain_the_truth(sizes, within, between, tmp_path):
     trials, rng = _Trials(tmp_path, sizes), np.random.default_rng(5)
     truth = {"internal_mass": SCATTERING.internal_mass_kg, "load_mass": SCATTERING.load_mass_kg}
-    held = {("internal_mass", JOINT): 0, ("load_mass", JOINT): 0, ("load_mass", "Fx"): 0}
+    covered = {("internal_mass", JOINT): 0, ("load_mass", JOINT): 0, ("load_mass", "Fx"): 0}
     for _ in range(TRIALS):
         campaign = trials.drawn(rng, within, between)
         found = {(q.name, q.component): q for q in quantities(campaign)}
-        for key in held:
-            held[key] += abs(found[key].value - truth[key[0]]) <= found[key].expanded
-    shares = {key: count / TRIALS for key, count in held.items()}
+        for key in covered:
+            covered[key] += abs(found[key].value - truth[key[0]]) <= found[key].expanded
+    shares = {key: count / TRIALS for key, count in covered.items()}
     assert all(0.93 <= share <= 0.97 for share in shares.values()), shares
 
 
@@ -262,7 +264,7 @@ def _truth(rig: RotationRig, drawn: dict[str, list[float]]) -> dict[tuple[str, s
 
 @pytest.mark.slow
 @pytest.mark.parametrize("rig", [BY_CALIBRATION, BY_NOISE], ids=["calibration rules", "noise rules, one way"])
-def test_intervals_hold_the_truth(rig, tmp_path):
+def test_intervals_contain_the_truth(rig, tmp_path):
     write_rotation(tmp_path, 1, rig)
     manifests = [load_manifest(tmp_path / name) for name in (BARE, LOADED)]
     read = [read_rotation(manifest)[:2] for manifest in manifests]
@@ -270,7 +272,7 @@ def test_intervals_hold_the_truth(rig, tmp_path):
     angle = read[0][0].fit.angle_rad
     if rig is BY_NOISE:
         angle = angle[:16]
-    held = dict.fromkeys(JUDGED, 0)
+    covered = dict.fromkeys(JUDGED, 0)
     for seed in range(ROTATION_TRIALS):
         draws, recordings = Draws(seed, True), []
         for (recording, _), name in zip(read, (BARE, LOADED), strict=True):
@@ -283,8 +285,8 @@ def test_intervals_hold_the_truth(rig, tmp_path):
         campaign = RotationCampaign(tuple(recordings), records, weights, gravity, air)
         found = {(q.name, q.component): q for q in quantities(campaign)}
         for key, true in _truth(rig, draws.values).items():
-            held[key] += abs(found[key].value - true) <= found[key].expanded
-    shares = {key: count / ROTATION_TRIALS for key, count in held.items()}
+            covered[key] += abs(found[key].value - true) <= found[key].expanded
+    shares = {key: count / ROTATION_TRIALS for key, count in covered.items()}
     # A perfect interval misses by three standard deviations of 1000 trials, 2 %, once in 400; pooled ones agree better.
     assert all(0.93 <= share <= 0.97 for share in shares.values()), shares
     assert 0.94 <= np.mean(list(shares.values())) <= 0.96, shares

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
@@ -30,6 +31,13 @@ from take_factory import (
 from fusion.cli import main
 from fusion.commands.options import EXIT_DONE
 from fusion.instruments.transducer import unit_direction
+from fusion.phasors.phasor_notices import (
+    HARMONIC_UNRESOLVED,
+    LARGE_REFERENCE_DRIFT,
+    REFERENCE_DRIFT,
+    TAKE_FREQUENCY_DIFFERS,
+    TAKES_SCATTER,
+)
 from fusion.planning.check import check
 from fusion.recording.daq_records import read_set_ups
 from fusion.recording.load import load_manifest
@@ -91,8 +99,10 @@ def test_the_drift_between_takes_is_part_of_the_uncertainty(eight):
     drift = [take.drift[0] for take in eight.set_ups]
     assert drift[0] == 0.0
     assert np.std(drift) == pytest.approx(0.005, rel=0.6)
-    told = [notice for notice in eight.notices if "level is made good" in notice.text]
-    assert {notice.where for notice in told} == {t.name for t in eight.set_ups if abs(t.drift[0]) > 1e-3}
+    codes = REFERENCE_DRIFT.code, LARGE_REFERENCE_DRIFT.code
+    assert {notice.where for notice in eight.notices if notice.code in codes} == {
+        t.name for t in eight.set_ups if abs(t.drift[0]) > 1e-3
+    }
 
 
 def test_output_of_all_takes_is_one_and_gives_the_sensitivity(eight):
@@ -163,16 +173,19 @@ def test_a_channel_in_every_take_is_one_reading_and_its_scatter_counts(tmp_path)
     u = np.sqrt(found.outputs.uncertainty.random[0].covariance[0, 0, 0]) / abs(found.outputs.phasors.value[0, 0])
     assert u * np.sqrt(2.0) == pytest.approx(np.std(gains, ddof=1) / np.sqrt(5.0), rel=0.05)
     assert found.outputs.uncertainty.random[0].dof[0] == pytest.approx(4.0, rel=0.01)
-    assert any(notice.where == "Fz" and "differs from take to take by" in notice.text for notice in found.notices)
+    assert ("Fz", TAKES_SCATTER.code) in {(notice.where, notice.code) for notice in found.notices}
 
 
 def test_a_large_drift_and_another_frequency_are_warnings(tmp_path):
     rng = np.random.default_rng(3)
     shots = [Shot(POINTS[:1]), Shot(POINTS[1:2], 1.05), Shot(POINTS[2:3], frequency_hz=FREQUENCY_HZ * 1.0005)]
     found = evaluated(write_takes(tmp_path, shots, rng, harmonics=[1]))
-    told = {notice.where: notice.text for notice in found.notices if notice.severity == "warning"}
-    assert "take 2: the reference drive reads +5 %" in told["take 2"]
-    assert "take 3: driven at 106.3038 Hz, in the first take at 106.251 Hz" in told["take 3"]
+    notices = {(notice.where, notice.code): notice for notice in found.notices}
+    drift = notices["take 2", LARGE_REFERENCE_DRIFT.code]
+    assert drift.values["reference"] == "drive"
+    assert drift.values["drift_percent"] == pytest.approx(5.0, rel=1e-2)
+    frequency = notices["take 3", TAKE_FREQUENCY_DIFFERS.code]
+    assert frequency.values["frequency_hz"] / frequency.values["first_hz"] == pytest.approx(1.0005, abs=2e-6)
 
 
 def _without_reference(folder: Path) -> None:
@@ -195,13 +208,13 @@ def _drive(factor: float) -> Callable[[dict[str, np.ndarray]], dict[str, np.ndar
 @pytest.mark.parametrize(
     ("damage", "sentence"),
     [
-        (_without_reference, "take[2].daq: expected one channel with reference = true, the same in every take"),
+        (_without_reference, "take[2].daq: "),
         (
             _second(_drive(1e-3)),
-            "take[2].daq.daq.channel.drive.reference: expected a channel that shows the driven line at",
+            "take[2].daq.daq.channel.drive.reference: ",
         ),
-        (_second(_drive(0.0)), "2.h5: drive: expected samples that change, found 0 throughout"),
-        (_second(dict, frequency_hz=160.0), "excitation.frequencies: expected 106.25 Hz to stand out of the spectrum"),
+        (_second(_drive(0.0)), "2.h5: drive: "),
+        (_second(dict, frequency_hz=160.0), "excitation.frequencies: "),
         (_second(lambda values: {"Fz": values["Fz"]}), "take[2].daq.daq.file: 2.h5"),
     ],
 )
@@ -216,14 +229,14 @@ def test_check_and_lines_know_takes(tmp_path, capsys):
     shots = [Shot(POINTS[:1], harmonics=HARMONICS), Shot(POINTS[1:2])]
     folder = write_takes(tmp_path, shots, np.random.default_rng(2))
     assert main(["check", str(folder)]) == EXIT_DONE
-    told = capsys.readouterr().out
-    assert "takes: 2, tied by drive" in told
-    assert "take[2] daq daq: 2.h5" in told
-    assert "load: laser: z" in told or "load: laser: no component by itself" in told
+    reported = capsys.readouterr().out
+    assert re.search("takes: 2, .* drive", reported)
+    assert "2.h5" in reported
+    assert "load: laser: z" in reported or "load: laser: no component by itself" in reported
     assert main(["lines", str(folder)]) == EXIT_DONE
-    told = capsys.readouterr().out  # of the first take
-    assert "fundamental" in told
-    assert "harmonic 3" in told
+    reported = capsys.readouterr().out  # of the first take
+    assert "fundamental" in reported
+    assert "harmonic 3" in reported
 
 
 def test_reference_at_a_weak_harmonic_leaves_that_line_to_the_other_takes(tmp_path):
@@ -237,11 +250,12 @@ def test_reference_at_a_weak_harmonic_leaves_that_line_to_the_other_takes(tmp_pa
 
 
 def test_a_harmonic_that_folds_in_one_take_is_left_out_of_all(tmp_path):
-    """Sampled at four times the line, its third harmonic cannot be told from it."""
+    """Sampled at four times the line, its third harmonic cannot be separated from it."""
     slow = Shot(POINTS[1:2], rate_hz=4.0 * FREQUENCY_HZ, samples=1200)
     found = evaluated(write_takes(tmp_path, [Shot(POINTS[:1], harmonics=HARMONICS), slow], np.random.default_rng(2)))
     assert found.lines.multiple.tolist() == [1]
-    assert any("harmonic 3 of 106.25 Hz is left out: take 2 cannot tell it" in notice.text for notice in found.notices)
+    notices = [notice.values for notice in found.notices if notice.code == HARMONIC_UNRESOLVED.code]
+    assert {"take": "take 2", "order": 3, "fundamental_hz": 106.25} in notices
 
 
 def test_an_output_can_be_the_reference_and_its_noise_then_cancels_in_the_ratio(tmp_path):
@@ -338,10 +352,10 @@ def test_points_are_placed_where_the_file_says_and_counted_by_check(tmp_path, ca
     np.testing.assert_allclose(np.array(placed, dtype=np.float64), SCANNED, atol=1e-9)
     assert {take.records[0].entry.channel[1].point for take in takes} == {(0.0, 0.0, -0.1)}  # the reference stays
     assert main(["check", str(folder)]) == EXIT_DONE
-    told = capsys.readouterr().out
-    assert "3000 samples at 4000 Hz, a scan of 4 points, each a take" in told
-    assert "takes: 4, tied by 2" in told
-    assert "load: laser: z rx ry" in told
+    reported = capsys.readouterr().out
+    assert re.search("3000 samples at 4000 Hz, .* 4 points", reported)
+    assert re.search("takes: 4, .* 2", reported)
+    assert "laser: z rx ry" in reported
 
 
 def test_every_point_of_a_scan_has_its_own_direction_to_the_mirror_of_its_head(tmp_path, refused):
@@ -356,9 +370,9 @@ def test_every_point_of_a_scan_has_its_own_direction_to_the_mirror_of_its_head(t
     found = [unit_direction(take.records[0].entry.channel[0]) for take in takes]
     np.testing.assert_allclose(found, lines / np.linalg.norm(lines, axis=1, keepdims=True), atol=1e-9)
     assert "head psv: mirror at (0.01, -0.02, 0.55) m, 4 channels or points" in check(load_manifest(folder)).contents
-    told = refused("run", _text(folder, own, reference("2"), output("3")))
-    assert "daq.scan.channel.1.direction: expected the direction from the point to the mirror of head psv" in told
-    assert "found at point 1 a direction" in told
+    reported = refused("run", _text(folder, own, reference("2"), output("3")))
+    assert "daq.scan.channel.1.direction: " in reported
+    assert "head psv" in reported
 
 
 def test_a_scan_of_one_point_needs_no_reference(tmp_path):
@@ -369,12 +383,12 @@ def test_a_scan_of_one_point_needs_no_reference(tmp_path):
 @pytest.mark.parametrize(
     ("channels", "sentence"),
     [
-        ([laser("1", ORIGIN)], "daq: expected one channel with reference = true"),
-        ([laser("1/9", ORIGIN)], "Scan_time.asc: 1/9: expected block/point of 3 blocks"),
-        ([laser("7", ORIGIN)], "Scan_time.asc: 7: expected block/point of 3 blocks and"),
+        ([laser("1", ORIGIN)], "recording.toml: daq: "),
+        ([laser("1/9", ORIGIN)], "Scan_time.asc: 1/9: "),
+        ([laser("7", ORIGIN)], "Scan_time.asc: 7: "),
         (
             [laser(name, ORIGIN) for name in ("1", "1/2")],
-            "daq.scan.channel.1/2: expected each data set once, found 1 beside it",
+            "daq.scan.channel.1/2: ",
         ),
     ],
 )

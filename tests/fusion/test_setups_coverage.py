@@ -158,8 +158,8 @@ def test_noise_of_the_reference_is_one_error_of_all_takes(rig):
 
 @pytest.mark.parametrize("dof", [8, 1e9])
 def test_a_mean_of_takes_whose_noise_was_estimated_holds_and_is_told_to_scatter_as_often_as_stated(dof):
-    """As if the noise were known 9.5 % would be told of the 1 % that the test allows, and 92.5 % hold."""
-    rng, told, held = np.random.default_rng(4), 0, 0
+    """As if the noise were known 9.5 % would be reported of the 1 % that the test allows, and 92.5 % hold."""
+    rng, reported, held = np.random.default_rng(4), 0, 0
     for _ in range(400):
         takes = []
         for take in (_reading(LASERS[0], 1.0, rng, 0.0) for _ in range(8)):
@@ -169,9 +169,9 @@ def test_a_mean_of_takes_whose_noise_was_estimated_holds_and_is_told_to_scatter_
             )
         (found,), notices = merge_readings([(f"take {n}", [take]) for n, take in enumerate(takes, 1)])
         mean = found.phasors
-        told += len(notices)
+        reported += len(notices)
         held += abs(mean.value[0, 0].real - 1.0) < coverage_factor(mean.dof[0]) * mean.u_re[0, 0]
-    assert told <= binom.isf(1e-3, 400, 0.01)
+    assert reported <= binom.isf(1e-3, 400, 0.01)
     assert binom.ppf(0.01, 400, 0.95) <= held <= binom.isf(1e-3, 400, 0.98)
 
 

@@ -6,7 +6,6 @@ of its rate is that of the fit.
 
 from __future__ import annotations
 
-import re
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -18,6 +17,7 @@ from scipy.stats import binom
 from fusion.estimation.coverage import polar
 from fusion.estimation.measurement_model import Deviates
 from fusion.estimation.uncertainty import Contribution, Uncertainty, real_stack
+from fusion.phasors.phasor_notices import HARMONIC_WITHOUT_FUNDAMENTAL, PERIODIC_JITTER, SHORT_BEAT
 from fusion.phasors.stereo_motion import StereoMotion
 from fusion.phasors.stereo_phasors import StereoPhasors, pairs_phasors, stereo_phasors
 from fusion.phasors.timing import TimeBase, combine_timing_errors, frame_sight
@@ -143,18 +143,20 @@ def test_errors_of_a_clock_act_through_the_fit():
         late_s, stretch = unknown.offset_s + unknown.rate * time_s, np.ravel(unknown.stretch)[0]
         again = fit_sines(time_s + late_s, pose, LINE_HZ * np.ones(1) * (1.0 + stretch), list("abcdef"), ["m"] * 6)
         change = again.phasors.value[0] / np.sinc(LINE_HZ * EXPOSURE_S) - value
-        first = (error.effect[0] - 2.0 * stretch) * value + error.rest[0]  # as an acceleration it errs by 2 u(f)/f more
+        first = (error.effect[0] - 2.0 * stretch) * value + error.additive[
+            0
+        ]  # as an acceleration it errs by 2 u(f)/f more
         np.testing.assert_allclose(first, change, rtol=0.01, atol=0.01 * np.abs(change).max())
     # Less than a beat makes amplitude of a rate: many times what the noise does.
-    assert abs(found.reading.errors[1].rest[0, 2]) > 2e-4 * SIZE[2]
+    assert abs(found.reading.errors[1].additive[0, 2]) > 2e-4 * SIZE[2]
 
 
 @pytest.mark.parametrize("beats", [0.46, 2.0])
 def test_short_records_err_as_they_state(beats):
     share, seen = held_over(beats, 40, 0.3, 1)
     assert share.min() >= binom.ppf(1e-3 / 12, 40, 0.95) / 40
-    told = [any("of a beat" in notice.text for notice in pair.notices) for pair in seen]
-    assert np.mean(told) > 0.5 if beats < 1.0 else not any(told)
+    reported = [any(notice.code == SHORT_BEAT.code for notice in pair.notices) for pair in seen]
+    assert np.mean(reported) > 0.5 if beats < 1.0 else not any(reported)
 
 
 def test_less_than_a_third_of_a_beat_is_left_out_with_its_harmonics():
@@ -164,8 +166,10 @@ def test_less_than_a_third_of_a_beat_is_left_out_with_its_harmonics():
     found, notices, unfitted = pairs_phasors(base, [measured], known_lines(LINE_HZ, 0.0), (), None)
     assert not found
     assert not unfitted
-    assert any("folds to 0.5022 Hz" in notice.text for notice in notices)
-    assert any("212.5 Hz is dropped with its fundamental" in notice.text for notice in notices)
+    pair = f"stereo pair {measured.sight.name}"
+    assert any("0.5022 Hz" in notice.text for notice in notices if notice.where.startswith(pair))
+    harmonics = [notice.where for notice in notices if notice.code == HARMONIC_WITHOUT_FUNDAMENTAL.code]
+    assert harmonics == [f"{pair}, 212.5 Hz"]
 
 
 @pytest.mark.slow
@@ -189,7 +193,7 @@ def test_a_line_found_in_the_motion_is_on_the_clock_of_its_trigger():
     assert rate.rate + float(rate.stretch) == 0.0
     seen = stereo_phasors(base, measured, found, base.line_errors(found, clock))
     (error,) = (e for e in seen.reading.errors if e.name == "camera: rate")
-    assert np.all(error.rest == 0.0)
+    assert np.all(error.additive == 0.0)
     (own,) = (e for e in seen.reading.errors if e.name.startswith("frequency"))
     assert own.u < found.u_frequency_hz[0]
 
@@ -237,8 +241,8 @@ def test_draws_of_a_short_record_spread_as_its_uncertainty_says():
     dof = observed.phasors.dof[0]
     for part, place in ((drawn.real, 2), (drawn.imag, 8)):
         own = noise[place, place] * dof / (dof - 2.0)
-        said = own + sum((e.real if place == 2 else e.imag) ** 2 for e in effects)
-        assert np.var(part) == pytest.approx(said, rel=0.15)
+        predicted = own + sum((e.real if place == 2 else e.imag) ** 2 for e in effects)
+        assert np.var(part) == pytest.approx(predicted, rel=0.15)
 
 
 def test_periodic_jitter_is_told_with_what_it_does() -> None:
@@ -246,17 +250,17 @@ def test_periodic_jitter_is_told_with_what_it_does() -> None:
     rng, frames, late_s = np.random.default_rng(8), 211, 2e-5
     even = 0.2 + np.arange(frames) / CAMERA_HZ
     truth = SIZE * np.array([[1.0], [0.0]])
-    told = {}
+    reported = {}
     for name, jitter in (
         ("periodic", late_s * np.cos(4.0 * np.pi * LINE_HZ * even)),
         ("quartz", 3e-8 * rng.normal(size=frames)),
     ):
         base = time_base({("daq", "camera"): latched(even + jitter, DAQ_HZ)})
         seen = stereo_phasors(base, seen_pair(base, recorded(truth, even + jitter, rng)), known_lines(LINE_HZ, 1e-6))
-        told[name] = [notice.text for notice in seen.notices if "equal distances" in notice.text]
+        reported[name] = [notice for notice in seen.notices if notice.code == PERIODIC_JITTER.code]
         off = abs(seen.reading.phasors.value[0, 2] / truth[0, 2] - 1.0)
         if name == "periodic":
-            said = float(re.findall(r"change that line by ([\d.]+) %", told[name][0])[0]) / 100.0
+            predicted = reported[name][0].values["change_percent"] / 100.0
             assert off == pytest.approx(np.pi * LINE_HZ * late_s, rel=0.6)  # some of it is seen of the edges
-            assert said == pytest.approx(np.pi * LINE_HZ * late_s, rel=0.3)
-    assert not told["quartz"]
+            assert predicted == pytest.approx(np.pi * LINE_HZ * late_s, rel=0.3)
+    assert not reported["quartz"]

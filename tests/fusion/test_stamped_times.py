@@ -9,6 +9,7 @@ import pytest
 
 from fusion import TransferSettings, evaluate_recording, evaluate_transfer, load_manifest
 from fusion.errors import InputError
+from shaker.io import read_channels
 from shaker.lines.frequencies import find_lines
 from shaker.sine.sine_fit import fit_sines
 from shaker.sine.solve import SineModel
@@ -86,7 +87,8 @@ def write(folder: Path, time: np.ndarray, rng: np.random.Generator, kind: str = 
 def test_sensitivity_at_the_stamped_times(tmp_path, pattern):
     rng = np.random.default_rng(3)
     evaluation = evaluate_recording(load_manifest(write(tmp_path, times(pattern, rng), rng)))
-    assert any(notice.text.startswith("daq: acc, Fz: samples are not uniform") for notice in evaluation.notices)
+    gap = read_channels(tmp_path / "x.csv")["acc"].gap
+    assert any(gap in notice.text for notice in evaluation.notices)
     (acc, _) = evaluation.channels
     peak = int(np.argmax(acc.spectrum))
     assert acc.spectrum_hz[peak] == pytest.approx(LINE_HZ, abs=0.2 if pattern != "drifting" else 2.0)
@@ -99,12 +101,12 @@ def test_sensitivity_at_the_stamped_times(tmp_path, pattern):
 
 
 @pytest.mark.parametrize("kind", ["chirp", "noise"])
-def test_what_needs_uniform_samples_names_the_first_gap(tmp_path, kind):
+def test_evaluations_of_uniform_samples_name_the_first_gap(tmp_path, kind):
     rng = np.random.default_rng(4)
     more = 'band = [50.0, 400.0], response = ["Fz"], reference = ["acc"]'
     path = write(tmp_path, times("paused", rng), rng, kind, more)
     refused(
-        r"x\.csv: acc: expected uniform sampling, found 0\.7\d+ s between samples 2499 and 2500.* of 3 gaps",
+        r"x\.csv: acc: .* 0\.7\d+ s .* 2499 and 2500.* 3 gaps",
         evaluate_transfer,
         load_manifest(path),
         TransferSettings(),

@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from scipy import stats
 
+from fusion.sensor.step.step_notices import SHAPE_OF_DEVICE_UNDETERMINED
 from fusion.sensor.step.step_records import (
     OF_SHAPES,
     AlternativeModels,
@@ -83,22 +84,22 @@ def test_releases_of_one_mounting_do_not_count_as_mountings():
     assert np.all(u > 0.6 * 30 * SPREAD)
 
 
-def test_what_another_shape_of_the_releases_would_change_does_not_average_out():
-    """Of fifty alike releases, 45 by one rope; the other shape of theirs, two standard uncertainties away."""
-    apart = 4.0 * SPREAD
-    instead = AlternativeModels([model(VECTOR + apart, SPREAD)] * 45 + [model(VECTOR, SPREAD)] * 5, 2.0)
-    pooled = pool_models([model(VECTOR, SPREAD)] * 50, ["1"] * 50, 0.0, NO_INFLUENCES, [instead])
+def test_the_effect_of_another_release_shape_does_not_average_out():
+    """Of fifty equal releases 45 are by one device; their other shape is two standard uncertainties away."""
+    distance = 4.0 * SPREAD
+    alternative = AlternativeModels([model(VECTOR + distance, SPREAD)] * 45 + [model(VECTOR, SPREAD)] * 5, 2.0)
+    pooled = pool_models([model(VECTOR, SPREAD)] * 50, ["1"] * 50, 0.0, NO_INFLUENCES, [alternative])
     u, dof = pooled.spread(np.eye(10))
-    assert u == pytest.approx(np.hypot(SPREAD / np.sqrt(50), 0.9 * apart / 2.0), rel=1e-2)
+    assert u == pytest.approx(np.hypot(SPREAD / np.sqrt(50), 0.9 * distance / 2.0), rel=1e-2)
     assert np.sqrt(np.diag(pooled.model.covariance)) == pytest.approx(u, rel=1e-9)
     assert np.all(dof == np.inf)
     budget = pooled.budget(np.eye(10), NO_INFLUENCES)
-    assert budget[OF_SHAPES] == pytest.approx(0.45 * apart, rel=1e-2)
+    assert budget[OF_SHAPES] == pytest.approx(0.45 * distance, rel=1e-2)
     assert np.sqrt(np.sum(np.square([*budget.values()]), axis=0)) == pytest.approx(u)
 
 
-def test_releases_by_one_rope_tell_its_shape_together():
-    """What single records hardly tell, and one tells wrongly, their sum tells; a rope whose sum does not stays open."""
+def test_releases_by_one_device_determine_its_shape_together():
+    """The sum decides where single records hardly do, or wrongly; the shape of another device is undetermined."""
     time_s, noise = np.arange(2000) / 10e3 - 0.05, 1e-3 * np.random.default_rng(0).standard_normal(2000)
     volts = np.where(time_s < 0.0, 2.0, 2.0 * np.exp(-40.0 * time_s) * np.cos(2 * np.pi * 310.0 * time_s)) + noise
     record = StepRecord("1", ("Fz",), "V", volts[None], 10e3, "Fz", -20.0)
@@ -109,38 +110,38 @@ def test_releases_by_one_rope_tell_its_shape_together():
         fits = replace(ramp, excess=of_ramp), replace(smooth, excess=of_smooth)
         return StepRelease(None, replace(record, release=rope), "Fz", (), fits[0], fits)
 
-    told = fit_common_shape([release("line", 8.0, 0.0), release("line", 0.0, 2.0), release("line", 5.0, 0.0)])
-    assert [one.fit.shape for one in told] == ["smooth"] * 3
-    assert [one.excess for one in told] == [11.0] * 3
-    assert not [*alternative_shapes(told)]
-    open_ = fit_common_shape([*told, release("rope", 0.0, 6.0)])
-    ((instead, text),) = alternative_shapes(open_)
-    assert instead.distance == pytest.approx(np.sqrt(6.0))
-    assert [np.array_equal(model.vector, smooth.model.vector) for model in instead.models] == [True] * 4
-    assert text.startswith("releases by rope do not tell whether the load goes along a ramp or half a cosine: the real")
-    assert open_[3].fit.u_release_s > 1e-3 / np.sqrt(6.0) > told[0].fit.u_release_s
+    determined = fit_common_shape([release("line", 8.0, 0.0), release("line", 0.0, 2.0), release("line", 5.0, 0.0)])
+    assert [one.fit.shape for one in determined] == ["smooth"] * 3
+    assert [one.excess for one in determined] == [11.0] * 3
+    assert not [*alternative_shapes(determined, "Fz")]
+    undetermined = fit_common_shape([*determined, release("rope", 0.0, 6.0)])
+    ((alternative, notice),) = alternative_shapes(undetermined, "Fz")
+    assert alternative.distance == pytest.approx(np.sqrt(6.0))
+    assert [np.array_equal(model.vector, smooth.model.vector) for model in alternative.models] == [True] * 4
+    assert (notice.code, notice.where, notice.values["device"]) == (SHAPE_OF_DEVICE_UNDETERMINED.code, "Fz", "rope")
+    assert undetermined[3].fit.u_release_s > 1e-3 / np.sqrt(6.0) > determined[0].fit.u_release_s
 
 
 def test_modes_are_matched_in_rising_frequency():
-    turned = [1, 0, 3, 2, 5, 4, 7, 6, 8, 9]
-    back = sorted_modes(model(VECTOR[turned], SPREAD[turned]))
+    order = [1, 0, 3, 2, 5, 4, 7, 6, 8, 9]
+    back = sorted_modes(model(VECTOR[order], SPREAD[order]))
     assert np.array_equal(back.vector, VECTOR)
     assert np.array_equal(np.diag(back.covariance), SPREAD**2)
 
 
 @pytest.mark.parametrize(("between", "least"), [(0.0, 0.94), (0.5, 0.92), (5.0, 0.92)])
-def test_intervals_of_three_releases_hold_the_truth(between, least):
+def test_intervals_of_three_releases_contain_the_truth(between, least):
     rng, size = np.random.default_rng(4), 10
     stated, blank = np.tile(np.eye(size), (3, 1, 1)), np.zeros((0, size))
-    held = []
+    covered = []
     for _ in range(300):
         truth = rng.standard_normal(size)
-        own = truth + np.sqrt(1.0 + between**2) * rng.standard_normal((3, size))
-        mean = random_effects_mean(own, stated)
+        readings = truth + np.sqrt(1.0 + between**2) * rng.standard_normal((3, size))
+        mean = random_effects_mean(readings, stated)
         rest = (np.zeros(size), blank, mean.weight, blank, np.zeros((size, size)))
-        u, dof = PooledModel(BLANK, own, stated, mean.weight, *rest).spread(np.eye(size))
-        held.append(np.abs(mean.value - truth) <= stats.t.ppf(0.975, np.minimum(dof, 1e9)) * u)
-    assert np.mean(held) > least
+        u, dof = PooledModel(BLANK, readings, stated, mean.weight, *rest).spread(np.eye(size))
+        covered.append(np.abs(mean.value - truth) <= stats.t.ppf(0.975, np.minimum(dof, 1e9)) * u)
+    assert np.mean(covered) > least
 
 
 def test_the_mean_stays_between_the_vectors():
@@ -152,7 +153,7 @@ def test_the_mean_stays_between_the_vectors():
     assert np.all(np.linalg.eigvalsh(mean.covariance) > 0.0)
 
 
-def test_a_parameter_that_differs_by_rounding_alone_weighs_nothing():
+def test_a_parameter_that_differs_only_by_rounding_has_no_weight():
     stated = np.array([np.diag([1.0, 0.0]), np.diag([3.0, 0.0])])
     for last in (1.0, np.nextafter(1.0, 2.0)):
         mean = random_effects_mean(np.array([[0.0, 1.0], [1.0, last]]), stated, 1e-9)
@@ -170,8 +171,8 @@ def test_birge_ratio_of_a_mean():
 
 
 def test_two_releases_that_hardly_scatter_beyond_their_noise_do_not_lose_all_their_freedom():
-    apart = 1.05 * np.sqrt(2.0) * SPREAD  # s = 1.05 u
-    u, dof = pool_models([model(VECTOR, SPREAD), model(VECTOR + apart, SPREAD)], ["1", "1"]).spread(np.eye(10))
+    distance = 1.05 * np.sqrt(2.0) * SPREAD  # s = 1.05 u
+    u, dof = pool_models([model(VECTOR, SPREAD), model(VECTOR + distance, SPREAD)], ["1", "1"]).spread(np.eye(10))
     assert u == pytest.approx(1.05 * SPREAD / np.sqrt(2), rel=1e-4)
     assert np.all(dof > 10.0)
     mean, u_mean, one = mean_with_scatter(np.array([0.0, 1.05 * np.sqrt(2.0)]), np.ones(2))

@@ -57,11 +57,11 @@ def texts_of(root):
     """Every text of a picture with left and right end, base line and size in pt; those read upwards without places."""
     found = []
     for text in root.iter(f"{SVG}text"):
-        size, told = float(text.attrib["font-size"]), "".join(text.itertext())
+        size, content = float(text.attrib["font-size"]), "".join(text.itertext())
         x, y = float(text.attrib["x"]), float(text.attrib["y"])
-        wide = TextPath((0, 0), told, size=size, prop=FONT).get_extents().width if told.strip() else 0.0
+        wide = TextPath((0, 0), content, size=size, prop=FONT).get_extents().width if content.strip() else 0.0
         left = x - {"start": 0.0, "middle": 0.5, "end": 1.0}[text.attrib["text-anchor"]] * wide
-        found.append((told, None if "transform" in text.attrib else (left, left + wide, y), size))
+        found.append((content, None if "transform" in text.attrib else (left, left + wide, y), size))
     return found
 
 
@@ -71,7 +71,7 @@ def test_widths_are_about_those_of_the_font():
 
 
 @pytest.mark.parametrize("log", [False, True])
-def test_marks_stand_where_the_data_say(log):
+def test_marks_are_at_the_positions_of_the_data(log):
     drawn, panel = one_panel()
     x, y = np.array([1.0, 2.0, 5.0, 10.0]), np.array([3.0, 1.0, np.nan, 30.0])
     panel.x.limits, panel.y.limits, panel.y.log = (0.0, 10.0), (0.5, 50.0), log
@@ -106,7 +106,7 @@ def test_a_line_of_many_points_keeps_its_course():
     assert np.abs(up - np.sin(40.0 * across)).max() < 40.0 * 0.06 / (right - left) + 4.0 * 0.06 / (bottom - top)
 
 
-def test_areas_boxes_ellipses_arrows_and_rules_stand_where_the_data_say():
+def test_areas_boxes_ellipses_arrows_and_rules_are_at_the_positions_of_the_data():
     drawn, panel = one_panel()
     panel.x.limits, panel.y.limits = (0.0, 10.0), (0.0, 10.0)
     panel.span(2.0, 3.0, colour=GREEN)
@@ -134,7 +134,7 @@ def test_areas_boxes_ellipses_arrows_and_rules_stand_where_the_data_say():
     np.testing.assert_allclose(filled("#654321")[0][0], [5.0, 3.0], atol=1e-3)  # the tip
 
 
-def test_a_picture_fills_its_place_with_its_own_grey_values():
+def test_an_image_fills_its_rectangle_with_its_grey_values():
     drawn, panel = one_panel()
     grey = np.arange(12, dtype=np.uint8).reshape(3, 4) * 20
     panel.image(grey, (0.0, 4.0), (0.0, 3.0))
@@ -256,7 +256,7 @@ def test_colours_of_values_are_those_of_matplotlib(name):
         np.testing.assert_allclose(own, theirs(share)[:3], atol=0.02)
 
 
-def test_a_figure_without_any_data_is_a_picture_with_axes():
+def test_a_figure_without_data_has_axes():
     drawn, panel = one_panel()
     panel.y.log = True
     panel.line([], [], "nothing")

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from fusion.phasors.image_effects import fit_about_mean
+from fusion.phasors.phasor_notices import UNEQUAL_FRAMES
 from photogram.motion import RigidMotion
 
 FREQUENCY_HZ, RATE_HZ, FRAMES = np.array([106.25]), 83.1, 60
@@ -29,35 +30,35 @@ def seen(rng, noise, stated):
 
 def errors(noise, stated, trials=60):
     """Errors and standard uncertainties (trials, 12) of both parts over NOISE, and all notices."""
-    rng, found, told = np.random.default_rng(11), [], []
+    rng, found, notices = np.random.default_rng(11), [], []
     for _ in range(trials):
         measured, truth = seen(rng, noise, stated)
         _, _, fit = fit_about_mean(measured, FREQUENCY_HZ)
         off = (fit.phasors.value[0] - truth) / NOISE
         u = np.concatenate([fit.phasors.u_re[0], fit.phasors.u_im[0]]) / np.tile(NOISE, 2)
         found.append((np.concatenate([off.real, off.imag]), u))
-        told += [notice.text for notice in fit.notices if "each frame counts by its own" in notice.text]
+        notices += [notice for notice in fit.notices if notice.code == UNEQUAL_FRAMES.code]
     off, u = np.swapaxes(np.array(found), 0, 1)
-    return off, u, told
+    return off, u, notices
 
 
 def test_each_frame_counts_by_its_own_noise():
     # Gauss and Markov: the best linear estimate of a part has the variance 2/Σ(1/σ²).
-    off, u, told = errors(DIM, DIM)
+    off, u, notices = errors(DIM, DIM)
     best = np.sqrt(2.0 / np.sum(DIM**-2.0))
     rms = np.sqrt(np.mean(off**2))
     assert rms == pytest.approx(best, rel=0.08)  # 720 numbers: three standard deviations are 8 %
     assert np.sqrt(np.mean(u**2)) == pytest.approx(rms, rel=0.08)
-    assert len(told) == 60
-    assert "in variance by up to 16 times" in told[0]
-    alike, _, silent = errors(DIM, np.ones(FRAMES), trials=20)
-    assert np.sqrt(np.mean(alike**2)) > 1.9 * rms  # what equal weights make: √((1 + 16)/2 · (1 + 1/16)/2) = 2.1
+    assert len(notices) == 60
+    assert notices[0].values["factor"] == pytest.approx(16.0)
+    equal, _, silent = errors(DIM, np.ones(FRAMES), trials=20)
+    assert np.sqrt(np.mean(equal**2)) > 1.9 * rms  # what equal weights make: √((1 + 16)/2 · (1 + 1/16)/2) = 2.1
     assert not silent
 
 
 def test_pixels_do_not_count_where_the_motion_is_noisy_for_other_reasons():
-    off, _, told = errors(5.0 * np.ones(FRAMES), DIM, trials=40)
-    assert len(told) < 5
+    off, _, notices = errors(5.0 * np.ones(FRAMES), DIM, trials=40)
+    assert len(notices) < 5
     assert np.sqrt(np.mean(off**2)) == pytest.approx(5.0 * np.sqrt(2.0 / FRAMES), rel=0.1)
 
 
@@ -74,4 +75,4 @@ def test_a_frame_without_a_motion_has_no_weight():
     measured.motion.pose[7], measured.motion.covariance[7] = np.nan, np.nan
     _, _, fit = fit_about_mean(measured, FREQUENCY_HZ)
     assert np.isfinite(fit.phasors.value).all()
-    assert any("each frame counts by its own" in notice.text for notice in fit.notices)
+    assert UNEQUAL_FRAMES.code in {notice.code for notice in fit.notices}

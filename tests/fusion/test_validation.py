@@ -88,7 +88,7 @@ def test_a_deviation_beyond_its_tolerance_and_a_case_that_fails_are_told(tmp_pat
     assert [q.quantity for q in found.cases[6].quantities if not q.passed] == ["re Fz/Fz"]
     assert math.isnan(found.cases[0].quantities[0].found)
     told = json.loads(validation.validation_json(found))
-    assert told["cases"][4]["failure"] == "ArithmeticError: nothing converges"
+    assert told["cases"][4]["failure"].startswith("ArithmeticError: ")
     assert told["cases"][0]["quantities"][0]["found"] is None
     assert "nothing converges" in validation.render_validation(found)
     assert main(["validate"]) == 1

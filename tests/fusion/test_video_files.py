@@ -58,24 +58,24 @@ def test_frames_and_exposure_of_the_files_are_those_of_the_pictures(tmp_path, de
     np.testing.assert_allclose(images.sight.time_s, pictures.sight.time_s, atol=1e-9)
     for frame in (0, 7):
         np.testing.assert_array_equal(images.cameras[1].read(frame), pictures.cameras[1].read(frame))
-    assert "exposure 60 µs by the file" in str(check(load_manifest(run)))
+    assert "exposure 60 µs" in str(check(load_manifest(run)))
 
 
 @pytest.mark.parametrize(
     ("exposure", "options", "words"),
     [
-        ("70e-6", {}, "top-left.cine: the file states an exposure of 60 µs, 70 µs are taken"),
-        ('"file"', {"lost": 5}, "top-left.cine: by the file's own times .* between frames 4 and 5"),
-        ('"file"', {"interval_s": 0.5}, "top-left.cine: the file has a frame every 0.5 s, the trigger an edge every"),
+        ("70e-6", {}, "top-left.cine: .* 60 µs.* 70 µs"),
+        ('"file"', {"lost": 5}, "top-left.cine: .* frames 4 and 5"),
+        ('"file"', {"interval_s": 0.5}, "top-left.cine: .* 0.5 s"),
     ],
 )
 def test_files_that_contradict_the_manifest_are_named(tmp_path, demo_recording, exposure, options, words):
 
-    told = [
+    texts = [
         f"{notice.where}: {notice.text}"
         for notice in opened(recording(tmp_path, demo_recording, exposure, **options)).notices
     ]
-    assert any(re.search(words, text) for text in told), told
+    assert any(re.search(words, text) for text in texts), texts
 
 
 def test_an_exposure_that_no_file_states_is_refused(tmp_path, demo_recording):
@@ -84,4 +84,4 @@ def test_an_exposure_that_no_file_states_is_refused(tmp_path, demo_recording):
     tifffile.imwrite(run / "top-left.tif", np.stack(frames), photometric="minisblack")
     text = (run / "recording.toml").read_text(encoding="utf-8")
     (run / "recording.toml").write_text(text.replace("top-left.cine", "top-left.tif"), encoding="utf-8")
-    refused(r'images.top.exposure.*"file", but the files state no exposure and 60 µs', opened, run, error=InputError)
+    refused(r'images.top.exposure.*"file".* 60 µs', opened, run, error=InputError)

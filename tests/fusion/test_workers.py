@@ -5,7 +5,6 @@ from __future__ import annotations
 import logging
 import os
 import pickle
-import re
 import shutil
 import signal
 import subprocess
@@ -25,10 +24,11 @@ from support import without_pages
 
 from fusion.base import Settings
 from fusion.campaign import run as leading
+from fusion.campaign.campaign_notices import NO_DASK, NO_SCHEDULER, OTHER_WORKER_VERSION, SCHEDULER_LOST, WORKER_ENDED
 from fusion.campaign.executor import LoggedResult, Workers, call, connect_cluster, one_blas_thread
 from fusion.campaign.run import Outcome, run_path
 from fusion.commands.options import EXIT_INTERRUPTED
-from fusion.errors import ComputeError, InputError
+from fusion.errors import REFUSED_BY_READER, ComputeError, InputError
 from fusion.report.atomic_files import remove_abandoned
 from fusion.report.recording_report import result_tables
 from fusion.sensitivity.analyse import Evaluation
@@ -54,7 +54,7 @@ def _is_running(process: int) -> bool:
     return True
 
 
-def test_answers_go_to_those_who_asked(two):
+def test_results_belong_to_their_tasks(two):
     answers = [two.submit(-number, tasks.product, number, 2.0) for number in range(8)]
     assert [answer.result(PATIENCE_S).unwrap() for answer in answers] == [2.0 * number for number in range(8)]
     # An answer can be what the next task needs.
@@ -71,7 +71,7 @@ def test_one_thread_of_linear_algebra_gives_the_same_digits_everywhere(two):
 @pytest.mark.parametrize(
     ("kind", "error", "sentence"),
     [
-        ("input", InputError, "a.h5: Fz: expected c, found b (2 more problems in this file)"),
+        ("input", InputError, f"{REFUSED_BY_READER.code} a.h5: Fz: b (2 more "),
         ("disk", OSError, "[Errno 28] disk full"),
         ("unpicklable", RuntimeError, "ValueError: <function"),
     ],
@@ -84,7 +84,7 @@ def test_failures_and_remarks_come_back(kind, error, sentence, two, capsys):
         patch.setattr(log, "handlers", [logging.StreamHandler(sys.stderr)])
         patch.setattr(log, "propagate", False)
         answer.log("Fz-0100")
-    assert capsys.readouterr().err == f"Fz-0100: a remark about {kind}\n"
+    assert capsys.readouterr().err == f"Fz-0100: {answer.log_records[0].getMessage()}\n"
     with pytest.raises(error) as raised:
         answer.unwrap()
     assert str(raised.value).startswith(sentence)
@@ -101,14 +101,14 @@ def test_the_task_of_a_worker_that_was_killed_is_done_by_another_and_one_that_ki
     assert answer.result(PATIENCE_S).unwrap() == 3
     assert other.result(PATIENCE_S).unwrap() == 6.0
     answer = two.submit(0, tasks.die_until, tmp_path / "all", 99).result(PATIENCE_S)
-    told = r"3 worker processes ended while they computed it; does the memory suffice\?"
-    with pytest.raises(ComputeError, match=told):
+    with pytest.raises(ComputeError) as ended:
         answer.unwrap()
+    assert (ended.value.code, ended.value.values["attempts"]) == (WORKER_ENDED.code, 3)
     assert (tmp_path / "all").stat().st_size == 3
     assert two.submit(0, tasks.product, 2.0, 3.0).result(PATIENCE_S).unwrap() == 6.0
 
 
-def test_the_end_leaves_no_process_and_nothing_half_written(tmp_path):
+def test_the_end_leaves_no_process_and_no_unfinished_file(tmp_path):
     begun = tmp_path / "begun"
     with Workers(1) as workers:
         waiting = workers.submit(0, tasks.wait_for_ever, begun)
@@ -171,12 +171,12 @@ def serial_demo(demo_evaluation: Evaluation) -> dict[str, bytes]:
 
 def test_shared_frames_give_the_tables_of_the_serial_run(demo_recording, serial_demo, tmp_path, monkeypatch):
     """Stereo pairs and blocks of frames go to the crew, here this process."""
-    crew, told = InlineExecutor(), []
+    crew, stages = InlineExecutor(), []
     monkeypatch.setattr(leading, "Workers", lambda _: crew)
-    tables = _demo_tables(demo_recording, tmp_path, workers=2, progress=lambda *what: told.append(what))
+    tables = _demo_tables(demo_recording, tmp_path, workers=2, progress=lambda *what: stages.append(what))
     names = [asked.__name__ for asked in crew.asked if asked.__name__ != "_ready"]  # those begin the workers
     assert names[:4] == ["_prepared", "_prepared", "follow", "follow"]
-    assert ("track base", 48, 48) in told
+    assert ("track base", 48, 48) in stages
     assert tables == serial_demo
 
 
@@ -211,7 +211,7 @@ def test_arrays_of_an_answer_travel_in_it():
     assert np.array_equal(array, np.arange(1e5))
 
 
-def test_an_image_that_another_process_refuses_is_told_as_here(demo_recording, tmp_path, monkeypatch):
+def test_an_image_refused_by_another_process_gives_the_same_error(demo_recording, tmp_path, monkeypatch):
     shutil.copytree(demo_recording, tmp_path / "demo")
     broken = sorted((tmp_path / "demo" / NAME / "top-right").iterdir())[5]
     image = cv2.imread(str(broken), cv2.IMREAD_UNCHANGED)
@@ -301,7 +301,7 @@ def test_two_processes_give_the_tables_of_one(sweep, serial):
 
 
 @pytest.mark.slow
-def test_a_cluster_gives_the_same_tables_and_a_killed_worker_loses_nothing(sweep, serial, tmp_path_factory):
+def test_a_cluster_gives_the_same_tables_also_with_a_killed_worker(sweep, serial, tmp_path_factory):
     cluster = Cluster(tmp_path_factory.mktemp("killed"))
     killed: list[int] = []
 
@@ -336,7 +336,7 @@ def test_a_run_that_was_killed_goes_on_to_the_same_tables(sweep, serial, tmp_pat
     assert all((out / name / "result.h5").stat().st_mtime_ns == when for name, when in done.items())
 
 
-def test_an_interruption_ends_all_workers_and_leaves_nothing_half_written(tmp_path):
+def test_an_interruption_ends_all_workers_and_leaves_no_unfinished_file(tmp_path):
     script, out = tmp_path / "run.py", tmp_path / "out"
     script.write_text(RUN)
     _empty_recordings(tmp_path / "campaign", 3)
@@ -363,38 +363,38 @@ def test_tasks_of_a_cluster_come_back_like_those_of_processes(cluster, tmp_path)
 
 
 @pytest.mark.parametrize("address", ["tcp://127.0.0.1:9", "nonsense", "foo://a:1", ""])
-def test_an_address_where_nothing_answers_is_refused(address, tmp_path, monkeypatch, refused):
+def test_an_address_without_a_scheduler_is_refused(address, tmp_path, monkeypatch, refused):
     monkeypatch.setattr("fusion.campaign.executor.ANSWER_S", 0.5)
     (tmp_path / "recording.toml").write_text("")
-    assert refused("run", tmp_path, "--scheduler", address) == (
-        "shakercal: --scheduler: expected the address of a Dask scheduler that answers, such as tcp://10.0.0.1:8786, "
-        f"found {address or 'nothing'}, where none does"
-    )
+    sentence = refused("run", tmp_path, "--scheduler", address)
+    assert sentence.startswith(f"shakercal: {NO_SCHEDULER.code} --scheduler: ")
+    assert sentence.endswith(address)
 
 
-def test_without_the_extra_the_command_says_what_to_install(tmp_path, monkeypatch, refused):
+def test_without_the_extra_the_command_is_refused(tmp_path, monkeypatch, refused):
     monkeypatch.setitem(sys.modules, "distributed", None)
     (tmp_path / "recording.toml").write_text("")
-    told = refused("run", tmp_path, "--scheduler", "tcp://127.0.0.1:9")
-    assert told.startswith('shakercal: --scheduler: expected the packages that pip install "shakercal[cluster]" brings')
+    sentence = refused("run", tmp_path, "--scheduler", "tcp://127.0.0.1:9")
+    assert sentence.startswith(f"shakercal: {NO_DASK.code} --scheduler: ")
 
 
 def test_workers_of_another_version_are_refused(cluster, monkeypatch):
     monkeypatch.setattr("fusion.campaign.executor.__version__", "99.0")
-    found = re.escape(version("shakercal"))
-    with pytest.raises(InputError, match=f"expected workers with shakercal 99.0, found shakercal {found} at tcp:"):  # noqa: SIM117
-        with connect_cluster(cluster.address):
-            pass
+    found = version("shakercal")
+    with pytest.raises(InputError, match=OTHER_WORKER_VERSION.code) as raised, connect_cluster(cluster.address):
+        pass
+    assert raised.value.values["expected"] == "shakercal 99.0"
+    assert raised.value.values["found"] == f"shakercal {found}"
 
 
-def test_a_scheduler_that_stays_away_is_told(tmp_path, monkeypatch):
+def test_a_lost_scheduler_is_reported(tmp_path, monkeypatch):
     monkeypatch.setattr("fusion.campaign.executor.SCHEDULER_TIMEOUT_S", 1.0)
     cluster = Cluster(tmp_path)
     with connect_cluster(cluster.address) as crew:
         waiting = crew.submit(0, tasks.wait_for_ever, tmp_path / "begun")
         wait_until((tmp_path / "begun").exists)
         cluster.end()
-        with pytest.raises(ComputeError, match="the Dask scheduler is gone"):
+        with pytest.raises(ComputeError, match=SCHEDULER_LOST.code):
             waiting.result()
 
 
@@ -456,7 +456,7 @@ if __name__ == "__main__":
 
 @pytest.mark.slow
 @pytest.mark.parametrize("options", [[], ["--workers", "2"]])
-def test_frames_that_were_followed_before_a_kill_are_not_followed_again(options, demo_recording, tmp_path):
+def test_frames_followed_before_a_kill_are_not_repeated(options, demo_recording, tmp_path):
     script = tmp_path / "blocks.py"
     script.write_text(BLOCKS)
     whole = [sys.executable, script, "run", "-q", demo_recording / NAME, "-o", tmp_path / "whole"]

@@ -36,13 +36,13 @@ from photogram.alignment.alignment_evidence import (
     PoseEvidence,
     StatedFrame,
     calibration_steps,
-    fit_axis,
-    linear_motion,
     measure_target_pose,
     parameter_derivatives,
     perpendicular_directions,
     triangulate_points,
 )
+from photogram.alignment.alignment_notices import CONTRADICTORY_EVIDENCE
+from photogram.alignment.motion_axes import fit_axis, linear_motion
 from photogram.alignment.pose_estimation import Alignment, UndeterminedPose, align
 from photogram.calibration.initial_bundle import estimate_target_pose as find_pose
 from photogram.camera import LEFT, StereoRig
@@ -171,18 +171,19 @@ def test_one_camera_finds_its_pose_from_four_points_and_names_one_that_is_mixed_
     world = make_world(8)
     found = align([pixels(world, 4)])
     assert np.abs(world.error(found)[0] / found.u).max() < 4.5
-    with pytest.raises(ValueError, match="expected a first pose beside this evidence"):
+    with pytest.raises(ValueError, match=r"^start: "):
         align([pixels(world, 3)])
     seen = pixels(world, 12)
     on_a_line = BODY_M + np.linspace(-0.04, 0.04, 12)[:, None] * np.array([1.0, 0.0, 0.0])
     for place in (on_a_line, np.tile(BODY_M, (12, 1))):
-        with pytest.raises(ValueError, match="expected a first pose beside this evidence"):
+        with pytest.raises(ValueError, match=r"^start: "):
             align([replace(seen, sensor_m=place, pixel_px=world.see(place, U_PX)[0])])
     place = seen.sensor_m.copy()
     place[5] += [2e-4, 0.0, 0.0]
-    told = align([replace(seen, sensor_m=place)])
-    assert told.enlargement > 1.0
-    assert "point 5 fits least" in told.notices[0].text
+    enlarged = align([replace(seen, sensor_m=place)])
+    assert enlarged.enlargement > 1.0
+    assert enlarged.notices[0].code == CONTRADICTORY_EVIDENCE.code
+    assert enlarged.notices[0].values["piece"] == "point 5"
 
 
 def test_effects_on_a_target_pose_are_those_of_the_perturbed_rig():
@@ -222,9 +223,9 @@ def test_two_points_leave_the_turn_about_their_line_open_and_a_face_three_compon
     known = points(world, 3)
     points_of = (known.camera_m, known.camera_covariance_m2, known.sensor_m, known.sensor_covariance_m2)
     first = KnownPoints(known.names[:2], *(array[:2] for array in points_of), known.calibration[:, :2])
-    with pytest.raises(UndeterminedPose, match=r"^rotation about .* is open: add three points or faces"):
+    with pytest.raises(UndeterminedPose, match=r"^rotation "):
         align([first], world.sensor_from_camera)
-    refused("expected a first pose", align, [first])
+    refused("^start: ", align, [first])
 
     with pytest.raises(UndeterminedPose) as caught:
         align(faces(world)[:1], world.sensor_from_camera)
@@ -238,13 +239,14 @@ def test_a_wrong_point_or_face_is_named_and_enlarges_the_uncertainty():
     wrong[5, 0] += 300e-6
     good, bad = align([known]), align([replace(known, sensor_m=wrong)])
     assert good.notices == ()
-    by_calibration = good.covariance - good.held_covariance
+    by_calibration = good.covariance - good.conditional_covariance
     assert np.linalg.eigvalsh(by_calibration).min() > -1e-9 * np.trace(by_calibration)
     assert np.trace(by_calibration) > 0
     assert bad.enlargement > 3
     (notice,) = bad.notices
     assert notice.where == "point 5"
-    assert "point 5 fits least" in notice.text
+    assert notice.code == CONTRADICTORY_EVIDENCE.code
+    assert notice.values["enlargement"] == pytest.approx(bad.enlargement)
     assert (bad.u > 2 * good.u).all()
 
     lifted = faces(world)
@@ -253,11 +255,11 @@ def test_a_wrong_point_or_face_is_named_and_enlarges_the_uncertainty():
 
 
 def test_wrong_calls_say_what_was_expected():
-    refused("u: expected an array of shape", StatedFrame, "datum", np.zeros(3))
-    with pytest.raises(ValueError, match="normal: expected a unit vector"):
+    refused("^u: ", StatedFrame, "datum", np.zeros(3))
+    with pytest.raises(ValueError, match=r"^normal: "):
         KnownFace("f", np.zeros((3, 3)), np.zeros((3, 3, 3)), np.zeros(3), np.ones(3), np.zeros((0, 3, 3)))
     camera = np.array([[0.0, 0, 1], [np.nan, 0, 1]])
-    with pytest.raises(ValueError, match="expected finite points, found none for b"):
+    with pytest.raises(ValueError, match=r"^camera_m: .* b$"):
         KnownPoints(("a", "b"), camera, np.zeros((2, 3, 3)), camera, np.zeros((2, 3, 3)), np.zeros((0, 2, 3)))
 
 
@@ -348,9 +350,9 @@ def test_each_motion_leaves_open_what_it_cannot_say_and_needs_a_first_pose():
         with pytest.raises(UndeterminedPose) as caught:
             align(evidence, truth)
         assert caught.value.components == tuple(components.split("|"))
-        assert ("a motion in another direction" in str(caught.value)) == ("rotation" in components)
+        assert ("direction" in str(caught.value)) == ("rotation" in components)
     assert align([about_x, about_y], truth).u[:3].max() < 1e-4
-    refused("start: expected a first pose", align, [along_z, along_x, about_x, about_y])
+    refused("^start: ", align, [along_z, along_x, about_x, about_y])
 
 
 def test_a_direction_that_is_wrong_is_named():
@@ -428,8 +430,8 @@ def test_a_wobbling_axis_is_less_certain_and_a_body_at_rest_has_none():
     assert second.chi2 / second.dof > 4
     assert np.trace(second.covariance) > 4 * np.trace(first.covariance)
     motion, _, _ = spun(rng, 1e-9, 20)
-    refused("expected a body that turns", fit_axis, motion)
-    refused("expected at least 3 frames", fit_axis, replace(motion, pose=np.full((20, 6), np.nan)))
+    refused("^motion: .* rad", fit_axis, motion)
+    refused("^motion: .* 3 frames.* 0$", fit_axis, replace(motion, pose=np.full((20, 6), np.nan)))
 
 
 # What a calibration's errors do to a pose: the derivatives by its parameters against errors that are known.
@@ -477,8 +479,8 @@ def test_a_pose_moved_with_the_true_calibration_scatters_as_with_an_exact_one():
         found = _aligned(world.rig, steps, *_seen(world, 0.01))
         moved = parameter_derivatives(found.by_calibration, steps) @ rig_error(world.true, world.rig)
         error = between(displaced(found.sensor_from_camera, moved), world.sensor_from_camera)
-        u = np.sqrt(np.diagonal(found.held_covariance))
-        root = np.linalg.cholesky(found.held_covariance / np.outer(u, u))
+        u = np.sqrt(np.diagonal(found.conditional_covariance))
+        root = np.linalg.cholesky(found.conditional_covariance / np.outer(u, u))
         whitened.append(np.linalg.solve(root, error / u))
         assert (u < 0.5 * found.u).any()
     assert 0.9 < np.sqrt(np.mean(np.square(whitened))) < 1.1

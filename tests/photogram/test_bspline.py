@@ -92,9 +92,9 @@ def test_points_outside_the_image_are_nan_and_wrong_input_is_named():
     spline = spline_of_image(np.ones((10, 12)))
     values, gradients = evaluate(spline, np.array([[-0.01, 5], [11.01, 5], [5, 9.01], [np.nan, 5], [11, 9]]))
     assert np.isnan(np.column_stack([values, gradients])).tolist() == [[True] * 3] * 4 + [[False] * 3]
-    refused("degree: expected 3, 5 or 7, found 4", spline_of_image, np.ones((10, 10)), 4)
-    refused("image: expected at least 8 x 8 px", spline_of_image, np.ones((5, 10)))
-    refused("degree: expected 3, 5 or 7", Spline, np.ones((16, 16)), 2)
+    refused("^degree: .*3, 5 or 7, .*4", spline_of_image, np.ones((10, 10)), 4)
+    refused("^image: .*8 x 8 px", spline_of_image, np.ones((5, 10)))
+    refused("^degree: .*3, 5 or 7", Spline, np.ones((16, 16)), 2)
 
 
 @pytest.mark.parametrize("degree", [3, 5, 7])
@@ -323,7 +323,7 @@ def test_a_disk_that_takes_no_cache_ends_nothing(monkeypatch):
 def test_a_folder_that_cannot_be_and_damaged_files_cost_no_more_than_time(tmp_path):
     """A file stands where the folder would, in which even an administrator makes nothing."""
     checkout(tmp_path / "one")
-    told = "from small._kernel import why_not_kept; print(why_not_kept().count(':'))"
+    told = "from small._kernel import cache_failure_reason; print(cache_failure_reason().count(':'))"
     kernels = tmp_path / "kernels"
     kernels.write_text("")
     assert in_another_process(tmp_path / "one", f"{RUN}; {told}") == ["20", "0", "1"]

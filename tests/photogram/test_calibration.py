@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import re
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -20,6 +19,14 @@ from photogram.alignment.alignment_evidence import measure_target_pose
 from photogram.calibration.adjust import adjust
 from photogram.calibration.bundle import FocalDrift, ellipse_centres, make_shape, model_pixels
 from photogram.calibration.calibration_file import read_calibration, read_camera, write_calibration, write_camera
+from photogram.calibration.calibration_notices import (
+    ASPECT_RATIO,
+    FOCAL_DRIFT,
+    KNOWN_LENGTH_CONTRADICTED,
+    LITTLE_TILT,
+    MODEL_DIFFERENCE,
+    TARGET_DEVIATION,
+)
 from photogram.calibration.calibration_result import Calibration
 from photogram.calibration.initial_bundle import estimate_target_pose, image_observations, lens_prior, start_bundle
 from photogram.calibration.leave_one_out import leave_views_out, predict_view
@@ -257,9 +264,9 @@ def test_a_rolled_camera_before_a_target_that_looks_alike_after_a_turn(kind, siz
 def test_mixed_up_too_few_and_too_similar_views_are_refused():
     pairs, rng = _session(7, 8), np.random.default_rng(8)
     mixed = [(pairs[n][0], pairs[(n + 3) % 8][1]) for n in range(8)]
-    refused("do not belong together", calibrate_pair, mixed, TARGET)
-    refused("at least 3", calibrate_pair, _views(rng, _poses(rng, 2)), TARGET)
-    refused("nearly one angle", calibrate_pair, _views(rng, _poses(rng, 6, tilt=0.01)), TARGET)
+    refused("correspond", calibrate_pair, mixed, TARGET)
+    refused(" 3 ", calibrate_pair, _views(rng, _poses(rng, 2)), TARGET)
+    refused("angle", calibrate_pair, _views(rng, _poses(rng, 6, tilt=0.01)), TARGET)
 
 
 def test_views_turned_about_one_axis_only_are_flagged():
@@ -269,8 +276,8 @@ def test_views_turned_about_one_axis_only_are_flagged():
         rotation = rotation_from_vector(np.array([0.0, angle, 0.0]))
         poses.append(RigidTransform(rotation, np.array([0, 0, 0.5]) - rotation @ FLAT.mean(axis=0)))
     calibration = calibrate_pair(_views(rng, poses), TARGET)
-    (notice,) = (item for item in calibration.notices if "hardly turned" in item.text)
-    assert "horizontal axis" in notice.text
+    (notice,) = (item for item in calibration.notices if item.code == LITTLE_TILT.code)
+    assert notice.values["axis"] == "horizontal"
 
 
 def test_scale_uncertainty_lies_along_the_baseline_and_single_pictures_count():
@@ -369,8 +376,10 @@ def test_focal_lengths_that_change_during_the_session_are_found_and_others_are_n
         value, u = found.cross_validation.drift.T
         assert (np.abs(value - 5e-4) < 3.5 * u).all()
         assert (u < 1e-4).all()
-        (notice,) = (item for item in found.notices if item.where == "drift")
-        assert f"left by {100 * value[0]:+.3f} % (U = {200 * u[0]:.3f} %, k = 2)" in notice.text
+        drifts = [item.values for item in found.notices if item.code == FOCAL_DRIFT.code]
+        assert [item["side"] for item in drifts] == ["left", "right"]
+        assert [item["change_percent"] for item in drifts] == pytest.approx(100 * value)
+        assert [item["expanded_percent"] for item in drifts] == pytest.approx(200 * u)
         steady = calibrate_pair(_faulty(seed, SessionFaults())[1], SESSION_BOARD.target)
         assert steady.cross_validation.drift is None
         focal = [*LEFT[:2], *RIGHT[:2]]  # at any time of the session, ±0.025 % around its middle
@@ -397,7 +406,8 @@ def test_a_wide_lens_gets_the_rational_model():
     assert found.cross_validation.lens == "rational"
     (other,) = found.cross_validation.alternatives
     assert other.predicted_px > 2 * found.cross_validation.predicted_px
-    assert any("a polynomial lens would give" in item.text or "polynomial" in item.text for item in found.notices)
+    (difference,) = (item for item in found.notices if item.code == MODEL_DIFFERENCE.code)
+    assert (difference.values["lens"], difference.values["used_lens"]) == ("polynomial", "rational")
     rays = np.column_stack([rng.uniform(-0.7, 0.7, (500, 2)), np.ones(500)])
     off = found.rig.left.project(rays) - rig.left.project(rays)
     assert np.sqrt((off**2).sum(axis=1).mean()) < 0.3  # principal point and turn trade a little
@@ -410,9 +420,9 @@ def test_a_stretched_print_is_told_by_the_focal_lengths():
     ]
     pairs = _session(3, 10, rig=replace(RIG, left=square[0], right=square[1]))
     wide = [tuple(replace(view, position_px=view.position_px * [1.0075, 1.0]) for view in pair) for pair in pairs]
-    told = [item for item in calibrate_pair(wide, TARGET, "flat").notices if "square pixels" in item.text]
-    assert [item.where for item in told] == ["left", "right"]
-    assert not any("square pixels" in item.text for item in calibrate_pair(pairs, TARGET).notices)
+    ratios = [item for item in calibrate_pair(wide, TARGET, "flat").notices if item.code == ASPECT_RATIO.code]
+    assert [item.where for item in ratios] == ["left", "right"]
+    assert ASPECT_RATIO.code not in {item.code for item in calibrate_pair(pairs, TARGET).notices}
 
 
 def test_a_known_length_is_weighed_against_the_spacing_and_a_contradiction_is_told():
@@ -426,14 +436,14 @@ def test_a_known_length_is_weighed_against_the_spacing_and_a_contradiction_is_to
     apart = float(np.linalg.norm(places[1] - places[0]))
     moved = scale_to_length(found, KnownLength(*names, 1.02 * apart, 1e-5 * apart))
     (notice,) = (item for item in moved.notices if item.where == "scale")
-    assert notice.severity == "warning"
-    assert "contradict" in notice.text
+    assert notice.code == KNOWN_LENGTH_CONTRADICTED.code
+    assert notice.values["difference_percent"] == pytest.approx(2.0)
     assert moved.scale_u > 5e-3
     refused("column,row", scale_to_length, found, KnownLength("L0", "nowhere", 0.1, 0.0))
-    refused("two different places", scale_to_length, found, KnownLength("0,0", "0,0", 0.1, 0.0))
-    refused("above 0 m", KnownLength, "0,0", "1,0", 0.0, 0.0)
-    refused("a smaller uncertainty, found 0.009 and 5", KnownLength, "0,0", "1,0", 0.009, 5.0)  # in um
-    words = f"expected about {spacing:g} m, .* found 9 m: is one of them in mm"
+    refused("^known length: .*0,0", scale_to_length, found, KnownLength("0,0", "0,0", 0.1, 0.0))
+    refused("^known length: .* 0 m", KnownLength, "0,0", "1,0", 0.0, 0.0)
+    refused("^known length: .* 0.009 and 5", KnownLength, "0,0", "1,0", 0.009, 5.0)  # in um
+    words = f"^known length: .* {spacing:g} m, .* 9 m"
     refused(words, scale_to_length, found, KnownLength("0,0", "1,0", 9.0, 0.01))
 
 
@@ -454,7 +464,7 @@ def test_a_single_camera_is_calibrated_with_the_same_care(tmp_path):
     np.testing.assert_array_equal(camera.parameters, found.rig.left.parameters)
     np.testing.assert_allclose(np.sqrt(np.diagonal(covariance)[:9]), [item.u for item in found.parameters])
     (tmp_path / "lens.json").write_text('{"format": 1, "lens": []}', encoding="utf-8")
-    refused("lens: unknown key", read_camera, tmp_path / "lens.json")
+    refused("lens: ", read_camera, tmp_path / "lens.json")
 
 
 def test_a_bowed_target_is_found_where_it_is_asked_for():
@@ -493,8 +503,8 @@ def test_offsets_that_points_do_not_have_cost_no_uncertainty(seed):
     assert (free_u <= 1.12 * flat_u).all(), "the spread of points that lie on their lattice goes to the end of its fit"
     assert (free_u[flat_u > 0] > 0.97 * flat_u[flat_u > 0]).all()
     assert 0 < np.abs(free.shape_m - flat.shape_m).max() < 3e-6
-    (told,) = (notice.text for notice in free.notices if "lattice" in notice.text)
-    assert re.search(r"lie 0\.\d+, 0\.\d+ µm rms off their lattice and 0\.\d+ µm across", told)
+    (deviation,) = (notice.values for notice in free.notices if notice.code == TARGET_DEVIATION.code)
+    assert all(0 < deviation[name] < 1 for name in ("x_um", "y_um", "z_um"))
 
 
 @settings(max_examples=20, deadline=None)
@@ -610,38 +620,38 @@ CAMERA = json.loads(EXAMPLE)["left"]
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        ({"rotation": [[1, 0, 0], [0, 1, 0], [0, 1e-5, 1]]}, "rotation: expected an orthonormal"),
+        ({"rotation": [[1, 0, 0], [0, 1, 0], [0, 1e-5, 1]]}, "rotation: "),
         ({"rotation": [[1, 0, 0], [0, 1, 0], [0, 0, -1]]}, "rotation: .*reflection"),
-        ({"rotation": [[1, 0], [0, 1]]}, r"rotation: expected an array of shape \(3, 3\)"),
-        ({"rotation": [[1, 0, 0], [0, 1], [0, 0, 1]]}, "rotation: expected rows of one length"),
-        ({"translation": [0.1, 0.2]}, "translation: expected an array"),
-        ({"translation": [0.1, "0.2", 0]}, "translation: expected numbers, found '0.2'"),
-        ({"translation": [0.1, True, 0]}, "translation: expected numbers, found True"),
-        ({"translation": [0.1, float("nan"), 0]}, "translation: expected finite"),
-        ({"translation": [0.1, 10**400, 0]}, "translation: expected finite numbers, found one too large"),
-        ({"translation": [0.0, 0.0, 0.0]}, "translation: expected the right camera 1e-06 to 10000 m from the left one"),
-        ({"translation": [-151.5e3, 0.0, 0.0]}, "translation: .* found 151500 m"),
-        ({"format": 2}, "format: expected 1, found 2"),
-        ({"image_size": [10**9, 1024]}, r"image_size: expected 1 to 100000 px, found \[1000000000, 1024\]"),
-        ({"left": CAMERA | {"matrix": [[1e-3, 0, 9], [0, 1e-3, 9], [0, 0, 1]]}}, "left.matrix: expected focal lengths"),
-        ({"right": CAMERA | {"distortion": [-1e9, 0, 0, 0, 0]}}, "right: expected a ray to the middle of the picture"),
-        ({"right": CAMERA | {"distortion": [1e300, 0, 0, 0, 0]}}, r"right.distortion: expected finite .* up to 1e\+12"),
-        ({"image_size": [1280.5, 1024]}, "image_size: expected two whole"),
-        ({"image_size": [0, 1024]}, "image_size: expected two whole"),
-        ({"units": "mm"}, "units: unknown key"),
-        ({"left": CAMERA | {"skew": 0}}, "left.skew: unknown key"),
-        ({"left": {"matrix": CAMERA["matrix"]}}, "left.distortion: missing key"),
-        ({"right": CAMERA | {"distortion": [0, 0, 0, 0]}}, "right.distortion: expected an array"),
-        ({"right": CAMERA | {"matrix": [[1, 0, 0], [0.5, 1, 0], [0, 0, 1]]}}, "right.matrix: expected"),
-        ({"right": 3}, "right: expected an object"),
-        ({"reprojection_rms": "good"}, "reprojection_rms: expected numbers"),
-        ({"covariance": [1]}, "covariance: expected an object"),
-        ({"covariance": {"parameters": [], "matrix": []}}, "covariance.parameters: expected a list"),
-        ({"covariance": {"parameters": ["left.f"], "matrix": [[1]]}}, "covariance.parameters: .* found 'left.f'"),
-        ({"covariance": {"parameters": ["left.fx"] * 2, "matrix": [[1, 0], [0, 1]]}}, "each name once"),
-        ({"covariance": {"parameters": ["left.fx"], "matrix": [[1, 0]]}}, "covariance.matrix: expected an array"),
-        ({"covariance": {"parameters": ["left.fx"], "matrix": [[-1]]}}, "covariance: expected"),
-        ({"covariance": {"parameters": ["left.fx", "left.fy"], "matrix": [[1, 2], [2, 1]]}}, "covariance: expected"),
+        ({"rotation": [[1, 0], [0, 1]]}, r"rotation: .*\(3, 3\)"),
+        ({"rotation": [[1, 0, 0], [0, 1], [0, 0, 1]]}, "rotation: "),
+        ({"translation": [0.1, 0.2]}, "translation: "),
+        ({"translation": [0.1, "0.2", 0]}, "translation: .*'0.2'"),
+        ({"translation": [0.1, True, 0]}, "translation: .*True"),
+        ({"translation": [0.1, float("nan"), 0]}, "translation: .*nan"),
+        ({"translation": [0.1, 10**400, 0]}, "translation: "),
+        ({"translation": [0.0, 0.0, 0.0]}, "translation: .*1e-06 .*10000 m"),
+        ({"translation": [-151.5e3, 0.0, 0.0]}, "translation: .*151500 m"),
+        ({"format": 2}, "format: .*1.*2"),
+        ({"image_size": [10**9, 1024]}, r"image_size: .*100000 px.*\[1000000000, 1024\]"),
+        ({"left": CAMERA | {"matrix": [[1e-3, 0, 9], [0, 1e-3, 9], [0, 0, 1]]}}, "left.matrix: "),
+        ({"right": CAMERA | {"distortion": [-1e9, 0, 0, 0, 0]}}, "right: "),
+        ({"right": CAMERA | {"distortion": [1e300, 0, 0, 0, 0]}}, r"right.distortion: .*1e\+12"),
+        ({"image_size": [1280.5, 1024]}, "image_size: "),
+        ({"image_size": [0, 1024]}, "image_size: "),
+        ({"units": "mm"}, "units: "),
+        ({"left": CAMERA | {"skew": 0}}, "left.skew: "),
+        ({"left": {"matrix": CAMERA["matrix"]}}, "left.distortion: "),
+        ({"right": CAMERA | {"distortion": [0, 0, 0, 0]}}, "right.distortion: "),
+        ({"right": CAMERA | {"matrix": [[1, 0, 0], [0.5, 1, 0], [0, 0, 1]]}}, "right.matrix: "),
+        ({"right": 3}, "right: "),
+        ({"reprojection_rms": "good"}, "reprojection_rms: "),
+        ({"covariance": [1]}, "covariance: "),
+        ({"covariance": {"parameters": [], "matrix": []}}, "covariance.parameters: "),
+        ({"covariance": {"parameters": ["left.f"], "matrix": [[1]]}}, "covariance.parameters: .*'left.f'"),
+        ({"covariance": {"parameters": ["left.fx"] * 2, "matrix": [[1, 0], [0, 1]]}}, r"covariance\.parameters: "),
+        ({"covariance": {"parameters": ["left.fx"], "matrix": [[1, 0]]}}, "covariance.matrix: "),
+        ({"covariance": {"parameters": ["left.fx"], "matrix": [[-1]]}}, "covariance: "),
+        ({"covariance": {"parameters": ["left.fx", "left.fy"], "matrix": [[1, 2], [2, 1]]}}, "covariance: "),
     ],
 )
 def test_wrong_content_is_refused_by_file_and_key(tmp_path, changes, message):
@@ -656,7 +666,7 @@ def test_every_key_is_required(tmp_path, key):
     content = json.loads(EXAMPLE)
     del content[key]
     (tmp_path / "top.json").write_text(json.dumps(content))
-    refused(f"top.json: {key}: missing key", read_calibration, tmp_path / "top.json")
+    refused(f"top.json: {key}: ", read_calibration, tmp_path / "top.json")
 
 
 @pytest.mark.parametrize("text", ["", "{", "[1, 2]", '{"format": 1, "format": 1}', "\x80"])
@@ -689,4 +699,4 @@ def test_pictures_of_two_sizes_belong_to_two_cameras_and_not_to_one():
     odd = calibrate_pair([*pairs[:3], (_resized(left, (1024, 1280)), right), *pairs[4:]], TARGET, "flat")
     assert [(item.name, "1024 x 1280" in item.reason) for item in odd.rejections if not item.points] == [("L3", True)]
     mixed = [(_resized(a, (1270, 1020)), b) if n % 2 else (a, b) for n, (a, b) in enumerate(pairs)]
-    refused("L0 of 1280 x 1024 px and L1 of 1270 x 1020 px", calibrate_pair, mixed, TARGET)
+    refused("L0 .*1280 x 1024 .*L1 .*1270 x 1020 ", calibrate_pair, mixed, TARGET)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import re
 import sys
 import zipfile
 from pathlib import Path
@@ -19,6 +18,17 @@ from scipy.spatial.transform import Rotation
 from photogram.calibration.calibration_file import read_calibration, write_calibration
 from photogram.calibration.exchange.calibration_export import export_calibration
 from photogram.calibration.exchange.calibration_import import import_calibration
+from photogram.calibration.exchange.exchange_notices import (
+    APPROXIMATED_CAMERA,
+    CENTRE_FAR_FROM_MIDDLE,
+    CENTRE_OUTSIDE_IMAGE,
+    LINEAR_POWERS,
+    NO_COMMON_VIEW,
+    SKEW_IGNORED,
+    UNCERTAINTIES_MISSING,
+    UNUSED_COEFFICIENTS,
+    UNUSUAL_DISTANCE,
+)
 from photogram.calibration.exchange.lens import ImportedCalibration, pixel_grid
 from photogram.camera import Camera, StereoRig
 from photogram.geometry import RigidTransform, skew
@@ -42,7 +52,7 @@ def _assert_same(imported: ImportedCalibration, distortions: tuple[np.ndarray, n
         np.testing.assert_allclose(found, expected.reshape(-1, 2), atol=1e-6)
     assert imported.rig.left.size_px.tolist() == list(SIZE)
     assert imported.rig.covariance is None
-    assert "scale_uncertainty" in imported.notices[-1].text
+    assert imported.notices[-1].code == UNCERTAINTIES_MISSING.code
 
 
 def _file(folder: Path, name: str, text: str) -> Path:
@@ -97,7 +107,7 @@ def test_opencv_in_two_files_with_the_size_in_one(tmp_path):
     inner = _storage(tmp_path / "intrinsics.yml", {k: content[k] for k in ("M1", "D1", "M2", "D2")})
     outer = {"R": content["R"], "T": content["T"], "image_width": SIZE[0], "image_height": SIZE[1]}
     _assert_same(import_calibration(inner, None, "mm", _storage(tmp_path / "extrinsics.yml", outer)))
-    refused(r"intrinsics\.yml: expected the rotation R .* second file", import_calibration, inner, SIZE, "mm")
+    refused(r"intrinsics\.yml: .*rotation R", import_calibration, inner, SIZE, "mm")
 
 
 def test_opencv_plain_json_with_objects_and_a_rotation_vector(tmp_path):
@@ -120,13 +130,13 @@ def test_opencv_rational_distortion_is_taken_as_opencv_projects_it(tmp_path):
 def test_opencv_needs_a_unit_and_a_size_and_both_cameras(tmp_path):
     content = _opencv(("M1", "M2"), ("D1", "D2"))
     path = _storage(tmp_path / "s.yml", content)
-    refused("length_unit: expected m or mm", import_calibration, path, SIZE)
-    refused("image_size: expected width and height", import_calibration, path, None, "mm")
+    refused("length_unit: ", import_calibration, path, SIZE)
+    refused("image_size: ", import_calibration, path, None, "mm")
     assert import_calibration(path, SIZE, "m").rig.right_from_left.translation_m[0] == pytest.approx(-151.5)
     many = _storage(tmp_path / "s.yml", {**content, "D2": np.append(D_RIGHT, [0, 0, 0, 0.1, 0, 0, 0])})
-    refused(r"D2: expected the distortion k1 .* k6, found s1 = 0\.1", import_calibration, many, SIZE, "mm")
+    refused(r"D2: .*s1 = 0\.1", import_calibration, many, SIZE, "mm")
     alone = _storage(tmp_path / "mono.yml", {"camera_matrix": K_LEFT, "distortion_coefficients": D_LEFT})
-    refused(r"mono\.yml: camera_matrix: .* single one", import_calibration, alone, SIZE, "mm")
+    refused(r"mono\.yml: camera_matrix: ", import_calibration, alone, SIZE, "mm")
 
 
 # Lenses whose coefficients belong to angles, and four coefficients that may be either.
@@ -147,8 +157,7 @@ def _wide(**keys: object) -> dict[str, object]:
 
 def _assert_wide(imported: ImportedCalibration, distortions: tuple[np.ndarray, np.ndarray] = ANGULAR) -> None:
     """The imported pair sees what OpenCV's fisheye cameras see, within what it says."""
-    told = [notice.text for notice in imported.notices if "fisheye" in notice.text]
-    promised = [float(text.split("up to ")[1].split(" px")[0]) for text in told]
+    promised = [notice.values["largest_px"] for notice in imported.notices if notice.code == APPROXIMATED_CAMERA.code]
     assert len(promised) == 2
     poses = (np.zeros(3), np.zeros(3)), (cv2.Rodrigues(ROTATION)[0], 1e-3 * T_MM)
     for found, (turn, shift), k, d, px in zip(
@@ -185,23 +194,23 @@ def test_a_fisheye_lens_that_is_stated_is_described_by_the_rational_model(tmp_pa
 @pytest.mark.parametrize(
     ("keys", "asked", "words"),
     [
-        ({}, None, "distortion_model: expected plumb_bob or fisheye, for D1 has 4 coefficients"),
-        ({"D1": np.zeros(4), "D2": np.zeros(4)}, None, "distortion_model: expected .* for D1 has 4"),
-        ({"camera_model": "pinhole"}, None, "distortion_model: expected .* for D1 has 4"),
-        ({"fisheye_model": 0}, "fisheye", "found fisheye as asked for and fisheye_model = 0"),
+        ({}, None, "distortion_model: .*plumb_bob.*fisheye.* 4 .*D1"),
+        ({"D1": np.zeros(4), "D2": np.zeros(4)}, None, "distortion_model: .* 4 .*D1"),
+        ({"camera_model": "pinhole"}, None, "distortion_model: .* 4 .*D1"),
+        ({"fisheye_model": 0}, "fisheye", "distortion_model: .*fisheye.* fisheye_model = 0"),
         (
             {"distortion_model": "plumb_bob", "lens_model": "fisheye"},
             None,
-            "found distortion_model = plumb_bob and lens",
+            "distortion_model: .*distortion_model = plumb_bob.*lens",
         ),
-        ({"distortion_model": "fov"}, None, "distortion_model: expected plumb_bob, .* found fov"),
-        ({"camera_model": "omnidirectional"}, None, "camera_model: expected .* found omni"),
-        ({"xi1": 1.2, "xi2": 1.1}, "plumb_bob", "xi1: expected a pinhole or a fisheye lens, found .* omnidirectional"),
-        ({"D1": D_LEFT, "D2": D_RIGHT}, "fisheye", "D1: expected the 4 coefficients of a fisheye lens, found 5"),
+        ({"distortion_model": "fov"}, None, "distortion_model: .*plumb_bob.* fov"),
+        ({"camera_model": "omnidirectional"}, None, "camera_model: .* omni"),
+        ({"xi1": 1.2, "xi2": 1.1}, "plumb_bob", "xi1: .* omnidirectional"),
+        ({"D1": D_LEFT, "D2": D_RIGHT}, "fisheye", "D1: .* 4 .* 5$"),
         (
             {"K1": K_WIDE[0] * [[0.5, 1, 1], [1, 0.5, 1], [1, 1, 1]]},
             "fisheye",
-            "left camera: distortion: expected a fisheye lens .* at most 79 degrees",
+            "left camera: distortion: .* 79 ",
         ),
     ],
 )
@@ -239,7 +248,7 @@ def test_fisheye_lenses_of_ros_and_kalibr(tmp_path):
         _file(tmp_path, f"{side}.yaml", yaml.safe_dump(content))
         _file(tmp_path, f"{side}-binned.yaml", yaml.safe_dump(content | {"binning_x": 2}))
     _assert_wide(import_calibration(tmp_path / "left.yaml", extrinsics=tmp_path / "right.yaml"))
-    words = "left binning_x: expected those of the whole sensor .* found 2"
+    words = "left binning_x: .* 2$"
     refused(words, import_calibration, tmp_path / "left-binned.yaml", extrinsics=tmp_path / "right.yaml")
 
 
@@ -247,13 +256,13 @@ def test_a_file_of_numpy_is_read_as_opencvs_and_a_damaged_one_refused(tmp_path):
     np.savez(tmp_path / "a.npz", **_opencv(("M1", "M2"), ("D1", "D2")), corners=np.zeros((30, 70, 2)))
     _assert_same(import_calibration(tmp_path / "a.npz", SIZE, "mm"))
     np.savez(tmp_path / "b.npz", M1=np.array([{"a": 1}], dtype=object))
-    refused(r"b\.npz: M1\.npy: expected an array .* object", import_calibration, tmp_path / "b.npz", SIZE, "mm")
+    refused(r"b\.npz: M1\.npy: .*object", import_calibration, tmp_path / "b.npz", SIZE, "mm")
     with zipfile.ZipFile(tmp_path / "c.npz", "w") as archive:
         archive.writestr("M1.npy", b"\x93NUMPY\x01\x00\x0e\x00garbage")
-    refused(r"c\.npz: M1\.npy: expected an array", import_calibration, tmp_path / "c.npz", SIZE, "mm")
+    refused(r"c\.npz: M1\.npy: ", import_calibration, tmp_path / "c.npz", SIZE, "mm")
     with zipfile.ZipFile(tmp_path / "d.zip", "w") as archive:
         archive.writestr("readme.txt", "nothing")
-    refused(r"d\.zip: expected project\.xml", import_calibration, tmp_path / "d.zip", SIZE, "mm")
+    refused(r"d\.zip: .*project\.xml", import_calibration, tmp_path / "d.zip", SIZE, "mm")
 
 
 # What a file states of units, sizes, rotations, or leaves to the user, and what has no effect on it.
@@ -266,34 +275,35 @@ def test_units_and_sizes_that_a_file_states_are_not_overruled(tmp_path):
     rig = import_calibration(path).rig
     assert rig.right_from_left.translation_m[0] == pytest.approx(-1.515)
     assert [camera.size_px.tolist() for camera in (rig.left, rig.right)] == [list(SIZE), [1300, 1000]]
-    refused("length_unit: expected cm as in the file, found mm", import_calibration, path, None, "mm")
-    refused("image_size: expected 1300x1000 as in the file, found 1280x1024", import_calibration, path, SIZE)
+    refused("length_unit: .*cm.*mm", import_calibration, path, None, "mm")
+    refused("image_size: .*1300x1000.*1280x1024", import_calibration, path, SIZE)
     matlab = _matlab(old=False)
     for name in ("CameraParameters1", "CameraParameters2"):
         matlab[name] |= {"WorldUnits": "inches"}
     translation = _imported(tmp_path, json.dumps(matlab)).rig.right_from_left.translation_m
     np.testing.assert_allclose(translation, 0.0254 * T_MM)
-    refused("length_unit: expected in as in the file", _imported, tmp_path, json.dumps(matlab), None, "mm")
+    refused("length_unit: ", _imported, tmp_path, json.dumps(matlab), None, "mm")
 
 
 def test_cameras_too_near_or_far_for_their_unit_and_those_that_look_past_each_other_are_told(tmp_path):
     metres = _bouguet().replace(f"{T_MM[0]:.12f}", "-0.1515").replace(f"{T_MM[2]:.12f}", "0.0245")
     metres = metres.replace(f"{T_MM[1]:.12f}", "0.00125")
-    refused("length_unit: expected the unit .* 0.000153 m apart .* in mm", _imported, tmp_path, metres, SIZE)
+    refused(r"length_unit: .*0\.000153 m.*mm", _imported, tmp_path, metres, SIZE)
     rig = _imported(tmp_path, metres, SIZE, "m").rig
     np.testing.assert_allclose(rig.right_from_left.translation_m, 1e-3 * T_MM)
     path = _storage(tmp_path / "s.yml", _opencv(("M1", "M2"), ("D1", "D2")))
-    told = [notice.text for notice in import_calibration(path, SIZE, "m").notices if notice.severity == "warning"]
-    assert "153 m apart with lengths in m" in told[0]
+    warned = [notice for notice in import_calibration(path, SIZE, "m").notices if notice.severity == "warning"]
+    assert warned[0].code == UNUSUAL_DISTANCE.code
+    assert warned[0].values == {"distance_m": pytest.approx(153.5, abs=0.1), "unit": "m"}
     turned = {**_opencv(("M1", "M2"), ("D1", "D2")), "R": Rotation.from_euler("y", -18, degrees=True).as_matrix()}
-    told = [n.text for n in import_calibration(_storage(tmp_path / "s.yml", turned), SIZE, "mm").notices]
-    assert any("does not see" in text for text in told)
+    codes = [n.code for n in import_calibration(_storage(tmp_path / "s.yml", turned), SIZE, "mm").notices]
+    assert NO_COMMON_VIEW.code in codes
 
 
 @pytest.mark.parametrize(
     ("changes", "words"),
     [
-        ({"E": np.eye(3)}, "E: expected the one of the file's rotation and translation"),
+        ({"E": np.eye(3)}, "E: "),
         ({"E": skew(T_MM) @ ROTATION}, None),
         ({"K2": K_RIGHT}, None),
     ],
@@ -309,10 +319,10 @@ def test_an_essential_matrix_in_opencvs_file_has_to_be_that_of_its_pose(tmp_path
 @pytest.mark.parametrize(
     ("text", "options", "words"),
     [
-        ("bouguet", {"even_radial": True}, "even_radial: expected a file of DICe, found one of Bouguet's toolbox"),
-        ("bouguet", {"distortion_model": "fisheye"}, "distortion_model: expected a file of OpenCV"),
-        ("vic3d", {"extrinsics": "calibration"}, "extrinsics: expected a file of OpenCV or ROS, found one of VIC-3D"),
-        ("dice", {"even_radial": True}, "even_radial: expected coefficients of K1R1_K2R2_K3R3, found others"),
+        ("bouguet", {"even_radial": True}, "even_radial: .*DICe.*Bouguet"),
+        ("bouguet", {"distortion_model": "fisheye"}, "distortion_model: .*OpenCV"),
+        ("vic3d", {"extrinsics": "calibration"}, "extrinsics: .*OpenCV.*ROS.*VIC-3D"),
+        ("dice", {"even_radial": True}, "even_radial: .*K1R1_K2R2_K3R3"),
     ],
 )
 def test_an_option_without_effect_on_a_file_is_refused(tmp_path, text, options, words):
@@ -324,11 +334,9 @@ def test_an_option_without_effect_on_a_file_is_refused(tmp_path, text, options, 
 
 def test_what_contradicts_itself_in_dice_and_matchid_is_refused(tmp_path):
     xml = _dice_xml("OPENCV_LENS_DISTORTION", True)
-    refused(
-        "LENS_DISTORTION_MODEL: expected the model", _imported, tmp_path, xml.replace("LENS_DISTORTION_MODEL", "LENS")
-    )
+    refused("LENS_DISTORTION_MODEL: ", _imported, tmp_path, xml.replace("LENS_DISTORTION_MODEL", "LENS"))
     angles = '<Parameter name="BETA" type="double" value="0.3141" />'  # in rad beside the matrix
-    words = "CAMERA 0.ALPHA, BETA, GAMMA: expected the angles of rotation_3x3_matrix"
+    words = "CAMERA 0.ALPHA, BETA, GAMMA: .*rotation_3x3_matrix"
     refused(words, _imported, tmp_path, xml.replace('<Parameter name="FX"', angles + '<Parameter name="FX"', 1))
     caldat = "\n".join(
         f"Cam{n}_{k};{v}" for n in (0, 1) for k, v in (("Fx", 3000), ("Fy", 3000), ("Cx", 600), ("Cy", 500))
@@ -339,9 +347,9 @@ def test_what_contradicts_itself_in_dice_and_matchid_is_refused(tmp_path):
     mixed = _imported(tmp_path, caldat + pose.format(*["mm"] * 3, "deg", "rad", np.radians(18), "deg"), SIZE)
     assert _turned_deg(mixed.rig.right_from_left.rotation)[1] == pytest.approx(18)
     for units, words in (
-        (("mm", "mm", "m", "deg", "deg", 18, "deg"), "tx, ty, tz: expected one unit, found mm, mm, m"),
-        (("ell", "ell", "ell", "deg", "deg", 18, "deg"), "tx: expected it in m or mm, found ell"),
-        (("mm", "mm", "mm", "deg", "gon", 20, "deg"), "phi: expected it in deg or rad, found gon"),
+        (("mm", "mm", "m", "deg", "deg", 18, "deg"), "tx, ty, tz: .*mm, mm, m"),
+        (("ell", "ell", "ell", "deg", "deg", 18, "deg"), "tx: .*ell"),
+        (("mm", "mm", "mm", "deg", "gon", 20, "deg"), "phi: .*gon"),
     ):
         refused(words, _imported, tmp_path, caldat + pose.format(*units), SIZE)
 
@@ -373,7 +381,7 @@ def test_matlab_and_the_way_through_the_calibration_file(tmp_path, old):
     again = read_calibration(tmp_path / "top.json")
     for first, second in zip(imported.rig.project(POINTS_M), again.project(POINTS_M), strict=True):
         np.testing.assert_allclose(first, second, atol=1e-9)
-    refused(r"top\.json: .* one of this program", import_calibration, tmp_path / "top.json")
+    refused(r"top\.json: .*program", import_calibration, tmp_path / "top.json")
 
 
 def test_matlab_with_two_coefficients_a_unit_nobody_knows_or_a_transposed_rotation(tmp_path):
@@ -414,7 +422,7 @@ def _bouguet(skew: str = "0.00000") -> str:
 def test_bouguet_as_printed_and_with_column_vectors_and_image_size(tmp_path):
     _assert_same(_imported(tmp_path, _bouguet(), SIZE))
     both = _bouguet() + "\nR = [ " + "; ".join(" ".join(map(repr, row)) for row in ROTATION.T.tolist()) + " ]"
-    refused("om: expected the rotation vector of R", _imported, tmp_path, both, SIZE)
+    refused("om: ", _imported, tmp_path, both, SIZE)
     text = _bouguet().replace("   ", " ;\n ") + "\nnx = 1280;\nny = 1024;"
     _assert_same(_imported(tmp_path, text.replace("± [ 1.00000 ;\n 2.00000 ]", ";")))
 
@@ -462,16 +470,19 @@ def test_dice_model_linear_in_the_radius_is_a_longer_focal_length_and_told(tmp_p
     linear = {"K1": 0.015, "K2": 0.0, "K3": 0.0}
     imported = _imported(tmp_path, _dice_xml("K1R1_K2R2_K3R3", True, radial=(linear, linear)))
     np.testing.assert_allclose(imported.rig.left.parameters[:2], 1.015 * K_LEFT[[0, 1], [0, 1]], rtol=1e-6)
-    *unused, warned = (notice.text for notice in imported.notices if notice.severity == "warning")
-    assert all(re.search(f"CAMERA {n}: P1, P2 are left out", text) for n, text in enumerate(unused))
-    assert "focal lengths are +1.5 % and +1.5 % off fx" in warned
+    *unused, linear_powers = (notice for notice in imported.notices if notice.severity == "warning")
+    assert [notice.code for notice in unused] == 2 * [UNUSED_COEFFICIENTS.code]
+    assert [notice.values["camera"] for notice in unused] == ["CAMERA 0", "CAMERA 1"]
+    assert unused[0].values["coefficients"] == "P1, P2"
+    assert linear_powers.code == LINEAR_POWERS.code
+    assert linear_powers.values["left_percent"] == linear_powers.values["right_percent"] == pytest.approx(1.5)
 
 
 def test_dice_rotation_with_few_digits_is_told(tmp_path):
     imported = _imported(tmp_path, _dice_xml("OPENCV_LENS_DISTORTION", True, digits=4))
     assert [notice.where for notice in imported.notices if notice.severity == "warning"] == ["rotation"]
     few = _dice_xml("OPENCV_LENS_DISTORTION", True, digits=2)
-    refused("rotation: expected an orthonormal matrix", _imported, tmp_path, few)
+    refused("rotation: ", _imported, tmp_path, few)
 
 
 def test_dice_polynomial_in_odd_powers_is_fitted_by_even_ones(tmp_path):
@@ -483,7 +494,7 @@ def test_dice_polynomial_in_odd_powers_is_fitted_by_even_ones(tmp_path):
     expected = np.stack([3200.5 * x / radius * grown + 640.25, 3198.75 * y / radius * grown + 511.5], axis=1)
     left = imported.rig.left.project(POINTS_M)
     (notice,) = (notice for notice in imported.notices if notice.where == "left camera")
-    promised = float(notice.text.split("up to ")[1].split(" px")[0])
+    promised = notice.values["largest_px"]
     assert 0 < promised < 0.1
     assert np.abs(left - expected).max() < promised + 1e-3
 
@@ -517,11 +528,10 @@ def test_dice_text_in_the_order_that_dice_reads(tmp_path):
     radius = np.hypot(x, y)
     grown = radius + 0.02 * radius - 0.01 * radius**2 + 0.3 * radius**3  # DICe_Camera.cpp, K1R1_K2R2_K3R3
     expected = np.stack([3200.5 * x / radius * grown + 640.25, 3198.75 * y / radius * grown + 511.5], axis=1)
-    (told,) = (notice.text for notice in imported.notices if notice.where == "left camera")
-    assert (
-        np.abs(imported.rig.left.project(POINTS_M) - expected).max() < float(told.split("up to ")[1].split()[0]) + 1e-3
-    )
-    assert any("+2 % and +0 % off fx" in notice.text for notice in imported.notices if notice.severity == "warning")
+    (approximated,) = (notice for notice in imported.notices if notice.where == "left camera")
+    assert np.abs(imported.rig.left.project(POINTS_M) - expected).max() < approximated.values["largest_px"] + 1e-3
+    (linear,) = (notice for notice in imported.notices if notice.code == LINEAR_POWERS.code)
+    assert (linear.values["left_percent"], linear.values["right_percent"]) == (pytest.approx(2.0), 0.0)
 
 
 def _skewed(matrix: np.ndarray, distortion: np.ndarray, points_m: np.ndarray, skew: float) -> np.ndarray:
@@ -577,41 +587,41 @@ def test_vic3d(tmp_path, split):
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("", "the file is empty"),
-        ("hello\nworld", "expected a calibration of OpenCV, .* Kalibr, found 'hello'"),
-        ("\n".join("x" * 22), "expected a calibration of OpenCV, .* found 'x'"),
-        ("1\n" + "\n".join("x" * 21), "content: expected 22 numbers"),
-        ("M1: [[900, 0, 320]\nD1: [0]", "expected a YAML text, found: while parsing a flow sequence"),
-        ("image_width: 640\nimage_height: 480", "expected M1 and M2, or the same under another usual name"),
+        ("", "empty"),
+        ("hello\nworld", "OpenCV, .*Kalibr, .*'hello'"),
+        ("\n".join("x" * 22), "OpenCV, .*'x'"),
+        ("1\n" + "\n".join("x" * 21), "content: .* 22 "),
+        ("M1: [[900, 0, 320]\nD1: [0]", "YAML.*flow"),
+        ("image_width: 640\nimage_height: 480", "M1.*M2"),
         ("%YAML:1.0\n---\nM1: !!opencv-matrix\n  garb", "expected"),
-        ("%YAML:1.0\n---\nM1: [1, 2", "OpenCV cannot parse"),
-        ("{", "expected a JSON text"),
-        ("[1, 2]", "expected 22, 24, 28 or 30 numbers"),
-        ('{"CameraParameters1": 3}', "CameraParameters1: expected an object"),
-        ("<html></html>", "found one that begins with <html>"),
-        ("<a><b></a>", "expected an XML text"),
+        ("%YAML:1.0\n---\nM1: [1, 2", "OpenCV"),
+        ("{", "JSON"),
+        ("[1, 2]", " 22, 24, 28 .*30 "),
+        ('{"CameraParameters1": 3}', "CameraParameters1: "),
+        ("<html></html>", "<html>"),
+        ("<a><b></a>", "XML"),
         ("<ParameterList/>", "xml_file_format"),
-        ('<!DOCTYPE a [<!ENTITY b "c">]><project>&b;</project>', "without entities"),
-        ("<a>" * 10000, "at most 64 elements within each other"),
-        ("[" * 100000, "at most 64 lists"),
-        ('{"a": ' * 100000, "at most 64 lists"),
-        ("%YAML:1.0\n---\na: " + "[" * 100000, "at most 64 lists"),
-        ("MATLAB 5.0 MAT-file, cut off", "expected a .mat file that can be read"),
-        ("MATLAB 7.3 MAT-file, cut off", "expected (a .mat file that can be read|the package mat-io)"),
+        ('<!DOCTYPE a [<!ENTITY b "c">]><project>&b;</project>', "entities"),
+        ("<a>" * 10000, " 64 elements"),
+        ("[" * 100000, " 64 lists"),
+        ('{"a": ' * 100000, " 64 lists"),
+        ("%YAML:1.0\n---\na: " + "[" * 100000, " 64 lists"),
+        ("MATLAB 5.0 MAT-file, cut off", r"\.mat"),
+        ("MATLAB 7.3 MAT-file, cut off", r"\.mat|mat-io"),
         ("cam0: &a [*a]\ncam0:\n", "references"),
-        ("cam0:\n  x: [1", "expected a YAML text"),
-        ("cam0:\n- " + "- " * 5000 + "1", "expected a YAML text"),
-        ("cam0:\n  camera_model: pinhole", "expected cam0 and cam1, found cam0"),
+        ("cam0:\n  x: [1", "YAML"),
+        ("cam0:\n- " + "- " * 5000 + "1", "YAML"),
+        ("cam0:\n  camera_model: pinhole", "cam0.*cam1.*cam0$"),
         (
             "cam0:\n  camera_model: omni\ncam1:\n  x: 1",
-            "cam0: expected a camera pinhole-radtan, .* found omni-None",
+            "cam0: .*pinhole-radtan.*omni-None",
         ),
-        ("distortion_model: plumb_bob", "expected the right camera's file"),
-        ("Cam0_Fx;1\nCam0_Fy;1", "expected the cameras 0 and 1"),
+        ("distortion_model: plumb_bob", "camera_info: "),
+        ("Cam0_Fx;1\nCam0_Fy;1", " 0 .* 1"),
         ("Cam0_Fx;1\nCam0_Fy;1\nCam1_Fx;a", "cam0cx: missing"),
-        ("<project><camera id='0'/></project>", "camera: expected the ids 0 and 1"),
+        ("<project><camera id='0'/></project>", "camera: .* 0 .* 1"),
         ("fc_left = [ 1 2 ]", "cc_left: missing"),
-        ("fc_left = [ 1 2 3 ]", "fc_left: expected 2 numbers"),
+        ("fc_left = [ 1 2 3 ]", "fc_left: .* 2 .*3$"),
     ],
 )
 def test_what_cannot_be_read_is_told_in_one_sentence(tmp_path, text, message):
@@ -625,11 +635,13 @@ def test_what_cannot_be_read_is_told_in_one_sentence(tmp_path, text, message):
 def test_exchanged_width_and_height_are_told(tmp_path):
     path = _file(tmp_path, "cal.txt", _dice_text(size=False))
     imported = import_calibration(path, (600, 800), even_radial=True)
-    assert {n.where for n in imported.notices if n.severity == "warning"} == {"left camera", "right camera"}
+    warned = [n for n in imported.notices if n.severity == "warning"]
+    assert [n.code for n in warned] == 2 * [CENTRE_OUTSIDE_IMAGE.code]
     imported = import_calibration(path, (2560, 2048), even_radial=True)  # the matrix of pictures half as large
-    told = [n.text for n in imported.notices if n.severity == "warning"]
-    assert ["far from the middle of a picture of 2560x2048" in text for text in told] == [True, True]
-    words = "image_size: expected 1280x1024 as in the file, found 1024x1280"
+    warned = [n for n in imported.notices if n.severity == "warning"]
+    assert [notice.code for notice in warned] == 2 * [CENTRE_FAR_FROM_MIDDLE.code]
+    assert (warned[0].values["width_px"], warned[0].values["height_px"]) == (2560, 2048)
+    words = "image_size: .*1280x1024.*1024x1280"
     refused(words, _imported, tmp_path, _dice_text(), (1024, 1280))
 
 
@@ -738,8 +750,8 @@ def test_ros_pair(formats):
     rotation = [[0.99988, 0.001289, 0.015418], [-0.001207, 0.999985, -0.005318], [-0.015425, 0.005298, 0.999867]]
     np.testing.assert_allclose(rig.right_from_left.rotation, rotation, atol=2e-6)
     np.testing.assert_allclose(rig.right_from_left.translation_m, [-0.516159, 0.000216, 0.005369], atol=1e-6)
-    refused("right camera's file", import_calibration, folder / "left.yaml")
-    words = "expected a baseline of a stereo pair"
+    refused("camera_info: ", import_calibration, folder / "left.yaml")
+    words = "projection_matrix: "
     refused(words, import_calibration, folder / "left.yaml", extrinsics=folder / "left.yaml")
 
 
@@ -766,14 +778,14 @@ def test_kalibr_chains(formats):
     rounded = import_calibration(formats / "kalibr" / "camchain_F1_F2_IMU1.yaml")
     warned = [notice for notice in rounded.notices if notice.severity == "warning"]
     assert [notice.where for notice in warned] == ["rotation", "extrinsics"]
-    assert "does not see" in warned[1].text  # two cameras of a robot that look 40 degrees past each other
+    assert warned[1].code == NO_COMMON_VIEW.code  # two cameras of a robot that look 40 degrees past each other
     np.testing.assert_array_equal(rounded.rig.right_from_left.translation_m, [0, -0.2061, -0.0842])
     refused(
-        "cam1: expected a camera pinhole-radtan, .* found omni",
+        "cam1: .*pinhole-radtan.*omni",
         import_calibration,
         formats / "kalibr" / "camchain.yaml",
     )
-    refused("found cam0$", import_calibration, formats / "kalibr" / "camchain_mono_F1.yaml")
+    refused("cam0$", import_calibration, formats / "kalibr" / "camchain_mono_F1.yaml")
 
 
 def test_kalibr_pose_by_the_imu_is_the_one_between_the_cameras(formats, tmp_path):
@@ -826,7 +838,7 @@ def _in_other_files(kind: str, folder: Path) -> Path:
 @pytest.mark.parametrize("kind", ["link", "storage", "virtual"])
 def test_a_calibration_takes_nothing_from_other_files(kind, tmp_path):
     path = _in_other_files(kind, tmp_path)
-    refused(r"a\.mat: expected data in this file, found some in other files", import_calibration, path)
+    refused(r"a\.mat: ", import_calibration, path)
 
 
 def test_matlab_object_as_mat_io_prints_it(formats, tmp_path, monkeypatch):
@@ -845,7 +857,7 @@ def test_matlab_object_as_mat_io_prints_it(formats, tmp_path, monkeypatch):
     np.testing.assert_allclose(rig.right_from_left.translation_m, translation, atol=1e-12)
     cut = tmp_path / "cut.mat"
     cut.write_bytes(path.read_bytes()[:9000])
-    refused("expected a variable within the file", import_calibration, cut)
+    refused(r"cut\.mat: ", import_calibration, cut)
 
 
 def test_matlab_struct_and_bouguets_variables_in_a_mat_file(tmp_path):
@@ -857,7 +869,7 @@ def test_matlab_struct_and_bouguets_variables_in_a_mat_file(tmp_path):
     savemat(tmp_path / "b.mat", {**inner, **outer})
     _assert_same(import_calibration(tmp_path / "b.mat"))
     savemat(tmp_path / "c.mat", {"x": 1.0})
-    refused("expected a variable with stereoParameters.*found x", import_calibration, tmp_path / "c.mat")
+    refused("stereoParameters.* x$", import_calibration, tmp_path / "c.mat")
 
 
 @pytest.mark.parametrize(
@@ -926,7 +938,7 @@ def test_cut_off_and_damaged_samples_are_read_or_refused_in_one_sentence(formats
 def test_zipped_project_that_unpacks_to_too_much_and_a_missing_package(tmp_path, monkeypatch):
     with zipfile.ZipFile(tmp_path / "a.z3d", "w", zipfile.ZIP_DEFLATED) as archive:
         archive.writestr("project.xml", b" " * (65 * 2**20))
-    refused("expected project.xml of at most 16 MB", import_calibration, tmp_path / "a.z3d")
+    refused("project.xml.* 16 MB", import_calibration, tmp_path / "a.z3d")
     monkeypatch.setitem(sys.modules, "yaml", None)
     refused("PyYAML.*shakercal.formats", _imported, tmp_path, "cam0:\n  x: 1\n")
 
@@ -955,7 +967,7 @@ def test_export_to_opencv_is_what_opencv_reads(tmp_path):
     for found, expected in zip((left, right), rig.project(POINTS_M), strict=True):
         np.testing.assert_allclose(found.reshape(-1, 2), expected, atol=1e-9)
     (notice,) = (n for n in export_calibration(tmp_path / "rig.yml", _rig(skew_px=0.5))[1] if n.where == "left camera")
-    assert "skew of 0.5 px" in notice.text
+    assert (notice.code, notice.values) == (SKEW_IGNORED.code, {"skew_px": 0.5})
 
 
 @pytest.mark.parametrize(
@@ -980,7 +992,7 @@ def test_export_of_what_a_program_has_not_stays_within_what_it_says(tmp_path, na
     """A point seen by the original is, in the frame of the exported pair, the same point: through both cameras."""
     rig = _rig(**stated)
     notices = export_calibration(tmp_path / name, rig)[1]
-    promised = max(float(notice.text.split("up to ")[1].split(" px")[0]) for notice in notices)
+    promised = max(notice.values["largest_px"] for notice in notices)
     again = import_calibration(tmp_path / name).rig
     for side in ("left", "right"):
         pixels, seen = (getattr(which, side) for which in (rig, again))
@@ -992,7 +1004,7 @@ def test_export_of_what_a_program_has_not_stays_within_what_it_says(tmp_path, na
 
 
 def test_export_is_refused_where_it_would_not_hold(tmp_path):
-    words = r"left camera: p1 = 0.01, p2 = -0.005 has no camera near enough: up to \d\.\d+ px remain"
+    words = r"left camera: .*p1 = 0.01, p2 = -0.005 .* \d\.\d+ px"
     refused(words, export_calibration, tmp_path / "rig.xml", _rig(tangential=10.0))
-    refused("rig.txt: expected a name that ends in .yml", export_calibration, tmp_path / "rig.txt", _rig())
+    refused(r"rig\.txt: .*\.yml.*\.txt", export_calibration, tmp_path / "rig.txt", _rig())
     assert not list(tmp_path.iterdir())

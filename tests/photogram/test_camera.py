@@ -402,20 +402,20 @@ def test_fit_is_scipys_optimum():
 def test_wrong_values_are_named():
     turned, asymmetric = camera(DISTORTIONS[0]).matrix, np.eye(24)
     turned[1, 0], asymmetric[0, 1] = 1.0, 0.5
-    refused("matrix: expected", Camera, turned, np.zeros(5), SIZE)
-    refused("distortion: expected an array of shape", Camera, camera(DISTORTIONS[0]).matrix, np.zeros(4), SIZE)
+    refused("^matrix: ", Camera, turned, np.zeros(5), SIZE)
+    refused("^distortion: ", Camera, camera(DISTORTIONS[0]).matrix, np.zeros(4), SIZE)
     refused("shape", stereo_rig, np.eye(6))
     refused("symmetric", stereo_rig, asymmetric)
-    refused("no negative variance", stereo_rig, np.eye(24) - 0.1)
+    refused("^covariance: .*negative", stereo_rig, np.eye(24) - 0.1)
     assert stereo_rig(np.zeros((24, 24))).covariance is not None
     left, right = (px[None] for px in stereo_rig().project(in_view(6)))
     refused("right_px", triangulate, stereo_rig(), left, right[:, :5])
     refused("left_px", triangulate, stereo_rig(), left[0], right[0])
     refused("covariance_right_px2", triangulate, stereo_rig(), left, right, None, np.zeros((5, 2, 2)))
     refused("covariance_m2", Points3D, np.zeros((1, 2, 3)), np.zeros((1, 2, 3)), np.zeros((1, 2)))
-    refused("rotation: expected an orthonormal", RigidTransform, 1.00001 * np.eye(3), np.zeros(3))
+    refused("^rotation: .*orthonormal", RigidTransform, 1.00001 * np.eye(3), np.zeros(3))
     refused("reflection", RigidTransform, np.diag([1.0, 1.0, -1.0]), np.zeros(3))
-    refused(r"translation_m: expected an array of shape \(3\)", RigidTransform, np.eye(3), np.zeros(2))
+    refused(r"^translation_m: .*\(3\)", RigidTransform, np.eye(3), np.zeros(2))
     refused("rotation", RigidTransform, np.full((3, 3), np.nan), np.zeros(3))
 
 
@@ -427,8 +427,8 @@ def test_mirrored_and_planar_points_give_a_rotation_and_those_that_fix_none_are_
     source = cloud(4, depth=0.0) * 1e-2 + [3.0, 5.0, 7.0]
     truth = RigidTransform.from_pose(np.array([1e-6, -2e-6, 3e-6, 1e-5, 2e-5, -3e-5]))
     np.testing.assert_allclose(fit_rigid(source, truth.apply(source)).rotation, truth.rotation, atol=1e-12)
-    refused("one line", fit_rigid, *[np.outer(np.arange(6.0), [1.0, 2.0, 3.0]) + 4.0] * 2)
-    refused("one line", fit_rigid, *[np.ones((6, 3))] * 2)
-    refused("at least 3", fit_rigid, *[cloud(1, 2)] * 2)
+    refused("^source_m: .*rotation", fit_rigid, *[np.outer(np.arange(6.0), [1.0, 2.0, 3.0]) + 4.0] * 2)
+    refused("^source_m: .*rotation", fit_rigid, *[np.ones((6, 3))] * 2)
+    refused("^source_m: .* 3 ", fit_rigid, *[cloud(1, 2)] * 2)
     refused("finite", fit_rigid, *[np.full((6, 3), np.nan)] * 2)
     refused("source_m", fit_rigid, *[np.zeros((6, 2))] * 2)

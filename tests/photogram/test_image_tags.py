@@ -14,6 +14,7 @@ from cine_factory import write_cine, write_film
 from contracts import refused
 
 from photogram.images.image_files import open_sequence, read_image
+from photogram.images.image_notices import ORIENTATION_NOT_APPLIED
 from photogram.images.orientation import read_orientations, tag_notices
 from photogram.images.sequence import find_copied_frames
 
@@ -75,11 +76,11 @@ def test_pixels_are_those_of_the_sensor_whatever_the_tag_says(tmp_path, name, ta
         np.testing.assert_array_equal(seen, grey)
         sequence = open_sequence([path])
         np.testing.assert_array_equal(sequence.read(0), grey)
-        assert [(notice.severity, f"orientation tag {tag}" in notice.text) for notice in sequence.notices] == [
-            ("warning", True)
+        assert [(notice.code, notice.values["tag"]) for notice in sequence.notices] == [
+            (ORIENTATION_NOT_APPLIED.code, tag)
         ]
     (notice,) = tag_notices(read_orientations([path, tmp_path / "absent.tif"]))
-    assert f"orientation tag {tag}" in notice.text
+    assert (notice.code, notice.values["tag"]) == (ORIENTATION_NOT_APPLIED.code, tag)
 
 
 @pytest.mark.parametrize("tag", [1, 3, 8])
@@ -94,9 +95,9 @@ def test_what_opencv_decodes_is_not_turned_either(tmp_path, tag):
 @pytest.mark.parametrize("name", TURNED)
 def test_mirrored_pixels_are_refused(tmp_path, name, tag):
     path = write_turned(tmp_path / name, (GREY >> 4).astype(np.uint8), tag)
-    refused(f"{name}: .*orientation tag {tag} .mirrored", read_image, path)
+    refused(f"{name}: .* {tag} .mirrored", read_image, path)
     if not name.endswith("jpg"):
-        refused(f"{name}: .*orientation tag {tag} .mirrored", open_sequence, [path])
+        refused(f"{name}: .* {tag} .mirrored", open_sequence, [path])
 
 
 @pytest.mark.parametrize("tag", [0, 1, 9])
@@ -139,7 +140,7 @@ def test_all_images_of_a_stack_with_one_directory_are_frames(tmp_path, order, ki
     stack = (STACK if kind == np.uint16 else STACK >> 8).astype(kind)
     path = one_directory(tmp_path / "stack.tif", stack, f"ImageJ=1.53t\nimages=5\n{axes}\n", order)
     np.testing.assert_array_equal(frames_of(path), stack)
-    refused("stack.tif: expected one image, found a stack of 5", read_image, path)
+    refused("stack.tif: .*stack of 5", read_image, path)
 
 
 @pytest.mark.parametrize(
@@ -165,10 +166,10 @@ def test_stacks_that_are_no_series_of_images_are_named(tmp_path):
     tifffile.imwrite(tmp_path / "both.ome.tif", six.reshape(3, 2, 12, 18), metadata={"axes": "TCYX"})
     tifffile.imwrite(tmp_path / "rgb.tif", np.zeros((3, 12, 18), np.uint8), photometric="rgb", planarconfig="separate")
     for name, message in (
-        ("cut.tif", "truncated, expected 6 images"),
-        ("colours.tif", "one image after the other, found 2 channels of 3 frames"),
-        ("both.ome.tif", "one image after the other, found 2 C of 3 T|found 3 T of 2 C"),
-        ("rgb.tif", "expected a grey image, found RGB"),
+        ("cut.tif", "truncated, .* 6 images"),
+        ("colours.tif", "2 channels of 3 frames"),
+        ("both.ome.tif", "2 C of 3 T|3 T of 2 C"),
+        ("rgb.tif", "RGB"),
     ):
         refused(f"{name}: .*({message})", open_sequence, [tmp_path / name])
 
@@ -194,7 +195,7 @@ def test_files_in_which_0_is_white_are_read_as_grey_values(tmp_path, kind, optio
     np.testing.assert_array_equal(open_sequence([tmp_path / "white.tif"]).read(0), grey)
     np.testing.assert_array_equal(read_image(tmp_path / "white.tif")[0], grey)
     tifffile.imwrite(tmp_path / "black.tif", grey, photometric="minisblack")
-    refused("black.tif: expected 0 to be white", open_sequence, [tmp_path / "white.tif", tmp_path / "black.tif"])
+    refused("black.tif: .*white.tif", open_sequence, [tmp_path / "white.tif", tmp_path / "black.tif"])
     refused("white.tif: .*MINISWHITE", open_sequence, [tmp_path / "white.tif"], 7)
 
 

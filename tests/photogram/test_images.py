@@ -14,7 +14,7 @@ from contracts import refused
 
 from photogram.images.image_files import open_sequence
 from photogram.images.noise import NoiseModel, fit_noise_model
-from photogram.images.sequence import AHEAD, ImageSequence
+from photogram.images.sequence import FRAMES_AHEAD, ImageSequence
 from photogram.point_tables import read_point_tables
 from photogram.synthetic.scene import ImageSensor
 
@@ -98,9 +98,9 @@ def test_pictures_are_read_ahead_in_turn_until_nobody_asks():
     assert [int(next(ahead)[0, 0]) for _ in range(3)] == [2, 3, 4]
     ahead.close()
     assert asked == list(range(2, 2 + len(asked)))
-    assert len(asked) <= 3 + AHEAD
+    assert len(asked) <= 3 + FRAMES_AHEAD
     seen = []
-    with pytest.raises(ValueError, match="frame 6: damaged"):
+    with pytest.raises(ValueError, match="frame 6"):
         seen.extend(int(image[0, 0]) for image in images.read_ahead(range(4, 50)))
     assert seen == [4, 5]
     assert [int(image[0, 0]) for image in images.read_ahead((9, 3, 30))] == [9, 3, 30]
@@ -167,7 +167,7 @@ def test_damaged_pixels_are_named_when_read(tmp_path, grey12):
         start = tiff.pages[0].dataoffsets[0]
     data[start : start + 40] = bytes(40)
     path.write_bytes(bytes(data))
-    refused(r"bad.tif: not a readable TIFF file", open_sequence([path]).read, 0)
+    refused(r"bad.tif: .*TIFF", open_sequence([path]).read, 0)
 
 
 def test_wrong_files_are_named(tmp_path, grey12):
@@ -182,21 +182,21 @@ def test_wrong_files_are_named(tmp_path, grey12):
         (tmp_path / name).write_bytes(b"junk" * 50)
     write_cih(tmp_path, pack_12(grey12), 12, 2)
     for names, depth, message in (
-        (["colour.png"], None, "colour.png: expected a grey image, found colour"),
-        (["colour.tif"], None, "colour.tif: expected a grey image"),
-        (["float.tif"], None, "float.tif: expected 8, 12 or 16 bits per pixel"),
-        (["first.tif", "small.tif"], None, "small.tif: expected 64 x 48 px, found 64 x 47"),
-        (["first.tif", "shallow.tif"], None, "shallow.tif: expected 16 bits per pixel, found 8"),
-        (["first.tif", "stack.tif"], None, "stack.tif: expected one image per file, found 2 pages"),
-        (["junk.tif"], None, "junk.tif: not a readable TIFF file"),
-        (["junk.png"], None, "junk.png: not a readable PNG file"),
-        (["film.avi"], None, "film.avi: not a readable film"),
-        (["film.gif"], None, "film.gif: expected a file of type .tif"),
-        (["absent.tif"], None, "absent.tif: no such file"),
-        (["shallow.tif"], 12, "shallow.tif: expected images of bit depth 12, found 8 bits"),
-        (["shifted.tif"], 12, r"shifted.tif: expected grey values up to 4095 \(bit depth 12\)"),
-        (["video.cih"], None, "video.mraw: truncated, expected 9216 bytes for 2 frames, found 4608"),
-        ([], None, "paths: expected at least one image file"),
+        (["colour.png"], None, "colour.png: .*colour"),
+        (["colour.tif"], None, "colour.tif: .*RGB"),
+        (["float.tif"], None, "float.tif: .* 32 "),
+        (["first.tif", "small.tif"], None, "small.tif: .* 64 x 48 .* 64 x 47"),
+        (["first.tif", "shallow.tif"], None, "shallow.tif: .* 16 bits .* 8"),
+        (["first.tif", "stack.tif"], None, "stack.tif: .* 2 pages"),
+        (["junk.tif"], None, "junk.tif: .*TIFF"),
+        (["junk.png"], None, "junk.png: .*PNG"),
+        (["film.avi"], None, "film.avi: .*codec"),
+        (["film.gif"], None, "film.gif: .* .tif"),
+        (["absent.tif"], None, "absent.tif: "),
+        (["shallow.tif"], 12, "shallow.tif: .* 12, .* 8 bits"),
+        (["shifted.tif"], 12, r"shifted.tif: .* 4095 \(bit depth 12\)"),
+        (["video.cih"], None, "video.mraw: truncated, .* 9216 bytes .* 2 frames, .* 4608"),
+        ([], None, "^paths: "),
     ):
         with pytest.raises((ValueError, OSError), match=message) as caught:
             open_sequence([tmp_path / name for name in names], bit_depth=depth).read(0)
@@ -208,7 +208,7 @@ def test_a_frame_with_more_than_a_share_of_its_pixels_at_full_scale_is_refused()
     image[:2] = 4095
     frames = ImageSequence(("f",), (10, 10), 4095, lambda _: image)
     assert replace(frames, most_saturated=0.2).read(0) is image
-    refused("f: expected an image that is not saturated, found 20.0 %", replace(frames, most_saturated=0.19).read, 0)
+    refused("f: .* 20.0 %", replace(frames, most_saturated=0.19).read, 0)
 
 
 def test_real_video_has_75_frames(data_dir):
@@ -253,9 +253,9 @@ def test_equal_brightness_gives_a_constant():
     model = fit_noise_model(*residuals(4, 0.50, 0.52))
     assert model.variance_per_grey == 0.0
     assert model.read_variance_grey2 == pytest.approx(float(SENSOR.variance(np.array(0.51 * 4095))), rel=0.02)
-    refused("residual_grey2: expected an array of shape", fit_noise_model, np.zeros(100), np.zeros(99))
-    refused("grey: expected at least 50 finite", fit_noise_model, np.full(100, np.nan), np.zeros(100))
-    refused("variance_per_grey: expected a finite variance", NoiseModel, 1.0, -1.0)
+    refused("^residual_grey2: ", fit_noise_model, np.zeros(100), np.zeros(99))
+    refused("^grey: .* 50 ", fit_noise_model, np.full(100, np.nan), np.zeros(100))
+    refused("^variance_per_grey: ", NoiseModel, 1.0, -1.0)
     grey, _ = residuals(5)  # noise-free images keep their rounding
     np.testing.assert_array_equal(fit_noise_model(grey, np.zeros_like(grey)).variance(grey[:3]), 1 / 12)
     np.testing.assert_array_equal(NoiseModel(4.0, 0.0).variance(np.array([-5.0, 5.0])), 4.0)
@@ -318,14 +318,14 @@ def test_rows_are_points_where_there_is_no_identity(tmp_path):
 @pytest.mark.parametrize(
     ("text", "columns", "message"),
     [
-        ("1 2 3\n4 5\n", ["x", "y", "z"], r"t.txt: line 2: expected 3 columns, found 2"),
-        ("1 2 3\n4 oops 6\n", ["x", "y", "z"], r"t.txt: line 2, column 2: expected a number, found 'oops'"),
-        ("x y z\n", ["x", "y", "z"], r"t.txt: expected rows of 3 numbers, found none"),
-        ("1 1 2 3\n1 1 2 3\n", ["id", "x", "y", "z"], r"t.txt: expected every point's identity once"),
-        ("1 2 3\n", ["x", "y", "_"], r"columns: expected x y z, found x y"),
-        ("1 2 3\n", ["x", "y", "depth"], r"columns: expected one of .*found 'depth'"),
-        ("1 2 3 4\n", ["x", "y", "z", "x"], r"columns: expected x once, found it 2 times"),
-        ("1 2 3 4\n", ["x", "y", "z", "x0"], r"columns: expected x0 y0 z0, found x0"),
+        ("1 2 3\n4 5\n", ["x", "y", "z"], r"t.txt: line 2: .* 3 columns, .* 2"),
+        ("1 2 3\n4 oops 6\n", ["x", "y", "z"], r"t.txt: line 2, column 2: .*'oops'"),
+        ("x y z\n", ["x", "y", "z"], r"t.txt: .* 3 numbers"),
+        ("1 1 2 3\n1 1 2 3\n", ["id", "x", "y", "z"], r"t.txt: .*identity"),
+        ("1 2 3\n", ["x", "y", "_"], r"^columns: .*x y z, .*x y"),
+        ("1 2 3\n", ["x", "y", "depth"], r"^columns: .*'depth'"),
+        ("1 2 3 4\n", ["x", "y", "z", "x"], r"^columns: .* x .* 2 "),
+        ("1 2 3 4\n", ["x", "y", "z", "x0"], r"^columns: .*x0 y0 z0, .*x0"),
     ],
 )
 def test_wrong_tables_are_named(tmp_path, text, columns, message):
@@ -338,6 +338,6 @@ def test_tables_of_unequal_length_are_named(tmp_path):
     for name, text in (("a.txt", "1 2 3\n"), ("b.txt", "1 2 3\n4 5 6\n")):
         (tmp_path / name).write_text(text)
     a, b, c = (tmp_path / f"{name}.txt" for name in "abc")
-    refused(r"c.txt: no such file", read_point_tables, [c], ["x", "y", "z"], error=OSError)
-    refused(r"b.txt: expected 1 rows as in .*a.txt, found 2", read_point_tables, [a, b], ["x", "y", "z"])
-    refused(r"files: expected at least one table", read_point_tables, [], ["x", "y", "z"])
+    refused(r"c.txt: ", read_point_tables, [c], ["x", "y", "z"], error=OSError)
+    refused(r"b.txt: .* 1 rows .*a.txt, .* 2", read_point_tables, [a, b], ["x", "y", "z"])
+    refused(r"^files: ", read_point_tables, [], ["x", "y", "z"])

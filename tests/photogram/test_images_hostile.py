@@ -56,19 +56,19 @@ def test_pictures_larger_than_any_camera_are_refused(tmp_path):
     head = struct.pack("<IHHIIiiHHIIIIII", 0, 0, 0, 1078, 40, WIDE, WIDE, 1, 8, 0, 0, 0, 0, 0, 0)
     (tmp_path / "a.bmp").write_bytes(b"BM" + head + palette)
     for path in (*pictures, tmp_path / "a.bmp"):
-        refused(f"{path.name}: expected at most 268435456 pixels, found {WIDE} x {WIDE}", open_sequence, [path])
-        refused(f"{path.name}: (not a readable|expected at most 268435456 pixels)", read_image, path)
+        refused(f"{path.name}: .* 268435456 .* {WIDE} x {WIDE}", open_sequence, [path])
+        refused(f"{path.name}: (.*readable|.* 268435456 )", read_image, path)
     cine = bytearray(cine_factory.cine_bytes(np.zeros((2, 16, 24), np.uint16)))
     struct.pack_into("<ii", cine, 48, WIDE, WIDE)
     (tmp_path / "a.cine").write_bytes(cine)
-    refused("a.cine: expected at most 268435456 pixels", open_sequence, [tmp_path / "a.cine"])
+    refused("a.cine: .* 268435456 ", open_sequence, [tmp_path / "a.cine"])
 
 
 def test_a_picture_cut_short_is_refused_and_nothing_else_is_said(tmp_path, capfd):
     whole = _png(tmp_path / "whole.png", 64, 64).read_bytes()
     (tmp_path / "cut.png").write_bytes(whole[:-12])
     for read in (read_image, lambda path: open_sequence([path])):
-        refused("cut.png: truncated, the end mark of the PNG file is missing", read, tmp_path / "cut.png")
+        refused("cut.png: truncated", read, tmp_path / "cut.png")
     assert capfd.readouterr() == ("", ""), "what decodes PNG files has a terminal of its own"
 
 
@@ -80,13 +80,13 @@ def test_parts_of_a_tiff_have_to_be_as_long_as_their_pixels(tmp_path):
     tifffile.imwrite(tmp_path / "strips.tif", np.tile(grey, (5, 4)), compression="zlib", rowsperstrip=32)
     np.testing.assert_array_equal(open_sequence([tmp_path / "strips.tif"]).read(0), np.tile(grey, (5, 4)))
     bomb = _tiff(tmp_path / "bomb.tif", 16, 16, 8, zlib.compress(bytes(10**8)))
-    refused("bomb.tif: expected 512 bytes of pixels in every part", open_sequence([bomb]).read, 0)
+    refused("bomb.tif: .* 512 bytes", open_sequence([bomb]).read, 0)
     short = _tiff(tmp_path / "short.tif", 16, 16, 8, zlib.compress(bytes(100)))
-    refused("short.tif: not a readable TIFF", open_sequence([short]).read, 0)
+    refused("short.tif: .*TIFF", open_sequence([short]).read, 0)
     plain = _tiff(tmp_path / "plain.tif", 64, 64, 1, bytes(100))
-    refused("plain.tif: expected 8192 bytes of 64 x 64 pixels, found 100", open_sequence, [plain])
+    refused("plain.tif: .* 8192 bytes .* 64 x 64 .* 100", open_sequence, [plain])
     other = _tiff(tmp_path / "other.tif", 16, 16, 34925, bytes(100))
-    refused("other.tif: expected no compression, LZW, deflate or JPEG, found LZMA", open_sequence, [other])
+    refused("other.tif: .* LZMA", open_sequence, [other])
 
 
 @pytest.mark.parametrize("frames", ["99999999", "9" * 5000, "²"])
@@ -95,23 +95,23 @@ def test_numbers_of_frames_that_no_camera_has_are_refused(tmp_path, frames):
     (tmp_path / "a.cih").write_text(text, encoding="utf-8")
     with (tmp_path / "a.mraw").open("wb") as file:
         file.truncate(100_000_000)
-    refused("a.cih: Total Frame: expected .*, found ", open_sequence, [tmp_path / "a.cih"])
+    refused("a.cih: Total Frame: ", open_sequence, [tmp_path / "a.cih"])
 
 
 def test_tables_of_points_that_inflate_or_nest_are_refused(tmp_path, monkeypatch):
     monkeypatch.setattr(point_tables, "MOST_BYTES", 1 << 20)
     path = tmp_path / "a.mat"
     scipy.io.savemat(path, {name: np.zeros((1000, 1000)) for name in "XYZUVW"}, do_compression=True)
-    refused(r"a\.mat: its variables: expected at most 1 MB", read_point_tables, [path], scale=1.0)
+    refused(r"a\.mat: .* 1 MB", read_point_tables, [path], scale=1.0)
     cell = b"".join(
         struct.pack("<II", kind, len(content)) + content
         for kind, content in ((6, struct.pack("<II", 1, 0)), (5, struct.pack("<ii", 1, 1)), (1, b""))
     )
     nested = b"".join(struct.pack("<II", 14, 48 * (8_000 - n) - 8) + cell for n in range(8_000))
     path.write_bytes(b"MATLAB 5.0 MAT-file".ljust(124) + struct.pack("<H", 0x0100) + b"IM" + nested)
-    refused(r"a\.mat: expected at most 64 cells", read_point_tables, [path], scale=1.0)
+    refused(r"a\.mat: .* 64 cells", read_point_tables, [path], scale=1.0)
     (tmp_path / "a.csv").write_bytes(b"1" * (2 << 20))
-    refused(r"a\.csv: expected a table of at most 1 MiB", read_point_tables, [tmp_path / "a.csv"])
+    refused(r"a\.csv: .* 1 MiB", read_point_tables, [tmp_path / "a.csv"])
 
 
 def test_what_is_no_file_is_refused_before_it_is_opened(tmp_path):
@@ -121,13 +121,13 @@ def test_what_is_no_file_is_refused_before_it_is_opened(tmp_path):
     (tmp_path / "self.png").symlink_to("self.png")
     (tmp_path / "folder.tif").mkdir()
     for name, found in (
-        ("pipe.png", "found a device or pipe"),
-        ("pipe.cine", "found a device or pipe"),
-        ("zero.png", "found a device or pipe"),
-        ("self.png", "Too many levels of symbolic links"),
-        ("folder.tif", "found a folder"),
-        ("nul\0.png", "embedded null"),
+        ("pipe.png", "pipe"),
+        ("pipe.cine", "pipe"),
+        ("zero.png", "device"),
+        ("self.png", "symbolic"),  # the system's sentence
+        ("folder.tif", "folder"),
+        ("nul\0.png", "null"),
     ):
         refused(f": .*{found}", open_sequence, [tmp_path / name], error=FileNotFoundError)
-    refused("pipe.png: .*a device or pipe", read_image, tmp_path / "pipe.png", error=FileNotFoundError)
-    refused("pipe.csv: .*a device or pipe", read_point_tables, [tmp_path / "pipe.csv"], error=FileNotFoundError)
+    refused("pipe.png: .* pipe", read_image, tmp_path / "pipe.png", error=FileNotFoundError)
+    refused("pipe.csv: .* pipe", read_point_tables, [tmp_path / "pipe.csv"], error=FileNotFoundError)

@@ -332,18 +332,18 @@ def test_missing_points_are_missing_and_harm_nobody():
 def test_wrong_calls_are_named():
     reference, few = sample(2, 30, shaking(2), 14)
     refused("reference_m", fit_motion, few, reference[:5], ORIGIN)
-    refused("reference_m: expected at least 3", fit_motion, few, np.full((30, 3), np.nan), ORIGIN)
+    refused("^reference_m: .* 3 ", fit_motion, few, np.full((30, 3), np.nan), ORIGIN)
     refused("origin_m", fit_motion, few, reference, np.zeros(2))
-    refused("correlation: expected a matrix of 30", fit_motion, few, None, ORIGIN, overlap_correlation(np.eye(2), 3))
+    refused("^correlation: .* 30 ", fit_motion, few, None, ORIGIN, overlap_correlation(np.eye(2), 3))
     refused("covariance", RigidMotion, np.zeros((2, 6)), np.zeros((2, 6)), np.zeros(2), np.zeros(2, int), np.zeros(3))
     refused("mean_pose", relative_to, fit_motion(few, reference, ORIGIN), np.zeros(5))
-    refused("position_m: expected at least 3 points in 2 frames", points_with_estimated_noise, body(10)[None])
-    refused("radius_px: expected at least 1, found 0", overlap_correlation, np.zeros((3, 2)), 0)
+    refused("^position_m: .* 3 points .* 2 frames", points_with_estimated_noise, body(10)[None])
+    refused("^radius_px: .* 1, .* 0", overlap_correlation, np.zeros((3, 2)), 0)
     points = moving(np.random.default_rng(12))
     motion = fit_motion(points, None, np.zeros(3))
-    refused("reference_m: expected an array of shape", deformation, points, motion, np.zeros((4, 3)))
+    refused("^reference_m: ", deformation, points, motion, np.zeros((4, 3)))
     part = Points3D(points.position_m[1:], points.covariance_m2[1:], points.reprojection_px[1:])
-    refused(r"motion\.pose: expected an array of shape", deformation, part, motion)
+    refused(r"^motion\.pose: ", deformation, part, motion)
 
 
 # Noise that overlapping subsets share, by registration of noisy images and by Monte Carlo of the rigid fit.

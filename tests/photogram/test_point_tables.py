@@ -63,10 +63,10 @@ def test_vic3d_mat_files_need_the_unit(tmp_path):
         shaped |= {name: part.reshape(4, 6) for name, part in zip("UVW", (after - BEFORE).T, strict=True)}
         savemat(tmp_path / f"a{k}.mat", {**shaped, "sigma": np.full((4, 6), 0.01), "note": "x"})
     files = [tmp_path / "a0.mat", tmp_path / "a1.mat"]
-    refused(r"a0\.mat: X: expected a unit of length, found none; state scale", read_point_tables, files)
+    refused(r"a0\.mat: X: .*scale", read_point_tables, files)
     _assert_moved(read_point_tables(files, scale=1e-3))
     files[0].write_bytes(files[1].read_bytes()[:300])
-    refused(r"a0\.mat: expected a variable within the file", read_point_tables, files, scale=1e-3)
+    refused(r"a0\.mat: .*variable", read_point_tables, files, scale=1e-3)
 
 
 def test_dice_and_pyvale_tables(tmp_path):
@@ -92,18 +92,18 @@ def test_dice_and_pyvale_tables(tmp_path):
     _assert_moved(second, [lost])
     kept = np.delete(np.arange(len(BEFORE)), lost)
     np.testing.assert_allclose(first.reference_m[kept], second.reference_m[kept], atol=1e-10)
-    refused(r"pyvale_1\.csv: expected a table of DICe", read_point_tables, [dice_files[0], pyvale_files[1]])
+    refused(r"pyvale_1\.csv: .*DICe", read_point_tables, [dice_files[0], pyvale_files[1]])
 
 
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("", "expected a header and rows"),
-        ('"X [mm]","Y [mm]"\n1,2\n', "under the names of VIC-3D, ARAMIS, DICe, pyvale, found X, Y; name the columns"),
-        ("ID;x_undef [mm]\n1;2;3\n", "line 2: expected 2 columns as in the header, found 3"),
-        ("ID;x_undef [mm]\n1;2\n3;x\n", "line 3: expected numbers, found 'x'"),
-        ("ID;x_undef [px];y_undef;z_undef;u;v;w\n1;2;3;4;5;6;7\n", "x_undef: expected a length in m, .* found px"),
-        ("ID;x_undef [mm];y_undef;z_undef;u;v;w\n1;2;3;4;5;6;7\n", "y_undef: expected a unit of length, found none"),
+        ("", "header"),
+        ('"X [mm]","Y [mm]"\n1,2\n', "VIC-3D, ARAMIS, DICe, pyvale, .* X, Y"),
+        ("ID;x_undef [mm]\n1;2;3\n", "line 2: .* 2 columns .* 3"),
+        ("ID;x_undef [mm]\n1;2\n3;x\n", "line 3: .*'x'"),
+        ("ID;x_undef [px];y_undef;z_undef;u;v;w\n1;2;3;4;5;6;7\n", "x_undef: .* px"),
+        ("ID;x_undef [mm];y_undef;z_undef;u;v;w\n1;2;3;4;5;6;7\n", "y_undef: .*unit"),
     ],
 )
 def test_what_cannot_be_read_is_said_in_one_sentence(tmp_path, text, message):
@@ -126,9 +126,9 @@ def test_matchid_matrices_of_two_frames(tmp_path):
     table = read_point_tables(files)
     assert (table.program, len(table.frames)) == ("MatchID", 2)
     _assert_moved(table, [8])
-    refused("frame1_0.tif: .* found none of W", read_point_tables, files[:-1])
+    refused("frame1_0.tif: .* W", read_point_tables, files[:-1])
     files[0].write_text("1;2;\n3;\n")
-    refused("line 2: expected numbers, as many as in the first line", read_point_tables, files)
+    refused("line 2: ", read_point_tables, files)
 
 
 @pytest.fixture
@@ -154,7 +154,7 @@ def test_matrices_written_by_matchid(formats, name, shape, numbers, first, mean,
     np.testing.assert_array_equal(matrix[0, 0], first)
     assert np.nanmean(matrix) == pytest.approx(mean, abs=1e-9)
     assert (np.nanmin(matrix), np.nanmax(matrix)) == ends
-    refused("expected matrices of X Y Z", read_point_tables, [formats / "matchid" / name])
+    refused("X Y Z", read_point_tables, [formats / "matchid" / name])
 
 
 @pytest.mark.parametrize(
@@ -178,5 +178,4 @@ def test_aramis_node_maps_have_the_imposed_strain(formats, stage, kept, fitted, 
 
 
 def test_results_of_dice_in_the_plane_are_refused_by_what_they_lack(data_dir):
-    words = "expected points in space .* found COORDINATE_X, COORDINATE_Y"
-    refused(words, read_point_tables, [data_dir / "static_stereo" / "DICe_solution_auto_0.txt"])
+    refused("COORDINATE_X, COORDINATE_Y", read_point_tables, [data_dir / "static_stereo" / "DICe_solution_auto_0.txt"])

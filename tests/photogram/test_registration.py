@@ -420,7 +420,7 @@ def test_every_tensor_is_made_on_the_device(noisy_frames, order):
     start = torch.zeros((9, reference.columns), dtype=torch.float64, device="meta")
     frame = subset = torch.zeros(9, dtype=torch.int64, device="meta")
     basis = torch.from_numpy(basis_polynomials(5)).to(reference.pixels)
-    gone = engine._gone(reference, frames, subset, start, start[:, :6:3])
+    gone = engine._lost_status(reference, frames, subset, start, start[:, :6:3])
     sums = engine._portion_sums(reference, frames, (frame, subset, start), basis)
     step, scores, fate = engine._solve(reference, SETTINGS, (subset, gone), sums)
     for tensor in (fate, scores, engine._compose_inverse(start, step)):
@@ -429,18 +429,18 @@ def test_every_tensor_is_made_on_the_device(noisy_frames, order):
 
 def test_wrong_calls_are_refused(noisy_frames, prepared):
     assert PARAMETERS == {0: 2, 1: 6, 2: 12}
-    refused("order: expected 0, 1 or 2, found 3", prepare_reference, spline_of_image(np.eye(40)), MIDDLE[None], 5, 3)
-    refused("shape_order: expected 0, 1 or 2, found -1", TrackSettings, shape_order=-1)
+    refused("^order: .*0, 1 or 2, .*3", prepare_reference, spline_of_image(np.eye(40)), MIDDLE[None], 5, 3)
+    refused("^shape_order: .*0, 1 or 2, .*-1", TrackSettings, shape_order=-1)
     frames = spline_frames(noisy_frames, 5, "cpu")
     assert frames.size_px == SIZE
     batched = torch_reference(prepared, "cpu")
-    refused("start: expected an array of shape", register_frames, batched, frames, REST[:3], SETTINGS)
-    refused("images: expected an array of shape", spline_frames, noisy_frames[0], 5, "cpu")
-    refused("images: expected at least 8 x 8 px", spline_frames, noisy_frames[:, :5], 5, "cpu")
-    refused("degree: expected 3, 5 or 7, found 4", spline_frames, noisy_frames, 4, "cpu")
-    refused("degree: expected 3, 5 or 7, found 4", TorchSplines, frames.coefficients, 4)
-    refused("coefficients: expected a contiguous tensor", TorchSplines, frames.coefficients[0], 5)
-    refused("precision: expected one of float64, float32, found 'half'", torch_reference, prepared, "cpu", "half")
+    refused("^start: ", register_frames, batched, frames, REST[:3], SETTINGS)
+    refused("^images: ", spline_frames, noisy_frames[0], 5, "cpu")
+    refused("^images: .*8 x 8 px", spline_frames, noisy_frames[:, :5], 5, "cpu")
+    refused("^degree: .*3, 5 or 7, .*4", spline_frames, noisy_frames, 4, "cpu")
+    refused("^degree: .*3, 5 or 7, .*4", TorchSplines, frames.coefficients, 4)
+    refused("^coefficients: ", TorchSplines, frames.coefficients[0], 5)
+    refused("^precision: .*float64, float32, .*'half'", torch_reference, prepared, "cpu", "half")
 
 
 @NEEDS_GPU

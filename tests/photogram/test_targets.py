@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import re
 from functools import cache, partial
 from pathlib import Path
 
@@ -23,7 +24,7 @@ from photogram.images.noise import NoiseModel
 from photogram.synthetic.board import Board, render_board
 from photogram.targets.charuco import find_charuco
 from photogram.targets.chessboard import corner_view, find_chessboard, lattice_bend
-from photogram.targets.crossing import NO_CROSSING, OUTSIDE, SATURATED, CameraResponse, refine_corners
+from photogram.targets.crossing import NO_CROSSING, OUTSIDE, REASONS, SATURATED, CameraResponse, refine_corners
 from photogram.targets.dots import find_dots
 from photogram.targets.ellipse import FittedEllipses, fit_ellipses
 from photogram.targets.target_view import Target, TargetNotFound, TargetView, estimate_image_noise, find_target
@@ -178,13 +179,13 @@ HALF_OUTSIDE = pose_of(BOARD, CAMERA, 36.0, (0.2, -0.2, 0.1), shift_px=260.0)
         (BOARD, "blurred", lambda image: gaussian_filter(image.astype(float), 6.0)),
         (CHARUCO, "blurred", lambda image: gaussian_filter(image.astype(float), 5.0)),
         (CHARUCO, "mirrored", lambda image: image[:, ::-1]),
-        (BOARD, "no chessboard", lambda _: BLANK),
-        (BOARD, "runs over the edge", lambda _: picture(CAMERA, HALF_OUTSIDE, BOARD)),
+        (BOARD, "^no chessboard", lambda _: BLANK),
+        (BOARD, "^extends .*edge", lambda _: picture(CAMERA, HALF_OUTSIDE, BOARD)),
         (BOARD, ".", lambda _: picture(CAMERA, POSE, charuco((10, 7)))),
-        *((BOARD, "another target", {"size": size}) for size in ((8, 5), (11, 6))),
-        *(slow(BOARD, "another target", {"size": size}) for size in ((10, 7), (9, 5), (7, 5))),
-        *((CHARUCO, "another target", {"size": size}) for size in ((7, 5), (11, 8), (9, 4))),
-        (CHARUCO, "no markers", {"dictionary": "DICT_6X6_50"}),
+        *((BOARD, "^another", {"size": size}) for size in ((8, 5), (11, 6))),
+        *(slow(BOARD, "^another", {"size": size}) for size in ((10, 7), (9, 5), (7, 5))),
+        *((CHARUCO, "^another", {"size": size}) for size in ((7, 5), (11, 8), (9, 4))),
+        (CHARUCO, "markers .*DICT_6X6_50", {"dictionary": "DICT_6X6_50"}),
     ],
 )
 def test_bad_pictures_and_other_boards_are_refused_with_the_reason(board, reason, change):
@@ -257,9 +258,10 @@ def test_what_is_lost_is_counted_and_said():
     start[:9] += 19.0  # into the middle of squares
     view = corner_view(image, board.target, index, start, np.tile(axes, (77, 1, 1)), "a", SENSOR.full_scale)
     assert (len(view.index), view.lost) == (68, 9)
-    assert view.loss_reasons == "68 of 77 corners can be measured (lost: 9 no crossing of two edges)"
+    assert re.findall(r"\d+", view.loss_reasons) == ["68", "77", "9"]
+    assert REASONS[NO_CROSSING] in view.loss_reasons
     start += rng.choice([-19.0, 19.0], start.shape) * (np.arange(77) > 12)[:, None]
-    words = r"^\d of 77 corners can be measured \(lost: 7\d no crossing of two edges"
+    words = rf"^\d of 77 .* 7\d {REASONS[NO_CROSSING]}"
     arguments = board.target, index, start, np.tile(axes, (77, 1, 1)), "a", SENSOR.full_scale
     refused(words, corner_view, image, *arguments, error=TargetNotFound)
 
@@ -291,7 +293,7 @@ def test_two_equal_boards_in_a_picture_are_told(kind):
     places = [pose_of(board, CAMERA, 32.0 if "dots" in kind else 23.0, turn, 300 * k - 150) for k in range(2)]
     left, right = (picture(CAMERA, place, board) for place in places)
     image = np.concatenate([left[:, :330], right[:, 330:]], axis=1)
-    refused("two targets: a .* is seen twice; cover one", find_target, image, board.target, "a", 4095)
+    refused("^two targets: ", find_target, image, board.target, "a", 4095)
     image[:, 330:] = np.where(np.arange(330, 640) < 360, image[:, 330:], image[5, 5])
     assert len(find_target(image, board.target, "a", 4095).index) >= 0.9 * len(board.index)
 
@@ -367,7 +369,7 @@ def test_speckle_and_dots_are_not_said_to_run_over_the_edge(kind):
     else:
         image = 4095 * render_board(WIDE, pose(RINGS), RINGS)
     image = image.astype(np.uint16)
-    refused("^no chessboard of 9 x 6", find_target, image, BOARD.target, "a", 4095, error=TargetNotFound)
+    refused("^no chessboard .*9 x 6", find_target, image, BOARD.target, "a", 4095, error=TargetNotFound)
 
 
 @pytest.mark.parametrize("board", [RINGS, PLAIN, ASYMMETRIC])
@@ -458,11 +460,11 @@ EVEN_ROWS = Board(Target("asymmetric-dots", SPACING_M, (5, 8)), radius=0.3)
         ("mirrored", RINGS.target, lambda: shown(RINGS, pose(RINGS, 1.0))[:, ::-1]),
         slow("mirrored", RINGS.target, lambda: shown(RINGS, pose(RINGS, 3.0))[:, ::-1]),
         ("mirrored", EVEN_ROWS.target, lambda: shown(EVEN_ROWS, pose(EVEN_ROWS))[:, ::-1]),
-        ("ring markers, expected three", RINGS.target, lambda: shown(RINGS, pose(RINGS))[:, 380:]),
-        ("give the number of dots", Target("dots", SPACING_M), lambda: shown(PLAIN, pose(PLAIN))),
-        ("runs over the edge", PLAIN.target, lambda: shown(PLAIN, pose(PLAIN, distance_m=0.12))[:, :420]),
-        ("runs over the edge", ASYMMETRIC.target, lambda: shown(ASYMMETRIC, pose(ASYMMETRIC, 0, 0, 0.12))[:, :420]),
-        ("expected 7 x 5", Target("dots", SPACING_M, (7, 5)), lambda: shown(PLAIN, pose(PLAIN))),
+        ("^[012] of .* ring", RINGS.target, lambda: shown(RINGS, pose(RINGS))[:, 380:]),
+        ("^no ring", Target("dots", SPACING_M), lambda: shown(PLAIN, pose(PLAIN))),
+        ("^extends .*edge", PLAIN.target, lambda: shown(PLAIN, pose(PLAIN, distance_m=0.12))[:, :420]),
+        ("^extends .*edge", ASYMMETRIC.target, lambda: shown(ASYMMETRIC, pose(ASYMMETRIC, 0, 0, 0.12))[:, :420]),
+        ("7 x 5", Target("dots", SPACING_M, (7, 5)), lambda: shown(PLAIN, pose(PLAIN))),
         (".", RINGS.target, lambda: 120 + 3 * WHITE),
         (".", RINGS.target, lambda: np.full(SIZE[::-1], 120)),
         (".", RINGS.target, lambda: np.where(gaussian_filter(WHITE, 3.0) > 0, 200, 30)),
@@ -632,16 +634,16 @@ def test_what_is_no_dot_gives_nan():
     assert np.isnan(found.centre_px).all()
     assert np.isnan(found.covariance_px2).all()
     starts = np.zeros((2, 2)), np.ones((2, 2, 2)), np.ones(3), np.zeros(2, dtype=bool)
-    refused("reach_px: expected an array of shape", fit_ellipses, np.zeros((9, 9)), *starts)
+    refused("^reach_px: ", fit_ellipses, np.zeros((9, 9)), *starts)
 
 
 @pytest.mark.parametrize(
     ("kind", "size", "wrong"),
     [
-        ("chessboard", (100_000, 100_000), "20000 points, found 100000 x 100000"),
-        ("dots", (1001, 2), "1000 columns, 1000 rows"),
-        ("charuco", (150, 150), "20000 points, found 150 x 150"),
-        ("chessboard", (2, 9), "at least 3 columns and rows of a chessboard target, found 2 x 9"),
+        ("chessboard", (100_000, 100_000), "20000 points, .* 100000 x 100000"),
+        ("dots", (1001, 2), "^size: .*1000 columns, 1000 rows"),
+        ("charuco", (150, 150), "20000 points, .* 150 x 150"),
+        ("chessboard", (2, 9), " 3 columns .*chessboard .* 2 x 9"),
     ],
 )
 def test_sizes_that_no_target_has_are_refused(kind, size, wrong):

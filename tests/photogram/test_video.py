@@ -17,6 +17,7 @@ from hypothesis import strategies as st
 
 from photogram.images import video
 from photogram.images.image_files import open_sequence
+from photogram.images.image_notices import COMPRESSED_VIDEO, EXPOSURE_VARIES, FILM_DECODED, ORIENTATION_NOT_APPLIED
 from photogram.images.video import linear_12_of_10
 
 RNG = np.random.default_rng(4)
@@ -49,11 +50,11 @@ def test_codes_of_ten_bits_are_made_linear(tmp_path):
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ({"colours": 3}, "found colour"),
-        ({"packing": 256, "codes": GREY12 >> 2, "cut": 40}, "truncated, expected at least"),
-        ({"cut": 40}, "truncated, expected at least"),
-        ({"cut": 4000}, "damaged header"),
-        ({"start": b"XX"}, "not a readable Phantom cine file"),
+        ({"colours": 3}, "colour"),
+        ({"packing": 256, "codes": GREY12 >> 2, "cut": 40}, "truncated"),
+        ({"cut": 40}, "truncated"),
+        ({"cut": 4000}, "damaged"),
+        ({"start": b"XX"}, "readable"),
     ],
 )
 def test_other_cine_files_are_refused(tmp_path, change, message):
@@ -105,9 +106,10 @@ def test_frames_written_by_phantom_cameras(data_dir):
     assert packed.sum(dtype=int) * 255 / 4095 == pytest.approx(1066350.0, rel=1e-3)
     broken = open_sequence([folder / "data_small_cine.cine"])
     assert np.diff(broken.time_s)[-1] > 1e7  # the last time stamp is wrong in the file
-    assert any("another one stated for 1 of 235 frames" in notice.text for notice in broken.notices)
+    (varies,) = (notice for notice in broken.notices if notice.code == EXPOSURE_VARIES.code)
+    assert (varies.values["different"], varies.values["frames"]) == (1, 235)
     for name in ("invalid_color", "chart1"):
-        refused("found colour", open_sequence, [folder / f"{name}.cine"])
+        refused("colour", open_sequence, [folder / f"{name}.cine"])
 
 
 def test_frames_written_by_photron_cameras(data_dir):
@@ -136,7 +138,7 @@ def test_bitmaps_are_read_and_others_than_grey_refused(tmp_path):
     sequence = open_sequence([tmp_path / f"{n}.bmp" for n in range(2)])
     np.testing.assert_array_equal(sequence.read(1), grey + np.uint8(1))
     cv2.imwrite(str(tmp_path / "colour.bmp"), np.zeros((16, 24, 3), np.uint8))
-    refused("colour.bmp: expected 8 uncompressed bits", open_sequence, [tmp_path / "colour.bmp"])
+    refused("colour.bmp: .*24", open_sequence, [tmp_path / "colour.bmp"])
     (tmp_path / "cut.bmp").write_bytes((tmp_path / "0.bmp").read_bytes()[:-50])
     refused("cut.bmp: truncated", open_sequence, [tmp_path / "cut.bmp"])
 
@@ -157,15 +159,16 @@ def test_films_are_read_frame_by_frame_with_a_warning(tmp_path: Path, suffix: st
     for n in (2, 0, 3, 1):  # in any order
         worst = np.abs(sequence.read(n).astype(int) - frames[n]).mean()
         assert worst <= (3.0 if severity == "warning" else 0.5)
-    assert [notice.severity for notice in sequence.notices] == [severity]
+    expected = COMPRESSED_VIDEO if severity == "warning" else FILM_DECODED
+    assert [(notice.code, notice.severity) for notice in sequence.notices] == [(expected.code, severity)]
 
 
 def test_one_video_file_a_camera(tmp_path):
     paths = [write_cine(tmp_path / f"{n}.cine", GREY12) for n in range(2)]
-    refused("expected one video file for a camera", open_sequence, paths)
+    refused("0.cine: ", open_sequence, paths)
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        refused("film.mp4: not a readable film", open_sequence, [_junk(tmp_path / "film.mp4")])
+        refused("film.mp4: .*codec", open_sequence, [_junk(tmp_path / "film.mp4")])
 
 
 def _junk(path: Path) -> Path:
@@ -188,7 +191,7 @@ def test_films_keep_every_bit_that_is_stored(tmp_path, suffix, kind):
 )
 def test_depths_that_the_decoder_would_cut_to_8_bits_are_refused(tag, bits):
     """FFmpeg's tags of grey 12, YUV 4:2:0 10, grey 16 big-endian, RGB 48, and RGB 555."""
-    refused(f"a.mkv: expected .*found {bits} bits .*TIFF", video._pixel_bits, Path("a.mkv"), tag)
+    refused(f"a.mkv: .* {bits} bits .*TIFF", video._pixel_bits, Path("a.mkv"), tag)
     assert [video._pixel_bits(Path("a.mkv"), tag) for tag in (b"Y800", b"I420", b"BGR\0", b"RGB\x18", b"Y1\0\x10")] == [
         8, 8, 8, 8, 16,
     ]  # fmt: skip
@@ -222,4 +225,4 @@ def test_a_film_is_not_rotated_for_display(tmp_path, matrix, tag):
     sequence = open_sequence([path])
     assert sequence.size_px == (64, 48)
     np.testing.assert_array_equal(sequence.read(1), before.read(1))
-    assert any(f"orientation tag {tag}" in notice.text for notice in sequence.notices)
+    assert [notice.values["tag"] for notice in sequence.notices if notice.code == ORIENTATION_NOT_APPLIED.code] == [tag]

@@ -109,13 +109,13 @@ def test_best_damping_is_where_a_search_finds_the_widest_band(error):
 
 def test_bandwidth_target_is_that_of_the_closed_form_for_one_mode_and_counts_the_poles_that_stay():
     found = target_for_bandwidth(SINGLE, 900.0, 0.1)
-    kept = (1 - MODEL_ERROR_SHARE) * 0.1
-    assert found.damping_ratio == pytest.approx(best_damping(kept), abs=2e-5)
-    assert found.frequency_hz == pytest.approx(900.0 / band_ratio(best_damping(kept) + 1e-9, kept), rel=1e-4)
+    share = (1 - MODEL_ERROR_SHARE) * 0.1
+    assert found.damping_ratio == pytest.approx(best_damping(share), abs=2e-5)
+    assert found.frequency_hz == pytest.approx(900.0 / band_ratio(best_damping(share) + 1e-9, share), rel=1e-4)
     sensor = modal_dynamics(_chain(1700.0, 0.015, 6000.0))
     found = target_for_bandwidth(sensor, 2000.0, 0.1)
     assert _band_hz(sensor, found) > 2000.0
-    refused("compensate more modes or the real poles", target_for_bandwidth, sensor, 8000.0, 0.01)
+    refused("^bandwidth_hz: .*8000", target_for_bandwidth, sensor, 8000.0, 0.01)
 
 
 def _band_hz(sensor: SensorDynamics, target: CompensationTarget) -> float:
@@ -135,7 +135,7 @@ def test_damping_is_chosen_for_the_whole_sensor():
     assert bands[1] > bands[2]
 
 
-def test_a_low_pass_takes_the_noise_away_and_nothing_else():
+def test_a_low_pass_reduces_the_noise_only():
     """The filter is that without it times a Butterworth low-pass of scipy, and the search for a damping knows it."""
     sensor = loaded_dynamics(THREE_MASSES, 0.198, modes=2)
     plain, quiet = (Compensation(sensor, CompensationTarget(1000.0, 0.55, None, corner)) for corner in (None, 4000.0))
@@ -162,7 +162,7 @@ def test_real_poles_move_with_the_mode():
 
 
 @pytest.mark.parametrize("load", [0.008, 0.098])
-def test_further_modes_are_damped_and_kept_well_above_the_target(load):
+def test_further_modes_are_damped_and_stay_above_the_target(load):
     """With 8 g the second mode is at 2490 Hz and stays there, with 98 g it is at 884 Hz and goes to 2000 Hz."""
     sensor = loaded_dynamics(THREE_MASSES, load, modes=2)
     found = indices(Compensation(sensor, CompensationTarget(1000.0, 0.5)).compensated)
@@ -239,15 +239,15 @@ def test_covariance_of_modes_reaches_the_sensor_and_that_of_a_load_follows_the_r
 
 
 def test_wrong_calls_name_the_argument():
-    refused("damping_ratio: expected 0 or more", single_mode, 500.0, -0.01)
-    refused("frequency_hz: expected a positive number", CompensationTarget, 0.0, 0.5)
-    refused("sample_rate_hz: expected at least", discretise, PUBLISHED, 2000.0)
+    refused("^damping_ratio: ", single_mode, 500.0, -0.01)
+    refused("^frequency_hz: ", CompensationTarget, 0.0, 0.5)
+    refused("^sample_rate_hz: ", discretise, PUBLISHED, 2000.0)
     with pytest.raises(ValueError, match="method"):
         discretise(PUBLISHED, 2e4, "zoh")  # type: ignore[arg-type]
     refused("permitted_error", best_damping, 1.5)
-    refused("modes: expected 0 to 1", modal_dynamics, _chain(1700.0, 0.015, 6000.0), modes=2)
-    refused("modes: expected 0 or more", loaded_dynamics, TWO_MASSES, 0.0, modes=-1)
-    refused("a mode or a real pole", SensorDynamics, np.zeros(0), np.zeros(0), np.zeros(0), 1.0, PUBLISHED.system)
+    refused("^modes: ", modal_dynamics, _chain(1700.0, 0.015, 6000.0), modes=2)
+    refused("^modes: ", loaded_dynamics, TWO_MASSES, 0.0, modes=-1)
+    refused("^frequency_hz: ", SensorDynamics, np.zeros(0), np.zeros(0), np.zeros(0), 1.0, PUBLISHED.system)
 
 
 RATE = 50e3
@@ -304,7 +304,7 @@ def test_it_starts_settled_and_a_switch_leaves_a_constant_alone():
         np.testing.assert_allclose(_run(np.full((2, 550), 3.5), level, 50, []), 3.5, rtol=1e-9)
 
 
-def test_a_switch_does_not_jump_and_comes_to_the_filter_of_the_new_load():
+def test_a_switch_is_continuous_and_converges_to_the_filter_of_the_new_load():
     """A slow sine: no step is larger than those of the signal itself; the bare old state would jump by far more."""
     time = np.arange(6000) / RATE
     data = 1.0 + np.sin(2 * np.pi * 40.0 * time)[None]
@@ -333,8 +333,8 @@ def test_band_of_the_gain_is_that_of_drawn_sensors():
     frequency = np.array([50.0, 300.0, 450.0, 700.0, 1000.0])
     rng = np.random.default_rng(7)
     f, zeta = 500.0 + 0.05 * rng.normal(size=(4000, 1)), 0.004 + 1e-4 * rng.normal(size=(4000, 1))
-    drawn, known = (1 - (frequency / a) ** 2 + 2j * b * frequency / a for a, b in ((f, zeta), (500.0, 0.004)))
-    ratio, band = np.log(known / drawn), gain_band(compensation, frequency)
+    drawn, exact = (1 - (frequency / a) ** 2 + 2j * b * frequency / a for a, b in ((f, zeta), (500.0, 0.004)))
+    ratio, band = np.log(exact / drawn), gain_band(compensation, frequency)
     np.testing.assert_allclose(band.u_gain, ratio.real.std(axis=0), rtol=0.05)
     np.testing.assert_allclose(band.u_phase_rad, ratio.imag.std(axis=0), rtol=0.05)
 
@@ -345,8 +345,8 @@ def test_parameter_sections_are_the_derivatives(method, corner):
     frequency = np.array([100.0, 480.0, 900.0])
     slopes = compensation.sensitivities(frequency)
     base = discretise(compensation, 1e6, method).response(frequency)  # type: ignore[arg-type]
-    for place, one in enumerate(parameter_sections(compensation, 1e6, method)):  # type: ignore[arg-type]
-        np.testing.assert_allclose(one.response(frequency), base * slopes[:, place], rtol=2e-3, atol=1e-9)
+    for index, one in enumerate(parameter_sections(compensation, 1e6, method)):  # type: ignore[arg-type]
+        np.testing.assert_allclose(one.response(frequency), base * slopes[:, index], rtol=2e-3, atol=1e-9)
 
 
 def test_every_sample_lies_within_its_uncertainty_as_often_as_it_should():
@@ -360,20 +360,20 @@ def test_every_sample_lies_within_its_uncertainty_as_often_as_it_should():
         seen = single_mode(f, zeta, 2.0).system.step(time) + noise * rng.normal(size=400)
         errors.append(CompensationFilter(discretise(compensation, RATE))(seen[None])[0] - aim)
     clean = compensation.sensor.system.step(time)
-    told = CompensationWithUncertainty(compensation, RATE, noise=noise)(clean[None])
-    errors_ = np.array(errors) - (told.value[0] - aim)
+    run = CompensationWithUncertainty(compensation, RATE, noise=noise)(clean[None])
+    errors_ = np.array(errors) - (run.value[0] - aim)
     scatter = np.sqrt(np.mean(errors_**2, axis=0))[50:]
-    np.testing.assert_allclose(scatter, told.u[0, 50:], rtol=0.15)
+    np.testing.assert_allclose(scatter, run.u[0, 50:], rtol=0.15)
 
 
 def test_a_block_of_gaps_is_refused():
     stream = CompensationFilter(discretise(_uncertain(), RATE), 2)
-    refused("block: expected finite samples", stream, np.array([[1.0, np.nan], [0.0, 0.0]]))
-    refused("block: expected an array of shape", stream, np.zeros((3, 5)))
+    refused("^block: ", stream, np.array([[1.0, np.nan], [0.0, 0.0]]))
+    refused("^block: ", stream, np.zeros((3, 5)))
     assert stream(np.zeros((2, 0))).shape == (2, 0)
-    refused("sections: expected 1, found 3", stream.switch, _sections(0.1))
-    refused("sections: expected a rate", stream.switch, discretise(_uncertain(), 2 * RATE))
-    refused("sos: expected sections with a0 = 1", Sections, np.ones((1, 6)) * 2.0, 1.0, RATE)
+    refused("^sections: .*3", stream.switch, _sections(0.1))
+    refused("^sections: ", stream.switch, discretise(_uncertain(), 2 * RATE))
+    refused("^sos: ", Sections, np.ones((1, 6)) * 2.0, 1.0, RATE)
 
 
 LOAD = 0.198
@@ -401,13 +401,13 @@ def test_fast_sampling_follows_the_continuous_equations():
     omega2, damping = 2.36e6 / (0.240 + LOAD), 6.0 / (0.240 + LOAD)
 
     def slopes(t: float, z: np.ndarray) -> list[float]:
-        x, v, told, rate = z
+        x, v, run, rate = z
         x_h = 0.005 * (1 - np.cos(20 * np.pi * t))
         v_h = 0.1 * np.pi * np.sin(20 * np.pi * t)
         applied = 500.0 * (x_h - x) + 5.0 * (v_h - v)
         ball = 1000.0 * max(0.0, x + 1e-3)
-        actuator = ball + (ball - told)
-        return [v, (applied - actuator - 2.0 * v) / 0.8, rate, omega2 * (applied - told) - damping * rate]
+        actuator = ball + (ball - run)
+        return [v, (applied - actuator - 2.0 * v) / 0.8, rate, omega2 * (applied - run) - damping * rate]
 
     exact = solve_ivp(slopes, (0.0, time[-1]), np.zeros(4), "DOP853", time, rtol=1e-9, atol=1e-12).y
     np.testing.assert_allclose(found.indicated, exact[2], atol=3e-3 * np.max(np.abs(exact[2])))
@@ -444,9 +444,9 @@ def test_knowing_the_load_lets_the_loop_be_stiffer_and_the_ball_follow_the_hand(
         lost = _fed_back(20.0, sections)
         assert not lost.stable
         assert lost.tracking_error > 0.1
-    away = _fed_back(200.0, None)
-    assert np.isnan(away.applied[-1])
-    assert np.isinf(away.tracking_error)
+    unstable = _fed_back(200.0, None)
+    assert np.isnan(unstable.applied[-1])
+    assert np.isinf(unstable.tracking_error)
     stiff, soft = _fed_back(20.0, AWARE), _fed_back(1.0, AWARE)
     assert stiff.stable
     assert stiff.tracking_error < 0.01
@@ -454,8 +454,8 @@ def test_knowing_the_load_lets_the_loop_be_stiffer_and_the_ball_follow_the_hand(
 
 
 def test_a_hand_at_rest_in_the_ball_is_in_balance_and_noise_of_the_sensor_reaches_it():
-    still = np.full(30_000, 0.02)
-    found = simulate_feedback(LOOP, TWO_MASSES.system(0.0), UNAWARE, still)
+    constant = np.full(30_000, 0.02)
+    found = simulate_feedback(LOOP, TWO_MASSES.system(0.0), UNAWARE, constant)
     balance = 0.02 * 500.0 * 1000.0 / 1500.0
     assert (found.applied[-1], found.indicated[-1]) == pytest.approx((balance, found.fed_back[-1]), rel=1e-6)
     noise = np.random.default_rng(3).normal(scale=0.01, size=len(HAND))
@@ -465,6 +465,6 @@ def test_a_hand_at_rest_in_the_ball_is_in_balance_and_noise_of_the_sensor_reache
 
 def test_three_masses_and_wrong_calls():
     assert is_stable(replace(LOOP, force_gain=0.1), THREE_MASSES.system(LOAD), None)
-    refused("mass: expected a positive number", replace, LOOP, mass=0.0)
-    refused("force_gain: expected 0 or more", replace, LOOP, force_gain=-1.0)
-    refused("sensor: expected more poles", is_stable, LOOP, PUBLISHED.system, None)
+    refused("^mass: ", replace, LOOP, mass=0.0)
+    refused("^force_gain: ", replace, LOOP, force_gain=-1.0)
+    refused("^sensor: ", is_stable, LOOP, PUBLISHED.system, None)

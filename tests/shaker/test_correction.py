@@ -14,6 +14,7 @@ from scipy import signal
 from sensitivity_factory import DAMPING, FREQUENCY, LAG, STATIC, STIFFNESS, lag, measured, resonance
 
 from shaker.arrays import ComplexArray, FloatArray
+from shaker.identification.identification_notices import SIGNAL_ABOVE_BAND
 from shaker.identification.sensitivity import fit_chain, sensor_model
 from shaker.identification.sensor import (
     NO_CHAIN,
@@ -61,13 +62,13 @@ def state_space(drive: SensorExcitation, time_s: float) -> signal.StateSpace:
     States: deflection, its rate, output. M·ẍ = -k·x - b·ẋ + F, F = -M·a_base for a moving base, output ∝ k·x.
     """
     total = MASS + INTERNAL
-    own = [-STIFFNESS / total, -DAMPING / total, 0.0]
-    a = np.array([[0.0, 1.0, 0.0], own, [STATIC * STIFFNESS / time_s, 0.0, -1.0 / time_s]])
+    row = [-STIFFNESS / total, -DAMPING / total, 0.0]
+    a = np.array([[0.0, 1.0, 0.0], row, [STATIC * STIFFNESS / time_s, 0.0, -1.0 / time_s]])
     force = signal.StateSpace(a, [[0.0], [1.0 / total], [0.0]], [[0.0, 0.0, 1.0]], [[0.0]])
     if drive == "force":
         return force
     # The load's absolute acceleration is (-k·x - b·ẋ)/M with either sign of the drive.
-    return signal.StateSpace(a, force.B, [own, [0.0, 0.0, 1.0]], [[0.0], [0.0]])
+    return signal.StateSpace(a, force.B, [row, [0.0, 0.0, 1.0]], [[0.0], [0.0]])
 
 
 @pytest.mark.parametrize("drive", DRIVES)
@@ -96,10 +97,10 @@ def test_derivatives(drive, mass, damping, chain):
         other = SensorModel(*moved[:4].tolist(), ChainModel(chain.kind, moved[4:-1]), one.covariance, one.unit)
         return np.log(other.output_factor(at, replace(load, mass=float(moved[-1]))))
 
-    for place, size in enumerate(values):
-        step = 1e-6 * size * np.eye(len(values))[place]
+    for index, size in enumerate(values):
+        step = 1e-6 * size * np.eye(len(values))[index]
         by_difference = (logarithm(values + step) - logarithm(values - step)) / 2e-6
-        assert np.allclose(slopes[:, place] * size, by_difference, rtol=1e-4, atol=1e-8)
+        assert np.allclose(slopes[:, index] * size, by_difference, rtol=1e-4, atol=1e-8)
 
 
 def test_bands_are_the_published_ones_of_light_damping_and_the_textbook_s_of_heavy_damping():
@@ -121,8 +122,8 @@ def test_band_of_a_moving_base_is_that_of_the_chain():
     base = Load(MASS, "base")
     band = usable_band(model(ChainModel("lag", np.array([LAG])), damping=1e-6), base, 0.05)
     assert band.upper_hz == pytest.approx(np.sqrt(0.95**-2 - 1.0) / (2.0 * np.pi * LAG), rel=1e-6)
-    turned = usable_band(model(ChainModel("delay", np.array([LAG])), damping=1e-6), base, 0.05, 0.1)
-    assert (turned.limit, turned.upper_hz) == ("phase", pytest.approx(0.1 / (2.0 * np.pi * LAG), rel=1e-6))
+    limited = usable_band(model(ChainModel("delay", np.array([LAG])), damping=1e-6), base, 0.05, 0.1)
+    assert (limited.limit, limited.upper_hz) == ("phase", pytest.approx(0.1 / (2.0 * np.pi * LAG), rel=1e-6))
     assert usable_band(model(ChainModel("delay", np.array([LAG])), damping=0.0), base, 0.05).upper_hz == np.inf
     heavier = usable_band(model(ChainModel("lag", np.array([LAG])), damping=1e-6), Load(3.0 * MASS, "base"), 0.05)
     assert heavier.upper_hz == pytest.approx(band.upper_hz, rel=1e-9)
@@ -164,7 +165,7 @@ def test_sensitivity_and_mechanics_join():
         errors.append(error / size)
     assert np.mean(distance) == pytest.approx(5.0, abs=4.5 * np.sqrt(10.0 / 150))
     assert np.std(errors, axis=0) == pytest.approx(np.ones(5), abs=0.18)
-    with pytest.raises(ValueError, match="fit: expected one that holds b/k"):
+    with pytest.raises(ValueError, match=r"^fit: "):
         sensor_model(fit_chain(measured(lag(FREQUENCY)), "lag", None), mechanics, root @ root.T)
 
 
@@ -187,7 +188,7 @@ def test_phasors_are_corrected_with_the_uncertainty_of_the_model():
     for line in range(3):
         expected = np.cov(spread[:, line].real, spread[:, line].imag)
         assert np.allclose(corrected.covariance[line], expected, atol=0.12 * expected.trace())
-    refused("phasors: expected the output in V/V, found V", correct_phasors, replace(phasors, unit=("V",)), one, load)
+    refused("^phasors: .*V", correct_phasors, replace(phasors, unit=("V",)), one, load)
 
 
 RATE, BAND = 100e3, 4000.0
@@ -219,14 +220,14 @@ def test_record_is_corrected():
 
 
 @settings(max_examples=15, deadline=None)
-@given(delay=st.floats(-3e-4, 3e-4), place=st.integers(0, 200), size=st.floats(1.0, 1e6))
-def test_one_end_does_not_see_the_other(delay, place, size):
+@given(delay=st.floats(-3e-4, 3e-4), index=st.integers(0, 200), size=st.floats(1.0, 1e6))
+def test_one_end_does_not_see_the_other(delay, index, size):
     one, load = model(ChainModel("delay", np.array([delay]))), Load(MASS, "base")
     output = np.random.default_rng(0).standard_normal(3000)
     plain = correct_record(output, RATE, one, load, BAND)
-    output[place] += size
+    output[index] += size
     moved = correct_record(output, RATE, one, load, BAND)
-    far = slice(place + plain.settling + 200 - place, None)
+    far = slice(index + plain.settling + 200 - index, None)
     reach = np.abs(moved.force - plain.force)
     assert reach[far].max() < 1e-4 * reach.max()
 
@@ -258,26 +259,27 @@ def test_uncertainty_of_a_record_is_that_of_draws():
     )
 
 
-def test_what_lies_beyond_the_band_is_said():
+def test_a_signal_above_the_band_gives_a_notice():
     one, load = model(), Load(MASS, "base")
     time = np.arange(4000) / RATE
     tone = STATIC * np.cos(2.0 * np.pi * 9000.0 * time)
     found = correct_record(tone, RATE, one, load, BAND)
     assert found.removed_rms == pytest.approx(np.sqrt(0.5) / (1.0 + INTERNAL / MASS), rel=0.02)
     (notice,) = found.notices
-    assert "above 4000 Hz, which is removed, not corrected" in notice.text
+    assert notice.code == SIGNAL_ABOVE_BAND.code
+    assert (notice.values["rms"], notice.values["band_hz"]) == (found.removed_rms, BAND)
 
 
 def test_wrong_calls_are_refused():
     one, load = model(), Load(MASS, "base")
-    with pytest.raises(ValueError, match="band_hz: expected up to 40000 Hz for 100000 Hz, found 45000"):
+    with pytest.raises(ValueError, match=r"^band_hz: .* 40000 .* 45000"):
         correct_record(np.zeros(4000), RATE, one, load, 45e3)
-    refused("output: expected more than", correct_record, np.zeros(100), RATE, one, load, 1000.0)
-    refused("permitted: expected a share", usable_band, one, load, 1.0)
+    refused("^output: ", correct_record, np.zeros(100), RATE, one, load, 1000.0)
+    refused("^permitted: ", usable_band, one, load, 1.0)
     refused("permitted_phase_rad", usable_band, one, load, 0.1, 4.0)
     refused("mass, u_mass", Load, 0.0, "base")
-    refused("stiffness: expected k > 0", replace, one, stiffness=-1.0)
-    with pytest.raises(ValueError, match="load: expected a mass that with the internal one is above 0"):
+    refused("^stiffness: ", replace, one, stiffness=-1.0)
+    with pytest.raises(ValueError, match=r"^load: "):
         usable_band(replace(one, internal_mass=-0.1), Load(0.05, "force"), 0.1)
 
 

@@ -7,11 +7,21 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from identification_factory import ALONG_Z, FloatArray, oscillator, recording, replace_ratio, rigid_mass
 
+from shaker.identification.identification_notices import (
+    INERTIA_UNDETERMINED,
+    MODEL_MISFIT,
+    NEGATIVE_INERTIA,
+    STATED_ERROR_TOO_SMALL,
+    STATED_VALUE_CONTRADICTED,
+    STATED_VALUE_UNCHANGED,
+    STIFFNESS_UNDETERMINED,
+)
 from shaker.identification.measured_curves import CurveError, InertiaError, MeasuredCurve, MeasuredTransfer, Placement
 from shaker.identification.oscillator import fit_resonance
 from shaker.identification.structure_fit import Identification, identify
 from shaker.identification.structures import SpringSuspension
 from shaker.mechanics import Mechanics, poles, respond
+from shakercal._common.notices import Notice
 
 K, B, MI = 4.753e8, 900.0, 1.28
 LOADS = (4.236, 8.798)
@@ -48,9 +58,9 @@ def peak(load: float, frequency_hz: FloatArray, f0: float, quality: float, noise
     return recording(f"{load}", frequency_hz, value, rigid_mass(load), ALONG_Z, noise=noise)
 
 
-def told(found: Identification, where: str) -> str:
-    """What is said of something."""
-    return " | ".join(notice.text for notice in found.notices if notice.where == where)
+def notices_at(found: Identification, where: str) -> dict[str, Notice]:
+    """Notices on a parameter or an error, by code."""
+    return {notice.code: notice for notice in found.notices if notice.where == where}
 
 
 @settings(max_examples=25, deadline=None)
@@ -89,7 +99,8 @@ def test_published_pair_of_resonances_gives_one_stiffness_and_another_internal_m
     stated = identify(
         recordings, VERTICAL, each_recording=["damping_z"], stated_values={"internal_mass": (0.769, 1e-3)}
     )
-    assert "contradicted by the recordings" in told(stated, "internal_mass")
+    notice = notices_at(stated, "internal_mass")[STATED_VALUE_CONTRADICTED.code]
+    assert (notice.values["value"], notice.values["u"]) == pytest.approx((0.769, 1e-3))
     for one, k in zip(recordings, (4.313e8, 4.512e8), strict=True):
         alone = identify([one], VERTICAL, stated_values={"internal_mass": (0.769, 0.0)})
         assert alone.value("stiffness_z") == pytest.approx(k, rel=2e-4)
@@ -101,8 +112,8 @@ def test_resonances_that_no_load_on_a_spring_has_are_named():
     recordings = [peak(load, np.arange(f0 - 60.0, f0 + 60.0, GRID_HZ), f0, 60.0, 1e-4) for load, f0 in peaks_hz]
     found = identify(recordings, VERTICAL, each_recording=["damping_z"])
     assert found.value("internal_mass") == pytest.approx(-0.56, abs=0.01)
-    assert "below zero" in told(found, "internal_mass")
-    assert "pitching" in told(found, "internal_mass")
+    notice = notices_at(found, "internal_mass")[NEGATIVE_INERTIA.code]
+    assert notice.values["value"] == found.value("internal_mass")
 
 
 def test_one_recording_agrees_with_the_fit_of_one_resonance():
@@ -158,7 +169,7 @@ def test_a_clock_moves_the_stiffness_by_twice_its_error():
     assert [unknown.name for unknown in found.unknowns] == ["clock"]
 
 
-def test_gain_and_delay_that_nobody_stated():
+def test_unstated_gain_and_delay():
     recordings = []
     for load, gain, delay in zip(LOADS, (3.0 * np.exp(1j), 0.4), (2e-5, -3e-6), strict=True):
         record = twin(load)
@@ -195,9 +206,9 @@ def test_units_scale(mass, time):
         scaled.append(recording(r.name, *curve, noise=0.02, errors=r.errors, inertia_errors=loads))
     other = identify(scaled, VERTICAL)
     units = np.array([mass / time**2, mass / time, mass])
-    for place, name in enumerate(first.names):
-        assert other.value(name) == pytest.approx(units[place] * first.value(name), rel=1e-5)
-        assert other.u(name) == pytest.approx(units[place] * first.u(name), rel=1e-3)
+    for index, name in enumerate(first.names):
+        assert other.value(name) == pytest.approx(units[index] * first.value(name), rel=1e-5)
+        assert other.u(name) == pytest.approx(units[index] * first.u(name), rel=1e-3)
 
 
 def test_correlated_lines_widen_the_uncertainty():
@@ -215,28 +226,29 @@ def test_correlated_lines_widen_the_uncertainty():
     assert together.u("stiffness_z") == pytest.approx(widening * alone.u("stiffness_z"), rel=0.02)
 
 
-def test_equal_loads_leave_the_internal_mass_open_and_say_so():
+def test_equal_loads_do_not_determine_the_internal_mass_and_give_a_notice():
     rng = np.random.default_rng(9)
     recordings = [twin(4.236, noise=1e-3, rng=rng, name=name) for name in ("first", "second")]
     found = identify(recordings, VERTICAL)
     assert np.isinf(found.u("internal_mass"))
     assert np.isinf(found.u("stiffness_z"))
-    assert "cannot tell the internal mass" in told(found, "internal_mass")
-    assert "cannot tell the stiffness" in told(found, "stiffness_z")
+    assert np.isinf(notices_at(found, "internal_mass")[INERTIA_UNDETERMINED.code].values["u"])
+    assert np.isinf(notices_at(found, "stiffness_z")[STIFFNESS_UNDETERMINED.code].values["u"])
     assert found.modes[0].u_frequency_hz < 0.1  # what does not depend on it is known
     assert found.u("lag_z") < 1e-2 * found.value("lag_z")
     np.testing.assert_array_equal(found.correlation, np.eye(3))
     nearly = identify([recordings[0], twin(4.237, noise=1e-3, rng=rng)], VERTICAL)
     assert nearly.u("internal_mass") > 1.0
-    assert "cannot tell the internal mass" in told(nearly, "internal_mass")
+    notice = notices_at(nearly, "internal_mass")[INERTIA_UNDETERMINED.code]
+    assert notice.values["u"] == nearly.u("internal_mass")
 
 
-def test_a_stated_mass_passes_through_where_the_curves_say_nothing_of_it():
+def test_a_stated_mass_is_unchanged_if_the_curves_do_not_determine_it():
     found = identify([twin(4.236)], VERTICAL, stated_values={"internal_mass": (MI, 0.004)})
     assert found.u("internal_mass") == pytest.approx(0.004, rel=1e-6)
     u_mass = np.hypot(0.004, 3e-4)
     assert found.u("stiffness_z") / K == pytest.approx(u_mass / (4.236 + MI), rel=1e-4)
-    assert "cannot tell it better" in told(found, "internal_mass")
+    assert list(notices_at(found, "internal_mass")) == [STATED_VALUE_UNCHANGED.code]
 
 
 def test_a_misfit_enlarges_the_uncertainty_and_is_named():
@@ -246,13 +258,14 @@ def test_a_misfit_enlarges_the_uncertainty_and_is_named():
     records = [recording("a", frequency, value, rigid_mass(4.236), ALONG_Z, noise=noise) for noise in (1e-4, 1.0)]
     bad, good = (identify([r], VERTICAL, stated_values={"internal_mass": (MI, 0.0)}) for r in records)
     assert bad.chi_squared > 4.0 * bad.dof
-    assert "depart from the model" in told(bad, "identification")
+    notice = notices_at(bad, "identification")[MODEL_MISFIT.code]
+    assert notice.values["factor"] == pytest.approx(np.sqrt(bad.chi_squared / bad.dof), rel=1e-4)
     enlarged = 1e-4 * np.sqrt(bad.chi_squared / bad.dof)
     assert bad.u("stiffness_z") == pytest.approx(enlarged * good.u("stiffness_z"), rel=0.05)
-    assert told(good, "identification") == ""
+    assert not notices_at(good, "identification")
 
 
-def test_curves_without_a_resonance_tell_nothing_and_say_so():
+def test_curves_without_a_resonance_determine_no_parameter_and_give_notices():
     rng, frequency = np.random.default_rng(1), np.linspace(20.0, 120.0, 101)
     for value in (np.ones(101) + 0j, np.zeros(101) + 0j):
         found = identify([recording("a", frequency, value, rigid_mass(5.0), ALONG_Z, noise=0.01, rng=rng)], VERTICAL)
@@ -262,11 +275,12 @@ def test_curves_without_a_resonance_tell_nothing_and_say_so():
 
 def test_a_scale_that_is_off_by_more_than_stated_is_named():
     found = identify([twin(load, z_scale=8.0, noise=1e-3) for load in LOADS], VERTICAL)
-    assert "8 times its standard uncertainty" in told(found, "top: scale")
+    notice = notices_at(found, "top: scale")[STATED_ERROR_TOO_SMALL.code]
+    assert notice.values["deviation"] == pytest.approx(8.0, abs=0.05)
     assert found.value("stiffness_z") == pytest.approx(K, rel=1e-3)
 
 
-def test_response_and_poles_of_any_mechanics_have_the_derivatives_they_say():
+def test_derivatives_of_response_and_poles_are_those_of_differences():
     rng = np.random.default_rng(12)
     size, terms = 3, 5
     square = rng.standard_normal((1 + terms, 3, size, size))
@@ -299,22 +313,22 @@ def test_what_cannot_be_fitted_is_refused_with_a_reason():
     few = recording("few", line.frequency_hz, line.value, record.mass_matrix, ALONG_Z, noise=1e-3)
     across = replace_ratio(record, noise=1e-3, base=Placement(np.zeros(3), np.array([1.0, 0.0, 0.0])))
     wrong = [
-        ([], {}, "records: expected one recording or more"),
-        ([record, record], {}, "records: expected different names"),
-        ([record], {"known": {"mass": (1.0, 0.0)}}, "known: expected some of stiffness_z"),
-        ([record], {"known": {"internal_mass": (1.0, -1.0)}}, "known: expected an uncertainty"),
-        ([record], {"gain": ["side"]}, "expected some of top 1, found side"),
+        ([], {}, "^records: "),
+        ([record, record], {}, "^records: .*4.236 kg, 4.236 kg"),
+        ([record], {"stated_values": {"mass": (1.0, 0.0)}}, "^stated_values: .*stiffness_z"),
+        ([record], {"stated_values": {"internal_mass": (1.0, -1.0)}}, "^stated_values: .*internal_mass"),
+        ([record], {"gain": ["side"]}, "^gain, delay: .*top 1.*side"),
         ([record], {"each_recording": ["damping_x"]}, "each_recording"),
-        ([across], {}, "reference that sees the drive"),
-        ([few], {}, "more real values than unknowns"),
-        ([replace_ratio(record, noise=0.0)], {}, "covariance of 4.236 kg: expected positive definite"),
+        ([across], {}, "^records: .*4.236 kg"),
+        ([few], {}, "^records: .* 3 .* 2$"),
+        ([replace_ratio(record, noise=0.0)], {}, "covariance of 4.236 kg: "),
     ]
     for records, words, message in wrong:
         refused(message, identify, records, VERTICAL, **words)
-    refused("name: expected one of", identify([record], VERTICAL).value, "damping_x")
+    refused("^name: ", identify([record], VERTICAL).value, "damping_x")
 
 
-def test_covariances_from_few_periods_still_give_the_scatter():
+def test_covariances_from_few_periods_give_the_scatter():
     # 8 degrees of freedom at every line: weights 1/s² alone would understate the scatter of b by a quarter.
     rng = np.random.default_rng(17)
     deviation, mass = [], LOADS[0] + MI
@@ -331,7 +345,7 @@ def test_covariances_from_few_periods_still_give_the_scatter():
 
 @pytest.mark.slow
 @pytest.mark.parametrize("noise", [2e-3, 5e-2])
-def test_intervals_hold_the_truth(noise):
+def test_intervals_cover_the_truth(noise):
     rng, trials = np.random.default_rng(21), 300
     deviation = np.zeros((trials, 3))
     for trial in range(trials):

@@ -12,8 +12,9 @@ from hypothesis import strategies as st
 
 from shaker.io import read_channels
 from shaker.lines import detection, peaks
-from shaker.lines.detection import survey_lines
+from shaker.lines.detection import LineOrigin, survey_lines
 from shaker.lines.frequencies import find_lines
+from shaker.lines.line_detection_notices import HARMONIC_OUT_OF_REACH, OTHER_LINES
 from shaker.lines.peaks import find_peaks
 from shaker.lines.spectrum import (
     Power,
@@ -27,7 +28,7 @@ from shaker.lines.spectrum import (
 from shaker.sine.sine_fit import fit_sines
 from shaker.sine.solve import SineModel
 
-NOTHING, RATE = np.empty(0), 6400.0
+NO_LINES, RATE = np.empty(0), 6400.0
 
 
 def _sum(rng: np.random.Generator, time: np.ndarray, tones: dict[float, float], noise: float) -> np.ndarray:
@@ -49,9 +50,9 @@ def _pink(rng: np.random.Generator, samples: int, exponent: float) -> np.ndarray
     return np.asarray(np.fft.irfft(spectrum * np.sqrt(1.0 + (samples / 100.0 / bins) ** exponent), samples))
 
 
-def _named(values: np.ndarray, nominal: tuple[float, ...] = ()) -> dict[float, str]:
+def _named(values: np.ndarray, nominal: tuple[float, ...] = ()) -> dict[float, LineOrigin]:
     survey = survey_lines(values, RATE, nominal)
-    return dict(zip(np.round(survey.frequency_hz, 1).tolist(), [o.text for o in survey.origin], strict=True))
+    return dict(zip(np.round(survey.frequency_hz, 1).tolist(), survey.origin, strict=True))
 
 
 def test_noise_level_is_the_power_of_the_noise_and_passes_over_lines():
@@ -84,13 +85,13 @@ def test_a_record_is_transformed_once_for_both_looks(monkeypatch):
         return centred_spectrum(samples)
 
     monkeypatch.setattr(peaks, "centred_spectrum", counted)
-    kept = survey_lines(values, RATE)
+    stored = survey_lines(values, RATE)
     assert len(transformed) == 3
-    monkeypatch.setattr(detection, "_KEPT", 2 * (len(values) // 2 + 1))  # room for two of the three
+    monkeypatch.setattr(detection, "_MAX_STORED_BINS", 2 * (len(values) // 2 + 1))  # room for two of the three
     some = survey_lines(values, RATE)
     assert len(transformed) == 3 + 4
     for name in ("frequency_hz", "u_frequency_hz", "amplitude", "u_amplitude", "snr", "floor"):
-        np.testing.assert_array_equal(getattr(some, name), getattr(kept, name))
+        np.testing.assert_array_equal(getattr(some, name), getattr(stored, name))
 
 
 def test_chance_height_is_that_of_exponential_values():
@@ -104,14 +105,14 @@ def test_chance_height_is_that_of_exponential_values():
 
 def test_fitted_line_is_near_the_bound_and_covered():
     rng = np.random.default_rng(1)
-    samples, amplitude, noise, place = 1000, 2.0, 0.5, 123.37
+    samples, amplitude, noise, position = 1000, 2.0, 0.5, 123.37
     half = np.arange(samples) - (samples - 1) / 2.0
-    sine = amplitude * np.cos(2 * np.pi * place * half / samples + 0.7)
+    sine = amplitude * np.cos(2 * np.pi * position * half / samples + 0.7)
     lines = [
         fit_line(centred_spectrum(sine + noise * rng.normal(size=samples)), samples, 123.0, 6.0 * noise**2 / samples)
         for _ in range(800)
     ]
-    error = np.array([line.bin_position for line in lines]) - place
+    error = np.array([line.bin_position for line in lines]) - position
     # Rife and Boorstyn 1974, in bins.
     bound = np.sqrt(6.0 * noise**2 / (np.pi**2 * amplitude**2 * samples))
     assert 1.0 < np.std(error) / bound < 1.4
@@ -130,13 +131,13 @@ EXPECTED = np.array([17.3, 34.6, 51.9])
     [
         (211, EXPECTED, 0.2, 150, 46),  # 30 and three standard deviations
         (2000, EXPECTED, 0.2, 150, 46),
-        pytest.param(4000, NOTHING, 0.02, 1500, 48, marks=pytest.mark.slow),  # a right chance passes with 99.9 %
+        pytest.param(4000, NO_LINES, 0.02, 1500, 48, marks=pytest.mark.slow),  # a right chance passes with 99.9 %
     ],
 )
 def test_noise_alone_makes_no_more_lines_than_stated(samples, expected, chance, trials, most, exponent):
     rng = np.random.default_rng(2)
-    found = (find_peaks(_pink(rng, samples, exponent), chance, expected, NOTHING) for _ in range(trials))
-    assert sum(len(own.bin_position) > 0 for own in found) <= most
+    found = (find_peaks(_pink(rng, samples, exponent), chance, expected, NO_LINES) for _ in range(trials))
+    assert sum(len(peaks.bin_position) > 0 for peaks in found) <= most
 
 
 def test_noise_through_a_resonance_is_no_line():
@@ -154,26 +155,34 @@ def test_every_kind_of_line_is_named():
     tones = {f: 100.0, 2 * f: 0.01, 4 * f: 0.96, f / 2: 0.1, 50.03: 0.5, 150.09: 0.03, 731.7: 0.2}
     tones |= {f - 3.3: 0.5, f + 3.3: 0.5}
     found = _named(_tones(8.0, tones, 0.1))
-    assert found == {
-        50.0: "mains hum (50 Hz)",
-        53.1: "sub-harmonic, 1/2 of 106.249 Hz",
-        102.9: "side band of 106.249 Hz at -3.3 Hz",
-        106.2: "fundamental",
-        109.5: "side band of 106.249 Hz at +3.3 Hz",
-        150.1: "mains hum (harmonic 3 of 50 Hz)",
-        212.5: "harmonic 2 of 106.249 Hz, 0.0001 of it",
-        425.0: "harmonic 4 of 106.249 Hz, 0.0096 of it",
-        731.7: "unexplained",
+    assert {frequency: (origin.kind, origin.multiple) for frequency, origin in found.items()} == {
+        50.0: ("mains", 1),
+        53.1: ("sub-harmonic", 0),
+        102.9: ("side band", 0),
+        106.2: ("fundamental", 1),
+        109.5: ("side band", 0),
+        150.1: ("mains", 3),
+        212.5: ("harmonic", 2),
+        425.0: ("harmonic", 4),
+        731.7: ("unexplained", 0),
     }
+    numbers = {53.1: "1/2 ", 102.9: "-3.3 Hz", 109.5: "+3.3 Hz", 212.5: " 0.0001 ", 425.0: " 0.0096 "}
+    assert all(number in found[frequency].text for frequency, number in numbers.items())
 
 
 def test_combinations_and_folded_harmonics():
     f, g = 311.7, 1104.3
     tones = {f: 1.0, g: 0.8, f + g: 0.05, 2 * g - f: 0.02, RATE - 11 * f: 0.03}
     found = _named(_tones(8.0, tones, 0.01))
-    assert found[round(f + g, 1)] == "combination 311.7 + 1104.3 Hz"
-    assert found[round(2 * g - f, 1)] == "combination 2·1104.3 - 311.7 Hz"
-    assert found[round(RATE - 11 * f, 1)] == "harmonic 11 of 311.7 Hz, folded from 3428.7 Hz"
+    assert "311.7 + 1104.3 Hz" in found[round(f + g, 1)].text
+    assert "2·1104.3 - 311.7 Hz" in found[round(2 * g - f, 1)].text
+    aliased = found[round(RATE - 11 * f, 1)]
+    assert (aliased.kind, aliased.multiple, aliased.fundamental_hz) == (
+        "folded harmonic",
+        11,
+        pytest.approx(f, rel=1e-6),
+    )
+    assert "3428.7 Hz" in aliased.text
 
 
 @pytest.mark.parametrize("seed", range(3))
@@ -196,10 +205,10 @@ def test_a_combination_is_the_first_that_trying_all_pairs_finds(seed):
     def tried(line: float, orders: range, folded: bool) -> tuple[float, float] | None:
         for order, (f, g) in itertools.product(orders, itertools.combinations(fundamentals.tolist(), 2)):
             for m, sign in itertools.product(range(1, order), (1, -1)):
-                wanted = abs(m * f + sign * (order - m) * g)
-                seen = abs(wanted - rate_hz * round(wanted / rate_hz))
-                if (wanted >= rate_hz / 2.0) == folded and abs(seen - line) <= 0.2 * resolution_hz:
-                    return wanted, f
+                frequency = abs(m * f + sign * (order - m) * g)
+                seen = abs(frequency - rate_hz * round(frequency / rate_hz))
+                if (frequency >= rate_hz / 2.0) == folded and abs(seen - line) <= 0.2 * resolution_hz:
+                    return frequency, f
         return None
 
     assert sum("combination" in origin.kind for origin in named) >= 2
@@ -213,12 +222,13 @@ def test_a_combination_is_the_first_that_trying_all_pairs_finds(seed):
 def test_the_largest_line_may_be_the_second_harmonic_unless_nominal_frequencies_decide():
     values = _tones(4.0, {80.1: 1.0, 160.2: 10.0, 240.3: 0.5}, 0.1)
     found = _named(values)
-    assert [text.partition(" of")[0] for text in found.values()] == ["fundamental", "harmonic 2", "harmonic 3"]
+    assert [origin.multiple for origin in found.values()] == [1, 2, 3]
 
     found = _named(_tones(4.0, {80.1: 1.0, 160.2: 10.0, 320.4: 0.5}, 0.1))  # a sub-harmonic alone does not prove it
-    assert (found[80.1], found[160.2]) == ("sub-harmonic, 1/2 of 160.2 Hz", "fundamental")
+    assert (found[80.1].kind, found[160.2].kind) == ("sub-harmonic", "fundamental")
     found = _named(values, (160.0,))
-    assert (found[160.2], found[240.3]) == ("fundamental", "sub-harmonic, 3/2 of 160.2 Hz")
+    assert (found[160.2].kind, found[240.3].kind) == ("fundamental", "sub-harmonic")
+    assert "3/2 " in found[240.3].text
     survey = survey_lines(values, RATE, (160.0, 700.0))
     assert [n.where for n in survey.notices] == ["700 Hz"]
 
@@ -262,10 +272,10 @@ def test_scale_channels_and_direction_of_time_do_not_matter(scale, seed):
 
 
 def test_wrong_calls_are_refused_and_a_constant_record_has_no_lines():
-    refused("values: expected at least 32 samples, found 5", survey_lines, np.zeros(5), RATE)
-    with pytest.raises(ValueError, match="values: expected finite samples, found 1 that are not"):
+    refused("^values: .*32.* 5$", survey_lines, np.zeros(5), RATE)
+    with pytest.raises(ValueError, match=r"^values: .* 1 "):
         survey_lines(np.append(np.zeros(99), np.nan), RATE)
-    refused("rate_hz: expected a positive number, found 0", survey_lines, np.zeros(99), 0.0)
+    refused("^rate_hz: .* 0", survey_lines, np.zeros(99), 0.0)
     assert survey_lines(np.full((500, 2), 3.0), RATE).amplitude.shape == (0, 2)
 
 
@@ -287,19 +297,20 @@ def test_three_tones_of_a_shaker_are_its_fundamentals(data_dir, factor):
 def test_folded_tones_and_harmonics_of_a_shaker(data_dir):
     values, rate = _recorded(data_dir / "shaker_three_tone" / "data_set_1_downsampled_by_256.lvm")
     survey = survey_lines(values, rate, (100.0, 120.0, 150.0))
-    told = dict(zip(np.round(survey.frequency_hz).tolist(), [o.text for o in survey.origin], strict=True))
-    assert told[50.0] == "fundamental 150 Hz, read at 50.0001 Hz"
-    assert told[80.0] == "fundamental 120 Hz, read at 80.0001 Hz"
+    named = dict(zip(np.round(survey.frequency_hz).tolist(), survey.origin, strict=True))
+    assert (named[50.0].kind, named[80.0].kind) == ("fundamental", "fundamental")
+    assert named[50.0].fundamental_hz == pytest.approx(150.0, abs=1e-3)
+    assert named[80.0].fundamental_hz == pytest.approx(120.0, abs=1e-3)
     # The tone at 100 Hz lies on the Nyquist frequency.
     assert [n.where for n in survey.notices] == ["100 Hz"]
-    wrong = "100 Hz is dropped: sampled at 200 Hz it folds to 100 Hz"
-    refused(wrong, find_lines, np.arange(len(values)) / rate, values, [100.0], [1])
+    refused("^nominal_hz: .*100 Hz .*200 Hz", find_lines, np.arange(len(values)) / rate, values, [100.0], [1])
     values, rate = _recorded(data_dir / "shaker_three_tone" / "data_set_1_downsampled_by_128.lvm")
     survey = survey_lines(values, rate, (100.0, 120.0, 150.0))
-    told = dict(zip(np.round(survey.frequency_hz).tolist(), [o.text for o in survey.origin], strict=True))
-    # 480 Hz is there in the less decimated file with the same amplitude.
-    assert told[80.0].endswith("(or harmonic 4 of 120 Hz, folded from 480 Hz)")
-    assert told[20.0] == "combination 120 - 100 Hz"
+    named = dict(zip(np.round(survey.frequency_hz).tolist(), survey.origin, strict=True))
+    # 480 Hz is in the less decimated file with the same amplitude.
+    assert "480 Hz" in named[80.0].text
+    assert named[20.0].kind == "combination"
+    assert "120 - 100 Hz" in named[20.0].text
 
 
 def test_modes_of_a_beam_that_was_struck(data_dir):
@@ -346,12 +357,12 @@ def test_published_excitation_is_found():
     np.testing.assert_allclose(lines.frequency_hz, [TRUE_HZ, 4 * TRUE_HZ], atol=6 * lines.u_frequency_hz[1])
     assert lines.u_frequency_hz[1] == pytest.approx(4 * lines.u_frequency_hz[0])
     assert "fundamental" in lines.why[0]
-    assert "harmonic 4 of 106.25 Hz stands out" in lines.why[1]
+    assert "4 of 106.25 Hz" in lines.why[1]
     assert not lines.notices
 
 
 @pytest.mark.parametrize(("amplitudes", "noise"), [({1: 100.0, 2: 0.01, 5: 0.012}, 0.1), ({1: 190.0}, 0.0)])
-def test_harmonics_of_a_ten_thousandth_are_found_and_nothing_else_nor_rounding(amplitudes, noise):
+def test_only_harmonics_of_a_ten_thousandth_are_found_and_no_rounding(amplitudes, noise):
     for seed in range(3):
         time, values = _record(np.random.default_rng(seed), amplitudes, noise)
         assert find_lines(time, values, [106.25]).multiple.tolist() == list(amplitudes)
@@ -414,17 +425,18 @@ def test_listed_harmonics_are_taken_as_they_are():
     time, values = _record(np.random.default_rng(7), {1: 100.0})
     lines = find_lines(time, values, [106.25], [2, 3, 100])
     assert lines.multiple.tolist() == [1, 2, 3]
-    assert "asked for" in lines.why[1]
-    assert "harmonic 100 of 106.25 Hz lies above 6272 Hz" in lines.notices[0].text
-    refused("harmonics: expected multiples of 1 and above, found 0", find_lines, time, values, [106.25], [0])
+    assert "requested" in lines.why[1]
+    assert lines.notices[0].code == HARMONIC_OUT_OF_REACH.code
+    assert lines.notices[0].values == {"multiple": 100, "fundamental_hz": 106.25, "limit_hz": pytest.approx(6272.0)}
+    refused("^harmonics: .* 0$", find_lines, time, values, [106.25], [0])
 
 
-def test_mains_is_told_and_is_no_line():
+def test_mains_is_reported_and_is_no_line():
     time, values = _record(np.random.default_rng(8), {1: 100.0})
     lines = find_lines(time, values + 0.5 * np.sin(2 * np.pi * 50.01 * time), [106.25])
     assert lines.multiple.tolist() == [1]
     assert [n.severity for n in lines.notices] == ["note"]
-    assert "mains hum (50 Hz)" in lines.notices[0].text
+    assert lines.notices[0].code == OTHER_LINES.code
     assert [origin.kind for origin in lines.others.origin] == ["mains"]
     # Rife and Boorstyn 1974 as below, for noise as strong as the hum: 0.9 mHz, and 3 mm/s² for its amplitude
     # (σ·sqrt(2/N)); the window through which the spectrum is seen may cost up to half of it more.
@@ -460,8 +472,8 @@ def test_everything_else_is_in_the_list_with_a_reason():
     assert lines.multiple.tolist() == [1, 2]
     assert [o.kind for o in lines.others.origin] == ["sub-harmonic", "mains", "unexplained", "harmonic"]
     assert lines.others.origin[-1].multiple == 25
-    assert all("dB over the noise floor" in why for why in lines.others.why)
-    assert "and 1 more" in lines.notices[0].text
+    assert all(" dB " in why for why in lines.others.why)
+    assert lines.notices[0].values["count"] == 4
 
 
 def test_undersampled_fundamental_is_found_at_its_alias():
@@ -477,11 +489,11 @@ def test_gaps_dead_channels_and_scattered_times_are_no_obstacle():
     time, values = _record(np.random.default_rng(11), {1: 100.0}, 0.5, 1.0)
     both = np.stack([np.full(len(time), 3.0), values], axis=1)
     assert find_lines(time, both, [106.25]).frequency_hz[0] == find_lines(time, values, [106.25]).frequency_hz[0]
-    refused("values: expected a channel that changes", find_lines, time, both[:, 0], [106.25])
-    refused("nominal_hz: expected 120 Hz to stand out of the spectrum", find_lines, time, values, [120.0])
+    refused("^values: ", find_lines, time, both[:, 0], [106.25])
+    refused("^nominal_hz: .*120 Hz", find_lines, time, values, [120.0])
     values[1000:1200] = np.nan
     assert find_lines(time, values, [106.25]).frequency_hz[0] == pytest.approx(TRUE_HZ, abs=1e-3)
     scattered = np.sort(np.random.default_rng(0).uniform(0, 1, 500))
     found = find_lines(scattered, np.cos(2 * np.pi * TRUE_HZ * scattered), [106.25], [1])
     assert found.frequency_hz[0] == pytest.approx(TRUE_HZ, abs=1e-6)
-    refused("found long gaps", find_lines, scattered + 1e6 * (scattered > 0.5), values[:500], [106.25])
+    refused("^time_s: .*gaps", find_lines, scattered + 1e6 * (scattered > 0.5), values[:500], [106.25])

@@ -69,16 +69,16 @@ def chain_of(parts: list[tuple[float, float, float]]) -> MassChain:
 
 @settings(max_examples=25, deadline=None)
 @given(chain=st.lists(st.tuples(DECADE, DECADE, DECADE), min_size=1, max_size=5).map(chain_of))
-def test_a_chain_moves_and_rings_as_state_space_says_and_slowly_as_one(chain):
+def test_a_chain_agrees_with_state_space_and_is_rigid_at_low_frequency(chain):
     a, b, c = state_space(chain)
     s = 2j * np.pi * FREQUENCY
     driven = b @ np.stack([np.ones(len(s)), s])
     expected = np.linalg.solve(s[:, None, None] * np.eye(len(a)) - a, driven.T[:, :, None])[:, :, 0] @ c.T
-    for place, stage in enumerate(chain.stages):
+    for index, stage in enumerate(chain.stages):
         found = chain.transfer(FREQUENCY, stage).value[:, 0]
-        np.testing.assert_allclose(found, expected[:, place], rtol=1e-8, atol=1e-13)
+        np.testing.assert_allclose(found, expected[:, index], rtol=1e-8, atol=1e-13)
         over = chain.transfer(FREQUENCY, chain.stages[-1], stage).value[:, 0]
-        np.testing.assert_allclose(over * expected[:, place], expected[:, -1], rtol=1e-6, atol=1e-13)
+        np.testing.assert_allclose(over * expected[:, index], expected[:, -1], rtol=1e-6, atol=1e-13)
     roots = linalg.eigvals(state_space(chain)[0])
     frequency, damping = chain.modes()
     size = 2.0 * np.pi * frequency
@@ -104,10 +104,10 @@ def test_derivatives_are_those_of_differences():
     def at(moved: FloatArray) -> ComplexArray:
         return MassChain(TRIPLE.stages, *np.split(moved, 3)).transfer(frequency, "load", "adapter").value[:, 0]
 
-    for place, value in enumerate(theta):
-        step = 1e-5 * value * np.eye(9)[place]
+    for index, value in enumerate(theta):
+        step = 1e-5 * value * np.eye(9)[index]
         by_difference = (at(theta + step) - at(theta - step)) / 2e-5
-        np.testing.assert_allclose(found[:, place] * value, by_difference, rtol=1e-5, atol=1e-8)
+        np.testing.assert_allclose(found[:, index] * value, by_difference, rtol=1e-5, atol=1e-8)
 
 
 FINE = np.geomspace(20.0, 40000.0, 40000)
@@ -137,7 +137,7 @@ def test_one_spring_and_internal_mass_of_several_resonances():
     loads = np.array([0.5, 2.0, 4.236, 7.0, 8.798])
     resonances = np.sqrt(4.75e8 / (loads + 1.28)) / (2.0 * np.pi)
     assert shared_spring(resonances, loads) == pytest.approx((4.75e8, 1.28), rel=1e-9)
-    refused("two different loads", shared_spring, TWO_RESONANCES, np.array([4.0, 4.0]))
+    refused("^mass: ", shared_spring, TWO_RESONANCES, np.array([4.0, 4.0]))
 
 
 TRUE = {"k": 4.753e8, "b_adapter": 2600.0, "b": 699.0, "m_adapter": 2.4, "m_i": 0.769}
@@ -177,7 +177,7 @@ def test_a_yielding_mount_is_found_from_the_base_below_it(component):
     assert stiffness.u < 2e-3 * stiffness.value
 
 
-def test_a_mount_whose_resonance_lies_above_the_band_is_found_with_what_certainty_there_is():
+def test_a_mount_with_its_resonance_above_the_band_is_found_with_its_uncertainty():
     """A narrow curved valley: mount and sensor may share stiffness and mass in many ways that hardly differ."""
     found, true = fitted(1, 1.6e9)
     assert found.modes[1].frequency_hz > 4600.0  # of lines up to 4500 Hz
@@ -186,7 +186,7 @@ def test_a_mount_whose_resonance_lies_above_the_band_is_found_with_what_certaint
     assert 0.03 < found.u("stiffness_y_adapter") / found.value("stiffness_y_adapter") < 0.15
 
 
-def test_stages_without_a_mass_of_their_own_and_the_names_of_all():
+def test_stages_without_a_mass_and_the_names_of_all():
     joint = ChainStructure(2, (Stage("sensor"), Stage("joint", has_mass=False)))
     names = [parameter.name for parameter in joint.parameters]
     assert names == ["stiffness_z", "stiffness_z_joint", "damping_z", "damping_z_joint", "internal_mass"]
@@ -202,20 +202,20 @@ def test_dampers_act_between_neighbours_and_a_hand_lowers_the_resonance_of_an_os
     np.testing.assert_allclose(damping, [[8.0, -3.0, 0.0], [-3.0, 5.0, -2.0], [0.0, -2.0, 2.0]])
     np.testing.assert_allclose(damping @ np.ones(3), [5.0, 0.0, 0.0])
     for hand in (0.02, 0.1, 0.5):
-        held = MassChain(stages, np.array([50.0, 0.05, hand]), np.array([1e12, 1.3e6, 1e10]), np.zeros(3))
-        assert held.modes()[0][0] == pytest.approx(oscillator_hz(1.3e6, 0.05 + hand), rel=1e-3)
+        chain = MassChain(stages, np.array([50.0, 0.05, hand]), np.array([1e12, 1.3e6, 1e10]), np.zeros(3))
+        assert chain.modes()[0][0] == pytest.approx(oscillator_hz(1.3e6, 0.05 + hand), rel=1e-3)
     assert oscillator_hz(1.824e5, 0.049) == pytest.approx(307.07, abs=0.01)
     assert required_stiffness(oscillator_hz(3.0, 0.7), 0.7) == pytest.approx(3.0)
-    refused("stiffness, mass: expected both above 0", oscillator_hz, 1.0, 0.0)
+    refused("^stiffness, mass: ", oscillator_hz, 1.0, 0.0)
 
 
-def test_stages_need_names_of_their_own_and_wrong_ones_are_named():
+def test_stages_need_different_names_and_wrong_ones_are_refused():
     for stages in ((), ("a", "a"), ("base",)):
-        refused("stages: expected different names", MassChain, stages, *np.ones((3, len(stages))))
-    refused("stage: expected one of base, adapter, sensor, load, found top", TRIPLE.transfer, FREQUENCY, "top")
-    refused("damping: expected none negative", MassChain, ("a",), np.ones(1), np.ones(1), -np.ones(1))
-    refused("stiffness: expected an array of shape", MassChain, ("a",), np.ones(1), np.ones(2), np.ones(1))
-    refused("component: expected one of 0 to 5, found 6", ChainStructure, 6)
+        refused("^stages: ", MassChain, stages, *np.ones((3, len(stages))))
+    refused("^stage: .*top", TRIPLE.transfer, FREQUENCY, "top")
+    refused("^damping: ", MassChain, ("a",), np.ones(1), np.ones(1), -np.ones(1))
+    refused("^stiffness: ", MassChain, ("a",), np.ones(1), np.ones(2), np.ones(1))
+    refused("^component: .*6", ChainStructure, 6)
 
 
 DECADES_HZ = np.geomspace(10.0, 5000.0, 400)
@@ -241,7 +241,7 @@ def test_standard_filters_are_those_of_scipy(kind, band, order):
     assert np.abs(corner[0]) == pytest.approx(np.sqrt(0.5), rel=1e-9)
 
 
-def test_a_resonance_is_an_oscillator_and_gain_and_delay_stand_before_the_poles():
+def test_a_resonance_is_an_oscillator_and_gain_and_delay_are_factors():
     ratio = DECADES_HZ / 3000.0
     found = pole_response(DECADES_HZ, filter_poles("resonance", 2, 3000.0, damping=0.02)).value
     np.testing.assert_allclose(found, 1.0 / (1.0 - ratio**2 + 0.04j * ratio), rtol=1e-12)
@@ -268,7 +268,7 @@ def test_errors_are_what_a_small_change_makes(model):
 
 @pytest.mark.parametrize("model", [LOWPASS, HIGHPASS, replace(LOWPASS, delay_s=5e-5)])
 @pytest.mark.parametrize("knots", [OCTAVES, np.geomspace(10, 5000, 28), np.linspace(10, 5000, 101)])
-def test_an_interpolated_table_errs_no_more_than_it_says(model, knots):
+def test_errors_of_an_interpolated_table_are_within_its_uncertainty(model, knots):
     found = table_response(_table(knots, pole_response(knots, model).value, 0.0), DECADES_HZ)
     error = np.abs(found.value / pole_response(DECADES_HZ, model).value - 1.0)
     assert np.mean(error > 2.0 * np.hypot(found.u_magnitude, found.u_phase_rad) + 1e-7) < 0.02
@@ -287,9 +287,9 @@ def test_a_table_is_met_at_its_points_a_delay_exact_between_them_and_scatter_an_
     np.testing.assert_allclose(table_response(_table(knots, late), between).value, np.exp(-2j * np.pi * between * 2e-4))
     rng, knots = np.random.default_rng(4), np.linspace(10.0, 5000.0, 40)
     scatter = 1e-3 * (rng.standard_normal(40) + 1j * rng.standard_normal(40))
-    said = table_response(_table(knots, 1.0 + scatter, 1e-3), DECADES_HZ)
-    error = np.abs(said.value - 1.0)
-    assert np.mean(error > 2.0 * np.hypot(said.u_magnitude, said.u_phase_rad)) < 0.15
+    found = table_response(_table(knots, 1.0 + scatter, 1e-3), DECADES_HZ)
+    error = np.abs(found.value - 1.0)
+    assert np.mean(error > 2.0 * np.hypot(found.u_magnitude, found.u_phase_rad)) < 0.15
     middle = np.abs(table_response(_table(knots, 1.0 + scatter), (knots[1:] + knots[:-1]) / 2.0).errors[-1])
     assert 0.5e-3 < np.median(middle) < 4e-3
 
@@ -303,7 +303,7 @@ SMOOTH = [
 
 @pytest.mark.parametrize("model", SMOOTH)
 @pytest.mark.parametrize("knots", [np.geomspace(10, 5000, 28), np.linspace(50, 5000, 100), np.geomspace(40, 320, 4)])
-def test_interpolation_costs_nothing_at_the_points_of_a_table_and_little_between_them(model, knots):
+def test_interpolation_is_exact_at_the_points_of_a_table_and_accurate_between_them(model, knots):
     """An accelerometer, an amplifier, a filter: u is zero at the points, and covers the error between them, nearly."""
     table = _table(knots, pole_response(knots, model).value)
     assert np.abs(table_response(table, knots).errors[-1]).max() < 1e-15
@@ -331,7 +331,7 @@ def test_what_a_table_does_not_resolve_is_an_error_between_its_points(correlated
     assert np.mean(missed) < beyond
 
 
-def test_two_points_of_a_table_leave_the_curve_between_them_open():
+def test_two_points_of_a_table_do_not_determine_the_curve_between_them():
     table = _table(np.array([100.0, 300.0]), np.array([1.0, 1.1]))
     middle, at = (table_response(table, np.array([hertz])).errors[-1] for hertz in (200.0, 300.0))
     assert middle[0] == pytest.approx(np.log(1.1) / 2.0 / np.sqrt(3.0))
@@ -342,16 +342,16 @@ def test_two_points_of_a_table_leave_the_curve_between_them_open():
 def test_the_spline_of_a_table_is_that_of_scipy(count):
     rng = np.random.default_rng(count)
     knots = 25.0 * np.arange(count) + np.append(0.0, rng.uniform(0.0, 10.0, count - 1))  # from 0 Hz: no logarithm of f
-    level, wanted = rng.normal(size=count), np.append(knots, rng.uniform(0.0, knots[-1], 100))
-    found = np.log(table_response(_table(knots, np.exp(level) + 0j), wanted).value)
-    np.testing.assert_allclose(found, CubicSpline(knots, level)(wanted), rtol=1e-12, atol=1e-12)
+    level, frequency = rng.normal(size=count), np.append(knots, rng.uniform(0.0, knots[-1], 100))
+    found = np.log(table_response(_table(knots, np.exp(level) + 0j), frequency).value)
+    np.testing.assert_allclose(found, CubicSpline(knots, level)(frequency), rtol=1e-12, atol=1e-12)
 
 
 @pytest.mark.parametrize("count", [1, 2, 3, 4])
 def test_short_tables(count):
     knots = np.linspace(100.0, 400.0, count) if count > 1 else np.array([100.0])
-    wanted = knots if count == 1 else np.array([100.0, 250.0, 400.0])
-    found = table_response(_table(knots, np.full(count, 2.0 + 0j)), wanted)
+    frequency = knots if count == 1 else np.array([100.0, 250.0, 400.0])
+    found = table_response(_table(knots, np.full(count, 2.0 + 0j)), frequency)
     np.testing.assert_allclose(found.value, 2.0)
     np.testing.assert_allclose(found.u_magnitude, 1e-4)
 
@@ -383,13 +383,13 @@ def test_units_of_ratios():
 
 
 def test_wrong_calls_are_refused_by_name():
-    refused("poles: expected conjugate pairs", PoleModel, poles=np.array([-1 + 2j]))
-    refused("poles: expected real parts of at most 0, found 1", PoleModel, poles=np.array([1 + 0j]))
-    refused("gain: expected a number other than 0", PoleModel, gain=0.0)
-    refused("order: expected 1 to 12, found 0", filter_poles, "bessel", 0, 1.0)
-    refused("order: expected 2", filter_poles, "resonance", 3, 1.0)
-    refused("corner_hz: expected a frequency above 0", filter_poles, "butterworth", 2, 0.0)
-    refused("frequency_hz: expected frequencies other than a zero", pole_response, np.zeros(1), HIGHPASS)
-    refused("found 6000", table_response, _table(OCTAVES, OCTAVES + 0j), np.array([5e3, 6e3]))
-    refused("ascending", _table, OCTAVES[::-1], OCTAVES + 0j)
-    refused("magnitude: expected positive values", _table, OCTAVES, 0j * OCTAVES)
+    refused("^poles: ", PoleModel, poles=np.array([-1 + 2j]))
+    refused("^poles: .*1", PoleModel, poles=np.array([1 + 0j]))
+    refused("^gain: ", PoleModel, gain=0.0)
+    refused("^order: .*0", filter_poles, "bessel", 0, 1.0)
+    refused("^order: ", filter_poles, "resonance", 3, 1.0)
+    refused("^corner_hz: ", filter_poles, "butterworth", 2, 0.0)
+    refused("^frequency_hz: ", pole_response, np.zeros(1), HIGHPASS)
+    refused("^frequency_hz: .*6000", table_response, _table(OCTAVES, OCTAVES + 0j), np.array([5e3, 6e3]))
+    refused("^frequency_hz: ", _table, OCTAVES[::-1], OCTAVES + 0j)
+    refused("^magnitude: ", _table, OCTAVES, 0j * OCTAVES)

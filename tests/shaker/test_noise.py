@@ -51,7 +51,7 @@ def test_level_and_degrees_of_freedom_are_honest_for_white_noise():
     assert np.std(np.log(levels)) == pytest.approx(np.sqrt(polygamma(1, dof / 2)), rel=0.15)
 
 
-def test_lines_close_together_take_none_of_the_level_away():
+def test_close_lines_do_not_reduce_the_level():
     rng, time = np.random.default_rng(2), np.arange(400) / 400.0
     lines = 20.4 + 3.3 * np.arange(8)
     levels = [left_noise(time, 2.0 * rng.normal(size=400), lines).variance for _ in range(100)]
@@ -97,7 +97,7 @@ def test_a_steady_growth_is_no_noise():
     assert np.mean(levels) == pytest.approx(1.0, abs=0.1)
 
 
-def test_few_bins_give_no_level_and_nothing_left_is_no_noise():
+def test_few_bins_give_no_level_and_zero_residual_gives_no_noise():
     assert np.all(noise_of(np.zeros((300, 2)), [20.0]).variance < 1e-60)
     assert line_noise(np.ones((16, 1)), 16, np.array([3.0])) is None
     bins = neighbour_bins(211, np.array([2.0, 0.5]))
@@ -168,7 +168,7 @@ def test_drifts_of_amplitude_and_phase_are_read_exactly_without_noise():
 
 
 @pytest.mark.parametrize(("frequency", "blocks", "periods"), [(106.25, 2, 1.0), (115.748, 10, 4.0)])
-def test_blocks_of_an_undersampled_line_hold_whole_beats(frequency, blocks, periods):
+def test_blocks_of_an_undersampled_line_have_whole_beats(frequency, blocks, periods):
     # 106.25 - 2·52.874 = 0.502 Hz: two beats in 3.99 s; 115.748 - 2·52.874 = 10 Hz: forty.
     rng, time = np.random.default_rng(2), np.arange(FRAMES) / CAMERA_HZ
     values = 300.0 * np.cos(2 * np.pi * frequency * time)[:, None] + rng.normal(size=(FRAMES, 1))
@@ -197,7 +197,7 @@ def test_slow_noise_is_no_drift():
     assert np.mean(alarms) < 0.03
 
 
-def test_a_drift_is_told_from_noise():
+def test_a_drift_is_distinguished_from_noise():
     rng, time = np.random.default_rng(5), np.arange(FRAMES) / CAMERA_HZ
     drifting = 500.0 * (1.0 + 2e-3 * (time - time.mean())) * np.cos(2 * np.pi * 115.748 * time)
     results = [found(time, (drifting + rng.normal(size=FRAMES))[:, None], [115.748]) for _ in range(50)]
@@ -212,23 +212,23 @@ def test_a_rate_as_uncertain_as_stated_makes_no_more_alarms_than_noise():
     # Times that run fast by 2e-6, drawn as stated: 5 mrad over four seconds, far above the noise.
     rng, time, rate = np.random.default_rng(6), np.arange(FRAMES) / CAMERA_HZ, 2e-6
     turn = 2 * np.pi * 115.748
-    plain, beside, drifting = [], [], []
+    plain, with_rate, drifting = [], [], []
     for _ in range(300):
         fast = turn * (1.0 + rate * rng.standard_normal())
         noise = rng.normal(size=FRAMES)
         result = found(time, (2000.0 * np.cos(fast * time) + noise)[:, None], [115.748])
         plain.append(result.p_value[0, 0])
-        beside.append(result.p_value_with_rate(turn * rate)[0, 0])
+        with_rate.append(result.p_value_with_rate(turn * rate)[0, 0])
         bent = 2000.0 * np.cos(fast * time + 6e-3 * np.cos(2 * np.pi * time / time[-1])) + noise
         drifting.append(found(time, bent[:, None], [115.748]).p_value_with_rate(turn * rate)[0, 0])
     assert np.mean(np.array(plain) < 0.01) > 0.3
-    assert kstest(beside, "uniform").pvalue > 1e-3
-    assert np.mean(np.array(beside) < 0.01) < 0.04
+    assert kstest(with_rate, "uniform").pvalue > 1e-3
+    assert np.mean(np.array(with_rate) < 0.01) < 0.04
     assert np.mean(np.array(drifting) < 0.01) > 0.95
     np.testing.assert_allclose(result.p_value_with_rate(0.0), result.p_value)
 
 
-def test_halves_where_there_are_no_two_beats_and_nothing_where_they_are_too_short():
+def test_halves_without_two_beats_and_none_for_short_records():
     time = np.arange(150) / CAMERA_HZ  # 1.4 beats
     values = np.cos(2 * np.pi * 106.25 * time)[:, None]
     result = found(time, values, [106.25])
@@ -284,7 +284,7 @@ def test_selection_keeps_values_and_covariances_together():
     np.testing.assert_array_equal(picked.value, phasors.value[:, [2, 0]])
     np.testing.assert_array_equal(picked.covariance[:, 1, 2], phasors.covariance[:, 0, 5])
     np.testing.assert_array_equal(picked.u_im[:, 0] ** 2, phasors.covariance[:, 5, 5])
-    refused(r"channels: expected some of a, b, c, found d", phasors.select, ["d"])
+    refused("^channels: .*a, b, c.* d$", phasors.select, ["d"])
     line = phasors.at_lines(np.array([False, True]))
     assert line.frequency_hz.tolist() == [425.0]
     np.testing.assert_array_equal(line.value[0], phasors.value[1])
@@ -294,33 +294,33 @@ def test_selection_keeps_values_and_covariances_together():
     np.testing.assert_array_equal(joined.value, phasors.value)
     np.testing.assert_array_equal(joined.select(["a", "b"]).covariance, phasors.select(["a", "b"]).covariance)
     np.testing.assert_array_equal(joined.covariance[:, 0, 2], 0.0)
-    wrong = r"covariance: expected an array of shape \(2, 6, 6\), found \(1, 6, 6\)"
+    wrong = r"^covariance: .*\(2, 6, 6\).*\(1, 6, 6\)"
     refused(wrong, replace, phasors, covariance=phasors.covariance[:1])
-    refused("unit: expected 3 units", replace, phasors, unit=("m",))
+    refused("^unit: .*3", replace, phasors, unit=("m",))
 
 
 @settings(max_examples=25, deadline=None)
 @given(
     share=st.floats(0.2, 1.0),
-    place=st.floats(0.0, PASS_BAND),
+    frequency=st.floats(0.0, PASS_BAND),
     phase=st.floats(0.0, 6.3),
     stretch=st.floats(-1e-3, 1e-3),
 )
-def test_a_line_in_the_pass_band_keeps_amplitude_and_phase(share, place, phase, stretch):
+def test_a_line_in_the_pass_band_keeps_amplitude_and_phase(share, frequency, phase, stretch):
     time, reach = np.arange(3000.0), kernel_reach(share)
     position = np.arange(reach + 0.3, 3000 - reach, (1.0 + stretch) / share)
-    found = resample(np.cos(2.0 * np.pi * place * share * time + phase), position, share)
-    np.testing.assert_allclose(found, np.cos(2.0 * np.pi * place * share * position + phase), atol=3e-5)
+    found = resample(np.cos(2.0 * np.pi * frequency * share * time + phase), position, share)
+    np.testing.assert_allclose(found, np.cos(2.0 * np.pi * frequency * share * position + phase), atol=3e-5)
 
 
-def test_what_would_fold_is_taken_out_samples_are_met_and_positions_beyond_the_record_refused():
+def test_resampling_removes_aliases_keeps_samples_and_refuses_outside_positions():
     time, reach = np.arange(3000.0), kernel_reach(0.5)
-    for place in (0.6, 0.75, 0.95):
-        folding = resample(np.cos(np.pi * place * time), np.arange(reach + 0.3, 3000 - reach, 2.0), 0.5)
+    for frequency in (0.6, 0.75, 0.95):
+        folding = resample(np.cos(np.pi * frequency * time), np.arange(reach + 0.3, 3000 - reach, 2.0), 0.5)
         assert np.abs(folding).max() < 2e-5
     samples = np.random.default_rng(1).standard_normal(200)
     reach = kernel_reach(1.0)
-    place = np.arange(reach, 200 - reach).astype(float)
-    np.testing.assert_allclose(resample(samples, place), samples[reach : 200 - reach], atol=1e-12)
-    refused("position: expected", resample, samples, np.array([199.0]))
-    refused("share: expected a number above 0", resample, samples, place, 1.5)
+    positions = np.arange(reach, 200 - reach).astype(float)
+    np.testing.assert_allclose(resample(samples, positions), samples[reach : 200 - reach], atol=1e-12)
+    refused("^position: ", resample, samples, np.array([199.0]))
+    refused("^share: .*1.5", resample, samples, positions, 1.5)

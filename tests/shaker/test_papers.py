@@ -32,6 +32,7 @@ from shaker.elastomer.geometry import PublishedStatics
 from shaker.identification.measured_curves import MeasuredCurve
 from shaker.identification.oscillator import peak_readings
 from shaker.lti.indices import Indices, indices
+from shaker.lti.lti_notices import ALTERNATING_POLE, POLE_ABOVE_NYQUIST
 from shaker.lti.system import LinearSystem
 from shaker.mechanics import required_stiffness
 from shaker.release.load_model import LoadModel, first_mode_hz, formula_limit
@@ -106,12 +107,12 @@ def filtered() -> Compensation:
     return Compensation(loaded_dynamics(load_paper.TWO_MASS, 0.151), CompensationTarget(OMEGA / (2 * np.pi), 0.5))
 
 
-def target(place: int) -> float:
+def target(index: int) -> float:
     """2ζω_n and ω_n² of 1000 Hz and 0.5."""
     pole = Compensation(loaded_dynamics(load_paper.TWO_MASS, 0.151), CompensationTarget(1000.0, 0.5)).compensated.poles[
         0
     ]
-    return float((-2 * pole.real, abs(pole) ** 2)[place])
+    return float((-2 * pole.real, abs(pole) ** 2)[index])
 
 
 SHAKER = [
@@ -181,7 +182,7 @@ def test_number(number):
     assert number.computed() == pytest.approx(number.expected, abs=number.within, rel=0.0)
 
 
-def test_the_page_holds_what_the_program_computes():
+def test_the_page_contains_the_computed_numbers():
     """Row by row, so that a change of any of them is seen."""
     text = PAGE.read_text(encoding="utf-8")
     for name, lines in papers.tables().items():
@@ -220,7 +221,7 @@ def test_equations_1_and_2_are_a_first_order_lag(form):
     assert damping_from_sensitivity(0.953, 1000.0, K1) / B1 == pytest.approx(31.0, abs=0.3)
 
 
-def test_series_departs_where_it_is_said_to():
+def test_series_deviates_where_stated():
     magnitude, phase = series_limits_hz(K1, 21800.0)
     exact, series = (relative_sensitivity(np.array([magnitude]), K1, 21800.0, form)[0] for form in ("exact", "series"))
     assert series / exact == pytest.approx(0.99, abs=1e-9)
@@ -239,9 +240,10 @@ def test_no_common_rate_gives_the_stated_frequencies(component, kilohertz):
     assert not low <= stated <= high
 
 
-def test_false_poles_are_told():
-    assert any("turns its sign" in notice.text for notice in figures("20").notices)
-    assert any("half the sampling rate" in n.text for n in indices(wrist_paper.transfer_function(), 1.0, 1e5).notices)
+def test_false_poles_give_notices():
+    assert ALTERNATING_POLE.code in [notice.code for notice in figures("20").notices]
+    found = indices(wrist_paper.transfer_function(), 1.0, 1e5)
+    assert POLE_ABOVE_NYQUIST.code in [notice.code for notice in found.notices]
     assert figures("Fx").notices == ()
 
 
@@ -274,12 +276,12 @@ def test_how_equation_20_came_about():
 
 
 @pytest.mark.parametrize(
-    ("place", "hertz", "off"), [(0, 499.1, -0.2), (1, 491.0, 1.0), (2, 455.6, 1.2), (3, 420.6, 7.0), (4, 369.4, 15.4)]
+    ("index", "hertz", "off"), [(0, 499.1, -0.2), (1, 491.0, 1.0), (2, 455.6, 1.2), (3, 420.6, 7.0), (4, 369.4, 15.4)]
 )
-def test_equation_14_over_the_load(place, hertz, off):
+def test_equation_14_over_the_load(index, hertz, off):
     """m_L of equation 14 holds cover and pillar."""
-    assert first_mode_hz(load_paper.TWO_MASS, 0.151 + load_paper.LOADS_KG[place]) == pytest.approx(hertz, abs=0.05)
-    assert load_rows.deviations(load_paper.TWO_MASS, 0.151)[place] == pytest.approx(off, abs=0.06)
+    assert first_mode_hz(load_paper.TWO_MASS, 0.151 + load_paper.LOADS_KG[index]) == pytest.approx(hertz, abs=0.05)
+    assert load_rows.deviations(load_paper.TWO_MASS, 0.151)[index] == pytest.approx(off, abs=0.06)
 
 
 def test_three_masses_explain_every_load_and_two_those_below_98_g():
@@ -344,8 +346,8 @@ def test_rounding_ranges_in_closed_form():
 
 
 def test_wrong_arguments_are_refused():
-    refused("k: expected a stiffness above 0, found 0", relative_sensitivity, np.ones(1), 0.0, 1.0)
-    refused("relative: expected more than 0 and at most 1", damping_from_sensitivity, 1.2, 1000.0, K1)
-    refused("phase_rad: expected a phase between", damping_from_phase, -2.0, 800.0, K1)
+    refused("^k: .*0", relative_sensitivity, np.ones(1), 0.0, 1.0)
+    refused("^relative: ", damping_from_sensitivity, 1.2, 1000.0, K1)
+    refused("^phase_rad: ", damping_from_phase, -2.0, 800.0, K1)
     for arguments, name in (((np.ones(3), np.ones(2), 1e5), "last_digit"), ((np.ones(1), np.ones(1), 1e5), "denom")):
         refused(name, rounding_range, *arguments)

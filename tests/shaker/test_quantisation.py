@@ -39,7 +39,7 @@ def test_the_largest_change_is_that_of_the_bessel_series(steps: float, noise: fl
 
 
 @pytest.mark.parametrize("samples_per_period", [10.0, 20.0, 320.0 / 17.0])
-def test_synchronous_samples_leave_the_phase_open(samples_per_period: float) -> None:
+def test_synchronous_samples_do_not_determine_the_phase(samples_per_period: float) -> None:
     """A step is taken anywhere between two samples, in every period alike."""
     rng, time = np.random.default_rng(2), np.arange(20_000) / samples_per_period
     for size, offset, phase in rng.uniform((2.0, 0.0, -3.0), (3.0, 1.0, 3.0), size=(3, 3)):

@@ -36,15 +36,15 @@ def second_opinion(folder: Path) -> dict[str, np.ndarray]:
 
 @pytest.mark.parametrize("order", ["<", ">"])
 @pytest.mark.parametrize("interleaved", [False, True])
-def test_scaled_integers_beside_floats_in_several_segments(tmp_path, order, interleaved):
+def test_scaled_integers_and_floats_in_several_segments(tmp_path, order, interleaved):
     rng = np.random.default_rng(0)
     counts = rng.integers(-30_000, 30_000, 90).astype(order + "i2")
     floats = rng.normal(size=90).astype(order + "f4")
     flags = tdms.RAW | (tdms.BIG_ENDIAN if order == ">" else 0) | (tdms.INTERLEAVED if interleaved else 0)
 
     def raw(part: slice) -> bytes:
-        own = counts[part], floats[part]
-        return tdms.interleaved(*own) if interleaved else b"".join(array.tobytes() for array in own)
+        arrays = counts[part], floats[part]
+        return tdms.interleaved(*arrays) if interleaved else b"".join(array.tobytes() for array in arrays)
 
     entries = [
         tdms.entry(A, tdms.plain("i2", 10, order), {**RATE, **tdms.linear(0.5, -2.0)}, order),
@@ -53,8 +53,8 @@ def test_scaled_integers_beside_floats_in_several_segments(tmp_path, order, inte
     # Three chunks in the first segment, a second without metadata, a third that only takes up the list again.
     content = tdms.segment(entries, raw(slice(0, 10)) + raw(slice(10, 20)) + raw(slice(20, 30)), flags | 6)
     content += tdms.segment([], raw(slice(30, 40)), flags)
-    again = [tdms.entry(name, tdms.AS_BEFORE, None, order) for name in (A, B)]
-    content += tdms.segment(again, b"".join(raw(slice(i, i + 10)) for i in range(40, 90, 10)), flags | tdms.METADATA)
+    repeated = [tdms.entry(name, tdms.AS_BEFORE, None, order) for name in (A, B)]
+    content += tdms.segment(repeated, b"".join(raw(slice(i, i + 10)) for i in range(40, 90, 10)), flags | tdms.METADATA)
     found = read(tmp_path, content)
     np.testing.assert_array_equal(found["daq/a"].samples, counts * 0.5 - 2.0)
     np.testing.assert_array_equal(found["daq/b"].samples, floats.astype(float))
@@ -168,7 +168,7 @@ def test_complex_numbers_are_passed_over_and_unknown_scales_refused(tmp_path):
     entries = [tdms.entry(A, tdms.plain("c16", 1), RATE), tdms.entry(B, tdms.plain("f8", 1), RATE)]
     assert list(read(tmp_path, tdms.segment(entries, bytes(24)))) == ["daq/b"]
     scale = {"NI_Number_Of_Scales": 1, "NI_Scale[0]_Scale_Type": "Magic"}
-    with pytest.raises(ValueError, match=r'a\.tdms: channel "daq/b": expected a known scale, found \'Magic\''):
+    with pytest.raises(ValueError, match=r'a\.tdms: channel "daq/b": .*Magic'):
         read(tmp_path, tdms.segment([tdms.entry(B, tdms.plain("f8", 1), {**RATE, **scale})], bytes(8)))
 
 
@@ -181,12 +181,12 @@ def test_files_of_another_writer(tmp_path):
     np.testing.assert_array_equal(found["Fz"].samples, np.arange(64) * 1.5)
     np.testing.assert_array_equal(found["other/clock"].samples, np.arange(64) * 2.0)
     assert (found["Fz"].sample_rate_hz, found["Fz"].start_s, found["Fz"].unit) == (1024.0, 0.25, "mV/V")
-    refused('expected a channel "clock", found', read_channels, tmp_path / "a.tdms", ["clock"])
+    refused(r'a\.tdms: .*"clock"', read_channels, tmp_path / "a.tdms", ["clock"])
 
 
 @settings(max_examples=30, deadline=None)
 @given(data=st.data())
-def test_any_layout_comes_back(tmp_path_factory, data):
+def test_any_layout_is_read_as_written(tmp_path_factory, data):
     """Random types, chunks, segments and blocks: what was written is what is read, all of it and one channel alone."""
     kinds = data.draw(st.lists(st.sampled_from(["i1", "i2", "u4", "f4", "f8"]), min_size=1, max_size=4))
     order = data.draw(st.sampled_from("<>"))
@@ -200,8 +200,8 @@ def test_any_layout_comes_back(tmp_path_factory, data):
         for _ in range(chunks):
             part = [rng.integers(0, 100, count).astype(order + kind) for kind in kinds]
             raw += tdms.interleaved(*part) if interleaved else b"".join(array.tobytes() for array in part)
-            for own, array in zip(written, part, strict=True):
-                own.append(array)
+            for parts, array in zip(written, part, strict=True):
+                parts.append(array)
         entries = [tdms.entry(n, tdms.plain(k, count, order), RATE, order) for n, k in zip(names, kinds, strict=True)]
         flags = 14 | (tdms.BIG_ENDIAN if order == ">" else 0) | (tdms.INTERLEAVED if interleaved else 0)
         content += tdms.segment(entries, raw, flags)
@@ -210,8 +210,8 @@ def test_any_layout_comes_back(tmp_path_factory, data):
         folder = tmp_path_factory.mktemp("tdms")
         found = read(folder, content)
         last = read_channels(folder / "a.tdms", [f"{len(kinds) - 1}"])
-    for channel, own in zip([*found.values(), *last.values()], [*written, written[-1]], strict=True):
-        np.testing.assert_array_equal(channel.samples, np.concatenate(own))
+    for channel, parts in zip([*found.values(), *last.values()], [*written, written[-1]], strict=True):
+        np.testing.assert_array_equal(channel.samples, np.concatenate(parts))
 
 
 RNG = np.random.default_rng(0)
@@ -220,15 +220,15 @@ TABLE = RNG.integers(-3000, 3000, (400, 3)).astype(np.int16)
 
 @pytest.mark.parametrize("options", [{}, {"chunks": (64, 2), "compression": "gzip"}])
 @pytest.mark.parametrize("block", [16, 1 << 20])
-@pytest.mark.parametrize("turned", [False, True])
-def test_hdf5_tables(tmp_path, monkeypatch, options, block, turned):
+@pytest.mark.parametrize("transposed", [False, True])
+def test_hdf5_tables(tmp_path, monkeypatch, options, block, transposed):
     monkeypatch.setattr(datasets, "BLOCK", block)
-    if turned and options:
+    if transposed and options:
         options = {**options, "chunks": options["chunks"][::-1]}
     with h5py.File(tmp_path / "a.h5", "w") as file:
         group = file.create_group("daq")
         group.attrs["sample_rate"] = np.array([1024.0])
-        data = group.create_dataset("table", data=TABLE.T if turned else TABLE, **options)
+        data = group.create_dataset("table", data=TABLE.T if transposed else TABLE, **options)
         data.attrs["unit"] = ["V", "mV", "A"]
         data.attrs["start_time"] = [0.0, 1e-3, 2e-3]
         file["picture"] = np.zeros((40, 50))
@@ -241,7 +241,7 @@ def test_hdf5_tables(tmp_path, monkeypatch, options, block, turned):
     assert (second.unit, second.start_s, second.sample_rate_hz) == ("mV", 1e-3, 1024.0)
 
 
-def test_hdf5_records_and_a_time_beside(tmp_path):
+def test_hdf5_records_and_a_neighbouring_time(tmp_path):
     records = np.zeros(50, [("time", "f8"), ("Fz", "f4"), ("label", "S3")])
     records["time"], records["Fz"] = 0.25 + np.arange(50) / 200.0, np.arange(50)
     with h5py.File(tmp_path / "a.h5", "w") as file:
@@ -273,7 +273,7 @@ def test_hdf5_rates_that_are_none(tmp_path, rate):
     with h5py.File(tmp_path / "a.h5", "w") as file:
         file["a"] = np.arange(7)
         file["a"].attrs["sample_rate"] = rate
-    with pytest.raises(ValueError, match=r'a\.h5: (channel "a": expected|expected a positive sampling rate)'):
+    with pytest.raises(ValueError, match=r'a\.h5: .*"a"'):
         read_channels(tmp_path / "a.h5", ["a"])
 
 
@@ -337,9 +337,9 @@ def test_matlab_structs_and_tables(tmp_path, write):
     assert (found["rec.Fz"].unit, found["rec.deep.a"].unit, found["x"].unit) == ("mV/V", "mV/V", "")
     np.testing.assert_array_equal(read_channels(path, ["rec.Fz"])["rec.Fz"].samples, np.arange(30.0))
     many = "many" if write is _mat_5 else "many.x"
-    for name, kind in (("list", "a cell array"), ("nothing", "an empty array"), (many, "an array of")):
-        refused(rf'a\.mat: channel "{name}": expected a vector of numbers, found {kind}', read_channels, path, [name])
-    refused(r'a\.mat: expected a channel "y", found', read_channels, path, ["y"])
+    for name, kind in (("list", "cell"), ("nothing", "empty"), (many, "array")):
+        refused(rf'a\.mat: channel "{name}": .*{kind}', read_channels, path, [name])
+    refused(r'a\.mat: .*"y"', read_channels, path, ["y"])
 
 
 @pytest.mark.parametrize("new", [False, True])

@@ -103,7 +103,7 @@ def test_sound_files_are_read_and_cut_off_ones_refused(tmp_path, kind):
 
 @pytest.mark.parametrize("suffix", [".h5", ".tdms", ".uff", ".mat", ".csv", ".wav", ".lvm", ".asc"])
 @pytest.mark.parametrize("content", [b"", b"\x00\x01\x02garbage" * 40])
-def test_files_of_nothing_and_of_garbage_are_refused(tmp_path, suffix, content):
+def test_empty_files_and_garbage_are_refused(tmp_path, suffix, content):
     path = tmp_path / f"a{suffix}"
     path.write_bytes(content)
     with pytest.raises((OSError, ValueError)) as caught:
@@ -112,10 +112,10 @@ def test_files_of_nothing_and_of_garbage_are_refused(tmp_path, suffix, content):
 
 
 def test_missing_and_unknown_files(tmp_path):
-    with pytest.raises(FileNotFoundError, match=r"none\.h5: expected a file, found none"):
+    with pytest.raises(FileNotFoundError, match=r"none\.h5: "):
         read_channels(tmp_path / "none.h5")
-    refused(r"a\.xls: expected a file that ends in one of .*, found a\.xls", read_channels, tmp_path / "a.xls")
-    export = r"a\.svd: expected .*export universal files .*, found a\.svd, Polytec's PSV"
+    refused(r"a\.xls: .*\.tdms.*a\.xls", read_channels, tmp_path / "a.xls")
+    export = r"a\.svd: .*\.uff.*a\.svd, Polytec"
     refused(export, read_channels, tmp_path / "a.svd")
 
 
@@ -131,8 +131,8 @@ def test_damaged_files_give_one_sentence_or_numbers(tmp_path, kind, changes):
     suffix, content = whole(kind)
     damaged = bytearray(content)
     for share, new in changes:
-        place = int(share * len(content))
-        damaged[place : place + len(new)] = new
+        position = int(share * len(content))
+        damaged[position : position + len(new)] = new
     path = tmp_path / f"a{suffix}"
     path.write_bytes(bytes(damaged))
     try:
@@ -245,11 +245,11 @@ def test_uff_text_of_a_power_spectral_density(data_dir):
 def test_uff_binary(data_dir, file, name, kind, count, rate, unit):
     path = present(data_dir, "uff", file)
     channel, raw = read_channels(path)[name], path.read_bytes()
-    own = np.frombuffer(raw[-8 - int(kind[-1]) * count : -8], kind)  # what follows is the mark of the end
-    np.testing.assert_array_equal(channel.samples, own)
+    expected = np.frombuffer(raw[-8 - int(kind[-1]) * count : -8], kind)  # what follows is the mark of the end
+    np.testing.assert_array_equal(channel.samples, expected)
     assert (len(channel.samples), channel.sample_rate_hz, channel.unit) == (count, rate, unit)
     if name == "sine 5 Hz":
-        np.testing.assert_allclose(own, np.sin(2 * np.pi * 5.0 * np.arange(250) / 100.0), atol=1e-5)
+        np.testing.assert_allclose(expected, np.sin(2 * np.pi * 5.0 * np.arange(250) / 100.0), atol=1e-5)
 
 
 def as_npTDMS_reads_it(path: Path) -> dict[str, RawChannel]:

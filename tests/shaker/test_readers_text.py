@@ -55,11 +55,11 @@ def test_csv_channels_answer_to_their_names_without_units(tmp_path):
     assert list(read_channels(path, sample_rate_hz=1.0)) == ["Fz [N]", "Fz [kN]", "a, top (g)"]
     assert read_channels(path, ["a, top"], 1.0)["a, top"].unit == "g"
     np.testing.assert_array_equal(read_channels(path, ["Fz [kN]"], 1.0)["Fz [kN]"].samples, [2.0, 5.0])
-    refused(r'a\.csv: expected a channel "Fz", found', read_channels, path, ["Fz"], 1.0)
+    refused(r'a\.csv: .*"Fz"', read_channels, path, ["Fz"], 1.0)
     # Columns of text do not matter to others.
     path.write_text("clock;Fz;state\n;N;\n12:00:01;1,5;ok\n12:00:02;2,5;late\n")
     np.testing.assert_array_equal(read_channels(path, ["Fz"], 1.0)["Fz"].samples, [1.5, 2.5])
-    refused(r"a\.csv: line 3: expected numbers, found '12:00:01;1,5;ok'", read_channels, path, ["Fz", "state"], 1.0)
+    refused(r"a\.csv: line 3: .*'12:00:01;1,5;ok'", read_channels, path, ["Fz", "state"], 1.0)
 
 
 def test_csv_latin_1_and_the_unit_1(tmp_path):
@@ -71,26 +71,24 @@ def test_csv_latin_1_and_the_unit_1(tmp_path):
 @pytest.mark.parametrize(
     ("content", "message"),
     [
-        ("time,Fz\n0,1\n1,OVER\n2,3\n", "line 3: expected numbers, found '1,OVER'"),
-        ("time,Fz\n0,OVER\n1,2\n2,3\n", "line 2: expected numbers, found '0,OVER'"),
-        ("time,Fz\n0,1\n1,2,3\n", "line 3: expected 2 columns, found 3"),
-        ("time,Fz\n0,1\n1,2\n2\n", "line 4: expected 2 columns, found 1"),
-        ("time [V],Fz\n0,1\n1,2\n", "expected a unit of time (s, ms, us, ns, min, h), found 'V'"),
-        ("time,Fz,Fz\n0,1,2\n1,2,3\n", "line 1: expected a header with one name per column"),
-        ("time;Fz\n0,0;1.234,5\n0,1;2\n", "line 2: expected numbers"),
-        ("time,Fz\ns,N\n", "expected rows of numbers, found none"),
-        ("", "expected a header and rows of numbers"),
-        ("time,Fz\n0,1\n2,2\n1,3\n", "expected ascending times, found a step of -1 s after sample 1"),
-        ("1,2\n3,4\n", "line 1: expected a header"),
-        ("Fz\n1\n2\n", "expected a sampling rate"),
+        ("time,Fz\n0,1\n1,OVER\n2,3\n", "line 3: .*'1,OVER'"),
+        ("time,Fz\n0,OVER\n1,2\n2,3\n", "line 2: .*'0,OVER'"),
+        ("time,Fz\n0,1\n1,2,3\n", "line 3: .* 2 .* 3$"),
+        ("time,Fz\n0,1\n1,2\n2\n", "line 4: .* 2 .* 1$"),
+        ("time [V],Fz\n0,1\n1,2\n", "time.* 'V'"),
+        ("time,Fz,Fz\n0,1,2\n1,2,3\n", "line 1: .*header"),
+        ("time;Fz\n0,0;1.234,5\n0,1;2\n", "line 2: .*numbers"),
+        ("time,Fz\ns,N\n", "line 3: .*rows"),
+        ("", "header"),
+        ("time,Fz\n0,1\n2,2\n1,3\n", "-1 s .* 1, 2 s"),
+        ("1,2\n3,4\n", "line 1: .*header"),
+        ("Fz\n1\n2\n", "sample_rate"),
     ],
 )
 @pytest.mark.parametrize("block", [6, 1 << 20])
 def test_csv_errors(tmp_path, monkeypatch, content, message, block):
     monkeypatch.setattr(text, "BLOCK", block)
-    with pytest.raises(ValueError, match=r"a\.csv: ") as caught:
-        read(tmp_path, content)
-    assert message in str(caught.value)
+    refused(rf"a\.csv: .*{message}", read, tmp_path, content)
 
 
 @settings(max_examples=60, deadline=None)
@@ -164,7 +162,7 @@ def test_lvm_in_blocks(tmp_path, monkeypatch, block):
     np.testing.assert_array_equal(read(tmp_path, between, ".lvm")["U"].samples, [1, 2, 3, 4, 1, 2, 3, 4])
     wrong = content[:-4] + "\tx\n"
     line = wrong.count("\n")
-    refused(rf"a\.lvm: line {line}: expected numbers, found 'x'", read, tmp_path, wrong, ".lvm")
+    refused(rf"a\.lvm: line {line}: .*'x'", read, tmp_path, wrong, ".lvm")
 
 
 STAMPED = (
@@ -175,7 +173,9 @@ STAMPED = (
 def segments(second: str, point: str = ".") -> str:
     """Four samples from second 10.25 on, three from another second on."""
     parts = [STAMPED.format(n=n, second=s, step=f"0{point}500000") for n, s in ((4, "10.25"), (3, second))]
-    rows = ["X_Value\tU\tComment\n" + "".join(f"\t{k}{point}25\t\n" for k in own) for own in (range(4), range(4, 7))]
+    rows = [
+        "X_Value\tU\tComment\n" + "".join(f"\t{k}{point}25\t\n" for k in samples) for samples in (range(4), range(4, 7))
+    ]
     return lvm(rows[0] + "\n", parts[0], point=point) + parts[1] + END + rows[1]
 
 
@@ -186,15 +186,15 @@ def test_lvm_segments_are_joined_and_pauses_stay(tmp_path, point):
     assert (channel.sample_rate_hz, channel.unit, channel.gap) == (2.0, "Volts", None)
     paused = read(tmp_path, segments("15.25", point), ".lvm")["U"]
     np.testing.assert_allclose(paused.time_s, [0.0, 0.5, 1.0, 1.5, 5.0, 5.5, 6.0], rtol=1e-12)
-    assert str(paused.gap).startswith("3.5 s between samples 3 and 4")
-    refused(r"a\.lvm: .*before the last one has ended", read, tmp_path, segments("11.25", point), ".lvm")
+    assert re.match(r"3\.5 s .* 3 and 4,", str(paused.gap))
+    refused(r"a\.lvm: .* 2\.0+ s.* 1\.0+ s", read, tmp_path, segments("11.25", point), ".lvm")
 
 
 def test_lvm_column_of_a_decimated_file_rules_its_header(tmp_path):
     channels = STAMPED.format(n=100, second="10", step="0.001")
     body = "X_Value\tU\n" + "".join(f"{0.016 * i:.3f}\t{i}\n" for i in range(7))
     assert read(tmp_path, lvm(body, channels, "One"), ".lvm")["U"].sample_rate_hz == pytest.approx(62.5, rel=1e-12)
-    with pytest.raises(ValueError, match="expected 100 samples as the header says, found 2"):
+    with pytest.raises(ValueError, match=r" 100 .* 2$"):
         read(tmp_path, lvm("X_Value\tU\n\t1\n\t2\n", channels), ".lvm")
 
 
@@ -224,7 +224,7 @@ def test_scanning_vibrometer_text(tmp_path, by_rows, count):
     np.testing.assert_array_equal(take["2"].samples, scan.samples[1, count - 1])
     np.testing.assert_array_equal(read_channels(path, [f"3/{count}"])[f"3/{count}"].samples, scan.samples[2, -1])
     path.write_text("\n".join(path.read_text().splitlines()[:-3]))
-    torn = rf"Scan_time\.asc: expected whole blocks of {count} points with 50 samples \({50 * count} numbers\)"
+    torn = rf"Scan_time\.asc: .* {count} .* 50 .*{50 * count} "
     refused(torn, read_channels, path)
 
 
@@ -267,7 +267,7 @@ def test_binary_functions_of_all_eight_cases(path, kind, even, order, after):
     assert last.name == "after"
 
 
-def test_the_number_of_bytes_tells_the_precision_of_the_abscissa_and_counts_whatever_the_header_says(path):
+def test_the_number_of_bytes_determines_the_precision_of_the_abscissa(path):
     """The description says that the abscissa is single in the text form and leaves the binary open: both occur."""
     for kind in (4, 6):
         path.write_bytes(uff.binary_function(kind, X, VALUES[kind], False, "<", abscissa="f8"))
@@ -279,7 +279,7 @@ def test_the_number_of_bytes_tells_the_precision_of_the_abscissa_and_counts_what
     np.testing.assert_array_equal(read_universal_functions(path)[0].value, Y.real)
 
 
-def test_end_mark_and_line_ends_among_the_numbers_count_and_foreign_or_too_few_numbers_are_refused(path):
+def test_marks_within_numbers_are_numbers_and_foreign_or_missing_numbers_are_refused(path):
     """Bytes that look like an end mark or a line end belong to the numbers: their count decides."""
     looks_like = np.frombuffer(b"\n    -1\n    -1\r\n  \n\n" + b"    -1\n\n    -1\n 123 ", "<f4")
     path.write_bytes(uff.binary_function(2, X, looks_like, True, "<") + uff.text_function(1, 2, X, X, True, "after"))
@@ -289,10 +289,10 @@ def test_end_mark_and_line_ends_among_the_numbers_count_and_foreign_or_too_few_n
     content = uff.binary_function(4, X, Y.real, True, "<")
     for number, name in ((b"3", "IBM 5/370"), (b"1", "DEC VMS")):
         path.write_bytes(content.replace(b"1     2", b"1     " + number, 1))
-        refused(rf"a\.uff: line 2: expected .* IEEE 754 numbers, found .*{name}", read_channels, path)
+        refused(rf"a\.uff: line 2: .* IEEE 754 .*{name}", read_channels, path)
     lines = uff.text_function(1, 2, X, Y.real, True).split(b"\n")
     path.write_bytes(b"\n".join(lines[:14] + lines[15:]))
-    refused(r"a\.uff: line 2: expected 50 numbers, found 44", read_channels, path)
+    refused(r"a\.uff: line 2: .* 50 .* 44", read_channels, path)
 
 
 @pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")  # pyuff leaves files open
@@ -360,9 +360,9 @@ def test_shapes(path):
 def test_shapes_are_as_pyuff_reads_them_and_damaged_ones_refused(path):
     value = RNG.normal(size=(5, 3)) + 1j * RNG.normal(size=(5, 3))
     path.write_bytes(uff.shape(5, [53.7], [1, 2, 3, 4, 5], value))
-    own, other = read_universal_shapes(path)[0], pyuff.UFF(str(path)).read_sets()
-    np.testing.assert_array_equal(own.node, other["node_nums"])
-    np.testing.assert_array_equal(own.value[:, [0, 2]], np.stack([other["r1"], other["r3"]], axis=1))
+    shape, other = read_universal_shapes(path)[0], pyuff.UFF(str(path)).read_sets()
+    np.testing.assert_array_equal(shape.node, other["node_nums"])
+    np.testing.assert_array_equal(shape.value[:, [0, 2]], np.stack([other["r1"], other["r3"]], axis=1))
     lines = uff.shape(5, [53.7], [1, 2, 3], np.ones((3, 3), dtype=complex)).split(b"\n")
     for damaged in (lines[:-4] + lines[-3:], [*lines[:8], *lines[-2:]], [*lines[:11], b" x", *lines[12:]]):
         path.write_bytes(b"\n".join(damaged))

@@ -1,5 +1,6 @@
 """One resonance, fitted and read: derivatives, exact parameters, bounds, coverage at any spacing; the fitting core."""
 
+import re
 from dataclasses import replace
 from typing import Any
 
@@ -23,12 +24,12 @@ from shaker.fitting import (
     eliminate,
     levenberg_marquardt,
 )
+from shaker.identification.circle_fit import fit_circle
 from shaker.identification.measured_curves import MeasuredCurve
 from shaker.identification.oscillator import (
     PeakReadings,
     Resonance,
     ResonanceKind,
-    fit_circle,
     fit_resonance,
     peak_readings,
     transmissibility_levels,
@@ -93,10 +94,10 @@ def test_delay_and_the_rest_of_the_structure_come_back():
     np.testing.assert_allclose(fit.model(FREQUENCY), value, rtol=1e-6)
     assert len(fit.parameters) == 9
     assert fit.u("delay_s") > 0.0
-    refused("expected one of frequency_hz", fit.u, "mass_kg")
+    refused("^parameter: .*mass_kg", fit.u, "mass_kg")
 
 
-def test_errors_are_those_of_the_bound_and_intervals_hold():
+def test_errors_are_those_of_the_bound_and_intervals_cover_the_truth():
     # Bound: the covariance at the truth, from derivatives by differences, independent of the fit's own.
     truth, s = np.array([1477.35, 0.5 / 66.0, 1.0, 0.0]), 2j * np.pi * FREQUENCY
 
@@ -143,18 +144,18 @@ def test_a_misfit_enlarges_the_uncertainty():
 
 def test_what_cannot_be_fitted_is_refused_with_a_reason():
     few = MeasuredCurve(FREQUENCY[:2], ONE[:2], even(ONE[:2], 1e-3))
-    refused("more than 2 lines", fit_resonance, few, "receptance")
-    refused("covariance: expected positive definite", fitted, ONE, 0.0 * even(ONE, 1e-3))
+    refused("^frequency_hz: .* 2 ", fit_resonance, few, "receptance")
+    refused("^covariance: ", fitted, ONE, 0.0 * even(ONE, 1e-3))
     refused("covariance", MeasuredCurve, FREQUENCY, ONE, np.zeros((3, 2, 2)))
     refused("dof", fitted, ONE, even(ONE, 1e-3), dof=np.ones(3))
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("periods", [3, 5, 9, 21])
-def test_intervals_hold_also_where_covariances_come_from_few_periods(periods):
+def test_intervals_cover_the_truth_with_covariances_from_few_periods(periods):
     # U (k = 2) of frequency and damping; weights 1/s² alone leave 83 % instead of 95 % at three periods and 60 lines.
     rng, dof = np.random.default_rng(periods), np.full(40, 2.0 * (periods - 1))
-    held, chi = [], []
+    inside, chi = [], []
     for quality in np.repeat([20.0, 50.0, 100.0], 60):
         zeta = 0.5 / quality
         frequency = 1477.35 * (1.0 + 8.0 * zeta * np.linspace(-1.0, 1.02, len(dof)))
@@ -162,15 +163,15 @@ def test_intervals_hold_also_where_covariances_come_from_few_periods(periods):
         true = (0.02 * (0.3 * np.abs(value).max() + np.abs(value)))[:, None, None] ** 2 * np.eye(2)
         seen = true * (rng.chisquare(dof) / dof)[:, None, None]
         fit = fit_resonance(MeasuredCurve(frequency, value + noise(true, rng), seen, dof=dof), "transmissibility")
-        held.append(abs(fit.frequency_hz - 1477.35) < 2.0 * fit.u("frequency_hz"))
-        held.append(abs(fit.damping_ratio - zeta) < 2.0 * fit.u("damping_ratio"))
+        inside.append(abs(fit.frequency_hz - 1477.35) < 2.0 * fit.u("frequency_hz"))
+        inside.append(abs(fit.damping_ratio - zeta) < 2.0 * fit.u("damping_ratio"))
         chi.append(fit.chi_squared / fit.dof)
     # 360 nearly independent values: standard deviation of the share 0.011.
-    assert 0.915 < np.mean(held) < 0.985
+    assert 0.915 < np.mean(inside) < 0.985
     assert np.median(chi) == pytest.approx(1.0, abs=0.25)
 
 
-def test_degrees_of_freedom_of_many_periods_change_nothing():
+def test_degrees_of_freedom_of_many_periods_have_no_effect():
     covariance = even(ONE, 1e-2)
     value = ONE + noise(covariance, np.random.default_rng(2))
     exact, many = fitted(value, covariance), fitted(value, covariance, dof=np.full(len(value), 1e6))
@@ -286,7 +287,7 @@ def test_the_parabola_of_the_reciprocal_has_no_bias_where_that_of_the_logarithm_
     ("quality", "share", "spacing"),
     [(66.0, 1e-3, SPACING), (66.0, 2e-2, 0.2), (40.0, 5e-3, SPACING), (400.0, 3e-3, SPACING), (800.0, 3e-3, SPACING)],
 )
-def test_readings_scatter_as_their_uncertainties_say(quality, share, spacing):
+def test_readings_scatter_as_their_uncertainties(quality, share, spacing):
     zeta, trials = 0.5 / quality, 100
     frequency, top = lines(F0, zeta, spacing), transmissibility_levels(zeta)[0] * F0
     truths = {"maximum": top, "half_amplitude": top}
@@ -304,11 +305,11 @@ def test_readings_scatter_as_their_uncertainties_say(quality, share, spacing):
     np.testing.assert_allclose(scatter, 1.0, atol=4.0 / np.sqrt(2.0 * trials))
 
 
-def test_the_line_of_the_maximum_wanders_as_much_as_it_says():
+def test_the_line_of_the_maximum_scatters_as_stated():
     """A flat top in noise: far more than half a spacing."""
     zeta, frequency = 0.5 / 40.0, lines(F0, 0.5 / 40.0, SPACING)
     drawn = draws(transmissibility(frequency, F0, zeta), 1e-2, 120, 8)
-    readings = [peak_readings(MeasuredCurve(frequency, *own)).maximum_bin for own in drawn]
+    readings = [peak_readings(MeasuredCurve(frequency, *parts)).maximum_bin for parts in drawn]
     error = np.array([reading.frequency_hz for reading in readings]) - transmissibility_levels(zeta)[0] * F0
     stated = np.sqrt(np.mean([reading.u_frequency_hz**2 for reading in readings]))
     assert stated > 3.0 * SPACING / np.sqrt(12.0)
@@ -327,15 +328,15 @@ def test_correlated_lines_are_less_certain():
     covariance = even(clean, 2e-3)
     u = np.sqrt(covariance[0, 0, 0])
     correlation = np.array([1.0, -2.0 / 3.0, 1.0 / 6.0], dtype=np.complex128)
-    told, found = [], []
+    readings, found = [], []
     for _ in range(trials):
         white = rng.standard_normal((2, len(clean) + 2)) / np.sqrt(1.5)
         smeared = white[:, 1:-1] - 0.5 * (white[:, :-2] + white[:, 2:])
         drawn = clean + u * (smeared[0] + 1j * smeared[1])
-        told.append(peak_readings(MeasuredCurve(frequency, drawn, covariance, line_correlation=correlation)).circle)
-        found.append(told[-1].damping_ratio / zeta - 1.0)
+        readings.append(peak_readings(MeasuredCurve(frequency, drawn, covariance, line_correlation=correlation)).circle)
+        found.append(readings[-1].damping_ratio / zeta - 1.0)
     plain = peak_readings(MeasuredCurve(frequency, drawn, covariance)).circle.u_damping_ratio
-    stated = np.sqrt(np.mean([reading.u_damping_ratio**2 for reading in told])) / zeta
+    stated = np.sqrt(np.mean([reading.u_damping_ratio**2 for reading in readings])) / zeta
     assert np.std(found) == pytest.approx(stated, rel=0.2)
     assert abs(plain / zeta / stated - 1.0) > 0.3
 
@@ -359,18 +360,18 @@ def test_the_circle_loses_little_to_a_fit_of_the_curve_and_other_modes_do_not_tu
     assert np.angle(circle.centre) == pytest.approx(0.3, abs=1e-9)
 
 
-def test_what_the_lines_do_not_resolve_and_the_band_does_not_hold_is_noted():
+def test_unresolved_lines_and_a_short_band_are_noted():
     grids = {zeta: lines(F0, zeta, SPACING) for zeta in (0.5 / 800.0, 0.5 / 66.0)}
     narrow, wide = (read(grid, transmissibility(grid, F0, zeta), 1e-3) for zeta, grid in grids.items())
-    assert narrow.half_power.note.startswith("2.4 lines in the half-power width, fewer than 4")
-    assert "damping overstated by √3; 2.4 lines" in narrow.half_amplitude.note
+    assert re.findall(r"[\d.]+", narrow.half_power.note) == ["2.4", "4"]
+    assert re.findall(r"√?[\d.]+", narrow.half_amplitude.note) == ["√3", "2.4", "4"]
     assert not wide.half_power.note
-    assert wide.half_amplitude.note == "damping overstated by √3"
+    assert re.findall(r"√?[\d.]+", wide.half_amplitude.note) == ["√3"]
     zeta, frequency = 0.5 / 66.0, np.arange(F0 - 6.0, F0 + 6.0, SPACING)
     found = read(frequency, transmissibility(frequency, F0, zeta), 1e-4)
     assert found.maximum.frequency_hz == pytest.approx(transmissibility_levels(zeta)[0] * F0, rel=1e-6)
     assert np.isnan(found.half_power.damping_ratio)
-    assert "does not fall to 1/√2" in found.half_power.note
+    assert "1/√2" in found.half_power.note
     assert found.circle.note
 
 
@@ -385,15 +386,15 @@ def test_of_two_peaks_the_higher_is_read():
 
 def test_wrong_curves_are_refused_by_name():
     frequency, ones = np.arange(10.0) + 1.0, np.ones(10, dtype=np.complex128)
-    refused("at least 5 lines, found 3", read, frequency[:3], frequency[:3] + 0j, 0.1)
-    refused("ascending positive", read, np.arange(10.0), frequency + 0j, 0.1)
+    refused("^frequency_hz: .* 5 .* 3$", read, frequency[:3], frequency[:3] + 0j, 0.1)
+    refused("^frequency_hz: ", read, np.arange(10.0), frequency + 0j, 0.1)
 
     def reading(value: ComplexArray, covariance: FloatArray) -> PeakReadings:
         return peak_readings(MeasuredCurve(frequency, value, covariance))
 
-    refused("value: expected finite", reading, np.nan * ones, even(ones, 0.1))
-    refused("covariance: expected an array of shape", reading, frequency + 0j, np.ones((10, 2)))
-    refused("covariance: expected positive definite", reading, frequency + 0j, np.zeros((10, 2, 2)))
+    refused("^value: ", reading, np.nan * ones, even(ones, 0.1))
+    refused("^covariance: ", reading, frequency + 0j, np.ones((10, 2)))
+    refused("^covariance: ", reading, frequency + 0j, np.zeros((10, 2, 2)))
 
 
 TIME, RULES = np.linspace(0.0, 4.0, 60), LMOptions(predicted_decrease_share=1e-14)
@@ -403,8 +404,8 @@ def _decays(rates: FloatArray, data: FloatArray) -> SeparablePoint:
     """A level and two decays with free amplitudes, in two outputs (60, 2)."""
     waves = np.exp(-TIME[:, None] * rates)
 
-    def changes(own: FloatArray) -> BlockJacobian:
-        return BlockJacobian(np.arange(2), (-TIME[:, None] * waves)[:, :, None] * own[1:])
+    def changes(coefficients: FloatArray) -> BlockJacobian:
+        return BlockJacobian(np.arange(2), (-TIME[:, None] * waves)[:, :, None] * coefficients[1:])
 
     return SeparablePoint(rates, (LinearBlock(np.hstack([np.ones((60, 1)), waves]), data, changes),))
 
@@ -427,12 +428,12 @@ def test_a_narrow_valley_is_followed_to_its_end():
     assert np.all(np.diff(end.losses) < 0)
 
 
-def test_a_search_that_will_not_get_where_it_is_wanted_is_given_up():
+def test_a_search_that_cannot_reach_its_tolerance_ends():
     data = _data()
 
-    def search(wanted: float) -> Minimum[SeparablePoint]:
+    def search(tolerance: float) -> Minimum[SeparablePoint]:
         start = _decays(np.array([0.5, 5.0]), data)
-        return levenberg_marquardt(lambda x: _decays(x, data), start, replace(RULES, wanted=wanted))
+        return levenberg_marquardt(lambda x: _decays(x, data), start, replace(RULES, tolerance=tolerance))
 
     end = search(np.inf)
     reached, missed = search(1.01 * end.point.loss), search(0.5 * end.point.loss)
@@ -461,13 +462,13 @@ def test_projected_coefficients_give_the_joint_minimum():
 def test_the_gradient_is_that_of_the_projected_loss():
     data, rates = _data(), np.array([0.5, 5.0])
     downhill = _decays(rates, data).normal[1]
-    for place in range(2):
-        step = 1e-6 * np.eye(2)[place]
+    for index in range(2):
+        step = 1e-6 * np.eye(2)[index]
         slope = (_decays(rates + step, data).loss - _decays(rates - step, data).loss) / 2e-6
-        assert downhill[place] == pytest.approx(-0.5 * slope, rel=1e-5)
+        assert downhill[index] == pytest.approx(-0.5 * slope, rel=1e-5)
 
 
-def test_what_is_known_beforehand_weighs_by_its_variance():
+def test_a_prior_has_the_weight_of_its_variance():
     """Of a mean x of n data and a prior (m, u): (n x/s² + m/u²)/(n/s² + 1/u²), s² of the residual there."""
     data = np.random.default_rng(2).standard_normal(50) + 3.0
 
@@ -491,5 +492,5 @@ def test_dependent_columns_share_and_the_root_is_that_of_the_covariance():
 
 
 def test_a_start_without_a_loss_is_refused():
-    with pytest.raises(ValueError, match="start: expected parameters"):
+    with pytest.raises(ValueError, match=r"^start: "):
         levenberg_marquardt(lambda x: None, WhitenedResiduals(np.zeros(1), np.array([np.inf]), np.ones((1, 1))), RULES)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from datetime import datetime, timedelta
 from fractions import Fraction
 from pathlib import Path
@@ -84,28 +85,36 @@ def test_unit_of_an_abscissa(tmp_path, even):
         lines[9] = lines[9][:47] + unit.ljust(20).encode() + lines[9][67:]
         path.write_bytes(b"\n".join(lines))
         if rate is None:
-            refused("abscissa: expected a unit of time .*, found 'mm'", read_channels, path)
+            refused("abscissa: .*'mm'", read_channels, path)
         else:
             assert read_channels(path)["12+Z"].sample_rate_hz == pytest.approx(rate, rel=1e-5)
+
+
+def first_gap(channel: RawChannel) -> tuple[float, int] | None:
+    """Return the length of the first gap in s and the sample before it."""
+    if channel.gap is None:
+        return None
+    length_s, sample = re.findall(r"[\d.]+", channel.gap)[:2]
+    return float(length_s), int(sample)
 
 
 @pytest.mark.parametrize("kind", ["timestamp[ms]", "timestamp[us]", "timestamp[ns]", "duration[us]"])
 def test_time_stamps_and_durations(tmp_path, kind):
     """At 1 kHz stamps of a millisecond are exact; of lost samples the gap is."""
     pyarrow = pytest.importorskip("pyarrow")
-    kept = np.delete(np.arange(COUNT), 100)
-    since = [timedelta(milliseconds=int(k)) for k in kept]
+    sample_numbers = np.delete(np.arange(COUNT), 100)
+    since = [timedelta(milliseconds=int(k)) for k in sample_numbers]
     stamps = since if kind.startswith("d") else [datetime(2024, 5, 6, 10) + step for step in since]
     unit = kind.partition("[")[2][:-1]
     typed = pyarrow.duration(unit) if kind.startswith("d") else pyarrow.timestamp(unit)
     table = pyarrow.table({"time": pyarrow.array(stamps, typed), "a": SAMPLES[:-1]})
     __import__("pyarrow.parquet").parquet.write_table(table, tmp_path / "a.parquet")
     if unit == "ms":  # a rounded clock of 997.5 Hz looks the same
-        refused("would hide lost samples", read_channels, tmp_path / "a.parquet")
+        refused(r" 0\.001 s .*sample_rate", read_channels, tmp_path / "a.parquet")
         return
     channel = read_channels(tmp_path / "a.parquet")["a"]
-    np.testing.assert_allclose(channel.time_s, kept * 1e-3, atol=1e-9)
-    assert str(channel.gap).startswith("0.002 s between samples 99 and 100")
+    np.testing.assert_allclose(channel.time_s, sample_numbers * 1e-3, atol=1e-9)
+    assert first_gap(channel) == (0.002, 99)
 
 
 @pytest.mark.parametrize(("time", "uniform"), [(TIME_S, True), (TIME_S[LOST], False), (JITTER, False)])
@@ -131,24 +140,24 @@ def test_stamps_of_single_precision_are_uniform_within_theirs(tmp_path, dtype):
 
 def test_digits_that_would_hide_lost_samples_need_a_rate(tmp_path):
     path, time = tmp_path / "a.csv", np.delete(np.arange(1000), np.arange(50, 1000, 100)) / 1000.0
-    refused("found steps of 0.001 s .* which would hide lost samples; give sample_rate", csv, path, time, ".3f")
-    assert str(csv(path, time, ".4f").gap).startswith("0.002 s between samples 49 and 50")
+    refused(r" 0\.001 s .*sample_rate", csv, path, time, ".3f")
+    assert first_gap(csv(path, time, ".4f")) == (0.002, 49)
     assert csv(path, np.arange(1000) / 1000.0, ".3f").sample_rate_hz == pytest.approx(1000.0, rel=1e-12)
     assert csv(path, np.arange(1000) / 10240.0, ".4f", rate=10240.0).sample_rate_hz == 10240.0
-    refused("expected sample_rate = 10240.*, found 10000", csv, path, np.arange(1000) / 10240.0, ".6f", rate=1e4)
+    refused("sample_rate.* 10240.* 10000", csv, path, np.arange(1000) / 10240.0, ".6f", rate=1e4)
 
 
 @pytest.mark.parametrize(
     ("time", "units", "attributes", "expected"),
     [
-        (np.arange(COUNT), None, {}, "expected a unit of the whole numbers"),
-        (np.arange(COUNT) / 10.0, None, {"fs": RATE_HZ}, "sample_rate = 10 Hz.*found 8000"),
-        (TIME_S, "mm", {}, "expected a unit of time .*, found 'mm'"),
-        (TIME_S[::-1], None, {}, "expected ascending times, found a step of -0.000125 s after sample 0"),
-        (np.where(TIME_S > 0.02, np.nan, TIME_S), None, {}, "expected times, found 239 that are none"),
+        (np.arange(COUNT), None, {}, "times in .*unit"),
+        (np.arange(COUNT) / 10.0, None, {"fs": RATE_HZ}, "sample_rate.* 10 Hz.* 8000"),
+        (TIME_S, "mm", {}, "times in .*'mm'"),
+        (TIME_S[::-1], None, {}, r"times in .*-0\.000125 s .* 0, 0"),
+        (np.where(TIME_S > 0.02, np.nan, TIME_S), None, {}, "times in .* 239 "),
     ],
 )
-def test_times_that_say_nothing_or_contradict_are_refused(tmp_path, time, units, attributes, expected):
+def test_undefined_or_contradictory_times_are_refused(tmp_path, time, units, attributes, expected):
     refused(expected, hdf5, tmp_path / "a.h5", time, units, **attributes)
 
 
@@ -187,23 +196,23 @@ def test_packed_numbers_are_unpacked(tmp_path, attributes, samples):
     [
         ((0.0, 0.1, 0.2), (0.01, 0.01, 0.01), None),
         ((5.0, 5.1049, 5.2), (0.01, 0.01, 0.01), None),  # within half an interval: one clock
-        ((0.0, 0.25, 0.35), (0.01, 0.01, 0.01), "0.16 s between samples 9 and 10"),
+        ((0.0, 0.25, 0.35), (0.01, 0.01, 0.01), (0.16, 9)),
         (
             (0.0, 0.1, 0.2),
             (0.01, 0.01, 0.0125),
-            "expected one sampling rate, found 100 Hz and, from sample 20 on, 80 Hz",
+            " 100 Hz .* 20 .* 80 Hz",
         ),
-        ((0.0, 0.05, 0.2), (0.01, 0.01, 0.01), "before the last one has ended"),
+        ((0.0, 0.05, 0.2), (0.01, 0.01, 0.01), r" 0\.1.* s .* 0\.05.* s"),
     ],
 )
 def test_segments_keep_their_starts(starts, steps, expected):
     segments = [Segment(start, 10, step) for start, step in zip(starts, steps, strict=True)]
-    if expected is not None and "samples 9" not in expected:
+    if isinstance(expected, str):
         refused(expected, times_of_segments, Path("a"), "channel", segments)
         return
     times = times_of_segments(Path("a"), "channel", segments)
     channel = RawChannel.from_times(times, np.zeros(30), "")
-    assert channel.gap is None if expected is None else str(channel.gap).startswith(expected)
+    assert first_gap(channel) == expected
     assert channel.start_s == starts[0]
 
 
@@ -219,12 +228,12 @@ def _dated(start: float | None, step: float = 0.01, **more: Any) -> dict[str, An
         ([_dated(100.0), {}], None),
         ([{}, _dated(100.0)], None),  # stated once the first values were written
         ([_dated(0.0), _dated(100.0)], None),  # 1904: not set
-        ([_dated(100.0), _dated(103.0)], "2.51 s between samples 49 and 50"),
-        ([_dated(100.0), _dated(100.0, wf_start_offset=3.0)], "2.51 s between samples 49 and 50"),
-        ([_dated(100.0), _dated(100.5, 0.02)], "found 100 Hz and, from sample 50 on, 50 Hz"),
-        ([_dated(None), _dated(None, 0.02)], "found 100 Hz and, from sample 50 on, 50 Hz"),
-        ([_dated(100.0), _dated(100.2)], "before the last one has ended"),
-        ([_dated(100.0), None, _dated(101.0)], "found it changed after the last one"),
+        ([_dated(100.0), _dated(103.0)], (2.51, 49)),
+        ([_dated(100.0), _dated(100.0, wf_start_offset=3.0)], (2.51, 49)),
+        ([_dated(100.0), _dated(100.5, 0.02)], " 100 Hz .* 50 .* 50 Hz"),
+        ([_dated(None), _dated(None, 0.02)], " 100 Hz .* 50 .* 50 Hz"),
+        ([_dated(100.0), _dated(100.2)], r" 0\.5.* s .* 0\.2.* s"),
+        ([_dated(100.0), None, _dated(101.0)], "g/a.* changed "),
     ],
 )
 def test_properties_of_each_write(tmp_path, writes, expected):
@@ -238,10 +247,10 @@ def test_properties_of_each_write(tmp_path, writes, expected):
         flags = tdms.METADATA | tdms.NEW_LIST | (tdms.RAW if values else 0)
         content += tdms.segment([tdms.entry("/'g'/'a'", index, properties)], bytes(400) if values else b"", flags)
     (tmp_path / "a.tdms").write_bytes(content)
-    if expected is None or " between " in expected:
+    if not isinstance(expected, str):
         channel = read_channels(tmp_path / "a.tdms")["g/a"]
         assert channel.sample_rate_hz == pytest.approx(100.0)
-        assert channel.gap is None if expected is None else str(channel.gap).startswith(expected)
+        assert first_gap(channel) == expected
     else:
         refused(expected, read_channels, tmp_path / "a.tdms")
 
@@ -278,7 +287,7 @@ def lvm(path: Path, delta: str, x: str = "No", units: str = "V\tN\tg", samples: 
         ("Multi", "V", ["V", "", ""]),
     ],
 )
-def test_units_of_a_labview_file_stand_over_their_channels(tmp_path, x, units, expected):
+def test_units_of_a_labview_file_are_above_their_channels(tmp_path, x, units, expected):
     found = read_channels(lvm(tmp_path / "a.lvm", "9.765625E-5", x, units))
     assert [channel.unit for channel in found.values()] == expected
 
@@ -287,17 +296,17 @@ def test_units_of_a_labview_file_stand_over_their_channels(tmp_path, x, units, e
     ("delta", "x", "digits", "given", "expected"),
     [
         ("9.765625E-5", "No", 9, None, 10240.0),
-        ("0.000098", "No", 9, None, "expected more digits than 0.000098 or an X column; give sample_rate"),
-        ("0.0001", "No", 9, None, "expected more digits than 0.0001"),
+        ("0.000098", "No", 9, None, r"Delta_X: .* 0\.000098 .*sample_rate"),
+        ("0.0001", "No", 9, None, r"Delta_X: .* 0\.0001 "),
         ("0.000100", "No", 9, None, 10000.0),  # a rate that people set, and no other within a half of the last digit
         ("0.000098", "No", 9, 10240.0, 10240.0),
         ("0.0001", "No", 9, 10240.0, 10240.0),
-        ("0.000098", "No", 9, 8000.0, "expected sample_rate = 10204.*, found 8000"),
+        ("0.000098", "No", 9, 8000.0, "sample_rate.* 10204.* 8000"),
         ("0.000098", "One", 9, None, 10240.0),  # the column has more digits
         ("0.000098", "Multi", 7, None, 10240.0),
         ("9.765625E-5", "One", 6, None, 10240.0),
         ("9.765625E-5", "One", 6, 10240.0, 10240.0),
-        ("9.765625E-5", "One", 6, 10000.0, "found 10000"),
+        ("9.765625E-5", "One", 6, 10000.0, " 10000 "),
     ],
 )
 def test_intervals_of_few_digits(tmp_path, delta, x, digits, given, expected):
@@ -310,7 +319,7 @@ def test_intervals_of_few_digits(tmp_path, delta, x, digits, given, expected):
 
 def test_rows_that_no_header_dates(tmp_path):
     refused(
-        "expected 60 samples as the header says, found 100",
+        " 60 .* 100;",
         read_channels,
         lvm(tmp_path / "a.lvm", "9.765625E-5", samples=60),
     )

@@ -23,8 +23,15 @@ from sensitivity_factory import (
 )
 
 from shaker.arrays import ComplexArray
+from shaker.identification.identification_notices import OUTPUT_LEADS, STATED_ERROR_TOO_SMALL
 from shaker.identification.measured_curves import CurveError, MeasuredSensitivity
-from shaker.identification.sensitivity import SpringPrior, fit_chain, fit_sensitivity
+from shaker.identification.sensitivity import (
+    CHAIN_WORDS,
+    WORDS_WITHOUT_RESONANCE,
+    SpringPrior,
+    fit_chain,
+    fit_sensitivity,
+)
 from shaker.identification.sensor import CHAIN_PARAMETERS, ChainKind, ChainModel
 
 TIME, OMEGA = DAMPING / STIFFNESS, 2.0 * np.pi * FREQUENCY
@@ -60,11 +67,11 @@ def test_a_late_clock_turns_a_sensitivity_and_does_not_enlarge_it():
 
 
 @pytest.mark.parametrize("kind", CHAIN_PARAMETERS)
-def test_every_shape_is_found_again(kind):
+def test_every_shape_is_recovered(kind):
     value = STATIC / (1.0 + 1j * OMEGA * TIME) * chains()[kind]
     spring = SpringPrior(STIFFNESS, 5e-4 * STIFFNESS, DAMPING, 0.02 * DAMPING)
     fit, corner = fit_chain(clean(value), kind, spring), 2.0 * np.pi * 4000.0
-    wanted: dict[ChainKind, list[float]] = {
+    expected: dict[ChainKind, list[float]] = {
         "none": [],
         "delay": [40e-6],
         "lag": [LAG],
@@ -74,7 +81,7 @@ def test_every_shape_is_found_again(kind):
     }
     assert fit.chi_squared < 1e-6
     assert (fit.sensitivity, fit.spring_time_s) == (pytest.approx(STATIC, rel=1e-6), pytest.approx(TIME, rel=1e-5))
-    assert fit.chain.parameters == pytest.approx(wanted[kind], rel=1e-4)
+    assert fit.chain.parameters == pytest.approx(expected[kind], rel=1e-4)
     assert np.allclose(fit.model(FREQUENCY), value, rtol=1e-6)
     named = {estimate.name: estimate.value for estimate in fit.estimates}
     has_corner = kind in {"butterworth", "second_order"}
@@ -107,9 +114,8 @@ def test_lag_and_spring_are_recovered_and_the_damping_contradicted():
     assert found.damping.contradicts
     assert found.damping.deviation > 20.0
     assert found.damping.needed_s / found.damping.resonance_s == pytest.approx(31.0, abs=2.0)
-    assert "contradict each other (normalised deviation" in found.damping.text
-    assert found.text.startswith("The data support a first-order lag of (")
-    assert found.text.endswith("they refute the sensor's damper alone, a delay and a Butterworth low-pass.")
+    assert f"{found.damping.deviation:.1f}" in found.damping.text
+    assert all(CHAIN_WORDS[kind] in found.text for kind in ("lag", "none", "delay", "butterworth"))
     assert found.weight.sum() == pytest.approx(1.0)
     assert found.notices == ()
 
@@ -168,19 +174,18 @@ def test_false_contradictions_are_as_rare_as_stated():
 def test_without_a_resonance_the_lag_is_nobodys():
     found = fit_sensitivity(measured(lag(FREQUENCY), np.random.default_rng(3)))
     assert (found.damping, found.best.chain.kind) == (None, "lag")
-    assert "in the chain or the sensor's damper" in found.text
-    assert "a constant sensitivity" in found.text
+    assert WORDS_WITHOUT_RESONANCE["none"] in found.text
     free = fit_chain(measured(lag(FREQUENCY), np.random.default_rng(3)), "none", None, spring_free=True)
     assert free.chi_squared == pytest.approx(found["lag"].chi_squared, rel=1e-9)
     assert free.spring_time_s == pytest.approx(found["lag"].chain.lag_s, rel=1e-6)
 
 
-def test_what_is_none_of_them_is_said():
+def test_data_of_no_explanation_support_none():
     rocking = 1.0 + 0.05 / (1.0 - (FREQUENCY / 400.0) ** 2 + 0.05j * FREQUENCY / 400.0)
     found = fit_sensitivity(measured(rocking, np.random.default_rng(2)), resonance())
     assert "supported" not in found.verdict
-    assert found.text.startswith("The data support none of these explanations: even a ")
-    assert "a cause is missing" in found.text
+    best = min(found.fits, key=lambda fit: fit.chi_squared / fit.dof)
+    assert f"{best.chi_squared / best.dof:.1f}" in found.text
     assert found.best is found.fits[int(np.argmax(found.weight))]
 
 
@@ -209,11 +214,12 @@ def test_static_calibration_and_masses_share_what_is_common():
 
 def test_doubts_are_named():
     late = fit_sensitivity(clean(STATIC * np.exp(1j * OMEGA * 20e-6), 1e-3), None)
-    assert any("the output leads by (20.00 ± " in notice.text for notice in late.notices)
+    (notice,) = (notice for notice in late.notices if notice.code == OUTPUT_LEADS.code)
+    assert notice.values["lead_us"] == pytest.approx(20.0, abs=5e-3)
     one = replace(measured(lag(FREQUENCY)), value=measured(lag(FREQUENCY)).value * 1.02)
     (notice,) = fit_sensitivity(one, resonance()).notices
     assert notice.severity == "warning"
-    assert "masses is found" in notice.text
+    assert (notice.code, notice.values["cause"]) == (STATED_ERROR_TOO_SMALL.code, "masses")
 
 
 @settings(max_examples=15, deadline=None)
@@ -234,7 +240,7 @@ def test_readings_of_any_kind_get_an_answer(seed, noise, delay, lines, span):
     found = fit_sensitivity(MeasuredSensitivity("S1", "fz", at, wild, covariance, "(V/V)/N"), resonance())
     assert np.isfinite(found.weight).all()
     assert all(np.isfinite(fit.covariance).all() for fit in found.fits)
-    assert found.text.startswith("The data support ")
+    assert found.text
     assert found.best.converged or found.notices
 
 
@@ -251,9 +257,9 @@ def test_wrong_calls_are_refused():
     good = measured(lag(FREQUENCY))
     three = {"frequency_hz": FREQUENCY[:3], "value": good.value[:3], "covariance": good.covariance[:3], "errors": ()}
     for change, words in (
-        (three, "frequency_hz: expected at least 4 lines, found 3"),
-        ({"u_static": 0.0}, "u_static: expected a value above 0"),
-        ({"covariance": 0.0 * good.covariance}, "covariance: expected positive definite"),
+        (three, "^frequency_hz: .* 4 .* 3$"),
+        ({"u_static": 0.0}, "^u_static: "),
+        ({"covariance": 0.0 * good.covariance}, "^covariance: "),
     ):
         refused(words, fit_chain, replace(good, **change), "lag", None)
     refused("parameters", ChainModel, "lag", np.array([1.0, 2.0]))

@@ -13,6 +13,7 @@ from scipy.stats import f as f_distribution
 from shaker.sine.noise import neighbour_bins
 from shaker.sine.normal_equations import LONG, Demodulator, SineSums, UniformTimes, timeline
 from shaker.sine.sine_fit import fit_sines
+from shaker.sine.sine_fit_notices import MISSING_SAMPLES, SPIKES_REJECTED
 from shaker.sine.solve import SineModel
 
 CAMERA_HZ, RATE_HZ = 52.874, 51_200.0
@@ -64,7 +65,7 @@ def test_drift_is_separated_from_the_lines_and_missing_samples_are_dropped_and_c
     residual = fit.residual_of(time, values)
     assert np.isnan(residual[7]).all()
     assert np.isfinite(np.delete(residual, 7, axis=0)).all()
-    assert fit.notices[0].text == "1 of 211 samples are missing"
+    assert (fit.notices[0].code, fit.notices[0].values) == (MISSING_SAMPLES.code, {"missing": 1, "samples": 211})
 
 
 @settings(max_examples=25, deadline=None)
@@ -109,9 +110,9 @@ def test_variance_reaches_the_bound_and_regions_cover(rate, samples, lines):
         delta = phasors.value - value
         error.append(delta / sigma)
         for c in range(2):
-            own = phasors.covariance[:, [[c], [c + 2]], [c, c + 2]]
+            covariance = phasors.covariance[:, [[c], [c + 2]], [c, c + 2]]
             d = np.stack([delta[:, c].real, delta[:, c].imag], axis=1)
-            covered += zip(np.einsum("ki,kij,kj->k", d, np.linalg.inv(own), d) / 2.0, phasors.dof, strict=True)
+            covered += zip(np.einsum("ki,kij,kj->k", d, np.linalg.inv(covariance), d) / 2.0, phasors.dof, strict=True)
     quotient, dof = np.array(covered).T
     e = np.array(error)
     # The bound for one quadrature of a sine of known frequency in white noise: 2 σ²/N.
@@ -139,13 +140,12 @@ def test_stated_covariance_crosses_channels():
 
 def test_folded_lines_are_refused_with_the_remedy():
     time = np.arange(300) / 200.0
-    refused(r"frequency_hz: .*drop those that usable_lines names", _fit, time, np.ones((300, 1)), np.array([100.0]))
-    refused("time_s: expected more than 3 complete samples, found 3", _fit, time[:3], np.ones((3, 1)), np.array([30.0]))
-    refused("unit: expected 1 units", fit_sines, time, np.ones((300, 1)), np.array([30.0]), ["a"], [])
+    refused("^frequency_hz: .*usable_lines", _fit, time, np.ones((300, 1)), np.array([100.0]))
+    refused(r"^time_s: .* 3 .* 3$", _fit, time[:3], np.ones((3, 1)), np.array([30.0]))
+    refused("^unit: .*1", fit_sines, time, np.ones((300, 1)), np.array([30.0]), ["a"], [])
     two, one = SineModel(free=(0, 1)), np.array([80.0])
-    refused("free: expected 1 labels, one per line, found 2", _fit, time, np.ones((300, 1)), one, two)
-    untold = "frequency_hz: expected lines whose frequencies and decays the record tells"
-    refused(untold, _fit, time, np.zeros((300, 1)), one, FREE)
+    refused("^free: .*1 .*2$", _fit, time, np.ones((300, 1)), one, two)
+    refused("^frequency_hz: ", _fit, time, np.zeros((300, 1)), one, FREE)
 
 
 def ieee_1057(time: np.ndarray, y: np.ndarray, frequency: float, steps: int = 12) -> tuple[float, complex]:
@@ -224,12 +224,12 @@ def test_frequency_bound_in_closed_form():
     samples, rate, sigma = 20_000, 5000.0, 0.3
     time = (np.arange(samples) - (samples - 1) / 2) / rate
     y = 2.0 * np.cos(2 * np.pi * 106.25 * time) + sigma * np.random.default_rng(2).normal(size=samples)
-    known = _fit(time, y[:, None], np.array([106.25]), SineModel())
+    fixed = _fit(time, y[:, None], np.array([106.25]), SineModel())
     free = _fit(time, y[:, None], np.array([106.25]), FREE)
     # Time zero is the middle here: not knowing the frequency costs nothing.
-    np.testing.assert_allclose(free.phasors.covariance, known.phasors.covariance, rtol=0.01, atol=1e-9)
+    np.testing.assert_allclose(free.phasors.covariance, fixed.phasors.covariance, rtol=0.01, atol=1e-9)
     expected = np.sqrt(6.0 / (np.pi**2 * 4.0 * samples)) * rate / samples
-    noise = np.sqrt(known.phasors.covariance[0, 0, 0] * samples / 2.0)
+    noise = np.sqrt(fixed.phasors.covariance[0, 0, 0] * samples / 2.0)
     assert free.u_frequency_hz[0] == pytest.approx(expected * noise, rel=1e-2)
 
 
@@ -247,7 +247,7 @@ def test_agrees_with_curve_fit():
     assert (fit.decay_per_s[0], fit.offset[0]) == (pytest.approx(found[3], rel=1e-6), pytest.approx(found[4], abs=1e-8))
 
 
-def test_known_lines_stay_and_lines_of_a_label_move_together():
+def test_fixed_lines_stay_and_lines_of_a_label_move_together():
     time, true = np.arange(2000) / 1000.0, np.array([50.0, 100.1, 200.2])
     data = _series(time, true, np.ones((3, 1), dtype=complex))
     fit = _fit(time, data, np.array([50.0, 100.0, 200.0]), SineModel(free=(-1, 4, 4)))
@@ -295,8 +295,8 @@ def test_time_shift_scale_and_clock(shift, scale, clock, seed):
     frequency, decay = plain.phasors.frequency_hz, plain.decay_per_s
     np.testing.assert_allclose(moved.phasors.frequency_hz * clock, frequency, rtol=1e-7)
     np.testing.assert_allclose(moved.decay_per_s * clock, decay, atol=1e-4)
-    turned = scale * plain.phasors.value[:, ::-1] * np.exp((decay - 2j * np.pi * frequency) * shift)[:, None]
-    np.testing.assert_allclose(moved.phasors.value, turned, rtol=1e-3)
+    shifted = scale * plain.phasors.value[:, ::-1] * np.exp((decay - 2j * np.pi * frequency) * shift)[:, None]
+    np.testing.assert_allclose(moved.phasors.value, shifted, rtol=1e-3)
     np.testing.assert_allclose(moved.u_frequency_hz * clock, plain.u_frequency_hz, rtol=1e-3)
 
 
@@ -326,22 +326,22 @@ def test_long_record_keeps_twelve_digits():
     np.testing.assert_allclose(free.phasors.value[:, 0], value, rtol=1e-10)
 
 
-def test_blocks_give_what_a_design_matrix_gives():
+def test_blocks_agree_with_a_design_matrix():
     time, data = _record(LONG + 1234, 2, 1)
     data[777, 0] = np.nan
-    fit, kept = _fit(time, data, LINES_HZ, DRIFT), np.isfinite(data).all(axis=1)
+    fit, complete = _fit(time, data, LINES_HZ, DRIFT), np.isfinite(data).all(axis=1)
     columns = _design(time, LINES_HZ, time - fit.middle_s)
-    found = np.linalg.lstsq(columns[kept], data[kept], rcond=None)[0]
+    found = np.linalg.lstsq(columns[complete], data[complete], rcond=None)[0]
     np.testing.assert_allclose(fit.phasors.value, found[:3] - 1j * found[3:6], rtol=1e-9)
     np.testing.assert_allclose(fit.offset, found[6], atol=1e-10)
     np.testing.assert_allclose(fit.drift_per_s, found[7], atol=1e-9)
-    residual = data[kept] - columns[kept] @ found
+    residual = data[complete] - columns[complete] @ found
     np.testing.assert_allclose(fit.residual_rms, np.sqrt(np.mean(residual**2, axis=0)), rtol=1e-10)
-    np.testing.assert_allclose(fit.residual_of(time, data)[kept], residual, atol=1e-9)
-    assert fit.notices[0].text == f"1 of {len(time)} samples are missing"
+    np.testing.assert_allclose(fit.residual_of(time, data)[complete], residual, atol=1e-9)
+    assert fit.notices[0].values == {"missing": 1, "samples": len(time)}
 
 
-def test_long_and_short_ways_agree_and_many_channels_are_as_certain_as_they_should_be():
+def test_long_and_short_records_agree_and_many_channels_have_correct_uncertainty():
     twelve = np.random.default_rng(12).normal(size=(200_000, 12))
     fit = _fit(np.arange(200_000) / RATE_HZ, twelve, 106.25 * np.arange(1, 7))
     np.testing.assert_allclose(fit.phasors.u_re, np.sqrt(2.0 / 200_000), rtol=0.5)
@@ -353,7 +353,7 @@ def test_long_and_short_ways_agree_and_many_channels_are_as_certain_as_they_shou
     np.testing.assert_allclose(gapped.phasors.u_re, whole.phasors.u_re, rtol=0.02)
 
 
-def test_ordinates_of_blocks_are_those_of_the_transform_even_beside_mains():
+def test_ordinates_of_blocks_are_those_of_the_transform_even_near_mains():
     samples = 2 * LONG + 77
     data = np.random.default_rng(3).normal(size=(samples, 2))
     data[:, 0] += 1e4 * np.cos(2.0 * np.pi * 50.0123 * np.arange(samples) / RATE_HZ)
@@ -394,9 +394,9 @@ def test_weights_make_the_best_of_samples_of_unequal_noise(each):
         exact = np.linalg.inv(weighted.T @ weighted)
         stated = np.sqrt(fit.phasors.covariance[:, c, c] / exact.diagonal()[:2])
         np.testing.assert_allclose(stated, 1.0, atol=0.5)
-    with pytest.raises(ValueError, match=r"variance: expected an array of shape \(240,\) or \(240, 2\)"):
+    with pytest.raises(ValueError, match=r"^variance: .*\(240,\).*\(240, 2\)"):
         _fit(time, data, frequency, variance=np.ones(3))
-    refused("variance: expected positive numbers", _fit, time, data, frequency, variance=np.zeros(240))
+    refused("^variance: ", _fit, time, data, frequency, variance=np.zeros(240))
 
 
 @settings(max_examples=15, deadline=None)
@@ -411,9 +411,9 @@ def test_two_records_joined_are_their_weighted_mean(cut, ratio, seed):
     for part in (slice(0, cut), slice(cut, 260)):
         columns = _design(time[part], frequency) * np.array([1.0, -1.0, 1.0])
         alone = _fit(time[part], data[part], frequency)
-        own = np.array([alone.phasors.value[0, 0].real, alone.phasors.value[0, 0].imag, alone.offset[0]])
+        solution = np.array([alone.phasors.value[0, 0].real, alone.phasors.value[0, 0].imag, alone.offset[0]])
         information = columns.T @ columns / variance[part][0]
-        total, right = total + information, right + information @ own
+        total, right = total + information, right + information @ solution
     expected = np.linalg.solve(total, right)
     assert joint.phasors.value[0, 0] == pytest.approx(expected[0] + 1j * expected[1], abs=1e-9)
 
@@ -447,8 +447,10 @@ def test_spikes_are_left_out_and_named_in_long_records_too():
     np.testing.assert_allclose(fit.phasors.value, expected.phasors.value, atol=1e-12)
     np.testing.assert_allclose(fit.phasors.covariance, expected.phasors.covariance, rtol=1e-4, atol=1e-12)
     assert fit.notices[0].severity == "warning"
-    assert fit.notices[0].text.startswith("4 of 400 samples stand out of the noise by more than 4.")
-    assert fit.notices[0].text.endswith("left out, the first at 0.003 s")
+    assert fit.notices[0].code == SPIKES_REJECTED.code
+    assert (fit.notices[0].values["spikes"], fit.notices[0].values["samples"]) == (4, 400)
+    assert 4.0 < fit.notices[0].values["limit_sigmas"] < 5.0
+    assert fit.notices[0].values["first_s"] == pytest.approx(0.003)
     time, data = _record(LONG + 999, 1, 7)
     rows = np.arange(5, len(time), 997)
     data[rows] += 50.0
@@ -456,7 +458,7 @@ def test_spikes_are_left_out_and_named_in_long_records_too():
     assert (fit.spikes.tolist(), fit.residual_rms[0]) == (rows.tolist(), pytest.approx(0.1, rel=0.01))
 
 
-def test_what_is_no_spike_stays():
+def test_samples_without_spikes_are_used():
     time, frequency, robust = np.arange(600) / 1000.0, np.array([80.0]), SineModel(robust=True)
     exact = np.cos(2 * np.pi * 80.0 * time)[:, None] * np.array([1.0, 0.0])
     assert len(_fit(time, exact, frequency, robust).spikes) == 0
@@ -505,12 +507,12 @@ def test_sums_of_some_samples_at_a_time_give_the_least_squares_of_all(length):
     found, phasors, u = sums.solve(3)
     design = np.column_stack([np.cos(angle), -np.sin(angle), np.ones(200)])
     for series in range(3):
-        known = np.isfinite(values[:, series]).all(axis=1)
-        expected, squares, *_ = np.linalg.lstsq(design[known], values[known, series], rcond=None)
+        complete = np.isfinite(values[:, series]).all(axis=1)
+        expected, squares, *_ = np.linalg.lstsq(design[complete], values[complete, series], rcond=None)
         np.testing.assert_allclose(found[series], expected[4], rtol=1e-13)
         np.testing.assert_allclose(phasors[:, series], expected[:2] + 1j * expected[2:4], rtol=1e-10)
-        spread = np.diag(np.linalg.inv(design[known].T @ design[known]))
-        mean = np.sqrt((spread[:2] + spread[2:4])[:, None] / 2.0 * squares / (known.sum() - 5))
+        spread = np.diag(np.linalg.inv(design[complete].T @ design[complete]))
+        mean = np.sqrt((spread[:2] + spread[2:4])[:, None] / 2.0 * squares / (complete.sum() - 5))
         np.testing.assert_allclose(u[:, series], mean, rtol=1e-6)
         assert np.all(np.abs(phasors[:, series] - amplitude[:, series]) < 5.0 * u[:, series])
     assert np.isnan(phasors[:, 3:]).all()

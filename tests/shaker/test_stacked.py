@@ -18,24 +18,26 @@ RATE_HZ = 8000.0
 
 
 @given(st.integers(1, 50), st.integers(1, 4), st.data())
-def test_rows_channels_and_what_is_kept_are_those_of_the_array(samples, channels, data):
+def test_rows_channels_and_selections_are_those_of_the_array(samples, channels, data):
     rng = np.random.default_rng(samples)
     columns, factors = rng.normal(size=(channels, samples)), rng.normal(size=channels)
     array = (columns * factors[:, None]).T
     stacked = Stacked(tuple(columns), tuple(factors))
     mask = np.array(data.draw(st.lists(st.booleans(), min_size=samples, max_size=samples)))
     rows = slice(*sorted(data.draw(st.tuples(st.integers(0, samples), st.integers(0, samples)))))
-    for own, expected in (
+    for selection, expected in (
         (stacked, array),
         (stacked.select_rows(mask), array[mask]),
         (stacked.select_rows(None), array),
     ):
-        assert own.shape == expected.shape
-        np.testing.assert_array_equal(own[rows], expected[rows])
-        np.testing.assert_array_equal(np.concatenate([np.empty((0, channels)), *own.iterate_row_blocks()]), expected)
-        np.testing.assert_array_equal(np.array(list(own.iterate_channels())), expected.T)
-    again = stacked.select_rows(mask).select_rows(mask[mask])
-    np.testing.assert_array_equal(again[:], array[mask])
+        assert selection.shape == expected.shape
+        np.testing.assert_array_equal(selection[rows], expected[rows])
+        np.testing.assert_array_equal(
+            np.concatenate([np.empty((0, channels)), *selection.iterate_row_blocks()]), expected
+        )
+        np.testing.assert_array_equal(np.array(list(selection.iterate_channels())), expected.T)
+    twice = stacked.select_rows(mask).select_rows(mask[mask])
+    np.testing.assert_array_equal(twice[:], array[mask])
     np.testing.assert_array_equal(stacked.select([channels - 1])[:], array[:, -1:])
 
 
@@ -68,7 +70,7 @@ def test_lines_and_fits_of_many_channels_need_the_memory_of_few():
     assert peaks[1] - peaks[0] < 5 * 12 * ((1 << 19) - (1 << 17))
 
 
-def test_what_is_found_in_channels_side_by_side_is_what_is_found_in_an_array():
+def test_stacked_channels_give_the_results_of_an_array():
     time_s, values = driven(1 << 16)
     lines, fit, steady = all_of(time_s, values)
     same_lines, same_fit, same_steady = all_of(time_s, values[:])

@@ -41,7 +41,7 @@ def test_gravity_falls_with_height_as_outside_a_sphere():
     ground, low, high = (normal_gravity(np.radians(50.0), height) for height in (0.0, 1000.0, 8000.0))
     assert (low - ground) / 1000.0 == pytest.approx(-3.086e-6, rel=1e-3)
     assert high == pytest.approx(ground / (1.0 + 8000.0 / 6_356_800.0) ** 2, rel=2e-5)
-    refused("latitude_rad: expected an angle", normal_gravity, 52.3, 0.0)
+    refused("^latitude_rad: ", normal_gravity, 52.3, 0.0)
 
 
 @pytest.mark.parametrize(
@@ -49,10 +49,10 @@ def test_gravity_falls_with_height_as_outside_a_sphere():
     [(51.03361, 114.0, 9.811193), (52.29, 80.0, 9.812524), (48.15, 515.0, 9.80723), (46.95, 540.0, 9.80588)],
 )
 def test_measured_gravity_lies_within_u(latitude_deg, height_m, measured):
-    known = gravity_at(np.radians(latitude_deg), height_m)
-    assert abs(known.value - measured) < 2.0 * known.u
-    assert known.u == pytest.approx(0.5e-4 * known.value)
-    assert "GRS 80" in known.source
+    local = gravity_at(np.radians(latitude_deg), height_m)
+    assert abs(local.value - measured) < 2.0 * local.u
+    assert local.u == pytest.approx(0.5e-4 * local.value)
+    assert "GRS 80" in local.source
 
 
 @pytest.mark.parametrize("pressure_pa", [95e3, 101.325e3, 105e3])
@@ -68,16 +68,16 @@ def test_air_is_that_of_the_shorter_formula_of_oiml(pressure_pa, temperature_c, 
 def test_dry_air_is_nearly_an_ideal_gas_and_the_standard_atmosphere_that_of_iso_2533():
     ideal = 101_325.0 * 28.96546e-3 / (8.314472 * 293.15)
     assert moist_air_density(101_325.0, 20.0, 0.0) == pytest.approx(ideal / 0.99963, rel=5e-5)  # Z at 20 °C, 1 atm
-    refused("humidity: expected a number from 0 to 1, found 50", moist_air_density, 101_325.0, 20.0, 50.0)
+    refused("^humidity: .*50", moist_air_density, 101_325.0, 20.0, 50.0)
     assert standard_pressure(0.0) == 101_325.0
     assert [standard_pressure(h) for h in (1000.0, 5000.0)] == pytest.approx([89_874.6, 54_019.9], rel=2e-5)
 
 
 def test_u_of_air_is_that_of_drawn_conditions_and_smaller_where_more_is_measured():
-    everything, height, nothing = (
-        air_density_at(*known) for known in ((500.0, 95_500.0, 21.0, 0.4), (500.0, *[None] * 3), [None] * 4)
+    everything, height, unstated = (
+        air_density_at(*local) for local in ((500.0, 95_500.0, 21.0, 0.4), (500.0, *[None] * 3), [None] * 4)
     )
-    assert nothing.u > height.u > everything.u > 22e-6 * everything.value
+    assert unstated.u > height.u > everything.u > 22e-6 * everything.value
     assert everything.source == "CIPM-2007 from pressure, temperature, humidity"
     assert height.source == "CIPM-2007 from height"
     spread = np.array([100.0, 0.5, 0.05]) * np.random.default_rng(5).standard_normal((3000, 3))
@@ -86,7 +86,7 @@ def test_u_of_air_is_that_of_drawn_conditions_and_smaller_where_more_is_measured
 
 
 STEPS = np.arange(16) * np.pi / 8.0
-BOTH_WAYS = np.concatenate([STEPS, [2.0 * np.pi, 2.0 * np.pi], STEPS[::-1]])
+BOTH_SENSES = np.concatenate([STEPS, [2.0 * np.pi, 2.0 * np.pi], STEPS[::-1]])
 CHANNELS = ("Fx", "Fy")
 
 
@@ -124,8 +124,8 @@ def test_amplitudes_scatter_as_their_covariance():
     np.testing.assert_allclose(covariance / scale, seen / scale, atol=0.15)
 
 
-@pytest.mark.parametrize("angle", [STEPS, BOTH_WAYS], ids=["one way", "both ways"])
-def test_what_is_not_there_seldom_enters(angle):
+@pytest.mark.parametrize("angle", [STEPS, BOTH_SENSES], ids=["one sense", "both senses"])
+def test_false_terms_are_rare(angle):
     rng = np.random.default_rng(3)
     plain = sum(len(fit_angles(CHANNELS, angle, _readings(angle, rng)).terms) == 3 for _ in range(300))
     assert plain >= 294  # some nine tests of one in a thousand each
@@ -141,20 +141,20 @@ def test_a_harmonic_enters_where_one_channel_shows_it(order):
 
 
 def test_drift_and_hysteresis_enter_and_leave_the_sine_alone():
-    drift, sense = np.linspace(-1.0, 1.0, len(BOTH_WAYS))[:, None], turning_sense(BOTH_WAYS)[:, None]
-    fit = fit_angles(CHANNELS, BOTH_WAYS, _readings(BOTH_WAYS, np.random.default_rng(4)) + 0.02 * drift)
+    drift, sense = np.linspace(-1.0, 1.0, len(BOTH_SENSES))[:, None], turning_sense(BOTH_SENSES)[:, None]
+    fit = fit_angles(CHANNELS, BOTH_SENSES, _readings(BOTH_SENSES, np.random.default_rng(4)) + 0.02 * drift)
     assert fit.terms[3:] == ("drift",)
     np.testing.assert_allclose(fit.coefficient[3], 0.02, atol=2e-3)
     np.testing.assert_allclose(np.abs(fit.amplitude()), [7.558, 7.532], atol=2e-3)
-    values = _readings(BOTH_WAYS, np.random.default_rng(5)) + 0.01 * sense * np.array([1.0, -1.0])
-    fit = fit_angles(CHANNELS, BOTH_WAYS, values)
+    values = _readings(BOTH_SENSES, np.random.default_rng(5)) + 0.01 * sense * np.array([1.0, -1.0])
+    fit = fit_angles(CHANNELS, BOTH_SENSES, values)
     assert fit.terms[3:] == ("sense", "sense cos 1", "sense sin 1")
     reversal = fit.reversal()
     assert len(reversal.angle_rad) == 16
     np.testing.assert_allclose(reversal.difference.mean(axis=0), [0.02, -0.02], atol=2e-3)
 
 
-def test_the_sense_of_turning_goes_the_shorter_way():
+def test_the_sense_of_rotation_is_that_of_the_shorter_path():
     degrees = np.radians([315.0, 337.5, 0.0, 22.5, 22.5, 0.0, 337.5])
     assert turning_sense(degrees).tolist() == [1, 1, 1, 1, 1, -1, -1]
     assert turning_sense(np.zeros(3)).tolist() == [0, 0, 0]
@@ -172,7 +172,7 @@ def test_coarse_readings_are_as_uncertain_as_their_last_digit_and_those_without_
     fit = fit_angles(CHANNELS, STEPS, values)
     assert fit.orders == (1, 2)
     np.testing.assert_allclose(fit.amplitude(), [1.0, -1.0j], atol=1e-12)
-    refused("order: expected one of", fit.amplitude, 4)
+    refused("^order: ", fit.amplitude, 4)
     assert abs(fit_angles(("a",), STEPS, 4e-318 * np.sin(STEPS)[:, None]).amplitude()[0]) < 1e-317
 
 
@@ -188,19 +188,17 @@ def test_angles_in_any_order_give_one_answer(angles, size, turn):
     design = np.stack([np.ones(len(angle)), np.cos(angle), np.sin(angle)], axis=1)
     assume(np.linalg.cond(design) < 29.0)
     fit = fit_angles(("F",), angle, values)
-    again = fit_angles(("F",), angle[::-1] + 2.0 * np.pi, values[::-1])
-    for found in (fit, again):
+    reversed_fit = fit_angles(("F",), angle[::-1] + 2.0 * np.pi, values[::-1])
+    for found in (fit, reversed_fit):
         assert found.amplitude()[0] == pytest.approx(size * np.exp(1j * turn), rel=1e-6)
 
 
-def test_readings_that_tell_no_sine_are_refused():
-    few = "at least four angles spread over most of a turn, found 5 readings at 1 a"
-    refused(few, fit_angles, ("F",), np.zeros(5), np.zeros((5, 1)))
-    refused("found 3 readings", fit_angles, ("F",), np.arange(3.0), np.zeros((3, 1)))
-    refused("spread over most of a turn", fit_angles, ("F",), np.linspace(0.0, 0.5, 20), np.zeros((20, 1)))
-    wrong = r"reading: expected an array of shape \(6, 1\)"
-    refused(wrong, fit_angles, ("F",), np.arange(6.0), np.zeros((5, 1)))
-    refused("finite", fit_angles, ("F",), np.arange(6.0), np.full((6, 1), np.nan))
+def test_readings_that_determine_no_sine_are_refused():
+    refused("^angle_rad: .* 5 .* 1 ", fit_angles, ("F",), np.zeros(5), np.zeros((5, 1)))
+    refused("^angle_rad: .* 3 ", fit_angles, ("F",), np.arange(3.0), np.zeros((3, 1)))
+    refused("^angle_rad: .* 20 ", fit_angles, ("F",), np.linspace(0.0, 0.5, 20), np.zeros((20, 1)))
+    refused(r"^reading: .*\(6, 1\)", fit_angles, ("F",), np.arange(6.0), np.zeros((5, 1)))
+    refused("^reading: ", fit_angles, ("F",), np.arange(6.0), np.full((6, 1), np.nan))
 
 
 X, Y, Z = np.eye(3)
@@ -219,7 +217,7 @@ def _outputs(matrix: np.ndarray = SENSITIVITY, relative: float = 0.0, sense: Lit
     return SensorOutputs(matrix, relative * matrix, sense)
 
 
-def _turned(
+def _rotation_record(
     loads: np.ndarray, matrix: np.ndarray = SENSITIVITY, axis: np.ndarray = Z, down: np.ndarray = -Y
 ) -> RotationRecord:
     """First harmonics of outputs with a little stated noise."""
@@ -242,7 +240,7 @@ def test_weight_centre_zero_angle_and_axis_come_back(weight, centre, zero, tilt,
     axis, down = stood
     turn = Rotation.from_rotvec(tilt[0] * np.cross(axis, down) - tilt[1] * down)
     true_axis, true_down = turn.apply(axis), turn.apply(Rotation.from_rotvec(-zero * axis).apply(down))
-    record = _turned(sense * _load(weight, centre, true_axis, true_down), axis=axis, down=down)
+    record = _rotation_record(sense * _load(weight, centre, true_axis, true_down), axis=axis, down=down)
     record = replace(record, covariance=record.covariance * 1e-10)
     fit = fit_weights([record], _outputs(sense=sense))
     assert fit.value[0] == pytest.approx(weight, rel=1e-7)
@@ -252,47 +250,47 @@ def test_weight_centre_zero_angle_and_axis_come_back(weight, centre, zero, tilt,
     assert fit.departure == 0.0
 
 
-def test_errors_scatter_as_the_covariance_says():
+def test_errors_scatter_as_the_covariance():
     rng = np.random.default_rng(6)
     centres = np.array([[0.001, -0.002, 0.01], [0.0005, 0.001, 0.04]])
     u_angle, trials = 2e-4, 150
     loads = zip((7.54, 75.8), centres, strict=True)
     truth = np.concatenate([[w, *(w * centre), 0.0, 0.0, 0.0, w, w, 0.0] for w, centre in loads])
-    square, kept = 0.0, np.flatnonzero(np.arange(2 * ROWS) % ROWS != ROWS - 1)
+    square, rows = 0.0, np.flatnonzero(np.arange(2 * ROWS) % ROWS != ROWS - 1)
     for _ in range(trials):
         matrix = SENSITIVITY + 1e-3 * SENSITIVITY * rng.standard_normal((6, 6))
         twice = u_angle * rng.standard_normal(2)
         true_angle = STEPS + twice[0] * np.sin(2.0 * STEPS) + twice[1] * np.cos(2.0 * STEPS)
         records = []
         for name, weight, centre in zip(("without", "with"), (7.54, 75.8), centres, strict=True):
-            record = _turned(_load(weight, centre, angle=true_angle), matrix)
+            record = _rotation_record(_load(weight, centre, angle=true_angle), matrix)
             noise = NOISE * (rng.standard_normal(6) + 1j * rng.standard_normal(6))
             records.append(replace(record, name=name, amplitude=record.amplitude + noise))
         fit = fit_weights(records, _outputs(relative=1e-3), u_angle)
-        error = (fit.value - truth)[kept]
+        error = (fit.value - truth)[rows]
         square = square + np.outer(error, error) / trials
-    predicted = fit.covariance[np.ix_(kept, kept)]
+    predicted = fit.covariance[np.ix_(rows, rows)]
     scale = np.sqrt(np.diag(predicted))
     np.testing.assert_allclose(np.sqrt(np.diag(square)) / scale, 1.0, atol=0.25)
-    difference = np.zeros(len(kept))
+    difference = np.zeros(len(rows))
     difference[[0, 9]] = -1.0, 1.0
     assert difference @ square @ difference == pytest.approx(difference @ predicted @ difference, rel=0.4)
 
 
 def test_what_two_recordings_share_cancels_in_their_ratio():
-    fit = fit_weights([_turned(_load(weight)) for weight in (50.0, 51.0)], _outputs(relative=1e-2))
-    own = fit.covariance[np.ix_([0, ROWS], [0, ROWS])]
-    assert np.sqrt(own[0, 0]) / 50.0 == pytest.approx(1e-2 / np.sqrt(2.0), rel=1e-3)
+    fit = fit_weights([_rotation_record(_load(weight)) for weight in (50.0, 51.0)], _outputs(relative=1e-2))
+    covariance = fit.covariance[np.ix_([0, ROWS], [0, ROWS])]
+    assert np.sqrt(covariance[0, 0]) / 50.0 == pytest.approx(1e-2 / np.sqrt(2.0), rel=1e-3)
     across = np.array([1.0 / 50.0, -1.0 / 51.0])
-    assert np.sqrt(across @ own @ across) < 1e-3
+    assert np.sqrt(across @ covariance @ across) < 1e-3
 
 
-def test_two_force_channels_tell_the_weight_and_nothing_of_the_centre():
-    record = _turned(_load(20.0, (0.01, 0.02, 0.03)), SENSITIVITY[:2])
+def test_two_force_channels_determine_the_weight_but_not_the_centre():
+    record = _rotation_record(_load(20.0, (0.01, 0.02, 0.03)), SENSITIVITY[:2])
     fit = fit_weights([record], _outputs(SENSITIVITY[:2]))
     assert fit.value[0] == pytest.approx(20.0, rel=1e-6)
-    untold = next(source for source in fit.sources if source.name == "what no channel tells")
-    size = np.linalg.norm(untold.effect, axis=1)
+    undetermined = next(source for source in fit.sources if source.name == "what no channel tells")
+    size = np.linalg.norm(undetermined.effect, axis=1)
     assert np.all(size[1:4] > 19.0)
     assert size[0] < 1e-9
     assert np.isnan(fit.load[0, 2:]).all()
@@ -301,14 +299,14 @@ def test_two_force_channels_tell_the_weight_and_nothing_of_the_centre():
 def test_cross_talk_in_the_matrix_is_taken_off():
     size, centre = np.sqrt(np.diag(SENSITIVITY)), (0.001, 0.002, 0.05)
     matrix = SENSITIVITY + 0.02 * np.random.default_rng(7).standard_normal((6, 6)) * np.outer(size, size)
-    fit = fit_weights([_turned(_load(70.0, centre), matrix)], _outputs(matrix))
+    fit = fit_weights([_rotation_record(_load(70.0, centre), matrix)], _outputs(matrix))
     assert fit.value[0] == pytest.approx(70.0, rel=1e-6)
     np.testing.assert_allclose(fit.value[1:4] / 70.0, centre, atol=1e-6)
     np.testing.assert_allclose(fit.value[7:9], 70.0, rtol=1e-6)
 
 
 def test_channels_that_disagree_enlarge_the_uncertainty():
-    record = _turned(_load(20.0), SENSITIVITY * np.array([1.01, 1.0, 1.0, 1.0, 1.0, 1.0]))
+    record = _rotation_record(_load(20.0), SENSITIVITY * np.array([1.01, 1.0, 1.0, 1.0, 1.0, 1.0]))
     fit = fit_weights([record], _outputs())
     behind = next(source for source in fit.sources if source.name == "channels that disagree")
     assert behind.dof == 2.0
@@ -320,13 +318,13 @@ def test_channels_that_disagree_enlarge_the_uncertainty():
 
 
 def test_readings_that_are_no_weight_are_refused():
-    record = _turned(_load(20.0))
+    record = _rotation_record(_load(20.0))
     for change, match in (
-        ({"axis": -Z}, "axis: expected the sense of turning for which gravity turns backwards"),
-        ({"amplitude": np.zeros(6, np.complex128)}, "amplitude: expected forces that change with the angle"),
+        ({"axis": -Z}, "^axis: "),
+        ({"amplitude": np.zeros(6, np.complex128)}, "^amplitude: "),
     ):
         refused(match, start_values, replace(record, **change), _outputs())
-    refused("axis: expected one across gravity", replace, record, axis=Y)
+    refused("^axis: ", replace, record, axis=Y)
     along, only = _outputs(SENSITIVITY[2:3]), replace(record, amplitude=record.amplitude[2:3], covariance=np.eye(2))
-    refused("an output for a force across the axis", start_values, only, along)
-    refused("records: expected at least one", fit_weights, [], along)
+    refused("^sensitivity: ", start_values, only, along)
+    refused("^records: ", fit_weights, [], along)

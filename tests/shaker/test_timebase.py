@@ -18,6 +18,14 @@ from shaker.timebase.edges import Edges, find_edges
 from shaker.timebase.intervals import Posterior, Slopes, _log_likelihood, line_posterior, normal_cdf
 from shaker.timebase.tie import ClockTie, decide_shift, edge_instants, tie_clocks
 from shaker.timebase.trigger import TriggerFit, fit_trigger, pulse_width
+from shaker.timebase.trigger_notices import (
+    CONTRADICTORY_PERIOD,
+    DOUBLED_EDGES,
+    LOCKED_EDGES,
+    MISSING_EDGES,
+    START_TIMES_DISAGREE,
+    STRAY_EDGES,
+)
 
 PERIOD_S = 1.0 / 52.874
 EDGES, FEW = 211, 80
@@ -90,9 +98,9 @@ def test_noise_at_the_threshold_counts_once_and_one_out_of_reach_is_refused():
     ramp = np.clip(np.sin(2 * np.pi * 10.0 * np.arange(20_000) / 20_000.0) * 3.0, -1.0, 1.0)
     edges = find_edges(ramp + 0.03 * rng.normal(size=len(ramp)), 20_000.0)
     assert len(edges.estimate_s) == 9  # the one at the very start has no low sample before it
-    with pytest.raises(ValueError, match="threshold: expected a level that the signal crosses, found 7"):
+    with pytest.raises(ValueError, match=r"^threshold: .* 7 "):
         find_edges(_pulses(np.array([0.1, 0.2]), 1e4, 0.3), 1e4, threshold=7.0)
-    refused("samples: expected numbers, found 1 NaN", find_edges, np.array([0.0, np.nan, 1.0]), 1e4)
+    refused("^samples: .* 1 ", find_edges, np.array([0.0, np.nan, 1.0]), 1e4)
 
 
 def test_band_limited_edges_have_no_bias():
@@ -126,8 +134,10 @@ def test_missing_doubled_and_stray_edges_are_survived():
         fit = fit_trigger(find_edges(_pulses(all_edges, 51_200.0, 4.3, 2e-4), 51_200.0))
         assert (fit.edges, set(fit.missing)) == (EDGES, set(np.flatnonzero(~keep)))
         assert fit.spurious > 0
-        assert any("missing" in n.text for n in fit.notices)
-        assert fit.doubled == 0 or any(n.text == f"{fit.doubled} doubled edges were dropped" for n in fit.notices)
+        values = {notice.code: notice.values for notice in fit.notices}
+        assert values[MISSING_EDGES.code]["missing"] == len(fit.missing)
+        assert values[STRAY_EDGES.code]["stray"] == fit.spurious
+        assert values.get(DOUBLED_EDGES.code, {"doubled": 0})["doubled"] == fit.doubled
         errors.append(fit.time_s(np.array(105)) - instants[105])
     assert np.sqrt(np.mean(np.square(errors))) < 0.2e-6
 
@@ -139,7 +149,7 @@ def test_jitter_is_measured():
         assert np.mean([fit.jitter_s for fit in fits]) == pytest.approx(jitter, rel=0.3)
 
 
-def test_scatter_is_told_from_what_sampling_makes():
+def test_scatter_is_distinguished_from_sampling():
     """30 ns of a quartz against 0.1 of a sample, few edges and many, any place between the samples."""
     rng = np.random.default_rng(26)
     for rate_hz, count in ((8_000.0, 48), (51_200.0, 211)):
@@ -157,10 +167,10 @@ def test_clock_offset_and_rate_without_jitter(seed, cases, bias, scatter):
     rng = np.random.default_rng(seed)
     found = []
     for _ in range(cases):
-        base, other, there, here = _two_clocks(rng)
+        base, other, other_s, base_s = _two_clocks(rng)
         tie = tie_clocks(base, other)
-        error = float(tie.to_base_s(np.array(there))) - here
-        found.append((error, tie.rate - 1.0 / (1.0 + PPM), error / float(tie.u_to_base_s(np.array(there)))))
+        error = float(tie.to_base_s(np.array(other_s))) - base_s
+        found.append((error, tie.rate - 1.0 / (1.0 + PPM), error / float(tie.u_to_base_s(np.array(other_s)))))
         assert tie.shift == 0
     offset, rate, normalised = np.array(found).T
     assert np.sqrt(np.mean(offset**2)) < 0.10e-6
@@ -170,13 +180,13 @@ def test_clock_offset_and_rate_without_jitter(seed, cases, bias, scatter):
 
 
 def test_roles_of_the_clocks_can_be_exchanged():
-    base, other, there, _ = _two_clocks(np.random.default_rng(8))
+    base, other, other_s, _ = _two_clocks(np.random.default_rng(8))
     forward, backward = tie_clocks(base, other), tie_clocks(other, base)
     assert forward.rate * backward.rate == pytest.approx(1.0, abs=1e-12)
-    back = backward.to_base_s(forward.to_base_s(np.array(there)))
-    assert float(back) == pytest.approx(there, abs=1e-11)
-    u = float(forward.u_to_base_s(np.array(there)))
-    assert float(backward.u_to_base_s(forward.to_base_s(np.array(there)))) == pytest.approx(u, rel=1e-3)
+    back = backward.to_base_s(forward.to_base_s(np.array(other_s)))
+    assert float(back) == pytest.approx(other_s, abs=1e-11)
+    u = float(forward.u_to_base_s(np.array(other_s)))
+    assert float(backward.u_to_base_s(forward.to_base_s(np.array(other_s)))) == pytest.approx(u, rel=1e-3)
 
 
 def _fit(first: float, edges: int, *, before: bool, after: bool, missing: tuple[int, ...] = ()) -> TriggerFit:
@@ -215,12 +225,12 @@ def test_whole_period_shift_is_decided(base, other, shift):
 def test_undecided_shift_is_refused_and_start_times_decide_it():
     base = _fit(0.010, 100, before=False, after=False)
     other = _fit(0.004, 90, before=False, after=False)
-    refused(r"shift: expected .*189 whole-period shifts from -89 to 99", tie_clocks, base, other)
+    refused("^shift: .*189 .*-89 to 99", tie_clocks, base, other)
     assert (tie_clocks(base, other, start_difference_s=0.126).shift, tie_clocks(base, other, shift=3).shift) == (6, 3)
-    refused("whole-period shifts", tie_clocks, base, other, start_difference_s=0.117)
+    refused("^shift: ", tie_clocks, base, other, start_difference_s=0.117)
     slow = fit_trigger(find_edges(_pulses(0.1 + 0.03 * np.arange(20), 1e4, 0.8), 1e4))
     refused(
-        r"other: expected the trigger period of the base clock, 0\.02 s, found 0\.0",
+        r"^other: .* 0\.02 s, found 0\.0",
         tie_clocks,
         replace(base, period_s=0.02),
         slow,
@@ -228,10 +238,8 @@ def test_undecided_shift_is_refused_and_start_times_decide_it():
 
 
 def test_edges_without_a_period_are_refused():
-    words = "edges: expected at least 3 edges of one period and half of all, found 2 of 3"
-    refused(words, fit_trigger, find_edges(_pulses([0.05, 0.1, 0.73], 1e4, 1.0), 1e4))
-    words = "edges: expected at least 3 edges, found 2"
-    refused(words, fit_trigger, find_edges(_pulses([0.1, 0.2], 1e4, 1.0), 1e4))
+    refused("^edges: .* 3 .*2 of 3$", fit_trigger, find_edges(_pulses([0.05, 0.1, 0.73], 1e4, 1.0), 1e4))
+    refused("^edges: .* 3 .* 2$", fit_trigger, find_edges(_pulses([0.1, 0.2], 1e4, 1.0), 1e4))
 
 
 @settings(max_examples=15, deadline=None)
@@ -256,13 +264,13 @@ def _charging(x: np.ndarray) -> np.ndarray:
     return 1.0 - np.exp(-np.maximum(x / 2.0 + np.log(2.0), 0.0))
 
 
-TAP_PLACES = np.arange(-24 * 64, 24 * 64 + 1) / 64.0
-TAPS = np.sinc(TAP_PLACES) * np.kaiser(len(TAP_PLACES), 8.0)
+TAP_POSITIONS = np.arange(-24 * 64, 24 * 64 + 1) / 64.0
+TAPS = np.sinc(TAP_POSITIONS) * np.kaiser(len(TAP_POSITIONS), 8.0)
 
 
 def _half_band(x: np.ndarray) -> np.ndarray:
     """A delta-sigma converter's decimation filter: half amplitude at half the sampling rate."""
-    return np.interp(x - 0.5 / 64.0, TAP_PLACES, np.cumsum(TAPS) / TAPS.sum(), left=0.0, right=1.0)
+    return np.interp(x - 0.5 / 64.0, TAP_POSITIONS, np.cumsum(TAPS) / TAPS.sum(), left=0.0, right=1.0)
 
 
 def _shaped(
@@ -290,24 +298,24 @@ def _instants(rng: np.random.Generator, jitter_s: float = 0.0) -> tuple[np.ndarr
 
 def _deviation(tie: ClockTie) -> tuple[float, float]:
     """Error in the middle of the common edges, and over its stated uncertainty."""
-    there = np.array(tie.middle_s)
-    error = float(tie.to_base_s(there)) - (tie.middle_s / (1.0 + PPM) + LATER_S)
-    return error, error / float(tie.u_to_base_s(there))
+    middle_s = np.array(tie.middle_s)
+    error = float(tie.to_base_s(middle_s)) - (tie.middle_s / (1.0 + PPM) + LATER_S)
+    return error, error / float(tie.u_to_base_s(middle_s))
 
 
 def test_posterior_is_that_of_direct_integration():
-    place, centre = np.array([-1.0, -0.3, 0.4, 1.0]), np.array([0.3, -0.2, 0.1, 0.35])
+    position, centre = np.array([-1.0, -0.3, 0.4, 1.0]), np.array([0.3, -0.2, 0.1, 0.35])
     lower, upper = centre - 0.5, centre + 0.5
     # Without jitter the posterior is uniform over the polygon of all lines that pass through every interval.
     m, h = np.meshgrid(np.linspace(-1, 1, 601), np.linspace(-1, 1, 601), indexing="ij")
-    line = m[..., None] + h[..., None] * place
+    line = m[..., None] + h[..., None] * position
     inside = np.all((line > lower) & (line <= upper), axis=-1)
     corner = np.stack([m[inside], h[inside]])
     start = Posterior(np.zeros(2), 0.3 * np.eye(2), 1e-4)
     scale = np.sqrt(np.diag(np.cov(corner)))
     # The jitter is unknown, so that the posterior is a little wider, the less the smaller it may be.
     for least, wider in ((1e-4, 0.3), (1e-12, 0.12)):
-        found = line_posterior(place, lower[None], upper[None], start, least)
+        found = line_posterior(position, lower[None], upper[None], start, least)
         np.testing.assert_allclose(found.mean, corner.mean(axis=1), atol=0.25 * scale.min())
         np.testing.assert_allclose(np.sqrt(np.diag(found.covariance)), scale, rtol=wider)
 
@@ -316,47 +324,49 @@ def test_posterior_is_that_of_direct_integration():
 @pytest.mark.parametrize("wider", [np.zeros((1, 30)), np.linspace(0.0, 0.2, 30)[None], np.zeros((2, 30))])
 def test_the_likelihood_of_lines_is_the_product_of_their_edges(jitter, wider):
     """Intervals of one record alike and unlike, and of two records, by SciPy's distribution."""
-    rng, place = np.random.default_rng(4), np.linspace(-1.0, 1.0, 30)
+    rng, position = np.random.default_rng(4), np.linspace(-1.0, 1.0, 30)
     lower = rng.uniform(-0.6, -0.3, wider.shape)
     upper = lower + 1.0 + wider
     points = rng.normal(0.0, 0.3, (700, 2 * len(lower)))
-    lines = points[:, ::2, None] + points[:, 1::2, None] * place
+    lines = points[:, ::2, None] + points[:, 1::2, None] * position
     below, above = (lower - lines).max(axis=1) / jitter, (upper - lines).min(axis=1) / jitter
-    wanted = np.log(np.maximum(ndtr(above) - ndtr(below), 0.0) + 1e-6).sum(axis=1)
-    found = _log_likelihood(points, jitter, (place, lower, upper, None))
-    np.testing.assert_allclose(found, wanted, rtol=0.0, atol=30 * 1.5e-6)
+    expected = np.log(np.maximum(ndtr(above) - ndtr(below), 0.0) + 1e-6).sum(axis=1)
+    found = _log_likelihood(points, jitter, (position, lower, upper, None))
+    np.testing.assert_allclose(found, expected, rtol=0.0, atol=30 * 1.5e-6)
 
 
-def test_a_known_slope_cuts_the_polygon():
+def test_an_external_slope_cuts_the_polygon():
     """Likelihood of lines, even over those that pass through all intervals, times the normal density of the slope."""
-    place, centre = np.array([-1.0, -0.3, 0.4, 1.0]), np.array([0.3, -0.2, 0.1, 0.35])
+    position, centre = np.array([-1.0, -0.3, 0.4, 1.0]), np.array([0.3, -0.2, 0.1, 0.35])
     m, h = np.meshgrid(np.linspace(-1, 1, 801), np.linspace(-1, 1, 801), indexing="ij")
-    line = m[..., None] + h[..., None] * place
+    line = m[..., None] + h[..., None] * position
     weight = np.all((line > centre[:, None, None].T - 0.5) & (line <= centre[:, None, None].T + 0.5), axis=-1)
     weight = weight * np.exp(-0.5 * ((h - 0.25) / 0.05) ** 2)
     mean = np.array([np.sum(weight * m), np.sum(weight * h)]) / weight.sum()
     spread = np.sqrt(
         np.array([np.sum(weight * (m - mean[0]) ** 2), np.sum(weight * (h - mean[1]) ** 2)]) / weight.sum()
     )
-    start, known = Posterior(np.zeros(2), 0.3 * np.eye(2), 1e-4), Slopes(np.array([0.25]), np.array([[0.05**-2]]))
-    found = line_posterior(place, (centre - 0.5)[None], (centre + 0.5)[None], start, 1e-12, known)
+    start, external = Posterior(np.zeros(2), 0.3 * np.eye(2), 1e-4), Slopes(np.array([0.25]), np.array([[0.05**-2]]))
+    found = line_posterior(position, (centre - 0.5)[None], (centre + 0.5)[None], start, 1e-12, external)
     np.testing.assert_allclose(found.mean, mean, atol=0.2 * spread.min())
     np.testing.assert_allclose(np.sqrt(np.diag(found.covariance)), spread, rtol=0.12)
 
 
-def test_a_known_period_tells_where_edges_pass_a_sample():
+def test_an_external_period_shows_where_edges_pass_a_sample():
     drift = 0.8 / (FEW - 1)  # samples from edge to edge
-    for place in (0.7, 0.5, 0.3):  # of a sample, of the first: a later one is the next sample's
-        instants = (5000.0 + place) / RATE_HZ + (968.0 + drift) / RATE_HZ * np.arange(FEW)
+    for phase in (0.7, 0.5, 0.3):  # of a sample, of the first: a later one is the next sample's
+        instants = (5000.0 + phase) / RATE_HZ + (968.0 + drift) / RATE_HZ * np.arange(FEW)
         alone = fit_trigger(_latched(instants, RATE_HZ))
-        known = alone.with_period((968.0 + drift) / RATE_HZ, 1e-8 / RATE_HZ)
-        error = known.time_s(np.arange(FEW)) - instants
+        combined = alone.with_period((968.0 + drift) / RATE_HZ, 1e-8 / RATE_HZ)
+        error = combined.time_s(np.arange(FEW)) - instants
         assert np.max(np.abs(error)) < 0.75 * drift / RATE_HZ
-        assert float(known.u_time_s(np.array(40))) < 0.5 * drift / RATE_HZ
+        assert float(combined.u_time_s(np.array(40))) < 0.5 * drift / RATE_HZ
         assert float(alone.u_time_s(np.array(40))) > 4.0 * drift / RATE_HZ
     wrong = alone.with_period((968.0 + drift) / RATE_HZ * (1.0 + 1e-4), 1e-8 / RATE_HZ)
     assert wrong.time_s(np.array(40)) == alone.time_s(np.array(40))
-    assert "its period is 0.0001 of itself longer than its edges do" in wrong.notices[-1].text
+    assert wrong.notices[-1].code == CONTRADICTORY_PERIOD.code
+    assert wrong.notices[-1].values["direction"] == "longer"
+    assert wrong.notices[-1].values["relative_difference"] == pytest.approx(1e-4, rel=0.05)
 
 
 def test_the_shape_of_a_locked_rise_moves_no_exposure():
@@ -387,7 +397,7 @@ def test_observed_rise_is_followed(rise):
 
 @pytest.mark.parametrize(("ties", "high"), [(6, 2.0), pytest.param(60, 1.15, marks=pytest.mark.slow)])
 @pytest.mark.parametrize(("rise", "noise"), [(_charging, 1e-3), (_charging, 0.02), (_half_band, 1e-3)])
-def test_what_edges_cannot_tell_of_a_rise_is_in_the_uncertainty(rise, noise, ties, high):
+def test_the_uncertainty_includes_the_undetermined_rise_shape(rise, noise, ties, high):
     rng, normalised, models = np.random.default_rng(41), [], []
     for _ in range(ties):
         first, second = _instants(rng)
@@ -407,7 +417,7 @@ def test_what_edges_cannot_tell_of_a_rise_is_in_the_uncertainty(rise, noise, tie
 
 @pytest.mark.parametrize("samples", [968.0, 968.002, 968.5])
 @pytest.mark.parametrize("rise", [_ramp, _charging, _half_band])
-def test_a_rise_that_locked_edges_show_at_one_place_is_covered_and_told(rise, samples):
+def test_a_rise_with_locked_edges_is_covered_and_reported(rise, samples):
     """Slowly drifting edges (968.002 samples) do not put their drift down to the shape of the rise."""
     rng = np.random.default_rng(42)
     for _ in range(3):
@@ -416,7 +426,7 @@ def test_a_rise_that_locked_edges_show_at_one_place_is_covered_and_told(rise, sa
         for edge in (0, FEW // 2, FEW - 1):
             deviation = float(fit.time_s(np.array(edge))) - instants[edge]
             assert abs(deviation) < 2.0 * float(fit.u_time_s(np.array(edge)))
-        assert any("same places between two samples" in notice.text for notice in fit.notices)
+        assert LOCKED_EDGES.code in [notice.code for notice in fit.notices]
 
 
 def _deviations(seed: int, draws: int, jitter_s: float) -> np.ndarray:
@@ -454,15 +464,17 @@ def test_stated_uncertainty_is_as_large_as_the_errors():
         middle = 0.2 + rng.uniform(0.0, period) + period * (edges - 1) / 2.0
         instants = middle + period * (np.arange(edges) - (edges - 1) / 2.0) + jitter_s * rng.normal(size=edges)
         later, rate = rng.uniform(0.0, 0.05), 1.0 + PPM * rng.normal()
-        own = (middle, (middle - later) / rate)
+        middles = (middle, (middle - later) / rate)
         base, other = fits = [
             fit_trigger(_latched(t, hz)) for t, hz in zip((instants, (instants - later) / rate), rates, strict=True)
         ]
         half = np.array((edges - 1) / 2.0)
-        models += [(float(fit.time_s(half)) - t) / float(fit.u_time_s(half)) for fit, t in zip(fits, own, strict=True)]
-        tie, there = tie_clocks(base, other, 0), np.array(own[1])
+        models += [
+            (float(fit.time_s(half)) - t) / float(fit.u_time_s(half)) for fit, t in zip(fits, middles, strict=True)
+        ]
+        tie, other_s = tie_clocks(base, other, 0), np.array(middles[1])
         of_rate = (tie.rate - rate) / float(np.sqrt(tie.covariance[1, 1]))
-        ties.append([(float(tie.to_base_s(there)) - middle) / float(tie.u_to_base_s(there)), of_rate])
+        ties.append([(float(tie.to_base_s(other_s)) - middle) / float(tie.u_to_base_s(other_s)), of_rate])
     for normalised in (np.array(models), *np.array(ties).T):
         assert 0.9 < np.sqrt(np.mean(np.square(normalised))) < 1.1
         assert 0.92 < np.mean(np.abs(normalised) < 2.0) <= 0.99
@@ -470,7 +482,7 @@ def test_stated_uncertainty_is_as_large_as_the_errors():
     assert np.mean(np.abs(np.array(ties)) < np.sqrt(3.0)) < 0.95
 
 
-def test_resolved_edges_stand_for_the_period_of_the_others():
+def test_resolved_edges_replace_the_period_of_the_others():
     rng = np.random.default_rng(24)
     first, second = _instants(rng, jitter_s=20e-6)
     base, other = fit_trigger(_latched(first, RATE_HZ)), _filtered(_half_band, second, OTHER_HZ, rng)
@@ -482,18 +494,18 @@ def test_resolved_edges_stand_for_the_period_of_the_others():
     assert (tie.pairs, tie.decided_by) == (FEW, "burst start and end")
 
 
-def test_locked_sampling_is_covered_and_told():
+def test_locked_sampling_is_covered_and_reported():
     period = 968.0 / RATE_HZ
-    for place in (0.02, 0.5, 0.97):
-        instants = (5000.0 + place) / RATE_HZ + period * np.arange(FEW)
+    for phase in (0.02, 0.5, 0.97):
+        instants = (5000.0 + phase) / RATE_HZ + period * np.arange(FEW)
         fit = fit_trigger(_latched(instants, RATE_HZ))
         deviation = float(fit.time_s(np.array(40))) - instants[40]
         assert abs(deviation) < 2.0 * float(fit.u_time_s(np.array(40)))
         assert float(fit.u_time_s(np.array(40))) > 5e-6
-        assert any("same places between two samples" in notice.text for notice in fit.notices)
+        assert LOCKED_EDGES.code in [notice.code for notice in fit.notices]
 
 
-def test_jitter_decides_what_nothing_else_does():
+def test_jitter_decides_the_shift_alone():
     first, _ = _instants(np.random.default_rng(26), jitter_s=30e-6)
     base = fit_trigger(_latched((first - first[0] + 0.5 * PERIOD_S)[:70], RATE_HZ, 69.6 * PERIOD_S))
     later = first - first[9] + 0.4 * PERIOD_S
@@ -507,20 +519,21 @@ def test_contradicting_ends_are_refused_by_name():
     first, second = _instants(np.random.default_rng(27))
     base = fit_trigger(_latched(first, RATE_HZ))
     other = fit_trigger(_latched(second[2:], OTHER_HZ))  # two edges lost at its start, though it was recording
-    refused(r"shift: .*80 and 78 edges whose ends of the burst say 2 and 0; give first_edge", tie_clocks, base, other)
+    refused("^shift: .*80 and 78 .*2 and 0; .*first_edge", tie_clocks, base, other)
     tie = tie_clocks(base, other, start_difference_s=LATER_S)
     assert (tie.shift, tie.decided_by) == (2, "start times")
     assert not tie.notices
-    told = tie_clocks(base, other, shift=0, start_difference_s=LATER_S).notices
-    assert "start times put edge 0 at edge 2 of the first clock, first_edge at 0" in told[0].text
+    (notice,) = tie_clocks(base, other, shift=0, start_difference_s=LATER_S).notices
+    assert notice.code == START_TIMES_DISAGREE.code
+    assert notice.values == {"start_time_edge": 2, "evidence": "first_edge", "used_edge": 0}
 
 
-def test_single_gaps_that_coincide_by_chance_decide_nothing():
+def test_single_gaps_that_coincide_by_chance_do_not_decide():
     first, _ = _instants(np.random.default_rng(28))
-    place = first - first[0] + 0.5 * PERIOD_S
-    base = fit_trigger(_latched(np.delete(place[:70], [20, 41, 60]), RATE_HZ, 69.6 * PERIOD_S))
-    other = fit_trigger(_latched(np.delete(place[:70], [9, 15, 33]), OTHER_HZ, 69.6 * PERIOD_S))
-    refused("whole-period shifts", decide_shift, base, other)
+    instants = first - first[0] + 0.5 * PERIOD_S
+    base = fit_trigger(_latched(np.delete(instants[:70], [20, 41, 60]), RATE_HZ, 69.6 * PERIOD_S))
+    other = fit_trigger(_latched(np.delete(instants[:70], [9, 15, 33]), OTHER_HZ, 69.6 * PERIOD_S))
+    refused("^shift: ", decide_shift, base, other)
 
 
 def _jump(x: np.ndarray) -> np.ndarray:
@@ -530,9 +543,9 @@ def _jump(x: np.ndarray) -> np.ndarray:
 
 def _brick_wall(x: np.ndarray) -> np.ndarray:
     """An ideal low-pass at half the sampling rate, which rings for hundreds of samples."""
-    place = np.arange(-400 * 16, 400 * 16 + 1) / 16.0
-    taps = np.sinc(place)
-    return np.interp(x - 0.5 / 16.0, place, np.cumsum(taps) / taps.sum(), left=0.0, right=1.0)
+    position = np.arange(-400 * 16, 400 * 16 + 1) / 16.0
+    taps = np.sinc(position)
+    return np.interp(x - 0.5 / 16.0, position, np.cumsum(taps) / taps.sum(), left=0.0, right=1.0)
 
 
 @pytest.mark.parametrize(
@@ -557,7 +570,7 @@ def test_short_pulses_are_as_uncertain_as_stated(rise, samples):
 def test_pulses_that_do_not_settle_are_refused(rise, samples):
     rng = np.random.default_rng(33)
     signal = _shaped(rise, _instants(rng)[0], rng, samples / RATE_HZ)
-    refused(r"samples: expected pulses of at least [\d.]+ samples, .* found some of", pulse_width, signal, RATE_HZ)
+    refused(r"^samples: .*[\d.]+ samples", pulse_width, signal, RATE_HZ)
 
 
 @pytest.mark.parametrize("rise", [_jump, _half_band])
@@ -615,17 +628,17 @@ def test_later_records_move_the_offset_alone(base_lag_s, other_lag_s):
     first, second = _instants(np.random.default_rng(32))
     base, other = fit_trigger(_latched(first, RATE_HZ)), fit_trigger(_latched(second, OTHER_HZ))
     tie, moved = tie_clocks(base, other), tie_clocks(base.delay_by(base_lag_s), other.delay_by(other_lag_s))
-    there = tie.middle_s
-    u = float(tie.u_to_base_s(np.array(there)))
-    deviation = moved.to_base_s(np.array(there + other_lag_s)) - base_lag_s - tie.to_base_s(np.array(there))
+    middle_s = tie.middle_s
+    u = float(tie.u_to_base_s(np.array(middle_s)))
+    deviation = moved.to_base_s(np.array(middle_s + other_lag_s)) - base_lag_s - tie.to_base_s(np.array(middle_s))
     assert abs(float(deviation)) < 0.1 * u
-    assert float(moved.u_to_base_s(np.array(there + other_lag_s))) == pytest.approx(u, rel=0.1)
+    assert float(moved.u_to_base_s(np.array(middle_s + other_lag_s))) == pytest.approx(u, rel=0.1)
 
 
 @pytest.mark.parametrize(
     ("cases", "low", "high"), [(1, 0.15, 2.4), pytest.param(12, 0.65, 1.5, marks=pytest.mark.slow)]
 )
-def test_what_noise_does_to_a_tie_differs_where_records_start_alike(cases, low, high):
+def test_noise_of_ties_is_independent_for_records_with_equal_starts(cases, low, high):
     """Edges resolved between the samples, four records of each start: what scatters among them is the `noise` of it."""
     rng, scatter, stated, whole = np.random.default_rng(8), [], [], []
     for _ in range(cases):
@@ -651,7 +664,7 @@ def test_what_noise_does_to_a_tie_differs_where_records_start_alike(cases, low, 
     assert np.all(np.array(stated) <= np.array(whole))
 
 
-def test_what_sampling_leaves_open_is_no_noise():
+def test_uncertainty_from_sampling_is_no_noise():
     base, other, _, _ = _two_clocks(np.random.default_rng(2))
     assert not tie_clocks(base, other).noise.any()
     # A rate found otherwise takes its share off both.

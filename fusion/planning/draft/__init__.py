@@ -1,1 +1,1 @@
-"""Manifests drafted from what lies in a folder (`shakercal init`)."""
+"""Manifests drafted from the files of a folder (`shakercal init`)."""

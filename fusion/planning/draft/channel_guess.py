@@ -1,4 +1,4 @@
-"""What channels of recorders' files seem to read, by their names, units and signals; lines of a drafted manifest."""
+"""Quantity and scale of a recorder's channels, guessed from names, units and signals."""
 
 from __future__ import annotations
 
@@ -19,37 +19,43 @@ SAME_RATE = 1e-3  # relative difference of the rates of one trigger
 LONG_NAME = 40  # characters
 HEAD = f"""\
 # Drafted by {PROGRAM} {__version__} from the files of this folder.
-# "?" marks what only you know: `shakercal check` lists these values first, and `shakercal run` refuses them.
-# "guessed" says why a value is what it is. Lines that begin with "# " are optional keys, with a usual value.
+# "?" marks values to fill in: `shakercal check` lists them first, and `shakercal run` refuses them.
+# "guessed" gives the reason of a guessed value. Lines that begin with "# " are optional keys, with a usual value.
 """
-"""How a drafted file begins."""
+"""Beginning of a drafted file."""
 
 
-# Lines of a manifest: stated, asked for, optional.
+# Lines of a manifest: stated, to fill in, optional.
 
 
 def key_line(key: str, value: Any, why: str = "") -> str:
-    """Return the line of a key whose value is known or guessed."""
+    """Return the line of a key with a known or guessed value."""
     shown = json.dumps(value, ensure_ascii=False)
     return f"{key} = {shown}" + (f"  # {why}" if why else "")
 
 
 def question_line(key: str, why: str) -> str:
-    """Return the line of a key whose value only the laboratory knows; `why`: what is expected."""
+    """Return the line of a key for the laboratory to fill in.
+
+    `why`: the expected value.
+    """
     return key_line(key, UNFILLED, why)
 
 
 def optional_line(key: str, value: Any, why: str) -> str:
-    """Return the line of a key that may be left out."""
+    """Return the commented line of an optional key."""
     return f"# {key_line(key, value, why)}"
 
 
-# What a channel reads, by its name, its unit and its signal.
+# Quantity of a channel by its name, unit and signal.
 
 
 @dataclass(frozen=True)
 class ChannelGuess:
-    """What a channel of a file seems to read; `scale`: None where nothing says it; `name`: that of the recording."""
+    """Guessed quantity and scale of a file's channel.
+
+    `scale`: None if unknown; `name`: that in the recording.
+    """
 
     found: FoundChannel
     quantity: str
@@ -60,7 +66,7 @@ class ChannelGuess:
 
     @property
     def order(self) -> tuple[int, tuple[object, ...]]:
-        """Return where the channel stands in its block: motion first, triggers last, else as its name says."""
+        """Position in its block: motion first, triggers last, otherwise by name."""
         kinds = [*TRANSDUCERS, "force", "output", "voltage", UNFILLED, "trigger"]
         return kinds.index(self.quantity), natural_key(self.name)
 
@@ -75,18 +81,21 @@ NAMES = (
     ("force", r"force\w*|kraft\w*|load_?cell\w*"),
     ("voltage", r"volt\w*|drive|generator|excitation"),
 )
-"""Quantities by a word of a channel's name, the first that fits."""
+"""Quantities by words of a channel's name; the first match counts."""
 TRIGGER_WORDS = r"\w*trig\w*|sync\w*|strobe\w*|cam\w*"
 BASE_WORDS, LOAD_WORDS = r"base|table|tisch|bottom|lower|shaker|armature", r"load|mass|top|upper|masse|last"
 
 
 def has_word(words: str, name: str) -> bool:
-    """Whether a name has one of some words, in small letters and with | between them, between other signs."""
+    """Return whether a name has one of some words, separated by other signs.
+
+    Words are in lower case with | between them.
+    """
     return re.search(rf"(?<![a-z])({words})(?![a-z])", name.lower().replace("_", " ").replace("/", " ")) is not None
 
 
 def guess_channel(channel: FoundChannel) -> ChannelGuess:
-    """Return what a channel of a file seems to read, and why."""
+    """Return the guessed quantity and scale of a file's channel, with the reason."""
     unit, volt = recorded_unit(channel.unit), recorded_unit("V")
     if channel.pulses is not None:
         pulses = channel.pulses
@@ -97,7 +106,7 @@ def guess_channel(channel: FoundChannel) -> ChannelGuess:
     if unit is not None and unit.dimension == NONE and "/" in channel.unit:
         by_unit = "output"
     if by_unit == "angular_velocity" and not re.search("rad|d|\u00b0", channel.unit.lower()):
-        by_unit = None  # revolutions of something that turns on
+        by_unit = None  # revolutions of a rotating machine
     if by_name == "output" and by_unit in (None, "force"):
         scaled = 1.0 if unit is not None and unit.factor == 1.0 and (by_unit or unit == volt) else None
         return ChannelGuess(channel, "output", "guessed: its name", scaled, f"the file says {channel.unit}")
@@ -111,21 +120,21 @@ def guess_channel(channel: FoundChannel) -> ChannelGuess:
 
 @dataclass(frozen=True)
 class RecorderFile:
-    """A recorder's file and what its channels seem to read."""
+    """A recorder's file and the guesses for its channels."""
 
     daq: FoundDaq
     channels: tuple[ChannelGuess, ...]
 
     @property
     def triggers(self) -> list[tuple[str, TriggerPulses]]:
-        """Return the triggers by the names that the recording gives them, with their pulses."""
+        """Triggers with their names in the recording, and their pulses."""
         return [(item.name, item.found.pulses) for item in self.channels if item.found.pulses is not None]
 
 
 def guess_recorders(daqs: Iterable[FoundDaq]) -> list[RecorderFile]:
-    """Return what the channels of all files seem to read, files that measure motion first.
+    """Return the guesses for all files, files with motion channels first.
 
-    Pulses of one rate in several files are one trigger, and get the name of one of them that says so.
+    Pulses of one rate in several files are one trigger, named by a channel with a trigger's name.
     """
     found = [RecorderFile(daq, tuple(map(guess_channel, daq.channels))) for daq in daqs if daq.channels]
     rates = [pulses.rate_hz for recorder in found for _, pulses in recorder.triggers]
@@ -137,8 +146,8 @@ def guess_recorders(daqs: Iterable[FoundDaq]) -> list[RecorderFile]:
             if item.found.pulses is not None:
                 name = telling.get(_same_rate(rates, item.found.pulses.rate_hz), name)
             names.append(item.found.name if name in names else name)
-        own = (replace(item, name=name) for item, name in zip(recorder.channels, names, strict=True))
-        return RecorderFile(recorder.daq, tuple(sorted(own, key=lambda item: item.order)))
+        guesses = (replace(item, name=name) for item, name in zip(recorder.channels, names, strict=True))
+        return RecorderFile(recorder.daq, tuple(sorted(guesses, key=lambda item: item.order)))
 
     telling: dict[float, str] = {}
     for item in (item for recorder in found for item in recorder.channels if item.found.pulses is not None):
@@ -149,7 +158,7 @@ def guess_recorders(daqs: Iterable[FoundDaq]) -> list[RecorderFile]:
 
 
 def _same_rate(rates: Sequence[float], rate_hz: float) -> float:
-    """Return the first of some rates that is the same as another one."""
+    """Return the first of some rates that equals another one."""
     return next(rate for rate in rates if abs(rate / rate_hz - 1.0) < SAME_RATE)
 
 
@@ -158,11 +167,11 @@ def _motions(recorder: RecorderFile) -> int:
 
 
 def body_line(name: str) -> str:
-    """Return the line that says whose motion something sees: of the load, unless its name says otherwise."""
+    """Return the line of the observed body: the load, unless its name indicates the base."""
     if has_word(BASE_WORDS, name):
         return key_line("body", "base", "guessed: its name")
-    told = "its name" if has_word(LOAD_WORDS, name) else "its name says nothing of the base"
-    return key_line("body", "load", f"guessed: {told}")
+    reason = "its name" if has_word(LOAD_WORDS, name) else "its name does not indicate the base"
+    return key_line("body", "load", f"guessed: {reason}")
 
 
 def sort_body_views(items: Iterable[FoundCameras | FoundPoints]) -> list[FoundCameras | FoundPoints]:

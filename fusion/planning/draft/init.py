@@ -1,4 +1,4 @@
-"""`shakercal init`: manifests for a folder without, drafted, taken over from another recording, or as an example."""
+"""`shakercal init`: drafted manifests of a folder."""
 
 from __future__ import annotations
 
@@ -14,6 +14,13 @@ from fusion.planning.draft.channel_guess import HEAD
 from fusion.planning.draft.inventory import Inventory, is_recording_folder, survey_folder
 from fusion.planning.draft.recording_draft import SurveyedRecording, driven_axis, recording_text
 from fusion.planning.draft.rig_draft import rig_text
+from fusion.planning.planning_notices import (
+    FILE_EXISTS,
+    MANIFEST_EXISTS,
+    NO_RECORDED_FILES,
+    UNSUITABLE_FOLDER,
+    UNSUITABLE_TEMPLATE,
+)
 from fusion.recording.load import RECORDING_NAME
 from fusion.recording.toml import UNFILLED, read_toml, to_toml
 from fusion.report.atomic_files import write_atomically
@@ -24,15 +31,22 @@ EXAMPLE_RECORDING = "Fz-0106.25"
 
 @dataclass(frozen=True)
 class Draft:
-    """Drafted files by path, and what was found, in words.
+    """Drafted manifests of a folder.
 
+    Attributes
+    ----------
+    files : Text by path.
+    found : Contents of each recording, in words.
+
+    Examples
+    --------
     >>> from fusion import Draft, draft
     >>> from shutil import copytree, ignore_patterns
     >>> from tempfile import TemporaryDirectory
     >>> with TemporaryDirectory() as folder:
     ...     _ = copytree("sample_images/demo", f"{folder}/demo", ignore=ignore_patterns("*.toml"))
     ...     drafted = draft(f"{folder}/demo")
-    >>> isinstance(drafted, Draft), [path.name for path in drafted.files], drafted.asked
+    >>> isinstance(drafted, Draft), [path.name for path in drafted.files], drafted.unfilled
     (True, ['rig.toml', 'recording.toml'], 28)
     """
 
@@ -41,16 +55,30 @@ class Draft:
 
     @property
     def unfilled(self) -> int:
-        """Return how many values are left to fill in."""
+        """Number of values to fill in."""
         return sum(text.count(f'= "{UNFILLED}"') for text in self.files.values())
 
 
 def draft(folder: str | Path, like: str | Path | None = None) -> Draft:
-    """Draft the manifests of a folder: of the recording that it is, or of all below it that have none.
+    """Draft the manifests of a recording, or of all recordings below a folder without one.
 
-    `like`: a recording whose rig and channels are taken over. A rig.toml in the folder, or above a recording, is used
-    as it is. Raises `InputError` where nothing was recorded, or where all has a manifest.
+    Parameters
+    ----------
+    folder
+        A recording, or a folder of recordings. A rig.toml in it, or above a recording, is used unchanged.
+    like
+        A recording whose rig and channels are copied; default None.
 
+    Returns
+    -------
+    The drafted files, which are not written.
+
+    Raises
+    ------
+    InputError : No recorded files, or every recording has a manifest.
+
+    Examples
+    --------
     >>> from fusion import draft
     >>> draft("sample_images/demo/Fz-0080")
     Traceback (most recent call last):
@@ -58,15 +86,16 @@ def draft(folder: str | Path, like: str | Path | None = None) -> Draft:
     fusion.base.InputError: sample_images/demo/Fz-0080: expected a folder without recording.toml, found one there
     """
     folder = Path(folder)
-    found = [survey_folder(place) for place in _recordings(folder)]
+    found = [survey_folder(recording) for recording in _recordings(folder)]
     found = [inventory for inventory in found if not inventory.empty]
     if not found:
-        raise InputError(folder, "", "none", "recorders' files or pictures in this folder or in folders directly below")
+        expected = "recorders' files or images in this folder or directly below"
+        raise InputError(NO_RECORDED_FILES, folder, found="none", expected=expected)
     surveyed = [SurveyedRecording.of(inventory) for inventory in found]
     files = {}
     if like is not None:
         for item in surveyed:
-            files[item.inventory.folder / RECORDING_NAME] = _taken_over(item, Path(like))
+            files[item.inventory.folder / RECORDING_NAME] = _copied_recording(item, Path(like))
     else:
         single = found[0].folder == folder
         above = folder.absolute().parent / RIG_NAME
@@ -77,83 +106,86 @@ def draft(folder: str | Path, like: str | Path | None = None) -> Draft:
         for item in surveyed:
             path = Path(os.path.relpath(rig, item.inventory.folder)).as_posix()
             files[item.inventory.folder / RECORDING_NAME] = recording_text(item, path, tuple(pairs))
-    return Draft(files, tuple(map(_told, surveyed)))
+    return Draft(files, tuple(map(_summary, surveyed)))
 
 
 def example(folder: Path) -> Draft:
     """Return a commented example: the rig and the recording of docs/recording-format.md."""
     texts = resources.files("fusion.planning.draft") / "example"
-    places = {RIG_NAME: folder / RIG_NAME, RECORDING_NAME: folder / EXAMPLE_RECORDING / RECORDING_NAME}
-    files = {path: (texts / name).read_text(encoding="utf-8") for name, path in places.items()}
-    return Draft(files, ("an example with every block; the files that it names are not there",))
+    paths = {RIG_NAME: folder / RIG_NAME, RECORDING_NAME: folder / EXAMPLE_RECORDING / RECORDING_NAME}
+    files = {path: (texts / name).read_text(encoding="utf-8") for name, path in paths.items()}
+    return Draft(files, ("an example with every block; the named files do not exist",))
 
 
 def run_init(folder: Path, like: Path | None = None, *, with_example: bool = False) -> Draft:
-    """Write drafted manifests, each whole or not at all; a file that is there is never replaced."""
+    """Write drafted manifests, each atomically; existing files are never replaced."""
     made = example(folder) if with_example else draft(folder, like)
     for path in made.files:
         if path.exists():
-            raise InputError(path, "", "a file of this name", "a place for a new one (init never overwrites)")
+            raise InputError(FILE_EXISTS, path, found="one", expected="no file of this name")
     for path, text in made.files.items():
         write_atomically(path, text)
     return made
 
 
 def _recordings(folder: Path) -> list[Path]:
-    """Return the recordings without a manifest that a folder is or has."""
+    """Return the recordings without a manifest that a folder is or contains."""
     if not folder.is_dir():
-        found = "a file" if folder.is_file() else "nothing at this path"
-        raise InputError(folder, "", found, "the folder in which the recorders' files lie")
+        found = "a file" if folder.is_file() else "no such path"
+        raise InputError(UNSUITABLE_FOLDER, folder, found=found, expected="the folder of the recorders' files")
     try:
         if (folder / RECORDING_NAME).exists():
-            raise InputError(folder, "", "one there", f"a folder without {RECORDING_NAME}")
+            raise InputError(MANIFEST_EXISTS, folder, found="one", expected=f"a folder without {RECORDING_NAME}")
         if is_recording_folder(folder):
             return [folder]
         below = sorted(
             (entry for entry in folder.iterdir() if entry.is_dir()), key=lambda entry: natural_key(entry.name)
         )
-        held = [entry for entry in below if is_recording_folder(entry)]
+        recordings = [entry for entry in below if is_recording_folder(entry)]
     except OSError as error:
-        raise InputError(folder, "", error.strerror or str(error), "a folder that can be read") from error
-    kept = [entry for entry in held if not (entry / RECORDING_NAME).exists()]
-    if held and not kept:
-        raise InputError(folder, "", f"one in each of {len(held)}", f"a folder below without {RECORDING_NAME}")
-    return kept
+        found = error.strerror or str(error)
+        raise InputError(UNSUITABLE_FOLDER, folder, found=found, expected="a folder that can be read") from error
+    without_manifest = [entry for entry in recordings if not (entry / RECORDING_NAME).exists()]
+    if recordings and not without_manifest:
+        found, expected = f"one in each of {len(recordings)}", f"a recording without {RECORDING_NAME}"
+        raise InputError(MANIFEST_EXISTS, folder, found=found, expected=expected)
+    return without_manifest
 
 
-def _told(surveyed: SurveyedRecording) -> str:
-    """Say in a line what a recording holds."""
+def _summary(surveyed: SurveyedRecording) -> str:
+    """Return the contents of a recording in one line."""
     inventory = surveyed.inventory
     channels = sum(len(daq.channels) for daq in inventory.daqs)
     files = f"{len(inventory.daqs)} recorder file{'s' if len(inventory.daqs) > 1 else ''}"
-    told = [f"{files} with {channels} channels"] if inventory.daqs else []
+    texts = [f"{files} with {channels} channels"] if inventory.daqs else []
     for sight in inventory.camera_systems:
-        told.append(f"{'camera' if sight.right is None else 'stereo pair'} {sight.name} of {sight.left.frames} frames")
-    told += [f"{camera.pattern} left out ({camera.problem})" for camera in inventory.cameras]
-    told += [f"points {table.path.name}" for table in inventory.points]
-    told += [f"response {path.name}" for path in inventory.responses]
+        texts.append(f"{'camera' if sight.right is None else 'stereo pair'} {sight.name} of {sight.left.frames} frames")
+    texts += [f"{camera.pattern} left out ({camera.problem})" for camera in inventory.cameras]
+    texts += [f"points {table.path.name}" for table in inventory.points]
+    texts += [f"response {path.name}" for path in inventory.responses]
     if surveyed.lines_hz:
-        told.append(f"driven at {', '.join(f'{line:g}' for line in surveyed.lines_hz[:5])} Hz {surveyed.where}")
-    return f"{inventory.folder.name}: {'; '.join(told)}"
+        texts.append(f"driven at {', '.join(f'{line:g}' for line in surveyed.lines_hz[:5])} Hz {surveyed.where}")
+    return f"{inventory.folder.name}: {'; '.join(texts)}"
 
 
-# A recording like another one: its rig and channels, the lines and files of its own.
+# Draft from another recording: its rig and channels, with the lines and files of this one.
 
 
-def _taken_over(surveyed: SurveyedRecording, like: Path) -> str:
-    """Return recording.toml with everything of another recording that the files of this one bear out."""
+def _copied_recording(surveyed: SurveyedRecording, like: Path) -> str:
+    """Return recording.toml from another recording, with the files and lines of this one."""
     path = like if like.is_file() else like / RECORDING_NAME
     text = read_toml(path)
     if "take" in text:
-        raise InputError(path, "take", "takes", "a recording without takes to take over")
+        raise InputError(UNSUITABLE_TEMPLATE, path, "take", found="takes", expected="a recording without takes")
     rig, excitation = text.get("rig"), text.get("excitation")
     if not isinstance(rig, str) or not isinstance(excitation, dict):
-        raise InputError(path, "", "neither", "a recording with its rig and an excitation")
+        expected = "a recording with its rig and an excitation"
+        raise InputError(UNSUITABLE_TEMPLATE, path, found="neither", expected=expected)
     inventory, lines = surveyed.inventory, list(surveyed.lines_hz)
     folder = inventory.folder
 
     def moved(name: Any) -> Any:
-        """Return the path of a file beside the other recording as seen from here, where it has none of that name."""
+        """Return the relative path of the other recording's file, unless it exists."""
         if not isinstance(name, str) or (folder / name).exists():
             return name
         return Path(os.path.relpath(path.parent / name, folder)).as_posix()
@@ -161,21 +193,21 @@ def _taken_over(surveyed: SurveyedRecording, like: Path) -> str:
     axis = driven_axis(folder.resolve().name)
     excitation = {**excitation, **({"frequencies": lines} if lines and "frequencies" in excitation else {})}
     excitation |= {"direction": axis} if axis is not None and "direction" in excitation else {}
-    kept = {key: value for key, value in text.items() if key not in ("name", "rig", "date", "excitation")}
-    made = {"format": 1, "name": folder.resolve().name, "rig": moved(rig), **kept, "excitation": excitation}
+    copied = {key: value for key, value in text.items() if key not in ("name", "rig", "date", "excitation")}
+    made = {"format": 1, "name": folder.resolve().name, "rig": moved(rig), **copied, "excitation": excitation}
     made["daq"] = [_same_recorder(block, inventory, moved) for block in _blocks(text, "daq")]
     sights = {sight.name: [camera.pattern for camera in sight.cameras] for sight in inventory.camera_systems}
     made["images"] = []
     for block in _blocks(text, "images"):
         sides = [side for side in ("left", "right") if side in block]
         files = sights.get(block.get("stereo", ""), [])
-        here = files if len(files) == len(sides) else [UNFILLED] * len(sides)
-        made["images"].append(block | dict(zip(sides, here, strict=True)))
-    there = {table.name: table.path.name for table in inventory.points}
+        images = files if len(files) == len(sides) else [UNFILLED] * len(sides)
+        made["images"].append(block | dict(zip(sides, images, strict=True)))
+    tables = {table.name: table.path.name for table in inventory.points}
     made["points"] = [
         block
         if (folder / str(block.get("files"))).exists()
-        else {**block, "files": there.get(str(block.get("stereo")), UNFILLED)}
+        else {**block, "files": tables.get(str(block.get("stereo")), UNFILLED)}
         for block in _blocks(text, "points")
     ]
     return f"{HEAD}# Rig and channels are those of {path.parent.name}.\n" + to_toml(
@@ -190,12 +222,15 @@ def _blocks(text: dict[str, Any], key: str) -> list[dict[str, Any]]:
 
 
 def _same_recorder(block: dict[str, Any], inventory: Inventory, moved: Any) -> dict[str, Any]:
-    """Return a recorder's block with this recording's file: of the same name, else the one with all its channels."""
+    """Return a recorder's block with this recording's file.
+
+    It has the same name, otherwise it is the only one with all channels.
+    """
     channels = [
         {**entry, **({"response": moved(entry["response"])} if "response" in entry else {})}
         for entry in _blocks(block, "channel")
     ]
-    wanted = {str(entry.get("in_file", entry.get("name"))) for entry in channels}
-    having = [daq.path.name for daq in inventory.daqs if wanted <= {channel.name for channel in daq.channels}]
+    names = {str(entry.get("in_file", entry.get("name"))) for entry in channels}
+    having = [daq.path.name for daq in inventory.daqs if names <= {channel.name for channel in daq.channels}]
     same = [name for name in having if name == block.get("file")] or having
     return {**block, "file": same[0] if len(same) == 1 else UNFILLED, "channel": channels}

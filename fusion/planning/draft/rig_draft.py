@@ -1,4 +1,4 @@
-"""rig.toml for what the recordings of a campaign hold."""
+"""Draft of rig.toml for the recordings of a campaign."""
 
 from __future__ import annotations
 
@@ -29,8 +29,8 @@ from shaker.labels import LOAD_COMPONENTS
 SENSOR_KEYS = (
     ("serial", "", ""),
     ("capacity", [500.0, 500.0, 1000.0, 25.0, 25.0, 25.0], "rated loads, N and N m"),
-    ("static_sensitivity", [[0.0] * 6], "a row per channel, unit per N and N m: makes the result the sensor's element"),
-    ("cross_talk", 0.01, "rated, relative, where no static matrix is known"),
+    ("static_sensitivity", [[0.0] * 6], "a row per channel, unit per N and N m: corrects for cross-talk"),
+    ("cross_talk", 0.01, "rated, relative, without a static matrix"),
     ("internal_mass_uncertainty", 5e-4, "kg"),
     ("internal_centre_of_mass", [0.0, 0.0, 0.0], "m"),
     ("internal_centre_of_mass_uncertainty", 1e-3, "m"),
@@ -49,12 +49,12 @@ PART_KEYS = (
     ("inertia_uncertainty", 1e-6, "kg m^2"),
 )
 AROUND_KEYS = (
-    ("gravity", [0.0, 0.0, -9.81], "m/s^2 in sensor axes, points down: corrects tilt"),
+    ("gravity", [0.0, 0.0, -9.81], "m/s^2 in sensor axes, downward: corrects tilt"),
     ("temperature", 23.0, "°C"),
     ("air_density", 1.19, "kg/m^3"),
 )
 HEAD_KEYS = (
-    ("mirror", [0.0, 0.0, 0.6], "m, from where the beams leave; or standoff, its distance"),
+    ("mirror", [0.0, 0.0, 0.6], "m, origin of the beams; or standoff, its distance"),
     ("rotation_uncertainty", 2e-3, "rad"),
     ("point_uncertainty", 5e-4, "m"),
 )
@@ -62,12 +62,15 @@ POSE_KEYS = (("pose_uncertainty", [1e-4] * 3 + [5e-4] * 3, "m and rad"), ("delay
 
 
 def rig_text(root: Path, inventories: Sequence[Inventory], found: Sequence[RecorderFile]) -> str:
-    """Return the text of rig.toml for what the recordings of a campaign hold; `found`: the recorders of the first."""
+    """Return the draft of rig.toml.
+
+    `found`: the recorders of the first recording.
+    """
     outputs = [item for recorder in found for item in recorder.channels if item.quantity == "output"]
     lines = [HEAD, "format = 1", key_line("name", root.resolve().name)]
     if outputs:
         lines += _sensor(outputs)
-        lines += ["\n[load]  # everything mounted above the sensor, without the sensor's own part"]
+        lines += ["\n[load]  # everything mounted above the sensor, without the sensor's moving part"]
         lines += [
             question_line("mass", "the true mass in kg"),
             question_line("mass_uncertainty", "its standard uncertainty (k = 1) in kg"),
@@ -82,7 +85,7 @@ def rig_text(root: Path, inventories: Sequence[Inventory], found: Sequence[Recor
     lines += ["\n# [environment]", *(optional_line(*entry) for entry in AROUND_KEYS)]
     files = find_calibrations([root, root / "calibration", *(inventory.folder for inventory in inventories)])
     if sum(item.quantity in TRANSDUCERS for recorder in found for item in recorder.channels) > 1:
-        lines += ["\n# [head.laser]  # what the beams of a laser, or the axes of an accelerometer, have in common"]
+        lines += ["\n# [head.laser]  # common errors of the beams of a laser, or the axes of an accelerometer"]
         lines += [optional_line(*entry) for entry in HEAD_KEYS]
     width_s = next((pulses.width_s for recorder in found for _, pulses in recorder.triggers), 0.0)
     every: list[FoundCameras | FoundPoints] = []
@@ -98,9 +101,9 @@ def _sensor(outputs: Sequence[ChannelGuess]) -> Iterator[str]:
     named = [next((name for name in LOAD_COMPONENTS if has_word(name.lower(), o.found.title)), "") for o in outputs]
     units = {o.found.unit.strip().lower() for o in outputs}
     yield "\n[sensor]"
-    yield key_line("name", "sensor under test", "as its certificate shall name it")
+    yield key_line("name", "sensor under test", "its name in a certificate")
     if all(named):
-        yield key_line("channels", named, "its outputs, as they were found")
+        yield key_line("channels", named, "its outputs in the files")
     else:
         yield question_line(
             "channels", f'the names of its outputs, such as ["Fx", "Fy", "Fz"]; {len(outputs)} were found'
@@ -114,34 +117,36 @@ def _sensor(outputs: Sequence[ChannelGuess]) -> Iterator[str]:
     yield question_line(
         "sense", '"on_load" or "on_sensor": on which the wrench acts for which its outputs are positive'
     )
-    yield question_line("internal_mass", "the sensor's own mass that moves above its elastic element, in kg")
+    yield question_line(
+        "internal_mass", "the mass of the sensor that moves with the load, above its elastic element, in kg"
+    )
     yield from (optional_line(*entry) for entry in SENSOR_KEYS)
 
 
 def _sight(
     item: FoundCameras | FoundPoints, root: Path, files: dict[Path, tuple[int, int]], width_s: float
 ) -> Iterator[str]:
-    """Yield the block of what sees a body: a pair of cameras, one alone before a known face, points."""
+    """Yield the block of a stereo pair, a single camera with its surface, or points."""
     yield f"\n[stereo.{quote_key(item.name)}]"
     yield body_line(item.name)
-    scaled, pictures = False, isinstance(item, FoundCameras)
+    scaled, is_camera = False, isinstance(item, FoundCameras)
     alone = isinstance(item, FoundCameras) and item.right is None
     if isinstance(item, FoundCameras):
         sized = [path for path, size in files.items() if size == item.left.size_px]
-        alike = [path for path in sized if is_single(path) == alone]
-        named = [path for path in (sized if alone else alike) if item.name.lower() in path.stem.lower()]
-        own = named or (alike if len(alike) == 1 else [])
-        if own:
-            why = f"guessed: its name, and pictures of {item.left.size_px[0]} x {item.left.size_px[1]} px"
-            yield key_line("calibration", Path(os.path.relpath(own[0], root)).as_posix(), why)
-            scaled = states_scale(own[0])
+        same_kind = [path for path in sized if is_single(path) == alone]
+        named = [path for path in (sized if alone else same_kind) if item.name.lower() in path.stem.lower()]
+        matching = named or (same_kind if len(same_kind) == 1 else [])
+        if matching:
+            why = f"guessed: its name, and images of {item.left.size_px[0]} x {item.left.size_px[1]} px"
+            yield key_line("calibration", Path(os.path.relpath(matching[0], root)).as_posix(), why)
+            scaled = states_scale(matching[0])
         elif alone:
             yield question_line(
                 "calibration", "a file of shakercal cameras --mono, or of a pair whose left camera it is"
             )
         else:
             yield question_line("calibration", "a file of shakercal cameras or import-calibration")
-    frame = ("camera" if alone else "left camera") if pictures else "points"
+    frame = ("camera" if alone else "left camera") if is_camera else "points"
     yield question_line(
         "rotation", f"3 x 3, of x_sensor = rotation x_{frame.replace(' ', '_')} + translation (shakercal align)"
     )
@@ -149,7 +154,7 @@ def _sight(
     yield from (optional_line(*entry) for entry in POSE_KEYS)
     why = "relative standard uncertainty (k = 1) of all lengths"
     yield (
-        optional_line("scale_uncertainty", 1e-4, f"{why}, beside the calibration's")
+        optional_line("scale_uncertainty", 1e-4, f"{why}, in addition to the calibration's")
         if scaled or alone
         else question_line("scale_uncertainty", why)
     )
@@ -160,18 +165,18 @@ def _sight(
     if isinstance(item, FoundCameras) and item.left.exposure_s is not None:
         yield key_line("exposure", "file", f"the files state {1e6 * item.left.exposure_s:.4g} us")
     else:
-        told = f" ({1e6 * width_s:.4g} us)" if width_s else ""
+        width = f" ({1e6 * width_s:.4g} us)" if width_s else ""
         yield question_line(
-            "exposure", f'its length in s, or "pulse" where it lasts as long as the trigger is active{told}'
+            "exposure", f'its length in s, or "pulse" where it lasts as long as the trigger is active{width}'
         )
     yield optional_line("delay_uncertainty", 1e-6, "s")
     if alone:
-        yield f"\n[stereo.{quote_key(item.name)}.surface]  # the plane face that the camera sees, at rest: it is alone"
+        yield f"\n[stereo.{quote_key(item.name)}.surface]  # the plane face in view of the single camera, at rest"
         yield question_line("point", "a point of it in the sensor frame, in m, by the drawing")
         yield question_line("normal", "across it, such as [0, 0, 1]")
         yield question_line(
             "distance_uncertainty", "its standard uncertainty (k = 1) along the normal in m: drawing, paint"
         )
         yield question_line("tilt_uncertainty", "standard uncertainty (k = 1) of its tilts in rad")
-    elif pictures:
+    elif is_camera:
         yield optional_line("row_time", 1e-5, "s from row to row of a rolling shutter, negative from the last row on")

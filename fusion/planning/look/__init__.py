@@ -1,1 +1,1 @@
-"""A first look at a recording within seconds, before the load mass comes down (`shakercal look`)."""
+"""Immediate assessment of a recording (`shakercal look`)."""

@@ -1,4 +1,4 @@
-"""What a look finds, and the verdict that follows: KEEP, CHECK, FIX MANIFEST or REPEAT."""
+"""Findings of a look, and the verdict: KEEP, CHECK, FIX MANIFEST or REPEAT."""
 
 from __future__ import annotations
 
@@ -6,67 +6,109 @@ import re
 from dataclasses import dataclass
 from typing import Literal
 
-from fusion.errors import InputError
+from fusion.errors import ComputeError, InputError
+from fusion.planning.look.look_notices import FILE_PROBLEM
+from shakercal._common.notices import Notice
 
 Verdict = Literal["KEEP", "CHECK", "FIX MANIFEST", "REPEAT"]
 VERDICTS: tuple[Verdict, ...] = ("KEEP", "CHECK", "FIX MANIFEST", "REPEAT")
-"""The mildest first: a manifest can be mended when the load is gone, a recording cannot be repeated then."""
+"""The mildest first: a manifest can be corrected after the load is removed, a recording cannot be repeated."""
 Level = Literal["good", "look", "wrong"]
 LEVELS: tuple[Level, ...] = ("good", "look", "wrong")
 LEVEL_OF: dict[Verdict, Level] = {"KEEP": "good", "CHECK": "look", "FIX MANIFEST": "wrong", "REPEAT": "wrong"}
 
 
-MENDED = (".toml", ".json")
-"""Suffixes of files that state something and can be corrected: manifests and calibrations."""
+CORRECTABLE = (".toml", ".json")
+"""Suffixes of files with statements that can be corrected: manifests and calibrations."""
 
+CODED = re.compile(r"(SC-\d{3} |)(.*)")
+"""A text with the code of an error at its beginning."""
 
-ASKED = re.compile(r"(?:; (?:give|state|correct) \w+|\(bit depth \d+\)|: frequency_hz: expected a range)")
-"""Words of a refusal by which a statement is what lacks: a key, the bit depth of images, the range of a response."""
+STATED_KEYS = re.compile(r"(?:; (?:give|state|correct) \w+|\(bit depth \d+\)|: frequency_hz: expected a range)")
+"""A reader's `ValueError`, which has no code, that asks for a key: its name, the bit depth, the range of a response."""
+
+MANIFEST_CODES = frozenset[str]()
+"""Errors without a file that the manifest has to correct."""
 
 
 @dataclass(frozen=True)
 class Finding:
-    """A fact about a recording: the `verdict` it leads to, the channel, camera or key it is about, the text."""
+    """A notice about a recording, with the `verdict` that follows from it."""
 
     verdict: Verdict
-    where: str
-    text: str
+    notice: Notice
+
+    @property
+    def code(self) -> str:
+        """Code of the notice."""
+        return self.notice.code
+
+    @property
+    def where(self) -> str:
+        """Channel, camera or key that it concerns."""
+        return self.notice.where
+
+    @property
+    def text(self) -> str:
+        """The fact, in one sentence."""
+        return self.notice.text
 
     @property
     def level(self) -> Level:
-        """Return the colour of the verdict: good, look (yellow) or wrong (red)."""
+        """Colour of the verdict: good, look (yellow) or wrong (red)."""
         return LEVEL_OF[self.verdict]
 
+    def at(self, where: str) -> Finding:
+        """Return the same finding about another channel, camera or key."""
+        return Finding(self.verdict, self.notice.at(where))
 
-def refusal_finding(error: Exception, where: str = "") -> Finding:
-    """Return the finding of a refusal by `run` or a reader.
 
-    A statement of a manifest that data contradict is to be mended there. A file that cannot be read, and data that
-    allow no result, are to be recorded again.
+def refusal_findings(error: Exception, where: str = "") -> list[Finding]:
+    """Return the findings of an error by `run` or a reader.
+
+    Each mistake in the input is a finding.
+
+    If data contradict a statement of a manifest, the manifest has to be corrected. If a file cannot be read, or the
+    data give no result, the recording has to be repeated.
     """
-    verdict: Verdict = "REPEAT"
-    if ASKED.search(str(error)):
-        verdict = "FIX MANIFEST"
-    elif isinstance(error, InputError):
-        read = re.search(r"(^|\.)(images|points|daq)\.", error.key) and "expected" not in error.values
-        verdict = "REPEAT" if read or error.file.suffix not in MENDED else "FIX MANIFEST"
-    elif ".toml" in str(error):
-        verdict = "FIX MANIFEST"
-    return Finding(verdict, where, shorten(str(error)))
+    if isinstance(error, InputError):
+        return [Finding(_input_verdict(one), _error_notice(one, where)) for one in error.each]
+    text = shorten(str(error))
+    needs_key = STATED_KEYS.search(text) is not None or ".toml" in text
+    if isinstance(error, ComputeError):
+        needs_key = needs_key or error.code in MANIFEST_CODES
+        location = ": ".join(filter(None, (where, error.where)))
+        return [Finding("FIX MANIFEST" if needs_key else "REPEAT", Notice(error.declared, location, **error.values))]
+    notice = Notice(FILE_PROBLEM, where, reason=text)
+    return [Finding("FIX MANIFEST" if needs_key else "REPEAT", notice)]
+
+
+def _input_verdict(error: InputError) -> Verdict:
+    """Return REPEAT for refused data, FIX MANIFEST for a statement to correct."""
+    if STATED_KEYS.search(str(error)) or error.code in MANIFEST_CODES:
+        return "FIX MANIFEST"
+    recorded = re.search(r"(^|\.)(images|points|daq)\.", error.key) and "expected" not in error.values
+    return "REPEAT" if recorded or error.file.suffix not in CORRECTABLE else "FIX MANIFEST"
+
+
+def _error_notice(error: InputError, where: str) -> Notice:
+    """Return a mistake as a notice about its file and key."""
+    return Notice(error.declared, ": ".join(filter(None, (where, error.file.name, error.key))), **error.values)
 
 
 def problem_finding(text: str) -> Finding:
-    """Return the finding of a problem that `check` names: of a file, or of what a manifest says of it."""
-    block, told = re.fullmatch(r"(?:(?:take\S+ )?(daq|images|points) ([^:]+): )?(.*)", text, re.DOTALL).groups()[1:]  # type: ignore[union-attr]
-    mistaken = block is None or ("expected" in told and "truncated" not in told)
-    return Finding("FIX MANIFEST" if mistaken else "REPEAT", block or "", shorten(told))
+    """Return the finding of a problem that `check` reports."""
+    pattern = r"(?:(?:take\S+ )?(daq|images|points) ([^:]+): )?(.*)"
+    block, reason = re.fullmatch(pattern, text, re.DOTALL).groups()[1:]  # type: ignore[union-attr]
+    mistaken = block is None or ("expected" in reason and "truncated" not in reason)
+    return Finding("FIX MANIFEST" if mistaken else "REPEAT", Notice(FILE_PROBLEM, block or "", reason=shorten(reason)))
 
 
 def shorten(text: str) -> str:
-    """Return what a reader says in one line, its file without folders."""
-    text = " ".join(text.split())
+    """Return a reader's text in one line, with the file's name only."""
+    code, text = CODED.fullmatch(" ".join(text.split())).groups()  # type: ignore[union-attr]
     path, colon, rest = text.partition(": ")
-    return f"{path.rpartition('/')[2]}: {rest}" if colon and "/" in path else text
+    return f"{code}{path.rpartition('/')[2]}: {rest}" if colon and "/" in path else f"{code}{text}"
 
 
 def worst_verdict(findings: tuple[Finding, ...] | list[Finding]) -> Verdict:

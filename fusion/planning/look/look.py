@@ -1,11 +1,11 @@
-"""`shakercal look`: is this recording worth keeping; a traffic light from its data and a few of its pictures."""
+"""`shakercal look`: verdict on a recording from its data and a few of its images."""
 
 from __future__ import annotations
 
 import time
 from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -24,10 +24,18 @@ from fusion.planning.look.finding import (
     Level,
     Verdict,
     problem_finding,
-    refusal_finding,
+    refusal_findings,
     worst_verdict,
 )
 from fusion.planning.look.image_checks import PairPrecision, examine_camera, examine_pair
+from fusion.planning.look.look_notices import (
+    AIM_MISSED,
+    CAMERAS_DIFFER_IN_FRAMES,
+    FIRST_EDGE_UNSTATED,
+    INCOMPLETE_RECORDING,
+    LOOK_MISSING_EDGES,
+    REMARK,
+)
 from fusion.planning.look.signal_checks import (
     LineStrength,
     examine_beat,
@@ -45,22 +53,23 @@ from fusion.report.atomic_files import write_atomically
 from fusion.report.terminal import print_text, stdout_console
 from photogram.camera import StereoRig
 from shaker.timebase.trigger import TriggerFit
+from shakercal._common.notices import Notice
 
 COLOURS = {"good": "GREEN", "look": "YELLOW", "wrong": "RED"}
 VERDICT_TEXTS: dict[Verdict, str] = {
-    "KEEP": "nothing speaks against this recording",
-    "CHECK": "look at what is below before the load comes down",
+    "KEEP": "this recording has no problem",
+    "CHECK": "read the findings before the load is removed",
     "FIX MANIFEST": "a statement of recording.toml or rig.toml contradicts the data",
-    "REPEAT": "record again: this cannot give a good result",
+    "REPEAT": "record again: these data cannot give a good result",
 }
 K2 = 2.0
-WATCHED_S = 2.0
-THREADS = 2
+WATCHED_S = 2.0  # interval of the check for changed files
+THREADS = 2  # for images, in addition to the one for channels
 
 
 @dataclass(frozen=True)
 class ExpectedUncertainty:
-    """The expanded uncertainty (k = 2) to expect of a sensitivity's magnitude, relative, and what it comes from."""
+    """Expected U (k = 2) of a sensitivity's magnitude, relative, with its shares."""
 
     frequency_hz: float
     channel: str
@@ -70,8 +79,16 @@ class ExpectedUncertainty:
 
 @dataclass(frozen=True)
 class Look:
-    """What a first look at a recording has found, the worst first, and the uncertainty that its result can have.
+    """Result of a look: findings, the worst first, and the expected uncertainty.
 
+    Attributes
+    ----------
+    name, path : Of the recording.
+    findings : Verdict, location and text of each finding.
+    expected : Expected uncertainties, line by line.
+
+    Examples
+    --------
     >>> from fusion import Look, look
     >>> found = look("sample_images/demo/Fz-0080")
     >>> isinstance(found, Look), found.verdict, found.level
@@ -85,87 +102,109 @@ class Look:
 
     @property
     def verdict(self) -> Verdict:
-        """Return the worst of all findings: KEEP, CHECK, FIX MANIFEST or REPEAT."""
+        """Worst verdict of all findings: KEEP, CHECK, FIX MANIFEST or REPEAT."""
         return worst_verdict(self.findings)
 
     @property
     def level(self) -> Level:
-        """Return the colour of the verdict: good, look (yellow) or wrong (red)."""
+        """Colour of the verdict: good, look (yellow) or wrong (red)."""
         return LEVEL_OF[self.verdict]
 
 
 def look(recording: str | Path, aim: float | None = None, *, allow_outside: bool = False) -> Look:
-    """Look at a recording: every channel, some pictures of every camera, and what its command will say of it.
+    """Assess a recording from its channels, some images of every camera, and a trial evaluation.
 
-    `aim`: relative expanded uncertainty (k = 2) that the result shall have. What cannot be read is a finding, too; only
-    a manifest with mistakes raises `InputError`.
+    Parameters
+    ----------
+    recording
+        The recording: its recording.toml, or the folder of it.
+    aim
+        Target relative expanded uncertainty (k = 2); default None.
+    allow_outside
+        Whether files outside the recording's folder are allowed; default False.
 
+    Returns
+    -------
+    Findings and expected uncertainty. Files that cannot be read are findings.
+
+    Raises
+    ------
+    InputError : The manifest has errors.
+
+    Examples
+    --------
     >>> from fusion import look
     >>> [finding.text for finding in look("sample_images/demo/Fz-0080", aim=1e-4).findings]  # doctest: +ELLIPSIS
-    ['U (k = 2) of Fz per Fz at 80 Hz will be about 0.07... %, more than the 0.01 % aimed at']
+    ['U (k = 2) of Fz per Fz at 80 Hz will be about 0.07... %, more than the target of 0.01 %.']
     """
     manifest, already = load_manifest(recording, allow_outside=allow_outside), FileCache()
-    problems, opened = _opened(manifest, already)
-    records = {(one.where, record.entry.name): record for one in opened for record in one.base.records}
+    problems, set_ups = _open_recording(manifest, already)
+    records = {(one.where, record.entry.name): record for one in set_ups for record in one.base.records}
     findings: list[Finding] = []
     expected: list[ExpectedUncertainty] = []
     for where, block in manifest.set_ups:
         found, strengths, pairs = _look_at(block, where, already, records)
         prefix = where.rstrip(".") + " " if len(manifest.set_ups) > 1 else ""
-        findings += [replace(item, where=prefix + item.where) for item in found]
+        findings += [item.at(prefix + item.where) for item in found]
         expected += _expected(block, strengths, pairs)
-    if opened and worst_verdict(findings) != "REPEAT":
-        problems += trial_findings(manifest, opened)
-    known = " ".join(finding.text for finding in findings)
-    findings += (finding for finding in problems if finding.text.rpartition(": ")[2] not in known)
+    if set_ups and worst_verdict(findings) != "REPEAT":
+        problems += trial_findings(manifest, set_ups)
+    reported = " ".join(finding.text for finding in findings)
+    findings += (finding for finding in problems if finding.text.rpartition(": ")[2] not in reported)
     for item in expected:
         if aim is not None and aim < item.U:
-            text = f"will be about {100 * item.U:.2g} %, more than the {100 * aim:.2g} % aimed at"
-            findings.append(Finding("CHECK", "", f"U (k = 2) of {item.channel} at {item.frequency_hz:g} Hz {text}"))
+            percent = {"expected_percent": 100 * item.U, "aim_percent": 100 * aim}
+            notice = Notice(AIM_MISSED, "", channel=item.channel, frequency_hz=item.frequency_hz, **percent)
+            findings.append(Finding("CHECK", notice))
     findings.sort(key=lambda finding: -VERDICTS.index(finding.verdict))
     return Look(manifest.name, manifest.path, tuple(findings), tuple(expected))
 
 
-def _opened(manifest: Manifest, already: FileCache) -> tuple[list[Finding], tuple[PreparedSetUp, ...]]:
-    """Open a recording as the command that evaluates it does: what that refuses, and what `run` has opened."""
+def _open_recording(manifest: Manifest, already: FileCache) -> tuple[list[Finding], tuple[PreparedSetUp, ...]]:
+    """Open a recording as its command does.
+
+    Returned are the errors of that command, and the opened set-ups of `run`.
+    """
     report, kind = inspect_recording(manifest, already), KINDS[manifest.excitation.kind]
     if report.problems:
         return [problem_finding(text) for text in report.problems], ()
     if kind.commands[0] != "run":
         problems, notices = read_for_command(manifest, already)
-        told = [problem_finding(text) for text in problems]
-        if kind.remarks is None:  # else doubts are among the remarks
+        findings = [problem_finding(text) for text in problems]
+        if kind.remarks is None:  # otherwise these notices are among the remarks
             notices = [*manifest.certificate_notices, *plausibility_notices(manifest), *notices]
         else:
-            told += [Finding("CHECK", "", text) for text in report.remarks if text not in kind.command_remark]
-        return [*told, *notice_findings(notices)], ()
+            remarks = [text for text in report.remarks if text not in kind.command_remark]
+            findings += [Finding("CHECK", Notice(REMARK, "", remark=text)) for text in remarks]
+        return [*findings, *notice_findings(notices)], ()
     try:
         return [], prepare_set_ups(manifest, already)
     except (InputError, ComputeError) as error:
-        return [refusal_finding(error)], ()
+        return refusal_findings(error), ()
 
 
 def _look_at(
     block: Manifest, where: str, already: FileCache, records: Mapping[tuple[str, str], DaqRecord]
 ) -> tuple[list[Finding], list[LineStrength], dict[str, tuple[PairPrecision, int]]]:
-    """Look at what was recorded at once: findings, driven lines by channel, pairs with their number of frames.
+    """Return findings, driven lines by channel, and pairs of a block.
 
-    Pictures are looked at beside the channels: the libraries that decode and filter them let other threads work.
+    A pair has its number of frames. Images are examined in parallel with the channels: the image libraries release the
+    interpreter.
     """
     found: list[Finding] = []
     strengths: list[LineStrength] = []
     triggers: dict[str, TriggerFit] = {}
     pairs = {}
     with ThreadPoolExecutor(THREADS) as threads:
-        pictures = [threads.submit(_look_at_images, block, images, already) for images in block.images]
+        image_jobs = [threads.submit(_look_at_images, block, images, already) for images in block.images]
         for daq in block.daq:
             raw = already.channels.get((where, daq.name), {})
-            if not raw:  # what is wrong with the file is among the problems of `inspect`
+            if not raw:  # `inspect_recording` reports problems of the file
                 continue
             slowest_hz = block.excitation.slowest_hz
             record = records.get((where, daq.name)) or DaqRecord(daq, raw, 0.0, slowest_hz=slowest_hz)
-            own, strong = examine_channels(block, record)
-            found += own
+            channel_findings, strong = examine_channels(block, record)
+            found += channel_findings
             strengths += strong
             for entry in daq.channel:
                 if entry.quantity == "trigger" and np.ptp(raw[entry.name].samples) > 0.0:
@@ -174,11 +213,11 @@ def _look_at(
                     if isinstance(fit, TriggerFit):
                         triggers.setdefault(entry.name, fit)
         lines = block.excitation.frequencies or ()
-        if any(finding.verdict == "FIX MANIFEST" for finding in found):  # other lines than these were driven
+        if any(finding.verdict == "FIX MANIFEST" for finding in found):  # other lines were driven
             lines = tuple({strength.frequency_hz for strength in strengths})
-        for images, seen in zip(block.images, pictures, strict=True):
-            own, pair, frames = seen.result()
-            found += own
+        for images, seen in zip(block.images, image_jobs, strict=True):
+            channel_findings, pair, frames = seen.result()
+            found += channel_findings
             if frames and images.trigger in triggers:
                 found += _edges(lines, images, triggers[images.trigger], frames)
             if pair is not None:
@@ -189,56 +228,58 @@ def _look_at(
 def _look_at_images(
     block: Manifest, images: Images, already: FileCache
 ) -> tuple[list[Finding], PairPrecision | None, int]:
-    """Look at the pictures of a stereo pair, and count its frames; of a camera alone there is nothing to compare."""
+    """Return findings and precision of a pair and its number of frames.
+
+    A single camera has no precision.
+    """
     where, pair = images.stereo, block.rig.stereo[images.stereo]
     try:
         sequences = [already.images[paths, images.bit_depth] for _, paths in images.cameras]
         rig = read_rig(pair, sequences)
         named = zip(images.cameras, sequences, strict=True)
         looks = [examine_camera(f"{where} {side}", sequence) for (side, _), sequence in named]
-    except KeyError:  # what is wrong with the files is among the problems of `inspect`
+    except KeyError:  # `inspect_recording` reports problems of the files
         return [], None, 0
     except (OSError, ValueError, InputError) as error:
-        return [refusal_finding(error, where)], None, 0
-    found = [finding for own, _ in looks for finding in own]
+        return refusal_findings(error, where), None, 0
+    found = [finding for camera_findings, _ in looks for finding in camera_findings]
     counts, seen_by = [len(sequence) for sequence in sequences], [seen for _, seen in looks if seen is not None]
     if counts[0] != counts[-1]:
-        found.append(Finding("REPEAT", where, f"{counts[0]} frames left and {counts[1]} right"))
+        found.append(Finding("REPEAT", Notice(CAMERAS_DIFFER_IN_FRAMES, where, left=counts[0], right=counts[1])))
     if not isinstance(rig, StereoRig) or len(seen_by) < len(looks):
         return found, None, counts[0]
     left, right = seen_by
-    own, seen = examine_pair(where, rig, left, right)
-    return found + own, seen, counts[0]
+    camera_findings, seen = examine_pair(where, rig, left, right)
+    return found + camera_findings, seen, counts[0]
 
 
 def _edges(lines: Sequence[float], images: Images, trigger: TriggerFit, frames: int) -> Iterator[Finding]:
-    """Yield where frames and edges do not fit each other, and what the cameras' rate does to the driven lines."""
+    """Yield contradictions between frames and edges, and aliases of the driven lines."""
     where = images.stereo
     if trigger.edges < frames + (images.first_edge or 0):
-        yield Finding("REPEAT", where, f"{frames} frames and only {trigger.edges} trigger edges")
+        yield Finding("REPEAT", Notice(LOOK_MISSING_EDGES, where, frames=frames, edges=trigger.edges))
     elif trigger.edges > frames and images.first_edge is None:
-        text = f"{frames} frames and {trigger.edges} trigger edges: first_edge must say which are the frames'"
-        yield Finding("FIX MANIFEST", where, text)
+        yield Finding("FIX MANIFEST", Notice(FIRST_EDGE_UNSTATED, where, frames=frames, edges=trigger.edges))
     yield from examine_beat(where, lines, trigger, frames)
 
 
 def _expected(
     block: Manifest, strengths: list[LineStrength], pairs: dict[str, tuple[PairPrecision, int]]
 ) -> Iterator[ExpectedUncertainty]:
-    """Yield the uncertainty to expect of the driven component's sensitivity, line by line.
+    """Yield the expected uncertainty of the driven component's sensitivity, line by line.
 
-    Relative variances: of the output (its noise and scale), of the load mass, and of the driven acceleration, for which
-    instruments count by the inverse of theirs. Lines of `plan`'s formula, u = √(2/F)·σ for F frames. Poses, places and
-    directions are left out: a few per cent of a degree matter little along what is driven.
+    Relative variances: of the output (noise and scale), of the load mass, and of the driven acceleration. Instruments
+    are weighted by their inverse variance. Lines are those of `plan`'s formula, u = √(2/F)·σ for F frames. Poses,
+    positions and directions are omitted: small angles have little effect along the driven direction.
     """
     driven, load = np.asarray(block.excitation.direction or ()), block.rig.load
     if len(driven) != 3 or load is None:
         return
     component = ("Fx", "Fy", "Fz")[int(np.argmax(np.abs(driven)))]
     for frequency in block.excitation.frequencies or ():
-        here = [item for item in strengths if item.frequency_hz == frequency]
-        output = next((item for item in here if item.entry.channel == component), None)
-        seen = [item for item in here if item.entry.quantity in TRANSDUCERS and item.entry.body == "load"]
+        at_line = [item for item in strengths if item.frequency_hz == frequency]
+        output = next((item for item in at_line if item.entry.channel == component), None)
+        seen = [item for item in at_line if item.entry.quantity in TRANSDUCERS and item.entry.body == "load"]
         aimed = [item for item in seen if abs(float(np.asarray(main_direction(item.entry)) @ driven)) > 0.5]
         amplitudes = [_displacement_m(item, driven) for item in aimed]
         motion = [
@@ -267,22 +308,22 @@ def _expected(
             "mass": (load.mass_uncertainty / whole) ** 2,
         }
         U = K2 * float(np.sqrt(sum(shares.values())))
-        told = tuple((name, K2 * float(np.sqrt(variance))) for name, variance in shares.items())
-        yield ExpectedUncertainty(frequency, f"{component} per {component}", U, told)
+        named_shares = tuple((name, K2 * float(np.sqrt(variance))) for name, variance in shares.items())
+        yield ExpectedUncertainty(frequency, f"{component} per {component}", U, named_shares)
 
 
 def _displacement_m(item: LineStrength, driven: np.ndarray) -> float:
-    """Return the displacement along what is driven that a channel's amplitude means, m."""
+    """Return the driven displacement of a channel's amplitude, m."""
     order = {"displacement": 0, "velocity": 1, "acceleration": 2}.get(item.entry.quantity, 0)
     along = abs(float(np.asarray(main_direction(item.entry)) @ driven))
     return item.amplitude / along / (2 * np.pi * item.frequency_hz) ** order
 
 
-# What a person at the shaker sees.
+# Output for the operator at the shaker.
 
 
 def print_look(found: Look) -> None:
-    """Print the light, then every finding, then the uncertainty to expect."""
+    """Print the colour, the findings, and the expected uncertainty."""
     from rich.padding import Padding
     from rich.text import Text
 
@@ -296,19 +337,22 @@ def print_look(found: Look) -> None:
         Padding(banner, (1, 4), style=f"black on {colour.lower()}", expand=False) if console.is_terminal else banner
     )
     for finding in found.findings:
-        where = f"{finding.where}: " if finding.where else ""
+        location = " ".join(filter(None, (finding.code, f"{finding.where}:" if finding.where else "")))
         label = "note" if finding.verdict == "KEEP" else finding.verdict
-        print_text(f"  {label}: {where}{finding.text}")
+        print_text(f"  {label}: {location} {finding.text}")
     for item in found.expected:
         shares = ", ".join(f"{name} {100 * share:.2g} %" for name, share in item.shares)
         text = (
-            f"U (k = 2) to expect of {item.channel} at {item.frequency_hz:g} Hz: about {100 * item.U:.2g} % ({shares})"
+            f"expected U (k = 2) of {item.channel} at {item.frequency_hz:g} Hz: about {100 * item.U:.2g} % ({shares})"
         )
         print_text(f"  {text}")
 
 
 def look_page(found: list[Look], reload_s: float | None) -> str:
-    """Return a page whose colour is read from two metres; `reload_s`: how often it loads itself again."""
+    """Return a page whose colour can be read from two metres.
+
+    `reload_s`: interval of its reloading; None without.
+    """
     from fusion.report.folder import render_page
 
     verdict = worst_verdict([finding for one in found for finding in one.findings])
@@ -324,7 +368,7 @@ def look_page(found: list[Look], reload_s: float | None) -> str:
 
 
 def run_look(path: Path, aim: float | None, page: Path | None, *, watch: bool, allow_outside: bool) -> Level:
-    """Look at a recording, or at each of a campaign, print and write what is seen; again whenever files change."""
+    """Print and write the look at a recording or campaign; with `watch` after every change."""
     before: object = None
     while True:
         recordings = find_recordings(path)
@@ -343,16 +387,17 @@ def run_look(path: Path, aim: float | None, page: Path | None, *, watch: bool, a
 
 
 def _one(recording: Path, aim: float | None, *, watch: bool, allow_outside: bool) -> Look:
-    """Look at a recording; while it is watched, what is not yet there is a finding."""
+    """Return the look at a recording; with `watch` an incomplete one is a finding."""
     try:
         return look(recording, aim, allow_outside=allow_outside)
     except InputError as error:
         if not watch:
             raise
-        return Look(recording.parent.name, recording, (Finding("REPEAT", "", f"not complete yet: {error}"),), ())
+        incomplete = Finding("REPEAT", Notice(INCOMPLETE_RECORDING, "", reason=str(error)))
+        return Look(recording.parent.name, recording, (incomplete,), ())
 
 
 def _state(recordings: list[Path]) -> object:
-    """Return what tells that a file of some recordings, or of a folder of theirs, has changed."""
-    places = [place for recording in recordings for place in (recording.parent, *recording.parent.iterdir())]
-    return {place: FileIdentity.of(place) for place in places if not place.name.startswith(".")}
+    """Return the identities of all files of some recordings, to detect changes."""
+    paths = [path for recording in recordings for path in (recording.parent, *recording.parent.iterdir())]
+    return {path: FileIdentity.of(path) for path in paths if not path.name.startswith(".")}

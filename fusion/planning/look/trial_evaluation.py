@@ -1,4 +1,4 @@
-"""What `run` will say of a recording: the same evaluation, with a few frames of every stereo pair."""
+"""Trial evaluation of a recording with a few frames of every pair."""
 
 from __future__ import annotations
 
@@ -14,7 +14,8 @@ from fusion.phasors.set_up import MeasuredSetUp, PreparedSetUp, measure_set_ups
 from fusion.phasors.set_up_merging import join_set_ups
 from fusion.phasors.stereo_motion import PreparedImages
 from fusion.planning.look.causes import find_contradictions
-from fusion.planning.look.finding import Finding, refusal_finding
+from fusion.planning.look.finding import Finding, refusal_findings
+from fusion.planning.look.look_notices import INDISTINCT_SENSITIVITY, OTHER_DIRECTION_DRIVEN
 from fusion.recording.load import Manifest
 from fusion.sensitivity.analyse import NO_RESULT, Evaluation
 from fusion.sensitivity.ratio import driven_component
@@ -26,30 +27,37 @@ from shaker.labels import LOAD_COMPONENTS, MOTION_COMPONENTS
 from shakercal._common.notices import Notice
 
 FOLLOWED, IN_A_ROW = 24, 8
-"""Frames of a pair that are followed, so many of them the first ones, from which the others are predicted."""
-AWAY, FAR_AWAY = 0.7, 0.3
-"""Share of the motion along what is driven, below which the direction is doubted or wrong."""
+"""Tracked frames of a pair, and the number of consecutive ones, from which the others are predicted."""
+DOUBTFUL_SHARE, WRONG_SHARE = 0.7, 0.3
+"""Share of the motion along the stated direction, below which the direction is doubtful or wrong."""
+
+PLAUSIBILITY_CODES = frozenset[str]()
+"""Notes on implausible statements of a manifest, which a person has to check."""
+ASSUMPTION_CODES = frozenset[str]()
+"""Warnings about motion without an instrument: its assumed limit is included in U."""
+MISTAKEN_OUTPUT_CODES = frozenset[str]()
+"""Warnings about outputs that a mistake in the manifest explains: a scale, a sign, exchanged channels."""
 
 
 def trial_findings(manifest: Manifest, set_ups: Sequence[PreparedSetUp]) -> list[Finding]:
-    """Evaluate an opened recording as `run` does, few frames of each pair, and return what speaks against it."""
+    """Evaluate an opened recording as `run` does, with few frames, and return the findings."""
     try:
-        measured = measure_set_ups([_thinned(one) for one in set_ups], Settings(), no_progress)
+        measured = measure_set_ups([_with_few_frames(one) for one in set_ups], Settings(), no_progress)
         evaluation = evaluate_set_ups(manifest, measured, Settings())
     except (InputError, ComputeError) as error:
-        return [refusal_finding(error)]
+        return refusal_findings(error)
     return [*_of_evaluation(evaluation, measured)]
 
 
-def _thinned(opened: PreparedSetUp) -> PreparedSetUp:
+def _with_few_frames(set_up: PreparedSetUp) -> PreparedSetUp:
     """Return a set-up with few frames of every pair."""
-    return replace(opened, images=tuple(_few_frames(images) for images in opened.images))
+    return replace(set_up, images=tuple(_few_frames(images) for images in set_up.images))
 
 
 def _few_frames(images: PreparedImages) -> PreparedImages:
-    """Return the images of a pair with the first frames and some of the others, spread over the record in no period.
+    """Return the first frames of a pair and some others, spread without a period.
 
-    Lines that all frames tell apart do not fold onto each other in these.
+    Lines that all frames resolve are not aliased onto each other in these.
     """
     count = len(images.left)
     if count <= FOLLOWED:
@@ -67,13 +75,13 @@ def _frames_of(images: ImageSequence, chosen: IntArray) -> ImageSequence:
     return replace(
         images,
         names=names,
-        reader=lambda place: reader(int(chosen[place])),
+        reader=lambda index: reader(int(chosen[index])),
         time_s=None if time_s is None else time_s[chosen],
     )
 
 
 def _of_evaluation(evaluation: Evaluation, set_ups: Sequence[MeasuredSetUp]) -> Iterator[Finding]:
-    """Yield contradictions with their likely causes, a missing result with its reason, then every other doubt."""
+    """Yield contradictions with likely causes, a missing result with its reason, then others."""
     fused = [acceleration for acceleration in evaluation.accelerations if acceleration.source == "fused"]
     gravity = evaluation.manifest.rig.surroundings.free_fall_mps2[0]
     found = list(find_contradictions(fused, join_set_ups(set_ups).observed(gravity), set_ups))
@@ -88,29 +96,32 @@ def _of_evaluation(evaluation: Evaluation, set_ups: Sequence[MeasuredSetUp]) -> 
 
 
 def notice_findings(notices: Iterable[Notice]) -> Iterator[Finding]:
-    """Yield what follows from warnings, and from questions: those of a manifest are to be answered.
+    """Yield the findings of notices.
 
-    What is assumed of motion that no instrument observes is in U, and a note.
+    The assumed limit of motion without an instrument is included in U: its warning is only a note here.
     """
     for notice in notices:
-        question, assumed = "?" in notice.text, notice.text.startswith("nothing measures ")
-        named = notice.where == "sensitivity" and ("as if " in notice.text or "exchanged" in notice.text)
-        if named or notice.where == NO_RESULT:
-            yield Finding("FIX MANIFEST", notice.where, notice.text)
-        elif (notice.severity == "warning" and not assumed) or (question and notice.where.endswith(".toml")):
-            yield Finding("CHECK", notice.where, notice.text)
-        elif notice.severity == "warning" or question:
-            yield Finding("KEEP", notice.where, notice.text)
+        doubted, assumed = notice.code in PLAUSIBILITY_CODES, notice.code in ASSUMPTION_CODES
+        mistaken = notice.code in MISTAKEN_OUTPUT_CODES
+        if not notice.code:  # until every notice is declared
+            doubted, assumed = "?" in notice.text, notice.text.startswith("nothing measures ")
+            mistaken = notice.where == "sensitivity" and ("as if " in notice.text or "exchanged" in notice.text)
+        if mistaken or notice.where == NO_RESULT:
+            yield Finding("FIX MANIFEST", notice)
+        elif (notice.severity == "warning" and not assumed) or (doubted and notice.where.endswith(".toml")):
+            yield Finding("CHECK", notice)
+        elif notice.severity == "warning" or doubted:
+            yield Finding("KEEP", notice)
 
 
 def _driven(evaluation: Evaluation) -> int | None:
-    """Return the load component (0 to 5) that is driven, None where no direction is stated."""
+    """Return the driven load component (0 to 5), None without a stated direction."""
     direction, sensor = evaluation.manifest.excitation.direction, evaluation.manifest.rig.sensor
     return None if direction is None else driven_component(direction, None if sensor is None else sensor.capacity)
 
 
 def _direction(evaluation: Evaluation, fused: Sequence[Acceleration]) -> Iterator[Finding]:
-    """Yield that the load moves along another axis than the one stated as driven."""
+    """Yield a motion of the load along another axis than the stated one."""
     direction = evaluation.manifest.excitation.direction
     load = next((one for one in fused if one.body == "load"), fused[0] if fused else None)
     if direction is None or len(direction) != 3 or load is None or load.disputed is not None:
@@ -119,25 +130,34 @@ def _direction(evaluation: Evaluation, fused: Sequence[Acceleration]) -> Iterato
         motion = np.nan_to_num(load.phasors.value[line, :3])
         size = float(np.linalg.norm(motion))
         share = abs(complex(motion @ np.asarray(direction))) / size if size > 0.0 else 1.0
-        if share < AWAY:
+        if share < DOUBTFUL_SHARE:
             most = int(np.argmax(np.abs(motion)))
-            text = (
-                f"the {load.body} moves along {MOTION_COMPONENTS[most]} at {load.phasors.frequency_hz[line]:.6g} Hz, "
-                f"with {100.0 * share:.2g} % of its motion along excitation.direction = {list(direction)}"
+            axis, stated = MOTION_COMPONENTS[most], str(list(direction))
+            numbers = {"frequency_hz": float(load.phasors.frequency_hz[line]), "share_percent": 100.0 * share}
+            notice = Notice(
+                OTHER_DIRECTION_DRIVEN, "excitation.direction", body=load.body, axis=axis, direction=stated, **numbers
             )
-            yield Finding("FIX MANIFEST" if share < FAR_AWAY else "CHECK", "excitation.direction", text)
+            yield Finding("FIX MANIFEST" if share < WRONG_SHARE else "CHECK", notice)
 
 
 def _indistinct(evaluation: Evaluation) -> Iterator[Finding]:
-    """Yield that a driven sensitivity has a value that cannot be distinguished from zero, line by line."""
+    """Yield driven sensitivities that are not significantly different from zero, line by line."""
     component, result = _driven(evaluation), evaluation.element or evaluation.sensitivity
-    own = [] if result is None else [e for e, (_, driven) in enumerate(result.elements) if driven == component]
-    if result is None or not own:
+    driven_elements = (
+        [] if result is None else [e for e, (_, driven) in enumerate(result.elements) if driven == component]
+    )
+    if result is None or not driven_elements:
         return
     for line in np.flatnonzero(evaluation.lines.multiple == 1).tolist():
-        sizes = np.abs([result.value[line, result.elements[place][0], result.elements[place][1]] for place in own])
-        main = result.polar[line][own[int(np.argmax(np.nan_to_num(sizes)))]]
+        sizes = np.abs(
+            [
+                result.value[line, result.elements[element][0], result.elements[element][1]]
+                for element in driven_elements
+            ]
+        )
+        main = result.polar[line][driven_elements[int(np.argmax(np.nan_to_num(sizes)))]]
         if main is not None and main.region.holds_zero:
-            hertz = f"{evaluation.lines.frequency_hz[line]:.6g} Hz"
-            text = f"the sensitivity to {LOAD_COMPONENTS[result.elements[own[0]][1]]} at {hertz}"
-            yield Finding("CHECK", "sensitivity", f"{text} cannot be distinguished from zero")
+            load = LOAD_COMPONENTS[result.elements[driven_elements[0]][1]]
+            frequency_hz = float(evaluation.lines.frequency_hz[line])
+            notice = Notice(INDISTINCT_SENSITIVITY, "sensitivity", component=load, frequency_hz=frequency_hz)
+            yield Finding("CHECK", notice)

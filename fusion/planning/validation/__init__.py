@@ -1,1 +1,1 @@
-"""Software validation: frozen cases computed by this installation, against results of other means."""
+"""Software validation: frozen cases computed by this installation and compared with references."""

@@ -1,4 +1,4 @@
-"""What this installation makes of the frozen inputs of `references.json`, quantity by quantity."""
+"""Computation of the frozen inputs of `references.json`, quantity by quantity."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ Inputs = Mapping[str, Any]
 
 
 def sines(inputs: Inputs) -> dict[str, float]:
-    """Sine approximation of irregular samples below the Nyquist rate, differentiated."""
+    """Compute the sine approximation of irregular samples below the Nyquist rate, differentiated."""
     from shaker.sine.sine_fit import fit_sines
 
     samples = np.array(inputs["samples_m"])[:, None]
@@ -38,7 +38,7 @@ def sines(inputs: Inputs) -> dict[str, float]:
 
 
 def trigger(inputs: Inputs) -> dict[str, float]:
-    """Edges of a camera's trigger and their periodic model."""
+    """Compute the edges of a camera's trigger and their periodic model."""
     from shaker.timebase.edges import find_edges
     from shaker.timebase.trigger import fit_trigger
 
@@ -48,7 +48,7 @@ def trigger(inputs: Inputs) -> dict[str, float]:
 
 
 def frames(inputs: Inputs) -> dict[str, float]:
-    """Displacements of subsets between two frames."""
+    """Compute the displacements of subsets between two frames."""
     from photogram.bspline import spline_of_image
     from photogram.subsets.find import identity_registration
     from photogram.subsets.icgn import TrackSettings, register
@@ -68,7 +68,7 @@ def _image(inputs: Inputs, name: str) -> FloatArray:
 
 
 def cameras(inputs: Inputs) -> dict[str, float]:
-    """Points projected into a camera with distortion, and triangulated from two."""
+    """Compute points projected into a camera with distortion, and triangulated from two."""
     from photogram.camera import Camera, StereoRig, triangulate
     from photogram.geometry import RigidTransform
 
@@ -84,7 +84,7 @@ def cameras(inputs: Inputs) -> dict[str, float]:
 
 
 def step(inputs: Inputs) -> dict[str, float]:
-    """A release fitted, and the figures of a system by its poles."""
+    """Compute the fit of a release, and the figures of a system by its poles."""
     from shaker.lti.indices import indices
     from shaker.lti.system import LinearSystem
     from shaker.release.record import StepRecord
@@ -114,7 +114,7 @@ def step(inputs: Inputs) -> dict[str, float]:
 
 
 def rotation(inputs: Inputs) -> dict[str, float]:
-    """Weight and first moment of what is turned in gravity."""
+    """Compute weight and first moment of a body rotated in gravity."""
     from shaker.static_rotation.masses import RotationRecord, SensorOutputs, fit_weights
 
     amplitude = _complex(inputs, "amplitude")
@@ -130,18 +130,18 @@ def _complex(inputs: Inputs, name: str) -> ComplexArray:
 
 
 def matrix(inputs: Inputs) -> dict[str, float]:
-    """The 6x6 matrix from eight recordings whose loads are known."""
+    """Compute the 6 × 6 matrix from eight recordings of known loads."""
     from fusion.campaign.excited_line import ExcitedLine
     from fusion.campaign.matrix import fit_matrix
     from fusion.estimation.uncertainty import Contribution, Uncertainty
     from shaker.labels import LOAD_COMPONENTS
 
     loads, outputs = _complex(inputs, "load"), _complex(inputs, "output")
-    known = Uncertainty((Contribution("noise", "A", 1e-24 * np.eye(12)[None]),), ())
+    load_uncertainty = Uncertainty((Contribution("noise", "A", 1e-24 * np.eye(12)[None]),), ())
     noise = Uncertainty((Contribution("noise", "A", inputs["u_output"] ** 2 * np.eye(12)[None]),), ())
     facts = 100.0, 100.0, (0.0, 0.0, 1.0)
     drives = [
-        ExcitedLine(f"run {n}", str(n), *facts, load, known, output, noise, LOAD_COMPONENTS)
+        ExcitedLine(f"run {n}", str(n), *facts, load, load_uncertainty, output, noise, LOAD_COMPONENTS)
         for n, (load, output) in enumerate(zip(loads, outputs, strict=True))
     ]
     value = fit_matrix(drives).value
@@ -154,7 +154,7 @@ def matrix(inputs: Inputs) -> dict[str, float]:
 
 
 def certificate(inputs: Inputs) -> dict[str, float]:
-    """Coverage factors, magnitude and phase with their uncertainties, rounding, and the numbers in the XML."""
+    """Compute coverage factors, magnitude and phase, rounding, and the numbers in the XML."""
     from fusion.estimation.coverage import coverage_factor, polar, region_factor
 
     found = {"k of infinite degrees of freedom": coverage_factor(np.inf)}
@@ -176,7 +176,7 @@ def certificate(inputs: Inputs) -> dict[str, float]:
 
 
 def _in_xml(stated: Polar, inputs: Inputs) -> dict[str, float]:
-    """Numbers that a certificate's XML holds, of one sensitivity and of one mass, by their place in the document."""
+    """Return the numbers in a certificate's XML, of one sensitivity and one mass."""
     from lxml import etree
 
     from fusion.campaign.recording_results import SensorFacts
@@ -202,17 +202,17 @@ def _in_xml(stated: Polar, inputs: Inputs) -> dict[str, float]:
 
     def numbers(quantity: list[etree._Element], *ends: str) -> list[float]:
         """Texts of elements whose names begin so, in the order of the document."""
-        own = [e for e in quantity if any(etree.QName(e).localname.startswith(end) for end in ends) and not len(e)]
-        return [float(str(e.text)) for e in own]
+        leaves = [e for e in quantity if any(etree.QName(e).localname.startswith(end) for end in ends) and not len(e)]
+        return [float(str(e.text)) for e in leaves]
 
     names = ["frequency", "magnitude", "U of the magnitude", "k", "phase", "U of the phase", "real part"]
     names += ["imaginary part", "variance, re", "covariance", "covariance again", "variance, im", "factor"]
     names += ["mass", "U of the mass"]
-    told = [
+    values_found = [
         *numbers(frequency, "value"), *numbers(size, "value", "coverageFactor"), *numbers(turn, "value"),
         *numbers(complex_value, "value", "coverageFactor"), *numbers(single, "value"),
     ]  # fmt: skip
-    return {f"XML: {name}": number for name, number in zip(names, told, strict=True)}
+    return {f"XML: {name}": number for name, number in zip(names, values_found, strict=True)}
 
 
 CASES: dict[str, Callable[[Inputs], dict[str, float]]] = {

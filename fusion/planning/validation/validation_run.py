@@ -1,4 +1,4 @@
-"""`shakercal validate`: whether this installation computes what it should, as a table, validation.json and a page."""
+"""`shakercal validate`: comparison of this installation with references, in three formats."""
 
 from __future__ import annotations
 
@@ -16,6 +16,7 @@ from typing import Any, Literal
 
 from fusion.base import PROGRAM, __version__, versions
 from fusion.errors import InputError
+from fusion.planning.planning_notices import VALIDATION_OUTPUT
 from fusion.planning.validation.cases import CASES
 from fusion.report.atomic_files import write_files, write_together
 from fusion.report.folder import render_page
@@ -30,7 +31,7 @@ Verdict = Literal["as installed", "changed", "not installed from a package"]
 
 @dataclass(frozen=True)
 class QuantityComparison:
-    """One quantity of one case: what was found, what it should be, and by how much it may be off."""
+    """One quantity of one case: found and expected value with tolerance."""
 
     case: str
     quantity: str
@@ -41,23 +42,26 @@ class QuantityComparison:
 
     @property
     def deviation(self) -> float:
-        """Return how far it is off."""
+        """Found minus expected value."""
         return self.found - self.expected
 
     @property
     def passed(self) -> bool:
-        """Whether it is as close as it has to be; what could not be computed is not."""
+        """Whether the deviation is within the tolerance; False without a value."""
         return abs(self.deviation) <= self.tolerance
 
     @property
     def share(self) -> float:
-        """Return the deviation over the tolerance."""
+        """Deviation over the tolerance."""
         return abs(self.deviation) / self.tolerance if self.tolerance else 0.0 if self.deviation == 0.0 else math.inf
 
 
 @dataclass(frozen=True)
 class CaseResult:
-    """One case: what is computed, what the reference was made by, and its quantities; `failure`: why there are none."""
+    """One case: description, source of the reference, and quantities.
+
+    `failure`: the reason if there are none.
+    """
 
     name: str
     what: str
@@ -68,18 +72,18 @@ class CaseResult:
 
     @property
     def passed(self) -> bool:
-        """Whether all of it is as it should be."""
+        """Whether all quantities passed."""
         return not self.failure and all(quantity.passed for quantity in self.quantities)
 
     @property
     def worst(self) -> float:
-        """Return the largest deviation over its tolerance."""
+        """Largest deviation over its tolerance."""
         return max((quantity.share for quantity in self.quantities), default=math.inf)
 
 
 @dataclass(frozen=True)
 class Installation:
-    """What was validated: SHA-256 over all files of the packages, and whether they are those that were installed."""
+    """SHA-256 over all files of the packages, and whether they are unchanged since installation."""
 
     sha256: str
     files: int
@@ -91,7 +95,7 @@ class Installation:
 
 @dataclass(frozen=True)
 class Validation:
-    """A validation of an installation: passed where all cases and files are as they should be."""
+    """Validation of an installation."""
 
     cases: tuple[CaseResult, ...]
     installation: Installation
@@ -99,20 +103,23 @@ class Validation:
 
     @property
     def passed(self) -> bool:
-        """Whether nothing speaks against the installation."""
+        """Whether all cases passed and no file was changed."""
         return all(case.passed for case in self.cases) and self.installation.verdict != "changed"
 
 
 def validate(references: Mapping[str, Any] | None = None) -> Validation:
-    """Compute every frozen case and compare it with its reference, by default those of the package."""
-    known = json.loads(REFERENCES.read_text(encoding="utf-8")) if references is None else references
+    """Compute every frozen case and compare it with its reference.
+
+    References are by default those of the package.
+    """
+    stated = json.loads(REFERENCES.read_text(encoding="utf-8")) if references is None else references
     date = time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime())
-    cases = tuple(_validated(name, known[name]) for name in CASES)
+    cases = tuple(_validated(name, stated[name]) for name in CASES)
     return Validation(cases, _installation(), date)
 
 
 def _validated(name: str, reference: Mapping[str, Any]) -> CaseResult:
-    """One case; what fails to compute is a failed case, not the end of the validation."""
+    """Return one case; an error in its computation is a failed case."""
     began, failure, found = time.perf_counter(), "", {}
     try:
         found = CASES[name](reference["inputs"])
@@ -120,24 +127,29 @@ def _validated(name: str, reference: Mapping[str, Any]) -> CaseResult:
         failure = f"{type(error).__name__}: {error}"
     compared = [
         QuantityComparison(
-            name, quantity, found.get(quantity, math.nan), told["value"], told["tolerance"], told["unit"]
+            name,
+            quantity,
+            found.get(quantity, math.nan),
+            reference_value["value"],
+            reference_value["tolerance"],
+            reference_value["unit"],
         )
-        for quantity, told in reference["expected"].items()
+        for quantity, reference_value in reference["expected"].items()
     ]
     took = time.perf_counter() - began
     return CaseResult(name, reference["what"], reference["source"], tuple(compared), failure, took)
 
 
-# What was validated.
+# The validated installation.
 
 
 def _installation() -> Installation:
-    """Hash the files of the packages and compare them with what the installer wrote down."""
-    root, own = Path(__file__).resolve().parents[3], hashlib.sha256()
+    """Hash the files of the packages and compare them with the installer's record."""
+    root, total = Path(__file__).resolve().parents[3], hashlib.sha256()
     names = sorted(name.relative_to(root).as_posix() for package in PACKAGES for name in _files(root / package))
     digests = {name: hashlib.sha256((root / name).read_bytes()) for name in names}
     for name, digest in digests.items():
-        own.update(f"{digest.hexdigest()}  {name}\n".encode())
+        total.update(f"{digest.hexdigest()}  {name}\n".encode())
     recorded = dict(_recorded(root))
     encoded = {
         name: base64.urlsafe_b64encode(digest.digest()).rstrip(b"=").decode() for name, digest in digests.items()
@@ -145,28 +157,28 @@ def _installation() -> Installation:
     changed = sorted(name for name in recorded.keys() | encoded.keys() if recorded.get(name) != encoded.get(name))
     verdict: Verdict = "not installed from a package" if not recorded else "changed" if changed else "as installed"
     references = hashlib.sha256(REFERENCES.read_bytes()).hexdigest()
-    told = tuple(changed) if recorded else ()
-    return Installation(own.hexdigest(), len(names), verdict, told, versions(), references)
+    changed_files = tuple(changed) if recorded else ()
+    return Installation(total.hexdigest(), len(names), verdict, changed_files, versions(), references)
 
 
 def _files(folder: Path) -> Iterator[Path]:
-    """Files of a package, without what Python and numba make of them."""
+    """Return the files of a package, without caches."""
     return (path for path in folder.rglob("*") if path.is_file() and "__pycache__" not in path.parts)
 
 
 def _recorded(root: Path) -> Iterator[tuple[str, str]]:
-    """Name and SHA-256 of every file of the packages as the installer put it there; none for a folder of sources."""
+    """Yield name and SHA-256 of every installed file; none for a source folder."""
     try:
         distribution = importlib.metadata.distribution(PROGRAM)
     except importlib.metadata.PackageNotFoundError:
         return
-    here = Path(str(distribution.locate_file(""))).resolve() == root
-    for file in (distribution.files or ()) if here else ():
+    is_installed = Path(str(distribution.locate_file(""))).resolve() == root
+    for file in (distribution.files or ()) if is_installed else ():
         if file.parts[0] in PACKAGES and file.hash is not None:
             yield file.as_posix(), file.hash.value
 
 
-# What is left of it: lines of the terminal, validation.json, a page.
+# Results: lines of the terminal, validation.json, a page.
 
 
 COLUMNS: list[TableColumn[CaseResult]] = [
@@ -189,7 +201,7 @@ QUANTITIES: list[TableColumn[QuantityComparison]] = [
 
 
 def print_validation(found: Validation) -> None:
-    """Print the table and what was validated."""
+    """Print the table and the installation."""
     from rich.table import Table
 
     shown = Table(title=f"Validation of {PROGRAM} {__version__}: {'passed' if found.passed else 'FAILED'}")
@@ -197,20 +209,20 @@ def print_validation(found: Validation) -> None:
         shown.add_column(str(column.head), justify="left" if column.align == "l" else "right", overflow="fold")
     for case in found.cases:
         shown.add_row(*(column.cell(case) for column in COLUMNS))
-    own = found.installation
+    installation = found.installation
     stdout_console().print(shown)
     for case in found.cases:
         for quantity in (quantity for quantity in case.quantities if not quantity.passed):
             off = f"found {quantity.found:.12g}, reference {quantity.expected:.12g} ± {quantity.tolerance:.2g}"
             print_text(f"{case.name}: {quantity.quantity}: {off} {quantity.unit}")
-    print_text(f"{own.files} files of the program, SHA-256 {own.sha256}: {own.verdict}")
-    for name in own.changed:
+    print_text(f"{installation.files} files of the program, SHA-256 {installation.sha256}: {installation.verdict}")
+    for name in installation.changed:
         print_text(f"not as installed: {name}")
-    print_text(", ".join(f"{name} {version}" for name, version in own.versions.items()))
+    print_text(", ".join(f"{name} {version}" for name, version in installation.versions.items()))
 
 
 def validation_json(found: Validation) -> str:
-    """Return all of it as JSON."""
+    """Return all results as JSON."""
     cases = [
         {
             **{name: getattr(case, name) for name in ("name", "what", "source", "passed", "failure", "duration_s")},
@@ -218,13 +230,13 @@ def validation_json(found: Validation) -> str:
         }
         for case in found.cases
     ]
-    own = {"python": sys.version, **asdict(found.installation)}
-    content = {"format": 1, "passed": found.passed, "date": found.date, "installation": own, "cases": cases}
+    installation = {"python": sys.version, **asdict(found.installation)}
+    content = {"format": 1, "passed": found.passed, "date": found.date, "installation": installation, "cases": cases}
     return json.dumps(_plain(content), indent=1, ensure_ascii=False, allow_nan=False) + "\n"
 
 
 def _plain(content: Any) -> Any:
-    """Return content for JSON, which has no NaN: null."""
+    """Return content for JSON, with null for NaN."""
     if isinstance(content, dict):
         return {name: _plain(value) for name, value in content.items()}
     if isinstance(content, list | tuple):
@@ -234,21 +246,21 @@ def _plain(content: Any) -> Any:
 
 def render_validation(found: Validation) -> str:
     """Return the page."""
-    own = found.installation
+    installation = found.installation
     facts = [
         ("Result", "passed" if found.passed else "FAILED"),
         ("Date (UTC)", found.date),
-        ("Files of the program", f"{own.files}, {own.verdict}"),
-        ("SHA-256 of these", own.sha256),
-        ("SHA-256 of the references", own.references_sha256),
-        *((name, version) for name, version in own.versions.items()),
+        ("Files of the program", f"{installation.files}, {installation.verdict}"),
+        ("SHA-256 of these", installation.sha256),
+        ("SHA-256 of the references", installation.references_sha256),
+        *((name, version) for name, version in installation.versions.items()),
     ]
     quantities = [quantity for case in found.cases for quantity in case.quantities]
     context = {
         "name": f"{PROGRAM} {__version__}",
         "program": f"{PROGRAM} {__version__}",
         "subject": facts,
-        "changed": own.changed,
+        "changed": installation.changed,
         "cases": table("Cases", COLUMNS, found.cases),
         "quantities": table("Every quantity", QUANTITIES, quantities),
     }
@@ -256,15 +268,20 @@ def render_validation(found: Validation) -> str:
 
 
 def check_output_folder(folder: Path, *, force: bool) -> None:
-    """Refuse a place that cannot take the files, or that holds those of an earlier validation (unless `force`)."""
+    """Refuse a folder that cannot contain the files, or contains an earlier validation.
+
+    `force` permits the replacement.
+    """
     if folder.exists() and not folder.is_dir():
-        raise InputError(folder, "", found="a file of this name", expected="a folder")
+        raise InputError(VALIDATION_OUTPUT, folder, found="a file of this name", expected="a folder")
     for path in (folder / JSON_FILE, folder / PAGE_FILE):
         if path.exists() and not force:
-            raise InputError(path, "", found="a file of this name", expected="none yet (--force replaces it)")
+            raise InputError(
+                VALIDATION_OUTPUT, path, found="one", expected="no file of this name (--force replaces it)"
+            )
 
 
 def write_validation(folder: Path, found: Validation) -> list[Path]:
-    """Write validation.json and the page into a folder, together; those of an earlier validation make way."""
+    """Write validation.json and the page into a folder, together, and replace earlier ones."""
     files = {PAGE_FILE: render_validation(found), JSON_FILE: validation_json(found)}
     return write_together(folder, lambda temporary: write_files(temporary, files), lambda: (JSON_FILE, PAGE_FILE))

@@ -1,1 +1,1 @@
-"""`shakercal view`: a local page of images, channels, spectra and phasors, too large for a report."""
+"""Interactive view of a recording and its results (`shakercal view`)."""

@@ -1,4 +1,4 @@
-"""Extremes of long channels, so that millions of samples are drawn column by column and no peak is lost."""
+"""Extremes of long channels, for plots of millions of samples without lost peaks."""
 
 from __future__ import annotations
 
@@ -9,16 +9,17 @@ import numpy as np
 from shaker.arrays import FloatArray, IntArray
 
 FINEST = 64  # samples of the smallest block
-COARSER = 8  # blocks that one of the next level holds
-PARTS = 8  # blocks that a column has at least, so that its ends are those asked for within an eighth
-PLAIN = 2  # samples per column up to which they are told themselves
+COARSER = 8  # blocks in one of the next level
+PARTS = 8  # least number of blocks of a column: its ends are exact within an eighth
+PLAIN = 2  # samples per column up to which the samples are returned
 
 
 @dataclass(frozen=True)
 class ExtremeColumns:
-    """Extremes of consecutive samples: column i has those from `edge[i]` to `edge[i + 1]`, (I + 1,), the last one out.
+    """Extremes of consecutive samples in columns.
 
-    `low`, `high` (I,): the smallest and the largest sample of each.
+    Column i is from `edge[i]` to `edge[i + 1]` (I + 1,), exclusive. `low`, `high` (I,): its smallest and largest
+    sample.
     """
 
     edge: IntArray
@@ -27,7 +28,9 @@ class ExtremeColumns:
 
 
 class Extremes:
-    """Smallest and largest samples of the blocks of one channel, level by level: 1/28 of its memory.
+    """Smallest and largest samples of the blocks of one channel, level by level.
+
+    They need 1/28 of its memory.
 
     >>> import numpy as np
     >>> found = Extremes(np.sin(np.arange(100_000.0))).columns(0, 100_000, 50)
@@ -47,9 +50,9 @@ class Extremes:
             factor, block = COARSER, block * COARSER
 
     def columns(self, first: int, last: int, most: int) -> ExtremeColumns:
-        """Return the extremes of samples `first` to `last` (that one left out) in at most `most` columns.
+        """Return the extremes of samples `first` to `last` (exclusive) in at most `most` columns.
 
-        Columns end where blocks do: the outermost ones may reach beyond, by less than a column.
+        Columns end at the ends of blocks. The outermost ones may extend beyond, by less than a column.
         """
         first = min(max(first, 0), len(self.samples) - 1)
         last = min(max(last, first + 1), len(self.samples))

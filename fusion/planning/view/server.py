@@ -1,4 +1,4 @@
-"""The server of `shakercal view`: this machine only, by an address that nobody can guess, asked by its page only."""
+"""Server of `shakercal view`: only for this machine, at an address with a secret token."""
 
 from __future__ import annotations
 
@@ -14,33 +14,37 @@ from urllib.parse import parse_qs, unquote, urlsplit
 import numpy as np
 
 from fusion.errors import ComputeError, InputError
+from fusion.planning.planning_notices import BOKEH_MISSING, PORT_IN_USE
 
 LOOPBACK = "127.0.0.1"
 PAGE = Path(__file__).with_name("page")
 KINDS = {".html": "text/html", ".js": "text/javascript", ".css": "text/css"}
 LIBRARY = ("bokeh.min.js", "bokeh-api.min.js")
-# BokehJS puts its styles into the page as text; programs come from files only.
+# BokehJS inserts its styles as text; scripts are only loaded from files.
 POLICY = (
     "default-src 'none'; script-src 'self'; style-src 'self' 'unsafe-inline'; img-src 'self' data: blob:; "
     "connect-src 'self'; base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
 )
-LONGEST = 8192  # characters of an address
+LONGEST = 8192  # characters of an address; requests have some hundred
 ApiResponse = bytes | Mapping[str, Any]
 ApiHandlers = Mapping[str, Callable[[Mapping[str, str]], ApiResponse]]
 
 
 def page_files() -> dict[str, Path]:
-    """Return every file of the page by its name, the drawing library from the installed package among them."""
+    """Return every file of the page by its name, including the installed drawing library."""
     files = {path.name: path for path in PAGE.iterdir() if path.suffix in KINDS}
     spec = find_spec("bokeh")
     if spec is None or not spec.submodule_search_locations:
-        raise ComputeError("the package bokeh, whose program draws the page's curves, is not installed")
+        raise ComputeError(BOKEH_MISSING)
     scripts = Path(spec.submodule_search_locations[0]) / "server/static/js"
     return files | {name: scripts / name for name in LIBRARY}
 
 
 def table(head: Mapping[str, Any], *arrays: np.typing.NDArray[Any]) -> bytes:
-    """Return numbers as a page reads them fastest: length of a head, JSON, arrays of doubles, on 8-byte places."""
+    """Return numbers in the page's binary format.
+
+    The length of a head, JSON, and arrays of doubles, aligned to 8 bytes.
+    """
     text = json.dumps({**head, "lengths": [array.size for array in arrays]}, allow_nan=False).encode()
     text += b" " * (-(len(text) + 8) % 8)
     body = b"".join(np.ascontiguousarray(array, dtype="<f8").tobytes() for array in arrays)
@@ -48,27 +52,30 @@ def table(head: Mapping[str, Any], *arrays: np.typing.NDArray[Any]) -> bytes:
 
 
 class Server(ThreadingHTTPServer):
-    """A server on the loopback address; `address` is where its page is, with a token that every request repeats."""
+    """A server on the loopback address.
+
+    `address` is that of its page, with a token that every request repeats.
+    """
 
     daemon_threads = True
 
-    def __init__(self, answers: ApiHandlers, port: int = 0) -> None:
-        self.answers, self.token, self.files = answers, secrets.token_urlsafe(24), page_files()
+    def __init__(self, handlers: ApiHandlers, port: int = 0) -> None:
+        self.handlers, self.token, self.files = handlers, secrets.token_urlsafe(24), page_files()
         try:
             super().__init__((LOOPBACK, port), Handler)
         except OSError as error:
             found = error.strerror or str(error)
-            raise InputError("--port", "", found=f"{port} ({found})", expected="a port that is free") from error
+            raise InputError(PORT_IN_USE, "--port", found=f"{port} ({found})", expected="a free port") from error
         self.hosts = {f"{name}:{self.server_port}" for name in (LOOPBACK, "localhost")}
 
     @property
     def address(self) -> str:
-        """Where the page is."""
+        """Address of the page."""
         return f"http://{LOOPBACK}:{self.server_port}/{self.token}/"
 
 
 class Handler(BaseHTTPRequestHandler):
-    """Answers to GET: files of the page, and `api/NAME` with what was asked."""
+    """Handler of GET requests: files of the page, and `api/NAME` with a query."""
 
     server: Server
     protocol_version = "HTTP/1.1"
@@ -78,35 +85,37 @@ class Handler(BaseHTTPRequestHandler):
     def do_GET(self) -> None:
         """Answer one request."""
         if self.headers.get("Host") not in self.server.hosts:
-            return self._say(403, "text/plain", b"expected this machine's own address")
+            return self._send(403, "text/plain", b"expected the address of this machine")
         where = urlsplit(self.path)
         _, _, token_and_name = where.path.partition("/")
         token, _, name = token_and_name.partition("/")
         if len(self.path) > LONGEST or not secrets.compare_digest(token.encode(), self.server.token.encode()):
-            return self._say(403, "text/plain", b"expected the address that shakercal view has printed")
+            return self._send(403, "text/plain", b"expected the address printed by shakercal view")
         kind, _, what = name.partition("/")
-        if kind == "api" and what in self.server.answers:
+        if kind == "api" and what in self.server.handlers:
             return self._answer(what, {key: values[-1] for key, values in parse_qs(where.query).items()})
         file = self.server.files.get(unquote(name) or "index.html")
         if file is None:
-            return self._say(404, "text/plain", b"nothing is here")
-        return self._say(200, f"{KINDS[file.suffix]}; charset=utf-8", file.read_bytes())
+            return self._send(404, "text/plain", b"no such page")
+        return self._send(200, f"{KINDS[file.suffix]}; charset=utf-8", file.read_bytes())
 
-    def _answer(self, what: str, asked: Mapping[str, str]) -> None:
-        """Answer with numbers or JSON; what is wrong with a file or a request in a sentence."""
+    def _answer(self, what: str, query: Mapping[str, str]) -> None:
+        """Answer with numbers or JSON; an error is reported in a sentence."""
         status, kind = 200, "application/json"
         try:
-            found = self.server.answers[what](asked)
+            found = self.server.handlers[what](query)
             if isinstance(found, bytes):
                 kind, text = "application/octet-stream", found
             else:
                 text = json.dumps(found, allow_nan=False, separators=(",", ":")).encode()
         except (InputError, ComputeError, OSError, ValueError, ArithmeticError, LookupError) as error:
-            told = f"expected {error} in the address" if isinstance(error, KeyError) else " ".join(str(error).split())
-            status, text = 400, json.dumps({"error": told}).encode()
-        return self._say(status, kind, text)
+            text_of_error = (
+                f"expected {error} in the address" if isinstance(error, KeyError) else " ".join(str(error).split())
+            )
+            status, text = 400, json.dumps({"error": text_of_error}).encode()
+        return self._send(status, kind, text)
 
-    def _say(self, status: int, kind: str, body: bytes) -> None:
+    def _send(self, status: int, kind: str, body: bytes) -> None:
         self.send_response(status)
         heads = {
             "Content-Type": kind,
@@ -123,4 +132,4 @@ class Handler(BaseHTTPRequestHandler):
         self.wfile.write(body)
 
     def log_message(self, *_: object) -> None:
-        """Say nothing on the terminal: an address is a token."""
+        """Suppress the log: an address contains the token."""

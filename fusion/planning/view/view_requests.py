@@ -1,4 +1,4 @@
-"""`shakercal view`: what the page asks for, and the command."""
+"""`shakercal view`: requests of the page, and the command."""
 
 from __future__ import annotations
 
@@ -18,43 +18,45 @@ from fusion.planning.view.viewed_recording import ViewedRecording, ViewSession, 
 from fusion.recording.toml import read_toml
 from shaker.lines.spectrum import amplitude_spectrum
 
-MOST_COLUMNS, MOST_BINS = 4000, 4000
+MOST_COLUMNS, MOST_BINS = 4000, 4000  # more than the pixels of a screen
 Query = Mapping[str, str]
 
 
 def api_handlers(viewed: ViewSession) -> ApiHandlers:
-    """Return what answers each request of the page, by its name."""
-    kept: dict[int, SubsetViews] = {}
+    """Return the function for each request of the page, by its name."""
+    cached: dict[int, SubsetViews] = {}
 
-    def subsets(asked: Query) -> tuple[SubsetViews, int]:
-        opened = viewed.recording(asked)
+    def subsets(query: Query) -> tuple[SubsetViews, int]:
+        viewed_recording = viewed.recording(query)
         with viewed.lock:
-            if id(opened) not in kept:
-                kept.clear()
-                kept[id(opened)] = SubsetViews(opened)
-            return kept[id(opened)], int(asked.get("pair", "0"))
+            if id(viewed_recording) not in cached:
+                cached.clear()
+                cached[id(viewed_recording)] = SubsetViews(viewed_recording)
+            return cached[id(viewed_recording)], int(query.get("pair", "0"))
 
-    def recording(asked: Query) -> ApiResponse:
-        opened, (own, _) = viewed.recording(asked), subsets(asked)
-        told = dict(opened.description())
-        told["pairs"] = [{**pair, **own.description(number)} for number, pair in enumerate(told["pairs"])]
-        return {**told, "resultLines": result_lines(opened)}
+    def recording(query: Query) -> ApiResponse:
+        viewed_recording, (subset_views, _) = viewed.recording(query), subsets(query)
+        description = dict(viewed_recording.description())
+        description["pairs"] = [
+            {**pair, **subset_views.description(number)} for number, pair in enumerate(description["pairs"])
+        ]
+        return {**description, "resultLines": result_lines(viewed_recording)}
 
-    def frame(asked: Query) -> ApiResponse:
-        pair = viewed.recording(asked).pairs[int(asked["pair"])]
-        return pair.image_bytes(int(asked["side"]), int(asked["frame"]))
+    def frame(query: Query) -> ApiResponse:
+        pair = viewed.recording(query).pairs[int(query["pair"])]
+        return pair.image_bytes(int(query["side"]), int(query["frame"]))
 
-    def placed(asked: Query) -> ApiResponse:
-        own, pair = subsets(asked)
-        return own.frame(pair, int(asked["frame"]))
+    def placed(query: Query) -> ApiResponse:
+        subset_views, pair = subsets(query)
+        return subset_views.frame(pair, int(query["frame"]))
 
-    def epipolar(asked: Query) -> ApiResponse:
-        own, pair = subsets(asked)
-        return own.epipolar(pair, int(asked["side"]), (float(asked["x"]), float(asked["y"])))
+    def epipolar(query: Query) -> ApiResponse:
+        subset_views, pair = subsets(query)
+        return subset_views.epipolar(pair, int(query["side"]), (float(query["x"]), float(query["y"])))
 
-    def track(asked: Query) -> ApiResponse:
-        own, pair = subsets(asked)
-        return own.track(pair, int(asked["point"]))
+    def track(query: Query) -> ApiResponse:
+        subset_views, pair = subsets(query)
+        return subset_views.track(pair, int(query["point"]))
 
     return {
         "sources": lambda _: {"recordings": [overview(one) for one in viewed.sources]},
@@ -63,15 +65,15 @@ def api_handlers(viewed: ViewSession) -> ApiHandlers:
         "subsets": placed,
         "epipolar": epipolar,
         "track": track,
-        "signal": lambda asked: signal(viewed.recording(asked), asked),
-        "spectrum": lambda asked: spectrum(viewed.recording(asked), int(asked["channel"])),
-        "lines": lambda asked: lines(viewed.recording(asked)),
-        "phasors": lambda asked: phasors(viewed.recording(asked), int(asked["line"])),
+        "signal": lambda query: signal(viewed.recording(query), query),
+        "spectrum": lambda query: spectrum(viewed.recording(query), int(query["channel"])),
+        "lines": lambda query: lines(viewed.recording(query)),
+        "phasors": lambda query: phasors(viewed.recording(query), int(query["line"])),
     }
 
 
 def overview(source: ViewSource) -> Mapping[str, str]:
-    """Return a row of the campaign's table, from the recording's manifest as text: nothing else is read for it."""
+    """Return a row of the campaign's table, from the text of the recording's manifest alone."""
     name = source.recording.parent.name
     try:
         text = read_toml(source.recording)
@@ -103,7 +105,10 @@ def result_lines(viewed: ViewedRecording) -> list[float]:
 
 
 def phasors(viewed: ViewedRecording, line: int) -> ApiResponse:
-    """Return a panel for each component: the value of every instrument at a line with its 95 % region."""
+    """Return a panel for each component with all values at a line.
+
+    Values have 95 % regions.
+    """
     panels: dict[tuple[str, str], list[dict[str, Any]]] = {}
     for name, found in viewed.accelerations.items():
         row = polar_elements(found.value, found.uncertainty)[line]
@@ -121,13 +126,13 @@ def phasors(viewed: ViewedRecording, line: int) -> ApiResponse:
                     "size": f"{element.magnitude:.6g} {found.unit[e]}, {np.degrees(element.phase_rad):.4g}°",
                 }
             )
-    told = "ellipses: 95 % regions" if panels else "Phasors need results: shakercal run makes them."
+    text = "ellipses: 95 % regions" if panels else "Phasors require results of shakercal run."
     shown = [{"name": name, "unit": unit, "values": values} for (name, unit), values in panels.items()]
-    return {"panels": shown, "told": told}
+    return {"panels": shown, "told": text}
 
 
 def lines(viewed: ViewedRecording) -> ApiResponse:
-    """Return the lines of a recording, and what they are, as `shakercal lines` finds them."""
+    """Return the lines of a recording with their origins, as `shakercal lines`."""
     found = lines_of_recording(viewed.manifest)
     rows = [
         {"frequency": one.frequency_hz, "what": one.what, "use": one.use, "floor": float(np.nan_to_num(one.floor_db))}
@@ -137,18 +142,21 @@ def lines(viewed: ViewedRecording) -> ApiResponse:
 
 
 def spectrum(viewed: ViewedRecording, number: int) -> bytes:
-    """Return the amplitude spectrum of a channel in its unit, peaks of neighbouring bins kept."""
+    """Return the amplitude spectrum of a channel in its unit.
+
+    Peaks of neighbouring bins are retained.
+    """
     raw = viewed.raw(number)
     found = amplitude_spectrum(raw.samples, raw.sample_rate_hz, MOST_BINS)
-    told = (
+    text = (
         f"{len(raw.samples)} samples at {raw.sample_rate_hz:g} samples/s, Hann window; the highest of neighbouring bins"
     )
     scale = abs(viewed.channels[number].entry.scale)
-    return table({"told": told}, found.frequency_hz, scale * found.amplitude)
+    return table({"told": text}, found.frequency_hz, scale * found.amplitude)
 
 
 def signal(viewed: ViewedRecording, query: Query) -> bytes:
-    """Return channels between two times in columns: for each, edges in s, and the extremes in its unit."""
+    """Return channels between two times in columns: edges in s, and extremes in the unit."""
     numbers = [int(text) for text in query["channels"].split(",")]
     most = min(max(int(query.get("columns", "1000")), 1), MOST_COLUMNS)
     arrays: list[np.typing.NDArray[Any]] = []

@@ -1,4 +1,4 @@
-"""What `shakercal view` shows: recordings with their results, opened when they are asked for."""
+"""Recordings of `shakercal view` with their results, opened on request."""
 
 from __future__ import annotations
 
@@ -13,6 +13,7 @@ import numpy as np
 
 from fusion.errors import InputError
 from fusion.phasors.stereo_motion import read_rig
+from fusion.planning.planning_notices import RESULTS_WITHOUT_RECORDING
 from fusion.planning.view.extremes import Extremes
 from fusion.recording.daq_records import check_uniform, recorded_channels
 from fusion.recording.load import Manifest, find_recordings, load_manifest
@@ -26,26 +27,29 @@ from photogram.images.sequence import ImageSequence
 from shaker.io.channel import RawChannel
 
 DEFAULT_RESULTS = "results"
-DARKEST, BRIGHTEST = 0.001, 0.999  # quantiles of the first picture that are shown black and white
-ALONE = (".h5", ".hdf5", ".tdms")  # files of which one channel is read without the others
+DARKEST, BRIGHTEST = 0.001, 0.999  # quantiles of the first image that are displayed as black and white
+ALONE = (".h5", ".hdf5", ".tdms")  # files of which single channels can be read
 
 
 @dataclass(frozen=True)
 class ViewSource:
-    """A recording that can be viewed: its recording.toml, and the folder of its results, None without any."""
+    """A recording to view: its recording.toml and the folder of its results, or None."""
 
     recording: Path
     results: Path | None
 
 
 def find_sources(path: Path, recording: Path | None = None) -> list[ViewSource]:
-    """Return the recordings of a folder of recordings or results; `recording`: where those of the results are."""
+    """Return the recordings of a folder of recordings or results.
+
+    `recording`: where the recordings of the results are.
+    """
     if not any((path / name).is_file() for name in (RESULT_FILE, CAMPAIGN_FILE)):
         found = find_recordings(path)
         top = found[0].parent if len(found) == 1 and found[0].parent.name == path.resolve().name else path
         return [ViewSource(one, _results_of(one, top / DEFAULT_RESULTS)) for one in found]
-    place = path.resolve()
-    nearby = [place.parent, place.parent.parent / place.name, place.parent.parent]
+    resolved = path.resolve()
+    nearby = [resolved.parent, resolved.parent.parent / resolved.name, resolved.parent.parent]
     for candidate in [recording] if recording else nearby:
         try:
             found = find_recordings(candidate)
@@ -54,18 +58,19 @@ def find_sources(path: Path, recording: Path | None = None) -> list[ViewSource]:
                 raise
             continue
         if (path / RESULT_FILE).is_file():
-            named = [one for one in found if one.parent.name == place.name]
+            named = [one for one in found if one.parent.name == resolved.name]
             found = named or found[:1]
         with_results = [ViewSource(one, _results_of(one, path)) for one in found]
         if any(one.results for one in with_results):
             return with_results
-    raise InputError(path, "", found="no recording beside these results", expected="--recording, the one they are of")
+    expected = "--recording, the recording of these results"
+    raise InputError(RESULTS_WITHOUT_RECORDING, path, found="none near them", expected=expected)
 
 
 def _results_of(recording: Path, results: Path) -> Path | None:
-    """Return where a recording's results are: in a folder itself, or in one of its own name below."""
+    """Return the folder of a recording's results: the given one or one below."""
     below = results / recording.resolve().parent.name
-    return next((place for place in (below, results) if (place / RESULT_FILE).is_file()), None)
+    return next((folder for folder in (below, results) if (folder / RESULT_FILE).is_file()), None)
 
 
 @dataclass(frozen=True)
@@ -78,7 +83,7 @@ class ViewedPair:
 
     @cached_property
     def sequences(self) -> tuple[ImageSequence, ...]:
-        """Images of the left and the right camera, or of the only one."""
+        """Images of the left and the right camera, or of a single one."""
         return tuple(open_sequence(paths, self.entry.bit_depth) for _, paths in self.entry.cameras)
 
     @cached_property
@@ -88,11 +93,11 @@ class ViewedPair:
 
     @cached_property
     def shades(self) -> tuple[np.typing.NDArray[np.uint8], ...]:
-        """What is shown of each grey value, for each camera."""
+        """Displayed shade of each grey value, for each camera."""
         return tuple(_shades(images) for images in self.sequences)
 
     def image_bytes(self, side: int, frame: int) -> bytes:
-        """Return the grey values of a picture as bytes, row by row."""
+        """Return the grey values of an image as bytes, row by row."""
         images = self.sequences[side]
         if not 0 <= frame < len(images):
             raise ValueError(f"frame: expected 0 to {len(images) - 1}, found {frame}")
@@ -100,7 +105,10 @@ class ViewedPair:
 
 
 def _shades(images: ImageSequence) -> np.typing.NDArray[np.uint8]:
-    """Return the shade (G,) of every grey value that files can hold, stretched to what the first picture has."""
+    """Return the shade (G,) of every possible grey value.
+
+    Shades are stretched to the range of the first image.
+    """
     low, high = np.quantile(images.read(0), (DARKEST, BRIGHTEST))
     grey = np.arange(1 << (8 if images.full_scale < 256 else 16))
     return np.asarray(np.clip((grey - low) * (255.0 / max(high - low, 1.0)), 0, 255), dtype=np.uint8)
@@ -108,7 +116,7 @@ def _shades(images: ImageSequence) -> np.typing.NDArray[np.uint8]:
 
 @dataclass(frozen=True)
 class ViewedChannel:
-    """A channel of a recorder: its block and entry, and its unit once scaled."""
+    """A channel of a recorder: its block and entry, and its unit after scaling."""
 
     daq: Daq
     entry: ChannelEntry
@@ -116,7 +124,7 @@ class ViewedChannel:
 
 
 class ViewedRecording:
-    """A recording that is viewed: manifest, images, channels; what was read once is kept."""
+    """A recording with manifest, images and channels; data are cached after the first reading."""
 
     def __init__(self, source: ViewSource, *, allow_outside: bool = False) -> None:
         self.source = source
@@ -126,7 +134,8 @@ class ViewedRecording:
                 name = str(file.attrs.get("recording", ""))
             if name != self.manifest.name:
                 expected = f"those of “{self.manifest.name}” ({source.recording})"
-                raise InputError(source.results, "", found=f"results of “{name}”", expected=expected)
+                found = f"results of “{name}”"
+                raise InputError(RESULTS_WITHOUT_RECORDING, source.results, found=found, expected=expected)
         self.pairs = [
             ViewedPair(f"{where}{entry.stereo}", block, entry)
             for where, block in self.manifest.set_ups
@@ -143,35 +152,38 @@ class ViewedRecording:
         self._lock = RLock()
 
     def raw(self, number: int) -> RawChannel:
-        """Return the samples of a channel as they stand in its file; with it others that are read in one go."""
+        """Return the samples of a channel as in its file.
+
+        Other channels that are read in one step are cached.
+        """
         channel = self.channels[number]
         daq, name = channel.daq, channel.entry.name
         with self._lock:
-            known = self._raw.setdefault(id(daq), {})
-            if name not in known:
+            cached = self._raw.setdefault(id(daq), {})
+            if name not in cached:
                 alone = daq.file.suffix.lower() in ALONE
                 block = daq.model_copy(update={"channel": (channel.entry,)}) if alone else daq
-                known |= recorded_channels(self.manifest, block)
-            check_uniform(daq.file, channel.entry.stored_name, known[name])
-            return known[name]
+                cached |= recorded_channels(self.manifest, block)
+            check_uniform(daq.file, channel.entry.stored_name, cached[name])
+            return cached[name]
 
     @cached_property
     def accelerations(self) -> Mapping[str, LabelledPhasors]:
-        """The accelerations by body and source that results have, and the load."""
+        """Accelerations of the results by body and source, and the load."""
         if self.source.results is None:
             return {}
         found = read_results(self.source.results)
         return found.acceleration | ({} if found.load is None else {"load": found.load})
 
     def extremes(self, number: int) -> Extremes:
-        """Return the extremes of a channel, made once."""
+        """Return the extremes of a channel, computed once."""
         with self._lock:
             if number not in self._extremes:
                 self._extremes[number] = Extremes(self.raw(number).samples)
             return self._extremes[number]
 
     def description(self) -> Mapping[str, Any]:
-        """Return what the page has to know first."""
+        """Return the data that the page needs first."""
         pairs = []
         for number, pair in enumerate(self.pairs):
             sizes = [list(images.size_px) for images in pair.sequences]
@@ -187,21 +199,21 @@ class ViewedRecording:
 
 
 class ViewSession:
-    """All recordings that a page shows."""
+    """All recordings of a page."""
 
     def __init__(self, sources: list[ViewSource], *, allow_outside: bool = False) -> None:
         self.sources = sources
         self.allow_outside = allow_outside
         self.lock = RLock()
-        self._open = lru_cache(maxsize=2)(self._opened)
+        self._cached = lru_cache(maxsize=2)(self._load)
 
-    def _opened(self, number: int) -> ViewedRecording:
+    def _load(self, number: int) -> ViewedRecording:
         return ViewedRecording(self.sources[number], allow_outside=self.allow_outside)
 
     def recording(self, query: Mapping[str, str]) -> ViewedRecording:
-        """Return the recording that a request is about, opened; the last two stay so."""
+        """Return the recording of a query; the last two remain open."""
         number = int(query.get("recording", "0"))
         if not 0 <= number < len(self.sources):
             raise ValueError(f"recording: expected 0 to {len(self.sources) - 1}, found {number}")
         with self.lock:
-            return self._open(number)
+            return self._cached(number)

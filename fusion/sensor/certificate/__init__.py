@@ -1,1 +1,1 @@
-"""The calibration certificate: as XML for programs (Digital Calibration Certificate) and as a page for people."""
+"""Calibration certificates: as XML (Digital Calibration Certificate) and as a page."""

@@ -1,4 +1,4 @@
-"""What a certificate states: results of a campaign or a recording beside the laboratory's own statements."""
+"""Content of a certificate: results of recordings, and statements of the laboratory."""
 
 from __future__ import annotations
 
@@ -20,6 +20,15 @@ from fusion.recording.toml import UncertainInput
 from fusion.report.folder import hash_files, sha256
 from fusion.report.table import has_phase
 from fusion.sensor.certificate.certificate_form import FORM_FILE, Conformity, Form, read_form
+from fusion.sensor.certificate.certificate_notices import (
+    EXPIRED_CERTIFICATES,
+    ISSUED_BEFORE_CALIBRATION,
+    MISSING_CERTIFICATE_ENTRIES,
+    NO_CERTIFIABLE_RESULT,
+    NOT_ONE_SENSOR,
+    OUTDATED_RESULTS,
+    WARNINGS_NOT_REVIEWED,
+)
 from fusion.sensor.certificate.certified_numbers import (
     CERTIFIED_COMMANDS,
     NumberList,
@@ -29,6 +38,8 @@ from fusion.sensor.certificate.certified_numbers import (
     read_results_origin,
     select_recordings,
 )
+from fusion.sensor.sensor_model_notices import MODEL_COVERAGE, MODEL_INFLUENCES_NOT_ASSESSED
+from fusion.sensor.transfer.transfer_notices import COARSE_CONVERTER_STEPS
 from shaker.labels import LOAD_COMPONENTS
 from shakercal._common.notices import Notice
 
@@ -37,19 +48,24 @@ SCOPE = (
     "The results relate only to the item calibrated, in the condition and under the conditions stated. This "
     "certificate may be reproduced in full only, unless the laboratory agrees in writing."
 )
+STATED_BY_SCOPE = {MODEL_COVERAGE.code, MODEL_INFLUENCES_NOT_ASSESSED.code}
+"""Codes of notices that repeat the coverage stated in the attributes of the results."""
+NOT_IN_U = {COARSE_CONVERTER_STEPS.code}
+"""Codes of warnings of an effect that U does not include."""
 UNCERTAINTY = (
     f"U is the standard uncertainty times a coverage factor k for a probability of {100 * COVERAGE:g} %, after the GUM "
-    "(JCGM 100, JCGM 102). It rests on the stated uncertainties of all inputs and holds under the assumptions of the "
-    "evaluation: rigid bodies, linear instruments, loads through the sensor alone. k is "
+    "(JCGM 100, JCGM 102). It is based on the stated uncertainties of all inputs and valid under the assumptions of "
+    "the evaluation: rigid bodies, linear instruments, loads only through the sensor. k is "
 )
 
 
 @dataclass(frozen=True)
 class CertifiedValue:
-    """One value of a certificate: frequency (Hz), the value as it came out, and U of magnitude and phase (rad).
+    """One value of a certificate: frequency (Hz), measured value, and U.
 
-    U is k·u, `k` and `k_phase` as the form asks for them, and no less than the laboratory may state. `has_phase`:
-    whether magnitude and phase are determined; else the complex value and its region are all there is.
+    U of the magnitude and of the phase (rad). U is k·u with `k` and `k_phase` of the form, and at least the stated
+    capability. `has_phase`: whether magnitude and phase are determined; otherwise only the complex value and its region
+    are.
     """
 
     frequency_hz: float
@@ -65,8 +81,12 @@ class CertifiedValue:
 class CertifiedElement:
     """An element of the sensor's sensitivity over frequency: output `channel` per load `component`.
 
-    `unit`: of the output; `kind`: element, matrix, or ratio (output over load, other loads not taken off); `main`: the
-    output that belongs to the load; `verdicts`: of every value, none without a limit or a static sensitivity.
+    Attributes
+    ----------
+    unit : of the output.
+    kind : element, matrix, or ratio (output over load, without correction for other loads).
+    main : whether the output belongs to the load.
+    deviation, verdicts : of every value; empty without a limit or a static sensitivity.
     """
 
     channel: str
@@ -80,7 +100,7 @@ class CertifiedElement:
 
     @property
     def name(self) -> str:
-        """Return what it is in words."""
+        """Return the name of the result."""
         if self.kind == "ratio":
             return f"Ratio of output {self.channel} to driven load {self.component}"
         return f"Sensitivity {self.channel} per {self.component}"
@@ -88,7 +108,7 @@ class CertifiedElement:
 
 @dataclass(frozen=True)
 class UnderlyingCertificate:
-    """Certificate that a result rests on: the inputs it was stated for, by file and key, its name, who issued it."""
+    """An underlying certificate: the inputs that refer to it, its number, laboratory and date."""
 
     inputs: tuple[str, ...]
     certificate: str
@@ -98,11 +118,16 @@ class UnderlyingCertificate:
 
 @dataclass(frozen=True)
 class Certificate:
-    """Everything that a certificate states, for XML and page alike.
+    """All content of a certificate, for XML and page.
 
-    `elements`: of the sensitivity, or `figures`: lists of single numbers; `begin`, `end`: days of the calibration;
-    `conditions`: name, D-SI unit, least and largest value; `warnings`: of the evaluation, which the authoriser has
-    reviewed; `not_assessed`: what no U holds; `versions`: of what computed the results.
+    Attributes
+    ----------
+    elements, numbers : sensitivities, or lists of single numbers.
+    begin, end : days of the calibration.
+    conditions : name, D-SI unit, smallest and largest value.
+    warnings : of the evaluation, reviewed by the authoriser.
+    not_assessed : influences not included in U.
+    versions : of the software that computed the results.
     """
 
     form: Form
@@ -122,20 +147,20 @@ class Certificate:
     versions: dict[str, str]
 
     def statements(self) -> Iterator[tuple[str, str]]:
-        """Yield name and text of everything that a certificate has to say in words."""
-        own, least, limit = self.form.administration, self.form.laboratory.cmc, self.form.conformity
+        """Yield name and text of every statement."""
+        administration, capability, limit = self.form.administration, self.form.laboratory.cmc, self.form.conformity
         yield "Scope", SCOPE
         yield (
             "Uncertainty",
             UNCERTAINTY + ("that of the effective degrees of freedom." if self.form.k == "effective" else "2."),
         )
-        if self.elements and (least.magnitude or least.phase):
-            sizes = f"{100 * least.magnitude:g} % of the magnitude and {least.phase:g} rad of the phase"
+        if self.elements and (capability.magnitude or capability.phase):
+            sizes = f"{100 * capability.magnitude:g} % of the magnitude and {capability.phase:g} rad of the phase"
             yield "Capability", f"No U is stated below {sizes}."
         if self.sources:
             yield "Traceability", "To the SI through the certificates listed with the inputs that they were stated for."
-        if own.traceability:
-            yield "Traceability", own.traceability
+        if administration.traceability:
+            yield "Traceability", administration.traceability
         if self.elements and limit is not None:
             rule = "|deviation| + U" if limit.rule == "guarded" else "|deviation|"
             yield (
@@ -144,47 +169,46 @@ class Certificate:
                 f"{100 * limit.tolerance:g} % (ILAC-G8:09/2019, {limit.rule} acceptance).",
             )
         if self.not_assessed:
-            yield "Not in U", "; ".join(self.not_assessed)
+            yield "Not included in U", " ".join(self.not_assessed)
         if self.warnings:
             count = f"{len(self.warnings)} warning{'s' * (len(self.warnings) > 1)}"
-            yield "Warnings", f"The evaluation gave {count}, which {own.authoriser} has reviewed."
-        if own.remarks:
-            yield "Remarks", own.remarks
+            yield "Warnings", f"The evaluation gave {count}, which {administration.authoriser} has reviewed."
+        if administration.remarks:
+            yield "Remarks", administration.remarks
 
 
 def evaluate_certificate(
     path: Path, results: Path | None = None, form_path: Path | None = None, *, allow_outside: bool = False
 ) -> Certificate:
-    """Gather what a certificate of a campaign, or of a recording, states.
+    """Collect the content of a certificate of a campaign or a recording.
 
-    `results`: where `run`, `rotate`, `identify` or `step` left them, by default in the folder itself
-    (`figures_folder`); `form_path`: certificate.toml, by default beside them. Refused, each with all that is wrong of
-    its kind at once: results that are not there or not of these inputs, empty keys, recordings without a date, inputs
-    whose certificates had expired, warnings nobody has reviewed.
+    `results`: folder of results of `run`, `rotate`, `identify` or `step`, by default that of `find_results_folder`.
+    `form_path`: certificate.toml, by default in the same folder. Raises `InputError`, with all mistakes of one kind,
+    for missing or outdated results, empty keys, recordings without a date, expired certificates of inputs, and warnings
+    that are not reviewed.
     """
     recordings = find_recordings(path)
-    alone = not path.is_dir() or (path / RECORDING_NAME).is_file()
-    own = recordings[0].parent if alone else path
-    top = find_results_folder(own, results)
+    is_single = not path.is_dir() or (path / RECORDING_NAME).is_file()
+    folder = recordings[0].parent if is_single else path
+    top = find_results_folder(folder, results)
     command = find_command(top)
     if command is not None:
         recordings = select_recordings(recordings, top, command)
-    elif not alone:
+    elif not is_single:
         recordings = select_kinds(recordings, kinds_of("run"))
-    form_path = own / FORM_FILE if form_path is None else form_path
+    form_path = folder / FORM_FILE if form_path is None else form_path
     manifests = [load_manifest(recording, allow_outside=allow_outside) for recording in recordings]
     form = _named(read_form(form_path), manifests[0])
     _refuse_gaps(form, form_path, manifests)
     if command is None:
-        folders = [top] if alone else [top / manifest.folder.name for manifest in manifests]
-        found = _sensitivities(own.resolve().name, manifests, folders, top, form)
+        folders = [top] if is_single else [top / manifest.folder.name for manifest in manifests]
+        found = _sensitivities(folder.resolve().name, manifests, folders, top, form)
     else:
-        found = _figures(command, manifests, top, form)
+        found = _numbers(command, manifests, top, form)
     warnings = list(dict.fromkeys(found.warnings))
     if warnings and not form.administration.warnings_reviewed:
-        expected = "true, once the authoriser has reviewed them, or results without warnings"
-        told = f"{len(warnings)} warnings, the first: {warnings[0]}"
-        raise InputError(form_path, "administration.warnings_reviewed", found=told, expected=expected)
+        key = "administration.warnings_reviewed"
+        raise InputError(WARNINGS_NOT_REVIEWED, form_path, key, count=len(warnings), first=warnings[0])
     days = _days(form, manifests)
     return Certificate(
         form=form,
@@ -198,7 +222,7 @@ def evaluate_certificate(
         conditions=tuple(_conditions(manifests)),
         sources=_sources([item for manifest in manifests for item in manifest.inputs]),
         elements=found.elements,
-        numbers=found.figures,
+        numbers=found.numbers,
         warnings=tuple(warnings),
         not_assessed=tuple(found.not_assessed),
         versions=found.versions,
@@ -206,12 +230,12 @@ def evaluate_certificate(
 
 
 class CertificateContent(NamedTuple):
-    """What results say: the title of their certificate, what was calibrated, values, warnings, what no U holds."""
+    """Content from the results: title, sensor, values, warnings, and influences not in U."""
 
     title: str
     sensor: SensorFacts
     elements: tuple[CertifiedElement, ...]
-    figures: tuple[NumberList, ...]
+    numbers: tuple[NumberList, ...]
     warnings: list[str]
     not_assessed: list[str]
     versions: dict[str, str]
@@ -220,7 +244,7 @@ class CertificateContent(NamedTuple):
 def _sensitivities(
     name: str, manifests: Sequence[Manifest], folders: Sequence[Path], top: Path, form: Form
 ) -> CertificateContent:
-    """Return the sensitivities of a campaign `name`, or of a recording, that `run` left in some folders."""
+    """Return the sensitivities of a campaign `name`, or of a recording, from results of `run`."""
     recorded = [_results_of(manifest, folder) for manifest, folder in zip(manifests, folders, strict=True)]
     evaluation = evaluate_campaign(name, recorded, {})
     sensor = evaluation.sensor
@@ -228,18 +252,18 @@ def _sensitivities(
         raise _no_sensor(manifests)
     points = curve_points(evaluation)
     mains = {
-        component: sensor.channels[main_channel(evaluation, sensor.channels, place)]
-        for place, component in enumerate(LOAD_COMPONENTS)
+        component: sensor.channels[main_channel(evaluation, sensor.channels, index)]
+        for index, component in enumerate(LOAD_COMPONENTS)
     }
     elements = tuple(_elements(points, mains, sensor.unit, form))
     if not elements:
-        raise InputError(top, "", found="no sensitivity", expected="results with outputs over a driven load")
+        raise InputError(NO_CERTIFIABLE_RESULT, top, expected="results with outputs over a driven load")
     ratios = all(element.kind == "ratio" for element in elements)
     return CertificateContent(
         title="Output over driven load" if ratios else "Dynamic sensitivity",
         sensor=sensor,
         elements=elements,
-        figures=(),
+        numbers=(),
         warnings=list(_warnings(recorded, evaluation.notices)),
         not_assessed=_not_assessed(
             [*(notice for entry in recorded for notice in entry.joint_notices), *evaluation.notices]
@@ -248,24 +272,23 @@ def _sensitivities(
     )
 
 
-def _figures(command: str, manifests: Sequence[Manifest], folder: Path, form: Form) -> CertificateContent:
-    """Return the numbers that another command left in a folder, which must be those of the files as they are now."""
+def _numbers(command: str, manifests: Sequence[Manifest], folder: Path, form: Form) -> CertificateContent:
+    """Return the numbers of another command's results, which must be those of the present files."""
     origin, notices, scopes = read_results_origin(folder, command)
     for name, digest in origin.input_hashes.items():
         path = manifests[0].root / name
         if not path.is_file() or sha256(path) != digest:
-            found = f"results of other input files ({name} is not what it was)"
-            raise InputError(folder, "", found=found, expected=f"the results of these files (shakercal {command})")
+            raise InputError(OUTDATED_RESULTS, folder, expected="these files", changed=name, command=command)
     tested = {(m.rig.sensor.name, m.rig.sensor.serial) for m in manifests if m.rig.sensor is not None}
     sensor = manifests[0].rig.sensor
     if len(tested) != 1 or sensor is None:
         raise _no_sensor(manifests)
-    own = SensorFacts(sensor.name, sensor.serial, sensor.channels, sensor.unit, sensor.sense, None, None, 0.0)
+    facts = SensorFacts(sensor.name, sensor.serial, sensor.channels, sensor.unit, sensor.sense, None, None, 0.0)
     return CertificateContent(
         title=CERTIFIED_COMMANDS[command].title,
-        sensor=own,
+        sensor=facts,
         elements=(),
-        figures=read_certified_numbers(folder, command, k=None if form.k == "effective" else 2.0),
+        numbers=read_certified_numbers(folder, command, k=None if form.k == "effective" else 2.0),
         warnings=[f"{n.where}: {n.text}" if n.where else n.text for n in notices if n.severity == "warning"],
         not_assessed=[*scopes, *_not_assessed(notices)],
         versions=origin.versions,
@@ -274,19 +297,19 @@ def _figures(command: str, manifests: Sequence[Manifest], folder: Path, form: Fo
 
 def _no_sensor(manifests: Sequence[Manifest]) -> InputError:
     found = "no sensor, or several" if manifests[0].rig.sensor else "no sensor"
-    return InputError(manifests[0].rig_path, "sensor", found=found, expected="the one sensor that was calibrated")
+    return InputError(NOT_ONE_SENSOR, manifests[0].rig_path, "sensor", found=found)
 
 
 def _named(form: Form, manifest: Manifest) -> Form:
-    """Return the form with the laboratory that rig.toml names where it names none."""
-    known = manifest.rig.administration
-    if form.laboratory.name or known is None or not known.laboratory:
+    """Return the form, with the laboratory of rig.toml if it names none."""
+    stated = manifest.rig.administration
+    if form.laboratory.name or stated is None or not stated.laboratory:
         return form
-    return form.model_copy(update={"laboratory": form.laboratory.model_copy(update={"name": known.laboratory})})
+    return form.model_copy(update={"laboratory": form.laboratory.model_copy(update={"name": stated.laboratory})})
 
 
 def _refuse_gaps(form: Form, path: Path, manifests: Sequence[Manifest]) -> None:
-    """Refuse what is missing, every gap in one list, and inputs whose certificates had expired."""
+    """Refuse missing entries, all in one error, and inputs with expired certificates."""
     gaps = list(form.missing())
     if not _days(form, manifests):
         gaps.append("administration.begun, or the date of every recording")
@@ -295,74 +318,75 @@ def _refuse_gaps(form: Form, path: Path, manifests: Sequence[Manifest]) -> None:
     if not form.item.customer_number and not any(m.rig.sensor and m.rig.sensor.serial for m in manifests):
         gaps.append("item.customer_number, or the serial number of the sensor in rig.toml")
     if gaps:
-        raise InputError(path, ", ".join(gaps), found="nothing", expected="what a certificate has to state")
+        raise InputError(MISSING_CERTIFICATE_ENTRIES, path, ", ".join(gaps))
     expired = [(manifest.path, notice) for manifest in manifests for notice in manifest.expiry_notices]
     if expired:
-        told = "; ".join(dict.fromkeys(notice.text for _, notice in expired))
-        raise InputError(
-            expired[0][0], "", found=told, expected="inputs whose certificates were valid when it was recorded"
-        )
+        inputs = "; ".join(dict.fromkeys(notice.text for _, notice in expired))
+        raise InputError(EXPIRED_CERTIFICATES, expired[0][0], inputs=inputs)
     issued, last = form.administration.issued, max(_days(form, manifests))
     if issued is not None and issued < last:
-        expected = f"a day from {last} on, the last of the calibration"
-        raise InputError(path, "administration.issued", found=str(issued), expected=expected)
+        raise InputError(ISSUED_BEFORE_CALIBRATION, path, "administration.issued", last=str(last), found=str(issued))
 
 
 def _days(form: Form, manifests: Sequence[Manifest]) -> list[Date]:
-    """Return days of the calibration, as the form states them or else as the recordings do; none where one lacks it."""
-    own = form.administration
-    if own.begun is not None:
-        return [own.begun, own.ended or own.begun]
+    """Return the days of the calibration, of the form or of all recordings.
+
+    Empty if one recording has no date.
+    """
+    administration = form.administration
+    if administration.begun is not None:
+        return [administration.begun, administration.ended or administration.begun]
     days = [manifest.date for manifest in manifests if manifest.date is not None]
     return days if len(days) == len(manifests) else []
 
 
 def _results_of(manifest: Manifest, folder: Path) -> RecordingResults:
-    """Read the results of a recording, which must be those of its files as they are now."""
+    """Read the results of a recording, which must be those of its present files."""
     recorded = read_recorded(folder)
     now, then = hash_files(manifest.files, manifest.root, manifest.file_identities).hashes, recorded.origin.input_hashes
     if now != then:
         changed = min(name for name in {*now, *then} if now.get(name) != then.get(name))
-        found = f"results of other input files ({changed} is not what it was)"
-        raise InputError(folder, "", found=found, expected=f"the results of {manifest.path} (shakercal run)")
+        raise InputError(OUTDATED_RESULTS, folder, expected=str(manifest.path), changed=changed, command="run")
     return recorded
 
 
 def _elements(points: Sequence[CurvePoint], mains: dict[str, str], unit: str, form: Form) -> Iterator[CertifiedElement]:
-    """Yield every element of which something is stated, the main ones first.
+    """Yield every element to be stated, the main ones first.
 
-    Of the outputs beside the main one only elements are sensitivities; their ratios are responses of one recording.
+    Of other outputs only elements are sensitivities; their ratios are responses of one recording.
     """
     names = list(dict.fromkeys((point.channel, point.component) for point in points))
     for channel, component in sorted(names, key=lambda name: name[0] != mains[name[1]]):
-        own = best_points([point for point in points if (point.channel, point.component) == (channel, component)])
+        of_element = best_points(
+            [point for point in points if (point.channel, point.component) == (channel, component)]
+        )
         main = mains[component] == channel
-        if not main and own[0].kind == "ratio":
+        if not main and of_element[0].kind == "ratio":
             continue
-        values = tuple(_stated(point, form) for point in own)
-        deviation, verdicts = _judged(own, form.conformity) if main else ((), ())
-        yield CertifiedElement(channel, component, unit, own[0].kind, main, values, deviation, verdicts)
+        values = tuple(_stated(point, form) for point in of_element)
+        deviation, verdicts = _conformity(of_element, form.conformity) if main else ((), ())
+        yield CertifiedElement(channel, component, unit, of_element[0].kind, main, values, deviation, verdicts)
 
 
 def _stated(point: CurvePoint, form: Form) -> CertifiedValue:
-    """Return a value with its U: k·u, and no less than the laboratory may state."""
-    element, least = point.element, form.laboratory.cmc
+    """Return a value with U = k·u, at capability the stated capability."""
+    element, capability = point.element, form.laboratory.cmc
     k, k_phase = (element.k, element.k_phase) if form.k == "effective" else (2.0, 2.0)
     return CertifiedValue(
         frequency_hz=point.frequency_hz,
         element=element,
-        expanded_magnitude=max(k * element.u_magnitude, least.magnitude * element.magnitude),
-        expanded_phase_rad=max(k_phase * element.u_phase_rad, least.phase),
+        expanded_magnitude=max(k * element.u_magnitude, capability.magnitude * element.magnitude),
+        expanded_phase_rad=max(k_phase * element.u_phase_rad, capability.phase),
         k=k,
         k_phase=k_phase,
         has_phase=has_phase(element),
     )
 
 
-def _judged(
+def _conformity(
     points: Sequence[CurvePoint], limit: Conformity | None
 ) -> tuple[tuple[tuple[float, float], ...], tuple[Verdict, ...]]:
-    """Return the deviations from the static sensitivity with U, relative, and whether they are within the limit.
+    """Return relative deviations from the static sensitivity with U, and their conformity.
 
     ISO/IEC 17025:2017, 7.8.6; ILAC-G8:09/2019: "simple" accepts up to the limit, "guarded" up to the limit less U.
     """
@@ -375,22 +399,27 @@ def _judged(
 
 
 def _warnings(recorded: Iterable[RecordingResults], joint: Iterable[Notice]) -> Iterator[str]:
-    """Yield what evaluations of recordings and campaign warn of."""
+    """Yield the warnings of recordings and campaign."""
     for entry in recorded:
         yield from (f"{entry.name}: {notice.text}" for notice in entry.notices if notice.severity == "warning")
     yield from (notice.text for notice in joint if notice.severity == "warning")
 
 
 def _not_assessed(notices: Iterable[Notice]) -> list[str]:
-    """Return what evaluations say is in no U: of several that differ in numbers alone the first."""
+    """Return the influences not included in U.
+
+    Of texts that differ only in numbers the first.
+    """
     found: dict[str, str] = {}
-    for text in (notice.text for notice in notices if "not assessed" in notice.text or "not in U" in notice.text):
-        found.setdefault(re.sub(r"[\d.]+", "#", text), text)
+    for notice in notices:
+        if notice.code not in STATED_BY_SCOPE and (notice.possible_size or notice.code in NOT_IN_U):
+            text = f"{notice.text} {notice.effect}".strip()
+            found.setdefault(re.sub(r"[\d.]+", "#", text), text)
     return list(found.values())
 
 
 def _conditions(manifests: Sequence[Manifest]) -> Iterator[tuple[str, str, float, float]]:
-    """Yield name, D-SI unit, least and largest value of what is stated of the surroundings."""
+    """Yield name, D-SI unit, smallest and largest value of the stated surroundings."""
     around = [manifest.rig.surroundings for manifest in manifests]
     for name, unit, values, factor in (
         ("Temperature of the air", r"\degreecelsius", [e.temperature for e in around], 1.0),
@@ -398,17 +427,17 @@ def _conditions(manifests: Sequence[Manifest]) -> Iterator[tuple[str, str, float
         ("Relative humidity of the air", r"\percent", [e.humidity for e in around], 100.0),
         ("Pressure of the air", r"\hecto\pascal", [e.pressure for e in around], 0.01),
     ):
-        known = [factor * value for value in values if value is not None]
-        if known:
-            yield name, unit, min(known), max(known)
+        stated = [factor * value for value in values if value is not None]
+        if stated:
+            yield name, unit, min(stated), max(stated)
 
 
 def _sources(inputs: Sequence[UncertainInput]) -> tuple[UnderlyingCertificate, ...]:
-    """Return the certificates behind the inputs, each once with the inputs that it was named for."""
+    """Return the certificates of the inputs, each once with its inputs."""
     named: dict[tuple[str, str, str], dict[str, None]] = {}
     for item in inputs:
-        own = item.stated
-        if own is not None and (own.certificate or own.laboratory):
-            key = own.certificate, own.laboratory, str(own.date or "")
+        statement = item.stated
+        if statement is not None and (statement.certificate or statement.laboratory):
+            key = statement.certificate, statement.laboratory, str(statement.date or "")
             named.setdefault(key, {})[f"{item.file.name}: {item.key.removesuffix('_uncertainty')}"] = None
     return tuple(UnderlyingCertificate(tuple(keys), *about) for about, keys in named.items())

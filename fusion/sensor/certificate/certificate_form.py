@@ -1,4 +1,4 @@
-"""certificate.toml: what a certificate needs beside the results, and the text that a new one begins with."""
+"""certificate.toml: the statements of the laboratory, and a template of it."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ from pydantic import AfterValidator, model_validator
 from fusion.errors import InputError
 from fusion.recording.toml import read_toml, validate
 from fusion.recording.values import ManifestBlock, NotNegative, Positive, refusal
+from fusion.sensor.certificate.certificate_notices import NO_CERTIFICATE_FORM
 
 FORM_FILE = "certificate.toml"
 NEW_FORM = """\
@@ -63,18 +64,18 @@ condition = ""                          # as received
 # tolerance = 0.02                      # of the magnitude, relative to the static sensitivity
 # rule = "guarded"                      # "guarded": conforms if |deviation| + U is within; "simple": |deviation| alone
 """
-"""What `--draft` writes; empty texts are still to be filled in."""
+"""Template written by `--draft`; empty texts are to be filled in."""
 
 
 def _printable(text: str) -> str:
-    """Refuse what XML cannot hold."""
+    """Refuse characters that XML cannot represent."""
     if any(ord(letter) < 32 or 0xD800 <= ord(letter) < 0xE000 or ord(letter) in (0xFFFE, 0xFFFF) for letter in text):
         raise refusal("a text of printable letters", repr(text)[:60])
     return " ".join(text.split())
 
 
 def _country(code: str) -> str:
-    """Refuse what is no country's code; empty is not yet stated."""
+    """Refuse a text that is no country code; empty means not yet stated."""
     if code and not (len(code) == 2 and code.isascii() and code.isupper()):
         raise refusal("a country by its two capital letters (ISO 3166-1)", code)
     return code
@@ -97,21 +98,21 @@ class Party(ManifestBlock):
 
 
 class MeasurementCapability(ManifestBlock):
-    """Calibration and measurement capability: the least U, of the magnitude (relative) and of the phase (rad)."""
+    """Calibration and measurement capability: the smallest U of magnitude (relative) and phase (rad)."""
 
     magnitude: NotNegative = 0.0
     phase: NotNegative = 0.0
 
 
 class Laboratory(Party):
-    """Who calibrates, with its accreditation and the least U it may state."""
+    """The calibrating laboratory, with its accreditation and the smallest U that it may state."""
 
     accreditation: PrintableText = ""
     cmc: MeasurementCapability = MeasurementCapability()
 
 
 class CalibratedItem(ManifestBlock):
-    """What was calibrated, beside name and serial number of the sensor."""
+    """The calibrated item, in addition to name and serial number of the sensor."""
 
     manufacturer: PrintableText = ""
     model: PrintableText = ""
@@ -120,7 +121,7 @@ class CalibratedItem(ManifestBlock):
 
 
 class CertificateAdministration(ManifestBlock):
-    """Number, days, place and persons."""
+    """Number, days, location and persons of the calibration."""
 
     number: PrintableText = ""
     issued: Date | None = None
@@ -144,7 +145,7 @@ class CertificateAdministration(ManifestBlock):
 
 
 class Conformity(ManifestBlock):
-    """Limit of the deviation of the main elements from the static sensitivity, and the rule that decides."""
+    """Limit of the deviation from the static sensitivity, and the decision rule."""
 
     tolerance: Positive
     rule: Literal["guarded", "simple"] = "guarded"
@@ -162,8 +163,8 @@ class Form(ManifestBlock):
     conformity: Conformity | None = None
 
     def missing(self) -> Iterator[str]:
-        """Yield the keys without which there is no certificate (ISO/IEC 17025:2017, 7.8.2) and that are empty."""
-        own = (
+        """Yield the required keys that are empty (ISO/IEC 17025:2017, 7.8.2)."""
+        required = (
             (
                 "administration",
                 self.administration,
@@ -173,11 +174,11 @@ class Form(ManifestBlock):
             ("customer", self.customer, REQUIRED),
             ("item", self.item, ("manufacturer", "model", "condition")),
         )
-        yield from (f"{table}.{key}" for table, block, keys in own for key in keys if not getattr(block, key))
+        yield from (f"{table}.{key}" for table, block, keys in required for key in keys if not getattr(block, key))
 
 
 def read_form(path: Path) -> Form:
     """Read and check certificate.toml."""
     if not path.is_file():
-        raise InputError(path, "", found="no file", expected="what a certificate needs (--draft writes a new one)")
+        raise InputError(NO_CERTIFICATE_FORM, path)
     return validate(Form, read_toml(path), path)

@@ -1,4 +1,4 @@
-"""The certificate's page for people, and the command that writes page and XML."""
+"""The page of a certificate, and the command that writes page and XML."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ def run_certificate(
     force: bool = False,
     allow_outside: bool = False,
 ) -> Certificate:
-    """Write certificate.xml and certificate.html of a campaign or a recording into a folder; print what they state."""
+    """Write certificate.xml and certificate.html of a campaign or a recording, and print a summary."""
     folder = (path if path.is_dir() else path.parent) / "certificate" if output is None else output
     for name in (XML_FILE, PAGE_FILE):
         if (folder / name).exists() and not force:
@@ -73,17 +73,17 @@ def run_certificate(
         judged = "" if not element.verdicts else ", conforms" if not failed else f", does not conform at {failed}"
         if element.main:
             print(f"{element.name}: {where}{judged}")
-    for own in found.numbers:
-        print(f"{own.name}: {len(own.numbers)} numbers")
-    beside = sum(not element.main for element in found.elements)
-    if beside:
-        print(f"and {beside} elements beside the main ones")
+    for number_list in found.numbers:
+        print(f"{number_list.name}: {len(number_list.numbers)} numbers")
+    further = sum(not element.main for element in found.elements)
+    if further:
+        print(f"and {further} further elements")
     print(f"certificate: {folder / XML_FILE}, for people {folder / PAGE_FILE} (any browser prints it on A4)")
     return found
 
 
 def write_form(path: Path, results: Path | None = None) -> None:
-    """Write a new certificate.toml beside the recordings, its values still to be filled in."""
+    """Write a new certificate.toml to be filled in."""
     file = path / FORM_FILE if path.is_dir() else path
     check_new_file(file, force=False)
     command = find_command(find_results_folder(file.parent, results))
@@ -93,22 +93,22 @@ def write_form(path: Path, results: Path | None = None) -> None:
         else re.sub(r'(?m)^method = ".*"$', f'method = "{CERTIFIED_COMMANDS[command].method}"', NEW_FORM)
     )
     write_atomically(file, text)
-    print(f"{file}: fill in what is empty, then run shakercal certificate again")
+    print(f"{file}: fill in the empty entries, then run shakercal certificate again")
 
 
 def certificate_page(found: Certificate) -> str:
-    """Return the HTML text of the certificate; style is inside, nothing is fetched from elsewhere."""
-    own = found.form
+    """Return the certificate as HTML with its style and without external resources."""
+    form = found.form
     context = {
-        "name": f"Calibration certificate {own.administration.number}",
+        "name": f"Calibration certificate {form.administration.number}",
         "found": found,
-        "form": own,
-        "laboratory": _address(own.laboratory),
-        "customer": _address(own.customer),
+        "form": form,
+        "laboratory": _address(form.laboratory),
+        "customer": _address(form.customer),
         "period": f"{found.begin}" if found.begin == found.end else f"{found.begin} to {found.end}",
         "conditions": [_condition(*row) for row in found.conditions],
         "sources": _sources_table(found),
-        "results": [*map(_element_table, found.elements), *map(_figures_table, found.numbers)],
+        "results": [*map(_element_table, found.elements), *map(_numbers_table, found.numbers)],
         "statements": list(found.statements()),
         "software": ", ".join(f"{name} {version}" for name, version in found.versions.items()),
     }
@@ -116,28 +116,28 @@ def certificate_page(found: Certificate) -> str:
 
 
 def _address(party: Party) -> list[str]:
-    """Lines of name and address."""
-    place = " ".join(filter(None, (party.post_code, party.city)))
-    return [line for line in (party.name, party.street, f"{place}, {party.country}", party.email) if line]
+    """Return the lines of name and address."""
+    city = " ".join(filter(None, (party.post_code, party.city)))
+    return [line for line in (party.name, party.street, f"{city}, {party.country}", party.email) if line]
 
 
 def _condition(name: str, unit: str, low: float, high: float) -> str:
-    """A condition in words."""
+    """Return a condition as text."""
     text = {r"\degreecelsius": "°C", r"\percent": "%", r"\hecto\pascal": "hPa"}[unit]
     return f"{name}: {low:g} {text}" if low == high else f"{name}: {low:g} {text} to {high:g} {text}"
 
 
 def _sources_table(found: Certificate) -> Table | None:
-    """Certificates behind the inputs."""
+    """Return the certificates of the inputs."""
     head = ("stated for", "certificate", "laboratory", "date")
     rows = tuple(
         ("; ".join(s.inputs), s.certificate or DASH, s.laboratory or DASH, s.day or DASH) for s in found.sources
     )
-    return Table("Certificates that the results rest on", head, "llll", rows) if rows else None
+    return Table("Underlying certificates", head, "llll", rows) if rows else None
 
 
-def _figures_table(own: NumberList) -> Table | None:
-    """One list of single numbers."""
+def _numbers_table(number_list: NumberList) -> Table | None:
+    """Return one list of single numbers."""
     columns: list[TableColumn[CertifiedNumber]] = [
         page_column("quantity", lambda figure: figure.name, "l"),
         page_column(
@@ -146,19 +146,19 @@ def _figures_table(own: NumberList) -> Table | None:
         ),
         page_column("k", lambda figure: factor_text(figure.k)),
     ]
-    return table(own.name, columns, own.numbers)
+    return table(number_list.name, columns, number_list.numbers)
 
 
 def _element_table(element: CertifiedElement) -> Table | None:
-    """One element over frequency, magnitudes in units of a power of ten."""
+    """Return one element over frequency, magnitudes with a common power of ten."""
     unit = sensitivity_unit(element.unit, element.component)
     exponent = common_exponent(np.array([complex(value.element.re, value.element.im) for value in element.values]))
 
     def magnitude(value: CertifiedValue) -> Markup:
-        own = value.element
-        if own.region.holds_zero:
-            return half_axes(own.region, exponent)
-        return scaled_html(own.magnitude, value.expanded_magnitude, exponent)
+        polar = value.element
+        if polar.region.holds_zero:
+            return half_axes(polar.region, exponent)
+        return scaled_html(polar.magnitude, value.expanded_magnitude, exponent)
 
     def phase(value: CertifiedValue) -> Markup:
         if value.has_phase:
@@ -177,16 +177,16 @@ def _element_table(element: CertifiedElement) -> Table | None:
         page_column("k", factors),
     ]
     if element.verdicts:
-        places = {id(value): place for place, value in enumerate(element.values)}
+        indices = {id(value): index for index, value in enumerate(element.values)}
 
         def deviation(value: CertifiedValue) -> str:
-            size, expanded = element.deviation[places[id(value)]]
+            size, expanded = element.deviation[indices[id(value)]]
             return f"{signed_text(100.0 * size, '.3g')} ± {small(100.0 * expanded)}"
 
         columns += [
             page_column("from static / %", deviation),
             page_column(
-                "conforms", lambda value: "yes" if element.verdicts[places[id(value)]] == "pass" else "no", "l"
+                "conforms", lambda value: "yes" if element.verdicts[indices[id(value)]] == "pass" else "no", "l"
             ),
         ]
     return table(element.name, columns, element.values)

@@ -1,4 +1,4 @@
-"""The certificate as a Digital Calibration Certificate: XML of PTB's schema 3.3.0 with D-SI 2.2.1."""
+"""Digital Calibration Certificate: XML of PTB's schema 3.3.0 with D-SI 2.2.1."""
 
 from __future__ import annotations
 
@@ -14,6 +14,7 @@ from fusion.errors import InputError
 from fusion.estimation.coverage import COVERAGE
 from fusion.recording.dsi import Powers, dsi_unit
 from fusion.sensor.certificate.certificate_form import Party
+from fusion.sensor.certificate.certificate_notices import UNIT_WITHOUT_DSI
 from fusion.sensor.certificate.certified_numbers import NumberList, quantity_types
 
 if TYPE_CHECKING:
@@ -30,7 +31,7 @@ REF_TYPES = {
     PHASE: "Phase of the complex sensitivity, of x(t) = Re{X exp(+j omega t)}",
     COMPLEX: "Complex sensitivity with the covariance matrix of its real and imaginary part",
 }
-"""Types of quantities that no published list has: the certificate declares them itself."""
+"""Types of quantities without a published list, declared in the certificate."""
 
 PREFIX = "force_"
 PER_LOAD: Mapping[str, Powers] = {"F": ((r"\newton", -1),), "M": ((r"\newton", -1), (r"\metre", -1))}
@@ -51,20 +52,24 @@ def certificate_xml(found: Certificate) -> bytes:
 
 
 def _text(tag: str, *words: str) -> etree._Element:
-    """An element of texts in the one language of the certificate."""
+    """Return an element of texts in the language of the certificate."""
     return D(tag, *(D.content(word, lang=LANGUAGE) for word in words))
 
 
 def _administrative(found: Certificate) -> etree._Element:
     form, sensor = found.form, found.sensor
-    own = form.administration
-    days = [("receiptDate", own.received), ("beginPerformanceDate", found.begin), ("endPerformanceDate", found.end)]
+    administration = form.administration
+    days = [
+        ("receiptDate", administration.received),
+        ("beginPerformanceDate", found.begin),
+        ("endPerformanceDate", found.end),
+    ]
     core = [D.countryCodeISO3166_1(form.laboratory.country), D.usedLangCodeISO639_1(LANGUAGE)]
-    core += [D.mandatoryLangCodeISO639_1(LANGUAGE), D.uniqueIdentifier(own.number)]
+    core += [D.mandatoryLangCodeISO639_1(LANGUAGE), D.uniqueIdentifier(administration.number)]
     core += [D(tag, str(day)) for tag, day in days]
-    core += [D.performanceLocation(own.place), D.issueDate(str(own.issued))]
+    core += [D.performanceLocation(administration.place), D.issueDate(str(administration.issued))]
     numbers = [("manufacturer", sensor.serial, "Serial number"), ("customer", form.item.customer_number, "Number")]
-    known = [
+    identifications = [
         D.identification(D.issuer(issuer), D.value(value), _text("name", name))
         for issuer, value, name in numbers
         if value
@@ -75,12 +80,15 @@ def _administrative(found: Certificate) -> etree._Element:
         _text("description", f"Condition as received: {form.item.condition}"),
         D.manufacturer(_text("name", form.item.manufacturer)),
         D.model(form.item.model),
-        D.identifications(*known),
+        D.identifications(*identifications),
     )
     code = form.laboratory.accreditation
-    told = [D.statement(_text("name", name), _text("declaration", text)) for name, text in found.statements()]
+    statements = [D.statement(_text("name", name), _text("declaration", text)) for name, text in found.statements()]
     laboratory = [D.calibrationLaboratoryCode(code)] if code else []
-    persons = [("Operator", own.operator, "false"), ("Responsible for the certificate", own.authoriser, "true")]
+    persons = [
+        ("Operator", administration.operator, "false"),
+        ("Responsible for the certificate", administration.authoriser, "true"),
+    ]
     return D.administrativeData(
         D.dccSoftware(_software()),
         D.refTypeDefinitions(*(_declared(name, about) for name, about in _types(found).items())),
@@ -94,18 +102,18 @@ def _administrative(found: Certificate) -> etree._Element:
             )
         ),
         _party("customer", form.customer),
-        D.statements(*told),
+        D.statements(*statements),
     )
 
 
 def _types(found: Certificate) -> dict[str, str]:
     """Return the types of quantities that a certificate declares."""
-    own = {f"{PREFIX}{kind}": about for kind, about in quantity_types(found.numbers).items()}
-    return {**(REF_TYPES if found.elements else {}), **own}
+    of_numbers = {f"{PREFIX}{kind}": about for kind, about in quantity_types(found.numbers).items()}
+    return {**(REF_TYPES if found.elements else {}), **of_numbers}
 
 
 def _declared(name: str, about: str) -> etree._Element:
-    """The declaration of a type of quantity."""
+    """Return the declaration of a type of quantity."""
     return D.refTypeDefinition(
         _text("name", name),
         _text("description", about),
@@ -121,7 +129,7 @@ def _software() -> etree._Element:
 
 
 def _party(tag: str, party: Party) -> etree._Element:
-    """Name and address."""
+    """Return name and address of a party."""
     address = (
         ("street", party.street),
         ("postCode", party.post_code),
@@ -133,13 +141,13 @@ def _party(tag: str, party: Party) -> etree._Element:
 
 
 def _measured(found: Certificate) -> etree._Element:
-    own = found.form.administration
+    administration = found.form.administration
     procedure = [_text("description", found.procedure)] if found.procedure else []
     equipment = [D.measuringEquipments(*(_source(source) for source in found.sources))] if found.sources else []
     return D.measurementResult(
         {"refId": "item"},
         _text("name", found.title),
-        D.usedMethods(D.usedMethod(_text("name", own.method), *procedure)),
+        D.usedMethods(D.usedMethod(_text("name", administration.method), *procedure)),
         D.usedSoftware(_software()),
         *equipment,
         D.influenceConditions(*_conditions(found)),
@@ -150,15 +158,15 @@ def _measured(found: Certificate) -> etree._Element:
 
 
 def _source(source: UnderlyingCertificate) -> etree._Element:
-    """A certificate that results rest on, as the instrument or standard it is of."""
-    told = ", ".join(filter(None, (source.laboratory, source.day)))
+    """Return an underlying certificate as the measuring equipment to which it belongs."""
+    origin = ", ".join(filter(None, (source.laboratory, source.day)))
     number = D.identification(D.issuer("calibrationLaboratory"), D.value(source.certificate or "unnumbered"))
-    about = [_text("description", f"Certificate of {told}")] if told else []
+    about = [_text("description", f"Certificate of {origin}")] if origin else []
     return D.measuringEquipment(_text("name", "; ".join(source.inputs)), *about, D.identifications(number))
 
 
 def _conditions(found: Certificate) -> Iterator[etree._Element]:
-    """Every condition, least and largest value where it differs; that none is stated is stated."""
+    """Yield every condition with its smallest and largest value, or that none is stated."""
     for name, unit, low, high in found.conditions:
         values = " ".join(repr(float(value)) for value in dict.fromkeys((low, high)))
         numbers = S.realListXMLList(S.valueXMLList(values), S.unitXMLList(unit))
@@ -168,13 +176,12 @@ def _conditions(found: Certificate) -> Iterator[etree._Element]:
 
 
 def _result(found: Certificate, element: CertifiedElement) -> etree._Element:
-    """One result: frequency, magnitude and phase where all are determined, and the complex value."""
+    """Return one result: frequency, magnitude and phase if determined, and complex value."""
     powers = PER_LOAD[element.component[0]]
     try:
         unit, squared = dsi_unit(element.unit, powers), dsi_unit(element.unit, powers, 2)
     except ValueError as error:
-        key, expected = "sensor.unit", "a unit made of V, A, C, N, m and their like, such as mV/V"
-        raise InputError(found.rig_path, key, found=f'"{element.unit}"', expected=expected) from error
+        raise InputError(UNIT_WITHOUT_DSI, found.rig_path, "sensor.unit", found=element.unit) from error
     values, digits = element.values, _numbers
     frequency = digits(value.frequency_hz for value in values)
     quantities = [
@@ -193,29 +200,28 @@ def _result(found: Certificate, element: CertifiedElement) -> etree._Element:
     return D.result(_text("name", element.name), D.data(D.list({"refType": "basic_1IndexTable"}, *quantities)))
 
 
-def _listed(found: Certificate, own: NumberList) -> etree._Element:
-    """One result: a list of single numbers, each with its U."""
+def _listed(found: Certificate, number_list: NumberList) -> etree._Element:
+    """Return one result: a list of single numbers with U."""
     quantities = []
-    for figure in own.numbers:
+    for number in number_list.numbers:
         try:
-            unit = dsi_unit(figure.unit).replace(r"\kilo\gram", r"\kilogram")
+            unit = dsi_unit(number.unit).replace(r"\kilo\gram", r"\kilogram")
         except ValueError as error:
-            key, expected = "sensor.unit", "a unit made of V, A, C, N, m and their like, such as mV/V"
-            raise InputError(found.rig_path, key, found=f'"{figure.unit}"', expected=expected) from error
+            raise InputError(UNIT_WITHOUT_DSI, found.rig_path, "sensor.unit", found=number.unit) from error
         stated = S.expandedMU(
-            S.valueExpandedMU(repr(figure.expanded)),
-            S.coverageFactor(repr(figure.k)),
+            S.valueExpandedMU(repr(number.expanded)),
+            S.coverageFactor(repr(number.k)),
             S.coverageProbability(repr(COVERAGE)),
         )
-        number = S.real(S.value(repr(figure.value)), S.unit(unit), S.measurementUncertaintyUnivariate(stated))
+        real = S.real(S.value(repr(number.value)), S.unit(unit), S.measurementUncertaintyUnivariate(stated))
         quantities.append(
-            D.quantity({"refType": f"basic_measuredValue {PREFIX}{figure.kind}"}, _text("name", figure.name), number)
+            D.quantity({"refType": f"basic_measuredValue {PREFIX}{number.kind}"}, _text("name", number.name), real)
         )
-    return D.result(_text("name", own.name), D.data(D.list(*quantities)))
+    return D.result(_text("name", number_list.name), D.data(D.list(*quantities)))
 
 
 def _numbers(values: Iterable[float]) -> str:
-    """Numbers as in the tables: the shortest text that reads back to the same double."""
+    """Return numbers with full precision."""
     return " ".join(repr(float(value)) for value in values)
 
 
@@ -227,21 +233,21 @@ def _quantity(
     expanded: tuple[list[float], list[float]] | None = None,
     further: Sequence[etree._Element] = (),
 ) -> etree._Element:
-    """A list of real numbers with U and k, where it has them."""
+    """Return a list of real numbers with U and k, if any."""
     stated = []
     if expanded is not None:
-        own = S.expandedMUXMLList(
+        uncertainty = S.expandedMUXMLList(
             S.valueExpandedMUXMLList(_numbers(expanded[0])),
             S.coverageFactorXMLList(_numbers(expanded[1])),
             S.coverageProbabilityXMLList(repr(COVERAGE)),
         )
-        stated = [S.measurementUncertaintyUnivariateXMLList(own)]
+        stated = [S.measurementUncertaintyUnivariateXMLList(uncertainty)]
     numbers = S.realListXMLList(S.valueXMLList(values), S.unitXMLList(unit), *stated)
     return D.quantity({"refType": kind}, _text("name", name), numbers, *further)
 
 
 def _limit(element: CertifiedElement) -> list[etree._Element]:
-    """Whether each value conforms, beside the list."""
+    """Return the conformity of each value of a list."""
     if not element.verdicts:
         return []
     judged = D.conformityXMLList(" ".join(element.verdicts))
@@ -249,7 +255,7 @@ def _limit(element: CertifiedElement) -> list[etree._Element]:
 
 
 def _complex(element: CertifiedElement, unit: str, squared: str) -> etree._Element:
-    """Real and imaginary part with the covariance matrix and the factor of their 95 % region."""
+    """Return complex values with their covariance matrices and the factor of the region."""
     values = element.values
     factors = [value.element.region_factor for value in values]
     matrices = [value.element.region_matrix / k**2 for value, k in zip(values, factors, strict=True)]

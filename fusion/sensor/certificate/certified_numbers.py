@@ -1,4 +1,4 @@
-"""Single numbers that a certificate states: what rotate, identify and step found, read from their tables and files."""
+"""Single numbers of a certificate, from the tables of rotate, identify and step."""
 
 from __future__ import annotations
 
@@ -14,6 +14,7 @@ from fusion.errors import InputError
 from fusion.recording.toml import read_rows
 from fusion.report.folder import Provenance, provenance_of
 from fusion.report.h5 import open_results, read_notices
+from fusion.sensor.certificate.certificate_notices import DAMAGED_RESULT_TABLE, NO_CERTIFIABLE_RESULT
 from shaker.identification.sensitivity import LABELS as CHAIN_LABELS
 from shaker.lti.indices import LABELS
 from shakercal._common.notices import Notice
@@ -23,7 +24,7 @@ LARGEST_TABLE = 20_000_000  # bytes
 
 @dataclass(frozen=True)
 class CertifiedNumber:
-    """A number of a certificate: name in words, type of quantity, value, U = k·u, and its unit."""
+    """A number of a certificate: name, type of quantity, value, U, k and unit."""
 
     name: str
     kind: str
@@ -35,7 +36,7 @@ class CertifiedNumber:
 
 @dataclass(frozen=True)
 class NumberList:
-    """What one list of a certificate holds: a component of the sensor, or the masses of a rotation test."""
+    """One list of a certificate: numbers of a component, or masses of a rotation test."""
 
     name: str
     numbers: tuple[CertifiedNumber, ...]
@@ -43,7 +44,7 @@ class NumberList:
 
 @dataclass(frozen=True)
 class CertifiedCommand:
-    """A command whose numbers are certified: its files, what its certificate is called, how it was measured."""
+    """A command with certified numbers: its files, and title and method of its certificate."""
 
     table: str
     file: str
@@ -76,7 +77,7 @@ QUANTITY_TYPES = {
     "inertia": "Moment of inertia",
     "index": "Another index of a dynamic response, or parameter of its model",
 }
-"""Types of quantities and what they are, without their prefix."""
+"""Types of quantities with their description, without prefix."""
 BEGINNINGS = {
     "stiffness": "stiffness", "damping_ratio": "dampingRatio", "damping": "dampingCoefficient",
     "internal_mass": "mass", "load_mass": "mass", "internal_centre_of_mass": "centreOfMass",
@@ -85,13 +86,16 @@ BEGINNINGS = {
     "spring_time": "timeConstant", "delay": "timeConstant", "static_gain": "staticSensitivity",
     "read_static_gain": "staticSensitivity",
 }  # fmt: skip
-"""How names of numbers begin, longer ones before those that they begin with, and their types."""
+"""Types of numbers by the beginning of their names; a longer beginning precedes a shorter one."""
 CERTIFIED_BY_ROTATION = ("internal_mass", "internal_centre_of_mass", "load_mass", "load_centre_of_mass")
-"""Of a rotation test; differences and deviations are its checks."""
+"""Numbers of a rotation test; its differences and deviations are checks."""
 
 
 def find_results_folder(folder: Path, results: Path | None) -> Path:
-    """Return where results to be certified lie: as given, else what `run` left, else the first of other commands'."""
+    """Return the folder of results to certify.
+
+    As given, else that of `run`, else that of another command.
+    """
     if results is not None:
         return results
     candidates = (folder / name for name in ("results", *CERTIFIED_COMMANDS))
@@ -99,54 +103,59 @@ def find_results_folder(folder: Path, results: Path | None) -> Path:
 
 
 def find_command(folder: Path) -> str | None:
-    """Return the command that left numbers in a folder, None where none did."""
+    """Return the command that wrote numbers to a folder, None without one."""
     return next((command for command, source in CERTIFIED_COMMANDS.items() if (folder / source.file).is_file()), None)
 
 
 def read_certified_numbers(folder: Path, command: str, *, k: float | None) -> tuple[NumberList, ...]:
-    """Return what the table of a command states, list by list; `k`: instead of the table's own, where U = k·u.
+    """Return the numbers of a command's table, by list.
 
-    Raises `InputError` for a table that is not what the command wrote.
+    `k` replaces the table's k in U = k·u.
+
+    Raises `InputError` for a damaged table.
     """
     file = folder / CERTIFIED_COMMANDS[command].table
     _, rows = read_rows(file, LARGEST_TABLE, f"the table of shakercal {command}")
     lists: dict[str, list[CertifiedNumber]] = {}
     for line, row in enumerate(rows, 2):
         try:
-            where, name = _place(command, row)
+            where, name = _list_and_name(command, row)
             if not name:
                 continue
-            value, u, own = (float(row[column]) for column in ("value", "u", "k"))
-            factor, unit = own if k is None else k, row["unit"]
+            value, u, table_k = (float(row[column]) for column in ("value", "u", "k"))
+            factor, unit = table_k if k is None else k, row["unit"]
         except (KeyError, TypeError, ValueError) as error:
-            expected = f"the table of shakercal {command}"
-            raise InputError(file, f"line {line}", found=f"damaged ({error})", expected=expected) from error
+            raise InputError(DAMAGED_RESULT_TABLE, file, f"line {line}", command=command, reason=str(error)) from error
         if np.isfinite([value, u, factor]).all() and u > 0.0:
             lists.setdefault(where, []).append(
                 CertifiedNumber(_words(name, command), _kind(name, unit), value, factor * u, factor, unit)
             )
     if not lists:
-        raise InputError(file, "", found="no number with an uncertainty", expected=f"results of shakercal {command}")
+        expected = f"a number with an uncertainty in the results of shakercal {command}"
+        raise InputError(NO_CERTIFIABLE_RESULT, file, expected=expected)
     return tuple(NumberList(where, tuple(found)) for where, found in lists.items())
 
 
-def _place(command: str, row: Mapping[str, str]) -> tuple[str, str]:
-    """Return list and name of a row; an empty name is none of the certificate."""
+def _list_and_name(command: str, row: Mapping[str, str]) -> tuple[str, str]:
+    """Return list and name of a row; the name is empty if not certified."""
     name, component = row["name"], row["component"].lstrip("'")
     if command == "rotate":
         axis = f" {component}" if component in "xyz" else ""
-        known = name in CERTIFIED_BY_ROTATION and row["recording"] == "all" and (axis or component == "joint")
-        return "Masses and centres of mass of the sensor under test and its load", f"{name}{axis}" if known else ""
+        is_certified = name in CERTIFIED_BY_ROTATION and row["recording"] == "all" and (axis or component == "joint")
+        return (
+            "Masses and centres of mass of the sensor under test and its load",
+            f"{name}{axis}" if is_certified else "",
+        )
     if command == "identify":
         return f"Mechanics along {component}", "" if "stated beforehand" in row["method"] else name
-    own = row["channel"] == component
-    return f"Response of {row['channel']} to a step of {component}", name if own else ""
+    is_driven = row["channel"] == component
+    return f"Response of {row['channel']} to a step of {component}", name if is_driven else ""
 
 
 def _words(name: str, command: str) -> str:
-    """Return the name of a number in words."""
-    known = {"step": LABELS, "identify": CHAIN_LABELS}.get(command, {})
-    text = known.get(name, name.replace("read_static_gain", "static gain as read from the records"))
+    """Return the printed name of a number."""
+    labels = {"step": LABELS, "identify": CHAIN_LABELS}.get(command, {})
+    text = labels.get(name, name.replace("read_static_gain", "static gain as read from the records"))
     text = (
         re.sub("^(?=b/k)", "ratio ", re.sub("^lag_", "b/k, ", text))
         .replace("usable_band", "usable up to")
@@ -157,35 +166,36 @@ def _words(name: str, command: str) -> str:
 
 def _kind(name: str, unit: str) -> str:
     """Return the type of a number: by its name, else by its unit."""
-    known = next((kind for beginning, kind in BEGINNINGS.items() if name.startswith(beginning)), "")
-    return known or {"Hz": "frequency", "s": "duration"}.get(unit, "index")
+    by_name = next((kind for beginning, kind in BEGINNINGS.items() if name.startswith(beginning)), "")
+    return by_name or {"Hz": "frequency", "s": "duration"}.get(unit, "index")
 
 
 def select_recordings(recordings: Sequence[Path], folder: Path, command: str) -> list[Path]:
-    """Return those of the recordings of a campaign that the numbers in a folder rest on, all where none is named."""
+    """Return the recordings behind the numbers of a folder, all if none is named."""
     inputs = [f"/{name}" for name in read_results_origin(folder, command)[0].input_hashes]
-    own = {path: f"/{path.resolve().parent.name}/{path.name}" for path in recordings}
-    behind = [path for path, end in own.items() if any(end.endswith(name) or name.endswith(end) for name in inputs)]
+    names = {path: f"/{path.resolve().parent.name}/{path.name}" for path in recordings}
+    behind = [path for path, end in names.items() if any(end.endswith(name) or name.endswith(end) for name in inputs)]
     return behind or list(recordings)
 
 
 def read_results_origin(folder: Path, command: str) -> tuple[Provenance, tuple[Notice, ...], tuple[str, ...]]:
-    """Return where results come from, what they told, and what no U of them holds."""
+    """Return provenance, notices and coverage of the results in a folder."""
     with open_results(folder / CERTIFIED_COMMANDS[command].file) as file:
         return provenance_of(file), read_notices(file), tuple(_scopes(file))
 
 
 def _scopes(file: h5py.File) -> Iterator[str]:
-    """Yield for every component for what its U holds, where its results say so."""
+    """Yield the coverage of U of every component."""
     named: dict[tuple[str, str], list[str]] = {}
     for name, group in file.items():
         if group.attrs.get("scope"):
-            named.setdefault((group.attrs["scope"], group.attrs.get("outside", "nothing else")), []).append(name)
+            named.setdefault((group.attrs["scope"], group.attrs.get("outside", "")), []).append(name)
     for (scope, outside), names in named.items():
-        yield f"{', '.join(names)}: U holds {scope}; not assessed: {outside}"
+        excluded = f" and does not include {outside}" if outside else ""
+        yield f"{', '.join(names)}: U applies {scope}{excluded}."
 
 
 def quantity_types(lists: Sequence[NumberList]) -> dict[str, str]:
-    """Return the types of the numbers and what they are."""
-    used = dict.fromkeys(figure.kind for own in lists for figure in own.numbers)
+    """Return the types of quantities of the numbers, with descriptions."""
+    used = dict.fromkeys(figure.kind for one in lists for figure in one.numbers)
     return {kind: QUANTITY_TYPES[kind] for kind in used}

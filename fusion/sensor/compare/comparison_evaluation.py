@@ -1,4 +1,4 @@
-"""Results side by side: which values belong together, their reference value, E_n and drift."""
+"""Evaluation of a comparison: groups of values, their reference value, E_n and drift."""
 
 from __future__ import annotations
 
@@ -15,6 +15,23 @@ from fusion.base import CommandEvaluation
 from fusion.errors import InputError
 from fusion.recording.dsi import parse_unit, same_dimension
 from fusion.sensor.compare.comparison_inputs import ComparedResult, ComparedValue, year_of
+from fusion.sensor.compare.comparison_notices import (
+    CONTRADICTORY_CLAIMS,
+    KINDS_NOT_COMPARED,
+    NO_COMMON_VALUE,
+    ONLY_DIFFERENT_KINDS,
+    PHASES_DIFFER_BY_180,
+    PHASES_OPPOSITE,
+    POSSIBLY_SHARED,
+    RATIOS_COMPARED,
+    RESPONSES_LEFT_OUT,
+    RESULTS_INDEPENDENT,
+    RESULTS_SHARE_INPUTS,
+    SAME_FILE,
+    UNIT_NOT_CONVERTIBLE,
+    UNMATCHED_VALUES,
+    WRONG_RESULT_COUNT,
+)
 from fusion.sensor.compare.reference_value import (
     MAX_RESULTS,
     ReferenceValue,
@@ -38,12 +55,16 @@ from shakercal._common.notices import Notice
 
 @dataclass(frozen=True)
 class ComparedQuantity:
-    """One quantity (magnitude or phase) of an element at a frequency: of the results `names`, value, u and reference.
+    """Magnitude or phase of an element at one frequency, of the results `names`.
 
-    `covariance` (N, N) of the values; `shared`: the S inputs that correlate them, `effects` (S, N) for one u of each.
-    `normalised` (N, N): E_n of every pair; `complex_normalised` (N, N): of magnitudes, that of magnitude and phase
-    together, NaN where one has no phase. `year` (N,): when, NaN where not stated; `per_year` with `u_per_year`: drift,
-    None where a date is not stated.
+    Attributes
+    ----------
+    covariance : (N, N), of the values.
+    shared, effects : the S inputs that correlate the values, and their effects (S, N) for one u.
+    normalised : (N, N), E_n of every pair.
+    complex_normalised : (N, N), of magnitudes: E_n of magnitude and phase together, NaN without a phase.
+    year : (N,), date of each value, NaN if not stated.
+    per_year, u_per_year : drift, None if a date is not stated.
     """
 
     frequency_hz: float
@@ -66,19 +87,19 @@ class ComparedQuantity:
 
     @property
     def largest(self) -> float:
-        """Return the largest E_n of all pairs, in size."""
+        """Return the largest |E_n| of all pairs."""
         return float(np.abs(self.normalised).max())
 
     @property
     def centre(self) -> float:
-        """Return the reference value, the weighted mean of all where results contradict each other."""
+        """Return the reference value, or the weighted mean of all results if they are inconsistent."""
         used = bool(self.reference.used.any())
         return self.reference.value if used else weighted_mean(self.value, self.covariance)[0]
 
 
 @dataclass(frozen=True)
 class ComparisonEvaluation(CommandEvaluation):
-    """A comparison: what was compared, and values that no other result has a partner for."""
+    """A comparison: the compared quantities, and values without a partner."""
 
     results: tuple[ComparedResult, ...]
     shared: tuple[SharedInput, ...]
@@ -89,38 +110,39 @@ class ComparisonEvaluation(CommandEvaluation):
 def evaluate_comparison(
     results: Sequence[ComparedResult], dates: Mapping[str, Date], tolerance: float, hashes: dict[str, str]
 ) -> ComparisonEvaluation:
-    """Compare results by name; frequencies belong together within `tolerance`, relative, of the lowest of them.
+    """Compare results by name; frequencies match within the relative `tolerance` of the lowest.
 
-    Results are taken as independent but for what evidence shows as shared (`shared_inputs`). Raises `InputError` where
-    nothing can be compared, or units differ.
+    Results are independent except for shared inputs with evidence (`find_shared_inputs`). Raises `InputError` if no
+    value can be compared, or if units differ.
     """
     begun = time.perf_counter()
     if not 2 <= len(results) <= MAX_RESULTS:
-        found = "one result" if len(results) == 1 else f"{len(results)} results"
-        raise InputError(results[0].file, "", found=found, expected=f"2 to {MAX_RESULTS} results to compare")
+        raise InputError(WRONG_RESULT_COUNT, results[0].file, found=len(results), limit=MAX_RESULTS)
     shared = find_shared_inputs(results)
     compared: list[ComparedQuantity] = []
-    alone: list[tuple[str, ComparedValue]] = []
-    for own in _groups(results, tolerance):
-        if len(own) < 2:
-            alone += own
+    unmatched: list[tuple[str, ComparedValue]] = []
+    for entries in _groups(results, tolerance):
+        if len(entries) < 2:
+            unmatched += entries
             continue
-        group = _in_one_unit(own, results)
+        group = _in_one_unit(entries, results)
         compared.append(_compared(group, "magnitude", dates, shared))
-        turned = [entry for entry in group if entry[1].phase_rad is not None]
-        if len(turned) > 1:
-            compared.append(_compared(turned, "phase", dates, shared))
+        with_phase = [entry for entry in group if entry[1].phase_rad is not None]
+        if len(with_phase) > 1:
+            compared.append(_compared(with_phase, "phase", dates, shared))
     if not compared:
-        expected = f"an element whose frequencies agree within {tolerance:g}, relative"
-        kinds = "; ".join(_kinds_apart(alone, tolerance))
-        found = f"nothing in common ({kinds})" if kinds else "nothing in common"
-        raise InputError(results[1].file, "frequency_hz", found=found, expected=expected)
+        kinds = "; ".join(
+            f"{channel} per {component}" for channel, component, *_ in _different_kinds(unmatched, tolerance)
+        )
+        if kinds:
+            raise InputError(ONLY_DIFFERENT_KINDS, results[1].file, "frequency_hz", tolerance=tolerance, kinds=kinds)
+        raise InputError(NO_COMMON_VALUE, results[1].file, "frequency_hz", tolerance=tolerance)
     acting = [item for found in compared for item in found.shared]
     return ComparisonEvaluation(
         name=f"Comparison of {', '.join(result.name for result in results)}",
         notices=(
-            *_notices(results, alone, shared, acting=bool(acting)),
-            *_about_kinds(results, alone, tolerance),
+            *_notices(results, unmatched, shared, acting=bool(acting)),
+            *_about_kinds(results, unmatched, tolerance),
             *opposite_conventions(compared),
         ),
         settings={"tolerance": tolerance} | {f"date of {name}": str(day) for name, day in dates.items()},
@@ -129,12 +151,12 @@ def evaluate_comparison(
         results=tuple(results),
         shared=tuple(item for item in shared if item in acting),
         quantities=tuple(compared),
-        unmatched=tuple(alone),
+        unmatched=tuple(unmatched),
     )
 
 
 def _groups(results: Sequence[ComparedResult], tolerance: float) -> list[list[tuple[str, ComparedValue]]]:
-    """Values of the same element and frequency, at most one of each result, by element and frequency."""
+    """Return values of the same element and frequency, at most one of each result."""
     entries = [(result.name, value) for result in results for value in result.values]
     entries.sort(key=lambda entry: (entry[1].channel, entry[1].component, entry[1].ratio, entry[1].frequency_hz))
     groups: list[list[tuple[str, ComparedValue]]] = []
@@ -145,7 +167,7 @@ def _groups(results: Sequence[ComparedResult], tolerance: float) -> list[list[tu
             first is not None
             and (first.channel, first.component, first.ratio) == (value.channel, value.component, value.ratio)
             and value.frequency_hz - first.frequency_hz <= tolerance * first.frequency_hz
-            and name not in {own for own, _ in last}
+            and name not in {used for used, _ in last}
         ):
             last.append((name, value))
         else:
@@ -156,7 +178,7 @@ def _groups(results: Sequence[ComparedResult], tolerance: float) -> list[list[tu
 def _in_one_unit(
     group: list[tuple[str, ComparedValue]], results: Sequence[ComparedResult]
 ) -> list[tuple[str, ComparedValue]]:
-    """Return values in the unit of the first of them that people write; `InputError` where one does not convert."""
+    """Return values in one unit; raise `InputError` for one that does not convert."""
     units = {value.unit for _, value in group}
     if len(units) == 1:
         return group
@@ -165,7 +187,7 @@ def _in_one_unit(
     for name, value in group:
         if not same_dimension(value.unit, unit):
             file = next(result.file for result in results if result.name == name)
-            raise InputError(file, "unit", found=value.unit, expected=f"a unit that converts into {unit}")
+            raise InputError(UNIT_NOT_CONVERTIBLE, file, "unit", found=value.unit, expected=unit)
         factor = 1.0 if value.unit == unit else parse_unit(value.unit).factor / parse_unit(unit).factor
         size, u = factor * value.magnitude, factor * value.u_magnitude
         converted.append((name, replace(value, unit=unit, magnitude=size, u_magnitude=u)))
@@ -175,14 +197,17 @@ def _in_one_unit(
 def _compared(
     group: Sequence[tuple[str, ComparedValue]], quantity: str, dates: Mapping[str, Date], shared: Sequence[SharedInput]
 ) -> ComparedQuantity:
-    """Reference value, E_n and drift of one quantity; phases are taken on the branch of the first."""
-    names, own = tuple(name for name, _ in group), [value for _, value in group]
+    """Return reference value, E_n and drift of one quantity.
+
+    Phases are unwrapped relative to the first.
+    """
+    names, values = tuple(name for name, _ in group), [value for _, value in group]
     if quantity == "magnitude":
-        value, u = np.array([v.magnitude for v in own]), np.array([v.u_magnitude for v in own])
+        value, u = np.array([v.magnitude for v in values]), np.array([v.u_magnitude for v in values])
     else:
-        phase = np.array([v.phase_rad for v in own], dtype=np.float64)
+        phase = np.array([v.phase_rad for v in values], dtype=np.float64)
         value = phase[0] + np.angle(np.exp(1j * (phase - phase[0])))
-        u = np.array([v.u_phase_rad for v in own])
+        u = np.array([v.u_phase_rad for v in values])
     column, size = (0, value) if quantity == "magnitude" else (1, None)
     every = select_acting_inputs(group, shared)
     acting = [(item, effect) for item, effect in every if np.count_nonzero(effect[:, column]) > 1]
@@ -192,11 +217,11 @@ def _compared(
     if np.isfinite(year).all() and len(np.unique(year)) > 1:
         change = drift(year, value, covariance)
     return ComparedQuantity(
-        frequency_hz=float(np.mean([v.frequency_hz for v in own])),
-        channel=own[0].channel,
-        component=own[0].component,
+        frequency_hz=float(np.mean([v.frequency_hz for v in values])),
+        channel=values[0].channel,
+        component=values[0].component,
         quantity=quantity,
-        unit=own[0].unit if quantity == "magnitude" else "rad",
+        unit=values[0].unit if quantity == "magnitude" else "rad",
         names=names,
         value=value,
         u=u,
@@ -205,74 +230,73 @@ def _compared(
         effects=effects,
         reference=reference_value(value, covariance),
         normalised=normalised_error(value, covariance),
-        complex_normalised=_of_both(own, every) if quantity == "magnitude" else None,
+        complex_normalised=_complex_errors(values, every) if quantity == "magnitude" else None,
         year=year,
         per_year=None if change is None else change[0],
         u_per_year=None if change is None else change[1],
     )
 
 
-def _of_both(own: Sequence[ComparedValue], acting: Sequence[tuple[SharedInput, FloatArray]]) -> FloatArray:
+def _complex_errors(values: Sequence[ComparedValue], acting: Sequence[tuple[SharedInput, FloatArray]]) -> FloatArray:
     """Return E_n (N, N) of the complex values, NaN where one has no phase."""
-    phase = np.array([np.nan if v.phase_rad is None else v.phase_rad for v in own])
-    size, u_size = np.array([v.magnitude for v in own]), np.array([v.u_magnitude for v in own])
-    u_phase, effects = np.array([v.u_phase_rad for v in own]), [effect for _, effect in acting]
+    phase = np.array([np.nan if v.phase_rad is None else v.phase_rad for v in values])
+    size, u_size = np.array([v.magnitude for v in values]), np.array([v.u_magnitude for v in values])
+    u_phase, effects = np.array([v.u_phase_rad for v in values]), [effect for _, effect in acting]
     return complex_normalised_error(size * np.exp(1j * phase), u_size, u_phase, effects)
 
 
 def _notices(
     results: Sequence[ComparedResult],
-    alone: Sequence[tuple[str, ComparedValue]],
+    unmatched: Sequence[tuple[str, ComparedValue]],
     shared: Sequence[SharedInput],
     *,
     acting: bool,
 ) -> list[Notice]:
-    """What a reader has to know of the comparison."""
-    beside = ", but for the inputs that certificates or files show as shared" if acting else ""
-    text = (
-        f"results are taken as independent{beside}: what two share without saying so, such as the mass of the same "
-        "load or the same accelerometer, cancels in their difference, so that E_n comes out too small"
-    )
-    found = [*(notice for result in results for notice in result.signed), Notice("note", text, "comparison")]
+    """Return the notices of the comparison."""
+    independence = RESULTS_SHARE_INPUTS if acting else RESULTS_INDEPENDENT
+    found = [*(notice for result in results for notice in result.signed), Notice(independence, "comparison")]
     for one, other in combinations(results, 2):
-        apart = list(dict.fromkeys(find_contradictory_claims(one, other, shared)))
-        if apart:
-            both = f"{one.name} and {other.name} name the same certificate for {', '.join(apart)}"
-            text = f"{both}, but state different values or U"
-            found.append(Notice("warning", f"{text}: not taken as shared", "comparison"))
-        alike = list(find_possible_shared_inputs(one, other))
-        if alike:
-            both = f"{one.name} and {other.name} both rest on {', '.join(alike)} with the same u"
-            text = f"{both}, and name no certificate for it"
-            found.append(Notice("note", f"{text}: taken as independent; a certificate would tell", "comparison"))
+        names = {"first": one.name, "second": other.name}
+        contradictory = dict.fromkeys(find_contradictory_claims(one, other, shared))
+        if contradictory:
+            found.append(Notice(CONTRADICTORY_CLAIMS, "comparison", **names, inputs=", ".join(contradictory)))
+        possible = list(find_possible_shared_inputs(one, other))
+        if possible:
+            found.append(Notice(POSSIBLY_SHARED, "comparison", **names, inputs=", ".join(possible)))
         if Path(one.file).resolve() == Path(other.file).resolve():
-            found.append(Notice("warning", f"{one.name} and {other.name} are the same file", "comparison"))
-    if alone:
-        found.append(Notice("note", f"{len(alone)} values have no partner and are not compared", "comparison"))
+            found.append(Notice(SAME_FILE, "comparison", **names))
+    if unmatched:
+        found.append(Notice(UNMATCHED_VALUES, "comparison", count=len(unmatched)))
     return found
 
 
 def _about_kinds(
-    results: Sequence[ComparedResult], alone: Sequence[tuple[str, ComparedValue]], tolerance: float
+    results: Sequence[ComparedResult], unmatched: Sequence[tuple[str, ComparedValue]], tolerance: float
 ) -> Iterator[Notice]:
-    """Yield what a reader has to know of ratios, which hold more than the sensor's element."""
+    """Yield notices on ratios, which contain the effect of other loads."""
     if any(value.ratio for result in results for value in result.values):
-        text = "ratios of outputs and driven load are compared with ratios only: other loads act in each as they did"
-        left = ", ".join(f"{result.responses} of {result.name}" for result in results if result.responses)
-        if left:
-            text += (
-                "; those of outputs that do not belong to the driven load, which other loads dominate, are left out "
-            )
-            text += f"({left}); a stated matrix, or a campaign that spans it, makes elements of them"
-        yield Notice("note", text, "comparison")
-    for text in _kinds_apart(alone, tolerance):
-        yield Notice("warning", f"{text}: not compared, since a ratio contains what other loads do", "comparison")
+        counts = ", ".join(f"{result.responses} of {result.name}" for result in results if result.responses)
+        if counts:
+            yield Notice(RESPONSES_LEFT_OUT, "comparison", counts=counts)
+        else:
+            yield Notice(RATIOS_COMPARED, "comparison")
+    for channel, component, ratios, elements in _different_kinds(unmatched, tolerance):
+        yield Notice(
+            KINDS_NOT_COMPARED,
+            "comparison",
+            channel=channel,
+            component=component,
+            ratios=", ".join(ratios),
+            elements=", ".join(elements),
+        )
 
 
-def _kinds_apart(alone: Sequence[tuple[str, ComparedValue]], tolerance: float) -> Iterator[str]:
-    """Yield elements of which results state values at one frequency, but one an element and another a ratio."""
+def _different_kinds(
+    unmatched: Sequence[tuple[str, ComparedValue]], tolerance: float
+) -> Iterator[tuple[str, str, list[str], list[str]]]:
+    """Yield channel, component, results with ratios, and results with elements of the sensor."""
     named: dict[tuple[str, str], list[tuple[float, bool, str]]] = {}
-    for name, value in alone:
+    for name, value in unmatched:
         named.setdefault((value.channel, value.component), []).append((value.frequency_hz, value.ratio, name))
     for (channel, component), entries in named.items():
         entries.sort()
@@ -284,35 +308,31 @@ def _kinds_apart(alone: Sequence[tuple[str, ComparedValue]], tolerance: float) -
         if pairs:
             ratios = dict.fromkeys(entry[2] for pair in pairs for entry in pair if entry[1])
             others = dict.fromkeys(entry[2] for pair in pairs for entry in pair if not entry[1])
-            yield f"{channel} per {component}: {', '.join(ratios)} ratios, {', '.join(others)} elements of the sensor"
+            yield channel, component, list(ratios), list(others)
 
 
 CONVENTION_RAD = 0.2
-"""Deviation up to which a difference of phases is half a turn, or a sum of phases zero."""
+"""Tolerance of a difference of phases from 180°, or of a sum of phases from 0: chosen, far above any U."""
 
 
 def opposite_conventions(compared: Sequence[ComparedQuantity]) -> Iterator[Notice]:
-    """Yield pairs of results whose phases differ by half a turn, or by their sign, at all frequencies of an element.
+    """Yield notices of phases that differ by 180° or by sign at all frequencies.
 
-    Only contradictions count (|E_n| above 1), and opposite signs only where the phase is several times its deviation.
+    Only contradictions (|E_n| above 1) count, and opposite signs only if the phase is several times its deviation.
     """
     found: dict[tuple[str, ...], list[tuple[float, float, float]]] = {}
-    for own in (own for own in compared if own.quantity == "phase"):
-        for i, j in combinations(range(len(own.names)), 2):
-            key = own.channel, own.component, *sorted((own.names[i], own.names[j]))
-            turned = float(np.angle(np.exp(1j * (own.value[i] - own.value[j]))))
-            mirrored = float(np.angle(np.exp(1j * (own.value[i] + own.value[j]))))
-            found.setdefault(key, []).append((turned, mirrored, float(own.normalised[i, j])))
+    for phases in (one for one in compared if one.quantity == "phase"):
+        for i, j in combinations(range(len(phases.names)), 2):
+            key = phases.channel, phases.component, *sorted((phases.names[i], phases.names[j]))
+            difference = float(np.angle(np.exp(1j * (phases.value[i] - phases.value[j]))))
+            mirrored = float(np.angle(np.exp(1j * (phases.value[i] + phases.value[j]))))
+            found.setdefault(key, []).append((difference, mirrored, float(phases.normalised[i, j])))
     for (channel, component, one, other), rows in found.items():
-        turned, mirrored, normalised = np.abs(np.array(rows)).T
-        element = f"{channel} per {component}: the phases of {one} and {other}"
+        difference, mirrored, normalised = np.abs(np.array(rows)).T
+        values = {"channel": channel, "component": component, "first": one, "second": other}
         if np.all(normalised <= 1.0):
             continue
-        if np.all(turned > np.pi - CONVENTION_RAD):
-            text = f"{element} differ by half a turn at every common frequency: is the sign of the output, or the "
-            yield Notice(
-                "warning", f"{text}sense of the load (sensor.sense), the other one in one of them?", "comparison"
-            )
-        elif np.all(normalised > 1.0) and np.all(mirrored < np.minimum(CONVENTION_RAD, turned / 4.0)):
-            text = f"{element} have opposite signs at every common frequency: does one of them count a lag positive?"
-            yield Notice("warning", text, "comparison")
+        if np.all(difference > np.pi - CONVENTION_RAD):
+            yield Notice(PHASES_DIFFER_BY_180, "comparison", **values)
+        elif np.all(normalised > 1.0) and np.all(mirrored < np.minimum(CONVENTION_RAD, difference / 4.0)):
+            yield Notice(PHASES_OPPOSITE, "comparison", **values)

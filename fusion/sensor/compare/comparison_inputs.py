@@ -1,4 +1,4 @@
-"""What a comparison reads: a results folder of this program, or a CSV table or certificate of others."""
+"""Inputs of a comparison: folders of results, CSV tables, and certificates."""
 
 from __future__ import annotations
 
@@ -21,32 +21,43 @@ from fusion.report.folder import CURVE_FILE, RESULT_FILE, SENSITIVITY_FILE
 from fusion.report.h5 import open_results, read_evidence
 from fusion.report.labelled_results import CAMPAIGN_FILE, LabelledPhasors, read_results
 from fusion.sensitivity.input_evidence import InputEvidence
+from fusion.sensor.compare.comparison_notices import (
+    NO_RESULT_TABLE,
+    WRONG_CERTIFIED_RESULT,
+    WRONG_RESULT_CELL,
+    WRONG_RESULT_TABLE,
+)
 from shaker.arrays import FloatArray
 from shakercal._common.notices import Notice
 
 LARGEST_TABLE = 50_000_000  # bytes
 NEEDED = ("frequency_hz", "channel", "component", "magnitude", "unit")
 KINDS = ("matrix", "element", "ratio")
-"""Of the rows of a table: those that are results of a driven load, the one that tells most of the sensor first."""
+"""Kinds of rows that are results of a driven load, in the order of preference."""
 HARMONIC = "harmonic"
-"""Kind of rows that belong to no driven load."""
+"""Kind of rows without a driven load."""
 SAME_LINE = 1e-4
-"""Relative difference of frequencies at which rows of different kinds are of one line: each is a mean of its own."""
+"""Relative difference of frequencies within which rows of different kinds are one line: each is a separate mean."""
 DAYS = 365.2425
 COMPANION_FILES = {CURVE_FILE: CAMPAIGN_FILE, SENSITIVITY_FILE: RESULT_FILE}
-"""Beside a table of results: what the values rest on, and when they were recorded."""
+"""HDF5 file with the origin of the values, by the table of results."""
 ELEMENT = re.compile(r"(?P<ratio>Ratio of output )?(\S+) (?(ratio)to driven load|per) (\S+)$")
-"""How the name of a certificate's result ends: of an element, or of a ratio."""
+"""End of the name of a certificate's result, of an element or of a ratio."""
 
 
 @dataclass(frozen=True)
 class ComparedValue:
-    """One value of one result: magnitude and phase (rad, None where not determined) with u, of which 2·u is U.
+    """One value of one result: magnitude and phase with u = U/2.
 
-    `ratio`: of one recording's output and driven load, not the sensor's own element. u = U/k, with k no larger than 2:
-    where few degrees of freedom make k larger, 2·u stays the stated U. `effects`: by name of the unknowns that
-    certificates and files state, relative change of the magnitude and change of the phase (rad) for one standard
-    uncertainty. `year`: mean day of the recordings behind it, NaN where one states none.
+    The phase (rad) is None if not determined.
+
+    Attributes
+    ----------
+    ratio : whether it is the ratio of one recording's output and load, otherwise an element of the sensor.
+    u_magnitude, u_phase_rad : U/k, with k at most 2, so that 2·u is the stated U even with few degrees of freedom.
+    effects : by unknown of certificates and files: relative change of the magnitude and change of the phase (rad) for
+        one standard uncertainty.
+    year : mean date of the recordings, NaN if one states none.
     """
 
     frequency_hz: float
@@ -64,10 +75,11 @@ class ComparedValue:
 
 @dataclass(frozen=True)
 class ComparedResult:
-    """What is compared: name, file and values, of a certificate its day and its signatures, what states the inputs.
+    """A result to be compared, with its values and their evidence.
 
-    `responses`: number of values left out, ratios of outputs that do not belong to the driven load. What the other
-    loads of a recording put into such an output is as large as the output itself, and of another size in every rig.
+    `date` and `signed` (signatures) of a certificate. `responses`: number of ratios left out because the output does
+    not belong to the driven load. The effect of other loads on such an output is as large as the output itself, and
+    differs between rigs.
     """
 
     name: str
@@ -80,32 +92,32 @@ class ComparedResult:
 
 
 def result_file(path: Path) -> Path:
-    """Return the table of a results folder, or the file itself; `InputError` where there is none."""
+    """Return the table of a folder of results, or the file itself; `InputError` without one."""
     if not path.is_dir():
         return path
     for folder in (path, path / "results"):
         for name in (CURVE_FILE, SENSITIVITY_FILE):
             if (folder / name).is_file():
                 return folder / name
-    raise InputError(path, "", found=f"no {CURVE_FILE} and no {SENSITIVITY_FILE}", expected="a folder of results")
+    raise InputError(NO_RESULT_TABLE, path, expected=f"{CURVE_FILE} or {SENSITIVITY_FILE}")
 
 
 def result_files(path: Path) -> list[Path]:
-    """Return everything that `read_result` reads of a path."""
+    """Return all files that `read_result` reads of a path."""
     file = result_file(path)
-    beside = file.with_name(COMPANION_FILES.get(file.name, file.name))
-    return [file, beside] if beside != file and beside.is_file() else [file]
+    companion = file.with_name(COMPANION_FILES.get(file.name, file.name))
+    return [file, companion] if companion != file and companion.is_file() else [file]
 
 
 def read_result(name: str, path: Path) -> ComparedResult:
-    """Read one result: curve.csv or sensitivity.csv of a folder, a table, or a Digital Calibration Certificate.
+    """Read a folder of results, a table, or a Digital Calibration Certificate.
 
-    `InputError` for what cannot be compared.
+    Raises `InputError` if it cannot be compared.
 
-    Columns: frequency_hz, channel, component, magnitude, unit, and U_magnitude with k, or u_magnitude; optionally
-    phase_rad with U_phase_rad (k_phase, else k) or u_phase_rad, and kind (element where there is none). Of several
-    kinds of one value that counts which tells most of the sensor: matrix, element, ratio. Ratios of outputs that do not
-    belong to the driven load are left out.
+    Columns: frequency_hz, channel, component, magnitude, unit, and U_magnitude with k, or u_magnitude. Optional:
+    phase_rad with U_phase_rad (k_phase, otherwise k) or u_phase_rad, and kind (default element). Of several kinds of
+    one value, the first of matrix, element, ratio is used. Ratios of outputs that do not belong to the driven load are
+    left out.
     """
     file = result_file(path)
     if file.suffix.lower() == SUFFIX:
@@ -113,9 +125,10 @@ def read_result(name: str, path: Path) -> ComparedResult:
     columns, rows = read_rows(file, LARGEST_TABLE)
     missing = [column for column in NEEDED if column not in columns]
     if missing:
-        raise InputError(file, missing[0], found="no such column", expected="this column")
+        raise InputError(WRONG_RESULT_TABLE, file, missing[0], found="none", expected="this column")
     if not {"U_magnitude", "u_magnitude"} & set(columns):
-        raise InputError(file, "U_magnitude", found="no such column", expected="this column, or u_magnitude")
+        expected = "this column, or u_magnitude"
+        raise InputError(WRONG_RESULT_TABLE, file, "U_magnitude", found="none", expected=expected)
     found: dict[tuple[float, str, str, str], ComparedValue] = {}
     for line, row in enumerate(rows, 2):
         kind = row["kind"] if "kind" in columns else KINDS[1]
@@ -123,23 +136,24 @@ def read_result(name: str, path: Path) -> ComparedResult:
             continue
         if kind not in KINDS:
             expected = f"one of {', '.join((*KINDS, HARMONIC))}"
-            raise InputError(file, "kind", found=f'"{describe(kind, plain=True)}" in line {line}', expected=expected)
+            text = f'"{describe(kind, plain=True)}"'
+            raise InputError(WRONG_RESULT_CELL, file, "kind", found=text, expected=expected, line=line)
         value = _value(row, file, line, ratio=kind == "ratio")
         key = value.frequency_hz, value.channel, value.component, kind
         if key in found:
-            told = f"{value.frequency_hz:g} Hz twice for {value.channel} per {value.component}"
-            raise InputError(file, "frequency_hz", found=f"{told} (line {line})", expected="one value each")
+            text = f"{value.frequency_hz:g} Hz twice for {value.channel} per {value.component}"
+            raise InputError(WRONG_RESULT_CELL, file, "frequency_hz", found=text, expected="one value each", line=line)
         found[key] = value
     if not found:
-        raise InputError(file, "", found="no values", expected="a table with results")
-    beside = result_files(path)[1:]
-    known, evidence = _origin(beside[0]) if beside else ({}, ())
+        raise InputError(WRONG_RESULT_TABLE, file, found="no values", expected="a table with results")
+    companions = result_files(path)[1:]
+    origins, evidence = _origin(companions[0]) if companions else ({}, ())
     values = []
     for key in _best(found):
-        effects, year = known.get(key, ({}, np.nan))
+        effects, year = origins.get(key, ({}, np.nan))
         values.append(replace(found[key], effects=effects, year=year))
-    kept, responses = _without_responses(values)
-    return ComparedResult(name, file, kept, evidence=evidence, responses=responses)
+    selected, responses = _without_responses(values)
+    return ComparedResult(name, file, selected, evidence=evidence, responses=responses)
 
 
 Key: TypeAlias = tuple[float, str, str, str]
@@ -147,32 +161,32 @@ Key: TypeAlias = tuple[float, str, str, str]
 
 
 def _best(found: Collection[Key]) -> list[Key]:
-    """Return of all kinds of one value at one line the one that tells most of the sensor, in the order of the table."""
+    """Return the preferred kind of each value at each line, in table order."""
     better: dict[tuple[str, str], FloatArray] = {}
     dropped: set[Key] = set()
     for kind in KINDS:
-        own: dict[tuple[str, str], list[Key]] = {}
+        of_kind: dict[tuple[str, str], list[Key]] = {}
         for key in (key for key in found if key[3] == kind):
-            own.setdefault(key[1:3], []).append(key)
-        for element, keys in own.items():
-            known, frequency = better.get(element, np.array([])), np.array([key[0] for key in keys])
-            near = np.searchsorted(known, frequency * (1.0 + SAME_LINE), "right")
-            taken = near > np.searchsorted(known, frequency * (1.0 - SAME_LINE), "left")
+            of_kind.setdefault(key[1:3], []).append(key)
+        for element, keys in of_kind.items():
+            covered, frequency = better.get(element, np.array([])), np.array([key[0] for key in keys])
+            near = np.searchsorted(covered, frequency * (1.0 + SAME_LINE), "right")
+            taken = near > np.searchsorted(covered, frequency * (1.0 - SAME_LINE), "left")
             dropped.update(key for key, one in zip(keys, taken.tolist(), strict=True) if one)
-            better[element] = np.sort(np.concatenate([known, frequency[~taken]]))
+            better[element] = np.sort(np.concatenate([covered, frequency[~taken]]))
     return [key for key in found if key not in dropped]
 
 
 def _without_responses(values: Sequence[ComparedValue]) -> tuple[tuple[ComparedValue, ...], int]:
-    """Return values without ratios of outputs that do not belong to their load, and how many these are.
+    """Return values without responses to other loads, and the number left out.
 
-    To a load belongs the output of its name, else the one with the largest value.
+    The output of a load is that of its name, otherwise the one with the largest value.
     """
     main: dict[str, str] = {}
     for value in sorted(values, key=lambda value: (value.channel != value.component, -value.magnitude)):
         main.setdefault(value.component, value.channel)
-    kept = tuple(value for value in values if not value.ratio or value.channel == main[value.component])
-    return kept, len(values) - len(kept)
+    selected = tuple(value for value in values if not value.ratio or value.channel == main[value.component])
+    return selected, len(values) - len(selected)
 
 
 def year_of(day: Date) -> float:
@@ -180,12 +194,12 @@ def year_of(day: Date) -> float:
     return 1.0 + (day.toordinal() - 1) / DAYS
 
 
-Known = dict[Key, tuple[dict[str, tuple[float, float]], float]]
+ValueOrigins = dict[Key, tuple[dict[str, tuple[float, float]], float]]
 """Effects and year of every value."""
 
 
-def _origin(path: Path) -> tuple[Known, tuple[InputEvidence, ...]]:
-    """Return what results say of the inputs that their values rest on, and of when they were recorded."""
+def _origin(path: Path) -> tuple[ValueOrigins, tuple[InputEvidence, ...]]:
+    """Return effects of inputs and years of all values, and the evidence."""
     found = read_results(path)
     parts = [part for part in (*found.curve, found.sensitivity, found.element) if part is not None]
     with open_results(path) as file:
@@ -195,27 +209,27 @@ def _origin(path: Path) -> tuple[Known, tuple[InputEvidence, ...]]:
         else:
             year = year_of(Date.fromisoformat(file.attrs["date"])) if "date" in file.attrs else np.nan
             years = [np.full(len(part.frequency_hz), year) for part in parts]
-    named, known = {row.unknown for row in evidence}, Known()
-    for part, own in zip(parts, years, strict=True):
-        known |= _effects(part, named, own)
-    return known, evidence
+    named, origins = {row.unknown for row in evidence}, ValueOrigins()
+    for part, part_years in zip(parts, years, strict=True):
+        origins |= _effects(part, named, part_years)
+    return origins, evidence
 
 
 def _years_of_curves(file: h5py.File) -> Iterator[FloatArray]:
-    """Yield for every curve of a campaign the mean day of the recordings behind each frequency, NaN without one."""
-    told = file["recordings"]
-    names = told["name"].asstr()[()].tolist() if len(told["name"]) else []
-    days = told["date"].asstr()[()].tolist() if "date" in told and names else [""] * len(names)
+    """Yield the mean date of the recordings at each frequency, NaN without one."""
+    table = file["recordings"]
+    names = table["name"].asstr()[()].tolist() if len(table["name"]) else []
+    days = table["date"].asstr()[()].tolist() if "date" in table and names else [""] * len(names)
     of = {name: year_of(Date.fromisoformat(day)) if day else np.nan for name, day in zip(names, days, strict=True)}
     for curve in file["curves"].values():
         behind = curve.get("recordings", {})
-        own = [behind.get(f"{k:03d}", ()) for k in range(len(curve["frequency_hz"]))]
-        yield np.array([np.mean([of[n] for n in each.asstr()[()]]) if len(each) else np.nan for each in own])
+        names_of_lines = [behind.get(f"{k:03d}", ()) for k in range(len(curve["frequency_hz"]))]
+        yield np.array([np.mean([of[n] for n in each.asstr()[()]]) if len(each) else np.nan for each in names_of_lines])
 
 
-def _effects(part: LabelledPhasors, named: Collection[str], year: FloatArray) -> Known:
-    """Return effects of the unknowns `named`, and years (K,), of every value of a curve or recording."""
-    size, known = len(part.unit), Known()
+def _effects(part: LabelledPhasors, named: Collection[str], year: FloatArray) -> ValueOrigins:
+    """Return effects of the unknowns `named`, and years (K,), of every value of a curve."""
+    size, origins = len(part.unit), ValueOrigins()
     acting = [i for i in part.uncertainty.influences if i.name in named and i.scope == "rig"]
     for k, e in np.ndindex(part.value.shape):
         value = complex(part.value[k, e])
@@ -223,12 +237,12 @@ def _effects(part: LabelledPhasors, named: Collection[str], year: FloatArray) ->
             changes = {i.name: complex(i.effect[k, e], i.effect[k, e + size]) / value for i in acting}
             effects = {name: (change.real, change.imag) for name, change in changes.items() if change != 0.0}
             key = float(part.frequency_hz[k]), part.channel[e], part.component[e], part.kind[k]
-            known[key] = effects, float(year[k])
-    return known
+            origins[key] = effects, float(year[k])
+    return origins
 
 
 def _certified(name: str, file: Path) -> ComparedResult:
-    """Read the results of a certificate that are named as `shakercal certificate` does, "… CHANNEL per COMPONENT"."""
+    """Read the results of a certificate with names "… CHANNEL per COMPONENT"."""
     certificate, values = read_dcc(file), list[ComparedValue]()
     for curve in curves(certificate):
         element = ELEMENT.search(curve.name)
@@ -240,11 +254,13 @@ def _certified(name: str, file: Path) -> ComparedResult:
         columns = [curve.frequency_hz, curve.magnitude, u_magnitude]
         columns += [curve.phase_rad, curve.u_phase_rad] if np.any(phased) else []
         if not np.isfinite(columns).all():
-            raise InputError(file, f'result "{curve.name}"', found="nan", expected="finite numbers")
+            key = f'result "{curve.name}"'
+            raise InputError(WRONG_CERTIFIED_RESULT, file, key, found="nan", expected="finite numbers")
         if np.any(curve.u_magnitude <= 0.0) or np.any(curve.u_phase_rad[phased] <= 0.0):
-            raise InputError(file, f'result "{curve.name}"', found="an uncertainty of 0", expected="one above 0")
+            key = f'result "{curve.name}"'
+            raise InputError(WRONG_CERTIFIED_RESULT, file, key, found="0", expected="an uncertainty above 0")
         for n, frequency_hz in enumerate(curve.frequency_hz.tolist()):
-            own = ComparedValue(
+            value = ComparedValue(
                 frequency_hz=frequency_hz,
                 channel=element[2],
                 component=element[3],
@@ -255,15 +271,15 @@ def _certified(name: str, file: Path) -> ComparedResult:
                 phase_rad=float(curve.phase_rad[n]) if phased[n] else None,
                 u_phase_rad=float(curve.u_phase_rad[n]),
             )
-            values.append(own)
+            values.append(value)
     if not values:
         expected = 'a result over frequency named "… CHANNEL per COMPONENT", such as "Sensitivity Fz per Fz"'
-        raise InputError(file, "dcc:results", found="none", expected=expected)
+        raise InputError(WRONG_CERTIFIED_RESULT, file, "dcc:results", found="none", expected=expected)
     return ComparedResult(name, file, tuple(values), certificate.date, signed=certificate.signature_notices)
 
 
 def _value(row: dict[str, str], file: Path, line: int, *, ratio: bool) -> ComparedValue:
-    """One row of a table."""
+    """Return the value of one row of a table."""
 
     def number(column: str, least: float = -np.inf) -> float:
         text = row.get(column) or ""
@@ -272,9 +288,9 @@ def _value(row: dict[str, str], file: Path, line: int, *, ratio: bool) -> Compar
         except ValueError:
             found = np.nan
         if not np.isfinite(found) or wrong_size(found) or found < least:
-            shown = f'"{describe(text, plain=True)}" in line {line}'
+            shown = f'"{describe(text, plain=True)}"'
             expected = "a finite number" if least == -np.inf else f"a number of at least {least:g}"
-            raise InputError(file, column, found=shown, expected=expected)
+            raise InputError(WRONG_RESULT_CELL, file, column, found=shown, expected=expected, line=line)
         return found
 
     def uncertainty(of: str, factor: str) -> float:
@@ -283,16 +299,16 @@ def _value(row: dict[str, str], file: Path, line: int, *, ratio: bool) -> Compar
         else:
             found, column = number(f"U_{of}", 0.0) / min(number(factor, 1.0), 2.0), f"U_{of}"
         if found == 0.0:
-            raise InputError(file, column, found=f"0 in line {line}", expected="a number above 0")
+            raise InputError(WRONG_RESULT_CELL, file, column, found="0", expected="a number above 0", line=line)
         return found
 
     texts = {}
     for column in ("channel", "component", "unit"):
         texts[column] = (row.get(column) or "").strip()
         if not texts[column]:
-            raise InputError(file, column, found=f"nothing in line {line}", expected="a text")
+            raise InputError(WRONG_RESULT_CELL, file, column, found="no value", expected="a text", line=line)
     phase = row.get("phase_rad") not in (None, "", "nan")
-    turned = uncertainty("phase_rad", "k_phase" if row.get("k_phase") else "k") if phase else np.nan
+    u_phase = uncertainty("phase_rad", "k_phase" if row.get("k_phase") else "k") if phase else np.nan
     return ComparedValue(
         frequency_hz=number("frequency_hz", 0.0),
         ratio=ratio,
@@ -302,5 +318,5 @@ def _value(row: dict[str, str], file: Path, line: int, *, ratio: bool) -> Compar
         magnitude=number("magnitude", 0.0),
         u_magnitude=uncertainty("magnitude", "k"),
         phase_rad=number("phase_rad") if phase else None,
-        u_phase_rad=turned,
+        u_phase_rad=u_phase,
     )

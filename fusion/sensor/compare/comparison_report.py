@@ -1,4 +1,4 @@
-"""The comparison's table, page and command."""
+"""Files, page and printed lines of a comparison, and the command."""
 
 from __future__ import annotations
 
@@ -28,51 +28,52 @@ from fusion.report.table import (
 )
 from fusion.sensor.compare.comparison_evaluation import ComparedQuantity, ComparisonEvaluation, evaluate_comparison
 from fusion.sensor.compare.comparison_inputs import read_result, result_files
+from fusion.sensor.compare.comparison_notices import WRONG_COMPARISON_OPTION
 from fusion.sensor.compare.shared_inputs import SharedInput, list_titles
 
 
-class Row(NamedTuple):
+class ResultRow(NamedTuple):
     """One result in one comparison."""
 
     of: ComparedQuantity
-    place: int
+    result: int
 
 
-def rows(evaluation: ComparisonEvaluation) -> Iterator[Row]:
+def rows(evaluation: ComparisonEvaluation) -> Iterator[ResultRow]:
     """Yield every result of every comparison."""
-    yield from (Row(found, place) for found in evaluation.quantities for place in range(len(found.names)))
+    yield from (ResultRow(found, result) for found in evaluation.quantities for result in range(len(found.names)))
 
 
-def _complex_largest(found: ComparedQuantity, place: int) -> float | None:
-    """Return the largest E_n of the complex values of a result's pairs, None where there is none."""
-    pairs = None if found.complex_normalised is None else np.delete(found.complex_normalised[place], place)
+def _complex_largest(found: ComparedQuantity, result: int) -> float | None:
+    """Return the largest E_n of complex values of a result's pairs, None without any."""
+    pairs = None if found.complex_normalised is None else np.delete(found.complex_normalised[result], result)
     return None if pairs is None or not np.isfinite(pairs).any() else float(np.nanmax(pairs))
 
 
-COMPARISON: list[TableColumn[Row]] = [
+COMPARISON: list[TableColumn[ResultRow]] = [
     TableColumn("frequency_hz", lambda row: row.of.frequency_hz),
     text_column("channel", lambda row: row.of.channel),
     text_column("component", lambda row: row.of.component),
     text_column("quantity", lambda row: row.of.quantity),
-    text_column("result", lambda row: row.of.names[row.place]),
-    TableColumn("value", lambda row: row.of.value[row.place]),
-    TableColumn("u", lambda row: row.of.u[row.place]),
+    text_column("result", lambda row: row.of.names[row.result]),
+    TableColumn("value", lambda row: row.of.value[row.result]),
+    TableColumn("u", lambda row: row.of.u[row.result]),
     text_column("unit", lambda row: row.of.unit),
     TableColumn("reference", lambda row: finite_or_none(row.of.reference.value)),
     TableColumn("u_reference", lambda row: finite_or_none(row.of.reference.u)),
-    TableColumn("deviation", lambda row: finite_or_none(row.of.reference.deviation[row.place])),
-    TableColumn("U_deviation", lambda row: finite_or_none(row.of.reference.expanded[row.place])),
-    TableColumn("E_n", lambda row: finite_or_none(row.of.reference.normalised[row.place])),
-    TableColumn("E_n_largest_pair", lambda row: np.abs(row.of.normalised[row.place]).max()),
-    text_column("in_reference", lambda row: "yes" if row.of.reference.used[row.place] else "no"),
+    TableColumn("deviation", lambda row: finite_or_none(row.of.reference.deviation[row.result])),
+    TableColumn("U_deviation", lambda row: finite_or_none(row.of.reference.expanded[row.result])),
+    TableColumn("E_n", lambda row: finite_or_none(row.of.reference.normalised[row.result])),
+    TableColumn("E_n_largest_pair", lambda row: np.abs(row.of.normalised[row.result]).max()),
+    text_column("in_reference", lambda row: "yes" if row.of.reference.used[row.result] else "no"),
     TableColumn("chi_squared", lambda row: finite_or_none(row.of.reference.chi_squared)),
     TableColumn("chi_squared_dof", lambda row: row.of.reference.dof),
     TableColumn("p", lambda row: row.of.reference.p),
     TableColumn("per_year", lambda row: row.of.per_year),
     TableColumn("u_per_year", lambda row: row.of.u_per_year),
-    TableColumn("E_n_complex_largest_pair", lambda row: _complex_largest(row.of, row.place)),
+    TableColumn("E_n_complex_largest_pair", lambda row: _complex_largest(row.of, row.result)),
     text_column(
-        "shared", lambda row: "; ".join(list_titles(s for s in row.of.shared if row.of.names[row.place] in s.unknowns))
+        "shared", lambda row: "; ".join(list_titles(s for s in row.of.shared if row.of.names[row.result] in s.unknowns))
     ),
 ]
 
@@ -82,64 +83,65 @@ def _main(evaluation: ComparisonEvaluation) -> list[ComparedQuantity]:
 
 
 def draw_normalised(evaluation: ComparisonEvaluation) -> Figure:
-    """E_n against the reference value over frequency, of every result."""
+    """Draw E_n of every result relative to the reference value over frequency."""
     drawn = empty_figure("normalised", 4.6, 2)
     ends = np.array([found.frequency_hz for found in _main(evaluation)])
     for panel, quantity in zip(drawn.panels, ("magnitude", "phase"), strict=True):
-        own = [found for found in _main(evaluation) if found.quantity == quantity]
+        of_quantity = [found for found in _main(evaluation) if found.quantity == quantity]
         panel.span(-1.0, 1.0, "covered by U", colour=GREY)
-        for place, result in enumerate(evaluation.results):
+        for index, result in enumerate(evaluation.results):
             shown = [
                 (f.frequency_hz, f.reference.normalised[f.names.index(result.name)])
-                for f in own
+                for f in of_quantity
                 if result.name in f.names
             ]
             if shown:
                 x, y = np.array(shown).T
-                panel.points(x, y, result.name, colour=COLOURS[place % len(COLOURS)], size=4.0)
+                panel.points(x, y, result.name, colour=COLOURS[index % len(COLOURS)], size=4.0)
         panel.y.label = f"E_n of {quantity}"
         frequency_axis(panel.x, np.array([0.95 * ends.min(), 1.05 * ends.max()]))
     drawn.panels[0].x.label = ""
-    text = "Deviation from the reference value over its expanded uncertainty; within the band it is covered."
+    text = "Deviation from the reference value over its expanded uncertainty; within the band U covers it."
     return drawn.with_title("Deviations from the reference value", text, main=True)
 
 
 def _largest_text(found: ComparedQuantity) -> str:
-    every = [own for own in (_complex_largest(found, n) for n in range(len(found.names))) if own is not None]
+    largest = (_complex_largest(found, n) for n in range(len(found.names)))
+    every = [value for value in largest if value is not None]
     return signed_text(max(every)) if every else "–"
 
 
 IN_FILE = ("frequency_hz", "channel", "component", "quantity", "unit", "names", "value", "u")
-MOST_CHARTS, MOST_LINES = 6, 6
+MAX_CHARTS, MAX_LINES = 6, 6
 """Elements of which the page has a chart, and frequencies in one of them."""
 
 
 def draw_charts(evaluation: ComparisonEvaluation) -> list[Figure]:
-    """Control charts, element by element: deviations from the reference values over the years, with U."""
+    """Draw control charts of every element: deviations over the years, with U."""
     dated: dict[tuple[str, str], list[ComparedQuantity]] = {}
     for found in _main(evaluation):
         if len(np.unique(found.year[np.isfinite(found.year)])) > 1:
             dated.setdefault((found.channel, found.component), []).append(found)
-    return [_chart(element, own) for element, own in list(dated.items())[:MOST_CHARTS]]
+    return [_chart(element, quantities) for element, quantities in list(dated.items())[:MAX_CHARTS]]
 
 
-def _chart(element: tuple[str, str], own: Sequence[ComparedQuantity]) -> Figure:
-    """Magnitude and phase of one element over the years."""
+def _chart(element: tuple[str, str], quantities: Sequence[ComparedQuantity]) -> Figure:
+    """Draw magnitude and phase of one element over the years."""
     channel, component = element
-    span = float(np.ptp([year for found in own for year in found.year[np.isfinite(found.year)]]))
+    span = float(np.ptp([year for found in quantities for year in found.year[np.isfinite(found.year)]]))
     drawn = empty_figure(f"chart-{channel}-{component}", 4.6, 2)
     for panel, quantity in zip(drawn.panels, ("magnitude", "phase"), strict=True):
-        lines = [found for found in own if found.quantity == quantity]
-        chosen = np.unique(np.linspace(0, len(lines) - 1, min(len(lines), MOST_LINES)).astype(int))
+        lines = [found for found in quantities if found.quantity == quantity]
+        chosen = np.unique(np.linspace(0, len(lines) - 1, min(len(lines), MAX_LINES)).astype(int))
         reach = []
-        for place, line in enumerate([lines[n] for n in chosen]):
+        for index, line in enumerate([lines[n] for n in chosen]):
             factor = 100.0 / abs(line.centre) if quantity == "magnitude" else 1e3
-            label, colour = f"{line.frequency_hz:.5g} Hz", COLOURS[place % len(COLOURS)]
-            dates = line.year + 0.006 * place * span
+            label, colour = f"{line.frequency_hz:.5g} Hz", COLOURS[index % len(COLOURS)]
+            dates = line.year + 0.006 * index * span
             deviation, expanded = factor * (line.value - line.centre), 2.0 * factor * line.u
             if line.reference.used.any():
                 band = 2.0 * factor * line.reference.u
-                panel.span(-band, band, label, colour=colour, opacity=0.08)  # they lie over each other
+                panel.span(-band, band, label, colour=colour, opacity=0.08)  # bands overlap
             panel.points(dates, deviation, label, half_y=expanded, colour=colour, size=4.0, names=tuple(line.names))
             reach += [deviation + expanded, deviation - expanded]
         panel.rule(0.0, colour=GREY)
@@ -151,14 +153,14 @@ def _chart(element: tuple[str, str], own: Sequence[ComparedQuantity]) -> Figure:
     drawn.panels[-1].x.label = "year"
     text = (
         "Deviation of every dated result from the reference value with its U (k = 2), in relative terms of the "
-        "magnitude; the bands are U of the reference values. Where there is none, since results contradict each "
-        "other, deviations are from their weighted mean. Frequencies stand side by side for legibility."
+        "magnitude; the bands are U of the reference values. If results contradict each other, there is none, and "
+        "deviations are from their weighted mean. Frequencies are shifted for legibility."
     )
     return drawn.with_title(f"Control chart of {channel} per {component}", text, main=True)
 
 
 def largest_share(evaluation: ComparisonEvaluation, title: str) -> float:
-    """Return the largest share of a variance that shared inputs of a title have, of any value that is compared."""
+    """Return the largest share of a variance of the shared inputs of a title."""
     shares = [
         (found.effects[[item.title == title for item in found.shared]] / found.u) ** 2
         for found in evaluation.quantities
@@ -167,9 +169,12 @@ def largest_share(evaluation: ComparisonEvaluation, title: str) -> float:
 
 
 def _named(items: Sequence[SharedInput]) -> str:
-    """Return what results call an input, the first of several components and how many there are."""
-    told = "; ".join(f"{name}: {unknown}" for name, unknown in items[0].unknowns.items())
-    return told if len(items) == 1 else f"{told} and {len(items) - 1} more"
+    """Return the names of an input in each result.
+
+    Of several components, the first and their number.
+    """
+    names = "; ".join(f"{name}: {unknown}" for name, unknown in items[0].unknowns.items())
+    return names if len(items) == 1 else f"{names} and {len(items) - 1} more"
 
 
 def _context(evaluation: ComparisonEvaluation) -> dict[str, Any]:
@@ -183,7 +188,7 @@ def _context(evaluation: ComparisonEvaluation) -> dict[str, Any]:
             lambda f: (
                 quantity_html(f.reference.value, 2.0 * f.reference.u, f.unit)
                 if f.reference.used.any()
-                else "none, they contradict each other"
+                else "none, results are contradictory"
             ),
         ),
         page_column("p of consistency", lambda f: f"{f.reference.p:.3f}"),
@@ -220,29 +225,29 @@ def _context(evaluation: ComparisonEvaluation) -> dict[str, Any]:
         "reference": table("Reference values, U: k = 2", columns, evaluation.quantities),
         "figures": [draw_normalised(evaluation)],
         "charts": draw_charts(evaluation),
-        "shared": table("Inputs taken as shared", common, list(titles)),
+        "shared": table("Shared inputs", common, list(titles)),
         "drift": table("Drift, U: k = 2", changes, dated),
         "alone": table("Not compared", single, evaluation.unmatched),
     }
 
 
 def printed(evaluation: ComparisonEvaluation) -> Iterator[str]:
-    """Lines for the terminal."""
+    """Yield the printed lines."""
     for quantity in ("magnitude", "phase"):
-        own = [found for found in evaluation.quantities if found.quantity == quantity]
-        if own:
-            above = sum(found.largest > 1.0 for found in own)
-            left = sum(not found.reference.used.all() for found in own)
+        of_quantity = [found for found in evaluation.quantities if found.quantity == quantity]
+        if of_quantity:
+            above = sum(found.largest > 1.0 for found in of_quantity)
+            left = sum(not found.reference.used.all() for found in of_quantity)
             counts = f"|E_n| of a pair above 1 at {above}, not consistent at {left}"
-            yield f"{quantity}: {len(own)} values compared, {counts}"
+            yield f"{quantity}: {len(of_quantity)} values compared, {counts}"
     if evaluation.shared:
-        yield f"taken as shared: {'; '.join(list_titles(evaluation.shared))}"
+        yield f"shared inputs: {'; '.join(list_titles(evaluation.shared))}"
     if evaluation.unmatched:
         yield f"{len(evaluation.unmatched)} values without a partner"
 
 
 def _fill(file: h5py.File, evaluation: ComparisonEvaluation) -> None:
-    """Every comparison with E_n of every pair."""
+    """Fill the HDF5 file with every comparison."""
     for number, found in enumerate(evaluation.quantities):
         group = file.create_group(f"comparison/{number}")
         for name in (*IN_FILE, "covariance", "normalised", "year"):
@@ -278,17 +283,19 @@ def run_compare(
         path = Path(rest if equals else text)
         name = first if equals else path.stem
         if not name or name in named:
-            raise InputError(path, "", found=f'the name "{name}" twice', expected="NAME=PATH with names of their own")
+            raise InputError(WRONG_COMPARISON_OPTION, path, found=name, expected="NAME=PATH with unique names")
         named[name] = path
     days: dict[str, Date] = {}
     for text in dates:
         name, _, day = text.partition("=")
         if name not in named:
-            raise InputError("--date", name, found=text, expected=f"one of the names {', '.join(named)}")
+            expected = f"one of the names {', '.join(named)}"
+            raise InputError(WRONG_COMPARISON_OPTION, "--date", name, found=text, expected=expected)
         try:
             days[name] = Date.fromisoformat(day)
         except ValueError as error:
-            raise InputError("--date", name, found=f'"{day}"', expected="a day as YYYY-MM-DD") from error
+            expected = "a day as YYYY-MM-DD"
+            raise InputError(WRONG_COMPARISON_OPTION, "--date", name, found=day, expected=expected) from error
     results = [read_result(name, path) for name, path in named.items()]
     days = {result.name: result.date for result in results if result.date is not None} | days
     root = Path(os.path.commonpath([result.file.resolve().parent for result in results]))

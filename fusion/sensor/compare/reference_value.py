@@ -13,18 +13,18 @@ from fusion.estimation.coverage import along_and_across, region_factor
 from shaker.arrays import ComplexArray, FloatArray
 
 SIGNIFICANCE = 0.05
-"""Of the chi-square test of consistency."""
+"""Level of the χ² test of consistency (Cox 2002)."""
 COVERAGE_FACTOR = 2.0
 MAX_RESULTS = 12
-"""Results of one element at one frequency: all their subsets are tried."""
+"""Largest number of results of one element at one frequency, since all their subsets are tried."""
 
 
 @dataclass(frozen=True)
 class ReferenceValue:
-    """Weighted mean of the results `used` (N,), of all N the deviations from it and their expanded uncertainty, k = 2.
+    """Weighted mean of the results `used` (N,), and deviations of all results.
 
-    `p`: probability of a chi-square as large as `chi_squared` of those used. Where no two results are consistent none
-    is used, and all but `p` of all is NaN.
+    `deviation` (N,) with `expanded` U, k = 2. `p`: probability of a χ² at least as large as that of the used results.
+    If no two results are consistent, none is used, and all numbers but `p` are NaN.
     """
 
     value: float
@@ -38,13 +38,19 @@ class ReferenceValue:
 
     @property
     def normalised(self) -> FloatArray:
-        """Return E_n of every result against the reference value, NaN where a result is the reference by itself."""
-        known = self.expanded > 0.0
-        return np.asarray(np.where(known, self.deviation / np.where(known, self.expanded, 1.0), np.nan))
+        """Return E_n of every result relative to the reference value.
+
+        NaN for a result that defines the reference value alone.
+        """
+        uncertain = self.expanded > 0.0
+        return np.asarray(np.where(uncertain, self.deviation / np.where(uncertain, self.expanded, 1.0), np.nan))
 
 
 def normalised_error(value: FloatArray, covariance: FloatArray) -> FloatArray:
-    """Return E_n (N, N) = (x_i - x_j) / U(x_i - x_j), k = 2, with the correlations; 0 on the diagonal."""
+    """Return E_n (N, N) of pairs of results, with their correlations.
+
+    (x_i - x_j) / U(x_i - x_j), k = 2; 0 on the diagonal.
+    """
     variance = np.diag(covariance)
     spread = variance[:, None] + variance[None, :] - 2.0 * covariance
     u = np.sqrt(np.maximum(spread, 0.0))
@@ -55,29 +61,30 @@ def normalised_error(value: FloatArray, covariance: FloatArray) -> FloatArray:
 def complex_normalised_error(
     value: ComplexArray, u_magnitude: FloatArray, u_phase_rad: FloatArray, shared: Sequence[FloatArray] = ()
 ) -> FloatArray:
-    """Return E_n (N, N) of complex values by magnitude and phase: 1 at the edge of the 95 % region.
+    """Return E_n (N, N) of complex values by magnitude and phase.
 
-    sqrt(d' V^-1 d / 5.99) of the difference d, real and imaginary part, and its covariance V = V_i + V_j - C_ij - C_ji;
-    5.99 is the 95 % quantile of chi-square with two degrees of freedom (JCGM 102, 6.5). 0 on the diagonal, NaN where a
-    value is. `shared`: effects (N, 2) of every shared input on magnitudes, relative to them, and phases, which make C.
+    It is 1 at the edge of the 95 % region. sqrt(d' V^-1 d / 5.99) of the difference d (real and imaginary part) with
+    covariance V = V_i + V_j - C_ij - C_ji. 5.99 is the 95 % quantile of χ² with two degrees of freedom (JCGM 102, 6.5).
+    0 on the diagonal, NaN for NaN values. `shared`: effects (N, 2) of every shared input on relative magnitudes and
+    phases, from which C follows.
     """
     found, frame = np.zeros((len(value), len(value))), along_and_across(value)
     roots = frame * np.stack([u_magnitude, np.abs(value) * u_phase_rad], axis=-1)[:, None, :]
-    own = roots @ roots.swapaxes(-1, -2)
+    covariances = roots @ roots.swapaxes(-1, -2)
     common = [np.einsum("nij,nj->ni", frame, effect * np.abs(value)[:, None]) for effect in shared]
     for i, j in combinations(range(len(value)), 2):
         both = np.array([(value[i] - value[j]).real, (value[i] - value[j]).imag])
-        spread = own[i] + own[j]
+        spread = covariances[i] + covariances[j]
         for effect in common:
             spread = spread - np.outer(effect[i], effect[j]) - np.outer(effect[j], effect[i])
-        known = bool(np.isfinite(spread).all()) and np.linalg.det(spread) > 0.0
-        squared = float(both @ np.linalg.solve(spread, both)) if known else np.nan
+        usable = bool(np.isfinite(spread).all()) and np.linalg.det(spread) > 0.0
+        squared = float(both @ np.linalg.solve(spread, both)) if usable else np.nan
         found[i, j] = found[j, i] = np.sqrt(squared) / region_factor(np.inf)
     return found
 
 
 def weighted_mean(value: FloatArray, covariance: FloatArray) -> tuple[float, float, FloatArray, float]:
-    """Return mean, its u, the weights (N,), and chi-square about it: generalised least squares of one constant."""
+    """Return mean, its u, weights (N,) and χ² by generalised least squares of one constant."""
     solved = np.linalg.solve(covariance, np.column_stack([np.ones(len(value)), value]))
     total = float(solved[:, 0].sum())
     weights = np.asarray(solved[:, 0] / total, dtype=np.float64)
@@ -89,8 +96,8 @@ def weighted_mean(value: FloatArray, covariance: FloatArray) -> tuple[float, flo
 def reference_value(value: FloatArray, covariance: FloatArray) -> ReferenceValue:
     """Return the reference value of N results with covariance (N, N).
 
-    Cox, Metrologia 39 (2002) 589, procedure A: the weighted mean where chi-square does not refute it at 5 %; else that
-    of the largest subset that is consistent, among equals of the least chi-square (Cox, Metrologia 44 (2007) 187).
+    Cox, Metrologia 39 (2002) 589, procedure A: the weighted mean if χ² does not reject it at 5 %. Otherwise that of the
+    largest consistent subset, among equal ones that of the smallest χ² (Cox, Metrologia 44 (2007) 187).
     """
     count = len(value)
     if not 2 <= count <= MAX_RESULTS:
@@ -99,28 +106,31 @@ def reference_value(value: FloatArray, covariance: FloatArray) -> ReferenceValue
     for size in range(count, 1, -1):
         found = []
         for subset in combinations(range(count), size):
-            own = np.array(subset)
-            found.append((weighted_mean(value[own], covariance[np.ix_(own, own)])[3], subset))
+            indices = np.array(subset)
+            found.append((weighted_mean(value[indices], covariance[np.ix_(indices, indices)])[3], subset))
         squared, subset = min(found)
         tried.append(float(chdtrc(size - 1.0, max(squared, 0.0))))
         if tried[-1] >= SIGNIFICANCE:
             break
     else:
-        nothing, none = np.full(count, np.nan), np.zeros(count, dtype=np.bool_)
-        return ReferenceValue(np.nan, np.nan, np.nan, 0, tried[0], none, nothing, nothing)
-    own, p = np.array(subset), tried[-1]
-    mean, u, inner, squared = weighted_mean(value[own], covariance[np.ix_(own, own)])
+        unknown, none = np.full(count, np.nan), np.zeros(count, dtype=np.bool_)
+        return ReferenceValue(np.nan, np.nan, np.nan, 0, tried[0], none, unknown, unknown)
+    indices, p = np.array(subset), tried[-1]
+    mean, u, inner, squared = weighted_mean(value[indices], covariance[np.ix_(indices, indices)])
     weights = np.zeros(count)
-    weights[own] = inner
-    turned = np.eye(count) - weights  # deviations x_i - w.x, row by row
-    variance = np.einsum("ij,jk,ik->i", turned, covariance, turned)
+    weights[indices] = inner
+    transform = np.eye(count) - weights  # deviations x_i - w.x, row by row
+    variance = np.einsum("ij,jk,ik->i", transform, covariance, transform)
     expanded = COVERAGE_FACTOR * np.sqrt(np.maximum(variance, 0.0))
     expanded[expanded < 1e-9 * np.sqrt(np.diag(covariance))] = 0.0
-    return ReferenceValue(mean, u, squared, size - 1, p, np.isin(np.arange(count), own), value - mean, expanded)
+    return ReferenceValue(mean, u, squared, size - 1, p, np.isin(np.arange(count), indices), value - mean, expanded)
 
 
 def drift(year: FloatArray, value: FloatArray, covariance: FloatArray) -> tuple[float, float]:
-    """Return the change per year and its u: a straight line by generalised least squares; `ValueError` on one date."""
+    """Return the change per year and its u, by generalised least squares.
+
+    Raises `ValueError` for a single date.
+    """
     if len(np.unique(year)) < 2:
         raise ValueError("year: expected two dates, found one")
     design = np.column_stack([np.ones(len(year)), year - year.mean()])

@@ -1,1 +1,1 @@
-"""Compensation filters."""
+"""Compensation filters: a sensor with other dynamics."""

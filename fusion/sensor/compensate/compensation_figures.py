@@ -1,4 +1,4 @@
-"""Figures of a compensation: gain, phase and step before and after, noise, mismatch, and a filtered recording."""
+"""Figures of a compensation: responses before and after, noise, mismatch, and filtered recordings."""
 
 from __future__ import annotations
 
@@ -22,19 +22,19 @@ from shaker.labels import typeset
 POINTS = 900
 STEP_POINTS, STEP_PERIODS = 3000, 20.0
 DRAWN = 20_000
-"""Samples of a recording that are drawn at the most."""
+"""Largest number of drawn samples of a recording."""
 
 
 def frequencies(made: LoadFilter) -> FloatArray:
-    """Frequencies (K,) in Hz of the curves of a filter: two decades below its modes to half the sampling rate."""
-    known = [*made.compensation.sensor.frequency_hz, *made.compensation.sensor.real_hz]
-    low, high = min(known) / 50.0, 0.5 * made.sections.sample_rate_hz
+    """Return the frequencies (K,) of a filter's curves, up to half the sampling rate."""
+    frequencies_hz = [*made.compensation.sensor.frequency_hz, *made.compensation.sensor.real_hz]
+    low, high = min(frequencies_hz) / 50.0, 0.5 * made.sections.sample_rate_hz
     even = np.geomspace(low, min(high, 40.0 * made.compensation.target.frequency_hz), POINTS)
-    return np.unique(np.concatenate([even, *(f * (1.0 + np.linspace(-0.05, 0.05, 101)) for f in known)]))
+    return np.unique(np.concatenate([even, *(f * (1.0 + np.linspace(-0.05, 0.05, 101)) for f in frequencies_hz)]))
 
 
 def expanded_gain(made: LoadFilter, hertz: FloatArray) -> FloatArray:
-    """Relative U (K,) for 95 % of the compensated gain at frequencies (K,), by the covariance of the model."""
+    """Return the relative U (K,) of the compensated gain by the model's covariance."""
     design, sensor = made.compensation, made.compensation.sensor
     u = gain_band(design, hertz).u_gain
     part = np.zeros_like(u)
@@ -44,7 +44,7 @@ def expanded_gain(made: LoadFilter, hertz: FloatArray) -> FloatArray:
 
 
 def draw_bode(name: str, made: LoadFilter, permitted_error: float) -> Figure:
-    """Gain and phase over the static gain before and after, the band of the permitted error, and the sampled filter."""
+    """Draw gain and phase before and after, with the permitted error and the sampled filter."""
     design, hertz, title = made.compensation, frequencies(made), made.name
     sensor = design.sensor.system.response(hertz) / design.sensor.static_gain
     after = sensor * design.system.response(hertz) / design.gain
@@ -68,14 +68,14 @@ def draw_bode(name: str, made: LoadFilter, permitted_error: float) -> Figure:
         panel.x.log, panel.x.link = True, "frequency"
     lower.x.label, upper.title = "frequency / Hz", title
     caption = (
-        f"Grey: ±{PERCENT * permitted_error:g} % of the static gain; dashed uprights: where sensor and compensated "
-        "sensor leave ±10 %. Red: the filter for samples behind the sensor."
+        f"Grey: ±{PERCENT * permitted_error:g} % of the static gain; dashed vertical lines: ±10 % limits of sensor and "
+        "compensated sensor. Red: the filter for samples behind the sensor."
     )
     return drawn.with_title(f"{title}: gain and phase before and after", caption, main=True)
 
 
 def draw_step(name: str, made: LoadFilter) -> Figure:
-    """The response to a step over its final value before and after."""
+    """Draw the step response over its final value, before and after."""
     design, title = made.compensation, made.name
     time = np.linspace(0.0, STEP_PERIODS / design.target.frequency_hz, STEP_POINTS)
     before = design.sensor.system.step(time) / design.sensor.static_gain
@@ -91,22 +91,22 @@ def draw_step(name: str, made: LoadFilter) -> Figure:
 
 
 def draw_noise(evaluation: CompensateEvaluation) -> Figure:
-    """What every filter makes of noise over frequency."""
+    """Draw the gain of every filter for noise over frequency."""
     drawn = empty_figure("noise", 2.8)
     (panel,) = drawn.panels
-    for place, made in enumerate(evaluation.filters):
+    for index, made in enumerate(evaluation.filters):
         hertz = frequencies(made)
         gain = np.abs(made.sections.response(hertz) / made.sections.gain)
         text = f"{made.name} (white noise × {made.noise_factor:.3g})"
-        panel.line(hertz, gain, text, colour=COLOURS[place % len(COLOURS)])
+        panel.line(hertz, gain, text, colour=COLOURS[index % len(COLOURS)])
     panel.x.log = panel.y.log = True
     panel.x.label, panel.y.label, panel.x.link = "frequency / Hz", "gain of the filter", "frequency"
     caption = "Gain of the filters over their static gain: the density of the noise is raised by this factor."
-    return drawn.with_title("What the filters do to noise", caption)
+    return drawn.with_title("Noise of the filters", caption)
 
 
 def draw_mismatch(name: str, result: SubjectResult) -> Figure | None:
-    """Residual ringing of every filter over the load, or over an error of the frequency; None without either."""
+    """Draw the residual ringing of every filter over load or frequency error; None without either."""
     first, subject = result.filters[0], result.subject
     if len(first.off_load) > 1:
         scale, unit = (MILLI, "g") if subject.load_unit == "N" else (1.0, "(kg·m²)")
@@ -122,19 +122,19 @@ def draw_mismatch(name: str, result: SubjectResult) -> Figure | None:
         return None
     drawn = empty_figure(name, 2.8)
     (panel,) = drawn.panels
-    for place, (text, off, ringing) in enumerate(curves):
-        colour = COLOURS[place % len(COLOURS)]
+    for index, (text, off, ringing) in enumerate(curves):
+        colour = COLOURS[index % len(COLOURS)]
         panel.line(off, PERCENT * ringing, text, colour=colour)
         panel.points(off, PERCENT * ringing, text, colour=colour, size=3.5)
     highest = max(float(np.nanmax(PERCENT * ringing)) for _, _, ringing in curves)
     panel.x.label, panel.y.label, panel.y.limits = axis, "ringing / % of the step", (0.0, 1.1 * highest or 1.0)
-    panel.title = "another sensor than the filter is for"
+    panel.title = "sensor that differs from the design"
     after = f"Largest deviation from the final value from {MILLI * first.after_s:.3g} ms after a step on."
     return drawn.with_title("Residual ringing", after)
 
 
 def draw_force_feedback(evaluation: CompensateEvaluation) -> Figure | None:
-    """Applied and fed-back force with the filter for no load and with the own one, at the same force gain."""
+    """Draw applied and fed-back force with the filters for no load and for the load."""
     check = evaluation.haptics
     if check is None:
         return None
@@ -147,11 +147,11 @@ def draw_force_feedback(evaluation: CompensateEvaluation) -> Figure | None:
         panel.x.label, panel.y.limits = "time / s", (-0.3 * top, top)
         panel.title = f"{case.name}, K = {check.gain:.3g}"
     drawn.panels[0].y.label = "force / N"
-    return drawn.with_title("Applied and fed-back force", "Curves end where the loop has run away.")
+    return drawn.with_title("Applied and fed-back force", "Curves end where the loop diverges.")
 
 
 def draw_channel(recording: CompensatedRecording, channel: CompensatedChannel) -> Figure:
-    """A channel of the recording before and after, less its first value, and its uncertainty."""
+    """Draw a channel of the recording before and after, and its uncertainty."""
     keep = slice(None, None, max(1, -(-len(channel.value) // DRAWN)))
     time, u = recording.time_s[keep], channel.expanded[keep]
     raw, value = (channel.raw - channel.raw[0])[keep], (channel.value - channel.value[0])[keep]
@@ -170,6 +170,6 @@ def draw_channel(recording: CompensatedRecording, channel: CompensatedChannel) -
 
 
 def _unit(letter: str, unit: str) -> str:
-    """A unit with its prefix, in parentheses where it is made of several."""
+    """Return a unit with its prefix, in parentheses if it is a quotient or product."""
     nice = typeset(unit)
     return f"({letter}{nice})" if letter == "" and ("/" in nice or "·" in nice) else f"{letter}{nice}"

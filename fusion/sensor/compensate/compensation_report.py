@@ -1,4 +1,4 @@
-"""What compensation filters leave: files for a program and in C, tables, page, and the lines of the terminal."""
+"""Files, page and printed lines of compensation filters, and the command."""
 
 from __future__ import annotations
 
@@ -56,6 +56,7 @@ from fusion.sensor.compensate.compensation_figures import (
     draw_step,
     frequencies,
 )
+from fusion.sensor.compensate.compensation_notices import WRONG_COMPENSATION_OPTION
 from fusion.sensor.compensate.compensation_subjects import (
     COMMAND,
     CompensationSettings,
@@ -72,7 +73,7 @@ from shaker.lti.indices import LABELS, unit_of
 
 JSON_FILE, HEADER_FILE = "compensation.json", "compensation.h"
 HEADER = files("fusion.report").joinpath("templates", HEADER_FILE)
-"""Start, step and switch in C, between the places for the program, the size and the tables."""
+"""Template of the C header with functions to start, step and switch."""
 CONVENTIONS = (
     "y = gain * product of sections; a section is (b0 + b1/z + b2/z^2)/(1 + a1/z + a2/z^2), sos rows b0 b1 b2 1 a1 a2, "
     "each of static gain 1; continuous: gain * product (s - zero)/(s - pole), rad/s; numbers are exact doubles"
@@ -96,10 +97,10 @@ ERRORS = (0.01, 0.02, 0.05, 0.1, 0.2)
 LOOP = (
     f"A hand ({HAND_STIFFNESS:g} N/m, {HAND_DAMPING:g} N·s/m) pushes a handle of {HANDLE_MASS:g} kg by "
     f"{MILLI * PUSH_M:g} mm in {PUSH_S:g} s against a virtual ball of {{:g}} N/m. The device "
-    "pushes back with the force of the ball and K times its difference to what the sensor tells, one sample late. "
+    "pushes back with the force of the ball and K times its difference to the indicated force, one sample late. "
     "Tracking error: rms of applied less fed-back force over rms of the latter while the ball is touched."
 )
-"""The loop of the force-feedback check, by the stiffness of the ball."""
+"""Description of the force-feedback check, with the stiffness of the ball."""
 
 
 # Filters as JSON and C.
@@ -107,7 +108,10 @@ LOOP = (
 
 @dataclass(frozen=True)
 class StoredFilter:
-    """A filter read back from compensation.json: for a channel and a load in kg, None where it is not modelled."""
+    """A filter of compensation.json for a channel and a load.
+
+    `load_mass` in kg, None without a load model.
+    """
 
     channel: str
     component: str
@@ -128,8 +132,23 @@ def json_text(evaluation: CompensateEvaluation) -> str:
 
 
 def read_compensation_filters(path: str | Path) -> tuple[StoredFilter, ...]:
-    """Read compensation.json, or the one in a folder, to the last bit; `InputError` names what cannot be read.
+    """Read the filters of compensation.json without loss of precision.
 
+    Parameters
+    ----------
+    path
+        The file, or a folder that contains it.
+
+    Returns
+    -------
+    tuple of StoredFilter : one per channel and load.
+
+    Raises
+    ------
+    InputError : the file is missing, or damaged at the named entry.
+
+    Examples
+    --------
     >>> from fusion import read_compensation_filters
     >>> filters = read_compensation_filters("my-steps/step/compensate")  # doctest: +SKIP
     """
@@ -147,7 +166,7 @@ def read_compensation_filters(path: str | Path) -> tuple[StoredFilter, ...]:
 
 
 def _entry(made: LoadFilter) -> dict[str, Any]:
-    """One filter as nested dictionaries."""
+    """Return one filter as nested dictionaries."""
     design, sections, subject = made.compensation, made.sections, made.subject
     sensor, target, system = design.sensor, design.target, design.system
     return {
@@ -176,24 +195,24 @@ def _entry(made: LoadFilter) -> dict[str, Any]:
 
 
 def header_text(evaluation: CompensateEvaluation) -> str:
-    """Return the C header: tables of all filters, and start, step and switch as the program runs them."""
-    most = max(len(result.filters[0].sections.sos) for result in evaluation.subjects)
+    """Return the C header with the tables of all filters and the functions."""
+    longest = max(len(result.filters[0].sections.sos) for result in evaluation.subjects)
     tables = "\n".join(line for result in evaluation.subjects for line in _table(result))
     program = f"shakercal {evaluation.versions.get('shakercal', '')}".strip()
-    frame = HEADER.read_text(encoding="utf-8")
-    return frame.replace("@PROGRAM@", program).replace("@MOST@", str(most)).replace("@TABLES@", tables)
+    template = HEADER.read_text(encoding="utf-8")
+    return template.replace("@PROGRAM@", program).replace("@MOST@", str(longest)).replace("@TABLES@", tables)
 
 
 def _table(result: SubjectResult) -> Iterator[str]:
-    """The coefficients of a channel, load by load."""
+    """Yield the coefficients of a channel, load by load."""
     first, subject, loads = result.filters[0], result.subject, result.filters
     name = "compensate_" + re.sub(r"\W", "_", subject.name.replace(" for ", "_"), flags=re.ASCII)
     count, rate, target = len(first.sections.sos), first.sections.sample_rate_hz, first.compensation.target
-    told = (
+    comment = (
         f"{subject.name}: {subject.unit} to {first.output_unit}, {rate:.12g} Hz, to "
         f"{target.frequency_hz:.6g} Hz, damping ratio {target.damping_ratio:.4g}"
     )
-    yield f"/* {told.replace('*/', '* /')} */"  # without what would end a comment
+    yield f"/* {comment.replace('*/', '* /')} */"  # without the end of a comment
     rows = [row for made in loads for row in made.sections.sos.tolist()]
     yield from _array(f"{name}_sos", [value for row in rows for value in (*row[:3], *row[4:])], 5)
     yield from _array(f"{name}_gain", [made.sections.gain for made in loads], 1)
@@ -204,12 +223,12 @@ def _table(result: SubjectResult) -> Iterator[str]:
 
 
 def _array(name: str, values: Sequence[float], per_line: int) -> Iterator[str]:
-    """An array of doubles, each to the last bit, with its decimal form beside it."""
+    """Yield an array of exact doubles, with their decimal form as a comment."""
     yield f"static const double {name}[{len(values)}] = {{"
     for start in range(0, len(values), per_line):
         part = values[start : start + per_line]
-        told = ", ".join(f"{value:.6g}" for value in part)
-        yield f"    {', '.join(value.hex() for value in part)}, /* {told} */"
+        comment = ", ".join(f"{value:.6g}" for value in part)
+        yield f"    {', '.join(value.hex() for value in part)}, /* {comment} */"
     yield "};"
 
 
@@ -217,7 +236,7 @@ def _array(name: str, values: Sequence[float], per_line: int) -> Iterator[str]:
 
 
 class NumberRow(NamedTuple):
-    """One number of one filter in compensate.csv; what does not apply is empty."""
+    """One number of one filter in compensate.csv; fields that do not apply are empty."""
 
     channel: str
     component: str
@@ -232,7 +251,7 @@ class NumberRow(NamedTuple):
 
 
 def over(top: str, bottom: str) -> str:
-    """One unit over another; 1 where they are the same."""
+    """Return the quotient of two units; 1 of equal ones."""
     if top == bottom:
         return "1"
     parts = [f"({unit})" if "/" in unit or "." in unit else unit for unit in (top, bottom)]
@@ -240,7 +259,7 @@ def over(top: str, bottom: str) -> str:
 
 
 def number_rows(made: LoadFilter) -> Iterator[NumberRow]:
-    """One row per number of one filter."""
+    """Yield one row per number of one filter."""
     sensor, target = made.compensation.sensor, made.compensation.target
 
     def row(name: str, value: float | None, unit: str, u: float | None = None, dof: float = np.inf) -> NumberRow:
@@ -272,23 +291,23 @@ def number_rows(made: LoadFilter) -> Iterator[NumberRow]:
 
 
 def headlines(evaluation: CompensateEvaluation) -> list[Headline]:
-    """Of the first filter: band, overshoot, settling, each before and after, and noise."""
+    """Return band, overshoot and settling of the first filter, before and after, and its noise."""
     made = evaluation.filters[0]
     labels = {
         "band_10_hz": "±10 % of the static gain up to",
         "overshoot": "Overshoot",
         "settling_2_s": "2 % settling",
     }
-    told = [
+    lines = [
         Headline(text, cell(made.after, name), f"before: {cell(made.before, name)}; {made.name}")
         for name, text in labels.items()
     ]
     remark = f"white noise at {made.sections.sample_rate_hz:g} Hz; {made.name}"
-    return [*told, Headline("Noise", f"× {made.noise_factor:.3g}", remark)]
+    return [*lines, Headline("Noise", f"× {made.noise_factor:.3g}", remark)]
 
 
 def cell(figures: IndexEstimates, name: str, *, plain: bool = False) -> str:
-    """A figure with U and unit, as HTML or as `plain` text for the terminal."""
+    """Return an index with U and unit, as HTML or as `plain` text."""
     value, u = figures.indices.figures()[name], figures.expanded(name)
     if value is None or not np.isfinite(value):
         return "no end" if value is not None else "none" if plain else DASH
@@ -300,21 +319,23 @@ def cell(figures: IndexEstimates, name: str, *, plain: bool = False) -> str:
 
 
 def index_table(made: LoadFilter) -> Table | None:
-    """Figures of one filter before and after."""
+    """Return the indices of one filter before and after."""
     columns: list[TableColumn[str]] = [
         page_column("figure", lambda name: capitalise(LABELS[name]), "l"),
         page_column("sensor", lambda name: cell(made.before, name)),
         page_column("compensated", lambda name: cell(made.after, name)),
     ]
-    told = "" if made.compensation.sensor.covariance is None else f", with U (95 %) {made.subject.scope}".rstrip()
-    return table(f"{made.name}: before and after{told}", columns, SHOWN)
+    coverage = "" if made.compensation.sensor.covariance is None else f", with U (95 %) {made.subject.scope}".rstrip()
+    return table(f"{made.name}: before and after{coverage}", columns, SHOWN)
 
 
 def _poles(made: LoadFilter) -> Markup:
-    """Frequencies in Hz that a filter takes out of the sensor."""
+    """Return the frequencies in Hz that a filter cancels."""
     sensor = made.compensation.sensor
-    told = zip(sensor.frequency_hz, sensor.u, made.sensor_dof, strict=False)
-    modes = [quantity_html(hertz, 0.0 if np.isnan(u) else coverage_factor(float(dof)) * u) for hertz, u, dof in told]
+    modes_with_u = zip(sensor.frequency_hz, sensor.u, made.sensor_dof, strict=False)
+    modes = [
+        quantity_html(hertz, 0.0 if np.isnan(u) else coverage_factor(float(dof)) * u) for hertz, u, dof in modes_with_u
+    ]
     return Markup("; ").join([*modes, *(f"real {hertz:.5g}" for hertz in sensor.real_hz)])
 
 
@@ -329,44 +350,44 @@ FILTERS: list[TableColumn[LoadFilter]] = [
     page_column("noise after", lambda made: DASH if made.noise is None else f"{number(made.noise)} {made.output_unit}"),
     page_column("sampling / %", lambda made: f"{PERCENT * made.discretisation_error:.2g}"),
 ]
-"""What every filter cancels, what it puts there, what it costs."""
+"""Cancelled dynamics, target, and cost of every filter."""
 
 
 def mismatch_tables(evaluation: CompensateEvaluation) -> list[Table]:
-    """Residual ringing with other loads, one row per filter; else with a frequency that is off."""
+    """Return the residual ringing of every filter with other loads or a frequency error."""
     tables = []
     for result in evaluation.subjects:
         first, subject = result.filters[0], result.subject
         loads = len(first.off_load) > 1
         if loads:
-            head, what = [subject.load_text(float(load)) for load in first.off_load], "with other loads"
+            head, condition = [subject.load_text(float(load)) for load in first.off_load], "with other loads"
         else:
             head = [f"{signed_text(PERCENT * off, '+g')} %" if off else "0 %" for off in first.off_frequency]
-            what = "with a sensor whose frequency is off"
+            condition = "with a sensor whose frequency is off"
         rows = [
             (made.name, *(f"{PERCENT * r:.3g}" for r in (made.load_ringing if loads else made.off_ringing)))
             for made in result.filters
         ]
-        caption = f"{subject.name}: residual ringing {what}, % of the step after {MILLI * first.after_s:.3g} ms"
+        caption = f"{subject.name}: residual ringing {condition}, % of the step after {MILLI * first.after_s:.3g} ms"
         if head:
             tables.append(Table(caption, ("filter for", *head), "l" + "r" * len(head), tuple(rows)))
     return tables
 
 
 def haptics_table(evaluation: CompensateEvaluation) -> Table | None:
-    """How stiff the force feedback may be made with each treatment of the signal, and how well it then tracks."""
+    """Return largest stable gain and tracking error of the force feedback by treatment."""
     check = evaluation.haptics
     if check is None:
         return None
 
     def at_shared(case: HapticCase) -> str:
         error = case.run.tracking_error
-        return f"{PERCENT * error:.3g} %" if np.isfinite(error) and case.run.stable else "runs away"
+        return f"{PERCENT * error:.3g} %" if np.isfinite(error) and case.run.stable else "diverges"
 
     columns: list[TableColumn[HapticCase]] = [
         page_column("signal", lambda case: case.name, "l"),
         page_column("largest stable K", lambda case: f"{case.largest_gain:.4g}"),
-        page_column("tracking error at half of it", lambda case: f"{PERCENT * case.own_error:.3g} %"),
+        page_column("tracking error at half of it", lambda case: f"{PERCENT * case.half_gain_error:.3g} %"),
         page_column(f"at K = {check.gain:.3g}", at_shared),
     ]
     caption = f"{check.channel}: force feedback with a load of {GRAM * check.load_mass:.4g} g"
@@ -374,20 +395,20 @@ def haptics_table(evaluation: CompensateEvaluation) -> Table | None:
 
 
 def damping_table(evaluation: CompensateEvaluation) -> Table | None:
-    """The damping ratio with the widest band for a permitted error, and that band over the natural frequency."""
-    own = evaluation.filters[0].compensation.target.damping_ratio
+    """Return the damping ratio with the widest band for each permitted error, and that band."""
+    damping_ratio = evaluation.filters[0].compensation.target.damping_ratio
     columns: list[TableColumn[float]] = [
         page_column("permitted error", lambda error: f"±{PERCENT * error:g} %", "l"),
         page_column("best ζ", lambda error: f"{best_damping(error):.4f}"),
         page_column("band / fn", lambda error: f"{band_ratio(best_damping(error) * (1 + 1e-12), error):.4f}"),
-        page_column(f"band / fn with ζ = {own:.4g}", lambda error: f"{band_ratio(own, error):.4f}"),
+        page_column(f"band / fn with ζ = {damping_ratio:.4g}", lambda error: f"{band_ratio(damping_ratio, error):.4f}"),
     ]
     ratios = sorted({*ERRORS, evaluation.target_settings.permitted_error})
     return table("One mode: the damping ratio with the widest band", columns, ratios)
 
 
 def printed(evaluation: CompensateEvaluation) -> Iterator[str]:
-    """Lines for the terminal, with U (95 %) where it is known."""
+    """Yield the printed lines, with U (95 %) if it is known."""
     for made in evaluation.filters:
         target = made.compensation.target
         yield f"{made.name}{f', U {made.subject.scope}' if made.subject.scope else ''}"
@@ -399,17 +420,17 @@ def printed(evaluation: CompensateEvaluation) -> Iterator[str]:
 
 
 def _context(evaluation: CompensateEvaluation) -> dict[str, Any]:
-    """Everything the template shows."""
-    wish, applied, haptics = evaluation.target_settings, evaluation.applied, evaluation.haptics
-    error, aim = wish.permitted_error, f"{wish.frequency_hz or 0.0:g} Hz"
-    if wish.bandwidth_hz is not None:
-        aim = f"±{PERCENT * error:g} % to {wish.bandwidth_hz:g} Hz"
-    kind = "matched poles and zeros" if wish.discretisation == "matched" else "Tustin, prewarped at each mode"
+    """Return the content of the page."""
+    settings, applied, haptics = evaluation.target_settings, evaluation.applied, evaluation.haptics
+    error, aim = settings.permitted_error, f"{settings.frequency_hz or 0.0:g} Hz"
+    if settings.bandwidth_hz is not None:
+        aim = f"±{PERCENT * error:g} % to {settings.bandwidth_hz:g} Hz"
+    kind = "matched poles and zeros" if settings.discretisation == "matched" else "Tustin, prewarped at each mode"
     models = [(f"Model of {one.subject.name}", one.subject.source) for one in evaluation.subjects]
     recording = [] if applied is None else [("Recording", applied.name)]
     mismatches = [draw_mismatch(f"mismatch-{n}", result) for n, result in enumerate(evaluation.subjects)]
     return {
-        "subject": [("Wanted", aim), ("For samples", kind), *models, *recording],
+        "subject": [("Target", aim), ("For samples", kind), *models, *recording],
         "filters": table("Filters, with U (95 %) where it is known", FILTERS, evaluation.filters),
         "damping": damping_table(evaluation),
         "parts": [
@@ -417,11 +438,11 @@ def _context(evaluation: CompensateEvaluation) -> dict[str, Any]:
             for n, made in enumerate(evaluation.filters)
         ],
         "noise": [draw_noise(evaluation)],
-        "mismatch": [picture for picture in mismatches if picture is not None],
+        "mismatch": [figure for figure in mismatches if figure is not None],
         "mismatches": mismatch_tables(evaluation),
         "applied": [] if applied is None else [draw_channel(applied, one) for one in applied.channels],
         "haptics": haptics_table(evaluation),
-        "haptics_pictures": [picture for picture in [draw_force_feedback(evaluation)] if picture is not None],
+        "haptics_pictures": [figure for figure in [draw_force_feedback(evaluation)] if figure is not None],
         "loop": LOOP.format(0.0 if haptics is None else haptics.ball_stiffness),
     }
 
@@ -445,7 +466,7 @@ def _fill(file: h5py.File, evaluation: CompensateEvaluation) -> None:
 
 
 def _stored(made: LoadFilter) -> dict[str, Any]:
-    """Coefficients, the sensor's parameters with covariance, and curves over frequency of one filter."""
+    """Return coefficients, sensor parameters with covariance, and curves of one filter."""
     design, sections, subject, hertz = made.compensation, made.sections, made.subject, frequencies(made)
     names = ("output_unit", "load_mass", "noise_gain", "noise", "band_hz", "discretisation_error", "after_s")
     curves = ("off_frequency", "off_ringing", "off_load", "load_ringing")
@@ -470,7 +491,7 @@ def _stored(made: LoadFilter) -> dict[str, Any]:
 
 
 def _texts(evaluation: CompensateEvaluation) -> dict[str, str | bytes]:
-    """Filters, numbers, and the filtered recording with U (95 %) of every sample."""
+    """Return filters, numbers, and the filtered recording with U (95 %) of every sample."""
     texts: dict[str, str | bytes] = {
         JSON_FILE: json_text(evaluation),
         HEADER_FILE: header_text(evaluation),
@@ -481,7 +502,7 @@ def _texts(evaluation: CompensateEvaluation) -> dict[str, str | bytes]:
         names = ["time_s", *(name for one in applied.channels for name in (one.channel, f"U_{one.channel}"))]
         samples = [applied.time_s, *(part for one in applied.channels for part in (one.value, one.expanded))]
         columns: list[TableColumn[list[float]]] = [
-            TableColumn(name, itemgetter(place)) for place, name in enumerate(names)
+            TableColumn(name, itemgetter(index)) for index, name in enumerate(names)
         ]
         texts["compensated.csv"] = csv_text(columns, np.stack(samples, axis=1).tolist())
     return texts
@@ -501,30 +522,37 @@ def run_compensate(
     force: bool = False,
     allow_outside: bool = False,
 ) -> None:
-    """Make the filters of some models or of a stated `sensor` (Hz, damping ratio), write them and print the summary.
+    """Design filters of models or of a stated sensor, write them and print the summary.
 
-    Results stand in folder `compensate` beside the first model, or in the working folder, or in `output`.
+    `sensor`: frequency in Hz and damping ratio of a stated sensor. Results are written to folder `compensate` next to
+    the first model, or in the working folder, or to `output`.
     """
     frequency, damping = sensor
     if models and sensor != (None, None):
         expected = "either models or --sensor-frequency with --sensor-damping"
-        raise InputError(COMMAND, "", found="both", expected=expected)
+        raise InputError(WRONG_COMPENSATION_OPTION, COMMAND, found="both", expected=expected)
     if not models and (frequency is None or damping is None):
         expected = "models.json, load.json, a folder with one, or --sensor-frequency with --sensor-damping"
-        raise InputError(COMMAND, "", found="nothing of it", expected=expected)
+        raise InputError(WRONG_COMPENSATION_OPTION, COMMAND, found="none of them", expected=expected)
     sources = read_sources(models) if frequency is None or damping is None else stated_sensor(frequency, damping)
     record = None if recording is None else read_outputs(recording, allow_outside=allow_outside)
-    beside = sources.files[0].parent if sources.files else Path.cwd()
+    root = sources.files[0].parent if sources.files else Path.cwd()
     if settings.load_masses and not any(subject.is_scheduled for subject in sources.subjects):
         found = ", ".join(f"{mass:g} kg" for mass in settings.load_masses)
-        raise InputError(COMMAND, "--load-mass", found=found, expected="a model over the load (load.json) for it")
+        raise InputError(
+            WRONG_COMPENSATION_OPTION,
+            COMMAND,
+            "--load-mass",
+            found=found,
+            expected="a model over the load (load.json) for it",
+        )
 
     def evaluate(hashes: dict[str, str]) -> CompensateEvaluation:
         return evaluate_compensation(sources, add_recorded_load(settings, sources, record), record, hashes)
 
     files, read = ((), {}) if record is None else (record.manifest.files, record.manifest.file_identities)
-    inputs = hash_files([*sources.files, *files], beside, read)
+    inputs = hash_files([*sources.files, *files], root, read)
     if sources.files:
         sources = read_sources(models)  # as they are hashed
-    folder = beside / COMPENSATE.name if output is None else output
+    folder = root / COMPENSATE.name if output is None else output
     COMPENSATE.run(inputs, folder, evaluate, force=force)

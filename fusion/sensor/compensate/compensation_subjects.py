@@ -1,4 +1,4 @@
-"""What a compensation filter is made from and for, and what it is."""
+"""Models and settings of a compensation, and its results."""
 
 from __future__ import annotations
 
@@ -12,6 +12,12 @@ import numpy as np
 from fusion.errors import InputError
 from fusion.estimation.coverage import coverage_factor
 from fusion.recording.values import repeated_name
+from fusion.sensor.compensate.compensation_notices import (
+    DUPLICATE_MODEL,
+    EQUIVALENT_SOLUTIONS,
+    NO_MODEL_FILE,
+    WRONG_COMPENSATION_OPTION,
+)
 from fusion.sensor.model_files import (
     LOAD_MODEL_FILE,
     MODELS_FILE,
@@ -39,12 +45,12 @@ from shaker.lti.system import ModalModel
 from shaker.release.load_model import LoadModel
 from shakercal._common.notices import Notice
 
-# What the user wants of a compensation.
+# Settings of a compensation.
 
 COMMAND = "shakercal compensate"
 UNSTATED_BASIS = UncertaintyBasis(scope="")
-MOST_DOF = 1e6
-"""Degrees of freedom from which on scatter counts for nothing but rounding."""
+MAX_DOF = 1e6
+"""Degrees of freedom above which the scatter is rounding only."""
 OPTIONS = {
     "modes": "--modes",
     "frequency_hz": "--frequency",
@@ -56,21 +62,29 @@ OPTIONS = {
     "load_mass": "--load-mass",
     "sample_rate_hz": "--sample-rate",
 }
-"""By the arguments that the design refuses: what a user states."""
+"""Options of the command by the arguments that the design may refuse."""
 STATED = "sensor"
 """Channel of a sensor that is stated by numbers."""
 
 
 @dataclass(frozen=True)
 class CompensationSettings:
-    """The wanted dynamics and how the filter is made.
+    """Target dynamics and options of compensation filters.
 
-    Either `frequency_hz`, with `damping_ratio` or else that with the widest band for `permitted_error`, or
-    `bandwidth_hz`: up to where the gain stays within ± `permitted_error` of the static one. `modes` are compensated,
-    and the real poles if `real_hz` says where to; `low_pass_hz` is the corner of a low-pass in the filter.
-    `calibrated`: the filter also divides by the static gain. `load_masses` in kg, those of a sensor whose load is
-    modelled. `channels`: which, none for all. `ball_stiffness` in N/m: that of the virtual ball of a force-feedback
-    check, None for no check.
+    Attributes
+    ----------
+    frequency_hz, damping_ratio : target; without `damping_ratio` that with the widest band for `permitted_error`.
+    bandwidth_hz : alternatively, the band within which the gain stays within ± `permitted_error` of the static gain.
+    permitted_error : ratio. Default 0.1.
+    real_hz : target of the real poles; None (default) leaves them.
+    low_pass_hz : corner of a low-pass in the filter; None (default) for none.
+    modes : number of compensated modes. Default 1.
+    sample_rate_hz : None (default) uses that of the recording or of the model.
+    discretisation : "matched" (default) or "tustin".
+    calibrated : whether the filter also divides by the static gain.
+    load_masses : kg, of a sensor with a load model.
+    channels : selected channels, empty for all.
+    ball_stiffness : stiffness of the virtual ball of a force-feedback check, N/m; None (default) for no check.
     """
 
     frequency_hz: float | None = None
@@ -90,13 +104,23 @@ class CompensationSettings:
     def __post_init__(self) -> None:
         if (self.frequency_hz is None) == (self.bandwidth_hz is None):
             found = "none" if self.frequency_hz is None else "both"
-            raise InputError(COMMAND, "", found=found, expected="either --frequency or --bandwidth")
+            raise InputError(
+                WRONG_COMPENSATION_OPTION, COMMAND, found=found, expected="either --frequency or --bandwidth"
+            )
         if self.bandwidth_hz is not None and self.damping_ratio is not None:
-            expected = "no --damping beside --bandwidth, which finds it"
-            raise InputError(COMMAND, "--damping", found=f"{self.damping_ratio:g}", expected=expected)
+            expected = "no --damping together with --bandwidth, which determines it"
+            raise InputError(
+                WRONG_COMPENSATION_OPTION, COMMAND, "--damping", found=f"{self.damping_ratio:g}", expected=expected
+            )
         if not 0 < self.permitted_error < 1:
             expected = "a permitted error above 0 and below 100 %"
-            raise InputError(COMMAND, "--permitted-error", found=f"{100 * self.permitted_error:g} %", expected=expected)
+            raise InputError(
+                WRONG_COMPENSATION_OPTION,
+                COMMAND,
+                "--permitted-error",
+                found=f"{100 * self.permitted_error:g} %",
+                expected=expected,
+            )
 
     def target(self, sensor: SensorDynamics) -> CompensationTarget:
         """Return the target for a sensor."""
@@ -110,7 +134,7 @@ class CompensationSettings:
 
     @property
     def settings(self) -> dict[str, str | float | int]:
-        """What was chosen, for the origin of the results."""
+        """The settings for the results."""
         given = {name: getattr(self, name) for name in ("permitted_error", "modes", "discretisation")}
         optional = ("frequency_hz", "damping_ratio", "bandwidth_hz", "real_hz", "low_pass_hz", "sample_rate_hz")
         stated = {name: getattr(self, name) for name in (*optional, "ball_stiffness")}
@@ -123,17 +147,22 @@ class CompensationSettings:
         }
 
 
-# What is compensated: models of step responses, models over the load, or a frequency and a damping ratio.
+# Subjects: models of step responses, models over the load, or a frequency and a damping ratio.
 
 
 @dataclass(frozen=True)
 class CompensationSubject:
-    """An output channel for a load component (Fx … Mz), in output `unit`, with what is known of its dynamics.
+    """An output channel for a load component (Fx … Mz) with its model.
 
-    `component`: empty of a sensor that is stated. `model`: fitted to releases, over the load, or stated. `noise`:
-    standard deviation of the output at `sample_rate_hz`, None where they are not known. `source`: in words; `rests`:
-    what its U rests on, with `scatter` (P, P) the part of the covariance that has these degrees of freedom, None: all.
-    `file`: that holds the model, None of a sensor stated by numbers.
+    Attributes
+    ----------
+    component : empty of a stated sensor.
+    model : fitted to releases, over the load, or stated.
+    source : origin of the model, in words.
+    sample_rate_hz, noise : rate of the records, and standard deviation of the output at it; None if not known.
+    basis : basis of the model's U.
+    scatter : (P, P), part of the covariance with the degrees of freedom of the basis; None: all of it.
+    file : file of the model, None of a stated sensor.
     """
 
     channel: str
@@ -149,12 +178,12 @@ class CompensationSubject:
 
     @property
     def scope(self) -> str:
-        """Over what U of the model holds, in words."""
+        """The use that U of the model covers, in words."""
         return self.basis.scope
 
     @property
     def name(self) -> str:
-        """Channel, and the component where that is another."""
+        """Channel, with the component if it differs."""
         return self.channel if self.component in (self.channel, "") else f"{self.channel} for {self.component}"
 
     @property
@@ -175,24 +204,27 @@ class CompensationSubject:
 
     @property
     def scatter_covariance(self) -> FloatArray | None:
-        """The part of the model's covariance (P, P) that rests on what records scatter by, None without."""
+        """Part of the model's covariance (P, P) by the scatter of records, None without scatter."""
         if isinstance(self.model, SensorDynamics) or not np.isfinite(self.basis.dof):
             return None
         whole = self.model.total_covariance if isinstance(self.model, LoadModel) else self.model.covariance
         return whole if self.scatter is None else self.scatter
 
     def factors(self, u: FloatArray, u_scatter: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return degrees of freedom and k for 95 % (Q,) of numbers of u (Q,), of which `u_scatter` (Q,) is scatter."""
+        """Return degrees of freedom and k (95 %), (Q,) each, of numbers with u (Q,).
+
+        `u_scatter` (Q,) is the part of u by scatter.
+        """
         from scipy.special import stdtrit
 
         if not np.isfinite(self.basis.dof):
             return np.full(u.shape, np.inf), np.full(u.shape, coverage_factor(np.inf))
         dof = effective_dof(u**2, np.minimum(u, u_scatter) ** 2, self.basis.dof)
-        dof = np.where(dof < MOST_DOF, dof, np.inf)
-        return dof, np.asarray(np.where(dof < MOST_DOF, stdtrit(dof, 0.975), coverage_factor(np.inf)))
+        dof = np.where(dof < MAX_DOF, dof, np.inf)
+        return dof, np.asarray(np.where(dof < MAX_DOF, stdtrit(dof, 0.975), coverage_factor(np.inf)))
 
     def dynamics(self, load_mass: float | None, modes: int, real_poles: bool) -> SensorDynamics:
-        """Return what a filter takes out of the sensor with a load."""
+        """Return the dynamics of the sensor with a load, which a filter cancels."""
         if isinstance(self.model, LoadModel):
             made = loaded_dynamics(self.model, load_mass or 0.0, modes=modes)
             return replace(made, scatter=made.covariance if np.isfinite(self.basis.dof) else None)
@@ -211,7 +243,7 @@ class CompensationSubject:
 
 @dataclass(frozen=True)
 class CompensationSources:
-    """All subjects with the files they come from, and what is to be said of them."""
+    """All models with their files and notices."""
 
     name: str
     subjects: tuple[CompensationSubject, ...]
@@ -220,13 +252,15 @@ class CompensationSources:
 
 
 def read_sources(paths: Sequence[Path]) -> CompensationSources:
-    """Read models.json, load.json, or the one that a folder of results holds; of both in a folder load.json."""
+    """Read models.json or load.json, or the one in a folder of results.
+
+    If a folder contains both, load.json is read.
+    """
     sources = [_read(path) for path in paths]
     subjects = tuple(subject for one in sources for subject in one.subjects)
     twice = repeated_name([subject.name for subject in subjects])
     if twice is not None:
-        expected = "one model per channel; leave a file out"
-        raise InputError(paths[-1], "", found=f"a second model of {twice}", expected=expected)
+        raise InputError(DUPLICATE_MODEL, paths[-1], channel=twice)
     files, notices = (sum((getattr(one, name) for one in sources), ()) for name in ("files", "notices"))
     return CompensationSources(sources[0].name, subjects, files, notices)
 
@@ -235,30 +269,38 @@ def stated_sensor(frequency_hz: float, damping_ratio: float) -> CompensationSour
     """Return a sensor of one mode that is stated by numbers."""
     if not damping_ratio < 1.0:
         expected = "a damping ratio below 1, of a sensor that oscillates"
-        raise InputError(COMMAND, "--sensor-damping", found=f"{damping_ratio:g}", expected=expected)
-    told = f"stated: {frequency_hz:g} Hz, ζ = {damping_ratio:g}"
+        raise InputError(
+            WRONG_COMPENSATION_OPTION, COMMAND, "--sensor-damping", found=f"{damping_ratio:g}", expected=expected
+        )
+    source = f"stated: {frequency_hz:g} Hz, ζ = {damping_ratio:g}"
     return CompensationSources(
-        "stated sensor", (CompensationSubject(STATED, "", "1", single_mode(frequency_hz, damping_ratio), told),), ()
+        "stated sensor", (CompensationSubject(STATED, "", "1", single_mode(frequency_hz, damping_ratio), source),), ()
     )
 
 
 def select_subjects(sources: CompensationSources, channels: Sequence[str]) -> tuple[CompensationSubject, ...]:
-    """Return the subjects of some channels, of all where none is named; unknown names raise `InputError`."""
-    known = [subject.channel for subject in sources.subjects]
+    """Return the subjects of some channels, or all; `InputError` for an unknown channel."""
+    available = [subject.channel for subject in sources.subjects]
     for name in channels:
-        if name not in known:
-            raise InputError(COMMAND, "--channel", found=name, expected=f"one of {', '.join(dict.fromkeys(known))}")
+        if name not in available:
+            raise InputError(
+                WRONG_COMPENSATION_OPTION,
+                COMMAND,
+                "--channel",
+                found=name,
+                expected=f"one of {', '.join(dict.fromkeys(available))}",
+            )
     return tuple(subject for subject in sources.subjects if not channels or subject.channel in channels)
 
 
 def _read(path: Path) -> CompensationSources:
-    """The subjects of one file or folder."""
+    """Return the subjects of one file or folder."""
     file = path
     if path.is_dir():
         file = next((path / name for name in (LOAD_MODEL_FILE, MODELS_FILE) if (path / name).is_file()), path)
         if file == path:
             expected = f"{MODELS_FILE} of shakercal step or {LOAD_MODEL_FILE} of shakercal load in it"
-            raise InputError(path, "", found="none of them", expected=expected)
+            raise InputError(NO_MODEL_FILE, path, expected=expected)
 
     def over_loads(content: dict[str, Any]) -> bool:
         return bool(content["models"]) and "moving_mass" in content["models"][0]
@@ -267,50 +309,46 @@ def _read(path: Path) -> CompensationSources:
 
 
 def _of_steps(file: Path) -> CompensationSources:
-    """One subject per channel: its own component, or else the one it answers to most."""
+    """Return one subject per channel: for the component of its name, else the largest gain."""
     models = read_models(file)
     if not models.entries:
-        raise InputError(file, "models", found="none", expected="at least one model")
+        raise InputError(NO_MODEL_FILE, file, "models", expected="at least one model")
     subjects = []
     for channel in dict.fromkeys(entry.channel for entry in models):
         offered = [entry for entry in models if entry.channel == channel]
         one = max(offered, key=lambda entry: (entry.component == entry.channel, abs(entry.model.static_gain)))
-        told = f"{one.method}, {one.recording}"
-        rests = UncertaintyBasis(one.dof, one.scope or UncertaintyBasis().scope, one.outside)
-        known = one.sample_rate_hz, one.noise, rests, one.scatter
-        subjects.append(CompensationSubject(channel, one.component, one.unit, one.model, told, *known, file))
+        source = f"{one.method}, {one.recording}"
+        basis = UncertaintyBasis(one.dof, one.scope or UncertaintyBasis().scope, one.outside)
+        values = one.sample_rate_hz, one.noise, basis, one.scatter
+        subjects.append(CompensationSubject(channel, one.component, one.unit, one.model, source, *values, file))
     return CompensationSources(models.name, tuple(subjects), (file,))
 
 
 def _of_loads(file: Path) -> CompensationSources:
-    """One subject per component; of solutions that the data cannot tell apart the first, told in a notice."""
+    """Return one subject per component, of several solutions the first, with a notice."""
     subjects, notices = [], []
-    for model, rests in read_loads(file):
+    for model, basis in read_loads(file):
         if model.solution > 1:
             continue
         if model.solutions > 1:
-            text = (
-                f"{model.solutions} solutions fit the records equally well; filters follow the first, and differ from "
-                "the others with loads that were not measured"
-            )
-            notices.append(Notice("warning", text, model.channel))
-        told = "two masses" if model.is_rigid else "three masses"
-        subject = CompensationSubject(model.channel, model.component, model.unit, model, told, basis=rests, file=file)
+            notices.append(Notice(EQUIVALENT_SOLUTIONS, model.channel, count=model.solutions))
+        source = "two masses" if model.is_rigid else "three masses"
+        subject = CompensationSubject(model.channel, model.component, model.unit, model, source, basis=basis, file=file)
         if model.load_masses:
             loads = ", ".join(subject.load_text(load) for load in model.load_masses)
-            subject = replace(subject, source=f"{told}, fitted to loads of {loads}")
+            subject = replace(subject, source=f"{source}, fitted to loads of {loads}")
         subjects.append(subject)
     return CompensationSources(file.parent.resolve().name, tuple(subjects), (file,), tuple(notices))
 
 
-# What a compensation consists of.
+# Parts of a compensation.
 
 
 @dataclass(frozen=True)
 class IndexEstimates:
-    """Indices of a system with their standard uncertainties and degrees of freedom by name, None where not known.
+    """Indices of a system with u and degrees of freedom by name.
 
-    `notices`: of which of them first order does not hold.
+    u is None if not known. `notices`: indices for which first order is not sufficient.
     """
 
     indices: Indices
@@ -319,20 +357,24 @@ class IndexEstimates:
     notices: tuple[Notice, ...] = ()
 
     def expanded(self, name: str) -> float | None:
-        """Return U for 95 % of an index, None where it is not known."""
+        """Return U (95 %) of an index, None if not known."""
         u = self.u[name]
         return None if u is None else coverage_factor(self.dof[name]) * u
 
 
 @dataclass(frozen=True)
 class LoadFilter:
-    """The filter of a `subject` with one load: continuous, for samples, and what it does.
+    """The filter of a `subject` with one load, continuous and sampled, with its effects.
 
-    `load_mass` in kg, None where the load is not modelled. `noise_gain`: of white noise at the sampling rate;
-    `noise`: standard deviation after the filter in the filter's output unit, None where that of the output is not
-    known. `discretisation_error`: largest |G_d/G_c - 1| up to `band_hz`. `off_frequency` (K,) relative, `off_ringing`
-    (K,): residual ringing where the sensor's frequency is off by so much; `off_load` (L,) kg and `load_ringing` (L,)
-    likewise with other loads, empty where the load is not modelled. Ringing from `after_s` on.
+    Attributes
+    ----------
+    load_mass : kg, None without a load model.
+    noise_gain : gain for white noise at the sampling rate.
+    noise : standard deviation after the filter in its output unit, None if that of the output is not known.
+    discretisation_error : largest |G_d/G_c - 1| up to `band_hz`.
+    off_frequency, off_ringing : (K,), relative error of the sensor's frequency, and residual ringing with it.
+    off_load, load_ringing : (L,), other loads in kg, and residual ringing with them; empty without a load model.
+    after_s : time after the step from which ringing is evaluated.
     """
 
     subject: CompensationSubject
@@ -359,19 +401,19 @@ class LoadFilter:
 
     @property
     def sensor_dof(self) -> FloatArray:
-        """Degrees of freedom (P,) of the standard uncertainties of what the filter cancels."""
+        """Degrees of freedom (P,) of the standard uncertainties of the cancelled dynamics."""
         sensor = self.compensation.sensor
         part = np.zeros_like(sensor.u) if sensor.scatter is None else np.sqrt(np.diag(sensor.scatter))
         return self.subject.factors(sensor.u, part)[0]
 
     @property
     def output_unit(self) -> str:
-        """Unit of what the filter puts out: that of the load where it is calibrated."""
+        """Unit of the filter's output: that of the load if it is calibrated."""
         return self.subject.load_unit if self.compensation.calibrated else self.subject.unit
 
     @property
     def noise_factor(self) -> float:
-        """Standard deviation of white noise out over in, for a filter of static gain 1."""
+        """Standard deviation of white noise behind the filter over that before, at static gain 1."""
         return self.noise_gain / abs(self.sections.gain)
 
 
@@ -385,9 +427,10 @@ class SubjectResult:
 
 @dataclass(frozen=True)
 class CompensatedChannel:
-    """A channel of a recording after its filter: `value`, standard uncertainty `u` (N,), and `u_noise` in it.
+    """A channel of a recording after its filter: `value` with u (N,).
 
-    `raw` (N,): before it, times the static gain of the filter. `k` (N,): coverage factors for 95 %.
+    `u_noise` is the part of u by noise. `raw` (N,): before the filter, times its static gain. `k` (N,): coverage
+    factors (95 %).
     """
 
     channel: str

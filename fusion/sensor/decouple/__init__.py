@@ -1,1 +1,1 @@
-"""Decoupling of outputs."""
+"""Decoupling of outputs: dynamic cross-talk and its filter."""

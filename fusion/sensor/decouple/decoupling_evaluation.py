@@ -1,4 +1,4 @@
-"""Several outputs at once: dynamic cross-talk, and the filter that undoes it."""
+"""Evaluation of dynamic cross-talk of several outputs, and the decoupling filter."""
 
 from __future__ import annotations
 
@@ -15,9 +15,20 @@ from numpy.typing import NDArray
 from fusion.base import CommandEvaluation
 from fusion.errors import ComputeError, InputError
 from fusion.recording.load import Manifest, check_one_rig
+from fusion.sensor.decouple.decoupling_notices import (
+    DIFFERENT_RECORDS,
+    LOADS_NOT_SEPARABLE,
+    MISSING_RELEASES,
+    NO_COMMON_MODEL,
+    NO_DECOUPLING_FILTER,
+    NO_RATED_LOADS,
+    RELEASED_LOADS_EXACT,
+    TARGET_ABOVE_LIMIT,
+    TARGET_NOT_REACHED,
+)
 from fusion.sensor.model_files import FORMAT, read_model_file
 from fusion.sensor.step.step_records import StepInput, read_step
-from fusion.sensor.unmodelled_effects import ModelInfluences, describe_coverage, stated_influences
+from fusion.sensor.unmodelled_effects import ModelInfluences, coverage_notice, stated_influences
 from shaker.arrays import FloatArray
 from shaker.decoupling.common_pole_fit import MultiFit, fit_steps
 from shaker.decoupling.filter import (
@@ -33,14 +44,21 @@ from shaker.decoupling.model import MultiModel, missing_loads
 from shaker.labels import LOAD_COMPONENTS
 from shakercal._common.notices import Notice
 
-# What an evaluated decoupling consists of, and what a user may choose about it.
+# Choices of a decoupling, and parts of its evaluation.
 
 
 @dataclass(frozen=True)
 class DecoupleSettings:
-    """Choices that change results: wanted frequency in Hz (None: half that of the lowest mode) and damping ratio of the
-    loads behind the filter; `seed` of what is drawn.
+    """Choices of a decoupling filter.
 
+    Attributes
+    ----------
+    frequency_hz : target frequency of the loads behind the filter in Hz; None: half that of the lowest mode.
+    damping_ratio : target damping ratio. Default 0.6.
+    seed : seed of the random draws. Default 1.
+
+    Examples
+    --------
     >>> from fusion import DecoupleSettings
     >>> DecoupleSettings(frequency_hz=400.0).damping_ratio
     0.6
@@ -52,18 +70,21 @@ class DecoupleSettings:
 
     def as_dict(self) -> dict[str, str | float | int]:
         """Return the settings as plain values for the result files."""
-        wanted = "half that of the lowest mode" if self.frequency_hz is None else self.frequency_hz
-        return {"frequency_hz": wanted, "damping_ratio": self.damping_ratio, "seed": self.seed}
+        target = "half that of the lowest mode" if self.frequency_hz is None else self.frequency_hz
+        return {"frequency_hz": target, "damping_ratio": self.damping_ratio, "seed": self.seed}
 
 
 @dataclass(frozen=True)
 class DecoupleEvaluation(CommandEvaluation):
-    """Records of all loads, the model of all outputs, the filter, and cross-talk at every stage.
+    """Model of all outputs, decoupling filter, and cross-talk at every stage.
 
-    `capacity` (D,): rated loads of the model's components, None where rig.toml states none; `noise_gain` (D,): noise of
-    each load behind the filter over that with the static matrix alone, `noise` (D,) behind the filter in N or N·m;
-    `beside`: what is known of the model beside the records, in its covariance;
-    `deviation` (K,): largest |D·H - T| over all elements, in rated loads, at the frequencies of the cross-talk.
+    Attributes
+    ----------
+    capacity : (D,), rated loads of the model's components, None if not stated.
+    noise_gain : (D,), noise of each load behind the filter over that with the static matrix.
+    noise : (D,), noise behind the filter in N or N·m.
+    influences : influences on the model that the records do not show, included in its covariance.
+    deviation : (K,), largest |D·H - T| over all elements, in rated loads, at the frequencies of the cross-talk.
     """
 
     manifests: tuple[Manifest, ...]
@@ -83,34 +104,56 @@ class DecoupleEvaluation(CommandEvaluation):
 
     @property
     def scale(self) -> FloatArray:
-        """Return what loads (D,) are compared in: rated loads, without them 1 N and 1 N·m."""
+        """Return the reference of loads (D,): rated loads, otherwise 1 N and 1 N·m."""
         return np.ones(len(self.fit.model.components)) if self.capacity is None else self.capacity
 
     @property
     def ratio(self) -> FloatArray:
-        """Return what turns readings over loads (D, D) into shares of these; NaN of those without rated loads that have
-        different units."""
+        """Return the factors (D, D) from readings over loads to ratios of rated loads.
+
+        Without rated loads, NaN for pairs of different units.
+        """
         kind = np.array([name[0] for name in self.fit.model.components])
-        apart = (self.capacity is None) & (kind[:, None] != kind)
-        return np.where(apart, np.nan, self.scale / self.scale[:, None])
+        different = (self.capacity is None) & (kind[:, None] != kind)
+        return np.where(different, np.nan, self.scale / self.scale[:, None])
 
 
 # From releases of several loads to a model of all outputs and a filter against cross-talk.
 
-DRAWS = 30
-LINES = 150
-FARTHEST = 1.5
+DRAWS = 30  # Monte Carlo draws of the peak cross-talk in a step
+LINES = 150  # frequencies of the cross-talk, in addition to the modes
+FREQUENCY_MARGIN = 1.5
 """Cross-talk is shown up to this multiple of the highest mode or of the target, whichever is higher."""
-DEVIATES = 0.05
+MAX_DEVIATION = 0.05
 
 
 def evaluate_decoupling(
     name: str, manifests: Sequence[Manifest], settings: DecoupleSettings, input_hashes: dict[str, str]
 ) -> DecoupleEvaluation:
-    """Return model, filter and cross-talk of one sensor: records of releases → fit → filter → before and after.
+    """Design the decoupling filter of one sensor: releases → model → filter → cross-talk.
 
-    Raises `InputError` for what the user can mend in the files, such as a load that no recording releases.
+    Parameters
+    ----------
+    name
+        Name of the evaluation in the results.
+    manifests
+        Recordings of kind step that release every load the sensor measures.
+    settings
+        Target dynamics and seed.
+    input_hashes
+        SHA-256 of the input files by name, for the results.
 
+    Returns
+    -------
+    DecoupleEvaluation : model, filter, and cross-talk at every stage.
+
+    Raises
+    ------
+    InputError : a file or key that the user has to correct, such as a load that no recording releases.
+    ComputeError : no model or no filter was found.
+
+    Examples
+    --------
     >>> from fusion import DecoupleSettings, evaluate_decoupling, load_for_command
     >>> releases = load_for_command(["steps"], "step")  # doctest: +SKIP
     >>> evaluation = evaluate_decoupling("steps", releases, DecoupleSettings(), {})  # doctest: +SKIP
@@ -121,16 +164,20 @@ def evaluate_decoupling(
         fit = fit_steps([item.record for item in inputs])
     except ValueError as error:
         raise _unexplained(error, manifests[0]) from error
-    known = stated_influences(manifests[0].rig, [manifest.mounting for manifest in manifests], mounting_scatter=False)
-    fit = replace(fit, model=known.on_outputs(fit.model))
+    influences = stated_influences(
+        manifests[0].rig, [manifest.mounting for manifest in manifests], mounting_scatter=False
+    )
+    fit = replace(fit, model=influences.on_outputs(fit.model))
     target = _target(fit, settings)
     try:
         decoupler = design_decoupling(fit.model, target, SignalLevels(fit.sample_rate_hz, fit.noise, fit.amplitude))
     except (ValueError, np.linalg.LinAlgError) as error:
-        raise ComputeError(f"no filter was found: {error}") from error
+        raise ComputeError(NO_DECOUPLING_FILTER, reason=str(error)) from error
     modes_hz = fit.model.frequency_hz
     highest = max(float(modes_hz.max()), float(target.frequency_hz.max()))
-    spaced = np.geomspace(float(modes_hz.min()) / 100.0, min(FARTHEST * highest, 0.45 * fit.sample_rate_hz), LINES)
+    spaced = np.geomspace(
+        float(modes_hz.min()) / 100.0, min(FREQUENCY_MARGIN * highest, 0.45 * fit.sample_rate_hz), LINES
+    )
     frequency_hz = np.unique(np.concatenate([spaced, modes_hz]))
     stages = crosstalks(fit.model, decoupler, fit.noise, frequency_hz, np.random.default_rng(settings.seed), DRAWS)
     sensor, names = manifests[0].rig.sensor, fit.model.components
@@ -145,13 +192,13 @@ def evaluate_decoupling(
     static = np.sqrt(static_inverse(fit.model, fit.noise) ** 2 @ fit.noise**2)
     noise = decoupler.noise(fit.noise)
     notices = [notice for item in inputs for notice in item.notices]
-    notices.append(Notice("note", describe_coverage(known.scope, known.outside), "models"))
+    notices.append(coverage_notice(influences.scope, influences.outside, "models"))
     notices += [*fit.notices, *_notices(fit, target, deviation, frequency_hz, capacity)]
     return DecoupleEvaluation(
         name=name,
         manifests=tuple(manifests),
         fit=fit,
-        influences=known,
+        influences=influences,
         decoupler=decoupler,
         stages=stages,
         capacity=capacity,
@@ -166,7 +213,7 @@ def evaluate_decoupling(
 
 
 def _read(manifests: Sequence[Manifest]) -> list[StepInput]:
-    """All records, of one rig, with the same outputs at one rate, and of every load that the sensor measures."""
+    """Return all records, with the same outputs at one rate, and releases of every load."""
     first = manifests[0]
     check_one_rig(manifests)
     inputs = [read_step(manifest) for manifest in manifests]
@@ -175,37 +222,43 @@ def _read(manifests: Sequence[Manifest]) -> list[StepInput]:
         for key in ("channels", "unit", "sample_rate_hz"):
             found, expected = getattr(item.record, key), getattr(record, key)
             if found != expected:
-                told = f"{expected} as in {first.folder.name}"
-                raise InputError(item.manifest.path, f"daq.channel ({key})", found=str(found), expected=told)
+                raise InputError(
+                    DIFFERENT_RECORDS,
+                    item.manifest.path,
+                    f"daq.channel ({key})",
+                    expected=str(expected),
+                    recording=first.folder.name,
+                    found=str(found),
+                )
     stated = None if first.rig.sensor is None else first.rig.sensor.static_sensitivity
     static = None if stated is None else np.asarray(stated, dtype=np.float64)
     released = list(dict.fromkeys(item.record.component for item in inputs))
     missing = missing_loads(record.channels, released, static)
     if missing:
-        expected = f"a release of every load that the sensor measures; missing: {', '.join(missing)}"
-        where = first.rig_path.parent
-        raise InputError(where, "excitation.component", found=", ".join(released), expected=expected)
+        folder, found = first.rig_path.parent, ", ".join(released)
+        raise InputError(MISSING_RELEASES, folder, "excitation.component", missing=", ".join(missing), found=found)
     return inputs
 
 
 def _unexplained(error: ValueError, manifest: Manifest) -> InputError | ComputeError:
-    """What is told where there is no model; what the loads do not tell apart is a matter of the files."""
+    """Return the error of a failed fit.
+
+    Loads that cannot be separated are an error of the files.
+    """
     key, _, rest = str(error).partition(": ")
     if key not in ("channels", "components"):
-        return ComputeError(f"no model of the releases was found: {error}")
+        return ComputeError(NO_COMMON_MODEL, reason=str(error))
     expected, _, found = rest.removeprefix("expected ").partition(", found ")
-    return InputError(manifest.rig_path.parent, key, found=found, expected=expected)
+    return InputError(LOADS_NOT_SEPARABLE, manifest.rig_path.parent, key, found=found, expected=expected)
 
 
 def _target(fit: MultiFit, settings: DecoupleSettings) -> DecouplingTarget:
-    """The wanted dynamics, alike for all loads."""
+    """Return the target dynamics, equal for all loads."""
     count = len(fit.model.components)
-    wanted = 0.5 * float(fit.model.frequency_hz.min()) if settings.frequency_hz is None else settings.frequency_hz
-    if wanted >= 0.25 * fit.sample_rate_hz:
-        raise ComputeError(
-            f"wanted frequency {wanted:g} Hz: expected below a quarter of the sampling rate, {fit.sample_rate_hz:g} Hz"
-        )
-    return DecouplingTarget(np.full(count, wanted), np.full(count, settings.damping_ratio))
+    target_hz = 0.5 * float(fit.model.frequency_hz.min()) if settings.frequency_hz is None else settings.frequency_hz
+    if target_hz >= 0.25 * fit.sample_rate_hz:
+        raise ComputeError(TARGET_ABOVE_LIMIT, rate_hz=fit.sample_rate_hz, frequency_hz=target_hz)
+    return DecouplingTarget(np.full(count, target_hz), np.full(count, settings.damping_ratio))
 
 
 def _notices(
@@ -215,27 +268,22 @@ def _notices(
     frequency_hz: FloatArray,
     capacity: FloatArray | None,
 ) -> list[Notice]:
-    """What the user should know of target and comparison."""
+    """Return the notices of target and comparison."""
     found = []
     within = frequency_hz <= target.frequency_hz.max()
-    if deviation[within].max() > DEVIATES:
-        place = frequency_hz[within][deviation[within] > DEVIATES][0]
-        text = (
-            f"from {place:.0f} Hz on loads and wanted dynamics differ by more than {100 * DEVIATES:g} %: the outputs "
-            "tell too little there over their noise; a lower frequency is within reach"
-        )
-        found.append(Notice("warning", text, "filter"))
+    if deviation[within].max() > MAX_DEVIATION:
+        first_hz = float(frequency_hz[within][deviation[within] > MAX_DEVIATION][0])
+        limit = 100 * MAX_DEVIATION
+        found.append(Notice(TARGET_NOT_REACHED, "filter", frequency_hz=first_hz, limit_percent=limit))
     if capacity is None:
-        text = "no rated loads (sensor.capacity): cross-talk between forces and moments is not compared"
-        found.append(Notice("note", text, "sensor.capacity"))
-    unknown = [c for c, u in zip(fit.model.components, fit.u_amplitude, strict=True) if u == 0.0]
-    if unknown:
-        text = f"released loads of {', '.join(unknown)} count as exact: U holds noise and fit"
-        found.append(Notice("note", text, "excitation.step_amplitude"))
+        found.append(Notice(NO_RATED_LOADS, "sensor.capacity"))
+    exact = [c for c, u in zip(fit.model.components, fit.u_amplitude, strict=True) if u == 0.0]
+    if exact:
+        found.append(Notice(RELEASED_LOADS_EXACT, "excitation.step_amplitude", components=", ".join(exact)))
     return found
 
 
-# decoupling.json: the filter with the model it comes from, at full precision.
+# decoupling.json: the filter with its model, at full precision.
 
 FILTER_FILE = "decoupling.json"
 KIND = "shakercal decoupling"
@@ -246,9 +294,9 @@ RECURSION = (
 
 
 def filter_text(decoupler: DecouplingFilter, model: MultiModel) -> str:
-    """Return the text of decoupling.json, with the model and its standard uncertainties where they are known."""
+    """Return the text of decoupling.json, with the model and its standard uncertainties."""
     names = ("frequency_hz", "damping_ratio", "real_hz", "real_residue")
-    known = {**{name: getattr(model, name).tolist() for name in names}, "residue": _pairs(model.residue)}
+    parameters = {**{name: getattr(model, name).tolist() for name in names}, "residue": _pairs(model.residue)}
     u: dict[str, Any] = {}
     if model.covariance is not None:
         u = {f"u_{name}": getattr(model.u, name).tolist() for name in names[:3]}
@@ -270,14 +318,29 @@ def filter_text(decoupler: DecouplingFilter, model: MultiModel) -> str:
         "poles": _pairs(decoupler.poles),
         "driven": _pairs(decoupler.driven),
         "shown": _pairs(decoupler.shown),
-        "model": {**known, **u},
+        "model": {**parameters, **u},
     }
     return json.dumps(content, indent=1, ensure_ascii=False) + "\n"
 
 
 def read_decoupling_filter(path: str | Path) -> DecouplingFilter:
-    """Return the filter of a decoupling.json, or of the one in a folder, to the last bit; raises `InputError`.
+    """Read the decoupling filter of decoupling.json without loss of precision.
 
+    Parameters
+    ----------
+    path
+        The file, or a folder that contains it.
+
+    Returns
+    -------
+    DecouplingFilter : the filter.
+
+    Raises
+    ------
+    InputError : the file is missing, or damaged at the named entry.
+
+    Examples
+    --------
     >>> from fusion import read_decoupling_filter
     >>> decoupler = read_decoupling_filter("my-steps/decouple/decoupling.json")  # doctest: +SKIP
     """
@@ -303,11 +366,11 @@ def read_decoupling_filter(path: str | Path) -> DecouplingFilter:
 
 
 def _pairs(values: NDArray[np.complex128]) -> Any:
-    """Complex numbers as [re, im]."""
+    """Return complex numbers as [re, im]."""
     return np.stack([values.real, values.imag], axis=-1).tolist()
 
 
 def _complex(pairs: Any) -> NDArray[np.complex128]:
-    """Complex numbers of [re, im]."""
+    """Return the complex numbers of [re, im]."""
     both = np.array(pairs, dtype=np.float64)
     return np.asarray(both[..., 0] + 1j * both[..., 1])

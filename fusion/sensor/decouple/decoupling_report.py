@@ -1,4 +1,4 @@
-"""What a decoupling leaves: filter, tables, figures, HDF5 file, page, and the lines of the terminal."""
+"""Files, page and printed lines of a decoupling, and the command."""
 
 from __future__ import annotations
 
@@ -52,13 +52,13 @@ from shaker.labels import load_unit, typeset
 
 STAGE_COLOURS = {"raw": GREY, "static": ORANGE, "filtered": BLUE}
 COLUMNS = 2
-LEAST = 1e-6
+MIN_SHOWN = 1e-6  # %, lower limit of a logarithmic axis
 STAGE_NAMES = {"raw": "each output alone", "static": "static matrix", "filtered": "filter"}
 SHOWN_S = 5e-3
 
 
 class ModelRow(NamedTuple):
-    """One number of model.csv; what does not apply is empty."""
+    """One number of model.csv; fields that do not apply are empty."""
 
     quantity: str
     number: int | str
@@ -72,7 +72,7 @@ class ModelRow(NamedTuple):
 
 
 class CrosstalkRow(NamedTuple):
-    """One reading of one load in crosstalk.csv, in a step or at a frequency; `rated`: in rated loads."""
+    """One reading of one load in crosstalk.csv; `rated` is in rated loads."""
 
     stage: str
     quantity: str
@@ -89,18 +89,18 @@ class CrosstalkRow(NamedTuple):
 
 
 def model_rows(evaluation: DecoupleEvaluation) -> Iterator[ModelRow]:
-    """Rows of model.csv: poles, ranks, static gains, residues."""
+    """Yield the rows of model.csv: poles, ranks, static gains and residues."""
     model, u = evaluation.fit.model, evaluation.fit.model.u
 
-    def row(name: str, place: int | str, outputs: tuple[str, str], value: Any, spread: Any, unit: str) -> ModelRow:
-        return ModelRow(name, place, *outputs, float(value), float(spread), K2 * float(spread), K2, unit)
+    def row(name: str, number: int | str, outputs: tuple[str, str], value: Any, spread: Any, unit: str) -> ModelRow:
+        return ModelRow(name, number, *outputs, float(value), float(spread), K2 * float(spread), K2, unit)
 
     for name, unit in (("frequency_hz", "Hz"), ("damping_ratio", "1"), ("real_hz", "Hz")):
         for i, (value, spread) in enumerate(zip(getattr(model, name), getattr(u, name), strict=True)):
             yield row(name, i + 1, ("", ""), value, spread, unit)
     for i, rank in enumerate(evaluation.fit.ranks):
-        kind, place = ("rank", i) if i < len(model.frequency_hz) else ("real_rank", i - len(model.frequency_hz))
-        yield ModelRow(kind, place + 1, "", "", rank.rank, "", "", "", "1")
+        kind, index = ("rank", i) if i < len(model.frequency_hz) else ("real_rank", i - len(model.frequency_hz))
+        yield ModelRow(kind, index + 1, "", "", rank.rank, "", "", "", "1")
     static, spread_static = model.static_gain, static_u(evaluation)
     residues = (
         ("residue_re", model.residue.real, u.residue.real),
@@ -127,7 +127,7 @@ def static_u(evaluation: DecoupleEvaluation) -> FloatArray:
 
 
 def crosstalk_rows(evaluation: DecoupleEvaluation) -> Iterator[CrosstalkRow]:
-    """Rows of crosstalk.csv: every reading of every load at every stage, in a step and over frequency."""
+    """Yield the rows of crosstalk.csv: every reading of every load at every stage."""
     for stage in evaluation.stages:
         frequency = ["", *stage.frequency_hz.tolist()]
         quantity = ["step_peak", *["response"] * len(stage.frequency_hz)]
@@ -138,12 +138,15 @@ def crosstalk_rows(evaluation: DecoupleEvaluation) -> Iterator[CrosstalkRow]:
             U = K2 * np.append(stage.u_peak[i, j], stage.u[:, i, j])
             rated = (float(evaluation.ratio[i, j]) * part for part in (size, U))
             numbers = zip(size.tolist(), phase, U.tolist(), *(part.tolist() for part in rated), strict=True)
-            for what, at_hz, (own, angle, own_U, *of_rated) in zip(quantity, frequency, numbers, strict=True):
-                yield CrosstalkRow(stage.stage, what, at_hz, reading, load, own, angle, own_U, K2, unit, *of_rated)
+            for name, at_hz, (value, angle, expanded, *of_rated) in zip(quantity, frequency, numbers, strict=True):
+                yield CrosstalkRow(stage.stage, name, at_hz, reading, load, value, angle, expanded, K2, unit, *of_rated)
 
 
 def largest(evaluation: DecoupleEvaluation) -> Iterator[tuple[str, float, float, str]]:
-    """Yield for every stage the cross-talk in a step that may be largest, with U in % of rated loads, and which."""
+    """Yield the largest cross-talk in a step of every stage, with U.
+
+    In % of rated loads.
+    """
     ratio = 100 * np.where(np.eye(len(evaluation.scale), dtype=np.bool_), np.nan, evaluation.ratio)
     for stage in evaluation.stages:
         size, U = stage.peak * ratio, K2 * stage.u_peak * ratio
@@ -154,19 +157,19 @@ def largest(evaluation: DecoupleEvaluation) -> Iterator[tuple[str, float, float,
 
 
 def headlines(evaluation: DecoupleEvaluation) -> list[Headline]:
-    """Return the largest cross-talk at every stage and what the filter makes of the sensor."""
-    told = [
+    """Return the largest cross-talk at every stage, and the dynamics behind the filter."""
+    lines = [
         Headline(capitalise(what), quantity_html(value, U, "%"), which) for what, value, U, which in largest(evaluation)
     ]
     target = evaluation.decoupler
     label = f"{target.target_hz[0]:.6g} Hz, ζ = {target.target_damping[0]:g}"
     late = 1e6 * target.delay / target.sample_rate_hz
     remark = f"{target.delay} sample{'' if target.delay == 1 else 's'} ({late:.3g} µs) late"
-    return [*told, Headline("Dynamics behind the filter", label, remark)]
+    return [*lines, Headline("Dynamics behind the filter", label, remark)]
 
 
 def modes_table(evaluation: DecoupleEvaluation) -> Table:
-    """Return the common poles, and what each moves."""
+    """Return the common poles with their ranks."""
     model, u = evaluation.fit.model, evaluation.fit.model.u
     rows: list[tuple[str, ...]] = []
     scale = evaluation.fit.amplitude / evaluation.fit.noise[:, None]
@@ -192,26 +195,32 @@ def modes_table(evaluation: DecoupleEvaluation) -> Table:
 
 
 def modes_budgets(evaluation: DecoupleEvaluation) -> list[Table]:
-    """What makes the u of the modes' frequencies and damping ratios, and what nobody states."""
-    model, known = evaluation.fit.model, evaluation.influences
-    effects, whole = known.effects(lambda *part: model.altered(*part).vector), np.diag(np.asarray(model.covariance))
+    """Return the budgets of frequencies and damping ratios of the modes, with influences not assessed."""
+    model, influences = evaluation.fit.model, evaluation.influences
+    effects, whole = (
+        influences.effects(lambda *part: model.altered(*part).vector),
+        np.diag(np.asarray(model.covariance)),
+    )
     tables, count = [], len(model.frequency_hz)
     for what, first in (("frequencies", 0), ("damping ratios", count)):
-        own = slice(first, first + count)
+        part = slice(first, first + count)
         names = [f"mode at {hertz:.5g} Hz" for hertz in model.frequency_hz]
-        numbers = dict(zip(names, model.vector[own].tolist(), strict=True))
-        parts = known.budget(whole[own], effects[:, own], "releases and loads")
-        tables.append(budget_table(f"Budget of the {what}", numbers, parts, known))
+        numbers = dict(zip(names, model.vector[part].tolist(), strict=True))
+        parts = influences.budget(whole[part], effects[:, part], "releases and loads")
+        tables.append(budget_table(f"Budget of the {what}", numbers, parts, influences))
     return tables
 
 
 def peak_tables(evaluation: DecoupleEvaluation) -> list[Table]:
-    """Return for every stage what each load reads while each makes a step, in per cent of rated loads."""
+    """Return the reading of each load while each makes a step, by stage.
+
+    In % of rated loads.
+    """
     names, ratio, tables = evaluation.fit.model.components, 100 * evaluation.ratio, []
     unit = "rated load" if evaluation.capacity is not None else "the step"
     for stage in evaluation.stages:
         values, expanded = (stage.peak * ratio).tolist(), (K2 * stage.u_peak * ratio).tolist()
-        rows = tuple((name, *map(quantity_html, *own)) for name, *own in zip(names, values, expanded, strict=True))
+        rows = tuple((name, *map(quantity_html, *cells)) for name, *cells in zip(names, values, expanded, strict=True))
         caption = f"Largest reading in a step, {STAGE_NAMES[stage.stage]}: % of {unit}, with U (k = 2)"
         head = ("reading", *(f"step of {name}" for name in names))
         tables.append(Table(caption, head, "l" + "r" * len(names), rows))
@@ -228,8 +237,8 @@ def static_table(evaluation: DecoupleEvaluation) -> Table:
         for c, channel in enumerate(model.channels)
     )
     head = ("output", *model.components)
-    wanted = "for the rated load" if evaluation.capacity is not None else "per N and per N·m"
-    caption = Markup("Output at rest {}, in {}, with U (k = 2)").format(wanted, times_ten(exponent, model.unit))
+    reference = "for the rated load" if evaluation.capacity is not None else "per N and per N·m"
+    caption = Markup("Output at rest {}, in {}, with U (k = 2)").format(reference, times_ten(exponent, model.unit))
     return Table(caption, head, "l" + "r" * value.shape[1], rows)
 
 
@@ -240,7 +249,7 @@ NOISE: list[TableColumn[tuple[str, float, float]]] = [
     page_column("gain", lambda row: number(row[2])),
     page_column("unit", lambda row: typeset(load_unit(row[0])), "l"),
 ]
-"""Noise of the loads behind the filter beside that of the static matrix: rows of load, noise, gain."""
+"""Noise of the loads behind the filter and with the static matrix: rows of load, noise, gain."""
 RELEASES: list[TableColumn[ReleaseFit]] = [
     page_column("recording", lambda release: release.record, "l"),
     page_column("load", lambda release: release.component, "l"),
@@ -261,7 +270,7 @@ TRIALS: list[TableColumn[PoleCountTrial]] = [
     page_column("real poles", lambda trial: str(trial.reals)),
     page_column("residual² over noise²", lambda trial: f"{trial.misfit:.4f}"),
     page_column("criterion", lambda trial: signed_text(trial.criterion, ".0f")),
-    page_column("kept", lambda trial: "yes" if trial.accepted else "no", "l"),
+    page_column("selected", lambda trial: "yes" if trial.accepted else "no", "l"),
 ]
 
 
@@ -269,28 +278,28 @@ TRIALS: list[TableColumn[PoleCountTrial]] = [
 
 
 def draw_crosstalk(evaluation: DecoupleEvaluation) -> Figure:
-    """The largest reading of any other load while one oscillates, over frequency, before and after."""
+    """Draw the largest reading of any other load over frequency, before and after the filter."""
     names, ratio = evaluation.fit.model.components, 100 * evaluation.ratio
     others = {j: [i for i in range(len(names)) if i != j and np.isfinite(ratio[i, j])] for j in range(len(names))}
     loads = [j for j in others if others[j]]
     rows, frequency = -(-len(loads) // COLUMNS), evaluation.frequency_hz
     drawn = empty_figure("decouple-crosstalk", 1.9 * rows + 0.8, rows, COLUMNS, shared_y=True)
-    for place, (panel, j) in enumerate(zip(drawn.panels, loads, strict=False)):
+    for index, (panel, j) in enumerate(zip(drawn.panels, loads, strict=False)):
         for stage in evaluation.stages:
             size = np.abs(stage.value[:, others[j], j]) * ratio[others[j], j]
             worst, u = np.argmax(size, axis=1)[:, None], stage.u[:, others[j], j] * ratio[others[j], j]
             value = np.take_along_axis(size, worst, axis=1)[:, 0]
             expanded = K2 * np.take_along_axis(u, worst, axis=1)[:, 0]
             label, colour = STAGE_NAMES[stage.stage], STAGE_COLOURS[stage.stage]
-            panel.line(frequency, np.maximum(value, LEAST), label, colour=colour)
-            low, high = np.maximum(value - expanded, LEAST), np.maximum(value + expanded, LEAST)
+            panel.line(frequency, np.maximum(value, MIN_SHOWN), label, colour=colour)
+            low, high = np.maximum(value - expanded, MIN_SHOWN), np.maximum(value + expanded, MIN_SHOWN)
             panel.band(frequency, low, high, label, colour=colour)
         panel.rule(evaluation.fit.model.frequency_hz, "modes", along="x", colour=GREY, width=0.6)
-        panel.rule(evaluation.decoupler.target_hz[0], "wanted", along="x", colour=GREY, dashed=True)
+        panel.rule(evaluation.decoupler.target_hz[0], "target", along="x", colour=GREY, dashed=True)
         panel.x.log = panel.y.log = True
         panel.x.limits, panel.y.limits = (float(frequency[0]), float(frequency[-1])), (1e-3, 1e3)
         panel.x.label, panel.title = "frequency / Hz", f"{names[j]} oscillates"
-        if place % COLUMNS == 0:
+        if index % COLUMNS == 0:
             panel.y.label = "cross-talk / %"
     for panel in drawn.panels[len(loads) :]:
         panel.blank = True
@@ -300,15 +309,15 @@ def draw_crosstalk(evaluation: DecoupleEvaluation) -> Figure:
     )
     caption = (
         f"Largest reading of any other {rated if evaluation.capacity is not None else bare}. Shaded: U (k = 2) by "
-        "the uncertainty of the model. Uprights: modes; dashed: frequency of the wanted dynamics."
+        "the uncertainty of the model. Vertical lines: modes; dashed: target frequency."
     )
     return drawn.with_title("Cross-talk over frequency", caption, main=True)
 
 
 def draw_step(evaluation: DecoupleEvaluation) -> Figure:
-    """Readings of the other loads while the load steps that shows most with the static matrix alone, by stage.
+    """Draw the readings of other loads during the step with the largest cross-talk.
 
-    Without rated loads only those of the unit of the load that steps can be compared with it.
+    Without rated loads, only loads of the same unit are compared.
     """
     model, ratio = evaluation.fit.model, 100 * evaluation.ratio
     static = next(stage for stage in evaluation.stages if stage.stage == "static")
@@ -334,16 +343,16 @@ def draw_step(evaluation: DecoupleEvaluation) -> Figure:
     return drawn.with_title(f"Other loads while {name} makes a step", caption)
 
 
-# What stands on the page, in the files and on the terminal.
+# Page, files and printed lines.
 
 
 def printed(evaluation: DecoupleEvaluation) -> Iterator[str]:
-    """Lines for the terminal."""
+    """Yield the printed lines."""
     model, u = evaluation.fit.model, evaluation.fit.model.u
-    told = []
+    modes = []
     for i in np.argsort(model.frequency_hz):
-        told.append(f"({quantity_text(float(model.frequency_hz[i]), K2 * float(u.frequency_hz[i]))})")
-    yield f"{len(told)} modes common to {len(model.channels)} outputs: {', '.join(told)} Hz (k = 2)"
+        modes.append(f"({quantity_text(float(model.frequency_hz[i]), K2 * float(u.frequency_hz[i]))})")
+    yield f"{len(modes)} modes common to {len(model.channels)} outputs: {', '.join(modes)} Hz (k = 2)"
     for what, value, U, which in largest(evaluation):
         yield f"{what}: {quantity_text(value, U, '%')}, {which}"
     target, gain = evaluation.decoupler, evaluation.noise_gain
@@ -355,7 +364,7 @@ def printed(evaluation: DecoupleEvaluation) -> Iterator[str]:
 
 
 def _context(evaluation: DecoupleEvaluation) -> dict[str, Any]:
-    """Everything the template shows."""
+    """Return the content of the page."""
     fit, names = evaluation.fit, evaluation.fit.model.components
     counts = [f"{name} {sum(release.component == name for release in fit.releases)}" for name in names]
     outputs = f"{', '.join(fit.model.channels)} at {fit.sample_rate_hz:g} Hz"
@@ -394,9 +403,9 @@ def _fill(file: h5py.File, evaluation: DecoupleEvaluation) -> None:
     model = file.create_group("model", track_order=True)
     for name in (*MODEL_FIELDS, "covariance"):
         write_value(model, name, getattr(fit.model, name))
-    own = file.create_group("fit", track_order=True)
+    fit_group = file.create_group("fit", track_order=True)
     for name in ("noise", "sample_rate_hz", "amplitude", "u_amplitude", "variance_accounted", "losses"):
-        write_value(own, name, getattr(fit, name))
+        write_value(fit_group, name, getattr(fit, name))
     releases = file.create_group("releases", track_order=True)
     for release in fit.releases:
         write_fields(releases.create_group(releases.free_name(release.record), track_order=True), release)
@@ -429,8 +438,8 @@ def run_decouple(
 ) -> None:
     """Evaluate all releases of a campaign together, write the results and print the summary.
 
-    Results stand in the campaign's folder `decouple` or in `output`. A place that cannot take them is refused before
-    anything is computed.
+    Results are written to the campaign's folder `decouple`, or to `output`. A folder that cannot be used is refused
+    before the computation.
     """
     manifests = load_for_command([path], DECOUPLE.name, allow_outside=allow_outside)
 
@@ -438,5 +447,5 @@ def run_decouple(
         with one_blas_thread():
             return evaluate_decoupling(manifests[0].rig.name, manifests, settings, hashes)
 
-    own = (path if path.is_dir() else path.parent) / DECOUPLE.name
-    DECOUPLE.run_recordings([path], manifests, own if output is None else output, evaluate, force=force)
+    folder = (path if path.is_dir() else path.parent) / DECOUPLE.name
+    DECOUPLE.run_recordings([path], manifests, folder if output is None else output, evaluate, force=force)

@@ -1,1 +1,1 @@
-"""The elastic element."""
+"""Models of an elastic element: formulas, frame and solid."""

@@ -1,4 +1,4 @@
-"""What a user states of an elastic element: GEOMETRY.toml as checked values (docs/elastomer.md)."""
+"""The definition of an elastic element: GEOMETRY.toml as checked values (docs/elastomer.md)."""
 
 from __future__ import annotations
 
@@ -37,9 +37,9 @@ from shaker.elastomer.geometry import CrossBeams
 from shaker.elastomer.geometry import ElasticMaterial as MaterialData
 from shaker.elastomer.solid import SolidBlock
 
-MOST_SIZES = 1000
-FINEST = 6
-"""Largest refinement of the solid's mesh: beyond it memory is short and nothing is gained."""
+MAX_SIZES = 1000  # far above any study, far below a limit of time
+MAX_REFINEMENT = 6
+"""Largest refinement of the solid's mesh: beyond it the memory is exhausted without a gain in accuracy."""
 
 
 def _inertia(value: object) -> tuple[float, ...]:
@@ -52,10 +52,10 @@ def _inertia(value: object) -> tuple[float, ...]:
 
 def _refinements(value: object) -> tuple[int, ...]:
     """Check the meshes of the solid: whole numbers that grow."""
-    expected = f"two or more whole numbers from 1 to {FINEST} that grow"
+    expected = f"two or more whole numbers from 1 to {MAX_REFINEMENT} that grow"
     if not isinstance(value, list | tuple):
         raise refusal(expected, describe(value))
-    whole = [v for v in value if isinstance(v, int) and not isinstance(v, bool) and 1 <= v <= FINEST]
+    whole = [v for v in value if isinstance(v, int) and not isinstance(v, bool) and 1 <= v <= MAX_REFINEMENT]
     if len(whole) != len(value) or len(whole) < 2 or sorted(set(whole)) != whole:
         raise refusal(expected, f"{list(value)}")
     return tuple(whole)
@@ -65,8 +65,8 @@ def _sizes(value: object) -> tuple[float, ...]:
     """Check a list of numbers above zero."""
     if not isinstance(value, list | tuple) or not value:
         raise refusal("a list of numbers above 0", describe(value))
-    if len(value) > MOST_SIZES:
-        raise refusal(f"at most {MOST_SIZES} numbers", f"{len(value)}")
+    if len(value) > MAX_SIZES:
+        raise refusal(f"at most {MAX_SIZES} numbers", f"{len(value)}")
     sizes = vector(len(value))(value)
     if min(sizes) <= 0.0:
         raise refusal("a list of numbers above 0", f"{min(sizes):g} in it")
@@ -106,7 +106,10 @@ class CompliantBeams(ManifestBlock):
 
 
 class ElementPlatform(ManifestBlock):
-    """The central platform, in m, kg, kg·m²: a block of the element's material, or its data."""
+    """The central platform: a block of the element's material, or stated data.
+
+    In m, kg, kg·m².
+    """
 
     half_size: Size
     thickness: Size | None = None
@@ -116,10 +119,10 @@ class ElementPlatform(ManifestBlock):
     inertia: Inertia3 | None = None
 
     @model_validator(mode="after")
-    def _told(self) -> ElementPlatform:
+    def _has_mass_or_block(self) -> ElementPlatform:
         if (self.mass is None) != (self.inertia is None):
             key = "inertia" if self.inertia is None else "mass"
-            raise refusal("mass and inertia together", "one of them only", key)
+            raise refusal("mass and inertia together", "only one of them", key)
         if self.mass is None and self.thickness is None:
             raise refusal("the thickness of the block, or mass and inertia", "neither", "thickness")
         if self.mass is None and "centre_of_mass" in self.model_fields_set:
@@ -162,7 +165,7 @@ class Frequencies(ManifestBlock):
 
     @property
     def values_hz(self) -> dict[str, float]:
-        """Those that are stated."""
+        """The stated frequencies by mode."""
         return {name: value for name in MODE_NAMES if (value := getattr(self, name)) is not None}
 
 
@@ -173,14 +176,17 @@ class StatedFrequencies(Frequencies):
 
 
 class PlatformFitOptions(ManifestBlock):
-    """Platform data sought from frequencies."""
+    """Platform data to be estimated from frequencies."""
 
     half_sizes: Sizes
     frequencies: Frequencies
 
 
 class ElementMounting(ManifestBlock):
-    """Hand and pedestal in a row with the sensor along one direction, in kg, N/m, N·s/m (turns: kg·m², N·m/rad, …)."""
+    """Hand, sensor and pedestal in series along one direction, in kg, N/m, N·s/m.
+
+    Along a rotation in kg·m², N·m/rad and N·m·s/rad.
+    """
 
     direction: Literal["Tx", "Ty", "Tz", "Rx", "Ry", "Rz"]
     hand_mass: NotNegative
@@ -216,15 +222,15 @@ class ElementFile(ManifestBlock):
         for key, size in sizes:
             if size >= 0.5 * self.beams.span:
                 raise refusal(f"a half-size below half the span, {0.5 * self.beams.span:g} m", f"{size:g} m", key)
-        side, room = 2.0 * self.platform.half_size, 0.5 * self.beams.span - self.platform.half_size
+        side, gap = 2.0 * self.platform.half_size, 0.5 * self.beams.span - self.platform.half_size
         compliant = self.compliant_beams
-        for key, size, limit, what in (
+        for key, size, limit, limited_by in (
             ("beams.width", self.beams.width, side, "the side of the platform"),
-            ("compliant_beams.thickness", compliant.thickness, room, "the room beside the platform"),
+            ("compliant_beams.thickness", compliant.thickness, gap, "the gap next to the platform"),
             ("compliant_beams.thickness", compliant.thickness, compliant.length, "the length of the compliant beam"),
         ):
             if size > limit:
-                raise refusal(f"at most {what}, {limit:g} m", f"{size:g} m", key)
+                raise refusal(f"at most {limited_by}, {limit:g} m", f"{size:g} m", key)
         for key, blocks in (("part", self.part), ("stated", self.stated)):
             twice = repeated_name([item.name for item in blocks])
             if twice is not None:
@@ -234,7 +240,7 @@ class ElementFile(ManifestBlock):
 
 @dataclass(frozen=True)
 class ElementDefinition:
-    """An element as stated: the checked file and what it means to the models."""
+    """An element as stated: the checked file, and its meaning for the models."""
 
     path: Path
     file: ElementFile
@@ -258,32 +264,32 @@ class ElementDefinition:
 
     @cached_property
     def bare(self) -> RigidPart:
-        """The platform without further parts."""
-        told = self.file.platform
-        if told.mass is not None and told.inertia is not None:
-            return RigidPart(told.mass, told.centre_of_mass, np.array(told.inertia))
-        if told.thickness is None:
+        """The platform without attached parts."""
+        stated = self.file.platform
+        if stated.mass is not None and stated.inertia is not None:
+            return RigidPart(stated.mass, stated.centre_of_mass, np.array(stated.inertia))
+        if stated.thickness is None:
             raise ValueError("thickness: expected that of the block, found none")
-        return block(self.file.material.density, told.half_size, told.thickness, told.height)
+        return block(self.file.material.density, stated.half_size, stated.thickness, stated.height)
 
     @cached_property
     def platform(self) -> RigidPart:
-        """The platform with everything on it."""
+        """The platform with all attached parts."""
         return join_bodies([self.bare, *self._parts])
 
     @property
     def solid_block(self) -> SolidBlock | None:
-        """The platform of the solid model, None where no thickness is stated."""
-        told = self.file.platform
-        if told.thickness is None:
+        """The platform of the solid model, None without a stated thickness."""
+        stated = self.file.platform
+        if stated.thickness is None:
             return None
-        own = told.mass is None
-        rigid = self._parts if own else (self.bare, *self._parts)
+        has_block_mass = stated.mass is None
+        rigid = self._parts if has_block_mass else (self.bare, *self._parts)
         return SolidBlock(
-            half_size_m=told.half_size,
-            thickness_m=told.thickness,
-            height_m=told.height,
-            density_kgm3=self.file.material.density if own else 0.0,
+            half_size_m=stated.half_size,
+            thickness_m=stated.thickness,
+            height_m=stated.height,
+            density_kgm3=self.file.material.density if has_block_mass else 0.0,
             attached=join_bodies(rigid) if rigid else None,
         )
 
@@ -301,7 +307,8 @@ class ElementDefinition:
 def read_definition(path: Path, *, allow_outside: bool = False) -> ElementDefinition:
     """Read and check GEOMETRY.toml; `InputError` names file and key.
 
-    Paths in it count from its folder and stay in the folder above it, where results of other commands lie beside.
+    Relative paths start at its folder. They must be in the folder above it, which also contains results of other
+    commands.
     """
     text = read_toml(path)
     folder = path.parent.resolve()

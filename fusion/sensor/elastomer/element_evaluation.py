@@ -1,4 +1,4 @@
-"""Geometry to natural frequencies and mode shapes."""
+"""Evaluation of an elastic element: natural frequencies and mode shapes from its geometry."""
 
 from __future__ import annotations
 
@@ -12,8 +12,19 @@ import numpy as np
 from fusion.base import CommandEvaluation, ProgressCallback, no_progress
 from fusion.errors import InputError, as_input_error
 from fusion.sensor.elastomer.element_definition import ElementDefinition
+from fusion.sensor.elastomer.element_notices import (
+    BLOCK_THICKNESS_MISSING,
+    FRAME_DEVIATES,
+    FURTHER_MODES,
+    MESH_NOT_CONVERGED,
+    MIXED_MODE,
+    NO_MEASURED_MODE,
+    PLATFORM_AS_STATED,
+    SOLID_PACKAGE_MISSING,
+    SOLID_REFUSED,
+)
 from fusion.sensor.model_files import read_models
-from fusion.sensor.unmodelled_effects import describe_coverage
+from fusion.sensor.unmodelled_effects import coverage_notice
 from shaker.arrays import FloatArray
 from shaker.elastomer.frame import (
     MODE_NAMES,
@@ -31,13 +42,13 @@ from shaker.lti.system import ModalModel
 from shaker.mechanics import MassChain, oscillator_hz, required_stiffness
 from shakercal._common.notices import Notice
 
-# What is computed of an elastic element.
+# Numbers of an elastic element.
 
 
 class StaticsFact(NamedTuple):
-    """A number of the beam formulas: `printed` by the publication's formula, `right` by what stands in its place.
+    """A number of the beam formulas, `printed` in the publication and `right` by mechanics.
 
-    NaN where there is none.
+    NaN without a value.
     """
 
     name: str
@@ -50,9 +61,9 @@ class StaticsFact(NamedTuple):
 
 @dataclass(frozen=True)
 class ComparedColumn:
-    """Natural frequencies by one model or measurement: `frequency_hz`, `u_hz` (6,), NaN where there is none.
+    """Natural frequencies by one model or measurement: `frequency_hz`, `u_hz` (6,), NaN without a value.
 
-    `kind`: "formula", "frame", "solid", "measured" or "stated". `u_hz` 0 of what is computed or given without it.
+    `kind`: "formula", "frame", "solid", "measured" or "stated". `u_hz` is 0 of computed and stated frequencies.
     """
 
     name: str
@@ -63,7 +74,10 @@ class ComparedColumn:
 
 @dataclass(frozen=True)
 class SolidStudy:
-    """The solid on meshes of growing refinement, and on the last but one of them with a platform that does not bend."""
+    """The solid on meshes of increasing refinement, and with a rigid platform.
+
+    The latter on the second-finest mesh.
+    """
 
     refinements: tuple[int, ...]
     meshes: tuple[SolidModel, ...]
@@ -71,15 +85,15 @@ class SolidStudy:
 
     @property
     def finest(self) -> SolidModel:
-        """The solution that counts."""
+        """The solution on the finest mesh."""
         return self.meshes[-1]
 
 
 @dataclass(frozen=True)
 class MountedElement:
-    """Sensor between hand and pedestal: modes (N,) of the chain, and over the hand's mass (H,) joined without spring.
+    """Sensor between hand and pedestal: modes (N,) of the chain.
 
-    `stiffness`, `mass`: of the sensor along the direction, as the frame has them.
+    `stiffness`, `mass`: of the sensor along the direction, by the frame. `mounted_hz` (H,): with a rigidly joined hand.
     """
 
     direction: str
@@ -93,7 +107,10 @@ class MountedElement:
 
 @dataclass(frozen=True)
 class ElementEvaluation(CommandEvaluation):
-    """An element with its models side by side; `sensitivity`: relative change of the six frequencies per change."""
+    """All models of an element, with their comparison.
+
+    `sensitivity`: relative change of the frequencies per relative change of a dimension.
+    """
 
     definition: ElementDefinition
     facts: tuple[StaticsFact, ...]
@@ -106,7 +123,10 @@ class ElementEvaluation(CommandEvaluation):
 
 
 def spread(columns: Sequence[ComparedColumn]) -> FloatArray:
-    """Return (max - min)/max (6,) over columns, NaN where fewer than two have a value: as the paper's Table 6."""
+    """Return (max - min)/max (6,) over columns, as in the paper's Table 6.
+
+    NaN with fewer than two values.
+    """
     values = np.stack([column.frequency_hz for column in columns])
     filled = np.isfinite(values)
     highest = np.max(np.where(filled, values, -np.inf), axis=0)
@@ -122,7 +142,7 @@ MODE_OF = dict(zip(LOAD_COMPONENTS, MODE_NAMES, strict=True))
 
 
 def measured_column(definition: ElementDefinition) -> tuple[ComparedColumn | None, list[Notice]]:
-    """Return the mode of every measured model that swings most after a step, with its standard uncertainty."""
+    """Return the dominant mode of every measured model with its standard uncertainty."""
     path = definition.file.measured
     if path is None:
         return None, []
@@ -130,28 +150,28 @@ def measured_column(definition: ElementDefinition) -> tuple[ComparedColumn | Non
     for entry in read_models(path).driven:
         name = MODE_OF.get(entry.component)
         if name is None or not len(entry.model.frequency_hz):
-            text = f"{entry.component}: no oscillating mode in {path.name}"
-            notices.append(Notice("note", text, "measured"))
+            notices.append(Notice(NO_MEASURED_MODE, "measured", component=entry.component, file=path.name))
             continue
-        place = MODE_NAMES.index(name)
-        value[place], u[place] = dominant(entry.model)
-        if entry.scope and np.isfinite(u[place]):
-            notices.append(
-                Notice("note", describe_coverage(entry.scope, entry.outside or ""), f"measured, {entry.component}")
-            )
+        index = MODE_NAMES.index(name)
+        value[index], u[index] = dominant(entry.model)
+        if entry.scope and np.isfinite(u[index]):
+            notices.append(coverage_notice(entry.scope, entry.outside or "", f"measured, {entry.component}"))
     return ComparedColumn("measured", "measured", value, u), notices
 
 
 def dominant(model: ModalModel) -> tuple[float, float]:
-    """Return frequency in Hz and u of the oscillating mode with the largest |r/p|; u is NaN without covariance."""
+    """Return frequency (Hz) and u of the oscillating mode with the largest |r/p|.
+
+    u is NaN without covariance.
+    """
     count = len(model.frequency_hz)
-    place = int(np.argmax(np.abs(model.residue / model.poles[:count])))
-    u = np.nan if model.covariance is None else float(np.sqrt(model.covariance[place, place]))
-    return float(model.frequency_hz[place]), u
+    index = int(np.argmax(np.abs(model.residue / model.poles[:count])))
+    u = np.nan if model.covariance is None else float(np.sqrt(model.covariance[index, index]))
+    return float(model.frequency_hz[index]), u
 
 
 def _exact(name: str, kind: str, frequency_hz: FloatArray | Mapping[str, float]) -> ComparedColumn:
-    """A column of numbers (6,), or by the name of their mode, without uncertainty."""
+    """Return a column of numbers (6,), or by mode, without uncertainty."""
     if isinstance(frequency_hz, Mapping):
         frequency_hz = np.array([frequency_hz.get(mode, np.nan) for mode in MODE_NAMES])
     return ComparedColumn(name, kind, frequency_hz, np.zeros(6))
@@ -164,7 +184,7 @@ PRINTED_SHARE = 0.4
 
 
 def statics_facts(definition: ElementDefinition, frame: FrameModel) -> tuple[StaticsFact, ...]:
-    """Return shear modulus, force shares, stiffnesses and frequencies, printed formula beside the right one."""
+    """Return shear modulus, force shares, stiffnesses and frequencies, by printed and correct formulas."""
     beams, mass = definition.beams, definition.platform.mass_kg
     printed, closed = PublishedStatics(beams), beam_stiffness(beams, definition.file.platform.half_size)
     point, first = guided_stiffness(beams), float(frame.modes.frequency_hz[0])
@@ -173,7 +193,7 @@ def statics_facts(definition: ElementDefinition, frame: FrameModel) -> tuple[Sta
     guided, cantilever = "compliant beams guided at mid-span", "compliant beams as cantilevers"
     shear, needed = beams.material.shear_modulus_pa, required_stiffness(first, mass)
     point_hz = (oscillator_hz(stiffness, mass), oscillator_hz(point, mass))
-    told, same = f"platform and parts, {1e3 * mass:.4g} g", f"{first:.1f} Hz with the same mass"
+    masses, same = f"platform and parts, {1e3 * mass:.4g} g", f"{first:.1f} Hz with the same mass"
     return (
         StaticsFact(
             "shear_modulus", "shear modulus G", printed.shear_modulus_pa, shear, "Pa", "E/(1+μ) printed for E/2(1+μ)"
@@ -191,34 +211,34 @@ def statics_facts(definition: ElementDefinition, frame: FrameModel) -> tuple[Sta
             "stiffness_x", "k along x, y with the platform", np.nan, closed.x, "N/m", "closed form, no turning"
         ),
         StaticsFact("stiffness_z", "k along z with the platform", np.nan, closed.z, "N/m", "closed form, no turning"),
-        StaticsFact("frequency_point", "f of k and the moving mass, eq. 17", *point_hz, "Hz", told),
-        StaticsFact("stiffness_needed", "k that the frame's Tx asks of one oscillator", np.nan, needed, "N/m", same),
+        StaticsFact("frequency_point", "f of k and the moving mass, eq. 17", *point_hz, "Hz", masses),
+        StaticsFact("stiffness_needed", "k of one oscillator at the frame's Tx", np.nan, needed, "N/m", same),
     )
 
 
 def mounted_chain(definition: ElementDefinition, frame: FrameModel) -> MountedElement | None:
-    """Return the sensor between hand and pedestal, with the frame's stiffness and the mass that its frequency means."""
-    told = definition.file.mounting
-    if told is None:
+    """Return the sensor between hand and pedestal, with stiffness and effective mass of the frame."""
+    mounting = definition.file.mounting
+    if mounting is None:
         return None
-    place = MODE_NAMES.index(told.direction)
-    stiffness = float(frame.stiffness[place])
-    mass = stiffness / (2.0 * np.pi * float(frame.modes.frequency_hz[place])) ** 2
+    index = MODE_NAMES.index(mounting.direction)
+    stiffness = float(frame.stiffness[index])
+    mass = stiffness / (2.0 * np.pi * float(frame.modes.frequency_hz[index])) ** 2
     stages = {
-        "pedestal": (told.pedestal_mass, told.pedestal_stiffness, told.pedestal_damping),
-        "sensor": (mass, stiffness, told.sensor_damping),
+        "pedestal": (mounting.pedestal_mass, mounting.pedestal_stiffness, mounting.pedestal_damping),
+        "sensor": (mass, stiffness, mounting.sensor_damping),
     }
-    if told.hand_mass > 0.0:
-        stages["hand"] = (told.hand_mass, told.hand_stiffness, told.hand_damping)
+    if mounting.hand_mass > 0.0:
+        stages["hand"] = (mounting.hand_mass, mounting.hand_stiffness, mounting.hand_damping)
     chain = MassChain(tuple(stages), *np.array(list(stages.values())).T)
     frequency, damping = chain.modes()
-    top = told.hand_mass or mass
+    top = mounting.hand_mass or mass
     hands = np.linspace(0.0, 2.0 * top, 81)
     rigid = np.array([oscillator_hz(stiffness, mass + hand) for hand in hands])
-    return MountedElement(told.direction, stiffness, mass, frequency, damping, hands, rigid)
+    return MountedElement(mounting.direction, stiffness, mass, frequency, damping, hands, rigid)
 
 
-# Mode shapes as faces in space, for the pictures: beams and platform of the frame, the outside of the solid.
+# Mode shapes as faces in space: beams and platform of the frame, the surface of the solid.
 
 SIDES = ((0, 1, 5, 4), (2, 3, 7, 6), (0, 2, 6, 4), (1, 3, 7, 5), (0, 1, 3, 2), (4, 5, 7, 6))
 """Faces of a box by its corners, numbered with the bits of x, y, z."""
@@ -230,7 +250,10 @@ REVERSED_X, REVERSED_Y = ("Tx", "Ry", "Rz"), ("Ty", "Rx", "Rz")
 
 @dataclass(frozen=True)
 class DrawnShape:
-    """One mode: `rest_m`, `motion` (P, 4, 3) of the corners of all faces, motion in arbitrary units."""
+    """One mode: corners `rest_m` (P, 4, 3) of all faces and their `motion`.
+
+    The motion has arbitrary units.
+    """
 
     name: str
     frequency_hz: float
@@ -239,7 +262,10 @@ class DrawnShape:
 
 
 def frame_shapes(definition: ElementDefinition, model: FrameModel) -> list[DrawnShape]:
-    """Return the six modes of the frame, beams with their sections, the platform as a block."""
+    """Return the six modes of the frame, with sections of the beams.
+
+    The platform is a block.
+    """
     frame, platform = model.frame, definition.file.platform
     thickness = platform.thickness or definition.beams.beam_height_m
     centre = np.array([0.0, 0.0, platform.height])
@@ -248,16 +274,16 @@ def frame_shapes(definition: ElementDefinition, model: FrameModel) -> list[Drawn
     blocks = [centre + np.array([x, y, 0.0]) + _box(part, part, 0.5 * thickness) for x in tiles for y in tiles]
     beams, shapes = list(zip(frame.beam, frame.section, strict=True)), []
     for mode, name in enumerate(MODE_NAMES):
-        nodes, own = model.node_motion(mode), model.modes.shape[:6, mode]
+        nodes, rigid = model.node_motion(mode), model.modes.shape[:6, mode]
         solids = [_beam(frame.node_m[ends], nodes[ends], section) for ends, section in beams]
-        solids += [(block, np.stack([(rigid_motion(corner) @ own)[:3] for corner in block])) for block in blocks]
+        solids += [(block, np.stack([(rigid_motion(corner) @ rigid)[:3] for corner in block])) for block in blocks]
         rest, motion = (np.stack(parts)[:, SIDES].reshape(-1, 4, 3) for parts in zip(*solids, strict=True))
         shapes.append(DrawnShape(name, float(model.modes.frequency_hz[mode]), rest, motion))
     return shapes
 
 
 def solid_shapes(drawn: SolidModel, finest: SolidModel) -> list[DrawnShape]:
-    """Return the six modes on the outside of one mesh, in all quarters, with the finest mesh's frequencies."""
+    """Return the six modes on the surface of one mesh, with the finest mesh's frequencies."""
     faces, shapes = _outside(drawn), []
     for mode, name in enumerate(MODE_NAMES):
         rest, motion = [], []
@@ -271,7 +297,10 @@ def solid_shapes(drawn: SolidModel, finest: SolidModel) -> list[DrawnShape]:
 
 
 def _beam(ends: FloatArray, motion: FloatArray, section: Section) -> tuple[FloatArray, FloatArray]:
-    """Corners (8, 3) of a beam of a section between two nodes (2, 3), and how they move with the nodes (2, 6)."""
+    """Return corners (8, 3) of a beam between two nodes, and their motion.
+
+    `motion` (2, 6) is that of the nodes.
+    """
     along = ends[1] - ends[0]
     across = np.cross([0.0, 0.0, 1.0], along / np.linalg.norm(along))
     box = _box(1.0, 0.5 * section.width_m, 0.5 * section.height_m)
@@ -282,13 +311,13 @@ def _beam(ends: FloatArray, motion: FloatArray, section: Section) -> tuple[Float
 
 
 def _box(x: float, y: float, z: float) -> FloatArray:
-    """Corners (8, 3) of a box about the origin."""
+    """Return the corners (8, 3) of a box about the origin."""
     bits = np.array([[i & 1, i >> 1 & 1, i >> 2 & 1] for i in range(8)])
     return np.asarray((2.0 * bits - 1.0) * np.array([x, y, z]))
 
 
 def _outside(model: SolidModel) -> np.ndarray[tuple[int, ...], np.dtype[np.int64]]:
-    """Vertex numbers (P, 4) of the faces that belong to one cell only, those in the planes of symmetry left out."""
+    """Return vertex numbers (P, 4) of the outer faces, without those in planes of symmetry."""
     corners = model.vertex_m[model.cell]
     bits = (corners > corners.mean(axis=1, keepdims=True)).astype(np.int64) @ np.array([1, 2, 4])
     ordered = np.take_along_axis(model.cell, np.argsort(bits, axis=1), axis=1)
@@ -310,15 +339,36 @@ KEYS = {
 """Keys of GEOMETRY.toml by the argument that a model refuses."""
 STIFF = 1e3
 """Factor on the modulus of a platform that does not bend."""
-CONVERGED, FAR = 0.02, 0.10
-"""Change with the mesh, and distance between frame and solid, from which the user is told."""
+MAX_MESH_CHANGE, MAX_DEVIATION = 0.02, 0.10
+"""Relative change with the mesh, and deviation of frame and solid, from which a notice is given: chosen."""
 
 
 def evaluate_element(
     definition: ElementDefinition, hashes: dict[str, str], *, solid: bool, progress: ProgressCallback = no_progress
 ) -> ElementEvaluation:
-    """Return everything that GEOMETRY.toml asks for; the solid model only where wanted, since it takes a minute.
+    """Evaluate all models of an elastic element: formulas, frame, solid, and comparison.
 
+    Parameters
+    ----------
+    definition
+        The element, of `read_definition`.
+    hashes
+        SHA-256 of the input files by name, for the results.
+    solid
+        Whether the solid model is computed, which takes about a minute.
+    progress
+        Callback (stage, done, total). Default: none.
+
+    Returns
+    -------
+    ElementEvaluation : natural frequencies by every model, with their comparison.
+
+    Raises
+    ------
+    InputError : a key that the user has to correct, or a missing package for the solid model.
+
+    Examples
+    --------
     >>> from fusion import evaluate_element
     >>> from fusion.sensor.elastomer.element_definition import read_definition
     >>> definition = read_definition("elastomer.toml")  # doctest: +SKIP
@@ -343,9 +393,9 @@ def evaluate_element(
     columns += [] if measured is None else [measured]
     columns += [_exact(item.name, "stated", item.values_hz) for item in file.stated]
     remarks = [notice for fit in fits for notice in fit.notices]
-    texts = [notice.text for notice in remarks]  # what several fits say is said once
-    told = [replace(notice, where="fit") if texts.count(notice.text) > 1 else notice for notice in remarks]
-    notices += [*_of_frame(definition, frame), *_of_solid(frame, study), *dict.fromkeys(told)]
+    texts = [notice.text for notice in remarks]  # equal notices of several fits appear once
+    of_fits = [notice.at("fit") if texts.count(notice.text) > 1 else notice for notice in remarks]
+    notices += [*_of_frame(definition, frame), *_of_solid(frame, study), *dict.fromkeys(of_fits)]
     return ElementEvaluation(
         name=file.name,
         definition=definition,
@@ -364,62 +414,55 @@ def evaluate_element(
 
 
 def _solid(definition: ElementDefinition, progress: ProgressCallback) -> SolidStudy:
-    """The solid on all meshes; `InputError` where a key, or scikit-fem, is missing."""
+    """Return the solid on all meshes; raise `InputError` for a missing key or scikit-fem."""
     block, refinements = definition.solid_block, definition.file.solid.refinements
     if block is None:
-        expected = "the thickness of the block that --solid models"
-        raise InputError(definition.path, "platform.thickness", found="nothing", expected=expected)
+        raise InputError(BLOCK_THICKNESS_MISSING, definition.path, "platform.thickness")
     stiff = replace(block, stiffening=STIFF)
-    wanted = [*((block, refinement) for refinement in refinements), (stiff, refinements[-2])]
+    models_to_solve = [*((block, refinement) for refinement in refinements), (stiff, refinements[-2])]
     models = []
-    for done, (model, refinement) in enumerate(wanted):
-        progress("solid", done, len(wanted))
+    for done, (model, refinement) in enumerate(models_to_solve):
+        progress("solid", done, len(models_to_solve))
         try:
             models.append(solve_solid(definition.beams, model, refinement))
         except ImportError as error:
-            expected = 'the package that pip install "shakercal[solid]" brings'
-            raise InputError("--solid", "", found=f"none ({error})", expected=expected) from error
+            raise InputError(SOLID_PACKAGE_MISSING, "--solid", reason=str(error)) from error
         except ValueError as error:
             key = KEYS.get(str(error).partition(":")[0], "")
-            raise InputError.from_exception(error, definition.path, key) from error
-    progress("solid", len(wanted), len(wanted))
+            raise InputError.from_exception(error, definition.path, key, SOLID_REFUSED) from error
+    progress("solid", len(models_to_solve), len(models_to_solve))
     return SolidStudy(refinements, tuple(models[:-1]), models[-1])
 
 
 def _of_frame(definition: ElementDefinition, frame: FrameModel) -> list[Notice]:
-    """Names that fit badly, modes between, and what rules the result."""
+    """Return notices on mixed modes, further modes, and stated platform data."""
     found = []
     for name, share, highest in zip(
         MODE_NAMES, np.diag(frame.modes.participation), frame.modes.participation.max(axis=0), strict=True
     ):
         if share < highest:
-            text = f"named after a motion of which {100.0 * share:.0f} % is in it, and more in another mode"
-            found.append(Notice("note", text, name))
+            found.append(Notice(MIXED_MODE, name, share_percent=100.0 * float(share)))
     if len(frame.modes.others_hz):
-        told = ", ".join(f"{value:.0f}" for value in frame.modes.others_hz)
-        found.append(Notice("note", f"further modes in between at {told} Hz: the beams' own", "frame"))
+        frequencies_hz = ", ".join(f"{value:.0f}" for value in frame.modes.others_hz)
+        found.append(Notice(FURTHER_MODES, "frame", frequencies_hz=frequencies_hz))
     if definition.file.platform.mass is not None:
-        text = "mass, centre and inertia are taken as stated; every frequency stands and falls with them"
-        found.append(Notice("note", text, "platform"))
+        found.append(Notice(PLATFORM_AS_STATED, "platform"))
     return found
 
 
 def _of_solid(frame: FrameModel, study: SolidStudy | None) -> list[Notice]:
-    """Whether the mesh suffices, and where frame and solid are far apart and why."""
+    """Return notices on convergence of the mesh, and deviations of the frame."""
     if study is None:
         return []
     found, change = [], mesh_change(study.meshes)
     worst = int(np.argmax(np.abs(change)))
-    if abs(change[worst]) > CONVERGED:
-        text = (
-            f"{MODE_NAMES[worst]} changed by {100.0 * change[worst]:.1f} % with the last mesh; refine [solid] further"
-        )
-        found.append(Notice("warning", text, "solid"))
-    for place, name in enumerate(MODE_NAMES):
-        one, other = frame.modes.frequency_hz[place], study.finest.frequency_hz[place]
-        if abs(one / other - 1.0) > FAR:
-            stiff = study.rigid.frequency_hz[place]
-            told = [f"{100.0 * (one / value - 1.0):+.0f} %" for value in (other, stiff)]
-            text = f"frame {told[0]} from the solid, {told[1]} from one whose platform does not bend"
-            found.append(Notice("note", text, name))
+    if abs(change[worst]) > MAX_MESH_CHANGE:
+        percent = 100.0 * float(change[worst])
+        found.append(Notice(MESH_NOT_CONVERGED, "solid", mode=MODE_NAMES[worst], change_percent=percent))
+    for index, name in enumerate(MODE_NAMES):
+        one, other = frame.modes.frequency_hz[index], study.finest.frequency_hz[index]
+        if abs(one / other - 1.0) > MAX_DEVIATION:
+            stiff = study.rigid.frequency_hz[index]
+            deviation, from_stiff = (100.0 * float(one / value - 1.0) for value in (other, stiff))
+            found.append(Notice(FRAME_DEVIATES, name, deviation_percent=deviation, stiff_percent=from_stiff))
     return found

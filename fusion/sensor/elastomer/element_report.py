@@ -1,4 +1,4 @@
-"""What the models of an elastic element leave: tables, figures of shapes, HDF5 file, page, lines of the terminal."""
+"""Files, page and printed lines of models of an elastic element, and the command."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ DIMENSION_LABELS = {
     "compliant_thickness_m": "compliant beam's thickness",
     "compliant_length_m": "compliant beam's length",
     "compliant_height_m": "compliant beam's height",
-    "half_size_m": "platform's half-size, its mass as it is",
+    "half_size_m": "platform's half-size at constant mass",
     "mass_kg": "platform's mass, moments in proportion",
     "height_m": "platform's centre of mass",
     "inertia_kgm2": "platform's moments of inertia",
@@ -71,16 +71,16 @@ class ModeRow(NamedTuple):
     participation: FloatArray
 
 
-def _participation(place: int) -> TableColumn[ModeRow]:
-    """Share of one rigid motion in a mode."""
-    return TableColumn(f"participation_{MODE_NAMES[place]}", lambda row: float(row.participation[place]))
+def _participation(index: int) -> TableColumn[ModeRow]:
+    """Return the column of the share of one rigid motion in a mode."""
+    return TableColumn(f"participation_{MODE_NAMES[index]}", lambda row: float(row.participation[index]))
 
 
 MODES: list[TableColumn[ModeRow]] = [*columns_of(ModeRow)[:-1], *map(_participation, range(len(MODE_NAMES)))]
 
 
 class StiffnessRow(NamedTuple):
-    """Load per displacement of the platform in its own direction, by one model."""
+    """Load per displacement of the platform in the same direction, by one model."""
 
     model: str
     component: str
@@ -89,7 +89,7 @@ class StiffnessRow(NamedTuple):
 
 
 class ComparisonRow(NamedTuple):
-    """One mode by one model or measurement, or its spread over all of them: (max - min)/max, a ratio."""
+    """One mode by one model or measurement, or its relative range over all."""
 
     column: str
     kind: str
@@ -99,14 +99,14 @@ class ComparisonRow(NamedTuple):
 
 
 def _number(fact: StaticsFact, value: float) -> str:
-    """A number of the beam formulas."""
+    """Return a number of the beam formulas as text."""
     if np.isnan(value):
         return DASH
     return _plain(value) if fact.unit in ("N/m", "Pa") else f"{value:.4g}"
 
 
 def _plain(value: float) -> str:
-    """Four significant digits with a power of ten, as HTML."""
+    """Return four significant digits with a power of ten, as HTML."""
     return quantity_html(float(f"{value:.4g}"), 0.0)
 
 
@@ -121,7 +121,7 @@ STATICS: list[TableColumn[StaticsFact]] = [
 
 
 def _in_milli(name: str, head: str, value: Callable[[RigidPart], float]) -> TableColumn[PlatformFit]:
-    """A number of the fitted platform, on pages in thousandths of its unit."""
+    """Return a column of the fitted platform, on pages in thousandths of its unit."""
     return TableColumn(
         name, lambda fit: float(value(fit.platform)), head, lambda fit: f"{MILLI * value(fit.platform):.2f}"
     )
@@ -145,11 +145,11 @@ PLATFORM: list[TableColumn[PlatformFit]] = [
 
 
 def mode_rows(evaluation: ElementEvaluation) -> Iterator[ModeRow]:
-    """One row per mode of the frame, then of the solid on every mesh, and with a platform that does not bend."""
+    """Yield one row per mode of the frame and of the solid on every mesh."""
     modes, study = evaluation.frame.modes, evaluation.solid
-    for place, name in enumerate(MODE_NAMES):
-        frequency = float(modes.frequency_hz[place])
-        yield ModeRow("frame", 0, len(modes.shape), name, frequency, modes.participation[place])
+    for index, name in enumerate(MODE_NAMES):
+        frequency = float(modes.frequency_hz[index])
+        yield ModeRow("frame", 0, len(modes.shape), name, frequency, modes.participation[index])
     if study is not None:
         models = [("solid", *pair) for pair in zip(study.refinements, study.meshes, strict=True)]
         for label, refinement, model in [*models, ("solid, rigid platform", study.refinements[-2], study.rigid)]:
@@ -158,42 +158,42 @@ def mode_rows(evaluation: ElementEvaluation) -> Iterator[ModeRow]:
 
 
 def stiffnesses(evaluation: ElementEvaluation) -> dict[str, FloatArray]:
-    """Stiffness (6,) of every model."""
+    """Return the stiffness (6,) of every model."""
     solid = evaluation.solid
     models = {} if solid is None else {"solid": solid.finest, "solid, rigid platform": solid.rigid}
     return {"frame": evaluation.frame.stiffness, **{name: model.stiffness for name, model in models.items()}}
 
 
 def comparison_rows(evaluation: ElementEvaluation) -> Iterator[ComparisonRow]:
-    """One row per column and mode, then the spread of every mode."""
+    """Yield one row per column and mode, then the relative range of every mode."""
     for column in evaluation.columns:
         for name, frequency, u in zip(MODE_NAMES, column.frequency_hz.tolist(), column.u_hz.tolist(), strict=True):
             if np.isfinite(frequency):
                 yield ComparisonRow(column.name, column.kind, name, frequency, u)
-    for name, apart in zip(MODE_NAMES, spread(evaluation.columns).tolist(), strict=True):
-        yield ComparisonRow(SPREAD, "(max - min)/max", name, apart, np.nan)
+    for name, ratio in zip(MODE_NAMES, spread(evaluation.columns).tolist(), strict=True):
+        yield ComparisonRow(SPREAD, "(max - min)/max", name, ratio, np.nan)
 
 
 def headlines(evaluation: ElementEvaluation) -> list[Headline]:
-    """Frequencies of the frame, those of the solid below."""
+    """Return the frequencies of the frame, with those of the solid."""
     frame, solid = evaluation.frame.modes.frequency_hz, evaluation.solid
-    told = (
+    of_solid = (
         [""] * len(MODE_NAMES) if solid is None else [f"solid: {value:.0f} Hz" for value in solid.finest.frequency_hz]
     )
     shown = [MODE_NAMES.index(name) for name in ("Tx", "Tz", "Rx", "Rz")]
-    return [Headline(f"{MODE_NAMES[place]}, frame", f"{frame[place]:.1f} Hz", told[place]) for place in shown]
+    return [Headline(f"{MODE_NAMES[index]}, frame", f"{frame[index]:.1f} Hz", of_solid[index]) for index in shown]
 
 
 def _by_mode(caption: str, head: tuple[str, ...], rows: Iterable[tuple[str, ...]]) -> Table:
-    """A table whose last columns are the modes."""
+    """Return a table whose last columns are the modes."""
     return Table(caption, (*head, *MODE_NAMES), "l" + "r" * (len(head) + 5), tuple(rows))
 
 
 def comparison_table(evaluation: ElementEvaluation) -> Table:
-    """Natural frequencies by every model and measurement, and how far they are apart."""
+    """Return the natural frequencies by every model and measurement, with their relative range."""
     rows = []
     for column in evaluation.columns:
-        values, expanded = zip(*(_with_u(column, place) for place in range(6)), strict=True)
+        values, expanded = zip(*(_with_u(column, index) for index in range(6)), strict=True)
         rows.append((column.name, *values))
         if any(expanded):
             rows.append((f"U of {column.name}", *(text or DASH for text in expanded)))
@@ -202,29 +202,29 @@ def comparison_table(evaluation: ElementEvaluation) -> Table:
 
 
 def stiffness_table(evaluation: ElementEvaluation) -> Table:
-    """Static stiffness of the platform by model."""
+    """Return the static stiffness of the platform by model."""
     rows = tuple((label, *map(_plain, values.tolist())) for label, values in stiffnesses(evaluation).items())
     head = (
         "model",
         *(f"{name} / (N/m)" for name in MODE_NAMES[:3]),
         *(f"{name} / (N·m/rad)" for name in MODE_NAMES[3:]),
     )
-    caption = "Static stiffness: load per displacement in its own direction, the others free"
+    caption = "Static stiffness: load per displacement in the same direction, the others free"
     return Table(caption, head, "lrrrrrr", rows)
 
 
 def participation_table(evaluation: ElementEvaluation) -> Table:
-    """What each mode of the frame consists of."""
+    """Return the shares of the rigid motions in each mode of the frame."""
     modes = evaluation.frame.modes
     rows = [
-        (name, f"{modes.frequency_hz[place]:.1f}", *(f"{100.0 * share:.1f}" for share in modes.participation[place]))
-        for place, name in enumerate(MODE_NAMES)
+        (name, f"{modes.frequency_hz[index]:.1f}", *(f"{100.0 * share:.1f}" for share in modes.participation[index]))
+        for index, name in enumerate(MODE_NAMES)
     ]
     return _by_mode("Frame: share of each rigid motion's mass that moves in a mode / %", ("mode", "Hz"), rows)
 
 
 def convergence_table(evaluation: ElementEvaluation) -> Table | None:
-    """The solid on every mesh."""
+    """Return the frequencies of the solid on every mesh."""
     study, frame = evaluation.solid, evaluation.frame.modes.frequency_hz
     if study is None:
         return None
@@ -232,27 +232,27 @@ def convergence_table(evaluation: ElementEvaluation) -> Table | None:
     def on_mesh(label: str, model: SolidModel) -> tuple[str, ...]:
         return label, f"{model.unknowns}", *(f"{value:.1f}" for value in model.frequency_hz)
 
-    def apart(label: str, ratios: FloatArray) -> tuple[str, ...]:
+    def deviations(label: str, ratios: FloatArray) -> tuple[str, ...]:
         return label, "", *(signed_text(PERCENT * value) for value in ratios)
 
     rows = [on_mesh(f"mesh {n}", model) for n, model in zip(study.refinements, study.meshes, strict=True)]
     rows += [
-        apart("change with the last mesh / %", mesh_change(study.meshes)),
+        deviations("change with the last mesh / %", mesh_change(study.meshes)),
         on_mesh(f"mesh {study.refinements[-2]}, platform that does not bend", study.rigid),
-        apart("frame less solid / %", frame / study.finest.frequency_hz - 1.0),
-        apart("frame less that of a rigid platform / %", frame / study.rigid.frequency_hz - 1.0),
+        deviations("frame less solid / %", frame / study.finest.frequency_hz - 1.0),
+        deviations("frame less that of a rigid platform / %", frame / study.rigid.frequency_hz - 1.0),
     ]
     return _by_mode("Solid: natural frequencies in Hz as the mesh gets finer", ("mesh", "unknowns"), rows)
 
 
 def sensitivity_table(evaluation: ElementEvaluation) -> Table:
-    """Percent of frequency per percent of a dimension."""
+    """Return the relative change of frequency per relative change of a dimension."""
     rows = [(DIMENSION_LABELS[name], *map(signed_text, values)) for name, values in evaluation.sensitivity.items()]
-    return _by_mode("What tolerances do: change of the frame's frequencies in % per % of", ("dimension",), rows)
+    return _by_mode("Effect of tolerances: change of the frame's frequencies in % per % of", ("dimension",), rows)
 
 
 def mounted_table(evaluation: ElementEvaluation) -> Table | None:
-    """Modes of the chain of hand, sensor and pedestal."""
+    """Return the modes of the chain of hand, sensor and pedestal."""
     mounted = evaluation.mounted
     if mounted is None:
         return None
@@ -274,11 +274,14 @@ MARKERS = ("circle", "square", "diamond", "triangle", "inverted_triangle", "cros
 
 
 def draw_shapes(name: str, title: str, shapes: Sequence[DrawnShape]) -> tuple[PrintedFigure, bytes]:
-    """Six modes in space, at rest as lines and deformed as faces coloured by displacement; picture and png file."""
+    """Draw six modes in space; return figure and PNG file.
+
+    Lines are at rest, coloured faces are deformed.
+    """
     with drawing(name):
         figure = new_figure(4.6)
-        for place, shape in enumerate(shapes):
-            _panel(figure, place, shape)
+        for index, shape in enumerate(shapes):
+            _panel(figure, index, shape)
         figure.subplots_adjust(left=0.0, right=1.0, bottom=0.0, top=0.96, wspace=0.0, hspace=0.06)
         caption = (
             "Grey lines: at rest. Colour: displacement, from none (dark) to the largest (bright); the same largest "
@@ -288,10 +291,10 @@ def draw_shapes(name: str, title: str, shapes: Sequence[DrawnShape]) -> tuple[Pr
 
 
 def draw_compared(evaluation: ElementEvaluation) -> Drawing:
-    """Every column's frequencies as departure from those of the frame."""
+    """Draw the deviation of every column's frequencies from those of the frame."""
     columns = evaluation.columns
     frame = next(column for column in columns if column.kind == "frame")
-    places, width = np.arange(len(MODE_NAMES)), 0.7 / len(columns)
+    positions, width = np.arange(len(MODE_NAMES)), 0.7 / len(columns)
     drawn = empty_figure("elastomer-comparison", 3.0)
     (panel,) = drawn.panels
     panel.rule(0.0, colour=GREY)
@@ -299,16 +302,19 @@ def draw_compared(evaluation: ElementEvaluation) -> Drawing:
         departure = 100.0 * (column.frequency_hz / frame.frequency_hz - 1.0)
         expanded = np.nan_to_num(200.0 * column.u_hz / frame.frequency_hz)
         look = {"marker": MARKERS[c % len(MARKERS)], "colour": METHOD_COLOURS[c % len(METHOD_COLOURS)]}
-        known, shift = np.isfinite(departure), (c - 0.5 * (len(columns) - 1)) * width
-        if known.any():
-            panel.points(places[known] + shift, departure[known], column.name, half_y=expanded[known], **look)
+        finite, shift = np.isfinite(departure), (c - 0.5 * (len(columns) - 1)) * width
+        if finite.any():
+            panel.points(positions[finite] + shift, departure[finite], column.name, half_y=expanded[finite], **look)
     panel.x.names, panel.y.label, panel.title = tuple(MODE_NAMES), f"less {frame.name} / %", "natural frequencies"
     caption = "Departure of every column from the frame. Bars: expanded uncertainty U (k = 2) where there is one."
     return drawn.with_title("Models against one another", caption, main=True)
 
 
 def draw_hand(evaluation: ElementEvaluation) -> Drawing | None:
-    """The resonance over the mass of a hand joined without a spring, and the modes of the chain with springs."""
+    """Draw the resonance over the mass of a rigidly joined hand.
+
+    With the modes of the chain of springs.
+    """
     mounted, stated = evaluation.mounted, evaluation.definition.file.mounting
     if mounted is None or stated is None:
         return None
@@ -317,20 +323,20 @@ def draw_hand(evaluation: ElementEvaluation) -> Drawing | None:
     (panel,) = drawn.panels
     label = "hand joined without a spring (eq. 17)"
     panel.line(scale * mounted.hand_mass, mounted.mounted_hz, label, colour=BLUE)
-    places = np.full(len(mounted.frequency_hz), scale * stated.hand_mass)
-    panel.points(places, mounted.frequency_hz, "hand, sensor and pedestal on springs", colour=RED)
+    positions = np.full(len(mounted.frequency_hz), scale * stated.hand_mass)
+    panel.points(positions, mounted.frequency_hz, "hand, sensor and pedestal on springs", colour=RED)
     panel.y.limits = (0.0, 1.1 * float(max(mounted.frequency_hz.max(), mounted.mounted_hz.max())))
     panel.x.label = f"{'mass' if unit == 'g' else 'moment of inertia'} of the hand / {unit}"
     panel.y.label, panel.title = "natural frequency / Hz", f"mounted sensor, {mounted.direction}"
-    caption = "What a hand or gripper leaves of the element's own frequency."
+    caption = "Natural frequency of the element with a hand or gripper."
     return drawn.with_title(f"Resonance of the mounted sensor, {mounted.direction}", caption)
 
 
-def _panel(figure: Figure, place: int, shape: DrawnShape) -> None:
-    """One mode."""
+def _panel(figure: Figure, index: int, shape: DrawnShape) -> None:
+    """Draw one mode."""
     from mpl_toolkits.mplot3d.art3d import Line3DCollection, Poly3DCollection
 
-    axes: Any = figure.add_subplot(2, 3, place + 1, projection="3d", computed_zorder=False)
+    axes: Any = figure.add_subplot(2, 3, index + 1, projection="3d", computed_zorder=False)
     size = np.linalg.norm(shape.motion, axis=2)
     largest = float(size.max()) or 1.0
     extent = float(np.ptp(shape.rest_m[..., 0]))
@@ -358,14 +364,14 @@ def _panel(figure: Figure, place: int, shape: DrawnShape) -> None:
     )
 
 
-# What stands on the page, in the files and on the terminal.
+# Page, files and printed lines.
 
 
 def printed(evaluation: ElementEvaluation) -> Iterator[str]:
-    """Lines for the terminal."""
+    """Yield the printed lines."""
     lines: list[tuple[str, ...]] = [("", *MODE_NAMES)]
     for column in evaluation.columns:
-        pairs = [_with_u(column, place) for place in range(6)]
+        pairs = [_with_u(column, index) for index in range(6)]
         lines.append((column.name, *(f"{value} ± {expanded}" if expanded else value for value, expanded in pairs)))
     lines.append(("spread", *(f"{signed_text(PERCENT * value)} %" for value in spread(evaluation.columns))))
     width = max(len(column.name) for column in evaluation.columns)
@@ -374,18 +380,18 @@ def printed(evaluation: ElementEvaluation) -> Iterator[str]:
     stiffness = evaluation.frame.stiffness
     yield f"stiffness (frame): kx {stiffness[0]:.4g} N/m, kz {stiffness[2]:.4g} N/m"
     if evaluation.mounted is not None:
-        told = ", ".join(f"{value:.1f}" for value in evaluation.mounted.frequency_hz)
-        yield f"mounted, {evaluation.mounted.direction}: {told} Hz"
+        frequencies = ", ".join(f"{value:.1f}" for value in evaluation.mounted.frequency_hz)
+        yield f"mounted, {evaluation.mounted.direction}: {frequencies} Hz"
     for fit in evaluation.fits:
         part = fit.platform
         lengths = ", ".join(f"{MILLI * value:.1f}" for value in (part.height_m, part.gyration_m[0], part.gyration_m[2]))
-        told = f"{MILLI * part.mass_kg:.2f} g, height and gyrations {lengths} mm"
-        yield f"fitted platform, half-size {MILLI * fit.half_size_m:g} mm: {told}"
+        numbers = f"{MILLI * part.mass_kg:.2f} g, height and gyrations {lengths} mm"
+        yield f"fitted platform, half-size {MILLI * fit.half_size_m:g} mm: {numbers}"
 
 
-def _with_u(column: ComparedColumn, place: int) -> tuple[str, str]:
-    """One frequency and its U, which is empty of what is not measured."""
-    value, u = float(column.frequency_hz[place]), float(column.u_hz[place])
+def _with_u(column: ComparedColumn, index: int) -> tuple[str, str]:
+    """Return one frequency and its U, empty if not measured."""
+    value, u = float(column.frequency_hz[index]), float(column.u_hz[index])
     if not np.isfinite(value):
         return DASH, ""
     if column.kind != "measured" or not np.isfinite(u):
@@ -395,27 +401,29 @@ def _with_u(column: ComparedColumn, place: int) -> tuple[str, str]:
 
 
 def _context(evaluation: ElementEvaluation) -> dict[str, Any]:
-    """Everything the template shows."""
+    """Return the content of the page."""
     return {
         "subject": _subject(evaluation),
         "comparison": comparison_table(evaluation),
         "compared": [draw_compared(evaluation)],
-        "shapes": [picture for picture, _ in mode_shape_figures(evaluation).values()],
+        "shapes": [figure for figure, _ in mode_shape_figures(evaluation).values()],
         "participation": participation_table(evaluation),
         "stiffness": stiffness_table(evaluation),
         "statics": table("Beam formulas", STATICS, evaluation.facts),
         "convergence": convergence_table(evaluation),
         "sensitivity": sensitivity_table(evaluation),
         "platform": table(
-            "Platforms that have the wanted frequencies: any of them, so none is validated", PLATFORM, evaluation.fits
+            "Platforms with the target frequencies: all are possible, none is validated",
+            PLATFORM,
+            evaluation.fits,
         ),
         "mounted": mounted_table(evaluation),
-        "hand": [picture for picture in [draw_hand(evaluation)] if picture is not None],
+        "hand": [figure for figure in [draw_hand(evaluation)] if figure is not None],
     }
 
 
 def _subject(evaluation: ElementEvaluation) -> list[tuple[str, str]]:
-    """What the element is made of."""
+    """Return material and dimensions of the element."""
     beams, part = evaluation.definition.beams, evaluation.definition.platform
     size = evaluation.definition.file.platform.half_size
     material = beams.material
@@ -435,7 +443,7 @@ def _subject(evaluation: ElementEvaluation) -> list[tuple[str, str]]:
 
 
 def mode_shape_figures(evaluation: ElementEvaluation) -> dict[str, tuple[PrintedFigure, bytes]]:
-    """Return the pictures of the shapes by the name of their file."""
+    """Return the figures of the mode shapes by file name."""
     shapes = {"frame": frame_shapes(evaluation.definition, evaluation.frame)}
     if evaluation.solid is not None:
         shapes["solid"] = solid_shapes(evaluation.solid.meshes[0], evaluation.solid.finest)
@@ -463,14 +471,14 @@ def _fill(file: h5py.File, evaluation: ElementEvaluation) -> None:
     if evaluation.fits:
         fits = {}
         for fit in evaluation.fits:
-            told = {"platform": fit.platform, "frequency_hz": fit.frequency_hz, "largest_misfit": fit.misfit}
-            fits[f"half_size_{fit.half_size_m:g}"] = told
+            values = {"platform": fit.platform, "frequency_hz": fit.frequency_hz, "largest_misfit": fit.misfit}
+            fits[f"half_size_{fit.half_size_m:g}"] = values
         write_value(file, "fits", fits)
     write_value(file, "mounted", evaluation.mounted)
 
 
 def _files(evaluation: ElementEvaluation) -> dict[str, str | bytes]:
-    """Tables and pictures."""
+    """Return tables and figures."""
     stiffness = (
         StiffnessRow(label, f"k{name}", value, "N/m" if name.startswith("T") else "N.m/rad")
         for label, values in stiffnesses(evaluation).items()
@@ -508,9 +516,10 @@ def run_elastomer(
     allow_outside: bool = False,
     progress: ProgressCallback = no_progress,
 ) -> None:
-    """Model the element that a file (or elastomer.toml in a folder) states, write the results, print the comparison.
+    """Model the element of GEOMETRY.toml, write the results and print the comparison.
 
-    Results stand in the folder `elastomer` beside the file, or in `output`.
+    `path`: the file, or a folder with elastomer.toml. Results are written to the folder `elastomer` next to the file,
+    or to `output`.
     """
     file = path / "elastomer.toml" if path.is_dir() else path
     read = {file.resolve(): seen} if (seen := FileIdentity.of(file)) else None

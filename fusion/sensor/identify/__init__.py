@@ -1,1 +1,1 @@
-"""Mechanics of the sensor from several loads."""
+"""Mechanics of the sensor from frequency responses under several loads."""

@@ -1,4 +1,4 @@
-"""A campaign of several loads to the mechanics of the sensor."""
+"""Evaluation of a campaign of several loads: the mechanics of the sensor."""
 
 from __future__ import annotations
 
@@ -29,6 +29,7 @@ from fusion.sensor.identify.identification_inputs import (
     load_along,
     prepare,
 )
+from fusion.sensor.identify.identification_notices import NO_BAND_OF_PITCHING_LOAD, PEAK_NOT_READ
 from fusion.sensor.identify.joint_fit import (
     JointFit,
     SensitivityResult,
@@ -58,10 +59,10 @@ relative change for one standard uncertainty of that mass."""
 def sensitivities(
     recordings: Sequence[RecordingResults], changes: Mapping[int, Mapping[str, OtherMass]]
 ) -> tuple[MeasuredSensitivity, ...]:
-    """Return the sensitivity of the output of every driven component over frequency, all recordings together.
+    """Return the sensitivity of every driven component over frequency, of all recordings together.
 
-    Of the sensor's own element where its matrix is stated, as campaigns give it, else of the ratio. `changes`: of the
-    load components whose internal mass was found what it makes of a sensitivity, by recording.
+    If the sensor's matrix is stated, it is the element of the matrix, as in campaigns, otherwise the ratio. `changes`:
+    correction for the fitted internal mass, by load component and recording.
     """
     sensor = next((recorded.sensor for recorded in recordings if recorded.sensor is not None), None)
     if sensor is None:
@@ -87,10 +88,10 @@ def _sensitivity(
     value, whole = np.array([ratio[0] for ratio, _ in parts]), join_lines([part for _, part in parts])
     errors: tuple[CurveError, ...] = ()
     if changes is not None:
-        factor, own = np.array([changes[drive.recording](drive.frequency_hz) for drive in usable]).T
-        kept = tuple(influence for influence in whole.influences if influence.label != INTERNAL_MASS)
-        value, whole = value * factor, replace(whole, influences=kept).scaled(factor[:, None])
-        errors = (CurveError(INTERNAL_MASS, own[:, None]),)
+        factor, change = np.array([changes[drive.recording](drive.frequency_hz) for drive in usable]).T
+        other = tuple(influence for influence in whole.influences if influence.label != INTERNAL_MASS)
+        value, whole = value * factor, replace(whole, influences=other).scaled(factor[:, None])
+        errors = (CurveError(INTERNAL_MASS, change[:, None]),)
     static = 0.0 if sensor.static is None else float(sensor.static[sensor.channels.index(channel), component])
     return MeasuredSensitivity(
         channel=channel,
@@ -106,7 +107,7 @@ def _sensitivity(
 
 
 def main_output(sensor: SensorFacts, component: int, drives: Sequence[ExcitedLine]) -> str:
-    """Return which output belongs to a load component: that of its name, else the largest, static or as found."""
+    """Return the output of a load component: that of its name, otherwise the largest."""
     channels = drives[0].channels
     if LOAD_COMPONENTS[component] in channels:
         return LOAD_COMPONENTS[component]
@@ -117,7 +118,7 @@ def main_output(sensor: SensorFacts, component: int, drives: Sequence[ExcitedLin
     return channels[int(np.argmax(size))]
 
 
-# What every method reads from the resonance of every curve, side by side with the joint fit.
+# Readings of the resonance of every curve by every method, with the joint fit.
 
 
 _DEPARTS = 3.0  # residuals over the noise, rms, from which one oscillator does not explain a peak
@@ -137,10 +138,10 @@ LABELS = {
 
 @dataclass(frozen=True)
 class CurveReading:
-    """One method's reading of one curve, and the stiffness and damping that follow with the mass that moves.
+    """The reading of one curve by one method, with the resulting stiffness and damping.
 
-    `width_hz`: the width the method reads, or 2ζf₀; k = (2πf₀)²m and b = 2ζ√(km) with m = load + internal mass;
-    standard uncertainties of the curve's noise, of `oscillator` and `joint` of all that is stated; NaN: not told.
+    `width_hz`: width of the method, or 2ζf₀. k = (2πf₀)²m and b = 2ζ√(km) with m = load + internal mass. Standard
+    uncertainties are those of the curve's noise, of `oscillator` and `joint` of all stated causes. NaN: not determined.
     """
 
     recording: str
@@ -158,9 +159,9 @@ class CurveReading:
 
 
 def read_curves(fit: JointFit, internal_mass: float) -> tuple[tuple[CurveReading, ...], tuple[Notice, ...]]:
-    """Return all readings of all curves of a joint fit, and why some could not be read.
+    """Return the readings of all curves of a joint fit, with notices of failures.
 
-    Stiffness and damping by equations 9 and 10 of Nitsche et al. 2018 with the mass that moves.
+    Stiffness and damping by equations 9 and 10 of Nitsche et al. 2018 with the moving mass.
     """
     readings: list[CurveReading] = []
     notices: list[Notice] = []
@@ -172,8 +173,8 @@ def read_curves(fit: JointFit, internal_mass: float) -> tuple[tuple[CurveReading
             try:
                 peaks = list(_peak_readings(fit, item, response))
             except ValueError as error:
-                text = f"no peak was read ({ARGUMENT.sub('', str(error))})"
-                notices.append(Notice("note", text, f"{name}: {response}"))
+                reason = ARGUMENT.sub("", str(error))
+                notices.append(Notice(PEAK_NOT_READ, f"{name}: {response}", reason=reason))
                 continue
             for peak in peaks:
                 k = required_stiffness(peak.frequency_hz, moved)
@@ -183,18 +184,18 @@ def read_curves(fit: JointFit, internal_mass: float) -> tuple[tuple[CurveReading
 
 
 def _peak_readings(fit: JointFit, item: PreparedTransfer, response: str) -> Iterator[PeakReading]:
-    """What the methods that look at one curve read, then what the joint fit says of the modes of its recording."""
+    """Yield the readings of one curve by each method, and by the joint fit."""
     measured = item.measured
     ratio = measured.ratio.select([response])
     correlation = measured.line_correlation
     yield from peak_readings(
         MeasuredCurve(ratio.frequency_hz, ratio.value[:, 0], ratio.covariance, line_correlation=correlation)
     ).all
-    own = [found for found in item.resonances if found.response == response]
-    if own:
-        highest = max(own, key=lambda found: abs(found.fit.model(np.array([found.fit.frequency_hz]))[0]))
+    of_response = [found for found in item.resonances if found.response == response]
+    if of_response:
+        highest = max(of_response, key=lambda found: abs(found.fit.model(np.array([found.fit.frequency_hz]))[0]))
         departs = float(np.sqrt(highest.fit.chi_squared / highest.fit.dof))
-        note = f"departs from one oscillator by {departs:.2g} times the noise" if departs > _DEPARTS else ""
+        note = f"deviates from one oscillator by {departs:.2g} times the noise" if departs > _DEPARTS else ""
         f0, u_f0 = highest.fit.frequency_hz, highest.u_frequency_hz
         yield _mode_reading("oscillator", f0, u_f0, highest.fit.damping_ratio, highest.u_damping_ratio, note)
     for mode in fit.identification.modes:
@@ -204,20 +205,26 @@ def _peak_readings(fit: JointFit, item: PreparedTransfer, response: str) -> Iter
 
 
 def _mode_reading(method: str, f0: float, u_f0: float, zeta: float, u_zeta: float, note: str = "") -> PeakReading:
-    """Frequency f₀ (Hz) and damping ratio of a mode as a reading, whose width is 2ζf₀."""
+    """Return f₀ (Hz) and damping ratio of a mode as a reading.
+
+    Its width is 2ζf₀.
+    """
     return PeakReading(method, f0, u_f0, 2.0 * zeta * f0, 2.0 * u_zeta * f0, zeta, u_zeta, note)
 
 
-# What an identified sensor consists of.
+# Parts of an identified sensor.
 
 
 @dataclass(frozen=True)
 class IdentifiedComponent:
-    """Everything found of one component of the sensor.
+    """All results of one component of the sensor.
 
-    `internal_mass`: value, u and unit of what moves with the load inside the sensor; `sensitivity`: None without
-    evaluated sines of this component; `model`: what a correction needs, supported by data in `range_hz`; `bands`: one
-    per load mass `loads`.
+    Attributes
+    ----------
+    internal_mass : value, u and unit of the mass that moves with the load inside the sensor.
+    sensitivity : None without evaluated sines of this component.
+    model : the model for corrections, supported by data in `range_hz`.
+    bands : one per load mass of `loads`.
     """
 
     fit: JointFit
@@ -247,27 +254,43 @@ class IdentifyEvaluation(CommandEvaluation):
 
 
 def evaluate_identification(campaign: IdentificationInputs, settings: IdentifySettings) -> IdentifyEvaluation:
-    """Return what all recordings of a campaign say of the sensor together.
+    """Evaluate all recordings of a campaign together: stiffness, damping and internal mass of the sensor.
 
-    Raises `InputError` for what the user can mend in the files.
+    Parameters
+    ----------
+    campaign
+        Recordings of `read_campaign`.
+    settings
+        Choices of the identification.
 
+    Returns
+    -------
+    IdentifyEvaluation : one result per driven component.
+
+    Raises
+    ------
+    InputError : a file or key that the user has to correct.
+    ComputeError : the recordings do not determine a model.
+
+    Examples
+    --------
     >>> from fusion import evaluate_identification
     >>> from fusion.sensor.identify.identification_inputs import IdentifySettings, read_campaign
     >>> evaluation = evaluate_identification(read_campaign("masses"), IdentifySettings())  # doctest: +SKIP
     """
     started = time.monotonic()
     manifests = [*campaign.transfers, *(item.manifest for item in campaign.sines)]
-    called = [manifest.name for manifest in manifests]  # a name that occurs twice gets the folder's beside it
+    called = [manifest.name for manifest in manifests]  # a name that occurs twice is extended by that of the folder
     names = {m.path: m.name if called.count(m.name) == 1 else f"{m.name} [{m.folder.name}]" for m in manifests}
-    found, told_of = zip(*(prepare(m, names[m.path], settings.band_hz) for m in campaign.transfers), strict=True)
+    found, of_preparation = zip(*(prepare(m, names[m.path], settings.band_hz) for m in campaign.transfers), strict=True)
     starts = start_names({item.measured.name: item.grids for item in found})
     prepared = [add_clock_errors(item, starts[item.measured.name]) for item in found]
-    notices = [*campaign.notices, *(notice for told in told_of for notice in told)]
+    notices = [*campaign.notices, *(notice for notices_of in of_preparation for notice in notices_of)]
     recorded = []
     for sine in campaign.sines:
-        told_by, name = read_recorded(sine.results), names[sine.manifest.path]
-        drives = tuple(replace(drive, recording=name) for drive in told_by.excited_lines)
-        recorded.append(replace(told_by, name=name, excited_lines=drives))
+        results, name = read_recorded(sine.results), names[sine.manifest.path]
+        drives = tuple(replace(drive, recording=name) for drive in results.excited_lines)
+        recorded.append(replace(results, name=name, excited_lines=drives))
     driven_lines = with_starts(drive for entry in recorded for drive in entry.excited_lines)
     starts = {drive.recording: drive.start for drive in driven_lines}
     recorded = [replace(r, excited_lines=tuple(d for d in driven_lines if d.recording == r.name)) for r in recorded]
@@ -279,9 +302,9 @@ def evaluate_identification(campaign: IdentificationInputs, settings: IdentifySe
     sensor = next((manifest.rig.sensor for manifest in manifests if manifest.rig.sensor is not None), None)
     components = []
     for fit in fits:
-        component, own = _component(fit, measured.get(LOAD_COMPONENTS[fit.component]), sensor, settings)
+        component, of_component = _component(fit, measured.get(LOAD_COMPONENTS[fit.component]), sensor, settings)
         components.append(component)
-        notices += own
+        notices += of_component
     return IdentifyEvaluation(
         name=campaign.name,
         sensor=sensor,
@@ -294,23 +317,23 @@ def evaluate_identification(campaign: IdentificationInputs, settings: IdentifySe
 
 
 def _by_found_mass(fit: JointFit, sines: Sequence[EvaluatedSines], names: Mapping[Path, str]) -> dict[str, OtherMass]:
-    """Return by recording what the internal mass found, in place of the one stated, makes of a sensitivity.
+    """Return the correction of a sensitivity for the fitted internal mass, by recording.
 
-    Its factor, (m + m_i stated)/(m + m_i found) with the mass m of what is mounted on the sensor, and its relative
-    change for one standard uncertainty of the internal mass, -u(m_i)/(m + m_i found). On a joint m is over the motion
-    below it; of what bends it is the mass that its foot feels.
+    Its factor is (m + m_i stated)/(m + m_i fitted) with the mass m on the sensor. Its relative change for one standard
+    uncertainty of the internal mass is -u(m_i)/(m + m_i fitted). On a joint, m is relative to the motion below it. Of
+    an elastic load, it is the effective mass at its foot.
     """
-    found, place = fit.identification[mass_name(fit.component)], fit.component
+    found, index = fit.identification[mass_name(fit.component)], fit.component
 
     def other(manifest: Manifest, stated: float, frequency_hz: float) -> tuple[complex, complex]:
-        load: complex = load_along(manifest, place)
+        load: complex = load_along(manifest, index)
         if (bent := FlexibleLoad.of(manifest, np.array([frequency_hz]))) is not None:
-            load = complex(bent.inertia[0, place, place] / bent.follow[0, place])
+            load = complex(bent.inertia[0, index, index] / bent.follow[0, index])
         return (load + stated) / (load + found.value), -found.u / (load + found.value)
 
     moving = {sine.manifest.path: sine.manifest for sine in sines if sine.manifest.rig.load is not None}
     return {
-        names[path]: partial(other, manifest, manifest.rig.sensor.moving(place)[0])
+        names[path]: partial(other, manifest, manifest.rig.sensor.moving(index)[0])
         for path, manifest in moving.items()
         if manifest.rig.sensor is not None
     }
@@ -319,15 +342,14 @@ def _by_found_mass(fit: JointFit, sines: Sequence[EvaluatedSines], names: Mappin
 def _component(
     fit: JointFit, measured: MeasuredSensitivity | None, sensor: Sensor | None, settings: IdentifySettings
 ) -> tuple[IdentifiedComponent, list[Notice]]:
-    """Return everything of one component, and what is to be said of it."""
+    """Return all results of one component with their notices."""
     mass = fit.identification[mass_name(fit.component)]
     readings, unread = read_curves(fit, mass.value)
     found = model_sensitivity(fit, measured, sensor)
     notices = [*fit.notices, *unread, *found.notices]
     loads = settings.load_masses_kg or tuple(sorted(dict.fromkeys(item.load_kg for item in fit.prepared)))
     if fit.model == "pitching":
-        text = "no usable band is given: that of a load that pitches depends on where the force acts, not on its mass"
-        notices.append(Notice("note", f"{text} alone", fit.axis))
+        notices.append(Notice(NO_BAND_OF_PITCHING_LOAD, fit.axis))
         loads = ()
     bands = tuple(usable_band(found.model, Load(kg, "force"), settings.permitted) for kg in loads)
     return IdentifiedComponent(

@@ -1,4 +1,4 @@
-"""Figures of an identification: curves with model and residual, circles, sensitivity with its explanations, bands."""
+"""Figures of an identification: fitted curves, circles, sensitivity, and usable bands."""
 
 from __future__ import annotations
 
@@ -34,12 +34,12 @@ from shaker.identification.sensor import NO_CHAIN, Load
 from shaker.labels import typeset
 
 STYLES = ((GREEN, True), (PURPLE, True), (BLACK, False))
-"""Colour of what explains a sensitivity, and whether its line is dashed."""
+"""Colour of each explanation of a sensitivity, and whether its line is dashed."""
 NEAR_WIDTHS, CIRCLE_WIDTHS = 8.0, 4.0
 """Half-power widths on both sides of the resonances that the enlarged panels and the circles show."""
 PANELS_ACROSS = 3
 REGION = float(np.sqrt(-2.0 * np.log(0.05)))
-"""Radius of the circle that holds a complex error 95 times in 100, in standard uncertainties of its parts."""
+"""Radius of the 95 % region of a complex error, in standard uncertainties of its parts: sqrt(-2 ln 0.05)."""
 POINTS = 400
 
 
@@ -60,25 +60,25 @@ class FittedCurve:
     modes: tuple[tuple[float, float], ...]
 
     def near(self, widths: float) -> BoolArray:
-        """Lines (K,) within some half-power widths of the resonances."""
+        """Return the lines (K,) within some half-power widths of the resonances."""
         low = min(f - widths * width for f, width in self.modes)
         high = max(f + widths * width for f, width in self.modes)
         return np.asarray((self.frequency_hz >= low) & (self.frequency_hz <= high))
 
 
 def curve_figures(component: IdentifiedComponent) -> list[Figure]:
-    """Curve, model and residual of every recording with lines enough to be drawn, then all circles."""
+    """Return figures of every recording with enough lines, then all circles."""
     recordings = [
-        [_curve(component, place, name) for name in item.measured.ratio.channels]
-        for place, item in enumerate(component.fit.prepared)
+        [_curve(component, index, name) for name in item.measured.ratio.channels]
+        for index, item in enumerate(component.fit.prepared)
         if len(item.measured.ratio.frequency_hz) >= FEWEST_LINES
     ]
-    pictures = [draw_fit(f"fit-{component.name}-{place}", curves) for place, curves in enumerate(recordings)]
-    return [*pictures, draw_circles(f"circles-{component.name}", [curve for curves in recordings for curve in curves])]
+    figures = [draw_fit(f"fit-{component.name}-{index}", curves) for index, curves in enumerate(recordings)]
+    return [*figures, draw_circles(f"circles-{component.name}", [curve for curves in recordings for curve in curves])]
 
 
-def _curve(component: IdentifiedComponent, place: int, response: str) -> FittedCurve:
-    measured, identified = component.fit.prepared[place].measured, component.fit.identification
+def _curve(component: IdentifiedComponent, index: int, response: str) -> FittedCurve:
+    measured, identified = component.fit.prepared[index].measured, component.fit.identification
     one = measured.ratio.select([response])
     modes = [mode for mode in identified.modes if mode.record == measured.name]
     return FittedCurve(
@@ -86,25 +86,25 @@ def _curve(component: IdentifiedComponent, place: int, response: str) -> FittedC
         response=response,
         frequency_hz=one.frequency_hz,
         value=one.value[:, 0],
-        model=identified.model[place][:, measured.ratio.channels.index(response)],
+        model=identified.model[index][:, measured.ratio.channels.index(response)],
         u=np.sqrt(np.linalg.eigvalsh(one.covariance)[:, -1]),
         modes=tuple((mode.frequency_hz, 2.0 * mode.damping_ratio * mode.frequency_hz) for mode in modes),
     )
 
 
 def draw_fit(name: str, curves: Sequence[FittedCurve]) -> Figure:
-    """All responses of one recording: magnitude, phase and residual, the whole band left and the resonance right."""
+    """Draw all responses of one recording: magnitude, phase and residual, whole band and resonance."""
     drawn = empty_figure(name, 5.8, (1.7, 1.1, 1.0), 2)
     for column, zoom in enumerate((False, True)):
         upper, middle, lower = drawn.panels[column::2]
-        for place, curve in enumerate(curves):
-            near, colour = curve.near(NEAR_WIDTHS), COLOURS[place % len(COLOURS)]
+        for index, curve in enumerate(curves):
+            near, colour = curve.near(NEAR_WIDTHS), COLOURS[index % len(COLOURS)]
             lines = near if zoom and np.count_nonzero(near) > 2 else np.ones(len(near), np.bool_)
             frequency, value, model = curve.frequency_hz[lines], curve.value[lines], curve.model[lines]
             draw_response(upper, middle, frequency, value, dots=zoom, colour=colour, label=curve.response)
             draw_response(upper, middle, frequency, model, colour=BLACK, dashed=True, label="joint model")
-            away = np.abs(value - model) / (REGION * curve.u[lines])
-            lower.points(frequency, away, curve.response, colour=colour, size=2.0 if zoom else 1.2)
+            scaled = np.abs(value - model) / (REGION * curve.u[lines])
+            lower.points(frequency, scaled, curve.response, colour=colour, size=2.0 if zoom else 1.2)
         lower.rule(1.0, width=0.7, dashed=True)
         lower.x.label = "frequency / Hz"
         for panel, text in zip((upper, middle, lower), ("magnitude", "phase", "residual"), strict=True):
@@ -112,14 +112,14 @@ def draw_fit(name: str, curves: Sequence[FittedCurve]) -> Figure:
             panel.title = f"{text}, around the resonance" if zoom else text
     caption = (
         "Acceleration of the load over that of the base: measured (colours) and the joint model (black, dashed), "
-        "the whole band left, the resonance right. Below: |measured − model| over the radius that holds "
-        "the noise 95 times in 100, the common errors found taken off: 5 % of the lines are expected above one."
+        "the whole band left, the resonance right. Below: |measured − model| over the radius of the "
+        "95 % region of the noise, corrected for common errors: 5 % of the lines are expected above one."
     )
     return drawn.with_title(f"{curves[0].recording}: curve, model and residual", caption, main=True)
 
 
 def draw_circles(name: str, curves: Sequence[FittedCurve]) -> Figure:
-    """Every curve in the complex plane around its resonances, with the model."""
+    """Draw every curve in the complex plane around its resonances, with the model."""
     across = 2 if len(curves) in (2, 4) else min(len(curves), PANELS_ACROSS)
     down = -(-len(curves) // across)
     drawn = empty_figure(name, 0.75 + 3.0 * down, down, across, shared_x=False)
@@ -139,8 +139,8 @@ def _draw_circle(panel: Panel, curve: FittedCurve) -> None:
     value, model, frequency = curve.value[lines], curve.model[lines], curve.frequency_hz[lines]
     for along in ("x", "y"):
         panel.rule(0.0, along=along, colour=LIGHT)
-    told = tuple(f"{hertz:.6g} Hz" for hertz in frequency)
-    panel.points(value.real, value.imag, "measured", colour=BLUE, size=2.4, names=told)
+    names = tuple(f"{hertz:.6g} Hz" for hertz in frequency)
+    panel.points(value.real, value.imag, "measured", colour=BLUE, size=2.4, names=names)
     panel.line(model.real, model.imag, "model", colour=RED, width=0.9)
     if len(frequency):
         at = [int(np.argmin(np.abs(frequency - f0))) for f0, _ in curve.modes]
@@ -154,13 +154,13 @@ def _draw_circle(panel: Panel, curve: FittedCurve) -> None:
 
 
 def sensitivity_figures(component: IdentifiedComponent) -> list[Figure]:
-    """Sensitivity with its explanations, and the output over force of every load."""
+    """Return figures of the sensitivity with its explanations, and of the output over force."""
     explained = [] if component.sensitivity is None else [draw_explained(component, component.sensitivity)]
     return [*explained, *([draw_outputs_over_load(component)] if component.bands else [])]
 
 
 def draw_explained(component: IdentifiedComponent, item: SensitivityResult) -> Figure:
-    """Magnitude and phase of the sensitivity with U (k = 2), and what spring, chain and both would make of it."""
+    """Draw the sensitivity with U (k = 2), and the curves of spring and chain."""
     measured, best = item.measured, item.comparison.best
     covariance = measured.covariance
     if measured.errors:
@@ -194,14 +194,14 @@ def draw_explained(component: IdentifiedComponent, item: SensitivityResult) -> F
         panel.x.limits, panel.x.link = (0.0, float(hertz[-1])), "frequency"
     lower.x.label = "frequency / Hz"
     caption = (
-        f"Complex sensitivity, {label}, and what would make it fall: the sensor's spring and damper alone "
-        "with k and b of the resonance (equations 1 and 2), the measuring chain alone, and both together."
+        f"Complex sensitivity, {label}, and possible explanations: the sensor's spring and damper "
+        "with k and b of the resonance (equations 1 and 2), the measuring chain, and both together."
     )
     return drawn.with_title(f"Sensitivity with model curves, {label}", caption, main=True)
 
 
 def draw_outputs_over_load(component: IdentifiedComponent) -> Figure:
-    """Output over force of several load masses, and how far it stays within the error permitted."""
+    """Draw the output over force of several load masses with the permitted error."""
     model, permitted = component.model, component.bands[0].permitted
     highest = max(model.resonance_hz(Load(kg, "force")) for kg in component.loads)
     hertz, unit = np.linspace(0.0, highest, POINTS), mass_unit(component.fit.component)
@@ -209,8 +209,8 @@ def draw_outputs_over_load(component: IdentifiedComponent) -> Figure:
     (panel,) = drawn.panels
     panel.span(-100.0 * permitted, 100.0 * permitted, colour=GREY)
     for kg, band, colour in zip(component.loads, component.bands, COLOURS, strict=False):
-        away = 100.0 * (np.abs(model.output_factor(hertz, Load(kg, "force")) / model.sensitivity) - 1.0)
-        panel.line(hertz, away, f"{kg:.4g} {unit}", colour=colour)
+        deviation = 100.0 * (np.abs(model.output_factor(hertz, Load(kg, "force")) / model.sensitivity) - 1.0)
+        panel.line(hertz, deviation, f"{kg:.4g} {unit}", colour=colour)
         if np.isfinite(band.upper_hz):
             panel.rule(band.upper_hz, f"{kg:.4g} {unit}", along="x", colour=colour, dashed=True)
             ends = (band.upper_hz - K2 * band.u_upper_hz, band.upper_hz + K2 * band.u_upper_hz)

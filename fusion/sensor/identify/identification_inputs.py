@@ -1,4 +1,4 @@
-"""What an identification is fitted to: transfer functions of several loads and where transducers sit."""
+"""Inputs of an identification: transfer functions of several loads, and positions of transducers."""
 
 from __future__ import annotations
 
@@ -19,6 +19,18 @@ from fusion.recording.manifest import ChannelEntry
 from fusion.report.folder import RESULT_FILE, InputFiles, hash_files, read_provenance
 from fusion.sensitivity.elastic import InstrumentPosition, NaturalModes
 from fusion.sensitivity.moving_body import JOINT, Body, inertia_errors, joint_unknown, load_body, rigid_load
+from fusion.sensor.identify.identification_notices import (
+    BAND_WITHOUT_LINES,
+    DIFFERENT_SENSOR,
+    ELASTIC_LOAD,
+    MISSING_IDENTIFICATION_ENTRY,
+    MISSING_MOTION_CHANNEL,
+    NO_TRANSFER_RECORDING,
+    OUTDATED_SINE_RESULTS,
+    REFERENCE_ACROSS_DRIVE,
+    REFERENCES_NOT_USED,
+    SINES_NOT_EVALUATED,
+)
 from fusion.sensor.transfer.transfer_evaluation import KINDS, evaluate_transfer
 from fusion.sensor.transfer.transfer_records import FoundResonance, ReferenceResult, TransferSettings
 from shaker.arrays import ComplexArray, FloatArray
@@ -34,7 +46,7 @@ from shaker.labels import LOAD_COMPONENTS, MOTION_COMPONENTS, mechanical_units, 
 from shaker.sine.phasor import Phasors
 from shakercal._common.notices import Notice
 
-# What a user may choose of an identification.
+# Choices of an identification.
 
 
 ModelChoice = Literal["auto", "translation", "pitching", "adapter"]
@@ -84,31 +96,31 @@ class IdentifySettings:
         }
 
 
-# Where the channels of a transfer recording measure, and what is uncertain of it, by names that hold everywhere.
+# Positions of the channels of a transfer recording and their errors, under names common to all commands.
 
 
 def transducer_placement(entry: ChannelEntry) -> Placement:
-    """Return where and along what a channel measures, of an angular velocity about what."""
+    """Return position and direction of a channel, of an angular velocity its axis."""
     turning = TRANSDUCERS[entry.quantity].rotational
     return Placement(np.zeros(3) if turning else measuring_point(entry), unit_direction(entry), turning)
 
 
 def placement_errors(base: ChannelEntry, tops: Sequence[ChannelEntry], mounting: str) -> tuple[PlacementError, ...]:
-    """Return what is uncertain of the places and directions of reference and responses.
+    """Return the errors of positions and directions of reference and responses.
 
-    An unknown keeps its value as long as nothing is mounted anew: until then it is one in all recordings and, under its
-    name, in the results of sines.
+    An unknown has the same value until the transducer is mounted again. It is one unknown in all recordings of a
+    mounting, and has the same name in the results of sines.
     """
     beams = LaserBeams.of([base, *tops])
-    placed = [(base, REFERENCE_INDEX), *((entry, place) for place, entry in enumerate(tops))]
+    placed = [(base, REFERENCE_INDEX), *((entry, index) for index, entry in enumerate(tops))]
     return tuple(
-        PlacementError(f"{error.name} [{mounting}]", place, error.effect)
-        for entry, place in placed
+        PlacementError(f"{error.name} [{mounting}]", index, error.effect)
+        for entry, index in placed
         for error in geometry_errors(TRANSDUCERS[entry.quantity], entry, beams)
     )
 
 
-# The recordings of a campaign sorted by what they say of the sensor.
+# The recordings of a campaign by kind.
 
 
 RESULTS = "results"
@@ -124,9 +136,9 @@ class EvaluatedSines:
 
 @dataclass(frozen=True)
 class IdentificationInputs:
-    """What is there to be read: recordings with transfer functions, evaluated sines, and what is said of the others.
+    """Recordings with transfer functions, evaluated sines, and notices of recordings that are not used.
 
-    `inputs`: every file that is used, by its path seen from `folder`.
+    `inputs`: every input file by its path relative to `folder`.
     """
 
     name: str
@@ -138,10 +150,10 @@ class IdentificationInputs:
 
 
 def read_campaign(path: Path, *, allow_outside: bool = False) -> IdentificationInputs:
-    """Read the manifests of a campaign folder, or of one recording, and check that they tell of one sensor.
+    """Read the manifests of a campaign folder, or of one recording.
 
-    Sines count where they have results of these very files. Raises `InputError` where no recording has transfer
-    functions.
+    All must be of one sensor. Sines are used if they have results of the same input files. Raises `InputError` without
+    any transfer function.
     """
     folder = (path.parent if path.is_file() else path).resolve()
     manifests = [load_manifest(recording, allow_outside=allow_outside) for recording in find_recordings(path)]
@@ -149,18 +161,15 @@ def read_campaign(path: Path, *, allow_outside: bool = False) -> IdentificationI
     if not transfers:
         kinds = ", ".join(dict.fromkeys(manifest.excitation.kind for manifest in manifests))
         where = manifests[0].path if len(manifests) == 1 else path
-        expected = f"a recording of the kind {', '.join(KINDS[:-1])} or {KINDS[-1]}, which shows a transfer function"
-        raise InputError(where, "excitation.kind", found=f"only {kinds}", expected=expected)
+        expected = f"{', '.join(KINDS[:-1])} or {KINDS[-1]}"
+        raise InputError(NO_TRANSFER_RECORDING, where, "excitation.kind", found=kinds, expected=expected)
     results = [(manifest, _results(manifest)) for manifest in manifests if manifest.excitation.kind == "sine"]
-    sines = tuple(EvaluatedSines(manifest, place) for manifest, place in results if place is not None)
-    missing = [manifest.name for manifest, place in results if place is None]
+    sines = tuple(EvaluatedSines(manifest, folder) for manifest, folder in results if folder is not None)
+    missing = [manifest.name for manifest, folder in results if folder is None]
     notices = []
-    if len(missing) == 1:
-        text = "this recording of sines has no results of `shakercal run`, which would add its sensitivity"
-        notices.append(Notice("note", text, missing[0]))
-    elif missing:
-        text = "recordings of sines have no results of `shakercal run`, which would add their sensitivity"
-        notices.append(Notice("note", f"{len(missing)} {text}", "campaign"))
+    if missing:
+        name = missing[0] if len(missing) == 1 else "campaign"
+        notices.append(Notice(SINES_NOT_EVALUATED, name, count=len(missing)))
     used = [*transfers, *(item.manifest for item in sines)]
     check_sensor(used)
     files = [file for manifest in used for file in manifest.files]
@@ -175,23 +184,28 @@ def check_sensor(manifests: Sequence[Manifest]) -> None:
     for (manifest, sensor), key in product(named[1:], ("name", "serial")):
         first, one, other = named[0][0], getattr(named[0][1], key), getattr(sensor, key)
         if one != other:
-            expected = f'the sensor of {first.rig_path}, "{one}"'
-            raise InputError(manifest.rig_path, f"sensor.{key}", found=f'"{other}"', expected=expected)
+            raise InputError(
+                DIFFERENT_SENSOR,
+                manifest.rig_path,
+                f"sensor.{key}",
+                expected=one,
+                file=str(first.rig_path),
+                found=other,
+            )
 
 
 def _results(manifest: Manifest) -> Path | None:
-    """Return the folder with results of a recording, its own or the campaign's; results of other files are refused."""
-    places = (manifest.folder / RESULTS, manifest.folder.parent / RESULTS / manifest.folder.name)
-    found = [(place, read_provenance(place)) for place in places]
-    there = [(place, origin) for place, origin in found if origin is not None]
-    if not there:
+    """Return the folder with results of a recording, None without any; outdated results are refused."""
+    folders = (manifest.folder / RESULTS, manifest.folder.parent / RESULTS / manifest.folder.name)
+    found = [(folder, read_provenance(folder)) for folder in folders]
+    available = [(folder, origin) for folder, origin in found if origin is not None]
+    if not available:
         return None
     hashes = hash_files(manifest.files, manifest.root, manifest.file_identities).hashes
-    for place, origin in there:
+    for folder, origin in available:
         if origin.input_hashes == hashes:
-            return place
-    expected = "the results of these very input files; shakercal run evaluates the recording anew"
-    raise InputError(there[0][0] / RESULT_FILE, "", found="results of other input files", expected=expected)
+            return folder
+    raise InputError(OUTDATED_SINE_RESULTS, available[0][0] / RESULT_FILE)
 
 
 # From an evaluated transfer recording and its rig to the curve that a model of the sensor is fitted to.
@@ -200,15 +214,15 @@ def _results(manifest: Manifest) -> Path | None:
 SETTINGS = TransferSettings(quantity="acceleration")
 """Every motion as an acceleration, so that a ratio has no unit."""
 CLOCK = "clock "
-"""How names of unknowns of a clock's tie begin."""
-_ALONG = 1e-3  # share of the drive that the reference must see
+"""Prefix of the names of clock errors."""
+_MIN_ALONG = 1e-3  # part of the drive that the reference must measure
 
 
 @dataclass(frozen=True)
 class PreparedTransfer:
-    """A curve to be fitted, the recording it comes from, and the `resonances` found in its responses one by one.
+    """A curve to be fitted, with its recording and the resonances of its single responses.
 
-    `grids`: where trigger edges fall between the samples of every block, none where no clocks had to be tied.
+    `grids`: positions of trigger edges between the samples of every block, empty if no clocks were tied.
     """
 
     manifest: Manifest
@@ -218,17 +232,17 @@ class PreparedTransfer:
 
     @property
     def component(self) -> int:
-        """Which of the six components is driven most."""
+        """Index of the component that is driven most."""
         return component_of(self.measured.drive)
 
     @property
     def load_kg(self) -> float:
-        """Mass, or moment of inertia, along the driven component of what is mounted on the sensor."""
+        """Mass, or moment of inertia, on the sensor along the driven component."""
         return float(self.measured.mass_matrix[self.component, self.component])
 
     @property
     def u_load_kg(self) -> float:
-        """Its standard uncertainty."""
+        """Standard uncertainty of `load_kg`."""
         changes = [error.change[self.component, self.component] for error in self.measured.inertia_errors]
         return float(np.sqrt(np.sum(np.square(changes))))
 
@@ -240,11 +254,11 @@ class PreparedTransfer:
 def prepare(
     manifest: Manifest, name: str, band_hz: tuple[float, float] | None
 ) -> tuple[PreparedTransfer, tuple[Notice, ...]]:
-    """Evaluate a recording and return its curves of load over base by the `name` that tells it from the others.
+    """Evaluate a recording, and return its curves of load over base under a unique `name`.
 
-    Of several references on the base the first is used; responses that are no translation of the load, or turn of one
-    that is turned, are left out.
-    What is said of one oscillator fitted to one response is left to the readings. Raises `InputError`.
+    Of several references on the base the first is used. Responses that measure no translation of the load (or no
+    rotation of a rotating rig) are left out. Notices of single oscillators are left to the readings. Raises
+    `InputError`.
     """
     entries = {entry.name: entry for daq in manifest.daq for entry in daq.channel if entry.quantity != "trigger"}
     drive, body = drive_of(manifest), rigid_load(manifest)
@@ -254,8 +268,14 @@ def prepare(
     measured_by = [entries[channel] for channel in result.transfer.ratio.channels]
     tops = [entry for entry in measured_by if entry.body == "load" and _shows_motion(entry, drive)]
     if not tops:
-        expected = f'a {_wanted(drive)} with body = "load"'
-        raise InputError(manifest.path, "excitation.response", found="none on the load", expected=expected)
+        raise InputError(
+            MISSING_MOTION_CHANNEL,
+            manifest.path,
+            "excitation.response",
+            expected=_motion_quantities(drive),
+            body="load",
+            found="none on the load",
+        )
     blocks = [daq for daq in manifest.daq if any(entry in daq.channel for entry in (base, *tops))]
     clock = blocks[0] if len(blocks) == 1 else manifest.daq[0]
     ratio, errors = _load_over_base(manifest, result, [entry.name for entry in tops], name, band_hz)
@@ -277,52 +297,50 @@ def prepare(
         bending=None if bent is None else bent.bending(placed, manifest.mounting, _on_load(manifest, tops)),
     )
     found = tuple(item for item in result.resonances if item.response in ratio.channels)
-    alone = {f"{channel}/{base.name}" for channel in result.transfer.ratio.channels}
+    of_curves = {f"{channel}/{base.name}" for channel in result.transfer.ratio.channels}
     notices = [
-        replace(notice, where=f"{name}: {notice.where}" if notice.where else name)
+        notice.at(f"{name}: {notice.where}" if notice.where else name)
         for notice in evaluation.notices
-        if notice.where not in alone
+        if notice.where not in of_curves
     ]
     others = [reference for reference in manifest.excitation.reference if reference != base.name]
     if others:
-        text = f"of several references {base.name} is used, {', '.join(others)} left out"
-        notices.append(Notice("note", text, name))
+        notices.append(Notice(REFERENCES_NOT_USED, name, used=base.name, unused=", ".join(others)))
     stated = "" if bent is None else bent.stated
     if stated:
-        text = f"{stated} of the load stated: in the model of its curves; readings of single curves take it as rigid"
-        notices.append(Notice("note", text, name))
+        notices.append(Notice(ELASTIC_LOAD, name, stated=stated))
     grids = tuple(clock.grid for clock in evaluation.clocks if clock.grid is not None)
-    known = grids if len(grids) == len(evaluation.clocks) else ()
-    return PreparedTransfer(manifest, measured, found, known), tuple(notices)
+    complete = grids if len(grids) == len(evaluation.clocks) else ()
+    return PreparedTransfer(manifest, measured, found, complete), tuple(notices)
 
 
 def add_clock_errors(item: PreparedTransfer, start: str) -> PreparedTransfer:
-    """Return a curve whose clock ties are unknowns of all recordings of one `start` (`fusion.campaign.excited_line`)."""
-    own, measured = f" [{item.measured.name}]", item.measured
+    """Return a curve whose clock errors are common to all recordings of one `start` (`fusion.campaign.drive`)."""
+    suffix, measured = f" [{item.measured.name}]", item.measured
     errors = tuple(
-        replace(error, name=f"{error.name.removesuffix(own)} [{start}]") if error.name.startswith(CLOCK) else error
+        replace(error, name=f"{error.name.removesuffix(suffix)} [{start}]") if error.name.startswith(CLOCK) else error
         for error in measured.errors
     )
     return replace(item, measured=replace(measured, errors=errors))
 
 
 def _on_load(manifest: Manifest, tops: Sequence[ChannelEntry]) -> list[InstrumentPosition]:
-    """Return where channels sit on a load that bends; of a rigid one where they sit does not matter."""
+    """Return the positions of channels on an elastic load; empty for a rigid one."""
     if manifest.rig.load is None or not manifest.rig.load.elastic:
         return []
     for entry in tops:
         if entry.point is None:
-            expected = f"where {entry.name} sits on the load, which is elastic (load.elastic of rig.toml)"
-            raise InputError(manifest.path, "daq.channel.point", found="nothing", expected=expected)
+            expected = f"the position of {entry.name} on the load, which is elastic (load.elastic of rig.toml)"
+            raise InputError(MISSING_IDENTIFICATION_ENTRY, manifest.path, "daq.channel.point", expected=expected)
     return [InstrumentPosition(entry.name, measuring_point(entry)) for entry in tops]
 
 
 @dataclass(frozen=True)
 class FlexibleLoad:
-    """Load and parts of a recording, not all rigid and free, at K lines, without what moves inside the sensor.
+    """Elastic, jointed or cabled load and parts of a recording at K lines.
 
-    `inertia` (K, 6, 6): wrench that moves them, per acceleration of the foot of what bends, above the joint; `follow`
-    (K, 6): motion of what lies below the joint over that.
+    Without the internal mass of the sensor. `inertia` (K, 6, 6): wrench per acceleration of the foot of the elastic
+    part, above the joint. `follow` (K, 6): motion above the joint over that below.
     """
 
     body: Body
@@ -332,7 +350,7 @@ class FlexibleLoad:
 
     @classmethod
     def of(cls, manifest: Manifest, frequency_hz: FloatArray) -> FlexibleLoad | None:
-        """Return None of a load of which modes, joint, first natural frequency and cables are not stated."""
+        """Return None if modes, joint, first natural frequency and cables are not stated."""
         body = load_body(manifest.rig.model_copy(update={"sensor": None}), manifest.part)
         if body is None:
             return None
@@ -344,26 +362,30 @@ class FlexibleLoad:
 
     @property
     def stated(self) -> str:
-        """Words for what is stated."""
+        """Names of the stated properties."""
         body = self.body
         cables = np.any(body.cable_npm) or np.any(body.u_cable_npm)
         first = body.first_frequency_hz is not None
-        known = {"modes": body.elastic, "joint": body.joint, "first natural frequency": first, "cables": cables}
-        return ", ".join(word for word, there in known.items() if there)
+        properties = {"modes": body.elastic, "joint": body.joint, "first natural frequency": first, "cables": cables}
+        return ", ".join(word for word, is_stated in properties.items() if is_stated)
 
-    def bending(self, tops: Sequence[Placement], mounting: str, places: Sequence[InstrumentPosition] = ()) -> Bending:
-        """Return what responses read and what pulls, per motion of what lies below the joint.
+    def bending(
+        self, tops: Sequence[Placement], mounting: str, positions: Sequence[InstrumentPosition] = ()
+    ) -> Bending:
+        """Return the readings of responses and the wrench per motion below the joint.
 
-        `places`: theirs on what bends, none where they tell the motion of its foot.
+        `positions`: positions of the responses on the elastic part, empty if they measure the motion of its foot.
         """
         body, frequency, rows = self.body, self.frequency_hz, np.stack([top.row for top in tops])
-        nothing = np.zeros((len(frequency), *rows.shape), np.complex128)
+        zero = np.zeros((len(frequency), *rows.shape), np.complex128)
 
         def stretched(modes: NaturalModes) -> ComplexArray:
-            own = [row @ modes.stretch(frequency, place) for row, place in zip(rows, places, strict=False)]
-            return np.stack(own, axis=1) if own else nothing
+            readings = [
+                row @ modes.stretch(frequency, position) for row, position in zip(rows, positions, strict=False)
+            ]
+            return np.stack(readings, axis=1) if readings else zero
 
-        seen = rows + sum((part.act(stretched) for part in body.elastic), nothing)
+        seen = rows + sum((part.act(stretched) for part in body.elastic), zero)
         over = 1.0 / self.follow[:, None]
         terms = {"": (self.inertia * over - body.mass_matrix, seen * over - rows)}
         reads = {change.name: change.effect for part in body.elastic for change in part.changes(stretched)}
@@ -371,8 +393,8 @@ class FlexibleLoad:
         for change in body.matrix_changes(frequency):
             if change.name not in rigid and change.label != JOINT:
                 name = change.name if change.scope == "rig" else f"{change.name} [{mounting}]"
-                # As in the results of sines, one standard deviation is that of a number stated too high.
-                terms[name] = -change.effect * over, -reads.get(change.name, nothing) * over
+                # The sign is that of the results of sines: of a number stated too high.
+                terms[name] = -change.effect * over, -reads.get(change.name, zero) * over
         if body.joint is not None:
             parts = tuple(part for part in body.parts if not part.below_joint)
             above = replace(body, parts=parts).load_matrix(frequency)
@@ -395,37 +417,38 @@ def component_of(drive: FloatArray) -> int:
 
 
 def load_along(manifest: Manifest, component: int) -> float:
-    """Return the mass, or moment of inertia, along a component of what is mounted on the sensor."""
+    """Return the mass, or moment of inertia, on the sensor along a component."""
     return float(rigid_load(manifest).mass_matrix[component, component])
 
 
 def mass_unit(component: int) -> str:
-    """Return the printed unit of what resists an acceleration component."""
+    """Return the printed unit of the mass, or moment of inertia, of a component."""
     return typeset(mechanical_units(LOAD_COMPONENTS[component]).inertia)
 
 
 def _base_entry(manifest: Manifest, entries: dict[str, ChannelEntry], drive: FloatArray) -> ChannelEntry:
-    """Return the first reference that measures the base; the others are refused where there is none."""
+    """Return the first reference that measures the base; raise `InputError` without one."""
     named = [entries[name] for name in manifest.excitation.reference if name in entries]
     for entry in named:
         if entry.body == "base" and _shows_motion(entry, drive):
-            if abs(float(transducer_placement(entry).row @ drive)) < _ALONG * float(np.linalg.norm(drive)):
-                found = f'"{entry.name}", which looks across excitation.direction'
-                raise InputError(manifest.path, "excitation.reference", found, "a motion along the excitation")
+            if abs(float(transducer_placement(entry).row @ drive)) < _MIN_ALONG * float(np.linalg.norm(drive)):
+                raise InputError(REFERENCE_ACROSS_DRIVE, manifest.path, "excitation.reference", found=entry.name)
             return entry
-    expected = f'a {_wanted(drive)} with body = "base", over which the motion of the load is taken'
-    told = ", ".join(f'"{entry.name}" ({entry.quantity} of {entry.body or "no body"})' for entry in named)
-    raise InputError(manifest.path, "excitation.reference", found=told or "nothing", expected=expected)
+    channels = ", ".join(f'"{entry.name}" ({entry.quantity} of {entry.body or "no body"})' for entry in named)
+    key, found = "excitation.reference", channels or "none"
+    raise InputError(
+        MISSING_MOTION_CHANNEL, manifest.path, key, expected=_motion_quantities(drive), body="base", found=found
+    )
 
 
 def _shows_motion(entry: ChannelEntry, drive: FloatArray) -> bool:
-    """Whether a channel measures a translation, or the turning of a rig that is turned."""
+    """Return whether a channel measures a translation, or the rotation of a rotating rig."""
     seen = TRANSDUCERS.get(entry.quantity)
     return seen is not None and (not seen.rotational or bool(np.any(drive[3:] != 0.0)))
 
 
-def _wanted(drive: FloatArray) -> str:
-    """Words for the quantities that show the motion of a rig driven along `drive`."""
+def _motion_quantities(drive: FloatArray) -> str:
+    """Return the quantities that measure the motion of a rig driven along `drive`, in words."""
     shown = [t.quantity.replace("_", " ") for t in TRANSDUCERS.values() if not t.rotational or np.any(drive[3:] != 0.0)]
     return f"{', '.join(shown[:-1])} or {shown[-1]}"
 
@@ -437,23 +460,29 @@ def _load_over_base(
     recording: str,
     band_hz: tuple[float, float] | None,
 ) -> tuple[Phasors, tuple[CurveError, ...]]:
-    """Return the ratios of some responses in the band with the covariance of their noise, and their common errors.
+    """Return ratios of some responses in the band, and their common errors.
 
-    A delay has the sign it has in a run (a signal that is later than stated), and a clock's tie is the recording's own
-    (`with_clocks_of`).
+    The covariance of the ratios is that of their noise. A delay has the same sign as in a run: positive for a signal
+    later than stated. Clock errors are those of the recording (`add_clock_errors`).
     """
     ratio = replace(result.transfer.ratio, covariance=result.random_covariance).select(channels)
     frequency, chosen = ratio.frequency_hz, np.ones(len(ratio.frequency_hz), dtype=np.bool_)
     if band_hz is not None:
         chosen = (frequency >= band_hz[0]) & (frequency <= band_hz[1])
         if not np.any(chosen):
-            found = f"{band_hz[0]:g} to {band_hz[1]:g} Hz"
-            expected = f"a --band that holds lines between {frequency[0]:.6g} and {frequency[-1]:.6g} Hz"
-            raise InputError(manifest.path, "excitation.band", found=found, expected=expected)
-    places = [result.transfer.ratio.channels.index(channel) for channel in channels]
+            raise InputError(
+                BAND_WITHOUT_LINES,
+                manifest.path,
+                "excitation.band",
+                first_hz=float(frequency[0]),
+                last_hz=float(frequency[-1]),
+                low_hz=band_hz[0],
+                high_hz=band_hz[1],
+            )
+    columns = [result.transfer.ratio.channels.index(channel) for channel in channels]
     errors = []
     for error in result.errors:
-        relative = error.relative[:, places] * (-1.0 if error.name.endswith(": delay") else 1.0)
+        relative = error.relative[:, columns] * (-1.0 if error.name.endswith(": delay") else 1.0)
         name = f"{error.name} [{recording}]" if error.name.startswith(CLOCK) else error.name
         if np.any(relative != 0.0):
             errors.append(CurveError(name, relative[chosen]))

@@ -1,4 +1,4 @@
-"""What an identification leaves: parameters.csv, readings.csv, model.json, identify.h5, the page and printed lines."""
+"""Files, page and printed lines of an identification, and the command."""
 
 from __future__ import annotations
 
@@ -55,14 +55,14 @@ from shaker.identification.sensor import (
 )
 from shaker.labels import LOAD_COMPONENTS, mechanical_units, typeset
 
-# Every number found, in files, on the page and in the lines of the terminal.
+# Numbers in files, on the page and on the terminal.
 
 
 K = coverage_factor(np.inf)
 """For 95 %; the degrees of freedom of a joint fit of many lines are many, and not counted."""
-Found = tuple[str, ParameterEstimate, str]
+FoundNumber = tuple[str, ParameterEstimate, str]
 """Component, number, and the method that found it."""
-NUMBERS: list[TableColumn[Found]] = [
+NUMBERS: list[TableColumn[FoundNumber]] = [
     text_column("component", lambda row: row[0]),
     text_column("name", lambda row: row[1].name),
     TableColumn("value", lambda row: row[1].value),
@@ -74,38 +74,38 @@ NUMBERS: list[TableColumn[Found]] = [
 ]
 
 
-def numbers(component: IdentifiedComponent) -> Iterator[Found]:
-    """Yield every number found of a component."""
-    fit, own = component.fit, component.name
+def numbers(component: IdentifiedComponent) -> Iterator[FoundNumber]:
+    """Yield every number of a component."""
+    fit, axis = component.fit, component.name
     how = f"joint fit, {fit.model}"
     for estimate in fit.identification.estimates:
         stated = estimate.name == component.internal_mass.name and not fit.mass_is_free
-        yield own, estimate, f"{how}, stated beforehand" if stated else how
+        yield axis, estimate, f"{how}, stated beforehand" if stated else how
     for estimate in fit.identification.derived:
-        yield own, estimate, how
+        yield axis, estimate, how
     curves = {reading.recording for reading in component.readings}
     for mode in fit.identification.modes:
         if mode.record in curves:
-            place = f"{mode.record}, mode {mode.number + 1}"
+            mode_name = f"{mode.record}, mode {mode.number + 1}"
             f0, zeta = (mode.frequency_hz, mode.u_frequency_hz, "Hz"), (mode.damping_ratio, mode.u_damping_ratio, "1")
-            yield own, ParameterEstimate(f"frequency: {place}", f"resonance f₀, {place}", *f0), how
-            yield own, ParameterEstimate(f"damping_ratio: {place}", f"damping ratio ζ, {place}", *zeta), how
+            yield axis, ParameterEstimate(f"frequency: {mode_name}", f"resonance f₀, {mode_name}", *f0), how
+            yield axis, ParameterEstimate(f"damping_ratio: {mode_name}", f"damping ratio ζ, {mode_name}", *zeta), how
     if component.sensitivity is not None:
         best = component.sensitivity.comparison.best
         for estimate in best.estimates:
-            yield own, estimate, f"sensitivity over frequency, {CHAIN_WORDS[best.chain.kind]}"
+            yield axis, estimate, f"sensitivity over frequency, {CHAIN_WORDS[best.chain.kind]}"
     for load, band in zip(component.loads, component.bands, strict=True):
         name, label = f"usable_band: load {load:.6g}", f"usable band, load {load:.6g}"
-        yield own, ParameterEstimate(name, label, band.upper_hz, band.u_upper_hz, "Hz"), "sensor model"
+        yield axis, ParameterEstimate(name, label, band.upper_hz, band.u_upper_hz, "Hz"), "sensor model"
 
 
-LIMITS = {"rise": "resonance", "drop": "fall of the output", "phase": "phase", "nothing": "nothing"}
+LIMITS = {"rise": "resonance", "drop": "fall of the output", "phase": "phase", "nothing": "none"}
 _LARGEST_CAUSES = 12
 
 
 def parameters_table(component: IdentifiedComponent) -> Table | None:
-    """Parameters, lags and modes of a component with U."""
-    columns: list[TableColumn[Found]] = [
+    """Return parameters, lags and modes of a component with U."""
+    columns: list[TableColumn[FoundNumber]] = [
         page_column("parameter", lambda row: _label(row[1].label), "l"),
         page_column("value ± U", lambda row: _with_u(row[1])),
         page_column("U / %", lambda row: _relative(row[1].value, row[1].u)),
@@ -116,7 +116,7 @@ def parameters_table(component: IdentifiedComponent) -> Table | None:
 
 
 def correlation_table(component: IdentifiedComponent) -> Table:
-    """Correlation of the parameters of the joint fit."""
+    """Return the correlation of the parameters of the joint fit."""
     found = component.fit.identification
     labels = [_label(estimate.label) for estimate in found.estimates]
     cells = [[f"{value:+.3f}".replace("-", "\N{MINUS SIGN}") for value in row] for row in found.correlation.tolist()]
@@ -125,28 +125,28 @@ def correlation_table(component: IdentifiedComponent) -> Table:
 
 
 def budget_table(component: IdentifiedComponent) -> Table:
-    """What every cause adds to the uncertainty of the parameters, largest first, what is far below only bounded."""
+    """Return the contribution of every cause to the parameters, the largest first."""
     estimates = component.fit.identification.estimates
     size = np.abs([estimate.value for estimate in estimates])
     share = {cause: np.abs(change) / size for cause, change in component.fit.identification.budget.items()}
     ordered = sorted(share, key=lambda cause: -float(np.max(share[cause])))
-    kept = [cause for cause in ordered if np.max(share[cause]) > 1e-3 * np.max(share[ordered[0]])][:_LARGEST_CAUSES]
+    shown = [cause for cause in ordered if np.max(share[cause]) > 1e-3 * np.max(share[ordered[0]])][:_LARGEST_CAUSES]
     whole = np.array([estimate.u for estimate in estimates]) / size
     rows = tuple(
         (cause, *(f"{100.0 * part:.2g}" if part >= 1e-7 else "< 10⁻⁵" for part in parts.tolist()))
-        for cause, parts in [*((cause, share[cause]) for cause in kept), ("combined, k = 1", whole)]
+        for cause, parts in [*((cause, share[cause]) for cause in shown), ("combined, k = 1", whole)]
     )
     head = ("contribution", *(Markup("u({}) / %").format(_label(estimate.label)) for estimate in estimates))
     return Table("Budget, relative to each parameter", head, "l" + "r" * len(estimates), rows)
 
 
 def readings_tables(component: IdentifiedComponent) -> list[Table]:
-    """What every method reads from every curve, stiffness in units of a power of ten."""
+    """Return the readings of every curve by every method."""
     units = mechanical_units(LOAD_COMPONENTS[component.fit.component])
     below, shown = Markup('{}<br><span class="below">{}</span>'), []
     for (recording, response), group in groupby(component.readings, attrgetter("recording", "response")):
-        own = list(group)
-        exponent = round_to_uncertainty(max(reading.stiffness for reading in own), 0.0).exponent
+        of_curve = list(group)
+        exponent = round_to_uncertainty(max(reading.stiffness for reading in of_curve), 0.0).exponent
         rows = tuple(
             (
                 below.format(LABELS[reading.method], reading.note) if reading.note else LABELS[reading.method],
@@ -156,7 +156,7 @@ def readings_tables(component: IdentifiedComponent) -> list[Table]:
                 f"{reading.stiffness / 10.0**exponent:.5f}",
                 f"{reading.damping:.5g}" if np.isfinite(reading.damping) else DASH,
             )
-            for reading in own
+            for reading in of_curve
         )
         stiffness = Markup("k / ({})").format(times_ten(exponent, typeset(units.stiffness)))
         head = ("method", "f / Hz", "width / Hz", "ζ / %", stiffness, f"b / ({typeset(units.damping)})")
@@ -165,7 +165,7 @@ def readings_tables(component: IdentifiedComponent) -> list[Table]:
 
 
 def explanations_table(component: IdentifiedComponent) -> Table | None:
-    """The explanations of the sensitivity side by side."""
+    """Return the explanations of the sensitivity."""
     if component.sensitivity is None:
         return None
     comparison = component.sensitivity.comparison
@@ -175,7 +175,7 @@ def explanations_table(component: IdentifiedComponent) -> Table | None:
         return Markup("; ").join(Markup(f"{e.label} {_in_microseconds(e)}") for e in named) or DASH
 
     columns: list[TableColumn[tuple[SensitivityFit, float, str]]] = [
-        page_column("explanation beside b/k of the resonance", lambda row: CHAIN_WORDS[row[0].chain.kind], "l"),
+        page_column("explanation in addition to b/k", lambda row: CHAIN_WORDS[row[0].chain.kind], "l"),
         page_column("found", lambda row: chain(row[0]), "l"),
         page_column("χ² / dof", lambda row: f"{row[0].chi_squared:.1f} / {row[0].dof}"),
         page_column("probability", lambda row: small(row[0].probability)),
@@ -183,11 +183,11 @@ def explanations_table(component: IdentifiedComponent) -> Table | None:
         page_column("verdict", lambda row: row[2], "l"),
     ]
     rows = zip(comparison.fits, comparison.weight.tolist(), comparison.verdict, strict=True)
-    return table("What makes the sensitivity change with frequency", columns, rows)
+    return table("Explanations of the sensitivity over frequency", columns, rows)
 
 
 def bands_table(component: IdentifiedComponent) -> Table | None:
-    """Usable band without correction for each load mass, None where there is none."""
+    """Return the usable band without correction for each load mass, None without any."""
 
     def edge(band: UsableBand) -> str:
         return quantity_html(band.upper_hz, K * band.u_upper_hz, "Hz") if np.isfinite(band.upper_hz) else "no limit"
@@ -204,7 +204,7 @@ def bands_table(component: IdentifiedComponent) -> Table | None:
 
 
 def recordings_table(component: IdentifiedComponent) -> Table | None:
-    """The recordings behind the joint fit."""
+    """Return the recordings of the joint fit."""
 
     def band(item: PreparedTransfer) -> str:
         frequency = item.measured.ratio.frequency_hz
@@ -223,7 +223,7 @@ def recordings_table(component: IdentifiedComponent) -> Table | None:
 
 
 def headlines(evaluation: IdentifyEvaluation) -> list[Headline]:
-    """Stiffness, damping and internal mass along each component, and delay or lag of the chain where S(f) has one."""
+    """Return stiffness, damping, internal mass, and delay or lag of each component."""
     shown = []
     for component in evaluation.components:
         main = (f"stiffness_{component.name}", f"damping_{component.name}", component.internal_mass.name)
@@ -241,7 +241,7 @@ def headlines(evaluation: IdentifyEvaluation) -> list[Headline]:
 
 
 def printed(evaluation: IdentifyEvaluation) -> Iterator[str]:
-    """Lines for the terminal: parameters with U at 95 %, then bands."""
+    """Yield the printed lines: parameters with U at 95 %, then bands."""
     for component in evaluation.components:
         fit = component.fit
         yield f"{component.name}: {fit.model} ({fit.reason}), {len(fit.prepared)} recordings"
@@ -249,14 +249,15 @@ def printed(evaluation: IdentifyEvaluation) -> Iterator[str]:
         if component.sensitivity is not None:
             estimates += [e for e in component.sensitivity.comparison.best.estimates if e.name != "spring_time_s"]
         for estimate in estimates:
-            yield f"  {estimate.label}: {round_to_uncertainty(estimate.value, K * estimate.u).text} {typeset(estimate.unit)}"
+            text = round_to_uncertainty(estimate.value, K * estimate.u).text
+            yield f"  {estimate.label}: {text} {typeset(estimate.unit)}"
         for load, band in zip(component.loads, component.bands, strict=True):
-            text = round_to_uncertainty(band.upper_hz, K * band.u_upper_hz, 0)
-            yield f"  usable up to ({band.permitted:.2%}, load {load:.6g}): {text.value} ± {text.expanded} Hz"
+            limit = round_to_uncertainty(band.upper_hz, K * band.u_upper_hz, 0)
+            yield f"  usable up to ({band.permitted:.2%}, load {load:.6g}): {limit.value} ± {limit.expanded} Hz"
 
 
 def _in_microseconds(estimate: ParameterEstimate) -> Markup:
-    """Value with U and unit, of a time in µs."""
+    """Return a value with U and unit; times in µs."""
     scale, unit = (1e6, "µs") if estimate.unit == "s" else (1.0, estimate.unit)
     return quantity_html(scale * estimate.value, scale * K * estimate.u, unit)
 
@@ -266,18 +267,18 @@ def _with_u(estimate: ParameterEstimate) -> str:
 
 
 def _relative(value: float, u: float) -> str:
-    """Relative U in per cent, a dash where there is none."""
+    """Return the relative U in %, a dash if not determined."""
     share = K * u / abs(value) if value and np.isfinite(value) else np.nan
     return small(100.0 * share) if np.isfinite(share) else DASH
 
 
 def _label(text: str) -> Markup:
-    """A label with its index typeset."""
+    """Return a label with its index typeset."""
     return Markup("{}m<sub>i</sub>{}").format(*text.split("m_i", 1)) if "m_i" in text else Markup("{}").format(text)
 
 
 def page_context(evaluation: IdentifyEvaluation) -> dict[str, Any]:
-    """Everything the template shows."""
+    """Return the content of the page."""
     sensor = evaluation.sensor
     subject = []
     if sensor is not None:
@@ -290,7 +291,7 @@ def page_context(evaluation: IdentifyEvaluation) -> dict[str, Any]:
 
 
 def _component_context(component: IdentifiedComponent) -> dict[str, Any]:
-    sentences = ["No sensitivity over frequency was evaluated: whether the chain has a lag remains open."]
+    sentences = ["No sensitivity over frequency was evaluated: whether the chain has a lag is not determined."]
     if component.sensitivity is not None:
         comparison = component.sensitivity.comparison
         sentences = [comparison.text, *([] if comparison.damping is None else [comparison.damping.text])]
@@ -310,7 +311,7 @@ def _component_context(component: IdentifiedComponent) -> dict[str, Any]:
     }
 
 
-# model.json, what a correction needs: written and read.
+# model.json, the model for corrections: written and read.
 
 
 MODEL_FILE = "model.json"
@@ -318,10 +319,14 @@ MODEL_FILE = "model.json"
 
 @dataclass(frozen=True)
 class ComponentModel:
-    """The model of one component: output `channel` for the load `component` (Fx … Mz), from data in `range_hz`.
+    """The model of one component: output `channel` for the load `component` (Fx … Mz).
 
-    `structure`: what the resonances were explained by. `sensitivity_measured`: whether S(f) was evaluated, without
-    which the chain is unknown and the static sensitivity that of the rig, or one.
+    Attributes
+    ----------
+    structure : the model that explains the resonances.
+    range_hz : frequency range of the data.
+    sensitivity_measured : whether S(f) was evaluated. Without it the chain is not known, and the static sensitivity is
+        that of the rig, or one.
     """
 
     component: str
@@ -364,8 +369,23 @@ def model_text(evaluation: IdentifyEvaluation) -> str:
 
 
 def read_sensor_models(path: str | Path) -> SensorFile:
-    """Read model.json, or the one in a folder of results; `InputError` names what cannot be read.
+    """Read the models of a sensor from model.json.
 
+    Parameters
+    ----------
+    path
+        The file, or a folder of results that contains it.
+
+    Returns
+    -------
+    SensorFile : the models by component, such as `["Fz"]`.
+
+    Raises
+    ------
+    InputError : the file is missing, or damaged at the named entry.
+
+    Examples
+    --------
     >>> from fusion import read_sensor_models
     >>> sensor = read_sensor_models("my-masses/identify")["Fz"].sensor  # doctest: +SKIP
     """
@@ -378,7 +398,7 @@ def read_sensor_models(path: str | Path) -> SensorFile:
 
 
 def _model_of(component: IdentifiedComponent) -> dict[str, Any]:
-    """One component as nested dictionaries; numbers are SI, the covariance in the order of its parameters."""
+    """Return one component as nested dictionaries in SI units."""
     model, seen, identified = component.model, component.sensitivity, component.fit.identification
     values = [model.sensitivity, model.stiffness, model.damping, model.internal_mass, *model.chain.parameters.tolist()]
     damper = next(e for e in identified.estimates if e.name.startswith(f"damping_{component.name}"))
@@ -431,7 +451,7 @@ def _read_component(item: dict[str, Any]) -> ComponentModel:
 
 
 def _fill(file: h5py.File, evaluation: IdentifyEvaluation) -> None:
-    """Fill the HDF5 file: of each component why which model, what was fitted, curves with model and residual, S(f)."""
+    """Fill the HDF5 file with model, fit, curves and sensitivity of each component."""
     file.attrs["campaign"] = evaluation.name
     file.attrs["phasors"] = "x(t) = Re{X exp(+j omega t)}; covariances of [all Re, all Im]; k = 1"
     write_value(file, "notices", evaluation.notices)
@@ -444,11 +464,11 @@ def _fill(file: h5py.File, evaluation: IdentifyEvaluation) -> None:
         for name in (*found, "chi_squared", "dof", "budget"):
             write_value(identified, name, getattr(fit.identification, name))
         curves = group.create_group("recordings", track_order=True)
-        for place, item in enumerate(fit.prepared):
-            own = curves.create_group(f"{place:03d}", track_order=True)
-            write_fields(own, item.measured)
-            write_value(own, "model", fit.identification.model[place])
-            write_value(own, "residual", fit.identification.residual[place])
+        for index, item in enumerate(fit.prepared):
+            recording_group = curves.create_group(f"{index:03d}", track_order=True)
+            write_fields(recording_group, item.measured)
+            write_value(recording_group, "model", fit.identification.model[index])
+            write_value(recording_group, "residual", fit.identification.residual[index])
         for name in ("readings", "sensitivity", "model", "range_hz", "loads", "bands"):
             write_value(group, "sensor_model" if name == "model" else name, getattr(component, name))
 
@@ -482,9 +502,10 @@ IDENTIFY = CommandReport(
 def run_identify(
     path: Path, output: Path | None, settings: IdentifySettings, *, force: bool = False, allow_outside: bool = False
 ) -> None:
-    """Identify the sensor of a campaign folder, write the results to `output` (default CAMPAIGN/identify), and print.
+    """Identify the sensor of a campaign, write the results and print the summary.
 
-    A place that cannot take the results is refused before anything is computed.
+    `output`: folder of the results, by default CAMPAIGN/identify. A folder that cannot be used is refused before the
+    computation.
     """
     campaign = read_campaign(path, allow_outside=allow_outside)
 

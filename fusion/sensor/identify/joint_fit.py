@@ -1,4 +1,4 @@
-"""The sensor's mechanics and chain from what was measured."""
+"""Joint fits of all curves, and models of the sensor with its measuring chain."""
 
 from __future__ import annotations
 
@@ -26,6 +26,19 @@ from fusion.sensor.identify.identification_inputs import (
     drive_of,
     mass_unit,
 )
+from fusion.sensor.identify.identification_notices import (
+    DAMPING_AGREES,
+    DAMPING_CONTRADICTED,
+    EQUAL_LOAD_MASSES,
+    MISSING_IDENTIFICATION_ENTRY,
+    NO_MODEL_FITTED,
+    PITCHING_NOT_DRIVEN,
+    SECOND_PEAK_NOT_EXPLAINED,
+    SENSITIVITY_EXPLANATION,
+    SENSITIVITY_NOT_EXPLAINED,
+    SENSITIVITY_NOT_MEASURED,
+    STIFFNESS_NOT_DETERMINED,
+)
 from fusion.sensor.unmodelled_effects import stated_influences
 from shaker.arrays import ComplexArray, FloatArray
 from shaker.identification.measured_curves import (
@@ -41,12 +54,12 @@ from shaker.identification.structure_fit import Identification, identify
 from shaker.identification.structures import ChainStructure, MechanicalStructure, SpringSuspension
 from shaker.labels import LOAD_COMPONENTS, MOTION_COMPONENTS
 from shaker.sine.phasor import Phasors
-from shakercal._common.notices import Notice, Severity
+from shakercal._common.notices import Notice
 
 # One joint fit per driven component: which model, which internal mass, and why.
 
 
-_DIFFERENT = 0.01  # relative difference of load masses from which they tell mass from stiffness
+_DIFFERENT = 0.01  # relative difference of load masses that separates internal mass and stiffness
 _MISFIT = 3.0  # residuals over their uncertainty, rms, from which one translation does not explain the curves
 _BETTER = 0.5  # share of χ² per degree of freedom that a richer model has to reach
 _PITCHES_WITH = {0: 4, 1: 3, 3: 1, 4: 0}
@@ -54,9 +67,9 @@ _PITCHES_WITH = {0: 4, 1: 3, 3: 1, 4: 0}
 
 @dataclass(frozen=True)
 class JointFit:
-    """The model fitted to all curves of one driven component, why this one, and what it found.
+    """The model fitted to all curves of one driven component, with its reason.
 
-    `mass_is_free`: the internal mass was fitted instead of stated.
+    `mass_is_free`: the internal mass was fitted, otherwise it is stated.
     """
 
     component: int
@@ -76,7 +89,7 @@ class JointFit:
 def joint_fits(prepared: Sequence[PreparedTransfer], settings: IdentifySettings) -> tuple[JointFit, ...]:
     """Return one fit per driven component, each over all recordings that drive it.
 
-    What moves with the load inside the sensor can differ between axes, so that components share no parameter.
+    The internal mass can differ between axes, so that components share no parameter.
     """
     groups: dict[int, list[PreparedTransfer]] = {}
     for item in prepared:
@@ -85,7 +98,10 @@ def joint_fits(prepared: Sequence[PreparedTransfer], settings: IdentifySettings)
 
 
 def _joint_fit(component: int, group: Sequence[PreparedTransfer], settings: IdentifySettings) -> JointFit:
-    """Fit one component by the model wanted: "auto" is translation, unless a second peak asks for pitching."""
+    """Fit one component by the selected model.
+
+    "auto" is translation, unless a second peak indicates pitching.
+    """
     free = _mass_is_free(component, group, settings)
     peaks = max((item.peaks_hz(name) for item in group for name in item.measured.ratio.channels), key=len)
 
@@ -95,91 +111,91 @@ def _joint_fit(component: int, group: Sequence[PreparedTransfer], settings: Iden
     if settings.model == "auto":
         model, reason, identification = _chosen(peaks if component in _PITCHES_WITH else (), fitted)
     else:
-        model, reason, identification = settings.model, "as wanted", fitted(settings.model)
+        model, reason, identification = settings.model, "as selected", fitted(settings.model)
     notices = identification.notices
     if model == "translation" and len(peaks) > 1 and departure(identification) >= _MISFIT:
-        text = "one translation does not explain the second peak; --model adapter or pitching, or --band, may"
-        notices = (*notices, Notice("warning", text, f"model {MOTION_COMPONENTS[component]}"))
+        notices = (*notices, Notice(SECOND_PEAK_NOT_EXPLAINED, f"model {MOTION_COMPONENTS[component]}"))
     return JointFit(component, model, reason, free, identification, tuple(group), notices)
 
 
 def _chosen(peaks_hz: Sequence[float], fitted: Callable[[str], Identification]) -> tuple[str, str, Identification]:
-    """Return a model, why it was taken, and its fit.
+    """Return the selected model, the reason, and its fit.
 
-    Two peaks that pitching explains need no other fit; what it does not explain is compared with one translation.
+    If pitching explains two peaks, no other model is fitted. Otherwise it is compared with one translation.
     """
     pitching, reason = None, ""
     if len(peaks_hz) > 1:
         pitching = fitted("pitching")
         listed = " and ".join(f"{peak:.6g} Hz" for peak in peaks_hz[:2])
         reason = (
-            f"the curves have peaks at {listed}, of which one translation makes one; translation and pitching together "
-            f"leave residuals of {departure(pitching):.3g} times their uncertainty"
+            f"the curves have peaks at {listed}, of which one translation explains one; translation and pitching "
+            f"together leave residuals of {departure(pitching):.3g} times their uncertainty"
         )
         if departure(pitching) < _MISFIT:
             return "pitching", reason, pitching
-    alone = fitted("translation")
-    if pitching is not None and pitching.chi_squared / pitching.dof < _BETTER * alone.chi_squared / alone.dof:
-        return "pitching", f"{reason}, one translation {departure(alone):.3g}", pitching
-    reason = f"one spring and damper leave residuals of {departure(alone):.3g} times their uncertainty"
-    return "translation", reason, alone
+    translation = fitted("translation")
+    if (
+        pitching is not None
+        and pitching.chi_squared / pitching.dof < _BETTER * translation.chi_squared / translation.dof
+    ):
+        return "pitching", f"{reason}, one translation {departure(translation):.3g}", pitching
+    reason = f"one spring and damper leave residuals of {departure(translation):.3g} times their uncertainty"
+    return "translation", reason, translation
 
 
 def _fitted(
     model: str, component: int, group: Sequence[PreparedTransfer], settings: IdentifySettings, *, free: bool
 ) -> Identification:
-    """Fit a model to all curves of a group; what is `free` inside the sensor is fitted, else as stated."""
+    """Fit a model to all curves of a group; `free` fits the internal mass."""
     structure: MechanicalStructure = ChainStructure(component) if model == "adapter" else SpringSuspension((component,))
     if model == "pitching":
         if component not in _PITCHES_WITH:
-            expected = (
-                "a drive along x or y for --model pitching, or about them, which shifts and turns a load whose centre "
-                "of mass is not at the origin"
-            )
             driven = MOTION_COMPONENTS[component]
-            raise InputError(group[0].manifest.path, "excitation.direction", found=driven, expected=expected)
+            raise InputError(PITCHING_NOT_DRIVEN, group[0].manifest.path, "excitation.direction", found=driven)
         structure = SpringSuspension((component, _PITCHES_WITH[component]))
     names = [parameter.name for parameter in structure.parameters]
     each = [name for name in names if name.startswith("damping_")] if settings.damping == "each" else []
-    inside = {} if free else {mass_name(own): own for own in reversed(range(6)) if mass_name(own) in names}
+    inside = {} if free else {mass_name(axis): axis for axis in reversed(range(6)) if mass_name(axis) in names}
     sensor = next((item.manifest.rig.sensor for item in group if item.manifest.rig.sensor is not None), None)
     if inside and sensor is None:
-        expected = "[sensor] with internal_mass, which recordings of one load mass cannot tell from the stiffness"
-        raise InputError(group[0].manifest.rig_path, "sensor", found="nothing", expected=expected)
-    known = {} if sensor is None else {name: sensor.moving(own) for name, own in inside.items()}
+        expected = "[sensor] with internal_mass, which recordings of one load mass cannot separate from the stiffness"
+        raise InputError(MISSING_IDENTIFICATION_ENTRY, group[0].manifest.rig_path, "sensor", expected=expected)
+    stated = {} if sensor is None else {name: sensor.moving(axis) for name, axis in inside.items()}
     records = [item.measured for item in group]
     try:
-        return _with_unseen(identify(records, structure, stated_values=known, each_recording=each), group)
+        return _with_influences(identify(records, structure, stated_values=stated, each_recording=each), group)
     except (ValueError, np.linalg.LinAlgError) as error:
-        told = f"no model was fitted to {', '.join(record.name for record in records)}: {ARGUMENT.sub('', str(error))}"
-        raise ComputeError(f"{told}; --band chooses the lines of one resonance") from error
+        names_text, reason = ", ".join(record.name for record in records), ARGUMENT.sub("", str(error))
+        raise ComputeError(NO_MODEL_FITTED, recordings=names_text, reason=reason) from error
 
 
-def _with_unseen(found: Identification, group: Sequence[PreparedTransfer]) -> Identification:
-    """Return a fit with what the rig states that no recording shows (`fusion.sensor.unmodelled_effects`).
+def _with_influences(found: Identification, group: Sequence[PreparedTransfer]) -> Identification:
+    """Return a fit whose uncertainty includes the stated influences (`fusion.sensor.unmodelled_effects`).
 
-    Springs move frequencies, k by twice as much, and the damping ratio b/(2√(km)) moves b. Several loads are in the fit
-    and show themselves what another one changes.
+    A relative change of frequencies changes k by twice as much, and the damping ratio b/(2√(km)) changes b. Several
+    loads in the fit show the influence of the load themselves.
     """
     rig = next((item.manifest.rig for item in group if item.manifest.rig.model is not None), None)
     if rig is None:
         return found
     several = np.ptp([item.load_kg for item in group]) > _DIFFERENT * group[0].load_kg
     mountings = [item.manifest.mounting for item in group]
-    known = stated_influences(rig, mountings, ("load",) if several else (), mounting_scatter=False)
+    influences = stated_influences(rig, mountings, ("load",) if several else (), mounting_scatter=False)
 
     def moved(item: ParameterEstimate) -> FloatArray:
-        """Change (E,) by each unknown, of b/k that of its parts."""
+        """Return the change (E,) by each unknown; of b/k that of its parts."""
         kind = item.name.partition("_")[0]
         by = {"stiffness": (2.0, 0.0), "damping": (1.0, 1.0)}.get(kind, (0.0, 0.0))
         by = (-1.0, 1.0) if item in found.derived else by
-        return np.array([item.value * (by[0] * one.frequency + by[1] * one.damping_ratio) for one in known.unknowns])
+        return np.array(
+            [item.value * (by[0] * one.frequency + by[1] * one.damping_ratio) for one in influences.unknowns]
+        )
 
     def wider(item: ParameterEstimate) -> ParameterEstimate:
         return replace(item, u=float(np.linalg.norm([item.u, *moved(item)])))
 
     effects = np.stack([moved(item) for item in found.estimates], axis=1)
-    relative = np.array([(one.frequency, one.damping_ratio) for one in known.unknowns]).reshape(-1, 2)
+    relative = np.array([(one.frequency, one.damping_ratio) for one in influences.unknowns]).reshape(-1, 2)
     of_frequency, of_damping = np.linalg.norm(relative, axis=0)
     modes = tuple(
         replace(
@@ -195,26 +211,28 @@ def _with_unseen(found: Identification, group: Sequence[PreparedTransfer]) -> Id
         covariance=found.covariance + effects.T @ effects,
         derived=tuple(map(wider, found.derived)),
         modes=modes,
-        budget={**found.budget, **known.by_cause(lambda own: np.linalg.norm(effects[own], axis=0))},
+        budget={**found.budget, **influences.by_cause(lambda indices: np.linalg.norm(effects[indices], axis=0))},
     )
 
 
 def _mass_is_free(component: int, group: Sequence[PreparedTransfer], settings: IdentifySettings) -> bool:
-    """Whether the internal mass is fitted; refused where the loads are alike."""
+    """Return whether the internal mass is fitted; refuse it for equal loads."""
     loads = [item.load_kg for item in group]
     differ = max(loads) > (1.0 + _DIFFERENT) * min(loads)
     if settings.internal_mass == "free" and not differ:
-        listed = f"{loads[0]:.6g} {mass_unit(component)}"
-        listed += f" in all {len(loads)} recordings" if len(loads) > 1 else ""
-        expected = (
-            "load masses that differ where the internal mass is to be fitted (--internal-mass stated takes sensor's)"
+        raise InputError(
+            EQUAL_LOAD_MASSES,
+            group[0].manifest.rig_path,
+            "load.mass",
+            load=loads[0],
+            unit=mass_unit(component),
+            count=len(loads),
         )
-        raise InputError(group[0].manifest.rig_path, "load.mass", found=listed, expected=expected)
     return differ if settings.internal_mass == "auto" else settings.internal_mass == "free"
 
 
 def mass_name(component: int) -> str:
-    """Name of the parameter that moves with the load inside the sensor."""
+    """Return the name of the parameter of the internal mass."""
     return "internal_mass" if component < 3 else f"internal_inertia_{MOTION_COMPONENTS[component]}"
 
 
@@ -232,10 +250,10 @@ def sine_transfers(
     starts: Mapping[str, str],
     band_hz: tuple[float, float] | None,
 ) -> tuple[PreparedTransfer, ...]:
-    """Return load over base along the drive where both were measured, recordings of one load and mounting as one curve.
+    """Return load over base along the drive, of recordings of sines.
 
-    `names`: those that tell recordings apart, by the path of their manifest; `starts`: those of their starts by these,
-    where they are not the recording's own.
+    Recordings of one load and mounting are one curve. `names`: unique names of the recordings by the path of their
+    manifest. `starts`: names of their starts, if several recordings have a common start.
     """
     groups: dict[tuple[object, ...], list[PreparedTransfer]] = {}
     for item in items:
@@ -257,13 +275,16 @@ def sine_transfers(
 
 
 def _bent(manifest: Manifest, measured: MeasuredTransfer) -> MeasuredTransfer:
-    """Return a curve of the motion of a load's foot with what is not rigid of that load."""
+    """Return a curve with the elastic properties of its load."""
     bent = FlexibleLoad.of(manifest, measured.ratio.frequency_hz)
     return measured if bent is None else replace(measured, bending=bent.bending(measured.tops, manifest.mounting))
 
 
 def _joined(group: Sequence[PreparedTransfer]) -> MeasuredTransfer:
-    """Return the lines of several recordings as one curve, ascending in frequency; equal names are one unknown."""
+    """Return the lines of several recordings as one curve, ascending in frequency.
+
+    Equal names of errors are one unknown.
+    """
     records = [item.measured for item in group]
     ratios = [record.ratio for record in records]
     frequency = np.concatenate([ratio.frequency_hz for ratio in ratios])
@@ -275,11 +296,14 @@ def _joined(group: Sequence[PreparedTransfer]) -> MeasuredTransfer:
         covariance=np.concatenate([ratio.covariance for ratio in ratios])[order],
         dof=np.concatenate([ratio.dof for ratio in ratios])[order],
     )
-    known = [{error.name: error.relative for error in record.errors} for record in records]
+    by_name = [{error.name: error.relative for error in record.errors} for record in records]
     names = dict.fromkeys(error.name for record in records for error in record.errors)
-    nothing = [np.zeros(one.value.shape, dtype=np.complex128) for one in ratios]
+    zeros = [np.zeros(one.value.shape, dtype=np.complex128) for one in ratios]
     joined = tuple(
-        CurveError(name, np.concatenate([own.get(name, zero) for own, zero in zip(known, nothing, strict=True)])[order])
+        CurveError(
+            name,
+            np.concatenate([of_record.get(name, zero) for of_record, zero in zip(by_name, zeros, strict=True)])[order],
+        )
         for name in names
     )
     steps = f"{len(order)} steps of sines, {group[0].manifest.rig.name}"
@@ -287,7 +311,7 @@ def _joined(group: Sequence[PreparedTransfer]) -> MeasuredTransfer:
 
 
 def relative_errors(uncertainty: Uncertainty, value: ComplexArray) -> tuple[CurveError, ...]:
-    """Return the named unknowns of values (K, C) as complex relative deviations for one standard uncertainty."""
+    """Return named unknowns of values (K, C) as complex relative deviations for one standard uncertainty."""
     count = value.shape[1]
     return tuple(
         CurveError(influence.name, (influence.effect[:, :count] + 1j * influence.effect[:, count:]) / value)
@@ -299,7 +323,7 @@ def relative_errors(uncertainty: Uncertainty, value: ComplexArray) -> tuple[Curv
 def _transfer(
     item: EvaluatedSines, name: str, start: str, band_hz: tuple[float, float] | None
 ) -> MeasuredTransfer | None:
-    """Return load over base acceleration along the drive at the driven lines, None where one is not known."""
+    """Return load over base acceleration along the drive at the driven lines, None without both."""
     manifest = item.manifest
     drive = drive_of(manifest)
     component = component_of(drive)
@@ -318,7 +342,7 @@ def _transfer(
         chosen &= (frequency >= band_hz[0]) & (frequency <= band_hz[1])
     if not np.any(chosen):
         return None
-    # what load and base share acts on both
+    # common errors of load and base act on both
     base = values[1][chosen]
     ratio = values[0][chosen] / base
     below = parts[1].at_lines(chosen).scaled((-ratio / base)[:, None])
@@ -365,7 +389,7 @@ class SensitivityResult:
 
 @dataclass(frozen=True)
 class ModelledSensitivity:
-    """The model of one component, the frequencies from data of which it comes, and its sensitivity where measured."""
+    """The model of one component, its frequency range, and its sensitivity if measured."""
 
     model: SensorModel
     range_hz: tuple[float, float]
@@ -376,27 +400,35 @@ class ModelledSensitivity:
 def model_sensitivity(
     fit: JointFit, measured: MeasuredSensitivity | None, sensor: Sensor | None
 ) -> ModelledSensitivity:
-    """Return the model of a component with the chain that its sensitivity supports, or with none."""
+    """Return the model of a component, with a measuring chain if its sensitivity supports one."""
     found, covariance = mechanics(fit)
     if measured is None or len(measured.frequency_hz) < _FEWEST_LINES:
         return _without_sensitivity(fit, found, covariance, sensor)
     r_kb = covariance[0, 1] / np.sqrt(covariance[0, 0] * covariance[1, 1]) if covariance[0, 1] != 0.0 else 0.0
-    u_k, u_b = (float(np.sqrt(covariance[place, place])) for place in (0, 1))
+    u_k, u_b = (float(np.sqrt(covariance[index, index])) for index in (0, 1))
     spring = SpringPrior(float(found[0]), u_k, float(found[1]), u_b, float(r_kb))
     try:
         comparison = fit_sensitivity(measured, spring)
         model = sensor_model(comparison.best, found, covariance)
     except (ValueError, np.linalg.LinAlgError) as error:
         reason = ARGUMENT.sub("", str(error))
-        text = f"the sensitivity of {measured.channel} over frequency was not explained ({reason})"
         bare = _without_sensitivity(fit, found, covariance, sensor)
-        return replace(bare, notices=(*bare.notices, Notice("warning", text, measured.channel)))
+        return replace(
+            bare,
+            notices=(
+                *bare.notices,
+                Notice(SENSITIVITY_NOT_EXPLAINED, measured.channel, channel=measured.channel, reason=reason),
+            ),
+        )
     range_hz = (float(measured.frequency_hz[0]), float(measured.frequency_hz[-1]))
-    told: list[tuple[Severity, str]] = [("note", comparison.text)]
-    if comparison.damping is not None:
-        told.append(("warning" if comparison.damping.contradicts else "note", comparison.damping.text))
-    clauses = [(severity, text[:1].lower() + text[1:].removesuffix(".")) for severity, text in told]
-    notices = [Notice(severity, text, f"sensitivity {measured.component}") for severity, text in clauses]
+    where = f"sensitivity {measured.component}"
+    notices = [Notice(SENSITIVITY_EXPLANATION, where, explanation=comparison.text)]
+    if (test := comparison.damping) is not None:
+        declared = DAMPING_CONTRADICTED if test.contradicts else DAMPING_AGREES
+        needed_us, resonance_us = 1e6 * test.needed_s, 1e6 * test.resonance_s
+        notices.append(
+            Notice(declared, where, needed_us=needed_us, resonance_us=resonance_us, deviation=test.deviation)
+        )
     return ModelledSensitivity(
         model, range_hz, SensitivityResult(measured, comparison), (*notices, *comparison.notices)
     )
@@ -405,7 +437,7 @@ def model_sensitivity(
 def mechanics(fit: JointFit) -> tuple[FloatArray, FloatArray]:
     """Return [k, b, m_i] (3,) of a joint fit and their covariance (3, 3).
 
-    Of a damping for each recording it is the mean, as uncertain as the dampings scatter.
+    Of one damping per recording it is the mean, with the scatter of the dampings as uncertainty.
     """
     found, axis = fit.identification, fit.axis
     dampers = [i for i, name in enumerate(found.names) if name.partition(": ")[0] == f"damping_{axis}"]
@@ -415,8 +447,7 @@ def mechanics(fit: JointFit) -> tuple[FloatArray, FloatArray]:
     pick[2, found.names.index(mass_name(fit.component))] = 1.0
     used = np.any(pick != 0.0, axis=0)
     if not np.all(np.isfinite(found.covariance[used][:, used])):
-        text = f"the recordings leave stiffness, damping or internal mass of {axis} open"
-        raise ComputeError(f"{text}; another load mass, or --internal-mass stated, tells them")
+        raise ComputeError(STIFFNESS_NOT_DETERMINED, component=axis)
     values = np.array([estimate.value for estimate in found.estimates])
     covariance = pick[:, used] @ found.covariance[np.ix_(used, used)] @ pick[:, used].T
     if len(dampers) > 1:
@@ -427,22 +458,22 @@ def mechanics(fit: JointFit) -> tuple[FloatArray, FloatArray]:
 def _without_sensitivity(
     fit: JointFit, found: FloatArray, covariance: FloatArray, sensor: Sensor | None
 ) -> ModelledSensitivity:
-    """Return a model without a chain, its sensitivity the static one that is stated, else one output per force."""
+    """Return a model without a chain, with the stated static sensitivity.
+
+    Without a stated one, one output per force.
+    """
     component = LOAD_COMPONENTS[fit.component]
     static, u_static, unit, which = 1.0, 0.0, "1", "an output of one per force"
     if sensor is not None and sensor.static_sensitivity is not None:
         column = np.array(sensor.static_sensitivity)[:, fit.component]
-        place = sensor.channels.index(component) if component in sensor.channels else int(np.argmax(np.abs(column)))
-        if column[place] != 0.0:
-            static, unit, which = float(column[place]), sensor.unit, "the static sensitivity stated"
+        index = sensor.channels.index(component) if component in sensor.channels else int(np.argmax(np.abs(column)))
+        if column[index] != 0.0:
+            static, unit, which = float(column[index]), sensor.unit, "the stated static sensitivity"
             u_static = abs(static) * sensor.static_sensitivity_uncertainty
     whole = np.zeros((4, 4))
     whole[0, 0], whole[1:, 1:] = u_static**2, covariance
     stiffness, damping, mass = float(found[0]), float(found[1]), max(float(found[2]), 0.0)
     model = SensorModel(static, stiffness, damping, mass, NO_CHAIN, whole, sensitivity_unit(unit, component))
     lines = np.concatenate([item.measured.ratio.frequency_hz for item in fit.prepared])
-    text = (
-        f"no sensitivity over frequency was evaluated for {component}, for which `shakercal run` has to evaluate sines "
-        f"of {_FEWEST_LINES} frequencies or more: the model has {which} and no chain"
-    )
-    return ModelledSensitivity(model, (float(lines.min()), float(lines.max())), None, (Notice("note", text, fit.axis),))
+    notice = Notice(SENSITIVITY_NOT_MEASURED, fit.axis, component=component, sensitivity=which, fewest=_FEWEST_LINES)
+    return ModelledSensitivity(model, (float(lines.min()), float(lines.max())), None, (notice,))

@@ -1,1 +1,1 @@
-"""Load characteristics."""
+"""Load characteristics of a sensor: resonance over the load mass."""

@@ -1,11 +1,11 @@
-"""Releases of several loads to stiffness, damping and resonance over the load mass."""
+"""Evaluation of releases of several loads: stiffness, damping and resonance over the load mass."""
 
 from __future__ import annotations
 
 import csv
 import time
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial
 from itertools import chain, product
 from pathlib import Path
@@ -21,10 +21,27 @@ from fusion.recording.rig import Rig
 from fusion.recording.toml import read_text
 from fusion.recording.values import wrong_size
 from fusion.sensitivity.moving_body import inertia_errors, rigid_load
+from fusion.sensor.load.load_notices import (
+    COMPONENT_WITHOUT_MOVING_MASS,
+    CONTRADICTORY_MODEL_STATEMENT,
+    CONTRADICTORY_MOVING_MASS,
+    EXTRAPOLATED_LOAD,
+    LOAD_COLUMN_MISSING,
+    LOAD_TABLE_NOT_READABLE,
+    MOVING_MASS_NOT_STATED,
+    NO_FREE_OSCILLATION,
+    NO_LOAD_MODEL,
+    NO_MOVING_MASS,
+    PART_WITHOUT_LOAD,
+    TOO_MANY_LOADS,
+    UNKNOWN_LOAD_COLUMN,
+    WRONG_LOAD_NUMBER,
+)
 from fusion.sensor.model_files import parameter_units
+from fusion.sensor.step.step_notices import OTHER_DRIVEN_OUTPUT
 from fusion.sensor.step.step_records import effective_dof
 from fusion.sensor.step.step_releases import StepRelease, read_recording
-from fusion.sensor.unmodelled_effects import CAUSE_LABELS, ModelInfluences, describe_coverage, stated_influences
+from fusion.sensor.unmodelled_effects import CAUSE_LABELS, ModelInfluences, coverage_notice, stated_influences
 from shaker.arrays import FloatArray
 from shaker.labels import LOAD_COMPONENTS
 from shaker.release.load_model import (
@@ -52,18 +69,21 @@ from shaker.release.load_modes import (
 from shaker.release.load_series import LoadIdentification, identify_loads
 from shakercal._common.notices import Notice
 
-# What a user of `shakercal load` may choose.
+# Choices of `shakercal load`.
 
-PERMITTED = 0.05
+PERMITTED = 0.05  # default of a permitted error, as of ±5 % bands
 
 
 @dataclass(frozen=True)
 class LoadSettings:
-    """`permitted`: error of a formula, or change of the resonance, up to which a load is permitted, as a share.
+    """Choices of an evaluation of load characteristics.
 
-    `wanted_hz`: resonances that are to be kept; `predicted`: masses, such as those of grippers or of a hand, that
-    characteristics are foretold for, kg or kg·m². `moving_mass`: of a table's sensor with its standard uncertainty, kg;
-    of recordings the rig states it.
+    Attributes
+    ----------
+    permitted : permitted error of a formula, or change of the resonance, as a ratio. Default 0.05.
+    target_hz : resonances for which the permitted load is reported, Hz.
+    predicted : load masses for which characteristics are predicted, kg or kg·m².
+    moving_mass : moving mass of a table's sensor with its standard uncertainty, kg; None for recordings.
     """
 
     permitted: float = PERMITTED
@@ -82,10 +102,10 @@ class LoadSettings:
         }
 
 
-# What a series of loads consists of before any model: records with their masses, or a table of resonances.
+# A series of loads: records with their masses, or a table of resonances.
 
 MOVING_MASS_LABEL = "moving mass of the sensor"
-NO_CAUSE = ("load",)  # what a model over the load holds itself
+NO_CAUSE = ("load",)  # the load is a variable of the model itself
 TABLE_INFLUENCES = ModelInfluences(
     missing=tuple(cause for cause in CAUSE_LABELS if cause not in NO_CAUSE), records="within this table"
 )
@@ -93,10 +113,10 @@ TABLE_INFLUENCES = ModelInfluences(
 
 @dataclass(frozen=True)
 class LoadSeries:
-    """R records or table rows of one component: names, resonances, masses, the decays behind them (none of a table).
+    """Records or table rows (R) of one component, with resonances, masses and decays.
 
-    `noise` (R,): standard deviations of the records, in output units, None of a table. `beside`: what is known of the
-    models beside them.
+    `noise` (R,): standard deviations of the records in output units, None of a table. `influences`: influences on the
+    models that the records do not show.
     """
 
     output: SeriesOutput
@@ -109,33 +129,32 @@ class LoadSeries:
 
 
 def read_series(manifests: Sequence[Manifest]) -> tuple[tuple[LoadSeries, ...], tuple[Notice, ...]]:
-    """Return a series for every component that recordings of a campaign release, and what had to be done.
+    """Return one series per released component of a campaign, and the notices of reading.
 
-    Raises `InputError` for what the user can mend in the files.
+    Raises `InputError` for a file or key that the user has to correct.
     """
-    releases, told = zip(*(read_recording(manifest) for manifest in manifests), strict=True)
+    releases, of_reading = zip(*(read_recording(manifest) for manifest in manifests), strict=True)
     notices = [
-        *chain.from_iterable(told),
+        *chain.from_iterable(of_reading),
         *(notice for manifest in manifests for notice in manifest.certificate_notices),
     ]
     series, refused = list[LoadSeries](), list[InputError]()
-    for place, component in enumerate(LOAD_COMPONENTS):
-        own = [release for release in releases if release.record.component == component]
-        moving = [_moving(release.manifest, place) for release in own]
-        if own and moving[0].value > 0.0:
-            series.append(_series(own, moving, place))
-        elif own:
-            expected = "what of the sensor moves with its spring, above 0: only ratios of masses show in a resonance"
-            refused.append(InputError(own[0].manifest.rig_path, moving[0].key, found="0", expected=expected))
-            text = f"left out: {moving[0].key} is 0, so that stiffness cannot be told"
-            notices.append(Notice("warning", text, component))
+    for index, component in enumerate(LOAD_COMPONENTS):
+        of_component = [release for release in releases if release.record.component == component]
+        moving = [_moving(release.manifest, index) for release in of_component]
+        if of_component and moving[0].value > 0.0:
+            series.append(_series(of_component, moving, index))
+        elif of_component:
+            rig_path = of_component[0].manifest.rig_path
+            refused.append(InputError(NO_MOVING_MASS, rig_path, moving[0].key, found=moving[0].value))
+            notices.append(Notice(COMPONENT_WITHOUT_MOVING_MASS, component, key=moving[0].key))
     if not series and refused:
         raise refused[0]
     return tuple(series), tuple(notices)
 
 
 class MovingMass(NamedTuple):
-    """What of a sensor moves with its spring: mass, or moment of inertia, its standard uncertainty, its key."""
+    """Mass, or moment of inertia, that moves with a sensor's spring."""
 
     value: float
     u: float
@@ -143,32 +162,39 @@ class MovingMass(NamedTuple):
 
 
 def _moving(manifest: Manifest, component: int) -> MovingMass:
-    """What a rig states of it for a load component."""
+    """Return the moving mass that a rig states for a load component."""
     sensor = manifest.rig.sensor
     if sensor is None:
-        raise InputError(manifest.rig_path, "sensor", found="nothing", expected="[sensor] with internal_mass")
+        raise InputError(MOVING_MASS_NOT_STATED, manifest.rig_path, "sensor")
     return MovingMass(*sensor.moving(component), f"sensor.internal_{'mass' if component < 3 else 'inertia'}")
 
 
 def _series(releases: Sequence[StepRelease], moving: Sequence[MovingMass], component: int) -> LoadSeries:
-    """The records of one component with their masses, the lightest load first; all drive the same output."""
+    """Return the records of one component with their masses, the lightest load first."""
     masses = [_load(release.manifest, component) for release in releases]
-    order = sorted(range(len(releases)), key=lambda place: masses[place][0])
-    releases, masses = [releases[place] for place in order], [masses[place] for place in order]
-    moving = [moving[place] for place in order]
+    order = sorted(range(len(releases)), key=lambda index: masses[index][0])
+    releases, masses = [releases[index] for index in order], [masses[index] for index in order]
+    moving = [moving[index] for index in order]
     decays, modes = [], []
     for release in releases:
         try:
             decays.append(free_decay(release.record, release.driven, release.reading))
             modes.append(record_modes(decays[-1]))
         except ValueError as error:
-            raise InputError.from_exception(error, release.manifest.path, f"daq.channel.{release.driven}") from error
+            key = f"daq.channel.{release.driven}"
+            raise InputError.from_exception(error, release.manifest.path, key, NO_FREE_OSCILLATION) from error
     first, manifests = releases[0], [release.manifest for release in releases]
-    for release, manifest, own in zip(releases, manifests, moving, strict=True):
+    for release, manifest, mass in zip(releases, manifests, moving, strict=True):
         if release.driven != first.driven:
-            expected = f"{first.driven}, the output that is driven in {first.name}"
-            raise InputError(manifest.path, "daq.channel", found=release.driven, expected=expected)
-        _check_alike((first.manifest, moving[0]), (manifest, own))
+            raise InputError(
+                OTHER_DRIVEN_OUTPUT,
+                manifest.path,
+                "daq.channel",
+                expected=first.driven,
+                recording=first.name,
+                found=release.driven,
+            )
+        _check_equal_mass((first.manifest, moving[0]), (manifest, mass))
     gains, u = np.array([(release.reading.static_gain, release.reading.u_static_gain) for release in releases]).T
     between = float(np.std(gains, ddof=1) / np.sqrt(len(gains))) if len(gains) > 1 else 0.0
     u_gain = max(between, float(np.sqrt(np.sum(u**2))) / len(u))
@@ -181,48 +207,56 @@ def _series(releases: Sequence[StepRelease], moving: Sequence[MovingMass], compo
         decays=tuple(decays),
         noise=np.array([item.noise for item in modes]),
         influences=stated_influences(
-            _telling([release.manifest for release in releases]),
+            _rig_with_influences([release.manifest for release in releases]),
             [release.manifest.mounting for release in releases],
             NO_CAUSE,
         ),
     )
 
 
-def _check_alike(first: tuple[Manifest, MovingMass], other: tuple[Manifest, MovingMass]) -> None:
-    """Raise `InputError` where two rigs say different things of what moves in their one sensor."""
-    (known, stated), (manifest, own) = first, other
-    if own != stated:
-        key, here, there = own.key, f"{own.value:g}", f"{stated.value:g}"
-        if own.value == stated.value:
-            key, here, there = f"{own.key}_uncertainty", f"{own.u:g}", f"{stated.u:g}"
-        raise InputError(manifest.rig_path, key, found=here, expected=f"{there} as in {known.rig_path.name}")
+def _check_equal_mass(first: tuple[Manifest, MovingMass], other: tuple[Manifest, MovingMass]) -> None:
+    """Raise `InputError` if two rigs state different moving masses of their sensor."""
+    (reference, expected), (manifest, found) = first, other
+    if found != expected:
+        key, numbers = found.key, (expected.value, found.value)
+        if found.value == expected.value:
+            key, numbers = f"{found.key}_uncertainty", (expected.u, found.u)
+        file = reference.rig_path.name
+        raise InputError(
+            CONTRADICTORY_MOVING_MASS, manifest.rig_path, key, file=file, expected=numbers[0], found=numbers[1]
+        )
 
 
 def check_one_sensor(manifests: Sequence[Manifest]) -> None:
-    """Raise `InputError` where recordings of several loads contradict each other in what they say of their sensor."""
-    told = [manifest for manifest in manifests if manifest.rig.sensor is not None]
-    for manifest, component in product(told[1:], range(len(LOAD_COMPONENTS))):
-        _check_alike((told[0], _moving(told[0], component)), (manifest, _moving(manifest, component)))
-    _telling(manifests)
+    """Raise `InputError` if recordings of several loads state contradictory values of their sensor."""
+    stating = [manifest for manifest in manifests if manifest.rig.sensor is not None]
+    for manifest, component in product(stating[1:], range(len(LOAD_COMPONENTS))):
+        _check_equal_mass((stating[0], _moving(stating[0], component)), (manifest, _moving(manifest, component)))
+    _rig_with_influences(manifests)
 
 
-def _telling(manifests: Sequence[Manifest]) -> Rig:
-    """The rig that states what no record shows, of those of several loads; all that state something state the same."""
-    telling = [one for one in manifests if one.rig.model is not None] or [manifests[0]]
-    for other in telling:
-        if other.rig.model != telling[0].rig.model:
-            expected = f"the same as in {telling[0].rig_path.name}, since all are of one sensor"
-            raise InputError(other.rig_path, "model", found="another statement", expected=expected)
-    return telling[0].rig
+def _rig_with_influences(manifests: Sequence[Manifest]) -> Rig:
+    """Return the rig that states influences on the model.
+
+    All such rigs must state the same.
+    """
+    stating = [one for one in manifests if one.rig.model is not None] or [manifests[0]]
+    for other in stating:
+        if other.rig.model != stating[0].rig.model:
+            file = stating[0].rig_path.name
+            raise InputError(CONTRADICTORY_MODEL_STATEMENT, other.rig_path, "model", file=file)
+    return stating[0].rig
 
 
 def _load(manifest: Manifest, component: int) -> tuple[float, dict[str, float]]:
-    """Load mass along a component with what each of its named errors changes; nothing without a [load]."""
+    """Return the load mass along a component with the change by each error.
+
+    0 without a load.
+    """
     if manifest.rig.load is None:
         stranded = next((part.name for part in manifest.part if part.body == "load"), None)
         if stranded is not None:
-            expected = f"the [load] that the part {stranded} belongs to"
-            raise InputError(manifest.rig_path, "load", found="nothing", expected=expected)
+            raise InputError(PART_WITHOUT_LOAD, manifest.rig_path, "load", part=stranded)
         return 0.0, {}
     body = rigid_load(manifest)
     changes = {error.name: float(error.change[component, component]) for error in inertia_errors(manifest, body)}
@@ -230,11 +264,11 @@ def _load(manifest: Manifest, component: int) -> tuple[float, dict[str, float]]:
 
 
 def _masses(moving: MovingMass, loads: Sequence[tuple[float, dict[str, float]]]) -> SeriesMasses:
-    """All masses; an error that several recordings name alike is one unknown."""
-    own = [MOVING_MASS_LABEL] if moving.u > 0.0 else []
-    names = [*own, *dict.fromkeys(name for _, changes in loads for name in changes)]
+    """Return all masses; errors of the same name are one unknown."""
+    of_sensor = [MOVING_MASS_LABEL] if moving.u > 0.0 else []
+    names = [*of_sensor, *dict.fromkeys(name for _, changes in loads for name in changes)]
     effect = np.array([[changes.get(name, 0.0) for name in names] for _, changes in loads])
-    moved = np.array([moving.u if name in own else 0.0 for name in names])
+    moved = np.array([moving.u if name in of_sensor else 0.0 for name in names])
     mass = np.array([load for load, _ in loads])
     return SeriesMasses(moving.value, mass, tuple(names), moved, effect.reshape(len(loads), len(names)))
 
@@ -248,41 +282,41 @@ LARGEST_TABLE, MOST_LOADS = 1_000_000, 100
 
 
 def read_table(path: Path, moving_mass: float, u_moving_mass: float) -> LoadSeries:
-    """Return the series that a table holds; raises `InputError` that names row and column.
+    """Return the series of a table; raises `InputError` at the row and column to correct.
 
-    Columns load_mass_kg and frequency_hz are needed; u_frequency_hz, second_hz and u_load_mass_kg may stand beside
-    them, an empty cell where a value is not known.
+    Columns load_mass_kg and frequency_hz are required; u_frequency_hz, second_hz and u_load_mass_kg are optional. A
+    value that is not known is an empty cell.
     """
     columns = _columns(path)
     order = np.argsort(columns[LOAD], kind="stable")
     first, load = columns[FIRST][order], columns[LOAD][order]
     u_first = np.nan_to_num(columns[U_FIRST][order])
-    names = tuple(f"row {place + 1}" for place in order)
+    names = tuple(f"row {index + 1}" for index in order)
     measured = stated_resonances(first, u_first, columns[SECOND][order])
     masses = stated_masses(moving_mass, u_moving_mass, load, np.nan_to_num(columns[U_LOAD][order]))
     return LoadSeries(SeriesOutput("F", "", ""), names, measured, masses, (), None)
 
 
 def _columns(path: Path) -> dict[str, FloatArray]:
-    """All columns as numbers, NaN where nothing stands."""
+    """Return all columns as numbers, NaN for empty cells."""
     text = read_text(path, LARGEST_TABLE, "a table of loads")
     lines = [line for line in text.splitlines() if line.strip() and not line.lstrip().startswith("#")]
     read = csv.DictReader(lines, delimiter=";" if lines and ";" in lines[0] else ",", skipinitialspace=True)
     try:
         rows = [{name.strip(): (cell or "").strip() for name, cell in row.items() if name is not None} for row in read]
     except csv.Error as error:
-        raise InputError(path, "", found=str(error), expected="a table in text") from error
+        raise InputError(LOAD_TABLE_NOT_READABLE, path, reason=str(error)) from error
     if len(rows) > MOST_LOADS:
-        raise InputError(path, "", found=f"{len(rows)} rows", expected=f"at most {MOST_LOADS} loads, one in each row")
+        raise InputError(TOO_MANY_LOADS, path, found=len(rows), limit=MOST_LOADS)
     head = list(rows[0] if rows else {})
     missing = next((name for name in (LOAD, FIRST) if name not in head), None)
     if missing is not None:
-        raise InputError(path, missing, found="nothing", expected="this column and a row for every load")
+        raise InputError(LOAD_COLUMN_MISSING, path, missing)
     unknown = next((name for name in head if name not in COLUMNS), None)
     if unknown is not None:
-        raise InputError(path, unknown, found="this column", expected="columns of " + ", ".join(COLUMNS))
+        raise InputError(UNKNOWN_LOAD_COLUMN, path, unknown, expected=", ".join(COLUMNS))
 
-    def number(column: str, text: str, place: int) -> float:
+    def number(column: str, text: str, row: int) -> float:
         if not text and column not in (LOAD, FIRST):
             return float("nan")
         low = 0.0 if column in (LOAD, U_FIRST, U_LOAD) else np.nextafter(0.0, 1.0)
@@ -292,24 +326,29 @@ def _columns(path: Path) -> dict[str, FloatArray]:
             value = float("nan")
         if not low <= value < np.inf or wrong_size(value):
             expected = "a number of at least 0" if low == 0.0 else "a frequency above 0"
-            told = (text, expected) if text else ("nothing", "a number")
-            raise InputError(path, f"{column}, row {place}", found=told[0], expected=told[1])
+            found, expected = (text, expected) if text else ("no value", "a number")
+            raise InputError(WRONG_LOAD_NUMBER, path, f"{column}, row {row}", found=found, expected=expected)
         return value
 
     return {name: np.array([number(name, row.get(name, ""), n) for n, row in enumerate(rows, 1)]) for name in COLUMNS}
 
 
-# What evaluated load characteristics consist of.
+# Parts of evaluated load characteristics.
 
 
 @dataclass(frozen=True)
 class LoadSolution:
-    """One model that the data support, and what follows from it.
+    """One model that the data support, with its characteristics.
 
-    Curves of both modes: `recorded` at the loads (R,), `predicted` at those asked for (P,), `drawn` over a grid (G,);
-    `bands` (R, 2) and `predicted_bands` (P, 2): up to where the gain is within 5 and 10 % of that at rest, Hz, with the
-    standard uncertainties `u_bands`, `u_predicted_bands`, NaN where unknown. `limits`: loads that are permitted, NaN
-    where there is no limit. `notices`: which bands do not change in proportion to the model.
+    Attributes
+    ----------
+    recorded, predicted, drawn : curves of both modes at the recorded loads (R), the requested loads (P), and a grid
+        (G).
+    bands, predicted_bands : (R, 2) and (P, 2), Hz, limits within which the gain is within 5 and 10 % of the static
+        gain.
+    u_bands, u_predicted_bands : their standard uncertainties, NaN if not known.
+    limits : permitted loads, NaN without a limit.
+    notices : bands that do not change in proportion to the model.
     """
 
     model: LoadModel
@@ -328,8 +367,8 @@ class LoadSolution:
 class ComponentLoads:
     """The load characteristics of one component.
 
-    `formula_hz` (R,): √(k/(m_E + m_L))/2π with k from the lightest load alone, what a rigid load would have. `dof`:
-    degrees of freedom of U, those of the scatter about the model where that makes it.
+    `formula_hz` (R,): √(k/(m_E + m_L))/2π of a rigid load, with k from the lightest load. `dof`: degrees of freedom of
+    U, those of the scatter about the model if it determines U.
     """
 
     series: LoadSeries
@@ -340,7 +379,7 @@ class ComponentLoads:
 
     @property
     def name(self) -> str:
-        """The component, Fx … Mz, or F of a table that does not say."""
+        """The component, Fx … Mz, or F of a table."""
         return self.series.output.component
 
     @property
@@ -350,7 +389,7 @@ class ComponentLoads:
 
     @property
     def covers(self) -> bool:
-        """Whether there is an uncertainty at all."""
+        """Whether the model has an uncertainty."""
         return self.identification.chosen[0].covariance is not None
 
 
@@ -372,7 +411,7 @@ class LoadEvaluation(CommandEvaluation):
 # From recordings with several loads, or a table of resonances, to load characteristics.
 
 GRID = 61
-BEYOND = 1.25  # largest load that curves are drawn to, over the largest one recorded or asked for
+BEYOND = 1.25  # largest load of drawn curves, over the largest one recorded or requested
 
 
 def evaluate_loads(
@@ -383,27 +422,49 @@ def evaluate_loads(
     input_hashes: dict[str, str],
     manifest: Manifest | None = None,
 ) -> LoadEvaluation:
-    """Return the load characteristics of every series; `manifest`: of a recording, for rig and sensor.
+    """Evaluate the load characteristics of every series.
 
-    Raises `ComputeError` where no model is found.
+    Parameters
+    ----------
+    name
+        Name of the evaluation in the results.
+    series
+        One per component, of `read_series` or `read_table`.
+    notices
+        Notices of reading.
+    settings
+        Choices of the evaluation.
+    input_hashes
+        SHA-256 of the input files by name, for the results.
+    manifest
+        A recording, for the names of rig and sensor; None (default) of a table.
 
+    Returns
+    -------
+    LoadEvaluation : model, resonances, bands and limits of every component.
+
+    Raises
+    ------
+    ComputeError : no model was found for a component.
+
+    Examples
+    --------
     >>> from fusion import evaluate_loads, load_for_command
     >>> from fusion.sensor.load.load_evaluation import LoadSettings, read_series
     >>> series, notices = read_series(load_for_command(["loads"], "load"))  # doctest: +SKIP
     >>> evaluation = evaluate_loads("loads", series, notices, LoadSettings(), {})  # doctest: +SKIP
     """
     started = time.monotonic()
-    components = tuple(_component(own, settings) for own in series)
-    told = [*notices]
+    components = tuple(_component(one, settings) for one in series)
+    found = [*notices]
     for component in components:
-        told += component.identification.notices
-        known = component.series.influences
-        told.append(Notice("note", describe_coverage(known.scope, known.outside), component.name))
-        told += [notice for solution in component.solutions for notice in solution.notices]
+        found += component.identification.notices
+        influences = component.series.influences
+        found.append(coverage_notice(influences.scope, influences.outside, component.name))
+        found += [notice for solution in component.solutions for notice in solution.notices]
         largest, unit = float(np.max(component.series.masses.load)), component.series.output.mass_unit
-        if beyond := ", ".join(f"{mass:g}" for mass in settings.predicted if mass > largest):
-            text = f"{beyond} {unit} lies beyond the largest load recorded, {largest:.4g} {unit}"
-            told.append(Notice("warning", f"{text}: the model is extrapolated", component.name))
+        if loads := ", ".join(f"{mass:g}" for mass in settings.predicted if mass > largest):
+            found.append(Notice(EXTRAPOLATED_LOAD, component.name, loads=loads, unit=unit, largest=largest))
     sensor = None if manifest is None else manifest.rig.sensor
     return LoadEvaluation(
         name=name,
@@ -411,7 +472,7 @@ def evaluate_loads(
         sensor="" if sensor is None else f"{sensor.name} {sensor.serial}".strip(),
         components=components,
         chosen=settings,
-        notices=tuple(dict.fromkeys(told)),
+        notices=tuple(dict.fromkeys(found)),
         settings=settings.as_settings(),
         input_hashes=input_hashes,
         duration_s=time.monotonic() - started,
@@ -423,8 +484,7 @@ def _component(series: LoadSeries, settings: LoadSettings) -> ComponentLoads:
     try:
         identified = identify_loads(series.measured, series.masses, series.output, series.decays, series.noise)
     except (ValueError, ArithmeticError, np.linalg.LinAlgError) as error:
-        text = f"{series.output.component}: no load model was found ({error}); see docs/load.md, when it refuses"
-        raise ComputeError(text) from error
+        raise ComputeError(NO_LOAD_MODEL, series.output.component, reason=str(error)) from error
     loads, moving = series.masses.load, series.masses.moving
     lightest = int(np.argmin(loads))
     scale = np.sqrt((moving + loads[lightest]) / (moving + loads))
@@ -432,48 +492,53 @@ def _component(series: LoadSeries, settings: LoadSettings) -> ComponentLoads:
     dof = float(fit.dof[0]) if fit.scatter[0] > 0.0 else float(np.inf)
     models = [series.influences.on_loads(model) for model in identified.models]
     if np.isfinite(dof) and series.influences.unknowns and models[0].total_covariance is not None:
-        whole, own = (np.diag(np.asarray(one.covariance)) for one in (models[0], identified.models[0]))
-        dof = float(np.min(effective_dof(whole, own, dof)[own > 0.0], initial=np.inf))
+        whole, by_scatter = (np.diag(np.asarray(one.covariance)) for one in (models[0], identified.models[0]))
+        dof = float(np.min(effective_dof(whole, by_scatter, dof)[by_scatter > 0.0], initial=np.inf))
     solutions = tuple(_solution(model, dof, series, settings) for model in models)
     formula_hz = series.measured.frequency_hz[lightest, 0] * scale
     return ComponentLoads(series, identified, formula_hz, solutions, dof)
 
 
 def _solution(model: LoadModel, dof: float, series: LoadSeries, settings: LoadSettings) -> LoadSolution:
-    """What follows from one model."""
+    """Return the characteristics of one model."""
     loads = series.masses.load
-    asked = np.array(settings.predicted, dtype=np.float64)
-    largest = float(np.max(np.concatenate([loads, asked]))) or model.moving_mass
+    requested = np.array(settings.predicted, dtype=np.float64)
+    largest = float(np.max(np.concatenate([loads, requested]))) or model.moving_mass
     share, unit = settings.permitted, parameter_units(model.component)["moving_mass"]
     percent = f"{100.0 * share:g} %"
     limits = [
         ("formula_limit", f"two-mass formula within {percent} of the resonance", formula_limit(model, share)),
         ("change_limit", f"resonance within {percent} of that without load", change_limit(model, share)),
     ]
-    for wanted in settings.target_hz:
-        limits.append(("frequency_limit", f"resonance of at least {wanted:g} Hz", frequency_limit(model, wanted)))
+    for target_hz in settings.target_hz:
+        limits.append(("frequency_limit", f"resonance of at least {target_hz:g} Hz", frequency_limit(model, target_hz)))
     unlimited, where = LoadLimit(float("nan"), float("nan")), f"{series.output.component}, {{:.4g}} {unit}"
-    (bands, u_bands, told), (others, u_others, more) = (_bands(model, masses, where) for masses in (loads, asked))
+    (bands, u_bands, notices), (others, u_others, more) = (
+        _bands(model, masses, where) for masses in (loads, requested)
+    )
     return LoadSolution(
         model=model,
         recorded=load_curve(model, loads, series.masses.u_load),
-        predicted=load_curve(model, asked),
+        predicted=load_curve(model, requested),
         drawn=load_curve(model, np.linspace(0.0, BEYOND * largest, GRID)),
         bands=bands,
         predicted_bands=others,
         u_bands=u_bands,
         u_predicted_bands=u_others,
-        notices=tuple(dict.fromkeys((*told, *more))),
+        notices=tuple(dict.fromkeys((*notices, *more))),
         limits=tuple(NamedQuantity(*(limit or unlimited), dof, unit, name, label) for name, label, limit in limits),
     )
 
 
 def _bands(model: LoadModel, loads: FloatArray, where: str) -> tuple[FloatArray, FloatArray, list[Notice]]:
-    """Bands (R, 2) of loads (R,), their standard uncertainties, and which do not change in proportion to the model."""
-    bands, u, told = np.full((len(loads), 2), np.nan), np.full((len(loads), 2), np.nan), list[Notice]()
-    for place, load in enumerate(loads.tolist()):
-        bands[place] = working_bands(model, load)
+    """Return bands (R, 2) of loads (R,), their u, and notices.
+
+    The notices name bands that are not proportional to the model.
+    """
+    bands, u, notices = np.full((len(loads), 2), np.nan), np.full((len(loads), 2), np.nan), list[Notice]()
+    for index, load in enumerate(loads.tolist()):
+        bands[index] = working_bands(model, load)
         if model.total_covariance is not None:
-            u[place], seen = figures_u(model, partial(working_bands, load_mass=load))
-            told += [replace(one, where=where.format(load)) for one in seen.notices(("band_5_hz", "band_10_hz"))]
-    return bands, np.where(np.isnan(bands), np.nan, u), told
+            u[index], seen = figures_u(model, partial(working_bands, load_mass=load))
+            notices += [one.at(where.format(load)) for one in seen.notices(("band_5_hz", "band_10_hz"))]
+    return bands, np.where(np.isnan(bands), np.nan, u), notices

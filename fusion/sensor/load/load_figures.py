@@ -1,4 +1,4 @@
-"""Figures of load characteristics: resonance, damping and deviations over the load, spectra of the records."""
+"""Figures of load characteristics: resonances, damping, deviations and spectra."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ from shaker.release.load_modes import project_amplitudes
 
 
 def small_unit(component: ComponentLoads) -> str:
-    """Unit of loads as they are shown."""
+    """Return the unit of loads as shown."""
     return typeset(mechanical_units(component.name).inertia.removeprefix("k"))
 
 
 def draw_characteristics(component: ComponentLoads, permitted: float) -> Figure:
-    """Both resonances over the load with 95 % bands, deviations of the models from the first, and its damping."""
+    """Draw resonances and damping over the load with 95 % bands, and deviations."""
     seen, masses, k = component.series.measured, component.series.masses, component.k
     load, solutions = GRAM * masses.load, component.solutions
     is_damped = bool(np.any(np.isfinite(seen.damping_ratio[:, 0])))
@@ -42,7 +42,7 @@ def draw_characteristics(component: ComponentLoads, permitted: float) -> Figure:
     ratio, expanded = PERCENT * seen.damping_ratio[:, 0], PERCENT * k * seen.u_damping_ratio[:, 0]
     damping.points(load, ratio, "measured, U", half_y=expanded, colour=BLACK)
     if not is_damped:
-        _empty(damping, "resonances tell no damping")
+        _empty(damping, "damping is not determined")
     _draw_deviations(off, component, permitted)
     first.y.label, second.y.label, damping.y.label = (
         "first resonance / Hz",
@@ -67,31 +67,34 @@ def draw_characteristics(component: ComponentLoads, permitted: float) -> Figure:
 
 
 def draw_spectra(component: ComponentLoads) -> Figure | None:
-    """Spectrum of every record after its release over its largest line, with what the model leaves; None of a table."""
+    """Draw the spectrum of every record after its release, with the model's residual.
+
+    None of a table.
+    """
     decays, model = component.series.decays, component.solutions[0].model
     modes_hz = component.solutions[0].recorded.frequency_hz
     if not decays:
         return None
     top = 1.15 * max(float(np.nanmax(modes)) for modes in modes_hz[: len(decays)])
     drawn = empty_figure(f"spectra-{component.name}", 0.6 + 1.15 * len(decays), len(decays))
-    for place, (panel, decay) in enumerate(zip(drawn.panels, decays, strict=True)):
-        load = float(component.series.masses.load[place])
+    for index, (panel, decay) in enumerate(zip(drawn.panels, decays, strict=True)):
+        load = float(component.series.masses.load[index])
         poles = model.poles(load)
         residual, _ = project_amplitudes(decay, poles[poles.imag > 0.0])
         window, frequency = np.hanning(len(decay.value)), np.fft.rfftfreq(len(decay.value), 1.0 / decay.rate_hz)
         both = [np.abs(np.fft.rfft(window * part)) for part in (decay.value - np.mean(decay.value), residual)]
         shown, largest = (frequency > 0.0) & (frequency <= top), float(both[0].max())
-        looks = (("output", COLOURS[place % len(COLOURS)], 1.1), ("what the model leaves", GREY, 0.5))
+        looks = (("output", COLOURS[index % len(COLOURS)], 1.1), ("residual of the model", GREY, 0.5))
         for values, (label, colour, width) in zip(both, looks, strict=True):
             panel.line(frequency[shown], values[shown] / largest, label, colour=colour, width=width)
-        modes = modes_hz[place][np.isfinite(modes_hz[place])]
+        modes = modes_hz[index][np.isfinite(modes_hz[index])]
         panel.rule(modes, "modes of the model", along="x", colour=GREY, width=0.7, dashed=True)
         panel.y.log, panel.x.limits = True, (0.0, top)
         panel.title = f"{decay.name}, load {GRAM * load:.5g} {small_unit(component)}"
     drawn.panels[-1].x.label = "frequency / Hz"
     caption = (
-        "Amplitude of the output after the release over its largest line; grey: what the model leaves, whose free "
-        "amplitudes and level are fitted to each record; dashed: modes of the model."
+        "Amplitude of the output after the release over its largest line; grey: residual of the model, with amplitudes "
+        "and level fitted to each record; dashed: modes of the model."
     )
     return drawn.with_title("Spectra of the free oscillations", caption)
 
@@ -120,5 +123,5 @@ def _draw_deviations(panel: Panel, component: ComponentLoads, permitted: float) 
 
 
 def _empty(panel: Panel, text: str) -> None:
-    """A panel that has nothing to show says why."""
+    """Show the reason in a panel without data."""
     panel.title = text

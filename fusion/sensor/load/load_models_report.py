@@ -1,4 +1,4 @@
-"""What load characteristics leave: tables, load.json, HDF5 file, page, lines of the terminal; the command."""
+"""Files, page and printed lines of load characteristics, and the command."""
 
 from __future__ import annotations
 
@@ -53,32 +53,32 @@ LABELS = {
     "coupling_damping": "damping of the coupling c_L",
     "moving_mass": "moving mass m_E",
 }
-NO_LIMIT = "no limit, or never met"
+NO_LIMIT = "no limit, or not possible"
 
 # Tables in files
 
 
 class LoadRow(NamedTuple):
-    """One load of a component by one solution: recorded, asked for, or on the grid that is drawn."""
+    """One load of a component by one solution: recorded, predicted, or on the grid."""
 
     component: ComponentLoads
     solution: LoadSolution
     kind: str
     recording: str
     curve: LoadCurve
-    place: int
+    load_index: int
     u_mass: float
     bands: FloatArray
     u_bands: FloatArray
 
-    def band_hz(self, place: int) -> tuple[float, float]:
-        """Return where the gain leaves ±5 (`place` 0) or ±10 % (1) of that at rest, with U."""
-        return float(self.bands[place]), self.component.k * float(self.u_bands[place])
+    def band_hz(self, index: int) -> tuple[float, float]:
+        """Return the limit of the ±5 % (`index` 0) or ±10 % band, with U."""
+        return float(self.bands[index]), self.component.k * float(self.u_bands[index])
 
     @property
     def mass_text(self) -> str:
         """Return the load in g or g·m²."""
-        return f"{GRAM * self.curve.load_mass[self.place]:.6g}"
+        return f"{GRAM * self.curve.load_mass[self.load_index]:.6g}"
 
     def model_hz(self, mode: int) -> tuple[float, float]:
         """Return a resonance of the model with U."""
@@ -90,14 +90,14 @@ class LoadRow(NamedTuple):
         return self._resonance(seen.frequency_hz, seen.u_frequency_hz, mode)
 
     def _resonance(self, value: FloatArray, u: FloatArray, mode: int) -> tuple[float, float]:
-        return float(value[self.place, mode]), self.component.k * float(u[self.place, mode])
+        return float(value[self.load_index, mode]), self.component.k * float(u[self.load_index, mode])
 
 
 def _of_curve(name: str, of: str, mode: int, *, expanded: bool = False) -> TableColumn[LoadRow]:
     def value(row: LoadRow) -> float | None:
         if "damping" in of and not np.any(np.nan_to_num(row.curve.damping_ratio) > 1e-9):
-            return None  # the model tells no damping
-        return finite_or_none(getattr(row.curve, of)[row.place, mode] * (row.component.k if expanded else 1.0))
+            return None  # the model has no damping
+        return finite_or_none(getattr(row.curve, of)[row.load_index, mode] * (row.component.k if expanded else 1.0))
 
     return TableColumn(name, value)
 
@@ -105,7 +105,7 @@ def _of_curve(name: str, of: str, mode: int, *, expanded: bool = False) -> Table
 def _of_measured(name: str, of: str, mode: int) -> TableColumn[LoadRow]:
     def value(row: LoadRow) -> float | None:
         return (
-            finite_or_none(getattr(row.component.series.measured, of)[row.place, mode])
+            finite_or_none(getattr(row.component.series.measured, of)[row.load_index, mode])
             if row.kind == RECORDED
             else None
         )
@@ -119,7 +119,7 @@ LOADS: list[TableColumn[LoadRow]] = [
     TableColumn("solution", lambda row: row.solution.model.solution),
     text_column("kind", lambda row: row.kind),
     text_column("recording", lambda row: row.recording),
-    TableColumn("load_mass", lambda row: float(row.curve.load_mass[row.place])),
+    TableColumn("load_mass", lambda row: float(row.curve.load_mass[row.load_index])),
     TableColumn("u_load_mass", lambda row: row.u_mass),
     text_column("mass_unit", lambda row: parameter_units(row.component.name)["moving_mass"]),
     _of_curve("first_hz", "frequency_hz", 0),
@@ -140,7 +140,8 @@ LOADS: list[TableColumn[LoadRow]] = [
     _of_measured("measured_damping_first", "damping_ratio", 0),
     _of_measured("u_measured_damping_first", "u_damping_ratio", 0),
     TableColumn(
-        "formula_hz", lambda row: finite_or_none(row.component.formula_hz[row.place]) if row.kind == RECORDED else None
+        "formula_hz",
+        lambda row: finite_or_none(row.component.formula_hz[row.load_index]) if row.kind == RECORDED else None,
     ),
     TableColumn("band_5_hz", lambda row: finite_or_none(row.bands[0])),
     TableColumn("band_10_hz", lambda row: finite_or_none(row.bands[1])),
@@ -152,20 +153,23 @@ LOADS: list[TableColumn[LoadRow]] = [
 
 
 def load_rows(component: ComponentLoads, solution: LoadSolution) -> Iterator[LoadRow]:
-    """One row per load: those recorded, those asked for, and a grid."""
+    """Yield one row per load: recorded loads, predicted loads, and a grid."""
     u_mass = component.series.masses.u_load
-    for place, name in enumerate(component.series.names):
-        u, bands = float(u_mass[place]), (solution.bands[place], solution.u_bands[place])
-        yield LoadRow(component, solution, RECORDED, name, solution.recorded, place, u, *bands)
-    for place, pair in enumerate(zip(solution.predicted_bands, solution.u_predicted_bands, strict=True)):
-        yield LoadRow(component, solution, PREDICTED, "", solution.predicted, place, 0.0, *pair)
+    for index, name in enumerate(component.series.names):
+        u, bands = float(u_mass[index]), (solution.bands[index], solution.u_bands[index])
+        yield LoadRow(component, solution, RECORDED, name, solution.recorded, index, u, *bands)
+    for index, pair in enumerate(zip(solution.predicted_bands, solution.u_predicted_bands, strict=True)):
+        yield LoadRow(component, solution, PREDICTED, "", solution.predicted, index, 0.0, *pair)
     unknown = np.full(2, np.nan)
-    for place in range(len(solution.drawn.load_mass)):
-        yield LoadRow(component, solution, DRAWN, "", solution.drawn, place, 0.0, unknown, unknown)
+    for index in range(len(solution.drawn.load_mass)):
+        yield LoadRow(component, solution, DRAWN, "", solution.drawn, index, 0.0, unknown, unknown)
 
 
 class LoadParameter(NamedTuple):
-    """One number of a model; `u_given_masses`: its standard uncertainty without what the masses add, NaN if unknown."""
+    """One number of a model.
+
+    `u_given_masses`: its u without that of the masses, NaN if not known.
+    """
 
     solution: int
     quantity: NamedQuantity
@@ -173,16 +177,16 @@ class LoadParameter(NamedTuple):
 
 
 def parameters(component: ComponentLoads, solution: LoadSolution) -> Iterator[LoadParameter]:
-    """Stiffnesses, dampings where they are known, and moving mass of a model."""
+    """Yield stiffnesses, dampings if determined, and moving mass of a model."""
     model, units = solution.model, parameter_units(component.name)
     size, total = len(model.vector), model.total_covariance
     u = np.full(size + 1, np.nan) if total is None else np.sqrt(np.diag(total))
     given = np.full(size, np.nan) if model.covariance is None else np.sqrt(np.diag(model.covariance))
     names, values = [*PARAMETERS[:size], "moving_mass"], [*model.vector, model.moving_mass]
-    for name, value, spread, own in zip(names, values, u, [*given, 0.0], strict=True):
+    for name, value, spread, u_given in zip(names, values, u, [*given, 0.0], strict=True):
         if "damping" not in name or model.damping:
             quantity = NamedQuantity(float(value), float(spread), component.dof, units[name], name, LABELS[name])
-            yield LoadParameter(model.solution, quantity, own)
+            yield LoadParameter(model.solution, quantity, u_given)
 
 
 class ParameterRow(NamedTuple):
@@ -201,7 +205,10 @@ class ParameterRow(NamedTuple):
 
 
 def parameter_rows(evaluation: LoadEvaluation) -> Iterator[ParameterRow]:
-    """One row per number of a model, per permitted load, and per named mass error, in its standard uncertainties."""
+    """Yield one row per number of a model, permitted load, and mass error.
+
+    Mass errors are in their u.
+    """
     for component in evaluation.components:
         for solution in component.solutions:
             model = solution.model
@@ -250,7 +257,7 @@ def texts(evaluation: LoadEvaluation) -> dict[str, str | bytes]:
 
 
 def fill(file: h5py.File, evaluation: LoadEvaluation) -> None:
-    """Fill the HDF5 file: what was measured, every fit, every solution and, of records, the decays that were fitted."""
+    """Fill the HDF5 file with measured values, fits, solutions and decays."""
     file.attrs["name"] = evaluation.name
     components = file.create_group("components", track_order=True)
     for component in evaluation.components:
@@ -272,11 +279,11 @@ def fill(file: h5py.File, evaluation: LoadEvaluation) -> None:
         for number, fit in enumerate(identification.elastic, 1):
             write_fields(group.create_group(f"three_masses_{number}"), fit)
         for solution in component.solutions:
-            own = group.create_group(f"solution_{solution.model.solution}", track_order=True)
+            solution_group = group.create_group(f"solution_{solution.model.solution}", track_order=True)
             for name in ("model", "recorded", "predicted", "drawn"):
-                write_fields(own.create_group(name), getattr(solution, name))
-            write_value(own, "bands_hz", solution.bands)
-            write_value(own, "u_bands_hz", solution.u_bands)
+                write_fields(solution_group.create_group(name), getattr(solution, name))
+            write_value(solution_group, "bands_hz", solution.bands)
+            write_value(solution_group, "u_bands_hz", solution.u_bands)
         decays = group.create_group("decays", track_order=True)
         for decay in series.decays:
             write_fields(decays.create_group(decays.free_name(decay.name)), decay)
@@ -286,7 +293,7 @@ def fill(file: h5py.File, evaluation: LoadEvaluation) -> None:
 
 
 def page_context(evaluation: LoadEvaluation) -> dict[str, Any]:
-    """Return everything the template shows."""
+    """Return the content of the page."""
     named = [("Rig", evaluation.rig), ("Sensor", evaluation.sensor)]
     loads = "; ".join(f"{component.name}: {', '.join(component.series.names)}" for component in evaluation.components)
     permitted = evaluation.chosen.permitted
@@ -305,7 +312,7 @@ def page_context(evaluation: LoadEvaluation) -> dict[str, Any]:
                 "limits": limits_table(component),
                 "masses": masses_table(component),
                 "characteristics": [draw_characteristics(component, permitted)],
-                "spectra": [picture for picture in [draw_spectra(component)] if picture is not None],
+                "spectra": [figure for figure in [draw_spectra(component)] if figure is not None],
                 "from_records": component.identification.from_records,
             }
             for component in evaluation.components
@@ -314,30 +321,30 @@ def page_context(evaluation: LoadEvaluation) -> dict[str, Any]:
 
 
 def headlines(component: ComponentLoads) -> list[Headline]:
-    """Stiffnesses, resonance without load, and the first limit, of the first solution."""
+    """Return stiffnesses, resonance without load, and the first limit of the first solution."""
     solution = component.solutions[0]
     remark = (f"U: k = {factor_text(component.k)}" if component.covers else "without U") + _which(solution)
-    told = [
+    lines = [
         Headline(capitalise(one.label), quantity_html(one.value, one.expanded, typeset(one.unit)), remark)
         for _, one, _ in parameters(component, solution)
         if one.name.endswith("stiffness")
     ]
     bare = next(row for row in load_rows(component, solution) if row.kind == DRAWN)
-    told.append(Headline("Resonance without load", quantity_html(*bare.model_hz(0), "Hz"), "by the model"))
+    lines.append(Headline("Resonance without load", quantity_html(*bare.model_hz(0), "Hz"), "by the model"))
     limit = solution.limits[0]
     if np.isfinite(limit.value):
-        told.append(Headline("Two-mass formula holds to", _limit(component, limit), limit.label))
-    return told
+        lines.append(Headline("Two-mass formula valid up to", _limit(component, limit), limit.label))
+    return lines
 
 
 def parameters_table(component: ComponentLoads) -> Table | None:
-    """Every number of the model, of each solution."""
+    """Return every number of the model, of each solution."""
 
     def relative(row: LoadParameter) -> str:
         one = row.quantity
         return f"{100.0 * one.expanded / one.value:.2g}" if one.u > 0.0 and one.value else DASH
 
-    def alone(row: LoadParameter) -> str:
+    def given_masses(row: LoadParameter) -> str:
         one, given = row.quantity, row.u_given_masses
         return quantity_html(one.value, one.k * given) if given > 0.0 else DASH
 
@@ -347,7 +354,7 @@ def parameters_table(component: ComponentLoads) -> Table | None:
         page_column("value", lambda row: quantity_html(row.quantity.value, row.quantity.expanded)),
         page_column("unit", lambda row: typeset(row.quantity.unit), "l"),
         page_column("U relative / %", relative),
-        page_column("for the stated masses", alone),
+        page_column("for the stated masses", given_masses),
     ]
     several, solutions = len(component.solutions) > 1, component.solutions
     rows = (row for solution in solutions for row in parameters(component, solution))
@@ -356,19 +363,19 @@ def parameters_table(component: ComponentLoads) -> Table | None:
 
 
 def parameters_budget(component: ComponentLoads) -> Table | None:
-    """What makes the u of the first model's numbers, and what nobody states."""
-    model, known = component.solutions[0].model, component.series.influences
+    """Return the budget of the first model's numbers, with influences that are not assessed."""
+    model, influences = component.solutions[0].model, component.series.influences
     if model.total_covariance is None:
         return None
-    effects = known.effects(lambda *part: model.altered(*part).numbers)
-    parts = known.budget(np.diag(model.total_covariance), effects, "records and masses")
+    effects = influences.effects(lambda *part: model.altered(*part).numbers)
+    parts = influences.budget(np.diag(model.total_covariance), effects, "records and masses")
     names = (*PARAMETERS[: len(model.vector)], "moving_mass")
     numbers = {LABELS[name]: float(value) for name, value in zip(names, model.numbers, strict=True)}
-    return budget_table("Budget of the parameters", numbers, parts, known)
+    return budget_table("Budget of the parameters", numbers, parts, influences)
 
 
 def loads_table(component: ComponentLoads, solution: LoadSolution) -> Table | None:
-    """Every recorded load: what was measured, what the model says, what the two-mass formula says."""
+    """Return measured resonances of every recorded load, with deviations of model and two-mass formula."""
     rigid = component.identification.rigid
 
     def less_measured(head: str, model_hz: Callable[[LoadRow], float]) -> TableColumn[LoadRow]:
@@ -380,18 +387,18 @@ def loads_table(component: ComponentLoads, solution: LoadSolution) -> Table | No
         page_column("first / Hz", lambda row: quantity_html(*row.measured_hz(0))),
         page_column("second / Hz", lambda row: quantity_html(*row.measured_hz(1))),
         less_measured("model / %", lambda row: row.model_hz(0)[0]),
-        less_measured("formula / %", lambda row: float(component.formula_hz[row.place])),
-        less_measured("two masses / %", lambda row: float(rigid.frequency_hz[row.place, 0])),
+        less_measured("formula / %", lambda row: float(component.formula_hz[row.load_index])),
+        less_measured("two masses / %", lambda row: float(rigid.frequency_hz[row.load_index, 0])),
     ]
     caption = f"Resonances with U; first ones of the models less measured{_which(solution)}"
     return table(caption, columns, (row for row in load_rows(component, solution) if row.kind == RECORDED))
 
 
 def bands_table(component: ComponentLoads, solution: LoadSolution) -> Table | None:
-    """Damping and working bands of every load, recorded or asked for."""
+    """Return damping and working bands of every load, recorded or predicted."""
 
     def damping(row: LoadRow) -> str:
-        zeta, u = (float(of[row.place, 0]) for of in (row.curve.damping_ratio, row.curve.u_damping_ratio))
+        zeta, u = (float(of[row.load_index, 0]) for of in (row.curve.damping_ratio, row.curve.u_damping_ratio))
         return quantity_html(100.0 * zeta, 100.0 * component.k * u) if solution.model.damping else DASH
 
     columns: list[TableColumn[LoadRow]] = [
@@ -408,7 +415,7 @@ def bands_table(component: ComponentLoads, solution: LoadSolution) -> Table | No
 
 
 def limits_table(component: ComponentLoads) -> Table | None:
-    """Loads that are permitted."""
+    """Return the permitted loads."""
     columns: list[TableColumn[tuple[int, NamedQuantity]]] = [
         page_column("solution", lambda row: f"{row[0]}", "l"),
         page_column("requirement", lambda row: capitalise(row[1].label), "l"),
@@ -420,32 +427,34 @@ def limits_table(component: ComponentLoads) -> Table | None:
 
 
 def masses_table(component: ComponentLoads) -> Table | None:
-    """The named errors of the masses, and where the resonances move them."""
+    """Return the named errors of the masses, as estimated from the resonances."""
     masses, fit = component.series.masses, component.identification.chosen[0]
     if fit.covariance is None:
         return None
     largest = np.maximum(np.abs(masses.moving_effect), np.max(np.abs(masses.load_effect), axis=0, initial=0.0))
     u_left = np.sqrt(np.diag(fit.covariance)[len(fit.numbers) :])
     columns: list[TableColumn[int]] = [
-        page_column("mass error", lambda place: masses.names[place], "l"),
-        page_column(f"stated u / {small_unit(component)}", lambda place: f"{GRAM * largest[place]:.3g}"),
-        page_column("found / stated u", lambda place: signed_text(float(fit.deviates[place]), "+.2f")),
-        page_column("u left / stated u", lambda place: f"{u_left[place]:.2f}"),
+        page_column("mass error", lambda index: masses.names[index], "l"),
+        page_column(f"stated u / {small_unit(component)}", lambda index: f"{GRAM * largest[index]:.3g}"),
+        page_column("found / stated u", lambda index: signed_text(float(fit.deviates[index]), "+.2f")),
+        page_column("u left / stated u", lambda index: f"{u_left[index]:.2f}"),
     ]
-    return table("Masses as unknowns: what the resonances say of them", columns, range(len(masses.names)))
+    return table("Masses as unknowns, estimated from the resonances", columns, range(len(masses.names)))
 
 
 def printed(evaluation: LoadEvaluation) -> Iterator[str]:
-    """Lines for the terminal, U at 95 %."""
+    """Yield the printed lines, with U at 95 %."""
     for component in evaluation.components:
         small = small_unit(component)
         for solution in component.solutions:
-            told = ", ".join(
-                f"{one.label.rpartition(' ')[2]} = {round_to_uncertainty(one.value, one.expanded).text} {typeset(one.unit)}"
-                for _, one, _ in parameters(component, solution)
+            numbers = (
+                (one, round_to_uncertainty(one.value, one.expanded)) for _, one, _ in parameters(component, solution)
+            )
+            texts = ", ".join(
+                f"{one.label.rpartition(' ')[2]} = {rounded.text} {typeset(one.unit)}" for one, rounded in numbers
             )
             which, scope = f"{_structure(solution)}{_which(solution)}", component.series.influences.scope
-            yield f"{component.name} ({which}): {told}; U {scope}"
+            yield f"{component.name} ({which}): {texts}; U {scope}"
             for row in load_rows(component, solution):
                 if row.kind != DRAWN:
                     model, mass = row.model_hz(0), f"{row.mass_text} {small}"
@@ -466,18 +475,18 @@ def _structure(solution: LoadSolution) -> str:
 
 
 def _which(solution: LoadSolution) -> str:
-    """The number of a solution where there are several."""
+    """Return the number of a solution if there are several."""
     model = solution.model
     return f", solution {model.solution} of {model.solutions}" if model.solutions > 1 else ""
 
 
 def _limit(component: ComponentLoads, limit: NamedQuantity) -> str:
-    """A permitted load in g or g·m² with U."""
+    """Return a permitted load in g or g·m² with U."""
     return quantity_html(GRAM * limit.value, GRAM * limit.expanded, small_unit(component))
 
 
 def _percent(share: float) -> str:
-    """A deviation in % with a sign, to three places where it is below 1 %."""
+    """Return a signed deviation in %, with three decimals below 1 %."""
     percent = 100.0 * share
     return "0.000" if abs(percent) < 5e-4 else signed_text(percent, "+.2f" if abs(percent) >= 1.0 else "+.3f")
 
@@ -504,10 +513,10 @@ def run_loads(
     force: bool = False,
     allow_outside: bool = False,
 ) -> None:
-    """Evaluate the step recordings at some paths together, write the results and print the summary.
+    """Evaluate step recordings of several loads, write the results and print the summary.
 
-    Results stand in folder `load` of the campaign or of the only recording, or, of several paths, beside the first
-    recording's rig; or in `output`.
+    Results are written to folder `load` of the campaign or the only recording, of several paths to the folder of the
+    first recording's rig; or to `output`.
     """
     manifests = load_for_command(paths, LOAD.name, allow_outside=allow_outside)
 
@@ -521,9 +530,9 @@ def run_loads(
 
 
 def run_table(path: Path, output: Path | None, settings: LoadSettings, *, force: bool = False) -> None:
-    """Evaluate a table of resonances, for which the settings hold the moving mass; write and print as `run_loads`.
+    """Evaluate a table of resonances, write the results and print the summary.
 
-    Results stand in `output`, or in folder `load` beside the table.
+    The settings must contain the moving mass. Results are written to `output`, or to folder `load` next to the table.
     """
     if settings.moving_mass is None:
         raise ValueError("settings: expected the moving mass that the table's resonances belong to, found none")

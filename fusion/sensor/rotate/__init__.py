@@ -1,1 +1,1 @@
-"""Rotation tests."""
+"""Rotation tests: masses and centres of mass by gravity."""

@@ -1,6 +1,6 @@
-"""From recordings of a sensor on an indexing head to masses and centres of mass: tables → harmonics → weights → masses.
+"""Evaluation of rotation tests: tables → harmonics → weights → masses and centres of mass.
 
-Gravity, air and weighed masses enter with their uncertainties by name, each cause of error with its effect on all.
+Gravity, air density and weighed masses are named inputs with uncertainty.
 """
 
 from __future__ import annotations
@@ -13,10 +13,27 @@ from typing import NamedTuple
 
 import numpy as np
 
-from fusion.base import PERCENT, round_to_uncertainty
+from fusion.base import PERCENT
 from fusion.errors import InputError
 from fusion.estimation.coverage import coverage_factor
 from fusion.recording.load import Manifest, check_one_rig
+from fusion.sensor.rotate.rotation_notices import (
+    AXIS_TILT,
+    BODY_DENSITY_NOT_STATED,
+    DIFFERENT_ROTATION_CHANNELS,
+    GRAVITY_EXACT,
+    GRAVITY_FROM_LOCATION,
+    GRAVITY_OFFSET,
+    GRAVITY_REVERSED,
+    LOAD_MASS_DEVIATES,
+    LOAD_NOT_WEIGHED,
+    MATRIX_UNCERTAINTY_NOT_STATED,
+    NO_LOADED_RECORDING,
+    NO_UNLOADED_RECORDING,
+    SINGLE_MOUNTING,
+    TOTAL_WEIGHT_ONLY,
+    WEIGHT_NOT_EXPLAINED,
+)
 from fusion.sensor.rotate.rotation_readings import (
     JOINT,
     RepeatedResults,
@@ -50,15 +67,32 @@ from shaker.static_rotation.masses import (
 )
 from shakercal._common.notices import Notice
 
-TURNED_AWAY_RAD, TILTED_RAD = np.radians(10.0), np.radians(1.0)
-"""Zero angle and tilt of the axis above which the user is told."""
+MAX_OFFSET_RAD, MAX_TILT_RAD = np.radians(10.0), np.radians(1.0)
+"""Zero angle and tilt of the axis above which a notice is given: chosen, far above the alignment of a good setup."""
 
 
 def evaluate_rotation(name: str, manifests: Sequence[Manifest], input_hashes: dict[str, str]) -> RotationEvaluation:
-    """Return what recordings of one sensor on the head weigh: tables → harmonics → weights → masses.
+    """Evaluate recordings on an indexing head: tables → harmonics → weights → masses.
 
-    Raises `InputError` for what the user can mend in the files.
+    Parameters
+    ----------
+    name
+        Name of the evaluation in the results.
+    manifests
+        Recordings of kind rotation, of one rig.
+    input_hashes
+        SHA-256 of the input files by name, for the results.
 
+    Returns
+    -------
+    RotationEvaluation : masses and centres of mass with their uncertainties.
+
+    Raises
+    ------
+    InputError : a file or key that the user has to correct.
+
+    Examples
+    --------
     >>> import tempfile
     >>> from fusion import evaluate_rotation, load_for_command, simulate_preset
     >>> with tempfile.TemporaryDirectory() as folder:
@@ -77,16 +111,15 @@ def evaluate_rotation(name: str, manifests: Sequence[Manifest], input_hashes: di
     u_angle = max(manifest.excitation.angle_uncertainty for manifest in manifests)
     weights = fit_weights(records, outputs, u_angle)
     campaign = RotationCampaign(recordings, records, weights, gravity, air)
-    numbers, again = quantities(campaign), repeats(campaign)
-    notices += [*_of_surroundings(manifests[0], gravity, outputs), *_of_mounting(recordings, again)]
+    numbers, scatter = quantities(campaign), repeats(campaign)
+    notices += [*_of_surroundings(manifests[0], gravity, outputs), *_of_mounting(recordings, scatter)]
     notices += [
         *_of_fit(weights, records),
         *(notice for manifest in manifests for notice in manifest.certificate_notices),
     ]
     for quantity in numbers:
         if quantity.name == "load_mass_normalised_deviation" and abs(quantity.value) > 1.0:
-            by, times = quantity.component, f"{abs(quantity.value):.2f} times the U of their difference"
-            notices.append(Notice("warning", f"the load mass by {by} and the weighed mass differ by {times}", "load"))
+            notices.append(Notice(LOAD_MASS_DEVIATES, "load", component=quantity.component, ratio=abs(quantity.value)))
     return RotationEvaluation(
         name=name,
         recordings=recordings,
@@ -95,7 +128,7 @@ def evaluate_rotation(name: str, manifests: Sequence[Manifest], input_hashes: di
         air=air,
         weights=weights,
         quantities=numbers,
-        repeats=again,
+        repeats=scatter,
         notices=tuple(dict.fromkeys(notices)),
         settings={"gravity": gravity.source, "air_density": air.source},
         input_hashes=input_hashes,
@@ -104,83 +137,74 @@ def evaluate_rotation(name: str, manifests: Sequence[Manifest], input_hashes: di
 
 
 def _read(manifests: Sequence[Manifest]) -> tuple[tuple[RotationRecording, ...], SensorOutputs, list[Notice]]:
-    """All recordings, which must hold the same channels."""
+    """Return all recordings, which must have the same channels."""
     read = [read_rotation(manifest) for manifest in manifests]
     first, outputs, _ = read[0]
     for recording, _, _ in read[1:]:
         if recording.fit.channels != first.fit.channels or recording.unit != first.unit:
-            own, expected = (
+            found, expected = (
                 ", ".join(f"{c} {u}".strip() for c, u in zip(r.fit.channels, r.unit, strict=True))
                 for r in (recording, first)
             )
-            expected = f"{expected}, the channels of {first.name}"
-            raise InputError(table_path(recording.manifest), "", found=own, expected=expected)
-    return tuple(item[0] for item in read), outputs, [notice for *_, told in read for notice in told]
+            raise InputError(
+                DIFFERENT_ROTATION_CHANNELS,
+                table_path(recording.manifest),
+                expected=expected,
+                recording=first.name,
+                found=found,
+            )
+    return tuple(item[0] for item in read), outputs, [notice for *_, of_recording in read for notice in of_recording]
 
 
 def _of_surroundings(manifest: Manifest, gravity: SourcedValue, outputs: SensorOutputs) -> Iterator[Notice]:
-    value, environment = round_to_uncertainty(gravity.value, 2.0 * gravity.u), manifest.rig.environment
+    environment = manifest.rig.environment
     if environment is None or environment.gravity is None:
-        text = f"local gravity is not stated: ({value.value} ± {value.expanded}) m/s² (k = 2), {gravity.source}"
-        yield Notice("note", text, "gravity")
-    elif gravity.u == 0.0:
-        yield Notice("note", "gravity counts as exact, since gravity_uncertainty is not stated", "gravity")
-    if not outputs.u.any():
-        text = (
-            "no uncertainty of the calibration matrix is stated (static_sensitivity_uncertainty): U contains the "
-            "scatter of the readings, but not the scale of the sensor"
+        yield Notice(
+            GRAVITY_FROM_LOCATION,
+            "gravity",
+            gravity_mps2=gravity.value,
+            expanded_mps2=2.0 * gravity.u,
+            source=gravity.source,
         )
-        yield Notice("warning", text, "sensor")
+    elif gravity.u == 0.0:
+        yield Notice(GRAVITY_EXACT, "gravity")
+    if not outputs.u.any():
+        yield Notice(MATRIX_UNCERTAINTY_NOT_STATED, "sensor")
     for body in load_bodies(manifest):
         if body.u_volume_m3kg > 0.0:
-            text = f"density of {body.name} not stated: its buoyancy is that of something between aluminium and steel"
-            yield Notice("note", text, "load")
+            yield Notice(BODY_DENSITY_NOT_STATED, "load", body=body.name)
 
 
-def _of_mounting(recordings: Sequence[RotationRecording], again: Sequence[RotationScatter]) -> Iterator[Notice]:
-    """What a missing recording leaves open, and where repeats tell nothing of mounting anew."""
+def _of_mounting(recordings: Sequence[RotationRecording], scatter: Sequence[RotationScatter]) -> Iterator[Notice]:
+    """Yield notices on missing recordings and on states of one mounting."""
     kinds = {recording.with_load for recording in recordings}
     stated = bool(load_bodies(recordings[0].manifest))
     if kinds == {False}:
-        yield Notice("note", "no recording with load: internal mass only", "recordings")
+        yield Notice(NO_LOADED_RECORDING, "recordings")
     elif kinds == {True} and stated:
-        text = "no recording without load: the internal mass is what the weighed load leaves of the weight"
-        yield Notice("note", text, "recordings")
+        yield Notice(NO_UNLOADED_RECORDING, "recordings")
     elif kinds == {True}:
-        text = "neither a recording without load nor a weighed load: weights only, which hold load and internal mass"
-        yield Notice("warning", text, "recordings")
+        yield Notice(TOTAL_WEIGHT_ONLY, "recordings")
     elif not stated:
-        yield Notice("note", "no [load] in rig.toml: nothing to compare the load mass with", "load")
-    for state in again:
+        yield Notice(LOAD_NOT_WEIGHED, "load")
+    for state in scatter:
         if not state.between_dof:
-            text = f"{len(state.recordings)} recordings {state.state} are of one mounting: what mounting anew changes"
-            yield Notice("note", f"{text} is not in U", "repeats")
+            yield Notice(SINGLE_MOUNTING, "repeats", count=len(state.recordings), state=state.state)
 
 
 def _of_fit(weights: WeightFit, records: Sequence[RotationRecord]) -> Iterator[Notice]:
-    """What the fit says of the head and of the channels."""
+    """Yield notices on the axis of the head and the consistency of the channels."""
     for r, record in enumerate(records):
         row = weights.value[ROWS * r : ROWS * (r + 1)]
         zero, tilt = float(row[4]), float(np.hypot(row[5], row[6]))
-        away = f"gravity at angle 0 lies {np.degrees(zero):.1f}° from its stated direction"
         if abs(zero) > np.pi / 2.0:
-            text = (
-                f"{away}: sense of the sensor or zero_gravity may be the wrong way round; masses and centres do not "
-                "depend on it"
-            )
-            yield Notice("warning", text, record.name)
-        elif abs(zero) > TURNED_AWAY_RAD:
-            yield Notice("note", f"{away}, which is taken off", record.name)
-        if tilt > TILTED_RAD and tilt > 3.0 * float(np.sqrt(weights.covariance[ROWS * r + 5, ROWS * r + 5])):
-            text = f"the force along the axis turns with the head as if that were {np.degrees(tilt):.2f}° from the axis"
-            yield Notice("note", f"{text} stated, or by cross-talk of the sensor", record.name)
+            yield Notice(GRAVITY_REVERSED, record.name, offset_deg=float(np.degrees(zero)))
+        elif abs(zero) > MAX_OFFSET_RAD:
+            yield Notice(GRAVITY_OFFSET, record.name, offset_deg=float(np.degrees(zero)))
+        if tilt > MAX_TILT_RAD and tilt > 3.0 * float(np.sqrt(weights.covariance[ROWS * r + 5, ROWS * r + 5])):
+            yield Notice(AXIS_TILT, record.name, tilt_deg=float(np.degrees(tilt)))
     if weights.departure > 0.0:
-        text = (
-            "a weight turned about the axis does not explain all channels within their noise and the stated "
-            f"calibration: every first harmonic is taken to be uncertain by {100.0 * weights.departure:.2g} % of the "
-            "weight more, by which they disagree"
-        )
-        yield Notice("warning", text, "channels")
+        yield Notice(WEIGHT_NOT_EXPLAINED, "channels", departure_percent=100.0 * weights.departure)
 
 
 # From weights to masses and centres of mass.
@@ -188,13 +212,13 @@ def _of_fit(weights: WeightFit, records: Sequence[RotationRecord]) -> Iterator[N
 
 UNDETERMINED = "what no channel tells"
 MAX_UNDETERMINED_SHARE = 0.1
-"""Share of that in the uncertainty of a number above which the recordings do not tell it."""
+"""Share of this cause in the u of a number above which the recordings do not determine it."""
 MEAN_ROWS = np.array([0, *range(UNKNOWNS_PER_RECORD, UNKNOWNS_PER_RECORD + FORCES), 1, 2, 3])
-"""Places of weights (joint, by Fx, Fy, Fz) and first moment among the numbers of a recording."""
+"""Indices of weights (joint, by Fx, Fy, Fz) and first moment among the numbers of a recording."""
 
 
 class QuantityLabel(NamedTuple):
-    """What a number is: unit, name for files, label, component, recording."""
+    """Unit, name in files, label, component and recording of a number."""
 
     unit: str
     name: str
@@ -205,7 +229,7 @@ class QuantityLabel(NamedTuple):
 
 @dataclass(frozen=True)
 class RotationCampaign:
-    """Everything that masses follow from: the weights, and in which recordings which bodies were mounted."""
+    """The inputs of the masses: weights, surroundings, and bodies of each recording."""
 
     recordings: tuple[RotationRecording, ...]
     records: tuple[RotationRecord, ...]
@@ -220,7 +244,7 @@ class RotationCampaign:
 
     @cached_property
     def recording_bodies(self) -> tuple[tuple[WeighedBody, ...], ...]:
-        """Return the bodies that each recording carries beside that."""
+        """Return the bodies of each recording in addition to the load."""
         return tuple(recording_bodies(recording.manifest) for recording in self.recordings)
 
     @cached_property
@@ -234,17 +258,20 @@ class RotationCampaign:
 
     @cached_property
     def single_forces(self) -> list[list[tuple[int, str]]]:
-        """Return the forces that tell the weight alone, as (place in `MEAN_ROWS`, name), of every recording."""
+        """Return the forces that determine the weight individually, of every recording.
+
+        Each as (index in `MEAN_ROWS`, name).
+        """
         finite = np.isfinite(self.weights.value.reshape(-1, ROWS)[:, UNKNOWNS_PER_RECORD:])
         return [[(1 + i, name) for i, name in enumerate(LOAD_COMPONENTS[:3]) if row[i]] for row in finite]
 
 
 class _Inputs:
-    """Numbers that masses follow from, in B variants at once, by name; every number is an array (B,).
+    """Inputs of the masses in B variants at once.
 
-    First as they are, then one standard uncertainty up, then down, each that is uncertain by itself. N numbers: those
-    of the fit, gravity, air, volume of the sensor's part, then mass, volume, centre of every body. `sources`: every
-    cause of error with its effect on them.
+    Nominal values first, then each uncertain one raised and lowered by its u. There are N numbers: those of the fit,
+    gravity, air density, volume of the sensor's moving part, then mass, volume and centre of every body. `sources`:
+    every cause of error with its effect on them.
     """
 
     def __init__(self, campaign: RotationCampaign) -> None:
@@ -264,9 +291,9 @@ class _Inputs:
         for source in fit.sources:
             wide = np.vstack([np.nan_to_num(source.effect), np.zeros((len(extra), source.effect.shape[1]))])
             self.sources.append(source._replace(effect=wide))
-        for place, (_, u, name) in enumerate(extra, len(fit.value)):
+        for index, (_, u, name) in enumerate(extra, len(fit.value)):
             if u > 0.0:
-                self.sources.append(WeightErrorSource(name, "B", np.inf, u * np.eye(len(value))[:, place : place + 1]))
+                self.sources.append(WeightErrorSource(name, "B", np.inf, u * np.eye(len(value))[:, index : index + 1]))
         self.u = np.sqrt(sum(np.sum(source.effect**2, axis=1) for source in self.sources))
         self.uncertain = np.flatnonzero(self.u > 0.0)
         steps = np.diag(self.u)[:, self.uncertain]
@@ -277,14 +304,17 @@ class _Inputs:
         self.body = {body.name: variants[start + 3 + 5 * i :][:5] for i, body in enumerate(campaign.bodies)}
 
     def gradient(self, values: FloatArray) -> FloatArray:
-        """Derivatives (Q, N) of numbers (Q, B)."""
+        """Return derivatives (Q, N) of numbers (Q, B)."""
         high, low = np.split(values[:, 1:], 2, axis=1)
         gradient = np.zeros((len(values), len(self.u)))
         gradient[:, self.uncertain] = (high - low) / (2.0 * self.u[self.uncertain])
         return gradient
 
     def carried(self, bodies: Sequence[WeighedBody]) -> FloatArray:
-        """Weight in air N, for every row of weights, and first moment N·m of bodies, in the order of `MEAN_ROWS`."""
+        """Return weight in air (N) and first moment (N·m) of bodies.
+
+        In the order of `MEAN_ROWS`.
+        """
         load = np.zeros((len(MEAN_ROWS), len(self.gravity)))
         for row in (self.body[body.name] for body in bodies):
             weight = self.gravity * row[0] * (1.0 - self.air * row[1])
@@ -292,64 +322,67 @@ class _Inputs:
         return load
 
     def stated(self, bodies: Sequence[WeighedBody]) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Mass kg, volume per mass m³/kg and centre of mass m (3, B) of bodies together."""
+        """Return mass, volume per mass and centre of mass of bodies together.
+
+        In kg, m³/kg and m (3, B).
+        """
         rows = np.array([self.body[body.name] for body in bodies])
         mass = rows[:, 0].sum(axis=0)
         volume = np.sum(rows[:, 0] * rows[:, 1], axis=0) / mass
         return mass, volume, np.sum(rows[:, :1] * rows[:, 2:], axis=0) / mass
 
     def net(self, r: int) -> FloatArray:
-        """What a recording carries beside the bodies that only it has, in the order of `MEAN_ROWS`."""
+        """Return the load of a recording less its additional bodies, in the order of `MEAN_ROWS`."""
         return np.asarray(self.fit[r, MEAN_ROWS] - self.carried(self.campaign.recording_bodies[r]))
 
     def mean(self, with_load: bool) -> FloatArray | None:
-        """Mean over the recordings with, or without, load; None where there are none."""
-        places = self.campaign.recording_indices(with_load)
-        return np.mean([self.net(r) for r in places], axis=0) if places else None
+        """Return the mean over the recordings with, or without, load; None without any."""
+        indices = self.campaign.recording_indices(with_load)
+        return np.mean([self.net(r) for r in indices], axis=0) if indices else None
 
 
 def quantities(campaign: RotationCampaign) -> tuple[RotationQuantity, ...]:
-    """Return every number that the recordings tell, each with its uncertainty by cause.
+    """Return every number that the recordings determine, with its uncertainty by cause.
 
     Derivatives are central differences over one standard uncertainty of every input.
     """
     inputs = _Inputs(campaign)
-    told = list(_derived(inputs))
-    gradient = inputs.gradient(np.array([value for _, value in told]))
+    derived = list(_derived(inputs))
+    gradient = inputs.gradient(np.array([value for _, value in derived]))
     names, parts = [source.name for source in inputs.sources], list[tuple[FloatArray, ...]]()
     for source in inputs.sources:
         variance = np.sum((gradient @ source.effect) ** 2, axis=1)
-        parts.append((variance, variance, np.full(len(told), source.dof)))
-    on_all = np.array([not head.recording for head, _ in told])
-    for carried, places in _states(inputs):
-        rows = ROWS * np.array(places)[:, None] + MEAN_ROWS
+        parts.append((variance, variance, np.full(len(derived), source.dof)))
+    on_all = np.array([not head.recording for head, _ in derived])
+    for carried, indices in _states(inputs):
+        rows = ROWS * np.array(indices)[:, None] + MEAN_ROWS
         for name, component in scatter_components(carried, gradient[:, rows].sum(axis=1)):
             names.append(f"{name} {carried.state}")
-            parts.append((*(np.where(on_all, own, 0.0) for own in component[1:3]), component.dof))
+            parts.append((*(np.where(on_all, part, 0.0) for part in component[1:3]), component.dof))
     variance, wide, dof = np.array(parts).swapaxes(0, 1)
     # effective degrees of freedom by Welch and Satterthwaite (JCGM 100, G.4)
     fourth = np.sum(np.divide(wide**2, dof, out=np.zeros_like(wide), where=variance > 0.0), axis=0)
-    effective = np.divide(wide.sum(axis=0) ** 2, fourth, out=np.full(len(told), np.inf), where=fourth > 0.0)
+    effective = np.divide(wide.sum(axis=0) ** 2, fourth, out=np.full(len(derived), np.inf), where=fourth > 0.0)
     numbers = [
-        RotationQuantity(float(value[0]), u, own, *head, _budget(names, shares))
-        for (head, value), u, own, shares in zip(
-            told, np.sqrt(variance.sum(axis=0)).tolist(), effective.tolist(), variance.T.tolist(), strict=True
+        RotationQuantity(float(value[0]), u, number_dof, *head, _budget(names, shares))
+        for (head, value), u, number_dof, shares in zip(
+            derived, np.sqrt(variance.sum(axis=0)).tolist(), effective.tolist(), variance.T.tolist(), strict=True
         )
     ]
-    kept = []
+    determined = []
     for quantity in numbers:
         if quantity.budget.get(UNDETERMINED, 0.0) > MAX_UNDETERMINED_SHARE * quantity.u:
             continue
-        kept.append(quantity)
+        determined.append(quantity)
         if quantity.name == "load_mass_deviation" and quantity.u > 0.0:  # within ±1 the two masses agree
             value, u = quantity.value / quantity.expanded, 1.0 / coverage_factor(quantity.dof)
             head = QuantityLabel("1", "load_mass_normalised_deviation", "deviation over its U", quantity.component)
-            kept.append(RotationQuantity(value, u, quantity.dof, *head, {}))
-    return tuple(kept)
+            determined.append(RotationQuantity(value, u, quantity.dof, *head, {}))
+    return tuple(determined)
 
 
 def _budget(names: Sequence[str], variances: Sequence[float]) -> dict[str, float]:
-    """Standard uncertainties by cause, those of one name together, without those that add nothing."""
+    """Return non-zero standard uncertainties by cause; those of one name are combined."""
     by_name = dict.fromkeys(names, 0.0)
     for name, variance in zip(names, variances, strict=True):
         by_name[name] += variance
@@ -357,36 +390,36 @@ def _budget(names: Sequence[str], variances: Sequence[float]) -> dict[str, float
 
 
 def repeats(campaign: RotationCampaign) -> tuple[RotationScatter, ...]:
-    """Return how much the weights of states that were recorded repeatedly scatter beyond what is stated."""
+    """Return the scatter of the weights of repeated states beyond the stated uncertainties."""
     weight = np.eye(len(MEAN_ROWS))[0]
     return tuple(carried.repeats(weight) for carried, _ in _states(_Inputs(campaign)))
 
 
 def _states(inputs: _Inputs) -> Iterator[tuple[RepeatedResults, list[int]]]:
-    """What every state that was recorded repeatedly carries beside its own bodies, and which recordings those are."""
+    """Yield the net results of each repeated state, and the indices of its recordings."""
     for with_load in (False, True):
-        places = inputs.campaign.recording_indices(with_load)
-        if len(places) < 2:
+        indices = inputs.campaign.recording_indices(with_load)
+        if len(indices) < 2:
             continue
-        net = np.array([inputs.net(r) for r in places])
+        net = np.array([inputs.net(r) for r in indices])
         gradient = inputs.gradient(net.reshape(-1, net.shape[2]))
         effects = tuple((gradient @ source.effect).reshape(*net.shape[:2], -1) for source in inputs.sources)
-        recordings = [inputs.campaign.recordings[r] for r in places]
+        recordings = [inputs.campaign.recordings[r] for r in indices]
         names, mountings = tuple(r.name for r in recordings), tuple(r.manifest.mounting for r in recordings)
-        yield RepeatedResults(recordings[0].state, names, mountings, net[:, :, 0], effects), places
+        yield RepeatedResults(recordings[0].state, names, mountings, net[:, :, 0], effects), indices
 
 
-Told = Iterator[tuple[QuantityLabel, FloatArray]]
+LabelledValues = Iterator[tuple[QuantityLabel, FloatArray]]
 
 
-def _derived(inputs: _Inputs) -> Told:
-    """Every number of the result, in the order of the files."""
+def _derived(inputs: _Inputs) -> LabelledValues:
+    """Yield every number of the result, in the order of the files."""
     campaign = inputs.campaign
     bare, loaded = (inputs.mean(with_load) for with_load in (False, True))
-    # the joint weight, and forces that tell it alone in every recording
+    # the joint weight, and forces that determine it individually in every recording
     seen = [
         (0, JOINT),
-        *(own for own in campaign.single_forces[0] if all(own in others for others in campaign.single_forces)),
+        *(force for force in campaign.single_forces[0] if all(force in others for others in campaign.single_forces)),
     ]
     internal = bare
     if internal is None and loaded is not None and campaign.load:
@@ -418,8 +451,8 @@ def _derived(inputs: _Inputs) -> Told:
     yield QuantityLabel("kg/m^3", "air_density", "density of the air", ""), inputs.air
 
 
-def _load(inputs: _Inputs, mean: FloatArray, seen: Sequence[tuple[int, str]]) -> Told:
-    """Load mass as the difference of the recordings, its centre, and what was weighed."""
+def _load(inputs: _Inputs, mean: FloatArray, seen: Sequence[tuple[int, str]]) -> LabelledValues:
+    """Yield load mass, its centre, and the weighed mass."""
     load = inputs.campaign.load
     weighed, volume, centre = inputs.stated(load) if load else (inputs.air, inputs.volume, mean[-3:])
     masses = {name: mass_of_weight(mean[i], inputs.gravity, inputs.air * volume) for i, name in seen}
@@ -437,13 +470,13 @@ def _load(inputs: _Inputs, mean: FloatArray, seen: Sequence[tuple[int, str]]) ->
         yield head, mean[i - 3] / mean[0] - centre[i]
 
 
-def _by_component(name: str, label: str, masses: dict[str, FloatArray]) -> Told:
-    """A mass by all forces and by each alone, and how far those are apart."""
+def _by_component(name: str, label: str, masses: dict[str, FloatArray]) -> LabelledValues:
+    """Yield a mass by all forces and by each force, and the difference between axes."""
     for component, mass in masses.items():
         yield QuantityLabel("kg", name, label, component), mass
-    alone = [component for component in masses if component != JOINT]
-    if len(alone) == 2:
-        first, second = alone
+    single = [component for component in masses if component != JOINT]
+    if len(single) == 2:
+        first, second = single
         between = f"{first}-{second}"
         yield (
             QuantityLabel("kg", f"{name}_difference", f"{label}, axis to axis", between),
@@ -453,6 +486,6 @@ def _by_component(name: str, label: str, masses: dict[str, FloatArray]) -> Told:
         yield QuantityLabel("%", f"{name}_relative_difference", f"{label}, axis to axis", between), relative
 
 
-def _centre(name: str, label: str, mean: FloatArray) -> Told:
+def _centre(name: str, label: str, mean: FloatArray) -> LabelledValues:
     for i, axis in enumerate(AXES):
         yield QuantityLabel("m", name, label, axis), mean[i - 3] / mean[0]

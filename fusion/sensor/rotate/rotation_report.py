@@ -1,4 +1,4 @@
-"""What a rotation test leaves: rotation.csv, rotation.h5, the page with its figures, and the lines of the terminal."""
+"""Files, page and printed lines of rotation tests, and the command."""
 
 from __future__ import annotations
 
@@ -58,80 +58,80 @@ DIFFERENCES = (
 CENTRES = ("internal_centre_of_mass", "load_centre_of_mass", "load_centre_of_mass_deviation")
 NORMALISED = "load_mass_normalised_deviation"
 SCALED = {"kg": (GRAM, "g"), "m": (MILLI, "mm"), "rad": (MILLI, "mrad")}
-"""Units in which differences and places are told."""
-SMALLEST_UNTOLD = 0.01
-"""Share in an uncertainty from which what no channel tells is listed."""
+"""Factors and units in which differences and positions are shown."""
+MIN_UNDETERMINED_SHARE = 0.01
+"""Share of u from which the undetermined part is listed."""
 CLEAR = 2.0
-"""Amplitude over its standard uncertainty from which a harmonic is given a value of its own."""
+"""Amplitude over its standard uncertainty from which a harmonic is shown as a value, otherwise as an upper limit."""
 
 
 def _named(evaluation: RotationEvaluation, *names: str) -> list[RotationQuantity]:
-    """Quantities of some names, in the order of the names."""
+    """Return the quantities of some names, in the order of the names."""
     return [q for name in names for q in evaluation.quantities if q.name == name]
 
 
 def _in_small_unit(q: RotationQuantity) -> tuple[float, float, str]:
-    """Value and U in g, mm or mrad, with that unit."""
+    """Return value and U in g, mm or mrad, with that unit."""
     scale, unit = SCALED.get(q.unit, (1.0, q.unit))
     return scale * q.value, scale * q.expanded, unit
 
 
-def _over(what: str, unit: str) -> str:
-    """What is shown, over its unit."""
-    return f"{what} / ({unit})" if "·" in unit else f"{what} / {unit}"
+def _over(label: str, unit: str) -> str:
+    """Return a label with its unit."""
+    return f"{label} / ({unit})" if "·" in unit else f"{label} / {unit}"
 
 
 def _term_name(name: str) -> str:
-    """Name of a term, of cosine and sine together."""
+    """Return the name of a term, of cosine and sine together."""
     kind, _, rest = name.partition(" ")
     return f"harmonic {rest}" if kind in ("cos", "sin") else name
 
 
 def _further_terms(recording: RotationRecording) -> str:
-    """Names of the terms beside offset and first harmonic."""
+    """Return the names of the terms in addition to offset and first harmonic."""
     return ", ".join(dict.fromkeys(_term_name(name) for name in recording.fit.terms[3:]))
 
 
 def _terms(recording: RotationRecording) -> Iterator[RotationQuantity]:
-    """Offset, amplitudes of the harmonics, drift and sense of every load component, with the noise's uncertainty."""
+    """Yield offset, amplitudes, drift and sense of every load component, with u by the noise."""
     fit = recording.fit
     for i in recording.determined:
         row = recording.inverse[i]
         coefficient, noise = fit.coefficient @ row, float(row @ fit.noise @ row)
         u = np.sqrt(noise * np.diag(fit.inverse))
-        for place, name in enumerate(fit.terms):
-            value, spread = float(coefficient[place]), float(u[place])
+        for index, name in enumerate(fit.terms):
+            value, spread = float(coefficient[index]), float(u[index])
             if name.startswith("sin "):
                 continue
             if name.startswith("cos "):
-                pair = coefficient[place : place + 2]
+                pair = coefficient[index : index + 2]
                 value = float(np.hypot(*pair))
                 along = pair / value if value > 0.0 else np.array([1.0, 0.0])
-                spread = float(np.sqrt(noise * along @ fit.inverse[place : place + 2, place : place + 2] @ along))
+                spread = float(np.sqrt(noise * along @ fit.inverse[index : index + 2, index : index + 2] @ along))
             label = _term_name(name)
             head = (LOAD_UNITS[i], label.replace(" ", "_"), label, LOAD_COMPONENTS[i], recording.name)
             yield RotationQuantity(value, spread, fit.dof, *head, {})
 
 
-# Figures: readings over the angle with fit and residuals, masses against what was weighed.
+# Figures: readings over the angle with fit and residuals, and deviations from the weighed mass.
 
 
 LOOKS = tuple(zip(COLOURS, ("circle", "square", "triangle"), strict=False))
 """Colours and markers of the three components."""
 
 
-def draw_readings(recording: RotationRecording, places: Sequence[int], kind: str) -> Figure:
-    """Readings of some load components over the angle with the harmonics fitted, and what these leave."""
-    fit, calibration, unit = recording.fit, recording.inverse[places], typeset(LOAD_UNITS[places[0]])
+def draw_readings(recording: RotationRecording, indices: Sequence[int], kind: str) -> Figure:
+    """Draw readings of some load components over the angle, with fit and residuals."""
+    fit, calibration, unit = recording.fit, recording.inverse[indices], typeset(LOAD_UNITS[indices[0]])
     sense, angle = turning_sense(fit.angle_rad), np.radians(np.linspace(0.0, 360.0, 361))
     residual, fitted = fit.residual @ calibration.T, fit.curve(angle) @ calibration.T
     scale, letter = prefix(residual, coarse=False)
     drawn = empty_figure(f"rotation-{recording.name}-{kind}", 4.6, (2.0, 1.0))
     upper, lower = drawn.panels
-    for c, place in enumerate(places):
-        name = LOAD_COMPONENTS[place]
+    for c, index in enumerate(indices):
+        name = LOAD_COMPONENTS[index]
         upper.line(np.degrees(angle), fitted[:, c], name, colour=LOOKS[c][0], width=0.9)
-        _draw_points(upper, fit.angle_rad, sense, recording.load[:, place], LOOKS[c], name)
+        _draw_points(upper, fit.angle_rad, sense, recording.load[:, index], LOOKS[c], name)
         _draw_points(lower, fit.angle_rad, sense, residual[:, c] / scale, LOOKS[c], name)
     lower.rule(0.0, colour=LIGHT)
     upper.y.label, lower.y.label = _over("load", unit), _over("residual", f"{letter}{unit}")
@@ -141,32 +141,37 @@ def draw_readings(recording: RotationRecording, places: Sequence[int], kind: str
     lower.x.label = "angle of the head / °"
     caption = "Curves: offset and harmonics fitted to all channels in one solve."
     if np.ptp(sense) > 0.0:
-        caption += " Filled: come to with the angle growing; open: with the angle falling."
+        caption += " Filled: reached with ascending angle; open: with descending angle."
     return drawn.with_title(f"{recording.name}, {kind} over the angle of the head", caption, main=True)
 
 
 def _draw_points(
     panel: Panel, angle_rad: FloatArray, sense: FloatArray, values: FloatArray, look: tuple[str, str], label: str
 ) -> None:
-    """Readings (N,) of one component within a turn, filled where the angle grew and open where it fell."""
+    """Draw the readings (N,) of one component within a turn, filled for ascending angles."""
     degrees, (colour, marker) = np.degrees(angle_rad), look
     inside = (degrees >= 0.0) & (degrees <= 360.0 + 1e-6)
     degrees = np.where(inside, degrees, np.mod(degrees, 360.0))
-    for own, is_open in ((sense >= 0.0, False), (sense < 0.0, True)):
-        if own.any():
-            panel.points(degrees[own], values[own], label, colour=colour, marker=marker, size=4.0, open=is_open)
+    for selected, is_empty in ((sense >= 0.0, False), (sense < 0.0, True)):
+        if selected.any():
+            panel.points(
+                degrees[selected], values[selected], label, colour=colour, marker=marker, size=4.0, open=is_empty
+            )
 
 
 def draw_deviations(evaluation: RotationEvaluation) -> Figure | None:
-    """Load mass by each axis and by all less the weighed mass in %, with U; None without both."""
+    """Draw the load mass less the weighed mass in %, by axis and by all.
+
+    None without both.
+    """
     deviations = _named(evaluation, "load_mass_relative_deviation")
     weighed = evaluation.find("weighed_mass", "stated")
     if not deviations or weighed is None:
         return None
-    own = 100.0 * weighed.expanded / weighed.value
+    u_weighed = 100.0 * weighed.expanded / weighed.value
     drawn = empty_figure("rotation-deviations", 2.5)
     (panel,) = drawn.panels
-    panel.span(-own, own, "weighed mass, U", colour=GREY)
+    panel.span(-u_weighed, u_weighed, "weighed mass, U", colour=GREY)
     panel.rule(0.0, colour=GREY)
     values, expanded = ([getattr(q, name) for q in deviations] for name in ("value", "expanded"))
     panel.points(np.arange(len(deviations)), values, half_y=expanded, colour=BLACK)
@@ -180,8 +185,8 @@ def draw_deviations(evaluation: RotationEvaluation) -> Figure | None:
 
 
 def headlines(evaluation: RotationEvaluation) -> list[Headline]:
-    """Masses by all force channels together, and the load's deviation from the weighed mass."""
-    told = []
+    """Return the masses by all force channels, and the deviation from the weighed load."""
+    lines = []
     for q in _named(evaluation, "internal_mass", "load_mass", "load_mass_relative_deviation"):
         if q.component == JOINT:
             remark = f"U = {small(100.0 * q.expanded / abs(q.value))} %"
@@ -189,12 +194,12 @@ def headlines(evaluation: RotationEvaluation) -> list[Headline]:
                 normalised = evaluation.find(NORMALISED, q.component)
                 remark = "" if normalised is None else f"{abs(normalised.value):.2f} times its U"
             value = quantity_html(q.value, q.expanded, q.unit)
-            told.append(Headline(capitalise(q.label), value, f"U: k = {factor_text(q.k)}; {remark}"))
-    return told
+            lines.append(Headline(capitalise(q.label), value, f"U: k = {factor_text(q.k)}; {remark}"))
+    return lines
 
 
 def masses_table(evaluation: RotationEvaluation) -> Table | None:
-    """Masses of the sensor's moving part and of the load, by all forces and by each."""
+    """Return the masses of moving part and load, by all forces and by each."""
     columns: list[TableColumn[RotationQuantity]] = [
         page_column("quantity", lambda q: capitalise(q.label), "l"),
         page_column("by", lambda q: q.component, "l"),
@@ -207,7 +212,7 @@ def masses_table(evaluation: RotationEvaluation) -> Table | None:
 
 
 def differences_table(evaluation: RotationEvaluation) -> Table | None:
-    """How far axes are apart and the load is from what was weighed."""
+    """Return the differences between axes and between load mass and weighed mass."""
 
     def over_its_u(q: RotationQuantity) -> str:
         normalised = evaluation.find(NORMALISED, q.component) if q.name == "load_mass_deviation" else None
@@ -224,15 +229,16 @@ def differences_table(evaluation: RotationEvaluation) -> Table | None:
 
 
 def centres_table(evaluation: RotationEvaluation) -> Table | None:
-    """Centres of mass in sensor axes, in mm."""
+    """Return the centres of mass in sensor axes, in mm."""
 
     def coordinate(axis: str) -> TableColumn[dict[str, RotationQuantity]]:
         return page_column(
-            axis, lambda places: quantity_html(*_in_small_unit(places[axis])[:2]) if axis in places else DASH
+            axis,
+            lambda by_axis: quantity_html(*_in_small_unit(by_axis[axis])[:2]) if axis in by_axis else DASH,
         )
 
     columns: list[TableColumn[dict[str, RotationQuantity]]] = [
-        page_column("place", lambda places: f"{capitalise(next(iter(places.values())).label)} / mm", "l"),
+        page_column("position", lambda by_axis: f"{capitalise(next(iter(by_axis.values())).label)} / mm", "l"),
         *map(coordinate, AXES),
     ]
     rows = [{q.component: q for q in _named(evaluation, name)} for name in CENTRES]
@@ -240,7 +246,7 @@ def centres_table(evaluation: RotationEvaluation) -> Table | None:
 
 
 def recordings_table(evaluation: RotationEvaluation) -> Table | None:
-    """Each recording: what was read, what it weighs, how the head stood."""
+    """Return state, readings and weight of each recording."""
 
     def weight(by: str) -> TableColumn[RotationRecording]:
         def cell(recording: RotationRecording) -> str:
@@ -249,70 +255,75 @@ def recordings_table(evaluation: RotationEvaluation) -> Table | None:
 
         return page_column("weight / N" if by == JOINT else f"by {by} / N", cell)
 
-    known = {q.component for q in _named(evaluation, "weight")}
+    available = {q.component for q in _named(evaluation, "weight")}
     columns: list[TableColumn[RotationRecording]] = [
         page_column("recording", lambda recording: recording.name, "l"),
         page_column("state", lambda recording: "load mounted" if recording.with_load else "without load", "l"),
         page_column("readings", lambda recording: f"{len(recording.fit.angle_rad)}"),
-        *(weight(name) for name in (JOINT, *LOAD_COMPONENTS[:3]) if name in known),
+        *(weight(name) for name in (JOINT, *LOAD_COMPONENTS[:3]) if name in available),
         page_column("further terms", lambda recording: _further_terms(recording) or "none", "l"),
     ]
     return table("Recordings: weight in air with U, terms that the readings show", columns, evaluation.recordings)
 
 
 def repeats_tables(evaluation: RotationEvaluation) -> list[Table]:
-    """Recordings of a state that was recorded repeatedly, and what they scatter by beyond what is stated of each."""
+    """Return the recordings of repeated states, and their scatter beyond the stated uncertainties."""
     if not evaluation.repeats:
         return []
     rows = []
-    for again in evaluation.repeats:
-        for name, mounting in zip(again.recordings, again.mountings, strict=True):
+    for scatter in evaluation.repeats:
+        for name, mounting in zip(scatter.recordings, scatter.mountings, strict=True):
             weight, off = (evaluation.find(key, JOINT, name) for key in ("weight", "weight_deviation"))
             if weight is not None and off is not None:
                 deviation = quantity_html(MILLI * off.value, MILLI * off.expanded)
                 over = signed_text(off.value / off.expanded) if off.u > 0.0 else DASH
                 rows.append(
-                    (again.state, mounting, name, quantity_html(weight.value, weight.expanded), deviation, over)
+                    (scatter.state, mounting, name, quantity_html(weight.value, weight.expanded), deviation, over)
                 )
     caption = "Repeats: weight in air with U, deviation from the mean"
     head = ("state", "mounting", "recording", "weight / N", "less mean / mN", "over its U")
     columns: list[TableColumn[RotationScatter]] = [
-        page_column("state", lambda again: again.state, "l"),
-        page_column("recordings", lambda again: f"{len(again.recordings)}"),
-        page_column("mountings", lambda again: f"{len(set(again.mountings))}"),
-        page_column(f"{WITHIN} s / mN", lambda again: small(MILLI * again.within) if again.within_dof else DASH),
-        page_column("dof", lambda again: f"{again.within_dof}"),
-        page_column(f"{BETWEEN} s / mN", lambda again: small(MILLI * again.between) if again.between_dof else DASH),
-        page_column("dof", lambda again: f"{again.between_dof}"),
+        page_column("state", lambda scatter: scatter.state, "l"),
+        page_column("recordings", lambda scatter: f"{len(scatter.recordings)}"),
+        page_column("mountings", lambda scatter: f"{len(set(scatter.mountings))}"),
+        page_column(f"{WITHIN} s / mN", lambda scatter: small(MILLI * scatter.within) if scatter.within_dof else DASH),
+        page_column("dof", lambda scatter: f"{scatter.within_dof}"),
+        page_column(
+            f"{BETWEEN} s / mN", lambda scatter: small(MILLI * scatter.between) if scatter.between_dof else DASH
+        ),
+        page_column("dof", lambda scatter: f"{scatter.between_dof}"),
     ]
-    beyond = "Scatter of the weight beyond noise and what is stated, of one recording and of one mounting"
-    scatter = table(beyond, columns, evaluation.repeats)
-    return [Table(caption, head, "lllrrr", tuple(rows)), *([] if scatter is None else [scatter])]
+    beyond = "Scatter of the weight beyond noise and stated errors, of one recording and of one mounting"
+    scatter_table = table(beyond, columns, evaluation.repeats)
+    return [Table(caption, head, "lllrrr", tuple(rows)), *([] if scatter_table is None else [scatter_table])]
 
 
-def harmonics_table(recording: RotationRecording, places: Sequence[int]) -> Table:
-    """Terms of some load components, with U; of an amplitude that may be zero its bound only."""
-    fit, components = recording.fit, [LOAD_COMPONENTS[i] for i in places]
+def harmonics_table(recording: RotationRecording, indices: Sequence[int]) -> Table:
+    """Return the terms of some load components with U.
+
+    A small amplitude has an upper limit only.
+    """
+    fit, components = recording.fit, [LOAD_COMPONENTS[i] for i in indices]
     rows: dict[str, list[str]] = {}
     for q in _terms(recording):
         if q.component in components:
             bound_only = q.label.startswith("harmonic") and q.value < CLEAR * q.u
             cell = f"< {short(q.expanded)}" if bound_only else quantity_html(q.value, q.expanded)
             rows.setdefault(capitalise(q.label), []).append(cell)
-    calibration = recording.inverse[places]
+    calibration = recording.inverse[indices]
     scatter = np.sqrt(np.diag(calibration @ fit.noise @ calibration.T))
     rows["Scatter s of a reading"] = [short(float(s)) for s in scatter]
     back = np.abs(fit.reversal().difference @ calibration.T)
     if len(back):
         rows["Largest difference forward less back"] = [short(float(value)) for value in back.max(axis=0)]
-    heads = [_over(component, typeset(LOAD_UNITS[places[0]])) for component in components]
+    heads = [_over(component, typeset(LOAD_UNITS[indices[0]])) for component in components]
     caption = f"{recording.name}: readings over the angle, U of the noise alone (dof {fit.dof:.0f})"
     cells = tuple((label, *row) for label, row in rows.items())
     return Table(caption, ("term", *heads), "l" + "r" * len(heads), cells)
 
 
 def axis_table(evaluation: RotationEvaluation) -> Table | None:
-    """How the head stood in every recording."""
+    """Return the estimated angles of the head of every recording."""
     columns: list[TableColumn[RotationQuantity]] = [
         page_column("recording", lambda q: q.recording, "l"),
         page_column("quantity", lambda q: capitalise(q.label), "l"),
@@ -326,11 +337,16 @@ def axis_table(evaluation: RotationEvaluation) -> Table | None:
 
 
 def budget_tables(evaluation: RotationEvaluation) -> list[Table]:
-    """What contributes to internal mass, load mass, the load's deviation and the centres, largest first."""
+    """Return the budgets of masses, deviation of the load and centres, the largest contribution first."""
 
     def budget(caption: str, shown: Sequence[RotationQuantity]) -> Table:
         names = sorted(
-            {name for q in shown for name, u in q.budget.items() if name != UNDETERMINED or u > SMALLEST_UNTOLD * q.u},
+            {
+                name
+                for q in shown
+                for name, u in q.budget.items()
+                if name != UNDETERMINED or u > MIN_UNDETERMINED_SHARE * q.u
+            },
             key=lambda name: -max(q.budget.get(name, 0.0) / q.u for q in shown),
         )
         scale = SCALED[shown[0].unit][0]
@@ -348,7 +364,7 @@ def budget_tables(evaluation: RotationEvaluation) -> list[Table]:
 
 
 def surroundings_table(evaluation: RotationEvaluation) -> Table | None:
-    """Gravity and air."""
+    """Return gravity and air density."""
     columns: list[TableColumn[tuple[str, SourcedValue]]] = [
         page_column("quantity", lambda row: row[0], "l"),
         page_column("value", lambda row: quantity_html(row[1].value, 2.0 * row[1].u)),
@@ -359,9 +375,9 @@ def surroundings_table(evaluation: RotationEvaluation) -> Table | None:
 
 
 def printed(evaluation: RotationEvaluation) -> Iterator[str]:
-    """Lines for the terminal, U at the coverage factor of each; places, angles and differences in the smaller unit."""
+    """Yield the printed lines; positions, angles and differences in the smaller unit."""
 
-    def told(q: RotationQuantity) -> str:
+    def number_text(q: RotationQuantity) -> str:
         whole = q.unit == "kg" and "difference" not in q.name and "deviation" not in q.name
         return f"{q.component} {quantity_text(*((q.value, q.expanded, q.unit) if whole else _in_small_unit(q)))}"
 
@@ -369,10 +385,10 @@ def printed(evaluation: RotationEvaluation) -> Iterator[str]:
         more = _further_terms(recording)
         weights = [q for q in _named(evaluation, "weight") if q.recording == recording.name]
         read = f"{len(recording.fit.angle_rad)} readings, offset and first harmonic{f', also {more}' if more else ''}"
-        yield f"{recording.name} ({recording.state}): {read}; weight {', '.join(map(told, weights))}"
+        yield f"{recording.name} ({recording.state}): {read}; weight {', '.join(map(number_text, weights))}"
     by_label: dict[str, list[str]] = {}
     for q in _named(evaluation, *MASSES, *DIFFERENCES, *CENTRES):
-        by_label.setdefault(q.label, []).append(told(q))
+        by_label.setdefault(q.label, []).append(number_text(q))
     for label, parts in by_label.items():
         yield f"{label}: {', '.join(parts)}"
     normalised = ", ".join(f"{q.component} {signed_text(q.value)}" for q in _named(evaluation, NORMALISED))
@@ -382,24 +398,24 @@ def printed(evaluation: RotationEvaluation) -> Iterator[str]:
 
 def _context(evaluation: RotationEvaluation) -> dict[str, Any]:
     recordings = evaluation.recordings
-    told = [f"{recording.name} ({recording.manifest.name})" for recording in recordings]
+    names = [f"{recording.name} ({recording.manifest.name})" for recording in recordings]
     kinds = {"forces": range(FORCES), "moments": range(FORCES, len(LOAD_COMPONENTS))}
     groups = [
-        (recording, kind, places)
+        (recording, kind, indices)
         for recording in recordings
-        for kind, own in kinds.items()
-        if (places := [i for i in recording.determined if i in own])
+        for kind, of_kind in kinds.items()
+        if (indices := [i for i in recording.determined if i in of_kind])
     ]
     return {
-        "subject": [*subject_of(recordings[0].manifest.rig), ("Recordings", ", ".join(told))],
+        "subject": [*subject_of(recordings[0].manifest.rig), ("Recordings", ", ".join(names))],
         "masses": masses_table(evaluation),
         "differences": differences_table(evaluation),
         "centres": centres_table(evaluation),
-        "deviations": [picture for picture in [draw_deviations(evaluation)] if picture is not None],
+        "deviations": [figure for figure in [draw_deviations(evaluation)] if figure is not None],
         "recordings": recordings_table(evaluation),
         "repeats": repeats_tables(evaluation),
-        "readings": [draw_readings(recording, places, kind) for recording, kind, places in groups],
-        "harmonics": [harmonics_table(recording, places) for recording, _, places in groups],
+        "readings": [draw_readings(recording, indices, kind) for recording, kind, indices in groups],
+        "harmonics": [harmonics_table(recording, indices) for recording, _, indices in groups],
         "axis": axis_table(evaluation),
         "budgets": budget_tables(evaluation),
         "surroundings": surroundings_table(evaluation),
@@ -419,41 +435,41 @@ QUANTITIES: list[TableColumn[RotationQuantity]] = [
 
 
 def _fill(file: h5py.File, evaluation: RotationEvaluation) -> None:
-    """Fill the HDF5 file: surroundings, recordings, the fit of weights with each cause of error, scatter, numbers."""
+    """Fill the HDF5 file with surroundings, recordings, fitted weights, causes of error, scatter and numbers."""
     file.attrs["name"] = evaluation.name
     file.attrs["harmonics"] = "reading = design . coefficient; A exp(+j angle), A = cos - j sin; k = 1"
     for key in ("gravity", "air"):
-        known, group = getattr(evaluation, key), file.create_group(key)
+        value, group = getattr(evaluation, key), file.create_group(key)
         for name in ("value", "u", "source"):
-            write_value(group, name, getattr(known, name))
+            write_value(group, name, getattr(value, name))
     group = file.create_group("recordings", track_order=True)
     for recording in evaluation.recordings:
-        own = group.create_group(group.free_name(recording.name), track_order=True)
-        own.attrs["with_load"] = recording.with_load
-        write_value(own, "unit", recording.unit)
-        write_value(own, "load", recording.load)
-        write_fields(own, recording.fit)
+        item = group.create_group(group.free_name(recording.name), track_order=True)
+        item.attrs["with_load"] = recording.with_load
+        write_value(item, "unit", recording.unit)
+        write_value(item, "load", recording.load)
+        write_fields(item, recording.fit)
     weights, group = evaluation.weights, file.create_group("weights", track_order=True)
     for name in ("names", "value", "covariance", "load", "chi_squared", "dof", "departure"):
         write_value(group, name, getattr(weights, name))
     sources = group.create_group("sources", track_order=True)
     for source in weights.sources:
-        own = sources.create_group(sources.free_name(source.name))
-        own.attrs["type"], own.attrs["dof"] = source.kind, source.dof
-        own["effect"] = source.effect
-    for again in evaluation.repeats:
-        write_fields(file.require_group("repeats").create_group(again.state), again)
+        item = sources.create_group(sources.free_name(source.name))
+        item.attrs["type"], item.attrs["dof"] = source.kind, source.dof
+        item["effect"] = source.effect
+    for scatter in evaluation.repeats:
+        write_fields(file.require_group("repeats").create_group(scatter.state), scatter)
     group = file.create_group("quantities", track_order=True)
     for quantity in evaluation.quantities:
         name = " ".join(filter(None, (quantity.name, quantity.component, quantity.recording)))
-        own = group.create_group(group.free_name(name))
+        item = group.create_group(group.free_name(name))
         for name in ("value", "u", "dof", "unit"):
-            own.attrs[name] = getattr(quantity, name)
-        own.create_group("budget").attrs.update(quantity.budget)
+            item.attrs[name] = getattr(quantity, name)
+        item.create_group("budget").attrs.update(quantity.budget)
 
 
 def _texts(evaluation: RotationEvaluation) -> dict[str, str | bytes]:
-    """Every number; then offset, harmonics and further terms of every channel, whose u is that of the noise."""
+    """Return every number, then offset, harmonics and further terms of every channel."""
     terms = [q for recording in evaluation.recordings for q in _terms(recording)]
     return {"rotation.csv": csv_text(QUANTITIES, [*evaluation.quantities, *terms])}
 
@@ -462,10 +478,10 @@ ROTATE = CommandReport("rotate", "rotation", ("rotation.csv",), _texts, _fill, _
 
 
 def run_rotate(paths: Sequence[Path], output: Path | None, *, force: bool = False, allow_outside: bool = False) -> None:
-    """Evaluate the rotation recordings at some paths together, write the results and print the summary.
+    """Evaluate rotation recordings together, write the results and print the summary.
 
-    Of a campaign folder those of kind rotation are taken. Results stand in its folder `rotate`, or in that of the only
-    recording, or, of several paths, beside rig.toml; or in `output`.
+    Of a campaign folder, only recordings of kind rotation are used. Results are written to its folder `rotate`, or to
+    that of the only recording, or of several paths to the folder of rig.toml; or to `output`.
     """
     manifests = load_for_command(paths, ROTATE.name, allow_outside=allow_outside)
     manifests.sort(key=lambda manifest: bool(manifest.excitation.with_load))

@@ -1,4 +1,4 @@
-"""Releases to models of the outputs."""
+"""Evaluation of releases: models of the outputs and their indices."""
 
 from __future__ import annotations
 
@@ -14,6 +14,16 @@ from fusion.errors import ComputeError, InputError
 from fusion.recording.load import Manifest, check_one_rig
 from fusion.report.table import sensitivity_unit
 from fusion.sensor.model_files import ModelEntry
+from fusion.sensor.step.step_notices import (
+    COMPONENT_WITHOUT_MODEL,
+    GAIN_DEVIATES,
+    GAIN_NOT_STATED,
+    MISSING_STEP_ENTRY,
+    NO_REAL_POLE,
+    NO_STEP_MODEL,
+    OTHER_DRIVEN_OUTPUT,
+    RELEASES_SELECTED,
+)
 from fusion.sensor.step.step_records import StepSettings, index_quantities, parameter_quantities, pool_models
 from fusion.sensor.step.step_releases import (
     StepComponent,
@@ -29,19 +39,22 @@ from fusion.sensor.step.step_releases import (
     stated_gain,
     static_gains,
 )
-from fusion.sensor.unmodelled_effects import describe_coverage, stated_influences
+from fusion.sensor.unmodelled_effects import coverage_notice, stated_influences
 from shaker.arrays import ComplexArray, FloatArray
 from shaker.labels import LOAD_COMPONENTS
 from shaker.lti.system import ModalModel
 from shakercal._common.notices import Notice
 
-# One load component: its releases become a model with indices, its ropes and methods are compared.
+# One load component: model, indices, release devices and methods.
 
 
 def evaluate_component(
     releases: Sequence[StepRelease], settings: StepSettings
 ) -> tuple[StepComponent, tuple[Notice, ...]]:
-    """Return what the releases of one component, which all drive the same output, say of it."""
+    """Return model and results of the releases of one component.
+
+    All must drive the same output.
+    """
     first, fitted = releases[0], fit_component(releases, settings)
     component, channel, manifest, used = first.record.component, first.driven, first.manifest, fitted.chosen
     unit, names, notices = sensitivity_unit(first.record.unit, component), [r.name for r in used], [*fitted.notices]
@@ -60,17 +73,18 @@ def evaluate_component(
         rows = tuple(method_row(release.fit, release.name) for release in result.releases if release.fit is not None)
         result = replace(result, methods=rows)
     if not used:
-        notices.append(Notice("warning", f"no model of {channel}: {fitted.reason}", component))
+        notices.append(Notice(COMPONENT_WITHOUT_MODEL, component, channel=channel, reason=fitted.reason))
         return result, tuple(notices)
     fits = [(release, release.fit) for release in used if release.fit is not None]
     models = [release.shapes[0].model for release in used if release.shapes[0].model is not None]
     mountings = [release.manifest.mounting for release in used]
-    known, others = stated_influences(manifest.rig, mountings), [*alternative_shapes(used)]
-    pooled = pool_models(models, mountings, scale_uncertainty(manifest, channel), known, [one for one, _ in others])
+    influences, others = stated_influences(manifest.rig, mountings), [*alternative_shapes(used, component)]
+    alternatives = [models_of_shape for models_of_shape, _ in others]
+    pooled = pool_models(models, mountings, scale_uncertainty(manifest, channel), influences, alternatives)
     stated, _ = stated_gain(manifest, channel, component)
-    found = index_quantities(pooled, stated, unit, first.record.sample_rate_hz, known)
-    notices += [Notice(n.severity, f"{r.driven}: {n.text}", r.name) for r, fit in fits for n in fit.notices]
-    notices += [Notice("note", text, component) for _, text in others if text]
+    found = index_quantities(pooled, stated, unit, first.record.sample_rate_hz, influences)
+    notices += [n.at(f"{r.name}: {r.driven}") for r, fit in fits for n in fit.notices]
+    notices += [notice for _, notice in others if notice is not None]
     entry = ModelEntry(
         channel=channel,
         component=component,
@@ -81,13 +95,13 @@ def evaluate_component(
         noise=float(np.median([release.reading.noise for release in used])),
         recording=", ".join(names),
         dof=float(pooled.scatter_dof) if pooled.scatter_dof else float(np.inf),
-        scope=known.scope,
+        scope=influences.scope,
         scatter=pooled.scatter if pooled.scatter_dof else None,
-        outside=known.outside,
+        outside=influences.outside,
     )
     parameters = parameter_quantities(pooled, unit)
     result = replace(result, pooled=pooled, parameters=parameters, figures=found.quantities, entry=entry)
-    result = replace(result, budget=found.budget, influences=known)
+    result = replace(result, budget=found.budget, influences=influences)
     if settings.method == "all":
         by_rule = settings.release == "auto" and used[0].name not in fitted.refitted
         rows, of_methods = compare_methods(used[0], settings, [fits[0][1]] if by_rule else ())
@@ -98,29 +112,20 @@ def evaluate_component(
 def _remarks(
     result: StepComponent, model: ModalModel, of_indices: Sequence[Notice], stated: float | None
 ) -> Iterator[Notice]:
-    """Which releases made the model, what its U lacks, and how it compares with what is stated."""
+    """Yield notices on selected releases, coverage of U, and deviations from stated values."""
     where, channel = result.component, result.channel
     if len(result.ropes) > 1:
-        yield Notice("note", f"the model of {channel} rests on {result.reason}", where)
-    yield Notice("note", describe_coverage(result.scope, result.influences.outside), "models")
+        yield Notice(RELEASES_SELECTED, where, channel=channel, reason=result.reason)
+    yield coverage_notice(result.scope, result.influences.outside, "models")
     for notice in of_indices:
-        yield Notice(notice.severity, notice.text, f"{where}, {notice.where}")
+        yield notice.at(f"{where}, {notice.where}")
     if not len(model.real_hz):
-        text = (
-            f"no release shows a real pole beside the modes of {channel}: a lag of amplifier or filter, which "
-            "looks like a later onset, would move the bands by more than their U; --real-poles 1 lets it in"
-        )
-        yield Notice("note", text, where)
+        yield Notice(NO_REAL_POLE, where, channel=channel)
     if stated is None:
-        text = "rig.toml states no static_sensitivity for it: bands against the static gain of the model only"
-        yield Notice("note", text, where)
+        yield Notice(GAIN_NOT_STATED, where)
     over = result.gains[0].normalised
     if over is not None and abs(over) > 1.0:
-        text = (
-            f"static gain of {channel} and the stated static sensitivity differ by {abs(over):.2f} times the U of "
-            "their difference"
-        )
-        yield Notice("warning", text, where)
+        yield Notice(GAIN_DEVIATES, where, channel=channel, ratio=abs(over))
 
 
 # From recordings of releases to models of a sensor's components.
@@ -129,10 +134,30 @@ def _remarks(
 def evaluate_steps(
     name: str, manifests: Sequence[Manifest], settings: StepSettings, input_hashes: dict[str, str]
 ) -> StepEvaluation:
-    """Return what recordings of one sensor's releases tell: records → readings → models → indices.
+    """Evaluate recordings of the releases of one sensor: records → readings → models → indices.
 
-    Raises `InputError` for what the user can mend in the files, `ComputeError` where no model is found at all.
+    Parameters
+    ----------
+    name
+        Name of the evaluation in the results.
+    manifests
+        Recordings of kind step, of one rig.
+    settings
+        Choices of the identification.
+    input_hashes
+        SHA-256 of the input files by name, for the results.
 
+    Returns
+    -------
+    StepEvaluation : one result per load component.
+
+    Raises
+    ------
+    InputError : a file or key that the user has to correct.
+    ComputeError : no model was found for any component.
+
+    Examples
+    --------
     >>> from fusion import StepSettings, evaluate_steps, load_for_command
     >>> releases = load_for_command(["steps"], "step")  # doctest: +SKIP
     >>> evaluation = evaluate_steps("steps", releases, StepSettings(), {})  # doctest: +SKIP
@@ -143,12 +168,12 @@ def evaluate_steps(
     components: list[StepComponent] = []
     for component in LOAD_COMPONENTS:
         if component in by_component:
-            result, told = evaluate_component(by_component[component], settings)
+            result, found = evaluate_component(by_component[component], settings)
             components.append(result)
-            notices += told
+            notices += found
     if all(result.pooled is None for result in components):
         why = next(notice for notice in notices if notice.severity == "warning")
-        raise ComputeError(f"no model was found of any output ({why.where}: {why.text}); see docs/steps.md, limits")
+        raise ComputeError(NO_STEP_MODEL, recording=why.where, reason=why.text)
     return StepEvaluation(
         name=name,
         rig=manifests[0].rig,
@@ -161,32 +186,44 @@ def evaluate_steps(
 
 
 def _read(manifests: Sequence[Manifest], settings: StepSettings) -> tuple[dict[str, list[StepRelease]], list[Notice]]:
-    """Releases of one rig by component; those of one component must drive the same output."""
+    """Return releases of one rig by component.
+
+    Those of one component must drive the same output.
+    """
     releases, notices = defaultdict[str, list[StepRelease]](list), list[Notice]()
     check_one_rig(manifests)
     for manifest in manifests:
-        release, told = read_recording(manifest)
-        notices += told
+        release, found = read_recording(manifest)
+        notices += found
         component = release.record.component
         releases[component].append(release)
         first = releases[component][0]
         if first.driven != release.driven:
-            expected = f"{first.driven}, the output that {component} drives in {first.name}"
-            raise InputError(manifest.path, "daq.channel", found=release.driven, expected=expected)
+            raise InputError(
+                OTHER_DRIVEN_OUTPUT,
+                manifest.path,
+                "daq.channel",
+                expected=first.driven,
+                recording=first.name,
+                found=release.driven,
+            )
         if settings.release == "measured" and release.record.force is None:
             expected = "the name of the force channel, for --release measured"
-            raise InputError(manifest.path, "excitation.force", found="nothing", expected=expected)
+            raise InputError(MISSING_STEP_ENTRY, manifest.path, "excitation.force", expected=expected)
     return releases, notices
 
 
-# The response over frequency that a release shows by itself, without a model.
+# The response over frequency of a release, without a model.
 
-LAST = 20  # share 1/LAST of a force's record, its end, that gives its last level
-WEAK = 0.2  # share of a step's spectrum below which a release drives too little
+FINAL_FRACTION = 20  # the last 1/20 of a force's record determines its final level
+MIN_EXCITATION = 0.2  # ratio to the spectrum of an ideal step below which a release excites too little
 
 
 class MeasuredResponse(NamedTuple):
-    """Output over load (K,) at frequencies (K,) in Hz; `u` (K,): r.m.s. size of what white noise adds to each."""
+    """Output over load (K,) at frequencies (K,) in Hz.
+
+    `u` (K,): r.m.s. contribution of white noise.
+    """
 
     frequency_hz: FloatArray
     value: ComplexArray
@@ -194,13 +231,13 @@ class MeasuredResponse(NamedTuple):
 
 
 def measured_response(release: StepRelease) -> MeasuredResponse:
-    """Return output over load of one release from the spectra of their derivatives.
+    """Return output over load of one release from the spectra of derivatives.
 
-    H(f) = Y'(f)/X'(f) with Y' = jω·Y from the differences of the samples, exact for what lies below half the sampling
-    rate, and X' = A·s(f)·exp(-jωt), t the middle of the release and s = sin(πfT)/(πfT) of a load that changes evenly
-    for T, cos(πfT)/(1 - (2fT)²) of one that changes along half a cosine; where the load was measured, X' likewise from
-    its samples. Frequencies at which the release drives less than a fifth of what a step would are left out. From the
-    onset on; before it nothing happens.
+    H(f) = Y'(f)/X'(f), where Y' = jω·Y is the spectrum of the differences of the samples, exact below half the sampling
+    rate. X' = A·s(f)·exp(-jωt) with t the middle of the release. s = sin(πfT)/(πfT) for a load that changes linearly
+    over T, and cos(πfT)/(1 - (2fT)²) for half a cosine. If the load was measured, X' is the spectrum of its samples.
+    Frequencies at which the release excites less than a fifth of an ideal step are rejected. Only samples from the
+    onset on are used.
     """
     record = release.record
     step = 1.0 / record.sample_rate_hz
@@ -212,7 +249,7 @@ def measured_response(release: StepRelease) -> MeasuredResponse:
     frequency, moved = _derivative(samples, ends, start_s, step)
     if record.force is not None:
         force = record.force[first:]
-        ends = float(record.force[: max(first, 1)].mean()), float(force[-max(1, len(force) // LAST) :].mean())
+        ends = float(record.force[: max(first, 1)].mean()), float(force[-max(1, len(force) // FINAL_FRACTION) :].mean())
         driven = _derivative(force, ends, start_s, step)[1]
     else:
         turn = frequency * release.release_s
@@ -223,17 +260,19 @@ def measured_response(release: StepRelease) -> MeasuredResponse:
             share = np.where(near, np.pi / 4.0, np.cos(np.pi * turn) / below)
         middle = np.exp(-2j * np.pi * frequency * (onset + 0.5 * release.release_s))
         driven = record.amplitude * share * middle
-    kept = (np.abs(driven) >= WEAK * abs(record.amplitude)) & (frequency > 0.0)
+    excited = (np.abs(driven) >= MIN_EXCITATION * abs(record.amplitude)) & (frequency > 0.0)
     noise = 2.0 * np.pi * frequency * release.reading.noise * step * np.sqrt(len(samples))
-    return MeasuredResponse(frequency[kept], moved[kept] / driven[kept], noise[kept] / np.abs(driven[kept]))
+    return MeasuredResponse(
+        frequency[excited], moved[excited] / driven[excited], noise[excited] / np.abs(driven[excited])
+    )
 
 
 def _derivative(
     samples: FloatArray, ends: tuple[float, float], start_s: float, step_s: float
 ) -> tuple[FloatArray, ComplexArray]:
-    """Spectrum of the derivative of samples (N,) between two levels: frequencies (K,) and values (K,).
+    """Return frequencies (K,) and spectrum (K,) of the derivative of samples (N,) between two levels.
 
-    The sum of the differences' exp(-jωt) times ωΔ/(2 sin(ωΔ/2)), what a derivative has over a difference.
+    The sum of the differences times exp(-jωt) is corrected by ωΔ/(2 sin(ωΔ/2)), the ratio of derivative and difference.
     """
     change = np.diff(samples, prepend=ends[0], append=ends[1])
     frequency = np.fft.rfftfreq(len(change), step_s)[:-1]

@@ -1,4 +1,4 @@
-"""Figures of step responses: record, fit and residual; releases by their device; models over frequency; convergence."""
+"""Figures of step responses: fits, release devices, models over frequency, and convergence."""
 
 from __future__ import annotations
 
@@ -31,19 +31,19 @@ from shaker.lti.system import ModalModel
 
 BEFORE, AFTER = 0.6, 8.0
 """Periods of the lowest mode that the enlarged panel shows before the onset and after the release."""
-PERIODS = 12.0
+PERIODS = 12.0  # of the lowest mode, shown after the longest release
 POINTS, DOTTED = 500, 500
 """Frequencies of the model, and samples up to which each is a dot."""
-HIGHEST = 6.0  # frequencies shown, over the highest mode
+MAX_FREQUENCY = 6.0  # largest frequency shown, over that of the highest mode
 SHOWN_RELEASES = 3
 DOT: dict[bool, dict[str, float]] = {True: {"size": 2.0}, False: {"width": 0.8}}
-"""Look of a record that is drawn by dots or not."""
-OVER_ORDER = "sim"  # the loss of "sim_zoh" is its twin
+"""Style of a record that is drawn with dots or as a line."""
+OVER_ORDER = "sim"  # the loss of "sim_zoh" is nearly equal
 OVER_GENERATION = ("evolution", "evolution_coefficients")
 
 
 def component_figures(component: StepComponent) -> Iterator[Figure]:
-    """Yield record and fit of the first release of the model, response over frequency, devices, and convergence."""
+    """Yield figures of record and fit, response over frequency, devices, and convergence of a component."""
     if component.pooled is not None:
         yield draw_release(f"step-{component.component}", component.chosen[0])
         yield draw_model(f"bode-{component.component}", component, component.pooled)
@@ -61,7 +61,7 @@ def component_figures(component: StepComponent) -> Iterator[Figure]:
 
 
 def draw_release(name: str, release: StepRelease) -> Figure:
-    """The whole record left, the release right; below what the fit leaves, over the change of the output."""
+    """Draw the whole record (left), the release (right), and the residuals."""
     record, reading, fit = release.record, release.reading, release.fit
     if fit is None:
         raise ValueError("release: expected one with a model, found none")
@@ -91,59 +91,60 @@ def draw_release(name: str, release: StepRelease) -> Figure:
     rest.y.label = "residual / %"
     caption = (
         "Record (blue) and fit (red, dashed); grey: while the load changes, by the fit. Below: the residual over "
-        "the output's change; where the model is right it is noise alone."
+        "the output's change; it is only noise if the model is correct."
     )
     return drawn.with_title(f"{release.name}: record, fit and residual", caption)
 
 
 def draw_devices(name: str, component: StepComponent) -> Figure:
-    """The first release by each device over the time since its onset, over the longest release and some periods."""
+    """Draw the first release by each device over the time since its onset."""
     periods = [_period_s(release.fit.model) for release in component.releases if release.fit is not None]
-    longest = max(rope.kind.length.mean for rope in component.ropes)
+    longest = max(device.kind.length.mean for device in component.ropes)
     span = 1.5 * longest + PERIODS * float(np.median(periods) if periods else longest)
     drawn = empty_figure(name, 3.0)
     (panel,) = drawn.panels
     panel.rule([0.0, 1.0], colour=LIGHT)
-    for place, rope in enumerate(component.ropes):
-        release = next(release for release in component.releases if release.name in rope.releases)
+    for index, device in enumerate(component.ropes):
+        release = next(release for release in component.releases if release.name in device.releases)
         record, reading = release.record, release.reading
         time = record.time_s - (reading.onset_s if release.fit is None else release.fit.onset_s)
         shown = (time >= -0.1 * span) & (time <= span)
         level = record.samples[record.channels.index(release.driven)][shown]
         share = (level - reading.baseline) / (reading.steady - reading.baseline)
-        label, colour = f"{rope.name}, {MILLI * rope.kind.length.mean:.3g} ms", COLOURS[place % len(COLOURS)]
+        label = f"{device.name}, {MILLI * device.kind.length.mean:.3g} ms"
+        colour = COLOURS[index % len(COLOURS)]
         panel.line(MILLI * time[shown], share, label, colour=colour, width=0.9)
     panel.x.label, panel.y.label = "time since the onset / ms", "share of the change"
     panel.title = f"output {component.channel}"
     caption = (
-        "One release by each, over the output's change, with how long the load changed. What lets go at once makes "
-        "the sensor ring; what takes longer than a period of the mode hardly does."
+        "One release by each device over the change of the output, with the duration of the change of load. A fast "
+        "release makes the sensor ring; a release longer than a period of the mode hardly does."
     )
-    return drawn.with_title("What let go", caption)
+    return drawn.with_title("Release devices", caption)
 
 
 def draw_model(name: str, component: StepComponent, pooled: PooledModel) -> Figure:
-    """The pooled model over its static gain with its bands, phase, and what its releases show by themselves."""
+    """Draw the pooled model over its static gain, with bands, phase, and the measured releases."""
     model, static = pooled.model, pooled.model.static_gain
     responses = [measured_response(release) for release in component.chosen[:SHOWN_RELEASES]]
     rate_hz = min(release.record.sample_rate_hz for release in component.chosen)
-    top_hz = min(0.4 * rate_hz, HIGHEST * float(np.max(_modes_hz(model))))
+    top_hz = min(0.4 * rate_hz, MAX_FREQUENCY * float(np.max(_modes_hz(model))))
     low_hz = min(float(one.frequency_hz.min()) for one in responses)
     damping = np.maximum(np.abs(model.damping_ratio), 1e-5)
     near = [f * (1.0 + z * np.linspace(-8.0, 8.0, 81)) for f, z in zip(model.frequency_hz, damping, strict=True)]
     every = np.unique(np.concatenate([np.geomspace(low_hz, top_hz, POINTS), *near]))  # more where a mode is narrow
     frequency = every[(every >= low_hz) & (every <= top_hz)]
-    kept = [one.frequency_hz <= top_hz for one in responses]
+    shown = [one.frequency_hz <= top_hz for one in responses]
 
     def joined(field: str) -> np.ndarray[tuple[int], np.dtype[np.float64]]:
-        return np.concatenate([getattr(one, field)[k] for one, k in zip(responses, kept, strict=True)])
+        return np.concatenate([getattr(one, field)[k] for one, k in zip(responses, shown, strict=True)])
 
     def size(at: ModalModel) -> FloatArray:
         return np.asarray(np.log(np.abs(at.response(frequency) / at.static_gain)))
 
     u, _ = pooled.spread(model.jacobian(size)[1])
     measured_hz, measured, noise = joined("frequency_hz"), joined("value") / static, joined("u") / abs(static)
-    value, there = model.response(frequency) / static, model.response(measured_hz) / static
+    value, at_measured = model.response(frequency) / static, model.response(measured_hz) / static
     drawn = empty_figure(name, 6.2, (2.0, 1.3, 1.1))
     upper, middle, lower = drawn.panels
     for index, colour, label in (("band_5_hz", GREEN, "±5 %"), ("band_10_hz", ORANGE, "±10 %")):
@@ -159,10 +160,10 @@ def draw_model(name: str, component: StepComponent, pooled: PooledModel) -> Figu
     upper.y.label = "|H / H(0)|"
     phase = np.degrees(np.unwrap(np.angle(value)))
     close = np.interp(measured_hz, frequency, phase)
-    turned = close + np.degrees(np.angle(measured * np.exp(-1j * np.radians(close))))
-    middle.points(measured_hz, turned, "releases", colour=BLUE, size=2.0)
+    unwrapped = close + np.degrees(np.angle(measured * np.exp(-1j * np.radians(close))))
+    middle.points(measured_hz, unwrapped, "releases", colour=BLUE, size=2.0)
     middle.y.limits = (float(phase.min()) - 60.0, max(float(phase.max()), 0.0) + 60.0)
-    difference = PERCENT * np.abs(measured - there)
+    difference = PERCENT * np.abs(measured - at_measured)
     lower.points(measured_hz, difference, "releases less model", colour=BLACK, size=2.0)
     order = np.argsort(measured_hz)
     lower.line(measured_hz[order], PERCENT * noise[order], "noise", colour=GREY, width=0.8)
@@ -173,15 +174,18 @@ def draw_model(name: str, component: StepComponent, pooled: PooledModel) -> Figu
         frequency_axis(panel.x, frequency, 1.0)
     upper.x.label = middle.x.label = ""
     caption = (
-        "Model (red, with U) over its static gain, and what the releases show without a model (blue): the spectrum "
-        "of the output's derivative over that of the load's. Green and orange: where |H| is within 5 and 10 % of "
-        "the static gain. Below: their difference over the static gain, and what noise alone makes of it (grey)."
+        "Model (red, with U) over its static gain, and the releases without a model (blue): the spectrum of the "
+        "output's derivative over that of the load. Green and orange: limits within which |H| is within 5 and 10 % of "
+        "the static gain. Below: their difference over the static gain, and the contribution of noise (grey)."
     )
     return drawn.with_title(f"Output {component.channel} over load {component.component}", caption, main=True)
 
 
 def draw_convergence(name: str, losses: list[tuple[str, str, FloatArray, int | None]]) -> Figure:
-    """Loss over the order or the generations of every method that has such a curve; a ring where an order was taken."""
+    """Draw the loss of each method over order or generation.
+
+    A ring marks the selected order.
+    """
     drawn = empty_figure(name, 2.7, 1, len(losses))
     for panel, colour, (label, over, loss, chosen) in zip(drawn.panels, COLOURS, losses, strict=False):
         number = np.arange(1, len(loss) + 1)
@@ -195,17 +199,16 @@ def draw_convergence(name: str, losses: list[tuple[str, str, FloatArray, int | N
         panel.x.label, panel.title = over, label
     drawn.panels[0].y.label = "loss over the smallest"
     caption = (
-        "Loss as each method defines it. SIM: of the equation error over the order, where it stops to fall the "
-        "order is enough for that error, which is not yet the mode's. Differential evolution: of the best member."
+        "Loss as defined by each method. SIM: loss of the equation error over the order; where it stops falling, the "
+        "order suffices for that error, not yet for the mode. Differential evolution: loss of the best member."
     )
-    return drawn.with_title("How the methods came to their models", caption)
+    return drawn.with_title("Convergence of the methods", caption)
 
 
 def _modes_hz(model: ModalModel) -> FloatArray:
-    """Frequencies of the modes, of a model without one those of its real poles."""
+    """Return the frequencies of the modes, else those of the real poles."""
     return np.asarray(model.frequency_hz if len(model.frequency_hz) else np.abs(model.real_hz))
 
 
 def _period_s(model: ModalModel | None) -> float:
-    """Period of the lowest mode."""
     return 1e-3 if model is None else 1.0 / float(np.min(_modes_hz(model)))

@@ -1,4 +1,4 @@
-"""One release read and fitted; what the evaluation of releases consists of; static gains of all outputs."""
+"""Releases read and fitted, the parts of a step evaluation, and static gains."""
 
 from __future__ import annotations
 
@@ -17,6 +17,18 @@ from fusion.estimation.coverage import NamedQuantity, RealQuantity
 from fusion.recording.load import Manifest
 from fusion.recording.rig import Rig
 from fusion.sensor.model_files import ModelEntry
+from fusion.sensor.step.step_notices import (
+    CLIPPED_OUTPUT,
+    DRIVEN_OUTPUT_CLIPPED,
+    DRIVEN_OUTPUT_MISSING,
+    METHOD_REMARK,
+    METHOD_WITHOUT_MODEL,
+    NO_STEP_FOUND,
+    RELEASE_WITHOUT_MODEL,
+    RELEASES_REFITTED,
+    SHAPE_OF_DEVICE_UNDETERMINED,
+    STRUCTURE_NOT_FOUND,
+)
 from fusion.sensor.step.step_records import (
     AlternativeModels,
     PooledModel,
@@ -44,19 +56,22 @@ from shaker.release.step_fit import (
 )
 from shakercal._common.notices import Notice
 
-# What evaluated step responses consist of.
+# Parts of evaluated step responses.
 
-UNNAMED = "not stated"  # what let go where no recording says it
+UNNAMED = "not stated"  # name of a release device that no recording names
 
 
 @dataclass(frozen=True)
 class StepRelease:
-    """One recording: its record, what every output shows, and the model of the driven output.
+    """One recording of a release: its record, readings, and model.
 
-    `record`: without the uncertainty of the load, which all releases share; `readings`: of the outputs that can be
-    read, the driven one `driven` first; `fit`: None where no model was found; `shapes`: it and that of the other shape
-    of the release, each as if the other were refuted; `excess`: χ² of the other above that of the first, of all
-    releases by the same rope.
+    Attributes
+    ----------
+    record : without the uncertainty of the load, which all releases share.
+    readings : of the outputs that can be read, `driven` first.
+    fit : None if no model was found.
+    shapes : the fit and that of the other release shape, each as if the other were rejected.
+    excess : χ² of the second shape above that of the first, of all releases by the same device.
     """
 
     manifest: Manifest
@@ -74,36 +89,36 @@ class StepRelease:
 
     @property
     def reading(self) -> ReleaseReading:
-        """What the driven output shows."""
+        """Reading of the driven output."""
         return self.readings[0]
 
     @property
     def release_s(self) -> float:
-        """How long the load changed: by the fit, else as it was read."""
+        """Duration of the change of load: of the fit, else as read."""
         return self.reading.release_s if self.fit is None else self.fit.release_s
 
     @property
     def u_release_s(self) -> float:
-        """Standard uncertainty of that."""
+        """Standard uncertainty of `release_s`."""
         return self.reading.u_release_s if self.fit is None else self.fit.u_release_s
 
     @property
     def shape(self) -> ReleaseShape:
-        """How the load changed: by the fit, else as it was read."""
+        """Shape of the change of load: of the fit, else as read."""
         return self.reading.shape if self.fit is None else self.fit.shape
 
     @property
     def structure(self) -> tuple[int, int] | None:
-        """Numbers of modes and of real poles of the model, None where it has no modal form."""
+        """Numbers of modes and real poles of the model, None without a modal form."""
         model = None if self.fit is None else self.fit.model
         return None if model is None else (len(model.frequency_hz), len(model.real_hz))
 
 
 @dataclass(frozen=True)
 class StaticGain(RealQuantity):
-    """Change of an output over that of the load, mean of all releases of a component.
+    """Change of an output over that of the load, mean of all releases.
 
-    `stated`: what rig.toml says, None where it does not, with `u_stated`.
+    `stated` with `u_stated`: the static sensitivity of rig.toml, None without one.
     """
 
     channel: str
@@ -113,7 +128,7 @@ class StaticGain(RealQuantity):
 
     @property
     def normalised(self) -> float | None:
-        """Return the difference from the stated value over its expanded uncertainty, None where nothing is stated."""
+        """Return the deviation from the stated value over its U, None if not stated."""
         if self.stated is None:
             return None
         spread = float(np.hypot(self.expanded, 2.0 * self.u_stated))
@@ -122,9 +137,9 @@ class StaticGain(RealQuantity):
 
 @dataclass(frozen=True)
 class ReleaseDevice:
-    """Releases by one thing: how fast and how repeatable they are, and whether the model rests on them.
+    """Releases by one device, with rise and duration, and whether the model uses them.
 
-    `kind`: rise of the driven output, and how long the load changed, by the models where there are.
+    `kind`: rise of the driven output and duration of the change of load, of the models if available.
     """
 
     kind: ReleaseKind
@@ -133,13 +148,13 @@ class ReleaseDevice:
 
     @property
     def name(self) -> str:
-        """What let go."""
+        """Name of the release device."""
         return self.kind.release or UNNAMED
 
 
 @dataclass(frozen=True)
 class MethodRow:
-    """What one method made of one release: its model's main figures, fit and time, or why there is none."""
+    """The result of one method for one release: fit and indices."""
 
     fit: StepFit
     indices: Indices | None
@@ -148,13 +163,20 @@ class MethodRow:
 
 @dataclass(frozen=True)
 class StepComponent:
-    """Everything found of one load component.
+    """All results of one load component.
 
-    `channel`: the output that is driven; `releases` of all ropes, `used` of them in the model `pooled`, for the
-    `reason`; `parameters`, `figures`: its numbers, `figures` its indices; `gains`: static gain of every output, the
-    driven one first; `ropes` from the fastest to the slowest; `methods`: what each method made of one release. `unit`:
-    of output over load. `entry`: what models.json holds. `budget`: standard uncertainty of each index by cause;
-    `beside`: what is known beside the records. What rests on a model is None or empty where none was found.
+    Attributes
+    ----------
+    channel : output that is driven.
+    unit : of output over load.
+    releases : of all devices; `used` names those in the model, selected for the `reason`.
+    gains : static gain of every output, the driven one first.
+    ropes : release devices, the fastest first.
+    methods : result of each method for one release.
+    pooled, parameters, figures, entry : the model, its parameters and indices, and its entry in models.json; None or
+        empty without a model.
+    budget : standard uncertainty of each index by cause.
+    influences : influences that no record shows.
     """
 
     component: str
@@ -175,16 +197,16 @@ class StepComponent:
 
     @property
     def chosen(self) -> tuple[StepRelease, ...]:
-        """The releases that the model rests on."""
+        """Releases that the model uses."""
         return tuple(release for release in self.releases if release.name in self.used)
 
     @property
     def scope(self) -> str:
-        """Return over what U of the model holds, in words; empty without a model."""
+        """Return the use that U of the model covers, in words; empty without a model."""
         return "" if self.entry is None else self.entry.scope
 
     def find(self, name: str) -> NamedQuantity | None:
-        """Return an index by its name, None where there is none."""
+        """Return an index by its name, None without one."""
         return next((one for one in self.figures if one.name == name), None)
 
 
@@ -196,10 +218,10 @@ class StepEvaluation(CommandEvaluation):
     components: tuple[StepComponent, ...]
 
 
-FAILURES = (ValueError, ArithmeticError, np.linalg.LinAlgError)  # what an identification raises where it finds no model
+FAILURES = (ValueError, ArithmeticError, np.linalg.LinAlgError)  # exceptions of an identification without a model
 
 
-# One recording: what its outputs show, which of them is driven, and the model of that.
+# One recording: readings of its outputs, and the model of the driven one.
 
 CLEAR = 4.0  # change of the driven output, over its standard uncertainty, below which there is no step
 
@@ -214,8 +236,8 @@ def read_recording(manifest: Manifest) -> tuple[StepRelease, tuple[Notice, ...]]
     name = record.component
     if name not in record.channels:  # of outputs named otherwise the one that changes most
         if sensor is not None and name in sensor.channels:
-            expected = f"the output {name}, the component that is driven"
-            raise InputError(manifest.path, "daq.channel", found=", ".join(record.channels), expected=expected)
+            found = ", ".join(record.channels)
+            raise InputError(DRIVEN_OUTPUT_MISSING, manifest.path, "daq.channel", expected=name, found=found)
         size = max(1, record.samples.shape[1] // 20)
         change = record.samples[:, -size:].mean(axis=1) - record.samples[:, :size].mean(axis=1)
         name = record.channels[int(np.argmax(np.abs(change)))]
@@ -226,16 +248,14 @@ def read_recording(manifest: Manifest) -> tuple[StepRelease, tuple[Notice, ...]]
         raise InputError.from_exception(error, manifest.path, key) from error
     driven, key = readings.pop(name), f"daq.channel.{output_entries(manifest)[name][1].name}"
     if driven.clipped:
-        told, expected = "samples that stay at the limit of the range", "an output that was not clipped"
-        raise InputError(manifest.path, key, found=told, expected=expected)
+        raise InputError(DRIVEN_OUTPUT_CLIPPED, manifest.path, key)
     if abs(driven.static_gain) <= CLEAR * driven.u_static_gain:
-        told = f"a change of {driven.steady - driven.baseline:.2g} {driven.unit}, no more than noise"
-        expected = f"a step in the output that {driven.component} drives"
-        raise InputError(manifest.path, key, found=told, expected=expected)
-    cut = [f"output {other.channel} was clipped and is left out" for other in readings.values() if other.clipped]
+        change = float(driven.steady - driven.baseline)
+        raise InputError(NO_STEP_FOUND, manifest.path, key, component=driven.component, change=change, unit=driven.unit)
+    clipped = [other.channel for other in readings.values() if other.clipped]
     notices = [
-        *(Notice("warning", text, record.name) for text in cut),
-        *(Notice(notice.severity, f"{name}: {notice.text}", record.name) for notice in driven.notices),
+        *(Notice(CLIPPED_OUTPUT, record.name, channel=channel) for channel in clipped),
+        *(notice.at(f"{record.name}: {name}") for notice in driven.notices),
     ]
     others = [reading for reading in readings.values() if not reading.clipped]
     return StepRelease(manifest, record, name, (driven, *others)), (*source.notices, *notices)
@@ -244,9 +264,10 @@ def read_recording(manifest: Manifest) -> tuple[StepRelease, tuple[Notice, ...]]
 def fit_release(
     release: StepRelease, settings: StepSettings, structure: tuple[int, int] | None = None
 ) -> tuple[StepRelease, tuple[Notice, ...]]:
-    """Return a release with its model, of a given structure (modes, real poles) where that is given.
+    """Return a release with its model.
 
-    Without one where none is found: then a notice says why.
+    `structure` (modes, real poles) is selected by rule if None. If no model is found, the release has none and a notice
+    gives the reason.
     """
     modes, real_poles = structure or (settings.modes, settings.real_poles)
     try:
@@ -260,84 +281,94 @@ def fit_release(
             None if settings.release == "auto" else settings.release,
         )
     except FAILURES as error:
-        return release, (Notice("warning", f"no model of {release.driven} was found: {error}", release.name),)
+        notice = Notice(RELEASE_WITHOUT_MODEL, release.name, channel=release.driven, reason=str(error))
+        return release, (notice,)
     return replace(release, fit=merge_alternatives(shapes), shapes=shapes), ()
 
 
-# A rope lets go in one way, which its releases tell together.
+# The shape of the releases by one device, determined by all of them.
 
 
 def fit_common_shape(releases: Sequence[StepRelease]) -> tuple[StepRelease, ...]:
-    """Return releases with the models of that shape which all by the same rope make the likeliest."""
+    """Return releases with the models of the likeliest shape, one shape per device."""
     total = defaultdict[tuple[str, str], float](float)
     for release in releases:
         for fit in release.shapes:
             total[release.record.release, fit.shape] += fit.excess
 
-    def settled(release: StepRelease) -> StepRelease:
+    def with_likeliest_shape(release: StepRelease) -> StepRelease:
         if len(release.shapes) < 2:
             return release
-        by_rope = {fit.shape: total[release.record.release, fit.shape] for fit in release.shapes}
-        shapes = tuple(sorted(release.shapes, key=lambda fit: by_rope[fit.shape]))
-        excess = by_rope[shapes[1].shape] - by_rope[shapes[0].shape]
+        by_device = {fit.shape: total[release.record.release, fit.shape] for fit in release.shapes}
+        shapes = tuple(sorted(release.shapes, key=lambda fit: by_device[fit.shape]))
+        excess = by_device[shapes[1].shape] - by_device[shapes[0].shape]
         return replace(release, fit=merge_alternatives(shapes, excess), shapes=shapes, excess=excess)
 
-    return tuple(map(settled, releases))
+    return tuple(map(with_likeliest_shape, releases))
 
 
-def alternative_shapes(releases: Sequence[StepRelease]) -> Iterator[tuple[AlternativeModels, str]]:
-    """Yield the models of all releases if those of one rope went in the other shape, where these do not refute it.
+def alternative_shapes(
+    releases: Sequence[StepRelease], component: str
+) -> Iterator[tuple[AlternativeModels, Notice | None]]:
+    """Yield alternative models for each device whose releases do not reject the other shape.
 
-    With what that would mean, in words, "" where it is little.
+    Each with a notice of the difference, None if it is small.
     """
-    for rope in dict.fromkeys(release.record.release for release in releases if release.excess < REJECT_CHI2):
-        mine = [release.record.release == rope and release.excess < REJECT_CHI2 for release in releases]
-        models = [release.shapes[int(own)].model for release, own in zip(releases, mine, strict=True)]
-        one = releases[mine.index(True)]
-        means = describe_difference(one.shapes[0], one.shapes[1])
-        text = f"releases by {rope or UNNAMED} do not tell whether the load goes along {means}" if means else ""
-        yield AlternativeModels([model for model in models if model is not None], excess_chi2_sigmas(one.excess)), text
+    for device in dict.fromkeys(release.record.release for release in releases if release.excess < REJECT_CHI2):
+        undetermined = [release.record.release == device and release.excess < REJECT_CHI2 for release in releases]
+        models = [release.shapes[int(other)].model for release, other in zip(releases, undetermined, strict=True)]
+        first = releases[undetermined.index(True)]
+        difference = describe_difference(first.shapes[0], first.shapes[1])
+        notice = (
+            Notice(SHAPE_OF_DEVICE_UNDETERMINED, component, device=device or UNNAMED, shapes=difference)
+            if difference
+            else None
+        )
+        alternatives = [model for model in models if model is not None]
+        yield AlternativeModels(alternatives, excess_chi2_sigmas(first.excess)), notice
 
 
-# Which releases of a component make its model, and of which structure.
+# Selection of the releases for a component's model, and its structure.
 
 LONGEST_RELEASE = 0.5
-"""Periods of the first mode that a release may last for its rope to be used beside the fastest one."""
+"""Periods of the first mode that a release by another device than the fastest may last; from there on, the response
+to a linear change is 0.64 of that to a step."""
 
 
 def choose_releases(releases: Sequence[StepRelease]) -> tuple[tuple[StepRelease, ...], str]:
-    """Return the releases of the fastest rope, and of others that last half a period of the first mode; and why these.
+    """Return the releases of the fastest devices, and the reason.
 
-    A load that changes for the time T drives a mode at f by sin(πfT)/(πfT) of what a step would: from half a period on,
-    0.64, the model depends on how the load changed meanwhile, which is known of no rope.
+    Other devices than the fastest are used up to half a period of the first mode. A load that changes over the time T
+    excites a mode at f by sin(πfT)/(πfT) of an ideal step. From half a period of the first mode on (0.64), the model
+    depends on the course of the load, which is not known for any device.
     """
     models = [(r, r.fit.model) for r in releases if r.fit is not None and r.fit.model is not None]
     if not models:
         return (), "no release could be fitted"
-    ropes = defaultdict[str, list[tuple[StepRelease, ModalModel]]](list)
+    devices = defaultdict[str, list[tuple[StepRelease, ModalModel]]](list)
     for release, model in models:
-        ropes[release.record.release].append((release, model))
-    length = {rope: float(np.median([r.release_s for r, _ in own])) for rope, own in ropes.items()}
-    fastest = min(length, key=lambda rope: length[rope])
-    lowest = [float(model.frequency_hz.min()) for _, model in ropes[fastest] if len(model.frequency_hz)]
+        devices[release.record.release].append((release, model))
+    length = {device: float(np.median([r.release_s for r, _ in group])) for device, group in devices.items()}
+    fastest = min(length, key=lambda device: length[device])
+    lowest = [float(model.frequency_hz.min()) for _, model in devices[fastest] if len(model.frequency_hz)]
     first_mode_hz = float(np.median(lowest)) if lowest else 0.0
-    periods = {rope: length[rope] * first_mode_hz for rope in ropes}
-    kept = [rope for rope in ropes if rope == fastest or periods[rope] <= LONGEST_RELEASE]
-    chosen = tuple(release for release, _ in models if release.record.release in kept)
-    if len(ropes) == 1:
+    periods = {device: length[device] * first_mode_hz for device in devices}
+    selected = [device for device in devices if device == fastest or periods[device] <= LONGEST_RELEASE]
+    chosen = tuple(release for release, _ in models if release.record.release in selected)
+    if len(devices) == 1:
         return chosen, "all releases"
-    by = ", ".join(rope or UNNAMED for rope in kept)
-    others = ", ".join(f"{rope or UNNAMED} {periods[rope]:.2g}" for rope in ropes if rope not in kept)
+    by = ", ".join(device or UNNAMED for device in selected)
+    others = ", ".join(f"{device or UNNAMED} {periods[device]:.2g}" for device in devices if device not in selected)
     if not others:
         return chosen, f"releases by {by}: each lasts at most half a period of the first mode"
-    why = "the fastest" if len(kept) == 1 else "at most half a period of the first mode"
+    why = "the fastest" if len(selected) == 1 else "at most half a period of the first mode"
     return chosen, f"releases by {by}, {why} ({periods[fastest]:.2g} periods; left out: {others} periods)"
 
 
 def common_structure(releases: Sequence[StepRelease]) -> tuple[int, int]:
-    """Return the number of modes that most models have, and the largest number of real poles among these.
+    """Return the most frequent number of modes, and its largest number of real poles.
 
-    A real pole far above the modes shows in few releases; one that has it tells of it, one that has not is silent.
+    A real pole far above the modes appears in few releases only.
     """
     structures = [release.structure for release in releases if release.structure is not None]
     counts = Counter(modes for modes, _ in structures)
@@ -345,13 +376,13 @@ def common_structure(releases: Sequence[StepRelease]) -> tuple[int, int]:
     return modes, max(reals for number, reals in structures if number == modes)
 
 
-# The releases of a component fitted, and those that make its model brought to one structure.
+# Fits of the releases of a component, with one structure for its model.
 
 
 class FittedReleases(NamedTuple):
-    """The releases of one component with their models, those that make its model, and why these.
+    """The releases of one component with their models, and those selected for its model.
 
-    `notices`: what could not be fitted, or had to be fitted anew; `anew`: names of these.
+    `notices`: releases that were not fitted, or fitted again; `refitted`: names of the latter.
     """
 
     releases: tuple[StepRelease, ...]
@@ -362,37 +393,39 @@ class FittedReleases(NamedTuple):
 
 
 def fit_component(releases: Sequence[StepRelease], settings: StepSettings) -> FittedReleases:
-    """Fit all releases of a component, and choose those that make its model.
+    """Fit all releases of a component, and select those for its model.
 
-    Chosen releases whose models have another structure than most are fitted anew; what cannot be fitted so is left out.
+    Selected releases with a different structure than most are fitted found with that structure. They are rejected if
+    this fails.
     """
-    fits, told = zip(*(fit_release(release, settings) for release in releases), strict=True)
-    own, notices = fit_common_shape(fits), [*chain.from_iterable(told)]
-    chosen, reason = choose_releases(own)
+    fits, fit_notices = zip(*(fit_release(release, settings) for release in releases), strict=True)
+    fitted, notices = fit_common_shape(fits), [*chain.from_iterable(fit_notices)]
+    chosen, reason = choose_releases(fitted)
     if not chosen:
-        return FittedReleases(own, (), reason, tuple(notices))
-    wanted = common_structure(chosen)
-    counted = zip(wanted, ("mode", "real pole"), strict=True)
-    text = " and ".join(f"{count or 'no'} {what}{'' if count == 1 else 's'}" for count, what in counted)
-    text = f"{text}, as others show"
-    alike, anew = dict[str, StepRelease](), list[str]()
+        return FittedReleases(fitted, (), reason, tuple(notices))
+    structure = common_structure(chosen)
+    counted = zip(structure, ("mode", "real pole"), strict=True)
+    structure_text = " and ".join(f"{count or 'no'} {kind}{'' if count == 1 else 's'}" for count, kind in counted)
+    of_structure, refitted = dict[str, StepRelease](), list[str]()
     for release in chosen:
-        again = release
-        if release.structure != wanted:
-            again, _ = fit_release(replace(release, fit=None, shapes=()), settings, wanted)
-            if again.structure != wanted:
-                notices.append(Notice("warning", f"{release.driven}: left out, no model with {text}", release.name))
+        found = release
+        if release.structure != structure:
+            found, _ = fit_release(replace(release, fit=None, shapes=()), settings, structure)
+            if found.structure != structure:
+                notices.append(
+                    Notice(STRUCTURE_NOT_FOUND, release.name, channel=release.driven, structure=structure_text)
+                )
                 continue
-            anew.append(release.name)
-        alike[release.name] = again
-    if anew:
-        notices.append(Notice("note", f"fitted anew with {text}", ", ".join(anew)))
-    used = {release.name: release for release in fit_common_shape([*alike.values()])}
-    everything = tuple(used.get(release.name, release) for release in own)
-    return FittedReleases(everything, tuple(used.values()), reason, tuple(notices), tuple(anew))
+            refitted.append(release.name)
+        of_structure[release.name] = found
+    if refitted:
+        notices.append(Notice(RELEASES_REFITTED, ", ".join(refitted), structure=structure_text))
+    used = {release.name: release for release in fit_common_shape([*of_structure.values()])}
+    everything = tuple(used.get(release.name, release) for release in fitted)
+    return FittedReleases(everything, tuple(used.values()), reason, tuple(notices), tuple(refitted))
 
 
-# What different methods make of one release.
+# Comparison of methods for one release.
 
 SEED = 1  # of the generator that draws the first generation of differential evolution
 LABELS: dict[Method, str] = {
@@ -408,26 +441,26 @@ LABELS: dict[Method, str] = {
 def compare_methods(
     release: StepRelease, settings: StepSettings, available: Sequence[StepFit] = ()
 ) -> tuple[tuple[MethodRow, ...], tuple[Notice, ...]]:
-    """Return what every method makes of a release; a notice says which of them finds nothing, and what each remarks.
+    """Return the result of every method for a release, with notices.
 
-    `known`: what methods have made of it already, by the same rules.
+    `available`: existing fits by the same rules.
     """
     rng, rows, notices = np.random.default_rng(SEED), list[MethodRow](), list[Notice]()
     by = partial(fit_all_methods, release.record, release.driven, rng=rng, reading=release.reading)
-    made = {fit.method: fit for fit in available}
+    existing = {fit.method: fit for fit in available}
     for method in METHODS:
         try:
-            fit = made.get(method) or by(methods=(method,), modes=settings.modes, real_poles=settings.real_poles)[0]
+            fit = existing.get(method) or by(methods=(method,), modes=settings.modes, real_poles=settings.real_poles)[0]
         except FAILURES as error:
-            notices.append(Notice("note", f"{LABELS[method]}: no model ({error})", release.name))
+            notices.append(Notice(METHOD_WITHOUT_MODEL, release.name, method=LABELS[method], reason=str(error)))
             continue
         rows.append(method_row(fit, release.name))
-        notices += [Notice("note", f"{LABELS[method]}: {n.text}", release.name) for n in fit.notices]
+        notices += [Notice(METHOD_REMARK, release.name, method=LABELS[method], remark=n.text) for n in fit.notices]
     return tuple(rows), tuple(notices)
 
 
 def method_row(fit: StepFit, recording: str) -> MethodRow:
-    """Return a fit with the indices of its system, none where it has none."""
+    """Return a fit with the indices of its system, None if it has none."""
     try:
         with np.errstate(all="ignore"):
             return MethodRow(fit, indices(fit.system, sample_rate_hz=fit.sample_rate_hz), recording)
@@ -435,31 +468,31 @@ def method_row(fit: StepFit, recording: str) -> MethodRow:
         return MethodRow(fit, None, recording)
 
 
-# Static gains of every output, and what releases by different ropes have in common.
+# Static gains of every output, and releases by device.
 
 
 def static_gains(releases: Sequence[StepRelease], unit: str) -> Iterator[StaticGain]:
-    """Yield the static gain of every output, in `unit`, for the load of some releases, the driven output first.
+    """Yield the static gain of every output in `unit`, the driven output first.
 
-    The mean of the releases by weight 1/u²; where they scatter by more than is stated of each, u is that of the
-    scatter, with its degrees of freedom. The load's and the output's scale err for all releases alike.
+    The mean of the releases is weighted by 1/u². If the scatter exceeds the stated uncertainties, u is that of the
+    scatter with its degrees of freedom. The scales of load and output are common to all releases.
     """
     manifest, component = releases[0].manifest, releases[0].record.component
     for channel in dict.fromkeys(reading.channel for release in releases for reading in release.readings):
-        own = [reading for release in releases for reading in release.readings if reading.channel == channel]
-        value, u = [reading.static_gain for reading in own], [reading.u_static_gain for reading in own]
+        of_channel = [reading for release in releases for reading in release.readings if reading.channel == channel]
+        value, u = [reading.static_gain for reading in of_channel], [reading.u_static_gain for reading in of_channel]
         mean, u_mean, dof = mean_with_scatter(np.array(value), np.array(u))
         total = float(np.hypot(u_mean, abs(mean) * scale_uncertainty(manifest, channel)))
         wide = dof * (total / u_mean) ** 4 if np.isfinite(dof) and u_mean > 0.0 else dof
         stated = stated_gain(manifest, channel, component)
-        yield StaticGain(mean, total, float(wide), unit, channel, len(own), *stated)
+        yield StaticGain(mean, total, float(wide), unit, channel, len(of_channel), *stated)
 
 
 def mean_with_scatter(value: FloatArray, u: FloatArray) -> tuple[float, float, float]:
-    """Return the weighted mean of values (N,) with u (N,), its u and degrees of freedom.
+    """Return the weighted mean of values (N,), its u and degrees of freedom.
 
-    u² is that of the weights times χ²/(N - 1) where this is above 1 (Birge's ratio), with the degrees of freedom of
-    `effective_dof`.
+    `u` (N,): of the values. u² is that of the weights times χ²/(N - 1) if this is above 1 (Birge ratio), with the
+    degrees of freedom of `effective_dof`.
     """
     if not np.all(u > 0.0):
         u = np.ones(len(value))
@@ -476,14 +509,20 @@ def mean_with_scatter(value: FloatArray, u: FloatArray) -> tuple[float, float, f
 
 
 def scale_uncertainty(manifest: Manifest, channel: str) -> float:
-    """Return the relative standard uncertainty of output over load that all releases share: of both scales."""
+    """Return the relative u of output over load by both scales.
+
+    It is common to all releases.
+    """
     _, entry = output_entries(manifest)[channel]
     parts = (manifest.excitation.step_uncertainty, entry.scale_uncertainty, entry.individual_uncertainty)
     return float(np.sqrt(np.sum(np.square(parts))))
 
 
 def stated_gain(manifest: Manifest, channel: str, component: str) -> tuple[float | None, float]:
-    """Return the static sensitivity that rig.toml states for an output and a component, None without, and its u."""
+    """Return the stated static sensitivity of an output for a component, and u.
+
+    None if rig.toml does not state it.
+    """
     sensor = manifest.rig.sensor
     if sensor is None or sensor.static_sensitivity is None or channel not in sensor.channels:
         return None, 0.0
@@ -492,22 +531,25 @@ def stated_gain(manifest: Manifest, channel: str, component: str) -> tuple[float
 
 
 def group_by_device(releases: Sequence[StepRelease], used: Sequence[str]) -> tuple[ReleaseDevice, ...]:
-    """Return the releases by what let go, the fastest rise first; how long the load changed is told by the models.
+    """Return the releases by device, the fastest rise first.
 
-    By how much that would be otherwise in the other shape, all releases by one rope share.
+    The duration of the change of load is that of the models. Its deviation for the other shape is common to all
+    releases by one device.
     """
     readings = []
     for release in releases:
         timed = release.shapes[0] if release.shapes else release.reading
         readings.append(replace(release.reading, release_s=timed.release_s, u_release_s=timed.u_release_s))
-    ropes = []
+    devices = []
     for kind in compare_releases(readings):
-        own = [release for release in releases if release.record.release == kind.release]
-        names = tuple(release.name for release in own)
-        apart = [
-            (r.shapes[1].release_s - r.release_s) / excess_chi2_sigmas(r.excess) for r in own if r.excess < REJECT_CHI2
+        of_device = [release for release in releases if release.record.release == kind.release]
+        names = tuple(release.name for release in of_device)
+        deviations = [
+            (r.shapes[1].release_s - r.release_s) / excess_chi2_sigmas(r.excess)
+            for r in of_device
+            if r.excess < REJECT_CHI2
         ]
-        u_mean = float(np.hypot(kind.length.u_mean, sum(apart) / len(own)))
+        u_mean = float(np.hypot(kind.length.u_mean, sum(deviations) / len(of_device)))
         shown = replace(kind, length=replace(kind.length, u_mean=u_mean))
-        ropes.append(ReleaseDevice(shown, names, not set(used).isdisjoint(names)))
-    return tuple(ropes)
+        devices.append(ReleaseDevice(shown, names, not set(used).isdisjoint(names)))
+    return tuple(devices)

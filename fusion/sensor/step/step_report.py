@@ -1,4 +1,4 @@
-"""What step responses leave: tables, models, HDF5 file, page, lines of the terminal; the command."""
+"""Files, page and printed lines of step responses, and the command."""
 
 from __future__ import annotations
 
@@ -60,7 +60,7 @@ from shaker.release.step_fit import StepFit
 
 
 class OutputRow(NamedTuple):
-    """What one output of one release of a component shows; what rests on a model stands with the driven output."""
+    """An output of one release, with the model if it is the driven output."""
 
     component: StepComponent
     release: StepRelease
@@ -73,7 +73,7 @@ class OutputRow(NamedTuple):
 
     @property
     def used(self) -> bool:
-        """Return whether the model rests on it."""
+        """Return whether the model of the component uses it."""
         return self.driven and self.release.name in self.component.used
 
     @property
@@ -81,23 +81,26 @@ class OutputRow(NamedTuple):
         """Return the model of the driven output."""
         return self.release.fit if self.driven else None
 
-    def peak(self, place: int, name: str) -> float:
-        """Return a number of a peak of the spectrum, NaN where there is none."""
-        return float(getattr(self.reading.peaks[place], name)) if len(self.reading.peaks) > place else np.nan
+    def peak(self, index: int, name: str) -> float:
+        """Return a number of a peak of the spectrum, NaN without one."""
+        return float(getattr(self.reading.peaks[index], name)) if len(self.reading.peaks) > index else np.nan
 
 
 def lowest_mode(fit: StepFit) -> tuple[float, float, float, float]:
-    """Return frequency in Hz and damping ratio of the lowest mode, each with its u, of a fit's model, NaN without."""
+    """Return frequency (Hz), its u, damping ratio, and its u of the lowest mode.
+
+    NaN without one.
+    """
     model = fit.model
     if model is None or not len(model.frequency_hz):
         return (np.nan,) * 4
-    place, count = int(np.argmin(model.frequency_hz)), len(model.frequency_hz)
+    lowest, count = int(np.argmin(model.frequency_hz)), len(model.frequency_hz)
     u = np.zeros(len(model.vector)) if model.covariance is None else np.sqrt(np.diag(model.covariance))
-    return model.frequency_hz[place], u[place], model.damping_ratio[place], u[count + place]
+    return model.frequency_hz[lowest], u[lowest], model.damping_ratio[lowest], u[count + lowest]
 
 
 def residual_rms(fit: StepFit) -> float:
-    """Root mean square of what a fit leaves, in output units."""
+    """Return the root mean square of the residual of a fit, in output units."""
     return float(np.sqrt(np.mean(fit.residual**2)))
 
 
@@ -110,12 +113,12 @@ def _of_reading(*names: str) -> list[TableColumn[OutputRow]]:
     return [TableColumn(name, attrgetter(f"reading.{name}")) for name in names]
 
 
-def _of_peak(name: str, place: int, of_peak: str) -> TableColumn[OutputRow]:
-    return TableColumn(name, lambda output: output.peak(place, of_peak))
+def _of_peak(name: str, index: int, of_peak: str) -> TableColumn[OutputRow]:
+    return TableColumn(name, lambda output: output.peak(index, of_peak))
 
 
 def _of_fit(name: str, value: Callable[[StepFit], float]) -> TableColumn[OutputRow]:
-    """Column of the model, empty without one."""
+    """Return a column of the model, empty without one."""
     return TableColumn(name, lambda output: None if output.fit is None else value(output.fit))
 
 
@@ -144,7 +147,7 @@ RELEASES: list[TableColumn[OutputRow]] = [
 
 
 class Number(NamedTuple):
-    """One parameter or index of a component's model, or a static gain as it was read, over its recordings."""
+    """A parameter, an index or a static gain of a component, with its recordings."""
 
     component: str
     channel: str
@@ -161,7 +164,10 @@ NUMBERS: list[TableColumn[Number]] = [
 
 
 class BudgetPart(NamedTuple):
-    """What one cause contributes to the u of an index; `u` None where nobody states it, as `status` says."""
+    """The contribution of one cause to the u of an index.
+
+    `u` is None if the cause is not assessed (`status`).
+    """
 
     component: str
     channel: str
@@ -173,7 +179,10 @@ class BudgetPart(NamedTuple):
 
 
 def budget_parts(component: StepComponent) -> Iterator[BudgetPart]:
-    """Yield the budget of every index, cause by cause; squares of u add up to that in indices.csv."""
+    """Yield the budget of every index by cause.
+
+    Squares of u add up to that in indices.csv.
+    """
     for one in component.figures:
         head = component.component, component.channel, one.name
         for cause, parts in component.budget.items():
@@ -184,7 +193,7 @@ def budget_parts(component: StepComponent) -> Iterator[BudgetPart]:
 
 
 class ByMethod(NamedTuple):
-    """What one method made of one release of a component."""
+    """The result of one method for one release of a component."""
 
     component: StepComponent
     row: MethodRow
@@ -217,7 +226,7 @@ BY_METHOD: list[TableColumn[ByMethod]] = [
 
 
 def texts(evaluation: StepEvaluation) -> dict[str, str | bytes]:
-    """Return tables and models; of every output the driven one first, and after the indices static gains as read."""
+    """Return tables and models; indices.csv has the static gains as read after the indices."""
     components = evaluation.components
     outputs = (
         OutputRow(c, release, reading) for c in components for release in c.releases for reading in release.readings
@@ -250,7 +259,7 @@ FIT_FIELDS = (
 
 
 def fill(file: h5py.File, evaluation: StepEvaluation) -> None:
-    """Fill the HDF5 file: of every component its releases, the pooled model, its numbers, what is compared."""
+    """Fill the HDF5 file with releases, pooled model, numbers and methods of every component."""
     file.attrs["name"] = evaluation.name
     file.attrs["models"] = "H(s) = sum r/(s - p) + conj. + sum r/(s - p), p in rad/s, output over load; k = 1"
     write_value(file, "notices", evaluation.notices)
@@ -262,15 +271,15 @@ def fill(file: h5py.File, evaluation: StepEvaluation) -> None:
             write_value(group, name, getattr(component, name))
         releases = group.create_group("releases", track_order=True)
         for release in component.releases:
-            own = releases.create_group(releases.free_name(release.name), track_order=True)
+            release_group = releases.create_group(releases.free_name(release.name), track_order=True)
             for name in ("component", "amplitude", "sample_rate_hz", "start_s", "release"):
-                write_value(own, name, getattr(release.record, name))
-            readings = own.create_group("readings", track_order=True)
+                write_value(release_group, name, getattr(release.record, name))
+            readings = release_group.create_group("readings", track_order=True)
             for reading in release.readings:
                 name = readings.free_name(reading.channel)
                 write_fields(readings.create_group(name, track_order=True), reading)
             if release.fit is not None:
-                _write_fit(own.create_group("fit", track_order=True), release.fit)
+                _write_fit(release_group.create_group("fit", track_order=True), release.fit)
         if component.methods:
             methods = group.create_group("methods", track_order=True)
             for row in component.methods:
@@ -288,7 +297,7 @@ def _write_fit(group: h5py.Group, fit: StepFit) -> None:
 
 # Page and terminal
 
-SHARES = ("damping_ratio", "overshoot")  # quantities that are shares, told in %
+SHARES = ("damping_ratio", "overshoot")  # ratios that are shown in %
 BUDGETED = ("natural_hz", "damping_ratio", "static_gain", "band_10_hz")
 MANY_HEADLINES = 6
 NATURAL = Markup("f<sub>n</sub> / Hz")
@@ -309,7 +318,7 @@ PRINTED = {
 
 
 def page_context(evaluation: StepEvaluation) -> dict[str, Any]:
-    """Return what the page shows; methods where more than one was asked for."""
+    """Return the content of the page, with the methods if several were compared."""
     compared, components = evaluation.settings["method"] == "all", evaluation.components
     count, names = sum(len(c.releases) for c in components), ", ".join(c.component for c in components)
     return {
@@ -339,7 +348,7 @@ def page_context(evaluation: StepEvaluation) -> dict[str, Any]:
 
 
 def headlines(evaluation: StepEvaluation) -> list[Headline]:
-    """Natural frequency and damping ratio of every driven output."""
+    """Return natural frequency and damping ratio of every driven output."""
     lines: list[Headline] = []
     for component in evaluation.components:
         frequency, damping = component.find("natural_hz"), component.find("damping_ratio")
@@ -350,7 +359,7 @@ def headlines(evaluation: StepEvaluation) -> list[Headline]:
 
 
 def summary_table(evaluation: StepEvaluation) -> Table | None:
-    """The main indices of every component, one below the other."""
+    """Return the main indices of every component."""
 
     def load(component: StepComponent) -> str:
         return " → ".join(dict.fromkeys((component.component, component.channel)))
@@ -363,35 +372,35 @@ def summary_table(evaluation: StepEvaluation) -> Table | None:
         return page_column(head, shown)
 
     columns = [page_column("load", load, "l"), *(index(name, head) for name, head in SUMMARY.items())]
-    columns.append(page_column("U holds", lambda component: component.scope or DASH, "l"))
+    columns.append(page_column("U applies", lambda component: component.scope or DASH, "l"))
     return table("Models of the driven outputs, with U", columns, evaluation.components)
 
 
 def quantities_table(caption: str, head: str, quantities: Sequence[NamedQuantity]) -> Table | None:
-    """Parameters of a model, or its indices."""
+    """Return the parameters or the indices of a model."""
 
-    def where_known(text: Callable[[NamedQuantity], str]) -> Callable[[NamedQuantity], str]:
+    def if_finite(text: Callable[[NamedQuantity], str]) -> Callable[[NamedQuantity], str]:
         return lambda one: text(one) if np.isfinite(one.u) and one.u > 0.0 else DASH
 
     columns: list[TableColumn[NamedQuantity]] = [
         page_column(head, lambda one: capitalise(one.label), "l"),
         page_column("value", lambda one: quantity_html(*_shown(one))),
-        page_column("k", where_known(lambda one: factor_text(one.k))),
-        page_column("dof", where_known(lambda one: degrees_of_freedom(one.dof))),
+        page_column("k", if_finite(lambda one: factor_text(one.k))),
+        page_column("dof", if_finite(lambda one: degrees_of_freedom(one.dof))),
     ]
     return table(caption, columns, quantities)
 
 
 def main_budget(component: StepComponent) -> Table | None:
-    """What makes the u of the main indices, and what nobody states."""
+    """Return the budget of the main indices, with influences that are not assessed."""
     shown = [one for name in BUDGETED if (one := component.find(name)) is not None and np.isfinite(one.u)]
-    parts = {cause: np.array([own[one.name] for one in shown]) for cause, own in component.budget.items()}
+    parts = {cause: np.array([u[one.name] for one in shown]) for cause, u in component.budget.items()}
     numbers = {one.label: one.value for one in shown}
     return budget_table("Budget of the main indices", numbers, parts, component.influences) if shown else None
 
 
 def releases_table(component: StepComponent) -> Table | None:
-    """What the driven output of every release shows, and its model."""
+    """Return readings and model of the driven output of every release."""
 
     def of_fit(head: str, shown: Callable[[StepFit], str]) -> TableColumn[StepRelease]:
         return page_column(head, lambda release: DASH if release.fit is None else shown(release.fit))
@@ -406,7 +415,7 @@ def releases_table(component: StepComponent) -> Table | None:
     scale, unit = _gain_scale(component)
     columns: list[TableColumn[StepRelease]] = [
         page_column("recording", lambda release: release.name, "l"),
-        page_column("let go", lambda release: release.record.release or DASH, "l"),
+        page_column("released by", lambda release: release.record.release or DASH, "l"),
         page_column("rise / ms", lambda r: quantity_html(MILLI * r.reading.rise_s, K2 * MILLI * r.reading.u_rise_s)),
         of_fit("release / ms", lambda fit: quantity_html(MILLI * fit.release_s, K2 * MILLI * fit.u_release_s)),
         page_column(f"static gain / {unit}", gain),
@@ -419,37 +428,37 @@ def releases_table(component: StepComponent) -> Table | None:
 
 
 def ropes_table(component: StepComponent) -> Table | None:
-    """What lets go how fast, and how well it repeats; None of a single release."""
+    """Return rise, duration and repeatability of every release device; None of a single release."""
 
     def mean(of: Callable[[ReleaseDevice], RepeatedMean]) -> Callable[[ReleaseDevice], str]:
-        return lambda rope: quantity_html(*_mean_ms(of(rope)))
+        return lambda device: quantity_html(*_mean_ms(of(device)))
 
     def scatter(of: Callable[[ReleaseDevice], RepeatedMean]) -> Callable[[ReleaseDevice], str]:
-        return lambda rope: short(MILLI * of(rope).repeatability)
+        return lambda device: short(MILLI * of(device).repeatability)
 
     columns: list[TableColumn[ReleaseDevice]] = [
-        page_column("let go", lambda rope: rope.name, "l"),
-        page_column("releases", lambda rope: f"{rope.kind.count}"),
-        page_column("rise / ms", mean(lambda rope: rope.kind.rise)),
-        page_column("s / ms", scatter(lambda rope: rope.kind.rise)),
-        page_column("release / ms", mean(lambda rope: rope.kind.length)),
-        page_column("s / ms", scatter(lambda rope: rope.kind.length)),
-        page_column("faster than the next / %", lambda rope: signed_text(PERCENT * rope.kind.faster, ".1f")),
-        page_column("in the model", lambda rope: yes_or_no(rope.used), "l"),
+        page_column("released by", lambda device: device.name, "l"),
+        page_column("releases", lambda device: f"{device.kind.count}"),
+        page_column("rise / ms", mean(lambda device: device.kind.rise)),
+        page_column("s / ms", scatter(lambda device: device.kind.rise)),
+        page_column("release / ms", mean(lambda device: device.kind.length)),
+        page_column("s / ms", scatter(lambda device: device.kind.length)),
+        page_column("faster than the next / %", lambda device: signed_text(PERCENT * device.kind.faster, ".1f")),
+        page_column("in the model", lambda device: yes_or_no(device.used), "l"),
     ]
-    caption = "What let go: rise of the output and duration of the release, means with U, scatter s of one release"
+    caption = "Release devices: rise of the output and duration of the release, means with U, scatter s of one release"
     return table(caption, columns, component.ropes) if len(component.releases) > 1 else None
 
 
 def gains_table(component: StepComponent) -> Table | None:
-    """Static gain of every output for the load, with the peaks of its spectrum."""
+    """Return static gain and spectral peaks of every output for the load."""
     driven, (scale, unit) = component.gains[0], _gain_scale(component)
 
     def stated(gain: StaticGain) -> str:
         return DASH if gain.stated is None else quantity_text(scale * gain.stated, K2 * scale * gain.u_stated)
 
-    def peak(head: str, place: int) -> TableColumn[StaticGain]:
-        return page_column(head, lambda gain: _peaks(component, gain.channel)[place])
+    def peak(head: str, index: int) -> TableColumn[StaticGain]:
+        return page_column(head, lambda gain: _peaks(component, gain.channel)[index])
 
     columns: list[TableColumn[StaticGain]] = [
         page_column("output", lambda gain: gain.channel, "l"),
@@ -472,7 +481,7 @@ def gains_table(component: StepComponent) -> Table | None:
 
 
 def methods_table(component: StepComponent) -> Table | None:
-    """What every method made of a release."""
+    """Return the result of every method for a release."""
 
     def index(head: str, name: str, form: str, scale: float = 1.0) -> TableColumn[ByMethod]:
         return page_column(head, lambda by: signed_text(scale * by.figure(name), form))
@@ -498,17 +507,18 @@ def methods_table(component: StepComponent) -> Table | None:
 def printed(evaluation: StepEvaluation) -> Iterator[str]:
     """Yield the lines that the command prints."""
     for component in evaluation.components:
-        told = f"{component.component}: {len(component.used)} of {len(component.releases)} releases in the model"
-        told += f", U {component.scope}" if component.scope else ""
+        head = f"{component.component}: {len(component.used)} of {len(component.releases)} releases in the model"
+        head += f", U {component.scope}" if component.scope else ""
         indices = [(label, component.find(name)) for name, label in PRINTED.items()]
         parts = [f"{label} {quantity_text(*_shown(index))}" for label, index in indices if index is not None]
-        yield f"{told}; {', '.join(parts) or 'no model'}"
-        for rope in component.ropes if len(component.ropes) > 1 else ():
-            yield f"  {rope.name}: {len(rope.releases)} releases of {quantity_text(*_mean_ms(rope.kind.length), 'ms')}"
+        yield f"{head}; {', '.join(parts) or 'no model'}"
+        for device in component.ropes if len(component.ropes) > 1 else ():
+            duration = quantity_text(*_mean_ms(device.kind.length), "ms")
+            yield f"  {device.name}: {len(device.releases)} releases of {duration}"
 
 
 def _shown(quantity: NamedQuantity) -> tuple[float, float, str]:
-    """Value, U and unit in which they are told: times in ms, shares in %."""
+    """Return value, U and unit as shown: times in ms, shares in %."""
     unit = quantity.unit
     if quantity.name.startswith(SHARES):
         scale, unit = PERCENT, "%"
@@ -522,29 +532,38 @@ def _mean_ms(spread: RepeatedMean) -> tuple[float, float]:
 
 
 def _peaks(component: StepComponent, channel: str) -> tuple[str, str, str]:
-    """First and second peak of an output's spectrum: mean over the releases of the model, or of all without one."""
+    """Return the first and second peak of an output's spectrum.
+
+    Without a model, means over all releases.
+    """
     releases = component.chosen or component.releases
     peaks = [reading.peaks for r in releases for reading in r.readings if reading.channel == channel]
-    first = _mean_peak([own[0] for own in peaks if own])
-    seconds = [own[1] for own in peaks if len(own) > 1]
+    first = _mean_peak([found[0] for found in peaks if found])
+    seconds = [found[1] for found in peaks if len(found) > 1]
     if 2 * len(seconds) < len(peaks) or not seconds:
         return first, DASH, DASH
     return first, _mean_peak(seconds), number(PERCENT * float(np.mean([peak.share for peak in seconds])))
 
 
 def _mean_peak(peaks: Sequence[SpectrumPeak]) -> str:
-    """Mean frequency of peaks with U: of each as it was read, or of what they scatter by where that is more."""
+    """Return the mean frequency of peaks with U.
+
+    U is that of the readings, or of their scatter if it is larger.
+    """
     if not peaks:
         return DASH
     value = np.array([peak.frequency_hz for peak in peaks])
-    own = float(np.sqrt(np.mean([peak.u_frequency_hz**2 for peak in peaks])))
+    u_reading = float(np.sqrt(np.mean([peak.u_frequency_hz**2 for peak in peaks])))
     spread = float(np.std(value, ddof=1)) if len(peaks) > 1 else 0.0
-    k = coverage_factor(len(peaks) - 1.0) if spread > own else K2
-    return quantity_html(float(value.mean()), k * max(own, spread) / len(peaks) ** 0.5)
+    k = coverage_factor(len(peaks) - 1.0) if spread > u_reading else K2
+    return quantity_html(float(value.mean()), k * max(u_reading, spread) / len(peaks) ** 0.5)
 
 
 def _gain_scale(component: StepComponent) -> tuple[float, str]:
-    """Factor and unit in which all gains of a component are told, by the power of ten of the largest."""
+    """Return factor and unit for all gains of a component.
+
+    By the power of ten of the largest.
+    """
     power, unit = (
         round_to_uncertainty(max(abs(gain.value) for gain in component.gains), 0.0).exponent,
         typeset(component.unit),
@@ -566,11 +585,11 @@ def run_step(
     force: bool = False,
     allow_outside: bool = False,
 ) -> None:
-    """Evaluate the step recordings at some paths together, write the results and print the summary.
+    """Evaluate step recordings together, write the results and print the summary.
 
-    Of a campaign folder those of kind step are taken. Results stand in its folder `step`, or in that of the only
-    recording, or, of several paths, beside rig.toml; or in `output`. A place that cannot take them is refused before
-    anything is computed.
+    Of a campaign folder, only recordings of kind step are used. Results are written to its folder `step`, or to that of
+    the only recording, or of several paths to the folder of rig.toml; or to `output`. A folder that cannot be used is
+    refused before the computation.
     """
     manifests = load_for_command(paths, STEP.name, allow_outside=allow_outside)
     name = manifests[0].name if len(manifests) == 1 else manifests[0].rig.name

@@ -1,4 +1,4 @@
-"""Recordings to corrected transfer functions and resonances."""
+"""Evaluation of recordings: corrected transfer functions and resonances."""
 
 from __future__ import annotations
 
@@ -14,6 +14,15 @@ from fusion.instruments.transducer import TRANSDUCERS
 from fusion.recording.excitation import kinds_of
 from fusion.recording.load import Manifest
 from fusion.recording.manifest import ChannelEntry
+from fusion.sensor.transfer.transfer_notices import (
+    BAND_ABOVE_LIMIT,
+    CHIRP_WITHOUT_PERIOD,
+    MISSING_TRANSFER_ENTRY,
+    PEAK_DEPARTS,
+    PEAK_NOT_FITTED,
+    PERIOD_WITHOUT_SIGNAL,
+    SCALE_UNCERTAINTY_NOT_STATED,
+)
 from fusion.sensor.transfer.transfer_records import (
     ChannelChain,
     FoundResonance,
@@ -38,8 +47,8 @@ from shaker.identification.oscillator import Resonance, ResonanceKind, fit_reson
 from shaker.labels import MOTION_UNITS
 from shakercal._common.notices import Notice
 
-_SEGMENTS = 16  # segments beside each other in a record where no line spacing is wanted
-_BLOW_S = 1.0  # window around a blow where no line spacing is wanted
+_SEGMENTS = 16  # segments of a record if no line spacing is requested
+_BLOW_S = 1.0  # window around a blow if no line spacing is requested
 _KEYS = {
     "period_s": "excitation.period",
     "band_hz": "excitation.band",
@@ -48,21 +57,21 @@ _KEYS = {
     "resolution_hz": "--resolution",
     "duration_s": "--resolution",
 }
-"""Where the user can mend what an argument of the estimate says."""
+"""Keys and options of the arguments that an estimate may refuse."""
 
 
 def estimate_transfer(manifest: Manifest, together: SynchronousRecord, settings: TransferSettings) -> TransferFunction:
-    """Return the transfer functions as recorded, by the estimator wanted or by the excitation's kind.
+    """Return the transfer functions as recorded, by the selected estimator or that of the excitation.
 
-    With a period: ratio of the means over whole periods. Impacts: windows around the blows. Else local polynomials, or
-    averaged spectra of overlapping segments. Raises `InputError` naming the manifest's key, or the option, at fault.
+    With a period: ratio of the means over whole periods. Impacts: windows around the blows. Otherwise local
+    polynomials, or averaged spectra of overlapping segments. Raises `InputError` at the key or the option to correct.
     """
     excitation, record, band = manifest.excitation, together.samples, _band(manifest, together)
     repeats = excitation.period is not None or excitation.kind == "multisine"
     periodic = settings.estimator == "periodic" or (settings.estimator == "auto" and repeats)
     if periodic and excitation.period is None:
-        expected = "the period in s, which the periodic estimate needs"
-        raise InputError(manifest.path, "excitation.period", found="nothing", expected=expected)
+        expected = "the period in s, which the periodic estimate requires"
+        raise InputError(MISSING_TRANSFER_ENTRY, manifest.path, "excitation.period", expected=expected)
     try:
         if periodic and excitation.period is not None:
             return transfer_periodic(record, excitation.period, settle_periods=excitation.settle_periods, band_hz=band)
@@ -70,17 +79,17 @@ def estimate_transfer(manifest: Manifest, together: SynchronousRecord, settings:
     except ValueError as error:
         argument = str(error).partition(":")[0]
         if periodic and argument == "record":
-            found_text = f"{excitation.period:g} s, at whose harmonics {record.reference_name} holds only noise"
-            expected = "the period with which the excitation repeats"
-            raise InputError(manifest.path, "excitation.period", found=found_text, expected=expected) from error
+            raise InputError(
+                PERIOD_WITHOUT_SIGNAL,
+                manifest.path,
+                "excitation.period",
+                found_s=excitation.period or 0.0,
+                channel=record.reference_name,
+            ) from error
         raise InputError.from_exception(error, manifest.path, _KEYS.get(argument, "excitation")) from error
     if excitation.kind != "chirp" or excitation.period is not None:
         return found
-    text = (
-        "no period is stated, so the chirp is taken like noise, which leaves its uncertainty to neighbouring lines; of "
-        "a chirp that repeats, state the period"
-    )
-    return replace(found, notices=(*found.notices, Notice("warning", text, "excitation.period")))
+    return replace(found, notices=(*found.notices, Notice(CHIRP_WITHOUT_PERIOD, "excitation.period")))
 
 
 def _band(manifest: Manifest, together: SynchronousRecord) -> tuple[float, float] | None:
@@ -89,15 +98,16 @@ def _band(manifest: Manifest, together: SynchronousRecord) -> tuple[float, float
     if highest is None:
         return band
     if band is not None and band[0] >= highest:
-        expected = f"a band that begins below {highest:.6g} Hz, what the slowest channel can show"
-        raise InputError(manifest.path, "excitation.band", found=f"{band[0]:g} to {band[1]:g} Hz", expected=expected)
+        raise InputError(
+            BAND_ABOVE_LIMIT, manifest.path, "excitation.band", limit_hz=highest, low_hz=band[0], high_hz=band[1]
+        )
     return (0.0, highest) if band is None else (band[0], min(band[1], highest))
 
 
 def _averaged(
     manifest: Manifest, record: TransferRecord, settings: TransferSettings, band_hz: tuple[float, float] | None
 ) -> TransferFunction:
-    """Return the transfer functions from averaged spectra, of blows or of segments, behind what settles."""
+    """Return the transfer functions from averaged spectra of blows or segments, after settling."""
     excitation, estimator = manifest.excitation, "auto" if settings.estimator == "periodic" else settings.estimator
     left_out = round(excitation.settle_periods * (excitation.period or 0.0) * record.sample_rate_hz)
     record = replace(record, reference=record.reference[left_out:], responses=record.responses[left_out:])
@@ -113,7 +123,7 @@ def _averaged(
 # Resonances in a measured transfer function: where the peaks are, and an oscillator fitted to each.
 
 _PROMINENCE = np.log(2.0)  # of a peak in ln|H|
-_SIGNIFICANT = 8.0  # standard uncertainties by which a peak stands out
+_SIGNIFICANT = 8.0  # standard uncertainties by which a peak exceeds its surroundings
 _DOWN_TO = 1.0 / 8.0  # of the peak: lines around it that are fitted
 _FEWEST_LINES = 6
 _POOR_FIT = 2.0  # χ² per degree of freedom from which the rest of all other modes is fitted too
@@ -125,7 +135,7 @@ _DEPARTS = 3.0  # residuals over the noise, rms, from which one oscillator does 
 
 @dataclass(frozen=True)
 class _Curve:
-    """One response over its reference: values (K,), covariance (K, 2, 2) of the noise, common errors by name (K,)."""
+    """One response over its reference: values (K,), noise covariance, and common errors."""
 
     name: str
     transfer: TransferFunction
@@ -154,82 +164,93 @@ def find_resonances(
     u_clock: float,
     influences: ModelInfluences = NO_INFLUENCES,
 ) -> tuple[tuple[FoundResonance, ...], tuple[Notice, ...]]:
-    """Return the resonances of every response and what is to be said of peaks that no oscillator fits.
+    """Return the resonances of every response, and notices of peaks without a fitted oscillator.
 
-    `transfer` with the covariance of its noise alone; `kinds` (C) say which form an oscillator takes in each response;
-    `u_clock`: relative standard uncertainty of the clock, and so of every frequency; `known`: what is known of a
-    resonance beside the record.
+    `transfer` has the covariance of its noise only. `kinds` (C): form of an oscillator in each response. `u_clock`:
+    relative standard uncertainty of the clock, and so of every frequency. `influences`: influences on a resonance that
+    the record does not show.
     """
     found: list[FoundResonance] = []
     notices: list[Notice] = []
     for c, (name, kind) in enumerate(zip(transfer.ratio.channels, kinds, strict=True)):
-        own = {error.name: error.relative[:, c] for error in errors if np.any(error.relative[:, c] != 0.0)}
-        curve = _Curve(name, transfer, transfer.ratio.value[:, c], transfer.channel_covariance(name), own, kind)
+        of_channel = {error.name: error.relative[:, c] for error in errors if np.any(error.relative[:, c] != 0.0)}
+        curve = _Curve(name, transfer, transfer.ratio.value[:, c], transfer.channel_covariance(name), of_channel, kind)
         peaks, where = _peaks(curve), f"{name}/{transfer.reference}"
         for (peak, lines), mode in zip(peaks, _separated(curve, [lines for _, lines in peaks]), strict=True):
-            at = f"the peak at {transfer.ratio.frequency_hz[peak]:.6g} Hz"
+            frequency_hz = float(transfer.ratio.frequency_hz[peak])
             if isinstance(mode, str):
-                notices.append(Notice("note", f"no oscillator was fitted to {at} ({mode})", where))
+                notices.append(Notice(PEAK_NOT_FITTED, where, frequency_hz=frequency_hz, reason=mode))
                 continue
             found.append(_with_budget(curve, lines, mode, u_clock, influences))
             departs = np.sqrt(mode.fit.chi_squared / mode.fit.dof)
             if departs >= _DEPARTS:
-                text = f"{at} departs from one oscillator by {departs:.2g} times the noise; its frequency and damping"
-                notices.append(Notice("warning", f"{text} depend on the lines that are fitted", where))
+                notices.append(Notice(PEAK_DEPARTS, where, frequency_hz=frequency_hz, ratio=departs))
     return tuple(found), tuple(notices)
 
 
 @dataclass(frozen=True)
 class _Mode:
-    """One oscillator, and the values (L,) of its lines that it was fitted to, all other oscillators taken off."""
+    """One oscillator, and the values (L,) to which it was fitted.
+
+    The values are corrected for all other oscillators.
+    """
 
     fit: Resonance
     value: ComplexArray
 
 
 def _separated(curve: _Curve, windows: Sequence[slice]) -> list[_Mode | str]:
-    """Fit every peak with the oscillators of all others taken off, in rounds; a text where there is no fit."""
+    """Fit every peak corrected for the other oscillators, in rounds.
+
+    A text is the reason of a failed fit.
+    """
     found: list[_Mode | str] = ["no fit" for _ in windows]
     for _ in range(_ROUNDS if len(windows) > 1 else 1):
-        for place, lines in enumerate(windows):
+        for index, lines in enumerate(windows):
             frequency = curve.transfer.ratio.frequency_hz[lines]
             value = curve.value[lines].copy()
-            for other in (*found[:place], *found[place + 1 :]):
+            for other in (*found[:index], *found[index + 1 :]):
                 if isinstance(other, _Mode):
-                    alone = replace(other.fit, residual=np.zeros(2, dtype=np.complex128))
-                    value -= alone.model(frequency, curve.transfer.added_decay_per_s)
+                    oscillator = replace(other.fit, residual=np.zeros(2, dtype=np.complex128))
+                    value -= oscillator.model(frequency, curve.transfer.added_decay_per_s)
             try:
-                found[place] = _Mode(_best(curve, lines, value), value)
+                found[index] = _Mode(_best(curve, lines, value), value)
             except (ValueError, np.linalg.LinAlgError) as error:
-                found[place] = ARGUMENT.sub("", str(error))
+                found[index] = ARGUMENT.sub("", str(error))
     return found
 
 
 def _peaks(curve: _Curve) -> list[tuple[int, slice]]:
-    """Return the largest significant peaks of |H|, each with the lines around it down to an eighth of its height."""
+    """Return the largest significant peaks of |H| with their lines.
+
+    Down to an eighth of the height.
+    """
     from scipy.signal import find_peaks
 
     size = np.abs(curve.value)
     relative = np.sqrt(np.trace(curve.covariance, axis1=1, axis2=2) / 2.0) / size
     logarithm = np.log(size)
-    places, found = find_peaks(logarithm, prominence=_PROMINENCE)
-    keep = (found["prominences"] > _SIGNIFICANT * relative[places]) & (relative[places] < 1.0 / _SIGNIFICANT)
-    places = places[keep]
-    largest = np.sort(places[np.argsort(-found["prominences"][keep])[:_MOST]])
+    peaks, found = find_peaks(logarithm, prominence=_PROMINENCE)
+    keep = (found["prominences"] > _SIGNIFICANT * relative[peaks]) & (relative[peaks] < 1.0 / _SIGNIFICANT)
+    peaks = peaks[keep]
+    largest = np.sort(peaks[np.argsort(-found["prominences"][keep])[:_MOST]])
     windows = []
-    for number, place in enumerate(largest):
-        low = 0 if number == 0 else largest[number - 1] + int(np.argmin(size[largest[number - 1] : place]))
-        high = len(size) if number + 1 == len(largest) else place + int(np.argmin(size[place : largest[number + 1]]))
-        weak = np.flatnonzero(size[low:high] < _DOWN_TO * size[place]) + low
-        low = max([low, *(weak[weak < place] + 1)])
-        high = min([high, *weak[weak > place]])
+    for number, peak in enumerate(largest):
+        low = 0 if number == 0 else largest[number - 1] + int(np.argmin(size[largest[number - 1] : peak]))
+        high = len(size) if number + 1 == len(largest) else peak + int(np.argmin(size[peak : largest[number + 1]]))
+        weak = np.flatnonzero(size[low:high] < _DOWN_TO * size[peak]) + low
+        low = max([low, *(weak[weak < peak] + 1)])
+        high = min([high, *weak[weak > peak]])
         if high - low >= _FEWEST_LINES:
-            windows.append((int(place), slice(int(low), int(high))))
+            windows.append((int(peak), slice(int(low), int(high))))
     return windows
 
 
 def _best(curve: _Curve, lines: slice, value: ComplexArray) -> Resonance:
-    """Fit one oscillator to values (L,) of some lines, with the rest of all other modes where that explains more."""
+    """Fit one oscillator to values (L,) of some lines.
+
+    With residual terms of other modes if they improve the fit.
+    """
     frequency = curve.transfer.ratio.frequency_hz[lines]
     fit = curve.fit(lines, value, residual_terms=False)
     if fit.chi_squared > _POOR_FIT * fit.dof and len(frequency) >= 2 * _FEWEST_LINES:
@@ -238,12 +259,14 @@ def _best(curve: _Curve, lines: slice, value: ComplexArray) -> Resonance:
     if not frequency[0] <= fit.frequency_hz <= frequency[-1]:
         raise ValueError(f"its frequency would be {fit.frequency_hz:.6g} Hz")
     if fit.u("damping_ratio") > _VAGUE * fit.damping_ratio:
-        raise ValueError("the noise leaves its damping open")
+        raise ValueError("its damping is not determined because of noise")
     return fit
 
 
-def _with_budget(curve: _Curve, lines: slice, mode: _Mode, u_clock: float, known: ModelInfluences) -> FoundResonance:
-    """Return a fit with its uncertainty: noise, what one standard deviation of every common error changes, the rest."""
+def _with_budget(
+    curve: _Curve, lines: slice, mode: _Mode, u_clock: float, influences: ModelInfluences
+) -> FoundResonance:
+    """Return a fit with its uncertainty by noise, common errors, clock and influences."""
     frequency, fit = curve.transfer.ratio.frequency_hz[lines], mode.fit
     residual_terms = "constant_re" in fit.parameters
     budget = {"noise": (fit.u("frequency_hz"), fit.u("damping_ratio"))}
@@ -252,7 +275,7 @@ def _with_budget(curve: _Curve, lines: slice, mode: _Mode, u_clock: float, known
         budget[name] = (moved.frequency_hz - fit.frequency_hz, moved.damping_ratio - fit.damping_ratio)
     if u_clock > 0.0:
         budget["rate of the clock"] = (u_clock * fit.frequency_hz, 0.0)
-    for cause, (by_frequency, by_damping) in known.relative.items():
+    for cause, (by_frequency, by_damping) in influences.relative.items():
         budget[cause] = (by_frequency * fit.frequency_hz, by_damping * fit.damping_ratio)
     u_frequency, u_damping = np.sqrt(np.sum(np.square(list(budget.values())), axis=0))
     where, band_hz = (curve.name, curve.transfer.reference), (float(frequency[0]), float(frequency[-1]))
@@ -272,10 +295,27 @@ _FORCED_KINDS: dict[int, ResonanceKind] = {
 def evaluate_transfer(
     manifest: Manifest, settings: TransferSettings, input_hashes: dict[str, str]
 ) -> TransferEvaluation:
-    """Return the transfer functions of one recording: files → estimate → delay, response and quantity → resonances.
+    """Evaluate the transfer functions of one recording: files → estimate → corrections → resonances.
 
-    Raises `InputError` for what the user can mend in the files.
+    Parameters
+    ----------
+    manifest
+        Recording of a chirp, a multisine, noise or impacts.
+    settings
+        Choices of the estimate.
+    input_hashes
+        SHA-256 of the input files by name, for the results.
 
+    Returns
+    -------
+    TransferEvaluation : transfer functions and resonances over every reference.
+
+    Raises
+    ------
+    InputError : a file or key that the user has to correct.
+
+    Examples
+    --------
     >>> from fusion import TransferSettings, evaluate_transfer, load_manifest
     >>> evaluation = evaluate_transfer(load_manifest("chirp/chirp"), TransferSettings(), {})  # doctest: +SKIP
     """
@@ -284,7 +324,7 @@ def evaluate_transfer(
     read = read_synchronous(manifest)
     found = [_evaluated(manifest, together, settings) for together in read]
     base = next((together.aligned.base for together in read if together.aligned.base is not None), None)
-    notices = [*manifest.certificate_notices, *(notice for _, told in found for notice in told)]
+    notices = [*manifest.certificate_notices, *(notice for _, of_reference in found for notice in of_reference)]
     return TransferEvaluation(
         name=manifest.name,
         manifest=manifest,
@@ -300,7 +340,7 @@ def evaluate_transfer(
 def _evaluated(
     manifest: Manifest, together: SynchronousRecord, settings: TransferSettings
 ) -> tuple[ReferenceResult, list[Notice]]:
-    """Return the transfer functions over one reference with what is to be said of them."""
+    """Return the transfer functions over one reference with their notices."""
     raw = estimate_transfer(manifest, together, settings)
     reference, *responses = (channel_chain(channel, raw.ratio.frequency_hz) for channel in together.aligned.channels)
     errors = ratio_errors(reference, responses)
@@ -308,8 +348,8 @@ def _evaluated(
     corrected = _converted(raw, factor, together, settings.quantity)
     moved = reference.entry.quantity in TRANSDUCERS
     kinds = ["transmissibility" if moved else _forced_kind(chain.entry, settings.quantity) for chain in responses]
-    known = stated_influences(manifest.rig, [manifest.mounting])
-    resonances, told = find_resonances(corrected, errors, kinds, together.u_clock, known)
+    influences = stated_influences(manifest.rig, [manifest.mounting])
+    resonances, peak_notices = find_resonances(corrected, errors, kinds, together.u_clock, influences)
     ratio = corrected.ratio
     if errors:
         common = common_covariance(ratio.value, np.stack([error.relative for error in errors]))
@@ -321,11 +361,14 @@ def _evaluated(
         errors=errors,
         resonances=resonances,
     )
-    return result, [*together.aligned.notices, *raw.notices, *told, *_silent([reference, *responses])]
+    return result, [*together.aligned.notices, *raw.notices, *peak_notices, *_unstated_scales([reference, *responses])]
 
 
 def _forced_kind(entry: ChannelEntry, quantity: Quantity | None) -> ResonanceKind:
-    """Return the form of one oscillator where a force acts on the mass; what is no motion follows the spring."""
+    """Return the form of one oscillator driven by a force.
+
+    A response that is no motion follows the spring.
+    """
     if entry.quantity not in TRANSDUCERS:
         return "receptance"
     order = QUANTITIES.index(quantity) - 2 if quantity else TRANSDUCERS[entry.quantity].order
@@ -335,23 +378,26 @@ def _forced_kind(entry: ChannelEntry, quantity: Quantity | None) -> ResonanceKin
 def _converted(
     raw: TransferFunction, factor: ComplexArray, together: SynchronousRecord, quantity: Quantity | None
 ) -> TransferFunction:
-    """Return ratios times `factor` (K, C), every motion as the quantity wanted.
+    """Return ratios times `factor` (K, C), with every motion as the requested quantity.
 
-    Behind an exponential window a ratio is H(s) at s = a + jω, and a derivative multiplies it by s.
+    With an exponential window a ratio is H(s) at s = a + jω, and a derivative multiplies it by s.
     """
     s = raw.added_decay_per_s + 2j * np.pi * raw.ratio.frequency_hz
     reference, *responses = (channel.entry for channel in together.aligned.channels)
-    below, unit_below = _as_wanted(reference, together.samples.reference_unit, quantity)
+    below, unit_below = _in_quantity(reference, together.samples.reference_unit, quantity)
     factors, units = factor.copy(), []
     for c, (entry, unit) in enumerate(zip(responses, together.samples.unit, strict=True)):
-        above, unit_above = _as_wanted(entry, unit, quantity)
+        above, unit_above = _in_quantity(entry, unit, quantity)
         factors[:, c] *= s ** (above - below)
         units.append(ratio_unit(unit_above, unit_below))
     return replace(raw, ratio=raw.ratio.scaled(factors, units))
 
 
-def _as_wanted(entry: ChannelEntry, unit: str, quantity: Quantity | None) -> tuple[int, str]:
-    """Return how many times a channel is to be differentiated, and the unit it then has; 0 for what is no motion."""
+def _in_quantity(entry: ChannelEntry, unit: str, quantity: Quantity | None) -> tuple[int, str]:
+    """Return the number of differentiations of a channel and its resulting unit.
+
+    0 if it is no motion.
+    """
     if quantity is None or entry.quantity not in TRANSDUCERS:
         return 0, unit
     family, have = motion_order(unit)
@@ -359,12 +405,11 @@ def _as_wanted(entry: ChannelEntry, unit: str, quantity: Quantity | None) -> tup
     return want - have, MOTION_UNITS[family][want]
 
 
-def _silent(chains: Sequence[ChannelChain]) -> list[Notice]:
-    """Name the channels whose scale is taken as exact because nothing else is stated."""
+def _unstated_scales(chains: Sequence[ChannelChain]) -> list[Notice]:
+    """Return a notice of the channels without a stated uncertainty of the scale."""
     names = [
         chain.entry.name for chain in chains if not (scale_is_stated(chain.entry, chain.response) or chain.entry.common)
     ]
     if not names:
         return []
-    text = f"no uncertainty of the scale is stated for {', '.join(names)}: the uncertainties hold without it"
-    return [Notice("warning", text, "scale_uncertainty")]
+    return [Notice(SCALE_UNCERTAINTY_NOT_STATED, "scale_uncertainty", channels=", ".join(names))]

@@ -1,4 +1,4 @@
-"""Records of chirp, noise and blows, and what their transfer functions are uncertain by."""
+"""Records of transfer functions: aligned channels, chains, and common errors."""
 
 from __future__ import annotations
 
@@ -17,6 +17,14 @@ from fusion.recording.load import Manifest
 from fusion.recording.manifest import ChannelEntry
 from fusion.recording.response import read_response
 from fusion.recording.units import unit_notices
+from fusion.sensor.transfer.transfer_notices import (
+    CHANNELS_NOT_SIMULTANEOUS,
+    CHANNELS_RESAMPLED,
+    COARSE_CONVERTER_STEPS,
+    DEFECTIVE_SAMPLES,
+    MISSING_TRANSFER_ENTRY,
+    WRONG_CHANNEL_NAME,
+)
 from shaker.arrays import ComplexArray, FloatArray
 from shaker.frf.chain import ChainResponse
 from shaker.frf.result import TransferFunction, TransferRecord
@@ -37,10 +45,16 @@ SLOWEST, DITHERED = 100.0, 10.0
 
 @dataclass(frozen=True)
 class TransferSettings:
-    """Choices that change results: the estimator, the line spacing of averaged spectra (Hz), the motion's quantity.
+    """Choices of an estimate of transfer functions.
 
-    None leaves the line spacing to the record's length, and every motion in the quantity in which it was measured.
+    Attributes
+    ----------
+    estimator : "auto" (default), "periodic", "local", "H1", "H2" or "Hv".
+    resolution_hz : line spacing of averaged spectra in Hz; None derives it from the length of the record.
+    quantity : "displacement", "velocity" or "acceleration" of every motion; None keeps the measured quantity.
 
+    Examples
+    --------
     >>> from fusion import TransferSettings
     >>> TransferSettings(estimator="H1", resolution_hz=0.5).estimator
     'H1'
@@ -70,8 +84,8 @@ class TransferSettings:
 class FoundResonance:
     """A resonance of one `response` over its reference, fitted over the lines between `band_hz`.
 
-    `u_frequency_hz`, `u_damping_ratio`: standard uncertainties, noise and all common errors together; `budget`: by
-    cause what one standard deviation changes of frequency (Hz) and damping ratio.
+    `u_frequency_hz`, `u_damping_ratio`: standard uncertainties by noise and all common errors. `budget`: change of
+    frequency (Hz) and damping ratio by one standard deviation of each cause.
     """
 
     response: str
@@ -87,9 +101,12 @@ class FoundResonance:
 class ReferenceResult:
     """All transfer functions over one reference (`name`).
 
-    `transfer`: delays and responses taken off, quantity as wanted, covariance of noise and common errors together.
-    `random_covariance` (K, 2C, 2C): that of the noise alone. `errors`: what is common to the lines. `resonances`: found
-    in the curves.
+    Attributes
+    ----------
+    transfer : corrected for delays and responses, as the requested quantity, with the covariance of all errors.
+    random_covariance : (K, 2C, 2C) of the noise only.
+    errors : errors common to all lines.
+    resonances : resonances of the curves.
     """
 
     name: str
@@ -113,7 +130,7 @@ class TransferEvaluation(CommandEvaluation):
 
 @dataclass(frozen=True)
 class ChannelChain:
-    """A channel as recorded, with its chain at K lines and the uncertainty of its block's tie to the first clock."""
+    """A recorded channel with its chain at K lines, and the uncertainty of its clock."""
 
     entry: ChannelEntry
     frequency_hz: FloatArray
@@ -129,9 +146,9 @@ class ChannelChain:
 
     @property
     def errors(self) -> Mapping[str, ComplexArray]:
-        """Complex relative error (K,) of the corrected phasor by the name of its cause, one standard deviation each.
+        """Complex relative errors (K,) of the corrected phasor by cause, for one standard deviation.
 
-        Channels of one `common` name share scale, delay and response, hence these names.
+        Channels of one `common` name share scale, delay and response, and therefore these names.
         """
         entry, shared = self.entry, self.entry.common or self.entry.name
         turn = np.asarray(2j * np.pi * self.frequency_hz, dtype=np.complex128)
@@ -162,7 +179,10 @@ def channel_chain(channel: LocatedChannel, frequency_hz: FloatArray) -> ChannelC
 
 
 def uncertainty(value: ComplexArray, covariance: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return u(|H|)/|H| and u(arg H) in rad, (K,) each, of values (K,) with covariances (K, 2, 2)."""
+    """Return u(|H|)/|H| and u(arg H) in rad, (K,) each.
+
+    `covariance` (K, 2, 2): of the values.
+    """
     size = np.abs(value)
     along = np.stack([value.real, value.imag], axis=1) / size[:, None]
     across = np.stack([-value.imag, value.real], axis=1) / size[:, None]
@@ -171,7 +191,10 @@ def uncertainty(value: ComplexArray, covariance: FloatArray) -> tuple[FloatArray
 
 
 def ratio_errors(reference: ChannelChain, responses: Sequence[ChannelChain]) -> tuple[CurveError, ...]:
-    """Return the common errors of the ratios (K, C) responses over reference; what both share cancels."""
+    """Return the common errors of the ratios (K, C) of responses over reference.
+
+    Shared errors cancel.
+    """
     below, above = reference.errors, [chain.errors for chain in responses]
     zero = np.zeros(len(reference.frequency_hz), dtype=np.complex128)
     names = dict.fromkeys([*below, *(name for errors in above for name in errors)])
@@ -187,7 +210,7 @@ def ratio_errors(reference: ChannelChain, responses: Sequence[ChannelChain]) -> 
 
 @dataclass(frozen=True)
 class LocatedChannel:
-    """A channel, the block that recorded it, and the clocks where they had to be tied."""
+    """A channel, the block that recorded it, and the clocks if they were tied."""
 
     entry: ChannelEntry
     record: DaqRecord
@@ -195,7 +218,7 @@ class LocatedChannel:
 
     @property
     def tie(self) -> ClockTie | None:
-        """The tie of the block to the first clock, None where it counts by that itself."""
+        """The tie of the block to the first clock, None if it uses that clock."""
         return None if self.base is None else self.base.ties[self.record.entry.name]
 
     @property
@@ -206,7 +229,7 @@ class LocatedChannel:
 
     @property
     def rate_hz(self) -> float:
-        """Sampling rate on the block's own clock."""
+        """Sampling rate on the clock of the block."""
         return self.record.raw[self.entry.name].sample_rate_hz
 
     @property
@@ -215,9 +238,9 @@ class LocatedChannel:
         return len(self.record.raw[self.entry.name].samples)
 
     def position(self, time_s: FloatArray) -> FloatArray:
-        """Return where times of the first clock lie in the channel's record, in samples from its first one."""
-        own = time_s if self.tie is None else (time_s - self.tie.offset_s) / self.tie.rate
-        return np.asarray((own - self.record.lag_s(self.entry.name)) * self.rate_hz)
+        """Return the positions of times of the first clock in the channel's record, in samples."""
+        in_block_s = time_s if self.tie is None else (time_s - self.tie.offset_s) / self.tie.rate
+        return np.asarray((in_block_s - self.record.lag_s(self.entry.name)) * self.rate_hz)
 
 
 @dataclass(frozen=True)
@@ -240,36 +263,47 @@ def read_synchronous(manifest: Manifest) -> tuple[SynchronousRecord, ...]:
     excitation = manifest.excitation
     if not excitation.reference:
         expected = "the name of the channel over which the others are taken, such as the force or the base acceleration"
-        raise InputError(manifest.path, "excitation.reference", found="nothing", expected=expected)
-    places: dict[str, list[tuple[str, ChannelEntry]]] = {}
+        raise InputError(MISSING_TRANSFER_ENTRY, manifest.path, "excitation.reference", expected=expected)
+    by_name: dict[str, list[tuple[str, ChannelEntry]]] = {}
     for daq in manifest.daq:
         for entry in daq.channel:
             if entry.quantity != "trigger":
-                places.setdefault(entry.name, []).append((daq.name, entry))
-    named = excitation.response or [name for name in places if name not in excitation.reference]
+                by_name.setdefault(entry.name, []).append((daq.name, entry))
+    named = excitation.response or [name for name in by_name if name not in excitation.reference]
     if not named:
-        expected = "a channel beside the reference"
-        raise InputError(manifest.path, "excitation.response", found="none", expected=expected)
+        expected = "a channel in addition to the reference"
+        raise InputError(MISSING_TRANSFER_ENTRY, manifest.path, "excitation.response", expected=expected)
     for key, name in [*(("reference", name) for name in excitation.reference), *(("response", name) for name in named)]:
-        where = places.get(name, [])
+        where = by_name.get(name, [])
         if len(where) != 1:
             blocks = " and ".join(block for block, _ in where)
-            found = f'"{name}", which is in the blocks {blocks}' if where else f'"{name}", a trigger'
-            raise InputError(manifest.path, f"excitation.{key}", found=found, expected="a name that one channel has")
+            found = f"{name} in the blocks {blocks}" if where else f"{name} (a trigger)"
+            raise InputError(
+                WRONG_CHANNEL_NAME,
+                manifest.path,
+                f"excitation.{key}",
+                found=found,
+                expected="the name of exactly one channel",
+            )
         if key == "response" and name in excitation.reference:
-            expected = "other channels than the references"
-            raise InputError(manifest.path, "excitation.response", found=f'"{name}"', expected=expected)
+            raise InputError(
+                WRONG_CHANNEL_NAME,
+                manifest.path,
+                "excitation.response",
+                found=name,
+                expected="other channels than the references",
+            )
     records = read_daqs(manifest)
-    wanted = [places[name][0] for name in named]
-    return tuple(_together(manifest, records, [places[name][0], *wanted]) for name in excitation.reference)
+    selected = [by_name[name][0] for name in named]
+    return tuple(_together(manifest, records, [by_name[name][0], *selected]) for name in excitation.reference)
 
 
 def _together(
-    manifest: Manifest, records: Sequence[DaqRecord], wanted: Sequence[tuple[str, ChannelEntry]]
+    manifest: Manifest, records: Sequence[DaqRecord], selected: Sequence[tuple[str, ChannelEntry]]
 ) -> SynchronousRecord:
-    """Return channels, the reference first, as they were sampled together or else on a common grid."""
-    aligned = align(manifest, records, wanted, "excitation.response")
-    names, units = zip(*((entry.name, manifest.rig.unit_of(entry)) for _, entry in wanted), strict=True)
+    """Return channels, the reference first, on a common grid."""
+    aligned = align(manifest, records, selected, "excitation.response")
+    names, units = zip(*((entry.name, manifest.rig.unit_of(entry)) for _, entry in selected), strict=True)
     samples = TransferRecord(
         reference=aligned.values[0],
         responses=np.stack(aligned.values[1:], axis=1),
@@ -285,10 +319,9 @@ def _together(
 
 @dataclass(frozen=True)
 class AlignedChannels:
-    """Channels and their samples (N,) each at the same times: from `start_s` on the first clock with `rate_hz`.
+    """Channels with samples (N,) at common times, from `start_s` of the first clock at `rate_hz`.
 
-    `highest_hz`: up to where they may be used, None where they are those of the file. `base`: the clocks, where they
-    had to be tied.
+    `highest_hz`: limit of their use after resampling, None without resampling. `base`: the clocks if they were tied.
     """
 
     channels: tuple[LocatedChannel, ...]
@@ -303,9 +336,11 @@ class AlignedChannels:
 def align(
     manifest: Manifest, records: Sequence[DaqRecord], selected: Sequence[tuple[str, ChannelEntry]], key: str
 ) -> AlignedChannels:
-    """Return channels, each with the name of its block, as they were sampled together or else on a common grid.
+    """Return channels as sampled simultaneously, or on a common grid.
 
-    Raises `InputError` at `key` where they do not overlap, and for a channel with clipped or lost samples.
+    `selected`: each with the name of its block.
+
+    Raises `InputError` at `key` for records that do not overlap, and for a channel with clipped or lost samples.
     """
     blocks = {record.entry.name: record for record in records}
     for block, entry in selected:
@@ -317,51 +352,52 @@ def align(
     channels = tuple(LocatedChannel(entry, blocks[name], base) for name, entry in selected)
     coarse = [notice for channel in channels for notice in _condition(manifest, channel)]
     coarse += [notice for name in used for notice in unit_notices(manifest, blocks[name].entry, blocks[name].raw)]
-    alike = {(c.record.entry.name, c.rate_hz, c.record.lag_s(c.entry.name), c.length) for c in channels}
+    samplings = {(c.record.entry.name, c.rate_hz, c.record.lag_s(c.entry.name), c.length) for c in channels}
     recorded = tuple(c.record.values(c.entry) for c in channels)
-    if len(alike) == 1:
+    if len(samplings) == 1:
         start_s = channels[0].record.lag_s(channels[0].entry.name)
         return AlignedChannels(channels, recorded, channels[0].rate_hz, start_s, None, base, tuple(coarse))
     slowest = min(channels, key=lambda channel: channel.rate_hz)
     time_s, rate_hz = _common_times(channels, slowest)
     if len(time_s) < 2 * len(channels):
-        expected = "channels that were recorded at the same time"
-        raise InputError(manifest.path, key, found="records that do not overlap", expected=expected)
+        raise InputError(CHANNELS_NOT_SIMULTANEOUS, manifest.path, key)
     values = tuple(
         resample(samples, c.position(time_s), min(1.0, rate_hz / c.rate_hz))
         for c, samples in zip(channels, recorded, strict=True)
     )
     name, highest_hz = slowest.entry.name, PASS_BAND * rate_hz
-    text = (
-        f"channels of different clocks or rates are read at the times of {name}, {rate_hz:.9g} Hz of the first clock, "
-        f"and used up to {highest_hz:.6g} Hz"
-    )
-    notices = Notice("note", text, name), *coarse
+    resampled = Notice(CHANNELS_RESAMPLED, name, channel=name, rate_hz=rate_hz, highest_hz=highest_hz)
+    notices = resampled, *coarse
     return AlignedChannels(channels, values, rate_hz, float(time_s[0]), highest_hz, base, notices)
 
 
 def _condition(manifest: Manifest, channel: LocatedChannel) -> Iterator[Notice]:
-    """Refuse a channel with clipped or lost samples; warn of one that uses few steps of the converter."""
+    """Refuse a channel with clipped or lost samples; yield a notice of coarse converter steps."""
     entry, raw, excitation = channel.entry, channel.record.raw[channel.entry.name], manifest.excitation
-    lasting = excitation.kind in LASTING  # what rests by nature loses nothing by it
+    lasting = excitation.kind in LASTING  # constant samples are a defect only of signals that never rest
     slowest_hz = (excitation.band or (0.0,))[0] or channel.rate_hz / SLOWEST if lasting else None
     size = DITHERED * float(np.std(raw.samples)) if lasting else float(np.ptp(raw.samples)) / 2.0
     for defect in examine_samples(raw.samples, raw.sample_rate_hz, size, slowest_hz):
         text = defect.text(channel.record.time_s(entry.name), raw.unit)
         if defect.kind == "clipped" and excitation.kind in ("step", "impact"):
-            continue  # outputs of a release, and single blows, are judged and left out where they are evaluated
+            continue  # outputs of a release and single blows are rejected by their evaluation
         if defect.kind != "steps":
-            expected = "samples within the range of the recorder, without gaps"
-            raise InputError(channel.record.entry.file, entry.stored_name, found=f"one that {text}", expected=expected)
-        what = f"{size / (DITHERED if lasting else 0.5):.2g} {raw.unit}".rstrip()
-        name = "standard deviation" if lasting else "range"
-        text = f"its {name} is only {what}, at converter steps of {defect.step:.4g}"
-        told = "what their rounding does is not in U; a smaller range of the recorder avoids it"
-        yield Notice("warning", f"{text}: {told}", entry.name)
+            raise InputError(DEFECTIVE_SAMPLES, channel.record.entry.file, entry.stored_name, defect=text)
+        yield Notice(
+            COARSE_CONVERTER_STEPS,
+            entry.name,
+            measure="standard deviation" if lasting else "range",
+            size=size / (DITHERED if lasting else 0.5),
+            unit=f" {raw.unit}" if raw.unit else "",
+            step=defect.step,
+        )
 
 
 def _common_times(channels: Sequence[LocatedChannel], slowest: LocatedChannel) -> tuple[FloatArray, float]:
-    """Return times (T,) of the slowest channel on the first clock, well inside the records of all, and their rate."""
+    """Return times (T,) of the slowest channel within all records, and their rate.
+
+    On the first clock.
+    """
     time_s, rate_hz, tie = slowest.record.time_s(slowest.entry.name), slowest.rate_hz, slowest.tie
     if tie is not None:
         time_s, rate_hz = tie.to_base_s(time_s), rate_hz / tie.rate

@@ -1,4 +1,4 @@
-"""What transfer functions leave: transfer.csv, transfer.h5, the page, and the lines of the terminal."""
+"""Files, page and printed lines of transfer functions, and the command."""
 
 from __future__ import annotations
 
@@ -81,7 +81,7 @@ LINES: list[TableColumn[TransferLine]] = [
 
 
 def transfer_lines(evaluation: TransferEvaluation) -> Iterator[TransferLine]:
-    """Every line of every reference and response."""
+    """Yield every line of every reference and response."""
     for result in evaluation.references:
         ratio, coherence = result.transfer.ratio, result.transfer.coherence
         for c, name in enumerate(ratio.channels):
@@ -92,7 +92,10 @@ def transfer_lines(evaluation: TransferEvaluation) -> Iterator[TransferLine]:
 
 
 def expanded(result: ReferenceResult, channel: int) -> tuple[FloatArray, FloatArray]:
-    """Return U(|H|)/|H| and U(arg H) in rad, (K,) each, of one response: 95 %, noise with its degrees of freedom."""
+    """Return U(|H|)/|H| and U(arg H) in rad, (K,) each, of one response (95 %).
+
+    The noise has its degrees of freedom.
+    """
     ratio, both = result.transfer.ratio, [channel, channel + len(result.transfer.ratio.channels)]
     whole, noise = (part[:, both][:, :, both] for part in (ratio.covariance, result.random_covariance))
     value = ratio.value[:, channel]
@@ -103,7 +106,7 @@ def expanded(result: ReferenceResult, channel: int) -> tuple[FloatArray, FloatAr
 
 
 def _factor(dof: FloatArray) -> FloatArray:
-    """Coverage factors for 95 %."""
+    """Return coverage factors for 95 %."""
     return np.asarray(np.vectorize(coverage_factor, otypes=[np.float64])(dof))
 
 
@@ -124,7 +127,7 @@ class TransferCurve(NamedTuple):
 
 
 def curves(evaluation: TransferEvaluation) -> Iterator[TransferCurve]:
-    """Every response of every reference."""
+    """Yield every response of every reference."""
     for result in evaluation.references:
         transfer = result.transfer
         for c, name in enumerate(transfer.ratio.channels):
@@ -147,7 +150,7 @@ CURVES: list[TableColumn[TransferCurve]] = [
 
 
 def resonances(evaluation: TransferEvaluation) -> list[FoundResonance]:
-    """Every resonance of every reference."""
+    """Return every resonance of every reference."""
     return [found for result in evaluation.references for found in result.resonances]
 
 
@@ -156,7 +159,7 @@ def _over(found: FoundResonance) -> str:
 
 
 def _damping(found: FoundResonance, unit: str = "") -> str:
-    """Damping ratio in per cent with U (k = 2)."""
+    """Return the damping ratio in % with U (k = 2)."""
     return quantity_html(100.0 * found.fit.damping_ratio, 200.0 * found.u_damping_ratio, unit)
 
 
@@ -175,21 +178,21 @@ RESONANCES: list[TableColumn[FoundResonance]] = [
 
 
 def headlines(evaluation: TransferEvaluation) -> list[Headline]:
-    """Frequency and damping of the first resonances."""
-    told = []
+    """Return frequency and damping ratio of the first resonances."""
+    lines = []
     for found in resonances(evaluation)[:3]:
         fit = found.fit
         value = quantity_html(fit.frequency_hz, 2.0 * found.u_frequency_hz, "Hz")
         u_frequency = 200.0 * found.u_frequency_hz / fit.frequency_hz
-        told.append(Headline(f"Resonance of {_over(found)}", value, f"U (k = 2) = {u_frequency:.2g} %"))
+        lines.append(Headline(f"Resonance of {_over(found)}", value, f"U (k = 2) = {u_frequency:.2g} %"))
         share = 200.0 * found.u_damping_ratio / fit.damping_ratio
         remark = f"Q = {fit.quality:.5g}; U (k = 2) = {share:.2g} %"
-        told.append(Headline("Damping ratio ζ", _damping(found, "%"), remark))
-    return told
+        lines.append(Headline("Damping ratio ζ", _damping(found, "%"), remark))
+    return lines
 
 
 def printed(evaluation: TransferEvaluation) -> Iterator[str]:
-    """Lines for the terminal: curves with U for 95 %, then resonances, U at k = 2."""
+    """Yield the printed lines: curves with U (95 %), resonances with U (k = 2)."""
     for curve in curves(evaluation):
         lines = f"{curve.transfer.estimator}, {len(curve.transfer.ratio.frequency_hz)} lines from {curve.band} Hz"
         median = f"{100.0 * curve.U_relative:.2g} % and {1e3 * curve.U_phase_rad:.2g} mrad (95 %)"
@@ -202,7 +205,7 @@ def printed(evaluation: TransferEvaluation) -> Iterator[str]:
 
 
 def _budget_table(found: FoundResonance, missing: Sequence[str]) -> Table:
-    """Contributions to one resonance; `missing` causes, which nobody states, are told."""
+    """Return the contributions to one resonance, and the `missing` causes as not assessed."""
     fit = found.fit
     rows: list[tuple[str, ...]] = [
         (name, small(1e6 * abs(change[0]) / fit.frequency_hz), small(100.0 * abs(change[1]) / fit.damping_ratio))
@@ -216,9 +219,9 @@ def _budget_table(found: FoundResonance, missing: Sequence[str]) -> Table:
 
 
 def _context(evaluation: TransferEvaluation) -> dict[str, Any]:
-    """Everything the template shows."""
+    """Return the content of the page."""
     excitation = evaluation.manifest.excitation
-    known = stated_influences(evaluation.manifest.rig, [evaluation.manifest.mounting])
+    influences = stated_influences(evaluation.manifest.rig, [evaluation.manifest.mounting])
     excited: list[str] = [excitation.kind]
     if excitation.band is not None:
         excited.append(f"{excitation.band[0]:g} to {excitation.band[1]:g} Hz")
@@ -243,7 +246,7 @@ def _context(evaluation: TransferEvaluation) -> dict[str, Any]:
             "Transfer functions, U: 95 %, k by the degrees of freedom of each line", CURVES, curves(evaluation)
         ),
         "resonances": table("Resonances with U (k = 2)", RESONANCES, resonances(evaluation)),
-        "budgets": [_budget_table(found, known.missing) for found in resonances(evaluation)],
+        "budgets": [_budget_table(found, influences.missing) for found in resonances(evaluation)],
         "channels": table("Channels and their chains as stated", CHANNELS, channels),
     }
 
@@ -256,35 +259,35 @@ CHANNELS: list[TableColumn[tuple[str, ChannelEntry]]] = [
     page_column("u(scale) / %", lambda row: f"{100.0 * row[1].scale_uncertainty:g}"),
     page_column("delay ± u / µs", lambda row: f"{1e6 * row[1].delay:g} ± {1e6 * row[1].delay_uncertainty:g}"),
     page_column(
-        "response taken off", lambda row: "none stated" if row[1].response is None else row[1].response.name, "l"
+        "corrected response", lambda row: "none stated" if row[1].response is None else row[1].response.name, "l"
     ),
 ]
 
 
 def draw_transfer(result: ReferenceResult, channel: int) -> Figure:
-    """Magnitude and phase of one response with U, relative uncertainty with its random part, and coherence."""
+    """Draw magnitude, phase, relative uncertainty and coherence of one response."""
     response, coherence = result.transfer.ratio.channels[channel], result.transfer.coherence[:, channel]
     curve, both = result.transfer.ratio.select([response]), [channel, channel + len(result.transfer.ratio.channels)]
     frequency, value, unit = curve.frequency_hz, curve.value[:, 0], typeset(curve.unit[0])
     noise = result.random_covariance[:, both][:, :, both]
     modes = [resonance for resonance in result.resonances if resonance.response == response]
-    alone = [replace(resonance.fit, residual=np.zeros(2, dtype=np.complex128)) for resonance in modes]
+    oscillators = [replace(resonance.fit, residual=np.zeros(2, dtype=np.complex128)) for resonance in modes]
     title, size = f"{response} over {result.name}", np.abs(value)
     drawn = empty_figure(f"transfer-{response}-{result.name}", 7.4, (2.3, 1.5, 1.2, 0.9))
     magnitude, phase, relative, linear = drawn.panels
     wide, turn = expanded(result, channel)
     draw_response(magnitude, phase, frequency, value, (wide / K2, turn / K2), colour=BLUE, label="measured, U")
-    for place, resonance in enumerate(modes):
+    for index, resonance in enumerate(modes):
         inside = np.linspace(*resonance.band_hz, 400)
-        others = [other.model(inside) for other in (*alone[:place], *alone[place + 1 :])]
+        others = [other.model(inside) for other in (*oscillators[:index], *oscillators[index + 1 :])]
         fitted = np.abs(np.sum([resonance.fit.model(inside), *others], axis=0))
         magnitude.line(inside, fitted, "oscillators fitted", colour=RED, width=0.9, dashed=True)
         look = {"colour": RED, "width": 0.7, "dashed": True}
         phase.rule(resonance.fit.frequency_hz, "oscillators fitted", along="x", **look)
     magnitude.y.limits = (0.7 * float(size.min()), 1.6 * float(size.max()))
     magnitude.y.label = "|H|" if unit == "1" else f"|H| / ({unit})"
-    alone_wide = _factor(curve.dof) * uncertainty(value, noise)[0]
-    for part, colour, label in ((wide, BLACK, "U"), (alone_wide, ORANGE, "U by noise alone")):
+    noise_wide = _factor(curve.dof) * uncertainty(value, noise)[0]
+    for part, colour, label in ((wide, BLACK, "U"), (noise_wide, ORANGE, "U by noise only")):
         relative.line(frequency, np.minimum(100.0 * part, LARGEST_PERCENT), label, colour=colour, width=0.8)
     relative.y.log, relative.y.label = True, "U(|H|) / %"
     linear.line(frequency, coherence, colour=GREY, width=0.8)
@@ -295,10 +298,10 @@ def draw_transfer(result: ReferenceResult, channel: int) -> Figure:
     for panel, text in zip(drawn.panels, labels, strict=True):
         frequency_axis(panel.x, frequency)
         panel.title, panel.x.label = text, panel.x.label if panel is linear else ""
-    told = " Red: the oscillators fitted, over the lines that were used." if modes else ""
+    fitted_text = " Red: fitted oscillators, over the lines used for the fit." if modes else ""
     caption = (
-        f"Bands: expanded uncertainty U (95 %), which the third panel shows by itself.{told} A coherence below "
-        "one tells of noise, of other sources or of a structure that is not linear."
+        f"Bands: expanded uncertainty U (95 %), also in the third panel.{fitted_text} A coherence below one "
+        "indicates noise, other sources or a nonlinear structure."
     )
     return drawn.with_title(title, caption, main=channel == 0)
 
@@ -307,8 +310,8 @@ def _fill(file: h5py.File, evaluation: TransferEvaluation) -> None:
     file.attrs["recording"] = evaluation.name
     file.attrs["rig"] = evaluation.manifest.rig.name
     file.attrs["phasors"] = "x(t) = Re{X exp(+j omega t)}; covariances of [all Re, all Im]; k = 1"
-    known = stated_influences(evaluation.manifest.rig, [evaluation.manifest.mounting])
-    file.attrs["not_assessed"] = ", ".join(CAUSE_LABELS[cause] for cause in known.missing)
+    influences = stated_influences(evaluation.manifest.rig, [evaluation.manifest.mounting])
+    file.attrs["not_assessed"] = ", ".join(CAUSE_LABELS[cause] for cause in influences.missing)
     for name in ("references", "clocks", "notices", "duration_s"):
         write_value(file, name, getattr(evaluation, name))
 
@@ -328,10 +331,10 @@ TRANSFER: CommandReport[TransferEvaluation] = CommandReport(
 def run_transfer(
     path: Path, output: Path | None, settings: TransferSettings, *, force: bool = False, allow_outside: bool = False
 ) -> None:
-    """Evaluate the recording, or every recording of a campaign folder, write the results and print the summary.
+    """Evaluate recordings, write the results and print the summary.
 
-    Results stand in the recording's own folder `transfer`, or in `output` (of a campaign: in a folder each). Of a
-    campaign, recordings of other kinds are left out.
+    A campaign folder: each of its transfer recordings. Results are written to the recording's folder `transfer`, or to
+    `output` (of a campaign: one folder each). Of a campaign, recordings of other kinds are left out.
     """
     manifests = load_for_command([path], TRANSFER.name, allow_outside=allow_outside)
     for manifest in manifests:

@@ -1,1 +1,1 @@
-"""Calibrations of other programs: read as this program has them, and written for others."""
+"""Import and export of calibrations of other programs."""

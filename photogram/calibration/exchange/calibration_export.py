@@ -1,4 +1,4 @@
-"""Calibrations for other programs: OpenCV's YAML, VIC-3D's XML, MATLAB's JSON."""
+"""Export of calibrations: OpenCV's YAML, VIC-3D's XML, MATLAB's JSON."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ import numpy as np
 
 from photogram.arrays import FloatArray
 from photogram.calibration.calibration_file import write_whole
+from photogram.calibration.exchange.exchange_notices import COVARIANCE_NOT_EXPORTED, SKEW_IGNORED
 from photogram.calibration.exchange.lens import (
     RADIAL,
     SIDES,
@@ -28,18 +29,19 @@ _MATRIX = ("fx", "fy", "cx", "cy", "skew")
 
 
 def opencv_yaml(rig: StereoRig) -> tuple[str, list[Notice]]:
-    """Return a FileStorage text with M1 D1 M2 D2 R T, x₂ = R·x₁ + T in m, exact to the last digit, and what to know.
+    """Return an OpenCV FileStorage text and notices.
 
-    D has five coefficients, or eight where k4 k5 k6 are not zero. OpenCV's own functions take no skew into account.
+    It has M1 D1 M2 D2 R T, x₂ = R·x₁ + T in m, with all digits. D has five coefficients, or eight if k4 k5 k6 are not
+    zero. OpenCV's functions ignore skew.
     """
     import cv2
 
     storage = cv2.FileStorage(".yml", cv2.FILE_STORAGE_WRITE | cv2.FILE_STORAGE_MEMORY)
-    alike = np.array_equal(rig.left.size_px, rig.right.size_px)
+    equal_sizes = np.array_equal(rig.left.size_px, rig.right.size_px)
     for number, camera in enumerate((rig.left, rig.right), start=1):
         for name, length in zip(("image_width", "image_height"), camera.size_px, strict=True):
-            if not alike or number == 1:
-                storage.write(name if alike else f"{name}{number}", int(length))
+            if not equal_sizes or number == 1:
+                storage.write(name if equal_sizes else f"{name}{number}", int(length))
     storage.write("length_unit", "m")
     for number, camera in enumerate((rig.left, rig.right), start=1):
         storage.write(f"M{number}", camera.matrix)
@@ -47,7 +49,7 @@ def opencv_yaml(rig: StereoRig) -> tuple[str, list[Notice]]:
     storage.write("R", rig.right_from_left.rotation)
     storage.write("T", rig.right_from_left.translation_m.reshape(3, 1))
     skews = [
-        Notice("warning", f"OpenCV's functions leave out its skew of {camera.matrix[0, 1]:.3g} px", f"{side} camera")
+        Notice(SKEW_IGNORED, f"{side} camera", skew_px=camera.matrix[0, 1])
         for side, camera in zip(SIDES, (rig.left, rig.right), strict=True)
         if camera.matrix[0, 1] != 0
     ]
@@ -55,14 +57,15 @@ def opencv_yaml(rig: StereoRig) -> tuple[str, list[Notice]]:
 
 
 def vic3d_xml(rig: StereoRig) -> tuple[str, list[Notice]]:
-    """Return a project text of VIC-3D, which has k1 k2 k3 and skew alone, and what to know. Lengths in mm.
+    """Return a project text of VIC-3D, lengths in mm, and notices.
 
-    Tangential distortion and k4 k5 k6 are taken up, with least squares over the picture, by the parameters it has and
-    by turns of the two cameras' frames. The world is the left camera's frame, so turned.
+    VIC-3D has only k1 k2 k3 and skew. Tangential distortion and k4 k5 k6 are approximated by least squares over the
+    image with the available parameters and rotations of the two cameras' frames. The world is the rotated left camera's
+    frame.
     """
     if not np.array_equal(rig.left.size_px, rig.right.size_px):
         found = " and ".join("x".join(map(str, camera.size_px)) for camera in (rig.left, rig.right))
-        raise ValueError(f"image_size: expected pictures of one size, as VIC-3D's projects have them, found {found}")
+        raise ValueError(f"image_size: expected images of one size, as in VIC-3D's projects, found {found}")
     notices: list[Notice] = []
     free = (*_MATRIX, *RADIAL, *TURN)
     left, right = (
@@ -82,9 +85,9 @@ def vic3d_xml(rig: StereoRig) -> tuple[str, list[Notice]]:
 
 
 def matlab_json(rig: StereoRig) -> tuple[str, list[Notice]]:
-    """Return jsonencode(toStruct(stereoParams)) as far as a pair needs it, and what to know. Lengths in mm.
+    """Return jsonencode(toStruct(stereoParams)) of a pair, lengths in mm, and notices.
 
-    MATLAB counts pixels from 1, and has k1 k2 k3 p1 p2 and skew; k4 k5 k6 are fitted by these, see `vic3d_xml`.
+    MATLAB counts pixels from 1, and has k1 k2 k3 p1 p2 and skew; k4 k5 k6 are approximated by these, see `vic3d_xml`.
     """
     notices: list[Notice] = []
     content: dict[str, object] = {}
@@ -114,14 +117,29 @@ FORMATS = {
     ".xml": ("VIC-3D", vic3d_xml),
     ".json": ("MATLAB", matlab_json),
 }
-"""By a file's suffix: which program it is for, and what writes it."""
+"""Program and writer of each file suffix."""
 
 
 def export_calibration(path: str | Path, rig: StereoRig) -> tuple[str, tuple[Notice, ...]]:
-    """Write a stereo pair for another program, which the suffix chooses; return the program and what to know.
+    """Write a stereo pair for another program, chosen by the suffix.
 
-    `.yml`, `.yaml`: OpenCV; `.xml`: VIC-3D; `.json`: MATLAB. `ValueError` where its camera cannot describe this one.
+    Parameters
+    ----------
+    path
+        File to write; `.yml`, `.yaml`: OpenCV, `.xml`: VIC-3D, `.json`: MATLAB.
+    rig
+        Stereo pair.
 
+    Returns
+    -------
+    The program's name and notices.
+
+    Raises
+    ------
+    ValueError : Unknown suffix, or the program's camera model cannot describe the pair.
+
+    Examples
+    --------
     >>> from tempfile import TemporaryDirectory
     >>> camera = Camera.from_parameters(np.array([1000.0, 1000, 320, 240, 0, 0, 0, 0, 0]), np.array([640, 480]))
     >>> rig = StereoRig(camera, camera, RigidTransform(np.eye(3), np.array([-0.1, 0.0, 0.0])))
@@ -137,7 +155,7 @@ def export_calibration(path: str | Path, rig: StereoRig) -> tuple[str, tuple[Not
     program, write = FORMATS[path.suffix.lower()]
     text, notices = write(rig)
     if rig.covariance is not None:
-        notices.append(Notice("note", f"a file of {program} holds no covariance; keep the original", "covariance"))
+        notices.append(Notice(COVARIANCE_NOT_EXPORTED, "covariance", program=program))
     write_whole(path, text)
     return program, tuple(notices)
 
@@ -145,16 +163,16 @@ def export_calibration(path: str | Path, rig: StereoRig) -> tuple[str, tuple[Not
 def _without(
     camera: Camera, side: str, missing: Sequence[str], free: Sequence[str], notices: list[Notice]
 ) -> NearestCamera:
-    """Return the camera, its parameters `missing` zero, that sees what a camera sees, and note the difference."""
+    """Return the nearest camera with the parameters `missing` zero, and add a notice."""
     start = camera.parameters
-    places = [CAMERA_PARAMETERS.index(name) for name in missing]
-    if not start[places].any():
+    indices = [CAMERA_PARAMETERS.index(name) for name in missing]
+    if not start[indices].any():
         return NearestCamera(camera, np.zeros(3), 0.0)
     found = ", ".join(
-        f"{name} = {start[place]:.3g}" for name, place in zip(missing, places, strict=True) if start[place]
+        f"{name} = {start[index]:.3g}" for name, index in zip(missing, indices, strict=True) if start[index]
     )
     pixel = pixel_grid(camera.size_px)
-    start[places] = 0.0
+    start[indices] = 0.0
     near = fit_camera(pixel, camera.undistort(pixel), start, free, camera.size_px)
     notices.append(approximation_notice(f"{side} camera", found, near))
     return near

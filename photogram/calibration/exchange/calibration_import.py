@@ -1,4 +1,4 @@
-"""Calibration files of other programs, told apart by what they look like."""
+"""Import of other programs' calibration files, recognised by their content."""
 
 from __future__ import annotations
 
@@ -17,6 +17,7 @@ import numpy as np
 from numpy.lib.format import read_array_header_1_0, read_array_header_2_0, read_magic
 
 from photogram.calibration.exchange.dic import is_matchid, read_dice_text, read_dice_xml, read_matchid, read_vic3d
+from photogram.calibration.exchange.exchange_notices import MALFORMED_XML
 from photogram.calibration.exchange.lens import (
     DistortionModel,
     ImportedCalibration,
@@ -28,27 +29,30 @@ from photogram.calibration.exchange.matlab import read_bouguet, read_mat, read_m
 from photogram.calibration.exchange.opencv import parse_json, read_kalibr, read_opencv, read_ros
 from shakercal._common.notices import Notice
 
-_PROJECT = "project.xml"  # the file inside a .z3d file that holds the calibration
-_LARGEST = 16 * 2**20  # bytes of a file or of a zipped part; calibrations have some kB, projects around them some MB
-_LARGEST_TEXT = 2**20  # of a text that is neither OpenCV's, XML nor JSON: these hold a calibration and nothing else
-_DEEPEST = 64  # lists within lists: readers follow these by recursion
+_PROJECT = "project.xml"  # the file inside a .z3d file with the calibration
+_LARGEST = 16 * 2**20  # bytes of a file or of a zipped part; calibrations have some kB, projects some MB
+_LARGEST_TEXT = 2**20  # of a text that is neither OpenCV's, XML nor JSON: such a file has only a calibration
+_DEEPEST = 64  # lists within lists: the readers are recursive
 _QUOTED = re.compile(r""" "[^"]*" | '[^'\n]*' """, re.VERBOSE)
-_KNOWN = "OpenCV, DICe, VIC-3D, MatchID, MATLAB or its toolbox of Bouguet, ROS, Kalibr"
-_MOST_ARRAYS, _LONGEST_ARRAY = 1000, 2000  # in a file of NumPy; elements of one that is looked at
-_LONGEST_SENTENCE = 400  # of what is said of a file, which may quote it
+_PROGRAMS = "OpenCV, DICe, VIC-3D, MatchID, MATLAB or its toolbox of Bouguet, ROS, Kalibr"
+_MOST_ARRAYS, _LONGEST_ARRAY = 1000, 2000  # in a file of NumPy; elements of an array that is read
+_LONGEST_SENTENCE = 400  # of an error, which may quote the file
 
 
 def parse_xml(content: bytes) -> ElementTree.Element:
-    """Return the root of an XML text, all tags and attributes in lower case; entities and deep nesting are refused."""
+    """Return the root of an XML text, tags and attributes in lower case.
+
+    Entities and deep nesting are refused.
+    """
     if b"<!ENTITY" in content.upper():
-        raise ValueError("expected an XML text without entities of its own, found one")
+        raise ValueError("expected an XML text without entities, found one")
     events, depth = ElementTree.iterparse(BytesIO(content), ("start", "end")), 0
     try:
         for event, _ in events:
             depth += 1 if event == "start" else -1
             if depth > _DEEPEST:
                 raise ValueError(f"expected at most {_DEEPEST} elements within each other, found more")
-    except (ElementTree.ParseError, LookupError) as error:  # LookupError: an encoding that nobody knows
+    except (ElementTree.ParseError, LookupError) as error:  # LookupError: an unknown encoding
         raise ValueError(f"expected an XML text, found: {error}") from error
     root: ElementTree.Element = events.root  # type: ignore[attr-defined]
     for element in root.iter():
@@ -59,7 +63,7 @@ def parse_xml(content: bytes) -> ElementTree.Element:
 
 
 def _vic3d_parts(content: bytes) -> ElementTree.Element | None:
-    """Return calibration and mask, cut out of the text of a VIC-3D project, as one element; None where they are not."""
+    """Return calibration and mask from the text of a VIC-3D project, None if absent."""
     begin = re.search(rb"<calibration\b", content, re.IGNORECASE)
     end = begin and re.compile(rb"</calibration\s*>", re.IGNORECASE).search(content, begin.start())
     mask = re.search(rb"<polygonmask\b[^<>]*>", content, re.IGNORECASE)
@@ -78,14 +82,33 @@ def import_calibration(
     even_radial: bool = False,
     distortion_model: DistortionModel | None = None,
 ) -> ImportedCalibration:
-    """Return the stereo pair of another program's calibration file; its content, not its name, tells the format.
+    """Import the stereo pair of another program's calibration file.
 
-    `image_size` (width, height): for files that do not hold it. `length_unit`: for OpenCV's files, which do not say it,
-    and against the unit that a format has by habit. `extrinsics`: the second file of OpenCV's sample program, which
-    writes intrinsics and extrinsics apart, or of ROS, that of the right camera. `even_radial`: k1 k2 k3 of DICe's text
-    belong to r², r⁴, r⁶. `distortion_model`: what four coefficients of OpenCV's files are. `ValueError` names the file
-    and what is wrong in it, or the argument that has no effect on such a file.
+    Parameters
+    ----------
+    path
+        File; its content, not its name, determines the format.
+    image_size
+        (width, height) in px, for files without it; default None.
+    length_unit
+        Unit of lengths, for OpenCV's files, and instead of the usual unit of a format; default None.
+    extrinsics
+        Second file, of OpenCV's sample program or of ROS (right camera); default None.
+    even_radial
+        k1 k2 k3 of DICe's text are those of r², r⁴, r⁶; default False.
+    distortion_model
+        Model of four coefficients of OpenCV's files; default None.
 
+    Returns
+    -------
+    The pair, the format and notices.
+
+    Raises
+    ------
+    ValueError : Names the file and the error in it, or an argument without effect on such a file.
+
+    Examples
+    --------
     >>> import json
     >>> from pathlib import Path
     >>> from tempfile import TemporaryDirectory
@@ -100,7 +123,7 @@ def import_calibration(
     path = Path(path)
     if image_size is not None and min(image_size) < 1:
         raise ValueError(f"image_size: expected a width and a height of at least 1, found {image_size}")
-    with _one_sentence(path), np.errstate(all="ignore"):  # of numbers beyond reason, told by what comes of them
+    with _one_sentence(path), np.errstate(all="ignore"):  # extreme numbers: their results are checked
         second = None if extrinsics is None else _second(Path(extrinsics))
         stated = _read(path, second, even_radial, distortion_model)
         for name, given, formats in (
@@ -115,20 +138,20 @@ def import_calibration(
 
 @contextmanager
 def _one_sentence(path: Path) -> Iterator[None]:
-    """Tell what is wrong with a file in one sentence that names it and quotes little of it."""
+    """Raise `ValueError` in one sentence that names the file and quotes little of it."""
     try:
         yield
     except (ValueError, RecursionError, OverflowError, MemoryError) as error:
         if isinstance(error, np.linalg.LinAlgError):
-            told = "expected rotations, found a matrix that has no inverse"
+            text = "expected rotations, found a matrix that has no inverse"
         elif isinstance(error, RecursionError):
-            told = f"expected at most {_DEEPEST} lists within each other, found more"
+            text = f"expected at most {_DEEPEST} lists within each other, found more"
         elif isinstance(error, ValueError):
-            told = " ".join(str(error).split())
+            text = " ".join(str(error).split())
         else:
-            told = "expected numbers of a calibration, found one too large"
-        told = told if len(told) <= _LONGEST_SENTENCE else told[:_LONGEST_SENTENCE] + " …"
-        raise ValueError(told if told.startswith(f"{path}: ") else f"{path}: {told}") from error
+            text = "expected numbers of a calibration, found one too large"
+        text = text if len(text) <= _LONGEST_SENTENCE else text[:_LONGEST_SENTENCE] + " …"
+        raise ValueError(text if text.startswith(f"{path}: ") else f"{path}: {text}") from error
 
 
 def _second(path: Path) -> str:
@@ -140,14 +163,14 @@ def _second(path: Path) -> str:
         except UnicodeDecodeError as error:
             raise ValueError("expected a text, found other bytes") from error
         if text.lstrip().startswith("<"):
-            parse_xml(content)  # for its depth
+            parse_xml(content)  # checks its depth
             return text
         return _text(text)
 
 
 @contextmanager
 def _unpacking() -> Iterator[None]:
-    """Tell what is wrong with a zipped file."""
+    """Raise `ValueError` for a zipped file that cannot be unpacked."""
     try:
         yield
     except (zipfile.BadZipFile, zlib.error, NotImplementedError, RuntimeError, EOFError, OSError) as error:
@@ -155,7 +178,7 @@ def _unpacking() -> Iterator[None]:
 
 
 def _content(path: Path) -> bytes:
-    """Return a file's content; of a zipped VIC-3D project the one part that matters."""
+    """Return a file's content; of a zipped VIC-3D project the calibration part."""
     if path.exists() and not path.is_file():
         raise ValueError("expected a file, found a folder or a device")
     if path.stat().st_size > _LARGEST:
@@ -164,7 +187,7 @@ def _content(path: Path) -> bytes:
         return path.read_bytes()
     with _unpacking(), zipfile.ZipFile(path) as archive:
         if _PROJECT not in archive.namelist():
-            raise ValueError(f"expected {_PROJECT} in this zipped file, or arrays of NumPy alone, found neither")
+            raise ValueError(f"expected {_PROJECT} in this zipped file, or only arrays of NumPy, found neither")
         with archive.open(_PROJECT) as part:
             content = part.read(_LARGEST + 1)
     if len(content) > _LARGEST:
@@ -173,7 +196,7 @@ def _content(path: Path) -> bytes:
 
 
 def _text(text: str) -> str:
-    """Return a text whose lists and objects are not nested too deep for the readers."""
+    """Return a text unless its lists and objects are nested too deeply."""
     bare = _QUOTED.sub("", re.sub(r"\\.", "", text, flags=re.DOTALL))
     marks = np.frombuffer(bare.encode("utf-8", errors="replace"), dtype=np.uint8)
     steps = np.isin(marks, list(b"[{")).astype(np.int64) - np.isin(marks, list(b"]}"))
@@ -184,7 +207,7 @@ def _text(text: str) -> str:
 
 
 def _arrays(path: Path) -> dict[str, Any] | None:
-    """Return the arrays of a file of `numpy.savez` as lists by name, None of another file."""
+    """Return the arrays of a `numpy.savez` file by name, None of another file."""
     if not zipfile.is_zipfile(path):
         return None
     with _unpacking(), zipfile.ZipFile(path) as archive:
@@ -197,7 +220,7 @@ def _arrays(path: Path) -> dict[str, Any] | None:
 
 
 def _array(name: str, content: bytes) -> Any:
-    """Return an array of a .npy file as lists, None of what is long and of no camera."""
+    """Return an array of a .npy file as lists, None for a long one."""
     stream = BytesIO(content)
     try:
         read = {(1, 0): read_array_header_1_0, (2, 0): read_array_header_2_0}[read_magic(stream)]
@@ -211,7 +234,7 @@ def _array(name: str, content: bytes) -> Any:
 
 
 def _read(path: Path, second: str | None, even_radial: bool, model: DistortionModel | None) -> StatedCalibration:
-    """Return what a file of any known format states."""
+    """Return the content of a file of any known format."""
     arrays = _arrays(path) if path.is_file() else None
     if arrays is not None:
         return read_opencv(arrays, second, model)
@@ -231,17 +254,17 @@ def _read(path: Path, second: str | None, even_radial: bool, model: DistortionMo
 
 
 def _read_json(text: str, second: str | None, model: DistortionModel | None) -> StatedCalibration:
-    """Return what a JSON file states."""
+    """Return the content of a JSON file."""
     values = parse_json(text)
     if "CameraParameters1" in values:
         return read_matlab(values)
     if values.get("format") == 1 and "rotation" in values:
-        raise ValueError("expected another program's calibration, found one of this program, ready for use")
+        raise ValueError("expected another program's calibration, found one of this program, which needs no import")
     return read_opencv(text, second, model)
 
 
 def _read_lines(text: str, second: str | None, even_radial: bool, model: DistortionModel | None) -> StatedCalibration:
-    """Return what a YAML file or another text states."""
+    """Return the content of a YAML file or another text."""
     if re.search(r"^cam\d+:\s*$", text, re.MULTILINE):
         return read_kalibr(text)
     of_a_pair = text.startswith("%YAML") or re.search(r"^(R|T|rotation|translation)\w*:", text, re.MULTILINE)
@@ -259,12 +282,12 @@ def _read_lines(text: str, second: str | None, even_radial: bool, model: Distort
     if re.match(r"---(\s|$)|[^\W\d][\w. -]*:(\s|$)", lines[0]):
         return read_opencv(text, second, model)
     if not any(character.isdigit() for character in lines[0].split("#")[0]):
-        raise ValueError(f"expected a calibration of {_KNOWN}, found {lines[0][:40]!r}")
+        raise ValueError(f"expected a calibration of {_PROGRAMS}, found {lines[0][:40]!r}")
     return read_dice_text(text, even_radial)
 
 
 def _read_xml(content: bytes, even_radial: bool) -> StatedCalibration | None:
-    """Return what an XML file states, None where it is OpenCV's."""
+    """Return the content of an XML file, None if it is OpenCV's."""
     notices: tuple[Notice, ...] = ()
     try:
         root = parse_xml(content)
@@ -272,8 +295,7 @@ def _read_xml(content: bytes, even_radial: bool) -> StatedCalibration | None:
         parts = _vic3d_parts(content)
         if parts is None:
             raise
-        text = "the file is no well-formed XML; its calibration and the size of its pictures are, and are taken"
-        root, notices = parts, (Notice("warning", text, "content"),)
+        root, notices = parts, (Notice(MALFORMED_XML, "content"),)
     if root.tag == "parameterlist":
         return read_dice_xml(root, even_radial)
     if next(root.iter("camera"), None) is not None and root.tag != "opencv_storage":

@@ -9,6 +9,11 @@ from xml.etree import ElementTree
 import numpy as np
 
 from photogram.arrays import FloatArray
+from photogram.calibration.exchange.exchange_notices import (
+    EVEN_POWERS_REQUESTED,
+    LINEAR_POWERS,
+    UNUSED_COEFFICIENTS,
+)
 from photogram.calibration.exchange.lens import (
     EVEN,
     NO_ROTATION,
@@ -24,27 +29,27 @@ from shakercal._common.notices import Notice
 # DICe: camera systems in XML, and the text of 16 intrinsic and 6 or 12 extrinsic numbers before it.
 
 _SYSTEM_FILE = "dice_xml_camera_system_file"
-_POWERS = {  # of r in the factor by which x and y are multiplied
+_POWERS = {  # of r in the factor of x and y
     "OPENCV_LENS_DISTORTION": EVEN,
     "K1R1_K2R2_K3R3": (0, 1, 2),  # r + k1·r + k2·r² + k3·r³
     "K1R2_K2R4_K3R6": (1, 3, 5),
     "K1R3_K2R5_K3R7": EVEN,
-    "VIC3D_LENS_DISTORTION": EVEN,  # the numbers are VIC-3D's own
+    "VIC3D_LENS_DISTORTION": EVEN,  # the numbers are those of VIC-3D
 }
 _LINEAR = "K1R1_K2R2_K3R3"
 _NONE = "NO_LENS_DISTORTION"
 _COEFFICIENTS = ("K1", "K2", "K3", "P1", "P2", "K4", "K5", "K6")
-_USED = {_NONE: 0, "OPENCV_LENS_DISTORTION": len(_COEFFICIENTS)}  # of these, by model; of all others K1 K2 K3
+_USED = {_NONE: 0, "OPENCV_LENS_DISTORTION": len(_COEFFICIENTS)}  # of these, by model; other models use K1 K2 K3
 _DICE_BEYOND = ("S1", "S2", "S3", "S4", "T1", "T2")
 _TEXT_ORDER = "cx cy fx fy fs k1 k2 k3 of either camera, alpha beta gamma or R11…R33, tx ty tz, [height width]"
 
 
 def read_dice_xml(root: ElementTree.Element, even_radial: bool = False) -> StatedCalibration:
-    """Return what a DICe camera system file holds (`DICe_Camera.cpp`, `DICe_CameraSystem.cpp` of dicengine).
+    """Read a DICe camera system (`DICe_Camera.cpp`, `DICe_CameraSystem.cpp` of dicengine).
 
-    Either camera has x_camera = R·x_world + t, or, with `extrinsics_relative_camera_to_camera`, the second one
-    x₁ = R·x₀ + t. Angles ALPHA BETA GAMMA in degrees, R = R_z·R_y·R_x. Lengths in the unit of the target's spacing, mm
-    by the program's habit. `even_radial`: coefficients said to belong to r, r², r³ belong to r², r⁴, r⁶.
+    Each camera has x_camera = R·x_world + t, or, with `extrinsics_relative_camera_to_camera`, the second one x₁ = R·x₀
+    + t. Angles ALPHA BETA GAMMA in degrees, R = R_z·R_y·R_x. Lengths are in the unit of the target's spacing, by
+    default mm. `even_radial`: coefficients stated for r, r², r³ are used for r², r⁴, r⁶.
     """
     system = _parameters(root)
     kind = system.get("XML_FILE_FORMAT", "")
@@ -64,29 +69,25 @@ def read_dice_xml(root: ElementTree.Element, even_radial: bool = False) -> State
 
 
 def _by_order(left: Lens, right: Lens, even_radial: bool) -> tuple[tuple[Lens, Lens], tuple[Notice, ...]]:
-    """Return both lenses in the order of radial powers that is asked for, and what is to be said of it."""
+    """Return both lenses with the chosen radial powers and a notice of the choice."""
     linear = [lens for lens in (left, right) if lens.exponents == _POWERS[_LINEAR]]
     if even_radial and not linear:
-        raise ValueError(f"even_radial: expected coefficients of {_LINEAR}, found others, whose powers of r are stated")
+        raise ValueError(f"even_radial: expected coefficients of {_LINEAR}, found others, with stated powers of r")
     if not any(lens.radial.any() for lens in linear):
         return (left, right), ()
     if even_radial:
-        told = "k1 k2 k3 are taken as the factor 1 + k1 r^2 + k2 r^4 + k3 r^6, as asked for; DICe takes them otherwise"
-        return (replace(left, exponents=EVEN), replace(right, exponents=EVEN)), (Notice("note", told, "distortion"),)
-    text = (
-        f"k1 k2 k3 are taken as {_LINEAR}, x (1 + k1 + k2 r + k3 r^2), as DICe itself takes this file, by which its "
-        f"focal lengths are {100 * left.radial[0]:+.2g} % and {100 * right.radial[0]:+.2g} % off fx; numbers copied "
-        "from OpenCV or VIC-3D belong to r^2, r^4, r^6: for these ask for even_radial (--even-radial)"
-    )
-    return (left, right), (Notice("warning", text, "distortion"),)
+        even = replace(left, exponents=EVEN), replace(right, exponents=EVEN)
+        return even, (Notice(EVEN_POWERS_REQUESTED, "distortion"),)
+    percent = {"left_percent": 100 * left.radial[0], "right_percent": 100 * right.radial[0]}
+    return (left, right), (Notice(LINEAR_POWERS, "distortion", model=_LINEAR, **percent),)
 
 
 def read_dice_text(text: str, even_radial: bool = False) -> StatedCalibration:
-    """Return what DICe's former text holds: one number a line, comments after #.
+    """Read DICe's former text format: one number a line, comments after #.
 
-    Order: cx cy fx fy fs k1 k2 k3 of either camera, then α β γ (degrees) or R by rows, tx ty tz of x₁ = R·x₀ + t, then
-    height and width where they are given. k1 k2 k3 belong to r, r², r³, as DICe itself reads them
-    (`Camera_System::read_camera_system_file`, K1R1_K2R2_K3R3), with `even_radial` to r², r⁴, r⁶.
+    Order: cx cy fx fy fs k1 k2 k3 of each camera, then α β γ (degrees) or R by rows, tx ty tz of x₁ = R·x₀ + t, then
+    optionally height and width. k1 k2 k3 are those of r, r², r³, as DICe reads them
+    (`Camera_System::read_camera_system_file`, K1R1_K2R2_K3R3), with `even_radial` those of r², r⁴, r⁶.
     """
     words = [word for line in text.splitlines() if (word := line.split("#", 1)[0].strip())]
     extrinsic, has_size = {22: (6, False), 24: (6, True), 28: (12, False), 30: (12, True)}.get(len(words), (0, False))
@@ -105,14 +106,14 @@ def read_dice_text(text: str, even_radial: bool = False) -> StatedCalibration:
 
 
 def _parameters(element: ElementTree.Element) -> dict[str, str]:
-    """Return the values of a list's own parameters by upper-case name."""
+    """Return the values of a list's direct parameters by upper-case name."""
     return {part.get("name", "").upper(): part.get("value", "") for part in element.findall("parameter")}
 
 
 def _camera(
     name: str, element: ElementTree.Element
 ) -> tuple[Lens, tuple[int, int], FloatArray, FloatArray, tuple[Notice, ...]]:
-    """Return lens, size, rotation and translation of one camera, and which of its coefficients have no effect."""
+    """Return lens, size, rotation, translation and notices of one camera."""
     values = _parameters(element)
 
     def number(key: str) -> float:
@@ -123,14 +124,13 @@ def _camera(
             raise ValueError(f"{name}.{key}: missing")
     for key in _DICE_BEYOND:
         if number(key) != 0:
-            raise ValueError(f"{name}.{key}: expected k1 … k6, p1 and p2 alone, found {key} = {number(key):g}")
+            raise ValueError(f"{name}.{key}: expected only k1 … k6, p1 and p2, found {key} = {number(key):g}")
     model = values.get("LENS_DISTORTION_MODEL", _NONE).upper()
     if model != _NONE and model not in _POWERS:
         raise ValueError(f"{name}.LENS_DISTORTION_MODEL: expected {', '.join((_NONE, *_POWERS))}, found {model}")
     unused = [key for key in _COEFFICIENTS[_USED.get(model, 3) :] if number(key) != 0]
     if unused and "LENS_DISTORTION_MODEL" not in values:
-        told = f"the model of distortion that {', '.join(unused)} belong to"
-        raise ValueError(f"{name}.LENS_DISTORTION_MODEL: expected {told}, found none")
+        raise ValueError(f"{name}.LENS_DISTORTION_MODEL: expected the model of {', '.join(unused)}, found none")
     radial = np.array([number("K1"), number("K2"), number("K3")]) * (model != _NONE)
     is_opencv = model == "OPENCV_LENS_DISTORTION"
     tangential = np.array([number("P1"), number("P2")]) * is_opencv
@@ -150,11 +150,14 @@ def _camera(
             rows = _parameters(part)
             matrix = np.array([_list(f"{name}.ROW {i}", rows.get(f"ROW {i}", ""), 3) for i in range(3)])
             if {"ALPHA", "BETA", "GAMMA"} & set(values) and not np.abs(matrix - rotation).max() <= NO_ROTATION:
-                told = f"found ones off by {np.abs(matrix - rotation).max():.2g}: are they in degrees?"
-                raise ValueError(f"{name}.ALPHA, BETA, GAMMA: expected the angles of rotation_3x3_matrix, {told}")
+                off = float(np.abs(matrix - rotation).max())
+                expected = "the angles of rotation_3x3_matrix"
+                raise ValueError(
+                    f"{name}.ALPHA, BETA, GAMMA: expected {expected}, off by {off:.2g}: are they in degrees?"
+                )
             rotation = matrix
-    told = f"{name}: {', '.join(unused)} are left out, since {model} has no such coefficients"
-    notices = (Notice("warning", told, "distortion"),) if unused else ()
+    ignored = {"camera": name, "coefficients": ", ".join(unused), "model": model}
+    notices = (Notice(UNUSED_COEFFICIENTS, "distortion", **ignored),) if unused else ()
     shift = np.array([number("TX"), number("TY"), number("TZ")])
     return lens, (int(width), int(height)), rotation, shift, notices
 
@@ -164,24 +167,24 @@ def _list(where: str, text: str, count: int) -> FloatArray:
     return parse_numbers(where, re.findall(r"[^\s,{}]+", text), count)
 
 
-# VIC-3D: the calibration in a project's XML, on its own or inside a .z3d file.
+# VIC-3D: the calibration in a project's XML, separate or inside a .z3d file.
 
 
 def read_vic3d(root: ElementTree.Element) -> StatedCalibration:
-    """Return what a VIC-3D project or calibration holds.
+    """Read a VIC-3D project or calibration.
 
     `camera`: cx cy fx fy s k1 k2 k3, as text or split into `intrinsics` and `distortion`, with u = fx·x_d + s·y_d + cx;
     `orientation`: α β γ (degrees) tx ty tz (mm) of x_camera = R_z(γ)·R_y(β)·R_x(α)·x_world + t (sdynpy,
-    `camera_matrix_from_vic_parameters`; dicengine, `DICe_CameraSystem.cpp`). The distortion is not published; of the
-    usual polynomials, 1 + k1·r² + k2·r⁴ + k3·r⁶ leaves the smallest epipolar residuals in a recording of the DIC
-    challenge with its VIC-3D calibration (`tests/photogram/test_calibration_import.py`).
+    `camera_matrix_from_vic_parameters`; dicengine, `DICe_CameraSystem.cpp`). The distortion is not published. Of the
+    usual polynomials, 1 + k1·r² + k2·r⁴ + k3·r⁶ has the smallest epipolar residuals in a recording of the DIC challenge
+    with its VIC-3D calibration (`tests/photogram/test_calibration_import.py`).
     """
     cameras = {camera.get("id", ""): camera for camera in root.iter("camera")}
     if set(cameras) != {"0", "1"}:
         raise ValueError(f"camera: expected the ids 0 and 1, found {', '.join(sorted(cameras)) or 'none'}")
     (left, *left_pose), (right, *right_pose) = (_vic3d_camera(f"camera {key}", cameras[key]) for key in "01")
     rotation, translation = right_from_left(left_pose, right_pose)
-    size = None  # of the pictures: it stands at an area of interest where there is one
+    size = None  # of the images: stated at an area of interest, if there is one
     for mask in root.iter("polygonmask"):
         if size is None and mask.get("width") and mask.get("height"):
             width, height = parse_numbers("polygonmask", [mask.get("width"), mask.get("height")], 2)
@@ -190,7 +193,7 @@ def read_vic3d(root: ElementTree.Element) -> StatedCalibration:
 
 
 def _vic3d_camera(name: str, camera: ElementTree.Element) -> tuple[Lens, FloatArray, FloatArray]:
-    """Return lens, in either spelling, rotation and translation (mm) of one camera."""
+    """Return lens, rotation and translation (mm) of one camera."""
     intrinsics, distortion, orientation = (camera.find(tag) for tag in ("intrinsics", "distortion", "orientation"))
     words = (camera.text or "").split()
     inner, radial = words[:5], words[5:]
@@ -201,8 +204,8 @@ def _vic3d_camera(name: str, camera: ElementTree.Element) -> tuple[Lens, FloatAr
     coefficients = parse_numbers(f"{name}.distortion", radial, len(radial))
     if coefficients[3:].any():
         raise ValueError(
-            f"{name}.distortion: expected k1 k2 k3, found {coefficients[3:].tolist()} beside them, "
-            "whose meaning is not published; calibrate with radial distortion alone"
+            f"{name}.distortion: expected k1 k2 k3, found also {coefficients[3:].tolist()}, "
+            "whose definition is not published; calibrate with radial distortion only"
         )
     if orientation is None:
         raise ValueError(f"{name}.orientation: missing")
@@ -222,15 +225,16 @@ _MATCHID_ANGLES = {"": 1.0, "deg": 1.0, "degrees": 1.0, "rad": 180 / np.pi, "rad
 
 
 def is_matchid(text: str) -> bool:
-    """Whether a text has the names of a MatchID calibration."""
+    """Return whether a text has the names of a MatchID calibration."""
     return re.search(r"^[ \t]*cam\d_fx(_px)?\b", text, re.IGNORECASE | re.MULTILINE) is not None
 
 
 def read_matchid(text: str) -> StatedCalibration:
-    """Return what a `.caldat` holds, cameras numbered 0 and 1 or 1 and 2, or the same names with `_px`, `_mm`, `_deg`.
+    """Read a `.caldat` of MatchID, or its names with `_px`, `_mm`, `_deg`.
 
-    Fx Fy Fs Cx Cy in px, Kappa 1 2 3 of r², r⁴, r⁶, P1 P2; x_second = R·x_first + T with R = R_z(ψ)·R_y(φ)·R_x(θ),
-    as pyvale writes it for MatchID and as a second camera looking at what the first one sees requires.
+    Cameras are numbered 0 and 1 or 1 and 2. Fx Fy Fs Cx Cy in px, Kappa 1 2 3 of r², r⁴, r⁶, P1 P2; x_second =
+    R·x_first + T with R = R_z(ψ)·R_y(φ)·R_x(θ), as pyvale writes it for MatchID. A second camera with the same field of
+    view requires this order.
     """
     values: dict[str, tuple[str, str]] = {}
     for line in text.lower().splitlines():

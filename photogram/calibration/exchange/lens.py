@@ -1,4 +1,4 @@
-"""Calibrations of other programs as this program has them: lens models, parameters, units."""
+"""Conversion of other lens models, units and rotations to those of this program."""
 
 from __future__ import annotations
 
@@ -10,27 +10,39 @@ import numpy as np
 
 from photogram.arrays import Arrays, FloatArray, IntArray
 from photogram.calibration.calibration_file import LARGEST, check_plausible
+from photogram.calibration.exchange.exchange_notices import (
+    APPROXIMATED_CAMERA,
+    CAMERA_GEOMETRY,
+    CENTRE_FAR_FROM_MIDDLE,
+    CENTRE_OUTSIDE_IMAGE,
+    INEXACT_ROTATION,
+    NO_COMMON_VIEW,
+    POORLY_APPROXIMATED_CAMERA,
+    UNCERTAINTIES_MISSING,
+    UNUSUAL_DISTANCE,
+)
 from photogram.camera import CAMERA_PARAMETERS, Camera, StereoRig
 from photogram.geometry import RigidTransform, nearest_rotation, rotation_from_vector, skew
 from shakercal._common.notices import Notice
 
 EVEN = (2, 4, 6)
-"""Exponents of the radial polynomial 1 + k1·r² + k2·r⁴ + k3·r⁶, which is this program's."""
-_GRID = 21  # points along each side of the picture at which two cameras are compared
+"""Exponents of this program's radial polynomial 1 + k1·r² + k2·r⁴ + k3·r⁶."""
+_GRID = 21  # points along each side of the image for the comparison of two cameras
 _STEPS = 200  # fixed-point steps of the inverse
-_INVERTED_PX = 1e-6
-_ESSENTIAL = 1e-3  # relative departure of an essential matrix from that of R and T above which they contradict
+_INVERTED_PX = 1e-6  # residual of the inverse that ends the steps
+_ESSENTIAL = 1e-3  # largest relative deviation of an essential matrix from that of R and T
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Lens(Arrays, shapes="focal_px 2; centre_px 2; radial 3; tangential 2; divisor 3; angular 4"):
-    """A pinhole with skew, radial and tangential distortion: focal_px, centre_px (2,), radial (3,), tangential (2,).
+    """A pinhole camera with skew, radial and tangential distortion.
 
-    With x = X/Z, y = Y/Z, r² = x² + y² and the factor g = (1 + Σ radial·r^exponents)/(1 + Σ divisor·r^(2, 4, 6)):
-    x_d = g·x + 2·p1·x·y + p2·(r² + 2x²), y_d = g·y + p1·(r² + 2y²) + 2·p2·x·y,
-    u = fx·x_d + skew·y_d + cx, v = fy·y_d + cy. With `angular` (4,), of a fisheye lens, g is θ_d/r alone, with
-    θ = arctan r and θ_d = θ·(1 + k1·θ² + k2·θ⁴ + k3·θ⁶ + k4·θ⁸) (Kannala and Brandt 2006, IEEE Transactions on Pattern
-    Analysis and Machine Intelligence 28, 1335; OpenCV's `fisheye`, "equidistant" of ROS and Kalibr).
+    With x = X/Z, y = Y/Z, r² = x² + y² and the factor g = (1 + Σ radial·r^exponents)/(1 + Σ divisor·r^(2, 4, 6)): x_d =
+    g·x + 2·p1·x·y + p2·(r² + 2x²), y_d = g·y + p1·(r² + 2y²) + 2·p2·x·y, u = fx·x_d + skew·y_d + cx, v = fy·y_d + cy.
+
+    With `angular` (4,), for a fisheye lens, g is θ_d/r, with θ = arctan r and θ_d = θ·(1 + k1·θ² + k2·θ⁴ + k3·θ⁶ +
+    k4·θ⁸) (Kannala and Brandt 2006, IEEE Transactions on Pattern Analysis and Machine Intelligence 28, 1335; OpenCV's
+    `fisheye`, "equidistant" of ROS and Kalibr).
     """
 
     focal_px: FloatArray
@@ -44,17 +56,17 @@ class Lens(Arrays, shapes="focal_px 2; centre_px 2; radial 3; tangential 2; divi
 
     @property
     def is_exact(self) -> bool:
-        """Whether a `Camera` describes it without any difference."""
+        """Whether a `Camera` describes it exactly."""
         return self.angular is None and (self.exponents == EVEN or not self.radial.any())
 
     @property
     def model(self) -> str:
-        """What a notice calls a distortion that is not exact."""
+        """Name of the distortion model in a notice."""
         return f"a distortion in powers {self.exponents} of r" if self.angular is None else "a fisheye distortion"
 
     @property
     def parameters(self) -> FloatArray:
-        """The vector (13,) of `CAMERA_PARAMETERS`, whatever the exponents."""
+        """Vector (13,) of `CAMERA_PARAMETERS`, for any exponents."""
         k1, k2, k3 = self.radial
         return np.array([*self.focal_px, *self.centre_px, k1, k2, *self.tangential, k3, *self.divisor, self.skew_px])
 
@@ -76,7 +88,7 @@ class Lens(Arrays, shapes="focal_px 2; centre_px 2; radial 3; tangential 2; divi
 
 
 def fisheye_radius(angle_rad: FloatArray, coefficients: FloatArray) -> FloatArray:
-    """Return θ_d of rays at angles θ to the axis, by the coefficients (4,) of a fisheye lens."""
+    """Return θ_d of rays at angles θ to the axis for fisheye coefficients (4,)."""
     return np.asarray(angle_rad * np.polynomial.polynomial.polyval(angle_rad**2, [1.0, *coefficients]))
 
 
@@ -87,9 +99,9 @@ def fisheye(focal_px: FloatArray, centre_px: FloatArray, coefficients: FloatArra
 
 @dataclass(frozen=True, eq=False)
 class NearestCamera:
-    """The camera nearest to a lens: in a frame turned by `turn` (3,), a rotation vector in rad, it sees what that sees.
+    """The camera nearest to a lens, in a rotated frame, with the largest difference.
 
-    `largest_px`: the largest difference left over the picture.
+    `turn` (3,): rotation vector in rad of that frame. `largest_px`: largest difference over the image.
     """
 
     camera: Camera
@@ -98,10 +110,10 @@ class NearestCamera:
 
 
 def nearest_camera(lens: Lens, size_px: IntArray) -> NearestCamera:
-    """Return the camera that sees, with least squares over the picture, what a lens sees.
+    """Return the least-squares camera for a lens over the image.
 
-    A lens of this program's form is taken over as it is. Another radial polynomial is fitted by this one's, with the
-    matrix; a fisheye lens by the rational model.
+    A lens of this program's form is used unchanged. Another radial polynomial is approximated by this one, together
+    with the matrix; a fisheye lens by the rational model.
     """
     if lens.is_exact:
         return NearestCamera(Camera.from_parameters(lens.parameters, size_px), np.zeros(3), 0.0)
@@ -123,15 +135,15 @@ TURN = ("x", "y", "z")
 def fit_camera(
     pixel: FloatArray, normalised: FloatArray, start: FloatArray, free: Sequence[str], size_px: IntArray
 ) -> NearestCamera:
-    """Return the camera, by least squares, that sees points (N, 2) with X/Z, Y/Z (N, 2) at pixels (N, 2).
+    """Fit a camera that projects X/Z, Y/Z (N, 2) to pixels (N, 2).
 
-    Parameters (13,) begin at `start`; `free` names those that are fitted and components of the turn about x, y, z.
+    Parameters (13,) begin at `start`. `free` names the fitted ones and components of the rotation about x, y, z.
     """
     from scipy.optimize import least_squares
 
     rays = np.column_stack([normalised, np.ones(len(normalised))])
     names = (*CAMERA_PARAMETERS, *TURN)
-    places = [names.index(name) for name in free]
+    indices = [names.index(name) for name in free]
     # Each unknown in steps that move the corner by about 1 px.
     radius = float(np.linalg.norm(normalised, axis=1).max())
     reach = float(start[:2].mean())
@@ -145,7 +157,7 @@ def fit_camera(
 
     def moved(scaled: FloatArray) -> tuple[Camera, FloatArray]:
         values = np.concatenate([start, np.zeros(3)])
-        values[places] += scaled * steps
+        values[indices] += scaled * steps
         return Camera.from_parameters(values[:-3], size_px), values[-3:]
 
     def difference(scaled: FloatArray) -> FloatArray:
@@ -158,14 +170,14 @@ def fit_camera(
 
 
 def pixel_grid(size_px: IntArray) -> FloatArray:
-    """Return a grid (N, 2) of pixels over the picture, its corners included."""
+    """Return a grid (N, 2) of pixels over the image, including its corners."""
     width, height = (float(length) - 1.0 for length in size_px)
     columns, rows = np.meshgrid(np.linspace(0.0, width, _GRID), np.linspace(0.0, height, _GRID))
     return np.stack([columns.ravel(), rows.ravel()], axis=1)
 
 
 def _seen(lens: Lens, size_px: IntArray) -> FloatArray:
-    """Return the normalised coordinates (N, 2) of a grid of pixels over the picture, by fixed-point steps."""
+    """Return the normalised coordinates (N, 2) of a grid of pixels, by fixed-point steps."""
     pixel = pixel_grid(size_px)
     normalised = (pixel - lens.centre_px) / lens.focal_px
     for _ in range(_STEPS):
@@ -175,24 +187,24 @@ def _seen(lens: Lens, size_px: IntArray) -> FloatArray:
         if not np.isfinite(difference).all():
             break
         normalised = normalised + difference / lens.focal_px
-    raise ValueError("distortion: expected coefficients with an inverse over the picture, found none")
+    raise ValueError("distortion: expected coefficients with an inverse over the image, found none")
 
 
 def _seen_by_fisheye(lens: Lens, coefficients: FloatArray, size_px: IntArray) -> FloatArray:
-    """Return the normalised coordinates (N, 2) of a grid of pixels over the picture of a fisheye lens, from a table."""
+    """Return the normalised coordinates (N, 2) of a grid of pixels of a fisheye lens."""
     matrix = np.array([[lens.focal_px[0], lens.skew_px], [0.0, lens.focal_px[1]]])
     distorted = np.linalg.solve(matrix, (pixel_grid(size_px) - lens.centre_px).T).T
     angle = np.linspace(0.0, WIDEST_RAD, 20_001)
     table, radius = fisheye_radius(angle, coefficients), np.linalg.norm(distorted, axis=1)
-    growing = int(np.argmin(np.append(np.diff(table) > 0, False)))  # how far it grows, and has an inverse
+    growing = int(np.argmin(np.append(np.diff(table) > 0, False)))  # range with an inverse
     if not radius.max() <= table[growing]:
-        told = f"at most {np.degrees(angle[growing]):.0f} degrees off its axis, as far as its model has an inverse"
-        raise ValueError(f"distortion: expected a fisheye lens whose picture shows {told}, found more")
+        expected = f"a field of view of at most {np.degrees(angle[growing]):.0f} degrees off the axis"
+        raise ValueError(f"distortion: expected {expected}, the range of the fisheye model's inverse, found more")
     theta = np.interp(radius, table[: growing + 1], angle[: growing + 1])
     return np.asarray(distorted * (np.tan(theta) / np.where(radius > 0, radius, 1.0))[:, None])
 
 
-# From what a file holds to a stereo rig: units, rotations written with few digits, differences of camera models.
+# Conversion of a file's content to a stereo rig: units, inexact rotations, differences of camera models.
 
 LengthUnit = Literal["m", "mm", "cm", "um", "in"]
 METRES = {"m": 1.0, "mm": 1e-3, "cm": 1e-2, "um": 1e-6, "in": 0.0254}
@@ -204,21 +216,21 @@ _UNIT_WORDS: dict[str, LengthUnit] = {
     **dict.fromkeys(("in", "inch", "inches"), "in"),
 }
 DistortionModel = Literal["plumb_bob", "fisheye"]
-"""What four coefficients of a distortion are: k1 k2 p1 p2, or those of an angle."""
-FEW_DIGITS = 1e-5  # departure from a rotation above which the user is told
-NO_ROTATION = 1e-3  # and above which it is none
-WIDEST_RAD = np.radians(79.0)  # off the axis; as far as a camera of this program sees
-_OFF_MIDDLE = 0.2  # of the picture's side; at half the resolution the principal point is 0.25 off, a lens some 0.02
-REMARKABLE_PX = 0.05  # difference between the file's camera and this program's that is worth a warning
-NEAR_M, FAR_M = 1e-3, 20.0  # between two cameras of a pair; beyond these a unit is likely to be wrong
-_DEPTHS = np.geomspace(0.3, 1000.0, 40)  # in baselines, at which two cameras may see the same
-UNUSABLE_PX = 0.5  # and that is refused
+"""Model of four distortion coefficients: k1 k2 p1 p2, or those of an angle."""
+FEW_DIGITS = 1e-5  # deviation from a rotation for a warning
+NO_ROTATION = 1e-3  # and for a refusal
+WIDEST_RAD = np.radians(79.0)  # off the axis; the widest field of view of a camera of this program
+_OFF_MIDDLE = 0.2  # of the image's side; at half the resolution the offset is 0.25, of a real lens about 0.02
+REMARKABLE_PX = 0.05  # difference between the file's camera and this program's for a warning
+NEAR_M, FAR_M = 1e-3, 20.0  # usual distances of two cameras; others suggest a wrong unit
+_DEPTHS = np.geomspace(0.3, 1000.0, 40)  # in baselines, of points in a common field of view
+UNUSABLE_PX = 0.5  # and for a refusal
 SIDES = ("left", "right")
 
 
 @dataclass(frozen=True, eq=False)
 class ImportedCalibration:
-    """A stereo pair read from another program's file, that file's format, and what the user should know."""
+    """A stereo pair from another program's file, with that file's format and notices."""
 
     rig: StereoRig
     format: str
@@ -227,11 +239,11 @@ class ImportedCalibration:
 
 @dataclass(frozen=True, eq=False)
 class StatedCalibration:
-    """What a file states: lenses, sizes (None where it has none), x_right = rotation·x_left + translation (file units).
+    """Content of a calibration file: lenses, sizes, rotation and translation in file units.
 
-    `unit` is the unit that the file or its format fixes, None where neither does; `habit` the one that its program
-    uses then, None where nobody can know. `essential` is name and value (3, 3) of the
-    pair's essential matrix where the file holds it.
+    x_right = rotation·x_left + translation. A size is None if the file has none. `unit` is fixed by the file or its
+    format, otherwise None. `habit` is the usual unit of its program, None if there is none. `essential` is name and
+    value (3, 3) of the pair's essential matrix, if the file has one.
     """
 
     format: str
@@ -246,17 +258,17 @@ class StatedCalibration:
 
 
 def unit_of(word: str | None) -> LengthUnit | None:
-    """Return the unit of length that a file's word means, None for none or another word."""
+    """Return the unit of length of a file's word, None for another word."""
     return None if word is None else _UNIT_WORDS.get(word.strip().lower())
 
 
 def build_rig(
     stated: StatedCalibration, image_size: tuple[int, int] | None, length_unit: LengthUnit | None
 ) -> ImportedCalibration:
-    """Return the stereo rig of what a file states."""
+    """Return the stereo rig of a file's content."""
     sizes, unit = _sizes(stated.sizes_px, image_size), length_unit or stated.unit or stated.habit
     if unit is None:
-        raise ValueError(f"length_unit: expected m or mm, which a file of {stated.format} does not say")
+        raise ValueError(f"length_unit: expected m or mm, which a file of {stated.format} does not state")
     if stated.unit is not None and unit != stated.unit:
         raise ValueError(f"length_unit: expected {stated.unit} as in the file, found {unit}")
     departure = float(np.abs(stated.rotation.T @ stated.rotation - np.eye(3)).max())
@@ -267,56 +279,51 @@ def build_rig(
         )
     notices = list(stated.notices)
     if departure > FEW_DIGITS:
-        text = f"the rotation is written with so few digits that it is {1e3 * departure:.2f} mrad away from one"
-        notices.append(Notice("warning", text, "rotation"))
+        notices.append(Notice(INEXACT_ROTATION, "rotation", deviation_mrad=1e3 * departure))
     if stated.essential is not None:
         _check_essential(*stated.essential, stated)
     left, right = (_camera(*each, notices) for each in zip(SIDES, stated.lenses, sizes, strict=True))
     between = RigidTransform(nearest_rotation(stated.rotation), stated.translation * METRES[unit])
     cosine = np.clip((np.trace(between.rotation) - 1.0) / 2.0, -1.0, 1.0)
-    told = (
-        f"the cameras are {1e3 * np.linalg.norm(between.translation_m):.2f} mm apart and turned by "
-        f"{np.rad2deg(np.arccos(cosine)):.2f} degrees against each other (lengths in the file taken as {unit})"
-    )
-    missing = "no uncertainties came with it: state scale_uncertainty under [stereo.NAME] in rig.toml"
+    distance_mm, angle_deg = 1e3 * float(np.linalg.norm(between.translation_m)), float(np.rad2deg(np.arccos(cosine)))
+    geometry = Notice(CAMERA_GEOMETRY, "extrinsics", distance_mm=distance_mm, angle_deg=angle_deg, unit=unit)
     rig, by_habit = check_plausible(StereoRig(left, right, between)), length_unit is None and stated.unit is None
-    notices += [Notice("note", told, "extrinsics"), *_distance(between, unit, by_habit)]
+    notices += [geometry, *_distance(between, unit, by_habit)]
     if not _see_the_same(rig):
-        told = "the right camera does not see what the middle of the left picture shows: is x_right = R x_left + T?"
-        notices.append(Notice("warning", told, "extrinsics"))
-    return ImportedCalibration(rig, stated.format, (*notices, Notice("note", missing, "covariance")))
+        notices.append(Notice(NO_COMMON_VIEW, "extrinsics"))
+    return ImportedCalibration(rig, stated.format, (*notices, Notice(UNCERTAINTIES_MISSING, "covariance")))
 
 
 def _distance(between: RigidTransform, unit: str, by_habit: bool) -> list[Notice]:
-    """Return what is said of two cameras too near to each other or too far apart for a pair.
+    """Return a notice of two cameras too near or too far apart for a pair.
 
-    `ValueError` where the unit is only its program's habit.
+    `ValueError` if the unit is only the usual one of the program.
     """
     distance = float(np.linalg.norm(between.translation_m))
     if NEAR_M <= distance <= FAR_M:
         return []
-    found = f"cameras {distance:.3g} m apart with lengths in {unit}"
     if by_habit:
-        raise ValueError(f"length_unit: expected the unit to be stated, as the file does not, found {found}")
-    return [Notice("warning", f"{found}: is the unit right?", "extrinsics")]
+        found = f"cameras {distance:.3g} m apart with lengths in {unit}"
+        raise ValueError(f"length_unit: expected the unit of lengths, which the file does not state, found {found}")
+    return [Notice(UNUSUAL_DISTANCE, "extrinsics", distance_m=distance, unit=unit)]
 
 
 def _see_the_same(rig: StereoRig) -> bool:
-    """Return whether any ray of the left picture's middle half leads to a point that is within the right picture.
+    """Return whether the fields of view overlap, for the middle half of the left image.
 
-    By their matrices alone: what a lens bends does not matter at this scale.
+    Only the matrices are used: distortion is negligible for this purpose.
     """
     middle, baseline = (rig.left.size_px - 1) / 2, float(np.linalg.norm(rig.right_from_left.translation_m))
     pixel = middle + (pixel_grid(rig.left.size_px) - middle) / 2
     rays = np.column_stack([pixel, np.ones(len(pixel))]) @ np.linalg.inv(rig.left.matrix).T
     points = rig.right_from_left.apply((_DEPTHS[:, None, None] * baseline * rays).reshape(-1, 3))
     seen = points[points[:, 2] > 0] @ rig.right.matrix.T
-    place = seen[:, :2] / seen[:, 2:]
-    return bool(((place > -0.5) & (place < rig.right.size_px - 0.5)).all(axis=1).any())
+    pixel_right = seen[:, :2] / seen[:, 2:]
+    return bool(((pixel_right > -0.5) & (pixel_right < rig.right.size_px - 0.5)).all(axis=1).any())
 
 
 def _check_essential(name: str, given: FloatArray, stated: StatedCalibration) -> None:
-    """Refuse a file whose essential matrix is not that of its rotation and translation."""
+    """Raise `ValueError` unless the essential matrix is that of rotation and translation."""
     expected = skew(stated.translation) @ stated.rotation
     share = abs(float((given * expected).sum())) / (np.linalg.norm(given) * np.linalg.norm(expected))
     if not 1.0 - share < _ESSENTIAL**2:
@@ -324,7 +331,7 @@ def _check_essential(name: str, given: FloatArray, stated: StatedCalibration) ->
 
 
 def parse_numbers(where: str, values: Any, count: int | tuple[int, ...]) -> FloatArray:
-    """Return texts or numbers as an array of `count` elements or of that shape; `ValueError` names what is wrong."""
+    """Return texts or numbers as an array of `count` elements or of that shape."""
     shape = (count,) if isinstance(count, int) else count
     expected = " x ".join(str(length) for length in shape) + " numbers"
     try:
@@ -339,9 +346,10 @@ def parse_numbers(where: str, values: Any, count: int | tuple[int, ...]) -> Floa
 
 
 def rotation_from_cardan(angles_deg: FloatArray) -> FloatArray:
-    """Return R = R_z(γ)·R_y(β)·R_x(α) of the Cardan angles α, β, γ (3,) in degrees of VIC-3D and DICe.
+    """Return R = R_z(γ)·R_y(β)·R_x(α) of Cardan angles (3,) in degrees.
 
-    Dicengine, `Camera_Info::eulers_to_rotation_matrix`; the same matrix is in sdynpy's reader of VIC-3D projects.
+    The convention of VIC-3D and DICe (dicengine, `Camera_Info::eulers_to_rotation_matrix`; sdynpy's reader of VIC-3D
+    projects).
     """
     (sa, sb, sc), (ca, cb, cc) = np.sin(np.deg2rad(angles_deg)), np.cos(np.deg2rad(angles_deg))
     about_x = np.array([[1, 0, 0], [0, ca, -sa], [0, sa, ca]])
@@ -351,17 +359,17 @@ def rotation_from_cardan(angles_deg: FloatArray) -> FloatArray:
 
 
 def right_from_left(left: Sequence[FloatArray], right: Sequence[FloatArray]) -> tuple[FloatArray, FloatArray]:
-    """Return rotation and translation from the left to the right camera, of their poses x_camera = R·x_world + t."""
+    """Return rotation and translation from left to right, of poses x_camera = R·x_world + t."""
     rotation = right[0] @ np.linalg.inv(left[0])
     return rotation, right[1] - rotation @ left[1]
 
 
 def _sizes(sizes: tuple[tuple[int, int] | None, ...], option: tuple[int, int] | None) -> list[IntArray]:
-    """Return the image sizes (2,), width and height, of both cameras, from the file or from the caller."""
+    """Return the image sizes (2,), width and height, from the file or from the caller."""
     found = []
     for size in sizes:
         if size is None and option is None:
-            raise ValueError("image_size: expected width and height of the pictures, which the file does not hold")
+            raise ValueError("image_size: expected width and height of the images, which the file does not have")
         if size is not None and option is not None and size != option:
             raise ValueError(f"image_size: expected {_times(size)} as in the file, found {_times(option)}")
         found.append(np.array(size or option, dtype=np.int64))
@@ -369,24 +377,21 @@ def _sizes(sizes: tuple[tuple[int, int] | None, ...], option: tuple[int, int] | 
 
 
 def _times(size: tuple[int, int]) -> str:
-    """The size as users write it."""
+    """Return the size as users write it."""
     return f"{size[0]}x{size[1]}"
 
 
 def approximation_notice(where: str, beyond: str, nearest: NearestCamera) -> Notice:
-    """Return what is said of a camera that lacks what is `beyond` it; `ValueError` where it is not near enough."""
-    remain = f"up to {nearest.largest_px:.3f} px remain over the picture"
+    """Return a notice of an approximated camera; `ValueError` for a large difference."""
     if not nearest.largest_px <= UNUSABLE_PX:
-        raise ValueError(f"{where}: {beyond} has no camera near enough: {remain}, {UNUSABLE_PX} px are allowed")
-    text = f"{beyond} is described by the nearest camera without it; {remain}"
-    return Notice("warning" if nearest.largest_px > REMARKABLE_PX else "note", text, where)
+        expected = f"a camera without {beyond} that differs by at most {UNUSABLE_PX} px over the image"
+        raise ValueError(f"{where}: expected {expected}, found {nearest.largest_px:.3f} px")
+    declared = POORLY_APPROXIMATED_CAMERA if nearest.largest_px > REMARKABLE_PX else APPROXIMATED_CAMERA
+    return Notice(declared, where, missing=beyond, largest_px=nearest.largest_px)
 
 
 def _camera(side: str, lens: Lens, size: IntArray, notices: list[Notice]) -> Camera:
-    """Return the camera of one side and note what it cannot describe; `ValueError` where none is near enough.
-
-    Noted is also a principal point that cannot belong to a picture of that size.
-    """
+    """Return the camera of one side, and add notices of its approximation and centre."""
     where = f"{side} camera"
     try:
         nearest = nearest_camera(lens, size)
@@ -395,10 +400,9 @@ def _camera(side: str, lens: Lens, size: IntArray, notices: list[Notice]) -> Cam
     if not lens.is_exact:
         notices.append(approximation_notice(where, lens.model, nearest))
     centre, (width, height) = nearest.camera.matrix[:2, 2], size
+    values = {"x_px": float(centre[0]), "y_px": float(centre[1]), "width_px": int(width), "height_px": int(height)}
     if not ((centre >= 0).all() and (centre < size).all()):
-        text = f"its principal point ({centre[0]:.0f}, {centre[1]:.0f}) lies outside a picture of {width}x{height}: "
-        notices.append(Notice("warning", f"{text}width and height may be exchanged", where))
+        notices.append(Notice(CENTRE_OUTSIDE_IMAGE, where, **values))
     elif (np.abs(centre - (size - 1) / 2) > _OFF_MIDDLE * size).any():
-        text = f"its principal point ({centre[0]:.0f}, {centre[1]:.0f}) lies far from the middle of a picture of "
-        notices.append(Notice("warning", f"{text}{width}x{height}: is the matrix that of this size, uncut?", where))
+        notices.append(Notice(CENTRE_FAR_FROM_MIDDLE, where, **values))
     return nearest.camera

@@ -12,20 +12,20 @@ import numpy as np
 from photogram.arrays import FloatArray
 from photogram.calibration.exchange.lens import NO_ROTATION, SIDES, Lens, StatedCalibration, parse_numbers, unit_of
 from photogram.geometry import rotation_from_vector
-from photogram.mat5 import check_mat5
+from shakercal._common.mat5 import check_mat5
 
 # MATLAB: stereoParameters as JSON, and Bouguet's calibration toolbox as text.
 
-_LARGEST_UNPACKED, _MOST_ARRAYS = 2**26, 3000
+_LARGEST_UNPACKED, _MOST_ARRAYS = 2**26, 3000  # bytes and arrays; a calibration with its images' points has some MB
 _ASSIGNMENT = re.compile(r"\b([A-Za-z]\w*)\s*=\s*(?:\[([^\[\]]*)\]|([-+]?[\d.][\w.+-]*))")
 
 
 def read_matlab(content: dict[str, Any]) -> StatedCalibration:
-    """Return what jsonencode(toStruct(stereoParams)), or jsonencode(stereoParams), wrote.
+    """Read jsonencode(toStruct(stereoParams)) or jsonencode(stereoParams).
 
-    Pixels count from 1 there, so that 1 is taken off the principal point (MathWorks, `stereoParametersToOpenCV`).
-    `K` is the camera matrix and `PoseCamera2` has x₂ = R·x₁ + T; the older `IntrinsicMatrix` and `RotationOfCamera2`
-    are the transposed ones, x₂ᵀ = x₁ᵀ·R + T. An `EssentialMatrix` in the file must agree with R and T.
+    Pixels count from 1, so 1 is subtracted from the principal point (MathWorks, `stereoParametersToOpenCV`). `K` is the
+    camera matrix and `PoseCamera2` has x₂ = R·x₁ + T. The older `IntrinsicMatrix` and `RotationOfCamera2` are the
+    transposed ones, x₂ᵀ = x₁ᵀ·R + T. An `EssentialMatrix` in the file must agree with R and T.
     """
     (left, left_size, unit), (right, right_size, _) = (
         _matlab_camera(name, content.get(name)) for name in ("CameraParameters1", "CameraParameters2")
@@ -34,15 +34,15 @@ def read_matlab(content: dict[str, Any]) -> StatedCalibration:
     name, essential = "EssentialMatrix", content.get("EssentialMatrix")
     given = None if essential is None else (name, parse_numbers(name, essential, (3, 3)))
     word = str(content.get("WorldUnits", unit))
-    known, sizes = unit_of(word), (left_size, right_size)
-    stated = None if known == "mm" else known  # millimetres stand there as well where nobody chose a unit
+    file_unit, sizes = unit_of(word), (left_size, right_size)
+    stated = None if file_unit == "mm" else file_unit  # millimetres are also MATLAB's default unit
     return StatedCalibration(
-        "MATLAB", (left, right), sizes, rotation, translation, stated, habit=known, essential=given
+        "MATLAB", (left, right), sizes, rotation, translation, stated, habit=file_unit, essential=given
     )
 
 
 def read_mat(path: Path) -> StatedCalibration:
-    """Return what a `.mat` file holds: stereoParameters as an object or its toStruct, or the toolbox's assignments."""
+    """Read a `.mat` file: stereoParameters, its toStruct, or the toolbox's variables."""
     variables = _variables(path)
     for value in variables.values():
         if isinstance(value, dict) and "CameraParameters1" in value:
@@ -53,22 +53,22 @@ def read_mat(path: Path) -> StatedCalibration:
     raise ValueError(f"expected a variable with stereoParameters, or fc_left and the like, found {names}")
 
 
-class _Away(Exception):
-    """Of a file whose data stand in others."""
+class _ExternalDataError(Exception):
+    """A file refers to data in other files."""
 
 
-def _leads_away(path: Path) -> bool:
-    """Tell whether a file of version 7.3, which is HDF5, takes anything from other files."""
+def _has_external_data(path: Path) -> bool:
+    """Return whether an HDF5 file (version 7.3) refers to data in other files."""
     import h5py
 
-    def elsewhere(_: str, node: Any) -> bool | None:
+    def is_external(_: str, node: Any) -> bool | None:
         return (isinstance(node, h5py.Dataset) and bool(node.is_virtual or node.external)) or None
 
     def linked(_: bytes, link: Any) -> bool | None:
         return link.type not in (h5py.h5l.TYPE_HARD, h5py.h5l.TYPE_SOFT) or None
 
     with h5py.File(path, "r") as file:
-        return bool(file.id.links.visit(linked, info=True) or file.visititems(elsewhere))
+        return bool(file.id.links.visit(linked, info=True) or file.visititems(is_external))
 
 
 def _variables(path: Path) -> dict[str, Any]:
@@ -80,8 +80,8 @@ def _variables(path: Path) -> dict[str, Any]:
     try:
         with path.open("rb") as file:
             is_hdf5 = file.read(10) == b"MATLAB 7.3"
-        if is_hdf5 and _leads_away(path):
-            raise _Away
+        if is_hdf5 and _has_external_data(path):
+            raise _ExternalDataError
         if not is_hdf5:
             found = loadmat(path, simplify_cells=True)
             if not any(isinstance(value, MatlabOpaque) for value in found.values()):
@@ -96,14 +96,14 @@ def _variables(path: Path) -> dict[str, Any]:
             "expected the package mat-io, which reads MATLAB's objects, found none; install shakercal[formats], or in "
             "MATLAB write jsonencode(toStruct(stereoParams)) to a file and import that"
         ) from error
-    except _Away as error:
+    except _ExternalDataError as error:
         raise ValueError("expected data in this file, found some in other files") from error
-    except Exception as error:  # the readers raise whatever damaged bytes lead to
+    except Exception as error:  # damaged bytes lead to any exception of the readers
         raise ValueError(f"expected a .mat file that can be read, found {type(error).__name__} in it") from error
 
 
 def _plain(value: Any, depth: int = 0) -> Any:
-    """Return MATLAB's objects and structs as dictionaries; what an object keeps within `any` counts as its own."""
+    """Return MATLAB's objects and structs as dictionaries, with the fields of `any`."""
     if depth > 12:
         return None
     if hasattr(value, "properties"):
@@ -120,10 +120,10 @@ def _plain(value: Any, depth: int = 0) -> Any:
 
 
 def read_bouguet(text: str) -> StatedCalibration:
-    """Return what Bouguet's stereo calibration prints or saves as assignments: fc_left = [ … ], …, om, T.
+    """Read the assignments of Bouguet's stereo calibration: fc_left = [ … ], …, om, T.
 
-    x_right = R(om)·x_left + T in mm; kc: k1 k2 p1 p2 k3; skew alpha_c·fc(1); the toolbox counts pixels from 0, as it
-    takes 1 off every corner (`click_ima_calib.m`). `nx`, `ny`: image size, where they are given.
+    x_right = R(om)·x_left + T in mm; kc: k1 k2 p1 p2 k3; skew alpha_c·fc(1). The toolbox counts pixels from 0, since it
+    subtracts 1 from every corner (`click_ima_calib.m`). `nx`, `ny`: optional image size.
     """
     uncommented = re.sub(r"^[ \t]*%.*$", "", text, flags=re.MULTILINE)
     values: dict[str, Any] = {}
@@ -133,7 +133,7 @@ def read_bouguet(text: str) -> StatedCalibration:
 
 
 def _bouguet(values: dict[str, Any]) -> StatedCalibration:
-    """Return what the toolbox's variables state."""
+    """Return the calibration of the toolbox's variables."""
 
     def array(name: str, count: int) -> FloatArray:
         if name not in values:
@@ -155,14 +155,14 @@ def _bouguet(values: dict[str, Any]) -> StatedCalibration:
 
 
 def _matlab_camera(name: str, camera: Any) -> tuple[Lens, tuple[int, int] | None, str]:
-    """Return one camera's lens, its principal point counted from 0, width and height, and the unit of lengths."""
+    """Return one camera's lens, size and unit of lengths; pixels count from 0."""
     if not isinstance(camera, dict):
         raise ValueError(f"{name}: expected an object, found {str(camera)[:40]!r}")
     inner = camera.get("Intrinsics")
     parameters = {**camera, **inner} if isinstance(inner, dict) else camera
     if parameters.get("MappingCoefficients") is not None:
-        told = "a pinhole camera (cameraParameters), found a fisheye lens by mapping coefficients (Scaramuzza's model)"
-        raise ValueError(f"{name}: expected {told}")
+        found = "a fisheye lens by mapping coefficients (Scaramuzza's model)"
+        raise ValueError(f"{name}: expected a pinhole camera (cameraParameters), found {found}")
     if parameters.get("K") is not None:
         k = parse_numbers(f"{name}.K", parameters["K"], (3, 3))
     elif parameters.get("IntrinsicMatrix") is not None:

@@ -36,36 +36,36 @@ _SIZES = ("imagesize", "imgsize", "size", "resolution")
 _WIDTHS, _HEIGHTS = ("imagewidth", "imgwidth", "width", "w"), ("imageheight", "imgheight", "height", "h")
 _UNITS = ("lengthunit", "worldunits")
 _BEYOND = ("s1", "s2", "s3", "s4", "tauX", "tauY")
-_LENGTHS = (4, 5, 8, 12, 14)
+_LENGTHS = (4, 5, 8, 12, 14)  # numbers of OpenCV's distortion coefficients
 _FEW = 4  # coefficients: k1 k2 p1 p2, or a fisheye lens's k1 k2 k3 k4
 _MODEL_KEY = re.compile(r"(distortion|camera|lens)(model|type)|fisheye|^model$")
-_FLAG_KEY = re.compile(r"distortiontype|fisheye")  # of which a number is a model: 0 or 1 (OpenCV's sample, MC-Calib)
-_MODELS: dict[str, DistortionModel | None] = {  # None: says nothing of the distortion
+_FLAG_KEY = re.compile(r"distortiontype|fisheye")  # keys whose number is a model: 0 or 1 (OpenCV's sample, MC-Calib)
+_MODELS: dict[str, DistortionModel | None] = {  # None: no statement about the distortion
     **dict.fromkeys(("plumbbob", "radtan", "radialtangential", "brown", "brownconrady", "opencv"), "plumb_bob"),
     **dict.fromkeys(("rational", "rationalpolynomial", "fullopencv", "none", "0", "false", "no"), "plumb_bob"),
     **dict.fromkeys(("fisheye", "equidistant", "equi", "kannalabrandt", "1", "true", "yes"), "fisheye"),
     **dict.fromkeys(("pinhole", "perspective"), None),
 }
 _OTHER_MODELS = re.compile(r"omni|^mei|^ds$|doublesphere|^eucm|scaramuzza|ocam|fov|division|thinprism|kannala|fisheye")
-_DEEPEST = 500  # levels that OpenCV's parser can be trusted with; it dies beyond some 30 000
-_LONGEST = 2000  # elements of one list or object; image points may stand beside the calibration
-_MOST_VALUES = 500_000
-_LARGEST_YAML = 2**18  # characters; PyYAML reads some 50 000 in a second
+_DEEPEST = 500  # levels; OpenCV's parser crashes beyond about 30 000
+_LONGEST = 2000  # elements of one list or object; a file may also contain image points
+_MOST_VALUES = 500_000  # of a whole file; a calibration has some hundred
+_LARGEST_YAML = 2**18  # characters; PyYAML reads about 50 000 per second
 
 Values = dict[str, tuple[str, Any]]
-"""Values of a file by simplified name, each with the name as it stands there."""
+"""Values of a file by simplified name, each with its name in the file."""
 
 
 def read_opencv(
     content: str | dict[str, Any], extrinsics: str | None = None, model: DistortionModel | None = None
 ) -> StatedCalibration:
-    """Return what an OpenCV file holds: matrices and distortions of two cameras, R and T with x₂ = R·x₁ + T.
+    """Read an OpenCV file: matrices and distortions of two cameras, x₂ = R·x₁ + T.
 
-    Names in any of the usual spellings (M1 D1 M2 D2 R T, cameraMatrix1 distCoeffs1, K_left, mtxL, left: {…}); a
+    Names are in any of the usual spellings (M1 D1 M2 D2 R T, cameraMatrix1 distCoeffs1, K_left, mtxL, left: {…}); a
     rotation vector is accepted for R. Distortion in OpenCV's order k1 k2 p1 p2 k3 k4 k5 k6; later coefficients, of thin
-    prisms and tilted sensors, must be zero. Four coefficients are k1 k2 p1 p2 or those of OpenCV's fisheye module,
-    which no file shows by its numbers: a key such as `distortion_model` or `fisheye_model` says it, or the caller. A
-    `length_unit` is this program's own addition. `content`: the text, or arrays by name.
+    prisms and tilted sensors, must be zero. Four coefficients are k1 k2 p1 p2 or those of OpenCV's fisheye module.
+    Their numbers do not distinguish them: a key such as `distortion_model` or `fisheye_model`, or the caller, states
+    the model. `length_unit` is an extension of this program. `content`: the text, or arrays by name.
     """
     values = _values(content)
     if extrinsics is not None:
@@ -85,9 +85,9 @@ def read_opencv(
     return StatedCalibration("OpenCV", (left, right), sizes, rotation, translation, unit, essential=essential)
 
 
-def _model(values: Values, asked: DistortionModel | None) -> DistortionModel | None:
-    """Return the model of distortion that a file's keys, or else the caller, state, None where neither does."""
-    found: dict[DistortionModel, str] = {} if asked is None else {asked: f"{asked} as asked for"}
+def _model(values: Values, requested: DistortionModel | None) -> DistortionModel | None:
+    """Return the distortion model of a file's keys or of the caller, None if unknown."""
+    found: dict[DistortionModel, str] = {} if requested is None else {requested: f"{requested} as requested"}
     for name, (key, value) in values.items():
         if re.fullmatch(r"xi(\d|l|r|left|right)?|(left|right|camera\d)xi", name):
             raise ValueError(f"{key}: expected a pinhole or a fisheye lens, found one of the omnidirectional model")
@@ -96,8 +96,8 @@ def _model(values: Values, asked: DistortionModel | None) -> DistortionModel | N
             continue
         word = re.sub(r"[^a-z0-9]", "", f"{value:g}" if number else str(value).lower())
         if word not in _MODELS and ("distortion" in name or _OTHER_MODELS.search(word)):
-            told = "plumb_bob, rational_polynomial or fisheye, the models of distortion that are read"
-            raise ValueError(f"{key}: expected {told}, found {str(value)[:40]}")
+            expected = "plumb_bob, rational_polynomial or fisheye, the available models of distortion"
+            raise ValueError(f"{key}: expected {expected}, found {str(value)[:40]}")
         stated = _MODELS.get(word)
         if stated is not None:
             found.setdefault(stated, f"{key} = {str(value)[:40]}")
@@ -126,7 +126,7 @@ def parse_json(text: str) -> Any:
 
 
 def _flat(prefix: str, content: Any) -> Iterator[tuple[str, Any]]:
-    """Yield name and value of everything, the names of objects within objects joined by points."""
+    """Yield name and value of everything; names of nested objects are joined by points."""
     if not isinstance(content, dict):
         yield prefix, content
     elif "data" in content and ("rows" in content or "sizes" in content):  # a matrix; a vector of OpenCV 5
@@ -139,9 +139,9 @@ def _flat(prefix: str, content: Any) -> Iterator[tuple[str, Any]]:
 def _storage(text: str) -> Any:
     """Return the content of a FileStorage text as nested objects.
 
-    OpenCV's parser follows what is nested by recursion, until the process dies: a text of YAML that may hold more than
-    `_DEEPEST` levels, by its brackets, by the indents of its lines and by names and dashes on one line, is not given to
-    it. XML has been looked at before.
+    OpenCV's parser is recursive without a limit and can crash the process. A YAML text that may have more than
+    `_DEEPEST` levels is therefore refused before: levels by brackets, by indents, and by names and dashes on one line.
+    XML is checked by the caller.
     """
     import cv2
 
@@ -155,7 +155,7 @@ def _storage(text: str) -> Any:
     level = cv2.utils.logging.getLogLevel()
     cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
     try:
-        storage = cv2.FileStorage(text, cv2.FILE_STORAGE_READ | cv2.FILE_STORAGE_MEMORY)  # its nodes live as long
+        storage = cv2.FileStorage(text, cv2.FILE_STORAGE_READ | cv2.FILE_STORAGE_MEMORY)  # its nodes require it
         return _node(storage.root(), count())
     except (SystemError, cv2.error) as error:
         raise ValueError("expected an OpenCV FileStorage text, found one that OpenCV cannot parse") from error
@@ -164,7 +164,7 @@ def _storage(text: str) -> Any:
 
 
 def _node(node: Any, visited: Iterator[int]) -> Any:
-    """Return a node of a FileStorage as number, text, list, or object of such; long ones, of no camera, as None.
+    """Return a node of a FileStorage as plain value, None if it is long.
 
     Every access to an element walks the list to it.
     """
@@ -181,7 +181,7 @@ def _node(node: Any, visited: Iterator[int]) -> Any:
 
 
 def _pair(values: Values, names: tuple[str, ...], what: str) -> tuple[tuple[str, Any], tuple[str, Any]]:
-    """Return the values of the left and the right camera; `ValueError` where there are none, or those of one only."""
+    """Return the values of the left and the right camera, or raise `ValueError`."""
     for first, second in _SIDES:
         for name in names:
             for left, right in ((name + first, name + second), (first + name, second + name)):
@@ -218,8 +218,8 @@ def _lens(matrix: tuple[str, Any], distortion: tuple[str, Any], model: Distortio
             raise ValueError(f"{name}: expected the {_FEW} coefficients of a fisheye lens, found {length}")
         return fisheye(focal, centre, coefficients, float(k[0, 1]))
     if length == _FEW and model is None:
-        told = "k1 k2 p1 p2 (plumb_bob) or k1 k2 k3 k4 of a fisheye lens"
-        raise ValueError(f"distortion_model: expected plumb_bob or fisheye, for {name} has 4 coefficients, {told}")
+        found = f"4 coefficients in {name}: k1 k2 p1 p2 (plumb_bob) or k1 k2 k3 k4 (fisheye)"
+        raise ValueError(f"distortion_model: expected plumb_bob or fisheye, found none for {found}")
     for label, coefficient in zip(_BEYOND, coefficients[8:], strict=False):
         if coefficient != 0:
             raise ValueError(
@@ -232,7 +232,7 @@ def _lens(matrix: tuple[str, Any], distortion: tuple[str, Any], model: Distortio
 
 
 def _sizes(values: Values) -> tuple[tuple[int, int] | None, tuple[int, int] | None]:
-    """Return width and height of either camera's pictures where the file holds them, by camera or of both."""
+    """Return width and height of each camera's images, if the file has them."""
     for sides in _SIDES:
         for spelling in ("{name}{side}", "{side}{name}"):
             first, second = (_size(values, partial(spelling.format, side=side)) for side in sides)
@@ -243,7 +243,7 @@ def _sizes(values: Values) -> tuple[tuple[int, int] | None, tuple[int, int] | No
 
 
 def _size(values: Values, spelled: Callable[..., str]) -> tuple[int, int] | None:
-    """Return width and height under names that are spelled so."""
+    """Return width and height under one spelling of the names."""
     for name in _SIZES:
         if (key := spelled(name=name)) in values:
             width, height = parse_numbers(*values[key], 2)
@@ -256,17 +256,17 @@ def _size(values: Values, spelled: Callable[..., str]) -> tuple[int, int] | None
 
 # ROS and Kalibr: YAML.
 
-_ROS_MODELS: dict[str, tuple[tuple[int, ...], DistortionModel]] = {  # their numbers of coefficients, OpenCV's
+_ROS_MODELS: dict[str, tuple[tuple[int, ...], DistortionModel]] = {  # numbers of coefficients and OpenCV's model
     "plumb_bob": ((5, 4), "plumb_bob"),
     "rational_polynomial": ((8,), "plumb_bob"),
     "equidistant": ((4,), "fisheye"),
     "fisheye": ((4,), "fisheye"),
 }
-_PLACES = ("T_cn_cnm1", "T_cam_imu", "T_imu_cam")
+_POSE_KEYS = ("T_cn_cnm1", "T_cam_imu", "T_imu_cam")
 
 
 def parse_yaml(text: str) -> dict[str, Any]:
-    """Return the content of a YAML text of plain values; names that stand for other parts of the text are refused."""
+    """Return the content of a YAML text of plain values, without references."""
     try:
         import yaml
     except ImportError as error:
@@ -275,12 +275,12 @@ def parse_yaml(text: str) -> dict[str, Any]:
         ) from error
     if len(text) > _LARGEST_YAML:
         raise ValueError(f"expected a YAML text of at most {_LARGEST_YAML >> 10} kB, found {len(text) >> 10} kB")
-    body = re.sub(r"\A%YAML:1\.0[^\n]*\n", "", text)  # OpenCV's header is no YAML
+    body = re.sub(r"\A%YAML:1\.0[^\n]*\n", "", text)  # OpenCV's header is not valid YAML
     references = False
     try:
         references = any(isinstance(token, yaml.AliasToken) for token in yaml.scan(body))
         content = None if references else yaml.safe_load(body)
-    except Exception as error:  # besides its own, whatever the values of damaged texts lead to
+    except Exception as error:  # damaged texts lead to any exception
         raise ValueError(f"expected a YAML text, found: {' '.join(str(error).split())[:200]}") from error
     if references:
         raise ValueError("expected a YAML text without references, found one")
@@ -290,10 +290,10 @@ def parse_yaml(text: str) -> dict[str, Any]:
 
 
 def read_ros(text: str, second: str | None) -> StatedCalibration:
-    """Return what the `camera_info` files of a left and a right camera hold (sensor_msgs/CameraInfo, REP 104). m.
+    """Read the `camera_info` files of a left and a right camera (sensor_msgs/CameraInfo, REP 104).
 
-    The rectifying rotations turn both cameras into one frame, x_rect = R·x, in which P of the right one has the
-    baseline, P₁₄ = fx·B: x_right = R_rightᵀ·(R_left·x_left + (B, 0, 0)).
+    Lengths in m. The rectifying rotations transform both cameras into one frame, x_rect = R·x, in which P of the right
+    one has the baseline, P₁₄ = fx·B: x_right = R_rightᵀ·(R_left·x_left + (B, 0, 0)).
     """
     if second is None:
         raise ValueError("camera_info: expected the right camera's file as the second file, found the left one alone")
@@ -309,8 +309,8 @@ def read_ros(text: str, second: str | None) -> StatedCalibration:
             raise ValueError(f"{distortion[0]}: expected {lengths[0]} coefficients for {kind}, found {length}")
         lenses.append(_lens(matrix, distortion, model))
         for key, value in _reduced(content):
-            told = "those of the whole sensor at full resolution, to which camera_matrix belongs"
-            raise ValueError(f"{side} {key}: expected {told}, found {value:g}")
+            expected = "the value of full-size images, to which camera_matrix refers"
+            raise ValueError(f"{side} {key}: expected {expected}, found {value:g}")
         rotations.append(parse_numbers(*rectification, (3, 3)))
         p = parse_numbers(*projection, (3, 4))
         if not p[0, 0] > 0:
@@ -329,7 +329,7 @@ def read_ros(text: str, second: str | None) -> StatedCalibration:
 
 
 def _reduced(content: dict[str, Any]) -> Iterator[tuple[str, float]]:
-    """Yield what says that pictures are binned or cut, of which `camera_matrix` knows nothing."""
+    """Yield the keys of binned or cropped images, to which `camera_matrix` does not refer."""
     region = content.get("roi")
     parts = region if isinstance(region, dict) else {}
     for key, value, whole in (
@@ -349,10 +349,10 @@ def _ros_data(side: str, content: dict[str, Any], name: str) -> tuple[str, Any]:
 
 
 def read_kalibr(text: str) -> StatedCalibration:
-    """Return what a Kalibr camchain holds of two pinhole cameras, `radtan`, `equidistant` or `none`. Lengths in m.
+    """Read a Kalibr camchain of two pinhole cameras: `radtan`, `equidistant` or `none`.
 
-    `T_cn_cnm1` (4, 4): x_cam1 = T·x_cam0; else both cameras have `T_cam_imu`, x_cam = T·x_imu, or `T_imu_cam`, its
-    inverse.
+    Lengths in m. `T_cn_cnm1` (4, 4): x_cam1 = T·x_cam0. Otherwise both cameras have `T_cam_imu`, x_cam = T·x_imu, or
+    its inverse `T_imu_cam`.
     """
     content = parse_yaml(text)
     names = sorted(name for name in content if re.fullmatch(r"cam\d+", str(name)))
@@ -365,8 +365,8 @@ def read_kalibr(text: str) -> StatedCalibration:
             raise ValueError(f"{name}: expected named values, found {str(camera)[:40]!r}")
         models = camera.get("camera_model"), camera.get("distortion_model")
         if models[0] != "pinhole" or models[1] not in ("radtan", "equidistant", "none"):
-            told = "a camera pinhole-radtan, pinhole-equidistant or pinhole-none"
-            raise ValueError(f"{name}: expected {told}, found {models[0]}-{models[1]}")
+            expected = "a camera pinhole-radtan, pinhole-equidistant or pinhole-none"
+            raise ValueError(f"{name}: expected {expected}, found {models[0]}-{models[1]}")
         fx, fy, cx, cy = parse_numbers(f"{name}.intrinsics", camera.get("intrinsics"), 4)
         k = np.zeros(4)
         if models[1] != "none":
@@ -376,7 +376,9 @@ def read_kalibr(text: str) -> StatedCalibration:
         lenses.append(fisheye(focal, centre, k) if models[1] == "equidistant" else plain)
         width, height = parse_numbers(f"{name}.resolution", camera.get("resolution"), 2)
         sizes.append((int(width), int(height)))
-        poses.append({key: _place(f"{name}.{key}", camera[key]) for key in _PLACES if camera.get(key) is not None})
+        poses.append(
+            {key: _pose_matrix(f"{name}.{key}", camera[key]) for key in _POSE_KEYS if camera.get(key) is not None}
+        )
     if "T_cn_cnm1" in poses[1]:
         between = poses[1]["T_cn_cnm1"]
     elif "T_cam_imu" in poses[0] and "T_cam_imu" in poses[1]:
@@ -384,13 +386,13 @@ def read_kalibr(text: str) -> StatedCalibration:
     elif "T_imu_cam" in poses[0] and "T_imu_cam" in poses[1]:
         between = np.linalg.inv(poses[1]["T_imu_cam"]) @ poses[0]["T_imu_cam"]
     else:
-        raise ValueError(f"cam1: expected its place against cam0, one of {', '.join(_PLACES)}, found none")
+        raise ValueError(f"cam1: expected its pose relative to cam0, one of {', '.join(_POSE_KEYS)}, found none")
     pair, both = (lenses[0], lenses[1]), (sizes[0], sizes[1])
     return StatedCalibration("Kalibr", pair, both, between[:3, :3], between[:3, 3], None, habit="m")
 
 
-def _place(where: str, value: Any) -> FloatArray:
-    """Return a transform (4, 4), its last row checked, so that it can be inverted."""
+def _pose_matrix(where: str, value: Any) -> FloatArray:
+    """Return a transform (4, 4) after a check that it can be inverted."""
     matrix = parse_numbers(where, value, (4, 4))
     if not np.array_equal(matrix[3], [0, 0, 0, 1]) or abs(np.linalg.det(matrix)) < 0.5:
         raise ValueError(f"{where}: expected a rigid transform with a last row 0 0 0 1, found {matrix.tolist()}")

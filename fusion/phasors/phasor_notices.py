@@ -1,0 +1,432 @@
+"""Notices and errors of the stage from recorded files to the phasors of every instrument."""
+
+from shakercal._common.notices import DeclaredNotice
+
+# Lines and channels.
+
+LINE_ABOVE_SAMPLING = DeclaredNotice(
+    "SC-400",
+    "error",
+    "expected {expected}, found {found}",
+    effect="The channels cannot resolve this line.",
+    remedy="Correct `excitation.frequencies`, record with a higher sampling rate, or remove the channel.",
+)
+LINES_NOT_FOUND = DeclaredNotice(
+    "SC-401",
+    "error",
+    "{reason} ({instruments})",
+    effect="Without the lines no phasor can be determined.",
+    remedy="Compare `excitation.frequencies` with the spectrum of the recording.",
+)
+LINES_FROM_BAND = DeclaredNotice(
+    "SC-402",
+    "note",
+    "The manifest states no frequencies; {count} lines were found in the band: {frequencies} Hz.",
+    remedy="State `excitation.frequencies` if these are not the driven lines.",
+)
+ALIASED_HARMONICS = DeclaredNotice(
+    "SC-403",
+    "note",
+    "At {rate_hz:g} samples per second, {aliases}.",
+    effect="The recording cannot separate them from the driven line.",
+    remedy="Use an anti-aliasing filter and state it as `response`, or choose another frequency.",
+)
+HIGH_HARMONICS_NOT_ASSESSED = DeclaredNotice(
+    "SC-404",
+    "note",
+    "High harmonics that alias onto a driven line at {rate_hz:g} samples per second: {aliases}.",
+    remedy="State the anti-aliasing filter as `response`.",
+    possible_size="below a third of u of the line, by the harmonics that were measured",
+)
+FILTER_DELAY = DeclaredNotice(
+    "SC-405",
+    "warning",
+    "A low-pass filter with the stated delay of {delay_us:.4g} µs changes {frequency_hz:.6g} Hz by up to {loss:.2%}.",
+    effect="U includes this change.",
+    remedy='State delay_of = "pure" if no filter causes the delay; otherwise state the filter as `response`.',
+)
+UNUSABLE_CHANNEL = DeclaredNotice(
+    "SC-406",
+    "error",
+    "expected {expected}, found {found}",
+    effect="The channel has too few usable samples for a phasor.",
+    remedy="Repeat the recording with another input range, or remove the channel.",
+)
+REJECTED_SAMPLES = DeclaredNotice(
+    "SC-407",
+    "warning",
+    "The channel {defect}.",
+    effect="These samples are rejected.",
+    remedy="Check the recorder and its memory.",
+)
+CLIPPED_CHANNEL = DeclaredNotice(
+    "SC-408",
+    "warning",
+    "The channel {defect}.",
+    effect="These samples are rejected, which leaves {u_percent:.2g} % of the amplitude undetermined; U includes it.",
+    remedy="Use a larger input range of the recorder.",
+)
+COARSE_CONVERTER = DeclaredNotice(
+    "SC-409",
+    "warning",
+    "The driven line has an amplitude of only {steps:.2g} converter steps.",
+    effect="Quantisation changes it by up to {bound_percent:.2g} %, which U includes.",
+    remedy="Use a smaller input range of the recorder.",
+)
+TIME_STAMP_GAP = DeclaredNotice(
+    "SC-410",
+    "note",
+    "The file has a gap: {gap}.",
+    effect="Sines are fitted at the times that the file states.",
+)
+HARMONIC_UNRESOLVED = DeclaredNotice(
+    "SC-411",
+    "warning",
+    "{take} cannot separate harmonic {order} of {fundamental_hz:g} Hz from another line.",
+    effect="This harmonic is omitted from all takes.",
+    remedy="Record every take with the same sampling rate and length.",
+)
+
+# Steady excitation and distortion.
+
+LINE_UNSTEADY = DeclaredNotice(
+    "SC-412",
+    "warning",
+    "The {quantity} at {frequency_hz:.6g} Hz changes over the record: {changes}.",
+    effect="Results are means over the record of each instrument.",
+    remedy="Wait until the excitation is steady, or record all instruments at the same time.",
+)
+OUTPUT_UNSTEADY = DeclaredNotice(
+    "SC-413",
+    "warning",
+    "The {quantity} of outputs at {frequency_hz:.6g} Hz changes over the record, the motion does not: {changes}.",
+    effect="U includes a change of this size in any direction. Results are means over the record of each instrument.",
+    remedy="Check for an aliased harmonic (no anti-aliasing filter) and for drift of the amplifier.",
+)
+HARMONIC_DISTORTION = DeclaredNotice(
+    "SC-414",
+    "warning",
+    "Distortion: harmonic {order} of {frequency_hz:.6g} Hz exceeds that of {reference} by ({share} ± {expanded}) % of "
+    "the fundamental.",
+    effect="The {device} is not linear. U includes {u_percent:.2g} % in any direction.",
+    remedy="Reduce the load or the input level.",
+)
+CUBIC_DISTORTION = DeclaredNotice(
+    "SC-415",
+    "warning",
+    "Distortion: harmonic 3 of {frequency_hz:.6g} Hz exceeds that of {reference} by ({share} ± {expanded}) % of the "
+    "fundamental.",
+    effect="The {device} is not linear. A cubic characteristic makes the ratio at the fundamental too {sign} by about "
+    "{ratio_percent:.2g} %. U includes {u_percent:.2g} % in any direction.",
+    remedy="Reduce the load or the input level.",
+)
+
+# Clocks, triggers and the instants of frames.
+
+PERIODS_DISAGREE = DeclaredNotice(
+    "SC-416",
+    "warning",
+    "Frames and other records give trigger periods that differ by {difference:.2g} of the period (u {u:.2g}).",
+    effect="The period measured from the trigger's edges is used.",
+    remedy="Check for missing frames or edges, and whether the camera sees the body of the channels.",
+)
+INVERTED_TRIGGER = DeclaredNotice(
+    "SC-417",
+    "warning",
+    "The pulses of {trigger} last {first_share:.1%} of the period in {first_block} and {second_share:.1%} in "
+    "{second_block}.",
+    effect="One of them is probably inverted, so that different edges are paired.",
+    remedy='State edge = "falling" for the inverted channel.',
+)
+NO_SHARED_TRIGGER = DeclaredNotice(
+    "SC-418",
+    "error",
+    "expected {expected}, found {found}",
+    effect="The clocks of the two blocks cannot be tied.",
+    remedy="Record the same trigger in both blocks.",
+)
+EDGES_AMBIGUOUS = DeclaredNotice(
+    "SC-419",
+    "error",
+    "expected {expected}, found {found}",
+    effect="The frames cannot be assigned to edges of the trigger.",
+    remedy="State `first_edge` or `edge_step`.",
+)
+TOO_FEW_EDGES = DeclaredNotice(
+    "SC-420",
+    "error",
+    "expected {expected}, found {found}",
+    effect="Some frames have no edge of the trigger.",
+    remedy="Check `trigger`, `first_edge` and the number of frames.",
+)
+EXPOSURE_REFUSED = DeclaredNotice(
+    "SC-421",
+    "error",
+    "expected {expected}, found {found}",
+    effect="The instants of the frames depend on exposure and row time, which must end before the next frame.",
+    remedy="State `exposure` and `row_time` in seconds.",
+)
+FRAME_NUMBERS_SHIFTED = DeclaredNotice(
+    "SC-422",
+    "warning",
+    "The file numbers begin with {first} ({first_camera}) and {second} ({second_camera}).",
+    effect="Frames are paired in their order. If equal numbers belong to one edge, one camera is late.",
+    remedy="Check which frames belong together.",
+)
+FRAME_NUMBER_GAP = DeclaredNotice(
+    "SC-423",
+    "warning",
+    "The numbers of the {count} files from {first} to {last} have gaps: {missing} are missing.",
+    effect="The frames after a gap are assigned to edges by {assignment}.",
+    remedy="Check whether frames were lost.",
+)
+
+# Images of a pair before tracking.
+
+IMAGES_REFUSED = DeclaredNotice(
+    "SC-424",
+    "error",
+    "expected {expected}, found {found}",
+    effect="The images of the pair cannot be evaluated.",
+    remedy="Correct the `images` block of recording.toml, or remove the pair.",
+)
+COPIED_FRAMES = DeclaredNotice(
+    "SC-425",
+    "warning",
+    "The {camera} camera has {count} copies of earlier frames: {names}.",
+    effect="These frames of the pair are rejected.",
+    remedy="Check the recorder for lost frames.",
+)
+EXPOSURE_DIFFERS = DeclaredNotice(
+    "SC-426",
+    "warning",
+    "The file states an exposure of {file_us:.4g} µs; {used_us:.4g} µs is used.",
+    effect="A wrong exposure changes amplitude and phase of the motion.",
+    remedy="Correct `exposure`.",
+)
+FRAME_RATE_DIFFERS = DeclaredNotice(
+    "SC-427",
+    "warning",
+    "The file has a frame every {frame_s:.6g} s, the trigger an edge every {edge_s:.6g} s.",
+    effect="Frames may belong to other edges.",
+    remedy="Check `trigger`, `first_edge` and `edge_step`.",
+)
+FILE_TIMES_GAP = DeclaredNotice(
+    "SC-428",
+    "warning",
+    "The times in the file have gaps between frames {frames}.",
+    effect="Frames were lost, or the times are wrong.",
+    remedy="Check the recording software for lost frames.",
+)
+SINGLE_CAMERA_NOT_ASSESSED = DeclaredNotice(
+    "SC-429",
+    "note",
+    "Deformation, the position of the stated surface and the calibration: a single camera cannot measure them.",
+    remedy="Use a second camera.",
+    possible_size="not known",
+)
+CALIBRATION_REFUSED = DeclaredNotice(
+    "SC-430",
+    "error",
+    "expected {expected}, found {found}",
+    effect="The calibration does not fit the images of the pair.",
+    remedy="Use the calibration of this pair with this image size.",
+)
+
+# Motion that a pair measures.
+
+PAIR_REJECTED = DeclaredNotice(
+    "SC-431",
+    "warning",
+    "The pair is rejected: {reason}.",
+    effect="The other instruments are evaluated without it.",
+    remedy="Inspect the images and the calibration of the pair.",
+)
+NO_RIGID_MOTION = DeclaredNotice(
+    "SC-432",
+    "error",
+    "The motion of stereo pair {pair} cannot be fitted: {reason}.",
+    remedy="Inspect its images or points.",
+)
+PAIR_DECALIBRATED = DeclaredNotice(
+    "SC-433",
+    "error",
+    "{reason}",
+    effect="The cameras are no longer as calibrated.",
+    remedy="Calibrate the cameras again.",
+)
+CAMERAS_OUT_OF_STEP = DeclaredNotice(
+    "SC-434",
+    "error",
+    "The {late} camera is {frames} frames ({delay_ms:.4g} ms) later than the {early} one.",
+    effect="The images of the two cameras do not belong together.",
+    remedy="Check the trigger of both cameras and the numbers of their files.",
+)
+CAMERA_DELAYED = DeclaredNotice(
+    "SC-435",
+    "warning",
+    "The {late} camera is exposed {delay_us:.3g} µs later than the other one ({phase_mrad:.3g} mrad at "
+    "{frequency_hz:.6g} Hz, u {u_mrad:.2g} mrad).",
+    effect="The error of depth and phase is not included in U.",
+    remedy="Synchronise the exposures of the two cameras.",
+)
+PAIR_BODY_DEFORMS = DeclaredNotice(
+    "SC-436",
+    "warning",
+    "The body deforms at {frequency_hz:.6g} Hz: {shape} of {amplitude_nm:.3g} nm (u {u_nm:.2g} nm, chance "
+    "{chance:.1e} for a rigid body).",
+    effect="The body bends or stretches, or one camera moves relative to the other.",
+    remedy="State [[load.elastic]] with `measured_by`, or check the mounting of the cameras.",
+)
+BODY_DISPLACED = DeclaredNotice(
+    "SC-437",
+    "warning",
+    "The body moves by {distance_mm:.3g} mm between frames {before} and {after} (from 0) and remains there.",
+    effect="U includes the effect on the lines.",
+    remedy="Check whether the body was touched.",
+)
+BODY_LOST = DeclaredNotice(
+    "SC-438",
+    "error",
+    "The body moves by {distance_mm:.3g} mm between frames {before} and {after} (from 0), more than its whole motion.",
+    effect="It was touched, or tracking followed another part of a repeating pattern.",
+    remedy="Repeat the recording, or use a pattern that does not repeat.",
+)
+TOO_FEW_FRAMES_FOR_STEP = DeclaredNotice(
+    "SC-439",
+    "note",
+    "A displacement of the body within the record: {frames} frames are too few to detect it, {needed} are needed.",
+    remedy="Record more frames.",
+    possible_size="not known",
+)
+UNEQUAL_FRAMES = DeclaredNotice(
+    "SC-440",
+    "warning",
+    "The variance of the measured motion differs between frames by up to a factor of {factor:.2g}.",
+    effect="Each frame is weighted by its variance.",
+    remedy="Check the illumination and whether the body is partly hidden.",
+)
+ROLLING_SHUTTER = DeclaredNotice(
+    "SC-441",
+    "note",
+    "The rows of the body are exposed over {duration_ms:.3g} ms, in which {frequency_hz:.6g} Hz turns by {angle:.3g}°.",
+    effect="Every row is evaluated at its exposure.",
+)
+COARSE_ROWS = DeclaredNotice(
+    "SC-442",
+    "warning",
+    "The rows of the smallest cells span {periods:.2g} periods of {frequency_hz:.6g} Hz.",
+    effect="The effect on the phasors is not included in U.",
+    remedy="Use a shorter `row_time` or smaller cells.",
+)
+MOTION_BLUR = DeclaredNotice(
+    "SC-443",
+    "note",
+    "Motion blur in exposures of {exposure_ms:.3g} ms would bias the amplitude by about {bias_percent:.2g} %.",
+    effect="The fit accounts for the blur.",
+)
+SHUTTER_NOT_CONVERGED = DeclaredNotice(
+    "SC-444",
+    "warning",
+    "The fit of the motion within exposures did not converge: {change_percent:.2g} % remains.",
+    effect="This error is not included in U.",
+    remedy="Use a shorter exposure.",
+)
+STORAGE_FULL = DeclaredNotice(
+    "SC-445",
+    "error",
+    "The tracked subsets of stereo pair {pair}, frames {first} to {last}, cannot be stored: {reason}.",
+    remedy="Free space on the disk of the results.",
+)
+
+# Lines that the frames of a pair resolve.
+
+NO_INSTRUMENT = DeclaredNotice(
+    "SC-446",
+    "error",
+    "No channel or camera of this recording measures {quantity}{reason}.",
+    effect="The recording has no result.",
+    remedy="Add such an instrument to recording.toml.",
+)
+
+LINES_UNRESOLVED = DeclaredNotice(
+    "SC-447",
+    "error",
+    "No instrument measures the motion of the driven line at {frequencies}{reasons}.",
+    effect="The recording has no result.",
+    remedy="Choose another frame rate, or add a channel that measures the motion.",
+)
+LINE_UNOBSERVED = DeclaredNotice(
+    "SC-448",
+    "warning",
+    "No instrument measures the motion at the driven line {frequency_hz:.6g} Hz.",
+    effect="This line has no result.",
+    remedy="Choose another frame rate, or add a channel that measures the motion.",
+)
+HARMONIC_WITHOUT_FUNDAMENTAL = DeclaredNotice(
+    "SC-449",
+    "warning",
+    "The harmonic is rejected because its fundamental is not resolved.",
+    effect="The pair has no value at this line.",
+    remedy="Choose another frame rate.",
+)
+SHORT_BEAT = DeclaredNotice(
+    "SC-450",
+    "warning",
+    "The record contains {beats:.2g} beats of {frequency_hz:.6g} Hz ({frames} frames at {rate_hz:.6g} Hz).",
+    effect="U of the amplitude is dominated by effects that are not separated from the line: {causes} (u).",
+    remedy="Record longer, or choose another frame rate{suggestion}.",
+)
+PERIODIC_JITTER = DeclaredNotice(
+    "SC-451",
+    "warning",
+    "The edges of trigger {trigger} scatter by {jitter_us:.2g} µs about equal distances.",
+    effect="If the jitter is periodic rather than random, it could change {frequency_hz:.6g} Hz by up to "
+    "{change_percent:.2g} %, which is not included in U.",
+    remedy="Record the trigger with a higher sampling rate, or use a steadier trigger.",
+)
+FREQUENCIES_UNSTATED = DeclaredNotice(
+    "SC-452",
+    "error",
+    "expected {expected}, found {found}",
+    effect="Cameras alone cannot determine the frequencies.",
+    remedy="State `excitation.frequencies`.",
+)
+
+# Takes.
+
+TAKES_REFUSED = DeclaredNotice(
+    "SC-453",
+    "error",
+    "expected {expected}, found {found}",
+    effect="The takes cannot be referred to the first one.",
+    remedy="Excite the same lines in all takes and state `reference = true` for one channel with a strong signal.",
+)
+REFERENCE_DRIFT = DeclaredNotice(
+    "SC-454",
+    "note",
+    "Reference {reference} differs from the first take by {drift_percent:+.2g} % at {frequency_hz:.6g} Hz.",
+    effect="The level is corrected; U includes the drift.",
+)
+LARGE_REFERENCE_DRIFT = DeclaredNotice(
+    "SC-455",
+    "warning",
+    "Reference {reference} differs from the first take by {drift_percent:+.2g} % at {frequency_hz:.6g} Hz.",
+    effect="The level is corrected; U includes the drift.",
+    remedy="Check whether the excitation or the reference changed between takes.",
+)
+TAKE_FREQUENCY_DIFFERS = DeclaredNotice(
+    "SC-456",
+    "warning",
+    "The driven frequency is {frequency_hz:.7g} Hz, in the first take {first_hz:.6g} Hz.",
+    effect="U includes the relative difference.",
+    remedy="Use the same frequency in all takes.",
+)
+TAKES_SCATTER = DeclaredNotice(
+    "SC-457",
+    "warning",
+    "Readings of takes differ by {spread_percent:.2g} % at {frequency_hz:.6g} Hz (standard deviation beyond noise and "
+    "drift).",
+    effect="U includes the scatter.",
+    remedy="Check for changes between takes.",
+)

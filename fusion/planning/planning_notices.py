@@ -1,0 +1,122 @@
+"""Errors of `shakercal plan`, `lines`, `init`, `validate` and `view`."""
+
+from shakercal._common.notices import DeclaredNotice
+
+RATE_STEP = DeclaredNotice(
+    "SC-800",
+    "error",
+    "expected {expected}, found {found}",
+    effect="No multiple of the step is within the limits of the camera rate.",
+    remedy="Use a smaller `--rate-step`.",
+    link="planning.md#reading-the-table",
+)
+TOO_MANY_LISTED_LINES = DeclaredNotice(
+    "SC-801",
+    "error",
+    "expected {expected}, found {found}",
+    effect="The plan would need too much time and memory.",
+    remedy="Plan fewer frequencies, harmonics or frames.",
+    link="planning.md#reading-the-table",
+)
+TOO_FEW_FRAMES = DeclaredNotice(
+    "SC-802",
+    "error",
+    "expected {expected}, found {found}",
+    effect="The frames do not determine all lines.",
+    remedy="Use more `--frames` or fewer `--harmonics`.",
+    link="planning.md#reading-the-table",
+)
+RATE_LIMITS = DeclaredNotice(
+    "SC-803",
+    "error",
+    "expected {expected}, found {found}",
+    effect="No camera rate satisfies both options.",
+    link="planning.md",
+)
+NOISE_UNSTATED = DeclaredNotice(
+    "SC-805",
+    "error",
+    "expected {expected}, found {found}",
+    effect="A relative uncertainty requires the noise of one frame.",
+    remedy="State it by `--noise`.",
+    link="planning.md#what-the-figures-are-worth",
+)
+NO_SIGNAL = DeclaredNotice(
+    "SC-806",
+    "error",
+    "expected {expected}, found {found}",
+    remedy="Use a file with channels that record the excitation.",
+    link="signals.md",
+)
+NOT_FINITE = DeclaredNotice(
+    "SC-807",
+    "error",
+    "expected {expected}, found {found}",
+    effect="The spectrum of such a channel is undefined.",
+    remedy="Select other channels by `--channel`.",
+    link="signals.md",
+)
+NO_RECORDED_FILES = DeclaredNotice(
+    "SC-808",
+    "error",
+    "expected {expected}, found {found}",
+    remedy="Name the folder of a recording, or of a campaign.",
+    link="drafting.md",
+)
+MANIFEST_EXISTS = DeclaredNotice(
+    "SC-809",
+    "error",
+    "expected {expected}, found {found}",
+    effect="Nothing remains to draft.",
+    link="drafting.md",
+)
+FILE_EXISTS = DeclaredNotice(
+    "SC-810",
+    "error",
+    "expected {expected}, found {found}",
+    effect="`shakercal init` never replaces a file.",
+    remedy="Rename or remove the file.",
+    link="drafting.md",
+)
+UNSUITABLE_FOLDER = DeclaredNotice(
+    "SC-811",
+    "error",
+    "expected {expected}, found {found}",
+    remedy="Name an existing folder that can be read.",
+    link="drafting.md",
+)
+UNSUITABLE_TEMPLATE = DeclaredNotice(
+    "SC-812",
+    "error",
+    "expected {expected}, found {found}",
+    effect="`--from` copies the rig and the channels of one recording without takes.",
+    link="drafting.md",
+)
+VALIDATION_OUTPUT = DeclaredNotice(
+    "SC-813",
+    "error",
+    "expected {expected}, found {found}",
+    remedy="Choose another folder, or replace the files by `--force`.",
+    link="validation.md",
+)
+RESULTS_WITHOUT_RECORDING = DeclaredNotice(
+    "SC-814",
+    "error",
+    "expected {expected}, found {found}",
+    remedy="Name the recording by `--recording`.",
+    link="view.md",
+)
+PORT_IN_USE = DeclaredNotice(
+    "SC-815",
+    "error",
+    "expected {expected}, found {found}",
+    remedy="Choose another `--port`, or 0 for any free one.",
+    link="view.md",
+)
+BOKEH_MISSING = DeclaredNotice(
+    "SC-816",
+    "error",
+    "The package bokeh, which draws the curves of the page, is not installed.",
+    remedy="Install it by `pip install bokeh`.",
+    link="view.md",
+)

@@ -1,0 +1,178 @@
+"""Errors of results, reports and files: writing, and reading of earlier results."""
+
+from __future__ import annotations
+
+from shakercal._common.notices import DeclaredNotice
+
+# Writing.
+
+
+NOT_WRITTEN = DeclaredNotice(
+    "SC-550",
+    "error",
+    "could not be written: {reason}",
+    effect="Files that were there before are unchanged.",
+    remedy="Check free space and permissions; close the file in other programs.",
+    link="results.md#whole-or-not-at-all-and-resumed",
+)
+PATH_TOO_LONG = DeclaredNotice(
+    "SC-551",
+    "error",
+    "could not be written: {reason}; its path of {characters} characters may be too long for the system",
+    effect="Files that were there before are unchanged.",
+    remedy="Use a shorter output folder, or enable long paths.",
+    link="windows.md",
+)
+LOCKED = DeclaredNotice(
+    "SC-552",
+    "error",
+    "another run is writing to this place",
+    effect="This run ended before it wrote anything.",
+    remedy="Start this run again when the other one has ended.",
+    link="results.md#whole-or-not-at-all-and-resumed",
+)
+NO_BOKEH = DeclaredNotice(
+    "SC-553",
+    "error",
+    "the package bokeh, which draws the figures of the page, is not installed",
+    effect="No page is written.",
+    remedy="Run `pip install bokeh`.",
+)
+
+# Input files that are hashed.
+
+
+CHANGED_INPUT = DeclaredNotice(
+    "SC-555",
+    "error",
+    "the file {change} while it was read",
+    effect="No results were written.",
+    remedy="Start again when no other program writes to it.",
+    link="results.md#whole-or-not-at-all-and-resumed",
+)
+UNREADABLE_INPUT = DeclaredNotice(
+    "SC-556",
+    "error",
+    "expected a readable file, found {reason}",
+    effect="No results were written.",
+    remedy="Check the path and the permissions.",
+)
+HASHING_ENDED = DeclaredNotice(
+    "SC-557",
+    "error",
+    "the run ended before all input files were read",
+    effect="No results were written.",
+    remedy="Start the run again.",
+)
+
+# Folders for results.
+
+
+PLACE_TAKEN = DeclaredNotice(
+    "SC-560",
+    "error",
+    "expected a folder for the results, found a file",
+    effect="No file was written.",
+    remedy="Choose another output folder.",
+    link="results.md",
+)
+PLACE_NOT_WRITABLE = DeclaredNotice(
+    "SC-561",
+    "error",
+    "expected a place for a folder with the results, found {found} at {above}",
+    effect="No file was written.",
+    remedy="Choose another output folder, or change the permissions.",
+    link="results.md",
+)
+OTHER_CONTENT = DeclaredNotice(
+    "SC-562",
+    "error",
+    "expected an empty folder for the results, found {found}",
+    effect="No file was written.",
+    remedy="Choose another output folder, or use `--force`, which replaces only result files.",
+    link="results.md#whole-or-not-at-all-and-resumed",
+)
+RESERVED_NAME = DeclaredNotice(
+    "SC-563",
+    "error",
+    "expected this file of the whole campaign, found a recording of the same name",
+    effect="No file was written.",
+    remedy="Rename the folder of the recording.",
+    link="results.md#what-a-campaign-leaves",
+)
+OTHER_CAMPAIGN_CONTENT = DeclaredNotice(
+    "SC-564",
+    "error",
+    "expected results of this campaign only, found other files, for example {found}",
+    effect="No file was written.",
+    remedy="Choose another output folder, or use `--force`, which replaces only result files.",
+    link="results.md#what-a-campaign-leaves",
+)
+
+# Results that are read again.
+
+
+DAMAGED_RESULTS = DeclaredNotice(
+    "SC-570",
+    "error",
+    "expected results of an earlier run, found damaged ones ({reason})",
+    effect="They are not used.",
+    remedy="Evaluate again with `--force`.",
+    link="results.md#resulth5",
+)
+RESULTS_TOO_LARGE = DeclaredNotice(
+    "SC-571",
+    "error",
+    "expected results of an earlier run, found more data than the memory can take",
+    effect="They are not used.",
+    remedy="Use a machine with more memory, or evaluate again with `--force`.",
+    link="results.md#resulth5",
+)
+OTHER_STRUCTURE = DeclaredNotice(
+    "SC-572",
+    "error",
+    "expected results of an earlier run, found a file with other groups and numbers",
+    effect="They are not used.",
+    remedy="Check the path, or evaluate again with `--force`.",
+    link="results.md#resulth5",
+)
+OTHER_FORMAT = DeclaredNotice(
+    "SC-573",
+    "error",
+    "expected results of format {expected}, found {found}",
+    effect="They are not used.",
+    remedy="Evaluate again with `--force`.",
+    link="results.md#resulth5",
+)
+INCOMPLETE_RESULTS = DeclaredNotice(
+    "SC-574",
+    "error",
+    "the results are incomplete ({reason})",
+    effect="They are not used.",
+    remedy="Evaluate again with `--force`.",
+    link="results.md#resulth5",
+)
+NO_RESULTS = DeclaredNotice(
+    "SC-575",
+    "error",
+    "expected a folder with {expected}, found none of these",
+    effect="No file was read.",
+    remedy="Check the path, or evaluate the recording first.",
+    link="results.md",
+)
+UNREADABLE_TABLE = DeclaredNotice(
+    "SC-576",
+    "error",
+    "expected a table of results, found {reason}",
+    effect="The table is not used.",
+    remedy="Evaluate again with `--force`.",
+    link="results.md",
+)
+NO_SENSITIVITY_TO_EXPORT = DeclaredNotice(
+    "SC-577",
+    "error",
+    "expected results with a sensitivity, found none",
+    effect="No universal file is written.",
+    remedy="Evaluate a recording with outputs and a load.",
+    link="results.md#universal-files",
+)

@@ -1,0 +1,245 @@
+"""Notices and errors of the stage from acceleration to load and sensitivity."""
+
+from shakercal._common.notices import DeclaredNotice
+
+# Influences that are not assessed: notes with their possible size.
+
+TEMPERATURE_NOT_ASSESSED = DeclaredNotice(
+    "SC-468",
+    "note",
+    "The temperature of the sensor: {missing} not stated.",
+    remedy="State both in rig.toml.",
+    possible_size="{share:.2%} of the sensitivity, for {deviation_k:g} K and {coefficient_per_k:g}/K",
+)
+CABLES_NOT_ASSESSED = DeclaredNotice(
+    "SC-469",
+    "note",
+    "Cables and hoses on the load: `load.cable_stiffness` is not stated.",
+    remedy="State it in rig.toml; zero if no cable pulls on the load.",
+    possible_size="{share:.2%} of the force at {frequency_hz:.6g} Hz, for {stiffness_npm:g} N/m",
+)
+BASE_STRAIN_NOT_ASSESSED = DeclaredNotice(
+    "SC-470",
+    "note",
+    "Strain of the sensor's foot by bending of its support: {missing} not stated.",
+    remedy="State both in rig.toml.",
+    possible_size="not known",
+)
+SUPPORT_MOTION_NOT_ASSESSED = DeclaredNotice(
+    "SC-471",
+    "note",
+    "Motion of the supports of lasers and cameras: `environment.support_motion` is not stated.",
+    remedy="Measure it with a reference at rest, or state its limit.",
+    possible_size="as large, relative, as it is to the measured motion; {detectable}",
+)
+REPEATABILITY_NOT_ASSESSED = DeclaredNotice(
+    "SC-472",
+    "note",
+    "Repeatability and the effect of a new mounting: this is a single recording.",
+    remedy="Evaluate it in a campaign with repeated recordings and mountings.",
+    possible_size="not known",
+)
+OTHER_LOADS_NOT_ASSESSED = DeclaredNotice(
+    "SC-473",
+    "note",
+    "The part of other loads in the ratio of output and {component}: the recording does not show the 6 x 6 matrix.",
+    remedy="State `sensor.static_sensitivity` with cross-talk, or `sensor.cross_talk`.",
+    possible_size="the cross-talk of the sensor times {loads}",
+)
+CROSS_TALK_BOUND = DeclaredNotice(
+    "SC-474",
+    "note",
+    "The {element} is not corrected for other loads.",
+    effect="U includes a cross-talk within ± {cross_talk:.2%} of the rated output at every rated load.",
+    remedy="State `sensor.static_sensitivity` with its cross-talk to correct it.",
+)
+
+# The result.
+
+NO_RESULT_AT_LINES = DeclaredNotice(
+    "SC-475",
+    "warning",
+    "No {quantity} at {frequencies} Hz ({lost} of {driven} driven lines): {reason}.",
+    effect="The command ends with exit status 1.",
+    remedy="Correct the manifest, or add an instrument.",
+    acknowledgeable=False,
+)
+DIRECTION_DOUBTED = DeclaredNotice(
+    "SC-476",
+    "warning",
+    "{component} of the {body} moves by {across:.3g} {unit} at {frequency_hz:.6g} Hz, but only by {along:.3g} m/s² "
+    "along `excitation.direction`.",
+    effect="The result may refer to the wrong component.",
+    remedy="Check which axis is driven.",
+)
+ELEMENT_CHANGED = DeclaredNotice(
+    "SC-477",
+    "warning",
+    "The {element} is {factor:.3g} times its static value at {frequency_hz:.6g} Hz, turned by {angle_rad:.3g} rad.",
+    effect="Other elements may have changed equally, which U includes.",
+    remedy="Check units and signs of the static matrix.",
+)
+OUTPUT_CONTRADICTS = DeclaredNotice(
+    "SC-478",
+    "warning",
+    "Outputs contradict the static sensitivity at {frequency_hz:.6g} Hz: {outputs}.",
+    effect="The sensitivity is probably wrong by these factors.",
+    remedy="Check {checks}.",
+)
+MASS_DOUBTED = DeclaredNotice(
+    "SC-479",
+    "warning",
+    "The {element} is {factor:.3g} times its static value at {frequency_hz:.6g} Hz, {resonance}.",
+    effect="A mass may be wrong or missing.",
+    remedy="Check `load.mass`, all parts that move with the load, `sensor.internal_mass`, and the chain of the output.",
+)
+OUTPUT_OPPOSES_LOAD = DeclaredNotice(
+    "SC-480",
+    "warning",
+    "Output {output} opposes the load (phase {phase_rad:.3g} rad), and `sensor.static_sensitivity` states no sign.",
+    effect="The sign of the sensitivity may be wrong.",
+    remedy="Check directions, `sensor.sense` and the wiring.",
+)
+OUTPUT_LAGS = DeclaredNotice(
+    "SC-481",
+    "note",
+    "Output {output} lags the load by {lag_mrad:.3g} mrad at {frequency_hz:.6g} Hz ({lag_us:.3g} µs).",
+    effect="No delay or response of its measuring chain is stated, so the phase of the sensitivity includes it.",
+    remedy="State `delay` or `response` if the amplifier has one.",
+)
+OUTPUT_LEADS_LOAD = DeclaredNotice(
+    "SC-482",
+    "warning",
+    "Output {output} {direction} the load by {lag_mrad:.3g} mrad at {frequency_hz:.6g} Hz ({lag_us:.3g} µs).",
+    effect="No delay or response of its measuring chain is stated, and a chain hardly causes such a phase.",
+    remedy="Check the clocks, the mass of the load and the measuring chain.",
+)
+
+# The load.
+
+LOAD_UNSTATED = DeclaredNotice(
+    "SC-483",
+    "error",
+    "expected {expected}, found {found}",
+    effect="Without a mass the acceleration gives no load.",
+    remedy="State [load] in rig.toml.",
+)
+POSITION_UNSTATED = DeclaredNotice(
+    "SC-484",
+    "error",
+    "The load is elastic, but the position of {instrument} on it is not stated ({key}).",
+    effect="Its motion relative to the foot of the load is not known.",
+    remedy="State the position.",
+)
+UNOBSERVED_MOTION_LARGE = DeclaredNotice(
+    "SC-485",
+    "warning",
+    "No instrument measures {components} at some lines; this contributes {u_percent:.2g} % to u of {load} at "
+    "{frequency_hz:.6g} Hz, {share:.0%} of its variance.",
+    effect="Amplitudes up to {limits} are assumed{driven}.",
+    remedy="Measure these components, or state the limits in [shaker].",
+)
+UNOBSERVED_MOTION_ASSUMED = DeclaredNotice(
+    "SC-486",
+    "note",
+    "No instrument measures {components} at some lines; this contributes {u_percent:.2g} % to u of {load} at "
+    "{frequency_hz:.6g} Hz, {share:.0%} of its variance.",
+    effect="Amplitudes up to {limits} are assumed{driven}.",
+    remedy="Measure these components, or state the limits in [shaker].",
+)
+LOAD_UNDETERMINED = DeclaredNotice(
+    "SC-487",
+    "note",
+    "{components} have no value.",
+    effect="Components of the motion that no instrument measures may dominate them.",
+    remedy="Add measuring points or directions.",
+)
+ELASTIC_CORRECTED = DeclaredNotice(
+    "SC-488",
+    "note",
+    "{parts} changes {load} at {frequency_hz:.6g} Hz by {change_percent:+.2g} % from that of a rigid body.",
+    effect="The result is corrected for it; accelerations of the load are those of its foot.",
+)
+ELASTIC_ONLY_NAMED = DeclaredNotice(
+    "SC-489",
+    "note",
+    "The {part} ({frequency_hz:.6g} Hz) is stated without any uncertainty.",
+    effect="The result is not corrected for it; U includes the whole effect.",
+    remedy="State an uncertainty to correct the result.",
+)
+DRAWING_TOO_HEAVY = DeclaredNotice(
+    "SC-490",
+    "warning",
+    "The elastic {part} weighs {mass_kg:.4g} kg by its drawing, all moving parts {total_kg:.4g} kg.",
+    effect="The modes of this part are probably wrong.",
+    remedy="Check its dimensions and density, and `load.mass`.",
+)
+NEAR_RESONANCE = DeclaredNotice(
+    "SC-491",
+    "warning",
+    "{frequency_hz:.6g} Hz is near the natural frequency {natural_hz:.6g} Hz of the elastic {part}.",
+    effect="The damping determines the result there, and U by first order may be too small.",
+    remedy="Use the Monte Carlo method, or another frequency.",
+)
+LOAD_MAY_DEFORM = DeclaredNotice(
+    "SC-492",
+    "warning",
+    "The load may not be rigid at {frequency_hz:.6g} Hz: a solid of its size resonates near {natural_hz:g} Hz.",
+    effect="This changes {load} by about {change:.1%}, which is neither corrected nor included in U.",
+    remedy="State [[load.elastic]], or `load.first_frequency` to bound the effect.",
+)
+MODES_CONTRADICT = DeclaredNotice(
+    "SC-493",
+    "warning",
+    "The elastic {part} of the load does not move at {frequency_hz:.6g} Hz as its stated frequencies and damping "
+    "predict.",
+    effect="The motion measured by stereo pair {pair} is used instead.",
+    remedy="Check [[load.elastic]] and the mounting of the load.",
+)
+
+# Motion of supports.
+
+SUPPORT_EXCEEDS_LIMIT = DeclaredNotice(
+    "SC-494",
+    "warning",
+    "It moves at {frequency_hz:.6g} Hz by more than `environment.support_motion`, {limit:g} of the measured motion.",
+    effect="Its motion is determined by its reference alone.",
+    remedy="Correct `environment.support_motion`, or improve the support.",
+)
+SUPPORT_CORRECTED = DeclaredNotice(
+    "SC-495",
+    "note",
+    "It moves with the excitation along {axis} by ({share} ± {expanded}) % of the measured motion at "
+    "{frequency_hz:.6g} Hz (k = 2, by {references}).",
+    effect="The readings are corrected for it.",
+)
+SUPPORT_UNCERTAIN = DeclaredNotice(
+    "SC-496",
+    "note",
+    "The uncertainty of its motion is {u_relative:.2g} of the measured motion at {frequency_hz:.6g} Hz (by "
+    "{references}).",
+    effect="U includes it.",
+    remedy="Use a larger or nearer reference, or more frames.",
+)
+
+# Monte Carlo.
+
+FIRST_ORDER_TOO_SMALL = DeclaredNotice(
+    "SC-497",
+    "warning",
+    "First-order U is smaller than that of {draws} Monte Carlo draws: {quantities}.",
+    effect="The intervals and regions of the Monte Carlo method are valid there.",
+    remedy="Use the Monte Carlo results.",
+)
+FIRST_ORDER_TOO_LARGE = DeclaredNotice(
+    "SC-498",
+    "note",
+    "First-order U is larger than that of {draws} Monte Carlo draws: {quantities}.",
+    effect="The first-order results remain valid and are conservative.",
+)
+DRAWS_NOT_CONVERGED = DeclaredNotice(
+    "SC-499",
+    "error",
+    "The Monte Carlo estimate did not converge: positions or directions are too uncertain.",
+    remedy="Reduce their stated uncertainties.",
+)

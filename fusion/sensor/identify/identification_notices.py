@@ -1,0 +1,170 @@
+"""Notices and errors of identifications from frequency responses (`shakercal identify`)."""
+
+from shakercal._common.notices import DeclaredNotice
+
+NO_TRANSFER_RECORDING = DeclaredNotice(
+    "SC-640",
+    "error",
+    "expected a recording of the kind {expected}, found only {found}",
+    effect="Without a transfer function, stiffness and damping cannot be determined.",
+    remedy="Add a recording with broadband excitation.",
+    link="identify.md",
+)
+DIFFERENT_SENSOR = DeclaredNotice(
+    "SC-641",
+    "error",
+    'expected "{expected}", the sensor of {file}, found "{found}"',
+    effect="Recordings of different sensors cannot be evaluated together.",
+    remedy="Select recordings of one sensor, or correct its name or serial number.",
+    link="identify.md",
+)
+OUTDATED_SINE_RESULTS = DeclaredNotice(
+    "SC-642",
+    "error",
+    "expected the results of these input files, found results of other input files",
+    remedy="Run `shakercal run` on this recording again.",
+    link="identify.md",
+)
+MISSING_MOTION_CHANNEL = DeclaredNotice(
+    "SC-643",
+    "error",
+    'expected a {expected} with body = "{body}", found {found}',
+    effect="The motion of the load over that of the base cannot be determined.",
+    remedy="Name such a channel, and state its `body`.",
+    link="identify.md",
+)
+REFERENCE_ACROSS_DRIVE = DeclaredNotice(
+    "SC-644",
+    "error",
+    'expected a motion along the excitation, found "{found}", which measures perpendicular to excitation.direction',
+    remedy="Select another reference, or correct its direction.",
+    link="identify.md",
+)
+MISSING_IDENTIFICATION_ENTRY = DeclaredNotice(
+    "SC-645",
+    "error",
+    "expected {expected}, found none",
+    effect="The model of the sensor depends on it.",
+    remedy="Add it to the file.",
+    link="identify.md",
+)
+BAND_WITHOUT_LINES = DeclaredNotice(
+    "SC-646",
+    "error",
+    "expected a --band with lines between {first_hz:.6g} and {last_hz:.6g} Hz, found {low_hz:g} to {high_hz:g} Hz",
+    remedy="Select another band.",
+    link="identify.md",
+)
+PITCHING_NOT_DRIVEN = DeclaredNotice(
+    "SC-647",
+    "error",
+    "expected a drive along or about x or y for --model pitching, found {found}",
+    effect="Other drives do not couple translation and rotation of the load.",
+    remedy="Select another model.",
+    link="identify.md",
+)
+EQUAL_LOAD_MASSES = DeclaredNotice(
+    "SC-648",
+    "error",
+    "expected load masses that differ, found {load:.6g} {unit} in each of {count} recordings",
+    effect="With one load mass, the internal mass and the stiffness cannot be separated.",
+    remedy="Add a recording with another load mass, or use `--internal-mass stated`.",
+    link="identify.md",
+)
+NO_MODEL_FITTED = DeclaredNotice(
+    "SC-649",
+    "error",
+    "no model was fitted to {recordings} ({reason})",
+    effect="Stiffness and damping are not determined.",
+    remedy="Select the lines of one resonance with `--band`.",
+    link="identify.md",
+)
+STIFFNESS_NOT_DETERMINED = DeclaredNotice(
+    "SC-650",
+    "error",
+    "the recordings do not determine stiffness, damping or internal mass of {component}",
+    remedy="Add a recording with another load mass, or use `--internal-mass stated`.",
+    link="identify.md",
+)
+SINES_NOT_EVALUATED = DeclaredNotice(
+    "SC-651",
+    "note",
+    "Recordings of sines without results of `shakercal run`: {count}.",
+    effect="Their sensitivity is not used.",
+    remedy="Run `shakercal run` on them first.",
+    link="identify.md",
+)
+REFERENCES_NOT_USED = DeclaredNotice(
+    "SC-652",
+    "note",
+    "Of several references {used} is used, and {unused} is not used.",
+    link="identify.md",
+)
+ELASTIC_LOAD = DeclaredNotice(
+    "SC-653",
+    "note",
+    "The load is not rigid; stated are {stated}.",
+    effect="The joint model includes them. Readings of single curves treat the load as rigid.",
+    link="identify.md",
+)
+SECOND_PEAK_NOT_EXPLAINED = DeclaredNotice(
+    "SC-654",
+    "warning",
+    "The model of one translation does not explain the second peak.",
+    effect="Stiffness, damping and internal mass may be wrong.",
+    remedy="Use `--model adapter` or `--model pitching`, or select one resonance with `--band`.",
+    link="identify.md",
+)
+PEAK_NOT_READ = DeclaredNotice(
+    "SC-655",
+    "note",
+    "No peak was read from the curve ({reason}).",
+    effect="The table of readings has no row of this curve; the joint fit uses it.",
+    link="identify.md",
+)
+NO_BAND_OF_PITCHING_LOAD = DeclaredNotice(
+    "SC-656",
+    "note",
+    "No usable band is reported for a load that pitches.",
+    effect="Its band depends on the point at which the force acts, and not only on its mass.",
+    link="identify.md",
+)
+SENSITIVITY_EXPLANATION = DeclaredNotice(
+    "SC-657",
+    "note",
+    "{explanation}",
+    effect="The model of the sensor uses the supported explanation.",
+    link="identify.md",
+)
+DAMPING_AGREES = DeclaredNotice(
+    "SC-658",
+    "note",
+    "Sensitivity and resonance agree on b/k: {needed_us:.3g} µs and {resonance_us:.3g} µs, normalised deviation "
+    "{deviation:.1f}.",
+    effect="The damper of the sensor explains the sensitivity over frequency without a lag of the measuring chain.",
+    link="identify.md",
+)
+DAMPING_CONTRADICTED = DeclaredNotice(
+    "SC-659",
+    "warning",
+    "Sensitivity and resonance contradict each other on b/k: {needed_us:.3g} µs and {resonance_us:.3g} µs, normalised "
+    "deviation {deviation:.1f}.",
+    effect="The damper of the sensor alone does not explain the sensitivity over frequency.",
+    remedy="Check the measuring chain for a lag, a filter or a delay that is not stated.",
+    link="identify.md",
+)
+SENSITIVITY_NOT_EXPLAINED = DeclaredNotice(
+    "SC-660",
+    "warning",
+    "The sensitivity of {channel} over frequency was not explained ({reason}).",
+    effect="The model has no measuring chain, and the static sensitivity of rig.toml or one output per force.",
+    link="identify.md",
+)
+SENSITIVITY_NOT_MEASURED = DeclaredNotice(
+    "SC-661",
+    "note",
+    "No sensitivity over frequency was evaluated for {component}.",
+    effect="The model has {sensitivity} and no measuring chain.",
+    remedy="Run `shakercal run` on sines of at least {fewest} frequencies.",
+    link="identify.md",
+)

@@ -1,0 +1,160 @@
+"""Notices and errors of rotation tests (`shakercal rotate`)."""
+
+from shakercal._common.notices import DeclaredNotice
+
+GRAVITY_NOT_DETERMINED = DeclaredNotice(
+    "SC-620",
+    "error",
+    "expected local gravity, or latitude and height, found none",
+    effect="Weights cannot be converted into masses.",
+    remedy="State `gravity`, or `latitude` and `height`, in `[environment]` of rig.toml.",
+    link="rotation.md",
+)
+DIFFERENT_ROTATION_CHANNELS = DeclaredNotice(
+    "SC-621",
+    "error",
+    "expected {expected}, the channels of {recording}, found {found}",
+    effect="Recordings are evaluated together only if they have the same channels in the same units.",
+    remedy="Export the same columns for every recording.",
+    link="rotation.md",
+)
+MISSING_ROTATION_ENTRY = DeclaredNotice(
+    "SC-622",
+    "error",
+    "expected {expected}, found none",
+    remedy="Add it to the file.",
+    link="rotation.md",
+)
+WRONG_ROTATION_TABLE = DeclaredNotice(
+    "SC-623",
+    "error",
+    "expected {expected}, found {found}",
+    effect="The readings cannot be assigned to angles and channels.",
+    remedy="Correct the table, or the key that describes it.",
+    link="rotation.md",
+)
+CONSTANT_CHANNELS = DeclaredNotice(
+    "SC-624",
+    "warning",
+    "All readings of {channels} are equal.",
+    effect="These channels are left out.",
+    remedy="Check the connection and the range of these channels.",
+    link="rotation.md",
+)
+MISSING_CHANNEL_COLUMNS = DeclaredNotice(
+    "SC-625",
+    "note",
+    "{file} has no column of {channels}.",
+    effect="These channels are not used.",
+    link="rotation.md",
+)
+GRAVITY_FROM_LOCATION = DeclaredNotice(
+    "SC-626",
+    "note",
+    "Local gravity is not stated; {gravity_mps2:.6g} m/s² is used with U = {expanded_mps2:.2g} m/s² (k = 2), {source}.",
+    remedy="State `gravity` in `[environment]` of rig.toml if it was measured.",
+    link="rotation.md",
+)
+GRAVITY_EXACT = DeclaredNotice(
+    "SC-627",
+    "note",
+    "Gravity is treated as exact because gravity_uncertainty is not stated.",
+    remedy="State `gravity_uncertainty` in `[environment]` of rig.toml.",
+    link="rotation.md",
+)
+MATRIX_UNCERTAINTY_NOT_STATED = DeclaredNotice(
+    "SC-628",
+    "warning",
+    "No uncertainty of the calibration matrix is stated.",
+    effect="U includes the scatter of the readings, but not the scale of the sensor.",
+    remedy="State `static_sensitivity_uncertainty` of the sensor in rig.toml.",
+    link="rotation.md",
+)
+BODY_DENSITY_NOT_STATED = DeclaredNotice(
+    "SC-629",
+    "note",
+    "The density of {body} is not stated.",
+    effect="Its buoyancy is that of a material between aluminium and steel, and U includes this range.",
+    remedy="State `density`.",
+    link="rotation.md",
+)
+NO_LOADED_RECORDING = DeclaredNotice(
+    "SC-630",
+    "note",
+    "There is no recording with load.",
+    effect="Only the internal mass is determined.",
+    link="rotation.md",
+)
+NO_UNLOADED_RECORDING = DeclaredNotice(
+    "SC-631",
+    "note",
+    "There is no recording without load.",
+    effect="The internal mass is the measured mass less the weighed mass of the load.",
+    remedy="Record one rotation without load to determine both masses independently.",
+    link="rotation.md",
+)
+TOTAL_WEIGHT_ONLY = DeclaredNotice(
+    "SC-632",
+    "warning",
+    "There is neither a recording without load nor a weighed load.",
+    effect="Only weights are reported, each of load and internal mass together.",
+    remedy="Record one rotation without load, or state `[load]` in rig.toml.",
+    link="rotation.md",
+)
+LOAD_NOT_WEIGHED = DeclaredNotice(
+    "SC-633",
+    "note",
+    "rig.toml has no [load], so the load mass is not compared with a weighed mass.",
+    remedy="State `[load]` in rig.toml.",
+    link="rotation.md",
+)
+SINGLE_MOUNTING = DeclaredNotice(
+    "SC-634",
+    "note",
+    "All {count} recordings {state} are of one mounting.",
+    effect="U does not include the scatter between mountings.",
+    remedy="Record after mounting again.",
+    link="rotation.md",
+    possible_size="not known",
+)
+GRAVITY_REVERSED = DeclaredNotice(
+    "SC-635",
+    "warning",
+    "Gravity at angle 0 deviates by {offset_deg:.1f}° from its stated direction.",
+    effect="Masses and centres of mass do not depend on it.",
+    remedy="Check `sense` of the sensor and `zero_gravity`: one of them may have the wrong sign.",
+    link="rotation.md",
+)
+GRAVITY_OFFSET = DeclaredNotice(
+    "SC-636",
+    "note",
+    "Gravity at angle 0 deviates by {offset_deg:.1f}° from its stated direction.",
+    effect="The deviation is estimated and corrected.",
+    link="rotation.md",
+)
+AXIS_TILT = DeclaredNotice(
+    "SC-637",
+    "note",
+    "The force along the axis varies with the angle as if the axis were tilted by {tilt_deg:.2f}°.",
+    effect="The tilt is estimated and corrected; cross-talk of the sensor has the same effect.",
+    remedy="Check the stated axis.",
+    link="rotation.md",
+)
+WEIGHT_NOT_EXPLAINED = DeclaredNotice(
+    "SC-638",
+    "warning",
+    "A weight rotating about the axis does not explain all channels within noise and stated calibration.",
+    effect="Every first harmonic has an additional uncertainty of {departure_percent:.2g} % of the weight, which "
+    "covers the disagreement.",
+    remedy="Check the calibration matrix and the mounting.",
+    link="rotation.md",
+)
+LOAD_MASS_DEVIATES = DeclaredNotice(
+    "SC-639",
+    "warning",
+    "The load mass by {component} and the weighed mass differ by {ratio:.2f} times the U of their difference.",
+    effect="One of the two masses, or its uncertainty, is wrong.",
+    remedy="Weigh the load again, and check the calibration matrix.",
+    link="rotation.md",
+    acknowledgeable=False,
+)
