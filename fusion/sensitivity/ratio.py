@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike
 
 from fusion.estimation.coverage import Polar, coverage_factor, polar
 from fusion.estimation.instrument_consistency import OUTPUT_MISTAKES, likely_mistake
+from fusion.estimation.labelled_phasors import LabelledPhasors, TabularResult
 from fusion.estimation.measurement_model import BODY_SIZE_M
 from fusion.estimation.uncertainty import (
     Contribution,
@@ -31,8 +32,8 @@ from fusion.instruments.vibrometer import PARALLEL, PointRatios, PointSpread
 from fusion.sensitivity.load_phasors import BudgetEntry, LoadResult, budget
 from fusion.sensitivity.moving_body import Body
 from fusion.sensitivity.sensitivity_notices import MASS_DOUBTED, OUTPUT_CONTRADICTS
-from shaker.arrays import BoolArray, ComplexArray, FloatArray, brief, check_shape
-from shaker.labels import LOAD_COMPONENTS
+from shaker.arrays import BoolArray, ComplexArray, FloatArray, check_shape
+from shaker.labels import LOAD_COMPONENTS, sensitivity_unit
 from shakercal._common.notices import Notice, Value
 
 if TYPE_CHECKING:
@@ -44,8 +45,8 @@ if TYPE_CHECKING:
 Kind = Literal["ratio", "element", "matrix", "harmonic"]
 
 
-@dataclass(frozen=True)
-class Sensitivity:
+@dataclass(frozen=True, repr=False)
+class Sensitivity(TabularResult):
     """Complex sensitivities of C sensor outputs to six load components at K lines.
 
     Attributes
@@ -72,8 +73,6 @@ class Sensitivity:
     notices: tuple[Notice, ...]
     budget: tuple[BudgetEntry, ...] = field(init=False)
 
-    __repr__ = brief
-
     def __post_init__(self) -> None:
         lines, count = len(self.frequency_hz), len(self.elements)
         check_shape("value", self.value, (lines, len(self.channels), len(self.components)))
@@ -81,6 +80,16 @@ class Sensitivity:
             raise ValueError(f"kind: expected {lines} words, one per line, found {len(self.kind)}")
         check_shape("uncertainty", self.uncertainty.random[0].covariance, (lines, 2 * count, 2 * count))
         object.__setattr__(self, "budget", budget(self.uncertainty, self.value[:, *self._element_index()]))
+
+    def labelled(self) -> LabelledPhasors:
+        """Return the elements with their names and units."""
+        rows, columns = self._element_index()
+        channels, components = [self.channels[row] for row in rows], [self.components[column] for column in columns]
+        units = tuple(sensitivity_unit(self.unit, component) for component in components)
+        name = "element" if "element" in self.kind else "sensitivity"
+        labels = tuple(channels), tuple(components), units
+        value = self.value[:, rows, columns]
+        return LabelledPhasors(name, self.frequency_hz, value, *labels, self.uncertainty, self.kind)
 
     @property
     def observed(self) -> BoolArray:

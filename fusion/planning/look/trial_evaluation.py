@@ -17,9 +17,10 @@ from fusion.planning.look.causes import find_contradictions
 from fusion.planning.look.finding import Finding, refusal_findings
 from fusion.planning.look.look_notices import INDISTINCT_SENSITIVITY, OTHER_DIRECTION_DRIVEN
 from fusion.recording.load import Manifest
-from fusion.sensitivity.analyse import NO_RESULT, Evaluation
+from fusion.sensitivity.analyse import Evaluation
 from fusion.sensitivity.ratio import driven_component
 from fusion.sensitivity.recording_evaluation import evaluate_set_ups
+from fusion.sensitivity.sensitivity_notices import NO_RESULT_AT_LINES
 from photogram.arrays import spread_choice
 from photogram.images.sequence import ImageSequence
 from shaker.arrays import IntArray
@@ -89,7 +90,7 @@ def _of_evaluation(evaluation: Evaluation, set_ups: Sequence[MeasuredSetUp]) -> 
     found += _indistinct(evaluation)
     yield from found
     explained = {notice for acceleration in fused for notice in acceleration.notices} if found else set()
-    if any(notice.where == NO_RESULT for notice in evaluation.notices):
+    if any(notice.code == NO_RESULT_AT_LINES.code for notice in evaluation.notices):
         explained |= set(evaluation.sensitivity.notices if evaluation.sensitivity else ())
         explained |= set(evaluation.load.notices if evaluation.load else ())
     yield from notice_findings(notice for notice in evaluation.notices if notice not in explained)
@@ -106,7 +107,7 @@ def notice_findings(notices: Iterable[Notice]) -> Iterator[Finding]:
         if not notice.code:  # until every notice is declared
             doubted, assumed = "?" in notice.text, notice.text.startswith("nothing measures ")
             mistaken = notice.where == "sensitivity" and ("as if " in notice.text or "exchanged" in notice.text)
-        if mistaken or notice.where == NO_RESULT:
+        if mistaken or notice.code == NO_RESULT_AT_LINES.code:
             yield Finding("FIX MANIFEST", notice)
         elif (notice.severity == "warning" and not assumed) or (doubted and notice.where.endswith(".toml")):
             yield Finding("CHECK", notice)
