@@ -34,7 +34,7 @@ from shaker.sine.phasor import Phasors
 from shaker.sine.sine_fit import fit_sines
 from shaker.timebase.tie import ClockTie
 from shaker.timebase.trigger import TriggerFit
-from shakercal._common.notices import Notice
+from shakercal._common.notices import DeclaredNotice, Notice
 
 FREQUENCY_HZ = np.array([106.2503, 212.5006, 425.0012])
 ACCELERATION = np.array(
@@ -333,8 +333,8 @@ LINES = LineFrequencies(
     notices=(),
 )
 NOTICES = (
-    Notice("note", "edge 90 of 211 is missing; its frame keeps its place", "camera_trigger"),
-    Notice("warning", "318.75 Hz is left out: <u> above its limit & more", "top"),
+    Notice(DeclaredNotice("SC-998", "note", "edge 90 of 211 is missing; its frame keeps its place"), "camera_trigger"),
+    Notice(DeclaredNotice("SC-999", "warning", "318.75 Hz is left out: <u> above its limit & more"), "top"),
 )
 
 

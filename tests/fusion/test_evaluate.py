@@ -148,8 +148,7 @@ def test_speckle_finer_than_the_pixels_is_told_and_costs_certainty(tmp_path):
     """Sharp dots of 2 px: errors periodic in the pixel, up to thirteen times the noise, are noticed and in U."""
     recording = simulate(tmp_path / "campaign", "demo", 1, aliased=True) / "recording.toml"
     evaluation, truth = evaluated(recording), truth_of(recording.parent)
-    # The wording is that of the subsets' notice: speckle below the resolution of the camera.
-    assert sum("finer" in notice.text for notice in evaluation.notices) == 4
+    assert sum("speckle_px" in notice.values for notice in evaluation.notices) == 4
     assert np.sqrt(np.mean(_normalised(evaluation, truth, "photogrammetry") ** 2)) < 1.6
     fused = _normalised(evaluation, truth, "fused")
     assert np.sqrt(np.mean(fused**2)) < 1.3
@@ -353,9 +352,7 @@ def test_a_calibration_of_cameras_that_stood_otherwise_is_told(demo_recording, t
         return
     (notice,) = reported
     assert notice.severity == "warning"
-    about_x, about_z = (
-        float(notice.text.split(f" mrad about its {name}")[0].rpartition(" ")[2]) for name in ("x axis", "optical axis")
-    )
+    about_x, about_z = notice.values["about_x_mrad"], notice.values["about_z_mrad"]
     assert about_x == pytest.approx(-turn_mrad[0], abs=0.05)  # the file's camera is turned, the real one turns back
     assert about_z == pytest.approx(-turn_mrad[2], abs=0.05)
 
