@@ -57,7 +57,7 @@ def moving(
     frequency: np.ndarray = FREQUENCY,
     **uncertain: Any,
 ) -> Acceleration:
-    """The load's acceleration with a covariance (12, 12) at all lines; `uncertain`: `noise`, `influences`."""
+    """The load's acceleration with a covariance (12, 12); `uncertain`: `noise` by name, `influences`."""
     seen = np.broadcast_to(np.asarray(observed), value.shape)
     gone = ~np.tile(seen, (1, 2))
     spread = np.where(gone[:, :, None] | gone[:, None, :], np.nan, covariance)

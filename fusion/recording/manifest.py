@@ -200,22 +200,14 @@ class ChannelEntry(ManifestBlock):
                         expected, f'{why} with body = "{self.body}"', key="body", declared=CONTRADICTING_VALUES
                     )
             elif self.head is not None and transducer.kind != "vibrometer" and (aimed or self.head.stated.standoff):
-                raise refusal(
-                    f"a head without mirror and standoff for {why}",
-                    f'"{self.head.name}"',
-                    key="head",
-                    declared=UNKNOWN_NAME,
-                )
+                expected = f"a head without mirror and standoff for {why}"
+                raise refusal(expected, f'"{self.head.name}"', key="head", declared=UNKNOWN_NAME)
             refuse_missing(self, ("body",) if transducer.rotational else ("body", "point"), why)
             if not aimed:
                 refuse_missing(self, ("direction",), why)
             if self.head is not None and self.point is not None and self.point == self.head.stated.mirror:
-                raise refusal(
-                    f"another point than the mirror of head {self.head.name}",
-                    "the same",
-                    key="point",
-                    declared=CONTRADICTING_VALUES,
-                )
+                expected = f"another point than the mirror of head {self.head.name}"
+                raise refusal(expected, "the same", key="point", declared=CONTRADICTING_VALUES)
         if self.quantity == "output":
             refuse_missing(self, ("channel",), why)
         applicable = {*self.ANY, *self.TRIGGER}
@@ -228,23 +220,16 @@ class ChannelEntry(ManifestBlock):
         refuse_foreign(self, applicable, why)
         suffix = self.response.suffix.lower() if self.response is not None else ""
         if self.response_result is not None and suffix != ".xml":
-            raise refusal(
-                "no such key without a certificate as response",
-                f'"{self.response_result}"',
-                key="response_result",
-                declared=KEY_NOT_APPLICABLE,
-            )
+            expected = "no such key without a certificate as response"
+            found = f'"{self.response_result}"'
+            raise refusal(expected, found, key="response_result", declared=KEY_NOT_APPLICABLE)
         if self.response_columns is not None and suffix not in SUFFIXES:
             raise refusal(
                 "no such key without a table as response", "one", key="response_columns", declared=KEY_NOT_APPLICABLE
             )
         if self.delay_of is not None and not self.delay > 0.0 and (self.delay_of == "filter" or not self.delay):
-            raise refusal(
-                "a delay above 0 that this describes",
-                f"{self.delay:g}",
-                key="delay_of",
-                declared=CONTRADICTING_VALUES,
-            )
+            expected = "a delay above 0 that this describes"
+            raise refusal(expected, f"{self.delay:g}", key="delay_of", declared=CONTRADICTING_VALUES)
         if self.scale == 0.0:
             raise refusal("a number other than 0", "0", key="scale", declared=VALUE_OUT_OF_RANGE)
         return self
