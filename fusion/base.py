@@ -31,19 +31,19 @@ PROGRAM = "shakercal"
 
 
 def count_text(count: int, what: str) -> str:
-    """Return a number with what it counts, such as `1 recording` and `2 recordings`."""
+    """Return a number with its noun, such as `1 recording` and `2 recordings`."""
     return f"{count} {what}{'' if count == 1 else 's'}"
 
 
-# What a command reads and writes: files that stay what they were, places for new ones.
+# Files of a command: unchanged inputs, new outputs.
 
 
 FILE_TIME_RESOLUTION_S = 2.0
-"""Resolution of the times of files, the coarsest there is."""
+"""Coarsest resolution of file times (FAT)."""
 
 
 class FileIdentity(NamedTuple):
-    """What tells that a file is no longer what it was: its size and time of change, and where it lies."""
+    """Identity of an unchanged file: size, time of change, inode, device."""
 
     size: int
     mtime_ns: int
@@ -52,7 +52,7 @@ class FileIdentity(NamedTuple):
 
     @classmethod
     def of(cls, path: Path) -> FileIdentity | None:
-        """Return the identity of a file at this moment; None where there is none."""
+        """Return the identity of a file, None if there is no file."""
         try:
             found = path.stat()
         except OSError:
@@ -61,12 +61,15 @@ class FileIdentity(NamedTuple):
 
     @property
     def is_settled(self) -> bool:
-        """Whether the file was changed so long ago that a further change would show in its time."""
+        """Whether a further change of the file would change its time."""
         return self.mtime_ns * 1e-9 <= time.time() - FILE_TIME_RESOLUTION_S
 
 
 def natural_key(name: str) -> tuple[tuple[tuple[int, int | str], ...], str]:
-    """Sort key that orders runs of digits by value: `a2` before `a10`; ties by the text itself."""
+    """Return a sort key that orders runs of digits by value: `a2` before `a10`.
+
+    The text decides between equal keys.
+    """
     parts = re.split(r"([0-9]+)", name)
     return tuple((0, int(part)) if part.isdigit() else (1, part) for part in parts if part), name
 
@@ -81,7 +84,7 @@ def check_names(files: Iterable[Path]) -> None:
 
 
 def check_new_file(path: Path, *, force: bool) -> None:
-    """Raise `InputError` for a path that exists (a file: unless `force`) or that has no folder."""
+    """Raise `InputError` for an existing path (a file: unless `force`) or a missing folder."""
     from fusion.commands.command_notices import OUTPUT_EXISTS, OUTPUT_FOLDER_MISSING
 
     if path.exists() and not (force and path.is_file()):
@@ -92,17 +95,17 @@ def check_new_file(path: Path, *, force: bool) -> None:
         raise InputError(OUTPUT_FOLDER_MISSING, path, found=found, expected="a file in an existing folder")
 
 
-# What is undone when a signal ends the process: whoever begins something that must not be left registers its undoing.
+# Clean-up functions that run if a signal ends the process.
 
 
 _undo: list[Callable[[], object]] = []
-_uninterrupted: list[None] = []
+_deferring: list[None] = []
 _waiting: list[int] = []
 
 
 @contextmanager
 def cleanup_on_signal(undo: Callable[[], object]) -> Iterator[None]:
-    """Call a function at the end, or when a signal ends the process meanwhile; to call it twice does no harm."""
+    """Call a function at the end, or if a signal ends the process; it may be called twice."""
     _undo.append(undo)
     try:
         yield
@@ -113,25 +116,25 @@ def cleanup_on_signal(undo: Callable[[], object]) -> Iterator[None]:
 
 @contextmanager
 def defer_signals() -> Iterator[None]:
-    """Let no signal end the process within a few steps that belong together; it ends after them."""
-    _uninterrupted.append(None)
+    """Defer signals during a few inseparable steps."""
+    _deferring.append(None)
     try:
         yield
     finally:
-        _uninterrupted.pop()
-        if _waiting and not _uninterrupted:
+        _deferring.pop()
+        if _waiting and not _deferring:
             end_process(_waiting[0])
 
 
 def end_process(number: int) -> None:
-    """End the process as the signal of this number asks: all is undone, one line told, the status 128 + number.
+    """End the process after a signal: clean up, print one line, exit with 128 + number.
 
-    It ends at once and not by an exception, which compiled code, callbacks and libraries may swallow or wrap.
+    It exits immediately and without an exception, which compiled code, callbacks and libraries may catch or wrap.
     """
-    if _uninterrupted:
+    if _deferring:
         _waiting.append(number)
         return
-    logging.disable(logging.CRITICAL)  # threads that lose what they work with have nothing to tell any more
+    logging.disable(logging.CRITICAL)  # messages of threads that lose their data are useless
     for undo in reversed(_undo.copy()):
         with contextlib.suppress(Exception):
             undo()
@@ -141,12 +144,12 @@ def end_process(number: int) -> None:
     os._exit(128 + number)
 
 
-# What a user may choose about a run, beside the manifest.
+# Settings of a run in addition to the manifest.
 
 
 DEFAULT_SEED = 20180401
 FEWEST_DRAWS, MOST_DRAWS = 1000, 1_000_000
-"""Of a Monte Carlo run: 95 % intervals of fewer draws mean nothing, more do not fit into memory."""
+"""Of a Monte Carlo run: fewer draws give no 95 % intervals, more do not fit into memory."""
 ProgressCallback = Callable[[str, int, int], None]
 """Called as (stage, done, total) during long work."""
 
@@ -157,15 +160,20 @@ def no_progress(stage: str, done: int, total: int) -> None:
 
 @dataclass(frozen=True)
 class Settings:
-    """Choices that change results and therefore belong to a result's identity.
+    """Settings of an evaluation that change results and belong to their identity.
 
-    `subset_radius_px`: subsets are squares of 2·radius + 1 pixels, laid side by side so that their noise is
-    independent; None takes it from the speckle size found in the images. `spline_degree`: B-spline interpolation of
-    the images, 3, 5 or 7 (7 keeps the interpolation bias below the noise of a whole recording). `device`: where subsets
-    are tracked, "auto", "cpu" or "cuda"; the positions agree to 1e-6 px, so that it does not count in `as_dict`.
-    `monte_carlo`: draws that check the first-order uncertainties, 0 for none, from the streams of `seed`.
-    `save_points`: every point of every frame is written too.
+    Attributes ---------- subset_radius_px : subsets are adjacent squares of 2·radius + 1 pixels with independent noise;
+    4 to 100, None: from the speckle size in the images (default: None).
+    spline_degree : degree of the B-spline interpolation of images: 3, 5 or 7; 7 keeps the interpolation bias below the
+        noise of a whole recording (default: 7).
+    device : "auto", "cpu" or "cuda", for tracking; positions agree to 1e-6 px, so that it is not in `as_dict` (default:
+        "auto").
+    monte_carlo : number of draws that check the first-order uncertainties, 1000 to 1 000 000, 0 for none (default: 0).
+    seed : of the draws, 0 or more (default: 20180401).
+    save_points : write every point of every frame (default: False).
 
+    Examples
+    --------
     >>> from fusion import Settings
     >>> Settings(monte_carlo=1000, seed=1).as_dict()
     {'subset_radius_px': 'from speckle', 'spline_degree': 7, 'monte_carlo': 1000, 'seed': 1}
@@ -189,59 +197,62 @@ class Settings:
             raise ValueError(f"seed: expected 0 or more, found {self.seed}")
 
     def as_dict(self) -> dict[str, str | float | int]:
-        """Return the settings as plain values for the result files."""
+        """Return the settings as plain values for result files."""
         radius = "from speckle" if self.subset_radius_px is None else self.subset_radius_px
         drawn = {"monte_carlo": self.monte_carlo, "seed": self.seed} if self.monte_carlo else {}
         saved = {"save_points": "yes"} if self.save_points else {}
         return {"subset_radius_px": radius, "spline_degree": self.spline_degree, **drawn, **saved}
 
 
-# Those who compute tasks for a run: what a recording needs to know of them.
+# Executors of tasks for a run.
 
 
 class TaskResult(Protocol):
-    """What a task returned or raised, and what it logged."""
+    """Result, exception and log of a task."""
 
     def unwrap(self) -> Any:
-        """Return or raise what the task did."""
+        """Return the value of the task, or raise its exception."""
 
     def log(self, name: str) -> None:
-        """Log what the task logged, behind the name of what it was about."""
+        """Write the log of the task, with a name before each message."""
 
 
 class Pending(Protocol):
-    """The answer of a task that another process computes."""
+    """A result that another process computes."""
 
     def result(self) -> TaskResult:
-        """Return it, or raise why there is none."""
+        """Return the result, or raise the reason of its absence."""
 
     def add_done_callback(self, callback: Callable[[Any], object]) -> None:
-        """Have a function called as soon as there is an answer or none will be."""
+        """Call a function when the result is available or impossible."""
 
 
 class Executor(Protocol):
-    """Processes that compute tasks, one each at a time; a recording that another one has is waited for `patience_s`."""
+    """Processes that compute one task each at a time.
+
+    `patience_s`: waiting time for a recording that another executor computes.
+    """
 
     patience_s: float
 
     @property
     def size(self) -> int:
-        """How many there are."""
+        """Number of processes."""
 
     def submit(self, rank: int, function: Callable[..., Any], *arguments: Any) -> Any:
-        """Have a module's function called; of the tasks that wait, the lowest rank comes first.
+        """Submit a function of a module; waiting tasks start in order of their ranks.
 
-        Answers that are there may be arguments: the function receives what they hold.
+        Available results may be arguments: the function receives their values.
         """
 
 
 class Threads:
-    """Threads of this process that compute tasks, one each at a time, in their turn; at the end of `with` all end.
+    """Threads of this process that compute one task each at a time, in order; `with` ends them.
 
-    `size`: how many, by default as many as there are cores to use, which OMP_NUM_THREADS may limit.
+    `size`: number of threads, by default the available cores, limited by OMP_NUM_THREADS.
     """
 
-    patience_s = 0.0  # no other process computes what these do
+    patience_s = 0.0  # no other process computes the same
 
     def __init__(self, size: int | None = None) -> None:
         self.size = usable_cores() if size is None else size
@@ -254,34 +265,34 @@ class Threads:
         self._pool.shutdown(cancel_futures=True)
 
     def submit(self, rank: int, function: Callable[..., Any], *arguments: Any) -> Future[LocalResult]:
-        """Have a function called as soon as a thread is free, whatever its rank; answers that are there are opened."""
-        held = [argument.result().unwrap() if isinstance(argument, Future) else argument for argument in arguments]
-        return self._pool.submit(LocalResult.run, function, held)
+        """Submit a function for the next free thread; results among arguments are unwrapped."""
+        values = [argument.result().unwrap() if isinstance(argument, Future) else argument for argument in arguments]
+        return self._pool.submit(LocalResult.run, function, values)
 
 
 @dataclass(frozen=True, eq=False)
 class LocalResult:
-    """What a task of this process returned or raised; what it logged is told already."""
+    """Result of a task of this process, whose messages are logged already."""
 
     value: Any
     error: Exception | None = None
 
     @staticmethod
     def run(function: Callable[..., Any], arguments: Sequence[Any]) -> LocalResult:
-        """Call a function and return what became of it."""
+        """Call a function and return its result."""
         try:
             return LocalResult(function(*arguments))
         except Exception as error:
             return LocalResult(None, error)
 
     def unwrap(self) -> Any:
-        """Return or raise what the task did."""
+        """Return the value of the task, or raise its exception."""
         if self.error is not None:
             raise self.error
         return self.value
 
     def log(self, name: str) -> None:
-        """Nothing is left to be told."""
+        """Write no log: the messages are logged already."""
 
 
 _MOST_THREADS: ContextVar[int | None] = ContextVar("most threads", default=None)
@@ -289,7 +300,7 @@ _MOST_THREADS: ContextVar[int | None] = ContextVar("most threads", default=None)
 
 @contextmanager
 def limit_threads(count: int) -> Iterator[None]:
-    """Let `Threads` that are made inside, by this thread, be no more than `count`."""
+    """Limit the size of `Threads` made inside, by this thread, to `count`."""
     token = _MOST_THREADS.set(count)
     try:
         yield
@@ -298,36 +309,36 @@ def limit_threads(count: int) -> Iterator[None]:
 
 
 def usable_cores() -> int:
-    """Return how many cores this process, or this thread of it, may keep busy."""
+    """Return the number of cores available to this process or thread."""
     if sys.platform == "linux":
-        there = len(os.sched_getaffinity(0))
+        cores = len(os.sched_getaffinity(0))
     else:
-        there = os.cpu_count() or 1
+        cores = os.cpu_count() or 1
     limit = os.environ.get("OMP_NUM_THREADS", "")
-    return min(there, int(limit) if limit.isdecimal() and int(limit) else there, _MOST_THREADS.get() or there)
+    return min(cores, int(limit) if limit.isdecimal() and int(limit) else cores, _MOST_THREADS.get() or cores)
 
 
 class CheckpointStore(Protocol):
-    """A place for what a run has found so far, from which it goes on when it was ended."""
+    """A store for intermediate results, from which an interrupted run continues."""
 
     @property
     def disk(self) -> Path:
-        """A folder on the disk of the results, for nameless files that last as long as the run."""
+        """Folder on the disk of the results, for temporary files of the run."""
 
     def get(self, name: str) -> bytes | None:
-        """Return what was kept under a name by a run of the same inputs and settings, None where nothing was."""
+        """Return the content of a name from a run with the same inputs and settings, else None."""
 
     def put(self, name: str, content: bytes) -> bool:
-        """Keep something until the results are written, and return whether that is done."""
+        """Store content until the results are written, and return whether it succeeded."""
 
 
-# How numbers and units are printed: to two digits of their uncertainty, with powers of ten or SI prefixes.
+# Format of numbers: two digits of the uncertainty, with powers of ten or SI prefixes.
 
 
 K2 = 2.0
-"""Coverage factor of expanded uncertainties whose degrees of freedom are not counted."""
+"""Coverage factor if degrees of freedom are not considered (GUM 6.3.3)."""
 MILLI, GRAM, PERCENT = 1e3, 1e3, 100.0
-"""Factors from SI units to those in which numbers are shown: mm, ms or mrad; g of kg; % of a share."""
+"""Factors from SI units to displayed units: mm, ms or mrad; g; %."""
 LARGEST_PLAIN = 1e5
 SMALLEST_PLAIN = 1e-2
 DASH = "–"
@@ -335,7 +346,7 @@ PREFIXES = ((1.0, ""), (1e-3, "m"), (1e-6, "µ"), (1e-9, "n"))
 
 
 class RoundedValue(NamedTuple):
-    """A value and its expanded uncertainty as decimal texts, both times ten to the power `exponent`."""
+    """A value and its expanded uncertainty as decimal texts, both times 10^`exponent`."""
 
     value: str
     expanded: str
@@ -343,16 +354,16 @@ class RoundedValue(NamedTuple):
 
     @property
     def text(self) -> str:
-        """Return both for the terminal: `(2.0012 ± 0.0013)e-7`, without an uncertainty the value alone."""
+        """Value and uncertainty for the terminal: `(2.0012 ± 0.0013)e-7`."""
         body = self.value if self.expanded == DASH else f"({self.value} ± {self.expanded})"
         return f"{body}e{self.exponent}" if self.exponent else body
 
 
 def round_to_uncertainty(value: float, expanded: float, exponent: int | None = None) -> RoundedValue:
-    """Return a value rounded to the second significant digit of its expanded uncertainty (GUM 7.2.6).
+    """Return a value rounded to two significant digits of its expanded uncertainty (GUM 7.2.6).
 
-    `exponent`: power of ten to take off, by default none for sizes from 0.01 to 100 000 and else that of the larger of
-    the two. Without a usable uncertainty the value has five significant digits and the uncertainty is a dash.
+    `exponent`: power of ten to remove; by default none for sizes from 0.01 to 100 000, else that of the larger of the
+    two. Without a finite uncertainty the value has five significant digits and the uncertainty is a dash.
     """
     if not math.isfinite(value):
         return RoundedValue(DASH, DASH, 0)
@@ -370,8 +381,8 @@ def round_to_uncertainty(value: float, expanded: float, exponent: int | None = N
 
 
 def prefix(values: ArrayLike, *, coarse: bool = False) -> tuple[float, str]:
-    """Return factor and SI prefix that bring the largest size of values to a readable one (`coarse`: at least 1)."""
-    import numpy as np  # here, for the command line lists its commands without it
+    """Return factor and SI prefix for the largest of some values (`coarse`: at least 1)."""
+    import numpy as np  # imported late: the command line lists its commands without it
 
     sizes = np.abs(values)
     largest = np.max(sizes[np.isfinite(sizes)], initial=0.0) if np.any(np.isfinite(sizes)) else 1.0
@@ -379,11 +390,11 @@ def prefix(values: ArrayLike, *, coarse: bool = False) -> tuple[float, str]:
     return next((pair for pair in PREFIXES if largest >= threshold * pair[0]), PREFIXES[-1])
 
 
-# The program and the libraries that compute with it.
+# Versions of the program and of its libraries.
 
 
 __version__ = "0.2.0"
-"""Written here, for to find that of the installed package a file has to be parsed; a test compares them."""
+"""A constant, because the metadata of the package is slow to parse; a test compares them."""
 LIBRARIES = {
     "numpy": "numpy",
     "scipy": "scipy",
@@ -404,7 +415,7 @@ LIBRARIES = {
 
 @cache
 def _version(distribution: str) -> str | None:
-    """Version of an installed distribution, None where there is none: a folder is searched and a file parsed."""
+    """Return the version of an installed distribution, None if there is none (slow)."""
     from importlib.metadata import PackageNotFoundError, version
 
     with contextlib.suppress(PackageNotFoundError):
@@ -413,7 +424,7 @@ def _version(distribution: str) -> str | None:
 
 
 def versions() -> dict[str, str]:
-    """Versions of this program, of Python, of the system, and of the libraries that have been imported."""
+    """Return versions of this program, Python, the system, and imported libraries."""
     found = {PROGRAM: __version__, "python": platform.python_version()}
     for module, distribution in LIBRARIES.items():
         if module in sys.modules and (version := _version(distribution)) is not None:
@@ -424,9 +435,9 @@ def versions() -> dict[str, str]:
 
 @dataclass(frozen=True, kw_only=True)
 class CommandEvaluation:
-    """What every evaluation of a command has: what was evaluated, what the user should know, and where it comes from.
+    """Common properties of all evaluations.
 
-    `settings`: what was chosen; `input_hashes`: of all input files by their name; `duration_s`: how long it took.
+    `settings`: of the evaluation. `input_hashes`: of all input files by name. `duration_s`: computing time.
     """
 
     name: str

@@ -1,4 +1,4 @@
-"""The command `shakercal`. What ends the process is settled first; heavy modules are imported by their sub-command."""
+"""The command `shakercal`; its sub-commands import heavy modules."""
 
 from __future__ import annotations
 
@@ -18,26 +18,26 @@ if TYPE_CHECKING:
 
 ENDING = ("SIGINT", "SIGTERM", "SIGHUP")
 MIN_ADDRESSES = 1_000_000_000
-"""Bytes: a run without images takes 870 MB of addresses before it has read anything."""
-GARBAGE = 20_000
-"""New objects after which Python looks for cycles among them; at its own 700 that is a tenth of what starting takes."""
+"""Bytes: a run without images uses 870 MB of addresses before it reads data."""
+GARBAGE_THRESHOLD = 20_000
+"""New objects between searches for cycles; with Python's default of 700 they take a tenth of the start."""
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line and return its exit status.
 
-    0 done, 1 not computable, 2 bad input, 130 interrupted (128 + number of the signal), 141 nobody reads the output.
-    Every failure becomes one sentence on stderr.
+    0 done, 1 not computable, 2 wrong input, 130 interrupted (128 + number of the signal), 141 closed output. Every
+    failure becomes one sentence on stderr.
     """
-    gc.set_threshold(GARBAGE, 50, 100)
+    gc.set_threshold(GARBAGE_THRESHOLD, 50, 100)
     atexit.unregister(gc.freeze)
-    atexit.register(gc.freeze)  # what is left at the end is not searched for cycles, which takes a third of a second
-    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # matrices here are small: more threads wait for each other
-    os.environ.setdefault("OPENCV_LOG_LEVEL", "ERROR")  # its warnings would stand before the program's own
-    os.environ.setdefault("PYDANTIC_DISABLE_PLUGINS", "__all__")  # it would look among all packages for them
+    atexit.register(gc.freeze)  # no search for cycles at the end, which takes a third of a second
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # matrices are small: more threads wait for each other
+    os.environ.setdefault("OPENCV_LOG_LEVEL", "ERROR")  # its warnings would precede those of the program
+    os.environ.setdefault("PYDANTIC_DISABLE_PLUGINS", "__all__")  # it would search all packages for them
     with _ended_by_signals(), _terminals():
         parser = _parser((sys.argv[1:] if arguments is None else arguments)[:1])
-        if "_ARGCOMPLETE" in os.environ:  # the shell asks what could come next
+        if "_ARGCOMPLETE" in os.environ:  # completion by the shell
             import argcomplete
 
             argcomplete.autocomplete(parser)
@@ -54,7 +54,7 @@ def commands() -> tuple[CliCommand, ...]:
 
 
 def _act(options: argparse.Namespace) -> int:
-    """Do what a sub-command does and tell what goes wrong."""
+    """Run a sub-command, report its failure, and return the exit status."""
     import logging
 
     from fusion.commands.options import EXIT_CLOSED, EXIT_DONE, EXIT_FAILED, EXIT_INPUT, EXIT_INTERRUPTED
@@ -71,7 +71,7 @@ def _act(options: argparse.Namespace) -> int:
             from photogram.kernels import cache_failure_reason
 
             if reason := cache_failure_reason(other_processes=getattr(options, "workers", 1) != 1):
-                log.info("compiled functions are not kept (%s): every run compiles them anew", reason)
+                log.info("compiled functions are not cached (%s): every run compiles them again", reason)
         return status
     except (Exception, KeyboardInterrupt) as error:
         if is_interruption(error) or not isinstance(error, Exception):
@@ -92,7 +92,7 @@ def _act(options: argparse.Namespace) -> int:
 
 
 def _check_memory() -> None:
-    """Refuse a limit of the address space that libraries alone come near: some of them end the process, or hang."""
+    """Refuse a small limit of the address space, with which libraries exit or hang."""
     if sys.platform != "win32":
         import resource
 
@@ -105,7 +105,7 @@ def _check_memory() -> None:
 
 
 def _unwritten() -> OSError | None:
-    """Return why stdout takes no more, None where it does; what it still holds is dropped."""
+    """Return the error of stdout, None if there is none; its remaining content is discarded."""
     try:
         sys.stdout.flush()
     except OSError as error:
@@ -115,14 +115,14 @@ def _unwritten() -> OSError | None:
     return None
 
 
-# What ends the process from outside, and what it prints to.
+# Signals and terminals.
 
 
 @contextmanager
 def _ended_by_signals() -> Iterator[None]:
-    """Have the signals that end a process end it cleanly; one that is ignored, as for a background job, stays so."""
+    """Clean up after signals; ignored ones, as in background jobs, stay ignored."""
     before = {}
-    with suppress(ValueError):  # outside the first thread, which alone may say so
+    with suppress(ValueError):  # outside the main thread
         for number in (getattr(signal, name) for name in ENDING if hasattr(signal, name)):
             if signal.getsignal(number) != signal.SIG_IGN:
                 before[number] = signal.signal(number, _end) or signal.SIG_DFL
@@ -134,7 +134,7 @@ def _ended_by_signals() -> Iterator[None]:
 
 
 def _end(number: int, _: object) -> None:
-    """End the process; before there is anything that could be undone, at once."""
+    """End the process with its clean-up, if there is any."""
     end = getattr(sys.modules.get("fusion.base"), "end_process", None)
     if end is not None:
         end(number)
@@ -145,11 +145,11 @@ def _end(number: int, _: object) -> None:
 
 @contextmanager
 def _terminals() -> Iterator[None]:
-    """Have stdout and stderr take every text, and be there where the process was started without."""
+    """Make stdout and stderr accept every text, and replace missing ones."""
     from fusion.report.terminal import Terminal
 
     before = sys.stdout, sys.stderr
-    nowhere = open(os.devnull, "w")  # noqa: SIM115  (for as long as the process may print)
+    nowhere = open(os.devnull, "w")  # noqa: SIM115  (open while the process may print)
     sys.stdout, sys.stderr = (Terminal(stream or nowhere) for stream in before)
     try:
         yield
@@ -159,13 +159,13 @@ def _terminals() -> Iterator[None]:
 
 
 def _set_up_log(options: argparse.Namespace) -> None:
-    """Send the program's own messages to stderr; those of libraries, warnings included, only with -v."""
+    """Send messages to stderr; those of libraries, warnings included, only with -v."""
     import logging
 
     from fusion.report.terminal import printable, wrapped
 
     class ToStderr(logging.Handler):
-        """Writes to what stderr is at the moment: a progress bar redirects it while it is drawn."""
+        """Handler for the current stderr, which a progress bar redirects."""
 
         def emit(self, record: logging.LogRecord) -> None:
             text = printable(self.format(record))
@@ -180,7 +180,7 @@ def _set_up_log(options: argparse.Namespace) -> None:
 
 
 def _completion() -> type[argparse.Action]:
-    """Return the option that prints the code of a shell and ends."""
+    """Return the option that prints the completion code of a shell."""
     import argparse
 
     class Completion(argparse.Action):
@@ -194,7 +194,7 @@ def _completion() -> type[argparse.Action]:
 
 
 def _parser(first: Sequence[str] = ()) -> Parser:
-    """Return the parser: of one command where that is the `first` argument, so that the others cost nothing."""
+    """Return the parser, of one command if that is the `first` argument (faster)."""
     from fusion.base import PROGRAM, __version__
     from fusion.commands.options import Parser
 
@@ -203,19 +203,21 @@ def _parser(first: Sequence[str] = ()) -> Parser:
         description="From a shaker recording to the dynamic sensitivity of a multi-component force and moment sensor.",
     )
     parser.add_argument("--version", action="version", version=f"{PROGRAM} {__version__}")
-    text = "print what a shell's start-up file evaluates to complete commands and options"
+    text = "print code for the start-up file of a shell that completes commands and options"
     parser.add_argument("--completion", choices=("bash", "zsh", "fish"), action=_completion(), help=text)
     common = Parser(add_help=False)
     loudness = common.add_mutually_exclusive_group()
-    loudness.add_argument("-v", "--verbose", action="store_true", help="tell more on stderr")
+    loudness.add_argument("-v", "--verbose", action="store_true", help="print more on stderr")
     loudness.add_argument("-q", "--quiet", action="store_true", help="warnings and errors only, no progress bar")
     parsers = parser.add_subparsers(title="commands", required=True, metavar="COMMAND")
-    for command in [own for own in commands() if own.name in first] or commands():
+    for command in [one for one in commands() if one.name in first] or commands():
         summary = f"{command.help[0].upper()}{command.help[1:]}."
         epilog = f"example: {command.example}"
-        own = parsers.add_parser(command.name, parents=[common], help=command.help, description=summary, epilog=epilog)
-        command.options(own)
-        own.set_defaults(act=command.act)
+        sub_parser = parsers.add_parser(
+            command.name, parents=[common], help=command.help, description=summary, epilog=epilog
+        )
+        command.options(sub_parser)
+        sub_parser.set_defaults(act=command.act)
     return parser
 
 

@@ -38,20 +38,14 @@ class InputError(Exception):
 
     def __init__(
         self,
-        declared: DeclaredNotice | Path | str,
-        file: Path | str = "",
+        declared: DeclaredNotice,
+        file: Path | str,
         key: str = "",
         /,
-        *legacy: str,
+        *,
         others: Iterable[InputError] = (),
         **values: Value,
     ) -> None:
-        if not isinstance(declared, DeclaredNotice):  # until every error is declared
-            legacy = (key, *legacy) if key else legacy
-            file, key, declared = declared, str(file), WRONG_INPUT_LEGACY
-            values |= dict(zip(("found", "expected"), legacy, strict=False))
-            if not values["expected"]:
-                declared, values = READER_REFUSED_LEGACY, {"reason": values["found"]}
         super().__init__(declared, file, key, values, tuple(others))
         self.declared = declared
         self.file = Path(file)
@@ -144,9 +138,7 @@ class ComputeError(Exception):
     fusion.errors.ComputeError: SC-998 only 3 subsets are followed through all frames
     """
 
-    def __init__(self, declared: DeclaredNotice | str, where: str = "", /, **values: Value) -> None:
-        if not isinstance(declared, DeclaredNotice):  # until every error is declared
-            values["reason"], declared = declared, READER_REFUSED_LEGACY
+    def __init__(self, declared: DeclaredNotice, where: str = "", /, **values: Value) -> None:
         super().__init__(declared, where, values)
         self.declared = declared
         self.where = where
@@ -181,8 +173,6 @@ def _compute_error(
     return kind(declared, where, **values)
 
 
-WRONG_INPUT_LEGACY = DeclaredNotice("", "error", "expected {expected}, found {found}")
-READER_REFUSED_LEGACY = DeclaredNotice("", "error", "{reason}")
 REFUSED_BY_READER = DeclaredNotice(
     "SC-950", "error", "{reason}", effect="The file is not used.", remedy="Correct the file at this place."
 )

@@ -12,7 +12,7 @@ import numpy as np
 
 from photogram.arrays import Arrays, FloatArray, IntArray
 from photogram.images.sequence import check_file, wrap_read_errors
-from photogram.mat5 import check_mat5
+from shakercal._common.mat5 import check_mat5
 
 POSITION = ("x", "y", "z")
 REFERENCE = ("x0", "y0", "z0")

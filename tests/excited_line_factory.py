@@ -1,4 +1,4 @@
-"""Drives from plain numbers: loads and outputs with noise of their own and named unknowns."""
+"""Excited lines from plain numbers: loads and outputs with noise and named unknowns."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ AnyArray = NDArray[Any]
 
 
 def uncertainty(noise: ArrayLike, unknowns: Sequence[tuple[str, str, ArrayLike]] = ()) -> Uncertainty:
-    """Noise (N,) of real and imaginary parts alike, and unknowns as name, scope and complex effect (N,)."""
+    """Equal noise (N,) of real and imaginary parts, and unknowns as name, scope and effect (N,)."""
     covariance = np.diag(np.tile(np.asarray(noise, dtype=np.float64) ** 2, 2))[None]
     influences = tuple(
         Influence(name, name, 1.0, "1", np.concatenate([effect.real, effect.imag])[None], cast("Scope", scope))
@@ -36,7 +36,7 @@ def make_excited_line(
     direction: tuple[float, ...] = (0.0, 0.0, 1.0),
     channels: Sequence[str] | None = None,
 ) -> ExcitedLine:
-    """Return a drive, its channels numbered unless they are named."""
+    """Return an excited line, with numbered channels unless they are named."""
     names = tuple(f"U{n}" for n in range(np.size(outputs))) if channels is None else tuple(channels)
     return ExcitedLine(
         recording=recording,

@@ -1,4 +1,4 @@
-"""Instruments of one body as `fuse` takes them, at two lines: a camera pair, lasers, a side beam, an accelerometer."""
+"""Instruments of one body for `fuse`, at two lines: camera pair, lasers, side beam, accelerometer."""
 
 from __future__ import annotations
 
@@ -55,14 +55,14 @@ def moving(
     dof: float = 50.0,
     observed: Any = True,
     frequency: np.ndarray = FREQUENCY,
-    **known: Any,
+    **uncertain: Any,
 ) -> Acceleration:
-    """The load's acceleration with a covariance (12, 12) at all lines; `known`: `noise` by its name, `influences`."""
+    """The load's acceleration with a covariance (12, 12) at all lines; `uncertain`: `noise` by its name, `influences`."""
     seen = np.broadcast_to(np.asarray(observed), value.shape)
     gone = ~np.tile(seen, (1, 2))
     spread = np.where(gone[:, :, None] | gone[:, None, :], np.nan, covariance)
-    noise = Contribution(known.get("noise", "noise"), "A", spread, np.full(len(value), dof))
-    total = Uncertainty((noise,), known.get("influences", ()))
+    noise = Contribution(uncertain.get("noise", "noise"), "A", spread, np.full(len(value), dof))
+    total = Uncertainty((noise,), uncertain.get("influences", ()))
     found = np.where(seen, value, complex(np.nan, np.nan))
     series = Phasors(frequency, found, total.covariance, MOTION_COMPONENTS, component_units(2), noise.dof)
     return Acceleration("load", "fused", series, seen, ("top",), total, (), 0.0, 0, (), ())
@@ -85,7 +85,7 @@ def output(
 
 
 def channel_entry(**changes: Any) -> Any:
-    """A laser along z through the origin as the manifest has it, without any error."""
+    """Manifest entry of a laser along z through the origin, without errors."""
     return SimpleNamespace(
         **{
             "name": "v", "quantity": "velocity", "body": "load", "point": (0.0, 0.0, 0.0),
@@ -98,7 +98,7 @@ def channel_entry(**changes: Any) -> Any:
 
 
 def stereo_entry(**changes: Any) -> Any:
-    """A camera pair as the manifest has it, without any error."""
+    """Manifest entry of a camera pair, without errors."""
     exact = {"body": "load", "scale_uncertainty": 0.0, "pose_uncertainty": (0.0,) * 6, "delay_uncertainty": 0.0}
     at_once = {"row_time": (0.0, 0.0), "row_time_uncertainty": 0.0, "readout_s": lambda rows: 0.0}
     return SimpleNamespace(**(exact | at_once | changes))
@@ -113,8 +113,8 @@ def channels(rows: Sequence[tuple[str, Any, Any]], noise: np.ndarray, quantity: 
 
 def lasers(points: Any = 8, noise: float = 1e-5, truth: np.ndarray = TRUTH, **stated: Any) -> Observation:
     """Lasers along z at points, or at some of a circle, without errors; `noise` over the driven velocity of a line."""
-    places = CIRCLE[:points] if isinstance(points, int) else points
-    rows = [(f"p{i}", point, (0.0, 0.0, 1.0)) for i, point in enumerate(places)]
+    positions = CIRCLE[:points] if isinstance(points, int) else points
+    rows = [(f"p{i}", point, (0.0, 0.0, 1.0)) for i, point in enumerate(positions)]
     size = np.abs(truth[:, 2]) / OMEGA[: len(truth)]
     return exact_reading(channels(rows, noise * size, "velocity", **{"common": "laser"} | (stated or LASER)), truth)
 
@@ -137,14 +137,14 @@ def camera(noise_m: float = 1e-9, **stated: Any) -> Observation:
 
 
 def exact_reading(observation: Observation, truth: np.ndarray = TRUTH) -> Observation:
-    """What an instrument reads of a motion without any error."""
+    """Readings of a motion without errors."""
     return with_values(observation, np.einsum("kmj,kj->km", observation.design, truth))
 
 
 def simulated_readings(
     seen: Sequence[Observation], rng: np.random.Generator, truth: np.ndarray = TRUTH, drawn: bool = True
 ) -> list[Observation]:
-    """What instruments read of a motion, with drawn common errors and noise."""
+    """Readings of a motion with sampled common errors and noise."""
     found = []
     for observation in seen:
         value = np.einsum("kmj,kj->km", observation.design, truth)
@@ -157,7 +157,7 @@ def simulated_readings(
 
 
 def drop_readings(observation: Observation, gone: np.ndarray) -> Observation:
-    """An instrument that lacks some readings (K, M)."""
+    """An instrument without some readings (K, M)."""
     value = np.where(gone, complex(np.nan, np.nan), observation.phasors.value)
     missing = np.tile(gone, (1, 2))
     covariance = np.where(missing[:, :, None] | missing[:, None, :], np.nan, observation.phasors.covariance)
@@ -169,6 +169,6 @@ def with_values(observation: Observation, value: np.ndarray) -> Observation:
 
 
 def rotated_frame(observation: Observation, axis: int, angle_rad: float) -> Observation:
-    """A camera frame that is turned: translations and rotations come out in other axes."""
+    """A rotated camera frame, with translations and rotations in other axes."""
     matrix = np.kron(np.eye(2), Rotation.from_rotvec(angle_rad * np.eye(3)[axis]).as_matrix())
     return with_values(observation, observation.phasors.value @ matrix.T)

@@ -1,4 +1,4 @@
-"""Recordings that several tests evaluate: once per test run, whichever process needs them first."""
+"""Recordings for several tests, made once per test run."""
 
 from __future__ import annotations
 
@@ -16,9 +16,9 @@ T = TypeVar("T")
 
 
 def make_once(factory: pytest.TempPathFactory, name: str, make: Callable[[Path], T]) -> T:
-    """Return what `make` returns, which is pickled beside the folder that it was given, for all processes of a run.
+    """Return the pickled result of `make` for all processes of a test run.
 
-    The first process that asks makes it, under a lock; what it leaves appears whole or not at all.
+    The first process calls it under a lock; the result file is written completely or not at all.
     """
     base = factory.getbasetemp()
     shared = (base.parent if "PYTEST_XDIST_WORKER" in os.environ else base) / "once"

@@ -1,4 +1,4 @@
-"""What tests of commands share: files that are changed, tables that are read, a refusal in one sentence."""
+"""Helpers of command tests: changed files, tables, refusals in one sentence."""
 
 from __future__ import annotations
 
@@ -71,12 +71,12 @@ def rows(path: Path) -> list[dict[str, str]]:
 
 
 def truth_of(folder: Path) -> dict[str, Any]:
-    """What the simulator says of a recording or of a campaign."""
+    """The simulator's truth of a recording or campaign."""
     return dict(json.loads((folder / "truth.json").read_text(encoding="utf-8")))
 
 
 def complex_of(entry: dict[str, Any]) -> np.ndarray:
-    """Numbers of a truth that are kept as their real and imaginary parts."""
+    """Complex numbers of a truth."""
     return np.asarray(entry["re"]) + 1j * np.asarray(entry["im"])
 
 
@@ -87,24 +87,24 @@ def examples(text: str, language: str = "toml") -> list[str]:
 
 def key_tables(section: str, level: str = "###") -> dict[str, dict[str, str]]:
     """Title -> key -> second column of every table on keys below the headings of a section."""
-    titles, tables = (re.split(rf"^{level} (.*)$", section, flags=re.MULTILINE)[place::2] for place in (1, 2))
+    titles, tables = (re.split(rf"^{level} (.*)$", section, flags=re.MULTILINE)[start::2] for start in (1, 2))
     row = re.compile(r"^\| `(\w+)` \| (.*?) \|", re.MULTILINE)
     return {title: dict(row.findall(table)) for title, table in zip(titles, tables, strict=True)}
 
 
 def documented_columns(document: str, file: str) -> list[str]:
-    """The columns of a table of results, as the document that users read lists them."""
+    """The columns of a table of results in a document."""
     text = (DOCS / document).read_text(encoding="utf-8")
     (columns,) = re.findall(rf"^\| `{re.escape(file)}` \| `([^`]*)`", text, re.MULTILINE)
     return str(columns).split(", ")
 
 
 def documented_keys(models: dict[str, type[BaseModel]]) -> dict[str, dict[str, str]]:
-    """What these tables have to say: that a key is required, inherited or optional, or what it is by default."""
-    return {title: {key: _told(model, key) for key in model.model_fields} for title, model in models.items()}
+    """Required second columns of key tables: required, inherited, optional, or the default."""
+    return {title: {key: _requirement(model, key) for key in model.model_fields} for title, model in models.items()}
 
 
-def _told(model: type[BaseModel], key: str) -> str:
+def _requirement(model: type[BaseModel], key: str) -> str:
     field = model.model_fields[key]
     if key in getattr(model, "INHERITED", ()):
         return "as the pair"
@@ -121,27 +121,27 @@ def _told(model: type[BaseModel], key: str) -> str:
 
 
 def folder_contents(folder: Path) -> dict[str, bytes]:
-    """Every file of a folder, whether or not it was written anew."""
+    """Content of every file of a folder."""
     return {p.relative_to(folder).as_posix(): p.read_bytes() for p in sorted(folder.rglob("*")) if p.is_file()}
 
 
 class RefusedCommand(Protocol):
-    """Run a command that refuses its input, and return the one sentence that it says on stderr."""
+    """Run a command that refuses its input, and return its sentence on stderr."""
 
     def __call__(self, *arguments: object, status: int = 2) -> str: ...
 
 
 def refusals(capsys: pytest.CaptureFixture[str]) -> RefusedCommand:
-    """Return a function that runs a command and holds it to what every refusal owes."""
+    """Return a function that runs a command and checks the form of its refusal."""
 
     def run(*arguments: object, status: int = 2) -> str:
         capsys.readouterr()
         assert main([str(argument) for argument in arguments]) == status
-        told = capsys.readouterr()
-        assert told.out == ""
-        assert told.err.startswith("shakercal: ")
-        assert told.err.count("\n") == 1, told.err
-        return told.err.strip()
+        printed = capsys.readouterr()
+        assert printed.out == ""
+        assert printed.err.startswith("shakercal: ")
+        assert printed.err.count("\n") == 1, printed.err
+        return printed.err.strip()
 
     return run
 
@@ -154,23 +154,23 @@ PAGES = (
 
 
 def without_pages(patch: pytest.MonkeyPatch) -> None:
-    """Leave every page empty: its figures take most of the time where something else is tested."""
-    for place in PAGES:
-        patch.setattr(place, lambda *_: "<!doctype html>\n")
+    """Replace every page by an empty one: its figures take most of the time."""
+    for name in PAGES:
+        patch.setattr(name, lambda *_: "<!doctype html>\n")
 
 
 def region_distance(value: np.ndarray, truth: np.ndarray, uncertainty: Uncertainty) -> list[float]:
-    """How far C values of the first line lie from the truth, over the edge of their 95 % regions: inside below 1."""
+    """Distance of C values of the first line from the truth, over the edge of their 95 % regions."""
     error, regions = np.ravel(value - truth), uncertainty.at_lines([0]).regions(np.reshape(value, (1, -1)))[0]
     parts = np.stack([error.real, error.imag], axis=-1)[..., None]
     return np.sqrt(parts.swapaxes(1, 2) @ np.linalg.solve(regions, parts)).ravel().tolist()
 
 
 def undescribed_datasets(file: h5py.File) -> list[str]:
-    """Return the paths of data sets without words, of numbers without a unit, and of axes without a name."""
+    """Return paths of data sets without description, unit or axis name."""
     found: list[str] = []
 
-    def look(path: str, data: object) -> None:
+    def visit(path: str, data: object) -> None:
         if isinstance(data, h5py.Dataset):
             bare = b"not a netCDF variable" in data.attrs.get("NAME", b"")
             number = data.dtype.kind in "biufc" and not bare
@@ -178,5 +178,5 @@ def undescribed_datasets(file: h5py.File) -> list[str]:
             if not ((bare or data.attrs.get("long_name")) and (data.attrs.get("units") or not number) and named):
                 found.append(path)
 
-    file.visititems(look)
+    file.visititems(visit)
     return found

@@ -18,11 +18,12 @@ from fusion.errors import declared_by_stage, declared_notices
 ROOT = Path(__file__).resolve().parent.parent
 PACKAGES = ("shakercal", "photogram", "shaker", "fusion")
 MODULES = [path for package in PACKAGES for path in sorted((ROOT / package).rglob("*.py"))]
-DIALECT = set(
-    "told foretold foretelling beside aside course again turned kept keeper shelf undone uninterrupted claimed workshop "
-    "answering refuted hoped nothing still instead among untold otherwise alike shaped gained thinned approach unseen "
-    "sought".split()
-)
+DIALECT = {
+    *("told", "foretold", "foretelling", "beside", "aside", "course", "again", "turned", "kept", "keeper"),
+    *("shelf", "undone", "uninterrupted", "claimed", "workshop", "answering", "refuted", "hoped", "nothing"),
+    *("still", "instead", "among", "untold", "otherwise", "alike", "shaped", "gained", "thinned", "approach"),
+    *("unseen", "sought"),
+}
 """Words of no field, which no identifier contains."""
 RAISED = {"Notice", "InputError", "ComputeError"}
 MOST_WORDS_OF_A_FIRST_LINE = 15
@@ -61,9 +62,7 @@ def test_no_identifier_has_a_word_of_no_field() -> None:
 
 
 def test_classes_have_one_name_each_and_files_at_most_two() -> None:
-    classes = Counter(
-        node.name for path in MODULES for node in ast.walk(_tree(path)) if isinstance(node, ast.ClassDef)
-    )
+    classes = Counter(node.name for path in MODULES for node in ast.walk(_tree(path)) if isinstance(node, ast.ClassDef))
     files = Counter(path.name for path in MODULES if not path.name.startswith("__"))
     assert not [name for name, count in classes.items() if count > 1]
     assert not [name for name, count in files.items() if count > 2]
@@ -88,12 +87,12 @@ def _declarations() -> dict[str, tuple[str, ast.Call]]:
     found: dict[str, tuple[str, ast.Call]] = {}
     for path in MODULES:
         for node in _tree(path).body:
-            if isinstance(node, ast.Assign) and isinstance(node.value, ast.Call):
-                if getattr(node.value.func, "id", "") == "DeclaredNotice":
-                    (target,) = node.targets
-                    assert isinstance(target, ast.Name)
-                    assert target.id not in found, f"{target.id} is declared twice"
-                    found[target.id] = str(path.relative_to(ROOT)), node.value
+            call = node.value if isinstance(node, ast.Assign) else None
+            if isinstance(call, ast.Call) and getattr(call.func, "id", "") == "DeclaredNotice":
+                (target,) = node.targets
+                assert isinstance(target, ast.Name)
+                assert target.id not in found, f"{target.id} is declared twice"
+                found[target.id] = str(path.relative_to(ROOT)), call
     return found
 
 

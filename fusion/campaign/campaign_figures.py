@@ -49,7 +49,9 @@ BETWEEN_POINTS = 121
 LARGEST_MAPS = 6
 """Largest number of frequencies whose cross-talk is drawn, evenly chosen from all."""
 MAP_COLUMNS = 2
+"""Number of maps per row."""
 CELL_IN = 0.42
+"""Height of a cell of a map."""
 DARK_ABOVE = 0.55
 """Share of the colour scale above which text is white."""
 

@@ -191,6 +191,7 @@ def _blocks(count: int, shared: Sequence[Shared]) -> list[tuple[list[int], list[
 
 
 MIN_POINTS = 5
+"""Smallest number of points of an interpolation: three for the trend, two for the process."""
 _LENGTHS = np.geomspace(0.05, 10.0, 6)
 """Correlation lengths of the first grid, in units of the range of ln f."""
 _SIZES = np.geomspace(1e-6, 1.0, 7)
@@ -198,6 +199,7 @@ _SIZES = np.geomspace(1e-6, 1.0, 7)
 _JITTER = 1e-9
 """Standard deviation in units of the values that keeps matrices of noiseless points regular."""
 _DIGITS = 1e-13
+"""Relative variance added to the diagonal for numerical stability."""
 
 
 @dataclass(frozen=True)

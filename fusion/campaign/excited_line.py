@@ -107,6 +107,7 @@ class DiskStore:
 
 
 LOADS = 6
+"""Number of load components."""
 FREQUENCY_TOLERANCE = 0.01
 """Relative width of a group of lines at one frequency; a multi-axis shaker drives several lines close to each other."""
 

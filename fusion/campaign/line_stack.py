@@ -14,9 +14,9 @@ from fusion.estimation.uncertainty import Influence, Uncertainty, as_complex, re
 from shaker.arrays import BoolArray, ComplexArray, FloatArray, IntArray
 
 SLOPE = 1.0
-"""Standard uncertainty of dln S/dln f: what is not known of a sensor below a third of its resonance."""
+"""Standard uncertainty of dln S/dln f, a bound for a sensor below a third of its resonance."""
 SAME_LINE = 1e-7
-"""Relative difference of frequencies that changes no sensitivity."""
+"""Relative difference of frequencies without an effect on the sensitivity."""
 LINE_SPACING = "line spacing"
 
 

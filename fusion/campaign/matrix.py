@@ -40,7 +40,9 @@ from shakercal._common.notices import Notice
 
 DISAGREEMENT = "disagreement of the recordings"
 DISCREPANCY_RANGE = (1e-9, 10.0)
+"""Range of the search for the relative disagreement of recordings."""
 RANK_TOLERANCE = 1e-9
+"""Relative tolerance for the rank of a projector, for rounding."""
 REJECT_CHI2 = 100.0
 """Chi-square per degree of freedom above which the stated uncertainties do not describe the readings."""
 

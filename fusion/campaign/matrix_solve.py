@@ -147,11 +147,13 @@ def _missing(projector: ComplexArray) -> tuple[tuple[str, ...], ...]:
 
 
 ITERATIONS = 100
+"""Largest number of Gauss-Newton steps; a few are usual."""
 CONVERGED = 1e-7
 """Largest step, in standard uncertainties, at which the iteration ends."""
 NOISE_FLOOR = 1e-4
 """Smallest noise of a reading relative to its common errors; it has no visible effect on U and keeps digits."""
 DIGITS = 1e-10
+"""Smallest noise of a reading relative to the largest one, for numerical stability."""
 
 
 @dataclass(frozen=True)

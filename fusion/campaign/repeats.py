@@ -32,12 +32,14 @@ from shakercal._common.notices import Notice
 SAME_FREQUENCY = 1e-4
 """Relative difference of frequencies within which a sensitivity does not change."""
 SAME_DIRECTION = 1e-3
+"""Largest difference of the unit directions of one excitation."""
 SAME_LOAD = 0.05
 """Largest difference of a load component (moments over 0.1 m) within one excitation, relative to the driven one."""
 WITHIN, BETWEEN = "repeatability", "mounting anew"
 PHASE_DIFFERENCES = "phases that differ"
 """Label of the possible loss of magnitude in a mean of complex values with different phases."""
 LEVERS = np.array([1.0, 1.0, 1.0, *np.full(3, 1.0 / BODY_SIZE_M)])
+"""Factors that convert moments to forces at the size of a body."""
 
 
 @dataclass(frozen=True)
@@ -153,7 +155,7 @@ def group_excitations(
             continue
         # Frequencies ascend: a group that began lower cannot take any drive that is still to come.
         near = [g for g in near if np.log(drive.frequency_hz / g[0].frequency_hz) <= SAME_FREQUENCY]
-        match = next((g for g in near if _same(g[0], drive, component, amplitudes_apart=separate_amplitudes)), None)
+        match = next((g for g in near if _same(g[0], drive, component, separate_amplitudes=separate_amplitudes)), None)
         if match is None:
             groups.append([drive])
             near.append(groups[-1])
@@ -162,7 +164,7 @@ def group_excitations(
     return tuple(tuple(group) for group in groups)
 
 
-def _same(first: ExcitedLine, other: ExcitedLine, component: int, *, amplitudes_apart: bool) -> bool:
+def _same(first: ExcitedLine, other: ExcitedLine, component: int, *, separate_amplitudes: bool) -> bool:
     """Return whether two lines are one excitation.
 
     Phases and signs of the load do not count.
@@ -175,7 +177,7 @@ def _same(first: ExcitedLine, other: ExcitedLine, component: int, *, amplitudes_
     if min(np.max(np.abs(units[0] - units[1])), np.max(np.abs(units[0] + units[1]))) > SAME_DIRECTION:
         return False
     loads = [np.abs(drive.load) * LEVERS for drive in (first, other)]
-    if not amplitudes_apart:
+    if not separate_amplitudes:
         loads = [load / load[component] for load in loads]
     return bool(np.max(np.abs(loads[0] - loads[1])) <= SAME_LOAD * loads[0][component])
 

@@ -33,6 +33,7 @@ laser's scale. Recordings with little noise would otherwise contradict each othe
 """
 SECOND_ORDER = "unknowns beyond first order"
 ROUNDING = 1e-12
+"""Relative eigenvalue below which a covariance has no variance in a direction."""
 
 
 @dataclass(frozen=True)

@@ -1,6 +1,7 @@
-"""The commands around cameras: calibrating a pair, taking over and handing on calibrations, where it stands.
+"""Commands for cameras: calibration, import and export of calibrations, pose of a pair.
 
-Of each command: its options, then what it does, which alone imports heavy modules. Its docstring is its help.
+Each command has a function for its options, and one for its action, which imports heavy modules. Its docstring is its
+help.
 """
 
 from __future__ import annotations
@@ -11,8 +12,8 @@ from fusion.commands.options import Parser, command, in_metres, length, path, sh
 
 
 def _cameras_options(parser: Parser) -> None:
-    text = "left pictures, then the right ones in the same order; or two folders"
-    parser.add_argument("pictures", nargs="+", metavar="PICTURES", help=text)
+    text = "left images, then the right ones in the same order; or two folders"
+    parser.add_argument("images", nargs="+", metavar="IMAGES", help=text)
     kinds = ("chessboard", "charuco", "dots", "asymmetric-dots")
     parser.add_argument("--target", required=True, choices=kinds, help="dots: with three ring markers, or give --size")
     text = "side of a square, or centre to centre of dots: in m, or with its unit, such as 7mm"
@@ -21,19 +22,19 @@ def _cameras_options(parser: Parser) -> None:
     parser.value("--dictionary", str, "NAME", "ArUco dictionary such as DICT_4X4_50 (default: found)")
     text = "relative standard uncertainty of the spacing, part of the covariance (default: 0, with a warning)"
     parser.value("--scale-uncertainty", share, "U", text, default=0.0)
-    text = "target taken as flat, bowed, or with every point's offset estimated (default: auto, flat where it fits)"
+    text = "flat or bowed target, or an estimated offset of every point (default: auto, flat if it fits)"
     parser.choice("--shape", ("auto", "flat", "bowed", "free"), text)
-    text = "OpenCV's five coefficients, or the rational model with k4 k5 k6 (default: auto, five where they do)"
+    text = "OpenCV's five coefficients, or the rational model with k4 k5 k6 (default: auto, five if they suffice)"
     parser.choice("--lens", ("auto", "polynomial", "rational"), text)
-    parser.switch("--mono", "one camera: all pictures are its own; parameters and covariance, without a page")
+    parser.switch("--mono", "one camera: all images belong to it; parameters and covariance, without a page")
     text = (
-        "a length measured otherwise: two points column,row of the target or two pictures; m, or with units such as mm"
+        "a separately measured length: two points column,row of the target or two images; m, or with units such as mm"
     )
     parser.add_argument("--known-length", nargs=4, metavar=("FROM", "TO", "LENGTH", "U"), help=text)
     parser.add_argument(
         "-o", "--output", required=True, type=path, metavar="CALIBRATION", help="file NAME.json to write"
     )
-    parser.switch("--force", "replace a calibration that is there")
+    parser.switch("--force", "replace an existing calibration")
 
 
 @command(
@@ -41,7 +42,7 @@ def _cameras_options(parser: Parser) -> None:
     "left right --target chessboard --size 9x6 --spacing 0.005 --scale-uncertainty 1e-4 -o top.json",
 )
 def cameras(options: argparse.Namespace) -> None:
-    """Calibrate a stereo pair from target pictures."""
+    """Calibrate a stereo pair from target images."""
     from fusion.cameras.calibrate import CameraSettings, run_camera, run_cameras
     from fusion.commands.command_notices import INVALID_OPTION, LENGTH_UNIT_REQUIRED
     from fusion.errors import InputError
@@ -69,26 +70,26 @@ def cameras(options: argparse.Namespace) -> None:
     settings = CameraSettings(target, options.shape, options.scale_uncertainty, options.lens, known)
     with progress_bar(enabled=not options.quiet) as progress:
         run = run_camera if options.mono else run_cameras
-        run(options.pictures, settings, options.output, options.force, progress)
+        run(options.images, settings, options.output, options.force, progress)
 
 
 def _import_calibration_options(parser: Parser) -> None:
     parser.value("calibration", path, "FILE", "the other program's file")
     parser.add_argument("-o", "--output", type=path, required=True, metavar="JSON", help="calibration file to write")
-    parser.value("--extrinsics", path, "FILE", "second file: OpenCV's R and T where apart, ROS's right camera")
+    parser.value("--extrinsics", path, "FILE", "second file: OpenCV's R and T if separate, ROS's right camera")
     parser.value("--image-size", size, "2448x2048", "width x height, if the file has none")
-    text = "of the file's lengths, where it does not say it"
+    text = "of the file's lengths, if it does not state it"
     parser.add_argument("--length-unit", choices=("m", "mm", "cm", "um", "in"), help=text)
-    text = "what OpenCV's four coefficients are, where the file does not say it: k1 k2 p1 p2, or a fisheye lens's"
+    text = "model of OpenCV's four coefficients, if the file does not state it: k1 k2 p1 p2, or a fisheye lens"
     parser.add_argument("--distortion-model", choices=("plumb_bob", "fisheye"), help=text)
-    text = "k1 k2 k3 of DICe's text belong to r^2, r^4, r^6, as OpenCV and VIC-3D write them"
+    text = "k1 k2 k3 of DICe's text belong to r^2, r^4, r^6, as in OpenCV and VIC-3D"
     parser.switch("--even-radial", text)
-    parser.switch("--force", "overwrite a calibration file that is there")
+    parser.switch("--force", "overwrite an existing calibration file")
 
 
 @command(_import_calibration_options, "calibration.xml -o top.json")
 def import_calibration(options: argparse.Namespace) -> None:
-    """Take over a calibration of OpenCV, DICe, VIC-3D, MatchID, MATLAB, ROS or Kalibr."""
+    """Import a calibration of OpenCV, DICe, VIC-3D, MatchID, MATLAB, ROS or Kalibr."""
     from fusion.cameras.calibrate import convert_calibration
 
     names = ("image_size", "length_unit", "extrinsics", "even_radial", "distortion_model")
@@ -101,7 +102,7 @@ def _export_calibration_options(parser: Parser) -> None:
     parser.value("calibration", path, "CALIBRATION", "file NAME.json of this program")
     text = "file to write: .yml for OpenCV, .xml for VIC-3D, .json for MATLAB"
     parser.add_argument("-o", "--output", type=path, required=True, metavar="FILE", help=text)
-    parser.switch("--force", "overwrite a file that is there")
+    parser.switch("--force", "overwrite an existing file")
 
 
 @command(_export_calibration_options, "top.json -o top.xml")
@@ -116,14 +117,14 @@ def export_calibration(options: argparse.Namespace) -> None:
 def _align_options(parser: Parser) -> None:
     parser.value("alignment", path, "ALIGNMENT.toml", "file that names the evidence")
     parser.add_argument("-o", "--output", type=path, metavar="POSE.toml", help="file for the block of rig.toml")
-    parser.switch("--force", "overwrite the output that is there")
+    parser.switch("--force", "overwrite an existing output")
     parser.allow_outside("ALIGNMENT.toml")
     parser.device("where subsets are tracked")
 
 
 @command(_align_options, "alignment.toml -o pose.toml")
 def align(options: argparse.Namespace) -> None:
-    """Find where a stereo pair's camera stands in the sensor frame."""
+    """Determine the pose of a stereo pair in the sensor frame."""
     from fusion.base import Settings
     from fusion.cameras.align import align_file
     from fusion.report.terminal import progress_bar

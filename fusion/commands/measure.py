@@ -1,6 +1,7 @@
-"""The commands from a camera to the sensitivity, from plan to run.
+"""Commands from the plan of a measurement to its results.
 
-Of each command: its options, then what it does, which alone imports heavy modules. Its docstring is its help.
+Each command has a function for its options, and one for its action, which imports heavy modules. Its docstring is its
+help.
 """
 
 from __future__ import annotations
@@ -42,25 +43,25 @@ MOST_LINES = 1000  # excitations of a plan
 def _plan_options(parser: Parser) -> None:
     text = (
         "excitations in Hz: numbers and ranges FIRST:LAST:COUNT (equal steps) or FIRST:LAST:COUNT:log (equal "
-        "ratios), with commas between them"
+        "ratios), separated by commas"
     )
     parser.value("--frequencies", frequencies, "LIST", text, required=True)
     parser.add_argument("--frames", type=whole(4, MOST_FRAMES), required=True, help="frames per point")
     rate = parser.add_mutually_exclusive_group(required=True)
-    rate.add_argument("--max-rate", type=hertz, metavar="HZ", help="fastest camera rate to look for")
-    rate.add_argument("--rate", type=hertz, metavar="HZ", help="explain what this camera rate does instead")
-    parser.value("--min-rate", hertz, "HZ", "slowest camera rate (default: half the fastest)")
+    rate.add_argument("--max-rate", type=hertz, metavar="HZ", help="highest camera rate to consider")
+    rate.add_argument("--rate", type=hertz, metavar="HZ", help="explain the effect of this camera rate instead")
+    parser.value("--min-rate", hertz, "HZ", "lowest camera rate (default: half the highest)")
     parser.value("--rate-step", hertz, "HZ", "steps of rates (default: 0.001)", default=1e-3)
     parser.value("--exposure", not_negative, "S", "exposure time (default: 0)", default=0.0)
     parser.value("--harmonics", whole(1, 100), "N", "fitted, 1: fundamental (default: 5)", default=5)
     parser.switch("--together", "all excitations at the same time")
-    parser.value("--corner", not_negative, "HZ", "1/f noise is white noise there (default: 5)", default=5.0)
+    parser.value("--corner", not_negative, "HZ", "1/f noise equals white noise there (default: 5)", default=5.0)
     text = "relative accuracy of excitation and camera rate (default: 0.0001)"
     parser.value("--tolerance", not_negative, "SHARE", text, default=1e-4)
     parser.value("--noise", positive, "M", "noise of the displacement per frame")
     level = parser.add_mutually_exclusive_group()
     level.add_argument("--amplitude", type=positive, metavar="M", help="displacement amplitude of the excitation")
-    level.add_argument("--acceleration", type=positive, metavar="M/S2", help="its acceleration amplitude instead")
+    level.add_argument("--acceleration", type=positive, metavar="M/S2", help="acceleration amplitude of the excitation")
     parser.value("--settle", not_negative, "S", "time before each point (default: 0)", default=0.0)
     parser.figure_and_table("draw condition over camera rate", "write the plan as a table")
 
@@ -80,7 +81,7 @@ def frequencies(text: str) -> tuple[float, ...]:
 
 def _range(text: str) -> list[float]:
     """Return the frequencies of one number or range."""
-    shown = (text if text.isprintable() else ascii(text))[:60] or "nothing"
+    shown = (text if text.isprintable() else ascii(text))[:60] or "an empty text"
     wrong = argparse.ArgumentTypeError(f"expected frequencies such as 106.25 or 53.7:1020.3:12, found {shown}")
     parts = text.split(":")
     logarithmic = len(parts) == 4 and parts[3] == "log"
@@ -103,7 +104,7 @@ def _range(text: str) -> list[float]:
 
 @command(_plan_options, "--frequencies 53.7:1020.3:12 --frames 844 --max-rate 60 --exposure 100e-6")
 def plan(options: argparse.Namespace) -> None:
-    """Find camera rates at which excitation and harmonics fold to separate places."""
+    """Find camera rates with separate aliases of excitation and harmonics."""
     from fusion.base import check_new_file
     from fusion.commands.command_notices import CONFLICTING_OPTIONS
     from fusion.errors import InputError
@@ -121,7 +122,7 @@ def plan(options: argparse.Namespace) -> None:
         sampling=Sampling(options.frames, options.exposure, options.harmonics, options.corner, options.tolerance),
         together=options.together,
         rate_hz=options.rate,
-        # a fifth either way of a rate that is explained
+        # 20 % to either side of an explained rate
         limits_hz=limits_hz if options.rate is None else (0.8 * options.rate, 1.2 * options.rate),
         rate_step_hz=options.rate_step,
         settle_s=options.settle,
@@ -145,7 +146,7 @@ def _simulate_options(parser: Parser) -> None:
 
     parser.value("out", path, "OUT", "campaign folder to create")
     text = (
-        "which rig (default: demo); single: before one camera; room: on a floor that may shake, with patches at rest; "
+        "which rig (default: demo); single: one camera; room: on a floor that may shake, with patches at rest; "
         "sweep, matrix: campaigns for a curve over frequency and for the 6x6; targets: a camera calibration; chirp: a "
         "recording for shakercal "
         "transfer; masses, pitching: campaigns of two loads for shakercal identify; rotation: a campaign for shakercal "
@@ -155,16 +156,16 @@ def _simulate_options(parser: Parser) -> None:
     parser.choice("--preset", PRESETS, text)
     parser.add_argument("--seed", type=seed, default=1, help="seed of every random draw (default: 1)")
     text = (
-        "break one assumption of the program in a preset of sines, may be repeated; "
+        "violate one assumption of the program in a preset of sines, may be repeated; "
         "docs/assumptions.md lists the names, units and default sizes"
     )
     parser.add_argument("--violate", action="append", metavar="NAME[=SIZE]", default=[], help=text)
-    parser.switch("--force", "overwrite a simulation that is there")
+    parser.switch("--force", "overwrite an earlier simulation")
 
 
 @command(_simulate_options, "rope --preset steps")
 def simulate(options: argparse.Namespace) -> None:
-    """Write a simulated recording with its truth."""
+    """Simulate a recording with its truth."""
     from fusion.commands.command_notices import INVALID_OPTION, OUTPUT_EXISTS
     from fusion.errors import InputError
     from fusion.report.terminal import progress_bar
@@ -183,14 +184,14 @@ def simulate(options: argparse.Namespace) -> None:
         reason = str(error).partition(": ")[2]
         raise InputError(INVALID_OPTION, "shakercal simulate", "--violate", reason=reason) from error
     number = len(list(options.out.glob("*/recording.toml")))
-    kind = "recording" if number == 1 else "campaign" if number else "element" if written.is_file() else "pictures"
+    kind = "recording" if number == 1 else "campaign" if number else "element" if written.is_file() else "images"
     print(f"simulated {kind}: {written}" + (f", {number} recordings" if kind == "campaign" else ""))
 
 
 def _init_options(parser: Parser) -> None:
     parser.value("folder", path, "FOLDER", "folder of a recording's files, or of several such folders")
     how = parser.add_mutually_exclusive_group()
-    text = "take over rig and channels of this recording, whose files are alike"
+    text = "copy rig and channels from this recording with similar files"
     how.add_argument("--from", dest="like", type=path, metavar="RECORDING", help=text)
     how.add_argument("--example", action="store_true", help="write a commented example instead, with every block")
 
@@ -212,15 +213,15 @@ def init(options: argparse.Namespace) -> None:
 
 def _check_options(parser: Parser) -> None:
     parser.recording()
-    text = "draw cameras, beams, sensors, bodies, axes and gravity as the manifests place them: a page to turn by hand"
+    text = "draw cameras, beams, sensors, bodies, axes and gravity as stated: an interactive page"
     parser.value("--rig", page, "FILE.html", text)
-    parser.switch("--force", "overwrite a page that is there")
+    parser.switch("--force", "overwrite an existing page")
     parser.json()
 
 
 @command(_check_options, "recordings/Fz-0080 --rig rig.html")
 def check(options: argparse.Namespace) -> int:
-    """Say what a recording holds and everything that its command would refuse; no image is followed."""
+    """Report the content of a recording and all errors, without tracking images."""
     from fusion.base import check_new_file
     from fusion.errors import InputError
     from fusion.planning.check import check, check_together
@@ -258,15 +259,15 @@ def check(options: argparse.Namespace) -> int:
 
 def _look_options(parser: Parser) -> None:
     parser.recording()
-    text = "expanded uncertainty (k = 2) that the result shall have, in %%"
+    text = "required expanded uncertainty (k = 2) of the result, in %%"
     parser.value("--aim", percent, "PERCENT", text)
-    parser.value("--page", path, "FILE.html", "write a page, too, whose colour is read from two metres")
-    parser.switch("--watch", "look again whenever files change, until Ctrl-C; the page loads itself again")
+    parser.value("--page", path, "FILE.html", "write a page, too, whose colour is visible from two metres")
+    parser.switch("--watch", "repeat whenever files change, until Ctrl-C; the page reloads itself")
 
 
 @command(_look_options, "recordings/Fz-0080 --aim 0.1")
 def look(options: argparse.Namespace) -> int:
-    """Look at a recording within seconds: is it worth keeping, and which uncertainty can it have."""
+    """Assess a recording within seconds: defects and achievable uncertainty."""
     from fusion.planning.look.look import run_look
 
     level = run_look(
@@ -277,10 +278,8 @@ def look(options: argparse.Namespace) -> int:
 
 def _view_options(parser: Parser) -> None:
     parser.value("source", path, "SOURCE", "folder of results, of a recording or of a campaign")
-    parser.value(
-        "--recording", path, "RECORDING", "recording or campaign that the results are of, where they lie apart"
-    )
-    parser.value("--port", whole(0, 65535), "PORT", "of this machine (default: 0, any that is free)", default=0)
+    parser.value("--recording", path, "RECORDING", "recording or campaign of the results, if stored elsewhere")
+    parser.value("--port", whole(0, 65535), "PORT", "of this machine (default: 0, any free one)", default=0)
     parser.switch("--no-browser", "print the address only")
     parser.allow_outside()
 
@@ -304,7 +303,7 @@ def _lines_options(parser: Parser) -> None:
     parser.value("source", path, "SOURCE", text)
     text = "channel of the file, may be repeated (default: all)"
     parser.add_argument("--channel", action="append", metavar="NAME", help=text)
-    parser.value("--sample-rate", hertz, "HZ", "of a file that states none")
+    parser.value("--sample-rate", hertz, "HZ", "of a file without sample rate")
     parser.value("--band", band, "LOW:HIGH", "list lines of the file between these, in Hz")
     parser.figure_and_table("draw spectrum and floor", "write the list as a table")
     parser.allow_outside()
@@ -312,7 +311,7 @@ def _lines_options(parser: Parser) -> None:
 
 @command(_lines_options, "recordings/Fz-0080/bridge.tdms --channel Fz --band 50:2000 --figure lines.png")
 def lines(options: argparse.Namespace) -> None:
-    """List every line of a file or recording, and why."""
+    """List every line of a file or recording, with its origin."""
     from fusion.base import check_new_file
     from fusion.planning.lines import lines_csv, lines_of_file, lines_of_recording, print_lines
     from fusion.report.atomic_files import write_atomically
@@ -337,7 +336,7 @@ def lines(options: argparse.Namespace) -> None:
 
 
 def _print_rows(name: str, text: str) -> None:
-    """Print a table for programs."""
+    """Print a table as JSON."""
     from fusion.report.folder import command_json
     from fusion.report.table import csv_rows
 
@@ -345,7 +344,7 @@ def _print_rows(name: str, text: str) -> None:
 
 
 def _manifests(options: argparse.Namespace) -> list[Manifest]:
-    """Load the recordings of a folder; only one fits a table or figure, and none takes a file's options."""
+    """Load the recordings of a folder; refuse options of files, and several for one table."""
     from fusion.commands.command_notices import OPTION_OF_ANOTHER_INPUT
     from fusion.errors import InputError
     from fusion.recording.load import find_recordings, load_manifest
@@ -367,12 +366,12 @@ def _run_options(parser: Parser) -> None:
     parser.recording()
     text = "folder of the results (default: RECORDING/results)"
     parser.add_argument("-o", "--output", type=path, metavar="RESULTS", help=text)
-    parser.switch("--force", "compute again and overwrite result files that are there")
+    parser.switch("--force", "compute again and overwrite existing results")
     text = "half-width of the subsets (default: from the speckle size in the images, 10 px for speckle of 4 to 5 px)"
     parser.value("--subset-radius", radius, "PX", text)
-    parser.device("where subsets are tracked (default: auto, a GPU where torch finds one)")
+    parser.device("device for tracking (default: auto, a GPU if torch finds one)")
     text = (
-        "check the uncertainties with N draws of everything uncertain "
+        "check the uncertainties with N draws of all uncertain inputs "
         f"({FEWEST_DRAWS} to {MOST_DRAWS}; 100000 are good for two digits of U; default: none)"
     )
     parser.value("--monte-carlo", draws, "N", text, default=0)
@@ -383,7 +382,7 @@ def _run_options(parser: Parser) -> None:
     text = "processes that share the work on this machine (default: 1); results are the same to the last digit"
     where.add_argument("--workers", type=count, default=1, metavar="N", help=text)
     text = (
-        "have the work done by the Dask cluster whose scheduler is at ADDRESS, such as tcp://10.0.0.1:8786: its "
+        "compute on the Dask cluster with the scheduler at ADDRESS, such as tcp://10.0.0.1:8786: its "
         'workers see the same files by the same paths (needs pip install "shakercal[cluster]")'
     )
     where.add_argument("--scheduler", metavar="ADDRESS", help=text)
@@ -426,13 +425,13 @@ def run(options: argparse.Namespace) -> int:
 def _transfer_options(parser: Parser) -> None:
     parser.recording()
     text = (
-        "default: auto, the ratio of means over periods where a period is stated, of noise local polynomials, of "
-        "blows what the coherence advises"
+        "default: auto: with a period the ratio of means over periods, for noise local polynomials, for "
+        "blows by coherence"
     )
     parser.choice("--estimator", ("auto", "periodic", "local", "H1", "H2", "Hv"), text)
-    text = "line spacing where no period is stated (default: 16 segments side by side; of blows: 1 Hz)"
+    text = "line spacing without a stated period (default: 16 adjacent segments; for blows: 1 Hz)"
     parser.value("--resolution", hertz, "HZ", text)
-    text = "turn every motion into this quantity (default: as it was measured)"
+    text = "convert every motion into this quantity (default: as measured)"
     parser.add_argument("--quantity", choices=("displacement", "velocity", "acceleration"), help=text)
     parser.results("RECORDING/transfer")
     parser.json()
@@ -440,7 +439,7 @@ def _transfer_options(parser: Parser) -> None:
 
 @command(_transfer_options, "recordings/chirp")
 def transfer(options: argparse.Namespace) -> None:
-    """Transfer functions and resonances from a chirp, multisine, noise or blows."""
+    """Estimate transfer functions and resonances from a chirp, multisine, noise or blows."""
     from fusion.sensor.transfer.transfer_records import TransferSettings
     from fusion.sensor.transfer.transfer_report import run_transfer
 
@@ -458,7 +457,7 @@ def _export_options(parser: Parser) -> None:
 
 @command(_export_options, "results/Fz-0080 -o Fz-0080.uff")
 def export(options: argparse.Namespace) -> None:
-    """Write results or the channels of a recording as a universal file (UFF 58, 58b, 55, 2411)."""
+    """Export results or channels as a universal file (UFF 58, 58b, 55, 2411)."""
     from fusion.report.universal_export import export_universal
 
     made = export_universal(options.results, options.output, text=options.text, force=options.force)
@@ -474,7 +473,7 @@ def _validate_options(parser: Parser) -> None:
 
 @command(_validate_options, "-o validation")
 def validate(options: argparse.Namespace) -> int:
-    """Compare what this installation computes with results of other means (software validation)."""
+    """Compare results of this installation with independent ones (software validation)."""
     from fusion.planning.validation import validation_run as validation
 
     if options.output is not None:

@@ -1,4 +1,4 @@
-"""What the commands share: the parser, the types of its arguments, exit statuses. Nothing heavy is imported here."""
+"""Common parts of commands: parser, argument types, exit statuses; without heavy imports."""
 
 from __future__ import annotations
 
@@ -13,16 +13,16 @@ from fusion.base import FEWEST_DRAWS, MOST_DRAWS
 
 FIGURE_SUFFIXES = (".png", ".svg", ".pdf")
 EXIT_DONE, EXIT_FAILED, EXIT_INPUT, EXIT_INTERRUPTED, EXIT_CLOSED = 0, 1, 2, 130, 141
-LONGEST, LONGEST_MESSAGE = 4096, 500  # characters of a path, and of what is said of arguments
-MOST_OF_SIZE = 100_000  # columns or rows, of targets and pictures
+LONGEST, LONGEST_MESSAGE = 4096, 500  # characters of a path, and of an error message
+MOST_OF_SIZE = 100_000  # columns or rows, of targets and images
 Value = TypeVar("Value", int, float)
 
 
 class Parser(argparse.ArgumentParser):
-    """A parser with short words for what most commands have."""
+    """A parser with methods for common options."""
 
     def error(self, message: str) -> NoReturn:
-        """Say what is wrong with the arguments, control characters by their number, and end."""
+        """Print an error of the arguments, control characters by number, and exit."""
         shown = "".join(c if c.isprintable() or c in "\n\t" else ascii(c)[1:-1] for c in message)
         super().error(shown if len(shown) <= LONGEST_MESSAGE else f"{shown[:LONGEST_MESSAGE]}…")
 
@@ -39,7 +39,7 @@ class Parser(argparse.ArgumentParser):
         self.add_argument(flag, action="store_true", help=text)
 
     def recording(self) -> None:
-        """Add the recording or campaign a command works on."""
+        """Add the recording or campaign of a command."""
         self.value("recording", path, "RECORDING", "folder of a recording or of a campaign")
         self.allow_outside()
 
@@ -50,35 +50,35 @@ class Parser(argparse.ArgumentParser):
         self.allow_outside()
 
     def allow_outside(self, file: str = "rig.toml") -> None:
-        """Add the leave to read files anywhere."""
+        """Add the permission to read files anywhere."""
         self.switch("--allow-outside", f"accept files outside the folder of {file}")
 
     def results(self, default: str) -> None:
-        """Add where a command writes its results, and the leave to overwrite; `default`: where without the option."""
+        """Add result folder and permission to overwrite; `default`: description of the default."""
         self.add_argument("-o", "--output", type=path, metavar="RESULTS", help=f"result folder (default: {default})")
-        self.switch("--force", "overwrite result files that are there")
+        self.switch("--force", "overwrite existing results")
 
     def figure_and_table(self, figure_text: str, table_text: str) -> None:
-        """Add files that a command writes beside its lines."""
+        """Add a figure and a table as additional outputs."""
         self.value("--figure", figure, "FILE", f"{figure_text} (.png, .svg, .pdf)")
         self.value("--csv", path, "FILE", table_text)
-        self.switch("--force", "overwrite files that are there")
+        self.switch("--force", "overwrite existing files")
         self.json()
 
     def json(self) -> None:
-        """Add the answer for programs."""
+        """Add output as JSON."""
         self.switch("--json", "print the main results, notices and paths as JSON instead, and nothing else on stdout")
 
     def device(self, text: str) -> None:
-        """Add the processor that tracks."""
+        """Add the device for tracking."""
         self.value("--device", device, "{auto,cpu,cuda}", text, default="auto")
 
 
 @dataclass(frozen=True)
 class CliCommand:
-    """A sub-command: what the help says of it, an example of its use, what adds its options, and what it does.
+    """A sub-command: help, example, function for options, function for the action.
 
-    What it does returns the exit status, None: it is done.
+    The action returns the exit status; None is success.
     """
 
     name: str
@@ -91,9 +91,9 @@ class CliCommand:
 def command(
     options: Callable[[Parser], None], example: str
 ) -> Callable[[Callable[[argparse.Namespace], int | None]], CliCommand]:
-    """Make a command of a function, by its name and docstring; `options` adds what it takes.
+    """Return a decorator that makes a command from a function's name and docstring.
 
-    `example`: what to write behind `shakercal` and its name.
+    `options`: adds its options. `example`: text after `shakercal` and its name.
     """
 
     def made(act: Callable[[argparse.Namespace], int | None]) -> CliCommand:
@@ -104,7 +104,7 @@ def command(
 
 
 def _number(convert: Callable[[str], Value], accepts: Callable[[Value], bool], expected: str) -> Callable[[str], Value]:
-    """Return the type of an argument: a number that is accepted, else a refusal that says what was expected."""
+    """Return an argument type: an accepted number, else an error with the expectation."""
 
     def check(text: str) -> Value:
         try:
@@ -120,7 +120,7 @@ def _number(convert: Callable[[str], Value], accepts: Callable[[Value], bool], e
 
 
 SMALLEST, LARGEST = 1e-30, 1e30
-"""Sizes of numbers that are not 0: those of a manifest (`fusion.recording.values`), which is not imported here."""
+"""Range of the size of numbers other than 0, as in manifests (`fusion.recording.values`)."""
 positive = _number(float, lambda value: SMALLEST <= value <= LARGEST, f"a number above 0, at most {LARGEST:g}")
 not_negative = _number(
     float, lambda value: value == 0 or SMALLEST <= value <= LARGEST, f"a number of at least 0, at most {LARGEST:g}"
@@ -130,14 +130,14 @@ METRES = {"": 1.0, "m": 1.0, "cm": 1e-2, "mm": 1e-3, "um": 1e-6, "µm": 1e-6, "i
 
 
 class Length(NamedTuple):
-    """A length in m, and the unit that was written after it, "" for none."""
+    """A length in m, and its written unit, "" for none."""
 
     m: float
     unit: str
 
 
 def length(text: str) -> Length:
-    """Return a length above 0: a number, of m where no unit follows it."""
+    """Return a length above 0, in m by default."""
     number, unit = re.fullmatch(r"(.*?)\s*([a-zµ]*)", text, re.DOTALL).groups()  # type: ignore[union-attr]
     if unit not in METRES:
         raise argparse.ArgumentTypeError(f"expected a length such as 7e-3 (m) or 7mm, found {ascii(text)[:60]}")
@@ -145,7 +145,7 @@ def length(text: str) -> Length:
 
 
 def in_metres(text: str) -> str:
-    """Return the number of m that a text with a unit of length means, any other text as it is."""
+    """Return a text with a unit of length as a number in m, other texts unchanged."""
     found = re.fullmatch(r"(.*?)\s*([a-zµ]+)", text)
     try:
         return repr(float(found[1]) * METRES[found[2]]) if found else text
@@ -157,9 +157,9 @@ share = _number(float, lambda value: value == 0 or SMALLEST <= value < 1, "a num
 between_0_and_1 = _number(float, lambda value: 0 < value < 1, "a number between 0 and 1")
 
 
-def whole(least: int, most: int) -> Callable[[str], int]:
-    """Return the type of a whole number between two, both included."""
-    return _number(int, lambda value: least <= value <= most, f"a whole number from {least} to {most}")
+def whole(minimum: int, maximum: int) -> Callable[[str], int]:
+    """Return the argument type of a whole number between two limits, inclusive."""
+    return _number(int, lambda value: minimum <= value <= maximum, f"a whole number from {minimum} to {maximum}")
 
 
 count = whole(1, 1000)
@@ -178,17 +178,17 @@ def percent(text: str) -> float:
 
 
 def path(text: str) -> Path:
-    """Return a path that a system can follow."""
+    """Return a path that exists or can be created."""
     shown = ascii(text)[1:-1][:60]
     if not text.strip() or not text.isprintable() or len(text) > LONGEST:
-        raise argparse.ArgumentTypeError(f"expected a path, found {shown or 'nothing'}")
+        raise argparse.ArgumentTypeError(f"expected a path, found {shown or 'an empty text'}")
     try:
-        place = Path(text).resolve()
-        if place.exists() and not (place.is_file() or place.is_dir()):
+        target = Path(text).resolve()
+        if target.exists() and not (target.is_file() or target.is_dir()):
             raise argparse.ArgumentTypeError(f"expected a file or folder, found a device or pipe at {shown}")
-    except (OSError, RuntimeError) as error:  # links in a circle are the latter before Python 3.13
-        told = error.strerror if isinstance(error, OSError) else "links that lead in a circle"
-        raise argparse.ArgumentTypeError(f"expected a path, found {shown}: {told}") from error
+    except (OSError, RuntimeError) as error:  # circular links raise the latter before Python 3.13
+        reason = error.strerror if isinstance(error, OSError) else "circular links"
+        raise argparse.ArgumentTypeError(f"expected a path, found {shown}: {reason}") from error
     return Path(text)
 
 
@@ -214,7 +214,7 @@ def band(text: str) -> tuple[float, float]:
 
 
 def figure(text: str) -> Path:
-    """Return the path of a figure of a known format."""
+    """Return the path of a figure in a supported format."""
     file = path(text)
     if file.suffix.lower() not in FIGURE_SUFFIXES:
         raise argparse.ArgumentTypeError(f"expected a name that ends in {', '.join(FIGURE_SUFFIXES)}, found {text}")
@@ -230,7 +230,7 @@ def page(text: str) -> Path:
 
 
 def device(choice: str) -> str:
-    """Return the processor chosen, checked to be there; "auto" is left for when there is something to track."""
+    """Return an available device; "auto" is resolved later."""
     if choice == "auto":
         return choice
     from photogram.kernels.device import resolve_device

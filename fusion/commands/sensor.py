@@ -1,6 +1,7 @@
-"""The commands that model the sensor, from rotate to elastomer, and the one that writes its certificate.
+"""Commands for models of the sensor, from rotate to elastomer, and for its certificate.
 
-Of each command: its options, then what it does, which alone imports heavy modules. Its docstring is its help.
+Each command has a function for its options, and one for its action, which imports heavy modules. Its docstring is its
+help.
 """
 
 from __future__ import annotations
@@ -23,13 +24,13 @@ from fusion.commands.options import (
 
 def _rotate_options(parser: Parser) -> None:
     parser.recordings()
-    parser.results("folder rotate in the campaign or in the only recording, else beside rig.toml")
+    parser.results("folder rotate in the campaign or in the only recording, else next to rig.toml")
     parser.json()
 
 
 @command(_rotate_options, "turned/bare turned/loaded")
 def rotate(options: argparse.Namespace) -> None:
-    """Internal mass and load mass from the sensor turned about a horizontal axis."""
+    """Determine internal mass and load mass by rotation about a horizontal axis."""
     from fusion.sensor.rotate.rotation_report import run_rotate
 
     run_rotate(options.recordings, options.output, force=options.force, allow_outside=options.allow_outside)
@@ -38,13 +39,13 @@ def rotate(options: argparse.Namespace) -> None:
 def _identify_options(parser: Parser) -> None:
     parser.value("campaign", path, "CAMPAIGN", "folder of a campaign or of one recording")
     parser.allow_outside()
-    text = "default: auto, translation, and pitching where a second peak calls for it"
+    text = "default: auto, translation, and pitching if there is a second peak"
     parser.choice("--model", ("auto", "translation", "pitching", "adapter"), text)
     parser.choice("--damping", ("common", "each"), "one for all recordings, or one for each")
-    text = "default: auto, fitted where two load masses or more tell it from the stiffness, else that of rig.toml"
+    text = "default: auto, fitted if two load masses or more separate it from the stiffness, else that of rig.toml"
     parser.choice("--internal-mass", ("auto", "free", "stated"), text)
     parser.value("--band", not_negative, ("LOW", "HIGH"), "lines to fit, in Hz (default: all)", nargs=2)
-    text = "masses for which corrections and usable bands are given (default: those of the recordings)"
+    text = "masses for corrections and usable bands (default: those of the recordings)"
     parser.value("--load-mass", positive, "KG", text, nargs="+", default=())
     text = "error of the magnitude up to which a band is usable (default: 0.05)"
     parser.value("--permitted", between_0_and_1, "SHARE", text, default=0.05)
@@ -54,7 +55,7 @@ def _identify_options(parser: Parser) -> None:
 
 @command(_identify_options, "campaign --load-mass 0.5 2 7")
 def identify(options: argparse.Namespace) -> None:
-    """Stiffness, damping and internal mass of the sensor from a whole campaign."""
+    """Identify stiffness, damping and internal mass of the sensor from a campaign."""
     from fusion.commands.command_notices import FREQUENCIES_NOT_ASCENDING
     from fusion.errors import InputError
     from fusion.sensor.identify.identification_inputs import IdentifySettings
@@ -82,15 +83,15 @@ def _step_options(parser: Parser) -> None:
     parser.choice("--method", ("pencil", "arx", "all"), text)
     parser.value("--modes", whole(1, 20), "N", "oscillating modes of a model (default: by rule)")
     parser.value("--real-poles", whole(0, 20), "N", "real poles of a model (default: by rule)")
-    text = "how the load changes (default: auto, the force channel where one is named, else by rule)"
+    text = "change of the load (default: auto, the force channel if one is named, else by rule)"
     parser.choice("--release", ("auto", "step", "ramp", "smooth", "measured"), text)
-    parser.results("folder step in the campaign or in the only recording, else beside rig.toml")
+    parser.results("folder step in the campaign or in the only recording, else next to rig.toml")
     parser.json()
 
 
 @command(_step_options, "releases --method pencil")
 def step(options: argparse.Namespace) -> None:
-    """Models of the sensor's outputs from releases of a load: modes, bands, settling."""
+    """Fit models of the sensor's outputs to releases of a load: modes, bands, settling."""
     from fusion.sensor.step.step_records import StepSettings
     from fusion.sensor.step.step_report import run_step
 
@@ -102,24 +103,24 @@ def _load_options(parser: Parser) -> None:
     parser.value("recordings", path, "RECORDING", "folder of a campaign, or of step recordings", nargs="*")
     parser.allow_outside()
     text = (
-        "in place of recordings: CSV with load_mass_kg, frequency_hz and, if known, u_frequency_hz, second_hz, "
+        "instead of recordings: CSV with load_mass_kg, frequency_hz and optionally u_frequency_hz, second_hz, "
         "u_load_mass_kg"
     )
     parser.value("--frequencies", path, "TABLE", text)
     parser.value("--moving-mass", positive, "KG", "of the sensor, with --frequencies")
     parser.value("--moving-mass-uncertainty", not_negative, "KG", "standard uncertainty (0)", default=0.0)
-    text = "foretell resonance and bands with these loads, such as a gripper or a hand (kg; of moments kg m^2)"
+    text = "predict resonance and bands with these loads, such as a gripper or a hand (kg; kg m^2 for moments)"
     parser.value("--load-mass", positive, "KG", text, nargs="+", default=[])
-    parser.value("--permitted", percent, "PERCENT", "error up to which loads are permitted (5)", default=0.05)
+    parser.value("--permitted", percent, "PERCENT", "permitted error of loads (5)", default=0.05)
     parser.value("--wanted", hertz, "HZ", "largest load for these resonances", nargs="+", default=[])
-    parser.results("folder load in the campaign, in the only recording, or beside rig.toml or TABLE")
+    parser.results("folder load in the campaign, in the only recording, or next to rig.toml or TABLE")
     parser.json()
     parser.set_defaults(refuse=parser.error)
 
 
 @command(_load_options, "releases --wanted 500")
 def load(options: argparse.Namespace) -> None:
-    """Stiffness, resonance over load mass and load limits from releases with loads."""
+    """Determine stiffness, resonance over load mass and load limits from releases."""
     from fusion.sensor.load.load_evaluation import LoadSettings
     from fusion.sensor.load.load_models_report import run_loads, run_table
 
@@ -127,9 +128,9 @@ def load(options: argparse.Namespace) -> None:
     if table == bool(options.recordings):
         options.refuse("expected either recordings or --frequencies TABLE")
     if table and options.moving_mass is None:
-        options.refuse("--frequencies needs --moving-mass: resonances tell stiffness only over mass")
+        options.refuse("--frequencies needs --moving-mass: resonances determine only stiffness over mass")
     if not table and options.moving_mass is not None:
-        options.refuse("--moving-mass is for --frequencies: of recordings rig.toml states sensor.internal_mass")
+        options.refuse("--moving-mass is for --frequencies: for recordings rig.toml states sensor.internal_mass")
     moving = (options.moving_mass, options.moving_mass_uncertainty) if table else None
     settings = LoadSettings(options.permitted, tuple(options.wanted), tuple(options.load_mass), moving)
     if table:
@@ -139,7 +140,7 @@ def load(options: argparse.Namespace) -> None:
 
 
 def _compensate_options(parser: Parser) -> None:
-    # what is compensated
+    # subject of the compensation
     text = "models.json of shakercal step, load.json of shakercal load, or a folder with one"
     parser.value("models", path, "MODEL", text, nargs="*")
     parser.value("--sensor-frequency", hertz, "HZ", "natural frequency, without a model")
@@ -147,29 +148,29 @@ def _compensate_options(parser: Parser) -> None:
     parser.value("--channel", str, "NAME", "output channels (default: all)", nargs="+", default=[])
     parser.value("--load-mass", not_negative, "KG", "loads of a model over the load, kg", nargs="+", default=[])
     parser.value("--modes", whole(1, 20), "N", "modes to compensate (default: 1)", default=1)
-    # what is wanted
+    # target
     parser.value("--frequency", hertz, "HZ", "natural frequency of the target")
     text = "damping ratio of the target (default: the one with the widest band for the permitted error)"
     parser.value("--damping", positive, "ZETA", text)
-    parser.value("--bandwidth", hertz, "HZ", "instead of both: up to where the gain shall be right")
+    parser.value("--bandwidth", hertz, "HZ", "instead of both: upper limit of the band with correct gain")
     parser.value("--permitted-error", positive, "PERCENT", "of the gain (default: 10)", default=10.0)
     parser.value("--real-pole", hertz, "HZ", "move the slowest real pole here")
     parser.value("--low-pass", hertz, "HZ", "corner of a Butterworth low-pass in the filter: less noise")
-    parser.switch("--calibrated", "divide by the static gain too: the filter puts out the load")
-    # how it is sampled, and what is filtered
+    parser.switch("--calibrated", "divide by the static gain too: the output of the filter is the load")
+    # sampling and filtered recording
     parser.value("--sample-rate", hertz, "HZ", "of the filter (default: that of the model)")
     text = "matched poles and zeros, or Tustin prewarped at each mode (default: matched)"
     parser.choice("--discretisation", ("matched", "tustin"), text)
     parser.value("--apply", path, "RECORDING", "filter the outputs of this recording too")
     parser.value("--ball", positive, "N_PER_M", "check force feedback against a virtual ball of this stiffness")
     parser.allow_outside()
-    parser.results("folder compensate beside the first model, or in the working folder")
+    parser.results("folder compensate next to the first model, or in the working folder")
     parser.json()
 
 
 @command(_compensate_options, "releases/step --frequency 2000 --damping 0.7")
 def compensate(options: argparse.Namespace) -> None:
-    """Filters that give a sensor the resonance, damping or bandwidth one wants."""
+    """Design filters for a specified resonance, damping or bandwidth of the sensor."""
     from fusion.sensor.compensate.compensation_report import run_compensate
     from fusion.sensor.compensate.compensation_subjects import CompensationSettings
 
@@ -202,17 +203,19 @@ def compensate(options: argparse.Namespace) -> None:
 def _decouple_options(parser: Parser) -> None:
     parser.value("campaign", path, "CAMPAIGN", "folder with recordings of releases of all loads")
     parser.allow_outside()
-    parser.value("--frequency", hertz, "HZ", "wanted frequency behind the filter (default: half the lowest mode's)")
-    text = "wanted damping ratio, between 0 and 1 (default: 0.6)"
+    parser.value(
+        "--frequency", hertz, "HZ", "target frequency after the filter (default: half that of the lowest mode)"
+    )
+    text = "target damping ratio, between 0 and 1 (default: 0.6)"
     parser.value("--damping", between_0_and_1, "Z", text, default=0.6)
-    parser.value("--seed", seed, "N", "of the models drawn for U (default: 1)", default=1)
+    parser.value("--seed", seed, "N", "of the sampled models for U (default: 1)", default=1)
     parser.results("folder decouple in the campaign")
     parser.json()
 
 
 @command(_decouple_options, "releases --frequency 800")
 def decouple(options: argparse.Namespace) -> None:
-    """Model of all outputs over all loads from releases; filter against cross-talk."""
+    """Identify a model of all outputs over all loads from releases, and a decoupling filter."""
     from fusion.sensor.decouple.decoupling_evaluation import DecoupleSettings
     from fusion.sensor.decouple.decoupling_report import run_decouple
 
@@ -221,17 +224,17 @@ def decouple(options: argparse.Namespace) -> None:
 
 
 def _elastomer_options(parser: Parser) -> None:
-    parser.value("geometry", path, "GEOMETRY.toml", "what the element is, or a folder with elastomer.toml")
-    text = 'also model it as an elastic solid on meshes that get finer (needs pip install "shakercal[solid]")'
+    parser.value("geometry", path, "GEOMETRY.toml", "description of the element, or a folder with elastomer.toml")
+    text = 'also model it as an elastic solid on refined meshes (needs pip install "shakercal[solid]")'
     parser.switch("--solid", text)
     parser.switch("--allow-outside", "accept files outside the folder above that of GEOMETRY.toml")
-    parser.results("folder elastomer beside the file")
+    parser.results("folder elastomer next to the file")
     parser.json()
 
 
 @command(_elastomer_options, "elastomer.toml --solid")
 def elastomer(options: argparse.Namespace) -> None:
-    """Stiffness and modes of a cross-beam element from its geometry."""
+    """Compute stiffness and modes of a cross-beam element from its geometry."""
     from fusion.report.terminal import progress_bar
     from fusion.sensor.elastomer.element_report import run_elastomer
 
@@ -248,20 +251,22 @@ def elastomer(options: argparse.Namespace) -> None:
 
 def _certificate_options(parser: Parser) -> None:
     parser.recording()
-    parser.value("--form", path, "FILE", "what the results do not tell (default: certificate.toml beside them)")
+    parser.value(
+        "--form", path, "FILE", "statements in addition to the results (default: certificate.toml next to them)"
+    )
     parser.value(
         "--results",
         path,
         "RESULTS",
-        "where run, rotate, identify or step left them (default: results in the folder, else that of a command)",
+        "results of run, rotate, identify or step (default: results in the folder, else that of a command)",
     )
-    parser.switch("--draft", "write a certificate.toml to fill in, and nothing else")
+    parser.switch("--draft", "only write a certificate.toml to fill in")
     parser.results("folder certificate in the recording or campaign")
 
 
 @command(_certificate_options, "campaign --form certificate.toml")
 def certificate(options: argparse.Namespace) -> None:
-    """Calibration certificate of a recording or campaign, as XML (DCC) and as a page."""
+    """Write the calibration certificate of a recording or campaign, as XML (DCC) and page."""
     from fusion.sensor.certificate.certificate_report import run_certificate, write_form
 
     if options.draft:
@@ -278,21 +283,19 @@ def certificate(options: argparse.Namespace) -> None:
 
 
 def _compare_options(parser: Parser) -> None:
-    text = "results folder or CSV table, with a name for it where NAME= stands in front"
+    text = "results folder or CSV table, optionally with a name"
     parser.value("inputs", str, "[NAME=]RESULT", text, nargs="+")
     parser.value(
         "--date", str, "NAME=DATE", "day of a result, YYYY-MM-DD, for the drift; may be repeated", action="append"
     )
-    parser.value(
-        "--tolerance", percent, "PERCENT", "by which frequencies of one value may differ (default: 0.1)", default=1e-3
-    )
-    parser.results("folder comparison here")
+    parser.value("--tolerance", percent, "PERCENT", "tolerance of equal frequencies (default: 0.1)", default=1e-3)
+    parser.results("folder comparison in the working folder")
     parser.json()
 
 
 @command(_compare_options, "2024=results-2024 2026=results-2026 --date 2024=2024-05-02 --date 2026=2026-03-09")
 def compare(options: argparse.Namespace) -> None:
-    """Results of laboratories, campaigns or dates: E_n, reference value, consistency, drift."""
+    """Compare results of laboratories, campaigns or dates: E_n, reference value, consistency, drift."""
     from fusion.sensor.compare.comparison_report import run_compare
 
     run_compare(options.inputs, options.output, options.date or (), options.tolerance, force=options.force)

@@ -9,7 +9,7 @@ from typing import Literal
 
 import numpy as np
 
-from fusion.estimation.acceleration_warnings import MISSED, acceleration_notices
+from fusion.estimation.acceleration_checks import MISSED, acceleration_notices
 from fusion.estimation.coverage import Polar, region_factor
 from fusion.estimation.instrument_consistency import (
     CommonEstimate,

@@ -1,1 +1,1 @@
-"""The kinds of instruments: rows of the model, errors by name and drawn, unit, what can be observed."""
+"""Kinds of instruments: rows of the model, named errors and samples, units, observed components."""

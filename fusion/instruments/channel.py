@@ -1,4 +1,4 @@
-"""Channels read through their chains: errors of a chain by name, rows of the linear model, the sensor's outputs."""
+"""Channels and their measuring chains: named errors, rows of the linear model, sensor outputs."""
 
 from __future__ import annotations
 
@@ -37,17 +37,18 @@ if TYPE_CHECKING:
 
 CLOCK_RATE = "clock rate"
 PER_RECORDING_SCOPES: tuple[Scope, ...] = ("recording", "start")
-"""Scopes of what no manifest states: every recording finds it anew."""
+"""Scopes of unknowns that no manifest states: they differ between recordings."""
 NOISE_REACH = 3.0
-"""Standard uncertainties of its noise above which a line is one of its channel."""
+"""Amplitude over noise above which a line is significant."""
 
-# A channel with its chain: phasors, what the manifest states of them, and the relative errors that follow.
+# A channel with its chain: phasors, stated uncertainties, relative errors.
 
 
 @dataclass(frozen=True)
 class ChainUncertainty:
-    """What the manifest does not say of a channel's chain: relative `u_magnitude` (K,) and `u_phase_rad` (K,) of its
-    response table, and the block on whose `clock` it was recorded.
+    """Uncertainty of a channel's chain from its files.
+
+    Relative `u_magnitude` (K,) and `u_phase_rad` (K,) of its response table, and the block of its `clock`.
     """
 
     u_magnitude: FloatArray | None = None
@@ -57,16 +58,16 @@ class ChainUncertainty:
 
 @dataclass(frozen=True)
 class ChannelRelativeError(Unknown[ComplexArray]):
-    """One unknown of a chain: `effect` (K, M), the complex relative change of its M readings."""
+    """An unknown of a chain: `effect` (K, M) is the complex relative change of its M readings."""
 
     effect: ComplexArray
 
     def scaled(self, factor: ComplexArray | FloatArray) -> ChannelRelativeError:
-        """Return the error of the readings times complex factors (K, 1) or (K, M)."""
+        """Return the error of readings times complex factors (K, 1) or (K, M)."""
         return self
 
     def of_rows(self, design: ComplexArray) -> CommonError:
-        """Return the unknown of rows (K, M, 6) that it changes in proportion; the relative change may be (K, 1)."""
+        """Return the unknown of rows (K, M, 6); the relative change may be (K, 1)."""
         none = np.zeros(design.shape[:2], np.complex128)
         slope = self.effect[:, :, None] * design
         return CommonError(self.name, self.label, self.u, self.unit, self.scope, slope, none, self.type, self.dof)
@@ -74,19 +75,20 @@ class ChannelRelativeError(Unknown[ComplexArray]):
 
 @dataclass(frozen=True)
 class FittedError(ChannelRelativeError):
-    """An error of times as a sine approximation passes it on: beside its `effect` (K, 1) it changes readings by `rest`.
+    """An error of times after the sine approximation: a relative `effect` (K, 1) and an `additive` change.
 
-    `rest` (K, M): what less than a beat cannot tell from the lines; it mixes lines, and X with its conjugate.
+    `additive` (K, M): the part that records shorter than a beat cannot separate from the lines. It mixes lines, and X
+    with its conjugate.
     """
 
     additive: ComplexArray = field(kw_only=True)
 
     def scaled(self, factor: ComplexArray | FloatArray) -> FittedError:
-        """Return the error of the readings times complex factors (K, 1) or (K, M)."""
+        """Return the error of readings times complex factors (K, 1) or (K, M)."""
         return replace(self, additive=self.additive * factor)
 
     def of_rows(self, design: ComplexArray) -> CommonError:
-        """Return the unknown of rows (K, M, 6): a change in proportion, and one of its own."""
+        """Return the unknown of rows (K, M, 6): a proportional and an additive change."""
         return replace(super().of_rows(design), offset=self.additive)
 
     def of_channel(self, column: int) -> FittedError:
@@ -94,10 +96,10 @@ class FittedError(ChannelRelativeError):
         return replace(self, additive=self.additive[:, column : column + 1])
 
     def relative_to(self, phasors: Phasors) -> ChannelRelativeError:
-        """Return the relative error (K, 1) of one channel; at lines within its noise, the proportional part alone."""
+        """Return the relative error (K, 1) of one channel; without the additive part below the noise."""
         size = np.abs(phasors.value)
-        stands_out = size > NOISE_REACH * np.hypot(phasors.u_re, phasors.u_im)
-        rest = np.divide(self.additive, phasors.value, out=np.zeros_like(self.additive), where=stands_out)
+        significant = size > NOISE_REACH * np.hypot(phasors.u_re, phasors.u_im)
+        rest = np.divide(self.additive, phasors.value, out=np.zeros_like(self.additive), where=significant)
         return ChannelRelativeError(
             self.name, self.label, self.u, self.unit, self.effect + rest, self.scope, self.type, self.dof
         )
@@ -105,9 +107,9 @@ class FittedError(ChannelRelativeError):
 
 @dataclass(frozen=True)
 class ChannelReading:
-    """One channel: its manifest entry, its phasors (one channel, SI, delay and response taken off) and its chain.
+    """One channel: manifest entry, phasors (SI, corrected for delay and response), chain.
 
-    `further`: relative errors (K, 1) that it has beside those of its chain.
+    `further_errors`: relative errors (K, 1) in addition to those of its chain.
     """
 
     entry: ChannelEntry
@@ -117,14 +119,14 @@ class ChannelReading:
 
 
 DELAY_OF_FILTER = "filter that the delay may be of"
-"""Label of the attenuation that comes with a delay unless it is pure."""
+"""Label of the attenuation of a delay that is not pure."""
 
 
 def u_of_filter(frequency_hz: FloatArray, delay_s: float) -> tuple[FloatArray, FloatArray]:
-    """Return standard uncertainties (K,) of relative magnitude and phase, rad, of a delay that may be a low-pass's.
+    """Return u (K,) of relative magnitude and phase, rad, of a delay that may be a low-pass's.
 
-    Nothing is corrected: a filter of this delay does anything between nothing and what the usual one does that changes
-    most, so that u is that over √3.
+    There is no correction. The effect of the filter is between zero and that of the usual filter with the largest
+    effect; u is this limit over √3.
     """
     if not delay_s > 0.0:
         return np.zeros(len(frequency_hz)), np.zeros(len(frequency_hz))
@@ -136,10 +138,9 @@ def u_of_filter(frequency_hz: FloatArray, delay_s: float) -> tuple[FloatArray, F
 def chain_errors(readings: Sequence[ChannelReading]) -> tuple[ChannelRelativeError, ...]:
     """Return scale, delay and response errors of channels that share one chain.
 
-    Scale multiplies by 1 + u; a delay not taken off by exp(-jω u) ≈ 1 - jω u; a response by 1 + u_m + j u_phi, its
-    error at all lines taken as one; likewise the filter that a delay may belong to (`u_of_filter`).
-    `individual_uncertainty` is one unknown per channel. What a reading has beside that, errors of its clock among it,
-    comes last.
+    A scale error multiplies by 1 + u, a delay error by exp(-jω u) ≈ 1 - jω u, a response error by 1 + u_m + j u_phi.
+    Response errors, and those of a filter with the delay (`u_of_filter`), are one unknown for all lines.
+    `individual_uncertainty` is one unknown per channel. Further errors of readings, such as those of clocks, are last.
     """
     entries, chains = [reading.entry for reading in readings], [reading.chain for reading in readings]
     name, frequency = chain_name(entries[0]), readings[0].phasors.frequency_hz
@@ -161,67 +162,67 @@ def chain_errors(readings: Sequence[ChannelReading]) -> tuple[ChannelRelativeErr
         errors.append(ChannelRelativeError(f"{name}: {kind}", f"{name}: {kind}", u, unit, relative, "rig"))
     label = f"{name}: individual scale"
     only = np.eye(len(entries), dtype=np.complex128)
-    for place, entry in enumerate(entries):
-        own = np.ones((len(frequency), 1)) * entry.individual_uncertainty * only[place]
+    for index, entry in enumerate(entries):
+        individual = np.ones((len(frequency), 1)) * entry.individual_uncertainty * only[index]
         errors.append(
-            ChannelRelativeError(f"{label} {entry.name}", label, entry.individual_uncertainty, "1", own, "rig")
+            ChannelRelativeError(f"{label} {entry.name}", label, entry.individual_uncertainty, "1", individual, "rig")
         )
-    for place, reading in enumerate(readings):
-        errors += [replace(error, effect=error.effect * only[place]) for error in reading.further_errors]
+    for index, reading in enumerate(readings):
+        errors += [replace(error, effect=error.effect * only[index]) for error in reading.further_errors]
     return nonzero_errors(errors)
 
 
 def nonzero_errors(errors: Iterable[ChannelRelativeError]) -> tuple[ChannelRelativeError, ...]:
-    """Return every unknown once, its effects added up; what acts on nothing is left out."""
+    """Return every unknown once, with the sum of its effects, without those of zero effect."""
     return tuple(error for error in added_up(errors) if np.any(error.effect != 0.0))
 
 
 def delay_errors(
     name: str, frequency_hz: FloatArray, u_s: float, scope: Scope = "recording"
 ) -> tuple[ChannelRelativeError, ...]:
-    """Return a time error, if any: what is late by one standard uncertainty turns by exp(-jω u) ≈ 1 - jω u."""
+    """Return a delay error, exp(-jω u) ≈ 1 - jω u for one standard uncertainty, if any."""
     turn = np.asarray(-2j * np.pi * frequency_hz * u_s)[:, None]
     return (ChannelRelativeError(name, name, u_s, "s", turn, scope),) if u_s > 0.0 else ()
 
 
 def clock_rate(design: ComplexArray, orders: FloatArray, clock_uncertainty: float) -> list[CommonError]:
-    """Return the unknown of a time base: where it runs fast readings ∝ ω^-n, n (M,), seem larger by n times as much."""
+    """Return the unknown of a clock rate: it changes readings ∝ ω^-n by -n·u, n (M,)."""
     relative = np.broadcast_to(-clock_uncertainty * orders + 0j, design.shape[:2])
     rate = ChannelRelativeError(CLOCK_RATE, CLOCK_RATE, clock_uncertainty, "1", relative, "rig").of_rows(design)
     return [rate] if np.any(rate.slope != 0.0) else []
 
 
 def scale_is_stated(entry: ChannelEntry, response: ChainResponse | None) -> bool:
-    """Whether the manifest, or the response of the channel at some lines, states how uncertain its scale is."""
+    """Whether the manifest, or the channel's response, states an uncertainty of its scale."""
     by_response = response is not None and bool(np.any(response.u_magnitude > 0.0))
     return by_response or bool(entry.scale_uncertainty or entry.individual_uncertainty)
 
 
 def errors_are_stated(entry: ChannelEntry, response: ChainResponse | None, beams: LaserBeams) -> bool:
-    """Whether any systematic uncertainty of a motion channel is stated: without one `fuse` uses it if it must."""
+    """Whether any systematic uncertainty of a motion channel is stated; `fuse` prefers such channels."""
     of_chain = scale_is_stated(entry, response) or entry.delay_uncertainty > 0.0
     of_chain = of_chain or (response is not None and bool(np.any(response.errors != 0.0)))
     return of_chain or bool(geometry_errors(TRANSDUCERS[entry.quantity], entry, beams))
 
 
-# Where and along what the channels measure, and what is uncertain of that.
+# Points and directions of channels, and their uncertainty.
 
 
 FAN_U = 1.0 / np.sqrt(3.0)
-"""Of beams stated as parallel: anything between parallel and as far apart as one mirror makes them, in either sense."""
+"""Of beams stated as parallel: uniform between parallel and the fan of one mirror, in either sense."""
 
 
 def geometry_errors(
     transducer: Transducer, entry: ChannelEntry, beams: LaserBeams | None = None
 ) -> tuple[Unknown[FloatArray], ...]:
-    """Return what is uncertain of a channel's place and direction, by names that hold in every recording.
+    """Return the unknowns of a channel's point and direction, with names valid for all recordings.
 
-    Effects (6,) on its geometry, as long as things are mounted as they are. `beams`: of all channels of the recording,
-    the channel alone where None.
+    Effects (6,) on its geometry, for one mounting. `beams`: of all channels of the recording; by default the channel
+    only.
 
-    A point has three coordinates; a direction errs by two small rotations; a transverse sensitivity t of unknown
-    direction is two components of t/√2 across the axis. What its head contributes comes last. Several points that state
-    one direction and no head err by one tilt and each by its own: whether they do one or the other is not stated.
+    A point has three coordinates, a direction two small rotations. A transverse sensitivity t of unknown direction has
+    two components of t/√2 across the axis. Contributions of its head are last. Several points with one direction and no
+    head have a common tilt and individual ones, because the manifest does not state which applies.
     """
     beams = beams or LaserBeams.of([entry])
     point, direction, chain = measuring_point(entry), unit_direction(entry), chain_name(entry)
@@ -237,23 +238,23 @@ def geometry_errors(
     for number, tangent in enumerate(perpendicular_axes(direction)):
         for kind, of_kind, u in leaks:
             name = placement_name(entry, kind, str(number))
-            turned = u * transducer.geometry(point, tangent)
-            errors.append(Unknown(name, f"{chain}: {kind}", float(u), of_kind, turned, "mounting"))
+            rotated = u * transducer.geometry(point, tangent)
+            errors.append(Unknown(name, f"{chain}: {kind}", float(u), of_kind, rotated, "mounting"))
             if kind == "direction" and beams.shares_tilt(entry):
                 shared = _tilt_name(entry, str(number))
-                errors.append(Unknown(shared, f"{chain}: tilt", float(u), of_kind, turned, "mounting"))
+                errors.append(Unknown(shared, f"{chain}: tilt", float(u), of_kind, rotated, "mounting"))
     errors += _head_errors(transducer, entry, beams)
     return tuple(error for error in errors if np.any(error.effect != 0.0))
 
 
 def _moved_point(entry: ChannelEntry, shift: FloatArray) -> FloatArray:
-    """Return the change (6,) of [d, r × d] where the point moves; an aimed beam turns about its mirror."""
+    """Return the change (6,) of [d, r × d] by a shift; aimed beams rotate about the mirror."""
     direction = unit_direction(entry)
     if not is_aimed_at_mirror(entry):
         return np.concatenate([np.zeros(3), np.cross(shift, direction)])
     mirror = mirror_of(entry)
-    turned = -(shift - direction * (direction @ shift)) / np.linalg.norm(mirror - measuring_point(entry))
-    return np.concatenate([turned, np.cross(mirror, turned)])
+    rotated = -(shift - direction * (direction @ shift)) / np.linalg.norm(mirror - measuring_point(entry))
+    return np.concatenate([rotated, np.cross(mirror, rotated)])
 
 
 def _tilt_name(entry: ChannelEntry, axis: str) -> str:
@@ -262,14 +263,14 @@ def _tilt_name(entry: ChannelEntry, axis: str) -> str:
 
 
 def _head_errors(transducer: Transducer, entry: ChannelEntry, beams: LaserBeams) -> list[Unknown[FloatArray]]:
-    """Return what a channel has in common with all channels of its head, by the head's name.
+    """Return the common unknowns of all channels of a head, with the head's name.
 
-    The head turned by a small vector φ turns the direction d by φ × d; about a known mirror q it moves the point r by
-    φ × (r - q) as well, so that a beam goes on to pass through q, and points aimed at by the head's angles shift across
-    the body. Otherwise the points stay, as those of an accelerometer do and spots that were measured on the body. An
-    offset moves all points alike, a misplaced mirror turns aimed beams about their points. Beams stated as parallel
-    lean towards the centre of the points where they leave one mirror: their change is taken with its second order,
-    d·cos θ, which is all of it for a motion along d. What sits on the head itself is placed by itself.
+    A small rotation φ of the head rotates the direction d by φ × d. About a stated mirror q it also moves the point r
+    by φ × (r - q): the beam still passes through q, and points set by the angles of the head shift across the body.
+    Otherwise the points are fixed, as for an accelerometer or for spots measured on the body. An offset moves all
+    points equally. A wrong mirror rotates aimed beams about their points. Beams stated as parallel converge towards the
+    centre of the points if they leave one mirror. Their change includes its second order, d·cos θ, which is the whole
+    effect for a motion along d. Channels on the head itself have individual points.
     """
     if entry.head is None or entry.body == HEAD:
         return []
@@ -281,17 +282,17 @@ def _head_errors(transducer: Transducer, entry: ChannelEntry, beams: LaserBeams)
         name = f"{title}: {kind} {axis}".rstrip()
         errors.append(Unknown(name, f"{title}: {kind}", u, unit, u * effect, "mounting"))
 
-    for place, axis in enumerate("xyz"):
-        unit = np.eye(3)[place]
-        turned, shift = np.cross(unit, direction), np.cross(unit, point - mirror)
-        row = transducer.geometry(point, turned)
+    for index, axis in enumerate("xyz"):
+        unit = np.eye(3)[index]
+        rotated, shift = np.cross(unit, direction), np.cross(unit, point - mirror)
+        row = transducer.geometry(point, rotated)
         if not transducer.rotational:
             row[3:] += np.cross(shift, direction)
-            add("offset", axis, stated.point_uncertainty[place], "m", _moved_point(entry, unit))
-        add("tilt", axis, stated.rotation_uncertainty[place], "rad", row)
+            add("offset", axis, stated.point_uncertainty[index], "m", _moved_point(entry, unit))
+        add("tilt", axis, stated.rotation_uncertainty[index], "rad", row)
         if is_aimed_at_mirror(entry):
             leaning = (unit - direction * (direction @ unit)) / np.linalg.norm(mirror - point)
-            add("mirror", axis, stated.mirror_uncertainty[place], "m", transducer.geometry(point, leaning))
+            add("mirror", axis, stated.mirror_uncertainty[index], "m", transducer.geometry(point, leaning))
     fan = beams.fan(entry)
     if fan is not None:
         leaning = (direction + fan) / np.linalg.norm(direction + fan)
@@ -301,7 +302,7 @@ def _head_errors(transducer: Transducer, entry: ChannelEntry, beams: LaserBeams)
 
 @dataclass(frozen=True)
 class ChannelGeometry(Geometry):
-    """Places and directions of the channels of one instrument, for the Monte Carlo run."""
+    """Points and directions of the channels of one instrument, for the Monte Carlo run."""
 
     transducer: Transducer
     entries: tuple[ChannelEntry, ...]
@@ -311,15 +312,15 @@ class ChannelGeometry(Geometry):
 
     @property
     def unknowns(self) -> frozenset[str]:
-        """Return the names of the unknowns that `rows` draws."""
+        """Names of the unknowns that `rows` samples."""
         errors = (geometry_errors(self.transducer, entry, self.beams) for entry in self.entries)
-        return frozenset(error.name for own in errors for error in own)
+        return frozenset(error.name for members in errors for error in members)
 
     def rows(self, design: ComplexArray, deviates: Deviates) -> ComplexArray:
-        """Return the rows (N, K, M, 6) at points moved and along axes turned by finite angles, with a leak across them.
+        """Return the rows (N, K, M, 6) with shifted points, rotated axes and transverse sensitivity.
 
-        The size of a transverse sensitivity is known and its direction is not, so its angle is uniform; so is the fan
-        of beams stated as parallel.
+        Rotations are finite. The angle of a transverse sensitivity is uniform, because only its size is stated. The fan
+        of beams stated as parallel is uniform, too.
         """
         drawn = []
         for entry in self.entries:
@@ -327,23 +328,23 @@ class ChannelGeometry(Geometry):
             sides = perpendicular_axes(unit_direction(entry))
             angle = deviates.angle(placement_name(entry, TRANSVERSE, "0"))
             leak = np.stack([np.cos(angle), np.sin(angle)], axis=1) @ sides
-            turned = direction + entry.transverse_sensitivity * leak
+            rotated = direction + entry.transverse_sensitivity * leak
             if entry.head is not None:
                 tilt = np.array(entry.head.stated.rotation_uncertainty) * _vector(
                     deviates, f"head {entry.head.name}: tilt"
                 )
                 turn = rotation_from_vector(tilt)
-                turned = np.einsum("nij,nj->ni", turn, turned)
+                rotated = np.einsum("nij,nj->ni", turn, rotated)
                 point = mirror + np.einsum("nij,nj->ni", turn, point - mirror)
-            geometry = self.transducer.geometry(point, np.asarray(turned))
+            geometry = self.transducer.geometry(point, np.asarray(rotated))
             drawn.append(self.transducer.rows(geometry, self.frequency_hz, self.gravity_mps2))
         return np.stack(drawn, axis=2)
 
     def _drawn_beam(self, entry: ChannelEntry, deviates: Deviates) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Return N points, centres of the head's rotation and directions, each (N, 3), before the head is turned."""
+        """Return N points, centres of rotation and directions, each (N, 3), before the head rotates."""
         u = np.broadcast_to(np.asarray(entry.point_uncertainty, dtype=np.float64), (3,))
-        own = [deviates.normal(placement_name(entry, "point", axis)) for axis in "xyz"]
-        point = measuring_point(entry) + u * np.stack(own, axis=1)
+        shifts = [deviates.normal(placement_name(entry, "point", axis)) for axis in "xyz"]
+        point = measuring_point(entry) + u * np.stack(shifts, axis=1)
         direction = np.broadcast_to(unit_direction(entry), point.shape)
         mirror = point
         if entry.head is not None:
@@ -370,7 +371,7 @@ def _vector(deviates: Deviates, name: str) -> FloatArray:
     return np.stack([deviates.normal(f"{name} {axis}") for axis in "xyz"], axis=1)
 
 
-# The channels of one instrument as rows of the linear model.
+# Channels of one instrument as rows of the linear model.
 
 
 def observe_channels(
@@ -378,9 +379,9 @@ def observe_channels(
 ) -> tuple[Observation, ...]:
     """Return the rows of all motion channels, one observation per instrument and body.
 
-    Row of a channel at r with direction d: [d, r × d] · {1, 1/(jω), -1/ω²} for acceleration, velocity, displacement;
-    an accelerometer reads d·(a - g) in body axes, so that its rotation part gains (d × g)/ω² when `gravity_mps2` (3,)
-    is given; a gyroscope reads d·alpha/(jω). `clock_uncertainty`: relative, of the time base.
+    The row of a channel at r with direction d is [d, r × d] · {1, 1/(jω), -1/ω²} for acceleration, velocity,
+    displacement. An accelerometer measures d·(a - g) in body axes, which adds (d × g)/ω² to its rotations if
+    `gravity_mps2` (3,) is given. A gyroscope measures d·alpha/(jω). `clock_uncertainty`: relative, of the clock.
     """
     groups: dict[tuple[str, str, str], list[ChannelReading]] = {}
     for reading in readings:
@@ -405,11 +406,11 @@ def _observe(
     none = np.zeros_like(phasors.value)
     common = [error.of_rows(design) for error in chain_errors(readings)]
     placed: dict[str, CommonError] = {}
-    for place, entry in enumerate(entries):
+    for index, entry in enumerate(entries):
         for error in geometry_errors(transducer, entry, beams):
-            known = placed.get(error.name)
-            slope = np.zeros_like(design) if known is None else known.slope
-            slope[:, place] = transducer.rows(error.effect, frequency, gravity_mps2)
+            earlier = placed.get(error.name)
+            slope = np.zeros_like(design) if earlier is None else earlier.slope
+            slope[:, index] = transducer.rows(error.effect, frequency, gravity_mps2)
             placed[error.name] = CommonError(error.name, error.label, error.u, error.unit, error.scope, slope, none)
     common += placed.values()
     stated = any(error.scope not in PER_RECORDING_SCOPES for error in common)
@@ -430,18 +431,18 @@ def _observe(
     )
 
 
-# The outputs of the sensor under test, read through a bridge amplifier: phasors, common errors by name, and drawn.
+# The outputs of the sensor under test with its bridge amplifier: phasors, common errors, samples.
 
 NOISE = "output noise"
 
 
 @dataclass(frozen=True)
 class Outputs:
-    """Phasors (K, C) of the sensor's outputs, in the unit of the sensor, with their whole covariance.
+    """Phasors (K, C) of the sensor's outputs, in the unit of the sensor, with their covariance.
 
-    `uncertainty`: noise of the sine approximation, and scale, delay, response and clock errors under the names that
-    the motion's instruments use, so that what both share (a clock, an amplifier) acts on both. `additive`: names of
-    those influences that add to the outputs whatever these are, and do not belong to their chains.
+    `uncertainty`: noise of the sine approximation, and scale, delay, response and clock errors. Common errors with
+    motion instruments (a clock, an amplifier) have the same names. `additive`: names of influences that add to the
+    outputs and do not belong to their chains.
     """
 
     phasors: Phasors
@@ -454,9 +455,9 @@ class Outputs:
             raise ValueError(f"uncertainty: expected covariances of shape {expected}, found {found}")
 
     def draw(self, deviates: Deviates) -> ComplexArray:
-        """Return N draws (N, K, C) with noise, from which relative errors c of the chains are taken off exactly.
+        """Return N samples (N, K, C) with noise, divided by the relative errors c of the chains.
 
-        They act as (1 + Re c)·exp(j·Im c). What is additive is added before.
+        These act as (1 + Re c)·exp(j·Im c). Additive influences are added before.
         """
         value = self.phasors.value
         drawn = np.repeat(value[None], deviates.count, axis=0)
@@ -478,32 +479,31 @@ class Outputs:
 
 
 def sensor_outputs(readings: Sequence[ChannelReading], order: Sequence[str]) -> Outputs | None:
-    """Return what of some readings are outputs of the sensor, in the order and by the names of its outputs, if any."""
+    """Return the outputs of the sensor among readings, in the order of its outputs, if any."""
     named = {str(reading.entry.channel): reading for reading in readings if reading.entry.quantity == "output"}
-    own = [
+    ordered = [
         replace(named[name], phasors=replace(named[name].phasors, channels=(name,))) for name in order if name in named
     ]
-    return output_phasors(own) if own else None
+    return output_phasors(ordered) if ordered else None
 
 
 def output_phasors(readings: Sequence[ChannelReading]) -> Outputs:
-    """Return the outputs of C channels, in the order given.
+    """Return the outputs of C channels, in their order.
 
-    An error of a chain, relative (K, C), changes the reading U by relative · U for one standard uncertainty; channels
-    that name one `common` instrument share its errors. A budget names those of a chain by their kind, whichever channel
-    has them.
+    A relative error (K, C) of a chain changes the reading U by relative · U for one standard uncertainty. Channels of
+    one `common` instrument share its errors. A budget labels the errors of a chain by their kind, not by channel.
     """
     if not readings:
         raise ValueError("readings: expected at least one output channel, found none")
     signals = stack_phasors([reading.phasors for reading in readings])
     chains: dict[str, list[int]] = {}
-    for place, reading in enumerate(readings):
-        chains.setdefault(chain_name(reading.entry), []).append(place)
+    for index, reading in enumerate(readings):
+        chains.setdefault(chain_name(reading.entry), []).append(index)
     influences = []
-    for places in chains.values():
-        for error in chain_errors([readings[place] for place in places]):
+    for columns in chains.values():
+        for error in chain_errors([readings[index] for index in columns]):
             change = np.zeros_like(signals.value)
-            change[:, places] = error.effect * signals.value[:, places]
+            change[:, columns] = error.effect * signals.value[:, columns]
             label = error.label if error.scope in PER_RECORDING_SCOPES else "output " + error.label.rpartition(": ")[2]
             influences.append(replace(error.acting(real_stack(change)), label=label))
     noise = Contribution(NOISE, "A", signals.covariance, signals.dof)

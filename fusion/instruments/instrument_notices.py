@@ -1,4 +1,4 @@
-"""Notices of instruments: what the stated geometry of channels leaves undetermined."""
+"""Notices of instruments: undetermined geometry of channels."""
 
 from __future__ import annotations
 

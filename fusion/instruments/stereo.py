@@ -1,4 +1,4 @@
-"""Stereo pairs: the displacement of a body in all six components, -A/ω², and what is uncertain of it."""
+"""Stereo pairs: displacement of a body in all six components, -A/ω², and its uncertainty."""
 
 from __future__ import annotations
 
@@ -23,19 +23,19 @@ SURFACE = "surface"
 PERIODIC = "error periodic in the pixel"
 SCOPES: dict[str, Scope] = {SURFACE: "mounting", PERIODIC: "recording"}
 GEOMETRY = np.eye(6)
-"""What a pair can observe, as rows (6, 6) on the motion of the sensor origin: every component by itself."""
+"""Observed components of a pair, as rows (6, 6) on the motion of the sensor origin: all six."""
 
 
 def carrier_of(name: str, pair: Stereo) -> str:
-    """Return what carries the cameras of a pair: its support, or something of its own."""
+    """Return the support of the cameras of a pair, by default a separate one."""
     return f"cameras {pair.support or name}"
 
 
 @dataclass(frozen=True)
 class Exposure:
-    """How long frames at the edges of a `trigger` are exposed.
+    """Exposure time of frames at the edges of a `trigger`.
 
-    `u_length_s`: 0 where the manifest states the length, else with `dof` degrees of freedom of the pulses measured.
+    `u_length_s`: 0 if the manifest states the length, else with `dof` degrees of freedom of the measured pulses.
     """
 
     trigger: str
@@ -44,10 +44,10 @@ class Exposure:
     dof: float = np.inf
 
     def errors(self, frequency_hz: FloatArray) -> tuple[ChannelRelativeError, ...]:
-        """Return the relative error (K, 1) of phasors where the length T is measured: that of the trigger's pulses.
+        """Return the relative error (K, 1) of phasors by a measured exposure time T.
 
-        Frames whose exposures seem longer by u seem later by u/2, and their loss sin(x)/x, x = πfT, which was taken
-        off, seems greater: u·[(1 - x·cot x)/T - jπf].
+        An error u of T shifts the frames by u/2, and changes the correction of the loss sin(x)/x, x = πfT:
+        u·[(1 - x·cot x)/T - jπf].
         """
         if self.u_length_s == 0.0:
             return ()
@@ -59,15 +59,14 @@ class Exposure:
 
 @dataclass(frozen=True)
 class StereoReading(Geometry):
-    """One stereo pair: `pair` as rig.toml has it, displacement phasors (K, 6) in m and rad about the sensor origin.
+    """One stereo pair: manifest entry, displacement phasors (K, 6) in m and rad about the sensor origin.
 
-    `effects`: by name, changes (P, K, 6) of the phasors for one standard uncertainty of further unknowns, such as the
-    principal components of the calibration's covariance (CALIBRATION), or of the surface that a camera alone sees
-    (SURFACE), which both count as stated. `through_surface` (6, K, 6): what errors of the pose do to that camera's
-    phasors because its distance from the surface is another one, None of a pair. `clock_uncertainty`: relative, of the
-    time base. `errors`: those that hold for one recording, such as those of the trigger's instants and of the lines'
-    frequencies, each one unknown for all pairs that follow it. `face_m` (3,): the middle of the points that it follows,
-    at rest, where that is known.
+    `effects`: by name, changes (P, K, 6) of the phasors for one standard uncertainty of further unknowns. Examples are
+    the principal components of the calibration's covariance (CALIBRATION) and the surface before a single camera
+    (SURFACE), which are stated. `through_surface` (6, K, 6): effects of pose errors on a single camera's phasors by its
+    distance from the surface; None for a pair. `clock_uncertainty`: relative. `errors`: unknowns of one recording, such
+    as those of trigger instants and line frequencies, common to all pairs with the same trigger. `face_m` (3,): centre
+    of the tracked points at rest, if available.
     """
 
     name: str
@@ -80,19 +79,18 @@ class StereoReading(Geometry):
     through_surface: ComplexArray | None = None
 
     def observation(self) -> Observation:
-        """Return the rows of the pair: displacement phasors = -A/ω², and their common errors by name.
+        """Return the rows of the pair, displacement phasors = -A/ω², with named common errors.
 
-        These are scale and pose of its frame, delay of the exposure, the further `effects`, the relative `errors`, and
-        the clock.
+        These are scale and pose of its frame, delay of the exposure, `effects`, relative `errors`, and the clock.
         """
         title, frequency = self._title, self.phasors.frequency_hz
         factor = derivative_factor(frequency, -2)
         design = factor[:, None, None] * GEOMETRY
         none = np.zeros_like(self.phasors.value)
-        beside = [none] * 7 if self.through_surface is None else [none, *self.through_surface[[0, 3, 1, 4, 2, 5]]]
+        offsets = [none] * 7 if self.through_surface is None else [none, *self.through_surface[[0, 3, 1, 4, 2, 5]]]
         common = [
             CommonError(name, label, u, unit, "rig", factor[:, None, None] * (u * change), offset)
-            for (name, label, u, unit, change), offset in zip(self._frame_errors(), beside, strict=True)
+            for (name, label, u, unit, change), offset in zip(self._frame_errors(), offsets, strict=True)
             if u > 0.0
         ]
         delay = delay_errors(f"{title}: delay", frequency, self.pair.delay_uncertainty, "rig")
@@ -102,8 +100,8 @@ class StereoReading(Geometry):
             label = f"{title}: {what}"
             scopes = [scope for begins, scope in SCOPES.items() if what.startswith(begins)]
             scope: Scope = scopes[0] if scopes else "rig"
-            for place, effect in enumerate(np.asarray(changes)):
-                common.append(CommonError(f"{label} {place}", label, 1.0, "1", scope, np.zeros_like(design), effect))
+            for index, effect in enumerate(np.asarray(changes)):
+                common.append(CommonError(f"{label} {index}", label, 1.0, "1", scope, np.zeros_like(design), effect))
         common += [error.of_rows(design) for error in self.errors]
         common += clock_rate(design, np.full(6, 2.0), self.clock_uncertainty)
         members = (title,) * 6
@@ -116,10 +114,10 @@ class StereoReading(Geometry):
         return f"stereo {self.name}"
 
     def _frame_errors(self) -> Iterator[tuple[str, str, float, str, FloatArray]]:
-        """Yield name, label, standard uncertainty, unit and change (6, 6) of the vectors by errors of the pair's frame.
+        """Yield name, label, u, unit and change (6, 6) of every error of the pair's frame.
 
-        Scale of all lengths (translations); position p of the sensor origin (translation changes by theta × p) and
-        rotation φ of the axes (vectors change by φ × v).
+        These are the scale of all lengths, the position p of the sensor origin (the translation changes by theta × p)
+        and the rotation φ of the axes (vectors change by φ × v).
         """
         scale = f"{self._title}: scale"
         yield scale, scale, self.pair.scale_uncertainty or 0.0, "1", np.diag([1.0, 1, 1, 0, 0, 0])
@@ -135,9 +133,9 @@ class StereoReading(Geometry):
 
     @property
     def unknowns(self) -> frozenset[str]:
-        """Return the names of the unknowns of the pose, which `moved` draws.
+        """Names of the unknowns of the pose, which `moved` samples.
 
-        Those of a camera alone act to first order.
+        Those of a single camera act to first order.
         """
         if self.through_surface is not None:
             return frozenset()
@@ -147,7 +145,7 @@ class StereoReading(Geometry):
         return [f"{self._title}: pose {kind} {axis}" for axis in "xyz"]
 
     def moved(self, readings: ComplexArray, deviates: Deviates) -> ComplexArray:
-        """Return displacement phasors (N, K, 6) in frames elsewhere: t' = R (t + theta × p), theta' = R theta."""
+        """Return phasors (N, K, 6) in sampled frames: t' = R (t + theta × p), theta' = R theta."""
         if not self.unknowns:
             return readings
         u = np.asarray(self.pair.pose_uncertainty, dtype=np.float64)

@@ -1,4 +1,4 @@
-"""Vibrometer points that look along one direction at one body: how far they differ, what rocking explains of it."""
+"""Parallel vibrometer points on one body: their spread, and the part explained by rocking."""
 
 from __future__ import annotations
 
@@ -20,17 +20,17 @@ if TYPE_CHECKING:
     from fusion.recording.manifest import ChannelEntry
 
 PARALLEL = 1e-3
-"""Largest angle in rad between directions that count as one."""
-FEWEST_POINTS = 3
-RANK_TOLERANCE = 1e-3
+"""Largest angle in rad between equal directions."""
+FEWEST_POINTS = 3  # of a plane
+RANK_TOLERANCE = 1e-3  # width over length of points that are not in one line
 
 
 @dataclass(frozen=True)
 class PointRatios:
-    """Sensor output over load mass times acceleration, point by point: S_i = U/(m a_i) (Nitsche et al. 2018, (11)).
+    """Sensor output over mass times acceleration per point: S_i = U/(m a_i) (Nitsche et al. 2018, (11)).
 
     `value` (K, N) of `channel` per `component`; `unit` of the output; `uncertainty` of the N ratios; `fused` (K,):
-    output over the load of the fused motion, NaN where there is none.
+    output over the load of the fused motion, NaN if there is none.
     """
 
     channel: str
@@ -42,33 +42,33 @@ class PointRatios:
 
     @property
     def mean_magnitude(self) -> FloatArray:
-        """Return the mean of the magnitudes (K,), as it is published."""
+        """Mean of the magnitudes (K,), as published."""
         return np.asarray(np.mean(np.abs(self.value), axis=1))
 
     @property
     def magnitude_spread(self) -> FloatArray:
-        """Return the standard deviation (K,) of the magnitudes over the points: the published error bar."""
+        """Standard deviation (K,) of the magnitudes over the points: the published error bar."""
         return np.asarray(np.std(np.abs(self.value), axis=1, ddof=1))
 
     @property
     def mean_phase_rad(self) -> FloatArray:
-        """Return the mean of the phases (K,), rad."""
+        """Mean of the phases (K,), rad."""
         return np.asarray(np.angle(np.mean(self.value / np.abs(self.value), axis=1)))
 
     @property
     def phase_spread_rad(self) -> FloatArray:
-        """Return the standard deviation (K,) of the phases over the points, rad: the published error bar."""
+        """Standard deviation (K,) of the phases over the points, rad: the published error bar."""
         return phase_spread(self.value)
 
 
 @dataclass(frozen=True)
 class PointSpread:
-    """N parallel vibrometer points on one body, their mean and the best rigid plane through them.
+    """N parallel vibrometer points on one body, their mean and the best rigid plane.
 
-    `direction` (3,) common to all; `axes` (2, 3) across it, axes[0] × axes[1] = direction; `place_m` (N, 2): lever arms
-    along them from the sensor origin. `value` (K, N): acceleration phasors along the direction, m/s², with their
+    `direction` (3,): common to all. `axes` (2, 3): across it, axes[0] × axes[1] = direction. `place_m` (N, 2): lever
+    arms along them from the sensor origin. `value` (K, N): acceleration phasors along the direction, m/s², with their
     `uncertainty`. `plane` (K, 3): mean and angular accelerations (rad/s²) about the two axes, by least squares with
-    equal weights, with `plane_uncertainty`. `residual` (K, N): what the plane leaves.
+    equal weights, with `plane_uncertainty`. `residual` (K, N): deviations from the plane.
     """
 
     instrument: str
@@ -94,27 +94,27 @@ class PointSpread:
 
     @property
     def mean(self) -> ComplexArray:
-        """Return the mean (K,) of the points, m/s²."""
+        """Mean (K,) of the points, m/s²."""
         return self.plane[:, 0]
 
     @property
     def amplitude_spread(self) -> FloatArray:
-        """Return the standard deviation (K,) of the amplitudes over the points, relative to the mean's amplitude."""
+        """Standard deviation (K,) of the amplitudes over the points, relative to that of the mean."""
         return np.asarray(np.std(np.abs(self.value), axis=1, ddof=1) / np.abs(self.mean))
 
     @property
     def phase_spread_rad(self) -> FloatArray:
-        """Return the standard deviation (K,) of the phases over the points, rad."""
+        """Standard deviation (K,) of the phases over the points, rad."""
         return phase_spread(self.value)
 
     @property
     def left_relative(self) -> FloatArray:
-        """Return the root mean square (K,) of what the plane leaves, relative to the mean's amplitude."""
+        """Root mean square (K,) of the residual, relative to the amplitude of the mean."""
         return np.asarray(np.sqrt(np.mean(np.abs(self.residual) ** 2, axis=1)) / np.abs(self.mean))
 
     @property
     def left_expected(self) -> FloatArray:
-        """Return what `left_relative` (K,) is expected to be from the stated uncertainties."""
+        """Expected `left_relative` (K,) from the stated uncertainties."""
         trace = np.trace(self.residual_uncertainty.covariance, axis1=1, axis2=2)
         return np.asarray(np.sqrt(trace / len(self.channels)) / np.abs(self.mean))
 
@@ -132,9 +132,9 @@ def beam_notices(entries: Sequence[ChannelEntry]) -> tuple[Notice, ...]:
 
 def axis_name(direction: FloatArray) -> str:
     """Return x, y or z for a direction along an axis, else its three numbers."""
-    place = int(np.argmax(np.abs(direction)))
-    if abs(direction[place]) > 1.0 - 1e-6:
-        return ("" if direction[place] > 0.0 else "\N{MINUS SIGN}") + "xyz"[place]
+    index = int(np.argmax(np.abs(direction)))
+    if abs(direction[index]) > 1.0 - 1e-6:
+        return ("" if direction[index] > 0.0 else "\N{MINUS SIGN}") + "xyz"[index]
     return "(" + ", ".join(f"{component:.3g}" for component in direction) + ")"
 
 
@@ -147,9 +147,9 @@ def phase_spread(value: ComplexArray) -> FloatArray:
 def point_spreads(
     observations: Sequence[Observation], accelerations: Sequence[Acceleration]
 ) -> tuple[PointSpread, ...]:
-    """Return one spread per body and direction that at least three vibrometer points, not in one line, look along.
+    """Return one spread per body and direction of at least three vibrometer points, not in one line.
 
-    Common errors of the points (scale, delay, placement) act as they do on the fused motion of their body.
+    Common errors of the points (scale, delay, placement) act as on the fused motion of their body.
     """
     fused = {a.body: np.nan_to_num(a.phasors.value) for a in accelerations if a.source == "fused"}
     groups: list[list[_Point]] = []
@@ -157,18 +157,20 @@ def point_spreads(
         seen = [o for o in observations if o.kind == "vibrometer" and o.body == body]
         first = len(groups)
         for point in [point for observation in seen for point in _points(observation, fused[body])]:
-            own = next((g for g in groups[first:] if np.linalg.norm(g[0].direction - point.direction) < PARALLEL), None)
-            if own is None:
+            group = next(
+                (g for g in groups[first:] if np.linalg.norm(g[0].direction - point.direction) < PARALLEL), None
+            )
+            if group is None:
                 groups.append([point])
             else:
-                own.append(point)
+                group.append(point)
     spreads = [_spread(group) for group in groups if len(group) >= FEWEST_POINTS]
     return tuple(spread for spread in spreads if spread is not None)
 
 
 @dataclass(frozen=True)
 class _Point:
-    """One vibrometer point as acceleration: value (K,) along `direction`, lever r × d (3,), where it stands."""
+    """One vibrometer point as acceleration: `direction`, lever r × d (3,), column of its observation."""
 
     name: str
     observation: Observation
@@ -180,7 +182,7 @@ class _Point:
 
 
 def _points(observation: Observation, acceleration: ComplexArray) -> list[_Point]:
-    """Return the channels of a vibrometer as accelerations, directions in the half space of their largest axis."""
+    """Return the channels of a vibrometer as accelerations, with positive largest components of directions."""
     points = []
     for column, name in enumerate(observation.members):
         row = observation.design[:, column]
@@ -193,7 +195,7 @@ def _points(observation: Observation, acceleration: ComplexArray) -> list[_Point
 
 
 def _spread(points: Sequence[_Point]) -> PointSpread | None:
-    """Return mean, plane and what it leaves of parallel points; None where all are in one line.
+    """Return mean, plane and residual of parallel points; None if they are in one line.
 
     A point at (p, q) moves by mean + α₀·(q − q̄) − α₁·(p − p̄).
     """
@@ -202,9 +204,9 @@ def _spread(points: Sequence[_Point]) -> PointSpread | None:
     first = nearest - direction * (nearest @ direction)
     first = first / np.linalg.norm(first)
     axes = np.stack([first, np.cross(direction, first)])
-    place = np.cross(direction, np.stack([point.lever_m for point in points])) @ axes.T
-    centred = place - place.mean(axis=0)
-    columns = np.stack([np.ones(len(place)), centred[:, 1], -centred[:, 0]], axis=1)
+    position = np.cross(direction, np.stack([point.lever_m for point in points])) @ axes.T
+    centred = position - position.mean(axis=0)
+    columns = np.stack([np.ones(len(position)), centred[:, 1], -centred[:, 0]], axis=1)
     singular = np.linalg.svd(columns[:, 1:], compute_uv=False)
     if singular[-1] <= RANK_TOLERANCE * singular[0]:
         return None
@@ -220,7 +222,7 @@ def _spread(points: Sequence[_Point]) -> PointSpread | None:
         channels=tuple(point.name for point in points),
         direction=direction,
         axes=axes,
-        place_m=place,
+        place_m=position,
         value=value,
         uncertainty=uncertainty,
         plane=value @ solve.T,
@@ -231,21 +233,21 @@ def _spread(points: Sequence[_Point]) -> PointSpread | None:
 
 
 def _uncertainty(points: Sequence[_Point]) -> Uncertainty:
-    """Noise and common errors of the points' accelerations; points of one instrument have their joint covariance."""
+    """Return noise and common errors of the points' accelerations, jointly per instrument."""
     lines, count = len(points[0].factor), len(points)
     covariance, dof = np.zeros((lines, 2 * count, 2 * count)), np.full(lines, np.inf)
     influences = []
     for observation in {id(p.observation): p.observation for p in points}.values():
-        own = [(place, point) for place, point in enumerate(points) if point.observation is observation]
-        places, columns = [place for place, _ in own], [point.column for _, point in own]
-        back = np.stack([1.0 / point.factor for _, point in own], axis=1)
-        both = np.concatenate([places, np.array(places) + count])
+        members = [(index, point) for index, point in enumerate(points) if point.observation is observation]
+        rows, columns = [index for index, _ in members], [point.column for _, point in members]
+        back = np.stack([1.0 / point.factor for _, point in members], axis=1)
+        both = np.concatenate([rows, np.array(rows) + count])
         noise = Uncertainty((Contribution("noise", "A", observation.phasors.covariance),)).at(columns).scaled(back)
         covariance[:, both[:, None], both] = noise.covariance
         dof = np.minimum(dof, observation.phasors.dof)
         for error in observation.common:
             change = np.zeros((lines, count), dtype=np.complex128)
-            change[:, places] = error.effect(own[0][1].acceleration)[:, columns] * back
+            change[:, rows] = error.effect(members[0][1].acceleration)[:, columns] * back
             if np.any(change):
                 effect = real_stack(change)
                 influences.append(

@@ -12,7 +12,7 @@ from functools import partial
 import numpy as np
 
 from fusion.estimation.uncertainty import real_stack
-from fusion.phasors.phasor_notices import BODY_DEFORMS
+from fusion.phasors.phasor_notices import PAIR_BODY_DEFORMS
 from fusion.phasors.shutter import PhaseRotated
 from photogram.direct.shapes import PLAIN, ShapeAmplitudes
 from photogram.motion import Deformation
@@ -126,7 +126,7 @@ class ShapePhasors:
                 "u_nm": 1e9 * float(size[k, most]),
                 "chance": max(float(self.chance[k]), 1e-12),
             }
-            notices.append(Notice(BODY_DEFORMS, f"{frequency_hz:.6g} Hz", frequency_hz=frequency_hz, **values))
+            notices.append(Notice(PAIR_BODY_DEFORMS, f"{frequency_hz:.6g} Hz", frequency_hz=frequency_hz, **values))
         return notices
 
 

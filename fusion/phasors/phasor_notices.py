@@ -306,7 +306,7 @@ CAMERA_DELAYED = DeclaredNotice(
     remedy="Synchronise the exposures of the two cameras.",
     link="shutter.md",
 )
-BODY_DEFORMS = DeclaredNotice(
+PAIR_BODY_DEFORMS = DeclaredNotice(
     "SC-436",
     "warning",
     "The body deforms at {frequency_hz:.6g} Hz: {shape} of {amplitude_nm:.3g} nm (u {u_nm:.2g} nm, chance "

@@ -15,7 +15,7 @@ from fusion.planning.planning_notices import (
     RATE_LIMITS,
     RATE_STEP,
     TOO_FEW_FRAMES,
-    TOO_MANY_LINES,
+    TOO_MANY_LISTED_LINES,
 )
 from fusion.report.table import R, TableColumn, csv_text, page_column
 from fusion.report.terminal import print_text, stdout_console
@@ -194,13 +194,13 @@ def _check_size(request: Request) -> None:
     lines = harmonics * (excitations if request.together else 1)
     if lines > MOST_LINES:
         expected = f"at most {MOST_LINES} lines of a point"
-        raise InputError(TOO_MANY_LINES, "--harmonics", found=lines, expected=expected)
+        raise InputError(TOO_MANY_LISTED_LINES, "--harmonics", found=lines, expected=expected)
     if frames * lines > MOST_ENTRIES:
         expected = f"at most {MOST_ENTRIES // lines} for {lines} lines of a point"
-        raise InputError(TOO_MANY_LINES, "--frames", found=frames, expected=expected)
+        raise InputError(TOO_MANY_LISTED_LINES, "--frames", found=frames, expected=expected)
     if excitations * harmonics > MOST_LINES_OF_ALL:
         expected = f"at most {MOST_LINES_OF_ALL // harmonics} with {harmonics} harmonics each"
-        raise InputError(TOO_MANY_LINES, "--frequencies", found=excitations, expected=expected)
+        raise InputError(TOO_MANY_LISTED_LINES, "--frequencies", found=excitations, expected=expected)
 
 
 def _explained(lines: PlannedLines, rate_hz: float, rates: FloatArray, sampling: Sampling) -> PlanPoint:

@@ -10,7 +10,7 @@ RATE_STEP = DeclaredNotice(
     remedy="Use a smaller `--rate-step`.",
     link="planning.md#reading-the-table",
 )
-TOO_MANY_LINES = DeclaredNotice(
+TOO_MANY_LISTED_LINES = DeclaredNotice(
     "SC-801",
     "error",
     "expected {expected}, found {found}",

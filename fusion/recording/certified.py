@@ -61,7 +61,7 @@ Location = tuple[dict[str, Any], list[int | str]]
 
 
 class CertificateReference(ManifestBlock):
-    """A table at a key that refers to a certificate: file, result, degrees of freedom, last valid day."""
+    """A table that refers to a certificate: file, result, degrees of freedom, last valid day."""
 
     dcc: Text
     result: str = ""
@@ -175,7 +175,7 @@ class CertifiedInputs:
     def _quantity(
         self, certificate: CalibrationCertificate, table: CertificateReference, key: str, siblings: Mapping[str, Any]
     ) -> tuple[CertifiedQuantity, Any, float | None]:
-        """Return the quantity that a table names, its value, and its relative U if the value is a reciprocal."""
+        """Return the quantity of a table, its value, and relative U of a reciprocal."""
         name, reciprocal = key.rsplit(".", 1)[-1], dict[Dimension, bool]()  # whether it is one, by dimension
         if name == "scale":
             mechanical = self._dimension(siblings)
@@ -207,7 +207,7 @@ class CertifiedInputs:
         self, certificate: CalibrationCertificate, table: CertificateReference, key: str,
         fits: tuple[Collection[Dimension], int, str],
     ) -> CertifiedQuantity:  # fmt: skip
-        """Return the one quantity of a certificate that fits a name, dimensions and a count; it must have a U."""
+        """Return the one quantity with U that fits name, dimensions and count."""
         (dimensions, count, units), file = fits, certificate.path.name
         real = [q for q in certificate.quantities if q.is_real]
         named = [q for q in real if not table.result or q.is_named(table.result)]
@@ -274,7 +274,7 @@ def _over(one: Dimension, other: Dimension) -> Dimension:
 
 
 def certified_inputs(text: dict[str, Any], path: Path, scope: PathScope, sensor_unit: str = "1") -> CertifiedInputs:
-    """Return a manifest with the tables that a user would type instead of `{ dcc = "file.xml", … }`."""
+    """Return a manifest with values of certificates instead of `{ dcc = "file.xml", … }`."""
     found = CertifiedInputs(path, scope, sensor_unit)
     found.text = found.resolve(text, text, [])
     return found

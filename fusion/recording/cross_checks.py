@@ -106,7 +106,7 @@ def _standoff_errors(located: Iterable[LocatedChannel], path: Path) -> Iterator[
 
 
 def _carrier_errors(located: Sequence[LocatedChannel], path: Path) -> Iterator[InputError]:
-    """Yield errors of channels that measure the motion of a head without beams at the load or the base."""
+    """Yield errors of channels for the motion of a head without beams at a body."""
     carried = {carrier(entry) for _, _, entry in located if entry.body not in (STATIONARY, HEAD)}
     for key, _, entry in located:
         if entry.body in (STATIONARY, HEAD) and entry.head is not None and carrier(entry) not in carried:
@@ -162,7 +162,7 @@ def _has_covariance(pair: Stereo) -> bool:
 
 
 def _image_errors(rig: Rig, blocks: Iterable[tuple[str, SetUpFiles]], path: Path) -> Iterator[InputError]:
-    """Yield errors of images: a second camera too many or missing, no region of images that two pairs share."""
+    """Yield errors of images: missing or superfluous second camera, missing region of shared images."""
     for prefix, block in blocks:
         for images in block.images:
             single, key = (

@@ -1,7 +1,7 @@
-"""Digital Calibration Certificates read: quantities with U and k, number, laboratory, dates.
+"""Reader of Digital Calibration Certificates: quantities with U and k, number, laboratory, dates.
 
-DCC (PTB's schema, versions 2.4 to 3.3) with the D-SI in it. Everything is converted to coherent SI units. A quantity
-that cannot be used is refused when a key names it.
+DCC (PTB's schema, versions 2.4 to 3.3) with D-SI. All values are converted to coherent SI units. An unusable quantity
+is refused when a key names it.
 """
 
 from __future__ import annotations
@@ -35,27 +35,28 @@ from shakercal._common.notices import DeclaredNotice, Notice
 SUFFIX = ".xml"
 ROOT = "{https://ptb.de/dcc}digitalCalibrationCertificate"
 LARGEST = 20_000_000  # bytes
-MOST_QUANTITIES, MOST_KEPT = 10_000, 32
+MOST_QUANTITIES = 10_000  # certificates have some 100
+CACHE_SIZE = 32  # certificates
 KINDS = ("real", "realList", "realListXMLList", "complex", "complexListXMLList", "hybrid", "list", "constant")
-"""Elements of the D-SI that hold the values of a quantity."""
+"""Elements of the D-SI with the values of a quantity."""
 LIST_UNCERTAINTY = ("listMeasurementUncertaintyUnivariate", "listUnivariateUnc")
 SIGNED = ("{*}administrativeData", "{*}measurementResults")
-"""Of a certificate: what a signature has to cover."""
+"""Parts of a certificate that a signature has to cover."""
 NO_UNIT = Unit(np.nan, (), "")
 SAME_VALUE = 0.01
-"""Relative difference up to which rounding explains that two units of one quantity state different values."""
+"""Relative difference that rounding explains between values of one quantity in two units."""
 RECALIBRATION = re.compile(r"recalibration|valid_?until", re.IGNORECASE)
-"""Types of a statement whose date is the last on which the certificate holds."""
+"""Types of statements with the last valid day of the certificate."""
 
 
 @dataclass(frozen=True)
 class CertifiedQuantity:
-    """N values of a quantity in the coherent SI unit `unit` stands for, complex where it is; NaN U where there is none.
+    """N values of a quantity in the coherent SI unit of `unit`, real or complex.
 
-    `expanded`, `k`, `probability` (N,) each; `covariance` (N, 2, 2) of real and imaginary part, standard, of a complex
-    one; `types`: the words of its `refType`; `where`: result and quantity for people; `listed`: it stands in a list;
-    `ids`: of the quantity, its result and its data; `names`: in every language; `about`: its description. `problem`:
-    why its numbers cannot be used, None where they can; then it has no values, and `NO_UNIT` where its unit is none.
+    `expanded`, `k`, `probability`: (N,) each, NaN if not stated. `covariance` (N, 2, 2): of real and imaginary part of
+    complex values. `types`: words of its `refType`. `where`: result and quantity as text. `listed`: part of a list.
+    `ids`: of the quantity, its result and its data. `names`: in every language. `problem`: the error of unusable
+    numbers, else None. Such a quantity has no values, and `NO_UNIT` if its unit is not recognised.
     """
 
     result: str
@@ -77,25 +78,25 @@ class CertifiedQuantity:
 
     @property
     def where(self) -> str:
-        """Return what it is for people."""
+        """Result and quantity as text."""
         return ", ".join(filter(None, (f'result "{self.result}"', f'quantity "{self.name}"' if self.name else "")))
 
     @property
     def is_real(self) -> bool:
-        """Whether it has real numbers; unknown of one that cannot be used, which counts as such."""
+        """Whether it has real numbers; unusable ones are treated as real."""
         return self.covariance is None and not np.any(np.nan_to_num(self.value.imag))
 
     @property
     def words(self) -> str:
-        """Return types and names, in small letters, `phaseLag` as `phase lag`."""
+        """Types and names, in small letters, `phaseLag` as `phase lag`."""
         return re.sub(r"(?<=[a-z])(?=[A-Z])|_", " ", " ".join((*self.types, *self.names))).lower()
 
     def is_named(self, name: str) -> bool:
-        """Whether a name or type that a user gives is this quantity's or its result's."""
+        """Whether a name is one of this quantity or of its result."""
         return name in (self.result, self.name, *self.names, *self.types, *self.ids)
 
     def in_one_of(self, dimensions: Collection[Dimension]) -> CertifiedQuantity | None:
-        r"""Return the quantity if its unit has one of some dimensions, by its other reading of `\per` if need be."""
+        r"""Return the quantity if its unit, or its other reading of `\per`, has one of some dimensions."""
         if self.unit.dimension in dimensions:
             return self
         other = self.unit.other
@@ -105,7 +106,7 @@ class CertifiedQuantity:
         return replace(self, unit=other, value=self.value * factor, expanded=self.expanded * factor)
 
     def usable(self) -> CertifiedQuantity:
-        """Return the quantity; raise what is wrong with its numbers."""
+        """Return the quantity; raise the error of its numbers."""
         if self.problem is not None:
             raise self.problem
         return self
@@ -113,7 +114,7 @@ class CertifiedQuantity:
 
 @dataclass(frozen=True)
 class CalibrationCertificate:
-    """What a DCC states: number, laboratory, day, last valid day, quantities; `signed`: notices of its signatures."""
+    """The content of a DCC: number, laboratory, date, last valid day, quantities, notices of signatures."""
 
     path: Path
     number: str
@@ -131,18 +132,18 @@ class CalibrationCertificate:
 
 
 def read_dcc(path: Path) -> CalibrationCertificate:
-    """Read a Digital Calibration Certificate; `InputError` naming file and element for what cannot be used.
+    """Read a Digital Calibration Certificate; `InputError` with file and element for errors.
 
-    A file that is what it was is parsed once, however many channels and recordings name it; one that was changed so
-    shortly before that another change may not show, every time.
+    An unchanged file is parsed once for all channels and recordings. A file that changed within the resolution of file
+    times is parsed every time.
     """
     now = FileIdentity.of(path)
     return _parsed(path, now) if now is not None and now.is_settled else _parsed.__wrapped__(path, now)
 
 
-@lru_cache(maxsize=MOST_KEPT)
+@lru_cache(maxsize=CACHE_SIZE)
 def _parsed(path: Path, _: FileIdentity | None) -> CalibrationCertificate:
-    """Parse a certificate."""
+    """Return the content of a certificate."""
     root = _root(path)
     administrative = root.find("{*}administrativeData")
     if administrative is None:
@@ -181,7 +182,7 @@ def _parsed(path: Path, _: FileIdentity | None) -> CalibrationCertificate:
 
 
 def _signatures(path: Path) -> Iterator[Notice]:
-    """Yield notices of a certificate's signatures; `InputError` if it was changed after it was signed."""
+    """Yield notices of a certificate's signatures; `InputError` if it was changed after signing."""
     if b"xmldsig#" not in path.read_bytes():
         return
     from fusion.recording.signature import check_signatures
@@ -198,7 +199,7 @@ def _signatures(path: Path) -> Iterator[Notice]:
 
 
 def _root(path: Path, *, whole: bool = False) -> Any:
-    """Return the root of a file of XML, in which no entity is defined and nothing is fetched from elsewhere.
+    """Return the root of an XML file without entity definitions and external references.
 
     `whole`: with comments and processing instructions.
     """
@@ -210,7 +211,7 @@ def _root(path: Path, *, whole: bool = False) -> Any:
             INVALID_CERTIFICATE_FILE,
             path,
             found="a document type declaration",
-            expected="XML without one, as a certificate has",
+            expected="XML without one",
         )
     parser = etree.XMLParser(
         resolve_entities=False, no_network=True, load_dtd=False, huge_tree=False,
@@ -219,9 +220,12 @@ def _root(path: Path, *, whole: bool = False) -> Any:
     try:
         root = etree.fromstring(text.encode(), parser)
     except (etree.XMLSyntaxError, ValueError) as error:
-        told = describe(" ".join(str(error).split()), plain=True)
+        reason = describe(" ".join(str(error).split()), plain=True)
         raise InputError(
-            INVALID_CERTIFICATE_FILE, path, found=f"damaged XML ({told})", expected="a Digital Calibration Certificate"
+            INVALID_CERTIFICATE_FILE,
+            path,
+            found=f"damaged XML ({reason})",
+            expected="a Digital Calibration Certificate",
         ) from error
     if root.tag != ROOT:
         found = f"the element {describe(str(root.tag), plain=True)}"
@@ -232,12 +236,12 @@ def _root(path: Path, *, whole: bool = False) -> Any:
 
 
 def _text(element: Any) -> str:
-    """Return the text of an element, empty where there is none."""
+    """Return the text of an element, empty if there is none."""
     return "" if element is None else describe(" ".join((element.text or "").split()), plain=True)
 
 
 def _name(element: Any) -> str:
-    """Return the name of something in English, else in its first language."""
+    """Return the name of an element in English, else in its first language."""
     contents = element.findall("{*}name/{*}content")
     english = [content for content in contents if content.get("lang") == "en"]
     return next(filter(None, map(_text, english + contents)), "")
@@ -249,7 +253,7 @@ def _tag(element: Any) -> str:
 
 
 def _day(path: Path, element: Any) -> Date | None:
-    """Return a date, None where there is no such element."""
+    """Return the date of an element, None if there is none."""
     if element is None:
         return None
     try:
@@ -262,13 +266,13 @@ def _day(path: Path, element: Any) -> Date | None:
 
 
 def _quantities(path: Path, root: Any) -> Iterator[CertifiedQuantity]:
-    """Yield every quantity with numbers of every result; those of one `group` stand in one list."""
+    """Yield every quantity with numbers of every result; those of one list have one `group`."""
     count, group = 0, 0
     for result in root.iterfind("{*}measurementResults/{*}measurementResult/{*}results/{*}result"):
         data = result.find("{*}data")
         waiting = [] if data is None else [(child, group) for child in data]
         while waiting:
-            element, own_group = waiting.pop(0)
+            element, element_group = waiting.pop(0)
             if _tag(element) == "list":
                 group += 1
                 waiting = [(child, group) for child in element] + waiting
@@ -284,16 +288,16 @@ def _quantities(path: Path, root: Any) -> Iterator[CertifiedQuantity]:
                     )
                 for values in [child for child in element if _tag(child) in KINDS][:1]:
                     found = _quantity(path, result, element, values)
-                    places = (result, data, element, *element.iterfind("{*}name/{*}content"))
-                    ids = tuple(own for own in (place.get("id") for place in places) if own)
-                    yield replace(found, group=own_group, ids=ids)
+                    sources = (result, data, element, *element.iterfind("{*}name/{*}content"))
+                    ids = tuple(name for name in (source.get("id") for source in sources) if name)
+                    yield replace(found, group=element_group, ids=ids)
         group += 1
 
 
 def _quantity(path: Path, result: Any, element: Any, values: Any) -> CertifiedQuantity:
-    """Read one quantity; numbers that cannot be used become its `problem`."""
-    about, name = _name(result), _name(element)
-    reader = _Numbers(path, ", ".join(filter(None, (f'result "{about}"', f'quantity "{name}"' if name else ""))))
+    """Read one quantity; errors of its numbers become its `problem`."""
+    title, name = _name(result), _name(element)
+    reader = _Numbers(path, ", ".join(filter(None, (f'result "{title}"', f'quantity "{name}"' if name else ""))))
     try:
         found = reader.quantity(values)
     except InputError as error:
@@ -304,7 +308,7 @@ def _quantity(path: Path, result: Any, element: Any, values: Any) -> CertifiedQu
         found = CertifiedQuantity("", "", (), value, unit, none, none, none, "", matrix, 0, listed, problem=error)
     return replace(
         found,
-        result=about,
+        result=title,
         name=name,
         types=tuple(dict.fromkeys(f"{result.get('refType') or ''} {element.get('refType') or ''}".split())),
         names=tuple(dict.fromkeys(filter(None, map(_text, element.iterfind("{*}name/{*}content"))))),
@@ -313,7 +317,7 @@ def _quantity(path: Path, result: Any, element: Any, values: Any) -> CertifiedQu
 
 
 def _unit_of(values: Any) -> Unit:
-    """Return the unit of a quantity whose numbers cannot be read."""
+    """Return the unit of a quantity with unreadable numbers."""
     for element in values.iter():
         if _tag(element) in ("unit", "unitXMLList", "listUnit"):
             with suppress(ValueError, IndexError):
@@ -323,7 +327,7 @@ def _unit_of(values: Any) -> Unit:
 
 @dataclass(frozen=True)
 class _Numbers:
-    """Reads the numbers of one quantity of a file."""
+    """Reader of the numbers of one quantity."""
 
     path: Path
     where: str
@@ -334,7 +338,7 @@ class _Numbers:
         )
 
     def numbers(self, parent: Any, tag: str, count: int | None = None) -> FloatArray:
-        """Read a list of numbers; one number stands for all `count`."""
+        """Read a list of numbers; one number represents all `count`."""
         element = parent.find(f"{{*}}{tag}")
         texts = [] if element is None or not element.text else element.text.split()
         if not texts:
@@ -343,16 +347,16 @@ class _Numbers:
             found = np.array([float(text) for text in texts])
         except ValueError as error:
             raise self.refusal(tag, f'"{describe(" ".join(texts), plain=True)[:60]}"', "numbers") from error
-        # NaN was not measured, which is refused where it is needed.
+        # NaN was not measured; it is refused if it is used.
         wrong = [value for value in found.tolist() if np.isinf(value) or (not np.isnan(value) and wrong_size(value))]
         if wrong:
             raise self.refusal(tag, f"{wrong[0]:g}", wrong_size(wrong[0]) or "finite numbers")
         if count is not None and len(found) not in (1, count):
-            raise self.refusal(tag, f"{len(found)} numbers", f"{count} of them, as there are values")
+            raise self.refusal(tag, f"{len(found)} numbers", f"{count} numbers, one per value")
         return found if count is None or len(found) == count else np.full(count, found[0])
 
     def units(self, parent: Any, tag: str, count: int) -> tuple[Unit, FloatArray]:
-        """Read the unit of `count` values, or one for each; return the first, and the factor of each to SI."""
+        """Return the unit of `count` values, and the factor of each to SI."""
         element = parent.find(f"{{*}}{tag}")
         texts = (element.text or "").split() if element is not None else []
         if len(texts) not in (1, count):
@@ -383,9 +387,9 @@ class _Numbers:
         return self._complex(values, suffix) if tag.startswith("complex") else self._real(values, suffix)
 
     def _hybrid(self, inner: Sequence[Any]) -> CertifiedQuantity:
-        """Read one quantity stated in several units: in the coherent SI unit, else in the first known one.
+        """Read one quantity stated in several units: in the coherent SI unit, else in the first one.
 
-        All that can be read have to say the same.
+        All readable values must agree.
         """
         found, wrong = list[CertifiedQuantity](), list[InputError]()
         for child in inner:
@@ -393,25 +397,27 @@ class _Numbers:
                 found.append(self.quantity(child))
             except InputError as error:
                 wrong.append(error)
-        found = [own for own in found if own.unit.dimension != LEVEL] or found
+        found = [one for one in found if one.unit.dimension != LEVEL] or found
         if not found:
             raise next(iter(wrong), self.refusal("hybrid", "no element", "values"))
-        best = min(found, key=lambda own: own.unit.factor != 1.0 or own.unit.celsius)
-        for own in found:
-            if own.unit.dimension != best.unit.dimension or own.value.shape != best.value.shape:
-                raise self.refusal("hybrid", f"{own.unit.text} and {best.unit.text}", "one quantity in several units")
-            apart = np.abs(own.value - best.value) - SAME_VALUE * np.abs(best.value)
-            if np.any(apart > np.nan_to_num(best.expanded)):
-                row = int(np.nanargmax(apart))
-                values = " and ".join(f"{abs(one.value[row]):g}" for one in (best, own))
-                raise self.refusal("hybrid", f"{values} (in SI, by {best.unit.text} and {own.unit.text})", "one value")
+        best = min(found, key=lambda one: one.unit.factor != 1.0 or one.unit.celsius)
+        for other in found:
+            if other.unit.dimension != best.unit.dimension or other.value.shape != best.value.shape:
+                raise self.refusal("hybrid", f"{other.unit.text} and {best.unit.text}", "one quantity in several units")
+            excess = np.abs(other.value - best.value) - SAME_VALUE * np.abs(best.value)
+            if np.any(excess > np.nan_to_num(best.expanded)):
+                row = int(np.nanargmax(excess))
+                values = " and ".join(f"{abs(one.value[row]):g}" for one in (best, other))
+                raise self.refusal(
+                    "hybrid", f"{values} (in SI, by {best.unit.text} and {other.unit.text})", "one value"
+                )
         return best
 
     def _real(self, values: Any, suffix: str, around: Any = None) -> CertifiedQuantity:
-        """Read `si:real`, `si:constant` or a list of real numbers; of one in a list, also what the list states."""
+        """Read `si:real`, `si:constant` or a list of real numbers, with the statements `around` it."""
         value = self.numbers(values, f"value{suffix}")
-        own_unit = around is None or values.find("{*}unit") is not None
-        unit, factor = self.units(*((values, f"unit{suffix}") if own_unit else (around, "listUnit")), len(value))
+        has_unit = around is None or values.find("{*}unit") is not None
+        unit, factor = self.units(*((values, f"unit{suffix}") if has_unit else (around, "listUnit")), len(value))
         expanded, k, probability, shape = self._uncertainty(values, suffix, len(value))
         if around is not None and not np.any(np.isfinite(expanded)):
             shared = [child for child in around if _tag(child) in LIST_UNCERTAINTY]
@@ -419,13 +425,13 @@ class _Numbers:
                 expanded, k, probability, shape = self._uncertainty(shared[0], suffix, len(value))
         shift = -CELSIUS_AT_0_K if unit.celsius else 0.0
         total = np.asarray(value * factor + shift, dtype=np.complex128)
-        own = expanded * factor, k, probability, shape
-        return CertifiedQuantity("", "", (), total, unit, *own, None, 0, bool(suffix) or len(value) > 1)
+        stated = expanded * factor, k, probability, shape
+        return CertifiedQuantity("", "", (), total, unit, *stated, None, 0, bool(suffix) or len(value) > 1)
 
     def _uncertainty(self, values: Any, suffix: str, count: int) -> tuple[FloatArray, FloatArray, FloatArray, str]:
-        """Read U with k, probability and distribution in all ways in which the D-SI states them; NaN where none is."""
-        nothing = np.full(count, np.nan)
-        places: tuple[tuple[str, tuple[str, ...]], ...] = (
+        """Read U, k, probability and distribution in every form of the D-SI; NaN if not stated."""
+        none = np.full(count, np.nan)
+        forms: tuple[tuple[str, tuple[str, ...]], ...] = (
             (f"expandedMU{suffix}", ("valueExpandedMU", "coverageFactor")),
             (f"standardMU{suffix}", ("valueStandardMU",)),
             (f"coverageIntervalMU{suffix}", ("valueStandardMU",)),
@@ -434,22 +440,22 @@ class _Numbers:
             ("", ("valueStandardMU",)),  # of a constant
             ("", ("uncertainty",)),
         )
-        # measurementUncertaintyUnivariate, which the schema misspells in lists
+        # measurementUncertaintyUnivariate, misspelt by the schema in lists
         holders = [values, *(child for child in values if _tag(child).startswith("measurementUncertaintyUniv"))]
-        for holder, (place, tags) in ((holder, place) for place in places for holder in holders):
-            element = holder.find("{*}" + place) if place else holder
-            if element is None or (not place and element.find(f"{{*}}{tags[0]}") is None):
+        for holder, (name, tags) in ((holder, form) for form in forms for holder in holders):
+            element = holder.find("{*}" + name) if name else holder
+            if element is None or (not name and element.find(f"{{*}}{tags[0]}") is None):
                 continue
             expanded = self.numbers(element, f"{tags[0]}{suffix}", count)
             k = self.numbers(element, f"{tags[1]}{suffix}", count) if len(tags) > 1 else np.ones(count)
             if np.any(expanded < 0.0) or np.any(k < 1.0):
-                tag, least = (tags[0], "0") if np.any(expanded < 0.0) else (tags[1], "1")
-                found = expanded.min() if least == "0" else k.min()
-                raise self.refusal(f"{tag}{suffix}", f"{found:g}", f"numbers of at least {least}")
+                tag, limit = (tags[0], "0") if np.any(expanded < 0.0) else (tags[1], "1")
+                found = expanded.min() if limit == "0" else k.min()
+                raise self.refusal(f"{tag}{suffix}", f"{found:g}", f"numbers of at least {limit}")
             stated = len(tags) > 1 and element.find(f"{{*}}coverageProbability{suffix}") is not None
-            probability = self.numbers(element, f"coverageProbability{suffix}", count) if stated else nothing
+            probability = self.numbers(element, f"coverageProbability{suffix}", count) if stated else none
             return expanded, k, probability, _text(element.find(f"{{*}}distribution{suffix}"))
-        return nothing, nothing, nothing, ""
+        return none, none, none, ""
 
     def _complex(self, values: Any, suffix: str) -> CertifiedQuantity:
         """Read complex numbers, Cartesian with their covariance, or polar."""
@@ -458,7 +464,7 @@ class _Numbers:
         first = self.numbers(values, tags[0] + suffix)
         second = self.numbers(values, tags[1] + suffix)
         if len(first) != len(second):
-            raise self.refusal(tags[1] + suffix, f"{len(second)} numbers", f"{len(first)}, as there are of {tags[0]}")
+            raise self.refusal(tags[1] + suffix, f"{len(second)} numbers", f"{len(first)}, the number of {tags[0]}")
         unit, factor = self.units(values, f"unit{suffix}", len(first))
         if polar:
             turn, radian = self.units(values, f"unitPhase{suffix}", len(first))
@@ -467,17 +473,17 @@ class _Numbers:
             value = first * np.exp(1j * second * radian)
         else:
             value = first + 1j * second
-        covariance, nothing = (
+        covariance, none = (
             None if polar else self._covariance(values, suffix, len(first), unit),
             np.full(len(first), np.nan),
         )
         return CertifiedQuantity(
-            "", "", (), np.asarray(value * factor), unit, nothing, nothing, nothing, "",
+            "", "", (), np.asarray(value * factor), unit, none, none, none, "",
             covariance, 0, bool(suffix),
         )  # fmt: skip
 
     def _covariance(self, values: Any, suffix: str, count: int, unit: Unit) -> FloatArray | None:
-        """Read the covariance matrices (N, 2, 2) of complex values in SI, None where their unit is not that squared."""
+        """Read covariance matrices (N, 2, 2) in SI; None if their unit is not the squared one."""
         matrix = values.find(f".//{{*}}covarianceMatrix{suffix}")
         if matrix is None:
             return None
@@ -485,7 +491,7 @@ class _Numbers:
         if len(cells) != 4:
             raise self.refusal(f"covarianceMatrix{suffix}", f"{len(cells)} elements", "2 columns of 2")
         units = [self.units(cell, f"unit{suffix}", count) for cell in cells]
-        if any(own.dimension != tuple(2 * power for power in unit.dimension) for own, _ in units):
+        if any(cell.dimension != tuple(2 * power for power in unit.dimension) for cell, _ in units):
             return None
         numbers = [self.numbers(cell, f"value{suffix}", count) for cell in cells]
         found = np.stack([n * factor for n, (_, factor) in zip(numbers, units, strict=True)], axis=1).reshape(-1, 2, 2)

@@ -1,4 +1,4 @@
-"""Lists over frequency in a Digital Calibration Certificate: which columns make one, their sign and units."""
+"""Lists over frequency in a Digital Calibration Certificate: columns, signs, units."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from shaker.arrays import ComplexArray, FloatArray
 HERTZ = parse_unit(r"\hertz").dimension
 ELECTRICAL = tuple(parse_unit(unit).dimension for unit in (r"\volt", r"\ampere", r"\coulomb"))
 RATIOS = {tuple(a - b for a, b in zip(one, other, strict=True)) for one in ELECTRICAL for other in ELECTRICAL}
-"""Dimensions of what an amplifier does; 1 among them."""
+"""Dimensions of amplifier gains, 1 included."""
 AMPERE = BASE.index("A")
 FREQUENCY = ("frequen", "frequên", "fréquen", "frecuen", "table index")
 ANGULAR = re.compile(
@@ -30,29 +30,29 @@ MAGNITUDE = (
     ("sensitiv", "gain", "amplitude", "empfindlich", "verstärk", "betrag", "module"),
     ("measured value",),
 )
-"""Words by which the magnitude is found where a list has several columns that could be it, the first that any has."""
+"""Words for the magnitude if several columns are possible, in order of priority."""
 PHASE = (("phase", "fase", "argument"), ("measured value",))
 LAG = re.compile(r"\b(phase)?lag(s|ging)?\b|verzug|nacheil")
 UNSURE = re.compile(r"delay|verzögerung|retard|retras|ritard|atras|negativ|minus")
-"""Names that may mean a lag, or the sign of one."""
+"""Names of a possible lag, or of its sign."""
 LEAD = re.compile(r"\b(phase)?lead(s|ing)?\b|voreil|advance|avance|adelant|anticip|avanç")
-PLAIN_SIGN = "a phase whose sign is plain: positive where the output leads, or a phase lag of positive numbers"
+UNAMBIGUOUS_SIGN = "a phase that is positive if the output leads, or a phase lag with positive numbers"
 DEVIATION = re.compile(
     r"uncertain|unsicherheit|incertitude|incertidumbre|incertezza|incerteza|deviation|abweichung|écart|desviación"
     r"|deviazione|\berror|coverage|überdeckung"
 )
-"""Names of what belongs to a value and is none."""
+"""Names of columns that qualify a value."""
 LOSS = re.compile(r"attenuation|\bloss|dämpfung|affaiblissement|atenua|attenuazione")
-"""Names of what is large where a response is small."""
+"""Names of quantities that are large if the response is small."""
 
 
 @dataclass(frozen=True)
 class CertifiedCurve:
-    """A complex quantity over N frequencies (Hz): magnitude and phase (rad) with standard uncertainties, SI.
+    """A complex quantity over N frequencies (Hz): magnitude and phase (rad) with u, in SI units.
 
-    u = U/k with k no larger than 2, so that 2·u stays the stated U. `phase_rad` with its u is NaN where the certificate
-    has none; `value` (N,) and `covariance` (N, 2, 2) where it states the complex values. NaN is what was not measured.
-    `problem`: why it cannot be used, None where it can; then it has no values.
+    u = U/k with k of at most 2, so that 2·u is the stated U. `phase_rad` with its u is NaN if it is not stated. `value`
+    (N,) and `covariance` (N, 2, 2) exist if complex values are stated. NaN was not measured. `problem`: the error of an
+    unusable one, which has no values, else None.
     """
 
     name: str
@@ -69,26 +69,26 @@ class CertifiedCurve:
     problem: InputError | None = None
 
     def usable(self) -> CertifiedCurve:
-        """Return the curve; raise what is wrong with it."""
+        """Return the curve; raise its error."""
         if self.problem is not None:
             raise self.problem
         return self
 
 
 def curve_named(certificate: CalibrationCertificate, result: str) -> CertifiedCurve:
-    """Return the list over frequency of a name, or the only one; `InputError` where none or several are that."""
+    """Return the list over frequency of a name, or the only one; `InputError` for none or several."""
     every = list(curves(certificate))
     fitting = [curve for curve in every if not result or result in (curve.name, *curve.types, *curve.ids)]
     if len(fitting) != 1:
-        known = ", ".join(f'"{curve.name}"' for curve in every[:8])
-        found = f"{len(fitting)} of {known}" if every else "no list over frequency"
+        available = ", ".join(f'"{curve.name}"' for curve in every[:8])
+        found = f"{len(fitting)} of {available}" if every else "no list over frequency"
         key = f'result "{describe(result, plain=True)}"' if result else "dcc:results"
         raise certificate.refusal(key, found, "one result over frequency, by its id, name or type")
     return fitting[0].usable()
 
 
 def curves(certificate: CalibrationCertificate) -> Iterator[CertifiedCurve]:
-    """Yield every list of a certificate that gives something over frequency, those that cannot be used among them."""
+    """Yield every list over frequency of a certificate, including unusable ones."""
     groups: dict[int, list[CertifiedQuantity]] = {}
     for quantity in certificate.quantities:
         groups.setdefault(quantity.group, []).append(quantity)
@@ -96,7 +96,7 @@ def curves(certificate: CalibrationCertificate) -> Iterator[CertifiedCurve]:
         frequencies = [q for q in members if q.unit.dimension in (HERTZ, ()) and any(w in q.words for w in FREQUENCY)]
         plain = [q for q in members if q.unit.dimension == HERTZ and not q.unit.angle]
         frequencies = frequencies or (plain if len(plain) == 1 else [])
-        rest = [q for q in members if not any(q is own for own in frequencies)]
+        rest = [q for q in members if not any(q is one for one in frequencies)]
         if not frequencies or not rest:
             continue
         try:
@@ -116,7 +116,7 @@ def curves(certificate: CalibrationCertificate) -> Iterator[CertifiedCurve]:
 
 
 def _of_transducer(quantity: CertifiedQuantity) -> CertifiedQuantity | None:
-    """Return a quantity in V, A or C per something that is not electrical, by its unit's other reading if need be."""
+    """Return a quantity in V, A or C per mechanical unit, by either reading of `\\per`."""
     for unit in filter(None, (quantity.unit, quantity.unit.other)):
         if unit.dimension and unit.dimension[AMPERE] and unit.dimension not in (*RATIOS, *ELECTRICAL):
             return quantity.in_one_of((unit.dimension,))
@@ -124,7 +124,7 @@ def _of_transducer(quantity: CertifiedQuantity) -> CertifiedQuantity | None:
 
 
 def in_hertz(certificate: CalibrationCertificate, quantity: CertifiedQuantity) -> CertifiedQuantity:
-    """Return frequencies in Hz, angular ones (rad/s, or 1/s by their name) divided by 2π."""
+    """Return frequencies in Hz; angular ones (rad/s, or 1/s by name) are divided by 2π."""
     angular = ANGULAR.search(quantity.words) is not None
     if angular and "hertz" in quantity.unit.text.lower():
         raise certificate.refusal(quantity.where, f"an angular frequency in {quantity.unit.text}", "rad/s, or f in Hz")
@@ -139,9 +139,9 @@ def in_hertz(certificate: CalibrationCertificate, quantity: CertifiedQuantity) -
 def _one_of(
     certificate: CalibrationCertificate, what: str, found: Sequence[CertifiedQuantity], words: Sequence[Sequence[str]]
 ) -> CertifiedQuantity | None:
-    """Return the one quantity that is meant, by words that it has and the others lack; None where there is none.
+    """Return the one quantity with distinctive words, None if there is none.
 
-    Columns of deviations and uncertainties are none.
+    Columns of deviations and uncertainties are ignored.
     """
     found = [q for q in found if not DEVIATION.search(" ".join(q.names).lower())]
     for group in words:
@@ -161,14 +161,14 @@ def _curve(
     frequencies: Sequence[CertifiedQuantity],
     rest: Sequence[CertifiedQuantity],
 ) -> CertifiedCurve | None:
-    """Return the list over frequency that quantities make, None where they make none."""
+    """Return the list over frequency of some quantities, None if they are none."""
     real = [q for q in rest if q.is_real]
     named = [q for q in real if q.unit.dimension in (NONE, ()) and any(word in q.words for word in PHASE[0])]
     turns = named or [q for q in real if q.unit.dimension == NONE and q.unit.angle == 1]
     sizes = [q for q in real if not any(q is turn for turn in turns)]
     unknown = [q for q in sizes if not q.unit.dimension]
-    responses = [[own for q in sizes if (own := q.in_one_of(group)) is not None] for group in (RATIOS, (LEVEL,))]
-    transducers = [own for q in sizes if (own := _of_transducer(q)) is not None]
+    responses = [[one for q in sizes if (one := q.in_one_of(group)) is not None] for group in (RATIOS, (LEVEL,))]
+    transducers = [one for q in sizes if (one := _of_transducer(q)) is not None]
     sizes = [*(transducers or responses[0] or responses[1]), *unknown] or sizes
     size = _one_of(certificate, "magnitude", sizes, MAGNITUDE)
     whole = next((q for q in rest if not q.is_real), None)
@@ -185,11 +185,11 @@ def _curve(
     turn = _one_of(certificate, "phase", turns, PHASE)
     for column in filter(None, (frequency, turn)):
         if len(column.value) != len(size.value):
-            expected = f"{len(size.value)}, as there are of {size.name or 'the values'}"
+            expected = f"{len(size.value)}, the number of {size.name or 'the values'}"
             raise certificate.refusal(column.where, f"{len(column.value)} numbers", expected)
     size = _as_ratio(certificate, size)
-    nothing = np.full(len(size.value), np.nan)
-    phase, u_phase = (nothing, nothing) if turn is None else (_phase(certificate, turn), _standard(certificate, turn))
+    none = np.full(len(size.value), np.nan)
+    phase, u_phase = (none, none) if turn is None else (_phase(certificate, turn), _standard(certificate, turn))
     exact = whole is not None and whole.covariance is not None and whole.unit.dimension == size.unit.dimension
     exact = exact and whole is not None and len(whole.value) == len(size.value)
     return CertifiedCurve(
@@ -202,7 +202,7 @@ def _curve(
 def _of_complex(
     certificate: CalibrationCertificate, frequency_hz: FloatArray, whole: CertifiedQuantity
 ) -> CertifiedCurve:
-    """Return a list whose complex values alone are stated."""
+    """Return a list with complex values only."""
     if len(frequency_hz) != len(whole.value):
         raise certificate.refusal(whole.where, f"{len(whole.value)} numbers", f"{len(frequency_hz)}, one per frequency")
     if whole.covariance is None:
@@ -219,34 +219,32 @@ def _of_complex(
 
 
 def _as_ratio(certificate: CalibrationCertificate, size: CertifiedQuantity) -> CertifiedQuantity:
-    """Return a magnitude as a number, a level in Np or dB (of a field quantity, re 1) as the ratio that it means."""
+    """Return a magnitude as a ratio; levels in Np or dB (field quantities, re 1) are converted."""
     if size.unit.dimension != LEVEL:
         return size
     if LOSS.search(f"{size.words} {size.description.lower()}"):
-        raise certificate.refusal(
-            size.where, f"a loss in {size.unit.text}", "a gain, whose sign is that of the response"
-        )
+        raise certificate.refusal(size.where, f"a loss in {size.unit.text}", "a gain")
     ratio = np.exp(size.value.real)
     return replace(size, value=ratio + 0j, expanded=size.expanded * ratio, unit=parse_unit(r"\one"))
 
 
 def _phase(certificate: CalibrationCertificate, turn: CertifiedQuantity) -> FloatArray:
-    """Return phases in rad, positive where the output leads; the sign of what is named a lag is changed."""
+    """Return phases in rad, positive if the output leads; lags change their sign."""
     if not (turn.unit.angle == 1 or turn.unit.factor == 1.0):
         raise certificate.refusal(turn.where, turn.unit.text, "a phase in rad or degrees")
     about = turn.description.lower()
     try:
         if LAG.search(about) and not LAG.search(turn.words) and ("positiv" in about or "negativ" not in about):
-            raise ValueError(f'"{turn.description[:60]}"')  # its description does not say what is so here anyhow
+            raise ValueError(f'"{turn.description[:60]}"')  # a sign convention in words
         return leading_phase(np.asarray(turn.value.real), turn.expanded, turn.words)
     except ValueError as error:
-        raise certificate.refusal(turn.where, str(error), PLAIN_SIGN) from error
+        raise certificate.refusal(turn.where, str(error), UNAMBIGUOUS_SIGN) from error
 
 
 def leading_phase(phase_rad: FloatArray, expanded_rad: FloatArray, words: str) -> FloatArray:
-    """Return phases that are positive where the output leads, by what their name says (`words`, in small letters).
+    """Return phases that are positive if the output leads, by their name (`words`, in small letters).
 
-    Raises `ValueError` with what was found where the name, or all numbers of a lag, leave the sign open.
+    Raises `ValueError` with the finding if the name, or negative numbers of a lag, make the sign ambiguous.
     """
     lag, lead, unsure = (pattern.search(words) is not None for pattern in (LAG, LEAD, UNSURE))
     if (lag and (lead or unsure)) or (unsure and not lead):
@@ -257,7 +255,7 @@ def leading_phase(phase_rad: FloatArray, expanded_rad: FloatArray, words: str) -
 
 
 def _standard(certificate: CalibrationCertificate, quantity: CertifiedQuantity) -> FloatArray:
-    """Return u of every value; `InputError` where no U is stated."""
+    """Return u of every value; `InputError` if no U is stated."""
     if not np.any(np.isfinite(quantity.expanded)):
         raise certificate.refusal(quantity.where, "no uncertainty", "U with its coverage factor")
     return np.asarray(quantity.expanded / np.minimum(quantity.k, 2.0))

@@ -1,4 +1,4 @@
-r"""Units as certificates write them (D-SI, `\milli\volt\newton\tothe{-1}`) and as people do (`mV/N`).
+r"""Units of certificates (D-SI, `\milli\volt\newton\tothe{-1}`) and plain units (`mV/N`).
 
 Names after Hutzschenreuter et al. 2019, SmartCom Digital System of Units guide, and the SI brochure.
 """
@@ -18,14 +18,14 @@ DECIMALS |= {"yotta": 24, "ronna": 27, "quetta": 30, "deci": -1, "centi": -2, "m
 DECIMALS |= {"pico": -12, "femto": -15, "atto": -18, "zepto": -21, "yocto": -24, "ronto": -27, "quecto": -30}
 BINARY = dict(zip(("kibi", "mebi", "gibi", "tebi", "pebi", "exbi", "zebi", "yobi"), range(10, 90, 10), strict=True))
 SIZES = {name: 10.0**power for name, power in DECIMALS.items()} | {name: 2.0**power for name, power in BINARY.items()}
-"""Of all prefixes, decimal and binary ones."""
+"""Factors of decimal and binary prefixes."""
 PREFIXES = {"": "", "k": r"\kilo", "m": r"\milli", "u": r"\micro", "\u00b5": r"\micro", "\u03bc": r"\micro"}
 PREFIXES |= {"n": r"\nano", "p": r"\pico", "M": r"\mega", "h": r"\hecto", "c": r"\centi", "G": r"\giga"}
 SYMBOLS = {"V": r"\volt", "A": r"\ampere", "C": r"\coulomb", "N": r"\newton", "m": r"\metre", "s": r"\second"}
 SYMBOLS |= {"Hz": r"\hertz", "Ohm": r"\ohm", "\u03a9": r"\ohm", "F": r"\farad", "W": r"\watt", "Pa": r"\pascal"}
 SYMBOLS |= {"g": r"\gram", "K": r"\kelvin", "rad": r"\radian", "J": r"\joule"}
 BASE = ("m", "kg", "s", "A", "K", "mol", "cd", "Np", "bit")
-"""Of dimensions: the base units, and of what no SI unit measures, levels (of field quantities) and information."""
+"""Base units of dimensions, with those of levels (of field quantities) and information."""
 Dimension = tuple[int | Fraction, ...]
 NONE: Dimension = (0,) * len(BASE)
 
@@ -89,8 +89,8 @@ TOKEN = re.compile(r"\\([A-Za-z]+)(?:\{([-+]?\d(?:\.\d{1,3}|_[1-9])?)\})?")
 class Unit:
     """A unit: `factor` to the coherent SI unit of its `dimension` (exponents of `BASE`), and its text.
 
-    `celsius`: a temperature on the Celsius scale, of which a value is `CELSIUS_AT_0_K` at 0 K. `angle`: exponent of the
-    radian, which has no dimension. `other`: the unit where `\\per` divides by the next unit alone, if that differs.
+    `celsius`: a temperature on the Celsius scale, with the value `CELSIUS_AT_0_K` at 0 K. `angle`: exponent of the
+    radian, which has no dimension. `other`: the unit if `\\per` divides only by the next unit, if that differs.
     """
 
     factor: float
@@ -102,9 +102,9 @@ class Unit:
 
 
 def dsi_unit(unit: str, further: Powers = (), power: int = 1) -> str:
-    r"""Return a unit such as `mV/V`, times further units with their exponents, to a power, as the D-SI writes it.
+    r"""Return a unit, times further units, to a power, in the notation of the D-SI.
 
-    `ValueError` where it is not made of volts, amperes, coulombs, newtons, metres, ohms and their like.
+    `ValueError` for units other than products of volts, amperes, coulombs, newtons, metres, ohms and similar ones.
 
     >>> from fusion.recording.dsi import dsi_unit
     >>> print(dsi_unit("mV/V", [(r"\newton", -1)]))
@@ -115,9 +115,9 @@ def dsi_unit(unit: str, further: Powers = (), power: int = 1) -> str:
 
 
 def _powers(unit: str) -> Iterator[tuple[str, int]]:
-    """Yield the units of a text with their exponents, in their order; a stroke divides by all up to the next one."""
-    none = f"expected a unit made of V, A, C, N, m and their like, such as mV/V, found {unit}"
-    outer, sign, last = [1], 1, "/"  # of the brackets that are open, and behind a stroke within the last one
+    """Yield units with exponents; a stroke divides by all up to the next one."""
+    none = f"expected a unit of V, A, C, N, m and similar ones, such as mV/V, found {unit}"
+    outer, sign, last = [1], 1, "/"  # of open brackets, and after a stroke within the last one
     for token in re.findall(r"[()/]|[^()/\u00b7.*\s]+", unit):
         if token == "(":
             outer, sign = [*outer, outer[-1] * sign], 1
@@ -127,11 +127,11 @@ def _powers(unit: str) -> Iterator[tuple[str, int]]:
             sign = -1
         elif token != "1":
             name, raised, exponent = token.replace("\u00b2", "^2").replace("\u00b3", "^3").partition("^")
-            ends = [own for own in SYMBOLS if name.endswith(own) and name[: -len(own)] in PREFIXES]
+            ends = [symbol for symbol in SYMBOLS if name.endswith(symbol) and name[: -len(symbol)] in PREFIXES]
             if not ends or (raised and not re.fullmatch(r"-?\d", exponent)):
                 raise ValueError(none)
-            known = max(ends, key=len)
-            yield PREFIXES[name[: -len(known)]] + SYMBOLS[known], outer[-1] * sign * int(exponent or 1)
+            symbol = max(ends, key=len)
+            yield PREFIXES[name[: -len(symbol)]] + SYMBOLS[symbol], outer[-1] * sign * int(exponent or 1)
         last = token
     if len(outer) > 1 or last in ("/", "("):
         raise ValueError(none)
@@ -139,10 +139,10 @@ def _powers(unit: str) -> Iterator[tuple[str, int]]:
 
 @cache
 def parse_unit(text: str) -> Unit:
-    r"""Read a unit of the D-SI, or a plain one such as `(mV/V)/N`; `ValueError` for what is none.
+    r"""Return a unit of the D-SI, or a plain one such as `(mV/V)/N`; `ValueError` for other texts.
 
-    `\per` divides by all units behind it, of which the D-SI allows one; what LaTeX makes of it, the next one alone, is
-    the unit's `other`.
+    `\per` divides by all units after it; the D-SI allows one. The LaTeX reading, division by the next unit only, is the
+    unit's `other`.
 
     >>> from fusion.recording.dsi import parse_unit
     >>> parse_unit(r"\milli\volt\per\newton") == parse_unit("mV/N")
@@ -150,18 +150,18 @@ def parse_unit(text: str) -> Unit:
     >>> parse_unit(r"\milli\volt\per\newton").factor, parse_unit("mV/N").factor
     (0.001, 0.001)
     """
-    own = text.strip()
-    if not own.startswith(("\\", "|")):
-        own = dsi_unit(own)
-    own = re.sub(r"\^\{?(-?\d+)\}?", r"\\tothe{\1}", own)
+    notation = text.strip()
+    if not notation.startswith(("\\", "|")):
+        notation = dsi_unit(notation)
+    notation = re.sub(r"\^\{?(-?\d+)\}?", r"\\tothe{\1}", notation)
     wrong = ValueError(rf"expected a unit of the D-SI such as \volt\per\newton, found {text.strip()[:80]}")
-    parts: list[tuple[str, str, int | Fraction, int]] = []  # unit, prefix, exponent, strokes in front of it
-    place, prefix, strokes, stroke = 0, "", 0, False
-    for found in TOKEN.finditer(own):
+    parts: list[tuple[str, str, int | Fraction, int]] = []  # unit, prefix, exponent, strokes before it
+    end, prefix, strokes, stroke = 0, "", 0, False
+    for found in TOKEN.finditer(notation):
         name, exponent = found[1], found[2]
-        if found.start() != place:
+        if found.start() != end:
             break
-        place = found.end()
+        end = found.end()
         if name == "tothe" and exponent and parts and not prefix and not stroke:
             last, size, power, above = parts[-1]
             parts[-1] = last, size, power * Fraction(exponent.replace("_", "/")), above
@@ -174,7 +174,7 @@ def parse_unit(text: str) -> Unit:
             prefix, stroke = "", False
         else:
             raise wrong
-    if place != len(own) or not 0 < len(parts) <= MOST_PARTS or prefix or stroke:
+    if end != len(notation) or not 0 < len(parts) <= MOST_PARTS or prefix or stroke:
         raise wrong
     behind = [-1 if part[3] else 1 for part in parts]
     first = [-1 if part[3] > (parts[n - 1][3] if n else 0) else 1 for n, part in enumerate(parts)]
@@ -191,17 +191,17 @@ def _product(parts: Sequence[tuple[str, str, int | Fraction, int]], signs: Seque
     """Return the product of units with prefixes and exponents, the latter with their signs."""
     factor, dimension, angle = 1.0, list(NONE), Fraction(0)
     for (name, prefix, exponent, _), sign in zip(parts, signs, strict=True):
-        of_unit, own_dimension = UNITS[name]
+        of_unit, unit_dimension = UNITS[name]
         size, power = of_unit * SIZES.get(prefix, 1.0), float(sign * exponent)
         factor *= size**power if abs(power * log10(size)) < 100.0 else 0.0
-        dimension = [d + sign * exponent * o for d, o in zip(dimension, own_dimension, strict=True)]
+        dimension = [d + sign * exponent * o for d, o in zip(dimension, unit_dimension, strict=True)]
         angle += sign * exponent * (name in ANGLES)
     celsius = len(parts) == 1 and parts[0][0] == "degreecelsius" and parts[0][2] == 1
     return Unit(factor, tuple(dimension), text, celsius, angle)
 
 
 def same_dimension(one: str, other: str) -> bool:
-    """Whether two units can be converted into each other; a text that is no unit is equal to itself only."""
+    """Whether two units have the same dimension; other texts only match themselves."""
     try:
         return one == other or parse_unit(one).dimension == parse_unit(other).dimension
     except ValueError:

@@ -1,4 +1,4 @@
-"""The models of recording.toml, key by key: one excitation, the DAQ files with their channels, images or points."""
+"""Models of recording.toml: excitation, DAQ files with channels, images, points, takes."""
 
 from __future__ import annotations
 
@@ -136,7 +136,7 @@ class ResponseColumns(ManifestBlock):
 
 
 class ChannelEntry(ManifestBlock):
-    """One channel of a DAQ file: true phasor = file value · scale · exp(+jω·delay) / response(f).
+    """One channel: true phasor = file value · scale · exp(+jω·delay) / response(f).
 
     `in_file`: its name in the file, if it differs from `name`. `body` "head": an accelerometer on its `head`; "room": a
     beam of that head at a stationary object. Both measure the motion of the head. `delay_of` "pure": the delay of a
@@ -275,7 +275,7 @@ class Daq(ManifestBlock):
     channel: Annotated[tuple[ChannelEntry, ...], BeforeValidator(array_of_tables), Field(min_length=1)]
 
     def data_set(self, entry: ChannelEntry) -> tuple[str, str]:
-        """Return block and point of a channel of a scan, `2/3` as ("2", "3"); else name and ""."""
+        """Return block and point of a scan's channel `2/3`; otherwise the name and ""."""
         block, _, point = entry.name.partition("/")
         return (block, point) if self.file.suffix.lower() == SCAN else (entry.name, "")
 

@@ -1,6 +1,6 @@
 """Plausibility of a manifest: sizes that suggest another unit, bodies of no known material.
 
-Each notice asks for a check; no manifest is refused, because each size is right in some laboratory.
+No manifest is refused, because each size is right in some laboratory.
 """
 
 from __future__ import annotations
@@ -194,7 +194,7 @@ def _pair_notices(rig: Rig, file: str) -> Iterator[Notice]:
 
 
 def axes_cross_m(right_from_left: RigidTransform) -> float:
-    """Return the distance along the left camera's axis to the nearest point of the right one's, NaN if parallel."""
+    """Return where the camera axes cross, m along the left one, NaN if parallel."""
     back = right_from_left.inverse()
     axes = np.stack([[0.0, 0.0, 1.0], -back.rotation[:, 2]], axis=1)
     if np.hypot(*back.rotation[:2, 2]) < np.sin(PARALLEL_RAD):

@@ -1,4 +1,4 @@
-"""Errors and notices of reading a recording: its files, manifest keys, certificates, tables, units and values."""
+"""Errors and notices of reading a recording: files, manifests, certificates, tables, units."""
 
 from __future__ import annotations
 
@@ -208,7 +208,7 @@ ONE_SET_UP_EXPECTED = DeclaredNotice(
     "error",
     "expected {expected}, found {found}",
     effect="The command does not evaluate recordings of several set-ups.",
-    remedy="Move each set-up to a recording folder of its own.",
+    remedy="Move each set-up to a separate recording folder.",
     link="recording-format.md#take",
 )
 REFERENCE_CHANNEL_REQUIRED = DeclaredNotice(
@@ -281,7 +281,7 @@ ONE_SCAN_EXPECTED = DeclaredNotice(
     "error",
     "expected {expected}, found {found}",
     effect="The scans cannot be assigned to each other.",
-    remedy="Describe each scan in a recording of its own.",
+    remedy="Describe each scan in a separate recording.",
 )
 
 UNREADABLE_DAQ_FILE = DeclaredNotice(
@@ -360,7 +360,7 @@ INVALID_CERTIFICATE_FILE = DeclaredNotice(
     "error",
     "expected {expected}, found {found}",
     effect="The certificate is not used.",
-    remedy="Ask the laboratory for a certificate that follows the DCC schema, or type its values.",
+    remedy="Ask the laboratory for a certificate in the DCC schema, or type its values.",
     link="recording-format.md#inputs-as-certificates-state-them",
 )
 CERTIFICATE_CHANGED = DeclaredNotice(

@@ -107,7 +107,7 @@ class Repair(Generic[AnyBlock]):
         self.names |= names
 
     def _candidates(self, problem: ErrorDetails, path: KeyPath) -> Iterator[dict[str, Any]]:
-        """Yield tables without the key, or with another value: of the same key, an allowed word, a plain one."""
+        """Yield tables without the key, or with another value."""
         if problem["type"] != "missing":
             yield _without(self._values, path)
         if problem["type"] == "extra_forbidden":
@@ -119,7 +119,7 @@ class Repair(Generic[AnyBlock]):
 
 
 def _problem_path(problem: ErrorDetails) -> KeyPath:
-    """Return the key path of a problem, with the key that a validator of a whole table names."""
+    """Return the key path of a problem, with the key named by its validator."""
     inner = problem.get("ctx", {}).get("key")
     return [*problem["loc"], *(inner.split(".") if inner else ())]
 
@@ -187,7 +187,7 @@ def _without(values: dict[str, Any], path: KeyPath) -> dict[str, Any]:
 
 
 def is_doubtful(contradiction: InputError, doubtful: Mapping[Path, set[str]]) -> bool:
-    """Whether a contradiction may follow from a placeholder: it names such a block, or a key of one."""
+    """Whether a contradiction names a block with a placeholder, or a key of one."""
     every = set().union(*doubtful.values())
     words, key = (set(re.split(r"[^\w-]+", text)) for text in (contradiction.sentence, contradiction.key))
     return bool((every | {PLACEHOLDER}) & words or doubtful.get(contradiction.file, set()) & key)

@@ -1,4 +1,4 @@
-"""The frequency response of a measuring chain: a table, or a text of gain, poles and standard filters."""
+"""Frequency response of a measuring chain: a table, or gain, poles and standard filters."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from pydantic import BeforeValidator, Field, model_validator
 
 from fusion.errors import InputError, as_input_error
 from fusion.recording.dcc import SUFFIX, CalibrationCertificate, read_dcc
-from fusion.recording.dcc_curves import HERTZ, PLAIN_SIGN, CertifiedCurve, curve_named, leading_phase
+from fusion.recording.dcc_curves import HERTZ, UNAMBIGUOUS_SIGN, CertifiedCurve, curve_named, leading_phase
 from fusion.recording.dsi import parse_unit
 from fusion.recording.recording_notices import (
     AMBIGUOUS_PHASE_SIGN,
@@ -65,8 +65,8 @@ LARGEST_TABLE = 50_000_000  # bytes
 MOST_ROOTS = 100  # poles or zeros of an element
 TURN = 2.0 * np.pi
 ANGLES = {"rad": 1.0, "radian": 1.0} | dict.fromkeys(("deg", "°", "degree", "degrees"), np.pi / 180.0)
-CLOCKS = 2e-4  # relative, by which clocks let a line seem to lie beyond the last point, at which it was driven
-SAME_HZ = 1e-6  # relative, within which frequencies of a table are one
+CLOCKS = 2e-4  # relative clock error that may move a line beyond the last point of a table
+SAME_HZ = 1e-6  # relative difference of equal frequencies of a table
 
 
 def _roots(value: object) -> tuple[tuple[float, ...], ...]:
@@ -85,7 +85,7 @@ def _complex(roots: tuple[tuple[float, float], ...]) -> NDArray[np.complex128]:
 
 
 class ChainElement(ManifestBlock):
-    """One element of a chain: gain and delay of its own, and poles and zeros in rad/s or a standard filter."""
+    """One element of a chain: gain, delay, and poles and zeros in rad/s or a filter."""
 
     name: Text = "element"
     gain: Number = 1.0
@@ -107,10 +107,10 @@ class ChainElement(ManifestBlock):
 
     @model_validator(mode="after")
     def _keys_belong_together(self) -> Self:
-        foreign = self.OF_FILTER if self.filter is None else self.OF_POLES
+        unused = self.OF_FILTER if self.filter is None else self.OF_POLES
         if self.filter != "resonance":
-            foreign = (*foreign, "damping")
-        for key in foreign:
+            unused = (*unused, "damping")
+        for key in unused:
             if key in self.model_fields_set:
                 kind = "an element without filter" if self.filter is None else f'filter = "{self.filter}"'
                 raise refusal(f"no such key for {kind}", "one", key=key, declared=KEY_NOT_APPLICABLE)
@@ -135,11 +135,11 @@ class ChainElement(ManifestBlock):
         if self.filter is None:
             return PoleModel(_complex(self.zeros), _complex(self.poles), self.gain, self.gain_at, self.delay)
         damping = {} if self.damping is None else {"damping": self.damping}
-        own = filter_poles(self.filter, self.order or 2, self.corner or 0.0, self.band, **damping)
-        return PoleModel(own.zeros, own.poles, self.gain * own.gain, own.gain_hz, self.delay)
+        standard = filter_poles(self.filter, self.order or 2, self.corner or 0.0, self.band, **damping)
+        return PoleModel(standard.zeros, standard.poles, self.gain * standard.gain, standard.gain_hz, self.delay)
 
     def response(self, frequency_hz: FloatArray) -> ChainResponse:
-        """Return the element's response at frequencies (K,) in Hz, its causes of error named by the element."""
+        """Return the element's response at frequencies (K,), Hz, with named causes of error."""
         found = pole_response(
             frequency_hz,
             self.model(),
@@ -151,7 +151,7 @@ class ChainElement(ManifestBlock):
 
 
 class MeasuringChainFile(ManifestBlock):
-    """A chain's file: elements one behind the other."""
+    """A file of a measuring chain: elements in series."""
 
     format: Version = 1
     element: Annotated[tuple[ChainElement, ...], BeforeValidator(array_of_tables), Field(min_length=1)]
@@ -160,12 +160,12 @@ class MeasuringChainFile(ManifestBlock):
 def read_response(
     path: Path, frequency_hz: FloatArray, result: str | None = None, columns: ResponseColumns | None = None
 ) -> ChainResponse:
-    """Return the response that a file states at frequencies (K,) in Hz.
+    """Return the response of a file at frequencies (K,) in Hz.
 
-    `.toml`: `[[element]]` blocks, which multiply. `.xml`: a Digital Calibration Certificate, in SI units, of which
-    `result` is the id, name or type of a list over frequency where it has several. Any other file is a table with the
-    columns frequency_hz, magnitude, phase_rad, u_magnitude, u_phase_rad (u_: standard uncertainty in the unit of the
-    column it belongs to), or those that `columns` names. Raises `InputError` naming file and key or column.
+    `.toml`: `[[element]]` blocks in series. `.xml`: a Digital Calibration Certificate, in SI units; `result` is the id,
+    name or type of one of several lists over frequency. Other files are tables with the columns frequency_hz,
+    magnitude, phase_rad, u_magnitude, u_phase_rad, or those of `columns`. The prefix u_ is the standard uncertainty in
+    the unit of its column. Raises `InputError` with file and key or column.
     """
     if path.suffix.lower() == ELEMENTS:
         with as_input_error(path, "element", UNREADABLE_RESPONSE_FILE):
@@ -187,13 +187,13 @@ def read_response(
 
 
 def check_response(path: Path, columns: ResponseColumns | None = None) -> None:
-    """Raise `InputError` unless a response file can be read; certificates are when their manifest is."""
+    """Raise `InputError` if a response file cannot be read; certificates are read with the manifest."""
     if path.suffix.lower() != SUFFIX:
         _ = read_chain(path) if path.suffix.lower() == ELEMENTS else read_table(path, columns)
 
 
 def certified_table(certificate: CalibrationCertificate, result: str) -> ResponseTable:
-    """Return a list over frequency of a certificate, in SI; `InputError` for one without phase, or of no response."""
+    """Return a response of a certificate in SI units; `InputError` for one without phase."""
     curve = curve_named(certificate, result)
     key = f'result "{curve.name}"'
     if not np.any(np.isfinite(curve.phase_rad)):
@@ -214,7 +214,7 @@ def certified_table(certificate: CalibrationCertificate, result: str) -> Respons
 
 
 def _measured(curve: CertifiedCurve) -> BoolArray:
-    """Whether the certificate states magnitude, phase and both uncertainties at each frequency (N,)."""
+    """Return where (N,) magnitude, phase and both uncertainties are stated."""
     columns = curve.magnitude, curve.phase_rad, curve.u_magnitude, curve.u_phase_rad
     return np.asarray(np.isfinite(columns).all(axis=0))
 
@@ -222,7 +222,7 @@ def _measured(curve: CertifiedCurve) -> BoolArray:
 def _refuse_unmeasured(
     certificate: CalibrationCertificate, curve: CertifiedCurve, table: ResponseTable, frequency_hz: FloatArray
 ) -> None:
-    """Raise `InputError` for a frequency that lies nearest to one at which nothing was measured."""
+    """Raise `InputError` for a frequency whose nearest point was not measured."""
     for missing in np.sort(curve.frequency_hz[~_measured(curve)]).tolist():
         below, above = (
             np.searchsorted(table.frequency_hz, missing, "left") - 1,
@@ -235,21 +235,21 @@ def _refuse_unmeasured(
             raise certificate.refusal(
                 f'result "{curve.name}"',
                 f"nan at {missing:g} Hz",
-                f"numbers around {needed[0]:g} Hz, where they are needed",
+                f"numbers near {needed[0]:g} Hz, which is evaluated",
             )
 
 
 def read_chain(path: Path) -> MeasuringChainFile:
-    """Read the elements of a chain; raises `InputError`."""
+    """Read the elements of a chain; `InputError` for errors."""
     return validate(MeasuringChainFile, read_toml(path), path)
 
 
 def read_table(path: Path, columns: ResponseColumns | None = None) -> ResponseTable:
-    """Read a response table; raises `InputError` for a missing column and a cell that is no number.
+    """Read a response table; `InputError` for a missing column or a cell without a number.
 
-    Where `columns` names them, the file may be any that holds channels, its rows in any order. Of a frequency that is
-    there several times (loops of a calibration) the mean is taken; its standard uncertainty is the mean of those
-    stated, which repeating does not lessen, and that of the mean by the scatter.
+    With `columns` any file of channels is accepted, with rows in any order. Repeated frequencies (loops of a
+    calibration) are averaged. The standard uncertainty combines the mean of the stated ones, which repetition does not
+    reduce, and that of the mean by the scatter.
     """
     names: tuple[str, ...] = COLUMNS if columns is None else columns.names
     values = _typed_columns(path) if columns is None else _named_columns(path, columns)
@@ -271,7 +271,7 @@ def read_table(path: Path, columns: ResponseColumns | None = None) -> ResponseTa
 
 
 def is_flat(path: Path, columns: ResponseColumns | None, up_to_hz: float) -> bool:
-    """Whether the magnitudes of a table, from two points on, are within 2 % of each other up to a frequency."""
+    """Whether the magnitudes of a table agree within 2 % up to a frequency."""
     if path.suffix.lower() in (ELEMENTS, SUFFIX):
         return False
     table = read_table(path, columns)
@@ -280,9 +280,9 @@ def is_flat(path: Path, columns: ResponseColumns | None, up_to_hz: float) -> boo
 
 
 def _refuse_degrees(path: Path, name: str, phase_rad: FloatArray) -> None:
-    """Raise `InputError` for phases that cannot be radians, neither wrapped nor followed from point to point.
+    """Raise `InputError` for phases that cannot be in radians, neither wrapped nor unwrapped.
 
-    The first one lies between −π, or the lag of half as much again that is followed there, and 2π.
+    The first one is between −1.5π, the largest lag before the first point, and 2π.
     """
     steps = np.abs(np.diff(phase_rad))
     if not -0.75 * TURN <= phase_rad[0] <= TURN or (np.any(np.abs(phase_rad) > TURN) and np.any(steps > np.pi)):
@@ -297,7 +297,7 @@ def _refuse_degrees(path: Path, name: str, phase_rad: FloatArray) -> None:
 
 
 def _typed_columns(path: Path) -> list[FloatArray]:
-    """Return the columns of a table that has those of the format."""
+    """Return the columns of a table in the standard format."""
     names, rows = read_rows(path, LARGEST_TABLE)
     missing = [name for name in COLUMNS if name not in names]
     if missing:
@@ -321,7 +321,7 @@ def _typed_columns(path: Path) -> list[FloatArray]:
 
 
 def _number(cell: str | None) -> float:
-    """Return the number in a cell, NaN where there is none."""
+    """Return the number in a cell, NaN if there is none."""
     try:
         return nan if cell is None else float(cell)
     except ValueError:
@@ -329,7 +329,7 @@ def _number(cell: str | None) -> float:
 
 
 def _named_columns(path: Path, columns: ResponseColumns) -> list[FloatArray]:
-    """Return the columns that a user names, in SI, uncertainties standard ones, row by row."""
+    """Return the columns named by the user in SI units, with standard uncertainties."""
     from shaker.io import read_channels
 
     names = columns.names
@@ -339,7 +339,7 @@ def _named_columns(path: Path, columns: ResponseColumns) -> list[FloatArray]:
     if len({len(column) for column in values}) > 1:
         found = ", ".join(f"{len(column)} of {name}" for name, column in zip(names, values, strict=True))
         raise InputError(
-            INVALID_RESPONSE_VALUE, path, "response_columns", found=found, expected="as many numbers of each"
+            INVALID_RESPONSE_VALUE, path, "response_columns", found=found, expected="columns of equal length"
         )
     for name, column in zip(names, values, strict=True):
         for row, value in enumerate(column.tolist()):
@@ -364,14 +364,14 @@ def _named_columns(path: Path, columns: ResponseColumns) -> list[FloatArray]:
         phase = leading_phase(turn * phase, u_turn * u_phase, columns.phase.lower().replace("_", " "))
     except ValueError as error:
         raise InputError(
-            AMBIGUOUS_PHASE_SIGN, path, "response_columns.phase", found=str(error), expected=PLAIN_SIGN
+            AMBIGUOUS_PHASE_SIGN, path, "response_columns.phase", found=str(error), expected=UNAMBIGUOUS_SIGN
         ) from error
     u = factor / columns.k * u_magnitude, u_turn / columns.k * u_phase
     return [_hertz_factor(path, names[0], units[0]) * frequency_hz, factor * magnitude, phase, *u]
 
 
 def _hertz_factor(path: Path, name: str, unit: str) -> float:
-    """Return the factor to Hz of the unit that the file states for frequencies."""
+    """Return the factor to Hz of the file's unit of frequencies."""
     if not unit:
         return 1.0
     with suppress(ValueError):
@@ -382,34 +382,34 @@ def _hertz_factor(path: Path, name: str, unit: str) -> float:
 
 
 def _angle_factor(path: Path, columns: ResponseColumns, name: str, unit: str) -> float:
-    """Return the factor to rad of a column of angles, by the file's unit, which must not contradict the user's."""
-    stated, own = columns.phase_unit, ANGLES.get(unit.lower())
-    if unit and own is None:
+    """Return the factor to rad of a column of angles; the file's unit must not contradict `columns`."""
+    stated, of_file = columns.phase_unit, ANGLES.get(unit.lower())
+    if unit and of_file is None:
         with suppress(ValueError):
-            own = parse_unit(unit).factor if parse_unit(unit).angle == 1 else None
-        if own is None:
+            of_file = parse_unit(unit).factor if parse_unit(unit).angle == 1 else None
+        if of_file is None:
             raise InputError(RESPONSE_UNIT_CONTRADICTION, path, name, found=unit, expected="rad or deg as its unit")
-    if stated is None and own is None and re.search(r"deg|°", name.lower()):
+    if stated is None and of_file is None and re.search(r"deg|°", name.lower()):
         raise InputError(
             PHASE_NOT_IN_RADIANS,
             path,
             "response_columns",
             found="no phase_unit",
-            expected=f'one, as "{name}" looks like degrees',
+            expected=f'one, because "{name}" suggests degrees',
         )
-    if stated is not None and own is not None and ANGLES[stated] != own:
+    if stated is not None and of_file is not None and ANGLES[stated] != of_file:
         raise InputError(
             RESPONSE_UNIT_CONTRADICTION,
             path,
             name,
             found=f"{unit} in the file",
-            expected=f"{stated}, as response_columns.phase_unit says",
+            expected=f"{stated}, as in response_columns.phase_unit",
         )
-    return own if own is not None else ANGLES[stated or "rad"]
+    return of_file if of_file is not None else ANGLES[stated or "rad"]
 
 
 def _magnitude_factor(path: Path, columns: ResponseColumns, units: Sequence[str]) -> float:
-    """Return the factor to SI of the magnitudes; what the file says of them must not contradict what the user says."""
+    """Return the factor to SI of the magnitudes; the file's unit must not contradict `columns`."""
     _, magnitude, _, u_magnitude, _ = units
     if columns.u_magnitude_unit == "%" and u_magnitude not in ("", "%"):
         raise InputError(
@@ -417,7 +417,7 @@ def _magnitude_factor(path: Path, columns: ResponseColumns, units: Sequence[str]
             path,
             columns.u_magnitude,
             found=f"{u_magnitude} in the file",
-            expected="% as u_magnitude_unit says",
+            expected="%, as in u_magnitude_unit",
         )
     if u_magnitude not in ("", "%", magnitude) and magnitude and not _same_unit(u_magnitude, magnitude):
         raise InputError(
@@ -439,7 +439,7 @@ def _magnitude_factor(path: Path, columns: ResponseColumns, units: Sequence[str]
         return 1.0
     stated = parse_unit(columns.magnitude_unit)
     if magnitude and _same_unit(magnitude, columns.magnitude_unit) is False:
-        expected = f"{columns.magnitude_unit}, as response_columns.magnitude_unit says"
+        expected = f"{columns.magnitude_unit}, as in response_columns.magnitude_unit"
         raise InputError(
             RESPONSE_UNIT_CONTRADICTION, path, columns.magnitude, found=f"{magnitude} in the file", expected=expected
         )
@@ -447,7 +447,7 @@ def _magnitude_factor(path: Path, columns: ResponseColumns, units: Sequence[str]
 
 
 def _same_unit(one: str, other: str) -> bool | None:
-    """Whether two units are one; None where one of them is no unit that is known."""
+    """Whether two units are equal; None if one of them is not recognised."""
     try:
         units = parse_unit(one), parse_unit(other)
     except ValueError:
@@ -458,15 +458,17 @@ def _same_unit(one: str, other: str) -> bool | None:
 
 
 def _without_repeats(values: Sequence[FloatArray]) -> list[FloatArray]:
-    """Return columns of a table with one row per frequency, ascending, repeats of one replaced by their mean."""
+    """Return columns with one row per frequency, ascending; repeats are averaged."""
     order = np.argsort(values[0], kind="stable")
     frequency_hz = values[0][order]
     starts = np.flatnonzero(np.diff(frequency_hz, prepend=-np.inf) > SAME_HZ * np.abs(frequency_hz))
     rows = []
-    for own in np.split(order, starts[1:]):
-        frequency, magnitude, phase, u_magnitude, u_phase = (column[own] for column in values)
-        phase = phase[0] + np.angle(np.exp(1j * (phase - phase[0])))  # +180° and −180° are one
+    for members in np.split(order, starts[1:]):
+        frequency, magnitude, phase, u_magnitude, u_phase = (column[members] for column in values)
+        phase = phase[0] + np.angle(np.exp(1j * (phase - phase[0])))  # +180° and −180° are equal
         mean = [column.mean() for column in (frequency, magnitude, phase)]
-        scatter = [column.std(ddof=1) / np.sqrt(len(own)) if len(own) > 1 else 0.0 for column in (magnitude, phase)]
+        scatter = [
+            column.std(ddof=1) / np.sqrt(len(members)) if len(members) > 1 else 0.0 for column in (magnitude, phase)
+        ]
         rows.append([*mean, np.hypot(u_magnitude.mean(), scatter[0]), np.hypot(u_phase.mean(), scatter[1])])
     return list(np.array(rows).reshape(-1, len(values)).T)

@@ -1,6 +1,6 @@
-"""XML signatures of certificates: whether the content was changed after it was signed (W3C XML Signature 1.1).
+"""Changes of certificates after signing, by their XML signatures (W3C XML Signature 1.1).
 
-The digests of the signed content are recomputed. The value of the signature and its key, hence who signed, are not.
+The digests of the signed content are recomputed. The signature value and the key, hence the signer, are not verified.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ XMLNS = "{http://www.w3.org/XML/1998/namespace}"
 EXCLUSIVE = "http://www.w3.org/2001/10/xml-exc-c14n#"
 INCLUSIVE = ("http://www.w3.org/TR/2001/REC-xml-c14n-20010315", "http://www.w3.org/2006/12/xml-c14n11")
 BY_VERSION = (f"{XMLNS}id", f"{XMLNS}base")
-"""Attributes that the first version of the canonical form hands down and the second does not."""
+"""Attributes that only the first version of the canonical form inherits."""
 COMMENTS = "WithComments"
 ENVELOPED = "http://www.w3.org/2000/09/xmldsig#enveloped-signature"
 XPATH = "http://www.w3.org/TR/1999/REC-xpath-19991116"
@@ -44,8 +44,8 @@ POINTER = re.compile(r"#xpointer\(id\((['\"])(.+)\1\)\)")
 class Signatures:
     """Result of checking the digests of a document's `count` signatures.
 
-    `changed`: which part differs from what was signed, empty if none does. `unchecked`: why that is unknown of some
-    needed part, empty if digests cover all of them.
+    `changed`: the part that differs from the signed one, empty if none does. `unchecked`: the reason if a required part
+    could not be checked, else empty.
     """
 
     count: int
@@ -58,10 +58,10 @@ class _CannotCheck(Exception):
 
 
 def check_signatures(root: Any, needed: tuple[str, ...]) -> Signatures:
-    """Recompute the digests of all signatures of a document; `needed`: paths of the parts they have to cover.
+    """Recompute the digests of all signatures; `needed`: paths of the parts that they must cover.
 
     The document must have been parsed with its comments and processing instructions. Signatures of a document are
-    children of its root; one deeper down may belong to an embedded document, and does not cover the whole.
+    children of its root; a deeper one may belong to an embedded document.
     """
     signatures, unchecked, covered = root.findall(f"{DS}Signature"), list[str](), list[Any]()
     for signature in signatures:
@@ -89,16 +89,16 @@ def check_signatures(root: Any, needed: tuple[str, ...]) -> Signatures:
 
 
 def _method(reference: Any) -> str:
-    """Return the name of a reference's digest as hashlib knows it."""
+    """Return the name of a reference's digest in hashlib."""
     element = reference.find(f"{DS}DigestMethod")
     name = "" if element is None else element.get("Algorithm", "")
     if name not in DIGESTS:
-        raise _CannotCheck(f"the digest {name or 'without a name'} is not known")
+        raise _CannotCheck(f"the digest {name or 'without a name'} is not supported")
     return DIGESTS[name]
 
 
 def _signed(root: Any, reference: Any) -> Any | None:
-    """Return the element that a reference means, None where there is none."""
+    """Return the element of a reference, None if there is none."""
     uri = reference.get("URI")
     if uri is None:
         raise _CannotCheck("a reference without URI")
@@ -107,7 +107,7 @@ def _signed(root: Any, reference: Any) -> Any | None:
     pointer = POINTER.fullmatch(uri)
     name = pointer[2] if pointer else uri[1:]
     if not uri.startswith("#") or (not pointer and "(" in uri):
-        raise _CannotCheck(f"the reference {uri[:60]!r} leads out of the file")
+        raise _CannotCheck(f"the reference {uri[:60]!r} points outside the file")
     ids = ("Id", "ID", "id", f"{XMLNS}id")
     found = [element for element in root.iter(etree.Element) if any(element.get(key) == name for key in ids)]
     if len(found) > 1:
@@ -116,13 +116,13 @@ def _signed(root: Any, reference: Any) -> Any | None:
 
 
 def _agrees(root: Any, signature: Any, reference: Any, signed: Any) -> bool:
-    """Whether what a reference means has the digest that it states.
+    """Whether the element of a reference has the stated digest.
 
-    Signatures that were added after this one are no change: where it disagrees, all of them are left out. A reference
-    by an empty URI or an id means nodes without comments, but some programs (signxml) keep them.
+    Later signatures are no change: if the digest differs, it is recomputed without them. A reference by an empty URI or
+    an id excludes comments, but some programs (signxml) include them.
     """
     stated = base64.b64decode("".join((reference.findtext(f"{DS}DigestValue") or "").split()))
-    others = [own for own in root.findall(f"{DS}Signature") if own is not signature]
+    others = [other for other in root.findall(f"{DS}Signature") if other is not signature]
     for left_out, comments in product(([], others) if others else ([],), (False, True)):
         octets = _octets((root, signed), signature, reference, (left_out, comments))
         if hashlib.new(_method(reference), octets, usedforsecurity=False).digest() == stated:
@@ -131,38 +131,38 @@ def _agrees(root: Any, signature: Any, reference: Any, signed: Any) -> bool:
 
 
 def _octets(nodes: tuple[Any, Any], signature: Any, reference: Any, choice: tuple[list[Any], bool]) -> bytes:
-    """Return what is digested: the element, or the whole document, after the transforms of the reference.
+    """Return the octets of the digest: element or document after the transforms of the reference.
 
-    `nodes`: root and signed element; `choice`: what to leave out, and whether comments are kept if the form has them.
+    `nodes`: root and signed element. `choice`: elements to omit, and whether comments are included.
     """
     (root, signed), (left_out, comments) = nodes, choice
     dropped, canonical = list(left_out), _canonical(INCLUSIVE[0], "", comments)
     transforms = list(reference.iterfind(f"{DS}Transforms/{DS}Transform"))
-    for place, transform in enumerate(transforms):
+    for index, transform in enumerate(transforms):
         name = transform.get("Algorithm", "")
         text = "".join(transform.itertext())
-        subtracts = name == XPATH2 and {own.get("Filter") for own in transform} == {"subtract"}
+        subtracts = name == XPATH2 and {part.get("Filter") for part in transform} == {"subtract"}
         if name == ENVELOPED:
             dropped.append(signature)
         elif (name == XPATH and WITHOUT_SIGNATURES.fullmatch(text)) or (subtracts and SIGNATURES.fullmatch(text)):
             dropped += root.iter(f"{DS}Signature")
-        elif name.startswith((EXCLUSIVE, *INCLUSIVE)) and place == len(transforms) - 1:
+        elif name.startswith((EXCLUSIVE, *INCLUSIVE)) and index == len(transforms) - 1:
             prefixes = transform.find("{*}InclusiveNamespaces")
             canonical = _canonical(name, "" if prefixes is None else prefixes.get("PrefixList", ""), comments)
         else:
-            raise _CannotCheck(f"the transform {name[:80]} is not known")
+            raise _CannotCheck(f"the transform {name[:80]} is not supported")
     copied = _copied(signed, dropped)
     if reference.get("URI") in WHOLE:
         return canonical(copied.getroottree())
-    return canonical(deepcopy(copied) if copied.getparent() is None else copied)  # nothing in front of the root
+    return canonical(deepcopy(copied) if copied.getparent() is None else copied)  # without nodes before the root
 
 
 def _canonical(name: str, prefixes: str, comments: bool) -> Callable[[Any], bytes]:
-    """Return the function that writes an element, or a whole document, in a canonical form."""
-    exclusive, kept = name.startswith(EXCLUSIVE), [prefix for prefix in prefixes.split() if prefix != "#default"]
+    """Return a function that writes an element, or a document, in a canonical form."""
+    exclusive, inherited = name.startswith(EXCLUSIVE), [prefix for prefix in prefixes.split() if prefix != "#default"]
 
     def written(element: Any) -> bytes:
-        if not exclusive and etree.iselement(element):  # attributes such as xml:lang are handed down
+        if not exclusive and etree.iselement(element):  # attributes such as xml:lang are inherited
             for key, value in (item for above in element.iterancestors() for item in above.items()):
                 if key.startswith(XMLNS) and (key not in BY_VERSION or name.startswith(INCLUSIVE[0])):
                     element.set(key, element.get(key, value))
@@ -174,7 +174,7 @@ def _canonical(name: str, prefixes: str, comments: bool) -> Callable[[Any], byte
                 method="c14n",
                 exclusive=exclusive,
                 with_comments=comments and name.endswith(COMMENTS),
-                inclusive_ns_prefixes=kept if exclusive and kept else None,
+                inclusive_ns_prefixes=inherited if exclusive and inherited else None,
                 with_tail=False,
             )
         )
@@ -183,37 +183,37 @@ def _canonical(name: str, prefixes: str, comments: bool) -> Callable[[Any], byte
 
 
 def _copied(element: Any, dropped: list[Any]) -> Any:
-    """Return a copy of an element with its document around it, without the elements `dropped`; its own tree is left."""
+    """Return a copy of an element in its document, without the elements `dropped`."""
     root = element.getroottree().getroot()
-    places = [_place(root, own) for own in (element, *dropped) if own is root or root in own.iterancestors()]
+    paths = [_path(root, one) for one in (element, *dropped) if one is root or root in one.iterancestors()]
     tree = deepcopy(element.getroottree())
-    copies = [_at(tree.getroot(), place) for place in places]
-    for own in copies[1:]:
-        parent, before = own.getparent(), own.getprevious()
+    copies = [_at(tree.getroot(), path) for path in paths]
+    for copy in copies[1:]:
+        parent, before = copy.getparent(), copy.getprevious()
         if parent is None:
             continue
-        if own.tail:  # which belongs to the parent
+        if copy.tail:  # text of the parent
             if before is None:
-                parent.text = (parent.text or "") + own.tail
+                parent.text = (parent.text or "") + copy.tail
             else:
-                before.tail = (before.tail or "") + own.tail
-        own.tail = None
-        parent.remove(own)
+                before.tail = (before.tail or "") + copy.tail
+        copy.tail = None
+        parent.remove(copy)
     return copies[0]
 
 
-def _place(root: Any, element: Any) -> list[int]:
-    """Return the way from the root to an element, by the numbers of children."""
-    way = list[int]()
+def _path(root: Any, element: Any) -> list[int]:
+    """Return the path from the root to an element, by the numbers of children."""
+    path = list[int]()
     while element is not root:
         parent = element.getparent()
-        way.insert(0, parent.index(element))
+        path.insert(0, parent.index(element))
         element = parent
-    return way
+    return path
 
 
-def _at(root: Any, place: list[int]) -> Any:
-    """Return the element at a place."""
-    for number in place:
+def _at(root: Any, path: list[int]) -> Any:
+    """Return the element at a path."""
+    for number in path:
         root = root[number]
     return root

@@ -91,7 +91,7 @@ def read_rows(
 
 
 def read_text(path: Path, largest: int, what: str) -> str:
-    """Return the text of a file of at most `largest` bytes; `InputError` if it is not readable text."""
+    """Return the text of a file of at most `largest` bytes; else `InputError`."""
     try:
         size = path.stat()
         if not stat.S_ISREG(size.st_mode):
@@ -117,7 +117,7 @@ def read_text(path: Path, largest: int, what: str) -> str:
 
 
 def _nested(line: str) -> int:
-    """Return the nesting depth of a long line of TOML, by its brackets and the dots of its key."""
+    """Return the nesting depth of a long line of TOML, by brackets and dots."""
     if len(line) < LONG_LINE:
         return 0
     name = line.partition("=")[0]
@@ -175,7 +175,7 @@ def checked_table(
     location: tuple[dict[str, Any], list[int | str]] | None = None,
     context: Context | None = None,
 ) -> AnyBlock:
-    """Return a table as a model; `location`: the whole file and the key path of the table in it."""
+    """Return a table as a model; `location`: whole file and key path."""
     try:
         return model.model_validate(values, context=context)
     except ValidationError as error:
@@ -222,7 +222,7 @@ def _is_relative(name: str, table: dict[str, Any]) -> bool:
 
 
 class UncertaintyStatement(ManifestBlock):
-    """An input as in a certificate: U, absolute or relative, with k, or the half-width of a distribution."""
+    """An input as in a certificate: U with k, or the half-width of a distribution."""
 
     value: Any = None
     U: Any = None
@@ -274,7 +274,7 @@ class UncertaintyStatement(ManifestBlock):
         return self
 
     def standard_uncertainty(self, value: Any, *, relative: bool) -> Any:
-        """Return u in the unit of a value, or `relative` to it; None if the value does not allow that.
+        """Return u in the unit of a value, or relative; None if that is impossible.
 
         It is U/k, or the half-width over its divisor. U without a value is in the unit of its key. If U has `dof`
         degrees of freedom, u = U/k·t(dof)/1.96, so that ±1.96·u is the interval of 95 %.
@@ -294,7 +294,7 @@ class UncertaintyStatement(ManifestBlock):
 
 @dataclass(frozen=True)
 class UncertainInput:
-    """An input of a `file` with its standard uncertainty `u`, `relative` or in the unit of the value.
+    """An input with its standard uncertainty `u`, `relative` or in its unit.
 
     `value`: None if the key has none. `stated`: the statement of a certificate, None if u is stated itself.
     """
@@ -322,7 +322,7 @@ def _has_numbers(item: Any) -> bool:
 
 
 def uncertain_inputs(text: dict[str, Any], path: Path) -> tuple[UncertainInput, ...]:
-    """Return every input of a file with an uncertainty other than 0, in the order of the file."""
+    """Return every input of a file with an uncertainty, in the order of the file."""
     values, statements = expand_statements(text, path)
     by_key = {statement.key.removesuffix("_uncertainty"): statement for statement in statements}
 
@@ -506,7 +506,7 @@ def describe_problem(model: type[ManifestBlock], problem: ErrorDetails) -> tuple
 
 
 def _available_keys(model: type[BaseModel], path: tuple[int | str, ...]) -> str:
-    """Return the key of the table at a key path that was probably meant, else all its keys."""
+    """Return the probably intended key of a table, else all its keys."""
     for step in path[:-1]:
         field = model.model_fields.get(step) if isinstance(step, str) else None
         below = next(models_in(field.annotation), None) if field is not None else None

@@ -167,10 +167,10 @@ def recorded_unit(text: str) -> RecordedUnit | None:
 
 
 def in_stated_units(manifest: Manifest, daq: Daq, raw: Mapping[str, RawChannel]) -> dict[str, RawChannel]:
-    """Return the channels of a block; those without `scale` are converted into the units of their quantities.
+    """Return the channels of a block; without `scale` they are converted into units of their quantities.
 
-    A unit that no factor converts needs a `scale`: `InputError`. One that the file does not state is taken for that of
-    the quantity, as is one that is not known (`unit_doubts` asks about that).
+    A unit that no factor converts requires a `scale`: `InputError`. A unit that is not stated, or not recognised, is
+    taken as that of the quantity; `unit_notices` warns of the latter.
     """
     channels, missing = dict(raw), list[InputError]()
     for entry in daq.channel:
@@ -217,9 +217,10 @@ def _required_unit(entry: ChannelEntry, rig: Rig) -> RecordedUnit | None:
 
 
 def _usual_magnitude(path: Path, columns: ResponseColumns | None) -> float:
-    """Return the magnitude of a response without unit: the median of a table, or the product of a chain's gains.
+    """Return the typical magnitude of a response without unit.
 
-    0 if it cannot be read; the commands that use it refuse it.
+    It is the median of a table, or the product of a chain's gains; 0 if it cannot be read, which the commands that use
+    it refuse.
     """
     with suppress(InputError):
         if path.suffix.lower() == ELEMENTS:

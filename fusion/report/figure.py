@@ -21,13 +21,13 @@ WHITE, DARK = "#ffffff", "#111111"
 BLUE, ORANGE, GREEN, RED, PURPLE, SKY = "#0072b2", "#e69f00", "#009e73", "#d55e00", "#cc79a7", "#56b4e9"
 """Okabe and Ito's, distinct to colour-blind readers."""
 COLOURS = (BLUE, RED, GREEN, ORANGE, PURPLE, SKY)
-"""Of what stands side by side in one figure, in this order."""
+"""Colours of series in one figure, in this order."""
 SOURCE_COLOUR = {"fused": BLACK, "photogrammetry": BLUE, "vibrometer": RED, "accelerometer": GREEN}
 SOURCE_MARKER = {"fused": "circle", "photogrammetry": "square", "vibrometer": "diamond", "accelerometer": "triangle"}
 PHASE_COLOURS = (BLUE, GREEN, ORANGE, PURPLE, BLUE)
 """Colours of -180, -90, 0, 90 and 180 degrees."""
 FEW, STRETCHES = 200, 1500
-"""Numbers up to which there are ten digits; stretches of a line of which smallest and largest value are drawn."""
+"""Largest number of values with ten digits; number of stretches of a long line whose extremes are drawn."""
 SUPERSCRIPT = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 Along = Literal["x", "y"]
 

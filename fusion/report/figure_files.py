@@ -42,11 +42,13 @@ from fusion.report.layout import WIDTH_IN, frames, has_upright_names, scale_belo
 from fusion.report.static_figure import static_svg
 
 RASTER_DPI = 200
+"""Resolution of raster images and of PNG files (chosen for print)."""
 RASTER_ABOVE = 500
 """Number of points above which they are a raster image inside the vector graphics."""
 UNDATED: dict[str, dict[str, Any]] = {"svg": {"Date": None, "Creator": None}, "pdf": {"CreationDate": None}, "png": {}}
 STYLE = mpl.rc_params_from_file(Path(__file__).with_name("templates") / "figures.mplstyle", use_default_template=False)
 LINE_RASTER_ABOVE = 2_000
+"""Number of points above which a line is a raster image inside the vector graphics."""
 LEGEND_COLUMNS = 6
 SHAPES = {
     "circle": "o", "square": "s", "diamond": "D", "triangle": "^", "inverted_triangle": "v", "cross": "P", "x": "x",

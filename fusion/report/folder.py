@@ -35,8 +35,8 @@ from fusion.report.report_notices import (
     HASHING_ENDED,
     NO_BOKEH,
     OTHER_CONTENT,
-    PLACE_NOT_WRITABLE,
-    PLACE_TAKEN,
+    OUTPUT_IS_FILE,
+    OUTPUT_NOT_WRITABLE,
     UNREADABLE_INPUT,
 )
 from fusion.report.static_figure import static_svg
@@ -222,11 +222,11 @@ def check_folder(folder: Path, hashes: Mapping[str, str], *, force: bool, marker
     Results of the same data are replaced, also with an edited manifest. `marker`: the file with the provenance.
     """
     if folder.exists() and not folder.is_dir():
-        raise InputError(PLACE_TAKEN, folder)
+        raise InputError(OUTPUT_IS_FILE, folder)
     above = next(parent for parent in (folder, *folder.absolute().parents) if parent.exists())
     if not above.is_dir() or not os.access(above, os.W_OK | os.X_OK):
         what = "a folder without write permission" if above.is_dir() else "a file"
-        raise InputError(PLACE_NOT_WRITABLE, folder, found=what, above=str(above))
+        raise InputError(OUTPUT_NOT_WRITABLE, folder, found=what, above=str(above))
     if force or not folder.exists() or all(is_internal_name(entry.name) for entry in folder.iterdir()):
         return
     found = read_provenance(folder, marker)

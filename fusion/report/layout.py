@@ -31,6 +31,7 @@ from fusion.report.figure import (
 from shaker.arrays import FloatArray
 
 WIDTH_IN, CHARACTER_IN = 8.4, 0.066
+"""Width of a page's figure, and mean width of a character in its font."""
 MARGIN = 0.05  # share of the range of all marks beyond the outermost one
 STEPS = (1.0, 2.0, 2.5, 5.0, 10.0)
 MOST_DECADES = 8

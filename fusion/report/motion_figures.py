@@ -42,7 +42,9 @@ points: square roots of the 95 % quantiles of chi-square with 2 and 4 degrees of
 LONGEST_ARROW = 1.6  # distances between neighbours
 PANEL_IN, TALLEST_IN, FLATTEST_IN = 2.2, 3.2, 0.8
 FIGURE_MARGIN_IN = 1.45
+"""Height of title, labels and colour bar around the panels."""
 MARGIN_SHARE = 0.03
+"""Margin around the body, over its size."""
 
 
 @dataclass(frozen=True)
@@ -175,6 +177,7 @@ MEASURED: dict[str, Any] = {"label": "measured", "colour": BLUE, "size": 2.6}
 FITTED: dict[str, Any] = {"label": "sine approximation", "colour": RED}
 CURVE_POINTS = 600
 LARGEST_IMAGE_PX = 520
+"""Largest side of an image on a page; larger ones are reduced to keep pages small."""
 MOST_PERCENT = 45.0
 """Right end of the histograms: a class of a normal distribution in eight contains up to 35 %."""
 

@@ -21,7 +21,7 @@ from shaker.arrays import BoolArray, FloatArray
 _AXES = ("x", "y", "z")
 HEAD = ("frame", "time_s", "point", *(f"{name}_m" for name in _AXES))
 HEAD += tuple(f"{before}{name}_m" for before in ("d", "u_d", "rest_", "u_rest_") for name in _AXES)
-"""Columns of the table: place in the first frame, displacement since, what of it is not rigid, each with u."""
+"""Columns of the table: position in the first frame, displacement and its part that is not rigid, each with u."""
 
 
 @dataclass(frozen=True, eq=False)

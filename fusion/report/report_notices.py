@@ -45,7 +45,7 @@ NO_BOKEH = DeclaredNotice(
 CHANGED_INPUT = DeclaredNotice(
     "SC-555",
     "error",
-    "the file {change} while it was read",
+    "{change} while it was read",
     effect="No results were written.",
     remedy="Start again when no other program writes to it.",
     link="results.md#whole-or-not-at-all-and-resumed",
@@ -68,7 +68,7 @@ HASHING_ENDED = DeclaredNotice(
 # Folders for results.
 
 
-PLACE_TAKEN = DeclaredNotice(
+OUTPUT_IS_FILE = DeclaredNotice(
     "SC-560",
     "error",
     "expected a folder for the results, found a file",
@@ -76,7 +76,7 @@ PLACE_TAKEN = DeclaredNotice(
     remedy="Choose another output folder.",
     link="results.md",
 )
-PLACE_NOT_WRITABLE = DeclaredNotice(
+OUTPUT_NOT_WRITABLE = DeclaredNotice(
     "SC-561",
     "error",
     "expected a place for a folder with the results, found {found} at {above}",

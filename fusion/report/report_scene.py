@@ -58,6 +58,7 @@ KINDS = {
 """Kinds of shapes: their name in the legend and their colour."""
 BODIES = ("load", "base")
 SMALLEST_REACH_M = 0.03
+"""Smallest size of axes and arrows."""
 CENTRED_M = 5e-3  # a centre of mass closer to the origin gives no direction
 FARTHEST = 10.0  # largest distance of the cameras' target, over that of the left camera from the sensor
 NEAR_PARALLEL = 1e-3  # of two optical axes: the sine of their angle

@@ -45,6 +45,7 @@ from shaker.arrays import BoolArray, FloatArray
 from shaker.labels import LOAD_COMPONENTS, MOTION_COMPONENTS, typeset
 
 BUDGET_ENTRIES = 14
+"""Largest number of bars in the figure of the budget (chosen)."""
 SHOWN_BELOW = 0.2
 """Relative U above which a magnitude is not drawn (chosen)."""
 

@@ -19,6 +19,7 @@ ROUND, SIDES = 0.05, 24  # moments of inertia that differ less are those of a ro
 THINNEST = 0.02  # smallest thickness of a body, over its largest length
 WIDTH_PX, TALLEST_PX, LEFT_PX, BELOW_PX, ABOVE_PX, RIGHT_PX = 940.0, 420.0, 52.0, 36.0, 24.0, 12.0
 MARGIN, LETTER_PX, LINE_PX, CLOSEST_PX = 0.06, 6.2, 13.0, 48.0
+"""Margin over the largest side, sizes of letters and lines, and smallest distance of ticks."""
 VIEWS = (("front, seen along +y", 0, 2, -1.0), ("side, seen along −x", 1, 2, 1.0), ("from above", 0, 1, 1.0))
 """Title, axis to the right, axis upwards, and the sign of the third axis that points at the viewer."""
 

@@ -33,7 +33,9 @@ from shaker.labels import typeset
 
 
 SPECTRUM_POINTS = 700
+"""Number of intervals of a drawn spectrum, about one per pixel."""
 EXCERPT_POINTS = 300
+"""Number of samples in an excerpt (chosen)."""
 MOST_CHANNELS = 24
 """Largest number of channels and triggers in a figure (chosen)."""
 

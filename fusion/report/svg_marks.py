@@ -31,6 +31,7 @@ from fusion.report.figure import (
 from shaker.arrays import FloatArray
 
 NUMBER_PT, TEXT_PT, SMALL_PT, CAP_PT = 8.0, 7.5, 5.5, 2.5
+"""Sizes of numbers, texts and small texts, and width of the caps of error bars."""
 MANY = 200
 """Number of points above which a line is written with less, invisible, detail."""
 CAPPED = 500

@@ -206,6 +206,7 @@ def read_rows(path: Path, most: int | None = None) -> list[dict[str, str]]:
 LARGEST_PHASE_U = 1.0
 """Expanded uncertainty in rad above which a phase is printed as not determined."""
 LARGEST_DOF = 1000
+"""Degrees of freedom from which k differs from that of infinity by less than 0.2 %."""
 WEAK = "not distinguishable from 0"
 
 
@@ -320,7 +321,7 @@ def degrees_of_freedom(value: float) -> str:
 
 
 def microseconds(value_s: float | None, u_s: float | None) -> str:
-    """A duration with U, a dash where it is not known."""
+    """Return a duration with U, or a dash if it is not known."""
     return DASH if value_s is None or u_s is None else quantity_html(1e6 * value_s, 2e6 * u_s)
 
 

@@ -32,6 +32,7 @@ log = logging.getLogger(PROGRAM)
 
 
 PIPE_WIDTH = 10_000
+"""Width of a console without line breaks."""
 SPELLED = str.maketrans(
     {"\N{MINUS SIGN}": "-", "±": "+-", "·": "*", "×": "x", "²": "^2", "³": "^3", "°": " deg", "µ": "u", "μ": "u"}
     | {"–": "-", "—": "-", "…": "...", "“": '"', "”": '"', "‘": "'", "’": "'", "→": "->", "≤": "<=", "≥": ">="}

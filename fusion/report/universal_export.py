@@ -27,6 +27,7 @@ TRANSFER_FILE, ELEMENT_FILE = "transfer.h5", "elastomer.h5"
 ORIGIN = 1  # node of the sensor origin; outputs, channels and bodies are nodes behind it
 DIRECTIONS = dict(zip((*LOAD_COMPONENTS, *MOTION_COMPONENTS), 2 * ("+X", "+Y", "+Z", "+RX", "+RY", "+RZ"), strict=True))
 ALONG = 1e-9
+"""Largest deviation of a direction's component from 1 along an axis, for rounding."""
 
 
 class UniversalExport(NamedTuple):

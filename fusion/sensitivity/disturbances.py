@@ -18,7 +18,7 @@ from fusion.sensitivity.sensitivity_notices import (
     BASE_STRAIN_NOT_ASSESSED,
     CABLES_NOT_ASSESSED,
     OUTPUT_LAGS,
-    OUTPUT_LEADS,
+    OUTPUT_LEADS_LOAD,
     OUTPUT_OPPOSES_LOAD,
     SUPPORT_MOTION_NOT_ASSESSED,
     TEMPERATURE_NOT_ASSESSED,
@@ -214,4 +214,4 @@ def unstated_chain(
         if -MAX_LAG_RAD < turn < 0.0:
             yield Notice(OUTPUT_LAGS, "sensitivity", **values)
         else:
-            yield Notice(OUTPUT_LEADS, "sensitivity", direction="lags" if turn < 0 else "leads", **values)
+            yield Notice(OUTPUT_LEADS_LOAD, "sensitivity", direction="lags" if turn < 0 else "leads", **values)

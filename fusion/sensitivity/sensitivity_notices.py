@@ -121,7 +121,7 @@ OUTPUT_LAGS = DeclaredNotice(
     remedy="State `delay` or `response` if the amplifier has one.",
     link="uncertainty.md",
 )
-OUTPUT_LEADS = DeclaredNotice(
+OUTPUT_LEADS_LOAD = DeclaredNotice(
     "SC-482",
     "warning",
     "Output {output} {direction} the load by {lag_mrad:.3g} mrad at {frequency_hz:.6g} Hz ({lag_us:.3g} µs).",

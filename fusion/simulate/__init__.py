@@ -1,4 +1,4 @@
-"""A rig's digital twin, by `shakercal simulate`: campaign folders with one or many recordings, pictures of a target."""
+"""Digital twin of a rig for `shakercal simulate`: campaign folders, images of a target."""
 
 from __future__ import annotations
 
@@ -13,18 +13,42 @@ from fusion.report.atomic_files import write_together
 from fusion.simulate.simulation_notices import SIMULATION_FOLDER_IN_USE
 
 RECORDINGS = ("demo", "nitsche2018", "bending", "room", "single", "laboratory", "sweep", "matrix")
-"""Presets of sines, which take the switches of `SimulationOptions`."""
+"""Presets of sines, with the switches of `SimulationOptions`."""
 PRESETS = (*RECORDINGS, "targets", "chirp", "masses", "pitching", "rotation", "steps", "loads", "elastomer")
 
 
 def simulate(
     out: str | Path, preset: str, seed: int, progress: ProgressCallback = no_progress, **switches: Any
 ) -> Path:
-    """Write what a preset is into folder `out`; return the recording where it is one, else folder or file to evaluate.
+    """Write a simulated recording, campaign or geometry into a folder.
 
-    `switches` are the fields of `SimulationOptions`. The same seed gives the same files. A folder that holds anything
-    but an earlier simulation is refused with an `InputError`; it appears whole or not at all.
+    Parameters
+    ----------
+    out : str or Path
+        New folder, or one with an earlier simulation.
+    preset : str
+        One of `PRESETS`.
+    seed : int
+        Of all random numbers: the same seed gives the same files.
+    progress : ProgressCallback
+        Called with stage, done and total (default: none).
+    **switches : Any
+        Fields of `SimulationOptions`, for presets of sines.
 
+    Returns
+    -------
+    Path
+        The recording, or the folder or file to evaluate.
+
+    Raises
+    ------
+    InputError
+        If the folder has other files. It is written completely or not at all.
+    ValueError
+        For unknown presets and switches.
+
+    Examples
+    --------
     >>> import tempfile
     >>> from fusion import find_recordings, simulate_preset
     >>> with tempfile.TemporaryDirectory() as folder:
@@ -51,11 +75,11 @@ def simulate(
 
 
 simulate_preset = simulate
-"""Its name in `fusion`, where `simulate` is this package."""
+"""The function's name in `fusion`, where `simulate` is this package."""
 
 
 def _write(folder: Path, preset: str, seed: int, progress: ProgressCallback, switches: dict[str, Any]) -> None:
-    """Write a preset into an empty folder; what one preset needs is imported for it alone."""
+    """Write a preset into an empty folder, with imports for this preset only."""
     if preset in RECORDINGS:
         from fusion.simulate.sines import SimulationOptions, write_runs
 
@@ -81,7 +105,7 @@ def _write(folder: Path, preset: str, seed: int, progress: ProgressCallback, swi
 
 
 def _check_out(out: Path) -> None:
-    """Refuse a place that cannot take a simulation, or that holds anything but an earlier one."""
+    """Refuse a path that is not a new folder or an unchanged earlier simulation."""
     from fusion.report.folder import check_folder
 
     other = _not_simulated(out) if out.is_dir() else out if out.exists() else None
@@ -97,19 +121,19 @@ def _files(folder: Path) -> list[str]:
 
 
 def _not_simulated(out: Path) -> Path | None:
-    """Return something in a folder that belongs to no simulated recording, session or element, None if all does."""
+    """Return a path in a folder that is no part of a simulation, else None."""
     from fusion.recording.load import load_manifest
 
     element = {(out / name).resolve() for name in ("elastomer.toml", "models.json", "truth.json")}
     written = element if all(file.is_file() for file in element) else set()
     truth = out / "truth.json"
     if truth.is_file() and "left" in json.loads(truth.read_text(encoding="utf-8")):
-        pictures = [f"{side}/{number:02d}.png" for side in ("left", "right") for number in range(10)]
-        written.update((out / name).resolve() for name in pictures)
+        images = [f"{side}/{number:02d}.png" for side in ("left", "right") for number in range(10)]
+        written.update((out / name).resolve() for name in images)
     for truth in out.glob("*/truth.json"):
         with suppress(InputError):
             written.update(load_manifest(truth.parent).files, [truth.resolve()])
     if written:
         written.add((out / "truth.json").resolve())
-    known = written | {folder for file in written for folder in file.parents}
-    return next((path for path in sorted(out.rglob("*")) if path.resolve() not in known), None)
+    allowed = written | {folder for file in written for folder in file.parents}
+    return next((path for path in sorted(out.rglob("*")) if path.resolve() not in allowed), None)

@@ -1,8 +1,8 @@
-"""A load whose top bends: a plate held in its middle, as the simulator moves, loads and renders it.
+"""A plate on the load that bends, for motion, load and images of the simulator.
 
-The plate is a disc of even mass m about the axis z of the sensor, with the shape s(ρ) = ρ²·(1.4 − 0.4·ρ²) over the
-radius ρ = r/R. Its rim moves by q against its middle, m·⟨s²⟩·(q̈ + 2ζω₀·q̇ + ω₀²·q) = −m·⟨s⟩·a, and the foot carries
-m·⟨s⟩·q̈ beside the rigid load. Means over the disc are sums over rings.
+The plate is a disc of uniform mass m about the axis z of the sensor, with the shape s(ρ) = ρ²·(1.4 − 0.4·ρ²) over the
+radius ρ = r/R. Its rim moves by q relative to its centre, m·⟨s²⟩·(q̈ + 2ζω₀·q̇ + ω₀²·q) = −m·⟨s⟩·a, and the foot
+carries m·⟨s⟩·q̈ in addition to the rigid load. Means over the disc are sums over rings.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ SUM = (np.arange(20000) + 0.5) / 20000
 
 
 def shape(rho: FloatArray) -> FloatArray:
-    """Return the displacement over that of the rim at radii over that of the rim."""
+    """Return the displacement over that of the rim, at radii over that of the rim."""
     return np.asarray(rho**2 * (1.4 - 0.4 * rho**2))
 
 
@@ -38,33 +38,36 @@ def _at(plate: PlateSpec, point: Sequence[float] | FloatArray) -> float:
 
 
 def rim_acceleration(plate: PlateSpec, motion: SimulatedMotion, draws: Draws) -> ComplexArray:
-    """Return the acceleration phasors (K,) of the rim against the middle, the natural frequency as it is drawn."""
+    """Return the acceleration phasors (K,) of the rim relative to the centre.
+
+    The natural frequency has its sampled error.
+    """
     natural = (
         2.0 * np.pi * plate.frequency * (1.0 + float(draws.normal("plate.frequency", plate.frequency_uncertainty)))
     )
     omega = motion.omega
-    answer = natural**2 - omega**2 + 2j * plate.damping * natural * omega
-    return np.asarray(omega**2 * MEAN / MEAN_SQUARE * motion.acceleration[:, 2] / answer)
+    denominator = natural**2 - omega**2 + 2j * plate.damping * natural * omega
+    return np.asarray(omega**2 * MEAN / MEAN_SQUARE * motion.acceleration[:, 2] / denominator)
 
 
 def plate_motion(plate: PlateSpec, motion: SimulatedMotion, draws: Draws, point: FloatArray) -> SimulatedMotion:
-    """Return what an instrument at a point of the plate takes for the motion of the load."""
+    """Return the apparent motion of the load at a point of the plate."""
     moved = motion.acceleration.copy()
     moved[:, 2] += _at(plate, point) * rim_acceleration(plate, motion, draws)
     return replace(motion, acceleration=moved)
 
 
 def plate_wrench(plate: PlateSpec, motion: SimulatedMotion, draws: Draws) -> ComplexArray:
-    """Return what moves the plate (K, 6) beside the rigid load."""
+    """Return the wrench (K, 6) of the plate in addition to the rigid load."""
     total = np.zeros((len(motion.frequency_hz), 6), np.complex128)
     total[:, 2] = plate.mass * MEAN * rim_acceleration(plate, motion, draws)
     return total
 
 
 def bent_view(world: World, draws: Draws, view: View, face: Face, instant: tuple[float | FloatArray, float]) -> View:
-    """Return a view in which the face of the load, across z, shows itself bent as in the mean over an exposure.
+    """Return a view in which the face of the load, across z, bends as in the mean over an exposure.
 
-    instant: middle of the exposure, or (H,) of that of each row, and its length, in s.
+    instant: middle of the exposure, (H,) for rows, and its length, s.
     """
     plate, motion, (middle_s, exposure_s) = world.preset.plate, world.motion["load"], instant
     if plate is None:
@@ -75,8 +78,8 @@ def bent_view(world: World, draws: Draws, view: View, face: Face, instant: tuple
     rim_m = np.sum(-rim_acceleration(plate, motion, draws) / omega**2 * lost * turn, axis=-1).real[..., None]
 
     def bending(u: FloatArray, v: FloatArray) -> FloatArray:
-        place = face.origin_m + u[..., None] * face.axis_u + v[..., None] * face.axis_v
-        up = rim_m * shape(np.hypot(place[..., 0], place[..., 1]) / plate.radius)
+        position = face.origin_m + u[..., None] * face.axis_u + v[..., None] * face.axis_v
+        up = rim_m * shape(np.hypot(position[..., 0], position[..., 1]) / plate.radius)
         none = np.zeros_like(up)
         return np.stack([none, none, up * np.cross(face.axis_u, face.axis_v)[2]], axis=-1)
 
@@ -84,18 +87,18 @@ def bent_view(world: World, draws: Draws, view: View, face: Face, instant: tuple
 
 
 def elastic_keys(preset: Preset) -> dict[str, Any]:
-    """Return what the load's table says of the plate, nothing where there is none."""
+    """Return the keys of the plate in the load's table, none without a plate."""
     plate = preset.plate
     if plate is None:
         return {}
-    places = {spec.name: spec.point for daq in preset.daqs for spec in daq.channels if spec.body == "load"}
-    places |= {setup.name: setup.face_centre for setup in preset.stereo if setup.body == "load"}
+    points = {spec.name: spec.point for daq in preset.daqs for spec in daq.channels if spec.body == "load"}
+    points |= {setup.name: setup.face_centre for setup in preset.stereo if setup.body == "load"}
     mode = {
         "frequency": plate.frequency,
         "frequency_uncertainty": plate.frequency * plate.frequency_uncertainty,
         "participation": [0.0, 0.0, plate.mass * MEAN, 0.0, 0.0, 0.0],
         "modal_mass": plate.mass * MEAN_SQUARE,
-        "displacement": {name: [0.0, 0.0, _at(plate, point)] for name, point in places.items()},
+        "displacement": {name: [0.0, 0.0, _at(plate, point)] for name, point in points.items()},
         "surface": SURFACE_FILE,
     }
     measured = {"measured_by": list(plate.measured_by)} if plate.measured_by else {}

@@ -1,7 +1,7 @@
-"""Recordings under a periodic chirp of the base, and campaigns of loads on a sensor's springs that it drives.
+"""Simulated recordings under a periodic chirp of the base, and campaigns of loads on springs.
 
 `chirp`: an oscillator on the base. `masses`: two loads on one axial spring, the output over frequency, for stiffness,
-damping and internal mass. `pitching`: a load shifts and pitches on two springs, and its two resonances overlap.
+damping and internal mass. `pitching`: a load that shifts and pitches on two springs, with overlapping resonances.
 """
 
 from __future__ import annotations
@@ -49,7 +49,7 @@ Ratio = Callable[[FloatArray], ComplexArray]  # acceleration of a point over tha
 
 @dataclass(frozen=True, config=CHECKED)
 class Chirp:
-    """Excitation and sampling, and what the manifests state as uncertain; accelerations in m/s^2, times in s."""
+    """Excitation and sampling with stated uncertainties; accelerations in m/s^2, times in s."""
 
     sample_rate_hz: float
     period_s: float
@@ -72,7 +72,7 @@ class Chirp:
 
 @dataclass(frozen=True, config=CHECKED)
 class Oscillator:
-    """A mass on a spring on the base, and the places of the accelerometers on both."""
+    """A mass on a spring on the base, with the points of the accelerometers."""
 
     frequency_hz: float
     damping_ratio: float
@@ -81,19 +81,22 @@ class Oscillator:
     chirp: Chirp
 
     def transmissibility(self, frequency_hz: FloatArray) -> ComplexArray:
-        """Return (1 + 2ζp)/(1 + 2ζp + p²), p = jω/ω₀: acceleration of the mass over that of the base."""
+        """Return the acceleration of the mass over that of the base.
+
+        (1 + 2ζp)/(1 + 2ζp + p²), p = jω/ω₀.
+        """
         p = 1j * frequency_hz / self.frequency_hz
-        turned = 1.0 + 2.0 * self.damping_ratio * p
-        return np.asarray(turned / (turned + p * p))
+        spring = 1.0 + 2.0 * self.damping_ratio * p
+        return np.asarray(spring / (spring + p * p))
 
 
 @dataclass(frozen=True, config=CHECKED)
 class SimulatedSuspension:
-    """A sensor of which the `free` components of the load move on springs and dampers, and what is mounted on it.
+    """A sensor whose `free` components are springs and dampers, with its loads.
 
-    `stiffness` in N/m and N·m/rad, `damping` in N·s/m and N·m·s/rad, about the sensor origin. `sensor`: set-up whose
-    sensor, sensitivity and surroundings the rigs state. `loads` by the name of their rig and recording. The base moves
-    along `direction`, as do the accelerometers on base and load (`tops`) measure.
+    `stiffness` in N/m and N·m/rad, `damping` in N·s/m and N·m·s/rad, about the sensor origin. `sensor`: set-up with
+    sensor, sensitivity and environment of the rigs. `loads`: by the name of their rig and recording. The base moves
+    along `direction`; the accelerometers on base and load (`tops`) measure along it.
     """
 
     sensor: Preset
@@ -108,32 +111,32 @@ class SimulatedSuspension:
     chirp: Chirp
 
     def transfer(self, load: TruePart, internal: TruePart, point: Vector, frequency_hz: FloatArray) -> ComplexArray:
-        """Return the acceleration of a point of the load over that of the base, both along the direction.
+        """Return the acceleration of a point of the load over that of the base, along the direction.
 
-        (M s² + b s + k) q = (b s + k) q_base for the free components q, all others move as the base does.
+        (M s² + b s + k) q = (b s + k) q_base for the free components q; the others move with the base.
         """
         s = 2j * np.pi * np.asarray(frequency_hz)[:, None, None]
         spring = np.diag(self.stiffness) + s * np.diag(self.damping)
         free = np.array(self.free)
         matrix = mass_matrix(load) + mass_matrix(internal)
         drive = np.array([*self.direction, 0.0, 0.0, 0.0])
-        held = np.setdiff1d(np.arange(6), free)
+        rigid = np.setdiff1d(np.arange(6), free)
         inertia = matrix[np.ix_(free, free)]
-        pull = spring @ drive[free] - s[:, :, 0] ** 2 * (matrix[np.ix_(free, held)] @ drive[held])
+        pull = spring @ drive[free] - s[:, :, 0] ** 2 * (matrix[np.ix_(free, rigid)] @ drive[rigid])
         moved = np.linalg.solve(s**2 * inertia + spring, pull[:, :, None])[:, :, 0]
         row = np.array([*self.direction, *np.cross(point, self.direction)])
-        return np.asarray(moved @ row[free] + drive[held] @ row[held])
+        return np.asarray(moved @ row[free] + drive[rigid] @ row[rigid])
 
     def resonances_hz(self, load: TruePart, internal: TruePart) -> FloatArray:
-        """Return the undamped natural frequencies, ascending."""
+        """Return the undamped natural frequencies, in ascending order."""
         matrix = (mass_matrix(load) + mass_matrix(internal))[np.ix_(self.free, self.free)]
         squared = np.linalg.eigvals(np.linalg.solve(matrix, np.diag(self.stiffness)))
         return np.sort(np.sqrt(squared.real)) / (2.0 * np.pi)
 
     @property
     def springs(self) -> dict[str, dict[str, float]]:
-        """Stiffness and damping by component, as the truth files have them."""
-        names = [MOTION_COMPONENTS[place] for place in self.free]
+        """Stiffness and damping by component, for the truth files."""
+        names = [MOTION_COMPONENTS[index] for index in self.free]
         return {
             "stiffness": dict(zip(names, self.stiffness, strict=True)),
             "damping": dict(zip(names, self.damping, strict=True)),
@@ -141,16 +144,16 @@ class SimulatedSuspension:
 
 
 def mass_matrix(part: TruePart) -> FloatArray:
-    """Return the mass matrix (6, 6) of a rigid part about the origin: force and moment of its accelerations."""
+    """Return the mass matrix (6, 6) of a rigid part about the origin."""
     m, (x, y, z) = part.mass_kg, part.centre_of_mass_m
     cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
     return np.block([[m * np.eye(3), -m * cross], [m * cross, part.inertia_kgm2 - m * cross @ cross]])
 
 
 def write_chirp(folder: Path, seed: int, rig: Oscillator | None = None) -> Path:
-    """Write `rig.toml` and the recording `chirp` with its truth into an empty folder and return the recording's folder.
+    """Write `rig.toml` and the recording `chirp` with its truth, and return its folder.
 
-    Everything stated as an uncertainty is drawn. The shaker starts from rest, so that the first period is not settled.
+    All stated uncertainties are sampled. The shaker starts from rest, so that the first period is not settled.
     """
     rig = rig or read_preset(Oscillator, "chirp")
     draws, frequency = Draws(seed, True), rig.chirp.lines_hz
@@ -178,7 +181,7 @@ def write_chirp_files(
     manifest: Mapping[str, Any],
     truth: Mapping[str, Any],
 ) -> Path:
-    """Write a recording's new folder: record (V), manifest, amplifier, truth; return it."""
+    """Write the folder of a recording: record (V), manifest, amplifier, truth; return it."""
     element = {"name": "amplifier", "filter": "butterworth", "order": ORDER, "corner": CORNER_HZ}
     amplifier = {"format": 1, "element": [{**element, "frequency_uncertainty": chirp.corner_uncertainty}]}
     record = Record(chirp.sample_rate_hz, samples, dict.fromkeys(samples, "V"))
@@ -188,14 +191,14 @@ def write_chirp_files(
 def chirp_samples(
     chirp: Chirp, draws: Draws, tops: Mapping[str, Ratio], noise: str = ""
 ) -> dict[str, NDArray[np.float32]]:
-    """Return what `base` and all `tops` hold, in V: acceleration through sensor, delay, amplifier, noise, converter.
+    """Return the samples of `base` and all `tops`, V.
 
-    Scale, delay and corner of every chain are off by what the manifest leaves open.
-    The record begins at rest: one period of silence precedes the chirps in the transform and is cut off. `noise` names
-    the recording whose noise it is.
+    The acceleration passes sensor, delay, amplifier, noise, converter. Scale, delay and corner of every chain deviate
+    within the stated uncertainties. The record begins at rest: one silent period precedes the chirps in the transform
+    and is cut off. `noise`: name of the noise of the recording.
     """
     length = round(chirp.period_s * chirp.sample_rate_hz)
-    silent = 2  # periods of rest, in which what the transform wraps around has decayed
+    silent = 2  # periods of rest, in which the wrapped part of the transform decays
     harmonic = np.rint(chirp.lines_hz * chirp.period_s).astype(np.int64)
     flat = np.zeros(length // 2 + 1, dtype=np.complex128)  # inside the band, none outside: Schroeder's phases
     flat[harmonic] = np.exp(-1j * np.pi * np.arange(len(harmonic)) ** 2 / len(harmonic))
@@ -221,7 +224,7 @@ def chirp_samples(
 
 
 def chirp_channels(chirp: Chirp, base: Vector, tops: Mapping[str, Vector], direction: Vector) -> list[dict[str, Any]]:
-    """Return the blocks of the channels of `base` and `tops`, which measure along a direction at the places given."""
+    """Return the channel blocks of `base` and `tops`, which measure along a direction."""
     stated = {
         "scale": 100.0,
         "scale_uncertainty": chirp.scale_uncertainty,
@@ -236,7 +239,7 @@ def chirp_channels(chirp: Chirp, base: Vector, tops: Mapping[str, Vector], direc
 
 
 def chirp_tables(chirp: Chirp, name: str, rig: str, channels: list[dict[str, Any]]) -> dict[str, Any]:
-    """Return recording.toml as nested dictionaries; the direction is that of the first channel, the reference."""
+    """Return recording.toml as nested dictionaries, with the direction of the reference channel."""
     return {
         "format": 1,
         "name": name,
@@ -259,7 +262,7 @@ def chirp_tables(chirp: Chirp, name: str, rig: str, channels: list[dict[str, Any
 def write_chirps(folder: Path, suspension: SimulatedSuspension, draws: Draws) -> None:
     """Write the rigs into a campaign folder, and a chirp recording of each load.
 
-    The accelerometers, their amplifiers and the clock are the same in all recordings, and so are their errors.
+    Accelerometers, amplifiers and clock, with their errors, are the same in all recordings.
     """
     internal = true_part(suspension.internal, draws)
     lines = suspension.chirp.lines_hz
@@ -286,12 +289,12 @@ def write_chirps(folder: Path, suspension: SimulatedSuspension, draws: Draws) ->
 
 
 def rig_file(name: str) -> str:
-    """Return the name of the file that describes the rig with a load."""
+    """Return the file name of the rig with a load."""
     return f"rig-{name}.toml"
 
 
 def suspension_rig(suspension: SimulatedSuspension, load: PartSpec, draws: Draws) -> dict[str, Any]:
-    """Return rig.toml with one of the loads as nested dictionaries; the sensor is the same in all."""
+    """Return rig.toml with one of the loads as nested dictionaries."""
     preset = replace(suspension.sensor, internal=suspension.internal)
     return {
         "format": 1,
@@ -304,7 +307,10 @@ def suspension_rig(suspension: SimulatedSuspension, load: PartSpec, draws: Draws
 
 
 def write_pitching(folder: Path, seed: int, suspension: SimulatedSuspension | None = None) -> None:
-    """Write both rigs, a chirp recording along x of each load, and the truth; everything uncertain is drawn once."""
+    """Write both rigs, a chirp recording along x of each load, and the truth.
+
+    All uncertainties are sampled once.
+    """
     suspension = suspension or read_preset(SimulatedSuspension, "pitching")
     draws = Draws(seed, True)
     write_chirps(folder, suspension, draws)
@@ -318,28 +324,28 @@ def write_masses(
     suspension: SimulatedSuspension | None = None,
     steps: Sequence[int] = STEPS,
 ) -> None:
-    """Write both rigs, a chirp recording of each load, twelve sine recordings of one load, and the truth.
+    """Write both rigs, chirp recordings of both loads, twelve sine recordings, and the truth.
 
-    Everything stated as an uncertainty is drawn, once for the whole campaign. The period of the chirps gives the line
-    spacing of the publication, 0.78125 Hz.
+    All stated uncertainties are sampled once for the campaign. The period of the chirps gives the line spacing of the
+    publication, 0.78125 Hz.
     """
     suspension = suspension or read_preset(SimulatedSuspension, "masses")
     draws = Draws(seed, True, mounting=MOUNTING, recording="")
     write_chirps(folder, suspension, draws)
     for number, step in enumerate(steps, 1):
         run = sine_run(suspension, step, draws)
-        own = replace(draws, recording=run.preset.recording)
-        write_run(folder, run, make_world(run.preset, own, TRIGGER_JITTER_S), own)
+        recording_draws = replace(draws, recording=run.preset.recording)
+        write_run(folder, run, make_world(run.preset, recording_draws, TRIGGER_JITTER_S), recording_draws)
         progress("write", number, len(steps))
     lags = {"spring_lag_s": _spring_lag_s(suspension), "chain_lag_s": suspension.sensor.lag_s}
     _write_truth(folder, suspension, draws, lags | {"sine_load": SINE_LOAD})
 
 
 def sine_run(suspension: SimulatedSuspension, step: int, draws: Draws) -> Run:
-    """Return one sine recording: the load moves along z alone, its base on the true spring below it.
+    """Return one sine recording: the load moves along z only, with its base below the true spring.
 
-    z at the driven line, and 0.4 % of it at twice its frequency. The resonance of the set-up is that of the true
-    masses, so that its base moves as the chirps say.
+    z moves at the driven line, and with 0.4 % of it at twice its frequency. The resonance of the set-up is that of the
+    true masses, so that the base moves as in the chirps.
     """
     nominal = round(step * STEP_HZ, 1)
     motion = np.zeros((2, 6), dtype=np.complex128)
@@ -366,23 +372,23 @@ def sine_run(suspension: SimulatedSuspension, step: int, draws: Draws) -> Run:
     )
 
 
-def _spring_lag_s(stand: SimulatedSuspension) -> float:
+def _spring_lag_s(suspension: SimulatedSuspension) -> float:
     """Return b/k of the first spring."""
-    return stand.damping[0] / stand.stiffness[0]
+    return suspension.damping[0] / suspension.stiffness[0]
 
 
-def _write_truth(folder: Path, stand: SimulatedSuspension, draws: Draws, others: dict[str, Any]) -> None:
-    """Write what all recordings of the campaign share into its folder, and what each load does."""
-    internal = true_part(stand.internal, draws)
-    loads = {name: true_part(load, draws) for name, load in stand.loads.items()}
+def _write_truth(folder: Path, suspension: SimulatedSuspension, draws: Draws, others: dict[str, Any]) -> None:
+    """Write the common truth of all recordings of the campaign, and that of each load."""
+    internal = true_part(suspension.internal, draws)
+    loads = {name: true_part(load, draws) for name, load in suspension.loads.items()}
     truth = {
         "format": 1,
-        "preset": stand.sensor.name,
+        "preset": suspension.sensor.name,
         "seed": draws.seed,
-        **stand.springs,
+        **suspension.springs,
         "internal_mass_kg": internal.mass_kg,
         "load_mass_kg": {name: load.mass_kg for name, load in loads.items()},
-        "resonances_hz": {name: stand.resonances_hz(load, internal).tolist() for name, load in loads.items()},
+        "resonances_hz": {name: suspension.resonances_hz(load, internal).tolist() for name, load in loads.items()},
         **others,
         "drawn": draws.values,
     }

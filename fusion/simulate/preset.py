@@ -1,6 +1,6 @@
-"""Presets of simulated rigs: data of `presets/NAME.toml`, checked when read, and the optics that follow from them.
+"""Presets of simulated rigs: checked data of `presets/NAME.toml`, and their optics.
 
-A table with `like = "FILE"` or `like = "FILE.TABLE"` takes from there what it does not say itself.
+A table with `like = "FILE"` or `like = "FILE.TABLE"` inherits missing keys from there.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from photogram.synthetic.scene import Face, ImageSensor, session_covariance, spe
 from shaker.arrays import FloatArray
 
 CHECKED = ConfigDict(extra="forbid")
-"""Of every dataclass that is read from a preset: keys that it does not have are refused."""
+"""Configuration of dataclasses of presets: unknown keys are refused."""
 Vector = tuple[float, float, float]
 Phasor = Annotated[complex, BeforeValidator(lambda v: complex(v[0] * np.exp(1j * v[1])) if isinstance(v, list) else v)]
 """A complex number, in a preset as [amplitude, phase]."""
@@ -39,16 +39,16 @@ _SESSION_VIEWS = 20
 
 
 def read_preset(kind: type[_T], name: str, **changes: Any) -> _T:
-    """Return `presets/NAME.toml`, or a table of it (`NAME.TABLE`), as a dataclass of this kind with some changes.
+    """Return `presets/NAME.toml`, or its table `NAME.TABLE`, as a dataclass, with changes.
 
-    Raises `ValueError` naming the key that is wrong.
+    Raises `ValueError` with the wrong key.
     """
     return kind(**(_read(name) | changes))
 
 
-def _read(place: str) -> dict[str, Any]:
-    """Return a file of presets, or a table of it (`FILE.TABLE`, of several by name), completed by what it is like."""
-    name, *keys = place.split(".")
+def _read(source: str) -> dict[str, Any]:
+    """Return a file of presets, or a table of it (`FILE.TABLE`), with inherited keys."""
+    name, *keys = source.split(".")
     table = tomllib.loads((_FOLDER / f"{name}.toml").read_text(encoding="utf-8"))
     for key in keys:
         table = table[key] if isinstance(table, dict) else next(item for item in table if item["name"] == key)
@@ -57,28 +57,28 @@ def _read(place: str) -> dict[str, Any]:
 
 
 def _completed(value: Any) -> Any:
-    """Return tables and lists of them with what they are like put in."""
+    """Return tables and lists of them with inherited keys."""
     if isinstance(value, list):
         return [_completed(item) for item in value]
     if not isinstance(value, dict):
         return value
-    own = {key: _completed(item) for key, item in value.items() if key != "like"}
+    values = {key: _completed(item) for key, item in value.items() if key != "like"}
     if "like" not in value:
-        return own
+        return values
     whole = _read(value["like"])
-    both = {key: whole[key] | own[key] for key in own if isinstance(own[key], dict) and key in whole}
-    return whole | own | both
+    both = {key: whole[key] | values[key] for key in values if isinstance(values[key], dict) and key in whole}
+    return whole | values | both
 
 
 @dataclass(frozen=True, config=CHECKED)
 class StereoSetup:
-    """A stereo pair on one face: `tilt_deg` from its normal towards `face_up`, `stereo_deg` between the cameras.
+    """A stereo pair before one face; `tilt_deg`: from the normal towards `face_up`.
 
-    `pixel_m` is the size of a pixel on the face; `face_up` the direction in the face that is up in the images.
-    `row_time`: s from row to row of a rolling shutter, negative where the last row is read first, 0 without one.
-    `at_rest`: of two patches that stand still in the face's plane, to its right and left: distance of their centres
-    from the face's, half width and height, m; none where empty. `surface_uncertainty`: of the face's distance, m, and
-    tilts, rad, where its left camera is alone; a pair where empty.
+    `stereo_deg`: between the cameras. `pixel_m`: size of a pixel on the face. `face_up`: direction in the face that is
+    up in the images. `row_time`: s from row to row of a rolling shutter, negative if the last row is read first, 0 for
+    a global shutter. `at_rest`: two patches at rest in the plane of the face, right and left of it: distance of their
+    centres from that of the face, half width and height, m; empty for none. `surface_uncertainty`: of the distance of
+    the face, m, and its tilts, rad, before a single left camera; empty for a pair.
     """
 
     name: str
@@ -106,7 +106,7 @@ class StereoSetup:
 
     @property
     def sides(self) -> tuple[str, ...]:
-        """Its cameras by name."""
+        """Names of its cameras."""
         return ("left",) if self.surface_uncertainty else ("left", "right")
 
     @property
@@ -117,7 +117,7 @@ class StereoSetup:
 
 @dataclass(frozen=True, config=CHECKED)
 class PartSpec:
-    """A rigid part of the load as the laboratory states it: SI values and standard uncertainties."""
+    """A rigid part of the load as stated: SI values and standard uncertainties."""
 
     name: str
     mass: float
@@ -130,10 +130,10 @@ class PartSpec:
 
 @dataclass(frozen=True, config=CHECKED)
 class PlateSpec:
-    """A plate on top of the load that bends (`fusion.simulate.bending`), as the laboratory states it.
+    """A flexible plate on top of the load (`fusion.simulate.bending`), as stated.
 
-    Its mass is part of the load's; natural frequency with its standard uncertainty (relative), damping ratio;
-    `measured_by`: stereo pairs that are to measure it.
+    Its mass is part of the load's. Natural frequency with its standard uncertainty (relative), damping ratio.
+    `measured_by`: stereo pairs that measure it.
     """
 
     mass: float
@@ -146,7 +146,7 @@ class PlateSpec:
 
 @dataclass(frozen=True, config=CHECKED)
 class HeadSpec:
-    """A laser head as stated: standard uncertainties of its turn about each axis (rad) and of its place (m)."""
+    """A laser head as stated: u of its rotation about each axis (rad) and position (m)."""
 
     name: str
     rotation_uncertainty: float
@@ -155,9 +155,9 @@ class HeadSpec:
 
 @dataclass(frozen=True, config=CHECKED)
 class ChannelSpec:
-    """A DAQ channel: `scale` and `stated` are the manifest's; `noise` (rms) and `range` (on `bits`) in file units.
+    """A DAQ channel: `scale` and `stated` of the manifest, `noise` (rms) and `range` (on `bits`).
 
-    `head`: name of the laser head that it is a beam of, if any.
+    Noise and range are in file units. `head`: name of its laser head, if any.
     """
 
     name: str
@@ -177,9 +177,9 @@ class ChannelSpec:
 
 @dataclass(frozen=True, config=CHECKED)
 class DaqSpec:
-    """One recorder: file, rate, true deviation of its clock, start before the time base's zero, its channels.
+    """One recorder: file, rate, clock uncertainty, start before the time origin, channels.
 
-    `response`: file of the stated response of its channels, if there is one.
+    `response`: file of the stated response of its channels, if any.
     """
 
     name: str
@@ -194,9 +194,10 @@ class DaqSpec:
 
 @dataclass(frozen=True, config=CHECKED)
 class Preset:
-    """A whole set-up. Phasors (K, 6) are true accelerations of the load at the lines `fundamental_hz`·`multiples`.
+    """A whole set-up with true accelerations of the load, phasors (K, 6).
 
-    `as_points`: another program's points are written instead of images of the stereo pairs. `down`: of gravity.
+    They belong to the lines `fundamental_hz`·`multiples`. `as_points`: point tables are written instead of images.
+    `down`: direction of gravity.
     """
 
     name: str
@@ -232,7 +233,7 @@ class Preset:
 
     @property
     def frequencies_hz(self) -> FloatArray:
-        """The lines (K,) that are present."""
+        """Lines (K,) of the motion."""
         return self.fundamental_hz * np.array(self.multiples, dtype=np.float64)
 
     @property
@@ -241,7 +242,7 @@ class Preset:
         return self.gravity * np.array(self.down)
 
     def reduced(self, frames: int | None, image_scale: float) -> Preset:
-        """Return the preset with fewer frames, and images `image_scale` as large over the same pixel on the face."""
+        """Return the preset with fewer frames, and smaller images of the same pixel size."""
         stereo = []
         for setup in self.stereo:
             width, height = (max(64, round(n * image_scale)) for n in setup.size_px)
@@ -253,9 +254,9 @@ class Preset:
 
 @lru_cache(maxsize=8)
 def nominal_rig(setup: StereoSetup) -> tuple[StereoRig, RigidTransform]:
-    """Return the stereo rig with its session's covariance, and sensor_from_left, as the laboratory states them.
+    """Return the stated stereo rig with its covariance, and sensor_from_left.
 
-    Its covariance takes half a second: a set-up simulated again has it ready.
+    The covariance takes half a second and is cached.
     """
     left, right = (camera_pose(setup, sign) for sign in (-1.0, 1.0))
     size = np.array(setup.size_px, dtype=np.int64)
@@ -270,9 +271,9 @@ def nominal_rig(setup: StereoSetup) -> tuple[StereoRig, RigidTransform]:
 
 
 def camera_pose(setup: StereoSetup, sign: float = -1.0) -> RigidTransform:
-    """Return sensor_from_left (`sign` −1) or sensor_from_right (+1) as stated: both cameras look at the face's centre.
+    """Return the stated sensor_from_left (`sign` −1) or sensor_from_right (+1).
 
-    They stand half the stereo angle to either side of the middle direction.
+    Both cameras point at the centre of the face, at half the stereo angle to either side of the middle direction.
     """
     normal, up, centre = (np.array(v) for v in (setup.face_normal, setup.face_up, setup.face_centre))
     tilt = np.deg2rad(setup.tilt_deg)
@@ -285,19 +286,19 @@ def camera_pose(setup: StereoSetup, sign: float = -1.0) -> RigidTransform:
 
 
 def patches_of(setup: StereoSetup) -> tuple[StereoSetup, ...]:
-    """Return the patches at rest beside a face as faces of the room."""
-    aside, *half = setup.at_rest or (0.0,)
+    """Return the patches at rest next to a face as faces at rest."""
+    offset, *half = setup.at_rest or (0.0,)
     side = np.cross(np.array(setup.face_up), np.array(setup.face_normal))
     patches = []
     for sign in (1.0, -1.0) if half else ():
-        x, y, z = (np.array(setup.face_centre) + sign * aside * side).tolist()
+        x, y, z = (np.array(setup.face_centre) + sign * offset * side).tolist()
         patch = replace(setup, name=f"{setup.name}-room", body="room", face_centre=(x, y, z), at_rest=())
         patches.append(replace(patch, half_size=(half[0], half[1]), round=False))
     return tuple(patches)
 
 
 def region_of(setup: StereoSetup, *faces: StereoSetup) -> list[int]:
-    """Return x, y, width, height in px that hold faces in the left picture of a pair, as it is stated."""
+    """Return the stated region x, y, width, height, px, of faces in the left image."""
     rig, placed = nominal_rig(setup)
     rim, angle = [], np.linspace(0.0, 2.0 * np.pi, 32, endpoint=False)
     for face in faces:
@@ -314,10 +315,10 @@ def region_of(setup: StereoSetup, *faces: StereoSetup) -> list[int]:
 
 
 def face_of(setup: StereoSetup, aliased: bool, rng: np.random.Generator) -> Face:
-    """Return the speckled face: sprayed dots of 5 px behind the lens blur of 0.6 px, or sharp dots of 2 px (`aliased`).
+    """Return the speckled face, blurred dots of 5 px or sharp ones of 2 px (`aliased`).
 
-    The rims of sprayed dots are soft (σ 1 px), which leaves nothing beyond the Nyquist frequency of the pixels: sharp
-    discs of the same size alias by 1 % of their amplitude and move subsets by 1 to 2 thousandths of a pixel.
+    The rims of sprayed dots are soft (σ 1 px), without components beyond the Nyquist frequency of the pixels. Sharp
+    discs of the same size alias by 1 % of their amplitude and move subsets by 0.001 to 0.002 px.
     """
     normal, up = np.array(setup.face_normal), np.array(setup.face_up)
     pixel = setup.pixel_m

@@ -1,7 +1,7 @@
-"""Calibrations by releases: what hangs on a sensor lets go, and its outputs ring.
+"""Simulated calibrations by releases: a hanging load is released, and the outputs ring.
 
-`steps`: a six-component sensor, three kinds of rope. `loads`: a force sensor that a thin line releases, with five
-masses on its pillar.
+`steps`: a six-component sensor, three kinds of rope. `loads`: a force sensor released by a thin line, with five masses
+on its pillar.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ Channels = list[dict[str, Any]]  # blocks of the channels in a manifest
 
 @dataclass(frozen=True, config=CHECKED)
 class SimulatedRope:
-    """What lets go: how long the load takes to vanish, in s, its relative scatter, along a line or half a cosine."""
+    """A release device: duration of the release, s, relative scatter, shape (ramp or half cosine)."""
 
     name: str
     release_s: float
@@ -41,9 +41,9 @@ class SimulatedRope:
 
 @dataclass(frozen=True, config=CHECKED)
 class SimulatedRecorder:
-    """What all recordings of a campaign share: `noise` over the output's change, a random offset, the start.
+    """Common properties of all recordings: `noise` over the output change, offset, range, start.
 
-    `range_v` on `bits`; times in s: the load goes `before_s`, and a random time of up to `start_scatter_s`, after the
+    `range_v` on `bits`. Times in s: the release is `before_s`, plus a random time of up to `start_scatter_s`, after the
     first sample.
     """
 
@@ -58,18 +58,18 @@ class SimulatedRecorder:
     def release_times(
         self, name: str, rope: SimulatedRope, duration_s: float, draws: Draws
     ) -> tuple[FloatArray, float, float]:
-        """Return the times (N,) of a recording's samples, when the load begins to vanish, and how long that takes."""
+        """Return sample times (N,), onset of the release, and its duration."""
         rng = draws.stream(f"{name}.release")
         onset_s = self.before_s + float(rng.uniform(0.0, self.start_scatter_s))
         release_s = rope.release_s * (1.0 + rope.scatter * float(rng.uniform(-1.0, 1.0)))
         return np.arange(round(duration_s * self.sample_rate_hz)) / self.sample_rate_hz, onset_s, release_s
 
     def offsets(self, name: str, outputs: int, draws: Draws) -> FloatArray:
-        """Return the level of every output (C,) without load, in V."""
+        """Return the level of every output (C,) without load, V."""
         return self.offset_v * draws.stream(f"{name}.offset").standard_normal(outputs)
 
     def record(self, name: str, volts: FloatArray, steps: FloatArray, channels: Channels, draws: Draws) -> Record:
-        """Return what the converter stores of outputs (C, N) in V that change by `steps` (C,), with noise."""
+        """Return the stored samples of outputs (C, N) in V that change by `steps` (C,), with noise."""
         noise = self.noise * steps[:, None] * draws.stream(f"{name}.noise").standard_normal(volts.shape)
         step = 2.0 * self.range_v / 2**self.bits
         shown = np.clip(np.rint((volts + noise) / step), -(2 ** (self.bits - 1)), 2 ** (self.bits - 1) - 1) * step
@@ -82,11 +82,11 @@ class SimulatedRecorder:
 class StepRig(SimulatedRecorder):
     """Truth and nominal values of sensor, amplifier and recorder.
 
-    One mode per component (`frequency_hz`, `damping_ratio`) and the amplifier's real pole `chain_hz`; `capacity` and
-    `sensitivity` by component, the latter in V/V per N or N·m; `mixing`: largest share by which a load drives, and an
-    output shows, the mode of another component. `load_share`: what hangs on the rope, over the capacity; `gain`: V per
-    V/V; `after_s`: recorded after the release. The first of the `ropes` releases every component, all of them release
-    Fz.
+    One mode per component (`frequency_hz`, `damping_ratio`) and the amplifier's real pole `chain_hz`. `capacity` and
+    `sensitivity` by component, the latter in V/V per N or N·m. `mixing`: largest share of a load in the excitation, and
+    of an output in the observation, of another component's mode. `load_share`: hanging load over the capacity. `gain`:
+    V per V/V. `after_s`: duration of the record after the release. The first of the `ropes` releases every component,
+    all of them release Fz.
     """
 
     frequency_hz: tuple[float, ...]
@@ -104,7 +104,7 @@ class StepRig(SimulatedRecorder):
 
 @plain_dataclass(frozen=True)
 class SimulatedRelease:
-    """One recording: the component that is loaded, what lets go, and the number of the repeat."""
+    """One recording: loaded component, release device, number of the repeat."""
 
     component: str
     rope: SimulatedRope
@@ -117,16 +117,16 @@ class SimulatedRelease:
 
 
 def releases(rig: StepRig) -> tuple[SimulatedRelease, ...]:
-    """Return three releases of each rope on Fz, and two releases of the first on every other component."""
+    """Return three releases of each rope on Fz, and two of the first rope on other components."""
     axial = [SimulatedRelease("Fz", rope, repeat) for rope in rig.ropes for repeat in (1, 2, 3)]
     other = [SimulatedRelease(c, rig.ropes[0], repeat) for c in LOAD_COMPONENTS if c != "Fz" for repeat in (1, 2)]
     return (*axial, *other)
 
 
 def write_steps(folder: Path, seed: int, rig: StepRig | None = None) -> tuple[Path, ...]:
-    """Write `rig.toml`, `truth.json` and all recordings into an empty folder and return the recordings' folders.
+    """Write `rig.toml`, `truth.json` and all recordings, and return the folders of the recordings.
 
-    The static sensitivities of the rig are off by what is stated as their uncertainty.
+    The static sensitivities of the rig have errors of their stated uncertainty.
     """
     rig = rig or read_preset(StepRig, "steps")
     draws = Draws(seed, True)
@@ -167,10 +167,10 @@ def write_steps(folder: Path, seed: int, rig: StepRig | None = None) -> tuple[Pa
 
 
 def sensor_model(rig: StepRig, draws: Draws) -> Model:
-    """Return the response of every output (row) to every load component (column), in V/V per N or N·m.
+    """Return the response of every output (row) to every load component (column), V/V per N or N·m.
 
-    H = C·diag[ω²/(s² + 2ζωs + ω²)]·B·2πf_c/(s + 2πf_c): loads drive the modes by B, outputs show them by C, both close
-    to diagonal; the amplifier is the last factor. Residues follow from partial fractions.
+    H = C·diag[ω²/(s² + 2ζωs + ω²)]·B·2πf_c/(s + 2πf_c): loads excite the modes by B, outputs observe them by C, both
+    nearly diagonal; the amplifier is the last factor. Residues follow from partial fractions.
     """
     modes = len(rig.frequency_hz)
     off = [draws.stream(f"mixing.{name}").uniform(-rig.mixing, rig.mixing, (modes, modes)) for name in ("B", "C")]
@@ -194,16 +194,16 @@ def sensor_model(rig: StepRig, draws: Draws) -> Model:
 
 
 def _write_release(folder: Path, rig: StepRig, model: Model, release: SimulatedRelease, draws: Draws) -> Path:
-    """Write one recording: what hung on the rope vanishes, and every output goes from its loaded to its zero level."""
-    name, place = release.name, LOAD_COMPONENTS.index(release.component)
-    load, column = rig.load_share * rig.capacity[place], [row[place] for row in model]
+    """Write one recording: the load vanishes, and every output changes from its loaded to its zero level."""
+    name, index = release.name, LOAD_COMPONENTS.index(release.component)
+    load, column = rig.load_share * rig.capacity[index], [row[index] for row in model]
     time_s, onset_s, release_s = rig.release_times(name, release.rope, rig.before_s + rig.after_s, draws)
     offset, static = rig.offsets(name, len(model), draws), [one.static_gain for one in column]
     # the poles of all outputs are the same
     response = pole_responses(column[0].poles, time_s, onset_s, release_s, release.rope.shape)
     upper, real = np.split(response, [len(rig.frequency_hz)], axis=1)
-    answers = (2.0 * np.real(upper @ one.residue) + np.real(real) @ one.real_residue for one in column)
-    clean = np.stack([load * (gain - answer) for gain, answer in zip(static, answers, strict=True)])
+    responses = (2.0 * np.real(upper @ one.residue) + np.real(real) @ one.real_residue for one in column)
+    clean = np.stack([load * (gain - response_v) for gain, response_v in zip(static, responses, strict=True)])
     steps = np.array(rig.sensitivity) * np.array(rig.capacity) * rig.load_share
     truth = {
         "format": 1,
@@ -227,7 +227,7 @@ def _write_release(folder: Path, rig: StepRig, model: Model, release: SimulatedR
 
 
 def _step_tables(name: str, rig: str, released: tuple[str, float, str], channels: Channels) -> dict[str, Any]:
-    """Return recording.toml as nested dictionaries; `released`: component, change of the load, what lets go."""
+    """Return recording.toml as nested dictionaries; `released`: component, change of the load, device."""
     component, amplitude, rope = released
     return {
         "format": 1,
@@ -240,9 +240,9 @@ def _step_tables(name: str, rig: str, released: tuple[str, float, str], channels
 
 @dataclass(frozen=True, config=CHECKED)
 class SeriesRig(SimulatedRecorder):
-    """Truth and nominal values: masses in kg, N/m, N·s/m; output in V, recorded as it is; times in s.
+    """Truth and nominal values: masses in kg, N/m, N·s/m; output in V; times in s.
 
-    `loads_g`: masses on the pillar in g; the load of `force_n` vanishes along a straight line of `release_s`.
+    `loads_g`: masses on the pillar in g. The load of `force_n` vanishes linearly within `release_s`.
     """
 
     loads_g: tuple[int, ...]
@@ -260,9 +260,9 @@ class SeriesRig(SimulatedRecorder):
 
 
 def write_loads(folder: Path, seed: int, rig: SeriesRig | None = None) -> tuple[Path, ...]:
-    """Write a rig and a recording for every load, and the truth, into an empty folder; return the recordings' folders.
+    """Write a rig and a recording for every load, and the truth; return the recordings' folders.
 
-    The masses differ from the stated ones by errors of the stated uncertainties, the moving mass by one for all.
+    The true masses differ from the stated ones within the stated uncertainties; the error of the moving mass is common.
     """
     rig = rig or read_preset(SeriesRig, "loads")
     draws = Draws(seed, True)
@@ -296,11 +296,10 @@ def write_loads(folder: Path, seed: int, rig: SeriesRig | None = None) -> tuple[
 
 
 def true_modes(rig: SeriesRig, moving: float, load: float) -> tuple[ComplexArray, ComplexArray]:
-    """Return poles in rad/s and residues of the output over a force on the load, for the true masses in kg.
+    """Return poles, rad/s, and residues of the output over a force on the load, for true masses.
 
-    M ẍ + B ẋ + K x = f of the moving mass on its spring and the load on its own, by the eigenvectors of the equations
-    of first order. Written anew, not by `shaker.release.load_model`: what the program makes of these recordings is
-    tested against them.
+    M ẍ + B ẋ + K x = f of the moving mass and the load on their springs, by the eigenvectors of the first-order
+    equations. It is independent of `shaker.release.load_model`, whose results are tested with these recordings.
     """
     joint = np.array([[1.0, -1.0], [-1.0, 1.0]])
     stiffness = np.diag([rig.stiffness, 0.0]) + rig.coupling_stiffness * joint
@@ -316,7 +315,7 @@ def true_modes(rig: SeriesRig, moving: float, load: float) -> tuple[ComplexArray
 
 
 def _write_series_release(folder: Path, rig: SeriesRig, grams: int, masses: tuple[float, float], draws: Draws) -> Path:
-    """Write one recording: the force vanishes, the output falls from its loaded level to zero and rings."""
+    """Write one recording: the force vanishes, the output falls to zero and rings."""
     name, (poles, residues) = f"step-{grams:03d}g", true_modes(rig, *masses)
     time_s, onset_s, release_s = rig.release_times(name, SimulatedRope(ROPE, rig.release_s, 0.0), rig.duration_s, draws)
     offset, steps = rig.offsets(name, 1, draws), np.array([rig.force_n * rig.sensitivity])

@@ -1,7 +1,7 @@
-"""Recordings of sines: one rendered (`demo`, `nitsche2018`), campaigns over frequency and of six components.
+"""Simulated recordings of sines: one rendered (`demo`, `nitsche2018`), and campaigns.
 
 `sweep`: the campaign of the published sensitivity curve, twelve frequencies, two mountings, two recordings of each.
-`matrix`: the campaign that determines all 36 sensitivities, axial, transverse and with a mass on an arm of a cross.
+`matrix`: the campaign for all 36 sensitivities, axial, transverse and with a mass on an arm of a cross.
 """
 
 from __future__ import annotations
@@ -64,7 +64,7 @@ from photogram.synthetic.scene import Face, View, add_face, render_exposure
 from shaker.arrays import ComplexArray, FloatArray
 from shaker.labels import LOAD_COMPONENTS
 
-# What each recorder's file holds, on its own clock, and what manifests and truth say.
+# Records of each recorder on its clock, manifests and truth.
 
 RESPONSE_HZ = np.array([0.0, 20.0, 50.0, *np.arange(100.0, 3001.0, 100.0)])
 _RESPONSE_U = (1e-4, 1e-4)  # relative magnitude, phase in rad
@@ -74,11 +74,10 @@ _HIGH_V = 5.0
 
 @dataclass(frozen=True)
 class Run:
-    """One recording: its `preset` (with the whole load), and what the first lines of its manifest say.
+    """One recording: its `preset` (with the whole load), and the first keys of its manifest.
 
-    `rig_file`: the rig that it stands on; `mounting`: empty where it is not stated. `direction`: 3 or 6 numbers;
-    `driven`: the place of the component that is driven. `parts`: those of the load that this recording's own manifest
-    states.
+    `rig_file`: its rig. `mounting`: empty if not stated. `direction`: 3 or 6 numbers. `driven`: index of the driven
+    component. `parts`: parts of the load in the manifest of this recording.
     """
 
     name: str
@@ -93,12 +92,12 @@ class Run:
 
 
 def clock(daq: DaqSpec, draws: Draws) -> tuple[float, float]:
-    """Return a recorder's true start (s) and the true seconds that pass in one second of its clock."""
+    """Return the true start of a recorder (s), and true seconds per second of its clock."""
     return daq.start_s, 1 + float(draws.normal(f"{daq.name}.clock", daq.clock_uncertainty))
 
 
 def record(world: World, daq: DaqSpec, draws: Draws, noise: bool) -> Record:
-    """Return what one recorder stores, rounded to its converter's steps."""
+    """Return the samples of one recorder, rounded to the steps of its converter."""
     start, rate = clock(daq, draws)
     count = np.arange(round(daq.duration_s * daq.sample_rate_hz), dtype=np.float64)
     time: FloatArray = start + rate * count / daq.sample_rate_hz
@@ -123,24 +122,26 @@ def recorded_phasors(world: World, daq: DaqSpec, spec: ChannelSpec, draws: Draws
     """Return the phasors (K,) in the file: true value · response · exp(−jω·delay) / true scale."""
     shared = spec.common or spec.name
     scale = float(draws.normal(f"{shared}.scale", spec.stated.get("scale_uncertainty", 0.0)))
-    own = float(draws.normal(f"{spec.name}.individual", spec.stated.get("individual_uncertainty", 0.0)))
+    individual = float(draws.normal(f"{spec.name}.individual", spec.stated.get("individual_uncertainty", 0.0)))
     delay = float(draws.normal(f"{shared}.delay", spec.stated.get("delay_uncertainty", 0.0)))
     value = _true_phasors(world, spec, draws) * np.exp(-2j * np.pi * world.preset.frequencies_hz * delay)
     if daq.response:
         value = value * true_response(shared, world.preset.frequencies_hz, draws)
-    return np.asarray(value / (spec.scale * (1 + scale) * (1 + own)))
+    return np.asarray(value / (spec.scale * (1 + scale) * (1 + individual)))
 
 
 def _true_phasors(world: World, spec: ChannelSpec, draws: Draws) -> ComplexArray:
-    """Return the phasors (K,) of the quantity in SI, at the point and along the axis where the channel really sits."""
+    """Return the true phasors (K,) of a channel in SI units, at its true point and direction."""
     if spec.quantity == "output":
         return np.asarray(world.outputs[:, LOAD_COMPONENTS.index(spec.name)])
-    # Written anew, not by `fusion.instruments`: what the program makes of these recordings is tested against them.
+    # Independent of `fusion.instruments`, which is tested with these recordings.
     motion = world.observed_motion(draws, spec.body, spec.quantity, np.array(spec.point))
     point = np.array(spec.point) + draws.normal(f"{spec.name}.point", spec.stated.get("point_uncertainty", 0.0), 3)
     nominal = np.array(spec.direction)
     tilt = draws.normal(f"{spec.name}.direction", spec.stated.get("direction_uncertainty", 0.0), 3)
-    for head in (head for head in world.preset.heads if head.name == spec.head):  # all its beams shift and turn as one
+    for head in (
+        head for head in world.preset.heads if head.name == spec.head
+    ):  # all its beams shift and rotate together
         point = point + draws.normal(f"head {head.name}.point", head.point_uncertainty, 3)
         tilt = tilt + draws.normal(f"head {head.name}.direction", head.rotation_uncertainty, 3)
     direction = nominal + np.cross(tilt, nominal)
@@ -154,7 +155,7 @@ def _true_phasors(world: World, spec: ChannelSpec, draws: Draws) -> ComplexArray
 
 
 def nominal_response(frequency_hz: FloatArray) -> ComplexArray:
-    """Return the stated response of the bridge amplifier, a second-order low-pass at 9 kHz with damping 0.7."""
+    """Return the stated response of the bridge amplifier: a low-pass, 9 kHz, damping 0.7."""
     ratio = np.asarray(frequency_hz) / 9000.0
     return np.asarray(1 / (1 - ratio**2 + 1.4j * ratio))
 
@@ -169,7 +170,7 @@ def true_response(name: str, frequency_hz: FloatArray, draws: Draws) -> ComplexA
 
 
 def response_table() -> str:
-    """Return the stated response as text: frequency_hz, magnitude, phase_rad and their uncertainties."""
+    """Return the stated response as text, with uncertainties."""
     lines = ["frequency_hz,magnitude,phase_rad,u_magnitude,u_phase_rad"]
     for frequency, entry in zip(RESPONSE_HZ.tolist(), nominal_response(RESPONSE_HZ).tolist(), strict=True):
         u_magnitude = abs(entry) * _RESPONSE_U[0]
@@ -178,7 +179,7 @@ def response_table() -> str:
 
 
 def rig_tables(world: World, recording_parts: tuple[PartSpec, ...] = ()) -> dict[str, Any]:
-    """Return rig.toml as nested dictionaries, without the parts that a recording's `own` manifest states."""
+    """Return rig.toml as nested dictionaries, without the parts of a recording's manifest."""
     preset = world.preset
     tables: dict[str, Any] = {
         "format": 1,
@@ -197,7 +198,7 @@ def rig_tables(world: World, recording_parts: tuple[PartSpec, ...] = ()) -> dict
 
 
 def sensor_keys(preset: Preset, static: NDArray[np.float64]) -> dict[str, Any]:
-    """Return the block of the sensor under test, with its static sensitivity (6, 6) as it is stated."""
+    """Return the block of the sensor under test, with its stated static sensitivity (6, 6)."""
     internal = {f"internal_{key}": value for key, value in part_keys(preset.internal).items()}
     return {
         "name": preset.sensor_name,
@@ -212,7 +213,7 @@ def sensor_keys(preset: Preset, static: NDArray[np.float64]) -> dict[str, Any]:
 
 
 def environment_keys(preset: Preset) -> dict[str, Any]:
-    """Return the block of what surrounds a rig."""
+    """Return the block of the environment of a rig."""
     return {"gravity": preset.gravity_mps2.tolist(), "temperature": 23.0, "air_density": 1.19}
 
 
@@ -286,9 +287,9 @@ def _channel(spec: ChannelSpec, response: str) -> dict[str, Any]:
 
 
 def truth_tables(run: Run, world: World, draws: Draws) -> dict[str, Any]:
-    """Return truth.json: phasors, sensitivity, ratio of the driven component, clocks, and every error drawn.
+    """Return truth.json: phasors, sensitivity, ratio of the driven component, clocks, all errors.
 
-    Where there are images also the motion of every frame and the middles of the exposures on the first clock.
+    With images, also the motion of every frame and the middles of the exposures on the first clock.
     """
     preset, images, tie = world.preset, dict[str, Any](), dict[str, float]()
     if world.stereo:
@@ -324,7 +325,7 @@ def truth_tables(run: Run, world: World, draws: Draws) -> dict[str, Any]:
 # One rendered recording, campaigns over frequency and of six components.
 
 TRIGGER_JITTER_S = 30e-9
-TIMES_A_PERIOD = 40  # in which an exposure of one period would be rendered
+RENDERINGS_PER_PERIOD = 40  # for an exposure of one period
 LEAD_S = 0.1  # of the first frame after the first recorder's start, and of a record's end after the last frame
 DRIVE_MPS2 = 60.0
 STEP_HZ = 53.7
@@ -347,12 +348,12 @@ SETUPS = (("z", ""), ("z", "+x"), ("z", "-x"), ("z", "+y"), ("x", ""), ("x", "+y
 
 @dataclass(frozen=True)
 class SimulationOptions:
-    """Switches of truth and noise, each on its own.
+    """Switches of truth and noise.
 
-    `image_noise`, `channel_noise`: shot and read noise; that of amplifiers and of points. `systematic_errors`: what the
-    manifests state as uncertainties is drawn, else everything is exactly as stated. `trigger_jitter`: 30 ns rms.
-    `aliased`: sharp 2 px speckle without lens blur. `frames`: fewer frames. `image_scale`: smaller images of a smaller
-    face, same optics. `recordings`: only the first so many. `violate`: assumptions to break, NAME or NAME=SIZE.
+    `image_noise`: shot and read noise. `channel_noise`: of amplifiers and points. `systematic_errors`: stated
+    uncertainties are sampled, otherwise all values are exact. `trigger_jitter`: 30 ns rms. `aliased`: sharp 2 px
+    speckle without lens blur. `frames`: fewer frames. `image_scale`: smaller images of a smaller face, same optics.
+    `recordings`: only the first ones. `violate`: assumptions to violate, NAME or NAME=SIZE.
     """
 
     image_noise: bool = True
@@ -366,7 +367,7 @@ class SimulationOptions:
     violate: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
-        """Refuse what cannot be a recording."""
+        """Refuse impossible recordings."""
         if self.frames is not None and self.frames < 3:
             raise ValueError(f"frames: expected at least 3, found {self.frames}")
         if not 0.1 <= self.image_scale <= 1:
@@ -376,21 +377,21 @@ class SimulationOptions:
 def runs(preset: str) -> tuple[Run, ...]:
     """Return the recordings of a preset."""
     if preset == "sweep":
-        places = [(step, mounting, repeat) for step in STEPS for mounting in MOUNTINGS for repeat in (1, 2)]
-        return tuple(_sweep_run(*place) for place in places)
+        variants = [(step, mounting, repeat) for step in STEPS for mounting in MOUNTINGS for repeat in (1, 2)]
+        return tuple(_sweep_run(*variant) for variant in variants)
     if preset == "matrix":
         return tuple(_matrix_run(number, axis, arm) for number, (axis, arm) in enumerate(SETUPS, 1))
     return (rendered_run(read_preset(Preset, preset)),)
 
 
 def rendered_run(preset: Preset) -> Run:
-    """Return the one recording of a preset as it stands, driven along z."""
+    """Return the one recording of a preset, driven along z."""
     nominal = round(preset.fundamental_hz, 2)
     return Run(f"Fz {nominal} Hz, simulated", preset, (nominal,))
 
 
 def write_runs(folder: Path, preset: str, seed: int, progress: ProgressCallback, options: SimulationOptions) -> None:
-    """Write the recordings of a preset and the rigs they stand on; `progress` hears of each."""
+    """Write the recordings of a preset and their rigs; `progress` is called for each."""
     chosen = runs(preset)[: options.recordings]
     broken = violations(options.violate, chosen[0].preset)
     jitter_s = TRIGGER_JITTER_S if options.trigger_jitter else 0.0
@@ -411,7 +412,7 @@ def write_run(
     options: SimulationOptions | None = None,
     progress: ProgressCallback = no_progress,
 ) -> Path:
-    """Write one recording into the folder of a campaign, and its rig where there is none yet; return its folder."""
+    """Write one recording into the folder of a campaign, and its rig if it is missing; return its folder."""
     options = options or SimulationOptions()
     preset = run.preset
     records = {daq.file: record(world, daq, draws, options.channel_noise) for daq in preset.daqs}
@@ -437,13 +438,16 @@ def write_run(
 def _write_images(
     folder: Path, world: World, draws: Draws, options: SimulationOptions, progress: ProgressCallback
 ) -> None:
-    """Render, digitise and write every image, frames in parallel: the work is done outside Python's lock."""
+    """Render, digitise and write every image, frames in parallel (without the interpreter lock)."""
     import tifffile
 
     done, frames, exposure = 0, world.preset.frames, world.preset.exposure_s
-    times = max(2, int(np.ceil(TIMES_A_PERIOD * exposure * float(world.preset.frequencies_hz.max()))))
+    times = max(2, int(np.ceil(RENDERINGS_PER_PERIOD * exposure * float(world.preset.frequencies_hz.max()))))
     whole: dict[str, Any] = {"photometric": "minisblack", "metadata": None, "software": False}
-    whole |= {"compression": "zlib", "compressionargs": {"level": 1}}  # of noise, more gains 1 % for twice the time
+    whole |= {
+        "compression": "zlib",
+        "compressionargs": {"level": 1},
+    }  # higher levels gain 1 % for twice the time, because of the noise
 
     def shoot(stereo: TrueStereo, faces: Sequence[Face], view: View, series: Path, number: int, frame: int) -> None:
         face, *patches = faces
@@ -453,9 +457,9 @@ def _write_images(
         bent = bending.bent_view(world, draws, view, face, (middle, exposure)) if load else view
         nodes = 4 if options.aliased else 2
         image = render_exposure(bent, face, pose_at, middle, exposure, nodes, times)
-        still = world.observed_motion(draws, "room", "camera", np.array(stereo.setup.face_centre)).pose
+        at_rest = world.observed_motion(draws, "room", "camera", np.array(stereo.setup.face_centre)).pose
         for patch in patches:
-            image = add_face(image, view, patch, still, (middle, exposure), nodes)
+            image = add_face(image, view, patch, at_rest, (middle, exposure), nodes)
         image = draws.violations("image", image, series.name, float(np.mean(middle)), frame / frames)
         rng = draws.stream(f"{series.name}.{frame}") if options.image_noise else None
         stream = io.BytesIO()
@@ -477,20 +481,21 @@ def _write_images(
                 series = folder / f"{name}-{side}"
                 series.mkdir()
                 tasks = [
-                    pool.submit(shoot, stereo, (face, *patches), view, series, *place) for place in enumerate(stored)
+                    pool.submit(shoot, stereo, (face, *patches), view, series, *numbers)
+                    for numbers in enumerate(stored)
                 ]
                 for task in tasks:
                     task.result()
                     done += 1
                     progress("render", done, sum(len(pair.setup.sides) for pair in world.stereo) * frames)
     finally:
-        pool.shutdown(cancel_futures=True)  # who interrupts need not wait for the images that are left
+        pool.shutdown(cancel_futures=True)  # an interruption does not wait for the remaining images
 
 
 def driven(
     preset: Preset, recording: str, fundamental_hz: float, motion: ComplexArray, multiples: Sequence[int] = (1, 2)
 ) -> Preset:
-    """Return a preset with lines and motion (K, 6) of one recording, and records that hold all its frames."""
+    """Return a preset with lines and motion (K, 6) of one recording, and complete DAQ records."""
     end = LEAD_S + preset.frames / preset.camera_rate_hz + LEAD_S
     return replace(
         preset,
@@ -504,15 +509,15 @@ def driven(
 
 
 def camera_rate(preset: Preset, frequency_hz: float) -> float:
-    """Return a camera rate near 53 Hz that beats with a line and is no simple fraction of the recorders' rates.
+    """Return a camera rate near 53 Hz that beats with a line and is no simple fraction of DAQ rates.
 
-    Of rates that let the line advance by about 0.3 cycles from frame to frame it is the one whose edges leave the
-    smallest gaps between their places in the sampling intervals: the gap is what the trigger's instant stays open to.
+    At the candidate rates a line advances by about 0.3 cycles per frame. The selected rate has the smallest gap between
+    the phases of its edges in the sampling intervals: this gap limits the resolution of the trigger instants.
     """
 
     def gap_s(rate_hz: float, sampling_hz: float) -> float:
-        place = np.sort(np.arange(preset.frames) * sampling_hz / rate_hz % 1.0)
-        return float(np.max(np.diff(np.append(place, place[0] + 1.0))) / sampling_hz)
+        phase = np.sort(np.arange(preset.frames) * sampling_hz / rate_hz % 1.0)
+        return float(np.max(np.diff(np.append(phase, phase[0] + 1.0))) / sampling_hz)
 
     rates = frequency_hz / (np.floor(frequency_hz / 53.0) + np.linspace(*_BEATS, 61))
     return float(min(rates, key=lambda rate: max(gap_s(float(rate), daq.sample_rate_hz) for daq in preset.daqs)))
@@ -521,8 +526,8 @@ def camera_rate(preset: Preset, frequency_hz: float) -> float:
 def _sweep_run(step: int, mounting: str, repeat: int) -> Run:
     """Return one recording of the sweep.
 
-    The body rocks as an oscillator at 375.9 Hz that the axial motion drives: α = a·c/(1 − η² + 2jζη). Every recording
-    starts at another moment and is driven within 1 % of the same amplitude.
+    The body rocks as an oscillator at 375.9 Hz, excited by the axial motion: α = a·c/(1 − η² + 2jζη). Every recording
+    starts at another moment, with an amplitude within 1 %.
     """
     nominal = round(step * STEP_HZ, 1)
     rng = np.random.default_rng((step, int(mounting), repeat))
@@ -545,24 +550,24 @@ def _sweep_run(step: int, mounting: str, repeat: int) -> Run:
 
 
 def _matrix_run(number: int, axis: str, arm: str) -> Run:
-    """Return one recording for the matrix, mounted anew, the sensor's `axis` upwards.
+    """Return one recording for the matrix, mounted again, with the sensor's `axis` upwards.
 
-    One translation is driven, the other components move by 1 to 2 % of it, phases at random. The moment mass is one and
-    the same cylinder, wherever it is clamped.
+    One translation is driven; the other components move by 1 to 2 % of it with random phases. The moment mass is the
+    same cylinder at every arm.
     """
-    place = "xyz".index(axis)
+    index = "xyz".index(axis)
     rng = np.random.default_rng([6, number])
     size = _SIDE * np.array([1.0, 1.0, 1.0, 10.0, 10.0, 10.0])
-    size[place] = 1.0
+    size[index] = 1.0
     amplitude = DRIVE_MPS2 * size * rng.uniform(0.5, 1.0, (len(MULTIPLES), 6))
-    amplitude[:, place] = DRIVE_MPS2
+    amplitude[:, index] = DRIVE_MPS2
     motion = amplitude * np.exp(2j * np.pi * rng.uniform(size=amplitude.shape))
     rig = read_preset(Preset, "matrix")
     cross, mass = rig.parts
     parts = (cross, replace(mass, centre_of_mass=_ARMS[arm])) if arm else ()
-    x, y, z = (0.0 - float(v) + 0.0 for v in np.eye(3)[place])
+    x, y, z = (0.0 - float(v) + 0.0 for v in np.eye(3)[index])
     rig = replace(rig, rig_name=f"{rig.rig_name}, {axis} upwards", down=(x, y, z), parts=parts)
-    x, y, z = np.eye(3)[place].tolist()
+    x, y, z = np.eye(3)[index].tolist()
     direction = wrench_direction((rig.load, rig.internal, *parts), (x, y, z)) if arm else (x, y, z)
     share = np.abs(direction) / np.array(rig.capacity[: len(direction)])
     name = f"{number}-{axis}" + (f"-mass-{arm}" if arm else "")
@@ -580,7 +585,7 @@ def _matrix_run(number: int, axis: str, arm: str) -> Run:
 
 
 def wrench_direction(parts: tuple[PartSpec, ...], translation: tuple[float, float, float]) -> tuple[float, ...]:
-    """Return the six load components that a unit acceleration of rigid parts needs, as they are stated: N and N·m."""
+    """Return the six load components of a unit acceleration of rigid parts, N and N·m."""
     amplitude = np.array([[*translation, 0.0, 0.0, 0.0]], dtype=np.complex128)
     rigid = [TruePart(p.mass, np.array(p.centre_of_mass), np.diag(p.inertia)) for p in parts]
     total = wrench(SimulatedMotion(np.array([1.0]), amplitude), rigid, np.zeros(3))[0].real

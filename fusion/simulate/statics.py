@@ -1,8 +1,8 @@
-"""What is not recorded over time: a rotation test, pictures of a target, an elastic element.
+"""Simulations without time series: a rotation test, images of a target, an elastic element.
 
 `rotation`: a sensor on an indexing head, read over a turn and back, without and with its load. `targets`: a calibration
-session, pictures from both cameras of a stereo pair, and the true pair. `elastomer`: a cross-beam element as it is
-drawn, and the sensor made of it, whose dimensions are off by their tolerances.
+session with images from both cameras of a stereo pair, and the true pair. `elastomer`: the drawing of a cross-beam
+element, and the sensor made of it, whose dimensions deviate within their tolerances.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ GEOMETRY_FILE = "elastomer.toml"
 
 @dataclass(frozen=True, config=CHECKED)
 class RotationRig:
-    """Truth and nominal values: masses in kg, places in m, angles in rad; outputs in mV/V as amplifiers show them."""
+    """Truth and nominal values: masses in kg, positions in m, angles in rad, outputs in mV/V."""
 
     internal_mass_kg: float
     internal_centre_m: Vector
@@ -65,10 +65,10 @@ class RotationRig:
 
 
 def write_rotation(folder: Path, seed: int, rig: RotationRig | None = None) -> tuple[Path, Path]:
-    """Write `rig.toml` and the recordings without and with load into an empty folder and return their folders.
+    """Write `rig.toml` and the recordings without and with load, and return their folders.
 
-    Everything stated as an uncertainty is drawn, gravity and air density among them. Hysteresis shifts the first
-    harmonic by an angle of its own sign for either sense of turning.
+    All stated uncertainties are sampled, including gravity and air density. Hysteresis shifts the first harmonic by an
+    angle whose sign depends on the sense of rotation.
     """
     rig = rig or read_preset(RotationRig, "rotation")
     draws = Draws(seed, True)
@@ -116,8 +116,8 @@ def write_rotation(folder: Path, seed: int, rig: RotationRig | None = None) -> t
 
 
 def true_outputs(rig: RotationRig, name: str, angle_rad: FloatArray, sense: FloatArray, draws: Draws) -> FloatArray:
-    """Return the outputs (N, 6) without noise at angles (N,) come to in a sense (N,) of +1 or -1."""
-    gravity, air = (float(known.value + draws.normal(key, known.u)) for known, key in _surroundings(rig))
+    """Return the outputs (N, 6) without noise at angles (N,), approached in a sense (N,) of ±1."""
+    gravity, air = (float(stated.value + draws.normal(key, stated.u)) for stated, key in _surroundings(rig))
     shares = {BARE: [(rig.internal_mass_kg, 1.0 / 5000.0, np.array(rig.internal_centre_m))]}
     mass = rig.load_mass_kg + float(draws.normal("load.mass", rig.u_load_mass_kg))
     centre = np.array(rig.load_centre_m) + draws.normal("load.centre", rig.u_load_centre_m, 3)
@@ -135,13 +135,16 @@ def true_outputs(rig: RotationRig, name: str, angle_rad: FloatArray, sense: Floa
 
 
 def _surroundings(rig: RotationRig) -> list[tuple[Any, str]]:
-    """Gravity and air as the program will take them, by name."""
+    """Return gravity and air as in the program, by name."""
     gravity = gravity_at(float(np.radians(rig.latitude_deg)), rig.height_m)
     return [(gravity, "gravity"), (air_density_at(rig.height_m, None, rig.temperature_c, None), "air density")]
 
 
 def _readings(rig: RotationRig, name: str, draws: Draws) -> str:
-    """CSV text: a turn forward and back, every output in mV/V with noise, offset and the display's last digit."""
+    """Return CSV text: a turn forward and back, every output in mV/V.
+
+    Noise, offset and the resolution of the display are included.
+    """
     steps = round(2.0 * np.pi / rig.step_rad)
     forward = np.arange(steps + 1) * rig.step_rad
     angle = np.concatenate([forward, forward[::-1]])
@@ -156,7 +159,7 @@ def _readings(rig: RotationRig, name: str, draws: Draws) -> str:
 
 
 def _rotation_truth(rig: RotationRig, name: str, draws: Draws) -> dict[str, Any]:
-    """Return truth.json: masses, centres, gravity and every error drawn."""
+    """Return truth.json: masses, centres, gravity and all sampled errors."""
     drawn = draws.values
     return {
         "format": 1,
@@ -174,7 +177,7 @@ def _rotation_truth(rig: RotationRig, name: str, draws: Draws) -> dict[str, Any]
 
 @dataclass(frozen=True, config=CHECKED)
 class SessionPreset:
-    """A target as `Target` has it, pictures of `size_px` that show about `field_m` of it, and their image sensor."""
+    """A target, images of `size_px` that show about `field_m` of it, and their image sensor."""
 
     kind: Literal["charuco"]
     spacing_m: float
@@ -190,12 +193,12 @@ class SessionPreset:
 
     @property
     def board(self) -> Board:
-        """The target as it is printed."""
+        """The target as printed."""
         return Board(Target(self.kind, self.spacing_m, self.size, self.dictionary))
 
 
 def write_session(folder: Path, seed: int, progress: ProgressCallback) -> None:
-    """Write `left/00.png` …, `right/00.png` … and the true calibration `truth.json` of a random pair into a folder."""
+    """Write `left/00.png` …, `right/00.png` … and `truth.json` of a random pair."""
     import cv2
 
     preset, rng = read_preset(SessionPreset, "targets"), np.random.default_rng(seed)
@@ -207,8 +210,8 @@ def write_session(folder: Path, seed: int, progress: ProgressCallback) -> None:
         (folder / side).mkdir()
         for number, pose in enumerate(poses):
             seen = render_board(camera, relative @ pose, preset.board, preset.blur_px, slant=0.1)
-            picture = sensor.digitise(seen, rng)
-            _, text = cv2.imencode(".png", picture.astype(np.uint8))
+            image = sensor.digitise(seen, rng)
+            _, text = cv2.imencode(".png", image.astype(np.uint8))
             write_file(folder / side / f"{number:02d}.png", text.tobytes())
             progress("render", SIDES.index(side) * preset.views + number + 1, 2 * preset.views)
     write_calibration(folder / TRUTH_FILE, rig)
@@ -216,10 +219,10 @@ def write_session(folder: Path, seed: int, progress: ProgressCallback) -> None:
 
 @dataclass(frozen=True, config=CHECKED)
 class ElementPreset:
-    """An element as `elastomer.toml` states it (`drawing`), and of the sensor made of it what is not drawn.
+    """An element as in `elastomer.toml` (`drawing`), and properties of its sensor.
 
-    `tolerance_m`: standard deviations of what was milled, by dimension; `damping_ratio` with its standard uncertainty;
-    `u_frequency`: relative; `noise` in V/V.
+    `tolerance_m`: standard deviations of machined dimensions. `damping_ratio` with its standard uncertainty.
+    `u_frequency`: relative. `noise` in V/V.
     """
 
     drawing: dict[str, Any]
@@ -232,7 +235,7 @@ class ElementPreset:
 
 
 def write_element(folder: Path, seed: int) -> Path:
-    """Write `elastomer.toml`, the measured `models.json` and `truth.json` into an empty folder and return the first."""
+    """Write `elastomer.toml`, the measured `models.json` and `truth.json`, and return the first."""
     preset, draws = read_preset(ElementPreset, "elastomer"), Draws(seed, True)
     drawing = preset.drawing
     blocks = ("material", "beams", "compliant_beams", "platform")
@@ -260,7 +263,7 @@ def write_element(folder: Path, seed: int) -> Path:
 
 
 def _entry(preset: ElementPreset, component: str, frequency_hz: float, draws: Draws) -> ModelEntry:
-    """The model of one channel as a step response would tell it, with a frequency that is off by its uncertainty."""
+    """Return the model of one channel as from a step response, with an error of its frequency."""
     zeta = preset.damping_ratio
     measured = frequency_hz * (1.0 + float(draws.normal(f"{component}.frequency", preset.u_frequency)))
     omega, gain = 2.0 * np.pi * measured, 1e-6

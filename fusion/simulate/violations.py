@@ -1,7 +1,7 @@
-"""What a simulated recording breaks of what the program assumes: `shakercal simulate --violate NAME[=SIZE]`.
+"""Violations of the program's assumptions: `shakercal simulate --violate NAME[=SIZE]`.
 
-Written apart from the estimator's model: nothing here comes from the modules that evaluate a recording. The same seed
-with and without a violation draws the same errors and the same noise, so that two recordings differ by it alone.
+They are independent of the estimator's model: no evaluating module is imported. The same seed with and without a
+violation gives the same errors and noise, so that two recordings differ only by it.
 """
 
 from __future__ import annotations
@@ -29,12 +29,11 @@ Records = Mapping[str, Record]
 
 @dataclass(frozen=True)
 class Violation:
-    """One assumption that a simulation breaks.
+    """One assumption that a simulation violates.
 
-    `size` in `unit` where none is given; `about`: the physics in one sentence. `expects`: words of which a notice that
-    names the right cause, or the group it belongs to, has one; `assumption`: words of a notice that names the
-    assumption whether it holds or not. `needs`: what a preset must have (`channels`: nothing
-    more, `cameras`, `images`). `changes`: by stage of the simulation a function of its value, the size, its context.
+    `size` in `unit`: the default. `about`: the physics in one sentence. `expects`: words of notices with the right
+    cause or its group. `assumption`: words of notices that always name the assumption. `needs`: requirement of the
+    preset (`channels`: none, `cameras`, `images`). `changes`: by stage a function of its value, the size, its context.
     """
 
     unit: str
@@ -47,7 +46,7 @@ class Violation:
 
 
 def violations(texts: Sequence[str], preset: Preset) -> Violations:
-    """Return what `texts` (NAME or NAME=SIZE) break in a preset; `ValueError` for what it has not or cannot show."""
+    """Return the violations of `texts` (NAME or NAME=SIZE); `ValueError` if the preset has none."""
     active, sizes = [], dict[str, float]()
     for text in texts:
         name, equals, number = text.partition("=")
@@ -72,43 +71,43 @@ def violations(texts: Sequence[str], preset: Preset) -> Violations:
     return Violations(tuple(active), sizes)
 
 
-# Placement: where beams really point, and what a laboratory misstates.
+# Placement: true directions of beams, and wrong statements.
 
 
 def _head_tilt(direction: FloatArray, size: float, spec: ChannelSpec, _: Preset) -> FloatArray:
-    """Turn all beams of the head as one, about an axis across the usual beams."""
+    """Rotate all beams of the head together, about an axis across the usual beams."""
     if spec.quantity != "velocity":
         return direction
-    turned = direction + np.cross(size * np.array([0.8, -0.6, 0.0]), direction)
-    return np.asarray(turned / np.linalg.norm(turned))
+    tilted = direction + np.cross(size * np.array([0.8, -0.6, 0.0]), direction)
+    return np.asarray(tilted / np.linalg.norm(tilted))
 
 
 def _scanner_fan(direction: FloatArray, size: float, spec: ChannelSpec, preset: Preset) -> FloatArray:
-    """Let beams stated as parallel leave one mirror at a distance, above the middle of their points."""
+    """Let beams stated as parallel leave one mirror above the centre of their points."""
     if spec.quantity != "velocity":
         return direction
     nominal, point = np.array(spec.direction), np.array(spec.point)
-    own = [
+    points = [
         np.array(other.point)
         for daq in preset.daqs
         for other in daq.channels
         if other.quantity == "velocity" and other.direction == spec.direction
     ]
-    off = point - np.mean(own, axis=0)
+    off = point - np.mean(points, axis=0)
     fanned = direction + (off - nominal * (off @ nominal)) / size  # the reading is positive away from the mirror
     return np.asarray(fanned / np.linalg.norm(fanned))
 
 
-def _misstated(way: FloatArray | float, *names: str) -> Callable[..., FloatArray]:
-    """Return the change of the errors drawn by these names, by so many standard uncertainties along `way`."""
+def _misstated(direction: FloatArray | float, *names: str) -> Callable[..., FloatArray]:
+    """Return the change of some errors by multiples of their u along a `direction`."""
 
     def change(value: FloatArray, size: float, drawn: str, uncertainty: float | FloatArray) -> FloatArray:
-        return np.asarray(value + size * uncertainty * way) if drawn in names else value
+        return np.asarray(value + size * uncertainty * direction) if drawn in names else value
 
     return change
 
 
-# Motion: what moves besides what the program believes, and what only some instruments see.
+# Motion: additional motions, and motions that only some instruments observe.
 
 
 def _transverse(acceleration: ComplexArray, size: float) -> ComplexArray:
@@ -121,7 +120,7 @@ def _transverse(acceleration: ComplexArray, size: float) -> ComplexArray:
 
 
 def _shaken(*instruments: str) -> Callable[..., SimulatedMotion]:
-    """Return the change of the motion that instruments see which move themselves, along the driven axis and across."""
+    """Return the change of the motion seen by shaken instruments, along the driven axis and across."""
 
     def change(
         motion: SimulatedMotion, size: float, world: World, _: str, instrument: str, __: FloatArray
@@ -130,10 +129,10 @@ def _shaken(*instruments: str) -> Callable[..., SimulatedMotion]:
             return motion
         drive = world.motion["load"].acceleration
         main = int(np.argmax(np.abs(drive[0, :3])))
-        own = np.zeros_like(drive)
-        own[:, main] = size * drive[:, main] * np.exp(0.7j)
-        own[:, (main + 1) % 3] = 0.5 * own[:, main]
-        return SimulatedMotion(motion.frequency_hz, motion.acceleration - own)
+        shake = np.zeros_like(drive)
+        shake[:, main] = size * drive[:, main] * np.exp(0.7j)
+        shake[:, (main + 1) % 3] = 0.5 * shake[:, main]
+        return SimulatedMotion(motion.frequency_hz, motion.acceleration - shake)
 
     return change
 
@@ -146,7 +145,7 @@ def _height(preset: Preset) -> float:
 
 
 def _loaded(world: World, more: ComplexArray) -> World:
-    """Return a world in which the sensor carries `more` (K, 6), a wrench that moves the load."""
+    """Return a world with an additional wrench `more` (K, 6) on the sensor."""
     total = world.load_wrench + (1.0 if world.preset.sense == "on_load" else -1.0) * more
     return replace(world, load_wrench=total, outputs=np.einsum("kcj,kj->kc", world.sensitivity, total))
 
@@ -163,7 +162,7 @@ def _axial_angle(frequency_hz: FloatArray, size: float) -> FloatArray:
 def _axial_seen(
     motion: SimulatedMotion, size: float, world: World, body: str, _: str, point: FloatArray
 ) -> SimulatedMotion:
-    """Show the rod's own motion at a height h: cos(k(L − h))/cos(kL) times that of its lower end."""
+    """Return the motion of a rod at a height h: cos(k(L − h))/cos(kL) times that of its lower end."""
     if body != "load":
         return motion
     angle, share = _axial_angle(motion.frequency_hz, size), float(np.clip(point[2] / _height(world.preset), 0.0, 1.0))
@@ -183,7 +182,7 @@ def _axial_load(world: World, size: float) -> World:
 def _bending(motion: SimulatedMotion, size: float, world: World) -> ComplexArray:
     """Return the motion (K, 2) of the tip along x and y in the first bending mode, undamped.
 
-    Shape of a cantilever, φ(s) = s²(3 − s)/2 over s = h/L, participation ∫φ/∫φ² = (3/8)/(33/140); it is driven by the
+    Shape of a cantilever, φ(s) = s²(3 − s)/2 over s = h/L, participation ∫φ/∫φ² = (3/8)/(33/140). It is excited by the
     transverse motion at half the height.
     """
     frequency_hz, a = motion.frequency_hz, motion.acceleration
@@ -196,14 +195,14 @@ def _bending(motion: SimulatedMotion, size: float, world: World) -> ComplexArray
 def _bending_seen(
     motion: SimulatedMotion, size: float, world: World, body: str, _: str, point: FloatArray
 ) -> SimulatedMotion:
-    """Show what the mode adds at a height: φ(s) of the tip's motion, and the turn φ'(s)/L."""
+    """Add the mode at a height: φ(s) of the tip's motion, and the rotation φ'(s)/L."""
     if body != "load":
         return motion
     tip, height = _bending(motion, size, world), _height(world.preset)
     s = float(np.clip(point[2] / height, 0.0, 1.0))
     shift, turn = s * s * (3.0 - s) / 2.0, (3.0 * s - 1.5 * s * s) / height
     seen = motion.acceleration.copy()
-    seen[:, :2] += shift * tip - turn * point[2] * tip  # of the origin, which turns with the point
+    seen[:, :2] += shift * tip - turn * point[2] * tip  # of the origin, which rotates with the point
     seen[:, 3] -= turn * tip[:, 1]
     seen[:, 4] += turn * tip[:, 0]
     return SimulatedMotion(motion.frequency_hz, seen)
@@ -218,7 +217,7 @@ def _bending_load(world: World, size: float) -> World:
 
 
 def _cable(world: World, size: float) -> World:
-    """Hold the load's top by a spring to the room: the sensor must pull it along, k·x with its moment."""
+    """Connect the top of the load to the surroundings by a spring: a force k·x with its moment."""
     motion, clamp = world.motion["load"], np.array([0.03, 0.0, _height(world.preset)])
     moved = motion.displacement[:, :3] + np.cross(motion.displacement[:, 3:], clamp)
     pull = size * np.array([0.3, 0.3, 1.0]) * moved
@@ -226,18 +225,18 @@ def _cable(world: World, size: float) -> World:
 
 
 def _warm(world: World, size: float) -> World:
-    """Let the outputs grow with the sensor's temperature; the sensitivity sought is that at the reference."""
+    """Increase the outputs with the sensor's temperature."""
     return replace(world, outputs=world.outputs * (1.0 + COEFFICIENT_PER_K * size))
 
 
 def _trigger_jitter(world: World, size: float) -> World:
-    """Shift edges and exposures periodically, at twice the first line, which folds onto the line itself."""
+    """Shift edges and exposures periodically, at twice the first line, which aliases to it."""
     frequency_hz, edges = 2.0 * float(world.preset.frequencies_hz[0]), world.trigger_s
     return replace(world, trigger_s=edges + size * np.sin(2 * np.pi * frequency_hz * edges + 0.4))
 
 
 def _locked_clocks(world: World, size: float) -> World:
-    """Take frames every so many whole samples of the first recorder, but for `size` samples over the record."""
+    """Set the frame period to whole samples of the first recorder, plus `size` samples per record."""
     number, edges = np.arange(len(world.trigger_s)), world.trigger_s
     sample_s = 1.0 / world.preset.daqs[0].sample_rate_hz
     slope = float(np.polyfit(number, edges, 1)[0])
@@ -245,7 +244,7 @@ def _locked_clocks(world: World, size: float) -> World:
     return replace(world, trigger_s=edges + (period_s - slope) * number)
 
 
-# Records: what recorders do to channels, and what people do.
+# Records: errors of recorders and of users.
 
 
 def _channels(preset: Preset, quantity: str) -> list[tuple[str, str]]:
@@ -261,85 +260,87 @@ def _put(records: Records, changed: Mapping[tuple[str, str], FloatArray]) -> Rec
     return {file: replace(record, samples=new[file]) for file, record in records.items()}
 
 
-def _samples(records: Records, place: tuple[str, str]) -> FloatArray:
-    return np.asarray(records[place[0]].samples[place[1]], dtype=np.float64)
+def _samples(records: Records, channel: tuple[str, str]) -> FloatArray:
+    return np.asarray(records[channel[0]].samples[channel[1]], dtype=np.float64)
 
 
 def _nonlinear(records: Records, size: float, world: World) -> Records:
-    """Compress the sensor's outputs by v³: `size` is the deviation at the largest value of each record."""
+    """Compress the sensor's outputs by v³: `size` is the deviation at the largest value."""
     changed = {}
-    for place in _channels(world.preset, "output"):
-        values = _samples(records, place)
-        changed[place] = values * (1.0 - size * (values / np.abs(values).max()) ** 2)
+    for channel in _channels(world.preset, "output"):
+        values = _samples(records, channel)
+        changed[channel] = values * (1.0 - size * (values / np.abs(values).max()) ** 2)
     return _put(records, changed)
 
 
 def _folded(records: Records, size: float, world: World) -> Records:
-    """Add to the sensor's outputs what a harmonic beyond the Nyquist frequency leaves 0.3 bins from the first line."""
+    """Add the alias of a harmonic beyond the Nyquist frequency to the outputs, 0.3 bins from the line."""
     changed = {}
-    for place in _channels(world.preset, "output"):
-        values, record = _samples(records, place), records[place[0]]
+    for channel in _channels(world.preset, "output"):
+        values, record = _samples(records, channel), records[channel[0]]
         time = np.arange(len(values)) / record.sample_rate_hz
         line = float(world.preset.frequencies_hz[0]) + 0.3 / float(time[-1])
         amplitude = size * np.sqrt(2.0) * values.std()
-        changed[place] = values + amplitude * np.cos(2 * np.pi * line * time + 1.1)
+        changed[channel] = values + amplitude * np.cos(2 * np.pi * line * time + 1.1)
     return _put(records, changed)
 
 
 def _reversed(quantity: str) -> Callable[..., Records]:
-    """Return the change that reverses the first `size` channels of a quantity, of outputs the driven one first."""
+    """Return the change that reverses the first `size` channels of a quantity."""
 
     def change(records: Records, size: float, world: World) -> Records:
-        places = _ordered(world, quantity)[: round(size)]
-        return _put(records, {place: -_samples(records, place) for place in places})
+        channels = _ordered(world, quantity)[: round(size)]
+        return _put(records, {channel: -_samples(records, channel) for channel in channels})
 
     return change
 
 
 def _exchanged(quantity: str) -> Callable[..., Records]:
-    """Return the change that exchanges `size` pairs of channels of a quantity, of outputs the driven one first."""
+    """Return the change that exchanges `size` pairs of channels of a quantity."""
 
     def change(records: Records, size: float, world: World) -> Records:
-        places = _ordered(world, quantity)
-        pairs = list(zip(places[::2], places[1::2], strict=False))[: round(size)]
+        channels = _ordered(world, quantity)
+        pairs = list(zip(channels[::2], channels[1::2], strict=False))[: round(size)]
         both = [*pairs, *((second, first) for first, second in pairs)]
-        return _put(records, {place: _samples(records, other) for place, other in both})
+        return _put(records, {channel: _samples(records, other) for channel, other in both})
 
     return change
 
 
 def _ordered(world: World, quantity: str) -> list[tuple[str, str]]:
-    """Return the channels of a quantity; outputs by what share of their rating they hold, the largest first."""
-    places = _channels(world.preset, quantity)
+    """Return the channels of a quantity; outputs by their share of the rating, the largest first."""
+    channels = _channels(world.preset, quantity)
     if quantity != "output":
-        return places
+        return channels
     rated = np.array(world.preset.sensitivity) * np.array(world.preset.capacity)
     share = np.abs(world.outputs[0]) / rated
-    return [places[i] for i in np.argsort(-share)]
+    return [channels[i] for i in np.argsort(-share)]
 
 
 def _unit(records: Records, size: float, world: World) -> Records:
-    """Record accelerations in a unit of `size` m/s² that the manifest takes for 1 m/s²."""
-    return _put(records, {place: _samples(records, place) / size for place in _channels(world.preset, "acceleration")})
+    """Record accelerations in a unit of `size` m/s² that the manifest states as 1 m/s²."""
+    return _put(
+        records, {channel: _samples(records, channel) / size for channel in _channels(world.preset, "acceleration")}
+    )
 
 
-# Cameras: frames, pictures, and points that another program took from them.
+# Cameras: frames, images, and points of another program.
 
 
 def _first_pair(setup: StereoSetup) -> bool:
     return setup.body == "load"
 
 
-def _frames_lost(kept: NDArray[np.int64], size: float, setup: StereoSetup) -> NDArray[np.int64]:
-    """Lose frames in the middle of the load's pair; what follows is numbered as if nothing had happened."""
-    lost = np.arange(round(size), dtype=np.int64) + len(kept) // 2
-    return kept[~np.isin(kept, lost)] if _first_pair(setup) else kept
+def _frames_lost(frames: NDArray[np.int64], size: float, setup: StereoSetup) -> NDArray[np.int64]:
+    """Lose frames in the middle of the load's pair; the following ones are renumbered."""
+    lost = np.arange(round(size), dtype=np.int64) + len(frames) // 2
+    return frames[~np.isin(frames, lost)] if _first_pair(setup) else frames
 
 
 def _drifting_points(position: FloatArray, size: float, setup: StereoSetup) -> FloatArray:
-    """Move points as the left camera's image drifts by `size` px over the record: a ray that turns meets the other.
+    """Move points as the left camera's image drifts by `size` px over the record.
 
-    With the angle θ between the cameras the meeting point moves by s across the ray and by s·cot θ along it.
+    With the angle θ between the cameras the point moves by s across the ray and by s·cot θ along it.
     """
     if not _first_pair(setup):
         return position
@@ -354,24 +355,24 @@ def _drifting_image(image: FloatArray, size: float, series: str, _: float, share
 
 
 def _flicker(image: FloatArray, size: float, _: str, middle_s: float, __: float) -> FloatArray:
-    """Let lamps on the mains brighten and darken the picture."""
+    """Vary the brightness of the image with mains lamps."""
     return np.asarray(image * (1.0 + size * np.cos(2 * np.pi * FLICKER_HZ * middle_s)) / (1.0 + size))
 
 
 def _repeating(face: Face, size: float) -> Face:
-    """Print the foil from one tile of so many metres, side by side."""
+    """Print the foil from one repeated tile of `size` m."""
     return replace(face, texture=tile_texture(face.texture, size))
 
 
 def _bit_depth(tables: dict[str, Any], size: float) -> dict[str, Any]:
-    """State so many more bits than the pictures have."""
+    """State `size` more bits than the images have."""
     pairs = {name: keys | {"bit_depth": keys["bit_depth"] + round(size)} for name, keys in tables["stereo"].items()}
     return tables | {"stereo": pairs}
 
 
 _LASERS = ("velocity", "laser", "vibrometer", "beam")
 _CAMERAS = ("stereo", "camera", "points")
-_FIRST_LASER = ("velocity_1", "velocity_1x")  # as the presets call it
+_FIRST_LASER = ("velocity_1", "velocity_1x")  # of the presets
 _ACROSS = np.array([0.8, -0.6, 0.0])
 
 CATALOGUE: dict[str, Violation] = {
@@ -591,4 +592,4 @@ CATALOGUE: dict[str, Violation] = {
         {"records": _unit},
     ),
 }
-"""What can be violated, by name."""
+"""Violations by name."""

@@ -1,4 +1,4 @@
-"""What really happens in a simulation: errors drawn by name, motion of load and base, load, the sensor's answer.
+"""True motion of a simulation: sampled errors, motion of load and base, load, sensor output.
 
 Newton and Euler of each rigid part: F = m·(a + α × c) + m·θ × g, M = c × F + I·α, θ = −α/ω².
 """
@@ -21,27 +21,32 @@ from photogram.synthetic.scene import View, motion_bound, view_of
 from shaker.arrays import ComplexArray, FloatArray
 
 MOUNTING_ERRORS = ("point", "direction", "transverse", "centre_of_mass")
-"""Last parts of the names of errors that are made anew whenever something is mounted."""
-RECORDING_ERRORS = ("noise", "trigger jitter", "points")  # last parts of the names of what no two recordings share
+"""Last parts of the names of errors that differ between mountings."""
+RECORDING_ERRORS = (
+    "noise",
+    "trigger jitter",
+    "points",
+)  # last parts of the names of errors that differ between recordings
 STATIC_UNCERTAINTY = 1e-3  # relative change of a sensor since its static calibration, one standard deviation
-GRID = (8, 5)  # points on a face, as another correlation program writes them
-_INSIDE = 0.68  # of the half size: the grid's corners stay on a round face
+GRID = (8, 5)  # points on a face, as in tables of other correlation programs
+_INSIDE = 0.68  # of the half size: the corners of the grid are on a round face
 _NOISE_M = (0.7e-6, 0.7e-6, 1.8e-6)  # of these points: x, y and along the view of the left camera
 _T = TypeVar("_T")
 
 
 @dataclass(frozen=True)
 class Violations:
-    """What a simulation breaks of the program's assumptions: size and, by stage, what is changed; `sizes` by name.
+    """Assumptions of the program that a simulation violates: size and changes by stage.
 
-    The simulator hands what it has made at a stage through here; without violations it comes back as it is.
+    The simulator passes its value at each stage through this object; without violations it is unchanged. `sizes`: by
+    name.
     """
 
     active: tuple[tuple[float, Mapping[str, Callable[..., Any]]], ...] = ()
     sizes: Mapping[str, float] = field(default_factory=dict)
 
     def __call__(self, stage: str, value: _T, *context: Any) -> _T:
-        """Return a value of this stage as all that is violated leaves it; each change gets value, size, context."""
+        """Return the value of a stage after all changes; each gets value, size, context."""
         for size, changes in self.active:
             if stage in changes:
                 value = changes[stage](value, size, *context)
@@ -50,12 +55,12 @@ class Violations:
 
 @dataclass(frozen=True)
 class Draws:
-    """Normal deviates by name: each name has its own stream of `seed`, so that none depends on what else is drawn.
+    """Normal deviates by name, each with a separate stream of `seed`.
 
-    `systematic` False gives zeros. `values` remembers every error drawn, for the truth file. The errors of a rig are
-    those of all recordings of a campaign; where `mounting` is given, what was mounted (`MOUNTED`) differs from mounting
-    to mounting, but for the sensor's own parts, which are never taken off; where `recording` is given, noise
-    (`RECORDED`) differs from recording to recording. `broken`: the assumptions that are violated.
+    `systematic` False gives zeros. `values` records every sampled error for the truth file. The errors of a rig are
+    common to all recordings of a campaign. With `mounting`, errors of mounted instruments (`MOUNTING_ERRORS`) differ
+    between mountings, except those of the sensor's internal parts. With `recording`, noise (`RECORDING_ERRORS`) differs
+    between recordings. `violations`: the violated assumptions.
     """
 
     seed: int
@@ -75,7 +80,7 @@ class Draws:
         return np.random.default_rng([self.seed, zlib.crc32(whole.encode())])
 
     def normal(self, name: str, uncertainty: float | FloatArray, count: int | None = None) -> FloatArray:
-        """Return errors (count,) or scalar-shaped () of the given standard uncertainty, and remember them."""
+        """Return errors (count,) or scalar () of a standard uncertainty, and record them."""
         deviate = self.stream(name).standard_normal(count)
         value = np.asarray(deviate * uncertainty if self.systematic else 0.0 * deviate * uncertainty)
         value = self.violations("error", value, name, uncertainty)
@@ -84,12 +89,12 @@ class Draws:
         return value
 
     def covariant(self, name: str, covariance: FloatArray) -> FloatArray:
-        """Return errors (P,) with a covariance (P, P), 0 where it is 0, and remember them."""
-        open_ = np.diagonal(covariance) > 0.0
-        scale = np.sqrt(np.diagonal(covariance)[open_])
-        lower = np.linalg.cholesky(covariance[np.ix_(open_, open_)] / np.outer(scale, scale))
+        """Return errors (P,) with a covariance (P, P), 0 if it is 0, and record them."""
+        varying = np.diagonal(covariance) > 0.0
+        scale = np.sqrt(np.diagonal(covariance)[varying])
+        lower = np.linalg.cholesky(covariance[np.ix_(varying, varying)] / np.outer(scale, scale))
         value = np.zeros(len(covariance))
-        value[open_] = (
+        value[varying] = (
             scale * (lower @ self.stream(name).standard_normal(len(scale))) * (1.0 if self.systematic else 0.0)
         )
         self.values[name] = [float(v) for v in value]
@@ -107,7 +112,10 @@ class TruePart:
 
 @dataclass(frozen=True, eq=False)
 class SimulatedMotion:
-    """Harmonic motion of a body: frequency_hz (K,), acceleration (K, 6) phasors of the origin point, m/s², rad/s²."""
+    """Harmonic motion of a body: frequency_hz (K,), acceleration phasors (K, 6) of the origin.
+
+    Units are m/s² and rad/s².
+    """
 
     frequency_hz: FloatArray
     acceleration: ComplexArray
@@ -123,7 +131,7 @@ class SimulatedMotion:
         return 2 * np.pi * self.frequency_hz
 
     def pose(self, time_s: FloatArray | float) -> FloatArray:
-        """Return the poses (..., 6) at times (...,): translation of the origin point, rotation vector, zero mean."""
+        """Return the poses (..., 6) at times (...,): translation of the origin and rotation vector."""
         return harmonic(np.asarray(time_s), self.frequency_hz, self.displacement)
 
 
@@ -138,10 +146,10 @@ def harmonic(time_s: FloatArray, frequency_hz: FloatArray, phasors: ComplexArray
 
 
 def wrench(motion: SimulatedMotion, parts: Sequence[TruePart], gravity: FloatArray) -> ComplexArray:
-    """Return the phasors (K, 6) of force and moment at the origin that move the parts, in the body's own axes.
+    """Return force and moment phasors (K, 6) at the origin that accelerate the parts, in body axes.
 
     Newton and Euler of each part: F = m·(a + α × c) + m·θ × g, M = c × F + I·α, θ = −α/ω². The last term of F is
-    gravity seen from tilted axes: Rᵀ·(−m·g) = −m·g + m·θ × g to first order.
+    gravity in tilted axes: Rᵀ·(−m·g) = −m·g + m·θ × g to first order.
     """
     a, alpha = motion.acceleration[:, :3], motion.acceleration[:, 3:]
     tilt = np.cross(motion.displacement[:, 3:], gravity)
@@ -157,7 +165,7 @@ def wrench(motion: SimulatedMotion, parts: Sequence[TruePart], gravity: FloatArr
 def base_motion(load: SimulatedMotion, mount_hz: FloatArray, damping: float) -> SimulatedMotion:
     """Return the motion of the base below an oscillator per component.
 
-    load/base = (1 + 2jζη)/(1 − η² + 2jζη), η = f/f_0 with the component's own f_0 (`mount_hz`, (6,)).
+    load/base = (1 + 2jζη)/(1 − η² + 2jζη), η = f/f_0 with f_0 of the component (`mount_hz`, (6,)).
     """
     ratio = load.frequency_hz[:, None] / np.asarray(mount_hz)
     transfer = (1 + 2j * damping * ratio) / (1 - ratio**2 + 2j * damping * ratio)
@@ -165,10 +173,10 @@ def base_motion(load: SimulatedMotion, mount_hz: FloatArray, damping: float) -> 
 
 
 def sensitivity(frequency_hz: FloatArray, static: FloatArray, damping_s: FloatArray, lag_s: float) -> ComplexArray:
-    """Return the complex sensitivity (K, 6, 6), output per load component, of a spring-damper sensor behind a filter.
+    """Return the complex sensitivity (K, 6, 6) of a spring-damper sensor behind a filter.
 
-    Outputs follow the spring's deflection: component i of the load counts 1/(1 + jω·b_i/k_i) (`damping_s` = b/k),
-    and the chain is a first-order low-pass 1/(1 + jω·lag). `static` (6, 6) carries the cross-talk.
+    Outputs follow the spring's deflection: component i of the load has the factor 1/(1 + jω·b_i/k_i) (`damping_s` =
+    b/k), and the chain is a first-order low-pass 1/(1 + jω·lag). `static` (6, 6) includes the cross-talk.
     """
     jw = 2j * np.pi * frequency_hz[:, None]
     per_component = 1 / (1 + jw * damping_s) / (1 + jw * lag_s)
@@ -176,7 +184,7 @@ def sensitivity(frequency_hz: FloatArray, static: FloatArray, damping_s: FloatAr
 
 
 def velocity_at(motion: SimulatedMotion, point: FloatArray, direction: FloatArray) -> ComplexArray:
-    """Return the phasors (K,) of the velocity of a body point along a fixed direction: d·(v + ω × r)."""
+    """Return velocity phasors (K,) of a point along a fixed direction: d·(v + ω × r)."""
     velocity = motion.acceleration / (1j * motion.omega[:, None])
     return np.asarray((velocity[:, :3] + np.cross(velocity[:, 3:], point)) @ direction)
 
@@ -184,7 +192,7 @@ def velocity_at(motion: SimulatedMotion, point: FloatArray, direction: FloatArra
 def acceleration_at(
     motion: SimulatedMotion, point: FloatArray, direction: FloatArray, gravity: FloatArray
 ) -> ComplexArray:
-    """Return the phasors (K,) that an accelerometer reads: d·(a + α × r) − (θ × d)·g, its axis tilting along."""
+    """Return phasors (K,) of a tilting accelerometer: d·(a + α × r) − (θ × d)·g."""
     a, alpha = motion.acceleration[:, :3], motion.acceleration[:, 3:]
     tilted = np.cross(motion.displacement[:, 3:], direction)
     return np.asarray((a + np.cross(alpha, point)) @ direction - tilted @ gravity)
@@ -192,9 +200,9 @@ def acceleration_at(
 
 @dataclass(frozen=True, eq=False)
 class TrueStereo:
-    """A stereo pair as stated (`nominal`, `sensor_from_left`) and as it is (`rig`, `left_from_sensor`, times).
+    """A stereo pair as stated (`nominal`, `sensor_from_left`) and true (`rig`, `left_from_sensor`, times).
 
-    `setup` with the face where it is, which differs from what is stated of a camera alone.
+    `setup`: with the true face, which differs from the stated one before a single camera.
     """
 
     setup: StereoSetup
@@ -207,12 +215,12 @@ class TrueStereo:
 
     @property
     def views(self) -> tuple[View, ...]:
-        """What its cameras see, by `StereoSetup.sides`."""
+        """Views of its cameras, by `StereoSetup.sides`."""
         placed = zip(self.setup.sides, self.rig.camera_poses, strict=False)
         return tuple(view_of(camera, from_left @ self.left_from_sensor) for _, (camera, from_left) in placed)
 
     def exposure_middle_s(self, edge_s: float, exposure_s: float) -> float | FloatArray:
-        """Return the middle of the exposure after a trigger's edge, of a rolling shutter that of every row (H,)."""
+        """Return the middle of the exposure after an edge, of a rolling shutter for every row (H,)."""
         first, rows = edge_s + self.delay_s + exposure_s / 2, np.arange(self.setup.size_px[1])
         if self.setup.row_time == 0.0:
             return first
@@ -221,10 +229,11 @@ class TrueStereo:
 
 @dataclass(frozen=True, eq=False)
 class World:
-    """The truth: motions of both bodies, wrench on the load (K, 6), sensitivity (K, C, 6), outputs (K, C).
+    """The truth of a simulation.
 
-    `load_wrench` has the sense of the manifest. `trigger_s` (F,): instants of the trigger edges, with their jitter.
-    Times are true seconds since the first sample of the first DAQ.
+    Motions of both bodies, wrench on the load (K, 6), sensitivity (K, C, 6), outputs (K, C). `load_wrench` has the
+    sense of the manifest. `trigger_s` (F,): instants of the trigger edges, with their jitter. Times are true seconds
+    since the first sample of the first DAQ.
     """
 
     preset: Preset
@@ -238,13 +247,14 @@ class World:
     stereo: tuple[TrueStereo, ...]
 
     def observed_motion(self, draws: Draws, body: str, instrument: str, point: FloatArray) -> SimulatedMotion:
-        """Return the motion of a body as a kind of instrument (`velocity`, `acceleration`, `camera`) sees it there.
+        """Return the motion of a body as observed by a kind of instrument at a point.
 
-        The room stands still; the head of the lasers moves as much as they see the room move, the other way.
+        `instrument`: `velocity`, `acceleration` or `camera`. The room is stationary. The head of the lasers moves
+        opposite to their reading of the room.
         """
         if body == "head":
-            seen = self.observed_motion(draws, "room", "velocity", point)
-            return SimulatedMotion(seen.frequency_hz, -seen.acceleration)
+            observed = self.observed_motion(draws, "room", "velocity", point)
+            return SimulatedMotion(observed.frequency_hz, -observed.acceleration)
         load = self.motion["load"]
         motion = self.motion.get(body, SimulatedMotion(load.frequency_hz, np.zeros_like(load.acceleration)))
         if self.preset.plate is not None and body == "load":
@@ -253,7 +263,7 @@ class World:
 
 
 def make_world(preset: Preset, draws: Draws, jitter_s: float) -> World:
-    """Return the truth of a preset with errors drawn."""
+    """Return the truth of a preset with sampled errors."""
     gravity = preset.gravity_mps2
     frequency = preset.frequencies_hz
     load = SimulatedMotion(frequency, draws.violations("motion", np.array(preset.acceleration)))
@@ -284,10 +294,10 @@ def true_part(spec: PartSpec, draws: Draws) -> TruePart:
 
 
 def static_sensitivity(preset: Preset, draws: Draws) -> tuple[FloatArray, FloatArray]:
-    """Return the static sensitivity (6, 6) of an earlier calibration, and today's, 0.1 % of its diagonal away.
+    """Return the stated static sensitivity (6, 6), and the true one, within 0.1 % of its diagonal.
 
-    Cross-talk is stated relative to the rated loads: output i for component j is up to `cross_talk` of its rated
-    output at the rated load j.
+    Cross-talk is relative to the rated loads: output i for component j is up to `cross_talk` of its rated output at the
+    rated load j.
     """
     rated = np.array(preset.sensitivity) * np.array(preset.capacity)
     share = np.random.default_rng(6).uniform(-preset.cross_talk, preset.cross_talk, (6, 6))
@@ -298,11 +308,11 @@ def static_sensitivity(preset: Preset, draws: Draws) -> tuple[FloatArray, FloatA
 
 
 def true_stereo(setup: StereoSetup, draws: Draws) -> TrueStereo:
-    """Return a stereo pair whose cameras, scale, pose and delay differ from what its files state.
+    """Return a stereo pair with errors of cameras, scale, pose and delay.
 
-    The true baseline is longer by the relative scale error. The stated pose was found with the stated rig: the
-    sensor origin's place in the camera frame grows by the same factor, then the pose error moves it and turns the
-    frame about it.
+    The true baseline is longer by the relative scale error. The stated pose was determined with the stated rig: the
+    position of the sensor origin in the camera frame grows by the same factor; then the pose error shifts and rotates
+    it.
     """
     nominal, sensor_from_left = nominal_rig(setup)
     covariance = nominal.covariance
@@ -320,7 +330,7 @@ def true_stereo(setup: StereoSetup, draws: Draws) -> TrueStereo:
 
 
 def _true_face(setup: StereoSetup, draws: Draws) -> StereoSetup:
-    """Return a set-up with its face where it is, before a camera alone: off along its normal, and tilted."""
+    """Return a set-up with the true face before a single camera: shifted along its normal and tilted."""
     if not setup.surface_uncertainty:
         return setup
     distance, tilt = setup.surface_uncertainty
@@ -333,16 +343,16 @@ def _true_face(setup: StereoSetup, draws: Draws) -> StereoSetup:
 
 
 def true_pose(setup: StereoSetup, stated: RigidTransform, scale: float, draws: Draws) -> RigidTransform:
-    """Return sensor_from_left as it is, where lengths are `scale` times those that the stated pose was found with."""
+    """Return the true sensor_from_left; true lengths are `scale` times the stated ones."""
     error = draws.normal(f"{setup.name}.pose", np.array(setup.pose_uncertainty), 6)
     turn = rotation_from_vector(error[3:])
     return RigidTransform(turn @ stated.rotation, turn @ (stated.translation_m * scale) + error[:3])
 
 
 def frame_bounds(preset: str, seed: int) -> dict[str, NDArray[np.float64]]:
-    """Return per stereo pair the Cramér-Rao bound of one frame's motion: standard deviations (6,) in m and rad.
+    """Return the Cramér-Rao bound of one frame's motion per stereo pair: (6,) in m and rad.
 
-    All pixels of both cameras with the true rig and the nominal noise (`photogram.synthetic.scene.motion_bound`).
+    It uses all pixels of both cameras, the true rig and the nominal noise (`photogram.synthetic.scene.motion_bound`).
     """
     draws = Draws(seed, True)
     bounds = {}
@@ -361,20 +371,22 @@ def face_points(setup: StereoSetup) -> FloatArray:
 
 
 def point_series(world: World, setup: StereoSetup, draws: Draws, noise: bool) -> FloatArray:
-    """Return the points of a pair in the frame of its left camera (F, N, 3), with the errors of the pair.
+    """Return the points (F, N, 3) of a pair in the frame of its left camera.
 
-    They are moved, blurred by the exposure, in the pair's own scale and pose. A point of the program is the true one in
-    the camera's frame over the scale 1 + e. An exposure of length T shows the mean over T: a line at f is smaller by
-    sin(πfT)/(πfT).
+    The points move, are blurred by the exposure, and have scale and pose errors of the pair. A measured point is the
+    true one in the camera's frame over the scale 1 + e. An exposure of length T shows the mean over T: a line at f is
+    smaller by sin(πfT)/(πfT).
     """
     scale = 1 + float(draws.normal(f"{setup.name}.scale", setup.scale_uncertainty))
     left_from_sensor = true_pose(setup, camera_pose(setup), scale, draws).inverse()
     delay = float(draws.normal(f"{setup.name}.delay", setup.delay_uncertainty))
     exposure = world.preset.exposure_s
     motion = world.observed_motion(draws, setup.body, "camera", np.array(setup.face_centre))
-    seen = SimulatedMotion(motion.frequency_hz, motion.acceleration * np.sinc(motion.frequency_hz * exposure)[:, None])
+    observed = SimulatedMotion(
+        motion.frequency_hz, motion.acceleration * np.sinc(motion.frequency_hz * exposure)[:, None]
+    )
     rest = face_points(setup)
-    poses = (RigidTransform.from_pose(pose) for pose in seen.pose(world.trigger_s + delay + exposure / 2))
+    poses = (RigidTransform.from_pose(pose) for pose in observed.pose(world.trigger_s + delay + exposure / 2))
     position = np.stack([left_from_sensor.apply(pose.apply(rest)) for pose in poses]) / scale
     if noise:
         deviate = draws.stream(f"{setup.name}.points").standard_normal(position.shape)

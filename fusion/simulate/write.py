@@ -26,7 +26,7 @@ _START = datetime(2018, 1, 1)
 
 @dataclass(frozen=True, eq=False)
 class Record:
-    """A recorder's file: its nominal rate, samples and unit of every channel, and how hard it is compressed."""
+    """A DAQ file: nominal rate, samples and unit of every channel, compression level."""
 
     sample_rate_hz: float
     samples: Mapping[str, NDArray[np.float32]]
@@ -41,7 +41,7 @@ def write_recording(
     records: Mapping[str, Record] | None = None,
     texts: Mapping[str, str] | None = None,
 ) -> Path:
-    """Write a recording's new folder, its DAQ `records` and other `texts` by file name, and return it."""
+    """Write the folder of a recording with DAQ `records` and `texts` by file name, and return it."""
     folder.mkdir(parents=True)
     for name, recorded in (records or {}).items():
         write_record(folder / name, recorded)
@@ -50,12 +50,12 @@ def write_recording(
 
 
 def write_texts(folder: Path, texts: Mapping[str, str]) -> None:
-    """Write text files into a folder, the same bytes on every system."""
+    """Write text files into a folder, with identical bytes on every system."""
     write_files(folder, texts)
 
 
 def write_record(path: Path, recorded: Record) -> None:
-    """Write one DAQ file by its suffix: HDF5, or TDMS with one group and waveform properties on each channel."""
+    """Write one DAQ file by its suffix: HDF5, or TDMS with waveform properties."""
     if path.suffix == ".tdms":
         from nptdms import ChannelObject, TdmsWriter
 
@@ -85,10 +85,10 @@ def write_record(path: Path, recorded: Record) -> None:
 
 
 def points_text(position_m: FloatArray) -> str:
-    """Return points (F, N, 3) as a table, a row per frame and point: `COLUMNS`, millimetres with six decimals."""
+    """Return points (F, N, 3) as a table in mm, one row per frame and point."""
     frames, count = position_m.shape[:2]
-    place = np.stack(np.meshgrid(np.arange(frames), np.arange(count), indexing="ij"), axis=-1)
-    rows = np.concatenate([place, position_m / POINTS_SCALE], axis=2).reshape(-1, len(COLUMNS))
+    number = np.stack(np.meshgrid(np.arange(frames), np.arange(count), indexing="ij"), axis=-1)
+    rows = np.concatenate([number, position_m / POINTS_SCALE], axis=2).reshape(-1, len(COLUMNS))
     text = "\n".join(f"{frame:.0f},{point:.0f},{x:.6f},{y:.6f},{z:.6f}" for frame, point, x, y, z in rows.tolist())
     return f"{','.join(COLUMNS)}\n{text}\n"
 
@@ -98,27 +98,27 @@ def complex_table(value: NDArray[np.complex128]) -> dict[str, Any]:
     return {"re": value.real.tolist(), "im": value.imag.tolist()}
 
 
-# What manifests say of stereo pairs.
+# Stereo pairs in manifests.
 
-SUPPORT = "frame"  # all cameras of a set-up stand on it
+SUPPORT = "frame"  # of all cameras of a set-up
 
 
 def pairs(setup: StereoSetup, preset: Preset) -> list[tuple[str, dict[str, Any]]]:
-    """Return the blocks of a stereo pair by name, of one that sees a patch at rest two, on one support."""
-    own = _stereo_keys(setup, preset)
+    """Return the blocks of a stereo pair by name; a patch at rest has a second block."""
+    keys = _stereo_keys(setup, preset)
     names = dict.fromkeys(patch.name for patch in patches_of(setup))
-    stands = {"support": SUPPORT} if names else {}
-    return [(setup.name, own | stands), *((name, {**own, "body": "room", **stands}) for name in names)]
+    support = {"support": SUPPORT} if names else {}
+    return [(setup.name, keys | support), *((name, {**keys, "body": "room", **support}) for name in names)]
 
 
 def _stereo_keys(setup: StereoSetup, preset: Preset) -> dict[str, Any]:
-    """Return the block of a stereo pair, or of one whose points another program computed."""
+    """Return the block of a stereo pair, or of points of another program."""
     placed, images = camera_pose(setup), not preset.as_points
     lengths: dict[str, Any] = {"scale_uncertainty": setup.scale_uncertainty}
     if setup.surface_uncertainty:
         distance, tilt = setup.surface_uncertainty
-        known = {"point": list(setup.face_centre), "normal": list(setup.face_normal)}
-        lengths = {"surface": {**known, "distance_uncertainty": distance, "tilt_uncertainty": tilt}}
+        plane = {"point": list(setup.face_centre), "normal": list(setup.face_normal)}
+        lengths = {"surface": {**plane, "distance_uncertainty": distance, "tilt_uncertainty": tilt}}
     return {
         "body": setup.body,
         **({"calibration": calibration_file(setup)} if images else {}),
@@ -135,22 +135,22 @@ def _stereo_keys(setup: StereoSetup, preset: Preset) -> dict[str, Any]:
 
 
 def calibration_file(setup: StereoSetup) -> str:
-    """Return the place of a pair's calibration in its campaign."""
+    """Return the path of a pair's calibration in its campaign."""
     return f"calibration/{setup.name}.json"
 
 
 def points_file(setup: StereoSetup) -> str:
-    """Return the name of the table of a stereo pair's points."""
+    """Return the file name of a stereo pair's points."""
     return f"points-{setup.name}.csv"
 
 
 def images(setup: StereoSetup) -> list[dict[str, Any]]:
-    """Return the images of a pair, and again those of the patch at rest in them."""
+    """Return the image blocks of a pair, and those of the patch at rest."""
     files, patches = {side: f"{setup.name}-{side}/*.tif" for side in setup.sides}, patches_of(setup)
     if not patches:
         return [{"stereo": setup.name, **files}]
-    body, room = region_of(setup, setup), region_of(setup, *patches)
+    body, at_rest = region_of(setup, setup), region_of(setup, *patches)
     return [
         {"stereo": setup.name, **files, "region": body},
-        {"stereo": patches[0].name, **files, "region": room, "mask": [body]},
+        {"stereo": patches[0].name, **files, "region": at_rest, "mask": [body]},
     ]

@@ -32,9 +32,9 @@ class BodyNotFound(ValueError):
     """The images do not show the body: no texture, no match, or a repeating pattern."""
 
 
-NEIGHBOUR_ROUNDS = 8  # of growing by one subset in every direction, chosen
+NEIGHBOUR_ROUNDS = 8  # of growing from found subsets, chosen
 SEEDS = 12  # subsets of a search, of which four have to agree on an affine map
-LEADERS, MIN_LED = 24, 200  # subsets that show the common motion of all, and their number from which on that is faster
+LEADERS, MIN_LED = 24, 200  # subsets that show the common motion, in grids of at least so many
 MORE_LOST = 0.05  # share of missing subsets that indicates a body displaced to a copy of its pattern
 MAX_COPIES = 3  # periods by which a displaced body is searched
 EDGE = 1.5  # subset radii from the edge of an image within which a subset may be missing

@@ -28,10 +28,10 @@ GAIN_AND_OFFSET = 2  # parameters
 REMAINING = {2: 0.02, 6: 0.02, 12: 0.4}  # share of the error after a step, measured, by the number of parameters
 SMALL_STEP = 0.05  # standard uncertainties of the parameters: far below noise
 LINEAR_PX = 0.3  # step below which the error decreases by `REMAINING`
-WORSE, SMALLEST_LOSS = 1e-3, 1e-6  # relative and absolute increase of 1 − zncc² by rounding
+WORSE, SMALLEST_LOSS = 1e-3, 1e-6  # permitted relative and absolute increase of 1 − zncc² by order 2
 UNEXPLAINED_SIGMAS = 3.0  # permitted chance of a residual variance
-OTHER_NOISE = 1.5  # permitted ratio of the noise of both images
-LARGEST_UNRESOLVED_PX = 0.15  # displacement that shape functions of order 2 may miss, measured on waves
+OTHER_NOISE = 1.5  # permitted residual variance over that by the reference's noise in both images
+LARGEST_UNRESOLVED_PX = 0.15  # displacement that a shape function of order 2 may miss, chosen
 TRUNCATED = 0.15  # effect of the terms after the second order over that of the second, measured on waves
 
 

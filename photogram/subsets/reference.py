@@ -208,7 +208,7 @@ def _within(builder: Any, lanes: Lanes, mask: Any) -> Lanes:
 
 SMALLEST_NOISE = 1e-9  # of the variance of the grey values, for images without noise
 SMALLEST_CONTRAST = 1e-6  # of the mean: ten times the rounding of float32
-MIN_RATIO = 4.0  # of a determined direction's information to that of noise: a step is too short by a quarter
+MIN_RATIO = 4.0  # of a determined direction's information to that of noise, which shortens a step by a quarter
 CURVED_MARGIN = 1.2  # times the largest ratio by noise alone
 SMALLEST_EXCESS = 1e-2  # of a ratio over 1, so that variances remain finite
 PARAMETERS = {0: 2, 1: 6, 2: 12}  # by the order of the shape function

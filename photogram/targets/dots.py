@@ -21,7 +21,7 @@ from photogram.targets.target_view import (
     refuse_second,
 )
 
-MIN_DOTS = 12  # a grid by chance has fewer
+MIN_DOTS = 12  # of a grid, more than by chance
 MOST_SATURATED = 0.9  # share of the pixels: an overexposed sheet has smaller dots, not shifted ones
 _SECOND = 0.5  # of the dots of the grid found, for a second one
 WINDOWS = (1 / 6, 1 / 20, 2 / 5)  # of the image's longer side, for usual, small and large dots

@@ -129,7 +129,11 @@ def table_response(table: ResponseTable, frequency_hz: FloatArray) -> ChainRespo
     spread = float(centred @ centred)
     delay = -float(centred @ phase) / (2.0 * np.pi * spread) if spread > 0.0 else 0.0
     logarithm = np.log(table.magnitude) + 1j * (phase + 2.0 * np.pi * knots * delay)
-    if knots[0] > 0.0 and len(knots) >= 4 and _missed(np.log(knots), logarithm) < _missed(knots, logarithm):
+    if (
+        knots[0] > 0.0
+        and len(knots) >= 4
+        and _prediction_error(np.log(knots), logarithm) < _prediction_error(knots, logarithm)
+    ):
         knots, positions = np.log(knots), np.log(positions)
     fine = cubic_spline(knots, logarithm, positions)
     change = _interpolation_error(knots, logarithm, positions)
@@ -158,9 +162,9 @@ def pole_response(
     gain, fixed_slope = model.gain, 0.0
     if model.gain_hz is not None:
         at = derivative_factor(np.array([model.gain_hz]), 1)
-        gain = model.gain / _finite(abs(_product(at, model)), [model.gain_hz])[0]
+        gain = model.gain / _check_finite(abs(_product(at, model)), [model.gain_hz])[0]
         fixed_slope = float(_frequency_slope(at, model)[0].real)
-    shape = _finite(_product(s, model), frequency_hz)
+    shape = _check_finite(_product(s, model), frequency_hz)
     errors = np.stack([u_gain + 0.0 * s, u_frequency * (_frequency_slope(s, model) - fixed_slope), -s * u_delay_s])
     value = np.asarray(gain * shape * np.exp(-s * model.delay_s), dtype=np.complex128)
     return ChainResponse(value, np.asarray(errors), ("gain", "frequency", "delay"))
@@ -212,7 +216,7 @@ def filters_of_delay(frequency_hz: FloatArray, delay_s: float) -> ComplexArray:
 
     >>> from shaker.frf.chain import filters_of_delay
     >>> import numpy as np
-    >>> np.abs(filters_of_delay(np.array([319.0]), 168e-6)).min().round(3)  # of a first order
+    >>> float(np.abs(filters_of_delay(np.array([319.0]), 168e-6)).min().round(3))  # of a first order
     0.948
     """
     s, found = derivative_factor(frequency_hz, 1), []
@@ -299,7 +303,7 @@ def _frequency_slope(s: ComplexArray, model: PoleModel) -> ComplexArray:
     return np.asarray(np.sum(poles / (s[:, None] - poles), axis=1) - np.sum(zeros / (s[:, None] - zeros), axis=1))
 
 
-def _finite(value: np.ndarray, frequency_hz: Sequence[float] | FloatArray) -> np.ndarray:
+def _check_finite(value: np.ndarray, frequency_hz: Sequence[float] | FloatArray) -> np.ndarray:
     """Refuse frequencies at which a response is zero or infinite."""
     bad = np.flatnonzero(~np.isfinite(value) | (value == 0.0))
     if len(bad):
@@ -325,9 +329,9 @@ def _interpolation_error(knots: FloatArray, values: ComplexArray, positions: Flo
     arch = np.maximum(4.0 * inside, 0.0) / (knots[piece + 1] - knots[piece]) ** 2
     if len(knots) == 2:
         return np.asarray(arch * (values[1] - values[0]) / np.sqrt(12.0))
-    share, left_out = np.ones(len(knots)), _left_out(knots, values, 2)
+    share, left_out = np.ones(len(knots)), _omission_errors(knots, values, 2)
     if len(knots) >= FEWEST_TO_HALVE:
-        near, far = _largest_near(np.abs(left_out)), _largest_near(np.abs(_left_out(knots, values, 4)))
+        near, far = _neighbour_maximum(np.abs(left_out)), _neighbour_maximum(np.abs(_omission_errors(knots, values, 4)))
         share[1:-1] = np.clip(np.divide(near, far, out=np.ones(len(knots)), where=far > 0.0), MIN_ERROR_SHARE, 1.0)[
             1:-1
         ]
@@ -336,7 +340,7 @@ def _interpolation_error(knots: FloatArray, values: ComplexArray, positions: Flo
     changes = [np.nan_to_num(left_out[knot]) * share * arch for knot in (piece, piece + 1)]
     arch = np.where(outermost, 1.0, arch)  # no half lacks the first and the last knot
     for odd in (0, 1):
-        used = _every(len(knots), 2, odd)
+        used = _every_nth(len(knots), 2, odd)
         around = np.clip(np.searchsorted(knots[used], positions, side="right") - 1, 0, np.sum(used) - 2)
         wide = (positions - knots[used][around]) * (knots[used][around + 1] - positions)
         smooth = np.divide(inside, wide, out=np.zeros(len(wide)), where=wide > inside) ** 2
@@ -345,12 +349,12 @@ def _interpolation_error(knots: FloatArray, values: ComplexArray, positions: Flo
     return np.asarray(np.take_along_axis(np.array(changes), largest, axis=0)[0])
 
 
-def _missed(knots: FloatArray, values: ComplexArray) -> float:
+def _prediction_error(knots: FloatArray, values: ComplexArray) -> float:
     """Return the squared errors with which half of the knots predicts the other."""
-    return float(np.nansum(np.abs(_left_out(knots, values, 2)) ** 2))
+    return float(np.nansum(np.abs(_omission_errors(knots, values, 2)) ** 2))
 
 
-def _left_out(knots: FloatArray, values: ComplexArray, every: int) -> ComplexArray:
+def _omission_errors(knots: FloatArray, values: ComplexArray, every: int) -> ComplexArray:
     """Return the error (N,) at every knot of a spline through others.
 
     The knot is in the middle of two others. The others are those at multiples of `every`. The first and the last knot
@@ -358,19 +362,19 @@ def _left_out(knots: FloatArray, values: ComplexArray, every: int) -> ComplexArr
     """
     number, errors = np.arange(len(knots)), np.full(len(knots), np.nan, dtype=np.complex128)
     for first in range(every):
-        used = _every(len(knots), every, first)
+        used = _every_nth(len(knots), every, first)
         middle = ((number - first) % every == every // 2) & ~used
         errors[middle] = cubic_spline(knots[used], values[used], knots[middle]) - values[middle]
     return errors
 
 
-def _every(count: int, every: int, first: int) -> BoolArray:
+def _every_nth(count: int, every: int, first: int) -> BoolArray:
     """Return a mask (N,) of every `every`-th knot, with both ends."""
     number = np.arange(count)
     return np.asarray((number % every == first) | np.isin(number, [0, count - 1]))
 
 
-def _largest_near(size: FloatArray) -> FloatArray:
+def _neighbour_maximum(size: FloatArray) -> FloatArray:
     """Return the largest of every number (N,) and its two neighbours, NaN as 0."""
     padded = np.pad(np.nan_to_num(size), 1)
     return np.asarray(np.max([padded[:-2], padded[1:-1], padded[2:]], axis=0))

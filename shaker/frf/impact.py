@@ -183,9 +183,9 @@ def transfer_impact(
     if not valid:
         rejected = " ".join(notice.text for notice in _rejections(record, hits))
         raise ValueError(f"record: expected a valid hit, found {len(hits)} rejected: {rejected}")
-    blows = _cut(record, valid, length, min([pretrigger, *(hit.first for hit in valid)]))
-    decay = _needed_decay(blows) if added_decay_per_s is None else added_decay_per_s
-    lines = _transformed(blows, decay, band_hz or (0.0, 0.5 * rate))
+    blows = _cut_windows(record, valid, length, min([pretrigger, *(hit.first for hit in valid)]))
+    decay = _required_decay(blows) if added_decay_per_s is None else added_decay_per_s
+    lines = _transform_windows(blows, decay, band_hz or (0.0, 0.5 * rate))
     averages = np.full(len(lines.frequency_hz), float(len(valid)))
     spectra = Spectra(np.mean(lines.value[:, :, :, None] * lines.value.conj()[:, :, None, :], axis=0), averages)
     few = len(valid) < _MANY_HITS  # too few to show where the noise is
@@ -247,7 +247,7 @@ class _BlowLines:
     noise_dof: float
 
 
-def _cut(record: TransferRecord, hits: list[Hit], length: int, before: int) -> _Blows:
+def _cut_windows(record: TransferRecord, hits: list[Hit], length: int, before: int) -> _Blows:
     """Cut the windows and subtract offsets.
 
     The offset of the force is that before the hit, that of the responses is from the second half. A Hann weight removes
@@ -271,7 +271,7 @@ def _cut(record: TransferRecord, hits: list[Hit], length: int, before: int) -> _
     return _Blows((np.arange(length) - before) / record.sample_rate_hz, windows, force_window, noise, dof)
 
 
-def _needed_decay(blows: _Blows) -> float:
+def _required_decay(blows: _Blows) -> float:
     """Return the decay per second that hides every mode's end in noise.
 
     It is zero where none is needed. Modes are the significant lines in the spectrum of the window's last quarter. Their
@@ -297,7 +297,7 @@ def _needed_decay(blows: _Blows) -> float:
     return max(0.0, float(np.max(np.log(left / allowed)) / blows.time_s[-1]))
 
 
-def _transformed(blows: _Blows, decay: float, band_hz: tuple[float, float]) -> _BlowLines:
+def _transform_windows(blows: _Blows, decay: float, band_hz: tuple[float, float]) -> _BlowLines:
     """Return the transforms of the windows at excited lines.
 
     These are the lines of the band below the first unexcited one.

@@ -224,7 +224,8 @@ def local_spectra(record: TransferRecord, length: int, frequency_hz: FloatArray)
     first = np.clip(np.round(position - 0.5 * (bins - 1)).astype(np.int64), 1, len(transform) - 1 - bins)
     count = max(1, _TOGETHER // bins)
     parts = [
-        _solved(transform, position[k : k + count], first[k : k + count], bins) for k in range(0, len(position), count)
+        _solve_windows(transform, position[k : k + count], first[k : k + count], bins)
+        for k in range(0, len(position), count)
     ]
     power, averages, bias = (np.concatenate(part) for part in zip(*parts, strict=True))
     # Correlation of polynomial fits at the middle of windows at a distance of samples/length bins.
@@ -237,7 +238,7 @@ def local_spectra(record: TransferRecord, length: int, frequency_hz: FloatArray)
     return LineSpectra(Spectra(power, averages), bias, dof, correlation.astype(np.complex128), text)
 
 
-def _solved(
+def _solve_windows(
     transform: ComplexArray, position: FloatArray, first: IntArray, bins: int
 ) -> tuple[ComplexArray, FloatArray, ComplexArray]:
     """Return power, averages (K,) and bias (K, C) of windows.
@@ -247,8 +248,8 @@ def _solved(
     index = first[:, None] + np.arange(bins)
     powers = ((index - position[:, None]) / (0.5 * bins))[:, :, None] ** np.arange(_ORDER + 1)
     reference, responses = transform[index, :1], transform[index, 1:]
-    ratio, information, noise = _fitted(powers, reference, responses)
-    lower_ratio, lower_information, _ = _fitted(powers[:, :, : _LOWER_ORDER + 1], reference, responses)
+    ratio, information, noise = _fit_polynomials(powers, reference, responses)
+    lower_ratio, lower_information, _ = _fit_polynomials(powers[:, :, : _LOWER_ORDER + 1], reference, responses)
     level = np.mean(np.abs(reference[:, :, 0]) ** 2, axis=1) + np.finfo(np.float64).tiny ** 0.5
     through = np.concatenate([np.ones_like(ratio[:, :1]), ratio], axis=1)
     power = level[:, None, None] * through[:, :, None] * through.conj()[:, None, :]
@@ -261,7 +262,7 @@ def _solved(
     return power, 1.0 + information / level, bias
 
 
-def _fitted(
+def _fit_polynomials(
     powers: FloatArray, reference: ComplexArray, responses: ComplexArray
 ) -> tuple[ComplexArray, FloatArray, ComplexArray]:
     """Fit polynomials with `powers` (K, B, P) of the position to responses on a reference.
@@ -343,7 +344,7 @@ def transfer_random(
     >>> transfer_random(record, resolution_hz=1.0)
     TransferFunction(local over force: Phasors(497 lines from 3 to 499 Hz: z [m/N]))
     """
-    length, chosen = _lines(record, resolution_hz, band_hz)
+    length, chosen = _select_lines(record, resolution_hz, band_hz)
     enough = len(record.reference) >= LEAST_SEGMENTS * length
     local = estimator == "local" or (estimator == "auto" and enough)
     source = (local_spectra if local else averaged_spectra)(record, length, chosen)
@@ -371,7 +372,9 @@ def transfer_random(
     )
 
 
-def _lines(record: TransferRecord, resolution_hz: float, band_hz: tuple[float, float] | None) -> tuple[int, FloatArray]:
+def _select_lines(
+    record: TransferRecord, resolution_hz: float, band_hz: tuple[float, float] | None
+) -> tuple[int, FloatArray]:
     """Return the samples of 1/resolution, and the lines (K,) in Hz inside a band."""
     rate = record.sample_rate_hz
     if not 0.0 < resolution_hz < rate / 16.0:

@@ -453,7 +453,7 @@ def peak_readings(curve: MeasuredCurve) -> PeakReadings:
         note = (
             f"{lines:.1f} lines in the half-power width, fewer than {_RESOLVED_LINES:.0f}: between them the curve is "
         )
-        note += "taken to be that of one oscillator"
+        note += "assumed to be that of one oscillator"
     # The line of the maximum is uncertain by half a spacing and by the effect of noise on its selection.
     line_hz = float(curve.frequency_hz[np.argmax(np.abs(curve.value))])
     wandering = peak_line_variance_hz2(curve, top, width) if np.isfinite(width) else np.nan

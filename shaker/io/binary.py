@@ -26,8 +26,8 @@ from shaker.io.channel import (
     read_datasets,
     select_names,
 )
-from shaker.io.mat5 import check_mat5
 from shaker.io.times import SampleTimes, agreed_rate, times_of_stamps
+from shakercal._common.mat5 import check_mat5
 
 _RATES = ("sample_rate", "sampling_rate", "sampling_frequency", "fs")
 _MATLAB_RATES = ("sample_rate", "fs", "Fs")
@@ -88,12 +88,12 @@ def _build_channels(
     for name, stated in requested.items():
         stamps = None if stated.times is None else values[stated.times]
         samples = values[name] if stated.packing is None else stated.packing.unpacked(values[name])
-        sampled = _sampled(path, f'channel "{name}"', stated, stamps, sample_rate_hz)
+        sampled = _sample_times(path, f'channel "{name}"', stated, stamps, sample_rate_hz)
         result[name] = RawChannel.from_times(sampled, as_sample_array(path, name, samples), stated.unit)
     return result
 
 
-def _sampled(
+def _sample_times(
     path: Path, where: str, stated: _Stated, stamps: NDArray[Any] | None, given_hz: float | None
 ) -> SampleTimes:
     """Return the times of a channel's samples.
@@ -257,7 +257,7 @@ def _channels(
     present = columns if names is not None else [n for n in columns if n.rpartition(".")[2] not in _TIMES]
     requested = {}
     for name in select_names(path, names, present):
-        (rate_key, rate), (_, start) = (_scalar(path, variables, name, keys) for keys in (_MATLAB_RATES, _STARTS))
+        (rate_key, rate), (_, start) = (_find_scalar(path, variables, name, keys) for keys in (_MATLAB_RATES, _STARTS))
         near = [columns[other] for other in _neighbouring_keys(name, _TIMES) if other in columns and other != name]
         times = next((column.dataset for column in near if column.length == columns[name].length), None)
         units = (variables.get(key) for key in _neighbouring_keys(name, _UNITS))
@@ -278,7 +278,7 @@ def _neighbouring_keys(name: str, keys: Sequence[str]) -> Iterator[str]:
         yield from (f"{struct}.{key}" if struct else key for key in keys)
 
 
-def _scalar(path: Path, variables: Mapping[str, Any], name: str, keys: Sequence[str]) -> tuple[str, float | None]:
+def _find_scalar(path: Path, variables: Mapping[str, Any], name: str, keys: Sequence[str]) -> tuple[str, float | None]:
     """Return name and value of the first scalar among the keys, else None."""
     for key in _neighbouring_keys(name, keys):
         if getattr(variable := variables.get(key), "size", 0) == 1:

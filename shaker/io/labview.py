@@ -72,7 +72,7 @@ def read_labview(path: Path, names: Sequence[str] | None, sample_rate_hz: float 
     for segment in segments:
         for name, part in _read_segment(path, segment, requested).items():
             parts[name].append(part)
-    return {name: _joined(path, parts.pop(name), sample_rate_hz) for name in requested}
+    return {name: _join_segments(path, parts.pop(name), sample_rate_hz) for name in requested}
 
 
 def _segments(path: Path, stream: BinaryIO) -> Iterator[_Segment]:
@@ -166,7 +166,7 @@ def _read_segment(path: Path, segment: _Segment, requested: Sequence[str]) -> di
     return parts
 
 
-def _joined(path: Path, parts: Sequence[_Part], sample_rate_hz: float | None) -> RawChannel:
+def _join_segments(path: Path, parts: Sequence[_Part], sample_rate_hz: float | None) -> RawChannel:
     """Join one channel over its segments, each with its start."""
     times = [_times(path, part, sample_rate_hz) for part in parts]
     unit = _cell(parts[0].segment, "Y_Unit_Label", parts[0].column)
@@ -176,7 +176,7 @@ def _joined(path: Path, parts: Sequence[_Part], sample_rate_hz: float | None) ->
     for part, part_times in zip(parts, times, strict=True):
         if part_times.stamp_s is not None:
             raise ValueError(f"{path}: line {part.segment.line}: expected uniform times in each of several segments")
-        start = part_times.start_s + _stamp(part) - _stamp(parts[0])
+        start = part_times.start_s + _stamp_seconds(part) - _stamp_seconds(parts[0])
         segments.append(Segment(start, len(part.samples), 1.0 / part_times.rate_hz))
     joined = times_of_segments(path, f"line {parts[-1].segment.line - 1}", segments)
     return RawChannel.from_times(joined, np.concatenate([part.samples for part in parts]), unit)
@@ -246,7 +246,7 @@ def _of_column(path: Path, part: _Part, stated: tuple[float, float], sample_rate
     return SampleTimes(agreed_rate(path, where, rate, sample_rate_hz, u), float(part.times[0]))
 
 
-def _stamp(part: _Part) -> float:
+def _stamp_seconds(part: _Part) -> float:
     """Return a segment's time stamp in seconds, 0 where it has none."""
     date, time = (_cell(part.segment, key, part.column) for key in ("Date", "Time"))
     if not date or not time:

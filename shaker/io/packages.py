@@ -59,7 +59,7 @@ def _package(path: Path, name: str) -> Any:
 
 
 @contextmanager
-def _silent() -> Iterator[None]:
+def _suppress_output() -> Iterator[None]:
     """Suppress the output of a package about damaged files, including that of deleted objects."""
     error_text, hook = "", sys.unraisablehook
     sys.unraisablehook = lambda _: None
@@ -95,7 +95,7 @@ def read_mdf(
     with path.open("rb") as stream:
         if stream.read(10) not in (b"MDF     4.", b"UnFinMF 4."):
             raise ValueError(f"{path}: not a readable MDF file of version 4")
-    with _silent(), asammdf.MDF(path) as file:
+    with _suppress_output(), asammdf.MDF(path) as file:
         present: dict[str, tuple[int, int]] = {}
         for number, group in enumerate(file.groups):
             group_name = group.channel_group.acq_name or f"{number}"
@@ -122,7 +122,9 @@ def read_mdf(
             return read
 
         selected = select_by_either_name(path, names, present, short)
-        return _dated(path, {key: samples(position) for key, position in selected.items()}, names, sample_rate_hz)
+        return _make_channels(
+            path, {key: samples(position) for key, position in selected.items()}, names, sample_rate_hz
+        )
 
 
 def read_dewesoft(
@@ -165,7 +167,7 @@ def read_dewesoft(
 def dewesoft_process(file: str, out: str, names: str, longest_s: str) -> None:
     """Read a Dewesoft file in this process; write channels or refusal to a file."""
     path, requested_names = Path(file), json.loads(names)
-    Thread(target=_ended_after, args=(float(longest_s), Path(out)), daemon=True).start()
+    Thread(target=_end_after, args=(float(longest_s), Path(out)), daemon=True).start()
     result: dict[str, RawChannel] | str
     try:
         with _package(path, "dwdatareader").DWFile(file) as dw_file:
@@ -177,24 +179,24 @@ def dewesoft_process(file: str, out: str, names: str, longest_s: str) -> None:
             for name, channel in present.items():
                 check_size(path, f'channel "{name}"', 16 * channel.number_of_samples)
             selected = {name: samples(present[name]) for name in select_names(path, requested_names, present)}
-            result = _dated(path, selected, requested_names, None)
+            result = _make_channels(path, selected, requested_names, None)
     except Exception as error:  # errors of every kind from the library
         result = str(error).removeprefix(file) or type(error).__name__
-    _leave(Path(out), result)
+    _write_result(Path(out), result)
 
 
-def _leave(out: Path, result: object) -> None:
+def _write_result(out: Path, result: object) -> None:
     whole = out.with_suffix(f".{get_ident()}")
     whole.write_bytes(pickle.dumps(result))
     whole.replace(out)
 
 
-def _ended_after(longest_s: float, out: Path) -> None:
+def _end_after(longest_s: float, out: Path) -> None:
     """End this process when it has used this many seconds of processor time."""
     while time.process_time() < longest_s:
         time.sleep(0.1)
     if not out.exists():
-        _leave(out, f"Dewesoft's library had not read it within {longest_s:.0f} s of the processor")
+        _write_result(out, f"Dewesoft's library had not read it within {longest_s:.0f} s of the processor")
     os._exit(0)
 
 
@@ -226,10 +228,10 @@ def read_parquet(
         return lambda: (stamps, column(name), unit(name))
 
     time_unit = "" if times is None else unit(times)
-    return _dated(path, {name: samples(name) for name in selected}, names, sample_rate_hz, time_unit)
+    return _make_channels(path, {name: samples(name) for name in selected}, names, sample_rate_hz, time_unit)
 
 
-def _dated(
+def _make_channels(
     path: Path,
     channels_to_read: dict[str, _Samples],
     names: Sequence[str] | None,

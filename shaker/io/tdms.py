@@ -68,7 +68,7 @@ class TdmsRegion:
 
 
 @dataclass(frozen=True)
-class Dated:
+class TimeStatement:
     """Statement of a channel's properties about its time, valid from value number `first`.
 
     `start` is `wf_start_time` in seconds since 1904, None where it is not set (0). `interval_s` is `wf_increment`, 0
@@ -81,19 +81,19 @@ class Dated:
     interval_s: float
 
     @staticmethod
-    def of(first: int, properties: Mapping[str, Any]) -> Dated:
+    def of(first: int, properties: Mapping[str, Any]) -> TimeStatement:
         """Return the statement of these properties."""
         start = properties.get("wf_start_time")
         set_start = Fraction(start) if isinstance(start, Fraction | int) and start > 0 else None  # 0 is 1904: not set
         numbers = (float(properties.get(key) or 0.0) for key in ("wf_start_offset", "wf_increment"))
-        return Dated(first, set_start, *numbers)
+        return TimeStatement(first, set_start, *numbers)
 
-    def later(self, other: Dated) -> Dated:
+    def completed_by(self, other: TimeStatement) -> TimeStatement:
         """Return this statement, with a missing start or interval taken from a later one."""
         start = other.start if self.start is None else self.start
-        return Dated(self.first, start, self.offset_s or other.offset_s, self.interval_s or other.interval_s)
+        return TimeStatement(self.first, start, self.offset_s or other.offset_s, self.interval_s or other.interval_s)
 
-    def contradicts(self, other: Dated) -> bool:
+    def contradicts(self, other: TimeStatement) -> bool:
         """Return whether two statements contain different values of the same property."""
         starts = None not in (self.start, other.start) and self.start != other.start
         intervals = 0.0 not in (self.interval_s, other.interval_s) and self.interval_s != other.interval_s
@@ -109,7 +109,7 @@ class TdmsIndex:
 
     properties: dict[str, dict[str, Any]]
     regions: tuple[TdmsRegion, ...]
-    dated: dict[str, tuple[Dated, ...]]
+    dated: dict[str, tuple[TimeStatement, ...]]
 
     @cached_property
     def types(self) -> dict[str, np.dtype[Any]]:
@@ -145,7 +145,7 @@ def read_index(path: Path, stream: BinaryIO) -> TdmsIndex:
     layouts: dict[str, _Raw] = {}
     active: dict[str, bool] = {}
     regions: list[TdmsRegion] = []
-    dated: dict[str, list[Dated]] = {}
+    dated: dict[str, list[TimeStatement]] = {}
     counts: dict[str, int] = {}
     position = 0
     while position < size:
@@ -166,31 +166,31 @@ def read_index(path: Path, stream: BinaryIO) -> TdmsIndex:
         if flags & _RAW:
             chunk = {name: layouts[name] for name, has_data in active.items() if has_data}
             if flags & _METADATA:
-                _date(chunk, properties, dated, counts)
+                _add_statements(chunk, properties, dated, counts)
             added = _regions(path, chunk, bool(flags & _INTERLEAVED), start, end - start)
             for region in added:
                 for entry in region.fields:
                     counts[entry.path] = counts.get(entry.path, 0) + entry.count * region.repeats
             regions += added
         position = end
-    _date(dated, properties, dated, counts)
+    _add_statements(dated, properties, dated, counts)
     return TdmsIndex(properties, tuple(regions), {name: tuple(statements) for name, statements in dated.items()})
 
 
-def _date(
+def _add_statements(
     names: Iterable[str],
     properties: Mapping[str, dict[str, Any]],
-    dated: dict[str, list[Dated]],
+    dated: dict[str, list[TimeStatement]],
     counts: Mapping[str, int],
 ) -> None:
     """Add the time statements of channels that have changed since values were last written."""
     for name in names:
-        stated = Dated.of(counts.get(name, 0), properties.get(name, {}))
+        stated = TimeStatement.of(counts.get(name, 0), properties.get(name, {}))
         statements = dated.setdefault(name, [])
         if not statements or statements[-1].contradicts(stated):
             statements.append(stated)
         else:
-            statements[-1] = statements[-1].later(stated)
+            statements[-1] = statements[-1].completed_by(stated)
 
 
 def path_parts(path: str) -> tuple[str, ...]:
@@ -405,7 +405,7 @@ def read_tdms(path: Path, names: Sequence[str] | None, sample_rate_hz: float | N
         series = [name for name, dtype in index.types.items() if dtype.kind in "biuf" and name in filled]
         present = {"/".join(path_parts(name)): name for name in series}
         paths = select_by_either_name(path, names, present, [path_parts(name)[-1] for name in present.values()])
-        times = {name: _time_of(name, index) for name in paths.values()}
+        times = {name: _find_time_channel(name, index) for name in paths.values()}
         requested = {*paths.values(), *(time for time in times.values() if time)}
         values = _values(path, stream, index, requested)
         starts = _starts(stream, index, {times[channel_path] or channel_path for channel_path in paths.values()})
@@ -413,7 +413,7 @@ def read_tdms(path: Path, names: Sequence[str] | None, sample_rate_hz: float | N
     for name, channel_path in paths.items():
         time, where = times[channel_path], f'channel "{name}"'
         unit = str(index.properties.get(channel_path, {}).get("unit_string", ""))
-        sampled = _sampled(path, where, index.dated[channel_path], len(values[channel_path]), sample_rate_hz)
+        sampled = _sample_times(path, where, index.dated[channel_path], len(values[channel_path]), sample_rate_hz)
         if time is not None:
             at = f'{where}: time channel "{path_parts(time)[-1]}"'
             time_unit = str(index.properties.get(time, {}).get("unit_string", ""))
@@ -430,7 +430,9 @@ def read_tdms(path: Path, names: Sequence[str] | None, sample_rate_hz: float | N
     return result
 
 
-def _sampled(path: Path, where: str, dated: Sequence[Dated], count: int, given_hz: float | None) -> SampleTimes | None:
+def _sample_times(
+    path: Path, where: str, dated: Sequence[TimeStatement], count: int, given_hz: float | None
+) -> SampleTimes | None:
     """Return the times of a channel's values from its properties; None without an interval.
 
     Times count from the first start.
@@ -452,7 +454,7 @@ def _sampled(path: Path, where: str, dated: Sequence[Dated], count: int, given_h
     return times_of_segments(path, where, segments)
 
 
-def _time_of(name: str, index: TdmsIndex) -> str | None:
+def _find_time_channel(name: str, index: TdmsIndex) -> str | None:
     """Return the time channel of a channel's group and length."""
     group, *_ = path_parts(name)
     for other in index.types:

@@ -2,10 +2,10 @@
 
 Text export of a scanning vibrometer, as in PTB's data set 10.7795/720.20181105 (`Scan_time.asc`).
 
-The published description (content.txt) states this order: from line 19 the x, y, z coordinates of the scan points, then
-a line with the number of samples and the sampling interval (line 29 in one file, 44 in another), then data blocks with
-one data set per scan point. Block 1 is the vibrometer, blocks 2 and 3 are reference, force or camera trigger. This
-module decides the points that the description does not define:
+The published description (content.txt) states this order. From line 19 the file has the x, y, z coordinates of the scan
+points. The next line has the number of samples and the sampling interval (line 29 in one file, 44 in another). Then
+follow data blocks with one data set per scan point. Block 1 is the vibrometer, blocks 2 and 3 are reference, force or
+camera trigger. This module decides the points that the description does not define:
 
 - Coordinates are metres. A scan point is a line of exactly three numbers; the list ends at the first other line.
 - The acquisition line is the first line after the list with exactly two numbers, a whole number of samples and a

@@ -90,11 +90,11 @@ def data_sets(path: Path, stream: BinaryIO) -> Iterator[DataSet]:
         if not text.strip():
             continue
         if text.strip() != _MARK:
-            raise ValueError(f"{path}: line {line}: expected the mark -1 before a data set, found {_shown(text)}")
+            raise ValueError(f"{path}: line {line}: expected the mark -1 before a data set, found {_show(text)}")
         first, line_number = stream.readline(), line
         kind = first[:6].strip()
         if not kind.isdigit():
-            raise ValueError(f"{path}: line {line + 1}: expected the number of a data set, found {_shown(first)}")
+            raise ValueError(f"{path}: line {line + 1}: expected the number of a data set, found {_show(first)}")
         start, more = stream.tell(), first[6:]
         if int(kind) == 58 and more[:1].lower() == b"b":
             lines, stop = _HEADER, _skip_binary(path, stream, more, line + 1)
@@ -136,11 +136,11 @@ def function_header(path: Path, records: Sequence[bytes], line: int) -> Function
     """
     if len(records) < _HEADER or not records[-1]:
         raise ValueError(f"{path}: line {line}: expected {_HEADER} records of data set 58, found fewer")
-    texts = [_decoded(record) for record in records]
+    texts = [_decode(record) for record in records]
     point, form = texts[5].ljust(80), texts[6].ljust(69)
     numbers = _integer(form[:10]), _integer(form[10:20]), _integer(form[20:30])
     if numbers[0] not in (2, 4, 5, 6) or numbers[1] < 0:
-        raise ValueError(f"{path}: line {line + 7}: expected type and number of values, found {_shown(records[6])}")
+        raise ValueError(f"{path}: line {line + 7}: expected type and number of values, found {_show(records[6])}")
     return FunctionHeader(
         tuple(map(_name, texts[:5])),
         _integer(point[:5]),
@@ -251,7 +251,7 @@ def free_width(raw: bytes) -> FloatArray | None:
 _EXPONENT = bytes.maketrans(b"Dd", b"EE")
 
 
-def _decoded(record: bytes) -> str:
+def _decode(record: bytes) -> str:
     try:
         return record.decode("utf-8").rstrip("\r\n")
     except UnicodeDecodeError:
@@ -278,8 +278,8 @@ def _point(node: str, direction: str) -> str:
     return f"{_integer(node)}{_DIRECTIONS.get(_integer(direction), '')}"
 
 
-def _shown(text: bytes) -> str:
-    return repr(_decoded(text).strip()[:40])
+def _show(text: bytes) -> str:
+    return repr(_decode(text).strip()[:40])
 
 
 # Universal files: mode shapes and operating deflection shapes, data set 55 (data at nodes).
@@ -380,7 +380,7 @@ def _shape(path: Path, line: int, lines: list[bytes]) -> UniversalShape:
         frequency,
         damping,
         time,
-        tuple(_name(_decoded(text)) for text in lines[:5]),
+        tuple(_name(_decode(text)) for text in lines[:5]),
     )
 
 
@@ -459,7 +459,7 @@ def read_universal(path: Path, names: Sequence[str] | None, sample_rate_hz: floa
     a clock read from them may be wrong by several parts in 10⁷. The trigger edges correct that.
     """
     headers = _headers(path)
-    present = {name: item for name, item in _named(headers).items() if item[1].kind == _TIME_RESPONSE}
+    present = {name: item for name, item in _name_functions(headers).items() if item[1].kind == _TIME_RESPONSE}
     result = {}
     with path.open("rb") as stream:
         for name in select_names(path, names, present):
@@ -506,7 +506,7 @@ def read_universal_functions(path: str | Path) -> tuple[UniversalFunction, ...]:
         headers = _headers(path)
         with path.open("rb") as stream:
             functions = []
-            for name, (data, head) in _named(headers).items():
+            for name, (data, head) in _name_functions(headers).items():
                 abscissa, value = function_values(path, stream, data, head)
                 kind = _KINDS[head.kind] if 0 <= head.kind < len(_KINDS) else f"function type {head.kind}"
                 unit = head.ordinate.unit
@@ -534,7 +534,7 @@ def _headers(path: Path) -> list[tuple[DataSet, FunctionHeader]]:
     return headers
 
 
-def _named(headers: list[tuple[DataSet, FunctionHeader]]) -> dict[str, tuple[DataSet, FunctionHeader]]:
+def _name_functions(headers: list[tuple[DataSet, FunctionHeader]]) -> dict[str, tuple[DataSet, FunctionHeader]]:
     plain = [head.response_name or head.ordinate.label or head.response_point for _, head in headers]
     count = Counter(plain)
     full = [

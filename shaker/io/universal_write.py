@@ -99,7 +99,7 @@ def _spacing(function: UniversalFunction) -> tuple[str, str]:
 
 
 def _header(function: UniversalFunction, start: str, step: str) -> list[str]:
-    """The eleven text records."""
+    """Return the eleven text records."""
     kind = _FUNCTIONS.get(function.kind, 0)
     numerator, denominator = function.unit, ""
     if parts := re.fullmatch(r"\((.*)\)/\((.*)\)", function.unit):

@@ -102,7 +102,7 @@ class _Naming:
         i = int(np.argmin(np.abs(self.lines.frequency_hz - predicted)))
         return i if self.fits(i, predicted, u_predicted) else None
 
-    def perhaps(self, i: int, predictions: float) -> str:
+    def doubt(self, i: int, predictions: float) -> str:
         """Return "perhaps " where a chance coincidence with one of the predictions is likely."""
         chance = predictions * 4.0 * float(self.tolerance(i, 0.0)) / self.lines.rate_hz
         return "perhaps " if chance > _PERHAPS else ""
@@ -119,14 +119,14 @@ def name_lines(lines: DetectedLines, fundamental_hz: FloatArray | None = None) -
     """
     state, strongest_first = _Naming(lines), np.argsort(-lines.strength, kind="stable").tolist()
     for f in () if fundamental_hz is None else fundamental_hz:
-        _accept(state, float(f))
+        _accept_fundamental(state, float(f))
     for i in strongest_first if fundamental_hz is None else ():
         if i in state.origins or lines.strength[i] < _FUNDAMENTAL:
             continue
         explained = _explain(state, i) if state.fundamentals.size else None
         if explained is None:
-            lowest = _lowest(state, i)
-            _accept(state, float(lines.frequency_hz[lowest]), lowest)
+            lowest = _lowest_harmonic(state, i)
+            _accept_fundamental(state, float(lines.frequency_hz[lowest]), lowest)
             explained = state.origins[i] if lowest == i else _explain(state, i) or UNEXPLAINED
         state.origins[i] = explained
     for _ in range(2):  # a name may rest on a line that was named later
@@ -136,7 +136,7 @@ def name_lines(lines: DetectedLines, fundamental_hz: FloatArray | None = None) -
     return tuple(state.origins[i] for i in range(len(lines.frequency_hz)))
 
 
-def _accept(state: _Naming, frequency: float, index: int | None = None) -> None:
+def _accept_fundamental(state: _Naming, frequency: float, index: int | None = None) -> None:
     """Accept a frequency as a fundamental and name its line where there is one."""
     if index is None:
         folded = float(alias_frequency(frequency, state.lines.rate_hz))
@@ -152,7 +152,7 @@ def _accept(state: _Naming, frequency: float, index: int | None = None) -> None:
         state.origins[index] = LineOrigin("fundamental", f"fundamental{above}{doubt}", frequency, 1)
 
 
-def _lowest(state: _Naming, i: int) -> int:
+def _lowest_harmonic(state: _Naming, i: int) -> int:
     """Return the line of which line i is a proven harmonic, else i."""
     f, u = float(state.lines.frequency_hz[i]), float(state.lines.u_hz[i])
     strength = state.lines.strength
@@ -239,7 +239,7 @@ def _combination(state: _Naming, i: int, orders: range, folded: bool = False) ->
             # The positive part is written first.
             positive_first = found if n > 0 or predicted >= 0.0 else ((-n, f2), (-m, f1))
             first, second = (f"{abs(k)}·{f:.6g}" if abs(k) > 1 else f"{f:.6g}" for k, f in positive_first)
-            text = f"{state.perhaps(i, predictions)}combination {first} {'+' if n > 0 else '-'} {second} Hz"
+            text = f"{state.doubt(i, predictions)}combination {first} {'+' if n > 0 else '-'} {second} Hz"
             if folded:
                 return LineOrigin("folded combination", f"{text}, aliased from {abs(predicted):.6g} Hz")
             return LineOrigin("combination", text)
@@ -294,7 +294,7 @@ def _folded(state: _Naming, i: int) -> LineOrigin | None:
     if not len(fits):
         return None
     multiple, base = int(m[fits[0, 0], 0]), float(f[fits[0, 1]])
-    doubt = state.perhaps(i, multiple * len(f))
+    doubt = state.doubt(i, multiple * len(f))
     text = f"{doubt}harmonic {multiple} of {base:.6g} Hz, aliased from {multiple * base:.6g} Hz"
     return LineOrigin("folded harmonic", text, base, multiple)
 
@@ -317,7 +317,7 @@ def _side_band(state: _Naming, i: int) -> LineOrigin | None:
         ratio = float(lines.strength[partner] / lines.strength[i])
         if 1.0 / _PAIR_RATIO <= ratio <= _PAIR_RATIO:
             text = f"side band of {carrier:.6g} Hz at {'+' if distance > 0 else '-'}{abs(distance):.4g} Hz"
-            return LineOrigin("side band", state.perhaps(i, len(named)) + text, carrier)
+            return LineOrigin("side band", state.doubt(i, len(named)) + text, carrier)
     return None
 
 
@@ -387,7 +387,7 @@ class Survey:
         selected: dict[str, Any] = {name: getattr(self, name)[chosen] for name in _PER_LINE}
         return replace(self, origin=tuple(self.origin[i] for i in np.flatnonzero(chosen)), **selected)
 
-    def joined(
+    def with_lines(
         self, frequency_hz: FloatArray, u_frequency_hz: FloatArray, amplitude: FloatArray, u_amplitude: FloatArray
     ) -> Survey:
         """Return the survey with further lines (N,) of amplitude (N, C)."""
@@ -466,7 +466,7 @@ def survey_lines(
         raise ValueError(f"rate_hz: expected a positive number, found {rate_hz}")
     spectra = _Spectra(data)
     first = detect_lines(spectra, data.shape, rate_hz, false_alarm)
-    given, notices = _nominal(first, nominal_hz, rate_hz, len(data))
+    given, notices = _find_nominal(first, nominal_hz, rate_hz, len(data))
     seen = given
     if not len(nominal_hz):
         named = with_origins(first, rate_hz, len(data))
@@ -516,7 +516,7 @@ def detect_lines(
         find_peaks(spectrum, false_alarm / channels, expected, taken, float(smallest))
         for spectrum, smallest in zip(spectra, least, strict=True)
     ]
-    return _merged(peaks, rate_hz / samples)
+    return _merge_peaks(peaks, rate_hz / samples)
 
 
 def expected_frequencies(fundamental_hz: FloatArray, rate_hz: float) -> FloatArray:
@@ -546,7 +546,7 @@ def relative_strength(amplitude: FloatArray) -> FloatArray:
     return np.asarray(np.max(filled / np.maximum(filled.max(axis=0), np.finfo(np.float64).tiny), axis=1))
 
 
-def _nominal(
+def _find_nominal(
     survey: Survey, nominal_hz: Sequence[float], rate_hz: float, samples: int
 ) -> tuple[FloatArray, tuple[Notice, ...]]:
     """Return the strongest line near each nominal frequency's alias, or notices."""
@@ -564,7 +564,7 @@ def _nominal(
     return np.array(found), tuple(notices)
 
 
-def _merged(peaks: Sequence[Peaks], resolution_hz: float) -> Survey:
+def _merge_peaks(peaks: Sequence[Peaks], resolution_hz: float) -> Survey:
     """Merge the lines of all channels: one line where they are closer than the resolution."""
     every = sorted((float(p.bin_position[i]), c, i) for c, p in enumerate(peaks) for i in range(len(p.bin_position)))
     groups: list[list[tuple[float, int, int]]] = []

@@ -95,7 +95,7 @@ def find_lines(
     `others`. Those that would leak into a line by more than a tenth of its uncertainty are fitted with it. Lines that
     alias onto another are left out.
     """
-    time, data = _complete(time_s, values)
+    time, data = _complete_samples(time_s, values)
     exact = sampling_grid(time)
     grid, fine = (exact, exact) if exact else (nearest_grid(time), nearest_grid(time, _FINER))
     if grid is None or fine is None:
@@ -104,23 +104,23 @@ def find_lines(
     usable, notices = usable_lines(time, nominal)
     if not np.any(usable):
         raise ValueError(f"nominal_hz: expected a line that the sampling can separate, found none: {notices[0].text}")
-    notices += _unfiltered(nominal[usable], nominal, grid)
+    notices += _alias_notices(nominal[usable], nominal, grid)
     nominal = nominal[usable]
     record = _Record(time, data, grid, fine)
     chosen = _LineSelection(record.peaks_near(nominal), [[1] for _ in nominal], np.empty(0))
     if harmonics != "auto":
-        multiples, above = _listed(nominal, harmonics, grid)
+        multiples, above = _select_multiples(nominal, harmonics, grid)
         chosen, notices = _LineSelection(chosen.fundamental, multiples, np.empty(0)), notices + above
     fitted = record.fit(chosen)
     for _ in range(_ROUNDS if len(time) < grid.length else 1):  # where samples are missing, lines leak
         others = record.search(fitted)
-        extended = _extended(record, fitted, others, harmonics == "auto")
+        extended = _extend_lines(record, fitted, others, harmonics == "auto")
         added = extended.lines.size > fitted.chosen.lines.size or extended.nuisance.size > fitted.chosen.nuisance.size
-        others = others.select(~_near(others.frequency_hz, record.alias(extended.lines), record.resolution_hz))
+        others = others.select(~_coincides(others.frequency_hz, record.alias(extended.lines), record.resolution_hz))
         if not added:
             break
         fitted = record.fit(extended)
-    return _as_lines(fitted, others, nominal, notices, harmonics == "auto")
+    return _build_lines(fitted, others, nominal, notices, harmonics == "auto")
 
 
 @dataclass(frozen=True)
@@ -232,7 +232,7 @@ class _Record:
         if len(lines) < len(amplitude):  # the nuisances that were fitted are put back
             u = np.sqrt((fit.phasors.u_re**2 + fit.phasors.u_im**2) / 2.0)[len(lines) :]
             nuisance_hz, u_nuisance_hz = fit.phasors.frequency_hz[len(lines) :], fit.u_frequency_hz[len(lines) :]
-            others = others.joined(nuisance_hz, u_nuisance_hz, amplitude[len(lines) :], u)
+            others = others.with_lines(nuisance_hz, u_nuisance_hz, amplitude[len(lines) :], u)
         frequency = np.concatenate([self.alias(lines), others.frequency_hz])
         u = np.concatenate([fit.u_frequency_hz[: len(lines)], others.u_frequency_hz])
         strength = relative_strength(np.concatenate([amplitude[: len(lines)], others.amplitude]))
@@ -240,7 +240,7 @@ class _Record:
         return replace(others, origin=name_lines(every, fitted.chosen.fundamental)[len(lines) :])
 
 
-def _extended(record: _Record, fitted: _Fitted, others: Survey, auto: bool) -> _LineSelection:
+def _extend_lines(record: _Record, fitted: _Fitted, others: Survey, auto: bool) -> _LineSelection:
     """Return the lines of the next fit.
 
     These are the previous ones, new harmonics, and other lines that leak.
@@ -253,7 +253,7 @@ def _extended(record: _Record, fitted: _Fitted, others: Survey, auto: bool) -> _
             multiples[q] = sorted({*multiples[q], origin.multiple})
     chosen = _LineSelection(fitted.chosen.fundamental, multiples, fitted.chosen.nuisance)
     lines = record.alias(chosen.lines)
-    left = others.select(~_near(others.frequency_hz, lines, record.resolution_hz))
+    left = others.select(~_coincides(others.frequency_hz, lines, record.resolution_hz))
     if not len(left.frequency_hz):
         return chosen
     phasors = fitted.fit.phasors
@@ -264,12 +264,12 @@ def _extended(record: _Record, fitted: _Fitted, others: Survey, auto: bool) -> _
     return _LineSelection(chosen.fundamental, multiples, np.sort(left.frequency_hz[strongest[leak[strongest] > _LEAK]]))
 
 
-def _near(frequency_hz: FloatArray, lines: FloatArray, resolution_hz: float) -> BoolArray:
+def _coincides(frequency_hz: FloatArray, lines: FloatArray, resolution_hz: float) -> BoolArray:
     """Return which frequencies (L,) coincide with lines."""
     return np.asarray(np.any(np.abs(np.subtract.outer(frequency_hz, lines)) < 1.5 * resolution_hz, axis=1))
 
 
-def _complete(time_s: FloatArray, values: FloatArray | Stacked) -> tuple[FloatArray, Stacked]:
+def _complete_samples(time_s: FloatArray, values: FloatArray | Stacked) -> tuple[FloatArray, Stacked]:
     """Return times and values (S, C) without NaN and without constant channels."""
     check_shape("time_s", time_s, (None,))
     data = Stacked.from_array(values)
@@ -282,7 +282,7 @@ def _complete(time_s: FloatArray, values: FloatArray | Stacked) -> tuple[FloatAr
     return time_s, data.select(moving)
 
 
-def _unfiltered(nominal: FloatArray, all_nominal: FloatArray, grid: SamplingGrid) -> tuple[Notice, ...]:
+def _alias_notices(nominal: FloatArray, all_nominal: FloatArray, grid: SamplingGrid) -> tuple[Notice, ...]:
     """Return notices of harmonics that share the alias of a fundamental above the Nyquist frequency."""
     resolution = grid.rate_hz / grid.length
     notices = []
@@ -297,7 +297,7 @@ def _unfiltered(nominal: FloatArray, all_nominal: FloatArray, grid: SamplingGrid
     return tuple(notices)
 
 
-def _listed(
+def _select_multiples(
     nominal: FloatArray, harmonics: Sequence[int], grid: SamplingGrid
 ) -> tuple[list[list[int]], tuple[Notice, ...]]:
     """Return the requested multiples below the Nyquist frequency, and notices about the others."""
@@ -319,7 +319,7 @@ def _listed(
     return multiples, tuple(notices)
 
 
-def _as_lines(
+def _build_lines(
     fitted: _Fitted, others: Survey, nominal: FloatArray, notices: tuple[Notice, ...], auto: bool
 ) -> LineFrequencies:
     """Return the result in ascending frequency, with reasons and notices."""

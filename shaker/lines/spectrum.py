@@ -118,15 +118,16 @@ def split_bins(bins: int, most: int = _PART) -> list[slice]:
 def _hann_rfft(samples: FloatArray, middle: float) -> ComplexArray:
     """Return the transform (B,) of samples (S,) without mean, times 1 + cos(2π/S·(n - middle)).
 
-    Long records are split: every r-th sample is transformed, r a divisor of S, and the r transforms F_q are combined
-    (decimation in time, Cooley and Tukey 1965): X(jM + m) = Σ_q exp(-2πi·qj/r)·exp(-2πi·qm/S)·F_q(m), M = S/r, a
-    transform of r numbers for each m. m up to M/2 are enough: X(jM + M - m) is the conjugate of X((r - 1 - j)M + m).
+    Long records are split. Every r-th sample is transformed, r a divisor of S. The r transforms F_q are combined
+    (decimation in time, Cooley and Tukey 1965). With M = S/r it is X(jM + m) = Σ_q
+    exp(-2πi·qj/r)·exp(-2πi·qm/S)·F_q(m), a transform of r numbers for each m. Values of m up to M/2 are enough: X(jM +
+    M - m) is the conjugate of X((r - 1 - j)M + m).
     """
     count, mean = len(samples), samples.mean()
     pieces = next((r for r in range(_FEWEST_PARTS, _MOST_PARTS + 1) if count % r == 0), 1) if count >= _LONG else 1
     turn = 2.0 * np.pi / count
     if pieces == 1:
-        return np.asarray(np.fft.rfft(_windowed(samples, mean, middle, slice(0, count))))
+        return np.asarray(np.fft.rfft(_apply_window(samples, mean, middle, slice(0, count))))
     length, bins = count // pieces, count // 2 + 1
     halves = [np.empty(0, dtype=np.complex128)] * pieces
     order = sorted(range(pieces), key=lambda q: min(q, pieces - 1 - q))  # in which they are done with
@@ -134,7 +135,7 @@ def _hann_rfft(samples: FloatArray, middle: float) -> ComplexArray:
     for some in (order[first : first + each] for first in range(0, pieces, each)):
         block = np.empty((len(some), length // 2 + 1), dtype=np.complex128)
         for q, row in zip(some, block, strict=True):
-            row[:] = np.fft.rfft(_windowed(samples, mean, middle, slice(q, count, pieces)))
+            row[:] = np.fft.rfft(_apply_window(samples, mean, middle, slice(q, count, pieces)))
             halves[q] = row
     del block, row
     for part in split_bins(length // 2 + 1):
@@ -160,7 +161,7 @@ def _hann_rfft(samples: FloatArray, middle: float) -> ComplexArray:
     return result
 
 
-def _windowed(samples: FloatArray, mean: float, middle: float, which: slice) -> FloatArray:
+def _apply_window(samples: FloatArray, mean: float, middle: float, which: slice) -> FloatArray:
     """Return some samples (S,) without mean, times a Hann window.
 
     The window is 1 + cos(2π/S·(n - middle)); little memory is used.

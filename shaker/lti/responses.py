@@ -268,7 +268,7 @@ def transient(system: LinearSystem) -> Transient:
     if not len(system.poles):
         return Transient(0.0, 0.0, 0.0, 0.0)
     if system.sample_rate_hz is not None:
-        return _sampled(system, system.sample_rate_hz)
+        return _sampled_transient(system, system.sample_rate_hz)
     response = _Response(system)
     passings = [response.first_passing(0.1), response.first_passing(0.9), *map(response.settling, (0.02, 0.05))]
     first, last, settled_2, settled_5 = response.times(passings).tolist()
@@ -288,7 +288,7 @@ def settling_points(system: LinearSystem, tolerance: float) -> FloatArray | None
     return np.array([*response.times([last]), last.begin, last.end])
 
 
-def _sampled(system: LinearSystem, rate: float) -> Transient:
+def _sampled_transient(system: LinearSystem, rate: float) -> Transient:
     """Return the figures of a sampled system, with linear interpolation between samples."""
     slowest = float(np.max(np.abs(system.poles)))
     length = len(system.poles) + 64 + (int(40.0 / -np.log(slowest)) if slowest > 0 else 0)

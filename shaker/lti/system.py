@@ -182,13 +182,13 @@ class LinearSystem(Brief):
 
         For samples it is the last one at each time.
         """
-        return self._driven(time_s, step=True)
+        return self._respond(time_s, step=True)
 
     def impulse(self, time_s: FloatArray) -> FloatArray:
         """Return the response (N,) to a unit impulse, or to a unit sample."""
-        return self._driven(time_s, step=False)
+        return self._respond(time_s, step=False)
 
-    def _driven(self, time_s: FloatArray, step: bool) -> FloatArray:
+    def _respond(self, time_s: FloatArray, step: bool) -> FloatArray:
         """Return a response by poles where they are separate, else by the matrix exponential."""
         time = np.asarray(time_s, dtype=np.float64)
         late = time >= 0

@@ -208,7 +208,9 @@ def usable_lines(time_s: FloatArray, frequency_hz: FloatArray) -> tuple[BoolArra
         (accepted if usable else dropped).append(k)
     grid = sampling_grid(time_s) if dropped else None
     lines = np.asarray(frequency_hz, dtype=np.float64)
-    notices = tuple(_dropped(grid, float(lines[k]), lines[[i for i in accepted if i < k]], lines) for k in dropped)
+    notices = tuple(
+        _dropped_line_notice(grid, float(lines[k]), lines[[i for i in accepted if i < k]], lines) for k in dropped
+    )
     return np.isin(np.arange(len(lines)), accepted), notices
 
 
@@ -283,7 +285,9 @@ def _clear_rate_towards(
     return None
 
 
-def _dropped(grid: SamplingGrid | None, frequency: float, accepted: FloatArray, all_lines: FloatArray) -> Notice:
+def _dropped_line_notice(
+    grid: SamplingGrid | None, frequency: float, accepted: FloatArray, all_lines: FloatArray
+) -> Notice:
     """Return the notice of a dropped line with its alias and a better rate."""
     where = f"{frequency:.6g} Hz"
     if grid is None:

@@ -46,7 +46,7 @@ def _highest_sine(
     return where, np.asarray(value), top[:, 0]
 
 
-def _without_tones(
+def _subtract_tones(
     ordinates: ComplexArray, bins: FloatArray, line_bin: FloatArray, length: int
 ) -> tuple[ComplexArray, ComplexArray, FloatArray]:
     """Subtract sines and straight-line changes of lines (K,) from ordinates (K, M, C).
@@ -201,7 +201,7 @@ def noise_of_ordinates(
     smaller than the scatter between blocks of the record about that straight line, where this is significantly larger.
     That scatter is the mean of the ordinates nearest to the line. `length` is that of the record.
     """
-    rest, steady, leaked = _without_tones(ordinates, bins, line_bin, length)
+    rest, steady, leaked = _subtract_tones(ordinates, bins, line_bin, length)
     variance, dof, level = levels_at_lines(np.abs(rest) ** 2, bins, line_bin)
     if blocks:
         distance = np.abs(bins - line_bin[:, None])

@@ -122,7 +122,7 @@ def fit_sines(
     parameters = 2 * len(frequency_hz) + (2 if model.drift else 1) + int(model.exponents(frequency_hz).shape[1])
     check_samples(samples.count, parameters)
     if not model.robust:
-        return _fitted(time_s, samples, frequency_hz, model, names, notices)
+        return _fit_rows(time_s, samples, frequency_hz, model, names, notices)
     spikes, limit = find_spikes(samples, frequency_hz, model)
     if spikes.any():
         first_s = _as_array(time_s)[np.argmax(spikes)]
@@ -130,10 +130,10 @@ def fit_sines(
         notices += (Notice(SPIKES_REJECTED, where, **counts, limit_sigmas=limit, first_s=first_s),)
         samples = samples.drop_rows(spikes)
     check_samples(samples.count, parameters)
-    return replace(_fitted(time_s, samples, frequency_hz, model, names, notices), spikes=np.flatnonzero(spikes))
+    return replace(_fit_rows(time_s, samples, frequency_hz, model, names, notices), spikes=np.flatnonzero(spikes))
 
 
-def _fitted(
+def _fit_rows(
     time_s: Times,
     samples: SineSamples,
     frequency_hz: FloatArray,
@@ -293,7 +293,7 @@ class Stationarity:
         direction. To first order χ² falls by that of the slope times the share of this variance in that of the slope
         (Sherman & Morrison).
         """
-        return _by_chance(self._chi_square(u_phase_rad_per_s), len(self.time_s), self.dof)
+        return _chance_probability(self._chi_square(u_phase_rad_per_s), len(self.time_s), self.dof)
 
     def excess_variance(self, u_phase_rad_per_s: ArrayLike) -> FloatArray:
         """Return the variance (K, C) of the blocks beyond noise and rate error.
@@ -402,12 +402,12 @@ def stationarity(
         u_amplitude_per_s=u_slope,
         phase_rad_per_s=slope.imag / size,
         u_phase_rad_per_s=u_slope / size,
-        p_value=_by_chance(chi2, len(middle), dof),
+        p_value=_chance_probability(chi2, len(middle), dof),
         dof=dof,
     )
 
 
-def _by_chance(chi2: FloatArray, blocks: int, dof: FloatArray) -> FloatArray:
+def _chance_probability(chi2: FloatArray, blocks: int, dof: FloatArray) -> FloatArray:
     """Return the probability that noise exceeds χ² (K, C), by Fisher's distribution.
 
     There are 2(B - 1) normal variables. `dof` (K,) are the degrees of freedom of the noise.

@@ -127,7 +127,7 @@ def find_edges(
     rest, pulse = np.median(signal[signal < level]), np.median(signal[signal >= level])
     off = np.maximum(signal[after - 1] - rest, pulse - signal[after]) / (pulse - rest)
     if len(after) and np.median(off) > _ON_RISE:  # samples on the rise: it is resolved, and band-limited
-        crossing, noise = _reconstructed(signal, after, level)
+        crossing, noise = _reconstruct_crossings(signal, after, level)
         return replace(edges, estimate_s=step * crossing, kind="resolved", u_reading_s=step * noise)
     return edges
 
@@ -161,7 +161,7 @@ def _without_bounces(rises: IntArray, falls: IntArray) -> IntArray:
     return rises[~bounce] if np.count_nonzero(bounce) >= _BOUNCES * len(rises) else rises
 
 
-def _reconstructed(signal: FloatArray, after: IntArray, level: float) -> tuple[FloatArray, float]:
+def _reconstruct_crossings(signal: FloatArray, after: IntArray, level: float) -> tuple[FloatArray, float]:
     """Return the band-limited crossings between sample after-1 and after, and their noise, in samples."""
     tap = np.arange(-_HALF_WIDTH, _HALF_WIDTH)
     index = np.clip(after[:, None] + tap, 0, len(signal) - 1)

@@ -158,7 +158,9 @@ class _JitterStep:
     def refined(self, intervals: _Intervals) -> _JitterStep:
         """Return the step from more points."""
         normal = _normal_points(len(self.mean))
-        log_likelihood, mean, covariance, _ = _sampled(self.jitter_s, (self.mean, self.covariance), normal, intervals)
+        log_likelihood, mean, covariance, _ = _sample_lines(
+            self.jitter_s, (self.mean, self.covariance), normal, intervals
+        )
         return _JitterStep(self.top, self.width, log_likelihood, mean, covariance)
 
 
@@ -180,7 +182,7 @@ def _at_jitter(top: float, width: float, line: tuple[FloatArray, FloatArray], in
     normal = _normal_points(len(step.mean))[:_POINTS]
     for _ in range(_ROUNDS):
         old = step.covariance
-        log_likelihood, mean, covariance, power = _sampled(step.jitter_s, (step.mean, old), normal, intervals)
+        log_likelihood, mean, covariance, power = _sample_lines(step.jitter_s, (step.mean, old), normal, intervals)
         step = _JitterStep(top, width, log_likelihood, mean, covariance)
         change = np.sqrt(np.diagonal(step.covariance) / np.diagonal(old)) - 1.0
         if power == 1.0 and np.max(np.abs(change)) < _SETTLED:
@@ -188,7 +190,7 @@ def _at_jitter(top: float, width: float, line: tuple[FloatArray, FloatArray], in
     return step
 
 
-def _sampled(
+def _sample_lines(
     jitter_s: float, line: tuple[FloatArray, FloatArray], normal: FloatArray, intervals: _Intervals
 ) -> tuple[float, FloatArray, FloatArray, float]:
     """Return log mean likelihood, mean, covariance and power from weighted points.

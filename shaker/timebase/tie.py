@@ -119,7 +119,7 @@ def _by_jitter(base: TriggerFit, other: TriggerFit, low: int, high: int) -> int 
 
     The deviations are those from the period.
     """
-    if not (_jitters(base) and _jitters(other)):
+    if not (_has_jitter(base) and _has_jitter(other)):
         return None
     base_index, other_index = _deviations(base), _deviations(other)
     score = np.zeros(high - low + 1)
@@ -136,7 +136,7 @@ def _by_jitter(base: TriggerFit, other: TriggerFit, low: int, high: int) -> int 
     return low + best if unique else None
 
 
-def _jitters(fit: TriggerFit) -> bool:
+def _has_jitter(fit: TriggerFit) -> bool:
     """Return whether the jitter exceeds the effect of sampling and rise shape on an edge."""
     min_interval = 1.0 if fit.kind == "sampled" else _JITTER_RESOLVED
     return fit.jitter_s > _JITTER_SHARE * max(fit.resolution_s, min_interval * fit.sample_s)
@@ -259,9 +259,9 @@ def _from_pairs(base: TriggerFit, other: TriggerFit, base_index: IntArray, other
     The edges are middles of intervals, or resolved crossings.
     """
     if base.kind == "sampled":
-        position, unscale = _scaled(other.edge_s[other_index])
+        position, unscale = _scale_times(other.edge_s[other_index])
         return unscale(straight_line(position, base.edge_s[base_index], 0.3 * base.resolution_s))
-    position, unscale = _scaled(other.crossing_s[other_index])
+    position, unscale = _scale_times(other.crossing_s[other_index])
     rises = [replace(rise, phase=rise.phase[at]) for rise, at in ((base.rise, base_index), (other.rise, other_index))]
     read = (base.resolution_s**2 + other.resolution_s**2) / 12.0
     found = fit_resolved(base.crossing_s[base_index], position, rises, float(np.sqrt(read)))
@@ -275,7 +275,7 @@ def _from_one_resolved(
     resolved: TriggerFit, sampled: TriggerFit, base_index: IntArray, other_index: IntArray
 ) -> ClockLine:
     """Return the line from the clock with resolved edges to the one with intervals."""
-    position, unscale = _scaled(resolved.edge_s[base_index])
+    position, unscale = _scale_times(resolved.edge_s[base_index])
     lower, upper = sampled.lower_s[other_index], sampled.upper_s[other_index]
     width = float(np.median(upper - lower))
     start = straight_line(position, (lower + upper) / 2.0, 0.3 * width)
@@ -344,7 +344,7 @@ def _slopes(half: float, base: TriggerFit, ratio: float, u_ratio: float) -> Slop
     return Slopes(span * np.array([1.0, 2.0 - ratio]), weight)
 
 
-def _scaled(time: FloatArray) -> tuple[FloatArray, Callable[[Posterior], ClockLine]]:
+def _scale_times(time: FloatArray) -> tuple[FloatArray, Callable[[Posterior], ClockLine]]:
     """Return times as positions within ±1, and the inverse scaling of lines."""
     centre, half = (time[0] + time[-1]) / 2.0, (time[-1] - time[0]) / 2.0
     jacobian = np.array([[1.0, -centre / half], [0.0, 1.0 / half]])
@@ -544,13 +544,13 @@ def edge_instants(
             variance[at] *= 1.0 - gain
         else:
             below[at], above[at] = np.maximum(below[at], lower), np.minimum(above[at], upper)
-    mean, variance = _truncated(mean, variance, below, above)
+    mean, variance = _truncate(mean, variance, below, above)
     # A prior's mean shifts that of the posterior by the ratio of their variances, for readings and for bounds.
     share = np.divide(variance, first, out=np.ones_like(variance), where=np.asarray(first) > 0.0)
     return EdgeInstants(model + mean, np.sqrt(variance + shape + (share * u_model) ** 2 * common_error), share)
 
 
-def _truncated(
+def _truncate(
     mean: FloatArray, variance: FloatArray, below: FloatArray, above: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
     """Return mean and variance of Gaussians (F,) between bounds; unchanged for distant bounds."""

@@ -233,7 +233,7 @@ class TriggerFit:
     @property
     def locked(self) -> bool:
         """Whether the edges always have few phases between two samples."""
-        return _locked(self.number, self.period_s / self.sample_s, self.jitter_s / self.sample_s) > 0.0
+        return _locked_gap(self.number, self.period_s / self.sample_s, self.jitter_s / self.sample_s) > 0.0
 
     @property
     def rise(self) -> Rise:
@@ -372,7 +372,9 @@ def fit_trigger(edges: Edges) -> TriggerFit:
     if edges.kind == "resolved":
         step = straight_line(position, estimate)
         rise = Rise(
-            (estimate - lower) / sample, sample, _locked(n, step.mean[1] / half / sample, step.jitter_s / sample) > 0
+            (estimate - lower) / sample,
+            sample,
+            _locked_gap(n, step.mean[1] / half / sample, step.jitter_s / sample) > 0,
         )
         found = fit_resolved(estimate, position, [rise], edges.u_reading_s)
         line, shape = found.line, found.correction_s
@@ -385,7 +387,7 @@ def fit_trigger(edges: Edges) -> TriggerFit:
         line, resolution = line_posterior(position, lower[None], upper[None], rough, MIN_JITTER * sample), sample
         # A gap is common to all instants where the period is a simple multiple of the sampling interval. Intervals
         # treat all periods as equally likely: the larger of the two uncertainties counts.
-        open_s = sample * _locked(n, line.mean[1] / half / sample, line.jitter_s / sample)
+        open_s = sample * _locked_gap(n, line.mean[1] / half / sample, line.jitter_s / sample)
         more = max(open_s**2 / 12.0 - line.covariance[0, 0], 0.0)
     line = replace(line, covariance=line.covariance + np.diag([more, 0.0]))
     # From (middle, half span) to (start, period).
@@ -415,7 +417,7 @@ def fit_trigger(edges: Edges) -> TriggerFit:
     return replace(fit, notices=_notices(fit))
 
 
-def _locked(number: IntArray, period: float, jitter: float) -> float:
+def _locked_gap(number: IntArray, period: float, jitter: float) -> float:
     """Return the widest gap (samples) between the phases of locked edges, 0 for others.
 
     `number` are the numbered edges (E,). Period and jitter are in samples. Edges are not locked where they have many

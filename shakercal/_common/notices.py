@@ -1,4 +1,4 @@
-"""Notices and errors that users read: declared once with a code, raised with the numbers of the case."""
+"""Notices of results: declared once with a code, raised with the values of the case."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ Value = str | int | float | bool
 
 
 def plain_value(value: Any) -> Value:
-    """Return a value of a notice as Python's text, number or truth value; numpy's scalars become these."""
+    """Return a value as Python's text, number or truth value."""
     return value.item() if hasattr(value, "item") else value  # type: ignore[no-any-return]
 
 
@@ -76,10 +76,7 @@ class Notice:
     acknowledged: str
     values: Mapping[str, Value] = field(hash=False)
 
-    def __init__(self, declared: DeclaredNotice | str, where: str = "", /, *legacy: str, **values: Value) -> None:
-        if isinstance(declared, str):  # until every notice is declared
-            severity: Any = {"info": "note"}.get(declared, declared)
-            declared, where, values = DeclaredNotice("", severity, "{text}"), legacy[0], {"text": where}
+    def __init__(self, declared: DeclaredNotice, where: str = "", /, **values: Value) -> None:
         values = {name: plain_value(value) for name, value in values.items()}
         set_field = object.__setattr__
         set_field(self, "code", declared.code)
@@ -114,7 +111,7 @@ class Notice:
         return self._with("where", where)
 
     def acknowledge(self, reason: str) -> Notice:
-        """Return the notice as acknowledged with a reason, a name and a date; without a reason as it is."""
+        """Return the notice as acknowledged; without a reason unchanged."""
         return self._with("acknowledged", reason) if reason else self
 
     def _with(self, name: str, value: str) -> Notice:
@@ -218,7 +215,7 @@ def gather(groups: Sequence[tuple[str, Iterable[Notice]]]) -> list[GatheredNotic
 
 
 def _in_ranges(texts: Sequence[str]) -> str:
-    """Return texts that differ in numbers alone as one, with the least and the largest of every number."""
+    """Return one text of several, with the smallest and largest of every number."""
     words, columns = NUMBER.split(texts[0]), zip(*(NUMBER.findall(text) for text in texts), strict=True)
     ranges = []
     for numbers in columns:

@@ -1,4 +1,4 @@
-"""A small valid campaign on disk, made of the examples of docs/recording-format.md and files without content."""
+"""A small valid campaign on disk: examples of docs/recording-format.md, empty files."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ def browser() -> Iterator[Any]:
             arguments = ["--no-sandbox", "--disable-dev-shm-usage"]
             chromium = started.chromium.launch(executable_path=program, args=arguments, timeout=60_000)
         except api.Error as error:
-            pytest.skip(f"Chromium does not start here: {str(error).splitlines()[0]}")
+            pytest.skip(f"Chromium does not start: {str(error).splitlines()[0]}")
         yield chromium
         chromium.close()
 
@@ -124,7 +124,7 @@ COMMANDS = {
 def commanded(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], Path]:
     """Return a function that returns a simulated campaign with the results of its command, once per test run.
 
-    Several tests read there: who changes something copies it.
+    Tests that change it must copy it.
     """
 
     def made(preset: str) -> Path:
@@ -141,9 +141,9 @@ def commanded(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], Path]
 
 @pytest.fixture
 def evaluated(monkeypatch: pytest.MonkeyPatch, ready_evaluation: Evaluation) -> list[str]:
-    """Put the ready evaluation in place of tracking and fusion, no figures into reports, no words into HDF5 files.
+    """Replace tracking and fusion by the ready evaluation; no figures in reports, no texts in HDF5 files.
 
-    The list returned tells the folders of the recordings that were evaluated.
+    The returned list has the folders of evaluated recordings.
     """
     done: list[str] = []
 
@@ -166,5 +166,5 @@ def no_pages(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.fixture
 def refused(capsys: pytest.CaptureFixture[str]) -> RefusedCommand:
-    """Run a command that refuses its input, and return the one sentence that it says."""
+    """Run a command that refuses its input, and return its sentence."""
     return refusals(capsys)

@@ -234,9 +234,7 @@ def test_a_recording_that_is_broken_or_gone_does_not_disturb_the_other(options, 
     edit(campaign / NAMES[0] / "recording.toml", "scale = 0.125", "scal = 0.125")
     assert main(["run", str(campaign), *options]) == EXIT_INPUT
     assert evaluated == [*NAMES, *again]
-    assert re.search(
-        rf"shakercal: SC-\d\d\d {campaign / NAMES[0] / 'recording.toml'}: daq\.vibrometer", capsys.readouterr().err
-    )
+    assert f"{campaign / NAMES[0] / 'recording.toml'}: daq.vibrometer" in capsys.readouterr().err
     shutil.rmtree(campaign / NAMES[0])
     (campaign / "results" / ".DS_Store").write_text("of the system")
     assert main(["run", str(campaign)]) == EXIT_DONE

@@ -1,4 +1,4 @@
-"""What the evaluation of the demo costs, counted: nothing here is a time, so that it is the same on every machine."""
+"""Counted costs of the evaluation of the demo, independent of the machine."""
 
 from __future__ import annotations
 
@@ -101,8 +101,8 @@ def test_a_run_does_not_import_matplotlib(tmp_path):
     run = (
         f"import sys; from fusion.cli import main; main(['run', {str(DEMO)!r}, '-o', {str(tmp_path / 'out')!r}, '-q'])"
     )
-    told = "; print(sorted(name for name in ('matplotlib', 'numba') if name in sys.modules))"
-    done = subprocess.run([sys.executable, "-c", run + told], capture_output=True, text=True, check=True)
+    listing = "; print(sorted(name for name in ('matplotlib', 'numba') if name in sys.modules))"
+    done = subprocess.run([sys.executable, "-c", run + listing], capture_output=True, text=True, check=True)
     assert done.stdout.splitlines()[-1] == "['numba']"
     assert "data:image/svg+xml" in (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
 

@@ -10,7 +10,7 @@ from contracts import refused
 
 from fusion.errors import InputError
 from fusion.phasors.deformation import ShapePhasors, shape_phasors
-from fusion.phasors.phasor_notices import BODY_DEFORMS
+from fusion.phasors.phasor_notices import PAIR_BODY_DEFORMS
 from fusion.planning.check import _measured_modes
 from fusion.recording.load import load_manifest
 from fusion.recording.rig import Elastic
@@ -69,7 +69,7 @@ def test_deformation_is_found_with_its_amplitude_phase_and_number_of_shapes():
         assert abs(value.mean() - moved[0, 0]) < 4 * u * np.sqrt(2.0 / len(value))
         assert np.sqrt(np.mean(np.abs(value - moved[0, 0]) ** 2) / 2) == pytest.approx(u, rel=0.25)
         (notice, *_) = found[0].notices()
-        assert (notice.code, notice.values["shape"]) == (BODY_DEFORMS.code, "bowl")
+        assert (notice.code, notice.values["shape"]) == (PAIR_BODY_DEFORMS.code, "bowl")
         expected = 1e9 * abs(found[0].phasors.value[0, found[0].phasors.channels.index("bowl")])
         assert notice.values["amplitude_nm"] == pytest.approx(expected)
 

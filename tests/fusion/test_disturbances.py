@@ -26,7 +26,7 @@ from fusion.sensitivity.sensitivity_notices import (
     BASE_STRAIN_NOT_ASSESSED,
     CABLES_NOT_ASSESSED,
     OUTPUT_LAGS,
-    OUTPUT_LEADS,
+    OUTPUT_LEADS_LOAD,
     SUPPORT_MOTION_NOT_ASSESSED,
     TEMPERATURE_NOT_ASSESSED,
 )
@@ -173,7 +173,7 @@ def test_cables_carry_part_of_the_force():
     ("turn_rad", "stated", "expected"),
     [
         (-20e-3, {}, (OUTPUT_LAGS.code, 20.0)),
-        (np.pi + 12e-3, {}, (OUTPUT_LEADS.code, 12.0)),
+        (np.pi + 12e-3, {}, (OUTPUT_LEADS_LOAD.code, 12.0)),
         (-3e-3, {}, None),
         (-20e-3, {"delay": 4e-5}, None),
         (-20e-3, {"delay_uncertainty": 1e-6}, None),

@@ -30,7 +30,8 @@ PATH_KEYS = {
     "Stereo.calibration", "ChannelEntry.response", "Daq.file", "Images.left", "Images.right", "PointFiles.files",
     "ExcitationEntry.file", "AlignmentFile.calibration", "OtherPair.calibration", "FaceBlock.pixels",
     "TargetViewBlock.left", "TargetViewBlock.right", "CommonView.left", "CommonView.right", "CommonView.other_left",
-    "CommonView.other_right", "MotionBlock.recordings", "AxisBlock.recordings", "ElementFile.measured", "ElasticMode.surface",
+    "CommonView.other_right", "MotionBlock.recordings", "AxisBlock.recordings", "ElementFile.measured",
+    "ElasticMode.surface",
 }  # fmt: skip
 
 

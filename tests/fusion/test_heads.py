@@ -1,6 +1,6 @@
-"""Laser heads and accelerometer bodies that err as one, beams that leave one mirror, motion that nobody sees.
+"""Common errors of laser heads and accelerometer bodies, fans of beams, unobserved motion.
 
-What instruments read is computed here, from rigid kinematics and finite rotations, never by the rows under test.
+Readings are computed from rigid kinematics and finite rotations, independent of the rows under test.
 """
 
 from __future__ import annotations

@@ -38,6 +38,7 @@ from fusion.sensor.transfer.transfer_evaluation import KINDS as TRANSFER_KINDS
 from fusion.simulate.chirp import write_masses
 from fusion.simulate.world import Draws, true_part
 from shaker.identification.identification_notices import OUTPUT_LEADS
+from shaker.identification.sensitivity import CHAIN_WORDS
 from shaker.identification.sensor import Load, correct_phasors
 from shaker.sine.phasor import Phasors
 
@@ -118,8 +119,10 @@ def test_lag_of_the_chain_is_separated_from_the_spring(evaluation, component):
     assert abs(comparison.best.chain.lag_s - LAG_S) < 3.5 * comparison.best.u("lag_s")
     assert abs(comparison.best.spring_time_s - DAMPING / STIFFNESS) < 3.5 * comparison.best.u("spring_time_s")
     assert comparison.damping.contradicts
-    codes = [notice.code for notice in evaluation.notices if notice.where == "sensitivity Fz"]
-    assert codes == [SENSITIVITY_EXPLANATION.code, DAMPING_CONTRADICTED.code]
+    notices = [notice for notice in evaluation.notices if notice.where == "sensitivity Fz"]
+    assert [notice.code for notice in notices] == [SENSITIVITY_EXPLANATION.code, DAMPING_CONTRADICTED.code]
+    assert CHAIN_WORDS["lag"] in notices[0].values["supported"]
+    assert CHAIN_WORDS["none"] in notices[0].values["refuted"]
 
 
 def test_output_that_leads_the_force_gives_a_warning(evaluation, component):

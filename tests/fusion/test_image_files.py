@@ -180,7 +180,7 @@ def test_a_frozen_camera_is_refused(run):
 
 
 @pytest.mark.parametrize(("share", "outcome"), [(0.3, r" 3\d\.\d % "), (0.012, "")])
-def test_a_sensor_that_clips_below_full_scale_is_saturated_there(run, share, outcome):
+def test_a_sensor_that_clips_below_full_scale_is_saturated_at_that_level(run, share, outcome):
     limit = int(np.quantile(tifffile.imread(run / "top-left" / "0000.tif"), 1.0 - share))
     for side in BOTH:
         for path in (run / f"top-{side}").glob("*.tif"):

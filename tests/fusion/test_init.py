@@ -398,7 +398,7 @@ def _a_file(folder: Path) -> str:
 def _has_recording(folder: Path) -> str:
     _one_laser(folder)
     (folder / "recording.toml").write_text("format = 1")
-    return "found one there"
+    return "SC-809 "
 
 
 def _all_have(folder: Path) -> str:

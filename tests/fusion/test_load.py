@@ -167,7 +167,7 @@ def test_second_resonances_and_uncertainties_of_a_table(table):
     [
         ("mass,frequency_hz\n1,2\n", LOAD_COLUMN_MISSING, "load_mass_kg", {}),
         ("load_mass_kg,frequency_hz,colour\n1,2,3\n", UNKNOWN_LOAD_COLUMN, "colour", {}),
-        ("load_mass_kg,frequency_hz\n0.1,\n", WRONG_LOAD_NUMBER, "frequency_hz, row 1", {"found": "nothing"}),
+        ("load_mass_kg,frequency_hz\n0.1,\n", WRONG_LOAD_NUMBER, "frequency_hz, row 1", {"found": "no value"}),
         ("load_mass_kg,frequency_hz\n" + "0.1,80\n" * 101, TOO_MANY_LOADS, "", {"found": 101, "limit": 100}),
         ("load_mass_kg,frequency_hz\n" + "1" * 200_000 + ",5\n", LOAD_TABLE_NOT_READABLE, "", {}),
         ("load_mass_kg,frequency_hz\n0.1,x\n", WRONG_LOAD_NUMBER, "frequency_hz, row 1", {"found": "x"}),

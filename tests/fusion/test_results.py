@@ -24,7 +24,7 @@ from fusion.estimation.uncertainty import Influence, Uncertainty
 from fusion.report import recording_report as results
 from fusion.report.folder import check_folder, hash_files, is_current, read_provenance, sha256
 from fusion.report.recording_report import MERGED_FILES, merged_table, write_results
-from fusion.report.report_notices import DAMAGED_RESULTS, OTHER_CONTENT, OTHER_FORMAT, PLACE_TAKEN
+from fusion.report.report_notices import DAMAGED_RESULTS, OTHER_CONTENT, OTHER_FORMAT, OUTPUT_IS_FILE
 from fusion.report.tables import headlines, sensitivity_table
 from fusion.sensitivity.analyse import Evaluation
 from fusion.sensor.identify import joint_fit
@@ -380,7 +380,7 @@ def test_folder_rules(tmp_path):
     (tmp_path / "thesis.txt").write_text("mine")
     refused(OTHER_CONTENT.code, check_folder, tmp_path, {}, force=False, error=InputError)
     check_folder(tmp_path, {}, force=True)
-    refused(PLACE_TAKEN.code, check_folder, tmp_path / "thesis.txt", {}, force=True, error=InputError)
+    refused(OUTPUT_IS_FILE.code, check_folder, tmp_path / "thesis.txt", {}, force=True, error=InputError)
     (tmp_path / "result.h5").write_bytes(b"not HDF5")
     assert read_provenance(tmp_path) is None
     with h5py.File(tmp_path / "result.h5", "w") as file:

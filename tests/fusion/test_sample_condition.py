@@ -73,7 +73,7 @@ def _filtered_after_clipping(samples: FloatArray) -> FloatArray:
         (_lost(2.0, 8.0, 80.0), " 2 s to 7.9995 s", 1e-3),
         (_lost(4.0, 5.0, np.nan), " 4 s to 4.9995 s", 1e-3),
         (_lost(4.0, 8.0, np.inf), " 7.9985 s", 1e-3),
-        (lambda samples: 20.0 * np.rint(samples / 20.0), " 2.5 ", 0.35),
+        (lambda samples: 20.0 * np.rint(samples / 20.0), " 2.3 ", 0.35),
         (lambda samples: 10.0 * np.rint(samples / 10.0), " 5 ", 0.1),
         (lambda samples: 2e-3 * np.rint(samples / 2e-3), "", 3e-4),
     ],

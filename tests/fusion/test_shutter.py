@@ -11,7 +11,7 @@ import pytest
 
 from fusion.base import Settings
 from fusion.errors import InputError
-from fusion.phasors.phasor_notices import BODY_DEFORMS, EXPOSURE_REFUSED, MOTION_BLUR, ROLLING_SHUTTER
+from fusion.phasors.phasor_notices import EXPOSURE_REFUSED, MOTION_BLUR, PAIR_BODY_DEFORMS, ROLLING_SHUTTER
 from fusion.phasors.shutter import PhaseRotated
 from fusion.planning.check import check
 from fusion.recording.load import load_manifest
@@ -86,7 +86,7 @@ def test_rows_exposed_one_after_the_other_are_taken_back_to_one_instant(tmp_path
     assert np.abs(errors(run, found)).max() < 4.5
     codes = {notice.code for notice in found.notices}
     assert ROLLING_SHUTTER.code in codes
-    assert BODY_DEFORMS.code not in codes
+    assert PAIR_BODY_DEFORMS.code not in codes
     assert not any("rigid" in notice.text for notice in found.notices)
     rig = run.parent / "rig.toml"
     rig.write_text(rig.read_text().replace("row_time = 2e-05", "row_time = 1e-03"))

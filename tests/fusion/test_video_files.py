@@ -50,7 +50,7 @@ def opened(run: Path) -> PreparedImages:
     return prepare_images(manifest, base, next(entry for entry in manifest.images if entry.stereo == "top"))
 
 
-def test_frames_and_exposure_of_the_files_are_those_of_the_pictures(tmp_path, demo_recording):
+def test_frames_and_exposure_of_the_files_are_those_of_the_images(tmp_path, demo_recording):
     run = recording(tmp_path, demo_recording)
     images, pictures = opened(run), opened(demo_recording / "Fz-0080")
     assert not images.notices

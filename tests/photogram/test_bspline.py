@@ -156,7 +156,7 @@ def test_lines_along_pixels_and_edges(degree, start, step, count):
     check(degree, start, step, count)
 
 
-def test_nothing_but_the_line_is_written():
+def test_only_the_line_is_written():
     grey = np.full(60, -1.0, np.float32)
     sample_line(SPLINES[5].coefficients, 5, (20.3, 30.1), (0.999, 0.2), grey, (4, 37))
     assert np.all(grey[:4] == -1.0)
@@ -207,7 +207,7 @@ def test_sums_of_a_run_within_a_row(count):
         assert abs(found - terms.sum()) <= 1e-14 * np.abs(terms).sum()
 
 
-def test_a_kernel_keeps_its_own_options_whoever_calls_it_first():
+def test_a_kernel_keeps_its_options_independent_of_the_first_caller():
     """Python rounds every operation by itself; so does a kernel that a function of other options is compiled with."""
     kernel = njit()(basis.py_func)
 
@@ -294,7 +294,7 @@ def test_a_kernel_follows_the_functions_that_it_calls_and_serves_all_checkouts(t
     assert in_another_process(tmp_path / "one") == ["30", "0"]
 
 
-def test_a_kept_kernel_is_loaded_without_what_only_a_compiler_needs_and_others_are_compiled_after_it(tmp_path):
+def test_a_cached_kernel_is_loaded_without_the_compilers_registries(tmp_path):
     checkout(tmp_path / "one")
     told = "; print('numba.misc.cffiimpl' in sys.modules)"
     program = f"import sys; from small.calls import kernel; print(kernel(1)){told}"
@@ -303,7 +303,7 @@ def test_a_kept_kernel_is_loaded_without_what_only_a_compiler_needs_and_others_a
     assert in_another_process(tmp_path / "one", program) == ["20", "False", "15.0", "True"]
 
 
-def test_a_disk_that_takes_no_cache_ends_nothing(monkeypatch):
+def test_a_full_disk_does_not_stop_a_run(monkeypatch):
     tried = []
 
     def refuse(*_: object) -> None:

@@ -64,7 +64,7 @@ def test_projection_is_opencvs_and_undistortion_too_iterated_to_the_end(distorti
 
 
 @pytest.mark.parametrize("distortion", [DISTORTIONS[0], DISTORTIONS[-1]])
-def test_skew_shears_the_picture_that_opencv_draws_without_it(distortion):
+def test_skew_shears_the_image_that_opencv_projects_without_it(distortion):
     points, skewed = in_view(500), camera(distortion, 10646.0, SKEW_PX)
     ideal, _ = cv2.projectPoints(points, np.zeros(3), np.zeros(3), np.eye(3), np.array(distortion))
     theirs = np.column_stack([ideal.reshape(-1, 2), np.ones(500)]) @ skewed.matrix[:2].T
@@ -92,7 +92,7 @@ def test_undistortion_is_the_exact_inverse(distortion, u, v, focal):
     np.testing.assert_allclose(back, normalised, rtol=0, atol=1e-14)
 
 
-def test_pixels_without_a_ray_and_points_behind_are_nan_and_any_leading_shape_is_kept():
+def test_pixels_without_a_ray_and_points_behind_are_nan_in_any_leading_shape():
     barrel = camera((-1.0, 0.0, 0.0, 0.0, 0.0), focal=1000.0)
     largest = 2 / 3 / np.sqrt(3)  # of r − r³
     pixels = barrel.matrix[:2, 2] + 1000.0 * np.array([[largest - 1e-6, 0.0], [largest + 1e-6, 0.0], [np.nan, 0.0]])
@@ -115,7 +115,7 @@ def opencv_derivatives(one: Camera, points: np.ndarray, pose: np.ndarray) -> np.
 
 
 @pytest.mark.parametrize("index", range(32), ids=RIG_PARAMETERS)
-def test_a_perturbed_parameter_moves_the_images_as_opencvs_derivatives_say(index):
+def test_a_perturbed_parameter_moves_the_images_by_opencvs_derivatives(index):
     rig, points = stereo_rig(), in_view(50)
     linear = RIG_PARAMETERS[index].startswith(("left", "right"))  # in most of a camera's own parameters
     step = 1e-3 if linear and not RIG_PARAMETERS[index].endswith(("k4", "k5", "k6")) else 1e-6

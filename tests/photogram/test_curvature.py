@@ -79,7 +79,7 @@ def star(make_texture) -> Star:
     return Star(first, later, reference, found)
 
 
-def test_nothing_that_was_found_is_far_off_beyond_what_is_stated(star):
+def test_errors_of_found_subsets_are_within_the_stated_uncertainty(star):
     """Both images' noise counts in a pair, so u is √2 times that of a frame of a series."""
     far = (np.abs(star.error_px) > 0.1) & (np.abs(star.error_px) > 5.0 * np.sqrt(2.0) * star.u_px)
     assert not far.any()

@@ -122,7 +122,7 @@ def test_derivatives_are_those_of_the_residual():
             np.testing.assert_allclose(by[:, axis], numeric / 2e-3, atol=1e-6)
 
 
-def test_course_has_the_stated_noise():
+def test_residuals_of_frames_have_the_stated_noise():
     check = _checked([RIG] * 200)
     scatter = check.course_px[1:].std(axis=0, ddof=1)
     np.testing.assert_allclose(scatter, np.median(check.u_course_px, axis=0), rtol=0.15)
@@ -145,14 +145,14 @@ def test_no_alarm_without_cause():
 
 @pytest.mark.parametrize(("axis", "name"), [(0, "about_x_mrad"), (2, "about_z_mrad")])
 @pytest.mark.parametrize("angle_rad", [5e-4, -1e-3])
-def test_a_turned_camera_is_told_with_its_angle(axis, name, angle_rad):
+def test_a_rotated_camera_is_reported_with_its_angle(axis, name, angle_rad):
     notice = _notice(_checked([_turned(RIG, axis, angle_rad)] * FRAMES))
     assert notice.code == CAMERA_ROTATED.code
     assert 0.0 < notice.values["explained_px"] < 1.0
     assert notice.values[name] == pytest.approx(1e3 * angle_rad, abs=0.03)
 
 
-def test_a_turn_across_the_plane_of_sight_and_a_few_millipixels_are_not_told():
+def test_a_turn_across_the_plane_of_sight_and_a_few_millipixels_are_not_reported():
     """The turn shifts points along their epipolar lines, which nothing in the pictures reveals: no feature, a limit."""
     assert _checked([_turned(RIG, 1, 5e-4)] * FRAMES).notices == ()
     assert _checked([RIG] * 20 + [_turned(RIG, 0, 0.003 / 3200)] * 20, noise_px=1e-3).notices == ()
@@ -170,7 +170,7 @@ def test_without_a_covariance_a_tenth_of_a_pixel_is_trusted():
 
 
 @pytest.mark.parametrize("u_px", [0.03, None])
-def test_a_pair_that_no_calibration_error_explains_is_refuted_and_one_that_is_off_is_only_told(u_px):
+def test_a_pair_beyond_any_calibration_error_is_rejected_and_a_smaller_error_is_a_warning(u_px):
     """16 px is another arrangement; 0.5 px, or 3 px of a calibration known to 1 px, is what a warning is for."""
     rig = _rig(u_px)
     apart = check_epipolar(_tracks([_turned(rig, 0, 16.0 / 3200)] * FRAMES), rig).rejection_reason
@@ -183,14 +183,14 @@ def test_a_pair_that_no_calibration_error_explains_is_refuted_and_one_that_is_of
 
 
 @pytest.mark.parametrize("frame", [2, 17, 38])
-def test_a_jump_is_told_with_its_frame_and_size(frame):
+def test_a_jump_is_reported_with_its_frame_and_size(frame):
     moved = _turned(RIG, 0, 0.02 / 3200)
     notice = _notice(_checked([RIG] * frame + [moved] * (FRAMES - frame)))
     assert (notice.code, notice.values["frame"]) == (CAMERA_MOVED.code, frame)
     assert notice.values["change_px"] == pytest.approx(0.02, abs=0.005)
 
 
-def test_a_turn_that_keeps_the_mean_is_found_by_its_slope_and_a_drift_told_as_one():
+def test_a_turn_with_the_same_mean_is_found_by_its_slope_and_a_drift_is_distinguished():
     about = _turned(RIG, 2, 1e-4)
     check = _checked([RIG] * 20 + [about] * 20)
     step = check.course_px[20:].mean(axis=0) - check.course_px[:20].mean(axis=0)
@@ -211,7 +211,7 @@ def test_a_body_that_goes_far_shows_the_lens_and_no_moving_camera():
     assert check.notices == ()
 
 
-def test_missing_points_and_outliers_do_not_disturb_and_too_few_say_nothing():
+def test_missing_points_and_outliers_do_not_disturb_and_too_few_give_no_result():
     tracks = _tracks([RIG] * FRAMES)
     position = tracks.right.position_px.copy()
     position[:, 3] += 1.5  # a wrong match, constant in time

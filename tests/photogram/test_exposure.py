@@ -52,7 +52,7 @@ SHOWN = {
 
 
 @pytest.mark.parametrize("name", BLANK)
-def test_an_image_of_nothing_is_named_with_its_grey_values(name):
+def test_a_blank_image_is_reported_with_its_grey_values(name):
     image, why = BLANK[name]
     assert missing_pattern_reason(image, FULL).startswith(f"{why}, ")
     assert str(int(np.quantile(image, 0.99))) in missing_pattern_reason(image, FULL)
@@ -84,7 +84,7 @@ def test_images_with_few_grey_values_are_not_judged():
 
 
 @pytest.mark.parametrize("name", SHOWN)
-def test_a_raw_mosaic_of_colours_is_known_by_its_diagonals(name):
+def test_a_raw_mosaic_of_colours_is_detected_by_its_diagonals(name):
     light = SHOWN[name]
     assert mosaic_contrast(seen(light)) == 0.0
     columns = 1.0 + 0.06 * (X % 2)  # two amplifiers, for even and odd columns

@@ -44,7 +44,7 @@ def test_rows_follow_the_one_that_is_read_first():
 
 
 @pytest.mark.parametrize("along", [0, 1])
-def test_a_wave_is_smeared_as_the_mean_over_its_path_says(along):
+def test_a_wave_is_blurred_to_its_mean_over_the_path(along):
     share = np.array([0.2, 0.5, 0.3])
     shift = np.array([-1.3, 0.1, 0.7])
     grow = 0.01  # of the shift for each pixel along x

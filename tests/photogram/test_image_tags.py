@@ -64,7 +64,7 @@ TURNED = ["plain.tif", "zlib.tif", "big.tif", "grey.png", "grey.jpg"]
 
 @pytest.mark.parametrize("tag", [3, 6, 8])
 @pytest.mark.parametrize("name", TURNED)
-def test_pixels_are_those_of_the_sensor_whatever_the_tag_says(tmp_path, name, tag):
+def test_pixels_are_those_of_the_sensor_for_any_tag(tmp_path, name, tag):
     """Recordings and calibrations see the same pixels, and both say so."""
     grey = (GREY >> 4).astype(np.uint8) if name.endswith("jpg") else GREY
     path = write_turned(tmp_path / name, grey, tag)
@@ -84,7 +84,7 @@ def test_pixels_are_those_of_the_sensor_whatever_the_tag_says(tmp_path, name, ta
 
 
 @pytest.mark.parametrize("tag", [1, 3, 8])
-def test_what_opencv_decodes_is_not_turned_either(tmp_path, tag):
+def test_pixels_decoded_by_opencv_are_not_rotated(tmp_path, tag):
     path = write_lzw(tmp_path / "lzw.tif", GREY, tag)
     np.testing.assert_array_equal(open_sequence([path]).read(0), GREY)
     np.testing.assert_array_equal(read_image(path)[0], GREY)
@@ -101,7 +101,7 @@ def test_mirrored_pixels_are_refused(tmp_path, name, tag):
 
 
 @pytest.mark.parametrize("tag", [0, 1, 9])
-def test_a_tag_that_turns_nothing_is_no_news(tmp_path, tag):
+def test_a_tag_without_rotation_gives_no_notice(tmp_path, tag):
     for name in TURNED:
         path = write_turned(tmp_path / name, (GREY >> 4).astype(np.uint8), tag)
         assert not tag_notices(read_orientations([path]))
@@ -174,7 +174,7 @@ def test_stacks_that_are_no_series_of_images_are_named(tmp_path):
         refused(f"{name}: .*({message})", open_sequence, [tmp_path / name])
 
 
-def test_one_ome_file_a_frame_is_a_frame_whatever_it_says_of_the_others(tmp_path):
+def test_one_ome_file_per_frame_is_one_frame(tmp_path):
     """Micro-Manager writes the description of the whole series into every file."""
     tifffile.imwrite(tmp_path / "all.ome.tif", STACK, metadata={"axes": "TYX"}, photometric="minisblack")
     with tifffile.TiffFile(tmp_path / "all.ome.tif") as tiff:
@@ -202,7 +202,7 @@ def test_files_in_which_0_is_white_are_read_as_grey_values(tmp_path, kind, optio
 @pytest.mark.parametrize(
     "name", ["files.tif", "files.png", "files.bmp", "pages.tif", "stack.tif", "video.cine", "film.mkv"]
 )
-def test_a_frame_that_is_there_twice_is_found_in_every_container(tmp_path, name):
+def test_a_copied_frame_is_found_in_every_container(tmp_path, name):
     """Frame 3 is frame 2 again, and frame 5 frame 0; the others have the same pixels for the most part."""
     frames = np.repeat(RNG.integers(0, 250, (1, 48, 64), dtype=np.uint8), 6, axis=0)
     frames[:, 40:44] = RNG.integers(0, 250, (6, 4, 64), dtype=np.uint8)

@@ -75,7 +75,7 @@ def frames_of(sequence: ImageSequence) -> np.ndarray:
 @pytest.mark.parametrize("byteorder", ["<", ">"])
 @pytest.mark.parametrize("kind", [np.uint8, np.uint16])
 @pytest.mark.parametrize("options", [{"rowsperstrip": 7}, {"predictor": True}, {"tile": (16, 16)}])
-def test_deflated_parts_of_every_kind_are_the_picture(byteorder, kind, options, tmp_path):
+def test_deflated_parts_of_every_kind_are_the_image(byteorder, kind, options, tmp_path):
     """Strips of which the last is shorter, differences instead of values, tiles, either order of bytes."""
     picture = np.random.default_rng(5).integers(0, np.iinfo(kind).max, (45, 64)).astype(kind)
     tifffile.imwrite(tmp_path / "image.tif", picture, byteorder=byteorder, compression="zlib", **options)
@@ -84,7 +84,7 @@ def test_deflated_parts_of_every_kind_are_the_picture(byteorder, kind, options, 
     assert (read.dtype, read.flags.writeable) == (np.dtype(kind), True)  # kernels are compiled for such arrays
 
 
-def test_pictures_are_read_ahead_in_turn_until_nobody_asks():
+def test_images_are_read_ahead_in_turn_until_the_reader_stops():
     asked = []
 
     def read(index):

@@ -49,7 +49,7 @@ def _tiff(path: Path, width: int, height: int, compression: int, content: bytes)
     return path
 
 
-def test_pictures_larger_than_any_camera_are_refused(tmp_path):
+def test_images_larger_than_any_camera_are_refused(tmp_path):
     pictures = [_png(tmp_path / "a.png", WIDE, WIDE)]
     pictures += [_tiff(tmp_path / f"{kind}.tif", WIDE, WIDE, kind, zlib.compress(b"1")) for kind in (5, 8)]
     palette = b"".join(bytes([grey] * 3 + [0]) for grey in range(256))
@@ -64,7 +64,7 @@ def test_pictures_larger_than_any_camera_are_refused(tmp_path):
     refused("a.cine: .* 268435456 ", open_sequence, [tmp_path / "a.cine"])
 
 
-def test_a_picture_cut_short_is_refused_and_nothing_else_is_said(tmp_path, capfd):
+def test_a_truncated_image_is_refused_without_other_output(tmp_path, capfd):
     whole = _png(tmp_path / "whole.png", 64, 64).read_bytes()
     (tmp_path / "cut.png").write_bytes(whole[:-12])
     for read in (read_image, lambda path: open_sequence([path])):
@@ -114,7 +114,7 @@ def test_tables_of_points_that_inflate_or_nest_are_refused(tmp_path, monkeypatch
     refused(r"a\.csv: .* 1 MiB", read_point_tables, [tmp_path / "a.csv"])
 
 
-def test_what_is_no_file_is_refused_before_it_is_opened(tmp_path):
+def test_devices_and_folders_are_refused_before_opening(tmp_path):
     for name in ("pipe.png", "pipe.cine", "pipe.csv"):
         os.mkfifo(tmp_path / name)
     (tmp_path / "zero.png").symlink_to("/dev/zero")

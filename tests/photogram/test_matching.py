@@ -102,7 +102,7 @@ def test_a_foil_that_repeats_twice_in_view_is_matched_right_whatever_the_noise(h
 
 
 @pytest.mark.parametrize("seed", [*FEW, *MANY])
-def test_copies_along_the_epipolar_lines_are_refused_unless_the_depth_is_known(seed):
+def test_copies_along_the_epipolar_lines_are_refused_unless_the_depth_is_stated(seed):
     """Each camera sees nothing but copies of the tile: a second plane fits all that both would see of it."""
     pair = Pair(foil(BEYOND))
     refused(r"^right: .* 0\.\d+ m .* 0\.\d+ m ", pair.matched, seed)
@@ -205,7 +205,7 @@ def test_an_uncertain_calibration_widens_the_band():
     assert np.nanmin(away) < 1.5
 
 
-def test_surfaces_are_told_apart_and_strays_left_out():
+def test_surfaces_are_separated_and_strays_rejected():
     """Points of two planes as two candidates each; a fifth of them stray."""
     rng = np.random.default_rng(4)
     one = Camera.from_parameters(np.array([1500.0, 1500, 160, 128, 0, 0, 0, 0, 0]), np.array([320, 256]))
@@ -222,7 +222,7 @@ def test_surfaces_are_told_apart_and_strays_left_out():
     assert fit_surfaces(rig, left, np.full_like(right, np.nan)) == []
 
 
-def test_the_distance_of_copies_is_found_and_there_is_none_without():
+def test_the_distance_of_copies_is_found_if_there_are_any():
     pair, single = Pair(foil(BEYOND, period_m=0.01)), Pair(face(ENDS_IN_VIEW, 6))
     points = np.stack(np.meshgrid(np.arange(60.0, 260, 25), np.arange(60.0, 200, 25)), axis=-1).reshape(-1, 2)
     found = repeat_px(pair.images(1)[0].read(0), points, 10)
@@ -265,7 +265,7 @@ def test_a_subset_on_a_copy_while_its_neighbours_are_not_is_lost(make_texture):
 STEPS = [(-1.2, 0.0), (-0.9, 0.02), (0.85, 0.1), (1.0, 0.0), (1.25, -0.1)]
 
 
-def test_a_jump_by_a_period_is_refused_where_no_end_of_the_foil_tells_the_body_from_its_copy(monkeypatch):
+def test_a_jump_by_a_period_is_refused_where_no_end_of_the_foil_is_visible(monkeypatch):
     """Copies 49 px apart in the left picture: a block that begins at 29 px finds the copy at −20 px, next to rest."""
     monkeypatch.setattr(follow, "BLOCK_FRAMES", 3)
     for half_m, depth_m in ((ENDS_IN_VIEW, None), (BEYOND, (0.25, 0.33))):
@@ -285,7 +285,7 @@ def test_a_jump_by_a_period_is_refused_where_no_end_of_the_foil_tells_the_body_f
     "steps",
     [(-1.1, 0.1), *(pytest.param(step, marks=pytest.mark.slow) for step in STEPS)],
 )
-def test_a_body_that_went_on_by_about_a_period_is_not_taken_for_the_copy_beside_it(steps):
+def test_a_body_that_moved_by_about_a_period_is_not_confused_with_its_copy(steps):
     """The end of the foil is in view: the copy, nearer than the body, lacks its subsets. From the second frame on."""
     pair, period_m = Pair(foil(ENDS_IN_VIEW, 3.5, 0.01)), 0.01
     images = pair.images(4, (0.0, period_m * steps[0], period_m * (steps[0] + steps[1])))
@@ -322,7 +322,7 @@ def test_a_copy_in_one_camera_alone_is_lost_and_the_whole_body_on_copies_refused
             assert np.isnan(side.position_px[1, which]).all()
 
 
-def test_copies_off_the_lines_are_refused_where_the_calibration_finds_nothing():
+def test_copies_off_the_lines_are_refused_where_the_calibration_finds_no_surface():
     """Without a surface on the lines features match copies 16 px beside them: never to be fused."""
     pair = Pair(foil(ENDS_IN_VIEW, 0.0))
     left, right = pair.images(1)

@@ -97,7 +97,7 @@ def body(scene: Stereo) -> BodyMotion:
     return measure_body(*scene, SEPTIC)
 
 
-def test_both_motions_are_true_the_noise_that_of_the_images_and_nothing_remains_beside(body):
+def test_both_motions_are_true_with_the_noise_of_the_images_and_no_residual(body):
     for motion in (body.motion, body.motion_of_points):
         u = np.sqrt(np.diagonal(motion.covariance, axis1=1, axis2=2))
         off = (motion.pose - POSES) / (np.sqrt(2.0) * u)  # the reference has noise of its own
@@ -135,7 +135,7 @@ def test_a_dark_frame_is_lost_alone(scene, body, dark):
     assert (failed.values["failed"], failed.values["frames"]) == (1, 3)
 
 
-def test_motion_is_given_in_the_frame_asked_for(scene, body):
+def test_motion_is_given_in_the_specified_frame(scene, body):
     """The same motion about the left camera's centre, in its axes: x' = M·T·M⁻¹ with M = left_from_body."""
     images, rig, body_from_left = scene
     there = measure_body(images, rig, RigidTransform.identity(), SEPTIC)
@@ -146,7 +146,7 @@ def test_motion_is_given_in_the_frame_asked_for(scene, body):
         np.testing.assert_allclose(pose[3:], carried.pose[3:], atol=2e-7)
 
 
-def test_a_rig_that_places_nothing_is_refused(scene):
+def test_a_rig_that_triangulates_no_points_is_refused(scene):
     """The right camera turned round: no point lies before both cameras."""
     images, rig, body_from_left = scene
     turned = StereoRig(rig.left, rig.right, RigidTransform.from_pose(np.array([-0.1, 0, 0, 0, 3.0, 0])))
@@ -193,7 +193,7 @@ def test_where_blocks_begin_is_below_all_noise(measured):
     assert np.max(np.abs(whole.motion.pose - BLOCK_POSES)[1:] / u[1:]) < 6.0
 
 
-def test_blocks_can_be_followed_elsewhere_and_in_any_order(series, measured):
+def test_blocks_can_be_tracked_by_other_processes_and_in_any_order(series, measured):
     """What has been to another process gives the same bits."""
     whole = measured(BLOCK)
     prepared = pickle.loads(pickle.dumps(prepare_body(*series)))
@@ -305,7 +305,7 @@ def test_a_series_shorter_than_a_block(series, frames):
     assert np.isfinite(body.motion.pose).all()
 
 
-def test_a_body_that_has_moved_by_a_speckle_is_found_at_its_own_place(series):
+def test_a_body_that_has_moved_by_a_speckle_is_found_at_its_position(series):
     """From a start at rest, subsets settle beside the place where they belong, and correlate well enough."""
     (left, _), *_ = series
     points = np.stack(np.meshgrid(np.arange(40.0, 160, 20), np.arange(40.0, 140, 20)), axis=-1).reshape(-1, 2)
@@ -354,7 +354,7 @@ def test_in_frames_without_subsets_the_motion_is_as_good_as_with_them(large, mon
     assert np.array_equal(np.isfinite(course).all(axis=1), some.subset_frames)
 
 
-def test_known_lines_foretell_the_body_and_move_nothing(large, monkeypatch):
+def test_stated_lines_predict_the_body_without_changing_the_result(large, monkeypatch):
     """From the sixth frame in a row on, without an approach by some cells; a line that is not there does no harm."""
     (images, rig, pose), _ = large
     before = tuple(chosen(side, *range(TOUCHED)) for side in images)
@@ -378,7 +378,7 @@ def test_known_lines_foretell_the_body_and_move_nothing(large, monkeypatch):
 
 
 @given(st.integers(3, 2000), st.integers(4, 400))
-def test_subsets_are_looked_for_in_about_as_many_frames_as_wanted_and_no_two_lines_fold(count, wanted):
+def test_subsets_are_searched_in_about_the_specified_number_of_frames_without_aliasing(count, wanted):
     sought = follow._choose_subset_frames(range(2, count), wanted)
     assert len(sought) == count
     assert sought[: 2 + follow.MIN_PREDICTION_FRAMES].all()
@@ -395,7 +395,7 @@ def test_subsets_are_looked_for_in_about_as_many_frames_as_wanted_and_no_two_lin
         assert np.linalg.cond(np.column_stack(columns)) < 30.0
 
 
-def test_an_approach_by_some_cells_leads_next_to_the_fit_by_all(large):
+def test_a_coarse_fit_by_some_cells_is_near_the_fit_by_all(large):
     (images, *others), poses = large
     prepared = prepare_body(images, *others, SETTINGS)
     assert len(prepared.near) == 2
@@ -466,7 +466,7 @@ def sigma(covariance: np.ndarray) -> np.ndarray:
     return np.sqrt(np.diagonal(covariance))
 
 
-def test_a_motion_is_found_without_noise_from_a_pixel_away(plate):
+def test_a_motion_without_noise_is_found_from_a_pixel_off(plate):
     """What is left of the interpolation is a few ten-thousandths of a pixel."""
     views = body_views(plate, None, MODEL)
     fit = fit_direct(views, splines(plate.moved, None), RigidTransform.identity())
@@ -535,7 +535,7 @@ def test_what_moves_in_front_of_the_body_is_left_out(plate):
     assert np.all(np.abs(fit.moved.pose - POSE) < 5 * sigma(fit.covariance))
 
 
-def test_a_body_that_is_not_there_has_no_motion(plate):
+def test_an_absent_body_has_no_motion(plate):
     views = body_views(plate, np.random.default_rng(15), MODEL)
     blank = [spline_of_image(np.full((200, 220), 700.0))] * 2
     assert fit_direct(views, blank, RigidTransform.identity()) is None
@@ -609,7 +609,7 @@ def test_a_body_followed_on_a_device_moves_as_on_the_cpu(series, device, monkeyp
 SWINGS = (0.17, 0.6, 1.3, 2.2, 2.9)  # rad per frame, more than are looked for in the motion
 
 
-def test_known_lines_foretell_the_rest_of_a_batch_on_a_device_which_is_compared_once(monkeypatch):
+def test_stated_lines_predict_the_rest_of_a_batch_on_a_device_with_one_comparison(monkeypatch):
     """Counted: steps and comparisons of a frame. The motion is as the CPU's within what both leave."""
     count = np.arange(40)
     poses = sum(np.sin(line * count + k)[:, None] * np.roll(0.06 * SWING, k) for k, line in enumerate(SWINGS))
@@ -656,7 +656,7 @@ AMPLITUDE = np.array([5e-4, -3e-4, 2e-4, 1e-3, -2e-3, 2e-3])
 
 
 @pytest.mark.parametrize("lines", [(0.17,), (0.9,), (3.0,), (0.9, 2.1), (0.4, 1.3, 2.2)])
-def test_sines_are_foretold_over_a_whole_batch(lines):
+def test_sines_are_predicted_over_a_whole_batch(lines):
     """Also one that is sampled about once a period, and several at once, about a mean that is not rest."""
     frames = np.arange(110)[:, None]
     swings = [np.sin(line * frames + k) * np.roll(AMPLITUDE, k) / (1 + k) for k, line in enumerate(lines)]
@@ -667,7 +667,7 @@ def test_sines_are_foretold_over_a_whole_batch(lines):
     assert np.sqrt(np.mean(((found - truth[60:]) / AMPLITUDE) ** 2)) < 0.02
 
 
-def test_rest_is_expected_to_stay_and_what_cannot_be_foretold_is_taken_frame_by_frame():
+def test_a_body_at_rest_is_predicted_and_unpredictable_motion_is_tracked_frame_by_frame():
     """Rest, random motion, too few frames for sines, random motion near its mean, too few for any rule, none."""
     rng = np.random.default_rng(31)
     rest, jumps = rng.normal(0, 1e-6, (20, 6)), rng.normal(0, 1e-3, (20, 6))
@@ -681,7 +681,7 @@ def test_rest_is_expected_to_stay_and_what_cannot_be_foretold_is_taken_frame_by_
     assert predict_poses(course_of(jumps[:0]), 9).shape == (0, 6)
 
 
-def test_known_lines_foretell_as_far_as_their_fit_is_certain():
+def test_stated_lines_predict_as_far_as_their_fit_is_certain():
     """Monte Carlo: all frames, by lines that the first ones tell apart; by others the next few; none of a motion with
     another line as well. What is foretold is within the step that may be the last one of a fit."""
     rng, frames, u = np.random.default_rng(32), np.arange(120.0), np.array([1e-8, 1e-8, 1e-8, 1e-7, 1e-7, 1e-7])

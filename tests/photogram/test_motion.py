@@ -127,7 +127,7 @@ def test_noise_of_the_reference_is_one_constant_and_not_in_the_covariance():
     np.testing.assert_allclose(ratio, 1, atol=4 * np.sqrt(2 / 3000) + 0.02)
 
 
-def test_frame_zero_is_the_default_reference_with_zero_pose_and_its_own_noise():
+def test_frame_zero_is_the_default_reference_with_zero_pose_and_its_noise():
     _, points = sample(5, 30, shaking(5), 6)
     found = fit_motion(points, None, ORIGIN)
     np.testing.assert_allclose(found.pose[0], 0, atol=1e-15)
@@ -150,7 +150,7 @@ def test_outliers_are_found_and_do_not_count(share):
     assert found.residual_m.max() < 6e-6
 
 
-def test_points_that_are_good_are_kept_and_a_factor_in_their_noise_passes_to_the_covariance_alone():
+def test_good_points_are_used_and_a_factor_in_their_noise_affects_only_the_covariance():
     reference, points = sample(200, 500, shaking(200), 11)
     plain = fit_motion(points, reference, ORIGIN)
     assert 1 - plain.points.sum() / (200 * 500) < 1e-4
@@ -160,7 +160,7 @@ def test_points_that_are_good_are_kept_and_a_factor_in_their_noise_passes_to_the
     np.testing.assert_array_equal(tenfold.points, plain.points)
 
 
-def test_an_outlier_is_judged_by_its_own_covariance():
+def test_an_outlier_is_judged_by_its_covariance():
     reference = body(30)
     position = np.stack([moved(reference, one) for one in shaking(2)])
     position += np.random.default_rng(0).normal(0, 1e-6, position.shape)
@@ -236,7 +236,7 @@ def test_noise_of_points_without_covariance_is_found_from_the_rigid_fit(given_re
     assert np.count_nonzero(np.isnan(found.covariance_m2)) == 9
 
 
-def test_a_body_that_bends_is_not_turned_to_where_it_is_known_worst():
+def test_a_body_that_bends_is_not_rotated_to_its_least_certain_points():
     """A plate, known four times worse in depth, is stretched by 8 %: the rigid fit that is left is the plain one.
 
     Weighted by the noise, a tilt of some 20° would explain the stretch at the cost of depth.
@@ -317,7 +317,7 @@ def test_bending_comes_back_in_the_axes_of_the_body():
     assert np.abs(truth).max() > 20 * u.max()
 
 
-def test_missing_points_are_missing_and_harm_nobody():
+def test_missing_points_do_not_affect_others():
     points = moving(np.random.default_rng(11))
     points.position_m[5, 3] = np.nan
     points.position_m[:, 7] = np.nan

@@ -47,7 +47,7 @@ def test_names_count_frames(names, place, missing):
         ["x1.tif", "y2.tif", "x3.tif"],
     ],
 )
-def test_names_without_a_count_say_nothing(names):
+def test_names_without_a_count_have_no_numbers(names):
     assert numbers_of_names(names) is None
 
 

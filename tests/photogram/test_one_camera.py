@@ -53,7 +53,7 @@ def test_a_fit_of_the_points_takes_the_distances_of_rays_and_states_its_scatter(
     np.testing.assert_allclose(np.std(errors[1:], axis=0), 1.0, atol=0.2)
 
 
-def test_the_motion_of_a_rendered_body_reaches_what_one_camera_can_tell_and_errors_are_as_stated():
+def test_the_motion_of_a_rendered_body_by_one_camera_has_the_stated_errors():
     rng, body, view = np.random.default_rng(3), face((0.015, 0.012), 1), view_of(LENS, AWAY)
     time = np.arange(16)
     poses = 0.1 * MOTION * np.cos(2 * np.pi * 0.137 * time[:, None] + np.arange(6))
@@ -75,7 +75,7 @@ def test_the_motion_of_a_rendered_body_reaches_what_one_camera_can_tell_and_erro
     np.testing.assert_allclose(longer.motion.pose[1:, :3], 1.01 * found.motion.pose[1:, :3], rtol=1e-3, atol=2e-8)
 
 
-def test_errors_of_the_face_are_its_place_along_the_normal_and_two_tilts_about_the_point():
+def test_errors_of_the_face_are_its_position_along_the_normal_and_two_tilts():
     step = np.zeros(16)
     step[13:] = 1e-3, 2e-3, -1e-3
     other = RIG.perturbed(step)

@@ -106,7 +106,7 @@ def test_dice_and_pyvale_tables(tmp_path):
         ("ID;x_undef [mm];y_undef;z_undef;u;v;w\n1;2;3;4;5;6;7\n", "y_undef: .*unit"),
     ],
 )
-def test_what_cannot_be_read_is_said_in_one_sentence(tmp_path, text, message):
+def test_an_unreadable_table_is_refused_in_one_sentence(tmp_path, text, message):
     path = tmp_path / "t.csv"
     path.write_text(text, encoding="utf-8")
     with pytest.raises(ValueError, match=message) as caught:

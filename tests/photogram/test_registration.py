@@ -108,7 +108,7 @@ def test_scatter_is_stated_and_near_the_bound(texture, image):
 
 @settings(max_examples=15, deadline=None)
 @given(gain=st.floats(0.5, 1.8), offset=st.floats(-300, 300))
-def test_gain_and_offset_change_nothing(gain, offset):
+def test_gain_and_offset_have_no_effect(gain, offset):
     rng = np.random.default_rng(13)
     smooth = np.cumsum(np.cumsum(rng.normal(size=(64, 64)), axis=0), axis=1)
     first, second = smooth[:-1, :-1], smooth[1:, 1:]
@@ -133,7 +133,7 @@ def test_whole_pixel_shifts_are_exact(dx, dy, seed):
     np.testing.assert_allclose(found.zncc, 1.0, atol=1e-6)
 
 
-def test_an_edge_is_followed_across_and_said_to_be_blind_along(texture):
+def test_an_edge_is_tracked_across_and_undetermined_along(texture):
     rng = np.random.default_rng(14)
     rows = np.arange(60.0)[:, None]
     edge = lambda shift: 1000 + 800 * np.tanh((rows - 30 - shift) / 2) + rng.normal(0, 5, (60, 80))  # noqa: E731
@@ -249,7 +249,7 @@ def test_noise_grows_with_the_order_and_is_stated(make_texture):
     assert np.all(spread[1] < 0.5 * spread[2])
 
 
-def test_depth_of_twelve_bits_loses_nothing_and_gains_below_a_grey_level(make_texture):
+def test_depth_of_twelve_bits_is_exact_and_resolves_below_a_grey_level(make_texture):
     """The same scene in 8 and 12 bit: as good under noise of a grey level, twice as good where rounding rules."""
     texture, rng = make_texture(seed=64, s=1.5), np.random.default_rng(64)
     images = [0.5 + 0.1 * texture.image((150, 108), lambda p, s=s: p - s * SHIFT) for s in (0, 1)]
@@ -371,7 +371,7 @@ def test_curved_starts_give_the_same_results(noisy_frames):
         assert_same(expected, found, atol_px=1e-5)
 
 
-def test_float32_holds_1e_5_px(noisy_frames, prepared):
+def test_float32_is_precise_to_1e_5_px(noisy_frames, prepared):
     for expected, found in both_engines(prepared, noisy_frames, REST, precision="float32"):
         np.testing.assert_array_equal(found.status, expected.status)
         np.testing.assert_allclose(found.warp[:, [0, 3]], expected.warp[:, [0, 3]], atol=1e-5)
@@ -399,7 +399,7 @@ def test_failures_have_the_same_status(texture, noisy_frames):
     assert seen == set(TrackStatus) - {TrackStatus.SATURATED, TrackStatus.UNRESOLVED}
 
 
-def test_portions_change_nothing_and_starts_stay_as_they_were(noisy_frames, prepared, monkeypatch):
+def test_portions_have_no_effect_and_starts_are_unchanged(noisy_frames, prepared, monkeypatch):
     reference, frames, start = torch_reference(prepared, "cpu"), spline_frames(noisy_frames, 5, "cpu"), REST.copy()
     whole = register_frames(reference, frames, start, SETTINGS)
     assert not start.any()

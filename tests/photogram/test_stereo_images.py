@@ -43,7 +43,7 @@ def rig_of(path: Path, size: tuple[int, int], middle: bool) -> StereoRig:
     return StereoRig(*cameras, RigidTransform(rotation, translation))
 
 
-def test_a_plate_moved_by_4_to_500_um_comes_out_within_10_nm(package):
+def test_a_plate_moved_by_4_to_500_um_is_measured_within_10_nm(package):
     """The frames' numbers are tenths of 10 µm along x, and as much against y; pictures are cut out about the axis."""
     frames = (0, 4, 8, 10, 25, 50)
     left, right = (

@@ -63,7 +63,7 @@ def test_the_body_is_found_its_rim_and_dust_left_out_and_an_image_full_of_textur
     assert not np.any(textured_area(image) & dust)
 
 
-def test_subsets_fill_a_rectangle_completely_and_a_small_area_holds_none():
+def test_subsets_fill_a_rectangle_completely_and_a_small_area_has_none():
     area = np.zeros((80, 120), bool)
     area[5:75, 10:115] = True
     points = lay_grid(area, 10, 21)
@@ -154,7 +154,7 @@ def test_predicted_sigma_is_the_scatter_of_tracking():
     np.testing.assert_allclose(scatter / quality.predicted_sigma_px, 1.0, atol=0.3)
 
 
-def test_unusable_subsets_are_told_apart_and_counted():
+def test_unusable_subsets_are_distinguished_and_counted():
     image = SENSOR.digitise(images(5.0, 1.2, np.zeros(1))[0], np.random.default_rng(3))
     image[20:60, 20:60] = 4095
     image[100:150, 100:150] = np.random.default_rng(4).normal(1000, 12, (50, 50)).astype(np.uint16)
@@ -170,7 +170,7 @@ def test_unusable_subsets_are_told_apart_and_counted():
 
 
 @pytest.mark.parametrize(("dot_px", "blur_px"), [(5.0, 0.6), (5.0, 0.4), (5.0, 0.0), (4.0, 0.8), (2.8, 0.0)])
-def test_bias_of_unresolved_texture_is_foretold(dot_px, blur_px):
+def test_bias_of_unresolved_texture_is_predicted(dot_px, blur_px):
     """Amplitude over the pixel of the error of noise-free subsets, within a factor of 2; of their mean within 2.5."""
     shifts = np.arange(8) / 8
     frames = [4095 * frame for frame in images(dot_px, blur_px, shifts)]
@@ -223,7 +223,7 @@ def warp_at(points: np.ndarray) -> np.ndarray:
     return warps
 
 
-def test_features_of_speckle_give_affine_starts_and_there_are_none_without(make_texture):
+def test_features_of_speckle_give_affine_starts(make_texture):
     texture = make_texture(seed=41, s=1.4, waves=80)
     inverse = np.linalg.inv(MATRIX)
     left = 2000 + 400 * texture.image((240, 200))
@@ -326,7 +326,7 @@ def test_jumps_of_75_px_and_turns_of_20_degrees(face, shift_px, angle_deg):
 
 
 @pytest.mark.parametrize("order", [1, 2])
-def test_cameras_30_degrees_apart(face, order):
+def test_cameras_at_30_degrees(face, order):
     """Both cameras stand 15 degrees off the face's normal; positions against the projected truth."""
     views = []
     for side in (-1.0, 1.0):

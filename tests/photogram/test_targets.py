@@ -80,14 +80,14 @@ def test_covariance_is_the_scatter_and_the_peer_scatters_more():
     assert np.std(error) < 0.3 * np.std(peer)
 
 
-def test_noise_of_the_picture_is_found():
+def test_noise_of_the_image_is_found():
     board, camera = chessboard(), camera_of()
     noise = estimate_image_noise(picture(camera, pose_of(board, camera, 40.0, (0.3, 0.2, 0.1)), board))
     grey = np.array([400.0, 3000.0])
     np.testing.assert_allclose(noise.variance(grey), SENSOR.variance(grey), rtol=0.1)
 
 
-def test_failed_corners_say_why():
+def test_failed_corners_have_a_reason():
     board, camera = chessboard(), camera_of()
     pose = pose_of(board, camera, 40.0, (0.0, 0.0, 0.0))
     image = picture(camera, pose, board).astype(np.float64)
@@ -188,7 +188,7 @@ HALF_OUTSIDE = pose_of(BOARD, CAMERA, 36.0, (0.2, -0.2, 0.1), shift_px=260.0)
         (CHARUCO, "markers .*DICT_6X6_50", {"dictionary": "DICT_6X6_50"}),
     ],
 )
-def test_bad_pictures_and_other_boards_are_refused_with_the_reason(board, reason, change):
+def test_bad_images_and_other_boards_are_refused_with_the_reason(board, reason, change):
     image, target = picture(CAMERA, POSE if board is BOARD else CHARUCO_POSE, board), board.target
     if isinstance(change, dict):
         target = dataclasses.replace(target, **change)
@@ -250,7 +250,7 @@ def test_saturated_pixels_cost_no_corner(gain, amount):
     assert 0.8 < whitened.std() < 1.3
 
 
-def test_what_is_lost_is_counted_and_said():
+def test_lost_corners_are_counted_and_reported():
     board, rng = chessboard((11, 7)), np.random.default_rng(3)
     pose = pose_of(board, CAMERA, 38.0, (0.2, -0.2, 0.1))
     image = unsharp(render_board(CAMERA, pose, board, 0.7), 0.0, 1.0, 0.65, 1)
@@ -267,7 +267,7 @@ def test_what_is_lost_is_counted_and_said():
 
 
 @pytest.mark.parametrize("kind", ["chessboard", "charuco"])
-def test_of_two_boards_in_a_picture_the_one_asked_for_is_taken(kind):
+def test_of_two_boards_in_an_image_the_specified_one_is_used(kind):
     make = chessboard if kind == "chessboard" else charuco
     boards = make((9, 6)), make((7, 5))
     poses = [pose_of(board, CAMERA, 23.0, (0.1, 0.1, 0.05), 300 * k - 150) for k, board in enumerate(boards)]
@@ -280,7 +280,7 @@ def test_of_two_boards_in_a_picture_the_one_asked_for_is_taken(kind):
 
 
 @pytest.mark.parametrize("kind", ["chessboard", "charuco", "dots", "ring-dots"])
-def test_two_equal_boards_in_a_picture_are_told(kind):
+def test_two_equal_boards_in_an_image_are_refused(kind):
     """Where either of two may be the one in the other camera's picture, none is taken; a part of one is no second."""
     make = {"chessboard": chessboard, "charuco": charuco}
     if kind in make:
@@ -361,7 +361,7 @@ def off_px(view: TargetView, where: RigidTransform) -> np.ndarray:
 
 
 @pytest.mark.parametrize("kind", ["speckle", "rings"])
-def test_speckle_and_dots_are_not_said_to_run_over_the_edge(kind):
+def test_speckle_and_dots_are_not_reported_as_boards_beyond_the_edge(kind):
     if kind == "speckle":
         image = 300 + 2000 * gaussian_filter(
             (gaussian_filter(np.random.default_rng(3).normal(size=(480, 640)), 4.0) > 0).astype(float), 0.8
@@ -374,7 +374,7 @@ def test_speckle_and_dots_are_not_said_to_run_over_the_edge(kind):
 
 @pytest.mark.parametrize("board", [RINGS, PLAIN, ASYMMETRIC])
 @pytest.mark.parametrize("tilt", [slow(0.0), 0.5, slow(-0.87)])
-def test_every_dot_is_found_at_its_place(board, tilt):
+def test_every_dot_is_found_at_its_position(board, tilt):
     where = pose(board, turn=0.2, tilt=tilt, distance_m=0.19)
     view = find(shown(board, where), board)
     assert set(map(tuple, view.index.tolist())) >= set(map(tuple, board.index.astype(int).tolist())) or board.rings
@@ -618,7 +618,7 @@ def test_ring_is_placed_by_its_outer_edge():
     assert np.abs(found.centre_px[0] - centre).max() < 0.005
 
 
-def test_roughness_tells_a_square_from_a_disc():
+def test_roughness_distinguishes_a_square_from_a_disc():
     centre, shape, image = dot(15.0, 1.0, 0.0, 7)
     y, x = np.indices(image.shape)
     inside = np.maximum(abs(x - centre[0]), abs(y - centre[1])) < 13.3

@@ -122,7 +122,7 @@ def test_the_path_of_a_stereo_pair(texture, pair, rig):
         assert np.abs(error - first).max() < 0.03
 
 
-def test_matches_off_their_epipolar_lines_are_dropped_and_a_wrong_calibration_is_said(pair, rig):
+def test_matches_off_their_epipolar_lines_are_dropped_and_a_wrong_calibration_is_reported(pair, rig):
     shifted = pair[1].copy()
     shifted[110:150, 140:190] = np.roll(pair[1], 4, axis=0)[110:150, 140:190]  # a part that the calibration excludes
     grids = [lay_stereo_grid(sequence([pair[0]]), sequence([shifted]), one, TrackSettings()) for one in (rig, None)]
@@ -137,7 +137,7 @@ def test_matches_off_their_epipolar_lines_are_dropped_and_a_wrong_calibration_is
     assert (OFF_EPIPOLAR_LINES.code, "stereo calibration") in {(notice.code, notice.where) for notice in tracks.notices}
 
 
-def test_speckle_finer_than_the_pixels_is_said(make_texture):
+def test_speckle_finer_than_the_pixels_is_reported(make_texture):
     image = 2000 + 400 * make_texture(seed=25, s=0.55, waves=100).image((160, 120))
     frames = [np.round(image + np.random.default_rng(k).normal(0, 6, image.shape)).astype(np.uint16) for k in range(3)]
     tracks = track_stereo(sequence(frames), sequence(frames[::-1]), None, TrackSettings())
@@ -146,7 +146,7 @@ def test_speckle_finer_than_the_pixels_is_said(make_texture):
     assert np.all(tracks.speckle_px < 3.0)
 
 
-def test_jumps_of_many_pixels_are_found_again(make_texture):
+def test_jumps_of_many_pixels_are_found(make_texture):
     jumps = np.array([[0, 0], [9.3, -4.2], [-8.6, 9.7], [0.2, 0.1]])
     frames = shifted(make_texture(seed=22, s=1.3, waves=60), (140, 130), jumps)
     points = np.array([[45.0, 45.0], [70.0, 60.0], [95.0, 80.0], [60.3, 85.7]])
@@ -155,7 +155,7 @@ def test_jumps_of_many_pixels_are_found_again(make_texture):
     np.testing.assert_allclose(tracks.position_px - points, np.broadcast_to(jumps[:, None], (4, 4, 2)), atol=5e-3)
 
 
-def test_saturated_absent_and_leaving_subsets_are_told_apart(make_texture):
+def test_saturated_absent_and_leaving_subsets_are_distinguished(make_texture):
     frames = shifted(make_texture(seed=23, s=1.3, waves=60), (120, 90), [(0, 0), (2, 0), (4, 0)])
     for frame in frames:
         frame[55:70, 60:80] = 4095
@@ -168,7 +168,7 @@ def test_saturated_absent_and_leaving_subsets_are_told_apart(make_texture):
 
 
 @pytest.mark.parametrize("step", [0.1, 1.2, 2.9])
-def test_a_vibration_sampled_too_slowly_is_foretold(step):
+def test_a_vibration_sampled_too_slowly_is_predicted(step):
     """Sines of any phase step from frame to frame, about any mean, obey the recursion exactly."""
     frames = np.arange(8)
     warps = np.zeros((8, 5, 6))
@@ -246,7 +246,7 @@ def test_ten_times_the_frames_need_no_more_memory():
     assert reader.alive == 0
 
 
-def test_a_stereo_pair_holds_a_few_frames_of_each_camera():
+def test_a_stereo_pair_needs_memory_for_a_few_frames_of_each_camera():
     image = speckle(200, 160)
     readers = RollingReader(image), RollingReader(np.roll(image, (0, 3), axis=(0, 1)))
     left, right = (reader.sequence(20) for reader in readers)
@@ -261,7 +261,7 @@ def test_a_stereo_pair_holds_a_few_frames_of_each_camera():
 # A real scene at rest, three stereo pairs: whatever moves is noise.
 
 
-def test_nothing_moves_by_more_than_its_noise(data_dir):
+def test_motion_is_within_its_noise(data_dir):
     folder = data_dir / "static_stereo"
     left, right = (open_sequence([folder / f"img_000{k}_{side}.tif" for k in range(3)]) for side in (0, 1))
     stereo = track_stereo(left, right, None, TrackSettings(radius_px=13))
@@ -494,7 +494,7 @@ def test_device_is_chosen(monkeypatch, choice, driver, torch_finds, expected):
     assert resolve_device(choice) == expected
 
 
-def test_an_absent_gpu_is_an_error_only_when_asked_for_and_torch_is_not_imported_without_a_driver(monkeypatch):
+def test_an_absent_gpu_is_an_error_only_if_specified_and_torch_is_not_imported_without_a_driver(monkeypatch):
     def refuse(name: str) -> None:
         raise OSError(f"{name}: no such library")
 

@@ -197,7 +197,7 @@ def test_depths_that_the_decoder_would_cut_to_8_bits_are_refused(tag, bits):
     ]  # fmt: skip
 
 
-def test_frames_that_a_film_lacks_are_told_by_its_time_stamps(tmp_path):
+def test_missing_frames_of_a_film_are_found_by_its_time_stamps(tmp_path):
     """Matroska: a block's time is 2 bytes in ms after its track, here 40 ms later from frame 3."""
     path = write_film(tmp_path / "a.mkv", RNG.integers(0, 255, (6, 48, 64), dtype=np.uint8))
     assert open_sequence([path]).numbers.missing == ""

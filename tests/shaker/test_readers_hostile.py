@@ -16,9 +16,9 @@ from contracts import refused
 
 from shaker.io import channel, read_channels
 from shaker.io.channel import LONGEST_LINE, MOST_CHANNELS
-from shaker.io.mat5 import check_mat5
 from shaker.io.text import table_units
 from shaker.lines import spectrum
+from shakercal._common.mat5 import check_mat5
 
 
 def _declared(path: Path, shape: tuple[int, ...], **options: object) -> None:

@@ -33,7 +33,7 @@ from fusion.planning.look.look_notices import (
     CAMERAS_DIFFER_IN_FRAMES,
     FIRST_EDGE_UNSTATED,
     INCOMPLETE_RECORDING,
-    MISSING_EDGES,
+    LOOK_MISSING_EDGES,
     REMARK,
 )
 from fusion.planning.look.signal_checks import (
@@ -257,7 +257,7 @@ def _edges(lines: Sequence[float], images: Images, trigger: TriggerFit, frames: 
     """Yield contradictions between frames and edges, and aliases of the driven lines."""
     where = images.stereo
     if trigger.edges < frames + (images.first_edge or 0):
-        yield Finding("REPEAT", Notice(MISSING_EDGES, where, frames=frames, edges=trigger.edges))
+        yield Finding("REPEAT", Notice(LOOK_MISSING_EDGES, where, frames=frames, edges=trigger.edges))
     elif trigger.edges > frames and images.first_edge is None:
         yield Finding("FIX MANIFEST", Notice(FIRST_EDGE_UNSTATED, where, frames=frames, edges=trigger.edges))
     yield from examine_beat(where, lines, trigger, frames)

@@ -45,7 +45,7 @@ CAMERAS_DIFFER_IN_FRAMES = DeclaredNotice(
     remedy="Record again, with all frames of both cameras.",
     link="look.md#what-is-examined-in-channels-and-images",
 )
-MISSING_EDGES = DeclaredNotice(
+LOOK_MISSING_EDGES = DeclaredNotice(
     "SC-822",
     "error",
     "{frames} frames have only {edges} trigger edges.",
@@ -158,7 +158,7 @@ EPIPOLAR_OFFSET = DeclaredNotice(
     remedy="Calibrate the pair again.",
     link="look.md#what-is-examined-in-channels-and-images",
 )
-CONSTANT_CHANNEL = DeclaredNotice(
+LOOK_CONSTANT_CHANNEL = DeclaredNotice(
     "SC-837",
     "error",
     "All samples are {value:.4g} {unit}.",
@@ -222,7 +222,7 @@ IRREGULAR_EDGES = DeclaredNotice(
     remedy="Check level and cable of the trigger.",
     link="look.md#what-is-examined-in-channels-and-images",
 )
-TRIGGER_JITTER = DeclaredNotice(
+LOOK_TRIGGER_JITTER = DeclaredNotice(
     "SC-846",
     "warning",
     "The trigger edges scatter by {jitter_us:.2g} µs.",

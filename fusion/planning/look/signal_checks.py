@@ -13,15 +13,15 @@ from fusion.planning.look.finding import Finding
 from fusion.planning.look.look_notices import (
     ALIASED_HARMONIC,
     ALIASED_LINES,
-    CONSTANT_CHANNEL,
     DRIVEN_LINE_MISSING,
     IRREGULAR_EDGES,
+    LOOK_CONSTANT_CHANNEL,
+    LOOK_TRIGGER_JITTER,
     MAINS_PICKUP,
     NO_PERIODIC_TRIGGER,
     OTHER_LINE_DRIVEN,
     SIGNAL_DEFECT,
     SIGNAL_DRIFT,
-    TRIGGER_JITTER,
 )
 from fusion.recording.daq_records import DaqRecord
 from fusion.recording.load import Manifest
@@ -63,7 +63,7 @@ def examine_channels(manifest: Manifest, record: DaqRecord) -> tuple[list[Findin
         if not np.isfinite(channel.samples).any():
             found.append(Finding("REPEAT", Notice(SIGNAL_DEFECT, where, defect="no sample is a finite number")))
         elif np.ptp(channel.samples[np.isfinite(channel.samples)]) == 0.0:
-            constant = Notice(CONSTANT_CHANNEL, where, value=float(channel.samples[0]), unit=channel.unit)
+            constant = Notice(LOOK_CONSTANT_CHANNEL, where, value=float(channel.samples[0]), unit=channel.unit)
             found.append(Finding("REPEAT", constant))
         elif entry.quantity != "trigger":
             texts = [defect.text(record.time_s(entry.name), channel.unit) for defect in record.defects(entry)]
@@ -190,7 +190,7 @@ def examine_trigger(where: str, fit: TriggerFit | str) -> Iterator[Finding]:
         count, kind = fit.doubled + fit.spurious, "doubled or stray"
         yield Finding("CHECK", Notice(IRREGULAR_EDGES, where, count=count, edges=fit.edges, kind=kind))
     if fit.scatters:
-        yield Finding("CHECK", Notice(TRIGGER_JITTER, where, jitter_us=1e6 * fit.jitter_s))
+        yield Finding("CHECK", Notice(LOOK_TRIGGER_JITTER, where, jitter_us=1e6 * fit.jitter_s))
 
 
 def examine_beat(where: str, frequencies_hz: Sequence[float], fit: TriggerFit, frames: int) -> Iterator[Finding]:

@@ -321,7 +321,9 @@ def _refuse_gaps(form: Form, path: Path, manifests: Sequence[Manifest]) -> None:
         raise InputError(MISSING_CERTIFICATE_ENTRIES, path, ", ".join(gaps))
     expired = [(manifest.path, notice) for manifest in manifests for notice in manifest.expiry_notices]
     if expired:
-        inputs = "; ".join(dict.fromkeys(notice.text for _, notice in expired))
+        inputs = ", ".join(
+            dict.fromkeys(f"{notice.values['key']} ({notice.values['source']})" for _, notice in expired)
+        )
         raise InputError(EXPIRED_CERTIFICATES, expired[0][0], inputs=inputs)
     issued, last = form.administration.issued, max(_days(form, manifests))
     if issued is not None and issued < last:

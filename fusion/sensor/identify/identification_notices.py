@@ -132,8 +132,8 @@ NO_BAND_OF_PITCHING_LOAD = DeclaredNotice(
 SENSITIVITY_EXPLANATION = DeclaredNotice(
     "SC-657",
     "note",
-    "{explanation}",
-    effect="The model of the sensor uses the supported explanation.",
+    "The sensitivity over frequency supports {supported}, and refutes {refuted}.",
+    effect="The model of the sensor uses the supported explanation of the largest weight.",
     link="identify.md",
 )
 DAMPING_AGREES = DeclaredNotice(

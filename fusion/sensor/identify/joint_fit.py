@@ -48,7 +48,13 @@ from shaker.identification.measured_curves import (
     ParameterEstimate,
     Placement,
 )
-from shaker.identification.sensitivity import SensitivityComparison, SpringPrior, fit_sensitivity, sensor_model
+from shaker.identification.sensitivity import (
+    CHAIN_WORDS,
+    SensitivityComparison,
+    SpringPrior,
+    fit_sensitivity,
+    sensor_model,
+)
 from shaker.identification.sensor import NO_CHAIN, SensorModel
 from shaker.identification.structure_fit import Identification, identify
 from shaker.identification.structures import ChainStructure, MechanicalStructure, SpringSuspension
@@ -422,7 +428,8 @@ def model_sensitivity(
         )
     range_hz = (float(measured.frequency_hz[0]), float(measured.frequency_hz[-1]))
     where = f"sensitivity {measured.component}"
-    notices = [Notice(SENSITIVITY_EXPLANATION, where, explanation=comparison.text)]
+    supported, refuted = (_explanations(comparison, verdict) for verdict in ("supported", "refuted"))
+    notices = [Notice(SENSITIVITY_EXPLANATION, where, supported=supported, refuted=refuted)]
     if (test := comparison.damping) is not None:
         declared = DAMPING_CONTRADICTED if test.contradicts else DAMPING_AGREES
         needed_us, resonance_us = 1e6 * test.needed_s, 1e6 * test.resonance_s
@@ -432,6 +439,11 @@ def model_sensitivity(
     return ModelledSensitivity(
         model, range_hz, SensitivityResult(measured, comparison), (*notices, *comparison.notices)
     )
+
+
+def _explanations(comparison: SensitivityComparison, verdict: str) -> str:
+    kinds = [fit.chain.kind for fit, one in zip(comparison.fits, comparison.verdict, strict=True) if one == verdict]
+    return ", ".join(CHAIN_WORDS[kind] for kind in kinds) or "no explanation"
 
 
 def mechanics(fit: JointFit) -> tuple[FloatArray, FloatArray]:

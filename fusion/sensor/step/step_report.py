@@ -87,10 +87,7 @@ class OutputRow(NamedTuple):
 
 
 def lowest_mode(fit: StepFit) -> tuple[float, float, float, float]:
-    """Return frequency (Hz), its u, damping ratio, and its u of the lowest mode.
-
-    NaN without one.
-    """
+    """Return frequency (Hz) and damping ratio of the lowest mode, each with u, or NaN."""
     model = fit.model
     if model is None or not len(model.frequency_hz):
         return (np.nan,) * 4

@@ -2,8 +2,7 @@
 
 SciPy's reader in C trusts the tags: it uses types of data as indices, numbers of cells as sizes, and follows nested
 cells by recursion. Wrong tags terminate the process. Here the same bytes are parsed in the same order (MathWorks,
-"MAT-File Format", version 5), and no data are stored. `photogram` and `shaker` have a copy each, since neither may
-import the other.
+"MAT-File Format", version 5), and no data are stored.
 """
 
 from __future__ import annotations
