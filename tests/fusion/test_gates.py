@@ -199,7 +199,7 @@ def test_devices_pipes_and_circles_are_no_files(command, place, tmp_path, capsys
     finally:
         writer.cancel()
     assert ended.value.code == 2
-    assert re.search("device or pipe|circle", capsys.readouterr().err)
+    assert re.search("device or pipe|circular", capsys.readouterr().err)
 
 
 UNITS = [
