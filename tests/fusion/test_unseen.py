@@ -119,7 +119,7 @@ def test_what_is_stated_is_in_every_number_of_a_model():
 
 def test_several_mountings_take_the_place_of_what_is_stated_of_one():
     assert ONE.scope == "within this record of one release, with mounting anew and another temperature as stated"
-    assert ONE.outside == "what releases scatter by, another load, a model of another structure"
+    assert ONE.outside.endswith("another load, a model of another structure")
     assert TWO.scope == "within these 2 releases of 2 mountings, with another temperature as stated"
     assert TWO.causes == ("temperature",)
     assert stated_influences(Rig(format=1, name="r"), ["1"]).scope == "within this record of one release"
@@ -173,7 +173,7 @@ def test_numbers_of_a_filter_rest_on_what_is_stated_and_on_degrees_of_freedom(tm
     assert filters.sensor_dof[0] == pytest.approx(dof)
     assert filters.before.expanded("natural_hz") == pytest.approx(coverage_factor(dof) * known.before.u["natural_hz"])
     texts = [notice.text for notice in evaluation.notices]
-    assert "U of the model holds within these 3 releases" in texts
+    assert any("within these 3 releases" in text for text in texts)
     old = made(stated, dof=2.0).filters[0]  # a file that does not say what of it is scatter: all
     assert old.before.expanded("natural_hz") == pytest.approx(4.303 * known.before.u["natural_hz"], rel=1e-3)
 
