@@ -452,7 +452,9 @@ def _far_from_static(outputs: Outputs, load: LoadResult, sensor: Sensor, compone
         "sensor.static_sensitivity, sensor.unit, sensor.sense and load.mass, scale, direction and response of channels"
     )
     frequency_hz = outputs.phasors.frequency_hz[line]
-    yield Notice(OUTPUT_CONTRADICTS, "sensitivity", frequency_hz=frequency_hz, outputs=text, checks=checks)
+    explained = bool(mistake)
+    values = {"frequency_hz": frequency_hz, "outputs": text, "checks": checks, "mistake_explains": explained}
+    yield Notice(OUTPUT_CONTRADICTS, "sensitivity", **values)
 
 
 def main_output(sensor: Sensor, component: int, recorded: Sequence[str] | None = None) -> str | None:

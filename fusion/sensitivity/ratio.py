@@ -499,11 +499,8 @@ def contradicting_outputs(
     signal, force, names = outputs.phasors.value[line], np.nan_to_num(load.value[line]), prior.channels
     predicted = force @ prior.value.T
     full = np.max(np.abs(prior.value) * rated, axis=1)
-    of_load = (
-        load.uncertainty.at_lines([line])
-        .nan_as_zero()
-        .transformed(real_design(prior.value[None].astype(np.complex128)))
-    )
+    at_line = load.uncertainty.at_lines([line]).nan_as_zero()
+    of_load = at_line.transformed(real_design(prior.value[None].astype(np.complex128)))
     pair = np.diagonal(of_load.covariance[0]).reshape(2, -1).sum(axis=0)
     cross = CROSS_TALK * np.max(np.abs(force) / rated) * full
     noise = 3.0 * np.hypot(np.sqrt(pair), np.hypot(outputs.phasors.u_re[line], outputs.phasors.u_im[line]))
@@ -516,13 +513,14 @@ def contradicting_outputs(
     doubted = [c for c in stated if not agrees(c, c)]
     if not doubted:
         return
-    listed = []
+    listed, mistakes = [], list[str]()
     for c in doubted:
         ratio = complex(quotient(signal[c], predicted[c, None])[0])
         mistake = likely_mistake(ratio, CHANGED, OUTPUT_MISTAKES) if abs(predicted[c]) > cross[c] else ""
         if not mistake and abs(abs(ratio) - 1.0) < CHANGED:
             mistake = "the delay or response of its chain were missing or in another unit"
         factor = f"{abs(ratio):.3g} times as large, turned by {np.angle(ratio):.3g} rad"
+        mistakes += [mistake] if mistake else []
         listed.append(f"{names[c]} is {factor}" + (f", as if {mistake}" if mistake else ""))
     pairs = [(a, b) for a, b in combinations(doubted, 2) if agrees(a, b) and agrees(b, a)]
     exchanges = [f"whether {names[a]} and {names[b]} are exchanged" for a, b in pairs]
@@ -536,6 +534,7 @@ def contradicting_outputs(
         frequency_hz=outputs.phasors.frequency_hz[line],
         outputs="; ".join(listed),
         checks=", ".join([*exchanges, checks]),
+        mistake_explains=bool(mistakes or pairs),
     )
 
 
