@@ -18,8 +18,8 @@ def notice_frame(notices: Iterable[Notice]) -> dict[str, Any]:
     seen = [one for one in every if one.acknowledged]
     assumed = [one for one in every if one.possible_size and not one.acknowledged]
     heads = ("code", "where", "notice", "reason (by, date)"), ("code", "influence", "where", "size", "how to assess it")
-    rows = [(one.code, one.where, code_html(one.text), one.acknowledged) for one in seen]
-    sized = [(one.code, *map(code_html, (one.text, one.where, one.possible_size, one.remedy))) for one in assumed]
+    rows = [(_named(one), one.where, code_html(one.text), one.acknowledged) for one in seen]
+    sized = [(_named(one), *map(code_html, (one.text, one.where, one.possible_size, one.remedy))) for one in assumed]
     return {
         "notices": [one for one in every if not one.acknowledged and not one.possible_size],
         "acknowledged": Table("Acknowledged", heads[0], "llll", tuple(rows)) if seen else None,
@@ -30,3 +30,8 @@ def notice_frame(notices: Iterable[Notice]) -> dict[str, Any]:
 def code_html(text: str) -> Markup:
     """Return a text with its `code` marked for pages."""
     return Markup(re.sub(r"`([^`]+)`", r"<code>\1</code>", str(escape(text))))
+
+
+def _named(notice: Notice) -> Markup:
+    """Return the code of a notice, which stays on one line."""
+    return Markup('<span class="code">{}</span>').format(notice.code)

@@ -427,8 +427,8 @@ def model_sensitivity(
         )
     range_hz = (float(measured.frequency_hz[0]), float(measured.frequency_hz[-1]))
     where = f"sensitivity {measured.component}"
-    supported, refuted = (_explanations(comparison, verdict) for verdict in ("supported", "refuted"))
-    notices = [Notice(SENSITIVITY_EXPLANATION, where, supported=supported, refuted=refuted)]
+    supported, contradicted = (_explanations(comparison, verdict) for verdict in ("supported", "refuted"))
+    notices = [Notice(SENSITIVITY_EXPLANATION, where, supported=supported, contradicted=contradicted)]
     if (test := comparison.damping) is not None:
         declared = DAMPING_CONTRADICTED if test.contradicts else DAMPING_AGREES
         needed_us, resonance_us = 1e6 * test.needed_s, 1e6 * test.resonance_s
