@@ -14,6 +14,7 @@ from pydantic import BaseModel
 from support import DOCS, documented_keys, examples, key_tables
 
 from fusion.errors import InputError
+from fusion.recording.acknowledged import Acknowledgement
 from fusion.recording.environment import Environment
 from fusion.recording.excitation import KINDS, ExcitationEntry
 from fusion.recording.load import find_recordings, load_manifest
@@ -193,6 +194,7 @@ MODELS: dict[str, type[BaseModel]] = {
     "`[model.temperature]`": TemperatureChange,
     "`[administration]`": RigAdministration,
     "Top level of recording.toml": RecordingFile,
+    "`[[acknowledged]]`": Acknowledgement,
     "`[excitation]`": ExcitationEntry,
     "`[[daq]]`": Daq,
     "`[[daq.channel]]`": ChannelEntry,
