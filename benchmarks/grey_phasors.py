@@ -2,11 +2,11 @@
 
     python benchmarks/grey_phasors.py [--draws 4] [--only NAME ...] [--docs docs]
 
-Unknowns are an offset and amplitude and phase of six components at every line; frames are not fitted one by one, but
-their information H and slope g (`photogram.direct.direct_fit`) at the motion that the unknowns say are summed, Σ Φᵀ·H·Φ and
-Σ Φᵀ·g with the columns Φ of the sine fit, and solved until nothing changes. A frame that fixes no motion of its own
-counts as far as it tells. Pictures are of the preset `demo` without systematic errors, rendered once for each case and
-given other noise in each draw; the truth is the sine fit to the true motions.
+Unknowns are an offset and amplitude and phase of six components at every line. Frames are not fitted one by one. Their
+information H and slope g (`photogram.direct.direct_fit`) at the motion of the unknowns are summed, Σ Φᵀ·H·Φ and Σ Φᵀ·g
+with the columns Φ of the sine fit, and solved until convergence. A frame that does not determine its motion contributes
+its information. Images are of the preset `demo` without systematic errors, rendered once for each case, with new noise
+in each draw. The truth is the sine fit to the true motions.
 """
 
 from __future__ import annotations

@@ -41,7 +41,7 @@ Text = dict[str, Any]
 DEMO = Path(__file__).resolve().parent.parent / "sample_images" / "demo"
 RIG_NAMES = ("demo", "uniaxial")
 HEAD = "| mistake | demo | uniaxial | what is said |\n|---|---|---|---|"
-NAMED = ("disagree", "left out", "contradict")
+NAMED = ("disagree", "rejected", "contradict")
 """Words of a warning that names instruments or channels but not the cause: the mistake is noticed, no more."""
 SEED = 11
 
@@ -446,7 +446,7 @@ def said(campaign: Path) -> Told:
         report = check(manifest)
         told = [*report.remarks, *report.problems]
         found = evaluate_recording(manifest, Settings())
-        told += [f"{n.where}: {n.text}" for n in found.notices]
+        told += [f"{n.where}: {n.explanation}" for n in found.notices]
     except (InputError, ComputeError) as error:
         return Told((str(error),))
     own, place = found.sensitivity, (2, 2)

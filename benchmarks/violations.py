@@ -215,7 +215,9 @@ def draw(rig: Rig, names: Sequence[str], seed: int) -> Draw:
             matrix, both = own.region_matrix, np.array([off.real, off.imag])
             distance[place] = np.sqrt(both @ np.linalg.solve(matrix, both))
             expanded[place] = np.sqrt(np.linalg.eigvalsh(matrix)[-1])
-    notices = tuple(f"{notice.text} [{notice.where}]" for notice in found.notices)
+    notices = tuple(
+        f"{notice.code}: {notice.explanation} {notice.possible_size} [{notice.where}]" for notice in found.notices
+    )
     return Draw(notices, "", distance, value - truth, expanded, fused.probability)
 
 

@@ -24,6 +24,12 @@ def load_unit(component: str) -> str:
     return "N.m" if component.startswith("M") else "N"
 
 
+def sensitivity_unit(output_unit: str, component: str) -> str:
+    """Return the ASCII unit of output per load component, `(V/V)/N` or `(V/V)/(N.m)`."""
+    numerator = f"({output_unit})" if "/" in output_unit else output_unit
+    return f"{numerator}/N" if component.startswith("F") else f"{numerator}/(N.m)"
+
+
 class MechanicalUnits(NamedTuple):
     """Units of stiffness, damping and inertia of one component."""
 

@@ -46,13 +46,12 @@ from fusion.report.table import (
     polar_cells,
     quantity_html,
     scaled_html,
-    sensitivity_unit,
     small,
     table,
     times_ten,
 )
 from fusion.report.tables import deviation, result_name
-from shaker.labels import LOAD_COMPONENTS
+from shaker.labels import LOAD_COMPONENTS, sensitivity_unit
 from shakercal._common.notices import Notice
 
 # Joint results of a campaign: matrices, cross-talk, repeats, linearity, one curve per element.

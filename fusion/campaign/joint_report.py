@@ -72,7 +72,7 @@ from fusion.report.table import (
     table,
     text_column,
 )
-from fusion.sensitivity.analyse import NO_RESULT
+from fusion.sensitivity.sensitivity_notices import NO_RESULT_AT_LINES
 from shaker.arrays import FloatArray
 from shaker.labels import LOAD_COMPONENTS, LOAD_UNITS, typeset
 from shakercal._common.notices import gather
@@ -216,7 +216,7 @@ def recordings_table(evaluation: CampaignEvaluation) -> Table | None:
         return f"{entry.kind}{blank}({direction})" if direction else entry.kind
 
     def result(entry: RecordingResults) -> str:
-        if any(notice.where == NO_RESULT for notice in entry.notices):
+        if any(notice.code == NO_RESULT_AT_LINES.code for notice in entry.notices):
             return "driven lines without a result"
         return "evaluated" if entry.excited_lines else "no load or no output"
 

@@ -19,8 +19,8 @@ from fusion.report.atomic_files import Checkpoint, file_lock, remove_abandoned, 
 from fusion.report.folder import RESULT_FILE, Hashing, check_folder, hashing, is_current, origin_key
 from fusion.report.h5 import open_results, read_notices
 from fusion.report.recording_report import REPORT_FILE, check_campaign_folder, write_results
-from fusion.sensitivity.analyse import NO_RESULT
 from fusion.sensitivity.recording_evaluation import evaluate_recording
+from fusion.sensitivity.sensitivity_notices import NO_RESULT_AT_LINES
 from shakercal._common.notices import Notice
 
 RECORDINGS, JOIN = "recordings", "join recordings"
@@ -73,7 +73,7 @@ class Outcome:
     @property
     def missing(self) -> str:
         """Driven lines without a result, with the reasons; empty if all have one."""
-        return " ".join(notice.text for notice in self.notices or () if notice.where == NO_RESULT)
+        return " ".join(notice.text for notice in self.notices or () if notice.code == NO_RESULT_AT_LINES.code)
 
     @property
     def summary(self) -> str:

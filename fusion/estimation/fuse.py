@@ -29,6 +29,7 @@ from fusion.estimation.instrument_consistency import (
     suspicions,
     without_readings,
 )
+from fusion.estimation.labelled_phasors import LabelledPhasors, TabularResult
 from fusion.estimation.least_squares import (
     UNOBSERVED,
     UNOBSERVED_ITSELF,
@@ -58,7 +59,7 @@ from fusion.estimation.variance_components import (
     failing_lines,
     scatter_covariances,
 )
-from shaker.arrays import BoolArray, FloatArray, IntArray, brief
+from shaker.arrays import BoolArray, FloatArray, IntArray
 from shaker.labels import MOTION_COMPONENTS, component_units
 from shaker.sine.phasor import Phasors
 from shakercal._common.notices import Notice
@@ -71,8 +72,8 @@ MOST_LEFT_OUT = 4
 """Gross errors that are looked for one after another."""
 
 
-@dataclass(frozen=True)
-class Acceleration:
+@dataclass(frozen=True, repr=False)
+class Acceleration(TabularResult):
     """Six-component acceleration phasors of one body at the sensor origin.
 
     Attributes
@@ -123,7 +124,14 @@ class Acceleration:
     posterior: FloatArray | None = None
     products: FloatArray | None = None
 
-    __repr__ = brief
+    def labelled(self) -> LabelledPhasors:
+        """Return the components with their names and units."""
+        value, body = self.phasors.value, (self.body,) * 6
+        name, kind = f"acceleration {self.body}-{self.source}", ("phasor",) * len(value)
+        units = component_units(2)
+        return LabelledPhasors(
+            name, self.phasors.frequency_hz, value, body, MOTION_COMPONENTS, units, self.uncertainty, kind
+        )
 
     @cached_property
     def unobserved_amplitude(self) -> FloatArray:

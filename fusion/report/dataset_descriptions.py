@@ -10,8 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from fusion.report.h5_tree import Data, Group
-from fusion.report.table import sensitivity_unit
-from shaker.labels import AXES, LOAD_COMPONENTS, LOAD_UNITS, MOTION_COMPONENTS, component_units
+from shaker.labels import AXES, LOAD_COMPONENTS, LOAD_UNITS, MOTION_COMPONENTS, component_units, sensitivity_unit
 
 
 class DatasetDescription(NamedTuple):

@@ -29,6 +29,7 @@ from fusion.base import PROGRAM, CommandEvaluation, FileIdentity, __version__, c
 from fusion.errors import ComputeError, InputError
 from fusion.report.atomic_files import file_lock, is_internal_name, write_files, write_together
 from fusion.report.figure import Figure
+from fusion.report.notice_tables import code_html, notice_frame
 from fusion.report.page_cache import CompiledTemplates, load_or_make
 from fusion.report.report_notices import (
     CHANGED_INPUT,
@@ -323,7 +324,13 @@ def render_page(template: str, context: Mapping[str, Any]) -> str:
         lstrip_blocks=True,
         bytecode_cache=CompiledTemplates(),
     )
-    environment.filters |= {"data_uri": data_uri, "sections": sections, "live": live, "static_svg": static_svg}
+    environment.filters |= {
+        "data_uri": data_uri,
+        "sections": sections,
+        "live": live,
+        "static_svg": static_svg,
+        "code_html": code_html,
+    }
     environment.globals |= {
         "shown": shown,
         "figures_library": bokeh_library,
@@ -366,27 +373,6 @@ def subject_of(rig: Rig) -> list[tuple[str, str]]:
     """Return rig and sensor as every page names them."""
     sensor = [] if rig.sensor is None else [("Sensor", f"{rig.sensor.name} {rig.sensor.serial}".strip())]
     return [("Rig", rig.name), *sensor]
-
-
-def notice_frame(notices: Iterable[Notice]) -> dict[str, Any]:
-    """Return the notices of a page, and tables of acknowledged and of not assessed ones."""
-    every = warnings_first(notices)
-    acknowledged = [(one.code, one.where, one.text, one.acknowledged) for one in every if one.acknowledged]
-    assumed = [one for one in every if one.possible_size and not one.acknowledged]
-    not_assessed = [(one.code, one.text, one.where, one.possible_size, one.remedy) for one in assumed]
-    tables = (
-        Table("Acknowledged", ("code", "where", "notice", "reason (by, date)"), "llll", tuple(acknowledged)),
-        Table(
-            "Not assessed: influences outside U",
-            ("code", "influence", "where", "possible size", "how to assess it"),
-            "lllll",
-            tuple(not_assessed),
-        ),
-    )
-    return {
-        "notices": [one for one in every if not one.acknowledged and not one.possible_size],
-        "notice_tables": [table for table in tables if table.rows],
-    }
 
 
 def origin_frame(origin: ResultOrigin, notices: Iterable[Notice]) -> dict[str, Any]:

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import importlib
 from collections.abc import Iterator, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -12,112 +11,16 @@ import h5py
 import numpy as np
 
 from fusion.errors import InputError
-from fusion.estimation.uncertainty import Uncertainty, polar_elements
+from fusion.estimation.labelled_phasors import LabelledPhasors
 from fusion.report.folder import RESULT_FILE, RESULT_FORMAT
 from fusion.report.h5 import open_results, read_numbers, read_uncertainty
 from fusion.report.report_notices import INCOMPLETE_RESULTS, NO_RESULTS, OTHER_FORMAT
-from fusion.report.table import sensitivity_unit
-from shaker.arrays import ComplexArray, FloatArray, check_shape
-from shaker.labels import LOAD_COMPONENTS, LOAD_UNITS
+from shaker.arrays import ComplexArray
+from shaker.labels import LOAD_COMPONENTS, LOAD_UNITS, sensitivity_unit
 
 CAMPAIGN_FILE = "campaign.h5"
 READ = ("sensor", "sensitivity", "element", "accelerations", "load", "curves", "matrices")
 """Groups of a file that are read."""
-
-
-@dataclass(frozen=True, repr=False)
-class LabelledPhasors:
-    """Complex values of E elements at K frequencies with names, units and uncertainty.
-
-    Attributes
-    ----------
-    name : name of the quantity.
-    frequency_hz : (K,) frequencies in Hz.
-    value : (K, E) peak phasors or ratios of them; NaN if there is no result.
-    channel : (E) channel of the sensor; for an acceleration or load its body.
-    component : (E) component of the load or motion.
-    unit : (E) unit of each element.
-    uncertainty : uncertainty of all elements by named unknowns, real parts first.
-    kind : (K) kind of each line.
-    """
-
-    name: str
-    frequency_hz: FloatArray
-    value: ComplexArray
-    channel: tuple[str, ...]
-    component: tuple[str, ...]
-    unit: tuple[str, ...]
-    uncertainty: Uncertainty
-    kind: tuple[str, ...]
-
-    def __post_init__(self) -> None:
-        lines, size = len(self.frequency_hz), len(self.unit)
-        check_shape("frequency_hz", self.frequency_hz, (lines,))
-        check_shape("value", self.value, (lines, size))
-        check_shape("covariance", self.uncertainty.random[0].covariance, (lines, 2 * size, 2 * size))
-        if len(self.kind) != lines:
-            raise ValueError(f"kind: expected one of each of {lines} lines, found {len(self.kind)}")
-
-    def __repr__(self) -> str:
-        lines, units = self.frequency_hz, ", ".join(dict.fromkeys(self.unit))
-        span = f" from {lines.min():.6g} to {lines.max():.6g} Hz" if len(lines) else ""
-        elements = f"{len(self.unit)} element{'s' * (len(self.unit) != 1)}"
-        return f"{self.name}: {elements} at {len(lines)} line{'s' * (len(lines) != 1)}{span} in {units}"
-
-    @property
-    def covariance(self) -> FloatArray:
-        """Covariance (K, 2E, 2E) of [all Re, all Im] at each frequency."""
-        return self.uncertainty.covariance
-
-    @property
-    def elements(self) -> tuple[str, ...]:
-        """Name of each element, `channel/component`."""
-        return tuple(f"{channel}/{component}" for channel, component in zip(self.channel, self.component, strict=True))
-
-    def of(self, channel: str, component: str) -> ComplexArray:
-        """Return the values (K,) of one element."""
-        if (name := f"{channel}/{component}") not in self.elements:
-            raise ValueError(f"channel, component: expected one of {', '.join(self.elements)}, found {name}")
-        return np.asarray(self.value[:, self.elements.index(name)])
-
-    def to_dataframe(self) -> Any:
-        """Return a pandas table with one row per result and the columns of `sensitivity.csv`."""
-        pandas = _optional("pandas")
-        rows = []
-        with np.errstate(over="ignore", invalid="ignore"):  # numbers of damaged files are returned unchanged
-            every = polar_elements(self.value, self.uncertainty)
-        for k, line in enumerate(every):
-            for e, value in enumerate(line):
-                if value is not None:
-                    named = {"channel": self.channel[e], "component": self.component[e]}
-                    what = {"unit": self.unit[e], "kind": self.kind[k]}
-                    rows.append({"frequency_hz": float(self.frequency_hz[k]), **named, **asdict(value), **what})
-        return pandas.DataFrame(rows)
-
-    def to_xarray(self) -> Any:
-        """Return an xarray `Dataset` of `value` and `covariance` over `frequency_hz` and `element`."""
-        parts = [f"{part} {element}" for part in ("Re", "Im") for element in self.elements]
-        labels = {name: ("element", list(getattr(self, name))) for name in ("channel", "component", "unit")}
-        units = set(self.unit)
-        attributes = {"long_name": self.name, **({"units": self.unit[0]} if len(units) == 1 else {})}
-        return _optional("xarray").Dataset(
-            {
-                "value": (("frequency_hz", "element"), self.value, attributes),
-                "covariance": (
-                    ("frequency_hz", "row", "column"),
-                    self.covariance,
-                    {"long_name": "of [all Re, all Im]"},
-                ),
-            },
-            coords={
-                "frequency_hz": ("frequency_hz", self.frequency_hz, {"units": "Hz"}),
-                "element": list(self.elements),
-                "row": parts,
-                "column": parts,
-                "kind": ("frequency_hz", list(self.kind)),
-                **labels,
-            },
-        )
 
 
 @dataclass(frozen=True, repr=False)
@@ -273,11 +176,3 @@ def _matrix(group: h5py.Group) -> LabelledPhasors:
 
 def _output_unit(group: h5py.Group) -> str:
     return str(group.file["sensor"].attrs["unit"]) if "sensor" in group.file else ""
-
-
-def _optional(name: str) -> Any:
-    """Import an optional package."""
-    try:
-        return importlib.import_module(name)
-    except ImportError:
-        raise ImportError(f"{name} is not installed: pip install {name}") from None

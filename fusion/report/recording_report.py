@@ -39,21 +39,15 @@ from fusion.report.report_notices import OTHER_CAMPAIGN_CONTENT, RESERVED_NAME
 from fusion.report.report_scene import evaluation_scene, scene_page
 from fusion.report.result_figures import acceleration_figures, draw_budget, sensitivity_figures
 from fusion.report.signal_figures import channel_figures, point_figures, trigger_figures
-from fusion.report.table import (
-    TableColumn,
-    capitalise,
-    csv_text,
-    polar_columns,
-    quantity_html,
-    sensitivity_unit,
-    text_column,
-)
-from fusion.sensitivity.analyse import NO_RESULT, NOT_SHOWN, Evaluation
+from fusion.report.table import TableColumn, capitalise, csv_text, polar_columns, quantity_html, text_column
+from fusion.sensitivity.analyse import NOT_SHOWN, Evaluation
 from fusion.sensitivity.input_evidence import find_evidence
 from fusion.sensitivity.load_phasors import LoadResult
 from fusion.sensitivity.moving_body import moving_parts
 from fusion.sensitivity.ratio import Sensitivity
+from fusion.sensitivity.sensitivity_notices import NO_RESULT_AT_LINES
 from shaker.arrays import FloatArray
+from shaker.labels import sensitivity_unit
 
 # Its tables as CSV files, and how a campaign joins those of several.
 
@@ -222,7 +216,7 @@ def render_report(evaluation: Evaluation) -> str:
     context = {
         "name": evaluation.manifest.name,
         "subject": _subject(evaluation),
-        "missing": [capitalise(notice.text) for notice in evaluation.notices if notice.where == NO_RESULT],
+        "missing": [capitalise(notice.text) for notice in evaluation.notices if notice.code == NO_RESULT_AT_LINES.code],
         "headlines": tables.headlines(evaluation),
         "rig": scene_page(evaluation_scene(evaluation)),
         "pictures": draw_all(evaluation),

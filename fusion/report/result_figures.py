@@ -25,7 +25,6 @@ from fusion.report.figure import (
     polar_bars,
     power_of_ten,
 )
-from fusion.report.table import sensitivity_unit
 from fusion.report.tables import (
     acceleration,
     bodies,
@@ -42,7 +41,7 @@ from fusion.report.tables import (
 from fusion.sensitivity.analyse import Evaluation
 from fusion.sensitivity.ratio import Sensitivity
 from shaker.arrays import BoolArray, FloatArray
-from shaker.labels import LOAD_COMPONENTS, MOTION_COMPONENTS, typeset
+from shaker.labels import LOAD_COMPONENTS, MOTION_COMPONENTS, sensitivity_unit, typeset
 
 BUDGET_ENTRIES = 14
 """Largest number of bars in the figure of the budget (chosen)."""

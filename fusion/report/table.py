@@ -84,12 +84,6 @@ def quantity_columns(quantity: Callable[[R], RealQuantity]) -> list[TableColumn[
     ]
 
 
-def sensitivity_unit(output_unit: str, component: str) -> str:
-    """Return the ASCII unit of output per load component, `(V/V)/N` or `(V/V)/(N.m)`."""
-    numerator = f"({output_unit})" if "/" in output_unit else output_unit
-    return f"{numerator}/N" if component.startswith("F") else f"{numerator}/(N.m)"
-
-
 def columns_of(row: type[Any]) -> list[TableColumn[Any]]:
     """Return one column per field of named tuples or data classes."""
     names = getattr(row, "_fields", None) or [field.name for field in fields(row)]

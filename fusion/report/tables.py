@@ -33,7 +33,6 @@ from fusion.report.table import (
     polar_freedom,
     quantity_html,
     scaled_html,
-    sensitivity_unit,
     short,
     table,
     times_ten,
@@ -41,7 +40,7 @@ from fusion.report.table import (
 from fusion.sensitivity.analyse import Evaluation
 from fusion.sensitivity.ratio import Sensitivity, StatedMatrix
 from fusion.sensitivity.ratio import driven_component as driven_load
-from shaker.labels import LOAD_COMPONENTS, LOAD_UNITS, MOTION_COMPONENTS, typeset
+from shaker.labels import LOAD_COMPONENTS, LOAD_UNITS, MOTION_COMPONENTS, sensitivity_unit, typeset
 from shaker.timebase.tie import ClockTie
 from shaker.timebase.trigger import TriggerFit
 

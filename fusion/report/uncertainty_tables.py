@@ -28,7 +28,6 @@ from fusion.report.table import (
     phase,
     quantity_html,
     scaled_html,
-    sensitivity_unit,
     short,
     signed_text,
     small,
@@ -49,7 +48,7 @@ from fusion.sensitivity.distributions import Propagated, RealSpread
 from fusion.sensitivity.load_phasors import BudgetEntry, budget
 from fusion.sensitivity.ratio import StatedMatrix, parasitic_loads, static_unknowns
 from shaker.arrays import ComplexArray, FloatArray
-from shaker.labels import LOAD_COMPONENTS, MOTION_COMPONENTS, typeset
+from shaker.labels import LOAD_COMPONENTS, MOTION_COMPONENTS, sensitivity_unit, typeset
 
 # Agreement of instruments: deviations, scatter, untested unknowns.
 

@@ -12,6 +12,7 @@ from fusion.errors import ComputeError
 from fusion.estimation.estimation_notices import UNBOUNDED_MOTION, UNBOUNDED_READINGS
 from fusion.estimation.fuse import Acceleration, fuse_sources
 from fusion.estimation.instrument_consistency import OUTPUT_MISTAKES, UNTESTED, likely_mistake
+from fusion.estimation.labelled_phasors import LabelledPhasors, TabularResult
 from fusion.estimation.least_squares import Unbounded, observed_components, row_space
 from fusion.estimation.measurement_model import SCALE, CommonError, Deviates, Geometry, Observation, UnobservedMotion
 from fusion.estimation.uncertainty import Influence, Uncertainty, added_up, as_complex
@@ -41,7 +42,6 @@ from fusion.sensitivity.sensitivity_notices import (
     CROSS_TALK_BOUND,
     DIRECTION_DOUBTED,
     ELEMENT_CHANGED,
-    NO_RESULT_AT_LINES,
     OTHER_LOADS_NOT_ASSESSED,
     OUTPUT_CONTRADICTS,
     POSITION_UNSTATED,
@@ -434,7 +434,7 @@ def _far_from_static(outputs: Outputs, load: LoadResult, sensor: Sensor, compone
 
     For sensors without enough of the matrix for `contradicting_outputs`.
     """
-    main = None if sensor.static_sensitivity is None else _main_output(sensor, component, outputs.phasors.channels)
+    main = None if sensor.static_sensitivity is None else main_output(sensor, component, outputs.phasors.channels)
     force = np.nan_to_num(load.value[:, component])
     line = int(np.argmax(np.abs(force)))
     if sensor.static_sensitivity is None or main is None or not np.abs(force[line]) > 0.0:
@@ -452,50 +452,12 @@ def _far_from_static(outputs: Outputs, load: LoadResult, sensor: Sensor, compone
         "sensor.static_sensitivity, sensor.unit, sensor.sense and load.mass, scale, direction and response of channels"
     )
     frequency_hz = outputs.phasors.frequency_hz[line]
-    yield Notice(OUTPUT_CONTRADICTS, "sensitivity", frequency_hz=frequency_hz, outputs=text, checks=checks)
+    explained = bool(mistake)
+    values = {"frequency_hz": frequency_hz, "outputs": text, "checks": checks, "mistake_explains": explained}
+    yield Notice(OUTPUT_CONTRADICTS, "sensitivity", **values)
 
 
-# Whether the recording has its result.
-
-
-NO_RESULT = "result"
-"""Where the notice `NO_RESULT_AT_LINES` belongs; `shakercal run` then ends with exit status 1."""
-
-
-def missing_result(inputs: Inputs, analysis: Analysis) -> Iterator[Notice]:
-    """Yield a warning with the driven lines without a result and the reason.
-
-    The result is the sensitivity to the driven load if outputs of a sensor were recorded. Otherwise it is the
-    acceleration along the driven component, or along any component without a stated direction.
-    """
-    driven, direction = np.asarray(inputs.lines.multiple) == 1, inputs.direction
-    capacity = None if inputs.sensor is None else inputs.sensor.capacity
-    component = None if direction is None else driven_component(direction, capacity)
-    if inputs.outputs is not None:
-        name = "sensitivity" if component is None else f"sensitivity to the driven load {LOAD_COMPONENTS[component]}"
-        found = _with_sensitivity(inputs, analysis, component)
-    else:
-        name = "acceleration" if component is None else f"acceleration along the driven {MOTION_COMPONENTS[component]}"
-        found = np.any([_observed(a, component) for a in analysis.accelerations if a.source == "fused"], axis=0)
-    lacking = driven & ~found
-    if lacking.any():
-        yield Notice(
-            NO_RESULT_AT_LINES,
-            NO_RESULT,
-            quantity=name,
-            frequencies=", ".join(f"{nominal:g}" for nominal in inputs.lines.nominal_hz[lacking]),
-            lost=int(np.sum(lacking)),
-            driven=int(np.sum(driven)),
-            reason=_describe_reason(inputs, analysis, component, lacking),
-        )
-
-
-def _observed(acceleration: Acceleration, component: int | None) -> BoolArray:
-    seen = acceleration.observed
-    return np.asarray(seen.any(axis=1) if component is None else seen[:, component])
-
-
-def _main_output(sensor: Sensor, component: int, recorded: Sequence[str] | None = None) -> str | None:
+def main_output(sensor: Sensor, component: int, recorded: Sequence[str] | None = None) -> str | None:
     """Return the output that belongs to a load, or None.
 
     By the static matrix or its name. `recorded`: outputs to choose from, by default all of the sensor.
@@ -507,54 +469,11 @@ def _main_output(sensor: Sensor, component: int, recorded: Sequence[str] | None 
     return LOAD_COMPONENTS[component] if LOAD_COMPONENTS[component] in sensor.channels else None
 
 
-def _with_sensitivity(inputs: Inputs, analysis: Analysis, component: int | None) -> BoolArray:
-    """Return the lines (K,) at which the main output has a sensitivity.
-
-    Any output, if none is the main one.
-    """
-    found = analysis.sensitivity
-    if found is None or component is None or inputs.sensor is None:
-        return np.zeros(1, dtype=np.bool_)
-    finite, main = np.isfinite(found.value[:, :, component]), _main_output(inputs.sensor, component)
-    if main is None:
-        return np.asarray(finite.any(axis=1))
-    return np.asarray(finite[:, found.channels.index(main)] if main in found.channels else np.zeros(1, dtype=np.bool_))
-
-
-def _describe_reason(inputs: Inputs, analysis: Analysis, component: int | None, lacking: BoolArray) -> str:
-    """Return the reason why some lines (K,) have no result."""
-    if inputs.outputs is not None and component is None:
-        return "`excitation.direction` is not stated"
-    if inputs.outputs is not None and inputs.body is None:
-        return "[load] is not stated, so its mass is not known"
-    load, reasons = analysis.load, list[str]()
-    for moved in (a for a in analysis.accelerations if a.source == "fused" and (load is None or a.body == "load")):
-        observed, titles = moved.observed[lacking], ", ".join(moved.instruments)
-        if moved.disputed is not None and moved.disputed[lacking].any():
-            reasons.append(f"the instruments of the {moved.body} ({titles}) contradict each other")
-        elif component is None or not observed[:, component].all():
-            names = [name for name, column in zip(MOTION_COMPONENTS, observed.T, strict=True) if column.all()]
-            along = f"only {', '.join(names)}" if names else "no component"
-            text = f"the readings of {titles} determine {along} of the {moved.body}"
-            if not names:
-                text += " (more points would separate translation and rotation)"
-            stated = ", ".join(f"{number:g}" for number in inputs.direction or ())
-            reasons.append(f"{text}, and excitation.direction is [{stated}]" if component is not None else text)
-        elif load is not None and not load.observed[lacking, component].all():
-            hidden = ", ".join(n for n, column in zip(MOTION_COMPONENTS, observed.T, strict=True) if not column.all())
-            reasons.append(f"no instrument determines {hidden} of its motion, which may dominate the load")
-    if inputs.outputs is not None and load is None:
-        reasons = ["no instrument measures the motion of the load", *reasons]
-    if not reasons and inputs.sensor is not None and component is not None:
-        reasons = [f"its output {_main_output(inputs.sensor, component) or ''} is not recorded, or has no value"]
-    return "; ".join(reasons)
-
-
 # The result tree of one recording, for result files and report.
 
 
-@dataclass(frozen=True)
-class Evaluation:
+@dataclass(frozen=True, repr=False)
+class Evaluation(TabularResult):
     """All results of one recording.
 
     Attributes
@@ -596,4 +515,15 @@ class Evaluation:
     element: Sensitivity | None = None
     supports: tuple[SupportMotion, ...] = ()
 
-    __repr__ = brief
+    def labelled(self) -> LabelledPhasors:
+        """Return the main result: elements of the sensor, else ratios, the load, or accelerations."""
+        result = self.element or self.sensitivity or self.load or next(iter(self.accelerations), None)
+        if result is None:
+            raise ValueError(f"{self.manifest.name}: expected a result, found none; its notices state why")
+        return result.labelled()
+
+    def __repr__(self) -> str:
+        result = self.element or self.sensitivity or self.load or next(iter(self.accelerations), None)
+        warnings = sum(notice.severity == "warning" for notice in self.notices)
+        text = f"{self.manifest.name}: {'no result' if result is None else result!r}"
+        return f"{text}; {warnings} warning{'s' * (warnings != 1)}"

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from fusion.estimation.coverage import Polar
+from fusion.estimation.labelled_phasors import LabelledPhasors, TabularResult
 from fusion.estimation.least_squares import UNOBSERVED, UNOBSERVED_ITSELF
 from fusion.estimation.measurement_model import BODY_SIZE_M
 from fusion.estimation.uncertainty import (
@@ -36,7 +37,7 @@ from fusion.sensitivity.sensitivity_notices import (
     UNOBSERVED_MOTION_LARGE,
 )
 from photogram.geometry import skew
-from shaker.arrays import BoolArray, ComplexArray, FloatArray, brief, check_shape, check_shapes
+from shaker.arrays import BoolArray, ComplexArray, FloatArray, check_shape, check_shapes
 from shaker.labels import LOAD_COMPONENTS, LOAD_UNITS, MOTION_COMPONENTS
 from shaker.sine.phasor import Phasors, real_stacked_diagonal
 from shakercal._common.notices import Notice
@@ -62,8 +63,8 @@ RESONANCE_BAND = 0.2
 """Relative distance from a natural frequency within which its damping determines the response."""
 
 
-@dataclass(frozen=True)
-class LoadResult:
+@dataclass(frozen=True, repr=False)
+class LoadResult(TabularResult):
     """Wrench phasors at the sensor origin in N and N.m, with the manifest's sense.
 
     Attributes
@@ -83,12 +84,18 @@ class LoadResult:
     notices: tuple[Notice, ...]
     both: tuple[str, ...] | None = None
 
-    __repr__ = brief
-
     def __post_init__(self) -> None:
         lines = len(self.frequency_hz)
         check_shapes(self, (lines, 6), "value", "observed")
         check_shape("covariance", self.uncertainty.covariance, (lines, 12, 12))
+
+    def labelled(self) -> LabelledPhasors:
+        """Return the components that are results, with their names and units."""
+        value = np.where(self.observed, self.value, complex(np.nan, np.nan))
+        kind = ("phasor",) * len(value)
+        return LabelledPhasors(
+            "load", self.frequency_hz, value, ("load",) * 6, LOAD_COMPONENTS, LOAD_UNITS, self.uncertainty, kind
+        )
 
     @cached_property
     def phasors(self) -> Phasors:

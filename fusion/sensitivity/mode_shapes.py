@@ -164,7 +164,7 @@ def mode_shapes(load: RigLoad | None, pair: str) -> ModeShapes | None:
 
 
 @dataclass(frozen=True)
-class _Seen:
+class _ObservedModes:
     """Measurement of the load and its modes by one stereo pair.
 
     At its U resolved lines. `foot` (U, 6): acceleration of the load's foot. `modal` (U, S): amplitudes of the modes in
@@ -178,7 +178,7 @@ class _Seen:
     share: FloatArray
 
     @classmethod
-    def of(cls, pair: StereoResult, parts: Sequence[tuple[ElasticPart, IntArray]]) -> _Seen:
+    def of(cls, pair: StereoResult, parts: Sequence[tuple[ElasticPart, IntArray]]) -> _ObservedModes:
         """Return the measurement by `pair`.
 
         `parts`: elastic parts of the load with the numbers of the modes that the pair measures.
@@ -219,7 +219,7 @@ def with_measured_modes(
             continue
         chosen = {part.table.name: np.array(part.which, dtype=np.int64) for part in shapes.parts}
         none, start = np.zeros(0, np.int64), 0
-        seen = _Seen.of(pair, [(part, chosen.get(name, none)) for name, part in parts.items()])
+        seen = _ObservedModes.of(pair, [(part, chosen.get(name, none)) for name, part in parts.items()])
         for one in shapes.parts:
             columns = np.arange(start, start + len(one.which))
             start += len(one.which)
@@ -231,7 +231,7 @@ def with_measured_modes(
 
 
 def _measured(
-    part: ElasticPart, which: IntArray, seen: _Seen, columns: IntArray, size: FloatArray
+    part: ElasticPart, which: IntArray, seen: _ObservedModes, columns: IntArray, size: FloatArray
 ) -> tuple[ElasticPart, list[Notice]]:
     """Return a part with the measured responses of some modes, and notices.
 

@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike
 
 from fusion.estimation.coverage import Polar, coverage_factor, polar
 from fusion.estimation.instrument_consistency import OUTPUT_MISTAKES, likely_mistake
+from fusion.estimation.labelled_phasors import LabelledPhasors, TabularResult
 from fusion.estimation.measurement_model import BODY_SIZE_M
 from fusion.estimation.uncertainty import (
     Contribution,
@@ -31,8 +32,8 @@ from fusion.instruments.vibrometer import PARALLEL, PointRatios, PointSpread
 from fusion.sensitivity.load_phasors import BudgetEntry, LoadResult, budget
 from fusion.sensitivity.moving_body import Body
 from fusion.sensitivity.sensitivity_notices import MASS_DOUBTED, OUTPUT_CONTRADICTS
-from shaker.arrays import BoolArray, ComplexArray, FloatArray, brief, check_shape
-from shaker.labels import LOAD_COMPONENTS
+from shaker.arrays import BoolArray, ComplexArray, FloatArray, check_shape
+from shaker.labels import LOAD_COMPONENTS, sensitivity_unit
 from shakercal._common.notices import Notice, Value
 
 if TYPE_CHECKING:
@@ -44,8 +45,8 @@ if TYPE_CHECKING:
 Kind = Literal["ratio", "element", "matrix", "harmonic"]
 
 
-@dataclass(frozen=True)
-class Sensitivity:
+@dataclass(frozen=True, repr=False)
+class Sensitivity(TabularResult):
     """Complex sensitivities of C sensor outputs to six load components at K lines.
 
     Attributes
@@ -72,8 +73,6 @@ class Sensitivity:
     notices: tuple[Notice, ...]
     budget: tuple[BudgetEntry, ...] = field(init=False)
 
-    __repr__ = brief
-
     def __post_init__(self) -> None:
         lines, count = len(self.frequency_hz), len(self.elements)
         check_shape("value", self.value, (lines, len(self.channels), len(self.components)))
@@ -81,6 +80,16 @@ class Sensitivity:
             raise ValueError(f"kind: expected {lines} words, one per line, found {len(self.kind)}")
         check_shape("uncertainty", self.uncertainty.random[0].covariance, (lines, 2 * count, 2 * count))
         object.__setattr__(self, "budget", budget(self.uncertainty, self.value[:, *self._element_index()]))
+
+    def labelled(self) -> LabelledPhasors:
+        """Return the elements with their names and units."""
+        rows, columns = self._element_index()
+        channels, components = [self.channels[row] for row in rows], [self.components[column] for column in columns]
+        units = tuple(sensitivity_unit(self.unit, component) for component in components)
+        name = "element" if "element" in self.kind else "sensitivity"
+        labels = tuple(channels), tuple(components), units
+        value = self.value[:, rows, columns]
+        return LabelledPhasors(name, self.frequency_hz, value, *labels, self.uncertainty, self.kind)
 
     @property
     def observed(self) -> BoolArray:
@@ -490,11 +499,8 @@ def contradicting_outputs(
     signal, force, names = outputs.phasors.value[line], np.nan_to_num(load.value[line]), prior.channels
     predicted = force @ prior.value.T
     full = np.max(np.abs(prior.value) * rated, axis=1)
-    of_load = (
-        load.uncertainty.at_lines([line])
-        .nan_as_zero()
-        .transformed(real_design(prior.value[None].astype(np.complex128)))
-    )
+    at_line = load.uncertainty.at_lines([line]).nan_as_zero()
+    of_load = at_line.transformed(real_design(prior.value[None].astype(np.complex128)))
     pair = np.diagonal(of_load.covariance[0]).reshape(2, -1).sum(axis=0)
     cross = CROSS_TALK * np.max(np.abs(force) / rated) * full
     noise = 3.0 * np.hypot(np.sqrt(pair), np.hypot(outputs.phasors.u_re[line], outputs.phasors.u_im[line]))
@@ -507,13 +513,14 @@ def contradicting_outputs(
     doubted = [c for c in stated if not agrees(c, c)]
     if not doubted:
         return
-    listed = []
+    listed, mistakes = [], list[str]()
     for c in doubted:
         ratio = complex(quotient(signal[c], predicted[c, None])[0])
         mistake = likely_mistake(ratio, CHANGED, OUTPUT_MISTAKES) if abs(predicted[c]) > cross[c] else ""
         if not mistake and abs(abs(ratio) - 1.0) < CHANGED:
             mistake = "the delay or response of its chain were missing or in another unit"
         factor = f"{abs(ratio):.3g} times as large, turned by {np.angle(ratio):.3g} rad"
+        mistakes += [mistake] if mistake else []
         listed.append(f"{names[c]} is {factor}" + (f", as if {mistake}" if mistake else ""))
     pairs = [(a, b) for a, b in combinations(doubted, 2) if agrees(a, b) and agrees(b, a)]
     exchanges = [f"whether {names[a]} and {names[b]} are exchanged" for a, b in pairs]
@@ -527,6 +534,7 @@ def contradicting_outputs(
         frequency_hz=outputs.phasors.frequency_hz[line],
         outputs="; ".join(listed),
         checks=", ".join([*exchanges, checks]),
+        mistake_explains=bool(mistakes or pairs),
     )
 
 

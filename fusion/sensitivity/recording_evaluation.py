@@ -18,13 +18,14 @@ from fusion.phasors.stereo_phasors import unresolved_fundamentals
 from fusion.recording.acknowledged import acknowledge
 from fusion.recording.load import Manifest, find_single_recording, load_manifest
 from fusion.recording.plausibility import plausibility_notices
-from fusion.sensitivity.analyse import Evaluation, Inputs, analyse, elastic_rows, missing_result
+from fusion.sensitivity.analyse import Evaluation, Inputs, analyse, elastic_rows
 from fusion.sensitivity.disturbances import (
     at_reference_temperature,
     not_assessed,
     unstated_chain,
     with_base_strain,
 )
+from fusion.sensitivity.missing_result import missing_result
 from fusion.sensitivity.mode_shapes import with_measured_modes
 from fusion.sensitivity.monte_carlo import propagate
 from fusion.sensitivity.moving_body import load_body

@@ -70,7 +70,7 @@ class SupportMotion:
     __repr__ = brief
 
 
-class _Seen(NamedTuple):
+class _SupportReading(NamedTuple):
     """Some `columns` of an observation on one support; `sign` of its motion in references."""
 
     observation: Observation
@@ -107,16 +107,16 @@ def without_supports(
     return with_support_motion(bodies, limit, carried_by(found)), tuple(found), tuple(notices)
 
 
-def _members(seen: _Seen) -> list[str]:
+def _members(seen: _SupportReading) -> list[str]:
     return [seen.observation.members[column] for column in seen.columns]
 
 
-def _by_support(observations: Sequence[Observation] | Iterator[Observation]) -> dict[str, list[_Seen]]:
+def _by_support(observations: Sequence[Observation] | Iterator[Observation]) -> dict[str, list[_SupportReading]]:
     """Return the rows of observations by the name of their support.
 
     Channels without a head have none.
     """
-    groups: dict[str, list[_Seen]] = {}
+    groups: dict[str, list[_SupportReading]] = {}
     for observation in observations:
         columns_of: dict[str, list[int]] = {}
         geometry = observation.geometry
@@ -129,7 +129,7 @@ def _by_support(observations: Sequence[Observation] | Iterator[Observation]) -> 
                     columns_of.setdefault(name, []).append(column)
         for name, columns in columns_of.items():
             groups.setdefault(name, []).append(
-                _Seen(observation, columns, -1.0 if observation.body == STATIONARY else 1.0)
+                _SupportReading(observation, columns, -1.0 if observation.body == STATIONARY else 1.0)
             )
     return groups
 
@@ -138,7 +138,7 @@ def _by_support(observations: Sequence[Observation] | Iterator[Observation]) -> 
 
 
 def _settled(
-    name: str, references: Sequence[_Seen], carried: Sequence[_Seen], limit: float | None
+    name: str, references: Sequence[_SupportReading], carried: Sequence[_SupportReading], limit: float | None
 ) -> tuple[SupportMotion, list[CommonError], list[Notice]]:
     """Return the motion of one support, its uncertainty as (K, 6) `offset`s, and notices."""
     frequency = carried[0].observation.phasors.frequency_hz
@@ -169,7 +169,7 @@ def _settled(
     return replace(moved, phasors=whole), [*_remaining_errors(moved), *reference_errors], notices
 
 
-def _shape(seen: Sequence[_Seen]) -> FloatArray:
+def _shape(seen: Sequence[_SupportReading]) -> FloatArray:
     """Return columns (6, 6) of the covariance of [Re H, Im H].
 
     For six unit standard deviations: translations at the support, and rotations as large as these over the distance L
@@ -201,7 +201,7 @@ def _head_position(entry: ChannelEntry) -> FloatArray | None:
     return measuring_point(entry) if entry.body == HEAD else None
 
 
-def _sizes(carried: Sequence[_Seen], line: int) -> FloatArray:
+def _sizes(carried: Sequence[_SupportReading], line: int) -> FloatArray:
     """Return the largest translations (3,) along the axes, as acceleration, at a line."""
     sizes = np.zeros(3)
     for seen in carried:
@@ -233,7 +233,7 @@ class _Readings(NamedTuple):
         return np.asarray(np.sum(basis[:, :6] ** 2, axis=0) > 1.0 - RESOLUTION_TOLERANCE)
 
     @classmethod
-    def of(cls, references: Sequence[_Seen], line: int) -> _Readings:
+    def of(cls, references: Sequence[_SupportReading], line: int) -> _Readings:
         rows, values, count = [np.zeros((0, 12))], [np.zeros(0)], 0
         parts = list[tuple[IntArray, FloatArray, float]]()
         for seen in references:
@@ -345,7 +345,7 @@ def _none(offset: ComplexArray) -> ComplexArray:
 
 
 def _reference_errors(
-    moved: SupportMotion, references: Sequence[_Seen], gains: Sequence[FloatArray | None]
+    moved: SupportMotion, references: Sequence[_SupportReading], gains: Sequence[FloatArray | None]
 ) -> Iterator[CommonError]:
     """Yield the effects on H of errors of the references' chains and positions, by name."""
     names = dict.fromkeys(error.name for seen in references for error in seen.observation.common)

@@ -398,7 +398,7 @@ CATALOGUE: dict[str, Violation] = {
         (*_CAMERAS, "shake", "floor"),
         {"seen": _shaken("camera")},
         "cameras",
-        assumption=("lasers and cameras share",),
+        assumption=("supports of lasers and cameras",),
     ),
     "laser-shake": Violation(
         "1",
@@ -406,7 +406,7 @@ CATALOGUE: dict[str, Violation] = {
         "the laser head moves coherently by this share of the driven motion, and every beam loses it",
         (*_LASERS, "head", "floor"),
         {"seen": _shaken("velocity")},
-        assumption=("lasers and cameras share",),
+        assumption=("supports of lasers and cameras",),
     ),
     "floor-shake": Violation(
         "1",
@@ -414,7 +414,7 @@ CATALOGUE: dict[str, Violation] = {
         "cameras and laser head stand on one floor that moves coherently by this share of the driven motion",
         ("floor", "share", "optical", *_LASERS, *_CAMERAS),
         {"seen": _shaken("velocity", "camera")},
-        assumption=("lasers and cameras share",),
+        assumption=("supports of lasers and cameras",),
     ),
     "elastic-axial": Violation(
         "Hz",
@@ -446,7 +446,7 @@ CATALOGUE: dict[str, Violation] = {
         "the shaker moves across its axis by this share of the driven motion",
         ("transverse", "unobserved", "not observed", "other load"),
         {"motion": _transverse},
-        assumption=("nothing measures",),
+        assumption=("instrument measures",),
     ),
     "warm-sensor": Violation(
         "K",
@@ -546,7 +546,7 @@ CATALOGUE: dict[str, Violation] = {
         "one laser point lies elsewhere by so many of its stated standard uncertainties",
         ("velocity_1", *_LASERS),
         {"error": _misstated(_ACROSS, *(f"{name}.point" for name in _FIRST_LASER))},
-        assumption=("error of one channel alone",),
+        assumption=("single gross error",),
     ),
     "direction": Violation(
         "u",
@@ -554,7 +554,7 @@ CATALOGUE: dict[str, Violation] = {
         "one laser beam points elsewhere by so many of its stated standard uncertainties",
         ("velocity_1", *_LASERS),
         {"error": _misstated(_ACROSS, *(f"{name}.direction" for name in _FIRST_LASER))},
-        assumption=("error of one channel alone",),
+        assumption=("single gross error",),
     ),
     "laser-reversed": Violation(
         "channels",

@@ -122,7 +122,7 @@ def test_lag_of_the_chain_is_separated_from_the_spring(evaluation, component):
     notices = [notice for notice in evaluation.notices if notice.where == "sensitivity Fz"]
     assert [notice.code for notice in notices] == [SENSITIVITY_EXPLANATION.code, DAMPING_CONTRADICTED.code]
     assert CHAIN_WORDS["lag"] in notices[0].values["supported"]
-    assert CHAIN_WORDS["none"] in notices[0].values["refuted"]
+    assert CHAIN_WORDS["none"] in notices[0].values["contradicted"]
 
 
 def test_output_that_leads_the_force_gives_a_warning(evaluation, component):

@@ -17,6 +17,7 @@ from fusion.recording.toml import validate
 from fusion.sensor.compensate.compensation_evaluation import evaluate_compensation
 from fusion.sensor.compensate.compensation_subjects import CompensationSettings, read_sources
 from fusion.sensor.model_files import ModelEntry, ModelsFile, models_text
+from fusion.sensor.sensor_model_notices import MODEL_COVERAGE
 from fusion.sensor.step.step_records import OF_RELEASES, index_quantities, pool_models
 from fusion.sensor.unmodelled_effects import stated_influences
 from shaker.decoupling.model import MultiModel
@@ -119,7 +120,7 @@ def test_what_is_stated_is_in_every_number_of_a_model():
 
 def test_several_mountings_take_the_place_of_what_is_stated_of_one():
     assert ONE.scope == "within this record of one release, with mounting anew and another temperature as stated"
-    assert ONE.outside == "what releases scatter by, another load, a model of another structure"
+    assert (ONE.single, ONE.missing) == (True, ("load", "structure"))
     assert TWO.scope == "within these 2 releases of 2 mountings, with another temperature as stated"
     assert TWO.causes == ("temperature",)
     assert stated_influences(Rig(format=1, name="r"), ["1"]).scope == "within this record of one release"
@@ -172,8 +173,8 @@ def test_numbers_of_a_filter_rest_on_what_is_stated_and_on_degrees_of_freedom(tm
     assert filters.before.dof["natural_hz"] == pytest.approx(dof)
     assert filters.sensor_dof[0] == pytest.approx(dof)
     assert filters.before.expanded("natural_hz") == pytest.approx(coverage_factor(dof) * known.before.u["natural_hz"])
-    texts = [notice.text for notice in evaluation.notices]
-    assert "U of the model holds within these 3 releases" in texts
+    (coverage,) = (notice for notice in evaluation.notices if notice.code == MODEL_COVERAGE.code)
+    assert coverage.values["scope"] == "within these 3 releases"
     old = made(stated, dof=2.0).filters[0]  # a file that does not say what of it is scatter: all
     assert old.before.expanded("natural_hz") == pytest.approx(4.303 * known.before.u["natural_hz"], rel=1e-3)
 

@@ -27,9 +27,6 @@ CODED = re.compile(r"(SC-\d{3} |)(.*)")
 STATED_KEYS = re.compile(r"(?:; (?:give|state|correct) \w+|\(bit depth \d+\)|: frequency_hz: expected a range)")
 """A reader's `ValueError`, which has no code, that asks for a key: its name, the bit depth, the range of a response."""
 
-MANIFEST_CODES = frozenset[str]()
-"""Errors without a file that the manifest has to correct."""
-
 
 @dataclass(frozen=True)
 class Finding:
@@ -76,7 +73,6 @@ def refusal_findings(error: Exception, where: str = "") -> list[Finding]:
     text = shorten(str(error))
     needs_key = STATED_KEYS.search(text) is not None or ".toml" in text
     if isinstance(error, ComputeError):
-        needs_key = needs_key or error.code in MANIFEST_CODES
         location = ": ".join(filter(None, (where, error.where)))
         return [Finding("FIX MANIFEST" if needs_key else "REPEAT", Notice(error.declared, location, **error.values))]
     notice = Notice(FILE_PROBLEM, where, reason=text)
@@ -85,7 +81,7 @@ def refusal_findings(error: Exception, where: str = "") -> list[Finding]:
 
 def _input_verdict(error: InputError) -> Verdict:
     """Return REPEAT for refused data, FIX MANIFEST for a statement to correct."""
-    if STATED_KEYS.search(str(error)) or error.code in MANIFEST_CODES:
+    if STATED_KEYS.search(str(error)):
         return "FIX MANIFEST"
     recorded = re.search(r"(^|\.)(images|points|daq)\.", error.key) and "expected" not in error.values
     return "REPEAT" if recorded or error.file.suffix not in CORRECTABLE else "FIX MANIFEST"

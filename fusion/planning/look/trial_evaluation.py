@@ -17,9 +17,11 @@ from fusion.planning.look.causes import find_contradictions
 from fusion.planning.look.finding import Finding, refusal_findings
 from fusion.planning.look.look_notices import INDISTINCT_SENSITIVITY, OTHER_DIRECTION_DRIVEN
 from fusion.recording.load import Manifest
-from fusion.sensitivity.analyse import NO_RESULT, Evaluation
+from fusion.recording.plausibility_notices import LOAD_HANGS
+from fusion.sensitivity.analyse import Evaluation
 from fusion.sensitivity.ratio import driven_component
 from fusion.sensitivity.recording_evaluation import evaluate_set_ups
+from fusion.sensitivity.sensitivity_notices import NO_RESULT_AT_LINES, OUTPUT_LAGS, UNOBSERVED_MOTION_LARGE
 from photogram.arrays import spread_choice
 from photogram.images.sequence import ImageSequence
 from shaker.arrays import IntArray
@@ -31,12 +33,8 @@ FOLLOWED, IN_A_ROW = 24, 8
 DOUBTFUL_SHARE, WRONG_SHARE = 0.7, 0.3
 """Share of the motion along the stated direction, below which the direction is doubtful or wrong."""
 
-PLAUSIBILITY_CODES = frozenset[str]()
-"""Notes on implausible statements of a manifest, which a person has to check."""
-ASSUMPTION_CODES = frozenset[str]()
-"""Warnings about motion without an instrument: its assumed limit is included in U."""
-MISTAKEN_OUTPUT_CODES = frozenset[str]()
-"""Warnings about outputs that a mistake in the manifest explains: a scale, a sign, exchanged channels."""
+QUESTIONABLE_CODES = (LOAD_HANGS.code, OUTPUT_LAGS.code)
+"""Notes on unusual statements of a manifest, which a person has to check."""
 
 
 def trial_findings(manifest: Manifest, set_ups: Sequence[PreparedSetUp]) -> list[Finding]:
@@ -89,7 +87,7 @@ def _of_evaluation(evaluation: Evaluation, set_ups: Sequence[MeasuredSetUp]) -> 
     found += _indistinct(evaluation)
     yield from found
     explained = {notice for acceleration in fused for notice in acceleration.notices} if found else set()
-    if any(notice.where == NO_RESULT for notice in evaluation.notices):
+    if any(notice.code == NO_RESULT_AT_LINES.code for notice in evaluation.notices):
         explained |= set(evaluation.sensitivity.notices if evaluation.sensitivity else ())
         explained |= set(evaluation.load.notices if evaluation.load else ())
     yield from notice_findings(notice for notice in evaluation.notices if notice not in explained)
@@ -101,12 +99,8 @@ def notice_findings(notices: Iterable[Notice]) -> Iterator[Finding]:
     The assumed limit of motion without an instrument is included in U: its warning is only a note here.
     """
     for notice in notices:
-        doubted, assumed = notice.code in PLAUSIBILITY_CODES, notice.code in ASSUMPTION_CODES
-        mistaken = notice.code in MISTAKEN_OUTPUT_CODES
-        if not notice.code:  # until every notice is declared
-            doubted, assumed = "?" in notice.text, notice.text.startswith("nothing measures ")
-            mistaken = notice.where == "sensitivity" and ("as if " in notice.text or "exchanged" in notice.text)
-        if mistaken or notice.where == NO_RESULT:
+        doubted, assumed = notice.code in QUESTIONABLE_CODES, notice.code == UNOBSERVED_MOTION_LARGE.code
+        if notice.values.get("mistake_explains") or notice.code == NO_RESULT_AT_LINES.code:
             yield Finding("FIX MANIFEST", notice)
         elif (notice.severity == "warning" and not assumed) or (doubted and notice.where.endswith(".toml")):
             yield Finding("CHECK", notice)

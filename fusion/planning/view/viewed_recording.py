@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from fusion.errors import InputError
+from fusion.estimation.labelled_phasors import LabelledPhasors
 from fusion.phasors.stereo_motion import read_rig
 from fusion.planning.planning_notices import RESULTS_WITHOUT_RECORDING
 from fusion.planning.view.extremes import Extremes
@@ -20,7 +21,7 @@ from fusion.recording.load import Manifest, find_recordings, load_manifest
 from fusion.recording.manifest import ChannelEntry, Daq, Images
 from fusion.report.folder import RESULT_FILE
 from fusion.report.h5 import open_results
-from fusion.report.labelled_results import CAMPAIGN_FILE, LabelledPhasors, read_results
+from fusion.report.labelled_results import CAMPAIGN_FILE, read_results
 from photogram.camera import Rig
 from photogram.images.image_files import open_sequence
 from photogram.images.sequence import ImageSequence

@@ -22,7 +22,6 @@ from fusion.report.table import (
     page_column,
     quantity_html,
     scaled_html,
-    sensitivity_unit,
     signed_text,
     small,
     table,
@@ -43,6 +42,7 @@ from fusion.sensor.certificate.certified_numbers import (
     find_command,
     find_results_folder,
 )
+from shaker.labels import sensitivity_unit
 
 XML_FILE, PAGE_FILE = "certificate.xml", "certificate.html"
 

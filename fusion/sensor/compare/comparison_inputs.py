@@ -13,13 +13,14 @@ import h5py
 import numpy as np
 
 from fusion.errors import InputError
+from fusion.estimation.labelled_phasors import LabelledPhasors
 from fusion.recording.dcc import SUFFIX, read_dcc
 from fusion.recording.dcc_curves import curves
 from fusion.recording.toml import read_rows
 from fusion.recording.values import describe, wrong_size
 from fusion.report.folder import CURVE_FILE, RESULT_FILE, SENSITIVITY_FILE
 from fusion.report.h5 import open_results, read_evidence
-from fusion.report.labelled_results import CAMPAIGN_FILE, LabelledPhasors, read_results
+from fusion.report.labelled_results import CAMPAIGN_FILE, read_results
 from fusion.sensitivity.input_evidence import InputEvidence
 from fusion.sensor.compare.comparison_notices import (
     NO_RESULT_TABLE,

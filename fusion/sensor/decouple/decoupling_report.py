@@ -30,7 +30,6 @@ from fusion.report.table import (
     quantity_html,
     quantity_text,
     scaled_html,
-    sensitivity_unit,
     signed_text,
     small,
     table,
@@ -48,7 +47,7 @@ from shaker.arrays import FloatArray
 from shaker.decoupling.common_pole_fit import ReleaseFit
 from shaker.decoupling.common_pole_search import PoleCountTrial
 from shaker.decoupling.filter import stage_readers, step_readings, step_times
-from shaker.labels import load_unit, typeset
+from shaker.labels import load_unit, sensitivity_unit, typeset
 
 STAGE_COLOURS = {"raw": GREY, "static": ORANGE, "filtered": BLUE}
 COLUMNS = 2

@@ -17,7 +17,6 @@ from fusion.campaign.repeats import drive_values
 from fusion.errors import ARGUMENT
 from fusion.recording.load import Manifest
 from fusion.recording.rig import Sensor
-from fusion.report.table import sensitivity_unit
 from fusion.sensitivity.ratio import driven_component
 from fusion.sensor.identify.identification_inputs import (
     EvaluatedSines,
@@ -42,7 +41,7 @@ from fusion.sensor.identify.joint_fit import (
 from shaker.identification.measured_curves import CurveError, MeasuredCurve, MeasuredSensitivity, ParameterEstimate
 from shaker.identification.oscillator import PeakReading, peak_readings
 from shaker.identification.sensor import Load, SensorModel, UsableBand, usable_band
-from shaker.labels import LOAD_COMPONENTS
+from shaker.labels import LOAD_COMPONENTS, sensitivity_unit
 from shaker.mechanics import required_stiffness
 from shakercal._common.notices import Notice
 

@@ -132,7 +132,7 @@ NO_BAND_OF_PITCHING_LOAD = DeclaredNotice(
 SENSITIVITY_EXPLANATION = DeclaredNotice(
     "SC-657",
     "note",
-    "The sensitivity over frequency supports {supported}, and refutes {refuted}.",
+    "The sensitivity over frequency supports {supported}, and contradicts {contradicted}.",
     effect="The model of the sensor uses the supported explanation of the largest weight.",
     link="identify.md",
 )

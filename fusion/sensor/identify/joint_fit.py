@@ -15,7 +15,6 @@ from fusion.recording.load import Manifest
 from fusion.recording.rig import Sensor
 from fusion.report.folder import RESULT_FILE
 from fusion.report.h5 import open_results, read_uncertainty
-from fusion.report.table import sensitivity_unit
 from fusion.sensitivity.moving_body import inertia_errors, rigid_load
 from fusion.sensor.identify.identification_inputs import (
     EvaluatedSines,
@@ -58,7 +57,7 @@ from shaker.identification.sensitivity import (
 from shaker.identification.sensor import NO_CHAIN, SensorModel
 from shaker.identification.structure_fit import Identification, identify
 from shaker.identification.structures import ChainStructure, MechanicalStructure, SpringSuspension
-from shaker.labels import LOAD_COMPONENTS, MOTION_COMPONENTS
+from shaker.labels import LOAD_COMPONENTS, MOTION_COMPONENTS, sensitivity_unit
 from shaker.sine.phasor import Phasors
 from shakercal._common.notices import Notice
 
@@ -428,8 +427,8 @@ def model_sensitivity(
         )
     range_hz = (float(measured.frequency_hz[0]), float(measured.frequency_hz[-1]))
     where = f"sensitivity {measured.component}"
-    supported, refuted = (_explanations(comparison, verdict) for verdict in ("supported", "refuted"))
-    notices = [Notice(SENSITIVITY_EXPLANATION, where, supported=supported, refuted=refuted)]
+    supported, contradicted = (_explanations(comparison, verdict) for verdict in ("supported", "refuted"))
+    notices = [Notice(SENSITIVITY_EXPLANATION, where, supported=supported, contradicted=contradicted)]
     if (test := comparison.damping) is not None:
         declared = DAMPING_CONTRADICTED if test.contradicts else DAMPING_AGREES
         needed_us, resonance_us = 1e6 * test.needed_s, 1e6 * test.resonance_s

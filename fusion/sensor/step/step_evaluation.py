@@ -12,7 +12,6 @@ import numpy as np
 
 from fusion.errors import ComputeError, InputError
 from fusion.recording.load import Manifest, check_one_rig
-from fusion.report.table import sensitivity_unit
 from fusion.sensor.model_files import ModelEntry
 from fusion.sensor.step.step_notices import (
     COMPONENT_WITHOUT_MODEL,
@@ -41,7 +40,7 @@ from fusion.sensor.step.step_releases import (
 )
 from fusion.sensor.unmodelled_effects import coverage_notice, stated_influences
 from shaker.arrays import ComplexArray, FloatArray
-from shaker.labels import LOAD_COMPONENTS
+from shaker.labels import LOAD_COMPONENTS, sensitivity_unit
 from shaker.lti.system import ModalModel
 from shakercal._common.notices import Notice
 
