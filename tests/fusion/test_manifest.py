@@ -244,7 +244,7 @@ CASES = (
     ),
     ({"point_uncertainty": {"U": [2e-3, 4e-3, 0.0], "k": 2}}, {"point_uncertainty": [1e-3, 2e-3, 0.0]}),
     ({"mass": {"value": 5.0, "U": 2.776445, "k": 2.776445, "dof": 4}}, {"mass": 5.0, "mass_uncertainty": 1.416579}),
-    # at an _uncertainty key: relative to the value beside it, or as it is where the key is relative itself
+    # at an _uncertainty key: relative to the value, or unchanged if the key is relative
     ({"mass": 5.0, "mass_uncertainty": {"U_relative": 4e-4, "k": 2}}, {"mass": 5.0, "mass_uncertainty": 0.001}),
     ({"scale": 0.5, "scale_uncertainty": {"U_relative": 4e-4, "k": 2}}, {"scale": 0.5, "scale_uncertainty": 2e-4}),
     # the frequency of a mode is in Hz, and so is its uncertainty; that of a chain's poles is relative

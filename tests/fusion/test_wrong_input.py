@@ -366,7 +366,7 @@ def test_pairs_without_a_body_are_excluded_and_the_others_evaluated(campaign):
         np.testing.assert_array_equal(each.load.uncertainty.covariance, alone.load.uncertainty.covariance)
 
 
-def test_where_nothing_else_measures_a_motion_a_pair_without_a_body_is_wrong_input(campaign, untouched):
+def test_a_pair_without_a_body_is_wrong_input_if_it_is_the_only_motion_instrument(campaign, untouched):
     _each(*BLIND, WITHOUT_MOTION)(campaign)
     assert f" {campaign / RECORDING}: images.top: " in untouched("run", campaign / NAME)
 
