@@ -1,4 +1,4 @@
-"""Errors that end a command: wrong input of the user, and results that could not be computed."""
+"""Errors that end a command: wrong input and results that could not be computed."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ ARGUMENT = re.compile(r"^[a-z_]+(, [a-z_]+)*: (?=expected )")
 
 
 class InputError(Exception):
-    """A mistake in the user's input: its declaration, the file and key at which it is to be corrected, the values.
+    """A mistake in the user's input, with the file and key to correct.
 
     Attributes
     ----------
@@ -85,7 +85,7 @@ class InputError(Exception):
     def from_exception(
         cls, error: Exception, file: Path, key: str = "", declared: DeclaredNotice | None = None
     ) -> InputError:
-        """Return the refusal of a reader or an algorithm as a mistake at file and key, each file named once."""
+        """Return the refusal of a reader or algorithm as an `InputError`."""
         text = str(error)
         if isinstance(error, OSError) and error.filename is not None and error.strerror is not None:
             text = f"{error.filename}: {error.strerror}"
@@ -112,7 +112,7 @@ def _input_error(
 
 @contextmanager
 def as_input_error(file: Path, key: str = "", declared: DeclaredNotice | None = None) -> Iterator[None]:
-    """Raise the refusal of a reader or an algorithm as a mistake of a file, at a key of it."""
+    """Convert the refusal of a reader or algorithm to an `InputError`."""
     try:
         yield
     except (OSError, ValueError) as error:
@@ -120,7 +120,7 @@ def as_input_error(file: Path, key: str = "", declared: DeclaredNotice | None = 
 
 
 class ComputeError(Exception):
-    """A result that could not be computed although the input could be read; the sentence says what to do.
+    """A result that could not be computed although the input could be read.
 
     Attributes
     ----------
@@ -220,7 +220,7 @@ SHORT_OF_MEMORY = re.compile(
 
 
 def as_user_error(error: Exception) -> InputError | ComputeError:
-    """Return a failure as one that the user can be told; what the program does not expect becomes a `ComputeError`."""
+    """Return an `InputError` or `ComputeError` for any exception."""
     if isinstance(error, InputError | ComputeError):
         return error
     text = " ".join(str(error).split())
@@ -243,7 +243,7 @@ def declared_notices() -> dict[str, DeclaredNotice]:
 
 @cache
 def declared_by_stage() -> tuple[tuple[str, tuple[DeclaredNotice, ...]], ...]:
-    """Return the declarations of every module named `*_notices`, and of this one, behind the module's title."""
+    """Return the declarations of all modules `*_notices`, with the titles of the modules."""
     stages = []
     for name in [*_modules_of_notices(), __name__]:
         module = import_module(name)
