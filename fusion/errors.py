@@ -237,20 +237,21 @@ def as_user_error(error: Exception) -> InputError | ComputeError:
 @cache
 def declared_notices() -> dict[str, DeclaredNotice]:
     """Return every declared notice and error by its code, in ascending order."""
-    found = {notice.code: notice for _, notices in declared_by_stage() for notice in notices}
+    found = {notice.code: notice for _, notices in declared_by_stage() for notice in notices.values()}
     return dict(sorted(found.items()))
 
 
 @cache
-def declared_by_stage() -> tuple[tuple[str, tuple[DeclaredNotice, ...]], ...]:
-    """Return the declarations of all modules `*_notices`, with the titles of the modules."""
+def declared_by_stage() -> tuple[tuple[str, dict[str, DeclaredNotice]], ...]:
+    """Return the titles of all modules `*_notices` with their declarations by title, in ascending codes."""
     stages = []
     for name in [*_modules_of_notices(), __name__]:
         module = import_module(name)
-        found = {notice.code: notice for notice in vars(module).values() if isinstance(notice, DeclaredNotice)}
+        found = [pair for pair in vars(module).items() if isinstance(pair[1], DeclaredNotice)]
+        found.sort(key=lambda pair: pair[1].code)
         title = (module.__doc__ or "").partition("\n")[0].rstrip(".")
-        stages.append((title, tuple(found[code] for code in sorted(found) if code)))
-    return tuple(sorted((stage for stage in stages if stage[1]), key=lambda stage: stage[1][0].code))
+        stages.append((title, {name.replace("_", " ").capitalize(): notice for name, notice in found}))
+    return tuple(sorted(stages, key=lambda stage: next(iter(stage[1].values())).code))
 
 
 def _modules_of_notices() -> Iterator[str]:
