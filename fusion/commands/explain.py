@@ -43,21 +43,21 @@ def explain(options: argparse.Namespace) -> int:
     if options.markdown:
         print(notices_page(), end="")
         return EXIT_DONE
-    known = declared_notices()
+    declared = declared_notices()
     for code in options.codes:
-        if code.upper() not in known:
-            raise InputError(UNKNOWN_CODE, "explain", code, first=next(iter(known)), last=next(reversed(known)))
+        if code.upper() not in declared:
+            raise InputError(UNKNOWN_CODE, "explain", code, first=next(iter(declared)), last=next(reversed(declared)))
     for code in options.codes:
-        for line in explanation(known[code.upper()]):
+        for line in explanation(declared[code.upper()]):
             print_text(line)
     if not options.codes:
-        for notice in known.values():
+        for notice in declared.values():
             print_text(f"{notice.code} {notice.severity:7} {notice.template}")
     return EXIT_DONE
 
 
 def explanation(notice: DeclaredNotice) -> Iterable[str]:
-    """Yield what there is to read of a notice, a line for each part."""
+    """Yield the parts of a notice as lines."""
     yield f"{notice.code} ({notice.severity}): {notice.template}"
     parts = (("effect", notice.effect), ("possible size", notice.possible_size), ("remedy", notice.remedy))
     for name, text in parts:
