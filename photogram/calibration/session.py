@@ -92,10 +92,10 @@ def calibrate_pair(
 
     Examples
     --------
-    >>> from photogram.synthetic.board import random_poses, random_rig, seen_session
+    >>> from photogram.synthetic.board import random_poses, random_rig, simulate_session
     >>> rng, board, size = np.random.default_rng(1), Board(Target("chessboard", 9e-3, (8, 6))), np.array([1280, 1024])
     >>> rig = random_rig(rng, size, field_m=0.12)
-    >>> pairs = seen_session(rng, rig, random_poses(rng, rig, board, 8), board, noise_px=0.02)
+    >>> pairs = simulate_session(rng, rig, random_poses(rng, rig, board, 8), board, noise_px=0.02)
     >>> calibration = calibrate_pair(pairs, board.target, shape="flat")
     >>> calibration.rms_px < 0.03
     True
