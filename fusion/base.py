@@ -75,7 +75,7 @@ def natural_key(name: str) -> tuple[tuple[tuple[int, int | str], ...], str]:
 
 
 def check_names(files: Iterable[Path]) -> None:
-    """Raise `InputError` for a file whose path is not UTF-8, so that no result could name it."""
+    """Raise `InputError` for a path that is not UTF-8: results could not name it."""
     from fusion.recording.recording_notices import PATH_NOT_UTF8
 
     for path in files:
@@ -105,7 +105,7 @@ _waiting: list[int] = []
 
 @contextmanager
 def cleanup_on_signal(undo: Callable[[], object]) -> Iterator[None]:
-    """Call a function at the end, or if a signal ends the process; it may be called twice."""
+    """Call a function at the end, or if a signal ends the process."""
     _undo.append(undo)
     try:
         yield
@@ -127,7 +127,7 @@ def defer_signals() -> Iterator[None]:
 
 
 def end_process(number: int) -> None:
-    """End the process after a signal: clean up, print one line, exit with 128 + number.
+    """Clean up after a signal, print one line, exit with 128 + number.
 
     It exits immediately and without an exception, which compiled code, callbacks and libraries may catch or wrap.
     """
@@ -247,7 +247,7 @@ class Executor(Protocol):
 
 
 class Threads:
-    """Threads of this process that compute one task each at a time, in order; `with` ends them.
+    """Threads of this process that compute tasks in order; `with` ends them.
 
     `size`: number of threads, by default the available cores, limited by OMP_NUM_THREADS.
     """
@@ -326,7 +326,7 @@ class CheckpointStore(Protocol):
         """Folder on the disk of the results, for temporary files of the run."""
 
     def get(self, name: str) -> bytes | None:
-        """Return the content of a name from a run with the same inputs and settings, else None."""
+        """Return the content of a name from an identical run, else None."""
 
     def put(self, name: str, content: bytes) -> bool:
         """Store content until the results are written, and return whether it succeeded."""

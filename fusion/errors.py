@@ -10,7 +10,7 @@ from functools import cache
 from importlib import import_module
 from pathlib import Path
 
-from shakercal._common.notices import DeclaredNotice, Value, plain_value
+from shakercal._common.notices import DeclaredNotice, Value, fill_template, plain_value
 
 ARGUMENT = re.compile(r"^[a-z_]+(, [a-z_]+)*: (?=expected )")
 """The name of a function's argument before its sentence, which means nothing to a user."""
@@ -64,7 +64,7 @@ class InputError(Exception):
     @property
     def sentence(self) -> str:
         """What is wrong, without code, file and key."""
-        return self.declared.template.format(**self.values)
+        return fill_template(self.declared.template, self.values)
 
     def at(self, key: str) -> InputError:
         """Return the same mistake at another key of the file."""
@@ -155,7 +155,7 @@ class ComputeError(Exception):
     @property
     def sentence(self) -> str:
         """What could not be computed, without code and place."""
-        return self.declared.template.format(**self.values)
+        return fill_template(self.declared.template, self.values)
 
     def at(self, where: str) -> ComputeError:
         """Return the same failure, of a named place."""

@@ -21,7 +21,7 @@ def _pip(what: str, *arguments: object) -> None:
 
 
 @pytest.mark.slow
-def test_wheel_holds_the_three_packages_and_nothing_else_and_runs_outside_the_clone(demo_recording, tmp_path):
+def test_wheel_has_only_its_packages_and_runs_outside_the_clone(demo_recording, tmp_path):
     _pip("wheel", "--wheel-dir", tmp_path, ROOT)
     (wheel,) = tmp_path.glob("shakercal-*.whl")
     with zipfile.ZipFile(wheel) as archive:

@@ -145,7 +145,7 @@ def length(text: str) -> Length:
 
 
 def in_metres(text: str) -> str:
-    """Return a text with a unit of length as a number in m, other texts unchanged."""
+    """Return a length as text in m, other texts unchanged."""
     found = re.fullmatch(r"(.*?)\s*([a-zµ]+)", text)
     try:
         return repr(float(found[1]) * METRES[found[2]]) if found else text

@@ -88,7 +88,7 @@ class Acceleration(TabularResult):
     unknowns : estimates of the common errors.
     notices : notices of the estimate.
     scatter : instruments whose readings scatter beyond their stated uncertainties.
-    unseen : limits of components that are not observed.
+    unobserved_limits : limits of components that are not observed.
     assumed : (K, 6), amplitudes of these components; infinite without a limit of the driven motion.
     driven : (K,), largest amplitude of the driven motion; None if the drive is not stated.
     explanations : estimates without each suspect, where instruments contradict each other.
@@ -113,7 +113,7 @@ class Acceleration(TabularResult):
     unknowns: tuple[CommonEstimate, ...]
     notices: tuple[Notice, ...]
     scatter: tuple[Scatter, ...] = ()
-    unseen: UnobservedMotion = field(default_factory=UnobservedMotion)
+    unobserved_limits: UnobservedMotion = field(default_factory=UnobservedMotion, metadata={"dataset": "unseen"})
     assumed: FloatArray | None = None
     driven: FloatArray | None = None
     explanations: tuple[Explanation, ...] = ()
@@ -137,7 +137,7 @@ class Acceleration(TabularResult):
     def unobserved_amplitude(self) -> FloatArray:
         """Return the assumed amplitudes (K, 6) of unobserved components, 0 for the others."""
         value = np.asarray(np.nan_to_num(self.phasors.value))
-        return self.unseen.amplitude(value, self.observed) if self.assumed is None else self.assumed
+        return self.unobserved_limits.amplitude(value, self.observed) if self.assumed is None else self.assumed
 
     @property
     def contributions(self) -> tuple[Contribution, ...]:
@@ -213,7 +213,7 @@ def fuse(
         unknowns=common_estimates(system.common, final) if parts else unknowns,
         notices=(),
         scatter=solved.scatter,
-        unseen=system.unobserved_motion,
+        unobserved_limits=system.unobserved_motion,
         assumed=system.unobserved_motion.amplitude(final.acceleration, given.observed, system.share),
         driven=system.driven_limit(final.acceleration),
         explanations=explanations(system, first, remaining_suspicions),

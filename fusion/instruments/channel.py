@@ -58,7 +58,7 @@ class ChainUncertainty:
 
 @dataclass(frozen=True)
 class ChannelRelativeError(Unknown[ComplexArray]):
-    """An unknown of a chain: `effect` (K, M) is the complex relative change of its M readings."""
+    """An unknown of a chain, with the relative change `effect` (K, M)."""
 
     effect: ComplexArray
 
@@ -75,7 +75,7 @@ class ChannelRelativeError(Unknown[ComplexArray]):
 
 @dataclass(frozen=True)
 class FittedError(ChannelRelativeError):
-    """An error of times after the sine approximation: a relative `effect` (K, 1) and an `additive` change.
+    """An error of times: a relative `effect` (K, 1) and an `additive` change.
 
     `additive` (K, M): the part that records shorter than a beat cannot separate from the lines. It mixes lines, and X
     with its conjugate.
@@ -96,7 +96,10 @@ class FittedError(ChannelRelativeError):
         return replace(self, additive=self.additive[:, column : column + 1])
 
     def relative_to(self, phasors: Phasors) -> ChannelRelativeError:
-        """Return the relative error (K, 1) of one channel; without the additive part below the noise."""
+        """Return the relative error (K, 1) of one channel.
+
+        It has no additive part at lines within the noise.
+        """
         size = np.abs(phasors.value)
         significant = size > NOISE_REACH * np.hypot(phasors.u_re, phasors.u_im)
         rest = np.divide(self.additive, phasors.value, out=np.zeros_like(self.additive), where=significant)
@@ -123,7 +126,7 @@ DELAY_OF_FILTER = "filter that the delay may be of"
 
 
 def u_of_filter(frequency_hz: FloatArray, delay_s: float) -> tuple[FloatArray, FloatArray]:
-    """Return u (K,) of relative magnitude and phase, rad, of a delay that may be a low-pass's.
+    """Return u (K,) of relative magnitude and phase, rad, of a possible low-pass.
 
     There is no correction. The effect of the filter is between zero and that of the usual filter with the largest
     effect; u is this limit over √3.
@@ -180,13 +183,13 @@ def nonzero_errors(errors: Iterable[ChannelRelativeError]) -> tuple[ChannelRelat
 def delay_errors(
     name: str, frequency_hz: FloatArray, u_s: float, scope: Scope = "recording"
 ) -> tuple[ChannelRelativeError, ...]:
-    """Return a delay error, exp(-jω u) ≈ 1 - jω u for one standard uncertainty, if any."""
+    """Return a delay error, exp(-jω u) ≈ 1 - jω u, if any."""
     turn = np.asarray(-2j * np.pi * frequency_hz * u_s)[:, None]
     return (ChannelRelativeError(name, name, u_s, "s", turn, scope),) if u_s > 0.0 else ()
 
 
 def clock_rate(design: ComplexArray, orders: FloatArray, clock_uncertainty: float) -> list[CommonError]:
-    """Return the unknown of a clock rate: it changes readings ∝ ω^-n by -n·u, n (M,)."""
+    """Return the unknown of a clock rate, -n·u for readings ∝ ω^-n; `orders`: n (M,)."""
     relative = np.broadcast_to(-clock_uncertainty * orders + 0j, design.shape[:2])
     rate = ChannelRelativeError(CLOCK_RATE, CLOCK_RATE, clock_uncertainty, "1", relative, "rig").of_rows(design)
     return [rate] if np.any(rate.slope != 0.0) else []
@@ -248,7 +251,10 @@ def geometry_errors(
 
 
 def _moved_point(entry: ChannelEntry, shift: FloatArray) -> FloatArray:
-    """Return the change (6,) of [d, r × d] by a shift; aimed beams rotate about the mirror."""
+    """Return the change (6,) of [d, r × d] by a shift.
+
+    Aimed beams rotate about their mirror.
+    """
     direction = unit_direction(entry)
     if not is_aimed_at_mirror(entry):
         return np.concatenate([np.zeros(3), np.cross(shift, direction)])
@@ -438,7 +444,7 @@ NOISE = "output noise"
 
 @dataclass(frozen=True)
 class Outputs:
-    """Phasors (K, C) of the sensor's outputs, in the unit of the sensor, with their covariance.
+    """Phasors (K, C) of the sensor's outputs, with their uncertainty.
 
     `uncertainty`: noise of the sine approximation, and scale, delay, response and clock errors. Common errors with
     motion instruments (a clock, an amplifier) have the same names. `additive`: names of influences that add to the
@@ -455,9 +461,9 @@ class Outputs:
             raise ValueError(f"uncertainty: expected covariances of shape {expected}, found {found}")
 
     def draw(self, deviates: Deviates) -> ComplexArray:
-        """Return N samples (N, K, C) with noise, divided by the relative errors c of the chains.
+        """Return N samples (N, K, C) with noise and errors of the chains.
 
-        These act as (1 + Re c)·exp(j·Im c). Additive influences are added before.
+        Relative errors c act as division by (1 + Re c)·exp(j·Im c). Additive influences are added before.
         """
         value = self.phasors.value
         drawn = np.repeat(value[None], deviates.count, axis=0)
@@ -479,7 +485,7 @@ class Outputs:
 
 
 def sensor_outputs(readings: Sequence[ChannelReading], order: Sequence[str]) -> Outputs | None:
-    """Return the outputs of the sensor among readings, in the order of its outputs, if any."""
+    """Return the outputs of the sensor among readings, in order, if any."""
     named = {str(reading.entry.channel): reading for reading in readings if reading.entry.quantity == "output"}
     ordered = [
         replace(named[name], phasors=replace(named[name].phasors, channels=(name,))) for name in order if name in named

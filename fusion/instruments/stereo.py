@@ -59,14 +59,14 @@ class Exposure:
 
 @dataclass(frozen=True)
 class StereoReading(Geometry):
-    """One stereo pair: manifest entry, displacement phasors (K, 6) in m and rad about the sensor origin.
+    """One stereo pair: manifest entry, displacement phasors (K, 6), m and rad.
 
-    `effects`: by name, changes (P, K, 6) of the phasors for one standard uncertainty of further unknowns. Examples are
-    the principal components of the calibration's covariance (CALIBRATION) and the surface before a single camera
-    (SURFACE), which are stated. `through_surface` (6, K, 6): effects of pose errors on a single camera's phasors by its
-    distance from the surface; None for a pair. `clock_uncertainty`: relative. `errors`: unknowns of one recording, such
-    as those of trigger instants and line frequencies, common to all pairs with the same trigger. `face_m` (3,): centre
-    of the tracked points at rest, if available.
+    The phasors are about the sensor origin.     `effects`: by name, changes (P, K, 6) of the phasors for one standard
+    uncertainty of further unknowns. Examples are the principal components of the calibration's covariance (CALIBRATION)
+    and the surface before a single camera (SURFACE), which are stated. `through_surface` (6, K, 6): effects of pose
+    errors on a single camera's phasors by its distance from the surface; None for a pair. `clock_uncertainty`:
+    relative. `errors`: unknowns of one recording, such as those of trigger instants and line frequencies, common to all
+    pairs with the same trigger. `face_m` (3,): centre of the tracked points at rest, if available.
     """
 
     name: str
@@ -114,7 +114,7 @@ class StereoReading(Geometry):
         return f"stereo {self.name}"
 
     def _frame_errors(self) -> Iterator[tuple[str, str, float, str, FloatArray]]:
-        """Yield name, label, u, unit and change (6, 6) of every error of the pair's frame.
+        """Yield name, label, u, unit and change (6, 6) of every frame error.
 
         These are the scale of all lengths, the position p of the sensor origin (the translation changes by theta × p)
         and the rotation φ of the axes (vectors change by φ × v).
@@ -145,7 +145,10 @@ class StereoReading(Geometry):
         return [f"{self._title}: pose {kind} {axis}" for axis in "xyz"]
 
     def moved(self, readings: ComplexArray, deviates: Deviates) -> ComplexArray:
-        """Return phasors (N, K, 6) in sampled frames: t' = R (t + theta × p), theta' = R theta."""
+        """Return phasors (N, K, 6) in sampled frames.
+
+        t' = R (t + theta × p), theta' = R theta.
+        """
         if not self.unknowns:
             return readings
         u = np.asarray(self.pair.pose_uncertainty, dtype=np.float64)

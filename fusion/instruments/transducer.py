@@ -28,10 +28,11 @@ AIM_TOLERANCE_RAD = 1e-3  # rounding of stated directions and points
 
 @dataclass(frozen=True)
 class Transducer:
-    """A kind of channel that measures one component of motion; `quantity` is its name in the manifest.
+    """A kind of channel that measures one component of motion.
 
-    It measures (jω)^`order` times an acceleration, in `unit`, along its direction, or about it if `rotational`. If it
-    `senses_gravity`, it measures d·(a - g) in body axes. `kind`: of instrument, as selected by the fusion.
+    `quantity`: its name in the manifest.     It measures (jω)^`order` times an acceleration, in `unit`, along its
+    direction, or about it if `rotational`. If it `senses_gravity`, it measures d·(a - g) in body axes. `kind`: of
+    instrument, as selected by the fusion.
     """
 
     quantity: str
@@ -42,7 +43,7 @@ class Transducer:
     senses_gravity: bool = False
 
     def geometry(self, point: FloatArray, direction: FloatArray) -> FloatArray:
-        """Return [d, r × d] (..., 6) for r, d (..., 3), [0, d] if rotational.
+        """Return [d, r × d] (..., 6), or [0, d] if rotational.
 
         It determines the observed components at all frequencies.
         """
@@ -82,7 +83,7 @@ def chain_name(entry: ChannelEntry) -> str:
 
 
 def unit_direction(entry: ChannelEntry) -> FloatArray:
-    """Return the unit vector of a channel's direction, by default from its point to its mirror."""
+    """Return the unit vector of a channel's direction, by default to its mirror."""
     direction = (
         mirror_of(entry) - measuring_point(entry)
         if is_aimed_at_mirror(entry)
@@ -173,7 +174,7 @@ class LaserBeams:
         return entry.head is None and (chain_name(entry), tuple(unit_direction(entry).tolist())) in self.parallel
 
     def fan(self, entry: ChannelEntry) -> FloatArray | None:
-        """Return the inclination (3,) of a channel's beam if all beams of its head leave one mirror."""
+        """Return the inclination (3,) of a channel's beam in a fan."""
         if entry.head is None or entry.head.stated.standoff is None or entry.head.name not in self.centres:
             return None
         direction, offset = unit_direction(entry), self.centres[entry.head.name] - measuring_point(entry)

@@ -139,7 +139,7 @@ def axis_name(direction: FloatArray) -> str:
 
 
 def phase_spread(value: ComplexArray) -> FloatArray:
-    """Return the standard deviation (K,) of the phases of phasors (K, N) about their mean direction, rad."""
+    """Return the standard deviation (K,) of the phases of phasors (K, N), rad."""
     mean = np.mean(value / np.abs(value), axis=1, keepdims=True)
     return np.asarray(np.std(np.angle(value / mean), axis=1, ddof=1))
 
@@ -147,7 +147,7 @@ def phase_spread(value: ComplexArray) -> FloatArray:
 def point_spreads(
     observations: Sequence[Observation], accelerations: Sequence[Acceleration]
 ) -> tuple[PointSpread, ...]:
-    """Return one spread per body and direction of at least three vibrometer points, not in one line.
+    """Return one spread per body and direction of three or more points.
 
     Common errors of the points (scale, delay, placement) act as on the fused motion of their body.
     """

@@ -24,7 +24,7 @@ def _acknowledgeable(code: str) -> str:
 
 
 class Acknowledgement(ManifestBlock):
-    """One acknowledged kind of notice: its code, why it does not matter, who decided that, and when."""
+    """One acknowledged kind of notice, with reason, name and date."""
 
     code: Annotated[Text, AfterValidator(_acknowledgeable)]
     reason: Text

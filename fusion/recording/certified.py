@@ -87,7 +87,7 @@ class CertifiedInputs:
     signature_notices: list[Notice] = field(default_factory=list)
 
     def resolve(self, value: Any, whole: dict[str, Any], path: list[int | str]) -> Any:
-        """Return a part of a manifest, with the values of certificates instead of tables with `dcc`."""
+        """Return a part of a manifest, with certified values instead of tables with `dcc`."""
         if isinstance(value, list):
             return [self.resolve(item, whole, [*path, number]) for number, item in enumerate(value)]
         if not isinstance(value, dict):

@@ -93,7 +93,7 @@ def find_contradictions(rig: Rig, rig_path: Path, record: RecordingFile, path: P
 
 
 def _standoff_errors(located: Iterable[LocatedChannel], path: Path) -> Iterator[InputError]:
-    """Yield errors of beams of one head, with a stand-off only, that are not nearly parallel."""
+    """Yield errors of diverging beams of a head without a mirror."""
     first: dict[str, ChannelEntry] = {}
     for key, _, entry in located:
         if entry.head is not None and entry.head.stated.standoff is not None:

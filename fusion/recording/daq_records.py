@@ -122,7 +122,7 @@ class DaqRecord:
         return self._triggers[channel.name]
 
     def pulse_width(self, trigger: str) -> PulseWidth:
-        """Measure the width of the pulses of a trigger channel, once; `ValueError` if it is impossible."""
+        """Measure the pulse width of a trigger channel, once; `ValueError` if it is impossible."""
         if trigger not in self._pulses:
             channel = next(channel for channel in self.entry.channel if channel.name == trigger)
             signal = self.values(channel), self.raw[trigger].sample_rate_hz, channel.threshold, channel.edge
@@ -221,7 +221,7 @@ def split_scan(manifest: Manifest) -> Iterator[tuple[Manifest, ScannedPoint | No
 
 
 def _of_point(frames: Sequence[AnyFrames], point: ScannedPoint, first: bool) -> Iterator[AnyFrames]:
-    """Yield the images or points of a scan point, with the trigger name of its channels."""
+    """Yield the images or points of a scan point, with its trigger name."""
     for entry in frames:
         block, slash, number = entry.trigger.partition("/")
         if slash and block in point.raw and number.isdecimal():
@@ -258,7 +258,7 @@ def _point(daq: Daq, scan: VibrometerScan, index: int) -> ScannedPoint:
 
 @dataclass(frozen=True)
 class FileCache:
-    """Files that were read already: channels by set-up and block, images by paths and bit depth."""
+    """Cached channels by set-up and block, and images by paths and bit depth."""
 
     channels: dict[tuple[str, str], dict[str, RawChannel]] = field(default_factory=dict)
     images: dict[tuple[tuple[Path, ...], int | None], ImageSequence] = field(default_factory=dict)

@@ -96,7 +96,7 @@ class CertifiedQuantity:
         return name in (self.result, self.name, *self.names, *self.types, *self.ids)
 
     def in_one_of(self, dimensions: Collection[Dimension]) -> CertifiedQuantity | None:
-        r"""Return the quantity if its unit, or its other reading of `\per`, has one of some dimensions."""
+        r"""Return the quantity if either reading of its unit has one of some dimensions."""
         if self.unit.dimension in dimensions:
             return self
         other = self.unit.other
@@ -387,7 +387,7 @@ class _Numbers:
         return self._complex(values, suffix) if tag.startswith("complex") else self._real(values, suffix)
 
     def _hybrid(self, inner: Sequence[Any]) -> CertifiedQuantity:
-        """Read one quantity stated in several units: in the coherent SI unit, else in the first one.
+        """Read one quantity stated in several units, preferably in the coherent SI unit.
 
         All readable values must agree.
         """
@@ -429,7 +429,7 @@ class _Numbers:
         return CertifiedQuantity("", "", (), total, unit, *stated, None, 0, bool(suffix) or len(value) > 1)
 
     def _uncertainty(self, values: Any, suffix: str, count: int) -> tuple[FloatArray, FloatArray, FloatArray, str]:
-        """Read U, k, probability and distribution in every form of the D-SI; NaN if not stated."""
+        """Read U, k, probability and distribution of any form, NaN if not stated."""
         none = np.full(count, np.nan)
         forms: tuple[tuple[str, tuple[str, ...]], ...] = (
             (f"expandedMU{suffix}", ("valueExpandedMU", "coverageFactor")),
@@ -483,7 +483,7 @@ class _Numbers:
         )  # fmt: skip
 
     def _covariance(self, values: Any, suffix: str, count: int, unit: Unit) -> FloatArray | None:
-        """Read covariance matrices (N, 2, 2) in SI; None if their unit is not the squared one."""
+        """Read covariance matrices (N, 2, 2) in SI, None for other units."""
         matrix = values.find(f".//{{*}}covarianceMatrix{suffix}")
         if matrix is None:
             return None

@@ -48,7 +48,7 @@ LOSS = re.compile(r"attenuation|\bloss|dämpfung|affaiblissement|atenua|attenuaz
 
 @dataclass(frozen=True)
 class CertifiedCurve:
-    """A complex quantity over N frequencies (Hz): magnitude and phase (rad) with u, in SI units.
+    """A complex quantity over N frequencies, Hz: magnitude and phase, rad, with u.
 
     u = U/k with k of at most 2, so that 2·u is the stated U. `phase_rad` with its u is NaN if it is not stated. `value`
     (N,) and `covariance` (N, 2, 2) exist if complex values are stated. NaN was not measured. `problem`: the error of an
@@ -76,7 +76,10 @@ class CertifiedCurve:
 
 
 def curve_named(certificate: CalibrationCertificate, result: str) -> CertifiedCurve:
-    """Return the list over frequency of a name, or the only one; `InputError` for none or several."""
+    """Return the list over frequency of a name, or the only one.
+
+    `InputError` if there are none or several.
+    """
     every = list(curves(certificate))
     fitting = [curve for curve in every if not result or result in (curve.name, *curve.types, *curve.ids)]
     if len(fitting) != 1:
@@ -116,7 +119,7 @@ def curves(certificate: CalibrationCertificate) -> Iterator[CertifiedCurve]:
 
 
 def _of_transducer(quantity: CertifiedQuantity) -> CertifiedQuantity | None:
-    """Return a quantity in V, A or C per mechanical unit, by either reading of `\\per`."""
+    """Return a quantity in V, A or C per mechanical unit, else None."""
     for unit in filter(None, (quantity.unit, quantity.unit.other)):
         if unit.dimension and unit.dimension[AMPERE] and unit.dimension not in (*RATIOS, *ELECTRICAL):
             return quantity.in_one_of((unit.dimension,))
@@ -219,7 +222,7 @@ def _of_complex(
 
 
 def _as_ratio(certificate: CalibrationCertificate, size: CertifiedQuantity) -> CertifiedQuantity:
-    """Return a magnitude as a ratio; levels in Np or dB (field quantities, re 1) are converted."""
+    """Return a magnitude as a ratio, converted from levels (field quantities, re 1)."""
     if size.unit.dimension != LEVEL:
         return size
     if LOSS.search(f"{size.words} {size.description.lower()}"):
@@ -242,9 +245,10 @@ def _phase(certificate: CalibrationCertificate, turn: CertifiedQuantity) -> Floa
 
 
 def leading_phase(phase_rad: FloatArray, expanded_rad: FloatArray, words: str) -> FloatArray:
-    """Return phases that are positive if the output leads, by their name (`words`, in small letters).
+    """Return phases that are positive if the output leads, by their name.
 
-    Raises `ValueError` with the finding if the name, or negative numbers of a lag, make the sign ambiguous.
+    `words`: the name in small letters. Raises `ValueError` with the finding if the name, or negative numbers of a lag,
+    make the sign ambiguous.
     """
     lag, lead, unsure = (pattern.search(words) is not None for pattern in (LAG, LEAD, UNSURE))
     if (lag and (lead or unsure)) or (unsure and not lead):

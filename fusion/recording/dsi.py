@@ -87,10 +87,11 @@ TOKEN = re.compile(r"\\([A-Za-z]+)(?:\{([-+]?\d(?:\.\d{1,3}|_[1-9])?)\})?")
 
 @dataclass(frozen=True)
 class Unit:
-    """A unit: `factor` to the coherent SI unit of its `dimension` (exponents of `BASE`), and its text.
+    """A unit with its `factor` to the coherent SI unit of its `dimension`.
 
-    `celsius`: a temperature on the Celsius scale, with the value `CELSIUS_AT_0_K` at 0 K. `angle`: exponent of the
-    radian, which has no dimension. `other`: the unit if `\\per` divides only by the next unit, if that differs.
+    `dimension`: exponents of `BASE`.     `celsius`: a temperature on the Celsius scale, with the value `CELSIUS_AT_0_K`
+    at 0 K. `angle`: exponent of the radian, which has no dimension. `other`: the unit if `\\per` divides only by the
+    next unit, if that differs.
     """
 
     factor: float
@@ -139,10 +140,10 @@ def _powers(unit: str) -> Iterator[tuple[str, int]]:
 
 @cache
 def parse_unit(text: str) -> Unit:
-    r"""Return a unit of the D-SI, or a plain one such as `(mV/V)/N`; `ValueError` for other texts.
+    r"""Return a unit of the D-SI, or a plain one such as `(mV/V)/N`.
 
-    `\per` divides by all units after it; the D-SI allows one. The LaTeX reading, division by the next unit only, is the
-    unit's `other`.
+    `ValueError` for other texts.     `\per` divides by all units after it; the D-SI allows one. The LaTeX reading,
+    division by the next unit only, is the unit's `other`.
 
     >>> from fusion.recording.dsi import parse_unit
     >>> parse_unit(r"\milli\volt\per\newton") == parse_unit("mV/N")

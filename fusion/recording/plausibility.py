@@ -130,7 +130,7 @@ def _body_notices(manifest: Manifest, file: str) -> Iterator[Notice]:
 
 
 def _sensor_notices(rig: Rig, file: str) -> Iterator[Notice]:
-    """Compare rated loads with the weight of the load, and the static matrix with outputs of bridges."""
+    """Compare rated loads with the load's weight, and outputs with those of bridges."""
     sensor, load = rig.sensor, rig.load
     if sensor is None or sensor.capacity is None:
         return
@@ -142,7 +142,7 @@ def _sensor_notices(rig: Rig, file: str) -> Iterator[Notice]:
 
 
 def _rated_output_notices(sensor: Sensor, rated: FloatArray, file: str) -> Iterator[Notice]:
-    """Compare outputs at the rated loads with those of bridges; outputs in other units are not checked."""
+    """Compare outputs in V/V at the rated loads with those of bridges."""
     try:
         unit = parse_unit(sensor.unit)
     except ValueError:

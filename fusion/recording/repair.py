@@ -163,7 +163,7 @@ def _at_key(value: Any, key: int | str) -> Iterator[Any]:
 
 
 def _with(values: dict[str, Any], path: KeyPath, value: Any) -> dict[str, Any]:
-    """Return the table with another value at a path, unchanged if there is no table around it."""
+    """Return the table with another value at a path, if the path exists."""
     changed = inner = deepcopy(values)
     try:
         for step in path[:-1]:

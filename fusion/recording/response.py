@@ -85,7 +85,7 @@ def _complex(roots: tuple[tuple[float, float], ...]) -> NDArray[np.complex128]:
 
 
 class ChainElement(ManifestBlock):
-    """One element of a chain: gain, delay, and poles and zeros in rad/s or a filter."""
+    """One element of a chain: gain, delay, poles and zeros (rad/s) or filter."""
 
     name: Text = "element"
     gain: Number = 1.0
@@ -382,7 +382,10 @@ def _hertz_factor(path: Path, name: str, unit: str) -> float:
 
 
 def _angle_factor(path: Path, columns: ResponseColumns, name: str, unit: str) -> float:
-    """Return the factor to rad of a column of angles; the file's unit must not contradict `columns`."""
+    """Return the factor to rad of a column of angles.
+
+    `InputError` if the file's unit contradicts `columns`.
+    """
     stated, of_file = columns.phase_unit, ANGLES.get(unit.lower())
     if unit and of_file is None:
         with suppress(ValueError):
@@ -409,7 +412,10 @@ def _angle_factor(path: Path, columns: ResponseColumns, name: str, unit: str) ->
 
 
 def _magnitude_factor(path: Path, columns: ResponseColumns, units: Sequence[str]) -> float:
-    """Return the factor to SI of the magnitudes; the file's unit must not contradict `columns`."""
+    """Return the factor to SI of the magnitudes.
+
+    `InputError` if the file's unit contradicts `columns`.
+    """
     _, magnitude, _, u_magnitude, _ = units
     if columns.u_magnitude_unit == "%" and u_magnitude not in ("", "%"):
         raise InputError(

@@ -58,7 +58,7 @@ AnyBlock = TypeVar("AnyBlock", bound=ManifestBlock)
 
 
 def read_toml(path: Path) -> dict[str, Any]:
-    """Return the values of a TOML file; syntax errors name the line, impossible values their key."""
+    """Return the values of a TOML file; `InputError` with line or key."""
     text = read_text(path, LARGEST_TOML, "a manifest")
     deep = next((number for number, line in enumerate(text.splitlines(), 1) if _nested(line) > DEEPEST), None)
     if deep is not None:
@@ -82,7 +82,7 @@ def read_toml(path: Path) -> dict[str, Any]:
 def read_rows(
     path: Path, largest: int, expected: str = "a table in UTF-8 text"
 ) -> tuple[tuple[str, ...], list[dict[str, str]]]:
-    """Return columns and rows of a table of at most `largest` bytes; `InputError` for other files."""
+    """Return columns and rows of a table of at most `largest` bytes."""
     try:
         reader = csv.DictReader(read_text(path, largest, "a table").splitlines())
         return tuple(reader.fieldnames or ()), list(reader)
@@ -436,7 +436,7 @@ def find_unfilled(text: dict[str, Any], path: Path) -> list[InputError]:
 
 
 def quote_key(name: str) -> str:
-    """Return a name as part of a key path, in quotes unless it is a bare key."""
+    """Return a name for a key path, in quotes unless it is a bare key."""
     return name if re.fullmatch(r"[A-Za-z0-9_-]{1,60}", name) else f'"{describe(name, plain=True)}"'
 
 

@@ -103,7 +103,10 @@ PLAIN = (0.5, 2.0)
 
 @dataclass(frozen=True)
 class RecordedUnit:
-    """The unit of a recorder's file: `factor` to the SI unit of its `dimension`; `raw`: converter codes."""
+    """The unit of a recorder's file, or converter codes (`raw`).
+
+    `factor`: to the SI unit of its `dimension`.
+    """
 
     factor: float
     dimension: Dimension
@@ -139,7 +142,7 @@ def _capital(found: re.Match[str]) -> str:
 
 @cache
 def recorded_unit(text: str) -> RecordedUnit | None:
-    """Return the unit of a channel, None if the text states none or is not recognised.
+    """Return the unit of a channel, None if it is missing or not recognised.
 
     >>> from fusion.recording.units import recorded_unit
     >>> recorded_unit("mm/s").factor, recorded_unit("g").factor, recorded_unit("EU")
@@ -167,7 +170,7 @@ def recorded_unit(text: str) -> RecordedUnit | None:
 
 
 def in_stated_units(manifest: Manifest, daq: Daq, raw: Mapping[str, RawChannel]) -> dict[str, RawChannel]:
-    """Return the channels of a block; without `scale` they are converted into units of their quantities.
+    """Return the channels of a block, converted if they have no `scale`.
 
     A unit that no factor converts requires a `scale`: `InputError`. A unit that is not stated, or not recognised, is
     taken as that of the quantity; `unit_notices` warns of the latter.
@@ -249,7 +252,7 @@ def unit_notices(manifest: Manifest, daq: Daq, raw: Mapping[str, RawChannel]) ->
 def _unit_notice(
     entry: ChannelEntry, stated: str, rig: Rig, of_certificate: bool
 ) -> tuple[DeclaredNotice, dict[str, Value]] | None:
-    """Return a notice on the scale of a channel whose file states a unit, with its values."""
+    """Return the notice on the unit of a channel, with its values."""
     unit, quantity_unit = recorded_unit(stated), rig.unit_of(entry)
     values: dict[str, Value] = {"unit": stated, "quantity_unit": quantity_unit}
     scale_stated = "scale" in entry.model_fields_set

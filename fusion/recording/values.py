@@ -505,7 +505,7 @@ def refuse_repeated(names: Sequence[str], what: str, key: str) -> None:
 
 
 def size_range(low: float, high: float, unit: str, **others: float) -> AfterValidator:
-    """Return a validator of numbers in `unit`: 0, or of a size from `low` to `high`.
+    """Return a validator of numbers of a size from `low` to `high`, or 0.
 
     `others`: factors of units that users confuse with it. The refusal names one in which the number would be valid.
     """

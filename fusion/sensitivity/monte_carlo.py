@@ -152,7 +152,7 @@ def _motion(inputs: Inputs, fused: Acceleration) -> _Motion:
     """Return a fused acceleration with the instruments that it uses."""
     of_body = [(index, seen) for index, seen in enumerate(inputs.observations) if seen.body == fused.body]
     used = [(index, seen) for index, seen in of_body if seen.stated] or of_body
-    system, first, _ = reject_gross_errors([seen for _, seen in used], fused.unseen)
+    system, first, _ = reject_gross_errors([seen for _, seen in used], fused.unobserved_limits)
     observations, solution = system.observations, solve_consistently(system, first, fused.scatter).final
     noise = tuple(f"noise of instrument {index}" for index, _ in used)
     return _Motion(fused, observations, noise, Estimator.of(observations, system.expand, solution))

@@ -65,7 +65,7 @@ def plate_wrench(plate: PlateSpec, motion: SimulatedMotion, draws: Draws) -> Com
 
 
 def bent_view(world: World, draws: Draws, view: View, face: Face, instant: tuple[float | FloatArray, float]) -> View:
-    """Return a view in which the face of the load, across z, bends as in the mean over an exposure.
+    """Return a view of the bending face of the load, averaged over an exposure.
 
     instant: middle of the exposure, (H,) for rows, and its length, s.
     """
@@ -106,7 +106,7 @@ def elastic_keys(preset: Preset) -> dict[str, Any]:
 
 
 def surface_files(preset: Preset) -> dict[str, str]:
-    """Return the table of the mode on the top face by its file, none without a plate."""
+    """Return the file of the mode on the top face, if there is a plate."""
     plate = preset.plate
     if plate is None:
         return {}

@@ -111,7 +111,7 @@ class SimulatedSuspension:
     chirp: Chirp
 
     def transfer(self, load: TruePart, internal: TruePart, point: Vector, frequency_hz: FloatArray) -> ComplexArray:
-        """Return the acceleration of a point of the load over that of the base, along the direction.
+        """Return the acceleration of a point of the load over that of the base.
 
         (M s² + b s + k) q = (b s + k) q_base for the free components q; the others move with the base.
         """
@@ -342,7 +342,7 @@ def write_masses(
 
 
 def sine_run(suspension: SimulatedSuspension, step: int, draws: Draws) -> Run:
-    """Return one sine recording: the load moves along z only, with its base below the true spring.
+    """Return one sine recording of a load that moves along z.
 
     z moves at the driven line, and with 0.4 % of it at twice its frequency. The resonance of the set-up is that of the
     true masses, so that the base moves as in the chirps.

@@ -146,7 +146,7 @@ class PlateSpec:
 
 @dataclass(frozen=True, config=CHECKED)
 class HeadSpec:
-    """A laser head as stated: u of its rotation about each axis (rad) and position (m)."""
+    """A stated laser head: u of its rotation (rad) and position (m)."""
 
     name: str
     rotation_uncertainty: float
@@ -315,7 +315,7 @@ def region_of(setup: StereoSetup, *faces: StereoSetup) -> list[int]:
 
 
 def face_of(setup: StereoSetup, aliased: bool, rng: np.random.Generator) -> Face:
-    """Return the speckled face, blurred dots of 5 px or sharp ones of 2 px (`aliased`).
+    """Return the speckled face, with blurred or sharp (`aliased`) dots.
 
     The rims of sprayed dots are soft (σ 1 px), without components beyond the Nyquist frequency of the pixels. Sharp
     discs of the same size alias by 1 % of their amplitude and move subsets by 0.001 to 0.002 px.

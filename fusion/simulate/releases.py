@@ -69,7 +69,7 @@ class SimulatedRecorder:
         return self.offset_v * draws.stream(f"{name}.offset").standard_normal(outputs)
 
     def record(self, name: str, volts: FloatArray, steps: FloatArray, channels: Channels, draws: Draws) -> Record:
-        """Return the stored samples of outputs (C, N) in V that change by `steps` (C,), with noise."""
+        """Return the stored samples of outputs (C, N), V, with noise."""
         noise = self.noise * steps[:, None] * draws.stream(f"{name}.noise").standard_normal(volts.shape)
         step = 2.0 * self.range_v / 2**self.bits
         shown = np.clip(np.rint((volts + noise) / step), -(2 ** (self.bits - 1)), 2 ** (self.bits - 1) - 1) * step
@@ -117,7 +117,7 @@ class SimulatedRelease:
 
 
 def releases(rig: StepRig) -> tuple[SimulatedRelease, ...]:
-    """Return three releases of each rope on Fz, and two of the first rope on other components."""
+    """Return all releases: three of each rope on Fz, two on other components."""
     axial = [SimulatedRelease("Fz", rope, repeat) for rope in rig.ropes for repeat in (1, 2, 3)]
     other = [SimulatedRelease(c, rig.ropes[0], repeat) for c in LOAD_COMPONENTS if c != "Fz" for repeat in (1, 2)]
     return (*axial, *other)
@@ -167,10 +167,10 @@ def write_steps(folder: Path, seed: int, rig: StepRig | None = None) -> tuple[Pa
 
 
 def sensor_model(rig: StepRig, draws: Draws) -> Model:
-    """Return the response of every output (row) to every load component (column), V/V per N or N·m.
+    """Return the response of every output (row) to every load component (column).
 
-    H = C·diag[ω²/(s² + 2ζωs + ω²)]·B·2πf_c/(s + 2πf_c): loads excite the modes by B, outputs observe them by C, both
-    nearly diagonal; the amplifier is the last factor. Residues follow from partial fractions.
+    In V/V per N or N·m.     H = C·diag[ω²/(s² + 2ζωs + ω²)]·B·2πf_c/(s + 2πf_c): loads excite the modes by B, outputs
+    observe them by C, both nearly diagonal; the amplifier is the last factor. Residues follow from partial fractions.
     """
     modes = len(rig.frequency_hz)
     off = [draws.stream(f"mixing.{name}").uniform(-rig.mixing, rig.mixing, (modes, modes)) for name in ("B", "C")]
@@ -194,7 +194,7 @@ def sensor_model(rig: StepRig, draws: Draws) -> Model:
 
 
 def _write_release(folder: Path, rig: StepRig, model: Model, release: SimulatedRelease, draws: Draws) -> Path:
-    """Write one recording: the load vanishes, and every output changes from its loaded to its zero level."""
+    """Write one recording: the load vanishes, and every output returns to zero."""
     name, index = release.name, LOAD_COMPONENTS.index(release.component)
     load, column = rig.load_share * rig.capacity[index], [row[index] for row in model]
     time_s, onset_s, release_s = rig.release_times(name, release.rope, rig.before_s + rig.after_s, draws)
@@ -260,7 +260,7 @@ class SeriesRig(SimulatedRecorder):
 
 
 def write_loads(folder: Path, seed: int, rig: SeriesRig | None = None) -> tuple[Path, ...]:
-    """Write a rig and a recording for every load, and the truth; return the recordings' folders.
+    """Write rigs, recordings and truth of all loads; return the recordings' folders.
 
     The true masses differ from the stated ones within the stated uncertainties; the error of the moving mass is common.
     """
@@ -296,7 +296,7 @@ def write_loads(folder: Path, seed: int, rig: SeriesRig | None = None) -> tuple[
 
 
 def true_modes(rig: SeriesRig, moving: float, load: float) -> tuple[ComplexArray, ComplexArray]:
-    """Return poles, rad/s, and residues of the output over a force on the load, for true masses.
+    """Return poles, rad/s, and residues of the output over a force.
 
     M ẍ + B ẋ + K x = f of the moving mass and the load on their springs, by the eigenvectors of the first-order
     equations. It is independent of `shaker.release.load_model`, whose results are tested with these recordings.

@@ -92,7 +92,7 @@ class Run:
 
 
 def clock(daq: DaqSpec, draws: Draws) -> tuple[float, float]:
-    """Return the true start of a recorder (s), and true seconds per second of its clock."""
+    """Return the true start of a recorder, s, and its true clock rate."""
     return daq.start_s, 1 + float(draws.normal(f"{daq.name}.clock", daq.clock_uncertainty))
 
 
@@ -119,7 +119,7 @@ def record(world: World, daq: DaqSpec, draws: Draws, noise: bool) -> Record:
 
 
 def recorded_phasors(world: World, daq: DaqSpec, spec: ChannelSpec, draws: Draws) -> ComplexArray:
-    """Return the phasors (K,) in the file: true value · response · exp(−jω·delay) / true scale."""
+    """Return phasors (K,) in the file: true · response · exp(−jω·delay) / scale."""
     shared = spec.common or spec.name
     scale = float(draws.normal(f"{shared}.scale", spec.stated.get("scale_uncertainty", 0.0)))
     individual = float(draws.normal(f"{spec.name}.individual", spec.stated.get("individual_uncertainty", 0.0)))
@@ -131,7 +131,7 @@ def recorded_phasors(world: World, daq: DaqSpec, spec: ChannelSpec, draws: Draws
 
 
 def _true_phasors(world: World, spec: ChannelSpec, draws: Draws) -> ComplexArray:
-    """Return the true phasors (K,) of a channel in SI units, at its true point and direction."""
+    """Return the true phasors (K,) of a channel in SI units."""
     if spec.quantity == "output":
         return np.asarray(world.outputs[:, LOAD_COMPONENTS.index(spec.name)])
     # Independent of `fusion.instruments`, which is tested with these recordings.
@@ -412,7 +412,7 @@ def write_run(
     options: SimulationOptions | None = None,
     progress: ProgressCallback = no_progress,
 ) -> Path:
-    """Write one recording into the folder of a campaign, and its rig if it is missing; return its folder."""
+    """Write one recording and, if missing, its rig; return its folder."""
     options = options or SimulationOptions()
     preset = run.preset
     records = {daq.file: record(world, daq, draws, options.channel_noise) for daq in preset.daqs}
@@ -495,7 +495,7 @@ def _write_images(
 def driven(
     preset: Preset, recording: str, fundamental_hz: float, motion: ComplexArray, multiples: Sequence[int] = (1, 2)
 ) -> Preset:
-    """Return a preset with lines and motion (K, 6) of one recording, and complete DAQ records."""
+    """Return a preset with lines and motion (K, 6) of one recording."""
     end = LEAD_S + preset.frames / preset.camera_rate_hz + LEAD_S
     return replace(
         preset,
@@ -509,10 +509,11 @@ def driven(
 
 
 def camera_rate(preset: Preset, frequency_hz: float) -> float:
-    """Return a camera rate near 53 Hz that beats with a line and is no simple fraction of DAQ rates.
+    """Return a camera rate near 53 Hz for a line and the DAQ rates.
 
-    At the candidate rates a line advances by about 0.3 cycles per frame. The selected rate has the smallest gap between
-    the phases of its edges in the sampling intervals: this gap limits the resolution of the trigger instants.
+    It beats with the line and is no simple fraction of the DAQ rates.     At the candidate rates a line advances by
+    about 0.3 cycles per frame. The selected rate has the smallest gap between the phases of its edges in the sampling
+    intervals: this gap limits the resolution of the trigger instants.
     """
 
     def gap_s(rate_hz: float, sampling_hz: float) -> float:

@@ -41,7 +41,7 @@ GEOMETRY_FILE = "elastomer.toml"
 
 @dataclass(frozen=True, config=CHECKED)
 class RotationRig:
-    """Truth and nominal values: masses in kg, positions in m, angles in rad, outputs in mV/V."""
+    """Truth and nominal values: kg, m, rad, outputs in mV/V."""
 
     internal_mass_kg: float
     internal_centre_m: Vector
@@ -116,7 +116,7 @@ def write_rotation(folder: Path, seed: int, rig: RotationRig | None = None) -> t
 
 
 def true_outputs(rig: RotationRig, name: str, angle_rad: FloatArray, sense: FloatArray, draws: Draws) -> FloatArray:
-    """Return the outputs (N, 6) without noise at angles (N,), approached in a sense (N,) of ±1."""
+    """Return outputs (N, 6) without noise at angles (N,) with senses (N,)."""
     gravity, air = (float(stated.value + draws.normal(key, stated.u)) for stated, key in _surroundings(rig))
     shares = {BARE: [(rig.internal_mass_kg, 1.0 / 5000.0, np.array(rig.internal_centre_m))]}
     mass = rig.load_mass_kg + float(draws.normal("load.mass", rig.u_load_mass_kg))
@@ -263,7 +263,7 @@ def write_element(folder: Path, seed: int) -> Path:
 
 
 def _entry(preset: ElementPreset, component: str, frequency_hz: float, draws: Draws) -> ModelEntry:
-    """Return the model of one channel as from a step response, with an error of its frequency."""
+    """Return the model of one channel with an error of its frequency."""
     zeta = preset.damping_ratio
     measured = frequency_hz * (1.0 + float(draws.normal(f"{component}.frequency", preset.u_frequency)))
     omega, gain = 2.0 * np.pi * measured, 1e-6

@@ -120,7 +120,7 @@ def _transverse(acceleration: ComplexArray, size: float) -> ComplexArray:
 
 
 def _shaken(*instruments: str) -> Callable[..., SimulatedMotion]:
-    """Return the change of the motion seen by shaken instruments, along the driven axis and across."""
+    """Return the change of the motion that shaken instruments observe."""
 
     def change(
         motion: SimulatedMotion, size: float, world: World, _: str, instrument: str, __: FloatArray
@@ -162,7 +162,7 @@ def _axial_angle(frequency_hz: FloatArray, size: float) -> FloatArray:
 def _axial_seen(
     motion: SimulatedMotion, size: float, world: World, body: str, _: str, point: FloatArray
 ) -> SimulatedMotion:
-    """Return the motion of a rod at a height h: cos(k(L − h))/cos(kL) times that of its lower end."""
+    """Return the motion of a rod at h: cos(k(L − h))/cos(kL) times that below."""
     if body != "load":
         return motion
     angle, share = _axial_angle(motion.frequency_hz, size), float(np.clip(point[2] / _height(world.preset), 0.0, 1.0))
@@ -180,7 +180,7 @@ def _axial_load(world: World, size: float) -> World:
 
 
 def _bending(motion: SimulatedMotion, size: float, world: World) -> ComplexArray:
-    """Return the motion (K, 2) of the tip along x and y in the first bending mode, undamped.
+    """Return the motion (K, 2) of the tip in the first bending mode.
 
     Shape of a cantilever, φ(s) = s²(3 − s)/2 over s = h/L, participation ∫φ/∫φ² = (3/8)/(33/140). It is excited by the
     transverse motion at half the height.
@@ -217,7 +217,7 @@ def _bending_load(world: World, size: float) -> World:
 
 
 def _cable(world: World, size: float) -> World:
-    """Connect the top of the load to the surroundings by a spring: a force k·x with its moment."""
+    """Connect the top of the load to the surroundings by a spring."""
     motion, clamp = world.motion["load"], np.array([0.03, 0.0, _height(world.preset)])
     moved = motion.displacement[:, :3] + np.cross(motion.displacement[:, 3:], clamp)
     pull = size * np.array([0.3, 0.3, 1.0]) * moved
@@ -236,7 +236,7 @@ def _trigger_jitter(world: World, size: float) -> World:
 
 
 def _locked_clocks(world: World, size: float) -> World:
-    """Set the frame period to whole samples of the first recorder, plus `size` samples per record."""
+    """Set the frame period to whole samples, plus `size` samples per record."""
     number, edges = np.arange(len(world.trigger_s)), world.trigger_s
     sample_s = 1.0 / world.preset.daqs[0].sample_rate_hz
     slope = float(np.polyfit(number, edges, 1)[0])
@@ -274,7 +274,7 @@ def _nonlinear(records: Records, size: float, world: World) -> Records:
 
 
 def _folded(records: Records, size: float, world: World) -> Records:
-    """Add the alias of a harmonic beyond the Nyquist frequency to the outputs, 0.3 bins from the line."""
+    """Add the alias of a harmonic to the outputs, 0.3 bins from the line."""
     changed = {}
     for channel in _channels(world.preset, "output"):
         values, record = _samples(records, channel), records[channel[0]]
@@ -308,7 +308,7 @@ def _exchanged(quantity: str) -> Callable[..., Records]:
 
 
 def _ordered(world: World, quantity: str) -> list[tuple[str, str]]:
-    """Return the channels of a quantity; outputs by their share of the rating, the largest first."""
+    """Return the channels of a quantity, outputs by their share of the rating."""
     channels = _channels(world.preset, quantity)
     if quantity != "output":
         return channels

@@ -89,7 +89,7 @@ class Draws:
         return value
 
     def covariant(self, name: str, covariance: FloatArray) -> FloatArray:
-        """Return errors (P,) with a covariance (P, P), 0 if it is 0, and record them."""
+        """Return errors (P,) with a covariance (P, P), and record them."""
         varying = np.diagonal(covariance) > 0.0
         scale = np.sqrt(np.diagonal(covariance)[varying])
         lower = np.linalg.cholesky(covariance[np.ix_(varying, varying)] / np.outer(scale, scale))
@@ -146,10 +146,10 @@ def harmonic(time_s: FloatArray, frequency_hz: FloatArray, phasors: ComplexArray
 
 
 def wrench(motion: SimulatedMotion, parts: Sequence[TruePart], gravity: FloatArray) -> ComplexArray:
-    """Return force and moment phasors (K, 6) at the origin that accelerate the parts, in body axes.
+    """Return force and moment phasors (K, 6) at the origin that accelerate parts.
 
-    Newton and Euler of each part: F = m·(a + α × c) + m·θ × g, M = c × F + I·α, θ = −α/ω². The last term of F is
-    gravity in tilted axes: Rᵀ·(−m·g) = −m·g + m·θ × g to first order.
+    In body axes.     Newton and Euler of each part: F = m·(a + α × c) + m·θ × g, M = c × F + I·α, θ = −α/ω². The last
+    term of F is gravity in tilted axes: Rᵀ·(−m·g) = −m·g + m·θ × g to first order.
     """
     a, alpha = motion.acceleration[:, :3], motion.acceleration[:, 3:]
     tilt = np.cross(motion.displacement[:, 3:], gravity)
@@ -220,7 +220,7 @@ class TrueStereo:
         return tuple(view_of(camera, from_left @ self.left_from_sensor) for _, (camera, from_left) in placed)
 
     def exposure_middle_s(self, edge_s: float, exposure_s: float) -> float | FloatArray:
-        """Return the middle of the exposure after an edge, of a rolling shutter for every row (H,)."""
+        """Return the middle of the exposure after an edge, per row (H,) if rolling."""
         first, rows = edge_s + self.delay_s + exposure_s / 2, np.arange(self.setup.size_px[1])
         if self.setup.row_time == 0.0:
             return first
@@ -247,7 +247,7 @@ class World:
     stereo: tuple[TrueStereo, ...]
 
     def observed_motion(self, draws: Draws, body: str, instrument: str, point: FloatArray) -> SimulatedMotion:
-        """Return the motion of a body as observed by a kind of instrument at a point.
+        """Return the motion of a body observed by a kind of instrument.
 
         `instrument`: `velocity`, `acceleration` or `camera`. The room is stationary. The head of the lasers moves
         opposite to their reading of the room.
@@ -294,7 +294,7 @@ def true_part(spec: PartSpec, draws: Draws) -> TruePart:
 
 
 def static_sensitivity(preset: Preset, draws: Draws) -> tuple[FloatArray, FloatArray]:
-    """Return the stated static sensitivity (6, 6), and the true one, within 0.1 % of its diagonal.
+    """Return the stated and the true static sensitivity (6, 6).
 
     Cross-talk is relative to the rated loads: output i for component j is up to `cross_talk` of its rated output at the
     rated load j.
@@ -330,7 +330,7 @@ def true_stereo(setup: StereoSetup, draws: Draws) -> TrueStereo:
 
 
 def _true_face(setup: StereoSetup, draws: Draws) -> StereoSetup:
-    """Return a set-up with the true face before a single camera: shifted along its normal and tilted."""
+    """Return a set-up with the true face before a single camera."""
     if not setup.surface_uncertainty:
         return setup
     distance, tilt = setup.surface_uncertainty
@@ -350,7 +350,7 @@ def true_pose(setup: StereoSetup, stated: RigidTransform, scale: float, draws: D
 
 
 def frame_bounds(preset: str, seed: int) -> dict[str, NDArray[np.float64]]:
-    """Return the Cramér-Rao bound of one frame's motion per stereo pair: (6,) in m and rad.
+    """Return the Cramér-Rao bound (6,) of one frame's motion per pair.
 
     It uses all pixels of both cameras, the true rig and the nominal noise (`photogram.synthetic.scene.motion_bound`).
     """
@@ -363,7 +363,7 @@ def frame_bounds(preset: str, seed: int) -> dict[str, NDArray[np.float64]]:
 
 
 def face_points(setup: StereoSetup) -> FloatArray:
-    """Return a grid (N, 3) of points on a face, in the sensor frame at rest."""
+    """Return a grid (N, 3) of points on a face at rest."""
     across, up = (_INSIDE * half * np.linspace(-1.0, 1.0, n) for half, n in zip(setup.half_size, GRID, strict=True))
     side = np.cross(np.array(setup.face_up), np.array(setup.face_normal))
     grid = across[:, None, None] * side + up[None, :, None] * np.array(setup.face_up)
@@ -371,7 +371,7 @@ def face_points(setup: StereoSetup) -> FloatArray:
 
 
 def point_series(world: World, setup: StereoSetup, draws: Draws, noise: bool) -> FloatArray:
-    """Return the points (F, N, 3) of a pair in the frame of its left camera.
+    """Return the points (F, N, 3) of a pair in its left camera frame.
 
     The points move, are blurred by the exposure, and have scale and pose errors of the pair. A measured point is the
     true one in the camera's frame over the scale 1 + e. An exposure of length T shows the mean over T: a line at f is

@@ -41,7 +41,7 @@ def write_recording(
     records: Mapping[str, Record] | None = None,
     texts: Mapping[str, str] | None = None,
 ) -> Path:
-    """Write the folder of a recording with DAQ `records` and `texts` by file name, and return it."""
+    """Write the folder of a recording, and return it."""
     folder.mkdir(parents=True)
     for name, recorded in (records or {}).items():
         write_record(folder / name, recorded)
@@ -85,7 +85,7 @@ def write_record(path: Path, recorded: Record) -> None:
 
 
 def points_text(position_m: FloatArray) -> str:
-    """Return points (F, N, 3) as a table in mm, one row per frame and point."""
+    """Return points (F, N, 3) as a table in mm."""
     frames, count = position_m.shape[:2]
     number = np.stack(np.meshgrid(np.arange(frames), np.arange(count), indexing="ij"), axis=-1)
     rows = np.concatenate([number, position_m / POINTS_SCALE], axis=2).reshape(-1, len(COLUMNS))
@@ -104,7 +104,7 @@ SUPPORT = "frame"  # of all cameras of a set-up
 
 
 def pairs(setup: StereoSetup, preset: Preset) -> list[tuple[str, dict[str, Any]]]:
-    """Return the blocks of a stereo pair by name; a patch at rest has a second block."""
+    """Return the blocks of a stereo pair and of its patch at rest."""
     keys = _stereo_keys(setup, preset)
     names = dict.fromkeys(patch.name for patch in patches_of(setup))
     support = {"support": SUPPORT} if names else {}

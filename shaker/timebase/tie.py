@@ -165,7 +165,7 @@ class ClockLine:
     covariance : (2, 2), in total.
     noise : (2, 2), part from the samples' noise, which differs in every record.
     follows : (2, 2), response to an error of the base trigger's (start_s, period_s), where available.
-    beside : (2, 2), covariance of the remaining part.
+    remaining_covariance : (2, 2), covariance of the remaining part.
     """
 
     offset_s: float
@@ -173,7 +173,7 @@ class ClockLine:
     covariance: FloatArray
     noise: FloatArray = field(default_factory=lambda: np.zeros((2, 2)), kw_only=True)
     follows: FloatArray | None = field(default=None, kw_only=True)
-    beside: FloatArray | None = field(default=None, kw_only=True)
+    remaining_covariance: FloatArray | None = field(default=None, kw_only=True, metadata={"dataset": "beside"})
 
     def __post_init__(self) -> None:
         check_shape("covariance", self.covariance, (2, 2))
@@ -234,7 +234,7 @@ def clock_line(base: TriggerFit, other: TriggerFit, shift: int, rate: tuple[floa
         rises = sum(f.open_s**2 for f in fits if f.kind == "resolved") / 12.0
     variance_before = float(line.u_to_base_s(np.asarray(np.mean(other.edge_s[other_index])))) ** 2
     more = np.diag([rises + max(gaps - variance_before, 0.0), 0.0])
-    rest = None if line.beside is None else line.beside + more
+    rest = None if line.remaining_covariance is None else line.remaining_covariance + more
     return replace(line, covariance=line.covariance + more, beside=rest)
 
 
@@ -329,7 +329,7 @@ def _from_intervals(
         float(stretch * start.rate),
         covariance,
         follows=into_line @ on_base @ to_middle,
-        beside=into_line @ rest @ into_line.T,
+        remaining_covariance=into_line @ rest @ into_line.T,
     )
 
 
@@ -484,7 +484,7 @@ def tie_clocks(
         notices,
         noise=line.noise,
         follows=None if rate is None else line.follows,
-        beside=None if rate is None else line.beside,
+        remaining_covariance=None if rate is None else line.remaining_covariance,
     )
 
 

@@ -19,6 +19,11 @@ def plain_value(value: Any) -> Value:
     return value.item() if hasattr(value, "item") else value  # type: ignore[no-any-return]
 
 
+def fill_template(template: str, values: Mapping[str, Value]) -> str:
+    """Return a template with values, and a space between a number and its %."""
+    return re.sub(r"(?<=\d)%", " %", template.format(**values))
+
+
 @dataclass(frozen=True)
 class DeclaredNotice:
     """A kind of notice or error, declared once next to the stage that raises it.
@@ -81,11 +86,11 @@ class Notice:
         set_field = object.__setattr__
         set_field(self, "code", declared.code)
         set_field(self, "severity", declared.severity)
-        set_field(self, "text", declared.template.format(**values))
+        set_field(self, "text", fill_template(declared.template, values))
         set_field(self, "where", where)
-        set_field(self, "effect", declared.effect.format(**values))
-        set_field(self, "remedy", declared.remedy.format(**values))
-        set_field(self, "possible_size", declared.possible_size.format(**values))
+        set_field(self, "effect", fill_template(declared.effect, values))
+        set_field(self, "remedy", fill_template(declared.remedy, values))
+        set_field(self, "possible_size", fill_template(declared.possible_size, values))
         set_field(self, "acknowledged", "")
         set_field(self, "values", values)
 

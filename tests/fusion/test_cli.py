@@ -37,7 +37,7 @@ HEAVY = ("torch", "kornia", "cv2", "numba", "matplotlib", "scipy", "skimage", "h
 
 
 @pytest.mark.parametrize("arguments", ["--help", "run --help", "--version", "run"])
-def test_help_and_version_import_nothing_heavy(arguments):
+def test_help_and_version_import_no_heavy_module(arguments):
     """Their time is that of the interpreter, which is what keeps them far below a second."""
     program = (
         "import sys\n"
@@ -226,7 +226,7 @@ def _raise(error: BaseException, cause: BaseException | None = None) -> Callable
         (RuntimeError("a\n b"), EXIT_FAILED, f"{INTERNAL_ERROR.code} "),
     ],
 )
-def test_failures_are_one_sentence_and_leave_nothing(place, error, status, begin, make_campaign, monkeypatch, capsys):
+def test_failures_are_one_sentence_and_leave_no_files(place, error, status, begin, make_campaign, monkeypatch, capsys):
     folder = make_campaign()
     before = sorted(folder.parent.rglob("*"))
     monkeypatch.setattr(place, _raise(error))
@@ -255,7 +255,7 @@ def test_failures_of_compiled_code_and_internal_errors(make_campaign, monkeypatc
     assert "Traceback" in capsys.readouterr().err
 
 
-def test_check_reports_what_can_be_observed(demo_recording, capsys):
+def test_check_reports_observed_components(demo_recording, capsys):
     assert main(["check", str(demo_recording / "Fz-0080")]) == EXIT_DONE
     output = capsys.readouterr()
     assert "can observe" in output.out
@@ -339,7 +339,7 @@ def _recording_of_his_own(folder: Path) -> None:
     "Fz-0080/results/result.h5", "results/sensitivity.csv", "Fz-0080/notes.txt", "rig.toml", _recording_of_his_own,
     lambda folder: (folder / "Fz-0080" / "empty").mkdir(), lambda folder: (folder / "Fz-0080" / "truth.json").unlink(),
 ])  # fmt: skip
-def test_force_never_deletes_what_a_user_made(own, simulated, refused):
+def test_force_never_deletes_files_of_the_user(own, simulated, refused):
     if isinstance(own, str):
         (simulated / own).parent.mkdir(exist_ok=True)
         (simulated / own).unlink(missing_ok=True)
@@ -350,7 +350,7 @@ def test_force_never_deletes_what_a_user_made(own, simulated, refused):
     assert output.startswith(f"shakercal: {SIMULATION_FOLDER_IN_USE.code} {simulated}: ")
 
 
-def test_simulate_refuses_what_is_there_and_replaces_no_file(simulated, tmp_path, refused):
+def test_simulate_refuses_existing_files(simulated, tmp_path, refused):
     error = _refused([simulated], simulated.parent, refused)
     assert error.startswith(f"shakercal: {OUTPUT_EXISTS.code} {simulated}: ")
     (tmp_path / "file").write_text("mine")
@@ -374,7 +374,7 @@ def test_force_replaces_an_earlier_simulation(simulated, capsys):
 
 @pytest.mark.usefixtures("tiny")
 @pytest.mark.parametrize(("error", "status"), [(KeyboardInterrupt(), EXIT_INTERRUPTED), (OSError(28, "full"), 1)])
-def test_a_simulation_that_stops_leaves_nothing(error, status, simulated, monkeypatch, capsys):
+def test_a_stopped_simulation_leaves_no_files(error, status, simulated, monkeypatch, capsys):
     def write(out: Path, *_: object) -> None:
         (out / "rig.toml").write_text("half")
         raise error

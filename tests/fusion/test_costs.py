@@ -118,7 +118,7 @@ def imported(program: str, *arguments: str) -> set[str]:
 COMMAND = "import sys\nfrom fusion.cli import main\nassert main(sys.argv[1:]) == 0"
 
 
-def test_check_imports_neither_what_follows_images_nor_what_draws():
+def test_check_imports_no_module_for_tracking_or_drawing():
     found = imported(COMMAND, "check", str(DEMO), "-q")
     assert not found & {*DRAWING, *FOLLOWING, *OF_CAMPAIGNS, "scipy", "lxml", "rich", "multiprocessing"}
 
@@ -128,7 +128,7 @@ def test_lines_need_no_images():
     assert not found & {*DRAWING, *FOLLOWING, *SELDOM, *OF_CAMPAIGNS, *SOLVING, "cv2"}
 
 
-def test_a_recording_by_itself_is_run_without_what_joins_a_campaign():
+def test_a_single_recording_imports_no_campaign_module():
     """Everything that a run imports before it computes, and a table that is printed afterwards."""
     modules = "fusion.campaign.run", "fusion.campaign.run_summary", "photogram.measure.body", "photogram.epipolar"
     found = imported("\n".join(f"import {name}" for name in modules))

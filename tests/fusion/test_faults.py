@@ -102,7 +102,7 @@ def test_a_disk_that_refuses_any_write_leaves_everything_as_it_was(there, make_c
 
 
 @pytest.mark.parametrize("preset", ["rotation", "loads", "elastomer"])
-def test_a_simulation_on_a_full_disk_leaves_nothing(preset, tmp_path, monkeypatch, capsys):
+def test_a_simulation_on_a_full_disk_leaves_no_files(preset, tmp_path, monkeypatch, capsys):
     number, refused = 1, 1
     while refused:
         with monkeypatch.context() as patch:
@@ -237,7 +237,7 @@ def test_a_path_too_long_for_windows_is_reported(tmp_path, monkeypatch):
                 pass
     assert not place.exists()
     assert not list(tmp_path.iterdir())
-    name = "x" * 250  # which leaves no room for the names beside it
+    name = "x" * 250  # too long for temporary names
     with pytest.raises(ComputeError, match=os.strerror(errno.ENAMETOOLONG).lower()):
         write_atomically(tmp_path / name, "text")
 
@@ -254,7 +254,7 @@ def test_folders_below_results_come_and_go_with_them(tmp_path):
 # Inputs that change.
 
 
-def test_a_file_that_changes_is_noticed_whatever_tells_it(tmp_path):
+def test_a_change_of_a_file_is_noticed(tmp_path):
     path, far = tmp_path / "a.h5", time.time_ns() - 10**12
 
     def hashed() -> Any:
@@ -359,7 +359,7 @@ def test_files_that_have_just_changed_are_hashed_before_they_are_read(tmp_path):
 
 
 @pytest.mark.parametrize("change", ["rewritten", "vanished"])
-def test_a_run_on_a_file_that_changes_writes_nothing(change, make_campaign, ready_evaluation, monkeypatch, capsys):
+def test_a_run_on_a_changing_file_writes_no_results(change, make_campaign, ready_evaluation, monkeypatch, capsys):
     folder = make_campaign()
     file = folder / "vibrometer.h5"
 
@@ -529,7 +529,7 @@ def test_results_whose_replacement_was_killed_in_between_are_put_back(tmp_path):
     }  # fmt: skip
 
 
-def test_where_there_are_no_locks_only_what_is_a_day_old_is_removed(tmp_path, monkeypatch):
+def test_without_locks_only_files_older_than_a_day_are_removed(tmp_path, monkeypatch):
     monkeypatch.setattr(atomic_files, "_lock", lambda _: (_ for _ in ()).throw(OSError(errno.ENOLCK, "no locks")))
     for name, age in ((".a-0123456789ab.part", 0.0), (".b-0123456789ab.part", 2.0 * atomic_files.ABANDONED_AGE_S)):
         (tmp_path / name).write_text("")
@@ -539,7 +539,7 @@ def test_where_there_are_no_locks_only_what_is_a_day_old_is_removed(tmp_path, mo
     assert sorted(path.name for path in tmp_path.iterdir()) == [".a-0123456789ab.part", "a"]
 
 
-def test_a_place_that_nothing_came_of_leaves_no_folder(tmp_path):
+def test_a_failed_output_leaves_no_folder(tmp_path):
     with suppress(ZeroDivisionError), file_lock(tmp_path / "a" / "b" / "results"):
         assert (tmp_path / "a" / "b").is_dir()
         raise ZeroDivisionError
@@ -597,7 +597,7 @@ def test_signs_that_an_encoding_lacks_are_spelled(encoding, text, printed):
     assert raw.getvalue() == f"{printed}\n".encode(encoding)
 
 
-def test_nothing_in_a_name_steers_the_terminal(make_campaign, evaluated, capsys):
+def test_no_name_controls_the_terminal(make_campaign, evaluated, capsys):
     assert printable("a\x1b]0;title\x07b\r\x9bc\u202ed\te\n") == "a\\x1b]0;title\\x07b\\r\\x9bc\\u202ed\te\n"
     folder = make_campaign()
     named = folder.with_name("\x1b[31mFz")

@@ -107,15 +107,15 @@ def of_load(seen: Sequence[Observation], unseen: UnobservedMotion | None = None)
     return [abs(value) for value, _ in pairs], [expanded(spread, value, 2) for value, spread in pairs]
 
 
-MOVED_ASIDE = motion(x=0.1 * DRIVE)
+TRANSVERSE_MOTION = motion(x=0.1 * DRIVE)
 TRUTH = [DRIVE, 7.0 * DRIVE]
 
 
 def tilted(rng: np.random.Generator, common: float, own: float) -> list[complex]:
-    """Eight beams of one head, turned together and each by itself, on a body that moves 10 % aside in phase."""
+    """Eight beams of one head with common and individual tilts, on a body with 10 % transverse motion."""
     together = Rotation.from_rotvec(common * rng.normal(size=3))
     return [
-        at(MOVED_ASIDE, np.array(point), together.apply(Rotation.from_rotvec(own * rng.normal(size=3)).apply(UP)))
+        at(TRANSVERSE_MOTION, np.array(point), together.apply(Rotation.from_rotvec(own * rng.normal(size=3)).apply(UP)))
         for point in EIGHT
     ]
 
@@ -125,7 +125,7 @@ MANY = pytest.mark.parametrize("trials", [40, pytest.param(200, marks=pytest.mar
 
 @MANY
 @pytest.mark.parametrize(("common", "own"), [(TILT_RAD, 0.0), (TILT_RAD, 2e-3)])
-def test_points_that_share_the_tilt_of_their_head_are_covered_though_the_body_moves_aside_unseen(common, own, trials):
+def test_a_common_tilt_is_covered_with_unobserved_transverse_motion(common, own, trials):
     """Direction errors counted as independent covered 11 % of these."""
     rng = np.random.default_rng(1)
     seen = observed(lasers(head=head(rotation_uncertainty=common), direction_uncertainty=own), [0.0] * 8)
@@ -134,15 +134,15 @@ def test_points_that_share_the_tilt_of_their_head_are_covered_though_the_body_mo
 
 @MANY
 @pytest.mark.parametrize(("common", "own"), [(TILT_RAD, 0.0), (0.0, TILT_RAD)])
-def test_without_a_head_points_of_one_direction_are_covered_whether_they_err_together_or_alone(common, own, trials):
+def test_parallel_points_without_a_head_are_covered_for_common_and_individual_tilts(common, own, trials):
     rng = np.random.default_rng(2)
     seen = observed(lasers(direction_uncertainty=TILT_RAD), [0.0] * 8)
     coverage_contract(lambda _: of_load(anew(seen, tilted(rng, common, own))), TRUTH, trials, cautious=True)
 
 
-def test_a_measured_motion_aside_is_not_assumed_and_a_stated_limit_holds():
+def test_measured_transverse_motion_is_not_assumed_and_a_stated_limit_applies():
     entries = lasers(head=head(rotation_uncertainty=TILT_RAD))
-    seen = observed(entries, [at(MOVED_ASIDE, np.array(p), UP) for p in EIGHT])
+    seen = observed(entries, [at(TRANSVERSE_MOTION, np.array(p), UP) for p in EIGHT])
     usual, quiet = (of_load(seen, unseen)[1][1] for unseen in (None, UnobservedMotion(0.01, 0.01)))
     assert usual == pytest.approx(1.96 * 0.1 * TILT_RAD * 7.0 * DRIVE, rel=0.02)
     assert quiet == pytest.approx(usual / 10.0, rel=0.05)
@@ -157,7 +157,7 @@ def test_a_measured_motion_aside_is_not_assumed_and_a_stated_limit_holds():
         channel_entry(name=f"s{i}", common=f"s{i}", point=point, direction=direction, scale_uncertainty=1e-5)
         for i, (point, direction) in enumerate(across)
     ]
-    seen = (*seen, *observed(three, [at(MOVED_ASIDE, np.array(e.point), np.array(e.direction)) for e in three]))
+    seen = (*seen, *observed(three, [at(TRANSVERSE_MOTION, np.array(e.point), np.array(e.direction)) for e in three]))
     fused = fuse(seen)
     assert fused.observed.all()
     assert "unobserved motion" not in {part.label for part in fused.uncertainty.random}
@@ -183,7 +183,7 @@ def test_a_fan_of_beams_is_half_a_percent_off_gone_with_its_mirror_and_covered_b
 
 
 @pytest.mark.parametrize("inertia", [0.01, 7.0 * 0.03 * (0.53 - 0.03)])
-def test_motion_aside_that_a_fan_takes_for_rocking_is_one_cause_of_what_is_read_and_what_acts(inertia):
+def test_transverse_motion_and_rocking_of_a_fan_have_one_cause(inertia):
     """Rocking by x/q about the mirror's foot: My of it is (J + m h²)·x/q, that of the motion itself m h·x.
 
     They are equal where the mirror is at the centre of percussion, q = h + J/(m h).
@@ -191,14 +191,14 @@ def test_motion_aside_that_a_fan_takes_for_rocking_is_one_cause_of_what_is_read_
     entries = lasers(head=head(mirror=MIRROR.tolist()), direction=None)
     body = Body((make_moving_part("load", 7.0, [0.0, 0.0, 0.03], np.diag([inertia] * 3)),))
     load = load_phasors(fuse(observed(entries, fan(motion(), MIRROR))), body)
-    (aside,) = (part for part in load.contributions if part.label == "unobserved x")
+    (transverse,) = (part for part in load.contributions if part.label == "unobserved x")
     expected = abs((inertia + 7.0 * 0.03**2) / 0.53 - 7.0 * 0.03) * 0.1 * DRIVE / np.sqrt(2.0)
-    assert np.sqrt(aside.covariance[0, 4, 4]) == pytest.approx(expected, rel=1e-3, abs=1e-6)
+    assert np.sqrt(transverse.covariance[0, 4, 4]) == pytest.approx(expected, rel=1e-3, abs=1e-6)
 
 
 @MANY
-def test_a_misplaced_mirror_aside_of_the_axis_is_covered_with_rocking_and_motion_aside(trials):
-    """A fan tells three motions, those of the body at its mirror; what it cannot tell apart is in U."""
+def test_a_misplaced_mirror_is_covered_with_rocking_and_transverse_motion(trials):
+    """A fan measures three motions, those of the body at its mirror; the others are included in U."""
     rng = np.random.default_rng(3)
     stated = np.array([0.012, -0.007, 0.53])
     entries = lasers(head=head(mirror=stated.tolist(), mirror_uncertainty=2e-3), direction=None)

@@ -14,6 +14,7 @@ from pydantic import BaseModel
 from support import DOCS, documented_keys, examples, key_tables
 
 from fusion.errors import InputError
+from fusion.recording.acknowledged import Acknowledgement
 from fusion.recording.environment import Environment
 from fusion.recording.excitation import KINDS, ExcitationEntry
 from fusion.recording.load import find_recordings, load_manifest
@@ -193,6 +194,7 @@ MODELS: dict[str, type[BaseModel]] = {
     "`[model.temperature]`": TemperatureChange,
     "`[administration]`": RigAdministration,
     "Top level of recording.toml": RecordingFile,
+    "`[[acknowledged]]`": Acknowledgement,
     "`[excitation]`": ExcitationEntry,
     "`[[daq]]`": Daq,
     "`[[daq.channel]]`": ChannelEntry,
@@ -242,7 +244,7 @@ CASES = (
     ),
     ({"point_uncertainty": {"U": [2e-3, 4e-3, 0.0], "k": 2}}, {"point_uncertainty": [1e-3, 2e-3, 0.0]}),
     ({"mass": {"value": 5.0, "U": 2.776445, "k": 2.776445, "dof": 4}}, {"mass": 5.0, "mass_uncertainty": 1.416579}),
-    # at an _uncertainty key: relative to the value beside it, or as it is where the key is relative itself
+    # at an _uncertainty key: relative to the value, or unchanged if the key is relative
     ({"mass": 5.0, "mass_uncertainty": {"U_relative": 4e-4, "k": 2}}, {"mass": 5.0, "mass_uncertainty": 0.001}),
     ({"scale": 0.5, "scale_uncertainty": {"U_relative": 4e-4, "k": 2}}, {"scale": 0.5, "scale_uncertainty": 2e-4}),
     # the frequency of a mode is in Hz, and so is its uncertainty; that of a chain's poles is relative

@@ -78,7 +78,7 @@ def test_wrench_of_a_mass_on_an_arm_by_hand() -> None:
     np.testing.assert_allclose(found, [0, force_y, 0, -0.1 * force_y, 0, 0], atol=1e-15)
 
 
-def test_laser_and_accelerometer_read_what_the_moving_point_does() -> None:
+def test_laser_and_accelerometer_measure_the_moving_point() -> None:
     motion, step = _motion(), 2e-5
     point, direction = np.array([0.03, -0.04, 0.06]), np.array([0.36, 0.48, 0.8])
     velocity = velocity_at(motion, point, direction)
@@ -128,7 +128,7 @@ def test_published_numbers_of_the_large_preset() -> None:
     assert amplitude[0] / (2 * np.pi * preset.fundamental_hz) ** 2 == pytest.approx(0.4248e-3, rel=1e-3)
 
 
-def test_a_preset_takes_what_it_does_not_say_from_what_it_is_like() -> None:
+def test_a_preset_inherits_missing_keys() -> None:
     whole, sweep = read_preset(Preset, "nitsche2018"), read_preset(Preset, "sweep", lag_s=1e-3)
     assert (sweep.name, sweep.lag_s, sweep.serial, sweep.stereo) == ("sweep", 1e-3, whole.serial, whole.stereo)
     assert (sweep.load.centre_of_mass, sweep.load.mass) == ((0.0, 0.0, 0.0), whole.load.mass)
@@ -187,7 +187,7 @@ def test_the_same_seed_gives_the_same_bytes(preset: str, tmp_path: Path) -> None
 
 
 @pytest.mark.parametrize("preset", ["rotation", "loads", "elastomer", "chirp"])
-def test_the_command_replaces_an_earlier_simulation_and_nothing_else(
+def test_the_command_replaces_only_an_earlier_simulation(
     preset: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     out = tmp_path / "it"
@@ -206,7 +206,7 @@ def test_the_command_replaces_an_earlier_simulation_and_nothing_else(
     assert (out / "thesis.txt").read_text() == "mine"
 
 
-def test_a_wrong_call_names_what_was_expected(tmp_path: Path) -> None:
+def test_a_wrong_call_names_its_argument(tmp_path: Path) -> None:
     for preset, switches, said in (
         ("nitsche", {}, f"preset: expected one of {', '.join(PRESETS)}, found 'nitsche'"),
         ("demo", {"frames": 2}, "frames: expected at least 3"),

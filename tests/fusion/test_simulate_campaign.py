@@ -67,7 +67,7 @@ def test_manifests_are_valid_and_name_every_file(sweep: tuple[Path, ...]) -> Non
         assert np.isfinite(table.position_m).all()
 
 
-def test_errors_last_as_long_as_what_they_belong_to(sweep: tuple[Path, ...]) -> None:
+def test_errors_have_the_scope_of_their_source(sweep: tuple[Path, ...]) -> None:
     drawn = [truth_of(folder)["drawn"] for folder in sweep]
     assert [truth_of(folder)["mounting"] for folder in sweep] == ["1", "1", "2", "2"]
     for name in ("laser.scale", "load.mass", "top.pose", "vibrometer.clock", "internal.centre_of_mass"):
@@ -301,7 +301,7 @@ def test_every_component_is_released_and_one_by_three_ropes(steps: Path) -> None
 
 
 @pytest.mark.parametrize("name", ["Fz-cotton-rope-1", "My-fishing-line-2"])
-def test_outputs_are_what_the_poles_and_residues_answer(steps: Path, name: str) -> None:
+def test_outputs_follow_poles_and_residues(steps: Path, name: str) -> None:
     """Integrated by scipy: the transfer functions of truth.json under the load that it states, for 20 ms."""
     whole, truth = truth_of(steps), truth_of(steps / name)
     record = read_step(load_manifest(steps / name)).record
@@ -344,7 +344,7 @@ def test_every_mode_has_the_relative_degree_of_an_oscillator_behind_a_lag(steps:
     assert np.max(np.abs(ratio - np.diag(np.diagonal(ratio)))) < 2.5 * RIG.mixing
 
 
-def test_the_converter_has_its_steps_and_noise_is_where_it_is_said(steps: Path) -> None:
+def test_the_converter_has_its_steps_and_the_stated_noise(steps: Path) -> None:
     with h5py.File(steps / "Fx-fishing-line-1" / DAQ_FILE) as file:
         volts = np.asarray(file["Fx"], dtype=np.float64)
     step = 2 * RIG.range_v / 2**RIG.bits

@@ -254,7 +254,7 @@ def test_a_link_that_leaves_the_campaign_is_refused(make_campaign, tmp_path):
     assert load_manifest(folder, allow_outside=True)
 
 
-def test_a_rig_beside_the_recording_is_refused(make_campaign, tmp_path):
+def test_a_rig_in_a_sibling_folder_is_refused(make_campaign, tmp_path):
     folder = make_campaign(replace=((RECORDING, '"../rig.toml"', '"../other/rig.toml"'),))
     (folder.parent / "other").mkdir()
     (folder.parent / "rig.toml").rename(folder.parent / "other" / "rig.toml")
@@ -272,7 +272,7 @@ def test_a_rig_beside_the_recording_is_refused(make_campaign, tmp_path):
         (b"[[part]]\n[part]\n", INVALID_SYNTAX),
     ],
 )
-def test_what_is_not_toml_is_one_sentence(make_campaign, content, declared):
+def test_invalid_toml_is_one_sentence(make_campaign, content, declared):
     folder = make_campaign()
     (folder / RECORDING).write_bytes(content)
     _refused(folder, RECORDING, "", declared)
