@@ -44,8 +44,8 @@ class EpipolarCheck(
 
     Attributes
     ----------
-    residual_trend_px : (F, 3) mean of the residual and its change across the image along x and y, the latter two as rms over
-        the points; NaN where too few points are seen.
+    residual_trend_px : (F, 3) mean of the residual and its change across the image along x and y, the latter two as
+        rms over the points; NaN where too few points are seen.
     u_residual_trend_px : (F, 3) standard uncertainties from the image noise.
     pattern_px : (3,) the same of the residual's mean over the frames.
     pattern_covariance : (3, 3) due to the calibration and the matching of the first images; None without a

@@ -192,8 +192,8 @@ def fit_frames(
         active = active[solvable & ~found]
         if len(active) == 0:
             break
-    parts = (rotation, shift, matrices, slopes, scales, counts)
-    turns, shifts, both, slopes_and_steps, levels, cells = (part.cpu().numpy() for part in parts)
+    found_on_device = (rotation, shift, matrices, slopes, scales, counts)
+    turns, shifts, both, slopes_and_steps, levels, cells = (part.cpu().numpy() for part in found_on_device)
     fits: list[DirectFit | None] = [None] * len(starts)
     fitted = np.flatnonzero(np.isfinite(levels))
     whole, level = both[:, fitted], levels[fitted]

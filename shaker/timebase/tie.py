@@ -235,7 +235,7 @@ def clock_line(base: TriggerFit, other: TriggerFit, shift: int, rate: tuple[floa
     variance_before = float(line.u_to_base_s(np.asarray(np.mean(other.edge_s[other_index])))) ** 2
     more = np.diag([rises + max(gaps - variance_before, 0.0), 0.0])
     rest = None if line.remaining_covariance is None else line.remaining_covariance + more
-    return replace(line, covariance=line.covariance + more, beside=rest)
+    return replace(line, covariance=line.covariance + more, remaining_covariance=rest)
 
 
 def _from_models(base: TriggerFit, other: TriggerFit, shift: int) -> ClockLine:
