@@ -105,7 +105,8 @@ def _check_group(path: Path, group: h5py.Group, names: Sequence[str]) -> None:
 def write_fields(group: Group, item: Any) -> None:
     """Write every field of a data class into a group.
 
-    A field with `dataset` in its metadata has that name in the file."""
+    The name of a data set is `dataset` of the field's metadata, by default that of the field.
+    """
     for field in fields(item):
         if field.name not in LEFT_OUT:
             write_value(group, field.metadata.get("dataset", field.name), getattr(item, field.name))
