@@ -408,7 +408,7 @@ def _result(fit: _Fit, others: Sequence[_Fit], target: Target, scale_u: float) -
         shape_index=bundle.shape.index,
         shape_m=bundle.shape.points_m,
         scale_u=scale_u,
-        coverage=(
+        image_coverage=(
             coverage_share(by_side[0], rig.left.size_px),
             coverage_share(by_side[1], rig.right.size_px) if by_side[1] else float("nan"),
         ),
