@@ -24,6 +24,7 @@ from marked import markdown_table, write_marked
 from numpy.typing import NDArray
 
 from fusion.estimation.coverage import coverage_factor
+from fusion.estimation.estimation_notices import INSTRUMENTS_DISAGREE
 from fusion.recording.load import load_manifest
 from fusion.sensitivity.analyse import Evaluation
 from fusion.sensitivity.recording_evaluation import evaluate_recording
@@ -159,7 +160,7 @@ def coverage(seeds: int) -> list[str]:
                 if found.body == "load" and found.source in SOURCES:
                     for c, told in _errors(found.phasors, np.array(truth["re"][0]) + 1j * np.array(truth["im"][0])):
                         errors.setdefault((found.source, c), []).extend(told)
-            disagree += any("disagree" in notice.text for notice in evaluation.notices)
+            disagree += any(notice.code == INSTRUMENTS_DISAGREE.code for notice in evaluation.notices)
             print(f"{name}: seed {seed} done", flush=True)
         for (source, c), seen in sorted(errors.items(), key=lambda item: (list(SOURCES).index(item[0][0]), item[0][1])):
             error, u, held = (np.array(column) for column in zip(*seen, strict=True))

@@ -44,6 +44,7 @@ from shaker.sine.solve import SineModel
 from shaker.timebase.edges import find_edges
 from shaker.timebase.tie import tie_clocks
 from shaker.timebase.trigger import TriggerFit, fit_trigger
+from shaker.timebase.trigger_notices import CONTRADICTORY_PERIOD
 
 FloatArray = NDArray[np.float64]
 LINE_HZ, RATE_HZ, FRAMES, WHOLE = 106.25, 25_600.0, 96, 500
@@ -206,7 +207,7 @@ def found(one: Simulated, base: TimeBase, motion: StereoMotion, lines: LineFrequ
         (float(np.mean(late)) - float(tie.to_base_s(np.array(there))) + here, float(np.linalg.norm(apart))),
         output_lag(one, base, seen.reading, lines),
     )
-    told = any("its period is" in n.text for fit in base.triggers.values() for n in fit.notices)
+    told = any(n.code == CONTRADICTORY_PERIOD.code for fit in base.triggers.values() for n in fit.notices)
     return Found(np.array(pairs), told)
 
 

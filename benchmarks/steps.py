@@ -41,6 +41,7 @@ from fusion import (
 )
 from fusion.sensor.compensate.compensation_subjects import CompensationSettings, read_sources
 from fusion.sensor.model_files import MODELS_FILE, ModelsFile, models_text
+from shaker.decoupling.decoupling_notices import DURATION_AMBIGUOUS
 from shaker.lti.indices import indices
 from shaker.lti.system import LinearSystem, ModalModel
 from shaker.release.reading import read_release
@@ -366,7 +367,7 @@ def decouplings(seeds: range) -> None:
         real = (model.real_residue[0] - np.array(true["real_residue"])[:, :, 0]) / u.real_residue[0]
         scores.append(np.concatenate([part.ravel() for part in (*modes, *parts, lag, real)]))
         largest.append(float(np.abs(scores[-1]).max()))
-        told += any("hardly tell apart" in notice.text for notice in found.notices)
+        told += any(notice.code == DURATION_AMBIGUOUS.code for notice in found.notices)
     score = np.abs(np.concatenate(scores))
     print(f"\n{len(scores)} models, {len(score)} parameters: rms {np.sqrt(np.mean(score**2)):.2f} u")
     print(f"beyond 2 u {np.mean(score > 2.0):.2%}, beyond 3 u {np.mean(score > 3.0):.2%}")

@@ -54,7 +54,7 @@ class InputError(Exception):
         self.others: tuple[InputError, ...] = self.args[4]
 
     def __reduce__(self) -> tuple[object, ...]:
-        return _input_error, self.args
+        return _input_error, self.args, vars(self)
 
     @property
     def code(self) -> str:
@@ -145,7 +145,7 @@ class ComputeError(Exception):
         self.values = {name: plain_value(value) for name, value in values.items()}
 
     def __reduce__(self) -> tuple[object, ...]:
-        return _compute_error, (type(self), *self.args)
+        return _compute_error, (type(self), *self.args), vars(self)
 
     @property
     def code(self) -> str:

@@ -73,7 +73,9 @@ def acknowledged(tmp_path_factory: pytest.TempPathFactory, demo_recording: Path)
     folder = tmp_path_factory.mktemp("acknowledged")
     shutil.copytree(demo_recording, folder / "demo")
     rig = folder / "demo" / "rig.toml"
-    rig.write_text(rig.read_text(encoding="utf-8") + ACKNOWLEDGED.format(code=PARALLEL_BEAMS_WITHOUT_HEAD.code), encoding="utf-8")
+    rig.write_text(
+        rig.read_text(encoding="utf-8") + ACKNOWLEDGED.format(code=PARALLEL_BEAMS_WITHOUT_HEAD.code), encoding="utf-8"
+    )
     assert main(["run", str(folder / "demo"), "-o", str(folder / "out"), "-q"]) == EXIT_DONE
     return folder / "out"
 
@@ -121,7 +123,7 @@ def test_a_result_is_a_table_a_figure_and_a_headline(demo_evaluation, acknowledg
         assert "±" in repr(result)
         assert "\n" not in repr(result)
     (value,) = [row for row in rows if row["kind"] == "ratio" and row["channel"] == "Fz"]
-    assert f"{1e7 * float(value['magnitude']):.3f}" in repr(demo_evaluation.sensitivity)
+    assert f"{1e7 * float(value['magnitude']):.4f}" in repr(demo_evaluation.sensitivity)
 
 
 def test_one_import_has_every_public_name() -> None:

@@ -8,6 +8,7 @@ from typing import Literal
 
 from fusion.errors import ComputeError, InputError
 from fusion.planning.look.look_notices import FILE_PROBLEM
+from fusion.sensitivity.sensitivity_notices import POSITION_UNSTATED
 from shakercal._common.notices import Notice
 
 Verdict = Literal["KEEP", "CHECK", "FIX MANIFEST", "REPEAT"]
@@ -73,6 +74,7 @@ def refusal_findings(error: Exception, where: str = "") -> list[Finding]:
     text = shorten(str(error))
     needs_key = STATED_KEYS.search(text) is not None or ".toml" in text
     if isinstance(error, ComputeError):
+        needs_key = needs_key or error.code == POSITION_UNSTATED.code
         location = ": ".join(filter(None, (where, error.where)))
         return [Finding("FIX MANIFEST" if needs_key else "REPEAT", Notice(error.declared, location, **error.values))]
     notice = Notice(FILE_PROBLEM, where, reason=text)
