@@ -299,7 +299,7 @@ def judge(rig: str, names: tuple[str, ...], found: Sequence[Draw], plain: Mappin
         named = {word for word in expects for text in new if word in text.lower()}
         standing = {word for name in names for word in CATALOGUE[name].assumption}
         noticed += bool(named)
-        told += any(word in text.lower() for word in standing for text in one.notices)
+        told += any(word in text for word in standing for text in one.notices)
         suspects.update(named)
     given = [one for one in found if one.distance is not None]
     empty = np.full((1, 7), np.nan)

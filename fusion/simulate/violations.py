@@ -32,7 +32,7 @@ class Violation:
     """One assumption that a simulation violates.
 
     `size` in `unit`: the default. `about`: the physics in one sentence. `expects`: words of notices with the right
-    cause or its group. `assumption`: words of notices that always name the assumption. `needs`: requirement of the
+    cause or its group. `assumption`: codes of notices that always name the assumption. `needs`: requirement of the
     preset (`channels`: none, `cameras`, `images`). `changes`: by stage a function of its value, the size, its context.
     """
 
@@ -389,7 +389,7 @@ CATALOGUE: dict[str, Violation] = {
         "beams that are stated parallel leave one mirror at this distance, so that each sees the cosine of its angle",
         (*_LASERS, "head", "mirror"),
         {"direction": _scanner_fan},
-        assumption=("scanning head are not parallel",),
+        assumption=("SC-191",),
     ),
     "camera-shake": Violation(
         "1",
@@ -398,7 +398,7 @@ CATALOGUE: dict[str, Violation] = {
         (*_CAMERAS, "shake", "floor"),
         {"seen": _shaken("camera")},
         "cameras",
-        assumption=("supports of lasers and cameras",),
+        assumption=("SC-471",),
     ),
     "laser-shake": Violation(
         "1",
@@ -406,7 +406,7 @@ CATALOGUE: dict[str, Violation] = {
         "the laser head moves coherently by this share of the driven motion, and every beam loses it",
         (*_LASERS, "head", "floor"),
         {"seen": _shaken("velocity")},
-        assumption=("supports of lasers and cameras",),
+        assumption=("SC-471",),
     ),
     "floor-shake": Violation(
         "1",
@@ -414,7 +414,7 @@ CATALOGUE: dict[str, Violation] = {
         "cameras and laser head stand on one floor that moves coherently by this share of the driven motion",
         ("floor", "share", "optical", *_LASERS, *_CAMERAS),
         {"seen": _shaken("velocity", "camera")},
-        assumption=("supports of lasers and cameras",),
+        assumption=("SC-471",),
     ),
     "elastic-axial": Violation(
         "Hz",
@@ -438,7 +438,7 @@ CATALOGUE: dict[str, Violation] = {
         "cables and hoses tie the top of the load to the room with this stiffness, a force that no mass explains",
         ("cable", "parallel", "stiffness"),
         {"world": _cable},
-        assumption=("cable",),
+        assumption=("SC-469",),
     ),
     "transverse-motion": Violation(
         "1",
@@ -446,7 +446,7 @@ CATALOGUE: dict[str, Violation] = {
         "the shaker moves across its axis by this share of the driven motion",
         ("transverse", "unobserved", "not observed", "other load"),
         {"motion": _transverse},
-        assumption=("instrument measures",),
+        assumption=("SC-485", "SC-486"),
     ),
     "warm-sensor": Violation(
         "K",
@@ -454,7 +454,7 @@ CATALOGUE: dict[str, Violation] = {
         f"the sensor is warmer than its reference temperature, with an unstated coefficient of {COEFFICIENT_PER_K:g}/K",
         ("temperature",),
         {"world": _warm},
-        assumption=("temperature",),
+        assumption=("SC-468",),
     ),
     "converter-nonlinearity": Violation(
         "1",
@@ -546,7 +546,7 @@ CATALOGUE: dict[str, Violation] = {
         "one laser point lies elsewhere by so many of its stated standard uncertainties",
         ("velocity_1", *_LASERS),
         {"error": _misstated(_ACROSS, *(f"{name}.point" for name in _FIRST_LASER))},
-        assumption=("single gross error",),
+        assumption=("SC-467",),
     ),
     "direction": Violation(
         "u",
@@ -554,7 +554,7 @@ CATALOGUE: dict[str, Violation] = {
         "one laser beam points elsewhere by so many of its stated standard uncertainties",
         ("velocity_1", *_LASERS),
         {"error": _misstated(_ACROSS, *(f"{name}.direction" for name in _FIRST_LASER))},
-        assumption=("single gross error",),
+        assumption=("SC-467",),
     ),
     "laser-reversed": Violation(
         "channels",
