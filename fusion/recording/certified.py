@@ -89,7 +89,10 @@ class CertifiedInputs:
     signature_notices: list[Notice] = field(default_factory=list)
 
     def resolve(self, value: Any, content: dict[str, Any], steps: list[int | str]) -> Any:
-        """Return the value at a key path of the manifest, with certified values instead of tables with `dcc`."""
+        """Return a part of the manifest with certified values instead of tables with `dcc`.
+
+        `value`: the part, at the key path `steps` of `content`.
+        """
         if isinstance(value, list):
             return [self.resolve(item, content, [*steps, number]) for number, item in enumerate(value)]
         if not isinstance(value, dict):
@@ -178,7 +181,7 @@ class CertifiedInputs:
     def _find_quantity(
         self, certificate: CalibrationCertificate, table: CertificateReference, key: str, siblings: Mapping[str, Any]
     ) -> tuple[CertifiedQuantity, Any, float | None]:
-        """Return the quantity of a table, the value of the key in SI, and relative U if inverted.
+        """Return the certified quantity, the key's value in SI, and relative U if inverted.
 
         A `scale` is a mechanical quantity over an electrical one. A sensitivity is the reciprocal of that.
         """
@@ -214,7 +217,7 @@ class CertifiedInputs:
         self, certificate: CalibrationCertificate, table: CertificateReference, key: str,
         required: tuple[Collection[Dimension], int, str],
     ) -> CertifiedQuantity:  # fmt: skip
-        """Return the only quantity with U that has the name and the required dimension and count."""
+        """Return the only quantity with U and with required name, dimension and count."""
         (dimensions, count, units), file = required, certificate.path.name
         real = [q for q in certificate.quantities if q.is_real]
         named = [q for q in real if not table.result or q.is_named(table.result)]
@@ -283,7 +286,7 @@ def _quotient(numerator: Dimension, denominator: Dimension) -> Dimension:
 
 
 def resolve_certificates(text: dict[str, Any], path: Path, scope: PathScope, sensor_unit: str = "1") -> CertifiedInputs:
-    """Return a manifest with the values of certificates instead of `{ dcc = "file.xml", … }`."""
+    """Return a manifest with certified values instead of `{ dcc = "file.xml", … }`."""
     found = CertifiedInputs(path, scope, sensor_unit)
     found.text = found.resolve(text, text, [])
     return found

@@ -42,7 +42,7 @@ class Blobs(Arrays, shapes="centre_px N 2; shape_px2 N 2 2; ring N"):
 
 
 def find_blobs(image: NDArray[Any], window_px: float) -> tuple[Blobs, Blobs]:
-    """Return the dark and the bright elliptic patches that lie wholly within an image (H, W).
+    """Return the dark and the bright elliptic patches inside an image (H, W).
 
     The threshold is the mean of the grey closing and the grey opening over squares of `window_px`. The squares must be
     larger than the dots and larger than the gaps between them. The threshold follows lighting that varies little
@@ -227,9 +227,10 @@ def fit_ellipses(
 
 @njit()
 def _fit_all(image, starts, inverse_shapes, reach, ring, fitted, quality):  # type: ignore[no-untyped-def]
-    """Fill parameters (N, 10) and quality (N, 4) of every dot, NaN where its fit fails.
+    """Fill parameters (N, 10) and quality (N, 4) of every dot.
 
-    The first fit of a large dot uses every second row and column, the final fit all pixels.
+    They are NaN where the fit fails. The first fit of a large dot uses every second row and column, the final fit all
+    pixels.
     """
     for n in range(len(starts)):
         parameters = np.zeros(PARAMETER_COUNT)
@@ -253,7 +254,10 @@ def _fit_all(image, starts, inverse_shapes, reach, ring, fitted, quality):  # ty
 
 @njit()
 def _collect_band(image, origin, parameters, reach, ring, stride):  # type: ignore[no-untyped-def]
-    """Return x − x₀, y − y₀ and grey value (3, K) of the pixels in the band, and x₀, y₀."""
+    """Return position and grey value (3, K) of the pixels in the band.
+
+    The positions are x − x₀, y − y₀. Also returns x₀, y₀.
+    """
     a, b, c = parameters[2], parameters[3], parameters[4]
     determinant, half = a * c - b * b, (a + c) / 2.0
     minor = 1.0 / math.sqrt(half + math.sqrt(max(half * half - determinant, 0.0)))
@@ -277,7 +281,10 @@ def _collect_band(image, origin, parameters, reach, ring, stride):  # type: igno
 
 @njit()
 def _distance(parameters, px, py):  # type: ignore[no-untyped-def]
-    """Return ρ, the signed distance from the ellipse and |S⁻¹ p|, p relative to the centre."""
+    """Return ρ, the signed distance from the ellipse, and |S⁻¹ p|.
+
+    The position p is relative to the centre.
+    """
     gx = parameters[2] * px + parameters[3] * py
     gy = parameters[3] * px + parameters[4] * py
     rho = math.sqrt(max(px * gx + py * gy, 1e-12))
@@ -354,7 +361,7 @@ def _normal_equations(residual, jacobian, matrix, vector):  # type: ignore[no-un
 
 @njit()
 def _levenberg_marquardt(pixels, parameters, tolerance_px):  # type: ignore[no-untyped-def]
-    """Fit the parameters; return whether the last step of centre and σ is below a tolerance."""
+    """Fit the parameters; return whether the steps of centre and σ converge."""
     count = pixels[0].shape[1]
     if count <= PARAMETER_COUNT:
         return False

@@ -70,7 +70,10 @@ class EstimatorSelection:
 
 
 def ratio_covariance(spectra: Spectra, ratio: ComplexArray, selection: EstimatorSelection) -> FloatArray:
-    """Return the covariance (K, 2C, 2C) of [all Re, all Im] of a ratio (K, C) from `estimate_ratio`."""
+    """Return the covariance (K, 2C, 2C) of a ratio from `estimate_ratio`.
+
+    The order is [all Re, all Im] of the ratio (K, C).
+    """
     power, averages = spectra.power, spectra.averages
     if not np.all(averages > 1.0):
         return np.full((len(ratio), 2 * ratio.shape[1], 2 * ratio.shape[1]), np.nan)
@@ -134,7 +137,7 @@ def choose_estimator(
 
 
 def _estimate_noise(spectra: Spectra) -> tuple[float, float, float, float]:
-    """Return the noise powers on reference and response, and the bias of H1 and of H2.
+    """Return the noise powers on reference and response, and the biases of H1, H2.
 
     A noise power is the median over the responses. A bias is in standard uncertainties of the estimator: the 95th
     percentile over the lines, the largest over the responses.
@@ -378,7 +381,7 @@ def transfer_random(
 def _select_lines(
     record: TransferRecord, resolution_hz: float, band_hz: tuple[float, float] | None
 ) -> tuple[int, FloatArray]:
-    """Return the samples of a segment of 1/resolution, and the lines (K,) in Hz inside a band."""
+    """Return the samples of a segment, and the lines (K,) in Hz inside a band."""
     rate = record.sample_rate_hz
     if not 0.0 < resolution_hz < rate / 16.0:
         raise ValueError(f"resolution_hz: expected a value in (0, {rate / 16.0:.6g}), found {resolution_hz}")
