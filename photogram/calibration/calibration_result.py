@@ -185,7 +185,7 @@ def coverage_share(images: Sequence[CalibratedImage], size_px: IntArray) -> floa
 
 
 def tilt_spread(poses: Sequence[RigidTransform]) -> tuple[FloatArray, FloatArray]:
-    """Return rms tilts (2,) of the target's normal in rad, ascending, and their axes (2, 2)."""
+    """Return the target's rms tilts (2,) in rad, ascending, and their axes (2, 2)."""
     normal = np.array([pose.rotation[:, 2] * np.sign(pose.rotation[2, 2]) for pose in poses])
     variance, axes = np.linalg.eigh(np.cov(normal[:, :2].T, bias=True))
     return np.sqrt(np.maximum(variance, 0.0)), axes

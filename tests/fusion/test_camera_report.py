@@ -179,7 +179,7 @@ def test_empty_cells_are_what_is_not_covered(calibration: Calibration, side: cam
     position, residual, view = camera_quantities.used_points(calibration, side)
     cells = camera_quantities.empty_cells(position, SIZE_PX)
     area = ((cells[:, 2] - cells[:, 0]) * (cells[:, 3] - cells[:, 1])).sum() / SIZE_PX.prod()
-    assert area == pytest.approx(1 - calibration.coverage[camera_quantities.SIDES.index(side)])
+    assert area == pytest.approx(1 - calibration.image_coverage[camera_quantities.SIDES.index(side)])
     assert len(position) == len(residual) == len(view)
     rms = np.sqrt((residual**2).sum(axis=1).mean())
     assert rms == pytest.approx(calibration.rms_sides_px[camera_quantities.SIDES.index(side)])
