@@ -21,7 +21,6 @@ import numpy as np
 from coverage_statistics import HEAD, Counts
 from numpy.typing import NDArray
 
-from fusion.errors import ComputeError
 from fusion.instruments.channel import observe_channels, sensor_outputs
 from fusion.phasors.channel_phasors import channel_phasors, find_channel_lines, line_clock, line_strength
 from fusion.phasors.stereo_motion import ImageView, StereoMotion, sensor_from_camera
@@ -206,7 +205,7 @@ def evaluate_trial(manifest: Manifest, world: World, draws: Draws) -> Analysis:
     base = time_base(manifest, world, draws)
     lines = find_channel_lines(manifest, base)
     if lines is None:
-        raise ComputeError("no channel shows the lines")
+        raise RuntimeError("no channel shows the lines")
     _, readings = channel_phasors(manifest, base, lines)
     errors, strength = base.line_errors(lines, line_clock(base)), line_strength(readings, lines)
     stereo, *_ = pairs_phasors(base, [stereo_motion(manifest, base, world, draws)], lines, errors, strength)

@@ -21,7 +21,7 @@ from photogram.camera import Camera, StereoRig
 from photogram.geometry import RigidTransform
 from photogram.images.sequence import ImageSequence
 from photogram.subsets.icgn import TrackSettings
-from photogram.subsets.texture import find_saturated, lay_grid, textured_area
+from photogram.subsets.texture import find_saturated, place_subsets, textured_area
 from photogram.subsets.track import lay_stereo_grid
 from photogram.synthetic.scene import Face, ImageSensor, render, speckle_texture, tile_texture, view_of
 
@@ -132,7 +132,7 @@ def matched(scene: Scene, seed: int, noise_seed: int, calibrated: bool) -> tuple
     area = textured_area(left.read(0))
     inside = np.zeros_like(area)
     inside[5:-5, 5:-5] = area[5:-5, 5:-5]
-    points = lay_grid(inside, settings.radius_px, settings.grid_step_px)
+    points = place_subsets(inside, settings.radius_px, settings.grid_step_px)
     expected = true_right(scene, face, points)
     seen = ((expected > 16) & (expected < SIZE_PX - 17)).all(axis=1)
     for images, places in ((left, points), (right, expected)):

@@ -1,4 +1,4 @@
-"""From a recording folder to the sensitivity with its uncertainty: the only place where images and signals meet.
+"""From a recording folder to the sensitivity with its uncertainty.
 
 Everything named here is public; a name is imported when it is first used, so that `import fusion` costs nothing. Paths
 may be `str` or `Path`.

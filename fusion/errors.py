@@ -1,4 +1,4 @@
-"""Errors that end a command: wrong input of the user, and results that could not be computed."""
+"""Errors that end a command: wrong input and results that could not be computed."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ ARGUMENT = re.compile(r"^[a-z_]+(, [a-z_]+)*: (?=expected )")
 
 
 class InputError(Exception):
-    """A mistake in the user's input: its declaration, the file and key at which it is to be corrected, the values.
+    """A mistake in the user's input, with the file and key to correct.
 
     Attributes
     ----------
@@ -85,7 +85,7 @@ class InputError(Exception):
     def from_exception(
         cls, error: Exception, file: Path, key: str = "", declared: DeclaredNotice | None = None
     ) -> InputError:
-        """Return the refusal of a reader or an algorithm as a mistake at file and key, each file named once."""
+        """Return the refusal of a reader or algorithm as an `InputError`."""
         text = str(error)
         if isinstance(error, OSError) and error.filename is not None and error.strerror is not None:
             text = f"{error.filename}: {error.strerror}"
@@ -112,7 +112,7 @@ def _input_error(
 
 @contextmanager
 def as_input_error(file: Path, key: str = "", declared: DeclaredNotice | None = None) -> Iterator[None]:
-    """Raise the refusal of a reader or an algorithm as a mistake of a file, at a key of it."""
+    """Convert the refusal of a reader or algorithm to an `InputError`."""
     try:
         yield
     except (OSError, ValueError) as error:
@@ -120,7 +120,7 @@ def as_input_error(file: Path, key: str = "", declared: DeclaredNotice | None = 
 
 
 class ComputeError(Exception):
-    """A result that could not be computed although the input could be read; the sentence says what to do.
+    """A result that could not be computed although the input could be read.
 
     Attributes
     ----------
@@ -220,7 +220,7 @@ SHORT_OF_MEMORY = re.compile(
 
 
 def as_user_error(error: Exception) -> InputError | ComputeError:
-    """Return a failure as one that the user can be told; what the program does not expect becomes a `ComputeError`."""
+    """Return an `InputError` or `ComputeError` for any exception."""
     if isinstance(error, InputError | ComputeError):
         return error
     text = " ".join(str(error).split())
@@ -237,20 +237,21 @@ def as_user_error(error: Exception) -> InputError | ComputeError:
 @cache
 def declared_notices() -> dict[str, DeclaredNotice]:
     """Return every declared notice and error by its code, in ascending order."""
-    found = {notice.code: notice for _, notices in declared_by_stage() for notice in notices}
+    found = {notice.code: notice for _, notices in declared_by_stage() for notice in notices.values()}
     return dict(sorted(found.items()))
 
 
 @cache
-def declared_by_stage() -> tuple[tuple[str, tuple[DeclaredNotice, ...]], ...]:
-    """Return the declarations of every module named `*_notices`, and of this one, behind the module's title."""
+def declared_by_stage() -> tuple[tuple[str, dict[str, DeclaredNotice]], ...]:
+    """Return the titles of all modules `*_notices` with their declarations by title, in ascending codes."""
     stages = []
     for name in [*_modules_of_notices(), __name__]:
         module = import_module(name)
-        found = {notice.code: notice for notice in vars(module).values() if isinstance(notice, DeclaredNotice)}
+        found = [pair for pair in vars(module).items() if isinstance(pair[1], DeclaredNotice)]
+        found.sort(key=lambda pair: pair[1].code)
         title = (module.__doc__ or "").partition("\n")[0].rstrip(".")
-        stages.append((title, tuple(found[code] for code in sorted(found) if code)))
-    return tuple(sorted((stage for stage in stages if stage[1]), key=lambda stage: stage[1][0].code))
+        stages.append((title, {name.replace("_", " ").capitalize(): notice for name, notice in found}))
+    return tuple(sorted(stages, key=lambda stage: next(iter(stage[1].values())).code))
 
 
 def _modules_of_notices() -> Iterator[str]:

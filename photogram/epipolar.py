@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -35,16 +35,18 @@ _WHERE = "epipolar residual"
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class EpipolarCheck(Arrays, shapes="course_px F 3; u_course_px F 3; pattern_px 3; position_px N 2; residual_px N"):
+class EpipolarCheck(
+    Arrays, shapes="residual_trend_px F 3; u_residual_trend_px F 3; pattern_px 3; position_px N 2; residual_px N"
+):
     """Epipolar residuals of N points in F frames, in px.
 
     A residual is the distance of the right point from the left one's epipolar line.
 
     Attributes
     ----------
-    course_px : (F, 3) mean of the residual and its change across the image along x and y, the latter two as rms over
-        the points; NaN where too few points are seen.
-    u_course_px : (F, 3) standard uncertainties from the image noise.
+    residual_trend_px : (F, 3) mean of the residual and its change across the image along x and y, the latter two as
+        rms over the points; NaN where too few points are seen.
+    u_residual_trend_px : (F, 3) standard uncertainties from the image noise.
     pattern_px : (3,) the same of the residual's mean over the frames.
     pattern_covariance : (3, 3) due to the calibration and the matching of the first images; None without a
         calibration's covariance.
@@ -53,8 +55,8 @@ class EpipolarCheck(Arrays, shapes="course_px F 3; u_course_px F 3; pattern_px 3
     notices : of cameras that do not agree with their calibration.
     """
 
-    course_px: FloatArray
-    u_course_px: FloatArray
+    residual_trend_px: FloatArray = field(metadata={"dataset": "course_px"})
+    u_residual_trend_px: FloatArray = field(metadata={"dataset": "u_course_px"})
     pattern_px: FloatArray
     pattern_covariance: FloatArray | None
     position_px: FloatArray
@@ -64,7 +66,7 @@ class EpipolarCheck(Arrays, shapes="course_px F 3; u_course_px F 3; pattern_px 3
     @property
     def mean_px(self) -> FloatArray:
         """Mean residual of every frame (F,)."""
-        return self.course_px[:, 0]
+        return self.residual_trend_px[:, 0]
 
     @property
     def rejection_reason(self) -> str:

@@ -112,7 +112,7 @@ def _calibration(rig: StereoRig, views: tuple[CalibratedView, ...], shape: Float
         shape_index=LATTICE,
         shape_m=shape,
         scale_u=session.scale_u,
-        coverage=(_covered(sides[0]), _covered(sides[1])),
+        image_coverage=(_covered(sides[0]), _covered(sides[1])),
         rejections=(
             Rejection(f"{session.names[0]}-15.tif", 0, "blurred: edges of 6.1 px, sharp ones have 1.2 px"),
             Rejection(f"{session.names[1]}-06.tif", 0, "no ring markers found"),

@@ -117,7 +117,7 @@ def draw_coverage(calibration: Calibration) -> Figure:
         crosses = np.concatenate([np.empty((0, 2)), *left_out])
         if len(crosses):
             panel.points(crosses[:, 0], crosses[:, 1], "rejected", marker="x", colour=RED, size=3.5)
-        share = calibration.coverage[SIDES.index(side)]
+        share = calibration.image_coverage[SIDES.index(side)]
         panel.title = f"{side} camera: {len(view)} points, {100 * share:.0f} % of the image covered"
     caption = (
         "Found points in the image area of each camera, one colour per view in the order of the session; red crosses "

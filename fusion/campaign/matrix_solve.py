@@ -243,7 +243,7 @@ def estimated_noise(stack: Stack, solution: MatrixSolution) -> EstimatedNoise:
             for part in noise.random:
                 dof = np.inf if part.dof is None else float(part.dof[0])
                 parts.append((rows, design @ part.covariance[0] @ design.T, dof))
-    return EstimatedNoise.of_parts(parts, solution.residual.size)
+    return EstimatedNoise.from_parts(parts, solution.residual.size)
 
 
 def judge(stack: Stack, solution: MatrixSolution | None = None) -> MatrixSolution:

@@ -14,7 +14,7 @@ from fusion.campaign.campaign_notices import CONTRADICTING_RECORDINGS, JOINT_UNK
 from fusion.campaign.excited_line import ExcitedLine, LazyUncertainty, UnknownDescription, intern_unknown
 from fusion.estimation.instrument_consistency import UNTESTED
 from fusion.estimation.uncertainty import Contribution, Influence, Uncertainty, as_complex
-from fusion.estimation.variance_components import TEST_LEVEL
+from fusion.estimation.variance_components import TEST_CONFIDENCE
 from shaker.arrays import BoolArray, FloatArray, IntArray
 from shakercal._common.notices import Notice
 
@@ -258,7 +258,7 @@ class JointEstimate:
                 indices = member.indices
                 p = _contradiction(member.source.knowledge(), estimate[indices], covariance[np.ix_(indices, indices)])
                 found.append((p, member.source.recording))
-        limit = 1.0 - TEST_LEVEL ** (1.0 / max(len(found), 1))
+        limit = 1.0 - TEST_CONFIDENCE ** (1.0 / max(len(found), 1))
         return tuple(name for p, name in sorted(found) if p < limit)
 
     def corrections(self) -> Iterator[tuple[str, JointCorrection]]:
@@ -388,7 +388,7 @@ def apply_joint_estimate(
         return tuple(recorded), (), ()
     contradicting = joint.contradicting()
     if contradicting:
-        named, level = ", ".join(contradicting), 100.0 * TEST_LEVEL
+        named, level = ", ".join(contradicting), 100.0 * (1.0 - TEST_CONFIDENCE)
         notice = Notice(CONTRADICTING_RECORDINGS, "campaign", recordings=named, level_percent=level)
         return tuple(recorded), (), (notice,)
     unknowns = joint.unknowns()

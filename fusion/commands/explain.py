@@ -37,29 +37,37 @@ def _explain_options(parser: Parser) -> None:
 @command(_explain_options, "SC-953")
 def explain(options: argparse.Namespace) -> int:
     """Explain notices and errors by their codes: cause, effect, remedy."""
-    from fusion.errors import UNKNOWN_CODE, InputError, declared_notices
+    from fusion.errors import UNKNOWN_CODE, InputError, declared_by_stage, declared_notices
     from fusion.report.terminal import print_text
 
     if options.markdown:
         print(notices_page(), end="")
         return EXIT_DONE
-    known = declared_notices()
+    known, titles = (
+        declared_notices(),
+        {one.code: title for _, found in declared_by_stage() for title, one in found.items()},
+    )
     for code in options.codes:
         if code.upper() not in known:
             raise InputError(UNKNOWN_CODE, "explain", code, first=next(iter(known)), last=next(reversed(known)))
     for code in options.codes:
-        for line in explanation(known[code.upper()]):
+        for line in explanation(titles[code.upper()], known[code.upper()]):
             print_text(line)
     if not options.codes:
         for notice in known.values():
-            print_text(f"{notice.code} {notice.severity:7} {notice.template}")
+            print_text(f"{notice.code} {notice.severity:7} {titles[notice.code]}")
     return EXIT_DONE
 
 
-def explanation(notice: DeclaredNotice) -> Iterable[str]:
-    """Yield what there is to read of a notice, a line for each part."""
-    yield f"{notice.code} ({notice.severity}): {notice.template}"
-    parts = (("effect", notice.effect), ("possible size", notice.possible_size), ("remedy", notice.remedy))
+def explanation(title: str, notice: DeclaredNotice) -> Iterable[str]:
+    """Yield the parts of a notice, one line each."""
+    yield f"{notice.code} ({notice.severity}): {title}"
+    parts = (
+        ("sentence", notice.template),
+        ("effect", notice.effect),
+        ("possible size", notice.possible_size),
+        ("remedy", notice.remedy),
+    )
     for name, text in parts:
         if text:
             yield f"  {name}: {text}"
@@ -76,11 +84,17 @@ def notices_page() -> str:
     lines = [HEAD]
     for title, notices in declared_by_stage():
         lines += [f"## {title}", "", "| code | severity | notice | effect | remedy |", "|---|---|---|---|---|"]
-        for one in notices:
+        for heading, one in notices.items():
             kind = one.severity if one.acknowledgeable or one.severity == "error" else "warning, cannot be acknowledged"
             size = f" Possible size: {one.possible_size}" if one.possible_size else ""
             more = f" [More]({one.link})." if one.link else ""
-            cells = (one.code, kind, one.template, f"{one.effect}{size}".strip(), f"{one.remedy}{more}".strip())
+            cells = (
+                one.code,
+                kind,
+                f"**{heading}.** {one.template}",
+                f"{one.effect}{size}".strip(),
+                f"{one.remedy}{more}".strip(),
+            )
             lines.append("| " + " | ".join(cell.replace("|", "\\|").replace("<", "&lt;") for cell in cells) + " |")
         lines.append("")
     return "\n".join(lines).rstrip() + "\n"

@@ -88,7 +88,7 @@ def _unobserved_notices(result: Acceleration, titles: str) -> Iterator[Notice]:
             values: dict[str, Value] = {"components": missing, "lines": lines, "all_lines": count}
             yield Notice(UNOBSERVED_COMPONENTS, result.body, instruments=titles, **values)
     if np.any(np.isinf(result.unobserved_amplitude)):
-        driven = unmeasured_drive(result.body, result.unseen, np.any(result.observed, axis=0))
+        driven = unmeasured_drive(result.body, result.unobserved_limits, np.any(result.observed, axis=0))
         yield Notice(UNBOUNDED_MOTION, result.body, driven=driven, unused="")
 
 

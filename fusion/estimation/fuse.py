@@ -51,12 +51,12 @@ from fusion.estimation.uncertainty import (
 )
 from fusion.estimation.undetected_errors import missing_covariance, undetected_errors
 from fusion.estimation.variance_components import (
-    Discrepancy,
+    AddedCovariance,
     EstimatedNoise,
     Scatter,
-    disagreement,
+    contradictory_lines,
     estimate_scatter,
-    failing_lines,
+    instrument_discrepancy,
     scatter_covariances,
 )
 from shaker.arrays import BoolArray, FloatArray, IntArray
@@ -88,7 +88,7 @@ class Acceleration(TabularResult):
     unknowns : estimates of the common errors.
     notices : notices of the estimate.
     scatter : instruments whose readings scatter beyond their stated uncertainties.
-    unseen : limits of components that are not observed.
+    unobserved_limits : limits of components that are not observed.
     assumed : (K, 6), amplitudes of these components; infinite without a limit of the driven motion.
     driven : (K,), largest amplitude of the driven motion; None if the drive is not stated.
     explanations : estimates without each suspect, where instruments contradict each other.
@@ -113,7 +113,7 @@ class Acceleration(TabularResult):
     unknowns: tuple[CommonEstimate, ...]
     notices: tuple[Notice, ...]
     scatter: tuple[Scatter, ...] = ()
-    unseen: UnobservedMotion = field(default_factory=UnobservedMotion)
+    unobserved_limits: UnobservedMotion = field(default_factory=UnobservedMotion, metadata={"dataset": "unseen"})
     assumed: FloatArray | None = None
     driven: FloatArray | None = None
     explanations: tuple[Explanation, ...] = ()
@@ -137,7 +137,7 @@ class Acceleration(TabularResult):
     def unobserved_amplitude(self) -> FloatArray:
         """Return the assumed amplitudes (K, 6) of unobserved components, 0 for the others."""
         value = np.asarray(np.nan_to_num(self.phasors.value))
-        return self.unseen.amplitude(value, self.observed) if self.assumed is None else self.assumed
+        return self.unobserved_limits.amplitude(value, self.observed) if self.assumed is None else self.assumed
 
     @property
     def contributions(self) -> tuple[Contribution, ...]:
@@ -213,14 +213,14 @@ def fuse(
         unknowns=common_estimates(system.common, final) if parts else unknowns,
         notices=(),
         scatter=solved.scatter,
-        unseen=system.unobserved_motion,
+        unobserved_limits=system.unobserved_motion,
         assumed=system.unobserved_motion.amplitude(final.acceleration, given.observed, system.share),
         driven=system.driven_limit(final.acceleration),
         explanations=explanations(system, first, remaining_suspicions),
         disputed=unclear if np.any(unclear) else None,
         unnoticed=unnoticed(given, first) if source == "fused" and stated else (),
         leaked=leaked,
-        probability=EstimatedNoise.of(system, first.effects).probability(first.chi2, first.dof, first.projector),
+        probability=EstimatedNoise.from_system(system, first.effects).p_value(first.chi2, first.dof, first.projector),
     )
     if (body, source) == ("load", "fused") and system.common and not solved.contradicted:
         result = replace(result, posterior=final.posterior, products=products(system, final.acceleration))
@@ -271,9 +271,9 @@ class ConsistentSolution:
     stated: FusionSolution
     final: FusionSolution
     scatter: tuple[Scatter, ...]
-    parts: tuple[Discrepancy, ...]
+    parts: tuple[AddedCovariance, ...]
     birge: float = 1.0
-    undetected: Discrepancy | None = None
+    undetected: AddedCovariance | None = None
     contradicted: bool = False
     suspicions: tuple[Suspicion, ...] = ()
 
@@ -294,10 +294,10 @@ def solve_consistently(
     unknowns = common_estimates(system.common, final)
     if contradicts(system, final, unknowns):
         undetected = undetected_errors(system, final, unknowns, INCONSISTENCY)
-        failing = failing_lines(system, final)
-        parts.append(disagreement(system, final, failing or range(len(system.observed)), INCONSISTENCY))
+        failing = contradictory_lines(system, final)
+        parts.append(instrument_discrepancy(system, final, failing or range(len(system.observed)), INCONSISTENCY))
         final = solve(system, np.sum([p.covariance for p in parts], axis=0))
-        noise = EstimatedNoise.of(system, final.effects)
+        noise = EstimatedNoise.from_system(system, final.effects)
         beyond = not failing and noise.fails(final.chi2, final.dof, final.projector)
         birge = final.chi2 / final.dof if beyond else 1.0
     return ConsistentSolution(first, final, scatter, tuple(parts), birge, undetected, contradicted, found)
@@ -357,11 +357,12 @@ def _uncertainty(system: FusionSystem, solved: ConsistentSolution) -> tuple[Unce
         required = explanation_covariance(solved.stated, solved.suspicions, solution.acceleration)
         allowed = np.sum([np.zeros_like(required), *(part.covariance for part in parts)], axis=0)
         parts.append(Contribution(EXPLANATIONS, "B", missing_covariance(required, allowed)))
-    estimated = EstimatedNoise.of(system, solution.effects)
+    estimated = EstimatedNoise.from_system(system, solution.effects)
     for index, observation in enumerate(system.observations):
         rows = np.flatnonzero(system.observation == index)
         dof = np.nan_to_num(observation.phasors.dof, nan=np.inf, posinf=np.inf)
-        part_covariance = carried(noise[np.ix_(rows, rows)], rows) + estimated.lost(solution.projector, gain, rows)
+        part_covariance = carried(noise[np.ix_(rows, rows)], rows)
+        part_covariance = part_covariance + estimated.estimation_covariance(solution.projector, gain, rows)
         parts.append(Contribution(f"{observation.title}: noise", "A", part_covariance, dof))
     leaked, rest = solution.hidden.carried(system, gain)
     if np.any(rest):
@@ -457,7 +458,8 @@ def unnoticed(system: FusionSystem, solution: FusionSolution) -> tuple[Unnoticed
     (docs/uncertainty.md).
     """
     line = int(np.argmax(np.linalg.norm(solution.acceleration / SCALE, axis=1)))
-    limit = EstimatedNoise.of(system, solution.effects).noticed(solution.dof, solution.projector, POWER)
+    noise = EstimatedNoise.from_system(system, solution.effects)
+    limit = noise.detectable_noncentrality(solution.dof, solution.projector, POWER)
     gain = solution.gain[12 * line : 12 * line + 12]
     covariance, touched, found = as_stated(solution, gain), solution.effects != 0.0, list[Unnoticed]()
     for index, name in enumerate(system.member_names):

@@ -14,7 +14,7 @@ import numpy as np
 
 from fusion.estimation.least_squares import FusionSolution, FusionSystem, drop_rows, solve
 from fusion.estimation.uncertainty import as_complex, real_design, real_stack
-from fusion.estimation.variance_components import TEST_LEVEL, EstimatedNoise, fails
+from fusion.estimation.variance_components import TEST_CONFIDENCE, EstimatedNoise, fails
 from shaker.arrays import BoolArray, ComplexArray, FloatArray, IntArray
 
 if TYPE_CHECKING:
@@ -132,11 +132,11 @@ def contradicts(system: FusionSystem, solution: FusionSolution, unknowns: Sequen
     By chi-square, or by the deviation of a single unknown. A rotated camera hardly affects the chi-square of a hundred
     readings, but it appears in the unknown of its rotation.
     """
-    half = (1.0 + TEST_LEVEL) / 2.0
+    half = (1.0 + TEST_CONFIDENCE) / 2.0
     deviations = np.nan_to_num([unknown.deviation for unknown in unknowns])
     # Unknowns that the readings cannot distinguish have equal deviations: together they are one test.
     tests = len(np.unique(np.round(np.abs(deviations[[np.isfinite(unknown.deviation) for unknown in unknowns]]), 2)))
-    noise = EstimatedNoise.of(system, solution.effects)
+    noise = EstimatedNoise.from_system(system, solution.effects)
     if noise.fails(solution.chi2, solution.dof, solution.projector, half):
         return True
     level = 1.0 - (1.0 - half) / max(tests, 1)
@@ -328,7 +328,7 @@ def suspicion(system: FusionSystem, solution: FusionSolution, names: tuple[str, 
     limit = (GROSS / NORMAL_LIMIT) ** 2 - 1.0
     chi2, dof = float(white @ white), len(white)
     all_rows = solution.projector[:, rows] @ (scale[:, None] * tested / root)
-    gross = chi2 - dof > CERTAIN and EstimatedNoise.of(system, solution.effects).fails(
+    gross = chi2 - dof > CERTAIN and EstimatedNoise.from_system(system, solution.effects).fails(
         float(white @ np.linalg.solve(unit + limit * inner, white)), dof, all_rows @ all_rows.T
     )
     more = GROSS**2 - 1.0
@@ -346,7 +346,7 @@ def suspicions(system: FusionSystem, solution: FusionSolution) -> tuple[Suspicio
     """
     every = [suspicion(system, solution, (name,), rows) for name, rows in _groups(system)]
     every = [one for one in every if one.dof]
-    noise = EstimatedNoise.of(system, solution.effects)
+    noise = EstimatedNoise.from_system(system, solution.effects)
 
     def agreeing(some: Sequence[Suspicion]) -> list[Suspicion]:
         most = max((one.excess for one in some), default=0.0)
@@ -381,7 +381,7 @@ def _where_untested(system: FusionSystem, solution: FusionSolution, whole: Suspi
     at the fundamental. The relative size of the error is the largest that a line requires, √(χ²/λ), with the
     noncentrality λ of readings that are wrong by their whole size.
     """
-    line, noise = system.line[whole.rows], EstimatedNoise.of(system, solution.effects)
+    line, noise = system.line[whole.rows], EstimatedNoise.from_system(system, solution.effects)
     parts = [whole.rows[line == k] for k in np.unique(line).tolist()]
     each = [suspicion(system, solution, whole.names, rows) for rows in parts]
     # A single line is compared with all other readings without the suspect's other lines.
@@ -451,7 +451,7 @@ def disputed_values(system: FusionSystem, solution: FusionSolution, found: Seque
         change = parts @ (solution.projector @ system.readings)
         inverse = np.linalg.pinv(covariance, rcond=VISIBLE, hermitian=True)
         square = np.einsum("kca,kcab,kcb->kc", change, inverse, change)
-        unclear |= square > -2.0 * np.log(1.0 - TEST_LEVEL)  # the quantile for two degrees of freedom
+        unclear |= square > -2.0 * np.log(1.0 - TEST_CONFIDENCE)  # the quantile for two degrees of freedom
     return np.asarray(system.observed & unclear)
 
 
@@ -504,7 +504,7 @@ def deviating_unknowns(
     system: FusionSystem, solution: FusionSolution, unknowns: Sequence[CommonEstimate]
 ) -> dict[CommonEstimate, bool]:
     """Return the unknowns that deviate, and whether releasing each removes the contradiction."""
-    noise, found = EstimatedNoise.of(system, solution.effects), dict[CommonEstimate, bool]()
+    noise, found = EstimatedNoise.from_system(system, solution.effects), dict[CommonEstimate, bool]()
     for unknown, effect in zip(unknowns, solution.effects.T, strict=True):
         if abs(unknown.deviation) > NOTABLE_DEVIATION:
             part = solution.projector @ effect
@@ -547,7 +547,7 @@ def exchanged_channels(
             if readings @ first.projector @ readings > 0.5 * first.chi2:
                 continue  # too far off for another fit to be worth its time
             solution = solve(replace(system, readings=readings))
-            noise = EstimatedNoise.of(system, solution.effects)
+            noise = EstimatedNoise.from_system(system, solution.effects)
             if not noise.fails(solution.chi2, solution.dof, solution.projector):
                 pairs.append((system.member_names[a], system.member_names[b]))
     return tuple(pairs)

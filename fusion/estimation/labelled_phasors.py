@@ -49,7 +49,7 @@ class TabularResult(ABC):
             return rows
 
     def plot(self) -> MatplotlibFigure:
-        """Return a figure of magnitude and phase over frequency with U (95 %) as error bars.
+        """Return a figure of magnitude and phase over frequency with U.
 
         Shown are elements whose output belongs to their load, or all elements of the unit of the first one.
         """

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from fusion.estimation.instrument_consistency import NOTABLE_DEVIATION, VISIBLE
-from fusion.estimation.variance_components import MIN_DOF, Contrasts, Discrepancy, variance_components
+from fusion.estimation.variance_components import MIN_DISCREPANCY_DOF, AddedCovariance, Contrasts, variance_components
 from shaker.arrays import FloatArray
 
 if TYPE_CHECKING:
@@ -21,7 +21,7 @@ NOT_EXCLUDED = 6.63
 
 def undetected_errors(
     system: FusionSystem, solution: FusionSolution, unknowns: Sequence[CommonEstimate], label: str
-) -> Discrepancy | None:
+) -> AddedCovariance | None:
     """Return the covariance of the readings by common errors that would explain a contradiction.
 
     These are the unknown that deviates most and all whose deviation is not smaller at 1 %, without gross errors: the
@@ -49,8 +49,8 @@ def undetected_errors(
     estimates = (vectors[:, significant].T @ (seen @ system.readings)) / values[significant]
     group = Contrasts(estimates, np.diag(1.0 / values[significant]), np.eye(len(estimates))[None])
     (variance,), (dof,) = variance_components([group])
-    every_line = np.full(len(system.observed), max(float(dof), MIN_DOF))
-    return Discrepancy(label, variance * (pattern @ pattern.T), every_line)
+    every_line = np.full(len(system.observed), max(float(dof), MIN_DISCREPANCY_DOF))
+    return AddedCovariance(label, variance * (pattern @ pattern.T), every_line)
 
 
 def missing_covariance(required: FloatArray, allowed: FloatArray) -> FloatArray:

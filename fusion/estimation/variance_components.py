@@ -11,26 +11,27 @@ from fusion.estimation.least_squares import FusionSolution, FusionSystem, RowInd
 from fusion.estimation.measurement_model import BODY_SIZE_M, SCALE, Observation
 from shaker.arrays import ComplexArray, FloatArray, IntArray
 
-TEST_LEVEL = 0.99
-MIN_ESTIMATED = 1e-6
+TEST_CONFIDENCE = 0.99
+"""Confidence of all tests: their significance level is 1 %."""
+EXACT_NOISE_SHARE = 1e-6
 """Share A₂/d below which the noise is treated as exact: far below any effect on the test."""
-MAX_ESTIMATED = 0.8
+MAX_ESTIMATED_SHARE = 0.8
 """Largest share A₂/d that the test allows for: with noise known even less, chi-square has no expectation."""
 TINY = 1e-300
 MIN_TAIL_DOF = 4.0
 """Degrees of freedom of F below which the approximation is not followed."""
 RANK_TOLERANCE = 1e-6
-VISIBLE = 1e-4
-"""Size of a contrast relative to its row below which it is rounding (chosen)."""
+MIN_REMAINING_SHARE = 1e-4
+"""Share of a component's variance in the contrasts below which the component is undetermined (chosen)."""
 ITERATIONS = 100
-DIGITS = 1e-15
+ROUNDING = 1e-15
 """Relative precision of double numbers, about."""
 NO_VALUES = np.zeros(0)
-SMALL_READING = 0.1
+MIN_DIRECTED_SHARE = 0.1
 """Share of the motion below which a reading has no significant direction in the complex plane."""
-LOST_DOF = 2.0
+INVERSE_VARIANCE_DOF = 2.0
 """Degrees of freedom that a variance has less as a weight: 1/s² is ν/(ν - 2) times 1/σ² on average."""
-MIN_DOF = 4.0
+MIN_DISCREPANCY_DOF = 4.0
 """Fewest degrees of freedom of a difference between instruments (chosen). Two instruments that differ by D then get
 u = D/2 about their mean and U = 1.4 D, which covers both."""
 
@@ -39,8 +40,8 @@ u = D/2 about their mean and U = 1.4 D, which covers both."""
 class Scatter:
     """Scatter of the readings of one instrument beyond their stated uncertainties.
 
-    `amplitude`, `phase` (K,): standard deviations of the parts in phase with the reading and at right angles, relative
-    to the motion at the line. `dof` (K,): degrees of freedom of both together.
+    `amplitude`, `phase` (K,): standard deviations of the parts in phase with the reading and in quadrature, relative to
+    the motion at the line. `dof` (K,): degrees of freedom of both together.
     """
 
     instrument: str
@@ -50,7 +51,7 @@ class Scatter:
 
 
 @dataclass(frozen=True)
-class Discrepancy:
+class AddedCovariance:
     """An additional covariance (N, N) of the readings of a system.
 
     With its `label` and degrees of freedom (K,).
@@ -65,30 +66,30 @@ class Discrepancy:
 class Contrasts:
     """Combinations of readings of one line that no motion changes.
 
-    `values` (n,), their `spread` (n, n) as stated; `patterns` (C, n, n): covariance of each component of variance one;
-    `combined` (N, n): values = combinedᵀ · readings, where they are those of a system.
+    `values` (n,), their `covariance` (n, n) as stated; `patterns` (C, n, n): covariance of each component of variance
+    one; `coefficients` (N, n): values = coefficientsᵀ · readings, if they are those of a system.
     """
 
     values: FloatArray
-    spread: FloatArray
+    covariance: FloatArray
     patterns: FloatArray
-    combined: FloatArray = field(default_factory=lambda: NO_VALUES)
+    coefficients: FloatArray = field(default_factory=lambda: NO_VALUES)
 
     def chi2(self, components: FloatArray) -> float:
         """Return chi-square of n degrees of freedom, given the components (C,)."""
-        return float(self.values @ np.linalg.solve(self._spread(components), self.values))
+        return float(self.values @ np.linalg.solve(self._total_covariance(components), self.values))
 
     def deviance(self, components: FloatArray) -> float:
         """Return minus twice the restricted logarithmic likelihood of components (C,), up to a constant."""
-        return self.chi2(components) + float(np.linalg.slogdet(self._spread(components))[1])
+        return self.chi2(components) + float(np.linalg.slogdet(self._total_covariance(components))[1])
 
-    def _spread(self, components: FloatArray) -> FloatArray:
+    def _total_covariance(self, components: FloatArray) -> FloatArray:
         """Covariance with some components, (C,) or none."""
         if not len(components):
-            return self.spread
-        total = self.spread + np.tensordot(components, self.patterns, 1)
+            return self.covariance
+        total = self.covariance + np.tensordot(components, self.patterns, 1)
         # Next to a component a million times as large the stated part may vanish in rounding.
-        return np.asarray(total + DIGITS * np.max(np.diag(total)) * np.eye(len(total)))
+        return np.asarray(total + ROUNDING * np.max(np.diag(total)) * np.eye(len(total)))
 
     def normal_equations(self, components: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return F (C, C) and right side (C,) of the equations for the next components.
@@ -97,11 +98,11 @@ class Contrasts:
         restricted maximum likelihood by iterated minimum norm estimates (Rao 1971; Searle, Casella, McCulloch, Variance
         Components, 1992, sec. 6.6). P is the inverse covariance of the contrasts.
         """
-        inverse = np.linalg.inv(self._spread(components))
+        inverse = np.linalg.inv(self._total_covariance(components))
         products = inverse @ self.patterns
         weighted = inverse @ self.values
         right = np.einsum("i,cij,j->c", weighted, self.patterns, weighted)
-        right = right - np.einsum("cij,ji->c", products @ inverse, self.spread)
+        right = right - np.einsum("cij,ji->c", products @ inverse, self.covariance)
         return np.einsum("cij,dji->cd", products, products), right
 
 
@@ -119,8 +120,8 @@ class EstimatedNoise:
     dof: FloatArray
 
     @classmethod
-    def of(cls, system: FusionSystem, effects: FloatArray) -> EstimatedNoise:
-        """Return it for a system and the `effects` (N, E) of all its common errors."""
+    def from_system(cls, system: FusionSystem, effects: FloatArray) -> EstimatedNoise:
+        """Return the estimated noise of a system and the `effects` (N, E) of all its common errors."""
         parts = []
         for index, observation in enumerate(system.observations):
             for k, dof in enumerate(observation.phasors.dof.tolist()):
@@ -129,11 +130,11 @@ class EstimatedNoise:
         freedom = np.array([error.dof for error in system.common])
         finite = np.isfinite(freedom)
         return replace(
-            cls.of_parts(parts, len(effects)), effects=effects[:, finite], dof=np.maximum(freedom[finite], 1.0)
+            cls.from_parts(parts, len(effects)), effects=effects[:, finite], dof=np.maximum(freedom[finite], 1.0)
         )
 
     @classmethod
-    def of_parts(cls, parts: Iterable[tuple[IntArray, FloatArray, float]], count: int) -> EstimatedNoise:
+    def from_parts(cls, parts: Iterable[tuple[IntArray, FloatArray, float]], count: int) -> EstimatedNoise:
         """Return the noise of `count` readings from its parts.
 
         Each part: rows, their covariance and its degrees of freedom.
@@ -156,20 +157,20 @@ class EstimatedNoise:
         """
         first = second = growth = 0.0
         for rows, root, dof in self.blocks:
-            parts = self._parts(root @ _between(weights, rows) @ root)
+            parts = self._real_imaginary_blocks(root @ _submatrix(weights, rows) @ root)
             traces, both = np.trace(parts, axis1=2, axis2=3), parts[0, 0] + parts[1, 1]
             of_block = float(np.sum(parts * parts.swapaxes(2, 3)) + np.sum(traces**2)) / dof
             first += 2.0 * float(np.sum(both * both.T)) / dof
             second += of_block
-            growth += of_block / (1.0 - min(of_block / max(float(np.trace(traces)), TINY), MAX_ESTIMATED))
+            growth += of_block / (1.0 - min(of_block / max(float(np.trace(traces)), TINY), MAX_ESTIMATED_SHARE))
         if not len(self.dof):
             return first, second, growth
         shares = np.einsum("ne,nm,me->e", self.effects, weights, self.effects)
         of_unknowns = 2.0 * shares**2 / self.dof
-        more = of_unknowns / (1.0 - np.minimum(2.0 * shares / self.dof, MAX_ESTIMATED))
+        more = of_unknowns / (1.0 - np.minimum(2.0 * shares / self.dof, MAX_ESTIMATED_SHARE))
         return first + float(np.sum(of_unknowns)), second + float(np.sum(of_unknowns)), growth + float(np.sum(more))
 
-    def lost(self, projector: FloatArray, gain: FloatArray, rows: IntArray) -> FloatArray:
+    def estimation_covariance(self, projector: FloatArray, gain: FloatArray, rows: IntArray) -> FloatArray:
         """Return the covariance (K, 12, 12) that estimated weights add to an estimate.
 
         The estimate is gain (K, 12, N) · readings. Λ = E gain·δV·P·δV·gainᵀ is its additional scatter relative to the
@@ -180,21 +181,21 @@ class EstimatedNoise:
         """
         total = np.zeros((*gain.shape[:2], gain.shape[1]))
         for block_rows, root, dof in (block for block in self.blocks if np.isin(block[0][0], rows)):
-            parts = self._parts(root @ projector[np.ix_(block_rows, block_rows)] @ root)
+            parts = self._real_imaginary_blocks(root @ projector[np.ix_(block_rows, block_rows)] @ root)
             traces = np.trace(parts, axis1=2, axis2=3)[:, :, None, None] * np.eye(parts.shape[2])
             square = (parts.swapaxes(2, 3) + traces).swapaxes(1, 2).reshape(len(block_rows), len(block_rows))
-            square /= max(dof - LOST_DOF, 1.0)
+            square /= max(dof - INVERSE_VARIANCE_DOF, 1.0)
             rotated = gain[:, :, block_rows] @ root
             total += 2.0 * rotated @ square @ rotated.swapaxes(1, 2)
         return total
 
     @staticmethod
-    def _parts(square: FloatArray) -> FloatArray:
+    def _real_imaginary_blocks(square: FloatArray) -> FloatArray:
         """Blocks (2, 2, m, m) between real and imaginary parts."""
         half = len(square) // 2
         return np.asarray(square.reshape(2, half, 2, half).swapaxes(1, 2))
 
-    def reference(self, dof: int, weights: FloatArray) -> tuple[float, float]:
+    def reference_distribution(self, dof: int, weights: FloatArray) -> tuple[float, float]:
         """Return (λ, m) for which λ·χ²/d has the distribution F(d, m).
 
         χ² = yᵀ·Θ·y with weights Θ (N, N). Scaled F approximation of Kenward & Roger (1997, sec. 3.2), exact for
@@ -203,7 +204,7 @@ class EstimatedNoise:
         of its share in d.
         """
         first, second, growth = self.moments(weights)
-        if second < MIN_ESTIMATED * dof:
+        if second < EXACT_NOISE_SHARE * dof:
             return 1.0, np.inf
         # A₂ that with 1/(1 - A₂/d) makes this growth: the same where one instrument's noise is all there is.
         first, second = (moment / second * dof * growth / (dof + growth) for moment in (first, second))
@@ -217,7 +218,7 @@ class EstimatedNoise:
         m = max(m, MIN_TAIL_DOF) if variance > 0.0 and m > 0.0 else MIN_TAIL_DOF
         return m / (expectation * (m - 2.0)), m
 
-    def probability(self, chi2: float, dof: int, weights: FloatArray) -> float:
+    def p_value(self, chi2: float, dof: int, weights: FloatArray) -> float:
         """Return the probability of a chi-square yᵀ·Θ·y at least as large.
 
         Θ (N, N): weights. NaN without degrees of freedom.
@@ -226,15 +227,15 @@ class EstimatedNoise:
 
         if dof <= 0:
             return float("nan")
-        factor, m = self.reference(dof, weights)
+        factor, m = self.reference_distribution(dof, weights)
         return float(chdtrc(dof, chi2) if np.isinf(m) else fdtrc(dof, m, factor * chi2 / dof))
 
-    def fails(self, chi2: float, dof: int, weights: FloatArray, level: float = TEST_LEVEL) -> bool:
+    def fails(self, chi2: float, dof: int, weights: FloatArray, confidence: float = TEST_CONFIDENCE) -> bool:
         """Return whether chi-square = yᵀ·Θ·y with weights Θ (N, N) is beyond its quantile."""
-        # Noise that was estimated only ever excuses, and only by a probability that there is.
-        return fails(chi2, dof, level) and not self.probability(chi2, dof, weights) >= 1.0 - level
+        # Estimated noise can only prevent a rejection, and only if its p-value is defined.
+        return fails(chi2, dof, confidence) and not self.p_value(chi2, dof, weights) >= 1.0 - confidence
 
-    def noticed(self, dof: int, weights: FloatArray, power: float) -> float:
+    def detectable_noncentrality(self, dof: int, weights: FloatArray, power: float) -> float:
         """Return the noncentrality that a test at 1 % detects with the probability `power`.
 
         The test is chi-square of weights Θ (N, N).
@@ -243,13 +244,13 @@ class EstimatedNoise:
 
         if dof <= 0:
             return float("inf")
-        _, m = self.reference(dof, weights)
+        _, m = self.reference_distribution(dof, weights)
         if np.isinf(m):
-            return float(chndtrinc(chdtri(dof, 1.0 - TEST_LEVEL), dof, 1.0 - power))
-        return float(ncfdtrinc(dof, m, 1.0 - power, fdtri(dof, m, TEST_LEVEL)))
+            return float(chndtrinc(chdtri(dof, 1.0 - TEST_CONFIDENCE), dof, 1.0 - power))
+        return float(ncfdtrinc(dof, m, 1.0 - power, fdtri(dof, m, TEST_CONFIDENCE)))
 
 
-def _between(weights: FloatArray, rows: IntArray) -> FloatArray:
+def _submatrix(weights: FloatArray, rows: IntArray) -> FloatArray:
     """Return weights between some readings, of all (N, N) or within blocks (B, n, n)."""
     if weights.ndim == 2:
         return np.asarray(weights[np.ix_(rows, rows)])
@@ -257,11 +258,11 @@ def _between(weights: FloatArray, rows: IntArray) -> FloatArray:
     return np.asarray(weights[block[0]][np.ix_(within, within)])
 
 
-def fails(chi2: float, dof: int, level: float = TEST_LEVEL) -> bool:
+def fails(chi2: float, dof: int, confidence: float = TEST_CONFIDENCE) -> bool:
     """Return whether chi-square by covariances that are known is beyond its quantile."""
     from scipy.special import chdtrc
 
-    return dof > 0 and bool(chdtrc(dof, chi2) < 1.0 - level)
+    return dof > 0 and bool(chdtrc(dof, chi2) < 1.0 - confidence)
 
 
 def variance_components(groups: Sequence[Contrasts]) -> tuple[FloatArray, FloatArray]:
@@ -328,28 +329,28 @@ def estimate_scatter(system: FusionSystem, solution: FusionSolution) -> tuple[Sc
     """Return the scatter of each instrument whose readings contradict a rigid motion.
 
     Each instrument is tested separately, line by line, against its stated uncertainties, before the readings are
-    weighted. An instrument with no more readings than observed components cannot be tested and has no scatter. Where
-    one relative scatter explains all lines it is estimated from all; otherwise every line has a separate one.
+    weighted. An instrument with no more readings than observed components cannot be tested and has no scatter. If one
+    relative scatter explains all lines, it is estimated from all of them; otherwise every line has a separate one.
     """
-    sizes, noise = row_sizes(system, solution.acceleration), EstimatedNoise.of(system, solution.effects)
+    sizes, noise = motion_per_row(system, solution.acceleration), EstimatedNoise.from_system(system, solution.effects)
     lines, indices = range(len(system.observed)), range(len(system.observations))
     rows = [[np.flatnonzero((system.observation == index) & (system.line == k)) for k in lines] for index in indices]
     tests = [[_contrasts(system, solution, group_rows, sizes, None) for group_rows in rows[index]] for index in indices]
     count = sum(group is not None for groups in tests for group in groups)
     scatters = []
     for index, groups in zip(indices, tests, strict=True):
-        if any(group is not None and _improbable(group, noise, count) for group in groups):
-            patterns = _individual_patterns(system, solution.acceleration, sizes)
+        if any(group is not None and _rejected(group, noise, count) for group in groups):
+            patterns = _independent_error_patterns(system, solution.acceleration, sizes)
             whole = {
                 k: _contrasts(system, solution, group_rows, sizes, patterns[:, group_rows[:, None], group_rows])
                 for k, group_rows in enumerate(rows[index])
             }
             usable = {k: group for k, group in whole.items() if group is not None}
-            scatters.append(_scatter(system.observations[index], usable, len(lines)))
+            scatters.append(_estimate_instrument_scatter(system.observations[index], usable, len(lines)))
     return tuple(scatters)
 
 
-def _scatter(observation: Observation, groups: dict[int, Contrasts], lines: int) -> Scatter:
+def _estimate_instrument_scatter(observation: Observation, groups: dict[int, Contrasts], lines: int) -> Scatter:
     """Estimate the components of one instrument, pooled over its lines.
 
     They are separate per line if a likelihood ratio shows that the lines differ.
@@ -360,7 +361,7 @@ def _scatter(observation: Observation, groups: dict[int, Contrasts], lines: int)
     pooled = variance_components(list(groups.values()))
     separate = {k: variance_components([group]) for k, group in groups.items()}
     gain = sum(group.deviance(pooled[0]) - group.deviance(separate[k][0]) for k, group in groups.items())
-    together = gain <= chdtri(2 * len(groups) - 2, 1.0 - TEST_LEVEL) if len(groups) > 1 else True
+    together = gain <= chdtri(2 * len(groups) - 2, 1.0 - TEST_CONFIDENCE) if len(groups) > 1 else True
     for k in groups:
         components[k], dof[k] = pooled if together else separate[k]
     return Scatter(observation.title, np.sqrt(components[:, 0]), np.sqrt(components[:, 1]), _joint_dof(components, dof))
@@ -369,7 +370,7 @@ def _scatter(observation: Observation, groups: dict[int, Contrasts], lines: int)
 def _joint_dof(components: FloatArray, dof: FloatArray) -> FloatArray:
     """Return the degrees of freedom (K,) of two variances (K, 2) together.
 
-    No more than one of them has, because their ratio is estimated too.
+    The result is at most the larger of the two, because their ratio is estimated too.
     """
     total = np.sum(components, axis=1)
     weighted = np.sum(components**2 / np.maximum(dof, 1e-3), axis=1)
@@ -377,63 +378,65 @@ def _joint_dof(components: FloatArray, dof: FloatArray) -> FloatArray:
     return np.where(total > 0.0, np.minimum(joint, np.max(dof, axis=1)), np.inf)
 
 
-def _improbable(group: Contrasts, noise: EstimatedNoise, tests: int) -> bool:
+def _rejected(group: Contrasts, noise: EstimatedNoise, tests: int) -> bool:
     """Return whether a chi-square is too large for one of several tests.
 
     At 1 % for all tests together.
     """
-    level = 1.0 - (1.0 - TEST_LEVEL) / tests
-    weights = group.combined @ np.linalg.solve(group.spread, group.combined.T)
-    return noise.fails(group.chi2(NO_VALUES), len(group.values), weights, level)
+    confidence = 1.0 - (1.0 - TEST_CONFIDENCE) / tests
+    weights = group.coefficients @ np.linalg.solve(group.covariance, group.coefficients.T)
+    return noise.fails(group.chi2(NO_VALUES), len(group.values), weights, confidence)
 
 
 def scatter_covariances(
     system: FusionSystem, acceleration: ComplexArray, scatters: Sequence[Scatter]
-) -> list[Discrepancy]:
+) -> list[AddedCovariance]:
     """Return the covariances that the scatter of instruments adds to the readings."""
     if not scatters:
         return []
-    sizes, parts = row_sizes(system, acceleration), []
-    patterns = _individual_patterns(system, acceleration, sizes)
+    sizes, parts = motion_per_row(system, acceleration), []
+    patterns = _independent_error_patterns(system, acceleration, sizes)
     titles = np.array([observation.title for observation in system.observations])[system.observation]
     for scatter in scatters:
         size = np.where(titles == scatter.instrument, sizes, 0.0)
         if np.any(size > 0.0):
             both = zip(patterns, (scatter.amplitude, scatter.phase), strict=True)
             covariance = np.sum([pattern * (u**2)[system.line] for pattern, u in both], axis=0) * np.outer(size, size)
-            parts.append(Discrepancy(f"{scatter.instrument}: unexplained scatter", covariance, scatter.dof))
+            parts.append(AddedCovariance(f"{scatter.instrument}: unexplained scatter", covariance, scatter.dof))
     return parts
 
 
-def failing_lines(system: FusionSystem, solution: FusionSolution) -> tuple[int, ...]:
+def contradictory_lines(system: FusionSystem, solution: FusionSolution) -> tuple[int, ...]:
     """Return the lines whose readings contradict each other, at 1 % for all lines together."""
-    sizes, noise = row_sizes(system, solution.acceleration), EstimatedNoise.of(system, solution.effects)
+    sizes, noise = motion_per_row(system, solution.acceleration), EstimatedNoise.from_system(system, solution.effects)
     every = [np.flatnonzero(system.line == k) for k in range(len(system.observed))]
     groups = [_contrasts(system, solution, rows, sizes, None) for rows in every]
     count = sum(group is not None for group in groups)
-    return tuple(k for k, group in enumerate(groups) if group is not None and _improbable(group, noise, count))
+    return tuple(k for k, group in enumerate(groups) if group is not None and _rejected(group, noise, count))
 
 
-def disagreement(system: FusionSystem, solution: FusionSolution, lines: Sequence[int], label: str) -> Discrepancy:
+def instrument_discrepancy(
+    system: FusionSystem, solution: FusionSolution, lines: Sequence[int], label: str
+) -> AddedCovariance:
     """Return the covariance of a motion that each instrument adds at some lines.
 
-    It has a separate variance in every component, and for the parts in phase with the true motion and at right angles.
+    It has a separate variance in every component, and for the parts in phase with the true motion and in quadrature.
     """
-    sizes = row_sizes(system, solution.acceleration)
+    sizes = motion_per_row(system, solution.acceleration)
     covariance, dof = np.zeros((len(sizes), len(sizes))), np.full(len(system.observed), np.inf)
     for k in (k for k in lines if np.any(system.line == k)):
         rows = np.flatnonzero(system.line == k)
-        patterns = _common_patterns(system, solution.acceleration, rows, sizes)
+        patterns = _instrument_motion_patterns(system, solution.acceleration, rows, sizes)
         group = _contrasts(system, solution, rows, sizes, patterns)
         if group is not None:
             components, freedom = variance_components([group])
             size = np.outer(sizes[rows], sizes[rows])
             covariance[np.ix_(rows, rows)] = np.tensordot(components, patterns, 1) * size
-            dof[k] = max(float(_joint_dof(components[None], freedom[None])[0]), MIN_DOF)
-    return Discrepancy(label, covariance, dof)
+            dof[k] = max(float(_joint_dof(components[None], freedom[None])[0]), MIN_DISCREPANCY_DOF)
+    return AddedCovariance(label, covariance, dof)
 
 
-def row_sizes(system: FusionSystem, acceleration: ComplexArray) -> FloatArray:
+def motion_per_row(system: FusionSystem, acceleration: ComplexArray) -> FloatArray:
     """Return the size (N,) of the motion in the unit of each row.
 
     That of the estimate or, if larger, of the largest reading.
@@ -471,22 +474,22 @@ def _contrasts(
     if not across.shape[1]:
         return None
     effects = solution.effects[rows]
-    spread = (solution.noise[np.ix_(rows, rows)] + effects @ effects.T) / np.outer(size, size)
+    covariance = (solution.noise[np.ix_(rows, rows)] + effects @ effects.T) / np.outer(size, size)
     rotated = np.zeros((0, 0, 0))
     if patterns is not None:
         # A component of which almost no part remains cannot be determined.
         rotated = across.T @ patterns @ across
-        left = np.trace(rotated, axis1=1, axis2=2) > VISIBLE * np.trace(patterns, axis1=1, axis2=2)
-        rotated = np.where(left[:, None, None], rotated, 0.0)
-    combined = np.zeros((len(sizes), across.shape[1]))
-    combined[rows] = across / size[:, None]
-    return Contrasts(combined.T @ system.readings, across.T @ spread @ across, rotated, combined)
+        remaining = np.trace(rotated, axis1=1, axis2=2) > MIN_REMAINING_SHARE * np.trace(patterns, axis1=1, axis2=2)
+        rotated = np.where(remaining[:, None, None], rotated, 0.0)
+    coefficients = np.zeros((len(sizes), across.shape[1]))
+    coefficients[rows] = across / size[:, None]
+    return Contrasts(coefficients.T @ system.readings, across.T @ covariance @ across, rotated, coefficients)
 
 
-def _individual_patterns(system: FusionSystem, acceleration: ComplexArray, sizes: FloatArray) -> FloatArray:
+def _independent_error_patterns(system: FusionSystem, acceleration: ComplexArray, sizes: FloatArray) -> FloatArray:
     """Return the patterns (2, N, N) of independent errors of all readings.
 
-    Relative to the row sizes: in phase and at right angles.
+    Relative to the row sizes: in phase and in quadrature.
     """
     predicted, coefficient = [], []
     for observation in system.observations:
@@ -498,7 +501,7 @@ def _individual_patterns(system: FusionSystem, acceleration: ComplexArray, sizes
         coefficient.append(largest / np.abs(largest) * _motion_phase(acceleration)[line])
     # The direction of a reading is its prediction's, or the motion's where that is small.
     value, other = np.concatenate(predicted), np.concatenate(coefficient)
-    significant = np.abs(value) > SMALL_READING * sizes[system.pairs[:, 0]]
+    significant = np.abs(value) > MIN_DIRECTED_SHARE * sizes[system.pairs[:, 0]]
     directions = np.where(significant, value / np.where(significant, np.abs(value), 1.0), other)
     patterns = np.zeros((2, len(sizes), len(sizes)))
     for number, turn in enumerate((1.0, 1.0j)):
@@ -513,7 +516,9 @@ def _motion_phase(acceleration: ComplexArray) -> ComplexArray:
     return np.asarray(np.exp(0.5j * np.angle(squares)))
 
 
-def _common_patterns(system: FusionSystem, acceleration: ComplexArray, rows: IntArray, sizes: FloatArray) -> FloatArray:
+def _instrument_motion_patterns(
+    system: FusionSystem, acceleration: ComplexArray, rows: IntArray, sizes: FloatArray
+) -> FloatArray:
     """Return the patterns (12, n, n) of a motion that each instrument adds.
 
     By component and phase.

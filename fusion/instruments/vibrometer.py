@@ -27,7 +27,9 @@ RANK_TOLERANCE = 1e-3  # width over length of points that are not in one line
 
 @dataclass(frozen=True)
 class PointRatios:
-    """Sensor output over mass times acceleration per point: S_i = U/(m a_i) (Nitsche et al. 2018, (11)).
+    """Sensor output over mass times acceleration per point.
+
+    S_i = U/(m a_i) (Nitsche et al. 2018, (11)).
 
     `value` (K, N) of `channel` per `component`; `unit` of the output; `uncertainty` of the N ratios; `fused` (K,):
     output over the load of the fused motion, NaN if there is none.

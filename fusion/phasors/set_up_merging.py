@@ -396,7 +396,7 @@ def _weighted(
     count = len(value)
     dof, every = 2 * (count - 1), np.arange(2 * count)
     parts = [(np.array([t, t + count]), *part) for t, part in enumerate(parts_noise)]
-    noise = EstimatedNoise.of_parts(parts, 2 * count)
+    noise = EstimatedNoise.from_parts(parts, 2 * count)
 
     def projector(variance: float) -> FloatArray:
         whole = np.linalg.inv(covariance + variance * np.eye(count))
@@ -414,7 +414,9 @@ def _weighted(
             high *= 2.0
         extra = float(brentq(lambda v: chi2(v) - dof, 0.0, high, rtol=1e-3, xtol=1e-12 * high))
     weight = _weights(covariance + extra * np.eye(count))
-    lost = noise.lost(projector(extra), np.asarray(np.kron(np.eye(2), weight)[None], dtype=np.float64), every)
+    lost = noise.estimation_covariance(
+        projector(extra), np.asarray(np.kron(np.eye(2), weight)[None], dtype=np.float64), every
+    )
     return _Weighted(weight, float(np.sqrt(extra)), float(np.trace(lost[0])), noise.fails(first, dof, projector(0.0)))
 
 

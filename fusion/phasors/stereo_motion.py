@@ -417,9 +417,9 @@ def body_inputs(images: PreparedImages, settings: Settings, lines: int | None = 
     the calibration.
     """
     from photogram.subsets.icgn import TrackSettings
-    from photogram.subsets.texture import suggested_radius_px
+    from photogram.subsets.texture import radius_from_image_px
 
-    radius = settings.subset_radius_px or suggested_radius_px(images.first)
+    radius = settings.subset_radius_px or radius_from_image_px(images.first)
     entry, frames = images.entry, None
     if lines is not None and not settings.save_points and not any(images.sight.pair.row_time):
         frames = max(MIN_SUBSET_FRAMES, len(images.left) // SPARED, TIMES_UNKNOWNS * (2 * lines + 1))

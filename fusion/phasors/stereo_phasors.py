@@ -350,7 +350,7 @@ def _jitter_notices(
     """
     _, trigger = base.first_with(sight.exposure.trigger)
     notices = []
-    for k in np.flatnonzero(usable & (lines.multiple == 1)) if trigger.scatters else ():
+    for k in np.flatnonzero(usable & (lines.multiple == 1)) if trigger.jitter_detected else ():
         value = reading.phasors.value[k]
         c = int(np.argmax(np.abs(value[:3])))
         noise = float(max(reading.phasors.u_re[k, c], reading.phasors.u_im[k, c]))

@@ -222,10 +222,10 @@ class TimeBase:
             return ()
         found: list[TimingError] = []
         independent = tie.covariance - tie.noise
-        if tie.follows is not None and tie.beside is not None:
+        if tie.follows is not None and tie.remaining_covariance is not None:
             name = self.shared_triggers(self.records[0].entry.name, daq)[0]
             fit = self.first_with(name)[1]
-            line, independent = _StraightLine.of(fit.covariance), tie.beside
+            line, independent = _StraightLine.of(fit.covariance), tie.remaining_covariance
             dof = float(max(len(fit.number) - 2, 1))
             for kind, unit, u, error in (
                 ("time", "s", line.u_value, np.array([line.u_value, 0.0])),

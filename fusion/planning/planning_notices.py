@@ -38,7 +38,7 @@ NOISE_UNSTATED = DeclaredNotice(
     "error",
     "expected {expected}, found {found}",
     effect="A relative uncertainty requires the noise of one frame.",
-    remedy="State it by `--noise`.",
+    remedy="State it by `--noise`, for example `--noise 2.3e-6` (m).",
     link="planning.md#what-the-figures-are-worth",
 )
 NO_SIGNAL = DeclaredNotice(
@@ -52,7 +52,7 @@ NOT_FINITE = DeclaredNotice(
     "SC-807",
     "error",
     "expected {expected}, found {found}",
-    effect="The spectrum of such a channel is undefined.",
+    effect="The channel contains non-finite samples, so no spectrum is computed.",
     remedy="Select other channels by `--channel`.",
     link="signals.md",
 )
@@ -67,7 +67,8 @@ MANIFEST_EXISTS = DeclaredNotice(
     "SC-809",
     "error",
     "expected {expected}, found {found}",
-    effect="Nothing remains to draft.",
+    effect="Every recording has a manifest, so none is drafted.",
+    remedy="Name a folder without recording.toml.",
     link="drafting.md",
 )
 FILE_EXISTS = DeclaredNotice(
@@ -75,7 +76,7 @@ FILE_EXISTS = DeclaredNotice(
     "error",
     "expected {expected}, found {found}",
     effect="`shakercal init` never replaces a file.",
-    remedy="Rename or remove the file.",
+    remedy="Rename or remove the existing file first.",
     link="drafting.md",
 )
 UNSUITABLE_FOLDER = DeclaredNotice(
@@ -90,6 +91,7 @@ UNSUITABLE_TEMPLATE = DeclaredNotice(
     "error",
     "expected {expected}, found {found}",
     effect="`--from` copies the rig and the channels of one recording without takes.",
+    remedy="Name a recording with `rig` and `[excitation]`, without `take`, by `--from`.",
     link="drafting.md",
 )
 VALIDATION_OUTPUT = DeclaredNotice(

@@ -1,4 +1,4 @@
-"""Inputs of manifests from Digital Calibration Certificates, as a user would type them."""
+"""Manifests with the values of Digital Calibration Certificates instead of references to them."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ from fusion.recording.toml import UNFILLED, UncertainInput, UncertaintyStatement
 from fusion.recording.values import ManifestBlock, PathScope, Text, describe
 from shakercal._common.notices import DeclaredNotice, Notice
 
-UNIT_OF = {
+SCALAR_UNITS = {
     **dict.fromkeys(("mass", "internal_mass", "tip_mass"), "kg"),
     **dict.fromkeys(("length", "diameter", "inner_diameter", "thickness", "clamped_diameter"), "m"),
     **dict.fromkeys(("frequency", "axial_frequency", "bending_frequency"), "Hz"),
@@ -43,21 +43,21 @@ UNIT_OF = {
     "temperature_coefficient": "1/K",
     "sensor_temperature": "K",
 }
-"""SI unit of every key with one number that a certificate may state."""
-UNIT_OF_THREE = {
+"""SI unit of each key with one number that a certificate can state."""
+VECTOR_UNITS = {
     **dict.fromkeys(("centre_of_mass", "internal_centre_of_mass", "point", "mirror"), "m"),
     "gravity": "m/s^2",
     "cable_stiffness": "N/m",
 }
-"""The same for keys with three numbers."""
-ELECTRICAL = ("1", "V", "A", "C")
-"""Units of the outputs of transducers and recorders."""
-WIDE_K = 2.1
-"""Coverage factor for 95 % above which few degrees of freedom are assumed: 1.96 to 2.0 mean infinitely many."""
+"""SI unit of each key with three numbers (x, y, z) that a certificate can state."""
+ELECTRICAL_UNITS = ("1", "V", "A", "C")
+"""Units of the electrical outputs of transducers and of recorders; 1 for a normalised output."""
+MAX_NORMAL_K = 2.1
+"""Largest coverage factor for 95 % with infinite degrees of freedom; those of a larger k follow from Student's t."""
 
 
-Location = tuple[dict[str, Any], list[int | str]]
-"""The content of a file, and a key path in it."""
+KeyLocation = tuple[dict[str, Any], list[int | str]]
+"""The parsed content of a file, and the steps of a key path in it."""
 
 
 class CertificateReference(ManifestBlock):
@@ -71,10 +71,12 @@ class CertificateReference(ManifestBlock):
 
 @dataclass
 class CertifiedInputs:
-    """Inputs of one manifest from certificates: its text with their values, their files, response curves.
+    """One manifest with the values of certificates instead of references to them.
 
-    `files`: with their identities before reading. `errors`: of every table that cannot be used. `signature_notices`: of
-    the files.
+    `path`, `scope`, `sensor_unit`: file of the manifest, folder of its certificates, unit of the sensor's output.
+    `text`: parsed content with the values. `files`: certificates with their identities before reading. `curves`:
+    sources and uncertainties of frequency responses. `errors`: of each table that cannot be used. `signature_notices`:
+    of the certificates.
     """
 
     path: Path
@@ -86,55 +88,56 @@ class CertifiedInputs:
     errors: list[InputError] = field(default_factory=list)
     signature_notices: list[Notice] = field(default_factory=list)
 
-    def resolve(self, value: Any, whole: dict[str, Any], path: list[int | str]) -> Any:
-        """Return a part of a manifest, with certified values instead of tables with `dcc`."""
+    def resolve(self, value: Any, content: dict[str, Any], steps: list[int | str]) -> Any:
+        """Return the value at a key path of the manifest, with certified values instead of tables with `dcc`."""
         if isinstance(value, list):
-            return [self.resolve(item, whole, [*path, number]) for number, item in enumerate(value)]
+            return [self.resolve(item, content, [*steps, number]) for number, item in enumerate(value)]
         if not isinstance(value, dict):
             return value
         out: dict[str, Any] = {}
         for key, item in value.items():
-            key_steps = [*path, key]
+            key_steps = [*steps, key]
             table = {"dcc": item} if key == "response" and _is_certificate(item) else item
             if table is not item and isinstance(value.get("response_result"), str):
                 table["result"] = value["response_result"]
             named = table.get("dcc") if isinstance(table, dict) else None
             if named is None or named == UNFILLED or isinstance(named, dict):
-                out[key] = self.resolve(item, whole, key_steps)
+                out[key] = self.resolve(item, content, key_steps)
                 continue
             try:
-                out |= self._table_values(table, (whole, key_steps), value)
+                out |= self._table_values(table, (content, key_steps), value)
             except InputError as error:
                 self.errors += error.each
         return out
 
-    def _table_values(self, values: dict[str, Any], location: Location, siblings: Mapping[str, Any]) -> Any:
-        """Return the values by key that replace one table."""
-        whole, path = location
-        table, name = checked_table(CertificateReference, values, self.path, location), str(path[-1])
-        key = key_path(whole, path)
-        certifiable = name in UNIT_OF or name in UNIT_OF_THREE or name in ("scale", "response", "step_amplitude")
+    def _table_values(
+        self, values: dict[str, Any], location: KeyLocation, siblings: Mapping[str, Any]
+    ) -> dict[str, Any]:
+        """Return the certified values, by key, that replace one table with `dcc`."""
+        table, name = checked_table(CertificateReference, values, self.path, location), str(location[1][-1])
+        key = key_path(*location)
+        certifiable = name in SCALAR_UNITS or name in VECTOR_UNITS or name in ("scale", "response", "step_amplitude")
         if not certifiable or (name == "response" and "quantity" not in siblings):
-            expected = "no certificate: it can state " + ", ".join((*UNIT_OF, *UNIT_OF_THREE, "scale, step_amplitude"))
-            expected += " and a channel's response"
-            raise self._error(KEY_TAKES_NO_CERTIFICATE, key, "one", expected)
+            keys = ", ".join((*SCALAR_UNITS, *VECTOR_UNITS, "scale", "step_amplitude"))
+            expected = f"a number without certificate (certificates can state {keys} and a channel's response)"
+            raise self._error(KEY_TAKES_NO_CERTIFICATE, key, "a certificate", expected)
         if not _is_certificate(table.dcc):
             expected = f"a Digital Calibration Certificate, *{SUFFIX}"
             raise self._error(KEY_TAKES_NO_CERTIFICATE, f"{key}.dcc", describe(table.dcc), expected)
-        certificate = self._certificate(table.dcc, key if name == "response" else f"{key}.dcc")
+        certificate = self._read_certificate(table.dcc, key if name == "response" else f"{key}.dcc")
         source: dict[str, Any] = {"certificate": certificate.number, "laboratory": certificate.laboratory}
-        last = [day for day in (table.valid_until, certificate.valid_until) if day is not None]
+        last_days = [day for day in (table.valid_until, certificate.valid_until) if day is not None]
         source |= {"date": certificate.date} if certificate.date is not None else {}
-        source |= {"valid_until": min(last)} if last else {}
+        source |= {"valid_until": min(last_days)} if last_days else {}
         if name == "response":
             if table.dof is not None:
-                expected = "no such key of a list over frequency"
+                expected = "no dof of a response over frequency"
                 raise self._error(KEY_NOT_APPLICABLE, f"{key}.dof", f"{table.dof:g}", expected)
-            self._curve(certificate, table, (location, source), siblings)
+            self._add_curve(certificate, table, (location, source), siblings)
             return {name: table.dcc} | ({"response_result": table.result} if table.result else {})
-        quantity, value, relative = self._quantity(certificate, table, key, siblings)
+        quantity, value, relative = self._find_quantity(certificate, table, key, siblings)
         k, dof = float(quantity.k[0]), table.dof
-        if dof is None and k > WIDE_K and not abs(quantity.probability[0] - 0.95) > 0.01:
+        if dof is None and k > MAX_NORMAL_K and not abs(quantity.probability[0] - 0.95) > 0.01:
             from scipy.special import stdtridf
 
             dof = max(float(stdtridf(0.975, k)), 1.0)
@@ -146,7 +149,7 @@ class CertifiedInputs:
     def _error(self, declared: DeclaredNotice, key: str, found: str, expected: str) -> InputError:
         return InputError(declared, self.path, key, found=found, expected=expected)
 
-    def _certificate(self, name: str, key: str) -> CalibrationCertificate:
+    def _read_certificate(self, name: str, key: str) -> CalibrationCertificate:
         """Read the certificate at a path, and record the identity of its file before reading."""
         try:
             path = self.scope.file(name)
@@ -161,8 +164,8 @@ class CertifiedInputs:
         self.signature_notices += certificate.signature_notices
         return certificate
 
-    def _dimension(self, siblings: Mapping[str, Any]) -> Dimension | None:
-        """Return the dimension of the channel's quantity; None if it has no SI unit."""
+    def _mechanical_dimension(self, siblings: Mapping[str, Any]) -> Dimension | None:
+        """Return the dimension of the quantity that a channel measures; None without SI unit."""
         quantity = siblings.get("quantity")
         unit = {"output": self.sensor_unit, "force": "N", "voltage": "V", "trigger": "1"}.get(str(quantity))
         if unit is None and str(quantity) in TRANSDUCERS:
@@ -172,25 +175,29 @@ class CertifiedInputs:
         except ValueError:
             return None
 
-    def _quantity(
+    def _find_quantity(
         self, certificate: CalibrationCertificate, table: CertificateReference, key: str, siblings: Mapping[str, Any]
     ) -> tuple[CertifiedQuantity, Any, float | None]:
-        """Return the quantity of a table, its value, and relative U of a reciprocal."""
-        name, reciprocal = key.rsplit(".", 1)[-1], dict[Dimension, bool]()  # whether it is one, by dimension
+        """Return the quantity of a table, the value of the key in SI, and relative U if inverted.
+
+        A `scale` is a mechanical quantity over an electrical one. A sensitivity is the reciprocal of that.
+        """
+        name = key.rsplit(".", 1)[-1]
+        reciprocal = dict[Dimension, bool]()  # whether a certified quantity of this dimension is to be inverted
         if name == "scale":
-            mechanical = self._dimension(siblings)
-            for unit in ELECTRICAL if mechanical is not None else ():
+            mechanical = self._mechanical_dimension(siblings)
+            for unit in ELECTRICAL_UNITS if mechanical is not None else ():
                 electrical = parse_unit(unit).dimension
-                over = _over(mechanical or electrical, electrical), _over(electrical, mechanical or electrical)
+                over = _quotient(mechanical or electrical, electrical), _quotient(electrical, mechanical or electrical)
                 for dimension, inverted in zip(over, (False, True), strict=True):
                     if reciprocal.setdefault(dimension, inverted) is not inverted:
                         reciprocal.pop(dimension)
-            units = f"V, A or C per {siblings.get('quantity')} (its sensitivity), or the reciprocal of that"
+            units = f"V, A or C per {siblings.get('quantity')} (sensitivity), or its reciprocal"
         else:
             moment = str(siblings.get("component", "F")).startswith("M")
-            units = {**UNIT_OF, **UNIT_OF_THREE, "step_amplitude": "N m" if moment else "N"}[name]
+            units = {**SCALAR_UNITS, **VECTOR_UNITS, "step_amplitude": "N m" if moment else "N"}[name]
             reciprocal[parse_unit(units).dimension] = False
-        found = self._select(certificate, table, key, (reciprocal, 3 if name in UNIT_OF_THREE else 1, units))
+        found = self._select_quantity(certificate, table, key, (reciprocal, 3 if name in VECTOR_UNITS else 1, units))
         found = in_hertz(certificate, found) if units == "Hz" else found
         conventional = "conventional" in " ".join((*found.types, found.name)).lower()
         if name == "mass" and conventional and siblings.get("mass_kind", "true") != "conventional":
@@ -203,12 +210,12 @@ class CertifiedInputs:
             raise certificate.refusal(found.where, "0", "a sensitivity other than 0")
         return found, float(1.0 / value[0]), float(found.expanded[0] / abs(value[0]))
 
-    def _select(
+    def _select_quantity(
         self, certificate: CalibrationCertificate, table: CertificateReference, key: str,
-        fits: tuple[Collection[Dimension], int, str],
+        required: tuple[Collection[Dimension], int, str],
     ) -> CertifiedQuantity:  # fmt: skip
-        """Return the one quantity with U that fits name, dimensions and count."""
-        (dimensions, count, units), file = fits, certificate.path.name
+        """Return the only quantity with U that has the name and the required dimension and count."""
+        (dimensions, count, units), file = required, certificate.path.name
         real = [q for q in certificate.quantities if q.is_real]
         named = [q for q in real if not table.result or q.is_named(table.result)]
         if not named:
@@ -243,19 +250,21 @@ class CertifiedInputs:
             raise certificate.refusal(selected.where, "several coverage factors", "one for all three numbers")
         return selected
 
-    def _curve(
-        self, certificate: CalibrationCertificate, table: CertificateReference, at: tuple[Location, dict[str, Any]],
+    def _add_curve(
+        self, certificate: CalibrationCertificate, table: CertificateReference, at: tuple[KeyLocation, dict[str, Any]],
         siblings: Mapping[str, Any],
     ) -> None:  # fmt: skip
-        """Check the frequency response of a channel, and record its source."""
+        """Add source and uncertainty of a channel's frequency response to `curves`."""
         location, source = at
         key = key_path(*location)
-        electrical, mechanical = [parse_unit(unit).dimension for unit in ELECTRICAL], self._dimension(siblings)
-        fits = {_over(one, other) for one in electrical for other in (*electrical, mechanical) if other is not None}
+        electrical = [parse_unit(unit).dimension for unit in ELECTRICAL_UNITS]
+        mechanical = self._mechanical_dimension(siblings)
+        divisors = electrical if mechanical is None else [*electrical, mechanical]
+        valid = {_quotient(one, other) for one in electrical for other in divisors}
         curve, read = curve_named(certificate, table.result), certified_table(certificate, table.result)
-        if curve.unit.dimension not in fits:
+        if curve.unit.dimension not in valid:
             found = f'{curve.unit.text} (result "{curve.name}" of {certificate.path.name})'
-            expected = f"a response in V, A or C, to each other or per {siblings.get('quantity')}"
+            expected = f"a response in V, A or C per {siblings.get('quantity')}, or a ratio of two of these units"
             raise self._error(CERTIFIED_UNIT_MISMATCH, key, found, expected)
         relative = read.u_magnitude / read.magnitude
         stated = checked_table(
@@ -265,16 +274,16 @@ class CertifiedInputs:
 
 
 def _is_certificate(value: object) -> bool:
-    """Whether a value is the file name of a certificate."""
+    """Return whether a value is the file name of a certificate."""
     return isinstance(value, str) and value.lower().endswith(SUFFIX)
 
 
-def _over(one: Dimension, other: Dimension) -> Dimension:
-    return tuple(a - b for a, b in zip(one, other, strict=True))
+def _quotient(numerator: Dimension, denominator: Dimension) -> Dimension:
+    return tuple(a - b for a, b in zip(numerator, denominator, strict=True))
 
 
-def certified_inputs(text: dict[str, Any], path: Path, scope: PathScope, sensor_unit: str = "1") -> CertifiedInputs:
-    """Return a manifest with values of certificates instead of `{ dcc = "file.xml", … }`."""
+def resolve_certificates(text: dict[str, Any], path: Path, scope: PathScope, sensor_unit: str = "1") -> CertifiedInputs:
+    """Return a manifest with the values of certificates instead of `{ dcc = "file.xml", … }`."""
     found = CertifiedInputs(path, scope, sensor_unit)
     found.text = found.resolve(text, text, [])
     return found

@@ -16,7 +16,7 @@ from typing import Any
 from fusion.base import FileIdentity, check_names, natural_key
 from fusion.errors import InputError
 from fusion.recording.acknowledged import Acknowledgement
-from fusion.recording.certified import CertifiedInputs, certified_inputs
+from fusion.recording.certified import CertifiedInputs, resolve_certificates
 from fusion.recording.cross_checks import find_contradictions
 from fusion.recording.excitation import KINDS, ONE_SET_UP, ExcitationEntry, join_alternatives, kinds_of
 from fusion.recording.manifest import (
@@ -367,11 +367,12 @@ def _certificates(
     (path, text), (rig_path, rig_text) = of_recording, of_rig
     sensor = rig_text.get("sensor")
     unit = str(sensor.get("unit", "1")) if isinstance(sensor, dict) else "1"
-    found = certified_inputs(text, path, folders[0], unit), certified_inputs(rig_text, rig_path, folders[1], unit)
-    wrong = [error for one in found for error in one.errors]
+    certified = resolve_certificates(text, path, folders[0], unit)
+    rig_certified = resolve_certificates(rig_text, rig_path, folders[1], unit)
+    wrong = [*certified.errors, *rig_certified.errors]
     if wrong:
         raise InputError.together([*find_unfilled(text, path), *find_unfilled(rig_text, rig_path), *wrong])
-    return found
+    return certified, rig_certified
 
 
 def _checked_files(

@@ -205,7 +205,10 @@ class MountedBody(ManifestBlock):
 
     @property
     def true_mass(self) -> float:
-        """True mass, kg: m_c·(1 − 1.2/8000)/(1 − 1.2/ρ) if m_c is conventional (OIML D 28, 5.4)."""
+        """True mass in kg.
+
+        m_c·(1 − 1.2/8000)/(1 − 1.2/ρ) if m_c is conventional (OIML D 28, 5.4).
+        """
         if self.mass_kind == "true" or self.density is None:
             return self.mass
         reference = 1 - CONVENTIONAL_AIR_DENSITY / CONVENTIONAL_WEIGHT_DENSITY

@@ -103,10 +103,13 @@ def _check_group(path: Path, group: h5py.Group, names: Sequence[str]) -> None:
 
 
 def write_fields(group: Group, item: Any) -> None:
-    """Write every field of a data class into a group."""
+    """Write every field of a data class into a group.
+
+    The name of a data set is `dataset` of the field's metadata, by default that of the field.
+    """
     for field in fields(item):
         if field.name not in LEFT_OUT:
-            write_value(group, field.name, getattr(item, field.name))
+            write_value(group, field.metadata.get("dataset", field.name), getattr(item, field.name))
 
 
 def write_value(group: Group, name: str, value: Any) -> None:

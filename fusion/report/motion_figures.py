@@ -417,7 +417,7 @@ def _draw_mean_residual(panel: Panel, check: EpipolarCheck, time_s: FloatArray) 
         explained = MPX * COVERAGE * float(np.sqrt(check.pattern_covariance[0, 0]))
         panel.span(-explained, explained)
     panel.rule(0.0, width=0.6)
-    half = MPX * COVERAGE * check.u_course_px[:, 0]
+    half = MPX * COVERAGE * check.u_residual_trend_px[:, 0]
     panel.points(time_s, MPX * check.mean_px, half_y=half, colour=BLUE, size=2.6)
     panel.x.label, panel.y.label = "time / s", "mean residual / mpx"
 

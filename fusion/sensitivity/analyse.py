@@ -283,7 +283,7 @@ OTHER_AXIS = 2.0
 
 def _direction_doubts(fused: Acceleration) -> Iterator[Notice]:
     """Yield a warning where the largest observed motion is across the stated direction."""
-    drive = np.array(fused.unseen.drive or (0.0,) * 6)
+    drive = np.array(fused.unobserved_limits.drive or (0.0,) * 6)
     motion = np.where(fused.observed, fused.phasors.value, 0.0) / SCALE
     line = int(np.argmax(np.linalg.norm(motion, axis=1)))
     along = abs(motion[line] @ drive)

@@ -214,7 +214,7 @@ def _notices(
             declared = UNOBSERVED_MOTION_LARGE if share > MATTERS else UNOBSERVED_MOTION_ASSUMED
             values = {
                 "components": ", ".join(hidden),
-                "limits": str(acceleration.unseen),
+                "limits": str(acceleration.unobserved_limits),
                 "driven": _describe_driven(acceleration, int(line)),
                 "u_percent": 100.0 * size,
                 "load": LOAD_COMPONENTS[largest],
@@ -230,7 +230,7 @@ def _notices(
 
 def _describe_driven(acceleration: Acceleration, line: int) -> str:
     """Return the limits of the unobserved driven components at a line, as text."""
-    drive, amplitude = acceleration.unseen.drive or (0.0,) * 6, acceleration.unobserved_amplitude[line]
+    drive, amplitude = acceleration.unobserved_limits.drive or (0.0,) * 6, acceleration.unobserved_amplitude[line]
     units = ("m/s^2",) * 3 + ("rad/s^2",) * 3
     rows = zip(MOTION_COMPONENTS, drive, amplitude.tolist(), units, strict=True)
     parts = [f"{name} up to {size:.3g} {unit}" for name, part, size, unit in rows if part and 0.0 < size < np.inf]

@@ -13,7 +13,7 @@ from fusion.estimation.fuse import Acceleration, reject_gross_errors, solve_cons
 from fusion.estimation.least_squares import UNOBSERVED, UNOBSERVED_ITSELF, FusionSolution, RowIndex
 from fusion.estimation.measurement_model import Deviates, DrawnReadings, Observation
 from fusion.estimation.uncertainty import Uncertainty, as_complex, element_covariances, real_stack
-from fusion.estimation.variance_components import MIN_DOF
+from fusion.estimation.variance_components import MIN_DISCREPANCY_DOF
 from fusion.instruments.channel import Outputs
 from fusion.sensitivity.analyse import Analysis, Inputs
 from fusion.sensitivity.distributions import FirstOrder, MonteCarlo, Propagated, judged, summarise
@@ -126,7 +126,7 @@ class _Motion:
 
         The uncertainty of the estimate includes disagreement of the instruments in addition to their errors. A variance
         that is hardly significant has nominally less than one degree of freedom and no distribution; it is drawn with
-        at least `MIN_DOF`.
+        at least `MIN_DISCREPANCY_DOF`.
         """
         fused, estimate = self.fused, np.asarray(np.nan_to_num(self.fused.phasors.value))
         phase = deviates.angle(f"unobserved motion of the {fused.body}", *estimate.shape)
@@ -139,7 +139,11 @@ class _Motion:
         further = np.zeros_like(value)
         for part in fused.uncertainty.random:
             if part.label not in drawn_labels:
-                dof = np.full(len(part.covariance), np.inf) if part.dof is None else np.maximum(part.dof, MIN_DOF)
+                dof = (
+                    np.full(len(part.covariance), np.inf)
+                    if part.dof is None
+                    else np.maximum(part.dof, MIN_DISCREPANCY_DOF)
+                )
                 further += as_complex(deviates.noise(f"{part.label} of the {fused.body}", part.covariance, dof))
         for influence in fused.uncertainty.influences:
             if influence.name not in drawn_names:
@@ -152,7 +156,7 @@ def _motion(inputs: Inputs, fused: Acceleration) -> _Motion:
     """Return a fused acceleration with the instruments that it uses."""
     of_body = [(index, seen) for index, seen in enumerate(inputs.observations) if seen.body == fused.body]
     used = [(index, seen) for index, seen in of_body if seen.stated] or of_body
-    system, first, _ = reject_gross_errors([seen for _, seen in used], fused.unseen)
+    system, first, _ = reject_gross_errors([seen for _, seen in used], fused.unobserved_limits)
     observations, solution = system.observations, solve_consistently(system, first, fused.scatter).final
     noise = tuple(f"noise of instrument {index}" for index, _ in used)
     return _Motion(fused, observations, noise, Estimator.of(observations, system.expand, solution))

@@ -247,7 +247,7 @@ class _Readings(NamedTuple):
             parts.append((indices, phasors.covariance[line][np.ix_(both, both)], float(phasors.dof[line])))
             count += len(both)
         noise = np.asarray(block_diag(*(covariance for _, covariance, _ in parts)))
-        noise_model, dof = EstimatedNoise.of_parts(parts, count), [dof for indices, _, dof in parts if len(indices)]
+        noise_model, dof = EstimatedNoise.from_parts(parts, count), [dof for indices, _, dof in parts if len(indices)]
         return cls(
             np.concatenate(rows), np.concatenate(values), noise[:count, :count], noise_model, min(dof, default=np.inf)
         )
@@ -282,7 +282,7 @@ def _estimate(read: _Readings, shape: FloatArray, main: int, stated: float | Non
     if stated is not None and count:
         whole = rows @ _prior(shape, spreads)[0] @ rows.T + read.noise
         weights = np.linalg.inv(whole)
-        contradicts = read.estimated_noise.probability(float(values @ weights @ values), count, weights) < CONTRADICTED
+        contradicts = read.estimated_noise.p_value(float(values @ weights @ values), count, weights) < CONTRADICTED
     if stated is None or contradicts:
         ratios = np.insert(np.array(list(product(RATIOS, repeat=2))), main, 1.0, axis=1)
         spreads = (SHARES[:, None, None] * ratios).reshape(-1, 3)
@@ -303,7 +303,9 @@ def _estimate(read: _Readings, shape: FloatArray, main: int, stated: float | Non
     left = remainder @ prior @ remainder.swapaxes(1, 2) + gains @ read.noise @ gains.swapaxes(1, 2)
     off = means - mean
     covariance = np.einsum("g,gij->ij", share, left) + np.einsum("g,gi,gj->ij", share, off, off)
-    lost = read.estimated_noise.lost(np.einsum("g,gij->ij", share, weights), gain[None], np.arange(count))[0]
+    lost = read.estimated_noise.estimation_covariance(
+        np.einsum("g,gij->ij", share, weights), gain[None], np.arange(count)
+    )[0]
     return _Estimate(mean, covariance + lost, gain, contradicts)
 
 

@@ -30,6 +30,7 @@ UNCERTAIN_FOCAL_LENGTH = DeclaredNotice(
     "SC-253",
     "warning",
     "The standard uncertainty of {parameter} is {u_percent:.1f} % (k = 1).",
+    effect="Distances, and so all positions, scale with it.",
     remedy="Add tilted views at other distances.",
     link="cameras.md#how-a-good-session-looks",
 )
@@ -53,10 +54,10 @@ FOCAL_DRIFT = DeclaredNotice(
 MODEL_DIFFERENCE = DeclaredNotice(
     "SC-256",
     "warning",
-    "A {shape} target with a {lens} lens gives {differences}.",
+    "A {shape} target with a {lens} lens changes the results: {differences}.",
     effect="Views left out are predicted to {used_px:.3f} px by the model used ({used_shape}, {used_lens}), and to "
     "{other_px:.3f} px by this one.",
-    remedy="State the model that describes target and lens by `--shape` and `--lens`.",
+    remedy="Prefer the model with the smaller prediction residual (`--shape`, `--lens`).",
     link="cameras.md#how-it-is-calculated",
 )
 PARAMETERS_UNDETERMINED = DeclaredNotice(
@@ -64,6 +65,7 @@ PARAMETERS_UNDETERMINED = DeclaredNotice(
     "note",
     "These views do not determine {parameters}.",
     effect="Their values are those of an ordinary lens.",
+    remedy="Add views with points near the edges of the image, and views tilted by 20°.",
     link="cameras.md#how-it-is-calculated",
 )
 PARAMETERS_INDISTINCT = DeclaredNotice(

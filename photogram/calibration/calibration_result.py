@@ -29,6 +29,7 @@ from photogram.targets.target_view import Target
 from shakercal._common.notices import Notice
 
 ParameterState = Literal["determined", "indistinct", "undetermined"]
+"""Whether the views determine a parameter."""
 
 
 @dataclass(frozen=True)
@@ -143,7 +144,7 @@ class Calibration(Arrays, shapes="shape_index P 2; shape_m P 3"):
     shape_index, shape_m : (P, 2) lattice indices and (P, 3) estimated positions of the target's points.
     shape_u_m : (P, 3), their standard uncertainties; None without offsets of the points.
     scale_u : Relative standard uncertainty of the target's spacing, included in the rig's covariance.
-    coverage : (left, right), share of each image's area in cells with points.
+    image_coverage : (left, right), share of each image's area in cells with points.
     cross_validation : Consistency of the views.
     """
 
@@ -159,7 +160,7 @@ class Calibration(Arrays, shapes="shape_index P 2; shape_m P 3"):
     shape_index: IntArray
     shape_m: FloatArray
     scale_u: float
-    coverage: tuple[float, float]
+    image_coverage: tuple[float, float]
     rejections: tuple[Rejection, ...]
     notices: tuple[Notice, ...]
     cross_validation: CrossValidation | None = None
@@ -172,7 +173,7 @@ class Calibration(Arrays, shapes="shape_index P 2; shape_m P 3"):
 
 
 COVERAGE_CELLS = (8, 6)  # columns and rows of the cells for the coverage
-_NO_TURN_RAD = np.radians(2.0)  # rms tilt below which focal lengths are undetermined
+_MIN_TILT_RAD = np.radians(2.0)  # rms tilt below which focal lengths are undetermined
 
 
 def coverage_share(images: Sequence[CalibratedImage], size_px: IntArray) -> float:
@@ -183,8 +184,8 @@ def coverage_share(images: Sequence[CalibratedImage], size_px: IntArray) -> floa
     return len(np.unique(inside, axis=0)) / (COVERAGE_CELLS[0] * COVERAGE_CELLS[1])
 
 
-def spread_of_turns(poses: Sequence[RigidTransform]) -> tuple[FloatArray, FloatArray]:
-    """Return the spread (2,) of the target's normal in rad and its directions."""
+def tilt_spread(poses: Sequence[RigidTransform]) -> tuple[FloatArray, FloatArray]:
+    """Return rms tilts (2,) of the target's normal in rad, ascending, and their axes (2, 2)."""
     normal = np.array([pose.rotation[:, 2] * np.sign(pose.rotation[2, 2]) for pose in poses])
     variance, axes = np.linalg.eigh(np.cov(normal[:, :2].T, bias=True))
     return np.sqrt(np.maximum(variance, 0.0)), axes
@@ -192,8 +193,8 @@ def spread_of_turns(poses: Sequence[RigidTransform]) -> tuple[FloatArray, FloatA
 
 def check_view_angles(poses: Sequence[RigidTransform]) -> None:
     """Raise `ValueError` if all views have nearly the same angle to the target."""
-    spread, _ = spread_of_turns(poses)
-    if spread.max() < _NO_TURN_RAD:
+    spread, _ = tilt_spread(poses)
+    if spread.max() < _MIN_TILT_RAD:
         raise ValueError(
             f"all {len(poses)} views have nearly the same angle to the target ({np.degrees(spread.max()):.1f}° rms), "
             "which does not determine the cameras; add views tilted by 20° or more about both axes of the image"
@@ -203,15 +204,15 @@ def check_view_angles(poses: Sequence[RigidTransform]) -> None:
 # Determined parameters, coverage, and notices of a session.
 
 _UNDETERMINED = 0.5  # share of the prior's standard deviation above which a parameter is undetermined
-_DISTINCT = 2.0  # standard uncertainties beyond which a distortion differs from zero
+_SIGNIFICANT_DISTORTION_U = 2.0  # standard uncertainties beyond which a distortion differs from zero
 _MANY_VIEWS = 8  # views from which leave-one-out tests are useful
-_LITTLE_TURN_RAD = np.radians(5.0)  # rms tilt about one axis for a warning
-_ENOUGH_COVER = 0.6  # share of covered cells below which a warning is given
+_LOW_TILT_RAD = np.radians(5.0)  # rms tilt about one axis for a warning
+_MIN_IMAGE_COVERAGE = 0.6  # share of covered cells below which a warning is given
 _FOCAL_U = 0.005  # relative standard uncertainty of a focal length for a warning
-_FOCAL_LIMIT = 0.05  # and for a refusal of the calibration
-_ADDED_PX = 0.15  # noise in addition to that of the images, per coordinate, for a warning
+_MAX_FOCAL_U = 0.05  # relative standard uncertainty above which the calibration is refused
+_EXCESS_NOISE_PX = 0.15  # noise in addition to that of the images, per coordinate, for a warning
 _UNITS = {"f": "px", "c": "px", "s": "px", "k": "1", "p": "1"}
-_SQUARE = 1e-3  # relative tolerance of square pixels
+_ASPECT_TOLERANCE = 1e-3  # relative tolerance of square pixels
 
 
 def rig_parameters(rig: StereoRig, prior_sigma: FloatArray) -> tuple[CalibrationParameter, ...]:
@@ -231,7 +232,7 @@ def rig_parameters(rig: StereoRig, prior_sigma: FloatArray) -> tuple[Calibration
         state: ParameterState = "determined"
         if u > 0 and u > _UNDETERMINED * prior_sigma[number]:
             state = "undetermined"
-        elif lens and kind in "kp" and abs(value) < _DISTINCT * u:
+        elif lens and kind in "kp" and abs(value) < _SIGNIFICANT_DISTORTION_U * u:
             state = "indistinct"
         parameters.append(CalibrationParameter(name, float(value), u, unit, state))
     return tuple(parameters)
@@ -240,7 +241,7 @@ def rig_parameters(rig: StereoRig, prior_sigma: FloatArray) -> tuple[Calibration
 def check_focal_lengths(parameters: Sequence[CalibrationParameter]) -> None:
     """Raise `ValueError` if the views do not determine a focal length."""
     for item in parameters:
-        if item.name.endswith((".fx", ".fy")) and not item.u < _FOCAL_LIMIT * item.value:
+        if item.name.endswith((".fx", ".fy")) and not item.u < _MAX_FOCAL_U * item.value:
             raise ValueError(
                 f"the views do not determine {item.name}: {item.value:.0f} px, standard uncertainty {item.u:.0f} px; "
                 "add views tilted by 20° or more about both axes of the image, and at other distances"
@@ -251,7 +252,7 @@ def session_notices(calibration: Calibration) -> tuple[Notice, ...]:
     """Return the notices of a calibration."""
     notices = [*_view_notices(calibration), *_parameter_notices(calibration), *_target_notices(calibration)]
     worst = max(calibration.added_px)
-    if worst >= _ADDED_PX:
+    if worst >= _EXCESS_NOISE_PX:
         notices.append(Notice(EXCESS_NOISE, "residuals", added_px=worst))
     if calibration.scale_u == 0 and not calibration.single:
         notices.append(Notice(SPACING_UNCERTAINTY_UNSTATED, "scale"))
@@ -265,21 +266,21 @@ def _view_notices(calibration: Calibration) -> Iterator[Notice]:
         yield Notice(
             FEW_VIEWS, "views", count=pairs, kind="views" if calibration.single else "pairs", least=_MANY_VIEWS
         )
-    spread, axes = spread_of_turns([view.left_from_target for view in calibration.views])
-    if spread[0] < _LITTLE_TURN_RAD:
+    spread, axes = tilt_spread([view.left_from_target for view in calibration.views])
+    if spread[0] < _LOW_TILT_RAD:
         axis = "vertical" if abs(axes[0, 0]) > abs(axes[1, 0]) else "horizontal"
         yield Notice(LITTLE_TILT, "views", spread_deg=float(np.degrees(spread[0])), axis=axis)
-    for side, share in zip(("left", "right"), calibration.coverage, strict=True):
-        if share < _ENOUGH_COVER:
+    for side, share in zip(("left", "right"), calibration.image_coverage, strict=True):
+        if share < _MIN_IMAGE_COVERAGE:
             yield Notice(LOW_COVERAGE, side, share_percent=100 * share, side=side)
 
 
 def _parameter_notices(calibration: Calibration) -> Iterator[Notice]:
-    """Yield notices of uncertain parameters, drifts and alternative models."""
+    """Yield notices of parameters, pixel aspect, drift and alternative models."""
     for item in calibration.parameters:
         if item.name.endswith((".fx", ".fy")) and item.u > _FOCAL_U * item.value:
             yield Notice(UNCERTAIN_FOCAL_LENGTH, item.name, parameter=item.name, u_percent=100 * item.u / item.value)
-    yield from (*_aspects(calibration.rig), *_drifts(calibration), *_differences(calibration))
+    yield from (*_aspect_notices(calibration.rig), *_drift_notices(calibration), *_model_notices(calibration))
     for state, declared in (("undetermined", PARAMETERS_UNDETERMINED), ("indistinct", PARAMETERS_INDISTINCT)):
         names = [item.name for item in calibration.parameters if item.state == state]
         if names:
@@ -296,7 +297,7 @@ def _target_notices(calibration: Calibration) -> Iterator[Notice]:
         yield Notice(TARGET_DEVIATION, "target", x_um=rms[0], y_um=rms[1], z_um=rms[2], digits=digits)
 
 
-def _aspects(rig: StereoRig) -> Iterator[Notice]:
+def _aspect_notices(rig: StereoRig) -> Iterator[Notice]:
     """Yield a notice of focal lengths whose ratio contradicts square pixels."""
     for side, camera, indices in (("left", rig.left, LEFT), ("right", rig.right, RIGHT)):
         if rig.covariance is None or not rig.covariance[indices[0], indices[0]] > 0:
@@ -304,11 +305,11 @@ def _aspects(rig: StereoRig) -> Iterator[Notice]:
         fx, fy = camera.parameters[:2]
         slope = np.array([1 / fy, -fx / fy**2])
         ratio, u = fx / fy, float(np.sqrt(slope @ rig.covariance[np.ix_(indices[:2], indices[:2])] @ slope))
-        if abs(ratio - 1) > 2 * np.hypot(u, _SQUARE):
+        if abs(ratio - 1) > 2 * np.hypot(u, _ASPECT_TOLERANCE):
             yield Notice(ASPECT_RATIO, side, side=side, ratio=ratio, expanded=2 * u)
 
 
-def _drifts(calibration: Calibration) -> Iterator[Notice]:
+def _drift_notices(calibration: Calibration) -> Iterator[Notice]:
     """Yield a notice of focal lengths that changed during the session."""
     if calibration.cross_validation is None or calibration.cross_validation.drift is None:
         return
@@ -317,7 +318,7 @@ def _drifts(calibration: Calibration) -> Iterator[Notice]:
         yield Notice(FOCAL_DRIFT, side, side=side, change_percent=100 * value, expanded_percent=200 * u)
 
 
-def _differences(calibration: Calibration) -> Iterator[Notice]:
+def _model_notices(calibration: Calibration) -> Iterator[Notice]:
     """Yield a notice of each alternative model that differs beyond the expanded uncertainty."""
     used, sigma = calibration.cross_validation, calibration.rig.covariance
     if used is None or sigma is None:
@@ -345,7 +346,7 @@ def _differences(calibration: Calibration) -> Iterator[Notice]:
 
 
 def _main_values(rig: StereoRig) -> dict[str, float]:
-    """Return focal lengths in px and the baseline in mm."""
+    """Return both fx in px and the baseline in mm."""
     focal = {f"{side}.fx / px": camera.matrix[0, 0] for side, camera in (("left", rig.left), ("right", rig.right))}
     return {**focal, "baseline / mm": 1e3 * float(np.linalg.norm(rig.right_from_left.translation_m))}
 

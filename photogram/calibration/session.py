@@ -92,10 +92,10 @@ def calibrate_pair(
 
     Examples
     --------
-    >>> from photogram.synthetic.board import random_poses, random_rig, seen_session
+    >>> from photogram.synthetic.board import random_poses, random_rig, simulate_session
     >>> rng, board, size = np.random.default_rng(1), Board(Target("chessboard", 9e-3, (8, 6))), np.array([1280, 1024])
     >>> rig = random_rig(rng, size, field_m=0.12)
-    >>> pairs = seen_session(rng, rig, random_poses(rng, rig, board, 8), board, noise_px=0.02)
+    >>> pairs = simulate_session(rng, rig, random_poses(rng, rig, board, 8), board, noise_px=0.02)
     >>> calibration = calibrate_pair(pairs, board.target, shape="flat")
     >>> calibration.rms_px < 0.03
     True
@@ -408,7 +408,7 @@ def _result(fit: _Fit, others: Sequence[_Fit], target: Target, scale_u: float) -
         shape_index=bundle.shape.index,
         shape_m=bundle.shape.points_m,
         scale_u=scale_u,
-        coverage=(
+        image_coverage=(
             coverage_share(by_side[0], rig.left.size_px),
             coverage_share(by_side[1], rig.right.size_px) if by_side[1] else float("nan"),
         ),

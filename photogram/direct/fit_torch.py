@@ -192,18 +192,16 @@ def fit_frames(
         active = active[solvable & ~found]
         if len(active) == 0:
             break
-    turns, shifts, both, slopes_and_steps, levels, cells = (
-        part.cpu().numpy() for part in (rotation, shift, matrices, slopes, scales, counts)
-    )
+    found_on_device = (rotation, shift, matrices, slopes, scales, counts)
+    turns, shifts, both, slopes_and_steps, levels, cells = (part.cpu().numpy() for part in found_on_device)
     fits: list[DirectFit | None] = [None] * len(starts)
     fitted = np.flatnonzero(np.isfinite(levels))
     whole, level = both[:, fitted], levels[fitted]
     each, size = level[:, None, None], slice(6)
     rotations = turns[fitted], vector_from_rotation(turns[fitted])
     covariances = each * pose_covariance(whole[0, :, size, size], each * whole[1, :, size, size], *rotations)
-    amplitudes, of_shapes = estimate_shape_amplitudes(
-        slopes_and_steps[1, fitted, :6], slopes_and_steps[0, fitted], (whole[0], whole[1]), level
-    )
+    steps, gradients = slopes_and_steps[1, fitted, :6], slopes_and_steps[0, fitted]
+    amplitudes, of_shapes = estimate_shape_amplitudes(steps, gradients, (whole[0], whole[1]), level)
     for k, f in enumerate(fitted):
         moved = RigidTransform(turns[f], shifts[f])
         fits[f] = DirectFit(moved, covariances[k], float(level[k]), int(cells[f]), amplitudes[k], of_shapes[k])

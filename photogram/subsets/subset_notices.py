@@ -16,7 +16,7 @@ UNRESOLVED_TEXTURE = DeclaredNotice(
     "beyond 0.4 cycles per pixel.",
     effect="Positions may err by {subset_bias_px:.2g} px per subset and {mean_bias_px:.2g} px in the mean of all, "
     "periodic in the pixel. The error appears as false harmonics of the motion.",
-    remedy="Use speckle of 4 to 5 px with soft rims, or defocus slightly.",
+    remedy="Use speckle of 3 to 5 px with soft rims, or defocus slightly.",
     link="tracking.md#interpolation",
 )
 LOST_SUBSETS = DeclaredNotice(

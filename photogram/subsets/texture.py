@@ -20,13 +20,13 @@ Image = NDArray[Any]
 COARSE_WINDOW_PX = 9  # two usual speckles
 FINE_WINDOW_PX = 5  # one usual speckle
 RIM_PX = 6  # 2 px reach of the fine window, 4 px blurred rim
-CLEAR_SEPARATION = 3.0  # factor between the contrasts of body and background
-SMALLEST_SHARE = 0.2  # of the largest part's pixels, for a part of the body
+MIN_CONTRAST_RATIO = 3.0  # factor between the contrasts of body and background
+MIN_PART_SHARE = 0.2  # of the largest part's pixels, for a part of the body
 TILE_PX = 32  # of spectra: several speckles, many tiles
-FINE_TEXTURE = 0.4  # cycles per pixel, next to the Nyquist frequency
+FINE_CYCLES = 0.4  # cycles per pixel, next to the Nyquist frequency
 SATURATED_SHARE = 0.01  # of a subset's pixels, which biases it by less than noise
-REPEAT_SEEDS, REPEAT_ZNCC = 12, 0.75  # subsets that are examined; correlation of a copy between two pixels
-MAX_STEPS = 8  # displacements to the nearest copies of a pattern
+REPEAT_TEMPLATES, REPEAT_ZNCC = 12, 0.75  # subsets whose copies are searched for; least correlation of a copy
+MAX_REPEAT_STEPS = 8  # displacements to the nearest copies of a pattern
 
 
 def textured_area(image: Image) -> BoolArray:
@@ -43,23 +43,23 @@ def textured_area(image: Image) -> BoolArray:
     coarse, fine = (_textured(image, window) for window in (COARSE_WINDOW_PX, FINE_WINDOW_PX))
     if coarse is None:
         return np.ones(image.shape, dtype=np.bool_)
-    body = _morphed(_closed(coarse, COARSE_WINDOW_PX), "OPEN", COARSE_WINDOW_PX)
+    body = _apply_morphology(_fill_holes(coarse, COARSE_WINDOW_PX), "OPEN", COARSE_WINDOW_PX)
     if fine is not None:
-        core = _morphed(np.pad(body, 1), "ERODE", COARSE_WINDOW_PX)[1:-1, 1:-1]
-        body = _morphed(core | (body & _closed(fine, FINE_WINDOW_PX)), "OPEN", COARSE_WINDOW_PX)
-    mask = _morphed(body, "ERODE", RIM_PX)
+        core = _apply_morphology(np.pad(body, 1), "ERODE", COARSE_WINDOW_PX)[1:-1, 1:-1]
+        body = _apply_morphology(core | (body & _fill_holes(fine, FINE_WINDOW_PX)), "OPEN", COARSE_WINDOW_PX)
+    mask = _apply_morphology(body, "ERODE", RIM_PX)
     # connected parts that have at least a fifth of the largest one's pixels
     _, labels, parts, _ = cv2.connectedComponentsWithStats(mask.astype(np.uint8), connectivity=4)
     sizes = parts[:, cv2.CC_STAT_AREA]
-    return np.asarray((sizes >= SMALLEST_SHARE * sizes[1:].max(initial=0))[labels] & mask)
+    return np.asarray((sizes >= MIN_PART_SHARE * sizes[1:].max(initial=0))[labels] & mask)
 
 
-def lay_grid(area: BoolArray, radius_px: int, step_px: int) -> FloatArray:
-    """Return centres (N,2) of as many square subsets as fit wholly into `area` (H,W).
+def place_subsets(area: BoolArray, radius_px: int, step_px: int) -> FloatArray:
+    """Place as many square subsets as possible wholly inside `area` (H, W).
 
-    In each row subsets are placed from left to right at least `step_px` from each other. The heights of the rows, with
-    the same distance, are those with the largest total (dynamic programming), so that round bodies are covered to their
-    edge.
+    Returned are their centres (N, 2). In each row subsets are placed from left to right at least `step_px` from each
+    other. The heights of the rows, with the same distance, are those with the largest total (dynamic programming), so
+    that round bodies are covered to their edge.
     """
     import cv2
 
@@ -114,8 +114,8 @@ def find_saturated(image: Image, full_scale: int, points_px: FloatArray, radius_
     return np.asarray(subset_mean(image >= full_scale, points_px, radius_px) > SATURATED_SHARE)
 
 
-def drop_saturated(reference: ReferenceSubsets, image: Image, full_scale: int) -> ReferenceSubsets:
-    """Return `reference` without NaN centres and saturated subsets."""
+def mark_unusable(reference: ReferenceSubsets, image: Image, full_scale: int) -> ReferenceSubsets:
+    """Set the status of saturated subsets and of subsets without a centre."""
     absent = ~np.isfinite(reference.centre_px).all(axis=1)
     full = find_saturated(image, full_scale, reference.centre_px, reference.radius_px)
     status = np.where(full, np.int8(TrackStatus.SATURATED), reference.status)
@@ -123,9 +123,9 @@ def drop_saturated(reference: ReferenceSubsets, image: Image, full_scale: int) -
 
 
 def speckle_size(image: Image, area: BoolArray) -> float:
-    """Return the speckle size in px inside `area` (H, W).
+    """Return the full width at half maximum of the autocorrelation in `area`.
 
-    It is the full width at half maximum of the texture's autocorrelation. The value at lag 0, raised by noise, is
+    `area` (H, W) is the mask of the texture; the width is in px. The value at lag 0, raised by noise, is
     replaced by the Gaussian through lags 1 and 2 where that is lower. Between lags the logarithm is linear in the
     squared lag.
     """
@@ -155,7 +155,7 @@ def speckle_size(image: Image, area: BoolArray) -> float:
     return float(2.0 * np.sqrt((after - 1) ** 2 + part * (2 * after - 1)))
 
 
-def repeat_px(image: Image, points_px: FloatArray, radius_px: int) -> float:
+def repeat_distance_px(image: Image, points_px: FloatArray, radius_px: int) -> float:
     """Return the distance in px at which the pattern repeats, NaN if it does not.
 
     It is the median distance to the nearest copy of some of the subsets at points_px (N, 2). A third of them must have
@@ -185,7 +185,7 @@ def repeat_steps_px(image: Image, points_px: FloatArray, radius_px: int) -> Floa
             >= len(copies) / 3
         ):
             steps += [step, -step]
-        if len(steps) >= MAX_STEPS:
+        if len(steps) >= MAX_REPEAT_STEPS:
             break
     return np.array(steps).reshape(-1, 2)
 
@@ -200,7 +200,8 @@ def _copies_px(image: Image, points_px: FloatArray, radius_px: int) -> list[Floa
     grey = image.astype(np.float32)
     side, copies = 2 * radius_px + 1, []
     inside = points_px[((points_px >= radius_px) & (points_px < np.array(grey.shape[::-1]) - radius_px)).all(axis=1)]
-    for x, y in np.rint(inside[:: max(1, len(inside) // REPEAT_SEEDS)][:REPEAT_SEEDS]).astype(np.int64) - radius_px:
+    chosen = inside[:: max(1, len(inside) // REPEAT_TEMPLATES)][:REPEAT_TEMPLATES]
+    for x, y in np.rint(chosen).astype(np.int64) - radius_px:
         score = cv2.matchTemplate(grey, grey[y : y + side, x : x + side], cv2.TM_CCOEFF_NORMED)
         displacement = score_peaks(score, REPEAT_ZNCC) - np.array([x, y], dtype=np.float64)
         copies.append(displacement[np.hypot(*displacement.T) > radius_px])
@@ -219,7 +220,7 @@ def fine_texture_share(image: Image, area: BoolArray, noise_grey: float) -> floa
         return float("nan")
     power = density - noise_grey**2
     frequency = np.abs(np.fft.fftfreq(TILE_PX))
-    fine = np.maximum.outer(frequency, frequency) > FINE_TEXTURE
+    fine = np.maximum.outer(frequency, frequency) > FINE_CYCLES
     return float(max(0.0, power[fine].sum()) / power.sum()) if power.sum() > 0.0 else float("nan")
 
 
@@ -236,21 +237,21 @@ def _textured(image: Image, window_px: int) -> BoolArray | None:
     textured: BoolArray = contrast > threshold_otsu(contrast)
     if textured.all() or not textured.any():
         return None
-    if contrast[textured].mean() - contrast[~textured].mean() < np.log(CLEAR_SEPARATION):
+    if contrast[textured].mean() - contrast[~textured].mean() < np.log(MIN_CONTRAST_RATIO):
         return None
     return textured
 
 
-def _closed(mask: BoolArray, radius_px: int) -> BoolArray:
+def _fill_holes(mask: BoolArray, radius_px: int) -> BoolArray:
     """Return the mask with gaps and holes filled; beyond the image it is empty."""
     import cv2
 
-    closed = _morphed(np.pad(mask, 2 * radius_px), "CLOSE", radius_px).astype(np.uint8)
+    closed = _apply_morphology(np.pad(mask, 2 * radius_px), "CLOSE", radius_px).astype(np.uint8)
     cv2.floodFill(closed, None, (0, 0), 2)  # all that is connected with the outside
     return closed[2 * radius_px : -2 * radius_px, 2 * radius_px : -2 * radius_px] < 2
 
 
-def _morphed(mask: BoolArray, operation: str, radius_px: int) -> BoolArray:
+def _apply_morphology(mask: BoolArray, operation: str, radius_px: int) -> BoolArray:
     """Return the mask after OpenCV's `operation` with a disc; the image's border is no outline."""
     import cv2
 
@@ -266,7 +267,7 @@ def _lagged_products(values: FloatArray, lag: int) -> float:
 
 
 def _blurred(values: FloatArray) -> FloatArray:
-    """Blur values as by a Gaussian of σ = 32 px: three box means.
+    """Blur by three box means, approximately a Gaussian of σ = 32 px.
 
     Wells 1986, IEEE Trans. PAMI 8, 234.
     """
@@ -281,14 +282,14 @@ def _blurred(values: FloatArray) -> FloatArray:
 
 USUAL_RADIUS_PX = 10  # for speckle of 4 to 5 px
 SMALLEST_RADIUS_PX, LARGEST_RADIUS_PX = 7, 25  # for noise and aliasing, and for the rim of the body
-FEWEST_SPECKLES, MOST_SPECKLES = 4.2, 5.25  # across a subset, measured: see `default_radius_px`
+FEWEST_SPECKLES, MOST_SPECKLES = 4.2, 5.25  # across a subset, measured: see `radius_from_speckle_px`
 SMALLEST_SPECKLE_PX = 3.0  # iDICs Good Practices Guide: 3 to 5 px
-LARGEST_BIAS_PX = 5e-4  # of the mean of all subsets, of the order of its noise
-STEEP = 0.25  # cycles per pixel from which on the decay of the spectrum is fitted
-CORNER = 0.4  # cycles per pixel in x and y, beyond which the spectrum is mainly noise
-RIM_EXPONENT = 2.0  # of the spectrum of sharp rims
-SCATTER = 0.2  # relative, of a periodogram's bins, for weights
-DECAYS = np.concatenate([[0.0], np.geomspace(0.5, 400.0, 120)])
+MAX_MEAN_BIAS_PX = 5e-4  # of the mean of all subsets, of the order of its noise
+TAIL_START_CYCLES = 0.25  # cycles per pixel, from which on the decay of the spectrum is fitted
+NOISE_CORNER_CYCLES = 0.4  # cycles per pixel in x and y, beyond which the spectrum is mainly noise
+EDGE_POWER_EXPONENT = 2.0  # of the frequency in the power spectrum of sharp rims
+PERIODOGRAM_REL_STD = 0.2  # relative standard deviation of a periodogram's bins, for weights
+BLUR_DECAYS = np.concatenate([[0.0], np.geomspace(0.5, 400.0, 120)])  # trial values of c in exp(−cν²)
 REASONS = {
     TrackStatus.FLAT: "without texture",
     TrackStatus.SATURATED: "saturated",
@@ -337,7 +338,7 @@ def assess_subsets(reference: ReferenceSubsets, image: Image, noise: NoiseModel,
     check_shape("image", image, (None, None))
     grey = image.astype(np.float64)
     level = noise.variance(grey)
-    status = drop_saturated(reference, image, full_scale).status
+    status = mark_unusable(reference, image, full_scale).status
     variance = np.empty((len(status), 2))
     for i, slope in enumerate(np.gradient(grey)[::-1]):
         weight = subset_mean(slope**2, reference.centre_px, reference.radius_px)
@@ -348,7 +349,7 @@ def assess_subsets(reference: ReferenceSubsets, image: Image, noise: NoiseModel,
     return SubsetQuality(predicted, np.sqrt(variance.mean(axis=1)), status)
 
 
-def default_radius_px(speckle_px: float) -> int:
+def radius_from_speckle_px(speckle_px: float) -> int:
     """Return the radius of a subset 4.2 to 5.25 speckles wide, in px.
 
     It is at least 7 and at most 25 px. It is as near to 10 px as possible. Fewer speckles do not determine affine map,
@@ -363,9 +364,9 @@ def default_radius_px(speckle_px: float) -> int:
     return min(max(radius, SMALLEST_RADIUS_PX), LARGEST_RADIUS_PX)
 
 
-def suggested_radius_px(image: Image) -> int:
-    """Return `default_radius_px` of the speckle size in the textured area of image (H, W)."""
-    return default_radius_px(speckle_size(image, textured_area(image)))
+def radius_from_image_px(image: Image) -> int:
+    """Return the radius for the speckle size in the textured area of image (H, W)."""
+    return radius_from_speckle_px(speckle_size(image, textured_area(image)))
 
 
 @dataclass(frozen=True)
@@ -381,9 +382,9 @@ class AliasingBias:
 
 
 def aliasing_bias(image: Image, area: BoolArray, noise_grey: float, radius_px: int, degree: int = 5) -> AliasingBias:
-    """Return the error of subsets in `area` (H, W) due to sampling and spline interpolation.
+    """Predict the periodic position error due to sampling and spline interpolation.
 
-    NaN if `area` of `image` (H, W) is too small.
+    It is that of subsets in `area` (H, W), NaN if `area` of `image` (H, W) is too small.
 
     Texture of frequency ν along x, shifted by u, is found by a spline at a pixel shifted by u as F(ν)·[1 + W·(e^{∓2πju}
     − 1)]: W(ν) = H(ν−1), H the frequency response of the cardinal spline (Unser 1999, IEEE Signal Process. Mag. 16(6),
@@ -400,7 +401,7 @@ def aliasing_bias(image: Image, area: BoolArray, noise_grey: float, radius_px: i
     power = _periodogram(image, area, TILE_PX // 2)
     if power is None:
         return AliasingBias(float("nan"), float("nan"))
-    fine = np.abs(np.fft.fftfreq(TILE_PX)) > CORNER
+    fine = np.abs(np.fft.fftfreq(TILE_PX)) > NOISE_CORNER_CYCLES
     floor_power = float(power[np.ix_(fine, fine)].mean())
     floor_power = min(floor_power, noise_grey**2) if np.isfinite(noise_grey) else floor_power
     pixels = ((2 * radius_px + 1) ** 2, degree)
@@ -416,7 +417,7 @@ def aliasing_notice(
     The limits are a speckle size of 3 px and a mean bias of 0.5 mpx. `speckle_px`, `bias`: the `speckle_size` and the
     `aliasing_bias` of image (H, W) in `area` (H, W).
     """
-    if not (speckle_px < SMALLEST_SPECKLE_PX or bias.mean_px > LARGEST_BIAS_PX):
+    if not (speckle_px < SMALLEST_SPECKLE_PX or bias.mean_px > MAX_MEAN_BIAS_PX):
         return None
     share = fine_texture_share(image, area, float(np.nan_to_num(noise_grey)))
     return Notice(
@@ -436,7 +437,7 @@ def _periodogram(image: Image, area: BoolArray, step_px: int) -> FloatArray | No
     """
     half = TILE_PX // 2
     window = np.outer(np.hanning(TILE_PX + 1)[:-1], np.hanning(TILE_PX + 1)[:-1])
-    centres = lay_grid(area, half, step_px).astype(np.int64)
+    centres = place_subsets(area, half, step_px).astype(np.int64)
     if len(centres) == 0:
         return None
     tiles = np.stack([image[y - half : y + half, x - half : x + half] for x, y in centres]).astype(np.float64)
@@ -452,7 +453,7 @@ def _axis_bias(power: FloatArray, noise_power: float, pixels: int, degree: int) 
     along = np.mean(power, axis=0)[: TILE_PX // 2 + 1] - noise_power
     frequency = np.arange(TILE_PX // 2 + 1) / TILE_PX
     aliased = _aliased_share(frequency, along, noise_power)
-    image, alias = _spline_response(frequency - 1.0, degree), _spline_response(-frequency, degree)
+    replica, alias = _spline_response(frequency - 1.0, degree), _spline_response(-frequency, degree)
     # Slope of the spline through cos 2πνn at the pixels, relative to −sin 2πνn: Σ_k 2π(ν+k)·H(ν+k)
     terms = [2.0 * np.pi * (frequency + k) * _spline_response(frequency + k, degree) for k in range(-8, 9)]
     slope = np.asarray(np.sum(terms, axis=0))
@@ -461,10 +462,10 @@ def _axis_bias(power: FloatArray, noise_power: float, pixels: int, degree: int) 
     total = np.sum(count * along * slope**2)
     if total <= 0.0:
         return float("nan"), float("nan")
-    parts = np.array([np.sum(count * along * slope * w) for w in ((1.0 - aliased) * image, aliased * alias)])
+    parts = np.array([np.sum(count * along * slope * w) for w in ((1.0 - aliased) * replica, aliased * alias)])
     mean = float(np.max(parts) / total)
     every = np.abs(np.rint(np.fft.fftfreq(TILE_PX) * TILE_PX)).astype(np.int64)
-    error = ((1.0 - aliased) * image**2 + aliased * alias**2)[every]
+    error = ((1.0 - aliased) * replica**2 + aliased * alias**2)[every]
     steep = clean * slope[every] ** 2
     scattered = float(np.sqrt(2.0 * np.mean(steep * clean * error) / pixels) / np.mean(steep))
     return mean, float(np.hypot(mean, scattered))
@@ -475,11 +476,13 @@ def _aliased_share(frequency: FloatArray, along: FloatArray, noise_power: float)
 
     Frequencies go up to 0.5. The share is zero below 0.25.
     """
-    tail = frequency >= STEEP
+    tail = frequency >= TAIL_START_CYCLES
     nu = frequency[tail]
-    inside = np.exp(-np.multiply.outer(DECAYS, nu**2)) * nu**-RIM_EXPONENT * np.sinc(nu) ** 2
-    beyond = np.exp(-np.multiply.outer(DECAYS, (1 - nu) ** 2)) * (1 - nu) ** -RIM_EXPONENT * np.sinc(1 - nu) ** 2
-    weight = 1.0 / (SCATTER * np.maximum(along[tail], 0.0) + 0.05 * noise_power + 1e-9 * along.max()) ** 2
+    inside = np.exp(-np.multiply.outer(BLUR_DECAYS, nu**2)) * nu**-EDGE_POWER_EXPONENT * np.sinc(nu) ** 2
+    beyond = (
+        np.exp(-np.multiply.outer(BLUR_DECAYS, (1 - nu) ** 2)) * (1 - nu) ** -EDGE_POWER_EXPONENT * np.sinc(1 - nu) ** 2
+    )
+    weight = 1.0 / (PERIODOGRAM_REL_STD * np.maximum(along[tail], 0.0) + 0.05 * noise_power + 1e-9 * along.max()) ** 2
     model = inside + beyond
     height = np.maximum((model * weight) @ along[tail], 0.0) / np.sum(model**2 * weight, axis=1)
     misfit = np.sum(weight * (along[tail] - height[:, None] * model) ** 2, axis=1)

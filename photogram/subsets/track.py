@@ -35,10 +35,10 @@ from photogram.subsets.sweep import TOLERANCE_PX
 from photogram.subsets.texture import (
     aliasing_bias,
     aliasing_notice,
-    drop_saturated,
     find_saturated,
-    lay_grid,
-    repeat_px,
+    mark_unusable,
+    place_subsets,
+    repeat_distance_px,
     speckle_size,
     subset_mean,
     textured_area,
@@ -190,7 +190,7 @@ def prepare_sequence(
     check_shape("points_px", points_px, (None, 2))
     first, spline = frame or first_frame(sequence, settings)
     reference = prepare_reference(spline, points_px, settings.radius_px, settings.shape_order)
-    return drop_saturated(reference, first, sequence.saturation)
+    return mark_unusable(reference, first, sequence.saturation)
 
 
 def follow_sequence(
@@ -262,7 +262,7 @@ def lay_stereo_grid(
         off = float(finite_median(distance))
         accepted &= np.abs(distance - off) <= TOLERANCE_PX
         if abs(off) > 1.0:
-            period = repeat_px(images[0], points, settings.radius_px)
+            period = repeat_distance_px(images[0], points, settings.radius_px)
             if np.isfinite(period):
                 raise BodyNotFound(
                     f"right: expected the body on its epipolar lines, found it {off:.1f} px from them. Its pattern "
@@ -306,7 +306,7 @@ def _textured_grid(name: str, image: Image, settings: TrackSettings) -> tuple[Bo
     area = _inner_area(image)
     chosen = _chosen_part(area.shape, settings)
     area = area if chosen is None else area & chosen
-    points = lay_grid(area, settings.radius_px, settings.grid_step_px)
+    points = place_subsets(area, settings.radius_px, settings.grid_step_px)
     if len(points) < 3:
         raise BodyNotFound(f"left: expected a speckled body, found {len(points)} subsets in {name}")
     return area, points
@@ -434,7 +434,7 @@ class EpipolarMonitor:
         jumps = np.flatnonzero(np.abs(common) > TOLERANCE_PX)
         if not len(jumps):
             return
-        period = repeat_px(image, self._first[0], settings.radius_px)
+        period = repeat_distance_px(image, self._first[0], settings.radius_px)
         if np.isfinite(period):
             raise BodyNotFound(
                 f"right: expected the body where the left camera shows it, found it {abs(common[jumps[0]]):.1f} px "
@@ -463,7 +463,7 @@ def _refuse_jumps(image: Image, first_px: FloatArray, moved: FloatArray, setting
     jump = np.hypot(*(warps[1:] - np.array(predicted).reshape(-1, 1, 6))[:, 0, [0, 3]].T)
     if not (jump > settings.radius_px).any():
         return
-    period = repeat_px(image, first_px, settings.radius_px)
+    period = repeat_distance_px(image, first_px, settings.radius_px)
     jumps = np.flatnonzero(jump > period / 2.0)
     if len(jumps):
         raise BodyNotFound(

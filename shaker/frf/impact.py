@@ -17,7 +17,7 @@ from shaker.frf.frf_notices import (
     SINGLE_HIT,
     SINGLE_HIT_WITHOUT_NOISE,
 )
-from shaker.frf.random import EstimatorSelection, Spectra, choose_estimator, ratio_of
+from shaker.frf.random import EstimatorSelection, Spectra, choose_estimator, estimate_ratio
 from shaker.frf.result import TransferFunction, TransferRecord, circular_covariance, pooled_scatter, share_of_reference
 from shaker.lines.spectrum import hann_window
 from shaker.sine.phasor import Phasors
@@ -192,7 +192,7 @@ def transfer_impact(
     selection = EstimatorSelection("H1", 1.0, ESTIMATOR_FEW_HITS, {"enough": _MANY_HITS})
     if estimator != "auto" or not few:
         selection = choose_estimator(spectra, estimator, 1.0 if few else None, record.reference_name)
-    ratio = ratio_of(spectra, selection)
+    ratio = estimate_ratio(spectra, selection)
     # Correlation of the errors of lines at distances 0, 1, 2 …: with the exponential window, and with the force window.
     square = np.exp(-2.0 * decay * blows.time_s)
     under_window = np.fft.fft(np.roll(square, -int(np.searchsorted(blows.time_s, 0.0))))

@@ -417,8 +417,8 @@ def read_scan_asc(path: Path) -> VibrometerScan:
                 f"found {len(values)} numbers"
             )
         by_rows = count > 1 and widths == {count}
-        shaped = values.reshape(-1, samples, count).swapaxes(1, 2) if by_rows else values.reshape(-1, count, samples)
-        return VibrometerScan(np.array(points), np.ascontiguousarray(shaped), 1.0 / interval)
+        channels = values.reshape(-1, samples, count).swapaxes(1, 2) if by_rows else values.reshape(-1, count, samples)
+        return VibrometerScan(np.array(points), np.ascontiguousarray(channels), 1.0 / interval)
 
 
 def read_scan_channels(path: Path, names: Sequence[str] | None, sample_rate_hz: float | None) -> dict[str, RawChannel]:

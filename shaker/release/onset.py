@@ -12,7 +12,7 @@ from shaker.fitting import BlockJacobian, LinearBlock, LMOptions, SeparablePoint
 from shaker.lti.system import modal_poles
 from shaker.release.load_response import load_rate, load_share, pole_responses
 from shaker.release.poles import ringing_poles
-from shaker.release.record import Location, ReleaseShape
+from shaker.release.record import ApproximateOnset, ReleaseShape
 
 # Fit of the onset and the length of a release from the response of the modes.
 
@@ -317,7 +317,7 @@ _CALM = 1e-3  # gain of a step, in variances of the residual, at which a search 
 
 
 def find_onset(
-    samples: FloatArray, sample_rate_hz: float, start_s: float, location: Location, min_gain: float = _CALM
+    samples: FloatArray, sample_rate_hz: float, start_s: float, location: ApproximateOnset, min_gain: float = _CALM
 ) -> tuple[Window, OnsetTrial]:
     """Return the window around the onset of samples (N,), and its fit.
 
@@ -325,12 +325,12 @@ def find_onset(
     Without ringing, one trial mode is fitted. `min_gain` as in `fit_onset`.
     """
     # a sample that is almost certainly after the release
-    end = location.first + 1.5 * max(location.high - location.first, 4.0)
-    after = int(min(end, location.first + 0.5 * (len(samples) - location.first)))
+    end = location.first_motion + 1.5 * max(location.index_90 - location.first_motion, 4.0)
+    after = int(min(end, location.first_motion + 0.5 * (len(samples) - location.first_motion)))
     poles = ringing_poles(samples[after:] - location.steady, sample_rate_hz, location.noise)
     sets = [poles]
     if not len(poles):  # trial modes with large damping, by the rise time
-        rise_s = max(location.high - location.low, 2.0) / sample_rate_hz
+        rise_s = max(location.index_90 - location.index_10, 2.0) / sample_rate_hz
         frequency = np.minimum(np.array([0.3, 1.0, 3.0]) / rise_s, 0.2 * sample_rate_hz)
         sets = [2 * np.pi * f * np.array([-0.5 + 0.75**0.5 * 1j]) for f in frequency]
     fits = []
@@ -346,14 +346,14 @@ def find_onset(
 
 
 def _window(
-    samples: FloatArray, sample_rate_hz: float, start_s: float, location: Location, poles: ComplexArray
+    samples: FloatArray, sample_rate_hz: float, start_s: float, location: ApproximateOnset, poles: ComplexArray
 ) -> Window:
     """Return the samples around the onset, averaged in blocks if they are denser than necessary."""
     block = max(1, int(2 * np.pi * sample_rate_hz / (_PER_PERIOD * float(np.max(np.abs(poles))))))
-    length = location.high - location.first
+    length = location.index_90 - location.first_motion
     period = 2 * np.pi * sample_rate_hz / float(np.min(np.abs(poles)))
-    margin = int(min(location.first // 2, 2.0 * length + 0.7 * period + 4 * block))
-    low = location.first - margin
+    margin = int(min(location.first_motion // 2, 2.0 * length + 0.7 * period + 4 * block))
+    low = location.first_motion - margin
     count = int(min(len(samples) - low, _MOST * block, margin + 2.0 * length + _PERIODS * period))
     blocks = count // block
     means = np.asarray(samples[low : low + blocks * block].reshape(blocks, block).mean(axis=1))
@@ -366,12 +366,12 @@ def _window(
         rest,
         low / block,
         float(small),
-        _LONGEST * location.longest / sample_rate_hz,
+        _LONGEST * location.max_ramp_samples / sample_rate_hz,
     )
 
 
 def _start(
-    window: Window, location: Location, poles: ComplexArray, sample_rate_hz: float, start_s: float
+    window: Window, location: ApproximateOnset, poles: ComplexArray, sample_rate_hz: float, start_s: float
 ) -> OnsetModel:
     """Return the best of a grid of centres and lengths without lag.
 
@@ -385,8 +385,8 @@ def _start(
         before=window.before / every,
         small=float(window.small / np.sqrt(every)),
     )
-    plain_s = location.longest / sample_rate_hz
-    middle_s = start_s + 0.5 * (location.low + location.high) / sample_rate_hz
+    plain_s = location.max_ramp_samples / sample_rate_hz
+    middle_s = start_s + 0.5 * (location.index_10 + location.index_90) / sample_rate_hz
     early_s = np.linspace(0.0, 0.3 * 2 * np.pi / float(np.min(np.abs(poles))), _CENTRES)
     frequency, damping = np.abs(poles) / (2 * np.pi), -poles.real / np.abs(poles)
     best, least = OnsetModel("ramp", middle_s, plain_s, 0.0, frequency, damping, np.zeros(0)), np.inf

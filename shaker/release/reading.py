@@ -24,13 +24,13 @@ from shaker.release.onset import (
     solve_amplitudes,
 )
 from shaker.release.record import (
+    ApproximateOnset,
     Level,
-    Location,
     ReleaseReading,
     ReleaseShape,
     StepRecord,
     correlation_factor,
-    locate,
+    locate_change,
     ringing_level,
     spectrum_peaks,
 )
@@ -204,10 +204,10 @@ def read_force(force: FloatArray, sample_rate_hz: float, start_s: float) -> Forc
 
     Least squares of level, change, middle and length of `load_share` around the release.
     """
-    location = locate(force)
-    length = max((location.high - location.low) / 0.8, 2.0)
-    low = max(0, int(location.low - _LENGTHS * length - 8))
-    high = min(len(force), int(location.high + _LENGTHS * length + 8))
+    location = locate_change(force)
+    length = max((location.index_90 - location.index_10) / 0.8, 2.0)
+    low = max(0, int(location.index_10 - _LENGTHS * length - 8))
+    high = min(len(force), int(location.index_90 + _LENGTHS * length + 8))
     number, data = np.arange(low, high, dtype=np.float64), force[low:high, None]
 
     def at(times: FloatArray, shape: Literal["ramp", "smooth"]) -> SeparablePoint | None:
@@ -225,7 +225,7 @@ def read_force(force: FloatArray, sample_rate_hz: float, start_s: float) -> Forc
         return SeparablePoint(times, (LinearBlock(design, data, changes),))
 
     def fitted(shape: Literal["ramp", "smooth"]) -> tuple[ForceReading, float]:
-        begin = at(np.array([0.5 * (location.low + location.high), length]), shape)
+        begin = at(np.array([0.5 * (location.index_10 + location.index_90), length]), shape)
         assert begin is not None
         point = levenberg_marquardt(lambda times: at(times, shape), begin, LMOptions()).point
         part = point.solved[0]
@@ -265,11 +265,11 @@ class Timing(Interval):
     misfit: float
 
 
-def locate_channels(record: StepRecord) -> list[Location]:
+def locate_channels(record: StepRecord) -> list[ApproximateOnset]:
     """Return the approximate release of every channel; a record without one is refused."""
     near = None if record.onset_s is None else round((record.onset_s - record.start_s) * record.sample_rate_hz)
-    locations = [locate(samples, near) for samples in record.samples]
-    strength = max(location.strength for location in locations)
+    locations = [locate_change(samples, near) for samples in record.samples]
+    strength = max(location.signal_to_noise for location in locations)
     if strength < STRONG:
         raise ValueError(
             f"record: expected an output that changes by {STRONG:g} standard deviations of its noise or more, found "
@@ -278,7 +278,7 @@ def locate_channels(record: StepRecord) -> list[Location]:
     return locations
 
 
-def timing_of(record: StepRecord, channel: int, location: Location) -> Timing:
+def timing_of(record: StepRecord, channel: int, location: ApproximateOnset) -> Timing:
     """Return the times of a channel's release; a measured force gives start and length."""
     samples, name = record.samples[channel], record.channels[channel]
     window, found = find_onset(samples, record.sample_rate_hz, record.start_s, location)
@@ -291,9 +291,9 @@ def timing_of(record: StepRecord, channel: int, location: Location) -> Timing:
     if crossing is None or times is None:
         # a straight line through 10 % and 90 %
         step_s = 1.0 / record.sample_rate_hz
-        rise_s = max(location.high - location.low, 1.0) * step_s
-        u = float(np.hypot(_ROUGH * location.longest * step_s, step_s))
-        onset_s = record.start_s + location.low * step_s - rise_s / 8.0
+        rise_s = max(location.index_90 - location.index_10, 1.0) * step_s
+        u = float(np.hypot(_ROUGH * location.max_ramp_samples * step_s, step_s))
+        onset_s = record.start_s + location.index_10 * step_s - rise_s / 8.0
         timing = Timing(onset_s, u, rise_s / 0.8, u, name, 0.0, rise_s, u, "ramp", None, 1.0)
     else:
         interval, lag_s = times
@@ -352,7 +352,7 @@ def read_release(record: StepRecord, channel: str) -> ReleaseReading:
         raise ValueError(f"channel: expected one of {', '.join(record.channels)}, found {channel!r}")
     locations = locate_channels(record)
     index = record.channels.index(channel)
-    timed = index if locations[index].strength >= STRONG else _strongest(locations)
+    timed = index if locations[index].signal_to_noise >= STRONG else _strongest(locations)
     return _reading(record, index, locations[index], timing_of(record, timed, locations[timed]))
 
 
@@ -395,19 +395,19 @@ def read_releases(record: StepRecord) -> tuple[ReleaseReading, ...]:
     common = timing_of(record, strongest, locations[strongest])
     readings = []
     for channel, location in enumerate(locations):
-        by_itself = location.strength >= STRONG and channel != strongest
+        by_itself = location.signal_to_noise >= STRONG and channel != strongest
         readings.append(
             _reading(record, channel, location, timing_of(record, channel, location) if by_itself else common)
         )
     return tuple(readings)
 
 
-def _strongest(locations: list[Location]) -> int:
+def _strongest(locations: list[ApproximateOnset]) -> int:
     """Return the channel with the largest change of level over its noise."""
-    return int(np.argmax([location.strength for location in locations]))
+    return int(np.argmax([location.signal_to_noise for location in locations]))
 
 
-def _reading(record: StepRecord, channel: int, location: Location, timing: Timing) -> ReleaseReading:
+def _reading(record: StepRecord, channel: int, location: ApproximateOnset, timing: Timing) -> ReleaseReading:
     """Return the reading of a channel at given times."""
     samples, rate = record.samples[channel], record.sample_rate_hz
     rests_to = (timing.onset_s - 2.0 * timing.u_onset_s - record.start_s) * rate

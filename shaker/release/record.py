@@ -96,7 +96,7 @@ class SpectrumPeak:
 
 @dataclass(frozen=True)
 class ReleaseReading:
-    """One release as one output shows it.
+    """Characteristics of one release, estimated from one output.
 
     Times in s of the record's clock, levels in `unit`. `onset_s`: start of the change of load, `release_s`: its
     duration, `shape`: its time course, with standard uncertainties `u_…`. `baseline`, `steady`: output before and long
@@ -133,45 +133,45 @@ class ReleaseReading:
 
 # Location of the release in a record, without a model.
 
-_FIRST = 0.005  # share of the record that is at rest in the first step of the search
-_LAST = 0.2  # share of the samples after the release that give the new level
-_MOTION = 5.0  # significant deviation of a sample from the baseline, in standard deviations
-_RUN = 3  # successive samples beyond a level
-_GUARD = 0.9  # share of the samples before the first motion that are certainly at rest
+_REST_SHARE = 0.005  # share of the record that is at rest in the first step of the search
+_FINAL_SHARE = 0.2  # share of the samples after the release that give the new level
+_MOTION_SIGMAS = 5.0  # significant deviation of a sample from the baseline, in standard deviations
+_MIN_SUCCESSIVE = 3  # successive samples beyond a level
+_REST_GUARD_SHARE = 0.9  # share of the samples before the first motion that are certainly at rest
 
 
 @dataclass(frozen=True)
-class Location:
+class ApproximateOnset:
     """Approximate location of a release, and levels with the noise of the samples.
 
-    `first`: sample of the first motion above the noise. `low`, `high`: first passage of 10 % and 90 % of the change, in
-    fractional samples.
+    `first_motion`: sample of the first motion above the noise. `index_10`, `index_90`: first passage of 10 % and 90 %
+    of the change, in fractional samples.
     """
 
-    first: int
-    low: float
-    high: float
+    first_motion: int
+    index_10: float
+    index_90: float
     baseline: float
     steady: float
     noise: float
     resolution: float
 
     @property
-    def strength(self) -> float:
+    def signal_to_noise(self) -> float:
         """Change of level over the noise of a sample."""
         return abs(self.steady - self.baseline) / max(self.noise, 1e-300)
 
     @property
-    def longest(self) -> float:
+    def max_ramp_samples(self) -> float:
         """Length in samples of the longest plausible ramp.
 
         The output rises as fast; it is longer if noise hides the start.
         """
-        seen = max(0.9 - max(0.1, _MOTION / max(self.strength, 1e-300)), 0.2)
-        return max(self.high - self.low, 2.0) * 0.8 / seen**2
+        seen = max(0.9 - max(0.1, _MOTION_SIGMAS / max(self.signal_to_noise, 1e-300)), 0.2)
+        return max(self.index_90 - self.index_10, 2.0) * 0.8 / seen**2
 
 
-def locate(samples: FloatArray, near: int | None = None) -> Location:
+def locate_change(samples: FloatArray, near: int | None = None) -> ApproximateOnset:
     """Return the location of the change of samples (N,); `near`: its stated sample.
 
     The first motion follows the last sample within five standard deviations of the baseline before the half-way point.
@@ -181,9 +181,8 @@ def locate(samples: FloatArray, near: int | None = None) -> Location:
         raise ValueError(f"samples: expected at least 64 of a release, found {count}")
     if near is not None and not 8 <= near < count - 16:
         raise ValueError(f"near: expected a sample of 8 to {count - 17} that leaves rest and response, found {near}")
-    rest = max(16, int(_FIRST * count)) if near is None else int(_GUARD * near)
-    first = near if near is not None else rest
-    baseline, steady = float(np.mean(samples[:rest])), float(np.mean(samples[-max(8, int(_LAST * count)) :]))
+    rest = max(16, int(_REST_SHARE * count)) if near is None else int(_REST_GUARD_SHARE * near)
+    baseline, steady = float(np.mean(samples[:rest])), float(np.mean(samples[-max(8, int(_FINAL_SHARE * count)) :]))
     noise, steps = 0.0, np.diff(np.unique(samples))
     resolution = float(steps.min()) if steps.size else 0.0
     for _ in range(3):
@@ -191,12 +190,12 @@ def locate(samples: FloatArray, near: int | None = None) -> Location:
         baseline = float(np.mean(before))
         noise = max(float(np.std(before)), resolution / np.sqrt(12.0))
         half = _passing(samples, baseline, steady, 0.5, rest)
-        quiet = np.flatnonzero(np.abs(samples[: int(half) + 1] - baseline) <= _MOTION * noise)
+        quiet = np.flatnonzero(np.abs(samples[: int(half) + 1] - baseline) <= _MOTION_SIGMAS * noise)
         first = int(quiet[-1]) + 1 if quiet.size else int(half)
-        rest = max(16, int(_GUARD * first)) if first > 16 else rest
-        steady = float(np.mean(samples[first + int((1.0 - _LAST) * (count - first)) :]))
+        rest = max(16, int(_REST_GUARD_SHARE * first)) if first > 16 else rest
+        steady = float(np.mean(samples[first + int((1.0 - _FINAL_SHARE) * (count - first)) :]))
     low, high = (_passing(samples, baseline, steady, share, max(first - 1, 0)) for share in (0.1, 0.9))
-    return Location(first, low, high, baseline, steady, noise, resolution)
+    return ApproximateOnset(first, low, high, baseline, steady, noise, resolution)
 
 
 def _passing(samples: FloatArray, baseline: float, steady: float, share: float, start: int) -> float:
@@ -206,8 +205,8 @@ def _passing(samples: FloatArray, baseline: float, steady: float, share: float, 
     """
     change = steady - baseline
     relative = (samples[start:] - baseline) / change if change else np.zeros(len(samples) - start)
-    runs = np.convolve(relative >= share, np.ones(_RUN))[_RUN - 1 :]
-    above = np.flatnonzero(runs[: len(relative)] >= _RUN)
+    runs = np.convolve(relative >= share, np.ones(_MIN_SUCCESSIVE))[_MIN_SUCCESSIVE - 1 :]
+    above = np.flatnonzero(runs[: len(relative)] >= _MIN_SUCCESSIVE)
     if not above.size:
         return float(len(samples) - 1)
     index = int(above[0])
@@ -245,8 +244,8 @@ def ringing_level(samples: FloatArray, poles: ComplexArray, resolution: float) -
     decays = np.exp(np.outer(number, poles))
     middle = (number - number.mean()) / count
     columns = np.concatenate([np.ones((count, 1)), decays.real, decays.imag], axis=1)
-    value, u, residual = _fitted(columns, samples, 0)
-    drift, u_drift, _ = _fitted(np.concatenate([columns, middle[:, None]], axis=1), samples, columns.shape[1])
+    value, u, residual = _fit_coefficient(columns, samples, 0)
+    drift, u_drift, _ = _fit_coefficient(np.concatenate([columns, middle[:, None]], axis=1), samples, columns.shape[1])
     least = resolution / np.sqrt(12.0)
     noise = float(np.sqrt(residual @ residual / max(count - columns.shape[1], 1)))
     if not is_white(residual):
@@ -256,7 +255,7 @@ def ringing_level(samples: FloatArray, poles: ComplexArray, resolution: float) -
     return Level(value, float(np.hypot(u, digit)), max(noise, least), drift, drift / max(u_drift, digit, 1e-300))
 
 
-def _fitted(columns: FloatArray, samples: FloatArray, column: int) -> tuple[float, float, FloatArray]:
+def _fit_coefficient(columns: FloatArray, samples: FloatArray, column: int) -> tuple[float, float, FloatArray]:
     """Return one coefficient with standard uncertainty, and the residual (N,)."""
     size = np.maximum(np.linalg.norm(columns, axis=0), 1e-300)
     inverse = np.linalg.pinv((columns / size).T @ (columns / size), rcond=1e-12, hermitian=True)
@@ -269,7 +268,7 @@ def _fitted(columns: FloatArray, samples: FloatArray, column: int) -> tuple[floa
 
 TESTED_LAGS = 40  # lags of the test of a residual for correlation
 _WHITE = 73.4  # 99.9 % quantile of the sum of N·r² over 40 lags for white noise: χ² of 40
-_SLOW = 20  # half periods per record of the fastest slow noise
+_SLOW_COSINES = 20  # half periods per record of the fastest slow cosine
 
 
 def is_white(residual: FloatArray) -> bool:
@@ -281,23 +280,24 @@ def is_white(residual: FloatArray) -> bool:
 def slow_noise(
     columns: FloatArray, residual: FloatArray, gain: FloatArray, variance: float
 ) -> tuple[FloatArray, FloatArray]:
-    """Return variances (S,) of slow noise, and their effect on a fit.
+    """Return variances (S,) of slow cosines in the residual, and their fitted coefficients.
 
-    Slow noise is drift, hum and 1/f noise; the effect on the coefficients is (K, S). A correlation over lags hardly
-    shows noise as slow as the record. Cosines of 1, 2, … half periods over it are fitted to the residual (N,) one by
-    one, orthogonal to the columns (N, K). Each has the variance that cosines up to an octave above it show beyond white
-    noise of a `variance`, because the fit absorbs most of the slowest itself. `gain` (K, N): coefficients from samples.
+    Slow noise is drift, hum and 1/f noise; the coefficients that the fit gives each cosine are (K, S). A correlation
+    over lags hardly shows noise as slow as the record. Cosines of 1, 2, … half periods over it are fitted to the
+    residual (N,) one by one, orthogonal to the columns (N, K). Each has the variance that cosines up to an octave above
+    it show beyond white noise of a `variance`, because the fit absorbs most of the slowest itself. `gain` (K, N):
+    coefficients from samples.
     """
     count = len(residual)
-    wave = np.cos(np.pi * np.arange(1, 2 * _SLOW + 1) * (np.arange(count)[:, None] + 0.5) / count)
+    wave = np.cos(np.pi * np.arange(1, 2 * _SLOW_COSINES + 1) * (np.arange(count)[:, None] + 0.5) / count)
     taken = gain @ wave
     power = np.einsum("nk,nk->k", wave, wave - columns @ taken)
     shown = (wave.T @ residual) ** 2 / np.maximum(power, 1e-12 * count)
     sums = np.concatenate([np.zeros((2, 1)), np.cumsum([shown, power], axis=1)], axis=1)
-    first = np.arange(_SLOW)
+    first = np.arange(_SLOW_COSINES)
     of_octave = sums[:, 2 * first + 2] - sums[:, first]
     excess = np.maximum(of_octave[0] - variance * (first + 2.0), 0.0) / of_octave[1]
-    return np.asarray(excess), np.asarray(taken[:, :_SLOW])
+    return np.asarray(excess), np.asarray(taken[:, :_SLOW_COSINES])
 
 
 def correlation_factor(residual: FloatArray) -> float:
@@ -319,11 +319,11 @@ def correlation_factor(residual: FloatArray) -> float:
 
 # Spectrum of a response with its first and second peak.
 
-_LEVEL = 5.0  # smallest height of a peak, in noise levels
-_PADDED = 4  # length of the transform over that of the record, at least
-_DIP = 7.0  # smallest dip between two peaks, in noise levels
-_SHARE = 1e-3  # of the highest peak; lower ones are side lobes of the window
-_REFINED = 40  # Newton steps, at most
+_MIN_PEAK_NOISE_RATIO = 5.0  # smallest height of a peak, in noise levels
+_MIN_PADDING = 4  # length of the transform over that of the record, at least
+_MIN_DIP_NOISE_RATIO = 7.0  # smallest dip between two peaks, in noise levels
+_MIN_RELATIVE_PEAK = 1e-3  # of the highest peak; lower ones are side lobes of the window
+_MAX_NEWTON_STEPS = 40  # for the maximum between bins
 
 
 def response_spectrum(ringing: FloatArray, sample_rate_hz: float) -> Spectrum:
@@ -332,7 +332,7 @@ def response_spectrum(ringing: FloatArray, sample_rate_hz: float) -> Spectrum:
     The weight is half a Hann window, cos²(πn/2N), which is 1 at the start of the ringing and 0 at its end. A lasting
     sine has its amplitude.
     """
-    window, count = _window(len(ringing)), _PADDED * len(ringing)
+    window, count = _window(len(ringing)), _MIN_PADDING * len(ringing)
     even = 1 << max(0, count.bit_length() - 6)  # multiples of which have no large prime factors
     count = -(-count // even) * even
     amplitude = 2.0 * np.abs(np.fft.rfft(ringing * window, count)) / window.sum()
@@ -340,8 +340,10 @@ def response_spectrum(ringing: FloatArray, sample_rate_hz: float) -> Spectrum:
     return Spectrum(np.asarray(frequency, dtype=np.float64), np.asarray(amplitude, dtype=np.float64))
 
 
-def spectrum_peaks(ringing: FloatArray, sample_rate_hz: float, noise: float, most: int = 2) -> tuple[SpectrumPeak, ...]:
-    """Return the `most` highest peaks of `response_spectrum`, by frequency, between its lines.
+def spectrum_peaks(
+    ringing: FloatArray, sample_rate_hz: float, noise: float, count: int = 2
+) -> tuple[SpectrumPeak, ...]:
+    """Return up to `count` highest peaks, interpolated between bins, sorted by frequency.
 
     At a maximum of |X|², X(f) = Σ w·y·exp(-j2πft), white noise of standard deviation `noise` moves the frequency by -Σ
     n·c/(|X|²)'' with c = d(|X|²)'/dy, and the amplitude by Re(X* N)/|X|.
@@ -351,15 +353,17 @@ def spectrum_peaks(ringing: FloatArray, sample_rate_hz: float, noise: float, mos
     size, floor = spectrum.amplitude, 2.0 * noise * float(np.sqrt(np.sum(window**2))) / window.sum()
     inner = size[1:-1]
     tops = np.flatnonzero((inner > size[:-2]) & (inner >= size[2:])) + 1
-    tops = tops[(tops >= 2 * _PADDED) & (size[tops] > max(_LEVEL * floor, _SHARE * size.max()))]
+    least = max(_MIN_PEAK_NOISE_RATIO * floor, _MIN_RELATIVE_PEAK * size.max())
+    tops = tops[(tops >= 2 * _MIN_PADDING) & (size[tops] > least)]
     order: list[int] = []
     for top in tops[np.argsort(-size[tops], kind="stable")].tolist():
-        dip = min(size[top] / 1.5, size[top] - _DIP * floor)  # level below which the spectrum falls between two peaks
+        # level below which the spectrum falls between two peaks
+        dip = min(size[top] / 1.5, size[top] - _MIN_DIP_NOISE_RATIO * floor)
         separated = all(np.min(size[min(top, other) : max(top, other) + 1]) < dip for other in order)
-        if separated and len(order) < most:
+        if separated and len(order) < count:
             order.append(top)
     weighted, near = ringing * window, spectrum.frequency_hz[order].tolist()
-    refined = np.array([_refined(weighted, window, sample_rate_hz, hertz, noise) for hertz in near]).reshape(-1, 4)
+    refined = np.array([_refine_peak(weighted, window, sample_rate_hz, hertz, noise) for hertz in near]).reshape(-1, 4)
     f, u_f, size, u_size = refined.T
     share = size / size[:1]
     u_share = np.hypot(u_size / size[:1], share * u_size[:1] / size[:1])
@@ -368,14 +372,14 @@ def spectrum_peaks(ringing: FloatArray, sample_rate_hz: float, noise: float, mos
     return tuple(sorted(peaks, key=lambda peak: peak.frequency_hz))
 
 
-def _refined(
+def _refine_peak(
     weighted: FloatArray, window: FloatArray, sample_rate_hz: float, near_hz: float, noise: float
 ) -> tuple[float, float, float, float]:
     """Return frequency and amplitude of the maximum near a line, each with its uncertainty."""
     time_s = (np.arange(len(weighted)) - 0.5 * len(weighted)) / sample_rate_hz
     omega = 2 * np.pi * near_hz
-    limit = np.pi * sample_rate_hz / (_PADDED * len(weighted))
-    for _ in range(_REFINED):
+    limit = np.pi * sample_rate_hz / (_MIN_PADDING * len(weighted))
+    for _ in range(_MAX_NEWTON_STEPS):
         rotation = np.exp(-1j * omega * time_s)
         x0, x1, x2 = (np.sum(weighted * rotation * (-1j * time_s) ** k) for k in range(3))
         slope = 2.0 * float(np.real(np.conj(x0) * x1))

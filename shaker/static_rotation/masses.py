@@ -151,6 +151,8 @@ _RULES = LMOptions(
 )
 """A fit has converged if a step would be 1e-7 of the standard uncertainties."""
 _SMALLEST_DEPARTURE, _DEPARTURE_STEP = 1e-9, 1.001
+UNDETERMINED_SOURCE, DISAGREEMENT_SOURCE = "components that no channel measures", "disagreeing channels"
+"""Names of causes of error: priors of undetermined unknowns; deviations beyond the stated uncertainties."""
 
 
 def mass_of_weight(weight_n: Number, gravity_mps2: Number, air_share: Number | float = 0.0) -> Number:
@@ -452,11 +454,11 @@ def _sources(fit: _WeightSolution) -> Iterator[WeightErrorSource]:
         )
     if problem.departure > 0.0:
         freedom = min(test.dof for test in fit.tests if test.dof > 0.5)
-        yield WeightErrorSource("channels that disagree", "A", freedom, by_row * problem.departures)
+        yield WeightErrorSource(DISAGREEMENT_SOURCE, "A", freedom, by_row * problem.departures)
     ends = shared_start + len(elements)
     if len(elements):
         yield WeightErrorSource("calibration matrix", "B", np.inf, shared[:, shared_start:ends])
     if u_angle > 0.0:
         yield WeightErrorSource("angle of the head", "B", np.inf, shared[:, ends:])
     weak = [UNKNOWNS_PER_RECORD * r + unknown for r in range(count) for unknown in (1, 2, 3, 5, 6)]
-    yield WeightErrorSource("what no channel tells", "B", np.inf, shared[:, weak] / np.sqrt(problem.prior[weak]))
+    yield WeightErrorSource(UNDETERMINED_SOURCE, "B", np.inf, shared[:, weak] / np.sqrt(problem.prior[weak]))

@@ -11,11 +11,11 @@ from shaker.arrays import FloatArray, IntArray, check_shape, check_shapes
 from shaker.timebase.intervals import Posterior, Slopes, line_posterior, normal_cdf
 from shaker.timebase.trigger import (
     MAX_DISAGREEMENT_SIGMAS,
-    MIN_JITTER,
-    RINGING,
+    MIN_JITTER_SAMPLES,
+    RINGING_SAMPLES,
     TriggerFit,
     fit_resolved,
-    straight_line,
+    fit_straight_line,
 )
 from shaker.timebase.trigger_notices import CONTRADICTORY_CLOCK_RATE, START_TIMES_DISAGREE
 from shakercal._common.notices import Notice, Value
@@ -165,7 +165,7 @@ class ClockLine:
     covariance : (2, 2), in total.
     noise : (2, 2), part from the samples' noise, which differs in every record.
     follows : (2, 2), response to an error of the base trigger's (start_s, period_s), where available.
-    beside : (2, 2), covariance of the remaining part.
+    remaining_covariance : (2, 2), covariance of the remaining part.
     """
 
     offset_s: float
@@ -173,7 +173,7 @@ class ClockLine:
     covariance: FloatArray
     noise: FloatArray = field(default_factory=lambda: np.zeros((2, 2)), kw_only=True)
     follows: FloatArray | None = field(default=None, kw_only=True)
-    beside: FloatArray | None = field(default=None, kw_only=True)
+    remaining_covariance: FloatArray | None = field(default=None, kw_only=True, metadata={"dataset": "beside"})
 
     def __post_init__(self) -> None:
         check_shape("covariance", self.covariance, (2, 2))
@@ -229,13 +229,13 @@ def clock_line(base: TriggerFit, other: TriggerFit, shift: int, rate: tuple[floa
     fits = base, other
     gaps = sum(f.open_s**2 for f in fits if f.kind == "sampled") / 12.0
     if base.kind == other.kind:  # the shapes of both rises are in the line
-        rises = sum((RINGING * f.sample_s) ** 2 for f in fits if f.kind == "resolved") / 12.0
+        rises = sum((RINGING_SAMPLES * f.sample_s) ** 2 for f in fits if f.kind == "resolved") / 12.0
     else:
         rises = sum(f.open_s**2 for f in fits if f.kind == "resolved") / 12.0
     variance_before = float(line.u_to_base_s(np.asarray(np.mean(other.edge_s[other_index])))) ** 2
     more = np.diag([rises + max(gaps - variance_before, 0.0), 0.0])
-    rest = None if line.beside is None else line.beside + more
-    return replace(line, covariance=line.covariance + more, beside=rest)
+    rest = None if line.remaining_covariance is None else line.remaining_covariance + more
+    return replace(line, covariance=line.covariance + more, remaining_covariance=rest)
 
 
 def _from_models(base: TriggerFit, other: TriggerFit, shift: int) -> ClockLine:
@@ -260,14 +260,14 @@ def _from_pairs(base: TriggerFit, other: TriggerFit, base_index: IntArray, other
     """
     if base.kind == "sampled":
         position, unscale = _scale_times(other.edge_s[other_index])
-        return unscale(straight_line(position, base.edge_s[base_index], 0.3 * base.resolution_s))
+        return unscale(fit_straight_line(position, base.edge_s[base_index], 0.3 * base.resolution_s))
     position, unscale = _scale_times(other.crossing_s[other_index])
     rises = [replace(rise, phase=rise.phase[at]) for rise, at in ((base.rise, base_index), (other.rise, other_index))]
     read = (base.resolution_s**2 + other.resolution_s**2) / 12.0
     found = fit_resolved(base.crossing_s[base_index], position, rises, float(np.sqrt(read)))
     # Scatter of the edges beyond the samples' noise may be caused by the rise.
     share = min(read / max(found.line.jitter_s**2, 1e-30), 1.0)
-    noise = unscale(replace(found.line, covariance=share * found.noise)).covariance
+    noise = unscale(replace(found.line, covariance=share * found.scatter_covariance)).covariance
     return replace(unscale(found.line), noise=noise)
 
 
@@ -278,8 +278,8 @@ def _from_one_resolved(
     position, unscale = _scale_times(resolved.edge_s[base_index])
     lower, upper = sampled.lower_s[other_index], sampled.upper_s[other_index]
     width = float(np.median(upper - lower))
-    start = straight_line(position, (lower + upper) / 2.0, 0.3 * width)
-    return unscale(line_posterior(position, lower[None], upper[None], start, MIN_JITTER * width))
+    start = fit_straight_line(position, (lower + upper) / 2.0, 0.3 * width)
+    return unscale(line_posterior(position, lower[None], upper[None], start, MIN_JITTER_SAMPLES * width))
 
 
 def _from_intervals(
@@ -313,7 +313,7 @@ def _from_intervals(
     covariance = np.block([[base_covariance, cross], [cross, second]])
     both = Posterior(np.tile(line, 2), covariance, max(base.jitter_s, other.jitter_s))
     slopes = None if rate is None else _slopes(half, base, rate[0] / start.rate, rate[1] / start.rate)
-    both = line_posterior((numbers - centre) / half, lower, upper, both, MIN_JITTER * base.resolution_s, slopes)
+    both = line_posterior((numbers - centre) / half, lower, upper, both, MIN_JITTER_SAMPLES * base.resolution_s, slopes)
     shifted, tilted = _DIFFERENCE @ both.mean
     # On the base clock: later by shifted + tilted·(time - line[0]) / line[1].
     stretch = 1.0 + tilted / line[1]
@@ -329,7 +329,7 @@ def _from_intervals(
         float(stretch * start.rate),
         covariance,
         follows=into_line @ on_base @ to_middle,
-        beside=into_line @ rest @ into_line.T,
+        remaining_covariance=into_line @ rest @ into_line.T,
     )
 
 
@@ -484,7 +484,7 @@ def tie_clocks(
         notices,
         noise=line.noise,
         follows=None if rate is None else line.follows,
-        beside=None if rate is None else line.beside,
+        remaining_covariance=None if rate is None else line.remaining_covariance,
     )
 
 

@@ -27,19 +27,15 @@ from shakercal._common.notices import Notice
 
 _TERMS = 16  # sines of the shape of a rise; chosen
 _ORDER = np.arange(1.0, _TERMS + 1)
-_DECAYS = (1.5, 2.5)  # powers of the order by which the sines fall off: kinks of the rise near the crossing, and far
-_SMALLEST, _LARGEST = (
-    1e-3,
-    0.15,
-)  # of a sample: first sine's standard deviation, from filters to RC inputs of half a one
-_RATIO = 3.0  # from one size of the sines to the next
-_LOCKED_SINES = (
-    0.12,
-    1.5,
-)  # of a sample, and power: standard deviations of sines where phases are too few to estimate them
+_SHAPE_POWERS = (1.5, 2.5)  # of the order, by which the sines fall off: kinks of the rise near the crossing, and far
+# Standard deviations of the first sine, of a sample: from filters to RC inputs with half a sample as time constant.
+_MIN_SHAPE_SIZE, _MAX_SHAPE_SIZE = 1e-3, 0.15
+_SIZE_RATIO = 3.0  # from one size of the sines to the next
+# Standard deviations of the sines if there are too few phases to estimate them: the first, of a sample, and the power.
+_LOCKED_SHAPE_SIZE, _LOCKED_SHAPE_POWER = 0.12, 1.5
 
 
-def straight_line(position: FloatArray, time_s: FloatArray, min_scatter_s: float = 0.0) -> Posterior:
+def fit_straight_line(position: FloatArray, time_s: FloatArray, min_scatter_s: float = 0.0) -> Posterior:
     """Fit time_s (E,) = m + h·position by least squares.
 
     The jitter is the scatter about the fit, the covariance that for a scatter of at least `min_scatter_s`.
@@ -53,7 +49,7 @@ def straight_line(position: FloatArray, time_s: FloatArray, min_scatter_s: float
 
 
 @dataclass(frozen=True)
-class Rise:
+class RisePhases:
     """Phases (E,) of resolved edges between two samples, and the interval.
 
     Phases range from 0 to 1. `locked`: the phases are too few for estimating the shape of the rise.
@@ -73,20 +69,20 @@ class Rise:
 class ResolvedLine:
     """Line through resolved edges, with the edge shifts (E,) by rise shapes.
 
-    `noise` (2, 2) is the part of its covariance from the individual scatter of the edges.
+    `scatter_covariance` (2, 2) is the part of its covariance from the individual scatter of the edges.
     """
 
     line: Posterior
-    noise: FloatArray
+    scatter_covariance: FloatArray
     correction_s: FloatArray
 
     def __post_init__(self) -> None:
-        check_shape("noise", self.noise, (2, 2))
+        check_shape("scatter_covariance", self.scatter_covariance, (2, 2))
         check_shape("correction_s", self.correction_s, (None,))
 
 
 def fit_resolved(
-    time_s: FloatArray, position: FloatArray, rises: Sequence[Rise], min_scatter_s: float = 0.0
+    time_s: FloatArray, position: FloatArray, rises: Sequence[RisePhases], min_scatter_s: float = 0.0
 ) -> ResolvedLine:
     """Fit a line to resolved edges, with the shapes of the rises.
 
@@ -98,32 +94,32 @@ def fit_resolved(
     restricted likelihood of the edges (Patterson & Thompson, Biometrika 58, 1971). The covariance thus includes the
     uncertainty of a shape that few or unevenly spread edges do not determine.
 
-    A phase is the time read, not the true one: dφ_true/dφ = 1 - e' enters the likelihood. Without it, edges that drift
-    slowly past the samples would attribute all of their drift to the shape. A locked rise is not estimated; the
+    A phase is the time read, not the true one: dφ_true/dφ = 1 - e' enters the likelihood. Without this
+    term, the slow drift of edges past the samples would be attributed to the shape. A locked rise is not estimated; the
     possible effect of RC inputs on the line is in its covariance. The second rise is that of the clock on which
     `position` counts.
     """
     columns = np.column_stack([np.ones_like(position), position])
     inverse = np.linalg.inv(columns.T @ columns)
-    min_scatter = max(min_scatter_s, MIN_JITTER * max(r.sample_s for r in rises))
-    start, unlearnt = straight_line(position, time_s, min_scatter), np.zeros((2, 2))
+    min_scatter = max(min_scatter_s, MIN_JITTER_SAMPLES * max(r.sample_s for r in rises))
+    start, locked_covariance = fit_straight_line(position, time_s, min_scatter), np.zeros((2, 2))
     for rise in rises:
         if rise.locked:
-            tilt = inverse @ (columns.T @ rise.sines) * (_LOCKED_SINES[0] * _ORDER ** -_LOCKED_SINES[1])
-            unlearnt += tilt @ tilt.T
-    learnt = [(sign, rise) for sign, rise in zip((1.0, -1.0), rises, strict=False) if not rise.locked]
-    if not learnt:
-        line = replace(start, covariance=start.covariance + unlearnt)
+            tilt = inverse @ (columns.T @ rise.sines) * (_LOCKED_SHAPE_SIZE * _ORDER**-_LOCKED_SHAPE_POWER)
+            locked_covariance += tilt @ tilt.T
+    estimated = [(sign, rise) for sign, rise in zip((1.0, -1.0), rises, strict=False) if not rise.locked]
+    if not estimated:
+        line = replace(start, covariance=start.covariance + locked_covariance)
         return ResolvedLine(line, start.covariance, np.zeros_like(time_s))
-    sines = np.hstack([sign * rise.sines for sign, rise in learnt])
+    sines = np.hstack([sign * rise.sines for sign, rise in estimated])
     into_line = inverse @ (columns.T @ sines)
     left, orthogonal = time_s - columns @ start.mean, sines - columns @ into_line
     normal, right, edges = orthogonal.T @ orthogonal, orthogonal.T @ left, len(position)
     # Standard deviations of the a_j over the scatter of the edges, for every size and power.
-    low, high = _SMALLEST / max(start.jitter_s, min_scatter), _LARGEST / min_scatter
-    sizes = np.geomspace(low, high, 1 + int(np.ceil(np.log(high / low) / np.log(_RATIO))))
-    one = [size * _ORDER**-power for size in sizes for power in _DECAYS]
-    spread = np.array([np.concatenate(pair) for pair in product(one, repeat=len(learnt))])
+    low, high = _MIN_SHAPE_SIZE / max(start.jitter_s, min_scatter), _MAX_SHAPE_SIZE / min_scatter
+    sizes = np.geomspace(low, high, 1 + int(np.ceil(np.log(high / low) / np.log(_SIZE_RATIO))))
+    one = [size * _ORDER**-power for size in sizes for power in _SHAPE_POWERS]
+    spread = np.array([np.concatenate(pair) for pair in product(one, repeat=len(estimated))])
     whitened = np.eye(spread.shape[1]) + spread[:, :, None] * normal * spread[:, None, :]
     posterior = np.linalg.inv(whitened) * spread[:, :, None] * spread[:, None, :]
     shape = posterior @ right
@@ -131,11 +127,11 @@ def fit_resolved(
     variance = np.maximum(squares / max(edges - 2, 1), min_scatter**2)
     score = -0.5 * (np.linalg.slogdet(whitened)[1] + (edges - 2) * np.log(variance) + squares / variance)
     allowed = np.ones(len(spread), dtype=bool)
-    for number, (_, rise) in enumerate(learnt):
+    for number, (_, rise) in enumerate(estimated):
         terms = slice(number * _TERMS, (number + 1) * _TERMS)
         slope = shape[:, terms] @ (np.pi * _ORDER * np.cos(np.pi * _ORDER * rise.phase[:, None])).T
         score += np.log(np.maximum(np.abs(1.0 - slope), 1e-9)).sum(axis=1)
-        allowed &= spread[:, terms.start] * np.sqrt(variance) <= _LARGEST
+        allowed &= spread[:, terms.start] * np.sqrt(variance) <= _MAX_SHAPE_SIZE
     score = np.where(allowed | ~allowed.any(), score, -np.inf)
     weight = np.exp(score - score.max())
     weight /= weight.sum()
@@ -145,19 +141,19 @@ def fit_resolved(
     noise = variance[:, None, None] * (inverse + tilt @ normal @ np.swapaxes(tilt, 1, 2))
     covariance = np.einsum("g,gpq->pq", weight * variance, inverse + tilt @ into_line.T)
     covariance += (weight[:, None] * (means - mean)).T @ (means - mean)
-    line = Posterior(mean, covariance + unlearnt, float(np.sqrt(weight @ variance)))
+    line = Posterior(mean, covariance + locked_covariance, float(np.sqrt(weight @ variance)))
     return ResolvedLine(line, np.einsum("g,gpq->pq", weight, noise), sines @ (weight @ shape))
 
 
 # The periodic model of a camera trigger: start, period, jitter, missing, doubled and spurious edges.
 
-MIN_JITTER = 5e-6  # of a sample: 0.1 ns at 51.2 kHz, the least jitter of a logic output driven by a quartz
-_IDLE = 1.05  # periods without an edge at an end of the record that show the begin or end of the burst
-_LOCKED = 0.15  # of a sample: gap in the phases of many edges that marks them as locked
+MIN_JITTER_SAMPLES = 5e-6  # of a sample: 0.1 ns at 51.2 kHz, the least jitter of a logic output driven by a quartz
+_IDLE_PERIODS = 1.05  # periods without an edge at an end of the record that show the begin or end of the burst
+_LOCKED_GAP_SAMPLES = 0.15  # of a sample: gap in the phases of many edges that marks them as locked
 MAX_DISAGREEMENT_SIGMAS = (
     5.0  # standard uncertainties by which two values of one quantity may differ; chosen for few false alarms
 )
-RINGING = 1e-3  # of a sample: timing uncertainty of a resolved edge from the ringing of the pulse's other edge
+RINGING_SAMPLES = 1e-3  # of a sample: timing uncertainty of a resolved edge from the ringing of the pulse's other edge
 
 
 @dataclass(frozen=True)
@@ -218,8 +214,8 @@ class TriggerFit:
         return int(self.number[-1]) + 1
 
     @property
-    def scatters(self) -> bool:
-        """Whether edges certainly scatter.
+    def jitter_detected(self) -> bool:
+        """Whether the edges certainly scatter.
 
         Intervals that one line meets allow a jitter of less than one of them over their number.
         """
@@ -227,7 +223,7 @@ class TriggerFit:
 
     @property
     def crossing_s(self) -> FloatArray:
-        """Edges as reconstructed, without the correction, (E,)."""
+        """Reconstructed crossing times (E,), before the rise-shape correction."""
         return self.edge_s + self.correction_s
 
     @property
@@ -236,9 +232,9 @@ class TriggerFit:
         return _locked_gap(self.number, self.period_s / self.sample_s, self.jitter_s / self.sample_s) > 0.0
 
     @property
-    def rise(self) -> Rise:
+    def rise(self) -> RisePhases:
         """Phases of the crossings between two samples."""
-        return Rise((self.crossing_s - self.lower_s) / self.sample_s, self.sample_s, self.locked)
+        return RisePhases((self.crossing_s - self.lower_s) / self.sample_s, self.sample_s, self.locked)
 
     @property
     def sample_s(self) -> float:
@@ -253,8 +249,8 @@ class TriggerFit:
         """
         if self.kind == "sampled" or not (self.locked or self.known_period_s):
             return 0.0
-        size, power = _LOCKED_SINES
-        return self.sample_s * size * float(np.sqrt(0.5 * np.sum(_ORDER ** (-2.0 * power))))
+        squares = 0.5 * np.sum(_ORDER ** (-2.0 * _LOCKED_SHAPE_POWER))
+        return self.sample_s * _LOCKED_SHAPE_SIZE * float(np.sqrt(squares))
 
     def time_s(self, number: IntArray) -> FloatArray:
         """Return the modelled times of edges `number` in s.
@@ -270,12 +266,13 @@ class TriggerFit:
         return np.asarray(np.sqrt(c[0, 0] + 2.0 * k * c[0, 1] + k**2 * c[1, 1]))
 
     def with_period(self, period_s: float, u_period_s: float) -> TriggerFit:
-        """Return the fit with an independent period, used as a reading of the line's slope.
+        """Return the fit combined with an independently known period.
 
-        Intervals are read again with it. Edges that pass one sample during the record then determine the instants of
-        all. The gap between the phases of locked edges (`open_s`) is reduced to the uncertainty that the intervals
-        leave, since no other period is possible. For resolved rises with unknown shape, the line rotates about the
-        middle of the burst. A period that contradicts the edges is reported and not used.
+        The period is a reading of the line's slope, and the intervals are read again with it. Edges that pass one
+        sample during the record then determine the instants of all. The gap between the phases of locked edges
+        (`open_s`) is reduced to the uncertainty that the intervals leave, since no other period is possible. For
+        resolved rises with unknown shape, the line rotates about the middle of the burst. A period that contradicts the
+        edges is reported and not used.
         """
         difference, both = period_s - self.period_s, np.hypot(u_period_s, np.sqrt(self.covariance[1, 1]))
         if abs(difference) > MAX_DISAGREEMENT_SIGMAS * both:
@@ -299,7 +296,7 @@ class TriggerFit:
         line = slopes.update(Posterior(mean, covariance, self.jitter_s))
         if self.kind == "sampled":
             intervals = (number - half) / half, self.lower_s[None], self.upper_s[None]
-            line = line_posterior(*intervals, line, MIN_JITTER * self.sample_s, slopes)
+            line = line_posterior(*intervals, line, MIN_JITTER_SAMPLES * self.sample_s, slopes)
         jacobian = np.array([[1.0, -1.0], [0.0, 1.0 / half]])
         start, period = jacobian @ line.mean
         fit = replace(
@@ -367,11 +364,11 @@ def fit_trigger(edges: Edges) -> TriggerFit:
     sample = float(np.median(upper - lower))
     kind: EdgeKind = "sampled"
     # Rounding to samples scatters by 0.29 of one, except where period and sampling are commensurate.
-    rough = straight_line(position, (lower + upper) / 2.0, 0.3 * sample)
+    rough = fit_straight_line(position, (lower + upper) / 2.0, 0.3 * sample)
     edge, correction = (lower + upper) / 2.0, np.zeros(len(n))
     if edges.kind == "resolved":
-        step = straight_line(position, estimate)
-        rise = Rise(
+        step = fit_straight_line(position, estimate)
+        rise = RisePhases(
             (estimate - lower) / sample,
             sample,
             _locked_gap(n, step.mean[1] / half / sample, step.jitter_s / sample) > 0,
@@ -381,10 +378,11 @@ def fit_trigger(edges: Edges) -> TriggerFit:
         line = replace(line, jitter_s=float(np.sqrt(max(line.jitter_s**2 - edges.u_reading_s**2, 0.0))))
         kind, edge, correction, resolution = "resolved", estimate - shape, shape, np.sqrt(12.0) * edges.u_reading_s
         # The uncertainty from the rise's shape and the ringing of other flanks is common to all edges.
-        more = (RINGING * sample) ** 2 / 12.0
-        open_s = float(np.sqrt(12.0 * (more + max(line.covariance[0, 0] - found.noise[0, 0], 0.0))))
+        more = (RINGING_SAMPLES * sample) ** 2 / 12.0
+        open_s = float(np.sqrt(12.0 * (more + max(line.covariance[0, 0] - found.scatter_covariance[0, 0], 0.0))))
     else:
-        line, resolution = line_posterior(position, lower[None], upper[None], rough, MIN_JITTER * sample), sample
+        line = line_posterior(position, lower[None], upper[None], rough, MIN_JITTER_SAMPLES * sample)
+        resolution = sample
         # A gap is common to all instants where the period is a simple multiple of the sampling interval. Intervals
         # treat all periods as equally likely: the larger of the two uncertainties counts.
         open_s = sample * _locked_gap(n, line.mean[1] / half / sample, line.jitter_s / sample)
@@ -408,8 +406,8 @@ def fit_trigger(edges: Edges) -> TriggerFit:
         missing=missing,
         doubled=numbering.doubled + edges.bounces,
         spurious=numbering.spurious,
-        idle_before=bool(start > _IDLE * period),
-        idle_after=bool(edges.record_s - (start + n[-1] * period) > _IDLE * period),
+        idle_before=bool(start > _IDLE_PERIODS * period),
+        idle_after=bool(edges.record_s - (start + n[-1] * period) > _IDLE_PERIODS * period),
         resolution_s=float(resolution),
         open_s=open_s,
         notices=(),
@@ -425,7 +423,7 @@ def _locked_gap(number: IntArray, period: float, jitter: float) -> float:
     """
     phase = np.sort(number * period % 1.0)
     gap = float(np.max(np.append(np.diff(phase), phase[0] + 1.0 - phase[-1])))
-    return 0.0 if gap <= max(_LOCKED, 10.0 / len(number)) or jitter >= _LOCKED else gap
+    return 0.0 if gap <= max(_LOCKED_GAP_SAMPLES, 10.0 / len(number)) or jitter >= _LOCKED_GAP_SAMPLES else gap
 
 
 def _notices(fit: TriggerFit) -> tuple[Notice, ...]:
@@ -452,9 +450,9 @@ def _notices(fit: TriggerFit) -> tuple[Notice, ...]:
 # Width of a trigger's pulses, as a strobe's exposure needs it.
 
 _MIN_WIDTH = 1.5  # samples: pulses shorter than one fall between the samples, and those seen seem one long
-_MIN_RISES = 5.0  # of the rise: shorter pulses do not settle at their level
-_NEAR = 16  # samples on either side of a flank in which its rise is searched for
-_FLANKS = 0.2  # u in samples² over the width: crossings of one flank on the ringing of the other
+_MIN_WIDTH_RISE_TIMES = 5.0  # rise times: shorter pulses do not settle at their level
+_RISE_SEARCH_SAMPLES = 16  # samples on either side of a flank in which its rise is searched for
+_FLANK_RINGING = 0.2  # u in samples² over the width: crossings of one flank on the ringing of the other
 
 
 @dataclass(frozen=True)
@@ -478,12 +476,13 @@ def pulse_width(
 ) -> PulseWidth:
     """Measure the width of the pulses that begin with `edge` at `threshold` in samples (S,).
 
-    `begin_fit` is the fit of their beginnings at another threshold; it is used where that crosses the same samples.
+    `begin_fit` is the fit of their beginnings at another threshold; it is used only if both fits are of kind
+    "sampled" and have the same edges, and otherwise replaced.
     Default threshold: half height, midway between the medians of the samples of either level. Both flanks follow the
     same periodic model (`fit_trigger`). The width is the distance of their lines in the middle of the burst, where
     neither depends on the period. Independent errors are assumed: jitter common to both flanks makes the uncertainty
-    too large, never too small. Behind a low-pass filter one flank lies on the ringing of the other, sin(πx)/(π²x) at x
-    samples for an ideal filter. The uncertainty of short pulses includes it.
+    too large, never too small. After an ideal low-pass filter, the ringing of one flank reaches the other with the
+    size sin(πx)/(π²x) at distance x samples. The uncertainty of short pulses includes it.
     """
     ends: Literal["rising", "falling"] = "falling" if edge == "rising" else "rising"
     above = samples >= find_edges(samples, sample_rate_hz, threshold, edge).threshold
@@ -505,9 +504,11 @@ def pulse_width(
     width = float(end.time_s(partner) - begin.time_s(middle))
     # The rise: how many samples per flank lie between 10 % and 90 % of the height.
     flanks = np.rint(sample_rate_hz * np.concatenate([begin.edge_s, end.edge_s])).astype(np.int64)
-    flank_samples = np.unique(np.clip(flanks[:, None] + np.arange(-_NEAR, _NEAR + 1), 0, len(samples) - 1))
+    flank_samples = np.unique(
+        np.clip(flanks[:, None] + np.arange(-_RISE_SEARCH_SAMPLES, _RISE_SEARCH_SAMPLES + 1), 0, len(samples) - 1)
+    )
     rising = np.count_nonzero(np.abs((samples[flank_samples] - low) / (high - low) - 0.5) < 0.4)
-    min_width = max(_MIN_WIDTH, _MIN_RISES * float(rising / len(flanks)))
+    min_width = max(_MIN_WIDTH, _MIN_WIDTH_RISE_TIMES * float(rising / len(flanks)))
     if width * sample_rate_hz < min_width:
         raise ValueError(
             f"samples: expected pulses of at least {min_width:.2g} samples, {1e6 * min_width / sample_rate_hz:.3g} µs, "
@@ -515,6 +516,6 @@ def pulse_width(
         )
     u = float(np.hypot(begin.u_time_s(middle), end.u_time_s(partner)))
     if "resolved" in (begin.kind, end.kind):
-        u = float(np.hypot(u, _FLANKS / (width * sample_rate_hz**2)))
+        u = float(np.hypot(u, _FLANK_RINGING / (width * sample_rate_hz**2)))
     notices = tuple(dict.fromkeys(begin.notices + end.notices))
     return PulseWidth(width, u, min(len(begin.number), len(end.number)), begin, end, notices)

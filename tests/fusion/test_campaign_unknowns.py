@@ -99,14 +99,14 @@ def together(recordings: list[Readings]) -> tuple[Floats, Floats]:
     shared = LOADS * rows
     prior[shared : shared + RIG + sizes[1]] = 1.0
     for r, one in enumerate(recordings):
-        recordings = slice(READINGS * r, READINGS * (r + 1))
+        block = slice(READINGS * r, READINGS * (r + 1))
         root = 1.0 / np.sqrt(one.noise)[:, None]
-        matrix[recordings, LOADS * r : LOADS * (r + 1)] = root * one.design
-        matrix[recordings, shared : shared + RIG] = root * one.effects[:, :RIG]
+        matrix[block, LOADS * r : LOADS * (r + 1)] = root * one.design
+        matrix[block, shared : shared + RIG] = root * one.effects[:, :RIG]
         at = shared + RIG + MOUNTING * mountings.index(one.mounting)
-        matrix[recordings, at : at + MOUNTING] = root * one.effects[:, RIG : RIG + MOUNTING]
+        matrix[block, at : at + MOUNTING] = root * one.effects[:, RIG : RIG + MOUNTING]
         at = shared + RIG + sizes[1] + r * (sizes[2] + sizes[3])
-        matrix[recordings, at : at + sizes[2] + sizes[3]] = root * one.effects
+        matrix[block, at : at + sizes[2] + sizes[3]] = root * one.effects
         beyond = SECOND_ORDER_U**2 + one.products[: sizes[2]] ** 2
         prior[at : at + sizes[2] + sizes[3]] = np.concatenate([1.0 / beyond, np.ones(LOCAL)])
     right = np.concatenate([one.readings / np.sqrt(one.noise) for one in recordings])
@@ -121,8 +121,8 @@ def joint_covariance(recorded: tuple[RecordingResults, ...]) -> Floats:
     names = {influence.name for one in of_load for influence in one.influences}
     total = np.zeros((LOADS * len(recorded),) * 2)
     for r, one in enumerate(of_load):
-        recordings = slice(LOADS * r, LOADS * (r + 1))
-        total[recordings, recordings] = np.sum([part.covariance[0] for part in one.random], axis=0)
+        block = slice(LOADS * r, LOADS * (r + 1))
+        total[block, block] = np.sum([part.covariance[0] for part in one.random], axis=0)
     for name in names:
         effects = [[i.effect[0] for i in one.influences if i.name == name] or [np.zeros(LOADS)] for one in of_load]
         stacked = np.concatenate([effect[0] for effect in effects])
@@ -133,10 +133,10 @@ def joint_covariance(recorded: tuple[RecordingResults, ...]) -> Floats:
 @pytest.mark.parametrize("mountings", ["aabc", "aaaa", "abcd"])
 def test_joint_estimate_is_one_least_squares_of_all_readings(mountings: str) -> None:
     """Loads, their covariances, and those between recordings."""
-    recordings = drawn(np.random.default_rng(3), mountings=mountings)
-    recordings = tuple(alone(one) for one in recordings)
+    measured = drawn(np.random.default_rng(3), mountings=mountings)
+    recordings = tuple(alone(one) for one in measured)
     found, unknowns, notices = apply_joint_estimate("c", recordings, lambda drive: drive)
-    value, covariance = together(recordings)
+    value, covariance = together(measured)
     np.testing.assert_allclose([real_stack(entry.excited_lines[0].load) for entry in found], value, rtol=0, atol=1e-9)
     np.testing.assert_allclose(joint_covariance(found), covariance, rtol=0, atol=1e-9)
     before = joint_covariance(recordings)

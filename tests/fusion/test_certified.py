@@ -17,7 +17,7 @@ from support import DOCS, examples
 from fusion.cli import main
 from fusion.errors import InputError
 from fusion.recording import dcc
-from fusion.recording.certified import certified_inputs
+from fusion.recording.certified import resolve_certificates
 from fusion.recording.dsi import parse_unit
 from fusion.recording.load import load_manifest
 from fusion.recording.recording_notices import (
@@ -162,7 +162,7 @@ def test_the_example_of_the_document_is_read(tmp_path):
     (tmp_path / "certificates").mkdir()
     mass = result("Mass of the load", real("6.9605", r"\kilogram", "0.002"))
     (tmp_path / "certificates" / "M-2026-117.xml").write_text(certificate(mass))
-    found = certified_inputs(text, tmp_path / "rig.toml", PathScope(tmp_path, tmp_path.resolve()))
+    found = resolve_certificates(text, tmp_path / "rig.toml", PathScope(tmp_path, tmp_path.resolve()))
     assert found.errors == []
     assert found.text["load"]["mass"]["value"] == 6.9605
 
@@ -280,7 +280,7 @@ def read_input(folder: Path, text: str, entry: dict[str, str], key: str = "mass"
     """Table at a key of [load] after its certificate was read; raises the first error."""
     (folder / "a.xml").write_text(text, encoding="utf-8")
     scope = PathScope(folder, folder.resolve())
-    found = certified_inputs({"load": {key: {"dcc": "a.xml"} | entry}}, folder / "rig.toml", scope)
+    found = resolve_certificates({"load": {key: {"dcc": "a.xml"} | entry}}, folder / "rig.toml", scope)
     if found.errors:
         raise found.errors[0]
     return found.text["load"][key]

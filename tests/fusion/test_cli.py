@@ -111,7 +111,7 @@ def test_quiet_and_verbose(flags, warned, informed, make_campaign, capsys):
     folder = make_campaign()
     assert main(["run", str(folder), *flags]) == EXIT_DONE
     output = capsys.readouterr().err
-    assert ("shakercal: top: 318.75 Hz is left out" in output) is warned
+    assert ("shakercal: SC-999 top: 318.75 Hz is left out" in output) is warned
     assert ("edge 90 of 211 is missing" in output) is informed
     assert main(["run", str(folder), *flags]) == EXIT_DONE
     again = capsys.readouterr()

@@ -78,7 +78,7 @@ def test_one_component_is_the_excess_of_the_sample_variance(noise):
     assert component == pytest.approx(variance - noise, rel=1e-5)
     # Satterthwaite: the variance 2 s⁴/8 of the estimate as 2 θ²/ν.
     assert dof == pytest.approx(8 * ((variance - noise) / variance) ** 2, rel=1e-4)
-    assert variance_components([replace(group, spread=10.0 * np.eye(8))])[0][0] == 0.0
+    assert variance_components([replace(group, covariance=10.0 * np.eye(8))])[0][0] == 0.0
 
 
 def test_the_same_errors_at_all_lines_count_once():
@@ -551,10 +551,10 @@ def test_the_test_of_a_reading_with_estimated_noise_is_exact(dof):
     for two, m in (((sure, weak), dof), ((other, weak), 2.0 * dof)):
         system = build_system([replace(one, members=(str(place),)) for place, one in enumerate(two)])
         solution = solve(system)
-        noise = EstimatedNoise.of(system, solution.effects)
+        noise = EstimatedNoise.from_system(system, solution.effects)
         assert solution.dof == 2
-        assert noise.probability(9.0, 2, solution.projector) == pytest.approx(f.sf(4.5, 2, m), rel=0.02)
-        limit = noise.noticed(2, solution.projector, 0.8)
+        assert noise.p_value(9.0, 2, solution.projector) == pytest.approx(f.sf(4.5, 2, m), rel=0.02)
+        limit = noise.detectable_noncentrality(2, solution.projector, 0.8)
         assert ncf.sf(f.isf(0.01, 2, m), 2, m, limit) == pytest.approx(0.8, rel=0.01)
 
 
@@ -576,8 +576,8 @@ def test_instruments_whose_noise_was_estimated_agree_as_often_as_the_test_says(d
     for trial in range(300):
         system = build_system(estimated(trial, dof))
         solution = solve(system)
-        noise = EstimatedNoise.of(system, solution.effects)
-        found.append(noise.probability(solution.chi2, solution.dof, solution.projector))
+        noise = EstimatedNoise.from_system(system, solution.effects)
+        found.append(noise.p_value(solution.chi2, solution.dof, solution.projector))
         plain.append(chi2.sf(solution.chi2, solution.dof))
     for share in (0.01, 0.05, 0.2):
         held = np.sum(np.array(found) < share)

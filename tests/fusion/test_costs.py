@@ -62,7 +62,7 @@ def costs(tmp_path_factory):
     with pytest.MonkeyPatch.context() as patch:
         for module, name in (
             (image_files, "tiff_header"), (image_files, "read_tiff"), (tiff, "_inflated"), (bspline, "_prefilter"),
-            (folder, "still_svg"),
+            (folder, "static_svg"),
         ):  # fmt: skip
             counted(patch, module, name)
         patch.setattr(find, "register", registered)
@@ -93,7 +93,7 @@ def test_most_frames_are_compared_with_the_body_once(costs):
 
 def test_only_the_main_figures_are_drawn_as_pictures(costs):
     calls, _ = costs
-    assert 0 < calls["still_svg"] <= 4
+    assert 0 < calls["static_svg"] <= 4
 
 
 def test_a_run_does_not_import_matplotlib(tmp_path):

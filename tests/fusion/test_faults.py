@@ -33,6 +33,7 @@ from fusion.recording.recording_notices import PATH_NOT_UTF8
 from fusion.report import atomic_files
 from fusion.report.atomic_files import file_lock, remove_abandoned, write_atomically, write_files, write_together
 from fusion.report.folder import hash_files, hashing, read_provenance, sha256
+from fusion.report.report_notices import UNREADABLE_INPUT
 from fusion.report.table import TableColumn, csv_text, read_rows
 from fusion.report.terminal import Terminal, printable
 from fusion.simulate import simulate
@@ -272,7 +273,7 @@ def test_a_change_of_a_file_is_noticed(tmp_path):
     ):
         inputs = hashed()
         change()
-        with pytest.raises(InputError, match=r"a\.h5: (changed|vanished) "):
+        with pytest.raises(InputError, match=r"SC-555 .*a\.h5: (changed|disappeared) "):
             inputs.check()
     # Another file of the same size and time is recognised by its content.
     for content, refused in ((b"first", False), (b"other", True)):
@@ -281,7 +282,7 @@ def test_a_change_of_a_file_is_noticed(tmp_path):
         os.utime(tmp_path / "new", ns=(far, far))
         os.replace(tmp_path / "new", path)
         if refused:
-            with pytest.raises(InputError, match=r"a\.h5: changed "):
+            with pytest.raises(InputError, match=r"SC-555 .*a\.h5: changed "):
                 inputs.check()
         else:
             inputs.check()
@@ -291,7 +292,7 @@ def test_a_change_of_a_file_is_noticed(tmp_path):
     inputs = hash_files([path], tmp_path)
     path.write_bytes(b"other")
     os.utime(path, ns=(when, when))
-    with pytest.raises(InputError, match=r"a\.h5: changed "):
+    with pytest.raises(InputError, match=r"SC-555 .*a\.h5: changed "):
         inputs.check()
 
 
@@ -305,11 +306,11 @@ def test_a_file_that_changes_while_it_is_hashed_is_refused(tmp_path, monkeypatch
         return "digest"
 
     monkeypatch.setattr("fusion.report.folder.sha256", grown)
-    with pytest.raises(InputError, match=r"a\.h5: changed "):
+    with pytest.raises(InputError, match=r"SC-555 .*a\.h5: changed "):
         hash_files([path], tmp_path)
 
 
-@pytest.mark.parametrize("change", ["rewritten", "vanished", "unreadable"])
+@pytest.mark.parametrize("change", ["rewritten", "deleted", "unreadable"])
 def test_a_change_of_a_file_during_hashing_is_reported_before_errors_of_its_content(
     change, make_campaign, monkeypatch, capsys
 ):
@@ -324,9 +325,9 @@ def test_a_change_of_a_file_during_hashing_is_reported_before_errors_of_its_cont
         return sha256(path)
 
     def evaluate(*_: Any, **__: Any) -> Any:
-        {"rewritten": lambda: file.write_bytes(b"other"), "vanished": file.unlink, "unreadable": unread}[change]()
+        {"rewritten": lambda: file.write_bytes(b"other"), "deleted": file.unlink, "unreadable": unread}[change]()
         begun.set()
-        raise ComputeError("what was found in the file")
+        raise ComputeError(UNREADABLE_INPUT, reason="its data")
 
     def unread() -> None:
         monkeypatch.setattr("fusion.report.folder.hashlib.file_digest", refuse)
@@ -340,7 +341,7 @@ def test_a_change_of_a_file_during_hashing_is_reported_before_errors_of_its_cont
     sentence = capsys.readouterr().err.splitlines()[-1]
     verb = {
         "rewritten": " changed ",
-        "vanished": " vanished ",
+        "deleted": " disappeared ",
         "unreadable": "Permission denied",
     }
     assert verb[change] in sentence
@@ -358,13 +359,13 @@ def test_files_that_have_just_changed_are_hashed_before_they_are_read(tmp_path):
     assert dict(hashing([path], tmp_path)) == {"a.h5": hashlib.sha256(b"later").hexdigest()}
 
 
-@pytest.mark.parametrize("change", ["rewritten", "vanished"])
+@pytest.mark.parametrize("change", ["rewritten", "deleted"])
 def test_a_run_on_a_changing_file_writes_no_results(change, make_campaign, ready_evaluation, monkeypatch, capsys):
     folder = make_campaign()
     file = folder / "vibrometer.h5"
 
     def evaluate(*_: Any, **__: Any) -> Any:
-        if change == "vanished":
+        if change == "deleted":
             file.unlink()
         else:
             file.write_bytes(b"of another copy")
@@ -373,7 +374,7 @@ def test_a_run_on_a_changing_file_writes_no_results(change, make_campaign, ready
     monkeypatch.setattr("fusion.campaign.run.evaluate_recording", evaluate)
     without_pages(monkeypatch)
     assert main(["run", str(folder), "-q"]) == EXIT_INPUT
-    verb = "vanished" if change == "vanished" else "changed"
+    verb = "disappeared" if change == "deleted" else "changed"
     assert f"{file}: {verb} " in capsys.readouterr().err.splitlines()[-1]
     assert not (folder / "results").exists()
 
@@ -393,7 +394,7 @@ def test_a_manifest_that_changes_between_reading_and_hashing_is_refused(make_cam
 
 
 def test_every_file_that_a_run_opens_is_among_the_hashed(tmp_path):
-    """The interpreter tells every file that Python opens; those of the campaign are inputs of the results."""
+    """An audit hook lists the files that Python opens; those of the campaign are inputs of the results."""
     simulate(tmp_path / "sweep", "sweep", 3, recordings=1)
     recording = next((tmp_path / "sweep").glob("*/recording.toml")).parent
     opened: set[str] = set()

@@ -9,6 +9,7 @@ from scipy import signal
 from support import evaluated, refusals
 
 from fusion.instruments.channel import DELAY_OF_FILTER
+from fusion.phasors.phasor_notices import FILTER_DELAY
 from shaker.frf.chain import filters_of_delay
 
 SCALED = {"scale": 1.0, "scale_uncertainty": 1e-4}
@@ -42,8 +43,8 @@ def test_a_filter_stated_as_delay_is_in_U(tmp_path, kind, order, corner_hz, hert
     assert abs(np.angle(found.sensitivity.value[0, 0, 2] / SENSITIVITY)) <= element.expanded_phase_rad
     lines = {entry.label for entry in found.sensitivity.budget}
     assert any(DELAY_OF_FILTER in label for label in lines)
-    (notice,) = (n for n in found.notices if "Fz.delay" in n.text)
-    assert notice.severity == "warning"
+    (notice,) = (n for n in found.notices if n.code == FILTER_DELAY.code)
+    assert notice.where.endswith("channel.Fz.delay")
 
 
 def test_a_pure_delay_has_no_uncertainty(tmp_path):
@@ -53,7 +54,7 @@ def test_a_pure_delay_has_no_uncertainty(tmp_path):
         found = evaluated(run_with(tmp_path / name, response, delay, 319.0, **keys))
         assert abs(found.sensitivity.value[0, 0, 2] / SENSITIVITY - 1.0) < 1e-5
         budgets[name] = [entry.label for entry in found.sensitivity.budget if DELAY_OF_FILTER in entry.label]
-        assert any("Fz.delay" in n.text for n in found.notices) == (name == "unknown")
+        assert any(n.code == FILTER_DELAY.code for n in found.notices) == (name == "unknown")
     assert budgets["pure"] == []
     assert budgets["filter"] == budgets["unknown"] != []
 
@@ -62,7 +63,7 @@ def test_small_delays_do_not_matter(tmp_path):
     found = evaluated(run_with(tmp_path, np.exp(-2j * np.pi * 1000.0 * 1e-6), 1e-6, 1000.0))
     own = [e.u_relative[0, 0] for e in found.sensitivity.budget if DELAY_OF_FILTER in e.label]
     assert 0.0 < max(own) < 2e-5
-    assert not [n for n in found.notices if "Fz.delay" in n.text]
+    assert not [n for n in found.notices if n.code == FILTER_DELAY.code]
 
 
 def test_filters_of_a_delay_have_this_delay():

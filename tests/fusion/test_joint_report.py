@@ -54,7 +54,7 @@ from fusion.report.folder import Provenance
 from fusion.report.h5 import read_uncertainty
 from fusion.report.recording_report import CAMPAIGN_FILES, check_campaign_folder, write_results
 from shaker.labels import LOAD_COMPONENTS as LOADS
-from shakercal._common.notices import Notice
+from shakercal._common.notices import DeclaredNotice, Notice
 
 FAILED = {"Fz-0999": "recording.toml: daq.laser.scale: expected a number, found <nothing>"}
 SWEEP_HZ = (53.7, 161.1, 375.9, 590.7, 805.5, 1020.3)
@@ -87,7 +87,7 @@ def recorded(name: str, drives: Sequence[ExcitedLine]) -> RecordingResults:
         frequencies=tuple(drive.nominal_hz for drive in drives),
         sensor=SENSOR,
         excited_lines=tuple(replace(drive, recording=name) for drive in drives),
-        notices=(Notice("warning", "the phase drifts", "velocity"),),
+        notices=(Notice(DeclaredNotice("SC-999", "warning", "the phase drifts"), "velocity"),),
         origin=Provenance({f"{name}/recording.toml": "ab" * 32}, {"spline_degree": 5}, {"shakercal": "0.1.0"}, ()),
     )
 

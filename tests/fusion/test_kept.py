@@ -11,6 +11,7 @@ import jinja2
 import pytest
 
 from fusion.report.folder import TEMPLATES
+from fusion.report.notice_tables import code_html
 from fusion.report.page_cache import UNUSED_S, CompiledTemplates, load_or_make
 
 
@@ -88,7 +89,9 @@ def test_several_at_once_find_it_whole(folder):
 
 def test_cached_templates_give_the_same_text(folder):
     def environment(**more: object) -> jinja2.Environment:
-        return jinja2.Environment(loader=jinja2.FileSystemLoader(TEMPLATES), autoescape=True, **more)
+        made = jinja2.Environment(loader=jinja2.FileSystemLoader(TEMPLATES), autoescape=True, **more)
+        made.filters["code_html"] = code_html
+        return made
 
     rows = {"headlines": [{"label": "<a>", "value": 1, "remark": "&"}]}
 

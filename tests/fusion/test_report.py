@@ -346,5 +346,7 @@ def test_the_epipolar_figure_shows_the_uncertainty_of_the_calibration(evaluation
     check = stereo.epipolar if with_covariance else replace(stereo.epipolar, pattern_covariance=None)
     picture = draw_epipolar(check, stereo.time_s, "top")
     assert picture.caption.count("k = 2") == 1 + with_covariance  # image noise, and the band of the calibration
-    nothing = replace(check, course_px=np.full_like(check.course_px, np.nan), residual_px=check.residual_px * np.nan)
+    nothing = replace(
+        check, residual_trend_px=np.full_like(check.residual_trend_px, np.nan), residual_px=check.residual_px * np.nan
+    )
     assert render_figure(draw_epipolar(nothing, stereo.time_s, "top"))

@@ -15,7 +15,7 @@ from fusion.campaign.repeats import BETWEEN, WITHIN, nested_anova
 from fusion.cli import main
 from fusion.estimation.coverage import coverage_factor
 from fusion.recording.load import load_manifest
-from fusion.sensor.rotate.rotation_evaluation import MEAN_ROWS, RotationCampaign, evaluate_rotation, quantities
+from fusion.sensor.rotate.rotation_evaluation import WEIGHT_AND_MOMENT_ROWS, MassInputs, evaluate_rotation, quantities
 from fusion.sensor.rotate.rotation_notices import SINGLE_MOUNTING
 from fusion.sensor.rotate.rotation_readings import (
     JOINT,
@@ -202,7 +202,7 @@ class _Trials:
         self.recordings, self.records = tuple(recordings), tuple(records)
         self.weights = fit_weights(self.records, read[BARE][1], SCATTERING.u_angle_rad)
 
-    def drawn(self, rng: np.random.Generator, within: float, between: float) -> RotationCampaign:
+    def drawn(self, rng: np.random.Generator, within: float, between: float) -> MassInputs:
         """One test: noise, calibration, gravity, air, buoyancy, relative scatter of what every recording carries."""
         value = self.weights.value.copy()
         for source in self.weights.sources:
@@ -212,10 +212,10 @@ class _Trials:
         mounted: dict[tuple[bool, str], float] = {}
         for row, recording in zip(value.reshape(-1, ROWS), self.recordings, strict=True):
             anew = mounted.setdefault((recording.with_load, recording.manifest.mounting), rng.normal(0.0, between))
-            row[MEAN_ROWS[:-3]] -= buoyancy
-            row[MEAN_ROWS] *= 1.0 + anew + rng.normal(0.0, within)
+            row[WEIGHT_AND_MOMENT_ROWS[:-3]] -= buoyancy
+            row[WEIGHT_AND_MOMENT_ROWS] *= 1.0 + anew + rng.normal(0.0, within)
         gravity, air = (known._replace(value=rng.normal(known.value, known.u)) for known in self.surroundings)
-        return RotationCampaign(self.recordings, self.records, replace(self.weights, value=value), gravity, air)
+        return MassInputs(self.recordings, self.records, replace(self.weights, value=value), gravity, air)
 
 
 @pytest.mark.slow
@@ -282,7 +282,7 @@ def test_intervals_contain_the_truth(rig, tmp_path):
             recordings.append(replace(recording, fit=fit))
         records = tuple(first_harmonics(recording) for recording in recordings)
         weights = fit_weights(records, read[0][1], rig.u_angle_rad)
-        campaign = RotationCampaign(tuple(recordings), records, weights, gravity, air)
+        campaign = MassInputs(tuple(recordings), records, weights, gravity, air)
         found = {(q.name, q.component): q for q in quantities(campaign)}
         for key, true in _truth(rig, draws.values).items():
             covered[key] += abs(found[key].value - true) <= found[key].expanded

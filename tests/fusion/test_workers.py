@@ -175,7 +175,7 @@ def test_shared_frames_give_the_tables_of_the_serial_run(demo_recording, serial_
     monkeypatch.setattr(leading, "Workers", lambda _: crew)
     tables = _demo_tables(demo_recording, tmp_path, workers=2, progress=lambda *what: stages.append(what))
     names = [asked.__name__ for asked in crew.asked if asked.__name__ != "_ready"]  # those begin the workers
-    assert names[:4] == ["_prepared", "_prepared", "follow", "follow"]
+    assert names[:4] == ["_prepared", "_prepared", "track_block", "track_block"]
     assert ("track base", 48, 48) in stages
     assert tables == serial_demo
 
@@ -368,7 +368,7 @@ def test_an_address_without_a_scheduler_is_refused(address, tmp_path, monkeypatc
     (tmp_path / "recording.toml").write_text("")
     sentence = refused("run", tmp_path, "--scheduler", address)
     assert sentence.startswith(f"shakercal: {NO_SCHEDULER.code} --scheduler: ")
-    assert sentence.endswith(address)
+    assert address in sentence
 
 
 def test_without_the_extra_the_command_is_refused(tmp_path, monkeypatch, refused):

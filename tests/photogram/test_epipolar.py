@@ -124,8 +124,8 @@ def test_derivatives_are_those_of_the_residual():
 
 def test_residuals_of_frames_have_the_stated_noise():
     check = _checked([RIG] * 200)
-    scatter = check.course_px[1:].std(axis=0, ddof=1)
-    np.testing.assert_allclose(scatter, np.median(check.u_course_px, axis=0), rtol=0.15)
+    scatter = check.residual_trend_px[1:].std(axis=0, ddof=1)
+    np.testing.assert_allclose(scatter, np.median(check.u_residual_trend_px, axis=0), rtol=0.15)
     assert check.notices == ()
 
 
@@ -193,7 +193,7 @@ def test_a_jump_is_reported_with_its_frame_and_size(frame):
 def test_a_turn_with_the_same_mean_is_found_by_its_slope_and_a_drift_is_distinguished():
     about = _turned(RIG, 2, 1e-4)
     check = _checked([RIG] * 20 + [about] * 20)
-    step = check.course_px[20:].mean(axis=0) - check.course_px[:20].mean(axis=0)
+    step = check.residual_trend_px[20:].mean(axis=0) - check.residual_trend_px[:20].mean(axis=0)
     assert abs(step[1]) > MOVED_PX
     assert [notice.values["frame"] for notice in check.notices if notice.code == CAMERA_MOVED.code] == [20]
     rigs = [_turned(RIG, 0, 0.03 / 3200 * frame / FRAMES) for frame in range(FRAMES)]
@@ -207,7 +207,7 @@ def test_a_body_that_goes_far_shows_the_lens_and_no_moving_camera():
     bent = np.zeros(24)
     bent[4], bent[13] = 0.007, -0.007  # k1 of both lenses: 0.1 px at the edge of the picture
     check = check_epipolar(_tracks([RIG.perturbed(bent)] * FRAMES, moved_m=far), _rig(None))
-    assert np.ptp(check.course_px[:, 0]) > 2 * MOVED_PX
+    assert np.ptp(check.residual_trend_px[:, 0]) > 2 * MOVED_PX
     assert check.notices == ()
 
 
@@ -220,8 +220,8 @@ def test_missing_points_and_outliers_do_not_disturb_and_too_few_give_no_result()
     check = check_epipolar(replace(tracks, cameras=(tracks.left, replace(tracks.right, position_px=position))), RIG)
     assert check.notices == ()
     assert np.isnan(check.residual_px[3])
-    assert np.isnan(check.course_px[25]).all()
-    assert np.isfinite(np.delete(check.course_px, 25, axis=0)).all()
+    assert np.isnan(check.residual_trend_px[25]).all()
+    assert np.isfinite(np.delete(check.residual_trend_px, 25, axis=0)).all()
     few = check_epipolar(_tracks([RIG] * FRAMES, points_m=POINTS_M[:5]), RIG)
     assert few.notices == ()
     assert np.isnan(few.mean_px).all()

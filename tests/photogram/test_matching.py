@@ -21,7 +21,7 @@ from photogram.subsets.icgn import TrackSettings
 from photogram.subsets.reference import TrackStatus, prepare_reference
 from photogram.subsets.search import agreeing_neighbours, template_shifts
 from photogram.subsets.sweep import TOLERANCE_PX, fit_surfaces, line_starts, line_uncertainty_px
-from photogram.subsets.texture import repeat_px, repeat_steps_px
+from photogram.subsets.texture import repeat_distance_px, repeat_steps_px
 from photogram.subsets.track import StereoGrid, lay_stereo_grid, match_stereo, stereo_tracks, track_stereo
 from photogram.synthetic.scene import Face, render, tile_texture, view_of
 
@@ -225,9 +225,9 @@ def test_surfaces_are_separated_and_strays_rejected():
 def test_the_distance_of_copies_is_found_if_there_are_any():
     pair, single = Pair(foil(BEYOND, period_m=0.01)), Pair(face(ENDS_IN_VIEW, 6))
     points = np.stack(np.meshgrid(np.arange(60.0, 260, 25), np.arange(60.0, 200, 25)), axis=-1).reshape(-1, 2)
-    found = repeat_px(pair.images(1)[0].read(0), points, 10)
+    found = repeat_distance_px(pair.images(1)[0].read(0), points, 10)
     assert found == pytest.approx(50.0 * np.cos(np.radians(14)), abs=2.0)  # 10 mm, seen 14° off its normal
-    assert np.isnan(repeat_px(single.images(1)[0].read(0), points, 10))
+    assert np.isnan(repeat_distance_px(single.images(1)[0].read(0), points, 10))
     steps = repeat_steps_px(pair.images(1)[0].read(0), points, 10)
     for true in ((found, 0.0), (-found, 0.0), (0.0, 50.0), (0.0, -50.0)):
         assert np.hypot(*(steps - true).T).min() < 2.0

@@ -245,7 +245,7 @@ def test_what_was_followed_gives_the_same_however_much_of_it_is_read_at_a_time(s
         joined = np.concatenate([getattr(part, name) for part in parts.surface])
         np.testing.assert_allclose(joined, getattr(beside, name), 1e-6, 1e-9 * np.nanmax(np.abs(joined)))
     one, other = check_epipolar(whole.tracks, prepared.rig), check_epipolar(parts.tracked, prepared.rig)
-    same(one, other, "course_px", "u_course_px", "pattern_px", "mean_px")
+    same(one, other, "residual_trend_px", "u_residual_trend_px", "pattern_px", "mean_px")
     assert parts.notices == whole.notices
 
 
@@ -350,7 +350,7 @@ def test_in_frames_without_subsets_the_motion_is_as_good_as_with_them(large, mon
     assert np.max(off[TOUCHED:, :3]) < 5e-4 * 2e-3  # of the way that the touch took it
     assert np.array_equal(some.motion.points > 0, some.subset_frames)
     assert len(some.tracks.left.zncc) == len(some.motion_of_points.pose) == some.subset_frames.sum()
-    course = check_epipolar(some.tracked, others[0], some.subset_frames).course_px
+    course = check_epipolar(some.tracked, others[0], some.subset_frames).residual_trend_px
     assert np.array_equal(np.isfinite(course).all(axis=1), some.subset_frames)
 
 

@@ -27,9 +27,9 @@ from photogram.subsets.texture import (
     aliasing_bias,
     aliasing_notice,
     assess_subsets,
-    default_radius_px,
     fine_texture_share,
-    lay_grid,
+    place_subsets,
+    radius_from_speckle_px,
     speckle_size,
     subset_mean,
     textured_area,
@@ -66,17 +66,17 @@ def test_the_body_is_found_its_rim_and_dust_left_out_and_an_image_full_of_textur
 def test_subsets_fill_a_rectangle_completely_and_a_small_area_has_none():
     area = np.zeros((80, 120), bool)
     area[5:75, 10:115] = True
-    points = lay_grid(area, 10, 21)
+    points = place_subsets(area, 10, 21)
     assert len(points) == 3 * 5
     assert np.all(subset_mean(area, points, 10) == 1.0)
-    assert lay_grid(disc((50, 50), (25, 25), 12), 10, 21).shape == (0, 2)
-    refused("^radius_px, step_px: .* 1", lay_grid, np.ones((9, 9), bool), 0, 1)
+    assert place_subsets(disc((50, 50), (25, 25), 12), 10, 21).shape == (0, 2)
+    refused("^radius_px, step_px: .* 1", place_subsets, np.ones((9, 9), bool), 0, 1)
 
 
 def test_subsets_neither_overlap_nor_leave_the_area():
     area = disc((300, 340), (170, 150), 140)
     area[100:130, 60:90] = False
-    points = lay_grid(area, 10, 21)
+    points = place_subsets(area, 10, 21)
     apart = np.abs(points[:, None] - points[None]).max(axis=2) + 99 * np.eye(len(points))
     assert apart.min() >= 21
     assert np.all(subset_mean(area, points, 10) == 1.0)
@@ -139,7 +139,7 @@ def test_predicted_sigma_is_the_scatter_of_tracking():
     rng, radius = np.random.default_rng(2), 10
     still, moved = images(5.0, 1.2, np.array([0.0, 0.4]))
     first = SENSOR.digitise(still, rng)
-    reference = prepare_reference(spline_of_image(first), lay_grid(INNER, radius, 2 * radius + 1), radius)
+    reference = prepare_reference(spline_of_image(first), place_subsets(INNER, radius, 2 * radius + 1), radius)
     quality = assess_subsets(reference, first, NOISE, SENSOR.full_scale)
     assert quality.usable.all()
     assert quality.notices("left camera") == ()
@@ -174,7 +174,7 @@ def test_bias_of_unresolved_texture_is_predicted(dot_px, blur_px):
     """Amplitude over the pixel of the error of noise-free subsets, within a factor of 2; of their mean within 2.5."""
     shifts = np.arange(8) / 8
     frames = [4095 * frame for frame in images(dot_px, blur_px, shifts)]
-    reference = prepare_reference(spline_of_image(frames[0]), lay_grid(INNER, 10, 21), 10)
+    reference = prepare_reference(spline_of_image(frames[0]), place_subsets(INNER, 10, 21), 10)
     errors, exact = [], TrackSettings(convergence_px=1e-6, min_zncc=0.5)
     for frame, shift in zip(frames, shifts, strict=True):
         start = np.zeros((len(reference.centre_px), 6))
@@ -206,8 +206,8 @@ def test_soft_speckle_is_not_complained_of(make_texture):
 
 @pytest.mark.parametrize(("speckle_px", "radius"), [(4.0, 10), (4.5, 10), (5.0, 10), (3.0, 7), (8.0, 17), (30.0, 25)])
 def test_radius_follows_the_speckle(speckle_px, radius):
-    assert default_radius_px(speckle_px) == radius
-    assert default_radius_px(float("nan")) == 10
+    assert radius_from_speckle_px(speckle_px) == radius
+    assert radius_from_speckle_px(float("nan")) == 10
 
 
 # First guesses: features and affine starts, templates, fields through few points.

@@ -19,7 +19,15 @@ from shaker.static_rotation.harmonics import (
     standard_pressure,
     turning_sense,
 )
-from shaker.static_rotation.masses import ROWS, RotationRecord, SensorOutputs, fit_weights, start_values
+from shaker.static_rotation.masses import (
+    DISAGREEMENT_SOURCE,
+    ROWS,
+    UNDETERMINED_SOURCE,
+    RotationRecord,
+    SensorOutputs,
+    fit_weights,
+    start_values,
+)
 
 
 @pytest.mark.parametrize(
@@ -289,7 +297,7 @@ def test_two_force_channels_determine_the_weight_but_not_the_centre():
     record = _rotation_record(_load(20.0, (0.01, 0.02, 0.03)), SENSITIVITY[:2])
     fit = fit_weights([record], _outputs(SENSITIVITY[:2]))
     assert fit.value[0] == pytest.approx(20.0, rel=1e-6)
-    undetermined = next(source for source in fit.sources if source.name == "what no channel tells")
+    undetermined = next(source for source in fit.sources if source.name == UNDETERMINED_SOURCE)
     size = np.linalg.norm(undetermined.effect, axis=1)
     assert np.all(size[1:4] > 19.0)
     assert size[0] < 1e-9
@@ -308,7 +316,7 @@ def test_cross_talk_in_the_matrix_is_taken_off():
 def test_channels_that_disagree_enlarge_the_uncertainty():
     record = _rotation_record(_load(20.0), SENSITIVITY * np.array([1.01, 1.0, 1.0, 1.0, 1.0, 1.0]))
     fit = fit_weights([record], _outputs())
-    behind = next(source for source in fit.sources if source.name == "channels that disagree")
+    behind = next(source for source in fit.sources if source.name == DISAGREEMENT_SOURCE)
     assert behind.dof == 2.0
     assert fit.departure == pytest.approx(0.01 / 2.0, rel=0.02)  # χ² = 2 (d/2u)² at two freedoms
     assert fit.value[0] == pytest.approx(20.1, rel=1e-4)

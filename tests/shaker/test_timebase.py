@@ -156,7 +156,7 @@ def test_scatter_is_distinguished_from_sampling():
         for jitter, scatters in ((0.0, False), (1e-2 / rate_hz / count, False), (0.1 / rate_hz, True)):
             for _ in range(8):
                 instants = 0.1 + PERIOD_S * (rng.uniform() + np.arange(count)) + jitter * rng.normal(size=count)
-                assert fit_trigger(_latched(instants, rate_hz, 4.3)).scatters is scatters
+                assert fit_trigger(_latched(instants, rate_hz, 4.3)).jitter_detected is scatters
 
 
 @pytest.mark.parametrize(

@@ -83,7 +83,7 @@ def draft(folder: str | Path, like: str | Path | None = None) -> Draft:
     >>> draft("sample_images/demo/Fz-0080")
     Traceback (most recent call last):
         ...
-    fusion.base.InputError: sample_images/demo/Fz-0080: expected a folder without recording.toml, found one there
+    fusion.errors.InputError: SC-809 sample_images/demo/Fz-0080: expected a folder without recording.toml, found one
     """
     folder = Path(folder)
     found = [survey_folder(recording) for recording in _recordings(folder)]

@@ -69,7 +69,7 @@ def _causes(
     set_ups: Sequence[MeasuredSetUp],
 ) -> Iterator[str]:
     """Yield mistakes that explain a contradiction: simple ones, otherwise a pair's pose or edge."""
-    system = build_system(observations, acceleration.unseen)
+    system = build_system(observations, acceleration.unobserved_limits)
     first = solve(system)
     plain = list(_plain(acceleration, blamed, system, first))
     yield from plain

@@ -29,7 +29,13 @@ from photogram.camera import StereoRig, epipolar_residual, triangulate
 from photogram.images.exposure import clip_level, missing_pattern_reason
 from photogram.images.sequence import GreyImage, ImageSequence
 from photogram.subsets.search import match_features
-from photogram.subsets.texture import default_radius_px, lay_grid, repeat_px, speckle_size, textured_area
+from photogram.subsets.texture import (
+    place_subsets,
+    radius_from_speckle_px,
+    repeat_distance_px,
+    speckle_size,
+    textured_area,
+)
 from shakercal._common.notices import Notice
 
 FRAMES = 8  # of each camera
@@ -97,8 +103,8 @@ def examine_camera(where: str, images: ImageSequence) -> tuple[list[Finding], Ca
     speckle = speckle_size(first, area)
     if not FINE_PX <= speckle <= COARSE_PX:
         found.append(Finding("CHECK", Notice(SPECKLE_SIZE, where, size_px=speckle)))
-    radius = default_radius_px(speckle)
-    points = lay_grid(area, radius, 2 * radius + 1)
+    radius = radius_from_speckle_px(speckle)
+    points = place_subsets(area, radius, 2 * radius + 1)
     return found, CameraExamination(first, area, speckle, points, radius, _sigma_px(first, area, radius))
 
 
@@ -155,7 +161,7 @@ def examine_pair(
         side = "left" if left.speckle_px > right.speckle_px else "right"
         sizes = {"left_px": left.speckle_px, "right_px": right.speckle_px}
         found.append(Finding("CHECK", Notice(CAMERA_OUT_OF_FOCUS, where, side=side, **sizes)))
-    period = repeat_px(left.image, left.points_px, left.radius_px)
+    period = repeat_distance_px(left.image, left.points_px, left.radius_px)
     if np.isfinite(period):
         found.append(Finding("CHECK", Notice(REPEATING_PATTERN, where, period_px=period)))
     matches = _matches(left.image, right.image)

@@ -66,7 +66,7 @@ AIM_MISSED = DeclaredNotice(
     "warning",
     "U (k = 2) of {channel} at {frequency_hz:g} Hz will be about {expected_percent:.2g} %, more than the target of "
     "{aim_percent:.2g} %.",
-    remedy="Increase the excitation or the duration of the record, or state better known instruments.",
+    remedy="Increase the excitation or the duration of the record, or use instruments with smaller stated uncertainty.",
     link="look.md#the-uncertainty-to-expect",
 )
 NO_SPECKLE = DeclaredNotice(
@@ -93,7 +93,7 @@ LOW_CONTRAST = DeclaredNotice(
 SPECKLE_SIZE = DeclaredNotice(
     "SC-828",
     "warning",
-    "The speckle size is {size_px:.2g} px; 3 to 6 px are best.",
+    "The speckle size is {size_px:.2g} px; 3 to 5 px are best.",
     effect="Fine speckle causes aliasing. Coarse speckle, or a camera out of focus, increases the noise.",
     remedy="Check the focus, or use another pattern.",
     link="look.md#what-is-examined-in-channels-and-images",

@@ -189,7 +189,7 @@ def examine_trigger(where: str, fit: TriggerFit | str) -> Iterator[Finding]:
     if fit.doubled or fit.spurious:
         count, kind = fit.doubled + fit.spurious, "doubled or stray"
         yield Finding("CHECK", Notice(IRREGULAR_EDGES, where, count=count, edges=fit.edges, kind=kind))
-    if fit.scatters:
+    if fit.jitter_detected:
         yield Finding("CHECK", Notice(LOOK_TRIGGER_JITTER, where, jitter_us=1e6 * fit.jitter_s))
 
 

@@ -57,6 +57,7 @@ from shaker.static_rotation.harmonics import SourcedValue
 from shaker.static_rotation.masses import (
     FORCES,
     ROWS,
+    UNDETERMINED_SOURCE,
     UNKNOWNS_PER_RECORD,
     RotationRecord,
     SensorOutputs,
@@ -67,7 +68,7 @@ from shaker.static_rotation.masses import (
 )
 from shakercal._common.notices import Notice
 
-MAX_OFFSET_RAD, MAX_TILT_RAD = np.radians(10.0), np.radians(1.0)
+ZERO_ANGLE_NOTICE_RAD, AXIS_TILT_NOTICE_RAD = np.radians(10.0), np.radians(1.0)
 """Zero angle and tilt of the axis above which a notice is given: chosen, far above the alignment of a good setup."""
 
 
@@ -110,11 +111,11 @@ def evaluate_rotation(name: str, manifests: Sequence[Manifest], input_hashes: di
     records = tuple(first_harmonics(recording) for recording in recordings)
     u_angle = max(manifest.excitation.angle_uncertainty for manifest in manifests)
     weights = fit_weights(records, outputs, u_angle)
-    campaign = RotationCampaign(recordings, records, weights, gravity, air)
-    numbers, scatter = quantities(campaign), repeats(campaign)
-    notices += [*_of_surroundings(manifests[0], gravity, outputs), *_of_mounting(recordings, scatter)]
+    mass_inputs = MassInputs(recordings, records, weights, gravity, air)
+    numbers, scatter = quantities(mass_inputs), repeats(mass_inputs)
+    notices += [*_input_notices(manifests[0], gravity, outputs), *_recording_notices(recordings, scatter)]
     notices += [
-        *_of_fit(weights, records),
+        *_fit_notices(weights, records),
         *(notice for manifest in manifests for notice in manifest.certificate_notices),
     ]
     for quantity in numbers:
@@ -156,7 +157,8 @@ def _read(manifests: Sequence[Manifest]) -> tuple[tuple[RotationRecording, ...],
     return tuple(item[0] for item in read), outputs, [notice for *_, of_recording in read for notice in of_recording]
 
 
-def _of_surroundings(manifest: Manifest, gravity: SourcedValue, outputs: SensorOutputs) -> Iterator[Notice]:
+def _input_notices(manifest: Manifest, gravity: SourcedValue, outputs: SensorOutputs) -> Iterator[Notice]:
+    """Yield notices on gravity, calibration matrix and bodies."""
     environment = manifest.rig.environment
     if environment is None or environment.gravity is None:
         yield Notice(
@@ -175,7 +177,7 @@ def _of_surroundings(manifest: Manifest, gravity: SourcedValue, outputs: SensorO
             yield Notice(BODY_DENSITY_NOT_STATED, "load", body=body.name)
 
 
-def _of_mounting(recordings: Sequence[RotationRecording], scatter: Sequence[RotationScatter]) -> Iterator[Notice]:
+def _recording_notices(recordings: Sequence[RotationRecording], scatter: Sequence[RotationScatter]) -> Iterator[Notice]:
     """Yield notices on missing recordings and on states of one mounting."""
     kinds = {recording.with_load for recording in recordings}
     stated = bool(load_bodies(recordings[0].manifest))
@@ -192,16 +194,16 @@ def _of_mounting(recordings: Sequence[RotationRecording], scatter: Sequence[Rota
             yield Notice(SINGLE_MOUNTING, "repeats", count=len(state.recordings), state=state.state)
 
 
-def _of_fit(weights: WeightFit, records: Sequence[RotationRecord]) -> Iterator[Notice]:
+def _fit_notices(weights: WeightFit, records: Sequence[RotationRecord]) -> Iterator[Notice]:
     """Yield notices on the axis of the head and the consistency of the channels."""
     for r, record in enumerate(records):
         row = weights.value[ROWS * r : ROWS * (r + 1)]
         zero, tilt = float(row[4]), float(np.hypot(row[5], row[6]))
         if abs(zero) > np.pi / 2.0:
             yield Notice(GRAVITY_REVERSED, record.name, offset_deg=float(np.degrees(zero)))
-        elif abs(zero) > MAX_OFFSET_RAD:
+        elif abs(zero) > ZERO_ANGLE_NOTICE_RAD:
             yield Notice(GRAVITY_OFFSET, record.name, offset_deg=float(np.degrees(zero)))
-        if tilt > MAX_TILT_RAD and tilt > 3.0 * float(np.sqrt(weights.covariance[ROWS * r + 5, ROWS * r + 5])):
+        if tilt > AXIS_TILT_NOTICE_RAD and tilt > 3.0 * float(np.sqrt(weights.covariance[ROWS * r + 5, ROWS * r + 5])):
             yield Notice(AXIS_TILT, record.name, tilt_deg=float(np.degrees(tilt)))
     if weights.departure > 0.0:
         yield Notice(WEIGHT_NOT_EXPLAINED, "channels", departure_percent=100.0 * weights.departure)
@@ -210,10 +212,9 @@ def _of_fit(weights: WeightFit, records: Sequence[RotationRecord]) -> Iterator[N
 # From weights to masses and centres of mass.
 
 
-UNDETERMINED = "what no channel tells"
 MAX_UNDETERMINED_SHARE = 0.1
-"""Share of this cause in the u of a number above which the recordings do not determine it."""
-MEAN_ROWS = np.array([0, *range(UNKNOWNS_PER_RECORD, UNKNOWNS_PER_RECORD + FORCES), 1, 2, 3])
+"""Share of `UNDETERMINED_SOURCE` in the u of a number above which the recordings do not determine it."""
+WEIGHT_AND_MOMENT_ROWS = np.array([0, *range(UNKNOWNS_PER_RECORD, UNKNOWNS_PER_RECORD + FORCES), 1, 2, 3])
 """Indices of weights (joint, by Fx, Fy, Fz) and first moment among the numbers of a recording."""
 
 
@@ -228,7 +229,7 @@ class QuantityLabel(NamedTuple):
 
 
 @dataclass(frozen=True)
-class RotationCampaign:
+class MassInputs:
     """The inputs of the masses: weights, surroundings, and bodies of each recording."""
 
     recordings: tuple[RotationRecording, ...]
@@ -260,13 +261,13 @@ class RotationCampaign:
     def single_forces(self) -> list[list[tuple[int, str]]]:
         """Return the forces that determine the weight individually, of every recording.
 
-        Each as (index in `MEAN_ROWS`, name).
+        Each as (index in `WEIGHT_AND_MOMENT_ROWS`, name).
         """
         finite = np.isfinite(self.weights.value.reshape(-1, ROWS)[:, UNKNOWNS_PER_RECORD:])
         return [[(1 + i, name) for i, name in enumerate(LOAD_COMPONENTS[:3]) if row[i]] for row in finite]
 
 
-class _Inputs:
+class _PerturbedInputs:
     """Inputs of the masses in B variants at once.
 
     Nominal values first, then each uncertain one raised and lowered by its u. There are N numbers: those of the fit,
@@ -274,14 +275,14 @@ class _Inputs:
     every cause of error with its effect on them.
     """
 
-    def __init__(self, campaign: RotationCampaign) -> None:
-        fit, (volume, u_volume) = campaign.weights, unknown_volume()
+    def __init__(self, mass_inputs: MassInputs) -> None:
+        fit, (volume, u_volume) = mass_inputs.weights, unknown_volume()
         extra = [
-            (campaign.gravity.value, campaign.gravity.u, "local gravity"),
-            (campaign.air.value, campaign.air.u, "air density"),
+            (mass_inputs.gravity.value, mass_inputs.gravity.u, "local gravity"),
+            (mass_inputs.air.value, mass_inputs.air.u, "air density"),
             (volume, u_volume, "density of the sensor's moving part"),
         ]
-        for body in campaign.bodies:
+        for body in mass_inputs.bodies:
             extra.append((body.mass_kg, body.u_mass_kg, "weighed mass"))
             extra.append((body.volume_m3kg, body.u_volume_m3kg, f"density of {body.name}"))
             centre = zip(body.centre_m, body.u_centre_m, strict=True)
@@ -298,30 +299,30 @@ class _Inputs:
         self.uncertain = np.flatnonzero(self.u > 0.0)
         steps = np.diag(self.u)[:, self.uncertain]
         variants = value[:, None] + np.hstack([0.0 * steps[:, :1], steps, -steps])
-        start, self.campaign = ROWS * len(campaign.recordings), campaign
+        start, self.mass_inputs = ROWS * len(mass_inputs.recordings), mass_inputs
         self.fit = variants[:start].reshape(-1, ROWS, variants.shape[1])
         self.gravity, self.air, self.volume = variants[start : start + 3]
-        self.body = {body.name: variants[start + 3 + 5 * i :][:5] for i, body in enumerate(campaign.bodies)}
+        self.body = {body.name: variants[start + 3 + 5 * i :][:5] for i, body in enumerate(mass_inputs.bodies)}
 
     def gradient(self, values: FloatArray) -> FloatArray:
-        """Return derivatives (Q, N) of numbers (Q, B)."""
+        """Return central differences (Q, N) of results (Q, B) by each input."""
         high, low = np.split(values[:, 1:], 2, axis=1)
         gradient = np.zeros((len(values), len(self.u)))
         gradient[:, self.uncertain] = (high - low) / (2.0 * self.u[self.uncertain])
         return gradient
 
-    def carried(self, bodies: Sequence[WeighedBody]) -> FloatArray:
+    def weight_and_moment(self, bodies: Sequence[WeighedBody]) -> FloatArray:
         """Return weight in air (N) and first moment (N·m) of bodies.
 
-        In the order of `MEAN_ROWS`.
+        In the order of `WEIGHT_AND_MOMENT_ROWS`.
         """
-        load = np.zeros((len(MEAN_ROWS), len(self.gravity)))
+        load = np.zeros((len(WEIGHT_AND_MOMENT_ROWS), len(self.gravity)))
         for row in (self.body[body.name] for body in bodies):
             weight = self.gravity * row[0] * (1.0 - self.air * row[1])
             load += weight * np.vstack([np.ones_like(load[:-3]), row[2:]])
         return load
 
-    def stated(self, bodies: Sequence[WeighedBody]) -> tuple[FloatArray, FloatArray, FloatArray]:
+    def mass_volume_centre(self, bodies: Sequence[WeighedBody]) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Return mass, volume per mass and centre of mass of bodies together.
 
         In kg, m³/kg and m (3, B).
@@ -332,21 +333,23 @@ class _Inputs:
         return mass, volume, np.sum(rows[:, :1] * rows[:, 2:], axis=0) / mass
 
     def net(self, r: int) -> FloatArray:
-        """Return the load of a recording less its additional bodies, in the order of `MEAN_ROWS`."""
-        return np.asarray(self.fit[r, MEAN_ROWS] - self.carried(self.campaign.recording_bodies[r]))
+        """Return the load of a recording less its additional bodies, in the order of `WEIGHT_AND_MOMENT_ROWS`."""
+        return np.asarray(
+            self.fit[r, WEIGHT_AND_MOMENT_ROWS] - self.weight_and_moment(self.mass_inputs.recording_bodies[r])
+        )
 
     def mean(self, with_load: bool) -> FloatArray | None:
         """Return the mean over the recordings with, or without, load; None without any."""
-        indices = self.campaign.recording_indices(with_load)
+        indices = self.mass_inputs.recording_indices(with_load)
         return np.mean([self.net(r) for r in indices], axis=0) if indices else None
 
 
-def quantities(campaign: RotationCampaign) -> tuple[RotationQuantity, ...]:
+def quantities(mass_inputs: MassInputs) -> tuple[RotationQuantity, ...]:
     """Return every number that the recordings determine, with its uncertainty by cause.
 
     Derivatives are central differences over one standard uncertainty of every input.
     """
-    inputs = _Inputs(campaign)
+    inputs = _PerturbedInputs(mass_inputs)
     derived = list(_derived(inputs))
     gradient = inputs.gradient(np.array([value for _, value in derived]))
     names, parts = [source.name for source in inputs.sources], list[tuple[FloatArray, ...]]()
@@ -354,10 +357,10 @@ def quantities(campaign: RotationCampaign) -> tuple[RotationQuantity, ...]:
         variance = np.sum((gradient @ source.effect) ** 2, axis=1)
         parts.append((variance, variance, np.full(len(derived), source.dof)))
     on_all = np.array([not head.recording for head, _ in derived])
-    for carried, indices in _states(inputs):
-        rows = ROWS * np.array(indices)[:, None] + MEAN_ROWS
-        for name, component in scatter_components(carried, gradient[:, rows].sum(axis=1)):
-            names.append(f"{name} {carried.state}")
+    for repeated, indices in _states(inputs):
+        rows = ROWS * np.array(indices)[:, None] + WEIGHT_AND_MOMENT_ROWS
+        for name, component in scatter_components(repeated, gradient[:, rows].sum(axis=1)):
+            names.append(f"{name} {repeated.state}")
             parts.append((*(np.where(on_all, part, 0.0) for part in component[1:3]), component.dof))
     variance, wide, dof = np.array(parts).swapaxes(0, 1)
     # effective degrees of freedom by Welch and Satterthwaite (JCGM 100, G.4)
@@ -371,7 +374,7 @@ def quantities(campaign: RotationCampaign) -> tuple[RotationQuantity, ...]:
     ]
     determined = []
     for quantity in numbers:
-        if quantity.budget.get(UNDETERMINED, 0.0) > MAX_UNDETERMINED_SHARE * quantity.u:
+        if quantity.budget.get(UNDETERMINED_SOURCE, 0.0) > MAX_UNDETERMINED_SHARE * quantity.u:
             continue
         determined.append(quantity)
         if quantity.name == "load_mass_deviation" and quantity.u > 0.0:  # within ±1 the two masses agree
@@ -389,22 +392,22 @@ def _budget(names: Sequence[str], variances: Sequence[float]) -> dict[str, float
     return {name: float(np.sqrt(variance)) for name, variance in by_name.items() if variance > 0.0}
 
 
-def repeats(campaign: RotationCampaign) -> tuple[RotationScatter, ...]:
-    """Return the scatter of the weights of repeated states beyond the stated uncertainties."""
-    weight = np.eye(len(MEAN_ROWS))[0]
-    return tuple(carried.repeats(weight) for carried, _ in _states(_Inputs(campaign)))
+def repeats(mass_inputs: MassInputs) -> tuple[RotationScatter, ...]:
+    """Return the scatter of the joint weight of repeated states beyond stated uncertainties."""
+    weight = np.eye(len(WEIGHT_AND_MOMENT_ROWS))[0]
+    return tuple(repeated.repeats(weight) for repeated, _ in _states(_PerturbedInputs(mass_inputs)))
 
 
-def _states(inputs: _Inputs) -> Iterator[tuple[RepeatedResults, list[int]]]:
+def _states(inputs: _PerturbedInputs) -> Iterator[tuple[RepeatedResults, list[int]]]:
     """Yield the net results of each repeated state, and the indices of its recordings."""
     for with_load in (False, True):
-        indices = inputs.campaign.recording_indices(with_load)
+        indices = inputs.mass_inputs.recording_indices(with_load)
         if len(indices) < 2:
             continue
         net = np.array([inputs.net(r) for r in indices])
         gradient = inputs.gradient(net.reshape(-1, net.shape[2]))
         effects = tuple((gradient @ source.effect).reshape(*net.shape[:2], -1) for source in inputs.sources)
-        recordings = [inputs.campaign.recordings[r] for r in indices]
+        recordings = [inputs.mass_inputs.recordings[r] for r in indices]
         names, mountings = tuple(r.name for r in recordings), tuple(r.manifest.mounting for r in recordings)
         yield RepeatedResults(recordings[0].state, names, mountings, net[:, :, 0], effects), indices
 
@@ -412,18 +415,22 @@ def _states(inputs: _Inputs) -> Iterator[tuple[RepeatedResults, list[int]]]:
 LabelledValues = Iterator[tuple[QuantityLabel, FloatArray]]
 
 
-def _derived(inputs: _Inputs) -> LabelledValues:
+def _derived(inputs: _PerturbedInputs) -> LabelledValues:
     """Yield every number of the result, in the order of the files."""
-    campaign = inputs.campaign
+    mass_inputs = inputs.mass_inputs
     bare, loaded = (inputs.mean(with_load) for with_load in (False, True))
     # the joint weight, and forces that determine it individually in every recording
     seen = [
         (0, JOINT),
-        *(force for force in campaign.single_forces[0] if all(force in others for others in campaign.single_forces)),
+        *(
+            force
+            for force in mass_inputs.single_forces[0]
+            if all(force in others for others in mass_inputs.single_forces)
+        ),
     ]
     internal = bare
-    if internal is None and loaded is not None and campaign.load:
-        internal = loaded - inputs.carried(campaign.load)
+    if internal is None and loaded is not None and mass_inputs.load:
+        internal = loaded - inputs.weight_and_moment(mass_inputs.load)
     if internal is not None:
         share = inputs.air * inputs.volume
         masses = {name: mass_of_weight(internal[i], inputs.gravity, share) for i, name in seen}
@@ -431,30 +438,30 @@ def _derived(inputs: _Inputs) -> LabelledValues:
         yield from _centre("internal_centre_of_mass", "centre of the internal mass", internal)
     if bare is not None and loaded is not None:
         yield from _load(inputs, loaded - bare, seen)
-    for r, recording in enumerate(campaign.recordings):
+    for r, recording in enumerate(mass_inputs.recordings):
         name, row, net = recording.name, inputs.fit[r], inputs.net(r)
         yield QuantityLabel("N", "weight", "weight in air", JOINT, name), row[0]
-        for i, component in campaign.single_forces[r]:
+        for i, component in mass_inputs.single_forces[r]:
             yield QuantityLabel("N", "weight", "weight in air", component, name), row[UNKNOWNS_PER_RECORD + i - 1]
         yield QuantityLabel("rad", "zero_angle", "gravity at angle 0 ahead of its stated direction", "", name), row[4]
-        _, along, across = campaign.records[r].frame
+        _, along, across = mass_inputs.records[r].frame
         tilt = np.outer(along, row[5]) + np.outer(across, row[6])
         for i, axis in enumerate(AXES):
             if abs(along[i]) + abs(across[i]) > 0.5:
-                yield QuantityLabel("rad", "axis_tilt", "true axis less stated axis", axis, name), tilt[i]
+                yield QuantityLabel("rad", "axis_tilt", "true axis minus stated axis", axis, name), tilt[i]
         mean = loaded if recording.with_load else bare
-        if mean is not None and len(campaign.recording_indices(recording.with_load)) > 1:
+        if mean is not None and len(mass_inputs.recording_indices(recording.with_load)) > 1:
             for i, component in seen:
-                head = QuantityLabel("N", "weight_deviation", "weight less mean of repeats", component, name)
+                head = QuantityLabel("N", "weight_deviation", "weight minus mean of repeats", component, name)
                 yield head, net[i] - mean[i]
     yield QuantityLabel("m/s^2", "gravity", "local gravity", ""), inputs.gravity
     yield QuantityLabel("kg/m^3", "air_density", "density of the air", ""), inputs.air
 
 
-def _load(inputs: _Inputs, mean: FloatArray, seen: Sequence[tuple[int, str]]) -> LabelledValues:
+def _load(inputs: _PerturbedInputs, mean: FloatArray, seen: Sequence[tuple[int, str]]) -> LabelledValues:
     """Yield load mass, its centre, and the weighed mass."""
-    load = inputs.campaign.load
-    weighed, volume, centre = inputs.stated(load) if load else (inputs.air, inputs.volume, mean[-3:])
+    load = inputs.mass_inputs.load
+    weighed, volume, centre = inputs.mass_volume_centre(load) if load else (inputs.air, inputs.volume, mean[-3:])
     masses = {name: mass_of_weight(mean[i], inputs.gravity, inputs.air * volume) for i, name in seen}
     yield from _by_component("load_mass", "load mass", masses)
     yield from _centre("load_centre_of_mass", "centre of the load", mean)
@@ -462,11 +469,11 @@ def _load(inputs: _Inputs, mean: FloatArray, seen: Sequence[tuple[int, str]]) ->
         return
     yield QuantityLabel("kg", "weighed_mass", "weighed mass of the load", "stated"), weighed
     for name, mass in masses.items():
-        yield QuantityLabel("kg", "load_mass_deviation", "load mass less weighed mass", name), mass - weighed
+        yield QuantityLabel("kg", "load_mass_deviation", "load mass minus weighed mass", name), mass - weighed
         relative = PERCENT * (mass / weighed - 1.0)
-        yield QuantityLabel("%", "load_mass_relative_deviation", "load mass less weighed mass", name), relative
+        yield QuantityLabel("%", "load_mass_relative_deviation", "load mass minus weighed mass", name), relative
     for i, axis in enumerate(AXES):
-        head = QuantityLabel("m", "load_centre_of_mass_deviation", "centre of the load less stated centre", axis)
+        head = QuantityLabel("m", "load_centre_of_mass_deviation", "centre of the load minus stated centre", axis)
         yield head, mean[i - 3] / mean[0] - centre[i]
 
 

@@ -33,7 +33,7 @@ from fusion.report.table import (
     table,
     text_column,
 )
-from fusion.sensor.rotate.rotation_evaluation import UNDETERMINED, evaluate_rotation
+from fusion.sensor.rotate.rotation_evaluation import evaluate_rotation
 from fusion.sensor.rotate.rotation_readings import (
     JOINT,
     RotationEvaluation,
@@ -44,7 +44,7 @@ from fusion.sensor.rotate.rotation_readings import (
 from shaker.arrays import FloatArray
 from shaker.labels import AXES, LOAD_COMPONENTS, LOAD_UNITS, typeset
 from shaker.static_rotation.harmonics import SourcedValue, turning_sense
-from shaker.static_rotation.masses import FORCES
+from shaker.static_rotation.masses import FORCES, UNDETERMINED_SOURCE
 
 MASSES = ("internal_mass", "load_mass", "weighed_mass")
 DIFFERENCES = (
@@ -176,7 +176,7 @@ def draw_deviations(evaluation: RotationEvaluation) -> Figure | None:
     values, expanded = ([getattr(q, name) for q in deviations] for name in ("value", "expanded"))
     panel.points(np.arange(len(deviations)), values, half_y=expanded, colour=BLACK)
     panel.x.names = tuple(q.component for q in deviations)
-    panel.y.label, panel.title = "deviation / %", "load mass less weighed mass, with U"
+    panel.y.label, panel.title = "deviation / %", "load mass minus weighed mass, with U"
     caption = "Bars: expanded uncertainty U of the difference. Grey: U of the weighed mass."
     return drawn.with_title("Load mass against the weighed mass", caption)
 
@@ -281,7 +281,7 @@ def repeats_tables(evaluation: RotationEvaluation) -> list[Table]:
                     (scatter.state, mounting, name, quantity_html(weight.value, weight.expanded), deviation, over)
                 )
     caption = "Repeats: weight in air with U, deviation from the mean"
-    head = ("state", "mounting", "recording", "weight / N", "less mean / mN", "over its U")
+    head = ("state", "mounting", "recording", "weight / N", "minus mean / mN", "over its U")
     columns: list[TableColumn[RotationScatter]] = [
         page_column("state", lambda scatter: scatter.state, "l"),
         page_column("recordings", lambda scatter: f"{len(scatter.recordings)}"),
@@ -345,7 +345,7 @@ def budget_tables(evaluation: RotationEvaluation) -> list[Table]:
                 name
                 for q in shown
                 for name, u in q.budget.items()
-                if name != UNDETERMINED or u > MIN_UNDETERMINED_SHARE * q.u
+                if name != UNDETERMINED_SOURCE or u > MIN_UNDETERMINED_SHARE * q.u
             },
             key=lambda name: -max(q.budget.get(name, 0.0) / q.u for q in shown),
         )

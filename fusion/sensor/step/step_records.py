@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Literal, NamedTuple
 
 import numpy as np
@@ -202,7 +202,7 @@ class PooledModel:
     scale : (P,), change of the parameters by one standard uncertainty of the common scale.
     shapes : (S, P), change by each release shape that the records do not determine.
     shares : (R,), weight of each release in the mean.
-    beside : (E, P), change by each unknown that the records do not determine.
+    external_changes : (E, P), change by each unknown that the records do not determine.
     scatter : (P, P), part of the covariance with `scatter_dof` degrees of freedom.
     """
 
@@ -213,7 +213,7 @@ class PooledModel:
     scale: FloatArray
     shapes: FloatArray
     shares: FloatArray
-    beside: FloatArray
+    external_changes: FloatArray = field(metadata={"dataset": "beside"})
     scatter: FloatArray
 
     @property
@@ -232,7 +232,7 @@ class PooledModel:
         """
         stated = np.einsum("qp,npr,qr->nq", gradient, self.covariances, gradient)
         variance, dof = self.weights**2 @ stated, np.full(len(gradient), np.inf)
-        shared = np.concatenate([self.scale[None], self.shapes, self.beside])
+        shared = np.concatenate([self.scale[None], self.shapes, self.external_changes])
         common = np.sum((gradient @ shared.T) ** 2, axis=1)
         if self.scatter_dof:
             off = (self.vectors - self.vectors.mean(axis=0)) @ gradient.T
@@ -250,7 +250,7 @@ class PooledModel:
 
         Their squares add up to u².
         """
-        shared, other = {OF_SCALES: np.abs(gradient @ self.scale)}, gradient @ self.beside.T
+        shared, other = {OF_SCALES: np.abs(gradient @ self.scale)}, gradient @ self.external_changes.T
         if len(self.shapes):
             shared[OF_SHAPES] = np.linalg.norm(gradient @ self.shapes.T, axis=1)
         shared |= influences.by_cause(lambda indices: np.linalg.norm(other[:, indices], axis=1))

@@ -5,7 +5,7 @@ from shakercal._common.notices import DeclaredNotice
 EVEN_POWERS_REQUESTED = DeclaredNotice(
     "SC-264",
     "note",
-    "k1, k2 and k3 are used as coefficients of r², r⁴ and r⁶, as requested.",
+    "k1, k2 and k3 are used as coefficients of r², r⁴ and r⁶, as requested by `--even-radial`.",
     effect="DICe uses them as coefficients of r, r² and r³.",
     link="cameras.md#dices-text",
 )
@@ -30,6 +30,7 @@ MALFORMED_XML = DeclaredNotice(
     "warning",
     "The file is not well-formed XML.",
     effect="Only its calibration and the size of its images are read.",
+    remedy="Export the file again.",
     link="cameras.md#calibrations-of-other-programs",
 )
 INEXACT_ROTATION = DeclaredNotice(
@@ -44,12 +45,14 @@ CAMERA_GEOMETRY = DeclaredNotice(
     "note",
     "The cameras are {distance_mm:.2f} mm apart and rotated by {angle_deg:.2f}° against each other.",
     effect="Lengths in the file are in {unit}.",
+    remedy="Compare both with the rig. If the distance is wrong, state `--length-unit`.",
     link="cameras.md#calibrations-of-other-programs",
 )
 NO_COMMON_VIEW = DeclaredNotice(
     "SC-270",
     "warning",
     "The right camera does not see the middle of the left image.",
+    effect="The file may be misread; all positions would then be wrong.",
     remedy="Check that the pose is x_right = R·x_left + T.",
     link="cameras.md#calibrations-of-other-programs",
 )
@@ -64,6 +67,7 @@ UNUSUAL_DISTANCE = DeclaredNotice(
     "SC-272",
     "warning",
     "The cameras are {distance_m:.3g} m apart with lengths in {unit}.",
+    effect="The file may be misread; all positions would then be wrong.",
     remedy="Check the unit.",
     link="cameras.md#calibrations-of-other-programs",
 )
@@ -85,6 +89,7 @@ CENTRE_OUTSIDE_IMAGE = DeclaredNotice(
     "SC-275",
     "warning",
     "The principal point ({x_px:.0f}, {y_px:.0f}) is outside the image of {width_px} × {height_px} px.",
+    effect="The file may be misread; all positions would then be wrong.",
     remedy="Check whether width and height are exchanged.",
     link="cameras.md#calibrations-of-other-programs",
 )
@@ -92,6 +97,7 @@ CENTRE_FAR_FROM_MIDDLE = DeclaredNotice(
     "SC-276",
     "warning",
     "The principal point ({x_px:.0f}, {y_px:.0f}) is far from the middle of the image of {width_px} × {height_px} px.",
+    effect="The file may be misread; all positions would then be wrong.",
     remedy="Check that the camera matrix is that of images of this size that are not cropped.",
     link="cameras.md#calibrations-of-other-programs",
 )
