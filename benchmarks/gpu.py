@@ -82,7 +82,10 @@ def agreement(some: list[Body], device: str) -> tuple[float, int]:
     worst, unlike = 0.0, 0
     for body in some:
         frames = range(2, 2 + COMPARED)
-        with patch.object(direct_fit, "LEFT_OVER", TO_THE_END), patch.object(fit_torch, "LEFT_OVER", TO_THE_END):
+        with (
+            patch.object(direct_fit, "MAX_REMAINING_STEP", TO_THE_END),
+            patch.object(fit_torch, "MAX_REMAINING_STEP", TO_THE_END),
+        ):
             here, there = (follow_block(body.scene, frames, where) for where in ("cpu", device))
         for (_, one), (_, other) in zip(here, there, strict=True):
             if one is None or other is None:

@@ -18,7 +18,7 @@ from fusion.estimation.uncertainty import Contribution, Influence, Uncertainty
 from fusion.instruments.channel import Outputs
 from fusion.phasors.channel_phasors import ChannelResult
 from fusion.phasors.stereo_phasors import StereoResult
-from fusion.phasors.timing import ClockResult, Grid
+from fusion.phasors.timing import ClockResult, EdgeGrid
 from fusion.recording.environment import Environment
 from fusion.recording.rig import Rig, RigLoad, Sensor
 from fusion.recording.toml import UncertainInput, UncertaintyStatement
@@ -293,8 +293,8 @@ def _clocks(folder: Path, rng: np.random.Generator) -> tuple[ClockResult, ...]:
     )
     base, other = _trigger(0.97, 1 / 51200, rng), _trigger(1.4012, 1e-4, rng)
     width = 2e-3, 1e-7
-    first = ClockResult("vibrometer", folder / "vibrometer.h5", base, None, *width, Grid.of(base, None, 2e-3))
-    return first, ClockResult("bridge", folder / "bridge.tdms", other, tie, *width, Grid.of(other, tie, 2e-3))
+    first = ClockResult("vibrometer", folder / "vibrometer.h5", base, None, *width, EdgeGrid.of(base, None, 2e-3))
+    return first, ClockResult("bridge", folder / "bridge.tdms", other, tie, *width, EdgeGrid.of(other, tie, 2e-3))
 
 
 def _trigger(start_s: float, resolution_s: float, rng: np.random.Generator) -> TriggerFit:

@@ -55,8 +55,8 @@ JOINT_UNKNOWNS = DeclaredNotice(
 RECORDINGS_WITHOUT_ESTIMATE = DeclaredNotice(
     "SC-507",
     "note",
-    "{count} recordings do not contribute to the joint estimate of the unknowns of the rig.",
-    effect="They have no load, or their instruments contradict each other.",
+    "{count} recordings have no load, or instruments that contradict each other.",
+    effect="They do not contribute to the joint estimate of the unknowns of the rig.",
     link="campaigns.md#what-a-campaign-knows-of-poses-and-scales",
 )
 
@@ -90,12 +90,12 @@ MISSING_MATRIX_ROW = DeclaredNotice(
 UNTESTED_MATRIX = DeclaredNotice(
     "SC-513",
     "note",
-    "{count} recordings at {frequency_hz:.6g} Hz just determine the matrix.",
+    "{count} recordings at {frequency_hz:.6g} Hz determine the matrix without redundancy.",
     effect="No further recording tests it.",
     remedy="Add a recording in another direction.",
     link="campaigns.md",
 )
-DISAGREEING_RECORDINGS = DeclaredNotice(
+INCONSISTENT_MATRIX = DeclaredNotice(
     "SC-514",
     "warning",
     "Recordings at {frequency_hz:.6g} Hz disagree beyond their uncertainties (chi-square {chi2:.3g} for {dof} degrees "
@@ -127,17 +127,17 @@ TWO_REPEATS = DeclaredNotice(
     remedy="A third one reduces k to {k_three:.1f}.",
     link="campaigns.md",
 )
-SINGLE_RECORDINGS = DeclaredNotice(
+UNREPEATED_EXCITATIONS = DeclaredNotice(
     "SC-522",
     "note",
     "{single} of {count} excitations were recorded once.",
     effect="Their U does not include repeatability and the effect of a new mounting.",
-    remedy="Repeat these recordings, at best after a new mounting.",
+    remedy="Repeat these recordings, preferably after a new mounting.",
     link="campaigns.md",
     possible_size="not known; repeated recordings determine it",
 )
 
-# Processes and clusters that compute.
+# Worker processes and clusters.
 
 
 WORKER_ENDED = DeclaredNotice(

@@ -12,7 +12,7 @@ from typing import IO, TYPE_CHECKING, Any, TypeVar
 import numpy as np
 
 from fusion.estimation.uncertainty import Contribution, Distribution, Influence, Kind, Scope, Uncertainty
-from fusion.phasors.timing import Grid
+from fusion.phasors.timing import EdgeGrid
 from shaker.arrays import ComplexArray, FloatArray, IntArray, check_shape
 
 if TYPE_CHECKING:
@@ -133,7 +133,7 @@ class ExcitedLine:
     outputs: ComplexArray
     outputs_uncertainty: Uncertainty
     channels: tuple[str, ...]
-    grids: tuple[Grid, ...] = ()
+    grids: tuple[EdgeGrid, ...] = ()
     start: str = ""
     observed: tuple[bool, ...] = (True,) * LOADS
 
@@ -211,7 +211,7 @@ def with_starts(drives: Iterable[ExcitedLine]) -> tuple[ExcitedLine, ...]:
     return tuple(replace(drive, start=starts[drive.recording]) for drive in named)
 
 
-def start_names(grids: Mapping[str, tuple[Grid, ...]]) -> dict[str, str]:
+def start_names(grids: Mapping[str, tuple[EdgeGrid, ...]]) -> dict[str, str]:
     """Return for every recording of a campaign the first one with equal `grids`, or itself.
 
     The timing error between sampled edges is common to these recordings; a mean does not reduce it.
@@ -229,9 +229,9 @@ def start_names(grids: Mapping[str, tuple[Grid, ...]]) -> dict[str, str]:
     return named
 
 
-def _same_grids(first: tuple[Grid, ...], second: tuple[Grid, ...]) -> bool:
+def _same_grids(first: tuple[EdgeGrid, ...], second: tuple[EdgeGrid, ...]) -> bool:
     """Return whether two recordings have the same grids."""
-    return len(first) == len(second) > 0 and all(map(Grid.like, first, second))
+    return len(first) == len(second) > 0 and all(map(EdgeGrid.has_same_edges, first, second))
 
 
 def with_campaign_names(uncertainty: Uncertainty, recording: str, mounting: str, start: str = "") -> Uncertainty:

@@ -18,7 +18,7 @@ from fusion.campaign.campaign_notices import (
     NO_JOINT_RESULT,
     NO_MATRIX,
     SEVERAL_SENSORS,
-    SINGLE_RECORDINGS,
+    UNREPEATED_EXCITATIONS,
 )
 from fusion.campaign.curve import (
     CurvePoint,
@@ -126,7 +126,7 @@ def evaluate_campaign(
     notices += repeat_notices(repeats)
     single = len(excitations) - len(repeats)
     if single:
-        notices.append(Notice(SINGLE_RECORDINGS, "repeats", single=single, count=len(excitations)))
+        notices.append(Notice(UNREPEATED_EXCITATIONS, "repeats", single=single, count=len(excitations)))
     return CampaignEvaluation(
         name=name,
         recorded=corrected,

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from fusion.campaign.campaign_notices import DISAGREEING_RECORDINGS, MISSING_MATRIX_ROW, UNTESTED_MATRIX
+from fusion.campaign.campaign_notices import INCONSISTENT_MATRIX, MISSING_MATRIX_ROW, UNTESTED_MATRIX
 from fusion.campaign.excited_line import FREQUENCY_TOLERANCE, LOADS, ExcitedLine
 from fusion.campaign.line_stack import Stack, stack_drives
 from fusion.campaign.matrix_solve import (
@@ -160,7 +160,7 @@ def fit_matrix(drives: Sequence[ExcitedLine], channels: Sequence[str] | None = N
     elif tau > 0.0:
         notices.append(
             Notice(
-                DISAGREEING_RECORDINGS,
+                INCONSISTENT_MATRIX,
                 "matrix",
                 frequency_hz=fit.frequency_hz,
                 chi2=fit.chi2,

@@ -16,7 +16,7 @@ from fusion.campaign.excited_line import ExcitedLine, excited_lines, identity
 from fusion.campaign.unknowns import Knowledge
 from fusion.errors import InputError
 from fusion.instruments.channel import Outputs
-from fusion.phasors.timing import Grid
+from fusion.phasors.timing import EdgeGrid
 from fusion.report.folder import RESULT_FILE, RESULT_FORMAT, Provenance, provenance_of
 from fusion.report.h5 import open_results, read_evidence, read_notices, read_uncertainty
 from fusion.report.report_notices import OTHER_FORMAT
@@ -178,7 +178,7 @@ def _knowledge(file: h5py.File) -> Callable[[], Knowledge] | None:
     return partial(identity, knowledge)
 
 
-def _grids(file: h5py.File) -> tuple[Grid, ...]:
+def _grids(file: h5py.File) -> tuple[EdgeGrid, ...]:
     """Return the positions of trigger edges of every block with a trigger.
 
     None if one block has no position.
@@ -187,7 +187,7 @@ def _grids(file: h5py.File) -> tuple[Grid, ...]:
     found = [clock["grid"].attrs for clock in clocks if "grid" in clock]
     if len(found) < len(clocks):
         return ()
-    return tuple(Grid(**{field.name: float(attrs[field.name]) for field in fields(Grid)}) for attrs in found)
+    return tuple(EdgeGrid(**{field.name: float(attrs[field.name]) for field in fields(EdgeGrid)}) for attrs in found)
 
 
 def _sensor(group: h5py.Group) -> SensorFacts:

@@ -168,7 +168,7 @@ def line_record(base: TimeBase) -> LineRecord | None:
 def find_channel_lines(manifest: Manifest, base: TimeBase) -> LineFrequencies | None:
     """Find the lines in the fastest channels, None if there are only triggers."""
     chosen = line_record(base)
-    return None if chosen is None else base.on_clock(lines_of_record(manifest, chosen), line_clock(base))
+    return None if chosen is None else base.add_clock_uncertainty(lines_of_record(manifest, chosen), line_clock(base))
 
 
 def refine_ties(base: TimeBase, lines: LineFrequencies) -> tuple[TimeBase, LineFrequencies]:
@@ -201,7 +201,7 @@ def with_ties(base: TimeBase, lines: LineFrequencies, ties: Mapping[str, ClockTi
         u_frequency_hz=_relative_u_without_clock(base, lines) * lines.frequency_hz,
         nuisance_hz=lines.nuisance_hz * scale,
     )
-    return refined, refined.on_clock(plain, line_clock(refined))
+    return refined, refined.add_clock_uncertainty(plain, line_clock(refined))
 
 
 def _relative_u_without_clock(base: TimeBase, lines: LineFrequencies) -> FloatArray:
@@ -389,7 +389,7 @@ def _fit_group(
         of_channel = phasors.select([channel.name])
         result, reading = _result(record, channel, time_s, fit, of_channel, shown)
         order = -TRANSDUCERS[channel.quantity].order if channel.quantity in TRANSDUCERS else 0
-        late = [error.through(fit, seen, order).of_channel(c).relative_to(of_channel) for error in errors]
+        late = [error.effect_on_fit(fit, seen, order).of_channel(c).relative_to(of_channel) for error in errors]
         value_errors, notices = assess_condition(record, c, fit, time_s, clipped, seen)
         of_blocks = steady and steady.select(channel.name)
         harmonics = _harmonics(channel, fit, every, multiples) if shown else None

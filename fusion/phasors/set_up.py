@@ -95,7 +95,7 @@ class MeasuredSetUp:
         clocks = [(daq, notice) for (daq, _), fit in base.triggers.items() for notice in fit.notices]
         clocks += [(daq, notice) for daq, tie in base.ties.items() if tie is not None for notice in tie.notices]
         notices: list[Notice] = [notice.at(f"{daq}, {notice.where}") for daq, notice in clocks]
-        notices += base.inverted()
+        notices += base.inverted_trigger_notices()
         notices += [Notice(TIME_STAMP_GAP, r.entry.name, gap=gap) for r in base.records for gap in r.gaps]
         notices += [notice for r in base.records for notice in unit_notices(self.prepared.manifest, r.entry, r.raw)]
         notices += [
@@ -160,7 +160,7 @@ def measure_set_ups(
     for prepared in set_ups:
         with tracked_pairs(prepared.images, settings, executor, checkpoints, prepared.lines) as motions:
             fitted = fitted or [with_channels(each) for each in set_ups]
-            prepared.base.pulses()  # stored by the records, which provide them later
+            prepared.base.pulse_widths()  # stored by the records, which provide them later
             with errors_in_set_up(prepared.manifest.path, prepared.where, prepared.name):
                 measured.append(_measured(fitted[len(measured)], motions(progress)))
     return measured

@@ -571,4 +571,4 @@ def motion_lines(manifest: Manifest, base: TimeBase, motions: Sequence[StereoMot
         reason, pair = ARGUMENT.sub("", str(error), count=1), f"stereo pair {first.sight.name}"
         key = "excitation.frequencies"
         raise InputError(LINES_NOT_FOUND, manifest.path, key, reason=reason, instruments=pair) from error
-    return base.on_clock(lines, base.sight_errors(first.sight)), first.sight
+    return base.add_clock_uncertainty(lines, base.sight_errors(first.sight)), first.sight

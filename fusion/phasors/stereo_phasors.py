@@ -182,7 +182,8 @@ def stereo_phasors(
     measured, from_mean, fit = fit_about_mean(measured, frequency_hz)
     gain = exposure_gain(lines.frequency_hz, exposure.length_s)
     errors = [
-        error.through(fit, usable, 2) for error in combine_timing_errors([*base.sight_errors(sight), *line_errors])
+        error.effect_on_fit(fit, usable, 2)
+        for error in combine_timing_errors([*base.sight_errors(sight), *line_errors])
     ]
     errors += [] if strength is None else _left_out(measured, fit, lines, usable, gain * strength)
     errors = [error.scaled((1.0 / gain)[:, None]) for error in errors]

@@ -1,4 +1,4 @@
-"""Time base of a recording: trigger edges tie the clocks and date the frames."""
+"""Time base of a recording: clocks and instants of frames from trigger edges."""
 
 from __future__ import annotations
 
@@ -47,8 +47,8 @@ class Sight:
     """One stereo pair over one recording: placement, exposure and times of its frames.
 
     `pair`: of the rig, with values of the recording. `time_s` (F,): exposure middles on the first block's clock.
-    `model_share`: mean effect of an error of the trigger's periodic model on them. `where`: file and key of errors of
-    its frames. `edge` (F,): number of the edge of each frame.
+    `model_share`: mean effect of an error of the trigger's periodic model on them. `where`: file and key that error
+    messages name. `edge` (F,): number of the edge of each frame.
     """
 
     name: str
@@ -62,11 +62,11 @@ class Sight:
 
 @dataclass(frozen=True)
 class TimingError:
-    """One unknown of clocks, triggers or lines, by the effect of one standard uncertainty `u`.
+    """One unknown of clocks, triggers or lines, with the effect of one standard uncertainty `u`.
 
-    Times are later by `offset_s` + `rate`·t, t on the first block's clock, and the frequencies of the K lines are
-    higher by the relative `stretch` (K,), or () for all. `dof`: of a fit to edges (type A), whose errors have the
-    `scope` "start".
+    Times are later by `offset_s` + `rate`·t, t on the first block's clock. The frequencies of the K lines are higher by
+    the relative `frequency_error` (K,), or () if it is the same for all. `dof`: degrees of freedom of a fit to edges
+    (type A), whose errors have the `scope` "start".
     """
 
     name: str
@@ -74,21 +74,21 @@ class TimingError:
     unit: str
     offset_s: float
     rate: float
-    stretch: FloatArray
+    frequency_error: FloatArray
     dof: float = np.inf
     scope: Scope = "recording"
 
-    def through(self, fit: SineFit, seen: BoolArray, order: int) -> FittedError:
-        """Return its effect on C readings of the lines (K,) through a sine approximation.
+    def effect_on_fit(self, fit: SineFit, seen: BoolArray, order: int) -> FittedError:
+        """Return the effect on the phasors (K, C) that a sine approximation determines.
 
-        The fit contains the lines `seen` first. A signal late by L(t), including the phase of a frequency too high by
-        φ, was y(t - L). The fit returns X - jω·L(middle)·X, plus the part of the remaining slope that the lines, their
-        conjugates and the offset can represent over the record. Readings ∝ ω^-order of an acceleration increase by
-        order·φ.
+        `seen` (K,): lines in the fit, which are its first ones. A signal late by L(t), including the phase of a
+        frequency too high by φ, was y(t - L). The fit returns X - jω·L(middle)·X, plus the part of the remaining slope
+        that the lines, their conjugates and the offset can represent over the record. Readings ∝ ω^-order of an
+        acceleration increase by order·φ.
         """
         omega, value, lines = 2.0 * np.pi * fit.phasors.frequency_hz, fit.phasors.value, np.count_nonzero(seen)
         stretch = np.zeros(len(omega))
-        stretch[:lines] = self.stretch[seen] if self.stretch.ndim else self.stretch
+        stretch[:lines] = self.frequency_error[seen] if self.frequency_error.ndim else self.frequency_error
         turn = -1j * omega * (self.offset_s + (self.rate + stretch) * fit.middle_s) + order * stretch
         slopes = fit.slope_response((-1j * omega * (self.rate + stretch))[:, None] * value)
         effect = np.zeros((len(seen), 1), dtype=np.complex128)
@@ -110,18 +110,18 @@ def combine_timing_errors(errors: Iterable[TimingError]) -> tuple[TimingError, .
                 earlier,
                 offset_s=earlier.offset_s + error.offset_s,
                 rate=earlier.rate + error.rate,
-                stretch=np.asarray(earlier.stretch + error.stretch),
+                frequency_error=np.asarray(earlier.frequency_error + error.frequency_error),
             )
         )
     return tuple(merged.values())
 
 
 @dataclass(frozen=True)
-class _Straight:
+class _StraightLine:
     """Uncertainty of a straight line.
 
-    From its covariance (2, 2) of value at 0 and slope. `at`: argument at which value and slope are independent, with
-    the standard uncertainty of either.
+    From its covariance (2, 2) of value at 0 and slope. `at`: argument at which value and slope are uncorrelated.
+    `u_value`, `u_slope`: their standard uncertainties there.
     """
 
     at: float
@@ -129,17 +129,17 @@ class _Straight:
     u_slope: float
 
     @classmethod
-    def of(cls, covariance: FloatArray) -> _Straight:
+    def of(cls, covariance: FloatArray) -> _StraightLine:
         (first, mixed), (_, slope) = covariance.tolist()
         at = -mixed / slope if slope > 0.0 else 0.0
         return cls(at, float(np.sqrt(max(first + at * mixed, 0.0))), float(np.sqrt(slope)))
 
 
-_SAME_PERIOD = 1e-5
+_SAME_PERIOD = 1e-5  # relative difference below which two periods are treated as equal
 
 
 @dataclass(frozen=True)
-class Grid:
+class EdgeGrid:
     """Positions of a trigger's edges between the samples of one block.
 
     They determine the sampling error. Seconds: first edge after the first sample, period, sampling interval, `offset_s`
@@ -153,7 +153,7 @@ class Grid:
     width_s: float
 
     @classmethod
-    def of(cls, trigger: TriggerFit, tie: ClockTie | None, width_s: float | None) -> Grid | None:
+    def of(cls, trigger: TriggerFit, tie: ClockTie | None, width_s: float | None) -> EdgeGrid | None:
         """Return the grid, None for a trigger with jitter, whose positions vary."""
         sample_s = trigger.sample_s
         if trigger.jitter_s > sample_s / 2.0:
@@ -161,7 +161,7 @@ class Grid:
         offset_s = 0.0 if tie is None else tie.offset_s
         return cls(trigger.start_s, trigger.period_s, sample_s, offset_s, np.nan if width_s is None else width_s)
 
-    def like(self, other: Grid) -> bool:
+    def has_same_edges(self, other: EdgeGrid) -> bool:
         """Return whether edges have the same positions: within half a sample, periods within 1e-5."""
         ours, theirs = ((g.start_s, g.offset_s, g.width_s) for g in (self, other))
         near = np.allclose(ours, theirs, rtol=0.0, atol=self.sample_s / 2.0, equal_nan=True)
@@ -183,11 +183,11 @@ class ClockResult:
     tie: ClockTie | None
     pulse_width_s: float | None = None
     u_pulse_width_s: float | None = None
-    grid: Grid | None = None
+    grid: EdgeGrid | None = None
 
 
-INVERTED = 0.02
-"""Largest difference of pulses and pauses of two records, over the period, for one to be inverted (chosen)."""
+INVERTED_TOLERANCE = 0.02
+"""Largest difference, over the period, of pulses in one block and pauses in another if one is inverted (chosen)."""
 
 
 @dataclass(frozen=True)
@@ -214,7 +214,7 @@ class TimeBase:
     def tie_errors(self, daq: str) -> tuple[TimingError, ...]:
         """Return the errors of a block's tie to the first clock.
 
-        None for the first block. Effects of an error of the first block's trigger have the name of that unknown, which
+        Empty for the first block. Effects of an error of the first block's trigger have the name of that unknown, which
         the frames share.
         """
         tie = self.ties[daq]
@@ -225,7 +225,7 @@ class TimeBase:
         if tie.follows is not None and tie.remaining_covariance is not None:
             name = self.shared_triggers(self.records[0].entry.name, daq)[0]
             fit = self.first_with(name)[1]
-            line, independent = _Straight.of(fit.covariance), tie.remaining_covariance
+            line, independent = _StraightLine.of(fit.covariance), tie.remaining_covariance
             dof = float(max(len(fit.number) - 2, 1))
             for kind, unit, u, error in (
                 ("time", "s", line.u_value, np.array([line.u_value, 0.0])),
@@ -240,42 +240,42 @@ class TimeBase:
             (" (noise of its edges)", tie.noise, "recording"),
         )
         for what, covariance, scope in parts:
-            line = _Straight.of(covariance)
+            line = _StraightLine.of(covariance)
             at_s, rate = float(tie.to_base_s(np.asarray(line.at))), line.u_slope / tie.rate
-            found += _straight_errors(f"clock {daq}{what}", at_s, line.u_value, rate, tie.pairs, scope)
+            found += _offset_rate_errors(f"clock {daq}{what}", at_s, line.u_value, rate, tie.pairs, scope)
         return tuple(error for error in found if error.u > 0.0)
 
     def sight_errors(self, sight: Sight) -> tuple[TimingError, ...]:
-        """Return the errors of the frames' instants by the trigger's periodic model and its clock.
+        """Return the errors of the frames' instants by the trigger's model and its clock.
 
-        Frames dated by each edge follow the model by `model_share` only; errors common to all edges remain.
+        Instants from measured edges follow the model only by `model_share`; errors common to all edges remain.
         """
         name = sight.exposure.trigger
         daq, fit = self.first_with(name)
-        line, tie = _Straight.of(fit.covariance), self.ties[daq]
+        line, tie = _StraightLine.of(fit.covariance), self.ties[daq]
         at_s = self.to_base_s(daq, np.asarray(fit.start_s + line.at * fit.period_s))
         common = min(fit.open_s / np.sqrt(12.0), line.u_value)
         u_time = np.hypot(sight.model_share * np.sqrt(line.u_value**2 - common**2), common)
         rate = sight.model_share * line.u_slope / fit.period_s
         scale = 1.0 if tie is None else tie.rate
         return (
-            *_straight_errors(name, float(at_s), scale * float(u_time), rate, len(fit.number)),
+            *_offset_rate_errors(name, float(at_s), scale * float(u_time), rate, len(fit.number)),
             *self.tie_errors(daq),
         )
 
     @staticmethod
-    def on_clock(lines: LineFrequencies, clock: Sequence[TimingError]) -> LineFrequencies:
-        """Return lines with the rate error of their clock added to u of the frequencies."""
+    def add_clock_uncertainty(lines: LineFrequencies, clock: Sequence[TimingError]) -> LineFrequencies:
+        """Return the lines, u of their frequencies enlarged by the rate error of their clock."""
         rate = float(np.sqrt(sum(error.rate**2 for error in clock)))
         return replace(lines, u_frequency_hz=np.hypot(lines.u_frequency_hz, rate * lines.frequency_hz))
 
     @staticmethod
     def line_errors(lines: LineFrequencies, clock: Sequence[TimingError]) -> tuple[TimingError, ...]:
-        """Return the errors of the frequencies of lines from `on_clock`.
+        """Return the frequency errors of the lines from `add_clock_uncertainty`.
 
-        A fast clock lowers them. The remaining part of `u_frequency_hz` is separate for each fundamental.
+        A fast clock lowers the frequencies. The remaining part of `u_frequency_hz` is separate for each fundamental.
         """
-        shared = [replace(e, offset_s=0.0, rate=0.0, stretch=np.asarray(-e.rate)) for e in clock if e.rate]
+        shared = [replace(e, offset_s=0.0, rate=0.0, frequency_error=np.asarray(-e.rate)) for e in clock if e.rate]
         ours = sum(e.rate**2 for e in clock) * lines.frequency_hz**2
         remaining = np.sqrt(np.maximum(lines.u_frequency_hz**2 - ours, 0.0))
         for f in np.unique(lines.nominal_hz).tolist():
@@ -289,10 +289,10 @@ class TimeBase:
         """Return the triggers that two blocks record; the first of them ties their clocks."""
         return [name for daq, name in self.triggers if daq == first and (second, name) in self.triggers]
 
-    def pulses(self) -> dict[tuple[str, str], PulseWidth]:
-        """Width of the pulses per block and trigger channel, if both edges are resolved.
+    def pulse_widths(self) -> dict[tuple[str, str], PulseWidth]:
+        """Return the pulse width per block and trigger channel, where both edges are resolved.
 
-        The records store them.
+        The records store the widths.
         """
         widths = {}
         for daq, name in self.triggers:
@@ -300,17 +300,17 @@ class TimeBase:
                 widths[daq, name] = self.record(daq).pulse_width(name)
         return widths
 
-    def inverted(self) -> Iterator[Notice]:
-        """Yield a warning of a trigger that looks inverted.
+    def inverted_trigger_notices(self) -> Iterator[Notice]:
+        """Yield a warning for each trigger that is probably inverted in one of two blocks.
 
-        Its pulses are as long as its pauses in another block.
+        Its pulses in one block are as long as its pauses in the other.
         """
-        widths = self.pulses()
+        widths = self.pulse_widths()
         for (one, name), (other, same) in combinations(widths, 2):
             if name != same or one == other:
                 continue
             shares = [widths[daq, name].width_s / self.triggers[daq, name].period_s for daq in (one, other)]
-            if abs(sum(shares) - 1.0) < INVERTED and abs(shares[0] - shares[1]) > 4.0 * INVERTED:
+            if abs(sum(shares) - 1.0) < INVERTED_TOLERANCE and abs(shares[0] - shares[1]) > 4.0 * INVERTED_TOLERANCE:
                 blocks = {"first_block": one, "second_block": other}
                 values = {"first_share": shares[0], "second_share": shares[1]}
                 yield Notice(INVERTED_TRIGGER, other, trigger=name, **blocks, **values)
@@ -321,24 +321,24 @@ class TimeBase:
 
     def results(self) -> tuple[ClockResult, ...]:
         """Return one entry per block for the result tree."""
-        clocks, pulses = [], self.pulses()
+        clocks, pulses = [], self.pulse_widths()
         for record in self.records:
             name = record.entry.name
             key = next((key for key in self.triggers if key[0] == name), ("", ""))
             pulse = pulses.get(key)
             width, u_width = (None, None) if pulse is None else (pulse.width_s, pulse.u_width_s)
             trigger, tie = self.triggers.get(key), self.ties[name]
-            grid = None if trigger is None else Grid.of(trigger, tie, width)
+            grid = None if trigger is None else EdgeGrid.of(trigger, tie, width)
             clocks.append(ClockResult(name, record.entry.file, trigger, tie, width, u_width, grid))
         return tuple(clocks)
 
 
-def _straight_errors(
+def _offset_rate_errors(
     name: str, at_s: float, u_s: float, rate: float, edges: int, scope: Scope = "start"
 ) -> tuple[TimingError, ...]:
-    """Return the errors of a time base with independent offset and `rate`.
+    """Return the errors of a time base with uncorrelated offset and `rate`.
 
-    The offset has `u_s` at the time `at_s`. Both from as many `edges`, less two degrees of freedom of the line.
+    The offset has the standard uncertainty `u_s` at the time `at_s`. Degrees of freedom: `edges` less two.
     """
     steady, dof = np.zeros(()), float(max(edges - 2, 1))
     both = (
@@ -380,14 +380,15 @@ def tie_daqs(manifest: Manifest, records: Sequence[DaqRecord]) -> TimeBase:
 def frame_sight(
     manifest: Manifest, base: TimeBase, entry: Images | PointFiles, frames: int | IntArray, rows: int = 1
 ) -> Sight:
-    """Return exposures and instants of some frames.
+    """Return a stereo pair with exposure and instants of its frames.
 
-    The middle of an exposure is edge + delay + exposure / 2. `frames`: number of consecutive frames, or the edge of
-    each relative to the first one's (F,). With a rolling shutter of `rows`, the first row.
+    The middle of an exposure is edge + delay + exposure / 2. `frames`: number of consecutive frames, or the edge number
+    of each (F,), counted from that of the first frame. With a rolling shutter of `rows`, instants are those of the
+    first row.
 
-    The edge is the periodic model's for a trigger without jitter, and otherwise the measured edge. Measured edges
-    include those of other blocks that are tied by them. The exposure is as stated, or the pulse width in the first
-    block.
+    The edge is that of the periodic model if the trigger has no jitter, and otherwise the measured edge. Measured edges
+    include those in other blocks whose clocks are tied by this trigger. The exposure is as stated, or the pulse width
+    in the first block.
     """
     daq, trigger = base.first_with(entry.trigger)
     key = f"{'images' if isinstance(entry, Images) else 'points'}.{entry.stereo}"
@@ -414,7 +415,7 @@ def frame_sight(
         try:
             pulse = base.record(daq).pulse_width(entry.trigger)
         except ValueError as error:
-            raise no_pulse_width(manifest, daq, entry, error) from error
+            raise pulse_width_error(manifest, daq, entry, error) from error
         dof = float(max(pulse.pulses - 2, 1))
         exposure = Exposure(entry.trigger, pulse.width_s, pulse.u_width_s, dof)
     elif entry.exposure == FILE:
@@ -444,11 +445,11 @@ def frame_edges(
     cameras: Mapping[str, FrameNumbers | None],
     frames: int,
 ) -> tuple[IntArray, tuple[Notice, ...]]:
-    """Return the edge of each frame (F,) by the file numbers.
+    """Return the edge number of each frame (F,) by the file numbers.
 
-    Relative to the first one's. A number missing in all `cameras` is an edge without a frame, if it exists. Different
-    numbers and too few edges are refused. So are numbers in steps for which the existence of edges between is ambiguous
-    without `edge_step`.
+    Edges are counted from that of the first frame. A number that is missing in all `cameras` belongs to an edge without
+    a frame, if there are enough edges. Refused are numbers that differ between the cameras, too few edges, and, without
+    `edge_step`, numbers in steps larger than one if the edges between may exist.
     """
     key = f"{'images' if isinstance(entry, Images) else 'points'}.{entry.stereo}"
     available = {side: numbers for side, numbers in cameras.items() if numbers is not None}
@@ -459,10 +460,10 @@ def frame_edges(
     for other, numbers in [(other, cameras[other]) for other in cameras if other != side]:
         index, step = (np.arange(frames), first.step) if numbers is None else (numbers.frame_index, numbers.step)
         if not np.array_equal(index, first.frame_index) or step != first.step:
-            found = " and ".join(f"{name}: {_gap(one)}" for name, one in cameras.items())
+            found = " and ".join(f"{name}: {_describe_numbers(one)}" for name, one in cameras.items())
             expected = "the same numbers of frames in both cameras"
             raise InputError(IMAGES_REFUSED, manifest.path, f"{key}.{other}", found=found, expected=expected)
-        if numbers is not None and first.exact and numbers.exact and 0 < _later(first, numbers) < frames:
+        if numbers is not None and first.exact and numbers.exact and 0 < _start_difference(first, numbers) < frames:
             cameras_named = {"first_camera": side, "second_camera": other}
             starts = {"first": first.first, "second": numbers.first}
             notices.append(Notice(FRAME_NUMBERS_SHIFTED, entry.stereo, **starts, **cameras_named))
@@ -494,28 +495,28 @@ def frame_edges(
     return np.arange(frames) * every, (*notices, notice)
 
 
-def _gap(numbers: FrameNumbers | None) -> str:
-    """Return the gaps of frame numbers as text."""
+def _describe_numbers(numbers: FrameNumbers | None) -> str:
+    """Return range, step and gaps of frame numbers as text."""
     if numbers is None:
         return "no numbers that show gaps"
     by = f" by {numbers.step}" if numbers.step > 1 else ""
     return f"{numbers.first} to {numbers.last}{by}, " + (f"missing {numbers.missing}" if numbers.missing else "no gap")
 
 
-def _later(one: FrameNumbers, other: FrameNumbers) -> int:
-    """Return the difference of the first numbers of two series in steps."""
+def _start_difference(one: FrameNumbers, other: FrameNumbers) -> int:
+    """Return the distance between the first numbers of two series, in steps."""
     return abs(int(other.first) - int(one.first)) // one.step
 
 
 def _exposure_key(manifest: Manifest, entry: Frames, stated: float | str) -> tuple[Path, str]:
-    """Return file and key of the exposure of some frames: the pair's, or the recording's."""
+    """Return file and key that state the exposure: of the rig or the manifest."""
     if manifest.rig.stereo[entry.stereo].exposure == stated:
         return manifest.rig_path, f"stereo.{entry.stereo}.exposure"
     return manifest.path, f"{'images' if isinstance(entry, Images) else 'points'}.{entry.stereo}.exposure"
 
 
-def no_pulse_width(manifest: Manifest, daq: str, entry: Frames, error: ValueError) -> InputError:
-    """Return the error of an exposure by pulse width that cannot be measured."""
+def pulse_width_error(manifest: Manifest, daq: str, entry: Frames, error: ValueError) -> InputError:
+    """Return the error that the exposure is the pulse width, which cannot be measured."""
     file, key = _exposure_key(manifest, entry, PULSE)
     reason = ARGUMENT.sub("", str(error), count=1)
     found = f'"{PULSE}", but the width of the pulses of {entry.trigger} in {daq} cannot be measured ({reason})'

@@ -150,7 +150,7 @@ def pack_block(block: FollowedBlock) -> bytes:
     shape = len(fits), len(fits[0][1].amplitude) if fits else 0
     arrays["amplitude"] = np.array([fit.amplitude for _, fit in fits]).reshape(shape)
     arrays["shape-covariance"] = np.array([fit.amplitude_covariance for _, fit in fits]).reshape(*shape, shape[1])
-    arrays["noise"] = np.array([fit.noise for _, fit in fits], dtype=np.float64)
+    arrays["noise"] = np.array([fit.noise_ratio for _, fit in fits], dtype=np.float64)
     arrays["cells"] = np.array([fit.cells for _, fit in fits], dtype=np.int64)
     content = io.BytesIO()
     np.savez(content, **arrays)

@@ -18,7 +18,7 @@ from fusion.instruments.channel import errors_are_stated, scale_is_stated
 from fusion.instruments.transducer import TRANSDUCERS, LaserBeams, chain_name
 from fusion.instruments.vibrometer import beam_notices
 from fusion.phasors.channel_phasors import describe_folds, folding
-from fusion.phasors.timing import no_pulse_width
+from fusion.phasors.timing import pulse_width_error
 from fusion.planning.observability import (
     BODIES,
     TOGETHER,
@@ -443,7 +443,7 @@ def _exposure(block: Manifest, frames: Frames) -> tuple[str, list[str]]:
     except InputError as error:
         return text, [str(error)]
     except ValueError as error:
-        return text, [str(no_pulse_width(block, daq.name, frames, error))]
+        return text, [str(pulse_width_error(block, daq.name, frames, error))]
     width, expanded, _ = round_to_uncertainty(1e6 * pulse.width_s, 2e6 * pulse.u_width_s, 0)
     return f"{text}, ({width} ± {expanded}) µs, U (k = 2)", []
 

@@ -29,32 +29,33 @@ from photogram.kernels import njit
 from photogram.motion import MEDIAN_CHI2_OF_TWO
 
 REACH_CELLS = 4.0  # distance from the nearest triangulated point within which a cell's surface is extrapolated
-EVALUATIONS = 12  # usually two or three are needed
-CORRECTED = 0.3  # of the shortening of a step by noise that may remain after its correction
-DECIMATION, MIN_DECIMATED = 3, 24  # one cell of so many is in a coarse fit; cells that a view has to have then
-COARSE_STEPS, MAX_COARSE_STEP = 4, 100.0  # their limit, and the size of the last one in standard uncertainties
-LEFT_OVER = 0.02  # standard uncertainties that may remain between the motion and the converged one
-LARGEST_STEP = 20.0  # standard uncertainties of a step that may be the last one
-MISFIT = 3.0  # times the median misfit per pixel, beyond which a cell does not show the body
-REJECTED = 25.0  # squared standard deviations by which a cell may depart from the body's motion
-FEWEST_CELLS = 4  # three determine six components, without a check
-SINGULAR = 1e-12  # smallest eigenvalue of solvable information, scaled to a unit diagonal
-SMALLEST_EXCESS = 1e-2  # of the information's smallest eigenvalue that remains without its noise part
-SMALLEST_MISFIT = 1e-12  # of the expected one: images without noise
+MAX_STEPS = 12  # Gauss-Newton steps; usually two or three are needed
+UNCORRECTED_SHARE = 0.3  # share of the shortening of a step by noise that may remain after its correction
+DECIMATION, MIN_DECIMATED = 3, 24  # a coarse fit uses one cell of this many; cells that every view needs then
+COARSE_STEPS, MAX_COARSE_STEP = 4, 100.0  # steps of a coarse fit; length of its last step in standard uncertainties
+MAX_REMAINING_STEP = 0.02  # standard uncertainties between the result and the converged motion, at most
+MAX_FINAL_STEP = 20.0  # length of the last step in standard uncertainties, at most
+MAX_MISFIT_RATIO = 3.0  # times the median misfit per expected misfit, above which a cell is rejected
+REJECT_CHI2 = 25.0  # squared remaining shift over its variance above which a cell is rejected
+MIN_CELLS = 4  # three determine six components, without a check
+MIN_EIGENVALUE = 1e-12  # smallest eigenvalue of solvable information, scaled to a unit diagonal
+MIN_EIGENVALUE_SHARE = 1e-2  # share of the smallest eigenvalue that remains without the noise part, at least
+MIN_MISFIT_RATIO = 1e-12  # misfit over the expected one, for images without noise
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class BodyView(Arrays, shapes="rates C 6 p; information C p p; information_noise C p p; translation C 2 2"):
+class BodyView(Arrays, shapes="rates C 6 p; information C p p; information_noise C p p; inverse_shift_hessian C 2 2"):
     """A body at rest in one camera: cells, their surface, and their derivatives.
 
     Attributes
     ----------
-    rates : (C, 6, p) derivatives of the affine warps by the six components and p - 6 amplitudes of shapes.
-    information : (C, p, p) of each cell about these, per unit of gain².
-    information_noise : (C, p, p) contribution of noise to it.
-    translation : (C, 2, 2) inverse Hessian of the cell's shift.
-    carried : rotations (C, 5, 3, 3) and shifts (C, 5, 3) of the patches' points in one frame in addition to the body's
-        motion; None for none.
+    rates : (C, 6, p) derivatives of the affine warps with respect to the p parameters: six components of motion and
+        p - 6 amplitudes of shapes.
+    information : (C, p, p) information of each cell about the parameters, for unit gain.
+    information_noise : (C, p, p) contribution of the reference's noise to `information`.
+    inverse_shift_hessian : (C, 2, 2) inverse Hessian of the cell's shift, NaN if singular.
+    added_motion : rotations (C, 5, 3, 3) and shifts (C, 5, 3) of the patches' points in one frame, applied after the
+        motion of the body; None if the points only move with the body.
     """
 
     camera: PlacedCamera
@@ -63,22 +64,22 @@ class BodyView(Arrays, shapes="rates C 6 p; information C p p; information_noise
     rates: FloatArray
     information: FloatArray
     information_noise: FloatArray
-    translation: FloatArray
-    carried: tuple[FloatArray, FloatArray] | None = None
+    inverse_shift_hessian: FloatArray
+    added_motion: tuple[FloatArray, FloatArray] | None = None
 
     @cached_property
     def jacobians(self) -> tuple[FloatArray, ...]:
-        """For kernels: rates, information, its noise, ratio of the misfits by rounding and by noise."""
+        """For kernels: rates, information, its noise part, rounding misfit over noise misfit."""
         rounding = QUANTISATION * self.cells.weight / self.cells.count
         flat = (part.reshape(len(rounding), -1) for part in (self.information, self.information_noise))
         return self.rates, *flat, rounding
 
     def warps(self, moved: RigidTransform) -> FloatArray:
         """Return the affine warps (C,6) of the cells after the motion `moved` of the body."""
-        if self.carried is None:
+        if self.added_motion is None:
             return patch_warps(self.camera, self.patches, moved)
-        moved_points = np.einsum("ckij,ckj->cki", self.carried[0], moved.apply(self.patches.points_m))
-        return warps_of_points(self.camera, self.patches, moved_points + self.carried[1])
+        moved_points = np.einsum("ckij,ckj->cki", self.added_motion[0], moved.apply(self.patches.points_m))
+        return warps_of_points(self.camera, self.patches, moved_points + self.added_motion[1])
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -89,7 +90,7 @@ class DirectFit(Arrays, shapes="covariance 6 6; amplitude S; amplitude_covarianc
     ----------
     moved : motion of the body from rest.
     covariance : (6, 6) of x y z (m) and the rotation vector (rad).
-    noise : variance of the grey values over that of the noise models.
+    noise_ratio : variance of the grey values over that of the noise models.
     cells : number of cells used.
     amplitude : (S,) of the body's shapes in addition to that motion (`shapes.ShapeAmplitudes`).
     amplitude_covariance : (S, S).
@@ -97,7 +98,7 @@ class DirectFit(Arrays, shapes="covariance 6 6; amplitude S; amplitude_covarianc
 
     moved: RigidTransform
     covariance: FloatArray
-    noise: float
+    noise_ratio: float
     cells: int
     amplitude: FloatArray
     amplitude_covariance: FloatArray
@@ -126,15 +127,15 @@ def view_body(
 
 
 def reweight_view(view: BodyView, noise: NoiseModel, degree: int) -> BodyView:
-    """Return the body at rest with another noise model.
+    """Return the view, its pixels weighted by another noise model.
 
-    `degree`: of the spline of its image.
+    `degree`: degree of the spline of its image.
     """
     return with_jacobians(view.camera, reweight_cells(view.cells, noise, degree), view.patches, view.rates)
 
 
 def with_jacobians(camera: PlacedCamera, cells: Cells, patches: Patches, rates: FloatArray) -> BodyView:
-    """Return a view with information and translation, its rates zero for unknown cells."""
+    """Return a view with the information of its cells, rates zero where undefined."""
     finite = np.isfinite(rates).all(axis=(1, 2)) & np.isfinite(cells.energy)
     rates = np.where(finite[:, None, None], rates, 0.0)
     transposed = np.swapaxes(rates, 1, 2)
@@ -157,13 +158,15 @@ def image_noise(view: BodyView, target: Spline, moved: RigidTransform) -> NoiseM
 def fit_direct(views: Sequence[BodyView], targets: Sequence[Spline], start: RigidTransform) -> DirectFit | None:
     """Fit the motion that explains the images `targets`, one per view, from `start`.
 
-    None if there is none. Minimises Σ w·(g(W(p)) − a − b·f)² over all pixels of all cells, W(p) the cells' warps by the
-    motion p, w = 1/noise variance, with an offset a and a gain b of each cell eliminated. Inverse-compositional
-    Gauss-Newton (Baker, Matthews 2004) on the rigid motions: T ← T·δ⁻¹ with H′·δ = Σ b·Bᵀ·slope, B the rates of the
-    warps. The reference's noise makes H = Σ b²·Bᵀ·H·B too large by a computable share, which H′ excludes. A third of
-    that share of a step may remain, and iteration ends when this is below 0.02 standard uncertainties. Rejected are
-    cells with more than three times the median misfit, and cells whose remaining shift is beyond five scaled standard
-    deviations.
+    None if the fit does not converge or the components are not determined. It minimises Σ w·(g(W(p)) − a − b·f)² over
+    all pixels of all cells. W(p) are the cells' warps by the motion p, and w = 1/noise variance. Offset a and gain b of
+    each cell are eliminated.
+
+    The method is inverse-compositional Gauss-Newton (Baker, Matthews 2004) on the rigid motions: T ← T·δ⁻¹ with
+    H′·δ = Σ b·Bᵀ·slope, B the rates of the warps. The reference's noise makes H = Σ b²·Bᵀ·H·B too large by a computable
+    share, which H′ excludes. A third of that share of a step may remain, and iteration ends when this is below 0.02
+    standard uncertainties. Cells with more than three times the median misfit are rejected. So are cells whose
+    remaining shift exceeds five scaled standard deviations.
 
     The covariance is s²·H′⁻¹·H·H′⁻¹ with H′ = H less the contribution of the reference's noise, and s² the misfit per
     expected misfit of the pixels used, at least that of rounding: a frame equal to the reference has no misfit. It is
@@ -173,23 +176,25 @@ def fit_direct(views: Sequence[BodyView], targets: Sequence[Spline], start: Rigi
     (`estimate_shape_amplitudes`).
     """
     moved = start
-    for _ in range(EVALUATIONS):
+    for _ in range(MAX_STEPS):
         step = _step(views, targets, moved)
         if step is None:
             return None
         moved = moved @ RigidTransform.from_pose(step.pose).inverse()
-        if step.size < LARGEST_STEP and step.left * step.size < LEFT_OVER:
-            information = step.information[:6, :6], step.scale * step.noise_part[:6, :6]
-            covariance = step.scale * pose_covariance(*information, moved.rotation, moved.pose[3:])
-            shapes = estimate_shape_amplitudes(step.pose, step.slope, (step.information, step.noise_part), step.scale)
-            return DirectFit(moved, covariance, step.scale, step.cells, *shapes)
+        if step.length < MAX_FINAL_STEP and step.remaining_share * step.length < MAX_REMAINING_STEP:
+            information = step.information[:6, :6], step.noise_ratio * step.noise_part[:6, :6]
+            covariance = step.noise_ratio * pose_covariance(*information, moved.rotation, moved.pose[3:])
+            shapes = estimate_shape_amplitudes(
+                step.pose, step.slope, (step.information, step.noise_part), step.noise_ratio
+            )
+            return DirectFit(moved, covariance, step.noise_ratio, step.cells, *shapes)
     return None
 
 
 def coarse_fit(views: Sequence[BodyView], targets: Sequence[Spline], start: RigidTransform) -> RigidTransform | None:
-    """Return a motion near that of `fit_direct` by views with some of their cells (`decimate`).
+    """Return an approximate motion, fitted to decimated views (`decimate`), from which to start `fit_direct`.
 
-    None if there is none. From there all cells, whose uncertainty is smaller, usually need only one comparison.
+    None if the fit does not converge. From this start, `fit_direct` with all cells usually needs only one step.
     """
     moved = start
     for _ in range(COARSE_STEPS):
@@ -197,13 +202,13 @@ def coarse_fit(views: Sequence[BodyView], targets: Sequence[Spline], start: Rigi
         if step is None:
             return None
         moved = moved @ RigidTransform.from_pose(step.pose).inverse()
-        if step.size < MAX_COARSE_STEP:
+        if step.length < MAX_COARSE_STEP:
             return moved
     return None
 
 
 def decimate(views: Sequence[BodyView]) -> tuple[BodyView, ...]:
-    """Return the views with a third of their cells, none for too few."""
+    """Return the views with a third of their cells, () for too few."""
     some = []
     for view in views:
         which = np.flatnonzero(spread_choice(np.arange(len(view.rates)), 1.0 / DECIMATION))
@@ -220,7 +225,10 @@ def decimate(views: Sequence[BodyView]) -> tuple[BodyView, ...]:
                     points_m=patches.points_m[which],
                     rest_px=patches.rest_px[which],
                 ),
-                *(getattr(view, name)[which] for name in ("rates", "information", "information_noise", "translation")),
+                *(
+                    getattr(view, name)[which]
+                    for name in ("rates", "information", "information_noise", "inverse_shift_hessian")
+                ),
             )
         )
     return tuple(some)
@@ -232,17 +240,17 @@ class _FitStep:
 
     Attributes
     ----------
-    pose : (6,) of δ.
-    size : in standard uncertainties.
-    left : share of the step that may remain.
-    scale : variance of the grey values over that of the noise models.
+    pose : (6,) the step δ, shift and rotation vector.
+    length : length of the step in standard uncertainties.
+    remaining_share : share of the step by which the motion may still be wrong.
+    noise_ratio : variance of the grey values over that of the noise models.
     slope, information, noise_part : (p,), (p, p), (p, p) summed over all cells.
     """
 
     pose: FloatArray
-    size: float
-    left: float
-    scale: float
+    length: float
+    remaining_share: float
+    noise_ratio: float
     slope: FloatArray
     information: FloatArray
     noise_part: FloatArray
@@ -250,9 +258,10 @@ class _FitStep:
 
 
 def _step(views: Sequence[BodyView], targets: Sequence[Spline], moved: RigidTransform) -> _FitStep | None:
-    """Return the step from a motion, None where the components are not determined.
+    """Return the Gauss-Newton step from a motion, None if the components are not determined.
 
-    Cells are judged after the step that all of them require, so that the choice does not depend on the start.
+    Cells are first judged at the start, then after the step of the accepted cells, so that the choice depends little on
+    the start.
     """
     both = zip(views, targets, strict=True)
     compared = [compare_cells(view.cells, target, view.warps(moved)) for view, target in both]
@@ -267,14 +276,14 @@ def _step(views: Sequence[BodyView], targets: Sequence[Spline], moved: RigidTran
         whole, whole_noise = parts.reshape(2, size, size)
         information, noise_part = whole[:6, :6], whole_noise[:6, :6]
         misfit, noise, least, cells = sums.tolist()
-        if cells < FEWEST_CELLS or not np.linalg.eigvalsh(_scaled(information))[0] > SINGULAR:
+        if cells < MIN_CELLS or not np.linalg.eigvalsh(_scaled(information))[0] > MIN_EIGENVALUE:
             return None
         scale = max(misfit, least) / noise
         clean = without_noise(information, scale * noise_part)
         pose = np.asarray(np.linalg.solve(clean, slope[:6]), dtype=np.float64)
     length = float(np.sqrt(pose @ information @ pose / scale))
     share = scale * float(np.trace(np.linalg.solve(information, noise_part))) / 6.0
-    left = share if np.array_equal(clean, information) else CORRECTED * share
+    left = share if np.array_equal(clean, information) else UNCORRECTED_SHARE * share
     return _FitStep(pose, length, left, scale, slope, whole, whole_noise, int(cells))
 
 
@@ -282,41 +291,43 @@ def phase_rotated_pose(
     views: Sequence[BodyView],
     targets: Sequence[Spline],
     fit: DirectFit,
-    turns: Sequence[ComplexArray],
-    pose: FloatArray,
+    phase_factors: Sequence[ComplexArray],
+    departure: FloatArray,
 ) -> ComplexArray:
-    """Return the pose (K,p) of a fitted frame whose cells are weighted by phase factors.
+    """Return the pose (K,p) of a fitted frame, its cells weighted by complex phase factors.
 
-    turns: for every view K factors of its cells, (K, C). y = E·Σ turn·B·(slopes that remain after the fit, and those
-    that led it by `pose` (6,) to its motion). E (`estimator_matrix`) converts the sums into motion and shapes: Σ
-    turn·H_c·ξ_c over Σ H_c of the small motions ξ_c of the cells.
+    `phase_factors`: for each view, K factors of its cells (K, C). `departure` (6,): fitted motion from the motion to
+    which the result is relative. The sums over the cells are Σ factor·(H_c·departure − Bᵀ·slope), with the slopes that
+    remain after the fit. E (`estimator_matrix`) converts them into motion and shapes. The result is Σ factor·H_c·ξ_c
+    over Σ H_c, where ξ_c is the small motion of a cell.
     """
     size = views[0].rates.shape[2]
-    sums, whole = np.zeros((len(turns[0]), size), np.complex128), np.zeros((size, size))
-    for view, target, turn in zip(views, targets, turns, strict=True):
+    sums, whole = np.zeros((len(phase_factors[0]), size), np.complex128), np.zeros((size, size))
+    for view, target, turn in zip(views, targets, phase_factors, strict=True):
         compared = compare_cells(view.cells, target, view.warps(fit.moved))
         used = _rigid_cells(view, compared, np.zeros(6))
         gain = np.where(used, compared.gain, 0.0)
-        information = gain[:, None, None] ** 2 * (view.information - fit.noise * view.information_noise)
+        information = gain[:, None, None] ** 2 * (view.information - fit.noise_ratio * view.information_noise)
         slope = np.where(used[:, None], compared.slope, 0.0) * gain[:, None]
-        sums += turn @ (information[:, :, :6] @ pose - np.einsum("ckp,ck->cp", view.rates, slope))
+        sums += turn @ (information[:, :, :6] @ departure - np.einsum("ckp,ck->cp", view.rates, slope))
         whole += information.sum(axis=0)
     return np.asarray(sums @ estimator_matrix(whole).T)
 
 
-def estimator_matrix(whole: FloatArray) -> FloatArray:
-    """Return E (p,p), which converts sums over cells of this information into motion and shapes."""
-    estimate = np.linalg.inv(whole)
+def estimator_matrix(information: FloatArray) -> FloatArray:
+    """Return E (p,p), which converts slopes summed over cells into motion and shapes."""
+    estimate = np.linalg.inv(information)
     estimate[:6] = 0.0
-    estimate[:6, :6] = np.linalg.inv(whole[:6, :6])
+    estimate[:6, :6] = np.linalg.inv(information[:6, :6])
     return np.asarray(estimate)
 
 
 def row_information(view: BodyView) -> FloatArray:
-    """Return the information (side, p, p) of a view by the row within the cells.
+    """Return the information (side, p, p) of each pixel row of a view's cells.
 
-    N = Σ w·ã·aᵀ over the pixels of a row. The change of grey by motion and shapes is a, and ã the same after gain and
-    offset of the cell. The sums for motions x_r that differ from row to row are Σ N_r·x_r.
+    N = Σ w·ã·aᵀ over the pixels of this row in all cells. The change of the grey value by motion and shapes is a, and ã
+    is a with the gain and offset of the cell eliminated. The sums for motions x_r that differ from row to row are Σ
+    N_r·x_r.
     """
     cells, size = view.cells, view.rates.shape[2]
     column, row = pixel_coordinates(cells.runs).T
@@ -337,13 +348,13 @@ def row_information(view: BodyView) -> FloatArray:
     return information
 
 
-def rest_covariance(views: Sequence[BodyView], noise: float) -> FloatArray:
+def rest_covariance(views: Sequence[BodyView], noise_ratio: float) -> FloatArray:
     """Return the covariance (6,6) of a frame equal to the reference, for a noise ratio.
 
-    `noise`: variance of the grey values over that of the noise models.
+    `noise_ratio`: variance of the grey values over that of the noise models.
     """
     information, noise_part = (part[:6, :6] for part in rest_information(views))
-    return noise * pose_covariance(information, noise * noise_part, np.eye(3), np.zeros(3))
+    return noise_ratio * pose_covariance(information, noise_ratio * noise_part, np.eye(3), np.zeros(3))
 
 
 def rest_information(views: Sequence[BodyView]) -> tuple[FloatArray, FloatArray]:
@@ -353,20 +364,21 @@ def rest_information(views: Sequence[BodyView]) -> tuple[FloatArray, FloatArray]
 
 
 def estimate_shape_amplitudes(
-    pose: FloatArray, slope: FloatArray, whole: tuple[FloatArray, FloatArray], scale: FloatArray | float
+    pose: FloatArray, slope: FloatArray, information: tuple[FloatArray, FloatArray], noise_ratio: FloatArray | float
 ) -> tuple[FloatArray, FloatArray]:
     """Return amplitudes (...,S) of shapes in addition to the motion, with covariance (...,S,S).
 
-    pose (..., 6) of the last step, slope (..., p), whole: information (..., p, p) and its noise part, per `scale`
-    (...). The remaining slopes of the shapes after the motion, g − H·δ, are divided by their remaining information: the
-    amplitudes of a joint fit. The motion is the one without shapes, with which they are therefore uncorrelated (Frisch
-    and Waugh 1933, Econometrica 1, 387). NaN where motion and shapes cannot be separated.
+    `pose` (..., 6) and `slope` (..., p) are those of the last step. `information` (..., p, p) comes with its noise
+    part, which is multiplied by `noise_ratio` (...). The remaining slopes of the shapes after the motion, g − H·δ, are
+    divided by their remaining information: the amplitudes of a joint fit. The motion is the one without shapes, with
+    which they are therefore uncorrelated (Frisch and Waugh 1933, Econometrica 1, 387). NaN where motion and shapes
+    cannot be separated.
     """
-    shapes, each = slope.shape[-1] - 6, np.asarray(scale)[..., None, None]
+    shapes, each = slope.shape[-1] - 6, np.asarray(noise_ratio)[..., None, None]
     if not shapes:
         return np.zeros((*slope.shape[:-1], 0)), np.zeros((*slope.shape[:-1], 0, 0))
-    clean = without_noise(whole[0], each * whole[1])
-    separable = (np.linalg.eigvalsh(_scaled(clean))[..., 0] > SINGULAR)[..., None, None]
+    clean = without_noise(information[0], each * information[1])
+    separable = (np.linalg.eigvalsh(_scaled(clean))[..., 0] > MIN_EIGENVALUE)[..., None, None]
     clean = np.where(separable, clean, np.eye(6 + shapes))
     mixed = clean[..., 6:, :6]
     inverse = np.linalg.inv(clean[..., 6:, 6:] - mixed @ np.linalg.solve(clean[..., :6, :6], mixed.mT))
@@ -384,10 +396,10 @@ def rigid_share(views: Sequence[BodyView]) -> FloatArray:
 def _rigid_cells(view: BodyView, sums: CellSums, step: FloatArray) -> BoolArray:
     """Return which cells (C,) show the body, by their misfit and remaining shift.
 
-    step (6,): of the body, after which the shift counts.
+    `step` (6,): motion of the body that is subtracted from the shifts.
     """
     used = np.zeros(len(sums.gain), dtype=np.bool_)
-    _judge_cells(sums.all, (view.rates, view.cells.hessian, view.translation), step, used)
+    _judge_cells(sums.all, (view.rates, view.cells.hessian, view.inverse_shift_hessian), step, used)
     return used
 
 
@@ -405,10 +417,10 @@ def _judge_cells(sums, jacobians, step, used):  # type: ignore[no-untyped-def]
         number += 1
     if number == 0:
         return
-    typical = max(np.median(ratio[:number]), SMALLEST_MISFIT)
+    typical = max(np.median(ratio[:number]), MIN_MISFIT_RATIO)
     number = 0
     for c in range(count):
-        used[c] = used[c] and misfit[c] / expected[c] <= MISFIT * typical
+        used[c] = used[c] and misfit[c] / expected[c] <= MAX_MISFIT_RATIO * typical
         if used[c]:
             x, y = slope[c, 0], slope[c, 3]
             for i in range(6):
@@ -421,7 +433,7 @@ def _judge_cells(sums, jacobians, step, used):  # type: ignore[no-untyped-def]
             square = inverse[0, 0] * x * x + (inverse[0, 1] + inverse[1, 0]) * x * y + inverse[1, 1] * y * y
             squares[number] = square / typical
             number += 1
-    limit = REJECTED * max(1.0, np.median(squares[:number]) / MEDIAN_CHI2_OF_TWO)
+    limit = REJECT_CHI2 * max(1.0, np.median(squares[:number]) / MEDIAN_CHI2_OF_TWO)
     number = 0
     for c in range(count):
         if used[c]:
@@ -456,16 +468,16 @@ def _add_cells(used, compared, jacobians, found):  # type: ignore[no-untyped-def
 
 
 def _scaled(matrix: FloatArray) -> FloatArray:
-    """Return symmetric matrices (...,p,p) scaled to a unit diagonal, zero if it is not positive."""
+    """Return symmetric matrices (...,p,p) scaled to a unit diagonal, zero where not positive."""
     diagonal = np.diagonal(matrix, axis1=-2, axis2=-1)
     scale = np.where(diagonal > 0.0, 1.0 / np.sqrt(np.where(diagonal > 0.0, diagonal, 1.0)), 0.0)
     return np.asarray(matrix * (scale[..., :, None] * scale[..., None, :]))
 
 
 def without_noise(information: FloatArray, noise_part: FloatArray) -> FloatArray:
-    """Return `information` (..., p, p) without its noise part, unchanged if too little remains."""
+    """Return `information` (..., p, p) without its noise part, unchanged if that were nearly singular."""
     clean = information - noise_part
-    enough = SMALLEST_EXCESS * np.linalg.eigvalsh(_scaled(information))[..., 0]
+    enough = MIN_EIGENVALUE_SHARE * np.linalg.eigvalsh(_scaled(information))[..., 0]
     positive = np.linalg.eigvalsh(_scaled(clean))[..., 0] > enough
     return np.where(positive[..., None, None], clean, information)
 
@@ -473,9 +485,10 @@ def without_noise(information: FloatArray, noise_part: FloatArray) -> FloatArray
 def pose_covariance(
     information: FloatArray, noise_part: FloatArray, rotation: FloatArray, vector_rad: FloatArray
 ) -> FloatArray:
-    """Return H′⁻¹·H·H′⁻¹ of right-multiplied δ as that (..., 6, 6) of shift and rotation vector.
+    """Return the covariance (..., 6, 6) of shift and rotation vector, per noise ratio.
 
-    information, noise_part (..., 6, 6); rotation (..., 3, 3) of the motion and its vector (..., 3).
+    It is H′⁻¹·H·H′⁻¹ of the right-multiplied step δ (`fit_direct`), converted to shift and rotation vector.
+    `information` and `noise_part` are (..., 6, 6); rotation (..., 3, 3) of the motion and its vector (..., 3).
     """
     inverse = np.linalg.inv(without_noise(information, noise_part))
     turn = np.zeros((*rotation.shape[:-2], 6, 6))

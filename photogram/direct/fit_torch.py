@@ -18,16 +18,16 @@ from photogram.bspline import noise_gain_table
 from photogram.camera import Camera
 from photogram.direct.cells import SMALLEST_GAIN, nine_points, pixel_coordinates
 from photogram.direct.direct_fit import (
-    CORRECTED,
-    EVALUATIONS,
-    FEWEST_CELLS,
-    LARGEST_STEP,
-    LEFT_OVER,
-    MISFIT,
-    REJECTED,
-    SINGULAR,
-    SMALLEST_EXCESS,
-    SMALLEST_MISFIT,
+    MAX_FINAL_STEP,
+    MAX_MISFIT_RATIO,
+    MAX_REMAINING_STEP,
+    MAX_STEPS,
+    MIN_CELLS,
+    MIN_EIGENVALUE,
+    MIN_EIGENVALUE_SHARE,
+    MIN_MISFIT_RATIO,
+    REJECT_CHI2,
+    UNCORRECTED_SHARE,
     BodyView,
     DirectFit,
     estimate_shape_amplitudes,
@@ -62,7 +62,7 @@ class TorchView(Squares):
     rates: Tensor
     information: Tensor
     information_noise: Tensor
-    translation: Tensor
+    inverse_shift_hessian: Tensor
     steady: Tensor
     points_m: Tensor
     rest_px: Tensor
@@ -107,10 +107,10 @@ def torch_view(view: BodyView, device: str, precision: str) -> TorchView:
     pixels[cell, :, row * side + column] = cells.pixels.T
     down, across = (grid.ravel() - reach for grid in np.mgrid[:side, :side])
     shape = shape_values(np.column_stack([across, down]), 1)
-    steady = np.isfinite(view.translation[:, 0, 0]) & view.rates[:, :, :6].any(axis=(1, 2))
+    steady = np.isfinite(view.inverse_shift_hessian[:, 0, 0]) & view.rates[:, :, :6].any(axis=(1, 2))
 
     from_cells = ("centre_px", "mean", "weight", "energy", "count", "removed", "hessian")
-    from_view = ("rates", "information", "information_noise", "translation")
+    from_view = ("rates", "information", "information_noise", "inverse_shift_hessian")
     placed = camera_from_body.apply(view.patches.points_m).reshape(-1, 3)
     whole = {
         **{name: getattr(cells, name) for name in from_cells},
@@ -163,7 +163,7 @@ def fit_frames(
     slopes = torch.zeros((2, len(starts), size), dtype=torch.float64, device=device)  # and last steps
     scales, counts = torch.full((2, len(starts)), torch.nan, dtype=torch.float64, device=device)
     active = torch.arange(len(starts), device=device)
-    for _ in range(EVALUATIONS):
+    for _ in range(MAX_STEPS):
         compared = [
             _compared(view, frames, number[active], rotation[active], shift[active])
             for view, (frames, _), number in zip(views, targets, numbers, strict=True)
@@ -174,17 +174,17 @@ def fit_frames(
             total = _CellSums(*(torch.stack(values).sum(dim=0) for values in zip(*parts, strict=True)))
             of_motion, noise_part = total.information[:, :6, :6], total.noise_part[:, :6, :6]
             lowest = torch.linalg.eigvalsh(_scaled(of_motion))[:, 0]
-            solvable = (total.count >= FEWEST_CELLS) & (lowest > SINGULAR)
+            solvable = (total.count >= MIN_CELLS) & (lowest > MIN_EIGENVALUE)
             information = torch.where(solvable[:, None, None], of_motion, _eye(6, of_motion))
             scale = torch.maximum(total.misfit, total.rounding) / total.expected
             clean = information - torch.where(solvable, scale, 0.0)[:, None, None] * noise_part
-            enough = solvable & (torch.linalg.eigvalsh(_scaled(clean))[:, 0] > SMALLEST_EXCESS * lowest)
+            enough = solvable & (torch.linalg.eigvalsh(_scaled(clean))[:, 0] > MIN_EIGENVALUE_SHARE * lowest)
             step = torch.linalg.solve(torch.where(enough[:, None, None], clean, information), total.slope[:, :6])
         new_rotation, moved = _compose_inverse(rotation[active], shift[active], step)
         length = torch.sqrt(torch.einsum("ai,aij,aj->a", step, information, step) / scale)
         noise = torch.linalg.solve(information, noise_part).diagonal(dim1=1, dim2=2).sum(dim=1)
-        left = scale * noise / 6.0 * torch.where(enough, CORRECTED, 1.0)
-        found = solvable & (length < LARGEST_STEP) & (left * length < LEFT_OVER)
+        left = scale * noise / 6.0 * torch.where(enough, UNCORRECTED_SHARE, 1.0)
+        found = solvable & (length < MAX_FINAL_STEP) & (left * length < MAX_REMAINING_STEP)
         rotation[active], shift[active] = new_rotation, moved
         matrices[0, active], matrices[1, active] = total.information, total.noise_part
         slopes[0, active], slopes[1, active, :6] = total.slope, step
@@ -340,11 +340,11 @@ def _interpolated_noise(view: TorchView, warp: Tensor, degree: int) -> Tensor:
 def _rigid_cells(view: TorchView, ratio: Tensor, slope: Tensor) -> Tensor:
     """Return which cells (A,C) show the body, by misfit ratio (A,C) and slope (A,C,6)."""
     finite = ratio.isfinite() & slope.isfinite().all(dim=2) & view.steady
-    typical = _median(ratio, finite).clamp(min=SMALLEST_MISFIT)[:, None]
-    finite &= ratio <= MISFIT * typical
+    typical = _median(ratio, finite).clamp(min=MIN_MISFIT_RATIO)[:, None]
+    finite &= ratio <= MAX_MISFIT_RATIO * typical
     cell_shift = slope[..., ::3]
-    squares = (cell_shift[..., None] * cell_shift[..., None, :] * view.translation).sum(dim=(2, 3)) / typical
-    limit = REJECTED * (_median(squares, finite) / MEDIAN_CHI2_OF_TWO).clamp(min=1.0)
+    squares = (cell_shift[..., None] * cell_shift[..., None, :] * view.inverse_shift_hessian).sum(dim=(2, 3)) / typical
+    limit = REJECT_CHI2 * (_median(squares, finite) / MEDIAN_CHI2_OF_TWO).clamp(min=1.0)
     return finite & (squares <= limit[:, None])
 
 

@@ -401,7 +401,7 @@ def _tracked(scene: BodyScene, blocks: Iterable[FollowedBlock]) -> tuple[Tracked
                     fits.append(missing)
                 else:
                     fits.append((fit.moved.pose, fit.covariance, fit.amplitude, fit.amplitude_covariance))
-                levels += [] if fit is None else [fit.noise]
+                levels += [] if fit is None else [fit.noise_ratio]
                 if fit is not None and not with_subsets:
                     monitor.add_motion(tuple(image_motion_px(centre, fit.moved)[0] for centre in centres))
     if levels:

@@ -203,7 +203,7 @@ class ExposureCorrection(Arrays):
                 for _ in range(ROUNDS):
                     carried = _motion_since(scene, swing, number, side, view.camera.project(seen)[..., 1])
                     seen = apply_motion(carried, points)
-                view = replace(view, carried=carried)
+                view = replace(view, added_motion=carried)
             views.append(view)
         return views, targets, references
 

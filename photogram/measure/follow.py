@@ -347,7 +347,7 @@ def predict_motion(fits: Sequence[DirectFit]) -> RigidTransform:
 
 def has_excess_noise(fit: DirectFit, before: Sequence[DirectFit]) -> bool:
     """Return whether a fit leaves far more noise than those before."""
-    return fit.noise > MAX_NOISE_RATIO * median(one.noise for one in before[-HISTORY:])
+    return fit.noise_ratio > MAX_NOISE_RATIO * median(one.noise_ratio for one in before[-HISTORY:])
 
 
 def subsets_displaced(warp: FloatArray, start: FloatArray | None) -> BoolArray:

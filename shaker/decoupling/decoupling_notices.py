@@ -32,7 +32,7 @@ RELEASE_SIZE_SCATTER = DeclaredNotice(
 RELEASE_SHAPE_MISFIT = DeclaredNotice(
     "SC-395",
     "warning",
-    "The model leaves {factor:.1f} times the noise of {channel}.",
+    "The residual of the model is {factor:.1f} times the noise of {channel}.",
     effect="The time course of the load may be neither a ramp nor half a cosine.",
     remedy="Use another release device, or check the record for disturbances.",
     link="decoupling.md",

@@ -13,14 +13,14 @@ from shaker.lines.spectrum import (
     BINS_PER_INDEPENDENT,
     FIRST_BIN,
     BinLine,
+    BinPower,
     NoiseLevel,
-    Power,
     add_line,
-    bins_of,
     centred_spectrum,
     chance_height,
     fit_line,
     hann_kernel,
+    line_bins,
     noise_level,
     split_bins,
 )
@@ -73,7 +73,7 @@ class FloorSpectrum:
     def __init__(self, samples: FloatArray) -> None:
         self.samples = len(samples)
         self.spectrum = centred_spectrum(samples)
-        self.power = Power(self.spectrum)
+        self.power = BinPower(self.spectrum)
         self._found: dict[int, ComplexArray] = {}
         self.remove_ramp()
         self.level = noise_level(self.power)
@@ -87,7 +87,7 @@ class FloorSpectrum:
 
     def add(self, line: BinLine, noise: float, sign: float) -> tuple[int, int]:
         """Add a line times `sign` above a noise power; return its bins."""
-        low, high = bins_of(line, len(self.spectrum), noise)
+        low, high = line_bins(line, len(self.spectrum), noise)
         self.remember(low, high)
         add_line(self.spectrum, self.samples, line, (low, high), sign)
         return low, high
@@ -136,7 +136,7 @@ def excess_power(samples: FloatArray, bin_intervals: FloatArray) -> tuple[FloatA
     `bin_intervals` (Q, 2) are in bins. Samples (S,) → ratio (Q,) and fitted position of the peak (Q,) in bins.
     """
     spectrum = centred_spectrum(samples)
-    power = Power(spectrum)
+    power = BinPower(spectrum)
     level = replace(noise_level(power), minimum=np.finfo(np.float64).tiny)
     ratio, where = np.empty(len(bin_intervals)), np.empty(len(bin_intervals))
     for q, (low, high) in enumerate(bin_intervals):
@@ -183,7 +183,7 @@ class _Search:
 
     def grow(self) -> bool:
         """Add all significant peaks except leakage; return whether there were any."""
-        height = chance_height(self.chance_anywhere, self.level.independent)
+        height = chance_height(self.chance_anywhere, self.level.independent_bins)
         found = []
         for part in split_bins(self.last, _LOOKED_AT):
             first, stop = max(part.start, FIRST_BIN), part.stop
@@ -197,7 +197,7 @@ class _Search:
 
     def grow_expected(self) -> bool:
         """Add the significant peaks at expected positions; return whether there were any."""
-        height = chance_height(self.chance_expected, self.level.independent)
+        height = chance_height(self.chance_expected, self.level.independent_bins)
         around = [np.arange(max(FIRST_BIN, round(p) - 1), min(self.last, round(p) + 2)) for p in self.expected]
         best = {int(bins[np.argmax(self.power[bins])]) for bins in around if len(bins)}
         high = sorted((k for k in best if self.power[k] > height * self.level[k]), key=lambda k: -self.power[k])
@@ -275,5 +275,5 @@ class _Search:
         local = float(np.median(self.power[free])) / np.log(2.0)
         chance = self.chance_expected if expected else self.chance_anywhere
         height = chance_height(float(np.sqrt(chance)), len(free) / BINS_PER_INDEPENDENT)
-        height = max(height, chance_height(chance, self.level.independent))
+        height = max(height, chance_height(chance, self.level.independent_bins))
         return max(local, floor) if abs(line.value) ** 2 > height * local else None

@@ -1,4 +1,4 @@
-"""Amplitude spectra, Hann lines fitted in few bins, and the noise floor.
+"""Amplitude spectra, lines fitted in few Hann bins, and the noise floor.
 
 Time is counted from the middle of the record. The spectrum of a sine is then its phasor times a real kernel that falls
 as the cube of the distance, so that a line affects only the bins around it.
@@ -36,7 +36,7 @@ def hann_window(samples: int) -> FloatArray:
     return np.asarray(1.0 - np.cos(2.0 * np.pi * np.arange(samples) / samples))
 
 
-def amplitude_spectrum(samples: FloatArray | Stacked, sample_rate_hz: float, most_bins: int | None = None) -> Spectrum:
+def amplitude_spectrum(samples: FloatArray | Stacked, sample_rate_hz: float, max_bins: int | None = None) -> Spectrum:
     """Return the one-sided Hann amplitude spectrum of samples (S,) or (S, C) without their mean.
 
     A sine on a bin shows its peak amplitude, one between two bins up to 15 % less. With more than `most_bins` bins, the
@@ -47,7 +47,7 @@ def amplitude_spectrum(samples: FloatArray | Stacked, sample_rate_hz: float, mos
         raise ValueError(f"samples: expected at least 2 samples, found {count}")
     stacked = Stacked.from_array(samples)
     bins = count // 2 + 1
-    merged = 1 if most_bins is None else -(-bins // most_bins)
+    merged = 1 if max_bins is None else -(-bins // max_bins)
     first = np.arange(0, bins, merged)
     amplitude = np.empty((len(first), stacked.shape[1]))
     for c, column in enumerate(stacked.iterate_channels()):
@@ -64,23 +64,24 @@ def amplitude_spectrum(samples: FloatArray | Stacked, sample_rate_hz: float, mos
     return Spectrum(frequency, amplitude.reshape(-1, *samples.shape[1:]))
 
 
-# Hann spectra whose lines can be fitted and taken out bin by bin.
+# Hann spectra, in which lines are fitted and subtracted in a few bins.
 
-_SPAN = 3  # bins on either side from which a line is fitted
-_STEPS = 10  # Gauss-Newton steps of a line at most
-_CONVERGED = 1e-6  # of the variance of the position: the square of the last step
+_HALF_WIDTH = 3  # bins on each side of a line to which it is fitted
+_MAX_STEPS = 10  # Gauss-Newton steps of the fit of a line
+_CONVERGED = 1e-6  # square of the last step over the variance of the position, at most
 _BIN_CORRELATION = (1.0, 2.0 / 3.0, 1.0 / 6.0)  # of white noise in Hann bins at distances 0, 1, 2
-_DRIFT_FROM = 1e4  # power over noise from which a line's slow change of amplitude is subtracted with it
-_NEGLIGIBLE = 0.05  # of the noise amplitude: rest of a line outside the bins from which it is subtracted
-_WIDEST = 20_000  # bins on either side of a line at most
-_SERIES_BELOW = 1e-5  # bins: nearer to its centre the kernel is taken from its series
+_MIN_DRIFT_POWER = 1e4  # power of a line over the noise above which its linear change of amplitude is fitted
+_MAX_REMAINDER = 0.05  # amplitude of a line outside its bins over that of the noise
+_MAX_HALF_WIDTH = 20_000  # bins on each side of a line from which it is subtracted
+_SERIES_BELOW = 1e-5  # bins from its centre below which the kernel is computed by its series
 
 
 @dataclass(frozen=True)
 class BinLine:
     """A line: position in bins, phasor `value`, `slope`, and uncertainties.
 
-    The phasor is that at the middle of the record.
+    The phasor is that at the middle of the record. `slope` is the factor of the kernel's derivative, which describes a
+    linear change of the amplitude; 0 if that is not resolved.
     """
 
     bin_position: float
@@ -91,9 +92,9 @@ class BinLine:
 
 
 def centred_spectrum(samples: FloatArray) -> ComplexArray:
-    """Return the Hann spectrum (B,) of samples (S,) without mean.
+    """Return the Hann spectrum (B,) of samples (S,), phases at their middle.
 
-    A sine on a bin shows its phasor. The window is symmetric about the middle of the record, to which the phases refer.
+    The mean is removed. A sine on a bin shows its phasor. The window is symmetric about the middle of the record.
     """
     count = len(samples)
     spectrum = _hann_rfft(samples, (count - 1) / 2.0)
@@ -104,19 +105,19 @@ def centred_spectrum(samples: FloatArray) -> ComplexArray:
     return spectrum
 
 
-_LONG = 1 << 22  # samples from which a transform is combined from shorter ones, to save memory
-_PART = 1 << 18  # bins worked on at a time
-_FEWEST_PARTS, _MOST_PARTS = 16, 64  # of a transform that is combined from shorter ones
-_RETURNED = 1 << 26  # bytes of an array whose memory the system has back at once
+_MIN_SPLIT_SAMPLES = 1 << 22  # samples from which on shorter transforms are combined, to save memory
+_BLOCK_BINS = 1 << 18  # bins processed at a time
+_MIN_PARTS, _MAX_PARTS = 16, 64  # shorter transforms that are combined
+_MMAP_BYTES = 1 << 26  # bytes above which the memory of a deleted array returns to the system at once
 
 
-def split_bins(bins: int, most: int = _PART) -> list[slice]:
+def split_bins(bins: int, most: int = _BLOCK_BINS) -> list[slice]:
     """Return slices of at most `most` bins that cover all bins."""
     return [slice(first, min(first + most, bins)) for first in range(0, bins, most)]
 
 
 def _hann_rfft(samples: FloatArray, middle: float) -> ComplexArray:
-    """Return the transform (B,) of samples (S,) without mean, times 1 + cos(2π/S·(n - middle)).
+    """Return the transform (B,) of samples (S,), mean removed, times 1 + cos(2π/S·(n - middle)).
 
     Long records are split. Every r-th sample is transformed, r a divisor of S. The r transforms F_q are combined
     (decimation in time, Cooley and Tukey 1965). With M = S/r it is X(jM + m) = Σ_q
@@ -124,14 +125,16 @@ def _hann_rfft(samples: FloatArray, middle: float) -> ComplexArray:
     M - m) is the conjugate of X((r - 1 - j)M + m).
     """
     count, mean = len(samples), samples.mean()
-    pieces = next((r for r in range(_FEWEST_PARTS, _MOST_PARTS + 1) if count % r == 0), 1) if count >= _LONG else 1
+    pieces = (
+        next((r for r in range(_MIN_PARTS, _MAX_PARTS + 1) if count % r == 0), 1) if count >= _MIN_SPLIT_SAMPLES else 1
+    )
     turn = 2.0 * np.pi / count
     if pieces == 1:
         return np.asarray(np.fft.rfft(_apply_window(samples, mean, middle, slice(0, count))))
     length, bins = count // pieces, count // 2 + 1
     halves = [np.empty(0, dtype=np.complex128)] * pieces
-    order = sorted(range(pieces), key=lambda q: min(q, pieces - 1 - q))  # in which they are done with
-    each = max(1, _RETURNED // (8 * length))
+    order = sorted(range(pieces), key=lambda q: min(q, pieces - 1 - q))  # in which their memory can be released
+    each = max(1, _MMAP_BYTES // (8 * length))
     for some in (order[first : first + each] for first in range(0, pieces, each)):
         block = np.empty((len(some), length // 2 + 1), dtype=np.complex128)
         for q, row in zip(some, block, strict=True):
@@ -156,13 +159,13 @@ def _hann_rfft(samples: FloatArray, middle: float) -> ComplexArray:
         target[: len(low)] = low
         np.conjugate(high[: len(target) - len(low)], out=target[len(low) :])
         done = (j, pieces - 1 - j) if pieces - 1 - j > last else (j,)
-        for number in done:  # whose memory is that of the result now
+        for number in done:  # release the memory, which the result needs now
             halves[number] = np.empty(0, dtype=np.complex128)
     return result
 
 
 def _apply_window(samples: FloatArray, mean: float, middle: float, which: slice) -> FloatArray:
-    """Return some samples (S,) without mean, times a Hann window.
+    """Return the samples `which`, with `mean` subtracted, times a Hann window.
 
     The window is 1 + cos(2π/S·(n - middle)); little memory is used.
     """
@@ -176,7 +179,7 @@ def _apply_window(samples: FloatArray, mean: float, middle: float, which: slice)
 
 
 def hann_kernel(position: float, low: int, high: int, samples: int) -> tuple[FloatArray, FloatArray]:
-    """Return the spectrum of a unit line in some bins, and its derivative.
+    """Return the spectrum of a unit line in some bins, and its position derivative.
 
     The line is at `position`, the bins are `low` to `high` - 1. K(δ) = D(δ) + ½D(δ - 1) + ½D(δ + 1) with Dirichlet's
     kernel D(δ) = sin(πδ) / (N sin(πδ/N)).
@@ -203,10 +206,10 @@ def fit_line(spectrum: ComplexArray, samples: int, start: float, noise: float) -
     line, which Gauss-Newton steps remove; the other part is a linear change of the amplitude. `noise` is the noise
     power of a bin.
     """
-    low, high = max(1, round(start) - _SPAN), min(len(spectrum), round(start) + _SPAN + 1)
+    low, high = max(1, round(start) - _HALF_WIDTH), min(len(spectrum), round(start) + _HALF_WIDTH + 1)
     weight = _hann_weight(high - low)
     position, value = start, 0j
-    for _ in range(_STEPS):
+    for _ in range(_MAX_STEPS):
         data = spectrum[low:high] - np.conj(value) * hann_kernel(-position, low, high, samples)[0]
         design = np.stack(hann_kernel(position, low, high, samples))
         weighted = design @ weight
@@ -221,18 +224,18 @@ def fit_line(spectrum: ComplexArray, samples: int, start: float, noise: float) -
             break
     quadrature = noise / 2.0 * covariance.diagonal()
     change = 1j * value * (slope / value).imag if value else 0j
-    tame = abs(value) ** 2 > _DRIFT_FROM * noise and abs(change) < 0.3 * abs(value)
+    tame = abs(value) ** 2 > _MIN_DRIFT_POWER * noise and abs(change) < 0.3 * abs(value)
     u_position = float(np.sqrt(quadrature[1])) / max(abs(value), np.finfo(np.float64).tiny)
     return BinLine(position, value, change if tame else 0j, u_position, float(np.sqrt(quadrature[0])))
 
 
-def bins_of(line: BinLine, bins: int, noise: float) -> tuple[int, int]:
-    """Return the range of bins in which a line exceeds a noise power.
+def line_bins(line: BinLine, bins: int, noise: float) -> tuple[int, int]:
+    """Return the range of bins outside which a line is negligible against noise.
 
-    It is the first bin, and one after the last.
+    The range is the first bin, and one after the last. `noise` is the noise power of a bin.
     """
-    reach = (abs(line.value) / (_NEGLIGIBLE * np.sqrt(noise) * np.pi)) ** (1.0 / 3.0)
-    width = int(min(max(reach, 4.0), _WIDEST)) + 2
+    reach = (abs(line.value) / (_MAX_REMAINDER * np.sqrt(noise) * np.pi)) ** (1.0 / 3.0)
+    width = int(min(max(reach, 4.0), _MAX_HALF_WIDTH)) + 2
     return max(0, round(line.bin_position) - width), min(bins, round(line.bin_position) + width + 1)
 
 
@@ -251,18 +254,18 @@ def _hann_weight(count: int) -> FloatArray:
     return np.asarray(np.linalg.inv(np.array([*_BIN_CORRELATION, *[0.0] * count])[lag]))
 
 
-# The noise floor of a power spectrum, and how far above it chance alone does not reach.
+# The noise floor of a power spectrum, and the height above it that noise reaches with a given probability.
 
-FIRST_BIN = 3  # the lowest bin used: fewer periods are drift
-_BLOCKS = (64, 256)  # bins per median, narrow and wide
-_LOW_BINS = 256  # in which a slope of the noise towards zero is taken off first
-_CAPPED = 4.0  # times the floor: limit of the power in the fit of the slope
-_FIT_STEPS = 60  # of the slope of the noise; chosen
-_ROUNDING = 1e-9  # by which an interpolated level may fall short of its neighbours, with a wide margin
-BINS_PER_INDEPENDENT = 1.94  # 1 + 2·(4/9 + 1/36): Hann bins share their noise
+FIRST_BIN = 3  # the lowest bin used: lower ones contain drift
+_BLOCK_SIZES = (64, 256)  # bins per median, narrow and wide
+_LOW_BINS = 256  # lowest bins, in which a trend of the noise towards zero frequency is removed first
+_MAX_POWER_RATIO = 4.0  # power over the trend at which the power is limited in the fit of the trend
+_FIT_STEPS = 60  # steps of the fit of the trend (chosen)
+_ROUNDING = 1e-9  # relative rounding error of an interpolated level, with a wide margin
+BINS_PER_INDEPENDENT = 1.94  # 1 + 2·(4/9 + 1/36): neighbouring Hann bins are correlated
 
 
-class Power:
+class BinPower:
     """Power of the bins of a spectrum (B,), computed on demand to save memory."""
 
     def __init__(self, spectrum: ComplexArray) -> None:
@@ -285,14 +288,14 @@ class Power:
 class NoiseLevel:
     """Noise power of the bins (B,), interpolated on demand, and no less than `minimum`.
 
-    `curves` are centres of blocks and the logarithm of their level. `trend` is a factor of the lowest bins.
-    `independent` is the number of independent bins behind each value.
+    `curves` are centres of blocks and the logarithm of their level. `trend` is a factor for the lowest bins.
+    `independent_bins` is the number of independent bins behind each value.
     """
 
     bins: int
     curves: tuple[tuple[FloatArray, FloatArray], ...]
     trend: FloatArray
-    independent: float
+    independent_bins: float
     minimum: float = 0.0
 
     def __len__(self) -> int:
@@ -307,7 +310,7 @@ class NoiseLevel:
         return np.asarray(np.maximum(level, self.minimum))
 
     def lower_bound(self, bins: slice) -> float:
-        """Return a power that the level of these bins does not fall below."""
+        """Return a lower bound of the level of these bins."""
         lowest = -np.inf
         for centres, log_level in self.curves:
             first, last = np.searchsorted(centres, (bins.start, bins.stop - 1))
@@ -322,17 +325,17 @@ class NoiseLevel:
 
 
 def noise_level(
-    power: FloatArray | Power, previous: NoiseLevel | None = None, changed: Sequence[tuple[int, int]] = ()
+    power: FloatArray | BinPower, previous: NoiseLevel | None = None, changed: Sequence[tuple[int, int]] = ()
 ) -> NoiseLevel:
     """Return the noise power of every bin (B,).
 
     It is the median of blocks of bins, which ignores lines, divided by ln 2 (a bin's power has an exponential
-    distribution) and interpolated; the higher value of narrow and wide blocks. Towards zero frequency, drift and 1/f
-    noise rise faster than a block resolves. A parabola in log power over log frequency is therefore divided out first,
-    by maximum Whittle likelihood of the power limited to four times the floor.
+    distribution) and interpolated. Narrow and wide blocks are evaluated, and the higher value is used. Towards zero
+    frequency, drift and 1/f noise rise faster than a block resolves. A parabola in log power over log frequency is
+    therefore divided out first, by maximum Whittle likelihood of the power limited to four times the floor.
 
-    `previous` is the level before the power of some bins `changed` (ranges) and of the lowest; it supplies the medians
-    of all other blocks.
+    `previous` is the level before the power in the ranges of bins `changed` was modified. Only the medians of blocks
+    with such bins, and with the lowest bins, are computed again.
     """
     usable = len(power) - FIRST_BIN
     if usable < 1:
@@ -340,7 +343,7 @@ def noise_level(
     trend = _low_trend(power)
     curves: list[tuple[FloatArray, FloatArray]] = []
     counts: list[float] = []
-    for size in _BLOCKS:
+    for size in _BLOCK_SIZES:
         blocks = max(1, usable // size)
         if blocks == 1 and counts:
             break
@@ -359,10 +362,10 @@ def noise_level(
     return NoiseLevel(len(power), tuple(curves), trend, max(counts) / BINS_PER_INDEPENDENT)
 
 
-def _medians(power: FloatArray | Power, trend: FloatArray, first: IntArray, length: int) -> FloatArray:
-    """Return the medians of blocks of bins from their first ones, with the trend removed."""
+def _medians(power: FloatArray | BinPower, trend: FloatArray, first: IntArray, length: int) -> FloatArray:
+    """Return the medians of blocks of `length` bins from `first`, divided by the trend."""
     medians = np.empty(len(first))
-    step = max(1, _PART // length)
+    step = max(1, _BLOCK_BINS // length)
     for k in range(0, len(first), step):
         bins = first[k : k + step, None] + np.arange(length)
         flat = power[bins]
@@ -372,8 +375,8 @@ def _medians(power: FloatArray | Power, trend: FloatArray, first: IntArray, leng
     return medians
 
 
-def _low_trend(power: FloatArray | Power) -> FloatArray:
-    """Return the trend of the noise over the lowest bins; it is 1 beyond them."""
+def _low_trend(power: FloatArray | BinPower) -> FloatArray:
+    """Return the trend of the noise over the lowest bins, a factor ending at 1."""
     last = min(_LOW_BINS, len(power) - 1)
     if last - FIRST_BIN < 16:
         return np.ones(0)
@@ -382,22 +385,22 @@ def _low_trend(power: FloatArray | Power) -> FloatArray:
     columns, _ = np.linalg.qr(np.stack([np.ones_like(log_bin), log_bin, log_bin**2], axis=1))
     observed = np.maximum(power[bins], np.finfo(np.float64).tiny)
     log_power = columns @ (columns.T @ (np.log(observed) + np.euler_gamma))
-    share = 1.0 - np.exp(-_CAPPED)
+    share = 1.0 - np.exp(-_MAX_POWER_RATIO)
     for _ in range(_FIT_STEPS):
-        excess = np.minimum(observed / np.exp(log_power), _CAPPED) / share - 1.0
+        excess = np.minimum(observed / np.exp(log_power), _MAX_POWER_RATIO) / share - 1.0
         log_power = log_power + columns @ (columns.T @ excess)
     trend = np.exp(log_power - log_power[-1])
     return np.concatenate([np.full(FIRST_BIN, trend[0]), trend])
 
 
 @lru_cache(maxsize=256)
-def chance_height(chance: float, independent: float) -> float:
-    """Return the factor by which a bin exceeds the median noise level with probability `chance`.
+def chance_height(chance: float, independent_bins: float) -> float:
+    """Return the multiple of the noise level that noise exceeds with probability `chance`.
 
-    The level is estimated from `independent` bins. Of n exponential values, another exceeds T times the k-th smallest
-    with probability Π (n - i) / (n - i + T), i < k (Rohling, IEEE Trans. AES 19 (1983), eq. 39).
+    The level is estimated by the median of `independent_bins`. Of n exponential values, another exceeds T times the
+    k-th smallest with probability Π (n - i) / (n - i + T), i < k (Rohling, IEEE Trans. AES 19 (1983), eq. 39).
     """
-    n = max(independent, 1.5)
+    n = max(independent_bins, 1.5)
     k = (n + 1.0) / 2.0
     low, high = 0.0, 1e12
     for _ in range(200):

@@ -23,7 +23,7 @@ OTHER_CHANNEL_TIMES = DeclaredNotice(
 RELEASE_BY_LINE = DeclaredNotice(
     "SC-367",
     "warning",
-    "Modes behind a lag do not describe the release.",
+    "The release cannot be fitted by modes and a lag.",
     effect="Onset and length follow from a straight line through 10 % and 90 % of the change.",
     remedy="Use a shorter release, or a longer record after it.",
     link="steps.md",
@@ -31,7 +31,7 @@ RELEASE_BY_LINE = DeclaredNotice(
 RELEASE_MISFIT = DeclaredNotice(
     "SC-368",
     "warning",
-    "Around the release the fit leaves {factor:.3g} times the noise at rest.",
+    "Around the release, the residual of the fit is {factor:.3g} times the noise at rest.",
     effect="Onset and length are less certain than stated.",
     remedy="Measure the force, or use a release with a simpler time course.",
     link="steps.md",
@@ -63,7 +63,7 @@ RELEASE_SHAPE_UNDETERMINED = DeclaredNotice(
 NO_CONTINUOUS_MODEL = DeclaredNotice(
     "SC-372",
     "warning",
-    "The difference equation has no continuous model: {reason}.",
+    "The fitted difference equation has no equivalent in continuous time: {reason}.",
     effect="The sampled model is reported instead.",
     remedy="Use the default method, or another sampling rate.",
     link="steps.md",
@@ -104,7 +104,7 @@ DOUBTFUL_REAL_POLE = DeclaredNotice(
     "SC-377",
     "warning",
     "The record hardly determines the real pole at {frequency_hz:.3g} ± {u_hz:.1g} Hz.",
-    effect="Its lag and the release may replace each other.",
+    effect="The record may not distinguish its lag from the duration of the release.",
     remedy="Use a shorter release, or measure the force.",
     link="steps.md",
 )

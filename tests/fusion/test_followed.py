@@ -59,7 +59,7 @@ def bits(block: FollowedBlock) -> list[bytes]:
     for sides, fit in block:
         numbers += [np.asarray(getattr(side, name)).tobytes() for side in sides or () for name in REGISTRATION]
         if fit is not None:
-            parts = fit.moved.rotation, fit.moved.translation_m, fit.covariance, np.array([fit.noise, fit.cells])
+            parts = fit.moved.rotation, fit.moved.translation_m, fit.covariance, np.array([fit.noise_ratio, fit.cells])
             numbers += [part.tobytes() for part in (*parts, fit.amplitude, fit.amplitude_covariance)]
     return numbers
 

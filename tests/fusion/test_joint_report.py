@@ -48,7 +48,7 @@ from fusion.campaign.recording_results import RecordingResults, SensorFacts
 from fusion.campaign.unknowns import JointUnknown
 from fusion.errors import InputError
 from fusion.estimation.coverage import coverage_factor
-from fusion.phasors.timing import Grid
+from fusion.phasors.timing import EdgeGrid
 from fusion.report import recording_report as results
 from fusion.report.folder import Provenance
 from fusion.report.h5 import read_uncertainty
@@ -317,7 +317,7 @@ def test_recordings_and_inputs_of_equal_names_are_distinguished():
     assert [entry.name for entry in found.recorded] == [f"the same [{entry.folder}]" for entry in (first, second)]
     assert [drive.recording for drive in found.excited_lines] == [entry.name for entry in found.recorded]
     assert [drive.start for drive in found.excited_lines] == [drive.recording for drive in found.excited_lines]
-    grids = (Grid(0.1, 0.02, 2e-5, 0.0, np.nan),)
+    grids = (EdgeGrid(0.1, 0.02, 2e-5, 0.0, np.nan),)
     alike = (replace(e, excited_lines=tuple(replace(d, grids=grids) for d in e.excited_lines)) for e in (first, second))
     assert {drive.start for drive in evaluate_campaign("twice", tuple(alike), {}).excited_lines} == {
         found.recorded[0].name

@@ -19,7 +19,7 @@ from simulated_drives import CAPACITY, DriveErrors, drive_setup, eight_setups, s
 from support import region_distance
 
 from fusion.campaign import elimination, matrix_solve
-from fusion.campaign.campaign_notices import DISAGREEING_RECORDINGS, MISSING_MATRIX_ROW, UNTESTED_MATRIX
+from fusion.campaign.campaign_notices import INCONSISTENT_MATRIX, MISSING_MATRIX_ROW, UNTESTED_MATRIX
 from fusion.campaign.excited_line import ExcitedLine
 from fusion.campaign.line_stack import LINE_SPACING, Stack, stack_drives
 from fusion.campaign.matrix import MatrixFit, cross_talk, fit_matrix, main_components
@@ -331,7 +331,7 @@ def test_a_recording_that_disagrees_is_named_and_covered(wrong):
     setups[wrong] = replace(setups[wrong], step=0.03)
     fit = fit_matrix(simulate_drives(setups, truth, DriveErrors(rng)))
     assert fit.worst.recording == setups[wrong].recording
-    assert fit.notices[-1].code == DISAGREEING_RECORDINGS.code
+    assert fit.notices[-1].code == INCONSISTENT_MATRIX.code
     assert fit.notices[-1].values["recording"] == setups[wrong].recording
     assert fit.notices[-1].values["discrepancy"] == fit.discrepancy
     assert 1e-3 < fit.discrepancy < 0.03

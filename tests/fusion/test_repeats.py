@@ -44,7 +44,7 @@ from fusion.campaign.repeats import (
 )
 from fusion.estimation.coverage import coverage_factor
 from fusion.estimation.uncertainty import Contribution, Influence, Uncertainty, polar_elements
-from fusion.phasors.timing import Grid
+from fusion.phasors.timing import EdgeGrid
 from fusion.recording.load import load_manifest
 from fusion.sensitivity.ratio import StatedMatrix
 from fusion.sensitivity.recording_evaluation import evaluate_recording
@@ -276,7 +276,7 @@ def test_few_mountings_and_single_recordings_are_reported():
     assert {i.name for i in anew.uncertainty.influences} == {"laser: scale"}
 
 
-GRID = Grid(start_s=0.1, period_s=0.02, sample_s=2e-5, offset_s=0.04, width_s=2e-3)
+GRID = EdgeGrid(start_s=0.1, period_s=0.02, sample_s=2e-5, offset_s=0.04, width_s=2e-3)
 
 
 def test_grids_are_equal_within_half_a_sample():
@@ -301,7 +301,7 @@ def test_grids_are_equal_within_half_a_sample():
 
 def test_starts_are_found_without_comparing_every_recording_with_every_other(monkeypatch: pytest.MonkeyPatch):
     """3000 recordings, half of them started beside an earlier one; the rule pair by pair is the truth."""
-    rng, asked, like = np.random.default_rng(7), 0, Grid.like
+    rng, asked, like = np.random.default_rng(7), 0, EdgeGrid.has_same_edges
     late = rng.uniform(0.0, 2.0, 1500)
     late = rng.permutation(np.concatenate([late, late + rng.uniform(-1.0, 1.0, 1500) * 0.7 * GRID.sample_s]))
     grids = [replace(GRID, start_s=float(start)) for start in late]
@@ -314,12 +314,12 @@ def test_starts_are_found_without_comparing_every_recording_with_every_other(mon
         leading += [n] if found is None else []
         expected.append(f"{n if found is None else found}")
 
-    def counted(one: Grid, other: Grid) -> bool:
+    def counted(one: EdgeGrid, other: EdgeGrid) -> bool:
         nonlocal asked
         asked += 1
         return like(one, other)
 
-    monkeypatch.setattr(Grid, "like", counted)
+    monkeypatch.setattr(EdgeGrid, "has_same_edges", counted)
     assert [drive.start for drive in with_starts(drives)] == expected
     assert asked < 3 * len(drives)
 

@@ -140,7 +140,7 @@ def test_errors_of_a_clock_act_through_the_fit():
     found = stereo_phasors(base, measured, lines, base.line_errors(lines, ()))
     time_s, pose, value = found.result.time_s, found.result.motion_from_mean.pose, found.reading.phasors.value[0]
     for unknown, error in zip(unknowns, found.reading.errors, strict=True):
-        late_s, stretch = unknown.offset_s + unknown.rate * time_s, np.ravel(unknown.stretch)[0]
+        late_s, stretch = unknown.offset_s + unknown.rate * time_s, np.ravel(unknown.frequency_error)[0]
         again = fit_sines(time_s + late_s, pose, LINE_HZ * np.ones(1) * (1.0 + stretch), list("abcdef"), ["m"] * 6)
         change = again.phasors.value[0] / np.sinc(LINE_HZ * EXPOSURE_S) - value
         first = (error.effect[0] - 2.0 * stretch) * value + error.additive[
@@ -188,9 +188,9 @@ def test_a_line_found_in_the_motion_is_on_the_clock_of_its_trigger():
     base, rng = time_base({("daq", "camera"): latched(instants, DAQ_HZ)}), np.random.default_rng(3)
     measured = seen_pair(base, recorded(SIZE + np.zeros((1, 6)), instants, rng))
     clock = base.sight_errors(measured.sight)
-    found = base.on_clock(find_lines(measured.sight.time_s, measured.motion.pose, [LINE_HZ]), clock)
+    found = base.add_clock_uncertainty(find_lines(measured.sight.time_s, measured.motion.pose, [LINE_HZ]), clock)
     (rate,) = (e for e in combine_timing_errors([*clock, *base.line_errors(found, clock)]) if e.name == "camera: rate")
-    assert rate.rate + float(rate.stretch) == 0.0
+    assert rate.rate + float(rate.frequency_error) == 0.0
     seen = stereo_phasors(base, measured, found, base.line_errors(found, clock))
     (error,) = (e for e in seen.reading.errors if e.name == "camera: rate")
     assert np.all(error.additive == 0.0)
@@ -218,7 +218,9 @@ def test_channels_on_a_tied_clock_err_as_they_state(periods, trials):
             size=(len(own_s), 1)
         )
         fit = fit_sines(base.to_base_s("bridge", own_s), values, line, ["F"], ["V"], model=SineModel(robust=True))
-        errors = [e.through(fit, np.ones(1, np.bool_), 0).relative_to(fit.phasors) for e in base.tie_errors("bridge")]
+        errors = [
+            e.effect_on_fit(fit, np.ones(1, np.bool_), 0).relative_to(fit.phasors) for e in base.tie_errors("bridge")
+        ]
         assert [e.name for e in errors] == ["clock bridge: time", "clock bridge: rate"]
         value, covariance = fit.phasors.value[0, 0], fit.phasors.covariance[0].copy()
         for error in errors:

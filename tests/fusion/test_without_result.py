@@ -48,7 +48,7 @@ def write_recording(
     return folder / name
 
 
-SINGLE_RECORDINGS, ONE_MOUNTING, TWO_REPEATS = "SC-522", "SC-520", "SC-521"
+UNREPEATED_EXCITATIONS, ONE_MOUNTING, TWO_REPEATS = "SC-522", "SC-520", "SC-521"
 """Codes of notices of a campaign on its repeats."""
 X, ECCENTRIC = {"direction": [1.0, 0.0, 0.0]}, {**LOAD, "centre_of_mass": [0.1, 0.0, 0.05]}
 
@@ -101,7 +101,7 @@ def test_a_campaign_names_the_recording_without_a_result_and_gives_the_others(tm
 @pytest.mark.parametrize(
     ("mountings", "codes"),
     [
-        ("1", {SINGLE_RECORDINGS}),
+        ("1", {UNREPEATED_EXCITATIONS}),
         ("11", {ONE_MOUNTING, TWO_REPEATS}),
         ("12", {TWO_REPEATS}),
         ("123", set()),
@@ -114,7 +114,7 @@ def test_notices_on_recordings_and_mountings(tmp_path, capsys, mountings, codes)
     assert main(["run", str(tmp_path), "-o", str(tmp_path / "results"), "-v"]) == 0
     reported = capsys.readouterr().err
     page = (tmp_path / "results" / "report.html").read_text(encoding="utf-8")
-    every = {SINGLE_RECORDINGS, ONE_MOUNTING, TWO_REPEATS, REPEATABILITY_NOT_ASSESSED.code}
+    every = {UNREPEATED_EXCITATIONS, ONE_MOUNTING, TWO_REPEATS, REPEATABILITY_NOT_ASSESSED.code}
     assert {code for code in every if code in page} == codes
     # The terminal leaves out what is not assessed.
     assert {code for code in every if code in reported} == codes & {TWO_REPEATS}

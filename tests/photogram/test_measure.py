@@ -486,7 +486,7 @@ def test_scatter_is_the_stated_one_and_close_to_the_bound(plate):
         fit = fit_direct(views, splines(plate.moved, rng), start)
         found.append(fit.moved.pose)
         stated.append(np.diagonal(fit.covariance))
-        noise.append(fit.noise)
+        noise.append(fit.noise_ratio)
     scatter = np.std(found, axis=0, ddof=1)
     bound = sigma(motion_bound([view_of(p.camera, p.camera_from_body) for p in plate.places], plate.face, SENSOR, POSE))
     spread = 1 / np.sqrt(2 * (TRIALS - 1))
@@ -571,7 +571,7 @@ def test_frames_fitted_together_on_a_device_are_those_fitted_one_by_one(plate, p
             assert other.cells == one.cells
             assert np.max(np.abs(other.moved.pose - one.moved.pose) / sigma(one.covariance)) < 0.01
             np.testing.assert_allclose(sigma(other.covariance), sigma(one.covariance), rtol=1e-3)
-            assert other.noise == pytest.approx(one.noise, rel=1e-3)
+            assert other.noise_ratio == pytest.approx(one.noise_ratio, rel=1e-3)
     assert alone[1].cells < alone[0].cells
 
 
@@ -593,8 +593,8 @@ def test_a_device_projects_as_the_camera_does():
 @pytest.mark.parametrize("device", ["cpu:0", pytest.param("cuda", marks=NEEDS_GPU)])
 def test_a_body_followed_on_a_device_moves_as_on_the_cpu(series, device, monkeypatch):
     """Batches of both cameras, one frame dark, then a jump by 12 px: the same motion, the same frames lost."""
-    monkeypatch.setattr(direct_fit, "LEFT_OVER", 1e-4)
-    monkeypatch.setattr(fit_torch, "LEFT_OVER", 1e-4)
+    monkeypatch.setattr(direct_fit, "MAX_REMAINING_STEP", 1e-4)
+    monkeypatch.setattr(fit_torch, "MAX_REMAINING_STEP", 1e-4)
     (left, right), *others = series
     pairs = tuple(chosen(side, 0, 1, 2, None, 3, 4) for side in (left, right))
     here, there = (measure_body(pairs, *others, device=where) for where in ("cpu", device))
@@ -700,7 +700,7 @@ def test_stated_lines_predict_as_far_as_their_fit_is_certain():
         assert apart[0] == 108
         assert apart[1] < 5.0
         assert 12 < close[0] < 60
-        assert close[1] < direct_fit.LARGEST_STEP
+        assert close[1] < direct_fit.MAX_FINAL_STEP
         assert foretold(60, (0.9, 0.92))[0] == 60
         assert foretold(12, (0.9,), (2.1,))[0] == 0
 

@@ -104,7 +104,7 @@ def test_shapes_take_no_part_in_the_motion():
             v.rates[..., :6],
             v.information[:, :6, :6],
             v.information_noise[:, :6, :6],
-            v.translation,
+            v.inverse_shift_hessian,
         )
         for v in views
     ]

@@ -17,7 +17,7 @@ from shaker.lines.frequencies import find_lines
 from shaker.lines.line_detection_notices import HARMONIC_OUT_OF_REACH, OTHER_LINES
 from shaker.lines.peaks import find_peaks
 from shaker.lines.spectrum import (
-    Power,
+    BinPower,
     amplitude_spectrum,
     centred_spectrum,
     chance_height,
@@ -60,16 +60,16 @@ def test_noise_level_is_the_power_of_the_noise_and_passes_over_lines():
     level = noise_level(np.abs(centred_spectrum(values)) ** 2)
     # A Hann bin of amplitude scaling holds 4 σ²/N · 1.5.
     assert np.median(level[:]) == pytest.approx(6.0 * 4.0 / len(values), rel=0.1)
-    assert level.independent > 60
+    assert level.independent_bins > 60
 
 
 def test_noise_level_after_a_change_is_that_of_the_whole_anew():
     rng = np.random.default_rng(3)
     spectrum = centred_spectrum(_pink(rng, 40_000, 1.0))
-    before, changed = noise_level(Power(spectrum)), [(0, 40), (7000, 7003), (9990, 10_400), (19_900, 20_001)]
+    before, changed = noise_level(BinPower(spectrum)), [(0, 40), (7000, 7003), (9990, 10_400), (19_900, 20_001)]
     for low, high in changed:
         spectrum[low:high] *= rng.uniform(2.0, 9.0, size=len(spectrum[low:high]))
-    after, anew = noise_level(Power(spectrum), before, changed), noise_level(Power(spectrum))
+    after, anew = noise_level(BinPower(spectrum), before, changed), noise_level(BinPower(spectrum))
     np.testing.assert_array_equal(after[:], anew[:])
     assert not np.array_equal(after[:], before[:])
     for low, high in [(3, 50), (3, 20_001), (6000, 6001), (9990, 12_000), (19_000, 20_001)]:

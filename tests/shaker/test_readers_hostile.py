@@ -195,8 +195,8 @@ def test_a_path_that_is_no_file_is_refused_before_opening(tmp_path):
 @pytest.mark.parametrize("count", [16 * 3 * 5 * 101, 17 * 16 * 45 + 17])
 def test_long_transforms_put_together_are_those_of_the_whole(monkeypatch, count):
     """Against the definition of the discrete Fourier transform at a few bins, and numpy's transform of the whole."""
-    monkeypatch.setattr(spectrum, "_LONG", 1)
-    monkeypatch.setattr(spectrum, "_PART", 1 << 10)
+    monkeypatch.setattr(spectrum, "_MIN_SPLIT_SAMPLES", 1)
+    monkeypatch.setattr(spectrum, "_BLOCK_BINS", 1 << 10)
     samples, n = np.random.default_rng(1).normal(size=count) + 3.0, np.arange(count)
     flat = (samples - samples.mean()) * (1.0 + np.cos(2.0 * np.pi / count * (n - (count - 1) / 2.0)))
     found = spectrum.centred_spectrum(samples)

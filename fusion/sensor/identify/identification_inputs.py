@@ -13,7 +13,7 @@ import numpy as np
 from fusion.errors import InputError
 from fusion.instruments.channel import geometry_errors
 from fusion.instruments.transducer import TRANSDUCERS, LaserBeams, measuring_point, unit_direction
-from fusion.phasors.timing import Grid
+from fusion.phasors.timing import EdgeGrid
 from fusion.recording.load import Manifest, find_recordings, load_manifest
 from fusion.recording.manifest import ChannelEntry
 from fusion.report.folder import RESULT_FILE, InputFiles, hash_files, read_provenance
@@ -228,7 +228,7 @@ class PreparedTransfer:
     manifest: Manifest
     measured: MeasuredTransfer
     resonances: tuple[FoundResonance, ...] = ()
-    grids: tuple[Grid, ...] = ()
+    grids: tuple[EdgeGrid, ...] = ()
 
     @property
     def component(self) -> int:
