@@ -14,7 +14,7 @@ import numpy as np
 
 from shaker.arrays import FloatArray, check_shape
 from shaker.elastomer.geometry import PublishedStatics
-from shaker.identification.oscillator import LEVELS, PeakWidth
+from shaker.identification.oscillator import INVERSE_POWER_LEVELS, PeakWidth
 
 Form = Literal["exact", "series"]
 
@@ -90,12 +90,12 @@ def damping_from_width(width_hz: float, mass: float, width: PeakWidth = "half_po
 
     The width at half the amplitude is √3 times as large and is divided by it.
     """
-    return float(2.0 * np.pi * mass * width_hz / np.sqrt(LEVELS[width] - 1.0))
+    return float(2.0 * np.pi * mass * width_hz / np.sqrt(INVERSE_POWER_LEVELS[width] - 1.0))
 
 
 def width_from_damping(damping: float, mass: float, width: PeakWidth = "half_power") -> float:
     """Return the width Δf in Hz that a damping b shows: b/(2πm), times √3 at half the amplitude."""
-    return float(damping * np.sqrt(LEVELS[width] - 1.0) / (2.0 * np.pi * mass))
+    return float(damping * np.sqrt(INVERSE_POWER_LEVELS[width] - 1.0) / (2.0 * np.pi * mass))
 
 
 def supported_deflection(formula: PublishedStatics, place_m: float) -> float:

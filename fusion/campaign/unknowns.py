@@ -12,7 +12,7 @@ from scipy.special import chdtrc
 
 from fusion.campaign.campaign_notices import CONTRADICTING_RECORDINGS, JOINT_UNKNOWNS, RECORDINGS_WITHOUT_ESTIMATE
 from fusion.campaign.excited_line import ExcitedLine, LazyUncertainty, UnknownDescription, intern_unknown
-from fusion.estimation.instrument_consistency import UNTESTED
+from fusion.estimation.instrument_consistency import UNTESTABLE_SHARE
 from fusion.estimation.uncertainty import Contribution, Influence, Uncertainty, as_complex
 from fusion.estimation.variance_components import TEST_CONFIDENCE
 from shaker.arrays import BoolArray, FloatArray, IntArray
@@ -200,7 +200,7 @@ class JointEstimate:
                 if single or knowledge.descriptions[index][4] == "rig":
                     name = knowledge.descriptions[index][0]
                     about.setdefault(name, knowledge.descriptions[index])
-                    count[name] = count.get(name, 0) + bool(remaining[index] < UNTESTED)
+                    count[name] = count.get(name, 0) + bool(remaining[index] < UNTESTABLE_SHARE)
         none = np.zeros(len(about))
         joint = cls(
             campaign, sources, single, tuple(about.values()), none, np.eye(len(about)), np.outer(none, none),
@@ -277,7 +277,7 @@ def _contradiction(knowledge: Knowledge, estimate: FloatArray, covariance: Float
     Only directions count whose uncertainty this recording alone reduces by more than 1 %.
     """
     values, vectors = np.linalg.eigh(knowledge.information)
-    significant = values > 1.0 / UNTESTED**2 - 1.0
+    significant = values > 1.0 / UNTESTABLE_SHARE**2 - 1.0
     if not np.any(significant):
         return 1.0
     inverse = np.linalg.inv(covariance)

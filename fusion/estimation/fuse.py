@@ -16,17 +16,17 @@ from fusion.estimation.instrument_consistency import (
     Consistency,
     Explanation,
     Suspicion,
-    as_stated,
     common_estimates,
-    compare,
+    compare_with_estimate,
     contradicts,
     deviating_unknowns,
     disputed_values,
+    estimate_explanations,
     exchanged_channels,
     explanation_covariance,
-    explanations,
+    find_suspicions,
     leave_one_out,
-    suspicions,
+    stated_covariance,
     without_readings,
 )
 from fusion.estimation.labelled_phasors import LabelledPhasors, TabularResult
@@ -199,7 +199,7 @@ def fuse(
     )
     for observation in of_body if stated else ():
         if not observation.stated:
-            tests += compare(observation, phasors.value, phasors.covariance)
+            tests += compare_with_estimate(observation, phasors.value, phasors.covariance)
     result = Acceleration(
         body=body,
         source=source,
@@ -216,7 +216,7 @@ def fuse(
         unobserved_limits=system.unobserved_motion,
         assumed=system.unobserved_motion.amplitude(final.acceleration, given.observed, system.share),
         driven=system.driven_limit(final.acceleration),
-        explanations=explanations(system, first, remaining_suspicions),
+        explanations=estimate_explanations(system, first, remaining_suspicions),
         disputed=unclear if np.any(unclear) else None,
         unnoticed=unnoticed(given, first) if source == "fused" and stated else (),
         leaked=leaked,
@@ -247,7 +247,7 @@ def reject_gross_errors(
     for _ in range(MOST_LEFT_OUT):
         if not contradicts(system, first, common_estimates(system.common, first)):
             break
-        found = suspicions(system, first)
+        found = find_suspicions(system, first)
         if len(found) != 1 or len(found[0].names) > 1 or not found[0].gross:
             break
         tests = leave_one_out(system, first, found[0].names)
@@ -286,7 +286,7 @@ def solve_consistently(
     The discrepancies are those that `fuse` describes.
     """
     contradicted = contradicts(system, first, common_estimates(system.common, first))
-    found = suspicions(system, first) if contradicted else ()
+    found = find_suspicions(system, first) if contradicted else ()
     scatter = estimate_scatter(system, first) if scatter is None else scatter
     parts = scatter_covariances(system, first.acceleration, scatter)
     final = solve(system, np.sum([p.covariance for p in parts], axis=0)) if parts else first
@@ -461,7 +461,7 @@ def unnoticed(system: FusionSystem, solution: FusionSolution) -> tuple[Unnoticed
     noise = EstimatedNoise.from_system(system, solution.effects)
     limit = noise.detectable_noncentrality(solution.dof, solution.projector, POWER)
     gain = solution.gain[12 * line : 12 * line + 12]
-    covariance, touched, found = as_stated(solution, gain), solution.effects != 0.0, list[Unnoticed]()
+    covariance, touched, found = stated_covariance(solution, gain), solution.effects != 0.0, list[Unnoticed]()
     for index, name in enumerate(system.member_names):
         rows = np.flatnonzero(system.member == index)
         alone = touched[rows].any(axis=0) & (touched[rows].sum(axis=0) == touched.sum(axis=0))

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from fusion.estimation.instrument_consistency import NOTABLE_DEVIATION, VISIBLE
+from fusion.estimation.instrument_consistency import COVARIANCE_CUTOFF, NOTABLE_DEVIATION
 from fusion.estimation.variance_components import MIN_DISCREPANCY_DOF, AddedCovariance, Contrasts, variance_components
 from shaker.arrays import FloatArray
 
@@ -44,7 +44,7 @@ def undetected_errors(
     pattern = effects * required * np.asarray([1.0 / np.sqrt(touched.count(one)) for one in touched])
     seen = pattern.T @ solution.projector
     values, vectors = np.linalg.eigh(seen @ pattern)
-    significant = values > VISIBLE * values[-1]
+    significant = values > COVARIANCE_CUTOFF * values[-1]
     # z = c/λ has the variance 1/λ as stated and 1/λ + θ with the undetected error: exhaustive for θ.
     estimates = (vectors[:, significant].T @ (seen @ system.readings)) / values[significant]
     group = Contrasts(estimates, np.diag(1.0 / values[significant]), np.eye(len(estimates))[None])
@@ -68,7 +68,7 @@ def missing_covariance(required: FloatArray, allowed: FloatArray) -> FloatArray:
     missing, axes = np.linalg.eigh(each(required) - each(allowed))
     root = (axes * np.sqrt(np.maximum(missing, 0.0))[:, :, None, :]) @ axes.swapaxes(2, 3)
     values, vectors = np.linalg.eigh(each(required))
-    usable = values > VISIBLE * values[:, :, 1:]
+    usable = values > COVARIANCE_CUTOFF * values[:, :, 1:]
     inverse = np.where(usable, 1.0 / np.sqrt(np.where(usable, values, 1.0)), 0.0)
     part = root @ (vectors * inverse[:, :, None, :]) @ vectors.swapaxes(2, 3)
     turn = np.zeros((lines, 2, size // 2, 2, size // 2))

@@ -11,7 +11,7 @@ import numpy as np
 from fusion.errors import ComputeError
 from fusion.estimation.estimation_notices import UNBOUNDED_MOTION, UNBOUNDED_READINGS
 from fusion.estimation.fuse import Acceleration, fuse_sources
-from fusion.estimation.instrument_consistency import OUTPUT_MISTAKES, UNTESTED, likely_mistake
+from fusion.estimation.instrument_consistency import OUTPUT_MISTAKES, UNTESTABLE_SHARE, likely_mistake
 from fusion.estimation.labelled_phasors import LabelledPhasors, TabularResult
 from fusion.estimation.least_squares import Unbounded, observed_components, row_space
 from fusion.estimation.measurement_model import SCALE, CommonError, Deviates, Geometry, Observation, UnobservedMotion
@@ -375,7 +375,9 @@ def with_estimates(outputs: Outputs, fused: Acceleration) -> Outputs:
     if fused.posterior is None:
         return outputs
     influences = {influence.name: influence for influence in outputs.uncertainty.influences}
-    tested = [(index, u) for index, u in enumerate(fused.unknowns) if u.name in influences and u.remaining < UNTESTED]
+    tested = [
+        (index, u) for index, u in enumerate(fused.unknowns) if u.name in influences and u.remaining < UNTESTABLE_SHARE
+    ]
     if not tested:
         return outputs
     effects = np.stack([influences[u.name].effect for _, u in tested])

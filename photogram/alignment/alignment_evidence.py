@@ -28,15 +28,15 @@ from photogram.geometry import (
 )
 from photogram.targets.target_view import Target, TargetView
 
-_POINT_STEP_M = 1e-6  # step of the numeric derivative by a point, far below a pixel
+_POINT_STEP_M = 1e-6  # step of the numeric derivative by a point, moves its image by far less than a pixel
 FEWEST_PIXELS = 4
 """Least number of points for a unique pose from one camera."""
-CALIBRATION = "calibration"
-"""Name of the effects of the pair's calibration."""
+CALIBRATION_ERROR = "calibration"
+"""Name of the common error of the pair's calibration in `EvidenceResiduals.common`."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class EvidenceResiduals(Arrays, shapes="piece B; residual B b; jacobian B b 6; covariance B b b; determines 6"):
+class EvidenceResiduals(Arrays, shapes="piece_name B; residual B b; jacobian B b 6; covariance B b b; determines 6"):
     """B groups of b residuals (predicted − stated) at a trial pose, with derivatives.
 
     Attributes
@@ -46,7 +46,7 @@ class EvidenceResiduals(Arrays, shapes="piece B; residual B b; jacobian B b 6; c
         origin (m) and rotation about it (rad).
     covariance : (B, b, b); the groups are independent of each other.
     common : By the name of a common error, changes (P, B, b) for one standard uncertainty of each of its P unknowns.
-    piece : (B,), the name under which each group is tested.
+    piece_name : (B,), name of the piece of evidence to which each group belongs; each piece is tested as a whole.
     determines : (6,), components that this evidence may determine. Its information about other components counts only
         together with evidence that determines them.
     """
@@ -55,7 +55,7 @@ class EvidenceResiduals(Arrays, shapes="piece B; residual B b; jacobian B b 6; c
     jacobian: FloatArray
     covariance: FloatArray
     common: Mapping[str, FloatArray]
-    piece: tuple[str, ...]
+    piece_name: tuple[str, ...]
     determines: BoolArray = field(default_factory=lambda: np.ones(6, dtype=np.bool_))
 
     def __post_init__(self) -> None:
@@ -73,7 +73,7 @@ class PoseEvidence(Protocol):
     """Evidence with residuals between observed and stated quantities at a trial pose."""
 
     def residuals(self, sensor_from_camera: RigidTransform) -> EvidenceResiduals:
-        """Return the residuals at a trial pose, linear about it."""
+        """Return the residuals at a trial pose with their derivatives."""
         ...
 
 
@@ -89,7 +89,7 @@ class StatedFrame(Arrays, shapes="u 6"):
     u: FloatArray
 
     def common(self, jacobian: FloatArray) -> dict[str, FloatArray]:
-        """Return the changes (P, B, b) of residuals with this jacobian (B, b, 6)."""
+        """Return the effects (P, B, b) of the frame's error on residuals with a jacobian (B, b, 6)."""
         uncertain = np.flatnonzero(self.u)
         return {self.name: np.moveaxis(jacobian[..., uncertain] * self.u[uncertain], -1, 0)} if len(uncertain) else {}
 
@@ -100,8 +100,8 @@ SENSOR_FRAME = StatedFrame("", np.zeros(6))
 @dataclass(frozen=True, eq=False, repr=False)
 class KnownPoints(
     Arrays,
-    shapes="names N; camera_m N 3; sensor_m N 3; camera_covariance_m2 N 3 3; sensor_covariance_m2 N 3 3; calibration "
-    "P N 3",
+    shapes="names N; camera_m N 3; sensor_m N 3; camera_covariance_m2 N 3 3; sensor_covariance_m2 N 3 3; "
+    "calibration_effects P N 3",
 ):
     """Points observed in the camera frame whose positions in the sensor frame are known.
 
@@ -110,7 +110,7 @@ class KnownPoints(
     names : Of the N points.
     camera_m, camera_covariance_m2 : (N, 3) and (N, 3, 3), observed in the left camera's frame.
     sensor_m, sensor_covariance_m2 : (N, 3) and (N, 3, 3), known in the sensor frame.
-    calibration : (P, N, 3), effects of the calibration on the observed points.
+    calibration_effects : (P, N, 3), effects of the calibration on the observed points.
     frame : The frame of `sensor_m`; default the sensor frame without uncertainty.
 
     Notes
@@ -121,7 +121,7 @@ class KnownPoints(
     --------
     >>> seen = np.array([[0.0, 0, 0.5], [0.1, 0, 0.5], [0, 0.1, 0.5]])
     >>> known, variance = seen - [0, 0, 0.5], np.broadcast_to(1e-12 * np.eye(3), (3, 3, 3))
-    >>> points = KnownPoints(("a", "b", "c"), seen, variance, known, variance, calibration=np.zeros((0, 3, 3)))
+    >>> points = KnownPoints(("a", "b", "c"), seen, variance, known, variance, calibration_effects=np.zeros((0, 3, 3)))
     >>> points.residuals(RigidTransform(np.eye(3), np.array([0, 0, -0.5]))).residual.any()
     np.False_
     """
@@ -131,14 +131,14 @@ class KnownPoints(
     camera_covariance_m2: FloatArray
     sensor_m: FloatArray
     sensor_covariance_m2: FloatArray
-    calibration: FloatArray
+    calibration_effects: FloatArray
     frame: StatedFrame = SENSOR_FRAME
 
     def __post_init__(self) -> None:
         super().__post_init__()
         lost = [name for name, point in zip(self.names, self.camera_m, strict=True) if not np.isfinite(point).all()]
         if lost:
-            raise ValueError(f"camera_m: expected finite points, found none for {lost[0]}")
+            raise ValueError(f"camera_m: expected finite points, found NaN for {lost[0]}")
 
     def residuals(self, sensor_from_camera: RigidTransform) -> EvidenceResiduals:
         """Return R·x + t − X with its derivatives."""
@@ -148,7 +148,7 @@ class KnownPoints(
             placed - self.sensor_m,
             jacobian,
             rotation @ self.camera_covariance_m2 @ rotation.T + self.sensor_covariance_m2,
-            {CALIBRATION: self.calibration @ rotation.T, **self.frame.common(jacobian)},
+            {CALIBRATION_ERROR: self.calibration_effects @ rotation.T, **self.frame.common(jacobian)},
             self.names,
         )
 
@@ -156,13 +156,14 @@ class KnownPoints(
 @dataclass(frozen=True, eq=False, repr=False)
 class KnownPixels(
     Arrays,
-    shapes="names N; pixel_px N 2; pixel_covariance_px2 N 2 2; sensor_m N 3; sensor_covariance_m2 N 3 3; calibration "
-    "P 13",
+    shapes="names N; pixel_px N 2; pixel_covariance_px2 N 2 2; sensor_m N 3; sensor_covariance_m2 N 3 3; "
+    "camera_steps P 13",
 ):
     """Points of known position that one camera observes as pixels.
 
-    `pixel_px` (N, 2) and `sensor_m` (N, 3) both have a covariance. `calibration` (P, 13): steps of the camera's
-    parameters that represent its errors. The residual is the predicted pixel minus the observed one.
+    `pixel_px` (N, 2) and `sensor_m` (N, 3) both have a covariance. `camera_steps` (P, 13): steps of the camera's
+    parameters that represent its calibration errors, as from `calibration_steps`. The residual is the predicted pixel
+    minus the observed one.
 
     >>> camera = Camera.from_parameters(np.array([1000.0, 1000, 320, 240, 0, 0, 0, 0, 0]), np.array([640, 480]))
     >>> known = np.array([[0.0, 0, 0], [0.1, 0, 0], [0, 0.1, 0], [0, 0, 0.1]])
@@ -178,35 +179,43 @@ class KnownPixels(
     pixel_covariance_px2: FloatArray
     sensor_m: FloatArray
     sensor_covariance_m2: FloatArray
-    calibration: FloatArray
+    camera_steps: FloatArray
     frame: StatedFrame = SENSOR_FRAME
 
     def residuals(self, sensor_from_camera: RigidTransform) -> EvidenceResiduals:
-        """Return the residuals: x = Rᵀ·(X − t) changes by −Rᵀ·[I, −[X]×] with the pose."""
+        """Return predicted minus observed pixels with their derivatives.
+
+        The point x = Rᵀ·(X − t) in the camera frame changes by −Rᵀ·[I, −[X]×] with the pose.
+        """
         to_camera = sensor_from_camera.inverse()
         placed = to_camera.apply(self.sensor_m)
         shown = self.camera.project(placed)
         lost = [name for name, pixel in zip(self.names, shown, strict=True) if not np.isfinite(pixel).all()]
         if lost:
-            raise ValueError(f"evidence: expected {lost[0]} in front of the camera, found it behind; check for mix-ups")
+            raise ValueError(
+                f"evidence: expected {lost[0]} in front of the camera, found it behind; "
+                "check the names and positions of the points"
+            )
         rate = derivatives(lambda step: self.camera.project(placed + step), np.full(3, _POINT_STEP_M))
         by_position = rate @ to_camera.rotation
         jacobian = -by_position @ displacement_jacobian(self.sensor_m)
         moved = [
             Camera.from_parameters(self.camera.parameters + step, self.camera.size_px).project(placed) - shown
-            for step in self.calibration
+            for step in self.camera_steps
         ]
         return EvidenceResiduals(
             shown - self.pixel_px,
             jacobian,
             self.pixel_covariance_px2 + by_position @ self.sensor_covariance_m2 @ by_position.mT,
-            {CALIBRATION: np.array(moved).reshape(-1, *shown.shape), **self.frame.common(jacobian)},
+            {CALIBRATION_ERROR: np.array(moved).reshape(-1, *shown.shape), **self.frame.common(jacobian)},
             self.names,
         )
 
     @property
-    def start(self) -> RigidTransform | None:
-        """Pose by perspective from at least four points; None if they do not determine one.
+    def perspective_pose(self) -> RigidTransform | None:
+        """Return the pose from the perspective of at least four points, or None.
+
+        None: there are fewer points, or they do not determine the pose.
 
         Method: Terzakis and Lourakis 2020, ECCV, 478.
         """
@@ -224,12 +233,12 @@ class KnownPixels(
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class KnownFace(Arrays, shapes="camera_m N 3; camera_covariance_m2 N 3 3; point_m 3; calibration P N 3"):
+class KnownFace(Arrays, shapes="camera_m N 3; camera_covariance_m2 N 3 3; point_m 3; calibration_effects P N 3"):
     """Points observed at `camera_m` (N, 3) on a flat face of known position.
 
     `camera_covariance_m2` (N, 3, 3). `point_m` (3,) lies on the face, `normal` (3,) points out of the body.
-    `u_offset_m` acts along the normal at that point, `u_normal_rad` about both directions in the face. `calibration`
-    (P, N, 3). The residual is n·(R·x + t − p).
+    `u_offset_m` acts along the normal at that point, `u_normal_rad` about both directions in the face.
+    `calibration_effects` (P, N, 3). The residual is n·(R·x + t − p).
     """
 
     name: str
@@ -237,7 +246,7 @@ class KnownFace(Arrays, shapes="camera_m N 3; camera_covariance_m2 N 3 3; point_
     camera_covariance_m2: FloatArray
     point_m: FloatArray
     normal: FloatArray
-    calibration: FloatArray
+    calibration_effects: FloatArray
     u_offset_m: float = 0.0
     u_normal_rad: float = 0.0
     frame: StatedFrame = SENSOR_FRAME
@@ -261,7 +270,7 @@ class KnownFace(Arrays, shapes="camera_m N 3; camera_covariance_m2 N 3 3; point_
             jacobian,
             np.einsum("i,nij,j->n", seen, self.camera_covariance_m2, seen)[:, None, None],
             {
-                CALIBRATION: (self.calibration @ seen)[..., None],
+                CALIBRATION_ERROR: (self.calibration_effects @ seen)[..., None],
                 self.name: stated_changes[uncertain][..., None],
                 **self.frame.common(jacobian),
             },
@@ -273,13 +282,13 @@ class KnownFace(Arrays, shapes="camera_m N 3; camera_covariance_m2 N 3 3; point_
 class KnownPoses(
     Arrays,
     shapes="names V; left_from_body V; sensor_from_body V; camera_covariance V 6 6; sensor_covariance V 6 6; "
-    "calibration P V 6",
+    "calibration_effects P V 6",
 ):
     """A body observed in V poses that are known in the sensor frame.
 
     `left_from_body` are the observed poses with `camera_covariance` (V, 6, 6). `sensor_from_body` and
     `sensor_covariance` (V, 6, 6) are the known ones. Both covariances are those of translation (m) and left-multiplied
-    rotation (rad). `calibration` (P, V, 6): effects on the observed poses, camera axes. `common`: changes (P, V, 6) of
+    rotation (rad). `calibration_effects` (P, V, 6): on the observed poses, camera axes. `common`: changes (P, V, 6) of
     the known poses, sensor axes, by the name of the common error.
     """
 
@@ -288,12 +297,12 @@ class KnownPoses(
     camera_covariance: FloatArray
     sensor_from_body: tuple[RigidTransform, ...]
     sensor_covariance: FloatArray
-    calibration: FloatArray
+    calibration_effects: FloatArray
     common: Mapping[str, FloatArray] = field(default_factory=dict)
     frame: StatedFrame = SENSOR_FRAME
 
     def residuals(self, sensor_from_camera: RigidTransform) -> EvidenceResiduals:
-        """Return position and rotation of the observed bodies relative to the known ones."""
+        """Return observed minus known position and rotation of the body with their derivatives."""
         placed = [sensor_from_camera @ seen for seen in self.left_from_body]
         shift = np.array(
             [p.translation_m - k.translation_m for p, k in zip(placed, self.sensor_from_body, strict=True)]
@@ -309,7 +318,7 @@ class KnownPoses(
             jacobian,
             both @ self.camera_covariance @ both.T + self.sensor_covariance,
             {
-                CALIBRATION: self.calibration @ both.T,
+                CALIBRATION_ERROR: self.calibration_effects @ both.T,
                 **{name: -changes for name, changes in self.common.items()},
                 **self.frame.common(jacobian),
             },
@@ -318,12 +327,12 @@ class KnownPoses(
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class KnownDirection(Arrays, shapes="motion V 6; covariance V 6 6; camera_point_m V 3; calibration P V 6"):
-    """V motions whose material point at the sensor origin moves along a known direction.
+class KnownDirection(Arrays, shapes="motion V 6; covariance V 6 6; camera_point_m V 3; calibration_effects P V 6"):
+    """V motions of a body whose point at the sensor origin moves along a known direction.
 
     `motion` (V, 6): shift (m) of the body's point at `camera_point_m` (V, 3) and rotation (rad), camera axes, small, of
-    either sign; `covariance` (V, 6, 6); `calibration` (P, V, 6). `direction` (3,) in the sensor frame has the standard
-    uncertainty `u_direction_rad` about both perpendicular directions, common to all V motions.
+    either sign; `covariance` (V, 6, 6); `calibration_effects` (P, V, 6). `direction` (3,) in the sensor frame has the
+    standard uncertainty `u_direction_rad` about both perpendicular directions, common to all V motions.
     """
 
     name: str
@@ -331,7 +340,7 @@ class KnownDirection(Arrays, shapes="motion V 6; covariance V 6 6; camera_point_
     covariance: FloatArray
     camera_point_m: FloatArray
     direction: FloatArray
-    calibration: FloatArray
+    calibration_effects: FloatArray
     u_direction_rad: float = 0.0
 
     def __post_init__(self) -> None:
@@ -341,17 +350,17 @@ class KnownDirection(Arrays, shapes="motion V 6; covariance V 6 6; camera_point_
             raise ValueError("motion: expected a translation, found none")
 
     def residuals(self, sensor_from_camera: RigidTransform) -> EvidenceResiduals:
-        """Return the components of the motion's direction across the known one.
+        """Return the components of the motion's direction perpendicular to the known one.
 
         They are e·R·v/|v| with v = u + θ × (o − q) at the origin o. The position of the origin has little influence as
         long as the body hardly rocks, and is not used as evidence.
         """
-        rotation, across_it = sensor_from_camera.rotation, perpendicular_directions(self.direction)
+        rotation, perpendicular = sensor_from_camera.rotation, perpendicular_directions(self.direction)
         origin = sensor_from_camera.inverse().translation_m
         at_origin = displacement_jacobian(origin - self.camera_point_m)
         moved = (at_origin @ self.motion[:, :, None])[..., 0] @ rotation.T
         sign = np.where(moved @ self.direction < 0.0, -1.0, 1.0)
-        rows = (sign / np.linalg.norm(moved, axis=1))[:, None, None] * across_it
+        rows = (sign / np.linalg.norm(moved, axis=1))[:, None, None] * perpendicular
         spins = skew(self.motion[:, 3:] @ rotation.T)
         by_motion = rows @ rotation @ at_origin
         return EvidenceResiduals(
@@ -359,7 +368,7 @@ class KnownDirection(Arrays, shapes="motion V 6; covariance V 6 6; camera_point_
             rows @ np.concatenate([-spins, -skew(moved)], axis=2),
             by_motion @ self.covariance @ np.swapaxes(by_motion, 1, 2),
             {
-                CALIBRATION: np.einsum("vij,pvj->pvi", by_motion, self.calibration),
+                CALIBRATION_ERROR: np.einsum("vij,pvj->pvi", by_motion, self.calibration_effects),
                 self.name: np.repeat(self.u_direction_rad * np.eye(2)[:, None], len(moved), axis=1),
             },
             (self.name,) * len(moved),
@@ -368,13 +377,13 @@ class KnownDirection(Arrays, shapes="motion V 6; covariance V 6 6; camera_point_
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class KnownAxis(Arrays, shapes="camera_axis V 6; covariance V 6 6; calibration P V 6; point_m 3; u_point_m 3"):
+class KnownAxis(Arrays, shapes="camera_axis V 6; covariance V 6 6; calibration_effects P V 6; point_m 3; u_point_m 3"):
     """V rotations of a body about an axis that is known in the sensor frame.
 
     `camera_axis` (V, 6): a point of the axis (m) and its direction (unit vector of either sign) in the left camera's
-    frame, with `covariance` (V, 6, 6) and `calibration` (P, V, 6). `point_m` and `direction` (3,) are in the sensor
-    frame. Their uncertainties `u_point_m` (3,) and `u_direction_rad`, about both perpendicular directions, are common
-    to all V. The position along the axis remains undetermined.
+    frame, with `covariance` (V, 6, 6) and `calibration_effects` (P, V, 6). `point_m` and `direction` (3,) are in the
+    sensor frame. Their uncertainties `u_point_m` (3,) and `u_direction_rad`, about both perpendicular directions, are
+    common to all V. The position along the axis remains undetermined.
     """
 
     name: str
@@ -382,7 +391,7 @@ class KnownAxis(Arrays, shapes="camera_axis V 6; covariance V 6 6; calibration P
     covariance: FloatArray
     point_m: FloatArray
     direction: FloatArray
-    calibration: FloatArray
+    calibration_effects: FloatArray
     u_point_m: FloatArray = field(default_factory=lambda: np.zeros(3))
     u_direction_rad: float = 0.0
 
@@ -391,35 +400,38 @@ class KnownAxis(Arrays, shapes="camera_axis V 6; covariance V 6 6; calibration P
         _check_direction("direction", self.direction)
 
     def residuals(self, sensor_from_camera: RigidTransform) -> EvidenceResiduals:
-        """Return tilt (rad) and offset (m) of the observed axis across the known one.
+        """Return tilt (rad) and offset (m) of the observed axis perpendicular to the known one.
 
-        The offset is taken at the known point.
+        The offset is that at the known point.
         """
-        rotation, across_it = sensor_from_camera.rotation, perpendicular_directions(self.direction)
+        rotation, perpendicular = sensor_from_camera.rotation, perpendicular_directions(self.direction)
         axis = self.camera_axis[:, 3:] @ rotation.T
         sign = np.where(axis @ self.direction < 0.0, -1.0, 1.0)
-        tilt = sign[:, None, None] * across_it
+        tilt = sign[:, None, None] * perpendicular
         start = sensor_from_camera.apply(self.camera_axis[:, :3])
         along = ((self.point_m - start) @ self.direction) / (axis @ self.direction)
         intersection = start + along[:, None] * axis
         count = len(axis)
         jacobian, by_axis = np.zeros((count, 4, 6)), np.zeros((count, 4, 6))
         jacobian[:, :2, 3:] = -tilt @ skew(axis)
-        jacobian[:, 2:] = across_it @ displacement_jacobian(intersection)
+        jacobian[:, 2:] = perpendicular @ displacement_jacobian(intersection)
         by_axis[:, :2, 3:] = tilt @ rotation
-        by_axis[:, 2:, :3] = across_it @ rotation
-        by_axis[:, 2:, 3:] = along[:, None, None] * (across_it @ rotation)
+        by_axis[:, 2:, :3] = perpendicular @ rotation
+        by_axis[:, 2:, 3:] = along[:, None, None] * (perpendicular @ rotation)
         stated_changes = np.zeros((5, count, 4))
         stated_changes[:2, :, :2] = self.u_direction_rad * np.eye(2)[:, None]
-        stated_changes[2:, :, 2:] = (across_it * self.u_point_m).T[:, None]
+        stated_changes[2:, :, 2:] = (perpendicular * self.u_point_m).T[:, None]
         residual = np.concatenate(
-            [tilt @ axis[..., None], across_it @ (intersection - self.point_m)[..., None]], axis=1
+            [tilt @ axis[..., None], perpendicular @ (intersection - self.point_m)[..., None]], axis=1
         )
         return EvidenceResiduals(
             residual[..., 0],
             jacobian,
             by_axis @ self.covariance @ np.swapaxes(by_axis, 1, 2),
-            {CALIBRATION: np.einsum("vij,pvj->pvi", by_axis, self.calibration), self.name: stated_changes},
+            {
+                CALIBRATION_ERROR: np.einsum("vij,pvj->pvi", by_axis, self.calibration_effects),
+                self.name: stated_changes,
+            },
             (self.name,) * count,
         )
 
@@ -436,7 +448,7 @@ def _check_direction(name: str, direction: FloatArray) -> None:
 
 
 def calibration_steps(rig: StereoRig, scale_u: float = 0.0) -> FloatArray:
-    """Return the parameter steps (P, 32) of one standard uncertainty that represent calibration errors.
+    """Return parameter steps (P, 32) of one standard uncertainty that represent calibration errors.
 
     The steps are the principal components of the rig's covariance. `scale_u` adds one for a separately stated relative
     standard uncertainty of the baseline's length.
@@ -450,10 +462,10 @@ def calibration_steps(rig: StereoRig, scale_u: float = 0.0) -> FloatArray:
 
 
 def parameter_derivatives(change: FloatArray, steps: FloatArray) -> FloatArray:
-    """Return the derivatives (6, 32) by the rig's parameters from changes (6, P).
+    """Return the derivatives (6, 32) by the rig's parameters from the effects of steps.
 
-    `change` (6, P) are the changes for `steps` (P, 24). The result is the smallest solution in units of the parameters'
-    standard uncertainties.
+    `change` (6, P): changes of six values by the parameter `steps` (P, 32). If the steps do not determine all
+    derivatives, the result is the solution of minimum norm, in units of the parameters' standard uncertainties.
     """
     sigma = np.sqrt((steps**2).sum(axis=0))
     scale = np.where(sigma > 0.0, sigma, 1.0)

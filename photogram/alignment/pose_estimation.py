@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from photogram.alignment.alignment_evidence import (
-    CALIBRATION,
+    CALIBRATION_ERROR,
     KnownFace,
     KnownPixels,
     KnownPoints,
@@ -31,7 +31,7 @@ def starting_pose(evidence: Sequence[PoseEvidence]) -> RigidTransform | None:
     for item in evidence:
         if isinstance(item, KnownPoses):
             return item.sensor_from_body[0] @ item.left_from_body[0].inverse()
-        if isinstance(item, KnownPixels) and (start := item.start) is not None:
+        if isinstance(item, KnownPixels) and (start := item.perspective_pose) is not None:
             return start
     points = [item for item in evidence if isinstance(item, KnownPoints)]
     if sum(len(item.names) for item in points) >= 3:
@@ -209,7 +209,7 @@ def align(evidence: Sequence[PoseEvidence], start: RigidTransform | None = None)
     --------
     >>> seen = np.array([[0.0, 0, 0.5], [0.1, 0, 0.5], [0, 0.1, 0.5]])
     >>> known, variance = seen - [0, 0, 0.5], np.broadcast_to(1e-12 * np.eye(3), (3, 3, 3))
-    >>> points = KnownPoints(("a", "b", "c"), seen, variance, known, variance, calibration=np.zeros((0, 3, 3)))
+    >>> points = KnownPoints(("a", "b", "c"), seen, variance, known, variance, calibration_effects=np.zeros((0, 3, 3)))
     >>> align([points]).sensor_from_camera.translation_m.round(9) + 0.0
     array([ 0. ,  0. , -0.5])
     """
@@ -253,8 +253,8 @@ def _judged(pose: RigidTransform, system: AlignmentSystem) -> Alignment:
     return Alignment(
         pose,
         enlargement**2 * system.covariance(),
-        enlargement**2 * system.covariance(fixed_errors=CALIBRATION),
-        system.response(CALIBRATION),
+        enlargement**2 * system.covariance(fixed_errors=CALIBRATION_ERROR),
+        system.response(CALIBRATION_ERROR),
         chi2,
         dof,
         enlargement,
@@ -308,7 +308,7 @@ def assemble(evidence: Sequence[PoseEvidence], pose: RigidTransform) -> Alignmen
         if count != len(changes):
             raise ValueError(f"{name}: expected {count} common errors as before, found {len(changes)}")
         width = max(width, first + count)
-    names = tuple(dict.fromkeys(name for part in parts for name in part.piece))
+    names = tuple(dict.fromkeys(name for part in parts for name in part.piece_name))
     prior = np.eye(width)[6:]
     blocks, determining, pieces = [], [], []
     for part in parts:
@@ -322,10 +322,10 @@ def assemble(evidence: Sequence[PoseEvidence], pose: RigidTransform) -> Alignmen
         try:
             white = np.linalg.solve(np.linalg.cholesky(part.covariance), full).reshape(-1, width + 1)
         except np.linalg.LinAlgError as error:
-            raise ValueError(f"{part.piece[0]}: expected a positive definite covariance") from error
+            raise ValueError(f"{part.piece_name[0]}: expected a positive definite covariance") from error
         blocks.append(white)
         determining.append(white[:, :-1] * np.concatenate([part.determines, np.ones(width - 6)]))
-        pieces.append(np.repeat([names.index(name) for name in part.piece], size))
+        pieces.append(np.repeat([names.index(name) for name in part.piece_name], size))
     blocks.append(np.column_stack([prior, np.zeros(width - 6)]))
     system, determined = np.concatenate(blocks), np.concatenate([*determining, prior])
     normal = determined.T @ determined

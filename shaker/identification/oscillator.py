@@ -24,15 +24,15 @@ from shaker.mechanics import laplace
 
 ResonanceKind = Literal["transmissibility", "receptance", "mobility", "accelerance"]
 
-_OSCILLATOR = ("frequency_hz", "damping_ratio", "gain_re", "gain_im")
-_OTHERS = ("mass_line_re", "mass_line_im", "constant_re", "constant_im")
-_ORDER: dict[str, int] = {"transmissibility": 0, "receptance": 0, "mobility": 1, "accelerance": 2}
-_RULES = LMOptions(
+_OSCILLATOR_PARAMETERS = ("frequency_hz", "damping_ratio", "gain_re", "gain_im")
+_RESIDUAL_PARAMETERS = ("mass_line_re", "mass_line_im", "constant_re", "constant_im")
+_POWER_OF_S: dict[str, int] = {"transmissibility": 0, "receptance": 0, "mobility": 1, "accelerance": 2}
+_LM_OPTIONS = LMOptions(
     predicted_decrease=1e-13, predicted_decrease_share=0.0, max_steps=60, max_dampings=13, initial_damping=1e-6
 )
-"""A fit has converged if the whitened model would change by 3e-7, or if no damping up to 1e6 helps."""
-_NOISE_ROUNDS = 5  # of reweighting by the residuals, at most
-_EVEN = 0.01  # relative spread over the lines of the change of their covariances at which weights have settled
+"""A fit converges if the whitened model would change by less than 3e-7, or if no damping up to 1e6 helps."""
+_MAX_REWEIGHTINGS = 5  # by the residuals
+_WEIGHT_TOLERANCE = 0.01  # range over the lines of the relative change of their covariances at which reweighting ends
 
 
 @dataclass(frozen=True, repr=False)
@@ -40,10 +40,10 @@ class Resonance(Brief):
     """A resonance with its uncertainty.
 
     `frequency_hz`: f₀ of the undamped oscillator. `damping_ratio` ζ; complex `gain` G; `delay_s`. `residual` (2,)
-    complex: mass line R₋/s² and constant R₊ of all other modes. Delay and residual are zero if they were not fitted.
-    `parameters` (P,): names of the fitted parameters in the order of `covariance` (P, P), which is enlarged by χ²/dof
-    if that is above one. `chi_squared`: of the residuals over the given uncertainties, divided by ν/(ν - 2) for ν
-    degrees of freedom. Its mean is `dof` for noise alone.
+    complex: residual terms of all other modes, mass line R₋/s² and constant R₊. Delay and residual are zero if they
+    were not fitted. `parameters` (P,): names of the fitted parameters in the order of `covariance` (P, P), which is
+    enlarged by χ²/dof if that is above one. `chi_squared`: of the residuals over the given uncertainties, divided by
+    ν/(ν - 2) for ν degrees of freedom. Its mean is `dof` for noise alone.
     """
 
     kind: ResonanceKind
@@ -62,11 +62,14 @@ class Resonance(Brief):
         check_shape("covariance", self.covariance, (len(self.parameters), len(self.parameters)))
 
     def model(self, frequency_hz: FloatArray, added_decay_per_s: float = 0.0) -> ComplexArray:
-        """Return H(s) (K,) at s = a + jω."""
+        """Return H(s) (K,) at s = a + jω, with the added decay a."""
         vector = [self.frequency_hz, self.damping_ratio, self.gain.real, self.gain.imag, self.delay_s]
         vector += [part for term in self.residual for part in (term.real, term.imag)]
         return _evaluate(
-            self.kind, (*_OSCILLATOR, "delay_s", *_OTHERS), laplace(frequency_hz, added_decay_per_s), np.array(vector)
+            self.kind,
+            (*_OSCILLATOR_PARAMETERS, "delay_s", *_RESIDUAL_PARAMETERS),
+            laplace(frequency_hz, added_decay_per_s),
+            np.array(vector),
         )[0]
 
     def u(self, parameter: str) -> float:
@@ -78,7 +81,7 @@ class Resonance(Brief):
 
     @property
     def quality(self) -> float:
-        """Quality factor Q = 1/(2ζ)."""
+        """Return the quality factor Q = 1/(2ζ)."""
         return 0.5 / self.damping_ratio
 
 
@@ -121,10 +124,14 @@ def fit_resonance(
     >>> print(f"{found.frequency_hz:.1f} Hz, damping ratio {found.damping_ratio:.3f}")
     300.0 Hz, damping ratio 0.020
     """
-    names = (*_OSCILLATOR, *(("delay_s",) if delay else ()), *(_OTHERS if residual_terms else ()))
+    names = (
+        *_OSCILLATOR_PARAMETERS,
+        *(("delay_s",) if delay else ()),
+        *(_RESIDUAL_PARAMETERS if residual_terms else ()),
+    )
     if 2 * len(curve.frequency_hz) <= len(names):
         raise ValueError(f"frequency_hz: expected more than {len(names) // 2} lines, found {len(curve.frequency_hz)}")
-    vector, jacobian, noise = _weighed(curve, kind, names)
+    vector, jacobian, noise = _fit_reweighted(curve, kind, names)
     flat = jacobian.reshape(-1, len(names))
     scale = np.linalg.norm(flat, axis=0)
     root = np.linalg.inv(np.linalg.qr(flat / scale, mode="r"))
@@ -150,7 +157,7 @@ def fit_resonance(
 def _evaluate(
     kind: ResonanceKind, names: tuple[str, ...], s: ComplexArray, vector: FloatArray
 ) -> tuple[ComplexArray, ComplexArray]:
-    """Return H (K,) and its derivatives (K, P) by the named parameters."""
+    """Return H (K,) and its derivatives (K, P) with respect to the named parameters."""
     fitted = dict(zip(names, vector, strict=True))
     zeta, delay = fitted["damping_ratio"], fitted.get("delay_s", 0.0)
     gain = complex(fitted["gain_re"], fitted["gain_im"])
@@ -158,7 +165,7 @@ def _evaluate(
     p = s / (2.0 * np.pi * fitted["frequency_hz"])
     pole = 1.0 + 2.0 * zeta * p + p * p
     shape = (1.0 + base_excited * 2.0 * zeta * p) / pole
-    before = s ** _ORDER[kind] * np.exp(-s * delay)
+    before = s ** _POWER_OF_S[kind] * np.exp(-s * delay)
     by_p = (base_excited * 2.0 * zeta - shape * (2.0 * zeta + 2.0 * p)) / pole
     columns = {
         "frequency_hz": before * gain * by_p * (-p / fitted["frequency_hz"]),
@@ -176,36 +183,38 @@ def _evaluate(
     return np.asarray(value), np.stack([columns[name] for name in names], axis=1)
 
 
-def _real(whitening: FloatArray, columns: ComplexArray) -> FloatArray:
+def _whiten_columns(whitening: FloatArray, columns: ComplexArray) -> FloatArray:
     """Return whitened real columns (K, 2, P) of complex ones (K, P)."""
     return np.asarray(whitening @ np.stack([columns.real, columns.imag], axis=1))
 
 
-def _weighed(
+def _fit_reweighted(
     curve: MeasuredCurve, kind: ResonanceKind, names: tuple[str, ...]
 ) -> tuple[FloatArray, FloatArray, ResidualNoise]:
-    """Return parameters, whitened derivatives (K, 2, P) and the noise of the lines."""
+    """Fit with weights from covariance and residuals; return parameters, derivatives and noise.
+
+    The derivatives (K, 2, P) are whitened."""
     s, whitening = laplace(curve.frequency_hz, curve.added_decay_per_s), whitening_matrices(curve.covariance)
     dof = np.full(len(s), np.inf) if curve.dof is None else curve.dof
-    size, noise = np.abs(s ** _ORDER[kind]), np.sqrt(0.5 * np.trace(curve.covariance, axis1=1, axis2=2))
-    response, lowest = curve.value / s ** _ORDER[kind], -2 if "mass_line_re" in names else 0
+    size, noise = np.abs(s ** _POWER_OF_S[kind]), np.sqrt(0.5 * np.trace(curve.covariance, axis1=1, axis2=2))
+    response, lowest = curve.value / s ** _POWER_OF_S[kind], -2 if "mass_line_re" in names else 0
     (pole,) = rational_poles(s, response[:, None], (noise / size)[:, None], 1, lowest)
     if abs(pole) > np.abs(s).max():
         pole = np.abs(s[np.argmax(np.abs(response))]) * (-0.01 + 1j)
     vector, factor = np.zeros(len(names)), np.ones(len(s))
     vector[:2] = abs(pole) / (2.0 * np.pi), -pole.real / abs(pole)
-    for _ in range(1 + _NOISE_ROUNDS):
+    for _ in range(1 + _MAX_REWEIGHTINGS):
         weighed = whitening / np.sqrt(factor)[:, None, None]
-        vector, residual, jacobian = _adjusted(kind, names, s, curve.value, weighed, vector)
+        vector, residual, jacobian = _fit_weighted(kind, names, s, curve.value, weighed, vector)
         length = np.sum(residual**2, axis=1) * factor
         seen = estimate_residual_noise([CurveResidual(length, dof, residual.shape[1])], float(len(names)))
         before, factor = factor, seen.lines[0]
-        if np.ptp(factor / before) <= _EVEN * np.max(factor / before):
+        if np.ptp(factor / before) <= _WEIGHT_TOLERANCE * np.max(factor / before):
             break
     return vector, jacobian * np.sqrt(before / factor)[:, None, None], seen
 
 
-def _adjusted(
+def _fit_weighted(
     kind: ResonanceKind,
     names: tuple[str, ...],
     s: ComplexArray,
@@ -213,48 +222,52 @@ def _adjusted(
     whitening: FloatArray,
     start: FloatArray,
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return least-squares parameters with whitened residuals (K, 2) and derivatives (K, 2, P)."""
+    """Fit with given weights; return parameters, whitened residuals (K, 2) and derivatives (K, 2, P)."""
     linear = np.array([name.endswith(("_re", "_im")) for name in names])
-    measured = _real(whitening, value[:, None]).reshape(-1, 1)
+    measured = _whiten_columns(whitening, value[:, None]).reshape(-1, 1)
 
     def point(parameters: FloatArray) -> SeparablePoint | None:
-        """Return the gain and the residual terms that follow frequency, damping and delay."""
+        """Return the linear least-squares problem for gain and residual terms at given nonlinear parameters."""
         if min(parameters[:2]) <= 0.0:
             return None
         vector = np.zeros(len(names))
         vector[~linear] = parameters
-        design = _real(whitening, _evaluate(kind, names, s, vector)[1][:, linear]).reshape(len(measured), -1)
+        design = _whiten_columns(whitening, _evaluate(kind, names, s, vector)[1][:, linear]).reshape(len(measured), -1)
 
         def changes(coefficients: FloatArray) -> BlockJacobian:
             vector[linear] = coefficients[:, 0]
-            slopes = _real(whitening, _evaluate(kind, names, s, vector)[1][:, ~linear])
+            slopes = _whiten_columns(whitening, _evaluate(kind, names, s, vector)[1][:, ~linear])
             return BlockJacobian(np.arange(len(parameters)), slopes.reshape(len(measured), -1, 1))
 
         return SeparablePoint(parameters, [LinearBlock(design, measured, changes)])
 
     first = point(start[~linear])
     assert first is not None
-    search = levenberg_marquardt(point, first, _RULES)
+    search = levenberg_marquardt(point, first, _LM_OPTIONS)
     if not search.converged:
         raise ValueError("value: expected a transfer function with a resonance inside its band, found none")
     vector = start.copy()
     vector[~linear], vector[linear] = search.point.parameters, search.point.coefficients[0][:, 0]
     model, derivative = _evaluate(kind, names, s, vector)
-    return vector, _real(whitening, (value - model)[:, None])[:, :, 0], _real(whitening, derivative)
+    return vector, _whiten_columns(whitening, (value - model)[:, None])[:, :, 0], _whiten_columns(whitening, derivative)
 
 
 # The maximum of |H| and the points at a given share of it, between the lines.
 
 PeakWidth = Literal["half_power", "half_amplitude"]
-_PASSES = 3  # refinements of the search, chosen
-LEVELS: dict[PeakWidth, float] = {"half_power": 2.0, "half_amplitude": 4.0}  # of 1/|H|², relative to the maximum
+_SEARCH_PASSES = 3  # refinements of the maximum and the width, chosen
+INVERSE_POWER_LEVELS: dict[PeakWidth, float] = {
+    "half_power": 2.0,
+    "half_amplitude": 4.0,
+}  # of 1/|H|², relative to the maximum
 
 
 @dataclass(frozen=True, repr=False)
 class PeakPoint(Brief):
-    """A frequency read from a curve and 1/|H|² at it.
+    """A frequency read from a curve and `inverse`, 1/|H|² at it.
 
-    `by_line`, `inverse_by_line` (K,): their gradients by 1/|H|² of every line. All are NaN if the point was not found.
+    `by_line`, `inverse_by_line` (K,): gradients of both with respect to 1/|H|² of every line. All are NaN if the point
+    was not found.
     """
 
     frequency_hz: float
@@ -263,19 +276,20 @@ class PeakPoint(Brief):
     inverse_by_line: FloatArray
 
 
-def _no_point(curve: MeasuredCurve) -> PeakPoint:
-    """Return a point of NaN for one that was not found."""
+def _missing_point(curve: MeasuredCurve) -> PeakPoint:
+    """Return a point of NaN: the curve has no such point."""
     missing = np.full(len(curve.frequency_hz), np.nan)
     return PeakPoint(np.nan, np.nan, missing, missing)
 
 
-def read_shape(curve: MeasuredCurve) -> tuple[PeakPoint, dict[PeakWidth, tuple[PeakPoint, PeakPoint]]]:
-    """Return the maximum and the crossings below and above it for both widths.
+def read_peak(curve: MeasuredCurve) -> tuple[PeakPoint, dict[PeakWidth, tuple[PeakPoint, PeakPoint]]]:
+    """Return the maximum of a curve and the crossings on both sides for both widths.
 
     For one base-excited oscillator 1/|H|² is a parabola over f², except for a factor 1 + 4ζ²f²/f₀². The maximum is the
     vertex of the parabola through the lines above half power. A crossing is read from the lines within a quarter width
-    around it. The search starts at the line of the maximum and at the nearest lines below 1/√2 of it; a missing side is
-    mirrored. |H|² is averaged until the noise at the maximum is 3 %, over at most a twentieth of the lines.
+    around it. The search starts at the line of the maximum and at the nearest lines whose |H| is below 1/√2 of it. If
+    one side has none, the other side is mirrored. To find these lines, |H|² is averaged over neighbouring lines until
+    its noise at the maximum is 3 %, over at most a twentieth of the lines.
     """
     magnitude = np.abs(curve.value)
     largest = int(np.argmax(magnitude))
@@ -288,16 +302,18 @@ def read_shape(curve: MeasuredCurve) -> tuple[PeakPoint, dict[PeakWidth, tuple[P
     ends = [*below[below < largest][-1:], *below[below > largest][:1]]
     reach = float(np.min(np.abs(curve.frequency_hz[ends] - frequency))) if ends else float(np.ptp(curve.frequency_hz))
     low, high = frequency - reach, frequency + reach
-    top = _no_point(curve)
+    top = _missing_point(curve)
     crossings: dict[PeakWidth, tuple[PeakPoint, PeakPoint]] = {}
-    for _ in range(_PASSES):
+    for _ in range(_SEARCH_PASSES):
         width = high - low
-        top = _top(curve, frequency, 0.5 * width)
+        top = _read_maximum(curve, frequency, 0.5 * width)
         if not np.isfinite(top.frequency_hz):
-            return top, dict.fromkeys(LEVELS, (top, top))
-        for name, level in LEVELS.items():
+            return top, dict.fromkeys(INVERSE_POWER_LEVELS, (top, top))
+        for name, level in INVERSE_POWER_LEVELS.items():
             offset = 0.5 * width * np.sqrt(level - 1.0)
-            pair = [_crossing(curve, top, level, top.frequency_hz + side * offset, 0.25 * width) for side in (-1, 1)]
+            pair = [
+                _read_crossing(curve, top, level, top.frequency_hz + side * offset, 0.25 * width) for side in (-1, 1)
+            ]
             crossings[name] = pair[0], pair[1]
         found = [point.frequency_hz for point in crossings["half_power"]]
         if not np.all(np.isfinite(found)):
@@ -306,15 +322,15 @@ def read_shape(curve: MeasuredCurve) -> tuple[PeakPoint, dict[PeakWidth, tuple[P
     return top, crossings
 
 
-def _parabola(
+def _fit_parabola(
     curve: MeasuredCurve, frequency_hz: float, reach_hz: float, fewest: int
 ) -> tuple[FloatArray, FloatArray, Callable[[float, FloatArray], tuple[float, FloatArray]]]:
-    """Return the parabola 1/|H|² = c₀ + c₁u + c₂u² near a frequency, with derivatives.
+    """Fit the parabola 1/|H|² = c₀ + c₁u + c₂u² near a frequency.
 
-    Returned are c (3,), its change (3, K) with 1/|H|² of every line, and a function. The function gives the frequency
-    at u with its gradient (K,), from the gradient of u. u is proportional to f² minus the square of the frequency.
-    Lines within reach are used, at least the nearest ones. Noise of variances σᵣ², σₜ² along and across H makes 1/|H|²
-    too large by (3σᵣ² - σₜ²)/|H|⁴ on average.
+    Returned are c (3,), its derivatives (3, K) with respect to 1/|H|² of every line, and a function. The function
+    returns the frequency at u with its gradient (K,), from u and its gradient. u is proportional to f² -
+    `frequency_hz`². The lines within `reach_hz` are used, at least the `fewest` nearest ones. Noise of variances σᵣ²,
+    σₜ² along and across H makes 1/|H|² too large by (3σᵣ² - σₜ²)/|H|⁴ on average.
     """
     distance = np.abs(curve.frequency_hz - frequency_hz)
     reach = max(reach_hz, float(np.sort(distance)[fewest - 1]))
@@ -341,44 +357,46 @@ def _parabola(
     return coefficients, by_line, frequency_at
 
 
-def _top(curve: MeasuredCurve, frequency_hz: float, reach_hz: float) -> PeakPoint:
+def _read_maximum(curve: MeasuredCurve, frequency_hz: float, reach_hz: float) -> PeakPoint:
     """Return the vertex of the parabola through the lines around a maximum."""
-    (c0, c1, c2), by_line, frequency_at = _parabola(curve, frequency_hz, reach_hz, 3)
+    (c0, c1, c2), by_line, frequency_at = _fit_parabola(curve, frequency_hz, reach_hz, 3)
     u = -0.5 * c1 / c2 if c2 > 0.0 else np.nan
     inverse = c0 + 0.5 * c1 * u
     if not (abs(u) < 2.0 and inverse > 0.0):
-        return _no_point(curve)
+        return _missing_point(curve)
     frequency, frequency_by_line = frequency_at(u, (c1 / c2 * by_line[2] - by_line[1]) / (2.0 * c2))
     return PeakPoint(frequency, float(inverse), frequency_by_line, np.array([1.0, u, u * u]) @ by_line)
 
 
-def _crossing(curve: MeasuredCurve, top: PeakPoint, level: float, frequency_hz: float, reach_hz: float) -> PeakPoint:
+def _read_crossing(
+    curve: MeasuredCurve, top: PeakPoint, level: float, frequency_hz: float, reach_hz: float
+) -> PeakPoint:
     """Return the point of a flank where 1/|H|² is `level` times that of the maximum."""
     if not curve.frequency_hz[0] <= frequency_hz <= curve.frequency_hz[-1]:
-        return _no_point(curve)
-    (c0, c1, c2), by_line, frequency_at = _parabola(curve, frequency_hz, reach_hz, 4)
+        return _missing_point(curve)
+    (c0, c1, c2), by_line, frequency_at = _fit_parabola(curve, frequency_hz, reach_hz, 4)
     target, by_target = level * top.inverse, level * top.inverse_by_line
     root = c1 * c1 - 4.0 * c2 * (c0 - target)
     slope = np.sign(frequency_hz - top.frequency_hz) * np.sqrt(max(root, 0.0))
     u = 2.0 * (target - c0) / (slope + c1) if root > 0.0 else np.nan
     if not abs(u) < 3.0:
-        return _no_point(curve)
+        return _missing_point(curve)
     frequency, frequency_by_line = frequency_at(u, (by_target - np.array([1.0, u, u * u]) @ by_line) / slope)
     return PeakPoint(frequency, target, frequency_by_line, by_target)
 
 
-def uncertainties(curve: MeasuredCurve, *by_inverse: FloatArray) -> FloatArray:
-    """Return standard uncertainties (P,) from gradients (K,) by 1/|H|² of every line."""
+def propagate_noise(curve: MeasuredCurve, *by_inverse: FloatArray) -> FloatArray:
+    """Return standard uncertainties (P,) of values from their gradients (K,) by 1/|H|²."""
     square = np.abs(curve.value) ** 2
     gradient = np.stack(by_inverse) * (-2.0 * curve.value / square**2)
     return np.asarray(np.sqrt(np.diag(curve.propagated(gradient))))
 
 
 def peak_line_variance_hz2(curve: MeasuredCurve, top: PeakPoint, width_hz: float) -> float:
-    """Return the variance in Hz² that noise causes in the line of the largest |H|.
+    """Return the variance (Hz²) of the frequency of the highest line due to noise.
 
-    The lines above half power are independent and normal about |H| of the oscillator, and equally spaced. Each is the
-    largest with the probability ∫ φₖ(a) Πⱼ Φⱼ(a) da.
+    Noise decides which line has the largest |H|. The lines above half power are equally spaced, with independent normal
+    noise about |H| of the oscillator. Each is the largest with the probability ∫ φₖ(a) Πⱼ Φⱼ(a) da.
     """
     from scipy.special import log_ndtr
 
@@ -395,7 +413,7 @@ def peak_line_variance_hz2(curve: MeasuredCurve, top: PeakPoint, width_hz: float
     return float(chance @ (frequency - chance @ frequency) ** 2)
 
 
-_RESOLVED_LINES = 4.0  # in the half-power width, below which a width from the lines is unreliable
+_RESOLVED_LINES = 4.0  # least number in the half-power width for a reliable width
 
 
 @dataclass(frozen=True)
@@ -419,10 +437,10 @@ class PeakReading:
 class PeakReadings:
     """All readings of one resonance of a base-excited mass.
 
-    `maximum_bin`: the line of the largest |H|. `maximum`: the maximum between the lines. Both are the frequency of the
-    maximum, ζ²f₀ below f₀. `half_power`: f₀ and ζ from the two frequencies with |H| at 1/√2 of its maximum.
-    `half_amplitude`: equation 10 of Nitsche et al. (J. Sens. Sens. Syst. 7, 2018) as printed, with the width at half
-    the maximum; the damping is √3 times too large. `circle`: f₀ and ζ from the angles of the Nyquist circle.
+    `maximum_bin`: the spectral line of the largest |H|. `maximum`: the maximum between the lines. Both are the
+    frequency of the maximum, ζ²f₀ below f₀. `half_power`: f₀ and ζ from the two frequencies with |H| at 1/√2 of its
+    maximum. `half_amplitude`: equation 10 of Nitsche et al. (J. Sens. Sens. Syst. 7, 2018) as printed, with the width
+    at half the maximum; the damping is √3 times too large. `circle`: f₀ and ζ from the angles of the Nyquist circle.
     `lines_in_width`: half-power width over line spacing.
     """
 
@@ -435,31 +453,31 @@ class PeakReadings:
 
     @property
     def all(self) -> tuple[PeakReading, ...]:
-        """All readings in the order of their description."""
+        """Return all readings in the order of the attributes."""
         return self.maximum_bin, self.maximum, self.half_power, self.half_amplitude, self.circle
 
 
 def peak_readings(curve: MeasuredCurve) -> PeakReadings:
-    """Read the highest resonance of load motion over base motion.
+    """Read the highest resonance of the load's motion over the base's motion by every method.
 
-    The line spacing biases `maximum_bin` only.
+    Only `maximum_bin` is biased by the line spacing.
     """
     if len(curve.frequency_hz) < FEWEST_LINES:
         raise ValueError(f"frequency_hz: expected at least {FEWEST_LINES} lines, found {len(curve.frequency_hz)}")
-    top, crossings = read_shape(curve)
+    top, crossings = read_peak(curve)
     width = crossings["half_power"][1].frequency_hz - crossings["half_power"][0].frequency_hz
     lines, note = width / curve.spacing_hz, ""
     if lines < _RESOLVED_LINES:
-        note = (
-            f"{lines:.1f} lines in the half-power width, fewer than {_RESOLVED_LINES:.0f}: between them the curve is "
-        )
-        note += "assumed to be that of one oscillator"
+        note = f"{lines:.1f} lines in the half-power width, fewer than {_RESOLVED_LINES:.0f}: "
+        note += "the curve between the lines is assumed to be that of one oscillator"
     # The line of the maximum is uncertain by half a spacing and by the effect of noise on its selection.
     line_hz = float(curve.frequency_hz[np.argmax(np.abs(curve.value))])
-    wandering = peak_line_variance_hz2(curve, top, width) if np.isfinite(width) else np.nan
-    u_line = float(np.sqrt(curve.spacing_hz**2 / 12.0 + wandering))
-    between = "" if np.isfinite(top.frequency_hz) else "no maximum between the lines of this band"
-    half_power, half_amplitude = (_by_width(name, curve, top, *crossings[name], note) for name in LEVELS)
+    by_noise = peak_line_variance_hz2(curve, top, width) if np.isfinite(width) else np.nan
+    u_line = float(np.sqrt(curve.spacing_hz**2 / 12.0 + by_noise))
+    between = "" if np.isfinite(top.frequency_hz) else "no maximum of the curve inside this band"
+    half_power, half_amplitude = (
+        _read_width(name, curve, top, *crossings[name], note) for name in INVERSE_POWER_LEVELS
+    )
     fit, circle = None, PeakReading("circle", note="no circle found in the complex plane")
     if np.isfinite(half_power.damping_ratio):
         fit = fit_circle(curve, half_power.frequency_hz, half_power.damping_ratio)
@@ -470,7 +488,7 @@ def peak_readings(curve: MeasuredCurve) -> PeakReadings:
         circle = PeakReading("circle", f0, u_f0, 2.0 * zeta * f0, u_width, zeta, u_zeta)
     return PeakReadings(
         maximum_bin=PeakReading("maximum_bin", line_hz, u_line),
-        maximum=PeakReading("maximum", top.frequency_hz, float(uncertainties(curve, top.by_line)[0]), note=between),
+        maximum=PeakReading("maximum", top.frequency_hz, float(propagate_noise(curve, top.by_line)[0]), note=between),
         half_power=half_power,
         half_amplitude=half_amplitude,
         circle=circle,
@@ -479,10 +497,11 @@ def peak_readings(curve: MeasuredCurve) -> PeakReadings:
 
 
 def transmissibility_levels(damping_ratio: float, level: float = 2.0) -> tuple[float, float, float]:
-    """Return r = f/f₀ of the maximum and of a level on both sides.
+    """Return r = f/f₀ of the maximum, the lower and the upper point at a level.
 
-    The transmissibility is |(1 + 2jζr)/(1 - r² + 2jζr)|; at the level 1/|H|² is `level` times its value at the maximum.
-    r² solves y² - (2 - 4ζ² + 4ζ²c)y + 1 - c = 0, c = level/|H|²max. The lower r is zero if the level is not reached.
+    The transmissibility H is (1 + 2jζr)/(1 - r² + 2jζr). At the level, 1/|H|² is `level` times its value at the
+    maximum. r² solves y² - (2 - 4ζ² + 4ζ²c)y + 1 - c = 0, c = level/|H|²max. The lower r is zero if the level is not
+    reached.
     """
     square = 4.0 * damping_ratio**2
     highest = 2.0 / (np.sqrt(1.0 + 2.0 * square) + 1.0)
@@ -492,13 +511,13 @@ def transmissibility_levels(damping_ratio: float, level: float = 2.0) -> tuple[f
     return float(np.sqrt(highest)), float(np.sqrt(max(0.0, middle - root))), float(np.sqrt(middle + root))
 
 
-def _by_width(
+def _read_width(
     method: PeakWidth, curve: MeasuredCurve, top: PeakPoint, low: PeakPoint, high: PeakPoint, note: str
 ) -> PeakReading:
-    """Return the reading from a maximum and the width at a level.
+    """Return the reading from the width between two crossings of a level.
 
-    Half power: f₀ and ζ of the oscillator whose maximum and half-power points are those that were read. Half amplitude:
-    equation 10 with the width at half the maximum, uncorrected for its factor √3.
+    Half power: f₀ and ζ of the oscillator that has the same width, relative to its maximum, and the same crossings.
+    Half amplitude: equation 10 with the width at half the maximum, uncorrected for its factor √3.
     """
     width = high.frequency_hz - low.frequency_hz
     if not np.isfinite(width):
@@ -515,5 +534,5 @@ def _by_width(
     else:
         note = "damping overstated by √3" + (f"; {note}" if note else "")
     by_zeta = zeta * (by_width / width - top.by_line / top.frequency_hz)
-    u_f0, u_width, u_zeta = uncertainties(curve, by_f0, by_width, by_zeta).tolist()
+    u_f0, u_width, u_zeta = propagate_noise(curve, by_f0, by_width, by_zeta).tolist()
     return PeakReading(method, f0, u_f0, width, u_width, float(zeta), u_zeta, note)

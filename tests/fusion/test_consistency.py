@@ -36,7 +36,7 @@ from fusion.estimation.estimation_notices import (
     SINGLE_ERROR_NOT_ASSESSED,
 )
 from fusion.estimation.fuse import INCONSISTENCY, Acceleration, fuse, fuse_sources, untested
-from fusion.estimation.instrument_consistency import as_stated, explanations, suspicion
+from fusion.estimation.instrument_consistency import estimate_explanations, evaluate_suspicion, stated_covariance
 from fusion.estimation.least_squares import build_system, solve
 from fusion.estimation.measurement_model import Observation
 from fusion.estimation.uncertainty import as_complex
@@ -377,11 +377,11 @@ def test_explanations_are_what_a_fit_without_the_suspect_finds():
     solution = solve(system)
     rows = np.flatnonzero(system.observation == 1)
     rest = np.flatnonzero(system.observation != 1)
-    one = suspicion(system, solution, ("laser",), rows)
+    one = evaluate_suspicion(system, solution, ("laser",), rows)
     spread = solution.noise + solution.effects @ solution.effects.T
     weight = np.linalg.inv(spread[np.ix_(rest, rest)])
     normal = np.linalg.inv(system.design[rest].T @ weight @ system.design[rest])
-    (found,) = explanations(system, solution, [one])
+    (found,) = estimate_explanations(system, solution, [one])
     expected = system.acceleration(normal @ system.design[rest].T @ weight @ system.readings[rest])
     np.testing.assert_allclose(found.value, expected, rtol=1e-6, atol=1e-6)
     covariance = (system.expand @ normal @ system.expand.T)[:12, :12]
@@ -392,13 +392,17 @@ def test_explanations_are_what_a_fit_without_the_suspect_finds():
     weight = np.linalg.inv(more)
     normal = np.linalg.inv(system.design.T @ weight @ system.design)
     tenfold = system.acceleration(normal @ system.design.T @ weight @ system.readings)
-    change = as_complex(one.tenfold.reshape(-1, 12))
+    change = as_complex(one.tenfold_change.reshape(-1, 12))
     np.testing.assert_allclose(solution.acceleration + change, tenfold, rtol=1e-6, atol=1e-6)
 
 
 @pytest.mark.parametrize(
     ("factor", "words"),
-    [(-1.0, "its sign were reversed"), (9.80665, "m/s² were taken for g"), (1 / 9.80665, "g were taken for m/s²")],
+    [
+        (-1.0, "its sign were reversed"),
+        (9.80665, "values in m/s² were treated as values in g"),
+        (1 / 9.80665, "values in g were treated as values in m/s²"),
+    ],
 )
 @pytest.mark.parametrize("alone", [False, True])
 def test_a_reversed_channel_and_a_mistaken_unit_are_named(factor, words, alone):
@@ -605,7 +609,7 @@ def test_what_estimated_weights_cost_is_in_u():
     for trial in range(400):
         seen = estimated(trial, 12)
         solution, result = solve(build_system(seen)), fuse(seen)
-        variance = np.diagonal(as_stated(solution, solution.gain.reshape(2, 12, -1))[0])
+        variance = np.diagonal(stated_covariance(solution, solution.gain.reshape(2, 12, -1))[0])
         off = np.abs(result.phasors.value[0] - TRUTH[0]) ** 2
         found.append(off / (result.phasors.u_re[0] ** 2 + result.phasors.u_im[0] ** 2))
         plain.append(off / (variance[:6] + variance[6:]))

@@ -222,7 +222,7 @@ def test_two_points_leave_the_turn_about_their_line_open_and_a_face_three_compon
     world = make_world(6)
     known = points(world, 3)
     points_of = (known.camera_m, known.camera_covariance_m2, known.sensor_m, known.sensor_covariance_m2)
-    first = KnownPoints(known.names[:2], *(array[:2] for array in points_of), known.calibration[:, :2])
+    first = KnownPoints(known.names[:2], *(array[:2] for array in points_of), known.calibration_effects[:, :2])
     with pytest.raises(UndeterminedPose, match=r"^rotation "):
         align([first], world.sensor_from_camera)
     refused("^start: ", align, [first])

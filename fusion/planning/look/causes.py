@@ -9,7 +9,7 @@ from itertools import permutations, product
 import numpy as np
 
 from fusion.estimation.fuse import Acceleration
-from fusion.estimation.instrument_consistency import Consistency, exchanged_channels, likely_mistake, suspicions
+from fusion.estimation.instrument_consistency import Consistency, exchanged_channels, find_suspicions, likely_mistake
 from fusion.estimation.least_squares import FusionSolution, FusionSystem, build_system, solve
 from fusion.estimation.measurement_model import SCALE, Observation
 from fusion.instruments.channel import ChannelGeometry
@@ -97,7 +97,7 @@ def _plain(
         value = np.nan_to_num(without.get(test.instrument, acceleration.phasors.value))
         for index in np.unique(system.observation[rows]).tolist():
             yield from _of_channels(system.observations[index], np.unique(system.channel[rows]), value, test.instrument)
-    for a, b in exchanged_channels(system, first, suspicions(system, first)):
+    for a, b in exchanged_channels(system, first, find_suspicions(system, first)):
         yield f"{a} and {b} were exchanged"
 
 
