@@ -260,7 +260,7 @@ class KnownFace(Arrays, shapes="camera_m N 3; camera_covariance_m2 N 3 3; point_
     def residuals(self, sensor_from_camera: RigidTransform) -> EvidenceResiduals:
         """Return the distances of the points from the face with their derivatives."""
         placed = sensor_from_camera.apply(self.camera_m)
-        seen = sensor_from_camera.rotation.T @ self.normal
+        camera_normal = sensor_from_camera.rotation.T @ self.normal
         jacobian = (self.normal @ displacement_jacobian(placed))[:, None, :]
         lever = (placed - self.point_m) @ perpendicular_directions(self.normal).T
         stated_changes = np.concatenate([np.full((1, len(placed)), self.u_offset_m), self.u_normal_rad * lever.T])
@@ -268,9 +268,9 @@ class KnownFace(Arrays, shapes="camera_m N 3; camera_covariance_m2 N 3 3; point_
         return EvidenceResiduals(
             ((placed - self.point_m) @ self.normal)[:, None],
             jacobian,
-            np.einsum("i,nij,j->n", seen, self.camera_covariance_m2, seen)[:, None, None],
+            np.einsum("i,nij,j->n", camera_normal, self.camera_covariance_m2, camera_normal)[:, None, None],
             {
-                CALIBRATION_ERROR: (self.calibration_effects @ seen)[..., None],
+                CALIBRATION_ERROR: (self.calibration_effects @ camera_normal)[..., None],
                 self.name: stated_changes[uncertain][..., None],
                 **self.frame.common(jacobian),
             },

@@ -228,7 +228,8 @@ def align(evidence: Sequence[PoseEvidence], start: RigidTransform | None = None)
         if np.abs(step).max() <= _CONVERGED:
             return _judged(pose, assemble(evidence, pose))
     raise ValueError(
-        "evidence: expected pieces of one pose, found that the iteration does not converge; check for mix-ups"
+        "evidence: expected evidence of a single pose, found that the iteration does not converge; "
+        "check names, positions and directions"
     )
 
 

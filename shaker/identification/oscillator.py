@@ -39,8 +39,8 @@ _WEIGHT_TOLERANCE = 0.01  # range over the lines of the relative change of their
 class Resonance(Brief):
     """A resonance with its uncertainty.
 
-    `frequency_hz`: f₀ of the undamped oscillator. `damping_ratio` ζ; complex `gain` G; `delay_s`. `residual` (2,)
-    complex: residual terms of all other modes, mass line R₋/s² and constant R₊. Delay and residual are zero if they
+    `frequency_hz`: f₀ of the undamped oscillator. `damping_ratio` ζ; complex `gain` G; `delay_s`. `residual_terms` (2,)
+    complex: contribution of all other modes, mass line R₋/s² and constant R₊. Delay and residual terms are zero if they
     were not fitted. `parameters` (P,): names of the fitted parameters in the order of `covariance` (P, P), which is
     enlarged by χ²/dof if that is above one. `chi_squared`: of the residuals over the given uncertainties, divided by
     ν/(ν - 2) for ν degrees of freedom. Its mean is `dof` for noise alone.
@@ -51,20 +51,20 @@ class Resonance(Brief):
     damping_ratio: float
     gain: complex
     delay_s: float
-    residual: ComplexArray
+    residual_terms: ComplexArray
     parameters: tuple[str, ...]
     covariance: FloatArray
     chi_squared: float
     dof: float
 
     def __post_init__(self) -> None:
-        check_shape("residual", self.residual, (2,))
+        check_shape("residual_terms", self.residual_terms, (2,))
         check_shape("covariance", self.covariance, (len(self.parameters), len(self.parameters)))
 
     def model(self, frequency_hz: FloatArray, added_decay_per_s: float = 0.0) -> ComplexArray:
         """Return H(s) (K,) at s = a + jω, with the added decay a."""
         vector = [self.frequency_hz, self.damping_ratio, self.gain.real, self.gain.imag, self.delay_s]
-        vector += [part for term in self.residual for part in (term.real, term.imag)]
+        vector += [part for term in self.residual_terms for part in (term.real, term.imag)]
         return _evaluate(
             self.kind,
             (*_OSCILLATOR_PARAMETERS, "delay_s", *_RESIDUAL_PARAMETERS),
@@ -146,7 +146,7 @@ def fit_resonance(
         damping_ratio=fitted["damping_ratio"],
         gain=complex(fitted["gain_re"], fitted["gain_im"]),
         delay_s=fitted.get("delay_s", 0.0),
-        residual=np.array([low, high]),
+        residual_terms=np.array([low, high]),
         parameters=names,
         covariance=np.asarray(0.5 * (inverse + inverse.T) / np.multiply.outer(scale, scale)),
         chi_squared=noise.chi_squared / noise.expected,

@@ -211,7 +211,7 @@ def _separated(curve: _Curve, windows: Sequence[slice]) -> list[_Mode | str]:
             value = curve.value[lines].copy()
             for other in (*found[:index], *found[index + 1 :]):
                 if isinstance(other, _Mode):
-                    oscillator = replace(other.fit, residual=np.zeros(2, dtype=np.complex128))
+                    oscillator = replace(other.fit, residual_terms=np.zeros(2, dtype=np.complex128))
                     value -= oscillator.model(frequency, curve.transfer.added_decay_per_s)
             try:
                 found[index] = _Mode(_best(curve, lines, value), value)

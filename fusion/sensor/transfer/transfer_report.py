@@ -271,7 +271,7 @@ def draw_transfer(result: ReferenceResult, channel: int) -> Figure:
     frequency, value, unit = curve.frequency_hz, curve.value[:, 0], typeset(curve.unit[0])
     noise = result.random_covariance[:, both][:, :, both]
     modes = [resonance for resonance in result.resonances if resonance.response == response]
-    oscillators = [replace(resonance.fit, residual=np.zeros(2, dtype=np.complex128)) for resonance in modes]
+    oscillators = [replace(resonance.fit, residual_terms=np.zeros(2, dtype=np.complex128)) for resonance in modes]
     title, size = f"{response} over {result.name}", np.abs(value)
     drawn = empty_figure(f"transfer-{response}-{result.name}", 7.4, (2.3, 1.5, 1.2, 0.9))
     magnitude, phase, relative, linear = drawn.panels
