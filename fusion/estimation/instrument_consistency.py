@@ -180,7 +180,7 @@ def leave_out_rows(
     rows: IntArray,
     tolerance: float = RANK_TOLERANCE,
 ) -> tuple[float, int, FloatArray | None]:
-    """Return chi-square, degrees of freedom and difference of readings from their prediction by the others.
+    """Return chi-square, degrees of freedom and difference of readings from the others' prediction.
 
     This is the deletion formula of generalised least squares. `weighted_residuals` (N,) is projector · readings. The
     `scales` (N,), such as standard uncertainties, make the readings comparable. The difference (n,) is None if the

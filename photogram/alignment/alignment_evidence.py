@@ -89,7 +89,10 @@ class StatedFrame(Arrays, shapes="u 6"):
     u: FloatArray
 
     def common(self, jacobian: FloatArray) -> dict[str, FloatArray]:
-        """Return the effects (P, B, b) of the frame's error on residuals with a jacobian (B, b, 6)."""
+        """Return the effects (P, B, b) of the frame's error on residuals.
+
+        `jacobian` (B, b, 6) is that of the residuals by the pose.
+        """
         uncertain = np.flatnonzero(self.u)
         return {self.name: np.moveaxis(jacobian[..., uncertain] * self.u[uncertain], -1, 0)} if len(uncertain) else {}
 
@@ -328,7 +331,7 @@ class KnownPoses(
 
 @dataclass(frozen=True, eq=False, repr=False)
 class KnownDirection(Arrays, shapes="motion V 6; covariance V 6 6; camera_point_m V 3; calibration_effects P V 6"):
-    """V motions of a body whose point at the sensor origin moves along a known direction.
+    """V motions whose point at the sensor origin moves along a known direction.
 
     `motion` (V, 6): shift (m) of the body's point at `camera_point_m` (V, 3) and rotation (rad), camera axes, small, of
     either sign; `covariance` (V, 6, 6); `calibration_effects` (P, V, 6). `direction` (3,) in the sensor frame has the

@@ -497,7 +497,7 @@ def peak_readings(curve: MeasuredCurve) -> PeakReadings:
 
 
 def transmissibility_levels(damping_ratio: float, level: float = 2.0) -> tuple[float, float, float]:
-    """Return r = f/f₀ of the maximum, the lower and the upper point at a level.
+    """Return r = f/f₀ of the maximum, the lower and upper point at a level.
 
     The transmissibility H is (1 + 2jζr)/(1 - r² + 2jζr). At the level, 1/|H|² is `level` times its value at the
     maximum. r² solves y² - (2 - 4ζ² + 4ζ²c)y + 1 - c = 0, c = level/|H|²max. The lower r is zero if the level is not
