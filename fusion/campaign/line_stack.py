@@ -17,7 +17,7 @@ SLOPE = 1.0
 """Standard uncertainty of dln S/dln f, a bound for a sensor below a third of its resonance."""
 SAME_LINE = 1e-7
 """Relative difference of frequencies without an effect on the sensitivity."""
-LINE_SPACING = "line spacing"
+LINE_SPACING = "lines apart"  # its name in files
 
 
 @dataclass(frozen=True)

@@ -121,7 +121,7 @@ class EstimatedNoise:
 
     @classmethod
     def from_system(cls, system: FusionSystem, effects: FloatArray) -> EstimatedNoise:
-        """Return the estimated noise of a system and the `effects` (N, E) of all its common errors."""
+        """Return the estimated noise of a system with common `effects` (N, E)."""
         parts = []
         for index, observation in enumerate(system.observations):
             for k, dof in enumerate(observation.phasors.dof.tolist()):

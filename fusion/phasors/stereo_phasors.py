@@ -172,8 +172,8 @@ def stereo_phasors(
     over less than one they change every part. So does motion at unresolved lines, with the relative acceleration
     `strength` (K,).
     """
-    sight, view = measured.sight, measured.view
-    name, time_s, exposure = sight.name, sight.time_s, sight.exposure
+    sight, view, name = measured.sight, measured.view, measured.sight.name
+    time_s, exposure = sight.time_s, sight.exposure
     usable, _ = resolved_lines(measured, lines)
     if not usable.any():
         raise ComputeError(NO_RIGID_MOTION, pair=name, reason=NO_LINE)
@@ -181,17 +181,13 @@ def stereo_phasors(
     notices = _step(name, time_s, measured.motion.pose[:, :3], frequency_hz)
     measured, from_mean, fit = fit_about_mean(measured, frequency_hz)
     gain = exposure_gain(lines.frequency_hz, exposure.length_s)
-    errors = [
-        error.effect_on_fit(fit, usable, 2)
-        for error in combine_timing_errors([*base.sight_errors(sight), *line_errors])
-    ]
+    timing = combine_timing_errors([*base.sight_errors(sight), *line_errors])
+    errors = [error.effect_on_fit(fit, usable, 2) for error in timing]
     errors += [] if strength is None else _left_out(measured, fit, lines, usable, gain * strength)
     errors = [error.scaled((1.0 / gain)[:, None]) for error in errors]
     moved, effects, shapes = displacement(measured, fit), dict[str, ComplexArray](), None
     phasors = expand_lines(moved, usable, lines.frequency_hz).scaled((1.0 / gain)[:, None])
-    if (
-        view is not None and sight.pair.body != STATIONARY
-    ):  # they grow with the motion seen, of which a room has next to none
+    if view is not None and sight.pair.body != STATIONARY:  # effects grow with the observed motion
         effects, of_shapes = image_effects(measured, view, frequency_hz, usable, gain, notices)
         if isinstance(view.rig, StereoRig):
             of_motion = of_shapes, moved, view.phase_rotated
@@ -207,11 +203,8 @@ def stereo_phasors(
         through_surface=effects.pop(THROUGH, None),
     )
     of_phasors = [*(n for n in fit.notices if n.severity == "warning"), *notices, *(shapes.notices() if shapes else ())]
-    of_phasors += _short_notices(lines, usable, sight.time_s, reading) + _jitter_notices(
-        base, sight, lines, usable, reading
-    )
-    pose = from_mean.pose.copy()
-    pose[fit.spikes] = np.nan
+    of_phasors += _short_notices(lines, usable, sight.time_s, reading)
+    of_phasors += _jitter_notices(base, sight, lines, usable, reading)
     result = StereoResult(
         name=name,
         body=sight.pair.body,
@@ -227,10 +220,17 @@ def stereo_phasors(
         reprojection_px=measured.reprojection_px,
         surface=measured.deformation,
         deflection=_deflection(measured, frequency_hz),
-        stationarity=stationarity(time_s, pose, frequency_hz, MOTION_COMPONENTS),
+        stationarity=stationarity(time_s, _without_spikes(from_mean, fit), frequency_hz, MOTION_COMPONENTS),
     )
-    whole = result if view is None else _with_view(replace(result, shapes=shapes), view)
-    return StereoPhasors(whole, reading, _named(measured, of_phasors))
+    result = result if view is None else _with_view(replace(result, shapes=shapes), view)
+    return StereoPhasors(result, reading, _named(measured, of_phasors))
+
+
+def _without_spikes(motion: RigidMotion, fit: SineFit) -> FloatArray:
+    """Return the poses (F, 6), NaN at rejected frames."""
+    pose = motion.pose.copy()
+    pose[fit.spikes] = np.nan
+    return pose
 
 
 def _named(measured: StereoMotion, of_phasors: Sequence[Notice]) -> tuple[Notice, ...]:

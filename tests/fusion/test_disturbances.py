@@ -146,7 +146,7 @@ def test_what_the_rig_does_not_state_is_said_to_be_missing():
     assert "no instrument" in notices[SUPPORT_MOTION_NOT_ASSESSED.code].values["detectable"]
     # 1 kN/m on 5 kg: 1000/(5·(2π·80)²) = 0.0792 %; at 800 Hz a hundredth of that, which is not reported.
     assert cables.values["share"] == pytest.approx(1000.0 / (5.0 * (2.0 * np.pi * 80.0) ** 2), rel=1e-6)
-    assert "0.08%" in cables.possible_size
+    assert "0.08 %" in cables.possible_size
     both = [*laser, *other]
     notices = {notice.code: notice for notice in not_assessed(silent, both, load_body(silent, ()), 800.0)}
     assert "accelerometers" in notices[SUPPORT_MOTION_NOT_ASSESSED.code].values["detectable"]

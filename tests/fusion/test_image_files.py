@@ -166,7 +166,7 @@ def test_copies_of_earlier_frames_are_named_and_take_no_part(run, sides, copies)
             shutil.copy(run / f"top-{side}" / f"{earlier:04d}.tif", run / f"top-{side}" / f"{number:04d}.tif")
     images = opened(run)
     assert np.flatnonzero(images.copied).tolist() == sorted(copies)
-    assert [notice.text.partition(":")[0] for notice in images.notices] == list(sides)
+    assert [notice.values["camera"] for notice in images.notices] == list(sides)
     assert f"{min(copies):04d}.tif" in told(run)
     pose = measure_images(images, Settings(), no_progress).motion.pose
     assert np.flatnonzero(~np.isfinite(pose).all(axis=1)).tolist() == sorted(copies)

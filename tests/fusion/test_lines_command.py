@@ -104,7 +104,7 @@ def test_a_recording_says_what_is_fitted(tmp_path: Path, capsys: pytest.CaptureF
     assert main(["lines", str(run), "--csv", str(table)]) == 0
     listed = {round(float(row["frequency_hz"]), 1): row for row in rows(table)}
     uses = {frequency: row["use"] for frequency, row in listed.items()}
-    assert uses == {53.7: "fitted", 107.4: "fitted", 50.0: "fitted beside", 777.7: "not fitted"}
+    assert uses == {53.7: "fitted", 107.4: "fitted", 50.0: "fitted in addition", 777.7: "not fitted"}
     assert float(listed[53.7]["amplitude"]) == pytest.approx(1.0, abs=2e-3)
     assert re.search(r"\b2 of 53\.7 Hz, 0\.0099 ", listed[107.4]["what"])
     assert uses[50.0] in capsys.readouterr().out
@@ -174,7 +174,7 @@ def test_report_and_result_file_hold_the_other_lines(tmp_path: Path, ready_evalu
     lines = find_lines(time, values, [106.25])
     table = lines_table(replace(ready_evaluation, lines=lines))
     assert [(row[3], row[4].partition(",")[0]) for row in table.rows] == [
-        ("fitted beside", "mains hum (50 Hz)"),
+        ("fitted in addition", "mains hum (50 Hz)"),
         ("result", "fundamental"),
         ("not fitted", "unexplained"),
     ]

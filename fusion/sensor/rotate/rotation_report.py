@@ -44,7 +44,7 @@ from fusion.sensor.rotate.rotation_readings import (
 from shaker.arrays import FloatArray
 from shaker.labels import AXES, LOAD_COMPONENTS, LOAD_UNITS, typeset
 from shaker.static_rotation.harmonics import SourcedValue, turning_sense
-from shaker.static_rotation.masses import FORCES, UNDETERMINED_SOURCE
+from shaker.static_rotation.masses import DISAGREEMENT_SOURCE, FORCES, UNDETERMINED_SOURCE
 
 MASSES = ("internal_mass", "load_mass", "weighed_mass")
 DIFFERENCES = (
@@ -425,6 +425,8 @@ def _context(evaluation: RotationEvaluation) -> dict[str, Any]:
 # The files.
 
 
+STORED_SOURCES = {UNDETERMINED_SOURCE: "what no channel tells", DISAGREEMENT_SOURCE: "channels that disagree"}
+"""Names of sources in files of this format, which users' programs read."""
 NUMBERS: list[TableColumn[RotationQuantity]] = quantity_columns(lambda q: q)
 QUANTITIES: list[TableColumn[RotationQuantity]] = [
     text_column("name", lambda q: q.name),
@@ -454,7 +456,7 @@ def _fill(file: h5py.File, evaluation: RotationEvaluation) -> None:
         write_value(group, name, getattr(weights, name))
     sources = group.create_group("sources", track_order=True)
     for source in weights.sources:
-        item = sources.create_group(sources.free_name(source.name))
+        item = sources.create_group(sources.free_name(STORED_SOURCES.get(source.name, source.name)))
         item.attrs["type"], item.attrs["dof"] = source.kind, source.dof
         item["effect"] = source.effect
     for scatter in evaluation.repeats:
@@ -465,7 +467,8 @@ def _fill(file: h5py.File, evaluation: RotationEvaluation) -> None:
         item = group.create_group(group.free_name(name))
         for name in ("value", "u", "dof", "unit"):
             item.attrs[name] = getattr(quantity, name)
-        item.create_group("budget").attrs.update(quantity.budget)
+        budget = {STORED_SOURCES.get(cause, cause): u for cause, u in quantity.budget.items()}
+        item.create_group("budget").attrs.update(budget)
 
 
 def _texts(evaluation: RotationEvaluation) -> dict[str, str | bytes]:
