@@ -216,7 +216,7 @@ def _others(survey: Survey, nuisance_hz: FloatArray | None) -> list[LineEntry]:
         use = ""
         if nuisance_hz is not None:
             is_nuisance = bool(np.any(np.abs(nuisance_hz - frequency) <= _SAME_U * survey.u_frequency_hz[i] + _SAME_HZ))
-            use = "fitted beside" if is_nuisance else "not fitted"
+            use = "fitted in addition" if is_nuisance else "not fitted"
         numbers = frequency, float(survey.u_frequency_hz[i]), survey.amplitude[i], survey.u_amplitude[i]
         entries.append(LineEntry(*numbers, decibel(float(survey.snr[i])), origin.text, use))
     return entries

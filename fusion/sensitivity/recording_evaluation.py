@@ -109,26 +109,21 @@ def evaluate_set_ups(
     points = point_spreads(observations, analysis.accelerations)
     if body is not None and analysis.outputs is not None and analysis.sensitivity is not None:
         points = tuple(with_ratios(spread, analysis.outputs, analysis.sensitivity, body) for spread in points)
-    parallel = beam_notices([reading.entry for reading in joined.readings])
+    entries = [reading.entry for reading in joined.readings]
     lowest_hz = float(np.min(joined.lines.frequency_hz))
     missing = [*not_assessed(manifest.rig, observations, body, lowest_hz, carried_by(supports))]
     if sensor is not None and direction is not None:
-        entries = [reading.entry for reading in joined.readings]
-        found = analysis.element or analysis.sensitivity
-        missing += unstated_chain(
-            found,
-            entries,
-            driven_component(direction, sensor.capacity),
-            signed=sensor.static_sensitivity is not None,
-        )
+        found, component = analysis.element or analysis.sensitivity, driven_component(direction, sensor.capacity)
+        missing += unstated_chain(found, entries, component, signed=sensor.static_sensitivity is not None)
     notices = [
         *missing_result(inputs, analysis),
         *manifest.certificate_notices,
         *plausibility_notices(manifest),
         *joined.notices,
         *shaken,
+        *beam_notices(entries),
     ]
-    notices += [*parallel, *unobserved_lines, *measured, *analysis.notices, *missing, *(drawn.notices if drawn else ())]
+    notices += [*unobserved_lines, *measured, *analysis.notices, *missing, *(drawn.notices if drawn else ())]
     return Evaluation(
         manifest=manifest,
         lines=joined.lines,
