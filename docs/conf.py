@@ -19,10 +19,12 @@ if TYPE_CHECKING:
 
 project, author, release = "shakercal", "the authors of shakercal", __version__
 copyright = author
-extensions = ["myst_parser", "sphinx.ext.autodoc"]
+extensions = ["myst_parser", "sphinx.ext.autodoc", "sphinx.ext.napoleon"]
 source_suffix = {".md": "markdown", ".rst": "restructuredtext"}
 exclude_patterns = ["_build"]
 default_role = "code"
+napoleon_google_docstring, napoleon_use_ivar = False, True
+suppress_warnings = ["ref.python"]  # words of a description that are also attributes of several classes
 autodoc_typehints = "signature"
 autodoc_member_order = "bysource"
 autodoc_default_options = {
@@ -38,7 +40,7 @@ html_theme, html_title = "furo", f"shakercal {release}"
 html_show_copyright, html_show_sphinx, html_copy_source = False, False, False
 highlight_language = "none"
 nitpicky = True
-nitpick_ignore_regex = [("py:class", ".*")]  # annotations name types of NumPy and of Python, whose pages are not here
+nitpick_ignore_regex = [("py:(class|exc)", ".*")]  # annotations name types of NumPy and of Python, whose pages are not here
 
 
 def commands() -> str:

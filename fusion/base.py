@@ -162,8 +162,10 @@ def no_progress(stage: str, done: int, total: int) -> None:
 class Settings:
     """Settings of an evaluation that change results and belong to their identity.
 
-    Attributes ---------- subset_radius_px : subsets are adjacent squares of 2·radius + 1 pixels with independent noise;
-    4 to 100, None: from the speckle size in the images (default: None).
+    Attributes
+    ----------
+    subset_radius_px : subsets are adjacent squares of 2·radius + 1 pixels with independent noise; 4 to 100, None: from
+        the speckle size in the images (default: None).
     spline_degree : degree of the B-spline interpolation of images: 3, 5 or 7; 7 keeps the interpolation bias below the
         noise of a whole recording (default: 7).
     device : "auto", "cpu" or "cuda", for tracking; positions agree to 1e-6 px, so that it is not in `as_dict` (default:

@@ -16,7 +16,7 @@ ROOT = Path(__file__).resolve().parent.parent
 INSIDE = {"architecture.md", "papers.md"}
 """Documents of the inside: what each room is for, and which of them computes a published number."""
 DOCUMENTS = [ROOT / "README.md", *sorted(path for path in (ROOT / "docs").rglob("*.md") if path.name not in INSIDE)]
-PACKAGES = ("photogram", "shaker", "fusion")
+PACKAGES = ("shakercal", "photogram", "shaker", "fusion")
 IMPORT = re.compile(rf"^ *from ({'|'.join(PACKAGES)})(\.[\w.]+)? import (.+)$", re.MULTILINE)
 NAME = re.compile(rf"\b({'|'.join(PACKAGES)})\.([A-Za-z_]\w*)(\.\w+)*")
 

@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).resolve().parent.parent
-PACKAGES = {"photogram", "shaker", "fusion"}
+PACKAGES = {"shakercal", "photogram", "shaker", "fusion"}
 
 
 def _pip(what: str, *arguments: object) -> None:

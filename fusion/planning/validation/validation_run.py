@@ -23,7 +23,7 @@ from fusion.report.folder import render_page
 from fusion.report.table import TableColumn, page_column, table
 from fusion.report.terminal import print_text, stdout_console
 
-PACKAGES = ("photogram", "shaker", "fusion")
+PACKAGES = ("shakercal", "photogram", "shaker", "fusion")
 REFERENCES = Path(__file__).with_name("references.json")
 JSON_FILE, PAGE_FILE = "validation.json", "validation.html"
 Verdict = Literal["as installed", "changed", "not installed from a package"]
