@@ -12,7 +12,8 @@ from support import block, channel, evaluated
 
 from fusion.phasors.phasor_notices import INVERTED_TRIGGER
 from fusion.planning.look.look import look
-from fusion.sensitivity.sensitivity_notices import OUTPUT_CONTRADICTS
+from fusion.recording.recording_notices import CONVERTER_CODES, OUTPUT_EXCEEDS_SUPPLY
+from fusion.sensitivity.sensitivity_notices import OUTPUT_CONTRADICTS, OUTPUT_OPPOSES_LOAD
 from shakercal._common.notices import Notice
 
 STATIC = [[0.0, 0.0, 2e-6, 0.0, 0.0, 0.0]]
@@ -41,17 +42,20 @@ def test_a_main_element_far_from_its_static_value_is_named(tmp_path, more, acc, 
 
 
 @pytest.mark.parametrize(
-    ("acc", "output", "word"),
+    ("acc", "output", "declared", "values"),
     [
-        (replace(ACC, keys={**ACC.keys, "direction": [0.0, 0.0, -1.0]}), FORCE_OUTPUT, "phase"),
-        (replace(ACC, unit="counts"), FORCE_OUTPUT, "converter"),
-        (replace(ACC, unit="LSB"), FORCE_OUTPUT, "converter"),
-        (ACC, replace(FORCE_OUTPUT, phasor=2.5 * ACCELERATION), "125 V/V"),
+        (replace(ACC, keys={**ACC.keys, "direction": [0.0, 0.0, -1.0]}), FORCE_OUTPUT, OUTPUT_OPPOSES_LOAD,
+         {"output": "Fz", "phase_rad": pytest.approx(np.pi - 0.05, abs=1e-3)}),
+        *((replace(ACC, unit=unit), FORCE_OUTPUT, CONVERTER_CODES,
+           {"key": "daq.daq.channel.acc.scale", "unit": unit, "quantity_unit": "m/s^2"}) for unit in ("counts", "LSB")),
+        (ACC, replace(FORCE_OUTPUT, phasor=2.5 * ACCELERATION), OUTPUT_EXCEEDS_SUPPLY,
+         {"key": "daq.daq.channel.Fz.scale", "amplitude": pytest.approx(125.0, rel=1e-4)}),
     ],
-)
-def test_without_a_static_value_sign_codes_and_size_are_reported(tmp_path, acc, output, word):
+)  # fmt: skip
+def test_without_a_static_value_sign_codes_and_size_are_reported(tmp_path, acc, output, declared, values):
     folder = write_bench(tmp_path, {"acc": acc, "Fz": output})
-    assert any(word in notice.text for notice in warned(folder))
+    (notice,) = (notice for notice in warned(folder) if notice.code == declared.code)
+    assert notice.values == values
     assert look(folder).level != "good"
 
 

@@ -31,7 +31,7 @@ from shakercal._common.notices import DeclaredNotice, Notice, warnings_first
 
 NO_FIT = DeclaredNotice("SC-997", "error", "{reason}")
 NOTE = DeclaredNotice("SC-996", "note", "a")
-LIGHT = DeclaredNotice("SC-995", "note", "load: light {number}")
+LIGHT = DeclaredNotice("SC-995", "note", "load: {number}")
 WARNING = DeclaredNotice("SC-994", "warning", "{text}")
 HEAVY = ("torch", "kornia", "cv2", "numba", "matplotlib", "scipy", "skimage", "h5py", "rich", "pydantic", "numpy")
 
@@ -111,11 +111,11 @@ def test_quiet_and_verbose(flags, warned, informed, make_campaign, capsys):
     folder = make_campaign()
     assert main(["run", str(folder), *flags]) == EXIT_DONE
     output = capsys.readouterr().err
-    assert ("shakercal: SC-999 top: 318.75 Hz is left out" in output) is warned
-    assert ("edge 90 of 211 is missing" in output) is informed
+    assert ("shakercal: SC-999 top: " in output) is warned
+    assert ("shakercal: SC-998 camera_trigger: " in output) is informed
     assert main(["run", str(folder), *flags]) == EXIT_DONE
     again = capsys.readouterr()
-    assert ("318.75 Hz is left out" in again.err) is warned  # what is to be known of results stays so
+    assert ("shakercal: SC-999 top: " in again.err) is warned  # what is to be known of results stays so
     assert "report (unchanged since the last run)" in again.out
 
 
@@ -157,7 +157,7 @@ def test_a_warning_is_whole_and_many_notes_are_counted_without_v(level, notes, c
     assert warning == f"{WARNING.code} laser: {long.strip()} (2 recordings)"
     shown = [message for message in rest if message.startswith(LIGHT.code)]
     counted = level == logging.INFO and notes > MOST_NOTES
-    assert shown == ([] if counted else [f"{LIGHT.code} {note.text}" for note, _ in many])
+    assert shown == ([] if counted else [f"{LIGHT.code} load: {number}" for number in range(notes)])
     assert any(message.startswith(f"{notes} ") for message in rest) is counted
 
 
