@@ -19,6 +19,7 @@ from speckle import render_images
 
 from fusion.errors import ComputeError
 from fusion.phasors import tracked_blocks
+from fusion.phasors.phasor_notices import STORAGE_FULL
 from fusion.phasors.tracked_blocks import TrackedBlocks
 from fusion.report.atomic_files import Checkpoint, remove_abandoned
 from fusion.report.folder import check_folder
@@ -144,7 +145,9 @@ def test_a_full_disk_is_reported_with_pair_and_frames(tmp_path, monkeypatch):
     monkeypatch.setattr(tracked_blocks, "MEMORY_BYTES", 1)
     with pytest.raises(ComputeError) as error:
         followed(Refusing(tmp_path / "gone")).add(BLOCKS_OF_THREE[0], drawn_block(1))
-    assert all(part in str(error.value) for part in ("top", "2 to 4", os.strerror(errno.ENOENT).lower()))
+    assert error.value.code == STORAGE_FULL.code
+    reason = os.strerror(errno.ENOENT).lower()
+    assert error.value.values == {"pair": "top", "first": 2, "last": 4, "reason": reason}
 
 
 def test_a_run_that_ended_behind_its_first_block_goes_on_to_the_same_bits(tmp_path, monkeypatch):

@@ -22,8 +22,10 @@ from fusion.planning.check import check
 from fusion.planning.draft.channel_guess import guess_channel, guess_recorders
 from fusion.planning.draft.init import example, run_init
 from fusion.planning.draft.inventory import FoundChannel, survey_folder
+from fusion.planning.planning_notices import MANIFEST_EXISTS, NO_RECORDED_FILES
 from fusion.recording.daq_records import read_set_ups
 from fusion.recording.load import find_recordings, load_manifest
+from fusion.recording.recording_notices import INVALID_SYNTAX, INVALID_VALUE, MISSING_FILE, VALUE_OUT_OF_RANGE
 from fusion.recording.toml import to_toml
 from fusion.simulate import simulate
 
@@ -387,35 +389,38 @@ def test_a_folder_without_manifest_leads_to_init(tmp_path, refused):
 
 
 def _nothing(folder: Path) -> str:
-    return "found none"
+    return f"{NO_RECORDED_FILES.code} {folder}: "
 
 
 def _a_file(folder: Path) -> str:
     (folder / "notes.txt").write_text("hello")
-    return "found none"
+    return f"{NO_RECORDED_FILES.code} {folder}: "
 
 
 def _has_recording(folder: Path) -> str:
     _one_laser(folder)
     (folder / "recording.toml").write_text("format = 1")
-    return "SC-809 "
+    return f"{MANIFEST_EXISTS.code} {folder}: "
 
 
 def _all_have(folder: Path) -> str:
     _one_laser(folder)
     (folder / "Mx-0050" / "recording.toml").write_text("format = 1")
-    return "found one in each of 1"
+    with pytest.raises(InputError) as error:
+        draft(folder)
+    assert re.findall(r"\d+", error.value.values["found"]) == ["1"]
+    return f"{MANIFEST_EXISTS.code} {folder}: "
 
 
 def _wrong_rig(folder: Path) -> str:
     _one_laser(folder)
     (folder / "rig.toml").write_text("format = ")
-    return "rig.toml: expected TOML"
+    return f"{INVALID_SYNTAX.code} {folder / 'rig.toml'}: "
 
 
 def _wrong_from(folder: Path) -> str:
     _one_laser(folder)
-    return "no such file"
+    return f"{MISSING_FILE.code} {folder / 'nowhere' / 'recording.toml'}: "
 
 
 @pytest.mark.parametrize("make", [_nothing, _a_file, _has_recording, _all_have, _wrong_rig, _wrong_from])
@@ -451,9 +456,18 @@ def test_mistakes_of_both_files_are_told_at_once(tmp_path, demo_recording, capsy
             text = text.replace(old, new, 1)
         (folder / name).write_text(text)
     assert main(["check", str(folder)]) == 2
-    told = capsys.readouterr().err
-    for key in ("load.mass", "stereo.top.bit_depth", "excitation.kind", "channel.velocity_1.scale"):
-        assert f"{key}: expected" in told
+    told = capsys.readouterr().err.splitlines()
+    mistakes = {
+        ("rig.toml", "load.mass"): (VALUE_OUT_OF_RANGE, "-1.0"),
+        ("rig.toml", "stereo.top.bit_depth"): (VALUE_OUT_OF_RANGE, "30"),
+        ("Fz-0080/recording.toml", "excitation.kind"): (INVALID_VALUE, '"sin"'),
+        ("Fz-0080/recording.toml", "daq.vibrometer.channel.velocity_1.scale"): (VALUE_OUT_OF_RANGE, "0"),
+    }
+    assert len(told) == len(mistakes)
+    for (name, key), (declared, value) in mistakes.items():
+        start = f"{declared.code} {folder / name}: {key}: "
+        (line,) = (line for line in told if start in line)
+        assert value in line.partition(start)[2]
     with pytest.raises(InputError, match=r"load.mass: .* \(3 .*recording.toml\)"):
         load_manifest(find_recordings(folder)[0])
 

@@ -53,6 +53,7 @@ from fusion.report import recording_report as results
 from fusion.report.folder import Provenance
 from fusion.report.h5 import read_uncertainty
 from fusion.report.recording_report import CAMPAIGN_FILES, check_campaign_folder, write_results
+from fusion.report.report_notices import OTHER_CAMPAIGN_CONTENT
 from shaker.labels import LOAD_COMPONENTS as LOADS
 from shakercal._common.notices import DeclaredNotice, Notice
 
@@ -368,4 +369,6 @@ def test_files_are_written_from_files(tmp_path, monkeypatch):
     check_campaign_folder(top, [folder.name for folder in folders], force=False)
     (top / "notes.txt").write_text("mine", encoding="utf-8")
     names = [folder.name for folder in folders]
-    refused("results of this campaign only", check_campaign_folder, top, names, force=False, error=InputError)
+    code = OTHER_CAMPAIGN_CONTENT.code
+    error = refused(code, check_campaign_folder, top, names, force=False, error=InputError)
+    assert (error.code, error.file, error.values) == (code, top, {"found": "notes.txt"})

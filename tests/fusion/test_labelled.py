@@ -18,6 +18,7 @@ from fusion import InputError, read_results
 from fusion.campaign.joint_report import write_campaign
 from fusion.report.h5 import h5_content, write_value
 from fusion.report.recording_report import result_tables, write_h5
+from fusion.report.report_notices import OTHER_FORMAT
 from fusion.sensitivity.analyse import Evaluation
 
 
@@ -104,7 +105,8 @@ def test_a_campaign_has_curves_and_the_rest_is_refused(folder, tmp_path):
     refused("result.h5", read_results, tmp_path / "none", error=InputError)
     with h5py.File(tmp_path / "result.h5", "w") as file:
         file.attrs["format"] = 1
-    refused("format 2", read_results, tmp_path / "result.h5", error=InputError)
+    error = refused(OTHER_FORMAT.code, read_results, tmp_path / "result.h5", error=InputError)
+    assert (error.code, error.values["expected"]) == (OTHER_FORMAT.code, "2")
 
 
 def test_files_of_other_commands_say_units_and_axes_as_far_as_names_tell():
