@@ -54,7 +54,7 @@ SECONDS_OF_OPTIONS = {"elastomer": 60.0, "decouple": 60.0}  # valid ones ask for
 PAGES = (
     "fusion.report.recording_report.render_report",
     "fusion.campaign.joint_report.render_campaign",
-    "fusion.report.folder.Command.page",
+    "fusion.report.folder.CommandReport.page",
 )
 STRANGE: tuple[Any, ...] = (
     True, "", " ", "\0", "a\0b", "\x1b[31mred", "=1+1", "CON", "a:b", "a/b", "/", ".", "..", "uncertainty",

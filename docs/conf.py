@@ -40,7 +40,7 @@ html_theme, html_title = "furo", f"shakercal {release}"
 html_show_copyright, html_show_sphinx, html_copy_source = False, False, False
 highlight_language = "none"
 nitpicky = True
-nitpick_ignore_regex = [("py:(class|exc)", ".*")]  # annotations name types of NumPy and of Python, whose pages are not here
+nitpick_ignore_regex = [("py:(class|exc)", ".*")]  # types of NumPy and of Python
 
 
 def commands() -> str:

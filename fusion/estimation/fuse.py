@@ -181,11 +181,11 @@ def fuse(
     stated = [observation for observation in of_body if observation.stated]
     system, alone, out = reject_gross_errors(stated or of_body, unobserved_motion)
     solved = solve_consistently(system, alone, scatter)
-    first, final, parts, remaining_suspicions = solved.stated, solved.final, solved.parts, solved.suspicions
+    first, final, parts, suspicions = solved.stated, solved.final, solved.parts, solved.suspicions
     unknowns = common_estimates(system.common, first)
-    suspects = [name for one in remaining_suspicions for name in one.names]
+    suspects = [name for one in suspicions for name in one.names]
     tests = leave_one_out(system, first, suspects) if parts or source == "fused" else ()
-    unclear = disputed_values(system, first, remaining_suspicions)
+    unclear = disputed_values(system, first, suspicions)
     given = replace(system, observed=system.observed & ~unclear)
     uncertainty, leaked = _uncertainty(given, solved)
     largest = np.argmax(np.where(given.observed, np.abs(final.acceleration / SCALE), -1.0), axis=1)
@@ -197,9 +197,8 @@ def fuse(
         unit=component_units(2),
         dof=uncertainty.dof()[np.arange(len(largest)), largest],
     )
-    for observation in of_body if stated else ():
-        if not observation.stated:
-            tests += compare_with_estimate(observation, phasors.value, phasors.covariance)
+    for observation in [one for one in of_body if stated and not one.stated]:
+        tests += compare_with_estimate(observation, phasors.value, phasors.covariance)
     result = Acceleration(
         body=body,
         source=source,
@@ -216,7 +215,7 @@ def fuse(
         unobserved_limits=system.unobserved_motion,
         assumed=system.unobserved_motion.amplitude(final.acceleration, given.observed, system.share),
         driven=system.driven_limit(final.acceleration),
-        explanations=estimate_explanations(system, first, remaining_suspicions),
+        explanations=estimate_explanations(system, first, suspicions),
         disputed=unclear if np.any(unclear) else None,
         unnoticed=unnoticed(given, first) if source == "fused" and stated else (),
         leaked=leaked,
@@ -224,11 +223,8 @@ def fuse(
     )
     if (body, source) == ("load", "fused") and system.common and not solved.contradicted:
         result = replace(result, posterior=final.posterior, products=products(system, final.acceleration))
-    swapped = (
-        exchanged_channels(system, first, remaining_suspicions)
-        if any(one.gross for one in remaining_suspicions)
-        else ()
-    )
+    gross = any(one.gross for one in suspicions)
+    swapped = exchanged_channels(system, first, suspicions) if gross else ()
     contradicted = deviating_unknowns(system, first, unknowns) if solved.contradicted else None
     return replace(result, notices=acceleration_notices(result, bool(stated), contradicted, swapped))
 
