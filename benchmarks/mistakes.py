@@ -223,7 +223,7 @@ MISTAKES = (
     Mistake("first laser reversed", _channels("direction", _negative, "velocity", True), ("sign",)),
     Mistake("two lasers exchanged", _exchanged("velocity", ("velocity_1", "velocity_2")), ("exchanged",)),
     Mistake("velocity in mm/s", _channels("scale", lambda v: 1e3 * v, "velocity"), ("thousand",)),
-    Mistake("acceleration in g", _channels("scale", lambda v: v / 9.80665, "acceleration"), ("g were taken",)),
+    Mistake("acceleration in g", _channels("scale", lambda v: v / 9.80665, "acceleration"), ("values in g",)),
     Mistake("gravity points up", _rig("environment", "gravity", -1.0), ("gravity",)),
     Mistake("gravity in g", _rig("environment", "gravity", 1 / 9.8113), ("environment.gravity",)),
     Mistake("temperature in K", _set("environment", "temperature", 296.15), ("environment.temperature",)),

@@ -14,6 +14,7 @@ from fusion.errors import InputError
 from fusion.estimation.coverage import coverage_factor
 from fusion.instruments.stereo import SURFACE, StereoReading
 from fusion.phasors.image_effects import THROUGH, phasor_motion, surface_effects, with_surface_at_rest
+from fusion.phasors.phasor_notices import SINGLE_CAMERA_NOT_ASSESSED
 from fusion.phasors.stereo_motion import StereoMotion
 from fusion.planning.check import check
 from fusion.planning.look.look import look
@@ -195,6 +196,6 @@ def test_a_recording_before_one_camera_holds_the_truth_and_check_says_what_is_se
     assert pair.epipolar is pair.deflection is pair.shapes is None
     assert look(recording).level == "good"
     page = render_report(evaluation)
-    assert "one camera before a stated surface" in page
+    assert SINGLE_CAMERA_NOT_ASSESSED.code in page
     assert "stereo top: surface" in page
     assert "Epipolar residuals of top" not in page
