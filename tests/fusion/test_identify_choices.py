@@ -345,7 +345,7 @@ CASES = [
     (RIG, 'serial = "0815"', 'serial = "0816"', DIFFERENT_SENSOR.code, "sensor.serial", "0816"),
     (
         RIG, 'name = "six-component transducer"', 'name = "another"',
-        DIFFERENT_SENSOR.code, "sensor.name", '"six-component transducer"',
+        DIFFERENT_SENSOR.code, "sensor.name", "six-component transducer",
     ),
 ]  # fmt: skip
 
