@@ -180,7 +180,7 @@ def outcome(reads: Sequence[Callable[[Path], Any]], path: Path) -> tuple[bool, s
             read(path)
             data = True
         except (OSError, ValueError, InputError) as error:
-            text = str(error)
+            text = str(error).removeprefix(f"{error.code} ") if isinstance(error, InputError) else str(error)
             if not text.startswith(str(path.parent)) or "\n" in text or isinstance(error, UnicodeError):
                 wrong = f"{type(error).__name__}: {text[:300]!r}"
         except BaseException as error:
