@@ -235,9 +235,9 @@ def as_user_error(error: Exception) -> InputError | ComputeError:
 
 
 @cache
-def declared_notices() -> dict[str, DeclaredNotice]:
-    """Return every declared notice and error by its code, in ascending order."""
-    found = {notice.code: notice for _, notices in declared_by_stage() for notice in notices.values()}
+def declared_notices() -> dict[str, tuple[str, DeclaredNotice]]:
+    """Return title and declaration of every notice and error by code, ascending."""
+    found = {notice.code: (title, notice) for _, notices in declared_by_stage() for title, notice in notices.items()}
     return dict(sorted(found.items()))
 
 

@@ -400,8 +400,8 @@ def render_campaign(evaluation: CampaignEvaluation) -> str:
         for points in mains.values()
     ]
     gathered = gather([(entry.folder, entry.joint_notices) for entry in evaluation.recorded])
-    listed = [notice for notice in gathered if not notice.possible_size and not notice.acknowledged]
-    tabulated = [notice.first for notice in gathered if notice.possible_size or notice.acknowledged]
+    listed = [notice for notice in gathered if notice.is_listed]
+    tabulated = [notice.each[0][0] for notice in gathered if not notice.is_listed]
     frame = origin_frame(campaign_origin(evaluation.recorded), [*evaluation.notices, *tabulated])
     inputs: Table = frame["inputs"]
     if len(inputs.rows) > MOST_ROWS:

@@ -123,7 +123,7 @@ def fit_matrix(drives: Sequence[ExcitedLine], channels: Sequence[str] | None = N
         raise ValueError("drives: expected at least one, found none")
     low, high = (limit(drive.frequency_hz for drive in drives) for limit in (min, max))
     if high > low * (1.0 + FREQUENCY_TOLERANCE):
-        width = f"{FREQUENCY_TOLERANCE:.2%}"
+        width = f"{100.0 * FREQUENCY_TOLERANCE:.2f} %"
         raise ValueError(f"drives: expected one frequency within {width}, found {low:g} Hz to {high:g} Hz")
     names = tuple(dict.fromkeys(name for drive in drives for name in drive.channels) if channels is None else channels)
     require_six(drives_excite(drives), len(drives))

@@ -15,7 +15,7 @@ from fusion.report.labelled_results import CAMPAIGN_FILE
 from fusion.report.recording_report import ACCELERATION_FILE, REPORT_FILE, row_element
 from fusion.report.table import factor_text, has_phase, magnitude_phase_text, read_rows
 from fusion.report.tables import result_name
-from fusion.report.terminal import log_notices, notice_fields, print_text, stdout_console
+from fusion.report.terminal import log_notices, print_text, stdout_console
 from shakercal._common.notices import GatheredNotice, Notice, gather
 
 if TYPE_CHECKING:
@@ -165,7 +165,7 @@ def _values(element: Polar) -> tuple[str, str, str]:
 
 def print_outcomes(outcomes: Sequence[Outcome], *, campaign: bool) -> None:
     """Print missing results, main sensitivities, files and failures to stdout, and notices to stderr."""
-    console, notices = stdout_console(), list[tuple[Notice | GatheredNotice, str]]()
+    console, notices = stdout_console(), list[tuple[Notice, str]]()
     done, failed = _parted(outcomes)
     for outcome in (one for one in done if one.missing):
         print_text(f"{outcome.name}: {outcome.missing}" if campaign else outcome.missing)
@@ -199,9 +199,7 @@ def as_json(outcomes: Sequence[Outcome], *, campaign: bool) -> str:
     return command_json(
         "run",
         sensitivity=[_entry(row) for row in (_answer(done, campaign=campaign) if done else [])],
-        notices=[
-            {**notice_fields(notice), "recordings": names} for gathered in notices for notice, names in gathered.each
-        ],
+        notices=[{**notice.as_dict(), "recordings": names} for gathered in notices for notice, names in gathered.each],
         recordings=[
             {
                 "name": outcome.name,

@@ -8,7 +8,7 @@ from fusion.commands.options import EXIT_DONE, command
 
 if TYPE_CHECKING:
     import argparse
-    from collections.abc import Iterable
+    from collections.abc import Iterator
 
     from fusion.commands.options import Parser
     from shakercal._common.notices import DeclaredNotice
@@ -37,43 +37,33 @@ def _explain_options(parser: Parser) -> None:
 @command(_explain_options, "SC-953")
 def explain(options: argparse.Namespace) -> int:
     """Explain notices and errors by their codes: cause, effect, remedy."""
-    from fusion.errors import UNKNOWN_CODE, InputError, declared_by_stage, declared_notices
+    from fusion.errors import UNKNOWN_CODE, InputError, declared_notices
     from fusion.report.terminal import print_text
 
     if options.markdown:
         print(notices_page(), end="")
         return EXIT_DONE
-    known, titles = (
-        declared_notices(),
-        {one.code: title for _, found in declared_by_stage() for title, one in found.items()},
-    )
-    for code in options.codes:
-        if code.upper() not in known:
-            raise InputError(UNKNOWN_CODE, "explain", code, first=next(iter(known)), last=next(reversed(known)))
-    for code in options.codes:
-        for line in explanation(titles[code.upper()], known[code.upper()]):
+    declared = declared_notices()
+    codes = [code.upper() for code in options.codes]
+    for code in codes:
+        if code not in declared:
+            raise InputError(UNKNOWN_CODE, "explain", code, first=next(iter(declared)), last=next(reversed(declared)))
+    if not codes:
+        for code, (title, notice) in declared.items():
+            print_text(f"{code} {notice.severity:7} {title}")
+    for code in codes:
+        for line in explanation(*declared[code]):
             print_text(line)
-    if not options.codes:
-        for notice in known.values():
-            print_text(f"{notice.code} {notice.severity:7} {titles[notice.code]}")
     return EXIT_DONE
 
 
-def explanation(title: str, notice: DeclaredNotice) -> Iterable[str]:
+def explanation(title: str, notice: DeclaredNotice) -> Iterator[str]:
     """Yield the parts of a notice, one line each."""
     yield f"{notice.code} ({notice.severity}): {title}"
-    parts = (
-        ("sentence", notice.template),
-        ("effect", notice.effect),
-        ("possible size", notice.possible_size),
-        ("remedy", notice.remedy),
-    )
-    for name, text in parts:
-        if text:
-            yield f"  {name}: {text}"
-    if notice.link:
-        yield f"  more: docs/{notice.link}"
-    if notice.severity != "error" and not notice.acknowledgeable:
+    parts = {"sentence": notice.template, "effect": notice.effect, "possible size": notice.possible_size}
+    parts |= {"remedy": notice.remedy, "more": notice.link and f"docs/{notice.link}"}
+    yield from (f"  {name}: {text}" for name, text in parts.items() if text)
+    if not notice.can_be_acknowledged and notice.severity != "error":
         yield "  cannot be acknowledged in a manifest"
 
 
@@ -85,12 +75,12 @@ def notices_page() -> str:
     for title, notices in declared_by_stage():
         lines += [f"## {title}", "", "| code | severity | notice | effect | remedy |", "|---|---|---|---|---|"]
         for heading, one in notices.items():
-            kind = one.severity if one.acknowledgeable or one.severity == "error" else "warning, cannot be acknowledged"
+            fixed = "" if one.can_be_acknowledged or one.severity == "error" else ", cannot be acknowledged"
             size = f" Possible size: {one.possible_size}" if one.possible_size else ""
             more = f" [More]({one.link})." if one.link else ""
             cells = (
                 one.code,
-                kind,
+                f"{one.severity}{fixed}",
                 f"**{heading}.** {one.template}",
                 f"{one.effect}{size}".strip(),
                 f"{one.remedy}{more}".strip(),

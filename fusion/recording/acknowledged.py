@@ -15,10 +15,10 @@ from shakercal._common.notices import Notice
 
 def _acknowledgeable(code: str) -> str:
     """Return the code of a warning or note that may be acknowledged."""
-    declared = declared_notices().get(code)
-    if declared is None:
+    if code not in declared_notices():
         raise refusal("a code that `shakercal explain` lists", code)
-    if declared.severity == "error" or not declared.acknowledgeable:
+    declared = declared_notices()[code][1]
+    if not declared.can_be_acknowledged:
         raise refusal("the code of a notice that can be acknowledged", f"{code} ({declared.severity})")
     return code
 

@@ -42,7 +42,7 @@ from fusion.report.report_notices import (
 )
 from fusion.report.static_figure import static_svg
 from fusion.report.table import Headline, Table, csv_rows, plain_text
-from fusion.report.terminal import AS_JSON, log_notices, notice_fields, print_text, show_activity
+from fusion.report.terminal import AS_JSON, log_notices, print_text, show_activity
 from shakercal._common.notices import Notice, warnings_first
 
 if TYPE_CHECKING:
@@ -488,7 +488,7 @@ class CommandReport(Generic[E]):
                 for one in self.headlines(evaluation)
             ],
             tables={name: rows for name, rows in tables.items() if len(rows) <= MOST_ROWS},
-            notices=[notice_fields(notice) for notice in warnings_first(evaluation.notices)],
+            notices=[notice.as_dict() for notice in warnings_first(evaluation.notices)],
             files=[str(path) for path in files],
         )
 

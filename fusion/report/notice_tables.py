@@ -21,7 +21,7 @@ def notice_frame(notices: Iterable[Notice]) -> dict[str, Any]:
     rows = [(_named(one), one.where, code_html(one.text), one.acknowledged) for one in seen]
     sized = [(_named(one), *map(code_html, (one.text, one.where, one.possible_size, one.remedy))) for one in assumed]
     return {
-        "notices": [one for one in every if not one.acknowledged and not one.possible_size],
+        "notices": [one for one in every if one.is_listed],
         "acknowledged": Table("Acknowledged", heads[0], "llll", tuple(rows)) if seen else None,
         "not_assessed": Table("Influences outside U", heads[1], "lllll", tuple(sized)) if assumed else None,
     }

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import codecs
 import errno
-import json
 import logging
 import os
 import re
@@ -19,7 +18,7 @@ from contextvars import ContextVar
 from typing import TYPE_CHECKING, Any
 
 from fusion.base import PROGRAM, ProgressCallback, cleanup_on_signal, count_text, no_progress
-from shakercal._common.notices import GatheredNotice, Notice
+from shakercal._common.notices import Notice
 
 if TYPE_CHECKING:
     from rich.console import Console, ConsoleOptions
@@ -126,13 +125,13 @@ def print_text(text: str) -> None:
 # Notices.
 
 
-def log_notices(notices: Iterable[tuple[Notice | GatheredNotice, str]]) -> None:
+def log_notices(notices: Iterable[tuple[Notice, str]]) -> None:
     """Log notices with a remark each.
 
     Every warning is logged; more than a few notes are only counted, unless -v is given.
     """
     given = list(notices)
-    shown = [(notice, remark) for notice, remark in given if not notice.possible_size and not notice.acknowledged]
+    shown = [(notice, remark) for notice, remark in given if notice.is_listed]
     verbose = log.isEnabledFor(logging.DEBUG)
     notes = sum(notice.severity != "warning" for notice, _ in shown)
     codes: dict[str, None] = {}
@@ -149,15 +148,10 @@ def log_notices(notices: Iterable[tuple[Notice | GatheredNotice, str]]) -> None:
         log.info("effect and remedy: shakercal explain %s", named)
 
 
-def _named(notice: Notice | GatheredNotice) -> str:
+def _named(notice: Notice) -> str:
     """Return code, place and sentence of a notice."""
     where = "" if not notice.where or notice.text.startswith(f"{notice.where}:") else f"{notice.where}: "
     return f"{notice.code} {where}{notice.text}".strip()
-
-
-def notice_fields(notice: Notice) -> dict[str, object]:
-    """Return a notice for programs: its fields, the values as numbers."""
-    return {**vars(notice), "values": json.loads(notice.as_row()["values"])}
 
 
 # A progress bar on a terminal only.

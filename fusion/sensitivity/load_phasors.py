@@ -330,7 +330,7 @@ def describe_other_loads(load: LoadResult, component: int, capacity: Sequence[fl
     line = int(np.nanargmax(given[:, component]))
     share = given[line] / given[line, component]
     others = [
-        f"{LOAD_COMPONENTS[i]} {share[i]:.2%}"
+        f"{LOAD_COMPONENTS[i]} {100.0 * share[i]:.2f} %"
         for i in range(6)
         if i != component and (capacity is not None or i // 3 == component // 3) and np.isfinite(share[i])
     ]

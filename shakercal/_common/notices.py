@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 import re
+import string
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, fields
 from typing import Any, Literal
@@ -19,9 +20,17 @@ def plain_value(value: Any) -> Value:
     return value.item() if hasattr(value, "item") else value  # type: ignore[no-any-return]
 
 
+class _Formatter(string.Formatter):
+    """`str.format` that puts a space between a number and its %."""
+
+    def format_field(self, value: Any, format_spec: str) -> str:
+        text = format(value, format_spec)
+        return f"{text[:-1]} %" if format_spec.endswith("%") else text
+
+
 def fill_template(template: str, values: Mapping[str, Value]) -> str:
-    """Return a template with values, and a space between a number and its %."""
-    return re.sub(r"(?<=\d)%", " %", template.format(**values))
+    """Return a template with its values."""
+    return _Formatter().vformat(template, (), values)
 
 
 @dataclass(frozen=True)
@@ -56,6 +65,11 @@ class DeclaredNotice:
     link: str = ""
     possible_size: str = ""
     acknowledgeable: bool = True
+
+    @property
+    def can_be_acknowledged(self) -> bool:
+        """Whether a manifest may acknowledge it: a warning or note that no certificate depends on."""
+        return self.acknowledgeable and self.severity != "error"
 
 
 @dataclass(frozen=True, init=False)
@@ -104,12 +118,16 @@ class Notice:
         object.__setattr__(notice, "values", json.loads(row.get("values", "{}")))
         return notice
 
-    def as_row(self) -> dict[str, str]:
-        """Return every field as text; the values as one JSON object."""
-        row = {one.name: getattr(self, one.name) for one in fields(self)}
+    def as_dict(self) -> dict[str, Any]:
+        """Return every field for JSON; values that are not finite are None."""
         values = self.values.items()
         finite = {name: value if isinstance(value, str) or math.isfinite(value) else None for name, value in values}
-        return {**row, "values": json.dumps(finite, ensure_ascii=False)}
+        return {**{one.name: getattr(self, one.name) for one in fields(self)}, "values": finite}
+
+    def as_row(self) -> dict[str, str]:
+        """Return every field as text; the values as one JSON object."""
+        row = self.as_dict()
+        return {**row, "values": json.dumps(row["values"], ensure_ascii=False)}
 
     def at(self, where: str) -> Notice:
         """Return the same notice of another place."""
@@ -131,6 +149,11 @@ class Notice:
         """The sentence with its effect and remedy."""
         return " ".join(text for text in (self.text, self.effect, self.remedy) if text)
 
+    @property
+    def is_listed(self) -> bool:
+        """Whether it is neither acknowledged nor an influence outside U, which have tables."""
+        return not self.acknowledged and not self.possible_size
+
 
 # The notices of one result, and of several recordings.
 
@@ -148,53 +171,30 @@ NUMBER = re.compile(r"(?<![\w.])[-+−]?\d+(?:\.\d+)?(?:e[-+]?\d+)?")
 """A number in a notice; digits within a name, such as that of a channel, do not count."""
 
 
-@dataclass(frozen=True)
-class GatheredNotice:
+class GatheredNotice(Notice):
     """A notice of several recordings, with the ranges of its numbers.
 
     `recordings`: names of all that it concerns, `everywhere`: whether these are all there are of several; `each`: every
-    notice with the recordings that state it.
+    notice with the recordings that state it. It is acknowledged if all of these are.
     """
 
-    text: str
     recordings: tuple[str, ...]
     everywhere: bool
     each: tuple[tuple[Notice, tuple[str, ...]], ...]
 
-    @property
-    def first(self) -> Notice:
-        """The notice of the first recording: its code, severity and place are those of all."""
-        return self.each[0][0]
-
-    @property
-    def code(self) -> str:
-        """The code, one for all recordings."""
-        return self.first.code
-
-    @property
-    def severity(self) -> Severity:
-        """The severity, one for all recordings."""
-        return self.first.severity
-
-    @property
-    def where(self) -> str:
-        """The place, one for all recordings."""
-        return self.first.where
-
-    @property
-    def explanation(self) -> str:
-        """The sentence with the ranges of its numbers, effect and remedy."""
-        return " ".join(text for text in (self.text, self.first.effect, self.first.remedy) if text)
-
-    @property
-    def acknowledged(self) -> str:
-        """The reason, name and date of an acknowledgement, empty where a recording lacks one."""
-        return self.first.acknowledged if all(notice.acknowledged for notice, _ in self.each) else ""
-
-    @property
-    def possible_size(self) -> str:
-        """How large an influence that is not assessed may be."""
-        return self.first.possible_size
+    def __init__(self, each: Sequence[tuple[Notice, tuple[str, ...]]], total: int) -> None:
+        first, names = each[0][0], dict.fromkeys(name for _, stating in each for name in stating)
+        acknowledged = first.acknowledged if all(notice.acknowledged for notice, _ in each) else ""
+        known = {
+            **{one.name: getattr(first, one.name) for one in fields(Notice)},
+            "text": _in_ranges([notice.text for notice, _ in each]),
+            "acknowledged": acknowledged,
+            "recordings": tuple(names),
+            "everywhere": len(names) == total > 1,
+            "each": tuple(each),
+        }
+        for name, value in known.items():
+            object.__setattr__(self, name, value)
 
     @property
     def concerned(self) -> str:
@@ -209,13 +209,10 @@ def gather(groups: Sequence[tuple[str, Iterable[Notice]]]) -> list[GatheredNotic
         for notice in notices:
             key = notice.code, notice.severity, notice.where, *NUMBER.split(notice.text)
             found.setdefault(key, {}).setdefault(notice, {})[name] = None
-    gathered = []
-    for members in found.values():
-        names = dict.fromkeys(name for stating in members.values() for name in stating)
-        each = tuple((notice, tuple(stating)) for notice, stating in members.items())
-        everywhere = len(names) == len(groups) > 1
-        text = _in_ranges([notice.text for notice in members])
-        gathered.append(GatheredNotice(text, tuple(names), everywhere, each))
+    gathered = [
+        GatheredNotice([(notice, tuple(stating)) for notice, stating in members.items()], len(groups))
+        for members in found.values()
+    ]
     return sorted(gathered, key=lambda notice: (notice.severity != "warning", -len(notice.recordings)))
 
 

@@ -40,6 +40,11 @@ def test_a_notice_has_texts_values_and_a_row_that_restores_it() -> None:
         Notice(LOST, lost=0.25)
 
 
+def test_a_percentage_has_a_space_and_names_stay_as_they_are() -> None:
+    notice = Notice(DeclaredNotice("SC-998", "note", "{share:.1%} of {file}"), share=0.25, file="a 50%25.csv")
+    assert notice.text == "25.0 % of a 50%25.csv"
+
+
 def test_one_notice_of_several_places_and_recordings_names_them_all() -> None:
     first, second = (Notice(LOST, "left", lost=lost, total=40, direction="") for lost in (0.25, 0.5))
     (once,) = warnings_first([first, first.at("right"), first])
