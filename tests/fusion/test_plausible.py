@@ -27,7 +27,7 @@ CASES = [
     ("rig.toml", "gravity = [0.0, 0.0, -9.8125]", "gravity = [0.0, 0.0, 9.8125]", "environment.gravity", "hang"),
     ("rig.toml", "mass_uncertainty = 0.0010", "mass_uncertainty = 0.0010\ndensity = 7.9e4", "load.density", "79000"),
     ("recording.toml", "direction_uncertainty = 5e-3", "direction_uncertainty = 0.3", "direction_uncertainty", "17.2°"),
-    ("recording.toml", "scale_uncertainty = 2.5e-4", "scale_uncertainty = 0.05", "velocity.scale_uncertainty", "5.0%"),
+    ("recording.toml", "scale_uncertainty = 2.5e-4", "scale_uncertainty = 0.05", "velocity.scale_uncertainty", "5.0 %"),
     ("recording.toml", "delay = 0.0  ", "delay = 0.12  ", "velocity.delay", "12.8 periods of 106.25 Hz"),
     ("recording.toml", "point = [0.030, 0.0, 0.040]", "point = [3.0, 0.0, 4.0]", "velocity.point", "5 m"),
 ]  # fmt: skip

@@ -158,7 +158,7 @@ def test_ratio_returns_the_sensitivity():
     np.testing.assert_allclose(result.value[:, 1, 2], 0.0, atol=1e-20)
     assert result.kind == ("ratio", "harmonic")
     shares = np.abs(load.value[0]) / np.array([2e3, 2e3, 4e3, 100, 100, 100])
-    assert f"Mx {shares[3] / shares[2]:.2%}" in describe_other_loads(load, 2, (2e3, 2e3, 4e3, 100, 100, 100))
+    assert f"Mx {100 * shares[3] / shares[2]:.2f} %" in describe_other_loads(load, 2, (2e3, 2e3, 4e3, 100, 100, 100))
     assert result.observed.tolist() == [[False, False, True, False, False, False]] * 2
     assert np.isnan(result.value[:, :, [0, 1, 3, 4, 5]]).all()
     # A vanishing output has the uncertainty of its noise over the force and none from the load.
