@@ -13,12 +13,13 @@ from lxml import etree
 from support import DOCS, RefusedCommand, edit, examples, rows, without_pages
 
 from fusion.cli import main
+from fusion.phasors.phasor_notices import CAMERA_DELAYED, HIGH_HARMONICS_NOT_ASSESSED, MOTION_BLUR
 from fusion.recording.dsi import dsi_unit
 from fusion.recording.load import load_manifest
 from fusion.report.folder import hash_files
 from fusion.report.recording_report import write_results
 from fusion.sensitivity.analyse import Evaluation
-from fusion.sensor.certificate.certificate_evaluation import Certificate, evaluate_certificate
+from fusion.sensor.certificate.certificate_evaluation import Certificate, _not_assessed, evaluate_certificate
 from fusion.sensor.certificate.certificate_form import NEW_FORM
 from fusion.sensor.certificate.certificate_notices import (
     EXPIRED_CERTIFICATES,
@@ -30,6 +31,8 @@ from fusion.sensor.certificate.certificate_notices import (
 from fusion.sensor.certificate.certificate_report import certificate_page
 from fusion.sensor.certificate.certificate_xml import certificate_xml
 from fusion.sensor.compare.comparison_inputs import read_result
+from fusion.sensor.unmodelled_effects import coverage_notice
+from shakercal._common.notices import Notice
 
 
 @pytest.fixture(scope="module")
@@ -191,6 +194,22 @@ def test_smallest_uncertainty_and_k_of_the_form_apply(campaign: Path) -> None:
     (floored,) = next(element for element in evaluate_certificate(campaign).elements if element.main).values
     assert floored.expanded_magnitude == pytest.approx(0.01 * value.element.magnitude)
     assert (floored.k, floored.expanded_phase_rad) == (2.0, 0.5)
+
+
+def test_effects_that_u_does_not_include_are_stated_once() -> None:
+    delayed = [
+        Notice(CAMERA_DELAYED, "exposure", late="left", delay_us=us, phase_mrad=1.0, frequency_hz=80.0, u_mrad=0.1)
+        for us in (2.0, 3.0)
+    ]
+    aliases = Notice(HIGH_HARMONICS_NOT_ASSESSED, "force", rate_hz=1000.0, aliases="900 Hz")
+    blur = Notice(MOTION_BLUR, "exposure", exposure_ms=1.0, bias_percent=0.5)
+    of_scope = coverage_notice("within these releases", "another load", "Fz")
+    older = [
+        Notice.from_row({"severity": severity, "where": "", "text": text})
+        for severity, text in (("info", "not assessed, not in U: cables"), ("warning", "clipped"))
+    ]
+    found = _not_assessed([*delayed, aliases, blur, of_scope, *older])
+    assert found == [f"{delayed[0].text} {delayed[0].effect}", aliases.text, older[0].text]
 
 
 def many(found: Certificate, count: int) -> Certificate:

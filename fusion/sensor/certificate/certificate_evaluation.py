@@ -14,6 +14,7 @@ from fusion.campaign.joint_evaluation import best_points, curve_points, evaluate
 from fusion.campaign.recording_results import RecordingResults, SensorFacts, read_recorded
 from fusion.errors import InputError
 from fusion.estimation.coverage import COVERAGE, Polar
+from fusion.phasors.phasor_notices import CAMERA_DELAYED, COARSE_ROWS, PERIODIC_JITTER, SHUTTER_NOT_CONVERGED
 from fusion.recording.excitation import kinds_of
 from fusion.recording.load import RECORDING_NAME, Manifest, find_recordings, load_manifest, select_kinds
 from fusion.recording.toml import UncertainInput
@@ -38,7 +39,7 @@ from fusion.sensor.certificate.certified_numbers import (
     read_results_origin,
     select_recordings,
 )
-from fusion.sensor.sensor_model_notices import MODEL_COVERAGE, MODEL_INFLUENCES_NOT_ASSESSED
+from fusion.sensor.sensor_model_notices import MODEL_INFLUENCES_NOT_ASSESSED
 from fusion.sensor.transfer.transfer_notices import COARSE_CONVERTER_STEPS
 from shaker.labels import LOAD_COMPONENTS
 from shakercal._common.notices import Notice
@@ -48,10 +49,13 @@ SCOPE = (
     "The results relate only to the item calibrated, in the condition and under the conditions stated. This "
     "certificate may be reproduced in full only, unless the laboratory agrees in writing."
 )
-STATED_BY_SCOPE = {MODEL_COVERAGE.code, MODEL_INFLUENCES_NOT_ASSESSED.code}
-"""Codes of notices that repeat the coverage stated in the attributes of the results."""
-NOT_IN_U = {COARSE_CONVERTER_STEPS.code}
+NOT_IN_U = {
+    declared.code
+    for declared in (CAMERA_DELAYED, COARSE_ROWS, SHUTTER_NOT_CONVERGED, PERIODIC_JITTER, COARSE_CONVERTER_STEPS)
+}
 """Codes of warnings of an effect that U does not include."""
+NOT_IN_U_WITHOUT_CODE = ("not assessed", "not in U")
+"""Phrases of such notices in results of older versions, whose notices have no code."""
 UNCERTAINTY = (
     f"U is the standard uncertainty times a coverage factor k for a probability of {100 * COVERAGE:g} %, after the GUM "
     "(JCGM 100, JCGM 102). It is based on the stated uncertainties of all inputs and valid under the assumptions of "
@@ -414,10 +418,18 @@ def _not_assessed(notices: Iterable[Notice]) -> list[str]:
     """
     found: dict[str, str] = {}
     for notice in notices:
-        if notice.code not in STATED_BY_SCOPE and (notice.possible_size or notice.code in NOT_IN_U):
+        if _is_outside(notice):
             text = f"{notice.text} {notice.effect}".strip()
             found.setdefault(re.sub(r"[\d.]+", "#", text), text)
     return list(found.values())
+
+
+def _is_outside(notice: Notice) -> bool:
+    """Whether a notice states an effect that neither U nor its coverage includes."""
+    if not notice.code:
+        return any(phrase in notice.text for phrase in NOT_IN_U_WITHOUT_CODE)
+    stated = notice.code == MODEL_INFLUENCES_NOT_ASSESSED.code
+    return notice.code in NOT_IN_U or (bool(notice.possible_size) and not stated)
 
 
 def _conditions(manifests: Sequence[Manifest]) -> Iterator[tuple[str, str, float, float]]:

@@ -254,11 +254,10 @@ def _certified(name: str, file: Path) -> ComparedResult:
         phased = np.isfinite(curve.phase_rad)
         columns = [curve.frequency_hz, curve.magnitude, u_magnitude]
         columns += [curve.phase_rad, curve.u_phase_rad] if np.any(phased) else []
+        key = f'result "{curve.name}"'
         if not np.isfinite(columns).all():
-            key = f'result "{curve.name}"'
             raise InputError(WRONG_CERTIFIED_RESULT, file, key, found="nan", expected="finite numbers")
         if np.any(curve.u_magnitude <= 0.0) or np.any(curve.u_phase_rad[phased] <= 0.0):
-            key = f'result "{curve.name}"'
             raise InputError(WRONG_CERTIFIED_RESULT, file, key, found="0", expected="an uncertainty above 0")
         for n, frequency_hz in enumerate(curve.frequency_hz.tolist()):
             value = ComparedValue(

@@ -133,7 +133,8 @@ SENSITIVITY_EXPLANATION = DeclaredNotice(
     "SC-657",
     "note",
     "The sensitivity over frequency supports {supported}, and contradicts {contradicted}.",
-    effect="The model of the sensor uses the supported explanation of the largest weight.",
+    effect="The model of the sensor uses the explanation of the largest weight, among the supported ones if there are "
+    "any.",
     link="identify.md",
 )
 DAMPING_AGREES = DeclaredNotice(
@@ -141,7 +142,7 @@ DAMPING_AGREES = DeclaredNotice(
     "note",
     "Sensitivity and resonance agree on b/k: {needed_us:.3g} µs and {resonance_us:.3g} µs, normalised deviation "
     "{deviation:.1f}.",
-    effect="The damper of the sensor explains the sensitivity over frequency without a lag of the measuring chain.",
+    effect="The sensitivity over frequency requires no other damping than that of the resonance.",
     link="identify.md",
 )
 DAMPING_CONTRADICTED = DeclaredNotice(

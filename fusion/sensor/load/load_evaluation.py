@@ -38,9 +38,8 @@ from fusion.sensor.load.load_notices import (
     WRONG_LOAD_NUMBER,
 )
 from fusion.sensor.model_files import parameter_units
-from fusion.sensor.step.step_notices import OTHER_DRIVEN_OUTPUT
 from fusion.sensor.step.step_records import effective_dof
-from fusion.sensor.step.step_releases import StepRelease, read_recording
+from fusion.sensor.step.step_releases import StepRelease, check_driven_output, read_recording
 from fusion.sensor.unmodelled_effects import CAUSE_LABELS, ModelInfluences, coverage_notice, stated_influences
 from shaker.arrays import FloatArray
 from shaker.labels import LOAD_COMPONENTS
@@ -184,17 +183,9 @@ def _series(releases: Sequence[StepRelease], moving: Sequence[MovingMass], compo
             key = f"daq.channel.{release.driven}"
             raise InputError.from_exception(error, release.manifest.path, key, NO_FREE_OSCILLATION) from error
     first, manifests = releases[0], [release.manifest for release in releases]
-    for release, manifest, mass in zip(releases, manifests, moving, strict=True):
-        if release.driven != first.driven:
-            raise InputError(
-                OTHER_DRIVEN_OUTPUT,
-                manifest.path,
-                "daq.channel",
-                expected=first.driven,
-                recording=first.name,
-                found=release.driven,
-            )
-        _check_equal_mass((first.manifest, moving[0]), (manifest, mass))
+    for release, mass in zip(releases, moving, strict=True):
+        check_driven_output(first, release)
+        _check_equal_mass((first.manifest, moving[0]), (release.manifest, mass))
     gains, u = np.array([(release.reading.static_gain, release.reading.u_static_gain) for release in releases]).T
     between = float(np.std(gains, ddof=1) / np.sqrt(len(gains))) if len(gains) > 1 else 0.0
     u_gain = max(between, float(np.sqrt(np.sum(u**2))) / len(u))
@@ -207,9 +198,7 @@ def _series(releases: Sequence[StepRelease], moving: Sequence[MovingMass], compo
         decays=tuple(decays),
         noise=np.array([item.noise for item in modes]),
         influences=stated_influences(
-            _rig_with_influences([release.manifest for release in releases]),
-            [release.manifest.mounting for release in releases],
-            NO_CAUSE,
+            _rig_with_influences(manifests), [manifest.mounting for manifest in manifests], NO_CAUSE
         ),
     )
 

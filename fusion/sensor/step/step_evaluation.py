@@ -20,7 +20,6 @@ from fusion.sensor.step.step_notices import (
     MISSING_STEP_ENTRY,
     NO_REAL_POLE,
     NO_STEP_MODEL,
-    OTHER_DRIVEN_OUTPUT,
     RELEASES_SELECTED,
 )
 from fusion.sensor.step.step_records import StepSettings, index_quantities, parameter_quantities, pool_models
@@ -29,6 +28,7 @@ from fusion.sensor.step.step_releases import (
     StepEvaluation,
     StepRelease,
     alternative_shapes,
+    check_driven_output,
     compare_methods,
     fit_component,
     group_by_device,
@@ -196,16 +196,7 @@ def _read(manifests: Sequence[Manifest], settings: StepSettings) -> tuple[dict[s
         notices += found
         component = release.record.component
         releases[component].append(release)
-        first = releases[component][0]
-        if first.driven != release.driven:
-            raise InputError(
-                OTHER_DRIVEN_OUTPUT,
-                manifest.path,
-                "daq.channel",
-                expected=first.driven,
-                recording=first.name,
-                found=release.driven,
-            )
+        check_driven_output(releases[component][0], release)
         if settings.release == "measured" and release.record.force is None:
             expected = "the name of the force channel, for --release measured"
             raise InputError(MISSING_STEP_ENTRY, manifest.path, "excitation.force", expected=expected)

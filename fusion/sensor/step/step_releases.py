@@ -24,6 +24,7 @@ from fusion.sensor.step.step_notices import (
     METHOD_REMARK,
     METHOD_WITHOUT_MODEL,
     NO_STEP_FOUND,
+    OTHER_DRIVEN_OUTPUT,
     RELEASE_WITHOUT_MODEL,
     RELEASES_REFITTED,
     SHAPE_OF_DEVICE_UNDETERMINED,
@@ -112,6 +113,19 @@ class StepRelease:
         """Numbers of modes and real poles of the model, None without a modal form."""
         model = None if self.fit is None else self.fit.model
         return None if model is None else (len(model.frequency_hz), len(model.real_hz))
+
+
+def check_driven_output(first: StepRelease, other: StepRelease) -> None:
+    """Raise `InputError` if a release drives another output than the first of its component."""
+    if other.driven != first.driven:
+        raise InputError(
+            OTHER_DRIVEN_OUTPUT,
+            other.manifest.path,
+            "daq.channel",
+            expected=first.driven,
+            recording=first.name,
+            found=other.driven,
+        )
 
 
 @dataclass(frozen=True)

@@ -378,10 +378,10 @@ def _condition(manifest: Manifest, channel: LocatedChannel) -> Iterator[Notice]:
     slowest_hz = (excitation.band or (0.0,))[0] or channel.rate_hz / SLOWEST if lasting else None
     size = DITHERED * float(np.std(raw.samples)) if lasting else float(np.ptp(raw.samples)) / 2.0
     for defect in examine_samples(raw.samples, raw.sample_rate_hz, size, slowest_hz):
-        text = defect.text(channel.record.time_s(entry.name), raw.unit)
         if defect.kind == "clipped" and excitation.kind in ("step", "impact"):
             continue  # outputs of a release and single blows are rejected by their evaluation
         if defect.kind != "steps":
+            text = defect.text(channel.record.time_s(entry.name), raw.unit)
             raise InputError(DEFECTIVE_SAMPLES, channel.record.entry.file, entry.stored_name, defect=text)
         yield Notice(
             COARSE_CONVERTER_STEPS,
