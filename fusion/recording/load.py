@@ -68,7 +68,6 @@ class Manifest:
     rig : the rig, with the environment of the recording.
     mounting : recordings with another text were mounted again.
     part : parts of rig and recording.
-
     files : every input file, both manifests first.
     inputs : inputs with an uncertainty.
 
