@@ -70,7 +70,6 @@ class Manifest:
     part : parts of rig and recording.
     files : every input file, both manifests first.
     inputs : inputs with an uncertainty.
-
     signature_notices : notices of the signatures of certificates.
     file_identities : identities of the files when the manifests were read.
     acknowledged : acknowledgements of notices.
