@@ -84,8 +84,7 @@ def _act(options: argparse.Namespace) -> int:
             log.error("the output could not be written: %s", unwritten.strerror)
             return EXIT_FAILED
         failure = as_user_error(error)
-        hint = f" (shakercal explain {failure.code})" if failure.code else ""
-        log.error("%s", " ".join(f"{failure}{hint}".split()))
+        log.error("%s", " ".join(f"{failure} (shakercal explain {failure.code})".split()))
         if not isinstance(error, InputError | ComputeError):
             log.debug("traceback", exc_info=True)
         return EXIT_INPUT if isinstance(failure, InputError) else EXIT_FAILED

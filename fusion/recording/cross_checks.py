@@ -165,18 +165,11 @@ def _image_errors(rig: Rig, blocks: Iterable[tuple[str, SetUpFiles]], path: Path
     """Yield errors of images: missing or superfluous second camera, missing region of shared images."""
     for prefix, block in blocks:
         for images in block.images:
-            single, key = (
-                rig.stereo[images.stereo].surface is not None,
-                f"{prefix}images.{quote_key(images.stereo)}.right",
-            )
+            key = f"{prefix}images.{quote_key(images.stereo)}.right"
+            single = rig.stereo[images.stereo].surface is not None
             if single and images.right:
-                yield _error(
-                    KEY_NOT_APPLICABLE,
-                    path,
-                    key,
-                    "images",
-                    "no such key for a single camera, whose surface rig.toml states",
-                )
+                expected = "no such key for a single camera, whose surface rig.toml states"
+                yield _error(KEY_NOT_APPLICABLE, path, key, "images", expected)
             if not single and not images.right:
                 expected = "the images of the right camera (or the surface before a single camera in rig.toml)"
                 yield _error(MISSING_KEY, path, key, "no such key", expected)

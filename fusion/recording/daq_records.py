@@ -302,7 +302,9 @@ def errors_in_set_up(path: Path, where: str, name: str = "") -> Iterator[None]:
         key = where + error.key if inside else error.key
         raise error.at(key) from error
     except ComputeError as error:
-        raise (error.at(name) if name else error) from error
+        if not name:
+            raise
+        raise error.at(name) from error
 
 
 def recorded_channels(manifest: Manifest, daq: Daq) -> dict[str, RawChannel]:

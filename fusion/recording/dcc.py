@@ -160,7 +160,7 @@ def _parsed(path: Path, _: FileIdentity | None) -> CalibrationCertificate:
             INVALID_CERTIFICATE_FILE,
             path,
             "dcc:uniqueIdentifier",
-            found="no such key",
+            found="no number",
             expected="the number of the certificate",
         )
     core = administrative.find("{*}coreData")

@@ -68,10 +68,8 @@ class Manifest:
     rig : the rig, with the environment of the recording.
     mounting : recordings with another text were mounted again.
     part : parts of rig and recording.
-
     files : every input file, both manifests first.
     inputs : inputs with an uncertainty.
-
     signature_notices : notices of the signatures of certificates.
     file_identities : identities of the files when the manifests were read.
     acknowledged : acknowledgements of notices.

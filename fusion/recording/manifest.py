@@ -16,7 +16,6 @@ from fusion.recording.excitation import ExcitationEntry
 from fusion.recording.recording_notices import (
     CONTRADICTING_VALUES,
     FRAMES_DO_NOT_MATCH,
-    INVALID_VALUE,
     KEY_NOT_APPLICABLE,
     REPEATED_NAME,
     UNKNOWN_NAME,
@@ -96,7 +95,7 @@ def _columns(value: object) -> tuple[str, ...]:
 def _daq_suffix(value: Path) -> Path:
     wrong = unsupported_suffix(value)
     if wrong is not None:
-        raise refusal(*wrong, declared=INVALID_VALUE)
+        raise refusal(*wrong)
     return value
 
 

@@ -15,7 +15,7 @@ from pydantic import BaseModel, ValidationError
 from pydantic_core import ErrorDetails
 
 from fusion.errors import InputError
-from fusion.recording.toml import describe_problem, key_path, models_in
+from fusion.recording.toml import key_path, models_in, problem_error, problem_path, sorted_problems
 from fusion.recording.values import Context, ManifestBlock
 
 AnyBlock = TypeVar("AnyBlock", bound=ManifestBlock)
@@ -66,15 +66,11 @@ class Repair(Generic[AnyBlock]):
         try:
             self.block = self._model.model_validate(values, context=self._context)
         except ValidationError as error:
-            found = error.errors(include_url=False)
-            return sorted(found, key=lambda problem: problem["type"] != "extra_forbidden")
+            return sorted_problems(error)
         return []
 
     def _mistake(self, problem: ErrorDetails) -> InputError:
-        declared, expected, found = describe_problem(self._model, problem)
-        return InputError(
-            declared, self._path, key_path(self._whole, _problem_path(problem)), found=found, expected=expected
-        )
+        return problem_error(self._model, problem, self._path, (self._whole, []))
 
     def _new(self, mistake: InputError) -> bool:
         """Whether an error was not found before, and no value of its table was replaced."""
@@ -86,13 +82,13 @@ class Repair(Generic[AnyBlock]):
 
     def _repair(self, problem: ErrorDetails) -> list[ErrorDetails]:
         """Replace the value of one problem, and return the remaining problems."""
-        path = _problem_path(problem)
+        path = problem_path(problem)
         names = set(_names(self._values, path))
         for candidate in self._candidates(problem, path):
             if self._left <= 0:
                 break
             problems = self._problems(candidate)
-            if all(_problem_path(other) != path for other in problems):
+            if all(problem_path(other) != path for other in problems):
                 if _value_at(candidate, path) is not None:
                     self._replaced(path, names)
                 self._values = candidate
@@ -116,12 +112,6 @@ class Repair(Generic[AnyBlock]):
         words = [word for field in _fields(self._model, path) for word in get_args(field.annotation)]
         for value in (*same_key, *(word for word in words if isinstance(word, str)), *PLAIN):
             yield _with(self._values, path, value)
-
-
-def _problem_path(problem: ErrorDetails) -> KeyPath:
-    """Return the key path of a problem, with the key named by its validator."""
-    inner = problem.get("ctx", {}).get("key")
-    return [*problem["loc"], *(inner.split(".") if inner else ())]
 
 
 def _fields(model: type[BaseModel], path: KeyPath) -> Iterator[Any]:
@@ -188,6 +178,6 @@ def _without(values: dict[str, Any], path: KeyPath) -> dict[str, Any]:
 
 def is_doubtful(contradiction: InputError, doubtful: Mapping[Path, set[str]]) -> bool:
     """Whether a contradiction names a block with a placeholder, or a key of one."""
-    every = set().union(*doubtful.values())
-    words, key = (set(re.split(r"[^\w-]+", text)) for text in (contradiction.sentence, contradiction.key))
+    every, values = set().union(*doubtful.values()), " ".join(map(str, contradiction.values.values()))
+    words, key = (set(re.split(r"[^\w-]+", text)) for text in (values, contradiction.key))
     return bool((every | {PLACEHOLDER}) & words or doubtful.get(contradiction.file, set()) & key)

@@ -155,11 +155,11 @@ def check_values(values: Any, path: Path) -> None:
                     )
                 waiting.append((item, [*key_steps, step]))
             continue
-        wrong = wrong_text(value) if isinstance(value, str) else wrong_size(value)
+        is_text = isinstance(value, str)
+        wrong = wrong_text(value) if is_text else wrong_size(value)
         if wrong is not None:
-            raise InputError(
-                VALUE_OUT_OF_RANGE, path, key_path(values, key_steps), found=describe(value), expected=wrong
-            )
+            declared = INVALID_VALUE if is_text else VALUE_OUT_OF_RANGE
+            raise InputError(declared, path, key_path(values, key_steps), found=describe(value), expected=wrong)
 
 
 def validate(model: type[AnyBlock], text: dict[str, Any], path: Path, context: Context | None = None) -> AnyBlock:
@@ -179,17 +179,29 @@ def checked_table(
     try:
         return model.model_validate(values, context=context)
     except ValidationError as error:
-        whole, start = location or (values, [])
+        problems = sorted_problems(error)
+        at = location or (values, [])
+        raise InputError.together(problem_error(model, problem, path, at) for problem in problems) from error
 
-        def located(problem: ErrorDetails) -> InputError:
-            steps, inner = [*start, *problem["loc"]], problem.get("ctx", {}).get("key")
-            declared, expected, found = describe_problem(model, problem)
-            key = key_path(whole, [*steps, *inner.split(".")] if inner else steps)
-            return InputError(declared, path, key, found=found, expected=expected)
 
-        # An unknown key is often the misspelt one that is missing: it is reported first.
-        problems = sorted(error.errors(include_url=False), key=lambda problem: problem["type"] != "extra_forbidden")
-        raise InputError.together(map(located, problems)) from error
+def sorted_problems(error: ValidationError) -> list[ErrorDetails]:
+    """Return the problems of a table, unknown keys first: they are often misspelt missing ones."""
+    return sorted(error.errors(include_url=False), key=lambda problem: problem["type"] != "extra_forbidden")
+
+
+def problem_path(problem: ErrorDetails) -> list[int | str]:
+    """Return the key path of a problem, with the key named by its validator."""
+    inner = problem.get("ctx", {}).get("key")
+    return [*problem["loc"], *(inner.split(".") if inner else ())]
+
+
+def problem_error(
+    model: type[ManifestBlock], problem: ErrorDetails, path: Path, location: tuple[dict[str, Any], list[int | str]]
+) -> InputError:
+    """Return the error of a problem; `location`: whole file and key path of the table."""
+    whole, start = location
+    declared, expected, found = _describe_problem(model, problem)
+    return InputError(declared, path, key_path(whole, [*start, *problem_path(problem)]), found=found, expected=expected)
 
 
 # Inputs as in certificates: a table instead of a value, or of its standard uncertainty.
@@ -359,13 +371,11 @@ def expand_statements(text: dict[str, Any], path: Path) -> tuple[dict[str, Any],
             if not isinstance(item, dict) or all(isinstance(item.get(u, {}), dict) for u in ("U", "U_relative")):
                 out[key] = expanded(item, steps)
                 continue
-            statement, name = (
-                checked_table(UncertaintyStatement, item, path, (text, steps)),
-                key.removesuffix("_uncertainty"),
-            )
+            statement = checked_table(UncertaintyStatement, item, path, (text, steps))
+            name = key.removesuffix("_uncertainty")
             target, relative = UNCERTAINTY_OF.get(name, f"{name}_uncertainty"), _is_relative(name, value)
             if (statement.value is None) == (name == key):
-                expected = "the value that this U belongs to" if name == key else "no value: it has a key"
+                expected = "the value that this U belongs to" if name == key else "no value, which has a separate key"
                 raise InputError(
                     INVALID_UNCERTAINTY_STATEMENT,
                     path,
@@ -476,7 +486,7 @@ VALIDATION_ERRORS = {
 """Declarations by pydantic's type of error; all others are wrong types."""
 
 
-def describe_problem(model: type[ManifestBlock], problem: ErrorDetails) -> tuple[DeclaredNotice, str, str]:
+def _describe_problem(model: type[ManifestBlock], problem: ErrorDetails) -> tuple[DeclaredNotice, str, str]:
     """Return the declaration, the expected and the found value of any error of pydantic."""
     kind, context = problem["type"], problem.get("ctx", {})
     if kind == "refused":

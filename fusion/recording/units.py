@@ -239,17 +239,26 @@ def unit_notices(manifest: Manifest, daq: Daq, raw: Mapping[str, RawChannel]) ->
     for entry in (entry for entry in daq.channel if entry.quantity != "trigger"):
         key = f"daq.{quote_key(daq.name)}.channel.{quote_key(entry.name)}.scale"
         of_certificate = any(other.endswith(key) for other in certified)
-        found = _unit_notice(entry, raw[entry.name].unit, manifest.rig, of_certificate)
-        declared, values = (None, {}) if found is None else found
-        peak = abs(entry.scale) * float(np.ptp(np.nan_to_num(raw[entry.name].samples))) / 2.0
-        if declared is None and entry.quantity == "output" and manifest.rig.unit_of(entry) == "V/V" and peak > SUPPLY:
-            declared, values = OUTPUT_EXCEEDS_SUPPLY, {"amplitude": peak}
-        if declared is not None:
+        channel = raw[entry.name]
+        found = _unit_contradiction(entry, channel.unit, manifest.rig, of_certificate)
+        found = found or _excessive_output(entry, channel, manifest.rig)
+        if found is not None:
+            declared, values = found
             notices.append(Notice(declared, manifest.path.name, key=key, **values))
     return tuple(notices)
 
 
-def _unit_notice(
+def _excessive_output(
+    entry: ChannelEntry, channel: RawChannel, rig: Rig
+) -> tuple[DeclaredNotice, dict[str, Value]] | None:
+    """Return the notice on an output above the supply of its bridge, with its values."""
+    if entry.quantity != "output" or rig.unit_of(entry) != "V/V":
+        return None
+    peak = abs(entry.scale) * float(np.ptp(np.nan_to_num(channel.samples))) / 2.0
+    return (OUTPUT_EXCEEDS_SUPPLY, {"amplitude": peak}) if peak > SUPPLY else None
+
+
+def _unit_contradiction(
     entry: ChannelEntry, stated: str, rig: Rig, of_certificate: bool
 ) -> tuple[DeclaredNotice, dict[str, Value]] | None:
     """Return the notice on the unit of a channel, with its values."""

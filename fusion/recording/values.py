@@ -92,11 +92,7 @@ class PathScope:
     def _join(self, text: str) -> Path:
         """Check the syntax of a path and join it to the manifest's folder."""
         if not text.strip() or UNPRINTABLE.search(text):
-            raise refusal(
-                "a path",
-                "an empty text" if not text.strip() else "a text with control characters",
-                declared=INVALID_VALUE,
-            )
+            raise refusal("a path", "a text with control characters" if text.strip() else "an empty text")
         if "\\" in text:
             raise refusal("a path with '/' between its parts", f"'{text}'", declared=PATH_NOT_ALLOWED)
         absolute = PurePosixPath(text).is_absolute() or PureWindowsPath(text).drive != ""
@@ -402,7 +398,7 @@ def inertia_spread(value: Any) -> tuple[tuple[float, ...], ...]:
 def _version(value: Any) -> int:
     """Return the version of a file's format; `true` is not 1."""
     if type(value) is not int or value != 1:
-        raise refusal("1, the version of the format", describe(value), declared=INVALID_VALUE)
+        raise refusal("1, the version of the format", describe(value))
     return value
 
 
@@ -533,7 +529,6 @@ MODULUS = size_range(1e4, 2e12, "Pa", GPa=1e9, MPa=1e6)
 SHARE = size_range(0.0, 1.0, "", percent=1e-2, ppm=1e-6)
 RADIANS = size_range(0.0, 3.15, "rad", degrees=np.pi / 180)
 SECONDS = size_range(0.0, 10.0, "s", ms=1e-3, µs=1e-6)
-ROWS = size_range(1e-10, 1e-3, "s", µs=1e-6, ns=1e-9)
 ROWS = size_range(1e-10, 1e-3, "s", µs=1e-6, ns=1e-9)
 HERTZ = size_range(1e-4, 1e8, "Hz")
 """Possible ranges of keys: sizes beyond suggest another unit."""
