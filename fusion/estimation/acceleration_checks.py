@@ -85,8 +85,9 @@ def _unobserved_notices(result: Acceleration, titles: str) -> Iterator[Notice]:
         if np.any(pattern):
             missing = ", ".join(name for name, hidden in zip(MOTION_COMPONENTS, pattern, strict=True) if hidden)
             lines, count = int(np.sum(np.all(seen == ~pattern, axis=1))), len(result.observed)
-            values: dict[str, Value] = {"components": missing, "lines": lines, "all_lines": count}
-            yield Notice(UNOBSERVED_COMPONENTS, result.body, instruments=titles, **values)
+            yield Notice(
+                UNOBSERVED_COMPONENTS, result.body, instruments=titles, components=missing, lines=lines, all_lines=count
+            )
     if np.any(np.isinf(result.unobserved_amplitude)):
         driven = unmeasured_drive(result.body, result.unobserved_limits, np.any(result.observed, axis=0))
         yield Notice(UNBOUNDED_MOTION, result.body, driven=driven, unused="")

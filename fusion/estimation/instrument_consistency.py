@@ -548,6 +548,12 @@ def likely_mistake(
     return text if distance <= tolerance else ""
 
 
+def describe_deviation(name: str, ratio: complex, mistake: str) -> str:
+    """Return how an output deviates from its prediction, with the mistake that would cause it, as text."""
+    cause = f", as if {mistake}" if mistake else ""
+    return f"{name} is {abs(ratio):.3g} times as large, turned by {np.angle(ratio):.3g} rad{cause}"
+
+
 def exchanged_channels(
     system: FusionSystem, first: FusionSolution, found: Sequence[Suspicion]
 ) -> tuple[tuple[str, str], ...]:

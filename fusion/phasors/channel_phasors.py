@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from fusion.errors import ARGUMENT, InputError, as_input_error
+from fusion.errors import InputError, as_input_error
 from fusion.instruments.channel import (
     ChainUncertainty,
     ChannelReading,
@@ -22,9 +22,8 @@ from fusion.phasors.channel_condition import assess_condition, fit_usable, requi
 from fusion.phasors.phasor_notices import (
     LINE_ABOVE_SAMPLING,
     LINES_FROM_BAND,
-    LINES_NOT_FOUND,
 )
-from fusion.phasors.timing import TimeBase, TimingError, combine_timing_errors
+from fusion.phasors.timing import TimeBase, TimingError, combine_timing_errors, lines_not_found_error
 from fusion.recording.response import read_response
 from shaker.arrays import BoolArray, ComplexArray, FloatArray, Stacked, brief
 from shaker.lines.detection import relative_strength, survey_lines
@@ -279,8 +278,7 @@ def lines_of_record(manifest: Manifest, chosen: LineRecord) -> LineFrequencies:
     except ValueError as error:
         names = ", ".join(member.name for member in together)
         where = f"{'channel' if len(together) == 1 else 'channels'} {names} of {record.entry.file.name}"
-        reason, key = ARGUMENT.sub("", str(error), count=1), "excitation.frequencies"
-        raise InputError(LINES_NOT_FOUND, manifest.path, key, reason=reason, instruments=where) from error
+        raise lines_not_found_error(manifest, where, error) from error
 
 
 def _driven_lines(

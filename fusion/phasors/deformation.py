@@ -22,7 +22,7 @@ from shaker.sine.normal_equations import SineSums
 from shaker.sine.phasor import Phasors
 from shaker.sine.sine_fit import fit_sines
 from shaker.sine.solve import SineFit, SineModel
-from shakercal._common.notices import Notice, Value
+from shakercal._common.notices import Notice
 
 # Operating deflection shape: phasors of the deformation of a body, point by point.
 
@@ -120,13 +120,17 @@ class ShapePhasors:
         for k in np.flatnonzero(self.deforms):
             most = int(np.argmax(np.abs(self.phasors.value[k]) / size[k]))
             frequency_hz = float(self.phasors.frequency_hz[k])
-            values: dict[str, Value] = {
-                "shape": self.phasors.channels[most],
-                "amplitude_nm": 1e9 * float(np.abs(self.phasors.value[k, most])),
-                "u_nm": 1e9 * float(size[k, most]),
-                "chance": max(float(self.chance[k]), 1e-12),
-            }
-            notices.append(Notice(PAIR_BODY_DEFORMS, f"{frequency_hz:.6g} Hz", frequency_hz=frequency_hz, **values))
+            notices.append(
+                Notice(
+                    PAIR_BODY_DEFORMS,
+                    f"{frequency_hz:.6g} Hz",
+                    frequency_hz=frequency_hz,
+                    shape=self.phasors.channels[most],
+                    amplitude_nm=1e9 * float(np.abs(self.phasors.value[k, most])),
+                    u_nm=1e9 * float(size[k, most]),
+                    chance=max(float(self.chance[k]), 1e-12),
+                )
+            )
         return notices
 
 

@@ -292,7 +292,7 @@ PAIR_DECALIBRATED = DeclaredNotice(
 CAMERAS_OUT_OF_STEP = DeclaredNotice(
     "SC-434",
     "error",
-    "The {late} camera is {frames} frames ({delay_ms:.4g} ms) later than the {early} one.",
+    "The {late} camera is later than the {early} one by {delay_ms:.4g} ms (frames: {frames}).",
     effect="The images of the two cameras do not belong together.",
     remedy="Check the trigger of both cameras and the numbers of their files.",
     link="shutter.md",

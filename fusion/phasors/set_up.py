@@ -221,7 +221,7 @@ def _check_left(prepared: PreparedSetUp, stereo: Sequence[object], left_out: Seq
         error = left_out[0].error
         if isinstance(error, InputError):
             raise error
-        raise ComputeError(NO_INSTRUMENT, quantity="a motion", reason=f": {error.sentence}")
+        raise ComputeError(NO_INSTRUMENT, quantity="a motion", reason=f": {error.sentence.rstrip('.')}")
 
 
 # The lines of all set-ups.

@@ -252,13 +252,14 @@ def drift_notices(ties: Sequence[ReferenceTie], driven: BoolArray) -> tuple[Noti
         result = tie.result
         changed = np.abs(result.frequency_hz / tie.frequency_hz - 1.0)
         for k in np.flatnonzero(driven & np.isfinite(result.drift)):
-            if abs(result.drift[k]) > NOTED_DRIFT:
-                declared = LARGE_REFERENCE_DRIFT if abs(result.drift[k]) > LARGE_DRIFT else REFERENCE_DRIFT
-                values = {"drift_percent": 100.0 * result.drift[k], "frequency_hz": tie.frequency_hz[k]}
-                notices.append(Notice(declared, tie.name, reference=result.reference, **values))
+            drift, first_hz = result.drift[k], tie.frequency_hz[k]
+            if abs(drift) > NOTED_DRIFT:
+                declared = LARGE_REFERENCE_DRIFT if abs(drift) > LARGE_DRIFT else REFERENCE_DRIFT
+                percent, name = 100.0 * drift, result.reference
+                notices.append(Notice(declared, tie.name, reference=name, drift_percent=percent, frequency_hz=first_hz))
             if changed[k] > SAME_FREQUENCY:
-                values = {"frequency_hz": result.frequency_hz[k], "first_hz": tie.frequency_hz[k]}
-                notices.append(Notice(TAKE_FREQUENCY_DIFFERS, tie.name, **values))
+                hertz = result.frequency_hz[k]
+                notices.append(Notice(TAKE_FREQUENCY_DIFFERS, tie.name, frequency_hz=hertz, first_hz=first_hz))
     return tuple(notices)
 
 

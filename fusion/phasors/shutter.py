@@ -122,13 +122,15 @@ def check_in_step(
         distance = abs(np.angle(np.exp(1j * (phase - omega * count * period_s))))
         if distance < min(FRAME_PHASE_TOLERANCE, abs(phase) / 2.0):
             late, early = ("right", "left") if count > 0 else ("left", "right")
-            values = {"frames": abs(count), "delay_ms": 1e3 * abs(count) * period_s}
-            raise ComputeError(CAMERAS_OUT_OF_STEP, late=late, early=early, **values)
-    late = "right" if phase > 0.0 else "left"
-    values = {
-        "delay_us": 1e6 * abs(phase) / omega,
-        "phase_mrad": 1e3 * abs(phase),
-        "frequency_hz": frequency_hz[k],
-        "u_mrad": 1e3 * u,
-    }
-    return (Notice(CAMERA_DELAYED, "exposure", late=late, **values),)
+            delay_ms = 1e3 * abs(count) * period_s
+            raise ComputeError(CAMERAS_OUT_OF_STEP, late=late, early=early, frames=abs(count), delay_ms=delay_ms)
+    notice = Notice(
+        CAMERA_DELAYED,
+        "exposure",
+        late="right" if phase > 0.0 else "left",
+        delay_us=1e6 * abs(phase) / omega,
+        phase_mrad=1e3 * abs(phase),
+        frequency_hz=frequency_hz[k],
+        u_mrad=1e3 * u,
+    )
+    return (notice,)

@@ -77,14 +77,13 @@ def _shutter_notices(measured: StereoMotion, swing: ExposureMotion, bias: float,
     fastest_hz = float(swing.frequency_hz.max())
     if rotated is not None:
         across_s = float(np.nanmax(rotated.delay_s) - np.nanmin(rotated.delay_s))
-        values = {"duration_ms": 1e3 * across_s, "frequency_hz": fastest_hz, "angle": 360.0 * fastest_hz * across_s}
-        yield Notice(ROLLING_SHUTTER, "row_time", **values)
+        angle = 360.0 * fastest_hz * across_s
+        yield Notice(ROLLING_SHUTTER, "row_time", duration_ms=1e3 * across_s, frequency_hz=fastest_hz, angle=angle)
         if rotated.side_px > WIDEST_CELL / swing.per_row:
             periods = rotated.side_px * swing.per_row
             yield Notice(COARSE_ROWS, "row_time", periods=periods, frequency_hz=fastest_hz)
     if bias > BLUR_COUNTS:
-        values = {"exposure_ms": 1e3 * swing.exposure_s, "bias_percent": 100.0 * bias}
-        yield Notice(MOTION_BLUR, "exposure", **values)
+        yield Notice(MOTION_BLUR, "exposure", exposure_ms=1e3 * swing.exposure_s, bias_percent=100.0 * bias)
     if left > NOTABLE_CHANGE:
         yield Notice(SHUTTER_NOT_CONVERGED, "exposure", change_percent=100.0 * left)
 

@@ -140,8 +140,8 @@ def stationarity_notices(changes: Sequence[LineStationarity]) -> tuple[Notice, .
         ):
             if changed:
                 declared, listed = OUTPUT_UNSTEADY if doubts else LINE_UNSTEADY, ", ".join(changed)
-                values: dict[str, Value] = {"quantity": quantity, "frequency_hz": frequency, "changes": listed}
-                notices.append(Notice(declared, f"{frequency:.6g} Hz", **values))
+                where = f"{frequency:.6g} Hz"
+                notices.append(Notice(declared, where, quantity=quantity, frequency_hz=frequency, changes=listed))
     return tuple(notices)
 
 

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 import numpy as np
 
 from fusion.base import CheckpointStore, Executor, Pending, ProgressCallback, Settings, Threads
-from fusion.errors import ARGUMENT, ComputeError, InputError, as_input_error
+from fusion.errors import ComputeError, InputError, as_input_error
 from fusion.instruments.transducer import STATIONARY
 from fusion.phasors.phasor_notices import (
     CALIBRATION_REFUSED,
@@ -28,7 +28,6 @@ from fusion.phasors.phasor_notices import (
     FREQUENCIES_UNSTATED,
     HARMONIC_WITHOUT_FUNDAMENTAL,
     IMAGES_REFUSED,
-    LINES_NOT_FOUND,
     LINES_UNRESOLVED,
     NO_INSTRUMENT,
     NO_RIGID_MOTION,
@@ -37,7 +36,7 @@ from fusion.phasors.phasor_notices import (
     SINGLE_CAMERA_NOT_ASSESSED,
 )
 from fusion.phasors.shutter import PhaseRotated
-from fusion.phasors.timing import Sight, TimeBase, frame_edges, frame_sight
+from fusion.phasors.timing import Sight, TimeBase, frame_edges, frame_sight, lines_not_found_error
 from fusion.phasors.tracked_blocks import TrackedBlocks, track_block
 from fusion.recording.daq_records import FileCache
 from fusion.recording.load import Manifest
@@ -265,8 +264,8 @@ def _contradictions(sight: Sight, images: ImageSequence) -> list[Notice]:
         steps, edges = np.diff(images.time_s), np.diff(sight.time_s)
         rate = float(np.median(steps / edges))
         if abs(rate - 1.0) > SAME_RATE:
-            values = {"frame_s": float(np.median(steps)), "edge_s": float(np.median(edges))}
-            notices.append(Notice(FRAME_RATE_DIFFERS, where, **values))
+            frame_s, edge_s = np.median(steps), np.median(edges)
+            notices.append(Notice(FRAME_RATE_DIFFERS, where, frame_s=frame_s, edge_s=edge_s))
         gaps = np.flatnonzero(np.abs(steps / rate - edges) > 0.5 * edges)
         if len(gaps):
             frames = ", ".join(f"{gap} and {gap + 1}" for gap in gaps)
@@ -561,14 +560,12 @@ def motion_lines(manifest: Manifest, base: TimeBase, motions: Sequence[StereoMot
         usable, notices = usable_lines(first.sight.time_s, np.array(excitation.frequencies, dtype=np.float64))
         if usable.any():
             break
-        reasons += [f"stereo pair {first.sight.name}: {notice.text}" for notice in notices]
+        reasons += [f"stereo pair {first.sight.name}: {notice.text.rstrip('.')}" for notice in notices]
     else:
         listed = " and ".join(f"{frequency:g} Hz" for frequency in excitation.frequencies)
         raise ComputeError(LINES_UNRESOLVED, frequencies=listed, reasons=f" ({'; '.join(reasons)})")
     try:
         lines = find_lines(first.sight.time_s, first.motion.pose, excitation.frequencies, excitation.harmonics)
     except ValueError as error:
-        reason, pair = ARGUMENT.sub("", str(error), count=1), f"stereo pair {first.sight.name}"
-        key = "excitation.frequencies"
-        raise InputError(LINES_NOT_FOUND, manifest.path, key, reason=reason, instruments=pair) from error
+        raise lines_not_found_error(manifest, f"stereo pair {first.sight.name}", error) from error
     return base.add_clock_uncertainty(lines, base.sight_errors(first.sight)), first.sight

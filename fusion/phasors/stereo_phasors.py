@@ -320,9 +320,8 @@ def _short_notices(
         beats = len(time_s) * interval_s * min(alias, rate_hz / 2.0 - alias)
         value = reading.phasors.value[k]
         c = int(np.argmax(np.abs(value[:3])))
-        along = np.conj(value[c]) / max(
-            np.abs(value[c]) ** 2, np.finfo(np.float64).tiny
-        )  # a change times this: relative, its real part of amplitude
+        # A change times this is relative; its real part is that of the amplitude.
+        along = np.conj(value[c]) / max(np.abs(value[c]) ** 2, np.finfo(np.float64).tiny)
         noise = float(reading.phasors.u_re[k, c] * np.abs(along))
         shares = {}
         for cause, clock in (("errors of its clock", True), ("motion at lines that it does not resolve", False)):
@@ -332,10 +331,18 @@ def _short_notices(
             continue
         causes = [f"{cause} {100.0 * u:.2g} %" for cause, u in shares.items() if u > noise / 2.0]
         clear = nearest_clear_rate(lines.frequency_hz, rate_hz, len(time_s))
-        values = {"beats": beats, "frequency_hz": frequency, "frames": len(time_s), "rate_hz": rate_hz}
-        suggestion = "" if clear is None else f", such as {clear:.3f} Hz"
-        texts = {"causes": ", ".join(causes), "suggestion": suggestion}
-        notices.append(Notice(SHORT_BEAT, f"{frequency:.6g} Hz", **values, **texts))
+        notices.append(
+            Notice(
+                SHORT_BEAT,
+                f"{frequency:.6g} Hz",
+                beats=beats,
+                frequency_hz=frequency,
+                frames=len(time_s),
+                rate_hz=rate_hz,
+                causes=", ".join(causes),
+                suggestion="" if clear is None else f", such as {clear:.3f} Hz",
+            )
+        )
     return notices
 
 
@@ -357,8 +364,16 @@ def _jitter_notices(
         share = np.sqrt(2.0) * np.pi * float(lines.frequency_hz[k]) * trigger.jitter_s
         if share * np.abs(value[c]) > noise:
             hertz = float(lines.frequency_hz[k])
-            values = {"jitter_us": 1e6 * trigger.jitter_s, "frequency_hz": hertz, "change_percent": 100.0 * share}
-            notices.append(Notice(PERIODIC_JITTER, f"{hertz:.6g} Hz", trigger=sight.exposure.trigger, **values))
+            notices.append(
+                Notice(
+                    PERIODIC_JITTER,
+                    f"{hertz:.6g} Hz",
+                    trigger=sight.exposure.trigger,
+                    jitter_us=1e6 * trigger.jitter_s,
+                    frequency_hz=hertz,
+                    change_percent=100.0 * share,
+                )
+            )
     return notices
 
 
@@ -427,8 +442,8 @@ def unresolved_fundamentals(
     lost = [f for f in driven if not any(np.isfinite(o.phasors.value[o.phasors.frequency_hz == f]).any() for o in seen)]
     if len(driven) and len(lost) == len(driven) and (seen or folded):
         listed = " and ".join(f"{f:.6g} Hz" for f in lost)
-        reasons = dict.fromkeys(
-            notice.text.rstrip(".") for notice in folded if any(f"{f:.6g} Hz" in notice.where for f in lost)
-        )
+        rounded = {f"{f:.6g}" for f in lost}  # those of several set-ups differ by their clocks
+        of_lost = [notice for notice in folded if f"{notice.values.get('frequency_hz', 0.0):.6g}" in rounded]
+        reasons = dict.fromkeys(notice.text.rstrip(".") for notice in of_lost)
         raise ComputeError(LINES_UNRESOLVED, frequencies=listed, reasons=f" ({'; '.join(reasons)})" if reasons else "")
     return tuple(Notice(LINE_UNOBSERVED, f"{f:.6g} Hz", frequency_hz=f) for f in lost)

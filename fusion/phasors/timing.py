@@ -23,6 +23,7 @@ from fusion.phasors.phasor_notices import (
     FRAME_NUMBERS_SHIFTED,
     IMAGES_REFUSED,
     INVERTED_TRIGGER,
+    LINES_NOT_FOUND,
     NO_SHARED_TRIGGER,
     TOO_FEW_EDGES,
 )
@@ -311,9 +312,15 @@ class TimeBase:
                 continue
             shares = [widths[daq, name].width_s / self.triggers[daq, name].period_s for daq in (one, other)]
             if abs(sum(shares) - 1.0) < INVERTED_TOLERANCE and abs(shares[0] - shares[1]) > 4.0 * INVERTED_TOLERANCE:
-                blocks = {"first_block": one, "second_block": other}
-                values = {"first_share": shares[0], "second_share": shares[1]}
-                yield Notice(INVERTED_TRIGGER, other, trigger=name, **blocks, **values)
+                yield Notice(
+                    INVERTED_TRIGGER,
+                    other,
+                    trigger=name,
+                    first_block=one,
+                    second_block=other,
+                    first_share=shares[0],
+                    second_share=shares[1],
+                )
 
     def record(self, daq: str) -> DaqRecord:
         """Return a block by its name."""
@@ -464,9 +471,16 @@ def frame_edges(
             expected = "the same numbers of frames in both cameras"
             raise InputError(IMAGES_REFUSED, manifest.path, f"{key}.{other}", found=found, expected=expected)
         if numbers is not None and first.exact and numbers.exact and 0 < _start_difference(first, numbers) < frames:
-            cameras_named = {"first_camera": side, "second_camera": other}
-            starts = {"first": first.first, "second": numbers.first}
-            notices.append(Notice(FRAME_NUMBERS_SHIFTED, entry.stereo, **starts, **cameras_named))
+            notices.append(
+                Notice(
+                    FRAME_NUMBERS_SHIFTED,
+                    entry.stereo,
+                    first=first.first,
+                    second=numbers.first,
+                    first_camera=side,
+                    second_camera=other,
+                )
+            )
     trigger = base.first_with(entry.trigger)[1]
     edges, last = trigger.edges - (entry.first_edge or 0), int(first.frame_index[-1])
     if entry.edge_step is None and first.step > 1 and first.step * last < edges:
@@ -513,6 +527,12 @@ def _exposure_key(manifest: Manifest, entry: Frames, stated: float | str) -> tup
     if manifest.rig.stereo[entry.stereo].exposure == stated:
         return manifest.rig_path, f"stereo.{entry.stereo}.exposure"
     return manifest.path, f"{'images' if isinstance(entry, Images) else 'points'}.{entry.stereo}.exposure"
+
+
+def lines_not_found_error(manifest: Manifest, instruments: str, error: ValueError) -> InputError:
+    """Return the error that the signals of some instruments do not show the lines."""
+    reason, key = ARGUMENT.sub("", str(error), count=1), "excitation.frequencies"
+    return InputError(LINES_NOT_FOUND, manifest.path, key, reason=reason, instruments=instruments)
 
 
 def pulse_width_error(manifest: Manifest, daq: str, entry: Frames, error: ValueError) -> InputError:

@@ -11,7 +11,12 @@ import numpy as np
 from fusion.errors import ComputeError
 from fusion.estimation.estimation_notices import UNBOUNDED_MOTION, UNBOUNDED_READINGS
 from fusion.estimation.fuse import Acceleration, fuse_sources
-from fusion.estimation.instrument_consistency import OUTPUT_MISTAKES, UNTESTABLE_SHARE, likely_mistake
+from fusion.estimation.instrument_consistency import (
+    OUTPUT_MISTAKES,
+    UNTESTABLE_SHARE,
+    describe_deviation,
+    likely_mistake,
+)
 from fusion.estimation.labelled_phasors import LabelledPhasors, TabularResult
 from fusion.estimation.least_squares import Unbounded, observed_components, row_space
 from fusion.estimation.measurement_model import SCALE, CommonError, Deviates, Geometry, Observation, UnobservedMotion
@@ -426,8 +431,16 @@ def _element_notices(
     notices = list(contradicting_outputs(outputs, load, prior, StatedMatrix.of(sensor).rated, line))
     notices += mass_notices(element, change, frequency_hz)
     if abs(change - 1.0) > CHANGED:
-        values = {"factor": abs(change), "angle_rad": np.angle(change), "frequency_hz": frequency_hz}
-        notices.append(Notice(ELEMENT_CHANGED, "sensitivity", element=element, **values))
+        notices.append(
+            Notice(
+                ELEMENT_CHANGED,
+                "sensitivity",
+                element=element,
+                factor=abs(change),
+                angle_rad=np.angle(change),
+                frequency_hz=frequency_hz,
+            )
+        )
     return tuple(notices)
 
 
@@ -436,10 +449,12 @@ def _far_from_static(outputs: Outputs, load: LoadResult, sensor: Sensor, compone
 
     For sensors without enough of the matrix for `contradicting_outputs`.
     """
-    main = None if sensor.static_sensitivity is None else main_output(sensor, component, outputs.phasors.channels)
+    if sensor.static_sensitivity is None:
+        return
+    main = main_output(sensor, component, outputs.phasors.channels)
     force = np.nan_to_num(load.value[:, component])
     line = int(np.argmax(np.abs(force)))
-    if sensor.static_sensitivity is None or main is None or not np.abs(force[line]) > 0.0:
+    if main is None or not np.abs(force[line]) > 0.0:
         return
     static = sensor.static_sensitivity[list(sensor.channels).index(main)][component]
     index, predicted = outputs.phasors.channels.index(main), complex(static * force[line])
@@ -448,15 +463,17 @@ def _far_from_static(outputs: Outputs, load: LoadResult, sensor: Sensor, compone
     if not abs(ratio - 1.0) > CHANGED + 3.0 * noise:
         return
     mistake = likely_mistake(ratio, CHANGED, OUTPUT_MISTAKES)
-    text = f"{main} is {abs(ratio):.3g} times as large, turned by {np.angle(ratio):.3g} rad"
-    text += f", as if {mistake}" if mistake else ""
     checks = (
         "sensor.static_sensitivity, sensor.unit, sensor.sense and load.mass, scale, direction and response of channels"
     )
-    frequency_hz = outputs.phasors.frequency_hz[line]
-    explained = bool(mistake)
-    values = {"frequency_hz": frequency_hz, "outputs": text, "checks": checks, "mistake_explains": explained}
-    yield Notice(OUTPUT_CONTRADICTS, "sensitivity", **values)
+    yield Notice(
+        OUTPUT_CONTRADICTS,
+        "sensitivity",
+        frequency_hz=outputs.phasors.frequency_hz[line],
+        outputs=describe_deviation(main, ratio, mistake),
+        checks=checks,
+        mistake_explains=bool(mistake),
+    )
 
 
 def main_output(sensor: Sensor, component: int, recorded: Sequence[str] | None = None) -> str | None:
@@ -464,11 +481,12 @@ def main_output(sensor: Sensor, component: int, recorded: Sequence[str] | None =
 
     By the static matrix or its name. `recorded`: outputs to choose from, by default all of the sensor.
     """
-    chosen = [name in (sensor.channels if recorded is None else recorded) for name in sensor.channels]
+    names = [name for name in sensor.channels if recorded is None or name in recorded]
     if sensor.static_sensitivity is not None:
-        size = np.abs(np.array(sensor.static_sensitivity, dtype=np.float64)[:, component]) * chosen
-        return sensor.channels[int(np.argmax(size))] if size.any() else None
-    return LOAD_COMPONENTS[component] if LOAD_COMPONENTS[component] in sensor.channels else None
+        size = {name: abs(row[component]) for name, row in zip(sensor.channels, sensor.static_sensitivity, strict=True)}
+        main = max(names, key=lambda name: size[name], default=None)
+        return main if main is not None and size[main] > 0.0 else None
+    return LOAD_COMPONENTS[component] if LOAD_COMPONENTS[component] in names else None
 
 
 # The result tree of one recording, for result files and report.
@@ -517,15 +535,18 @@ class Evaluation(TabularResult):
     element: Sensitivity | None = None
     supports: tuple[SupportMotion, ...] = ()
 
+    @property
+    def _main_result(self) -> TabularResult | None:
+        return self.element or self.sensitivity or self.load or next(iter(self.accelerations), None)
+
     def labelled(self) -> LabelledPhasors:
         """Return the main result: elements of the sensor, else ratios, the load, or accelerations."""
-        result = self.element or self.sensitivity or self.load or next(iter(self.accelerations), None)
-        if result is None:
+        if self._main_result is None:
             raise ValueError(f"{self.manifest.name}: expected a result, found none; its notices state why")
-        return result.labelled()
+        return self._main_result.labelled()
 
     def __repr__(self) -> str:
-        result = self.element or self.sensitivity or self.load or next(iter(self.accelerations), None)
+        result = self._main_result
         warnings = sum(notice.severity == "warning" for notice in self.notices)
         text = f"{self.manifest.name}: {'no result' if result is None else result!r}"
         return f"{text}; {warnings} warning{'s' * (warnings != 1)}"

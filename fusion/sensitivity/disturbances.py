@@ -143,14 +143,21 @@ def not_assessed(
         keys = ["environment.sensor_temperature"] * (temperature is None) + ["sensor.temperature_coefficient"]
         share = USUAL_COEFFICIENT * abs(deviation)
         if share >= MATTERS:
-            values = {"share": share, "deviation_k": deviation, "coefficient_per_k": USUAL_COEFFICIENT}
-            yield Notice(TEMPERATURE_NOT_ASSESSED, SURROUNDINGS, missing=_unstated(keys), **values)
+            yield Notice(
+                TEMPERATURE_NOT_ASSESSED,
+                SURROUNDINGS,
+                missing=_unstated(keys),
+                share=share,
+                deviation_k=deviation,
+                coefficient_per_k=USUAL_COEFFICIENT,
+            )
     if rig.load is not None and rig.load.cable_stiffness is None and body is not None:
         mass = sum(part.mass_kg for part in body.parts)
         share = CABLE_NPM / (mass * (2.0 * np.pi * frequency_hz) ** 2)
         if share >= MATTERS:
-            values = {"share": share, "frequency_hz": frequency_hz, "stiffness_npm": CABLE_NPM}
-            yield Notice(CABLES_NOT_ASSESSED, SURROUNDINGS, **values)
+            yield Notice(
+                CABLES_NOT_ASSESSED, SURROUNDINGS, share=share, frequency_hz=frequency_hz, stiffness_npm=CABLE_NPM
+            )
     if sensor is not None and (sensor.base_strain_sensitivity is None or environment.base_strain is None):
         keys = ["sensor.base_strain_sensitivity"] * (sensor.base_strain_sensitivity is None)
         keys += ["environment.base_strain"] * (environment.base_strain is None)

@@ -212,16 +212,19 @@ def _notices(
         if part > 0.0:
             share, size = part / whole, np.sqrt(part / 2.0) / np.abs(value[line, largest])
             declared = UNOBSERVED_MOTION_LARGE if share > MATTERS else UNOBSERVED_MOTION_ASSUMED
-            values = {
-                "components": ", ".join(hidden),
-                "limits": str(acceleration.unobserved_limits),
-                "driven": _describe_driven(acceleration, int(line)),
-                "u_percent": 100.0 * size,
-                "load": LOAD_COMPONENTS[largest],
-                "frequency_hz": acceleration.phasors.frequency_hz[line],
-                "share": share,
-            }
-            notices.append(Notice(declared, acceleration.body, **values))
+            notices.append(
+                Notice(
+                    declared,
+                    acceleration.body,
+                    components=", ".join(hidden),
+                    limits=str(acceleration.unobserved_limits),
+                    driven=_describe_driven(acceleration, int(line)),
+                    u_percent=100.0 * size,
+                    load=LOAD_COMPONENTS[largest],
+                    frequency_hz=acceleration.phasors.frequency_hz[line],
+                    share=share,
+                )
+            )
     missing = [name for index, name in enumerate(LOAD_COMPONENTS) if not np.any(observed[:, index])]
     if missing:
         notices.append(Notice(LOAD_UNDETERMINED, "load", components=", ".join(missing)))
@@ -264,12 +267,17 @@ def _elastic_notices(
             named.append((f"elastic {part.name} of the load", natural_hz))
     notices = []
     if corrected:
-        values = {
-            "load": LOAD_COMPONENTS[component],
-            "frequency_hz": frequency_hz[line],
-            "change_percent": 100.0 * change[line],
-        }
-        notices.append(Notice(ELASTIC_CORRECTED, "load", parts=", ".join(corrected), **values))
+        notices.append(
+            Notice(
+                ELASTIC_CORRECTED,
+                "load",
+                parts=", ".join(corrected),
+                load=LOAD_COMPONENTS[component],
+                frequency_hz=frequency_hz[line],
+                change_percent=100.0 * change[line],
+                moving="its foot" if body.elastic else "the part above the joint",
+            )
+        )
     notices += [Notice(ELASTIC_ONLY_NAMED, "load", part=name, frequency_hz=hertz) for name, hertz in named]
     return (*notices, *_part_notices(body, frequency_hz))
 
@@ -282,8 +290,8 @@ def _part_notices(body: Body, frequency_hz: FloatArray) -> Iterator[Notice]:
             yield Notice(DRAWING_TOO_HEAVY, "load", part=part.name, mass_kg=part.mass_kg, total_kg=total)
         near = np.abs(frequency_hz[:, None] / part.modes.frequency_hz - 1.0) < RESONANCE_BAND
         for k, mode in np.argwhere(near)[:1].tolist():
-            values = {"frequency_hz": frequency_hz[k], "natural_hz": part.modes.frequency_hz[mode]}
-            yield Notice(NEAR_RESONANCE, "load", part=part.name, **values)
+            hertz, natural_hz = frequency_hz[k], part.modes.frequency_hz[mode]
+            yield Notice(NEAR_RESONANCE, "load", part=part.name, frequency_hz=hertz, natural_hz=natural_hz)
 
 
 def _rigidity_notices(body: Body, load: LoadResult) -> tuple[Notice, ...]:
@@ -309,13 +317,15 @@ def _rigidity_notices(body: Body, load: LoadResult) -> tuple[Notice, ...]:
     if not np.any(matters):
         return ()
     line = int(np.argmax(np.where(matters, change, -1.0)))
-    values = {
-        "frequency_hz": load.frequency_hz[line],
-        "natural_hz": float(f"{first[line]:.2g}"),
-        "load": LOAD_COMPONENTS[largest[line]],
-        "change": min(change[line], 1.0),
-    }
-    return (Notice(LOAD_MAY_DEFORM, "load", **values),)
+    notice = Notice(
+        LOAD_MAY_DEFORM,
+        "load",
+        frequency_hz=load.frequency_hz[line],
+        natural_hz=float(f"{first[line]:.2g}"),
+        load=LOAD_COMPONENTS[largest[line]],
+        change=min(change[line], 1.0),
+    )
+    return (notice,)
 
 
 def describe_other_loads(load: LoadResult, component: int, capacity: Sequence[float] | None = None) -> str:

@@ -294,5 +294,7 @@ def _gain(
 def _contradictions(part: ElasticPart, pair: StereoResult, contradicted: BoolArray) -> list[Notice]:
     """Return a warning for each line at which measured and stated responses contradict."""
     frequency_hz = pair.phasors.frequency_hz[contradicted].tolist()
-    values = {"part": part.name, "pair": pair.name}
-    return [Notice(MODES_CONTRADICT, f"{hertz:.6g} Hz", frequency_hz=hertz, **values) for hertz in frequency_hz]
+    return [
+        Notice(MODES_CONTRADICT, f"{hertz:.6g} Hz", part=part.name, pair=pair.name, frequency_hz=hertz)
+        for hertz in frequency_hz
+    ]

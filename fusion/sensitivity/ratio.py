@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from fusion.estimation.coverage import Polar, coverage_factor, polar
-from fusion.estimation.instrument_consistency import OUTPUT_MISTAKES, likely_mistake
+from fusion.estimation.instrument_consistency import OUTPUT_MISTAKES, describe_deviation, likely_mistake
 from fusion.estimation.labelled_phasors import LabelledPhasors, TabularResult
 from fusion.estimation.measurement_model import BODY_SIZE_M
 from fusion.estimation.uncertainty import (
@@ -34,7 +34,7 @@ from fusion.sensitivity.moving_body import Body
 from fusion.sensitivity.sensitivity_notices import MASS_DOUBTED, OUTPUT_CONTRADICTS
 from shaker.arrays import BoolArray, ComplexArray, FloatArray, check_shape
 from shaker.labels import LOAD_COMPONENTS, sensitivity_unit
-from shakercal._common.notices import Notice, Value
+from shakercal._common.notices import Notice
 
 if TYPE_CHECKING:
     from fusion.recording.rig import Sensor
@@ -513,15 +513,14 @@ def contradicting_outputs(
     doubted = [c for c in stated if not agrees(c, c)]
     if not doubted:
         return
-    listed, mistakes = [], list[str]()
+    listed, mistakes = list[str](), list[str]()
     for c in doubted:
         ratio = complex(quotient(signal[c], predicted[c, None])[0])
         mistake = likely_mistake(ratio, CHANGED, OUTPUT_MISTAKES) if abs(predicted[c]) > cross[c] else ""
         if not mistake and abs(abs(ratio) - 1.0) < CHANGED:
             mistake = "the delay or response of its chain were missing or in another unit"
-        factor = f"{abs(ratio):.3g} times as large, turned by {np.angle(ratio):.3g} rad"
-        mistakes += [mistake] if mistake else []
-        listed.append(f"{names[c]} is {factor}" + (f", as if {mistake}" if mistake else ""))
+        mistakes.append(mistake)
+        listed.append(describe_deviation(names[c], ratio, mistake))
     pairs = [(a, b) for a, b in combinations(doubted, 2) if agrees(a, b) and agrees(b, a)]
     exchanges = [f"whether {names[a]} and {names[b]} are exchanged" for a, b in pairs]
     checks = (
@@ -534,7 +533,7 @@ def contradicting_outputs(
         frequency_hz=outputs.phasors.frequency_hz[line],
         outputs="; ".join(listed),
         checks=", ".join([*exchanges, checks]),
-        mistake_explains=bool(mistakes or pairs),
+        mistake_explains=any(mistakes) or bool(pairs),
     )
 
 
@@ -556,8 +555,9 @@ def mass_notices(element: str, ratio: complex, frequency_hz: float) -> Iterator[
         if natural_hz > MAX_RESONANCE_HZ:
             return
         resonance = f"as with a resonance at {natural_hz:.3g} Hz"
-    values: dict[str, Value] = {"factor": size, "frequency_hz": frequency_hz, "resonance": resonance}
-    yield Notice(MASS_DOUBTED, "sensitivity", element=element, **values)
+    yield Notice(
+        MASS_DOUBTED, "sensitivity", element=element, factor=size, frequency_hz=frequency_hz, resonance=resonance
+    )
 
 
 # The ratio point by point, where several vibrometer points look along the force that was driven.

@@ -177,8 +177,8 @@ LOAD_UNDETERMINED = DeclaredNotice(
 ELASTIC_CORRECTED = DeclaredNotice(
     "SC-488",
     "note",
-    "{parts} changes {load} at {frequency_hz:.6g} Hz by {change_percent:+.2g} % from that of a rigid body.",
-    effect="The result is corrected for it; accelerations of the load are those of its foot.",
+    "{load} at {frequency_hz:.6g} Hz differs by {change_percent:+.2g} % from that of a rigid body, because of {parts}.",
+    effect="The result is corrected for it; accelerations of the load are those of {moving}.",
     link="modes.md",
 )
 ELASTIC_ONLY_NAMED = DeclaredNotice(

@@ -412,8 +412,7 @@ def _notices(moved: SupportMotion) -> Iterator[Notice]:
         c = max(shaken, key=lambda c: float(abs(value[c])))
         found = polar(complex(value[c]), element_covariance(moved.phasors.covariance[line], c))
         share = round_to_uncertainty(100.0 * found.magnitude / size, 200.0 * found.u_magnitude / size, 0)
-        shares = {"share": share.value, "expanded": share.expanded}
-        yield Notice(SUPPORT_CORRECTED, moved.name, axis="xyz"[c], **shares, **values)
+        yield Notice(SUPPORT_CORRECTED, moved.name, axis="xyz"[c], share=share.value, expanded=share.expanded, **values)
     if len(seen) and float(u[seen].max()) > WEAK * size:
         yield Notice(SUPPORT_UNCERTAIN, moved.name, u_relative=float(u[seen].max()) / size, **values)
 

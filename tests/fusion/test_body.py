@@ -146,6 +146,7 @@ def test_force_below_an_elastic_joint_is_that_of_a_chain_of_two_masses():
     assert "3500 Hz" in notice.values["parts"]
     assert notice.values["change_percent"] == pytest.approx(-0.81, abs=0.005)
     assert notice.values["frequency_hz"] == 1000.0
+    assert notice.values["moving"] == "the part above the joint"
 
 
 def test_a_joint_is_one_unknown_per_component_and_mounting():

@@ -16,10 +16,14 @@ from fusion.cli import main
 from fusion.errors import ComputeError
 from fusion.phasors.phasor_notices import LINE_UNSTEADY, LINES_UNRESOLVED, PAIR_REJECTED
 from fusion.phasors.steadiness import line_stationarity, stationarity_notices
+from fusion.phasors.stereo_phasors import unresolved_fundamentals
 from fusion.report.recording_report import write_h5
 from fusion.report.tables import drift_table
 from fusion.sensitivity.analyse import Evaluation
+from shaker.lines.frequencies import LineFrequencies
+from shaker.sine.sine_fit_notices import INSEPARABLE_LINE
 from shaker.timebase.tie import ClockTie
+from shakercal._common.notices import Notice
 
 DRIVEN_HZ, DAQ_HZ, SAMPLES, FRAMES = 106.25, 10_000.0, 14_000, 64
 FOLDING_HZ, CLEAR_HZ = 53.125, 49.7
@@ -172,8 +176,19 @@ def test_cameras_alone_fail_in_one_sentence(tmp_path, capsys):
     place = recording(tmp_path, FOLDING_HZ, laser=False)
     error = refused("106[.]25 Hz", evaluated, place, error=ComputeError)
     assert (error.code, error.values["frequencies"]) == (LINES_UNRESOLVED.code, "106.25 Hz")
+    assert not str(error.values["reasons"]).endswith(".)")
     assert main(["run", str(place), "--quiet"]) == 1
     reported = capsys.readouterr().err.strip()
     assert reported.count("\n") == 0
     assert LINES_UNRESOLVED.code in reported
     assert "Traceback" not in reported
+
+
+def test_reasons_of_lost_lines_are_those_of_these_lines_only():
+    frequency_hz = np.array([80.0, 180.0])
+    lines = LineFrequencies(frequency_hz, np.zeros(2), frequency_hz[:1].repeat(2), np.array([1, 2]), ("", ""), ())
+    folded = [Notice(INSEPARABLE_LINE, f"stereo pair top, {hertz:g} Hz", frequency_hz=hertz) for hertz in (80.0, 180.0)]
+    with pytest.raises(ComputeError) as raised:
+        unresolved_fundamentals((), lines, folded)
+    reason = folded[0].text.removesuffix(".")
+    assert (raised.value.code, raised.value.values["reasons"]) == (LINES_UNRESOLVED.code, f" ({reason})")

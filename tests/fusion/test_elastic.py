@@ -288,7 +288,9 @@ def test_a_rod_of_15_cm_is_corrected_at_1_khz_or_noticed(tmp_path):
         expanded[name] = 2.0 * np.sqrt(evaluation.sensitivity.covariance[0, 0, 2, 0, 0]) / SENSITIVITY
         codes[name] = {notice.code: notice for notice in evaluation.notices}
     assert abs(error["stated"]) < 3e-4
-    assert "rod" in codes["stated"][ELASTIC_CORRECTED.code].values["parts"]
+    corrected = codes["stated"][ELASTIC_CORRECTED.code].values
+    assert "rod" in corrected["parts"]
+    assert corrected["moving"] == "its foot"
     assert "rod" in codes["named"][ELASTIC_ONLY_NAMED.code].values["part"]
     for name in ("nothing", "first", "named"):
         assert error[name].real == pytest.approx(wave(1000.0) - 1.0, abs=3e-4)
