@@ -12,7 +12,7 @@ from photogram.arrays import Arrays, BoolArray, FloatArray, RunningMean, derivat
 from photogram.camera import StereoRig, epipolar_residual, triangulate
 from photogram.epipolar_notices import CAMERA_DRIFTS, CAMERA_MOVED, CAMERA_ROTATED, PAIR_CHANGED
 from photogram.geometry import RigidTransform, rotation_from_vector
-from shakercal._common.notices import Notice
+from shakercal._common.notices import Notice, Value
 
 if TYPE_CHECKING:
     from photogram.subsets.track import StereoTracks
@@ -238,7 +238,7 @@ def _coefficients(residual: FloatArray, variance: FloatArray, basis: FloatArray)
     return np.where(enough, value, np.nan), np.where(enough, u, np.nan)
 
 
-def _pair_notice(rig: StereoRig, matches: tuple[FloatArray, FloatArray], values: dict[str, float | str]) -> Notice:
+def _pair_notice(rig: StereoRig, matches: tuple[FloatArray, FloatArray], values: dict[str, Value]) -> Notice:
     """Return the warning of an unexplained residual, with a rotation that explains it."""
     turn = _explaining_turn(rig, matches)
     if turn is None:
@@ -277,7 +277,7 @@ def _rotated_rig(rig: StereoRig, vector_rad: FloatArray) -> StereoRig:
     return replace(rig, right_from_left=turn @ rig.right_from_left)
 
 
-def _unexplained_residual(pattern: FloatArray, covariance: FloatArray | None) -> dict[str, float | str] | None:
+def _unexplained_residual(pattern: FloatArray, covariance: FloatArray | None) -> dict[str, Value] | None:
     """Return the residual of an unexplained pattern, and the limit."""
     from scipy.special import chdtri
 

@@ -11,7 +11,7 @@ from photogram.calibration.calibration_notices import KNOWN_LENGTH_CONTRADICTED,
 from photogram.calibration.calibration_result import CalibratedView, Calibration
 from photogram.camera import TRANSLATION
 from photogram.geometry import RigidTransform, skew
-from shakercal._common.notices import Notice
+from shakercal._common.notices import Notice, Value
 
 _LIKELY_RATIO = 2.0  # of a known length to the calibration's; prints deviate by some percent, a wrong unit by more
 _MAX_DEVIATION = 2.0  # standard uncertainties beyond which spacing and known length contradict each other
@@ -63,8 +63,7 @@ def scale_to_length(calibration: Calibration, known_length: KnownLength) -> Cali
     deviation = abs(ratio - 1) / float(np.hypot(u_ratio, spacing)) if spacing or u_ratio else float("inf")
     weight = spacing**2 / (spacing**2 + u_ratio**2) if spacing > 0 else 1.0
     scale, scale_u = 1 + weight * (ratio - 1), u_ratio * float(np.sqrt(weight))
-    contradicts = spacing > 0 and deviation > _MAX_DEVIATION
-    values: dict[str, str | float] = {
+    values: dict[str, Value] = {
         "stated_mm": 1e3 * known_length.length_m,
         "first": known_length.first,
         "second": known_length.second,
@@ -72,13 +71,12 @@ def scale_to_length(calibration: Calibration, known_length: KnownLength) -> Cali
         "difference_percent": 100 * (ratio - 1),
         "change_percent": 100 * (scale - 1),
     }
-    if contradicts:
+    if spacing > 0 and deviation > _MAX_DEVIATION:
         scale_u *= deviation
-        values |= {"deviation": deviation, "scale_expanded_percent": 200 * scale_u}
-        notice = Notice(KNOWN_LENGTH_CONTRADICTED, "scale", **values)
+        declared, values["deviation"] = KNOWN_LENGTH_CONTRADICTED, deviation
     else:
-        values |= {"expanded_percent": 200 * u_ratio, "scale_expanded_percent": 200 * scale_u}
-        notice = Notice(KNOWN_LENGTH_USED, "scale", **values)
+        declared, values["expanded_percent"] = KNOWN_LENGTH_USED, 200 * u_ratio
+    notice = Notice(declared, "scale", **values, scale_expanded_percent=200 * scale_u)
     others = [item for item in calibration.notices if item.where != "scale"]
     return replace(_scaled(calibration, scale, scale_u), notices=(*others, notice))
 

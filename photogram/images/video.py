@@ -281,8 +281,8 @@ def open_cine(path: Path, bit_depth: int | None) -> ImageSequence:
         exposure_s = float(np.median(each))
         other = int(np.count_nonzero(np.abs(each - exposure_s) > 0.01 * exposure_s))
         if other:
-            values = {"exposure_us": 1e6 * exposure_s, "different": other, "frames": frames}
-            notices.append(Notice(EXPOSURE_VARIES, str(path), **values))
+            exposure_us = 1e6 * exposure_s
+            notices.append(Notice(EXPOSURE_VARIES, str(path), exposure_us=exposure_us, different=other, frames=frames))
     if packing == PACKED_10:
         notices.append(Notice(COMPANDED_CODES, str(path)))
     scale = full_scale_of(path, bits, bit_depth)

@@ -374,8 +374,7 @@ def _notices(model: MultiModel, releases: Sequence[ReleaseFit], fit: PoleFit) ->
     notices += growing_pole_notices(model)
     for hz, zeta, u_zeta in zip(model.frequency_hz, model.damping_ratio, model.u.damping_ratio, strict=True):
         if u_zeta > UNCLEAR * abs(zeta):
-            values = {"frequency_hz": hz, "damping_ratio": zeta, "u_damping_ratio": u_zeta}
-            notices.append(Notice(DOUBTFUL_MODE, "model", **values))
+            notices.append(Notice(DOUBTFUL_MODE, "model", frequency_hz=hz, damping_ratio=zeta, u_damping_ratio=u_zeta))
     for component in model.components:
         selected = [release for release in releases if release.component == component]
         shortest = min(release.duration_s for release in selected)
@@ -384,11 +383,10 @@ def _notices(model: MultiModel, releases: Sequence[ReleaseFit], fit: PoleFit) ->
         if len(selected) < 2:
             notices.append(Notice(SINGLE_RELEASE, component, component=component))
             continue
-        spread = np.std([r.gain for r in selected], ddof=1)
+        spread = float(np.std([r.gain for r in selected], ddof=1))
         chance = np.sqrt(np.mean([r.u_gain**2 for r in selected]))
         if spread > _SCATTERED * chance:
-            values = {"count": len(selected), "scatter_percent": 100 * spread}
-            notices.append(Notice(RELEASE_SIZE_SCATTER, component, **values))
+            notices.append(Notice(RELEASE_SIZE_SCATTER, component, count=len(selected), scatter_percent=100 * spread))
     for release in releases:
         worst = int(np.argmax(release.misfit))
         if release.misfit[worst] > _COLOURED:

@@ -245,13 +245,16 @@ def _unsettled(error: ComplexArray, response: ComplexArray, frequency: FloatArra
     early = _differs(error, first, frequency)
     if early.any():
         size = np.abs(error[0] - error[1:].mean(axis=0))[early].max() / np.abs(response.mean(axis=0))[early].max()
-        band = {"low_hz": float(frequency[early].min()), "high_hz": float(frequency[early].max())}
-        return [Notice(NOT_SETTLED, name, **band, difference_percent=100.0 * float(size))]
+        return [Notice(NOT_SETTLED, name, **_limits(frequency[early]), difference_percent=100.0 * float(size))]
     trend = _differs(error, np.arange(0.0, count) - 0.5 * (count - 1), frequency)
     if trend.any():
-        band = {"low_hz": float(frequency[trend].min()), "high_hz": float(frequency[trend].max())}
-        return [Notice(RESPONSE_DRIFTS, name, **band)]
+        return [Notice(RESPONSE_DRIFTS, name, **_limits(frequency[trend]))]
     return []
+
+
+def _limits(frequency: FloatArray) -> dict[str, float]:
+    """Return the lowest and the highest frequency as values of a notice."""
+    return {"low_hz": float(frequency.min()), "high_hz": float(frequency.max())}
 
 
 def _differs(error: ComplexArray, contrast: FloatArray, frequency: FloatArray) -> BoolArray:

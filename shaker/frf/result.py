@@ -12,7 +12,7 @@ from shaker.arrays import BoolArray, ComplexArray, FloatArray, check_shape
 from shaker.frf.chain import ratio_unit
 from shaker.frf.frf_notices import NARROW_PEAKS
 from shaker.sine.phasor import Phasors
-from shakercal._common.notices import Notice, Value
+from shakercal._common.notices import Notice
 
 # Input and result of the estimate of a transfer function.
 
@@ -216,8 +216,7 @@ def resolution_notices(
     listed = ", ".join(f"{frequency_hz[p]:.6g}" for p in peaks[narrow][:6])
     width = float(widths[narrow].min())
     needed = spacing * max(1.0, width) / (2.0 * _MIN_WIDTH)
-    values: dict[str, Value] = {"frequencies": listed, "width_lines": width, "cause": cause, "spacing_hz": needed}
-    return [Notice(NARROW_PEAKS, name, **values)]
+    return [Notice(NARROW_PEAKS, name, frequencies=listed, width_lines=width, cause=cause, spacing_hz=needed)]
 
 
 # Noise of neighbouring lines taken together.

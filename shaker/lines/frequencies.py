@@ -33,7 +33,7 @@ from shaker.sine.aliasing import (
 )
 from shaker.sine.sine_fit import fit_sines, rows_present
 from shaker.sine.solve import SineFit, SineModel
-from shakercal._common.notices import Notice, Value
+from shakercal._common.notices import Notice
 
 MAX_MULTIPLE = 20  # harmonics searched for
 _PROMINENT = 36.0  # times the noise power that a fundamental must reach; exp(-36) by chance in one bin
@@ -291,9 +291,15 @@ def _alias_notices(nominal: FloatArray, all_nominal: FloatArray, grid: SamplingG
         if folds:
             names = [f"{fold.frequency_hz:.6g} Hz ({fold.multiple} × {fold.fundamental_hz:.6g} Hz)" for fold in folds]
             more = f" and {len(names) - _NAMED} higher ones" if len(names) > _NAMED else ""
-            values: dict[str, Value] = {"alias_hz": folds[0].alias_hz, "harmonics": ", ".join(names[:_NAMED]) + more}
-            where = f"{frequency:.6g} Hz"
-            notices.append(Notice(HARMONICS_ON_ALIAS, where, frequency_hz=frequency, rate_hz=grid.rate_hz, **values))
+            notice = Notice(
+                HARMONICS_ON_ALIAS,
+                f"{frequency:.6g} Hz",
+                frequency_hz=frequency,
+                rate_hz=grid.rate_hz,
+                alias_hz=folds[0].alias_hz,
+                harmonics=", ".join(names[:_NAMED]) + more,
+            )
+            notices.append(notice)
     return tuple(notices)
 
 

@@ -321,7 +321,7 @@ def identify_loads(
     different = sum(len(np.unique(masses.load[used[:, mode]])) for mode in range(2))  # repeats do not count
     enough = different >= 2 and bool(np.any(masses.load > 0))
     elastic = fit_resonances(measured, masses, rigid=False) if enough else ()
-    supported, reason = _supports(measured, masses, rigid, elastic, unit)
+    supported, reason = _supports(measured, masses, rigid, elastic, output)
     chosen = elastic if supported else (rigid,)
     from_records = False
     if decays and noise is not None:
@@ -336,20 +336,21 @@ def identify_loads(
     if foreign:
         modes = ", ".join(f"{observed.frequency_hz[r, 1]:.5g} Hz with {_mass(masses.load[r], unit)}" for r in foreign)
         notices.append(Notice(SECOND_MODE_EXCLUDED, where, modes=modes))
-    notices.append(reason.at(where))
+    notices.append(reason)
     notices += _remarks(masses, output, chosen[0], models, bool(np.any(measured.u_frequency_hz[:, 0] > 0)))
     text = f"{reason.text} {reason.effect}"
     return LoadIdentification(rigid, elastic, chosen, from_records, models, text, tuple(notices))
 
 
 def _supports(
-    measured: Resonances, masses: SeriesMasses, rigid: SeriesFit, elastic: tuple[SeriesFit, ...], unit: str
+    measured: Resonances, masses: SeriesMasses, rigid: SeriesFit, elastic: tuple[SeriesFit, ...], output: SeriesOutput
 ) -> tuple[bool, Notice]:
     """Return whether the data support three masses, and the reason."""
     from scipy.special import chdtrc, fdtrc
 
+    where, unit = output.component, output.mass_unit
     if not elastic:
-        return False, Notice(TWO_MASSES_ASSUMED)
+        return False, Notice(TWO_MASSES_ASSUMED, where)
 
     def largest(fit: SeriesFit) -> tuple[float, str]:
         deviation = 100.0 * np.abs(fit.frequency_hz[:, 0] / first - 1.0)
@@ -359,12 +360,16 @@ def _supports(
 
     first, seen = measured.frequency_hz[:, 0], np.isfinite(measured.frequency_hz[:, 1]) & (masses.load > 0)
     (two, two_load), (three, three_load) = largest(rigid), largest(elastic[0])
-    values: dict[str, Value] = {"two_percent": two, "two_load": two_load}
-    values |= {"three_percent": three, "three_load": three_load}
+    values: dict[str, Value] = {
+        "two_percent": two,
+        "two_load": two_load,
+        "three_percent": three,
+        "three_load": three_load,
+    }
     if seen.any():
         index = int(np.flatnonzero(seen)[0])
         second = f"{measured.frequency_hz[index, 1]:.5g} Hz with {_mass(masses.load[index], unit)}"
-        return True, Notice(THREE_MASSES, evidence=f"a second resonance at {second}", **values)
+        return True, Notice(THREE_MASSES, where, evidence=f"a second resonance at {second}", **values)
     scatter, freedom = elastic[0].scatter[0], elastic[0].dof[0]
     variance = (measured.u_frequency_hz[:, 0] / first) ** 2 + scatter**2
     if np.all(variance > 0.0):
@@ -373,8 +378,8 @@ def _supports(
         )
         gain = max(float(of_two - of_three), 0.0)
         if (fdtrc(1, freedom, gain) if scatter > 0.0 else chdtrc(1, gain)) < CONTRADICTED:
-            return True, Notice(THREE_MASSES, evidence="the first resonances", **values)
-    return False, Notice(TWO_MASSES_SUFFICIENT, **values)
+            return True, Notice(THREE_MASSES, where, evidence="the first resonances", **values)
+    return False, Notice(TWO_MASSES_SUFFICIENT, where, **values)
 
 
 def _mass(load: float, unit: str) -> str:

@@ -175,13 +175,13 @@ def fit_step(
     reading = reading or read_release(record, channel)
     fits = fit_shapes(record, channel, reading, modes, real_poles, method, release)
     fit = merge_alternatives(fits)
-    shapes = [
-        text for other in fits[1:] if other.excess < REJECT_CHI2 and (text := describe_difference(fits[0], other))
-    ]
     where = f"{record.name}, {channel}"
-    return replace(
-        fit, notices=(*fit.notices, *(Notice(RELEASE_SHAPE_UNDETERMINED, where, alternatives=text) for text in shapes))
-    )
+    shapes = [
+        Notice(RELEASE_SHAPE_UNDETERMINED, where, alternatives=text)
+        for other in fits[1:]
+        if other.excess < REJECT_CHI2 and (text := describe_difference(fits[0], other))
+    ]
+    return replace(fit, notices=(*fit.notices, *shapes))
 
 
 def fit_shapes(

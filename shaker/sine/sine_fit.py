@@ -41,7 +41,7 @@ from shaker.sine.solve import (
     phasors_at_zero,
     sum_remainder,
 )
-from shakercal._common.notices import Notice, Value
+from shakercal._common.notices import Notice
 
 _NO_ADDITIONS = SineModel()
 _ROUNDING = 1e-15  # of a channel's lines: no residual is more certain
@@ -126,8 +126,8 @@ def fit_sines(
     spikes, limit = find_spikes(samples, frequency_hz, model)
     if spikes.any():
         first_s = _as_array(time_s)[np.argmax(spikes)]
-        counts: dict[str, Value] = {"spikes": int(np.count_nonzero(spikes)), "samples": samples.count}
-        notices += (Notice(SPIKES_REJECTED, where, **counts, limit_sigmas=limit, first_s=first_s),)
+        count, total = int(np.count_nonzero(spikes)), samples.count
+        notices += (Notice(SPIKES_REJECTED, where, spikes=count, samples=total, limit_sigmas=limit, first_s=first_s),)
         samples = samples.drop_rows(spikes)
     check_samples(samples.count, parameters)
     return replace(_fit_rows(time_s, samples, frequency_hz, model, names, notices), spikes=np.flatnonzero(spikes))

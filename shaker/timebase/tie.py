@@ -18,7 +18,7 @@ from shaker.timebase.trigger import (
     fit_straight_line,
 )
 from shaker.timebase.trigger_notices import CONTRADICTORY_CLOCK_RATE, START_TIMES_DISAGREE
-from shakercal._common.notices import Notice, Value
+from shakercal._common.notices import Notice
 
 # Matching edges of two records: the whole-period shift and its evidence.
 
@@ -463,8 +463,14 @@ def tie_clocks(
     by_start = by_start_times(base, other, start_difference_s)
     notices: tuple[Notice, ...] = ()
     if by_start is not None and by_start != decided.edges:
-        values: dict[str, Value] = {"evidence": decided.decided_by, "used_edge": decided.edges}
-        notices = (Notice(START_TIMES_DISAGREE, "clock", start_time_edge=by_start, **values),)
+        notice = Notice(
+            START_TIMES_DISAGREE,
+            "clock",
+            start_time_edge=by_start,
+            evidence=decided.decided_by,
+            used_edge=decided.edges,
+        )
+        notices = (notice,)
     pairs, _, other_index = np.intersect1d(base.number, other.number + decided.edges, return_indices=True)
     # Always from the coarser to the finer record, so that exchanged roles give the same tie.
     finer = min((base, other), key=lambda fit: (fit.resolution_s, fit.edges, fit.start_s))
