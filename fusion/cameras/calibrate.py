@@ -148,10 +148,7 @@ def run_cameras(
 ) -> None:
     """Calibrate from the named images, write calibration and page, print the summary."""
     started, page = time.monotonic(), output.with_suffix(".html")
-    if output.suffix != ".json":
-        raise InputError(
-            OUTPUT_SUFFIX, output, found=output.suffix or "no suffix", expected="a name that ends in .json"
-        )
+    _check_suffix(output)
     for path in (output, page):
         check_new_file(path, force=force)
     left, right = split_images(arguments)
@@ -178,10 +175,7 @@ def run_camera(
     arguments: Sequence[str], settings: CameraSettings, output: Path, force: bool, progress: ProgressCallback
 ) -> None:
     """Calibrate a single camera from the named images, write its file, print the summary."""
-    if output.suffix != ".json":
-        raise InputError(
-            OUTPUT_SUFFIX, output, found=output.suffix or "no suffix", expected="a name that ends in .json"
-        )
+    _check_suffix(output)
     check_new_file(output, force=force)
     images = [path for part in arguments for path in _expanded(part)]
     inputs = hash_files(images, _folder(images))

@@ -86,9 +86,8 @@ class CheckReport:
         folder, above = f"{self.path.parent}{os.sep}", str(self.path.parent.parent)
 
         def new(texts: tuple[str, ...]) -> tuple[str, ...]:
-            without_code = {text: CODE.sub("", text) for text in texts}
-            shared = {text for text in texts if without_code[text].startswith((RIG, above))}
-            shared -= {text for text in shared if without_code[text].startswith(folder)}
+            starts = ((text, CODE.sub("", text)) for text in texts)
+            shared = {text for text, at in starts if at.startswith((RIG, above)) and not at.startswith(folder)}
             remaining = tuple(text for text in texts if text not in shared or text not in shown)
             shown.update(shared)
             return remaining

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from fusion.base import K2, round_to_uncertainty
-from fusion.errors import InputError
+from fusion.errors import InputError, as_input_error
 from fusion.phasors.channel_phasors import MOST_BINS, fill_gaps, line_record, lines_of_record
 from fusion.phasors.timing import tie_daqs
 from fusion.planning.planning_notices import NO_SIGNAL, NOT_FINITE
@@ -86,10 +86,8 @@ def lines_of_file(
     A band selects the lines in it. `drawn`: with their spectra for the figure, which need as much memory as the
     samples.
     """
-    try:
+    with as_input_error(path):
         channels = read_channels(path, names, rate_hz)
-    except (OSError, ValueError) as error:
-        raise InputError.from_exception(error, path) from error
     groups: dict[tuple[float, int], dict[str, RawChannel]] = {}
     for name, channel in channels.items():
         groups.setdefault((channel.sample_rate_hz, len(channel.samples)), {})[name] = channel
@@ -166,10 +164,8 @@ def _file_group(
         missing = int(np.count_nonzero(~np.isfinite(channel.samples)))
         if missing:
             raise InputError(NOT_FINITE, path, name, found=f"{missing} that are not", expected="finite samples")
-    try:
+    with as_input_error(path, next(iter(group))):
         survey = survey_lines(values, rate_hz)
-    except ValueError as error:
-        raise InputError.from_exception(error, path, next(iter(group))) from error
     if band_hz is not None:
         survey = survey.select((survey.frequency_hz >= band_hz[0]) & (survey.frequency_hz <= band_hz[1]))
     return ChannelLines(

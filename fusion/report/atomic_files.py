@@ -123,9 +123,9 @@ def file_lock(target: Path, patience_s: float = 0.0) -> Iterator[None]:
 
 
 def staging_dir(target: Path) -> Path:
-    """Return the folder in which `place` is prepared.
+    """Return the folder in which `target` is prepared.
 
-    It is the parent folder, or `place` itself if that is a mount point or its parent is not writable.
+    It is the parent folder, or `target` itself if that is a mount point or its parent is not writable.
     """
     within = target.is_dir() and (os.path.ismount(target) or not os.access(target.parent, os.W_OK | os.X_OK))
     return target if within else target.parent

@@ -18,7 +18,8 @@ from support import edit, refusals, rows
 
 from fusion import check, load_manifest, look
 from fusion.cli import main
-from fusion.errors import InputError
+from fusion.errors import ComputeError, InputError
+from fusion.phasors.phasor_notices import NO_INSTRUMENT
 from fusion.planning.look.finding import refusal_findings
 from fusion.planning.look.image_checks import _sigma_px
 from fusion.planning.look.look import look_page
@@ -46,7 +47,9 @@ from fusion.planning.look.look_notices import (
     SIGNAL_DRIFT,
     SPECKLE_SIZE,
 )
+from fusion.recording.recording_notices import RESPONSE_RANGE_TOO_SMALL
 from fusion.recording.toml import to_toml
+from fusion.sensitivity.sensitivity_notices import POSITION_UNSTATED
 from fusion.simulate import simulate
 from photogram.subsets.texture import textured_area
 from shakercal._common.notices import Notice
@@ -384,14 +387,22 @@ def test_a_folder_that_fills_is_looked_at_again(campaign, monkeypatch, capsys):
     assert told.count("GREEN") == 1
 
 
+RANGE_TOO_SMALL = InputError(
+    RESPONSE_RANGE_TOO_SMALL, "r.csv", "frequency_hz", found="20 to 100 Hz", expected="a range that contains 106.25 Hz"
+)
+
+
 @pytest.mark.parametrize(
     ("error", "verdict"),
     [
-        ("a.tif: expected grey values up to 255 (bit depth 8), found 812", "FIX MANIFEST"),
-        ("r.csv: frequency_hz: expected a range that contains 106.25 Hz, found 20 to 100 Hz", "FIX MANIFEST"),
-        ("x.lvm: expected more digits than 0.0001 or an X column; give sample_rate", "FIX MANIFEST"),
-        ("x.tdms: expected a complete TDMS file, found its last segment cut off", "REPEAT"),
+        (ValueError("a.tif: expected grey values up to 255 (bit depth 8), found 812"), "FIX MANIFEST"),
+        (RANGE_TOO_SMALL, "FIX MANIFEST"),
+        (ValueError("x.lvm: expected more digits than 0.0001 or an X column; give sample_rate"), "FIX MANIFEST"),
+        (ValueError("x.tdms: expected a complete TDMS file, found its last segment cut off"), "REPEAT"),
+        (ComputeError(POSITION_UNSTATED, instrument="channel Fz", key="point"), "FIX MANIFEST"),
+        (ComputeError(NO_INSTRUMENT, quantity="a motion", reason=""), "FIX MANIFEST"),
+        (ComputeError(NO_INSTRUMENT, quantity="a motion", reason=": no frame is followed"), "REPEAT"),
     ],
 )
 def test_a_refusal_that_names_a_key_is_one_of_the_manifest(error, verdict):
-    assert [finding.verdict for finding in refusal_findings(ValueError(error))] == [verdict]
+    assert [finding.verdict for finding in refusal_findings(error)] == [verdict]

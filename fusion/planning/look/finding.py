@@ -7,7 +7,9 @@ from dataclasses import dataclass
 from typing import Literal
 
 from fusion.errors import ComputeError, InputError
+from fusion.phasors.phasor_notices import NO_INSTRUMENT
 from fusion.planning.look.look_notices import FILE_PROBLEM
+from fusion.recording.recording_notices import RESPONSE_RANGE_TOO_SMALL
 from fusion.sensitivity.sensitivity_notices import POSITION_UNSTATED
 from shakercal._common.notices import Notice
 
@@ -25,8 +27,8 @@ CORRECTABLE = (".toml", ".json")
 CODED = re.compile(r"(SC-\d{3} |)(.*)")
 """A text with the code of an error at its beginning."""
 
-STATED_KEYS = re.compile(r"(?:; (?:give|state|correct) \w+|\(bit depth \d+\)|: frequency_hz: expected a range)")
-"""A reader's `ValueError`, which has no code, that asks for a key: its name, the bit depth, the range of a response."""
+STATED_KEYS = re.compile(r"; (?:give|state|correct) \w+|\(bit depth \d+\)")
+"""A reader's `ValueError`, which has no code, that asks for a key: its name, or the bit depth."""
 
 
 @dataclass(frozen=True)
@@ -74,16 +76,22 @@ def refusal_findings(error: Exception, where: str = "") -> list[Finding]:
     text = shorten(str(error))
     needs_key = STATED_KEYS.search(text) is not None or ".toml" in text
     if isinstance(error, ComputeError):
-        needs_key = needs_key or error.code == POSITION_UNSTATED.code
+        needs_key = needs_key or _lacks_statement(error)
         location = ": ".join(filter(None, (where, error.where)))
         return [Finding("FIX MANIFEST" if needs_key else "REPEAT", Notice(error.declared, location, **error.values))]
     notice = Notice(FILE_PROBLEM, where, reason=text)
     return [Finding("FIX MANIFEST" if needs_key else "REPEAT", notice)]
 
 
+def _lacks_statement(error: ComputeError) -> bool:
+    """Return whether the manifest omits a position or every instrument, so that no data were refused."""
+    no_instrument = error.code == NO_INSTRUMENT.code and not error.values["reason"]
+    return no_instrument or error.code == POSITION_UNSTATED.code
+
+
 def _input_verdict(error: InputError) -> Verdict:
     """Return REPEAT for refused data, FIX MANIFEST for a statement to correct."""
-    if STATED_KEYS.search(str(error)):
+    if error.code == RESPONSE_RANGE_TOO_SMALL.code or STATED_KEYS.search(str(error)):
         return "FIX MANIFEST"
     recorded = re.search(r"(^|\.)(images|points|daq)\.", error.key) and "expected" not in error.values
     return "REPEAT" if recorded or error.file.suffix not in CORRECTABLE else "FIX MANIFEST"

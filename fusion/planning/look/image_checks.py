@@ -87,7 +87,7 @@ def examine_camera(where: str, images: ImageSequence) -> tuple[list[Finding], Ca
         return found, None
     inside = first[area]
     if area.mean() < SMALL_AREA or len(inside) < 1000:
-        reason = f"less than {100 * SMALL_AREA:g} % of the image has texture"
+        reason = f"only {np.count_nonzero(area)} pixels, {100 * area.mean():.2g} % of the image, have texture"
         found.append(Finding("REPEAT", Notice(NO_SPECKLE, where, reason=reason)))
         return found, None
     clipped = clip_level(first)

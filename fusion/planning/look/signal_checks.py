@@ -198,17 +198,17 @@ def examine_beat(where: str, frequencies_hz: Sequence[float], fit: TriggerFit, f
     rate_hz = 1.0 / fit.period_s
     lines = np.array(sorted(frequencies_hz), dtype=np.float64)
     bins = separation_bins(lines, rate_hz, frames) if len(lines) else np.inf
-    distance = {"rate_hz": rate_hz, "distance_bins": bins}
     if bins < CLOSE_BINS:
         clear = nearest_clear_rate(lines, rate_hz, frames)
         advice = f", such as {clear:.6g} frames/s" if clear is not None else ""
         aliases = zip(lines, alias_frequency(lines, rate_hz), strict=True)
         driven = "driven lines (" + ", ".join(f"{f:g} Hz at {a:.3g} Hz" for f, a in aliases) + ")"
-        notice = Notice(ALIASED_LINES, where, lines=driven, advice=advice, **distance)
+        notice = Notice(ALIASED_LINES, where, lines=driven, advice=advice, rate_hz=rate_hz, distance_bins=bins)
         yield Finding("REPEAT" if bins < LOST_BINS else "CHECK", notice)
-        return
-    harmonics: FloatArray = np.outer(lines, (1.0, 2.0, 3.0)).ravel()
-    distance["distance_bins"] = separation_bins(harmonics, rate_hz, frames) if len(lines) else np.inf
-    if len(lines) <= 5 and distance["distance_bins"] < CLOSE_BINS:
-        text = "driven lines and their harmonics up to the third"
-        yield Finding("CHECK", Notice(ALIASED_LINES, where, lines=text, advice="", **distance))
+    elif 0 < len(lines) <= 5:
+        harmonics: FloatArray = np.outer(lines, (1.0, 2.0, 3.0)).ravel()
+        bins = separation_bins(harmonics, rate_hz, frames)
+        if bins < CLOSE_BINS:
+            text = "driven lines and their harmonics up to the third"
+            notice = Notice(ALIASED_LINES, where, lines=text, advice="", rate_hz=rate_hz, distance_bins=bins)
+            yield Finding("CHECK", notice)
