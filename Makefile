@@ -35,7 +35,7 @@ platforms: win32 darwin
 
 win32 darwin: .venv/dev
 	MYPYPATH=.ci/stubs $(BIN)/mypy --platform $@ --cache-dir .mypy_cache/$@ --no-warn-return-any --no-warn-unused-ignores \
-		photogram shaker fusion
+		shakercal photogram shaker fusion
 
 # Pages as a site that opens without a network; every warning is an error.
 docs: .venv/docs

@@ -501,6 +501,7 @@ def _describe_problem(model: type[ManifestBlock], problem: ErrorDetails) -> tupl
         "int_type": "a whole number",
         "bool_type": "true or false",
         "string_type": "a text",
+        "date": "a date, such as 2026-11-28",
         "string_too_short": "a text that is not empty",
         "too_short": "at least {min_length} element",
         "greater_than": "a number above {gt:g}",
@@ -510,9 +511,9 @@ def _describe_problem(model: type[ManifestBlock], problem: ErrorDetails) -> tupl
         "literal_error": "{expected}",
         "model_type": "a table",
         "dict_type": "a table",
-    }.get(kind)
+    }.get("date" if kind.startswith("date") else kind)
     declared = VALIDATION_ERRORS.get(kind, WRONG_VALUE_TYPE)
-    return declared, expected.format(**context) if expected else problem["msg"], describe(problem["input"])
+    return declared, expected.format(**context) if expected else problem["msg"].removeprefix("Input should be "), describe(problem["input"])
 
 
 def _available_keys(model: type[BaseModel], path: tuple[int | str, ...]) -> str:

@@ -8,7 +8,7 @@ import re
 import string
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, fields
-from typing import Any, Literal
+from typing import Any, Literal, get_args
 
 Severity = Literal["error", "warning", "note"]
 """`error`: refused. `warning`: the result may be wrong or U incomplete. `note`: good to know."""
@@ -110,12 +110,23 @@ class Notice:
 
     @classmethod
     def from_row(cls, row: Mapping[str, str]) -> Notice:
-        """Return the notice that `as_row` describes; of an older file, one without a code."""
+        """Return the notice that `as_row` describes; of an older file, one without a code.
+
+        Raises
+        ------
+        ValueError
+            If the severity is unknown, or the values are no JSON object of numbers and texts.
+        """
         severity: Any = {"info": "note"}.get(row["severity"], row["severity"])
+        if severity not in get_args(Severity):
+            raise ValueError(f"notices/severity: expected one of {', '.join(get_args(Severity))}, found {severity}")
+        values = json.loads(row.get("values", "{}"))
+        if not isinstance(values, dict) or not all(isinstance(v, int | float | str | None) for v in values.values()):
+            raise ValueError("notices/values: expected a JSON object of numbers and texts")
         notice = cls(DeclaredNotice(row.get("code", ""), severity, ""), row["where"])
         for name in ("text", "effect", "remedy", "possible_size", "acknowledged"):
             object.__setattr__(notice, name, row.get(name, ""))
-        object.__setattr__(notice, "values", json.loads(row.get("values", "{}")))
+        object.__setattr__(notice, "values", values)
         return notice
 
     def as_dict(self) -> dict[str, Any]:

@@ -144,3 +144,14 @@ def test_one_import_has_every_public_name() -> None:
     assert not {"numpy", "fusion", "photogram", "shaker"} & set(loaded.stdout.split())
     shown = subprocess.run([sys.executable, "-m", "shakercal", "--version"], capture_output=True, text=True, check=True)
     assert shown.stdout == f"shakercal {shakercal.__version__}\n"
+
+
+@pytest.mark.parametrize(
+    "changed",
+    [{"severity": "grave"}, {"values": "{not json"}, {"values": "[1]"}, {"values": '{"u": [1]}'}],
+)
+def test_a_row_that_is_no_notice_is_refused(changed):
+    row = Notice(LOST, "camera left", lost=0.25, total=40, direction="slower").as_row()
+    assert Notice.from_row(row).as_row() == row
+    with pytest.raises(ValueError, match=r"expected|Expecting"):
+        Notice.from_row({**row, **changed})
