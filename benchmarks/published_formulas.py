@@ -12,9 +12,9 @@ from typing import Literal
 
 import numpy as np
 
-from shaker.arrays import FloatArray, check_shape
 from shaker.elastomer.geometry import PublishedStatics
 from shaker.identification.oscillator import INVERSE_POWER_LEVELS, PeakWidth
+from shakercal._common.arrays import FloatArray, check_shape
 
 Form = Literal["exact", "series"]
 

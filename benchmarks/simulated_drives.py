@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 
 from fusion.campaign.excited_line import ExcitedLine
 from fusion.estimation.uncertainty import Contribution, Influence, Scope, Uncertainty
-from shaker.arrays import ComplexArray, FloatArray
 from shaker.labels import LOAD_COMPONENTS
+from shakercal._common.arrays import ComplexArray, FloatArray
 
 CAPACITY = np.array([2000.0, 2000.0, 4000.0, 100.0, 100.0, 100.0])
 MAIN = np.array([5.1e-7, 5.1e-7, 2.0e-7, 9.1e-6, 9.1e-6, 8.2e-6])

@@ -24,10 +24,10 @@ from fusion.sensitivity.analyse import Inputs
 from fusion.sensitivity.moving_body import Body, MovingPart, make_moving_part
 from fusion.simulate.world import Draws, SimulatedMotion, TruePart, acceleration_at, velocity_at, wrench
 from photogram.geometry import rotation_from_vector
-from shaker.arrays import ComplexArray, FloatArray
 from shaker.labels import LOAD_COMPONENTS, MOTION_COMPONENTS, component_units
 from shaker.lines.frequencies import LineFrequencies
 from shaker.sine.phasor import Phasors
+from shakercal._common.arrays import ComplexArray, FloatArray
 
 # Recordings at the level of phasors: exact readings of drawn instruments, and what the program is told of them.
 

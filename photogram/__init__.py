@@ -6,4 +6,6 @@ Independent of shakers, clocks and sensors. Every name exported here is public a
 
 from lazy_loader import attach_stub
 
+from shakercal._common.version import __version__ as __version__
+
 __getattr__, __dir__, __all__ = attach_stub(__name__, __file__)

@@ -2,7 +2,6 @@
 
 from .alignment.alignment_evidence import KnownPoints as KnownPoints
 from .alignment.pose_estimation import align as align
-from .arrays import __version__ as __version__
 from .calibration.calibration_file import read_calibration as read_calibration
 from .calibration.calibration_file import write_calibration as write_calibration
 from .calibration.exchange.calibration_export import export_calibration as export_calibration
@@ -30,3 +29,5 @@ from .synthetic.scene import speckle_texture as speckle_texture
 from .synthetic.scene import view_of as view_of
 from .targets.target_view import Target as Target
 from .targets.target_view import find_target as find_target
+
+__version__: str

@@ -23,7 +23,6 @@ from numba.core import cgutils
 from numba.extending import intrinsic
 from numpy.typing import NDArray
 
-from photogram.arrays import Arrays, FloatArray, check_shape
 from photogram.kernels import njit
 from photogram.kernels.lanes import (
     DOUBLE,
@@ -41,6 +40,7 @@ from photogram.kernels.lanes import (
     load,
     store,
 )
+from shakercal._common.arrays import Arrays, FloatArray, check_shape
 
 PADDING_PX = 4  # half the support of degree 7
 POLES = {

@@ -16,9 +16,10 @@ from typing import ClassVar
 
 import numpy as np
 
-from photogram.arrays import Arrays, FloatArray, IntArray, check_shape, derivatives
 from photogram.geometry import RigidTransform, invert, rotation_from_vector, skew
 from photogram.kernels import njit
+from shakercal._common.arrays import Arrays, FloatArray, IntArray, check_shape
+from shakercal._common.propagation import derivatives
 
 _NEWTON_STEPS = 60  # damped Newton steps of the inverse; usually five are needed
 _RESIDUAL = 1e-13  # largest residual, in normalised units, of a converged inverse

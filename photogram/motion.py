@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from photogram.arrays import Arrays, BoolArray, FloatArray, IntArray, RunningMean, check_shape
 from photogram.camera import Points3D
+from photogram.frame_statistics import RunningMean
 from photogram.geometry import (
     displacement_jacobian,
     fixes_rotation,
@@ -20,6 +20,7 @@ from photogram.geometry import (
     vector_from_rotation,
 )
 from photogram.kernels import njit
+from shakercal._common.arrays import Arrays, BoolArray, FloatArray, IntArray, check_shape
 
 if TYPE_CHECKING:
     from scipy.sparse import csr_array, sparray

@@ -10,8 +10,8 @@ from pathlib import Path
 
 import numpy as np
 
-from photogram.arrays import Arrays, FloatArray, IntArray
 from photogram.images.sequence import check_file, wrap_read_errors
+from shakercal._common.arrays import Arrays, FloatArray, IntArray
 from shakercal._common.mat5 import check_mat5
 
 POSITION = ("x", "y", "z")

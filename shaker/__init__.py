@@ -5,4 +5,6 @@ Every name listed in the stub file is public. It is imported at its first use, s
 
 from lazy_loader import attach_stub
 
+from shakercal._common.version import __version__ as __version__
+
 __getattr__, __dir__, __all__ = attach_stub(__name__, __file__)

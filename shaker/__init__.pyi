@@ -1,6 +1,5 @@
 """The public names of shaker and where each lives, for type checkers and for `shaker/__init__.py`."""
 
-from .arrays import __version__ as __version__
 from .compensation.effects import filtered_noise as filtered_noise
 from .compensation.filter import Compensation as Compensation
 from .compensation.filter import CompensationFilter as CompensationFilter
@@ -40,3 +39,5 @@ from .static_rotation.masses import fit_weights as fit_weights
 from .timebase.edges import find_edges as find_edges
 from .timebase.tie import tie_clocks as tie_clocks
 from .timebase.trigger import fit_trigger as fit_trigger
+
+__version__: str

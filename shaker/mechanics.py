@@ -7,7 +7,7 @@ from functools import cache, cached_property
 
 import numpy as np
 
-from shaker.arrays import ComplexArray, FloatArray, check_shape
+from shakercal._common.arrays import ComplexArray, FloatArray, check_shape
 
 BASE = "base"
 

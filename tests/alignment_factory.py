@@ -15,12 +15,12 @@ from photogram.alignment.alignment_evidence import (
 )
 from photogram.alignment.motion_axes import fit_axis, linear_motion
 from photogram.alignment.pose_estimation import Alignment
-from photogram.arrays import ComplexArray, FloatArray
 from photogram.camera import ROTATION, Camera, StereoRig, triangulate
 from photogram.geometry import RigidTransform, nearest_rotation, rotation_from_vector, vector_from_rotation
 from photogram.motion import RigidMotion
 from photogram.synthetic.scene import session_covariance
 from photogram.targets.target_view import Target, TargetView
+from shakercal._common.arrays import ComplexArray, FloatArray
 
 SIZE_PX = np.array([1280, 1024])
 WORKING_M = 0.45

@@ -8,12 +8,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from photogram.arrays import FloatArray
 from photogram.camera import Camera
 from photogram.geometry import RigidTransform, rotation_from_vector
 from photogram.synthetic.board import Board, render_board
 from photogram.synthetic.scene import ImageSensor
 from photogram.targets.target_view import Target, TargetView
+from shakercal._common.arrays import FloatArray
 
 SENSOR = ImageSensor()
 SPACING_M = 3.5e-3

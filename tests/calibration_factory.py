@@ -6,7 +6,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from photogram.arrays import FloatArray
 from photogram.calibration.calibration_notices import LOW_COVERAGE, TARGET_DEVIATION
 from photogram.calibration.calibration_result import (
     CalibratedImage,
@@ -20,6 +19,7 @@ from photogram.camera import RIG_PARAMETERS, Camera, StereoRig
 from photogram.geometry import RigidTransform, rotation_from_vector
 from photogram.synthetic.scene import session_covariance
 from photogram.targets.target_view import Target
+from shakercal._common.arrays import FloatArray
 from shakercal._common.notices import Notice
 
 SIZE_PX = np.array([2448, 2048])

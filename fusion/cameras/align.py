@@ -66,7 +66,7 @@ from photogram.camera import StereoRig, triangulate
 from photogram.geometry import RigidTransform
 from photogram.images.orientation import read_orientations, tag_notices
 from photogram.motion import RigidMotion, fit_motion
-from shaker.arrays import FloatArray
+from shakercal._common.arrays import FloatArray
 from shakercal._common.notices import Notice
 
 EFFECT_FRAMES = 12  # frames and subsets for the effect of the calibration on an axis, which is smooth

@@ -68,7 +68,7 @@ from photogram.camera import LEFT, RIG_PARAMETERS, StereoRig
 from photogram.geometry import RigidTransform, displacement_jacobian
 from photogram.images.image_files import read_image
 from photogram.targets.target_view import LONGEST_M, SHORTEST_M, Target, TargetView, find_target
-from shaker.arrays import FloatArray
+from shakercal._common.arrays import FloatArray
 from shakercal._common.notices import Notice
 
 

@@ -53,7 +53,7 @@ from fusion.report.table import (
 from photogram.calibration.calibration_result import CalibratedImage, Calibration, CalibrationParameter, Rejection
 from photogram.camera import RIG_PARAMETERS, ROTATION, StereoRig
 from photogram.geometry import vector_from_rotation
-from shaker.arrays import IntArray
+from shakercal._common.arrays import IntArray
 
 STATES = {
     "determined": "determined",

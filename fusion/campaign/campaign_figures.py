@@ -31,8 +31,8 @@ from fusion.report.figure import (
     power_of_ten,
 )
 from fusion.sensitivity.ratio import StatedMatrix
-from shaker.arrays import FloatArray
 from shaker.labels import LOAD_COMPONENTS, typeset
+from shakercal._common.arrays import FloatArray
 
 OUTPUT_MARKERS = ("circle", "square", "diamond", "triangle", "inverted_triangle", "cross")
 MOUNTING_MARKERS = ("circle", "square", "triangle", "inverted_triangle", "diamond")

@@ -41,8 +41,8 @@ from fusion.estimation.uncertainty import (
     real_stack,
 )
 from fusion.sensitivity.ratio import StatedMatrix, driven_component
-from shaker.arrays import BoolArray, ComplexArray, FloatArray, check_shape
 from shaker.labels import LOAD_COMPONENTS
+from shakercal._common.arrays import BoolArray, ComplexArray, FloatArray, check_shape
 
 # Linearity: whether the ratio of outputs over load changes with the amplitude of the load.
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from shaker.arrays import BoolArray, IntArray
+from shakercal._common.arrays import BoolArray, IntArray
 
 MOST_LOCAL = 256
 """Largest number of unknowns that are eliminated together for a group of lines (chosen for speed)."""

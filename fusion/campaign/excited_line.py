@@ -13,7 +13,7 @@ import numpy as np
 
 from fusion.estimation.uncertainty import Contribution, Distribution, Influence, Kind, Scope, Uncertainty
 from fusion.phasors.timing import EdgeGrid
-from shaker.arrays import ComplexArray, FloatArray, IntArray, check_shape
+from shakercal._common.arrays import ComplexArray, FloatArray, IntArray, check_shape
 
 if TYPE_CHECKING:
     from fusion.instruments.channel import Outputs

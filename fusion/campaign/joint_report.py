@@ -73,8 +73,8 @@ from fusion.report.table import (
     text_column,
 )
 from fusion.sensitivity.sensitivity_notices import NO_RESULT_AT_LINES
-from shaker.arrays import FloatArray
 from shaker.labels import LOAD_COMPONENTS, LOAD_UNITS, typeset
+from shakercal._common.arrays import FloatArray
 from shakercal._common.notices import gather
 
 

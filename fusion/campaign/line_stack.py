@@ -11,7 +11,7 @@ import numpy as np
 from fusion.campaign.elimination import EliminationOrder, elimination_order
 from fusion.campaign.excited_line import LOADS, ExcitedLine
 from fusion.estimation.uncertainty import Influence, Uncertainty, as_complex, real_stack
-from shaker.arrays import BoolArray, ComplexArray, FloatArray, IntArray
+from shakercal._common.arrays import BoolArray, ComplexArray, FloatArray, IntArray
 
 SLOPE = 1.0
 """Standard uncertainty of dln S/dln f, a bound for a sensor below a third of its resonance."""

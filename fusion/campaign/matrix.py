@@ -30,9 +30,9 @@ from fusion.estimation.uncertainty import (
     real_design,
 )
 from fusion.sensitivity.ratio import Sensitivity
-from shaker.arrays import BoolArray, ComplexArray, FloatArray, check_shape
 from shaker.labels import LOAD_COMPONENTS
 from shaker.sine.phasor import real_stacked_diagonal
+from shakercal._common.arrays import BoolArray, ComplexArray, FloatArray, check_shape
 from shakercal._common.notices import Notice
 
 # The complex matrix of sensitivities at one frequency, from several recordings, with all that makes it uncertain.

@@ -13,8 +13,8 @@ from fusion.campaign.excited_line import LOADS, ExcitedLine
 from fusion.campaign.line_stack import Stack, largest_magnitude
 from fusion.estimation.uncertainty import as_complex, real_design, real_stack
 from fusion.estimation.variance_components import EstimatedNoise
-from shaker.arrays import ComplexArray, FloatArray, IntArray
 from shaker.labels import LOAD_COMPONENTS
+from shakercal._common.arrays import ComplexArray, FloatArray, IntArray
 
 # Whether recordings excite all six components of the load, and which are missing.
 

@@ -24,8 +24,8 @@ from fusion.sensitivity.analyse import REPEATS
 from fusion.sensitivity.input_evidence import InputEvidence
 from fusion.sensitivity.load_phasors import LoadResult
 from fusion.sensitivity.ratio import StatedMatrix
-from shaker.arrays import FloatArray
 from shaker.sine.phasor import Phasors
+from shakercal._common.arrays import FloatArray
 from shakercal._common.notices import Notice
 
 FUSED = "accelerations/load-fused"

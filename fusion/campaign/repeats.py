@@ -25,8 +25,8 @@ from fusion.estimation.uncertainty import (
     total_variance,
 )
 from fusion.sensitivity.ratio import PriorMatrix, StatedMatrix, driven_component, prior_matrix
-from shaker.arrays import ComplexArray, FloatArray, IntArray
 from shaker.sine.phasor import real_stacked_diagonal
+from shakercal._common.arrays import ComplexArray, FloatArray, IntArray
 from shakercal._common.notices import Notice
 
 SAME_FREQUENCY = 1e-4

@@ -15,7 +15,7 @@ from fusion.campaign.excited_line import ExcitedLine, LazyUncertainty, UnknownDe
 from fusion.estimation.instrument_consistency import UNTESTABLE_SHARE
 from fusion.estimation.uncertainty import Contribution, Influence, Uncertainty, as_complex
 from fusion.estimation.variance_components import TEST_CONFIDENCE
-from shaker.arrays import BoolArray, FloatArray, IntArray
+from shakercal._common.arrays import BoolArray, FloatArray, IntArray
 from shakercal._common.notices import Notice
 
 if TYPE_CHECKING:

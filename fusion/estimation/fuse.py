@@ -59,9 +59,9 @@ from fusion.estimation.variance_components import (
     instrument_discrepancy,
     scatter_covariances,
 )
-from shaker.arrays import BoolArray, FloatArray, IntArray
 from shaker.labels import MOTION_COMPONENTS, component_units
 from shaker.sine.phasor import Phasors
+from shakercal._common.arrays import BoolArray, FloatArray, IntArray
 from shakercal._common.notices import Notice
 
 Source = Literal["fused", "photogrammetry", "vibrometer", "accelerometer"]

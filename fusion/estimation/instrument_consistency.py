@@ -15,7 +15,7 @@ import numpy as np
 from fusion.estimation.least_squares import FusionSolution, FusionSystem, drop_rows, solve
 from fusion.estimation.uncertainty import as_complex, real_design, real_stack
 from fusion.estimation.variance_components import TEST_CONFIDENCE, EstimatedNoise, fails
-from shaker.arrays import BoolArray, ComplexArray, FloatArray, IntArray
+from shakercal._common.arrays import BoolArray, ComplexArray, FloatArray, IntArray
 
 if TYPE_CHECKING:
     from fusion.estimation.measurement_model import CommonError, Observation
@@ -549,7 +549,7 @@ def likely_mistake(
 
 
 def describe_deviation(name: str, ratio: complex, mistake: str) -> str:
-    """Return how an output deviates from its prediction, with the mistake that would cause it, as text."""
+    """Describe how an output deviates from its prediction, with the mistake that would cause it."""
     cause = f", as if {mistake}" if mistake else ""
     return f"{name} is {abs(ratio):.3g} times as large, turned by {np.angle(ratio):.3g} rad{cause}"
 

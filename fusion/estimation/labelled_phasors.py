@@ -13,7 +13,7 @@ import numpy as np
 from fusion.base import round_to_uncertainty
 from fusion.estimation.coverage import Polar
 from fusion.estimation.uncertainty import Uncertainty, polar_elements
-from shaker.arrays import ComplexArray, FloatArray, check_shape
+from shakercal._common.arrays import ComplexArray, FloatArray, check_shape
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure as MatplotlibFigure

@@ -14,8 +14,8 @@ from fusion.errors import ComputeError
 from fusion.estimation.estimation_notices import UNBOUNDED_READINGS
 from fusion.estimation.measurement_model import SCALE, UnobservedMotion, relative_change
 from fusion.estimation.uncertainty import as_complex, real_design, real_stack
-from shaker.arrays import BoolArray, ComplexArray, FloatArray, IntArray
 from shaker.labels import MOTION_COMPONENTS
+from shakercal._common.arrays import BoolArray, ComplexArray, FloatArray, IntArray
 
 if TYPE_CHECKING:
     from fusion.estimation.measurement_model import CommonError, Observation

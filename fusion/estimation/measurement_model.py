@@ -14,8 +14,8 @@ import numpy as np
 
 from fusion.estimation.uncertainty import Kind as ErrorType
 from fusion.estimation.uncertainty import Scope
-from shaker.arrays import BoolArray, ComplexArray, FloatArray, check_shape
 from shaker.sine.phasor import Phasors
+from shakercal._common.arrays import BoolArray, ComplexArray, FloatArray, check_shape
 
 Kind = Literal["photogrammetry", "vibrometer", "accelerometer"]
 MULTIPLE_TOLERANCE = 1e-9

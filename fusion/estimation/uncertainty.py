@@ -17,8 +17,8 @@ from fusion.estimation.coverage import (
     polar,
     region_matrix,
 )
-from shaker.arrays import BoolArray, ComplexArray, FloatArray, IntArray, check_shape
 from shaker.sine.phasor import real_stacked_diagonal
+from shakercal._common.arrays import BoolArray, ComplexArray, FloatArray, IntArray, check_shape
 
 ENLARGED = 5.0
 """Enlargement of an estimated variance in a sum, over the square of its degrees of freedom (set by simulation)."""

@@ -9,7 +9,7 @@ import numpy as np
 
 from fusion.estimation.instrument_consistency import COVARIANCE_CUTOFF, NOTABLE_DEVIATION
 from fusion.estimation.variance_components import MIN_DISCREPANCY_DOF, AddedCovariance, Contrasts, variance_components
-from shaker.arrays import FloatArray
+from shakercal._common.arrays import FloatArray
 
 if TYPE_CHECKING:
     from fusion.estimation.instrument_consistency import CommonEstimate

@@ -9,7 +9,7 @@ import numpy as np
 
 from fusion.estimation.least_squares import FusionSolution, FusionSystem, RowIndex
 from fusion.estimation.measurement_model import BODY_SIZE_M, SCALE, Observation
-from shaker.arrays import ComplexArray, FloatArray, IntArray
+from shakercal._common.arrays import ComplexArray, FloatArray, IntArray
 
 TEST_CONFIDENCE = 0.99
 """Confidence of all tests: their significance level is 1 %."""

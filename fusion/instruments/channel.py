@@ -27,9 +27,9 @@ from fusion.instruments.transducer import (
     unit_direction,
 )
 from photogram.geometry import rotation_from_vector
-from shaker.arrays import ComplexArray, FloatArray
 from shaker.frf.chain import filters_of_delay
 from shaker.sine.phasor import Phasors, stack_phasors
+from shakercal._common.arrays import ComplexArray, FloatArray
 
 if TYPE_CHECKING:
     from fusion.recording.manifest import ChannelEntry

@@ -12,8 +12,8 @@ from fusion.estimation.measurement_model import CommonError, Deviates, Geometry,
 from fusion.estimation.uncertainty import Scope
 from fusion.instruments.channel import ChannelRelativeError, clock_rate, delay_errors
 from photogram.geometry import rotation_from_vector, skew
-from shaker.arrays import ComplexArray, FloatArray
 from shaker.sine.phasor import Phasors, derivative_factor
+from shakercal._common.arrays import ComplexArray, FloatArray
 
 if TYPE_CHECKING:
     from fusion.recording.rig import Stereo

@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
-from shaker.arrays import ComplexArray, FloatArray
 from shaker.sine.phasor import derivative_factor
+from shakercal._common.arrays import ComplexArray, FloatArray
 
 if TYPE_CHECKING:
     from fusion.recording.manifest import ChannelEntry

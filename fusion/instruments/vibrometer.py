@@ -11,7 +11,7 @@ import numpy as np
 from fusion.estimation.uncertainty import Contribution, Influence, Uncertainty, added_up, real_design, real_stack
 from fusion.instruments.instrument_notices import PARALLEL_BEAMS, PARALLEL_BEAMS_WITHOUT_HEAD
 from fusion.instruments.transducer import LaserBeams, chain_name
-from shaker.arrays import ComplexArray, FloatArray, check_shape, check_shapes
+from shakercal._common.arrays import ComplexArray, FloatArray, check_shape, check_shapes
 from shakercal._common.notices import Notice
 
 if TYPE_CHECKING:

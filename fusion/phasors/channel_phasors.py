@@ -25,7 +25,6 @@ from fusion.phasors.phasor_notices import (
 )
 from fusion.phasors.timing import TimeBase, TimingError, combine_timing_errors, lines_not_found_error
 from fusion.recording.response import read_response
-from shaker.arrays import BoolArray, ComplexArray, FloatArray, Stacked, brief
 from shaker.lines.detection import relative_strength, survey_lines
 from shaker.lines.frequencies import LineFrequencies, find_lines
 from shaker.lines.spectrum import Spectrum, amplitude_spectrum
@@ -40,6 +39,8 @@ from shaker.sine.aliasing import (
 from shaker.sine.phasor import Phasors
 from shaker.sine.sine_fit import Stationarity, fit_sines, rows_present, stationarity
 from shaker.sine.solve import SineFit, SineModel
+from shaker.stacked import Stacked
+from shakercal._common.arrays import Arrays, BoolArray, ComplexArray, FloatArray
 from shakercal._common.notices import Notice
 
 if TYPE_CHECKING:
@@ -69,8 +70,8 @@ _NO_SPECTRUM = Spectrum(np.empty(0), np.empty((0, 1)))
 LINE_QUANTITIES = (*sorted(TRANSDUCERS, key=lambda name: -TRANSDUCERS[name].order), "output", "force", "voltage")
 
 
-@dataclass(frozen=True)
-class ChannelResult:
+@dataclass(frozen=True, repr=False)
+class ChannelResult(Arrays):
     """Phasors of one DAQ channel at the recording's lines, in SI units.
 
     `excerpt_s`, `excerpt`, `excerpt_fit` (S,): a short stretch with its fit. `spectrum_hz`, `spectrum` (B,): amplitude
@@ -97,8 +98,6 @@ class ChannelResult:
     stationarity: Stationarity | None = None
     notices: tuple[Notice, ...] = ()
     harmonics: Phasors | None = None
-
-    __repr__ = brief
 
 
 # The lines, in the fastest channels.

@@ -16,12 +16,12 @@ from fusion.phasors.phasor_notices import PAIR_BODY_DEFORMS
 from fusion.phasors.shutter import PhaseRotated
 from photogram.direct.shapes import PLAIN, ShapeAmplitudes
 from photogram.motion import Deformation
-from shaker.arrays import BoolArray, ComplexArray, FloatArray, brief
 from shaker.sine.aliasing import alias_frequency, exposure_gain, sine_columns
 from shaker.sine.normal_equations import SineSums
 from shaker.sine.phasor import Phasors
 from shaker.sine.sine_fit import fit_sines
 from shaker.sine.solve import SineFit, SineModel
+from shakercal._common.arrays import Arrays, BoolArray, ComplexArray, FloatArray
 from shakercal._common.notices import Notice
 
 # Operating deflection shape: phasors of the deformation of a body, point by point.
@@ -30,8 +30,8 @@ from shakercal._common.notices import Notice
 MIN_FREEDOM = 4  # frames beyond the unknowns of the fit for an estimate of scatter
 
 
-@dataclass(frozen=True, eq=False)
-class DeflectionShape:
+@dataclass(frozen=True, repr=False, eq=False)
+class DeflectionShape(Arrays):
     """Complex deflection of N points of a body at K lines, in m, peak values.
 
     In the body's axes. `frequency_hz` (K,); `reference_m` (N, 3); `value` (K, N, 3) of x(t) = Re{X exp(jωt)}, corrected
@@ -43,8 +43,6 @@ class DeflectionShape:
     reference_m: FloatArray
     value: ComplexArray
     u: FloatArray
-
-    __repr__ = brief
 
 
 def deflection_shape(
@@ -73,8 +71,8 @@ LEVEL = 0.01
 LOUDER, SLOW = 0.001, 3.09  # probability that white noise seems louder around a line; its quantile
 
 
-@dataclass(frozen=True, eq=False)
-class ShapePhasors:
+@dataclass(frozen=True, repr=False, eq=False)
+class ShapePhasors(Arrays):
     """Amplitudes of S shapes of a body at K lines, in m, peak values.
 
     Corrected for the exposure. `phasors`: with the covariance of their noise. `effects` (P, K, S): changes per standard
@@ -89,8 +87,6 @@ class ShapePhasors:
     f: FloatArray
     chance: FloatArray
     modes: int
-
-    __repr__ = brief
 
     @property
     def covariance(self) -> FloatArray:

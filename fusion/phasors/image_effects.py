@@ -14,18 +14,18 @@ from fusion.instruments.stereo import CALIBRATION, PERIODIC, SURFACE
 from fusion.phasors.phasor_notices import CALIBRATION_REFUSED, NO_RIGID_MOTION, UNEQUAL_FRAMES
 from fusion.phasors.shutter import check_in_step
 from fusion.phasors.stereo_motion import ImageView, StereoMotion, sensor_from_camera
-from photogram.arrays import RunningMean, spread_choice
 from photogram.camera import CAMERA_PARAMETERS, FaceCamera, Rig, StereoRig, locate, principal_components
 from photogram.direct.shapes import Shapes
 from photogram.direct.surface import PlacedCamera, project_body_points
+from photogram.frame_statistics import RunningMean, spread_choice
 from photogram.geometry import RigidTransform, rotation_from_vector
 from photogram.motion import RigidMotion, relative_to
-from shaker.arrays import ComplexArray, FloatArray
 from shaker.labels import MOTION_COMPONENTS, component_units
 from shaker.sine.normal_equations import SineSums
 from shaker.sine.phasor import Phasors
 from shaker.sine.sine_fit import fit_sines
 from shaker.sine.solve import SineFit, SineModel
+from shakercal._common.arrays import ComplexArray, FloatArray
 from shakercal._common.notices import Notice
 
 MIN_SUBSETS, SEEN_SHARE, EFFECT_SUBSETS = 6, 0.5, 200

@@ -28,10 +28,10 @@ from fusion.phasors.steadiness import line_stationarity, stationarity_notices
 from fusion.phasors.stereo_phasors import StereoResult
 from fusion.phasors.timing import ClockResult
 from fusion.recording.manifest import ChannelEntry
-from shaker.arrays import BoolArray, ComplexArray, FloatArray, check_shapes
 from shaker.lines.frequencies import LineFrequencies
 from shaker.sine.phasor import Phasors, real_stacked_diagonal
 from shaker.sine.sine_fit import Stationarity
+from shakercal._common.arrays import BoolArray, ComplexArray, FloatArray, check_shapes
 from shakercal._common.notices import Notice
 
 MIN_SNR = 6.0

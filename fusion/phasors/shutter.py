@@ -10,10 +10,10 @@ import numpy as np
 from fusion.errors import ComputeError
 from fusion.phasors.phasor_notices import CAMERA_DELAYED, CAMERAS_OUT_OF_STEP
 from photogram.camera import StereoRig, epipolar_residual
-from shaker.arrays import ComplexArray, FloatArray
 from shaker.sine.phasor import Phasors
 from shaker.sine.sine_fit import fit_sines
 from shaker.sine.solve import SineFit, SineModel
+from shakercal._common.arrays import ComplexArray, FloatArray
 from shakercal._common.notices import Notice
 
 

@@ -21,10 +21,10 @@ from photogram.measure.exposure_motion import (
     row_delay_s,
 )
 from photogram.measure.follow import FollowedFrame, iterate_blocks
-from shaker.arrays import ComplexArray, FloatArray
 from shaker.lines.frequencies import LineFrequencies
 from shaker.sine.aliasing import exposure_gain
 from shaker.sine.normal_equations import SineSums
+from shakercal._common.arrays import ComplexArray, FloatArray
 from shakercal._common.notices import Notice
 
 FINEST_RAD_PX = 0.7  # typical wave number of grey values of speckle

@@ -50,9 +50,9 @@ from photogram.images.exposure import inspect_first_image
 from photogram.images.image_files import open_sequence
 from photogram.images.numbering import numbers_of_names
 from photogram.images.sequence import GreyImage, ImageSequence, find_copied_frames
-from shaker.arrays import BoolArray, FloatArray
 from shaker.lines.frequencies import LineFrequencies, find_lines
 from shaker.sine.aliasing import usable_lines
+from shakercal._common.arrays import BoolArray, FloatArray
 from shakercal._common.notices import Notice
 
 if TYPE_CHECKING:

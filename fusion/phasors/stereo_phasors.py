@@ -35,7 +35,6 @@ from photogram.camera import FaceCamera, StereoRig
 from photogram.images.noise import NoiseModel
 from photogram.images.sequence import GreyImage
 from photogram.motion import Deformation, RigidMotion
-from shaker.arrays import ComplexArray, FloatArray, brief
 from shaker.labels import MOTION_COMPONENTS, component_units
 from shaker.lines.frequencies import LineFrequencies
 from shaker.sine.aliasing import (
@@ -48,6 +47,7 @@ from shaker.sine.normal_equations import sine_amplitudes
 from shaker.sine.phasor import Phasors
 from shaker.sine.sine_fit import Stationarity, stationarity
 from shaker.sine.solve import SineFit
+from shakercal._common.arrays import Arrays, ComplexArray, FloatArray
 from shakercal._common.notices import Notice
 
 if TYPE_CHECKING:
@@ -58,8 +58,8 @@ ONE_BEAT = 1.1  # periods of a line's alias: over fewer, a slope looks like the 
 NO_LINE = "its frame rate resolves no line of the recording"
 
 
-@dataclass(frozen=True)
-class StereoResult:
+@dataclass(frozen=True, repr=False)
+class StereoResult(Arrays):
     """Motion of one stereo pair's body in the sensor frame.
 
     `time_s` (F,): exposure middles on the first DAQ's clock. `motion`: from the first frame's pose. `motion_from_mean`:
@@ -103,8 +103,6 @@ class StereoResult:
     stationarity: Stationarity | None = None
     u_exposure_s: float = 0.0
     u_rate: float = 0.0
-
-    __repr__ = brief
 
     def __post_init__(self) -> None:
         residual = self.fit.residual_of(self.time_s, self.motion_from_mean.pose)

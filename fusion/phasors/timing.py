@@ -31,9 +31,9 @@ from fusion.recording.manifest import Frames, Images, PointFiles
 from fusion.recording.rig import Stereo
 from fusion.recording.values import FILE, PULSE
 from photogram.images.numbering import FrameNumbers
-from shaker.arrays import BoolArray, FloatArray, IntArray
 from shaker.timebase.tie import ClockTie, edge_instants, tie_clocks
 from shaker.timebase.trigger import PulseWidth, TriggerFit
+from shakercal._common.arrays import BoolArray, FloatArray, IntArray
 from shakercal._common.notices import Notice, Value
 
 if TYPE_CHECKING:

@@ -18,7 +18,6 @@ from fusion.planning.planning_notices import NO_SIGNAL, NOT_FINITE
 from fusion.recording.daq_records import check_uniform, errors_in_set_up, read_set_ups
 from fusion.recording.load import Manifest
 from fusion.report.terminal import print_text, stdout_console
-from shaker.arrays import FloatArray, Stacked
 from shaker.io import read_channels
 from shaker.io.channel import RawChannel
 from shaker.lines.detection import Survey, decibel, survey_lines
@@ -26,6 +25,8 @@ from shaker.lines.frequencies import LineFrequencies
 from shaker.lines.spectrum import Spectrum, amplitude_spectrum
 from shaker.sine.aliasing import alias_frequency
 from shaker.sine.sine_fit import fit_sines
+from shaker.stacked import Stacked
+from shakercal._common.arrays import FloatArray
 from shakercal._common.notices import Notice
 
 COLUMNS = ("channel", "frequency_hz", "u_frequency_hz", "amplitude", "u_amplitude", "unit", "floor_db", "what", "use")

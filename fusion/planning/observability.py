@@ -14,8 +14,8 @@ from fusion.recording.daq_records import FileCache
 from fusion.recording.load import Manifest
 from fusion.recording.rig import Rig, Stereo
 from photogram.images.sequence import ImageSequence
-from shaker.arrays import BoolArray, FloatArray
 from shaker.labels import MOTION_COMPONENTS
+from shakercal._common.arrays import BoolArray, FloatArray
 
 BODIES, TOGETHER = ("load", "base"), "all together"
 EXACT, FEWEST_SUBSETS = 1e-4, 6  # u relative to that before that counts as exact; least number of subsets

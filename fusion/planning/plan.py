@@ -19,7 +19,6 @@ from fusion.planning.planning_notices import (
 )
 from fusion.report.table import R, TableColumn, csv_text, page_column
 from fusion.report.terminal import print_text, stdout_console
-from shaker.arrays import FloatArray
 from shaker.lines.rate_planner import (
     PREFERRED,
     PlannedLines,
@@ -33,6 +32,7 @@ from shaker.lines.rate_planner import (
     scan_rates,
 )
 from shaker.sine.aliasing import CLEAR_BINS
+from shakercal._common.arrays import FloatArray
 
 if TYPE_CHECKING:
     from rich.console import Console

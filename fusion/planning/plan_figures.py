@@ -11,10 +11,10 @@ from fusion.planning.lines import ChannelLines
 from fusion.planning.plan import Plan
 from fusion.report.figure import BLACK, BLUE, GREY, ORANGE, RED, Panel, decimate_edges, empty_figure
 from fusion.report.figure_files import render_figure
-from shaker.arrays import FloatArray
 from shaker.lines.rate_planner import condition_over_rate, scan_rates
 from shaker.lines.spectrum import FIRST_BIN
 from shaker.sine.aliasing import MAX_CONDITION
+from shakercal._common.arrays import FloatArray
 
 COLUMNS = 420  # columns of a panel; each shows the largest condition of its rates
 RATES_PER_COLUMN = 6  # resolution within a column

@@ -26,12 +26,13 @@ from fusion.recording.recording_notices import (
     UNREADABLE_DAQ_FILE,
 )
 from fusion.recording.units import in_stated_units
-from shaker.arrays import FloatArray, Stacked
 from shaker.io import read_channels
 from shaker.io.channel import RawChannel
 from shaker.io.condition import Defect, examine_samples
+from shaker.stacked import Stacked
 from shaker.timebase.edges import find_edges
 from shaker.timebase.trigger import PulseWidth, TriggerFit, fit_trigger, pulse_width
+from shakercal._common.arrays import FloatArray
 
 if TYPE_CHECKING:
     from fusion.recording.load import Manifest

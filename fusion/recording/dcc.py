@@ -29,7 +29,7 @@ from fusion.recording.recording_notices import (
 )
 from fusion.recording.toml import read_text
 from fusion.recording.values import describe, wrong_size
-from shaker.arrays import ComplexArray, FloatArray
+from shakercal._common.arrays import ComplexArray, FloatArray
 from shakercal._common.notices import DeclaredNotice, Notice
 
 SUFFIX = ".xml"

@@ -12,7 +12,7 @@ from fusion.errors import InputError
 from fusion.recording.dcc import NO_UNIT, CalibrationCertificate, CertifiedQuantity
 from fusion.recording.dsi import BASE, LEVEL, NONE, Unit, parse_unit
 from fusion.recording.values import describe
-from shaker.arrays import ComplexArray, FloatArray
+from shakercal._common.arrays import ComplexArray, FloatArray
 
 HERTZ = parse_unit(r"\hertz").dimension
 ELECTRICAL = tuple(parse_unit(unit).dimension for unit in (r"\volt", r"\ampere", r"\coulomb"))

@@ -37,7 +37,7 @@ from fusion.recording.toml import quote_key
 from fusion.recording.values import Vector3
 from photogram.calibration.calibration_file import read_calibration
 from photogram.geometry import RigidTransform
-from shaker.arrays import FloatArray
+from shakercal._common.arrays import FloatArray
 from shakercal._common.notices import Notice
 
 if TYPE_CHECKING:

@@ -43,7 +43,6 @@ from fusion.recording.values import (
     rows_of,
     wrong_size,
 )
-from shaker.arrays import BoolArray, FloatArray
 from shaker.frf.chain import (
     ChainResponse,
     FilterKind,
@@ -55,6 +54,7 @@ from shaker.frf.chain import (
     pole_response,
     table_response,
 )
+from shakercal._common.arrays import BoolArray, FloatArray
 
 if TYPE_CHECKING:
     from fusion.recording.manifest import ResponseColumns

@@ -513,7 +513,11 @@ def _describe_problem(model: type[ManifestBlock], problem: ErrorDetails) -> tupl
         "dict_type": "a table",
     }.get("date" if kind.startswith("date") else kind)
     declared = VALIDATION_ERRORS.get(kind, WRONG_VALUE_TYPE)
-    return declared, expected.format(**context) if expected else problem["msg"].removeprefix("Input should be "), describe(problem["input"])
+    return (
+        declared,
+        expected.format(**context) if expected else problem["msg"].removeprefix("Input should be "),
+        describe(problem["input"]),
+    )
 
 
 def _available_keys(model: type[BaseModel], path: tuple[int | str, ...]) -> str:

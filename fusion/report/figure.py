@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from fusion.estimation.coverage import Polar
-from shaker.arrays import ComplexArray, FloatArray
+from shakercal._common.arrays import ComplexArray, FloatArray
 
 BLACK, GREY, LIGHT = "#222222", "#7a7a7a", "#d9d9d9"
 """On dark pages their opposites."""

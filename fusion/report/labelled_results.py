@@ -15,8 +15,8 @@ from fusion.estimation.labelled_phasors import LabelledPhasors
 from fusion.report.folder import RESULT_FILE, RESULT_FORMAT
 from fusion.report.h5 import open_results, read_numbers, read_uncertainty
 from fusion.report.report_notices import INCOMPLETE_RESULTS, NO_RESULTS, OTHER_FORMAT
-from shaker.arrays import ComplexArray
 from shaker.labels import LOAD_COMPONENTS, LOAD_UNITS, sensitivity_unit
+from shakercal._common.arrays import ComplexArray
 
 CAMPAIGN_FILE = "campaign.h5"
 READ = ("sensor", "sensitivity", "element", "accelerations", "load", "curves", "matrices")

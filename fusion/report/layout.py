@@ -28,7 +28,7 @@ from fusion.report.figure import (
     padded_limits,
     power_text,
 )
-from shaker.arrays import FloatArray
+from shakercal._common.arrays import FloatArray
 
 WIDTH_IN, CHARACTER_IN = 8.4, 0.066
 """Width of a page's figure, and mean width of a character in its font."""

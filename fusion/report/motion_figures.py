@@ -28,9 +28,9 @@ from fusion.report.figure import (
 )
 from fusion.sensitivity.analyse import Evaluation
 from photogram.epipolar import COVERAGE, EpipolarCheck
-from shaker.arrays import ComplexArray, FloatArray
 from shaker.labels import AXES, MOTION_COMPONENTS, component_units
 from shaker.sine.aliasing import alias_frequency
+from shakercal._common.arrays import ComplexArray, FloatArray
 
 # Figure of one stereo pair: how its body bends at a line, out of its plane and in it.
 

@@ -16,7 +16,7 @@ from fusion.phasors.stereo_phasors import StereoResult
 from fusion.report.atomic_files import write_file
 from photogram.geometry import displacement_jacobian, pose_rate, rotation_from_vector
 from photogram.motion import Deformation
-from shaker.arrays import BoolArray, FloatArray
+from shakercal._common.arrays import BoolArray, FloatArray
 
 _AXES = ("x", "y", "z")
 HEAD = ("frame", "time_s", "point", *(f"{name}_m" for name in _AXES))

@@ -46,8 +46,8 @@ from fusion.sensitivity.load_phasors import LoadResult
 from fusion.sensitivity.moving_body import moving_parts
 from fusion.sensitivity.ratio import Sensitivity
 from fusion.sensitivity.sensitivity_notices import NO_RESULT_AT_LINES
-from shaker.arrays import FloatArray
 from shaker.labels import sensitivity_unit
+from shakercal._common.arrays import FloatArray
 
 # Its tables as CSV files, and how a campaign joins those of several.
 

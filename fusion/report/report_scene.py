@@ -40,9 +40,9 @@ from fusion.sensitivity.analyse import Evaluation
 from fusion.sensitivity.moving_body import MovingPart, make_moving_part, moving_parts
 from photogram.camera import Camera, FaceCamera
 from photogram.geometry import RigidTransform
-from shaker.arrays import ComplexArray, FloatArray
 from shaker.labels import MOTION_COMPONENTS
 from shaker.sine.phasor import derivative_factor
+from shakercal._common.arrays import ComplexArray, FloatArray
 
 KINDS = {
     "load": ("load", ORANGE),

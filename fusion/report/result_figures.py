@@ -40,8 +40,8 @@ from fusion.report.tables import (
 )
 from fusion.sensitivity.analyse import Evaluation
 from fusion.sensitivity.ratio import Sensitivity
-from shaker.arrays import BoolArray, FloatArray
 from shaker.labels import LOAD_COMPONENTS, MOTION_COMPONENTS, sensitivity_unit, typeset
+from shakercal._common.arrays import BoolArray, FloatArray
 
 BUDGET_ENTRIES = 14
 """Largest number of bars in the figure of the budget (chosen)."""

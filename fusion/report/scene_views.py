@@ -13,7 +13,7 @@ import cv2
 import numpy as np
 from markupsafe import Markup
 
-from shaker.arrays import FloatArray
+from shakercal._common.arrays import FloatArray
 
 ROUND, SIDES = 0.05, 24  # moments of inertia that differ less are those of a round body; sides that it is drawn with
 THINNEST = 0.02  # smallest thickness of a body, over its largest length

@@ -26,8 +26,8 @@ from fusion.report.figure import (
 )
 from fusion.report.tables import PREFIXED, main_line
 from fusion.sensitivity.analyse import Evaluation
-from shaker.arrays import FloatArray
 from shaker.labels import typeset
+from shakercal._common.arrays import FloatArray
 
 # Figures of the DAQ side: channels with their fit and spectrum, camera trigger.
 

@@ -55,7 +55,7 @@ from fusion.report.svg_marks import (
     svg_text,
     width,
 )
-from shaker.arrays import FloatArray
+from shakercal._common.arrays import FloatArray
 
 PT = 72.0
 LABEL_PT, TITLE_PT, AXIS_PT, GRID_PT, TICK_PT, GRID = 8.5, 8.0, 0.7, 0.6, 3.5, "#e8e8e8"

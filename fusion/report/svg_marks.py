@@ -28,7 +28,7 @@ from fusion.report.figure import (
     Span,
     Texts,
 )
-from shaker.arrays import FloatArray
+from shakercal._common.arrays import FloatArray
 
 NUMBER_PT, TEXT_PT, SMALL_PT, CAP_PT = 8.0, 7.5, 5.5, 2.5
 """Sizes of numbers, texts and small texts, and width of the caps of error bars."""

@@ -24,8 +24,8 @@ from fusion.base import DASH, round_to_uncertainty
 from fusion.errors import InputError
 from fusion.estimation.coverage import CoverageRegion, Polar, RealQuantity
 from fusion.report.report_notices import UNREADABLE_TABLE
-from shaker.arrays import ComplexArray
 from shaker.labels import typeset
+from shakercal._common.arrays import ComplexArray
 
 R = TypeVar("R")
 

@@ -10,7 +10,7 @@ import numpy as np
 from fusion.base import prefix
 from fusion.phasors.deformation import DeflectionShape
 from fusion.phasors.stereo_phasors import StereoResult
-from shaker.arrays import BoolArray, ComplexArray, FloatArray, IntArray
+from shakercal._common.arrays import BoolArray, ComplexArray, FloatArray, IntArray
 
 MOST_POINTS = 120  # of one tracked surface that a page shows
 SIGNIFICANT_RATIO = 1.5  # rms of a deflection over that of noise (chosen)

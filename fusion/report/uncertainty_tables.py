@@ -47,8 +47,8 @@ from fusion.sensitivity.analyse import NOT_SHOWN, Evaluation
 from fusion.sensitivity.distributions import Propagated, RealSpread
 from fusion.sensitivity.load_phasors import BudgetEntry, budget
 from fusion.sensitivity.ratio import StatedMatrix, parasitic_loads, static_unknowns
-from shaker.arrays import ComplexArray, FloatArray
 from shaker.labels import LOAD_COMPONENTS, MOTION_COMPONENTS, sensitivity_unit, typeset
+from shakercal._common.arrays import ComplexArray, FloatArray
 
 # Agreement of instruments: deviations, scatter, untested unknowns.
 

@@ -19,10 +19,10 @@ from fusion.report.folder import RESULT_FILE
 from fusion.report.h5 import open_results
 from fusion.report.labelled_results import CAMPAIGN_FILE, read_results
 from fusion.report.report_notices import NO_RESULTS, NO_SENSITIVITY_TO_EXPORT
-from shaker.arrays import FloatArray
 from shaker.io.universal import UniversalFunction, UniversalShape
 from shaker.io.universal_write import universal_function, universal_nodes, universal_shape, universal_units
 from shaker.labels import AXES, LOAD_COMPONENTS, MOTION_COMPONENTS, load_unit
+from shakercal._common.arrays import FloatArray
 
 TRANSFER_FILE, ELEMENT_FILE = "transfer.h5", "elastomer.h5"
 ORIGIN = 1  # node of the sensor origin; outputs, channels and bodies are nodes behind it

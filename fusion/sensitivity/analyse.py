@@ -52,9 +52,9 @@ from fusion.sensitivity.sensitivity_notices import (
     POSITION_UNSTATED,
     REPEATABILITY_NOT_ASSESSED,
 )
-from shaker.arrays import BoolArray, ComplexArray, FloatArray, brief
 from shaker.labels import LOAD_COMPONENTS, MOTION_COMPONENTS
 from shaker.lines.frequencies import LineFrequencies
+from shakercal._common.arrays import Arrays, BoolArray, ComplexArray, FloatArray
 from shakercal._common.notices import Notice
 
 if TYPE_CHECKING:
@@ -233,8 +233,8 @@ class Inputs:
     unobserved_motion: UnobservedMotion = field(default_factory=UnobservedMotion)
 
 
-@dataclass(frozen=True)
-class Analysis:
+@dataclass(frozen=True, repr=False)
+class Analysis(Arrays):
     """Acceleration of every body, load and sensitivity of one recording.
 
     `accelerations`: fused first, then by source. `outputs`: of the sensor, corrected by the estimates of shared errors.
@@ -249,8 +249,6 @@ class Analysis:
     element: Sensitivity | None = None
     prior_matrix: PriorMatrix | None = None
     doubts: tuple[Notice, ...] = ()
-
-    __repr__ = brief
 
     @property
     def notices(self) -> tuple[Notice, ...]:

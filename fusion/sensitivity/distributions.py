@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from fusion.estimation.coverage import COVERAGE
-from shaker.arrays import BoolArray, ComplexArray, FloatArray, IntArray, check_shapes
+from shakercal._common.arrays import BoolArray, ComplexArray, FloatArray, IntArray, check_shapes
 from shakercal._common.notices import Notice
 
 DIGITS = 2

@@ -23,7 +23,7 @@ from fusion.sensitivity.sensitivity_notices import (
     SUPPORT_MOTION_NOT_ASSESSED,
     TEMPERATURE_NOT_ASSESSED,
 )
-from shaker.arrays import ComplexArray
+from shakercal._common.arrays import ComplexArray
 from shakercal._common.notices import Notice, Value
 
 if TYPE_CHECKING:

@@ -15,7 +15,7 @@ from numpy.polynomial import legendre
 
 from fusion.estimation.uncertainty import Scope, Unknown, as_complex, real_stack
 from fusion.instruments.transducer import perpendicular_axes
-from shaker.arrays import ComplexArray, FloatArray, IntArray
+from shakercal._common.arrays import ComplexArray, FloatArray, IntArray
 
 ONLY_NAMED = 1.0 / np.sqrt(3.0)
 """Standard uncertainty of an effect uniform between plus and minus the whole, over the whole."""

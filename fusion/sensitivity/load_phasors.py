@@ -37,9 +37,9 @@ from fusion.sensitivity.sensitivity_notices import (
     UNOBSERVED_MOTION_LARGE,
 )
 from photogram.geometry import skew
-from shaker.arrays import BoolArray, ComplexArray, FloatArray, check_shape, check_shapes
 from shaker.labels import LOAD_COMPONENTS, LOAD_UNITS, MOTION_COMPONENTS
 from shaker.sine.phasor import Phasors, real_stacked_diagonal
+from shakercal._common.arrays import BoolArray, ComplexArray, FloatArray, check_shape, check_shapes
 from shakercal._common.notices import Notice
 
 if TYPE_CHECKING:

@@ -10,8 +10,8 @@ from fusion.estimation.fuse import Acceleration
 from fusion.sensitivity.analyse import Analysis, Inputs, main_output
 from fusion.sensitivity.ratio import driven_component
 from fusion.sensitivity.sensitivity_notices import NO_RESULT_AT_LINES
-from shaker.arrays import BoolArray
 from shaker.labels import LOAD_COMPONENTS, MOTION_COMPONENTS
+from shakercal._common.arrays import BoolArray
 from shakercal._common.notices import Notice
 
 

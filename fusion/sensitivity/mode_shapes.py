@@ -26,9 +26,9 @@ from fusion.sensitivity.elastic import (
 from fusion.sensitivity.moving_body import Body, elastic_body, stated_modes
 from fusion.sensitivity.sensitivity_notices import MODES_CONTRADICT
 from photogram.camera import principal_components
-from shaker.arrays import BoolArray, ComplexArray, FloatArray, IntArray
 from shaker.io.text import read_table_columns
 from shaker.sine.phasor import real_stacked_diagonal
+from shakercal._common.arrays import BoolArray, ComplexArray, FloatArray, IntArray
 from shakercal._common.notices import Notice
 
 if TYPE_CHECKING:

@@ -24,8 +24,8 @@ from fusion.sensitivity.sensitivity_notices import (
     FIRST_ORDER_TOO_LARGE,
     FIRST_ORDER_TOO_SMALL,
 )
-from shaker.arrays import ComplexArray, FloatArray
 from shaker.labels import LOAD_COMPONENTS, LOAD_UNITS, MOTION_COMPONENTS
+from shakercal._common.arrays import ComplexArray, FloatArray
 from shakercal._common.notices import Notice
 
 BLOCK = 2000

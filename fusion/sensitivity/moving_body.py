@@ -24,9 +24,9 @@ from fusion.sensitivity.elastic import (
 )
 from fusion.sensitivity.sensitivity_notices import LOAD_UNSTATED, POSITION_UNSTATED
 from photogram.geometry import skew
-from shaker.arrays import ComplexArray, FloatArray, check_shapes
 from shaker.identification.measured_curves import InertiaError
 from shaker.labels import MOTION_COMPONENTS
+from shakercal._common.arrays import ComplexArray, FloatArray, check_shapes
 
 if TYPE_CHECKING:
     from fusion.estimation.measurement_model import Deviates

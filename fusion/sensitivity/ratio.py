@@ -32,8 +32,8 @@ from fusion.instruments.vibrometer import PARALLEL, PointRatios, PointSpread
 from fusion.sensitivity.load_phasors import BudgetEntry, LoadResult, budget
 from fusion.sensitivity.moving_body import Body
 from fusion.sensitivity.sensitivity_notices import MASS_DOUBTED, OUTPUT_CONTRADICTS
-from shaker.arrays import BoolArray, ComplexArray, FloatArray, check_shape
 from shaker.labels import LOAD_COMPONENTS, sensitivity_unit
+from shakercal._common.arrays import BoolArray, ComplexArray, FloatArray, check_shape
 from shakercal._common.notices import Notice
 
 if TYPE_CHECKING:

@@ -29,9 +29,9 @@ from fusion.sensitivity.disturbances import with_support_motion
 from fusion.sensitivity.sensitivity_notices import SUPPORT_CORRECTED, SUPPORT_EXCEEDS_LIMIT, SUPPORT_UNCERTAIN
 from photogram.camera import principal_components
 from photogram.geometry import skew
-from shaker.arrays import BoolArray, ComplexArray, FloatArray, IntArray, brief
 from shaker.labels import MOTION_COMPONENTS, component_units
 from shaker.sine.phasor import Phasors
+from shakercal._common.arrays import Arrays, BoolArray, ComplexArray, FloatArray, IntArray
 from shakercal._common.notices import Notice
 
 if TYPE_CHECKING:
@@ -50,8 +50,8 @@ WEAK = 1e-3
 """Standard uncertainty of a support's motion, over the measured motion, above which it is reported (chosen)."""
 
 
-@dataclass(frozen=True, eq=False)
-class SupportMotion:
+@dataclass(frozen=True, repr=False, eq=False)
+class SupportMotion(Arrays):
     """Motion of one support: acceleration `phasors` of its point at the sensor origin.
 
     They are NaN at lines without a reference and without a stated limit. `observed` (K, 6): components that the
@@ -66,8 +66,6 @@ class SupportMotion:
     measured_mps2: FloatArray
     references: tuple[str, ...]
     carried: tuple[str, ...]
-
-    __repr__ = brief
 
 
 class _SupportReading(NamedTuple):

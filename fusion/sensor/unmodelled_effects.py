@@ -12,9 +12,9 @@ from fusion.base import PERCENT
 from fusion.recording.rig import Rig
 from fusion.report.table import Table, capitalise, small
 from fusion.sensor.sensor_model_notices import MODEL_COVERAGE, MODEL_INFLUENCES_NOT_ASSESSED
-from shaker.arrays import FloatArray
 from shaker.decoupling.model import MultiModel
 from shaker.release.load_model import LoadModel
+from shakercal._common.arrays import FloatArray
 from shakercal._common.notices import Notice
 
 CAUSE_LABELS = {

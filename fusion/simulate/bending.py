@@ -15,7 +15,7 @@ import numpy as np
 
 from fusion.simulate.preset import PlateSpec, Preset
 from photogram.synthetic.scene import Face, View, bend_view
-from shaker.arrays import ComplexArray, FloatArray
+from shakercal._common.arrays import ComplexArray, FloatArray
 
 if TYPE_CHECKING:
     from fusion.simulate.world import Draws, SimulatedMotion, World

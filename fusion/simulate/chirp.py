@@ -36,9 +36,9 @@ from fusion.simulate.sines import (
 )
 from fusion.simulate.world import STATIC_UNCERTAINTY, Draws, TruePart, make_world, static_sensitivity, true_part
 from fusion.simulate.write import RIG_FILE, TRUTH_FILE, Record, complex_table, write_recording, write_texts
-from shaker.arrays import ComplexArray, FloatArray
 from shaker.frf.chain import filter_poles, pole_response
 from shaker.labels import MOTION_COMPONENTS
+from shakercal._common.arrays import ComplexArray, FloatArray
 
 RECORDING = "chirp"
 DAQ_FILE, FILTER_FILE = "accelerometers.h5", "amplifier.toml"

@@ -18,7 +18,7 @@ from pydantic.dataclasses import dataclass
 from photogram.camera import Camera, StereoRig
 from photogram.geometry import RigidTransform, rotation_from_vector
 from photogram.synthetic.scene import Face, ImageSensor, session_covariance, speckle_texture
-from shaker.arrays import FloatArray
+from shakercal._common.arrays import FloatArray
 
 CHECKED = ConfigDict(extra="forbid")
 """Configuration of dataclasses of presets: unknown keys are refused."""

@@ -18,10 +18,10 @@ from fusion.recording.toml import to_toml
 from fusion.simulate.preset import CHECKED, read_preset
 from fusion.simulate.world import Draws
 from fusion.simulate.write import RIG_FILE, TRUTH_FILE, Record, complex_table, write_recording, write_texts
-from shaker.arrays import ComplexArray, FloatArray
 from shaker.labels import LOAD_COMPONENTS
 from shaker.lti.system import ModalModel
 from shaker.release.load_response import pole_responses
+from shakercal._common.arrays import ComplexArray, FloatArray
 
 DAQ_FILE = "outputs.h5"
 CHANNEL, ROPE = "Fy", "fishing line"  # output and load component of the force sensor, and what releases it

@@ -61,8 +61,8 @@ from fusion.simulate.write import (
 from photogram.calibration.calibration_file import write_calibration
 from photogram.geometry import RigidTransform
 from photogram.synthetic.scene import Face, View, add_face, render_exposure
-from shaker.arrays import ComplexArray, FloatArray
 from shaker.labels import LOAD_COMPONENTS
+from shakercal._common.arrays import ComplexArray, FloatArray
 
 # Records of each recorder on its clock, manifests and truth.
 

@@ -26,12 +26,12 @@ from photogram.geometry import RigidTransform, rotation_from_vector
 from photogram.synthetic.board import Board, random_poses, random_rig, render_board
 from photogram.synthetic.scene import ImageSensor
 from photogram.targets.target_view import Target
-from shaker.arrays import FloatArray
 from shaker.elastomer.frame import MODE_NAMES, block, solve_frame
 from shaker.elastomer.geometry import CrossBeams, ElasticMaterial
 from shaker.labels import LOAD_COMPONENTS
 from shaker.lti.system import ModalModel
 from shaker.static_rotation.harmonics import air_density_at, gravity_at
+from shakercal._common.arrays import FloatArray
 
 TABLE_FILE = "readings.csv"
 BARE, LOADED = "without-load", "with-load"

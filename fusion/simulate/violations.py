@@ -19,7 +19,7 @@ from fusion.simulate.preset import ChannelSpec, Preset, StereoSetup
 from fusion.simulate.world import SimulatedMotion, Violations, World
 from fusion.simulate.write import Record
 from photogram.synthetic.scene import Face, tile_texture
-from shaker.arrays import ComplexArray, FloatArray
+from shakercal._common.arrays import ComplexArray, FloatArray
 
 GRAVITY_UNIT = 9.80665  # m/s² in one g
 COEFFICIENT_PER_K = 5e-4  # an uncompensated strain gauge on aluminium: its stiffness and the gauge factor

@@ -18,7 +18,7 @@ from fusion.simulate.preset import PartSpec, Preset, StereoSetup, camera_pose, f
 from photogram.camera import StereoRig
 from photogram.geometry import RigidTransform, rotation_from_vector
 from photogram.synthetic.scene import View, motion_bound, view_of
-from shaker.arrays import ComplexArray, FloatArray
+from shakercal._common.arrays import ComplexArray, FloatArray
 
 MOUNTING_ERRORS = ("point", "direction", "transverse", "centre_of_mass")
 """Last parts of the names of errors that differ between mountings."""

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from fusion.recording.toml import to_toml
 from fusion.report.atomic_files import write_file, write_files
 from fusion.simulate.preset import Preset, StereoSetup, camera_pose, patches_of, region_of
-from shaker.arrays import FloatArray
+from shakercal._common.arrays import FloatArray
 
 MANIFEST_FILE, RIG_FILE, TRUTH_FILE = "recording.toml", "rig.toml", "truth.json"
 COLUMNS = ("frame", "id", "x", "y", "z")

@@ -14,7 +14,6 @@ from typing import Protocol
 
 import numpy as np
 
-from photogram.arrays import Arrays, BoolArray, FloatArray, check_shape, derivatives
 from photogram.calibration.bundle import model_pixels
 from photogram.calibration.initial_bundle import estimate_target_pose, match_numbering
 from photogram.camera import TRANSLATION, Camera, StereoRig, principal_components, triangulate
@@ -27,6 +26,8 @@ from photogram.geometry import (
     vector_from_rotation,
 )
 from photogram.targets.target_view import Target, TargetView
+from shakercal._common.arrays import Arrays, BoolArray, FloatArray, check_shape
+from shakercal._common.propagation import derivatives
 
 _POINT_STEP_M = 1e-6  # step of the numeric derivative by a point, moves its image by far less than a pixel
 FEWEST_PIXELS = 4

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from photogram.alignment.alignment_evidence import perpendicular_directions
-from photogram.arrays import Arrays, ComplexArray, FloatArray
 from photogram.geometry import rotation_from_vector, rotation_vector_rate, skew
 from photogram.motion import RigidMotion
+from shakercal._common.arrays import Arrays, ComplexArray, FloatArray
 
 _RANK = 1e-10  # singular values below this share of the largest count as zero
 _STEPS = 30  # limit of the Gauss–Newton steps; some five are usual

@@ -17,8 +17,8 @@ from photogram.alignment.alignment_evidence import (
 )
 from photogram.alignment.alignment_notices import CONTRADICTORY_EVIDENCE
 from photogram.alignment.motion_axes import sum_of_squares
-from photogram.arrays import Arrays, FloatArray, IntArray
 from photogram.geometry import RigidTransform, fit_rigid, fixes_rotation, nearest_rotation, rotation_from_vector
+from shakercal._common.arrays import Arrays, FloatArray, IntArray
 from shakercal._common.notices import Notice
 
 

@@ -8,7 +8,6 @@ from itertools import pairwise
 
 import numpy as np
 
-from photogram.arrays import FloatArray, IntArray
 from photogram.calibration.bundle import (
     DRIFT_SPREAD,
     Bundle,
@@ -19,6 +18,7 @@ from photogram.calibration.bundle import (
 )
 from photogram.camera import LEFT, RIG_PARAMETERS, RIGHT
 from photogram.geometry import RigidTransform
+from shakercal._common.arrays import FloatArray, IntArray
 
 _RIG = len(RIG_PARAMETERS)
 _STEPS = 100  # usually 5 to 10 are sufficient; more with long focal lengths and large residuals

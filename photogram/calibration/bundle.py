@@ -8,9 +8,9 @@ from typing import Literal
 
 import numpy as np
 
-from photogram.arrays import Arrays, BoolArray, FloatArray, IntArray
 from photogram.camera import LEFT, RIG_PARAMETERS, RIGHT, ROTATION, TRANSLATION, Camera, StereoRig
 from photogram.geometry import RigidTransform, rotation_from_vector
+from shakercal._common.arrays import Arrays, BoolArray, FloatArray, IntArray
 
 _OVER, _UNDER = [4, 5, 8], [9, 10, 11]  # indices of k1 k2 k3 and of k4 k5 k6 among a camera's parameters
 _RADII2 = np.array([0.25, 0.6, 1.0])  # squared radii over that of the image corner, spread over the image

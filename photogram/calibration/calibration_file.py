@@ -10,10 +10,10 @@ from typing import Any
 
 import numpy as np
 
-from photogram.arrays import FloatArray, check_shape
 from photogram.calibration.calibration_result import Calibration
 from photogram.camera import CAMERA_PARAMETERS, LEFT, RIG_PARAMETERS, Camera, StereoRig, undistort
 from photogram.geometry import RigidTransform, nearest_rotation
+from shakercal._common.arrays import FloatArray, check_shape
 
 _LARGEST_FILE = 2**22  # bytes; a file of this program has about 20 kB
 LARGEST = 1e12

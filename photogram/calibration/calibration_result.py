@@ -8,7 +8,6 @@ from typing import Literal
 
 import numpy as np
 
-from photogram.arrays import Arrays, BoolArray, FloatArray, IntArray
 from photogram.calibration.calibration_notices import (
     ASPECT_RATIO,
     EXCESS_NOISE,
@@ -26,6 +25,7 @@ from photogram.calibration.calibration_notices import (
 from photogram.camera import LEFT, RIG_PARAMETERS, RIGHT, TRANSLATION, StereoRig
 from photogram.geometry import RigidTransform
 from photogram.targets.target_view import Target
+from shakercal._common.arrays import Arrays, BoolArray, FloatArray, IntArray
 from shakercal._common.notices import Notice
 
 ParameterState = Literal["determined", "indistinct", "undetermined"]

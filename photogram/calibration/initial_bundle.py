@@ -9,13 +9,13 @@ from typing import Any, Literal
 
 import numpy as np
 
-from photogram.arrays import FloatArray, IntArray
 from photogram.calibration.adjust import RigPrior
 from photogram.calibration.bundle import Bundle, ImageObservations, ShapeKind, make_shape, step_poses
 from photogram.calibration.calibration_result import Rejection, check_view_angles
 from photogram.camera import LEFT, RIGHT, ROTATION, TRANSLATION, Camera, StereoRig
 from photogram.geometry import RigidTransform
 from photogram.targets.target_view import Target, TargetView
+from shakercal._common.arrays import FloatArray, IntArray
 
 ViewPair = tuple[TargetView | None, TargetView | None]
 Poses = dict[int, RigidTransform]

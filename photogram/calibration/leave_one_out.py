@@ -7,11 +7,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from photogram.arrays import FloatArray
 from photogram.calibration.adjust import AdjustedBundle, RigPrior, adjust, residuals
 from photogram.calibration.bundle import Bundle, ImageObservations
 from photogram.calibration.initial_bundle import refine_pose
 from photogram.camera import StereoRig
+from shakercal._common.arrays import FloatArray
 
 _LEAST = 1e-9  # of the largest variance: smaller ones are rounding
 

@@ -6,11 +6,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from photogram.arrays import FloatArray
 from photogram.calibration.calibration_notices import KNOWN_LENGTH_CONTRADICTED, KNOWN_LENGTH_USED
 from photogram.calibration.calibration_result import CalibratedView, Calibration
 from photogram.camera import TRANSLATION
 from photogram.geometry import RigidTransform, skew
+from shakercal._common.arrays import FloatArray
 from shakercal._common.notices import Notice, Value
 
 _LIKELY_RATIO = 2.0  # of a known length to the calibration's; prints deviate by some percent, a wrong unit by more

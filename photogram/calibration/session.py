@@ -9,7 +9,6 @@ from typing import Literal
 
 import numpy as np
 
-from photogram.arrays import BoolArray, FloatArray
 from photogram.calibration.adjust import AdjustedBundle, RigPrior, adjust, residuals
 from photogram.calibration.bundle import DRIFT_SPREAD, Bundle, FocalDrift, ImageObservations, ShapeKind
 from photogram.calibration.calibration_result import (
@@ -34,6 +33,7 @@ from photogram.calibration.leave_one_out import (
 )
 from photogram.camera import LEFT, RIGHT, TRANSLATION, StereoRig
 from photogram.targets.target_view import Target, TargetView
+from shakercal._common.arrays import BoolArray, FloatArray
 
 _ROUNDS = 12  # limit of the rounds; some four are usual
 _START_NOISE_PX = 0.2  # noise added to that of every point in the first round

@@ -7,7 +7,6 @@ from functools import cache
 
 import numpy as np
 
-from photogram.arrays import Arrays, BoolArray, FloatArray, IntArray, check_shape
 from photogram.bspline import (
     Spline,
     grey_gradients,
@@ -20,6 +19,7 @@ from photogram.bspline import (
 from photogram.images.noise import NoiseModel
 from photogram.kernels import njit
 from photogram.subsets.reference import RUN_SUMS, run_sums
+from shakercal._common.arrays import Arrays, BoolArray, FloatArray, IntArray, check_shape
 
 SMALLEST_GAIN = 0.1  # of the reference's contrast, below which a cell does not show the body
 MIN_FILLED_SHARE = 0.1  # of a cell, below which it is excluded

@@ -9,7 +9,6 @@ from itertools import pairwise
 
 import numpy as np
 
-from photogram.arrays import Arrays, BoolArray, ComplexArray, FloatArray, spread_choice
 from photogram.bspline import Spline
 from photogram.direct.cells import (
     Cells,
@@ -23,10 +22,12 @@ from photogram.direct.cells import (
 )
 from photogram.direct.shapes import Shapes, shape_rates
 from photogram.direct.surface import Patches, PlacedCamera, body_patches, patch_rates, patch_warps, warps_of_points
+from photogram.frame_statistics import spread_choice
 from photogram.geometry import RigidTransform, rotation_vector_rate
 from photogram.images.noise import QUANTISATION, NoiseModel, fit_noise_model
 from photogram.kernels import njit
 from photogram.motion import MEDIAN_CHI2_OF_TWO
+from shakercal._common.arrays import Arrays, BoolArray, ComplexArray, FloatArray
 
 REACH_CELLS = 4.0  # distance from the nearest triangulated point within which a cell's surface is extrapolated
 MAX_STEPS = 12  # Gauss-Newton steps; usually two or three are needed

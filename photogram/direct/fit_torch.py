@@ -13,7 +13,6 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from photogram.arrays import FloatArray
 from photogram.bspline import noise_gain_table
 from photogram.camera import Camera
 from photogram.direct.cells import SMALLEST_GAIN, nine_points, pixel_coordinates
@@ -38,6 +37,7 @@ from photogram.images.noise import QUANTISATION
 from photogram.motion import MEDIAN_CHI2_OF_TWO
 from photogram.subsets.icgn_torch import Squares, TorchSplines, square_sums, torch_type
 from photogram.subsets.reference import shape_values
+from shakercal._common.arrays import FloatArray
 
 if TYPE_CHECKING:
     import torch

@@ -7,8 +7,9 @@ from typing import Protocol
 
 import numpy as np
 
-from photogram.arrays import Arrays, FloatArray, derivatives
 from photogram.direct.surface import RATE_STEP, Patches, PlacedCamera, warps_of_points
+from shakercal._common.arrays import Arrays, FloatArray
+from shakercal._common.propagation import derivatives
 
 
 class Shapes(Protocol):

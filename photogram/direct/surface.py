@@ -8,11 +8,12 @@ from functools import cached_property
 
 import numpy as np
 
-from photogram.arrays import Arrays, FloatArray, check_shape, derivatives
 from photogram.camera import Camera, project_one
 from photogram.geometry import RigidTransform
 from photogram.kernels import njit
 from photogram.motion import FEWEST, MEDIAN_CHI2_OF_TWO, REJECTED, SINGULAR, START_ROUNDS
+from shakercal._common.arrays import Arrays, FloatArray, check_shape
+from shakercal._common.propagation import derivatives
 
 NEIGHBOURS = 24  # points of a local plane: two rings of a square grid
 OUTLIER = 4.0  # robust standard deviations from the local plane

@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from photogram.arrays import FloatArray
 from photogram.images.image_notices import COLOUR_MOSAIC, SENSOR_CLIPS
 from photogram.images.sequence import GreyImage, ImageSequence
+from shakercal._common.arrays import FloatArray
 from shakercal._common.notices import Notice
 
 TILE_PX = 32  # side of a tile: many speckles, and even lighting

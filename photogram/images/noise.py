@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from photogram.arrays import FloatArray, check_shape
+from shakercal._common.arrays import FloatArray, check_shape
 
 QUANTISATION = 1.0 / 12.0  # variance of rounding to whole grey values
 CUT = 9.0  # squared residuals beyond three standard deviations count as outliers

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
-from photogram.arrays import FloatArray, IntArray
+from shakercal._common.arrays import FloatArray, IntArray
 
 MAX_DIGITS = 18  # of a number of 64 bits
 NEAR = 0.25  # intervals by which time stamps may be wrong

@@ -14,8 +14,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from photogram.arrays import BoolArray, FloatArray, check_shape
 from photogram.images.numbering import FrameNumbers
+from shakercal._common.arrays import BoolArray, FloatArray, check_shape
 from shakercal._common.notices import Notice
 
 GreyImage = NDArray[np.uint8 | np.uint16]

@@ -14,7 +14,6 @@ from typing import Any, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from photogram.arrays import FloatArray
 from photogram.images.image_notices import (
     COMPANDED_CODES,
     COMPRESSED_VIDEO,
@@ -33,6 +32,7 @@ from photogram.images.sequence import (
     full_scale_of,
     wrap_read_errors,
 )
+from shakercal._common.arrays import FloatArray
 from shakercal._common.notices import Notice
 
 MAX_HEADER = 4 << 20  # bytes of a .cih or .cihx, which usually have about ten thousand

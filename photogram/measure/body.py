@@ -9,10 +9,10 @@ from itertools import groupby
 
 import numpy as np
 
-from photogram.arrays import Arrays, BoolArray, FloatArray, IntArray, RunningMean, Sample
 from photogram.camera import Points3D, Rig, StereoRig, locate
 from photogram.direct.direct_fit import rest_covariance, rigid_share
 from photogram.direct.shapes import ShapeAmplitudes
+from photogram.frame_statistics import RunningMean, Sample
 from photogram.geometry import RigidTransform
 from photogram.images.noise import NoiseModel
 from photogram.images.sequence import ImageSequence
@@ -41,6 +41,7 @@ from photogram.subsets.track import (
     build_tracks,
     drop_rejected,
 )
+from shakercal._common.arrays import Arrays, BoolArray, FloatArray, IntArray
 from shakercal._common.notices import Notice
 
 MAX_CACHED_POSITIONS = 500_000  # subsets times frames of a series that is cached with its points: about 100 MB

@@ -8,7 +8,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from photogram.arrays import Arrays, ComplexArray, FloatArray
 from photogram.bspline import Spline, sample_line, spline_of_image
 from photogram.camera import StereoRig, triangulate
 from photogram.direct.cells import prepare_cells
@@ -30,6 +29,7 @@ from photogram.measure.follow import UNIFORM, BodyScene, FollowedFrame, Registra
 from photogram.subsets.find import identity_registration
 from photogram.subsets.icgn import register
 from photogram.subsets.reference import ReferenceSubsets, TrackStatus, prepare_reference
+from shakercal._common.arrays import Arrays, ComplexArray, FloatArray
 
 MotionSeries = tuple[FloatArray, FloatArray]
 """Rotations (..., 3, 3) and shifts (..., 3)."""

@@ -9,7 +9,6 @@ from statistics import median
 
 import numpy as np
 
-from photogram.arrays import Arrays, BoolArray, FloatArray, spread_choice
 from photogram.bspline import Spline, spline_of_image
 from photogram.camera import Points3D, Rig, StereoRig, locate
 from photogram.direct.direct_fit import (
@@ -24,6 +23,7 @@ from photogram.direct.direct_fit import (
 )
 from photogram.direct.shapes import PlainShapes, Shapes
 from photogram.direct.surface import PlacedCamera, SeenPoints, motion_from_positions, project_body_points
+from photogram.frame_statistics import spread_choice
 from photogram.geometry import RigidTransform
 from photogram.images.noise import NoiseModel
 from photogram.images.sequence import GreyImage, ImageSequence
@@ -33,6 +33,7 @@ from photogram.subsets.icgn import Registration, TrackSettings
 from photogram.subsets.reference import ReferenceSubsets
 from photogram.subsets.search import HISTORY, predict_next, predict_warp
 from photogram.subsets.track import StereoGrid, first_frame, lay_single_grid, lay_stereo_grid, prepare_sequence
+from shakercal._common.arrays import Arrays, BoolArray, FloatArray
 
 Progress = Callable[[int], None]
 Splines = tuple[Spline, ...]

@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from photogram.arrays import FloatArray
 from photogram.direct.direct_fit import DirectFit
 from photogram.direct.fit_torch import fit_frames, load_solvers, torch_view
 from photogram.images.sequence import GreyImage
@@ -34,6 +33,7 @@ from photogram.subsets.icgn_torch import (
     upload_images,
 )
 from photogram.subsets.reference import TrackStatus
+from shakercal._common.arrays import FloatArray
 
 if TYPE_CHECKING:
     from torch import Tensor

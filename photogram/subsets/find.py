@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from photogram.arrays import BoolArray, FloatArray
 from photogram.bspline import Spline
 from photogram.camera import StereoRig, epipolar_residual, triangulate
 from photogram.subsets.icgn import LINEAR_PX, Registration, TrackSettings, drop_unresolved, register
@@ -24,6 +23,7 @@ from photogram.subsets.search import (
 )
 from photogram.subsets.sweep import fit_surfaces, line_starts, line_uncertainty_px
 from photogram.subsets.texture import find_saturated, repeat_steps_px
+from shakercal._common.arrays import BoolArray, FloatArray
 
 Image = NDArray[Any]
 

@@ -12,7 +12,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from photogram.arrays import FloatArray, check_shape
 from photogram.bspline import PADDING_PX, poles_of
 from photogram.subsets.icgn import (
     GAIN_AND_OFFSET,
@@ -27,6 +26,7 @@ from photogram.subsets.icgn import (
     starts_from_affine,
 )
 from photogram.subsets.reference import ReferenceSubsets, TrackStatus, shape_values, subset_offsets
+from shakercal._common.arrays import FloatArray, check_shape
 
 if TYPE_CHECKING:
     from torch import Tensor

@@ -14,7 +14,6 @@ from numba.extending import intrinsic
 from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
-from photogram.arrays import Arrays, BoolArray, FloatArray, IntArray, check_shape
 from photogram.bspline import Spline, noise_gain, sample_squares, slope_noise_gain, third_differences
 from photogram.kernels import njit
 from photogram.kernels.lanes import (
@@ -33,6 +32,7 @@ from photogram.kernels.lanes import (
     load,
     sum_lanes,
 )
+from shakercal._common.arrays import Arrays, BoolArray, FloatArray, IntArray, check_shape
 
 _Terms = tuple[Lanes, ...]
 AFFINE_SUMS, CURVED_SUMS, RUN_SUMS = 9, 6, 7

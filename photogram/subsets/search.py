@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from photogram.arrays import FloatArray, IntArray, check_shape
+from shakercal._common.arrays import FloatArray, IntArray, check_shape
 
 Image = NDArray[Any]
 FEATURES = 6000  # of an image: about one for every subset of a large one

@@ -9,10 +9,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from photogram.arrays import Arrays, BoolArray, FloatArray, IntArray, derivatives
 from photogram.camera import StereoRig, epipolar_residual, triangulate
 from photogram.kernels import njit
 from photogram.subsets.search import score_peaks
+from shakercal._common.arrays import Arrays, BoolArray, FloatArray, IntArray
+from shakercal._common.propagation import derivatives
 
 Image = NDArray[Any]
 TOLERANCE_PX = 2.0  # of a match from its epipolar line, in addition to the calibration's uncertainty

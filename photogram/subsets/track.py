@@ -12,9 +12,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from photogram.arrays import Arrays, BoolArray, FloatArray, IntArray, RunningMean, check_shape
 from photogram.bspline import Spline, spline_of_image
 from photogram.camera import StereoRig, epipolar_residual
+from photogram.frame_statistics import RunningMean
 from photogram.images.exposure import missing_pattern_reason
 from photogram.images.sequence import GreyImage, ImageSequence
 from photogram.subsets.find import (
@@ -43,6 +43,7 @@ from photogram.subsets.texture import (
     subset_mean,
     textured_area,
 )
+from shakercal._common.arrays import Arrays, BoolArray, FloatArray, IntArray, check_shape
 from shakercal._common.notices import Notice
 
 Image = NDArray[Any]

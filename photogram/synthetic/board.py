@@ -13,11 +13,11 @@ from typing import Literal
 
 import numpy as np
 
-from photogram.arrays import FloatArray, IntArray
 from photogram.camera import Camera, StereoRig, distort, undistort
 from photogram.geometry import RigidTransform, rotation_from_vector
 from photogram.kernels import njit
 from photogram.targets.target_view import Target, TargetView
+from shakercal._common.arrays import FloatArray, IntArray
 
 _FAR = 4.5  # distance in σ of the blur beyond which an edge has no effect
 _NODE = math.sqrt(0.6)  # Gauss-Legendre points of degree 5 on (−1, 1), weights 5/18, 8/18, 5/18 of the mean

@@ -11,10 +11,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from photogram.arrays import Arrays, FloatArray, derivatives
 from photogram.camera import Camera, StereoRig
 from photogram.geometry import RigidTransform, rotation_from_vector
 from photogram.kernels import njit
+from shakercal._common.arrays import Arrays, FloatArray
+from shakercal._common.propagation import derivatives
 
 _CELL = 1.15  # spacing of the speckle grid in speckle diameters: dots cover about half of the face
 _SHIFT = 0.35  # largest random shift of a dot in cells

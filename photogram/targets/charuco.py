@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from photogram.arrays import FloatArray, IntArray
 from photogram.targets.chessboard import SEARCHED_PX, corner_view, downscale, eight_bit, lattice_powers
 from photogram.targets.target_view import Target, TargetNotFound, TargetView, image_fault, refuse_second
+from shakercal._common.arrays import FloatArray, IntArray
 
 _NEAR = 1.3  # squares between a corner and the nearest detected marker
 _SECOND = 6  # markers that make a second board

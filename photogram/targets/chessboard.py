@@ -7,7 +7,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from photogram.arrays import FloatArray, IntArray
 from photogram.targets.crossing import FAINT, GOOD, OUTSIDE, REASONS, CameraResponse, find_sharpening, refine_corners
 from photogram.targets.target_view import (
     Target,
@@ -20,6 +19,7 @@ from photogram.targets.target_view import (
     outline,
     refuse_second,
 )
+from shakercal._common.arrays import FloatArray, IntArray
 
 _LEAST_CONTRAST = 0.4  # of a corner, in units of the median over the target
 _MARGIN = 0.75  # squares around the outermost corners that belong to the target's area

@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from photogram.arrays import Arrays, BoolArray, FloatArray, IntArray, check_shape
 from photogram.images.noise import QUANTISATION, NoiseModel
 from photogram.kernels import njit
+from shakercal._common.arrays import Arrays, BoolArray, FloatArray, IntArray, check_shape
 
 PARAMETERS = 10  # centre x, y, angles of both edges' normals, mean, half contrast, relative slope x, y, blur of both
 GOOD, OUTSIDE, SATURATED, NO_CROSSING, FAINT = 0, 1, 2, 3, 4

@@ -8,7 +8,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from photogram.arrays import Arrays, BoolArray, FloatArray, IntArray, check_shape
 from photogram.targets.ellipse import Blobs, FittedEllipses, find_blobs, fit_ellipses
 from photogram.targets.target_view import (
     Target,
@@ -20,6 +19,7 @@ from photogram.targets.target_view import (
     outline,
     refuse_second,
 )
+from shakercal._common.arrays import Arrays, BoolArray, FloatArray, IntArray, check_shape
 
 MIN_DOTS = 12  # of a grid, more than by chance
 MOST_SATURATED = 0.9  # share of the pixels: an overexposed sheet has smaller dots, not shifted ones

@@ -8,9 +8,9 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from photogram.arrays import Arrays, FloatArray, IntArray, check_shape
 from photogram.images.noise import NoiseModel, fit_noise_model
 from photogram.images.sequence import GreyImage
+from shakercal._common.arrays import Arrays, FloatArray, IntArray, check_shape
 
 SHORTEST_M, LONGEST_M = 1e-4, 2.0  # of plausible targets
 TargetKind = Literal["chessboard", "charuco", "dots", "asymmetric-dots"]

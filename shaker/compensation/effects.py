@@ -7,7 +7,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from shaker.arrays import Brief, ComplexArray, FloatArray, check_shape
 from shaker.compensation.filter import (
     Compensation,
     CompensationFilter,
@@ -24,6 +23,7 @@ from shaker.compensation.filter import (
     target_poles,
 )
 from shaker.lti.system import LinearSystem
+from shakercal._common.arrays import Arrays, ComplexArray, FloatArray, check_shape
 
 # Target for a permitted error of the whole sensor up to a specified frequency.
 
@@ -247,7 +247,7 @@ def residual_ringing(compensation: Compensation, sensor: LinearSystem, after_s: 
 
 
 @dataclass(frozen=True, repr=False)
-class GainBand(Brief):
+class GainBand(Arrays):
     """Standard uncertainties of a compensated sensor over `frequency_hz` (K,).
 
     `u_gain` relative, `u_phase_rad`.
@@ -259,7 +259,7 @@ class GainBand(Brief):
 
 
 @dataclass(frozen=True, repr=False)
-class CompensatedSignal(Brief):
+class CompensatedSignal(Arrays):
     """Compensated samples `value` (C, N) with standard uncertainty `u` (C, N).
 
     `u_model` (C, N): contribution of the sensor's model, 0 without its covariance. `u_noise`: noise after the filter,

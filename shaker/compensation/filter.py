@@ -7,16 +7,16 @@ from typing import Literal
 
 import numpy as np
 
-from shaker.arrays import Brief, ComplexArray, FloatArray, check_shape
 from shaker.lti.indices import step_shares
 from shaker.lti.system import LinearSystem, ModalModel
 from shaker.release.load_model import LoadModel
+from shakercal._common.arrays import Arrays, ComplexArray, FloatArray, check_shape
 
 # Dynamics of a sensor that a filter compensates: modes, real poles and static gain, with covariance.
 
 
 @dataclass(frozen=True, repr=False)
-class SensorDynamics(Brief):
+class SensorDynamics(Arrays):
     """The poles of a sensor that a filter cancels, and the whole sensor.
 
     Modes `frequency_hz` (M,), rising, with `damping_ratio` (M,); real poles at -2π·`real_hz` (Q,); `static_gain` =
@@ -298,7 +298,7 @@ DISCRETE_RELATIVE_STEP = 1e-6  # of central differences
 
 
 @dataclass(frozen=True, repr=False)
-class Sections(Brief):
+class Sections(Arrays):
     """Second-order sections of a digital filter at `sample_rate_hz`.
 
     y = gain·Π_i (b0 + b1 z⁻¹ + b2 z⁻²)/(1 + a1 z⁻¹ + a2 z⁻²) u. `sos` (S, 6): rows [b0, b1, b2, 1, a1, a2] in

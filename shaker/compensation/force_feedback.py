@@ -11,10 +11,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from shaker.arrays import Brief, FloatArray, check_shape
 from shaker.compensation.effects import state_space
 from shaker.compensation.filter import Sections
 from shaker.lti.system import LinearSystem
+from shakercal._common.arrays import Arrays, FloatArray, check_shape
 
 RUNAWAY = 1e3
 """Force over the largest static force of the hand, above which a run is unstable."""
@@ -51,7 +51,7 @@ class HapticLoop:
 
 
 @dataclass(frozen=True, repr=False)
-class FeedbackRun(Brief):
+class FeedbackRun(Arrays):
     """Forces of user, sensor and ball.
 
     Samples (N,) in N; NaN after the loop became unstable. `applied` F_u, `indicated`: its value from the sensor,
@@ -68,7 +68,7 @@ class FeedbackRun(Brief):
 
 
 @dataclass(frozen=True, repr=False)
-class _Matrices(Brief):
+class _Matrices(Arrays):
     """Sampled loop: state matrices and rows of the forces.
 
     z[n+1] = A z[n] + B [x_h, v_h, wall, noise]; rows for F_u, indicated force and F_v.

@@ -7,7 +7,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from shaker.arrays import Brief, ComplexArray, FloatArray
 from shaker.decoupling.common_pole_search import (
     PoleCountTrial,
     add_first_lag,
@@ -38,13 +37,14 @@ from shaker.decoupling.release_problem import (
     model_covariance,
     widen_for_lags,
 )
-from shaker.fitting import NORMAL_QUANTILE_95, excess_chi2_sigmas
 from shaker.identification.identification_notices import FIT_NOT_CONVERGED
 from shaker.release.load_response import BlockMeans, average_blocks
 from shaker.release.poles import UNCLEAR, highest_frequency, shared_poles
 from shaker.release.reading import initial_release
 from shaker.release.record import ReleaseShape, StepRecord
 from shaker.release.release_notices import DOUBTFUL_MODE
+from shakercal._common.arrays import Arrays, ComplexArray, FloatArray
+from shakercal._common.fitting import NORMAL_QUANTILE_95, excess_chi2_sigmas
 from shakercal._common.notices import Notice
 
 _PER_PERIOD = 6.0  # blocks per period of the highest significant frequency
@@ -193,7 +193,7 @@ _SCATTERED = 3.0  # scatter of releases over their noise above which a notice is
 
 
 @dataclass(frozen=True, repr=False)
-class ReleaseFit(Brief):
+class ReleaseFit(Arrays):
     """One release: middle, duration and shape of the load change.
 
     In s with standard uncertainties. `gain`: size of the outputs over that of the model of all releases of its load,
@@ -214,7 +214,7 @@ class ReleaseFit(Brief):
 
 
 @dataclass(frozen=True, repr=False)
-class ModeRank(Brief):
+class ModeRank(Arrays):
     """Singular values of a mode's residues over their noise, and the number of significant ones.
 
     Rank one is a mode with one shape: fixed shares of outputs and loads. A higher rank is several modes that coincide.
@@ -225,7 +225,7 @@ class ModeRank(Brief):
 
 
 @dataclass(frozen=True, repr=False)
-class MultiFit(Brief):
+class MultiFit(Arrays):
     """A model of C outputs over D loads with the data of its fit.
 
     `noise` (C,): standard deviation of one sample of every output at `sample_rate_hz`. `amplitude` (D,): the largest
@@ -258,7 +258,7 @@ def multi_fit(
     """Return the result of a fit in the units of the records.
 
     The first of `fits` is the result. The others are not rejected by the records and enter the covariance
-    (`shaker.fitting`). `noise` (C,) of a sample was the weight of the outputs.
+    (`shakercal._common.fitting`). `noise` (C,) of a sample was the weight of the outputs.
     """
     fit, *others = fits
     point, poles = fit.solution.point, fit.poles

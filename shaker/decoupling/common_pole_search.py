@@ -8,13 +8,13 @@ from typing import TypeAlias
 
 import numpy as np
 
-from shaker.arrays import FloatArray
 from shaker.decoupling.model import Poles
 from shaker.decoupling.release_problem import PoleCandidate, PoleFit, ReleaseTiming, StepProblem, by_record, fit_poles
-from shaker.fitting import REJECT_CHI2, SeparablePoint
 from shaker.release.load_response import MOMENTS
 from shaker.release.poles import shared_poles
 from shaker.release.record import ReleaseShape
+from shakercal._common.arrays import FloatArray
+from shakercal._common.fitting import REJECT_CHI2, SeparablePoint
 
 _ROUNDS = 12  # changes of the number of poles, at most
 _CANDIDATES = 3  # poles of a residual that are tried per load

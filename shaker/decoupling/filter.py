@@ -9,14 +9,14 @@ from typing import TypeAlias
 import numpy as np
 from numpy.random import Generator
 
-from shaker.arrays import Brief, ComplexArray, FloatArray, check_shape, check_shapes
 from shaker.decoupling.model import MultiModel, Poles, StateSpace, sampled_modes
+from shakercal._common.arrays import Arrays, ComplexArray, FloatArray, check_shape, check_shapes
 
 # Decoupling filter: outputs to loads, as taps and a bank of poles, block by block.
 
 
 @dataclass(frozen=True, repr=False)
-class FilterState(Brief):
+class FilterState(Arrays):
     """State of a filter between blocks.
 
     The last inputs (L, C) and the states of its poles (N,).
@@ -27,7 +27,7 @@ class FilterState(Brief):
 
 
 @dataclass(frozen=True, repr=False)
-class DecouplingFilter(Brief):
+class DecouplingFilter(Arrays):
     """Filter for loads `components` (D,) from outputs `channels` (C,) in `unit`, at `sample_rate_hz`.
 
     f[n] = Σ_k `taps`[k]·y[n - k] + Re Σ_i `shown`[:, i]·x_i[n - L], x_i[n + 1] = `poles`[i]·x_i[n] + `driven`[i]·y[n],
@@ -151,7 +151,7 @@ _REAL = 1e-9  # relative imaginary part of a real pole
 
 
 @dataclass(frozen=True, repr=False)
-class DecouplingTarget(Brief):
+class DecouplingTarget(Arrays):
     """Target dynamics of every load: one oscillator each, static gain 1.
 
     `frequency_hz` and `damping_ratio` (D,).
@@ -169,7 +169,7 @@ class DecouplingTarget(Brief):
 
 
 @dataclass(frozen=True, repr=False)
-class SignalLevels(Brief):
+class SignalLevels(Arrays):
     """Noise and loads for which a filter is designed.
 
     `noise` (C,): of a sample of the outputs at `sample_rate_hz`. `load` (D,): standard deviation of a sample of a white
@@ -247,7 +247,7 @@ def design_decoupling(
 
 
 @dataclass(frozen=True, repr=False)
-class _KalmanGains(Brief):
+class _KalmanGains(Arrays):
     """The steady Kalman filter in units of noise and loads.
 
     x⁺ = m·x + k·y with innovations y - c·x. gains[i]: of the innovation i samples after the load. `left` (L + 1, D):
@@ -338,7 +338,7 @@ _SHORTENED = 0.05  # share of a sampled deviation, within the linear range
 
 
 @dataclass(frozen=True, repr=False)
-class Crosstalk(Brief):
+class Crosstalk(Arrays):
     """Loads read over loads applied at one stage.
 
     In N or N·m per N or N·m. `stage`: "raw" (each load by the output of its name over its sensitivity), "static"

@@ -9,18 +9,18 @@ from typing import TypeAlias
 
 import numpy as np
 
-from shaker.arrays import Brief, ComplexArray, FloatArray, IntArray, check_shape, check_shapes
 from shaker.labels import LOAD_COMPONENTS
 from shaker.lti.system import ModalModel, modal_poles
 from shaker.release.load_response import exponentials
 from shaker.release.release_notices import GROWING_POLE
+from shakercal._common.arrays import Arrays, ComplexArray, FloatArray, IntArray, check_shape, check_shapes
 from shakercal._common.notices import Notice
 
 # Common poles of outputs and loads.
 
 
 @dataclass(frozen=True, repr=False, eq=False)
-class Poles(Brief):
+class Poles(Arrays):
     """Common poles: `frequency_hz` and `damping_ratio` (M,) of the modes, `real_hz` (Q,).
 
     Instances are compared by identity.
@@ -162,7 +162,7 @@ Names: TypeAlias = tuple[str, ...]
 
 
 @dataclass(frozen=True, repr=False)
-class ModelParts(Brief):
+class ModelParts(Arrays):
     """Numbers arranged as the parameters of a model.
 
     Modes (M,), residues (M, C, D), real poles (Q,) and their residues (Q, C, D).
@@ -176,7 +176,7 @@ class ModelParts(Brief):
 
 
 @dataclass(frozen=True, repr=False)
-class MultiModel(Brief):
+class MultiModel(Arrays):
     """Transfer matrix of outputs `channels` (C,) over loads `components` (D,) with common poles.
 
     H(s) = Σ_m [R_m/(s - p_m) + R̄_m/(s - p̄_m)] + Σ_q R_q/(s - p_q) with p_m = -ζω + jω√(1 - ζ²), ω = 2π·`frequency_hz`
@@ -337,7 +337,7 @@ _NO_SHAPE = 1e-9  # relative singular value of a residue matrix that is rounding
 
 
 @dataclass(frozen=True, repr=False)
-class StateSpace(Brief):
+class StateSpace(Arrays):
     """x[n+1] = a·x[n] + b·u[n], y[n] = c·x[n] + d·u[n]."""
 
     a: FloatArray

@@ -9,18 +9,7 @@ from typing import NamedTuple, TypeAlias
 
 import numpy as np
 
-from shaker.arrays import ComplexArray, FloatArray, IntArray
 from shaker.decoupling.model import MultiModel, Poles
-from shaker.fitting import (
-    NORMAL_QUANTILE_95,
-    BlockJacobian,
-    LinearBlock,
-    LMOptions,
-    Minimum,
-    ParameterPrior,
-    SeparablePoint,
-    levenberg_marquardt,
-)
 from shaker.release.load_response import (
     MOMENTS,
     BlockMeans,
@@ -30,6 +19,17 @@ from shaker.release.load_response import (
     responses_with_derivatives,
 )
 from shaker.release.record import ReleaseShape
+from shakercal._common.arrays import ComplexArray, FloatArray, IntArray
+from shakercal._common.fitting import (
+    NORMAL_QUANTILE_95,
+    BlockJacobian,
+    LinearBlock,
+    LMOptions,
+    Minimum,
+    ParameterPrior,
+    SeparablePoint,
+    levenberg_marquardt,
+)
 
 _LOOSE = (1.5, 2.0)  # standard deviations of logarithms of real poles and of durations: wide, to guide the search
 _CACHE_SIZE = 2  # results per record: those of the current point and of the trial

@@ -8,11 +8,11 @@ from typing import TypeAlias
 
 import numpy as np
 
-from shaker.arrays import Brief, ComplexArray, FloatArray, check_shape
 from shaker.decoupling.model import MultiModel, Poles, growing_pole_notices
 from shaker.decoupling.release_problem import covariances, model_covariance, search_options
-from shaker.fitting import BlockJacobian, LinearBlock, SeparablePoint, levenberg_marquardt
 from shaker.identification.identification_notices import MODEL_MISFIT
+from shakercal._common.arrays import Arrays, ComplexArray, FloatArray, check_shape
+from shakercal._common.fitting import BlockJacobian, LinearBlock, SeparablePoint, levenberg_marquardt
 from shakercal._common.notices import Notice
 
 _UNEXPLAINED = 1.5  # χ²/dof above which a notice is given
@@ -22,7 +22,7 @@ Point: TypeAlias = tuple[Poles, SeparablePoint]
 
 
 @dataclass(frozen=True, repr=False)
-class Responses(Brief):
+class Responses(Arrays):
     """Measured H (K, C, D) of outputs `channels` (C,) in `unit` over loads `components` (D,).
 
     `frequency_hz` (K,). `covariance` (K, C, D, 2, 2) of Re and Im of every element; the elements of a line are

@@ -12,17 +12,17 @@ from itertools import pairwise
 
 import numpy as np
 
-from shaker.arrays import Brief, FloatArray, IntArray, check_shape, check_shapes
 from shaker.elastomer.elastomer_notices import PLATFORM_MISFIT, PLATFORM_NOT_VALIDATED
 from shaker.elastomer.geometry import CrossBeams, ElasticMaterial, Section, beam_matrices, lump_mass
-from shaker.fitting import LMOptions, WhitenedResiduals, levenberg_marquardt
+from shakercal._common.arrays import Arrays, FloatArray, IntArray, check_shape, check_shapes
+from shakercal._common.fitting import LMOptions, WhitenedResiduals, levenberg_marquardt
 from shakercal._common.notices import Notice
 
 # Rigid bodies of the element, the platform and attached parts, as mass, height and inertia.
 
 
 @dataclass(frozen=True, repr=False)
-class RigidPart(Brief):
+class RigidPart(Arrays):
     """A rigid body on the axis of the element.
 
     `mass_kg`; `height_m` of its centre of mass along z above the plane of the beams' axes; `inertia_kgm2` (3,): Jx, Jy,
@@ -89,7 +89,7 @@ def join_bodies(parts: Sequence[RigidPart]) -> RigidPart:
 
 
 @dataclass(frozen=True, repr=False)
-class BeamFrame(Brief):
+class BeamFrame(Arrays):
     """Beams between nodes: `node_m` (N, 3), `beam` (E, 2) node numbers, `section` of every beam.
 
     `rigid` (R,): nodes that move with a body, whose reference point is the origin; `clamped` (C,). Local z of every
@@ -180,7 +180,7 @@ EQUAL = 1e-4
 
 
 @dataclass(frozen=True, repr=False)
-class NamedModes(Brief):
+class NamedModes(Arrays):
     """The six named modes, in the order of `MODE_NAMES`.
 
     `frequency_hz` (6,). `participation` (6, 6): share of each rigid motion's mass in each mode, modes down,
@@ -323,7 +323,7 @@ STEP = 1e-3
 
 
 @dataclass(frozen=True, repr=False)
-class FrameModel(Brief):
+class FrameModel(Arrays):
     """A solved frame: `frame`, `modes`, `stiffness` (6,) in N/m and N·m/rad as of `platform_stiffness`."""
 
     frame: BeamFrame
@@ -421,7 +421,7 @@ SMALL = 1e-7
 
 
 @dataclass(frozen=True, repr=False)
-class PlatformFit(Brief):
+class PlatformFit(Arrays):
     """The rigid `platform` of a `half_size_m` for given frequencies; `frequency_hz` (6,) of `MODE_NAMES`.
 
     `misfit`: largest relative deviation from a target frequency, pairs by their mean. Frequencies do not determine the

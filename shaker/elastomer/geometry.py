@@ -6,7 +6,7 @@ from dataclasses import dataclass, fields
 
 import numpy as np
 
-from shaker.arrays import FloatArray
+from shakercal._common.arrays import FloatArray
 
 
 @dataclass(frozen=True)

@@ -13,9 +13,9 @@ from typing import Any
 
 import numpy as np
 
-from shaker.arrays import Brief, FloatArray, IntArray
 from shaker.elastomer.frame import MODE_NAMES, RigidPart, assign_names, rigid_motion
 from shaker.elastomer.geometry import CrossBeams
+from shakercal._common.arrays import Arrays, FloatArray, IntArray
 
 PARITIES = {"vertical": (False, False), "sideways": (True, False), "turning": (True, True)}
 """Whether the motion is mirrored with reversed sign in the planes x = 0 and y = 0."""
@@ -51,7 +51,7 @@ class SolidBlock:
 
 
 @dataclass(frozen=True, repr=False)
-class SolidModel(Brief):
+class SolidModel(Arrays):
     """Solution on one mesh: `frequency_hz`, `stiffness` (6,) in the order of `MODE_NAMES`.
 
     `stiffness`: load per mean displacement or rotation of the platform in N/m, N·m/rad. `unknowns` of the whole

@@ -9,11 +9,11 @@ from typing import Literal
 
 import numpy as np
 
-from shaker.arrays import BoolArray, ComplexArray, FloatArray, check_shape, check_shapes
 from shaker.frf.spline import cubic_spline
 from shaker.labels import MOTION_UNITS
 from shaker.lti.roots import pair_conjugates
 from shaker.sine.phasor import derivative_factor
+from shakercal._common.arrays import BoolArray, ComplexArray, FloatArray, check_shape, check_shapes
 
 FilterKind = Literal["butterworth", "bessel", "resonance"]
 PassBand = Literal["lowpass", "highpass"]

@@ -7,7 +7,6 @@ from typing import Literal
 
 import numpy as np
 
-from shaker.arrays import BoolArray, ComplexArray, FloatArray, IntArray
 from shaker.frf.frf_notices import (
     ESTIMATOR_FEW_HITS,
     EXPONENTIAL_WINDOW,
@@ -21,6 +20,7 @@ from shaker.frf.random import EstimatorSelection, Spectra, choose_estimator, est
 from shaker.frf.result import TransferFunction, TransferRecord, circular_covariance, pooled_scatter, share_of_reference
 from shaker.lines.spectrum import hann_window
 from shaker.sine.phasor import Phasors
+from shakercal._common.arrays import BoolArray, ComplexArray, FloatArray, IntArray
 from shakercal._common.notices import DeclaredNotice, Notice, Value
 
 # Hits of an impact hammer in a force record: where they are, and which of them count.

@@ -6,7 +6,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from shaker.arrays import BoolArray, ComplexArray, FloatArray, IntArray
 from shaker.frf.frf_notices import (
     EXCITATION_AMPLITUDE_CHANGES,
     NONLINEAR_DISTORTIONS,
@@ -16,6 +15,7 @@ from shaker.frf.frf_notices import (
 )
 from shaker.frf.result import TransferFunction, TransferRecord, circular_covariance, excited_lines, pooled_scatter
 from shaker.sine.phasor import Phasors
+from shakercal._common.arrays import BoolArray, ComplexArray, FloatArray, IntArray
 from shakercal._common.notices import Notice
 
 # Phasors of every period of a periodic signal, also where the period is no whole number of samples.

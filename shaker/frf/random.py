@@ -7,11 +7,11 @@ from typing import Literal
 
 import numpy as np
 
-from shaker.arrays import ComplexArray, FloatArray, IntArray, check_shape
 from shaker.frf.frf_notices import ESTIMATOR_H1, ESTIMATOR_H2, ESTIMATOR_HV, ESTIMATOR_REQUESTED
 from shaker.frf.result import TransferFunction, TransferRecord, circular_covariance, resolution_notices
 from shaker.lines.spectrum import hann_window
 from shaker.sine.phasor import Phasors
+from shakercal._common.arrays import ComplexArray, FloatArray, IntArray, check_shape
 from shakercal._common.notices import DeclaredNotice, Notice, Value
 
 _MAX_BIAS = 0.3  # accepted bias of an estimator, in its standard uncertainties

@@ -8,10 +8,10 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from shaker.arrays import BoolArray, ComplexArray, FloatArray, check_shape
 from shaker.frf.chain import ratio_unit
 from shaker.frf.frf_notices import NARROW_PEAKS
 from shaker.sine.phasor import Phasors
+from shakercal._common.arrays import BoolArray, ComplexArray, FloatArray, check_shape
 from shakercal._common.notices import Notice
 
 # Input and result of the estimate of a transfer function.

@@ -6,7 +6,7 @@ from typing import TypeVar
 
 import numpy as np
 
-from shaker.arrays import ComplexArray, FloatArray
+from shakercal._common.arrays import ComplexArray, FloatArray
 
 Numbers = TypeVar("Numbers", FloatArray, ComplexArray)
 

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from shaker.arrays import Brief, ComplexArray, FloatArray
 from shaker.identification.measured_curves import MeasuredCurve
+from shakercal._common.arrays import Arrays, ComplexArray, FloatArray
 
 _PASSES = 3  # alternating fits of circle and angles, chosen
 FEWEST_LINES = 5
@@ -15,7 +15,7 @@ FEWEST_LINES = 5
 
 
 @dataclass(frozen=True, repr=False)
-class CircleFit(Brief):
+class CircleFit(Arrays):
     """Frequency f₀ and damping ratio ζ with their `covariance` (2, 2).
 
     `centre`, `radius`: the circle in the plane of H·(jf/f₀)/(1 + 2jζf/f₀).

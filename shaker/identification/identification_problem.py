@@ -8,11 +8,11 @@ from functools import cached_property
 
 import numpy as np
 
-from shaker.arrays import BoolArray, Brief, ComplexArray, FloatArray, IntArray
-from shaker.fitting import LMOptions, WhitenedResiduals, levenberg_marquardt
 from shaker.identification.measured_curves import REFERENCE_INDEX, MeasuredTransfer, PlacementError, whitening_matrices
 from shaker.identification.structures import MechanicalStructure, StructureParameter
 from shaker.mechanics import FrequencyTerms, MechanicalResponse, Mechanics, poles, respond
+from shakercal._common.arrays import Arrays, BoolArray, ComplexArray, FloatArray, IntArray
+from shakercal._common.fitting import LMOptions, WhitenedResiduals, levenberg_marquardt
 
 DELAY_UNIT_S = 1e-6
 """Unit in which free delays are unknown."""
@@ -20,7 +20,7 @@ _ROUNDING = 1e-12  # share of a change below which it is rounding
 
 
 @dataclass(frozen=True, repr=False)
-class Displacements(Brief):
+class Displacements(Arrays):
     """Change of C readings for one standard deviation of S uncertain placements.
 
     `unknown_indices` (S,): indices of the unknowns. `rows` (S, C, n) of p, `offset` (S, C) of the base motion and
@@ -85,7 +85,7 @@ def displacements(record: MeasuredTransfer, body: FloatArray, names: Mapping[str
 
 
 @dataclass(frozen=True, repr=False)
-class LoadBending(Brief):
+class LoadBending(Arrays):
     """Contribution of an elastic load to its mechanics, as stated and per unknown.
 
     `unknown_indices` (V,): indices of the unknowns. `mass` (1+V, K, n, n), `forcing` (1+V, K, n), `rows` (1+V, K, C, n)
@@ -137,7 +137,7 @@ def load_bending(
 
 
 @dataclass(frozen=True, repr=False)
-class RecordingModel(Brief):
+class RecordingModel(Arrays):
     """Model of one recording with the indices of its unknowns.
 
     `terms` (P+E,): indices of the weights of `mechanics`. `factors` (F,): indices of the factors exp(z · `relative` (K,
@@ -199,7 +199,7 @@ class RecordingModel(Brief):
 
 
 @dataclass(frozen=True, repr=False)
-class ModelledRatios(Brief):
+class ModelledRatios(Arrays):
     """Ratios of one recording for a vector of unknowns: `response` times `factor` (K, C)."""
 
     curve: RecordingModel
@@ -225,7 +225,7 @@ class ModelledRatios(Brief):
 
 
 @dataclass(frozen=True, repr=False)
-class IdentificationProblem(Brief):
+class IdentificationProblem(Arrays):
     """All recordings and all unknowns (N,): parameters, then free factors, then named errors.
 
     `parameters`: the fitted ones; `kind` (P,): index of each in the structure. `names` (N,). The prior of an unknown is

@@ -7,17 +7,17 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from shaker.arrays import BoolArray, Brief, ComplexArray, FloatArray, check_shape, check_shapes
 from shaker.frf.result import TransferFunction
 from shaker.mechanics import laplace
 from shaker.sine.phasor import Phasors
+from shakercal._common.arrays import Arrays, BoolArray, ComplexArray, FloatArray, check_shape, check_shapes
 
 REFERENCE_INDEX = -1
 """Index of the reference among the transducers of a recording; responses count from 0."""
 
 
 @dataclass(frozen=True, repr=False)
-class Placement(Brief):
+class Placement(Arrays):
     """Position and direction of a transducer: `point_m` (3,) and unit `direction` (3,), sensor axes.
 
     `turning`: the transducer measures the rotation about the direction, which does not depend on the point.
@@ -44,7 +44,7 @@ class Placement(Brief):
 
 
 @dataclass(frozen=True, repr=False)
-class CurveError(Brief):
+class CurveError(Arrays):
     """One named cause of error of a curve.
 
     `relative` (K, C): relative complex deviation of the curve for one standard deviation. Causes with equal names in
@@ -56,7 +56,7 @@ class CurveError(Brief):
 
 
 @dataclass(frozen=True, repr=False)
-class InertiaError(Brief):
+class InertiaError(Arrays):
     """One uncertain number of the load.
 
     `change` (6, 6) of its mass matrix for one standard deviation. Equal names in several recordings are the same
@@ -71,7 +71,7 @@ class InertiaError(Brief):
 
 
 @dataclass(frozen=True, repr=False)
-class PlacementError(Brief):
+class PlacementError(Arrays):
     """One uncertain position or direction of a transducer.
 
     `change` (6,) of its row for one standard deviation. `response_index`: number of the response, or `REFERENCE_INDEX`.
@@ -87,7 +87,7 @@ class PlacementError(Brief):
 
 
 @dataclass(frozen=True, repr=False)
-class Bending(Brief):
+class Bending(Arrays):
     """Elastic behaviour of a load at K lines.
 
     All terms are per motion A (6,) of the body on the springs. `inertia` (1+V, K, 6, 6): inertial load in addition to
@@ -106,7 +106,7 @@ class Bending(Brief):
 
 
 @dataclass(frozen=True, repr=False)
-class MeasuredTransfer(Brief):
+class MeasuredTransfer(Arrays):
     """Ratios of load motion to base motion in one recording, with the stated load.
 
     `ratio`: C ratios (K, C) at K lines; its `covariance` (K, 2C, 2C) of [all Re, all Im] contains the noise only.
@@ -163,7 +163,7 @@ class MeasuredTransfer(Brief):
 
 
 @dataclass(frozen=True, repr=False)
-class MeasuredSensitivity(Brief):
+class MeasuredSensitivity(Arrays):
     """Complex sensitivity of one output for one load component over frequency.
 
     `frequency_hz` (K,) ascending. `value` (K,) in `unit`, e.g. "(V/V)/N". `covariance` (K, 2, 2) of [Re, Im]: the part
@@ -217,7 +217,7 @@ class NamedUnknown:
 
 
 @dataclass(frozen=True, repr=False)
-class MeasuredCurve(Brief):
+class MeasuredCurve(Arrays):
     """One complex frequency response with the noise of each line.
 
     Attributes
@@ -384,7 +384,7 @@ _FEWEST_DOF, _MOST_DOF = 3.0, 1e9  # limits of the degrees of freedom: variances
 
 
 @dataclass(frozen=True, repr=False)
-class CurveResidual(Brief):
+class CurveResidual(Arrays):
     """Residuals of one curve with K lines and p real numbers per line.
 
     `length` (K,): T² = rᵀS⁻¹r over the stated covariance S. `dof` (K,): degrees of freedom ν of S, infinite for a known
@@ -401,7 +401,7 @@ class CurveResidual(Brief):
 
 
 @dataclass(frozen=True, repr=False)
-class ResidualNoise(Brief):
+class ResidualNoise(Arrays):
     """Factors on the stated covariances of all lines, estimated from residuals.
 
     `lines` (K,) per curve are used as weights; `common` λ ≥ 1 applies to all of them. `chi_squared`: of the residuals

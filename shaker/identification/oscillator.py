@@ -8,8 +8,6 @@ from typing import Literal
 
 import numpy as np
 
-from shaker.arrays import BoolArray, Brief, ComplexArray, FloatArray, check_shape
-from shaker.fitting import BlockJacobian, LinearBlock, LMOptions, SeparablePoint, levenberg_marquardt
 from shaker.identification.circle_fit import FEWEST_LINES, fit_circle
 from shaker.identification.measured_curves import (
     CurveResidual,
@@ -21,6 +19,8 @@ from shaker.identification.measured_curves import (
     whitening_matrices,
 )
 from shaker.mechanics import laplace
+from shakercal._common.arrays import Arrays, BoolArray, ComplexArray, FloatArray, check_shape
+from shakercal._common.fitting import BlockJacobian, LinearBlock, LMOptions, SeparablePoint, levenberg_marquardt
 
 ResonanceKind = Literal["transmissibility", "receptance", "mobility", "accelerance"]
 
@@ -36,7 +36,7 @@ _WEIGHT_TOLERANCE = 0.01  # range over the lines of the relative change of their
 
 
 @dataclass(frozen=True, repr=False)
-class Resonance(Brief):
+class Resonance(Arrays):
     """A resonance with its uncertainty.
 
     `frequency_hz`: f₀ of the undamped oscillator. `damping_ratio` ζ; complex `gain` G; `delay_s`. `residual_terms` (2,)
@@ -263,7 +263,7 @@ INVERSE_POWER_LEVELS: dict[PeakWidth, float] = {
 
 
 @dataclass(frozen=True, repr=False)
-class PeakPoint(Brief):
+class PeakPoint(Arrays):
     """A frequency read from a curve and `inverse`, 1/|H|² at it.
 
     `by_line`, `inverse_by_line` (K,): gradients of both with respect to 1/|H|² of every line. All are NaN if the point

@@ -8,8 +8,6 @@ from typing import Literal
 
 import numpy as np
 
-from shaker.arrays import Brief, ComplexArray, FloatArray, check_shape
-from shaker.fitting import LMOptions, WhitenedResiduals, levenberg_marquardt
 from shaker.identification.identification_notices import FIT_NOT_CONVERGED, OUTPUT_LEADS, STATED_ERROR_TOO_SMALL
 from shaker.identification.measured_curves import (
     MeasuredSensitivity,
@@ -19,6 +17,8 @@ from shaker.identification.measured_curves import (
 )
 from shaker.identification.sensor import CHAIN_PARAMETERS, ChainKind, ChainModel, SensorModel
 from shaker.mechanics import laplace
+from shakercal._common.arrays import Arrays, ComplexArray, FloatArray, check_shape
+from shakercal._common.fitting import LMOptions, WhitenedResiduals, levenberg_marquardt
 from shakercal._common.notices import Notice
 
 
@@ -71,7 +71,7 @@ _SMALLEST_TURN = 0.01  # rad at the highest line: start of a lag that differs fr
 
 
 @dataclass(frozen=True, repr=False)
-class SensitivityFit(Brief):
+class SensitivityFit(Arrays):
     """Lag and chain fitted to a measured sensitivity.
 
     S(f) = S₀ / (1 + jωτ) · chain(f) with τ = b/k. `sensitivity` S₀ in `unit`; `spring_time_s` τ. `parameters` (P,):
@@ -347,7 +347,7 @@ class DampingTest:
 
 
 @dataclass(frozen=True, repr=False)
-class SensitivityComparison(Brief):
+class SensitivityComparison(Arrays):
     """Explanations of one sensitivity: `fits` (E), Akaike `weight` (E,) with sum 1, `verdict` (E).
 
     `spring`: k and b of the resonance, None without one. `damping`: test whether S(f) without a chain agrees with it.

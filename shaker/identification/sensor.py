@@ -7,13 +7,13 @@ from typing import Literal
 
 import numpy as np
 
-from shaker.arrays import Brief, ComplexArray, FloatArray, check_shape
-from shaker.fitting import covariance_root
 from shaker.frf.chain import ChainResponse, common_covariance, split_ratio
 from shaker.identification.identification_notices import SIGNAL_ABOVE_BAND
 from shaker.mechanics import laplace
 from shaker.sine.phasor import Phasors
+from shakercal._common.arrays import Arrays, ComplexArray, FloatArray, check_shape
 from shakercal._common.notices import Notice
+from shakercal._common.propagation import covariance_root
 
 # Shapes that a measuring chain can give the sensitivity: delay, lag, low-pass of second order.
 
@@ -31,7 +31,7 @@ CHAIN_PARAMETERS: dict[ChainKind, tuple[str, ...]] = {
 
 
 @dataclass(frozen=True, repr=False)
-class ChainModel(Brief):
+class ChainModel(Arrays):
     """Response exp(−sD) / (1 + a₁s + a₂s²) of a measuring chain, s = jω.
 
     `kind` selects the terms. `parameters` (P,) in the order of `CHAIN_PARAMETERS`: D `delay_s`, a₁ `lag_s`, a₂
@@ -143,7 +143,7 @@ class Load:
 
 
 @dataclass(frozen=True, repr=False)
-class SensorModel(Brief):
+class SensorModel(Arrays):
     """Static sensitivity, spring, damper, internal mass and measuring chain of a sensor.
 
     `sensitivity` S₀ in `unit`, `stiffness` k in N/m, `damping` b in kg/s, `internal_mass` m_i in kg, which may be
@@ -303,7 +303,7 @@ ATTENUATION_DB = 100.0
 
 
 @dataclass(frozen=True, repr=False)
-class CorrectedPhasors(Brief):
+class CorrectedPhasors(Arrays):
     """Phasors of the force and the errors from the sensor model.
 
     `phasors` contain the random covariance only. `errors` (E, K, 1): relative deviations from E independent causes,
@@ -323,7 +323,7 @@ class CorrectedPhasors(Brief):
 
 
 @dataclass(frozen=True, repr=False)
-class CorrectedRecord(Brief):
+class CorrectedRecord(Arrays):
     """Force on the load (N,) at the sampling instants of the output, up to `band_hz`.
 
     `u` (N,): standard uncertainty from noise and model. `errors` (E, N): force for one standard deviation of each of E

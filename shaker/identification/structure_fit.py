@@ -11,8 +11,6 @@ from functools import cached_property
 
 import numpy as np
 
-from shaker.arrays import Brief, ComplexArray, FloatArray, check_shape
-from shaker.fitting import LMOptions, levenberg_marquardt
 from shaker.identification.identification_notices import (
     DAMPING_UNDETERMINED,
     FIT_UNSETTLED,
@@ -47,6 +45,8 @@ from shaker.identification.measured_curves import (
 )
 from shaker.identification.structures import MechanicalStructure
 from shaker.labels import typeset
+from shakercal._common.arrays import Arrays, ComplexArray, FloatArray, check_shape
+from shakercal._common.fitting import LMOptions, levenberg_marquardt
 from shakercal._common.notices import Notice, Value
 
 # Result of an identification: parameters, modes, named errors, residuals.
@@ -84,7 +84,7 @@ class FreeFactor:
 
 
 @dataclass(frozen=True, repr=False)
-class Identification(Brief):
+class Identification(Arrays):
     """Parameters of a structure from all recordings together.
 
     Attributes
@@ -172,7 +172,7 @@ _RANK_TOLERANCE = 1e-10  # singular value, columns of unit length, below which a
 
 
 @dataclass(frozen=True, repr=False)
-class FitState(Brief):
+class FitState(Arrays):
     """Unknowns (N,) with the modelled curves and the whitened residuals (K, 2C).
 
     `loss`: χ² of lines and priors together. Derivatives are computed on first use.
@@ -262,7 +262,7 @@ def effective(problem: IdentificationProblem, state: FitState) -> float:
 
 
 @dataclass(frozen=True, repr=False)
-class UnknownsCovariance(Brief):
+class UnknownsCovariance(Arrays):
     """Covariance of all unknowns, and the directions that the recordings do not determine.
 
     `covariance` (N, N) of the determined part. `undetermined` (Z, N): orthonormal directions in units of `scale` (N,).

@@ -9,10 +9,10 @@ from typing import Protocol
 
 import numpy as np
 
-from shaker.arrays import FloatArray
 from shaker.identification.measured_curves import MeasuredTransfer
 from shaker.labels import LOAD_COMPONENTS, MOTION_COMPONENTS, mechanical_units
 from shaker.mechanics import Mechanics, chain_terms, check_stages
+from shakercal._common.arrays import FloatArray
 
 
 @dataclass(frozen=True)

@@ -12,7 +12,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from shaker.arrays import FloatArray
 from shaker.io.channel import (
     MAX_NESTING,
     DatasetColumn,
@@ -27,6 +26,7 @@ from shaker.io.channel import (
     select_names,
 )
 from shaker.io.times import SampleTimes, agreed_rate, times_of_stamps
+from shakercal._common.arrays import FloatArray
 from shakercal._common.mat5 import check_mat5
 
 _RATES = ("sample_rate", "sampling_rate", "sampling_frequency", "fs")

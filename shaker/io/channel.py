@@ -14,8 +14,8 @@ from typing import Any, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from shaker.arrays import FloatArray, check_shape
 from shaker.io.times import SampleTimes, first_gap
+from shakercal._common.arrays import FloatArray, check_shape
 
 T = TypeVar("T")
 

@@ -8,7 +8,7 @@ from typing import Literal
 
 import numpy as np
 
-from shaker.arrays import BoolArray, FloatArray, IntArray, brief, check_shape
+from shakercal._common.arrays import Arrays, BoolArray, FloatArray, IntArray, check_shape
 
 DefectKind = Literal["lost", "clipped", "steps"]
 
@@ -43,8 +43,8 @@ _NOISE, _MEDIAN_DIFFERENCE = 6.0, 0.954  # standard deviations of noise; median 
 _NAMED = 3  # stretches named
 
 
-@dataclass(frozen=True)
-class Defect:
+@dataclass(frozen=True, repr=False)
+class Defect(Arrays):
     """A defect in the samples of a channel.
 
     Attributes
@@ -65,8 +65,6 @@ class Defect:
 
     def __post_init__(self) -> None:
         check_shape("spans", self.spans, (None, 2))
-
-    __repr__ = brief
 
     @property
     def count(self) -> int:

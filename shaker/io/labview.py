@@ -12,10 +12,10 @@ from typing import BinaryIO
 
 import numpy as np
 
-from shaker.arrays import FloatArray
 from shaker.io.channel import MOST_CHANNELS, RawChannel, select_names
 from shaker.io.text import TextLayout, decode_text, digit_of, find_bytes, last_digit, read_columns, whole_lines
 from shaker.io.times import SampleTimes, Segment, agreed_rate, times_of_segments, times_of_stamps
+from shakercal._common.arrays import FloatArray
 
 _END, _CHANNELS = b"***End_of_Header***", b"\nChannels"
 _SPECIAL, _SPECIAL_END = "***Start_Special***", "***End_Special***"

@@ -28,7 +28,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from shaker.arrays import FloatArray
 from shaker.io.channel import (
     RawChannel,
     as_sample_array,
@@ -38,6 +37,7 @@ from shaker.io.channel import (
     select_names,
 )
 from shaker.io.times import SampleTimes, agreed_rate, times_of_stamps
+from shakercal._common.arrays import FloatArray
 
 _LONGEST_S, _SLOWEST = 8.0, 2e6  # Dewesoft's library: seconds of the processor, and bytes that it reads in each
 _PATIENCE = 30.0  # how many times as long a process may take by the clock on a loaded machine

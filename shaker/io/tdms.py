@@ -22,9 +22,9 @@ from typing import Any, BinaryIO
 import numpy as np
 from numpy.typing import NDArray
 
-from shaker.arrays import FloatArray
 from shaker.io.channel import BLOCK, RawChannel, is_time, select_by_either_name
 from shaker.io.times import SampleTimes, Segment, agreed_rate, times_of_segments, times_of_stamps
+from shakercal._common.arrays import FloatArray
 
 # Position of the values of every channel in a TDMS file (NI, "TDMS file format internal structure", version 2.0).
 

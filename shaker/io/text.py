@@ -32,7 +32,6 @@ from typing import BinaryIO
 
 import numpy as np
 
-from shaker.arrays import FloatArray, check_shape
 from shaker.io.channel import (
     BLOCK,
     LONGEST_LINE,
@@ -43,6 +42,7 @@ from shaker.io.channel import (
     select_names,
 )
 from shaker.io.times import SampleTimes, agreed_rate, times_of_stamps
+from shakercal._common.arrays import FloatArray, check_shape
 
 # Rows of numbers in text files: whole blocks at once, line by line only for unusual blocks.
 

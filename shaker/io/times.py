@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from shaker.arrays import FloatArray
+from shakercal._common.arrays import FloatArray
 
 CONTINUOUS = 0.5
 """Sampling intervals by which a segment may begin early or late and still continue the one before."""

@@ -17,10 +17,10 @@ from typing import BinaryIO
 import numpy as np
 from numpy.typing import NDArray
 
-from shaker.arrays import ComplexArray, FloatArray, IntArray, check_shape
 from shaker.io.channel import BLOCK, LONGEST_LINE, RawChannel, as_sample_array, convert_read_errors, select_names
 from shaker.io.text import plain_rows
 from shaker.io.times import SampleTimes, agreed_rate, seconds_of, times_of_stamps
+from shakercal._common.arrays import ComplexArray, FloatArray, IntArray, check_shape
 
 # Data sets, and the functions of data set 58 in them.
 

@@ -14,8 +14,8 @@ from collections.abc import Iterable, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from shaker.arrays import FloatArray, IntArray, check_shape
 from shaker.io.universal import UniversalFunction, UniversalShape
+from shakercal._common.arrays import FloatArray, IntArray, check_shape
 
 _MARK = b"    -1\r\n"
 _FUNCTIONS = {"time response": 1, "frequency response": 4, "transmissibility": 5, "spectrum": 12}

@@ -8,7 +8,6 @@ from typing import Literal
 
 import numpy as np
 
-from shaker.arrays import BoolArray, FloatArray, IntArray, Stacked, check_shape, check_shapes
 from shaker.lines.detection import (
     FALSE_ALARM,
     DetectedLines,
@@ -33,6 +32,8 @@ from shaker.sine.aliasing import (
 )
 from shaker.sine.sine_fit import fit_sines, rows_present
 from shaker.sine.solve import SineFit, SineModel
+from shaker.stacked import Stacked
+from shakercal._common.arrays import BoolArray, FloatArray, IntArray, check_shape, check_shapes
 from shakercal._common.notices import Notice
 
 MAX_MULTIPLE = 20  # harmonics searched for

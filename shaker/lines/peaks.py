@@ -8,7 +8,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from shaker.arrays import ComplexArray, FloatArray, IntArray, check_shapes
 from shaker.lines.spectrum import (
     BINS_PER_INDEPENDENT,
     FIRST_BIN,
@@ -24,6 +23,7 @@ from shaker.lines.spectrum import (
     noise_level,
     split_bins,
 )
+from shakercal._common.arrays import ComplexArray, FloatArray, IntArray, check_shapes
 
 MOST_LINES = 200  # of one record; more are left out with a notice
 MIN_SEPARATION_BINS = 2.5  # lines closer than this count as one; a line's change of amplitude lies within it

@@ -7,7 +7,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from shaker.arrays import BoolArray, FloatArray, IntArray, check_shape, check_shapes
 from shaker.sine.aliasing import (
     CLEAR_BINS,
     AliasedHarmonic,
@@ -18,6 +17,7 @@ from shaker.sine.aliasing import (
     find_aliased_harmonics,
     sine_columns,
 )
+from shakercal._common.arrays import BoolArray, FloatArray, IntArray, check_shape, check_shapes
 
 # How uncertain the amplitudes of a least-squares fit of sines will be, before anything is measured.
 

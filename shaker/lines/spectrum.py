@@ -13,7 +13,8 @@ from math import lgamma
 
 import numpy as np
 
-from shaker.arrays import ComplexArray, FloatArray, IntArray, Stacked, check_shape
+from shaker.stacked import Stacked
+from shakercal._common.arrays import ComplexArray, FloatArray, IntArray, check_shape
 
 
 @dataclass(frozen=True)

@@ -13,7 +13,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from shaker.arrays import FloatArray
 from shaker.lti.lti_notices import (
     ALTERNATING_POLE,
     FIGURES_NOT_LINEAR,
@@ -35,6 +34,7 @@ from shaker.lti.responses import (
     transient,
 )
 from shaker.lti.system import LinearSystem, ModalModel
+from shakercal._common.arrays import FloatArray
 from shakercal._common.notices import Notice
 
 UNITS = {"hz": "Hz", "s": "s"}

@@ -12,8 +12,8 @@ from itertools import pairwise
 
 import numpy as np
 
-from shaker.arrays import Brief, ComplexArray, FloatArray, IntArray
 from shaker.lti.system import LinearSystem, exponentials_between
+from shakercal._common.arrays import Arrays, ComplexArray, FloatArray, IntArray
 
 STEPS = 120  # of a root search at most; chosen
 TINY = 2.0 * float(np.finfo(np.float64).eps)
@@ -70,7 +70,7 @@ POINTS = 60
 
 
 @dataclass(frozen=True, repr=False)
-class GainCurve(Brief):
+class GainCurve(Arrays):
     """|H| over frequency: `edges_hz` (E,) from 0 with `gain` (E,), monotonic in between.
 
     The last edge is half the sampling rate. For a continuous system it is far above every pole and zero, where |H| has

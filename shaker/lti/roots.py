@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from shaker.arrays import ComplexArray
+from shakercal._common.arrays import ComplexArray
 
 
 def pair_conjugates(roots: ComplexArray, name: str) -> ComplexArray:

@@ -9,8 +9,8 @@ from typing import Literal
 
 import numpy as np
 
-from shaker.arrays import Brief, ComplexArray, FloatArray, check_shape, check_shapes
 from shaker.lti.roots import hold_factor, logarithms, pair_conjugates, tustin_constant
+from shakercal._common.arrays import Arrays, ComplexArray, FloatArray, check_shape, check_shapes
 
 Method = Literal["tustin", "zoh", "matched"]
 MIN_LAG, MAX_DAMPING = 0.02, 0.999  # smallest share of a shifted lag or frequency; largest |ζ|; chosen
@@ -19,7 +19,7 @@ MAX_TERM_RATIO = 1e5
 
 
 @dataclass(frozen=True, repr=False)
-class LinearSystem(Brief):
+class LinearSystem(Arrays):
     """Linear system, continuous or sampled, by zeros, poles and gain.
 
     H = gain·Π(x - zeros)/Π(x - poles), x = s in rad/s, or x = z of samples. Polynomial coefficients are computed only
@@ -347,7 +347,7 @@ def modal_poles(omega: FloatArray, damping_ratio: FloatArray, rate: FloatArray) 
 
 
 @dataclass(frozen=True, repr=False)
-class ModalModel(Brief):
+class ModalModel(Arrays):
     """Sum of modes with covariance: output over load.
 
     H(s) = Σ_m [r_m/(s - p_m) + r̄_m/(s - p̄_m)] + Σ_q r_q/(s - p_q). Oscillating modes m have p = -ζω + jω√(1 - ζ²),

@@ -14,7 +14,7 @@ import numba
 import numpy as np
 from numba.core.caching import FunctionCache
 
-from shaker.arrays import FloatArray
+from shakercal._common.arrays import FloatArray
 
 MUTATION, CROSSOVER = 0.8, 0.7  # the published settings
 HUGE = 1e100  # loss above which a model has grown without bound

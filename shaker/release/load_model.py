@@ -9,11 +9,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from shaker.arrays import Brief, ComplexArray, FloatArray, check_shape, check_shapes
 from shaker.lti.indices import FigureRange, find_figure_range
 from shaker.lti.responses import band_end, gain_curve
 from shaker.lti.system import LinearSystem, differences
 from shaker.mechanics import Mechanics, chain_terms, poles
+from shakercal._common.arrays import Arrays, ComplexArray, FloatArray, check_shape, check_shapes
 
 # The sensor and its load as masses in a row on a rigid base.
 
@@ -21,7 +21,7 @@ PARAMETERS = ("stiffness", "damping", "coupling_stiffness", "coupling_damping")
 
 
 @dataclass(frozen=True, repr=False)
-class LoadModel(Brief):
+class LoadModel(Arrays):
     """Sensor and load as two masses in a row.
 
     The moving mass m_E is on the sensor's spring k, c; the load mass m_L is on it by k_L, c_L. `coupling_stiffness` k_L
@@ -171,7 +171,7 @@ def _chain(count: int) -> Mechanics:
 
 
 @dataclass(frozen=True, repr=False)
-class LoadCurve(Brief):
+class LoadCurve(Arrays):
     """Frequencies and damping ratios of two modes over load masses.
 
     Load masses (K,) in kg; frequencies are natural frequencies in Hz. `frequency_hz`, `damping_ratio` and their

@@ -6,10 +6,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from shaker.arrays import BoolArray, Brief, ComplexArray, FloatArray, check_shape, check_shapes
-from shaker.fitting import BlockJacobian, LinearBlock, LMOptions, SeparablePoint, levenberg_marquardt
 from shaker.labels import mechanical_units, typeset
 from shaker.release.record import ReleaseReading, StepRecord
+from shakercal._common.arrays import Arrays, BoolArray, ComplexArray, FloatArray, check_shape, check_shapes
+from shakercal._common.fitting import BlockJacobian, LinearBlock, LMOptions, SeparablePoint, levenberg_marquardt
 
 # The output, and the masses of a series of loads as named unknowns.
 
@@ -31,7 +31,7 @@ class SeriesOutput:
 
 
 @dataclass(frozen=True, repr=False)
-class SeriesMasses(Brief):
+class SeriesMasses(Arrays):
     """Moving mass and load masses (R,) of R records in kg, with their named errors.
 
     `names` (Q,) of the uncertain parts. One standard uncertainty of a part changes the moving mass by `moving_effect`
@@ -88,7 +88,7 @@ def stated_masses(moving: float, u_moving: float, load: FloatArray, u_load: Floa
 
 
 @dataclass(frozen=True, repr=False)
-class Resonances(Brief):
+class Resonances(Arrays):
     """First and second mode of R records.
 
     Natural frequencies in Hz and damping ratios (R, 2). Unknown values are NaN. `u_…`: standard uncertainties. They are
@@ -142,7 +142,7 @@ SEARCH = LMOptions(initial_damping=1e-4, damping_decrease=0.2, min_damping=1e-15
 
 
 @dataclass(frozen=True, repr=False)
-class FreeDecay(Brief):
+class FreeDecay(Arrays):
     """The output of one record after the end of its release.
 
     `value` (N,) at `time_s` (N,). In output units, low-pass filtered and decimated by `decimation`. A filter multiplies
@@ -252,7 +252,7 @@ HEAVIEST, VAGUEST = 0.3, 0.05
 
 
 @dataclass(frozen=True, repr=False)
-class RecordModes(Brief):
+class RecordModes(Arrays):
     """One or two modes of a record with their covariance.
 
     Upper poles (M,) in rad/s. The covariance is of [Re p, Im p] of each mode. `noise`: standard deviation of the

@@ -14,9 +14,9 @@ from itertools import pairwise
 
 import numpy as np
 
-from shaker.arrays import Brief, ComplexArray, FloatArray, IntArray, check_shape
 from shaker.lti.system import even_exponentials
 from shaker.release.record import ReleaseShape
+from shakercal._common.arrays import Arrays, ComplexArray, FloatArray, IntArray, check_shape
 
 _SMALL = 1e-2  # |x| below which factors are computed from their series
 _SERIES = 64  # number of equally spaced times above which exponentials are products of two short series
@@ -28,7 +28,7 @@ BLOCKS_PER_PERIOD = 12  # blocks per period of the fastest mode: the mean of a b
 
 
 @dataclass(frozen=True, repr=False)
-class BlockMeans(Brief):
+class BlockMeans(Arrays):
     """Means over blocks of neighbouring samples.
 
     Block b is the mean `value` (B, …) of `length` (B,) samples. Samples are `step_s` apart; the first of a block is at
@@ -104,7 +104,7 @@ def average_blocks(samples: FloatArray, size: int) -> FloatArray:
 
 
 @dataclass(frozen=True, repr=False)
-class ReleaseLoad(Brief):
+class ReleaseLoad(Arrays):
     """Time course of a load: by `amplitude` in a `shape`, or measured samples.
 
     `force` (N,) from `start_s` for "measured": linear between its samples, with the level at rest subtracted.
@@ -183,7 +183,7 @@ def exponentials(poles: ComplexArray, tau: FloatArray) -> ComplexArray:
 
 
 @dataclass(frozen=True, repr=False)
-class BlockResponses(Brief):
+class BlockResponses(Arrays):
     """Responses (B, P) of 1/(s - p) in blocks, and their derivatives.
 
     The derivatives are by the onset, the length of the release and the poles. That by the length keeps the middle of

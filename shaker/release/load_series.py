@@ -7,8 +7,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from shaker.arrays import FloatArray
-from shaker.fitting import WhitenedResiduals, levenberg_marquardt
 from shaker.labels import mechanical_units, typeset
 from shaker.release.load_model import LoadModel
 from shaker.release.load_modes import (
@@ -32,6 +30,8 @@ from shaker.release.release_notices import (
     TWO_MASSES_SUFFICIENT,
 )
 from shaker.release.series_problem import SeriesFit, SeriesProblem
+from shakercal._common.arrays import FloatArray
+from shakercal._common.fitting import WhitenedResiduals, levenberg_marquardt
 from shakercal._common.notices import Notice, Value
 
 # Stiffnesses and dampings from the resonances of several loads.

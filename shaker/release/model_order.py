@@ -9,7 +9,6 @@ from typing import Literal
 
 import numpy as np
 
-from shaker.arrays import ComplexArray, FloatArray
 from shaker.lti.system import ModalModel
 from shaker.release.load_response import BlockMeans, ReleaseLoad, block_length, reduce_to_blocks
 from shaker.release.output_error import (
@@ -36,6 +35,7 @@ from shaker.release.release_notices import (
     RELEASE_OUTSIDE_SEARCH,
     RESIDUAL_ABOVE_NOISE,
 )
+from shakercal._common.arrays import ComplexArray, FloatArray
 from shakercal._common.notices import Notice
 
 # Modes that ring after a release: their number, and start values of the fit with the release.

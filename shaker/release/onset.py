@@ -7,12 +7,12 @@ from functools import cached_property
 
 import numpy as np
 
-from shaker.arrays import Brief, ComplexArray, FloatArray
-from shaker.fitting import BlockJacobian, LinearBlock, LMOptions, SeparablePoint, levenberg_marquardt
 from shaker.lti.system import modal_poles
 from shaker.release.load_response import load_rate, load_share, pole_responses
 from shaker.release.poles import ringing_poles
 from shaker.release.record import ApproximateOnset, ReleaseShape
+from shakercal._common.arrays import Arrays, ComplexArray, FloatArray
+from shakercal._common.fitting import BlockJacobian, LinearBlock, LMOptions, SeparablePoint, levenberg_marquardt
 
 # Fit of the onset and the length of a release from the response of the modes.
 
@@ -23,7 +23,7 @@ _SHORT = 0.3  # samples: smallest step of release and lag for derivatives
 
 
 @dataclass(frozen=True, repr=False)
-class Window(Brief):
+class Window(Arrays):
     """Samples (N,) at `time_s` (N,) around the onset.
 
     `rest`: mean of `before` earlier samples. `small`: standard deviation of a sample over that of the change in modes
@@ -44,7 +44,7 @@ class Window(Brief):
 
 
 @dataclass(frozen=True, repr=False)
-class OnsetModel(Brief):
+class OnsetModel(Arrays):
     """Response of modes behind one lag to a load of `shape`.
 
     y = b + Σ g·S + h·L. Modes ω²/(s² + 2ζωs + ω²) behind one lag 1/(1 + τs). Free residues would not determine the

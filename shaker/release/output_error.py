@@ -6,8 +6,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from shaker.arrays import Brief, ComplexArray, FloatArray
-from shaker.fitting import (
+from shaker.lti.system import ModalModel, modal_poles
+from shaker.release.load_response import BlockMeans, BlockResponses, ReleaseLoad, responses, responses_with_derivatives
+from shaker.release.record import TESTED_LAGS, is_white, slow_noise
+from shakercal._common.arrays import Arrays, ComplexArray, FloatArray
+from shakercal._common.fitting import (
     BlockJacobian,
     LinearBlock,
     LMOptions,
@@ -16,9 +19,6 @@ from shaker.fitting import (
     eliminate,
     levenberg_marquardt,
 )
-from shaker.lti.system import ModalModel, modal_poles
-from shaker.release.load_response import BlockMeans, BlockResponses, ReleaseLoad, responses, responses_with_derivatives
-from shaker.release.record import TESTED_LAGS, is_white, slow_noise
 
 # Numbers of poles and zeros of a model, and their parameters.
 
@@ -111,7 +111,7 @@ _STEEPEST = 0.995  # largest |ζ| of an oscillating mode
 
 
 @dataclass(frozen=True, repr=False)
-class OutputErrorProblem(Brief):
+class OutputErrorProblem(Arrays):
     """A least-squares problem: the response of a structure to a load, and samples.
 
     Parameters: those of the structure, then the middle of the release in s (a timed load) and the logarithm of its
@@ -137,7 +137,7 @@ class OutputErrorProblem(Brief):
 
 
 @dataclass(frozen=True, repr=False)
-class OutputErrorFit(Brief):
+class OutputErrorFit(Arrays):
     """A fit of a problem.
 
     `vector`: nonlinear parameters. `linear`: [baseline, numerator terms]. `square`: weighted sum of squares of the
@@ -288,7 +288,7 @@ _LAGS = 20  # length of the record over the lags of the residual's correlation; 
 
 
 @dataclass(frozen=True, repr=False)
-class FitCovariance(Brief):
+class FitCovariance(Arrays):
     """Covariance (P, P) of a modal model, and of the release.
 
     The uncertainty of the load is not included. `u_onset_s`, `u_release_s`: standard uncertainties of the release.

@@ -11,7 +11,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from shaker.arrays import ComplexArray, FloatArray
+from shakercal._common.arrays import ComplexArray, FloatArray
 
 PER_PERIOD = 8  # samples per period of the fastest mode after decimation
 _LONGEST = 240  # samples for a start, at most

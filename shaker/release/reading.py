@@ -9,8 +9,6 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 
-from shaker.arrays import BoolArray, FloatArray
-from shaker.fitting import BlockJacobian, LinearBlock, LMOptions, SeparablePoint, levenberg_marquardt
 from shaker.frf.spline import cubic_spline
 from shaker.io.condition import cut_run
 from shaker.release.load_response import MOMENTS, load_rate, load_share
@@ -42,6 +40,8 @@ from shaker.release.release_notices import (
     RELEASE_BY_LINE,
     RELEASE_MISFIT,
 )
+from shakercal._common.arrays import BoolArray, FloatArray
+from shakercal._common.fitting import BlockJacobian, LinearBlock, LMOptions, SeparablePoint, levenberg_marquardt
 from shakercal._common.notices import Notice
 
 # Onset and length of a release with uncertainties from noise and an unknown lag behind the sensor.

@@ -7,8 +7,8 @@ from typing import Literal
 
 import numpy as np
 
-from shaker.arrays import ComplexArray, FloatArray, check_shape
 from shaker.lines.spectrum import Spectrum
+from shakercal._common.arrays import ComplexArray, FloatArray, check_shape
 from shakercal._common.notices import Notice
 
 # The record of one release.

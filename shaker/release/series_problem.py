@@ -7,9 +7,9 @@ from functools import cached_property
 
 import numpy as np
 
-from shaker.arrays import BoolArray, Brief, ComplexArray, FloatArray, check_shape
 from shaker.release.load_model import upper_poles
 from shaker.release.load_modes import Resonances, SeriesMasses
+from shakercal._common.arrays import Arrays, BoolArray, ComplexArray, FloatArray, check_shape
 
 LARGEST = 100.0  # |logarithm| of a stiffness or damping above which a step has diverged
 FLOOR = 1e-8  # relative uncertainty if none is stated or estimated yet
@@ -190,7 +190,7 @@ class SeriesProblem:
 
 
 @dataclass(frozen=True, repr=False)
-class SeriesFit(Brief):
+class SeriesFit(Arrays):
     """Parameters of a load model from a series of R records.
 
     `numbers` (P,): stiffness and damping, and those of the coupling unless rigid; dampings are 0 if none was measured.

@@ -9,8 +9,6 @@ from typing import Literal
 
 import numpy as np
 
-from shaker.arrays import Brief, FloatArray, check_shape, check_shapes
-from shaker.fitting import REJECT_CHI2, excess_chi2_sigmas
 from shaker.lti.indices import pole_notices
 from shaker.lti.system import LinearSystem, ModalModel
 from shaker.release.load_response import ReleaseLoad, average_blocks, every_sample, reduce_to_blocks
@@ -27,6 +25,8 @@ from shaker.release.output_error import OutputErrorProblem, PoleStructure, fit_c
 from shaker.release.reading import read_release
 from shaker.release.record import ReleaseReading, ReleaseShape, StepRecord
 from shaker.release.release_notices import NO_CONTINUOUS_MODEL, OUTPUT_DIVERGES, RELEASE_SHAPE_UNDETERMINED
+from shakercal._common.arrays import Arrays, FloatArray, check_shape, check_shapes
+from shakercal._common.fitting import REJECT_CHI2, excess_chi2_sigmas
 from shakercal._common.notices import Notice
 
 # Result of an identification from a step response, for all methods.
@@ -35,7 +35,7 @@ Method = Literal["pencil", "arx", "sim", "sim_zoh", "evolution", "evolution_coef
 
 
 @dataclass(frozen=True, repr=False)
-class StepFit(Brief):
+class StepFit(Arrays):
     """A model of one output for one load component.
 
     `model`: continuous, in output unit per load unit; None if the poles of `system` have no modal form. `system`: the
@@ -267,7 +267,7 @@ _BEND = 0.15  # share of the fall of ln J that may remain above the selected ord
 
 
 @dataclass(frozen=True, repr=False)
-class OrderFamily(Brief):
+class OrderFamily(Arrays):
     """Least-squares difference equations of order 0 … n from one factorisation.
 
     `triangle` (2n + 2, 2n + 2): R of the QR factorisation of the rows [u(k-n) y(k-n) … u(k-1) y(k-1) u(k) y(k)] over

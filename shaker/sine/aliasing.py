@@ -7,8 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from shaker.arrays import BoolArray, FloatArray, IntArray, check_shape
 from shaker.sine.sine_fit_notices import ALIASED_LINE, ALIASED_LINE_OTHER_RATE, INSEPARABLE_LINE
+from shakercal._common.arrays import BoolArray, FloatArray, IntArray, check_shape
 from shakercal._common.notices import Notice, Value
 
 CAPTURE = 5e-3  # relative: how far a fundamental may lie from its nominal frequency, besides two bins

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from shaker.arrays import ComplexArray, FloatArray, IntArray
+from shakercal._common.arrays import ComplexArray, FloatArray, IntArray
 
 # Distinct sines next to lines and straight-line changes of the lines, subtracted before noise is estimated.
 

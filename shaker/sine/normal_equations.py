@@ -16,8 +16,9 @@ from math import factorial
 
 import numpy as np
 
-from shaker.arrays import BoolArray, ComplexArray, FloatArray, IntArray, Stacked, check_shape
 from shaker.sine.aliasing import angles, condition_number, sine_columns
+from shaker.stacked import Stacked
+from shakercal._common.arrays import BoolArray, ComplexArray, FloatArray, IntArray, check_shape
 
 # Sampling times of a record, cut into blocks whose phases are exact however long the record is.
 

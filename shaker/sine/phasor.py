@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from shaker.arrays import ComplexArray, FloatArray, check_shape
+from shakercal._common.arrays import ComplexArray, FloatArray, check_shape
 
 
 @dataclass(frozen=True)

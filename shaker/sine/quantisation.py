@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from shaker.arrays import ComplexArray, FloatArray
 from shaker.sine.solve import SineFit
+from shakercal._common.arrays import ComplexArray, FloatArray
 
 _MOST = 1 << 21  # values of the exponentials of all lines
 _LONGEST = 1 << 15  # samples that are rounded

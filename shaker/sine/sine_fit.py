@@ -9,7 +9,6 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import ArrayLike
 
-from shaker.arrays import BoolArray, ComplexArray, FloatArray, Stacked, check_shape, check_shapes
 from shaker.sine.aliasing import (
     MAX_CONDITION,
     alias_frequency,
@@ -41,6 +40,8 @@ from shaker.sine.solve import (
     phasors_at_zero,
     sum_remainder,
 )
+from shaker.stacked import Stacked
+from shakercal._common.arrays import BoolArray, ComplexArray, FloatArray, check_shape, check_shapes
 from shakercal._common.notices import Notice
 
 _NO_ADDITIONS = SineModel()

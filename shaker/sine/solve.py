@@ -8,7 +8,6 @@ from typing import Literal
 
 import numpy as np
 
-from shaker.arrays import BoolArray, ComplexArray, FloatArray, IntArray, check_shape, check_shapes
 from shaker.sine.aliasing import alias_frequency, condition_number, nearest_grid, sampling_grid
 from shaker.sine.noise import LineNoise, line_noise, neighbour_bins, noise_of_ordinates
 from shaker.sine.normal_equations import (
@@ -23,6 +22,7 @@ from shaker.sine.normal_equations import (
     residuals,
 )
 from shaker.sine.phasor import Phasors
+from shakercal._common.arrays import BoolArray, ComplexArray, FloatArray, IntArray, check_shape, check_shapes
 from shakercal._common.notices import Notice
 
 _STEPS = 40  # Gauss-Newton steps at most
@@ -201,7 +201,7 @@ def estimate(
     lines = np.array(frequency_hz, dtype=np.float64)
     columns = SineColumns(lines, np.zeros(len(lines)), model.drift, count > 0 or slopes)
     half_s = float(np.max(np.abs(samples.timeline.centre_s))) + float(np.max(np.abs(samples.timeline.local_s)))
-    # Not by `shaker.fitting`: the channels' weights follow the fit, so no sum of squares falls, and each trial is a
+    # Not by `_common.fitting`: the channels' weights follow the fit, so no sum of squares falls, and each trial is a
     # pass over the record. On the likelihood it finds the same sines, in up to twice the passes, but from 0.9 bins
     # off it leaps into a side lobe; steps limited by their phase do not.
     for _ in range(_STEPS):

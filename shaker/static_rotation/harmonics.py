@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from shaker.arrays import Brief, ComplexArray, FloatArray, check_shape
+from shakercal._common.arrays import Arrays, ComplexArray, FloatArray, check_shape
 
 # Ambient conditions of a weighing: gravity from latitude and height, density of the air.
 
@@ -157,7 +157,7 @@ class Reversal(NamedTuple):
 
 
 @dataclass(frozen=True, repr=False)
-class AngleFit(Brief):
+class AngleFit(Arrays):
     """Readings (N, C) at angles (N,) as a sum of terms.
 
     reading = design · coefficient + residual. `terms` (P,): names of the columns of `design` (N, P). They are offset,

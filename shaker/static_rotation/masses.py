@@ -9,8 +9,9 @@ from typing import Literal, NamedTuple, TypeVar
 
 import numpy as np
 
-from shaker.arrays import BoolArray, Brief, ComplexArray, FloatArray, IntArray, check_shape, check_shapes
-from shaker.fitting import LMOptions, WhitenedResiduals, covariance_root, levenberg_marquardt
+from shakercal._common.arrays import Arrays, BoolArray, ComplexArray, FloatArray, IntArray, check_shape, check_shapes
+from shakercal._common.fitting import LMOptions, WhitenedResiduals, levenberg_marquardt
+from shakercal._common.propagation import covariance_root
 
 FORCES = 3
 UNKNOWNS_PER_RECORD = 7
@@ -21,7 +22,7 @@ DETERMINED = 1e-6  # tolerance of the unit matrix
 
 
 @dataclass(frozen=True, repr=False)
-class SensorOutputs(Brief):
+class SensorOutputs(Arrays):
     """Response of C outputs to the load.
 
     `sensitivity` (C, 6): output per Fx … Mz; `u` (C, 6) of every element, independent. `sense`: +1 for outputs that are
@@ -51,7 +52,7 @@ class SensorOutputs(Brief):
 
 
 @dataclass(frozen=True, repr=False)
-class RotationRecord(Brief):
+class RotationRecord(Arrays):
     """One recording: first harmonics of the C outputs and the orientation of the head.
 
     `amplitude` (C,): output = Re{amplitude exp(+jθ)}, θ is the rotation of the sensor, right-handed about `axis` (3,).
@@ -176,7 +177,7 @@ class WeightErrorSource(NamedTuple):
 
 
 @dataclass(frozen=True, repr=False)
-class WeightFit(Brief):
+class WeightFit(Arrays):
     """Weights of R recordings with one sensor.
 
     `value` (R·10,), for each recording in turn: weight N, first moment x y z (weight times centre of mass, N·m), zero

@@ -7,7 +7,7 @@ from typing import Literal
 
 import numpy as np
 
-from shaker.arrays import BoolArray, FloatArray, IntArray, check_shape, check_shapes
+from shakercal._common.arrays import BoolArray, FloatArray, IntArray, check_shape, check_shapes
 
 EdgeKind = Literal["sampled", "resolved"]
 

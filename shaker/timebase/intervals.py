@@ -10,7 +10,7 @@ from statistics import NormalDist
 
 import numpy as np
 
-from shaker.arrays import FloatArray, check_shape
+from shakercal._common.arrays import FloatArray, check_shape
 
 _POINTS, _LAST_POINTS = 250, 1000  # while the proposals settle, and afterwards
 _WIDER = 1.35  # of the standard deviation: proposals reach over the corners of a polygon

@@ -7,7 +7,6 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from shaker.arrays import FloatArray, IntArray, check_shape, check_shapes
 from shaker.timebase.intervals import Posterior, Slopes, line_posterior, normal_cdf
 from shaker.timebase.trigger import (
     MAX_DISAGREEMENT_SIGMAS,
@@ -18,6 +17,7 @@ from shaker.timebase.trigger import (
     fit_straight_line,
 )
 from shaker.timebase.trigger_notices import CONTRADICTORY_CLOCK_RATE, START_TIMES_DISAGREE
+from shakercal._common.arrays import FloatArray, IntArray, check_shape, check_shapes
 from shakercal._common.notices import Notice
 
 # Matching edges of two records: the whole-period shift and its evidence.

@@ -9,7 +9,6 @@ from typing import Literal
 
 import numpy as np
 
-from shaker.arrays import FloatArray, IntArray, check_shape, check_shapes
 from shaker.timebase.edges import EdgeKind, Edges, find_edges, number_edges
 from shaker.timebase.intervals import Posterior, Slopes, line_posterior
 from shaker.timebase.trigger_notices import (
@@ -21,6 +20,7 @@ from shaker.timebase.trigger_notices import (
     STRAY_EDGES,
     TRIGGER_JITTER,
 )
+from shakercal._common.arrays import FloatArray, IntArray, check_shape, check_shapes
 from shakercal._common.notices import Notice
 
 # Crossings of a resolved rise: the effect of its shape on the reconstruction, estimated from all edges.

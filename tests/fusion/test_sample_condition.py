@@ -11,7 +11,7 @@ from support import AT_ORIGIN, block, channel, evaluated, recording_head, write_
 
 from fusion.errors import InputError
 from fusion.sensitivity.analyse import Evaluation
-from shaker.arrays import FloatArray
+from shakercal._common.arrays import FloatArray
 
 RATE_HZ, LINE_HZ, MASS = 2000.0, 106.25, 2.0
 ACCELERATION, SENSITIVITY = 50.0 * np.exp(0.4j), 2e-6 * np.exp(-0.05j)

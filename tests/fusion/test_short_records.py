@@ -22,13 +22,13 @@ from fusion.phasors.stereo_motion import StereoMotion
 from fusion.phasors.stereo_phasors import StereoPhasors, pairs_phasors, stereo_phasors
 from fusion.phasors.timing import TimeBase, combine_timing_errors, frame_sight
 from photogram.motion import Deformation, RigidMotion
-from shaker.arrays import FloatArray
 from shaker.lines.frequencies import LineFrequencies, find_lines
 from shaker.sine.sine_fit import fit_sines
 from shaker.sine.solve import SineModel
 from shaker.timebase.edges import Edges
 from shaker.timebase.tie import tie_clocks
 from shaker.timebase.trigger import TriggerFit, fit_trigger
+from shakercal._common.arrays import FloatArray
 
 LINE_HZ, CAMERA_HZ, DAQ_HZ = 106.25, 52.874, 25_600.0
 BEAT_HZ = LINE_HZ - 2.0 * CAMERA_HZ

@@ -17,7 +17,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from speckle import PIXEL_M, SENSOR, Stereo, camera, face, render_images, sequence, two_poses
 
-from photogram import arrays
+from photogram import frame_statistics
 from photogram.bspline import Spline, evaluate, spline_of_image
 from photogram.camera import Camera, StereoRig
 from photogram.direct import direct_fit, fit_torch
@@ -256,8 +256,8 @@ def test_means_and_medians_of_all_frames_from_some_at_a_time(length, monkeypatch
     values[values > 1.5] = np.nan
     values[:, 5] = np.nan
     for most, every in ((1000, 1), (130, 2), (100, 4)):
-        monkeypatch.setattr(arrays, "SAMPLED", most)
-        mean, sample = arrays.RunningMean(), arrays.Sample()
+        monkeypatch.setattr(frame_statistics, "SAMPLED", most)
+        mean, sample = frame_statistics.RunningMean(), frame_statistics.Sample()
         for start in range(0, 40, length):
             mean.add(values[start : start + length])
             sample.add(values[start : start + length])
@@ -279,7 +279,7 @@ class Repeated:
 
 def test_memory_hardly_grows_with_the_frames(series, monkeypatch):
     """By the motion of each frame and its covariance, which no number of subsets makes larger."""
-    monkeypatch.setattr(arrays, "SAMPLED", 1 << 12)
+    monkeypatch.setattr(frame_statistics, "SAMPLED", 1 << 12)
     prepared = prepare_body(*series)
     block = tuple(frame for frames in prepared.blocks for frame in follow_block(prepared, frames))
     peaks = []

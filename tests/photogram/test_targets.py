@@ -16,7 +16,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.ndimage import gaussian_filter
 
-from photogram.arrays import FloatArray
 from photogram.calibration.bundle import model_pixels
 from photogram.camera import Camera
 from photogram.geometry import RigidTransform, rotation_from_vector, vector_from_rotation
@@ -28,6 +27,7 @@ from photogram.targets.crossing import NO_CROSSING, OUTSIDE, REASONS, SATURATED,
 from photogram.targets.dots import find_dots
 from photogram.targets.ellipse import FittedEllipses, fit_ellipses
 from photogram.targets.target_view import Target, TargetNotFound, TargetView, estimate_image_noise, find_target
+from shakercal._common.arrays import FloatArray
 
 slow = partial(pytest.param, marks=pytest.mark.slow)
 NOISE = NoiseModel(36.0, 0.125)

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from shaker.arrays import FloatArray
 from shaker.io.condition import converter_step, examine_samples
+from shakercal._common.arrays import FloatArray
 
 RATE_HZ, LINE_HZ, SIZE = 2000.0, 106.25, 50.0
 

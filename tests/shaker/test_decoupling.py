@@ -9,7 +9,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.signal import StateSpace, cont2discrete, dlsim, lfilter
 
-from shaker.arrays import ComplexArray, FloatArray
 from shaker.decoupling.common_pole_fit import MultiFit, fit_steps
 from shaker.decoupling.decoupling_notices import (
     DURATION_AMBIGUOUS,
@@ -30,6 +29,7 @@ from shaker.decoupling.response_fit import ResponseFit, Responses, fit_responses
 from shaker.identification.identification_notices import MODEL_MISFIT
 from shaker.release.record import StepRecord
 from shaker.release.release_notices import DOUBTFUL_MODE
+from shakercal._common.arrays import ComplexArray, FloatArray
 
 
 @dataclass(frozen=True)

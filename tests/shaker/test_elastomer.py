@@ -10,7 +10,6 @@ from hypothesis import strategies as st
 from scipy.linalg import expm
 from scipy.optimize import brentq
 
-from shaker.arrays import FloatArray
 from shaker.elastomer.elastomer_notices import PLATFORM_MISFIT, PLATFORM_NOT_VALIDATED
 from shaker.elastomer.frame import (
     MODE_NAMES,
@@ -29,6 +28,7 @@ from shaker.elastomer.frame import (
     solve_frame,
 )
 from shaker.elastomer.geometry import CrossBeams, ElasticMaterial, Section, beam_matrices, beam_stiffness, lump_mass
+from shakercal._common.arrays import FloatArray
 
 ALUMINIUM = ElasticMaterial(72e9, 0.3, 2820.0)
 ELEMENT = CrossBeams(ALUMINIUM, 0.064, 0.0038, 0.0038, 0.001, 0.032, 0.0038)

@@ -10,11 +10,11 @@ from hypothesis import strategies as st
 from scipy import signal
 from scipy.optimize import brentq
 
-from shaker.arrays import FloatArray
 from shaker.lti.indices import LABELS, SETTLING, indices, moving_figures, pole_notices, settling_u, unit_of
 from shaker.lti.lti_notices import ALTERNATING_POLE, POLE_ABOVE_NYQUIST, UNSTABLE_POLES
 from shaker.lti.responses import gain_curve, roots_between, settling_points, transient
 from shaker.lti.system import LinearSystem, ModalModel
+from shakercal._common.arrays import FloatArray
 
 RATE = 1e5
 METHODS = ("zoh", "tustin", "matched")

@@ -11,7 +11,6 @@ from identification_factory import recording
 from scipy import linalg, signal
 from scipy.interpolate import CubicSpline
 
-from shaker.arrays import ComplexArray, FloatArray
 from shaker.frf.chain import (
     PoleModel,
     ResponseTable,
@@ -27,6 +26,7 @@ from shaker.identification.measured_curves import InertiaError, MeasuredTransfer
 from shaker.identification.structure_fit import Identification, identify
 from shaker.identification.structures import ChainStructure, Stage
 from shaker.mechanics import MassChain, oscillator_hz, required_stiffness, shared_spring
+from shakercal._common.arrays import ComplexArray, FloatArray
 
 FREQUENCY = np.geomspace(5.0, 5000.0, 60)
 TRIPLE = MassChain(

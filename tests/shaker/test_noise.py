@@ -11,11 +11,11 @@ from scipy.special import polygamma
 from scipy.stats import f as fisher
 from scipy.stats import kstest
 
-from shaker.arrays import FloatArray
 from shaker.sine.noise import LineNoise, levels_at_lines, line_noise, neighbour_bins
 from shaker.sine.phasor import Phasors, derivative_factor, stack_phasors
 from shaker.sine.sine_fit import Stationarity, fit_sines, stationarity
 from shaker.timebase.edges import PASS_BAND, kernel_reach, resample
+from shakercal._common.arrays import FloatArray
 
 CAMERA_HZ, FRAMES = 52.874, 211
 

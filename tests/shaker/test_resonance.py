@@ -12,18 +12,6 @@ from hypothesis import strategies as st
 from scipy import linalg
 from scipy.optimize import brentq, least_squares, minimize_scalar
 
-from shaker.arrays import ComplexArray, FloatArray
-from shaker.fitting import (
-    BlockJacobian,
-    LinearBlock,
-    LMOptions,
-    Minimum,
-    ParameterPrior,
-    SeparablePoint,
-    WhitenedResiduals,
-    eliminate,
-    levenberg_marquardt,
-)
 from shaker.identification.circle_fit import fit_circle
 from shaker.identification.measured_curves import MeasuredCurve
 from shaker.identification.oscillator import (
@@ -33,6 +21,18 @@ from shaker.identification.oscillator import (
     fit_resonance,
     peak_readings,
     transmissibility_levels,
+)
+from shakercal._common.arrays import ComplexArray, FloatArray
+from shakercal._common.fitting import (
+    BlockJacobian,
+    LinearBlock,
+    LMOptions,
+    Minimum,
+    ParameterPrior,
+    SeparablePoint,
+    WhitenedResiduals,
+    eliminate,
+    levenberg_marquardt,
 )
 
 KINDS: tuple[ResonanceKind, ...] = ("transmissibility", "receptance", "mobility", "accelerance")

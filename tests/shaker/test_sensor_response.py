@@ -22,7 +22,6 @@ from sensitivity_factory import (
     resonance,
 )
 
-from shaker.arrays import ComplexArray
 from shaker.identification.identification_notices import OUTPUT_LEADS, STATED_ERROR_TOO_SMALL
 from shaker.identification.measured_curves import CurveError, MeasuredSensitivity
 from shaker.identification.sensitivity import (
@@ -33,6 +32,7 @@ from shaker.identification.sensitivity import (
     fit_sensitivity,
 )
 from shaker.identification.sensor import CHAIN_PARAMETERS, ChainKind, ChainModel
+from shakercal._common.arrays import ComplexArray
 
 TIME, OMEGA = DAMPING / STIFFNESS, 2.0 * np.pi * FREQUENCY
 

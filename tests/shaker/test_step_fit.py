@@ -13,7 +13,6 @@ from scipy.integrate import solve_ivp
 from scipy.optimize import brentq
 from scipy.signal import lsim
 
-from shaker.arrays import ComplexArray, FloatArray
 from shaker.lti.system import LinearSystem, ModalModel
 from shaker.release.load_response import (
     BlockMeans,
@@ -33,6 +32,7 @@ from shaker.release.reading import read_release
 from shaker.release.record import ReleaseReading, StepRecord
 from shaker.release.release_notices import COLOURED_NOISE, GROWING_POLE, RELEASE_SHAPE_UNDETERMINED
 from shaker.release.step_fit import StepFit, fit_all_methods, fit_all_orders, fit_evolution, fit_sim, fit_step
+from shakercal._common.arrays import ComplexArray, FloatArray
 
 RATE_HZ, AMPLITUDE = 100e3, 50.0
 SENSOR = ((1700.0, 0.015),), (6000.0,)

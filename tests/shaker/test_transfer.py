@@ -14,7 +14,6 @@ from scipy.signal import coherence, csd, get_window, welch
 from scipy.stats import chi2
 from scipy.stats import f as fisher
 
-from shaker.arrays import ComplexArray, FloatArray
 from shaker.frf.frf_notices import (
     ESTIMATOR_H1,
     ESTIMATOR_H2,
@@ -38,6 +37,7 @@ from shaker.frf.result import TransferFunction, TransferRecord, pooled_scatter
 from shaker.identification.measured_curves import MeasuredCurve
 from shaker.identification.oscillator import fit_resonance
 from shaker.io import read_channels
+from shakercal._common.arrays import ComplexArray, FloatArray
 from shakercal._common.notices import Notice
 
 F0_HZ, Q = 1477.35, 66.0

@@ -9,9 +9,9 @@ from typing import Literal
 import numpy as np
 import pytest
 
-from shaker.arrays import FloatArray
 from shaker.timebase.edges import find_edges
 from shaker.timebase.trigger import fit_trigger
+from shakercal._common.arrays import FloatArray
 
 RATE_HZ, START_S, PERIOD_S, PULSES = 25_600.0, 0.01234, 1.0 / 21.3, 24
 Pulse = Sequence[tuple[float, float]]

@@ -27,9 +27,9 @@ from fusion.planning.draft.inventory import FoundCameras, FoundChannel, Inventor
 from fusion.recording.manifest import SCAN
 from fusion.recording.rig import OTHER_UNITS
 from fusion.recording.toml import UNFILLED
-from shaker.arrays import FloatArray
 from shaker.labels import LOAD_COMPONENTS
 from shaker.lines.detection import survey_lines
+from shakercal._common.arrays import FloatArray
 
 LOOKED_AT = 1 << 17  # samples in which the excitation is searched for
 FEWEST = 64  # least number of samples for a search of lines

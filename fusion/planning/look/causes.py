@@ -19,8 +19,8 @@ from fusion.phasors.set_up import MeasuredSetUp
 from fusion.planning.look.finding import Finding
 from fusion.planning.look.look_notices import CONTRADICTORY_READINGS, EXPLAINED_CONTRADICTION
 from photogram.geometry import skew, vector_from_rotation
-from shaker.arrays import BoolArray, ComplexArray, FloatArray, IntArray
 from shaker.sine.phasor import derivative_factor
+from shakercal._common.arrays import BoolArray, ComplexArray, FloatArray, IntArray
 from shakercal._common.notices import Notice
 
 EXPLAINS = 0.01

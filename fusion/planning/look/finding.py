@@ -84,7 +84,7 @@ def refusal_findings(error: Exception, where: str = "") -> list[Finding]:
 
 
 def _lacks_statement(error: ComputeError) -> bool:
-    """Return whether the manifest omits a position or every instrument, so that no data were refused."""
+    """Whether the manifest omits a position or every instrument."""
     no_instrument = error.code == NO_INSTRUMENT.code and not error.values["reason"]
     return no_instrument or error.code == POSITION_UNSTATED.code
 

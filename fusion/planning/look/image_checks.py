@@ -24,7 +24,6 @@ from fusion.planning.look.look_notices import (
     REPEATING_PATTERN,
     SPECKLE_SIZE,
 )
-from photogram.arrays import BoolArray, FloatArray
 from photogram.camera import StereoRig, epipolar_residual, triangulate
 from photogram.images.exposure import clip_level, missing_pattern_reason
 from photogram.images.sequence import GreyImage, ImageSequence
@@ -36,6 +35,7 @@ from photogram.subsets.texture import (
     speckle_size,
     textured_area,
 )
+from shakercal._common.arrays import BoolArray, FloatArray
 from shakercal._common.notices import Notice
 
 FRAMES = 8  # of each camera

@@ -26,12 +26,12 @@ from fusion.planning.look.look_notices import (
 from fusion.recording.daq_records import DaqRecord
 from fusion.recording.load import Manifest
 from fusion.recording.manifest import ChannelEntry, Daq
-from shaker.arrays import FloatArray
 from shaker.io.channel import RawChannel
 from shaker.io.condition import FEWEST_STEPS, Defect, converter_step
 from shaker.lines.detection import Survey, survey_lines
 from shaker.sine.aliasing import alias_frequency, nearest_clear_rate, separation_bins
 from shaker.timebase.trigger import TriggerFit
+from shakercal._common.arrays import FloatArray
 from shakercal._common.notices import Notice
 
 LOOKED_AT = 1 << 16  # samples in which lines are searched for

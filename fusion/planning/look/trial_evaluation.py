@@ -22,10 +22,10 @@ from fusion.sensitivity.analyse import Evaluation
 from fusion.sensitivity.ratio import driven_component
 from fusion.sensitivity.recording_evaluation import evaluate_set_ups
 from fusion.sensitivity.sensitivity_notices import NO_RESULT_AT_LINES, OUTPUT_LAGS, UNOBSERVED_MOTION_LARGE
-from photogram.arrays import spread_choice
+from photogram.frame_statistics import spread_choice
 from photogram.images.sequence import ImageSequence
-from shaker.arrays import IntArray
 from shaker.labels import LOAD_COMPONENTS, MOTION_COMPONENTS
+from shakercal._common.arrays import IntArray
 from shakercal._common.notices import Notice
 
 FOLLOWED, IN_A_ROW = 24, 8

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from fusion.base import round_to_uncertainty
-from shaker.arrays import ComplexArray, FloatArray
+from shakercal._common.arrays import ComplexArray, FloatArray
 
 if TYPE_CHECKING:
     from lxml import etree

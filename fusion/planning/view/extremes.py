@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from shaker.arrays import FloatArray, IntArray
+from shakercal._common.arrays import FloatArray, IntArray
 
 FINEST = 64  # samples of the smallest block
 COARSER = 8  # blocks in one of the next level

@@ -23,10 +23,10 @@ from fusion.report.motion_figures import neighbour_distance
 from fusion.report.points import HEAD
 from photogram.camera import StereoRig
 from photogram.geometry import rotation_from_vector
-from shaker.arrays import FloatArray
 from shaker.labels import AXES
 from shaker.lines.spectrum import amplitude_spectrum
 from shaker.timebase.trigger import TriggerFit
+from shakercal._common.arrays import FloatArray
 
 NO_RESULTS = "Subsets, residuals and tracks require results of shakercal run."
 LINES_ONLY = (

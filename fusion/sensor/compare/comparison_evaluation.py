@@ -49,7 +49,7 @@ from fusion.sensor.compare.shared_inputs import (
     find_shared_inputs,
     select_acting_inputs,
 )
-from shaker.arrays import FloatArray
+from shakercal._common.arrays import FloatArray
 from shakercal._common.notices import Notice
 
 

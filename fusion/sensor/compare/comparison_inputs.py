@@ -28,7 +28,7 @@ from fusion.sensor.compare.comparison_notices import (
     WRONG_RESULT_CELL,
     WRONG_RESULT_TABLE,
 )
-from shaker.arrays import FloatArray
+from shakercal._common.arrays import FloatArray
 from shakercal._common.notices import Notice
 
 LARGEST_TABLE = 50_000_000  # bytes

@@ -10,7 +10,7 @@ import numpy as np
 from scipy.special import chdtrc
 
 from fusion.estimation.coverage import along_and_across, region_factor
-from shaker.arrays import ComplexArray, FloatArray
+from shakercal._common.arrays import ComplexArray, FloatArray
 
 SIGNIFICANCE = 0.05
 """Level of the χ² test of consistency (Cox 2002)."""

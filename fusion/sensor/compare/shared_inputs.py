@@ -10,7 +10,7 @@ import numpy as np
 
 from fusion.sensitivity.input_evidence import InputEvidence
 from fusion.sensor.compare.comparison_inputs import ComparedResult, ComparedValue
-from shaker.arrays import FloatArray
+from shakercal._common.arrays import FloatArray
 
 EQUAL_RTOL = 1e-6
 """Relative tolerance of equal values and standard uncertainties: their rounding in files."""

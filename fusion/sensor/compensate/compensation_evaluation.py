@@ -44,7 +44,6 @@ from fusion.sensor.compensate.compensation_subjects import (
 )
 from fusion.sensor.transfer.transfer_records import align
 from fusion.sensor.unmodelled_effects import CAUSE_LABELS, coverage_notice
-from shaker.arrays import FloatArray
 from shaker.compensation.effects import (
     MODEL_ERROR_SHARE,
     CompensationWithUncertainty,
@@ -65,6 +64,7 @@ from shaker.compensation.force_feedback import FeedbackRun, HapticLoop, largest_
 from shaker.lti.indices import LABELS, find_figure_range, indices
 from shaker.lti.system import LinearSystem, ModalModel
 from shaker.release.load_model import LoadModel, figures_u
+from shakercal._common.arrays import FloatArray
 from shakercal._common.notices import Notice
 
 # The force-feedback check: the sensor without filter, with one for no load, and with one for its load.

@@ -15,9 +15,9 @@ from fusion.sensor.compensate.compensation_subjects import (
     LoadFilter,
     SubjectResult,
 )
-from shaker.arrays import FloatArray
 from shaker.compensation.effects import gain_band
 from shaker.labels import typeset
+from shakercal._common.arrays import FloatArray
 
 POINTS = 900
 STEP_POINTS, STEP_PERIODS = 3000, 20.0

@@ -27,7 +27,6 @@ from fusion.sensor.model_files import (
     read_models,
 )
 from fusion.sensor.step.step_records import effective_dof
-from shaker.arrays import FloatArray
 from shaker.compensation.effects import target_for_bandwidth, target_for_frequency
 from shaker.compensation.filter import (
     Compensation,
@@ -43,6 +42,7 @@ from shaker.labels import load_unit, mechanical_units, typeset
 from shaker.lti.indices import Indices
 from shaker.lti.system import ModalModel
 from shaker.release.load_model import LoadModel
+from shakercal._common.arrays import FloatArray
 from shakercal._common.notices import Notice
 
 # Settings of a compensation.

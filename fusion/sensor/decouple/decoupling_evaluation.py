@@ -29,7 +29,6 @@ from fusion.sensor.decouple.decoupling_notices import (
 from fusion.sensor.model_files import FORMAT, read_model_file
 from fusion.sensor.step.step_records import StepInput, read_step
 from fusion.sensor.unmodelled_effects import ModelInfluences, coverage_notice, stated_influences
-from shaker.arrays import FloatArray
 from shaker.decoupling.common_pole_fit import MultiFit, fit_steps
 from shaker.decoupling.filter import (
     Crosstalk,
@@ -42,6 +41,7 @@ from shaker.decoupling.filter import (
 )
 from shaker.decoupling.model import MultiModel, missing_loads
 from shaker.labels import LOAD_COMPONENTS
+from shakercal._common.arrays import FloatArray
 from shakercal._common.notices import Notice
 
 # Choices of a decoupling, and parts of its evaluation.

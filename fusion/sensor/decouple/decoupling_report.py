@@ -43,11 +43,11 @@ from fusion.sensor.decouple.decoupling_evaluation import (
     filter_text,
 )
 from fusion.sensor.unmodelled_effects import budget_table
-from shaker.arrays import FloatArray
 from shaker.decoupling.common_pole_fit import ReleaseFit
 from shaker.decoupling.common_pole_search import PoleCountTrial
 from shaker.decoupling.filter import stage_readers, step_readings, step_times
 from shaker.labels import load_unit, sensitivity_unit, typeset
+from shakercal._common.arrays import FloatArray
 
 STAGE_COLOURS = {"raw": GREY, "static": ORANGE, "filtered": BLUE}
 COLUMNS = 2

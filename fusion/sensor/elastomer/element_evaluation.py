@@ -25,7 +25,6 @@ from fusion.sensor.elastomer.element_notices import (
 )
 from fusion.sensor.model_files import read_models
 from fusion.sensor.unmodelled_effects import coverage_notice
-from shaker.arrays import FloatArray
 from shaker.elastomer.frame import (
     MODE_NAMES,
     FrameModel,
@@ -40,6 +39,7 @@ from shaker.elastomer.solid import SolidModel, mesh_change, solve_solid
 from shaker.labels import LOAD_COMPONENTS
 from shaker.lti.system import ModalModel
 from shaker.mechanics import MassChain, oscillator_hz, required_stiffness
+from shakercal._common.arrays import FloatArray
 from shakercal._common.notices import Notice
 
 # Numbers of an elastic element.

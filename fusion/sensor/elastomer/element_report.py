@@ -40,9 +40,9 @@ from fusion.sensor.elastomer.element_evaluation import (
     solid_shapes,
     spread,
 )
-from shaker.arrays import FloatArray
 from shaker.elastomer.frame import MODE_NAMES, PlatformFit, RigidPart
 from shaker.elastomer.solid import SolidModel, mesh_change
+from shakercal._common.arrays import FloatArray
 
 SPREAD = "spread"
 """Column of comparison.csv: (max - min)/max of a mode over all columns, as a ratio."""

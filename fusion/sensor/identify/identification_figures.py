@@ -28,10 +28,10 @@ from fusion.sensor.identify.identification_evaluation import FEWEST_LINES, Ident
 from fusion.sensor.identify.identification_inputs import mass_unit
 from fusion.sensor.identify.joint_fit import SensitivityResult
 from fusion.sensor.transfer.transfer_records import uncertainty
-from shaker.arrays import BoolArray, ComplexArray, FloatArray
 from shaker.frf.chain import common_covariance
 from shaker.identification.sensor import NO_CHAIN, Load
 from shaker.labels import typeset
+from shakercal._common.arrays import BoolArray, ComplexArray, FloatArray
 
 STYLES = ((GREEN, True), (PURPLE, True), (BLACK, False))
 """Colour of each explanation of a sensitivity, and whether its line is dashed."""

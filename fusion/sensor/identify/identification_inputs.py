@@ -33,7 +33,6 @@ from fusion.sensor.identify.identification_notices import (
 )
 from fusion.sensor.transfer.transfer_evaluation import KINDS, evaluate_transfer
 from fusion.sensor.transfer.transfer_records import FoundResonance, ReferenceResult, TransferSettings
-from shaker.arrays import ComplexArray, FloatArray
 from shaker.identification.measured_curves import (
     REFERENCE_INDEX,
     Bending,
@@ -44,6 +43,7 @@ from shaker.identification.measured_curves import (
 )
 from shaker.labels import LOAD_COMPONENTS, MOTION_COMPONENTS, mechanical_units, typeset
 from shaker.sine.phasor import Phasors
+from shakercal._common.arrays import ComplexArray, FloatArray
 from shakercal._common.notices import Notice
 
 # Choices of an identification.

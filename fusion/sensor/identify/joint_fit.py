@@ -39,7 +39,6 @@ from fusion.sensor.identify.identification_notices import (
     STIFFNESS_NOT_DETERMINED,
 )
 from fusion.sensor.unmodelled_effects import stated_influences
-from shaker.arrays import ComplexArray, FloatArray
 from shaker.identification.measured_curves import (
     CurveError,
     MeasuredSensitivity,
@@ -59,6 +58,7 @@ from shaker.identification.structure_fit import Identification, identify
 from shaker.identification.structures import ChainStructure, MechanicalStructure, SpringSuspension
 from shaker.labels import LOAD_COMPONENTS, MOTION_COMPONENTS, sensitivity_unit
 from shaker.sine.phasor import Phasors
+from shakercal._common.arrays import ComplexArray, FloatArray
 from shakercal._common.notices import Notice
 
 # One joint fit per driven component: which model, which internal mass, and why.

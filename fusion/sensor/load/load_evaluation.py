@@ -41,7 +41,6 @@ from fusion.sensor.model_files import parameter_units
 from fusion.sensor.step.step_records import effective_dof
 from fusion.sensor.step.step_releases import StepRelease, check_driven_output, read_recording
 from fusion.sensor.unmodelled_effects import CAUSE_LABELS, ModelInfluences, coverage_notice, stated_influences
-from shaker.arrays import FloatArray
 from shaker.labels import LOAD_COMPONENTS
 from shaker.release.load_model import (
     LoadCurve,
@@ -66,6 +65,7 @@ from shaker.release.load_modes import (
     stated_resonances,
 )
 from shaker.release.load_series import LoadIdentification, identify_loads
+from shakercal._common.arrays import FloatArray
 from shakercal._common.notices import Notice
 
 # Choices of `shakercal load`.

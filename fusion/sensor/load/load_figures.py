@@ -7,9 +7,9 @@ import numpy as np
 from fusion.base import GRAM, PERCENT
 from fusion.report.figure import BLACK, BLUE, COLOURS, GREY, ORANGE, Figure, Panel, empty_figure
 from fusion.sensor.load.load_evaluation import ComponentLoads
-from shaker.arrays import FloatArray
 from shaker.labels import mechanical_units, typeset
 from shaker.release.load_modes import project_amplitudes
+from shakercal._common.arrays import FloatArray
 
 
 def small_unit(component: ComponentLoads) -> str:

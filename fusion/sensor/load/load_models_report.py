@@ -41,9 +41,9 @@ from fusion.sensor.load.load_evaluation import (
 from fusion.sensor.load.load_figures import draw_characteristics, draw_spectra, small_unit
 from fusion.sensor.model_files import LOAD_MODEL_FILE, UncertaintyBasis, model_text, parameter_units
 from fusion.sensor.unmodelled_effects import budget_table
-from shaker.arrays import FloatArray
 from shaker.labels import typeset
 from shaker.release.load_model import PARAMETERS, LoadCurve
+from shakercal._common.arrays import FloatArray
 
 RECORDED, PREDICTED, DRAWN = "recorded", "predicted", "curve"
 LABELS = {

@@ -51,7 +51,6 @@ from fusion.sensor.rotate.rotation_readings import (
     table_path,
     unknown_volume,
 )
-from shaker.arrays import FloatArray
 from shaker.labels import AXES, LOAD_COMPONENTS
 from shaker.static_rotation.harmonics import SourcedValue
 from shaker.static_rotation.masses import (
@@ -66,6 +65,7 @@ from shaker.static_rotation.masses import (
     fit_weights,
     mass_of_weight,
 )
+from shakercal._common.arrays import FloatArray
 from shakercal._common.notices import Notice
 
 ZERO_ANGLE_NOTICE_RAD, AXIS_TILT_NOTICE_RAD = np.radians(10.0), np.radians(1.0)

@@ -23,11 +23,11 @@ from fusion.sensor.rotate.rotation_notices import (
     MISSING_ROTATION_ENTRY,
     WRONG_ROTATION_TABLE,
 )
-from shaker.arrays import FloatArray
 from shaker.io.text import read_table_columns, table_units
 from shaker.labels import LOAD_COMPONENTS, LOAD_UNITS
 from shaker.static_rotation.harmonics import AngleFit, SourcedValue, fit_angles, gravity_at
 from shaker.static_rotation.masses import RotationRecord, SensorOutputs, WeightFit, start_values
+from shakercal._common.arrays import FloatArray
 from shakercal._common.notices import Notice
 
 # Gravity, air and bodies, as stated by the rig or derived from its location.

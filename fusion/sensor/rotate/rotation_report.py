@@ -41,10 +41,10 @@ from fusion.sensor.rotate.rotation_readings import (
     RotationRecording,
     RotationScatter,
 )
-from shaker.arrays import FloatArray
 from shaker.labels import AXES, LOAD_COMPONENTS, LOAD_UNITS, typeset
 from shaker.static_rotation.harmonics import SourcedValue, turning_sense
 from shaker.static_rotation.masses import DISAGREEMENT_SOURCE, FORCES, UNDETERMINED_SOURCE
+from shakercal._common.arrays import FloatArray
 
 MASSES = ("internal_mass", "load_mass", "weighed_mass")
 DIFFERENCES = (

@@ -39,9 +39,9 @@ from fusion.sensor.step.step_releases import (
     static_gains,
 )
 from fusion.sensor.unmodelled_effects import coverage_notice, stated_influences
-from shaker.arrays import ComplexArray, FloatArray
 from shaker.labels import LOAD_COMPONENTS, sensitivity_unit
 from shaker.lti.system import ModalModel
+from shakercal._common.arrays import ComplexArray, FloatArray
 from shakercal._common.notices import Notice
 
 # One load component: model, indices, release devices and methods.

@@ -25,9 +25,9 @@ from fusion.report.figure import (
 from fusion.sensor.step.step_evaluation import measured_response
 from fusion.sensor.step.step_records import PooledModel
 from fusion.sensor.step.step_releases import LABELS, StepComponent, StepRelease
-from shaker.arrays import FloatArray
 from shaker.labels import typeset
 from shaker.lti.system import ModalModel
+from shakercal._common.arrays import FloatArray
 
 BEFORE, AFTER = 0.6, 8.0
 """Periods of the lowest mode that the enlarged panel shows before the onset and after the release."""

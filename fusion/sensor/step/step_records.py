@@ -23,11 +23,11 @@ from fusion.sensor.step.step_notices import (
 )
 from fusion.sensor.transfer.transfer_records import AlignedChannels, align
 from fusion.sensor.unmodelled_effects import NO_INFLUENCES, ModelInfluences
-from shaker.arrays import FloatArray
 from shaker.lti.indices import LABELS, SETTLING, find_figure_range, indices, moving_figures, settling_u, unit_of
 from shaker.lti.system import ModalModel, coordinate_sizes, from_coordinates, scale_of, to_coordinates
 from shaker.release.record import StepRecord
 from shaker.timebase.edges import kernel_reach, resample
+from shakercal._common.arrays import FloatArray
 from shakercal._common.notices import Notice
 
 # Choices of an identification from step responses.

@@ -39,8 +39,6 @@ from fusion.sensor.step.step_records import (
     read_step,
 )
 from fusion.sensor.unmodelled_effects import NO_INFLUENCES, ModelInfluences
-from shaker.arrays import FloatArray
-from shaker.fitting import REJECT_CHI2, excess_chi2_sigmas
 from shaker.labels import LOAD_COMPONENTS
 from shaker.lti.indices import Indices, indices
 from shaker.lti.system import ModalModel
@@ -55,6 +53,8 @@ from shaker.release.step_fit import (
     fit_shapes,
     merge_alternatives,
 )
+from shakercal._common.arrays import FloatArray
+from shakercal._common.fitting import REJECT_CHI2, excess_chi2_sigmas
 from shakercal._common.notices import Notice
 
 # Parts of evaluated step responses.

@@ -36,7 +36,6 @@ from fusion.sensor.transfer.transfer_records import (
     read_synchronous,
 )
 from fusion.sensor.unmodelled_effects import NO_INFLUENCES, ModelInfluences, stated_influences
-from shaker.arrays import ComplexArray, FloatArray
 from shaker.frf.chain import QUANTITIES, common_covariance, motion_order, ratio_unit
 from shaker.frf.impact import transfer_impact
 from shaker.frf.periodic import transfer_periodic
@@ -45,6 +44,7 @@ from shaker.frf.result import TransferFunction, TransferRecord
 from shaker.identification.measured_curves import CurveError, MeasuredCurve
 from shaker.identification.oscillator import Resonance, ResonanceKind, fit_resonance
 from shaker.labels import MOTION_UNITS
+from shakercal._common.arrays import ComplexArray, FloatArray
 from shakercal._common.notices import Notice
 
 _SEGMENTS = 16  # segments of a record if no line spacing is requested

@@ -25,7 +25,6 @@ from fusion.sensor.transfer.transfer_notices import (
     MISSING_TRANSFER_ENTRY,
     WRONG_CHANNEL_NAME,
 )
-from shaker.arrays import ComplexArray, FloatArray
 from shaker.frf.chain import ChainResponse
 from shaker.frf.result import TransferFunction, TransferRecord
 from shaker.identification.measured_curves import CurveError
@@ -33,6 +32,7 @@ from shaker.identification.oscillator import Resonance
 from shaker.io.condition import examine_samples
 from shaker.timebase.edges import PASS_BAND, kernel_reach, resample
 from shaker.timebase.tie import ClockTie
+from shakercal._common.arrays import ComplexArray, FloatArray
 from shakercal._common.notices import Notice
 
 EstimatorChoice = Literal["auto", "periodic", "local", "H1", "H2", "Hv"]

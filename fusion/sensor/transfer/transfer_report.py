@@ -52,9 +52,9 @@ from fusion.sensor.transfer.transfer_records import (
     uncertainty,
 )
 from fusion.sensor.unmodelled_effects import CAUSE_LABELS, NOT_ASSESSED, stated_influences
-from shaker.arrays import FloatArray
 from shaker.frf.result import TransferFunction
 from shaker.labels import typeset
+from shakercal._common.arrays import FloatArray
 
 RASTER_ABOVE = 6000  # lines from which curves are drawn as an image
 LARGEST_PERCENT = 100.0

@@ -8,7 +8,6 @@ from pathlib import Path
 
 import numpy as np
 
-from photogram.arrays import FloatArray
 from photogram.calibration.calibration_file import write_whole
 from photogram.calibration.exchange.exchange_notices import COVARIANCE_NOT_EXPORTED, SKEW_IGNORED
 from photogram.calibration.exchange.lens import (
@@ -22,6 +21,7 @@ from photogram.calibration.exchange.lens import (
 )
 from photogram.camera import CAMERA_PARAMETERS, Camera, StereoRig
 from photogram.geometry import RigidTransform, rotation_from_vector
+from shakercal._common.arrays import FloatArray
 from shakercal._common.notices import Notice
 
 _FURTHER = ("p1", "p2", "k4", "k5", "k6")

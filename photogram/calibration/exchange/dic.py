@@ -8,7 +8,6 @@ from xml.etree import ElementTree
 
 import numpy as np
 
-from photogram.arrays import FloatArray
 from photogram.calibration.exchange.exchange_notices import (
     EVEN_POWERS_REQUESTED,
     LINEAR_POWERS,
@@ -24,6 +23,7 @@ from photogram.calibration.exchange.lens import (
     rotation_from_cardan,
     unit_of,
 )
+from shakercal._common.arrays import FloatArray
 from shakercal._common.notices import Notice
 
 # DICe: camera systems in XML, and the text of 16 intrinsic and 6 or 12 extrinsic numbers before it.

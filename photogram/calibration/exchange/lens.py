@@ -8,7 +8,6 @@ from typing import Any, Literal
 
 import numpy as np
 
-from photogram.arrays import Arrays, FloatArray, IntArray
 from photogram.calibration.calibration_file import LARGEST, check_plausible
 from photogram.calibration.exchange.exchange_notices import (
     APPROXIMATED_CAMERA,
@@ -23,6 +22,7 @@ from photogram.calibration.exchange.exchange_notices import (
 )
 from photogram.camera import CAMERA_PARAMETERS, Camera, StereoRig
 from photogram.geometry import RigidTransform, nearest_rotation, rotation_from_vector, skew
+from shakercal._common.arrays import Arrays, FloatArray, IntArray
 from shakercal._common.notices import Notice
 
 EVEN = (2, 4, 6)

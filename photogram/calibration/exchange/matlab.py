@@ -9,9 +9,9 @@ from typing import Any
 
 import numpy as np
 
-from photogram.arrays import FloatArray
 from photogram.calibration.exchange.lens import NO_ROTATION, SIDES, Lens, StatedCalibration, parse_numbers, unit_of
 from photogram.geometry import rotation_from_vector
+from shakercal._common.arrays import FloatArray
 from shakercal._common.mat5 import check_mat5
 
 # MATLAB: stereoParameters as JSON, and Bouguet's calibration toolbox as text.

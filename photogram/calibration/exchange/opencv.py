@@ -11,7 +11,6 @@ from typing import Any
 
 import numpy as np
 
-from photogram.arrays import FloatArray
 from photogram.calibration.exchange.lens import (
     DistortionModel,
     Lens,
@@ -21,6 +20,7 @@ from photogram.calibration.exchange.lens import (
     unit_of,
 )
 from photogram.geometry import rotation_from_vector
+from shakercal._common.arrays import FloatArray
 
 # OpenCV: FileStorage in YAML, XML or JSON, and plain JSON with the same content in lists.
 

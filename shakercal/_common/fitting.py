@@ -15,7 +15,7 @@ from typing import Generic, NamedTuple, Protocol, TypeVar
 
 import numpy as np
 
-from shaker.arrays import FloatArray, IntArray
+from shakercal._common.arrays import FloatArray, IntArray
 
 _MAX_PREDICTED_STEPS = 10  # predicted decreases within which a search must reach its tolerance; chosen
 _ROUNDING_SHARE = 1e-18  # share of the first loss below which a decrease is rounding
@@ -347,15 +347,3 @@ def excess_chi2_sigmas(excess: float) -> float:
     By the ratio of the likelihoods it is √excess. A minimum of equal χ² is placed at the end of a 95 % interval.
     """
     return float(np.sqrt(max(excess, NORMAL_QUANTILE_95**2)))
-
-
-def covariance_root(covariance: FloatArray) -> FloatArray:
-    """Return deviations (N, E) of E independent unit causes for a covariance (N, N).
-
-    Directions without variance have no cause. The scale of the numbers is arbitrary.
-    """
-    size = np.sqrt(np.maximum(covariance.diagonal(), 0.0))
-    scale = np.where(size > 0.0, size, 1.0)
-    variance, axes = np.linalg.eigh(covariance / np.multiply.outer(scale, scale))
-    spread = variance > _RANK
-    return np.asarray(scale[:, None] * axes[:, spread] * np.sqrt(variance[spread]))

@@ -1,22 +1,13 @@
-"""Array types, checks of shapes, and channels that share one memory."""
+"""Channels that share one memory."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, fields, replace
-from typing import Any
+from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
-__version__ = "0.2.0"  # as in pyproject.toml: to look for the installed one takes longer than many a module
-
-FloatArray = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
-IntArray = NDArray[np.int64]
-BoolArray = NDArray[np.bool_]
-MAX_SHOWN_CHARACTERS = 60
-"""Characters of a value that a result shows when it is printed in Python."""
+from shakercal._common.arrays import BoolArray, FloatArray, IntArray, check_shape
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,40 +73,3 @@ class Stacked:
 
 
 _ROWS = 1 << 14  # rows processed at a time
-
-
-def check_shape(name: str, array: NDArray[Any] | Stacked, shape: tuple[int | None, ...]) -> None:
-    """Raise `ValueError` unless `array` has `shape`; `None` means any length."""
-    fits = array.ndim == len(shape) and all(
-        want is None or want == have for want, have in zip(shape, array.shape, strict=True)
-    )
-    if not fits:
-        expected = "(" + ", ".join("any" if want is None else str(want) for want in shape) + ")"
-        raise ValueError(f"{name}: expected an array of shape {expected}, found {array.shape}")
-
-
-def check_shapes(owner: Any, shape: tuple[int | None, ...], *names: str) -> None:
-    """Raise `ValueError` unless these fields of a data class have `shape`; `None` means any length."""
-    for name in names:
-        check_shape(name, getattr(owner, name), shape)
-
-
-def brief(result: Any) -> str:
-    """Return a data class as one line: arrays by their shape, collections by their length."""
-    shown = []
-    for field in fields(result):
-        value: Any = getattr(result, field.name, None)
-        if hasattr(value, "shape"):
-            text = f"array {value.shape}"
-        elif isinstance(value, tuple | dict) and len(repr(value)) > MAX_SHOWN_CHARACTERS:
-            text = f"{len(value)} of {type(value).__name__}"
-        else:
-            text = repr(value) if len(repr(value)) <= MAX_SHOWN_CHARACTERS else type(value).__name__
-        shown.append(f"{field.name}={text}")
-    return f"{type(result).__name__}({', '.join(shown)})"
-
-
-class Brief:
-    """Base of data classes with arrays that print on one line: `@dataclass(frozen=True, repr=False)`."""
-
-    __repr__ = brief
