@@ -4,19 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from fusion.estimation.measurement_model import CommonError, Deviates, Geometry, Observation
 from fusion.estimation.uncertainty import Scope
 from fusion.instruments.channel import ChannelRelativeError, clock_rate, delay_errors
+from fusion.instruments.statements import PairStatement
 from photogram.geometry import rotation_from_vector, skew
 from shaker.sine.phasor import Phasors, derivative_factor
 from shakercal._common.arrays import ComplexArray, FloatArray
-
-if TYPE_CHECKING:
-    from fusion.recording.rig import Stereo
 
 CALIBRATION = "calibration"
 SURFACE = "surface"
@@ -26,7 +23,7 @@ GEOMETRY = np.eye(6)
 """Observed components of a pair, as rows (6, 6) on the motion of the sensor origin: all six."""
 
 
-def carrier_of(name: str, pair: Stereo) -> str:
+def carrier_of(name: str, pair: PairStatement) -> str:
     """Return the support of the cameras of a pair, by default a separate one."""
     return f"cameras {pair.support or name}"
 
@@ -70,7 +67,7 @@ class StereoReading(Geometry):
     """
 
     name: str
-    pair: Stereo
+    pair: PairStatement
     phasors: Phasors
     effects: Mapping[str, ComplexArray] = field(default_factory=dict)
     clock_uncertainty: float = 0.0

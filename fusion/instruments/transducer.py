@@ -8,15 +8,13 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Literal
+from typing import Literal
 
 import numpy as np
 
+from fusion.instruments.statements import ChannelStatement
 from shaker.sine.phasor import derivative_factor
 from shakercal._common.arrays import ComplexArray, FloatArray
-
-if TYPE_CHECKING:
-    from fusion.recording.manifest import ChannelEntry
 
 STATIONARY, HEAD = "room", "head"
 """Values of `body` in addition to load and base: a stationary object, and the head of other channels."""
@@ -77,12 +75,12 @@ TRANSDUCERS: dict[str, Transducer] = {
 """Transducers by the `quantity` of their channels in recording.toml."""
 
 
-def chain_name(entry: ChannelEntry) -> str:
+def chain_name(entry: ChannelStatement) -> str:
     """Return the name of a channel's instrument: its `common`, or its name."""
     return entry.common or entry.name
 
 
-def unit_direction(entry: ChannelEntry) -> FloatArray:
+def unit_direction(entry: ChannelStatement) -> FloatArray:
     """Return the unit vector of a channel's direction, by default to its mirror."""
     direction = (
         mirror_of(entry) - measuring_point(entry)
@@ -92,24 +90,24 @@ def unit_direction(entry: ChannelEntry) -> FloatArray:
     return np.asarray(direction / np.linalg.norm(direction))
 
 
-def carrier(entry: ChannelEntry) -> str | None:
+def carrier(entry: ChannelStatement) -> str | None:
     """Return the head of a laser beam, or of an accelerometer on the head."""
     optical = entry.quantity in TRANSDUCERS and TRANSDUCERS[entry.quantity].kind == "vibrometer"
     return f"head {entry.head.name}" if entry.head is not None and (optical or entry.body == HEAD) else None
 
 
-def is_aimed_at_mirror(entry: ChannelEntry) -> bool:
+def is_aimed_at_mirror(entry: ChannelStatement) -> bool:
     """Whether the direction of a channel follows from the mirror of its head."""
     return entry.direction is None and entry.head is not None and entry.head.stated.mirror is not None
 
 
-def mirror_of(entry: ChannelEntry) -> FloatArray:
+def mirror_of(entry: ChannelStatement) -> FloatArray:
     """Return the centre of rotation of a channel's head: its mirror, else the channel's point."""
     mirror = None if entry.head is None else entry.head.stated.mirror
     return measuring_point(entry) if mirror is None else np.asarray(mirror, dtype=np.float64)
 
 
-def main_direction(entry: ChannelEntry) -> FloatArray:
+def main_direction(entry: ChannelStatement) -> FloatArray:
     """Return the direction that determines the components observed by a channel.
 
     It is the direction of the channel, or the axis nearly parallel to a beam from a mirror. Beams from one mirror
@@ -123,7 +121,7 @@ def main_direction(entry: ChannelEntry) -> FloatArray:
     return np.asarray(np.sign(direction[axis]) * np.eye(3)[axis])
 
 
-def aim_contradiction(entry: ChannelEntry) -> tuple[str, str] | None:
+def aim_contradiction(entry: ChannelStatement) -> tuple[str, str] | None:
     """Return the expected and the found direction if a channel's direction contradicts its mirror.
 
     The limit is three combined standard uncertainties plus a milliradian. Either sense of the direction passes.
@@ -154,7 +152,7 @@ class LaserBeams:
     parallel: dict[tuple[str, tuple[float, ...]], int]
 
     @classmethod
-    def of(cls, entries: Iterable[ChannelEntry]) -> LaserBeams:
+    def of(cls, entries: Iterable[ChannelStatement]) -> LaserBeams:
         """Return the heads and the parallel beams among the vibrometers of some channels."""
         lasers = [e for e in entries if e.quantity in ("displacement", "velocity") and e.body != STATIONARY]
         points: dict[str, dict[tuple[float, ...], None]] = {}
@@ -169,11 +167,11 @@ class LaserBeams:
         centres = {name: np.mean(list(members), axis=0) for name, members in points.items()}
         return cls(centres, {key: len(members) for key, members in parallel.items() if len(members) > 1})
 
-    def shares_tilt(self, entry: ChannelEntry) -> bool:
+    def shares_tilt(self, entry: ChannelStatement) -> bool:
         """Whether the beam of a channel may have a common tilt with others."""
         return entry.head is None and (chain_name(entry), tuple(unit_direction(entry).tolist())) in self.parallel
 
-    def fan(self, entry: ChannelEntry) -> FloatArray | None:
+    def fan(self, entry: ChannelStatement) -> FloatArray | None:
         """Return the inclination (3,) of a channel's beam in a fan."""
         if entry.head is None or entry.head.stated.standoff is None or entry.head.name not in self.centres:
             return None
@@ -181,7 +179,7 @@ class LaserBeams:
         return np.asarray((offset - direction * (direction @ offset)) / entry.head.stated.standoff)
 
 
-def measuring_point(entry: ChannelEntry) -> FloatArray:
+def measuring_point(entry: ChannelStatement) -> FloatArray:
     """Return the point of a channel, by default the origin: rotations are independent of it."""
     return np.zeros(3) if entry.point is None else np.asarray(entry.point, dtype=np.float64)
 
@@ -191,7 +189,7 @@ def perpendicular_axes(direction: FloatArray) -> FloatArray:
     return np.asarray(np.linalg.svd(direction[None])[2][1:])
 
 
-def placement_name(entry: ChannelEntry, kind: str, axis: str) -> str:
+def placement_name(entry: ChannelStatement, kind: str, axis: str) -> str:
     """Return the name of an unknown of a channel's placement, with stated point and direction.
 
     `kind`: "point" (axis x, y, z), "direction" or "transverse sensitivity" (axis 0, 1 of `perpendicular_axes`).

@@ -32,7 +32,6 @@ from fusion.recording.daq_records import FileCache, read_set_ups, recorded_chann
 from fusion.recording.excitation import KINDS, RecordedChannels
 from fusion.recording.load import Manifest
 from fusion.recording.manifest import ChannelEntry, Daq, Frames, Images
-from fusion.recording.plausibility import plausibility_notices
 from fusion.recording.response import check_response, read_response
 from fusion.recording.rig import Rig, Stereo
 from fusion.recording.toml import quote_key
@@ -153,10 +152,7 @@ def inspect_recording(manifest: Manifest, already: FileCache) -> CheckReport:
     kind, excitation = KINDS[manifest.excitation.kind], manifest.excitation
     remarks = [
         *kind.command_remark,
-        *(
-            f"{notice.where}: {notice.text}"
-            for notice in (*manifest.certificate_notices, *plausibility_notices(manifest))
-        ),
+        *(f"{notice.where}: {notice.text}" for notice in manifest.notices),
     ]
     if kind.readings_in_table and excitation.file is not None:
         contents, problems = _table(manifest, excitation.file)

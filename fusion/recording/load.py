@@ -10,6 +10,7 @@ from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field, replace
 from datetime import date as Date
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -26,6 +27,7 @@ from fusion.recording.manifest import (
     RecordingFile,
     Take,
 )
+from fusion.recording.plausibility import plausibility_notices
 from fusion.recording.recording_notices import (
     CERTIFICATE_EXPIRED,
     INVALID_VALUE,
@@ -39,11 +41,12 @@ from fusion.recording.recording_notices import (
     WRONG_EXCITATION_KIND,
 )
 from fusion.recording.repair import AnyBlock, Repair, is_doubtful
-from fusion.recording.rig import InstrumentHead, Rig, RigPart, Shaker, Stereo
+from fusion.recording.rig import InstrumentHead, Rig, RigContext, RigPart, Shaker, Stereo
 from fusion.recording.toml import (
     UncertainInput,
     expand_statements,
     find_unfilled,
+    quote_key,
     read_toml,
     uncertain_inputs,
 )
@@ -116,6 +119,23 @@ class Manifest:
             part = replace(self, daq=take.daq, images=take.images, points=take.points, take=())
             blocks.append((f"take[{number}].", part))
         return blocks
+
+    @property
+    def notices(self) -> tuple[Notice, ...]:
+        """Notices of certificates and of implausible statements."""
+        return (*self.certificate_notices, *self.plausibility_notices)
+
+    @cached_property
+    def plausibility_notices(self) -> tuple[Notice, ...]:
+        """Notices of implausible statements."""
+        channels = [
+            (f"{where}daq.{quote_key(daq.name)}.channel.{quote_key(entry.name)}", entry)
+            for where, block in self.set_ups
+            for daq in block.daq
+            for entry in daq.channel
+        ]
+        files = self.rig_path.name, self.path.name
+        return plausibility_notices(self.rig, self.part, channels, self.excitation.frequencies or (), files)
 
     @property
     def certificate_notices(self) -> tuple[Notice, ...]:
@@ -384,9 +404,7 @@ def _checked_files(
     unknown, wrong = [*find_unfilled(text, path), *find_unfilled(rig_text, rig_path)], list[InputError]()
     rig, record, doubtful = None, None, dict[Path, set[str]]()
     with _added_to(wrong):
-        rig = _validated(
-            Rig, expand_statements(rig_text, rig_path)[0], rig_path, Context(folders[1], {}), wrong, doubtful
-        )
+        rig = _validated(Rig, expand_statements(rig_text, rig_path)[0], rig_path, Context(folders[1]), wrong, doubtful)
     with _added_to(wrong):
         values = expand_statements(text, path)[0]
         around = values.get("environment")
@@ -397,7 +415,7 @@ def _checked_files(
         if rig is not None:
             stereo |= {name: pair for name, pair in rig.stereo.items() if name not in doubtful[rig_path]}
             head |= {name: stated for name, stated in rig.head.items() if name not in doubtful[rig_path]}
-        record = _validated(RecordingFile, values, path, Context(folders[0], stereo, head), wrong, doubtful)
+        record = _validated(RecordingFile, values, path, RigContext(folders[0], stereo, head), wrong, doubtful)
     if rig is not None and record is not None:
         # A rig with placeholders may lack what the recording names.
         with _added_to(wrong), suppress(*[KeyError] if wrong else []):
@@ -422,7 +440,7 @@ def _without_rig(path: Path, text: dict[str, Any]) -> list[InputError]:
         named: dict[str, Any] = {"stereo": {str(block.get("stereo")): {} for block in blocks}}
         named["head"] = {str(channel.get("head")): {} for channel in channels}
         folder = path.parent.resolve()
-        context = Context(PathScope(folder, folder, allow_outside=True), *_named_in(named))
+        context = RigContext(PathScope(folder, folder, allow_outside=True), *_named_in(named))
         _validated(RecordingFile, values, path, context, found, {})
     return [*find_unfilled(text, path), *(error for error in found if error.key != "rig")]
 

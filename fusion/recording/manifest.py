@@ -22,13 +22,12 @@ from fusion.recording.recording_notices import (
     VALUE_OUT_OF_RANGE,
     WRONG_VALUE_TYPE,
 )
-from fusion.recording.rig import NamedHead, RigPart, Shaker
+from fusion.recording.rig import NamedHead, RigContext, RigPart, Shaker
 from fusion.recording.values import (
     HERTZ,
     SECONDS,
     ZERO3,
     Angle,
-    Context,
     Delay,
     Direction,
     ExistingFile,
@@ -103,7 +102,7 @@ def _head(value: object, info: ValidationInfo) -> object:
     """Return the head of rig.toml that a channel names."""
     if value is None or isinstance(value, NamedHead):
         return value
-    heads = info.context.head if isinstance(info.context, Context) else {}
+    heads = info.context.head if isinstance(info.context, RigContext) else {}
     if not isinstance(value, str) or value not in heads:
         found = f"{describe(value)}; rig.toml has {', '.join(heads) or 'none'}"
         raise refusal("the name of a head of rig.toml", found, declared=UNKNOWN_NAME)
@@ -298,7 +297,7 @@ class Frames(ManifestBlock):
     @classmethod
     def _inherit_from_pair(cls, value: Any, info: ValidationInfo) -> Any:
         """Return the keys, completed by those of the pair."""
-        if not isinstance(value, dict) or not isinstance(info.context, Context):
+        if not isinstance(value, dict) or not isinstance(info.context, RigContext):
             return value
         pairs = info.context.stereo
         name = value.get("stereo")

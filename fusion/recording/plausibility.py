@@ -7,13 +7,13 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from contextlib import suppress
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from fusion.errors import InputError
 from fusion.instruments.transducer import TRANSDUCERS
 from fusion.recording.dsi import NONE, parse_unit
+from fusion.recording.manifest import ChannelEntry
 from fusion.recording.plausibility_notices import (
     CAMERA_POINTS_PAST_SENSOR,
     DISTANT_CHANNEL_POINT,
@@ -32,17 +32,13 @@ from fusion.recording.plausibility_notices import (
     RESPONSE_PHASE_MAY_BE_DEGREES,
 )
 from fusion.recording.response import is_flat, read_response
-from fusion.recording.rig import DENSEST_KGM3, Rig, Sensor
+from fusion.recording.rig import DENSEST_KGM3, Rig, RigPart, Sensor
 from fusion.recording.toml import quote_key
 from fusion.recording.values import Vector3
 from photogram.calibration.calibration_file import read_calibration
 from photogram.geometry import RigidTransform
 from shakercal._common.arrays import FloatArray
 from shakercal._common.notices import Notice
-
-if TYPE_CHECKING:
-    from fusion.recording.load import Manifest
-    from fusion.recording.manifest import ChannelEntry
 
 LIGHTEST_KGM3 = 5.0
 """Mass over the volume of the ball of the same moment of inertia: a steel rod of 30 diameters has 17, a plate of 1 : 50
@@ -74,21 +70,24 @@ LONG_DELAY_S = 0.01
 """Delay of a channel that no filter has whose corner frequency exceeds the excitation frequency."""
 
 
-def plausibility_notices(manifest: Manifest) -> tuple[Notice, ...]:
-    """Return a notice for every implausible statement of a recording and its rig."""
-    rig, file = manifest.rig, manifest.rig_path.name
-    channels = [
-        (f"{where}daq.{quote_key(daq.name)}.channel.{quote_key(entry.name)}", entry)
-        for where, block in manifest.set_ups
-        for daq in block.daq
-        for entry in daq.channel
-    ]
+def plausibility_notices(
+    rig: Rig,
+    parts: Sequence[RigPart],
+    channels: Sequence[tuple[str, ChannelEntry]],
+    frequencies_hz: Sequence[float],
+    files: tuple[str, str],
+) -> tuple[Notice, ...]:
+    """Return a notice for every implausible statement of a recording and its rig.
+
+    `channels`: with their keys. `files`: names of rig.toml and recording.toml.
+    """
+    rig_file, file = files
     points = [entry.point for _, entry in channels if entry.body == "load" and entry.point is not None]
-    notices = [*_body_notices(manifest, file), *_sensor_notices(rig, file), *_pair_notices(rig, file)]
-    notices += _gravity_notices(rig, points, file)
-    lowest = min(manifest.excitation.frequencies or (), default=np.inf)
+    notices = [*_body_notices(rig, parts, rig_file), *_sensor_notices(rig, rig_file), *_pair_notices(rig, rig_file)]
+    notices += _gravity_notices(rig, points, rig_file)
+    lowest_hz = min(frequencies_hz, default=np.inf)
     for key, entry in channels:
-        notices += _channel_notices(entry, key, rig, lowest, manifest.path.name)
+        notices += _channel_notices(entry, key, rig, lowest_hz, file)
     return tuple(notices)
 
 
@@ -97,12 +96,12 @@ def _gyration(mass: float, inertia: Sequence[Sequence[float]]) -> float:
     return float(np.sqrt(max(np.linalg.eigvalsh(np.array(inertia)).max(), 0.0) / mass))
 
 
-def _body_notices(manifest: Manifest, file: str) -> Iterator[Notice]:
+def _body_notices(rig: Rig, parts: Sequence[RigPart], file: str) -> Iterator[Notice]:
     """Compare mass with inertia, centre of mass with extent, density with solids."""
-    load, sensor = manifest.rig.load, manifest.rig.sensor
+    load, sensor = rig.load, rig.sensor
     bodies = [] if load is None else [("load", "", load.mass, load.inertia)]
     bodies += [] if sensor is None else [("sensor", "internal_", sensor.internal_mass, sensor.internal_inertia)]
-    bodies += [(f"part.{quote_key(part.name)}", "", part.mass, part.inertia) for part in manifest.part]
+    bodies += [(f"part.{quote_key(part.name)}", "", part.mass, part.inertia) for part in parts]
     for table, prefix, mass, inertia in bodies:
         gyration = _gyration(mass, inertia) if mass > 0.0 else 0.0
         ball = 4.0 / 3.0 * np.pi * (np.sqrt(2.5) * gyration) ** 3
@@ -119,7 +118,7 @@ def _body_notices(manifest: Manifest, file: str) -> Iterator[Notice]:
             IMPLAUSIBLE_CENTRE_OF_MASS, file, key="load.centre_of_mass",
             distance_m=centre, ratio=centre / gyration, gyration_m=gyration,
         )  # fmt: skip
-    densities = [("load", load.density), *((f"part.{quote_key(part.name)}", part.density) for part in manifest.part)]
+    densities = [("load", load.density), *((f"part.{quote_key(part.name)}", part.density) for part in parts)]
     densities += [(f"load.elastic.{quote_key(part.name)}", part.density) for part in load.elastic]
     low, high = SOLID_KGM3
     for table, density in densities:

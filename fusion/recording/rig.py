@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal, Self
+from typing import Annotated, Literal, Self
 
 import numpy as np
 from pydantic import BeforeValidator, Field, model_validator
 
 from fusion.estimation.measurement_model import UnobservedMotion
+from fusion.instruments.statements import ChannelStatement
 from fusion.instruments.transducer import TRANSDUCERS
 from fusion.recording.acknowledged import Acknowledgement
 from fusion.recording.environment import Environment
@@ -38,6 +39,7 @@ from fusion.recording.values import (
     ZERO33,
     BodyName,
     Celsius,
+    Context,
     Delay,
     Direction,
     ExistingFile,
@@ -75,9 +77,6 @@ from fusion.recording.values import (
     uncertainty_vector,
     vector,
 )
-
-if TYPE_CHECKING:
-    from fusion.recording.manifest import ChannelEntry
 
 OTHER_UNITS = {"force": "N", "voltage": "V"}
 CONVENTIONAL_AIR_DENSITY = 1.2  # kg/m^3, OIML D 28
@@ -492,6 +491,14 @@ class NamedHead:
     stated: InstrumentHead
 
 
+@dataclass(frozen=True)
+class RigContext(Context):
+    """Context of the validation of a recording: scope of paths, stereo pairs and heads of its rig."""
+
+    stereo: dict[str, Stereo]
+    head: dict[str, InstrumentHead] = field(default_factory=dict)
+
+
 class Shaker(ManifestBlock):
     """Limits of shaker motion in components that are not measured, over the driven amplitude.
 
@@ -577,7 +584,7 @@ class Rig(ManifestBlock):
                     raise refusal(expected, name, key=f"load.elastic.{part.name}.measured_by", declared=UNKNOWN_NAME)
         return self
 
-    def unit_of(self, channel: ChannelEntry) -> str:
+    def unit_of(self, channel: ChannelStatement) -> str:
         """Return the unit of a channel after its scale."""
         if channel.quantity == "output":
             return self.sensor.unit if self.sensor else "1"

@@ -10,12 +10,12 @@ import re
 import sys
 import unicodedata
 from collections.abc import Callable, Collection, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from datetime import date, time
 from fnmatch import fnmatchcase
 from math import hypot, isinf
 from pathlib import Path, PurePosixPath, PureWindowsPath
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import Annotated, Any, Literal
 
 import numpy as np
 from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, ValidationInfo
@@ -36,10 +36,6 @@ from fusion.recording.recording_notices import (
     WRONG_VALUE_TYPE,
 )
 from shakercal._common.notices import DeclaredNotice
-
-if TYPE_CHECKING:
-    from fusion.recording.rig import InstrumentHead, Stereo
-
 
 # Paths in a manifest: resolved against its folder, inside the campaign, globs in natural order.
 
@@ -155,11 +151,9 @@ ROUNDING_TOLERANCE = 0.01  # of the largest principal moment: tables of two or t
 
 @dataclass(frozen=True)
 class Context:
-    """Context of a validation: scope of paths, stereo pairs and heads of the rig."""
+    """Context of a validation: scope of paths."""
 
     scope: PathScope
-    stereo: dict[str, Stereo]
-    head: dict[str, InstrumentHead] = field(default_factory=dict)
 
 
 class ManifestBlock(BaseModel):

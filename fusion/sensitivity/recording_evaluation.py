@@ -17,7 +17,6 @@ from fusion.phasors.set_up_merging import join_set_ups
 from fusion.phasors.stereo_phasors import unresolved_fundamentals
 from fusion.recording.acknowledged import acknowledge
 from fusion.recording.load import Manifest, find_single_recording, load_manifest
-from fusion.recording.plausibility import plausibility_notices
 from fusion.sensitivity.analyse import Evaluation, Inputs, analyse, elastic_rows
 from fusion.sensitivity.disturbances import (
     at_reference_temperature,
@@ -117,8 +116,7 @@ def evaluate_set_ups(
         missing += unstated_chain(found, entries, component, signed=sensor.static_sensitivity is not None)
     notices = [
         *missing_result(inputs, analysis),
-        *manifest.certificate_notices,
-        *plausibility_notices(manifest),
+        *manifest.notices,
         *joined.notices,
         *shaken,
         *beam_notices(entries),

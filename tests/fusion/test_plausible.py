@@ -11,7 +11,6 @@ from types import ModuleType
 import pytest
 
 from fusion.recording.load import load_manifest
-from fusion.recording.plausibility import plausibility_notices
 from fusion.simulate import PRESETS, RECORDINGS, simulate
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -36,7 +35,7 @@ CASES = [
 @pytest.mark.parametrize(("file", "old", "new", "key", "reported"), CASES)
 def test_what_has_no_ground_is_asked_about(make_campaign: Campaign, file, old, new, key, reported) -> None:
     manifest = load_manifest(make_campaign(replace=((file, old, new),)))
-    notice = next(notice for notice in plausibility_notices(manifest) if f"{key}:" in notice.text)
+    notice = next(notice for notice in manifest.plausibility_notices if f"{key}:" in notice.text)
     assert reported in notice.text
     assert notice.where == file
 
@@ -44,7 +43,7 @@ def test_what_has_no_ground_is_asked_about(make_campaign: Campaign, file, old, n
 def test_a_body_as_light_as_air_is_asked_about(make_campaign: Campaign) -> None:
     inertia = "inertia = [[36.0, 0.0, 0.0], [0.0, 36.0, 0.0], [0.0, 0.0, 31.0]]"
     manifest = load_manifest(make_campaign(replace=(("rig.toml", INERTIA, inertia),)))
-    (notice,) = plausibility_notices(manifest)
+    (notice,) = manifest.plausibility_notices
     assert all(number in notice.text for number in ("6.9605 kg", "0.036 kg/m^3"))
     assert notice.where == "rig.toml"
 
@@ -54,7 +53,7 @@ def test_cameras_far_apart_are_asked_about(make_campaign: Campaign) -> None:
     recording = make_campaign()
     file = recording.parent / "calibration" / "top.json"
     file.write_text(file.read_text().replace("[-0.15, 0, 0]", "[-150, 0, 0]"))
-    (notice,) = plausibility_notices(load_manifest(recording))
+    (notice,) = load_manifest(recording).plausibility_notices
     assert all(number in notice.text for number in ("150 m", "0.3 m"))
 
 
@@ -74,7 +73,7 @@ def test_axes_that_do_not_cross_near_the_sensor_are_asked_about(
     file = recording.parent / "calibration" / "top.json"
     text = file.read_text().replace("[-0.15, 0, 0]", translation)
     file.write_text(text.replace('[[1, 0, 0], [0, 1, 0], [0, 0, 1]], "trans', f'{rotation}, "trans'))
-    notices = plausibility_notices(load_manifest(recording))
+    notices = load_manifest(recording).plausibility_notices
     assert [reported in notice.text for notice in notices if reported is not None] == [True] * (reported is not None)
     assert reported is not None or not notices
 
@@ -82,12 +81,12 @@ def test_axes_that_do_not_cross_near_the_sensor_are_asked_about(
 def test_a_pair_that_looks_away_is_asked_about(make_campaign: Campaign) -> None:
     """A rotation of 180 degrees about x turns the camera 0.3 m above the sensor towards it; none, upwards."""
     upwards = ("rig.toml", "[0.0, -1.0, 0.0], [0.0, 0.0, -1.0]]   #", "[0.0, 1.0, 0.0], [0.0, 0.0, 1.0]]   #")
-    (notice,) = plausibility_notices(load_manifest(make_campaign(replace=(upwards,))))
+    (notice,) = load_manifest(make_campaign(replace=(upwards,))).plausibility_notices
     assert notice.text.count("180°") == 2
 
 
 def test_the_examples_of_the_document_are_not_doubted(make_campaign: Campaign) -> None:
-    assert plausibility_notices(load_manifest(make_campaign())) == ()
+    assert load_manifest(make_campaign()).plausibility_notices == ()
 
 
 @pytest.mark.slow
@@ -97,13 +96,11 @@ def test_right_presets_are_not_doubted(preset: str, tmp_path: Path) -> None:
     simulate(tmp_path / "out", preset, 1, **switches)
     recordings = list((tmp_path / "out").glob("*/recording.toml"))
     assert recordings
-    assert {
-        path.parent.name: found for path in recordings if (found := plausibility_notices(load_manifest(path)))
-    } == {}
+    assert {path.parent.name: found for path in recordings if (found := load_manifest(path).plausibility_notices)} == {}
 
 
 def test_the_demo_is_not_doubted() -> None:
-    assert plausibility_notices(load_manifest(ROOT / "sample_images" / "demo" / "Fz-0080")) == ()
+    assert load_manifest(ROOT / "sample_images" / "demo" / "Fz-0080").plausibility_notices == ()
 
 
 NOTICED = {"two lasers exchanged", "rotation of a pair from sensor to camera"}

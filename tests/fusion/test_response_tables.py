@@ -14,7 +14,6 @@ from fusion.cli import main
 from fusion.errors import InputError
 from fusion.recording.load import load_manifest
 from fusion.recording.manifest import ResponseColumns
-from fusion.recording.plausibility import plausibility_notices
 from fusion.recording.plausibility_notices import LARGE_RESPONSE_UNCERTAINTY, RESPONSE_PHASE_MAY_BE_DEGREES
 from fusion.recording.recording_notices import (
     AMBIGUOUS_PHASE_SIGN,
@@ -243,7 +242,7 @@ def test_frequencies_ascend_and_reach_the_line(tmp_path, hertz, declared):
 def test_an_uncertainty_in_per_cent_is_a_warning(tmp_path):
     recording = with_response(tmp_path, 'response = "t.csv"')
     written(recording, TYPED, None, [(one, 1.0, 0.0, 0.5, 0.001) for one in (10, 80, 300)])
-    (notice,) = plausibility_notices(load_manifest(recording))
+    (notice,) = load_manifest(recording).plausibility_notices
     assert notice.code == LARGE_RESPONSE_UNCERTAINTY.code
     assert (notice.values["u"], notice.values["frequency_hz"]) == pytest.approx((0.5, 80.0))
 
@@ -255,7 +254,7 @@ def test_phases_that_may_be_degrees_are_a_warning(tmp_path, magnitudes, phase, c
     recording = with_response(tmp_path, 'response = "t.csv"')
     rows = [(one, size, phase, 0.001, 0.001) for one, size in zip((10, 80, 300), magnitudes, strict=True)]
     written(recording, TYPED, None, rows)
-    codes = [notice.code for notice in plausibility_notices(load_manifest(recording))]
+    codes = [notice.code for notice in load_manifest(recording).plausibility_notices]
     assert codes.count(RESPONSE_PHASE_MAY_BE_DEGREES.code) == count
 
 

@@ -48,7 +48,6 @@ from fusion.recording.daq_records import DaqRecord, FileCache
 from fusion.recording.excitation import KINDS
 from fusion.recording.load import Manifest, find_recordings, load_manifest
 from fusion.recording.manifest import Images
-from fusion.recording.plausibility import plausibility_notices
 from fusion.report.atomic_files import write_atomically
 from fusion.report.terminal import print_text, stdout_console
 from photogram.camera import StereoRig
@@ -172,7 +171,7 @@ def _open_recording(manifest: Manifest, already: FileCache) -> tuple[list[Findin
         problems, notices = read_for_command(manifest, already)
         findings = [problem_finding(text) for text in problems]
         if kind.remarks is None:  # otherwise these notices are among the remarks
-            notices = [*manifest.certificate_notices, *plausibility_notices(manifest), *notices]
+            notices = [*manifest.notices, *notices]
         else:
             remarks = [text for text in report.remarks if text not in kind.command_remark]
             findings += [Finding("CHECK", Notice(REMARK, "", remark=text)) for text in remarks]
