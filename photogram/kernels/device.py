@@ -7,6 +7,7 @@ import sys
 from importlib.util import find_spec
 
 DEVICES = ("auto", "cpu", "cuda")
+PACKAGES = ("torch", "kornia")
 
 
 def resolve_device(choice: str) -> str:
@@ -22,7 +23,7 @@ def resolve_device(choice: str) -> str:
     if _torch_finds_cuda():
         return "cuda"
     if choice == "cuda":
-        raise ValueError("device: expected a GPU that torch can use for 'cuda', found none (try 'auto' or 'cpu')")
+        raise ValueError(f"device: expected a GPU that torch can use for 'cuda', found {_obstacle()}")
     return "cpu"
 
 
@@ -35,9 +36,19 @@ def _has_driver() -> bool:
     return True
 
 
+def _obstacle() -> str:
+    """Describe what keeps torch from using a GPU, and its remedy."""
+    missing = [package for package in PACKAGES if find_spec(package) is None]
+    if missing:
+        return f"no package {' or '.join(missing)} (pip install \"shakercal[gpu]\")"
+    if not _has_driver():
+        return "no NVIDIA driver (try 'auto' or 'cpu')"
+    return "a torch that is built without CUDA, or no GPU (install torch's build for CUDA, or try 'auto' or 'cpu')"
+
+
 def _torch_finds_cuda() -> bool:
-    """Return whether torch is installed, built for CUDA, and finds a device."""
-    if find_spec("torch") is None:
+    """Return whether torch and kornia are installed, torch is built for CUDA, and finds a device."""
+    if any(find_spec(package) is None for package in PACKAGES):
         return False
     import torch
 
