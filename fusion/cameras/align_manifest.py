@@ -262,7 +262,7 @@ def read_alignment(path: Path, allow_outside: bool = False) -> AlignmentFile:
     """Read and check alignment.toml, with paths relative to and within its folder."""
     folder = path.parent.resolve()
     scope = PathScope(folder, folder, allow_outside, "of this file")
-    return validate(AlignmentFile, read_toml(path), path, Context(scope, {}))
+    return validate(AlignmentFile, read_toml(path), path, Context(scope))
 
 
 @dataclass(frozen=True, eq=False)

@@ -87,7 +87,7 @@ def test_the_list_of_path_keys_is_whole():
 @pytest.mark.parametrize("key", sorted(PATH_KEYS))
 def test_every_path_passes_one_gate(key, tree):
     check = _path_keys()[key]
-    context = Context(PathScope(tree, tree.parent), {})
+    context = Context(PathScope(tree, tree.parent))
     assert check.validate_python("good.h5", context=context)
     wrong = ("../../secret.h5", str(tree.parent.parent / "secret.h5"), "out.h5", "away/secret.h5", "away/*.h5",
              "loop.h5", "pipe.h5", "/dev/zero", "good.h5\0", "x" * 5000, "..", ".", "C:/x", "a\\b", "none")  # fmt: skip

@@ -36,9 +36,9 @@ from fusion.recording.recording_notices import (
     WRONG_ENCODING,
     WRONG_VALUE_TYPE,
 )
-from fusion.recording.rig import Rig
+from fusion.recording.rig import Rig, RigContext
 from fusion.recording.toml import validate
-from fusion.recording.values import Context, PathScope
+from fusion.recording.values import PathScope
 from shakercal._common.notices import DeclaredNotice
 
 Campaign = Callable[..., Path]
@@ -387,4 +387,4 @@ def test_any_value_anywhere_is_accepted_or_an_input_error(make_campaign, data, j
     table[last] = junk
     scope = PathScope(file.parent.resolve(), folder.parent.resolve())
     with suppress(InputError):
-        validate(model, text, file, Context(scope, rig.stereo))
+        validate(model, text, file, RigContext(scope, rig.stereo))

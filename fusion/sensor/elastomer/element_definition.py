@@ -312,5 +312,5 @@ def read_definition(path: Path, *, allow_outside: bool = False) -> ElementDefini
     """
     text = read_toml(path)
     folder = path.parent.resolve()
-    context = Context(PathScope(folder, folder.parent, allow_outside, "above this file"), {})
+    context = Context(PathScope(folder, folder.parent, allow_outside, "above this file"))
     return ElementDefinition(path, validate(ElementFile, text, path, context))
