@@ -17,9 +17,9 @@ from fusion.instruments.channel import (
     output_phasors,
 )
 from fusion.instruments.stereo import StereoReading
-from fusion.instruments.transducer import TRANSDUCERS
 from fusion.recording.manifest import ChannelEntry
 from fusion.recording.rig import Sensor, Stereo
+from fusion.recording.transducer import TRANSDUCERS
 from fusion.sensitivity.analyse import Inputs
 from fusion.sensitivity.moving_body import Body, MovingPart, make_moving_part
 from fusion.simulate.world import Draws, SimulatedMotion, TruePart, acceleration_at, velocity_at, wrench

@@ -11,13 +11,9 @@ from numpy.typing import ArrayLike
 
 from fusion.estimation.measurement_model import CommonError, Deviates, Geometry, Observation
 from fusion.estimation.uncertainty import Contribution, Scope, Uncertainty, Unknown, added_up, as_complex, real_stack
-from fusion.instruments.statements import ChannelStatement
-from fusion.instruments.transducer import (
-    HEAD,
-    TRANSDUCERS,
-    TRANSVERSE,
+from fusion.recording.manifest import ChannelEntry
+from fusion.recording.placement import (
     LaserBeams,
-    Transducer,
     chain_name,
     is_aimed_at_mirror,
     main_direction,
@@ -27,6 +23,7 @@ from fusion.instruments.transducer import (
     placement_name,
     unit_direction,
 )
+from fusion.recording.transducer import HEAD, TRANSDUCERS, TRANSVERSE, Transducer
 from photogram.geometry import rotation_from_vector
 from shaker.frf.chain import filters_of_delay
 from shaker.sine.phasor import Phasors, stack_phasors
@@ -115,7 +112,7 @@ class ChannelReading:
     `further_errors`: relative errors (K, 1) in addition to those of its chain.
     """
 
-    entry: ChannelStatement
+    entry: ChannelEntry
     phasors: Phasors
     chain: ChainUncertainty
     further_errors: tuple[ChannelRelativeError, ...] = ()
@@ -195,13 +192,13 @@ def clock_rate(design: ComplexArray, orders: FloatArray, clock_uncertainty: floa
     return [rate] if np.any(rate.slope != 0.0) else []
 
 
-def scale_is_stated(entry: ChannelStatement, response: ChainResponse | None) -> bool:
+def scale_is_stated(entry: ChannelEntry, response: ChainResponse | None) -> bool:
     """Whether the manifest, or the channel's response, states an uncertainty of its scale."""
     by_response = response is not None and bool(np.any(response.u_magnitude > 0.0))
     return by_response or bool(entry.scale_uncertainty or entry.individual_uncertainty)
 
 
-def errors_are_stated(entry: ChannelStatement, response: ChainResponse | None, beams: LaserBeams) -> bool:
+def errors_are_stated(entry: ChannelEntry, response: ChainResponse | None, beams: LaserBeams) -> bool:
     """Whether any systematic uncertainty of a motion channel is stated; `fuse` prefers such channels."""
     of_chain = scale_is_stated(entry, response) or entry.delay_uncertainty > 0.0
     of_chain = of_chain or (response is not None and bool(np.any(response.errors != 0.0)))
@@ -216,7 +213,7 @@ FAN_U = 1.0 / np.sqrt(3.0)
 
 
 def geometry_errors(
-    transducer: Transducer, entry: ChannelStatement, beams: LaserBeams | None = None
+    transducer: Transducer, entry: ChannelEntry, beams: LaserBeams | None = None
 ) -> tuple[Unknown[FloatArray], ...]:
     """Return the unknowns of a channel's point and direction, with names valid for all recordings.
 
@@ -250,7 +247,7 @@ def geometry_errors(
     return tuple(error for error in errors if np.any(error.effect != 0.0))
 
 
-def _moved_point(entry: ChannelStatement, shift: FloatArray) -> FloatArray:
+def _moved_point(entry: ChannelEntry, shift: FloatArray) -> FloatArray:
     """Return the change (6,) of [d, r × d] by a shift.
 
     Aimed beams rotate about their mirror.
@@ -263,12 +260,12 @@ def _moved_point(entry: ChannelStatement, shift: FloatArray) -> FloatArray:
     return np.concatenate([rotated, np.cross(mirror, rotated)])
 
 
-def _tilt_name(entry: ChannelStatement, axis: str) -> str:
+def _tilt_name(entry: ChannelEntry, axis: str) -> str:
     along = ", ".join(f"{x:.9g}" for x in entry.direction or ())
     return f"{chain_name(entry)}: tilt along ({along}) {axis}"
 
 
-def _head_errors(transducer: Transducer, entry: ChannelStatement, beams: LaserBeams) -> list[Unknown[FloatArray]]:
+def _head_errors(transducer: Transducer, entry: ChannelEntry, beams: LaserBeams) -> list[Unknown[FloatArray]]:
     """Return the common unknowns of all channels of a head, with the head's name.
 
     A small rotation φ of the head rotates the direction d by φ × d. About a stated mirror q it also moves the point r
@@ -311,7 +308,7 @@ class ChannelGeometry(Geometry):
     """Points and directions of the channels of one instrument, for the Monte Carlo run."""
 
     transducer: Transducer
-    entries: tuple[ChannelStatement, ...]
+    entries: tuple[ChannelEntry, ...]
     frequency_hz: FloatArray
     gravity_mps2: FloatArray | None
     beams: LaserBeams
@@ -346,7 +343,7 @@ class ChannelGeometry(Geometry):
             drawn.append(self.transducer.rows(geometry, self.frequency_hz, self.gravity_mps2))
         return np.stack(drawn, axis=2)
 
-    def _drawn_beam(self, entry: ChannelStatement, deviates: Deviates) -> tuple[FloatArray, FloatArray, FloatArray]:
+    def _drawn_beam(self, entry: ChannelEntry, deviates: Deviates) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Return N points, centres of rotation and directions, each (N, 3), before the head rotates."""
         u = np.broadcast_to(np.asarray(entry.point_uncertainty, dtype=np.float64), (3,))
         shifts = [deviates.normal(placement_name(entry, "point", axis)) for axis in "xyz"]

@@ -10,7 +10,7 @@ import numpy as np
 from fusion.estimation.measurement_model import CommonError, Deviates, Geometry, Observation
 from fusion.estimation.uncertainty import Scope
 from fusion.instruments.channel import ChannelRelativeError, clock_rate, delay_errors
-from fusion.instruments.statements import PairStatement
+from fusion.recording.rig import Stereo
 from photogram.geometry import rotation_from_vector, skew
 from shaker.sine.phasor import Phasors, derivative_factor
 from shakercal._common.arrays import ComplexArray, FloatArray
@@ -23,7 +23,7 @@ GEOMETRY = np.eye(6)
 """Observed components of a pair, as rows (6, 6) on the motion of the sensor origin: all six."""
 
 
-def carrier_of(name: str, pair: PairStatement) -> str:
+def carrier_of(name: str, pair: Stereo) -> str:
     """Return the support of the cameras of a pair, by default a separate one."""
     return f"cameras {pair.support or name}"
 
@@ -67,7 +67,7 @@ class StereoReading(Geometry):
     """
 
     name: str
-    pair: PairStatement
+    pair: Stereo
     phasors: Phasors
     effects: Mapping[str, ComplexArray] = field(default_factory=dict)
     clock_uncertainty: float = 0.0

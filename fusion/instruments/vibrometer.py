@@ -10,8 +10,8 @@ import numpy as np
 
 from fusion.estimation.uncertainty import Contribution, Influence, Uncertainty, added_up, real_design, real_stack
 from fusion.instruments.instrument_notices import PARALLEL_BEAMS, PARALLEL_BEAMS_WITHOUT_HEAD
-from fusion.instruments.statements import ChannelStatement
-from fusion.instruments.transducer import LaserBeams, chain_name
+from fusion.recording.manifest import ChannelEntry
+from fusion.recording.placement import LaserBeams, chain_name
 from shakercal._common.arrays import ComplexArray, FloatArray, check_shape, check_shapes
 from shakercal._common.notices import Notice
 
@@ -121,7 +121,7 @@ class PointSpread:
         return np.asarray(np.sqrt(trace / len(self.channels)) / np.abs(self.mean))
 
 
-def beam_notices(entries: Sequence[ChannelStatement]) -> tuple[Notice, ...]:
+def beam_notices(entries: Sequence[ChannelEntry]) -> tuple[Notice, ...]:
     """Return a note for every vibrometer with several points of exactly one direction."""
     beams, notices = LaserBeams.of(entries), []
     tilted = {chain_name(entry) for entry in entries if entry.direction_uncertainty > 0.0 and beams.shares_tilt(entry)}

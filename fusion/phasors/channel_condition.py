@@ -9,8 +9,8 @@ import numpy as np
 
 from fusion.errors import InputError
 from fusion.instruments.channel import NOISE_REACH, ChannelRelativeError
-from fusion.instruments.transducer import chain_name
 from fusion.phasors.phasor_notices import CLIPPED_CHANNEL, COARSE_CONVERTER, REJECTED_SAMPLES, UNUSABLE_CHANNEL
+from fusion.recording.placement import chain_name
 from shaker.io.condition import FEWEST_STEPS, Defect, converter_step
 from shaker.sine.quantisation import quantisation_error
 from shaker.sine.solve import SineFit

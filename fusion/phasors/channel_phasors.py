@@ -17,7 +17,6 @@ from fusion.instruments.channel import (
     ChannelReading,
     nonzero_errors,
 )
-from fusion.instruments.transducer import HEAD, STATIONARY, TRANSDUCERS
 from fusion.phasors.channel_condition import assess_condition, fit_usable, require_usable
 from fusion.phasors.phasor_notices import (
     LINE_ABOVE_SAMPLING,
@@ -25,6 +24,7 @@ from fusion.phasors.phasor_notices import (
 )
 from fusion.phasors.timing import TimeBase, TimingError, combine_timing_errors, lines_not_found_error
 from fusion.recording.response import read_response
+from fusion.recording.transducer import HEAD, STATIONARY, TRANSDUCERS
 from shaker.lines.detection import relative_strength, survey_lines
 from shaker.lines.frequencies import LineFrequencies, find_lines
 from shaker.lines.spectrum import Spectrum, amplitude_spectrum
@@ -326,7 +326,7 @@ def channel_phasors(
             expected = f"a sampling rate above {2.0 * lines.frequency_hz.min():g} Hz"
             file, name, found = record.entry.file, group[0].name, f"{rate_hz:g} Hz"
             raise InputError(LINE_ABOVE_SAMPLING, file, name, found=found, expected=expected)
-        units = [manifest.rig.unit_of(channel) for channel in group]
+        units = [manifest.rig.unit_of(channel.quantity) for channel in group]
         errors = combine_timing_errors([*base.tie_errors(record.entry.name), *line_errors])
         fitted += _fit_group(base, record, group, units, (lines, seen, errors), shown)
     return tuple(result for result, _ in fitted), tuple(reading for _, reading in fitted)

@@ -7,13 +7,13 @@ from dataclasses import replace
 
 import numpy as np
 
-from fusion.instruments.transducer import STATIONARY
 from fusion.phasors.channel_phasors import MIN_BEAT_PERIODS, U_SHARED_FREQUENCY, line_rates, line_stretch, with_ties
 from fusion.phasors.phasor_notices import PERIODS_DISAGREE
 from fusion.phasors.stereo_motion import StereoMotion, resolved_lines
 from fusion.phasors.timing import TimeBase, frame_sight
 from fusion.recording.load import Manifest
 from fusion.recording.manifest import Images, PointFiles
+from fusion.recording.transducer import STATIONARY
 from shaker.labels import MOTION_COMPONENTS, component_units
 from shaker.lines.frequencies import LineFrequencies
 from shaker.sine.aliasing import alias_frequency

@@ -14,7 +14,6 @@ import numpy as np
 from fusion.base import CheckpointStore, Executor, ProgressCallback, Settings
 from fusion.errors import ComputeError, InputError
 from fusion.instruments.channel import ChannelReading
-from fusion.instruments.transducer import TRANSDUCERS
 from fusion.phasors.channel_phasors import (
     MIN_BEAT_PERIODS,
     ChannelResult,
@@ -41,6 +40,7 @@ from fusion.phasors.stereo_motion import (
 from fusion.phasors.timing import TimeBase, tie_daqs
 from fusion.recording.daq_records import FileCache, errors_in_set_up, read_set_ups
 from fusion.recording.load import Manifest
+from fusion.recording.transducer import TRANSDUCERS
 from fusion.recording.units import unit_notices
 from shaker.lines.frequencies import LineFrequencies
 from shaker.sine.aliasing import alias_frequency

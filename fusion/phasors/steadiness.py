@@ -12,10 +12,10 @@ from fusion.base import round_to_uncertainty
 from fusion.estimation.coverage import coverage_factor
 from fusion.estimation.uncertainty import Scope
 from fusion.instruments.channel import ChannelReading, ChannelRelativeError, nonzero_errors
-from fusion.instruments.transducer import TRANSDUCERS
 from fusion.phasors.channel_phasors import HARMONICS, ChannelResult
 from fusion.phasors.phasor_notices import CUBIC_DISTORTION, HARMONIC_DISTORTION, LINE_UNSTEADY, OUTPUT_UNSTEADY
 from fusion.phasors.timing import ClockResult
+from fusion.recording.transducer import TRANSDUCERS
 from shaker.lines.frequencies import LineFrequencies
 from shaker.sine.sine_fit import Stationarity
 from shakercal._common.notices import Notice, Value

@@ -17,7 +17,6 @@ import numpy as np
 
 from fusion.base import CheckpointStore, Executor, Pending, ProgressCallback, Settings, Threads
 from fusion.errors import ComputeError, InputError, as_input_error
-from fusion.instruments.transducer import STATIONARY
 from fusion.phasors.phasor_notices import (
     CALIBRATION_REFUSED,
     COPIED_FRAMES,
@@ -42,6 +41,7 @@ from fusion.recording.daq_records import FileCache
 from fusion.recording.load import Manifest
 from fusion.recording.manifest import MINIMUM_FRAMES, Images, PointFiles
 from fusion.recording.rig import Stereo
+from fusion.recording.transducer import STATIONARY
 from fusion.recording.values import FILE, SurfacePlane
 from photogram.calibration.calibration_file import read_calibration, read_camera
 from photogram.camera import FaceCamera, Rig, StereoRig

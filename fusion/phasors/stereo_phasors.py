@@ -14,7 +14,6 @@ from fusion.errors import ComputeError
 from fusion.estimation.measurement_model import Observation
 from fusion.instruments.channel import FittedError
 from fusion.instruments.stereo import StereoReading
-from fusion.instruments.transducer import STATIONARY
 from fusion.phasors.channel_phasors import expand_lines
 from fusion.phasors.deformation import DeflectionShape, ShapePhasors, deflection_shape, shape_phasors
 from fusion.phasors.image_effects import THROUGH, displacement, fit_about_mean, image_effects
@@ -31,6 +30,7 @@ from fusion.phasors.phasor_notices import (
 )
 from fusion.phasors.stereo_motion import ImageView, RejectedPair, StereoMotion, resolved_lines
 from fusion.phasors.timing import Sight, TimeBase, TimingError, combine_timing_errors
+from fusion.recording.transducer import STATIONARY
 from photogram.camera import FaceCamera, StereoRig
 from photogram.images.noise import NoiseModel
 from photogram.images.sequence import GreyImage

@@ -15,7 +15,6 @@ import numpy as np
 from fusion.base import round_to_uncertainty
 from fusion.errors import ComputeError, InputError
 from fusion.instruments.channel import errors_are_stated, scale_is_stated
-from fusion.instruments.transducer import TRANSDUCERS, LaserBeams, chain_name
 from fusion.instruments.vibrometer import beam_notices
 from fusion.phasors.channel_phasors import describe_folds, folding
 from fusion.phasors.timing import pulse_width_error
@@ -32,9 +31,11 @@ from fusion.recording.daq_records import FileCache, read_set_ups, recorded_chann
 from fusion.recording.excitation import KINDS, RecordedChannels
 from fusion.recording.load import Manifest
 from fusion.recording.manifest import ChannelEntry, Daq, Frames, Images
+from fusion.recording.placement import LaserBeams, chain_name
 from fusion.recording.response import check_response, read_response
 from fusion.recording.rig import Rig, Stereo
 from fusion.recording.toml import quote_key
+from fusion.recording.transducer import TRANSDUCERS
 from fusion.recording.units import unit_notices
 from fusion.recording.values import PULSE
 from shaker.frf.chain import ChainResponse

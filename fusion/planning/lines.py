@@ -123,7 +123,7 @@ def lines_of_recording(manifest: Manifest, *, drawn: bool = False) -> ChannelLin
     return ChannelLines(
         chosen.record.entry.file,
         names,
-        tuple(manifest.rig.unit_of(channel) for channel in chosen.channels),
+        tuple(manifest.rig.unit_of(channel.quantity) for channel in chosen.channels),
         rate_hz,
         len(chosen.values),
         tuple(

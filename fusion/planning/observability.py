@@ -9,10 +9,11 @@ import numpy as np
 
 from fusion.errors import InputError
 from fusion.instruments.stereo import GEOMETRY, carrier_of
-from fusion.instruments.transducer import STATIONARY, TRANSDUCERS, carrier, main_direction, measuring_point
 from fusion.recording.daq_records import FileCache
 from fusion.recording.load import Manifest
+from fusion.recording.placement import carrier, main_direction, measuring_point
 from fusion.recording.rig import Rig, Stereo
+from fusion.recording.transducer import STATIONARY, TRANSDUCERS
 from photogram.images.sequence import ImageSequence
 from shaker.labels import MOTION_COMPONENTS
 from shakercal._common.arrays import BoolArray, FloatArray

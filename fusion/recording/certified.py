@@ -14,7 +14,6 @@ from pydantic_core import PydanticCustomError
 
 from fusion.base import FileIdentity
 from fusion.errors import InputError
-from fusion.instruments.transducer import TRANSDUCERS
 from fusion.recording.dcc import SUFFIX, CalibrationCertificate, CertifiedQuantity, read_dcc
 from fusion.recording.dcc_curves import curve_named, in_hertz
 from fusion.recording.dsi import CELSIUS_AT_0_K, Dimension, parse_unit
@@ -29,6 +28,7 @@ from fusion.recording.recording_notices import (
 )
 from fusion.recording.response import certified_table
 from fusion.recording.toml import UNFILLED, UncertainInput, UncertaintyStatement, checked_table, key_path
+from fusion.recording.transducer import TRANSDUCERS
 from fusion.recording.values import ManifestBlock, PathScope, Text, describe
 from shakercal._common.notices import DeclaredNotice, Notice
 

@@ -10,16 +10,9 @@ from typing import Any
 import numpy as np
 
 from fusion.errors import InputError
-from fusion.instruments.transducer import (
-    CLOSE_TO_AXIS_RAD,
-    HEAD,
-    STATIONARY,
-    aim_contradiction,
-    carrier,
-    unit_direction,
-)
 from fusion.recording.excitation import KINDS
 from fusion.recording.manifest import SCAN, ChannelEntry, Daq, Frames, RecordingFile, SetUpFiles
+from fusion.recording.placement import CLOSE_TO_AXIS_RAD, aim_contradiction, carrier, unit_direction
 from fusion.recording.recording_notices import (
     CONTRADICTING_DIRECTION,
     CONTRADICTING_VALUES,
@@ -33,6 +26,7 @@ from fusion.recording.recording_notices import (
 )
 from fusion.recording.rig import Rig, Stereo
 from fusion.recording.toml import quote_key
+from fusion.recording.transducer import HEAD, STATIONARY
 from fusion.recording.values import describe, repeated_name
 from shakercal._common.notices import DeclaredNotice
 

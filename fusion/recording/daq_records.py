@@ -11,9 +11,9 @@ from typing import TYPE_CHECKING, TypeVar
 import numpy as np
 
 from fusion.errors import ComputeError, InputError, as_input_error
-from fusion.instruments.transducer import TRANSDUCERS, aim_contradiction
 from fusion.recording.excitation import KINDS
 from fusion.recording.manifest import SCAN, ChannelEntry, Daq, Frames
+from fusion.recording.placement import aim_contradiction
 from fusion.recording.recording_notices import (
     CONSTANT_CHANNEL,
     CONTRADICTING_DIRECTION,
@@ -25,6 +25,7 @@ from fusion.recording.recording_notices import (
     UNKNOWN_DATA_SET,
     UNREADABLE_DAQ_FILE,
 )
+from fusion.recording.transducer import TRANSDUCERS
 from fusion.recording.units import in_stated_units
 from shaker.io import read_channels
 from shaker.io.channel import RawChannel

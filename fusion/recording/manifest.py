@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, Self
 
 from pydantic import AfterValidator, BeforeValidator, Field, ValidationInfo, model_validator
 
-from fusion.instruments.transducer import HEAD, STATIONARY, TRANSDUCERS
 from fusion.recording.acknowledged import Acknowledgement
 from fusion.recording.dsi import parse_unit
 from fusion.recording.environment import Environment
@@ -23,6 +22,7 @@ from fusion.recording.recording_notices import (
     WRONG_VALUE_TYPE,
 )
 from fusion.recording.rig import NamedHead, RigContext, RigPart, Shaker
+from fusion.recording.transducer import HEAD, STATIONARY, TRANSDUCERS
 from fusion.recording.values import (
     HERTZ,
     SECONDS,

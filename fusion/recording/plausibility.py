@@ -11,7 +11,6 @@ from contextlib import suppress
 import numpy as np
 
 from fusion.errors import InputError
-from fusion.instruments.transducer import TRANSDUCERS
 from fusion.recording.dsi import NONE, parse_unit
 from fusion.recording.manifest import ChannelEntry
 from fusion.recording.plausibility_notices import (
@@ -34,6 +33,7 @@ from fusion.recording.plausibility_notices import (
 from fusion.recording.response import is_flat, read_response
 from fusion.recording.rig import DENSEST_KGM3, Rig, RigPart, Sensor
 from fusion.recording.toml import quote_key
+from fusion.recording.transducer import TRANSDUCERS
 from fusion.recording.values import Vector3
 from photogram.calibration.calibration_file import read_calibration
 from photogram.geometry import RigidTransform

@@ -11,8 +11,6 @@ import numpy as np
 from pydantic import BeforeValidator, Field, model_validator
 
 from fusion.estimation.measurement_model import UnobservedMotion
-from fusion.instruments.statements import ChannelStatement
-from fusion.instruments.transducer import TRANSDUCERS
 from fusion.recording.acknowledged import Acknowledgement
 from fusion.recording.environment import Environment
 from fusion.recording.recording_notices import (
@@ -24,6 +22,7 @@ from fusion.recording.recording_notices import (
     VALUE_OUT_OF_RANGE,
     WRONG_VALUE_TYPE,
 )
+from fusion.recording.transducer import TRANSDUCERS
 from fusion.recording.values import (
     DENSITY,
     FAR,
@@ -584,11 +583,11 @@ class Rig(ManifestBlock):
                     raise refusal(expected, name, key=f"load.elastic.{part.name}.measured_by", declared=UNKNOWN_NAME)
         return self
 
-    def unit_of(self, channel: ChannelStatement) -> str:
-        """Return the unit of a channel after its scale."""
-        if channel.quantity == "output":
+    def unit_of(self, quantity: str) -> str:
+        """Return the unit of a channel of a quantity after its scale."""
+        if quantity == "output":
             return self.sensor.unit if self.sensor else "1"
-        return TRANSDUCERS[channel.quantity].unit if channel.quantity in TRANSDUCERS else OTHER_UNITS[channel.quantity]
+        return TRANSDUCERS[quantity].unit if quantity in TRANSDUCERS else OTHER_UNITS[quantity]
 
     @property
     def surroundings(self) -> Environment:

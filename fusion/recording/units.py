@@ -186,12 +186,12 @@ def in_stated_units(manifest: Manifest, daq: Daq, raw: Mapping[str, RawChannel])
             continue
         factor = found.over(required)
         if factor is None:
-            key, unit = f"daq.{daq.name}.channel.{entry.name}.scale", manifest.rig.unit_of(entry)
+            key, unit = f"daq.{daq.name}.channel.{entry.name}.scale", manifest.rig.unit_of(entry.quantity)
             expected = f"the factor in {unit} per {channel.unit}, the unit of {entry.stored_name} in {daq.file.name}"
             expected += " (1 if the response is the sensitivity)" if entry.response is not None else ""
             missing.append(InputError(SCALE_REQUIRED, manifest.path, key, found="no such key", expected=expected))
         elif factor != 1.0:
-            unit = manifest.rig.unit_of(entry)
+            unit = manifest.rig.unit_of(entry.quantity)
             channels[entry.name] = replace(channel, samples=channel.samples * factor, unit=unit)
     if missing:
         raise InputError.together(missing)
@@ -204,7 +204,7 @@ def _required_unit(entry: ChannelEntry, rig: Rig) -> RecordedUnit | None:
     A response with a stated unit converts the quantity into an electrical one. Without a unit, a response that is a
     sensitivity by its size leaves it undetermined.
     """
-    unit = recorded_unit(rig.unit_of(entry))
+    unit = recorded_unit(rig.unit_of(entry.quantity))
     if unit is None or entry.response is None:
         return unit
     stated = entry.response_columns.magnitude_unit if entry.response_columns is not None else None
@@ -252,7 +252,7 @@ def _excessive_output(
     entry: ChannelEntry, channel: RawChannel, rig: Rig
 ) -> tuple[DeclaredNotice, dict[str, Value]] | None:
     """Return the notice on an output above the supply of its bridge, with its values."""
-    if entry.quantity != "output" or rig.unit_of(entry) != "V/V":
+    if entry.quantity != "output" or rig.unit_of(entry.quantity) != "V/V":
         return None
     peak = abs(entry.scale) * float(np.ptp(np.nan_to_num(channel.samples))) / 2.0
     return (OUTPUT_EXCEEDS_SUPPLY, {"amplitude": peak}) if peak > SUPPLY else None
@@ -262,7 +262,7 @@ def _unit_contradiction(
     entry: ChannelEntry, stated: str, rig: Rig, of_certificate: bool
 ) -> tuple[DeclaredNotice, dict[str, Value]] | None:
     """Return the notice on the unit of a channel, with its values."""
-    unit, quantity_unit = recorded_unit(stated), rig.unit_of(entry)
+    unit, quantity_unit = recorded_unit(stated), rig.unit_of(entry.quantity)
     values: dict[str, Value] = {"unit": stated, "quantity_unit": quantity_unit}
     scale_stated = "scale" in entry.model_fields_set
     required = None if unit is None else _required_unit(entry, rig)

@@ -18,19 +18,13 @@ from fusion.base import PROGRAM, __version__, prefix
 from fusion.errors import InputError
 from fusion.estimation.coverage import Polar
 from fusion.estimation.fuse import Acceleration
-from fusion.instruments.transducer import (
-    TRANSDUCERS,
-    LaserBeams,
-    is_aimed_at_mirror,
-    measuring_point,
-    mirror_of,
-    unit_direction,
-)
 from fusion.phasors.stereo_motion import read_rig, sensor_from_camera
 from fusion.recording.daq_records import split_scan
 from fusion.recording.load import Manifest
 from fusion.recording.manifest import SCAN, ChannelEntry
+from fusion.recording.placement import LaserBeams, is_aimed_at_mirror, measuring_point, mirror_of, unit_direction
 from fusion.recording.rig import Stereo
+from fusion.recording.transducer import TRANSDUCERS
 from fusion.report.figure import BLACK, GREY, ORANGE, PURPLE, SKY, SOURCE_COLOUR
 from fusion.report.folder import render_page
 from fusion.report.scene_views import SceneShape, make_box, solid, static_views

@@ -12,10 +12,10 @@ from fusion.base import DASH, prefix
 from fusion.estimation.coverage import Polar, polar
 from fusion.estimation.fuse import Acceleration
 from fusion.estimation.uncertainty import Contribution, Uncertainty, over_static, polar_elements
-from fusion.instruments.transducer import TRANSDUCERS
 from fusion.phasors.steadiness import LineStationarity, line_stationarity
 from fusion.phasors.stereo_phasors import StereoResult
 from fusion.phasors.timing import ClockResult
+from fusion.recording.transducer import TRANSDUCERS
 from fusion.report.table import (
     WEAK,
     Headline,

@@ -11,9 +11,9 @@ import numpy as np
 from fusion.base import PROGRAM, __version__, check_new_file
 from fusion.errors import InputError
 from fusion.estimation.labelled_phasors import LabelledPhasors
-from fusion.instruments.transducer import TRANSDUCERS
 from fusion.recording.daq_records import read_daqs
 from fusion.recording.load import RECORDING_NAME, load_manifest
+from fusion.recording.transducer import TRANSDUCERS
 from fusion.report.atomic_files import write_atomically
 from fusion.report.folder import RESULT_FILE
 from fusion.report.h5 import open_results

@@ -23,9 +23,9 @@ from fusion.estimation.measurement_model import SCALE, CommonError, Deviates, Ge
 from fusion.estimation.uncertainty import Influence, Uncertainty, added_up, as_complex
 from fusion.instruments.channel import ChannelGeometry, Outputs
 from fusion.instruments.stereo import StereoReading
-from fusion.instruments.transducer import measuring_point, placement_name
 from fusion.instruments.vibrometer import PointSpread
 from fusion.phasors.phasor_notices import NO_INSTRUMENT
+from fusion.recording.placement import measuring_point, placement_name
 from fusion.sensitivity.distributions import MonteCarlo
 from fusion.sensitivity.elastic import ElasticPart, InstrumentPosition, NaturalModes
 from fusion.sensitivity.load_phasors import LoadResult, describe_other_loads, load_phasors

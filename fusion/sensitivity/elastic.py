@@ -14,7 +14,7 @@ import numpy as np
 from numpy.polynomial import legendre
 
 from fusion.estimation.uncertainty import Scope, Unknown, as_complex, real_stack
-from fusion.instruments.transducer import perpendicular_axes
+from fusion.recording.placement import perpendicular_axes
 from shakercal._common.arrays import ComplexArray, FloatArray, IntArray
 
 ONLY_NAMED = 1.0 / np.sqrt(3.0)

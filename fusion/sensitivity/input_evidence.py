@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from fusion.estimation.uncertainty import Influence
-from fusion.instruments.transducer import chain_name
+from fusion.recording.placement import chain_name
 from fusion.recording.toml import UncertainInput, quote_key
 from fusion.recording.values import is_number
 from fusion.sensitivity.moving_body import moving_parts

@@ -13,7 +13,7 @@ from scipy.special import chdtrc
 
 from fusion.errors import as_input_error
 from fusion.estimation.uncertainty import as_complex, real_stack
-from fusion.instruments.transducer import perpendicular_axes
+from fusion.recording.placement import perpendicular_axes
 from fusion.sensitivity.elastic import (
     ElasticPart,
     InstrumentPosition,

@@ -24,7 +24,8 @@ from fusion.estimation.uncertainty import Kind, as_complex, element_covariance, 
 from fusion.estimation.variance_components import EstimatedNoise
 from fusion.instruments.channel import ChannelGeometry
 from fusion.instruments.stereo import StereoReading, carrier_of
-from fusion.instruments.transducer import HEAD, STATIONARY, carrier, measuring_point
+from fusion.recording.placement import carrier, measuring_point
+from fusion.recording.transducer import HEAD, STATIONARY
 from fusion.sensitivity.disturbances import with_support_motion
 from fusion.sensitivity.sensitivity_notices import SUPPORT_CORRECTED, SUPPORT_EXCEEDS_LIMIT, SUPPORT_UNCERTAIN
 from photogram.camera import principal_components

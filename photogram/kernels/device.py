@@ -40,7 +40,7 @@ def _obstacle() -> str:
     """Describe what keeps torch from using a GPU, and its remedy."""
     missing = [package for package in PACKAGES if find_spec(package) is None]
     if missing:
-        return f"no package {' or '.join(missing)} (pip install \"shakercal[gpu]\")"
+        return f'no package {" or ".join(missing)} (pip install "shakercal[gpu]")'
     if not _has_driver():
         return "no NVIDIA driver (try 'auto' or 'cpu')"
     return "a torch that is built without CUDA, or no GPU (install torch's build for CUDA, or try 'auto' or 'cpu')"

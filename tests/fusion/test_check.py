@@ -21,11 +21,12 @@ from support import AT_ORIGIN, DOCS, block, channel, edit, examples, recording_h
 from fusion.cli import main
 from fusion.errors import InputError
 from fusion.instruments.channel import ChainUncertainty, ChannelReading, observe_channels
-from fusion.instruments.transducer import TRANSDUCERS, measuring_point, unit_direction
 from fusion.planning.check import ASSUMED_EXACT, NOT_FUSED, check, observable_components
 from fusion.recording.load import load_manifest
 from fusion.recording.manifest import ChannelEntry
+from fusion.recording.placement import measuring_point, unit_direction
 from fusion.recording.response import ChainElement, read_chain, read_response
+from fusion.recording.transducer import TRANSDUCERS
 from fusion.sensor.load.load_notices import CONTRADICTORY_MOVING_MASS
 from fusion.simulate import simulate
 from shaker.labels import MOTION_COMPONENTS

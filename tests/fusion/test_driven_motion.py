@@ -15,9 +15,9 @@ from support import evaluated, region_distance
 from fusion.errors import ComputeError
 from fusion.estimation.estimation_notices import UNBOUNDED_MOTION, UNBOUNDED_READINGS
 from fusion.estimation.least_squares import Unbounded
-from fusion.instruments.transducer import perpendicular_axes
 from fusion.planning.check import check
 from fusion.recording.load import load_manifest
+from fusion.recording.placement import perpendicular_axes
 from fusion.sensitivity.analyse import Inputs, analyse, driven_motion
 from fusion.sensitivity.moving_body import Body, make_moving_part
 from fusion.sensitivity.sensitivity_notices import DIRECTION_DOUBTED, UNOBSERVED_MOTION_ASSUMED, UNOBSERVED_MOTION_LARGE

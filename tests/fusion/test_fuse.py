@@ -31,7 +31,7 @@ from fusion.estimation.least_squares import build_system, solve
 from fusion.estimation.measurement_model import Deviates
 from fusion.instruments.channel import ChainUncertainty, ChannelReading, delay_errors, observe_channels
 from fusion.instruments.stereo import StereoReading
-from fusion.instruments.transducer import TRANSDUCERS
+from fusion.recording.transducer import TRANSDUCERS
 
 
 def reading(**changes: Any) -> ChannelReading:

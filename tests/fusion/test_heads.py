@@ -22,10 +22,10 @@ from fusion.estimation.fuse import fuse
 from fusion.estimation.measurement_model import Deviates, Observation, UnobservedMotion
 from fusion.instruments.channel import ChainUncertainty, ChannelReading, geometry_errors, observe_channels
 from fusion.instruments.instrument_notices import PARALLEL_BEAMS, PARALLEL_BEAMS_WITHOUT_HEAD
-from fusion.instruments.transducer import TRANSDUCERS, LaserBeams
 from fusion.instruments.vibrometer import beam_notices
 from fusion.planning.check import check
 from fusion.recording.load import load_manifest
+from fusion.recording.placement import LaserBeams
 from fusion.recording.recording_notices import (
     CONTRADICTING_DIRECTION,
     KEY_NOT_APPLICABLE,
@@ -33,6 +33,7 @@ from fusion.recording.recording_notices import (
     VALUE_OUT_OF_RANGE,
 )
 from fusion.recording.rig import InstrumentHead, NamedHead
+from fusion.recording.transducer import TRANSDUCERS
 from fusion.sensitivity.analyse import Inputs, analyse
 from fusion.sensitivity.load_phasors import load_phasors
 from fusion.sensitivity.monte_carlo import propagate

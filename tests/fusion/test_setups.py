@@ -30,7 +30,6 @@ from take_factory import (
 
 from fusion.cli import main
 from fusion.commands.options import EXIT_DONE
-from fusion.instruments.transducer import unit_direction
 from fusion.phasors.phasor_notices import (
     HARMONIC_UNRESOLVED,
     LARGE_REFERENCE_DRIFT,
@@ -41,6 +40,7 @@ from fusion.phasors.phasor_notices import (
 from fusion.planning.check import check
 from fusion.recording.daq_records import read_set_ups
 from fusion.recording.load import load_manifest
+from fusion.recording.placement import unit_direction
 from fusion.report.recording_report import result_tables, write_h5
 from fusion.report.tables import acceleration
 from fusion.sensitivity.analyse import ESTIMATE_NOISE, Evaluation

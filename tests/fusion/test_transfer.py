@@ -18,9 +18,9 @@ from support import AT_ORIGIN, DOCS, block, channel, documented_columns, edit, r
 
 from fusion.cli import main
 from fusion.errors import InputError
-from fusion.instruments.transducer import TRANSDUCERS
 from fusion.recording.load import load_manifest
 from fusion.recording.manifest import ChannelEntry
+from fusion.recording.transducer import TRANSDUCERS
 from fusion.sensor.transfer.transfer_evaluation import _unstated_scales, evaluate_transfer, find_resonances
 from fusion.sensor.transfer.transfer_notices import (
     CHANNELS_RESAMPLED,

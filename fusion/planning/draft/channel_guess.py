@@ -9,10 +9,10 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from fusion.base import PROGRAM, __version__, natural_key
-from fusion.instruments.transducer import TRANSDUCERS
 from fusion.planning.draft.inventory import FoundCameras, FoundChannel, FoundDaq, FoundPoints, TriggerPulses
 from fusion.recording.dsi import NONE
 from fusion.recording.toml import UNFILLED
+from fusion.recording.transducer import TRANSDUCERS
 from fusion.recording.units import QUANTITY_OF, recorded_unit
 
 SAME_RATE = 1e-3  # relative difference of the rates of one trigger

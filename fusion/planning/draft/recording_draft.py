@@ -9,7 +9,6 @@ from pathlib import Path
 
 import numpy as np
 
-from fusion.instruments.transducer import TRANSDUCERS
 from fusion.planning.draft.channel_guess import (
     HEAD,
     TRIGGER_WORDS,
@@ -27,6 +26,7 @@ from fusion.planning.draft.inventory import FoundCameras, FoundChannel, Inventor
 from fusion.recording.manifest import SCAN
 from fusion.recording.rig import OTHER_UNITS
 from fusion.recording.toml import UNFILLED
+from fusion.recording.transducer import TRANSDUCERS
 from shaker.labels import LOAD_COMPONENTS
 from shaker.lines.detection import survey_lines
 from shakercal._common.arrays import FloatArray

@@ -6,7 +6,6 @@ import os
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
-from fusion.instruments.transducer import TRANSDUCERS
 from fusion.planning.draft.channel_guess import (
     HEAD,
     ChannelGuess,
@@ -20,6 +19,7 @@ from fusion.planning.draft.channel_guess import (
 )
 from fusion.planning.draft.inventory import FoundCameras, FoundPoints, Inventory, find_calibrations, states_scale
 from fusion.recording.toml import quote_key
+from fusion.recording.transducer import TRANSDUCERS
 from photogram.calibration.calibration_file import is_single
 from shaker.labels import LOAD_COMPONENTS
 

@@ -14,10 +14,10 @@ from fusion.estimation.least_squares import FusionSolution, FusionSystem, build_
 from fusion.estimation.measurement_model import SCALE, Observation
 from fusion.instruments.channel import ChannelGeometry
 from fusion.instruments.stereo import StereoReading
-from fusion.instruments.transducer import main_direction, measuring_point
 from fusion.phasors.set_up import MeasuredSetUp
 from fusion.planning.look.finding import Finding
 from fusion.planning.look.look_notices import CONTRADICTORY_READINGS, EXPLAINED_CONTRADICTION
+from fusion.recording.placement import main_direction, measuring_point
 from photogram.geometry import skew, vector_from_rotation
 from shaker.sine.phasor import derivative_factor
 from shakercal._common.arrays import BoolArray, ComplexArray, FloatArray, IntArray

@@ -13,7 +13,6 @@ import numpy as np
 
 from fusion.base import FileIdentity
 from fusion.errors import ComputeError, InputError
-from fusion.instruments.transducer import TRANSDUCERS, main_direction
 from fusion.phasors.set_up import PreparedSetUp, prepare_set_ups
 from fusion.phasors.stereo_motion import read_rig
 from fusion.planning.check import inspect_recording, read_for_command
@@ -48,6 +47,8 @@ from fusion.recording.daq_records import DaqRecord, FileCache
 from fusion.recording.excitation import KINDS
 from fusion.recording.load import Manifest, find_recordings, load_manifest
 from fusion.recording.manifest import Images
+from fusion.recording.placement import main_direction
+from fusion.recording.transducer import TRANSDUCERS
 from fusion.report.atomic_files import write_atomically
 from fusion.report.terminal import print_text, stdout_console
 from photogram.camera import StereoRig

@@ -7,7 +7,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from fusion.instruments.transducer import TRANSDUCERS, main_direction
 from fusion.phasors.channel_phasors import describe_folds, folding
 from fusion.planning.look.finding import Finding
 from fusion.planning.look.look_notices import (
@@ -26,6 +25,8 @@ from fusion.planning.look.look_notices import (
 from fusion.recording.daq_records import DaqRecord
 from fusion.recording.load import Manifest
 from fusion.recording.manifest import ChannelEntry, Daq
+from fusion.recording.placement import main_direction
+from fusion.recording.transducer import TRANSDUCERS
 from shaker.io.channel import RawChannel
 from shaker.io.condition import FEWEST_STEPS, Defect, converter_step
 from shaker.lines.detection import Survey, survey_lines

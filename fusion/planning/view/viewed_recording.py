@@ -143,7 +143,7 @@ class ViewedRecording:
             for entry in block.images
         ]
         self.channels = [
-            ViewedChannel(daq, entry, "" if entry.quantity == "trigger" else block.rig.unit_of(entry))
+            ViewedChannel(daq, entry, "" if entry.quantity == "trigger" else block.rig.unit_of(entry.quantity))
             for _, block in self.manifest.set_ups
             for daq in block.daq
             for entry in daq.channel

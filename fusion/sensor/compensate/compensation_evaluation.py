@@ -175,7 +175,7 @@ def read_outputs(path: Path, *, allow_outside: bool = False) -> OutputRecord:
         raise InputError(WRONG_RECORDING, manifest.path, "daq.channel", found="none", expected=expected)
     read = align(manifest, read_daqs(manifest), outputs, "daq")
     names = tuple(entry.channel or entry.name for _, entry in outputs)
-    unit = manifest.rig.unit_of(outputs[0][1])
+    unit = manifest.rig.unit_of(outputs[0][1].quantity)
     return OutputRecord(manifest, names, unit, np.stack(read.values), read.rate_hz, read.start_s, read.notices)
 
 

@@ -12,10 +12,11 @@ import numpy as np
 
 from fusion.errors import InputError
 from fusion.instruments.channel import geometry_errors
-from fusion.instruments.transducer import TRANSDUCERS, LaserBeams, measuring_point, unit_direction
 from fusion.phasors.timing import EdgeGrid
 from fusion.recording.load import Manifest, find_recordings, load_manifest
 from fusion.recording.manifest import ChannelEntry
+from fusion.recording.placement import LaserBeams, measuring_point, unit_direction
+from fusion.recording.transducer import TRANSDUCERS
 from fusion.report.folder import RESULT_FILE, InputFiles, hash_files, read_provenance
 from fusion.sensitivity.elastic import InstrumentPosition, NaturalModes
 from fusion.sensitivity.moving_body import JOINT, Body, inertia_errors, joint_unknown, load_body, rigid_load

@@ -111,7 +111,7 @@ def read_step(manifest: Manifest) -> StepInput:
     record = StepRecord(
         name=manifest.folder.name,
         channels=tuple(outputs),
-        unit=manifest.rig.unit_of(next(iter(outputs.values()))[1]),
+        unit=manifest.rig.unit_of(next(iter(outputs.values()))[1].quantity),
         samples=np.stack(aligned.values[: len(outputs)]),
         sample_rate_hz=aligned.rate_hz,
         component=excitation.component,

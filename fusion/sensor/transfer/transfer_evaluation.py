@@ -10,10 +10,10 @@ import numpy as np
 
 from fusion.errors import ARGUMENT, InputError
 from fusion.instruments.channel import scale_is_stated
-from fusion.instruments.transducer import TRANSDUCERS
 from fusion.recording.excitation import kinds_of
 from fusion.recording.load import Manifest
 from fusion.recording.manifest import ChannelEntry
+from fusion.recording.transducer import TRANSDUCERS
 from fusion.sensor.transfer.transfer_notices import (
     BAND_ABOVE_LIMIT,
     CHIRP_WITHOUT_PERIOD,

@@ -303,7 +303,7 @@ def _together(
 ) -> SynchronousRecord:
     """Return channels, the reference first, on a common grid."""
     aligned = align(manifest, records, selected, "excitation.response")
-    names, units = zip(*((entry.name, manifest.rig.unit_of(entry)) for _, entry in selected), strict=True)
+    names, units = zip(*((entry.name, manifest.rig.unit_of(entry.quantity)) for _, entry in selected), strict=True)
     samples = TransferRecord(
         reference=aligned.values[0],
         responses=np.stack(aligned.values[1:], axis=1),

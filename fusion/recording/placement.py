@@ -1,86 +1,27 @@
-"""Transducers: measured motion, unit, position and direction.
-
-A new kind is an entry of `TRANSDUCERS`, which manifest, model, Monte Carlo run, identification, `check` and units use.
-The simulator is independent of it, as the reference of all tests.
-"""
+"""Placement of channels: measuring points, directions, mirrors, beams of one head."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass
-from typing import Literal
 
 import numpy as np
 
-from fusion.instruments.statements import ChannelStatement
-from shaker.sine.phasor import derivative_factor
-from shakercal._common.arrays import ComplexArray, FloatArray
+from fusion.recording.manifest import ChannelEntry
+from fusion.recording.transducer import HEAD, STATIONARY, TRANSDUCERS
+from shakercal._common.arrays import FloatArray
 
-STATIONARY, HEAD = "room", "head"
-"""Values of `body` in addition to load and base: a stationary object, and the head of other channels."""
-TRANSVERSE = "transverse sensitivity"
 CLOSE_TO_AXIS_RAD = 0.5
 """Beams of a head at a smaller angle to a sensor axis observe the same as a beam along it."""
 AIM_TOLERANCE_RAD = 1e-3  # rounding of stated directions and points
 
 
-@dataclass(frozen=True)
-class Transducer:
-    """A kind of channel that measures one component of motion.
-
-    `quantity`: its name in the manifest.     It measures (jω)^`order` times an acceleration, in `unit`, along its
-    direction, or about it if `rotational`. If it `senses_gravity`, it measures d·(a - g) in body axes. `kind`: of
-    instrument, as selected by the fusion.
-    """
-
-    quantity: str
-    unit: str
-    kind: Literal["vibrometer", "accelerometer"]
-    order: int
-    rotational: bool = False
-    senses_gravity: bool = False
-
-    def geometry(self, point: FloatArray, direction: FloatArray) -> FloatArray:
-        """Return [d, r × d] (..., 6), or [0, d] if rotational.
-
-        It determines the observed components at all frequencies.
-        """
-        none = np.zeros_like(direction)
-        parts = (none, direction) if self.rotational else (direction, np.cross(point, direction))
-        return np.concatenate(parts, axis=-1)
-
-    def rows(self, geometry: FloatArray, frequency_hz: FloatArray, gravity_mps2: FloatArray | None) -> ComplexArray:
-        """Return rows (..., K, 6) of the model from geometries, or their changes, (..., 6).
-
-        A transducer that senses gravity tilts with the body, which adds (d × g)/ω² to its rotations.
-        """
-        rows = np.repeat(geometry[..., None, :], len(frequency_hz), axis=-2)
-        if self.senses_gravity and gravity_mps2 is not None:
-            tilt = np.cross(geometry[..., :3], gravity_mps2)
-            rows[..., 3:] += tilt[..., None, :] / (2.0 * np.pi * frequency_hz[:, None]) ** 2
-        return np.asarray(derivative_factor(frequency_hz, self.order)[:, None] * rows)
-
-
-TRANSDUCERS: dict[str, Transducer] = {
-    transducer.quantity: transducer
-    for transducer in (
-        Transducer("displacement", "m", "vibrometer", order=-2),
-        Transducer("velocity", "m/s", "vibrometer", order=-1),
-        # Uni- and triaxial: the axes of a triaxial one are channels with the same `common` name, which share a chain.
-        Transducer("acceleration", "m/s^2", "accelerometer", order=0, senses_gravity=True),
-        # Gyroscopes: on the body, with an inertial reference, as accelerometers.
-        Transducer("angular_velocity", "rad/s", "accelerometer", order=-1, rotational=True),
-    )
-}
-"""Transducers by the `quantity` of their channels in recording.toml."""
-
-
-def chain_name(entry: ChannelStatement) -> str:
+def chain_name(entry: ChannelEntry) -> str:
     """Return the name of a channel's instrument: its `common`, or its name."""
     return entry.common or entry.name
 
 
-def unit_direction(entry: ChannelStatement) -> FloatArray:
+def unit_direction(entry: ChannelEntry) -> FloatArray:
     """Return the unit vector of a channel's direction, by default to its mirror."""
     direction = (
         mirror_of(entry) - measuring_point(entry)
@@ -90,24 +31,24 @@ def unit_direction(entry: ChannelStatement) -> FloatArray:
     return np.asarray(direction / np.linalg.norm(direction))
 
 
-def carrier(entry: ChannelStatement) -> str | None:
+def carrier(entry: ChannelEntry) -> str | None:
     """Return the head of a laser beam, or of an accelerometer on the head."""
     optical = entry.quantity in TRANSDUCERS and TRANSDUCERS[entry.quantity].kind == "vibrometer"
     return f"head {entry.head.name}" if entry.head is not None and (optical or entry.body == HEAD) else None
 
 
-def is_aimed_at_mirror(entry: ChannelStatement) -> bool:
+def is_aimed_at_mirror(entry: ChannelEntry) -> bool:
     """Whether the direction of a channel follows from the mirror of its head."""
     return entry.direction is None and entry.head is not None and entry.head.stated.mirror is not None
 
 
-def mirror_of(entry: ChannelStatement) -> FloatArray:
+def mirror_of(entry: ChannelEntry) -> FloatArray:
     """Return the centre of rotation of a channel's head: its mirror, else the channel's point."""
     mirror = None if entry.head is None else entry.head.stated.mirror
     return measuring_point(entry) if mirror is None else np.asarray(mirror, dtype=np.float64)
 
 
-def main_direction(entry: ChannelStatement) -> FloatArray:
+def main_direction(entry: ChannelEntry) -> FloatArray:
     """Return the direction that determines the components observed by a channel.
 
     It is the direction of the channel, or the axis nearly parallel to a beam from a mirror. Beams from one mirror
@@ -121,7 +62,7 @@ def main_direction(entry: ChannelStatement) -> FloatArray:
     return np.asarray(np.sign(direction[axis]) * np.eye(3)[axis])
 
 
-def aim_contradiction(entry: ChannelStatement) -> tuple[str, str] | None:
+def aim_contradiction(entry: ChannelEntry) -> tuple[str, str] | None:
     """Return the expected and the found direction if a channel's direction contradicts its mirror.
 
     The limit is three combined standard uncertainties plus a milliradian. Either sense of the direction passes.
@@ -152,7 +93,7 @@ class LaserBeams:
     parallel: dict[tuple[str, tuple[float, ...]], int]
 
     @classmethod
-    def of(cls, entries: Iterable[ChannelStatement]) -> LaserBeams:
+    def of(cls, entries: Iterable[ChannelEntry]) -> LaserBeams:
         """Return the heads and the parallel beams among the vibrometers of some channels."""
         lasers = [e for e in entries if e.quantity in ("displacement", "velocity") and e.body != STATIONARY]
         points: dict[str, dict[tuple[float, ...], None]] = {}
@@ -167,11 +108,11 @@ class LaserBeams:
         centres = {name: np.mean(list(members), axis=0) for name, members in points.items()}
         return cls(centres, {key: len(members) for key, members in parallel.items() if len(members) > 1})
 
-    def shares_tilt(self, entry: ChannelStatement) -> bool:
+    def shares_tilt(self, entry: ChannelEntry) -> bool:
         """Whether the beam of a channel may have a common tilt with others."""
         return entry.head is None and (chain_name(entry), tuple(unit_direction(entry).tolist())) in self.parallel
 
-    def fan(self, entry: ChannelStatement) -> FloatArray | None:
+    def fan(self, entry: ChannelEntry) -> FloatArray | None:
         """Return the inclination (3,) of a channel's beam in a fan."""
         if entry.head is None or entry.head.stated.standoff is None or entry.head.name not in self.centres:
             return None
@@ -179,7 +120,7 @@ class LaserBeams:
         return np.asarray((offset - direction * (direction @ offset)) / entry.head.stated.standoff)
 
 
-def measuring_point(entry: ChannelStatement) -> FloatArray:
+def measuring_point(entry: ChannelEntry) -> FloatArray:
     """Return the point of a channel, by default the origin: rotations are independent of it."""
     return np.zeros(3) if entry.point is None else np.asarray(entry.point, dtype=np.float64)
 
@@ -189,7 +130,7 @@ def perpendicular_axes(direction: FloatArray) -> FloatArray:
     return np.asarray(np.linalg.svd(direction[None])[2][1:])
 
 
-def placement_name(entry: ChannelStatement, kind: str, axis: str) -> str:
+def placement_name(entry: ChannelEntry, kind: str, axis: str) -> str:
     """Return the name of an unknown of a channel's placement, with stated point and direction.
 
     `kind`: "point" (axis x, y, z), "direction" or "transverse sensitivity" (axis 0, 1 of `perpendicular_axes`).
