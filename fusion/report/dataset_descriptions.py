@@ -5,12 +5,14 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Iterable
 from functools import cache
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from fusion.report.h5_tree import Data, Group
 from shaker.labels import AXES, LOAD_COMPONENTS, LOAD_UNITS, MOTION_COMPONENTS, component_units, sensitivity_unit
+
+if TYPE_CHECKING:
+    from fusion.report.h5 import Data, Group
 
 
 class DatasetDescription(NamedTuple):
@@ -328,13 +330,12 @@ def describe(top: Group) -> None:
         for axis, name in enumerate(axes):
             scale = _scale(group, name, shape[axis])
             if scale is not data:
-                data.attach(axis, scale)
+                data.scales[axis] = scale
 
 
 def _has_coordinates(group: Group, field: str, shape: tuple[int, ...], name: str) -> bool:
     """Return whether the data set of this name has the coordinates of the first axis."""
-    coordinates = group.get(name)
-    return isinstance(coordinates, Data) and field != name and len(shape) > 0 and coordinates.shape == shape[:1]
+    return field != name and len(shape) > 0 and getattr(group.get(name), "shape", None) == shape[:1]
 
 
 def _description(path: str) -> DatasetDescription:
@@ -464,8 +465,8 @@ def _scale(start: Group, name: str, length: int) -> Data:
     """
     group = start
     while True:
-        near = group.get(name)
-        if isinstance(near, Data) and near.shape == (length,):
+        near: Any = group.get(name)
+        if getattr(near, "shape", None) == (length,):
             near.scale = near.scale or name
             return near
         if group is group.top:
@@ -473,18 +474,17 @@ def _scale(start: Group, name: str, length: int) -> Data:
         group = group.parent
     free = next(text for text in (name, *(f"{name}_{number}" for number in range(2, 99))) if text not in start)
     values = _coordinate(start, name, length)
+    start[free] = np.zeros(length, ">f4") if values is None else values
+    scale: Data = start[free]
     if values is None:
-        scale = Data(np.zeros(length, ">f4"), stored=False)
         scale.scale = f"This is a netCDF dimension but not a netCDF variable. {length:9d}"
     else:
-        scale = Data(values)
         scale.scale = free
         scale.attrs["long_name"] = (
             "real parts, then imaginary parts" if name in ("row", "column") else _words(f"/{name}")
         )
         if scale.numbers:
             scale.attrs["units"] = "Hz"
-    start.inside[free] = scale
     return scale
 
 
