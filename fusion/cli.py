@@ -95,8 +95,7 @@ def _check_memory() -> None:
     if sys.platform != "win32":
         import resource
 
-        from fusion.commands.command_notices import ADDRESS_SPACE_TOO_SMALL
-        from fusion.errors import ComputeError
+        from fusion.errors import ADDRESS_SPACE_TOO_SMALL, ComputeError
 
         limit = resource.getrlimit(resource.RLIMIT_AS)[0]
         if limit != resource.RLIM_INFINITY and limit < MIN_ADDRESSES:

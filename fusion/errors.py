@@ -1,4 +1,4 @@
-"""Errors that end a command: wrong input and results that could not be computed."""
+"""Errors that end a command: options, files, limits of the machine, internal errors."""
 
 from __future__ import annotations
 
@@ -173,6 +173,73 @@ def _compute_error(
     return kind(declared, where, **values)
 
 
+# Declarations of the command line.
+
+
+PATH_NOT_UTF8 = DeclaredNotice(
+    "SC-127",
+    "error",
+    "expected {expected}, found {found}",
+    effect="No result could name the file.",
+    remedy="Rename the file or folder.",
+)
+OUTPUT_EXISTS = DeclaredNotice(
+    "SC-900",
+    "error",
+    "expected {expected}, found {found}",
+    effect="The command did not start.",
+    remedy="Choose another name, or use `--force` to replace earlier results.",
+)
+OUTPUT_FOLDER_MISSING = DeclaredNotice(
+    "SC-901",
+    "error",
+    "expected {expected}, found {found}",
+    effect="The command did not start.",
+    remedy="Create the folder, or choose another one.",
+)
+INVALID_OPTION = DeclaredNotice(
+    "SC-903",
+    "error",
+    "{reason}",
+    effect="The command did not start.",
+    remedy="Correct the option. `--help` lists its values.",
+)
+CONFLICTING_OPTIONS = DeclaredNotice(
+    "SC-904",
+    "error",
+    "expected {expected}, found {found}",
+    effect="The command did not start.",
+    remedy="Remove one of the options.",
+)
+OPTION_OF_ANOTHER_INPUT = DeclaredNotice(
+    "SC-905",
+    "error",
+    "expected {expected}, found {found}",
+    effect="The command did not start.",
+    remedy="Remove the option.",
+)
+LENGTH_UNIT_REQUIRED = DeclaredNotice(
+    "SC-906",
+    "error",
+    "expected {expected}, found {found}",
+    effect="The scale of the calibration would be wrong by a factor of 1000 if mm were meant.",
+    remedy="State the unit with the number.",
+    link="cameras.md",
+)
+FREQUENCIES_NOT_ASCENDING = DeclaredNotice(
+    "SC-907",
+    "error",
+    "expected {expected}, found {found}",
+    effect="The command did not start.",
+    remedy="State the lower frequency first.",
+)
+ADDRESS_SPACE_TOO_SMALL = DeclaredNotice(
+    "SC-908",
+    "error",
+    "expected {expected_mb:.0f} MB of addresses, found {found_mb:.0f} MB (ulimit -v)",
+    effect="Libraries end the process, or wait forever, if they get no memory.",
+    remedy="Raise the limit of the address space.",
+)
 REFUSED_BY_READER = DeclaredNotice(
     "SC-950", "error", "{reason}", effect="The file is not used.", remedy="Correct the file at this place."
 )
@@ -197,7 +264,6 @@ INTERNAL_ERROR = DeclaredNotice(
     effect="The command ended before it wrote results.",
     remedy="Please report it with the output of `-v`.",
 )
-
 UNKNOWN_CODE = DeclaredNotice(
     "SC-954",
     "error",
@@ -205,6 +271,9 @@ UNKNOWN_CODE = DeclaredNotice(
     remedy="`shakercal explain` without a code lists all of them.",
     link="notices.md",
 )
+
+
+# Any exception as an error of the user.
 
 
 def is_interruption(error: BaseException) -> bool:
@@ -243,7 +312,10 @@ def declared_notices() -> dict[str, tuple[str, DeclaredNotice]]:
 
 @cache
 def declared_by_stage() -> tuple[tuple[str, dict[str, DeclaredNotice]], ...]:
-    """Return the titles of all modules `*_notices` with their declarations by title, in ascending codes."""
+    """Return the titles of all modules `*_notices` with their declarations by title, in ascending codes.
+
+    The last code of a stage is its place; `PATH_NOT_UTF8` belongs to those of the command line.
+    """
     stages = []
     for name in [*_modules_of_notices(), __name__]:
         module = import_module(name)
@@ -251,7 +323,7 @@ def declared_by_stage() -> tuple[tuple[str, dict[str, DeclaredNotice]], ...]:
         found.sort(key=lambda pair: pair[1].code)
         title = (module.__doc__ or "").partition("\n")[0].rstrip(".")
         stages.append((title, {name.replace("_", " ").capitalize(): notice for name, notice in found}))
-    return tuple(sorted(stages, key=lambda stage: next(iter(stage[1].values())).code))
+    return tuple(sorted(stages, key=lambda stage: next(reversed(stage[1].values())).code))
 
 
 def _modules_of_notices() -> Iterator[str]:

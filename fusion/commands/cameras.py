@@ -44,8 +44,7 @@ def _cameras_options(parser: Parser) -> None:
 def cameras(options: argparse.Namespace) -> None:
     """Calibrate a stereo pair from target images."""
     from fusion.cameras.calibrate import CameraSettings, run_camera, run_cameras
-    from fusion.commands.command_notices import INVALID_OPTION, LENGTH_UNIT_REQUIRED
-    from fusion.errors import InputError
+    from fusion.errors import INVALID_OPTION, LENGTH_UNIT_REQUIRED, InputError
     from fusion.report.terminal import progress_bar
     from photogram.calibration.scale import KnownLength
     from photogram.targets.target_view import Target

@@ -106,8 +106,7 @@ def _range(text: str) -> list[float]:
 def plan(options: argparse.Namespace) -> None:
     """Find camera rates with separate aliases of excitation and harmonics."""
     from fusion.base import check_new_file
-    from fusion.commands.command_notices import CONFLICTING_OPTIONS
-    from fusion.errors import InputError
+    from fusion.errors import CONFLICTING_OPTIONS, InputError
     from fusion.planning.plan import MotionSize, Request, make_plan, plan_csv, print_plan
     from fusion.report.atomic_files import write_atomically
     from shaker.lines.rate_planner import Sampling
@@ -166,8 +165,7 @@ def _simulate_options(parser: Parser) -> None:
 @command(_simulate_options, "rope --preset steps")
 def simulate(options: argparse.Namespace) -> None:
     """Simulate a recording with its truth."""
-    from fusion.commands.command_notices import INVALID_OPTION, OUTPUT_EXISTS
-    from fusion.errors import InputError
+    from fusion.errors import INVALID_OPTION, OUTPUT_EXISTS, InputError
     from fusion.report.terminal import progress_bar
     from fusion.simulate import simulate
 
@@ -345,8 +343,7 @@ def _print_rows(name: str, text: str) -> None:
 
 def _manifests(options: argparse.Namespace) -> list[Manifest]:
     """Load the recordings of a folder; refuse options of files, and several for one table."""
-    from fusion.commands.command_notices import OPTION_OF_ANOTHER_INPUT
-    from fusion.errors import InputError
+    from fusion.errors import OPTION_OF_ANOTHER_INPUT, InputError
     from fusion.recording.load import find_recordings, load_manifest
     from fusion.recording.recording_notices import ONE_RECORDING_EXPECTED
 

@@ -56,8 +56,7 @@ def _identify_options(parser: Parser) -> None:
 @command(_identify_options, "campaign --load-mass 0.5 2 7")
 def identify(options: argparse.Namespace) -> None:
     """Identify stiffness, damping and internal mass of the sensor from a campaign."""
-    from fusion.commands.command_notices import FREQUENCIES_NOT_ASCENDING
-    from fusion.errors import InputError
+    from fusion.errors import FREQUENCIES_NOT_ASCENDING, InputError
     from fusion.sensor.identify.identification_inputs import IdentifySettings
     from fusion.sensor.identify.identification_report import run_identify
 

@@ -21,9 +21,8 @@ from support import RefusedCommand, folder_contents
 
 from fusion import simulate as simulation
 from fusion.cli import _parser, commands, main
-from fusion.commands.command_notices import OUTPUT_EXISTS
 from fusion.commands.options import EXIT_DONE, EXIT_FAILED, EXIT_INPUT, EXIT_INTERRUPTED
-from fusion.errors import INTERNAL_ERROR, SYSTEM_REFUSED, ComputeError
+from fusion.errors import INTERNAL_ERROR, OUTPUT_EXISTS, SYSTEM_REFUSED, ComputeError
 from fusion.recording.recording_notices import INVALID_VALUE
 from fusion.report.terminal import MOST_NOTES, log_notices, progress_bar, wrapped
 from fusion.simulate.simulation_notices import SIMULATION_FOLDER_IN_USE

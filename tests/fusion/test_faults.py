@@ -26,10 +26,8 @@ from cluster_factory import environment, wait_until
 from support import without_pages
 
 from fusion.cli import main
-from fusion.commands.command_notices import ADDRESS_SPACE_TOO_SMALL
 from fusion.commands.options import EXIT_CLOSED, EXIT_DONE, EXIT_FAILED, EXIT_INPUT
-from fusion.errors import ComputeError, InputError
-from fusion.recording.recording_notices import PATH_NOT_UTF8
+from fusion.errors import ADDRESS_SPACE_TOO_SMALL, PATH_NOT_UTF8, ComputeError, InputError
 from fusion.report import atomic_files
 from fusion.report.atomic_files import file_lock, remove_abandoned, write_atomically, write_files, write_together
 from fusion.report.folder import hash_files, hashing, read_provenance, sha256

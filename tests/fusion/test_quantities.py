@@ -7,11 +7,11 @@ from pathlib import Path
 import h5py
 import numpy as np
 import pytest
-from fusion.report.h5_tree import Group
 from support import undescribed_datasets
 
 from fusion.campaign.recording_results import read_recorded
 from fusion.cli import main
+from fusion.report.h5 import Group
 from fusion.report.recording_report import write_h5
 from fusion.sensitivity.analyse import Evaluation
 
