@@ -314,7 +314,7 @@ def declared_notices() -> dict[str, tuple[str, DeclaredNotice]]:
 def declared_by_stage() -> tuple[tuple[str, dict[str, DeclaredNotice]], ...]:
     """Return the titles of all modules `*_notices` with their declarations by title, in ascending codes.
 
-    The last code of a stage is its place; `PATH_NOT_UTF8` belongs to those of the command line.
+    Those of this module are the last.
     """
     stages = []
     for name in [*_modules_of_notices(), __name__]:
@@ -323,7 +323,7 @@ def declared_by_stage() -> tuple[tuple[str, dict[str, DeclaredNotice]], ...]:
         found.sort(key=lambda pair: pair[1].code)
         title = (module.__doc__ or "").partition("\n")[0].rstrip(".")
         stages.append((title, {name.replace("_", " ").capitalize(): notice for name, notice in found}))
-    return tuple(sorted(stages, key=lambda stage: next(reversed(stage[1].values())).code))
+    return (*sorted(stages[:-1], key=lambda stage: next(iter(stage[1].values())).code), stages[-1])
 
 
 def _modules_of_notices() -> Iterator[str]:
