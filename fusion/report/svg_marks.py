@@ -55,6 +55,7 @@ COLOURS = {
 }  # fmt: skip
 """Colours of the named scales at equal steps."""
 OUTLINES: dict[str, tuple[tuple[float, float], ...]] = {
+    "circle": tuple((np.cos(turn), np.sin(turn)) for turn in np.linspace(0.0, 2.0 * np.pi, 25)[:-1]),
     "square": ((-1, -1), (1, -1), (1, 1), (-1, 1)),
     "diamond": ((0, -1.414), (1.414, 0), (0, 1.414), (-1.414, 0)),
     "triangle": ((0, -1), (1, 1), (-1, 1)),
@@ -200,16 +201,11 @@ def _signs(positions: FloatArray, marker: str, size: float, colour: str, *, edge
         attributes = half * np.array(STROKES[marker], dtype=np.float64)
         ends = (np.tile(positions, 2)[:, None, :] + attributes).reshape(-1, 4)
         return path(strokes(ends), stroke(colour, edge or 1.0))
-    border, filling = f" {stroke(colour, edge)}" if edge else "", "none" if empty else colour
-    if marker == "circle":
+    if marker == "circle" and not empty:
         rows = positions[np.isfinite(positions).all(axis=1)].tolist()
-        if not empty:
-            return path(
-                "".join(f"M{x:.1f} {y:.1f}h0" for x, y in rows), f'{stroke(colour, size)} stroke-linecap="round"'
-            )
-        arc = f"a{half:.3g} {half:.3g} 0 1 0"
-        round_ = (f"M{x - half:.2f} {y:.2f}{arc} {size:.3g} 0{arc} {-size:.3g} 0Z" for x, y in rows)
-        return path("".join(round_), f'fill="{filling}"{border}')
+        dots = "".join(f"M{x:.1f} {y:.1f}h0" for x, y in rows)
+        return path(dots, f'{stroke(colour, size)} stroke-linecap="round"')
+    border, filling = f" {stroke(colour, edge)}" if edge else "", "none" if empty else colour
     outline = half * np.array(OUTLINES[marker])
     return path(polygons(positions[:, None, :] + outline), f'fill="{filling}"{border}')
 
@@ -217,15 +213,10 @@ def _signs(positions: FloatArray, marker: str, size: float, colour: str, *, edge
 # Colours of values.
 
 
-def scale_colours(scale: Scale) -> FloatArray:
-    """Return red, green and blue (N, 3) of a scale at equal steps."""
-    names = COLOURS[scale.colours] if isinstance(scale.colours, str) else scale.colours
-    return np.array([[int(name[k : k + 2], 16) for k in (1, 3, 5)] for name in names], dtype=np.float64)
-
-
 def shade(scale: Scale, share: float) -> str:
     """Return the colour at a share of a scale."""
-    stops = scale_colours(scale)
+    names = COLOURS[scale.colours] if isinstance(scale.colours, str) else scale.colours
+    stops = np.array([[int(name[k : k + 2], 16) for k in (1, 3, 5)] for name in names], dtype=np.float64)
     at = share * (len(stops) - 1)
     return "#" + "".join(f"{round(float(np.interp(at, range(len(stops)), part))):02x}" for part in stops.T)
 

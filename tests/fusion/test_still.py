@@ -19,8 +19,7 @@ from matplotlib.ticker import MaxNLocator
 
 from fusion.report.figure import BLUE, GREEN, ORANGE, RED, Scale, empty_figure
 from fusion.report.figure_files import render_figure
-from fusion.report.layout import decade_ticks, limits, number_texts, round_ticks
-from fusion.report.static_figure import static_svg
+from fusion.report.static_figure import decade_ticks, limits, number_texts, round_ticks, static_svg
 from fusion.report.svg_marks import shade, width
 
 SVG, LINK = "{http://www.w3.org/2000/svg}", "{http://www.w3.org/1999/xlink}href"
