@@ -48,9 +48,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def commands() -> tuple[CliCommand, ...]:
     """Return the sub-commands in the order in which the help lists them."""
-    from fusion.commands import cameras, explain, measure, sensor
+    from fusion.commands import cameras, measure, sensor
 
-    return (*measure.COMMANDS, *cameras.COMMANDS, *sensor.COMMANDS, *explain.COMMANDS)
+    return (*measure.COMMANDS, *cameras.COMMANDS, *sensor.COMMANDS, measure.explain)
 
 
 def _act(options: argparse.Namespace) -> int:

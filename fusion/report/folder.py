@@ -29,7 +29,6 @@ from fusion.base import PROGRAM, CommandEvaluation, FileIdentity, __version__, c
 from fusion.errors import ComputeError, InputError
 from fusion.report.atomic_files import file_lock, is_internal_name, write_files, write_together
 from fusion.report.figure import Figure
-from fusion.report.notice_tables import code_html, notice_frame
 from fusion.report.report_notices import (
     CHANGED_INPUT,
     HASHING_ENDED,
@@ -40,7 +39,7 @@ from fusion.report.report_notices import (
     UNREADABLE_INPUT,
 )
 from fusion.report.static_figure import static_svg
-from fusion.report.table import Headline, Table, csv_rows, plain_text
+from fusion.report.table import Headline, Table, code_html, csv_rows, notice_frame, plain_text
 from fusion.report.terminal import AS_JSON, log_notices, print_text, show_activity
 from shakercal._common.notices import Notice, warnings_first
 

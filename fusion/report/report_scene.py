@@ -33,9 +33,9 @@ from fusion.recording.manifest import SCAN, ChannelEntry
 from fusion.recording.rig import Stereo
 from fusion.report.figure import BLACK, GREY, ORANGE, PURPLE, SKY, SOURCE_COLOUR
 from fusion.report.folder import render_page
+from fusion.report.motion_figures import tracked_surface
 from fusion.report.scene_views import SceneShape, make_box, solid, static_views
 from fusion.report.table import quantity_html
-from fusion.report.tracked_surface import tracked_surface
 from fusion.sensitivity.analyse import Evaluation
 from fusion.sensitivity.moving_body import MovingPart, make_moving_part, moving_parts
 from photogram.camera import Camera, FaceCamera

@@ -17,8 +17,7 @@ from fusion.base import Settings
 from fusion.errors import InputError
 from fusion.estimation.fuse import Acceleration
 from fusion.phasors.phasor_notices import EDGES_AMBIGUOUS
-from fusion.report.points import HEAD
-from fusion.report.recording_report import write_results
+from fusion.report.recording_report import HEAD, write_results
 from fusion.report.tables import acceleration
 from fusion.sensitivity.analyse import Evaluation
 from photogram.geometry import rotation_from_vector

@@ -25,6 +25,7 @@ from fusion.phasors.deformation import DeflectionShape
 from fusion.recording.load import Manifest, find_recordings, load_manifest
 from fusion.recording.rig import InstrumentHead, NamedHead
 from fusion.report.folder import render_page
+from fusion.report.motion_figures import MOST_POINTS
 from fusion.report.report_scene import (
     Scene,
     SceneMotion,
@@ -37,7 +38,6 @@ from fusion.report.report_scene import (
     scene_page,
 )
 from fusion.report.scene_views import SceneShape, solid, static_views
-from fusion.report.tracked_surface import MOST_POINTS
 from photogram.camera import Camera
 from photogram.geometry import RigidTransform
 

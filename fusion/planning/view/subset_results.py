@@ -20,7 +20,7 @@ from fusion.recording.daq_records import DaqRecord
 from fusion.report.folder import RESULT_FILE
 from fusion.report.h5 import open_results
 from fusion.report.motion_figures import neighbour_distance
-from fusion.report.points import HEAD
+from fusion.report.recording_report import HEAD
 from photogram.camera import StereoRig
 from photogram.geometry import rotation_from_vector
 from shaker.labels import AXES
