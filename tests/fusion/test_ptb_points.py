@@ -17,7 +17,7 @@ from fusion.base import Settings
 from fusion.errors import InputError
 from fusion.estimation.fuse import Acceleration
 from fusion.phasors.phasor_notices import EDGES_AMBIGUOUS
-from fusion.report.recording_report import HEAD, write_results
+from fusion.report.recording_report import POINT_COLUMNS, write_results
 from fusion.report.tables import acceleration
 from fusion.sensitivity.analyse import Evaluation
 from photogram.geometry import rotation_from_vector
@@ -176,7 +176,7 @@ def test_saved_points_are_those_of_the_files(campaign, tmp_path):
     assert all(path.is_file() for path in written)
 
     table = np.genfromtxt(tmp_path / "saved" / "points-base.csv", delimiter=",", names=True)
-    assert table.dtype.names == HEAD
+    assert table.dtype.names == POINT_COLUMNS
     files = [np.loadtxt(campaign.folder / "DIC_results" / f"result_B{k}.txt") for k in range(FRAMES)]
     stated = np.stack([1e-3 * (rows[:, 8:] - rows[:, 5:8]) @ ROTATION.T for rows in files])
     for point in (0, 17, 47):
