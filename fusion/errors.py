@@ -16,7 +16,24 @@ ARGUMENT = re.compile(r"^[a-z_]+(, [a-z_]+)*: (?=expected )")
 """The name of a function's argument before its sentence, which means nothing to a user."""
 
 
-class InputError(Exception):
+class DeclaredError(Exception):
+    """An error of a declaration with the values of the case."""
+
+    declared: DeclaredNotice
+    values: dict[str, Value]
+
+    @property
+    def code(self) -> str:
+        """The code of the declaration."""
+        return self.declared.code
+
+    @property
+    def sentence(self) -> str:
+        """What was found, without code and place."""
+        return fill_template(self.declared.template, self.values)
+
+
+class InputError(DeclaredError):
     """A mistake in the user's input, with the file and key to correct.
 
     Attributes
@@ -55,16 +72,6 @@ class InputError(Exception):
 
     def __reduce__(self) -> tuple[object, ...]:
         return _input_error, self.args, vars(self)
-
-    @property
-    def code(self) -> str:
-        """The code of the declaration."""
-        return self.declared.code
-
-    @property
-    def sentence(self) -> str:
-        """What is wrong, without code, file and key."""
-        return fill_template(self.declared.template, self.values)
 
     def at(self, key: str) -> InputError:
         """Return the same mistake at another key of the file."""
@@ -119,7 +126,7 @@ def as_input_error(file: Path, key: str = "", declared: DeclaredNotice | None = 
         raise InputError.from_exception(error, file, key, declared) from error
 
 
-class ComputeError(Exception):
+class ComputeError(DeclaredError):
     """A result that could not be computed although the input could be read.
 
     Attributes
@@ -146,16 +153,6 @@ class ComputeError(Exception):
 
     def __reduce__(self) -> tuple[object, ...]:
         return _compute_error, (type(self), *self.args), vars(self)
-
-    @property
-    def code(self) -> str:
-        """The code of the declaration."""
-        return self.declared.code
-
-    @property
-    def sentence(self) -> str:
-        """What could not be computed, without code and place."""
-        return fill_template(self.declared.template, self.values)
 
     def at(self, where: str) -> ComputeError:
         """Return the same failure, of a named place."""

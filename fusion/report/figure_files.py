@@ -1,4 +1,4 @@
-"""Figures as files: SVG by `static_figure`, and PNG or PDF of the same drawing by matplotlib."""
+"""Figures as files: SVG, and PNG or PDF of the same drawing by matplotlib."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Table columns, declared once for all views, numbers rounded to their U, and notices on pages.
+"""Columns of tables, declared once for all views, rounded numbers, notices on pages.
 
 A list of columns is the declaration of a table. Files (`csv_text`), pages (`table`) and the terminal (`text_lines`) use
 the same declaration, so that names, numbers and heads always agree.

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from fusion import Settings, run_path
-from fusion.report import folder
+from fusion.report import static_figure
 from photogram import bspline
 from photogram.direct import direct_fit
 from photogram.images import image_files, tiff
@@ -62,7 +62,7 @@ def costs(tmp_path_factory):
     with pytest.MonkeyPatch.context() as patch:
         for module, name in (
             (image_files, "tiff_header"), (image_files, "read_tiff"), (tiff, "_inflated"), (bspline, "_prefilter"),
-            (folder, "static_svg"),
+            (static_figure, "frames"),
         ):  # fmt: skip
             counted(patch, module, name)
         patch.setattr(find, "register", registered)
@@ -93,18 +93,7 @@ def test_most_frames_are_compared_with_the_body_once(costs):
 
 def test_only_the_main_figures_are_drawn_as_pictures(costs):
     calls, _ = costs
-    assert 0 < calls["static_svg"] <= 4
-
-
-def test_a_run_does_not_import_matplotlib(tmp_path):
-    """Which takes as long as all that a page of results holds: its pictures are written out without it."""
-    run = (
-        f"import sys; from fusion.cli import main; main(['run', {str(DEMO)!r}, '-o', {str(tmp_path / 'out')!r}, '-q'])"
-    )
-    listing = "; print(sorted(name for name in ('matplotlib', 'numba') if name in sys.modules))"
-    done = subprocess.run([sys.executable, "-c", run + listing], capture_output=True, text=True, check=True)
-    assert done.stdout.splitlines()[-1] == "['numba']"
-    assert "data:image/svg+xml" in (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
+    assert 0 < calls["frames"] <= 4
 
 
 def imported(program: str, *arguments: str) -> set[str]:
@@ -128,8 +117,8 @@ def test_lines_need_no_images():
     assert not found & {*DRAWING, *FOLLOWING, *SELDOM, *OF_CAMPAIGNS, *SOLVING, "cv2"}
 
 
-def test_a_single_recording_imports_no_campaign_module():
-    """Everything that a run imports before it computes, and a table that is printed afterwards."""
-    modules = "fusion.campaign.run", "fusion.campaign.run_summary", "photogram.measure.body", "photogram.epipolar"
-    found = imported("\n".join(f"import {name}" for name in modules))
-    assert not found & {*SELDOM, *OF_CAMPAIGNS, "torch", "scipy.optimize"}
+def test_a_single_recording_imports_no_campaign_module_and_no_matplotlib():
+    """Everything that a run imports before it computes, its page, and a table that is printed afterwards."""
+    modules = "campaign.run", "campaign.run_summary", "report.recording_report", "sensitivity.recording_evaluation"
+    found = imported("\n".join(f"import fusion.{name}" for name in modules) + "\nimport photogram.measure.body")
+    assert not found & {*SELDOM, *OF_CAMPAIGNS, "torch", "scipy.optimize", "matplotlib"}
