@@ -95,12 +95,12 @@ class Campaign:
         return evaluated(self.folder)
 
 
-@pytest.fixture(params=[0, 1, 2])
+@pytest.fixture
 def campaign(tmp_path: Path, request: pytest.FixtureRequest) -> Campaign:
     folder = tmp_path / "campaign" / "Fz-0106.25"
     folder.mkdir(parents=True)
     (tmp_path / "campaign" / "rig.toml").write_text(RIG + PAIR, encoding="utf-8")
-    return Campaign(folder, [recording_head("no images")], {}, np.random.default_rng(request.param))
+    return Campaign(folder, [recording_head("no images")], {}, np.random.default_rng(getattr(request, "param", 0)))
 
 
 def deviation(found: Acceleration, displacement: np.ndarray) -> np.ndarray:
@@ -110,6 +110,7 @@ def deviation(found: Acceleration, displacement: np.ndarray) -> np.ndarray:
     return np.column_stack([error.real / found.phasors.u_re[line], error.imag / found.phasors.u_im[line]])
 
 
+@pytest.mark.parametrize("campaign", range(3), indirect=True)
 def test_points_and_an_accelerometer(campaign):
     campaign.add_points()
     campaign.add_sensor("base_z", "acceleration", ("base", BASE), [0.01, 0.02, 0.0])
