@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import io
 import re
-from base64 import b64decode
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -12,16 +11,14 @@ from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
 
-import cv2
 import matplotlib as mpl
 import numpy as np
 from matplotlib.artist import Artist
 from matplotlib.figure import Figure as Canvas
-from matplotlib.image import BboxImage
 from matplotlib.patches import PathPatch, Rectangle
 from matplotlib.path import Path as Outline
 from matplotlib.text import Text
-from matplotlib.transforms import Affine2D, Bbox, Transform, TransformedBbox
+from matplotlib.transforms import Affine2D, Transform
 
 from fusion.report.figure import Figure
 from fusion.report.static_figure import PT, WIDTH_IN, static_svg
@@ -31,9 +28,9 @@ PNG_DPI = 200
 UNDATED: dict[str, dict[str, Any]] = {"svg": {"Date": None, "Creator": None}, "pdf": {"CreationDate": None}, "png": {}}
 STYLE = mpl.rc_params_from_file(Path(__file__).with_name("templates") / "figures.mplstyle", use_default_template=False)
 ALIGNMENT = {"start": "left", "middle": "center", "end": "right"}
-COMMAND = re.compile("([MLZhl])([^MLZhl]*)")
+COMMAND = re.compile("([MLZh])([^MLZh]*)")
 """A command of a path with its numbers."""
-DOT_PT = 0.01  # length of a stroke that is a dot
+DOT_PT = np.array([0.01, 0.0])  # a stroke that is a dot
 
 
 @dataclass(frozen=True)
@@ -88,9 +85,9 @@ def render_figure(figure: Figure, kind: str = "svg") -> bytes:
 
 
 def _artists(svg: str, page: Transform) -> Iterator[Artist]:
-    """Yield the paths, texts and images of a still picture; `page` transforms its pt."""
+    """Yield the paths and texts of a still picture; `page` transforms its pt."""
     windows: dict[str, Rectangle] = {}
-    makers = {"path": _path, "text": _text, "image": _image}
+    makers = {"path": _path, "text": _text}
 
     def inside(parent: ElementTree.Element, window: Rectangle | None) -> Iterator[Artist]:
         for element in parent:
@@ -115,20 +112,16 @@ def _path(element: ElementTree.Element, page: Transform) -> Artist:
     first = last = np.zeros(2)
     for letter, text in COMMAND.findall(look["d"]):
         points = np.array(text.split(), dtype=np.float64)
-        if letter in "Zh":
-            points = first[None] if letter == "Z" else last[None] + [DOT_PT, 0.0]
-        else:
-            points = points.reshape(-1, 2)
-            points = last + np.cumsum(points, axis=0) if letter == "l" else points
-        first, last = points[0] if letter == "M" else first, points[-1] if len(points) else last
-        corners += list(points)
-        codes += [{"M": Outline.MOVETO, "Z": Outline.CLOSEPOLY}.get(letter, Outline.LINETO)] * len(points)
+        point = {"Z": first, "h": last + DOT_PT}.get(letter, points)
+        first, last = point if letter == "M" else first, point
+        corners.append(point)
+        codes.append({"M": Outline.MOVETO, "Z": Outline.CLOSEPOLY}.get(letter, Outline.LINETO))
     width, dashes = float(look.get("stroke-width", 0.0)), look.get("stroke-dasharray", "").split()
-    fill = (look["fill"], float(look.get("fill-opacity", 1.0))) if "fill" in look else "none"
+    fill, opacity = look.get("fill", "none"), float(look.get("fill-opacity", 1.0))
     return PathPatch(
         Outline(corners, codes),
         transform=page,
-        facecolor=fill if look.get("fill") != "none" else "none",
+        facecolor="none" if fill == "none" else (fill, opacity),
         edgecolor=look.get("stroke", "none"),
         linewidth=width,
         linestyle=(0, [float(part) / width for part in dashes]) if dashes else "-",
@@ -153,15 +146,3 @@ def _text(element: ElementTree.Element, page: Transform) -> Artist:
         rotation_mode="anchor",
         parse_math=False,
     )
-
-
-def _image(element: ElementTree.Element, page: Transform) -> Artist:
-    """Return a grey image."""
-    across, _, _, down, left, top = map(float, element.attrib["transform"][len("matrix(") : -1].split())
-    (source,) = (value for key, value in element.attrib.items() if key.endswith("href"))
-    data = np.frombuffer(b64decode(source.partition(",")[2]), np.uint8)
-    box = TransformedBbox(Bbox([[left, top], [left + across, top + down]]), page)
-    image = BboxImage(box, cmap="gray", interpolation="none", origin="upper", clip_on=True)
-    image.set_data(cv2.imdecode(data, cv2.IMREAD_GRAYSCALE))
-    image.set_clim(0, 255)
-    return image

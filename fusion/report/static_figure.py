@@ -11,13 +11,10 @@ import numpy as np
 from fusion.report.figure import (
     BLACK,
     Along,
-    Arrows,
     Band,
     Bounds,
     Boxes,
-    Ellipses,
     Figure,
-    Image,
     Line,
     Mark,
     Panel,
@@ -64,7 +61,10 @@ MOST_STEPS, CLOSEST_PT = 8, 11.0
 
 
 def static_svg(figure: Figure) -> str:
-    """Return a figure as SVG text of the page's width; equal figures give equal text."""
+    """Return a figure as SVG text of the page's width; equal figures give equal text.
+
+    Images, arrows and ellipses are drawn in the browser only.
+    """
     entries = dict[str, Mark]()
     for panel in figure.panels:
         for mark in panel.marks:
@@ -305,7 +305,7 @@ def _legend_sign(mark: Mark, x: float, y: float) -> Iterable[str]:
         return DRAWN[Bounds](
             replace(rect, y=replace(up, low=0.5, high=1.0)), Bounds(x=half, y=one + 1.0, colour=mark.colour)
         )
-    filled = not isinstance(mark, Ellipses) and not (isinstance(mark, Boxes) and not mark.filled)
+    filled = not (isinstance(mark, Boxes) and not mark.filled)
     opacity = mark.opacity if isinstance(mark, Span) else 0.25 if isinstance(mark, Band) else 1.0
     corners = np.array([[[x, y - 2.8], [x + SIGN_PT, y - 2.8], [x + SIGN_PT, y + 2.8], [x, y + 2.8]]])
     look_of = f'fill="{mark.colour}" fill-opacity="{opacity:.3g}"' if filled else stroke(mark.colour, 0.8)
@@ -403,8 +403,6 @@ def limits(panels: Sequence[Panel], axis_name: Along) -> tuple[float, float]:
         low, high = (float(np.log10(end)) for end in ends)
         low, high = padded_limits(low, high, MARGIN) if low < high else (low - 0.5, high + 0.5)
         return 10.0**low, 10.0**high
-    if all(isinstance(mark, Image) for mark in marks) and len(values):
-        return ends
     return padded_limits(*ends, MARGIN) if ends != (0.0, 0.0) else (-MARGIN, MARGIN)
 
 
@@ -424,15 +422,8 @@ def _reach(mark: Mark, axis_name: Along) -> Iterator[Any]:
         yield from (mark.low, mark.high) if mark.along == axis_name else ()
     elif isinstance(mark, Rule):
         yield from (mark.at,) if mark.along == axis_name else ()
-    elif isinstance(mark, Ellipses):
-        values, reach = mark.x if along_x else mark.y, 0.5 * np.maximum(mark.width, mark.height)
-        yield from (values - reach, values + reach)
     elif isinstance(mark, Boxes):
         yield from (mark.left, mark.right) if along_x else (mark.low, mark.high)
-    elif isinstance(mark, Arrows):
-        yield from (mark.x, mark.x + mark.dx) if along_x else (mark.y, mark.y + mark.dy)
-    elif isinstance(mark, Image):
-        yield from (mark.left, mark.right) if along_x else (mark.bottom, mark.top)
     elif isinstance(mark, Line):
         yield mark.x if along_x else mark.y
 
