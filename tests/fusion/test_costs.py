@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import subprocess
 import sys
 from collections import Counter
@@ -12,6 +13,7 @@ import pytest
 
 from fusion import Settings, run_path
 from fusion.report import static_figure
+from fusion.report.folder import read_provenance
 from photogram import bspline
 from photogram.direct import direct_fit
 from photogram.images import image_files, tiff
@@ -34,8 +36,13 @@ SOLVING = ("scipy.optimize", "scipy.fft", "scipy.ndimage", "scipy.spatial", "sci
 
 @pytest.fixture(scope="module")
 def costs(tmp_path_factory):
-    """Calls of what takes the time of a run, and the iterations of every subset that was found."""
-    calls, iterations = Counter[str](), list[int]()
+    """Calls of what takes the time of a run, iterations of every subset, opened files, and the results."""
+    calls, iterations, opened, out = Counter[str](), list[int](), set[str](), tmp_path_factory.mktemp("results")
+    listening = True
+
+    def listen(event, arguments):
+        if listening and event == "open" and isinstance(arguments[0], str | bytes | os.PathLike):
+            opened.add(os.path.realpath(os.fsdecode(arguments[0])))
 
     def counted(patch, module, name):
         inner = getattr(module, name)
@@ -67,13 +74,15 @@ def costs(tmp_path_factory):
             counted(patch, module, name)
         patch.setattr(find, "register", registered)
         patch.setattr(direct_fit, "compare_cells", compared)
-        run_path(DEMO, tmp_path_factory.mktemp("results"), Settings(), force=True)
+        sys.addaudithook(listen)
+        run_path(DEMO, out, Settings(), force=True)
+    listening = False
     calls["pixels of a body"], calls["pixels compared"] = max(pixels), sum(pixels)
-    return calls, iterations
+    return calls, iterations, opened, out
 
 
 def test_a_picture_is_read_and_prepared_once_but_for_the_first_of_a_camera(costs):
-    calls, _ = costs
+    calls, *_ = costs
     assert calls["tiff_header"] == PICTURES
     assert PICTURES <= calls["read_tiff"] <= PICTURES + CAMERAS
     assert calls["_inflated"] == calls["read_tiff"]
@@ -81,19 +90,29 @@ def test_a_picture_is_read_and_prepared_once_but_for_the_first_of_a_camera(costs
 
 
 def test_a_subset_needs_fewer_than_two_steps(costs):
-    _, iterations = costs
+    _, iterations, *_ = costs
     assert len(iterations) > 50 * PICTURES
     assert np.mean(iterations) < 2.0
 
 
 def test_most_frames_are_compared_with_the_body_once(costs):
-    calls, _ = costs
+    calls, *_ = costs
     assert calls["pixels compared"] <= 1.3 * PICTURES * calls["pixels of a body"]
 
 
 def test_only_the_main_figures_are_drawn_as_pictures(costs):
-    calls, _ = costs
+    calls, *_ = costs
     assert 0 < calls["frames"] <= 4
+
+
+def test_every_file_that_a_run_opens_is_among_the_hashed(costs):
+    """Of the files that Python opens, those of the campaign are inputs of the results."""
+    *_, opened, out = costs
+    campaign = DEMO.parent.resolve()
+    hashed = {os.path.realpath(campaign / name) for name in read_provenance(out).input_hashes}
+    read = {name for name in opened if name.startswith(f"{campaign}{os.sep}")}
+    assert len(read) > PICTURES
+    assert read <= hashed
 
 
 def imported(program: str, *arguments: str) -> set[str]:

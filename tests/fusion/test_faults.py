@@ -30,11 +30,10 @@ from fusion.commands.options import EXIT_CLOSED, EXIT_DONE, EXIT_FAILED, EXIT_IN
 from fusion.errors import ADDRESS_SPACE_TOO_SMALL, PATH_NOT_UTF8, ComputeError, InputError
 from fusion.report import atomic_files
 from fusion.report.atomic_files import file_lock, remove_abandoned, write_atomically, write_files, write_together
-from fusion.report.folder import hash_files, hashing, read_provenance, sha256
+from fusion.report.folder import hash_files, hashing, sha256
 from fusion.report.report_notices import CHANGED_INPUT, NOT_WRITTEN, PATH_TOO_LONG, UNREADABLE_INPUT
 from fusion.report.table import TableColumn, csv_text, read_rows
 from fusion.report.terminal import Terminal, printable
-from fusion.simulate import simulate
 
 REFUSALS = (errno.ENOSPC, errno.EDQUOT, errno.EIO, errno.EROFS, errno.ESTALE)
 
@@ -398,29 +397,6 @@ def test_a_manifest_that_changes_between_reading_and_hashing_is_refused(make_cam
     assert main(["run", str(folder), "-q"]) == EXIT_INPUT
     assert "recording.toml: changed " in capsys.readouterr().err
     assert not evaluated
-
-
-def test_every_file_that_a_run_opens_is_among_the_hashed(tmp_path):
-    """An audit hook lists the files that Python opens; those of the campaign are inputs of the results."""
-    simulate(tmp_path / "sweep", "sweep", 3, recordings=1)
-    recording = next((tmp_path / "sweep").glob("*/recording.toml")).parent
-    opened: set[str] = set()
-    listening = True
-
-    def listen(event: str, arguments: tuple[Any, ...]) -> None:
-        if listening and event == "open" and isinstance(arguments[0], str | bytes | os.PathLike):
-            opened.add(os.path.realpath(os.fsdecode(arguments[0])))
-
-    sys.addaudithook(listen)
-    with pytest.MonkeyPatch.context() as patch:
-        without_pages(patch)
-        assert main(["run", str(recording), "-o", str(tmp_path / "results"), "-q"]) == EXIT_DONE
-    listening = False
-    named = read_provenance(tmp_path / "results").input_hashes
-    hashed = {os.path.realpath(tmp_path / "sweep" / name) for name in named}
-    read = {name for name in opened if name.startswith(os.path.realpath(tmp_path / "sweep"))}
-    assert len(read) > 3
-    assert read <= hashed
 
 
 @pytest.mark.skipif(not Path("/proc/self").exists(), reason="no folder that takes no files")
