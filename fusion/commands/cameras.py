@@ -8,7 +8,10 @@ from __future__ import annotations
 
 import argparse
 
+from fusion.base import Settings
 from fusion.commands.options import Parser, command, in_metres, length, path, share, size
+from fusion.errors import INVALID_OPTION, LENGTH_UNIT_REQUIRED, InputError
+from fusion.report.terminal import progress_bar
 
 
 def _cameras_options(parser: Parser) -> None:
@@ -44,8 +47,6 @@ def _cameras_options(parser: Parser) -> None:
 def cameras(options: argparse.Namespace) -> None:
     """Calibrate a stereo pair from target images."""
     from fusion.cameras.calibrate import CameraSettings, run_camera, run_cameras
-    from fusion.errors import INVALID_OPTION, LENGTH_UNIT_REQUIRED, InputError
-    from fusion.report.terminal import progress_bar
     from photogram.calibration.scale import KnownLength
     from photogram.targets.target_view import Target
 
@@ -124,9 +125,7 @@ def _align_options(parser: Parser) -> None:
 @command(_align_options, "alignment.toml -o pose.toml")
 def align(options: argparse.Namespace) -> None:
     """Determine the pose of a stereo pair in the sensor frame."""
-    from fusion.base import Settings
     from fusion.cameras.align import align_file
-    from fusion.report.terminal import progress_bar
     from photogram.kernels.device import resolve_device
 
     with progress_bar(enabled=not options.quiet) as progress:

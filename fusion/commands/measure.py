@@ -10,7 +10,7 @@ import argparse
 import logging
 from typing import TYPE_CHECKING
 
-from fusion.base import DEFAULT_SEED, FEWEST_DRAWS, MOST_DRAWS
+from fusion.base import DEFAULT_SEED, FEWEST_DRAWS, MOST_DRAWS, Settings, check_new_file
 from fusion.commands.options import (
     EXIT_DONE,
     EXIT_FAILED,
@@ -30,6 +30,17 @@ from fusion.commands.options import (
     seed,
     whole,
 )
+from fusion.errors import (
+    CONFLICTING_OPTIONS,
+    INVALID_OPTION,
+    OPTION_OF_ANOTHER_INPUT,
+    OUTPUT_EXISTS,
+    UNKNOWN_CODE,
+    InputError,
+    declared_by_stage,
+    declared_notices,
+)
+from fusion.report.terminal import print_text, progress_bar
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -108,8 +119,6 @@ def _range(text: str) -> list[float]:
 @command(_plan_options, "--frequencies 53.7:1020.3:12 --frames 844 --max-rate 60 --exposure 100e-6")
 def plan(options: argparse.Namespace) -> None:
     """Find camera rates with separate aliases of excitation and harmonics."""
-    from fusion.base import check_new_file
-    from fusion.errors import CONFLICTING_OPTIONS, InputError
     from fusion.planning.plan import MotionSize, Request, make_plan, plan_csv, print_plan
     from fusion.report.atomic_files import write_atomically
     from shaker.lines.rate_planner import Sampling
@@ -168,8 +177,6 @@ def _simulate_options(parser: Parser) -> None:
 @command(_simulate_options, "rope --preset steps")
 def simulate(options: argparse.Namespace) -> None:
     """Simulate a recording with its truth."""
-    from fusion.errors import INVALID_OPTION, OUTPUT_EXISTS, InputError
-    from fusion.report.terminal import progress_bar
     from fusion.simulate import simulate
 
     if options.out.exists() and not options.force:
@@ -201,7 +208,6 @@ def _init_options(parser: Parser) -> None:
 def init(options: argparse.Namespace) -> None:
     """Draft recording.toml and rig.toml from the files of a folder."""
     from fusion.planning.draft.init import run_init
-    from fusion.report.terminal import print_text
 
     made = run_init(options.folder, options.like, with_example=options.example)
     for line in made.found:
@@ -223,11 +229,8 @@ def _check_options(parser: Parser) -> None:
 @command(_check_options, "recordings/Fz-0080 --rig rig.html")
 def check(options: argparse.Namespace) -> int:
     """Report the content of a recording and all errors, without tracking images."""
-    from fusion.base import check_new_file
-    from fusion.errors import InputError
     from fusion.planning.check import check, check_together
     from fusion.recording.load import Manifest, find_recordings, load_manifest
-    from fusion.report.terminal import print_text
 
     if options.rig:
         check_new_file(options.rig, force=options.force)
@@ -313,7 +316,6 @@ def _lines_options(parser: Parser) -> None:
 @command(_lines_options, "recordings/Fz-0080/bridge.tdms --channel Fz --band 50:2000 --figure lines.png")
 def lines(options: argparse.Namespace) -> None:
     """List every line of a file or recording, with its origin."""
-    from fusion.base import check_new_file
     from fusion.planning.lines import lines_csv, lines_of_file, lines_of_recording, print_lines
     from fusion.report.atomic_files import write_atomically
 
@@ -346,7 +348,6 @@ def _print_rows(name: str, text: str) -> None:
 
 def _manifests(options: argparse.Namespace) -> list[Manifest]:
     """Load the recordings of a folder; refuse options of files, and several for one table."""
-    from fusion.errors import OPTION_OF_ANOTHER_INPUT, InputError
     from fusion.recording.load import find_recordings, load_manifest
     from fusion.recording.recording_notices import ONE_RECORDING_EXPECTED
 
@@ -391,10 +392,8 @@ def _run_options(parser: Parser) -> None:
 @command(_run_options, "sample_images/demo -o results")
 def run(options: argparse.Namespace) -> int:
     """Evaluate one recording or a campaign of several."""
-    from fusion.base import Settings
     from fusion.campaign.run import exit_status, is_campaign, run_path
     from fusion.campaign.run_summary import as_json, print_outcomes
-    from fusion.report.terminal import progress_bar
     from photogram.kernels.device import resolve_device
 
     settings = Settings(
@@ -509,9 +508,6 @@ def _explain_options(parser: Parser) -> None:
 @command(_explain_options, "SC-953")
 def explain(options: argparse.Namespace) -> int:
     """Explain notices and errors by their codes: cause, effect, remedy."""
-    from fusion.errors import UNKNOWN_CODE, InputError, declared_notices
-    from fusion.report.terminal import print_text
-
     if options.markdown:
         print(notices_page(), end="")
         return EXIT_DONE
@@ -541,8 +537,6 @@ def explanation(title: str, notice: DeclaredNotice) -> Iterator[str]:
 
 def notices_page() -> str:
     """Return the page `docs/notices.md`: every stage with its notices, cause, effect and remedy."""
-    from fusion.errors import declared_by_stage
-
     lines = [NOTICES_HEAD]
     for title, notices in declared_by_stage():
         lines += [f"## {title}", "", "| code | severity | notice | effect | remedy |", "|---|---|---|---|---|"]
