@@ -1,4 +1,4 @@
-"""Figures as static SVG text for pages and files: layout of panels, limits of axes, ticks, legend."""
+"""Figures as static SVG text for pages and files: layout, axes, ticks, legend."""
 
 from __future__ import annotations
 
