@@ -41,8 +41,7 @@ def _cameras_options(parser: Parser) -> None:
 
 
 @command(
-    _cameras_options,
-    "left right --target chessboard --size 9x6 --spacing 0.005 --scale-uncertainty 1e-4 -o top.json",
+    _cameras_options, "left right --target chessboard --size 9x6 --spacing 0.005 --scale-uncertainty 1e-4 -o top.json"
 )
 def cameras(options: argparse.Namespace) -> None:
     """Calibrate a stereo pair from target images."""

@@ -556,16 +556,4 @@ def notices_page() -> str:
     return "\n".join(lines).rstrip() + "\n"
 
 
-COMMANDS = (
-    run,
-    init,
-    check,
-    look,
-    view,
-    simulate,
-    plan,
-    lines,
-    transfer,
-    export,
-    validate,
-)
+COMMANDS = (run, init, check, look, view, simulate, plan, lines, transfer, export, validate)

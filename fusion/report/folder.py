@@ -447,14 +447,7 @@ class CommandReport(Generic[E]):
         """Name of the page."""
         return f"{self.stem}.html"
 
-    def run(
-        self,
-        inputs: InputFiles,
-        folder: Path,
-        evaluate: Callable[[dict[str, str]], E],
-        *,
-        force: bool,
-    ) -> E:
+    def run(self, inputs: InputFiles, folder: Path, evaluate: Callable[[dict[str, str]], E], *, force: bool) -> E:
         """Evaluate inputs, write results to `folder`, print results and notices, and return the evaluation.
 
         A place that cannot be used is refused before the evaluation. Inputs that change are refused before files are

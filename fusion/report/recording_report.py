@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import base64
 import re
-from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, fields
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import fields
 from html import escape
+from operator import itemgetter
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -54,8 +55,7 @@ from fusion.sensitivity.moving_body import moving_parts
 from fusion.sensitivity.ratio import Sensitivity
 from fusion.sensitivity.sensitivity_notices import NO_RESULT_AT_LINES
 from photogram.geometry import displacement_jacobian, pose_rate, rotation_from_vector
-from photogram.motion import Deformation
-from shaker.labels import sensitivity_unit
+from shaker.labels import AXES, sensitivity_unit
 from shakercal._common.arrays import BoolArray, FloatArray
 
 # Its tables as CSV files, and how a campaign joins those of several.
@@ -79,16 +79,6 @@ class ResultElement(NamedTuple):
     recording: str
 
 
-class Pose(NamedTuple):
-    """Motion of one frame: pose with u, rms residual, number of points."""
-
-    time_s: float
-    pose: FloatArray
-    u: FloatArray
-    residual_m: float
-    points: int
-
-
 def _element_columns(of: str, size: str, origin: str) -> list[TableColumn[ResultElement]]:
     """Return the columns of a table of complex values."""
     return [
@@ -108,19 +98,9 @@ PHASORS = _element_columns("body", "amplitude", "source")
 MERGED_FILES = {SENSITIVITY_FILE: SENSITIVITY, ACCELERATION_FILE: PHASORS, LOAD_FILE: PHASORS}
 """Columns of the tables that a campaign joins, by file name."""
 POSE = ("x_m", "y_m", "z_m", "rx_rad", "ry_rad", "rz_rad")
-
-
-def _pose_column(index: int, prefix: str = "") -> TableColumn[Pose]:
-    """Return the column of one component of the pose, or of its u."""
-    return TableColumn(prefix + POSE[index], lambda frame: float((frame.u if prefix else frame.pose)[index]))
-
-
-MOTION: list[TableColumn[Pose]] = [
-    TableColumn("time_s", lambda frame: frame.time_s),
-    *(_pose_column(index) for index in range(len(POSE))),
-    *(_pose_column(index, "u_") for index in range(len(POSE))),
-    TableColumn("residual_m", lambda frame: frame.residual_m),
-    TableColumn("points", lambda frame: frame.points),
+MOTION: list[TableColumn[tuple[float, ...]]] = [
+    TableColumn(name, itemgetter(place))
+    for place, name in enumerate(("time_s", *POSE, *(f"u_{name}" for name in POSE), "residual_m", "points"))
 ]
 
 
@@ -167,18 +147,18 @@ def _phasors(result: Acceleration | LoadResult, body: str, source: str, recordin
                 yield ResultElement(frequency, body, component, value, phasors.unit[c], source, recording)
 
 
-def poses(stereo: StereoResult) -> Iterator[Pose]:
-    """Yield the motion of every frame relative to the first one.
+def poses(stereo: StereoResult) -> Iterator[tuple[float, ...]]:
+    """Yield the motion of every frame relative to the first one: time, pose, its u, residual, number of points.
 
     A failed frame has `nan` and no points.
     """
-    motion, missing = stereo.motion, np.full(6, np.nan)
+    motion = stereo.motion
     u_pose = np.sqrt(motion.covariance.diagonal(axis1=1, axis2=2))
     frames = zip(stereo.time_s, motion.pose, u_pose, motion.residual_m, motion.points, strict=True)
     for time, pose, u, residual, points in frames:
         failed = not np.isfinite(pose).all()
-        numbers = (missing, missing, np.nan, 0) if failed else (pose, u, float(residual), int(points))
-        yield Pose(float(time), *numbers)
+        numbers = [np.nan] * 13 if failed else [*pose.tolist(), *u.tolist(), float(residual)]
+        yield float(time), *numbers, 0 if failed else int(points)
 
 
 def merged_table(name: str, folders: Sequence[Path]) -> Iterator[str]:
@@ -327,18 +307,8 @@ def check_campaign_folder(top: Path, recordings: Sequence[str], *, force: bool) 
         raise InputError(OTHER_CAMPAIGN_CONTENT, top, found=min(other))
 
 
-SENSOR = [
-    "name",
-    "serial",
-    "channels",
-    "unit",
-    "sense",
-    "capacity",
-    "static_sensitivity",
-    "static_sensitivity_uncertainty",
-    "cross_talk",
-    "cross_talk_uncertainty",
-]
+SENSOR = ("name", "serial", "channels", "unit", "sense", "capacity")
+SENSOR += tuple(f"{name}{end}" for name in ("static_sensitivity", "cross_talk") for end in ("", "_uncertainty"))
 """Information on the tested sensor that a campaign needs."""
 
 
@@ -381,30 +351,10 @@ def write_h5(path: Path, evaluation: Evaluation, files: Sequence[str]) -> None:
 # Every tracked point of a stereo pair in every frame, as tables and VTK files.
 
 
-_AXES = ("x", "y", "z")
-POINT_COLUMNS = ("frame", "time_s", "point", *(f"{name}_m" for name in _AXES))
-POINT_COLUMNS += tuple(f"{before}{name}_m" for before in ("d", "u_d", "rest_", "u_rest_") for name in _AXES)
+POINT_COLUMNS = ("frame", "time_s", "point", *(f"{name}_m" for name in AXES))
+POINT_COLUMNS += tuple(f"{before}{name}_m" for before in ("d", "u_d", "rest_", "u_rest_") for name in AXES)
 """Columns of the table: position in the first frame, displacement and its part that is not rigid, each with u."""
-
-
-@dataclass(frozen=True, eq=False)
-class _PointFrame:
-    """Points (N, 3) of one frame in sensor axes.
-
-    `moved_m`: displacement; `rest_m`: deviation from the rigid body.
-    """
-
-    number: int
-    time_s: float
-    moved_m: FloatArray
-    u_moved_m: FloatArray
-    rest_m: FloatArray
-    u_rest_m: FloatArray
-
-    @property
-    def seen(self) -> BoolArray:
-        """Which points (N,) were found in this frame."""
-        return np.asarray(np.isfinite(self.rest_m).all(axis=1))
+XML = '<?xml version="1.0"?>\n<VTKFile type="{}" version="1.0"{}>'
 
 
 def save_points(folder: Path, stereo: StereoResult) -> list[str]:
@@ -415,42 +365,39 @@ def save_points(folder: Path, stereo: StereoResult) -> list[str]:
     if stereo.surface is None:
         return []
     name = f"points-{stereo.name}"
-    names = [f"{name}.csv", f"{name}.pvd"]
+    names, steps = [f"{name}.csv", f"{name}.pvd"], list[str]()
     (folder / name).mkdir()
     reference_m = next(iter(stereo.surface)).reference_m
     finite = np.asarray(np.isfinite(reference_m).all(axis=1))
     positions = reference_m[finite]
-    write_file(folder / names[0], _point_rows(stereo, stereo.surface, finite))
-    steps = []
-    for frame in _point_frames(stereo, stereo.surface, finite):
-        names.append(f"{name}/{frame.number:04d}.vtp")
-        write_file(folder / names[-1], _vtp(positions, frame))
-        steps.append(f'<DataSet timestep="{frame.time_s!r}" file="{escape(names[-1])}"/>')
-    collection = ['<?xml version="1.0"?>', '<VTKFile type="Collection" version="1.0">', "<Collection>", *steps]
-    write_file(folder / names[1], "\n".join([*collection, "</Collection>", "</VTKFile>", ""]))
+
+    def rows() -> Iterator[str]:
+        """Yield the table frame by frame, and write the file of each frame."""
+        yield ",".join(POINT_COLUMNS) + "\n"
+        for number, vectors in _point_frames(stereo, finite):
+            time_s, seen = float(stereo.time_s[number]), np.isfinite(vectors["deviation_m"]).all(axis=1)
+            names.append(f"{name}/{number:04d}.vtp")
+            write_file(folder / names[-1], _vtp(positions, seen, vectors))
+            steps.append(f'<DataSet timestep="{time_s!r}" file="{escape(names[-1])}"/>')
+            numbers = np.hstack([positions, *vectors.values()])
+            for point in np.flatnonzero(seen).tolist():
+                yield f"{number},{time_s!r},{point},{','.join(map(repr, numbers[point].tolist()))}\n"
+
+    write_file(folder / names[0], rows())
+    collection = [XML.format("Collection", ""), "<Collection>", *steps, "</Collection>", "</VTKFile>", ""]
+    write_file(folder / names[1], "\n".join(collection))
     return names
 
 
-def _point_rows(stereo: StereoResult, surface: Iterable[Deformation], finite: BoolArray) -> Iterator[str]:
-    """Yield the table frame by frame."""
-    yield ",".join(POINT_COLUMNS) + "\n"
-    positions = next(iter(surface)).reference_m[finite]
-    for frame in _point_frames(stereo, surface, finite):
-        numbers = np.hstack([positions, frame.moved_m, frame.u_moved_m, frame.rest_m, frame.u_rest_m])
-        start = f"{frame.number},{frame.time_s!r},"
-        points = np.flatnonzero(frame.seen).tolist()
-        yield "".join(f"{start}{point},{','.join(map(repr, numbers[point].tolist()))}\n" for point in points)
-
-
-def _point_frames(stereo: StereoResult, surface: Iterable[Deformation], finite: BoolArray) -> Iterator[_PointFrame]:
-    """Yield the frames with a motion; points without a reference position are excluded.
+def _point_frames(stereo: StereoResult, finite: BoolArray) -> Iterator[tuple[int, dict[str, FloatArray]]]:
+    """Yield every frame with a motion and its vectors (N, 3) in sensor axes: displacement, deviation, each with u.
 
     x' − x = R·(x − o) + o + t + R·e − x with the deviation e about each point's mean over time. The covariance is that
     of the rotated e, R·V·Rᵀ, plus J·P·Jᵀ of the pose, J = [I, −[R·(x − o)]×]. Common errors of all points, such as
-    those of the calibration, are not included.
+    those of the calibration, are not included. Points without a reference position are excluded.
     """
     motion = stereo.motion
-    each = ((part, row) for part in surface for row in range(len(part.residual_m)))
+    each = ((part, row) for part in stereo.surface or () for row in range(len(part.residual_m)))
     for number, (part, row) in enumerate(each):
         if not np.isfinite(motion.pose[number]).all():
             continue
@@ -461,43 +408,26 @@ def _point_frames(stereo: StereoResult, surface: Iterable[Deformation], finite: 
         rotated = arm @ turn.T
         jacobian = displacement_jacobian(rotated) @ np.linalg.inv(pose_rate(motion.pose[number]))
         whole = local + jacobian @ motion.covariance[number] @ jacobian.swapaxes(1, 2)
-        yield _PointFrame(
+        u_moved, u_rest = (np.sqrt(np.maximum(v.diagonal(axis1=1, axis2=2), 0.0)) for v in (whole, local))
+        moved = rotated - arm + motion.pose[number, :3] + rest
+        yield (
             number,
-            float(stereo.time_s[number]),
-            rotated - arm + motion.pose[number, :3] + rest,
-            _standard_uncertainty(whole),
-            rest,
-            _standard_uncertainty(local),
+            {"displacement_m": moved, "u_displacement_m": u_moved, "deviation_m": rest, "u_deviation_m": u_rest},
         )
 
 
-def _standard_uncertainty(covariance: FloatArray) -> FloatArray:
-    """Return standard uncertainties (N, 3) of covariances (N, 3, 3)."""
-    return np.asarray(np.sqrt(np.maximum(covariance.diagonal(axis1=1, axis2=2), 0.0)))
-
-
-def _vtp(positions_m: FloatArray, frame: _PointFrame) -> str:
-    """Return VTK PolyData in XML: positions in the first frame and vectors of this frame.
+def _vtp(positions_m: FloatArray, seen: BoolArray, vectors: Mapping[str, FloatArray]) -> str:
+    """Return VTK PolyData in XML: positions in the first frame and vectors of one frame.
 
     Doubles are in base64 after their length in bytes as UInt64 (VTK file formats, "XML file formats"). Points that were
     not found have `seen` 0 and zero vectors.
     """
-    count, seen = len(positions_m), frame.seen
-    vectors = {
-        "displacement_m": frame.moved_m,
-        "u_displacement_m": frame.u_moved_m,
-        "deviation_m": frame.rest_m,
-        "u_deviation_m": frame.u_rest_m,
-    }
-    parts = ['<?xml version="1.0"?>']
-    parts += ['<VTKFile type="PolyData" version="1.0" byte_order="LittleEndian" header_type="UInt64">', "<PolyData>"]
-    parts += [
-        f'<Piece NumberOfPoints="{count}" NumberOfVerts="{count}">',
-        "<Points>",
-        _data_array("place_m", positions_m),
-    ]
-    parts += ["</Points>", "<Verts>", _data_array("connectivity", np.arange(count))]
-    parts += [_data_array("offsets", np.arange(1, count + 1)), "</Verts>", '<PointData Vectors="displacement_m">']
+    count = len(positions_m)
+    parts = [XML.format("PolyData", ' byte_order="LittleEndian" header_type="UInt64"'), "<PolyData>"]
+    parts += [f'<Piece NumberOfPoints="{count}" NumberOfVerts="{count}">', "<Points>"]
+    parts += [_data_array("place_m", positions_m), "</Points>", "<Verts>"]
+    parts += [_data_array("connectivity", np.arange(count)), _data_array("offsets", np.arange(1, count + 1))]
+    parts += ["</Verts>", '<PointData Vectors="displacement_m">']
     parts += [_data_array(name, np.where(seen[:, None], values, 0.0)) for name, values in vectors.items()]
     parts += [_data_array("seen", seen.astype(np.uint8)), "</PointData>", "</Piece>", "</PolyData>", "</VTKFile>", ""]
     return "\n".join(parts)

@@ -10,20 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from fusion.report.figure import (
-    BLACK,
-    LIGHT,
-    Band,
-    Bounds,
-    Boxes,
-    Line,
-    Mark,
-    Points,
-    Rule,
-    Scale,
-    Span,
-    Texts,
-)
+from fusion.report.figure import BLACK, LIGHT, Band, Bounds, Boxes, Line, Mark, Points, Rule, Scale, Span, Texts
 from shakercal._common.arrays import FloatArray
 
 NUMBER_PT, TEXT_PT, SMALL_PT, CAP_PT = 8.0, 7.5, 5.5, 2.5

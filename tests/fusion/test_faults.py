@@ -345,11 +345,7 @@ def test_a_change_of_a_file_during_hashing_is_reported_before_errors_of_its_cont
     monkeypatch.setattr("fusion.campaign.run.evaluate_recording", evaluate)
     assert main(["run", str(folder), "-q"]) == EXIT_INPUT
     sentence = capsys.readouterr().err.splitlines()[-1]
-    verb = {
-        "rewritten": " changed ",
-        "deleted": " disappeared ",
-        "unreadable": "Permission denied",
-    }
+    verb = {"rewritten": " changed ", "deleted": " disappeared ", "unreadable": "Permission denied"}
     assert verb[change] in sentence
     assert "vibrometer.h5" in sentence or change == "unreadable"
     assert not (folder / "results").exists()

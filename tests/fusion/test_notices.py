@@ -154,8 +154,7 @@ def test_one_import_has_every_public_name() -> None:
 
 
 @pytest.mark.parametrize(
-    "changed",
-    [{"severity": "grave"}, {"values": "{not json"}, {"values": "[1]"}, {"values": '{"u": [1]}'}],
+    "changed", [{"severity": "grave"}, {"values": "{not json"}, {"values": "[1]"}, {"values": '{"u": [1]}'}]
 )
 def test_a_row_that_is_no_notice_is_refused(changed):
     row = Notice(LOST, "camera left", lost=0.25, total=40, direction="slower").as_row()
