@@ -8,7 +8,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 from xml.etree import ElementTree
 
 import matplotlib as mpl
@@ -27,7 +27,7 @@ PNG_DPI = 200
 """Resolution of PNG files (chosen for print)."""
 UNDATED: dict[str, dict[str, Any]] = {"svg": {"Date": None, "Creator": None}, "pdf": {"CreationDate": None}, "png": {}}
 STYLE = mpl.rc_params_from_file(Path(__file__).with_name("templates") / "figures.mplstyle", use_default_template=False)
-ALIGNMENT = {"start": "left", "middle": "center", "end": "right"}
+ALIGNMENT: dict[str, Literal["left", "center", "right"]] = {"start": "left", "middle": "center", "end": "right"}
 COMMAND = re.compile("([MLZh])([^MLZh]*)")
 """A command of a path with its numbers."""
 DOT_PT = np.array([0.01, 0.0])  # a stroke that is a dot
