@@ -205,20 +205,10 @@ class Settings:
 # Executors of tasks for a run.
 
 
-class TaskResult(Protocol):
-    """Result, exception and log of a task."""
-
-    def unwrap(self) -> Any:
-        """Return the value of the task, or raise its exception."""
-
-    def log(self, name: str) -> None:
-        """Write the log of the task, with a name before each message."""
-
-
 class Pending(Protocol):
     """A result that another process computes."""
 
-    def result(self) -> TaskResult:
+    def result(self) -> LocalResult:
         """Return the result, or raise the reason of its absence."""
 
     def add_done_callback(self, callback: Callable[[Any], object]) -> None:
@@ -270,7 +260,7 @@ class Threads:
 
 @dataclass(frozen=True, eq=False)
 class LocalResult:
-    """Result of a task of this process, whose messages are logged already."""
+    """Result or exception of a task of this process, whose messages are logged already."""
 
     value: Any
     error: Exception | None = None
