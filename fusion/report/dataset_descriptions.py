@@ -435,8 +435,8 @@ def _scale(start: Group, name: str, length: int) -> Data:
     """
     group = start
     while True:
-        near: Any = group.get(name)
-        if getattr(near, "shape", None) == (length,):
+        if getattr(group.get(name), "shape", None) == (length,):
+            near: Data = group[name]
             near.scale = near.scale or name
             return near
         if group is group.top:
