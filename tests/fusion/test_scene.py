@@ -34,7 +34,6 @@ from fusion.report.report_scene import (
     frustum,
     rig_page,
     rig_scene,
-    rigid_displacement,
     scene_page,
 )
 from fusion.report.scene_views import SceneShape, solid, static_views
@@ -179,13 +178,6 @@ def test_displacement_twice_differentiated_is_the_acceleration(demo_evaluation):
     phasors = np.array(motion["r"]["load"]).reshape(6, 2) @ [1.0, 1.0j]
     expected = -fused.phasors.value[0] / (2.0 * np.pi * fused.phasors.frequency_hz[0]) ** 2
     np.testing.assert_allclose(phasors * 1e-6, expected, rtol=5e-5)
-
-
-def test_points_move_as_a_small_finite_rotation_moves_them():
-    points = np.array([[0.03, -0.02, 0.07], [0.0, 0.1, 0.0]])
-    rigid = np.array([1e-6, -2e-6, 3e-6, 1e-7, 2e-7, -3e-7])
-    expected = Rotation.from_rotvec(rigid[3:]).apply(points) - points + rigid[:3]
-    np.testing.assert_allclose(rigid_displacement(rigid.astype(np.complex128), points), expected, atol=1e-13)
 
 
 def test_the_text_of_a_line_is_its_amplitude_with_uncertainty(demo_evaluation):
