@@ -20,7 +20,7 @@ from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
 
-from fusion.errors import InputError
+from fusion.errors import OUTPUT_EXISTS, OUTPUT_FOLDER_MISSING, PATH_NOT_UTF8, InputError
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike
@@ -76,8 +76,6 @@ def natural_key(name: str) -> tuple[tuple[tuple[int, int | str], ...], str]:
 
 def check_names(files: Iterable[Path]) -> None:
     """Raise `InputError` for a path that is not UTF-8: results could not name it."""
-    from fusion.recording.recording_notices import PATH_NOT_UTF8
-
     for path in files:
         if any("\ud800" <= sign <= "\udfff" for sign in str(path)):  # Python's escapes of bytes that are not UTF-8
             raise InputError(PATH_NOT_UTF8, path, found="other bytes", expected="a path whose names are text in UTF-8")
@@ -85,8 +83,6 @@ def check_names(files: Iterable[Path]) -> None:
 
 def check_new_file(path: Path, *, force: bool) -> None:
     """Raise `InputError` for an existing path (a file: unless `force`) or a missing folder."""
-    from fusion.commands.command_notices import OUTPUT_EXISTS, OUTPUT_FOLDER_MISSING
-
     if path.exists() and not (force and path.is_file()):
         found = f"a {'file' if path.is_file() else 'folder'} of this name"
         raise InputError(OUTPUT_EXISTS, path, found=found, expected="a new file (--force replaces it)")
@@ -209,20 +205,10 @@ class Settings:
 # Executors of tasks for a run.
 
 
-class TaskResult(Protocol):
-    """Result, exception and log of a task."""
-
-    def unwrap(self) -> Any:
-        """Return the value of the task, or raise its exception."""
-
-    def log(self, name: str) -> None:
-        """Write the log of the task, with a name before each message."""
-
-
 class Pending(Protocol):
     """A result that another process computes."""
 
-    def result(self) -> TaskResult:
+    def result(self) -> LocalResult:
         """Return the result, or raise the reason of its absence."""
 
     def add_done_callback(self, callback: Callable[[Any], object]) -> None:
@@ -274,7 +260,7 @@ class Threads:
 
 @dataclass(frozen=True, eq=False)
 class LocalResult:
-    """Result of a task of this process, whose messages are logged already."""
+    """Result or exception of a task of this process, whose messages are logged already."""
 
     value: Any
     error: Exception | None = None

@@ -48,9 +48,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def commands() -> tuple[CliCommand, ...]:
     """Return the sub-commands in the order in which the help lists them."""
-    from fusion.commands import cameras, explain, measure, sensor
+    from fusion.commands import cameras, measure, sensor
 
-    return (*measure.COMMANDS, *cameras.COMMANDS, *sensor.COMMANDS, *explain.COMMANDS)
+    return (*measure.COMMANDS, *cameras.COMMANDS, *sensor.COMMANDS, measure.explain)
 
 
 def _act(options: argparse.Namespace) -> int:
@@ -95,8 +95,7 @@ def _check_memory() -> None:
     if sys.platform != "win32":
         import resource
 
-        from fusion.commands.command_notices import ADDRESS_SPACE_TOO_SMALL
-        from fusion.errors import ComputeError
+        from fusion.errors import ADDRESS_SPACE_TOO_SMALL, ComputeError
 
         limit = resource.getrlimit(resource.RLIMIT_AS)[0]
         if limit != resource.RLIM_INFINITY and limit < MIN_ADDRESSES:

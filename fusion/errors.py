@@ -1,4 +1,4 @@
-"""Errors that end a command: wrong input and results that could not be computed."""
+"""Errors that end a command: options, files, limits of the machine, internal errors."""
 
 from __future__ import annotations
 
@@ -16,7 +16,24 @@ ARGUMENT = re.compile(r"^[a-z_]+(, [a-z_]+)*: (?=expected )")
 """The name of a function's argument before its sentence, which means nothing to a user."""
 
 
-class InputError(Exception):
+class DeclaredError(Exception):
+    """An error of a declaration with the values of the case."""
+
+    declared: DeclaredNotice
+    values: dict[str, Value]
+
+    @property
+    def code(self) -> str:
+        """The code of the declaration."""
+        return self.declared.code
+
+    @property
+    def sentence(self) -> str:
+        """What was found, without code and place."""
+        return fill_template(self.declared.template, self.values)
+
+
+class InputError(DeclaredError):
     """A mistake in the user's input, with the file and key to correct.
 
     Attributes
@@ -55,16 +72,6 @@ class InputError(Exception):
 
     def __reduce__(self) -> tuple[object, ...]:
         return _input_error, self.args, vars(self)
-
-    @property
-    def code(self) -> str:
-        """The code of the declaration."""
-        return self.declared.code
-
-    @property
-    def sentence(self) -> str:
-        """What is wrong, without code, file and key."""
-        return fill_template(self.declared.template, self.values)
 
     def at(self, key: str) -> InputError:
         """Return the same mistake at another key of the file."""
@@ -119,7 +126,7 @@ def as_input_error(file: Path, key: str = "", declared: DeclaredNotice | None = 
         raise InputError.from_exception(error, file, key, declared) from error
 
 
-class ComputeError(Exception):
+class ComputeError(DeclaredError):
     """A result that could not be computed although the input could be read.
 
     Attributes
@@ -147,16 +154,6 @@ class ComputeError(Exception):
     def __reduce__(self) -> tuple[object, ...]:
         return _compute_error, (type(self), *self.args), vars(self)
 
-    @property
-    def code(self) -> str:
-        """The code of the declaration."""
-        return self.declared.code
-
-    @property
-    def sentence(self) -> str:
-        """What could not be computed, without code and place."""
-        return fill_template(self.declared.template, self.values)
-
     def at(self, where: str) -> ComputeError:
         """Return the same failure, of a named place."""
         return type(self)(self.declared, f"{where}: {self.where}" if self.where else where, **self.values)
@@ -173,6 +170,73 @@ def _compute_error(
     return kind(declared, where, **values)
 
 
+# Declarations of the command line.
+
+
+PATH_NOT_UTF8 = DeclaredNotice(
+    "SC-127",
+    "error",
+    "expected {expected}, found {found}",
+    effect="No result could name the file.",
+    remedy="Rename the file or folder.",
+)
+OUTPUT_EXISTS = DeclaredNotice(
+    "SC-900",
+    "error",
+    "expected {expected}, found {found}",
+    effect="The command did not start.",
+    remedy="Choose another name, or use `--force` to replace earlier results.",
+)
+OUTPUT_FOLDER_MISSING = DeclaredNotice(
+    "SC-901",
+    "error",
+    "expected {expected}, found {found}",
+    effect="The command did not start.",
+    remedy="Create the folder, or choose another one.",
+)
+INVALID_OPTION = DeclaredNotice(
+    "SC-903",
+    "error",
+    "{reason}",
+    effect="The command did not start.",
+    remedy="Correct the option. `--help` lists its values.",
+)
+CONFLICTING_OPTIONS = DeclaredNotice(
+    "SC-904",
+    "error",
+    "expected {expected}, found {found}",
+    effect="The command did not start.",
+    remedy="Remove one of the options.",
+)
+OPTION_OF_ANOTHER_INPUT = DeclaredNotice(
+    "SC-905",
+    "error",
+    "expected {expected}, found {found}",
+    effect="The command did not start.",
+    remedy="Remove the option.",
+)
+LENGTH_UNIT_REQUIRED = DeclaredNotice(
+    "SC-906",
+    "error",
+    "expected {expected}, found {found}",
+    effect="The scale of the calibration would be wrong by a factor of 1000 if mm were meant.",
+    remedy="State the unit with the number.",
+    link="cameras.md",
+)
+FREQUENCIES_NOT_ASCENDING = DeclaredNotice(
+    "SC-907",
+    "error",
+    "expected {expected}, found {found}",
+    effect="The command did not start.",
+    remedy="State the lower frequency first.",
+)
+ADDRESS_SPACE_TOO_SMALL = DeclaredNotice(
+    "SC-908",
+    "error",
+    "expected {expected_mb:.0f} MB of addresses, found {found_mb:.0f} MB (ulimit -v)",
+    effect="Libraries end the process, or wait forever, if they get no memory.",
+    remedy="Raise the limit of the address space.",
+)
 REFUSED_BY_READER = DeclaredNotice(
     "SC-950", "error", "{reason}", effect="The file is not used.", remedy="Correct the file at this place."
 )
@@ -197,7 +261,6 @@ INTERNAL_ERROR = DeclaredNotice(
     effect="The command ended before it wrote results.",
     remedy="Please report it with the output of `-v`.",
 )
-
 UNKNOWN_CODE = DeclaredNotice(
     "SC-954",
     "error",
@@ -205,6 +268,9 @@ UNKNOWN_CODE = DeclaredNotice(
     remedy="`shakercal explain` without a code lists all of them.",
     link="notices.md",
 )
+
+
+# Any exception as an error of the user.
 
 
 def is_interruption(error: BaseException) -> bool:
@@ -243,7 +309,10 @@ def declared_notices() -> dict[str, tuple[str, DeclaredNotice]]:
 
 @cache
 def declared_by_stage() -> tuple[tuple[str, dict[str, DeclaredNotice]], ...]:
-    """Return the titles of all modules `*_notices` with their declarations by title, in ascending codes."""
+    """Return the titles of all modules `*_notices` with their declarations by title, in ascending codes.
+
+    Those of this module are the last.
+    """
     stages = []
     for name in [*_modules_of_notices(), __name__]:
         module = import_module(name)
@@ -251,7 +320,7 @@ def declared_by_stage() -> tuple[tuple[str, dict[str, DeclaredNotice]], ...]:
         found.sort(key=lambda pair: pair[1].code)
         title = (module.__doc__ or "").partition("\n")[0].rstrip(".")
         stages.append((title, {name.replace("_", " ").capitalize(): notice for name, notice in found}))
-    return tuple(sorted(stages, key=lambda stage: next(iter(stage[1].values())).code))
+    return (*sorted(stages[:-1], key=lambda stage: next(iter(stage[1].values())).code), stages[-1])
 
 
 def _modules_of_notices() -> Iterator[str]:

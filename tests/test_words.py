@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 
-from fusion.commands.explain import notices_page
+from fusion.commands.measure import notices_page
 from fusion.errors import declared_by_stage, declared_notices
 
 ROOT = Path(__file__).resolve().parent.parent

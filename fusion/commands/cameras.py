@@ -8,7 +8,10 @@ from __future__ import annotations
 
 import argparse
 
+from fusion.base import Settings
 from fusion.commands.options import Parser, command, in_metres, length, path, share, size
+from fusion.errors import INVALID_OPTION, LENGTH_UNIT_REQUIRED, InputError
+from fusion.report.terminal import progress_bar
 
 
 def _cameras_options(parser: Parser) -> None:
@@ -38,15 +41,11 @@ def _cameras_options(parser: Parser) -> None:
 
 
 @command(
-    _cameras_options,
-    "left right --target chessboard --size 9x6 --spacing 0.005 --scale-uncertainty 1e-4 -o top.json",
+    _cameras_options, "left right --target chessboard --size 9x6 --spacing 0.005 --scale-uncertainty 1e-4 -o top.json"
 )
 def cameras(options: argparse.Namespace) -> None:
     """Calibrate a stereo pair from target images."""
     from fusion.cameras.calibrate import CameraSettings, run_camera, run_cameras
-    from fusion.commands.command_notices import INVALID_OPTION, LENGTH_UNIT_REQUIRED
-    from fusion.errors import InputError
-    from fusion.report.terminal import progress_bar
     from photogram.calibration.scale import KnownLength
     from photogram.targets.target_view import Target
 
@@ -125,9 +124,7 @@ def _align_options(parser: Parser) -> None:
 @command(_align_options, "alignment.toml -o pose.toml")
 def align(options: argparse.Namespace) -> None:
     """Determine the pose of a stereo pair in the sensor frame."""
-    from fusion.base import Settings
     from fusion.cameras.align import align_file
-    from fusion.report.terminal import progress_bar
     from photogram.kernels.device import resolve_device
 
     with progress_bar(enabled=not options.quiet) as progress:

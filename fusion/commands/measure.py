@@ -1,4 +1,4 @@
-"""Commands from the plan of a measurement to its results.
+"""Commands from the plan of a measurement to its results, and `explain` for notices.
 
 Each command has a function for its options, and one for its action, which imports heavy modules. Its docstring is its
 help.
@@ -10,7 +10,7 @@ import argparse
 import logging
 from typing import TYPE_CHECKING
 
-from fusion.base import DEFAULT_SEED, FEWEST_DRAWS, MOST_DRAWS
+from fusion.base import DEFAULT_SEED, FEWEST_DRAWS, MOST_DRAWS, Settings, check_new_file
 from fusion.commands.options import (
     EXIT_DONE,
     EXIT_FAILED,
@@ -30,9 +30,23 @@ from fusion.commands.options import (
     seed,
     whole,
 )
+from fusion.errors import (
+    CONFLICTING_OPTIONS,
+    INVALID_OPTION,
+    OPTION_OF_ANOTHER_INPUT,
+    OUTPUT_EXISTS,
+    UNKNOWN_CODE,
+    InputError,
+    declared_by_stage,
+    declared_notices,
+)
+from fusion.report.terminal import print_text, progress_bar
 
 if TYPE_CHECKING:
+    from collections.abc import Iterator
+
     from fusion.recording.load import Manifest
+    from shakercal._common.notices import DeclaredNotice
 
 log = logging.getLogger("shakercal")
 DECIMALS = 6  # of frequencies within a range, in Hz
@@ -105,9 +119,6 @@ def _range(text: str) -> list[float]:
 @command(_plan_options, "--frequencies 53.7:1020.3:12 --frames 844 --max-rate 60 --exposure 100e-6")
 def plan(options: argparse.Namespace) -> None:
     """Find camera rates with separate aliases of excitation and harmonics."""
-    from fusion.base import check_new_file
-    from fusion.commands.command_notices import CONFLICTING_OPTIONS
-    from fusion.errors import InputError
     from fusion.planning.plan import MotionSize, Request, make_plan, plan_csv, print_plan
     from fusion.report.atomic_files import write_atomically
     from shaker.lines.rate_planner import Sampling
@@ -166,9 +177,6 @@ def _simulate_options(parser: Parser) -> None:
 @command(_simulate_options, "rope --preset steps")
 def simulate(options: argparse.Namespace) -> None:
     """Simulate a recording with its truth."""
-    from fusion.commands.command_notices import INVALID_OPTION, OUTPUT_EXISTS
-    from fusion.errors import InputError
-    from fusion.report.terminal import progress_bar
     from fusion.simulate import simulate
 
     if options.out.exists() and not options.force:
@@ -200,7 +208,6 @@ def _init_options(parser: Parser) -> None:
 def init(options: argparse.Namespace) -> None:
     """Draft recording.toml and rig.toml from the files of a folder."""
     from fusion.planning.draft.init import run_init
-    from fusion.report.terminal import print_text
 
     made = run_init(options.folder, options.like, with_example=options.example)
     for line in made.found:
@@ -222,11 +229,8 @@ def _check_options(parser: Parser) -> None:
 @command(_check_options, "recordings/Fz-0080 --rig rig.html")
 def check(options: argparse.Namespace) -> int:
     """Report the content of a recording and all errors, without tracking images."""
-    from fusion.base import check_new_file
-    from fusion.errors import InputError
     from fusion.planning.check import check, check_together
     from fusion.recording.load import Manifest, find_recordings, load_manifest
-    from fusion.report.terminal import print_text
 
     if options.rig:
         check_new_file(options.rig, force=options.force)
@@ -312,7 +316,6 @@ def _lines_options(parser: Parser) -> None:
 @command(_lines_options, "recordings/Fz-0080/bridge.tdms --channel Fz --band 50:2000 --figure lines.png")
 def lines(options: argparse.Namespace) -> None:
     """List every line of a file or recording, with its origin."""
-    from fusion.base import check_new_file
     from fusion.planning.lines import lines_csv, lines_of_file, lines_of_recording, print_lines
     from fusion.report.atomic_files import write_atomically
 
@@ -345,8 +348,6 @@ def _print_rows(name: str, text: str) -> None:
 
 def _manifests(options: argparse.Namespace) -> list[Manifest]:
     """Load the recordings of a folder; refuse options of files, and several for one table."""
-    from fusion.commands.command_notices import OPTION_OF_ANOTHER_INPUT
-    from fusion.errors import InputError
     from fusion.recording.load import find_recordings, load_manifest
     from fusion.recording.recording_notices import ONE_RECORDING_EXPECTED
 
@@ -391,10 +392,8 @@ def _run_options(parser: Parser) -> None:
 @command(_run_options, "sample_images/demo -o results")
 def run(options: argparse.Namespace) -> int:
     """Evaluate one recording or a campaign of several."""
-    from fusion.base import Settings
     from fusion.campaign.run import exit_status, is_campaign, run_path
     from fusion.campaign.run_summary import as_json, print_outcomes
-    from fusion.report.terminal import progress_bar
     from photogram.kernels.device import resolve_device
 
     settings = Settings(
@@ -485,16 +484,76 @@ def validate(options: argparse.Namespace) -> int:
     return EXIT_DONE if found.passed else EXIT_FAILED
 
 
-COMMANDS = (
-    run,
-    init,
-    check,
-    look,
-    view,
-    simulate,
-    plan,
-    lines,
-    transfer,
-    export,
-    validate,
-)
+NOTICES_HEAD = """# Notices and errors
+
+Every notice and every error of the program has a code. The terminal shows code, place and one sentence;
+`shakercal explain CODE` adds effect and remedy. This page lists all of them and is made by
+`shakercal explain --markdown`. Names in braces are the values of a case; they are fields of `--json` and `result.h5`.
+
+- **error**: the input is refused, or a result could not be computed. Nothing is written.
+- **warning**: a result may be wrong, or its U incomplete.
+- **note**: good to know. A note with a possible size is an influence that a recording cannot assess; pages list these
+  in the table "Not assessed".
+
+A laboratory acknowledges a warning or note in `recording.toml` with `[[acknowledged]]` (see
+[the manifest](recording-format.md)), unless it says *cannot be acknowledged*.
+"""
+
+
+def _explain_options(parser: Parser) -> None:
+    parser.add_argument("codes", nargs="*", metavar="CODE", help="codes to explain, such as SC-203 (default: list all)")
+    parser.switch("--markdown", "all of them as a page of documentation")
+
+
+@command(_explain_options, "SC-953")
+def explain(options: argparse.Namespace) -> int:
+    """Explain notices and errors by their codes: cause, effect, remedy."""
+    if options.markdown:
+        print(notices_page(), end="")
+        return EXIT_DONE
+    declared = declared_notices()
+    codes = [code.upper() for code in options.codes]
+    for code in codes:
+        if code not in declared:
+            raise InputError(UNKNOWN_CODE, "explain", code, first=next(iter(declared)), last=next(reversed(declared)))
+    if not codes:
+        for code, (title, notice) in declared.items():
+            print_text(f"{code} {notice.severity:7} {title}")
+    for code in codes:
+        for line in explanation(*declared[code]):
+            print_text(line)
+    return EXIT_DONE
+
+
+def explanation(title: str, notice: DeclaredNotice) -> Iterator[str]:
+    """Yield the parts of a notice, one line each."""
+    yield f"{notice.code} ({notice.severity}): {title}"
+    parts = {"sentence": notice.template, "effect": notice.effect, "possible size": notice.possible_size}
+    parts |= {"remedy": notice.remedy, "more": notice.link and f"docs/{notice.link}"}
+    yield from (f"  {name}: {text}" for name, text in parts.items() if text)
+    if not notice.can_be_acknowledged and notice.severity != "error":
+        yield "  cannot be acknowledged in a manifest"
+
+
+def notices_page() -> str:
+    """Return the page `docs/notices.md`: every stage with its notices, cause, effect and remedy."""
+    lines = [NOTICES_HEAD]
+    for title, notices in declared_by_stage():
+        lines += [f"## {title}", "", "| code | severity | notice | effect | remedy |", "|---|---|---|---|---|"]
+        for heading, one in notices.items():
+            fixed = "" if one.can_be_acknowledged or one.severity == "error" else ", cannot be acknowledged"
+            size = f" Possible size: {one.possible_size}" if one.possible_size else ""
+            more = f" [More]({one.link})." if one.link else ""
+            cells = (
+                one.code,
+                f"{one.severity}{fixed}",
+                f"**{heading}.** {one.template}",
+                f"{one.effect}{size}".strip(),
+                f"{one.remedy}{more}".strip(),
+            )
+            lines.append("| " + " | ".join(cell.replace("|", "\\|").replace("<", "&lt;") for cell in cells) + " |")
+        lines.append("")
+    return "\n".join(lines).rstrip() + "\n"
+
+
+COMMANDS = (run, init, check, look, view, simulate, plan, lines, transfer, export, validate)

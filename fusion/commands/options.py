@@ -163,7 +163,6 @@ def whole(minimum: int, maximum: int) -> Callable[[str], int]:
 
 
 count = whole(1, 1000)
-count_or_none = whole(0, 1000)
 seed = whole(0, 2**63 - 1)
 radius = _number(int, lambda value: 4 <= value <= 100, "4 to 100 pixels")
 draws = _number(int, lambda value: FEWEST_DRAWS <= value <= MOST_DRAWS, f"{FEWEST_DRAWS} to {MOST_DRAWS} draws")

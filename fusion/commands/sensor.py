@@ -20,6 +20,8 @@ from fusion.commands.options import (
     seed,
     whole,
 )
+from fusion.errors import FREQUENCIES_NOT_ASCENDING, InputError
+from fusion.report.terminal import progress_bar
 
 
 def _rotate_options(parser: Parser) -> None:
@@ -56,8 +58,6 @@ def _identify_options(parser: Parser) -> None:
 @command(_identify_options, "campaign --load-mass 0.5 2 7")
 def identify(options: argparse.Namespace) -> None:
     """Identify stiffness, damping and internal mass of the sensor from a campaign."""
-    from fusion.commands.command_notices import FREQUENCIES_NOT_ASCENDING
-    from fusion.errors import InputError
     from fusion.sensor.identify.identification_inputs import IdentifySettings
     from fusion.sensor.identify.identification_report import run_identify
 
@@ -235,7 +235,6 @@ def _elastomer_options(parser: Parser) -> None:
 @command(_elastomer_options, "elastomer.toml --solid")
 def elastomer(options: argparse.Namespace) -> None:
     """Compute stiffness and modes of a cross-beam element from its geometry."""
-    from fusion.report.terminal import progress_bar
     from fusion.sensor.elastomer.element_report import run_elastomer
 
     with progress_bar(enabled=not options.quiet) as progress:

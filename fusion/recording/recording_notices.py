@@ -220,14 +220,6 @@ REFERENCE_CHANNEL_REQUIRED = DeclaredNotice(
     link="recording-format.md#take",
 )
 
-PATH_NOT_UTF8 = DeclaredNotice(
-    "SC-127",
-    "error",
-    "expected {expected}, found {found}",
-    effect="No result could name the file.",
-    remedy="Rename the file or folder.",
-)
-
 # Channels of DAQ files.
 
 NONUNIFORM_SAMPLES = DeclaredNotice(

@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from functools import cache
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from fusion.report.h5_tree import Data, Group
 from shaker.labels import AXES, LOAD_COMPONENTS, LOAD_UNITS, MOTION_COMPONENTS, component_units, sensitivity_unit
+
+if TYPE_CHECKING:
+    from fusion.report.h5 import Data, Group
 
 
 class DatasetDescription(NamedTuple):
@@ -26,6 +28,11 @@ class DatasetDescription(NamedTuple):
     text: str = ""
 
 
+def _described(rows: Mapping[str, tuple[str, ...]]) -> dict[str, DatasetDescription]:
+    """Return descriptions from their axes, units and texts."""
+    return {name: DatasetDescription(*row) for name, row in rows.items()}
+
+
 K, KC, KQ, EACH = "frequency_hz", "frequency_hz channels", "frequency_hz elements", "[unit of the channel]"
 SPREAD = {
     "mean": "mean of the draws",
@@ -38,230 +45,195 @@ SPREAD = {
     "first_high": "upper end of the 95 % interval by first order",
 }
 """Descriptions of the statistics of Monte Carlo draws of a real quantity."""
-DATASETS = {
-    "frequency_hz": DatasetDescription(K, "Hz", "frequency"),
-    "u_frequency_hz": DatasetDescription(K),
-    "nominal_hz": DatasetDescription(K, text="nominal fundamental of the line"),
-    "multiple": DatasetDescription(K, "1", "harmonic number of the line"),
-    "dof": DatasetDescription(K, "1", "degrees of freedom"),
-    "kind": DatasetDescription(K),
-    "why": DatasetDescription(K),
-    "channels": DatasetDescription("channels"),
-    "components": DatasetDescription("components"),
-    "unit": DatasetDescription("channels"),
-    "value": DatasetDescription(KC, "value", "peak phasors"),
-    "covariance": DatasetDescription("frequency_hz row column", "squared", "covariance of [all Re, all Im]"),
-    "observed": DatasetDescription(KC, "1", "whether the component is a result"),
-    "disputed": DatasetDescription(KC, "1", "whether instruments contradict each other in the component"),
-    "assumed": DatasetDescription(
-        KC, "value", "largest amplitude of an unobserved component, infinite without a limit"
-    ),
-    "driven": DatasetDescription(K, "m/s^2", "largest amplitude of the driven motion, infinite without a limit"),
-    "drive": DatasetDescription("motion", "1", "driven motion, rotations times 0.1 m, a unit vector"),
-    "leaked": DatasetDescription(
-        "frequency_hz row column", "value", "contribution of one u of unobserved motion to [Re, Im]"
-    ),
-    "instruments": DatasetDescription("instruments"),
-    "capacity": DatasetDescription("components", "load", "rated loads"),
-    "static": DatasetDescription("channels components", "static", "static sensitivity"),
-    "static_sensitivity": DatasetDescription("channels components", "static", "static sensitivity"),
-    "direction": DatasetDescription("axis", "1", "direction in the sensor frame"),
-    "frequencies": DatasetDescription("excitation", "Hz", "stated frequencies"),
-    "origin_m": DatasetDescription("axis", text="point that the motion is referred to"),
-    "elements": DatasetDescription(
-        "element of", "1", "number of channel and of component (0 to 5: Fx to Mz) of each element"
-    ),
-    "half_axis": DatasetDescription("channels components", "1", "larger half axis of the 95 % region"),
-    "holds_zero": DatasetDescription("channels components", "1", "whether the 95 % region includes zero"),
-    "main": DatasetDescription("channels", "1", "number of the main component (0 to 5: Fx to Mz)"),
-    "load_size": DatasetDescription("components", "load", "largest loads of the recordings"),
-    "effect": DatasetDescription(
-        "name frequency_hz row", "value", "change of [all Re, all Im] for one u of each unknown"
-    ),
-    "uncertainty/dof": DatasetDescription("name", "1", "degrees of freedom of u"),
-    "uncertainty/u": DatasetDescription("name", ".", "standard uncertainty of the unknown"),
-    **{f"uncertainty/{text}": DatasetDescription("name") for text in ("name", "label", "unit", "scope", "type")},
-    "unknowns/*": DatasetDescription("name"),
-    "unknowns/u": DatasetDescription("name", ".", "standard uncertainty of the unknown"),
-    "unknowns/estimate": DatasetDescription("name", "1", "estimate of the unknown over its u"),
-    "unknowns/remaining": DatasetDescription("name", "1", "u after the estimate over u before"),
-    "unknowns/recordings": DatasetDescription("name", "1", "number of recordings that determine the unknown"),
-    "posterior": DatasetDescription(
-        "unknown unknown_of", "1", "covariance of the unknowns after the estimate, in their u"
-    ),
-    "products": DatasetDescription("unknown", "1", "second-order effect of each unknown, in its u"),
-    "both": DatasetDescription("both", text="unknowns that act on the load through the motion and directly"),
-    "consistency/*": DatasetDescription("instrument"),
-    "consistency/channels": DatasetDescription("instrument", "1", "number of channels"),
-    "consistency/normalised_deviation": DatasetDescription("instrument", "1", "normalised deviation from all others"),
-    "consistency/ratio": DatasetDescription("instrument", "1", "measured over predicted"),
-    **{
-        f"consistency/{word}": DatasetDescription("instrument", "1", f"whether it is {word}")
-        for word in ("used", "suspect")
-    },
-    "consistency/left_out": DatasetDescription("instrument", "1", "whether it is left out as a gross error"),
-    "unnoticed/*": DatasetDescription("case"),
-    "unnoticed/shift": DatasetDescription("case", "1", "shift of the component over its U"),
-    "notices/*": DatasetDescription("notice"),
-    "evidence/*": DatasetDescription("input"),
-    "evidence/value": DatasetDescription("input", ".", "stated value of the input"),
-    "evidence/u": DatasetDescription("input", ".", "standard uncertainty of the unknown"),
-    "scatter/*/amplitude": DatasetDescription(K, "1", "scatter in phase with the reading, relative to the motion"),
-    "scatter/*/phase": DatasetDescription(K, "rad", "scatter at right angles to the reading, relative to the motion"),
-    "budget/*/coefficient": DatasetDescription(
-        "quantity frequency_hz element", "per", "change of relative magnitude and phase per unit"
-    ),
-    "u_relative": DatasetDescription("frequency_hz element", "1", "contribution to the u of the relative magnitude"),
-    "u_phase_rad": DatasetDescription("frequency_hz element", text="contribution to the u of the phase"),
-    "excerpt_s": DatasetDescription("excerpt_s", text="time of the excerpt"),
-    "excerpt": DatasetDescription("excerpt_s", "value", "excerpt of the record"),
-    "excerpt_fit": DatasetDescription("excerpt_s", "value", "fit to the excerpt"),
-    "spectrum_hz": DatasetDescription("spectrum_hz", text="frequency of the spectrum"),
-    "spectrum": DatasetDescription("spectrum_hz", "value", "amplitude spectrum"),
-    "time_s": DatasetDescription("time_s", text="time on the clock of the first recorder"),
-    "stationarity/value": DatasetDescription("time_s frequency_hz channels", "value", "peak phasors of the blocks"),
-    "stationarity/u": DatasetDescription(
-        "time_s frequency_hz channels", "value", "standard uncertainty of either part"
-    ),
-    "amplitude_per_s": DatasetDescription(KC, "value/s", "rate of change of the amplitude"),
-    "u_amplitude_per_s": DatasetDescription(
-        KC, "value/s", "standard uncertainty of the rate of change of the amplitude"
-    ),
-    "phase_rad_per_s": DatasetDescription(KC, "rad/s", "rate of change of the phase"),
-    "u_phase_rad_per_s": DatasetDescription(KC, "rad/s", "standard uncertainty of the rate of change of the phase"),
-    "p_value": DatasetDescription(KC, "1", "chance that noise alone moves the blocks that far"),
-    "pose": DatasetDescription("time_s channels", "value", "pose: translation and rotation vector"),
-    "motion/covariance": DatasetDescription("time_s channels component", "squared", "covariance of the pose"),
-    "motion_from_mean/covariance": DatasetDescription("time_s channels component", "squared", "covariance of the pose"),
-    "residual_m": DatasetDescription("time_s", text="rms residual of the points per coordinate"),
-    "motion/points": DatasetDescription("time_s", "1", "number of points used"),
-    "motion_from_mean/points": DatasetDescription("time_s", "1", "number of points used"),
-    "stereo/*/residual": DatasetDescription(
-        "time_s channels", "value", "residual of the sine approximation of the pose"
-    ),
-    "usable": DatasetDescription("line", "1", "whether the camera rate resolves the line"),
-    "subsets_px": DatasetDescription("subset coordinate", text="position of the subsets in the first left image"),
-    "sigma_px": DatasetDescription("of", text="median standard deviation of a subset's coordinate: predicted, found"),
-    "read_variance_grey2": DatasetDescription("camera", "1", "variance of the dark sensor in grey values squared"),
-    "variance_per_grey": DatasetDescription("camera", "1", "variance per grey value"),
-    "deflection/value": DatasetDescription(
-        "frequency_hz point axis", "m", "deflection in addition to the rigid motion, peak phasors"
-    ),
-    "deflection/u": DatasetDescription("frequency_hz point axis", "m", "standard uncertainty of either part"),
-    "shapes/effects": DatasetDescription(
-        "unknown frequency_hz channels", "m", "change of the amplitudes by 1 u of an unknown"
-    ),
-    "shapes/share": DatasetDescription(
-        "component channels", "1, rad/m", "rigid motion per amplitude in that of the pair"
-    ),
-    "shapes/f": DatasetDescription(K, "1", "F of the amplitudes of all shapes against a rigid body"),
-    "shapes/chance": DatasetDescription(K, "1", "chance of an F as large on a rigid body"),
-    "shapes/modes": DatasetDescription("", "1", "number of significant independent shapes"),
-    "reference_m": DatasetDescription("point axis", text="position of the points at rest"),
-    "course_px": DatasetDescription("time_s share", text="epipolar residual: mean, change along x, change along y"),
-    "u_course_px": DatasetDescription("time_s share", text="standard uncertainty of the epipolar residual"),
-    "pattern_px": DatasetDescription(
-        "share", text="epipolar residual of the recording: mean, change along x, change along y"
-    ),
-    "pattern_covariance": DatasetDescription(
-        "share share_of", "px^2", "covariance of the pattern by calibration and matching"
-    ),
-    "position_px": DatasetDescription("point coordinate", text="mean position of the points in the left image"),
-    "residual_px": DatasetDescription("point", text="mean epipolar residual of the points"),
-    "offset": DatasetDescription("channels", "value", "offset"),
-    "offset_covariance": DatasetDescription("channels component", "squared", "covariance of the offset"),
-    "drift_per_s": DatasetDescription("channels", "value/s", "drift"),
-    "residual_rms": DatasetDescription("channels", "value", "rms residual of the sine approximation"),
-    "decay_per_s": DatasetDescription(K, "1/s", "decay of the line"),
-    "u_decay_per_s": DatasetDescription(K, "1/s"),
-    "slopes": DatasetDescription("set row column", "1", "share of the lines' parts times time that the fit follows"),
-    "spikes": DatasetDescription("spike", "1", "number of each frame left out"),
-    "others/amplitude": DatasetDescription("frequency_hz channel", EACH, "peak amplitude in the channel"),
-    "others/u_amplitude": DatasetDescription(
-        "frequency_hz channel", EACH, "standard uncertainty of the peak amplitude"
-    ),
-    "snr": DatasetDescription(K, "1", "power of the line over that of the noise"),
-    "origin": DatasetDescription(K),
-    "floor": DatasetDescription("floor_hz channel", EACH, "noise floor as amplitude per bin"),
-    "floor_hz": DatasetDescription("floor_hz", text="frequency of the noise floor"),
-    "nuisance_hz": DatasetDescription("nuisance_hz", text="lines fitted in addition to those of the recording"),
-    "trigger/number": DatasetDescription("number", "1", "number of the edge"),
-    **{f"trigger/{name}": DatasetDescription("number") for name in ("edge_s", "lower_s", "upper_s", "correction_s")},
-    "trigger/missing": DatasetDescription("missed", "1", "numbers without an edge"),
-    "trigger/covariance": DatasetDescription("parameter other", "s^2", "covariance of start_s and period_s"),
-    "trigger/known_period_s": DatasetDescription(
-        "parts", text="period known from other sources than its edges, and its u"
-    ),
-    "tie/follows": DatasetDescription(
-        "parameter other", "[s, 1]/s", "effect of errors of the first start_s and period_s"
-    ),
-    "tie/beside": DatasetDescription("parameter other", "[s, 1]^2", "covariance of the rest"),
-    "tie/covariance": DatasetDescription("parameter other", "[s, 1]^2", "covariance of offset_s and rate"),
-    "tie/noise": DatasetDescription("parameter other", "[s, 1]^2", "its part by the noise of the edges"),
-    "axes": DatasetDescription("across axis", "1", "directions across that of the points"),
-    "place_m": DatasetDescription("channels across", text="lever arms of the points"),
-    "plane": DatasetDescription(
-        "frequency_hz plane_of", "[m/s^2, rad/s^2, rad/s^2]", "mean and angular accelerations of the points"
-    ),
-    "points/*/residual": DatasetDescription(KC, "m/s^2", "residual of the plane"),
-    "fused": DatasetDescription(K, "value", "output over the load of the fused motion"),
-    "set_ups/*/value": DatasetDescription(K, EACH, "phasors of the reference channel"),
-    "supports/*/observed": DatasetDescription(KC, "1", "whether the references alone determine the component"),
-    "supports/*/measured_mps2": DatasetDescription(
-        K, "m/s^2", "largest translation that the instruments on it measure"
-    ),
-    "references": DatasetDescription("reference"),
-    "carried": DatasetDescription("row"),
-    "factor": DatasetDescription(K, "1", "factor that ties the set-up to the first"),
-    "drift": DatasetDescription(K, "1", "change of the reference's magnitude"),
-    "u_drift": DatasetDescription(K, "1"),
-    "results/*/elements": DatasetDescription("elements"),
-    "results/*/unit": DatasetDescription("elements"),
-    "results/*/value": DatasetDescription(KQ, "value", "values of the evaluation"),
-    "results/*/mean": DatasetDescription(KQ, "value", "mean of the draws"),
-    "results/*/covariance": DatasetDescription(f"{KQ} part part_of", "[unit]^2", "covariance of (Re, Im) of the draws"),
-    "results/*/first_covariance": DatasetDescription(
-        f"{KQ} part part_of", "[unit]^2", "covariance of (Re, Im) by first order"
-    ),
-    "results/*/factor": DatasetDescription(KQ, "1", "factor of the 95 % ellipse of the draws"),
-    "results/*/first_region": DatasetDescription(
-        f"{KQ} part part_of", "[unit]^2", "matrix of the 95 % region by first order"
-    ),
-    "results/*/first_holds": DatasetDescription(KQ, "1", "share of the draws in the ellipse by first order"),
-    "results/*/k_polar": DatasetDescription(f"polar {KQ}", "1", "coverage factors of magnitude and of phase"),
-    **{
-        f"results/*/{of}/{name}": DatasetDescription(KQ, unit, f"{of}: {text}")
-        for of, unit in (("magnitude", "value"), ("phase", "rad"))
-        for name, text in SPREAD.items()
-    },
-    "sensitivity/value": DatasetDescription("frequency_hz channels components", "value", "complex sensitivity"),
-    "element/value": DatasetDescription(
-        "frequency_hz channels components", "value", "complex sensitivity, elements of the sensor"
-    ),
-    "load/value": DatasetDescription("frequency_hz components", "value", "peak phasors of the load"),
-    "load/observed": DatasetDescription("frequency_hz components", "1", "whether the component is a result"),
-    "curves/*/value": DatasetDescription("frequency_hz element", "value", "complex sensitivity"),
-    "repeats/*/value": DatasetDescription("channels", "value", "mean complex sensitivity"),
-    "weight": DatasetDescription("recordings", "1", "weight in the mean"),
-    "within": DatasetDescription("channels", "1", "relative standard deviation of a recording"),
-    "between": DatasetDescription("channels", "1", "relative standard deviation of a mounting"),
-    "mountings": DatasetDescription("recordings"),
-    "linearity/*/amplitude": DatasetDescription("recordings", "driven", "amplitude of the load"),
-    "slope": DatasetDescription("channels", "1/driven", "relative change per unit of load"),
-    "change": DatasetDescription("channels", "1", "relative change from the smallest to the largest amplitude"),
-    "linearity/*/covariance": DatasetDescription("channels part part_of", "1", "covariance of (Re, Im) of the change"),
-    "linear": DatasetDescription("channels", "1", "whether the 95 % region of the change includes zero"),
-    "matrices/*/value": DatasetDescription("channels components", "value", "complex 6x6 matrix"),
-    "singular": DatasetDescription("independent", "1", "independent loads in their standard uncertainties"),
-    "excitation/share": DatasetDescription("independent", "1", "singular values relative to the largest"),
-    "agreement/*": DatasetDescription("drive"),
-    "agreement/normalised_deviation": DatasetDescription("drive", "1", "normalised deviation from all others"),
-    "agreement/readings": DatasetDescription("drive", "1", "number of readings"),
-    "agreement/frequency_hz": DatasetDescription("drive", "Hz", "frequency"),
-    "cross_talks/*/value": DatasetDescription(
-        "channels components", "1", "output under a rated load over that under its main rated load"
-    ),
-}
+DATASETS = _described(
+    {
+        "frequency_hz": (K, "Hz", "frequency"),
+        "u_frequency_hz": (K,),
+        "nominal_hz": (K, "", "nominal fundamental of the line"),
+        "multiple": (K, "1", "harmonic number of the line"),
+        "dof": (K, "1", "degrees of freedom"),
+        "kind": (K,),
+        "why": (K,),
+        "channels": ("channels",),
+        "components": ("components",),
+        "unit": ("channels",),
+        "value": (KC, "value", "peak phasors"),
+        "covariance": ("frequency_hz row column", "squared", "covariance of [all Re, all Im]"),
+        "observed": (KC, "1", "whether the component is a result"),
+        "disputed": (KC, "1", "whether instruments contradict each other in the component"),
+        "assumed": (KC, "value", "largest amplitude of an unobserved component, infinite without a limit"),
+        "driven": (K, "m/s^2", "largest amplitude of the driven motion, infinite without a limit"),
+        "drive": ("motion", "1", "driven motion, rotations times 0.1 m, a unit vector"),
+        "leaked": ("frequency_hz row column", "value", "contribution of one u of unobserved motion to [Re, Im]"),
+        "instruments": ("instruments",),
+        "capacity": ("components", "load", "rated loads"),
+        "static": ("channels components", "static", "static sensitivity"),
+        "static_sensitivity": ("channels components", "static", "static sensitivity"),
+        "direction": ("axis", "1", "direction in the sensor frame"),
+        "frequencies": ("excitation", "Hz", "stated frequencies"),
+        "origin_m": ("axis", "", "point that the motion is referred to"),
+        "elements": ("element of", "1", "number of channel and of component (0 to 5: Fx to Mz) of each element"),
+        "half_axis": ("channels components", "1", "larger half axis of the 95 % region"),
+        "holds_zero": ("channels components", "1", "whether the 95 % region includes zero"),
+        "main": ("channels", "1", "number of the main component (0 to 5: Fx to Mz)"),
+        "load_size": ("components", "load", "largest loads of the recordings"),
+        "effect": ("name frequency_hz row", "value", "change of [all Re, all Im] for one u of each unknown"),
+        "uncertainty/dof": ("name", "1", "degrees of freedom of u"),
+        "uncertainty/u": ("name", ".", "standard uncertainty of the unknown"),
+        **{f"uncertainty/{text}": ("name",) for text in ("name", "label", "unit", "scope", "type")},
+        "unknowns/*": ("name",),
+        "unknowns/u": ("name", ".", "standard uncertainty of the unknown"),
+        "unknowns/estimate": ("name", "1", "estimate of the unknown over its u"),
+        "unknowns/remaining": ("name", "1", "u after the estimate over u before"),
+        "unknowns/recordings": ("name", "1", "number of recordings that determine the unknown"),
+        "posterior": ("unknown unknown_of", "1", "covariance of the unknowns after the estimate, in their u"),
+        "products": ("unknown", "1", "second-order effect of each unknown, in its u"),
+        "both": ("both", "", "unknowns that act on the load through the motion and directly"),
+        "consistency/*": ("instrument",),
+        "consistency/channels": ("instrument", "1", "number of channels"),
+        "consistency/normalised_deviation": ("instrument", "1", "normalised deviation from all others"),
+        "consistency/ratio": ("instrument", "1", "measured over predicted"),
+        **{f"consistency/{word}": ("instrument", "1", f"whether it is {word}") for word in ("used", "suspect")},
+        "consistency/left_out": ("instrument", "1", "whether it is left out as a gross error"),
+        "unnoticed/*": ("case",),
+        "unnoticed/shift": ("case", "1", "shift of the component over its U"),
+        "notices/*": ("notice",),
+        "evidence/*": ("input",),
+        "evidence/value": ("input", ".", "stated value of the input"),
+        "evidence/u": ("input", ".", "standard uncertainty of the unknown"),
+        "scatter/*/amplitude": (K, "1", "scatter in phase with the reading, relative to the motion"),
+        "scatter/*/phase": (K, "rad", "scatter at right angles to the reading, relative to the motion"),
+        "budget/*/coefficient": (
+            "quantity frequency_hz element",
+            "per",
+            "change of relative magnitude and phase per unit",
+        ),
+        "u_relative": ("frequency_hz element", "1", "contribution to the u of the relative magnitude"),
+        "u_phase_rad": ("frequency_hz element", "", "contribution to the u of the phase"),
+        "excerpt_s": ("excerpt_s", "", "time of the excerpt"),
+        "excerpt": ("excerpt_s", "value", "excerpt of the record"),
+        "excerpt_fit": ("excerpt_s", "value", "fit to the excerpt"),
+        "spectrum_hz": ("spectrum_hz", "", "frequency of the spectrum"),
+        "spectrum": ("spectrum_hz", "value", "amplitude spectrum"),
+        "time_s": ("time_s", "", "time on the clock of the first recorder"),
+        "stationarity/value": ("time_s frequency_hz channels", "value", "peak phasors of the blocks"),
+        "stationarity/u": ("time_s frequency_hz channels", "value", "standard uncertainty of either part"),
+        "amplitude_per_s": (KC, "value/s", "rate of change of the amplitude"),
+        "u_amplitude_per_s": (KC, "value/s", "standard uncertainty of the rate of change of the amplitude"),
+        "phase_rad_per_s": (KC, "rad/s", "rate of change of the phase"),
+        "u_phase_rad_per_s": (KC, "rad/s", "standard uncertainty of the rate of change of the phase"),
+        "p_value": (KC, "1", "chance that noise alone moves the blocks that far"),
+        "pose": ("time_s channels", "value", "pose: translation and rotation vector"),
+        "motion/covariance": ("time_s channels component", "squared", "covariance of the pose"),
+        "motion_from_mean/covariance": ("time_s channels component", "squared", "covariance of the pose"),
+        "residual_m": ("time_s", "", "rms residual of the points per coordinate"),
+        "motion/points": ("time_s", "1", "number of points used"),
+        "motion_from_mean/points": ("time_s", "1", "number of points used"),
+        "stereo/*/residual": ("time_s channels", "value", "residual of the sine approximation of the pose"),
+        "usable": ("line", "1", "whether the camera rate resolves the line"),
+        "subsets_px": ("subset coordinate", "", "position of the subsets in the first left image"),
+        "sigma_px": ("of", "", "median standard deviation of a subset's coordinate: predicted, found"),
+        "read_variance_grey2": ("camera", "1", "variance of the dark sensor in grey values squared"),
+        "variance_per_grey": ("camera", "1", "variance per grey value"),
+        "deflection/value": (
+            "frequency_hz point axis",
+            "m",
+            "deflection in addition to the rigid motion, peak phasors",
+        ),
+        "deflection/u": ("frequency_hz point axis", "m", "standard uncertainty of either part"),
+        "shapes/effects": ("unknown frequency_hz channels", "m", "change of the amplitudes by 1 u of an unknown"),
+        "shapes/share": ("component channels", "1, rad/m", "rigid motion per amplitude in that of the pair"),
+        "shapes/f": (K, "1", "F of the amplitudes of all shapes against a rigid body"),
+        "shapes/chance": (K, "1", "chance of an F as large on a rigid body"),
+        "shapes/modes": ("", "1", "number of significant independent shapes"),
+        "reference_m": ("point axis", "", "position of the points at rest"),
+        "course_px": ("time_s share", "", "epipolar residual: mean, change along x, change along y"),
+        "u_course_px": ("time_s share", "", "standard uncertainty of the epipolar residual"),
+        "pattern_px": ("share", "", "epipolar residual of the recording: mean, change along x, change along y"),
+        "pattern_covariance": ("share share_of", "px^2", "covariance of the pattern by calibration and matching"),
+        "position_px": ("point coordinate", "", "mean position of the points in the left image"),
+        "residual_px": ("point", "", "mean epipolar residual of the points"),
+        "offset": ("channels", "value", "offset"),
+        "offset_covariance": ("channels component", "squared", "covariance of the offset"),
+        "drift_per_s": ("channels", "value/s", "drift"),
+        "residual_rms": ("channels", "value", "rms residual of the sine approximation"),
+        "decay_per_s": (K, "1/s", "decay of the line"),
+        "u_decay_per_s": (K, "1/s"),
+        "slopes": ("set row column", "1", "share of the lines' parts times time that the fit follows"),
+        "spikes": ("spike", "1", "number of each frame left out"),
+        "others/amplitude": ("frequency_hz channel", EACH, "peak amplitude in the channel"),
+        "others/u_amplitude": ("frequency_hz channel", EACH, "standard uncertainty of the peak amplitude"),
+        "snr": (K, "1", "power of the line over that of the noise"),
+        "origin": (K,),
+        "floor": ("floor_hz channel", EACH, "noise floor as amplitude per bin"),
+        "floor_hz": ("floor_hz", "", "frequency of the noise floor"),
+        "nuisance_hz": ("nuisance_hz", "", "lines fitted in addition to those of the recording"),
+        "trigger/number": ("number", "1", "number of the edge"),
+        **{f"trigger/{name}": ("number",) for name in ("edge_s", "lower_s", "upper_s", "correction_s")},
+        "trigger/missing": ("missed", "1", "numbers without an edge"),
+        "trigger/covariance": ("parameter other", "s^2", "covariance of start_s and period_s"),
+        "trigger/known_period_s": ("parts", "", "period known from other sources than its edges, and its u"),
+        "tie/follows": ("parameter other", "[s, 1]/s", "effect of errors of the first start_s and period_s"),
+        "tie/beside": ("parameter other", "[s, 1]^2", "covariance of the rest"),
+        "tie/covariance": ("parameter other", "[s, 1]^2", "covariance of offset_s and rate"),
+        "tie/noise": ("parameter other", "[s, 1]^2", "its part by the noise of the edges"),
+        "axes": ("across axis", "1", "directions across that of the points"),
+        "place_m": ("channels across", "", "lever arms of the points"),
+        "plane": ("frequency_hz plane_of", "[m/s^2, rad/s^2, rad/s^2]", "mean and angular accelerations of the points"),
+        "points/*/residual": (KC, "m/s^2", "residual of the plane"),
+        "fused": (K, "value", "output over the load of the fused motion"),
+        "set_ups/*/value": (K, EACH, "phasors of the reference channel"),
+        "supports/*/observed": (KC, "1", "whether the references alone determine the component"),
+        "supports/*/measured_mps2": (K, "m/s^2", "largest translation that the instruments on it measure"),
+        "references": ("reference",),
+        "carried": ("row",),
+        "factor": (K, "1", "factor that ties the set-up to the first"),
+        "drift": (K, "1", "change of the reference's magnitude"),
+        "u_drift": (K, "1"),
+        "results/*/elements": ("elements",),
+        "results/*/unit": ("elements",),
+        "results/*/value": (KQ, "value", "values of the evaluation"),
+        "results/*/mean": (KQ, "value", "mean of the draws"),
+        "results/*/covariance": (f"{KQ} part part_of", "[unit]^2", "covariance of (Re, Im) of the draws"),
+        "results/*/first_covariance": (f"{KQ} part part_of", "[unit]^2", "covariance of (Re, Im) by first order"),
+        "results/*/factor": (KQ, "1", "factor of the 95 % ellipse of the draws"),
+        "results/*/first_region": (f"{KQ} part part_of", "[unit]^2", "matrix of the 95 % region by first order"),
+        "results/*/first_holds": (KQ, "1", "share of the draws in the ellipse by first order"),
+        "results/*/k_polar": (f"polar {KQ}", "1", "coverage factors of magnitude and of phase"),
+        **{
+            f"results/*/{of}/{name}": (KQ, unit, f"{of}: {text}")
+            for of, unit in (("magnitude", "value"), ("phase", "rad"))
+            for name, text in SPREAD.items()
+        },
+        "sensitivity/value": ("frequency_hz channels components", "value", "complex sensitivity"),
+        "element/value": ("frequency_hz channels components", "value", "complex sensitivity, elements of the sensor"),
+        "load/value": ("frequency_hz components", "value", "peak phasors of the load"),
+        "load/observed": ("frequency_hz components", "1", "whether the component is a result"),
+        "curves/*/value": ("frequency_hz element", "value", "complex sensitivity"),
+        "repeats/*/value": ("channels", "value", "mean complex sensitivity"),
+        "weight": ("recordings", "1", "weight in the mean"),
+        "within": ("channels", "1", "relative standard deviation of a recording"),
+        "between": ("channels", "1", "relative standard deviation of a mounting"),
+        "mountings": ("recordings",),
+        "linearity/*/amplitude": ("recordings", "driven", "amplitude of the load"),
+        "slope": ("channels", "1/driven", "relative change per unit of load"),
+        "change": ("channels", "1", "relative change from the smallest to the largest amplitude"),
+        "linearity/*/covariance": ("channels part part_of", "1", "covariance of (Re, Im) of the change"),
+        "linear": ("channels", "1", "whether the 95 % region of the change includes zero"),
+        "matrices/*/value": ("channels components", "value", "complex 6x6 matrix"),
+        "singular": ("independent", "1", "independent loads in their standard uncertainties"),
+        "excitation/share": ("independent", "1", "singular values relative to the largest"),
+        "agreement/*": ("drive",),
+        "agreement/normalised_deviation": ("drive", "1", "normalised deviation from all others"),
+        "agreement/readings": ("drive", "1", "number of readings"),
+        "agreement/frequency_hz": ("drive", "Hz", "frequency"),
+        "cross_talks/*/value": (
+            "channels components",
+            "1",
+            "output under a rated load over that under its main rated load",
+        ),
+    }
+)
 """Descriptions by the end of the path: the longest match counts, `*` matches any name."""
 _TAILS: dict[str, list[list[str]]] = {}
 for _name in DATASETS:
@@ -276,23 +248,23 @@ PHASORS = {"frequency_hz", "value", "covariance", "channels", "unit"}
 """Members of a group of phasors, in any file."""
 
 
-OTHERS = {
-    **dict.fromkeys(("value", "u", "stated", "u_stated", "reading"), DatasetDescription(unit=".")),
-    **dict.fromkeys(("damping_ratio", "u_damping_ratio", "share", "u_share"), DatasetDescription(unit="1")),
-    "load": DatasetDescription(unit="load"),
-    "dof": DatasetDescription(unit="1", text="degrees of freedom"),
-    "averages": DatasetDescription(unit="1", text="number of averages"),
-    "coherence": DatasetDescription(unit="1", text="coherence with the reference"),
-    "line_correlation": DatasetDescription(
-        unit="1", text="correlation of the noise of lines by their distance in bins"
-    ),
-    "relative": DatasetDescription(unit="1", text="relative change for one u of the error"),
-    "correlation": DatasetDescription(unit="1", text="correlation of the estimates"),
-    "direction": DatasetDescription(unit="1", text="direction in the sensor frame"),
-    "shares": DatasetDescription(unit="1", text="share of each release in the mean"),
-    "estimate": DatasetDescription(unit="1", text="estimate of the unknown over its u"),
-    "remaining": DatasetDescription(unit="1", text="u after the estimate over u before"),
-}
+OTHERS = _described(
+    {
+        **dict.fromkeys(("value", "u", "stated", "u_stated", "reading"), ("", ".")),
+        **dict.fromkeys(("damping_ratio", "u_damping_ratio", "share", "u_share"), ("", "1")),
+        "load": ("", "load"),
+        "dof": ("", "1", "degrees of freedom"),
+        "averages": ("", "1", "number of averages"),
+        "coherence": ("", "1", "coherence with the reference"),
+        "line_correlation": ("", "1", "correlation of the noise of lines by their distance in bins"),
+        "relative": ("", "1", "relative change for one u of the error"),
+        "correlation": ("", "1", "correlation of the estimates"),
+        "direction": ("", "1", "direction in the sensor frame"),
+        "shares": ("", "1", "share of each release in the mean"),
+        "estimate": ("", "1", "estimate of the unknown over its u"),
+        "remaining": ("", "1", "u after the estimate over u before"),
+    }
+)
 """Descriptions of data sets of other commands by name; `.` if `unit` in the same group has as many rows."""
 OVER = ("frequency_hz", "time_s")
 """Axes of data sets of the same length in the same group."""
@@ -328,13 +300,12 @@ def describe(top: Group) -> None:
         for axis, name in enumerate(axes):
             scale = _scale(group, name, shape[axis])
             if scale is not data:
-                data.attach(axis, scale)
+                data.scales[axis] = scale
 
 
 def _has_coordinates(group: Group, field: str, shape: tuple[int, ...], name: str) -> bool:
     """Return whether the data set of this name has the coordinates of the first axis."""
-    coordinates = group.get(name)
-    return isinstance(coordinates, Data) and field != name and len(shape) > 0 and coordinates.shape == shape[:1]
+    return field != name and len(shape) > 0 and getattr(group.get(name), "shape", None) == shape[:1]
 
 
 def _description(path: str) -> DatasetDescription:
@@ -464,8 +435,8 @@ def _scale(start: Group, name: str, length: int) -> Data:
     """
     group = start
     while True:
-        near = group.get(name)
-        if isinstance(near, Data) and near.shape == (length,):
+        if getattr(group.get(name), "shape", None) == (length,):
+            near: Data = group[name]
             near.scale = near.scale or name
             return near
         if group is group.top:
@@ -473,18 +444,17 @@ def _scale(start: Group, name: str, length: int) -> Data:
         group = group.parent
     free = next(text for text in (name, *(f"{name}_{number}" for number in range(2, 99))) if text not in start)
     values = _coordinate(start, name, length)
+    start[free] = np.zeros(length, ">f4") if values is None else values
+    scale: Data = start[free]
     if values is None:
-        scale = Data(np.zeros(length, ">f4"), stored=False)
         scale.scale = f"This is a netCDF dimension but not a netCDF variable. {length:9d}"
     else:
-        scale = Data(values)
         scale.scale = free
         scale.attrs["long_name"] = (
             "real parts, then imaginary parts" if name in ("row", "column") else _words(f"/{name}")
         )
         if scale.numbers:
             scale.attrs["units"] = "Hz"
-    start.inside[free] = scale
     return scale
 
 

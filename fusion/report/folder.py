@@ -29,8 +29,6 @@ from fusion.base import PROGRAM, CommandEvaluation, FileIdentity, __version__, c
 from fusion.errors import ComputeError, InputError
 from fusion.report.atomic_files import file_lock, is_internal_name, write_files, write_together
 from fusion.report.figure import Figure
-from fusion.report.notice_tables import code_html, notice_frame
-from fusion.report.page_cache import CompiledTemplates, load_or_make
 from fusion.report.report_notices import (
     CHANGED_INPUT,
     HASHING_ENDED,
@@ -41,7 +39,7 @@ from fusion.report.report_notices import (
     UNREADABLE_INPUT,
 )
 from fusion.report.static_figure import static_svg
-from fusion.report.table import Headline, Table, csv_rows, plain_text
+from fusion.report.table import Headline, Table, code_html, csv_rows, notice_frame, plain_text
 from fusion.report.terminal import AS_JSON, log_notices, print_text, show_activity
 from shakercal._common.notices import Notice, warnings_first
 
@@ -50,7 +48,7 @@ if TYPE_CHECKING:
 
     from fusion.recording.load import Manifest
     from fusion.recording.rig import Rig
-    from fusion.report.h5_tree import Group
+    from fusion.report.h5 import Group
 
 # Provenance: hashes of the input files, versions, and whether results are current.
 
@@ -58,7 +56,6 @@ if TYPE_CHECKING:
 RESULT_FILE, RESULT_FORMAT = "result.h5", 2
 SENSITIVITY_FILE, CURVE_FILE = "sensitivity.csv", "curve.csv"
 TEMPLATES = Path(__file__).with_name("templates")
-GZIP = 31  # of zlib's and its like's: with the head and the end of a file of gzip
 Setting = str | float | int
 
 
@@ -288,7 +285,7 @@ def write_provenance(file: Group, origin: ResultOrigin, files: Sequence[str]) ->
 
     `files` are the names of all result files.
     """
-    from fusion.report.h5_tree import TEXT
+    from fusion.report.h5 import TEXT
 
     group = file.create_group("provenance")
     hashes = origin.input_hashes
@@ -316,36 +313,40 @@ def render_page(template: str, context: Mapping[str, Any]) -> str:
         shown.append(figure)
         return figure.name
 
+    def figures_data() -> Markup:
+        """Return the data of all registered figures."""
+        return compress_for_page(f"[{','.join(figure.json() for figure in shown)}]".encode())
+
+    page = {"shown": shown, "live": live, "figures_data": figures_data}
+    return _environment().get_template(template, globals=page).render(context) + "\n"
+
+
+@cache
+def _environment() -> Environment:
+    """Return what all pages share; templates are compiled once."""
     environment = Environment(
         loader=FileSystemLoader(TEMPLATES),
         autoescape=True,
         undefined=StrictUndefined,
         trim_blocks=True,
         lstrip_blocks=True,
-        bytecode_cache=CompiledTemplates(),
     )
     environment.filters |= {
         "data_uri": data_uri,
         "sections": sections,
-        "live": live,
         "static_svg": static_svg,
         "code_html": code_html,
     }
     environment.globals |= {
-        "shown": shown,
         "figures_library": bokeh_library,
-        "figures_data": lambda: compress_for_page(f"[{','.join(figure.json() for figure in shown)}]".encode()),
         "figures_program": lambda: Markup((TEMPLATES / "figures.js").read_text(encoding="utf-8")),
     }
-    return environment.get_template(template).render(context) + "\n"
+    return environment
 
 
-def compress_for_page(data: bytes, *, fast: bool = True) -> Markup:
-    """Return compressed data as text for a page; `fast` uses a lower compression level."""
-    from photogram.images.tiff import deflate
-
-    content = deflate.compress(data, 3, wbits=GZIP) if fast else gzip.compress(data, 9, mtime=0)
-    return Markup(base64.b64encode(content).decode("ascii"))
+def compress_for_page(data: bytes, level: int = 1) -> Markup:
+    """Return compressed data as text for a page; the default level is fast."""
+    return Markup(base64.b64encode(gzip.compress(data, level, mtime=0)).decode("ascii"))
 
 
 @cache
@@ -356,12 +357,7 @@ def bokeh_library() -> Markup:
         raise ComputeError(NO_BOKEH)
     scripts = Path(spec.submodule_search_locations[0]) / "server/static/js"
     files = [scripts / name for name in ("bokeh.min.js", "bokeh-api.min.js")]
-    key = json.dumps([(str(file), file.stat().st_size, file.stat().st_mtime_ns) for file in files])
-
-    def make() -> bytes:
-        return compress_for_page(b"\n".join(file.read_bytes() for file in files), fast=False).encode()
-
-    return Markup(load_or_make("bokeh", key, make).decode("ascii"))
+    return compress_for_page(b"\n".join(file.read_bytes() for file in files), 6)
 
 
 def sections(page: str) -> list[tuple[Markup, Markup]]:
@@ -451,14 +447,7 @@ class CommandReport(Generic[E]):
         """Name of the page."""
         return f"{self.stem}.html"
 
-    def run(
-        self,
-        inputs: InputFiles,
-        folder: Path,
-        evaluate: Callable[[dict[str, str]], E],
-        *,
-        force: bool,
-    ) -> E:
+    def run(self, inputs: InputFiles, folder: Path, evaluate: Callable[[dict[str, str]], E], *, force: bool) -> E:
         """Evaluate inputs, write results to `folder`, print results and notices, and return the evaluation.
 
         A place that cannot be used is refused before the evaluation. Inputs that change are refused before files are

@@ -1,14 +1,18 @@
-"""Result files of one recording: tables, HDF5 file and page."""
+"""Result files of one recording: tables, tracked points, HDF5 file and page."""
 
 from __future__ import annotations
 
+import base64
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import fields
+from html import escape
+from operator import itemgetter
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from fusion.errors import InputError
 from fusion.estimation.coverage import Polar
@@ -30,15 +34,19 @@ from fusion.report.folder import (
     write_folder,
     write_provenance,
 )
-from fusion.report.h5 import EVIDENCE, h5_content, write_fields, write_value
-from fusion.report.h5_tree import Group
+from fusion.report.h5 import EVIDENCE, Group, h5_content, write_fields, write_value
 from fusion.report.labelled_results import CAMPAIGN_FILE
 from fusion.report.motion_figures import pair_motion_figures, subset_figures
-from fusion.report.points import save_points
 from fusion.report.report_notices import OTHER_CAMPAIGN_CONTENT, RESERVED_NAME
 from fusion.report.report_scene import evaluation_scene, scene_page
-from fusion.report.result_figures import acceleration_figures, draw_budget, sensitivity_figures
-from fusion.report.signal_figures import channel_figures, point_figures, trigger_figures
+from fusion.report.result_figures import (
+    acceleration_figures,
+    channel_figures,
+    draw_budget,
+    point_figures,
+    sensitivity_figures,
+    trigger_figures,
+)
 from fusion.report.table import TableColumn, capitalise, csv_text, polar_columns, quantity_html, text_column
 from fusion.sensitivity.analyse import NOT_SHOWN, Evaluation
 from fusion.sensitivity.input_evidence import find_evidence
@@ -46,8 +54,9 @@ from fusion.sensitivity.load_phasors import LoadResult
 from fusion.sensitivity.moving_body import moving_parts
 from fusion.sensitivity.ratio import Sensitivity
 from fusion.sensitivity.sensitivity_notices import NO_RESULT_AT_LINES
-from shaker.labels import sensitivity_unit
-from shakercal._common.arrays import FloatArray
+from photogram.geometry import displacement_jacobian, pose_rate, rotation_from_vector
+from shaker.labels import AXES, sensitivity_unit
+from shakercal._common.arrays import BoolArray, FloatArray
 
 # Its tables as CSV files, and how a campaign joins those of several.
 
@@ -70,16 +79,6 @@ class ResultElement(NamedTuple):
     recording: str
 
 
-class Pose(NamedTuple):
-    """Motion of one frame: pose with u, rms residual, number of points."""
-
-    time_s: float
-    pose: FloatArray
-    u: FloatArray
-    residual_m: float
-    points: int
-
-
 def _element_columns(of: str, size: str, origin: str) -> list[TableColumn[ResultElement]]:
     """Return the columns of a table of complex values."""
     return [
@@ -99,19 +98,9 @@ PHASORS = _element_columns("body", "amplitude", "source")
 MERGED_FILES = {SENSITIVITY_FILE: SENSITIVITY, ACCELERATION_FILE: PHASORS, LOAD_FILE: PHASORS}
 """Columns of the tables that a campaign joins, by file name."""
 POSE = ("x_m", "y_m", "z_m", "rx_rad", "ry_rad", "rz_rad")
-
-
-def _pose_column(index: int, prefix: str = "") -> TableColumn[Pose]:
-    """Return the column of one component of the pose, or of its u."""
-    return TableColumn(prefix + POSE[index], lambda frame: float((frame.u if prefix else frame.pose)[index]))
-
-
-MOTION: list[TableColumn[Pose]] = [
-    TableColumn("time_s", lambda frame: frame.time_s),
-    *(_pose_column(index) for index in range(len(POSE))),
-    *(_pose_column(index, "u_") for index in range(len(POSE))),
-    TableColumn("residual_m", lambda frame: frame.residual_m),
-    TableColumn("points", lambda frame: frame.points),
+MOTION: list[TableColumn[tuple[float, ...]]] = [
+    TableColumn(name, itemgetter(place))
+    for place, name in enumerate(("time_s", *POSE, *(f"u_{name}" for name in POSE), "residual_m", "points"))
 ]
 
 
@@ -158,18 +147,18 @@ def _phasors(result: Acceleration | LoadResult, body: str, source: str, recordin
                 yield ResultElement(frequency, body, component, value, phasors.unit[c], source, recording)
 
 
-def poses(stereo: StereoResult) -> Iterator[Pose]:
-    """Yield the motion of every frame relative to the first one.
+def poses(stereo: StereoResult) -> Iterator[tuple[float, ...]]:
+    """Yield the motion of every frame relative to the first one: time, pose, its u, residual, number of points.
 
     A failed frame has `nan` and no points.
     """
-    motion, missing = stereo.motion, np.full(6, np.nan)
+    motion = stereo.motion
     u_pose = np.sqrt(motion.covariance.diagonal(axis1=1, axis2=2))
     frames = zip(stereo.time_s, motion.pose, u_pose, motion.residual_m, motion.points, strict=True)
     for time, pose, u, residual, points in frames:
         failed = not np.isfinite(pose).all()
-        numbers = (missing, missing, np.nan, 0) if failed else (pose, u, float(residual), int(points))
-        yield Pose(float(time), *numbers)
+        numbers = [np.nan] * 13 if failed else [*pose.tolist(), *u.tolist(), float(residual)]
+        yield float(time), *numbers, 0 if failed else int(points)
 
 
 def merged_table(name: str, folders: Sequence[Path]) -> Iterator[str]:
@@ -318,18 +307,8 @@ def check_campaign_folder(top: Path, recordings: Sequence[str], *, force: bool) 
         raise InputError(OTHER_CAMPAIGN_CONTENT, top, found=min(other))
 
 
-SENSOR = [
-    "name",
-    "serial",
-    "channels",
-    "unit",
-    "sense",
-    "capacity",
-    "static_sensitivity",
-    "static_sensitivity_uncertainty",
-    "cross_talk",
-    "cross_talk_uncertainty",
-]
+SENSOR = ("name", "serial", "channels", "unit", "sense", "capacity")
+SENSOR += tuple(f"{name}{end}" for name in ("static_sensitivity", "cross_talk") for end in ("", "_uncertainty"))
 """Information on the tested sensor that a campaign needs."""
 
 
@@ -367,3 +346,97 @@ def write_h5(path: Path, evaluation: Evaluation, files: Sequence[str]) -> None:
                 file[name].attrs["not_assessed"] = ", ".join(NOT_SHOWN)
 
     write_file(path, h5_content(fill))
+
+
+# Every tracked point of a stereo pair in every frame, as tables and VTK files.
+
+
+POINT_COLUMNS = ("frame", "time_s", "point", *(f"{name}_m" for name in AXES))
+POINT_COLUMNS += tuple(f"{before}{name}_m" for before in ("d", "u_d", "rest_", "u_rest_") for name in AXES)
+"""Columns of the table: position in the first frame, displacement and its part that is not rigid, each with u."""
+XML = '<?xml version="1.0"?>\n<VTKFile type="{}" version="1.0"{}>'
+
+
+def save_points(folder: Path, stereo: StereoResult) -> list[str]:
+    """Write the points of a pair into a folder and return the file names.
+
+    points-NAME.csv, points-NAME/FRAME.vtp and points-NAME.pvd, which lists the frames with their times for ParaView.
+    """
+    if stereo.surface is None:
+        return []
+    name = f"points-{stereo.name}"
+    names, steps = [f"{name}.csv", f"{name}.pvd"], list[str]()
+    (folder / name).mkdir()
+    reference_m = next(iter(stereo.surface)).reference_m
+    finite = np.asarray(np.isfinite(reference_m).all(axis=1))
+    positions = reference_m[finite]
+
+    def rows() -> Iterator[str]:
+        """Yield the table frame by frame, and write the file of each frame."""
+        yield ",".join(POINT_COLUMNS) + "\n"
+        for number, vectors in _point_frames(stereo, finite):
+            time_s, seen = float(stereo.time_s[number]), np.isfinite(vectors["deviation_m"]).all(axis=1)
+            names.append(f"{name}/{number:04d}.vtp")
+            write_file(folder / names[-1], _vtp(positions, seen, vectors))
+            steps.append(f'<DataSet timestep="{time_s!r}" file="{escape(names[-1])}"/>')
+            numbers = np.hstack([positions, *vectors.values()])
+            for point in np.flatnonzero(seen).tolist():
+                yield f"{number},{time_s!r},{point},{','.join(map(repr, numbers[point].tolist()))}\n"
+
+    write_file(folder / names[0], rows())
+    collection = [XML.format("Collection", ""), "<Collection>", *steps, "</Collection>", "</VTKFile>", ""]
+    write_file(folder / names[1], "\n".join(collection))
+    return names
+
+
+def _point_frames(stereo: StereoResult, finite: BoolArray) -> Iterator[tuple[int, dict[str, FloatArray]]]:
+    """Yield every frame with a motion and its vectors (N, 3) in sensor axes: displacement, deviation, each with u.
+
+    x' − x = R·(x − o) + o + t + R·e − x with the deviation e about each point's mean over time. The covariance is that
+    of the rotated e, R·V·Rᵀ, plus J·P·Jᵀ of the pose, J = [I, −[R·(x − o)]×]. Common errors of all points, such as
+    those of the calibration, are not included. Points without a reference position are excluded.
+    """
+    motion = stereo.motion
+    each = ((part, row) for part in stereo.surface or () for row in range(len(part.residual_m)))
+    for number, (part, row) in enumerate(each):
+        if not np.isfinite(motion.pose[number]).all():
+            continue
+        arm = part.reference_m[finite] - motion.origin_m
+        turn = rotation_from_vector(motion.pose[number, 3:])
+        rest = part.residual_m[row, finite] @ turn.T
+        local = turn @ part.covariance_m2[row, finite] @ turn.T
+        rotated = arm @ turn.T
+        jacobian = displacement_jacobian(rotated) @ np.linalg.inv(pose_rate(motion.pose[number]))
+        whole = local + jacobian @ motion.covariance[number] @ jacobian.swapaxes(1, 2)
+        u_moved, u_rest = (np.sqrt(np.maximum(v.diagonal(axis1=1, axis2=2), 0.0)) for v in (whole, local))
+        moved = rotated - arm + motion.pose[number, :3] + rest
+        yield (
+            number,
+            {"displacement_m": moved, "u_displacement_m": u_moved, "deviation_m": rest, "u_deviation_m": u_rest},
+        )
+
+
+def _vtp(positions_m: FloatArray, seen: BoolArray, vectors: Mapping[str, FloatArray]) -> str:
+    """Return VTK PolyData in XML: positions in the first frame and vectors of one frame.
+
+    Doubles are in base64 after their length in bytes as UInt64 (VTK file formats, "XML file formats"). Points that were
+    not found have `seen` 0 and zero vectors.
+    """
+    count = len(positions_m)
+    parts = [XML.format("PolyData", ' byte_order="LittleEndian" header_type="UInt64"'), "<PolyData>"]
+    parts += [f'<Piece NumberOfPoints="{count}" NumberOfVerts="{count}">', "<Points>"]
+    parts += [_data_array("place_m", positions_m), "</Points>", "<Verts>"]
+    parts += [_data_array("connectivity", np.arange(count)), _data_array("offsets", np.arange(1, count + 1))]
+    parts += ["</Verts>", '<PointData Vectors="displacement_m">']
+    parts += [_data_array(name, np.where(seen[:, None], values, 0.0)) for name, values in vectors.items()]
+    parts += [_data_array("seen", seen.astype(np.uint8)), "</PointData>", "</Piece>", "</PolyData>", "</VTKFile>", ""]
+    return "\n".join(parts)
+
+
+def _data_array(name: str, values: NDArray[Any]) -> str:
+    """Return a DataArray of doubles, integers or bytes."""
+    kind, dtype = {"f": ("Float64", "<f8"), "i": ("Int64", "<i8"), "u": ("UInt8", "u1")}[values.dtype.kind]
+    raw = np.ascontiguousarray(values, dtype=dtype).tobytes()
+    text = base64.b64encode(len(raw).to_bytes(8, "little") + raw).decode("ascii")
+    components = f' NumberOfComponents="{values.shape[1]}"' if values.ndim == 2 else ""
+    return f'<DataArray type="{kind}" Name="{name}"{components} format="binary">{text}</DataArray>'

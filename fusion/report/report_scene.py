@@ -27,13 +27,13 @@ from fusion.recording.rig import Stereo
 from fusion.recording.transducer import TRANSDUCERS
 from fusion.report.figure import BLACK, GREY, ORANGE, PURPLE, SKY, SOURCE_COLOUR
 from fusion.report.folder import render_page
+from fusion.report.motion_figures import tracked_surface
 from fusion.report.scene_views import SceneShape, make_box, solid, static_views
 from fusion.report.table import quantity_html
-from fusion.report.tracked_surface import tracked_surface
 from fusion.sensitivity.analyse import Evaluation
 from fusion.sensitivity.moving_body import MovingPart, make_moving_part, moving_parts
 from photogram.camera import Camera, FaceCamera
-from photogram.geometry import RigidTransform
+from photogram.geometry import RigidTransform, displacement_jacobian
 from shaker.labels import MOTION_COMPONENTS
 from shaker.sine.phasor import derivative_factor
 from shakercal._common.arrays import ComplexArray, FloatArray
@@ -164,9 +164,8 @@ def _motion_data(motion: SceneMotion, shapes: Sequence[SceneShape]) -> dict[str,
     """Return a motion with its first magnifications, of all bodies and of deflections."""
     points = np.concatenate([shape.points_m for shape in shapes if shape.body] or [np.zeros((1, 3))])
     reach = 0.5 * float(np.linalg.norm(np.ptp(points, axis=0)))
-    rigid = [
-        rigid_displacement(motion.rigid[shape.body], shape.points_m) for shape in shapes if shape.body in motion.rigid
-    ]
+    moving = [shape for shape in shapes if shape.body in motion.rigid]
+    rigid = [displacement_jacobian(shape.points_m) @ motion.rigid[shape.body] for shape in moving]
     bent = list(motion.deflection.values())
     return {
         "f": round(motion.frequency_hz, 6),
@@ -186,16 +185,6 @@ def _parts(phasors: ComplexArray, digits: int) -> list[float]:
 def _magnification(reach_m: float, displacements: Sequence[ComplexArray]) -> float:
     largest = max((float(np.linalg.norm(np.abs(d), axis=1).max(initial=0.0)) for d in displacements), default=0.0)
     return float(f"{SHOWN_SHARE * reach_m / largest:.2g}") if largest > 0.0 else 1.0
-
-
-def rigid_displacement(rigid: ComplexArray, points_m: FloatArray) -> ComplexArray:
-    """Return displacement phasors (N, 3) of points of a rigid body.
-
-    t + θ × p of translation and rotation.
-
-    `rigid` (6,): phasors of the sensor origin.
-    """
-    return np.asarray(rigid[:3] + np.cross(rigid[3:], points_m))
 
 
 # Positions from the manifests.

@@ -1,19 +1,19 @@
-"""Figures as static SVG text for pages and files."""
+"""Figures as static SVG text for pages and files: layout, axes, ticks, legend."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
-from dataclasses import replace
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from fusion.report.figure import (
     BLACK,
+    Along,
     Band,
     Bounds,
     Boxes,
-    Ellipses,
     Figure,
     Line,
     Mark,
@@ -24,31 +24,20 @@ from fusion.report.figure import (
     Scale,
     Span,
     Texts,
+    padded_limits,
     power_text,
-)
-from fusion.report.layout import (
-    WIDTH_IN,
-    PanelFrame,
-    decade_ticks,
-    frames,
-    has_upright_names,
-    limits,
-    number_texts,
-    round_ticks,
-    scale_below,
 )
 from fusion.report.svg_marks import (
     DRAWN,
     FONT,
     HEIGHTS,
+    LEVELS,
     NUMBER_PT,
     AxisScale,
     PanelRect,
     half_height,
     path,
     polygons,
-    scale_colours,
-    shade,
     stroke,
     strokes,
     strokes_across,
@@ -57,6 +46,12 @@ from fusion.report.svg_marks import (
 )
 from shakercal._common.arrays import FloatArray
 
+WIDTH_IN, CHARACTER_IN = 8.4, 0.066
+"""Width of a page's figure, and mean width of a character in its font."""
+MARGIN = 0.05  # share of the range of all marks beyond the outermost one
+STEPS = (1.0, 2.0, 2.5, 5.0, 10.0)
+MOST_DECADES = 8
+"""Largest number of powers of ten with a label on a logarithmic axis; more would overlap."""
 PT = 72.0
 LABEL_PT, TITLE_PT, AXIS_PT, GRID_PT, TICK_PT, GRID = 8.5, 8.0, 0.7, 0.6, 3.5, "#e8e8e8"
 SIGN_PT, GAP_PT, ROW_PT = 12.8, 16.0, 14.4  # of the legend: sign, gap between entries, height of a row
@@ -66,7 +61,10 @@ MOST_STEPS, CLOSEST_PT = 8, 11.0
 
 
 def static_svg(figure: Figure) -> str:
-    """Return a figure as SVG text of the page's width; equal figures give equal text."""
+    """Return a figure as SVG text of the page's width; equal figures give equal text.
+
+    Images, arrows and ellipses are drawn in the browser only.
+    """
     entries = dict[str, Mark]()
     for panel in figure.panels:
         for mark in panel.marks:
@@ -154,7 +152,7 @@ def _panel(panel: Panel, rect: PanelRect, name: str, inner: tuple[bool, bool], *
     yield from _right(panel.y, rect)
     scale = scale_below(panel)
     if scale is not None:
-        yield from _bar(rect, scale, name)
+        yield from _bar(rect, scale)
 
 
 class _Ticks(NamedTuple):
@@ -257,18 +255,17 @@ def _right(spec: PanelAxis, rect: PanelRect) -> Iterator[str]:
     yield svg_text(x + PT * 0.72 - 3.0, (rect.y.start + rect.y.end) / 2.0, label, LABEL_PT, upright=True)
 
 
-def _bar(rect: PanelRect, scale: Scale, name: str) -> Iterator[str]:
+def _bar(rect: PanelRect, scale: Scale) -> Iterator[str]:
     """Yield a colour bar below the numbers of a panel, with numbers and label."""
     left, right, top, tall = rect.x.start, rect.right, rect.y.start + rect.bottom_margin, 7.2
-    stops = scale_colours(scale)
-    gradient = "".join(
-        f'<stop offset="{k / (len(stops) - 1):.4f}" stop-color="{shade(scale, k / (len(stops) - 1))}"/>'
-        for k in range(len(stops))
-    )
-    yield f'<linearGradient id="{name}s">{gradient}</linearGradient>'
-    box = f'x="{left:.2f}" y="{top:.2f}" width="{right - left:.2f}" height="{tall}"'
-    yield f'<rect {box} fill="url(#{name}s)" {stroke(BLACK, AXIS_PT)}/>'
-    below = PanelRect(AxisScale(scale.low, scale.high, left, right, scale.log), AxisScale(0.0, 1.0, top + tall, top))
+    inside = PanelRect(AxisScale(0.0, 1.0, left, right), AxisScale(0.0, 1.0, top + tall, top))
+    ends, share = np.linspace(0.0, 1.0, LEVELS + 1), np.linspace(0.0, 1.0, LEVELS)
+    whole: dict[str, Any] = {"low": 0.0 * share, "high": 0.0 * share + 1.0}
+    colours = Scale(scale.colours, 0.0, 1.0)
+    yield from DRAWN[Boxes](inside, Boxes(left=ends[:-1], right=ends[1:], values=share, scale=colours, **whole))
+    corners = np.array([[[left, top], [right, top], [right, top + tall], [left, top + tall]]])
+    yield path(polygons(corners), stroke(BLACK, AXIS_PT))
+    below = replace(inside, x=AxisScale(scale.low, scale.high, left, right, scale.log))
     spec = PanelAxis(label=scale.label, log=scale.log)
     yield from _bottom(spec, below, _Ticks.of(spec, below.x), hidden=False, upright=False)
 
@@ -308,8 +305,169 @@ def _legend_sign(mark: Mark, x: float, y: float) -> Iterable[str]:
         return DRAWN[Bounds](
             replace(rect, y=replace(up, low=0.5, high=1.0)), Bounds(x=half, y=one + 1.0, colour=mark.colour)
         )
-    filled = not isinstance(mark, Ellipses) and not (isinstance(mark, Boxes) and not mark.filled)
+    filled = not (isinstance(mark, Boxes) and not mark.filled)
     opacity = mark.opacity if isinstance(mark, Span) else 0.25 if isinstance(mark, Band) else 1.0
     corners = np.array([[[x, y - 2.8], [x + SIGN_PT, y - 2.8], [x + SIGN_PT, y + 2.8], [x, y + 2.8]]])
     look_of = f'fill="{mark.colour}" fill-opacity="{opacity:.3g}"' if filled else stroke(mark.colour, 0.8)
     return [path(polygons(corners), look_of)]
+
+
+# Frames of panels.
+
+
+@dataclass(frozen=True)
+class PanelFrame:
+    """Rectangle of a panel in inches from the upper left corner, with margins for labels."""
+
+    left: float
+    top: float
+    width: float
+    height: float
+    left_margin: float
+    bottom_margin: float
+
+
+def frames(figure: Figure, legend_in: float) -> list[PanelFrame]:
+    """Return the frame of every panel.
+
+    Margins and gaps follow from titles, numbers, names, second scales and colour bars. `legend_in`: height of the
+    legend above all panels.
+    """
+    rows, columns = len(figure.heights), len(figure.widths)
+    grid = [figure.panels[r * columns : (r + 1) * columns] for r in range(rows)]
+    longest = [max(len(name) for row in grid for name in ("", *row[c].y.names)) for c in range(columns)]
+    left_margins = [0.82 if not n else 0.3 + CHARACTER_IN * n for n in longest]
+    right_margins = [0.72 if any(row[c].y.second for row in grid) else 0.12 for c in range(columns)]
+    top_margins = [0.2 if any(panel.title for panel in row) else 0.08 for row in grid]
+    names = (
+        max(len(name) for panel in figure.panels for name in ("", *panel.x.names)) if has_upright_names(figure) else 0
+    )
+    numbers = [
+        max(0.45, 0.1 + CHARACTER_IN * names) if r == rows - 1 or not figure.shared_x else 0.06 for r in range(rows)
+    ]
+    bottom_margins = [n + (0.52 if any(map(scale_below, grid[r])) else 0.0) for r, n in enumerate(numbers)]
+    if figure.shared_y:
+        left_margins = [left_margins[0], *([0.12] * (columns - 1))]
+    width, height = (
+        WIDTH_IN - sum(left_margins) - sum(right_margins),
+        figure.height_in - legend_in - sum(top_margins) - sum(bottom_margins),
+    )
+    lefts = np.cumsum([0.0, *(width * w / sum(figure.widths) for w in figure.widths)]).tolist()
+    tops = np.cumsum([0.0, *(height * h / sum(figure.heights) for h in figure.heights)]).tolist()
+    return [
+        PanelFrame(
+            lefts[c] + sum(left_margins[: c + 1]) + sum(right_margins[:c]),
+            legend_in + tops[r] + sum(top_margins[: r + 1]) + sum(bottom_margins[:r]),
+            lefts[c + 1] - lefts[c],
+            tops[r + 1] - tops[r],
+            left_margins[c],
+            numbers[r],
+        )
+        for r, c in np.ndindex(rows, columns)
+    ]
+
+
+def has_upright_names(figure: Figure) -> bool:
+    """Return whether names below a panel must be upright, since they would overlap."""
+    characters = WIDTH_IN / len(figure.widths) / CHARACTER_IN
+    return any(sum(len(name) + 1 for name in panel.x.names) > 0.8 * characters for panel in figure.panels)
+
+
+def scale_below(panel: Panel) -> Scale | None:
+    """Return the colour scale that is shown below a panel, if it has one."""
+    scales = (mark.scale for mark in panel.marks if isinstance(mark, Points | Boxes) and mark.scale is not None)
+    return next((scale for scale in scales if scale.label), None)
+
+
+# Limits.
+
+
+def limits(panels: Sequence[Panel], axis_name: Along) -> tuple[float, float]:
+    """Return the limits of an axis that some panels share.
+
+    These are stated ones, or those of its names or marks.
+    """
+    axes: list[PanelAxis] = [getattr(panel, axis_name) for panel in panels]
+    log = any(axis.log for axis in axes)
+    names = max(len(axis.names) for axis in axes)
+    stated = next((axis.limits for axis in reversed(axes) if axis.limits is not None), None)
+    if stated is not None and (min(stated) > 0.0 or not log):
+        return stated
+    if names:
+        return (-0.6, names - 0.4) if axis_name == "x" else (names - 0.4, -0.6)
+    marks = [mark for panel in panels for mark in panel.marks]
+    values = np.concatenate([np.empty(0), *(np.ravel(part) for mark in marks for part in _reach(mark, axis_name))])
+    values = values[np.isfinite(values) & ((values > 0.0) | (not log))]
+    ends = (float(values.min()), float(values.max())) if len(values) else (1.0, 10.0) if log else (0.0, 1.0)
+    if log:
+        low, high = (float(np.log10(end)) for end in ends)
+        low, high = padded_limits(low, high, MARGIN) if low < high else (low - 0.5, high + 0.5)
+        return 10.0**low, 10.0**high
+    return padded_limits(*ends, MARGIN) if ends != (0.0, 0.0) else (-MARGIN, MARGIN)
+
+
+def _reach(mark: Mark, axis_name: Along) -> Iterator[Any]:
+    """Yield the values of x or y that a mark covers."""
+    along_x = axis_name == "x"
+    if isinstance(mark, Points):
+        half, values = (mark.half_x, mark.x) if along_x else (mark.half_y, mark.y)
+        yield values
+        yield from () if half is None else (values - half, values + half)
+    elif isinstance(mark, Bounds):
+        values = mark.x if along_x else mark.y
+        yield from (values, 0.5 * values) if mark.along == axis_name else (values,)
+    elif isinstance(mark, Band):
+        yield from (mark.x,) if along_x else (mark.low, mark.high)
+    elif isinstance(mark, Span):
+        yield from (mark.low, mark.high) if mark.along == axis_name else ()
+    elif isinstance(mark, Rule):
+        yield from (mark.at,) if mark.along == axis_name else ()
+    elif isinstance(mark, Boxes):
+        yield from (mark.left, mark.right) if along_x else (mark.low, mark.high)
+    elif isinstance(mark, Line):
+        yield mark.x if along_x else mark.y
+
+
+# Ticks.
+
+
+def round_ticks(low: float, high: float, most: int) -> FloatArray:
+    """Return round ticks between two ends: multiples of 1, 2, 2.5 or 5.
+
+    `most`: largest number of steps from end to end. The multiples are times a power of ten.
+    """
+    low, high = min(low, high), max(low, high)
+    least = (high - low) / max(most, 1)
+    if not least > 1e-14 * max(abs(low), abs(high)):
+        return np.array([low])
+    power = 10.0 ** np.floor(np.log10(least))
+    step = power * next(factor for factor in STEPS if factor * power >= least * (1.0 - 1e-9))
+    first, last = np.ceil(low / step - 1e-9), np.floor(high / step + 1e-9)
+    return np.asarray(step * np.arange(first, last + 0.5))
+
+
+def decade_ticks(low: float, high: float) -> tuple[FloatArray, list[str]]:
+    """Return powers of ten between two ends with their texts.
+
+    If the ends span less than two decades, 1, 2 and 5 times the powers are returned.
+    """
+    low, high = min(low, high), max(low, high)
+    first, last = int(np.ceil(np.log10(low) - 1e-9)), int(np.floor(np.log10(high) + 1e-9))
+    if high < 100.0 * low and high < 1e5:
+        values = np.ravel(10.0 ** np.arange(first - 1.0, last + 1.0)[:, None] * [1.0, 2.0, 5.0])
+        values = values[(values >= low * (1.0 - 1e-9)) & (values <= high * (1.0 + 1e-9))]
+        return values, [f"{value:g}" for value in values]
+    stride = -(-(last - first + 1) // MOST_DECADES)
+    powers = range(first + (-first) % stride, last + 1, stride)
+    return 10.0 ** np.array(powers, dtype=np.float64), [power_text(power) for power in powers]
+
+
+def number_texts(values: FloatArray) -> list[str]:
+    """Return texts of ticks with as many decimals as are needed to distinguish them."""
+    spread = float(np.min(np.diff(np.sort(values)))) if len(values) > 1 else float(np.max(np.abs(values), initial=1.0))
+    for decimals in range(12):
+        if np.all(np.abs(np.round(values, decimals) - values) <= 1e-3 * spread):
+            break
+    return [
+        f"{value:.{decimals}f}".replace("-", "\N{MINUS SIGN}") for value in (np.round(values, decimals) + 0.0).tolist()
+    ]

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import base64
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from html import escape
 from itertools import groupby
@@ -11,29 +10,13 @@ from typing import Any
 
 import numpy as np
 
-from fusion.report.figure import (
-    BLACK,
-    LIGHT,
-    Arrows,
-    Band,
-    Bounds,
-    Boxes,
-    Ellipses,
-    Image,
-    Line,
-    Mark,
-    Points,
-    Rule,
-    Scale,
-    Span,
-    Texts,
-)
+from fusion.report.figure import BLACK, LIGHT, Band, Bounds, Boxes, Line, Mark, Points, Rule, Scale, Span, Texts
 from shakercal._common.arrays import FloatArray
 
 NUMBER_PT, TEXT_PT, SMALL_PT, CAP_PT = 8.0, 7.5, 5.5, 2.5
 """Sizes of numbers, texts and small texts, and width of the caps of error bars."""
 MANY = 200
-"""Number of points above which a line is written with less, invisible, detail."""
+"""Number of points above which a line is written to a tenth of a pt."""
 CAPPED = 500
 """Largest number of points whose error bars end in strokes (open markers and triangles)."""
 FAR_PT = 1e4
@@ -55,6 +38,7 @@ COLOURS = {
 }  # fmt: skip
 """Colours of the named scales at equal steps."""
 OUTLINES: dict[str, tuple[tuple[float, float], ...]] = {
+    "circle": tuple((np.cos(turn), np.sin(turn)) for turn in np.linspace(0.0, 2.0 * np.pi, 25)[:-1]),
     "square": ((-1, -1), (1, -1), (1, 1), (-1, 1)),
     "diamond": ((0, -1.414), (1.414, 0), (0, 1.414), (-1.414, 0)),
     "triangle": ((0, -1), (1, 1), (-1, 1)),
@@ -162,29 +146,13 @@ def strokes(ends: FloatArray) -> str:
 
 
 def _chain(positions: FloatArray) -> str:
-    """Return the path through positions (N, 2), interrupted at NaN.
-
-    Many points are rounded to a tenth of a pt.
-    """
-    parts, many = [], len(positions) > MANY
+    """Return the path through positions (N, 2), interrupted at NaN."""
+    parts, digits = [], 1 if len(positions) > MANY else 2
     for is_finite, run in groupby(positions.tolist(), lambda point: point[0] == point[0] and point[1] == point[1]):
         if is_finite:
-            points = list(run)
-            parts.append(_steps(points) if many else "M" + "L".join(f"{x:.2f} {y:.2f}" for x, y in points))
-            parts.append("h0" if len(points) == 1 else "")
+            points = [f"{x:.{digits}f} {y:.{digits}f}" for x, y in run]
+            parts.append("M" + "L".join(points) + ("h0" if len(points) == 1 else ""))
     return "".join(parts)
-
-
-def _steps(points: Sequence[Sequence[float]]) -> str:
-    """Return the path through points by relative steps."""
-    x, y = round(10.0 * points[0][0]), round(10.0 * points[0][1])
-    parts = [f"M{x / 10:g} {y / 10:g}l"]
-    for point in points[1:]:
-        new_x, new_y = round(10.0 * point[0]), round(10.0 * point[1])
-        if (new_x, new_y) != (x, y):
-            parts.append(f"{(new_x - x) / 10:g} {(new_y - y) / 10:g} ")
-        x, y = new_x, new_y
-    return "".join(parts).rstrip(" l")
 
 
 def polygons(corners: FloatArray) -> str:
@@ -200,16 +168,11 @@ def _signs(positions: FloatArray, marker: str, size: float, colour: str, *, edge
         attributes = half * np.array(STROKES[marker], dtype=np.float64)
         ends = (np.tile(positions, 2)[:, None, :] + attributes).reshape(-1, 4)
         return path(strokes(ends), stroke(colour, edge or 1.0))
-    border, filling = f" {stroke(colour, edge)}" if edge else "", "none" if empty else colour
-    if marker == "circle":
+    if marker == "circle" and not empty:
         rows = positions[np.isfinite(positions).all(axis=1)].tolist()
-        if not empty:
-            return path(
-                "".join(f"M{x:.1f} {y:.1f}h0" for x, y in rows), f'{stroke(colour, size)} stroke-linecap="round"'
-            )
-        arc = f"a{half:.3g} {half:.3g} 0 1 0"
-        round_ = (f"M{x - half:.2f} {y:.2f}{arc} {size:.3g} 0{arc} {-size:.3g} 0Z" for x, y in rows)
-        return path("".join(round_), f'fill="{filling}"{border}')
+        dots = "".join(f"M{x:.1f} {y:.1f}h0" for x, y in rows)
+        return path(dots, f'{stroke(colour, size)} stroke-linecap="round"')
+    border, filling = f" {stroke(colour, edge)}" if edge else "", "none" if empty else colour
     outline = half * np.array(OUTLINES[marker])
     return path(polygons(positions[:, None, :] + outline), f'fill="{filling}"{border}')
 
@@ -217,15 +180,10 @@ def _signs(positions: FloatArray, marker: str, size: float, colour: str, *, edge
 # Colours of values.
 
 
-def scale_colours(scale: Scale) -> FloatArray:
-    """Return red, green and blue (N, 3) of a scale at equal steps."""
-    names = COLOURS[scale.colours] if isinstance(scale.colours, str) else scale.colours
-    return np.array([[int(name[k : k + 2], 16) for k in (1, 3, 5)] for name in names], dtype=np.float64)
-
-
 def shade(scale: Scale, share: float) -> str:
     """Return the colour at a share of a scale."""
-    stops = scale_colours(scale)
+    names = COLOURS[scale.colours] if isinstance(scale.colours, str) else scale.colours
+    stops = np.array([[int(name[k : k + 2], 16) for k in (1, 3, 5)] for name in names], dtype=np.float64)
     at = share * (len(stops) - 1)
     return "#" + "".join(f"{round(float(np.interp(at, range(len(stops)), part))):02x}" for part in stops.T)
 
@@ -314,14 +272,6 @@ def _rule(rect: PanelRect, mark: Rule) -> Iterator[str]:
     yield path(strokes(strokes_across(rect, mark.at, mark.along)), stroke(mark.colour, mark.width, dashed=mark.dashed))
 
 
-def _ellipses(rect: PanelRect, mark: Ellipses) -> Iterator[str]:
-    turn = np.linspace(0.0, 2.0 * np.pi, 73)[:-1]
-    a, b = 0.5 * mark.width[:, None] * np.cos(turn), 0.5 * mark.height[:, None] * np.sin(turn)
-    cos, sin = np.cos(mark.angle_rad)[:, None], np.sin(mark.angle_rad)[:, None]
-    x, y = mark.x[:, None] + cos * a - sin * b, mark.y[:, None] + sin * a + cos * b
-    yield path(polygons(np.stack([rect.x(x), rect.y(y)], 2)), stroke(mark.colour, 1.1))
-
-
 def _boxes(rect: PanelRect, mark: Boxes) -> Iterator[str]:
     x, y = [mark.left, mark.left, mark.right, mark.right], [mark.low, mark.high, mark.high, mark.low]
     corners = np.stack([rect.x(np.stack(x, 1)), rect.y(np.stack(y, 1))], 2)
@@ -330,13 +280,6 @@ def _boxes(rect: PanelRect, mark: Boxes) -> Iterator[str]:
             yield path(polygons(corners[which]), f'fill="{colour}" {stroke(colour, 0.2)}')
     else:
         yield path(polygons(corners), f'fill="{mark.colour}"' if mark.filled else stroke(mark.colour, 0.5))
-
-
-def _arrows(rect: PanelRect, mark: Arrows) -> Iterator[str]:
-    width = 0.005 * (rect.x.end - rect.x.start)
-    start, end = rect.positions(mark.x, mark.y), rect.positions(mark.x + mark.dx, mark.y + mark.dy)
-    yield path(strokes(np.hstack([start, 0.4 * start + 0.6 * end])), stroke(mark.colour, width))
-    yield _heads(start, end, 6.0 * width, mark.colour)
 
 
 def _texts(rect: PanelRect, mark: Texts) -> Iterator[str]:
@@ -351,17 +294,6 @@ def _texts(rect: PanelRect, mark: Texts) -> Iterator[str]:
             yield svg_text(x, y + half_height(TEXT_PT), text, TEXT_PT, mark.align, colour=mark.colour)
 
 
-def _image(rect: PanelRect, mark: Image) -> Iterator[str]:
-    import cv2
-
-    _, data = cv2.imencode(".png", mark.grey)
-    source = "data:image/png;base64," + base64.b64encode(data.tobytes()).decode("ascii")
-    (a, b), (c, d) = rect.x([mark.left, mark.right]).tolist(), rect.y([mark.top, mark.bottom]).tolist()
-    turn = f"matrix({(b - a):.6g} 0 0 {(d - c):.6g} {a:.2f} {c:.2f})"
-    look = 'width="1" height="1" preserveAspectRatio="none"'
-    yield f'<image transform="{turn}" {look} xlink:href="{source}"/>'
-
-
 DRAWN: dict[type[Mark], Callable[[PanelRect, Any], Iterator[str]]] = {
     Line: _line,
     Points: _points,
@@ -369,11 +301,8 @@ DRAWN: dict[type[Mark], Callable[[PanelRect, Any], Iterator[str]]] = {
     Band: _band,
     Span: _span,
     Rule: _rule,
-    Ellipses: _ellipses,
     Boxes: _boxes,
-    Arrows: _arrows,
     Texts: _texts,
-    Image: _image,
 }
-HEIGHTS = ((Image,), (Span,), (), (Band, Boxes, Ellipses), (Line, Rule, Bounds, Arrows), (Points,), (Texts,))
-"""Drawing order of marks, lowest first; the grid is the third."""
+HEIGHTS = ((Span,), (), (Band, Boxes), (Line, Rule, Bounds), (Points,), (Texts,))
+"""Drawing order of marks, lowest first; the grid is the second. Other marks are drawn in the browser only."""

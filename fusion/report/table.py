@@ -1,4 +1,4 @@
-"""Table columns, declared once for all views, and numbers rounded to their U.
+"""Columns of tables, declared once for all views, rounded numbers, notices on pages.
 
 A list of columns is the declaration of a table. Files (`csv_text`), pages (`table`) and the terminal (`text_lines`) use
 the same declaration, so that names, numbers and heads always agree.
@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import Any, Generic, TypeVar
 
 import numpy as np
-from markupsafe import Markup
+from markupsafe import Markup, escape
 
 from fusion.base import DASH, round_to_uncertainty
 from fusion.errors import InputError
@@ -26,6 +26,7 @@ from fusion.estimation.coverage import CoverageRegion, Polar, RealQuantity
 from fusion.report.report_notices import UNREADABLE_TABLE
 from shaker.labels import typeset
 from shakercal._common.arrays import ComplexArray
+from shakercal._common.notices import Notice, warnings_first
 
 R = TypeVar("R")
 
@@ -336,3 +337,31 @@ def signed_text(value: float, form: str = ".2f") -> str:
 def capitalise(text: str) -> str:
     """Return a text with a capital first letter."""
     return text[:1].upper() + text[1:]
+
+
+# Notices on pages.
+
+
+def notice_frame(notices: Iterable[Notice]) -> dict[str, Any]:
+    """Return the notices of a page, and tables of acknowledged and of not assessed ones."""
+    every = warnings_first(notices)
+    seen = [one for one in every if one.acknowledged]
+    assumed = [one for one in every if one.possible_size and not one.acknowledged]
+    heads = ("code", "where", "notice", "reason (by, date)"), ("code", "influence", "where", "size", "how to assess it")
+    rows = [(_named(one), one.where, code_html(one.text), one.acknowledged) for one in seen]
+    sized = [(_named(one), *map(code_html, (one.text, one.where, one.possible_size, one.remedy))) for one in assumed]
+    return {
+        "notices": [one for one in every if one.is_listed],
+        "acknowledged": Table("Acknowledged", heads[0], "llll", tuple(rows)) if seen else None,
+        "not_assessed": Table("Influences outside U", heads[1], "lllll", tuple(sized)) if assumed else None,
+    }
+
+
+def code_html(text: str) -> Markup:
+    """Return a text with its `code` marked for pages."""
+    return Markup(re.sub(r"`([^`]+)`", r"<code>\1</code>", str(escape(text))))
+
+
+def _named(notice: Notice) -> Markup:
+    """Return the code of a notice, which stays on one line."""
+    return Markup('<span class="code">{}</span>').format(notice.code)

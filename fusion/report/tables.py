@@ -406,26 +406,13 @@ def supports_table(evaluation: Evaluation) -> Table | None:
         for k, c in np.argwhere(moved.observed & np.isfinite(moved.phasors.value)).tolist():
             one, unit = found[k][c], moved.phasors.unit[c]
             if one is not None:
-                share = (
-                    scaled_html(
-                        100.0 * one.magnitude / moved.measured_mps2[k],
-                        100.0 * one.expanded_magnitude / moved.measured_mps2[k],
-                        0,
-                    )
-                    if c < 3
-                    else DASH
-                )
+                percent = 100.0 / moved.measured_mps2[k]
+                share = scaled_html(percent * one.magnitude, percent * one.expanded_magnitude, 0) if c < 3 else DASH
                 names = (moved.name, ", ".join(moved.references), f"{moved.phasors.frequency_hz[k]:.4f}")
                 size = quantity_html(one.magnitude, one.expanded_magnitude, unit)
                 rows.append((*names, MOTION_COMPONENTS[c], size, share))
-    head = (
-        "support",
-        "determined by",
-        "line / Hz",
-        "component",
-        "acceleration at the origin",
-        "of the motion measured / %",
-    )
+    support = ("support", "determined by", "line / Hz", "component")
+    head = (*support, "acceleration at the origin", "of the motion measured / %")
     caption = "Motion of the supports of cameras and lasers, subtracted from their readings, with U (95 %)"
     return Table(caption, head, "llrlrr", tuple(rows)) if rows else None
 

@@ -310,6 +310,7 @@ def test_figures_of_a_long_session_with_many_dropped_pictures_are_the_same_each_
     many = tuple(Rejection(f"picture-{n:03d}.tif", 0, "blurred") for n in range(12))
     changed = replace(made, rejections=many)
     for draw in (draw_coverage, draw_views, draw_image_residuals):
-        svg = render_figure(draw(changed))
-        assert svg.startswith(b"<?xml")
-        assert svg == render_figure(draw(changed))
+        assert draw(changed).json() == draw(changed).json()
+    svg = render_figure(draw_coverage(changed))
+    assert svg.startswith(b"<?xml")
+    assert svg == render_figure(draw_coverage(changed))

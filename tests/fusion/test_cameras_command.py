@@ -17,8 +17,8 @@ from support import RefusedCommand
 
 from fusion.cameras.camera_notices import IMAGE_LISTS, TOO_FEW_IMAGES
 from fusion.cli import main
-from fusion.commands.command_notices import LENGTH_UNIT_REQUIRED
 from fusion.commands.options import EXIT_DONE, in_metres, length
+from fusion.errors import LENGTH_UNIT_REQUIRED
 from fusion.simulate.preset import read_preset
 from fusion.simulate.statics import SessionPreset
 from photogram.calibration.calibration_file import read_calibration, read_camera

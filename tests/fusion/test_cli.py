@@ -21,22 +21,20 @@ from support import RefusedCommand, folder_contents
 
 from fusion import simulate as simulation
 from fusion.cli import _parser, commands, main
-from fusion.commands.command_notices import OUTPUT_EXISTS
 from fusion.commands.options import EXIT_DONE, EXIT_FAILED, EXIT_INPUT, EXIT_INTERRUPTED
-from fusion.errors import INTERNAL_ERROR, SYSTEM_REFUSED, ComputeError
+from fusion.errors import INTERNAL_ERROR, OUTPUT_EXISTS, SYSTEM_REFUSED, ComputeError
 from fusion.recording.recording_notices import INVALID_VALUE
 from fusion.report.terminal import MOST_NOTES, log_notices, progress_bar, wrapped
 from fusion.simulate.simulation_notices import SIMULATION_FOLDER_IN_USE
-from shakercal._common.notices import DeclaredNotice, Notice, warnings_first
+from shakercal._common.notices import DeclaredNotice, Notice
 
 NO_FIT = DeclaredNotice("SC-997", "error", "{reason}")
-NOTE = DeclaredNotice("SC-996", "note", "a")
 LIGHT = DeclaredNotice("SC-995", "note", "load: {number}")
 WARNING = DeclaredNotice("SC-994", "warning", "{text}")
 HEAVY = ("torch", "kornia", "cv2", "numba", "matplotlib", "scipy", "skimage", "h5py", "rich", "pydantic", "numpy")
 
 
-@pytest.mark.parametrize("arguments", ["--help", "run --help", "--version", "run"])
+@pytest.mark.parametrize("arguments", ["run --help", "--version", "run"])
 def test_help_and_version_import_no_heavy_module(arguments):
     """Their time is that of the interpreter, which is what keeps them far below a second."""
     program = (
@@ -139,11 +137,6 @@ def test_answers_for_programs_are_one_document(words, key, capsys, monkeypatch):
         assert {"body": "load", "instrument": "stereo top", "components": ["x", "y", "z", "rx", "ry", "rz"]} in first[
             "observed"
         ]
-
-
-def test_a_notice_of_several_places_is_one_notice():
-    notices = [Notice(NOTE, "Fx"), Notice(WARNING, "Fz", text="b"), Notice(NOTE, "Fy"), Notice(NOTE, "Fx")]
-    assert warnings_first(notices) == [Notice(WARNING, "Fz", text="b"), Notice(NOTE, "Fx, Fy")]
 
 
 @pytest.mark.parametrize("level", [logging.INFO, logging.DEBUG])
@@ -255,15 +248,6 @@ def test_failures_of_compiled_code_and_internal_errors(make_campaign, monkeypatc
     assert "Traceback" in capsys.readouterr().err
 
 
-def test_check_reports_observed_components(demo_recording, capsys):
-    assert main(["check", str(demo_recording / "Fz-0080")]) == EXIT_DONE
-    output = capsys.readouterr()
-    assert "can observe" in output.out
-    assert "load: stereo top: x y z rx ry rz" in output.out
-    assert "wrong" not in output.out
-    assert output.err == ""
-
-
 def test_check_reports_errors_and_goes_on_after_a_recording_that_cannot_be_read(make_campaign, capsys):
     folder = make_campaign()
     before = sorted(folder.parent.rglob("*"))
@@ -281,13 +265,8 @@ def test_check_reports_errors_and_goes_on_after_a_recording_that_cannot_be_read(
     assert both.out == output
 
 
-class _Terminal(io.StringIO):
-    def isatty(self) -> bool:
-        return True
-
-
 @pytest.mark.parametrize(
-    ("stream", "enabled", "drawn"), [(_Terminal, True, True), (_Terminal, False, False), (io.StringIO, True, False)]
+    ("stream", "enabled", "drawn"), [(Screen, True, True), (Screen, False, False), (io.StringIO, True, False)]
 )
 def test_progress_on_a_terminal_only(stream, enabled, drawn, monkeypatch):
     monkeypatch.setenv("TERM", "xterm")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import subprocess
 import sys
 from collections import Counter
@@ -11,7 +12,8 @@ import numpy as np
 import pytest
 
 from fusion import Settings, run_path
-from fusion.report import folder
+from fusion.report import static_figure
+from fusion.report.folder import read_provenance
 from photogram import bspline
 from photogram.direct import direct_fit
 from photogram.images import image_files, tiff
@@ -34,8 +36,13 @@ SOLVING = ("scipy.optimize", "scipy.fft", "scipy.ndimage", "scipy.spatial", "sci
 
 @pytest.fixture(scope="module")
 def costs(tmp_path_factory):
-    """Calls of what takes the time of a run, and the iterations of every subset that was found."""
-    calls, iterations = Counter[str](), list[int]()
+    """Calls of what takes the time of a run, iterations of every subset, opened files, and the results."""
+    calls, iterations, opened, out = Counter[str](), list[int](), set[str](), tmp_path_factory.mktemp("results")
+    listening = True
+
+    def listen(event, arguments):
+        if listening and event == "open" and isinstance(arguments[0], str | bytes | os.PathLike):
+            opened.add(os.path.realpath(os.fsdecode(arguments[0])))
 
     def counted(patch, module, name):
         inner = getattr(module, name)
@@ -62,18 +69,20 @@ def costs(tmp_path_factory):
     with pytest.MonkeyPatch.context() as patch:
         for module, name in (
             (image_files, "tiff_header"), (image_files, "read_tiff"), (tiff, "_inflated"), (bspline, "_prefilter"),
-            (folder, "static_svg"),
+            (static_figure, "frames"),
         ):  # fmt: skip
             counted(patch, module, name)
         patch.setattr(find, "register", registered)
         patch.setattr(direct_fit, "compare_cells", compared)
-        run_path(DEMO, tmp_path_factory.mktemp("results"), Settings(), force=True)
+        sys.addaudithook(listen)
+        run_path(DEMO, out, Settings(), force=True)
+    listening = False
     calls["pixels of a body"], calls["pixels compared"] = max(pixels), sum(pixels)
-    return calls, iterations
+    return calls, iterations, opened, out
 
 
 def test_a_picture_is_read_and_prepared_once_but_for_the_first_of_a_camera(costs):
-    calls, _ = costs
+    calls, *_ = costs
     assert calls["tiff_header"] == PICTURES
     assert PICTURES <= calls["read_tiff"] <= PICTURES + CAMERAS
     assert calls["_inflated"] == calls["read_tiff"]
@@ -81,30 +90,29 @@ def test_a_picture_is_read_and_prepared_once_but_for_the_first_of_a_camera(costs
 
 
 def test_a_subset_needs_fewer_than_two_steps(costs):
-    _, iterations = costs
+    _, iterations, *_ = costs
     assert len(iterations) > 50 * PICTURES
     assert np.mean(iterations) < 2.0
 
 
 def test_most_frames_are_compared_with_the_body_once(costs):
-    calls, _ = costs
+    calls, *_ = costs
     assert calls["pixels compared"] <= 1.3 * PICTURES * calls["pixels of a body"]
 
 
 def test_only_the_main_figures_are_drawn_as_pictures(costs):
-    calls, _ = costs
-    assert 0 < calls["static_svg"] <= 4
+    calls, *_ = costs
+    assert 0 < calls["frames"] <= 4
 
 
-def test_a_run_does_not_import_matplotlib(tmp_path):
-    """Which takes as long as all that a page of results holds: its pictures are written out without it."""
-    run = (
-        f"import sys; from fusion.cli import main; main(['run', {str(DEMO)!r}, '-o', {str(tmp_path / 'out')!r}, '-q'])"
-    )
-    listing = "; print(sorted(name for name in ('matplotlib', 'numba') if name in sys.modules))"
-    done = subprocess.run([sys.executable, "-c", run + listing], capture_output=True, text=True, check=True)
-    assert done.stdout.splitlines()[-1] == "['numba']"
-    assert "data:image/svg+xml" in (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
+def test_every_file_that_a_run_opens_is_among_the_hashed(costs):
+    """Of the files that Python opens, those of the campaign are inputs of the results."""
+    *_, opened, out = costs
+    campaign = DEMO.parent.resolve()
+    hashed = {os.path.realpath(campaign / name) for name in read_provenance(out).input_hashes}
+    read = {name for name in opened if name.startswith(f"{campaign}{os.sep}")}
+    assert len(read) > PICTURES
+    assert read <= hashed
 
 
 def imported(program: str, *arguments: str) -> set[str]:
@@ -128,8 +136,8 @@ def test_lines_need_no_images():
     assert not found & {*DRAWING, *FOLLOWING, *SELDOM, *OF_CAMPAIGNS, *SOLVING, "cv2"}
 
 
-def test_a_single_recording_imports_no_campaign_module():
-    """Everything that a run imports before it computes, and a table that is printed afterwards."""
-    modules = "fusion.campaign.run", "fusion.campaign.run_summary", "photogram.measure.body", "photogram.epipolar"
-    found = imported("\n".join(f"import {name}" for name in modules))
-    assert not found & {*SELDOM, *OF_CAMPAIGNS, "torch", "scipy.optimize"}
+def test_a_single_recording_imports_no_campaign_module_and_no_matplotlib():
+    """Everything that a run imports before it computes, its page, and a table that is printed afterwards."""
+    modules = "campaign.run", "campaign.run_summary", "report.recording_report", "sensitivity.recording_evaluation"
+    found = imported("\n".join(f"import fusion.{name}" for name in modules) + "\nimport photogram.measure.body")
+    assert not found & {*SELDOM, *OF_CAMPAIGNS, "torch", "scipy.optimize", "matplotlib"}

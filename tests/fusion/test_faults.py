@@ -26,17 +26,14 @@ from cluster_factory import environment, wait_until
 from support import without_pages
 
 from fusion.cli import main
-from fusion.commands.command_notices import ADDRESS_SPACE_TOO_SMALL
 from fusion.commands.options import EXIT_CLOSED, EXIT_DONE, EXIT_FAILED, EXIT_INPUT
-from fusion.errors import ComputeError, InputError
-from fusion.recording.recording_notices import PATH_NOT_UTF8
+from fusion.errors import ADDRESS_SPACE_TOO_SMALL, PATH_NOT_UTF8, ComputeError, InputError
 from fusion.report import atomic_files
 from fusion.report.atomic_files import file_lock, remove_abandoned, write_atomically, write_files, write_together
-from fusion.report.folder import hash_files, hashing, read_provenance, sha256
+from fusion.report.folder import hash_files, hashing, sha256
 from fusion.report.report_notices import CHANGED_INPUT, NOT_WRITTEN, PATH_TOO_LONG, UNREADABLE_INPUT
 from fusion.report.table import TableColumn, csv_text, read_rows
 from fusion.report.terminal import Terminal, printable
-from fusion.simulate import simulate
 
 REFUSALS = (errno.ENOSPC, errno.EDQUOT, errno.EIO, errno.EROFS, errno.ESTALE)
 
@@ -163,8 +160,7 @@ def test_results_in_a_mounted_folder_are_replaced_file_by_file(small_disk, make_
 
 
 @pytest.mark.usefixtures("evaluated")
-@pytest.mark.parametrize("notes", [False, True])
-@pytest.mark.parametrize("table", ["sensitivity.csv", "load.csv", "result.h5"])
+@pytest.mark.parametrize(("notes", "table"), [(False, "sensitivity.csv"), (True, "load.csv"), (True, "result.h5")])
 def test_a_table_that_is_open_elsewhere_keeps_the_old_results_whole(notes, table, make_campaign, monkeypatch, capsys):
     without_pages(monkeypatch)
     folder = make_campaign()
@@ -349,11 +345,7 @@ def test_a_change_of_a_file_during_hashing_is_reported_before_errors_of_its_cont
     monkeypatch.setattr("fusion.campaign.run.evaluate_recording", evaluate)
     assert main(["run", str(folder), "-q"]) == EXIT_INPUT
     sentence = capsys.readouterr().err.splitlines()[-1]
-    verb = {
-        "rewritten": " changed ",
-        "deleted": " disappeared ",
-        "unreadable": "Permission denied",
-    }
+    verb = {"rewritten": " changed ", "deleted": " disappeared ", "unreadable": "Permission denied"}
     assert verb[change] in sentence
     assert "vibrometer.h5" in sentence or change == "unreadable"
     assert not (folder / "results").exists()
@@ -401,29 +393,6 @@ def test_a_manifest_that_changes_between_reading_and_hashing_is_refused(make_cam
     assert main(["run", str(folder), "-q"]) == EXIT_INPUT
     assert "recording.toml: changed " in capsys.readouterr().err
     assert not evaluated
-
-
-def test_every_file_that_a_run_opens_is_among_the_hashed(tmp_path):
-    """An audit hook lists the files that Python opens; those of the campaign are inputs of the results."""
-    simulate(tmp_path / "sweep", "sweep", 3, recordings=1)
-    recording = next((tmp_path / "sweep").glob("*/recording.toml")).parent
-    opened: set[str] = set()
-    listening = True
-
-    def listen(event: str, arguments: tuple[Any, ...]) -> None:
-        if listening and event == "open" and isinstance(arguments[0], str | bytes | os.PathLike):
-            opened.add(os.path.realpath(os.fsdecode(arguments[0])))
-
-    sys.addaudithook(listen)
-    with pytest.MonkeyPatch.context() as patch:
-        without_pages(patch)
-        assert main(["run", str(recording), "-o", str(tmp_path / "results"), "-q"]) == EXIT_DONE
-    listening = False
-    named = read_provenance(tmp_path / "results").input_hashes
-    hashed = {os.path.realpath(tmp_path / "sweep" / name) for name in named}
-    read = {name for name in opened if name.startswith(os.path.realpath(tmp_path / "sweep"))}
-    assert len(read) > 3
-    assert read <= hashed
 
 
 @pytest.mark.skipif(not Path("/proc/self").exists(), reason="no folder that takes no files")
@@ -561,8 +530,7 @@ def test_a_failed_output_leaves_no_folder(tmp_path):
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="signals of another process")
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-@pytest.mark.parametrize("after_s", [0.02, 0.3, 1.0])
+@pytest.mark.parametrize(("number", "after_s"), [(signal.SIGINT, 0.02), (signal.SIGTERM, 0.3), (signal.SIGINT, 1.0)])
 def test_a_signal_during_the_start_ends_the_process_in_one_line(number, after_s, tmp_path):
     """Whether modules are being imported or not."""
     end = faults.signalled(["simulate", str(tmp_path / "out"), "--preset", "demo"], number, after_s)
@@ -624,7 +592,7 @@ def test_no_name_controls_the_terminal(make_campaign, evaluated, capsys):
 PLAN = ["plan", "--frequencies", "80", "--max-rate", "50", "--exposure", "40e-6", "--frames", "48"]
 
 
-@pytest.mark.parametrize("encoding", ["cp1252", "ascii", "utf-8"])
+@pytest.mark.parametrize("encoding", ["cp1252", "ascii"])
 def test_a_table_survives_every_encoding(encoding):
     command = [sys.executable, "-m", "fusion.cli", *PLAN]
     run = subprocess.run(command, env={**environment(), "PYTHONIOENCODING": encoding}, capture_output=True, check=False)

@@ -28,7 +28,7 @@ from support import edit, rows, without_pages
 from fusion.base import Settings
 from fusion.campaign.run import run_path
 from fusion.cli import main
-from fusion.commands.command_notices import FREQUENCIES_NOT_ASCENDING
+from fusion.errors import FREQUENCIES_NOT_ASCENDING
 from fusion.instruments.channel import ChainUncertainty, ChannelReading, observe_channels
 from fusion.recording.manifest import ChannelEntry
 from fusion.recording.recording_notices import UNKNOWN_NAME

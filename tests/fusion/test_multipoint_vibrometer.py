@@ -21,7 +21,7 @@ from fusion.instruments.channel import ChainUncertainty, ChannelReading, delay_e
 from fusion.instruments.vibrometer import PointRatios, PointSpread, axis_name, point_spreads
 from fusion.report.figure import Figure
 from fusion.report.recording_report import render_report, write_h5
-from fusion.report.signal_figures import point_figures
+from fusion.report.result_figures import point_figures
 from fusion.report.uncertainty_tables import point_tables
 from fusion.sensitivity.analyse import Evaluation
 from fusion.sensitivity.load_phasors import load_phasors

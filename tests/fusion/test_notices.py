@@ -9,6 +9,7 @@ import pickle
 import shutil
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import h5py
@@ -24,6 +25,7 @@ from fusion.commands.options import EXIT_DONE, EXIT_INPUT
 from fusion.errors import ComputeError, InputError, declared_notices
 from fusion.instruments.instrument_notices import PARALLEL_BEAMS_WITHOUT_HEAD
 from fusion.report.h5 import read_notices
+from fusion.sensitivity.analyse import Evaluation
 from fusion.sensitivity.sensitivity_notices import NO_RESULT_AT_LINES
 from shakercal._common.notices import DeclaredNotice, Notice, gather, warnings_first
 
@@ -73,15 +75,20 @@ def test_explain_prints_every_part_and_refuses_other_codes(capsys) -> None:
 
 
 @pytest.fixture(scope="module")
-def acknowledged(tmp_path_factory: pytest.TempPathFactory, demo_recording: Path) -> Path:
-    """The demo whose rig acknowledges its only note, evaluated."""
+def acknowledged(tmp_path_factory: pytest.TempPathFactory, demo_recording: Path, demo_evaluation: Evaluation) -> Path:
+    """Results of the demo whose rig acknowledges its only note."""
     folder = tmp_path_factory.mktemp("acknowledged")
     shutil.copytree(demo_recording, folder / "demo")
     rig = folder / "demo" / "rig.toml"
     rig.write_text(
         rig.read_text(encoding="utf-8") + ACKNOWLEDGED.format(code=PARALLEL_BEAMS_WITHOUT_HEAD.code), encoding="utf-8"
     )
-    assert main(["run", str(folder / "demo"), "-o", str(folder / "out"), "-q"]) == EXIT_DONE
+    stages = "prepare_set_ups", "measure_set_ups", "evaluate_set_ups"
+    with pytest.MonkeyPatch.context() as patch:
+        for stage in stages:
+            made = f"fusion.sensitivity.recording_evaluation.{stage}"
+            patch.setattr(made, lambda manifest, *_: replace(demo_evaluation, manifest=manifest))
+        assert main(["run", str(folder / "demo"), "-o", str(folder / "out"), "-q"]) == EXIT_DONE
     return folder / "out"
 
 
@@ -147,8 +154,7 @@ def test_one_import_has_every_public_name() -> None:
 
 
 @pytest.mark.parametrize(
-    "changed",
-    [{"severity": "grave"}, {"values": "{not json"}, {"values": "[1]"}, {"values": '{"u": [1]}'}],
+    "changed", [{"severity": "grave"}, {"values": "{not json"}, {"values": "[1]"}, {"values": '{"u": [1]}'}]
 )
 def test_a_row_that_is_no_notice_is_refused(changed):
     row = Notice(LOST, "camera left", lost=0.25, total=40, direction="slower").as_row()

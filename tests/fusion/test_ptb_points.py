@@ -17,8 +17,7 @@ from fusion.base import Settings
 from fusion.errors import InputError
 from fusion.estimation.fuse import Acceleration
 from fusion.phasors.phasor_notices import EDGES_AMBIGUOUS
-from fusion.report.points import HEAD
-from fusion.report.recording_report import write_results
+from fusion.report.recording_report import POINT_COLUMNS, write_results
 from fusion.report.tables import acceleration
 from fusion.sensitivity.analyse import Evaluation
 from photogram.geometry import rotation_from_vector
@@ -96,12 +95,12 @@ class Campaign:
         return evaluated(self.folder)
 
 
-@pytest.fixture(params=[0, 1, 2])
+@pytest.fixture
 def campaign(tmp_path: Path, request: pytest.FixtureRequest) -> Campaign:
     folder = tmp_path / "campaign" / "Fz-0106.25"
     folder.mkdir(parents=True)
     (tmp_path / "campaign" / "rig.toml").write_text(RIG + PAIR, encoding="utf-8")
-    return Campaign(folder, [recording_head("no images")], {}, np.random.default_rng(request.param))
+    return Campaign(folder, [recording_head("no images")], {}, np.random.default_rng(getattr(request, "param", 0)))
 
 
 def deviation(found: Acceleration, displacement: np.ndarray) -> np.ndarray:
@@ -111,6 +110,7 @@ def deviation(found: Acceleration, displacement: np.ndarray) -> np.ndarray:
     return np.column_stack([error.real / found.phasors.u_re[line], error.imag / found.phasors.u_im[line]])
 
 
+@pytest.mark.parametrize("campaign", range(3), indirect=True)
 def test_points_and_an_accelerometer(campaign):
     campaign.add_points()
     campaign.add_sensor("base_z", "acceleration", ("base", BASE), [0.01, 0.02, 0.0])
@@ -177,7 +177,7 @@ def test_saved_points_are_those_of_the_files(campaign, tmp_path):
     assert all(path.is_file() for path in written)
 
     table = np.genfromtxt(tmp_path / "saved" / "points-base.csv", delimiter=",", names=True)
-    assert table.dtype.names == HEAD
+    assert table.dtype.names == POINT_COLUMNS
     files = [np.loadtxt(campaign.folder / "DIC_results" / f"result_B{k}.txt") for k in range(FRAMES)]
     stated = np.stack([1e-3 * (rows[:, 8:] - rows[:, 5:8]) @ ROTATION.T for rows in files])
     for point in (0, 17, 47):

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
 
 import h5py
 import numpy as np
@@ -12,8 +11,7 @@ from support import undescribed_datasets
 
 from fusion.campaign.recording_results import read_recorded
 from fusion.cli import main
-from fusion.report import h5_tree
-from fusion.report.h5_tree import TEXT, Group, write_tree
+from fusion.report.h5 import Group
 from fusion.report.recording_report import write_h5
 from fusion.sensitivity.analyse import Evaluation
 
@@ -104,53 +102,14 @@ def test_xarray_opens_groups_with_named_dimensions_and_the_numbers(result, demo_
         assert np.array_equal(found, demo_evaluation.sensitivity.value[:, 4, 2], equal_nan=True)
 
 
-def _fill(file: Any) -> None:
-    """Give groups, data sets and attributes of every kind to a file, be it h5py's own or a tree."""
-    file.attrs["format"], file.attrs["name"] = 2, "Größe"
-    first = file.create_group("z", track_order=True)
-    first.attrs.update({"true": True, "half": 0.5, "text": "ö", "alone": np.float32(0.1), "value": 1.0 + 2.0j})
-    first["b"], first["a"] = np.arange(3), np.array(["Ω", "", "m"], dtype=TEXT)
-    file.create_group("y/ä/x").attrs["b"] = "below others"
-    file["y"]["none"], file["y"]["nobody"] = np.zeros((0, 4)), np.array([], dtype=TEXT)
-    file.require_group("y")["complex"] = np.exp(1j * np.arange(12.0)).reshape(3, 4)
-    file["truths"], file["one"] = np.arange(9) % 2 == 0, 7.5
-    file["even"] = np.linspace(0.0, 1.0, 5000).reshape(1000, 5)  # deflated, in pieces of which the last is not full
-    file["noise"] = np.random.default_rng(1).standard_normal((40, 50))
-    file["turned"] = np.zeros((30, 40), dtype=np.complex128).T
-    assert "z/a" in file
-    assert file.get("z/none") is None
-
-
-def test_a_tree_becomes_what_h5py_itself_would_have_written(monkeypatch):
-    monkeypatch.setattr(h5_tree, "CHUNK_BYTES", 7000)
+def test_a_taken_name_is_refused_and_a_user_text_becomes_a_free_one():
     tree = Group()
-    _fill(tree)
-    with (
-        h5py.File("theirs", "w", driver="core", backing_store=False, track_order=True) as theirs,
-        h5py.File("ours", "w", driver="core", backing_store=False, track_order=True) as ours,
-    ):
-        _fill(theirs)
-        write_tree(ours.id, tree)
-        _assert_same(ours, theirs)
-        assert [ours[name].chunks for name in ("even", "noise", "turned")] == [(175, 5), None, (14, 30)]
+    tree.create_group("z/ä").attrs["b"] = "below"
+    assert tree["z/ä"].attrs["b"] == "below"
+    assert tree.free_name("z") == "z (2)"
+    assert "/" not in tree.free_name("a/b")
     with pytest.raises(ValueError, match=r"^/"):
         tree.create_group("z")
-
-
-def _assert_same(ours: Any, theirs: Any) -> None:
-    """Compare names, their order, types and values, below two groups or of two data sets."""
-    assert list(ours.attrs) == list(theirs.attrs)
-    for name in ours.attrs:
-        assert ours.attrs.get_id(name).get_type().equal(theirs.attrs.get_id(name).get_type())
-        assert np.array_equal(ours.attrs[name], theirs.attrs[name])
-    if isinstance(ours, h5py.Dataset):
-        assert ours.id.get_type().equal(theirs.id.get_type())
-        assert (ours.shape, ours.dtype) == (theirs.shape, theirs.dtype)
-        assert np.array_equal(ours[()], theirs[()])
-        return
-    assert list(ours) == list(theirs)
-    for name in ours:
-        _assert_same(ours[name], theirs[name])
 
 
 @pytest.mark.slow

@@ -235,12 +235,7 @@ def _virtual(file: h5py.File, other: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("change", "found"),
-    [
-        (_external_link, "link"),
-        (_external_storage, "files"),
-        (_virtual, "virtual"),
-    ],
+    ("change", "found"), [(_external_link, "link"), (_external_storage, "files"), (_virtual, "virtual")]
 )
 def test_results_that_lead_to_other_files_are_none(write, tmp_path, change, found):
     """Wherever results are read, and whether or not what leads away is asked for."""

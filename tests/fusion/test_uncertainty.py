@@ -19,8 +19,7 @@ from fusion.base import RoundedValue, prefix, round_to_uncertainty
 from fusion.estimation.coverage import UNIFORM_PHASE_U, coverage_factor, polar, region, region_factor, region_matrix
 from fusion.estimation.measurement_model import Deviates
 from fusion.estimation.uncertainty import Contribution, Influence, Uncertainty, element_covariance, polar_elements
-from fusion.report.h5 import read_uncertainty, write_uncertainty
-from fusion.report.h5_tree import Group, write_tree
+from fusion.report.h5 import Group, read_uncertainty, write_tree, write_uncertainty
 from fusion.sensitivity.load_phasors import budget
 from shaker.labels import typeset
 
@@ -433,7 +432,7 @@ def written(uncertainty: Uncertainty) -> Iterator[h5py.Group]:
     top = Group()
     write_uncertainty(top.create_group("u"), uncertainty)
     with h5py.File("any.h5", "w", driver="core", backing_store=False) as file:
-        write_tree(file.id, top)
+        write_tree(file, top)
         yield file["u"]
 
 

@@ -20,7 +20,6 @@ from fusion.recording.daq_records import DaqRecord
 from fusion.report.folder import RESULT_FILE
 from fusion.report.h5 import open_results
 from fusion.report.motion_figures import neighbour_distance
-from fusion.report.points import HEAD
 from photogram.camera import StereoRig
 from photogram.geometry import rotation_from_vector
 from shaker.labels import AXES
@@ -85,7 +84,9 @@ class SubsetResults:
         if self.table.is_file():
             found = np.full((len(self.time_s), len(self.reference_m), 3), np.nan)
             finite = np.flatnonzero(np.isfinite(self.reference_m).all(axis=1))
-            columns = [HEAD.index(name) for name in ("frame", "point", *(f"rest_{axis}_m" for axis in AXES))]
+            from fusion.report.recording_report import POINT_COLUMNS
+
+            columns = [POINT_COLUMNS.index(name) for name in ("frame", "point", *(f"rest_{axis}_m" for axis in AXES))]
             with warnings.catch_warnings():
                 warnings.simplefilter("ignore", UserWarning)  # an empty table
                 rows = np.loadtxt(self.table, delimiter=",", skiprows=1, usecols=columns, ndmin=2)
