@@ -24,9 +24,9 @@ from fusion.phasors.stereo_motion import (
     Motions,
     PreparedImages,
     StereoMotion,
-    body_inputs,
     sensor_from_camera,
 )
+from fusion.phasors.tracked_blocks import body_inputs
 from fusion.recording.load import load_manifest
 from fusion.simulate import bending, sines
 from fusion.simulate.preset import Preset, StereoSetup, patches_of

@@ -23,11 +23,10 @@ from fusion.phasors.channel_phasors import (
     line_clock,
     line_record,
     line_strength,
-    refine_ties,
 )
-from fusion.phasors.missing_filters import delay_notices, folding_notices
+from fusion.phasors.clocks import refine_ties, tie_clocks_by_motion
 from fusion.phasors.phasor_notices import HARMONIC_UNRESOLVED, NO_INSTRUMENT, TAKES_REFUSED, TIME_STAMP_GAP
-from fusion.phasors.steadiness import distortions, enlarge_doubted, line_stationarity
+from fusion.phasors.steadiness import delay_notices, distortions, enlarge_doubted, folding_notices, line_stationarity
 from fusion.phasors.stereo_motion import (
     PreparedImages,
     RejectedPair,
@@ -36,9 +35,9 @@ from fusion.phasors.stereo_motion import (
     motion_lines,
     prepare_images,
     reject_decalibrated,
-    tracked_pairs,
 )
 from fusion.phasors.timing import TimeBase, tie_daqs
+from fusion.phasors.tracked_blocks import tracked_pairs
 from fusion.recording.daq_records import FileCache, errors_in_set_up, read_set_ups
 from fusion.recording.load import Manifest
 from fusion.recording.units import unit_notices
@@ -207,8 +206,6 @@ def _tied(
 
     Channels are fitted again if their clock changes.
     """
-    from fusion.phasors.clocks import tie_clocks_by_motion
-
     base, renewed, lines = tie_clocks_by_motion(prepared.manifest, prepared.base, motions, lines)
     tied = any(tie is not prepared.base.ties[name] for name, tie in base.ties.items())
     prepared = replace(prepared, base=base, lines=lines)

@@ -10,8 +10,7 @@ import numpy as np
 from fusion.base import Threads
 from fusion.phasors.image_effects import displacement, fit_about_mean
 from fusion.phasors.phasor_notices import COARSE_ROWS, MOTION_BLUR, ROLLING_SHUTTER, SHUTTER_NOT_CONVERGED
-from fusion.phasors.shutter import PhaseRotated
-from fusion.phasors.stereo_motion import PreparedImages, StereoMotion, motion_from_tracks, resolved_lines
+from fusion.phasors.stereo_motion import PhaseRotated, PreparedImages, StereoMotion, motion_from_tracks, resolved_lines
 from photogram.measure.body import TrackedSubsets, body_motion
 from photogram.measure.exposure_motion import (
     WIDEST_CELL,

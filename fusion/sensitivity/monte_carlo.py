@@ -9,7 +9,8 @@ import numpy as np
 
 from fusion.base import ProgressCallback, no_progress
 from fusion.errors import ComputeError
-from fusion.estimation.fuse import Acceleration, reject_gross_errors, solve_consistently
+from fusion.estimation.consistent_solution import reject_gross_errors, solve_consistently
+from fusion.estimation.fuse import Acceleration
 from fusion.estimation.least_squares import UNOBSERVED, UNOBSERVED_ITSELF, FusionSolution, RowIndex
 from fusion.estimation.measurement_model import Deviates, DrawnReadings, Observation
 from fusion.estimation.uncertainty import Uncertainty, as_complex, element_covariances, real_stack

@@ -21,8 +21,7 @@ from scipy.stats import binom, chi2
 from fusion.estimation.fuse import fuse
 from fusion.estimation.least_squares import build_system, solve
 from fusion.estimation.uncertainty import real_stack
-from fusion.phasors.channel_phasors import refine_ties
-from fusion.phasors.clocks import frame_interval, period_from_motion, tie_clocks_by_motion
+from fusion.phasors.clocks import frame_interval, period_from_motion, refine_ties, tie_clocks_by_motion
 from fusion.sensitivity.analyse import with_estimates
 from fusion.simulate.preset import Preset, read_preset
 from fusion.simulate.violations import violations

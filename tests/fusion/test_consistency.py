@@ -29,18 +29,18 @@ from scipy.optimize import brentq
 from scipy.stats import binom, chi2, f, ncf, ncx2, t
 from support import region_distance
 
+from fusion.estimation.consistent_solution import INCONSISTENCY, missing_covariance
 from fusion.estimation.estimation_notices import (
     GROSS_ERROR,
     INSTRUMENTS_DISAGREE,
     INSTRUMENTS_DISPUTED,
     SINGLE_ERROR_NOT_ASSESSED,
 )
-from fusion.estimation.fuse import INCONSISTENCY, Acceleration, fuse, fuse_sources, untested
+from fusion.estimation.fuse import Acceleration, fuse, fuse_sources, untested
 from fusion.estimation.instrument_consistency import estimate_explanations, evaluate_suspicion, stated_covariance
 from fusion.estimation.least_squares import build_system, solve
 from fusion.estimation.measurement_model import Observation
 from fusion.estimation.uncertainty import as_complex
-from fusion.estimation.undetected_errors import missing_covariance
 from fusion.estimation.variance_components import Contrasts, EstimatedNoise, variance_components
 from fusion.sensitivity.load_phasors import load_phasors
 from fusion.sensitivity.moving_body import Body, make_moving_part

@@ -14,8 +14,8 @@ from fusion.phasors.phasor_notices import PAIR_BODY_DEFORMS
 from fusion.planning.check import _measured_modes
 from fusion.recording.load import load_manifest
 from fusion.recording.rig import Elastic
-from fusion.sensitivity.mode_shapes import mode_shapes, with_measured_modes
-from fusion.sensitivity.moving_body import Body, elastic_part, stated_modes
+from fusion.sensitivity.mode_shapes import elastic_part, mode_shapes, stated_modes
+from fusion.sensitivity.moving_body import Body, with_measured_modes
 from fusion.sensitivity.sensitivity_notices import MODES_CONTRADICT
 from photogram.direct.shapes import PlainShapes, ShapeAmplitudes
 from shaker.sine.phasor import Phasors

@@ -37,8 +37,9 @@ from fusion.sensitivity.elastic import (
     join_modes,
 )
 from fusion.sensitivity.load_phasors import likely_frequencies, load_phasors
+from fusion.sensitivity.mode_shapes import elastic_part
 from fusion.sensitivity.monte_carlo import propagate
-from fusion.sensitivity.moving_body import Body, elastic_part, load_body
+from fusion.sensitivity.moving_body import Body, load_body
 from fusion.sensitivity.sensitivity_notices import (
     ELASTIC_CORRECTED,
     ELASTIC_ONLY_NAMED,

@@ -15,8 +15,9 @@ from contracts import refused
 from fusion.base import Settings, no_progress
 from fusion.cli import main
 from fusion.errors import InputError
-from fusion.phasors.stereo_motion import PreparedImages, measure_images, prepare_images
+from fusion.phasors.stereo_motion import PreparedImages, prepare_images
 from fusion.phasors.timing import tie_daqs
+from fusion.phasors.tracked_blocks import measure_images
 from fusion.planning.check import check
 from fusion.recording.daq_records import read_daqs
 from fusion.recording.load import load_manifest

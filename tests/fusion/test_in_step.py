@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from fusion.errors import ComputeError
+from fusion.phasors.image_effects import check_in_step
 from fusion.phasors.phasor_notices import CAMERA_DELAYED, CAMERAS_OUT_OF_STEP
-from fusion.phasors.shutter import check_in_step
 from photogram.camera import Camera, StereoRig
 from photogram.geometry import RigidTransform, rotation_from_vector
 from shakercal._common.notices import Notice

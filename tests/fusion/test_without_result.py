@@ -14,7 +14,7 @@ from support import block, channel, recording_head, rows, write_daq
 
 from fusion.cli import main
 from fusion.sensitivity.analyse import Analysis, Inputs
-from fusion.sensitivity.missing_result import missing_result
+from fusion.sensitivity.recording_evaluation import missing_result
 from fusion.sensitivity.sensitivity_notices import NO_RESULT_AT_LINES, REPEATABILITY_NOT_ASSESSED
 
 MASS_KG, SENSITIVITY, ACCELERATION, LINE_HZ = 2.0, 2e-6 * np.exp(-0.05j), 50.0 * np.exp(0.4j), 106.25
