@@ -90,10 +90,7 @@ class ConsistentSolution:
 def solve_consistently(
     system: FusionSystem, first: FusionSolution, scatter: tuple[Scatter, ...] | None = None
 ) -> ConsistentSolution:
-    """Solve a system with discrepancies if its `first` solution is contradicted.
-
-    The discrepancies are those that `fuse` describes.
-    """
+    """Solve a system, with the discrepancies that `fuse` describes if its `first` solution is contradicted."""
     contradicted = contradicts(system, first, common_estimates(system.common, first))
     found = find_suspicions(system, first) if contradicted else ()
     scatter = estimate_scatter(system, first) if scatter is None else scatter

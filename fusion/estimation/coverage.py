@@ -102,10 +102,7 @@ def region_factor(dof: ArrayLike) -> FloatArray:
 
 
 def along_and_across(value: ComplexArray | complex) -> FloatArray:
-    """Return the unit vectors along complex values and across them.
-
-    Columns of (..., 2, 2), for values (...); the coordinate axes where a value is zero.
-    """
+    """Return unit vectors (..., 2, 2) along values (...) and across, as columns; the coordinate axes at zero."""
     values = np.asarray(value, dtype=np.complex128)
     size = np.abs(values)
     unit = np.divide(values, size, out=np.ones_like(values), where=np.isfinite(values) & (size > 0.0))

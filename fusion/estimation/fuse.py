@@ -144,18 +144,12 @@ class Acceleration(TabularResult):
 
     @property
     def contributions(self) -> tuple[Contribution, ...]:
-        """Return the budget, one contribution per label.
-
-        Their sum is the covariance of the phasors.
-        """
+        """Return the budget, one contribution per label; their sum is the covariance of the phasors."""
         return self.uncertainty.grouped()
 
     @cached_property
     def polar(self) -> list[list[Polar | None]]:
-        """Return the components (K lines of 6) as magnitude and phase.
-
-        None where one is not observed.
-        """
+        """Return the components (K lines of 6) as magnitude and phase, None where one is not observed."""
         return polar_elements(self.phasors.value, self.uncertainty, self.phasors.covariance)
 
 
@@ -262,10 +256,7 @@ def fuse_sources(
 
 
 def _uncertainty(system: FusionSystem, solved: ConsistentSolution) -> tuple[Uncertainty, FloatArray]:
-    """Split gain · V · gain^T of every line into noise, discrepancies and common errors.
-
-    Also return the direct effect of unobserved motion on the estimate (`Acceleration.leaked`).
-    """
+    """Return noise, discrepancies and common errors of an estimate, and `Acceleration.leaked`."""
     solution, lines = solved.final, len(system.observed)
     hidden = ~np.tile(system.observed, (1, 2))
     gain = solution.gain.reshape(lines, 12, -1)

@@ -150,10 +150,7 @@ def fastest_channel(base: TimeBase) -> tuple[DaqRecord, ChannelEntry] | None:
 
 
 def line_record(base: TimeBase) -> LineRecord | None:
-    """Return the fastest channel and all sampled with it.
-
-    None if there are only triggers.
-    """
+    """Return the fastest channel and all sampled with it, None if there are only triggers."""
     fastest = fastest_channel(base)
     if fastest is None:
         return None
@@ -246,10 +243,7 @@ def channel_phasors(
 
 
 def channels_of_same_times(record: DaqRecord) -> list[list[ChannelEntry]]:
-    """Group a block's channels, without triggers, by equal times, to be fitted together.
-
-    A channel with lost or clipped samples is fitted alone.
-    """
+    """Group channels of equal times, without triggers, to be fitted together; defective ones stay alone."""
     groups: dict[tuple[float, float, int, bytes, str], list[ChannelEntry]] = {}
     for channel in record.entry.channel:
         if channel.quantity != "trigger":
@@ -324,10 +318,7 @@ def _multiples(first: FloatArray, fitted: FloatArray, rate_hz: float, length_s: 
 
 
 def _harmonics(channel: ChannelEntry, fit: SineFit, fitted: FloatArray, multiples: FloatArray) -> Phasors | None:
-    """Return fundamentals and harmonics of one channel, or None.
-
-    None if its response is not stated at these frequencies.
-    """
+    """Return fundamentals and harmonics of one channel, None if its response is not stated there."""
     if not len(multiples):
         return None
     indices = [int(np.argmin(np.abs(fitted - frequency))) for frequency in multiples]
@@ -442,10 +433,7 @@ def line_strength(readings: Sequence[ChannelReading], lines: LineFrequencies) ->
 
 
 def expand_lines(phasors: Phasors, mask: BoolArray, frequency_hz: FloatArray) -> Phasors:
-    """Return phasors at all lines (K,) from those at the lines of `mask` (K,).
-
-    NaN at the others.
-    """
+    """Return phasors at all lines (K,) from those at the lines of `mask` (K,), NaN at the others."""
     lines, channels = len(mask), len(phasors.channels)
     value = np.full((lines, channels), np.nan, dtype=np.complex128)
     covariance = np.full((lines, 2 * channels, 2 * channels), np.nan)
@@ -549,10 +537,7 @@ def assess_condition(
 
 
 def _rounded(fit: SineFit, index: int, step: float, time_s: FloatArray) -> ComplexArray | None:
-    """Return the relative u (K,) by converter steps as Re and Im, None if negligible.
-
-    The change has a uniform distribution between its bounds.
-    """
+    """Return the relative u (K,) by converter steps (uniform) as Re and Im, None if negligible."""
     size = np.abs(fit.phasors.value[:, index])
     if not step > 0.0 or not size.any():
         return None

@@ -219,10 +219,7 @@ def _refined(
 
 
 def _with_period(fit: TriggerFit, readings: Sequence[ValueWithU], limit: float, back: ValueWithU) -> TriggerFit:
-    """Return a trigger with the mean period on its clock.
-
-    If u of the mean is below a limit. Readings that contradict each other are reported and change no period.
-    """
+    """Return a trigger with the mean period, if its u is below a limit and readings do not contradict."""
     mean = _mean(readings)
     difference, both = float(np.ptp([value for value, _ in readings])), float(np.linalg.norm([u for _, u in readings]))
     if difference > MAX_DISAGREEMENT_SIGMAS * both:
@@ -232,10 +229,7 @@ def _with_period(fit: TriggerFit, readings: Sequence[ValueWithU], limit: float, 
 
 
 def _renewed_tie(tie: ClockTie, base: TriggerFit, other: TriggerFit, *, rate: ValueWithU) -> ClockTie:
-    """Return a tie from the edges of both blocks and the lines' rate.
-
-    If that rate agrees with the edges. Edges with an uncertain gap keep the uncertainty of the triggers.
-    """
+    """Return a tie from the edges of both blocks and the lines' rate, if that agrees with the edges."""
     agreed = tie.with_rate(*rate)
     if len(agreed.notices) > len(tie.notices):
         return replace(tie, notices=tuple(dict.fromkeys(agreed.notices)))

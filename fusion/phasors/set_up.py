@@ -132,10 +132,7 @@ def prepare_set_ups(manifest: Manifest, already: FileCache | None = None) -> tup
 
 
 def with_channels(prepared: PreparedSetUp, *, shown: bool = True) -> PreparedSetUp:
-    """Fit the lines of a set-up to its channels.
-
-    Without `shown`, data for pages and notices only are omitted.
-    """
+    """Fit the lines of a set-up to its channels; without `shown`, data for pages only are omitted."""
     if prepared.lines is None:
         return prepared
     with errors_in_set_up(prepared.manifest.path, prepared.where, prepared.name):
@@ -202,10 +199,7 @@ def _measured(prepared: PreparedSetUp, followed: Sequence[StereoMotion | Rejecte
 def _tied(
     prepared: PreparedSetUp, motions: tuple[StereoMotion, ...], lines: LineFrequencies
 ) -> tuple[PreparedSetUp, tuple[StereoMotion, ...], LineFrequencies]:
-    """Return a set-up, motions and lines with clocks tied by the motion.
-
-    Channels are fitted again if their clock changes.
-    """
+    """Return a set-up, motions and lines with clocks tied by the motion, and channels fitted on these."""
     base, renewed, lines = tie_clocks_by_motion(prepared.manifest, prepared.base, motions, lines)
     tied = any(tie is not prepared.base.ties[name] for name, tie in base.ties.items())
     prepared = replace(prepared, base=base, lines=lines)
@@ -253,10 +247,7 @@ def _lines(set_ups: Sequence[PreparedSetUp]) -> list[LineFrequencies | None]:
 
 
 def _further_lines(prepared: PreparedSetUp, nominal: tuple[float, ...]) -> LineFrequencies:
-    """Find the lines of a further set-up.
-
-    Raises if its channels do not resolve all fundamentals.
-    """
+    """Find the lines of a further set-up; raise if its channels do not resolve all fundamentals."""
     manifest = prepared.manifest
     excitation = manifest.excitation.model_copy(update={"frequencies": nominal})
     with errors_in_set_up(manifest.path, prepared.where, prepared.name):
@@ -274,10 +265,7 @@ def _keys(lines: LineFrequencies) -> list[LineKey]:
 
 
 def _indistinct(prepared: PreparedSetUp, lines: LineFrequencies, keys: Sequence[LineKey]) -> list[LineKey]:
-    """Return the lines of other set-ups that this one cannot separate.
-
-    From another line or from zero. In its fastest channel.
-    """
+    """Return the lines of other set-ups that this one's fastest channel cannot separate from others or zero."""
     record = line_record(prepared.base)
     added = set(keys) - set(_keys(lines))
     if record is None or not added:

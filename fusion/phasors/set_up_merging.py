@@ -89,10 +89,7 @@ class ReferenceTie:
         return replace(phasors.scaled(self.factor[:, None]), frequency_hz=self.frequency_hz)
 
     def reading(self, reading: ChannelReading) -> ChannelReading:
-        """Return a channel of the set-up as one of the first.
-
-        With the errors of its clock.
-        """
+        """Return a channel of the set-up as one of the first, with the errors of its clock."""
         chain = replace(reading.chain, clock=f"{self.name}: {reading.chain.clock}")
         further = nonzero_errors([*_clock_errors(self.name, reading), *self.errors])
         return ChannelReading(reading.entry, self.phasors(reading.phasors), chain, further)
@@ -108,10 +105,7 @@ class ReferenceTie:
         return replace(referred, further_errors=nonzero_errors([*referred.further_errors, *self.noise]))
 
     def stereo(self, pair: StereoReading) -> StereoReading:
-        """Return a stereo pair of the set-up as one of the first.
-
-        Errors common to its frames remain separate.
-        """
+        """Return a stereo pair of the set-up as one of the first; errors of its frames remain separate."""
         effects = {
             f"{what}, {self.name}" if what == PERIODIC else what: change * self.factor[:, None]
             for what, change in pair.effects.items()
@@ -200,10 +194,7 @@ def _check_driven(prepared: PreparedSetUp, reference: ChannelReading, significan
 def _noise(
     name: str, reading: ChannelReading, frequency_hz: FloatArray, lines: BoolArray
 ) -> tuple[ChannelRelativeError, ...]:
-    """Return the noise of a reference as relative errors (K, 1).
-
-    Two real unknowns at each of the chosen lines.
-    """
+    """Return the noise of a reference as relative errors (K, 1), two real unknowns at each chosen line."""
     errors = []
     phasors = reading.phasors
     for k in np.flatnonzero(lines):
@@ -218,19 +209,13 @@ def _noise(
 
 
 def _clock_errors(name: str, reading: ChannelReading) -> list[ChannelRelativeError]:
-    """Return the relative errors (K, 1) of a channel by its clock.
-
-    And by its lines' frequencies. They are separate for that set-up, unless they belong to the rig.
-    """
+    """Return the relative errors of a channel by clock and frequencies, named by set-up unless of the rig."""
     errors = reading.further_errors
     return [error if error.scope == "rig" else replace(error, name=f"{name}: {error.name}") for error in errors]
 
 
 def _drift(name: str, frequency_hz: FloatArray, half_width: FloatArray) -> list[ChannelRelativeError]:
-    """Return the relative errors (K, 1) by drift of a reference.
-
-    Of all phasors of the set-up. Of magnitude and phase.
-    """
+    """Return the relative errors (K, 1) of magnitude and phase of a whole set-up by drift of a reference."""
     label, errors = "drift between takes", []
     for k in np.flatnonzero(half_width > 0.0):
         u = float(half_width[k]) / np.sqrt(3.0)
@@ -243,10 +228,7 @@ def _drift(name: str, frequency_hz: FloatArray, half_width: FloatArray) -> list[
 
 
 def drift_notices(ties: Sequence[ReferenceTie], driven: BoolArray) -> tuple[Notice, ...]:
-    """Return notices of changed reference amplitude or frequency between set-ups.
-
-    At the `driven` lines (K,).
-    """
+    """Return notices of changed reference amplitude or frequency at the `driven` lines (K,)."""
     notices = []
     for tie in ties:
         result = tie.result

@@ -196,10 +196,7 @@ def _significant_changes(changes: Sequence[LineStationarity], frequency_hz: floa
 def _of_lines(
     name: str, steady: Stationarity, driven: Sequence[tuple[float, float]], u_rate: float, *, output: bool
 ) -> list[LineStationarity]:
-    """Return the changes of the driven lines, each in the channel with the clearest signal.
-
-    `driven`: frequency and its u.
-    """
+    """Return the changes of the `driven` lines (frequency, u), each in the channel with the clearest signal."""
     length, changes = steady.length_s, []
     for frequency, u_frequency in driven:
         turn = 2.0 * np.pi * float(np.hypot(frequency * u_rate, u_frequency))
@@ -412,10 +409,7 @@ ATTENUATED = 1e-3
 
 
 def delay_notices(readings: Sequence[ChannelReading], path: Path) -> list[Notice]:
-    """Return warnings of stated delays that attenuating filters may cause.
-
-    `path`: of the manifest.
-    """
+    """Return warnings of stated delays that attenuating filters may cause; `path`: of the manifest."""
     notices = []
     for entry, phasors in ((reading.entry, reading.phasors) for reading in readings if reading.entry.delay_of is None):
         loss = np.sqrt(3.0) * u_of_filter(phasors.frequency_hz, entry.filter_delay_s)[0]

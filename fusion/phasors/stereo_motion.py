@@ -112,19 +112,13 @@ class PhaseRotated:
     side_px: int
 
     def motion(self, time_s: FloatArray, fit: SineFit) -> Phasors:
-        """Return the phasors (K, 6) of the body at the lines.
-
-        Means over an exposure.
-        """
+        """Return the phasors (K, 6) of the body at the lines: means over an exposure."""
         return self._restored(time_s, fit, slice(0, 6), self.reference_motion[:, :6], lambda _, found: found.phasors)
 
     def shapes(
         self, time_s: FloatArray, fit: SineFit, motion: Phasors, noise: Callable[[FloatArray, SineFit], Phasors]
     ) -> Phasors:
-        """Return the amplitudes (K, S) of shapes in addition to that motion.
-
-        `noise`: noise of series by their fit.
-        """
+        """Return the amplitudes (K, S) of shapes beyond that motion; `noise`: of series by their fit."""
         moved = np.einsum("kij,kj->ki", self.response[:, 6:, :6], motion.value)
         return self._restored(time_s, fit, slice(6, None), self.reference_motion[:, 6:] - moved, noise)
 
@@ -219,20 +213,14 @@ class RejectedPair:
 
 
 def sensor_from_camera(stereo: Stereo) -> RigidTransform:
-    """Return the pose of the left camera in the sensor frame.
-
-    Or of the frame of the points.
-    """
+    """Return the pose of the left camera, or of the frame of the points, in the sensor frame."""
     return RigidTransform(np.array(stereo.rotation), np.array(stereo.translation))
 
 
 def prepare_images(
     manifest: Manifest, base: TimeBase, entry: Images, already: FileCache | None = None
 ) -> PreparedImages:
-    """Open the images of one stereo pair and check them before tracking.
-
-    A saturated image is refused when it is read; the first ones are read already.
-    """
+    """Open the images of one stereo pair and check them before tracking; later images when they are read."""
     key, sequences, cached = f"images.{entry.stereo}", [], {} if already is None else already.images
     for side, paths in entry.cameras:
         with as_input_error(manifest.path, f"{key}.{side}"):
@@ -302,10 +290,7 @@ def _stated_exposure(manifest: Manifest, entry: Images, sequences: Sequence[Imag
 
 
 def _contradictions(sight: Sight, images: ImageSequence) -> list[Notice]:
-    """Return warnings where the file of a camera contradicts the sight.
-
-    By its exposure and frame times.
-    """
+    """Return warnings where the file of a camera contradicts exposure and frame times of the sight."""
     where, notices = images.names[0].rpartition("[")[0] or sight.name, list[Notice]()
     stated, used = images.exposure_s, sight.exposure.length_s
     if stated is not None and abs(stated - used) > SAME_EXPOSURE * max(stated, used):
@@ -398,10 +383,7 @@ def measure_points(manifest: Manifest, base: TimeBase, entry: PointFiles) -> Ste
 
 
 def read_rig(stereo: Stereo, sequences: Sequence[ImageSequence]) -> Rig:
-    """Read a stereo pair's calibration.
-
-    Raises `InputError` for another file, or for images of another size.
-    """
+    """Read a stereo pair's calibration; raise `InputError` for another file or image size."""
     path = stereo.calibration
     if path is None:
         raise ComputeError(NO_INSTRUMENT, quantity="a motion", reason=": a stereo pair has no calibration")
@@ -416,10 +398,7 @@ def read_rig(stereo: Stereo, sequences: Sequence[ImageSequence]) -> Rig:
 
 
 def _before_surface(stereo: Stereo, calibration: Path, surface: SurfacePlane) -> FaceCamera:
-    """Return the camera of a file before its stated surface.
-
-    With both uncertainties.
-    """
+    """Return the camera of a file before its stated surface, with both uncertainties."""
     camera, of_camera = read_camera(calibration)
     stated = np.square([surface.distance_uncertainty, surface.tilt_uncertainty, surface.tilt_uncertainty])
     covariance = np.pad(of_camera, (0, len(stated)))

@@ -267,10 +267,7 @@ def tracked_pairs(
 
 
 def _attempted(images: PreparedImages, act: Callable[[], T]) -> T | RejectedPair:
-    """Return the result of an action on a pair, or the rejected pair.
-
-    Rejected if its body is not found.
-    """
+    """Return the result of an action on a pair, or the rejected pair if its body is not found."""
     from photogram.subsets.find import BodyNotFound
 
     try:

@@ -205,10 +205,7 @@ def summarise(first: FirstOrder, draws: ComplexArray) -> Propagated:
 
 
 def _distance(difference: ComplexArray, covariance: FloatArray) -> FloatArray:
-    """Return squared Mahalanobis distances (N, L, Q).
-
-    For a covariance without an inverse, along the directions that it has.
-    """
+    """Return squared Mahalanobis distances (N, L, Q); of singular covariances along their directions."""
     inverse = np.full(covariance.shape, np.nan)
     finite = np.isfinite(covariance).all(axis=(-1, -2))
     inverse[finite] = np.linalg.pinv(covariance[finite], hermitian=True)

@@ -145,10 +145,7 @@ class _Chosen:
 
     @classmethod
     def of(cls, table: Elastic) -> _Chosen:
-        """Choose the measurable modes of a table or a drawing.
-
-        Of a table those with a surface, of a drawing the first along and across its axis.
-        """
+        """Choose the modes of a table that have a surface, or a drawing's first along and across its axis."""
         if table.shape == "modes":
             numbers = [number for number, mode in enumerate(table.mode) if mode.surface is not None]
             return cls(table, tuple(numbers), tuple(f"mode {number + 1}" for number in numbers))
@@ -192,10 +189,7 @@ class _Chosen:
 
     @cached_property
     def size(self) -> FloatArray:
-        """Largest displacement (M,) per unit of each mode.
-
-        In the table, or along a drawing.
-        """
+        """Largest displacement (M,) per unit of each mode, in the table or along a drawing."""
         if self.table.shape == "modes":
             return np.array([np.linalg.norm(rows[:, 3:], axis=1).max() for _, rows in self.surfaces])
         shape = elastic_body(self.table)
@@ -239,10 +233,7 @@ class ModeShapes:
         return tuple(f"{part.table.name}: {label}" for part in self.parts for label in part.labels)
 
     def __call__(self, points_m: FloatArray) -> FloatArray:
-        """Return the displacement (S, N, 3) of points per 1 m of each mode.
-
-        `points_m` (N, 3).
-        """
+        """Return the displacement (S, N, 3) of points (N, 3) per 1 m of each mode."""
         return np.concatenate([part.displacement(points_m) / part.size[:, None, None] for part in self.parts])
 
 

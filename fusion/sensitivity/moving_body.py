@@ -77,10 +77,7 @@ class MountingJoint:
         return np.asarray(np.where(stated, slope * self.u_frequency_hz, named))
 
     def _stretch(self, frequency_hz: FloatArray) -> ComplexArray:
-        """Share (K, 6) of the load's motion in the joint: G/(1 + G).
-
-        Finite at the resonance too.
-        """
+        """Share (K, 6) of the load's motion in the joint, G/(1 + G), finite at the resonance too."""
         r = frequency_hz[:, None] / self.frequency_hz
         return np.asarray(r * r / (1.0 + 2j * self.damping * r))
 
@@ -151,10 +148,7 @@ def make_moving_part(
     air_share: float = 0.0,
     below_joint: bool = False,
 ) -> MovingPart:
-    """Return a part from plain lists.
-
-    One number as an uncertainty (mass, centre of mass, inertia) applies to all entries.
-    """
+    """Return a part from plain lists; one number as an uncertainty applies to all entries."""
     u_mass, u_centre, u_inertia = uncertainties
     return MovingPart(
         name=name,
@@ -248,10 +242,7 @@ class Body:
 
     @property
     def mass_matrix(self) -> FloatArray:
-        """Mass matrix (6, 6) about the sensor origin if all parts are rigid.
-
-        F = m (a + alpha × c), M = c × F + J alpha.
-        """
+        """Mass matrix (6, 6) of rigid parts about the origin: F = m (a + alpha × c), M = c × F + J alpha."""
         return np.asarray(np.sum([part.terms.mass_matrix for part in self.parts], axis=0))
 
     def load_matrix(self, frequency_hz: FloatArray) -> ComplexArray:
@@ -270,17 +261,11 @@ class Body:
         return np.asarray(sign * stiffness / (2.0 * np.pi * frequency_hz[:, None, None]) ** 2)
 
     def _wrench(self, frequency_hz: FloatArray, modes: NaturalModes) -> ComplexArray:
-        """Load matrix (K, 6, 6) of modes of bending parts.
-
-        Their weight turns like that of a rigid body.
-        """
+        """Load matrix (K, 6, 6) of modes of bending parts, whose weight turns like that of a rigid body."""
         return modes.wrench(frequency_hz) if self.sense == "on_load" else -modes.wrench(frequency_hz)
 
     def _carried(self, frequency_hz: FloatArray, part: MovingPart, terms: InertialTerms) -> ComplexArray:
-        """Load matrices (..., K, 6, 6) by terms of a part.
-
-        The part may be below the joint.
-        """
+        """Load matrices (..., K, 6, 6) by terms of a part, which may be below the joint."""
         sign = 1.0 if self.sense == "on_load" else -1.0
         matrix = sign * terms.load_matrix(frequency_hz, self.gravity_mps2).astype(np.complex128)
         if self.joint is None or not part.below_joint:
@@ -288,10 +273,7 @@ class Body:
         return matrix * self.joint.follow(frequency_hz)[:, None, :]
 
     def matrix_changes(self, frequency_hz: FloatArray) -> tuple[Unknown[ComplexArray], ...]:
-        """Return the changes of the load matrix (K, 6, 6) by every uncertain number.
-
-        Parts, joint, modes, cables and gravity.
-        """
+        """Return the changes (K, 6, 6) by uncertain numbers of parts, joint, modes, cables and gravity."""
         changes: list[Unknown[ComplexArray]] = []
         for part in self.parts:
             changes += _parameters(part, partial(self._carried, frequency_hz, part))
@@ -443,10 +425,7 @@ def load_body(rig: Rig, parts: Sequence[PartTable]) -> Body | None:
 
 
 def rigid_load(manifest: Manifest) -> Body:
-    """Return load and parts without the internal mass of the sensor.
-
-    Raises `InputError` without a load.
-    """
+    """Return load and parts without the sensor's internal mass; raise `InputError` without a load."""
     parts = moving_parts(manifest.rig.model_copy(update={"sensor": None}), manifest.part)
     if not parts:
         expected = "[load] with the mass, centre of mass and inertia of what is mounted on the sensor"
@@ -544,10 +523,7 @@ def with_measured_modes(
 def _measured(
     part: ElasticPart, which: IntArray, seen: _ObservedModes, columns: IntArray, size: FloatArray
 ) -> tuple[ElasticPart, list[Notice]]:
-    """Return a part with the measured responses of some modes, and notices.
-
-    `size` (M,) in m for a unit of each.
-    """
+    """Return a part with the measured responses of modes of `size` (M,) in m per unit, and notices."""
     pair, count, both = seen.pair, len(which), np.concatenate([columns, columns + seen.share.shape[1]])
     drive = seen.foot @ part.modes.participation[which].T
     driven = np.abs(drive) > NOT_DRIVEN * np.abs(drive).max(initial=1e-300)

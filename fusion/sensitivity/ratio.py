@@ -112,10 +112,7 @@ class Sensitivity(TabularResult):
 
     @cached_property
     def polar(self) -> list[list[Polar | None]]:
-        """Return the elements (K lines of E) as magnitude and phase.
-
-        None where one is not known.
-        """
+        """Return the elements (K lines of E) as magnitude and phase, None where one is not known."""
         return polar_elements(self.value[:, *self._element_index()], self.uncertainty)
 
     def _element_index(self) -> tuple[list[int], list[int]]:
@@ -190,10 +187,7 @@ class ParasiticLoads:
     uncertainty: Uncertainty
 
     def element(self, line: int, channel: int) -> Polar:
-        """Return one share with its uncertainty.
-
-        Its real part enlarges the output, its imaginary part turns it.
-        """
+        """Return one share with its uncertainty: its real part enlarges the output, its imaginary part turns it."""
         pair = element_covariance(self.uncertainty.covariance[line], channel)
         return polar(complex(self.value[line, channel]), pair, float(self.uncertainty.dof()[line, channel]))
 
@@ -285,10 +279,7 @@ class StatedMatrix:
 
     @property
     def rated(self) -> FloatArray:
-        """Return the rated loads (6,).
-
-        If none are stated, moments are scaled by 0.1 m.
-        """
+        """Return the rated loads (6,); if none are stated, moments are scaled by 0.1 m."""
         return np.array([1.0] * 3 + [BODY_SIZE_M] * 3) if self.capacity is None else self.capacity
 
 
@@ -458,10 +449,7 @@ def static_unknowns(
 def sensor_element(
     outputs: Outputs, load: LoadResult, prior: PriorMatrix, multiple: ArrayLike, notices: Sequence[Notice] = ()
 ) -> Sensitivity:
-    """Return the sensor's elements of the driven load at the fundamentals of one recording.
-
-    By its prior matrix (`PriorMatrix.elements`).
-    """
+    """Return the elements of the driven load at the fundamentals (`PriorMatrix.elements`)."""
     usable = (np.asarray(multiple) == 1) & load.observed[:, prior.component]
     force = np.where(usable[:, None], load.value, complex(np.nan, np.nan))
     signal = outputs.phasors.value

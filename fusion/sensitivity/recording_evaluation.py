@@ -193,10 +193,7 @@ def _observed(acceleration: Acceleration, component: int | None) -> BoolArray:
 
 
 def _with_sensitivity(inputs: Inputs, analysis: Analysis, component: int | None) -> BoolArray:
-    """Return the lines (K,) at which the main output has a sensitivity.
-
-    Any output, if none is the main one.
-    """
+    """Return the lines (K,) at which the main output, or without one any output, has a sensitivity."""
     found = analysis.sensitivity
     if found is None or component is None or inputs.sensor is None:
         return np.zeros(1, dtype=np.bool_)
