@@ -54,10 +54,7 @@ def bounded_factor(widths: FloatArray, u: float, k: float) -> float:
 
 @dataclass(frozen=True)
 class RealQuantity:
-    """A real number with its standard uncertainty and degrees of freedom.
-
-    `u` is NaN where it is not known.
-    """
+    """A real number with its standard uncertainty `u` (NaN if not known) and degrees of freedom."""
 
     value: float
     u: float

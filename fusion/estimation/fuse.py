@@ -356,10 +356,7 @@ def untested(result: Acceleration) -> tuple[Untested, ...]:
 
 @dataclass(frozen=True)
 class Unnoticed:
-    """Shift of a `component` by an undetected error of one `channel` or stereo pair.
-
-    `shift`: in units of U.
-    """
+    """Shift, in units of U, of a `component` by an undetected error of one `channel` or stereo pair."""
 
     channel: str
     component: str

@@ -171,10 +171,7 @@ class UnobservedEffects:
 
 @dataclass(frozen=True)
 class RowIndex:
-    """Reading of each real row (n,) of one observation.
-
-    `line`, `channel`, and whether it is the imaginary part.
-    """
+    """Line and channel of each real row (n,) of one observation, and whether it is the imaginary part."""
 
     line: IntArray
     channel: IntArray
@@ -437,10 +434,7 @@ def solve(system: FusionSystem, extra: FloatArray | None = None, iterations: int
 
 @dataclass(frozen=True)
 class _Step:
-    """The augmented system, whitened by the `root` of the `noise`.
-
-    `matrix` (N + E, P + E), right side `readings` (N,), column `scale`.
-    """
+    """The augmented `matrix` (N + E, P + E), whitened by the `root` of the `noise`, with column `scale`."""
 
     matrix: FloatArray
     readings: FloatArray

@@ -54,10 +54,7 @@ class CommonError:
 
 
 class Geometry:
-    """Position of an instrument: the part of its uncertainty that Monte Carlo draws exactly.
-
-    This base class draws no position.
-    """
+    """Position of an instrument, as far as Monte Carlo draws it exactly: here, none of it."""
 
     @property
     def unknowns(self) -> frozenset[str]:
@@ -153,10 +150,7 @@ def relative_change(error: CommonError, design: ComplexArray) -> ComplexArray | 
 
 @dataclass(frozen=True)
 class DrawnReadings:
-    """N draws of an instrument.
-
-    `readings` (N, K, M) = `design` (N, K, M, 6) · acceleration.
-    """
+    """N draws of an instrument: `readings` (N, K, M) = `design` (N, K, M, 6) · acceleration."""
 
     readings: ComplexArray
     design: ComplexArray

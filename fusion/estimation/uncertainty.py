@@ -75,10 +75,7 @@ class Unknown(Generic[Effect]):
 
 @dataclass(frozen=True)
 class Influence(Unknown[FloatArray]):
-    """An unknown that acts on C complex values at all lines together.
-
-    `effect` (K, 2C) on [all Re, all Im].
-    """
+    """An unknown whose `effect` (K, 2C) acts on [all Re, all Im] of C complex values at all lines."""
 
     effect: FloatArray
 

@@ -52,10 +52,7 @@ class Scatter:
 
 @dataclass(frozen=True)
 class AddedCovariance:
-    """An additional covariance (N, N) of the readings of a system.
-
-    With its `label` and degrees of freedom (K,).
-    """
+    """An additional covariance (N, N) of a system's readings, its `label` and degrees of freedom (K,)."""
 
     label: str
     covariance: FloatArray

@@ -106,10 +106,7 @@ class ChannelResult(Arrays):
 
 @dataclass(frozen=True)
 class LineRecord:
-    """The channels in which a recording's lines are searched.
-
-    `values` (S, C) in SI at `time_s` (S,).
-    """
+    """The channels in which a recording's lines are searched, with `values` (S, C) in SI at `time_s` (S,)."""
 
     record: DaqRecord
     channels: tuple[ChannelEntry, ...]

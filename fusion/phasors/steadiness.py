@@ -163,10 +163,7 @@ def stationarity_notices(changes: Sequence[LineStationarity]) -> tuple[Notice, .
 
 
 class _SignificantChanges(NamedTuple):
-    """The reported changes of a line.
-
-    `doubts`: changes of outputs without a change of the motion.
-    """
+    """The reported changes of a line, and `doubts`: changes of outputs without a change of the motion."""
 
     grown: list[LineStationarity]
     drifting: list[LineStationarity]
@@ -285,10 +282,7 @@ def _strongest(channels: Sequence[ChannelResult], frequency_hz: float) -> list[C
 
 
 class _Share(NamedTuple):
-    """A harmonic over its fundamental, of motion that of the acceleration.
-
-    `u`: of a part; `phase_rad`: of the fundamental.
-    """
+    """A harmonic over its fundamental, of motion that of the acceleration; `phase_rad`: of the fundamental."""
 
     value: complex
     u: float

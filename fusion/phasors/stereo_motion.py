@@ -198,10 +198,7 @@ class StereoMotion:
 
 @dataclass(frozen=True)
 class RejectedPair:
-    """A stereo pair without a motion.
-
-    `error` ends the run if no other instrument measures one.
-    """
+    """A stereo pair without a motion; `error` ends the run if no other instrument measures one."""
 
     name: str
     error: InputError | ComputeError

@@ -32,10 +32,7 @@ def response(frequency_hz: FloatArray, natural_hz: FloatArray, damping: FloatArr
 
 @dataclass(frozen=True)
 class InstrumentPosition:
-    """Position of an instrument on the load.
-
-    `name` of its channel or stereo pair, `point_m` (3,).
-    """
+    """Position `point_m` (3,) on the load of a channel or stereo pair by its `name`."""
 
     name: str
     point_m: FloatArray

@@ -249,10 +249,7 @@ class _Readings(NamedTuple):
 
 
 class _Estimate(NamedTuple):
-    """Estimate of [Re H, Im H] (12,) with covariance (12, 12) and gain (12, N).
-
-    `contradicts`: whether readings contradict the stated limit.
-    """
+    """Estimate of [Re H, Im H] (12,), and whether the readings contradict the stated limit."""
 
     mean: FloatArray
     covariance: FloatArray
