@@ -120,7 +120,7 @@ def tilted(rng: np.random.Generator, common: float, own: float) -> list[complex]
     ]
 
 
-MANY = pytest.mark.parametrize("trials", [40, pytest.param(200, marks=pytest.mark.slow)])
+MANY = pytest.mark.parametrize("trials", [20, pytest.param(200, marks=pytest.mark.slow)])
 
 
 @MANY

@@ -413,11 +413,11 @@ def check_coverage(recording: str, driven: str, trials: int) -> None:
 
 
 def test_transverse_excitation_beside_a_moment_covers_the_element_but_not_by_the_ratio():
-    counts = coverage_matrix.count_elements("6-x-mass-+y", "Fx", range(1, 25), {"static_sensitivity_uncertainty": 1e-3})
+    counts = coverage_matrix.count_elements("6-x-mass-+y", "Fx", range(1, 9), {"static_sensitivity_uncertainty": 1e-3})
     for count in counts:
-        assert np.mean(count.bias).real == pytest.approx(-0.004, abs=0.0006)
+        assert np.mean(count.bias).real == pytest.approx(-0.004, abs=0.001)
         assert np.sum(count.ratio.covered) <= 2
-        assert binom.ppf(5e-4, 24, 0.95) <= np.sum(count.element.covered)
+        assert binom.ppf(5e-4, 8, 0.95) <= np.sum(count.element.covered)
 
 
 @pytest.mark.slow
