@@ -21,12 +21,11 @@ from fusion.base import Settings
 from fusion.phasors import set_up
 from fusion.phasors.stereo_motion import (
     ImageView,
-    Motions,
     PreparedImages,
     StereoMotion,
     sensor_from_camera,
 )
-from fusion.phasors.tracked_blocks import body_inputs
+from fusion.phasors.tracked_blocks import Motions, body_inputs
 from fusion.recording.load import load_manifest
 from fusion.simulate import bending, sines
 from fusion.simulate.preset import Preset, StereoSetup, patches_of

@@ -142,11 +142,6 @@ class Acceleration(TabularResult):
         value = np.asarray(np.nan_to_num(self.phasors.value))
         return self.unobserved_limits.amplitude(value, self.observed) if self.assumed is None else self.assumed
 
-    @property
-    def contributions(self) -> tuple[Contribution, ...]:
-        """Return the budget, one contribution per label; their sum is the covariance of the phasors."""
-        return self.uncertainty.grouped()
-
     @cached_property
     def polar(self) -> list[list[Polar | None]]:
         """Return the components (K lines of 6) as magnitude and phase, None where one is not observed."""

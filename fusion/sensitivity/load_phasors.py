@@ -108,11 +108,6 @@ class LoadResult(TabularResult):
         dof = self.uncertainty.dof()[np.arange(len(value)), largest]
         return Phasors(self.frequency_hz, value, covariance, LOAD_COMPONENTS, LOAD_UNITS, dof)
 
-    @property
-    def contributions(self) -> tuple[Contribution, ...]:
-        """Return the budget, one contribution per label; they add up to the covariance of `value`."""
-        return self.uncertainty.grouped()
-
     @cached_property
     def polar(self) -> list[list[Polar | None]]:
         """Return the components (K lines of 6) as magnitude and phase, None where one is not a result."""

@@ -166,7 +166,7 @@ def test_without_errors_the_truth_comes_back():
     np.testing.assert_allclose(result.phasors.value, TRUTH, rtol=1e-9, atol=1e-9)
     assert result.chi2 < 1e-9
     assert result.observed.all()
-    total = np.sum([c.covariance for c in result.contributions], axis=0)
+    total = np.sum([c.covariance for c in result.uncertainty.grouped()], axis=0)
     np.testing.assert_allclose(total, result.phasors.covariance)
     assert result.dof == 2 * (2 * 14 - 12)
 
@@ -299,7 +299,7 @@ def test_transverse_motion_that_nobody_sees_is_in_the_uncertainty():
     for _ in range(40):
         result = fuse(simulated_readings([clean], rng))
         assert not any(notice.severity == "warning" for notice in result.notices)
-    hidden = next(entry for entry in result.contributions if entry.label == "unobserved motion")
+    hidden = next(entry for entry in result.uncertainty.grouped() if entry.label == "unobserved motion")
     # 10 % of z in x and in y, each half real and half imaginary, times 5 mrad: of every laser by itself and of all.
     assert np.sqrt(hidden.covariance[0, 2, 2]) == pytest.approx(0.1 * 189.0 * 5e-3 * np.sqrt(1 + 1 / 8), rel=0.05)
 

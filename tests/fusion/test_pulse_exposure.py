@@ -127,9 +127,9 @@ def test_a_run_is_that_with_the_width_stated(tmp_path):
     assert abs(ratio) < 4.0 * abs(width.effect[0, 0])
     error = _base(measured) / (-(OMEGA**2) * MOTION) - 1.0
     assert abs(error[2]) < 1e-3
-    labels = {c.label for a in measured.accelerations if a.body == "base" for c in a.contributions}
+    labels = {c.label for a in measured.accelerations if a.body == "base" for c in a.uncertainty.grouped()}
     assert "camera_trigger: pulse width" in labels
-    assert not any("pulse width" in c.label for a in stated.accelerations for c in a.contributions)
+    assert not any("pulse width" in c.label for a in stated.accelerations for c in a.uncertainty.grouped())
 
 
 def test_the_effect_of_a_width_is_that_of_evaluating_with_another(tmp_path):

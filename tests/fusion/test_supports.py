@@ -69,7 +69,7 @@ def test_an_accelerometer_on_the_head_acts_by_its_own_errors():
     known, (moved,), notices = without_supports(seen, None)
     found = fuse(known)
     assert found.phasors.value[0, 2] == pytest.approx(a, rel=1e-6)
-    budget = {part.label: part.covariance[0] for part in found.contributions}
+    budget = {part.label: part.covariance[0] for part in found.uncertainty.grouped()}
     np.testing.assert_allclose(
         np.sqrt(np.diagonal(budget["h: scale"])[[2, 8]]), 3e-3 * np.abs([h.real, h.imag]), rtol=1e-3
     )
@@ -99,7 +99,7 @@ def test_a_stated_bound_remains_where_a_patch_tells_nothing_and_is_used_up_where
     known, _, notices = without_supports(readings(Case("", 0.0, noise=noise), np.random.default_rng(1)), 5e-3)
     found = fuse(known)
     assert found.phasors.u_re[0, 2] / abs(DRIVE) == pytest.approx(u, rel=0.15)
-    assert "motion of the supports of lasers and cameras" not in {part.label for part in found.contributions}
+    assert "motion of the supports of lasers and cameras" not in {part.label for part in found.uncertainty.grouped()}
     assert any(notice.code == SUPPORT_UNCERTAIN.code for notice in notices) == (noise > 1e-3)
 
 
