@@ -104,7 +104,7 @@ def unrendered(template: Template, world: World, draws: Draws) -> Iterator[None]
     def drawn(images: Sequence[PreparedImages], *_: object) -> Iterator[Motions]:
         yield lambda _: tuple(_seen(one, template.pairs[one.sight.name], world, draws) for one in images)
 
-    with patch.object(sines, "_write_images", linked), patch.object(set_up, "followed_pairs", drawn):
+    with patch.object(sines, "_write_images", linked), patch.object(set_up, "tracked_pairs", drawn):
         yield
 
 
