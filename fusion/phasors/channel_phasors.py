@@ -336,12 +336,7 @@ def _correction(channel: ChannelEntry, frequency_hz: FloatArray) -> tuple[Comple
 
 
 def _result(
-    record: DaqRecord,
-    channel: ChannelEntry,
-    time_s: FloatArray,
-    fit: SineFit,
-    phasors: Phasors,
-    shown: bool,
+    record: DaqRecord, channel: ChannelEntry, time_s: FloatArray, fit: SineFit, phasors: Phasors, shown: bool
 ) -> tuple[ChannelResult, ChannelReading]:
     """Correct one channel's phasors for delay and response, and collect the data of its figures."""
     block, rate_hz, values = record.entry.name, record.raw[channel.name].sample_rate_hz, record.stacked([channel])

@@ -9,12 +9,7 @@ from dataclasses import replace
 import numpy as np
 
 from fusion.instruments.transducer import STATIONARY, TRANSDUCERS
-from fusion.phasors.channel_phasors import (
-    MIN_BEAT_PERIODS,
-    channels_of_same_times,
-    fastest_channel,
-    line_clock,
-)
+from fusion.phasors.channel_phasors import MIN_BEAT_PERIODS, channels_of_same_times, fastest_channel, line_clock
 from fusion.phasors.phasor_notices import PERIODS_DISAGREE
 from fusion.phasors.stereo_motion import StereoMotion, resolved_lines
 from fusion.phasors.timing import TimeBase, frame_sight

@@ -17,12 +17,7 @@ from fusion.estimation.variance_components import EstimatedNoise
 from fusion.instruments.channel import ChannelReading, ChannelRelativeError, nonzero_errors, observe_channels
 from fusion.instruments.stereo import PERIODIC, StereoReading
 from fusion.phasors.channel_phasors import ChannelResult
-from fusion.phasors.phasor_notices import (
-    LARGE_REFERENCE_DRIFT,
-    REFERENCE_DRIFT,
-    TAKE_FREQUENCY_DIFFERS,
-    TAKES_SCATTER,
-)
+from fusion.phasors.phasor_notices import LARGE_REFERENCE_DRIFT, REFERENCE_DRIFT, TAKE_FREQUENCY_DIFFERS, TAKES_SCATTER
 from fusion.phasors.set_up import MeasuredSetUp, PreparedSetUp
 from fusion.phasors.steadiness import line_stationarity, stationarity_notices
 from fusion.phasors.stereo_phasors import StereoResult

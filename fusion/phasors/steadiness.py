@@ -307,11 +307,7 @@ def _share(channel: ChannelResult, frequency_hz: float, m: int) -> _Share | None
 
 
 def _distortion(
-    channel: ChannelResult,
-    frequency_hz: float,
-    m: int,
-    share_of_channel: _Share,
-    theirs: Sequence[_Share],
+    channel: ChannelResult, frequency_hz: float, m: int, share_of_channel: _Share, theirs: Sequence[_Share]
 ) -> Iterator[HarmonicDistortion]:
     """Yield the excess of one harmonic of a channel over that of others."""
     from scipy.special import fdtri

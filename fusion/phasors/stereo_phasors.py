@@ -37,12 +37,7 @@ from photogram.images.sequence import GreyImage
 from photogram.motion import Deformation, RigidMotion
 from shaker.labels import MOTION_COMPONENTS, component_units
 from shaker.lines.frequencies import LineFrequencies
-from shaker.sine.aliasing import (
-    alias_frequency,
-    exposure_gain,
-    nearest_clear_rate,
-    sine_columns,
-)
+from shaker.sine.aliasing import alias_frequency, exposure_gain, nearest_clear_rate, sine_columns
 from shaker.sine.normal_equations import sine_amplitudes
 from shaker.sine.phasor import Phasors
 from shaker.sine.sine_fit import Stationarity, stationarity

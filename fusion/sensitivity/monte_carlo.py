@@ -20,11 +20,7 @@ from fusion.sensitivity.analyse import Analysis, Inputs
 from fusion.sensitivity.distributions import FirstOrder, MonteCarlo, Propagated, judged, summarise
 from fusion.sensitivity.load_phasors import LoadResult
 from fusion.sensitivity.ratio import PriorMatrix, quotient
-from fusion.sensitivity.sensitivity_notices import (
-    DRAWS_NOT_CONVERGED,
-    FIRST_ORDER_TOO_LARGE,
-    FIRST_ORDER_TOO_SMALL,
-)
+from fusion.sensitivity.sensitivity_notices import DRAWS_NOT_CONVERGED, FIRST_ORDER_TOO_LARGE, FIRST_ORDER_TOO_SMALL
 from shaker.labels import LOAD_COMPONENTS, LOAD_UNITS, MOTION_COMPONENTS
 from shakercal._common.arrays import ComplexArray, FloatArray
 from shakercal._common.notices import Notice

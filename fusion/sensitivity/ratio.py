@@ -133,12 +133,7 @@ def driven_component(direction: Sequence[float], capacity: Sequence[float] | Non
     return int(np.argmax(size))
 
 
-def sensitivity_ratio(
-    outputs: Outputs,
-    load: LoadResult,
-    component: int,
-    multiple: ArrayLike,
-) -> Sensitivity:
+def sensitivity_ratio(outputs: Outputs, load: LoadResult, component: int, multiple: ArrayLike) -> Sensitivity:
     """Return output / load of the driven `component` for every output of one recording.
 
     S = U/L; dS = dU/L - S dL/L, in which an unknown of both (a clock, an amplifier) is one change. `multiple` (K,): 1

@@ -20,12 +20,7 @@ from fusion.recording.acknowledged import acknowledge
 from fusion.recording.load import Manifest, find_single_recording, load_manifest
 from fusion.recording.plausibility import plausibility_notices
 from fusion.sensitivity.analyse import Analysis, Evaluation, Inputs, analyse, elastic_rows, main_output
-from fusion.sensitivity.disturbances import (
-    at_reference_temperature,
-    not_assessed,
-    unstated_chain,
-    with_base_strain,
-)
+from fusion.sensitivity.disturbances import at_reference_temperature, not_assessed, unstated_chain, with_base_strain
 from fusion.sensitivity.monte_carlo import propagate
 from fusion.sensitivity.moving_body import load_body, with_measured_modes
 from fusion.sensitivity.ratio import driven_component, with_ratios
@@ -89,10 +84,7 @@ def evaluate_recording(
 
 
 def evaluate_set_ups(
-    manifest: Manifest,
-    set_ups: Sequence[MeasuredSetUp],
-    settings: Settings,
-    progress: ProgressCallback = no_progress,
+    manifest: Manifest, set_ups: Sequence[MeasuredSetUp], settings: Settings, progress: ProgressCallback = no_progress
 ) -> Evaluation:
     """Evaluate a recording from the phasors of its instruments: fusion, mass matrix, outputs over load."""
     joined = join_set_ups(set_ups)

@@ -133,10 +133,7 @@ BEAM = {"scale": 1.0, "scale_uncertainty": 1e-3, "direction_uncertainty": 5e-3}
 
 @pytest.mark.parametrize(
     ("direction", "aim", "component"),
-    [
-        ([1.0, 0.0, 0.0], [0.0, 0.0, 1.0], "x"),
-        ([0.0, 0.0, 1.0], [0.0, 1.0, 0.0], "z"),
-    ],
+    [([1.0, 0.0, 0.0], [0.0, 0.0, 1.0], "x"), ([0.0, 0.0, 1.0], [0.0, 1.0, 0.0], "z")],
 )
 def test_a_recording_without_its_driven_axis_names_the_missing_instrument(tmp_path, direction, aim, component):
     keys = {**BEAM, "direction": aim}

@@ -29,13 +29,7 @@ from fusion.recording.recording_notices import (
 )
 from fusion.recording.rig import Rig, RigLoad, Stereo
 from fusion.sensitivity.analyse import Inputs, analyse, elastic_rows
-from fusion.sensitivity.elastic import (
-    InstrumentPosition,
-    NaturalModes,
-    Plate,
-    Rod,
-    join_modes,
-)
+from fusion.sensitivity.elastic import InstrumentPosition, NaturalModes, Plate, Rod, join_modes
 from fusion.sensitivity.load_phasors import likely_frequencies, load_phasors
 from fusion.sensitivity.mode_shapes import elastic_part
 from fusion.sensitivity.monte_carlo import propagate

@@ -15,9 +15,7 @@ from shakercal._common.notices import Notice
 FREQUENCY_HZ, PERIOD_S, NOISE_PX = 80.0, 0.0261, 2e-3
 CAMERA = Camera.from_parameters(np.array([2000.0, 2000, 320, 240, 0, 0, 0, 0, 0]), np.array([640, 480]))
 RIG = StereoRig(
-    CAMERA,
-    CAMERA,
-    RigidTransform(rotation_from_vector(np.array([0.0, 0.3, 0.02])), np.array([-0.15, 0.002, 0.03])),
+    CAMERA, CAMERA, RigidTransform(rotation_from_vector(np.array([0.0, 0.3, 0.02])), np.array([-0.15, 0.002, 0.03]))
 )
 
 

@@ -161,11 +161,7 @@ def test_check_tells_what_the_exposure_will_be(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("shot", "reason"),
-    [
-        (Shot(width_s=0.9 / RATE_HZ), "1.5 samples"),
-        (Shot(frames=3, end_s=1e-3), "3 edges"),
-    ],
+    ("shot", "reason"), [(Shot(width_s=0.9 / RATE_HZ), "1.5 samples"), (Shot(frames=3, end_s=1e-3), "3 edges")]
 )
 def test_pulses_that_cannot_be_measured_are_refused(tmp_path, shot, reason, capsys):
     run = _write(tmp_path, shot, "pulse")

@@ -196,17 +196,11 @@ def test_a_manifest_states_what_is_at_rest(make_room):
     [
         ({"wall": WALL.replace('support = "top"\n', "")}, r"stereo.wall.support: "),
         ({"wall": WALL.replace('"top"\n', '"frame"\n', 1)}, r'"frame".* base, top'),
-        (
-            {"laser": 'quantity = "velocity"\n  direction = [0.0, 0.0, 1.0]'},
-            r'channel.h.head: .*"psv"',
-        ),
+        ({"laser": 'quantity = "velocity"\n  direction = [0.0, 0.0, 1.0]'}, r'channel.h.head: .*"psv"'),
         ({"region": ""}, r"images.top.region: "),
         ({"on_head": ON_HEAD.replace('  head = "psv"\n', "")}, r'channel.h.head: .*"head"'),
         ({"on_head": ON_HEAD.replace("acceleration", "velocity")}, r"channel.h.body: "),
-        (
-            {"on_head": ON_HEAD.replace('"head"', '"room"')},
-            r"channel.h.body: ",
-        ),
+        ({"on_head": ON_HEAD.replace('"head"', '"room"')}, r"channel.h.body: "),
     ],
 )
 def test_references_without_a_support_are_refused(make_room, change, words):

@@ -213,8 +213,7 @@ def test_regions_of_turned_values_hold_and_magnitude_and_phase_stay(u_phase, u_m
     nothing = Contribution("noise", "A", np.zeros((count, 2, 2)))
     parts = (("laser: scale", u_magnitude, "1", read * u_magnitude), ("clock: time", 1e-6, "s", 1j * read * u_phase))
     told = Uncertainty(
-        (nothing,),
-        tuple(Influence(n, n, u, unit, np.stack([e.real, e.imag], axis=1)) for n, u, unit, e in parts),
+        (nothing,), tuple(Influence(n, n, u, unit, np.stack([e.real, e.imag], axis=1)) for n, u, unit, e in parts)
     )
     error = np.stack([(truth - read).real, (truth - read).imag], axis=-1)[..., None]
 
