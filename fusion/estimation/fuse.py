@@ -144,7 +144,7 @@ class Acceleration(TabularResult):
 
     @cached_property
     def polar(self) -> list[list[Polar | None]]:
-        """Return the components (K lines of 6) as magnitude and phase, None where one is not observed."""
+        """Return magnitude and phase (K lines of 6), None where one is not observed."""
         return polar_elements(self.phasors.value, self.uncertainty, self.phasors.covariance)
 
 
@@ -351,7 +351,7 @@ def untested(result: Acceleration) -> tuple[Untested, ...]:
 
 @dataclass(frozen=True)
 class Unnoticed:
-    """Shift, in units of U, of a `component` by an undetected error of one `channel` or stereo pair."""
+    """Shift of a `component`, over U, by an undetected error of one `channel` or pair."""
 
     channel: str
     component: str

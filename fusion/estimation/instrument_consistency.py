@@ -231,7 +231,7 @@ def _test_group(system: FusionSystem, solution: FusionSolution, name: str, rows:
 def compare_with_estimate(
     observation: Observation, acceleration: ComplexArray, covariance: FloatArray
 ) -> tuple[Consistency, ...]:
-    """Test an instrument that was not used against an `acceleration` (K, 6), one test per member."""
+    """Test each member of an instrument that was not used against the estimate."""
     compared = []
     names = np.array(observation.members)
     for name in dict.fromkeys(observation.members):
@@ -437,7 +437,7 @@ def estimate_explanations(
 
 
 def stated_covariance(solution: FusionSolution, gain: FloatArray) -> FloatArray:
-    """Return the covariance (..., 12, 12) of gain (..., 12, N) · readings by all stated uncertainties."""
+    """Return the covariance (..., 12, 12) of gain · readings by stated uncertainties."""
     effects = gain @ solution.effects
     return np.asarray(gain @ solution.noise @ gain.swapaxes(-1, -2) + effects @ effects.swapaxes(-1, -2))
 

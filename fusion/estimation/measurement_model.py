@@ -54,7 +54,7 @@ class CommonError:
 
 
 class Geometry:
-    """Position of an instrument, as far as Monte Carlo draws it exactly: here, none of it."""
+    """Position of an instrument as far as Monte Carlo draws it exactly: none here."""
 
     @property
     def unknowns(self) -> frozenset[str]:
@@ -62,7 +62,7 @@ class Geometry:
         return frozenset()
 
     def rows(self, design: ComplexArray, deviates: Deviates) -> ComplexArray:
-        """Return N draws (N, K, M, 6) of the rows `design` (K, M, 6) by positions and directions."""
+        """Return the rows of N draws of positions and directions, from the exact `design`."""
         return np.broadcast_to(design, (deviates.count, *design.shape))
 
     def moved(self, readings: ComplexArray, deviates: Deviates) -> ComplexArray:
@@ -139,7 +139,7 @@ class Observation:
 
 
 def relative_change(error: CommonError, design: ComplexArray) -> ComplexArray | None:
-    """Return the factors (K, M) of an error that multiplies readings of any motion, None for other errors."""
+    """Return the factors of an error that multiplies any reading, None for others."""
     power = np.sum(np.abs(design) ** 2, axis=2)
     overlap = np.sum(error.slope * design.conj(), axis=2)
     relative = np.divide(overlap, power, out=np.zeros_like(overlap), where=power > 0.0)
@@ -150,7 +150,7 @@ def relative_change(error: CommonError, design: ComplexArray) -> ComplexArray | 
 
 @dataclass(frozen=True)
 class DrawnReadings:
-    """N draws of an instrument: `readings` (N, K, M) = `design` (N, K, M, 6) · acceleration."""
+    """N draws of an instrument: `readings` = `design` · acceleration."""
 
     readings: ComplexArray
     design: ComplexArray
@@ -225,7 +225,7 @@ class UnobservedMotion:
     driven: FloatArray | None = None
 
     def unbounded(self, share: FloatArray) -> BoolArray:
-        """Return the lines (K,) at which the driven motion, observed with a `share` (K,), has no limit."""
+        """Return the lines (K,) at which the driven motion has no limit."""
         limit = np.full(share.shape, np.inf) if self.driven is None else self.driven
         none = np.zeros(share.shape, np.bool_)
         return none if self.drive is None else np.isinf(np.where(share < FULL, limit, 0.0)) & np.isinf(self.gain(share))
@@ -243,7 +243,7 @@ class UnobservedMotion:
         return np.asarray(np.divide(1.0, 1.0 - moved, out=np.full(moved.shape, np.inf), where=moved < 1.0))
 
     def driven_amplitude(self, acceleration: ComplexArray, share: FloatArray) -> FloatArray:
-        """Return the largest amplitude (K,) of the driven motion at A (K, 6), in m/s²; infinite without limit."""
+        """Return the largest amplitude (K,) of the driven motion in m/s²; infinite without limit."""
         if self.drive is None:
             return np.zeros(len(acceleration))
         shown = np.abs(np.nan_to_num(acceleration) / SCALE @ np.array(self.drive))

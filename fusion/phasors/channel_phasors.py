@@ -106,7 +106,7 @@ class ChannelResult(Arrays):
 
 @dataclass(frozen=True)
 class LineRecord:
-    """The channels in which a recording's lines are searched, with `values` (S, C) in SI at `time_s` (S,)."""
+    """The channels in which a recording's lines are searched, in SI units."""
 
     record: DaqRecord
     channels: tuple[ChannelEntry, ...]
@@ -425,7 +425,7 @@ def line_strength(readings: Sequence[ChannelReading], lines: LineFrequencies) ->
 
 
 def expand_lines(phasors: Phasors, mask: BoolArray, frequency_hz: FloatArray) -> Phasors:
-    """Return phasors at all lines (K,) from those at the lines of `mask` (K,), NaN at the others."""
+    """Return phasors at all lines from those of `mask`, NaN at the others."""
     lines, channels = len(mask), len(phasors.channels)
     value = np.full((lines, channels), np.nan, dtype=np.complex128)
     covariance = np.full((lines, 2 * channels, 2 * channels), np.nan)
@@ -529,7 +529,7 @@ def assess_condition(
 
 
 def _rounded(fit: SineFit, index: int, step: float, time_s: FloatArray) -> ComplexArray | None:
-    """Return the relative u (K,) by converter steps (uniform) as Re and Im, None if negligible."""
+    """Return the relative u (K,) by converter steps, Re and Im, None if negligible."""
     size = np.abs(fit.phasors.value[:, index])
     if not step > 0.0 or not size.any():
         return None

@@ -1,4 +1,4 @@
-"""Clocks tied by lines and motion: rates from lines in channels, trigger periods from lines in frames."""
+"""Clocks tied by lines in channels, and trigger periods by lines in frames."""
 
 from __future__ import annotations
 
@@ -214,7 +214,7 @@ def _refined(
 
 
 def _with_period(fit: TriggerFit, readings: Sequence[ValueWithU], limit: float, back: ValueWithU) -> TriggerFit:
-    """Return a trigger with the mean period, if its u is below a limit and readings do not contradict."""
+    """Return a trigger with the mean period, if readings agree and determine it better."""
     mean = _mean(readings)
     difference, both = float(np.ptp([value for value, _ in readings])), float(np.linalg.norm([u for _, u in readings]))
     if difference > MAX_DISAGREEMENT_SIGMAS * both:
@@ -224,7 +224,7 @@ def _with_period(fit: TriggerFit, readings: Sequence[ValueWithU], limit: float, 
 
 
 def _renewed_tie(tie: ClockTie, base: TriggerFit, other: TriggerFit, *, rate: ValueWithU) -> ClockTie:
-    """Return a tie from the edges of both blocks and the lines' rate, if that agrees with the edges."""
+    """Return a tie by both blocks' edges and the lines' rate, if these agree."""
     agreed = tie.with_rate(*rate)
     if len(agreed.notices) > len(tie.notices):
         return replace(tie, notices=tuple(dict.fromkeys(agreed.notices)))

@@ -105,7 +105,7 @@ class ShapePhasors(Arrays):
         return np.asarray(self.chance < LEVEL / len(self.chance))
 
     def notices(self) -> list[Notice]:
-        """Return a warning for each line at which the body deforms, none if the shapes are stated modes."""
+        """Return a warning for each line at which the body deforms beyond stated modes."""
         notices = list[Notice]()
         if self.phasors.channels != PLAIN:
             return notices

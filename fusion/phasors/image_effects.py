@@ -245,13 +245,13 @@ def with_surface_at_rest(measured: StereoMotion, mean_pose: FloatArray) -> Stere
 
 
 def displacement(measured: StereoMotion, fit: SineFit) -> Phasors:
-    """Return the phasors of a body's motion at the lines of its fit: means over an exposure."""
+    """Return the phasors of a body's motion at the lines, means over an exposure."""
     rotated = None if measured.view is None else measured.view.phase_rotated
     return fit.phasors if rotated is None else rotated.motion(measured.sight.time_s, fit)
 
 
 def fit_about_mean(measured: StereoMotion, frequency_hz: FloatArray) -> tuple[StereoMotion, RigidMotion, SineFit]:
-    """Fit the lines about the mean pose, to which the motion and a single camera's surface are referred."""
+    """Fit the lines about the mean pose, to which the motion is referred."""
     motion, time_s, fit = measured.motion, measured.sight.time_s, None
     variance: FloatArray | None = None
     try:

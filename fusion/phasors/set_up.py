@@ -132,7 +132,7 @@ def prepare_set_ups(manifest: Manifest, already: FileCache | None = None) -> tup
 
 
 def with_channels(prepared: PreparedSetUp, *, shown: bool = True) -> PreparedSetUp:
-    """Fit the lines of a set-up to its channels; without `shown`, data for pages only are omitted."""
+    """Fit the lines to a set-up's channels; only what pages show needs `shown`."""
     if prepared.lines is None:
         return prepared
     with errors_in_set_up(prepared.manifest.path, prepared.where, prepared.name):
@@ -199,7 +199,7 @@ def _measured(prepared: PreparedSetUp, followed: Sequence[StereoMotion | Rejecte
 def _tied(
     prepared: PreparedSetUp, motions: tuple[StereoMotion, ...], lines: LineFrequencies
 ) -> tuple[PreparedSetUp, tuple[StereoMotion, ...], LineFrequencies]:
-    """Return a set-up, motions and lines with clocks tied by the motion, and channels fitted on these."""
+    """Return a set-up with clocks tied by the motion, its motions and its lines."""
     base, renewed, lines = tie_clocks_by_motion(prepared.manifest, prepared.base, motions, lines)
     tied = any(tie is not prepared.base.ties[name] for name, tie in base.ties.items())
     prepared = replace(prepared, base=base, lines=lines)
@@ -247,7 +247,7 @@ def _lines(set_ups: Sequence[PreparedSetUp]) -> list[LineFrequencies | None]:
 
 
 def _further_lines(prepared: PreparedSetUp, nominal: tuple[float, ...]) -> LineFrequencies:
-    """Find the lines of a further set-up; raise if its channels do not resolve all fundamentals."""
+    """Find the lines of a further set-up; raise if it does not resolve all fundamentals."""
     manifest = prepared.manifest
     excitation = manifest.excitation.model_copy(update={"frequencies": nominal})
     with errors_in_set_up(manifest.path, prepared.where, prepared.name):
@@ -265,7 +265,7 @@ def _keys(lines: LineFrequencies) -> list[LineKey]:
 
 
 def _indistinct(prepared: PreparedSetUp, lines: LineFrequencies, keys: Sequence[LineKey]) -> list[LineKey]:
-    """Return the lines of other set-ups that this one's fastest channel cannot separate from others or zero."""
+    """Return other set-ups' lines that this one's fastest channel cannot separate."""
     record = line_record(prepared.base)
     added = set(keys) - set(_keys(lines))
     if record is None or not added:

@@ -84,7 +84,7 @@ class ReferenceTie:
         return replace(phasors.scaled(self.factor[:, None]), frequency_hz=self.frequency_hz)
 
     def reading(self, reading: ChannelReading) -> ChannelReading:
-        """Return a channel of the set-up as one of the first, with the errors of its clock."""
+        """Return a channel as one of the first set-up, with errors of its clock."""
         chain = replace(reading.chain, clock=f"{self.name}: {reading.chain.clock}")
         further = nonzero_errors([*_clock_errors(self.name, reading), *self.errors])
         return ChannelReading(reading.entry, self.phasors(reading.phasors), chain, further)
@@ -100,7 +100,7 @@ class ReferenceTie:
         return replace(referred, further_errors=nonzero_errors([*referred.further_errors, *self.noise]))
 
     def stereo(self, pair: StereoReading) -> StereoReading:
-        """Return a stereo pair of the set-up as one of the first; errors of its frames remain separate."""
+        """Return a stereo pair as one of the first set-up; its errors remain separate."""
         effects = {
             f"{what}, {self.name}" if what == PERIODIC else what: change * self.factor[:, None]
             for what, change in pair.effects.items()
@@ -189,7 +189,7 @@ def _check_driven(prepared: PreparedSetUp, reference: ChannelReading, significan
 def _noise(
     name: str, reading: ChannelReading, frequency_hz: FloatArray, lines: BoolArray
 ) -> tuple[ChannelRelativeError, ...]:
-    """Return the noise of a reference as relative errors (K, 1), two real unknowns at each chosen line."""
+    """Return the noise of a reference as two relative errors at each chosen line."""
     errors = []
     phasors = reading.phasors
     for k in np.flatnonzero(lines):
@@ -204,13 +204,13 @@ def _noise(
 
 
 def _clock_errors(name: str, reading: ChannelReading) -> list[ChannelRelativeError]:
-    """Return the relative errors of a channel by clock and frequencies, named by set-up unless of the rig."""
+    """Return a channel's errors by clock and frequencies, named by the set-up."""
     errors = reading.further_errors
     return [error if error.scope == "rig" else replace(error, name=f"{name}: {error.name}") for error in errors]
 
 
 def _drift(name: str, frequency_hz: FloatArray, half_width: FloatArray) -> list[ChannelRelativeError]:
-    """Return the relative errors (K, 1) of magnitude and phase of a whole set-up by drift of a reference."""
+    """Return the relative errors of magnitude and phase by drift of a reference."""
     label, errors = "drift between takes", []
     for k in np.flatnonzero(half_width > 0.0):
         u = float(half_width[k]) / np.sqrt(3.0)

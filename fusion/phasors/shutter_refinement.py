@@ -68,7 +68,7 @@ def refine_rolling_shutter(
 
 
 def _shutter_notices(measured: StereoMotion, swing: ExposureMotion, bias: float, left: float) -> Iterator[Notice]:
-    """Yield the effects of motion during exposures, and a warning where the fit did not converge."""
+    """Yield the effects of motion during exposures, and whether the fit did not converge."""
     rotated = None if measured.view is None else measured.view.phase_rotated
     fastest_hz = float(swing.frequency_hz.max())
     if rotated is not None:

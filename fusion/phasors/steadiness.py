@@ -163,7 +163,7 @@ def stationarity_notices(changes: Sequence[LineStationarity]) -> tuple[Notice, .
 
 
 class _SignificantChanges(NamedTuple):
-    """The reported changes of a line, and `doubts`: changes of outputs without a change of the motion."""
+    """The reported changes of a line, and `doubts`: those of outputs without motion."""
 
     grown: list[LineStationarity]
     drifting: list[LineStationarity]
@@ -193,7 +193,7 @@ def _significant_changes(changes: Sequence[LineStationarity], frequency_hz: floa
 def _of_lines(
     name: str, steady: Stationarity, driven: Sequence[tuple[float, float]], u_rate: float, *, output: bool
 ) -> list[LineStationarity]:
-    """Return the changes of the `driven` lines (frequency, u), each in the channel with the clearest signal."""
+    """Return the changes of the `driven` lines, each in the clearest channel."""
     length, changes = steady.length_s, []
     for frequency, u_frequency in driven:
         turn = 2.0 * np.pi * float(np.hypot(frequency * u_rate, u_frequency))

@@ -1,4 +1,4 @@
-"""Images and points of a stereo pair, opened and checked, and the rigid motion that follows from them."""
+"""Images and points of a stereo pair, opened and checked, and their rigid motion."""
 
 from __future__ import annotations
 
@@ -118,7 +118,7 @@ class PhaseRotated:
     def shapes(
         self, time_s: FloatArray, fit: SineFit, motion: Phasors, noise: Callable[[FloatArray, SineFit], Phasors]
     ) -> Phasors:
-        """Return the amplitudes (K, S) of shapes beyond that motion; `noise`: of series by their fit."""
+        """Return the amplitudes (K, S) of shapes beyond that motion, by a model of `noise`."""
         moved = np.einsum("kij,kj->ki", self.response[:, 6:, :6], motion.value)
         return self._restored(time_s, fit, slice(6, None), self.reference_motion[:, 6:] - moved, noise)
 
@@ -198,7 +198,7 @@ class StereoMotion:
 
 @dataclass(frozen=True)
 class RejectedPair:
-    """A stereo pair without a motion; `error` ends the run if no other instrument measures one."""
+    """A stereo pair without a motion, and the error that is the reason."""
 
     name: str
     error: InputError | ComputeError
@@ -210,14 +210,14 @@ class RejectedPair:
 
 
 def sensor_from_camera(stereo: Stereo) -> RigidTransform:
-    """Return the pose of the left camera, or of the frame of the points, in the sensor frame."""
+    """Return the pose of the left camera, or of the points, in the sensor frame."""
     return RigidTransform(np.array(stereo.rotation), np.array(stereo.translation))
 
 
 def prepare_images(
     manifest: Manifest, base: TimeBase, entry: Images, already: FileCache | None = None
 ) -> PreparedImages:
-    """Open the images of one stereo pair and check them before tracking; later images when they are read."""
+    """Open the images of one stereo pair and check them before tracking."""
     key, sequences, cached = f"images.{entry.stereo}", [], {} if already is None else already.images
     for side, paths in entry.cameras:
         with as_input_error(manifest.path, f"{key}.{side}"):
@@ -287,7 +287,7 @@ def _stated_exposure(manifest: Manifest, entry: Images, sequences: Sequence[Imag
 
 
 def _contradictions(sight: Sight, images: ImageSequence) -> list[Notice]:
-    """Return warnings where the file of a camera contradicts exposure and frame times of the sight."""
+    """Return warnings where a camera's file contradicts exposure and frame times."""
     where, notices = images.names[0].rpartition("[")[0] or sight.name, list[Notice]()
     stated, used = images.exposure_s, sight.exposure.length_s
     if stated is not None and abs(stated - used) > SAME_EXPOSURE * max(stated, used):

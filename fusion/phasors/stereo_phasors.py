@@ -234,7 +234,7 @@ def _named(measured: StereoMotion, of_phasors: Sequence[Notice]) -> tuple[Notice
 
 
 def _row_time_error(measured: StereoMotion, phasors: Phasors) -> list[FittedError]:
-    """Return the effect of one standard uncertainty u of the row time: rows are later by u times their number."""
+    """Return the effect of one standard uncertainty of the row time, growing with rows."""
     rotated, pair = None if measured.view is None else measured.view.phase_rotated, measured.sight.pair
     if rotated is None or pair.row_time_uncertainty == 0.0:
         return []
@@ -245,7 +245,7 @@ def _row_time_error(measured: StereoMotion, phasors: Phasors) -> list[FittedErro
 
 
 def _deflection(measured: StereoMotion, frequency_hz: FloatArray) -> DeflectionShape | None:
-    """Return the deformation of the points at the lines, by their rows' delays; None for a single camera."""
+    """Return the deformation of the points at the lines, None for a single camera."""
     if measured.view is not None and isinstance(measured.view.rig, FaceCamera):
         return None
     length_s = measured.sight.exposure.length_s
@@ -294,7 +294,7 @@ def _left_out(
 def _short_notices(
     lines: LineFrequencies, usable: NDArray[np.bool_], time_s: FloatArray, reading: StereoReading
 ) -> list[Notice]:
-    """Return warnings of driven lines with less than a beat in the record and an effect above the noise."""
+    """Return warnings of driven lines that less than a beat makes uncertain beyond noise."""
     fitted = [error for error in reading.errors if isinstance(error, FittedError)]
     interval_s = float(time_s[-1] - time_s[0]) / (len(time_s) - 1)
     rate_hz, notices = 1.0 / interval_s, []

@@ -291,7 +291,7 @@ class TimeBase:
         return [name for daq, name in self.triggers if daq == first and (second, name) in self.triggers]
 
     def pulse_widths(self) -> dict[tuple[str, str], PulseWidth]:
-        """Return the pulse width per block and trigger where both edges are resolved; records store them."""
+        """Return the pulse width per block and trigger where both edges are resolved."""
         widths = {}
         for daq, name in self.triggers:
             with suppress(ValueError):
@@ -353,7 +353,7 @@ def _offset_rate_errors(
 
 
 def tie_daqs(manifest: Manifest, records: Sequence[DaqRecord]) -> TimeBase:
-    """Find the trigger edges of all blocks, and tie every clock to the first one by a shared trigger."""
+    """Find all trigger edges, and tie every clock to the first by a shared trigger."""
     base, *others = records
     first = base.entry.name
     triggers: dict[tuple[str, str], TriggerFit] = {}

@@ -267,7 +267,7 @@ def tracked_pairs(
 
 
 def _attempted(images: PreparedImages, act: Callable[[], T]) -> T | RejectedPair:
-    """Return the result of an action on a pair, or the rejected pair if its body is not found."""
+    """Return the result of an action on a pair, rejected if its body is lost."""
     from photogram.subsets.find import BodyNotFound
 
     try:

@@ -194,7 +194,7 @@ def _shifted_positions(
 
 
 def _positions(observation: Observation) -> list[InstrumentPosition]:
-    """Return the positions on the load of an instrument's channels, or the mean of a pair's points."""
+    """Return the positions of an instrument's channels, or of a pair's face."""
     seen = observation.geometry
     if isinstance(seen, ChannelGeometry):
         missing = [entry.name for entry in seen.entries if entry.point is None]
@@ -437,7 +437,7 @@ def _element_notices(
 
 
 def _far_from_static(outputs: Outputs, load: LoadResult, sensor: Sensor, component: int) -> Iterator[Notice]:
-    """Yield a warning of an output far from its prediction, where the matrix has only the main element."""
+    """Yield a warning of an output far from its static value, without a whole matrix."""
     if sensor.static_sensitivity is None:
         return
     main = main_output(sensor, component, outputs.phasors.channels)
@@ -466,7 +466,7 @@ def _far_from_static(outputs: Outputs, load: LoadResult, sensor: Sensor, compone
 
 
 def main_output(sensor: Sensor, component: int, recorded: Sequence[str] | None = None) -> str | None:
-    """Return which of the `recorded` outputs belongs to a load, by static matrix or name, or None."""
+    """Return the recorded output that belongs to a load by matrix or name, or None."""
     names = [name for name in sensor.channels if recorded is None or name in recorded]
     if sensor.static_sensitivity is not None:
         size = {name: abs(row[component]) for name, row in zip(sensor.channels, sensor.static_sensitivity, strict=True)}

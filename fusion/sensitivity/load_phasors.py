@@ -99,7 +99,7 @@ class LoadResult(TabularResult):
 
     @cached_property
     def phasors(self) -> Phasors:
-        """Return the components that are results, NaN elsewhere; `dof`: of the largest force of each line."""
+        """Return the components that are results, NaN elsewhere, `dof` of the largest force."""
         mask = ~np.tile(self.observed, (1, 2))
         covariance = np.where(mask[:, :, None] | mask[:, None, :], np.nan, self.uncertainty.covariance)
         value = np.where(self.observed, self.value, complex(np.nan, np.nan))
@@ -110,7 +110,7 @@ class LoadResult(TabularResult):
 
     @cached_property
     def polar(self) -> list[list[Polar | None]]:
-        """Return the components (K lines of 6) as magnitude and phase, None where one is not a result."""
+        """Return magnitude and phase (K lines of 6), None where one is not a result."""
         return polar_elements(self.phasors.value, self.uncertainty, self.phasors.covariance)
 
 

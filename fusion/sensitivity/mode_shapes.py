@@ -1,4 +1,4 @@
-"""Modes of an elastic load as rig.toml states them, and their shapes for the fit to images."""
+"""Modes of an elastic load as rig.toml states them, and their shapes in images."""
 
 from __future__ import annotations
 
@@ -145,7 +145,7 @@ class _Chosen:
 
     @classmethod
     def of(cls, table: Elastic) -> _Chosen:
-        """Choose the modes of a table that have a surface, or a drawing's first along and across its axis."""
+        """Choose a table's modes with a surface, or a drawing's first ones."""
         if table.shape == "modes":
             numbers = [number for number, mode in enumerate(table.mode) if mode.surface is not None]
             return cls(table, tuple(numbers), tuple(f"mode {number + 1}" for number in numbers))
@@ -233,7 +233,7 @@ class ModeShapes:
         return tuple(f"{part.table.name}: {label}" for part in self.parts for label in part.labels)
 
     def __call__(self, points_m: FloatArray) -> FloatArray:
-        """Return the displacement (S, N, 3) of points (N, 3) per 1 m of each mode."""
+        """Return the displacement (S, N, 3) of points per 1 m of each mode."""
         return np.concatenate([part.displacement(points_m) / part.size[:, None, None] for part in self.parts])
 
 

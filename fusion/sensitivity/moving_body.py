@@ -1,4 +1,4 @@
-"""Mass matrix, lever arms and gravity tilt of the load, its elastic parts, and their responses in images."""
+"""Mass matrix, lever arms and gravity tilt of the load, and its elastic parts."""
 
 from __future__ import annotations
 
@@ -77,7 +77,7 @@ class MountingJoint:
         return np.asarray(np.where(stated, slope * self.u_frequency_hz, named))
 
     def _stretch(self, frequency_hz: FloatArray) -> ComplexArray:
-        """Share (K, 6) of the load's motion in the joint, G/(1 + G), finite at the resonance too."""
+        """Share of the load's motion in the joint, G/(1 + G), finite at resonance."""
         r = frequency_hz[:, None] / self.frequency_hz
         return np.asarray(r * r / (1.0 + 2j * self.damping * r))
 
@@ -242,7 +242,7 @@ class Body:
 
     @property
     def mass_matrix(self) -> FloatArray:
-        """Mass matrix (6, 6) of rigid parts about the origin: F = m (a + alpha × c), M = c × F + J alpha."""
+        """Mass matrix (6, 6) of all parts about the sensor origin as rigid ones."""
         return np.asarray(np.sum([part.terms.mass_matrix for part in self.parts], axis=0))
 
     def load_matrix(self, frequency_hz: FloatArray) -> ComplexArray:
@@ -261,11 +261,11 @@ class Body:
         return np.asarray(sign * stiffness / (2.0 * np.pi * frequency_hz[:, None, None]) ** 2)
 
     def _wrench(self, frequency_hz: FloatArray, modes: NaturalModes) -> ComplexArray:
-        """Load matrix (K, 6, 6) of modes of bending parts, whose weight turns like that of a rigid body."""
+        """Load matrix of modes, whose weight turns like that of a rigid body."""
         return modes.wrench(frequency_hz) if self.sense == "on_load" else -modes.wrench(frequency_hz)
 
     def _carried(self, frequency_hz: FloatArray, part: MovingPart, terms: InertialTerms) -> ComplexArray:
-        """Load matrices (..., K, 6, 6) by terms of a part, which may be below the joint."""
+        """Load matrices by terms of a part, which may be below the joint."""
         sign = 1.0 if self.sense == "on_load" else -1.0
         matrix = sign * terms.load_matrix(frequency_hz, self.gravity_mps2).astype(np.complex128)
         if self.joint is None or not part.below_joint:
@@ -273,7 +273,7 @@ class Body:
         return matrix * self.joint.follow(frequency_hz)[:, None, :]
 
     def matrix_changes(self, frequency_hz: FloatArray) -> tuple[Unknown[ComplexArray], ...]:
-        """Return the changes (K, 6, 6) by uncertain numbers of parts, joint, modes, cables and gravity."""
+        """Return the changes of the load matrix (K, 6, 6) by every uncertain number."""
         changes: list[Unknown[ComplexArray]] = []
         for part in self.parts:
             changes += _parameters(part, partial(self._carried, frequency_hz, part))
@@ -523,7 +523,7 @@ def with_measured_modes(
 def _measured(
     part: ElasticPart, which: IntArray, seen: _ObservedModes, columns: IntArray, size: FloatArray
 ) -> tuple[ElasticPart, list[Notice]]:
-    """Return a part with the measured responses of modes of `size` (M,) in m per unit, and notices."""
+    """Return a part with measured responses of modes of `size` in m, and notices."""
     pair, count, both = seen.pair, len(which), np.concatenate([columns, columns + seen.share.shape[1]])
     drive = seen.foot @ part.modes.participation[which].T
     driven = np.abs(drive) > NOT_DRIVEN * np.abs(drive).max(initial=1e-300)

@@ -112,7 +112,7 @@ class Sensitivity(TabularResult):
 
     @cached_property
     def polar(self) -> list[list[Polar | None]]:
-        """Return the elements (K lines of E) as magnitude and phase, None where one is not known."""
+        """Return magnitude and phase (K lines of E), None where one is not known."""
         return polar_elements(self.value[:, *self._element_index()], self.uncertainty)
 
     def _element_index(self) -> tuple[list[int], list[int]]:
@@ -182,7 +182,7 @@ class ParasiticLoads:
     uncertainty: Uncertainty
 
     def element(self, line: int, channel: int) -> Polar:
-        """Return one share with its uncertainty: its real part enlarges the output, its imaginary part turns it."""
+        """Return one share: its real part enlarges the output, its imaginary part turns it."""
         pair = element_covariance(self.uncertainty.covariance[line], channel)
         return polar(complex(self.value[line, channel]), pair, float(self.uncertainty.dof()[line, channel]))
 

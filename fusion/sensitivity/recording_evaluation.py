@@ -185,7 +185,7 @@ def _observed(acceleration: Acceleration, component: int | None) -> BoolArray:
 
 
 def _with_sensitivity(inputs: Inputs, analysis: Analysis, component: int | None) -> BoolArray:
-    """Return the lines (K,) at which the main output, or without one any output, has a sensitivity."""
+    """Return the lines at which the main output, or else any, has a sensitivity."""
     found = analysis.sensitivity
     if found is None or component is None or inputs.sensor is None:
         return np.zeros(1, dtype=np.bool_)

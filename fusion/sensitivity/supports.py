@@ -110,7 +110,7 @@ def _members(seen: _SupportReading) -> list[str]:
 
 
 def _by_support(observations: Sequence[Observation] | Iterator[Observation]) -> dict[str, list[_SupportReading]]:
-    """Return the rows of observations by the name of their support; channels without a head have none."""
+    """Return the rows of observations by their support; channels without a head have none."""
     groups: dict[str, list[_SupportReading]] = {}
     for observation in observations:
         columns_of: dict[str, list[int]] = {}
@@ -302,7 +302,7 @@ def _estimate(read: _Readings, shape: FloatArray, main: int, stated: float | Non
 
 
 def _prior(shape: FloatArray, spreads: FloatArray) -> FloatArray:
-    """Return covariances (G, 12, 12) of [Re H, Im H] for standard deviations (G, 3) of the translations."""
+    """Return covariances (G, 12, 12) of [Re H, Im H] for standard deviations `spreads`."""
     rotation = np.sqrt(np.mean(spreads**2, axis=1, keepdims=True))
     scaled = shape * np.concatenate([spreads, np.repeat(rotation, 3, axis=1)], axis=1)[:, None, :]
     return np.asarray(np.kron(np.eye(2), scaled @ scaled.swapaxes(1, 2)))
@@ -312,7 +312,7 @@ def _prior(shape: FloatArray, spreads: FloatArray) -> FloatArray:
 
 
 def _remaining_errors(moved: SupportMotion) -> Iterator[CommonError]:
-    """Yield the remaining uncertainty of H at each line as independent unknowns of `offset` (K, 6)."""
+    """Yield the remaining uncertainty of H at each line as independent unknowns."""
     phasors, label = moved.phasors, f"motion of {moved.name}"
     for line in np.flatnonzero(np.isfinite(phasors.value).all(axis=1)):
         for part, step in enumerate(principal_components(phasors.covariance[line])[::-1], 1):
@@ -325,7 +325,7 @@ def _remaining_errors(moved: SupportMotion) -> Iterator[CommonError]:
 
 
 def _none(offset: ComplexArray) -> ComplexArray:
-    """Return a zero slope (K, 6, 6), of effects that do not depend on a body's motion."""
+    """Return the zero slope of effects that do not depend on a body's motion."""
     return np.zeros((*offset.shape, 6), dtype=np.complex128)
 
 
