@@ -26,7 +26,7 @@ from fusion.recording.manifest import ChannelEntry
 from shaker.lines.frequencies import LineFrequencies
 from shaker.sine.phasor import Phasors, real_stacked_diagonal
 from shaker.sine.sine_fit import Stationarity
-from shakercal._common.arrays import BoolArray, ComplexArray, FloatArray, check_shapes
+from shakercal._common.arrays import Arrays, BoolArray, ComplexArray, FloatArray
 from shakercal._common.notices import Notice
 
 MIN_SNR = 6.0
@@ -41,7 +41,7 @@ MIN_SPREAD = 1e-9  # of the reading: rounding below it would look like scatter
 
 
 @dataclass(frozen=True)
-class SetUpResult:
+class SetUpResult(Arrays, shapes="frequency_hz K; value K; factor K; drift K; u_drift K"):
     """Tie of one set-up to the first by its reference channel.
 
     With the exact lines on its clock. `frequency_hz` (K,) in the order of the evaluation's lines. `value` (K,): phasors
@@ -57,9 +57,6 @@ class SetUpResult:
     factor: ComplexArray
     drift: FloatArray
     u_drift: FloatArray
-
-    def __post_init__(self) -> None:
-        check_shapes(self, self.frequency_hz.shape, "value", "factor", "drift", "u_drift")
 
 
 @dataclass(frozen=True)
