@@ -178,11 +178,9 @@ class Deviates:
     def unknown(self, name: str, dof: float = np.inf) -> FloatArray:
         """Return standard draws (N,), normal or of Student's t for finite `dof` (JCGM 101, 6.4.9)."""
         drawn = self.normal(name)
-        return (
-            drawn
-            if np.isinf(dof)
-            else drawn / np.sqrt(self.stream(f"{name}, squares").chisquare(dof, len(drawn)) / dof)
-        )
+        if np.isinf(dof):
+            return drawn
+        return drawn / np.sqrt(self.stream(f"{name}, squares").chisquare(dof, len(drawn)) / dof)
 
     def angle(self, name: str, *shape: int) -> FloatArray:
         """Return uniform angles (N, ...) over the full circle."""

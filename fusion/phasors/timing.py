@@ -104,16 +104,12 @@ def combine_timing_errors(errors: Iterable[TimingError]) -> tuple[TimingError, .
     merged: dict[str, TimingError] = {}
     for error in errors:
         earlier = merged.get(error.name)
-        merged[error.name] = (
-            error
-            if earlier is None
-            else replace(
-                earlier,
-                offset_s=earlier.offset_s + error.offset_s,
-                rate=earlier.rate + error.rate,
-                frequency_error=np.asarray(earlier.frequency_error + error.frequency_error),
-            )
-        )
+        if earlier is None:
+            merged[error.name] = error
+        else:
+            offset_s, rate = earlier.offset_s + error.offset_s, earlier.rate + error.rate
+            frequency_error = np.asarray(earlier.frequency_error + error.frequency_error)
+            merged[error.name] = replace(earlier, offset_s=offset_s, rate=rate, frequency_error=frequency_error)
     return tuple(merged.values())
 
 

@@ -236,15 +236,15 @@ def tracked_pairs(
         prepared = [crew.submit(0, _prepared, item, settings, lines) for item in images]
 
         def motions(progress: ProgressCallback) -> tuple[StereoMotion | RejectedPair, ...]:
-            begun, moved = [], list[RejectedPair | Pending]()
+            begun = list[tuple[PreparedImages, TrackedBlocks | RejectedPair, dict[range, Pending]]]()
+            moved = list[RejectedPair | Pending]()
             for item, pending in zip(images, prepared, strict=True):
                 scene: BodyScene | RejectedPair = _attempted(item, partial(_answer, item, pending))
-                followed = (
-                    scene
-                    if isinstance(scene, RejectedPair)
-                    else TrackedBlocks(item, scene, settings.device, checkpoints)
-                )
-                shares = () if isinstance(followed, RejectedPair) else followed.missing()
+                if isinstance(scene, RejectedPair):
+                    begun.append((item, scene, {}))
+                    continue
+                followed = TrackedBlocks(item, scene, settings.device, checkpoints)
+                shares = followed.missing()
                 submitted = {share: crew.submit(1, track_block, pending, share, settings.device) for share in shares}
                 begun.append((item, followed, submitted))
             for item, followed, submitted in begun:  # so that no block waits in memory for the motion of another pair

@@ -136,11 +136,8 @@ class _Motion:
         further = np.zeros_like(value)
         for part in fused.uncertainty.random:
             if part.label not in drawn_labels:
-                dof = (
-                    np.full(len(part.covariance), np.inf)
-                    if part.dof is None
-                    else np.maximum(part.dof, MIN_DISCREPANCY_DOF)
-                )
+                dof = np.full(len(part.covariance), np.inf) if part.dof is None else part.dof
+                dof = np.maximum(dof, MIN_DISCREPANCY_DOF)
                 further += as_complex(deviates.noise(f"{part.label} of the {fused.body}", part.covariance, dof))
         for influence in fused.uncertainty.influences:
             if influence.name not in drawn_names:
