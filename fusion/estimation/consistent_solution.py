@@ -42,63 +42,56 @@ NOT_EXCLUDED = 6.63
 """Difference of squared deviations below which both unknowns may be the cause: chi-square, 1 degree of freedom, 1 %."""
 
 
-def reject_gross_errors(
-    observations: Sequence[Observation], unobserved_motion: UnobservedMotion | None = None
-) -> tuple[FusionSystem, FusionSolution, tuple[Consistency, ...]]:
-    """Return the system without gross errors, its solution, and the tests of the rejected readings.
-
-    A reading is rejected (NaN) if it alone explains that readings contradict each other, one after another. If several
-    would explain it, none is rejected.
-    """
-    out: list[Consistency] = []
-    system = bounded_system(observations, unobserved_motion)
-    first = solve(system)
-    for _ in range(MOST_LEFT_OUT):
-        if not contradicts(system, first, common_estimates(system.common, first)):
-            break
-        found = find_suspicions(system, first)
-        if len(found) != 1 or len(found[0].names) > 1 or not found[0].gross:
-            break
-        tests = leave_one_out(system, first, found[0].names)
-        out += [replace(test, used=False, left_out=True) for test in tests if test.suspect]
-        system = bounded_system(without_readings(system, found[0].rows), unobserved_motion)
-        first = solve(system)
-    return system, first, tuple(out)
-
-
 @dataclass(frozen=True)
 class ConsistentSolution:
-    """A system solved as stated, and with discrepancies where the readings contradict that.
+    """A `system` without gross errors, solved as stated, and with discrepancies where readings contradict that.
 
     `stated`: solution by the stated uncertainties. `final`: solution with the discrepancies `parts`. `scatter`: of
     instruments whose readings contradict a rigid motion. `birge`: factor of variances if the lines agree separately and
     contradict each other only together. `undetected`: unknowns that may cause a contradiction, which U includes also in
     components that a single instrument observes. `contradicted`: whether the readings contradict the stated
-    uncertainties; `suspicions`: explanations of that.
+    uncertainties; `suspicions`: explanations of that. `rejected`: tests of the rejected readings.
     """
 
+    system: FusionSystem
     stated: FusionSolution
     final: FusionSolution
     scatter: tuple[Scatter, ...]
     parts: tuple[AddedCovariance, ...]
-    birge: float = 1.0
-    undetected: AddedCovariance | None = None
-    contradicted: bool = False
-    suspicions: tuple[Suspicion, ...] = ()
+    birge: float
+    undetected: AddedCovariance | None
+    contradicted: bool
+    suspicions: tuple[Suspicion, ...]
+    rejected: tuple[Consistency, ...]
 
 
 def solve_consistently(
-    system: FusionSystem, first: FusionSolution, scatter: tuple[Scatter, ...] | None = None
+    observations: Sequence[Observation],
+    unobserved_motion: UnobservedMotion | None = None,
+    scatter: tuple[Scatter, ...] | None = None,
 ) -> ConsistentSolution:
-    """Solve a system, with the discrepancies that `fuse` describes if its `first` solution is contradicted."""
-    contradicted = contradicts(system, first, common_estimates(system.common, first))
-    found = find_suspicions(system, first) if contradicted else ()
+    """Solve the system of some observations, with the discrepancies that `fuse` describes.
+
+    A reading is rejected (NaN) if it alone explains that readings contradict each other, one after another. If several
+    would explain it, none is rejected.
+    """
+    rejected: list[Consistency] = []
+    for remaining in range(MOST_LEFT_OUT, -1, -1):
+        system = bounded_system(observations, unobserved_motion)
+        first = solve(system)
+        contradicted = contradicts(system, first, common_estimates(system.common, first))
+        found = find_suspicions(system, first) if contradicted else ()
+        if not remaining or len(found) != 1 or len(found[0].names) > 1 or not found[0].gross:
+            break
+        tests = leave_one_out(system, first, found[0].names)
+        rejected += [replace(test, used=False, left_out=True) for test in tests if test.suspect]
+        observations = without_readings(system, found[0].rows)
     scatter = estimate_scatter(system, first) if scatter is None else scatter
     parts = scatter_covariances(system, first.acceleration, scatter)
     final = solve(system, np.sum([p.covariance for p in parts], axis=0)) if parts else first
     birge, undetected = 1.0, None
     unknowns = common_estimates(system.common, final)
-    if contradicts(system, final, unknowns):
+    if contradicts(system, final, unknowns) if parts else contradicted:
         undetected = undetected_errors(system, final, unknowns, INCONSISTENCY)
         failing = contradictory_lines(system, final)
         parts.append(instrument_discrepancy(system, final, failing or range(len(system.observed)), INCONSISTENCY))
@@ -106,7 +99,8 @@ def solve_consistently(
         noise = EstimatedNoise.from_system(system, final.effects)
         beyond = not failing and noise.fails(final.chi2, final.dof, final.projector)
         birge = final.chi2 / final.dof if beyond else 1.0
-    return ConsistentSolution(first, final, scatter, tuple(parts), birge, undetected, contradicted, found)
+    unexplained = birge, undetected, contradicted, found
+    return ConsistentSolution(system, first, final, scatter, tuple(parts), *unexplained, tuple(rejected))
 
 
 # Undetected common errors where no reading can contradict them.

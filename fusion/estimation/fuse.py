@@ -14,7 +14,6 @@ from fusion.estimation.consistent_solution import (
     INCONSISTENCY,
     ConsistentSolution,
     missing_covariance,
-    reject_gross_errors,
     solve_consistently,
 )
 from fusion.estimation.coverage import Polar, polar, region_factor
@@ -171,9 +170,9 @@ def fuse(
     if not of_body:
         raise ValueError(f"observations: expected at least one of body {body}, found none")
     stated = [observation for observation in of_body if observation.stated]
-    system, alone, out = reject_gross_errors(stated or of_body, unobserved_motion)
-    solved = solve_consistently(system, alone, scatter)
-    first, final, parts, suspicions = solved.stated, solved.final, solved.parts, solved.suspicions
+    solved = solve_consistently(stated or of_body, unobserved_motion, scatter)
+    system, first, final = solved.system, solved.stated, solved.final
+    parts, suspicions = solved.parts, solved.suspicions
     unknowns = common_estimates(system.common, first)
     suspects = [name for one in suspicions for name in one.names]
     tests = leave_one_out(system, first, suspects) if parts or source == "fused" else ()
@@ -198,7 +197,7 @@ def fuse(
         observed=given.observed,
         instruments=tuple(o.title for o in system.observations if np.any(np.isfinite(o.phasors.value))),
         uncertainty=uncertainty,
-        consistency=(*tests, *out),
+        consistency=(*tests, *solved.rejected),
         chi2=first.chi2,
         dof=first.dof,
         unknowns=common_estimates(system.common, final) if parts else unknowns,

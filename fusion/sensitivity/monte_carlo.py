@@ -9,7 +9,7 @@ import numpy as np
 
 from fusion.base import ProgressCallback, no_progress
 from fusion.errors import ComputeError
-from fusion.estimation.consistent_solution import reject_gross_errors, solve_consistently
+from fusion.estimation.consistent_solution import solve_consistently
 from fusion.estimation.fuse import Acceleration
 from fusion.estimation.least_squares import UNOBSERVED, UNOBSERVED_ITSELF, FusionSolution, RowIndex
 from fusion.estimation.measurement_model import Deviates, DrawnReadings, Observation
@@ -150,10 +150,9 @@ def _motion(inputs: Inputs, fused: Acceleration) -> _Motion:
     """Return a fused acceleration with the instruments that it uses."""
     of_body = [(index, seen) for index, seen in enumerate(inputs.observations) if seen.body == fused.body]
     used = [(index, seen) for index, seen in of_body if seen.stated] or of_body
-    system, first, _ = reject_gross_errors([seen for _, seen in used], fused.unobserved_limits)
-    observations, solution = system.observations, solve_consistently(system, first, fused.scatter).final
-    noise = tuple(f"noise of instrument {index}" for index, _ in used)
-    return _Motion(fused, observations, noise, Estimator.of(observations, system.expand, solution))
+    solved = solve_consistently([seen for _, seen in used], fused.unobserved_limits, fused.scatter)
+    estimator = Estimator.of(solved.system.observations, solved.system.expand, solved.final)
+    return _Motion(fused, estimator.observations, tuple(f"noise of instrument {index}" for index, _ in used), estimator)
 
 
 def _draw(
