@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from dataclasses import replace
 
 import numpy as np
@@ -313,16 +312,10 @@ def test_two_instruments_thirty_per_cent_apart_give_both_values_and_no_mean(wron
     assert not load.observed.any()
 
 
-def test_both_values_of_a_dispute_are_told_with_their_u():
-    seen = simulated_readings([camera(), lasers(3)], np.random.default_rng(1))
-    result = fuse([seen[0], scaled(seen[1], 1.3)])
-    by_laser, by_camera = (np.array(one.value[0, 2]) for one in result.explanations)
-    assert abs(by_laser) == pytest.approx(1.3 * 189.0, rel=2e-3)
-    assert abs(by_camera) == pytest.approx(189.0, rel=2e-3)
-    reported = re.search(r"z at 106.25 Hz is \((\S+) ± (\S+)\).*stereo top, \((\S+) ±", warning(result).effect)
-    assert reported is not None
-    assert [float(reported[1]), float(reported[3])] == pytest.approx([abs(by_laser), abs(by_camera)], rel=1e-3)
-    assert float(reported[2]) == pytest.approx(2.0 * 3.1e-4 * 245.0, rel=0.5)
+def test_the_values_of_a_dispute_are_its_explanations():
+    optical, beams = simulated_readings([camera(), lasers(3)], np.random.default_rng(1))
+    result = fuse([optical, scaled(beams, 1.3)])
+    assert [abs(one.value[0, 2]) for one in result.explanations] == pytest.approx([1.3 * 189.0, 189.0], rel=2e-3)
 
 
 def test_what_one_of_three_gets_grossly_wrong_is_left_out_and_nothing_else():
