@@ -198,6 +198,8 @@ def stereo_phasors(
     of_phasors = [*(n for n in fit.notices if n.severity == "warning"), *notices, *(shapes.notices() if shapes else ())]
     of_phasors += _short_notices(lines, usable, sight.time_s, reading)
     of_phasors += _jitter_notices(base, sight, lines, usable, reading)
+    steady_pose = from_mean.pose.copy()
+    steady_pose[fit.spikes] = np.nan
     result = StereoResult(
         name=name,
         body=sight.pair.body,
@@ -213,17 +215,10 @@ def stereo_phasors(
         reprojection_px=measured.reprojection_px,
         surface=measured.deformation,
         deflection=_deflection(measured, frequency_hz),
-        stationarity=stationarity(time_s, _without_spikes(from_mean, fit), frequency_hz, MOTION_COMPONENTS),
+        stationarity=stationarity(time_s, steady_pose, frequency_hz, MOTION_COMPONENTS),
     )
     result = result if view is None else _with_view(replace(result, shapes=shapes), view)
     return StereoPhasors(result, reading, _named(measured, of_phasors))
-
-
-def _without_spikes(motion: RigidMotion, fit: SineFit) -> FloatArray:
-    """Return the poses (F, 6), NaN at rejected frames."""
-    pose = motion.pose.copy()
-    pose[fit.spikes] = np.nan
-    return pose
 
 
 def _named(measured: StereoMotion, of_phasors: Sequence[Notice]) -> tuple[Notice, ...]:

@@ -460,7 +460,9 @@ def frame_edges(
             found = " and ".join(f"{name}: {_describe_numbers(one)}" for name, one in cameras.items())
             expected = "the same numbers of frames in both cameras"
             raise InputError(IMAGES_REFUSED, manifest.path, f"{key}.{other}", found=found, expected=expected)
-        if numbers is not None and first.exact and numbers.exact and 0 < _start_difference(first, numbers) < frames:
+        if numbers is None or not (first.exact and numbers.exact):
+            continue
+        if 0 < abs(int(numbers.first) - int(first.first)) // first.step < frames:
             notices.append(
                 Notice(
                     FRAME_NUMBERS_SHIFTED,
@@ -505,11 +507,6 @@ def _describe_numbers(numbers: FrameNumbers | None) -> str:
         return "no numbers that show gaps"
     by = f" by {numbers.step}" if numbers.step > 1 else ""
     return f"{numbers.first} to {numbers.last}{by}, " + (f"missing {numbers.missing}" if numbers.missing else "no gap")
-
-
-def _start_difference(one: FrameNumbers, other: FrameNumbers) -> int:
-    """Return the distance between the first numbers of two series, in steps."""
-    return abs(int(other.first) - int(one.first)) // one.step
 
 
 def _exposure_key(manifest: Manifest, entry: Frames, stated: float | str) -> tuple[Path, str]:

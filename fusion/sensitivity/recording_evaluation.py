@@ -10,7 +10,6 @@ from pathlib import Path
 import numpy as np
 
 from fusion.base import CheckpointStore, Executor, ProgressCallback, Settings, no_progress, versions
-from fusion.estimation.fuse import Acceleration
 from fusion.instruments.channel import sensor_outputs
 from fusion.instruments.vibrometer import beam_notices, point_spreads
 from fusion.phasors.set_up import MeasuredSetUp, measure_set_ups, prepare_set_ups
@@ -76,7 +75,9 @@ def evaluate_recording(
     >>> evaluation = evaluate_recording("sample_images/demo/Fz-0080")  # doctest: +SKIP
     >>> evaluation.sensitivity.value[:, 2, 2]  # Fz output per Fz load, line by line  # doctest: +SKIP
     """
-    started, settings, manifest = time.monotonic(), settings or Settings(), _checked(recording)
+    started, settings = time.monotonic(), settings or Settings()
+    manifest = recording if isinstance(recording, Manifest) else load_manifest(find_single_recording(recording))
+    manifest.check_command("run")
     set_ups = measure_set_ups(prepare_set_ups(manifest), settings, progress, executor, checkpoints)
     evaluation = evaluate_set_ups(manifest, set_ups, settings, progress)
     evaluation = replace(evaluation, notices=acknowledge(evaluation.notices, manifest.acknowledged))
@@ -141,13 +142,6 @@ def evaluate_set_ups(
     )
 
 
-def _checked(recording: Manifest | str | Path) -> Manifest:
-    """Return the manifest of a recording that `run` evaluates."""
-    manifest = recording if isinstance(recording, Manifest) else load_manifest(find_single_recording(recording))
-    manifest.check_command("run")
-    return manifest
-
-
 # Whether a recording has its result, and the reason where it has none.
 
 
@@ -165,7 +159,9 @@ def missing_result(inputs: Inputs, analysis: Analysis) -> Iterator[Notice]:
         found = _with_sensitivity(inputs, analysis, component)
     else:
         name = "acceleration" if component is None else f"acceleration along the driven {MOTION_COMPONENTS[component]}"
-        found = np.any([_observed(a, component) for a in analysis.accelerations if a.source == "fused"], axis=0)
+        fused = [a.observed for a in analysis.accelerations if a.source == "fused"]
+        seen = np.any([np.zeros((len(driven), 6), np.bool_), *fused], axis=0)
+        found = seen.any(axis=1) if component is None else seen[:, component]
     lacking = driven & ~found
     if lacking.any():
         yield Notice(
@@ -177,11 +173,6 @@ def missing_result(inputs: Inputs, analysis: Analysis) -> Iterator[Notice]:
             driven=int(np.sum(driven)),
             reason=_describe_reason(inputs, analysis, component, lacking),
         )
-
-
-def _observed(acceleration: Acceleration, component: int | None) -> BoolArray:
-    seen = acceleration.observed
-    return np.asarray(seen.any(axis=1) if component is None else seen[:, component])
 
 
 def _with_sensitivity(inputs: Inputs, analysis: Analysis, component: int | None) -> BoolArray:
