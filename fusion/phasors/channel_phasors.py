@@ -127,23 +127,18 @@ def fastest_channel(base: TimeBase) -> tuple[DaqRecord, ChannelEntry] | None:
     are the last choice.
     """
     candidates = [
-        (
-            channel.body in (STATIONARY, HEAD),
-            -record.raw[channel.name].sample_rate_hz,
-            bool(record.defects(channel)),
-            LINE_QUANTITIES.index(channel.quantity),
-            index,
-            record,
-            channel,
-        )
-        for index, record in enumerate(base.records)
+        (record, channel)
+        for record in base.records
         for channel in record.entry.channel
         if channel.quantity in LINE_QUANTITIES
     ]
-    if not candidates:
-        return None
-    *_, record, channel = min(candidates, key=lambda item: item[:5])
-    return record, channel
+
+    def preference(candidate: tuple[DaqRecord, ChannelEntry]) -> tuple[bool, float, bool, int]:
+        record, channel = candidate
+        rate_hz, defective = record.raw[channel.name].sample_rate_hz, bool(record.defects(channel))
+        return channel.body in (STATIONARY, HEAD), -rate_hz, defective, LINE_QUANTITIES.index(channel.quantity)
+
+    return min(candidates, key=preference, default=None)
 
 
 def line_record(base: TimeBase) -> LineRecord | None:

@@ -44,14 +44,14 @@ def locked(benchmark: ModuleType) -> Any:
 
 def test_frames_determine_their_distance_as_well_as_their_noise_allows(benchmark: ModuleType) -> None:
     rng, errors, stated = np.random.default_rng(3), [], []
-    for _ in range(5):
+    for _ in range(3):
         one = benchmark.simulate(benchmark.CASES["0"], rng)
         true_s = float(np.mean(np.diff(one.middle_s)))
         found = period_from_motion(one.base, [one.motion], one.lines)
         assert found is not None
         errors.append(found[0] / true_s - 1.0)
         stated.append(found[1] / true_s)
-    low, high = np.sqrt(chi2.ppf([1e-3, 1.0 - 1e-3], 5) / 5.0)
+    low, high = np.sqrt(chi2.ppf([1e-3, 1.0 - 1e-3], 3) / 3.0)
     assert low < np.sqrt(np.mean(np.square(errors))) / benchmark.bound() < high
     assert 0.85 < np.sqrt(np.mean(np.square(stated))) / benchmark.bound() < 1.2
 
