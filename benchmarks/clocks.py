@@ -27,8 +27,8 @@ from fusion.estimation.fuse import fuse
 from fusion.estimation.uncertainty import Uncertainty, added_up, merge_contributions
 from fusion.instruments.channel import observe_channels, sensor_outputs
 from fusion.instruments.stereo import StereoReading
-from fusion.phasors.channel_phasors import channel_phasors, line_clock, refine_ties
-from fusion.phasors.clocks import tie_clocks_by_motion
+from fusion.phasors.channel_phasors import channel_phasors, line_clock
+from fusion.phasors.clocks import refine_ties, tie_clocks_by_motion
 from fusion.phasors.stereo_motion import StereoMotion
 from fusion.phasors.stereo_phasors import stereo_phasors
 from fusion.phasors.timing import TimeBase, frame_sight

@@ -21,12 +21,11 @@ from fusion.base import Settings
 from fusion.phasors import set_up
 from fusion.phasors.stereo_motion import (
     ImageView,
-    Motions,
     PreparedImages,
     StereoMotion,
-    body_inputs,
     sensor_from_camera,
 )
+from fusion.phasors.tracked_blocks import Motions, body_inputs
 from fusion.recording.load import load_manifest
 from fusion.simulate import bending, sines
 from fusion.simulate.preset import Preset, StereoSetup, patches_of
@@ -105,7 +104,7 @@ def unrendered(template: Template, world: World, draws: Draws) -> Iterator[None]
     def drawn(images: Sequence[PreparedImages], *_: object) -> Iterator[Motions]:
         yield lambda _: tuple(_seen(one, template.pairs[one.sight.name], world, draws) for one in images)
 
-    with patch.object(sines, "_write_images", linked), patch.object(set_up, "followed_pairs", drawn):
+    with patch.object(sines, "_write_images", linked), patch.object(set_up, "tracked_pairs", drawn):
         yield
 
 

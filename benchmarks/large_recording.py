@@ -34,9 +34,9 @@ from numpy.typing import NDArray
 
 from fusion.base import Settings
 from fusion.phasors.set_up import PreparedSetUp, prepare_set_ups
-from fusion.phasors.stereo_motion import PreparedImages, body_inputs, motion_from_tracks
+from fusion.phasors.stereo_motion import PreparedImages, motion_from_tracks
 from fusion.phasors.stereo_phasors import stereo_phasors
-from fusion.phasors.tracked_blocks import TrackedBlocks
+from fusion.phasors.tracked_blocks import TrackedBlocks, body_inputs
 from fusion.recording.load import load_manifest
 from fusion.report.atomic_files import Checkpoint
 from fusion.simulate.preset import Preset, StereoSetup, face_of, nominal_rig, read_preset

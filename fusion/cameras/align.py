@@ -41,7 +41,6 @@ from fusion.phasors.channel_phasors import find_channel_lines
 from fusion.phasors.shutter_refinement import refine_rolling_shutter
 from fusion.phasors.stereo_motion import (
     StereoMotion,
-    measure_images,
     measure_points,
     motion_lines,
     prepare_images,
@@ -49,6 +48,7 @@ from fusion.phasors.stereo_motion import (
 )
 from fusion.phasors.stereo_phasors import stereo_phasors
 from fusion.phasors.timing import TimeBase, tie_daqs
+from fusion.phasors.tracked_blocks import measure_images
 from fusion.recording.daq_records import read_daqs
 from fusion.recording.load import Manifest, load_manifest
 from fusion.report.atomic_files import write_atomically

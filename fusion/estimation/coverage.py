@@ -54,10 +54,7 @@ def bounded_factor(widths: FloatArray, u: float, k: float) -> float:
 
 @dataclass(frozen=True)
 class RealQuantity:
-    """A real number with its standard uncertainty and degrees of freedom.
-
-    `u` is NaN where it is not known.
-    """
+    """A real number with its standard uncertainty `u`, NaN if unknown, and degrees of freedom."""
 
     value: float
     u: float
@@ -102,10 +99,7 @@ def region_factor(dof: ArrayLike) -> FloatArray:
 
 
 def along_and_across(value: ComplexArray | complex) -> FloatArray:
-    """Return the unit vectors along complex values and across them.
-
-    Columns of (..., 2, 2), for values (...); the coordinate axes where a value is zero.
-    """
+    """Return unit vectors along values and across them, as columns; the axes at zero."""
     values = np.asarray(value, dtype=np.complex128)
     size = np.abs(values)
     unit = np.divide(values, size, out=np.ones_like(values), where=np.isfinite(values) & (size > 0.0))

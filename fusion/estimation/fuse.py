@@ -2,32 +2,46 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Literal
 
 import numpy as np
 
-from fusion.estimation.acceleration_checks import MISSED, acceleration_notices
-from fusion.estimation.coverage import Polar, region_factor
+from fusion.base import round_to_uncertainty
+from fusion.estimation.consistent_solution import (
+    INCONSISTENCY,
+    ConsistentSolution,
+    missing_covariance,
+    solve_consistently,
+)
+from fusion.estimation.coverage import Polar, polar, region_factor
+from fusion.estimation.estimation_notices import (
+    COMPARED_ONLY,
+    GROSS_ERROR,
+    INSTRUMENTS_DISAGREE,
+    INSTRUMENTS_DISPUTED,
+    NOISE_ONLY,
+    READINGS_SCATTER,
+    SINGLE_ERROR_NOT_ASSESSED,
+    UNBOUNDED_MOTION,
+    UNOBSERVED_COMPONENTS,
+)
 from fusion.estimation.instrument_consistency import (
     CommonEstimate,
     Consistency,
     Explanation,
-    Suspicion,
     common_estimates,
     compare_with_estimate,
-    contradicts,
     deviating_unknowns,
     disputed_values,
     estimate_explanations,
     exchanged_channels,
     explanation_covariance,
-    find_suspicions,
     leave_one_out,
+    likely_mistake,
     stated_covariance,
-    without_readings,
 )
 from fusion.estimation.labelled_phasors import LabelledPhasors, TabularResult
 from fusion.estimation.least_squares import (
@@ -36,40 +50,28 @@ from fusion.estimation.least_squares import (
     FusionSolution,
     FusionSystem,
     Unbounded,
-    bounded_system,
     products,
-    solve,
+    unmeasured_drive,
 )
 from fusion.estimation.measurement_model import SCALE, Observation, UnobservedMotion
 from fusion.estimation.uncertainty import (
     Contribution,
     Influence,
     Uncertainty,
+    element_covariance,
     merge_contributions,
     polar_elements,
     total_variance,
 )
-from fusion.estimation.undetected_errors import missing_covariance, undetected_errors
-from fusion.estimation.variance_components import (
-    AddedCovariance,
-    EstimatedNoise,
-    Scatter,
-    contradictory_lines,
-    estimate_scatter,
-    instrument_discrepancy,
-    scatter_covariances,
-)
+from fusion.estimation.variance_components import EstimatedNoise, Scatter
 from shaker.labels import MOTION_COMPONENTS, component_units
 from shaker.sine.phasor import Phasors
 from shakercal._common.arrays import BoolArray, FloatArray, IntArray
-from shakercal._common.notices import Notice
+from shakercal._common.notices import Notice, Value
 
 Source = Literal["fused", "photogrammetry", "vibrometer", "accelerometer"]
 SINGLE_SOURCES: tuple[Source, ...] = ("photogrammetry", "vibrometer", "accelerometer")
-INCONSISTENCY = "inconsistency of instruments"
 EXPLANATIONS = "explanations of a contradiction"
-MOST_LEFT_OUT = 4
-"""Gross errors that are looked for one after another."""
 
 
 @dataclass(frozen=True, repr=False)
@@ -139,20 +141,9 @@ class Acceleration(TabularResult):
         value = np.asarray(np.nan_to_num(self.phasors.value))
         return self.unobserved_limits.amplitude(value, self.observed) if self.assumed is None else self.assumed
 
-    @property
-    def contributions(self) -> tuple[Contribution, ...]:
-        """Return the budget, one contribution per label.
-
-        Their sum is the covariance of the phasors.
-        """
-        return self.uncertainty.grouped()
-
     @cached_property
     def polar(self) -> list[list[Polar | None]]:
-        """Return the components (K lines of 6) as magnitude and phase.
-
-        None where one is not observed.
-        """
+        """Return magnitude and phase (K lines of 6), None where one is not observed."""
         return polar_elements(self.phasors.value, self.uncertainty, self.phasors.covariance)
 
 
@@ -179,9 +170,9 @@ def fuse(
     if not of_body:
         raise ValueError(f"observations: expected at least one of body {body}, found none")
     stated = [observation for observation in of_body if observation.stated]
-    system, alone, out = reject_gross_errors(stated or of_body, unobserved_motion)
-    solved = solve_consistently(system, alone, scatter)
-    first, final, parts, suspicions = solved.stated, solved.final, solved.parts, solved.suspicions
+    solved = solve_consistently(stated or of_body, unobserved_motion, scatter)
+    system, first, final = solved.system, solved.stated, solved.final
+    parts, suspicions = solved.parts, solved.suspicions
     unknowns = common_estimates(system.common, first)
     suspects = [name for one in suspicions for name in one.names]
     tests = leave_one_out(system, first, suspects) if parts or source == "fused" else ()
@@ -206,7 +197,7 @@ def fuse(
         observed=given.observed,
         instruments=tuple(o.title for o in system.observations if np.any(np.isfinite(o.phasors.value))),
         uncertainty=uncertainty,
-        consistency=(*tests, *out),
+        consistency=(*tests, *solved.rejected),
         chi2=first.chi2,
         dof=first.dof,
         unknowns=common_estimates(system.common, final) if parts else unknowns,
@@ -226,77 +217,7 @@ def fuse(
     gross = any(one.gross for one in suspicions)
     swapped = exchanged_channels(system, first, suspicions) if gross else ()
     contradicted = deviating_unknowns(system, first, unknowns) if solved.contradicted else None
-    return replace(result, notices=acceleration_notices(result, bool(stated), contradicted, swapped))
-
-
-def reject_gross_errors(
-    observations: Sequence[Observation], unobserved_motion: UnobservedMotion | None = None
-) -> tuple[FusionSystem, FusionSolution, tuple[Consistency, ...]]:
-    """Return the system without gross errors, its solution, and the tests of the rejected readings.
-
-    A reading is rejected (NaN) if it alone explains that readings contradict each other, one after another. If several
-    would explain it, none is rejected.
-    """
-    out: list[Consistency] = []
-    system = bounded_system(observations, unobserved_motion)
-    first = solve(system)
-    for _ in range(MOST_LEFT_OUT):
-        if not contradicts(system, first, common_estimates(system.common, first)):
-            break
-        found = find_suspicions(system, first)
-        if len(found) != 1 or len(found[0].names) > 1 or not found[0].gross:
-            break
-        tests = leave_one_out(system, first, found[0].names)
-        out += [replace(test, used=False, left_out=True) for test in tests if test.suspect]
-        system = bounded_system(without_readings(system, found[0].rows), unobserved_motion)
-        first = solve(system)
-    return system, first, tuple(out)
-
-
-@dataclass(frozen=True)
-class ConsistentSolution:
-    """A system solved as stated, and with discrepancies where the readings contradict that.
-
-    `stated`: solution by the stated uncertainties. `final`: solution with the discrepancies `parts`. `scatter`: of
-    instruments whose readings contradict a rigid motion. `birge`: factor of variances if the lines agree separately and
-    contradict each other only together. `undetected`: unknowns that may cause a contradiction, which U includes also in
-    components that a single instrument observes. `contradicted`: whether the readings contradict the stated
-    uncertainties; `suspicions`: explanations of that.
-    """
-
-    stated: FusionSolution
-    final: FusionSolution
-    scatter: tuple[Scatter, ...]
-    parts: tuple[AddedCovariance, ...]
-    birge: float = 1.0
-    undetected: AddedCovariance | None = None
-    contradicted: bool = False
-    suspicions: tuple[Suspicion, ...] = ()
-
-
-def solve_consistently(
-    system: FusionSystem, first: FusionSolution, scatter: tuple[Scatter, ...] | None = None
-) -> ConsistentSolution:
-    """Solve a system with discrepancies if its `first` solution is contradicted.
-
-    The discrepancies are those that `fuse` describes.
-    """
-    contradicted = contradicts(system, first, common_estimates(system.common, first))
-    found = find_suspicions(system, first) if contradicted else ()
-    scatter = estimate_scatter(system, first) if scatter is None else scatter
-    parts = scatter_covariances(system, first.acceleration, scatter)
-    final = solve(system, np.sum([p.covariance for p in parts], axis=0)) if parts else first
-    birge, undetected = 1.0, None
-    unknowns = common_estimates(system.common, final)
-    if contradicts(system, final, unknowns):
-        undetected = undetected_errors(system, final, unknowns, INCONSISTENCY)
-        failing = contradictory_lines(system, final)
-        parts.append(instrument_discrepancy(system, final, failing or range(len(system.observed)), INCONSISTENCY))
-        final = solve(system, np.sum([p.covariance for p in parts], axis=0))
-        noise = EstimatedNoise.from_system(system, final.effects)
-        beyond = not failing and noise.fails(final.chi2, final.dof, final.projector)
-        birge = final.chi2 / final.dof if beyond else 1.0
-    return ConsistentSolution(first, final, scatter, tuple(parts), birge, undetected, contradicted, found)
+    return replace(result, notices=_notices(result, bool(stated), contradicted, swapped))
 
 
 def fuse_sources(
@@ -329,10 +250,7 @@ def fuse_sources(
 
 
 def _uncertainty(system: FusionSystem, solved: ConsistentSolution) -> tuple[Uncertainty, FloatArray]:
-    """Split gain · V · gain^T of every line into noise, discrepancies and common errors.
-
-    Also return the direct effect of unobserved motion on the estimate (`Acceleration.leaked`).
-    """
+    """Return noise, discrepancies and common errors of an estimate, and `Acceleration.leaked`."""
     solution, lines = solved.final, len(system.observed)
     hidden = ~np.tile(system.observed, (1, 2))
     gain = solution.gain.reshape(lines, 12, -1)
@@ -388,6 +306,8 @@ NOTABLE_SHARE = 0.1
 """Share in the variance of a component above which an untested unknown is listed (chosen)."""
 POWER = 0.8
 """Probability with which the test detects an error (Baarda's β)."""
+MISSED = 5.0
+"""Largest undetected error of a channel that is examined, in its stated standard uncertainties (chosen)."""
 
 
 @dataclass(frozen=True)
@@ -430,10 +350,7 @@ def untested(result: Acceleration) -> tuple[Untested, ...]:
 
 @dataclass(frozen=True)
 class Unnoticed:
-    """Shift of a `component` by an undetected error of one `channel` or stereo pair.
-
-    `shift`: in units of U.
-    """
+    """Shift of a `component`, over U, by an undetected error of one `channel` or pair."""
 
     channel: str
     component: str
@@ -471,3 +388,151 @@ def unnoticed(system: FusionSystem, solution: FusionSolution) -> tuple[Unnoticed
             shift = float(np.sqrt(largest) / region_factor(np.inf))
             found += [Unnoticed(name, MOTION_COMPONENTS[c], shift)] if shift > 1.0 else []
     return tuple(found)
+
+
+# Notices: undetermined components, disagreement, scatter and undetected errors.
+
+
+EQUALLY_LIKELY = 0.95
+"""Deviation over the largest one above which an unknown is an equally likely cause (chosen)."""
+MOST_NAMED = 3
+
+
+def _notices(
+    result: Acceleration,
+    stated: bool,
+    contradicted: Mapping[CommonEstimate, bool] | None,
+    swapped: Sequence[tuple[str, str]],
+) -> tuple[Notice, ...]:
+    """Return the notices of an estimate.
+
+    `stated`: some instrument states a systematic uncertainty. `contradicted`: unknowns that deviate from their stated
+    values where the readings contradict these, and whether they explain it; None without a contradiction. `swapped`:
+    channels that, exchanged, leave no contradiction.
+    """
+    titles, body = ", ".join(result.instruments), result.body
+    notices = list(_unobserved_notices(result, titles))
+    if not stated:
+        notices.append(Notice(NOISE_ONLY, body, instruments=titles))
+    for test in result.consistency:
+        values: dict[str, Value] = {"deviation": test.normalised_deviation, "ratio": _ratio_text(test)}
+        if test.left_out:
+            notices.append(Notice(GROSS_ERROR, test.instrument, instrument=test.instrument, **values))
+        elif not test.used:
+            notices.append(Notice(COMPARED_ONLY, test.instrument, **values))
+    if contradicted is not None:
+        notices.append(_disagreement(result, contradicted, swapped))
+    for scatter in result.scatter:
+        line = int(np.argmax(np.hypot(scatter.amplitude, scatter.phase)))
+        notices.append(
+            Notice(
+                READINGS_SCATTER,
+                scatter.instrument,
+                amplitude=scatter.amplitude[line],
+                phase_rad=scatter.phase[line],
+                frequency_hz=result.phasors.frequency_hz[line],
+            )
+        )
+    if result.unnoticed:
+        shifts = _describe_shifts(result.unnoticed)
+        notices.append(Notice(SINGLE_ERROR_NOT_ASSESSED, body, limit=MISSED, shifts=shifts))
+    return tuple(notices)
+
+
+def _unobserved_notices(result: Acceleration, titles: str) -> Iterator[Notice]:
+    """Yield notices of undetermined components and of a driven motion without limit."""
+    seen = result.observed if result.disputed is None else result.observed | result.disputed
+    for pattern in [] if np.all(seen) else np.unique(~seen, axis=0):
+        if np.any(pattern):
+            missing = ", ".join(name for name, hidden in zip(MOTION_COMPONENTS, pattern, strict=True) if hidden)
+            lines, count = int(np.sum(np.all(seen == ~pattern, axis=1))), len(result.observed)
+            yield Notice(
+                UNOBSERVED_COMPONENTS, result.body, instruments=titles, components=missing, lines=lines, all_lines=count
+            )
+    if np.any(np.isinf(result.unobserved_amplitude)):
+        driven = unmeasured_drive(result.body, result.unobserved_limits, np.any(result.observed, axis=0))
+        yield Notice(UNBOUNDED_MOTION, result.body, driven=driven, unused="")
+
+
+def _describe_shifts(found: Sequence[Unnoticed]) -> str:
+    """Return which components undetected errors shift, how far, and of which channels."""
+    listed = []
+    for component in dict.fromkeys(one.component for one in sorted(found, key=lambda one: -one.shift)):
+        rows = [one for one in found if one.component == component]
+        largest = max(one.shift for one in rows)
+        listed.append(f"{component} by up to {largest:.2g} U ({', '.join(one.channel for one in rows)})")
+    return ", ".join(listed)
+
+
+def _ratio_text(test: Consistency) -> str:
+    """Return reading over prediction of an instrument, and the mistake that would cause it."""
+    if not np.isfinite(test.ratio):
+        return ""
+    mistake = likely_mistake(test.ratio)
+    cause = f", as if {mistake}" if mistake else ""
+    return f" (reading/prediction {abs(test.ratio):.5g} at {np.angle(test.ratio):.5f} rad{cause})"
+
+
+def _disagreement(
+    result: Acceleration, unknowns: Mapping[CommonEstimate, bool], swapped: Sequence[tuple[str, str]]
+) -> Notice:
+    """Return the notice of instruments that disagree: which deviate, and which stated unknown explains it."""
+    used = [test for test in result.consistency if test.used and np.isfinite(test.normalised_deviation)]
+    used = sorted(used, key=lambda test: -test.normalised_deviation)
+    suspects = [test for test in used if test.suspect] or used[:1]
+    listed = [f"{one.instrument} by {one.normalised_deviation:.3g} u{_ratio_text(one)}" for one in suspects]
+    exchanges = [f"whether {a} and {b} are exchanged" for a, b in swapped]
+    values: dict[str, Value] = {
+        "chi2": result.chi2,
+        "dof": result.dof,
+        "suspects": "; ".join(listed),
+        "agreeing": " or ".join(one.suspect for one in result.explanations) or "several instruments",
+        "causes": _causes(result, unknowns),
+        "checks": ", ".join([*exchanges, "scale, sign, position and direction"]),
+    }
+    if result.disputed is None:
+        return Notice(INSTRUMENTS_DISAGREE, result.body, **values)
+    components = ", ".join(MOTION_COMPONENTS[c] for c in np.flatnonzero(np.any(result.disputed, axis=0)))
+    return Notice(INSTRUMENTS_DISPUTED, result.body, components=components, values=_values(result), **values)
+
+
+def _causes(result: Acceleration, deviating: Mapping[CommonEstimate, bool]) -> str:
+    """Return the stated unknowns that explain a contradiction, else possible gross errors, as text."""
+
+    def describe(unknown: CommonEstimate) -> str:
+        unit = "" if unknown.unit == "1" else f" {unknown.unit}"
+        factor = abs(unknown.unconstrained_value) / unknown.u
+        return f"{unknown.name} of {unknown.unconstrained_value:.2g}{unit} ({factor:.3g} times its u)"
+
+    # Those that deviate most, including those that the readings cannot distinguish.
+    ranked = sorted(deviating, key=lambda unknown: -abs(unknown.deviation))
+    possible, gross = [u for u in ranked if not u.gross], [u for u in ranked if u.gross]
+    possible, gross = (
+        [u for u in some if abs(u.deviation) >= EQUALLY_LIKELY * abs(some[0].deviation)] for some in (possible, gross)
+    )
+    explain = [u for u in possible if deviating[u]]
+    if explain and result.disputed is None:
+        return ", or ".join(map(describe, explain))
+    if gross:
+        return f"a gross error or wrong statement, {', or '.join(map(describe, gross[:MOST_NAMED]))}"
+    return "none of the stated unknowns"
+
+
+def _values(result: Acceleration) -> str:
+    """Return the largest disputed value as it is without each suspect."""
+    assert result.disputed is not None
+    values = np.stack([one.value for one in result.explanations])
+    size = np.max(np.abs(np.nan_to_num(values / SCALE)), axis=0)
+    # A component that each of them determines takes precedence.
+    size = np.where(np.all(np.isfinite(values), axis=0), 1e6 * size, size)
+    line, c = np.unravel_index(np.argmax(np.where(result.disputed, size, -1.0)), size.shape)
+    listed = []
+    for one in result.explanations:
+        text = "not determined"
+        if np.isfinite(one.value[line, c]):
+            found = polar(complex(one.value[line, c]), element_covariance(one.covariance[line], int(c)))
+            number = round_to_uncertainty(found.magnitude, found.expanded_magnitude, 0)
+            text = f"({number.value} ± {number.expanded}) {result.phasors.unit[c]}"
+        listed.append(f"{text} without {one.suspect}")
+    at = f"{MOTION_COMPONENTS[c]} at {result.phasors.frequency_hz[line]:.6g} Hz"
+    return f"{at} is {', '.join(listed)} (U, k = 2)"

@@ -92,10 +92,7 @@ class CommonEstimate:
 
     @property
     def gross(self) -> bool:
-        """Return whether the readings alone require more than ten times `u`.
-
-        The value must exceed this limit by two standard deviations.
-        """
+        """Return whether the readings alone require more than 10 u, by two standard deviations."""
         if not self.remaining < UNTESTABLE_SHARE:
             return False
         certain = 1.0 - self.remaining**2
@@ -234,10 +231,7 @@ def _test_group(system: FusionSystem, solution: FusionSolution, name: str, rows:
 def compare_with_estimate(
     observation: Observation, acceleration: ComplexArray, covariance: FloatArray
 ) -> tuple[Consistency, ...]:
-    """Test an instrument that was not used against the estimate, one test per member.
-
-    The estimate is `acceleration` (K, 6) with its `covariance` (K, 12, 12).
-    """
+    """Test each member of an instrument that was not used against the estimate."""
     compared = []
     names = np.array(observation.members)
     for name in dict.fromkeys(observation.members):
@@ -443,10 +437,7 @@ def estimate_explanations(
 
 
 def stated_covariance(solution: FusionSolution, gain: FloatArray) -> FloatArray:
-    """Return the covariance (..., 12, 12) of an estimate from all stated uncertainties.
-
-    The estimate is gain (..., 12, N) · readings.
-    """
+    """Return the covariance (..., 12, 12) of gain · readings by stated uncertainties."""
     effects = gain @ solution.effects
     return np.asarray(gain @ solution.noise @ gain.swapaxes(-1, -2) + effects @ effects.swapaxes(-1, -2))
 
@@ -540,10 +531,7 @@ def deviating_unknowns(
 def likely_mistake(
     ratio: complex, tolerance: float = MISTAKE_TOLERANCE, mistakes: Sequence[tuple[float, str]] = MISTAKES
 ) -> str:
-    """Return the mistake that a ratio reading/prediction indicates, empty if there is none.
-
-    The ratio must be within the relative `tolerance` of that of a mistake.
-    """
+    """Return the mistake whose ratio reading/prediction is within the relative `tolerance`, or an empty text."""
     distance, text = min((abs(ratio / factor - 1.0), text) for factor, text in mistakes)
     return text if distance <= tolerance else ""
 
@@ -557,10 +545,7 @@ def describe_deviation(name: str, ratio: complex, mistake: str) -> str:
 def exchanged_channels(
     system: FusionSystem, first: FusionSolution, found: Sequence[Suspicion]
 ) -> tuple[tuple[str, str], ...]:
-    """Return pairs of channels whose exchange brings all readings into agreement.
-
-    Both channels of a pair belong to one kind of instrument.
-    """
+    """Return pairs of channels of one kind whose exchange brings all readings into agreement."""
     blamed = np.unique(np.concatenate([system.member[one.rows] for one in found]))
     rows = {index: np.flatnonzero(system.member == index) for index in blamed.tolist()}
     kind = {index: system.observations[system.observation[chosen[0]]].kind for index, chosen in rows.items()}

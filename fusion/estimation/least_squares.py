@@ -49,10 +49,7 @@ def row_space(observations: Sequence[Observation], line: int) -> ComplexArray:
 
 
 def observed_components(basis: ComplexArray) -> BoolArray:
-    """Return which components (6,) lie in the row space of `basis`.
-
-    Their diagonal element of the resolution matrix is 1 within 1e-6.
-    """
+    """Return which components (6,) a basis spans: their resolution is 1 within 1e-6."""
     return np.asarray(np.sum(np.abs(basis) ** 2, axis=1) > 1.0 - RESOLUTION_TOLERANCE)
 
 
@@ -106,10 +103,7 @@ class FusionSystem:
     couplings: tuple[tuple[IntArray, csr_array], ...] = ()
 
     def effects(self, acceleration: ComplexArray) -> FloatArray:
-        """Return the changes (N, E) of the readings per standard uncertainty of each common error.
-
-        At the acceleration A (K, 6).
-        """
+        """Return the changes (N, E) of the readings per standard uncertainty of each error."""
         effects = np.zeros((len(self.readings), len(self.common)))
         motion = real_stack(acceleration)[self.line]
         for part in self.errors:
@@ -118,10 +112,7 @@ class FusionSystem:
         return effects
 
     def driven_limit(self, acceleration: ComplexArray) -> FloatArray | None:
-        """Return the largest amplitude (K,) of the driven motion, or None.
-
-        None if the drive is not stated.
-        """
+        """Return the largest amplitude (K,) of the driven motion, None without a stated drive."""
         if self.unobserved_motion.drive is None or self.share is None:
             return None
         return self.unobserved_motion.driven_amplitude(acceleration, self.share)
@@ -180,10 +171,7 @@ class UnobservedEffects:
 
 @dataclass(frozen=True)
 class RowIndex:
-    """Reading of each real row (n,) of one observation.
-
-    `line`, `channel`, and whether it is the imaginary part.
-    """
+    """Line, channel and part (real or imaginary) of each real row of an observation."""
 
     line: IntArray
     channel: IntArray
@@ -202,19 +190,13 @@ class RowIndex:
         return np.where(self.imaginary, chosen.imag, chosen.real)
 
     def design(self, matrix: ComplexArray) -> FloatArray:
-        """Return complex rows (..., K, M, 6) as real rows (..., n, 12).
-
-        They act on [Re A, Im A].
-        """
+        """Return complex rows (..., 6) as real rows that act on [Re A, Im A]."""
         chosen = matrix[..., self.line, self.channel, :]
         rotated = np.where(self.imaginary[:, None], -1j * chosen, chosen)
         return np.concatenate([rotated.real, -rotated.imag], axis=-1)
 
     def covariance(self, covariance: FloatArray) -> FloatArray:
-        """Return the covariance (n, n) of the rows from that of every line.
-
-        `covariance` (K, 2M, 2M).
-        """
+        """Return the covariance (n, n) of the rows from that of every line."""
         both = self.channel + self.imaginary * (covariance.shape[1] // 2)
         same = self.line[:, None] == self.line
         return np.where(same, covariance[self.line[:, None], both[:, None], both], 0.0)
@@ -281,10 +263,7 @@ def build_system(
 
 
 def driven_share(basis: ComplexArray, unobserved_motion: UnobservedMotion | None) -> float:
-    """Return the observed part of the driven motion as a square.
-
-    `basis` (6, R): observed motions. 1 without a stated drive.
-    """
+    """Return the observed part of the driven motion as a square, 1 without a drive."""
     drive = None if unobserved_motion is None else unobserved_motion.drive
     return 1.0 if drive is None else float(np.sum(np.abs(basis.conj().T @ np.array(drive)) ** 2))
 
@@ -315,10 +294,7 @@ def without_unbounded(
 
 
 def _reached(observation: Observation, line: int, basis: ComplexArray) -> BoolArray:
-    """Return which readings (M,) of a line motion beyond a basis changes.
-
-    Directly or through common errors.
-    """
+    """Return which readings (M,) motion beyond a basis changes, directly or through common errors."""
     rows, hidden = observation.design[line] * SCALE, ~observed_components(basis)
     least = ROUNDING * np.abs(rows).max(axis=1)
     found = np.abs(rows - rows @ basis @ basis.conj().T).max(axis=1) > least
@@ -358,10 +334,7 @@ def unmeasured_drive(body: str, unobserved_motion: UnobservedMotion, observed: B
 
 
 def _beyond(motion: FloatArray, line: IntArray, bases: Sequence[ComplexArray]) -> FloatArray:
-    """Return the effect (N, 12) of motion beyond each line's basis on rows.
-
-    `motion` (N, 12): the rows; `line` (N,).
-    """
+    """Return the effect (N, 12) of motion beyond each line's basis on all rows."""
     beyond = np.stack([real_design(np.eye(6) - SCALE[:, None] * (b @ b.conj().T) / SCALE) for b in bases])
     effect = np.einsum("nj,nji->ni", motion, beyond[line])
     # The remainder of a row that lies in the basis is rounding.
@@ -461,10 +434,7 @@ def solve(system: FusionSystem, extra: FloatArray | None = None, iterations: int
 
 @dataclass(frozen=True)
 class _Step:
-    """The augmented system, whitened by the `root` of the `noise`.
-
-    `matrix` (N + E, P + E), right side `readings` (N,), column `scale`.
-    """
+    """The augmented system, whitened by the `root` of the `noise`, with column `scale`."""
 
     matrix: FloatArray
     readings: FloatArray
@@ -486,10 +456,7 @@ class _Step:
 
 
 def _augmented(system: FusionSystem, noise: FloatArray, acceleration: ComplexArray) -> _Step:
-    """Return the whitened system with the effects at an acceleration (K, 6).
-
-    Effects of common errors and of unobserved motion.
-    """
+    """Return the whitened system with the effects of errors and unobserved motion."""
     effects, hidden = system.effects(acceleration), system.hidden(acceleration)
     # Noise far below the common errors is raised to 1e-4 of them: invisible in U, and P keeps its digits.
     floor = (NOISE_FLOOR * np.linalg.norm(effects, axis=1)) ** 2 + (1e-12 * system.size) ** 2

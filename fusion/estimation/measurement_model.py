@@ -54,10 +54,7 @@ class CommonError:
 
 
 class Geometry:
-    """Position of an instrument: the part of its uncertainty that Monte Carlo draws exactly.
-
-    This base class draws no position.
-    """
+    """Position of an instrument as far as Monte Carlo draws it exactly: none here."""
 
     @property
     def unknowns(self) -> frozenset[str]:
@@ -65,10 +62,7 @@ class Geometry:
         return frozenset()
 
     def rows(self, design: ComplexArray, deviates: Deviates) -> ComplexArray:
-        """Return the rows (N, K, M, 6) of N draws of positions and directions.
-
-        `design` (K, M, 6): rows of the exact ones.
-        """
+        """Return the rows of N draws of positions and directions, from the exact `design`."""
         return np.broadcast_to(design, (deviates.count, *design.shape))
 
     def moved(self, readings: ComplexArray, deviates: Deviates) -> ComplexArray:
@@ -145,10 +139,7 @@ class Observation:
 
 
 def relative_change(error: CommonError, design: ComplexArray) -> ComplexArray | None:
-    """Return the factors (K, M) of an error that multiplies readings of any motion.
-
-    None for other errors.
-    """
+    """Return the factors of an error that multiplies any reading, None for others."""
     power = np.sum(np.abs(design) ** 2, axis=2)
     overlap = np.sum(error.slope * design.conj(), axis=2)
     relative = np.divide(overlap, power, out=np.zeros_like(overlap), where=power > 0.0)
@@ -159,10 +150,7 @@ def relative_change(error: CommonError, design: ComplexArray) -> ComplexArray | 
 
 @dataclass(frozen=True)
 class DrawnReadings:
-    """N draws of an instrument.
-
-    `readings` (N, K, M) = `design` (N, K, M, 6) · acceleration.
-    """
+    """N draws of an instrument: `readings` = `design` · acceleration."""
 
     readings: ComplexArray
     design: ComplexArray
@@ -188,16 +176,11 @@ class Deviates:
         return self.stream(name).standard_normal((self.count, *shape))
 
     def unknown(self, name: str, dof: float = np.inf) -> FloatArray:
-        """Return draws (N,) of an unknown in standard uncertainties.
-
-        Normal, or of Student's t for finite `dof` (JCGM 101, 6.4.9).
-        """
+        """Return standard draws (N,), normal or of Student's t for finite `dof` (JCGM 101, 6.4.9)."""
         drawn = self.normal(name)
-        return (
-            drawn
-            if np.isinf(dof)
-            else drawn / np.sqrt(self.stream(f"{name}, squares").chisquare(dof, len(drawn)) / dof)
-        )
+        if np.isinf(dof):
+            return drawn
+        return drawn / np.sqrt(self.stream(f"{name}, squares").chisquare(dof, len(drawn)) / dof)
 
     def angle(self, name: str, *shape: int) -> FloatArray:
         """Return uniform angles (N, ...) over the full circle."""
@@ -240,10 +223,7 @@ class UnobservedMotion:
     driven: FloatArray | None = None
 
     def unbounded(self, share: FloatArray) -> BoolArray:
-        """Return the lines (K,) at which the driven motion has no limit.
-
-        `share` (K,): observed part of it (`gain`).
-        """
+        """Return the lines (K,) at which the driven motion has no limit."""
         limit = np.full(share.shape, np.inf) if self.driven is None else self.driven
         none = np.zeros(share.shape, np.bool_)
         return none if self.drive is None else np.isinf(np.where(share < FULL, limit, 0.0)) & np.isinf(self.gain(share))
@@ -261,10 +241,7 @@ class UnobservedMotion:
         return np.asarray(np.divide(1.0, 1.0 - moved, out=np.full(moved.shape, np.inf), where=moved < 1.0))
 
     def driven_amplitude(self, acceleration: ComplexArray, share: FloatArray) -> FloatArray:
-        """Return the largest amplitude (K,) of the driven motion at A (K, 6), in m/s².
-
-        Infinite if it has no limit.
-        """
+        """Return the largest amplitude (K,) of the driven motion in m/s²; infinite without limit."""
         if self.drive is None:
             return np.zeros(len(acceleration))
         shown = np.abs(np.nan_to_num(acceleration) / SCALE @ np.array(self.drive))

@@ -75,10 +75,7 @@ class Unknown(Generic[Effect]):
 
 @dataclass(frozen=True)
 class Influence(Unknown[FloatArray]):
-    """An unknown that acts on C complex values at all lines together.
-
-    `effect` (K, 2C) on [all Re, all Im].
-    """
+    """An unknown with its `effect` (K, 2C) on [all Re, all Im] at all lines."""
 
     effect: FloatArray
 
@@ -153,10 +150,7 @@ class Uncertainty:
         return Uncertainty(random, tuple(i.acting(effect) for i, effect in zip(self.influences, effects, strict=True)))
 
     def transformed(self, jacobian: FloatArray) -> Uncertainty:
-        """Return the uncertainty of D values that are linear in these.
-
-        `jacobian` (K, 2D, 2C).
-        """
+        """Return the uncertainty of values that are linear in these by a `jacobian`."""
         return self._mapped(
             lambda covariance: jacobian @ covariance @ jacobian.swapaxes(1, 2),
             lambda effects: np.einsum("kij,ekj->eki", jacobian, effects),
@@ -167,10 +161,7 @@ class Uncertainty:
         return self.transformed(real_stacked_diagonal(np.asarray(factor, dtype=np.complex128)))
 
     def plus(self, other: Uncertainty) -> Uncertainty:
-        """Return the uncertainty of a sum.
-
-        Noise adds in squares, effects of equal names add linearly.
-        """
+        """Return the uncertainty of a sum; effects of equal names add linearly."""
         random = merge_contributions([*self.random, *other.random])
         return Uncertainty(random, added_up([*self.influences, *other.influences]))
 
@@ -315,10 +306,7 @@ def _factors(dof: FloatArray) -> FloatArray:
 
 
 def real_design(matrix: ComplexArray) -> FloatArray:
-    """Return the real form (..., 2M, 2J) of complex matrices (..., M, J).
-
-    It acts on [all Re, all Im].
-    """
+    """Return complex matrices in the real form that acts on [all Re, all Im]."""
     return np.block([[matrix.real, -matrix.imag], [matrix.imag, matrix.real]])
 
 
@@ -334,10 +322,7 @@ def as_complex(values: FloatArray) -> ComplexArray:
 
 
 def _scatter(covariance: FloatArray) -> FloatArray:
-    """Return the sum (K, C) of variances of the elements of a sample covariance.
-
-    Of (Re, Im), per degree of freedom.
-    """
+    """Return the sum (K, C) of variances of a sample covariance, per degree of freedom."""
     diagonal = covariance.diagonal(axis1=1, axis2=2)
     size = diagonal.shape[1] // 2
     real, imaginary = diagonal[:, :size], diagonal[:, size:]
@@ -410,10 +395,7 @@ def over_static(
 
 
 def element_covariances(covariance: FloatArray) -> FloatArray:
-    """Return the covariances (K, C, 2, 2) of (Re, Im) of every element.
-
-    From real-stacked covariances (K, 2C, 2C).
-    """
+    """Return the covariances (K, C, 2, 2) of elements from real-stacked ones."""
     size = covariance.shape[-1] // 2
     pair = np.arange(size)[:, None] + [0, size]
     return covariance[:, pair[:, :, None], pair[:, None, :]]

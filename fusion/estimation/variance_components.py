@@ -52,10 +52,7 @@ class Scatter:
 
 @dataclass(frozen=True)
 class AddedCovariance:
-    """An additional covariance (N, N) of the readings of a system.
-
-    With its `label` and degrees of freedom (K,).
-    """
+    """An additional covariance of a system's readings, with its label and degrees of freedom."""
 
     label: str
     covariance: FloatArray
@@ -135,10 +132,7 @@ class EstimatedNoise:
 
     @classmethod
     def from_parts(cls, parts: Iterable[tuple[IntArray, FloatArray, float]], count: int) -> EstimatedNoise:
-        """Return the noise of `count` readings from its parts.
-
-        Each part: rows, their covariance and its degrees of freedom.
-        """
+        """Return the noise of `count` readings from parts: rows, their covariance, its degrees of freedom."""
         blocks = []
         for rows, covariance, dof in parts:
             if len(rows) and np.isfinite(dof):
@@ -219,10 +213,7 @@ class EstimatedNoise:
         return m / (expectation * (m - 2.0)), m
 
     def p_value(self, chi2: float, dof: int, weights: FloatArray) -> float:
-        """Return the probability of a chi-square yᵀ·Θ·y at least as large.
-
-        Θ (N, N): weights. NaN without degrees of freedom.
-        """
+        """Return the probability of a chi-square yᵀ·Θ·y at least as large, or NaN."""
         from scipy.special import chdtrc, fdtrc
 
         if dof <= 0:
@@ -236,10 +227,7 @@ class EstimatedNoise:
         return fails(chi2, dof, confidence) and not self.p_value(chi2, dof, weights) >= 1.0 - confidence
 
     def detectable_noncentrality(self, dof: int, weights: FloatArray, power: float) -> float:
-        """Return the noncentrality that a test at 1 % detects with the probability `power`.
-
-        The test is chi-square of weights Θ (N, N).
-        """
+        """Return the noncentrality that a test at 1 % detects with the probability `power`."""
         from scipy.special import chdtri, chndtrinc, fdtri, ncfdtrinc
 
         if dof <= 0:
@@ -351,10 +339,7 @@ def estimate_scatter(system: FusionSystem, solution: FusionSolution) -> tuple[Sc
 
 
 def _estimate_instrument_scatter(observation: Observation, groups: dict[int, Contrasts], lines: int) -> Scatter:
-    """Estimate the components of one instrument, pooled over its lines.
-
-    They are separate per line if a likelihood ratio shows that the lines differ.
-    """
+    """Estimate the scatter of one instrument, per line where lines differ by likelihood."""
     from scipy.special import chdtri
 
     components, dof = np.zeros((lines, 2)), np.zeros((lines, 2))
@@ -368,10 +353,7 @@ def _estimate_instrument_scatter(observation: Observation, groups: dict[int, Con
 
 
 def _joint_dof(components: FloatArray, dof: FloatArray) -> FloatArray:
-    """Return the degrees of freedom (K,) of two variances (K, 2) together.
-
-    The result is at most the larger of the two, because their ratio is estimated too.
-    """
+    """Return the degrees of freedom (K,) of two variances together, at most the larger."""
     total = np.sum(components, axis=1)
     weighted = np.sum(components**2 / np.maximum(dof, 1e-3), axis=1)
     joint = np.divide(total**2, weighted, out=np.full(len(total), np.inf), where=weighted > 0.0)
@@ -379,10 +361,7 @@ def _joint_dof(components: FloatArray, dof: FloatArray) -> FloatArray:
 
 
 def _rejected(group: Contrasts, noise: EstimatedNoise, tests: int) -> bool:
-    """Return whether a chi-square is too large for one of several tests.
-
-    At 1 % for all tests together.
-    """
+    """Return whether one of several chi-squares is too large, at 1 % for all."""
     confidence = 1.0 - (1.0 - TEST_CONFIDENCE) / tests
     weights = group.coefficients @ np.linalg.solve(group.covariance, group.coefficients.T)
     return noise.fails(group.chi2(NO_VALUES), len(group.values), weights, confidence)
@@ -437,10 +416,7 @@ def instrument_discrepancy(
 
 
 def motion_per_row(system: FusionSystem, acceleration: ComplexArray) -> FloatArray:
-    """Return the size (N,) of the motion in the unit of each row.
-
-    That of the estimate or, if larger, of the largest reading.
-    """
+    """Return the motion (N,) of estimate or largest reading, in each row's unit."""
     size = np.linalg.norm(acceleration / SCALE, axis=1)
     factors = []
     for observation in system.observations:
@@ -461,10 +437,7 @@ def motion_per_row(system: FusionSystem, acceleration: ComplexArray) -> FloatArr
 def _contrasts(
     system: FusionSystem, solution: FusionSolution, rows: IntArray, sizes: FloatArray, patterns: FloatArray | None
 ) -> Contrasts | None:
-    """Return combinations of some rows of one line that no motion changes, or None.
-
-    With patterns (C, n, n).
-    """
+    """Return combinations of a line's rows that no motion changes, or None."""
     if not len(rows):
         return None
     size = sizes[rows]
@@ -487,10 +460,7 @@ def _contrasts(
 
 
 def _independent_error_patterns(system: FusionSystem, acceleration: ComplexArray, sizes: FloatArray) -> FloatArray:
-    """Return the patterns (2, N, N) of independent errors of all readings.
-
-    Relative to the row sizes: in phase and in quadrature.
-    """
+    """Return the patterns (2, N, N) of independent errors in phase and in quadrature."""
     predicted, coefficient = [], []
     for observation in system.observations:
         indices = RowIndex.of(observation)
@@ -519,10 +489,7 @@ def _motion_phase(acceleration: ComplexArray) -> ComplexArray:
 def _instrument_motion_patterns(
     system: FusionSystem, acceleration: ComplexArray, rows: IntArray, sizes: FloatArray
 ) -> FloatArray:
-    """Return the patterns (12, n, n) of a motion that each instrument adds.
-
-    By component and phase.
-    """
+    """Return the patterns (12, n, n) of a motion that each instrument adds."""
     line = system.line[rows[0]]
     direction = _motion_phase(acceleration)[line]
     size = np.linalg.norm(acceleration[line] / SCALE)

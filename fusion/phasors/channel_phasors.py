@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from contextlib import suppress
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from hashlib import sha256
@@ -13,18 +12,25 @@ import numpy as np
 
 from fusion.errors import InputError, as_input_error
 from fusion.instruments.channel import (
+    NOISE_REACH,
     ChainUncertainty,
     ChannelReading,
+    ChannelRelativeError,
     nonzero_errors,
 )
-from fusion.phasors.channel_condition import assess_condition, fit_usable, require_usable
 from fusion.phasors.phasor_notices import (
+    CLIPPED_CHANNEL,
+    COARSE_CONVERTER,
     LINE_ABOVE_SAMPLING,
     LINES_FROM_BAND,
+    REJECTED_SAMPLES,
+    UNUSABLE_CHANNEL,
 )
 from fusion.phasors.timing import TimeBase, TimingError, combine_timing_errors, lines_not_found_error
+from fusion.recording.placement import chain_name
 from fusion.recording.response import read_response
 from fusion.recording.transducer import HEAD, STATIONARY, TRANSDUCERS
+from shaker.io.condition import FEWEST_STEPS, Defect, converter_step
 from shaker.lines.detection import relative_strength, survey_lines
 from shaker.lines.frequencies import LineFrequencies, find_lines
 from shaker.lines.spectrum import Spectrum, amplitude_spectrum
@@ -37,6 +43,7 @@ from shaker.sine.aliasing import (
     sampling_grid,
 )
 from shaker.sine.phasor import Phasors
+from shaker.sine.quantisation import quantisation_error
 from shaker.sine.sine_fit import Stationarity, fit_sines, rows_present, stationarity
 from shaker.sine.solve import SineFit, SineModel
 from shaker.stacked import Stacked
@@ -48,7 +55,6 @@ if TYPE_CHECKING:
     from fusion.recording.load import Manifest
     from fusion.recording.manifest import ChannelEntry
     from shaker.frf.chain import ChainResponse
-    from shaker.timebase.tie import ClockTie
 
 EXCERPT_PERIODS = 4
 MOST_BINS = 1 << 18
@@ -58,10 +64,6 @@ DRIVEN = 0.05
 MIN_BEAT_PERIODS = 2.0
 """Beat periods with every line of the recording that a record must contain for another line to be fitted (chosen)."""
 HARMONICS = (2, 3, 4, 5)
-TURN = 0.01
-"""Phase in rad at the end of a record by an uncertain rate, above which lines refine it: 2e-5 of the amplitude."""
-U_SHARED_FREQUENCY = 1e-8
-"""Relative standard uncertainty of a frequency common to two blocks: the drift of a generator in a minute."""
 FEW = 3
 """Largest number of fundamentals with harmonics: a multisine has other lines and intermodulation there."""
 _ROBUST = SineModel(robust=True)
@@ -105,10 +107,7 @@ class ChannelResult(Arrays):
 
 @dataclass(frozen=True)
 class LineRecord:
-    """The channels in which a recording's lines are searched.
-
-    `values` (S, C) in SI at `time_s` (S,).
-    """
+    """The channels in which a recording's lines are searched, in SI units."""
 
     record: DaqRecord
     channels: tuple[ChannelEntry, ...]
@@ -118,47 +117,39 @@ class LineRecord:
 
 def line_clock(base: TimeBase) -> tuple[TimingError, ...]:
     """Return the errors of the clock on which the lines are found."""
-    fastest = _fastest(base)
+    fastest = fastest_channel(base)
     return () if fastest is None else base.tie_errors(fastest[0].entry.name)
 
 
-def _fastest(base: TimeBase) -> tuple[DaqRecord, ChannelEntry] | None:
+def fastest_channel(base: TimeBase) -> tuple[DaqRecord, ChannelEntry] | None:
     """Return the fastest channel and its block.
 
     Of equally fast ones the first by quantity and index. Channels of a room or a laser head, which should be at rest,
     are the last choice.
     """
     candidates = [
-        (
-            channel.body in (STATIONARY, HEAD),
-            -record.raw[channel.name].sample_rate_hz,
-            bool(record.defects(channel)),
-            LINE_QUANTITIES.index(channel.quantity),
-            index,
-            record,
-            channel,
-        )
-        for index, record in enumerate(base.records)
+        (record, channel)
+        for record in base.records
         for channel in record.entry.channel
         if channel.quantity in LINE_QUANTITIES
     ]
-    if not candidates:
-        return None
-    *_, record, channel = min(candidates, key=lambda item: item[:5])
-    return record, channel
+
+    def preference(candidate: tuple[DaqRecord, ChannelEntry]) -> tuple[bool, float, bool, int]:
+        record, channel = candidate
+        rate_hz, defective = record.raw[channel.name].sample_rate_hz, bool(record.defects(channel))
+        return channel.body in (STATIONARY, HEAD), -rate_hz, defective, LINE_QUANTITIES.index(channel.quantity)
+
+    return min(candidates, key=preference, default=None)
 
 
 def line_record(base: TimeBase) -> LineRecord | None:
-    """Return the fastest channel and all sampled with it.
-
-    None if there are only triggers.
-    """
-    fastest = _fastest(base)
+    """Return the fastest channel and all sampled with it, None if there are only triggers."""
+    fastest = fastest_channel(base)
     if fastest is None:
         return None
     record, channel = fastest
     time_s = base.to_base_s(record.entry.name, record.time_s(channel.name))
-    group = next(group for group in _same_times(record) if channel in group)
+    group = next(group for group in channels_of_same_times(record) if channel in group)
     require_usable(record, channel)
     return LineRecord(record, tuple(group), time_s, record.usable_samples(group))
 
@@ -167,94 +158,6 @@ def find_channel_lines(manifest: Manifest, base: TimeBase) -> LineFrequencies | 
     """Find the lines in the fastest channels, None if there are only triggers."""
     chosen = line_record(base)
     return None if chosen is None else base.add_clock_uncertainty(lines_of_record(manifest, chosen), line_clock(base))
-
-
-def refine_ties(base: TimeBase, lines: LineFrequencies) -> tuple[TimeBase, LineFrequencies]:
-    """Return ties refined by the lines, and the lines on that clock.
-
-    A wrong rate r costs a sine over T seconds (πfTr)²/6 of its amplitude, which no first-order uncertainty includes.
-    Ties whose u of the rate turns every line by less than `TURN` over half the record are unchanged. Frequencies that
-    contradict the edges are reported and change no tie.
-    """
-    length_s = max(float(np.ptp(fit.edge_s)) for fit in base.triggers.values()) if base.triggers else 0.0
-    turn = np.pi * float(lines.frequency_hz.max()) * length_s
-    uncertain_ties = {
-        name: tie for name, tie in base.ties.items() if tie is not None and turn * tie.covariance[1, 1] ** 0.5 > TURN
-    }
-    seen = line_rates(base, lines, list(uncertain_ties))
-    ties = {name: tie.with_rate(*seen[name]) for name, tie in uncertain_ties.items() if name in seen}
-    return (base, lines) if not ties else with_ties(base, lines, ties)
-
-
-def with_ties(base: TimeBase, lines: LineFrequencies, ties: Mapping[str, ClockTie]) -> tuple[TimeBase, LineFrequencies]:
-    """Return a time base with some ties replaced, and the lines on its clock."""
-    fastest, refined = _fastest(base), replace(base, ties={**base.ties, **ties})
-    if fastest is None or fastest[0].entry.name not in ties:
-        return refined, lines
-    found_in = fastest[0].entry.name
-    scale = base.ties[found_in].rate / refined.ties[found_in].rate  # type: ignore[union-attr]
-    plain = replace(
-        lines,
-        frequency_hz=lines.frequency_hz * scale,
-        u_frequency_hz=_relative_u_without_clock(base, lines) * lines.frequency_hz,
-        nuisance_hz=lines.nuisance_hz * scale,
-    )
-    return refined, refined.add_clock_uncertainty(plain, line_clock(refined))
-
-
-def _relative_u_without_clock(base: TimeBase, lines: LineFrequencies) -> FloatArray:
-    """Return the relative u (K,) of the frequencies on the clock of their channel."""
-    clock = float(np.linalg.norm([error.rate for error in line_clock(base)]))
-    return np.sqrt(np.maximum((lines.u_frequency_hz / lines.frequency_hz) ** 2 - clock**2, 0.0))
-
-
-def line_rates(base: TimeBase, lines: LineFrequencies, names: Sequence[str]) -> dict[str, tuple[float, float]]:
-    """Return the rates of other blocks' ties, with u, from the lines alone.
-
-    One generator drives the lines of all blocks. The ratio of two clock rates is that of the frequencies found, orders
-    of magnitude more precise than from edges between samples. Blocks without lines are omitted.
-    """
-    fastest, first = _fastest(base), base.records[0].entry.name
-    if fastest is None or not names:
-        return {}
-    found_in = fastest[0].entry.name
-    stretches = {found_in: (0.0, float(_relative_u_without_clock(base, lines).min()))}
-    for name in {first, *names} - {found_in}:
-        found = line_stretch(base, name, lines)
-        stretches |= {} if found is None else {name: found}
-    rates = {}
-    for name in (name for name in names if name in stretches and first in stretches):
-        tie, (stretch, u), (reference, u_reference) = base.ties[name], stretches[name], stretches[first]
-        assert tie is not None
-        seen = tie.rate * (1.0 + stretch) / (1.0 + reference)
-        rates[name] = seen, tie.rate * float(np.linalg.norm([u, u_reference, U_SHARED_FREQUENCY]))
-    return rates
-
-
-def line_stretch(
-    base: TimeBase, name: str, lines: LineFrequencies, body: str = "", span_s: tuple[float, float] = (-np.inf, np.inf)
-) -> tuple[float, float] | None:
-    """Return the relative offset of all line frequencies in a block, with u, or None.
-
-    None if the block has no lines. `body`: use channels of its motion only. `span_s`: use samples in this interval.
-    """
-    record = base.record(name)
-    groups = sorted(_same_times(record), key=lambda group: -record.raw[group[0].name].sample_rate_hz)
-    for group in groups:
-        chosen = [c for c in group if not body or (c.quantity in TRANSDUCERS and c.body == body)]
-        if not chosen:
-            continue
-        rate_hz = record.raw[group[0].name].sample_rate_hz
-        frequency_hz = lines.frequency_hz[lines.frequency_hz < rate_hz / 2.0]
-        time_s = base.to_base_s(name, record.time_s(group[0].name))
-        inside = (time_s >= span_s[0]) & (time_s <= span_s[1])
-        with suppress(ValueError):
-            names, free = [member.name for member in chosen], SineModel(free=(0,) * len(frequency_hz))
-            values = record.usable_samples(chosen).select_rows(None if inside.all() else inside)
-            fit = fit_sines(time_s[inside], values, frequency_hz, names, names, model=free)
-            ratio = float(fit.phasors.frequency_hz[0] / frequency_hz[0])
-            return ratio - 1.0, float(fit.u_frequency_hz[0] / frequency_hz[0])
-    return None
 
 
 def lines_of_record(manifest: Manifest, chosen: LineRecord) -> LineFrequencies:
@@ -316,7 +219,7 @@ def channel_phasors(
     Lines above the Nyquist frequency are omitted, because recorders filter them, but not in the fastest channels, in
     which the lines were found. Without `shown`, spectra, harmonics and stationarity are omitted; they cause no refusal.
     """
-    groups = [(record, group) for record in base.records for group in _same_times(record)]
+    groups = [(record, group) for record in base.records for group in channels_of_same_times(record)]
     rates_hz = [record.raw[group[0].name].sample_rate_hz for record, group in groups]
     line_errors = base.line_errors(lines, line_clock(base))
     fitted: list[tuple[ChannelResult, ChannelReading]] = []
@@ -332,11 +235,8 @@ def channel_phasors(
     return tuple(result for result, _ in fitted), tuple(reading for _, reading in fitted)
 
 
-def _same_times(record: DaqRecord) -> list[list[ChannelEntry]]:
-    """Group a block's channels, without triggers, by equal times, to be fitted together.
-
-    A channel with lost or clipped samples is fitted alone.
-    """
+def channels_of_same_times(record: DaqRecord) -> list[list[ChannelEntry]]:
+    """Group channels of equal times, without triggers, to be fitted together; defective ones stay alone."""
     groups: dict[tuple[float, float, int, bytes, str], list[ChannelEntry]] = {}
     for channel in record.entry.channel:
         if channel.quantity != "trigger":
@@ -411,10 +311,7 @@ def _multiples(first: FloatArray, fitted: FloatArray, rate_hz: float, length_s: 
 
 
 def _harmonics(channel: ChannelEntry, fit: SineFit, fitted: FloatArray, multiples: FloatArray) -> Phasors | None:
-    """Return fundamentals and harmonics of one channel, or None.
-
-    None if its response is not stated at these frequencies.
-    """
+    """Return fundamentals and harmonics of one channel, None if its response is not stated there."""
     if not len(multiples):
         return None
     indices = [int(np.argmin(np.abs(fitted - frequency))) for frequency in multiples]
@@ -435,12 +332,7 @@ def _correction(channel: ChannelEntry, frequency_hz: FloatArray) -> tuple[Comple
 
 
 def _result(
-    record: DaqRecord,
-    channel: ChannelEntry,
-    time_s: FloatArray,
-    fit: SineFit,
-    phasors: Phasors,
-    shown: bool,
+    record: DaqRecord, channel: ChannelEntry, time_s: FloatArray, fit: SineFit, phasors: Phasors, shown: bool
 ) -> tuple[ChannelResult, ChannelReading]:
     """Correct one channel's phasors for delay and response, and collect the data of its figures."""
     block, rate_hz, values = record.entry.name, record.raw[channel.name].sample_rate_hz, record.stacked([channel])
@@ -529,13 +421,127 @@ def line_strength(readings: Sequence[ChannelReading], lines: LineFrequencies) ->
 
 
 def expand_lines(phasors: Phasors, mask: BoolArray, frequency_hz: FloatArray) -> Phasors:
-    """Return phasors at all lines (K,) from those at the lines of `mask` (K,).
-
-    NaN at the others.
-    """
+    """Return phasors at all lines from those of `mask`, NaN at the others."""
     lines, channels = len(mask), len(phasors.channels)
     value = np.full((lines, channels), np.nan, dtype=np.complex128)
     covariance = np.full((lines, 2 * channels, 2 * channels), np.nan)
     dof = np.zeros(lines)
     value[mask], covariance[mask], dof[mask] = phasors.value, phasors.covariance, phasors.dof
     return Phasors(frequency_hz, value, covariance, phasors.channels, phasors.unit, dof)
+
+
+# Channels with clipped, lost or coarse samples, and the errors that these cause.
+
+MIN_USABLE_SHARE = 0.25
+"""Smallest share of samples that are neither clipped nor lost (chosen); with fewer there is no result."""
+DEPTH, NARROWER = 4.0, 0.1
+"""Distance of used samples from a limit in deviations of the residual; further distance of a second fit, over the
+amplitude (chosen)."""
+COARSE_SHARE = 0.05
+"""Change by converter steps over the noise of a line above which U includes it (chosen)."""
+Fitter = Callable[[Stacked], SineFit]
+
+
+def require_usable(record: DaqRecord, channel: ChannelEntry) -> None:
+    """Raise if too few samples of a channel are neither clipped nor lost."""
+    raw, defects = record.raw[channel.name], record.defects(channel)
+    if sum(defect.count for defect in defects) > (1.0 - MIN_USABLE_SHARE) * len(raw.samples):
+        raise _unusable(record, channel, defects)
+
+
+def _unusable(record: DaqRecord, channel: ChannelEntry, defects: Sequence[Defect]) -> InputError:
+    defects_found = " and ".join(_described(record, channel, defect) for defect in defects)
+    expected = f"at least {100 * MIN_USABLE_SHARE:g} % of the samples, at all phases, within the range of the recorder"
+    found = f"a channel that {defects_found}"
+    return InputError(UNUSABLE_CHANNEL, record.entry.file, channel.stored_name, found=found, expected=expected)
+
+
+def _described(record: DaqRecord, channel: ChannelEntry, defect: Defect) -> str:
+    return defect.text(record.time_s(channel.name), record.raw[channel.name].unit)
+
+
+def fit_usable(
+    record: DaqRecord, group: Sequence[ChannelEntry], fitted: Fitter, time_s: FloatArray
+) -> tuple[SineFit, Stacked, ComplexArray | None]:
+    """Fit lines to samples that are neither lost nor clipped.
+
+    Returns the fit and the values used (S, C). A channel with such samples is alone in its group. The fitted curve
+    decides which samples are clipped, so that noise near a limit does not select them. The third result is the relative
+    change of the lines, as Re and Im, if the fit keeps a larger distance from the limits: filters, or a saturating
+    amplifier, round samples near them. None without clipping.
+    """
+    channel, values = group[0], record.usable_samples(group)
+    require_usable(record, channel)
+    fit = fitted(values)
+    clipped = next((defect for defect in record.defects(channel) if defect.kind == "clipped"), None)
+    if clipped is None:
+        return fit, values, None
+    column = values[:]
+    low, high = sorted(level * channel.scale for level in clipped.levels)
+    for more in (0.0, 0.0, NARROWER):
+        curve, before = fit.model(time_s)[:, 0], fit
+        depth = DEPTH * float(fit.residual_rms[0]) + more * float(np.ptp(curve)) / 2.0
+        inside = (curve > low + depth) & (curve < high - depth)
+        if np.count_nonzero(inside & np.isfinite(column[:, 0])) < MIN_USABLE_SHARE * len(values):
+            raise _unusable(record, channel, [clipped])
+        used = Stacked.from_array(np.where(inside[:, None], column, np.nan))
+        try:
+            fit = fitted(used)
+        except ValueError as error:  # samples that are synchronous with a line show it at too few phases
+            raise _unusable(record, channel, [clipped]) from error
+        values = values if more else used
+    change = fit.phasors.value[:, 0] / before.phasors.value[:, 0] - 1.0
+    return before, values, np.asarray(np.abs(change) * (1.0 + 1.0j))
+
+
+def assess_condition(
+    record: DaqRecord, index: int, fit: SineFit, time_s: FloatArray, clipped: ComplexArray | None, seen: BoolArray
+) -> tuple[list[ChannelRelativeError], list[Notice]]:
+    """Return the errors of a fitted channel caused by its samples, and notices.
+
+    `clipped`: third result of `fit_usable`. The errors are those of all lines (K,), of which the fit contains those
+    `seen` first.
+    """
+    channel = next(entry for entry in record.entry.channel if entry.name == fit.phasors.channels[index])
+    step = abs(channel.scale) * converter_step(record.raw[channel.name].samples)
+    rounded = _rounded(fit, index, step, time_s)
+    where = f"{record.entry.name}, {channel.name}"
+    errors, notices = list[ChannelRelativeError](), list[Notice]()
+    for kind, change in (("clipping", clipped), ("converter steps", rounded)):
+        if change is not None:
+            errors += _sample_errors(channel, kind, change, seen)
+    for defect in record.defects(channel):
+        text = _described(record, channel, defect)
+        if defect.kind == "clipped" and clipped is not None:
+            u_percent = 100.0 * float(clipped.real[0])
+            notices.append(Notice(CLIPPED_CHANNEL, where, defect=text, u_percent=u_percent))
+        else:
+            notices.append(Notice(REJECTED_SAMPLES, where, defect=text))
+    size = float(np.max(np.abs(fit.phasors.value[:, index])))
+    if rounded is not None and size < FEWEST_STEPS * step:
+        bound_percent = 100.0 * float(np.sqrt(3.0) * rounded.real[0])
+        notices.append(Notice(COARSE_CONVERTER, where, steps=size / step, bound_percent=bound_percent))
+    return errors, notices
+
+
+def _rounded(fit: SineFit, index: int, step: float, time_s: FloatArray) -> ComplexArray | None:
+    """Return the relative u (K,) by converter steps, Re and Im, None if negligible."""
+    size = np.abs(fit.phasors.value[:, index])
+    if not step > 0.0 or not size.any():
+        return None
+    noise = np.hypot(fit.phasors.u_re[:, index], fit.phasors.u_im[:, index])
+    u = quantisation_error(fit, index, time_s, step) / np.sqrt(3.0)
+    u[size <= NOISE_REACH * noise] = 0.0
+    return u if np.any(np.abs(u) * size > COARSE_SHARE * noise) else None
+
+
+def _sample_errors(
+    channel: ChannelEntry, kind: str, change: ComplexArray, seen: BoolArray
+) -> Iterator[ChannelRelativeError]:
+    """Yield the errors of amplitude and phase of a channel."""
+    for part, relative in (("amplitude", change.real + 0.0j), ("phase", 1j * change.imag)):
+        effect = np.zeros((len(seen), 1), dtype=np.complex128)
+        effect[seen, 0] = relative[: np.count_nonzero(seen)]
+        yield ChannelRelativeError(
+            f"{channel.name}: {kind}, {part}", f"{chain_name(channel)}: {kind}", 1.0, "1", effect
+        )

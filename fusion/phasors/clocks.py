@@ -1,19 +1,20 @@
-"""Clocks tied by the motion: trigger periods from lines in frames and channels."""
+"""Clocks tied by lines in channels, and trigger periods by lines in frames."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import replace
 
 import numpy as np
 
-from fusion.phasors.channel_phasors import MIN_BEAT_PERIODS, U_SHARED_FREQUENCY, line_rates, line_stretch, with_ties
+from fusion.phasors.channel_phasors import MIN_BEAT_PERIODS, channels_of_same_times, fastest_channel, line_clock
 from fusion.phasors.phasor_notices import PERIODS_DISAGREE
 from fusion.phasors.stereo_motion import StereoMotion, resolved_lines
 from fusion.phasors.timing import TimeBase, frame_sight
 from fusion.recording.load import Manifest
 from fusion.recording.manifest import Images, PointFiles
-from fusion.recording.transducer import STATIONARY
+from fusion.recording.transducer import STATIONARY, TRANSDUCERS
 from shaker.labels import MOTION_COMPONENTS, component_units
 from shaker.lines.frequencies import LineFrequencies
 from shaker.sine.aliasing import alias_frequency
@@ -21,6 +22,7 @@ from shaker.sine.sine_fit import fit_sines
 from shaker.sine.solve import SineModel
 from shaker.timebase.tie import ClockTie, tie_clocks
 from shaker.timebase.trigger import MAX_DISAGREEMENT_SIGMAS, TriggerFit
+from shakercal._common.arrays import FloatArray
 from shakercal._common.notices import Notice
 
 UNCERTAIN_SAMPLES, JITTERS = {"sampled": 0.15, "resolved": 0.01}, 3.0
@@ -28,8 +30,106 @@ UNCERTAIN_SAMPLES, JITTERS = {"sampled": 0.15, "resolved": 0.01}, 3.0
 MIN_IMPROVEMENT = 0.5
 """Largest u of another period, over that by edges, for it to be used (chosen)."""
 
+TURN = 0.01
+"""Phase in rad at the end of a record by an uncertain rate, above which lines refine it: 2e-5 of the amplitude."""
+U_SHARED_FREQUENCY = 1e-8
+"""Relative standard uncertainty of a frequency common to two blocks: the drift of a generator in a minute."""
 ValueWithU = tuple[float, float]
 """A value and its standard uncertainty."""
+
+
+# Rates of clocks by the lines.
+
+
+def refine_ties(base: TimeBase, lines: LineFrequencies) -> tuple[TimeBase, LineFrequencies]:
+    """Return ties refined by the lines, and the lines on that clock.
+
+    A wrong rate r costs a sine over T seconds (πfTr)²/6 of its amplitude, which no first-order uncertainty includes.
+    Ties whose u of the rate turns every line by less than `TURN` over half the record are unchanged. Frequencies that
+    contradict the edges are reported and change no tie.
+    """
+    length_s = max(float(np.ptp(fit.edge_s)) for fit in base.triggers.values()) if base.triggers else 0.0
+    turn = np.pi * float(lines.frequency_hz.max()) * length_s
+    uncertain_ties = {
+        name: tie for name, tie in base.ties.items() if tie is not None and turn * tie.covariance[1, 1] ** 0.5 > TURN
+    }
+    seen = line_rates(base, lines, list(uncertain_ties))
+    ties = {name: tie.with_rate(*seen[name]) for name, tie in uncertain_ties.items() if name in seen}
+    return (base, lines) if not ties else with_ties(base, lines, ties)
+
+
+def with_ties(base: TimeBase, lines: LineFrequencies, ties: Mapping[str, ClockTie]) -> tuple[TimeBase, LineFrequencies]:
+    """Return a time base with some ties replaced, and the lines on its clock."""
+    fastest, refined = fastest_channel(base), replace(base, ties={**base.ties, **ties})
+    if fastest is None or fastest[0].entry.name not in ties:
+        return refined, lines
+    found_in = fastest[0].entry.name
+    scale = base.ties[found_in].rate / refined.ties[found_in].rate  # type: ignore[union-attr]
+    plain = replace(
+        lines,
+        frequency_hz=lines.frequency_hz * scale,
+        u_frequency_hz=_relative_u_without_clock(base, lines) * lines.frequency_hz,
+        nuisance_hz=lines.nuisance_hz * scale,
+    )
+    return refined, refined.add_clock_uncertainty(plain, line_clock(refined))
+
+
+def _relative_u_without_clock(base: TimeBase, lines: LineFrequencies) -> FloatArray:
+    """Return the relative u (K,) of the frequencies on the clock of their channel."""
+    clock = float(np.linalg.norm([error.rate for error in line_clock(base)]))
+    return np.sqrt(np.maximum((lines.u_frequency_hz / lines.frequency_hz) ** 2 - clock**2, 0.0))
+
+
+def line_rates(base: TimeBase, lines: LineFrequencies, names: Sequence[str]) -> dict[str, tuple[float, float]]:
+    """Return the rates of other blocks' ties, with u, from the lines alone.
+
+    One generator drives the lines of all blocks. The ratio of two clock rates is that of the frequencies found, orders
+    of magnitude more precise than from edges between samples. Blocks without lines are omitted.
+    """
+    fastest, first = fastest_channel(base), base.records[0].entry.name
+    if fastest is None or not names:
+        return {}
+    found_in = fastest[0].entry.name
+    stretches = {found_in: (0.0, float(_relative_u_without_clock(base, lines).min()))}
+    for name in {first, *names} - {found_in}:
+        found = line_stretch(base, name, lines)
+        stretches |= {} if found is None else {name: found}
+    rates = {}
+    for name in (name for name in names if name in stretches and first in stretches):
+        tie, (stretch, u), (reference, u_reference) = base.ties[name], stretches[name], stretches[first]
+        assert tie is not None
+        seen = tie.rate * (1.0 + stretch) / (1.0 + reference)
+        rates[name] = seen, tie.rate * float(np.linalg.norm([u, u_reference, U_SHARED_FREQUENCY]))
+    return rates
+
+
+def line_stretch(
+    base: TimeBase, name: str, lines: LineFrequencies, body: str = "", span_s: tuple[float, float] = (-np.inf, np.inf)
+) -> tuple[float, float] | None:
+    """Return the relative offset of all line frequencies in a block, with u, or None.
+
+    None if the block has no lines. `body`: use channels of its motion only. `span_s`: use samples in this interval.
+    """
+    record = base.record(name)
+    groups = sorted(channels_of_same_times(record), key=lambda group: -record.raw[group[0].name].sample_rate_hz)
+    for group in groups:
+        chosen = [c for c in group if not body or (c.quantity in TRANSDUCERS and c.body == body)]
+        if not chosen:
+            continue
+        rate_hz = record.raw[group[0].name].sample_rate_hz
+        frequency_hz = lines.frequency_hz[lines.frequency_hz < rate_hz / 2.0]
+        time_s = base.to_base_s(name, record.time_s(group[0].name))
+        inside = (time_s >= span_s[0]) & (time_s <= span_s[1])
+        with suppress(ValueError):
+            names, free = [member.name for member in chosen], SineModel(free=(0,) * len(frequency_hz))
+            values = record.usable_samples(chosen).select_rows(None if inside.all() else inside)
+            fit = fit_sines(time_s[inside], values, frequency_hz, names, names, model=free)
+            ratio = float(fit.phasors.frequency_hz[0] / frequency_hz[0])
+            return ratio - 1.0, float(fit.u_frequency_hz[0] / frequency_hz[0])
+    return None
+
+
+# Periods of camera triggers by the motion.
 
 
 def tie_clocks_by_motion(
@@ -114,10 +214,7 @@ def _refined(
 
 
 def _with_period(fit: TriggerFit, readings: Sequence[ValueWithU], limit: float, back: ValueWithU) -> TriggerFit:
-    """Return a trigger with the mean period on its clock.
-
-    If u of the mean is below a limit. Readings that contradict each other are reported and change no period.
-    """
+    """Return a trigger with the mean period, if readings agree and determine it better."""
     mean = _mean(readings)
     difference, both = float(np.ptp([value for value, _ in readings])), float(np.linalg.norm([u for _, u in readings]))
     if difference > MAX_DISAGREEMENT_SIGMAS * both:
@@ -127,10 +224,7 @@ def _with_period(fit: TriggerFit, readings: Sequence[ValueWithU], limit: float, 
 
 
 def _renewed_tie(tie: ClockTie, base: TriggerFit, other: TriggerFit, *, rate: ValueWithU) -> ClockTie:
-    """Return a tie from the edges of both blocks and the lines' rate.
-
-    If that rate agrees with the edges. Edges with an uncertain gap keep the uncertainty of the triggers.
-    """
+    """Return a tie by both blocks' edges and the lines' rate, if these agree."""
     agreed = tie.with_rate(*rate)
     if len(agreed.notices) > len(tie.notices):
         return replace(tie, notices=tuple(dict.fromkeys(agreed.notices)))

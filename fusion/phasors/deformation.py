@@ -13,7 +13,7 @@ import numpy as np
 
 from fusion.estimation.uncertainty import real_stack
 from fusion.phasors.phasor_notices import PAIR_BODY_DEFORMS
-from fusion.phasors.shutter import PhaseRotated
+from fusion.phasors.stereo_motion import PhaseRotated
 from photogram.direct.shapes import PLAIN, ShapeAmplitudes
 from photogram.motion import Deformation
 from shaker.sine.aliasing import alias_frequency, exposure_gain, sine_columns
@@ -105,10 +105,7 @@ class ShapePhasors(Arrays):
         return np.asarray(self.chance < LEVEL / len(self.chance))
 
     def notices(self) -> list[Notice]:
-        """Return a warning for each line at which the body deforms.
-
-        None if the shapes are stated modes.
-        """
+        """Return a warning for each line at which the body deforms beyond stated modes."""
         notices = list[Notice]()
         if self.phasors.channels != PLAIN:
             return notices

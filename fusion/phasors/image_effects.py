@@ -11,10 +11,23 @@ from numpy.typing import NDArray
 
 from fusion.errors import ComputeError, InputError
 from fusion.instruments.stereo import CALIBRATION, PERIODIC, SURFACE
-from fusion.phasors.phasor_notices import CALIBRATION_REFUSED, NO_RIGID_MOTION, UNEQUAL_FRAMES
-from fusion.phasors.shutter import check_in_step
+from fusion.phasors.phasor_notices import (
+    CALIBRATION_REFUSED,
+    CAMERA_DELAYED,
+    CAMERAS_OUT_OF_STEP,
+    NO_RIGID_MOTION,
+    UNEQUAL_FRAMES,
+)
 from fusion.phasors.stereo_motion import ImageView, StereoMotion, sensor_from_camera
-from photogram.camera import CAMERA_PARAMETERS, FaceCamera, Rig, StereoRig, locate, principal_components
+from photogram.camera import (
+    CAMERA_PARAMETERS,
+    FaceCamera,
+    Rig,
+    StereoRig,
+    epipolar_residual,
+    locate,
+    principal_components,
+)
 from photogram.direct.shapes import Shapes
 from photogram.direct.surface import PlacedCamera, project_body_points
 from photogram.frame_statistics import RunningMean, spread_choice
@@ -232,19 +245,13 @@ def with_surface_at_rest(measured: StereoMotion, mean_pose: FloatArray) -> Stere
 
 
 def displacement(measured: StereoMotion, fit: SineFit) -> Phasors:
-    """Return the phasors of a body's motion at the lines of its fit.
-
-    Means over an exposure.
-    """
+    """Return the phasors of a body's motion at the lines, means over an exposure."""
     rotated = None if measured.view is None else measured.view.phase_rotated
     return fit.phasors if rotated is None else rotated.motion(measured.sight.time_s, fit)
 
 
 def fit_about_mean(measured: StereoMotion, frequency_hz: FloatArray) -> tuple[StereoMotion, RigidMotion, SineFit]:
-    """Fit the lines about the mean pose, to which the motion is referred.
-
-    The mean pose is the offset of the fit. The stated surface before a single camera is at this pose.
-    """
+    """Fit the lines about the mean pose, to which the motion is referred."""
     motion, time_s, fit = measured.motion, measured.sight.time_s, None
     variance: FloatArray | None = None
     try:
@@ -296,3 +303,59 @@ def _frame_variance(time_s: FloatArray, motion: RigidMotion, fit: SineFit) -> Fl
             for one in (np.ones(len(square)), size[usable])
         )
     return size if np.ptp(np.log(size[usable])) > np.log(MIN_VARIANCE_RATIO) and separate < equal else None
+
+
+# Cameras of a pair that were not exposed at the same time.
+
+LATE_RAD, LATE_U = 0.01, 5.0
+"""Phase between the cameras above which it is reported, and the same in standard uncertainties (chosen)."""
+FRAME_PHASE_TOLERANCE = 0.05
+"""Largest difference in rad of a lag from whole frames: different frames at either end (chosen)."""
+MOST_FRAMES = 5
+EQUAL = 0.2
+"""Relative difference of the two cameras' motion across the epipolar lines that no lag explains."""
+
+
+def check_in_step(
+    rig: StereoRig, frames: Sequence[FloatArray], frequency_hz: FloatArray, time_s: FloatArray
+) -> tuple[Notice, ...]:
+    """Return a warning if one camera is delayed; raise `ComputeError` if by whole frames.
+
+    Across the epipolar lines both cameras measure the same motion. With phasors a of n_left · L and b of n_right · R of
+    the subsets, n being the derivatives of the epipolar residual, a + b·exp(jωδ) = 0 if the right camera is late by δ.
+    Hence exp(jωδ) ∝ -Σ a·b*. `frames` (1 + 2K, N, 2) of each camera: mean positions, and these + Re, + Im of each
+    phasor.
+    """
+    (left, right), (_, by_left, by_right) = frames, epipolar_residual(rig, *(side[0] for side in frames))
+
+    def across(side: FloatArray, by: FloatArray) -> ComplexArray:
+        moved = side[1:] - side[0]
+        return np.asarray(np.einsum("ni,kni->kn", by, moved[0::2] + 1j * moved[1::2]))
+
+    a, b = across(left, by_left), across(right, by_right)
+    k = int(np.argmax(np.sum(np.abs(b) ** 2, axis=1)))
+    power = float(np.sum(np.abs(b[k]) ** 2))
+    z = -complex(np.sum(a[k] * b[k].conj())) / power if power > 0.0 else 0.0
+    if abs(abs(z) - 1.0) > EQUAL:
+        return ()
+    phase = float(np.angle(z))
+    u = float(np.sqrt(np.sum(np.abs(a[k] + b[k] * z / abs(z)) ** 2) / (2.0 * len(a[k]) * power)))
+    if abs(phase) <= max(LATE_RAD, LATE_U * u):
+        return ()
+    omega, period_s = 2.0 * np.pi * float(frequency_hz[k]), float(np.min(np.diff(time_s)))
+    for count in sorted((n for n in range(-MOST_FRAMES, MOST_FRAMES + 1) if n), key=abs):
+        distance = abs(np.angle(np.exp(1j * (phase - omega * count * period_s))))
+        if distance < min(FRAME_PHASE_TOLERANCE, abs(phase) / 2.0):
+            late, early = ("right", "left") if count > 0 else ("left", "right")
+            delay_ms = 1e3 * abs(count) * period_s
+            raise ComputeError(CAMERAS_OUT_OF_STEP, late=late, early=early, frames=abs(count), delay_ms=delay_ms)
+    notice = Notice(
+        CAMERA_DELAYED,
+        "exposure",
+        late="right" if phase > 0.0 else "left",
+        delay_us=1e6 * abs(phase) / omega,
+        phase_mrad=1e3 * abs(phase),
+        frequency_hz=frequency_hz[k],
+        u_mrad=1e3 * u,
+    )
+    return (notice,)

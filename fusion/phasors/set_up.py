@@ -22,11 +22,10 @@ from fusion.phasors.channel_phasors import (
     line_clock,
     line_record,
     line_strength,
-    refine_ties,
 )
-from fusion.phasors.missing_filters import delay_notices, folding_notices
+from fusion.phasors.clocks import refine_ties, tie_clocks_by_motion
 from fusion.phasors.phasor_notices import HARMONIC_UNRESOLVED, NO_INSTRUMENT, TAKES_REFUSED, TIME_STAMP_GAP
-from fusion.phasors.steadiness import distortions, enlarge_doubted, line_stationarity
+from fusion.phasors.steadiness import delay_notices, distortions, enlarge_doubted, folding_notices, line_stationarity
 from fusion.phasors.stereo_motion import (
     PreparedImages,
     RejectedPair,
@@ -35,9 +34,9 @@ from fusion.phasors.stereo_motion import (
     motion_lines,
     prepare_images,
     reject_decalibrated,
-    tracked_pairs,
 )
 from fusion.phasors.timing import TimeBase, tie_daqs
+from fusion.phasors.tracked_blocks import tracked_pairs
 from fusion.recording.daq_records import FileCache, errors_in_set_up, read_set_ups
 from fusion.recording.load import Manifest
 from fusion.recording.transducer import TRANSDUCERS
@@ -133,10 +132,7 @@ def prepare_set_ups(manifest: Manifest, already: FileCache | None = None) -> tup
 
 
 def with_channels(prepared: PreparedSetUp, *, shown: bool = True) -> PreparedSetUp:
-    """Fit the lines of a set-up to its channels.
-
-    Without `shown`, data for pages and notices only are omitted.
-    """
+    """Fit the lines to a set-up's channels; only what pages show needs `shown`."""
     if prepared.lines is None:
         return prepared
     with errors_in_set_up(prepared.manifest.path, prepared.where, prepared.name):
@@ -203,12 +199,7 @@ def _measured(prepared: PreparedSetUp, followed: Sequence[StereoMotion | Rejecte
 def _tied(
     prepared: PreparedSetUp, motions: tuple[StereoMotion, ...], lines: LineFrequencies
 ) -> tuple[PreparedSetUp, tuple[StereoMotion, ...], LineFrequencies]:
-    """Return a set-up, motions and lines with clocks tied by the motion.
-
-    Channels are fitted again if their clock changes.
-    """
-    from fusion.phasors.clocks import tie_clocks_by_motion
-
+    """Return a set-up with clocks tied by the motion, its motions and its lines."""
     base, renewed, lines = tie_clocks_by_motion(prepared.manifest, prepared.base, motions, lines)
     tied = any(tie is not prepared.base.ties[name] for name, tie in base.ties.items())
     prepared = replace(prepared, base=base, lines=lines)
@@ -256,10 +247,7 @@ def _lines(set_ups: Sequence[PreparedSetUp]) -> list[LineFrequencies | None]:
 
 
 def _further_lines(prepared: PreparedSetUp, nominal: tuple[float, ...]) -> LineFrequencies:
-    """Find the lines of a further set-up.
-
-    Raises if its channels do not resolve all fundamentals.
-    """
+    """Find the lines of a further set-up; raise if it does not resolve all fundamentals."""
     manifest = prepared.manifest
     excitation = manifest.excitation.model_copy(update={"frequencies": nominal})
     with errors_in_set_up(manifest.path, prepared.where, prepared.name):
@@ -277,10 +265,7 @@ def _keys(lines: LineFrequencies) -> list[LineKey]:
 
 
 def _indistinct(prepared: PreparedSetUp, lines: LineFrequencies, keys: Sequence[LineKey]) -> list[LineKey]:
-    """Return the lines of other set-ups that this one cannot separate.
-
-    From another line or from zero. In its fastest channel.
-    """
+    """Return other set-ups' lines that this one's fastest channel cannot separate."""
     record = line_record(prepared.base)
     added = set(keys) - set(_keys(lines))
     if record is None or not added:

@@ -17,12 +17,7 @@ from fusion.estimation.variance_components import EstimatedNoise
 from fusion.instruments.channel import ChannelReading, ChannelRelativeError, nonzero_errors, observe_channels
 from fusion.instruments.stereo import PERIODIC, StereoReading
 from fusion.phasors.channel_phasors import ChannelResult
-from fusion.phasors.phasor_notices import (
-    LARGE_REFERENCE_DRIFT,
-    REFERENCE_DRIFT,
-    TAKE_FREQUENCY_DIFFERS,
-    TAKES_SCATTER,
-)
+from fusion.phasors.phasor_notices import LARGE_REFERENCE_DRIFT, REFERENCE_DRIFT, TAKE_FREQUENCY_DIFFERS, TAKES_SCATTER
 from fusion.phasors.set_up import MeasuredSetUp, PreparedSetUp
 from fusion.phasors.steadiness import line_stationarity, stationarity_notices
 from fusion.phasors.stereo_phasors import StereoResult
@@ -31,7 +26,7 @@ from fusion.recording.manifest import ChannelEntry
 from shaker.lines.frequencies import LineFrequencies
 from shaker.sine.phasor import Phasors, real_stacked_diagonal
 from shaker.sine.sine_fit import Stationarity
-from shakercal._common.arrays import BoolArray, ComplexArray, FloatArray, check_shapes
+from shakercal._common.arrays import Arrays, BoolArray, ComplexArray, FloatArray
 from shakercal._common.notices import Notice
 
 MIN_SNR = 6.0
@@ -46,7 +41,7 @@ MIN_SPREAD = 1e-9  # of the reading: rounding below it would look like scatter
 
 
 @dataclass(frozen=True)
-class SetUpResult:
+class SetUpResult(Arrays, shapes="frequency_hz K; value K; factor K; drift K; u_drift K"):
     """Tie of one set-up to the first by its reference channel.
 
     With the exact lines on its clock. `frequency_hz` (K,) in the order of the evaluation's lines. `value` (K,): phasors
@@ -62,9 +57,6 @@ class SetUpResult:
     factor: ComplexArray
     drift: FloatArray
     u_drift: FloatArray
-
-    def __post_init__(self) -> None:
-        check_shapes(self, self.frequency_hz.shape, "value", "factor", "drift", "u_drift")
 
 
 @dataclass(frozen=True)
@@ -89,10 +81,7 @@ class ReferenceTie:
         return replace(phasors.scaled(self.factor[:, None]), frequency_hz=self.frequency_hz)
 
     def reading(self, reading: ChannelReading) -> ChannelReading:
-        """Return a channel of the set-up as one of the first.
-
-        With the errors of its clock.
-        """
+        """Return a channel as one of the first set-up, with errors of its clock."""
         chain = replace(reading.chain, clock=f"{self.name}: {reading.chain.clock}")
         further = nonzero_errors([*_clock_errors(self.name, reading), *self.errors])
         return ChannelReading(reading.entry, self.phasors(reading.phasors), chain, further)
@@ -108,10 +97,7 @@ class ReferenceTie:
         return replace(referred, further_errors=nonzero_errors([*referred.further_errors, *self.noise]))
 
     def stereo(self, pair: StereoReading) -> StereoReading:
-        """Return a stereo pair of the set-up as one of the first.
-
-        Errors common to its frames remain separate.
-        """
+        """Return a stereo pair as one of the first set-up; its errors remain separate."""
         effects = {
             f"{what}, {self.name}" if what == PERIODIC else what: change * self.factor[:, None]
             for what, change in pair.effects.items()
@@ -200,10 +186,7 @@ def _check_driven(prepared: PreparedSetUp, reference: ChannelReading, significan
 def _noise(
     name: str, reading: ChannelReading, frequency_hz: FloatArray, lines: BoolArray
 ) -> tuple[ChannelRelativeError, ...]:
-    """Return the noise of a reference as relative errors (K, 1).
-
-    Two real unknowns at each of the chosen lines.
-    """
+    """Return the noise of a reference as two relative errors at each chosen line."""
     errors = []
     phasors = reading.phasors
     for k in np.flatnonzero(lines):
@@ -218,19 +201,13 @@ def _noise(
 
 
 def _clock_errors(name: str, reading: ChannelReading) -> list[ChannelRelativeError]:
-    """Return the relative errors (K, 1) of a channel by its clock.
-
-    And by its lines' frequencies. They are separate for that set-up, unless they belong to the rig.
-    """
+    """Return a channel's errors by clock and frequencies, named by the set-up."""
     errors = reading.further_errors
     return [error if error.scope == "rig" else replace(error, name=f"{name}: {error.name}") for error in errors]
 
 
 def _drift(name: str, frequency_hz: FloatArray, half_width: FloatArray) -> list[ChannelRelativeError]:
-    """Return the relative errors (K, 1) by drift of a reference.
-
-    Of all phasors of the set-up. Of magnitude and phase.
-    """
+    """Return the relative errors of magnitude and phase by drift of a reference."""
     label, errors = "drift between takes", []
     for k in np.flatnonzero(half_width > 0.0):
         u = float(half_width[k]) / np.sqrt(3.0)
@@ -243,10 +220,7 @@ def _drift(name: str, frequency_hz: FloatArray, half_width: FloatArray) -> list[
 
 
 def drift_notices(ties: Sequence[ReferenceTie], driven: BoolArray) -> tuple[Notice, ...]:
-    """Return notices of changed reference amplitude or frequency between set-ups.
-
-    At the `driven` lines (K,).
-    """
+    """Return notices of changed reference amplitude or frequency at the `driven` lines (K,)."""
     notices = []
     for tie in ties:
         result = tie.result

@@ -10,8 +10,7 @@ import numpy as np
 from fusion.base import Threads
 from fusion.phasors.image_effects import displacement, fit_about_mean
 from fusion.phasors.phasor_notices import COARSE_ROWS, MOTION_BLUR, ROLLING_SHUTTER, SHUTTER_NOT_CONVERGED
-from fusion.phasors.shutter import PhaseRotated
-from fusion.phasors.stereo_motion import PreparedImages, StereoMotion, motion_from_tracks, resolved_lines
+from fusion.phasors.stereo_motion import PhaseRotated, PreparedImages, StereoMotion, motion_from_tracks, resolved_lines
 from photogram.measure.body import TrackedSubsets, body_motion
 from photogram.measure.exposure_motion import (
     WIDEST_CELL,
@@ -69,10 +68,7 @@ def refine_rolling_shutter(
 
 
 def _shutter_notices(measured: StereoMotion, swing: ExposureMotion, bias: float, left: float) -> Iterator[Notice]:
-    """Yield the effects of motion during exposures.
-
-    With a warning where the fit did not converge.
-    """
+    """Yield the effects of motion during exposures, and whether the fit did not converge."""
     rotated = None if measured.view is None else measured.view.phase_rotated
     fastest_hz = float(swing.frequency_hz.max())
     if rotated is not None:
@@ -121,10 +117,7 @@ def _look(prepared: PreparedImages, correction: ExposureCorrection, frames: Sequ
 
 
 def _of_subsets(measured: StereoMotion, tracked: TrackedSubsets, frequency_hz: FloatArray) -> ComplexArray:
-    """Return the motion (K, 6) from positions of subsets by rows.
-
-    By least squares.
-    """
+    """Return the motion (K, 6) from positions of subsets by rows, by least squares."""
     sums, scene = None, tracked.scene
     for block in tracked:
         both = np.concatenate([one.position_px for one in block.cameras], axis=2)

@@ -1,21 +1,14 @@
-"""From the images, or points, of a stereo pair to rigid motion.
-
-Images are tracked pair by pair and block by block, by threads of this process or by processes of an executor. Functions
-that track import numba; reading does not.
-"""
+"""Images and points of a stereo pair, opened and checked, and their rigid motion."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from fusion.base import CheckpointStore, Executor, Pending, ProgressCallback, Settings, Threads
 from fusion.errors import ComputeError, InputError, as_input_error
 from fusion.phasors.phasor_notices import (
     CALIBRATION_REFUSED,
@@ -34,9 +27,7 @@ from fusion.phasors.phasor_notices import (
     PAIR_REJECTED,
     SINGLE_CAMERA_NOT_ASSESSED,
 )
-from fusion.phasors.shutter import PhaseRotated
 from fusion.phasors.timing import Sight, TimeBase, frame_edges, frame_sight, lines_not_found_error
-from fusion.phasors.tracked_blocks import TrackedBlocks, track_block
 from fusion.recording.daq_records import FileCache
 from fusion.recording.load import Manifest
 from fusion.recording.manifest import MINIMUM_FRAMES, Images, PointFiles
@@ -52,7 +43,10 @@ from photogram.images.numbering import numbers_of_names
 from photogram.images.sequence import GreyImage, ImageSequence, find_copied_frames
 from shaker.lines.frequencies import LineFrequencies, find_lines
 from shaker.sine.aliasing import usable_lines
-from shakercal._common.arrays import BoolArray, FloatArray
+from shaker.sine.phasor import Phasors
+from shaker.sine.sine_fit import fit_sines
+from shaker.sine.solve import SineFit, SineModel
+from shakercal._common.arrays import BoolArray, ComplexArray, FloatArray
 from shakercal._common.notices import Notice
 
 if TYPE_CHECKING:
@@ -61,21 +55,14 @@ if TYPE_CHECKING:
     from photogram.epipolar import EpipolarCheck
     from photogram.images.noise import NoiseModel
     from photogram.measure.body import BodyMotion
-    from photogram.measure.follow import BodyScene
     from photogram.motion import Deformation, RigidMotion
-    from photogram.subsets.icgn import TrackSettings
     from photogram.subsets.texture import SubsetQuality
     from photogram.subsets.track import StereoTracks
 
-    BodyInputs = tuple[tuple[ImageSequence, ...], Rig, RigidTransform, TrackSettings]
-
-T = TypeVar("T")
 
 MAX_SATURATED = 0.02  # fraction of pixels at full scale above which a camera is refused
 SAME_EXPOSURE = 0.02  # relative difference of equal exposures
 SAME_RATE = 0.01  # of frames on the camera's clock and of edges on that of a DAQ
-MIN_SUBSET_FRAMES, SPARED, TIMES_UNKNOWNS = 24, 8, 2
-"""Fewest frames with subsets: number, inverse share of all, and multiple of the unknowns of the lines (chosen)."""
 MOST_NAMED = 5  # frames in a notice
 MIN_POSITIONS = 3  # on a body that determine its depth
 NO_MOTION = "no frame has enough points for a rigid motion"
@@ -105,6 +92,63 @@ class PreparedImages:
     def left(self) -> ImageSequence:
         """Images of the left camera, or of the only one."""
         return self.cameras[0]
+
+
+@dataclass(frozen=True, eq=False)
+class PhaseRotated:
+    """Frames fitted cell by cell, with row delays corrected at K lines.
+
+    `pose` (F, K, p): six components and p - 6 shapes, in addition to the reference motion. `response` (K, p, p): effect
+    of a motion on them; `reference_motion` (K, p): that of the reference. `row_delay` (6, 6): number of rows after the
+    first one at which a motion is measured. `delay_s` (N,): of the rows at the points of the surface. `side_px`: of the
+    cells.
+    """
+
+    pose: ComplexArray
+    response: ComplexArray
+    reference_motion: ComplexArray
+    row_delay: FloatArray
+    delay_s: FloatArray
+    side_px: int
+
+    def motion(self, time_s: FloatArray, fit: SineFit) -> Phasors:
+        """Return the phasors (K, 6) of the body at the lines: means over an exposure."""
+        return self._restored(time_s, fit, slice(0, 6), self.reference_motion[:, :6], lambda _, found: found.phasors)
+
+    def shapes(
+        self, time_s: FloatArray, fit: SineFit, motion: Phasors, noise: Callable[[FloatArray, SineFit], Phasors]
+    ) -> Phasors:
+        """Return the amplitudes (K, S) of shapes beyond that motion, by a model of `noise`."""
+        moved = np.einsum("kij,kj->ki", self.response[:, 6:, :6], motion.value)
+        return self._restored(time_s, fit, slice(6, None), self.reference_motion[:, 6:] - moved, noise)
+
+    def _restored(
+        self,
+        time_s: FloatArray,
+        fit: SineFit,
+        columns: slice,
+        offset: ComplexArray,
+        noise: Callable[[FloatArray, SineFit], Phasors],
+    ) -> Phasors:
+        """Return G⁻¹·(A + jB + `offset`).
+
+        A and B are the phasors of real and imaginary part of the pose. A motion Re{X exp(jωt)} appears in a rotated
+        pose as G·X·exp(jωt)/2 and a part of opposite rotation. With the parts Re{A exp(jωt)} and Re{B exp(jωt)} that is
+        (A + jB)/2.
+        """
+        frequency_hz, model = fit.phasors.frequency_hz, SineModel(robust=True)
+        names, unit = fit.phasors.channels, fit.phasors.unit
+        both = (*(f"Re {name}" for name in names), *(f"Im {name}" for name in names))
+        inverse, unity, lines = np.linalg.inv(self.response[:, columns, columns]), np.eye(len(names)), list[Phasors]()
+        for k in range(len(frequency_hz)):
+            series = np.concatenate([self.pose[:, k, columns].real, self.pose[:, k, columns].imag], axis=1)
+            found = noise(series, fit_sines(time_s, series, frequency_hz, both, unit * 2, model=model))
+            matrix = inverse[k] @ np.hstack([unity, 1j * unity])
+            lines.append(found.at_lines(np.array([k])).combined(matrix[None], names, unit))
+        value, covariance = (np.concatenate([getattr(one, name) for one in lines]) for name in ("value", "covariance"))
+        value = value + np.einsum("kij,kj->ki", inverse, offset)
+        dof = np.concatenate([one.dof for one in lines])
+        return replace(fit.phasors, value=value, covariance=covariance, dof=dof)
 
 
 @dataclass(frozen=True)
@@ -154,10 +198,7 @@ class StereoMotion:
 
 @dataclass(frozen=True)
 class RejectedPair:
-    """A stereo pair without a motion.
-
-    `error` ends the run if no other instrument measures one.
-    """
+    """A stereo pair without a motion, and the error that is the reason."""
 
     name: str
     error: InputError | ComputeError
@@ -169,20 +210,14 @@ class RejectedPair:
 
 
 def sensor_from_camera(stereo: Stereo) -> RigidTransform:
-    """Return the pose of the left camera in the sensor frame.
-
-    Or of the frame of the points.
-    """
+    """Return the pose of the left camera, or of the points, in the sensor frame."""
     return RigidTransform(np.array(stereo.rotation), np.array(stereo.translation))
 
 
 def prepare_images(
     manifest: Manifest, base: TimeBase, entry: Images, already: FileCache | None = None
 ) -> PreparedImages:
-    """Open the images of one stereo pair and check them before tracking.
-
-    A saturated image is refused when it is read; the first ones are read already.
-    """
+    """Open the images of one stereo pair and check them before tracking."""
     key, sequences, cached = f"images.{entry.stereo}", [], {} if already is None else already.images
     for side, paths in entry.cameras:
         with as_input_error(manifest.path, f"{key}.{side}"):
@@ -252,10 +287,7 @@ def _stated_exposure(manifest: Manifest, entry: Images, sequences: Sequence[Imag
 
 
 def _contradictions(sight: Sight, images: ImageSequence) -> list[Notice]:
-    """Return warnings where the file of a camera contradicts the sight.
-
-    By its exposure and frame times.
-    """
+    """Return warnings where a camera's file contradicts exposure and frame times."""
     where, notices = images.names[0].rpartition("[")[0] or sight.name, list[Notice]()
     stated, used = images.exposure_s, sight.exposure.length_s
     if stated is not None and abs(stated - used) > SAME_EXPOSURE * max(stated, used):
@@ -288,142 +320,6 @@ def depth_range_m(manifest: Manifest, pair: Stereo) -> tuple[float, float] | Non
     depth = sensor_from_camera(pair).inverse().apply(positions)[:, 2]
     reach = float(np.linalg.norm(positions, axis=1).max())
     return float(depth.min()) - reach, float(depth.max()) + reach
-
-
-Motions = Callable[[ProgressCallback], tuple[StereoMotion | RejectedPair, ...]]
-
-
-@contextmanager
-def tracked_pairs(
-    images: Sequence[PreparedImages],
-    settings: Settings,
-    executor: Executor | None = None,
-    checkpoints: CheckpointStore | None = None,
-    lines: LineFrequencies | None = None,
-) -> Iterator[Motions]:
-    """Start tracking the images of stereo pairs; yield a function that returns their motions.
-
-    The function returns the rigid motion of the body of each pair, or the reason why there is none. The caller may
-    continue with other work before.
-
-    Subsets are tracked in enough frames to resolve the `lines`, in all frames without lines. Files that cannot be read
-    are refused. An executor opens the images by the same paths; without one, threads of this process track them.
-    Results are identical to the last bit. Blocks of frames in `checkpoints` are not tracked again.
-    """
-    from photogram.kernels.device import resolve_device
-
-    on_gpu = executor is None and resolve_device(settings.device) != "cpu"
-    with Threads(
-        max(1, len(images)) if on_gpu else None
-    ) as threads:  # a GPU processes one block of each body at a time
-        crew = threads if executor is None else executor
-        prepared = [crew.submit(0, _prepared, item, settings, lines) for item in images]
-
-        def motions(progress: ProgressCallback) -> tuple[StereoMotion | RejectedPair, ...]:
-            begun, moved = [], list[RejectedPair | Pending]()
-            for item, pending in zip(images, prepared, strict=True):
-                scene: BodyScene | RejectedPair = _attempted(item, partial(_answer, item, pending))
-                followed = (
-                    scene
-                    if isinstance(scene, RejectedPair)
-                    else TrackedBlocks(item, scene, settings.device, checkpoints)
-                )
-                shares = () if isinstance(followed, RejectedPair) else followed.missing()
-                submitted = {share: crew.submit(1, track_block, pending, share, settings.device) for share in shares}
-                begun.append((item, followed, submitted))
-            for item, followed, submitted in begun:  # so that no block waits in memory for the motion of another pair
-                if isinstance(followed, RejectedPair):
-                    moved.append(followed)
-                    continue
-                stage, total = f"track {item.sight.name}", 2 * len(item.left)
-                for frames in followed.scene.blocks:
-                    progress(stage, 2 * frames.start, total)
-                    if frames in submitted:
-                        followed.add(frames, _answer(item, submitted.pop(frames)))
-                progress(stage, total, total)
-                moved.append(threads.submit(2, _moved, item, followed))
-            return tuple(
-                pending if isinstance(pending, RejectedPair) else _attempted(item, partial(_answer, item, pending))
-                for item, pending in zip(images, moved, strict=True)
-            )
-
-        yield motions
-
-
-def _attempted(images: PreparedImages, act: Callable[[], T]) -> T | RejectedPair:
-    """Return the result of an action on a pair, or the rejected pair.
-
-    Rejected if its body is not found.
-    """
-    from photogram.subsets.find import BodyNotFound
-
-    try:
-        return act()
-    except InputError as error:
-        if not isinstance(error.__cause__, BodyNotFound):
-            raise
-        return RejectedPair(images.sight.name, error)
-
-
-def _moved(images: PreparedImages, followed: TrackedBlocks) -> StereoMotion:
-    from photogram.measure.body import body_motion
-
-    with as_input_error(*images.sight.where):
-        body = body_motion(followed.scene, followed)
-    return motion_from_tracks(images, body)
-
-
-def _answer(images: PreparedImages, pending: Pending) -> Any:
-    """Return the result of a task on some images; raise its refusal as wrong input."""
-    answer = pending.result()
-    with as_input_error(*images.sight.where):
-        return answer.unwrap()
-
-
-def _prepared(
-    images: PreparedImages, settings: Settings, lines: LineFrequencies | None
-) -> BodyScene:  # a task, so of this module
-    from photogram.kernels.device import resolve_device
-    from photogram.measure.follow import BodyPrior, prepare_body, sine_terms
-    from photogram.subsets.find import BodyNotFound
-
-    left = int(np.count_nonzero(~images.copied))
-    if left < MINIMUM_FRAMES:
-        why = f"{left} of {len(images.copied)}, since the others are copies of earlier frames, grey value by grey value"
-        raise BodyNotFound(f"expected at least {MINIMUM_FRAMES} different frames, found {why}")
-    inputs, terms = body_inputs(images, settings, None if lines is None else len(lines.frequency_hz)), None
-    if lines is not None:
-        strongest = np.argsort(lines.multiple, kind="stable")  # mostly
-        terms = sine_terms(images.sight.time_s, lines.frequency_hz[strongest])
-    rolls = any(images.sight.pair.row_time)
-    prior = BodyPrior(images.depth_m, images.modes, rolls, terms, images.copied if images.copied.any() else None)
-    return prepare_body(*inputs, resolve_device(settings.device), prior=prior)
-
-
-def measure_images(images: PreparedImages, settings: Settings, progress: ProgressCallback) -> StereoMotion:
-    """Track the images of one stereo pair and fit the rigid motion of its body."""
-    with tracked_pairs((images,), settings) as motions:
-        (found,) = motions(progress)
-    if isinstance(found, RejectedPair):
-        raise found.error
-    return found
-
-
-def body_inputs(images: PreparedImages, settings: Settings, lines: int | None = None) -> BodyInputs:
-    """Return the inputs of `photogram.measure` for a stereo pair: images, rig, pose, and settings.
-
-    With so many `lines`, and if points are not saved, a part of the frames is enough for deformation and the test of
-    the calibration.
-    """
-    from photogram.subsets.icgn import TrackSettings
-    from photogram.subsets.texture import radius_from_image_px
-
-    radius = settings.subset_radius_px or radius_from_image_px(images.first)
-    entry, frames = images.entry, None
-    if lines is not None and not settings.save_points and not any(images.sight.pair.row_time):
-        frames = max(MIN_SUBSET_FRAMES, len(images.left) // SPARED, TIMES_UNKNOWNS * (2 * lines + 1))
-    options = TrackSettings(radius, degree=settings.spline_degree, region=entry.region, mask=entry.mask, frames=frames)
-    return images.cameras, images.rig, sensor_from_camera(images.sight.pair), options
 
 
 def motion_from_tracks(images: PreparedImages, body: BodyMotion) -> StereoMotion:
@@ -484,10 +380,7 @@ def measure_points(manifest: Manifest, base: TimeBase, entry: PointFiles) -> Ste
 
 
 def read_rig(stereo: Stereo, sequences: Sequence[ImageSequence]) -> Rig:
-    """Read a stereo pair's calibration.
-
-    Raises `InputError` for another file, or for images of another size.
-    """
+    """Read a stereo pair's calibration; raise `InputError` for another file or image size."""
     path = stereo.calibration
     if path is None:
         raise ComputeError(NO_INSTRUMENT, quantity="a motion", reason=": a stereo pair has no calibration")
@@ -502,10 +395,7 @@ def read_rig(stereo: Stereo, sequences: Sequence[ImageSequence]) -> Rig:
 
 
 def _before_surface(stereo: Stereo, calibration: Path, surface: SurfacePlane) -> FaceCamera:
-    """Return the camera of a file before its stated surface.
-
-    With both uncertainties.
-    """
+    """Return the camera of a file before its stated surface, with both uncertainties."""
     camera, of_camera = read_camera(calibration)
     stated = np.square([surface.distance_uncertainty, surface.tilt_uncertainty, surface.tilt_uncertainty])
     covariance = np.pad(of_camera, (0, len(stated)))

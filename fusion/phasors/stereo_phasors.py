@@ -37,12 +37,7 @@ from photogram.images.sequence import GreyImage
 from photogram.motion import Deformation, RigidMotion
 from shaker.labels import MOTION_COMPONENTS, component_units
 from shaker.lines.frequencies import LineFrequencies
-from shaker.sine.aliasing import (
-    alias_frequency,
-    exposure_gain,
-    nearest_clear_rate,
-    sine_columns,
-)
+from shaker.sine.aliasing import alias_frequency, exposure_gain, nearest_clear_rate, sine_columns
 from shaker.sine.normal_equations import sine_amplitudes
 from shaker.sine.phasor import Phasors
 from shaker.sine.sine_fit import Stationarity, stationarity
@@ -203,6 +198,8 @@ def stereo_phasors(
     of_phasors = [*(n for n in fit.notices if n.severity == "warning"), *notices, *(shapes.notices() if shapes else ())]
     of_phasors += _short_notices(lines, usable, sight.time_s, reading)
     of_phasors += _jitter_notices(base, sight, lines, usable, reading)
+    steady_pose = from_mean.pose.copy()
+    steady_pose[fit.spikes] = np.nan
     result = StereoResult(
         name=name,
         body=sight.pair.body,
@@ -218,17 +215,10 @@ def stereo_phasors(
         reprojection_px=measured.reprojection_px,
         surface=measured.deformation,
         deflection=_deflection(measured, frequency_hz),
-        stationarity=stationarity(time_s, _without_spikes(from_mean, fit), frequency_hz, MOTION_COMPONENTS),
+        stationarity=stationarity(time_s, steady_pose, frequency_hz, MOTION_COMPONENTS),
     )
     result = result if view is None else _with_view(replace(result, shapes=shapes), view)
     return StereoPhasors(result, reading, _named(measured, of_phasors))
-
-
-def _without_spikes(motion: RigidMotion, fit: SineFit) -> FloatArray:
-    """Return the poses (F, 6), NaN at rejected frames."""
-    pose = motion.pose.copy()
-    pose[fit.spikes] = np.nan
-    return pose
 
 
 def _named(measured: StereoMotion, of_phasors: Sequence[Notice]) -> tuple[Notice, ...]:
@@ -239,10 +229,7 @@ def _named(measured: StereoMotion, of_phasors: Sequence[Notice]) -> tuple[Notice
 
 
 def _row_time_error(measured: StereoMotion, phasors: Phasors) -> list[FittedError]:
-    """Return the effect of one standard uncertainty u of the row time.
-
-    Rows are later by u times their number.
-    """
+    """Return the effect of one standard uncertainty of the row time, growing with rows."""
     rotated, pair = None if measured.view is None else measured.view.phase_rotated, measured.sight.pair
     if rotated is None or pair.row_time_uncertainty == 0.0:
         return []
@@ -253,10 +240,7 @@ def _row_time_error(measured: StereoMotion, phasors: Phasors) -> list[FittedErro
 
 
 def _deflection(measured: StereoMotion, frequency_hz: FloatArray) -> DeflectionShape | None:
-    """Return the deformation of the points at the lines, None for a single camera.
-
-    For a rolling shutter, corrected by the delays of the rows.
-    """
+    """Return the deformation of the points at the lines, None for a single camera."""
     if measured.view is not None and isinstance(measured.view.rig, FaceCamera):
         return None
     length_s = measured.sight.exposure.length_s
@@ -305,10 +289,7 @@ def _left_out(
 def _short_notices(
     lines: LineFrequencies, usable: NDArray[np.bool_], time_s: FloatArray, reading: StereoReading
 ) -> list[Notice]:
-    """Return warnings of driven lines with less than a beat in the record.
-
-    If the effect exceeds the noise.
-    """
+    """Return warnings of driven lines that less than a beat makes uncertain beyond noise."""
     fitted = [error for error in reading.errors if isinstance(error, FittedError)]
     interval_s = float(time_s[-1] - time_s[0]) / (len(time_s) - 1)
     rate_hz, notices = 1.0 / interval_s, []

@@ -104,16 +104,12 @@ def combine_timing_errors(errors: Iterable[TimingError]) -> tuple[TimingError, .
     merged: dict[str, TimingError] = {}
     for error in errors:
         earlier = merged.get(error.name)
-        merged[error.name] = (
-            error
-            if earlier is None
-            else replace(
-                earlier,
-                offset_s=earlier.offset_s + error.offset_s,
-                rate=earlier.rate + error.rate,
-                frequency_error=np.asarray(earlier.frequency_error + error.frequency_error),
-            )
-        )
+        if earlier is None:
+            merged[error.name] = error
+        else:
+            offset_s, rate = earlier.offset_s + error.offset_s, earlier.rate + error.rate
+            frequency_error = np.asarray(earlier.frequency_error + error.frequency_error)
+            merged[error.name] = replace(earlier, offset_s=offset_s, rate=rate, frequency_error=frequency_error)
     return tuple(merged.values())
 
 
@@ -291,10 +287,7 @@ class TimeBase:
         return [name for daq, name in self.triggers if daq == first and (second, name) in self.triggers]
 
     def pulse_widths(self) -> dict[tuple[str, str], PulseWidth]:
-        """Return the pulse width per block and trigger channel, where both edges are resolved.
-
-        The records store the widths.
-        """
+        """Return the pulse width per block and trigger where both edges are resolved."""
         widths = {}
         for daq, name in self.triggers:
             with suppress(ValueError):
@@ -356,10 +349,7 @@ def _offset_rate_errors(
 
 
 def tie_daqs(manifest: Manifest, records: Sequence[DaqRecord]) -> TimeBase:
-    """Find the trigger edges of all blocks and tie their clocks.
-
-    Every clock is tied to the first one by a shared trigger.
-    """
+    """Find all trigger edges, and tie every clock to the first by a shared trigger."""
     base, *others = records
     first = base.entry.name
     triggers: dict[tuple[str, str], TriggerFit] = {}
@@ -470,7 +460,9 @@ def frame_edges(
             found = " and ".join(f"{name}: {_describe_numbers(one)}" for name, one in cameras.items())
             expected = "the same numbers of frames in both cameras"
             raise InputError(IMAGES_REFUSED, manifest.path, f"{key}.{other}", found=found, expected=expected)
-        if numbers is not None and first.exact and numbers.exact and 0 < _start_difference(first, numbers) < frames:
+        if numbers is None or not (first.exact and numbers.exact):
+            continue
+        if 0 < abs(int(numbers.first) - int(first.first)) // first.step < frames:
             notices.append(
                 Notice(
                     FRAME_NUMBERS_SHIFTED,
@@ -515,11 +507,6 @@ def _describe_numbers(numbers: FrameNumbers | None) -> str:
         return "no numbers that show gaps"
     by = f" by {numbers.step}" if numbers.step > 1 else ""
     return f"{numbers.first} to {numbers.last}{by}, " + (f"missing {numbers.missing}" if numbers.missing else "no gap")
-
-
-def _start_difference(one: FrameNumbers, other: FrameNumbers) -> int:
-    """Return the distance between the first numbers of two series, in steps."""
-    return abs(int(other.first) - int(one.first)) // one.step
 
 
 def _exposure_key(manifest: Manifest, entry: Frames, stated: float | str) -> tuple[Path, str]:

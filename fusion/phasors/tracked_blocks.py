@@ -1,4 +1,4 @@
-"""Blocks of tracked frames on disk: low memory, and continuation of interrupted runs.
+"""Stereo pairs tracked block by block: low memory, and continuation of interrupted runs.
 
 Functions that track import numba; others do not.
 """
@@ -10,23 +10,42 @@ import io
 import weakref
 import zipfile
 import zlib
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import fields
+from functools import partial
 from tempfile import SpooledTemporaryFile
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 
-from fusion.base import CheckpointStore
-from fusion.errors import ComputeError
+from fusion.base import CheckpointStore, Executor, Pending, ProgressCallback, Settings, Threads
+from fusion.errors import ComputeError, InputError, as_input_error
 from fusion.phasors.phasor_notices import STORAGE_FULL
+from fusion.phasors.stereo_motion import (
+    PreparedImages,
+    RejectedPair,
+    StereoMotion,
+    motion_from_tracks,
+    sensor_from_camera,
+)
+from fusion.recording.manifest import MINIMUM_FRAMES
+from photogram.camera import Rig
 from photogram.geometry import RigidTransform
 
 if TYPE_CHECKING:
-    from fusion.phasors.stereo_motion import PreparedImages
+    from photogram.images.sequence import ImageSequence
     from photogram.measure.follow import BodyScene, FollowedBlock
+    from photogram.subsets.icgn import TrackSettings
+    from shaker.lines.frequencies import LineFrequencies
+
+    BodyInputs = tuple[tuple[ImageSequence, ...], Rig, RigidTransform, TrackSettings]
+
+T = TypeVar("T")
 
 MEMORY_BYTES = 1 << 26
+MIN_SUBSET_FRAMES, SPARED, TIMES_UNKNOWNS = 24, 8, 2
+"""Fewest frames with subsets: number, inverse share of all, and multiple of the unknowns of the lines (chosen)."""
 
 
 def track_block(scene: BodyScene, frames: range, device: str) -> FollowedBlock:  # a task, so of this module
@@ -183,3 +202,138 @@ def unpack_block(content: bytes, frames: int) -> FollowedBlock | None:
     except (ValueError, KeyError, IndexError, EOFError, zipfile.BadZipFile):
         return None
     return tuple(zip(found, fits, strict=True))
+
+
+# Stereo pairs tracked side by side, by threads of this process or by processes of an executor.
+
+Motions = Callable[[ProgressCallback], tuple[StereoMotion | RejectedPair, ...]]
+
+
+@contextmanager
+def tracked_pairs(
+    images: Sequence[PreparedImages],
+    settings: Settings,
+    executor: Executor | None = None,
+    checkpoints: CheckpointStore | None = None,
+    lines: LineFrequencies | None = None,
+) -> Iterator[Motions]:
+    """Start tracking the images of stereo pairs; yield a function that returns their motions.
+
+    The function returns the rigid motion of the body of each pair, or the reason why there is none. The caller may
+    continue with other work before.
+
+    Subsets are tracked in enough frames to resolve the `lines`, in all frames without lines. Files that cannot be read
+    are refused. An executor opens the images by the same paths; without one, threads of this process track them.
+    Results are identical to the last bit. Blocks of frames in `checkpoints` are not tracked again.
+    """
+    from photogram.kernels.device import resolve_device
+
+    on_gpu = executor is None and resolve_device(settings.device) != "cpu"
+    with Threads(
+        max(1, len(images)) if on_gpu else None
+    ) as threads:  # a GPU processes one block of each body at a time
+        crew = threads if executor is None else executor
+        prepared = [crew.submit(0, _prepared, item, settings, lines) for item in images]
+
+        def motions(progress: ProgressCallback) -> tuple[StereoMotion | RejectedPair, ...]:
+            begun = list[tuple[PreparedImages, TrackedBlocks | RejectedPair, dict[range, Pending]]]()
+            moved = list[RejectedPair | Pending]()
+            for item, pending in zip(images, prepared, strict=True):
+                scene: BodyScene | RejectedPair = _attempted(item, partial(_answer, item, pending))
+                if isinstance(scene, RejectedPair):
+                    begun.append((item, scene, {}))
+                    continue
+                followed = TrackedBlocks(item, scene, settings.device, checkpoints)
+                shares = followed.missing()
+                submitted = {share: crew.submit(1, track_block, pending, share, settings.device) for share in shares}
+                begun.append((item, followed, submitted))
+            for item, followed, submitted in begun:  # so that no block waits in memory for the motion of another pair
+                if isinstance(followed, RejectedPair):
+                    moved.append(followed)
+                    continue
+                stage, total = f"track {item.sight.name}", 2 * len(item.left)
+                for frames in followed.scene.blocks:
+                    progress(stage, 2 * frames.start, total)
+                    if frames in submitted:
+                        followed.add(frames, _answer(item, submitted.pop(frames)))
+                progress(stage, total, total)
+                moved.append(threads.submit(2, _moved, item, followed))
+            return tuple(
+                pending if isinstance(pending, RejectedPair) else _attempted(item, partial(_answer, item, pending))
+                for item, pending in zip(images, moved, strict=True)
+            )
+
+        yield motions
+
+
+def _attempted(images: PreparedImages, act: Callable[[], T]) -> T | RejectedPair:
+    """Return the result of an action on a pair, rejected if its body is lost."""
+    from photogram.subsets.find import BodyNotFound
+
+    try:
+        return act()
+    except InputError as error:
+        if not isinstance(error.__cause__, BodyNotFound):
+            raise
+        return RejectedPair(images.sight.name, error)
+
+
+def _moved(images: PreparedImages, followed: TrackedBlocks) -> StereoMotion:
+    from photogram.measure.body import body_motion
+
+    with as_input_error(*images.sight.where):
+        body = body_motion(followed.scene, followed)
+    return motion_from_tracks(images, body)
+
+
+def _answer(images: PreparedImages, pending: Pending) -> Any:
+    """Return the result of a task on some images; raise its refusal as wrong input."""
+    answer = pending.result()
+    with as_input_error(*images.sight.where):
+        return answer.unwrap()
+
+
+def _prepared(
+    images: PreparedImages, settings: Settings, lines: LineFrequencies | None
+) -> BodyScene:  # a task, so of this module
+    from photogram.kernels.device import resolve_device
+    from photogram.measure.follow import BodyPrior, prepare_body, sine_terms
+    from photogram.subsets.find import BodyNotFound
+
+    left = int(np.count_nonzero(~images.copied))
+    if left < MINIMUM_FRAMES:
+        why = f"{left} of {len(images.copied)}, since the others are copies of earlier frames, grey value by grey value"
+        raise BodyNotFound(f"expected at least {MINIMUM_FRAMES} different frames, found {why}")
+    inputs, terms = body_inputs(images, settings, None if lines is None else len(lines.frequency_hz)), None
+    if lines is not None:
+        strongest = np.argsort(lines.multiple, kind="stable")  # mostly
+        terms = sine_terms(images.sight.time_s, lines.frequency_hz[strongest])
+    rolls = any(images.sight.pair.row_time)
+    prior = BodyPrior(images.depth_m, images.modes, rolls, terms, images.copied if images.copied.any() else None)
+    return prepare_body(*inputs, resolve_device(settings.device), prior=prior)
+
+
+def measure_images(images: PreparedImages, settings: Settings, progress: ProgressCallback) -> StereoMotion:
+    """Track the images of one stereo pair and fit the rigid motion of its body."""
+    with tracked_pairs((images,), settings) as motions:
+        (found,) = motions(progress)
+    if isinstance(found, RejectedPair):
+        raise found.error
+    return found
+
+
+def body_inputs(images: PreparedImages, settings: Settings, lines: int | None = None) -> BodyInputs:
+    """Return the inputs of `photogram.measure` for a stereo pair: images, rig, pose, and settings.
+
+    With so many `lines`, and if points are not saved, a part of the frames is enough for deformation and the test of
+    the calibration.
+    """
+    from photogram.subsets.icgn import TrackSettings
+    from photogram.subsets.texture import radius_from_image_px
+
+    radius = settings.subset_radius_px or radius_from_image_px(images.first)
+    entry, frames = images.entry, None
+    if lines is not None and not settings.save_points and not any(images.sight.pair.row_time):
+        frames = max(MIN_SUBSET_FRAMES, len(images.left) // SPARED, TIMES_UNKNOWNS * (2 * lines + 1))
+    options = TrackSettings(radius, degree=settings.spline_degree, region=entry.region, mask=entry.mask, frames=frames)
+    return images.cameras, images.rig, sensor_from_camera(images.sight.pair), options

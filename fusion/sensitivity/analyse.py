@@ -118,10 +118,7 @@ def elastic_rows(observations: Sequence[Observation], parts: Sequence[ElasticPar
 
 
 def _stretched(observation: Observation, parts: Sequence[ElasticPart], seen: BoolArray) -> Observation:
-    """Return one instrument on the elastic load.
-
-    `seen` (K, 6): components that any instrument observes.
-    """
+    """Return one instrument on the elastic load; `seen` (K, 6): components that any instrument observes."""
     frequency, rigid, inner = observation.phasors.frequency_hz, observation.design, observation.geometry
     positions = _positions(observation)
     stretch = _stretch(parts, frequency, positions, rigid.shape[1])
@@ -197,10 +194,7 @@ def _shifted_positions(
 
 
 def _positions(observation: Observation) -> list[InstrumentPosition]:
-    """Return the positions of an instrument on the load.
-
-    Those of its channels, or for a stereo pair the mean of its points.
-    """
+    """Return the positions of an instrument's channels, or of a pair's face."""
     seen = observation.geometry
     if isinstance(seen, ChannelGeometry):
         missing = [entry.name for entry in seen.entries if entry.point is None]
@@ -443,10 +437,7 @@ def _element_notices(
 
 
 def _far_from_static(outputs: Outputs, load: LoadResult, sensor: Sensor, component: int) -> Iterator[Notice]:
-    """Yield a warning if an output is far from the driven load's prediction.
-
-    For sensors without enough of the matrix for `contradicting_outputs`.
-    """
+    """Yield a warning of an output far from its static value, without a whole matrix."""
     if sensor.static_sensitivity is None:
         return
     main = main_output(sensor, component, outputs.phasors.channels)
@@ -475,10 +466,7 @@ def _far_from_static(outputs: Outputs, load: LoadResult, sensor: Sensor, compone
 
 
 def main_output(sensor: Sensor, component: int, recorded: Sequence[str] | None = None) -> str | None:
-    """Return the output that belongs to a load, or None.
-
-    By the static matrix or its name. `recorded`: outputs to choose from, by default all of the sensor.
-    """
+    """Return the recorded output that belongs to a load by matrix or name, or None."""
     names = [name for name in sensor.channels if recorded is None or name in recorded]
     if sensor.static_sensitivity is not None:
         size = {name: abs(row[component]) for name, row in zip(sensor.channels, sensor.static_sensitivity, strict=True)}

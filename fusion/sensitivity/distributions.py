@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from fusion.estimation.coverage import COVERAGE
-from shakercal._common.arrays import BoolArray, ComplexArray, FloatArray, IntArray, check_shapes
+from shakercal._common.arrays import Arrays, BoolArray, ComplexArray, FloatArray, IntArray
 from shakercal._common.notices import Notice
 
 DIGITS = 2
@@ -80,7 +80,7 @@ class RealSpread:
 
 
 @dataclass(frozen=True)
-class FirstOrder:
+class FirstOrder(Arrays):
     """Q complex quantities at L lines with their first-order uncertainty.
 
     `elements`, `unit` (Q names). `value` (L, Q), NaN where a line does not determine a quantity. `first_covariance` (L,
@@ -113,7 +113,11 @@ class FirstOrder:
 
 
 @dataclass(frozen=True)
-class Propagated(FirstOrder):
+class Propagated(
+    FirstOrder,
+    shapes="frequency_hz L; elements Q; unit Q; value L Q; mean L Q; factor L Q; first_holds L Q; k_polar 2 L Q; "
+    "first_covariance L Q 2 2; first_region L Q 2 2; covariance L Q 2 2",
+):
     """Q complex quantities at L lines by N Monte Carlo draws.
 
     `mean` (L, Q), `covariance` (L, Q, 2, 2) of the draws. `factor` (L, Q): the ellipse (z - mean)ᵀ·covariance⁻¹·(z -
@@ -127,14 +131,6 @@ class Propagated(FirstOrder):
     first_holds: FloatArray
     magnitude: RealSpread
     phase: RealSpread
-
-    def __post_init__(self) -> None:
-        shape = (len(self.frequency_hz), len(self.elements))
-        check_shapes(self, shape, "value", "mean", "factor", "first_holds")
-        check_shapes(self, (*shape, 2, 2), "first_covariance", "first_region", "covariance")
-        check_shapes(self, (2, *shape), "k_polar")
-        if len(self.unit) != shape[1]:
-            raise ValueError(f"unit: expected {shape[1]} units, one per element, found {len(self.unit)}")
 
     @property
     def weak(self) -> BoolArray:
@@ -205,10 +201,7 @@ def summarise(first: FirstOrder, draws: ComplexArray) -> Propagated:
 
 
 def _distance(difference: ComplexArray, covariance: FloatArray) -> FloatArray:
-    """Return squared Mahalanobis distances (N, L, Q).
-
-    For a covariance without an inverse, along the directions that it has.
-    """
+    """Return squared Mahalanobis distances (N, L, Q); of singular covariances along their directions."""
     inverse = np.full(covariance.shape, np.nan)
     finite = np.isfinite(covariance).all(axis=(-1, -2))
     inverse[finite] = np.linalg.pinv(covariance[finite], hermitian=True)

@@ -22,10 +22,7 @@ ONLY_NAMED = 1.0 / np.sqrt(3.0)
 
 
 def response(frequency_hz: FloatArray, natural_hz: FloatArray, damping: FloatArray | float) -> ComplexArray:
-    """Return the motion (K, N) of modes over that of their foot.
-
-    G = r²/(1 - r² + 2jζr).
-    """
+    """Return the motion of modes over their foot's, G = r²/(1 - r² + 2jζr)."""
     r = frequency_hz[:, None] / natural_hz
     return np.asarray(r * r / (1.0 - r * r + 2j * damping * r))
 
@@ -35,10 +32,7 @@ def response(frequency_hz: FloatArray, natural_hz: FloatArray, damping: FloatArr
 
 @dataclass(frozen=True)
 class InstrumentPosition:
-    """Position of an instrument on the load.
-
-    `name` of its channel or stereo pair, `point_m` (3,).
-    """
+    """Position `point_m` (3,) on the load of a channel or stereo pair by its `name`."""
 
     name: str
     point_m: FloatArray
@@ -90,10 +84,7 @@ class NaturalModes:
         return moved
 
     def wrench(self, frequency_hz: FloatArray) -> ComplexArray:
-        """Return matrices (K, 6, 6) from the acceleration of the foot to the elastic load.
-
-        The elastic load adds to that of the rigid body.
-        """
+        """Return matrices (K, 6, 6) from the foot's acceleration to the elastic load."""
         moved = self.moved(frequency_hz)
         return np.asarray(np.einsum("kn,ni,nj->kij", moved, self.participation, self.participation))
 
@@ -152,10 +143,7 @@ class ElasticPart:
     mass_kg: float | None = None
 
     def act(self, quantity: ModalQuantity) -> ComplexArray:
-        """Return the correction of a quantity for the modes.
-
-        Zero for a part that is only named.
-        """
+        """Return the correction of a quantity, zero for a part only named."""
         whole = quantity(self.modes)
         return whole if self.variants else np.zeros_like(whole)
 
@@ -328,10 +316,7 @@ class Plate:
 
     @property
     def _rim(self) -> tuple[float, float]:
-        """Radius of the clamp, and the logarithm of the rim's radius over it.
-
-        The unit of s.
-        """
+        """Radius of the clamp, and the logarithm of the rim's radius over it."""
         return self.clamped_diameter_m / 2.0, float(np.log(self.diameter_m / self.clamped_diameter_m))
 
     def families(self) -> dict[str, NaturalModes]:

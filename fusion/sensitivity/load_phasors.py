@@ -99,10 +99,7 @@ class LoadResult(TabularResult):
 
     @cached_property
     def phasors(self) -> Phasors:
-        """Return the components that are results, NaN elsewhere.
-
-        `dof`: of the largest force of each line.
-        """
+        """Return the components that are results, NaN elsewhere, `dof` of the largest force."""
         mask = ~np.tile(self.observed, (1, 2))
         covariance = np.where(mask[:, :, None] | mask[:, None, :], np.nan, self.uncertainty.covariance)
         value = np.where(self.observed, self.value, complex(np.nan, np.nan))
@@ -111,17 +108,9 @@ class LoadResult(TabularResult):
         dof = self.uncertainty.dof()[np.arange(len(value)), largest]
         return Phasors(self.frequency_hz, value, covariance, LOAD_COMPONENTS, LOAD_UNITS, dof)
 
-    @property
-    def contributions(self) -> tuple[Contribution, ...]:
-        """Return the budget, one contribution per label; they add up to the covariance of `value`."""
-        return self.uncertainty.grouped()
-
     @cached_property
     def polar(self) -> list[list[Polar | None]]:
-        """Return the components (K lines of 6) as magnitude and phase.
-
-        None where one is not a result.
-        """
+        """Return magnitude and phase (K lines of 6), None where one is not a result."""
         return polar_elements(self.phasors.value, self.uncertainty, self.phasors.covariance)
 
 

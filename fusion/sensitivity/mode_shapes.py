@@ -1,45 +1,138 @@
-"""Modes of a load in images: their shapes, and responses by their amplitudes."""
+"""Modes of an elastic load as rig.toml states them, and their shapes in images."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from scipy.special import chdtrc
 
-from fusion.errors import as_input_error
-from fusion.estimation.uncertainty import as_complex, real_stack
+from fusion.errors import ComputeError, as_input_error
+from fusion.estimation.uncertainty import Scope
 from fusion.recording.placement import perpendicular_axes
-from fusion.sensitivity.elastic import (
-    ElasticPart,
-    InstrumentPosition,
-    MeasuredModes,
-    NaturalModes,
-    Rod,
-    Variant,
-    response,
-)
-from fusion.sensitivity.moving_body import Body, elastic_body, stated_modes
-from fusion.sensitivity.sensitivity_notices import MODES_CONTRADICT
-from photogram.camera import principal_components
+from fusion.sensitivity.elastic import ElasticPart, InstrumentPosition, NaturalModes, Plate, Rod, Variant, join_modes
+from fusion.sensitivity.sensitivity_notices import POSITION_UNSTATED
 from shaker.io.text import read_table_columns
-from shaker.sine.phasor import real_stacked_diagonal
-from shakercal._common.arrays import BoolArray, ComplexArray, FloatArray, IntArray
-from shakercal._common.notices import Notice
+from shakercal._common.arrays import FloatArray
 
 if TYPE_CHECKING:
-    from fusion.phasors.stereo_phasors import StereoResult
-    from fusion.recording.rig import Elastic, RigLoad
+    from fusion.recording.rig import Elastic, ElasticMode, RigLoad
 
-CONTRADICTED = 0.01
-"""Chance below which a response is not the stated one."""
-NOT_DRIVEN = 1e-6  # share of the largest drive below which a mode is not driven
 NEIGHBOURS = 30  # points of a surface used for interpolation
 COLUMNS = ("x", "y", "z", "ux", "uy", "uz")
+
+
+# What rig.toml states of an elastic load as modes with their unknowns.
+
+
+UNCERTAIN: Mapping[str, tuple[str, Scope]] = {
+    "young_modulus": ("Pa", "rig"),
+    "density": ("kg/m^3", "rig"),
+    "poisson_ratio": ("1", "rig"),
+    "length": ("m", "rig"),
+    "diameter": ("m", "rig"),
+    "inner_diameter": ("m", "rig"),
+    "thickness": ("m", "rig"),
+    "clamped_diameter": ("m", "rig"),
+    "tip_mass": ("kg", "rig"),
+    "axial_frequency": ("Hz", "mounting"),
+    "bending_frequency": ("Hz", "mounting"),
+    "damping": ("1", "mounting"),
+    "frequencies": ("1", "rig"),
+    "participation": ("1", "rig"),
+}
+"""Keys of `[[load.elastic]]` with an uncertainty, its unit and its scope."""
+FACTORS = ("frequencies", "participation")
+"""Of all modes together: 1, with a relative uncertainty."""
+
+
+def elastic_part(table: Elastic) -> ElasticPart:
+    """Return the modes of a block `[[load.elastic]]`, and their changes by its uncertain numbers."""
+    title, variants = f"elastic {table.name}", []
+
+    def add(
+        what: str, stated: float, u: float, unit: str, scope: Scope, changed: Callable[[float], NaturalModes]
+    ) -> None:
+        if u > 0.0:
+            name, label = f"{title}: {what} {stated:.9g}", f"{title}: {what}"
+            variants.append(Variant(name, label, u, unit, scope, changed(stated + u), changed(stated - u)))
+
+    for key, (unit, scope) in UNCERTAIN.items():
+        stated, u = 1.0 if key in FACTORS else getattr(table, key), getattr(table, f"{key}_uncertainty")
+
+        def other(value: float, key: str = key) -> NaturalModes:
+            return stated_modes(table, {key: value})
+
+        if stated is not None:
+            add(key.replace("_", " "), stated, u, unit, scope, other)
+    for index, mode in enumerate(table.mode):
+
+        def shifted(frequency: float, index: int = index, mode: ElasticMode = mode) -> NaturalModes:
+            moved = mode.model_copy(update={"frequency": frequency})
+            return stated_modes(table, {"mode": (*table.mode[:index], moved, *table.mode[index + 1 :])})
+
+        add("frequency", mode.frequency, mode.frequency_uncertainty, "Hz", "rig", shifted)
+    mass = None if table.shape == "modes" else elastic_body(table).mass_kg
+    return ElasticPart(table.name, stated_modes(table, {}), tuple(variants), mass)
+
+
+def elastic_body(table: Elastic) -> Rod | Plate:
+    """Return the rod or plate of a block."""
+    foot, axis = np.array(table.foot), np.array(table.axis or (0.0, 0.0, 1.0))
+    material = table.young_modulus or 0.0, table.density or 0.0, table.poisson_ratio
+    across_it = table.diameter or 0.0
+    if table.shape == "rod":
+        return Rod(foot, axis, table.length or 0.0, across_it, table.inner_diameter, *material, table.tip_mass)
+    return Plate(foot, axis, table.thickness or 0.0, across_it, table.clamped_diameter or 0.0, *material)
+
+
+def stated_modes(table: Elastic, change: Mapping[str, Any]) -> NaturalModes:
+    """Return the modes of a block with some values changed."""
+    table = table.model_copy(update={key: value for key, value in change.items() if key not in FACTORS})
+    if table.shape == "modes":
+        modes = _tabled(table)
+    else:
+        families = elastic_body(table).families()
+        for kind, tapped in (("axial", table.axial_frequency), ("bending", table.bending_frequency)):
+            if tapped is not None:
+                natural = families[kind].frequency_hz
+                families[kind] = replace(families[kind], frequency_hz=natural * (tapped / natural.min()))
+        modes = join_modes(list(families.values()))
+        modes = replace(modes, damping=np.full(len(modes.damping), table.damping))
+    return replace(
+        modes,
+        frequency_hz=modes.frequency_hz * change.get("frequencies", 1.0),
+        participation=modes.participation * change.get("participation", 1.0),
+    )
+
+
+def _tabled(table: Elastic) -> NaturalModes:
+    """Return the modes of a finite element program, with a modal mass of 1."""
+    root = np.sqrt([mode.modal_mass for mode in table.mode])
+
+    def motion(position: InstrumentPosition) -> FloatArray:
+        # A channel of a later set-up is named by that, too.
+        names = [
+            name for name in (position.name, position.name.rpartition(": ")[2]) if name in table.mode[0].displacement
+        ]
+        if not names:
+            key = f"load.elastic.mode.displacement of {table.name}"
+            raise ComputeError(POSITION_UNSTATED, instrument=position.name, key=key)
+        rows = [mode.displacement[names[0]] for mode in table.mode]
+        return np.array([[*row, *[0.0] * (6 - len(row))] for row in rows]) / root[:, None]
+
+    return NaturalModes(
+        np.array([mode.frequency for mode in table.mode]),
+        np.array([table.damping if mode.damping is None else mode.damping for mode in table.mode]),
+        np.array([mode.participation for mode in table.mode]) / root[:, None],
+        motion,
+    )
+
+
+# Their shapes, as stereo pairs measure them.
 
 
 @dataclass(frozen=True)
@@ -52,10 +145,7 @@ class _Chosen:
 
     @classmethod
     def of(cls, table: Elastic) -> _Chosen:
-        """Choose the measurable modes of a table or a drawing.
-
-        Of a table those with a surface, of a drawing the first along and across its axis.
-        """
+        """Choose a table's modes with a surface, or a drawing's first ones."""
         if table.shape == "modes":
             numbers = [number for number, mode in enumerate(table.mode) if mode.surface is not None]
             return cls(table, tuple(numbers), tuple(f"mode {number + 1}" for number in numbers))
@@ -99,10 +189,7 @@ class _Chosen:
 
     @cached_property
     def size(self) -> FloatArray:
-        """Largest displacement (M,) per unit of each mode.
-
-        In the table, or along a drawing.
-        """
+        """Largest displacement (M,) per unit of each mode, in the table or along a drawing."""
         if self.table.shape == "modes":
             return np.array([np.linalg.norm(rows[:, 3:], axis=1).max() for _, rows in self.surfaces])
         shape = elastic_body(self.table)
@@ -146,10 +233,7 @@ class ModeShapes:
         return tuple(f"{part.table.name}: {label}" for part in self.parts for label in part.labels)
 
     def __call__(self, points_m: FloatArray) -> FloatArray:
-        """Return the displacement (S, N, 3) of points per 1 m of each mode.
-
-        `points_m` (N, 3).
-        """
+        """Return the displacement (S, N, 3) of points per 1 m of each mode."""
         return np.concatenate([part.displacement(points_m) / part.size[:, None, None] for part in self.parts])
 
 
@@ -158,143 +242,3 @@ def mode_shapes(load: RigLoad | None, pair: str) -> ModeShapes | None:
     tables = () if load is None else load.elastic
     parts = tuple(_Chosen.of(table) for table in tables if pair.rpartition(": ")[2] in table.measured_by)
     return ModeShapes(parts) if parts else None
-
-
-# Responses of modes by measured amplitudes, as the mean with the stated ones.
-
-
-@dataclass(frozen=True)
-class _ObservedModes:
-    """Measurement of the load and its modes by one stereo pair.
-
-    At its U resolved lines. `foot` (U, 6): acceleration of the load's foot. `modal` (U, S): amplitudes of the modes in
-    m/s², with `covariance` (U, 2S, 2S) of all real and imaginary parts. `share` (6, S).
-    """
-
-    pair: StereoResult
-    foot: ComplexArray
-    modal: ComplexArray
-    covariance: FloatArray
-    share: FloatArray
-
-    @classmethod
-    def of(cls, pair: StereoResult, parts: Sequence[tuple[ElasticPart, IntArray]]) -> _ObservedModes:
-        """Return the measurement by `pair`.
-
-        `parts`: elastic parts of the load with the numbers of the modes that the pair measures.
-        """
-        assert pair.shapes is not None
-        frequency, shapes = pair.phasors.frequency_hz, pair.shapes
-        square = -((2.0 * np.pi * frequency[:, None]) ** 2)
-        rigid = square * pair.phasors.value
-        modal = square * shapes.phasors.value
-        others = np.zeros((len(frequency), 6, 6), np.complex128)
-        face_m = np.asarray(np.nanmean(next(iter(pair.surface or ())).reference_m, axis=0))
-        for part, which in parts:
-            participation = part.modes.participation.copy()
-            participation[which] = 0.0
-            others += replace(part.modes, participation=participation).stretch(
-                frequency, InstrumentPosition(pair.name, face_m)
-            )
-        moved = rigid - modal @ shapes.share.T
-        foot = np.linalg.solve(np.eye(6) + others, moved[..., None])[..., 0]
-        return cls(pair, np.asarray(foot), np.asarray(modal), square[..., None] ** 2 * shapes.covariance, shapes.share)
-
-
-def with_measured_modes(
-    body: Body | None, load: RigLoad | None, stereo: Sequence[StereoResult]
-) -> tuple[Body | None, tuple[Notice, ...]]:
-    """Return a load whose mode responses are means of measured and stated ones.
-
-    The response G = q̈/(Lᵀ·A) of a mode with participation L follows from its amplitude and the motion of the foot in
-    the same images, so that scale and clock of the pair cancel. Stated natural frequencies and damping are its prior,
-    if the part has any uncertainty. A response that contradicts the prior at 1 % replaces it.
-    """
-    if body is None:
-        return None, ()
-    parts, contradictions = {part.name: part for part in body.elastic}, list[Notice]()
-    for pair in stereo:
-        shapes = mode_shapes(load, pair.name) if pair.body == "load" else None
-        if shapes is None or pair.shapes is None or pair.shapes.phasors.channels != shapes.names:
-            continue
-        chosen = {part.table.name: np.array(part.which, dtype=np.int64) for part in shapes.parts}
-        none, start = np.zeros(0, np.int64), 0
-        seen = _ObservedModes.of(pair, [(part, chosen.get(name, none)) for name, part in parts.items()])
-        for one in shapes.parts:
-            columns = np.arange(start, start + len(one.which))
-            start += len(one.which)
-            name = one.table.name
-            size = one.size / np.sqrt([one.table.mode[n].modal_mass if one.table.mode else 1.0 for n in one.which])
-            parts[name], notices = _measured(parts[name], chosen[name], seen, columns, size)
-            contradictions += notices
-    return replace(body, elastic=tuple(parts.values())), tuple(contradictions)
-
-
-def _measured(
-    part: ElasticPart, which: IntArray, seen: _ObservedModes, columns: IntArray, size: FloatArray
-) -> tuple[ElasticPart, list[Notice]]:
-    """Return a part with the measured responses of some modes, and notices.
-
-    `size` (M,) in m for a unit of each.
-    """
-    pair, count, both = seen.pair, len(which), np.concatenate([columns, columns + seen.share.shape[1]])
-    drive = seen.foot @ part.modes.participation[which].T
-    driven = np.abs(drive) > NOT_DRIVEN * np.abs(drive).max(initial=1e-300)
-    scale = np.where(driven, 1.0 / (np.where(driven, drive, 1.0) * size), 0.0)
-    moved = seen.modal[:, columns] * scale
-    turn = real_stacked_diagonal(scale)
-    covariance = turn @ seen.covariance[:, both[:, None], both] @ turn.swapaxes(1, 2)
-    frequency = pair.phasors.frequency_hz
-    gain, contradicted = _gain(part, which, frequency, moved, covariance)
-    gain *= np.tile(driven, 2)[:, None, :]
-    lines = len(pair.usable)
-    whole, weight = np.zeros((lines, count), np.complex128), np.zeros((lines, 2 * count, 2 * count))
-    whole[pair.usable], weight[pair.usable] = moved, gain
-    measured = MeasuredModes(pair.name, which, whole, weight, (seen.share[:, columns] * size).T)
-
-    def carrying(modes: NaturalModes, change: ComplexArray | float = 0.0) -> NaturalModes:
-        return replace(modes, measured=(*modes.measured, replace(measured, response=whole + change)))
-
-    variants = [replace(v, above=carrying(v.above), below=carrying(v.below)) for v in part.variants]
-    label = f"elastic {part.name}: as stereo {pair.name} sees it"
-    for line, hertz, of_line in zip(np.flatnonzero(pair.usable), frequency, covariance, strict=True):
-        for number, step in enumerate(principal_components(of_line)):
-            change = np.zeros_like(whole)
-            change[line] = as_complex(step)
-            sides = carrying(part.modes, change), carrying(part.modes, -change)
-            variants.append(Variant(f"{label}, {hertz:.9g} Hz {number}", label, 1.0, "1", "recording", *sides))
-    found = replace(part, modes=carrying(part.modes), variants=tuple(variants))
-    return found, _contradictions(part, pair, contradicted)
-
-
-def _gain(
-    part: ElasticPart, which: IntArray, frequency_hz: FloatArray, found: ComplexArray, covariance: FloatArray
-) -> tuple[FloatArray, BoolArray]:
-    """Return the weight (U, 2M, 2M) of measured responses, and where they contradict.
-
-    P·(P + C)⁻¹ with the stated covariance P and the measured covariance C; 1 where measured responses (U, M) contradict
-    the stated ones.
-    """
-
-    def stated(modes: NaturalModes) -> FloatArray:
-        moved = response(frequency_hz, modes.frequency_hz, modes.damping)[:, which]
-        return real_stack(moved)
-
-    effects = np.stack([(stated(v.above) - stated(v.below)) / 2.0 for v in part.variants])
-    prior = np.einsum("vui,vuj->uij", effects, effects)
-    off = real_stack(found) - stated(part.modes)
-    inverse = np.linalg.pinv(prior + covariance, hermitian=True)
-    square = np.einsum("ui,uij,uj->u", off, inverse, off)
-    contradicted = np.asarray(chdtrc(float(off.shape[1]), square) < CONTRADICTED / len(off))
-    gain = prior @ inverse
-    gain[contradicted] = np.eye(off.shape[1])
-    return gain, contradicted
-
-
-def _contradictions(part: ElasticPart, pair: StereoResult, contradicted: BoolArray) -> list[Notice]:
-    """Return a warning for each line at which measured and stated responses contradict."""
-    frequency_hz = pair.phasors.frequency_hz[contradicted].tolist()
-    return [
-        Notice(MODES_CONTRADICT, f"{hertz:.6g} Hz", part=part.name, pair=pair.name, frequency_hz=hertz)
-        for hertz in frequency_hz
-    ]

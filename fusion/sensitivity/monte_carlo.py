@@ -9,7 +9,8 @@ import numpy as np
 
 from fusion.base import ProgressCallback, no_progress
 from fusion.errors import ComputeError
-from fusion.estimation.fuse import Acceleration, reject_gross_errors, solve_consistently
+from fusion.estimation.consistent_solution import solve_consistently
+from fusion.estimation.fuse import Acceleration
 from fusion.estimation.least_squares import UNOBSERVED, UNOBSERVED_ITSELF, FusionSolution, RowIndex
 from fusion.estimation.measurement_model import Deviates, DrawnReadings, Observation
 from fusion.estimation.uncertainty import Uncertainty, as_complex, element_covariances, real_stack
@@ -19,11 +20,7 @@ from fusion.sensitivity.analyse import Analysis, Inputs
 from fusion.sensitivity.distributions import FirstOrder, MonteCarlo, Propagated, judged, summarise
 from fusion.sensitivity.load_phasors import LoadResult
 from fusion.sensitivity.ratio import PriorMatrix, quotient
-from fusion.sensitivity.sensitivity_notices import (
-    DRAWS_NOT_CONVERGED,
-    FIRST_ORDER_TOO_LARGE,
-    FIRST_ORDER_TOO_SMALL,
-)
+from fusion.sensitivity.sensitivity_notices import DRAWS_NOT_CONVERGED, FIRST_ORDER_TOO_LARGE, FIRST_ORDER_TOO_SMALL
 from shaker.labels import LOAD_COMPONENTS, LOAD_UNITS, MOTION_COMPONENTS
 from shakercal._common.arrays import ComplexArray, FloatArray
 from shakercal._common.notices import Notice
@@ -139,11 +136,8 @@ class _Motion:
         further = np.zeros_like(value)
         for part in fused.uncertainty.random:
             if part.label not in drawn_labels:
-                dof = (
-                    np.full(len(part.covariance), np.inf)
-                    if part.dof is None
-                    else np.maximum(part.dof, MIN_DISCREPANCY_DOF)
-                )
+                dof = np.full(len(part.covariance), np.inf) if part.dof is None else part.dof
+                dof = np.maximum(dof, MIN_DISCREPANCY_DOF)
                 further += as_complex(deviates.noise(f"{part.label} of the {fused.body}", part.covariance, dof))
         for influence in fused.uncertainty.influences:
             if influence.name not in drawn_names:
@@ -156,10 +150,9 @@ def _motion(inputs: Inputs, fused: Acceleration) -> _Motion:
     """Return a fused acceleration with the instruments that it uses."""
     of_body = [(index, seen) for index, seen in enumerate(inputs.observations) if seen.body == fused.body]
     used = [(index, seen) for index, seen in of_body if seen.stated] or of_body
-    system, first, _ = reject_gross_errors([seen for _, seen in used], fused.unobserved_limits)
-    observations, solution = system.observations, solve_consistently(system, first, fused.scatter).final
-    noise = tuple(f"noise of instrument {index}" for index, _ in used)
-    return _Motion(fused, observations, noise, Estimator.of(observations, system.expand, solution))
+    solved = solve_consistently([seen for _, seen in used], fused.unobserved_limits, fused.scatter)
+    estimator = Estimator.of(solved.system.observations, solved.system.expand, solved.final)
+    return _Motion(fused, estimator.observations, tuple(f"noise of instrument {index}" for index, _ in used), estimator)
 
 
 def _draw(

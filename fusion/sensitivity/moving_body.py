@@ -2,36 +2,40 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from fusion.errors import ComputeError, InputError
-from fusion.estimation.uncertainty import Scope, Unknown
+from fusion.errors import InputError
+from fusion.estimation.uncertainty import Scope, Unknown, as_complex, real_stack
 from fusion.sensitivity.elastic import (
     ONLY_NAMED,
     ElasticPart,
     InstrumentPosition,
+    MeasuredModes,
     NaturalModes,
-    Plate,
-    Rod,
     Variant,
-    join_modes,
+    response,
 )
-from fusion.sensitivity.sensitivity_notices import LOAD_UNSTATED, POSITION_UNSTATED
+from fusion.sensitivity.mode_shapes import elastic_part, mode_shapes
+from fusion.sensitivity.sensitivity_notices import LOAD_UNSTATED, MODES_CONTRADICT
+from photogram.camera import principal_components
 from photogram.geometry import skew
 from shaker.identification.measured_curves import InertiaError
 from shaker.labels import MOTION_COMPONENTS
-from shakercal._common.arrays import ComplexArray, FloatArray, check_shapes
+from shaker.sine.phasor import real_stacked_diagonal
+from shakercal._common.arrays import BoolArray, ComplexArray, FloatArray, IntArray, check_shapes
+from shakercal._common.notices import Notice
 
 if TYPE_CHECKING:
     from fusion.estimation.measurement_model import Deviates
+    from fusion.phasors.stereo_phasors import StereoResult
     from fusion.recording.load import Manifest
-    from fusion.recording.rig import Elastic, ElasticMode, Rig, RigLoad
+    from fusion.recording.rig import Rig, RigLoad
     from fusion.recording.rig import RigPart as PartTable
 
 # The elastic joint: the load itself is rigid, and the fused motion is that of the load.
@@ -73,10 +77,7 @@ class MountingJoint:
         return np.asarray(np.where(stated, slope * self.u_frequency_hz, named))
 
     def _stretch(self, frequency_hz: FloatArray) -> ComplexArray:
-        """Share (K, 6) of the load's motion in the joint: G/(1 + G).
-
-        Finite at the resonance too.
-        """
+        """Share of the load's motion in the joint, G/(1 + G), finite at resonance."""
         r = frequency_hz[:, None] / self.frequency_hz
         return np.asarray(r * r / (1.0 + 2j * self.damping * r))
 
@@ -147,10 +148,7 @@ def make_moving_part(
     air_share: float = 0.0,
     below_joint: bool = False,
 ) -> MovingPart:
-    """Return a part from plain lists.
-
-    One number as an uncertainty (mass, centre of mass, inertia) applies to all entries.
-    """
+    """Return a part from plain lists; one number as an uncertainty applies to all entries."""
     u_mass, u_centre, u_inertia = uncertainties
     return MovingPart(
         name=name,
@@ -244,10 +242,7 @@ class Body:
 
     @property
     def mass_matrix(self) -> FloatArray:
-        """Mass matrix (6, 6) about the sensor origin if all parts are rigid.
-
-        F = m (a + alpha × c), M = c × F + J alpha.
-        """
+        """Mass matrix (6, 6) of all parts about the sensor origin as rigid ones."""
         return np.asarray(np.sum([part.terms.mass_matrix for part in self.parts], axis=0))
 
     def load_matrix(self, frequency_hz: FloatArray) -> ComplexArray:
@@ -266,17 +261,11 @@ class Body:
         return np.asarray(sign * stiffness / (2.0 * np.pi * frequency_hz[:, None, None]) ** 2)
 
     def _wrench(self, frequency_hz: FloatArray, modes: NaturalModes) -> ComplexArray:
-        """Load matrix (K, 6, 6) of modes of bending parts.
-
-        Their weight turns like that of a rigid body.
-        """
+        """Load matrix of modes, whose weight turns like that of a rigid body."""
         return modes.wrench(frequency_hz) if self.sense == "on_load" else -modes.wrench(frequency_hz)
 
     def _carried(self, frequency_hz: FloatArray, part: MovingPart, terms: InertialTerms) -> ComplexArray:
-        """Load matrices (..., K, 6, 6) by terms of a part.
-
-        The part may be below the joint.
-        """
+        """Load matrices by terms of a part, which may be below the joint."""
         sign = 1.0 if self.sense == "on_load" else -1.0
         matrix = sign * terms.load_matrix(frequency_hz, self.gravity_mps2).astype(np.complex128)
         if self.joint is None or not part.below_joint:
@@ -284,10 +273,7 @@ class Body:
         return matrix * self.joint.follow(frequency_hz)[:, None, :]
 
     def matrix_changes(self, frequency_hz: FloatArray) -> tuple[Unknown[ComplexArray], ...]:
-        """Return the changes of the load matrix (K, 6, 6) by every uncertain number.
-
-        Parts, joint, modes, cables and gravity.
-        """
+        """Return the changes of the load matrix (K, 6, 6) by every uncertain number."""
         changes: list[Unknown[ComplexArray]] = []
         for part in self.parts:
             changes += _parameters(part, partial(self._carried, frequency_hz, part))
@@ -392,113 +378,6 @@ def _parameters(part: MovingPart, matrix: Callable[[InertialTerms], ComplexArray
         yield unknown("air moved along", "", u, "kg", air)
 
 
-# What rig.toml states of an elastic load as modes with their unknowns.
-
-
-UNCERTAIN: Mapping[str, tuple[str, Scope]] = {
-    "young_modulus": ("Pa", "rig"),
-    "density": ("kg/m^3", "rig"),
-    "poisson_ratio": ("1", "rig"),
-    "length": ("m", "rig"),
-    "diameter": ("m", "rig"),
-    "inner_diameter": ("m", "rig"),
-    "thickness": ("m", "rig"),
-    "clamped_diameter": ("m", "rig"),
-    "tip_mass": ("kg", "rig"),
-    "axial_frequency": ("Hz", "mounting"),
-    "bending_frequency": ("Hz", "mounting"),
-    "damping": ("1", "mounting"),
-    "frequencies": ("1", "rig"),
-    "participation": ("1", "rig"),
-}
-"""Keys of `[[load.elastic]]` with an uncertainty, its unit and its scope."""
-FACTORS = ("frequencies", "participation")
-"""Of all modes together: 1, with a relative uncertainty."""
-
-
-def elastic_part(table: Elastic) -> ElasticPart:
-    """Return the modes of a block `[[load.elastic]]`, and their changes by its uncertain numbers."""
-    title, variants = f"elastic {table.name}", []
-
-    def add(
-        what: str, stated: float, u: float, unit: str, scope: Scope, changed: Callable[[float], NaturalModes]
-    ) -> None:
-        if u > 0.0:
-            name, label = f"{title}: {what} {stated:.9g}", f"{title}: {what}"
-            variants.append(Variant(name, label, u, unit, scope, changed(stated + u), changed(stated - u)))
-
-    for key, (unit, scope) in UNCERTAIN.items():
-        stated, u = 1.0 if key in FACTORS else getattr(table, key), getattr(table, f"{key}_uncertainty")
-
-        def other(value: float, key: str = key) -> NaturalModes:
-            return stated_modes(table, {key: value})
-
-        if stated is not None:
-            add(key.replace("_", " "), stated, u, unit, scope, other)
-    for index, mode in enumerate(table.mode):
-
-        def shifted(frequency: float, index: int = index, mode: ElasticMode = mode) -> NaturalModes:
-            moved = mode.model_copy(update={"frequency": frequency})
-            return stated_modes(table, {"mode": (*table.mode[:index], moved, *table.mode[index + 1 :])})
-
-        add("frequency", mode.frequency, mode.frequency_uncertainty, "Hz", "rig", shifted)
-    mass = None if table.shape == "modes" else elastic_body(table).mass_kg
-    return ElasticPart(table.name, stated_modes(table, {}), tuple(variants), mass)
-
-
-def elastic_body(table: Elastic) -> Rod | Plate:
-    """Return the rod or plate of a block."""
-    foot, axis = np.array(table.foot), np.array(table.axis or (0.0, 0.0, 1.0))
-    material = table.young_modulus or 0.0, table.density or 0.0, table.poisson_ratio
-    across_it = table.diameter or 0.0
-    if table.shape == "rod":
-        return Rod(foot, axis, table.length or 0.0, across_it, table.inner_diameter, *material, table.tip_mass)
-    return Plate(foot, axis, table.thickness or 0.0, across_it, table.clamped_diameter or 0.0, *material)
-
-
-def stated_modes(table: Elastic, change: Mapping[str, Any]) -> NaturalModes:
-    """Return the modes of a block with some values changed."""
-    table = table.model_copy(update={key: value for key, value in change.items() if key not in FACTORS})
-    if table.shape == "modes":
-        modes = _tabled(table)
-    else:
-        families = elastic_body(table).families()
-        for kind, tapped in (("axial", table.axial_frequency), ("bending", table.bending_frequency)):
-            if tapped is not None:
-                natural = families[kind].frequency_hz
-                families[kind] = replace(families[kind], frequency_hz=natural * (tapped / natural.min()))
-        modes = join_modes(list(families.values()))
-        modes = replace(modes, damping=np.full(len(modes.damping), table.damping))
-    return replace(
-        modes,
-        frequency_hz=modes.frequency_hz * change.get("frequencies", 1.0),
-        participation=modes.participation * change.get("participation", 1.0),
-    )
-
-
-def _tabled(table: Elastic) -> NaturalModes:
-    """Return the modes of a finite element program, with a modal mass of 1."""
-    root = np.sqrt([mode.modal_mass for mode in table.mode])
-
-    def motion(position: InstrumentPosition) -> FloatArray:
-        # A channel of a later set-up is named by that, too.
-        names = [
-            name for name in (position.name, position.name.rpartition(": ")[2]) if name in table.mode[0].displacement
-        ]
-        if not names:
-            key = f"load.elastic.mode.displacement of {table.name}"
-            raise ComputeError(POSITION_UNSTATED, instrument=position.name, key=key)
-        rows = [mode.displacement[names[0]] for mode in table.mode]
-        return np.array([[*row, *[0.0] * (6 - len(row))] for row in rows]) / root[:, None]
-
-    return NaturalModes(
-        np.array([mode.frequency for mode in table.mode]),
-        np.array([table.damping if mode.damping is None else mode.damping for mode in table.mode]),
-        np.array([mode.participation for mode in table.mode]) / root[:, None],
-        motion,
-    )
-
-
 # The body from the tables of rig.toml and recording.toml.
 
 
@@ -546,10 +425,7 @@ def load_body(rig: Rig, parts: Sequence[PartTable]) -> Body | None:
 
 
 def rigid_load(manifest: Manifest) -> Body:
-    """Return load and parts without the internal mass of the sensor.
-
-    Raises `InputError` without a load.
-    """
+    """Return load and parts without the sensor's internal mass; raise `InputError` without a load."""
     parts = moving_parts(manifest.rig.model_copy(update={"sensor": None}), manifest.part)
     if not parts:
         expected = "[load] with the mass, centre of mass and inertia of what is mounted on the sensor"
@@ -567,3 +443,147 @@ def inertia_errors(manifest: Manifest, body: Body) -> tuple[InertiaError, ...]:
         suffix = "" if change.scope == "rig" else f" [{manifest.mounting}]"
         errors.append(InertiaError(f"{change.name}{suffix}", change.effect[0].real))
     return tuple(errors)
+
+
+# Responses of modes by measured amplitudes, as the mean with the stated ones.
+
+
+CONTRADICTED = 0.01
+"""Chance below which a response is not the stated one."""
+NOT_DRIVEN = 1e-6  # share of the largest drive below which a mode is not driven
+
+
+@dataclass(frozen=True)
+class _ObservedModes:
+    """Measurement of the load and its modes by one stereo pair.
+
+    At its U resolved lines. `foot` (U, 6): acceleration of the load's foot. `modal` (U, S): amplitudes of the modes in
+    m/s², with `covariance` (U, 2S, 2S) of all real and imaginary parts. `share` (6, S).
+    """
+
+    pair: StereoResult
+    foot: ComplexArray
+    modal: ComplexArray
+    covariance: FloatArray
+    share: FloatArray
+
+    @classmethod
+    def of(cls, pair: StereoResult, parts: Sequence[tuple[ElasticPart, IntArray]]) -> _ObservedModes:
+        """Return the measurement by `pair`.
+
+        `parts`: elastic parts of the load with the numbers of the modes that the pair measures.
+        """
+        assert pair.shapes is not None
+        frequency, shapes = pair.phasors.frequency_hz, pair.shapes
+        square = -((2.0 * np.pi * frequency[:, None]) ** 2)
+        rigid = square * pair.phasors.value
+        modal = square * shapes.phasors.value
+        others = np.zeros((len(frequency), 6, 6), np.complex128)
+        face_m = np.asarray(np.nanmean(next(iter(pair.surface or ())).reference_m, axis=0))
+        for part, which in parts:
+            participation = part.modes.participation.copy()
+            participation[which] = 0.0
+            others += replace(part.modes, participation=participation).stretch(
+                frequency, InstrumentPosition(pair.name, face_m)
+            )
+        moved = rigid - modal @ shapes.share.T
+        foot = np.linalg.solve(np.eye(6) + others, moved[..., None])[..., 0]
+        return cls(pair, np.asarray(foot), np.asarray(modal), square[..., None] ** 2 * shapes.covariance, shapes.share)
+
+
+def with_measured_modes(
+    body: Body | None, load: RigLoad | None, stereo: Sequence[StereoResult]
+) -> tuple[Body | None, tuple[Notice, ...]]:
+    """Return a load whose mode responses are means of measured and stated ones.
+
+    The response G = q̈/(Lᵀ·A) of a mode with participation L follows from its amplitude and the motion of the foot in
+    the same images, so that scale and clock of the pair cancel. Stated natural frequencies and damping are its prior,
+    if the part has any uncertainty. A response that contradicts the prior at 1 % replaces it.
+    """
+    if body is None:
+        return None, ()
+    parts, contradictions = {part.name: part for part in body.elastic}, list[Notice]()
+    for pair in stereo:
+        shapes = mode_shapes(load, pair.name) if pair.body == "load" else None
+        if shapes is None or pair.shapes is None or pair.shapes.phasors.channels != shapes.names:
+            continue
+        chosen = {part.table.name: np.array(part.which, dtype=np.int64) for part in shapes.parts}
+        none, start = np.zeros(0, np.int64), 0
+        seen = _ObservedModes.of(pair, [(part, chosen.get(name, none)) for name, part in parts.items()])
+        for one in shapes.parts:
+            columns = np.arange(start, start + len(one.which))
+            start += len(one.which)
+            name = one.table.name
+            size = one.size / np.sqrt([one.table.mode[n].modal_mass if one.table.mode else 1.0 for n in one.which])
+            parts[name], notices = _measured(parts[name], chosen[name], seen, columns, size)
+            contradictions += notices
+    return replace(body, elastic=tuple(parts.values())), tuple(contradictions)
+
+
+def _measured(
+    part: ElasticPart, which: IntArray, seen: _ObservedModes, columns: IntArray, size: FloatArray
+) -> tuple[ElasticPart, list[Notice]]:
+    """Return a part with measured responses of modes of `size` in m, and notices."""
+    pair, count, both = seen.pair, len(which), np.concatenate([columns, columns + seen.share.shape[1]])
+    drive = seen.foot @ part.modes.participation[which].T
+    driven = np.abs(drive) > NOT_DRIVEN * np.abs(drive).max(initial=1e-300)
+    scale = np.where(driven, 1.0 / (np.where(driven, drive, 1.0) * size), 0.0)
+    moved = seen.modal[:, columns] * scale
+    turn = real_stacked_diagonal(scale)
+    covariance = turn @ seen.covariance[:, both[:, None], both] @ turn.swapaxes(1, 2)
+    frequency = pair.phasors.frequency_hz
+    gain, contradicted = _gain(part, which, frequency, moved, covariance)
+    gain *= np.tile(driven, 2)[:, None, :]
+    lines = len(pair.usable)
+    whole, weight = np.zeros((lines, count), np.complex128), np.zeros((lines, 2 * count, 2 * count))
+    whole[pair.usable], weight[pair.usable] = moved, gain
+    measured = MeasuredModes(pair.name, which, whole, weight, (seen.share[:, columns] * size).T)
+
+    def carrying(modes: NaturalModes, change: ComplexArray | float = 0.0) -> NaturalModes:
+        return replace(modes, measured=(*modes.measured, replace(measured, response=whole + change)))
+
+    variants = [replace(v, above=carrying(v.above), below=carrying(v.below)) for v in part.variants]
+    label = f"elastic {part.name}: as stereo {pair.name} sees it"
+    for line, hertz, of_line in zip(np.flatnonzero(pair.usable), frequency, covariance, strict=True):
+        for number, step in enumerate(principal_components(of_line)):
+            change = np.zeros_like(whole)
+            change[line] = as_complex(step)
+            sides = carrying(part.modes, change), carrying(part.modes, -change)
+            variants.append(Variant(f"{label}, {hertz:.9g} Hz {number}", label, 1.0, "1", "recording", *sides))
+    found = replace(part, modes=carrying(part.modes), variants=tuple(variants))
+    return found, _contradictions(part, pair, contradicted)
+
+
+def _gain(
+    part: ElasticPart, which: IntArray, frequency_hz: FloatArray, found: ComplexArray, covariance: FloatArray
+) -> tuple[FloatArray, BoolArray]:
+    """Return the weight (U, 2M, 2M) of measured responses, and where they contradict.
+
+    P·(P + C)⁻¹ with the stated covariance P and the measured covariance C; 1 where measured responses (U, M) contradict
+    the stated ones.
+    """
+
+    from scipy.special import chdtrc
+
+    def stated(modes: NaturalModes) -> FloatArray:
+        moved = response(frequency_hz, modes.frequency_hz, modes.damping)[:, which]
+        return real_stack(moved)
+
+    effects = np.stack([(stated(v.above) - stated(v.below)) / 2.0 for v in part.variants])
+    prior = np.einsum("vui,vuj->uij", effects, effects)
+    off = real_stack(found) - stated(part.modes)
+    inverse = np.linalg.pinv(prior + covariance, hermitian=True)
+    square = np.einsum("ui,uij,uj->u", off, inverse, off)
+    contradicted = np.asarray(chdtrc(float(off.shape[1]), square) < CONTRADICTED / len(off))
+    gain = prior @ inverse
+    gain[contradicted] = np.eye(off.shape[1])
+    return gain, contradicted
+
+
+def _contradictions(part: ElasticPart, pair: StereoResult, contradicted: BoolArray) -> list[Notice]:
+    """Return a warning for each line at which measured and stated responses contradict."""
+    frequency_hz = pair.phasors.frequency_hz[contradicted].tolist()
+    return [
+        Notice(MODES_CONTRADICT, f"{hertz:.6g} Hz", part=part.name, pair=pair.name, frequency_hz=hertz)
+        for hertz in frequency_hz
+    ]

@@ -112,10 +112,7 @@ class Sensitivity(TabularResult):
 
     @cached_property
     def polar(self) -> list[list[Polar | None]]:
-        """Return the elements (K lines of E) as magnitude and phase.
-
-        None where one is not known.
-        """
+        """Return magnitude and phase (K lines of E), None where one is not known."""
         return polar_elements(self.value[:, *self._element_index()], self.uncertainty)
 
     def _element_index(self) -> tuple[list[int], list[int]]:
@@ -136,12 +133,7 @@ def driven_component(direction: Sequence[float], capacity: Sequence[float] | Non
     return int(np.argmax(size))
 
 
-def sensitivity_ratio(
-    outputs: Outputs,
-    load: LoadResult,
-    component: int,
-    multiple: ArrayLike,
-) -> Sensitivity:
+def sensitivity_ratio(outputs: Outputs, load: LoadResult, component: int, multiple: ArrayLike) -> Sensitivity:
     """Return output / load of the driven `component` for every output of one recording.
 
     S = U/L; dS = dU/L - S dL/L, in which an unknown of both (a clock, an amplifier) is one change. `multiple` (K,): 1
@@ -190,10 +182,7 @@ class ParasiticLoads:
     uncertainty: Uncertainty
 
     def element(self, line: int, channel: int) -> Polar:
-        """Return one share with its uncertainty.
-
-        Its real part enlarges the output, its imaginary part turns it.
-        """
+        """Return one share: its real part enlarges the output, its imaginary part turns it."""
         pair = element_covariance(self.uncertainty.covariance[line], channel)
         return polar(complex(self.value[line, channel]), pair, float(self.uncertainty.dof()[line, channel]))
 
@@ -285,10 +274,7 @@ class StatedMatrix:
 
     @property
     def rated(self) -> FloatArray:
-        """Return the rated loads (6,).
-
-        If none are stated, moments are scaled by 0.1 m.
-        """
+        """Return the rated loads (6,); if none are stated, moments are scaled by 0.1 m."""
         return np.array([1.0] * 3 + [BODY_SIZE_M] * 3) if self.capacity is None else self.capacity
 
 
@@ -458,10 +444,7 @@ def static_unknowns(
 def sensor_element(
     outputs: Outputs, load: LoadResult, prior: PriorMatrix, multiple: ArrayLike, notices: Sequence[Notice] = ()
 ) -> Sensitivity:
-    """Return the sensor's elements of the driven load at the fundamentals of one recording.
-
-    By its prior matrix (`PriorMatrix.elements`).
-    """
+    """Return the elements of the driven load at the fundamentals (`PriorMatrix.elements`)."""
     usable = (np.asarray(multiple) == 1) & load.observed[:, prior.component]
     force = np.where(usable[:, None], load.value, complex(np.nan, np.nan))
     signal = outputs.phasors.value

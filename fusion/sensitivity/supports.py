@@ -111,10 +111,7 @@ def _members(seen: _SupportReading) -> list[str]:
 
 
 def _by_support(observations: Sequence[Observation] | Iterator[Observation]) -> dict[str, list[_SupportReading]]:
-    """Return the rows of observations by the name of their support.
-
-    Channels without a head have none.
-    """
+    """Return the rows of observations by their support; channels without a head have none."""
     groups: dict[str, list[_SupportReading]] = {}
     for observation in observations:
         columns_of: dict[str, list[int]] = {}
@@ -253,10 +250,7 @@ class _Readings(NamedTuple):
 
 
 class _Estimate(NamedTuple):
-    """Estimate of [Re H, Im H] (12,) with covariance (12, 12) and gain (12, N).
-
-    `contradicts`: whether readings contradict the stated limit.
-    """
+    """Estimate of [Re H, Im H] (12,), and whether the readings contradict the stated limit."""
 
     mean: FloatArray
     covariance: FloatArray
@@ -309,10 +303,7 @@ def _estimate(read: _Readings, shape: FloatArray, main: int, stated: float | Non
 
 
 def _prior(shape: FloatArray, spreads: FloatArray) -> FloatArray:
-    """Return covariances (G, 12, 12) of [Re H, Im H].
-
-    For standard deviations (G, 3) of the translations.
-    """
+    """Return covariances (G, 12, 12) of [Re H, Im H] for standard deviations `spreads`."""
     rotation = np.sqrt(np.mean(spreads**2, axis=1, keepdims=True))
     scaled = shape * np.concatenate([spreads, np.repeat(rotation, 3, axis=1)], axis=1)[:, None, :]
     return np.asarray(np.kron(np.eye(2), scaled @ scaled.swapaxes(1, 2)))
@@ -322,10 +313,7 @@ def _prior(shape: FloatArray, spreads: FloatArray) -> FloatArray:
 
 
 def _remaining_errors(moved: SupportMotion) -> Iterator[CommonError]:
-    """Yield the remaining uncertainty of H at each line as independent unknowns.
-
-    `offset` (K, 6) of H.
-    """
+    """Yield the remaining uncertainty of H at each line as independent unknowns."""
     phasors, label = moved.phasors, f"motion of {moved.name}"
     for line in np.flatnonzero(np.isfinite(phasors.value).all(axis=1)):
         for part, step in enumerate(principal_components(phasors.covariance[line])[::-1], 1):
@@ -338,10 +326,7 @@ def _remaining_errors(moved: SupportMotion) -> Iterator[CommonError]:
 
 
 def _none(offset: ComplexArray) -> ComplexArray:
-    """Return a zero slope (K, 6, 6).
-
-    Of effects that do not depend on a body's motion.
-    """
+    """Return the zero slope of effects that do not depend on a body's motion."""
     return np.zeros((*offset.shape, 6), dtype=np.complex128)
 
 
@@ -395,10 +380,7 @@ def _corrected(
 
 
 def _notices(moved: SupportMotion) -> Iterator[Notice]:
-    """Yield notes on the motion of a support if it is significant or uncertain.
-
-    At the strongest line.
-    """
+    """Yield notes on a support's significant or uncertain motion at the strongest line."""
     line = int(np.argmax(moved.measured_mps2))
     value, size = moved.phasors.value[line], float(moved.measured_mps2[line])
     if not (np.isfinite(value).all() and size > 0.0):

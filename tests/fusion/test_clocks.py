@@ -21,8 +21,7 @@ from scipy.stats import binom, chi2
 from fusion.estimation.fuse import fuse
 from fusion.estimation.least_squares import build_system, solve
 from fusion.estimation.uncertainty import real_stack
-from fusion.phasors.channel_phasors import refine_ties
-from fusion.phasors.clocks import frame_interval, period_from_motion, tie_clocks_by_motion
+from fusion.phasors.clocks import frame_interval, period_from_motion, refine_ties, tie_clocks_by_motion
 from fusion.sensitivity.analyse import with_estimates
 from fusion.simulate.preset import Preset, read_preset
 from fusion.simulate.violations import violations
@@ -45,14 +44,14 @@ def locked(benchmark: ModuleType) -> Any:
 
 def test_frames_determine_their_distance_as_well_as_their_noise_allows(benchmark: ModuleType) -> None:
     rng, errors, stated = np.random.default_rng(3), [], []
-    for _ in range(5):
+    for _ in range(3):
         one = benchmark.simulate(benchmark.CASES["0"], rng)
         true_s = float(np.mean(np.diff(one.middle_s)))
         found = period_from_motion(one.base, [one.motion], one.lines)
         assert found is not None
         errors.append(found[0] / true_s - 1.0)
         stated.append(found[1] / true_s)
-    low, high = np.sqrt(chi2.ppf([1e-3, 1.0 - 1e-3], 5) / 5.0)
+    low, high = np.sqrt(chi2.ppf([1e-3, 1.0 - 1e-3], 3) / 3.0)
     assert low < np.sqrt(np.mean(np.square(errors))) / benchmark.bound() < high
     assert 0.85 < np.sqrt(np.mean(np.square(stated))) / benchmark.bound() < 1.2
 

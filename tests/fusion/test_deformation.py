@@ -14,8 +14,8 @@ from fusion.phasors.phasor_notices import PAIR_BODY_DEFORMS
 from fusion.planning.check import _measured_modes
 from fusion.recording.load import load_manifest
 from fusion.recording.rig import Elastic
-from fusion.sensitivity.mode_shapes import mode_shapes, with_measured_modes
-from fusion.sensitivity.moving_body import Body, elastic_part, stated_modes
+from fusion.sensitivity.mode_shapes import elastic_part, mode_shapes, stated_modes
+from fusion.sensitivity.moving_body import Body, with_measured_modes
 from fusion.sensitivity.sensitivity_notices import MODES_CONTRADICT
 from photogram.direct.shapes import PlainShapes, ShapeAmplitudes
 from shaker.sine.phasor import Phasors
@@ -40,15 +40,15 @@ def shapes_of(rng: np.random.Generator, moved: np.ndarray, noise: np.ndarray | N
 
 
 def test_a_rigid_body_seldom_seems_to_deform():
-    rng, draws = np.random.default_rng(1), 250
+    rng, draws = np.random.default_rng(1), 100
     found = [shapes_of(rng, np.zeros((2, 6))) for _ in range(draws)]
-    assert sum(bool(each.deforms.any()) for each in found) <= 8  # of 250 at 1 %: more once in 1000 tries
-    assert sum(each.modes > 0 for each in found) <= 8
+    assert sum(bool(each.deforms.any()) for each in found) <= 5  # of 100 at 1 %: more once in 1000 tries
+    assert sum(each.modes > 0 for each in found) <= 5
 
 
 def test_noise_that_is_louder_around_a_line_alarms_no_more():
     """Air and lamps: slow noise, whose density around the alias of 212.5 Hz is above that of all frames."""
-    rng, draws, alarms = np.random.default_rng(2), 150, 0
+    rng, draws, alarms = np.random.default_rng(2), 60, 0
     for _ in range(draws):
         slow = np.cumsum(rng.standard_normal((len(TIME_S), 6)), axis=0) * 0.2
         alarms += bool(shapes_of(rng, np.zeros((2, 6)), (slow - slow.mean(axis=0)) @ ROOT.T).deforms.any())
@@ -61,8 +61,8 @@ def test_deformation_is_found_with_its_amplitude_phase_and_number_of_shapes():
     one[0] = 4e-8 * np.exp(0.7j) * np.array([1.0, 0.5, 0, 0, 0, 0])
     two[0], two[1, 4] = one[0], 5e-8j
     for moved, count in ((one, 1), (two, 2)):
-        found = [shapes_of(rng, moved) for _ in range(30)]
-        assert sum(each.modes == count for each in found) >= 27
+        found = [shapes_of(rng, moved) for _ in range(16)]
+        assert sum(each.modes == count for each in found) >= 14
         assert all(each.deforms[0] for each in found)
         value = np.array([each.phasors.value[0, 0] for each in found])
         u = np.mean([each.u_size[0, 0] for each in found])
@@ -146,7 +146,7 @@ def pulled(body: Body) -> tuple[complex, float]:
 
 
 def test_a_measured_mode_has_the_force_that_it_has_and_the_uncertainty_that_it_needs():
-    rng, draws, load = np.random.default_rng(7), 50, SimpleNamespace(elastic=(PLATE,))
+    rng, draws, load = np.random.default_rng(7), 20, SimpleNamespace(elastic=(PLATE,))
     stated = Body((), elastic=(elastic_part(PLATE),))
     u_stated = pulled(stated)[1]
     for u_m in (4e-9, 40e-9):
@@ -158,8 +158,8 @@ def test_a_measured_mode_has_the_force_that_it_has_and_the_uncertainty_that_it_n
             errors.append(((value - force[2]) / value * abs(value)).real / u)
             assert u < u_stated
         inside = np.count_nonzero(np.abs(errors) < 1.96)
-        assert inside >= 42  # 95 % of 50: fewer once in 1000 tries
-        assert 0.7 < np.std(errors) < 1.35
+        assert inside >= 15  # 95 % of 20: fewer once in 1000 tries
+        assert 0.6 < np.std(errors) < 1.5
 
 
 def test_a_response_that_contradicts_what_is_stated_stands_alone():

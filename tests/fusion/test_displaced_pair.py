@@ -29,7 +29,7 @@ def motion(seed: int, frames: int = 60, noise_m: float = 1e-7, drift_m: float = 
     return time_s, position
 
 
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=60, deadline=None)
 @given(seed=st.integers(0, 10_000), frames=st.integers(11, 200), drift_m=st.sampled_from([0.0, 1e-6, 1e-5]))
 def test_sines_noise_and_drift_are_no_step(seed, frames, drift_m):
     assert _step("top", *motion(seed, frames, drift_m=drift_m), FREQUENCY_HZ) == []

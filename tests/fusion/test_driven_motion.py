@@ -63,9 +63,7 @@ def drawn(direction: tuple[float, ...], rng: np.random.Generator) -> np.ndarray:
 COVERED = {
     "along": ((0.0, 0.0, 1.0), [Z], 2),
     "10 degrees": (tuple(tilted(10.0)), [Z], 2),
-    "30 degrees": (tuple(tilted(30.0)), [Z], 2),
     "45 degrees": (tuple(tilted(45.0)), [Z], 2),
-    "60 degrees": (tuple(tilted(60.0)), [Z], 2),
     "75 degrees": (tuple(tilted(75.0)), [Z], 2),
     "a moment goes along": ((0.0, 0.0, 1.0, 1e-3, 0.0, 0.0), [Z], 2),
     "only the sum of two axes": (tuple(tilted(45.0)), [tilted(45.0), Y], 1),
@@ -76,7 +74,7 @@ COVERED = {
 @pytest.mark.parametrize("case", COVERED)
 def test_regions_cover_whatever_the_drive_does_beside_what_is_observed(case):
     direction, along, component = COVERED[case]
-    rng, trials, held = np.random.default_rng(4), 60, 0
+    rng, trials, held = np.random.default_rng(4), 20, 0
     for _ in range(trials):
         motion = drawn(direction, rng)
         fused = analyse(Inputs(LINES, tuple(read(along, motion, rng)), body=BODY, direction=direction)).accelerations[0]
@@ -118,19 +116,16 @@ def test_what_the_drive_cannot_reach_keeps_its_value():
 
 
 def test_sources_are_bounded_by_the_drive_that_others_observe():
-    rng, trials, held = np.random.default_rng(8), 60, 0
+    rng, trials, held = np.random.default_rng(8), 20, 0
     for _ in range(trials):
         motion = drawn((0.0, 0.0, 1.0), rng)
         laser, accelerometer = read([Z, X], motion, rng)
-        found = analyse(Inputs(LINES, (laser_of(laser), accelerometer), body=BODY, direction=(0.0, 0.0, 1.0)))
+        found = analyse(
+            Inputs(LINES, (replace(laser, kind="vibrometer"), accelerometer), body=BODY, direction=(0.0, 0.0, 1.0))
+        )
         alone = next(a for a in found.accelerations if a.source == "accelerometer")
         held += region_distance(alone.phasors.value[0], motion, alone.uncertainty)[0] <= 1.0
     assert held >= acceptance(trials)[0]
-
-
-def laser_of(observation):
-
-    return replace(observation, kind="vibrometer")
 
 
 BEAM = {"scale": 1.0, "scale_uncertainty": 1e-3, "direction_uncertainty": 5e-3}
@@ -138,10 +133,7 @@ BEAM = {"scale": 1.0, "scale_uncertainty": 1e-3, "direction_uncertainty": 5e-3}
 
 @pytest.mark.parametrize(
     ("direction", "aim", "component"),
-    [
-        ([1.0, 0.0, 0.0], [0.0, 0.0, 1.0], "x"),
-        ([0.0, 0.0, 1.0], [0.0, 1.0, 0.0], "z"),
-    ],
+    [([1.0, 0.0, 0.0], [0.0, 0.0, 1.0], "x"), ([0.0, 0.0, 1.0], [0.0, 1.0, 0.0], "z")],
 )
 def test_a_recording_without_its_driven_axis_names_the_missing_instrument(tmp_path, direction, aim, component):
     keys = {**BEAM, "direction": aim}

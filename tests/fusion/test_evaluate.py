@@ -25,9 +25,10 @@ from fusion.errors import ComputeError
 from fusion.instruments.stereo import CALIBRATION
 from fusion.phasors.channel_phasors import find_channel_lines
 from fusion.phasors.phasor_notices import NO_RIGID_MOTION, PAIR_REJECTED
-from fusion.phasors.stereo_motion import depth_range_m, measure_images, prepare_images
+from fusion.phasors.stereo_motion import depth_range_m, prepare_images
 from fusion.phasors.stereo_phasors import stereo_phasors
 from fusion.phasors.timing import tie_daqs
+from fusion.phasors.tracked_blocks import measure_images
 from fusion.recording.daq_records import read_daqs
 from fusion.recording.load import find_recordings, load_manifest
 from fusion.recording.toml import to_toml

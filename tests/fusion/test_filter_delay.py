@@ -30,8 +30,7 @@ def run_with(tmp_path, response: complex, delay: float, hertz: float, **keys):
     return write_bench(tmp_path, channels, hertz=hertz)
 
 
-@pytest.mark.parametrize("kind", ["bessel", "butter"])
-@pytest.mark.parametrize("order", [1, 2, 4, 8])
+@pytest.mark.parametrize(("kind", "order"), [("bessel", 1), ("bessel", 8), ("butter", 2), ("butter", 8)])
 @pytest.mark.parametrize(("corner_hz", "hertz"), [(2e3, 319.0), (5e3, 1020.0)])
 def test_a_filter_stated_as_delay_is_in_U(tmp_path, kind, order, corner_hz, hertz):
     response, delay = filtered(kind, order, corner_hz, hertz)

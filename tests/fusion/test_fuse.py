@@ -166,7 +166,7 @@ def test_without_errors_the_truth_comes_back():
     np.testing.assert_allclose(result.phasors.value, TRUTH, rtol=1e-9, atol=1e-9)
     assert result.chi2 < 1e-9
     assert result.observed.all()
-    total = np.sum([c.covariance for c in result.contributions], axis=0)
+    total = np.sum([c.covariance for c in result.uncertainty.grouped()], axis=0)
     np.testing.assert_allclose(total, result.phasors.covariance)
     assert result.dof == 2 * (2 * 14 - 12)
 
@@ -217,7 +217,7 @@ def test_peelles_puzzle_is_no_trap():
     rng = np.random.default_rng(3)
     truth = np.array([[0, 0, 189.0, 0, 0, 0]], dtype=complex)
     errors = []
-    for _ in range(20):
+    for _ in range(8):
         clean = lasers(8, 2e-7, truth, scale_uncertainty=2.5e-4)
         scatter = 1e-3 * rng.normal(size=8)
         result = fuse([with_values(clean, clean.phasors.value * (1 + scatter))])
@@ -225,7 +225,7 @@ def test_peelles_puzzle_is_no_trap():
         assert value == pytest.approx(1 + scatter.mean(), abs=2e-5)
         assert result.phasors.u_re[0, 2] / 189.0 == pytest.approx(np.hypot(2.5e-4, 1e-3 / np.sqrt(8)), rel=0.6)
         errors.append(value - 1)
-    assert abs(np.mean(errors)) < 3 * 1e-3 / np.sqrt(8 * 20)
+    assert abs(np.mean(errors)) < 3 * 1e-3 / np.sqrt(8 * 8)
 
 
 @pytest.mark.parametrize("laser", [0, 5])
@@ -288,18 +288,18 @@ def test_regions_cover_and_tests_pass_as_often_as_they_claim():
         warned.append(any(notice.severity == "warning" for notice in result.notices))
         return region_distance(result.phasors.value[0], TRUTH[0], result.uncertainty), np.ones(6)
 
-    coverage_contract(estimate, np.zeros(6), 200)
-    assert sum(warned) <= 8
+    coverage_contract(estimate, np.zeros(6), 60)
+    assert sum(warned) <= 5
 
 
 def test_transverse_motion_that_nobody_sees_is_in_the_uncertainty():
     # Eight lasers in z that point up to 5 mrad aside, on a body that also moves 0.3 % sideways.
     rng = np.random.default_rng(9)
     clean = lasers(8, 1e-6)
-    for _ in range(40):
+    for _ in range(12):
         result = fuse(simulated_readings([clean], rng))
         assert not any(notice.severity == "warning" for notice in result.notices)
-    hidden = next(entry for entry in result.contributions if entry.label == "unobserved motion")
+    hidden = next(entry for entry in result.uncertainty.grouped() if entry.label == "unobserved motion")
     # 10 % of z in x and in y, each half real and half imaginary, times 5 mrad: of every laser by itself and of all.
     assert np.sqrt(hidden.covariance[0, 2, 2]) == pytest.approx(0.1 * 189.0 * 5e-3 * np.sqrt(1 + 1 / 8), rel=0.05)
 
@@ -314,6 +314,9 @@ def test_fused_is_no_worse_than_the_best_instrument():
     assert np.isnan(sources[2].phasors.value[0, 0])
     assert sources[2].notices[0].code == UNOBSERVED_COMPONENTS.code
     assert sources[2].notices[0].values["components"] == "x, y, rz"
+    alone = fuse_sources(simulated_readings([lasers(8)], rng), "load")
+    assert [found.source for found in alone] == ["fused", "vibrometer"]
+    np.testing.assert_array_equal(alone[0].phasors.value, alone[1].phasors.value)
 
 
 @pytest.mark.parametrize(

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from fusion.errors import ComputeError
+from fusion.phasors.image_effects import check_in_step
 from fusion.phasors.phasor_notices import CAMERA_DELAYED, CAMERAS_OUT_OF_STEP
-from fusion.phasors.shutter import check_in_step
 from photogram.camera import Camera, StereoRig
 from photogram.geometry import RigidTransform, rotation_from_vector
 from shakercal._common.notices import Notice
@@ -15,9 +15,7 @@ from shakercal._common.notices import Notice
 FREQUENCY_HZ, PERIOD_S, NOISE_PX = 80.0, 0.0261, 2e-3
 CAMERA = Camera.from_parameters(np.array([2000.0, 2000, 320, 240, 0, 0, 0, 0, 0]), np.array([640, 480]))
 RIG = StereoRig(
-    CAMERA,
-    CAMERA,
-    RigidTransform(rotation_from_vector(np.array([0.0, 0.3, 0.02])), np.array([-0.15, 0.002, 0.03])),
+    CAMERA, CAMERA, RigidTransform(rotation_from_vector(np.array([0.0, 0.3, 0.02])), np.array([-0.15, 0.002, 0.03]))
 )
 
 

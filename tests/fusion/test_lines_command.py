@@ -14,7 +14,8 @@ from support import AT_ORIGIN, RefusedCommand, block, channel, recording_head, r
 
 from fusion.cli import main
 from fusion.errors import InputError
-from fusion.phasors.channel_phasors import channel_phasors, find_channel_lines, refine_ties
+from fusion.phasors.channel_phasors import channel_phasors, find_channel_lines
+from fusion.phasors.clocks import refine_ties
 from fusion.phasors.timing import TimeBase, tie_daqs
 from fusion.recording.daq_records import read_daqs
 from fusion.recording.load import Manifest, load_manifest

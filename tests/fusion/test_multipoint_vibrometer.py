@@ -117,12 +117,12 @@ def test_a_common_scale_is_in_the_mean_and_not_in_what_the_plane_leaves():
 
 
 def test_drawn_errors_are_covered():
-    """800 draws of scale, placement and noise: normalised errors of mean and rocking have unit variance."""
+    """300 draws of scale, placement and noise: normalised errors of mean and rocking have unit variance."""
     rng, observation = np.random.default_rng(4), lasers(sigma=2e-6, **STATED)
     spread, columns = spread_of(observation), np.array([[1.0, y, -x] for x, y, _ in POINTS])
     u = np.sqrt(spread.plane_uncertainty.covariance.diagonal(axis1=1, axis2=2))
     left, normalised = [], []
-    for _ in range(800):
+    for _ in range(300):
         error = np.sum([rng.normal() * common.effect(TRUTH) for common in observation.common], axis=0)
         error = error + 2e-6 * (rng.normal(size=(2, 8)) + 1j * rng.normal(size=(2, 8)))
         value = (observation.phasors.value + error) * (1j * OMEGA[:, None])
@@ -130,8 +130,8 @@ def test_drawn_errors_are_covered():
         off = plane - TRUTH[:, 2:5]
         normalised.append(np.concatenate([off.real, off.imag], axis=1) / u)
         left.append(np.mean(np.abs(value - plane @ columns.T) ** 2, axis=1))
-    np.testing.assert_allclose(np.std(normalised, axis=0), 1.0, atol=0.1)
-    np.testing.assert_allclose(np.sqrt(np.mean(left, axis=0)) / np.abs(spread.mean), spread.left_expected, rtol=0.03)
+    np.testing.assert_allclose(np.std(normalised, axis=0), 1.0, atol=0.16)
+    np.testing.assert_allclose(np.sqrt(np.mean(left, axis=0)) / np.abs(spread.mean), spread.left_expected, rtol=0.05)
 
 
 def _with_ratios(

@@ -135,7 +135,7 @@ def test_points_and_a_trigger_only(campaign):
     fused = acceleration(evaluation, "base", "fused")
     assert np.abs(deviation(fused, BASE)).max() < 4
     # The phase at time zero rests on the frequency, which only 64 frames and their trigger tell.
-    assert "frequency of 106.25 Hz" in {contribution.label for contribution in fused.contributions}
+    assert "frequency of 106.25 Hz" in {contribution.label for contribution in fused.uncertainty.grouped()}
 
 
 def test_a_known_program_needs_no_columns(campaign):

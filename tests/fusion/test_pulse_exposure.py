@@ -127,9 +127,9 @@ def test_a_run_is_that_with_the_width_stated(tmp_path):
     assert abs(ratio) < 4.0 * abs(width.effect[0, 0])
     error = _base(measured) / (-(OMEGA**2) * MOTION) - 1.0
     assert abs(error[2]) < 1e-3
-    labels = {c.label for a in measured.accelerations if a.body == "base" for c in a.contributions}
+    labels = {c.label for a in measured.accelerations if a.body == "base" for c in a.uncertainty.grouped()}
     assert "camera_trigger: pulse width" in labels
-    assert not any("pulse width" in c.label for a in stated.accelerations for c in a.contributions)
+    assert not any("pulse width" in c.label for a in stated.accelerations for c in a.uncertainty.grouped())
 
 
 def test_the_effect_of_a_width_is_that_of_evaluating_with_another(tmp_path):
@@ -161,11 +161,7 @@ def test_check_tells_what_the_exposure_will_be(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("shot", "reason"),
-    [
-        (Shot(width_s=0.9 / RATE_HZ), "1.5 samples"),
-        (Shot(frames=3, end_s=1e-3), "3 edges"),
-    ],
+    ("shot", "reason"), [(Shot(width_s=0.9 / RATE_HZ), "1.5 samples"), (Shot(frames=3, end_s=1e-3), "3 edges")]
 )
 def test_pulses_that_cannot_be_measured_are_refused(tmp_path, shot, reason, capsys):
     run = _write(tmp_path, shot, "pulse")

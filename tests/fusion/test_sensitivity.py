@@ -77,14 +77,14 @@ def test_force_of_a_centred_mass_is_mass_times_acceleration():
 def test_parameter_contributions_are_the_change_of_the_load():
     source = acceleration(sigma=0.0)
     load = load_phasors(source, BODY)
-    labels = {entry.label: entry for entry in load.contributions}
+    labels = {entry.label: entry for entry in load.uncertainty.grouped()}
     heavier = replace(BODY, parts=(make_moving_part("load", 6.9615, *PARTS[0][2:4]), BODY.parts[1]))
     change = load_phasors(source, heavier).phasors.value - load.phasors.value
     stacked = np.concatenate([change.real, change.imag], axis=1)
     expected = stacked[:, :, None] * stacked[:, None, :]
     np.testing.assert_allclose(labels["load: mass"].covariance, expected, rtol=1e-6, atol=1e-12)
     assert {"load: mass", "load: centre of mass", "load: inertia", "internal mass: mass"} <= set(labels)
-    total = np.sum([entry.covariance for entry in load.contributions], axis=0)
+    total = np.sum([entry.covariance for entry in load.uncertainty.grouped()], axis=0)
     np.testing.assert_allclose(total, load.phasors.covariance)
 
 
@@ -92,7 +92,7 @@ def test_unobserved_motion_is_bounded_or_refused():
     centred = Body((make_moving_part("load", 7.0, [0.0, 0.0, 0.05], np.diag([0.036, 0.036, 0.031]), (0.0, 1e-4, 0.0)),))
     load = load_phasors(acceleration(observed=ONLY_Z), centred)
     assert np.array_equal(load.observed[0], ONLY_Z)
-    hidden = next(entry for entry in load.contributions if entry.label == "unobserved rx")
+    hidden = next(entry for entry in load.uncertainty.grouped() if entry.label == "unobserved rx")
     # 7 kg · 0.1 mm · (10 % of 189 m/s^2 over 0.1 m)/√2 in real and imaginary part.
     assert np.sqrt(hidden.covariance[0, 2, 2]) == pytest.approx(7.0 * 1e-4 * 0.1 * 189.0 / 0.1 / np.sqrt(2))
     (notice,) = (notice for notice in load.notices if notice.code == UNOBSERVED_MOTION_LARGE.code)
@@ -111,7 +111,7 @@ def test_unobserved_motion_is_bounded_or_refused():
 def test_unobserved_motion_is_one_cause_of_all_load_components():
     body = Body((make_moving_part("load", 7.0, [0.0, 0.0, 0.05], np.diag([0.036, 0.036, 0.031])),))
     load = load_phasors(acceleration(observed=ONLY_Z), body)
-    hidden = next(entry for entry in load.contributions if entry.label == "unobserved rx")
+    hidden = next(entry for entry in load.uncertainty.grouped() if entry.label == "unobserved rx")
     # A rotation about x pushes the raised mass along -y and turns it: Fy/Mx = -m c/(J + m c²), one cause.
     fy, mx = np.sqrt(hidden.covariance[0, [1, 3], [1, 3]])
     assert fy / mx == pytest.approx(7.0 * 0.05 / (0.036 + 7.0 * 0.05**2))
@@ -413,11 +413,11 @@ def check_coverage(recording: str, driven: str, trials: int) -> None:
 
 
 def test_transverse_excitation_beside_a_moment_covers_the_element_but_not_by_the_ratio():
-    counts = coverage_matrix.count_elements("6-x-mass-+y", "Fx", range(1, 25), {"static_sensitivity_uncertainty": 1e-3})
+    counts = coverage_matrix.count_elements("6-x-mass-+y", "Fx", range(1, 9), {"static_sensitivity_uncertainty": 1e-3})
     for count in counts:
-        assert np.mean(count.bias).real == pytest.approx(-0.004, abs=0.0006)
+        assert np.mean(count.bias).real == pytest.approx(-0.004, abs=0.001)
         assert np.sum(count.ratio.covered) <= 2
-        assert binom.ppf(5e-4, 24, 0.95) <= np.sum(count.element.covered)
+        assert binom.ppf(5e-4, 8, 0.95) <= np.sum(count.element.covered)
 
 
 @pytest.mark.slow

@@ -209,10 +209,7 @@ def _drive(factor: float) -> Callable[[dict[str, np.ndarray]], dict[str, np.ndar
     ("damage", "sentence"),
     [
         (_without_reference, "take[2].daq: "),
-        (
-            _second(_drive(1e-3)),
-            "take[2].daq.daq.channel.drive.reference: ",
-        ),
+        (_second(_drive(1e-3)), "take[2].daq.daq.channel.drive.reference: "),
         (_second(_drive(0.0)), "2.h5: drive: "),
         (_second(dict, frequency_hz=160.0), "excitation.frequencies: "),
         (_second(lambda values: {"Fz": values["Fz"]}), "take[2].daq.daq.file: 2.h5"),
@@ -386,10 +383,7 @@ def test_a_scan_of_one_point_needs_no_reference(tmp_path):
         ([laser("1", ORIGIN)], "recording.toml: daq: "),
         ([laser("1/9", ORIGIN)], "Scan_time.asc: 1/9: "),
         ([laser("7", ORIGIN)], "Scan_time.asc: 7: "),
-        (
-            [laser(name, ORIGIN) for name in ("1", "1/2")],
-            "daq.scan.channel.1/2: ",
-        ),
+        ([laser(name, ORIGIN) for name in ("1", "1/2")], "daq.scan.channel.1/2: "),
     ],
 )
 def test_wrong_scans_are_one_sentence(tmp_path, refused, channels, sentence):

@@ -12,7 +12,7 @@ import pytest
 from fusion.base import Settings
 from fusion.errors import InputError
 from fusion.phasors.phasor_notices import EXPOSURE_REFUSED, MOTION_BLUR, PAIR_BODY_DEFORMS, ROLLING_SHUTTER
-from fusion.phasors.shutter import PhaseRotated
+from fusion.phasors.stereo_motion import PhaseRotated
 from fusion.planning.check import check
 from fusion.recording.load import load_manifest
 from fusion.sensitivity.analyse import Evaluation

@@ -28,7 +28,7 @@ def seen(rng, noise, stated):
     return SimpleNamespace(sight=SimpleNamespace(name="top", time_s=time_s), motion=motion, view=None), truth
 
 
-def errors(noise, stated, trials=60):
+def errors(noise, stated, trials=24):
     """Errors and standard uncertainties (trials, 12) of both parts over NOISE, and all notices."""
     rng, found, notices = np.random.default_rng(11), [], []
     for _ in range(trials):
@@ -47,19 +47,19 @@ def test_each_frame_counts_by_its_own_noise():
     off, u, notices = errors(DIM, DIM)
     best = np.sqrt(2.0 / np.sum(DIM**-2.0))
     rms = np.sqrt(np.mean(off**2))
-    assert rms == pytest.approx(best, rel=0.08)  # 720 numbers: three standard deviations are 8 %
-    assert np.sqrt(np.mean(u**2)) == pytest.approx(rms, rel=0.08)
-    assert len(notices) == 60
+    assert rms == pytest.approx(best, rel=0.13)  # 288 numbers: three standard deviations are 13 %
+    assert np.sqrt(np.mean(u**2)) == pytest.approx(rms, rel=0.13)
+    assert len(notices) == 24
     assert notices[0].values["factor"] == pytest.approx(16.0)
-    equal, _, silent = errors(DIM, np.ones(FRAMES), trials=20)
-    assert np.sqrt(np.mean(equal**2)) > 1.9 * rms  # what equal weights make: √((1 + 16)/2 · (1 + 1/16)/2) = 2.1
+    equal, _, silent = errors(DIM, np.ones(FRAMES), trials=12)
+    assert np.sqrt(np.mean(equal**2)) > 1.8 * rms  # what equal weights make: √((1 + 16)/2 · (1 + 1/16)/2) = 2.1
     assert not silent
 
 
 def test_pixels_do_not_count_where_the_motion_is_noisy_for_other_reasons():
-    off, _, notices = errors(5.0 * np.ones(FRAMES), DIM, trials=40)
-    assert len(notices) < 5
-    assert np.sqrt(np.mean(off**2)) == pytest.approx(5.0 * np.sqrt(2.0 / FRAMES), rel=0.1)
+    off, _, notices = errors(5.0 * np.ones(FRAMES), DIM, trials=16)
+    assert len(notices) < 3
+    assert np.sqrt(np.mean(off**2)) == pytest.approx(5.0 * np.sqrt(2.0 / FRAMES), rel=0.16)
 
 
 def test_frames_that_are_nearly_alike_count_alike():

@@ -21,7 +21,6 @@ from support import DOCS, RefusedCommand, folder_contents, truth_of
 from fusion.estimation.estimation_notices import SINGLE_ERROR_NOT_ASSESSED
 from fusion.instruments.channel import ChainUncertainty, ChannelReading
 from fusion.phasors.channel_phasors import ChannelResult, describe_folds, folding
-from fusion.phasors.missing_filters import folding_notices
 from fusion.phasors.phasor_notices import (
     ALIASED_HARMONICS,
     CUBIC_DISTORTION,
@@ -30,7 +29,7 @@ from fusion.phasors.phasor_notices import (
     LINE_UNSTEADY,
     OUTPUT_UNSTEADY,
 )
-from fusion.phasors.steadiness import distortions
+from fusion.phasors.steadiness import distortions, folding_notices
 from fusion.recording.manifest import ChannelEntry
 from fusion.sensitivity.sensitivity_notices import OUTPUT_CONTRADICTS
 from fusion.simulate import simulate
