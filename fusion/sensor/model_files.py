@@ -119,20 +119,21 @@ def read_model_file(
     """Return the parsed content of a JSON file of models.
 
     `name`: of the file if `path` is a folder. `content_label` names the content, such as "filters", in errors;
-    `command` is the command that writes the file.
+    `command` is the command that writes the file, or several such as "step or load".
     """
     file = path / name if path.is_dir() else path
+    again = " or ".join(f"`shakercal {name}`" for name in command.split(" or "))
+    written = {"command": command, "again": again}
     try:
         content = json.loads(read_text(file, LARGEST_FILE, content_label))
         check_values(content, file)
         if content["format"] != FORMAT:
-            raise InputError(
-                WRONG_MODEL_FORMAT, file, "format", found=f"{content['format']}", expected=FORMAT, command=command
-            )
+            found = f"{content['format']}"
+            raise InputError(WRONG_MODEL_FORMAT, file, "format", found=found, expected=FORMAT, **written)
         return parse(content)
     except (LookupError, TypeError, ValueError, AttributeError, ArithmeticError, RecursionError) as error:
         found = f"no key {error}" if isinstance(error, KeyError) else describe(str(error), plain=True)
-        raise InputError(DAMAGED_MODEL_FILE, file, found=found, expected=content_label, command=command) from error
+        raise InputError(DAMAGED_MODEL_FILE, file, found=found, expected=content_label, **written) from error
 
 
 def _entry(entry: ModelEntry) -> dict[str, Any]:

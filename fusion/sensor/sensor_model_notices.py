@@ -7,7 +7,7 @@ WRONG_MODEL_FORMAT = DeclaredNotice(
     "error",
     "expected format {expected}, found format {found}",
     effect="The file was written by another version of the program.",
-    remedy="Run `shakercal {command}` again.",
+    remedy="Run {again} again.",
     link="results.md",
 )
 DAMAGED_MODEL_FILE = DeclaredNotice(
@@ -15,7 +15,7 @@ DAMAGED_MODEL_FILE = DeclaredNotice(
     "error",
     "expected {expected} as written by shakercal {command}, found {found}",
     effect="The file is not used.",
-    remedy="Run `shakercal {command}` again.",
+    remedy="Run {again} again.",
     link="results.md",
 )
 MODEL_COVERAGE = DeclaredNotice(

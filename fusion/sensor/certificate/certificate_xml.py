@@ -178,10 +178,7 @@ def _conditions(found: Certificate) -> Iterator[etree._Element]:
 def _result(found: Certificate, element: CertifiedElement) -> etree._Element:
     """Return one result: frequency, magnitude and phase if determined, and complex value."""
     powers = PER_LOAD[element.component[0]]
-    try:
-        unit, squared = dsi_unit(element.unit, powers), dsi_unit(element.unit, powers, 2)
-    except ValueError as error:
-        raise InputError(UNIT_WITHOUT_DSI, found.rig_path, "sensor.unit", found=element.unit) from error
+    unit, squared = (_dsi_unit(found, element.unit, powers, power) for power in (1, 2))
     values, digits = element.values, _numbers
     frequency = digits(value.frequency_hz for value in values)
     quantities = [
@@ -204,10 +201,7 @@ def _listed(found: Certificate, number_list: NumberList) -> etree._Element:
     """Return one result: a list of single numbers with U."""
     quantities = []
     for number in number_list.numbers:
-        try:
-            unit = dsi_unit(number.unit).replace(r"\kilo\gram", r"\kilogram")
-        except ValueError as error:
-            raise InputError(UNIT_WITHOUT_DSI, found.rig_path, "sensor.unit", found=number.unit) from error
+        unit = _dsi_unit(found, number.unit).replace(r"\kilo\gram", r"\kilogram")
         stated = S.expandedMU(
             S.valueExpandedMU(repr(number.expanded)),
             S.coverageFactor(repr(number.k)),
@@ -218,6 +212,14 @@ def _listed(found: Certificate, number_list: NumberList) -> etree._Element:
             D.quantity({"refType": f"basic_measuredValue {PREFIX}{number.kind}"}, _text("name", number.name), real)
         )
     return D.result(_text("name", number_list.name), D.data(D.list(*quantities)))
+
+
+def _dsi_unit(found: Certificate, unit: str, powers: Powers = (), power: int = 1) -> str:
+    """Return a unit of the sensor in D-SI; raise `InputError` for one that has none."""
+    try:
+        return dsi_unit(unit, powers, power)
+    except ValueError as error:
+        raise InputError(UNIT_WITHOUT_DSI, found.rig_path, "sensor.unit", found=unit) from error
 
 
 def _numbers(values: Iterable[float]) -> str:

@@ -305,7 +305,7 @@ def _read(path: Path) -> CompensationSources:
     def over_loads(content: dict[str, Any]) -> bool:
         return bool(content["models"]) and "moving_mass" in content["models"][0]
 
-    return _of_loads(file) if read_model_file(file, "", "step or shakercal load", over_loads) else _of_steps(file)
+    return _of_loads(file) if read_model_file(file, "", "step or load", over_loads) else _of_steps(file)
 
 
 def _of_steps(file: Path) -> CompensationSources:

@@ -245,11 +245,10 @@ def _unexplained(error: ValueError, manifest: Manifest) -> InputError | ComputeE
 
     Loads that cannot be separated are an error of the files.
     """
-    key, _, rest = str(error).partition(": ")
+    key = str(error).partition(": ")[0]
     if key not in ("channels", "components"):
         return ComputeError(NO_COMMON_MODEL, reason=str(error))
-    expected, _, found = rest.removeprefix("expected ").partition(", found ")
-    return InputError(LOADS_NOT_SEPARABLE, manifest.rig_path.parent, key, found=found, expected=expected)
+    return InputError.from_exception(error, manifest.rig_path.parent, key, LOADS_NOT_SEPARABLE)
 
 
 def _target(fit: MultiFit, settings: DecoupleSettings) -> DecouplingTarget:

@@ -21,7 +21,7 @@ MISSING_RELEASES = DeclaredNotice(
 LOADS_NOT_SEPARABLE = DeclaredNotice(
     "SC-702",
     "error",
-    "expected {expected}, found {found}",
+    "{reason}",
     effect="The releases do not determine the outputs of every load separately.",
     remedy="Add releases of other loads.",
     link="decoupling.md",

@@ -66,7 +66,7 @@ PITCHING_NOT_DRIVEN = DeclaredNotice(
 EQUAL_LOAD_MASSES = DeclaredNotice(
     "SC-648",
     "error",
-    "expected load masses that differ, found {load:.6g} {unit} in each of {count} recordings",
+    "expected load masses that differ, found one of {load:.6g} {unit} in {recordings}",
     effect="With one load mass, the internal mass and the stiffness cannot be separated.",
     remedy="Add a recording with another load mass, or use `--internal-mass stated`.",
     link="identify.md",

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
+from fusion.base import count_text
 from fusion.campaign.excited_line import with_campaign_names
 from fusion.errors import ARGUMENT, ComputeError, InputError
 from fusion.estimation.uncertainty import Uncertainty
@@ -89,6 +90,12 @@ class JointFit:
     def axis(self) -> str:
         """Name of the component: x, y, z, rx, ry or rz."""
         return MOTION_COMPONENTS[self.component]
+
+    @property
+    def range_hz(self) -> tuple[float, float]:
+        """First and last line of all curves."""
+        lines = np.concatenate([item.measured.ratio.frequency_hz for item in self.prepared])
+        return float(lines.min()), float(lines.max())
 
 
 def joint_fits(prepared: Sequence[PreparedTransfer], settings: IdentifySettings) -> tuple[JointFit, ...]:
@@ -231,7 +238,7 @@ def _mass_is_free(component: int, group: Sequence[PreparedTransfer], settings: I
             "load.mass",
             load=loads[0],
             unit=mass_unit(component),
-            count=len(loads),
+            recordings=count_text(len(loads), "recording"),
         )
     return differ if settings.internal_mass == "auto" else settings.internal_mass == "free"
 
@@ -408,7 +415,12 @@ def model_sensitivity(
     """Return the model of a component, with a measuring chain if its sensitivity supports one."""
     found, covariance = mechanics(fit)
     if measured is None or len(measured.frequency_hz) < _FEWEST_LINES:
-        return _without_sensitivity(fit, found, covariance, sensor)
+        model, which = _without_chain(fit, found, covariance, sensor)
+        component = LOAD_COMPONENTS[fit.component]
+        notice = Notice(
+            SENSITIVITY_NOT_MEASURED, fit.axis, component=component, sensitivity=which, fewest=_FEWEST_LINES
+        )
+        return ModelledSensitivity(model, fit.range_hz, None, (notice,))
     r_kb = covariance[0, 1] / np.sqrt(covariance[0, 0] * covariance[1, 1]) if covariance[0, 1] != 0.0 else 0.0
     u_k, u_b = (float(np.sqrt(covariance[index, index])) for index in (0, 1))
     spring = SpringPrior(float(found[0]), u_k, float(found[1]), u_b, float(r_kb))
@@ -417,14 +429,9 @@ def model_sensitivity(
         model = sensor_model(comparison.best, found, covariance)
     except (ValueError, np.linalg.LinAlgError) as error:
         reason = ARGUMENT.sub("", str(error))
-        bare = _without_sensitivity(fit, found, covariance, sensor)
-        return replace(
-            bare,
-            notices=(
-                *bare.notices,
-                Notice(SENSITIVITY_NOT_EXPLAINED, measured.channel, channel=measured.channel, reason=reason),
-            ),
-        )
+        notice = Notice(SENSITIVITY_NOT_EXPLAINED, measured.channel, channel=measured.channel, reason=reason)
+        model, _ = _without_chain(fit, found, covariance, sensor)
+        return ModelledSensitivity(model, fit.range_hz, None, (notice,))
     range_hz = (float(measured.frequency_hz[0]), float(measured.frequency_hz[-1]))
     where = f"sensitivity {measured.component}"
     supported, contradicted = (_explanations(comparison, verdict) for verdict in ("supported", "refuted"))
@@ -466,13 +473,10 @@ def mechanics(fit: JointFit) -> tuple[FloatArray, FloatArray]:
     return pick @ values, covariance
 
 
-def _without_sensitivity(
+def _without_chain(
     fit: JointFit, found: FloatArray, covariance: FloatArray, sensor: Sensor | None
-) -> ModelledSensitivity:
-    """Return a model without a chain, with the stated static sensitivity.
-
-    Without a stated one, one output per force.
-    """
+) -> tuple[SensorModel, str]:
+    """Return a model without a chain, and its sensitivity in words: as stated, otherwise one output per force."""
     component = LOAD_COMPONENTS[fit.component]
     static, u_static, unit, which = 1.0, 0.0, "1", "an output of one per force"
     if sensor is not None and sensor.static_sensitivity is not None:
@@ -484,7 +488,4 @@ def _without_sensitivity(
     whole = np.zeros((4, 4))
     whole[0, 0], whole[1:, 1:] = u_static**2, covariance
     stiffness, damping, mass = float(found[0]), float(found[1]), max(float(found[2]), 0.0)
-    model = SensorModel(static, stiffness, damping, mass, NO_CHAIN, whole, sensitivity_unit(unit, component))
-    lines = np.concatenate([item.measured.ratio.frequency_hz for item in fit.prepared])
-    notice = Notice(SENSITIVITY_NOT_MEASURED, fit.axis, component=component, sensitivity=which, fewest=_FEWEST_LINES)
-    return ModelledSensitivity(model, (float(lines.min()), float(lines.max())), None, (notice,))
+    return SensorModel(static, stiffness, damping, mass, NO_CHAIN, whole, sensitivity_unit(unit, component)), which

@@ -20,7 +20,9 @@ from fusion.sensor.step.step_notices import (
     MISSING_STEP_ENTRY,
     NO_REAL_POLE,
     NO_STEP_MODEL,
+    RELEASE_WITHOUT_MODEL,
     RELEASES_SELECTED,
+    STRUCTURE_NOT_FOUND,
 )
 from fusion.sensor.step.step_records import StepSettings, index_quantities, parameter_quantities, pool_models
 from fusion.sensor.step.step_releases import (
@@ -129,6 +131,9 @@ def _remarks(
 
 # From recordings of releases to models of a sensor's components.
 
+_WITHOUT_MODEL = (RELEASE_WITHOUT_MODEL.code, STRUCTURE_NOT_FOUND.code, COMPONENT_WITHOUT_MODEL.code)
+"""Codes of the notices that state why there is no model."""
+
 
 def evaluate_steps(
     name: str, manifests: Sequence[Manifest], settings: StepSettings, input_hashes: dict[str, str]
@@ -171,7 +176,7 @@ def evaluate_steps(
             components.append(result)
             notices += found
     if all(result.pooled is None for result in components):
-        why = next(notice for notice in notices if notice.severity == "warning")
+        why = next(notice for notice in notices if notice.code in _WITHOUT_MODEL)
         raise ComputeError(NO_STEP_MODEL, recording=why.where, reason=why.text)
     return StepEvaluation(
         name=name,
