@@ -13,7 +13,7 @@ import numpy as np
 from fusion.errors import InputError
 from fusion.recording.toml import check_values, read_text
 from fusion.recording.values import describe
-from fusion.sensor.sensor_model_notices import DAMAGED_MODEL_FILE, WRONG_MODEL_FORMAT
+from fusion.sensor.model_notices import DAMAGED_MODEL_FILE, WRONG_MODEL_FORMAT
 from shaker.labels import mechanical_units
 from shaker.lti.system import ModalModel
 from shaker.release.load_model import PARAMETERS, LoadModel

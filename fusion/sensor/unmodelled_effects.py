@@ -11,7 +11,7 @@ import numpy as np
 from fusion.base import PERCENT
 from fusion.recording.rig import Rig
 from fusion.report.table import Table, capitalise, small
-from fusion.sensor.sensor_model_notices import MODEL_COVERAGE, MODEL_INFLUENCES_NOT_ASSESSED
+from fusion.sensor.model_notices import MODEL_COVERAGE, MODEL_INFLUENCES_NOT_ASSESSED
 from shaker.decoupling.model import MultiModel
 from shaker.release.load_model import LoadModel
 from shakercal._common.arrays import FloatArray

@@ -20,17 +20,16 @@ from fusion.report.folder import hash_files
 from fusion.report.recording_report import write_results
 from fusion.sensitivity.analyse import Evaluation
 from fusion.sensor.certificate.certificate_evaluation import Certificate, _not_assessed, evaluate_certificate
-from fusion.sensor.certificate.certificate_form import NEW_FORM
-from fusion.sensor.certificate.certificate_notices import (
+from fusion.sensor.certificate.certificate_inputs import NEW_FORM
+from fusion.sensor.certificate.certificate_report import certificate_page, certificate_xml
+from fusion.sensor.compare.comparison_inputs import read_result
+from fusion.sensor.result_notices import (
     EXPIRED_CERTIFICATES,
     ISSUED_BEFORE_CALIBRATION,
     MISSING_CERTIFICATE_ENTRIES,
     NO_CERTIFICATE_FORM,
     OUTDATED_RESULTS,
 )
-from fusion.sensor.certificate.certificate_report import certificate_page
-from fusion.sensor.certificate.certificate_xml import certificate_xml
-from fusion.sensor.compare.comparison_inputs import read_result
 from fusion.sensor.unmodelled_effects import coverage_notice
 from shakercal._common.notices import Notice
 

@@ -15,13 +15,13 @@ from support import RefusedCommand, edit, rows
 from fusion.cli import main
 from fusion.recording.dcc import read_dcc
 from fusion.recording.load import load_manifest
-from fusion.sensor.certificate.certificate_notices import (
+from fusion.sensor.certificate.certificate_inputs import CERTIFIED_COMMANDS
+from fusion.sensor.result_notices import (
     DAMAGED_RESULT_TABLE,
     MISSING_CERTIFICATE_ENTRIES,
     NO_CERTIFIABLE_RESULT,
     OUTDATED_RESULTS,
 )
-from fusion.sensor.certificate.certified_numbers import CERTIFIED_COMMANDS
 
 NUMBERED = FORM.replace('model = "W6"', 'model = "W6"\ncustomer_number = "C-1"')
 RULES = SCHEMA.with_name("dcc.sch")

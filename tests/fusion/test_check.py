@@ -26,7 +26,7 @@ from fusion.planning.check import ASSUMED_EXACT, NOT_FUSED, check, observable_co
 from fusion.recording.load import load_manifest
 from fusion.recording.manifest import ChannelEntry
 from fusion.recording.response import ChainElement, read_chain, read_response
-from fusion.sensor.load.load_notices import CONTRADICTORY_MOVING_MASS
+from fusion.sensor.model_notices import CONTRADICTORY_MOVING_MASS
 from fusion.simulate import simulate
 from shaker.labels import MOTION_COMPONENTS
 from shaker.sine.phasor import Phasors

@@ -11,7 +11,14 @@ from support import documented_columns, folder_contents, refusals, rows
 from fusion.cli import main
 from fusion.report.h5 import open_results, read_notices
 from fusion.sensor.compare.comparison_inputs import read_result
-from fusion.sensor.compare.comparison_notices import (
+from fusion.sensor.compare.comparison_report import COMPARISON
+from fusion.sensor.compare.consistency import (
+    complex_normalised_error,
+    drift,
+    normalised_error,
+    reference_value,
+)
+from fusion.sensor.result_notices import (
     NO_COMMON_VALUE,
     NO_RESULT_TABLE,
     ONLY_DIFFERENT_KINDS,
@@ -25,13 +32,6 @@ from fusion.sensor.compare.comparison_notices import (
     WRONG_RESULT_CELL,
     WRONG_RESULT_COUNT,
     WRONG_RESULT_TABLE,
-)
-from fusion.sensor.compare.comparison_report import COMPARISON
-from fusion.sensor.compare.reference_value import (
-    complex_normalised_error,
-    drift,
-    normalised_error,
-    reference_value,
 )
 from shakercal._common.notices import Notice
 

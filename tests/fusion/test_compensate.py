@@ -24,12 +24,6 @@ from support import block, channel, rows
 from fusion.cli import main
 from fusion.errors import InputError
 from fusion.sensor.compensate.compensation_evaluation import evaluate_compensation, white_noise
-from fusion.sensor.compensate.compensation_notices import (
-    FILTER_REFUSED,
-    MODE_NOT_COMPENSATED,
-    NO_MODEL_FILE,
-    WRONG_COMPENSATION_OPTION,
-)
 from fusion.sensor.compensate.compensation_report import header_text, json_text, read_compensation_filters
 from fusion.sensor.compensate.compensation_subjects import CompensationSettings, read_sources
 from fusion.sensor.model_files import (
@@ -41,7 +35,14 @@ from fusion.sensor.model_files import (
     models_text,
     read_models,
 )
-from fusion.sensor.sensor_model_notices import DAMAGED_MODEL_FILE, WRONG_MODEL_FORMAT
+from fusion.sensor.model_notices import (
+    DAMAGED_MODEL_FILE,
+    FILTER_REFUSED,
+    MODE_NOT_COMPENSATED,
+    NO_MODEL_FILE,
+    WRONG_COMPENSATION_OPTION,
+    WRONG_MODEL_FORMAT,
+)
 from shaker.compensation.filter import CompensationFilter
 from shaker.lti.indices import LABELS, indices
 from shaker.lti.lti_notices import FIGURES_NOT_LINEAR

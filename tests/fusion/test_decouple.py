@@ -16,9 +16,8 @@ from support import rows as read_rows
 from fusion.cli import main
 from fusion.errors import InputError
 from fusion.sensor.decouple.decoupling_evaluation import DecoupleEvaluation, evaluate_decoupling, read_decoupling_filter
-from fusion.sensor.decouple.decoupling_notices import MISSING_RELEASES
 from fusion.sensor.decouple.decoupling_report import DECOUPLE, draw_step
-from fusion.sensor.sensor_model_notices import DAMAGED_MODEL_FILE
+from fusion.sensor.model_notices import DAMAGED_MODEL_FILE, MISSING_RELEASES
 from fusion.simulate.preset import read_preset
 from fusion.simulate.releases import StepRig, sensor_model, write_steps
 from fusion.simulate.world import Draws

@@ -30,10 +30,10 @@ from fusion.sensor.identify.identification_evaluation import (
 )
 from fusion.sensor.identify.identification_figures import POINTS, draw_explained
 from fusion.sensor.identify.identification_inputs import IdentifySettings, read_campaign
-from fusion.sensor.identify.identification_notices import DAMPING_CONTRADICTED, SENSITIVITY_EXPLANATION
 from fusion.sensor.identify.identification_report import IDENTIFY, read_sensor_models
 from fusion.sensor.identify.joint_fit import model_sensitivity
-from fusion.sensor.sensor_model_notices import DAMAGED_MODEL_FILE, WRONG_MODEL_FORMAT
+from fusion.sensor.model_notices import DAMAGED_MODEL_FILE, WRONG_MODEL_FORMAT
+from fusion.sensor.response_notices import DAMPING_CONTRADICTED, SENSITIVITY_EXPLANATION
 from fusion.sensor.transfer.transfer_evaluation import KINDS as TRANSFER_KINDS
 from fusion.simulate.chirp import write_masses
 from fusion.simulate.world import Draws, true_part

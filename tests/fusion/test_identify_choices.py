@@ -45,7 +45,9 @@ from fusion.sensor.identify.identification_inputs import (
     read_campaign,
     transducer_placement,
 )
-from fusion.sensor.identify.identification_notices import (
+from fusion.sensor.identify.identification_report import read_sensor_models
+from fusion.sensor.identify.joint_fit import JointFit, joint_fits, mechanics, model_sensitivity
+from fusion.sensor.response_notices import (
     BAND_WITHOUT_LINES,
     DIFFERENT_SENSOR,
     ELASTIC_LOAD,
@@ -57,8 +59,6 @@ from fusion.sensor.identify.identification_notices import (
     PITCHING_NOT_DRIVEN,
     SECOND_PEAK_NOT_EXPLAINED,
 )
-from fusion.sensor.identify.identification_report import read_sensor_models
-from fusion.sensor.identify.joint_fit import JointFit, joint_fits, mechanics, model_sensitivity
 from fusion.simulate.chirp import (
     Chirp,
     SimulatedSuspension,

@@ -20,10 +20,12 @@ from fusion.recording.load import load_manifest
 from fusion.report.h5 import read_notices
 from fusion.sensor.load.load_evaluation import MOVING_MASS_LABEL, LoadSettings, evaluate_loads, read_series, read_table
 from fusion.sensor.load.load_models_report import parameter_rows
-from fusion.sensor.load.load_notices import (
+from fusion.sensor.model_files import LOAD_MODEL_FILE, UncertaintyBasis, model_text, read_load_models, read_loads
+from fusion.sensor.model_notices import (
     COMPONENT_WITHOUT_MOVING_MASS,
     CONTRADICTORY_MODEL_STATEMENT,
     CONTRADICTORY_MOVING_MASS,
+    DAMAGED_MODEL_FILE,
     EXTRAPOLATED_LOAD,
     LOAD_COLUMN_MISSING,
     LOAD_TABLE_NOT_READABLE,
@@ -32,9 +34,8 @@ from fusion.sensor.load.load_notices import (
     TOO_MANY_LOADS,
     UNKNOWN_LOAD_COLUMN,
     WRONG_LOAD_NUMBER,
+    WRONG_MODEL_FORMAT,
 )
-from fusion.sensor.model_files import LOAD_MODEL_FILE, UncertaintyBasis, model_text, read_load_models, read_loads
-from fusion.sensor.sensor_model_notices import DAMAGED_MODEL_FILE, WRONG_MODEL_FORMAT
 from fusion.simulate.preset import read_preset
 from fusion.simulate.releases import SeriesRig, true_modes, write_loads
 from shaker.release.load_model import LoadModel

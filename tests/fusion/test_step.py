@@ -22,18 +22,18 @@ from fusion.recording.recording_notices import WRONG_EXCITATION_KIND
 from fusion.report.h5 import read_notices
 from fusion.report.report_notices import OTHER_CONTENT
 from fusion.sensor.model_files import read_models
-from fusion.sensor.sensor_model_notices import MODEL_INFLUENCES_NOT_ASSESSED
-from fusion.sensor.step.step_evaluation import MeasuredResponse, measured_response
-from fusion.sensor.step.step_notices import (
+from fusion.sensor.model_notices import (
     CHAIN_IN_MODEL,
     DRIVEN_OUTPUT_CLIPPED,
     DRIVEN_OUTPUT_MISSING,
     MISSING_STEP_ENTRY,
+    MODEL_INFLUENCES_NOT_ASSESSED,
     NO_STEP_FOUND,
     NO_STEP_MODEL,
     ONSET_OUTSIDE_RECORD,
     WRONG_FORCE_CHANNEL,
 )
+from fusion.sensor.step.step_figures import MeasuredResponse, measured_response
 from fusion.sensor.step.step_records import StepInput, read_step
 from fusion.sensor.step.step_releases import LABELS, read_recording
 

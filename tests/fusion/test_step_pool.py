@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from scipy import stats
 
-from fusion.sensor.step.step_notices import SHAPE_OF_DEVICE_UNDETERMINED
+from fusion.sensor.model_notices import SHAPE_OF_DEVICE_UNDETERMINED
 from fusion.sensor.step.step_records import (
     OF_SHAPES,
     AlternativeModels,

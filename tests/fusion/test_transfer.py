@@ -21,13 +21,13 @@ from fusion.errors import InputError
 from fusion.instruments.transducer import TRANSDUCERS
 from fusion.recording.load import load_manifest
 from fusion.recording.manifest import ChannelEntry
-from fusion.sensor.transfer.transfer_evaluation import _unstated_scales, evaluate_transfer, find_resonances
-from fusion.sensor.transfer.transfer_notices import (
+from fusion.sensor.response_notices import (
     CHANNELS_RESAMPLED,
     MISSING_TRANSFER_ENTRY,
     PERIOD_WITHOUT_SIGNAL,
     WRONG_CHANNEL_NAME,
 )
+from fusion.sensor.transfer.transfer_evaluation import _unstated_scales, evaluate_transfer, find_resonances
 from fusion.sensor.transfer.transfer_records import ChannelChain, ReferenceResult, TransferSettings, uncertainty
 from fusion.sensor.transfer.transfer_report import TRANSFER, expanded
 from fusion.simulate.chirp import Chirp, Oscillator, write_chirp

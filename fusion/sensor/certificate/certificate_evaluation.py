@@ -20,8 +20,22 @@ from fusion.recording.load import RECORDING_NAME, Manifest, find_recordings, loa
 from fusion.recording.toml import UncertainInput
 from fusion.report.folder import hash_files, sha256
 from fusion.report.table import has_phase
-from fusion.sensor.certificate.certificate_form import FORM_FILE, Conformity, Form, read_form
-from fusion.sensor.certificate.certificate_notices import (
+from fusion.sensor.certificate.certificate_inputs import (
+    CERTIFIED_COMMANDS,
+    FORM_FILE,
+    Conformity,
+    Form,
+    NumberList,
+    find_command,
+    find_results_folder,
+    read_certified_numbers,
+    read_form,
+    read_results_origin,
+    select_recordings,
+)
+from fusion.sensor.model_notices import MODEL_INFLUENCES_NOT_ASSESSED
+from fusion.sensor.response_notices import COARSE_CONVERTER_STEPS
+from fusion.sensor.result_notices import (
     EXPIRED_CERTIFICATES,
     ISSUED_BEFORE_CALIBRATION,
     MISSING_CERTIFICATE_ENTRIES,
@@ -30,17 +44,6 @@ from fusion.sensor.certificate.certificate_notices import (
     OUTDATED_RESULTS,
     WARNINGS_NOT_REVIEWED,
 )
-from fusion.sensor.certificate.certified_numbers import (
-    CERTIFIED_COMMANDS,
-    NumberList,
-    find_command,
-    find_results_folder,
-    read_certified_numbers,
-    read_results_origin,
-    select_recordings,
-)
-from fusion.sensor.sensor_model_notices import MODEL_INFLUENCES_NOT_ASSESSED
-from fusion.sensor.transfer.transfer_notices import COARSE_CONVERTER_STEPS
 from shaker.labels import LOAD_COMPONENTS
 from shakercal._common.notices import Notice
 

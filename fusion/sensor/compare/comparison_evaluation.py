@@ -15,7 +15,22 @@ from fusion.base import CommandEvaluation
 from fusion.errors import InputError
 from fusion.recording.dsi import parse_unit, same_dimension
 from fusion.sensor.compare.comparison_inputs import ComparedResult, ComparedValue, year_of
-from fusion.sensor.compare.comparison_notices import (
+from fusion.sensor.compare.consistency import (
+    MAX_RESULTS,
+    ReferenceValue,
+    SharedInput,
+    complex_normalised_error,
+    covariance_of,
+    drift,
+    find_contradictory_claims,
+    find_possible_shared_inputs,
+    find_shared_inputs,
+    normalised_error,
+    reference_value,
+    select_acting_inputs,
+    weighted_mean,
+)
+from fusion.sensor.result_notices import (
     CONTRADICTORY_CLAIMS,
     KINDS_NOT_COMPARED,
     NO_COMMON_VALUE,
@@ -31,23 +46,6 @@ from fusion.sensor.compare.comparison_notices import (
     UNIT_NOT_CONVERTIBLE,
     UNMATCHED_VALUES,
     WRONG_RESULT_COUNT,
-)
-from fusion.sensor.compare.reference_value import (
-    MAX_RESULTS,
-    ReferenceValue,
-    complex_normalised_error,
-    drift,
-    normalised_error,
-    reference_value,
-    weighted_mean,
-)
-from fusion.sensor.compare.shared_inputs import (
-    SharedInput,
-    covariance_of,
-    find_contradictory_claims,
-    find_possible_shared_inputs,
-    find_shared_inputs,
-    select_acting_inputs,
 )
 from shakercal._common.arrays import FloatArray
 from shakercal._common.notices import Notice

@@ -22,7 +22,7 @@ from fusion.report.folder import CURVE_FILE, RESULT_FILE, SENSITIVITY_FILE
 from fusion.report.h5 import open_results, read_evidence
 from fusion.report.labelled_results import CAMPAIGN_FILE, read_results
 from fusion.sensitivity.input_evidence import InputEvidence
-from fusion.sensor.compare.comparison_notices import (
+from fusion.sensor.result_notices import (
     NO_RESULT_TABLE,
     WRONG_CERTIFIED_RESULT,
     WRONG_RESULT_CELL,

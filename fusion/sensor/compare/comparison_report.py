@@ -28,8 +28,8 @@ from fusion.report.table import (
 )
 from fusion.sensor.compare.comparison_evaluation import ComparedQuantity, ComparisonEvaluation, evaluate_comparison
 from fusion.sensor.compare.comparison_inputs import read_result, result_files
-from fusion.sensor.compare.comparison_notices import WRONG_COMPARISON_OPTION
-from fusion.sensor.compare.shared_inputs import SharedInput, list_titles
+from fusion.sensor.compare.consistency import SharedInput, list_titles
+from fusion.sensor.result_notices import WRONG_COMPARISON_OPTION
 
 
 class ResultRow(NamedTuple):

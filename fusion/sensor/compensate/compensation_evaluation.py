@@ -13,21 +13,6 @@ from fusion.base import CommandEvaluation
 from fusion.errors import InputError
 from fusion.recording.daq_records import read_daqs
 from fusion.recording.load import Manifest, find_recordings, load_manifest
-from fusion.sensor.compensate.compensation_notices import (
-    BAND_NOT_REACHED,
-    COVARIANCE_NOT_STATED,
-    FILTER_FOR_ONE_LOAD,
-    FILTER_REFUSED,
-    MODE_NOT_COMPENSATED,
-    MODE_UNCERTAIN,
-    NO_REAL_POLE_TO_MOVE,
-    NOISE_AMPLIFIED,
-    OUTPUTS_NOT_FILTERED,
-    SAMPLING_ERROR,
-    WIDER_BAND_POSSIBLE,
-    WRONG_COMPENSATION_OPTION,
-    WRONG_RECORDING,
-)
 from fusion.sensor.compensate.compensation_subjects import (
     COMMAND,
     OPTIONS,
@@ -41,6 +26,21 @@ from fusion.sensor.compensate.compensation_subjects import (
     LoadFilter,
     SubjectResult,
     select_subjects,
+)
+from fusion.sensor.model_notices import (
+    BAND_NOT_REACHED,
+    COVARIANCE_NOT_STATED,
+    FILTER_FOR_ONE_LOAD,
+    FILTER_REFUSED,
+    MODE_NOT_COMPENSATED,
+    MODE_UNCERTAIN,
+    NO_REAL_POLE_TO_MOVE,
+    NOISE_AMPLIFIED,
+    OUTPUTS_NOT_FILTERED,
+    SAMPLING_ERROR,
+    WIDER_BAND_POSSIBLE,
+    WRONG_COMPENSATION_OPTION,
+    WRONG_RECORDING,
 )
 from fusion.sensor.transfer.transfer_records import align
 from fusion.sensor.unmodelled_effects import CAUSE_LABELS, coverage_notice

@@ -56,7 +56,6 @@ from fusion.sensor.compensate.compensation_figures import (
     draw_step,
     frequencies,
 )
-from fusion.sensor.compensate.compensation_notices import WRONG_COMPENSATION_OPTION
 from fusion.sensor.compensate.compensation_subjects import (
     COMMAND,
     CompensationSettings,
@@ -67,6 +66,7 @@ from fusion.sensor.compensate.compensation_subjects import (
     stated_sensor,
 )
 from fusion.sensor.model_files import FORMAT, read_model_file
+from fusion.sensor.model_notices import WRONG_COMPENSATION_OPTION
 from shaker.compensation.effects import gain_band
 from shaker.compensation.filter import Sections, band_ratio, best_damping
 from shaker.lti.indices import LABELS, unit_of

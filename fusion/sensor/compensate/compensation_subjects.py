@@ -12,12 +12,6 @@ import numpy as np
 from fusion.errors import InputError
 from fusion.estimation.coverage import coverage_factor
 from fusion.recording.values import repeated_name
-from fusion.sensor.compensate.compensation_notices import (
-    DUPLICATE_MODEL,
-    EQUIVALENT_SOLUTIONS,
-    NO_MODEL_FILE,
-    WRONG_COMPENSATION_OPTION,
-)
 from fusion.sensor.model_files import (
     LOAD_MODEL_FILE,
     MODELS_FILE,
@@ -25,6 +19,12 @@ from fusion.sensor.model_files import (
     read_loads,
     read_model_file,
     read_models,
+)
+from fusion.sensor.model_notices import (
+    DUPLICATE_MODEL,
+    EQUIVALENT_SOLUTIONS,
+    NO_MODEL_FILE,
+    WRONG_COMPENSATION_OPTION,
 )
 from fusion.sensor.step.step_records import effective_dof
 from shaker.compensation.effects import target_for_bandwidth, target_for_frequency

@@ -15,7 +15,8 @@ from numpy.typing import NDArray
 from fusion.base import CommandEvaluation
 from fusion.errors import ComputeError, InputError
 from fusion.recording.load import Manifest, check_one_rig
-from fusion.sensor.decouple.decoupling_notices import (
+from fusion.sensor.model_files import FORMAT, read_model_file
+from fusion.sensor.model_notices import (
     DIFFERENT_RECORDS,
     LOADS_NOT_SEPARABLE,
     MISSING_RELEASES,
@@ -26,7 +27,6 @@ from fusion.sensor.decouple.decoupling_notices import (
     TARGET_ABOVE_LIMIT,
     TARGET_NOT_REACHED,
 )
-from fusion.sensor.model_files import FORMAT, read_model_file
 from fusion.sensor.step.step_records import StepInput, read_step
 from fusion.sensor.unmodelled_effects import ModelInfluences, coverage_notice, stated_influences
 from shaker.decoupling.common_pole_fit import MultiFit, fit_steps

@@ -28,7 +28,6 @@ from fusion.sensor.identify.identification_inputs import (
     load_along,
     prepare,
 )
-from fusion.sensor.identify.identification_notices import NO_BAND_OF_PITCHING_LOAD, PEAK_NOT_READ
 from fusion.sensor.identify.joint_fit import (
     JointFit,
     SensitivityResult,
@@ -38,6 +37,7 @@ from fusion.sensor.identify.joint_fit import (
     relative_errors,
     sine_transfers,
 )
+from fusion.sensor.response_notices import NO_BAND_OF_PITCHING_LOAD, PEAK_NOT_READ
 from shaker.identification.measured_curves import CurveError, MeasuredCurve, MeasuredSensitivity, ParameterEstimate
 from shaker.identification.oscillator import PeakReading, peak_readings
 from shaker.identification.sensor import Load, SensorModel, UsableBand, usable_band

@@ -19,7 +19,7 @@ from fusion.recording.manifest import ChannelEntry
 from fusion.report.folder import RESULT_FILE, InputFiles, hash_files, read_provenance
 from fusion.sensitivity.elastic import InstrumentPosition, NaturalModes
 from fusion.sensitivity.moving_body import JOINT, Body, inertia_errors, joint_unknown, load_body, rigid_load
-from fusion.sensor.identify.identification_notices import (
+from fusion.sensor.response_notices import (
     BAND_WITHOUT_LINES,
     DIFFERENT_SENSOR,
     ELASTIC_LOAD,

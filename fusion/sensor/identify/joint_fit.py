@@ -26,7 +26,7 @@ from fusion.sensor.identify.identification_inputs import (
     drive_of,
     mass_unit,
 )
-from fusion.sensor.identify.identification_notices import (
+from fusion.sensor.response_notices import (
     DAMPING_AGREES,
     DAMPING_CONTRADICTED,
     EQUAL_LOAD_MASSES,

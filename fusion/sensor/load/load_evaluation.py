@@ -21,7 +21,8 @@ from fusion.recording.rig import Rig
 from fusion.recording.toml import read_text
 from fusion.recording.values import wrong_size
 from fusion.sensitivity.moving_body import inertia_errors, rigid_load
-from fusion.sensor.load.load_notices import (
+from fusion.sensor.model_files import parameter_units
+from fusion.sensor.model_notices import (
     COMPONENT_WITHOUT_MOVING_MASS,
     CONTRADICTORY_MODEL_STATEMENT,
     CONTRADICTORY_MOVING_MASS,
@@ -37,7 +38,6 @@ from fusion.sensor.load.load_notices import (
     UNKNOWN_LOAD_COLUMN,
     WRONG_LOAD_NUMBER,
 )
-from fusion.sensor.model_files import parameter_units
 from fusion.sensor.step.step_records import effective_dof
 from fusion.sensor.step.step_releases import StepRelease, check_driven_output, read_recording
 from fusion.sensor.unmodelled_effects import CAUSE_LABELS, ModelInfluences, coverage_notice, stated_influences

@@ -13,7 +13,7 @@ from fusion.estimation.coverage import NamedQuantity
 from fusion.recording.daq_records import read_daqs
 from fusion.recording.load import Manifest
 from fusion.recording.manifest import ChannelEntry
-from fusion.sensor.step.step_notices import (
+from fusion.sensor.model_notices import (
     CHAIN_IN_MODEL,
     DUPLICATE_OUTPUT,
     FILTER_IN_MODEL,

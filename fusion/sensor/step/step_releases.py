@@ -17,7 +17,7 @@ from fusion.estimation.coverage import NamedQuantity, RealQuantity
 from fusion.recording.load import Manifest
 from fusion.recording.rig import Rig
 from fusion.sensor.model_files import ModelEntry
-from fusion.sensor.step.step_notices import (
+from fusion.sensor.model_notices import (
     CLIPPED_OUTPUT,
     DRIVEN_OUTPUT_CLIPPED,
     DRIVEN_OUTPUT_MISSING,

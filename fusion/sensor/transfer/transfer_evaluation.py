@@ -14,7 +14,7 @@ from fusion.instruments.transducer import TRANSDUCERS
 from fusion.recording.excitation import kinds_of
 from fusion.recording.load import Manifest
 from fusion.recording.manifest import ChannelEntry
-from fusion.sensor.transfer.transfer_notices import (
+from fusion.sensor.response_notices import (
     BAND_ABOVE_LIMIT,
     CHIRP_WITHOUT_PERIOD,
     MISSING_TRANSFER_ENTRY,

@@ -17,7 +17,7 @@ from fusion.recording.load import Manifest
 from fusion.recording.manifest import ChannelEntry
 from fusion.recording.response import read_response
 from fusion.recording.units import unit_notices
-from fusion.sensor.transfer.transfer_notices import (
+from fusion.sensor.response_notices import (
     CHANNELS_NOT_SIMULTANEOUS,
     CHANNELS_RESAMPLED,
     COARSE_CONVERTER_STEPS,
