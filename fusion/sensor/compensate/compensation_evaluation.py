@@ -26,6 +26,7 @@ from fusion.sensor.compensate.compensation_subjects import (
     LoadFilter,
     SubjectResult,
     select_subjects,
+    wrong_option,
 )
 from fusion.sensor.model_notices import (
     BAND_NOT_REACHED,
@@ -39,7 +40,6 @@ from fusion.sensor.model_notices import (
     OUTPUTS_NOT_FILTERED,
     SAMPLING_ERROR,
     WIDER_BAND_POSSIBLE,
-    WRONG_COMPENSATION_OPTION,
     WRONG_RECORDING,
 )
 from fusion.sensor.transfer.transfer_records import align
@@ -113,8 +113,7 @@ def check_haptics(results: Sequence[SubjectResult], settings: CompensationSettin
         return None
     force = next((one for one in results if one.subject.is_scheduled and one.subject.load_unit == "N"), None)
     if force is None:
-        expected = "a model of a force over the load (load.json) for --ball"
-        raise InputError(WRONG_COMPENSATION_OPTION, COMMAND, "--ball", found="none", expected=expected)
+        raise wrong_option("none", "a model of a force over the load (load.json) for --ball", "--ball")
     heaviest = max(force.filters, key=lambda one: one.load_mass or 0.0)
     mass, rate = heaviest.load_mass or 0.0, heaviest.sections.sample_rate_hz
     unloaded = Compensation(force.subject.dynamics(0.0, settings.modes, real_poles=False), heaviest.compensation.target)
@@ -162,9 +161,8 @@ def read_outputs(path: Path, *, allow_outside: bool = False) -> OutputRecord:
     """Read all output channels of one recording on one time base; raises `InputError`."""
     recordings = find_recordings(path)
     if len(recordings) != 1:
-        raise InputError(
-            WRONG_RECORDING, path, found=f"{len(recordings)} recordings", expected="one recording for --apply"
-        )
+        found = f"{len(recordings)} recordings"
+        raise InputError(WRONG_RECORDING, path, found=found, expected="one recording for --apply")
     manifest = load_manifest(recordings[0], allow_outside=allow_outside)
     if manifest.take:
         found = f"{len(manifest.take)} takes"
@@ -242,9 +240,7 @@ def add_recorded_load(
         return settings
     if len(settings.load_masses) > 1:
         expected = "one load mass with --apply, that of the recording"
-        raise InputError(
-            WRONG_COMPENSATION_OPTION, COMMAND, "--load-mass", found=f"{len(settings.load_masses)}", expected=expected
-        )
+        raise wrong_option(f"{len(settings.load_masses)}", expected, "--load-mass")
     rig = record.manifest.rig
     if settings.load_masses or rig.load is None:
         return settings
@@ -422,9 +418,7 @@ def _subject(subject: CompensationSubject, settings: CompensationSettings, rate_
     """Return the filters of one channel, one per load, all with one target."""
     if subject.is_scheduled and settings.real_hz is not None:
         expected = "no --real-pole: a model over the load has none"
-        raise InputError(
-            WRONG_COMPENSATION_OPTION, COMMAND, "--real-pole", found=f"{settings.real_hz:g} Hz", expected=expected
-        )
+        raise wrong_option(f"{settings.real_hz:g} Hz", expected, "--real-pole")
     masses: tuple[float | None, ...] = (settings.load_masses or (0.0,)) if subject.is_scheduled else (None,)
     try:
         sensors = [subject.dynamics(mass, settings.modes, settings.real_hz is not None) for mass in masses]
@@ -438,11 +432,9 @@ def _subject(subject: CompensationSubject, settings: CompensationSettings, rate_
         ]
     except ValueError as error:
         option = OPTIONS.get(str(error).partition(":")[0])
-        if option is None:  # the model itself
-            file = subject.file or Path(COMMAND)
-            raise InputError.from_exception(error, file, subject.name, FILTER_REFUSED) from error
-        key = f"{option} ({subject.name})"
-        raise InputError.from_exception(error, Path(COMMAND), key, FILTER_REFUSED) from error
+        file = None if option else subject.file  # without an option, the model itself is refused
+        key = f"{option} ({subject.name})" if option else subject.name
+        raise InputError.from_exception(error, file or Path(COMMAND), key, FILTER_REFUSED) from error
     return SubjectResult(subject, tuple(filters))
 
 

@@ -17,7 +17,6 @@ import numpy as np
 from markupsafe import Markup
 
 from fusion.base import DASH, GRAM, MILLI, PERCENT, round_to_uncertainty
-from fusion.errors import InputError
 from fusion.estimation.coverage import coverage_factor
 from fusion.report.folder import CommandReport, hash_files
 from fusion.report.h5 import write_value
@@ -57,16 +56,15 @@ from fusion.sensor.compensate.compensation_figures import (
     frequencies,
 )
 from fusion.sensor.compensate.compensation_subjects import (
-    COMMAND,
     CompensationSettings,
     IndexEstimates,
     LoadFilter,
     SubjectResult,
     read_sources,
     stated_sensor,
+    wrong_option,
 )
 from fusion.sensor.model_files import FORMAT, read_model_file
-from fusion.sensor.model_notices import WRONG_COMPENSATION_OPTION
 from shaker.compensation.effects import gain_band
 from shaker.compensation.filter import Sections, band_ratio, best_damping
 from shaker.lti.indices import LABELS, unit_of
@@ -79,17 +77,8 @@ CONVENTIONS = (
     "each of static gain 1; continuous: gain * product (s - zero)/(s - pole), rad/s; numbers are exact doubles"
 )
 SHOWN = (
-    "natural_hz",
-    "damping_ratio",
-    "peak_hz",
-    "peak_gain",
-    "band_5_hz",
-    "band_10_hz",
-    "half_power_hz",
-    "overshoot",
-    "rise_s",
-    "settling_5_s",
-    "settling_2_s",
+    *("natural_hz", "damping_ratio", "peak_hz", "peak_gain", "band_5_hz", "band_10_hz", "half_power_hz"),
+    *("overshoot", "rise_s", "settling_5_s", "settling_2_s"),
 )
 SCALE = {"s": (MILLI, "ms"), "Hz": (1.0, "Hz"), "": (1.0, "")}
 PRINTED = {"band_10_hz": "±10 % band", "overshoot": "overshoot", "settling_2_s": "2 % settling"}
@@ -159,10 +148,9 @@ def read_compensation_filters(path: str | Path) -> tuple[StoredFilter, ...]:
         load_mass = None if mass is None else float(mass)
         return StoredFilter(str(item["channel"]), str(item["component"]), load_mass, sections)
 
-    def parsed(content: dict[str, Any]) -> tuple[StoredFilter, ...]:
-        return tuple(stored(item) for item in content["filters"])
-
-    return read_model_file(Path(path), JSON_FILE, "compensate", parsed, "filters")
+    return read_model_file(
+        Path(path), JSON_FILE, "compensate", lambda content: tuple(map(stored, content["filters"])), "filters"
+    )
 
 
 def _entry(made: LoadFilter) -> dict[str, Any]:
@@ -529,23 +517,16 @@ def run_compensate(
     """
     frequency, damping = sensor
     if models and sensor != (None, None):
-        expected = "either models or --sensor-frequency with --sensor-damping"
-        raise InputError(WRONG_COMPENSATION_OPTION, COMMAND, found="both", expected=expected)
+        raise wrong_option("both", "either models or --sensor-frequency with --sensor-damping")
     if not models and (frequency is None or damping is None):
         expected = "models.json, load.json, a folder with one, or --sensor-frequency with --sensor-damping"
-        raise InputError(WRONG_COMPENSATION_OPTION, COMMAND, found="none of them", expected=expected)
+        raise wrong_option("none of them", expected)
     sources = read_sources(models) if frequency is None or damping is None else stated_sensor(frequency, damping)
     record = None if recording is None else read_outputs(recording, allow_outside=allow_outside)
     root = sources.files[0].parent if sources.files else Path.cwd()
     if settings.load_masses and not any(subject.is_scheduled for subject in sources.subjects):
         found = ", ".join(f"{mass:g} kg" for mass in settings.load_masses)
-        raise InputError(
-            WRONG_COMPENSATION_OPTION,
-            COMMAND,
-            "--load-mass",
-            found=found,
-            expected="a model over the load (load.json) for it",
-        )
+        raise wrong_option(found, "a model over the load (load.json) for it", "--load-mass")
 
     def evaluate(hashes: dict[str, str]) -> CompensateEvaluation:
         return evaluate_compensation(sources, add_recorded_load(settings, sources, record), record, hashes)

@@ -67,6 +67,11 @@ STATED = "sensor"
 """Channel of a sensor that is stated by numbers."""
 
 
+def wrong_option(found: str, expected: str, option: str = "") -> InputError:
+    """Return the refusal of an option of the command."""
+    return InputError(WRONG_COMPENSATION_OPTION, COMMAND, option, found=found, expected=expected)
+
+
 @dataclass(frozen=True)
 class CompensationSettings:
     """Target dynamics and options of compensation filters.
@@ -103,24 +108,13 @@ class CompensationSettings:
 
     def __post_init__(self) -> None:
         if (self.frequency_hz is None) == (self.bandwidth_hz is None):
-            found = "none" if self.frequency_hz is None else "both"
-            raise InputError(
-                WRONG_COMPENSATION_OPTION, COMMAND, found=found, expected="either --frequency or --bandwidth"
-            )
+            raise wrong_option("none" if self.frequency_hz is None else "both", "either --frequency or --bandwidth")
         if self.bandwidth_hz is not None and self.damping_ratio is not None:
             expected = "no --damping together with --bandwidth, which determines it"
-            raise InputError(
-                WRONG_COMPENSATION_OPTION, COMMAND, "--damping", found=f"{self.damping_ratio:g}", expected=expected
-            )
+            raise wrong_option(f"{self.damping_ratio:g}", expected, "--damping")
         if not 0 < self.permitted_error < 1:
             expected = "a permitted error above 0 and below 100 %"
-            raise InputError(
-                WRONG_COMPENSATION_OPTION,
-                COMMAND,
-                "--permitted-error",
-                found=f"{100 * self.permitted_error:g} %",
-                expected=expected,
-            )
+            raise wrong_option(f"{100 * self.permitted_error:g} %", expected, "--permitted-error")
 
     def target(self, sensor: SensorDynamics) -> CompensationTarget:
         """Return the target for a sensor."""
@@ -135,16 +129,10 @@ class CompensationSettings:
     @property
     def settings(self) -> dict[str, str | float | int]:
         """The settings for the results."""
-        given = {name: getattr(self, name) for name in ("permitted_error", "modes", "discretisation")}
-        optional = ("frequency_hz", "damping_ratio", "bandwidth_hz", "real_hz", "low_pass_hz", "sample_rate_hz")
-        stated = {name: getattr(self, name) for name in (*optional, "ball_stiffness")}
-        lists = {"load_masses_kg": [f"{mass:.12g}" for mass in self.load_masses], "channels": self.channels}
-        return {
-            **given,
-            "calibrated": int(self.calibrated),
-            **{name: value for name, value in stated.items() if value is not None},
-            **{name: ", ".join(values) for name, values in lists.items() if values},
-        }
+        lists = {"load_masses_kg": ", ".join(f"{mass:.12g}" for mass in self.load_masses)}
+        lists["channels"] = ", ".join(self.channels)
+        stated = {**vars(self), "calibrated": int(self.calibrated), "load_masses": None, **lists}
+        return {name: value for name, value in stated.items() if value not in (None, "")}
 
 
 # Subjects: models of step responses, models over the load, or a frequency and a damping ratio.
@@ -229,12 +217,10 @@ class CompensationSubject:
             made = loaded_dynamics(self.model, load_mass or 0.0, modes=modes)
             return replace(made, scatter=made.covariance if np.isfinite(self.basis.dof) else None)
         if isinstance(self.model, ModalModel):
-            made = modal_dynamics(self.model, modes=modes, real_poles=real_poles)
-            if self.scatter_covariance is None:
+            made, scatter = modal_dynamics(self.model, modes=modes, real_poles=real_poles), self.scatter_covariance
+            if scatter is None:
                 return made
-            part = modal_dynamics(
-                replace(self.model, covariance=self.scatter_covariance), modes=modes, real_poles=real_poles
-            )
+            part = modal_dynamics(replace(self.model, covariance=scatter), modes=modes, real_poles=real_poles)
             return replace(made, scatter=part.covariance)
         if modes != 1:
             raise ValueError(f"modes: expected 1 of a sensor stated by frequency and damping, found {modes}")
@@ -269,13 +255,10 @@ def stated_sensor(frequency_hz: float, damping_ratio: float) -> CompensationSour
     """Return a sensor of one mode that is stated by numbers."""
     if not damping_ratio < 1.0:
         expected = "a damping ratio below 1, of a sensor that oscillates"
-        raise InputError(
-            WRONG_COMPENSATION_OPTION, COMMAND, "--sensor-damping", found=f"{damping_ratio:g}", expected=expected
-        )
+        raise wrong_option(f"{damping_ratio:g}", expected, "--sensor-damping")
     source = f"stated: {frequency_hz:g} Hz, ζ = {damping_ratio:g}"
-    return CompensationSources(
-        "stated sensor", (CompensationSubject(STATED, "", "1", single_mode(frequency_hz, damping_ratio), source),), ()
-    )
+    subject = CompensationSubject(STATED, "", "1", single_mode(frequency_hz, damping_ratio), source)
+    return CompensationSources("stated sensor", (subject,), ())
 
 
 def select_subjects(sources: CompensationSources, channels: Sequence[str]) -> tuple[CompensationSubject, ...]:
@@ -283,24 +266,17 @@ def select_subjects(sources: CompensationSources, channels: Sequence[str]) -> tu
     available = [subject.channel for subject in sources.subjects]
     for name in channels:
         if name not in available:
-            raise InputError(
-                WRONG_COMPENSATION_OPTION,
-                COMMAND,
-                "--channel",
-                found=name,
-                expected=f"one of {', '.join(dict.fromkeys(available))}",
-            )
+            raise wrong_option(name, f"one of {', '.join(dict.fromkeys(available))}", "--channel")
     return tuple(subject for subject in sources.subjects if not channels or subject.channel in channels)
 
 
 def _read(path: Path) -> CompensationSources:
     """Return the subjects of one file or folder."""
-    file = path
-    if path.is_dir():
-        file = next((path / name for name in (LOAD_MODEL_FILE, MODELS_FILE) if (path / name).is_file()), path)
-        if file == path:
-            expected = f"{MODELS_FILE} of shakercal step or {LOAD_MODEL_FILE} of shakercal load in it"
-            raise InputError(NO_MODEL_FILE, path, expected=expected)
+    offered = [path / LOAD_MODEL_FILE, path / MODELS_FILE] if path.is_dir() else [path]
+    file = next((one for one in offered if one.is_file()), path)
+    if file.is_dir():
+        expected = f"{MODELS_FILE} of shakercal step or {LOAD_MODEL_FILE} of shakercal load in it"
+        raise InputError(NO_MODEL_FILE, path, expected=expected)
 
     def over_loads(content: dict[str, Any]) -> bool:
         return bool(content["models"]) and "moving_mass" in content["models"][0]

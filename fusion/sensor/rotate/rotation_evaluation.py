@@ -114,10 +114,8 @@ def evaluate_rotation(name: str, manifests: Sequence[Manifest], input_hashes: di
     mass_inputs = MassInputs(recordings, records, weights, gravity, air)
     numbers, scatter = quantities(mass_inputs), repeats(mass_inputs)
     notices += [*_input_notices(manifests[0], gravity, outputs), *_recording_notices(recordings, scatter)]
-    notices += [
-        *_fit_notices(weights, records),
-        *(notice for manifest in manifests for notice in manifest.certificate_notices),
-    ]
+    notices += _fit_notices(weights, records)
+    notices += [notice for manifest in manifests for notice in manifest.certificate_notices]
     for quantity in numbers:
         if quantity.name == "load_mass_normalised_deviation" and abs(quantity.value) > 1.0:
             notices.append(Notice(LOAD_MASS_DEVIATES, "load", component=quantity.component, ratio=abs(quantity.value)))
@@ -147,13 +145,8 @@ def _read(manifests: Sequence[Manifest]) -> tuple[tuple[RotationRecording, ...],
                 ", ".join(f"{c} {u}".strip() for c, u in zip(r.fit.channels, r.unit, strict=True))
                 for r in (recording, first)
             )
-            raise InputError(
-                DIFFERENT_ROTATION_CHANNELS,
-                table_path(recording.manifest),
-                expected=expected,
-                recording=first.name,
-                found=found,
-            )
+            file = table_path(recording.manifest)
+            raise InputError(DIFFERENT_ROTATION_CHANNELS, file, expected=expected, recording=first.name, found=found)
     return tuple(item[0] for item in read), outputs, [notice for *_, of_recording in read for notice in of_recording]
 
 
@@ -161,12 +154,9 @@ def _input_notices(manifest: Manifest, gravity: SourcedValue, outputs: SensorOut
     """Yield notices on gravity, calibration matrix and bodies."""
     environment = manifest.rig.environment
     if environment is None or environment.gravity is None:
+        value, expanded = gravity.value, 2.0 * gravity.u
         yield Notice(
-            GRAVITY_FROM_LOCATION,
-            "gravity",
-            gravity_mps2=gravity.value,
-            expanded_mps2=2.0 * gravity.u,
-            source=gravity.source,
+            GRAVITY_FROM_LOCATION, "gravity", gravity_mps2=value, expanded_mps2=expanded, source=gravity.source
         )
     elif gravity.u == 0.0:
         yield Notice(GRAVITY_EXACT, "gravity")
@@ -420,14 +410,8 @@ def _derived(inputs: _PerturbedInputs) -> LabelledValues:
     mass_inputs = inputs.mass_inputs
     bare, loaded = (inputs.mean(with_load) for with_load in (False, True))
     # the joint weight, and forces that determine it individually in every recording
-    seen = [
-        (0, JOINT),
-        *(
-            force
-            for force in mass_inputs.single_forces[0]
-            if all(force in others for others in mass_inputs.single_forces)
-        ),
-    ]
+    first, *others = mass_inputs.single_forces
+    seen = [(0, JOINT), *(force for force in first if all(force in other for other in others))]
     internal = bare
     if internal is None and loaded is not None and mass_inputs.load:
         internal = loaded - inputs.weight_and_moment(mass_inputs.load)
@@ -484,13 +468,11 @@ def _by_component(name: str, label: str, masses: dict[str, FloatArray]) -> Label
     single = [component for component in masses if component != JOINT]
     if len(single) == 2:
         first, second = single
-        between = f"{first}-{second}"
-        yield (
-            QuantityLabel("kg", f"{name}_difference", f"{label}, axis to axis", between),
-            masses[first] - masses[second],
-        )
-        relative = PERCENT * (masses[first] - masses[second]) / masses[JOINT]
-        yield QuantityLabel("%", f"{name}_relative_difference", f"{label}, axis to axis", between), relative
+        label, between = f"{label}, axis to axis", f"{first}-{second}"
+        difference = masses[first] - masses[second]
+        yield QuantityLabel("kg", f"{name}_difference", label, between), difference
+        relative = PERCENT * difference / masses[JOINT]
+        yield QuantityLabel("%", f"{name}_relative_difference", label, between), relative
 
 
 def _centre(name: str, label: str, mean: FloatArray) -> LabelledValues:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -232,10 +232,10 @@ def centres_table(evaluation: RotationEvaluation) -> Table | None:
     """Return the centres of mass in sensor axes, in mm."""
 
     def coordinate(axis: str) -> TableColumn[dict[str, RotationQuantity]]:
-        return page_column(
-            axis,
-            lambda by_axis: quantity_html(*_in_small_unit(by_axis[axis])[:2]) if axis in by_axis else DASH,
-        )
+        def cell(by_axis: dict[str, RotationQuantity]) -> str:
+            return quantity_html(*_in_small_unit(by_axis[axis])[:2]) if axis in by_axis else DASH
+
+        return page_column(axis, cell)
 
     columns: list[TableColumn[dict[str, RotationQuantity]]] = [
         page_column("position", lambda by_axis: f"{capitalise(next(iter(by_axis.values())).label)} / mm", "l"),
@@ -277,20 +277,21 @@ def repeats_tables(evaluation: RotationEvaluation) -> list[Table]:
             if weight is not None and off is not None:
                 deviation = quantity_html(MILLI * off.value, MILLI * off.expanded)
                 over = signed_text(off.value / off.expanded) if off.u > 0.0 else DASH
-                rows.append(
-                    (scatter.state, mounting, name, quantity_html(weight.value, weight.expanded), deviation, over)
-                )
+                value = quantity_html(weight.value, weight.expanded)
+                rows.append((scatter.state, mounting, name, value, deviation, over))
     caption = "Repeats: weight in air with U, deviation from the mean"
     head = ("state", "mounting", "recording", "weight / N", "minus mean / mN", "over its U")
+
+    def spread(of: Callable[[RotationScatter], float]) -> Callable[[RotationScatter], str]:
+        return lambda scatter: small(MILLI * of(scatter)) if np.isfinite(of(scatter)) else DASH
+
     columns: list[TableColumn[RotationScatter]] = [
         page_column("state", lambda scatter: scatter.state, "l"),
         page_column("recordings", lambda scatter: f"{len(scatter.recordings)}"),
         page_column("mountings", lambda scatter: f"{len(set(scatter.mountings))}"),
-        page_column(f"{WITHIN} s / mN", lambda scatter: small(MILLI * scatter.within) if scatter.within_dof else DASH),
+        page_column(f"{WITHIN} s / mN", spread(lambda scatter: scatter.within)),
         page_column("dof", lambda scatter: f"{scatter.within_dof}"),
-        page_column(
-            f"{BETWEEN} s / mN", lambda scatter: small(MILLI * scatter.between) if scatter.between_dof else DASH
-        ),
+        page_column(f"{BETWEEN} s / mN", spread(lambda scatter: scatter.between)),
         page_column("dof", lambda scatter: f"{scatter.between_dof}"),
     ]
     beyond = "Scatter of the weight beyond noise and stated errors, of one recording and of one mounting"
@@ -340,15 +341,9 @@ def budget_tables(evaluation: RotationEvaluation) -> list[Table]:
     """Return the budgets of masses, deviation of the load and centres, the largest contribution first."""
 
     def budget(caption: str, shown: Sequence[RotationQuantity]) -> Table:
-        names = sorted(
-            {
-                name
-                for q in shown
-                for name, u in q.budget.items()
-                if name != UNDETERMINED_SOURCE or u > MIN_UNDETERMINED_SHARE * q.u
-            },
-            key=lambda name: -max(q.budget.get(name, 0.0) / q.u for q in shown),
-        )
+        listed = {(name, u / q.u) for q in shown for name, u in q.budget.items()}
+        named = {name for name, share in listed if name != UNDETERMINED_SOURCE or share > MIN_UNDETERMINED_SHARE}
+        names = sorted(named, key=lambda name: -max(q.budget.get(name, 0.0) / q.u for q in shown))
         scale = SCALED[shown[0].unit][0]
         rows = [(name, *(small(scale * q.budget[name]) if name in q.budget else DASH for q in shown)) for name in names]
         rows.append(("combined, k = 1", *(small(scale * q.u) for q in shown)))

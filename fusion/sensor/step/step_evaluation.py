@@ -98,9 +98,8 @@ def evaluate_component(
         scatter=pooled.scatter if pooled.scatter_dof else None,
         outside=influences.outside,
     )
-    parameters = parameter_quantities(pooled, unit)
-    result = replace(result, pooled=pooled, parameters=parameters, figures=found.quantities, entry=entry)
-    result = replace(result, budget=found.budget, influences=influences)
+    result = replace(result, pooled=pooled, parameters=parameter_quantities(pooled, unit), entry=entry)
+    result = replace(result, figures=found.quantities, budget=found.budget, influences=influences)
     if settings.method == "all":
         by_rule = settings.release == "auto" and used[0].name not in fitted.refitted
         rows, of_methods = compare_methods(used[0], settings, [fits[0][1]] if by_rule else ())

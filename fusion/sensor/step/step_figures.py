@@ -107,7 +107,7 @@ def draw_devices(name: str, component: StepComponent) -> Figure:
     for index, device in enumerate(component.ropes):
         release = next(release for release in component.releases if release.name in device.releases)
         record, reading = release.record, release.reading
-        time = record.time_s - (reading.onset_s if release.fit is None else release.fit.onset_s)
+        time = record.time_s - release.timing.onset_s
         shown = (time >= -0.1 * span) & (time <= span)
         level = record.samples[record.channels.index(release.driven)][shown]
         share = (level - reading.baseline) / (reading.steady - reading.baseline)
@@ -242,7 +242,8 @@ def measured_response(release: StepRelease) -> MeasuredResponse:
     """
     record = release.record
     step = 1.0 / record.sample_rate_hz
-    onset = release.reading.onset_s if release.fit is None else release.fit.onset_s
+    timing = release.timing
+    onset, lasts = timing.onset_s, timing.release_s
     first = max(0, int((onset - record.start_s) / step) - 3)
     samples = record.samples[record.channels.index(release.driven), first:]
     start_s = record.start_s + first * step
@@ -253,19 +254,18 @@ def measured_response(release: StepRelease) -> MeasuredResponse:
         ends = float(record.force[: max(first, 1)].mean()), float(force[-max(1, len(force) // FINAL_FRACTION) :].mean())
         driven = _derivative(force, ends, start_s, step)[1]
     else:
-        turn = frequency * release.release_s
+        turn = frequency * lasts
         share = np.sinc(turn)
-        if release.shape == "smooth":
+        if timing.shape == "smooth":
             near = np.abs(1.0 - (2.0 * turn) ** 2) < 1e-9
             below = np.where(near, 1.0, 1.0 - (2.0 * turn) ** 2)
             share = np.where(near, np.pi / 4.0, np.cos(np.pi * turn) / below)
-        middle = np.exp(-2j * np.pi * frequency * (onset + 0.5 * release.release_s))
+        middle = np.exp(-2j * np.pi * frequency * (onset + 0.5 * lasts))
         driven = record.amplitude * share * middle
     excited = (np.abs(driven) >= MIN_EXCITATION * abs(record.amplitude)) & (frequency > 0.0)
     noise = 2.0 * np.pi * frequency * release.reading.noise * step * np.sqrt(len(samples))
-    return MeasuredResponse(
-        frequency[excited], moved[excited] / driven[excited], noise[excited] / np.abs(driven[excited])
-    )
+    frequency, moved, driven, noise = (part[excited] for part in (frequency, moved, driven, noise))
+    return MeasuredResponse(frequency, moved / driven, noise / np.abs(driven))
 
 
 def _derivative(

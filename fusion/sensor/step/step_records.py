@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from typing import Literal, NamedTuple
 
@@ -29,6 +29,7 @@ from shaker.release.record import StepRecord
 from shaker.timebase.edges import kernel_reach, resample
 from shakercal._common.arrays import FloatArray
 from shakercal._common.notices import Notice
+from shakercal._common.propagation import derivatives
 
 # Choices of an identification from step responses.
 
@@ -124,18 +125,12 @@ def read_step(manifest: Manifest) -> StepInput:
     )
     end_s = record.start_s + (record.samples.shape[1] - 1) / record.sample_rate_hz
     if record.onset_s is not None and not record.start_s < record.onset_s < end_s:
-        raise InputError(
-            ONSET_OUTSIDE_RECORD,
-            manifest.path,
-            "excitation.onset",
-            start_s=record.start_s,
-            end_s=end_s,
-            found_s=record.onset_s,
-        )
-    notices = [*aligned.notices]
-    if chained := ", ".join(channel.entry.name for channel in aligned.channels if channel.entry.response is not None):
+        times = {"start_s": record.start_s, "end_s": end_s, "found_s": record.onset_s}
+        raise InputError(ONSET_OUTSIDE_RECORD, manifest.path, "excitation.onset", **times)
+    notices, entries = [*aligned.notices], [channel.entry for channel in aligned.channels]
+    if chained := ", ".join(entry.name for entry in entries if entry.response is not None):
         notices.append(Notice(CHAIN_IN_MODEL, record.name, channels=chained))
-    if late := ", ".join(channel.entry.name for channel in aligned.channels if channel.entry.filter_delay_s > 0.0):
+    if late := ", ".join(entry.name for entry in entries if entry.filter_delay_s > 0.0):
         notices.append(Notice(FILTER_IN_MODEL, record.name, channels=late))
     return StepInput(manifest, record, tuple(notices))
 
@@ -297,11 +292,10 @@ def pool_models(
     ordered = [sorted_modes(model) for model in models]
     scale = scale_of(ordered[0])
     vectors, covariances = _in_coordinates(ordered, scale)
-    others = [[to_coordinates(sorted_modes(model), scale) for model in other.models] for other in alternatives]
-    moved = [
-        (np.array(alternative) - vectors) / other.distance
-        for alternative, other in zip(others, alternatives, strict=True)
-    ]
+    moved = []
+    for other in alternatives:
+        there = np.array([to_coordinates(sorted_modes(model), scale) for model in other.models])
+        moved.append((there - vectors) / other.distance)
     least = ROUNDING * coordinate_sizes(vectors[0], len(ordered[0].real_hz))
     groups = [np.flatnonzero(np.array(mountings) == name) for name in dict.fromkeys(mountings)]
     within = [random_effects_mean(vectors[group], covariances[group], least) for group in groups]
@@ -325,18 +319,13 @@ def pool_models(
 
 
 def _in_coordinates(models: Sequence[ModalModel], scale: float) -> tuple[FloatArray, FloatArray]:
-    """Return coordinates (N, P) of models and their covariances (N, P, P).
-
-    Covariances are 0 for parameters that are rounding only.
-    """
+    """Return coordinates (N, P) of models and their covariances (N, P, P), 0 where they are rounding only."""
     vectors, covariances = [], []
     for model in models:
         stated = np.zeros((len(model.vector),) * 2) if model.covariance is None else model.covariance
         coordinates, slope = replace(model, covariance=stated).jacobian(lambda at: to_coordinates(at, scale))
-        covariance = slope @ stated @ slope.T
-        determined = np.sqrt(np.maximum(np.diag(covariance), 0.0)) > ROUNDING * coordinate_sizes(
-            coordinates, len(model.real_hz)
-        )
+        covariance, least = slope @ stated @ slope.T, ROUNDING * coordinate_sizes(coordinates, len(model.real_hz))
+        determined = np.sqrt(np.maximum(np.diag(covariance), 0.0)) > least
         vectors.append(coordinates)
         covariances.append(covariance * np.outer(determined, determined))
     return np.stack(vectors), np.stack(covariances)
@@ -346,12 +335,11 @@ def _back(model: ModalModel, mean: VectorMean, scale: float) -> tuple[FloatArray
     """Return the parameters (P,) of mean coordinates and their derivatives (P, P) by central differences."""
     modes, reals = len(model.frequency_hz), len(model.real_hz)
     step = np.maximum(STEP * np.sqrt(np.diag(mean.covariance)), 10.0 * ROUNDING * coordinate_sizes(mean.value, reals))
-    slope = np.zeros((len(step), len(step)))
-    for index, by in enumerate(step):
-        move = by * np.eye(len(step))[index]
-        up, down = (from_coordinates(mean.value + sign * move, modes, reals, scale) for sign in (1.0, -1.0))
-        slope[:, index] = (up - down) / (2.0 * by)
-    return from_coordinates(mean.value, modes, reals, scale), slope
+
+    def parameters(move: FloatArray) -> FloatArray:
+        return from_coordinates(mean.value + move, modes, reals, scale)
+
+    return parameters(np.zeros(len(step))), derivatives(parameters, step)
 
 
 def random_effects_mean(vectors: FloatArray, covariances: FloatArray, rounding: FloatArray | float = 0.0) -> VectorMean:
@@ -439,17 +427,21 @@ def index_quantities(
     discontinuous in steps of half periods. Their uncertainty is that of `settling_u` with the degrees of freedom of the
     damping ratio.
     """
-    found = indices(pooled.model.system, nominal or 1.0, sample_rate_hz)
-    names, moving = moving_figures(pooled.model, found)
-    slope = pooled.model.jacobian(moving)[1]
-    seen = find_figure_range(
-        np.asarray(pooled.model.covariance), slope, _figures_of(pooled.model, names, nominal or 1.0)
-    )
+    model = pooled.model
+    found = indices(model.system, nominal or 1.0, sample_rate_hz)
+    names, moving = moving_figures(model, found)
+    slope = model.jacobian(moving)[1]
+
+    def figures(move: FloatArray) -> FloatArray:  # NaN for an index that is not defined
+        moved = indices(model.with_move(move).system, nominal or 1.0).figures()
+        return np.array([moved[name] for name in names], dtype=np.float64)
+
+    seen = find_figure_range(np.asarray(model.covariance), slope, figures)
     u, dof = pooled.spread(slope)
     u, dof = (seen.factor * u).tolist(), dof.tolist()
     estimated = dict(zip(names, zip(u, dof, strict=True), strict=True))
     of_damping = estimated.get("damping_ratio", (0.0, np.inf))[1]
-    estimated |= {name: (settling_u(pooled.model, tolerance), of_damping) for name, tolerance in SETTLING.items()}
+    estimated |= {name: (settling_u(model, tolerance), of_damping) for name, tolerance in SETTLING.items()}
     quantities = []
     for name, value in found.figures().items():
         if value is not None and np.isfinite(value) and (nominal is not None or "nominal" not in name):
@@ -459,16 +451,3 @@ def index_quantities(
     parts = pooled.budget(slope, influences)
     budget = {cause: dict(zip(names, (seen.factor * part).tolist(), strict=True)) for cause, part in parts.items()}
     return IndexResults(tuple(quantities), (*found.notices, *seen.notices(names)), budget)
-
-
-def _figures_of(model: ModalModel, names: Sequence[str], nominal: float) -> Callable[[FloatArray], FloatArray]:
-    """Return a function from a change of the model's parameters to indices (Q,).
-
-    NaN for an index that is not defined.
-    """
-
-    def figures(move: FloatArray) -> FloatArray:
-        found = indices(model.with_move(move).system, nominal).figures()
-        return np.array([found[name] for name in names], dtype=np.float64)
-
-    return figures

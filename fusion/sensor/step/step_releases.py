@@ -7,11 +7,11 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 from itertools import chain
-from typing import NamedTuple
+from typing import Literal, NamedTuple
 
 import numpy as np
 
-from fusion.base import CommandEvaluation
+from fusion.base import CommandEvaluation, count_text
 from fusion.errors import InputError
 from fusion.estimation.coverage import NamedQuantity, RealQuantity
 from fusion.recording.load import Manifest
@@ -43,7 +43,7 @@ from shaker.labels import LOAD_COMPONENTS
 from shaker.lti.indices import Indices, indices
 from shaker.lti.system import ModalModel
 from shaker.release.reading import ReleaseKind, compare_releases, read_releases
-from shaker.release.record import ReleaseReading, ReleaseShape, StepRecord
+from shaker.release.record import ReleaseReading, StepRecord
 from shaker.release.step_fit import (
     METHODS,
     Method,
@@ -94,19 +94,9 @@ class StepRelease:
         return self.readings[0]
 
     @property
-    def release_s(self) -> float:
-        """Duration of the change of load: of the fit, else as read."""
-        return self.reading.release_s if self.fit is None else self.fit.release_s
-
-    @property
-    def u_release_s(self) -> float:
-        """Standard uncertainty of `release_s`."""
-        return self.reading.u_release_s if self.fit is None else self.fit.u_release_s
-
-    @property
-    def shape(self) -> ReleaseShape:
-        """Shape of the change of load: of the fit, else as read."""
-        return self.reading.shape if self.fit is None else self.fit.shape
+    def timing(self) -> StepFit | ReleaseReading:
+        """Onset, duration and shape of the change of load: of the fit, else as read."""
+        return self.reading if self.fit is None else self.fit
 
     @property
     def structure(self) -> tuple[int, int] | None:
@@ -118,14 +108,8 @@ class StepRelease:
 def check_driven_output(first: StepRelease, other: StepRelease) -> None:
     """Raise `InputError` if a release drives another output than the first of its component."""
     if other.driven != first.driven:
-        raise InputError(
-            OTHER_DRIVEN_OUTPUT,
-            other.manifest.path,
-            "daq.channel",
-            expected=first.driven,
-            recording=first.name,
-            found=other.driven,
-        )
+        values = {"expected": first.driven, "recording": first.name, "found": other.driven}
+        raise InputError(OTHER_DRIVEN_OUTPUT, other.manifest.path, "daq.channel", **values)
 
 
 @dataclass(frozen=True)
@@ -283,17 +267,11 @@ def fit_release(
     `structure` (modes, real poles) is selected by rule if None. If no model is found, the release has none and a notice
     gives the reason.
     """
-    modes, real_poles = structure or (settings.modes, settings.real_poles)
+    counts = structure or (settings.modes, settings.real_poles)
+    method: Literal["arx", "pencil"] = "arx" if settings.method == "arx" else "pencil"
+    shape = None if settings.release == "auto" else settings.release
     try:
-        shapes = fit_shapes(
-            release.record,
-            release.driven,
-            release.reading,
-            modes,
-            real_poles,
-            "arx" if settings.method == "arx" else "pencil",
-            None if settings.release == "auto" else settings.release,
-        )
+        shapes = fit_shapes(release.record, release.driven, release.reading, *counts, method, shape)
     except FAILURES as error:
         notice = Notice(RELEASE_WITHOUT_MODEL, release.name, channel=release.driven, reason=str(error))
         return release, (notice,)
@@ -333,13 +311,9 @@ def alternative_shapes(
         models = [release.shapes[int(other)].model for release, other in zip(releases, undetermined, strict=True)]
         first = releases[undetermined.index(True)]
         difference = describe_difference(first.shapes[0], first.shapes[1])
-        notice = (
-            Notice(SHAPE_OF_DEVICE_UNDETERMINED, component, device=device or UNNAMED, shapes=difference)
-            if difference
-            else None
-        )
+        notice = Notice(SHAPE_OF_DEVICE_UNDETERMINED, component, device=device or UNNAMED, shapes=difference)
         alternatives = [model for model in models if model is not None]
-        yield AlternativeModels(alternatives, excess_chi2_sigmas(first.excess)), notice
+        yield AlternativeModels(alternatives, excess_chi2_sigmas(first.excess)), notice if difference else None
 
 
 # Selection of the releases for a component's model, and its structure.
@@ -362,7 +336,7 @@ def choose_releases(releases: Sequence[StepRelease]) -> tuple[tuple[StepRelease,
     devices = defaultdict[str, list[tuple[StepRelease, ModalModel]]](list)
     for release, model in models:
         devices[release.record.release].append((release, model))
-    length = {device: float(np.median([r.release_s for r, _ in group])) for device, group in devices.items()}
+    length = {device: float(np.median([r.timing.release_s for r, _ in group])) for device, group in devices.items()}
     fastest = min(length, key=lambda device: length[device])
     lowest = [float(model.frequency_hz.min()) for _, model in devices[fastest] if len(model.frequency_hz)]
     first_mode_hz = float(np.median(lowest)) if lowest else 0.0
@@ -419,16 +393,15 @@ def fit_component(releases: Sequence[StepRelease], settings: StepSettings) -> Fi
         return FittedReleases(fitted, (), reason, tuple(notices))
     structure = common_structure(chosen)
     counted = zip(structure, ("mode", "real pole"), strict=True)
-    structure_text = " and ".join(f"{count or 'no'} {kind}{'' if count == 1 else 's'}" for count, kind in counted)
+    structure_text = " and ".join(count_text(count, kind) if count else f"no {kind}s" for count, kind in counted)
     of_structure, refitted = dict[str, StepRelease](), list[str]()
     for release in chosen:
         found = release
         if release.structure != structure:
             found, _ = fit_release(replace(release, fit=None, shapes=()), settings, structure)
             if found.structure != structure:
-                notices.append(
-                    Notice(STRUCTURE_NOT_FOUND, release.name, channel=release.driven, structure=structure_text)
-                )
+                values = {"channel": release.driven, "structure": structure_text}
+                notices.append(Notice(STRUCTURE_NOT_FOUND, release.name, **values))
                 continue
             refitted.append(release.name)
         of_structure[release.name] = found
@@ -558,11 +531,8 @@ def group_by_device(releases: Sequence[StepRelease], used: Sequence[str]) -> tup
     for kind in compare_releases(readings):
         of_device = [release for release in releases if release.record.release == kind.release]
         names = tuple(release.name for release in of_device)
-        deviations = [
-            (r.shapes[1].release_s - r.release_s) / excess_chi2_sigmas(r.excess)
-            for r in of_device
-            if r.excess < REJECT_CHI2
-        ]
+        open_shape = [release for release in of_device if release.excess < REJECT_CHI2]
+        deviations = [(r.shapes[1].release_s - r.timing.release_s) / excess_chi2_sigmas(r.excess) for r in open_shape]
         u_mean = float(np.hypot(kind.length.u_mean, sum(deviations) / len(of_device)))
         shown = replace(kind, length=replace(kind.length, u_mean=u_mean))
         devices.append(ReleaseDevice(shown, names, not set(used).isdisjoint(names)))
