@@ -6,9 +6,11 @@ import re
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from datetime import date as Date
+from itertools import chain
 from pathlib import Path
 from typing import Literal, NamedTuple
 
+from fusion.base import count_text
 from fusion.campaign.curve import CurvePoint
 from fusion.campaign.joint_evaluation import best_points, curve_points, evaluate_campaign, main_channel
 from fusion.campaign.recording_results import RecordingResults, SensorFacts, read_recorded
@@ -178,7 +180,7 @@ class Certificate:
         if self.not_assessed:
             yield "Not included in U", " ".join(self.not_assessed)
         if self.warnings:
-            count = f"{len(self.warnings)} warning{'s' * (len(self.warnings) > 1)}"
+            count = count_text(len(self.warnings), "warning")
             yield "Warnings", f"The evaluation gave {count}, which {administration.authoriser} has reviewed."
         if administration.remarks:
             yield "Remarks", administration.remarks
@@ -272,9 +274,7 @@ def _sensitivities(
         elements=elements,
         numbers=(),
         warnings=list(_warnings(recorded, evaluation.notices)),
-        not_assessed=_not_assessed(
-            [*(notice for entry in recorded for notice in entry.joint_notices), *evaluation.notices]
-        ),
+        not_assessed=_not_assessed(chain(*(entry.joint_notices for entry in recorded), evaluation.notices)),
         versions=recorded[0].origin.versions,
     )
 
@@ -328,20 +328,15 @@ def _refuse_gaps(form: Form, path: Path, manifests: Sequence[Manifest]) -> None:
         raise InputError(MISSING_CERTIFICATE_ENTRIES, path, ", ".join(gaps))
     expired = [(manifest.path, notice) for manifest in manifests for notice in manifest.expiry_notices]
     if expired:
-        inputs = ", ".join(
-            dict.fromkeys(f"{notice.values['key']} ({notice.values['source']})" for _, notice in expired)
-        )
-        raise InputError(EXPIRED_CERTIFICATES, expired[0][0], inputs=inputs)
+        inputs = dict.fromkeys(f"{notice.values['key']} ({notice.values['source']})" for _, notice in expired)
+        raise InputError(EXPIRED_CERTIFICATES, expired[0][0], inputs=", ".join(inputs))
     issued, last = form.administration.issued, max(_days(form, manifests))
     if issued is not None and issued < last:
         raise InputError(ISSUED_BEFORE_CALIBRATION, path, "administration.issued", last=str(last), found=str(issued))
 
 
 def _days(form: Form, manifests: Sequence[Manifest]) -> list[Date]:
-    """Return the days of the calibration, of the form or of all recordings.
-
-    Empty if one recording has no date.
-    """
+    """Return the days of the calibration, of the form or of all recordings; none if one has no date."""
     administration = form.administration
     if administration.begun is not None:
         return [administration.begun, administration.ended or administration.begun]
@@ -366,9 +361,8 @@ def _elements(points: Sequence[CurvePoint], mains: dict[str, str], unit: str, fo
     """
     names = list(dict.fromkeys((point.channel, point.component) for point in points))
     for channel, component in sorted(names, key=lambda name: name[0] != mains[name[1]]):
-        of_element = best_points(
-            [point for point in points if (point.channel, point.component) == (channel, component)]
-        )
+        named = (channel, component)
+        of_element = best_points([point for point in points if (point.channel, point.component) == named])
         main = mains[component] == channel
         if not main and of_element[0].kind == "ratio":
             continue
@@ -415,10 +409,7 @@ def _warnings(recorded: Iterable[RecordingResults], joint: Iterable[Notice]) -> 
 
 
 def _not_assessed(notices: Iterable[Notice]) -> list[str]:
-    """Return the influences not included in U.
-
-    Of texts that differ only in numbers the first.
-    """
+    """Return the influences not included in U, of texts that differ only in numbers the first."""
     found: dict[str, str] = {}
     for notice in notices:
         if _is_outside(notice):

@@ -18,6 +18,7 @@ from fusion.recording.toml import read_rows, read_toml, validate
 from fusion.recording.values import ManifestBlock, NotNegative, Positive, refusal
 from fusion.report.folder import Provenance, provenance_of
 from fusion.report.h5 import open_results, read_notices
+from fusion.report.table import capitalise
 from fusion.sensor.result_notices import DAMAGED_RESULT_TABLE, NO_CERTIFIABLE_RESULT, NO_CERTIFICATE_FORM
 from shaker.identification.sensitivity import LABELS as CHAIN_LABELS
 from shaker.lti.indices import LABELS
@@ -95,7 +96,7 @@ def _country(code: str) -> str:
 
 PrintableText = Annotated[str, AfterValidator(_printable)]
 Country = Annotated[str, AfterValidator(_country)]
-REQUIRED, PERSONS = ("name", "city", "country"), ("operator", "authoriser")
+REQUIRED = ("name", "city", "country")
 
 
 class Party(ManifestBlock):
@@ -176,17 +177,14 @@ class Form(ManifestBlock):
 
     def missing(self) -> Iterator[str]:
         """Yield the required keys that are empty (ISO/IEC 17025:2017, 7.8.2)."""
-        required = (
-            (
-                "administration",
-                self.administration,
-                ("number", "issued", "received", "operator", "authoriser", "method"),
-            ),
-            ("laboratory", self.laboratory, REQUIRED),
-            ("customer", self.customer, REQUIRED),
-            ("item", self.item, ("manufacturer", "model", "condition")),
-        )
-        yield from (f"{table}.{key}" for table, block, keys in required for key in keys if not getattr(block, key))
+        required = {
+            "administration": ("number", "issued", "received", "operator", "authoriser", "method"),
+            "laboratory": REQUIRED,
+            "customer": REQUIRED,
+            "item": ("manufacturer", "model", "condition"),
+        }
+        for table, keys in required.items():
+            yield from (f"{table}.{key}" for key in keys if not getattr(getattr(self, table), key))
 
 
 def read_form(path: Path) -> Form:
@@ -307,9 +305,8 @@ def read_certified_numbers(folder: Path, command: str, *, k: float | None) -> tu
         except (KeyError, TypeError, ValueError) as error:
             raise InputError(DAMAGED_RESULT_TABLE, file, f"line {line}", command=command, reason=str(error)) from error
         if np.isfinite([value, u, factor]).all() and u > 0.0:
-            lists.setdefault(where, []).append(
-                CertifiedNumber(_words(name, command), _kind(name, unit), value, factor * u, factor, unit)
-            )
+            named = _words(name, command), _kind(name, unit)
+            lists.setdefault(where, []).append(CertifiedNumber(*named, value, factor * u, factor, unit))
     if not lists:
         expected = f"a number with an uncertainty in the results of shakercal {command}"
         raise InputError(NO_CERTIFIABLE_RESULT, file, expected=expected)
@@ -322,10 +319,8 @@ def _list_and_name(command: str, row: Mapping[str, str]) -> tuple[str, str]:
     if command == "rotate":
         axis = f" {component}" if component in "xyz" else ""
         is_certified = name in CERTIFIED_BY_ROTATION and row["recording"] == "all" and (axis or component == "joint")
-        return (
-            "Masses and centres of mass of the sensor under test and its load",
-            f"{name}{axis}" if is_certified else "",
-        )
+        where = "Masses and centres of mass of the sensor under test and its load"
+        return where, f"{name}{axis}" if is_certified else ""
     if command == "identify":
         return f"Mechanics along {component}", "" if "stated beforehand" in row["method"] else name
     is_driven = row["channel"] == component
@@ -336,12 +331,8 @@ def _words(name: str, command: str) -> str:
     """Return the printed name of a number."""
     labels = {"step": LABELS, "identify": CHAIN_LABELS}.get(command, {})
     text = labels.get(name, name.replace("read_static_gain", "static gain as read from the records"))
-    text = (
-        re.sub("^(?=b/k)", "ratio ", re.sub("^lag_", "b/k, ", text))
-        .replace("usable_band", "usable up to")
-        .replace("_", " ")
-    )
-    return f"{text[:1].upper()}{text[1:]}"
+    text = re.sub("^(?=b/k)", "ratio ", re.sub("^lag_", "b/k, ", text))
+    return capitalise(text.replace("usable_band", "usable up to").replace("_", " "))
 
 
 def _kind(name: str, unit: str) -> str:

@@ -163,14 +163,10 @@ def _software() -> etree._Element:
 
 def _party(tag: str, party: Party) -> etree._Element:
     """Return name and address of a party."""
-    address = (
-        ("street", party.street),
-        ("postCode", party.post_code),
-        ("city", party.city),
-        ("countryCode", party.country),
-    )
+    address = {"street": party.street, "postCode": party.post_code, "city": party.city, "countryCode": party.country}
     mail = [D.eMail(party.email)] if party.email else []
-    return D(tag, _text("name", party.name), *mail, D.location(*(D(name, text) for name, text in address if text)))
+    location = D.location(*(D(name, text) for name, text in address.items() if text))
+    return D(tag, _text("name", party.name), *mail, location)
 
 
 def _measured(found: Certificate) -> etree._Element:
@@ -235,15 +231,11 @@ def _listed(found: Certificate, number_list: NumberList) -> etree._Element:
     quantities = []
     for number in number_list.numbers:
         unit = _dsi_unit(found, number.unit).replace(r"\kilo\gram", r"\kilogram")
-        stated = S.expandedMU(
-            S.valueExpandedMU(repr(number.expanded)),
-            S.coverageFactor(repr(number.k)),
-            S.coverageProbability(repr(COVERAGE)),
-        )
+        expanded, factor = S.valueExpandedMU(repr(number.expanded)), S.coverageFactor(repr(number.k))
+        stated = S.expandedMU(expanded, factor, S.coverageProbability(repr(COVERAGE)))
         real = S.real(S.value(repr(number.value)), S.unit(unit), S.measurementUncertaintyUnivariate(stated))
-        quantities.append(
-            D.quantity({"refType": f"basic_measuredValue {PREFIX}{number.kind}"}, _text("name", number.name), real)
-        )
+        kind = {"refType": f"basic_measuredValue {PREFIX}{number.kind}"}
+        quantities.append(D.quantity(kind, _text("name", number.name), real))
     return D.result(_text("name", number_list.name), D.data(D.list(*quantities)))
 
 
@@ -356,11 +348,9 @@ def write_form(path: Path, results: Path | None = None) -> None:
     file = path / FORM_FILE if path.is_dir() else path
     check_new_file(file, force=False)
     command = find_command(find_results_folder(file.parent, results))
-    text = (
-        NEW_FORM
-        if command is None
-        else re.sub(r'(?m)^method = ".*"$', f'method = "{CERTIFIED_COMMANDS[command].method}"', NEW_FORM)
-    )
+    text = NEW_FORM
+    if command is not None:
+        text = re.sub(r'(?m)^method = ".*"$', f'method = "{CERTIFIED_COMMANDS[command].method}"', text)
     write_atomically(file, text)
     print(f"{file}: fill in the empty entries, then run shakercal certificate again")
 
@@ -409,10 +399,7 @@ def _numbers_table(number_list: NumberList) -> Table | None:
     """Return one list of single numbers."""
     columns: list[TableColumn[CertifiedNumber]] = [
         page_column("quantity", lambda figure: figure.name, "l"),
-        page_column(
-            "value ± U",
-            lambda figure: quantity_html(figure.value, figure.expanded, "" if figure.unit == "1" else figure.unit),
-        ),
+        page_column("value ± U", lambda f: quantity_html(f.value, f.expanded, "" if f.unit == "1" else f.unit)),
         page_column("k", lambda figure: factor_text(figure.k)),
     ]
     return table(number_list.name, columns, number_list.numbers)
@@ -452,10 +439,8 @@ def _element_table(element: CertifiedElement) -> Table | None:
             size, expanded = element.deviation[indices[id(value)]]
             return f"{signed_text(100.0 * size, '.3g')} ± {small(100.0 * expanded)}"
 
-        columns += [
-            page_column("from static / %", deviation),
-            page_column(
-                "conforms", lambda value: "yes" if element.verdicts[indices[id(value)]] == "pass" else "no", "l"
-            ),
-        ]
+        def conforms(value: CertifiedValue) -> str:
+            return "yes" if element.verdicts[indices[id(value)]] == "pass" else "no"
+
+        columns += [page_column("from static / %", deviation), page_column("conforms", conforms, "l")]
     return table(element.name, columns, element.values)

@@ -129,9 +129,7 @@ def evaluate_comparison(
         if len(with_phase) > 1:
             compared.append(_compared(with_phase, "phase", dates, shared))
     if not compared:
-        kinds = "; ".join(
-            f"{channel} per {component}" for channel, component, *_ in _different_kinds(unmatched, tolerance)
-        )
+        kinds = "; ".join(f"{channel} per {other}" for channel, other, *_ in _different_kinds(unmatched, tolerance))
         if kinds:
             raise InputError(ONLY_DIFFERENT_KINDS, results[1].file, "frequency_hz", tolerance=tolerance, kinds=kinds)
         raise InputError(NO_COMMON_VALUE, results[1].file, "frequency_hz", tolerance=tolerance)
@@ -279,14 +277,9 @@ def _about_kinds(
         else:
             yield Notice(RATIOS_COMPARED, "comparison")
     for channel, component, ratios, elements in _different_kinds(unmatched, tolerance):
-        yield Notice(
-            KINDS_NOT_COMPARED,
-            "comparison",
-            channel=channel,
-            component=component,
-            ratios=", ".join(ratios),
-            elements=", ".join(elements),
-        )
+        named = {"channel": channel, "component": component}
+        kinds = {"ratios": ", ".join(ratios), "elements": ", ".join(elements)}
+        yield Notice(KINDS_NOT_COMPARED, "comparison", **named, **kinds)
 
 
 def _different_kinds(

@@ -164,9 +164,8 @@ def evaluate_decoupling(
         fit = fit_steps([item.record for item in inputs])
     except ValueError as error:
         raise _unexplained(error, manifests[0]) from error
-    influences = stated_influences(
-        manifests[0].rig, [manifest.mounting for manifest in manifests], mounting_scatter=False
-    )
+    mountings = [manifest.mounting for manifest in manifests]
+    influences = stated_influences(manifests[0].rig, mountings, mounting_scatter=False)
     fit = replace(fit, model=influences.on_outputs(fit.model))
     target = _target(fit, settings)
     try:
@@ -175,14 +174,13 @@ def evaluate_decoupling(
         raise ComputeError(NO_DECOUPLING_FILTER, reason=str(error)) from error
     modes_hz = fit.model.frequency_hz
     highest = max(float(modes_hz.max()), float(target.frequency_hz.max()))
-    spaced = np.geomspace(
-        float(modes_hz.min()) / 100.0, min(FREQUENCY_MARGIN * highest, 0.45 * fit.sample_rate_hz), LINES
-    )
+    top_hz = min(FREQUENCY_MARGIN * highest, 0.45 * fit.sample_rate_hz)
+    spaced = np.geomspace(float(modes_hz.min()) / 100.0, top_hz, LINES)
     frequency_hz = np.unique(np.concatenate([spaced, modes_hz]))
     stages = crosstalks(fit.model, decoupler, fit.noise, frequency_hz, np.random.default_rng(settings.seed), DRAWS)
     sensor, names = manifests[0].rig.sensor, fit.model.components
     stated = (None if sensor is None else sensor.capacity) or (0.0,) * len(LOAD_COMPONENTS)
-    rated = np.array([dict(zip(LOAD_COMPONENTS, stated, strict=True)).get(name, 0.0) for name in names])
+    rated = np.array([stated[LOAD_COMPONENTS.index(name)] for name in names])
     capacity = rated if np.all(rated > 0) else None
     difference = np.abs(stages[-1].value - decoupler.target(frequency_hz)[:, :, None] * np.eye(len(names)))
     if capacity is None:  # loads with themselves alone
@@ -222,14 +220,8 @@ def _read(manifests: Sequence[Manifest]) -> list[StepInput]:
         for key in ("channels", "unit", "sample_rate_hz"):
             found, expected = getattr(item.record, key), getattr(record, key)
             if found != expected:
-                raise InputError(
-                    DIFFERENT_RECORDS,
-                    item.manifest.path,
-                    f"daq.channel ({key})",
-                    expected=str(expected),
-                    recording=first.folder.name,
-                    found=str(found),
-                )
+                values = {"expected": str(expected), "recording": first.folder.name, "found": str(found)}
+                raise InputError(DIFFERENT_RECORDS, item.manifest.path, f"daq.channel ({key})", **values)
     stated = None if first.rig.sensor is None else first.rig.sensor.static_sensitivity
     static = None if stated is None else np.asarray(stated, dtype=np.float64)
     released = list(dict.fromkeys(item.record.component for item in inputs))
@@ -309,14 +301,9 @@ def filter_text(decoupler: DecouplingFilter, model: MultiModel) -> str:
         "unit": decoupler.unit,
         "sample_rate_hz": decoupler.sample_rate_hz,
         "delay_samples": decoupler.delay,
-        "target": {
-            "frequency_hz": decoupler.target_hz.tolist(),
-            "damping_ratio": decoupler.target_damping.tolist(),
-        },
+        "target": {"frequency_hz": decoupler.target_hz.tolist(), "damping_ratio": decoupler.target_damping.tolist()},
         "taps": decoupler.taps.tolist(),
-        "poles": _pairs(decoupler.poles),
-        "driven": _pairs(decoupler.driven),
-        "shown": _pairs(decoupler.shown),
+        **{name: _pairs(getattr(decoupler, name)) for name in ("poles", "driven", "shown")},
         "model": {**parameters, **u},
     }
     return json.dumps(content, indent=1, ensure_ascii=False) + "\n"
@@ -354,9 +341,7 @@ def read_decoupling_filter(path: str | Path) -> DecouplingFilter:
             unit=content["unit"],
             sample_rate_hz=float(content["sample_rate_hz"]),
             taps=np.array(content["taps"], dtype=np.float64),
-            poles=_complex(content["poles"]),
-            driven=_complex(content["driven"]),
-            shown=_complex(content["shown"]),
+            **{name: _complex(content[name]) for name in ("poles", "driven", "shown")},
             target_hz=target["frequency_hz"],
             target_damping=target["damping_ratio"],
         )

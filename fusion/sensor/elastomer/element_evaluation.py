@@ -181,6 +181,7 @@ def _exact(name: str, kind: str, frequency_hz: FloatArray | Mapping[str, float])
 
 PRINTED_SHARE = 0.4
 """F_Q/F of equation 10."""
+GUIDED, CANTILEVERS = "compliant beams guided at mid-span", "compliant beams as cantilevers"
 
 
 def statics_facts(definition: ElementDefinition, frame: FrameModel) -> tuple[StaticsFact, ...]:
@@ -190,30 +191,21 @@ def statics_facts(definition: ElementDefinition, frame: FrameModel) -> tuple[Sta
     point, first = guided_stiffness(beams), float(frame.modes.frequency_hz[0])
     stiffness = printed.stiffness(PRINTED_SHARE)
     ratio = printed.force_ratio / 4.0
-    guided, cantilever = "compliant beams guided at mid-span", "compliant beams as cantilevers"
     shear, needed = beams.material.shear_modulus_pa, required_stiffness(first, mass)
     point_hz = (oscillator_hz(stiffness, mass), oscillator_hz(point, mass))
     masses, same = f"platform and parts, {1e3 * mass:.4g} g", f"{first:.1f} Hz with the same mass"
-    return (
-        StaticsFact(
-            "shear_modulus", "shear modulus G", printed.shear_modulus_pa, shear, "Pa", "E/(1+μ) printed for E/2(1+μ)"
-        ),
-        StaticsFact(
-            "force_ratio", "F_Q/F_c, eq. 10", printed.force_ratio, ratio, "1", f"{cantilever}; printed value 8"
-        ),
-        StaticsFact(
-            "beam_share", "F_Q/F, eq. 10", printed.beam_share, ratio / (2 * ratio + 4), "1", "printed value 0.4"
-        ),
-        StaticsFact(
-            "stiffness_point", "k, platform a point, eq. 11", stiffness, point, "N/m", f"F_Q = 0.4 F; {guided}"
-        ),
-        StaticsFact(
-            "stiffness_x", "k along x, y with the platform", np.nan, closed.x, "N/m", "closed form, no turning"
-        ),
-        StaticsFact("stiffness_z", "k along z with the platform", np.nan, closed.z, "N/m", "closed form, no turning"),
-        StaticsFact("frequency_point", "f of k and the moving mass, eq. 17", *point_hz, "Hz", masses),
-        StaticsFact("stiffness_needed", "k of one oscillator at the frame's Tx", np.nan, needed, "N/m", same),
-    )
+    shares = (printed.beam_share, ratio / (2 * ratio + 4))
+    facts: list[tuple[str, str, float, float, str, str]] = [
+        ("shear_modulus", "shear modulus G", printed.shear_modulus_pa, shear, "Pa", "E/(1+μ) printed for E/2(1+μ)"),
+        ("force_ratio", "F_Q/F_c, eq. 10", printed.force_ratio, ratio, "1", f"{CANTILEVERS}; printed value 8"),
+        ("beam_share", "F_Q/F, eq. 10", *shares, "1", "printed value 0.4"),
+        ("stiffness_point", "k, platform a point, eq. 11", stiffness, point, "N/m", f"F_Q = 0.4 F; {GUIDED}"),
+        ("stiffness_x", "k along x, y with the platform", np.nan, closed.x, "N/m", "closed form, no turning"),
+        ("stiffness_z", "k along z with the platform", np.nan, closed.z, "N/m", "closed form, no turning"),
+        ("frequency_point", "f of k and the moving mass, eq. 17", *point_hz, "Hz", masses),
+        ("stiffness_needed", "k of one oscillator at the frame's Tx", np.nan, needed, "N/m", same),
+    ]
+    return tuple(StaticsFact(*fact) for fact in facts)
 
 
 def mounted_chain(definition: ElementDefinition, frame: FrameModel) -> MountedElement | None:
@@ -262,10 +254,7 @@ class DrawnShape:
 
 
 def frame_shapes(definition: ElementDefinition, model: FrameModel) -> list[DrawnShape]:
-    """Return the six modes of the frame, with sections of the beams.
-
-    The platform is a block.
-    """
+    """Return the six modes of the frame, with sections of the beams, the platform as a block."""
     frame, platform = model.frame, definition.file.platform
     thickness = platform.thickness or definition.beams.beam_height_m
     centre = np.array([0.0, 0.0, platform.height])
@@ -436,10 +425,8 @@ def _solid(definition: ElementDefinition, progress: ProgressCallback) -> SolidSt
 
 def _of_frame(definition: ElementDefinition, frame: FrameModel) -> list[Notice]:
     """Return notices on mixed modes, further modes, and stated platform data."""
-    found = []
-    for name, share, highest in zip(
-        MODE_NAMES, np.diag(frame.modes.participation), frame.modes.participation.max(axis=0), strict=True
-    ):
+    found, participation = [], frame.modes.participation
+    for name, share, highest in zip(MODE_NAMES, np.diag(participation), participation.max(axis=0), strict=True):
         if share < highest:
             found.append(Notice(MIXED_MODE, name, share_percent=100.0 * float(share)))
     if len(frame.modes.others_hz):

@@ -184,14 +184,8 @@ def check_sensor(manifests: Sequence[Manifest]) -> None:
     for (manifest, sensor), key in product(named[1:], ("name", "serial")):
         first, one, other = named[0][0], getattr(named[0][1], key), getattr(sensor, key)
         if one != other:
-            raise InputError(
-                DIFFERENT_SENSOR,
-                manifest.rig_path,
-                f"sensor.{key}",
-                expected=one,
-                file=str(first.rig_path),
-                found=other,
-            )
+            values = {"expected": one, "file": str(first.rig_path), "found": other}
+            raise InputError(DIFFERENT_SENSOR, manifest.rig_path, f"sensor.{key}", **values)
 
 
 def _results(manifest: Manifest) -> Path | None:
@@ -268,14 +262,7 @@ def prepare(
     measured_by = [entries[channel] for channel in result.transfer.ratio.channels]
     tops = [entry for entry in measured_by if entry.body == "load" and _shows_motion(entry, drive)]
     if not tops:
-        raise InputError(
-            MISSING_MOTION_CHANNEL,
-            manifest.path,
-            "excitation.response",
-            expected=_motion_quantities(drive),
-            body="load",
-            found="none on the load",
-        )
+        raise _missing_channel(manifest, "response", drive, "load", "none on the load")
     blocks = [daq for daq in manifest.daq if any(entry in daq.channel for entry in (base, *tops))]
     clock = blocks[0] if len(blocks) == 1 else manifest.daq[0]
     ratio, errors = _load_over_base(manifest, result, [entry.name for entry in tops], name, band_hz)
@@ -298,17 +285,13 @@ def prepare(
     )
     found = tuple(item for item in result.resonances if item.response in ratio.channels)
     of_curves = {f"{channel}/{base.name}" for channel in result.transfer.ratio.channels}
-    notices = [
-        notice.at(f"{name}: {notice.where}" if notice.where else name)
-        for notice in evaluation.notices
-        if notice.where not in of_curves
-    ]
+    taken = [notice for notice in evaluation.notices if notice.where not in of_curves]
+    notices = [notice.at(f"{name}: {notice.where}" if notice.where else name) for notice in taken]
     others = [reference for reference in manifest.excitation.reference if reference != base.name]
     if others:
         notices.append(Notice(REFERENCES_NOT_USED, name, used=base.name, unused=", ".join(others)))
-    stated = "" if bent is None else bent.stated
-    if stated:
-        notices.append(Notice(ELASTIC_LOAD, name, stated=stated))
+    if bent is not None:
+        notices.append(Notice(ELASTIC_LOAD, name, stated=bent.stated))
     grids = tuple(clock.grid for clock in evaluation.clocks if clock.grid is not None)
     complete = grids if len(grids) == len(evaluation.clocks) else ()
     return PreparedTransfer(manifest, measured, found, complete), tuple(notices)
@@ -380,9 +363,7 @@ class FlexibleLoad:
         zero = np.zeros((len(frequency), *rows.shape), np.complex128)
 
         def stretched(modes: NaturalModes) -> ComplexArray:
-            readings = [
-                row @ modes.stretch(frequency, position) for row, position in zip(rows, positions, strict=False)
-            ]
+            readings = [row @ modes.stretch(frequency, at) for row, at in zip(rows, positions, strict=False)]
             return np.stack(readings, axis=1) if readings else zero
 
         seen = rows + sum((part.act(stretched) for part in body.elastic), zero)
@@ -435,10 +416,7 @@ def _base_entry(manifest: Manifest, entries: dict[str, ChannelEntry], drive: Flo
                 raise InputError(REFERENCE_ACROSS_DRIVE, manifest.path, "excitation.reference", found=entry.name)
             return entry
     channels = ", ".join(f'"{entry.name}" ({entry.quantity} of {entry.body or "no body"})' for entry in named)
-    key, found = "excitation.reference", channels or "none"
-    raise InputError(
-        MISSING_MOTION_CHANNEL, manifest.path, key, expected=_motion_quantities(drive), body="base", found=found
-    )
+    raise _missing_channel(manifest, "reference", drive, "base", channels or "none")
 
 
 def _shows_motion(entry: ChannelEntry, drive: FloatArray) -> bool:
@@ -447,10 +425,11 @@ def _shows_motion(entry: ChannelEntry, drive: FloatArray) -> bool:
     return seen is not None and (not seen.rotational or bool(np.any(drive[3:] != 0.0)))
 
 
-def _motion_quantities(drive: FloatArray) -> str:
-    """Return the quantities that measure the motion of a rig driven along `drive`, in words."""
+def _missing_channel(manifest: Manifest, key: str, drive: FloatArray, body: str, found: str) -> InputError:
+    """Return the refusal of a recording without a channel that measures the motion along `drive`."""
     shown = [t.quantity.replace("_", " ") for t in TRANSDUCERS.values() if not t.rotational or np.any(drive[3:] != 0.0)]
-    return f"{', '.join(shown[:-1])} or {shown[-1]}"
+    values = {"expected": f"{', '.join(shown[:-1])} or {shown[-1]}", "body": body, "found": found}
+    return InputError(MISSING_MOTION_CHANNEL, manifest.path, f"excitation.{key}", **values)
 
 
 def _load_over_base(
@@ -470,15 +449,9 @@ def _load_over_base(
     if band_hz is not None:
         chosen = (frequency >= band_hz[0]) & (frequency <= band_hz[1])
         if not np.any(chosen):
-            raise InputError(
-                BAND_WITHOUT_LINES,
-                manifest.path,
-                "excitation.band",
-                first_hz=float(frequency[0]),
-                last_hz=float(frequency[-1]),
-                low_hz=band_hz[0],
-                high_hz=band_hz[1],
-            )
+            lines = {"first_hz": float(frequency[0]), "last_hz": float(frequency[-1])}
+            band = {"low_hz": band_hz[0], "high_hz": band_hz[1]}
+            raise InputError(BAND_WITHOUT_LINES, manifest.path, "excitation.band", **lines, **band)
     columns = [result.transfer.ratio.channels.index(channel) for channel in channels]
     errors = []
     for error in result.errors:

@@ -84,12 +84,11 @@ def numbers(component: IdentifiedComponent) -> Iterator[FoundNumber]:
     for estimate in fit.identification.derived:
         yield axis, estimate, how
     curves = {reading.recording for reading in component.readings}
-    for mode in fit.identification.modes:
-        if mode.record in curves:
-            mode_name = f"{mode.record}, mode {mode.number + 1}"
-            f0, zeta = (mode.frequency_hz, mode.u_frequency_hz, "Hz"), (mode.damping_ratio, mode.u_damping_ratio, "1")
-            yield axis, ParameterEstimate(f"frequency: {mode_name}", f"resonance f₀, {mode_name}", *f0), how
-            yield axis, ParameterEstimate(f"damping_ratio: {mode_name}", f"damping ratio ζ, {mode_name}", *zeta), how
+    for mode in (mode for mode in fit.identification.modes if mode.record in curves):
+        name = f"{mode.record}, mode {mode.number + 1}"
+        f0, zeta = (mode.frequency_hz, mode.u_frequency_hz, "Hz"), (mode.damping_ratio, mode.u_damping_ratio, "1")
+        yield axis, ParameterEstimate(f"frequency: {name}", f"resonance f₀, {name}", *f0), how
+        yield axis, ParameterEstimate(f"damping_ratio: {name}", f"damping ratio ζ, {name}", *zeta), how
     if component.sensitivity is not None:
         best = component.sensitivity.comparison.best
         for estimate in best.estimates:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import chain
 from pathlib import Path
 
 import numpy as np
@@ -146,10 +147,7 @@ def _chosen(peaks_hz: Sequence[float], fitted: Callable[[str], Identification]) 
         if departure(pitching) < _MISFIT:
             return "pitching", reason, pitching
     translation = fitted("translation")
-    if (
-        pitching is not None
-        and pitching.chi_squared / pitching.dof < _BETTER * translation.chi_squared / translation.dof
-    ):
+    if pitching is not None and departure(pitching) ** 2 < _BETTER * departure(translation) ** 2:
         return "pitching", f"{reason}, one translation {departure(translation):.3g}", pitching
     reason = f"one spring and damper leave residuals of {departure(translation):.3g} times their uncertainty"
     return "translation", reason, translation
@@ -194,20 +192,18 @@ def _with_influences(found: Identification, group: Sequence[PreparedTransfer]) -
     mountings = [item.manifest.mounting for item in group]
     influences = stated_influences(rig, mountings, ("load",) if several else (), mounting_scatter=False)
 
+    relative = np.array([(one.frequency, one.damping_ratio) for one in influences.unknowns]).reshape(-1, 2)
+
     def moved(item: ParameterEstimate) -> FloatArray:
         """Return the change (E,) by each unknown; of b/k that of its parts."""
         kind = item.name.partition("_")[0]
         by = {"stiffness": (2.0, 0.0), "damping": (1.0, 1.0)}.get(kind, (0.0, 0.0))
-        by = (-1.0, 1.0) if item in found.derived else by
-        return np.array(
-            [item.value * (by[0] * one.frequency + by[1] * one.damping_ratio) for one in influences.unknowns]
-        )
+        return np.asarray(item.value * (relative @ ((-1.0, 1.0) if item in found.derived else by)))
 
     def wider(item: ParameterEstimate) -> ParameterEstimate:
         return replace(item, u=float(np.linalg.norm([item.u, *moved(item)])))
 
     effects = np.stack([moved(item) for item in found.estimates], axis=1)
-    relative = np.array([(one.frequency, one.damping_ratio) for one in influences.unknowns]).reshape(-1, 2)
     of_frequency, of_damping = np.linalg.norm(relative, axis=0)
     modes = tuple(
         replace(
@@ -232,14 +228,8 @@ def _mass_is_free(component: int, group: Sequence[PreparedTransfer], settings: I
     loads = [item.load_kg for item in group]
     differ = max(loads) > (1.0 + _DIFFERENT) * min(loads)
     if settings.internal_mass == "free" and not differ:
-        raise InputError(
-            EQUAL_LOAD_MASSES,
-            group[0].manifest.rig_path,
-            "load.mass",
-            load=loads[0],
-            unit=mass_unit(component),
-            recordings=count_text(len(loads), "recording"),
-        )
+        values = {"unit": mass_unit(component), "recordings": count_text(len(loads), "recording")}
+        raise InputError(EQUAL_LOAD_MASSES, group[0].manifest.rig_path, "load.mass", load=loads[0], **values)
     return differ if settings.internal_mass == "auto" else settings.internal_mass == "free"
 
 
@@ -275,21 +265,20 @@ def sine_transfers(
             load = measured.mass_matrix.tobytes(), str(item.manifest.rig.load)
             key = (*load, measured.drive.tobytes(), item.manifest.mounting, measured.clock)
             groups.setdefault(key, []).append(PreparedTransfer(item.manifest, measured))
-    joined = [
-        PreparedTransfer(group[0].manifest, _bent(group[0].manifest, _joined(group))) for group in groups.values()
-    ]
-    if len({item.measured.name for item in joined}) < len(joined):
-        named = [f"{item.measured.name}, mounting {item.manifest.mounting}" for item in joined]
-        joined = [
-            replace(item, measured=replace(item.measured, name=name)) for item, name in zip(joined, named, strict=True)
-        ]
-    return tuple(joined)
+    curves = [(group[0].manifest, _bent(group[0].manifest, _joined(group))) for group in groups.values()]
+    if len({measured.name for _, measured in curves}) < len(curves):
+        curves = [(m, replace(one, name=f"{one.name}, mounting {m.mounting}")) for m, one in curves]
+    return tuple(PreparedTransfer(manifest, measured) for manifest, measured in curves)
 
 
 def _bent(manifest: Manifest, measured: MeasuredTransfer) -> MeasuredTransfer:
     """Return a curve with the elastic properties of its load."""
     bent = FlexibleLoad.of(manifest, measured.ratio.frequency_hz)
     return measured if bent is None else replace(measured, bending=bent.bending(measured.tops, manifest.mounting))
+
+
+PER_LINE = ("frequency_hz", "value", "covariance", "dof")
+"""Fields of a ratio that have an entry for every line."""
 
 
 def _joined(group: Sequence[PreparedTransfer]) -> MeasuredTransfer:
@@ -299,25 +288,16 @@ def _joined(group: Sequence[PreparedTransfer]) -> MeasuredTransfer:
     """
     records = [item.measured for item in group]
     ratios = [record.ratio for record in records]
-    frequency = np.concatenate([ratio.frequency_hz for ratio in ratios])
-    order = np.argsort(frequency, kind="stable")
-    ratio = replace(
-        ratios[0],
-        frequency_hz=frequency[order],
-        value=np.concatenate([ratio.value for ratio in ratios])[order],
-        covariance=np.concatenate([ratio.covariance for ratio in ratios])[order],
-        dof=np.concatenate([ratio.dof for ratio in ratios])[order],
-    )
+    order = np.argsort(np.concatenate([ratio.frequency_hz for ratio in ratios]), kind="stable")
+    parts = {name: np.concatenate([getattr(one, name) for one in ratios])[order] for name in PER_LINE}
+    ratio = replace(ratios[0], **parts)
     by_name = [{error.name: error.relative for error in record.errors} for record in records]
-    names = dict.fromkeys(error.name for record in records for error in record.errors)
     zeros = [np.zeros(one.value.shape, dtype=np.complex128) for one in ratios]
-    joined = tuple(
-        CurveError(
-            name,
-            np.concatenate([of_record.get(name, zero) for of_record, zero in zip(by_name, zeros, strict=True)])[order],
-        )
-        for name in names
-    )
+
+    def relative(name: str) -> ComplexArray:
+        return np.concatenate([found.get(name, zero) for found, zero in zip(by_name, zeros, strict=True)])[order]
+
+    joined = tuple(CurveError(name, relative(name)) for name in dict.fromkeys(chain(*by_name)))
     steps = f"{len(order)} steps of sines, {group[0].manifest.rig.name}"
     return replace(records[0], name=steps, ratio=ratio, errors=joined)
 
@@ -417,9 +397,8 @@ def model_sensitivity(
     if measured is None or len(measured.frequency_hz) < _FEWEST_LINES:
         model, which = _without_chain(fit, found, covariance, sensor)
         component = LOAD_COMPONENTS[fit.component]
-        notice = Notice(
-            SENSITIVITY_NOT_MEASURED, fit.axis, component=component, sensitivity=which, fewest=_FEWEST_LINES
-        )
+        values = {"component": component, "sensitivity": which}
+        notice = Notice(SENSITIVITY_NOT_MEASURED, fit.axis, fewest=_FEWEST_LINES, **values)
         return ModelledSensitivity(model, fit.range_hz, None, (notice,))
     r_kb = covariance[0, 1] / np.sqrt(covariance[0, 0] * covariance[1, 1]) if covariance[0, 1] != 0.0 else 0.0
     u_k, u_b = (float(np.sqrt(covariance[index, index])) for index in (0, 1))
@@ -439,12 +418,10 @@ def model_sensitivity(
     if (test := comparison.damping) is not None:
         declared = DAMPING_CONTRADICTED if test.contradicts else DAMPING_AGREES
         needed_us, resonance_us = 1e6 * test.needed_s, 1e6 * test.resonance_s
-        notices.append(
-            Notice(declared, where, needed_us=needed_us, resonance_us=resonance_us, deviation=test.deviation)
-        )
-    return ModelledSensitivity(
-        model, range_hz, SensitivityResult(measured, comparison), (*notices, *comparison.notices)
-    )
+        times = {"needed_us": needed_us, "resonance_us": resonance_us, "deviation": test.deviation}
+        notices.append(Notice(declared, where, **times))
+    explained = SensitivityResult(measured, comparison)
+    return ModelledSensitivity(model, range_hz, explained, (*notices, *comparison.notices))
 
 
 def _explanations(comparison: SensitivityComparison, verdict: str) -> str:

@@ -133,10 +133,7 @@ def read_series(manifests: Sequence[Manifest]) -> tuple[tuple[LoadSeries, ...], 
     Raises `InputError` for a file or key that the user has to correct.
     """
     releases, of_reading = zip(*(read_recording(manifest) for manifest in manifests), strict=True)
-    notices = [
-        *chain.from_iterable(of_reading),
-        *(notice for manifest in manifests for notice in manifest.certificate_notices),
-    ]
+    notices = [*chain(*of_reading, *(manifest.certificate_notices for manifest in manifests))]
     series, refused = list[LoadSeries](), list[InputError]()
     for index, component in enumerate(LOAD_COMPONENTS):
         of_component = [release for release in releases if release.record.component == component]
@@ -182,14 +179,15 @@ def _series(releases: Sequence[StepRelease], moving: Sequence[MovingMass], compo
         except ValueError as error:
             key = f"daq.channel.{release.driven}"
             raise InputError.from_exception(error, release.manifest.path, key, NO_FREE_OSCILLATION) from error
-    first, manifests = releases[0], [release.manifest for release in releases]
+    first, reading = releases[0], releases[0].reading
     for release, mass in zip(releases, moving, strict=True):
         check_driven_output(first, release)
         _check_equal_mass((first.manifest, moving[0]), (release.manifest, mass))
+    manifests = [release.manifest for release in releases]
+    mountings = [manifest.mounting for manifest in manifests]
     gains, u = np.array([(release.reading.static_gain, release.reading.u_static_gain) for release in releases]).T
     between = float(np.std(gains, ddof=1) / np.sqrt(len(gains))) if len(gains) > 1 else 0.0
     u_gain = max(between, float(np.sqrt(np.sum(u**2))) / len(u))
-    reading = first.reading
     return LoadSeries(
         output=SeriesOutput(reading.component, reading.channel, reading.unit, float(np.mean(gains)), u_gain),
         names=tuple(release.name for release in releases),
@@ -197,9 +195,7 @@ def _series(releases: Sequence[StepRelease], moving: Sequence[MovingMass], compo
         masses=_masses(moving[0], masses),
         decays=tuple(decays),
         noise=np.array([item.noise for item in modes]),
-        influences=stated_influences(
-            _rig_with_influences(manifests), [manifest.mounting for manifest in manifests], NO_CAUSE
-        ),
+        influences=stated_influences(_rig_with_influences(manifests), mountings, NO_CAUSE),
     )
 
 
@@ -207,13 +203,11 @@ def _check_equal_mass(first: tuple[Manifest, MovingMass], other: tuple[Manifest,
     """Raise `InputError` if two rigs state different moving masses of their sensor."""
     (reference, expected), (manifest, found) = first, other
     if found != expected:
-        key, numbers = found.key, (expected.value, found.value)
+        values = {"expected": expected.value, "found": found.value}
+        key = found.key
         if found.value == expected.value:
-            key, numbers = f"{found.key}_uncertainty", (expected.u, found.u)
-        file = reference.rig_path.name
-        raise InputError(
-            CONTRADICTORY_MOVING_MASS, manifest.rig_path, key, file=file, expected=numbers[0], found=numbers[1]
-        )
+            key, values = f"{key}_uncertainty", {"expected": expected.u, "found": found.u}
+        raise InputError(CONTRADICTORY_MOVING_MASS, manifest.rig_path, key, file=reference.rig_path.name, **values)
 
 
 def check_one_sensor(manifests: Sequence[Manifest]) -> None:
@@ -225,10 +219,7 @@ def check_one_sensor(manifests: Sequence[Manifest]) -> None:
 
 
 def _rig_with_influences(manifests: Sequence[Manifest]) -> Rig:
-    """Return the rig that states influences on the model.
-
-    All such rigs must state the same.
-    """
+    """Return the rig that states influences on the model; all such rigs must state the same."""
     stating = [one for one in manifests if one.rig.model is not None] or [manifests[0]]
     for other in stating:
         if other.rig.model != stating[0].rig.model:
@@ -238,10 +229,7 @@ def _rig_with_influences(manifests: Sequence[Manifest]) -> Rig:
 
 
 def _load(manifest: Manifest, component: int) -> tuple[float, dict[str, float]]:
-    """Return the load mass along a component with the change by each error.
-
-    0 without a load.
-    """
+    """Return the load mass along a component, 0 without a load, with the change by each error."""
     if manifest.rig.load is None:
         stranded = next((part.name for part in manifest.part if part.body == "load"), None)
         if stranded is not None:
@@ -498,9 +486,11 @@ def _solution(model: LoadModel, dof: float, series: LoadSeries, settings: LoadSe
     limits = [
         ("formula_limit", f"two-mass formula within {percent} of the resonance", formula_limit(model, share)),
         ("change_limit", f"resonance within {percent} of that without load", change_limit(model, share)),
+        *(
+            ("frequency_limit", f"resonance of at least {hertz:g} Hz", frequency_limit(model, hertz))
+            for hertz in settings.target_hz
+        ),
     ]
-    for target_hz in settings.target_hz:
-        limits.append(("frequency_limit", f"resonance of at least {target_hz:g} Hz", frequency_limit(model, target_hz)))
     unlimited, where = LoadLimit(float("nan"), float("nan")), f"{series.output.component}, {{:.4g}} {unit}"
     (bands, u_bands, notices), (others, u_others, more) = (
         _bands(model, masses, where) for masses in (loads, requested)
@@ -520,10 +510,7 @@ def _solution(model: LoadModel, dof: float, series: LoadSeries, settings: LoadSe
 
 
 def _bands(model: LoadModel, loads: FloatArray, where: str) -> tuple[FloatArray, FloatArray, list[Notice]]:
-    """Return bands (R, 2) of loads (R,), their u, and notices.
-
-    The notices name bands that are not proportional to the model.
-    """
+    """Return bands (R, 2) of loads (R,), their u, and notices of bands that are not proportional to the model."""
     bands, u, notices = np.full((len(loads), 2), np.nan), np.full((len(loads), 2), np.nan), list[Notice]()
     for index, load in enumerate(loads.tolist()):
         bands[index] = working_bands(model, load)

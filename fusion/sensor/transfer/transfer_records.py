@@ -10,6 +10,7 @@ import numpy as np
 
 from fusion.base import CommandEvaluation
 from fusion.errors import InputError
+from fusion.estimation.coverage import along_and_across
 from fusion.instruments.channel import DELAY_OF_FILTER, u_of_filter
 from fusion.phasors.timing import ClockResult, TimeBase, tie_daqs
 from fusion.recording.daq_records import DaqRecord, read_daqs
@@ -183,11 +184,9 @@ def uncertainty(value: ComplexArray, covariance: FloatArray) -> tuple[FloatArray
 
     `covariance` (K, 2, 2): of the values.
     """
-    size = np.abs(value)
-    along = np.stack([value.real, value.imag], axis=1) / size[:, None]
-    across = np.stack([-value.imag, value.real], axis=1) / size[:, None]
-    forms = [np.einsum("ki,kij,kj->k", axis, covariance, axis) for axis in (along, across)]
-    return np.sqrt(np.maximum(forms[0], 0.0)) / size, np.sqrt(np.maximum(forms[1], 0.0)) / size
+    frame = along_and_across(value)
+    along, across = np.einsum("kia,kij,kja->ak", frame, covariance, frame)
+    return np.sqrt(np.maximum(along, 0.0)) / np.abs(value), np.sqrt(np.maximum(across, 0.0)) / np.abs(value)
 
 
 def ratio_errors(reference: ChannelChain, responses: Sequence[ChannelChain]) -> tuple[CurveError, ...]:
@@ -278,21 +277,11 @@ def read_synchronous(manifest: Manifest) -> tuple[SynchronousRecord, ...]:
         if len(where) != 1:
             blocks = " and ".join(block for block, _ in where)
             found = f"{name} in the blocks {blocks}" if where else f"{name} (a trigger)"
-            raise InputError(
-                WRONG_CHANNEL_NAME,
-                manifest.path,
-                f"excitation.{key}",
-                found=found,
-                expected="the name of exactly one channel",
-            )
+            expected = "the name of exactly one channel"
+            raise InputError(WRONG_CHANNEL_NAME, manifest.path, f"excitation.{key}", found=found, expected=expected)
         if key == "response" and name in excitation.reference:
-            raise InputError(
-                WRONG_CHANNEL_NAME,
-                manifest.path,
-                "excitation.response",
-                found=name,
-                expected="other channels than the references",
-            )
+            expected = "other channels than the references"
+            raise InputError(WRONG_CHANNEL_NAME, manifest.path, "excitation.response", found=name, expected=expected)
     records = read_daqs(manifest)
     selected = [by_name[name][0] for name in named]
     return tuple(_together(manifest, records, [by_name[name][0], *selected]) for name in excitation.reference)
@@ -394,10 +383,7 @@ def _condition(manifest: Manifest, channel: LocatedChannel) -> Iterator[Notice]:
 
 
 def _common_times(channels: Sequence[LocatedChannel], slowest: LocatedChannel) -> tuple[FloatArray, float]:
-    """Return times (T,) of the slowest channel within all records, and their rate.
-
-    On the first clock.
-    """
+    """Return times (T,) of the slowest channel within all records, and their rate, on the first clock."""
     time_s, rate_hz, tie = slowest.record.time_s(slowest.entry.name), slowest.rate_hz, slowest.tie
     if tie is not None:
         time_s, rate_hz = tie.to_base_s(time_s), rate_hz / tie.rate
