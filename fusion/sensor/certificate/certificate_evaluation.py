@@ -22,6 +22,7 @@ from fusion.recording.load import RECORDING_NAME, Manifest, find_recordings, loa
 from fusion.recording.toml import UncertainInput
 from fusion.report.folder import hash_files, sha256
 from fusion.report.table import has_phase
+from fusion.sensor import result_notices as declared
 from fusion.sensor.certificate.certificate_inputs import (
     CERTIFIED_COMMANDS,
     FORM_FILE,
@@ -37,15 +38,6 @@ from fusion.sensor.certificate.certificate_inputs import (
 )
 from fusion.sensor.model_notices import MODEL_INFLUENCES_NOT_ASSESSED
 from fusion.sensor.response_notices import COARSE_CONVERTER_STEPS
-from fusion.sensor.result_notices import (
-    EXPIRED_CERTIFICATES,
-    ISSUED_BEFORE_CALIBRATION,
-    MISSING_CERTIFICATE_ENTRIES,
-    NO_CERTIFIABLE_RESULT,
-    NOT_ONE_SENSOR,
-    OUTDATED_RESULTS,
-    WARNINGS_NOT_REVIEWED,
-)
 from shaker.labels import LOAD_COMPONENTS
 from shakercal._common.notices import Notice
 
@@ -55,8 +47,8 @@ SCOPE = (
     "certificate may be reproduced in full only, unless the laboratory agrees in writing."
 )
 NOT_IN_U = {
-    declared.code
-    for declared in (CAMERA_DELAYED, COARSE_ROWS, SHUTTER_NOT_CONVERGED, PERIODIC_JITTER, COARSE_CONVERTER_STEPS)
+    notice.code
+    for notice in (CAMERA_DELAYED, COARSE_ROWS, SHUTTER_NOT_CONVERGED, PERIODIC_JITTER, COARSE_CONVERTER_STEPS)
 }
 """Codes of warnings of an effect that U does not include."""
 NOT_IN_U_WITHOUT_CODE = ("not assessed", "not in U")
@@ -217,7 +209,7 @@ def evaluate_certificate(
     warnings = list(dict.fromkeys(found.warnings))
     if warnings and not form.administration.warnings_reviewed:
         key = "administration.warnings_reviewed"
-        raise InputError(WARNINGS_NOT_REVIEWED, form_path, key, count=len(warnings), first=warnings[0])
+        raise InputError(declared.WARNINGS_NOT_REVIEWED, form_path, key, count=len(warnings), first=warnings[0])
     days = _days(form, manifests)
     return Certificate(
         form=form,
@@ -266,7 +258,7 @@ def _sensitivities(
     }
     elements = tuple(_elements(points, mains, sensor.unit, form))
     if not elements:
-        raise InputError(NO_CERTIFIABLE_RESULT, top, expected="results with outputs over a driven load")
+        raise InputError(declared.NO_CERTIFIABLE_RESULT, top, expected="results with outputs over a driven load")
     ratios = all(element.kind == "ratio" for element in elements)
     return CertificateContent(
         title="Output over driven load" if ratios else "Dynamic sensitivity",
@@ -285,7 +277,7 @@ def _numbers(command: str, manifests: Sequence[Manifest], folder: Path, form: Fo
     for name, digest in origin.input_hashes.items():
         path = manifests[0].root / name
         if not path.is_file() or sha256(path) != digest:
-            raise InputError(OUTDATED_RESULTS, folder, expected="these files", changed=name, command=command)
+            raise InputError(declared.OUTDATED_RESULTS, folder, expected="these files", changed=name, command=command)
     tested = {(m.rig.sensor.name, m.rig.sensor.serial) for m in manifests if m.rig.sensor is not None}
     sensor = manifests[0].rig.sensor
     if len(tested) != 1 or sensor is None:
@@ -304,7 +296,7 @@ def _numbers(command: str, manifests: Sequence[Manifest], folder: Path, form: Fo
 
 def _no_sensor(manifests: Sequence[Manifest]) -> InputError:
     found = "no sensor, or several" if manifests[0].rig.sensor else "no sensor"
-    return InputError(NOT_ONE_SENSOR, manifests[0].rig_path, "sensor", found=found)
+    return InputError(declared.NOT_ONE_SENSOR, manifests[0].rig_path, "sensor", found=found)
 
 
 def _named(form: Form, manifest: Manifest) -> Form:
@@ -325,14 +317,16 @@ def _refuse_gaps(form: Form, path: Path, manifests: Sequence[Manifest]) -> None:
     if not form.item.customer_number and not any(m.rig.sensor and m.rig.sensor.serial for m in manifests):
         gaps.append("item.customer_number, or the serial number of the sensor in rig.toml")
     if gaps:
-        raise InputError(MISSING_CERTIFICATE_ENTRIES, path, ", ".join(gaps))
+        raise InputError(declared.MISSING_CERTIFICATE_ENTRIES, path, ", ".join(gaps))
     expired = [(manifest.path, notice) for manifest in manifests for notice in manifest.expiry_notices]
     if expired:
         inputs = dict.fromkeys(f"{notice.values['key']} ({notice.values['source']})" for _, notice in expired)
-        raise InputError(EXPIRED_CERTIFICATES, expired[0][0], inputs=", ".join(inputs))
+        raise InputError(declared.EXPIRED_CERTIFICATES, expired[0][0], inputs=", ".join(inputs))
     issued, last = form.administration.issued, max(_days(form, manifests))
     if issued is not None and issued < last:
-        raise InputError(ISSUED_BEFORE_CALIBRATION, path, "administration.issued", last=str(last), found=str(issued))
+        raise InputError(
+            declared.ISSUED_BEFORE_CALIBRATION, path, "administration.issued", last=str(last), found=str(issued)
+        )
 
 
 def _days(form: Form, manifests: Sequence[Manifest]) -> list[Date]:
@@ -350,7 +344,7 @@ def _results_of(manifest: Manifest, folder: Path) -> RecordingResults:
     now, then = hash_files(manifest.files, manifest.root, manifest.file_identities).hashes, recorded.origin.input_hashes
     if now != then:
         changed = min(name for name in {*now, *then} if now.get(name) != then.get(name))
-        raise InputError(OUTDATED_RESULTS, folder, expected=str(manifest.path), changed=changed, command="run")
+        raise InputError(declared.OUTDATED_RESULTS, folder, expected=str(manifest.path), changed=changed, command="run")
     return recorded
 
 

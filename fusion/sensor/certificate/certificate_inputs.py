@@ -19,7 +19,7 @@ from fusion.recording.values import ManifestBlock, NotNegative, Positive, refusa
 from fusion.report.folder import Provenance, provenance_of
 from fusion.report.h5 import open_results, read_notices
 from fusion.report.table import capitalise
-from fusion.sensor.result_notices import DAMAGED_RESULT_TABLE, NO_CERTIFIABLE_RESULT, NO_CERTIFICATE_FORM
+from fusion.sensor import result_notices as declared
 from shaker.identification.sensitivity import LABELS as CHAIN_LABELS
 from shaker.lti.indices import LABELS
 from shakercal._common.notices import Notice
@@ -190,7 +190,7 @@ class Form(ManifestBlock):
 def read_form(path: Path) -> Form:
     """Read and check certificate.toml."""
     if not path.is_file():
-        raise InputError(NO_CERTIFICATE_FORM, path)
+        raise InputError(declared.NO_CERTIFICATE_FORM, path)
     return validate(Form, read_toml(path), path)
 
 
@@ -303,13 +303,15 @@ def read_certified_numbers(folder: Path, command: str, *, k: float | None) -> tu
             value, u, table_k = (float(row[column]) for column in ("value", "u", "k"))
             factor, unit = table_k if k is None else k, row["unit"]
         except (KeyError, TypeError, ValueError) as error:
-            raise InputError(DAMAGED_RESULT_TABLE, file, f"line {line}", command=command, reason=str(error)) from error
+            raise InputError(
+                declared.DAMAGED_RESULT_TABLE, file, f"line {line}", command=command, reason=str(error)
+            ) from error
         if np.isfinite([value, u, factor]).all() and u > 0.0:
             named = _words(name, command), _kind(name, unit)
             lists.setdefault(where, []).append(CertifiedNumber(*named, value, factor * u, factor, unit))
     if not lists:
         expected = f"a number with an uncertainty in the results of shakercal {command}"
-        raise InputError(NO_CERTIFIABLE_RESULT, file, expected=expected)
+        raise InputError(declared.NO_CERTIFIABLE_RESULT, file, expected=expected)
     return tuple(NumberList(where, tuple(found)) for where, found in lists.items())
 
 

@@ -13,6 +13,7 @@ from fusion.base import CommandEvaluation
 from fusion.errors import InputError
 from fusion.recording.daq_records import read_daqs
 from fusion.recording.load import Manifest, find_recordings, load_manifest
+from fusion.sensor import model_notices as declared
 from fusion.sensor.compensate.compensation_subjects import (
     COMMAND,
     OPTIONS,
@@ -27,20 +28,6 @@ from fusion.sensor.compensate.compensation_subjects import (
     SubjectResult,
     select_subjects,
     wrong_option,
-)
-from fusion.sensor.model_notices import (
-    BAND_NOT_REACHED,
-    COVARIANCE_NOT_STATED,
-    FILTER_FOR_ONE_LOAD,
-    FILTER_REFUSED,
-    MODE_NOT_COMPENSATED,
-    MODE_UNCERTAIN,
-    NO_REAL_POLE_TO_MOVE,
-    NOISE_AMPLIFIED,
-    OUTPUTS_NOT_FILTERED,
-    SAMPLING_ERROR,
-    WIDER_BAND_POSSIBLE,
-    WRONG_RECORDING,
 )
 from fusion.sensor.transfer.transfer_records import align
 from fusion.sensor.unmodelled_effects import CAUSE_LABELS, coverage_notice
@@ -162,15 +149,17 @@ def read_outputs(path: Path, *, allow_outside: bool = False) -> OutputRecord:
     recordings = find_recordings(path)
     if len(recordings) != 1:
         found = f"{len(recordings)} recordings"
-        raise InputError(WRONG_RECORDING, path, found=found, expected="one recording for --apply")
+        raise InputError(declared.WRONG_RECORDING, path, found=found, expected="one recording for --apply")
     manifest = load_manifest(recordings[0], allow_outside=allow_outside)
     if manifest.take:
         found = f"{len(manifest.take)} takes"
-        raise InputError(WRONG_RECORDING, manifest.path, "take", found=found, expected="a recording of one take")
+        raise InputError(
+            declared.WRONG_RECORDING, manifest.path, "take", found=found, expected="a recording of one take"
+        )
     outputs = [(daq.name, entry) for daq in manifest.daq for entry in daq.channel if entry.quantity == "output"]
     if not outputs:
         expected = 'a channel with quantity = "output"'
-        raise InputError(WRONG_RECORDING, manifest.path, "daq.channel", found="none", expected=expected)
+        raise InputError(declared.WRONG_RECORDING, manifest.path, "daq.channel", found="none", expected=expected)
     read = align(manifest, read_daqs(manifest), outputs, "daq")
     names = tuple(entry.channel or entry.name for _, entry in outputs)
     unit = manifest.rig.unit_of(outputs[0][1])
@@ -195,10 +184,10 @@ def filter_recording(
     if not filtered:
         expected = f"one of the channels {', '.join(one.subject.channel for one in results)}"
         found = f"outputs {', '.join(record.channels)}"
-        raise InputError(WRONG_RECORDING, record.manifest.path, "daq.channel", found=found, expected=expected)
+        raise InputError(declared.WRONG_RECORDING, record.manifest.path, "daq.channel", found=found, expected=expected)
     name = record.manifest.folder.name
     if skipped:
-        notices = (*notices, Notice(OUTPUTS_NOT_FILTERED, name, channels=", ".join(skipped)))
+        notices = (*notices, Notice(declared.OUTPUTS_NOT_FILTERED, name, channels=", ".join(skipped)))
     return CompensatedRecording(name, record.sample_rate_hz, record.start_s, tuple(filtered)), notices
 
 
@@ -209,10 +198,14 @@ def _filtered(
     subject, rate_hz, filter_hz = made.subject, record.sample_rate_hz, made.sections.sample_rate_hz
     if subject.channel != STATED and subject.unit != record.unit:
         expected = f"{subject.unit}, the unit of the model of {name}"
-        raise InputError(WRONG_RECORDING, record.manifest.path, "sensor.unit", found=record.unit, expected=expected)
+        raise InputError(
+            declared.WRONG_RECORDING, record.manifest.path, "sensor.unit", found=record.unit, expected=expected
+        )
     if filter_hz != rate_hz:
         expected = f"samples at {filter_hz:g} Hz, the rate of the filter"
-        raise InputError(WRONG_RECORDING, record.manifest.path, "daq", found=f"{rate_hz:g} Hz", expected=expected)
+        raise InputError(
+            declared.WRONG_RECORDING, record.manifest.path, "daq", found=f"{rate_hz:g} Hz", expected=expected
+        )
     first = max(1, min(len(values), round(rate_hz / made.compensation.target.frequency_hz)))
     level, noise = float(np.mean(values[:first])), white_noise(values)
     run = CompensationWithUncertainty(made.compensation, rate_hz, settings.discretisation, level=level, noise=noise)
@@ -279,23 +272,25 @@ def _of_design(made: LoadFilter, settings: CompensationSettings, where: str) -> 
     """Yield notices on the certainty of the model, the target, and the requested band."""
     sensor, target, error = made.compensation.sensor, made.compensation.target, settings.permitted_error
     if settings.real_hz is not None and not len(sensor.real_hz):
-        yield Notice(NO_REAL_POLE_TO_MOVE, where)
+        yield Notice(declared.NO_REAL_POLE_TO_MOVE, where)
     if sensor.covariance is None:
-        yield Notice(COVARIANCE_NOT_STATED, where)
+        yield Notice(declared.COVARIANCE_NOT_STATED, where)
     for hertz, damping, u in zip(sensor.frequency_hz, sensor.damping_ratio, sensor.u, strict=False):
         if u > WIDTH_SHARE * damping * hertz:  # never of an unknown u, which is NaN
             share = 100.0 * float(u / (damping * hertz))
-            yield Notice(MODE_UNCERTAIN, where, frequency_hz=float(hertz), share_percent=share)
+            yield Notice(declared.MODE_UNCERTAIN, where, frequency_hz=float(hertz), share_percent=share)
     reached, best = band_ratio(target.damping_ratio, error), best_damping((1.0 - MODEL_ERROR_SHARE) * error)
     if settings.damping_ratio is not None and band_ratio(best, error) > MIN_WIDENING * reached:
         values = {"damping_ratio": target.damping_ratio, "band_hz": target.frequency_hz * reached}
         widest = {"best_damping_ratio": best, "widest_hz": target.frequency_hz * band_ratio(best, error)}
-        yield Notice(WIDER_BAND_POSSIBLE, where, permitted_percent=100.0 * error, **values, **widest)
+        yield Notice(declared.WIDER_BAND_POSSIBLE, where, permitted_percent=100.0 * error, **values, **widest)
     if settings.bandwidth_hz is not None:
         gain = np.abs(made.compensation.compensated.response(np.linspace(0.0, settings.bandwidth_hz, 500)))
         worst = float(np.max(np.abs(gain / gain[0] - 1.0)))
         if worst > error * (1.0 + 1e-9):
-            yield Notice(BAND_NOT_REACHED, where, band_hz=settings.bandwidth_hz, deviation_percent=100.0 * worst)
+            yield Notice(
+                declared.BAND_NOT_REACHED, where, band_hz=settings.bandwidth_hz, deviation_percent=100.0 * worst
+            )
 
 
 def _of_effects(made: LoadFilter, where: str) -> Iterator[Notice]:
@@ -306,12 +301,12 @@ def _of_effects(made: LoadFilter, where: str) -> Iterator[Notice]:
         is_of_sensor = np.min(np.abs(filter_poles - mode.pole)) > 1e-9 * abs(mode.pole)
         if is_of_sensor and share is not None and share > LARGE_ERROR:
             values = {"frequency_hz": mode.natural_hz, "damping_ratio": mode.damping_ratio}
-            yield Notice(MODE_NOT_COMPENSATED, where, share_percent=100.0 * share, **values)
+            yield Notice(declared.MODE_NOT_COMPENSATED, where, share_percent=100.0 * share, **values)
     if made.discretisation_error > LARGE_ERROR:
         percent, rate_hz = 100.0 * made.discretisation_error, made.sections.sample_rate_hz
-        yield Notice(SAMPLING_ERROR, where, rate_hz=rate_hz, deviation_percent=percent, band_hz=made.band_hz)
+        yield Notice(declared.SAMPLING_ERROR, where, rate_hz=rate_hz, deviation_percent=percent, band_hz=made.band_hz)
     if made.noise_factor > LARGE_NOISE:
-        yield Notice(NOISE_AMPLIFIED, where, factor=made.noise_factor)
+        yield Notice(declared.NOISE_AMPLIFIED, where, factor=made.noise_factor)
 
 
 # The evaluation of a compensation.
@@ -383,7 +378,7 @@ def evaluate_compensation(
     for result in subjects:
         if result.subject.is_scheduled and len(result.filters) == 1:
             load = result.subject.load_text(result.filters[0].load_mass or 0.0)
-            notices.append(Notice(FILTER_FOR_ONE_LOAD, result.subject.name, load=load))
+            notices.append(Notice(declared.FILTER_FOR_ONE_LOAD, result.subject.name, load=load))
     notices += [notice for result in subjects for notice in remarks(result, settings)]
     return CompensateEvaluation(
         name=sources.name,
@@ -418,7 +413,7 @@ def _subject(subject: CompensationSubject, settings: CompensationSettings, rate_
         option = OPTIONS.get(str(error).partition(":")[0])
         file = None if option else subject.file  # without an option, the model itself is refused
         key = f"{option} ({subject.name})" if option else subject.name
-        raise InputError.from_exception(error, file or Path(COMMAND), key, FILTER_REFUSED) from error
+        raise InputError.from_exception(error, file or Path(COMMAND), key, declared.FILTER_REFUSED) from error
     return SubjectResult(subject, tuple(filters))
 
 

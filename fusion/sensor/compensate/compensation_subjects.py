@@ -12,6 +12,7 @@ import numpy as np
 from fusion.errors import InputError
 from fusion.estimation.coverage import coverage_factor
 from fusion.recording.values import repeated_name
+from fusion.sensor import model_notices as declared
 from fusion.sensor.model_files import (
     LOAD_MODEL_FILE,
     MODELS_FILE,
@@ -19,12 +20,6 @@ from fusion.sensor.model_files import (
     read_loads,
     read_model_file,
     read_models,
-)
-from fusion.sensor.model_notices import (
-    DUPLICATE_MODEL,
-    EQUIVALENT_SOLUTIONS,
-    NO_MODEL_FILE,
-    WRONG_COMPENSATION_OPTION,
 )
 from fusion.sensor.step.step_records import effective_dof
 from shaker.compensation.effects import target_for_bandwidth, target_for_frequency
@@ -69,7 +64,7 @@ STATED = "sensor"
 
 def wrong_option(found: str, expected: str, option: str = "") -> InputError:
     """Return the refusal of an option of the command."""
-    return InputError(WRONG_COMPENSATION_OPTION, COMMAND, option, found=found, expected=expected)
+    return InputError(declared.WRONG_COMPENSATION_OPTION, COMMAND, option, found=found, expected=expected)
 
 
 @dataclass(frozen=True)
@@ -246,7 +241,7 @@ def read_sources(paths: Sequence[Path]) -> CompensationSources:
     subjects = tuple(subject for one in sources for subject in one.subjects)
     twice = repeated_name([subject.name for subject in subjects])
     if twice is not None:
-        raise InputError(DUPLICATE_MODEL, paths[-1], channel=twice)
+        raise InputError(declared.DUPLICATE_MODEL, paths[-1], channel=twice)
     files, notices = (sum((getattr(one, name) for one in sources), ()) for name in ("files", "notices"))
     return CompensationSources(sources[0].name, subjects, files, notices)
 
@@ -276,7 +271,7 @@ def _read(path: Path) -> CompensationSources:
     file = next((one for one in offered if one.is_file()), path)
     if file.is_dir():
         expected = f"{MODELS_FILE} of shakercal step or {LOAD_MODEL_FILE} of shakercal load in it"
-        raise InputError(NO_MODEL_FILE, path, expected=expected)
+        raise InputError(declared.NO_MODEL_FILE, path, expected=expected)
 
     def over_loads(content: dict[str, Any]) -> bool:
         return bool(content["models"]) and "moving_mass" in content["models"][0]
@@ -288,7 +283,7 @@ def _of_steps(file: Path) -> CompensationSources:
     """Return one subject per channel: for the component of its name, else the largest gain."""
     models = read_models(file)
     if not models.entries:
-        raise InputError(NO_MODEL_FILE, file, "models", expected="at least one model")
+        raise InputError(declared.NO_MODEL_FILE, file, "models", expected="at least one model")
     subjects = []
     for channel in dict.fromkeys(entry.channel for entry in models):
         offered = [entry for entry in models if entry.channel == channel]
@@ -307,7 +302,7 @@ def _of_loads(file: Path) -> CompensationSources:
         if model.solution > 1:
             continue
         if model.solutions > 1:
-            notices.append(Notice(EQUIVALENT_SOLUTIONS, model.channel, count=model.solutions))
+            notices.append(Notice(declared.EQUIVALENT_SOLUTIONS, model.channel, count=model.solutions))
         source = "two masses" if model.is_rigid else "three masses"
         subject = CompensationSubject(model.channel, model.component, model.unit, model, source, basis=basis, file=file)
         if model.load_masses:

@@ -15,18 +15,8 @@ from numpy.typing import NDArray
 from fusion.base import CommandEvaluation
 from fusion.errors import ComputeError, InputError
 from fusion.recording.load import Manifest, check_one_rig
+from fusion.sensor import model_notices as declared
 from fusion.sensor.model_files import FORMAT, read_model_file
-from fusion.sensor.model_notices import (
-    DIFFERENT_RECORDS,
-    LOADS_NOT_SEPARABLE,
-    MISSING_RELEASES,
-    NO_COMMON_MODEL,
-    NO_DECOUPLING_FILTER,
-    NO_RATED_LOADS,
-    RELEASED_LOADS_EXACT,
-    TARGET_ABOVE_LIMIT,
-    TARGET_NOT_REACHED,
-)
 from fusion.sensor.step.step_records import StepInput, read_step
 from fusion.sensor.unmodelled_effects import ModelInfluences, coverage_notice, stated_influences
 from shaker.decoupling.common_pole_fit import MultiFit, fit_steps
@@ -171,7 +161,7 @@ def evaluate_decoupling(
     try:
         decoupler = design_decoupling(fit.model, target, SignalLevels(fit.sample_rate_hz, fit.noise, fit.amplitude))
     except (ValueError, np.linalg.LinAlgError) as error:
-        raise ComputeError(NO_DECOUPLING_FILTER, reason=str(error)) from error
+        raise ComputeError(declared.NO_DECOUPLING_FILTER, reason=str(error)) from error
     modes_hz = fit.model.frequency_hz
     highest = max(float(modes_hz.max()), float(target.frequency_hz.max()))
     top_hz = min(FREQUENCY_MARGIN * highest, 0.45 * fit.sample_rate_hz)
@@ -221,14 +211,16 @@ def _read(manifests: Sequence[Manifest]) -> list[StepInput]:
             found, expected = getattr(item.record, key), getattr(record, key)
             if found != expected:
                 values = {"expected": str(expected), "recording": first.folder.name, "found": str(found)}
-                raise InputError(DIFFERENT_RECORDS, item.manifest.path, f"daq.channel ({key})", **values)
+                raise InputError(declared.DIFFERENT_RECORDS, item.manifest.path, f"daq.channel ({key})", **values)
     stated = None if first.rig.sensor is None else first.rig.sensor.static_sensitivity
     static = None if stated is None else np.asarray(stated, dtype=np.float64)
     released = list(dict.fromkeys(item.record.component for item in inputs))
     missing = missing_loads(record.channels, released, static)
     if missing:
         folder, found = first.rig_path.parent, ", ".join(released)
-        raise InputError(MISSING_RELEASES, folder, "excitation.component", missing=", ".join(missing), found=found)
+        raise InputError(
+            declared.MISSING_RELEASES, folder, "excitation.component", missing=", ".join(missing), found=found
+        )
     return inputs
 
 
@@ -239,8 +231,8 @@ def _unexplained(error: ValueError, manifest: Manifest) -> InputError | ComputeE
     """
     key = str(error).partition(": ")[0]
     if key not in ("channels", "components"):
-        return ComputeError(NO_COMMON_MODEL, reason=str(error))
-    return InputError.from_exception(error, manifest.rig_path.parent, key, LOADS_NOT_SEPARABLE)
+        return ComputeError(declared.NO_COMMON_MODEL, reason=str(error))
+    return InputError.from_exception(error, manifest.rig_path.parent, key, declared.LOADS_NOT_SEPARABLE)
 
 
 def _target(fit: MultiFit, settings: DecoupleSettings) -> DecouplingTarget:
@@ -248,7 +240,7 @@ def _target(fit: MultiFit, settings: DecoupleSettings) -> DecouplingTarget:
     count = len(fit.model.components)
     target_hz = 0.5 * float(fit.model.frequency_hz.min()) if settings.frequency_hz is None else settings.frequency_hz
     if target_hz >= 0.25 * fit.sample_rate_hz:
-        raise ComputeError(TARGET_ABOVE_LIMIT, rate_hz=fit.sample_rate_hz, frequency_hz=target_hz)
+        raise ComputeError(declared.TARGET_ABOVE_LIMIT, rate_hz=fit.sample_rate_hz, frequency_hz=target_hz)
     return DecouplingTarget(np.full(count, target_hz), np.full(count, settings.damping_ratio))
 
 
@@ -265,12 +257,12 @@ def _notices(
     if deviation[within].max() > MAX_DEVIATION:
         first_hz = float(frequency_hz[within][deviation[within] > MAX_DEVIATION][0])
         limit = 100 * MAX_DEVIATION
-        found.append(Notice(TARGET_NOT_REACHED, "filter", frequency_hz=first_hz, limit_percent=limit))
+        found.append(Notice(declared.TARGET_NOT_REACHED, "filter", frequency_hz=first_hz, limit_percent=limit))
     if capacity is None:
-        found.append(Notice(NO_RATED_LOADS, "sensor.capacity"))
+        found.append(Notice(declared.NO_RATED_LOADS, "sensor.capacity"))
     exact = [c for c, u in zip(fit.model.components, fit.u_amplitude, strict=True) if u == 0.0]
     if exact:
-        found.append(Notice(RELEASED_LOADS_EXACT, "excitation.step_amplitude", components=", ".join(exact)))
+        found.append(Notice(declared.RELEASED_LOADS_EXACT, "excitation.step_amplitude", components=", ".join(exact)))
     return found
 
 

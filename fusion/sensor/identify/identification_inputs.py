@@ -19,18 +19,7 @@ from fusion.recording.manifest import ChannelEntry
 from fusion.report.folder import RESULT_FILE, InputFiles, hash_files, read_provenance
 from fusion.sensitivity.elastic import InstrumentPosition, NaturalModes
 from fusion.sensitivity.moving_body import JOINT, Body, inertia_errors, joint_unknown, load_body, rigid_load
-from fusion.sensor.response_notices import (
-    BAND_WITHOUT_LINES,
-    DIFFERENT_SENSOR,
-    ELASTIC_LOAD,
-    MISSING_IDENTIFICATION_ENTRY,
-    MISSING_MOTION_CHANNEL,
-    NO_TRANSFER_RECORDING,
-    OUTDATED_SINE_RESULTS,
-    REFERENCE_ACROSS_DRIVE,
-    REFERENCES_NOT_USED,
-    SINES_NOT_EVALUATED,
-)
+from fusion.sensor import response_notices as declared
 from fusion.sensor.transfer.transfer_evaluation import KINDS, evaluate_transfer
 from fusion.sensor.transfer.transfer_records import FoundResonance, ReferenceResult, TransferSettings
 from shaker.identification.measured_curves import (
@@ -162,14 +151,14 @@ def read_campaign(path: Path, *, allow_outside: bool = False) -> IdentificationI
         kinds = ", ".join(dict.fromkeys(manifest.excitation.kind for manifest in manifests))
         where = manifests[0].path if len(manifests) == 1 else path
         expected = f"{', '.join(KINDS[:-1])} or {KINDS[-1]}"
-        raise InputError(NO_TRANSFER_RECORDING, where, "excitation.kind", found=kinds, expected=expected)
+        raise InputError(declared.NO_TRANSFER_RECORDING, where, "excitation.kind", found=kinds, expected=expected)
     results = [(manifest, _results(manifest)) for manifest in manifests if manifest.excitation.kind == "sine"]
     sines = tuple(EvaluatedSines(manifest, folder) for manifest, folder in results if folder is not None)
     missing = [manifest.name for manifest, folder in results if folder is None]
     notices = []
     if missing:
         name = missing[0] if len(missing) == 1 else "campaign"
-        notices.append(Notice(SINES_NOT_EVALUATED, name, count=len(missing)))
+        notices.append(Notice(declared.SINES_NOT_EVALUATED, name, count=len(missing)))
     used = [*transfers, *(item.manifest for item in sines)]
     check_sensor(used)
     files = [file for manifest in used for file in manifest.files]
@@ -185,7 +174,7 @@ def check_sensor(manifests: Sequence[Manifest]) -> None:
         first, one, other = named[0][0], getattr(named[0][1], key), getattr(sensor, key)
         if one != other:
             values = {"expected": one, "file": str(first.rig_path), "found": other}
-            raise InputError(DIFFERENT_SENSOR, manifest.rig_path, f"sensor.{key}", **values)
+            raise InputError(declared.DIFFERENT_SENSOR, manifest.rig_path, f"sensor.{key}", **values)
 
 
 def _results(manifest: Manifest) -> Path | None:
@@ -199,7 +188,7 @@ def _results(manifest: Manifest) -> Path | None:
     for folder, origin in available:
         if origin.input_hashes == hashes:
             return folder
-    raise InputError(OUTDATED_SINE_RESULTS, available[0][0] / RESULT_FILE)
+    raise InputError(declared.OUTDATED_SINE_RESULTS, available[0][0] / RESULT_FILE)
 
 
 # From an evaluated transfer recording and its rig to the curve that a model of the sensor is fitted to.
@@ -289,9 +278,9 @@ def prepare(
     notices = [notice.at(f"{name}: {notice.where}" if notice.where else name) for notice in taken]
     others = [reference for reference in manifest.excitation.reference if reference != base.name]
     if others:
-        notices.append(Notice(REFERENCES_NOT_USED, name, used=base.name, unused=", ".join(others)))
+        notices.append(Notice(declared.REFERENCES_NOT_USED, name, used=base.name, unused=", ".join(others)))
     if bent is not None:
-        notices.append(Notice(ELASTIC_LOAD, name, stated=bent.stated))
+        notices.append(Notice(declared.ELASTIC_LOAD, name, stated=bent.stated))
     grids = tuple(clock.grid for clock in evaluation.clocks if clock.grid is not None)
     complete = grids if len(grids) == len(evaluation.clocks) else ()
     return PreparedTransfer(manifest, measured, found, complete), tuple(notices)
@@ -314,7 +303,9 @@ def _on_load(manifest: Manifest, tops: Sequence[ChannelEntry]) -> list[Instrumen
     for entry in tops:
         if entry.point is None:
             expected = f"the position of {entry.name} on the load, which is elastic (load.elastic of rig.toml)"
-            raise InputError(MISSING_IDENTIFICATION_ENTRY, manifest.path, "daq.channel.point", expected=expected)
+            raise InputError(
+                declared.MISSING_IDENTIFICATION_ENTRY, manifest.path, "daq.channel.point", expected=expected
+            )
     return [InstrumentPosition(entry.name, measuring_point(entry)) for entry in tops]
 
 
@@ -413,7 +404,9 @@ def _base_entry(manifest: Manifest, entries: dict[str, ChannelEntry], drive: Flo
     for entry in named:
         if entry.body == "base" and _shows_motion(entry, drive):
             if abs(float(transducer_placement(entry).row @ drive)) < _MIN_ALONG * float(np.linalg.norm(drive)):
-                raise InputError(REFERENCE_ACROSS_DRIVE, manifest.path, "excitation.reference", found=entry.name)
+                raise InputError(
+                    declared.REFERENCE_ACROSS_DRIVE, manifest.path, "excitation.reference", found=entry.name
+                )
             return entry
     channels = ", ".join(f'"{entry.name}" ({entry.quantity} of {entry.body or "no body"})' for entry in named)
     raise _missing_channel(manifest, "reference", drive, "base", channels or "none")
@@ -429,7 +422,7 @@ def _missing_channel(manifest: Manifest, key: str, drive: FloatArray, body: str,
     """Return the refusal of a recording without a channel that measures the motion along `drive`."""
     shown = [t.quantity.replace("_", " ") for t in TRANSDUCERS.values() if not t.rotational or np.any(drive[3:] != 0.0)]
     values = {"expected": f"{', '.join(shown[:-1])} or {shown[-1]}", "body": body, "found": found}
-    return InputError(MISSING_MOTION_CHANNEL, manifest.path, f"excitation.{key}", **values)
+    return InputError(declared.MISSING_MOTION_CHANNEL, manifest.path, f"excitation.{key}", **values)
 
 
 def _load_over_base(
@@ -451,7 +444,7 @@ def _load_over_base(
         if not np.any(chosen):
             lines = {"first_hz": float(frequency[0]), "last_hz": float(frequency[-1])}
             band = {"low_hz": band_hz[0], "high_hz": band_hz[1]}
-            raise InputError(BAND_WITHOUT_LINES, manifest.path, "excitation.band", **lines, **band)
+            raise InputError(declared.BAND_WITHOUT_LINES, manifest.path, "excitation.band", **lines, **band)
     columns = [result.transfer.ratio.channels.index(channel) for channel in channels]
     errors = []
     for error in result.errors:

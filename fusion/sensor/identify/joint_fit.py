@@ -18,6 +18,7 @@ from fusion.recording.rig import Sensor
 from fusion.report.folder import RESULT_FILE
 from fusion.report.h5 import open_results, read_uncertainty
 from fusion.sensitivity.moving_body import inertia_errors, rigid_load
+from fusion.sensor import response_notices as declared
 from fusion.sensor.identify.identification_inputs import (
     EvaluatedSines,
     FlexibleLoad,
@@ -26,19 +27,6 @@ from fusion.sensor.identify.identification_inputs import (
     component_of,
     drive_of,
     mass_unit,
-)
-from fusion.sensor.response_notices import (
-    DAMPING_AGREES,
-    DAMPING_CONTRADICTED,
-    EQUAL_LOAD_MASSES,
-    MISSING_IDENTIFICATION_ENTRY,
-    NO_MODEL_FITTED,
-    PITCHING_NOT_DRIVEN,
-    SECOND_PEAK_NOT_EXPLAINED,
-    SENSITIVITY_EXPLANATION,
-    SENSITIVITY_NOT_EXPLAINED,
-    SENSITIVITY_NOT_MEASURED,
-    STIFFNESS_NOT_DETERMINED,
 )
 from fusion.sensor.unmodelled_effects import stated_influences
 from shaker.identification.measured_curves import (
@@ -127,7 +115,7 @@ def _joint_fit(component: int, group: Sequence[PreparedTransfer], settings: Iden
         model, reason, identification = settings.model, "as selected", fitted(settings.model)
     notices = identification.notices
     if model == "translation" and len(peaks) > 1 and departure(identification) >= _MISFIT:
-        notices = (*notices, Notice(SECOND_PEAK_NOT_EXPLAINED, f"model {MOTION_COMPONENTS[component]}"))
+        notices = (*notices, Notice(declared.SECOND_PEAK_NOT_EXPLAINED, f"model {MOTION_COMPONENTS[component]}"))
     return JointFit(component, model, reason, free, identification, tuple(group), notices)
 
 
@@ -161,7 +149,7 @@ def _fitted(
     if model == "pitching":
         if component not in _PITCHES_WITH:
             driven = MOTION_COMPONENTS[component]
-            raise InputError(PITCHING_NOT_DRIVEN, group[0].manifest.path, "excitation.direction", found=driven)
+            raise InputError(declared.PITCHING_NOT_DRIVEN, group[0].manifest.path, "excitation.direction", found=driven)
         structure = SpringSuspension((component, _PITCHES_WITH[component]))
     names = [parameter.name for parameter in structure.parameters]
     each = [name for name in names if name.startswith("damping_")] if settings.damping == "each" else []
@@ -169,14 +157,14 @@ def _fitted(
     sensor = next((item.manifest.rig.sensor for item in group if item.manifest.rig.sensor is not None), None)
     if inside and sensor is None:
         expected = "[sensor] with internal_mass, which recordings of one load mass cannot separate from the stiffness"
-        raise InputError(MISSING_IDENTIFICATION_ENTRY, group[0].manifest.rig_path, "sensor", expected=expected)
+        raise InputError(declared.MISSING_IDENTIFICATION_ENTRY, group[0].manifest.rig_path, "sensor", expected=expected)
     stated = {} if sensor is None else {name: sensor.moving(axis) for name, axis in inside.items()}
     records = [item.measured for item in group]
     try:
         return _with_influences(identify(records, structure, stated_values=stated, each_recording=each), group)
     except (ValueError, np.linalg.LinAlgError) as error:
         names_text, reason = ", ".join(record.name for record in records), ARGUMENT.sub("", str(error))
-        raise ComputeError(NO_MODEL_FITTED, recordings=names_text, reason=reason) from error
+        raise ComputeError(declared.NO_MODEL_FITTED, recordings=names_text, reason=reason) from error
 
 
 def _with_influences(found: Identification, group: Sequence[PreparedTransfer]) -> Identification:
@@ -229,7 +217,7 @@ def _mass_is_free(component: int, group: Sequence[PreparedTransfer], settings: I
     differ = max(loads) > (1.0 + _DIFFERENT) * min(loads)
     if settings.internal_mass == "free" and not differ:
         values = {"unit": mass_unit(component), "recordings": count_text(len(loads), "recording")}
-        raise InputError(EQUAL_LOAD_MASSES, group[0].manifest.rig_path, "load.mass", load=loads[0], **values)
+        raise InputError(declared.EQUAL_LOAD_MASSES, group[0].manifest.rig_path, "load.mass", load=loads[0], **values)
     return differ if settings.internal_mass == "auto" else settings.internal_mass == "free"
 
 
@@ -398,7 +386,7 @@ def model_sensitivity(
         model, which = _without_chain(fit, found, covariance, sensor)
         component = LOAD_COMPONENTS[fit.component]
         values = {"component": component, "sensitivity": which}
-        notice = Notice(SENSITIVITY_NOT_MEASURED, fit.axis, fewest=_FEWEST_LINES, **values)
+        notice = Notice(declared.SENSITIVITY_NOT_MEASURED, fit.axis, fewest=_FEWEST_LINES, **values)
         return ModelledSensitivity(model, fit.range_hz, None, (notice,))
     r_kb = covariance[0, 1] / np.sqrt(covariance[0, 0] * covariance[1, 1]) if covariance[0, 1] != 0.0 else 0.0
     u_k, u_b = (float(np.sqrt(covariance[index, index])) for index in (0, 1))
@@ -408,18 +396,18 @@ def model_sensitivity(
         model = sensor_model(comparison.best, found, covariance)
     except (ValueError, np.linalg.LinAlgError) as error:
         reason = ARGUMENT.sub("", str(error))
-        notice = Notice(SENSITIVITY_NOT_EXPLAINED, measured.channel, channel=measured.channel, reason=reason)
+        notice = Notice(declared.SENSITIVITY_NOT_EXPLAINED, measured.channel, channel=measured.channel, reason=reason)
         model, _ = _without_chain(fit, found, covariance, sensor)
         return ModelledSensitivity(model, fit.range_hz, None, (notice,))
     range_hz = (float(measured.frequency_hz[0]), float(measured.frequency_hz[-1]))
     where = f"sensitivity {measured.component}"
     supported, contradicted = (_explanations(comparison, verdict) for verdict in ("supported", "refuted"))
-    notices = [Notice(SENSITIVITY_EXPLANATION, where, supported=supported, contradicted=contradicted)]
+    notices = [Notice(declared.SENSITIVITY_EXPLANATION, where, supported=supported, contradicted=contradicted)]
     if (test := comparison.damping) is not None:
-        declared = DAMPING_CONTRADICTED if test.contradicts else DAMPING_AGREES
+        outcome = declared.DAMPING_CONTRADICTED if test.contradicts else declared.DAMPING_AGREES
         needed_us, resonance_us = 1e6 * test.needed_s, 1e6 * test.resonance_s
         times = {"needed_us": needed_us, "resonance_us": resonance_us, "deviation": test.deviation}
-        notices.append(Notice(declared, where, **times))
+        notices.append(Notice(outcome, where, **times))
     explained = SensitivityResult(measured, comparison)
     return ModelledSensitivity(model, range_hz, explained, (*notices, *comparison.notices))
 
@@ -442,7 +430,7 @@ def mechanics(fit: JointFit) -> tuple[FloatArray, FloatArray]:
     pick[2, found.names.index(mass_name(fit.component))] = 1.0
     used = np.any(pick != 0.0, axis=0)
     if not np.all(np.isfinite(found.covariance[used][:, used])):
-        raise ComputeError(STIFFNESS_NOT_DETERMINED, component=axis)
+        raise ComputeError(declared.STIFFNESS_NOT_DETERMINED, component=axis)
     values = np.array([estimate.value for estimate in found.estimates])
     covariance = pick[:, used] @ found.covariance[np.ix_(used, used)] @ pick[:, used].T
     if len(dampers) > 1:

@@ -11,18 +11,8 @@ import numpy as np
 
 from fusion.errors import ComputeError, InputError
 from fusion.recording.load import Manifest, check_one_rig
+from fusion.sensor import model_notices as declared
 from fusion.sensor.model_files import ModelEntry
-from fusion.sensor.model_notices import (
-    COMPONENT_WITHOUT_MODEL,
-    GAIN_DEVIATES,
-    GAIN_NOT_STATED,
-    MISSING_STEP_ENTRY,
-    NO_REAL_POLE,
-    NO_STEP_MODEL,
-    RELEASE_WITHOUT_MODEL,
-    RELEASES_SELECTED,
-    STRUCTURE_NOT_FOUND,
-)
 from fusion.sensor.step.step_records import StepSettings, index_quantities, parameter_quantities, pool_models
 from fusion.sensor.step.step_releases import (
     StepComponent,
@@ -72,7 +62,7 @@ def evaluate_component(
         rows = tuple(method_row(release.fit, release.name) for release in result.releases if release.fit is not None)
         result = replace(result, methods=rows)
     if not used:
-        notices.append(Notice(COMPONENT_WITHOUT_MODEL, component, channel=channel, reason=fitted.reason))
+        notices.append(Notice(declared.COMPONENT_WITHOUT_MODEL, component, channel=channel, reason=fitted.reason))
         return result, tuple(notices)
     fits = [(release, release.fit) for release in used if release.fit is not None]
     models = [release.shapes[0].model for release in used if release.shapes[0].model is not None]
@@ -113,22 +103,26 @@ def _remarks(
     """Yield notices on selected releases, coverage of U, and deviations from stated values."""
     where, channel = result.component, result.channel
     if len(result.ropes) > 1:
-        yield Notice(RELEASES_SELECTED, where, channel=channel, reason=result.reason)
+        yield Notice(declared.RELEASES_SELECTED, where, channel=channel, reason=result.reason)
     yield coverage_notice(result.scope, result.influences.outside, "models")
     for notice in of_indices:
         yield notice.at(f"{where}, {notice.where}")
     if not len(model.real_hz):
-        yield Notice(NO_REAL_POLE, where, channel=channel)
+        yield Notice(declared.NO_REAL_POLE, where, channel=channel)
     if stated is None:
-        yield Notice(GAIN_NOT_STATED, where)
+        yield Notice(declared.GAIN_NOT_STATED, where)
     over = result.gains[0].normalised
     if over is not None and abs(over) > 1.0:
-        yield Notice(GAIN_DEVIATES, where, channel=channel, ratio=abs(over))
+        yield Notice(declared.GAIN_DEVIATES, where, channel=channel, ratio=abs(over))
 
 
 # From recordings of releases to models of a sensor's components.
 
-_WITHOUT_MODEL = (RELEASE_WITHOUT_MODEL.code, STRUCTURE_NOT_FOUND.code, COMPONENT_WITHOUT_MODEL.code)
+_WITHOUT_MODEL = (
+    declared.RELEASE_WITHOUT_MODEL.code,
+    declared.STRUCTURE_NOT_FOUND.code,
+    declared.COMPONENT_WITHOUT_MODEL.code,
+)
 """Codes of the notices that state why there is no model."""
 
 
@@ -174,7 +168,7 @@ def evaluate_steps(
             notices += found
     if all(result.pooled is None for result in components):
         why = next(notice for notice in notices if notice.code in _WITHOUT_MODEL)
-        raise ComputeError(NO_STEP_MODEL, recording=why.where, reason=why.text)
+        raise ComputeError(declared.NO_STEP_MODEL, recording=why.where, reason=why.text)
     return StepEvaluation(
         name=name,
         rig=manifests[0].rig,
@@ -201,5 +195,5 @@ def _read(manifests: Sequence[Manifest], settings: StepSettings) -> tuple[dict[s
         check_driven_output(releases[component][0], release)
         if settings.release == "measured" and release.record.force is None:
             expected = "the name of the force channel, for --release measured"
-            raise InputError(MISSING_STEP_ENTRY, manifest.path, "excitation.force", expected=expected)
+            raise InputError(declared.MISSING_STEP_ENTRY, manifest.path, "excitation.force", expected=expected)
     return releases, notices

@@ -13,14 +13,7 @@ from fusion.estimation.coverage import NamedQuantity
 from fusion.recording.daq_records import read_daqs
 from fusion.recording.load import Manifest
 from fusion.recording.manifest import ChannelEntry
-from fusion.sensor.model_notices import (
-    CHAIN_IN_MODEL,
-    DUPLICATE_OUTPUT,
-    FILTER_IN_MODEL,
-    MISSING_STEP_ENTRY,
-    ONSET_OUTSIDE_RECORD,
-    WRONG_FORCE_CHANNEL,
-)
+from fusion.sensor import model_notices as declared
 from fusion.sensor.transfer.transfer_records import AlignedChannels, align
 from fusion.sensor.unmodelled_effects import NO_INFLUENCES, ModelInfluences
 from shaker.lti.indices import LABELS, SETTLING, find_figure_range, indices, moving_figures, settling_u, unit_of
@@ -89,11 +82,11 @@ def output_entries(manifest: Manifest) -> dict[str, tuple[str, ChannelEntry]]:
     for block, entry in recorded:
         name = entry.channel or entry.name
         if name in outputs:
-            raise InputError(DUPLICATE_OUTPUT, manifest.path, "daq.channel", output=name)
+            raise InputError(declared.DUPLICATE_OUTPUT, manifest.path, "daq.channel", output=name)
         outputs[name] = block, entry
     if not outputs:
         expected = 'a channel with quantity = "output"'
-        raise InputError(MISSING_STEP_ENTRY, manifest.path, "daq.channel", expected=expected)
+        raise InputError(declared.MISSING_STEP_ENTRY, manifest.path, "daq.channel", expected=expected)
     return outputs
 
 
@@ -108,7 +101,9 @@ def read_step(manifest: Manifest) -> StepInput:
     selected = [*outputs.values(), *_force(manifest)]
     aligned = _without_delays(align(manifest, read_daqs(manifest), selected, "daq"))
     if excitation.component is None or excitation.step_amplitude is None:
-        raise InputError(MISSING_STEP_ENTRY, manifest.path, "excitation.component", expected="the load of the step")
+        raise InputError(
+            declared.MISSING_STEP_ENTRY, manifest.path, "excitation.component", expected="the load of the step"
+        )
     record = StepRecord(
         name=manifest.folder.name,
         channels=tuple(outputs),
@@ -126,12 +121,12 @@ def read_step(manifest: Manifest) -> StepInput:
     end_s = record.start_s + (record.samples.shape[1] - 1) / record.sample_rate_hz
     if record.onset_s is not None and not record.start_s < record.onset_s < end_s:
         times = {"start_s": record.start_s, "end_s": end_s, "found_s": record.onset_s}
-        raise InputError(ONSET_OUTSIDE_RECORD, manifest.path, "excitation.onset", **times)
+        raise InputError(declared.ONSET_OUTSIDE_RECORD, manifest.path, "excitation.onset", **times)
     notices, entries = [*aligned.notices], [channel.entry for channel in aligned.channels]
     if chained := ", ".join(entry.name for entry in entries if entry.response is not None):
-        notices.append(Notice(CHAIN_IN_MODEL, record.name, channels=chained))
+        notices.append(Notice(declared.CHAIN_IN_MODEL, record.name, channels=chained))
     if late := ", ".join(entry.name for entry in entries if entry.filter_delay_s > 0.0):
-        notices.append(Notice(FILTER_IN_MODEL, record.name, channels=late))
+        notices.append(Notice(declared.FILTER_IN_MODEL, record.name, channels=late))
     return StepInput(manifest, record, tuple(notices))
 
 
@@ -143,7 +138,7 @@ def _force(manifest: Manifest) -> list[tuple[str, ChannelEntry]]:
     named = [(daq.name, entry) for daq in manifest.daq for entry in daq.channel if entry.name == name]
     if len(named) != 1 or named[0][1].quantity != "force":
         found = f'"{name}", of quantity {named[0][1].quantity}' if len(named) == 1 else f'"{name}" {len(named)} times'
-        raise InputError(WRONG_FORCE_CHANNEL, manifest.path, "excitation.force", found=found)
+        raise InputError(declared.WRONG_FORCE_CHANNEL, manifest.path, "excitation.force", found=found)
     return named
 
 

@@ -16,20 +16,8 @@ from fusion.errors import InputError
 from fusion.estimation.coverage import NamedQuantity, RealQuantity
 from fusion.recording.load import Manifest
 from fusion.recording.rig import Rig
+from fusion.sensor import model_notices as declared
 from fusion.sensor.model_files import ModelEntry
-from fusion.sensor.model_notices import (
-    CLIPPED_OUTPUT,
-    DRIVEN_OUTPUT_CLIPPED,
-    DRIVEN_OUTPUT_MISSING,
-    METHOD_REMARK,
-    METHOD_WITHOUT_MODEL,
-    NO_STEP_FOUND,
-    OTHER_DRIVEN_OUTPUT,
-    RELEASE_WITHOUT_MODEL,
-    RELEASES_REFITTED,
-    SHAPE_OF_DEVICE_UNDETERMINED,
-    STRUCTURE_NOT_FOUND,
-)
 from fusion.sensor.step.step_records import (
     AlternativeModels,
     PooledModel,
@@ -109,7 +97,7 @@ def check_driven_output(first: StepRelease, other: StepRelease) -> None:
     """Raise `InputError` if a release drives another output than the first of its component."""
     if other.driven != first.driven:
         values = {"expected": first.driven, "recording": first.name, "found": other.driven}
-        raise InputError(OTHER_DRIVEN_OUTPUT, other.manifest.path, "daq.channel", **values)
+        raise InputError(declared.OTHER_DRIVEN_OUTPUT, other.manifest.path, "daq.channel", **values)
 
 
 @dataclass(frozen=True)
@@ -235,7 +223,7 @@ def read_recording(manifest: Manifest) -> tuple[StepRelease, tuple[Notice, ...]]
     if name not in record.channels:  # of outputs named otherwise the one that changes most
         if sensor is not None and name in sensor.channels:
             found = ", ".join(record.channels)
-            raise InputError(DRIVEN_OUTPUT_MISSING, manifest.path, "daq.channel", expected=name, found=found)
+            raise InputError(declared.DRIVEN_OUTPUT_MISSING, manifest.path, "daq.channel", expected=name, found=found)
         size = max(1, record.samples.shape[1] // 20)
         change = record.samples[:, -size:].mean(axis=1) - record.samples[:, :size].mean(axis=1)
         name = record.channels[int(np.argmax(np.abs(change)))]
@@ -246,13 +234,15 @@ def read_recording(manifest: Manifest) -> tuple[StepRelease, tuple[Notice, ...]]
         raise InputError.from_exception(error, manifest.path, key) from error
     driven, key = readings.pop(name), f"daq.channel.{output_entries(manifest)[name][1].name}"
     if driven.clipped:
-        raise InputError(DRIVEN_OUTPUT_CLIPPED, manifest.path, key)
+        raise InputError(declared.DRIVEN_OUTPUT_CLIPPED, manifest.path, key)
     if abs(driven.static_gain) <= CLEAR * driven.u_static_gain:
         change = float(driven.steady - driven.baseline)
-        raise InputError(NO_STEP_FOUND, manifest.path, key, component=driven.component, change=change, unit=driven.unit)
+        raise InputError(
+            declared.NO_STEP_FOUND, manifest.path, key, component=driven.component, change=change, unit=driven.unit
+        )
     clipped = [other.channel for other in readings.values() if other.clipped]
     notices = [
-        *(Notice(CLIPPED_OUTPUT, record.name, channel=channel) for channel in clipped),
+        *(Notice(declared.CLIPPED_OUTPUT, record.name, channel=channel) for channel in clipped),
         *(notice.at(f"{record.name}: {name}") for notice in driven.notices),
     ]
     others = [reading for reading in readings.values() if not reading.clipped]
@@ -273,7 +263,7 @@ def fit_release(
     try:
         shapes = fit_shapes(release.record, release.driven, release.reading, *counts, method, shape)
     except FAILURES as error:
-        notice = Notice(RELEASE_WITHOUT_MODEL, release.name, channel=release.driven, reason=str(error))
+        notice = Notice(declared.RELEASE_WITHOUT_MODEL, release.name, channel=release.driven, reason=str(error))
         return release, (notice,)
     return replace(release, fit=merge_alternatives(shapes), shapes=shapes), ()
 
@@ -311,7 +301,7 @@ def alternative_shapes(
         models = [release.shapes[int(other)].model for release, other in zip(releases, undetermined, strict=True)]
         first = releases[undetermined.index(True)]
         difference = describe_difference(first.shapes[0], first.shapes[1])
-        notice = Notice(SHAPE_OF_DEVICE_UNDETERMINED, component, device=device or UNNAMED, shapes=difference)
+        notice = Notice(declared.SHAPE_OF_DEVICE_UNDETERMINED, component, device=device or UNNAMED, shapes=difference)
         alternatives = [model for model in models if model is not None]
         yield AlternativeModels(alternatives, excess_chi2_sigmas(first.excess)), notice if difference else None
 
@@ -401,12 +391,12 @@ def fit_component(releases: Sequence[StepRelease], settings: StepSettings) -> Fi
             found, _ = fit_release(replace(release, fit=None, shapes=()), settings, structure)
             if found.structure != structure:
                 values = {"channel": release.driven, "structure": structure_text}
-                notices.append(Notice(STRUCTURE_NOT_FOUND, release.name, **values))
+                notices.append(Notice(declared.STRUCTURE_NOT_FOUND, release.name, **values))
                 continue
             refitted.append(release.name)
         of_structure[release.name] = found
     if refitted:
-        notices.append(Notice(RELEASES_REFITTED, ", ".join(refitted), structure=structure_text))
+        notices.append(Notice(declared.RELEASES_REFITTED, ", ".join(refitted), structure=structure_text))
     used = {release.name: release for release in fit_common_shape([*of_structure.values()])}
     everything = tuple(used.get(release.name, release) for release in fitted)
     return FittedReleases(everything, tuple(used.values()), reason, tuple(notices), tuple(refitted))
@@ -439,10 +429,14 @@ def compare_methods(
         try:
             fit = existing.get(method) or by(methods=(method,), modes=settings.modes, real_poles=settings.real_poles)[0]
         except FAILURES as error:
-            notices.append(Notice(METHOD_WITHOUT_MODEL, release.name, method=LABELS[method], reason=str(error)))
+            notices.append(
+                Notice(declared.METHOD_WITHOUT_MODEL, release.name, method=LABELS[method], reason=str(error))
+            )
             continue
         rows.append(method_row(fit, release.name))
-        notices += [Notice(METHOD_REMARK, release.name, method=LABELS[method], remark=n.text) for n in fit.notices]
+        notices += [
+            Notice(declared.METHOD_REMARK, release.name, method=LABELS[method], remark=n.text) for n in fit.notices
+        ]
     return tuple(rows), tuple(notices)
 
 

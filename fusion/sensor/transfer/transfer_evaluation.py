@@ -14,15 +14,7 @@ from fusion.instruments.transducer import TRANSDUCERS
 from fusion.recording.excitation import kinds_of
 from fusion.recording.load import Manifest
 from fusion.recording.manifest import ChannelEntry
-from fusion.sensor.response_notices import (
-    BAND_ABOVE_LIMIT,
-    CHIRP_WITHOUT_PERIOD,
-    MISSING_TRANSFER_ENTRY,
-    PEAK_DEPARTS,
-    PEAK_NOT_FITTED,
-    PERIOD_WITHOUT_SIGNAL,
-    SCALE_UNCERTAINTY_NOT_STATED,
-)
+from fusion.sensor import response_notices as declared
 from fusion.sensor.transfer.transfer_records import (
     ChannelChain,
     FoundResonance,
@@ -71,7 +63,7 @@ def estimate_transfer(manifest: Manifest, together: SynchronousRecord, settings:
     periodic = settings.estimator == "periodic" or (settings.estimator == "auto" and repeats)
     if periodic and excitation.period is None:
         expected = "the period in s, which the periodic estimate requires"
-        raise InputError(MISSING_TRANSFER_ENTRY, manifest.path, "excitation.period", expected=expected)
+        raise InputError(declared.MISSING_TRANSFER_ENTRY, manifest.path, "excitation.period", expected=expected)
     try:
         if periodic and excitation.period is not None:
             return transfer_periodic(record, excitation.period, settle_periods=excitation.settle_periods, band_hz=band)
@@ -80,11 +72,13 @@ def estimate_transfer(manifest: Manifest, together: SynchronousRecord, settings:
         argument = str(error).partition(":")[0]
         if periodic and argument == "record":
             key, found_s, channel = "excitation.period", excitation.period or 0.0, record.reference_name
-            raise InputError(PERIOD_WITHOUT_SIGNAL, manifest.path, key, found_s=found_s, channel=channel) from error
+            raise InputError(
+                declared.PERIOD_WITHOUT_SIGNAL, manifest.path, key, found_s=found_s, channel=channel
+            ) from error
         raise InputError.from_exception(error, manifest.path, _KEYS.get(argument, "excitation")) from error
     if excitation.kind != "chirp" or excitation.period is not None:
         return found
-    return replace(found, notices=(*found.notices, Notice(CHIRP_WITHOUT_PERIOD, "excitation.period")))
+    return replace(found, notices=(*found.notices, Notice(declared.CHIRP_WITHOUT_PERIOD, "excitation.period")))
 
 
 def _band(manifest: Manifest, together: SynchronousRecord) -> tuple[float, float] | None:
@@ -94,7 +88,7 @@ def _band(manifest: Manifest, together: SynchronousRecord) -> tuple[float, float
         return band
     if band is not None and band[0] >= highest:
         values = {"limit_hz": highest, "low_hz": band[0], "high_hz": band[1]}
-        raise InputError(BAND_ABOVE_LIMIT, manifest.path, "excitation.band", **values)
+        raise InputError(declared.BAND_ABOVE_LIMIT, manifest.path, "excitation.band", **values)
     return (0.0, highest) if band is None else (band[0], min(band[1], highest))
 
 
@@ -173,12 +167,12 @@ def find_resonances(
         for (peak, lines), mode in zip(peaks, _separated(curve, [lines for _, lines in peaks]), strict=True):
             frequency_hz = float(transfer.ratio.frequency_hz[peak])
             if isinstance(mode, str):
-                notices.append(Notice(PEAK_NOT_FITTED, where, frequency_hz=frequency_hz, reason=mode))
+                notices.append(Notice(declared.PEAK_NOT_FITTED, where, frequency_hz=frequency_hz, reason=mode))
                 continue
             found.append(_with_budget(curve, lines, mode, u_clock, influences))
             departs = np.sqrt(mode.fit.chi_squared / mode.fit.dof)
             if departs >= _DEPARTS:
-                notices.append(Notice(PEAK_DEPARTS, where, frequency_hz=frequency_hz, ratio=departs))
+                notices.append(Notice(declared.PEAK_DEPARTS, where, frequency_hz=frequency_hz, ratio=departs))
     return tuple(found), tuple(notices)
 
 
@@ -385,4 +379,4 @@ def _unstated_scales(chains: Sequence[ChannelChain]) -> list[Notice]:
     """Return a notice of the channels without a stated uncertainty of the scale."""
     unstated = [c.entry.name for c in chains if not (scale_is_stated(c.entry, c.response) or c.entry.common)]
     channels = ", ".join(unstated)
-    return [Notice(SCALE_UNCERTAINTY_NOT_STATED, "scale_uncertainty", channels=channels)] if channels else []
+    return [Notice(declared.SCALE_UNCERTAINTY_NOT_STATED, "scale_uncertainty", channels=channels)] if channels else []

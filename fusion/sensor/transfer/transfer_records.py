@@ -18,14 +18,7 @@ from fusion.recording.load import Manifest
 from fusion.recording.manifest import ChannelEntry
 from fusion.recording.response import read_response
 from fusion.recording.units import unit_notices
-from fusion.sensor.response_notices import (
-    CHANNELS_NOT_SIMULTANEOUS,
-    CHANNELS_RESAMPLED,
-    COARSE_CONVERTER_STEPS,
-    DEFECTIVE_SAMPLES,
-    MISSING_TRANSFER_ENTRY,
-    WRONG_CHANNEL_NAME,
-)
+from fusion.sensor import response_notices as declared
 from shaker.frf.chain import ChainResponse
 from shaker.frf.result import TransferFunction, TransferRecord
 from shaker.identification.measured_curves import CurveError
@@ -262,7 +255,7 @@ def read_synchronous(manifest: Manifest) -> tuple[SynchronousRecord, ...]:
     excitation = manifest.excitation
     if not excitation.reference:
         expected = "the name of the channel over which the others are taken, such as the force or the base acceleration"
-        raise InputError(MISSING_TRANSFER_ENTRY, manifest.path, "excitation.reference", expected=expected)
+        raise InputError(declared.MISSING_TRANSFER_ENTRY, manifest.path, "excitation.reference", expected=expected)
     by_name: dict[str, list[tuple[str, ChannelEntry]]] = {}
     for daq in manifest.daq:
         for entry in daq.channel:
@@ -271,17 +264,21 @@ def read_synchronous(manifest: Manifest) -> tuple[SynchronousRecord, ...]:
     named = excitation.response or [name for name in by_name if name not in excitation.reference]
     if not named:
         expected = "a channel in addition to the reference"
-        raise InputError(MISSING_TRANSFER_ENTRY, manifest.path, "excitation.response", expected=expected)
+        raise InputError(declared.MISSING_TRANSFER_ENTRY, manifest.path, "excitation.response", expected=expected)
     for key, name in [*(("reference", name) for name in excitation.reference), *(("response", name) for name in named)]:
         where = by_name.get(name, [])
         if len(where) != 1:
             blocks = " and ".join(block for block, _ in where)
             found = f"{name} in the blocks {blocks}" if where else f"{name} (a trigger)"
             expected = "the name of exactly one channel"
-            raise InputError(WRONG_CHANNEL_NAME, manifest.path, f"excitation.{key}", found=found, expected=expected)
+            raise InputError(
+                declared.WRONG_CHANNEL_NAME, manifest.path, f"excitation.{key}", found=found, expected=expected
+            )
         if key == "response" and name in excitation.reference:
             expected = "other channels than the references"
-            raise InputError(WRONG_CHANNEL_NAME, manifest.path, "excitation.response", found=name, expected=expected)
+            raise InputError(
+                declared.WRONG_CHANNEL_NAME, manifest.path, "excitation.response", found=name, expected=expected
+            )
     records = read_daqs(manifest)
     selected = [by_name[name][0] for name in named]
     return tuple(_together(manifest, records, [by_name[name][0], *selected]) for name in excitation.reference)
@@ -349,13 +346,13 @@ def align(
     slowest = min(channels, key=lambda channel: channel.rate_hz)
     time_s, rate_hz = _common_times(channels, slowest)
     if len(time_s) < 2 * len(channels):
-        raise InputError(CHANNELS_NOT_SIMULTANEOUS, manifest.path, key)
+        raise InputError(declared.CHANNELS_NOT_SIMULTANEOUS, manifest.path, key)
     values = tuple(
         resample(samples, c.position(time_s), min(1.0, rate_hz / c.rate_hz))
         for c, samples in zip(channels, recorded, strict=True)
     )
     name, highest_hz = slowest.entry.name, PASS_BAND * rate_hz
-    resampled = Notice(CHANNELS_RESAMPLED, name, channel=name, rate_hz=rate_hz, highest_hz=highest_hz)
+    resampled = Notice(declared.CHANNELS_RESAMPLED, name, channel=name, rate_hz=rate_hz, highest_hz=highest_hz)
     notices = resampled, *coarse
     return AlignedChannels(channels, values, rate_hz, float(time_s[0]), highest_hz, base, notices)
 
@@ -371,9 +368,9 @@ def _condition(manifest: Manifest, channel: LocatedChannel) -> Iterator[Notice]:
             continue  # outputs of a release and single blows are rejected by their evaluation
         if defect.kind != "steps":
             text = defect.text(channel.record.time_s(entry.name), raw.unit)
-            raise InputError(DEFECTIVE_SAMPLES, channel.record.entry.file, entry.stored_name, defect=text)
+            raise InputError(declared.DEFECTIVE_SAMPLES, channel.record.entry.file, entry.stored_name, defect=text)
         yield Notice(
-            COARSE_CONVERTER_STEPS,
+            declared.COARSE_CONVERTER_STEPS,
             entry.name,
             measure="standard deviation" if lasting else "range",
             size=size / (DITHERED if lasting else 0.5),
