@@ -55,23 +55,9 @@ def test_an_outlier_leaves_the_largest_consistent_subset() -> None:
     assert abs(found.normalised[2]) > 1.0
 
 
-@pytest.mark.parametrize("shared", [0.0, 0.8])
-def test_honest_laboratories_agree_in_95_percent(shared: float) -> None:
-    rng, u, draws = np.random.default_rng(1), np.array([0.1, 0.2]), 2000
-    common = shared * 0.1
-    covariance = np.diag(u**2 - common**2) + common**2
-    values = 5.0 + common * rng.standard_normal((draws, 1))
-    values = values + np.sqrt(u**2 - common**2) * rng.standard_normal((draws, 2))
-    share = np.mean([abs(normalised_error(row, covariance)[0, 1]) <= 1.0 for row in values])
-    assert 0.93 < share < 0.97
-    if shared:
-        alone = np.mean([abs(normalised_error(row, np.diag(u**2))[0, 1]) <= 1.0 for row in values])
-        assert alone > share, "what is shared cancels in the difference; without that E_n is too small"
-
-
 def test_three_laboratories_of_which_two_share_an_input_are_covered() -> None:
-    """Generalised least squares against its closed form; 2000 draws of errors, the mean, deviations and chi-square."""
-    rng, draws, separate = np.random.default_rng(8), 2000, np.array([0.10, 0.15, 0.12])
+    """Generalised least squares against its closed form; 1000 draws of errors, the mean, deviations and chi-square."""
+    rng, draws, separate = np.random.default_rng(8), 1000, np.array([0.10, 0.15, 0.12])
     common = np.array([0.12, 0.12, 0.0])
     covariance = np.diag(separate**2) + np.outer(common, common)
     values = 5.0 + common * rng.standard_normal((draws, 1)) + separate * rng.standard_normal((draws, 3))
@@ -85,22 +71,23 @@ def test_three_laboratories_of_which_two_share_an_input_are_covered() -> None:
     np.testing.assert_allclose([one.value for one in whole], means[of_whole], rtol=1e-12)
     assert 0.93 < np.mean(np.abs(means - 5.0) <= 2.0 * found[0].u) < 0.97
     deviations = (values - means[:, None]) / whole[0].expanded
-    assert np.all(np.abs(np.mean(np.abs(deviations) <= 1.0, axis=0) - 0.9545) < 0.02)
+    assert np.all(np.abs(np.mean(np.abs(deviations) <= 1.0, axis=0) - 0.9545) < 0.025)
 
 
-def test_a_deviation_of_three_u_is_found() -> None:
-    expanded = 0.2 * 2**0.5
-    assert abs(normalised_error(np.array([1.0, 1.0 + 3 * expanded]), 0.01 * np.eye(2))[0, 1]) == pytest.approx(3.0)
+def test_a_deviation_of_three_u_is_found_and_a_shared_error_cancels() -> None:
+    value = np.array([1.0, 1.0 + 3 * 0.2 * 2**0.5])
+    assert abs(normalised_error(value, 0.01 * np.eye(2))[0, 1]) == pytest.approx(3.0)
+    assert abs(normalised_error(value, 0.01 * np.eye(2) + 0.04)[0, 1]) == pytest.approx(3.0)
 
 
 def test_drift_is_that_of_many_draws() -> None:
     year, u = np.array([2020.0, 2021.0, 2024.0, 2025.0]), np.array([0.1, 0.2, 0.1, 0.3])
     rng = np.random.default_rng(2)
     covariance = np.diag(u**2)
-    found = [drift(year, 3.0 + 0.05 * (year - 2020.0) + u * rng.standard_normal(4), covariance) for _ in range(4000)]
+    found = [drift(year, 3.0 + 0.05 * (year - 2020.0) + u * rng.standard_normal(4), covariance) for _ in range(1000)]
     slopes = np.array([slope for slope, _ in found])
-    assert slopes.mean() == pytest.approx(0.05, abs=4 * slopes.std() / 4000**0.5)
-    assert slopes.std() == pytest.approx(found[0][1], rel=0.05)
+    assert slopes.mean() == pytest.approx(0.05, abs=4 * slopes.std() / 1000**0.5)
+    assert slopes.std() == pytest.approx(found[0][1], rel=0.1)
 
 
 def test_two_results_that_contradict_each_other_have_no_reference() -> None:
@@ -111,13 +98,13 @@ def test_two_results_that_contradict_each_other_have_no_reference() -> None:
 
 
 def test_honest_laboratories_agree_about_complex_values_in_95_percent() -> None:
-    """Real and imaginary parts are drawn in Cartesian coordinates about a truth at 40 degrees, 4000 pairs."""
-    rng, draws = np.random.default_rng(3), 4000
+    """Real and imaginary parts are drawn in Cartesian coordinates about a truth at 40 degrees, 1000 pairs."""
+    rng, draws = np.random.default_rng(3), 1000
     truth, u_size, u_turn = 2.0 * np.exp(0.7j), np.array([0.004, 0.010]), np.array([0.003, 0.001])
     radial, across = rng.standard_normal((2, draws, 2))
     value = truth * (1.0 + u_size / 2.0 * radial + 1j * u_turn * across)
     share = np.mean([complex_normalised_error(pair, u_size, u_turn)[0, 1] <= 1.0 for pair in value])
-    assert 0.937 < share < 0.963
+    assert 0.925 < share < 0.972
 
 
 def test_complex_values_on_the_edge_of_the_region_have_an_error_of_1() -> None:

@@ -68,12 +68,6 @@ def element(simulated: Path, tmp_path: Path) -> Path:
     return folder
 
 
-@pytest.fixture
-def no_figures(monkeypatch: pytest.MonkeyPatch, no_pages: None) -> None:
-    """Leave page and pictures empty where they are not what is tested."""
-    monkeypatch.setattr("fusion.sensor.elastomer.element_report.mode_shape_figures", lambda _: {})
-
-
 def _edit(folder: Path, **changes: object) -> None:
     """Replace top-level keys of elastomer.toml; None removes one, a table is merged."""
     file = folder / "elastomer.toml"
@@ -119,38 +113,10 @@ def test_command_writes_the_results_that_it_prints(simulated, evaluated):
         assert "provenance" in file
 
 
-def test_simulator_replaces_only_simulated_elements(tmp_path, capsys):
-    out = tmp_path / "element"
-    simulate = ["simulate", str(out), "--preset", "elastomer", "--force", "--seed"]
-    assert main([*simulate, "1"]) == 0
-    first = (out / "truth.json").read_text()
-    assert main([*simulate, "2"]) == 0
-    second = (out / "truth.json").read_text()
-    assert second != first
-    (out / "notes.txt").write_text("mine")
-    capsys.readouterr()
-    assert main([*simulate, "3"]) == 2
-    refusal = capsys.readouterr().err
-    assert "notes.txt" in refusal
-    assert len(refusal.strip().splitlines()) == 1
-    assert (out / "notes.txt").read_text() == "mine"
-    assert (out / "truth.json").read_text() == second
-
-
 def test_page_is_whole(evaluated):
     text = (evaluated[0] / "elastomer.html").read_text(encoding="utf-8")
     self_contained(text)
     assert len(re.findall("<h2>", text)) >= 4
-
-
-@pytest.mark.usefixtures("no_figures")
-def test_second_run_replaces_its_results_only(element):
-    assert main(["elastomer", str(element / "elastomer.toml"), "-q"]) == 0
-    assert main(["elastomer", str(element), "-q"]) == 0
-    (element / "elastomer" / "mine.txt").write_text("mine", encoding="utf-8")
-    _edit(element, name="another")
-    assert main(["elastomer", str(element), "-q"]) == 0  # of an edited definition
-    assert (element / "elastomer" / "mine.txt").read_text(encoding="utf-8") == "mine"
 
 
 @pytest.mark.slow

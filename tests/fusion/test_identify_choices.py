@@ -375,6 +375,7 @@ def test_incomplete_rigs_are_refused(spoiled, refused):
         ("", ("--band", "900", "800"), FREQUENCIES_NOT_ASCENDING.code, "--band"),
         ("", ("--model", "pitching"), PITCHING_NOT_DRIVEN.code, "excitation.direction"),
         ("chirp-4kg", ("--internal-mass", "free"), EQUAL_LOAD_MASSES.code, "rig-4kg.toml: load.mass: "),
+        ("chirp-4kg", ("--internal-mass", "free"), EQUAL_LOAD_MASSES.code, "in 1 recording"),
         ("sine-0200", (), NO_TRANSFER_RECORDING.code, "excitation.kind: "),
     ],
 )

@@ -12,7 +12,7 @@ import pytest
 from page_outline import self_contained
 from release_factory import two_masses
 from scipy.signal import StateSpace, lsim
-from support import edit, refusals, rows
+from support import edit, rows
 
 from fusion.cli import main
 from fusion.errors import InputError
@@ -25,7 +25,6 @@ from fusion.sensor.model_notices import (
     COMPONENT_WITHOUT_MOVING_MASS,
     CONTRADICTORY_MODEL_STATEMENT,
     CONTRADICTORY_MOVING_MASS,
-    DAMAGED_MODEL_FILE,
     EXTRAPOLATED_LOAD,
     LOAD_COLUMN_MISSING,
     LOAD_TABLE_NOT_READABLE,
@@ -34,7 +33,6 @@ from fusion.sensor.model_notices import (
     TOO_MANY_LOADS,
     UNKNOWN_LOAD_COLUMN,
     WRONG_LOAD_NUMBER,
-    WRONG_MODEL_FORMAT,
 )
 from fusion.simulate.preset import read_preset
 from fusion.simulate.releases import SeriesRig, true_modes, write_loads
@@ -122,12 +120,6 @@ def test_one_load_gives_two_solutions(campaign, tmp_path, capsys):
     assert first.stiffness == pytest.approx(2.36e6, rel=2e-3)
     assert second.stiffness == pytest.approx(1.134e7, rel=2e-3)
     assert second.coupling_stiffness == pytest.approx(3.933e5, rel=2e-3)
-
-
-def test_existing_results_are_not_replaced(campaign, tmp_path, capsys):
-    (tmp_path / "notes.txt").write_text("mine", encoding="utf-8")
-    assert f"{tmp_path}: " in refusals(capsys)("load", campaign, "-o", tmp_path, "-q")
-    assert [file.name for file in tmp_path.iterdir()] == ["notes.txt"]
 
 
 @pytest.fixture
@@ -302,23 +294,6 @@ def test_simulated_output_is_that_of_the_equations_of_motion(load):
     poles, residues = true_modes(rig, moving, load)
     change = (pole_responses(poles, t, 5e-3, 4e-4) @ residues).real
     np.testing.assert_allclose(change, lsim(StateSpace(a, push, row, np.zeros((1, 1))), force, t)[1], atol=1e-6)
-
-
-@pytest.mark.parametrize(
-    ("content", "declared", "key"),
-    [
-        ("{", DAMAGED_MODEL_FILE, ""),
-        ('{"format": 7}', WRONG_MODEL_FORMAT, "format"),
-        ('{"format": 1, "models": [{}]}', DAMAGED_MODEL_FILE, ""),
-        ("[]", DAMAGED_MODEL_FILE, ""),
-    ],
-)
-def test_wrong_model_files(tmp_path, content, declared, key):
-    (tmp_path / LOAD_MODEL_FILE).write_text(content, encoding="utf-8")
-    with pytest.raises(InputError) as caught:
-        read_load_models(tmp_path / LOAD_MODEL_FILE)
-    assert (caught.value.code, caught.value.key) == (declared.code, key)
-    assert caught.value.values["command"] == "load"
 
 
 def test_model_without_uncertainty_is_read_back(tmp_path):
