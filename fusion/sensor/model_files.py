@@ -205,10 +205,7 @@ class UncertaintyBasis(NamedTuple):
 
 
 def model_text(models: Sequence[tuple[LoadModel, UncertaintyBasis]], campaign: str, sensor: str, program: str) -> str:
-    """Return the content of load.json, with one entry per component.
-
-    If the data cannot distinguish solutions, there is one entry per solution.
-    """
+    """Return the content of load.json, one entry per component and solution."""
     content = {
         "format": FORMAT,
         "campaign": campaign,
@@ -264,10 +261,7 @@ def parameter_units(component: str) -> dict[str, str]:
 
 
 def _load_entry(model: LoadModel, rests: UncertaintyBasis) -> dict[str, Any]:
-    """Return one model as nested dictionaries, in SI units.
-
-    The rows of the covariances are the parameters, then the mass.
-    """
+    """Return one model in SI units; covariances: the parameters, then the mass."""
     total, units = model.total_covariance, parameter_units(model.component)
     u = [None] * len(model.vector) if total is None else np.sqrt(np.diag(total)).tolist()
     return {

@@ -72,10 +72,7 @@ class ModelInfluences:
         return f"{self.records}, with {text} as stated" if labels else self.records
 
     def effects(self, numbers: Callable[[float, float, float], FloatArray]) -> FloatArray:
-        """Return the changes (E, P) of P numbers by each unknown.
-
-        Central differences; `numbers` evaluates a changed model.
-        """
+        """Return the changes (E, P) of P numbers by each unknown, by central differences."""
 
         def slope(one: UnmodelledEffect) -> FloatArray:
             size = max(map(abs, one[1:]))

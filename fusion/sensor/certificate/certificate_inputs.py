@@ -270,10 +270,7 @@ CERTIFIED_BY_ROTATION = ("internal_mass", "internal_centre_of_mass", "load_mass"
 
 
 def find_results_folder(folder: Path, results: Path | None) -> Path:
-    """Return the folder of results to certify.
-
-    As given, else that of `run`, else that of another command.
-    """
+    """Return the folder of results: as given, else that of `run`, else of another command."""
     if results is not None:
         return results
     candidates = (folder / name for name in ("results", *CERTIFIED_COMMANDS))

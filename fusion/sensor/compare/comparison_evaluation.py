@@ -179,10 +179,7 @@ def _in_one_unit(
 def _compared(
     group: Sequence[tuple[str, ComparedValue]], quantity: str, dates: Mapping[str, Date], shared: Sequence[SharedInput]
 ) -> ComparedQuantity:
-    """Return reference value, E_n and drift of one quantity.
-
-    Phases are unwrapped relative to the first.
-    """
+    """Return reference value, E_n and drift of one quantity; phases are unwrapped."""
     names, values = tuple(name for name, _ in group), [value for _, value in group]
     if quantity == "magnitude":
         value, u = np.array([v.magnitude for v in values]), np.array([v.u_magnitude for v in values])

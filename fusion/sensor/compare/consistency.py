@@ -71,10 +71,7 @@ def find_contradictory_claims(
 
 
 def _unknowns(result: ComparedResult) -> dict[str, tuple[InputEvidence, ...]]:
-    """Return the evidence of each unknown of a result.
-
-    Of several recordings, proven evidence is preferred.
-    """
+    """Return the evidence of each unknown of a result, preferably proven evidence."""
     found: dict[str, tuple[InputEvidence, ...]] = {}
     for row in sorted(result.evidence, key=lambda row: not row.proven):
         if row.proven or row.unknown not in found:
@@ -227,10 +224,7 @@ class ReferenceValue:
 
     @property
     def normalised(self) -> FloatArray:
-        """Return E_n of every result relative to the reference value.
-
-        NaN for a result that defines the reference value alone.
-        """
+        """E_n of every result; NaN if it alone defines the reference value."""
         uncertain = self.expanded > 0.0
         return np.asarray(np.where(uncertain, self.deviation / np.where(uncertain, self.expanded, 1.0), np.nan))
 
@@ -316,10 +310,7 @@ def reference_value(value: FloatArray, covariance: FloatArray) -> ReferenceValue
 
 
 def drift(year: FloatArray, value: FloatArray, covariance: FloatArray) -> tuple[float, float]:
-    """Return the change per year and its u, by generalised least squares.
-
-    Raises `ValueError` for a single date.
-    """
+    """Return the change per year and its u; `ValueError` for a single date."""
     if len(np.unique(year)) < 2:
         raise ValueError("year: expected two dates, found one")
     design = np.column_stack([np.ones(len(year)), year - year.mean()])

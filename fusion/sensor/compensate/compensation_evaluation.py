@@ -79,10 +79,7 @@ class HapticCase:
 
 @dataclass(frozen=True)
 class Haptics:
-    """The force-feedback check of one channel with one load.
-
-    `load_mass` in kg; `gain`: the force gain that all cases share.
-    """
+    """The force-feedback check of one channel with a load (kg) at a shared `gain`."""
 
     channel: str
     load_mass: float
@@ -92,10 +89,7 @@ class Haptics:
 
 
 def check_haptics(results: Sequence[SubjectResult], settings: CompensationSettings) -> Haptics | None:
-    """Check the first force with a load model at its heaviest load.
-
-    None if no check is requested.
-    """
+    """Check the first force with a load model at its heaviest load, if requested."""
     if settings.ball_stiffness is None:
         return None
     force = next((one for one in results if one.subject.is_scheduled and one.subject.load_unit == "N"), None)
@@ -216,10 +210,7 @@ def _filtered(
 
 
 def white_noise(values: FloatArray) -> float:
-    """Return the standard deviation of the noise of samples (N,).
-
-    It is estimated from third differences, robust against steps.
-    """
+    """Return the standard deviation of noise (N,) by third differences, robust against steps."""
     if len(values) < 8:
         return 0.0
     return float(MEDIAN_TO_STD * np.median(np.abs(np.diff(values, 3))) / NOISE_FACTOR)

@@ -97,10 +97,7 @@ LOOP = (
 
 @dataclass(frozen=True)
 class StoredFilter:
-    """A filter of compensation.json for a channel and a load.
-
-    `load_mass` in kg, None without a load model.
-    """
+    """A filter of a channel for a load in kg, None without a load model."""
 
     channel: str
     component: str

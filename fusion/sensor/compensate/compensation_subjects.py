@@ -194,10 +194,7 @@ class CompensationSubject:
         return whole if self.scatter is None else self.scatter
 
     def factors(self, u: FloatArray, u_scatter: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return degrees of freedom and k (95 %), (Q,) each, of numbers with u (Q,).
-
-        `u_scatter` (Q,) is the part of u by scatter.
-        """
+        """Return degrees of freedom and k (95 %) of u (Q,), `u_scatter` of it scatter."""
         from scipy.special import stdtrit
 
         if not np.isfinite(self.basis.dof):
@@ -233,10 +230,7 @@ class CompensationSources:
 
 
 def read_sources(paths: Sequence[Path]) -> CompensationSources:
-    """Read models.json or load.json, or the one in a folder of results.
-
-    If a folder contains both, load.json is read.
-    """
+    """Read models.json or load.json; of a folder with both, load.json."""
     sources = [_read(path) for path in paths]
     subjects = tuple(subject for one in sources for subject in one.subjects)
     twice = repeated_name([subject.name for subject in subjects])

@@ -99,10 +99,7 @@ class DecoupleEvaluation(CommandEvaluation):
 
     @property
     def ratio(self) -> FloatArray:
-        """Return the factors (D, D) from readings over loads to ratios of rated loads.
-
-        Without rated loads, NaN for pairs of different units.
-        """
+        """Factors (D, D) from readings over loads to rated loads; NaN if not comparable."""
         kind = np.array([name[0] for name in self.fit.model.components])
         different = (self.capacity is None) & (kind[:, None] != kind)
         return np.where(different, np.nan, self.scale / self.scale[:, None])
@@ -225,10 +222,7 @@ def _read(manifests: Sequence[Manifest]) -> list[StepInput]:
 
 
 def _unexplained(error: ValueError, manifest: Manifest) -> InputError | ComputeError:
-    """Return the error of a failed fit.
-
-    Loads that cannot be separated are an error of the files.
-    """
+    """Return the error of a fit; inseparable loads are an error of the files."""
     key = str(error).partition(": ")[0]
     if key not in ("channels", "components"):
         return ComputeError(declared.NO_COMMON_MODEL, reason=str(error))

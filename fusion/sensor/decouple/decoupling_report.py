@@ -142,10 +142,7 @@ def crosstalk_rows(evaluation: DecoupleEvaluation) -> Iterator[CrosstalkRow]:
 
 
 def largest(evaluation: DecoupleEvaluation) -> Iterator[tuple[str, float, float, str]]:
-    """Yield the largest cross-talk in a step of every stage, with U.
-
-    In % of rated loads.
-    """
+    """Yield the largest cross-talk in a step of every stage, in % of rated loads."""
     ratio = 100 * np.where(np.eye(len(evaluation.scale), dtype=np.bool_), np.nan, evaluation.ratio)
     for stage in evaluation.stages:
         size, U = stage.peak * ratio, K2 * stage.u_peak * ratio
@@ -203,10 +200,7 @@ def modes_budgets(evaluation: DecoupleEvaluation) -> list[Table]:
 
 
 def peak_tables(evaluation: DecoupleEvaluation) -> list[Table]:
-    """Return the reading of each load while each makes a step, by stage.
-
-    In % of rated loads.
-    """
+    """Return the readings while each load makes a step, in % of rated loads."""
     names, ratio, tables = evaluation.fit.model.components, 100 * evaluation.ratio, []
     unit = "rated load" if evaluation.capacity is not None else "the step"
     for stage in evaluation.stages:

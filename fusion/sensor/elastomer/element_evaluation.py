@@ -46,10 +46,7 @@ from shakercal._common.notices import Notice
 
 
 class StaticsFact(NamedTuple):
-    """A number of the beam formulas, `printed` in the publication and `right` by mechanics.
-
-    NaN without a value.
-    """
+    """A number of the beam formulas, as `printed` and `right`; NaN without a value."""
 
     name: str
     label: str
@@ -74,10 +71,7 @@ class ComparedColumn:
 
 @dataclass(frozen=True)
 class SolidStudy:
-    """The solid on meshes of increasing refinement, and with a rigid platform.
-
-    The latter on the second-finest mesh.
-    """
+    """The solid on refined meshes, and `rigid` on the second-finest mesh."""
 
     refinements: tuple[int, ...]
     meshes: tuple[SolidModel, ...]
@@ -123,10 +117,7 @@ class ElementEvaluation(CommandEvaluation):
 
 
 def spread(columns: Sequence[ComparedColumn]) -> FloatArray:
-    """Return (max - min)/max (6,) over columns, as in the paper's Table 6.
-
-    NaN with fewer than two values.
-    """
+    """Return (max - min)/max (6,) over columns; NaN with fewer than two values."""
     values = np.stack([column.frequency_hz for column in columns])
     filled = np.isfinite(values)
     highest = np.max(np.where(filled, values, -np.inf), axis=0)
@@ -160,10 +151,7 @@ def measured_column(definition: ElementDefinition) -> tuple[ComparedColumn | Non
 
 
 def dominant(model: ModalModel) -> tuple[float, float]:
-    """Return frequency (Hz) and u of the oscillating mode with the largest |r/p|.
-
-    u is NaN without covariance.
-    """
+    """Return frequency (Hz) and u of the mode with the largest |r/p|."""
     count = len(model.frequency_hz)
     index = int(np.argmax(np.abs(model.residue / model.poles[:count])))
     u = np.nan if model.covariance is None else float(np.sqrt(model.covariance[index, index]))
@@ -242,10 +230,7 @@ REVERSED_X, REVERSED_Y = ("Tx", "Ry", "Rz"), ("Ty", "Rx", "Rz")
 
 @dataclass(frozen=True)
 class DrawnShape:
-    """One mode: corners `rest_m` (P, 4, 3) of all faces and their `motion`.
-
-    The motion has arbitrary units.
-    """
+    """One mode: corners `rest_m` (P, 4, 3) of all faces and their `motion`."""
 
     name: str
     frequency_hz: float
@@ -286,10 +271,7 @@ def solid_shapes(drawn: SolidModel, finest: SolidModel) -> list[DrawnShape]:
 
 
 def _beam(ends: FloatArray, motion: FloatArray, section: Section) -> tuple[FloatArray, FloatArray]:
-    """Return corners (8, 3) of a beam between two nodes, and their motion.
-
-    `motion` (2, 6) is that of the nodes.
-    """
+    """Return corners (8, 3) of a beam and their motion by its nodes' (2, 6)."""
     along = ends[1] - ends[0]
     across = np.cross([0.0, 0.0, 1.0], along / np.linalg.norm(along))
     box = _box(1.0, 0.5 * section.width_m, 0.5 * section.height_m)

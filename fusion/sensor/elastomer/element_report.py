@@ -266,10 +266,7 @@ MARKERS = ("circle", "square", "diamond", "triangle", "inverted_triangle", "cros
 
 
 def draw_shapes(name: str, title: str, shapes: Sequence[DrawnShape]) -> tuple[PrintedFigure, bytes]:
-    """Draw six modes in space; return figure and PNG file.
-
-    Lines are at rest, coloured faces are deformed.
-    """
+    """Draw six modes in space, deformed in colour; return figure and PNG file."""
     with drawing(name):
         figure = new_figure(4.6)
         for index, shape in enumerate(shapes):
@@ -303,10 +300,7 @@ def draw_compared(evaluation: ElementEvaluation) -> Drawing:
 
 
 def draw_hand(evaluation: ElementEvaluation) -> Drawing | None:
-    """Draw the resonance over the mass of a rigidly joined hand.
-
-    With the modes of the chain of springs.
-    """
+    """Draw the resonance over the mass of a hand, rigidly joined and on springs."""
     mounted, stated = evaluation.mounted, evaluation.definition.file.mounting
     if mounted is None or stated is None:
         return None

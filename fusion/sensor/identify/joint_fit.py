@@ -62,10 +62,7 @@ _PITCHES_WITH = {0: 4, 1: 3, 3: 1, 4: 0}
 
 @dataclass(frozen=True)
 class JointFit:
-    """The model fitted to all curves of one driven component, with its reason.
-
-    `mass_is_free`: the internal mass was fitted, otherwise it is stated.
-    """
+    """The model fitted to all curves of one component; `mass_is_free`: not as stated."""
 
     component: int
     model: str
@@ -99,10 +96,7 @@ def joint_fits(prepared: Sequence[PreparedTransfer], settings: IdentifySettings)
 
 
 def _joint_fit(component: int, group: Sequence[PreparedTransfer], settings: IdentifySettings) -> JointFit:
-    """Fit one component by the selected model.
-
-    "auto" is translation, unless a second peak indicates pitching.
-    """
+    """Fit one component; "auto" is translation, unless a second peak indicates pitching."""
     free = _mass_is_free(component, group, settings)
     peaks = max((item.peaks_hz(name) for item in group for name in item.measured.ratio.channels), key=len)
 
@@ -120,10 +114,7 @@ def _joint_fit(component: int, group: Sequence[PreparedTransfer], settings: Iden
 
 
 def _chosen(peaks_hz: Sequence[float], fitted: Callable[[str], Identification]) -> tuple[str, str, Identification]:
-    """Return the selected model, the reason, and its fit.
-
-    If pitching explains two peaks, no other model is fitted. Otherwise it is compared with one translation.
-    """
+    """Return selected model, reason and fit: pitching if it explains two peaks."""
     pitching, reason = None, ""
     if len(peaks_hz) > 1:
         pitching = fitted("pitching")

@@ -249,10 +249,7 @@ class MassInputs:
 
     @cached_property
     def single_forces(self) -> list[list[tuple[int, str]]]:
-        """Return the forces that determine the weight individually, of every recording.
-
-        Each as (index in `WEIGHT_AND_MOMENT_ROWS`, name).
-        """
+        """Forces that determine each weight individually, as (index in `WEIGHT_AND_MOMENT_ROWS`, name)."""
         finite = np.isfinite(self.weights.value.reshape(-1, ROWS)[:, UNKNOWNS_PER_RECORD:])
         return [[(1 + i, name) for i, name in enumerate(LOAD_COMPONENTS[:3]) if row[i]] for row in finite]
 
@@ -302,10 +299,7 @@ class _PerturbedInputs:
         return gradient
 
     def weight_and_moment(self, bodies: Sequence[WeighedBody]) -> FloatArray:
-        """Return weight in air (N) and first moment (N·m) of bodies.
-
-        In the order of `WEIGHT_AND_MOMENT_ROWS`.
-        """
+        """Return weight (N) and first moment (N·m) of bodies by `WEIGHT_AND_MOMENT_ROWS`."""
         load = np.zeros((len(WEIGHT_AND_MOMENT_ROWS), len(self.gravity)))
         for row in (self.body[body.name] for body in bodies):
             weight = self.gravity * row[0] * (1.0 - self.air * row[1])
@@ -313,10 +307,7 @@ class _PerturbedInputs:
         return load
 
     def mass_volume_centre(self, bodies: Sequence[WeighedBody]) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Return mass, volume per mass and centre of mass of bodies together.
-
-        In kg, m³/kg and m (3, B).
-        """
+        """Return mass (kg), volume per mass (m³/kg) and centre (m) of bodies together."""
         rows = np.array([self.body[body.name] for body in bodies])
         mass = rows[:, 0].sum(axis=0)
         volume = np.sum(rows[:, 0] * rows[:, 1], axis=0) / mass

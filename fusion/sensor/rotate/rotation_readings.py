@@ -39,10 +39,7 @@ LIGHTEST_KGM3, HEAVIEST_KGM3 = 2700.0, 8000.0
 
 @dataclass(frozen=True)
 class WeighedBody:
-    """A body with stated mass, volume per mass and centre, with uncertainties.
-
-    In kg, m³/kg and m (3,).
-    """
+    """A body with stated mass, volume per mass and centre: kg, m³/kg, m (3,)."""
 
     name: str
     mass_kg: float
@@ -54,10 +51,7 @@ class WeighedBody:
 
 
 def local_gravity(manifest: Manifest) -> SourcedValue:
-    """Return the stated gravity of the rig, or that of its latitude and height.
-
-    Raises `InputError` if neither is stated.
-    """
+    """Return gravity as stated or by latitude and height; raise `InputError` without them."""
     environment = manifest.rig.surroundings
     if environment.gravity is not None:
         vector, u = np.array(environment.gravity), np.array(environment.gravity_uncertainty)
@@ -75,10 +69,7 @@ def unknown_volume() -> tuple[float, float]:
 
 
 def load_bodies(manifest: Manifest) -> tuple[WeighedBody, ...]:
-    """Return the load and the rig's parts on it.
-
-    They are absent in a recording without load.
-    """
+    """Return the load and the rig's parts on it, of recordings with load."""
     rig = manifest.rig
     found = () if rig.load is None else (_weighed("load", rig.load),)
     return found + _weighed_parts(rig.part)
@@ -380,10 +371,7 @@ def _spelt(unit: str) -> str:
 def _numbers(
     manifest: Manifest, sensor: Sensor, units: dict[str, str], are_loads: bool
 ) -> tuple[FloatArray, FloatArray]:
-    """Return angles (N,) in rad and readings (N, C).
-
-    Readings are in the sensor's unit, or in N and N·m.
-    """
+    """Return angles (N,) in rad and readings (N, C), outputs or N and N·m."""
     path, excitation, names = table_path(manifest), manifest.excitation, [ANGLE, *units]
     with as_input_error(path):
         table = read_table_columns(path, names)

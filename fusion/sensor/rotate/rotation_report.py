@@ -160,10 +160,7 @@ def _draw_points(
 
 
 def draw_deviations(evaluation: RotationEvaluation) -> Figure | None:
-    """Draw the load mass less the weighed mass in %, by axis and by all.
-
-    None without both.
-    """
+    """Draw the load mass less the weighed mass in %; None without both."""
     deviations = _named(evaluation, "load_mass_relative_deviation")
     weighed = evaluation.find("weighed_mass", "stated")
     if not deviations or weighed is None:
@@ -300,10 +297,7 @@ def repeats_tables(evaluation: RotationEvaluation) -> list[Table]:
 
 
 def harmonics_table(recording: RotationRecording, indices: Sequence[int]) -> Table:
-    """Return the terms of some load components with U.
-
-    A small amplitude has an upper limit only.
-    """
+    """Return the terms of some load components with U, small amplitudes as bounds."""
     fit, components = recording.fit, [LOAD_COMPONENTS[i] for i in indices]
     rows: dict[str, list[str]] = {}
     for q in _terms(recording):

@@ -40,10 +40,7 @@ from shakercal._common.notices import Notice
 def evaluate_component(
     releases: Sequence[StepRelease], settings: StepSettings
 ) -> tuple[StepComponent, tuple[Notice, ...]]:
-    """Return model and results of the releases of one component.
-
-    All must drive the same output.
-    """
+    """Return model and results of the releases of one component and one driven output."""
     first, fitted = releases[0], fit_component(releases, settings)
     component, channel, manifest, used = first.record.component, first.driven, first.manifest, fitted.chosen
     unit, names, notices = sensitivity_unit(first.record.unit, component), [r.name for r in used], [*fitted.notices]
@@ -181,10 +178,7 @@ def evaluate_steps(
 
 
 def _read(manifests: Sequence[Manifest], settings: StepSettings) -> tuple[dict[str, list[StepRelease]], list[Notice]]:
-    """Return releases of one rig by component.
-
-    Those of one component must drive the same output.
-    """
+    """Return releases of one rig by component, each driving one output."""
     releases, notices = defaultdict[str, list[StepRelease]](list), list[Notice]()
     check_one_rig(manifests)
     for manifest in manifests:

@@ -182,10 +182,7 @@ def draw_model(name: str, component: StepComponent, pooled: PooledModel) -> Figu
 
 
 def draw_convergence(name: str, losses: list[tuple[str, str, FloatArray, int | None]]) -> Figure:
-    """Draw the loss of each method over order or generation.
-
-    A ring marks the selected order.
-    """
+    """Draw the loss of each method; a ring marks the selected order."""
     drawn = empty_figure(name, 2.7, 1, len(losses))
     for panel, colour, (label, over, loss, chosen) in zip(drawn.panels, COLOURS, losses, strict=False):
         number = np.arange(1, len(loss) + 1)
@@ -221,10 +218,7 @@ MIN_EXCITATION = 0.2  # ratio to the spectrum of an ideal step below which a rel
 
 
 class MeasuredResponse(NamedTuple):
-    """Output over load (K,) at frequencies (K,) in Hz.
-
-    `u` (K,): r.m.s. contribution of white noise.
-    """
+    """Output over load (K,) at frequencies in Hz; `u`: r.m.s. of white noise."""
 
     frequency_hz: FloatArray
     value: ComplexArray

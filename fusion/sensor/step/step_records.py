@@ -236,10 +236,7 @@ class PooledModel:
         return np.asarray(np.sqrt(variance + common)), np.asarray(dof)
 
     def budget(self, gradient: FloatArray, influences: ModelInfluences) -> dict[str, FloatArray]:
-        """Return the contributions to u by cause, (Q,) each, of numbers with gradients (Q, P).
-
-        Their squares add up to u².
-        """
+        """Return contributions to u (Q,) by cause, with squares that add up to u²."""
         shared, other = {OF_SCALES: np.abs(gradient @ self.scale)}, gradient @ self.external_changes.T
         if len(self.shapes):
             shared[OF_SHAPES] = np.linalg.norm(gradient @ self.shapes.T, axis=1)
@@ -260,10 +257,7 @@ def effective_dof(variance: FloatArray, of_scatter: FloatArray, dof: float) -> F
 
 
 class AlternativeModels(NamedTuple):
-    """The models of all releases if one device had the other shape.
-
-    `distance`: in standard uncertainties.
-    """
+    """All releases' models if one device had the other shape; distance in u."""
 
     models: Sequence[ModalModel]
     distance: float

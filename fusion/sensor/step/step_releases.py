@@ -418,10 +418,7 @@ LABELS: dict[Method, str] = {
 def compare_methods(
     release: StepRelease, settings: StepSettings, available: Sequence[StepFit] = ()
 ) -> tuple[tuple[MethodRow, ...], tuple[Notice, ...]]:
-    """Return the result of every method for a release, with notices.
-
-    `available`: existing fits by the same rules.
-    """
+    """Return the result of every method for a release; `available` fits are used."""
     rng, rows, notices = np.random.default_rng(SEED), list[MethodRow](), list[Notice]()
     by = partial(fit_all_methods, release.record, release.driven, rng=rng, reading=release.reading)
     existing = {fit.method: fit for fit in available}
@@ -490,20 +487,14 @@ def mean_with_scatter(value: FloatArray, u: FloatArray) -> tuple[float, float, f
 
 
 def scale_uncertainty(manifest: Manifest, channel: str) -> float:
-    """Return the relative u of output over load by both scales.
-
-    It is common to all releases.
-    """
+    """Return the relative u by both scales, common to all releases."""
     _, entry = output_entries(manifest)[channel]
     parts = (manifest.excitation.step_uncertainty, entry.scale_uncertainty, entry.individual_uncertainty)
     return float(np.sqrt(np.sum(np.square(parts))))
 
 
 def stated_gain(manifest: Manifest, channel: str, component: str) -> tuple[float | None, float]:
-    """Return the stated static sensitivity of an output for a component, and u.
-
-    None if rig.toml does not state it.
-    """
+    """Return the stated static sensitivity of an output, None without one, and u."""
     sensor = manifest.rig.sensor
     if sensor is None or sensor.static_sensitivity is None or channel not in sensor.channels:
         return None, 0.0

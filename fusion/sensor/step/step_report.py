@@ -161,10 +161,7 @@ NUMBERS: list[TableColumn[Number]] = [
 
 
 class BudgetPart(NamedTuple):
-    """The contribution of one cause to the u of an index.
-
-    `u` is None if the cause is not assessed (`status`).
-    """
+    """A contribution to the u of an index; `u` is None if not assessed."""
 
     component: str
     channel: str
@@ -176,10 +173,7 @@ class BudgetPart(NamedTuple):
 
 
 def budget_parts(component: StepComponent) -> Iterator[BudgetPart]:
-    """Yield the budget of every index by cause.
-
-    Squares of u add up to that in indices.csv.
-    """
+    """Yield the budget of every index by cause; squares add up to its u²."""
     for one in component.figures:
         head = component.component, component.channel, one.name
         for cause, parts in component.budget.items():
@@ -524,10 +518,7 @@ def _mean_ms(spread: RepeatedMean) -> tuple[float, float]:
 
 
 def _peaks(component: StepComponent, channel: str) -> tuple[str, str, str]:
-    """Return the first and second peak of an output's spectrum.
-
-    Without a model, means over all releases.
-    """
+    """Return the peaks of an output's spectrum, means over the chosen or all releases."""
     releases = component.chosen or component.releases
     peaks = [reading.peaks for r in releases for reading in r.readings if reading.channel == channel]
     first = _mean_peak([found[0] for found in peaks if found])
@@ -538,10 +529,7 @@ def _peaks(component: StepComponent, channel: str) -> tuple[str, str, str]:
 
 
 def _mean_peak(peaks: Sequence[SpectrumPeak]) -> str:
-    """Return the mean frequency of peaks with U.
-
-    U is that of the readings, or of their scatter if it is larger.
-    """
+    """Return the mean frequency of peaks, U by readings or the larger scatter."""
     if not peaks:
         return DASH
     value = np.array([peak.frequency_hz for peak in peaks])

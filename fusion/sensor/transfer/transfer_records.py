@@ -173,20 +173,14 @@ def channel_chain(channel: LocatedChannel, frequency_hz: FloatArray) -> ChannelC
 
 
 def uncertainty(value: ComplexArray, covariance: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return u(|H|)/|H| and u(arg H) in rad, (K,) each.
-
-    `covariance` (K, 2, 2): of the values.
-    """
+    """Return u(|H|)/|H| and u(arg H) in rad (K,) of values with covariance (K, 2, 2)."""
     frame = along_and_across(value)
     along, across = np.einsum("kia,kij,kja->ak", frame, covariance, frame)
     return np.sqrt(np.maximum(along, 0.0)) / np.abs(value), np.sqrt(np.maximum(across, 0.0)) / np.abs(value)
 
 
 def ratio_errors(reference: ChannelChain, responses: Sequence[ChannelChain]) -> tuple[CurveError, ...]:
-    """Return the common errors of the ratios (K, C) of responses over reference.
-
-    Shared errors cancel.
-    """
+    """Return the common errors of the ratios (K, C), in which shared errors cancel."""
     below, above = reference.errors, [chain.errors for chain in responses]
     zero = np.zeros(len(reference.frequency_hz), dtype=np.complex128)
     names = dict.fromkeys([*below, *(name for errors in above for name in errors)])
