@@ -20,6 +20,12 @@ from support import DOCS, documented_columns, rows
 from fusion.cli import main
 from fusion.errors import InputError
 from fusion.recording.toml import models_in, to_toml
+from fusion.sensor.bench_notices import (
+    BLOCK_THICKNESS_MISSING,
+    PLATFORM_AS_STATED,
+    SOLID_PACKAGE_MISSING,
+    SOLID_REFUSED,
+)
 from fusion.sensor.elastomer.element_definition import ElementFile, read_definition
 from fusion.sensor.elastomer.element_evaluation import (
     ComparedColumn,
@@ -30,12 +36,6 @@ from fusion.sensor.elastomer.element_evaluation import (
     measured_column,
     solid_shapes,
     spread,
-)
-from fusion.sensor.elastomer.element_notices import (
-    BLOCK_THICKNESS_MISSING,
-    PLATFORM_AS_STATED,
-    SOLID_PACKAGE_MISSING,
-    SOLID_REFUSED,
 )
 from fusion.simulate.statics import write_element
 from shaker.elastomer.frame import MODE_NAMES

@@ -16,8 +16,7 @@ from support import DOCS, documented_columns, edit, rows
 
 from fusion.cli import main
 from fusion.recording.load import load_manifest
-from fusion.sensor.rotate.rotation_evaluation import evaluate_rotation
-from fusion.sensor.rotate.rotation_notices import (
+from fusion.sensor.bench_notices import (
     CONSTANT_CHANNELS,
     DIFFERENT_ROTATION_CHANNELS,
     GRAVITY_NOT_DETERMINED,
@@ -32,6 +31,7 @@ from fusion.sensor.rotate.rotation_notices import (
     WEIGHT_NOT_EXPLAINED,
     WRONG_ROTATION_TABLE,
 )
+from fusion.sensor.rotate.rotation_evaluation import evaluate_rotation
 from fusion.sensor.rotate.rotation_readings import JOINT, RotationEvaluation
 from fusion.simulate.statics import BARE, LOADED, write_rotation
 from shaker.labels import LOAD_COMPONENTS

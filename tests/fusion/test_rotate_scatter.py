@@ -15,8 +15,8 @@ from fusion.campaign.repeats import BETWEEN, WITHIN, nested_anova
 from fusion.cli import main
 from fusion.estimation.coverage import coverage_factor
 from fusion.recording.load import load_manifest
+from fusion.sensor.bench_notices import SINGLE_MOUNTING
 from fusion.sensor.rotate.rotation_evaluation import WEIGHT_AND_MOMENT_ROWS, MassInputs, evaluate_rotation, quantities
-from fusion.sensor.rotate.rotation_notices import SINGLE_MOUNTING
 from fusion.sensor.rotate.rotation_readings import (
     JOINT,
     RepeatedResults,

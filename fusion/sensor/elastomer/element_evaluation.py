@@ -11,18 +11,8 @@ import numpy as np
 
 from fusion.base import CommandEvaluation, ProgressCallback, no_progress
 from fusion.errors import InputError, as_input_error
+from fusion.sensor import bench_notices as declared
 from fusion.sensor.elastomer.element_definition import ElementDefinition
-from fusion.sensor.elastomer.element_notices import (
-    BLOCK_THICKNESS_MISSING,
-    FRAME_DEVIATES,
-    FURTHER_MODES,
-    MESH_NOT_CONVERGED,
-    MIXED_MODE,
-    NO_MEASURED_MODE,
-    PLATFORM_AS_STATED,
-    SOLID_PACKAGE_MISSING,
-    SOLID_REFUSED,
-)
 from fusion.sensor.model_files import read_models
 from fusion.sensor.unmodelled_effects import coverage_notice
 from shaker.elastomer.frame import (
@@ -141,7 +131,7 @@ def measured_column(definition: ElementDefinition) -> tuple[ComparedColumn | Non
     for entry in read_models(path).driven:
         name = MODE_OF.get(entry.component)
         if name is None or not len(entry.model.frequency_hz):
-            notices.append(Notice(NO_MEASURED_MODE, "measured", component=entry.component, file=path.name))
+            notices.append(Notice(declared.NO_MEASURED_MODE, "measured", component=entry.component, file=path.name))
             continue
         index = MODE_NAMES.index(name)
         value[index], u[index] = dominant(entry.model)
@@ -388,7 +378,7 @@ def _solid(definition: ElementDefinition, progress: ProgressCallback) -> SolidSt
     """Return the solid on all meshes; raise `InputError` for a missing key or scikit-fem."""
     block, refinements = definition.solid_block, definition.file.solid.refinements
     if block is None:
-        raise InputError(BLOCK_THICKNESS_MISSING, definition.path, "platform.thickness")
+        raise InputError(declared.BLOCK_THICKNESS_MISSING, definition.path, "platform.thickness")
     stiff = replace(block, stiffening=STIFF)
     models_to_solve = [*((block, refinement) for refinement in refinements), (stiff, refinements[-2])]
     models = []
@@ -397,10 +387,10 @@ def _solid(definition: ElementDefinition, progress: ProgressCallback) -> SolidSt
         try:
             models.append(solve_solid(definition.beams, model, refinement))
         except ImportError as error:
-            raise InputError(SOLID_PACKAGE_MISSING, "--solid", reason=str(error)) from error
+            raise InputError(declared.SOLID_PACKAGE_MISSING, "--solid", reason=str(error)) from error
         except ValueError as error:
             key = KEYS.get(str(error).partition(":")[0], "")
-            raise InputError.from_exception(error, definition.path, key, SOLID_REFUSED) from error
+            raise InputError.from_exception(error, definition.path, key, declared.SOLID_REFUSED) from error
     progress("solid", len(models_to_solve), len(models_to_solve))
     return SolidStudy(refinements, tuple(models[:-1]), models[-1])
 
@@ -410,12 +400,12 @@ def _of_frame(definition: ElementDefinition, frame: FrameModel) -> list[Notice]:
     found, participation = [], frame.modes.participation
     for name, share, highest in zip(MODE_NAMES, np.diag(participation), participation.max(axis=0), strict=True):
         if share < highest:
-            found.append(Notice(MIXED_MODE, name, share_percent=100.0 * float(share)))
+            found.append(Notice(declared.MIXED_MODE, name, share_percent=100.0 * float(share)))
     if len(frame.modes.others_hz):
         frequencies_hz = ", ".join(f"{value:.0f}" for value in frame.modes.others_hz)
-        found.append(Notice(FURTHER_MODES, "frame", frequencies_hz=frequencies_hz))
+        found.append(Notice(declared.FURTHER_MODES, "frame", frequencies_hz=frequencies_hz))
     if definition.file.platform.mass is not None:
-        found.append(Notice(PLATFORM_AS_STATED, "platform"))
+        found.append(Notice(declared.PLATFORM_AS_STATED, "platform"))
     return found
 
 
@@ -427,11 +417,11 @@ def _of_solid(frame: FrameModel, study: SolidStudy | None) -> list[Notice]:
     worst = int(np.argmax(np.abs(change)))
     if abs(change[worst]) > MAX_MESH_CHANGE:
         percent = 100.0 * float(change[worst])
-        found.append(Notice(MESH_NOT_CONVERGED, "solid", mode=MODE_NAMES[worst], change_percent=percent))
+        found.append(Notice(declared.MESH_NOT_CONVERGED, "solid", mode=MODE_NAMES[worst], change_percent=percent))
     for index, name in enumerate(MODE_NAMES):
         one, other = frame.modes.frequency_hz[index], study.finest.frequency_hz[index]
         if abs(one / other - 1.0) > MAX_DEVIATION:
             stiff = study.rigid.frequency_hz[index]
             deviation, from_stiff = (100.0 * float(one / value - 1.0) for value in (other, stiff))
-            found.append(Notice(FRAME_DEVIATES, name, deviation_percent=deviation, stiff_percent=from_stiff))
+            found.append(Notice(declared.FRAME_DEVIATES, name, deviation_percent=deviation, stiff_percent=from_stiff))
     return found

@@ -17,23 +17,7 @@ from fusion.base import PERCENT
 from fusion.errors import InputError
 from fusion.estimation.coverage import coverage_factor
 from fusion.recording.load import Manifest, check_one_rig
-from fusion.sensor.rotate.rotation_notices import (
-    AXIS_TILT,
-    BODY_DENSITY_NOT_STATED,
-    DIFFERENT_ROTATION_CHANNELS,
-    GRAVITY_EXACT,
-    GRAVITY_FROM_LOCATION,
-    GRAVITY_OFFSET,
-    GRAVITY_REVERSED,
-    LOAD_MASS_DEVIATES,
-    LOAD_NOT_WEIGHED,
-    MATRIX_UNCERTAINTY_NOT_STATED,
-    NO_LOADED_RECORDING,
-    NO_UNLOADED_RECORDING,
-    SINGLE_MOUNTING,
-    TOTAL_WEIGHT_ONLY,
-    WEIGHT_NOT_EXPLAINED,
-)
+from fusion.sensor import bench_notices as declared
 from fusion.sensor.rotate.rotation_readings import (
     JOINT,
     RepeatedResults,
@@ -118,7 +102,9 @@ def evaluate_rotation(name: str, manifests: Sequence[Manifest], input_hashes: di
     notices += [notice for manifest in manifests for notice in manifest.certificate_notices]
     for quantity in numbers:
         if quantity.name == "load_mass_normalised_deviation" and abs(quantity.value) > 1.0:
-            notices.append(Notice(LOAD_MASS_DEVIATES, "load", component=quantity.component, ratio=abs(quantity.value)))
+            notices.append(
+                Notice(declared.LOAD_MASS_DEVIATES, "load", component=quantity.component, ratio=abs(quantity.value))
+            )
     return RotationEvaluation(
         name=name,
         recordings=recordings,
@@ -146,7 +132,9 @@ def _read(manifests: Sequence[Manifest]) -> tuple[tuple[RotationRecording, ...],
                 for r in (recording, first)
             )
             file = table_path(recording.manifest)
-            raise InputError(DIFFERENT_ROTATION_CHANNELS, file, expected=expected, recording=first.name, found=found)
+            raise InputError(
+                declared.DIFFERENT_ROTATION_CHANNELS, file, expected=expected, recording=first.name, found=found
+            )
     return tuple(item[0] for item in read), outputs, [notice for *_, of_recording in read for notice in of_recording]
 
 
@@ -156,15 +144,15 @@ def _input_notices(manifest: Manifest, gravity: SourcedValue, outputs: SensorOut
     if environment is None or environment.gravity is None:
         value, expanded = gravity.value, 2.0 * gravity.u
         yield Notice(
-            GRAVITY_FROM_LOCATION, "gravity", gravity_mps2=value, expanded_mps2=expanded, source=gravity.source
+            declared.GRAVITY_FROM_LOCATION, "gravity", gravity_mps2=value, expanded_mps2=expanded, source=gravity.source
         )
     elif gravity.u == 0.0:
-        yield Notice(GRAVITY_EXACT, "gravity")
+        yield Notice(declared.GRAVITY_EXACT, "gravity")
     if not outputs.u.any():
-        yield Notice(MATRIX_UNCERTAINTY_NOT_STATED, "sensor")
+        yield Notice(declared.MATRIX_UNCERTAINTY_NOT_STATED, "sensor")
     for body in load_bodies(manifest):
         if body.u_volume_m3kg > 0.0:
-            yield Notice(BODY_DENSITY_NOT_STATED, "load", body=body.name)
+            yield Notice(declared.BODY_DENSITY_NOT_STATED, "load", body=body.name)
 
 
 def _recording_notices(recordings: Sequence[RotationRecording], scatter: Sequence[RotationScatter]) -> Iterator[Notice]:
@@ -172,16 +160,16 @@ def _recording_notices(recordings: Sequence[RotationRecording], scatter: Sequenc
     kinds = {recording.with_load for recording in recordings}
     stated = bool(load_bodies(recordings[0].manifest))
     if kinds == {False}:
-        yield Notice(NO_LOADED_RECORDING, "recordings")
+        yield Notice(declared.NO_LOADED_RECORDING, "recordings")
     elif kinds == {True} and stated:
-        yield Notice(NO_UNLOADED_RECORDING, "recordings")
+        yield Notice(declared.NO_UNLOADED_RECORDING, "recordings")
     elif kinds == {True}:
-        yield Notice(TOTAL_WEIGHT_ONLY, "recordings")
+        yield Notice(declared.TOTAL_WEIGHT_ONLY, "recordings")
     elif not stated:
-        yield Notice(LOAD_NOT_WEIGHED, "load")
+        yield Notice(declared.LOAD_NOT_WEIGHED, "load")
     for state in scatter:
         if not state.between_dof:
-            yield Notice(SINGLE_MOUNTING, "repeats", count=len(state.recordings), state=state.state)
+            yield Notice(declared.SINGLE_MOUNTING, "repeats", count=len(state.recordings), state=state.state)
 
 
 def _fit_notices(weights: WeightFit, records: Sequence[RotationRecord]) -> Iterator[Notice]:
@@ -190,13 +178,13 @@ def _fit_notices(weights: WeightFit, records: Sequence[RotationRecord]) -> Itera
         row = weights.value[ROWS * r : ROWS * (r + 1)]
         zero, tilt = float(row[4]), float(np.hypot(row[5], row[6]))
         if abs(zero) > np.pi / 2.0:
-            yield Notice(GRAVITY_REVERSED, record.name, offset_deg=float(np.degrees(zero)))
+            yield Notice(declared.GRAVITY_REVERSED, record.name, offset_deg=float(np.degrees(zero)))
         elif abs(zero) > ZERO_ANGLE_NOTICE_RAD:
-            yield Notice(GRAVITY_OFFSET, record.name, offset_deg=float(np.degrees(zero)))
+            yield Notice(declared.GRAVITY_OFFSET, record.name, offset_deg=float(np.degrees(zero)))
         if tilt > AXIS_TILT_NOTICE_RAD and tilt > 3.0 * float(np.sqrt(weights.covariance[ROWS * r + 5, ROWS * r + 5])):
-            yield Notice(AXIS_TILT, record.name, tilt_deg=float(np.degrees(tilt)))
+            yield Notice(declared.AXIS_TILT, record.name, tilt_deg=float(np.degrees(tilt)))
     if weights.departure > 0.0:
-        yield Notice(WEIGHT_NOT_EXPLAINED, "channels", departure_percent=100.0 * weights.departure)
+        yield Notice(declared.WEIGHT_NOT_EXPLAINED, "channels", departure_percent=100.0 * weights.departure)
 
 
 # From weights to masses and centres of mass.

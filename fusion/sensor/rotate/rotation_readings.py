@@ -16,13 +16,7 @@ from fusion.estimation.coverage import NamedQuantity
 from fusion.recording.load import Manifest
 from fusion.recording.rig import RigLoad, RigPart, Sensor
 from fusion.recording.units import recorded_unit
-from fusion.sensor.rotate.rotation_notices import (
-    CONSTANT_CHANNELS,
-    GRAVITY_NOT_DETERMINED,
-    MISSING_CHANNEL_COLUMNS,
-    MISSING_ROTATION_ENTRY,
-    WRONG_ROTATION_TABLE,
-)
+from fusion.sensor import bench_notices as declared
 from shaker.io.text import read_table_columns, table_units
 from shaker.labels import LOAD_COMPONENTS, LOAD_UNITS
 from shaker.static_rotation.harmonics import AngleFit, SourcedValue, fit_angles, gravity_at
@@ -58,7 +52,7 @@ def local_gravity(manifest: Manifest) -> SourcedValue:
         size = float(np.linalg.norm(vector))
         return SourcedValue(size, float(np.linalg.norm(vector / size * u)), "stated in rig.toml")
     if environment.latitude is None or environment.height is None:
-        raise InputError(GRAVITY_NOT_DETERMINED, manifest.rig_path, "environment.gravity")
+        raise InputError(declared.GRAVITY_NOT_DETERMINED, manifest.rig_path, "environment.gravity")
     return gravity_at(float(np.radians(environment.latitude)), environment.height)
 
 
@@ -263,16 +257,16 @@ def read_rotation(manifest: Manifest) -> tuple[RotationRecording, SensorOutputs,
     sensor, where = manifest.rig.sensor, manifest.folder.name
     if sensor is None:
         expected = "[sensor], whose readings are in the table"
-        raise InputError(MISSING_ROTATION_ENTRY, manifest.rig_path, "sensor", expected=expected)
+        raise InputError(declared.MISSING_ROTATION_ENTRY, manifest.rig_path, "sensor", expected=expected)
     units, are_loads = _columns(manifest, sensor)
     angle, values = _numbers(manifest, sensor, units, are_loads)
     changing = np.ptp(values, axis=0) > 0.0
     constant = [name for name, changes in zip(units, changing, strict=True) if not changes]
-    notices = [Notice(CONSTANT_CHANNELS, where, channels=", ".join(constant))] if constant else []
+    notices = [Notice(declared.CONSTANT_CHANNELS, where, channels=", ".join(constant))] if constant else []
     missing = [name for name in sensor.channels if name not in units]
     if missing:
         file = table_path(manifest).name
-        notices.append(Notice(MISSING_CHANNEL_COLUMNS, where, file=file, channels=", ".join(missing)))
+        notices.append(Notice(declared.MISSING_CHANNEL_COLUMNS, where, file=file, channels=", ".join(missing)))
     channels = tuple(name for name in units if name not in constant)
     if not channels:
         raise _wrong_table(table_path(manifest), "", "readings that change with the angle", "constant readings")
@@ -312,12 +306,14 @@ def first_harmonics(recording: RotationRecording) -> RotationRecord:
 def table_path(manifest: Manifest) -> Path:
     """Return the path of the table of readings."""
     if manifest.excitation.file is None:
-        raise InputError(MISSING_ROTATION_ENTRY, manifest.path, "excitation.file", expected="the table of readings")
+        raise InputError(
+            declared.MISSING_ROTATION_ENTRY, manifest.path, "excitation.file", expected="the table of readings"
+        )
     return manifest.excitation.file
 
 
 def _wrong_table(file: Path, key: str, expected: str, found: str) -> InputError:
-    return InputError(WRONG_ROTATION_TABLE, file, key, expected=expected, found=found)
+    return InputError(declared.WRONG_ROTATION_TABLE, file, key, expected=expected, found=found)
 
 
 def _columns(manifest: Manifest, sensor: Sensor) -> tuple[dict[str, str], bool]:
@@ -344,7 +340,9 @@ def _columns(manifest: Manifest, sensor: Sensor) -> tuple[dict[str, str], bool]:
     if not loads:
         if sensor.static_sensitivity is None:
             expected = "sensitivities that convert outputs into loads (a calibration matrix), or columns in N"
-            raise InputError(MISSING_ROTATION_ENTRY, manifest.rig_path, "sensor.static_sensitivity", expected=expected)
+            raise InputError(
+                declared.MISSING_ROTATION_ENTRY, manifest.rig_path, "sensor.static_sensitivity", expected=expected
+            )
         return spelt, False
     for name in present:
         if name not in loads:
