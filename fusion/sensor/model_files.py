@@ -123,17 +123,18 @@ def read_model_file(
     """
     file = path / name if path.is_dir() else path
     again = " or ".join(f"`shakercal {name}`" for name in command.split(" or "))
-    written = {"command": command, "again": again}
     try:
         content = json.loads(read_text(file, LARGEST_FILE, content_label))
         check_values(content, file)
         if content["format"] != FORMAT:
             found = f"{content['format']}"
-            raise InputError(WRONG_MODEL_FORMAT, file, "format", found=found, expected=FORMAT, **written)
+            raise InputError(WRONG_MODEL_FORMAT, file, "format", found=found, expected=FORMAT, again=again)
         return parse(content)
     except (LookupError, TypeError, ValueError, AttributeError, ArithmeticError, RecursionError) as error:
         found = f"no key {error}" if isinstance(error, KeyError) else describe(str(error), plain=True)
-        raise InputError(DAMAGED_MODEL_FILE, file, found=found, expected=content_label, **written) from error
+        raise InputError(
+            DAMAGED_MODEL_FILE, file, found=found, expected=content_label, command=command, again=again
+        ) from error
 
 
 def _entry(entry: ModelEntry) -> dict[str, Any]:

@@ -207,8 +207,10 @@ def _read(manifests: Sequence[Manifest]) -> list[StepInput]:
         for key in ("channels", "unit", "sample_rate_hz"):
             found, expected = getattr(item.record, key), getattr(record, key)
             if found != expected:
-                values = {"expected": str(expected), "recording": first.folder.name, "found": str(found)}
-                raise InputError(declared.DIFFERENT_RECORDS, item.manifest.path, f"daq.channel ({key})", **values)
+                path, where, name = item.manifest.path, f"daq.channel ({key})", first.folder.name
+                raise InputError(
+                    declared.DIFFERENT_RECORDS, path, where, expected=str(expected), recording=name, found=str(found)
+                )
     stated = None if first.rig.sensor is None else first.rig.sensor.static_sensitivity
     static = None if stated is None else np.asarray(stated, dtype=np.float64)
     released = list(dict.fromkeys(item.record.component for item in inputs))

@@ -173,8 +173,8 @@ def check_sensor(manifests: Sequence[Manifest]) -> None:
     for (manifest, sensor), key in product(named[1:], ("name", "serial")):
         first, one, other = named[0][0], getattr(named[0][1], key), getattr(sensor, key)
         if one != other:
-            values = {"expected": one, "file": str(first.rig_path), "found": other}
-            raise InputError(declared.DIFFERENT_SENSOR, manifest.rig_path, f"sensor.{key}", **values)
+            path, where, file = manifest.rig_path, f"sensor.{key}", str(first.rig_path)
+            raise InputError(declared.DIFFERENT_SENSOR, path, where, expected=one, file=file, found=other)
 
 
 def _results(manifest: Manifest) -> Path | None:
@@ -421,8 +421,8 @@ def _shows_motion(entry: ChannelEntry, drive: FloatArray) -> bool:
 def _missing_channel(manifest: Manifest, key: str, drive: FloatArray, body: str, found: str) -> InputError:
     """Return the refusal of a recording without a channel that measures the motion along `drive`."""
     shown = [t.quantity.replace("_", " ") for t in TRANSDUCERS.values() if not t.rotational or np.any(drive[3:] != 0.0)]
-    values = {"expected": f"{', '.join(shown[:-1])} or {shown[-1]}", "body": body, "found": found}
-    return InputError(declared.MISSING_MOTION_CHANNEL, manifest.path, f"excitation.{key}", **values)
+    expected, key = f"{', '.join(shown[:-1])} or {shown[-1]}", f"excitation.{key}"
+    return InputError(declared.MISSING_MOTION_CHANNEL, manifest.path, key, expected=expected, body=body, found=found)
 
 
 def _load_over_base(
@@ -442,9 +442,17 @@ def _load_over_base(
     if band_hz is not None:
         chosen = (frequency >= band_hz[0]) & (frequency <= band_hz[1])
         if not np.any(chosen):
-            lines = {"first_hz": float(frequency[0]), "last_hz": float(frequency[-1])}
-            band = {"low_hz": band_hz[0], "high_hz": band_hz[1]}
-            raise InputError(declared.BAND_WITHOUT_LINES, manifest.path, "excitation.band", **lines, **band)
+            path, (low, high) = manifest.path, band_hz
+            first, last = float(frequency[0]), float(frequency[-1])
+            raise InputError(
+                declared.BAND_WITHOUT_LINES,
+                path,
+                "excitation.band",
+                first_hz=first,
+                last_hz=last,
+                low_hz=low,
+                high_hz=high,
+            )
     columns = [result.transfer.ratio.channels.index(channel) for channel in channels]
     errors = []
     for error in result.errors:

@@ -207,8 +207,8 @@ def _mass_is_free(component: int, group: Sequence[PreparedTransfer], settings: I
     loads = [item.load_kg for item in group]
     differ = max(loads) > (1.0 + _DIFFERENT) * min(loads)
     if settings.internal_mass == "free" and not differ:
-        values = {"unit": mass_unit(component), "recordings": count_text(len(loads), "recording")}
-        raise InputError(declared.EQUAL_LOAD_MASSES, group[0].manifest.rig_path, "load.mass", load=loads[0], **values)
+        path, unit, count = group[0].manifest.rig_path, mass_unit(component), count_text(len(loads), "recording")
+        raise InputError(declared.EQUAL_LOAD_MASSES, path, "load.mass", load=loads[0], unit=unit, recordings=count)
     return differ if settings.internal_mass == "auto" else settings.internal_mass == "free"
 
 

@@ -188,12 +188,12 @@ def _check_equal_mass(first: tuple[Manifest, MovingMass], other: tuple[Manifest,
     """Raise `InputError` if two rigs state different moving masses of their sensor."""
     (reference, expected), (manifest, found) = first, other
     if found != expected:
-        values = {"expected": expected.value, "found": found.value}
-        key = found.key
-        if found.value == expected.value:
-            key, values = f"{key}_uncertainty", {"expected": expected.u, "found": found.u}
+        key, stated, here = found.key, expected.value, found.value
+        if here == stated:
+            key, stated, here = f"{key}_uncertainty", expected.u, found.u
+        file = reference.rig_path.name
         raise InputError(
-            declared.CONTRADICTORY_MOVING_MASS, manifest.rig_path, key, file=reference.rig_path.name, **values
+            declared.CONTRADICTORY_MOVING_MASS, manifest.rig_path, key, file=file, expected=stated, found=here
         )
 
 

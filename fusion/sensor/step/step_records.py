@@ -120,8 +120,10 @@ def read_step(manifest: Manifest) -> StepInput:
     )
     end_s = record.start_s + (record.samples.shape[1] - 1) / record.sample_rate_hz
     if record.onset_s is not None and not record.start_s < record.onset_s < end_s:
-        times = {"start_s": record.start_s, "end_s": end_s, "found_s": record.onset_s}
-        raise InputError(declared.ONSET_OUTSIDE_RECORD, manifest.path, "excitation.onset", **times)
+        path, start_s, found_s = manifest.path, record.start_s, record.onset_s
+        raise InputError(
+            declared.ONSET_OUTSIDE_RECORD, path, "excitation.onset", start_s=start_s, end_s=end_s, found_s=found_s
+        )
     notices, entries = [*aligned.notices], [channel.entry for channel in aligned.channels]
     if chained := ", ".join(entry.name for entry in entries if entry.response is not None):
         notices.append(Notice(declared.CHAIN_IN_MODEL, record.name, channels=chained))

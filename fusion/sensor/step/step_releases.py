@@ -96,8 +96,10 @@ class StepRelease:
 def check_driven_output(first: StepRelease, other: StepRelease) -> None:
     """Raise `InputError` if a release drives another output than the first of its component."""
     if other.driven != first.driven:
-        values = {"expected": first.driven, "recording": first.name, "found": other.driven}
-        raise InputError(declared.OTHER_DRIVEN_OUTPUT, other.manifest.path, "daq.channel", **values)
+        path, expected, found = other.manifest.path, first.driven, other.driven
+        raise InputError(
+            declared.OTHER_DRIVEN_OUTPUT, path, "daq.channel", expected=expected, recording=first.name, found=found
+        )
 
 
 @dataclass(frozen=True)

@@ -87,8 +87,10 @@ def _band(manifest: Manifest, together: SynchronousRecord) -> tuple[float, float
     if highest is None:
         return band
     if band is not None and band[0] >= highest:
-        values = {"limit_hz": highest, "low_hz": band[0], "high_hz": band[1]}
-        raise InputError(declared.BAND_ABOVE_LIMIT, manifest.path, "excitation.band", **values)
+        path, (low_hz, high_hz) = manifest.path, band
+        raise InputError(
+            declared.BAND_ABOVE_LIMIT, path, "excitation.band", limit_hz=highest, low_hz=low_hz, high_hz=high_hz
+        )
     return (0.0, highest) if band is None else (band[0], min(band[1], highest))
 
 
