@@ -442,16 +442,14 @@ def _load_over_base(
     if band_hz is not None:
         chosen = (frequency >= band_hz[0]) & (frequency <= band_hz[1])
         if not np.any(chosen):
-            path, (low, high) = manifest.path, band_hz
-            first, last = float(frequency[0]), float(frequency[-1])
             raise InputError(
                 declared.BAND_WITHOUT_LINES,
-                path,
+                manifest.path,
                 "excitation.band",
-                first_hz=first,
-                last_hz=last,
-                low_hz=low,
-                high_hz=high,
+                first_hz=float(frequency[0]),
+                last_hz=float(frequency[-1]),
+                low_hz=band_hz[0],
+                high_hz=band_hz[1],
             )
     columns = [result.transfer.ratio.channels.index(channel) for channel in channels]
     errors = []
