@@ -6,6 +6,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import chain
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -268,7 +269,7 @@ def _joined(group: Sequence[PreparedTransfer]) -> MeasuredTransfer:
     records = [item.measured for item in group]
     ratios = [record.ratio for record in records]
     order = np.argsort(np.concatenate([ratio.frequency_hz for ratio in ratios]), kind="stable")
-    parts = {name: np.concatenate([getattr(one, name) for one in ratios])[order] for name in PER_LINE}
+    parts: dict[str, Any] = {name: np.concatenate([getattr(one, name) for one in ratios])[order] for name in PER_LINE}
     ratio = replace(ratios[0], **parts)
     by_name = [{error.name: error.relative for error in record.errors} for record in records]
     zeros = [np.zeros(one.value.shape, dtype=np.complex128) for one in ratios]

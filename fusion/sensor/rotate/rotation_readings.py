@@ -121,9 +121,9 @@ class RepeatedResults:
     def repeats(self, gradient: FloatArray) -> RotationScatter:
         """Return the scatter of the number with gradient (V,)."""
         forms, found = nested_anova(self.mountings), dict(scatter_components(self, gradient[None]))
-        spread = (float(np.sqrt(found[n].variance[0])) if n in found else np.nan for n in (WITHIN, BETWEEN))
+        within, between = (float(np.sqrt(found[n].variance[0])) if n in found else np.nan for n in (WITHIN, BETWEEN))
         named = (self.state, self.recordings, self.mountings)
-        return RotationScatter(*named, *spread, forms.within_dof, forms.between_dof)
+        return RotationScatter(*named, within, between, forms.within_dof, forms.between_dof)
 
 
 class ScatterComponent(NamedTuple):
@@ -265,8 +265,8 @@ def read_rotation(manifest: Manifest) -> tuple[RotationRecording, SensorOutputs,
     notices = [Notice(declared.CONSTANT_CHANNELS, where, channels=", ".join(constant))] if constant else []
     missing = [name for name in sensor.channels if name not in units]
     if missing:
-        file = table_path(manifest).name
-        notices.append(Notice(declared.MISSING_CHANNEL_COLUMNS, where, file=file, channels=", ".join(missing)))
+        table = table_path(manifest).name
+        notices.append(Notice(declared.MISSING_CHANNEL_COLUMNS, where, file=table, channels=", ".join(missing)))
     channels = tuple(name for name in units if name not in constant)
     if not channels:
         raise _wrong_table(table_path(manifest), "", "readings that change with the angle", "constant readings")

@@ -258,8 +258,8 @@ def measured_response(release: StepRelease) -> MeasuredResponse:
         driven = record.amplitude * share * middle
     excited = (np.abs(driven) >= MIN_EXCITATION * abs(record.amplitude)) & (frequency > 0.0)
     noise = 2.0 * np.pi * frequency * release.reading.noise * step * np.sqrt(len(samples))
-    frequency, moved, driven, noise = (part[excited] for part in (frequency, moved, driven, noise))
-    return MeasuredResponse(frequency, moved / driven, noise / np.abs(driven))
+    driven = driven[excited]
+    return MeasuredResponse(frequency[excited], moved[excited] / driven, noise[excited] / np.abs(driven))
 
 
 def _derivative(

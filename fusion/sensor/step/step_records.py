@@ -284,9 +284,9 @@ def pool_models(
     scale = scale_of(ordered[0])
     vectors, covariances = _in_coordinates(ordered, scale)
     moved = []
-    for other in alternatives:
-        there = np.array([to_coordinates(sorted_modes(model), scale) for model in other.models])
-        moved.append((there - vectors) / other.distance)
+    for alternative in alternatives:
+        there = np.array([to_coordinates(sorted_modes(model), scale) for model in alternative.models])
+        moved.append((there - vectors) / alternative.distance)
     least = ROUNDING * coordinate_sizes(vectors[0], len(ordered[0].real_hz))
     groups = [np.flatnonzero(np.array(mountings) == name) for name in dict.fromkeys(mountings)]
     within = [random_effects_mean(vectors[group], covariances[group], least) for group in groups]
