@@ -21,17 +21,11 @@ from fusion.recording.load import load_manifest
 from fusion.report.folder import hash_files
 from fusion.report.recording_report import write_results
 from fusion.sensitivity.analyse import Evaluation
+from fusion.sensor import result_notices as raised
 from fusion.sensor.certificate.certificate_evaluation import Certificate, _not_assessed, evaluate_certificate
 from fusion.sensor.certificate.certificate_inputs import NEW_FORM
 from fusion.sensor.certificate.certificate_report import certificate_page, certificate_xml
 from fusion.sensor.compare.comparison_inputs import read_result
-from fusion.sensor.result_notices import (
-    EXPIRED_CERTIFICATES,
-    ISSUED_BEFORE_CALIBRATION,
-    MISSING_CERTIFICATE_ENTRIES,
-    NO_CERTIFICATE_FORM,
-    OUTDATED_RESULTS,
-)
 from fusion.sensor.unmodelled_effects import coverage_notice
 from shakercal._common.notices import Notice
 
@@ -132,11 +126,11 @@ def test_certificates_are_read_back(certified: tuple[Path, str]) -> None:
 
 def test_missing_entries_are_one_list(campaign: Path, refused: RefusedCommand) -> None:
     (campaign / "certificate.toml").unlink()
-    assert f"{NO_CERTIFICATE_FORM.code} {campaign / 'certificate.toml'}: " in refused("certificate", campaign)
+    assert f"{raised.NO_CERTIFICATE_FORM.code} {campaign / 'certificate.toml'}: " in refused("certificate", campaign)
     assert main(["certificate", str(campaign), "--draft"]) == 0
     assert (campaign / "certificate.toml").read_text(encoding="utf-8") == NEW_FORM
     refusal = refused("certificate", campaign)
-    assert f"{MISSING_CERTIFICATE_ENTRIES.code} " in refusal
+    assert f"{raised.MISSING_CERTIFICATE_ENTRIES.code} " in refusal
     keys = ("number", "operator", "begun", "traceability")
     for key in (*(f"administration.{key}" for key in keys), "laboratory.name", "customer.city", "item.model"):
         assert key in refusal
@@ -148,7 +142,7 @@ def test_missing_entries_are_one_list(campaign: Path, refused: RefusedCommand) -
     ("old", "new", "key", "code"),
     [
         ('country = "DE"', 'country = "Germany"', "laboratory.country", ""),
-        ("issued = 2026-11-23", "issued = 2026-11-18", "administration.issued", ISSUED_BEFORE_CALIBRATION.code),
+        ("issued = 2026-11-23", "issued = 2026-11-18", "administration.issued", raised.ISSUED_BEFORE_CALIBRATION.code),
         ('number = "2026-0815"', 'number = "a\\u0001b"', "administration.number", ""),
         ("tolerance = 0.02", "tolerance = -1", "conformity.tolerance", ""),
         ("format = 1", "format = 2", "format", ""),
@@ -169,7 +163,7 @@ def test_a_wrong_form_is_refused_in_one_sentence(
 def test_results_of_other_inputs_and_none_are_refused(campaign: Path, refused: RefusedCommand) -> None:
     edit(campaign / "rig.toml", "mass = 2.4063", "mass = 2.5")
     refusal = refused("certificate", campaign)
-    assert f"{OUTDATED_RESULTS.code} " in refusal
+    assert f"{raised.OUTDATED_RESULTS.code} " in refusal
     assert "rig.toml" in refusal
     shutil.rmtree(campaign / "results")
     assert f"{campaign / 'results'}" in refused("certificate", campaign)
@@ -179,7 +173,7 @@ def test_an_expired_certificate_of_an_input_refuses_it(campaign: Path, refused: 
     stated = 'mass = { value = 2.4063, U = 0.0004, k = 2, certificate = "M-1", valid_until = 2020-01-01 }'
     edit(campaign / "rig.toml", "mass = 2.4063\nmass_uncertainty = 0.0002", stated)
     refusal = refused("certificate", campaign)
-    assert f"{EXPIRED_CERTIFICATES.code} " in refusal
+    assert f"{raised.EXPIRED_CERTIFICATES.code} " in refusal
     assert all(text in refusal for text in ("load.mass", "M-1", "2020-01-01"))
 
 

@@ -15,13 +15,8 @@ from support import RefusedCommand, edit, rows
 from fusion.cli import main
 from fusion.recording.dcc import read_dcc
 from fusion.recording.load import load_manifest
+from fusion.sensor import result_notices as raised
 from fusion.sensor.certificate.certificate_inputs import CERTIFIED_COMMANDS
-from fusion.sensor.result_notices import (
-    DAMAGED_RESULT_TABLE,
-    MISSING_CERTIFICATE_ENTRIES,
-    NO_CERTIFIABLE_RESULT,
-    OUTDATED_RESULTS,
-)
 
 NUMBERED = FORM.replace('model = "W6"', 'model = "W6"\ncustomer_number = "C-1"')
 RULES = SCHEMA.with_name("dcc.sch")
@@ -157,15 +152,15 @@ def test_a_draft_names_the_method_and_missing_entries_are_named(rotated, tmp_pat
     assert CERTIFIED_COMMANDS["rotate"].method in (folder / "certificate.toml").read_text(encoding="utf-8")
     (folder / "certificate.toml").write_text(FORM, encoding="utf-8")
     refusal = refused("certificate", folder)
-    assert f"{MISSING_CERTIFICATE_ENTRIES.code} " in refusal
+    assert f"{raised.MISSING_CERTIFICATE_ENTRIES.code} " in refusal
     assert "item.customer_number" in refusal
     (folder / "certificate.toml").write_text(NUMBERED, encoding="utf-8")
     edit(folder / "certificate.toml", "warnings_reviewed = true", "")
     table = folder / "rotate" / "rotation.csv"
     good = table.read_text(encoding="utf-8")
     for broken, declared in (
-        (good.replace("joint,0.", "joint,x0.", 1), DAMAGED_RESULT_TABLE),
-        (good.partition("\n")[0] + "\n", NO_CERTIFIABLE_RESULT),
+        (good.replace("joint,0.", "joint,x0.", 1), raised.DAMAGED_RESULT_TABLE),
+        (good.partition("\n")[0] + "\n", raised.NO_CERTIFIABLE_RESULT),
     ):
         table.write_text(broken, encoding="utf-8")
         refusal = refused("certificate", folder)
@@ -173,5 +168,5 @@ def test_a_draft_names_the_method_and_missing_entries_are_named(rotated, tmp_pat
     table.write_text(good, encoding="utf-8")
     edit(folder / "rig.toml", "mass = 6.9605", "mass = 6.9606")
     refusal = refused("certificate", folder)
-    assert f"{OUTDATED_RESULTS.code} " in refusal
+    assert f"{raised.OUTDATED_RESULTS.code} " in refusal
     assert "rig.toml" in refusal

@@ -10,6 +10,7 @@ from support import documented_columns, folder_contents, refusals, rows
 
 from fusion.cli import main
 from fusion.report.h5 import open_results, read_notices
+from fusion.sensor import result_notices as raised
 from fusion.sensor.compare.comparison_inputs import read_result
 from fusion.sensor.compare.comparison_report import COMPARISON
 from fusion.sensor.compare.consistency import (
@@ -17,21 +18,6 @@ from fusion.sensor.compare.consistency import (
     drift,
     normalised_error,
     reference_value,
-)
-from fusion.sensor.result_notices import (
-    NO_COMMON_VALUE,
-    NO_RESULT_TABLE,
-    ONLY_DIFFERENT_KINDS,
-    PHASES_DIFFER_BY_180,
-    PHASES_OPPOSITE,
-    RESPONSES_LEFT_OUT,
-    UNIT_NOT_CONVERTIBLE,
-    UNMATCHED_VALUES,
-    WRONG_CERTIFIED_RESULT,
-    WRONG_COMPARISON_OPTION,
-    WRONG_RESULT_CELL,
-    WRONG_RESULT_COUNT,
-    WRONG_RESULT_TABLE,
 )
 from shakercal._common.notices import Notice
 
@@ -146,7 +132,7 @@ def test_tables_become_a_page_and_a_table(tmp_path) -> None:
     assert [column.name for column in COMPARISON] == list(one)
     assert float(two["E_n_complex_largest_pair"]) == pytest.approx(2e-10 / (2**0.5 * 1e-10) / 5.99146**0.5)
     assert "chart-Fz-Fz" in (out / "comparison.html").read_text(encoding="utf-8")
-    (unmatched,) = (notice for notice in notices_of(out) if notice.code == UNMATCHED_VALUES.code)
+    (unmatched,) = (notice for notice in notices_of(out) if notice.code == raised.UNMATCHED_VALUES.code)
     assert unmatched.values == {"count": 2}
 
 
@@ -176,7 +162,7 @@ def test_responses_to_other_loads_are_not_compared(tmp_path, outputs) -> None:
         (tmp_path / f"{name}.csv").write_text(kinds(*single))
     assert main(["compare", str(tmp_path / "a.csv"), str(tmp_path / "b.csv"), "-o", str(tmp_path / "out")]) == 0
     assert {row["channel"] for row in rows(tmp_path / "out" / "comparison.csv")} == {main_output}
-    (left_out,) = (notice for notice in notices_of(tmp_path / "out") if notice.code == RESPONSES_LEFT_OUT.code)
+    (left_out,) = (notice for notice in notices_of(tmp_path / "out") if notice.code == raised.RESPONSES_LEFT_OUT.code)
     assert left_out.values == {"counts": "1 of a, 1 of b"}
 
 
@@ -192,14 +178,14 @@ def test_ratios_and_elements_are_refused(tmp_path, capsys) -> None:
     (tmp_path / "a.csv").write_text(kinds((80.0, "Fz", 2e-7, "ratio")))
     (tmp_path / "b.csv").write_text(kinds((80.01, "Fz", 2e-7, "element")))
     refusal = refusals(capsys)("compare", tmp_path / "a.csv", tmp_path / "b.csv", "-o", tmp_path / "out")
-    assert f"{ONLY_DIFFERENT_KINDS.code} " in refusal
+    assert f"{raised.ONLY_DIFFERENT_KINDS.code} " in refusal
 
 
 @pytest.mark.parametrize(
     ("phases", "declared"),
     [
-        ((-0.05, 3.08, -0.10, 3.05), PHASES_DIFFER_BY_180),
-        ((-0.05, 0.05, -0.10, 0.10), PHASES_OPPOSITE),
+        ((-0.05, 3.08, -0.10, 3.05), raised.PHASES_DIFFER_BY_180),
+        ((-0.05, 0.05, -0.10, 0.10), raised.PHASES_OPPOSITE),
         ((-0.05, -0.05, -0.10, 3.05), None),
         ((-0.0005, 0.0005, -0.001, 0.001), None),
         ((-0.05, 0.09, -0.10, 0.20), None),
@@ -212,7 +198,10 @@ def test_different_conventions_of_two_laboratories_are_named(tmp_path, capsys, p
         (tmp_path / f"{name}.csv").write_text("\n".join([HEAD, *cells]) + "\n")
     assert main(["compare", str(tmp_path / "a.csv"), str(tmp_path / "b.csv"), "-o", str(tmp_path / "out"), "-q"]) == 0
     assert bool(capsys.readouterr().err) is (declared is not None)
-    codes = {notice.code for notice in notices_of(tmp_path / "out")} & {PHASES_DIFFER_BY_180.code, PHASES_OPPOSITE.code}
+    codes = {notice.code for notice in notices_of(tmp_path / "out")} & {
+        raised.PHASES_DIFFER_BY_180.code,
+        raised.PHASES_OPPOSITE.code,
+    }
     assert codes == ({declared.code} if declared else set())
 
 
@@ -294,7 +283,7 @@ def test_a_covariance_counts_in_the_unit_stated(tmp_path, unit: str, variance: s
     assert one.u_phase_rad == pytest.approx(1e-7 / 2.002e-4)
 
 
-CERTIFIED_CODE = WRONG_CERTIFIED_RESULT.code
+CERTIFIED_CODE = raised.WRONG_CERTIFIED_RESULT.code
 BROKEN_CERTIFICATES = [  # the text, and a code, key or value of the refusal
     (complex_certificate(r"\milli\volt\tothe{2}", "1e-14"), "b.xml: "),
     (CERTIFICATE[:-40], "XML"),
@@ -308,7 +297,7 @@ BROKEN_CERTIFICATES = [  # the text, and a code, key or value of the refusal
     (CERTIFICATE.replace("expandedMUXMLList>", "noneXMLList>"), "b.xml: "),
     (CERTIFICATE.replace(DSI, r"\furlong"), "furlong"),
     (CERTIFICATE.replace(DSI, r"\giga\metre\tothe{999}"), "{999}"),
-    (CERTIFICATE.replace(DSI, r"\milli\volt\per\newton"), f"{UNIT_NOT_CONVERTIBLE.code} "),
+    (CERTIFICATE.replace(DSI, r"\milli\volt\per\newton"), f"{raised.UNIT_NOT_CONVERTIBLE.code} "),
     (CERTIFICATE.replace("2026-03-01", "March"), "March"),
     (CERTIFICATE.replace(" per Fz", ""), f"{CERTIFIED_CODE} "),
     ("<a>" * 100_000, "XML"),
@@ -329,7 +318,7 @@ def test_certificates_that_cannot_be_compared_are_one_sentence(tmp_path, capsys,
 
 
 GOOD = table((80.0, 2e-7, 2e-10))
-COLUMNS, CELL = WRONG_RESULT_TABLE.code, WRONG_RESULT_CELL.code
+COLUMNS, CELL = raised.WRONG_RESULT_TABLE.code, raised.WRONG_RESULT_CELL.code
 BROKEN = [  # the text, and the code, file, key or value of the refusal
     ("", f"{COLUMNS} "),
     ("\x00\x01", ""),
@@ -342,8 +331,8 @@ BROKEN = [  # the text, and the code, file, key or value of the refusal
     (GOOD.replace("2e-10,2,", "many,2,"), '"many"'),
     (GOOD.replace(",Fz,Fz", ",,Fz"), "b.csv: channel: "),
     (GOOD + GOOD.splitlines()[1] + "\n", f"{CELL} "),
-    (table((90.0, 2e-7, 2e-10)), f"{NO_COMMON_VALUE.code} "),
-    (table((80.0, 2e-7, 2e-10), unit="mV/N"), f"{UNIT_NOT_CONVERTIBLE.code} "),
+    (table((90.0, 2e-7, 2e-10)), f"{raised.NO_COMMON_VALUE.code} "),
+    (table((80.0, 2e-7, 2e-10), unit="mV/N"), f"{raised.UNIT_NOT_CONVERTIBLE.code} "),
     (HEAD + "\n", f"{COLUMNS} "),
     (GOOD.replace("80.0,", "1e300,"), "b.csv: frequency_hz: "),
     (kinds((80.0, "Fz", 2e-7, "mean")), "b.csv: kind: "),
@@ -362,12 +351,12 @@ def test_tables_that_cannot_be_compared_are_one_sentence(tmp_path, capsys, text,
 @pytest.mark.parametrize(
     ("more", "found"),
     [
-        (["a.csv"], f"{WRONG_COMPARISON_OPTION.code} a.csv: "),
-        (["b.csv", "--date", "c=2024-01-01"], f"{WRONG_COMPARISON_OPTION.code} --date: c: "),
-        (["b.csv", "--date", "a=yesterday"], f"{WRONG_COMPARISON_OPTION.code} --date: a: "),
+        (["a.csv"], f"{raised.WRONG_COMPARISON_OPTION.code} a.csv: "),
+        (["b.csv", "--date", "c=2024-01-01"], f"{raised.WRONG_COMPARISON_OPTION.code} --date: c: "),
+        (["b.csv", "--date", "a=yesterday"], f"{raised.WRONG_COMPARISON_OPTION.code} --date: a: "),
         (["nowhere.csv"], "nowhere.csv"),
-        (["empty"], f"{NO_RESULT_TABLE.code} empty: "),
-        ([], f"{WRONG_RESULT_COUNT.code} "),
+        (["empty"], f"{raised.NO_RESULT_TABLE.code} empty: "),
+        ([], f"{raised.WRONG_RESULT_COUNT.code} "),
     ],
 )
 def test_wrong_options_are_one_sentence(tmp_path, capsys, monkeypatch, more, found) -> None:

@@ -22,6 +22,7 @@ from support import block, channel, rows
 
 from fusion.cli import main
 from fusion.errors import InputError
+from fusion.sensor import model_notices as raised
 from fusion.sensor.compensate.compensation_evaluation import evaluate_compensation, white_noise
 from fusion.sensor.compensate.compensation_report import header_text, json_text, read_compensation_filters
 from fusion.sensor.compensate.compensation_subjects import CompensationSettings, read_sources
@@ -33,14 +34,6 @@ from fusion.sensor.model_files import (
     model_text,
     models_text,
     read_models,
-)
-from fusion.sensor.model_notices import (
-    DAMAGED_MODEL_FILE,
-    FILTER_REFUSED,
-    MODE_NOT_COMPENSATED,
-    NO_MODEL_FILE,
-    WRONG_COMPENSATION_OPTION,
-    WRONG_MODEL_FORMAT,
 )
 from shaker.compensation.filter import CompensationFilter
 from shaker.lti.indices import LABELS, indices
@@ -176,7 +169,7 @@ def test_one_mode_of_two_is_reported(tmp_path):
         CompensationSettings(frequency_hz=1000.0, load_masses=(0.198,)),
     )
     found = evaluate_compensation(sources, options, None, {})
-    (notice,) = (notice for notice in found.notices if notice.code == MODE_NOT_COMPENSATED.code)
+    (notice,) = (notice for notice in found.notices if notice.code == raised.MODE_NOT_COMPENSATED.code)
     assert notice.values["share_percent"] > 1.0
 
 
@@ -260,7 +253,7 @@ def test_the_c_header_gives_the_same_bits(tmp_path):
 NUMBERS = ["--sensor-frequency", "500", "--sensor-damping", "0.004"]
 
 
-OPTION = WRONG_COMPENSATION_OPTION.code
+OPTION = raised.WRONG_COMPENSATION_OPTION.code
 
 
 @pytest.mark.parametrize(
@@ -271,11 +264,15 @@ OPTION = WRONG_COMPENSATION_OPTION.code
         ([*NUMBERS, "--bandwidth", "900", "--damping", "0.5"], OPTION, "--damping: "),
         (["--frequency", "900"], OPTION, "models.json"),
         ([*NUMBERS[:2], "--sensor-damping", "1.5", "--frequency", "900"], OPTION, "--sensor-damping: "),
-        ([*NUMBERS, "--frequency", "900", "--sample-rate", "1000"], FILTER_REFUSED.code, "--sample-rate (sensor): "),
+        (
+            [*NUMBERS, "--frequency", "900", "--sample-rate", "1000"],
+            raised.FILTER_REFUSED.code,
+            "--sample-rate (sensor): ",
+        ),
         ([*NUMBERS, "--frequency", "900", "--permitted-error", "200"], OPTION, "--permitted-error: "),
         ([*NUMBERS, "--frequency", "900", "--channel", "Fq"], OPTION, "Fq"),
         ([*NUMBERS, "--frequency", "900", "--load-mass", "0.1"], OPTION, "0.1 kg"),
-        ([*NUMBERS, "--frequency", "900", "--modes", "2"], FILTER_REFUSED.code, "--modes (sensor): "),
+        ([*NUMBERS, "--frequency", "900", "--modes", "2"], raised.FILTER_REFUSED.code, "--modes (sensor): "),
         (["nowhere", "--frequency", "900"], "", "nowhere"),
     ],
 )
@@ -292,11 +289,11 @@ def test_bad_files_are_one_sentence(tmp_path, refused):
     _write_recording(tmp_path / "release")
     both = ["--load-mass", "0", "0.1", "--apply", tmp_path / "release", "-o", tmp_path / "out"]
     for path, more, code in (
-        (empty, [], NO_MODEL_FILE.code),
-        (broken, [], DAMAGED_MODEL_FILE.code),
+        (empty, [], raised.NO_MODEL_FILE.code),
+        (broken, [], raised.DAMAGED_MODEL_FILE.code),
         (loads, ["--real-pole", "9000"], f"{OPTION} shakercal compensate: --real-pole:"),
         (loads, both, f"{OPTION} shakercal compensate: --load-mass:"),
-        (_write_models(tmp_path / "step"), ["--modes", "2"], FILTER_REFUSED.code),
+        (_write_models(tmp_path / "step"), ["--modes", "2"], raised.FILTER_REFUSED.code),
     ):
         assert f"{code} " in refused("compensate", path, "--frequency", "900", *more)
     for read, again in (
@@ -305,7 +302,7 @@ def test_bad_files_are_one_sentence(tmp_path, refused):
     ):
         with pytest.raises(InputError) as caught:
             read(broken)
-        assert (caught.value.code, caught.value.values["again"]) == (DAMAGED_MODEL_FILE.code, again)
+        assert (caught.value.code, caught.value.values["again"]) == (raised.DAMAGED_MODEL_FILE.code, again)
 
 
 SIZES = st.tuples(st.integers(1, 3), st.integers(0, 2))
@@ -374,11 +371,11 @@ def without(*keys: Any) -> dict[str, Any]:
     ("content", "declared", "found"),
     [
         (None, None, ""),
-        (without("models"), DAMAGED_MODEL_FILE, "'models'"),
-        (without("models", 0, "modes", 0, "damping_ratio"), DAMAGED_MODEL_FILE, "'damping_ratio'"),
-        ({**without("name"), "format": 2, "name": "c"}, WRONG_MODEL_FORMAT, "2"),
-        (without("models", 0, "covariance", 0), DAMAGED_MODEL_FILE, "(6, 6)"),
-        ([], DAMAGED_MODEL_FILE, "str"),
+        (without("models"), raised.DAMAGED_MODEL_FILE, "'models'"),
+        (without("models", 0, "modes", 0, "damping_ratio"), raised.DAMAGED_MODEL_FILE, "'damping_ratio'"),
+        ({**without("name"), "format": 2, "name": "c"}, raised.WRONG_MODEL_FORMAT, "2"),
+        (without("models", 0, "covariance", 0), raised.DAMAGED_MODEL_FILE, "(6, 6)"),
+        ([], raised.DAMAGED_MODEL_FILE, "str"),
     ],
 )
 def test_an_unreadable_file_is_named(tmp_path, content, declared, found):

@@ -20,12 +20,7 @@ from support import DOCS, documented_columns, rows
 from fusion.cli import main
 from fusion.errors import InputError
 from fusion.recording.toml import models_in, to_toml
-from fusion.sensor.bench_notices import (
-    BLOCK_THICKNESS_MISSING,
-    PLATFORM_AS_STATED,
-    SOLID_PACKAGE_MISSING,
-    SOLID_REFUSED,
-)
+from fusion.sensor import bench_notices as raised
 from fusion.sensor.elastomer.element_definition import ElementFile, read_definition
 from fusion.sensor.elastomer.element_evaluation import (
     ComparedColumn,
@@ -143,21 +138,21 @@ def test_platform_as_data_is_its_block(element):
     data = {"mass": block.mass_kg, "inertia": block.inertia_kgm2.tolist(), "thickness": None}
     as_data = _evaluate(element, platform=data)
     assert as_data.frame.modes.frequency_hz == pytest.approx(first.frame.modes.frequency_hz, rel=1e-12)
-    assert PLATFORM_AS_STATED.code in {notice.code for notice in as_data.notices}
+    assert raised.PLATFORM_AS_STATED.code in {notice.code for notice in as_data.notices}
     with pytest.raises(InputError) as caught:
         _evaluate(element, solid=True)
-    assert (caught.value.code, caught.value.key) == (BLOCK_THICKNESS_MISSING.code, "platform.thickness")
+    assert (caught.value.code, caught.value.key) == (raised.BLOCK_THICKNESS_MISSING.code, "platform.thickness")
 
 
 def test_error_of_a_solid_that_cannot_be_computed_has_a_remedy(element, monkeypatch):
     pytest.importorskip("skfem")
     with pytest.raises(InputError) as caught:
         _evaluate(element, solid=True, platform={"height": 0.02})
-    assert (caught.value.code, caught.value.key) == (SOLID_REFUSED.code, "platform.height")
+    assert (caught.value.code, caught.value.key) == (raised.SOLID_REFUSED.code, "platform.height")
     monkeypatch.setitem(sys.modules, "skfem", None)
     with pytest.raises(InputError) as caught:
         _evaluate(element, solid=True, platform={"height": 0.0})
-    assert (caught.value.code, str(caught.value.file)) == (SOLID_PACKAGE_MISSING.code, "--solid")
+    assert (caught.value.code, str(caught.value.file)) == (raised.SOLID_PACKAGE_MISSING.code, "--solid")
 
 
 def test_a_hand_as_a_part_lowers_every_frequency(element):

@@ -20,19 +20,8 @@ from fusion.errors import InputError
 from fusion.recording.load import load_manifest
 from fusion.recording.recording_notices import WRONG_EXCITATION_KIND
 from fusion.report.h5 import read_notices
+from fusion.sensor import model_notices as raised
 from fusion.sensor.model_files import read_models
-from fusion.sensor.model_notices import (
-    CHAIN_IN_MODEL,
-    DRIVEN_OUTPUT_CLIPPED,
-    DRIVEN_OUTPUT_MISSING,
-    MISSING_STEP_ENTRY,
-    MODEL_INFLUENCES_NOT_ASSESSED,
-    NO_STEP_FOUND,
-    NO_STEP_MODEL,
-    ONSET_OUTSIDE_RECORD,
-    RELEASE_WITHOUT_MODEL,
-    WRONG_FORCE_CHANNEL,
-)
 from fusion.sensor.step.step_figures import MeasuredResponse, measured_response
 from fusion.sensor.step.step_records import StepInput, read_step
 from fusion.sensor.step.step_releases import LABELS, read_recording
@@ -170,7 +159,7 @@ def test_one_recording_has_a_separate_folder_and_scope(campaign, tmp_path, capsy
     assert "f_n (1700." in capsys.readouterr().out
     with h5py.File(tmp_path / "one" / "step.h5") as file:
         assert file["Fz"].attrs["scope"] == "within this record of one release"
-        (notice,) = (one for one in read_notices(file) if one.code == MODEL_INFLUENCES_NOT_ASSESSED.code)
+        (notice,) = (one for one in read_notices(file) if one.code == raised.MODEL_INFLUENCES_NOT_ASSESSED.code)
         assert notice.values == {name: file["Fz"].attrs[name] for name in ("scope", "outside")}
 
 
@@ -239,10 +228,10 @@ def test_noise_of_a_response_is_as_large_as_reported(tmp_path):
 CHAIN = "frequency_hz,magnitude,phase_rad\n0,1,0\n10000,1,-0.1\n"
 OUTPUT = '[[daq.channel]]\nname = "Fz"\nquantity = "output"\nchannel = "Fz"\n'
 CASES = [  # old and new text of recording.toml, the key of the refusal, its code where this command declares it
-    ('release = "fishing line"', "onset = 0.5", "excitation.onset", ONSET_OUTSIDE_RECORD.code),
+    ('release = "fishing line"', "onset = 0.5", "excitation.onset", raised.ONSET_OUTSIDE_RECORD.code),
     ('release = "fishing line"', 'force = "cell"', "excitation.force", ""),
-    ('release = "fishing line"', 'force = "Fx"', "excitation.force", WRONG_FORCE_CHANNEL.code),
-    (OUTPUT, "", "daq.channel", DRIVEN_OUTPUT_MISSING.code),
+    ('release = "fishing line"', 'force = "Fx"', "excitation.force", raised.WRONG_FORCE_CHANNEL.code),
+    (OUTPUT, "", "daq.channel", raised.DRIVEN_OUTPUT_MISSING.code),
     ("step_amplitude = -100.0\n", "", "excitation.step_amplitude", ""),
     ("= -100.0", "= 0.0", "excitation.step_amplitude", ""),
 ]
@@ -268,7 +257,7 @@ def test_a_recording_without_outputs_is_refused(folder, refused):
     text = re.sub(r'quantity = "output"\nchannel = "F[xz]"', 'quantity = "voltage"', path.read_text(encoding="utf-8"))
     path.write_text(text, encoding="utf-8")
     refusal = refused("step", folder, "-q")
-    assert f"{MISSING_STEP_ENTRY.code} " in refusal
+    assert f"{raised.MISSING_STEP_ENTRY.code} " in refusal
     assert ": daq.channel: " in refusal
 
 
@@ -281,12 +270,12 @@ def rewrite(folder: Path, change: object) -> None:
 def test_records_without_a_step_or_clipped_are_named(folder, refused):
     rewrite(folder, lambda samples: np.clip(samples, -0.7e-4, None))
     refusal = refused("step", folder, "-q")
-    assert f"{DRIVEN_OUTPUT_CLIPPED.code} " in refusal
+    assert f"{raised.DRIVEN_OUTPUT_CLIPPED.code} " in refusal
     assert ": daq.channel.Fz: " in refusal
     rng = np.random.default_rng(1)
     rewrite(folder, lambda samples: 1e-7 * rng.standard_normal(len(samples)))
     refusal = refused("step", folder, "-q")
-    assert f"{NO_STEP_FOUND.code} " in refusal
+    assert f"{raised.NO_STEP_FOUND.code} " in refusal
     assert ": daq.channel.Fz: " in refusal
 
 
@@ -305,7 +294,7 @@ def test_other_kinds_go_to_their_commands(folder, refused, capsys):
 
 def test_two_rigs_are_not_compared_and_a_measured_release_needs_a_force(folder, tmp_path, refused):
     refusal = refused("step", folder, "-q", "--release", "measured")
-    assert f"{MISSING_STEP_ENTRY.code} " in refusal
+    assert f"{raised.MISSING_STEP_ENTRY.code} " in refusal
     assert ": excitation.force: " in refusal
     other = write(tmp_path / "other" / "two", SHORT)
     assert ": rig: " in refused("step", folder, other, "-q")
@@ -321,8 +310,8 @@ def test_what_does_not_oscillate_or_settle_has_no_model_and_the_reason_is_named(
     (folder / "chain.csv").write_text(CHAIN, encoding="utf-8")  # a warning that is not the reason
     edit(folder / "recording.toml", 'channel = "Fz"\n', 'channel = "Fz"\nresponse = "chain.csv"\n')
     refusal = refused("step", folder, "-q", "--release", "step", status=1)
-    assert f"{NO_STEP_MODEL.code} " in refusal
-    reason = Notice(RELEASE_WITHOUT_MODEL, "one", channel="Fz", reason="")
+    assert f"{raised.NO_STEP_MODEL.code} " in refusal
+    reason = Notice(raised.RELEASE_WITHOUT_MODEL, "one", channel="Fz", reason="")
     assert reason.text.partition("(")[0] in refusal
 
 
@@ -354,7 +343,7 @@ def test_a_stated_chain_in_the_model_is_reported(folder):
     (folder / "chain.csv").write_text(CHAIN, encoding="utf-8")
     edit(folder / "recording.toml", 'channel = "Fz"\n', 'channel = "Fz"\nresponse = "chain.csv"\n')
     (notice,) = step_of(folder).notices
-    assert (notice.code, notice.values) == (CHAIN_IN_MODEL.code, {"channels": "Fz"})
+    assert (notice.code, notice.values) == (raised.CHAIN_IN_MODEL.code, {"channels": "Fz"})
 
 
 def test_several_takes_are_refused(folder):

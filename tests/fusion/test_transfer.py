@@ -21,12 +21,7 @@ from fusion.errors import InputError
 from fusion.instruments.transducer import TRANSDUCERS
 from fusion.recording.load import load_manifest
 from fusion.recording.manifest import ChannelEntry
-from fusion.sensor.response_notices import (
-    CHANNELS_RESAMPLED,
-    MISSING_TRANSFER_ENTRY,
-    PERIOD_WITHOUT_SIGNAL,
-    WRONG_CHANNEL_NAME,
-)
+from fusion.sensor import response_notices as raised
 from fusion.sensor.transfer.transfer_evaluation import _unstated_scales, evaluate_transfer, find_resonances
 from fusion.sensor.transfer.transfer_records import ChannelChain, ReferenceResult, TransferSettings, uncertainty
 from fusion.sensor.transfer.transfer_report import TRANSFER, expanded
@@ -350,7 +345,7 @@ def test_channels_of_two_clocks_are_read_on_one(tmp_path, rates):
     evaluation = evaluate_transfer(load_manifest(folder), TransferSettings(), {})
     (result,) = evaluation.references
     assert len(evaluation.clocks) == 2
-    assert CHANNELS_RESAMPLED.code in {notice.code for notice in evaluation.notices}
+    assert raised.CHANNELS_RESAMPLED.code in {notice.code for notice in evaluation.notices}
     frequency = result.transfer.ratio.frequency_hz
     assert len(frequency) == 176
     true = SLOW.transmissibility(frequency)
@@ -377,10 +372,16 @@ def test_blocks_without_a_common_trigger_are_refused(tmp_path):
 
 CASES = [  # file, its old and new text, the key of the refusal, its code where this command declares it
     ("recording.toml", 'kind = "chirp"', 'kind = "noise"', "excitation.period", ""),
-    ("recording.toml", 'reference = ["base"]\n', "", "excitation.reference", MISSING_TRANSFER_ENTRY.code),
+    ("recording.toml", 'reference = ["base"]\n', "", "excitation.reference", raised.MISSING_TRANSFER_ENTRY.code),
     ("recording.toml", 'reference = ["base"]', 'reference = ["nobody"]', "excitation.reference", ""),
-    ("recording.toml", 'response = ["top"]', 'response = ["base"]', "excitation.response", WRONG_CHANNEL_NAME.code),
-    ("recording.toml", "period = 0.5", "period = 0.4", "excitation.period", PERIOD_WITHOUT_SIGNAL.code),
+    (
+        "recording.toml",
+        'response = ["top"]',
+        'response = ["base"]',
+        "excitation.response",
+        raised.WRONG_CHANNEL_NAME.code,
+    ),
+    ("recording.toml", "period = 0.5", "period = 0.4", "excitation.period", raised.PERIOD_WITHOUT_SIGNAL.code),
     ("recording.toml", "period = 0.5", "period = 5.0", "excitation.period", ""),
     ("recording.toml", "settle_periods = 1", "settle_periods = 4", "excitation.period", ""),
     ("recording.toml", "band = [300.0, 2800.0]", "band = [6000.0, 8000.0]", "excitation.band", ""),
