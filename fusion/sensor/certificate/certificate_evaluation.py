@@ -349,10 +349,7 @@ def _results_of(manifest: Manifest, folder: Path) -> RecordingResults:
 
 
 def _elements(points: Sequence[CurvePoint], mains: dict[str, str], unit: str, form: Form) -> Iterator[CertifiedElement]:
-    """Yield every element to be stated, the main ones first.
-
-    Of other outputs only elements are sensitivities; their ratios are responses of one recording.
-    """
+    """Yield every element to be stated, the main ones first; of other outputs no ratios."""
     names = list(dict.fromkeys((point.channel, point.component) for point in points))
     for channel, component in sorted(names, key=lambda name: name[0] != mains[name[1]]):
         named = (channel, component)

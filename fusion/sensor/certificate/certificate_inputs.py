@@ -283,12 +283,7 @@ def find_command(folder: Path) -> str | None:
 
 
 def read_certified_numbers(folder: Path, command: str, *, k: float | None) -> tuple[NumberList, ...]:
-    """Return the numbers of a command's table, by list.
-
-    `k` replaces the table's k in U = k·u.
-
-    Raises `InputError` for a damaged table.
-    """
+    """Return the numbers of a command's table by list; `k` replaces the table's."""
     file = folder / CERTIFIED_COMMANDS[command].table
     _, rows = read_rows(file, LARGEST_TABLE, f"the table of shakercal {command}")
     lists: dict[str, list[CertifiedNumber]] = {}

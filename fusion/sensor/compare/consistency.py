@@ -80,10 +80,7 @@ def _unknowns(result: ComparedResult) -> dict[str, tuple[InputEvidence, ...]]:
 
 
 def find_possible_shared_inputs(one: ComparedResult, other: ComparedResult) -> Iterator[str]:
-    """Yield inputs of equal name, kind and u for which no result states evidence.
-
-    Only inputs with a notable share of a variance.
-    """
+    """Yield notable inputs of equal name, kind and u for which no result states evidence."""
     mine, theirs = _unknowns(one), _unknowns(other)
     for name in (name for name in mine if name in theirs):
         row, that = mine[name][0], theirs[name][0]

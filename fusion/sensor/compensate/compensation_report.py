@@ -507,11 +507,7 @@ def run_compensate(
     force: bool = False,
     allow_outside: bool = False,
 ) -> None:
-    """Design filters of models or of a stated sensor, write them and print the summary.
-
-    `sensor`: frequency in Hz and damping ratio of a stated sensor. Results are written to folder `compensate` next to
-    the first model, or in the working folder, or to `output`.
-    """
+    """Design filters, write them and print the summary; `sensor`: frequency (Hz) and damping ratio."""
     frequency, damping = sensor
     if models and sensor != (None, None):
         raise wrong_option("both", "either models or --sensor-frequency with --sensor-damping")

@@ -300,10 +300,7 @@ def draw_crosstalk(evaluation: DecoupleEvaluation) -> Figure:
 
 
 def draw_step(evaluation: DecoupleEvaluation) -> Figure:
-    """Draw the readings of other loads during the step with the largest cross-talk.
-
-    Without rated loads, only loads of the same unit are compared.
-    """
+    """Draw other readings during the step of the largest cross-talk, in comparable units."""
     model, ratio = evaluation.fit.model, 100 * evaluation.ratio
     static = next(stage for stage in evaluation.stages if stage.stage == "static")
     size = np.nan_to_num(static.peak * ratio)
@@ -420,11 +417,7 @@ DECOUPLE = CommandReport(
 def run_decouple(
     path: Path, output: Path | None, settings: DecoupleSettings, *, force: bool = False, allow_outside: bool = False
 ) -> None:
-    """Evaluate all releases of a campaign together, write the results and print the summary.
-
-    Results are written to the campaign's folder `decouple`, or to `output`. A folder that cannot be used is refused
-    before the computation.
-    """
+    """Evaluate all releases of a campaign together, write the results and print the summary."""
     manifests = load_for_command([path], DECOUPLE.name, allow_outside=allow_outside)
 
     def evaluate(hashes: dict[str, str]) -> DecoupleEvaluation:

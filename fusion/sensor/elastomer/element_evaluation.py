@@ -91,10 +91,7 @@ class MountedElement:
 
 @dataclass(frozen=True)
 class ElementEvaluation(CommandEvaluation):
-    """All models of an element, with their comparison.
-
-    `sensitivity`: relative change of the frequencies per relative change of a dimension.
-    """
+    """All models; `sensitivity`: relative change of frequencies per relative change of a dimension."""
 
     definition: ElementDefinition
     facts: tuple[StaticsFact, ...]

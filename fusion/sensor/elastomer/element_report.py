@@ -497,11 +497,7 @@ def run_elastomer(
     allow_outside: bool = False,
     progress: ProgressCallback = no_progress,
 ) -> None:
-    """Model the element of GEOMETRY.toml, write the results and print the comparison.
-
-    `path`: the file, or a folder with elastomer.toml. Results are written to the folder `elastomer` next to the file,
-    or to `output`.
-    """
+    """Model GEOMETRY.toml, or elastomer.toml of a folder, write the results and print them."""
     file = path / "elastomer.toml" if path.is_dir() else path
     read = {file.resolve(): seen} if (seen := FileIdentity.of(file)) else None
     definition = read_definition(file, allow_outside=allow_outside)

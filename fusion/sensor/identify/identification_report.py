@@ -501,11 +501,7 @@ IDENTIFY = CommandReport(
 def run_identify(
     path: Path, output: Path | None, settings: IdentifySettings, *, force: bool = False, allow_outside: bool = False
 ) -> None:
-    """Identify the sensor of a campaign, write the results and print the summary.
-
-    `output`: folder of the results, by default CAMPAIGN/identify. A folder that cannot be used is refused before the
-    computation.
-    """
+    """Identify the sensor of a campaign, write the results and print the summary."""
     campaign = read_campaign(path, allow_outside=allow_outside)
 
     def evaluate(hashes: dict[str, str]) -> IdentifyEvaluation:

@@ -86,10 +86,7 @@ class JointFit:
 
 
 def joint_fits(prepared: Sequence[PreparedTransfer], settings: IdentifySettings) -> tuple[JointFit, ...]:
-    """Return one fit per driven component, each over all recordings that drive it.
-
-    The internal mass can differ between axes, so that components share no parameter.
-    """
+    """Return one fit per driven component; components share no parameter."""
     groups: dict[int, list[PreparedTransfer]] = {}
     for item in prepared:
         groups.setdefault(item.component, []).append(item)

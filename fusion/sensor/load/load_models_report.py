@@ -483,11 +483,7 @@ def run_loads(
     force: bool = False,
     allow_outside: bool = False,
 ) -> None:
-    """Evaluate step recordings of several loads, write the results and print the summary.
-
-    Results are written to folder `load` of the campaign or the only recording, of several paths to the folder of the
-    first recording's rig; or to `output`.
-    """
+    """Evaluate step recordings of several loads, write the results and print the summary."""
     manifests = load_for_command(paths, LOAD.name, allow_outside=allow_outside)
 
     def evaluate(hashes: dict[str, str]) -> LoadEvaluation:
@@ -500,10 +496,7 @@ def run_loads(
 
 
 def run_table(path: Path, output: Path | None, settings: LoadSettings, *, force: bool = False) -> None:
-    """Evaluate a table of resonances, write the results and print the summary.
-
-    The settings must contain the moving mass. Results are written to `output`, or to folder `load` next to the table.
-    """
+    """Evaluate a table of resonances with the moving mass of the settings, as `run_loads` does."""
     if settings.moving_mass is None:
         raise ValueError("settings: expected the moving mass that the table's resonances belong to, found none")
     inputs = hash_files([path], path.absolute().parent)

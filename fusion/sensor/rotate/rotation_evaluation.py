@@ -314,10 +314,7 @@ class _PerturbedInputs:
 
 
 def quantities(mass_inputs: MassInputs) -> tuple[RotationQuantity, ...]:
-    """Return every number that the recordings determine, with its uncertainty by cause.
-
-    Derivatives are central differences over one standard uncertainty of every input.
-    """
+    """Return every number that the recordings determine, with its uncertainty by cause."""
     inputs = _PerturbedInputs(mass_inputs)
     derived = list(_derived(inputs))
     gradient = inputs.gradient(np.array([value for _, value in derived]))

@@ -222,10 +222,7 @@ class RotationQuantity(NamedQuantity):
 
 @dataclass(frozen=True)
 class RotationEvaluation(CommandEvaluation):
-    """All recordings of one sensor on the head, their masses, and their surroundings.
-
-    `repeats`: of each state that was recorded more than once.
-    """
+    """All recordings of one sensor on the head; `repeats`: states recorded more than once."""
 
     recordings: tuple[RotationRecording, ...]
     outputs: SensorOutputs
@@ -250,10 +247,7 @@ SPELT = (("·", "."), ("*", "."), (" ", ""), ("Nm", "N.m"))
 
 
 def read_rotation(manifest: Manifest) -> tuple[RotationRecording, SensorOutputs, list[Notice]]:
-    """Return one recording with its fit, the calibration of its channels, and its notices.
-
-    Readings that no rotating weight can cause are refused.
-    """
+    """Return a recording with its fit, its channels' calibration, and notices; refuse impossible readings."""
     sensor, where = manifest.rig.sensor, manifest.folder.name
     if sensor is None:
         expected = "[sensor], whose readings are in the table"

@@ -470,11 +470,7 @@ ROTATE = CommandReport("rotate", "rotation", ("rotation.csv",), _texts, _fill, _
 
 
 def run_rotate(paths: Sequence[Path], output: Path | None, *, force: bool = False, allow_outside: bool = False) -> None:
-    """Evaluate rotation recordings together, write the results and print the summary.
-
-    Of a campaign folder, only recordings of kind rotation are used. Results are written to its folder `rotate`, or to
-    that of the only recording, or of several paths to the folder of rig.toml; or to `output`.
-    """
+    """Evaluate rotation recordings together, write the results and print the summary."""
     manifests = load_for_command(paths, ROTATE.name, allow_outside=allow_outside)
     manifests.sort(key=lambda manifest: bool(manifest.excitation.with_load))
     name = manifests[0].name if len(manifests) == 1 else manifests[0].rig.name

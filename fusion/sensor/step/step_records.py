@@ -73,10 +73,7 @@ class StepInput:
 
 
 def output_entries(manifest: Manifest) -> dict[str, tuple[str, ChannelEntry]]:
-    """Return block and entry of every output of the sensor by its name.
-
-    Raises `InputError` if there is no output, or a duplicate.
-    """
+    """Return block and entry of every output by name; `InputError` without or twice."""
     outputs: dict[str, tuple[str, ChannelEntry]] = {}
     recorded = [(daq.name, entry) for daq in manifest.daq for entry in daq.channel if entry.quantity == "output"]
     for block, entry in recorded:

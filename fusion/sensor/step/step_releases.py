@@ -104,10 +104,7 @@ def check_driven_output(first: StepRelease, other: StepRelease) -> None:
 
 @dataclass(frozen=True)
 class StaticGain(RealQuantity):
-    """Change of an output over that of the load, mean of all releases.
-
-    `stated` with `u_stated`: the static sensitivity of rig.toml, None without one.
-    """
+    """Mean static gain of an output; `stated`, `u_stated`: of rig.toml, None without one."""
 
     channel: str
     releases: int
@@ -294,10 +291,7 @@ def fit_common_shape(releases: Sequence[StepRelease]) -> tuple[StepRelease, ...]
 def alternative_shapes(
     releases: Sequence[StepRelease], component: str
 ) -> Iterator[tuple[AlternativeModels, Notice | None]]:
-    """Yield alternative models for each device whose releases do not reject the other shape.
-
-    Each with a notice of the difference, None if it is small.
-    """
+    """Yield models of the other shape of undetermined devices, each with a notice if different."""
     for device in dict.fromkeys(release.record.release for release in releases if release.excess < REJECT_CHI2):
         undetermined = [release.record.release == device and release.excess < REJECT_CHI2 for release in releases]
         models = [release.shapes[int(other)].model for release, other in zip(releases, undetermined, strict=True)]
@@ -375,8 +369,7 @@ class FittedReleases(NamedTuple):
 def fit_component(releases: Sequence[StepRelease], settings: StepSettings) -> FittedReleases:
     """Fit all releases of a component, and select those for its model.
 
-    Selected releases with a different structure than most are fitted found with that structure. They are rejected if
-    this fails.
+    Those of another structure than most are fitted again with that structure, and rejected if this fails.
     """
     fits, fit_notices = zip(*(fit_release(release, settings) for release in releases), strict=True)
     fitted, notices = fit_common_shape(fits), [*chain.from_iterable(fit_notices)]

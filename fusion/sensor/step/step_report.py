@@ -560,12 +560,7 @@ def run_step(
     force: bool = False,
     allow_outside: bool = False,
 ) -> None:
-    """Evaluate step recordings together, write the results and print the summary.
-
-    Of a campaign folder, only recordings of kind step are used. Results are written to its folder `step`, or to that of
-    the only recording, or of several paths to the folder of rig.toml; or to `output`. A folder that cannot be used is
-    refused before the computation.
-    """
+    """Evaluate step recordings together, write the results and print the summary."""
     manifests = load_for_command(paths, STEP.name, allow_outside=allow_outside)
     name = manifests[0].name if len(manifests) == 1 else manifests[0].rig.name
 

@@ -92,10 +92,7 @@ def transfer_lines(evaluation: TransferEvaluation) -> Iterator[TransferLine]:
 
 
 def expanded(result: ReferenceResult, channel: int) -> tuple[FloatArray, FloatArray]:
-    """Return U(|H|)/|H| and U(arg H) in rad, (K,) each, of one response (95 %).
-
-    The noise has its degrees of freedom.
-    """
+    """Return U(|H|)/|H| and U(arg H) in rad (K,) of one response (95 %)."""
     ratio, both = result.transfer.ratio, [channel, channel + len(result.transfer.ratio.channels)]
     whole, noise = (part[:, both][:, :, both] for part in (ratio.covariance, result.random_covariance))
     value = ratio.value[:, channel]
@@ -330,11 +327,7 @@ TRANSFER: CommandReport[TransferEvaluation] = CommandReport(
 def run_transfer(
     path: Path, output: Path | None, settings: TransferSettings, *, force: bool = False, allow_outside: bool = False
 ) -> None:
-    """Evaluate recordings, write the results and print the summary.
-
-    A campaign folder: each of its transfer recordings. Results are written to the recording's folder `transfer`, or to
-    `output` (of a campaign: one folder each). Of a campaign, recordings of other kinds are left out.
-    """
+    """Evaluate each recording of a path, write its results and print the summary."""
     manifests = load_for_command([path], TRANSFER.name, allow_outside=allow_outside)
     for manifest in manifests:
         folder = manifest.folder / TRANSFER.name if output is None else output
