@@ -39,9 +39,10 @@ from shaker.lti.system import ModalModel
 
 @pytest.fixture(scope="module")
 def simulated(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """An element with measured models and their truth."""
+    """An element with measured models and their truth, and two platforms to fit."""
     folder = tmp_path_factory.mktemp("element")
     write_element(folder, 3)
+    _edit(folder, fit={"half_sizes": [0.008, 0.01]})
     return folder
 
 
@@ -99,19 +100,16 @@ def test_command_writes_the_results_that_it_prints(simulated, evaluated):
     statics = {row["name"]: row for row in rows(out / "statics.csv")}
     assert float(statics["stiffness_point"]["printed"]) == pytest.approx(2.848e5, rel=1e-3)
     family = rows(out / "platform.csv")
-    assert float(family[2]["mass_kg"]) == pytest.approx(5.34e-3, rel=0.01)
+    assert float(family[1]["mass_kg"]) == pytest.approx(5.34e-3, rel=0.01)
     assert max(float(row["largest_misfit"]) for row in family) < 1e-6
     assert f"{comparison['frame', 'Rz']:.1f}" in printed
     with h5py.File(out / "elastomer.h5") as file:
         assert file["frame/modes/frequency_hz"][()].tolist() == [comparison["frame", name] for name in MODE_NAMES]
         assert file["frame/node_motion"].shape[1] == 6
         assert "provenance" in file
-
-
-def test_page_is_whole(evaluated):
-    text = (evaluated[0] / "elastomer.html").read_text(encoding="utf-8")
-    self_contained(text)
-    assert len(re.findall("<h2>", text)) >= 4
+    page = (out / "elastomer.html").read_text(encoding="utf-8")
+    self_contained(page)
+    assert page.count("<h2>") >= 4
 
 
 @pytest.mark.slow

@@ -75,7 +75,7 @@ def test_resonances_over_the_load(campaign):
     assert [float(row["load_mass"]) for row in table if row["kind"] == "predicted"] == [0.13, 0.3]
 
 
-def test_models_come_back_to_the_last_bit(campaign):
+def test_models_come_back_to_the_last_bit_and_the_page_is_complete(campaign):
     ((model, rests),) = read_loads(campaign / "load")
     assert rests.scope == "within these 5 releases of one mounting"
     with h5py.File(campaign / "load" / "load.h5") as file:
@@ -84,18 +84,14 @@ def test_models_come_back_to_the_last_bit(campaign):
         for name in ("covariance", "covariance_with_mass"):
             np.testing.assert_array_equal(getattr(model, name), group[name][()])
         assert file["components/Fy"].attrs["from_records"]
+        assert raised.EXTRAPOLATED_LOAD.code in {notice.code for notice in read_notices(file)}
+    page = (campaign / "load" / "load.html").read_text(encoding="utf-8")
+    self_contained(page)
+    assert all(word in page for word in ("±10 %", "N/m"))
     assert model.component == "Fy"
     assert model.load_masses == pytest.approx((0.0, 0.008, 0.048, 0.098, 0.198))
     written = model_text([(model, rests)], "c", "s", "p")
     assert json.loads(written)["models"] == json.loads((campaign / "load" / LOAD_MODEL_FILE).read_text())["models"]
-
-
-def test_page_is_complete(campaign):
-    text = (campaign / "load" / "load.html").read_text(encoding="utf-8")
-    self_contained(text)
-    assert all(word in text for word in ("±10 %", "N/m"))
-    with h5py.File(campaign / "load" / "load.h5") as file:
-        assert raised.EXTRAPOLATED_LOAD.code in {notice.code for notice in read_notices(file)}
 
 
 @pytest.mark.usefixtures("no_pages")
