@@ -95,6 +95,7 @@ def test_its_mass_is_an_input_of_the_next_recording(rotated, tmp_path, demo_reco
     assert read_dcc(tmp_path / "demo" / "mass.xml").number == "2026-0815"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("preset", "command", "names", "units"),
     [
@@ -102,9 +103,9 @@ def test_its_mass_is_an_input_of_the_next_recording(rotated, tmp_path, demo_reco
             "masses", "identify", ["Stiffness z", "Damping z", "Internal mass"],
             [r"\newton\metre\tothe{-1}", r"\newton\second\metre\tothe{-1}", r"\kilogram"],
         ),
-        pytest.param(
+        (
             "steps", "step", ["Static gain", "Natural frequency of the dominant mode"],
-            [r"\volt\volt\tothe{-1}\newton\tothe{-1}", r"\hertz"], marks=pytest.mark.slow,
+            [r"\volt\volt\tothe{-1}\newton\tothe{-1}", r"\hertz"],
         ),
     ],
 )  # fmt: skip

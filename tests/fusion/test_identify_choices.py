@@ -252,6 +252,7 @@ def test_elastic_load_is_in_the_model(tmp_path, stated, true):
         assert abs(fits["rigid"].value("stiffness_z") / STIFFNESS - 1.0) > 1e-3
 
 
+@pytest.mark.slow
 def test_sines_of_an_elastic_load_give_the_same_parameters(tmp_path, monkeypatch):
     suspension = ElasticLoadSuspension(**(vars(SMALL) | {"tops": {"top": (0.0, 0.0, 0.1)}}), joint_hz=JOINT_HZ)
     folder = write_campaign(tmp_path / "campaign", suspension)

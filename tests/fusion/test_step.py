@@ -154,6 +154,7 @@ def test_records_fits_and_residuals_are_in_the_file(campaign):
         assert file["Fz/pooled/model/covariance"].shape == (6, 6)
 
 
+@pytest.mark.usefixtures("no_pages")
 def test_one_recording_has_a_separate_folder_and_scope(campaign, tmp_path, capsys):
     assert main(["step", str(campaign / "line-2"), "-o", str(tmp_path / "one")]) == 0
     assert "f_n (1700." in capsys.readouterr().out
