@@ -212,7 +212,7 @@ def test_effects_that_u_does_not_include_are_stated_once() -> None:
         for severity, text in (("info", "not assessed, not in U: cables"), ("warning", "clipped"))
     ]
     found = _not_assessed([*delayed, aliases, blur, of_scope, *older])
-    assert found == [f"{delayed[0].text} {delayed[0].effect}", aliases.text, older[0].text]
+    assert found == (f"{delayed[0].text} {delayed[0].effect}", aliases.text, older[0].text)
 
 
 def many(found: Certificate, count: int) -> Certificate:

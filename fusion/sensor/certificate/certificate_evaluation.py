@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from datetime import date as Date
 from itertools import chain
 from pathlib import Path
-from typing import Literal, NamedTuple
+from typing import Literal
 
 from fusion.base import count_text
 from fusion.campaign.curve import CurvePoint
@@ -117,35 +117,42 @@ class UnderlyingCertificate:
     day: str
 
 
-@dataclass(frozen=True)
-class Certificate:
-    """All content of a certificate, for XML and page.
+@dataclass(frozen=True, kw_only=True)
+class CertificateContent:
+    """What a certificate states of results.
 
     Attributes
     ----------
     elements, numbers : sensitivities, or lists of single numbers.
-    begin, end : days of the calibration.
-    conditions : name, D-SI unit, smallest and largest value.
     warnings : of the evaluation, reviewed by the authoriser.
     not_assessed : influences not included in U.
     versions : of the software that computed the results.
     """
 
-    form: Form
     title: str
-    rig_path: Path
     sensor: SensorFacts
+    elements: tuple[CertifiedElement, ...] = ()
+    numbers: tuple[NumberList, ...] = ()
+    warnings: tuple[str, ...]
+    not_assessed: tuple[str, ...]
+    versions: dict[str, str]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Certificate(CertificateContent):
+    """All content of a certificate, for XML and page.
+
+    `begin`, `end`: days of the calibration; `conditions`: name, D-SI unit, smallest and largest value.
+    """
+
+    form: Form
+    rig_path: Path
     recordings: tuple[str, ...]
     begin: Date
     end: Date
     procedure: str
     conditions: tuple[tuple[str, str, float, float], ...]
     sources: tuple[UnderlyingCertificate, ...]
-    elements: tuple[CertifiedElement, ...]
-    numbers: tuple[NumberList, ...]
-    warnings: tuple[str, ...]
-    not_assessed: tuple[str, ...]
-    versions: dict[str, str]
 
     def statements(self) -> Iterator[tuple[str, str]]:
         """Yield name and text of every statement."""
@@ -206,40 +213,21 @@ def evaluate_certificate(
         found = _sensitivities(folder.resolve().name, manifests, folders, top, form)
     else:
         found = _numbers(command, manifests, top, form)
-    warnings = list(dict.fromkeys(found.warnings))
-    if warnings and not form.administration.warnings_reviewed:
-        key = "administration.warnings_reviewed"
-        raise InputError(declared.WARNINGS_NOT_REVIEWED, form_path, key, count=len(warnings), first=warnings[0])
+    if found.warnings and not form.administration.warnings_reviewed:
+        key, count = "administration.warnings_reviewed", len(found.warnings)
+        raise InputError(declared.WARNINGS_NOT_REVIEWED, form_path, key, count=count, first=found.warnings[0])
     days = _days(form, manifests)
     return Certificate(
+        **vars(found),
         form=form,
-        title=found.title,
         rig_path=manifests[0].rig_path,
-        sensor=found.sensor,
         recordings=tuple(manifest.name for manifest in manifests),
         begin=min(days),
         end=max(days),
         procedure=form.administration.procedure or ", ".join(sorted({m.procedure or "" for m in manifests} - {""})),
         conditions=tuple(_conditions(manifests)),
         sources=_sources([item for manifest in manifests for item in manifest.inputs]),
-        elements=found.elements,
-        numbers=found.numbers,
-        warnings=tuple(warnings),
-        not_assessed=tuple(found.not_assessed),
-        versions=found.versions,
     )
-
-
-class CertificateContent(NamedTuple):
-    """Content from the results: title, sensor, values, warnings, and influences not in U."""
-
-    title: str
-    sensor: SensorFacts
-    elements: tuple[CertifiedElement, ...]
-    numbers: tuple[NumberList, ...]
-    warnings: list[str]
-    not_assessed: list[str]
-    versions: dict[str, str]
 
 
 def _sensitivities(
@@ -264,8 +252,7 @@ def _sensitivities(
         title="Output over driven load" if ratios else "Dynamic sensitivity",
         sensor=sensor,
         elements=elements,
-        numbers=(),
-        warnings=list(_warnings(recorded, evaluation.notices)),
+        warnings=tuple(dict.fromkeys(_warnings(recorded, evaluation.notices))),
         not_assessed=_not_assessed(chain(*(entry.joint_notices for entry in recorded), evaluation.notices)),
         versions=recorded[0].origin.versions,
     )
@@ -282,14 +269,14 @@ def _numbers(command: str, manifests: Sequence[Manifest], folder: Path, form: Fo
     sensor = manifests[0].rig.sensor
     if len(tested) != 1 or sensor is None:
         raise _no_sensor(manifests)
+    warnings = [notice for notice in notices if notice.severity == "warning"]
     facts = SensorFacts(sensor.name, sensor.serial, sensor.channels, sensor.unit, sensor.sense, None, None, 0.0)
     return CertificateContent(
         title=CERTIFIED_COMMANDS[command].title,
         sensor=facts,
-        elements=(),
         numbers=read_certified_numbers(folder, command, k=None if form.k == "effective" else 2.0),
-        warnings=[f"{n.where}: {n.text}" if n.where else n.text for n in notices if n.severity == "warning"],
-        not_assessed=[*scopes, *_not_assessed(notices)],
+        warnings=tuple(dict.fromkeys(f"{n.where}: {n.text}" if n.where else n.text for n in warnings)),
+        not_assessed=(*scopes, *_not_assessed(notices)),
         versions=origin.versions,
     )
 
@@ -399,14 +386,14 @@ def _warnings(recorded: Iterable[RecordingResults], joint: Iterable[Notice]) -> 
     yield from (notice.text for notice in joint if notice.severity == "warning")
 
 
-def _not_assessed(notices: Iterable[Notice]) -> list[str]:
+def _not_assessed(notices: Iterable[Notice]) -> tuple[str, ...]:
     """Return the influences not included in U, of texts that differ only in numbers the first."""
     found: dict[str, str] = {}
     for notice in notices:
         if _is_outside(notice):
             text = f"{notice.text} {notice.effect}".strip()
             found.setdefault(re.sub(r"[\d.]+", "#", text), text)
-    return list(found.values())
+    return tuple(found.values())
 
 
 def _is_outside(notice: Notice) -> bool:
