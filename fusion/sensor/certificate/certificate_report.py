@@ -210,9 +210,7 @@ def _result(found: Certificate, element: CertifiedElement) -> etree._Element:
     unit, squared = (_dsi_unit(found, element.unit, powers, power) for power in (1, 2))
     values, digits = element.values, _numbers
     frequency = digits(value.frequency_hz for value in values)
-    quantities = [
-        _quantity("vib_frequency vib_nominalFrequency basic_tableIndex0", "Frequency", frequency, r"\hertz"),
-    ]
+    quantities = [_quantity("vib_frequency vib_nominalFrequency basic_tableIndex0", "Frequency", frequency, r"\hertz")]
     if all(value.has_phase for value in values):
         of_magnitude = ([value.expanded_magnitude for value in values], [value.k for value in values])
         of_phase = ([value.expanded_phase_rad for value in values], [value.k_phase for value in values])

@@ -278,11 +278,7 @@ def number_rows(made: LoadFilter) -> Iterator[NumberRow]:
 def headlines(evaluation: CompensateEvaluation) -> list[Headline]:
     """Return band, overshoot and settling of the first filter, before and after, and its noise."""
     made = evaluation.filters[0]
-    labels = {
-        "band_10_hz": "±10 % of the static gain up to",
-        "overshoot": "Overshoot",
-        "settling_2_s": "2 % settling",
-    }
+    labels = {"band_10_hz": "±10 % of the static gain up to", "overshoot": "Overshoot", "settling_2_s": "2 % settling"}
     lines = [
         Headline(text, cell(made.after, name), f"before: {cell(made.before, name)}; {made.name}")
         for name, text in labels.items()

@@ -353,11 +353,7 @@ def _context(evaluation: DecoupleEvaluation) -> dict[str, Any]:
     comparable = np.count_nonzero(np.isfinite(evaluation.ratio)) > len(names)
     noise = zip(names, evaluation.noise.tolist(), evaluation.noise_gain.tolist(), strict=True)
     return {
-        "subject": [
-            *subject_of(evaluation.manifests[0].rig),
-            ("Releases", ", ".join(counts)),
-            ("Outputs", outputs),
-        ],
+        "subject": [*subject_of(evaluation.manifests[0].rig), ("Releases", ", ".join(counts)), ("Outputs", outputs)],
         "rated": evaluation.capacity is not None,
         "crosstalk": [draw_crosstalk(evaluation)] if comparable else [],
         "peaks": peak_tables(evaluation),

@@ -67,11 +67,7 @@ class TransferSettings:
     def as_dict(self) -> dict[str, str | float | int]:
         """Return the settings as plain values for the result files."""
         resolution = "from the record" if self.resolution_hz is None else self.resolution_hz
-        return {
-            "estimator": self.estimator,
-            "resolution_hz": resolution,
-            "quantity": self.quantity or "as measured",
-        }
+        return {"estimator": self.estimator, "resolution_hz": resolution, "quantity": self.quantity or "as measured"}
 
 
 @dataclass(frozen=True)
