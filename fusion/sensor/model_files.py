@@ -122,18 +122,18 @@ def read_model_file(
     `command` is the command that writes the file, or several such as "step or load".
     """
     file = path / name if path.is_dir() else path
-    again = " or ".join(f"`shakercal {name}`" for name in command.split(" or "))
+    to_repeat = " or ".join(f"`shakercal {name}`" for name in command.split(" or "))
     try:
         content = json.loads(read_text(file, LARGEST_FILE, content_label))
         check_values(content, file)
         if content["format"] != FORMAT:
             found = f"{content['format']}"
-            raise InputError(WRONG_MODEL_FORMAT, file, "format", found=found, expected=FORMAT, again=again)
+            raise InputError(WRONG_MODEL_FORMAT, file, "format", found=found, expected=FORMAT, to_repeat=to_repeat)
         return parse(content)
     except (LookupError, TypeError, ValueError, AttributeError, ArithmeticError, RecursionError) as error:
         found = f"no key {error}" if isinstance(error, KeyError) else describe(str(error), plain=True)
         raise InputError(
-            DAMAGED_MODEL_FILE, file, found=found, expected=content_label, command=command, again=again
+            DAMAGED_MODEL_FILE, file, found=found, expected=content_label, command=command, to_repeat=to_repeat
         ) from error
 
 

@@ -10,7 +10,7 @@ WRONG_MODEL_FORMAT = DeclaredNotice(
     "error",
     "expected format {expected}, found format {found}",
     effect="The file was written by another version of the program.",
-    remedy="Run {again} again.",
+    remedy="Run {to_repeat} again.",
     link="results.md",
 )
 DAMAGED_MODEL_FILE = DeclaredNotice(
@@ -18,7 +18,7 @@ DAMAGED_MODEL_FILE = DeclaredNotice(
     "error",
     "expected {expected} as written by shakercal {command}, found {found}",
     effect="The file is not used.",
-    remedy="Run {again} again.",
+    remedy="Run {to_repeat} again.",
     link="results.md",
 )
 MODEL_COVERAGE = DeclaredNotice(

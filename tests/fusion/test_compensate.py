@@ -302,7 +302,7 @@ def test_bad_files_are_one_sentence(tmp_path, refused):
     ):
         with pytest.raises(InputError) as caught:
             read(broken)
-        assert (caught.value.code, caught.value.values["again"]) == (raised.DAMAGED_MODEL_FILE.code, again)
+        assert (caught.value.code, caught.value.values["to_repeat"]) == (raised.DAMAGED_MODEL_FILE.code, again)
 
 
 SIZES = st.tuples(st.integers(1, 3), st.integers(0, 2))

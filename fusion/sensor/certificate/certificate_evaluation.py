@@ -317,7 +317,7 @@ def _refuse_gaps(form: Form, path: Path, manifests: Sequence[Manifest]) -> None:
 
 
 def _days(form: Form, manifests: Sequence[Manifest]) -> list[Date]:
-    """Return the days of the calibration, of the form or of all recordings; none if one has no date."""
+    """Return the days of the calibration, none if one recording has no date."""
     administration = form.administration
     if administration.begun is not None:
         return [administration.begun, administration.ended or administration.begun]
@@ -387,7 +387,7 @@ def _warnings(recorded: Iterable[RecordingResults], joint: Iterable[Notice]) -> 
 
 
 def _not_assessed(notices: Iterable[Notice]) -> tuple[str, ...]:
-    """Return the influences not included in U, of texts that differ only in numbers the first."""
+    """Return the influences not included in U, one of texts that differ in numbers."""
     found: dict[str, str] = {}
     for notice in notices:
         if _is_outside(notice):

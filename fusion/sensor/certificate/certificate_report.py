@@ -1,4 +1,4 @@
-"""The certificate as XML (PTB's DCC schema 3.3.0 with D-SI 2.2.1) and as page, and the command."""
+"""The certificate as XML (DCC schema 3.3.0, D-SI 2.2.1) and as page, and the command."""
 
 from __future__ import annotations
 

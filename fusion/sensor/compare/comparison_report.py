@@ -163,7 +163,7 @@ def largest_share(evaluation: ComparisonEvaluation, title: str) -> float:
 
 
 def _named(items: Sequence[SharedInput]) -> str:
-    """Return the names of an input in each result; of several components, the first and their number."""
+    """Return the names of an input in each result, and how many components follow."""
     names = "; ".join(f"{name}: {unknown}" for name, unknown in items[0].unknowns.items())
     return names if len(items) == 1 else f"{names} and {len(items) - 1} more"
 

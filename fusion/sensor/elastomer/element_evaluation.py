@@ -226,7 +226,7 @@ class DrawnShape:
 
 
 def frame_shapes(definition: ElementDefinition, model: FrameModel) -> list[DrawnShape]:
-    """Return the six modes of the frame, with sections of the beams, the platform as a block."""
+    """Return the six modes of the frame, with sections of beams and a block."""
     frame, platform = model.frame, definition.file.platform
     thickness = platform.thickness or definition.beams.beam_height_m
     centre = np.array([0.0, 0.0, platform.height])

@@ -430,7 +430,7 @@ def mechanics(fit: JointFit) -> tuple[FloatArray, FloatArray]:
 def _without_chain(
     fit: JointFit, found: FloatArray, covariance: FloatArray, sensor: Sensor | None
 ) -> tuple[SensorModel, str]:
-    """Return a model without a chain, and its sensitivity in words: as stated, otherwise one output per force."""
+    """Return a model without a chain, and in words which static sensitivity it has."""
     component = LOAD_COMPONENTS[fit.component]
     static, u_static, unit, which = 1.0, 0.0, "1", "an output of one per force"
     if sensor is not None and sensor.static_sensitivity is not None:

@@ -206,7 +206,7 @@ def check_one_sensor(manifests: Sequence[Manifest]) -> None:
 
 
 def _rig_with_influences(manifests: Sequence[Manifest]) -> Rig:
-    """Return the rig that states influences on the model; all such rigs must state the same."""
+    """Return the rig that states influences; all such rigs must state the same."""
     stating = [one for one in manifests if one.rig.model is not None] or [manifests[0]]
     for other in stating:
         if other.rig.model != stating[0].rig.model:
@@ -216,7 +216,7 @@ def _rig_with_influences(manifests: Sequence[Manifest]) -> Rig:
 
 
 def _load(manifest: Manifest, component: int) -> tuple[float, dict[str, float]]:
-    """Return the load mass along a component, 0 without a load, with the change by each error."""
+    """Return the load mass along a component, with the change by each error."""
     if manifest.rig.load is None:
         stranded = next((part.name for part in manifest.part if part.body == "load"), None)
         if stranded is not None:
@@ -497,7 +497,7 @@ def _solution(model: LoadModel, dof: float, series: LoadSeries, settings: LoadSe
 
 
 def _bands(model: LoadModel, loads: FloatArray, where: str) -> tuple[FloatArray, FloatArray, list[Notice]]:
-    """Return bands (R, 2) of loads (R,), their u, and notices of bands that are not proportional to the model."""
+    """Return bands (R, 2) of loads (R,), their u, and notices of nonlinear ones."""
     bands, u, notices = np.full((len(loads), 2), np.nan), np.full((len(loads), 2), np.nan), list[Notice]()
     for index, load in enumerate(loads.tolist()):
         bands[index] = working_bands(model, load)

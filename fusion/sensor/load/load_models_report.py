@@ -160,7 +160,7 @@ def load_rows(component: ComponentLoads, solution: LoadSolution) -> Iterator[Loa
 
 
 class LoadParameter(NamedTuple):
-    """One number of a model, and its u without that of the masses, NaN if not known."""
+    """One number of a model, and its u given the masses, NaN if unknown."""
 
     solution: int
     quantity: NamedQuantity

@@ -307,7 +307,7 @@ def pool_models(
 
 
 def _in_coordinates(models: Sequence[ModalModel], scale: float) -> tuple[FloatArray, FloatArray]:
-    """Return coordinates (N, P) of models and their covariances (N, P, P), 0 where they are rounding only."""
+    """Return coordinates (N, P) and covariances (N, P, P), 0 where they are rounding."""
     vectors, covariances = [], []
     for model in models:
         stated = np.zeros((len(model.vector),) * 2) if model.covariance is None else model.covariance

@@ -540,7 +540,7 @@ def _mean_peak(peaks: Sequence[SpectrumPeak]) -> str:
 
 
 def _gain_scale(component: StepComponent) -> tuple[float, str]:
-    """Return factor and unit for all gains of a component, by the power of ten of the largest."""
+    """Return factor and unit of a component's gains, by the power of the largest."""
     power = round_to_uncertainty(max(abs(gain.value) for gain in component.gains), 0.0).exponent
     unit = typeset(component.unit)
     return 10.0**-power, f"({power_text(power)} {unit})" if power else f"({unit})"

@@ -187,7 +187,7 @@ class _Mode:
 
 
 def _separated(curve: _Curve, windows: Sequence[slice]) -> list[_Mode | str]:
-    """Fit every peak corrected for the other oscillators, in rounds; a text is the reason of a failed fit."""
+    """Fit every peak without the others, in rounds; a text is a failure's reason."""
     found: list[_Mode | str] = ["no fit" for _ in windows]
     for _ in range(_ROUNDS if len(windows) > 1 else 1):
         for index, lines in enumerate(windows):
@@ -205,7 +205,7 @@ def _separated(curve: _Curve, windows: Sequence[slice]) -> list[_Mode | str]:
 
 
 def _peaks(curve: _Curve) -> list[tuple[int, slice]]:
-    """Return the largest significant peaks of |H| with their lines down to an eighth of the height."""
+    """Return the largest significant peaks of |H|, with lines to an eighth of each."""
     from scipy.signal import find_peaks
 
     size = np.abs(curve.value)
@@ -228,7 +228,7 @@ def _peaks(curve: _Curve) -> list[tuple[int, slice]]:
 
 
 def _best(curve: _Curve, lines: slice, value: ComplexArray) -> Resonance:
-    """Fit one oscillator to values (L,), with residual terms of other modes if they improve it."""
+    """Fit one oscillator to values (L,), with residual terms if they improve it."""
     frequency = curve.transfer.ratio.frequency_hz[lines]
     fit = curve.fit(lines, value, residual_terms=False)
     if fit.chi_squared > _POOR_FIT * fit.dof and len(frequency) >= 2 * _FEWEST_LINES:
@@ -343,7 +343,7 @@ def _evaluated(
 
 
 def _forced_kind(entry: ChannelEntry, quantity: Quantity | None) -> ResonanceKind:
-    """Return the form of one oscillator driven by a force; what is no motion follows the spring."""
+    """Return the form of an oscillator driven by a force; no motion follows the spring."""
     if entry.quantity not in TRANSDUCERS:
         return "receptance"
     order = QUANTITIES.index(quantity) - 2 if quantity else TRANSDUCERS[entry.quantity].order
@@ -369,7 +369,7 @@ def _converted(
 
 
 def _in_quantity(entry: ChannelEntry, unit: str, quantity: Quantity | None) -> tuple[int, str]:
-    """Return the number of differentiations of a channel, 0 if it is no motion, and its unit."""
+    """Return the number of differentiations of a channel (0: no motion) and its unit."""
     if quantity is None or entry.quantity not in TRANSDUCERS:
         return 0, unit
     family, have = motion_order(unit)

@@ -370,7 +370,7 @@ def _condition(manifest: Manifest, channel: LocatedChannel) -> Iterator[Notice]:
 
 
 def _common_times(channels: Sequence[LocatedChannel], slowest: LocatedChannel) -> tuple[FloatArray, float]:
-    """Return times (T,) of the slowest channel within all records, and their rate, on the first clock."""
+    """Return times (T,) of the slowest channel within all records, and their rate."""
     time_s, rate_hz, tie = slowest.record.time_s(slowest.entry.name), slowest.rate_hz, slowest.tie
     if tie is not None:
         time_s, rate_hz = tie.to_base_s(time_s), rate_hz / tie.rate
