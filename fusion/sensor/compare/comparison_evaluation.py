@@ -260,9 +260,14 @@ def _about_kinds(
         else:
             yield Notice(declared.RATIOS_COMPARED, "comparison")
     for channel, component, ratios, elements in _different_kinds(unmatched, tolerance):
-        named = {"channel": channel, "component": component}
-        kinds = {"ratios": ", ".join(ratios), "elements": ", ".join(elements)}
-        yield Notice(declared.KINDS_NOT_COMPARED, "comparison", **named, **kinds)
+        yield Notice(
+            declared.KINDS_NOT_COMPARED,
+            "comparison",
+            channel=channel,
+            component=component,
+            ratios=", ".join(ratios),
+            elements=", ".join(elements),
+        )
 
 
 def _different_kinds(

@@ -272,9 +272,15 @@ def _of_design(made: LoadFilter, settings: CompensationSettings, where: str) -> 
             yield Notice(declared.MODE_UNCERTAIN, where, frequency_hz=float(hertz), share_percent=share)
     reached, best = band_ratio(target.damping_ratio, error), best_damping((1.0 - MODEL_ERROR_SHARE) * error)
     if settings.damping_ratio is not None and band_ratio(best, error) > MIN_WIDENING * reached:
-        values = {"damping_ratio": target.damping_ratio, "band_hz": target.frequency_hz * reached}
-        widest = {"best_damping_ratio": best, "widest_hz": target.frequency_hz * band_ratio(best, error)}
-        yield Notice(declared.WIDER_BAND_POSSIBLE, where, permitted_percent=100.0 * error, **values, **widest)
+        yield Notice(
+            declared.WIDER_BAND_POSSIBLE,
+            where,
+            damping_ratio=target.damping_ratio,
+            permitted_percent=100.0 * error,
+            band_hz=target.frequency_hz * reached,
+            best_damping_ratio=best,
+            widest_hz=target.frequency_hz * band_ratio(best, error),
+        )
     if settings.bandwidth_hz is not None:
         gain = np.abs(made.compensation.compensated.response(np.linspace(0.0, settings.bandwidth_hz, 500)))
         worst = float(np.max(np.abs(gain / gain[0] - 1.0)))
@@ -291,8 +297,10 @@ def _of_effects(made: LoadFilter, where: str) -> Iterator[Notice]:
         share = mode.step_share
         is_of_sensor = np.min(np.abs(filter_poles - mode.pole)) > 1e-9 * abs(mode.pole)
         if is_of_sensor and share is not None and share > LARGE_ERROR:
-            values = {"frequency_hz": mode.natural_hz, "damping_ratio": mode.damping_ratio}
-            yield Notice(declared.MODE_NOT_COMPENSATED, where, share_percent=100.0 * share, **values)
+            hertz, zeta, percent = mode.natural_hz, mode.damping_ratio, 100.0 * share
+            yield Notice(
+                declared.MODE_NOT_COMPENSATED, where, frequency_hz=hertz, damping_ratio=zeta, share_percent=percent
+            )
     if made.discretisation_error > LARGE_ERROR:
         percent, rate_hz = 100.0 * made.discretisation_error, made.sections.sample_rate_hz
         yield Notice(declared.SAMPLING_ERROR, where, rate_hz=rate_hz, deviation_percent=percent, band_hz=made.band_hz)

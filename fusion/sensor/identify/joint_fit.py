@@ -374,8 +374,9 @@ def model_sensitivity(
     if measured is None or len(measured.frequency_hz) < _FEWEST_LINES:
         model, which = _without_chain(fit, found, covariance, sensor)
         component = LOAD_COMPONENTS[fit.component]
-        values = {"component": component, "sensitivity": which}
-        notice = Notice(declared.SENSITIVITY_NOT_MEASURED, fit.axis, fewest=_FEWEST_LINES, **values)
+        notice = Notice(
+            declared.SENSITIVITY_NOT_MEASURED, fit.axis, component=component, sensitivity=which, fewest=_FEWEST_LINES
+        )
         return ModelledSensitivity(model, fit.range_hz, None, (notice,))
     r_kb = covariance[0, 1] / np.sqrt(covariance[0, 0] * covariance[1, 1]) if covariance[0, 1] != 0.0 else 0.0
     u_k, u_b = (float(np.sqrt(covariance[index, index])) for index in (0, 1))

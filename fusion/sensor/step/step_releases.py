@@ -385,8 +385,8 @@ def fit_component(releases: Sequence[StepRelease], settings: StepSettings) -> Fi
         if release.structure != structure:
             found, _ = fit_release(replace(release, fit=None, shapes=()), settings, structure)
             if found.structure != structure:
-                values = {"channel": release.driven, "structure": structure_text}
-                notices.append(Notice(declared.STRUCTURE_NOT_FOUND, release.name, **values))
+                name, channel = release.name, release.driven
+                notices.append(Notice(declared.STRUCTURE_NOT_FOUND, name, channel=channel, structure=structure_text))
                 continue
             refitted.append(release.name)
         of_structure[release.name] = found
