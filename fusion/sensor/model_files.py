@@ -17,7 +17,7 @@ from fusion.sensor.model_notices import DAMAGED_MODEL_FILE, WRONG_MODEL_FORMAT
 from shaker.labels import mechanical_units
 from shaker.lti.system import ModalModel
 from shaker.release.load_model import PARAMETERS, LoadModel
-from shakercal._common.arrays import FloatArray, check_shape
+from shakercal._common.arrays import ComplexArray, FloatArray, check_shape
 
 R = TypeVar("R")
 FORMAT = 1
@@ -91,13 +91,12 @@ class ModelsFile:
 def models_text(models: ModelsFile) -> str:
     """Return the content of models.json."""
     content = {
-        "format": FORMAT,
         "name": models.name,
         "sensor": {"name": models.sensor, "serial": models.serial},
         "conventions": "H(s) = sum r/(s - p) + conj. + sum r/(s - p); p in rad/s; output over load; covariance k = 1",
         "models": [_entry(entry) for entry in models.entries],
     }
-    return json.dumps(content, indent=2, ensure_ascii=False, allow_nan=False) + "\n"
+    return model_file_text(content)
 
 
 def read_models(path: Path) -> ModelsFile:
@@ -111,6 +110,17 @@ def read_models(path: Path) -> ModelsFile:
         return ModelsFile(str(content["name"]), str(sensor["name"]), str(sensor["serial"]), entries)
 
     return read_model_file(path, MODELS_FILE, "step", parsed)
+
+
+def model_file_text(content: dict[str, Any], *, indent: int = 2, allow_nan: bool = False) -> str:
+    """Return the text of a JSON file of models, which `read_model_file` reads at full precision."""
+    return json.dumps({"format": FORMAT, **content}, indent=indent, ensure_ascii=False, allow_nan=allow_nan) + "\n"
+
+
+def pairs(values: ComplexArray) -> list[Any]:
+    """Return complex numbers as [re, im]."""
+    found: list[Any] = np.stack([values.real, values.imag], axis=-1).tolist()
+    return found
 
 
 def read_model_file(
@@ -156,8 +166,8 @@ def _entry(entry: ModelEntry) -> dict[str, Any]:
         "parameters": list(model.names),
         "covariance": None if model.covariance is None else model.covariance.tolist(),
         "covariance_of_scatter": None if entry.scatter is None else entry.scatter.tolist(),
-        "zeros": [[zero.real, zero.imag] for zero in system.zeros.tolist()],
-        "poles": [[pole.real, pole.imag] for pole in system.poles.tolist()],
+        "zeros": pairs(system.zeros),
+        "poles": pairs(system.poles),
         "gain": system.gain,
     }
 
@@ -207,14 +217,9 @@ class UncertaintyBasis(NamedTuple):
 
 def model_text(models: Sequence[tuple[LoadModel, UncertaintyBasis]], campaign: str, sensor: str, program: str) -> str:
     """Return the content of load.json, one entry per component and solution."""
-    content = {
-        "format": FORMAT,
-        "campaign": campaign,
-        "sensor": sensor,
-        "program": program,
-        "models": [_load_entry(*model) for model in models],
-    }
-    return json.dumps(content, indent=2, ensure_ascii=False) + "\n"
+    entries = [_load_entry(*model) for model in models]
+    content = {"campaign": campaign, "sensor": sensor, "program": program, "models": entries}
+    return model_file_text(content, allow_nan=True)
 
 
 def read_load_models(path: str | Path) -> tuple[LoadModel, ...]:

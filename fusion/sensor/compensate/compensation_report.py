@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -64,7 +63,7 @@ from fusion.sensor.compensate.compensation_subjects import (
     stated_sensor,
     wrong_option,
 )
-from fusion.sensor.model_files import FORMAT, read_model_file
+from fusion.sensor.model_files import model_file_text, pairs, read_model_file
 from shaker.compensation.effects import gain_band
 from shaker.compensation.filter import Sections, band_ratio, best_damping
 from shaker.lti.indices import LABELS, unit_of
@@ -108,13 +107,12 @@ class StoredFilter:
 def json_text(evaluation: CompensateEvaluation) -> str:
     """Return the content of compensation.json."""
     content = {
-        "format": FORMAT,
         "name": evaluation.name,
         "program": evaluation.versions.get("shakercal", ""),
         "conventions": CONVENTIONS,
         "filters": [_entry(made) for made in evaluation.filters],
     }
-    return json.dumps(content, indent=2, ensure_ascii=False, allow_nan=False) + "\n"
+    return model_file_text(content)
 
 
 def read_compensation_filters(path: str | Path) -> tuple[StoredFilter, ...]:
@@ -166,11 +164,7 @@ def _entry(made: LoadFilter) -> dict[str, Any]:
             "u": [finite_or_none(u) for u in sensor.u],
         },
         "target": {name: getattr(target, name) for name in ("frequency_hz", "damping_ratio", "real_hz", "low_pass_hz")},
-        "continuous": {
-            "zeros": [[zero.real, zero.imag] for zero in system.zeros.tolist()],
-            "poles": [[pole.real, pole.imag] for pole in system.poles.tolist()],
-            "gain": system.gain,
-        },
+        "continuous": {"zeros": pairs(system.zeros), "poles": pairs(system.poles), "gain": system.gain},
         "sample_rate_hz": sections.sample_rate_hz,
         "gain": sections.gain,
         "sos": sections.sos.tolist(),

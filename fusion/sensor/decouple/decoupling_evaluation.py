@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -10,13 +9,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fusion.base import CommandEvaluation
 from fusion.errors import ComputeError, InputError
 from fusion.recording.load import Manifest, check_one_rig
 from fusion.sensor import model_notices as declared
-from fusion.sensor.model_files import FORMAT, read_model_file
+from fusion.sensor.model_files import model_file_text, pairs, read_model_file
 from fusion.sensor.step.step_records import StepInput, read_step
 from fusion.sensor.unmodelled_effects import ModelInfluences, coverage_notice, stated_influences
 from shaker.decoupling.common_pole_fit import MultiFit, fit_steps
@@ -31,7 +29,7 @@ from shaker.decoupling.filter import (
 )
 from shaker.decoupling.model import MultiModel, missing_loads
 from shaker.labels import LOAD_COMPONENTS
-from shakercal._common.arrays import FloatArray
+from shakercal._common.arrays import ComplexArray, FloatArray
 from shakercal._common.notices import Notice
 
 # Choices of a decoupling, and parts of its evaluation.
@@ -275,13 +273,12 @@ RECURSION = (
 def filter_text(decoupler: DecouplingFilter, model: MultiModel) -> str:
     """Return the text of decoupling.json, with the model and its standard uncertainties."""
     names = ("frequency_hz", "damping_ratio", "real_hz", "real_residue")
-    parameters = {**{name: getattr(model, name).tolist() for name in names}, "residue": _pairs(model.residue)}
+    parameters = {**{name: getattr(model, name).tolist() for name in names}, "residue": pairs(model.residue)}
     u: dict[str, Any] = {}
     if model.covariance is not None:
         u = {f"u_{name}": getattr(model.u, name).tolist() for name in names[:3]}
-        u |= {"u_residue": _pairs(model.u.residue), "u_real_residue": model.u.real_residue.tolist()}
+        u |= {"u_residue": pairs(model.u.residue), "u_real_residue": model.u.real_residue.tolist()}
     content = {
-        "format": FORMAT,
         "kind": KIND,
         "recursion": RECURSION,
         "channels": list(decoupler.channels),
@@ -291,10 +288,10 @@ def filter_text(decoupler: DecouplingFilter, model: MultiModel) -> str:
         "delay_samples": decoupler.delay,
         "target": {"frequency_hz": decoupler.target_hz.tolist(), "damping_ratio": decoupler.target_damping.tolist()},
         "taps": decoupler.taps.tolist(),
-        **{name: _pairs(getattr(decoupler, name)) for name in ("poles", "driven", "shown")},
+        **{name: pairs(getattr(decoupler, name)) for name in ("poles", "driven", "shown")},
         "model": {**parameters, **u},
     }
-    return json.dumps(content, indent=1, ensure_ascii=False) + "\n"
+    return model_file_text(content, indent=1, allow_nan=True)
 
 
 def read_decoupling_filter(path: str | Path) -> DecouplingFilter:
@@ -337,12 +334,7 @@ def read_decoupling_filter(path: str | Path) -> DecouplingFilter:
     return read_model_file(Path(path), FILTER_FILE, "decouple", parsed, "filters")
 
 
-def _pairs(values: NDArray[np.complex128]) -> Any:
-    """Return complex numbers as [re, im]."""
-    return np.stack([values.real, values.imag], axis=-1).tolist()
-
-
-def _complex(pairs: Any) -> NDArray[np.complex128]:
+def _complex(pairs: Any) -> ComplexArray:
     """Return the complex numbers of [re, im]."""
     both = np.array(pairs, dtype=np.float64)
     return np.asarray(both[..., 0] + 1j * both[..., 1])

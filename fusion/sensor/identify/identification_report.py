@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import groupby
@@ -42,7 +41,7 @@ from fusion.sensor.identify.identification_evaluation import (
 )
 from fusion.sensor.identify.identification_figures import curve_figures, sensitivity_figures
 from fusion.sensor.identify.identification_inputs import IdentifySettings, PreparedTransfer, mass_unit, read_campaign
-from fusion.sensor.model_files import FORMAT, read_model_file
+from fusion.sensor.model_files import model_file_text, read_model_file
 from shaker.identification.measured_curves import ParameterEstimate
 from shaker.identification.sensitivity import CHAIN_WORDS, SensitivityFit
 from shaker.identification.sensor import (
@@ -358,13 +357,12 @@ def model_text(evaluation: IdentifyEvaluation) -> str:
     """Return the content of model.json."""
     sensor = evaluation.sensor
     content = {
-        "format": FORMAT,
         "campaign": evaluation.name,
         "program": evaluation.versions.get("shakercal", ""),
         "sensor": {"name": "" if sensor is None else sensor.name, "serial": "" if sensor is None else sensor.serial},
         "components": [_model_of(component) for component in evaluation.components],
     }
-    return json.dumps(content, indent=2, ensure_ascii=False) + "\n"
+    return model_file_text(content, allow_nan=True)
 
 
 def read_sensor_models(path: str | Path) -> SensorFile:
