@@ -13,12 +13,7 @@ from fusion.report.h5 import open_results, read_notices
 from fusion.sensor import result_notices as raised
 from fusion.sensor.compare.comparison_inputs import read_result
 from fusion.sensor.compare.comparison_report import COMPARISON
-from fusion.sensor.compare.consistency import (
-    complex_normalised_error,
-    drift,
-    normalised_error,
-    reference_value,
-)
+from fusion.sensor.compare.consistency import complex_normalised_error, drift, normalised_error, reference_value
 from shakercal._common.notices import Notice
 
 

@@ -11,17 +11,7 @@ from typing import Any
 import h5py
 import numpy as np
 import pytest
-from identify_factory import (
-    DAMPING,
-    LAG_S,
-    QUICK,
-    SENSITIVITY,
-    SINES_HZ,
-    SMALL,
-    STIFFNESS,
-    write_campaign,
-    write_sines,
-)
+from identify_factory import DAMPING, LAG_S, QUICK, SENSITIVITY, SINES_HZ, SMALL, STIFFNESS, write_campaign, write_sines
 from numpy.typing import NDArray
 from support import edit, rows, without_pages
 
