@@ -424,14 +424,18 @@ def _subject(evaluation: ElementEvaluation) -> list[tuple[str, str]]:
 
 
 def mode_shape_figures(evaluation: ElementEvaluation) -> dict[str, tuple[PrintedFigure, bytes]]:
-    """Return the figures of the mode shapes by file name."""
-    shapes = {"frame": frame_shapes(evaluation.definition, evaluation.frame)}
-    if evaluation.solid is not None:
-        shapes["solid"] = solid_shapes(evaluation.solid.meshes[0], evaluation.solid.finest)
-    return {
-        f"shapes-{model}.png": draw_shapes(f"elastomer-shapes-{model}", f"Mode shapes of the {model}", drawn)
-        for model, drawn in shapes.items()
-    }
+    """Return the figures of the mode shapes by file name, drawn once for page and files."""
+    drawn: dict[str, tuple[PrintedFigure, bytes]] | None = vars(evaluation).get("mode_shape_figures")
+    if drawn is None:
+        shapes = {"frame": frame_shapes(evaluation.definition, evaluation.frame)}
+        if evaluation.solid is not None:
+            shapes["solid"] = solid_shapes(evaluation.solid.meshes[0], evaluation.solid.finest)
+        drawn = {
+            f"shapes-{model}.png": draw_shapes(f"elastomer-shapes-{model}", f"Mode shapes of the {model}", of_model)
+            for model, of_model in shapes.items()
+        }
+        vars(evaluation)["mode_shape_figures"] = drawn  # as `cached_property` does
+    return drawn
 
 
 def _fill(file: h5py.File, evaluation: ElementEvaluation) -> None:
