@@ -13,11 +13,11 @@ import numpy as np
 from fusion.errors import InputError
 from fusion.recording.toml import check_values, read_text
 from fusion.recording.values import describe
-from fusion.sensor.sensor_model_notices import DAMAGED_MODEL_FILE, WRONG_MODEL_FORMAT
+from fusion.sensor.model_notices import DAMAGED_MODEL_FILE, WRONG_MODEL_FORMAT
 from shaker.labels import mechanical_units
 from shaker.lti.system import ModalModel
 from shaker.release.load_model import PARAMETERS, LoadModel
-from shakercal._common.arrays import FloatArray, check_shape
+from shakercal._common.arrays import ComplexArray, FloatArray, check_shape
 
 R = TypeVar("R")
 FORMAT = 1
@@ -91,13 +91,12 @@ class ModelsFile:
 def models_text(models: ModelsFile) -> str:
     """Return the content of models.json."""
     content = {
-        "format": FORMAT,
         "name": models.name,
         "sensor": {"name": models.sensor, "serial": models.serial},
         "conventions": "H(s) = sum r/(s - p) + conj. + sum r/(s - p); p in rad/s; output over load; covariance k = 1",
         "models": [_entry(entry) for entry in models.entries],
     }
-    return json.dumps(content, indent=2, ensure_ascii=False, allow_nan=False) + "\n"
+    return model_file_text(content)
 
 
 def read_models(path: Path) -> ModelsFile:
@@ -113,26 +112,39 @@ def read_models(path: Path) -> ModelsFile:
     return read_model_file(path, MODELS_FILE, "step", parsed)
 
 
+def model_file_text(content: dict[str, Any], *, indent: int = 2, allow_nan: bool = False) -> str:
+    """Return the text of a JSON file of models, which `read_model_file` reads at full precision."""
+    return json.dumps({"format": FORMAT, **content}, indent=indent, ensure_ascii=False, allow_nan=allow_nan) + "\n"
+
+
+def pairs(values: ComplexArray) -> list[Any]:
+    """Return complex numbers as [re, im]."""
+    found: list[Any] = np.stack([values.real, values.imag], axis=-1).tolist()
+    return found
+
+
 def read_model_file(
     path: Path, name: str, command: str, parse: Callable[[dict[str, Any]], R], content_label: str = "models"
 ) -> R:
     """Return the parsed content of a JSON file of models.
 
     `name`: of the file if `path` is a folder. `content_label` names the content, such as "filters", in errors;
-    `command` is the command that writes the file.
+    `command` is the command that writes the file, or several such as "step or load".
     """
     file = path / name if path.is_dir() else path
+    to_repeat = " or ".join(f"`shakercal {name}`" for name in command.split(" or "))
     try:
         content = json.loads(read_text(file, LARGEST_FILE, content_label))
         check_values(content, file)
         if content["format"] != FORMAT:
-            raise InputError(
-                WRONG_MODEL_FORMAT, file, "format", found=f"{content['format']}", expected=FORMAT, command=command
-            )
+            found = f"{content['format']}"
+            raise InputError(WRONG_MODEL_FORMAT, file, "format", found=found, expected=FORMAT, to_repeat=to_repeat)
         return parse(content)
     except (LookupError, TypeError, ValueError, AttributeError, ArithmeticError, RecursionError) as error:
         found = f"no key {error}" if isinstance(error, KeyError) else describe(str(error), plain=True)
-        raise InputError(DAMAGED_MODEL_FILE, file, found=found, expected=content_label, command=command) from error
+        raise InputError(
+            DAMAGED_MODEL_FILE, file, found=found, expected=content_label, command=command, to_repeat=to_repeat
+        ) from error
 
 
 def _entry(entry: ModelEntry) -> dict[str, Any]:
@@ -154,8 +166,8 @@ def _entry(entry: ModelEntry) -> dict[str, Any]:
         "parameters": list(model.names),
         "covariance": None if model.covariance is None else model.covariance.tolist(),
         "covariance_of_scatter": None if entry.scatter is None else entry.scatter.tolist(),
-        "zeros": [[zero.real, zero.imag] for zero in system.zeros.tolist()],
-        "poles": [[pole.real, pole.imag] for pole in system.poles.tolist()],
+        "zeros": pairs(system.zeros),
+        "poles": pairs(system.poles),
         "gain": system.gain,
     }
 
@@ -204,18 +216,10 @@ class UncertaintyBasis(NamedTuple):
 
 
 def model_text(models: Sequence[tuple[LoadModel, UncertaintyBasis]], campaign: str, sensor: str, program: str) -> str:
-    """Return the content of load.json, with one entry per component.
-
-    If the data cannot distinguish solutions, there is one entry per solution.
-    """
-    content = {
-        "format": FORMAT,
-        "campaign": campaign,
-        "sensor": sensor,
-        "program": program,
-        "models": [_load_entry(*model) for model in models],
-    }
-    return json.dumps(content, indent=2, ensure_ascii=False) + "\n"
+    """Return the content of load.json, one entry per component and solution."""
+    entries = [_load_entry(*model) for model in models]
+    content = {"campaign": campaign, "sensor": sensor, "program": program, "models": entries}
+    return model_file_text(content, allow_nan=True)
 
 
 def read_load_models(path: str | Path) -> tuple[LoadModel, ...]:
@@ -263,10 +267,7 @@ def parameter_units(component: str) -> dict[str, str]:
 
 
 def _load_entry(model: LoadModel, rests: UncertaintyBasis) -> dict[str, Any]:
-    """Return one model as nested dictionaries, in SI units.
-
-    The rows of the covariances are the parameters, then the mass.
-    """
+    """Return one model in SI units; covariances: the parameters, then the mass."""
     total, units = model.total_covariance, parameter_units(model.component)
     u = [None] * len(model.vector) if total is None else np.sqrt(np.diag(total)).tolist()
     return {

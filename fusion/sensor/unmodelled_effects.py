@@ -11,7 +11,7 @@ import numpy as np
 from fusion.base import PERCENT
 from fusion.recording.rig import Rig
 from fusion.report.table import Table, capitalise, small
-from fusion.sensor.sensor_model_notices import MODEL_COVERAGE, MODEL_INFLUENCES_NOT_ASSESSED
+from fusion.sensor.model_notices import MODEL_COVERAGE, MODEL_INFLUENCES_NOT_ASSESSED
 from shaker.decoupling.model import MultiModel
 from shaker.release.load_model import LoadModel
 from shakercal._common.arrays import FloatArray
@@ -72,10 +72,7 @@ class ModelInfluences:
         return f"{self.records}, with {text} as stated" if labels else self.records
 
     def effects(self, numbers: Callable[[float, float, float], FloatArray]) -> FloatArray:
-        """Return the changes (E, P) of P numbers by each unknown.
-
-        Central differences; `numbers` evaluates a changed model.
-        """
+        """Return the changes (E, P) of P numbers by each unknown, by central differences."""
 
         def slope(one: UnmodelledEffect) -> FloatArray:
             size = max(map(abs, one[1:]))

@@ -15,13 +15,8 @@ from support import RefusedCommand, edit, rows
 from fusion.cli import main
 from fusion.recording.dcc import read_dcc
 from fusion.recording.load import load_manifest
-from fusion.sensor.certificate.certificate_notices import (
-    DAMAGED_RESULT_TABLE,
-    MISSING_CERTIFICATE_ENTRIES,
-    NO_CERTIFIABLE_RESULT,
-    OUTDATED_RESULTS,
-)
-from fusion.sensor.certificate.certified_numbers import CERTIFIED_COMMANDS
+from fusion.sensor import result_notices as raised
+from fusion.sensor.certificate.certificate_inputs import CERTIFIED_COMMANDS
 
 NUMBERED = FORM.replace('model = "W6"', 'model = "W6"\ncustomer_number = "C-1"')
 RULES = SCHEMA.with_name("dcc.sch")
@@ -100,6 +95,7 @@ def test_its_mass_is_an_input_of_the_next_recording(rotated, tmp_path, demo_reco
     assert read_dcc(tmp_path / "demo" / "mass.xml").number == "2026-0815"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("preset", "command", "names", "units"),
     [
@@ -107,9 +103,9 @@ def test_its_mass_is_an_input_of_the_next_recording(rotated, tmp_path, demo_reco
             "masses", "identify", ["Stiffness z", "Damping z", "Internal mass"],
             [r"\newton\metre\tothe{-1}", r"\newton\second\metre\tothe{-1}", r"\kilogram"],
         ),
-        pytest.param(
+        (
             "steps", "step", ["Static gain", "Natural frequency of the dominant mode"],
-            [r"\volt\volt\tothe{-1}\newton\tothe{-1}", r"\hertz"], marks=pytest.mark.slow,
+            [r"\volt\volt\tothe{-1}\newton\tothe{-1}", r"\hertz"],
         ),
     ],
 )  # fmt: skip
@@ -157,15 +153,15 @@ def test_a_draft_names_the_method_and_missing_entries_are_named(rotated, tmp_pat
     assert CERTIFIED_COMMANDS["rotate"].method in (folder / "certificate.toml").read_text(encoding="utf-8")
     (folder / "certificate.toml").write_text(FORM, encoding="utf-8")
     refusal = refused("certificate", folder)
-    assert f"{MISSING_CERTIFICATE_ENTRIES.code} " in refusal
+    assert f"{raised.MISSING_CERTIFICATE_ENTRIES.code} " in refusal
     assert "item.customer_number" in refusal
     (folder / "certificate.toml").write_text(NUMBERED, encoding="utf-8")
     edit(folder / "certificate.toml", "warnings_reviewed = true", "")
     table = folder / "rotate" / "rotation.csv"
     good = table.read_text(encoding="utf-8")
     for broken, declared in (
-        (good.replace("joint,0.", "joint,x0.", 1), DAMAGED_RESULT_TABLE),
-        (good.partition("\n")[0] + "\n", NO_CERTIFIABLE_RESULT),
+        (good.replace("joint,0.", "joint,x0.", 1), raised.DAMAGED_RESULT_TABLE),
+        (good.partition("\n")[0] + "\n", raised.NO_CERTIFIABLE_RESULT),
     ):
         table.write_text(broken, encoding="utf-8")
         refusal = refused("certificate", folder)
@@ -173,5 +169,5 @@ def test_a_draft_names_the_method_and_missing_entries_are_named(rotated, tmp_pat
     table.write_text(good, encoding="utf-8")
     edit(folder / "rig.toml", "mass = 6.9605", "mass = 6.9606")
     refusal = refused("certificate", folder)
-    assert f"{OUTDATED_RESULTS.code} " in refusal
+    assert f"{raised.OUTDATED_RESULTS.code} " in refusal
     assert "rig.toml" in refusal

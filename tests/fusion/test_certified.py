@@ -17,26 +17,10 @@ from support import DOCS, examples
 from fusion.cli import main
 from fusion.errors import InputError
 from fusion.recording import dcc
+from fusion.recording import recording_notices as raised
 from fusion.recording.certified import resolve_certificates
 from fusion.recording.dsi import parse_unit
 from fusion.recording.load import load_manifest
-from fusion.recording.recording_notices import (
-    CERTIFICATE_CHANGED,
-    CERTIFICATE_EXPIRED,
-    CERTIFIED_RESULT_NOT_FOUND,
-    CERTIFIED_UNIT_MISMATCH,
-    CERTIFIED_VALUE_NOT_USABLE,
-    CONTRADICTING_VALUES,
-    INVALID_CERTIFICATE_FILE,
-    INVALID_UNCERTAINTY_STATEMENT,
-    KEY_TAKES_NO_CERTIFICATE,
-    MISSING_FILE,
-    PATH_NOT_ALLOWED,
-    SIGNATURE_NOT_CHECKED,
-    SIGNER_NOT_VERIFIED,
-    UNKNOWN_KEY,
-    WRONG_VALUE_TYPE,
-)
 from fusion.recording.response import read_response
 from fusion.recording.values import PathScope
 from fusion.report.uncertainty_tables import inputs_table
@@ -209,7 +193,7 @@ def test_expiry_of_a_certificate_gives_a_notice(campaign):
     )
     recording = campaign(certificate(MASS, statement=statement), '{ dcc = "a.xml", valid_until = 2036-01-01 }')
     (notice,) = load_manifest(recording).expiry_notices
-    assert notice.code == CERTIFICATE_EXPIRED.code
+    assert notice.code == raised.CERTIFICATE_EXPIRED.code
     assert (notice.values["key"], notice.values["source"]) == (
         "load.mass",
         "K 7, Lab, 2026-03-01, valid until 2026-05-01",
@@ -257,12 +241,6 @@ def test_a_certificate_is_parsed_once_until_it_changes(tmp_path, monkeypatch):
     assert len(parsed) == 3
 
 
-def test_ten_thousand_frequencies_are_read(tmp_path):
-    numbers = " ".join(str(number) for number in range(1, 10_001))
-    (tmp_path / "b.xml").write_text(certificate(curve("c", numbers, "1 " * 10_000, "0 " * 10_000)))
-    assert read_response(tmp_path / "b.xml", np.array([500.5])).value[0] == pytest.approx(1.0)
-
-
 def named(kind: str, numbers: str, name: str = "", about: str = "") -> str:
     """A quantity of some type (refType), with a name in German and a description."""
     name = f'<dcc:name><dcc:content lang="de">{name}</dcc:content></dcc:name>' if name else ""
@@ -289,14 +267,11 @@ def read_input(folder: Path, text: str, entry: dict[str, str], key: str = "mass"
 FOREIGN = [
     result("Sound", real("61.2", r"\decibel", "0.5")),
     result("Height", many("0.051 NaN 0.049", r"\metre")),
-    result("Height", many("0.051 INF", r"\metre")),
     result("Label", real("red", r"\one")),
     result("Label", "<dcc:noQuantity><dcc:content>not measured</dcc:content></dcc:noQuantity>"),
-    result("Label", "<dcc:charsXMLList>a b</dcc:charsXMLList>"),
     result("Length", real("3", r"\inch", "0.1")),
     result("Length", real("3", "")),
     result("Length", many("1 2 3", r"\metre", "0.1 0.1")),
-    result("Length", many("1 2 3", r"\metre \metre")),
     result("Length", "<si:hybrid></si:hybrid>"),
     result("Length", "<si:real/>", "<si:list/>", "<si:complex/>"),
     result("New", "<si:tensor><si:value>1</si:value></si:tensor><other/>"),
@@ -325,16 +300,16 @@ def test_damaged_results_that_are_not_used_are_accepted(tmp_path, foreign, entry
 @pytest.mark.parametrize(
     ("numbers", "declared", "named"),
     [
-        (real("NaN", r"\kilogram", "0.1"), CERTIFIED_VALUE_NOT_USABLE, "nan"),
-        (real("7", r"\kilogram", "NaN"), CERTIFIED_VALUE_NOT_USABLE, "uncertainty"),
-        (real("7", r"\kilogram", "0.1", "NaN"), CERTIFIED_VALUE_NOT_USABLE, "uncertainty"),
-        (real("seven", r"\kilogram", "0.1"), CERTIFIED_VALUE_NOT_USABLE, "seven"),
-        (real("7", r"\pound", "0.1"), CERTIFIED_VALUE_NOT_USABLE, r"\pound"),
-        (real("7", r"|lb", "0.1"), CERTIFIED_VALUE_NOT_USABLE, "|lb"),
-        (real("38", r"\decibel", "0.1"), CERTIFIED_UNIT_MISMATCH, r"\decibel"),
+        (real("NaN", r"\kilogram", "0.1"), raised.CERTIFIED_VALUE_NOT_USABLE, "nan"),
+        (real("7", r"\kilogram", "NaN"), raised.CERTIFIED_VALUE_NOT_USABLE, "uncertainty"),
+        (real("7", r"\kilogram", "0.1", "NaN"), raised.CERTIFIED_VALUE_NOT_USABLE, "uncertainty"),
+        (real("seven", r"\kilogram", "0.1"), raised.CERTIFIED_VALUE_NOT_USABLE, "seven"),
+        (real("7", r"\pound", "0.1"), raised.CERTIFIED_VALUE_NOT_USABLE, r"\pound"),
+        (real("7", r"|lb", "0.1"), raised.CERTIFIED_VALUE_NOT_USABLE, "|lb"),
+        (real("38", r"\decibel", "0.1"), raised.CERTIFIED_UNIT_MISMATCH, r"\decibel"),
         (
             real("7", r"\one", "0.1") + real("8", r"\gram", "0.1").replace("si:real>", "x:y>").replace("x:", ""),
-            CERTIFIED_UNIT_MISMATCH,
+            raised.CERTIFIED_UNIT_MISMATCH,
             r"\one",
         ),
     ],
@@ -350,12 +325,23 @@ def test_unusable_result_is_refused_by_its_name(tmp_path, numbers, declared, nam
 def test_two_results_of_one_unit_are_refused_even_if_one_is_damaged(tmp_path):
     with pytest.raises(InputError) as caught:
         read_input(tmp_path, certificate(MASS, result("other", real("NaN", r"\kilogram", "1"))), {})
-    assert (caught.value.code, caught.value.key) == (CERTIFIED_RESULT_NOT_FOUND.code, "load.mass.result")
+    assert (caught.value.code, caught.value.key) == (raised.CERTIFIED_RESULT_NOT_FOUND.code, "load.mass.result")
 
 
 def amplifier(frequency: str, magnitude: str, phase: str) -> str:
     """A certificate of one response, by its quantities."""
     return certificate(listed("c", frequency, magnitude, phase))
+
+
+def response_or_refusal(folder: Path, frequency: str, magnitude: str, phase: str) -> complex | str:
+    """The value of a response at 100 Hz, or key and finding of its refusal."""
+    (folder / "a.xml").write_text(amplifier(frequency, magnitude, phase), encoding="utf-8")
+    try:
+        return read_response(folder / "a.xml", np.array([100.0])).value[0]
+    except InputError as error:
+        if error.code != raised.CERTIFIED_VALUE_NOT_USABLE.code:
+            raise
+        return f"{error.key}: {error.values['found']}"
 
 
 HERTZ = named("vib_frequency", many("50 100 200", r"\hertz"))
@@ -368,38 +354,30 @@ TURN = named("vib_phase", many("-0.1 -0.2 -0.4", r"\radian", "0.004"))
     [
         ("vib_phase", "Phase", "-0.1 -0.2 -0.4", r"\radian", -0.2),
         ("vib_phase", "Phase lag", "0.1 0.2 0.4", r"\radian", -0.2),
-        ("vib_phase", "Phasenverzug", "0.1 0.2 0.4", r"\radian", -0.2),
         ("vib_phase", "Nacheilung der Phase", "5.7 11.459156 23", r"\degree", -0.2),
         ("vib_phaseLag", "", "0.1 0.2 0.4", r"\radian", -0.2),
         ("vib_phase_lag", "Phase", "100 200 400", r"\milli\radian", -0.2),
         ("vib_phase", "Phase lag", "-0.001 0.2 0.4", r"\radian", -0.2),
-        ("vib_phase", "Phase lead", "-0.1 -0.2 -0.4", r"\radian", -0.2),
         ("", "Winkel", "-0.1 -0.2 -0.4", r"\radian", -0.2),
         ("", "Phase flag", "-0.1 -0.2 -0.4", r"\radian", -0.2),
         ("", "Phase", "-687.5494 -687.5494 -687.5494", r"\arcminute", -0.2),
         ("vib_phase", "Phase lag", "-0.1 -0.2 -0.4", r"\radian", "-0.4 rad"),
-        ("vib_phase", "Phase (lead or lag)", "-0.1 -0.2 -0.4", r"\radian", "lead"),
         ("vib_phase", "Phase lag, negative", "0.1 0.2 0.4", r"\radian", "negative"),
         ("vib_phase", "Phase delay", "0.1 0.2 0.4", r"\radian", "delay"),
         ("vib_phase", "Phasenverzögerung", "0.1 0.2 0.4", r"\radian", "verzögerung"),
         ("vib_phase", "retard de phase", "0.1 0.2 0.4", r"\radian", "retard"),
         ("vib_phase", "Phase", "10 20 40", r"\percent", r"\percent"),
-        ("vib_phase", "Phase", "10 20 40", r"\second", "phase"),
     ],
 )
 def test_sign_of_a_phase_follows_its_name_or_is_refused(tmp_path, kind, name, values, unit, expected):
     largest = max(abs(float(value)) for value in values.split())
     turn = named(kind, many(values, unit, f"{0.02 * largest:g}"), name)
-    (tmp_path / "a.xml").write_text(amplifier(HERTZ, GAIN, turn), encoding="utf-8")
+    found = response_or_refusal(tmp_path, HERTZ, GAIN, turn)
     if isinstance(expected, str):
-        with pytest.raises(InputError) as caught:
-            read_response(tmp_path / "a.xml", np.array([100.0]))
-        assert caught.value.code == CERTIFIED_VALUE_NOT_USABLE.code
-        assert expected in str(caught.value.values["found"])
-        assert '"c"' in caught.value.key
+        assert '"c"' in found
+        assert expected in found
     else:
-        found = read_response(tmp_path / "a.xml", np.array([100.0]))
-        assert found.value[0] == pytest.approx(2.0 * np.exp(1j * expected), rel=1e-6)
+        assert found == pytest.approx(2.0 * np.exp(1j * expected), rel=1e-6)
 
 
 @pytest.mark.parametrize(
@@ -414,27 +392,18 @@ def test_sign_of_a_phase_follows_its_name_or_is_refused(tmp_path, kind, name, va
 )
 def test_description_that_makes_the_phase_a_lag_is_refused(tmp_path, about, refused):
     turn = named("vib_phase", many("-0.1 -0.2 -0.4", r"\radian", "0.004"), "Phase", about)
-    (tmp_path / "a.xml").write_text(amplifier(HERTZ, GAIN, turn), encoding="utf-8")
-    if refused:
-        with pytest.raises(InputError) as caught:
-            read_response(tmp_path / "a.xml", np.array([100.0]))
-        assert caught.value.code == CERTIFIED_VALUE_NOT_USABLE.code
-        assert about in str(caught.value.values["found"])
-    else:
-        found = read_response(tmp_path / "a.xml", np.array([100.0]))
-        assert found.value[0] == pytest.approx(2.0 * np.exp(-0.2j))
+    found = response_or_refusal(tmp_path, HERTZ, GAIN, turn)
+    assert about in found if refused else found == pytest.approx(2.0 * np.exp(-0.2j))
 
 
 @pytest.mark.parametrize(
     ("frequency", "named_in_error"),
     [
         (named("vib_frequency", many("50 100 200", r"\hertz")), ""),
-        (named("vib_frequency", many("0.05 0.1 0.2", r"\kilo\hertz")), ""),
         (named("vib_frequency", many("314.15926536 628.31853072 1256.6370614", r"\radian\per\second")), ""),
         (named("x_angularFrequency", many("314.15926536 628.31853072 1256.6370614", r"\second\tothe{-1}")), ""),
         (named("x", many("314.15926536 628.31853072 1256.6370614", r"\one\per\second"), "Kreisfrequenz"), ""),
         (named("vib_frequency", many("18000 36000 72000", r"\degree\second\tothe{-1}")), ""),
-        (named("vib_frequency", many("3000 6000 12000", r"\one\per\minute")), ""),
         (named("basic_tableIndex0", many("50 100 200", r"\hertz")), ""),
         (named("", many("50 100 200", r"\hertz"), "f"), ""),
         (named("x_angularFrequency", many("50 100 200", r"\hertz")), r"\hertz"),
@@ -445,15 +414,8 @@ def test_description_that_makes_the_phase_a_lag_is_refused(tmp_path, about, refu
     ],
 )
 def test_frequencies_are_converted_to_hertz(tmp_path, frequency, named_in_error):
-    (tmp_path / "a.xml").write_text(amplifier(frequency, GAIN, TURN), encoding="utf-8")
-    if named_in_error:
-        with pytest.raises(InputError) as caught:
-            read_response(tmp_path / "a.xml", np.array([100.0]))
-        assert caught.value.code == CERTIFIED_VALUE_NOT_USABLE.code
-        assert named_in_error in str(caught.value.values["found"])
-    else:
-        found = read_response(tmp_path / "a.xml", np.array([100.0]))
-        assert found.value[0] == pytest.approx(2.0 * np.exp(-0.2j), rel=1e-6)
+    found = response_or_refusal(tmp_path, frequency, GAIN, TURN)
+    assert named_in_error in found if named_in_error else found == pytest.approx(2.0 * np.exp(-0.2j), rel=1e-6)
 
 
 @pytest.mark.parametrize(
@@ -461,26 +423,19 @@ def test_frequencies_are_converted_to_hertz(tmp_path, frequency, named_in_error)
     [
         (r"\hour", 3600.0, "0 0 1"),
         (r"\minute", 60.0, "0 0 1"),
-        (r"\day", 86400.0, "0 0 1"),
         (r"\arcminute", np.pi / 10800, ""),
-        (r"\litre", 1e-3, "3"),
         (r"\milli\litre", 1e-6, "3"),
-        (r"\tonne", 1e3, "0 1"),
         (r"\ppm", 1e-6, ""),
         (r"\hectare", 1e4, "2"),
         (r"\electronvolt", 1.602176634e-19, "2 1 -2"),
         (r"\weber", 1.0, "2 1 -2 -1"),
-        (r"\katal", 1.0, "0 0 -1 0 0 1"),
         (r"\lux", 1.0, "-2 0 0 0 0 0 1"),
         (r"\exa\joule", 1e18, "2 1 -2"),
         (r"\quecto\metre\tothe{3}", None, None),
-        (r"\ronna\metre", 1e27, "1"),
         (r"\kibi\bit", 1024.0, "0 0 0 0 0 0 0 0 1"),
         (r"\kilogram\metre\tothe{-3}", 1.0, "-3 1"),
         (r"\kilo\gram\metre\tothe{-3.0}", 1.0, "-3 1"),
         (r"\joule\per\kilogram\kelvin", 1.0, "2 0 -2 0 -1"),
-        (r"\joule\per\kilogram\per\kelvin", 1.0, "2 0 -2 0 -1"),
-        (r"\per\second", 1.0, "0 0 -1"),
         (r"\micro\volt\per\volt\newton\metre", 1e-6, "-2 -1 2"),
         (r"\volt\tothe{2}\hertz\tothe{-1}", 1.0, "4 2 -5 -2"),
         (r"\decibel", np.log(10) / 20, "0 0 0 0 0 0 0 1"),
@@ -525,7 +480,6 @@ def test_a_single_frequency_in_rad_per_second_is_converted(tmp_path):
         (named("", many("2 2 2", r"\one", "0.008"), "A") + named("", many("9 9 9", r"\one", "1"), "B"), "2"),
         (named("x_magnitude", many("2 2 2", r"\foo", "0.008")) + named("", many("9 9 9", r"\one", "1")), r"\foo"),
         (named("", many("2 2 2", r"\one", "0.008"), "A") + named("", many("9 9 9", r"\kelvin", "1"), "B"), 2.0),
-        (named("", many("2 2 2", r"\one", "0.008"), "A") + named("", many("9 9", r"\kelvin", "1"), "B"), 2.0),
         (named("", many("2 2 2", r"\one"), "A"), "uncertainty"),
         (
             named("", many("2 2 2", r"\one", "0.008"), "Gain")
@@ -536,15 +490,12 @@ def test_a_single_frequency_in_rad_per_second_is_converted(tmp_path):
     ],
 )
 def test_the_magnitude_is_the_column_that_can_be_it(tmp_path, magnitudes, expected):
-    (tmp_path / "a.xml").write_text(amplifier(HERTZ, magnitudes, TURN), encoding="utf-8")
+    found = response_or_refusal(tmp_path, HERTZ, magnitudes, TURN)
     if isinstance(expected, str):
-        with pytest.raises(InputError) as caught:
-            read_response(tmp_path / "a.xml", np.array([100.0]))
-        assert caught.value.code == CERTIFIED_VALUE_NOT_USABLE.code
-        assert expected in str(caught.value.values["found"])
+        assert expected in found
     else:
+        assert abs(found) == pytest.approx(expected)
         found = read_response(tmp_path / "a.xml", np.array([100.0]))
-        assert abs(found.value[0]) == pytest.approx(expected)
         assert found.errors[0, 0].real == pytest.approx(0.002, rel=0.01), "0.0346 dB are 0.4 %"
 
 
@@ -562,7 +513,7 @@ def test_nan_in_the_table_matters_where_it_is_needed(tmp_path):
         for hertz in (100.5, 150.0, 199.0):
             with pytest.raises(InputError) as caught:
                 read_response(tmp_path / "a.xml", np.array([hertz]))
-            assert caught.value.code == CERTIFIED_VALUE_NOT_USABLE.code
+            assert caught.value.code == raised.CERTIFIED_VALUE_NOT_USABLE.code
             assert '"c"' in caught.value.key
             assert f"{hertz:g} Hz" in str(caught.value)
             assert "150 Hz" in str(caught.value)
@@ -637,41 +588,41 @@ PARALLEL = (
 )
 UNKNOWN = '<ds:Transform Algorithm="http://www.w3.org/TR/1999/REC-xslt-19991116"/>'
 RESULTS = PLAIN.replace("<dcc:measurementResults>", '<dcc:measurementResults id="r">')
-CHECKED = (SIGNER_NOT_VERIFIED, "")
+CHECKED = (raised.SIGNER_NOT_VERIFIED, "")
 """Every digest agrees."""
 
 
 def unchecked(reason: str = "") -> tuple[DeclaredNotice, str]:
     """Notice of a signature that was not checked, and what its reason names."""
-    return SIGNATURE_NOT_CHECKED, reason
+    return raised.SIGNATURE_NOT_CHECKED, reason
 
 
 @pytest.mark.parametrize(
     ("text", "expected"),
     [
         (PLAIN, None),
-        (SIGNED.replace("S&#252;d &amp; 7", "K 7"), CERTIFICATE_CHANGED),
+        (SIGNED.replace("S&#252;d &amp; 7", "K 7"), raised.CERTIFICATE_CHANGED),
         (SIGNED, CHECKED),
         (SIGNED.replace("<?style sheet?>", "<?style  sheet?>"), CHECKED),
-        (SIGNED.replace("<?style sheet?>", "<?style other?>"), CERTIFICATE_CHANGED),
+        (SIGNED.replace("<?style sheet?>", "<?style other?>"), raised.CERTIFICATE_CHANGED),
         (SIGNED.replace("<!-- weighed -->", ""), CHECKED),  # comments are not signed
         (SIGNED.replace("\n", "\r\n"), CHECKED),
-        (SIGNED.replace(">7<", ">7.1<"), CERTIFICATE_CHANGED),
-        (SIGNED.replace("\\kilogram", "\\gram"), CERTIFICATE_CHANGED),
-        (SIGNED.replace("load mass", "load mass "), CERTIFICATE_CHANGED),
-        (SIGNED.replace(' id=\'m1\'', ' id=\'m1\' refId=\'x\''), CERTIFICATE_CHANGED),
+        (SIGNED.replace(">7<", ">7.1<"), raised.CERTIFICATE_CHANGED),
+        (SIGNED.replace("\\kilogram", "\\gram"), raised.CERTIFICATE_CHANGED),
+        (SIGNED.replace("load mass", "load mass "), raised.CERTIFICATE_CHANGED),
+        (SIGNED.replace(' id=\'m1\'', ' id=\'m1\' refId=\'x\''), raised.CERTIFICATE_CHANGED),
         *((signed(PLAIN, digest=name), CHECKED) for name in ("sha1", "sha224", "sha256", "sha384", "sha512")),
         *((signed(PLAIN, transform=transform), CHECKED) for transform in (SUBTRACTED, PARALLEL)),
         (signed(REMARKED, transform=COMMENTED), CHECKED),
-        (signed(REMARKED, transform=COMMENTED).replace("6960.5", "7"), CERTIFICATE_CHANGED),
+        (signed(REMARKED, transform=COMMENTED).replace("6960.5", "7"), raised.CERTIFICATE_CHANGED),
         (signed(signed(PLAIN), digest="sha512"), CHECKED),  # a second one, of all and the first
-        (signed(PLAIN, digest="sha512").replace("6960.5", "2406.3"), CERTIFICATE_CHANGED),
+        (signed(PLAIN, digest="sha512").replace("6960.5", "2406.3"), raised.CERTIFICATE_CHANGED),
         (signed(PLAIN, transform=UNKNOWN), unchecked("http://www.w3.org/TR/1999/REC-xslt-19991116")),
         (signed(PLAIN, name="http://www.w3.org/2001/04/xmldsig-more#md5"), unchecked("http://www.w3.org/2001/04/xmldsig-more#md5")),
         (signed(PLAIN).replace('URI=""', 'URI="other.xml"'), unchecked("other.xml")),
         (signed(RESULTS, "#r", ""), unchecked("dcc:administrativeData")),
-        (signed(signed(RESULTS, "#r", "").replace('id="r"', 'id="s"'), "#s", ""), CERTIFICATE_CHANGED),  # no #r
-        (signed(PLAIN).replace("<ds:DigestValue>", "<ds:DigestValue>AAAA"), CERTIFICATE_CHANGED),
+        (signed(signed(RESULTS, "#r", "").replace('id="r"', 'id="s"'), "#s", ""), raised.CERTIFICATE_CHANGED),  # no #r
+        (signed(PLAIN).replace("<ds:DigestValue>", "<ds:DigestValue>AAAA"), raised.CERTIFICATE_CHANGED),
         (
             PLAIN.replace("<dcc:results>", f"<dcc:results>{signed(PLAIN)[signed(PLAIN).index('<ds:Sig'):-36]}"),
             unchecked(),
@@ -680,10 +631,10 @@ def unchecked(reason: str = "") -> tuple[DeclaredNotice, str]:
 )  # fmt: skip
 def test_signature_is_checked_and_a_changed_certificate_refused(tmp_path, text, expected):
     (tmp_path / "a.xml").write_bytes(text.encode())
-    if expected is CERTIFICATE_CHANGED:
+    if expected is raised.CERTIFICATE_CHANGED:
         with pytest.raises(InputError) as caught:
             dcc.read_dcc(tmp_path / "a.xml")
-        assert (caught.value.code, caught.value.key) == (CERTIFICATE_CHANGED.code, "ds:Signature")
+        assert (caught.value.code, caught.value.key) == (raised.CERTIFICATE_CHANGED.code, "ds:Signature")
         assert caught.value.file.name == "a.xml"
         return
     notices = dcc.read_dcc(tmp_path / "a.xml").signature_notices
@@ -696,7 +647,7 @@ def test_check_prints_the_notice_of_a_signature(campaign, capsys):
     recording = campaign(signed(PLAIN, transform=UNKNOWN))
     (notice,) = load_manifest(recording).certificate_notices
     main(["check", str(recording)])
-    assert notice.code == SIGNATURE_NOT_CHECKED.code
+    assert notice.code == raised.SIGNATURE_NOT_CHECKED.code
     assert "http://www.w3.org/TR/1999/REC-xslt-19991116" in capsys.readouterr().out
     changed = campaign(signed(PLAIN).replace("6960.5", "2406.3"))
     assert main(["check", str(changed)]) == 2
@@ -706,10 +657,10 @@ def test_check_prints_the_notice_of_a_signature(campaign, capsys):
 @pytest.mark.skipif(not REAL.is_dir(), reason=f"no certificates at {REAL}")
 def test_the_published_signed_certificate_and_the_manipulated_one():
     (notice,) = dcc.read_dcc(REAL / "dcc_gp_temperature_typical_v12_signed.xml").signature_notices
-    assert notice.code == SIGNER_NOT_VERIFIED.code
+    assert notice.code == raised.SIGNER_NOT_VERIFIED.code
     with pytest.raises(InputError) as caught:
         dcc.read_dcc(REAL / "dcc_gp_temperature_typical_v12_signed_manipulated.xml")
-    assert caught.value.code == CERTIFICATE_CHANGED.code
+    assert caught.value.code == raised.CERTIFICATE_CHANGED.code
 
 
 GOOD = certificate(MASS)
@@ -717,43 +668,58 @@ BROKEN = [
     # certificate, entry at the key, declaration of the error, its file and key, value that it names
     (
         certificate(VOLUME), '{ dcc = "a.xml" }',
-        CERTIFIED_UNIT_MISMATCH, "rig.toml", "load.mass", r"\centi\metre\tothe{3}",
+        raised.CERTIFIED_UNIT_MISMATCH, "rig.toml", "load.mass", r"\centi\metre\tothe{3}",
     ),
     (
         certificate(VOLUME, MASS), '{ dcc = "a.xml", result = "volume" }',
-        CERTIFIED_UNIT_MISMATCH, "rig.toml", "load.mass", r"\centi\metre",
+        raised.CERTIFIED_UNIT_MISMATCH, "rig.toml", "load.mass", r"\centi\metre",
     ),
-    (certificate(MASS, MASS), FROM_FILE, CERTIFIED_RESULT_NOT_FOUND, "rig.toml", "load.mass.result", "load mass"),
+    (
+        certificate(MASS, MASS), FROM_FILE,
+        raised.CERTIFIED_RESULT_NOT_FOUND, "rig.toml", "load.mass.result", "load mass",
+    ),
     (
         GOOD, '{ dcc = "a.xml", result = "other" }',
-        CERTIFIED_RESULT_NOT_FOUND, "rig.toml", "load.mass.result", '"load mass"',
+        raised.CERTIFIED_RESULT_NOT_FOUND, "rig.toml", "load.mass.result", '"load mass"',
     ),
-    (GOOD, '{ dcc = "b.xml" }', MISSING_FILE, "rig.toml", "load.mass.dcc", "b.xml"),
-    (GOOD, '{ dcc = "../../a.xml" }', PATH_NOT_ALLOWED, "rig.toml", "load.mass.dcc", "../../a.xml"),
-    (GOOD, '{ dcc = "/etc/a.xml" }', PATH_NOT_ALLOWED, "rig.toml", "load.mass.dcc", "/etc/a.xml"),
-    (GOOD, '{ dcc = "a.txt" }', KEY_TAKES_NO_CERTIFICATE, "rig.toml", "load.mass.dcc", "a.txt"),
-    (GOOD, "{ dcc = 7 }", WRONG_VALUE_TYPE, "rig.toml", "load.mass.dcc", "7"),
-    (GOOD, '{ dcc = "a.xml", k = 2 }', UNKNOWN_KEY, "rig.toml", "load.mass.k", ""),
+    (GOOD, '{ dcc = "b.xml" }', raised.MISSING_FILE, "rig.toml", "load.mass.dcc", "b.xml"),
+    (GOOD, '{ dcc = "../../a.xml" }', raised.PATH_NOT_ALLOWED, "rig.toml", "load.mass.dcc", "../../a.xml"),
+    (GOOD, '{ dcc = "/etc/a.xml" }', raised.PATH_NOT_ALLOWED, "rig.toml", "load.mass.dcc", "/etc/a.xml"),
+    (GOOD, '{ dcc = "a.txt" }', raised.KEY_TAKES_NO_CERTIFICATE, "rig.toml", "load.mass.dcc", "a.txt"),
+    (GOOD, "{ dcc = 7 }", raised.WRONG_VALUE_TYPE, "rig.toml", "load.mass.dcc", "7"),
+    (GOOD, '{ dcc = "a.xml", k = 2 }', raised.UNKNOWN_KEY, "rig.toml", "load.mass.k", ""),
     (
         GOOD, '{ dcc = "a.xml", valid_until = 2020-01-01 }',
-        INVALID_UNCERTAINTY_STATEMENT, "rig.toml", "load.mass.valid_until", "2020-01-01",
+        raised.INVALID_UNCERTAINTY_STATEMENT, "rig.toml", "load.mass.valid_until", "2020-01-01",
     ),
-    ("mass = 7", FROM_FILE, INVALID_CERTIFICATE_FILE, "a.xml", "", ""),
-    ("<a/>", FROM_FILE, INVALID_CERTIFICATE_FILE, "a.xml", "", "dcc:digitalCalibrationCertificate"),
-    ('<!DOCTYPE a [<!ENTITY b "c"><!ENTITY d "&b;&b;">]>' + GOOD, FROM_FILE, INVALID_CERTIFICATE_FILE, "a.xml", "", ""),
-    (GOOD.replace(r"<si:unit>\gram</si:unit>", ""), FROM_FILE, CERTIFIED_VALUE_NOT_USABLE, "a.xml", "si:unit", ""),
-    (GOOD.replace(">2.0<", ">-2.0<"), FROM_FILE, CERTIFIED_VALUE_NOT_USABLE, "a.xml", "si:uncertainty", "-2"),
-    (GOOD.replace("expandedUnc>", "none>"), FROM_FILE, CERTIFIED_VALUE_NOT_USABLE, "a.xml", "load mass", "uncertainty"),
+    ("mass = 7", FROM_FILE, raised.INVALID_CERTIFICATE_FILE, "a.xml", "", ""),
+    ("<a/>", FROM_FILE, raised.INVALID_CERTIFICATE_FILE, "a.xml", "", "dcc:digitalCalibrationCertificate"),
+    (
+        '<!DOCTYPE a [<!ENTITY b "c"><!ENTITY d "&b;&b;">]>' + GOOD, FROM_FILE,
+        raised.INVALID_CERTIFICATE_FILE, "a.xml", "", "",
+    ),
+    (
+        GOOD.replace(r"<si:unit>\gram</si:unit>", ""), FROM_FILE,
+        raised.CERTIFIED_VALUE_NOT_USABLE, "a.xml", "si:unit", "",
+    ),
+    (GOOD.replace(">2.0<", ">-2.0<"), FROM_FILE, raised.CERTIFIED_VALUE_NOT_USABLE, "a.xml", "si:uncertainty", "-2"),
+    (
+        GOOD.replace("expandedUnc>", "none>"), FROM_FILE,
+        raised.CERTIFIED_VALUE_NOT_USABLE, "a.xml", "load mass", "uncertainty",
+    ),
     (
         certificate(result("load mass", many("1 2", r"\kilogram", "0.1"))), FROM_FILE,
-        CERTIFIED_UNIT_MISMATCH, "rig.toml", "load.mass", "2",
+        raised.CERTIFIED_UNIT_MISMATCH, "rig.toml", "load.mass", "2",
     ),
     (
         certificate(result("load mass", many("1 2", r"\kilogram", "0.1 0.1 0.1"))), FROM_FILE,
-        CERTIFIED_VALUE_NOT_USABLE, "a.xml", "load mass", "3 numbers",
+        raised.CERTIFIED_VALUE_NOT_USABLE, "a.xml", "load mass", "3 numbers",
     ),
-    (certificate(CONVENTIONAL), FROM_FILE, CONTRADICTING_VALUES, "rig.toml", "load.mass", 'mass_kind = "conventional"'),
-    (certificate(), '{ dcc = "a.xml" }', CERTIFIED_RESULT_NOT_FOUND, "rig.toml", "load.mass.result", "a.xml"),
+    (
+        certificate(CONVENTIONAL), FROM_FILE,
+        raised.CONTRADICTING_VALUES, "rig.toml", "load.mass", 'mass_kind = "conventional"',
+    ),
+    (certificate(), '{ dcc = "a.xml" }', raised.CERTIFIED_RESULT_NOT_FOUND, "rig.toml", "load.mass.result", "a.xml"),
 ]  # fmt: skip
 
 
@@ -775,12 +741,16 @@ def test_unusable_certificate_is_refused_at_file_and_key(campaign, capsys, text,
 @pytest.mark.parametrize(
     ("text", "declared", "found"),
     [
-        (curve("c", "1 2 3", "1 1 1", "0 0 0", r"\pascal\per\volt"), CERTIFIED_UNIT_MISMATCH, r"\pascal\per\volt"),
-        (curve("c", "1 2 3", "1 1 1", "", r"\one"), CERTIFIED_VALUE_NOT_USABLE, "phase"),
-        (curve("c", "1 2", "1 1 1", "0 0 0", r"\one"), CERTIFIED_VALUE_NOT_USABLE, "2 numbers"),
-        (curve("c", "1 1 3", "1 1 1", "0 0 0", r"\one"), CERTIFIED_VALUE_NOT_USABLE, "twice"),
-        (curve("c", "1 2 3", "1 1 1", "0 0 0", r"\one") * 2, CERTIFIED_VALUE_NOT_USABLE, '2 of "c"'),
-        (MASS, CERTIFIED_VALUE_NOT_USABLE, "frequency"),
+        (
+            curve("c", "1 2 3", "1 1 1", "0 0 0", r"\pascal\per\volt"),
+            raised.CERTIFIED_UNIT_MISMATCH,
+            r"\pascal\per\volt",
+        ),
+        (curve("c", "1 2 3", "1 1 1", "", r"\one"), raised.CERTIFIED_VALUE_NOT_USABLE, "phase"),
+        (curve("c", "1 2", "1 1 1", "0 0 0", r"\one"), raised.CERTIFIED_VALUE_NOT_USABLE, "2 numbers"),
+        (curve("c", "1 1 3", "1 1 1", "0 0 0", r"\one"), raised.CERTIFIED_VALUE_NOT_USABLE, "twice"),
+        (curve("c", "1 2 3", "1 1 1", "0 0 0", r"\one") * 2, raised.CERTIFIED_VALUE_NOT_USABLE, '2 of "c"'),
+        (MASS, raised.CERTIFIED_VALUE_NOT_USABLE, "frequency"),
     ],
 )
 def test_unusable_response_of_a_certificate_is_refused(campaign, text, declared, found):
@@ -795,7 +765,7 @@ def test_keys_that_no_certificate_states_are_refused(campaign):
     inertia = "inertia_uncertainty = 1e-4"
     with pytest.raises(InputError) as caught:
         load_manifest(campaign(GOOD, '{ dcc = "a.xml" }', inertia))
-    assert (caught.value.code, caught.value.key) == (KEY_TAKES_NO_CERTIFICATE.code, "load.inertia_uncertainty")
+    assert (caught.value.code, caught.value.key) == (raised.KEY_TAKES_NO_CERTIFICATE.code, "load.inertia_uncertainty")
 
 
 @pytest.mark.skipif(not REAL.is_dir(), reason=f"no certificates at {REAL}")
@@ -810,5 +780,5 @@ def test_the_published_certificate_of_a_silicon_sphere(campaign):
     assert stated.k == 2.0
     with pytest.raises(InputError) as caught:
         load_manifest(campaign(text, '{ dcc = "a.xml", result = "Volume" }'))
-    assert (caught.value.code, caught.value.key) == (CERTIFIED_UNIT_MISMATCH.code, "load.mass")
+    assert (caught.value.code, caught.value.key) == (raised.CERTIFIED_UNIT_MISMATCH.code, "load.mass")
     assert r"\centi\metre" in str(caught.value.values["found"])

@@ -27,7 +27,7 @@ from fusion.recording.manifest import ChannelEntry
 from fusion.recording.placement import measuring_point, unit_direction
 from fusion.recording.response import ChainElement, read_chain, read_response
 from fusion.recording.transducer import TRANSDUCERS
-from fusion.sensor.load.load_notices import CONTRADICTORY_MOVING_MASS
+from fusion.sensor.model_notices import CONTRADICTORY_MOVING_MASS
 from fusion.simulate import simulate
 from shaker.labels import MOTION_COMPONENTS
 from shaker.sine.phasor import Phasors

@@ -10,29 +10,10 @@ from support import documented_columns, folder_contents, refusals, rows
 
 from fusion.cli import main
 from fusion.report.h5 import open_results, read_notices
+from fusion.sensor import result_notices as raised
 from fusion.sensor.compare.comparison_inputs import read_result
-from fusion.sensor.compare.comparison_notices import (
-    NO_COMMON_VALUE,
-    NO_RESULT_TABLE,
-    ONLY_DIFFERENT_KINDS,
-    PHASES_DIFFER_BY_180,
-    PHASES_OPPOSITE,
-    RESPONSES_LEFT_OUT,
-    UNIT_NOT_CONVERTIBLE,
-    UNMATCHED_VALUES,
-    WRONG_CERTIFIED_RESULT,
-    WRONG_COMPARISON_OPTION,
-    WRONG_RESULT_CELL,
-    WRONG_RESULT_COUNT,
-    WRONG_RESULT_TABLE,
-)
 from fusion.sensor.compare.comparison_report import COMPARISON
-from fusion.sensor.compare.reference_value import (
-    complex_normalised_error,
-    drift,
-    normalised_error,
-    reference_value,
-)
+from fusion.sensor.compare.consistency import complex_normalised_error, drift, normalised_error, reference_value
 from shakercal._common.notices import Notice
 
 
@@ -55,23 +36,9 @@ def test_an_outlier_leaves_the_largest_consistent_subset() -> None:
     assert abs(found.normalised[2]) > 1.0
 
 
-@pytest.mark.parametrize("shared", [0.0, 0.8])
-def test_honest_laboratories_agree_in_95_percent(shared: float) -> None:
-    rng, u, draws = np.random.default_rng(1), np.array([0.1, 0.2]), 2000
-    common = shared * 0.1
-    covariance = np.diag(u**2 - common**2) + common**2
-    values = 5.0 + common * rng.standard_normal((draws, 1))
-    values = values + np.sqrt(u**2 - common**2) * rng.standard_normal((draws, 2))
-    share = np.mean([abs(normalised_error(row, covariance)[0, 1]) <= 1.0 for row in values])
-    assert 0.93 < share < 0.97
-    if shared:
-        alone = np.mean([abs(normalised_error(row, np.diag(u**2))[0, 1]) <= 1.0 for row in values])
-        assert alone > share, "what is shared cancels in the difference; without that E_n is too small"
-
-
 def test_three_laboratories_of_which_two_share_an_input_are_covered() -> None:
-    """Generalised least squares against its closed form; 2000 draws of errors, the mean, deviations and chi-square."""
-    rng, draws, separate = np.random.default_rng(8), 2000, np.array([0.10, 0.15, 0.12])
+    """Generalised least squares against its closed form; 1000 draws of errors, the mean, deviations and chi-square."""
+    rng, draws, separate = np.random.default_rng(8), 1000, np.array([0.10, 0.15, 0.12])
     common = np.array([0.12, 0.12, 0.0])
     covariance = np.diag(separate**2) + np.outer(common, common)
     values = 5.0 + common * rng.standard_normal((draws, 1)) + separate * rng.standard_normal((draws, 3))
@@ -85,22 +52,23 @@ def test_three_laboratories_of_which_two_share_an_input_are_covered() -> None:
     np.testing.assert_allclose([one.value for one in whole], means[of_whole], rtol=1e-12)
     assert 0.93 < np.mean(np.abs(means - 5.0) <= 2.0 * found[0].u) < 0.97
     deviations = (values - means[:, None]) / whole[0].expanded
-    assert np.all(np.abs(np.mean(np.abs(deviations) <= 1.0, axis=0) - 0.9545) < 0.02)
+    assert np.all(np.abs(np.mean(np.abs(deviations) <= 1.0, axis=0) - 0.9545) < 0.025)
 
 
-def test_a_deviation_of_three_u_is_found() -> None:
-    expanded = 0.2 * 2**0.5
-    assert abs(normalised_error(np.array([1.0, 1.0 + 3 * expanded]), 0.01 * np.eye(2))[0, 1]) == pytest.approx(3.0)
+def test_a_deviation_of_three_u_is_found_and_a_shared_error_cancels() -> None:
+    value = np.array([1.0, 1.0 + 3 * 0.2 * 2**0.5])
+    assert abs(normalised_error(value, 0.01 * np.eye(2))[0, 1]) == pytest.approx(3.0)
+    assert abs(normalised_error(value, 0.01 * np.eye(2) + 0.04)[0, 1]) == pytest.approx(3.0)
 
 
 def test_drift_is_that_of_many_draws() -> None:
     year, u = np.array([2020.0, 2021.0, 2024.0, 2025.0]), np.array([0.1, 0.2, 0.1, 0.3])
     rng = np.random.default_rng(2)
     covariance = np.diag(u**2)
-    found = [drift(year, 3.0 + 0.05 * (year - 2020.0) + u * rng.standard_normal(4), covariance) for _ in range(4000)]
+    found = [drift(year, 3.0 + 0.05 * (year - 2020.0) + u * rng.standard_normal(4), covariance) for _ in range(1000)]
     slopes = np.array([slope for slope, _ in found])
-    assert slopes.mean() == pytest.approx(0.05, abs=4 * slopes.std() / 4000**0.5)
-    assert slopes.std() == pytest.approx(found[0][1], rel=0.05)
+    assert slopes.mean() == pytest.approx(0.05, abs=4 * slopes.std() / 1000**0.5)
+    assert slopes.std() == pytest.approx(found[0][1], rel=0.1)
 
 
 def test_two_results_that_contradict_each_other_have_no_reference() -> None:
@@ -111,13 +79,13 @@ def test_two_results_that_contradict_each_other_have_no_reference() -> None:
 
 
 def test_honest_laboratories_agree_about_complex_values_in_95_percent() -> None:
-    """Real and imaginary parts are drawn in Cartesian coordinates about a truth at 40 degrees, 4000 pairs."""
-    rng, draws = np.random.default_rng(3), 4000
+    """Real and imaginary parts are drawn in Cartesian coordinates about a truth at 40 degrees, 1000 pairs."""
+    rng, draws = np.random.default_rng(3), 1000
     truth, u_size, u_turn = 2.0 * np.exp(0.7j), np.array([0.004, 0.010]), np.array([0.003, 0.001])
     radial, across = rng.standard_normal((2, draws, 2))
     value = truth * (1.0 + u_size / 2.0 * radial + 1j * u_turn * across)
     share = np.mean([complex_normalised_error(pair, u_size, u_turn)[0, 1] <= 1.0 for pair in value])
-    assert 0.937 < share < 0.963
+    assert 0.925 < share < 0.972
 
 
 def test_complex_values_on_the_edge_of_the_region_have_an_error_of_1() -> None:
@@ -159,7 +127,7 @@ def test_tables_become_a_page_and_a_table(tmp_path) -> None:
     assert [column.name for column in COMPARISON] == list(one)
     assert float(two["E_n_complex_largest_pair"]) == pytest.approx(2e-10 / (2**0.5 * 1e-10) / 5.99146**0.5)
     assert "chart-Fz-Fz" in (out / "comparison.html").read_text(encoding="utf-8")
-    (unmatched,) = (notice for notice in notices_of(out) if notice.code == UNMATCHED_VALUES.code)
+    (unmatched,) = (notice for notice in notices_of(out) if notice.code == raised.UNMATCHED_VALUES.code)
     assert unmatched.values == {"count": 2}
 
 
@@ -189,7 +157,7 @@ def test_responses_to_other_loads_are_not_compared(tmp_path, outputs) -> None:
         (tmp_path / f"{name}.csv").write_text(kinds(*single))
     assert main(["compare", str(tmp_path / "a.csv"), str(tmp_path / "b.csv"), "-o", str(tmp_path / "out")]) == 0
     assert {row["channel"] for row in rows(tmp_path / "out" / "comparison.csv")} == {main_output}
-    (left_out,) = (notice for notice in notices_of(tmp_path / "out") if notice.code == RESPONSES_LEFT_OUT.code)
+    (left_out,) = (notice for notice in notices_of(tmp_path / "out") if notice.code == raised.RESPONSES_LEFT_OUT.code)
     assert left_out.values == {"counts": "1 of a, 1 of b"}
 
 
@@ -205,14 +173,14 @@ def test_ratios_and_elements_are_refused(tmp_path, capsys) -> None:
     (tmp_path / "a.csv").write_text(kinds((80.0, "Fz", 2e-7, "ratio")))
     (tmp_path / "b.csv").write_text(kinds((80.01, "Fz", 2e-7, "element")))
     refusal = refusals(capsys)("compare", tmp_path / "a.csv", tmp_path / "b.csv", "-o", tmp_path / "out")
-    assert f"{ONLY_DIFFERENT_KINDS.code} " in refusal
+    assert f"{raised.ONLY_DIFFERENT_KINDS.code} " in refusal
 
 
 @pytest.mark.parametrize(
     ("phases", "declared"),
     [
-        ((-0.05, 3.08, -0.10, 3.05), PHASES_DIFFER_BY_180),
-        ((-0.05, 0.05, -0.10, 0.10), PHASES_OPPOSITE),
+        ((-0.05, 3.08, -0.10, 3.05), raised.PHASES_DIFFER_BY_180),
+        ((-0.05, 0.05, -0.10, 0.10), raised.PHASES_OPPOSITE),
         ((-0.05, -0.05, -0.10, 3.05), None),
         ((-0.0005, 0.0005, -0.001, 0.001), None),
         ((-0.05, 0.09, -0.10, 0.20), None),
@@ -225,7 +193,10 @@ def test_different_conventions_of_two_laboratories_are_named(tmp_path, capsys, p
         (tmp_path / f"{name}.csv").write_text("\n".join([HEAD, *cells]) + "\n")
     assert main(["compare", str(tmp_path / "a.csv"), str(tmp_path / "b.csv"), "-o", str(tmp_path / "out"), "-q"]) == 0
     assert bool(capsys.readouterr().err) is (declared is not None)
-    codes = {notice.code for notice in notices_of(tmp_path / "out")} & {PHASES_DIFFER_BY_180.code, PHASES_OPPOSITE.code}
+    codes = {notice.code for notice in notices_of(tmp_path / "out")} & {
+        raised.PHASES_DIFFER_BY_180.code,
+        raised.PHASES_OPPOSITE.code,
+    }
     assert codes == ({declared.code} if declared else set())
 
 
@@ -307,7 +278,7 @@ def test_a_covariance_counts_in_the_unit_stated(tmp_path, unit: str, variance: s
     assert one.u_phase_rad == pytest.approx(1e-7 / 2.002e-4)
 
 
-CERTIFIED_CODE = WRONG_CERTIFIED_RESULT.code
+CERTIFIED_CODE = raised.WRONG_CERTIFIED_RESULT.code
 BROKEN_CERTIFICATES = [  # the text, and a code, key or value of the refusal
     (complex_certificate(r"\milli\volt\tothe{2}", "1e-14"), "b.xml: "),
     (CERTIFICATE[:-40], "XML"),
@@ -321,7 +292,7 @@ BROKEN_CERTIFICATES = [  # the text, and a code, key or value of the refusal
     (CERTIFICATE.replace("expandedMUXMLList>", "noneXMLList>"), "b.xml: "),
     (CERTIFICATE.replace(DSI, r"\furlong"), "furlong"),
     (CERTIFICATE.replace(DSI, r"\giga\metre\tothe{999}"), "{999}"),
-    (CERTIFICATE.replace(DSI, r"\milli\volt\per\newton"), f"{UNIT_NOT_CONVERTIBLE.code} "),
+    (CERTIFICATE.replace(DSI, r"\milli\volt\per\newton"), f"{raised.UNIT_NOT_CONVERTIBLE.code} "),
     (CERTIFICATE.replace("2026-03-01", "March"), "March"),
     (CERTIFICATE.replace(" per Fz", ""), f"{CERTIFIED_CODE} "),
     ("<a>" * 100_000, "XML"),
@@ -342,7 +313,7 @@ def test_certificates_that_cannot_be_compared_are_one_sentence(tmp_path, capsys,
 
 
 GOOD = table((80.0, 2e-7, 2e-10))
-COLUMNS, CELL = WRONG_RESULT_TABLE.code, WRONG_RESULT_CELL.code
+COLUMNS, CELL = raised.WRONG_RESULT_TABLE.code, raised.WRONG_RESULT_CELL.code
 BROKEN = [  # the text, and the code, file, key or value of the refusal
     ("", f"{COLUMNS} "),
     ("\x00\x01", ""),
@@ -355,8 +326,8 @@ BROKEN = [  # the text, and the code, file, key or value of the refusal
     (GOOD.replace("2e-10,2,", "many,2,"), '"many"'),
     (GOOD.replace(",Fz,Fz", ",,Fz"), "b.csv: channel: "),
     (GOOD + GOOD.splitlines()[1] + "\n", f"{CELL} "),
-    (table((90.0, 2e-7, 2e-10)), f"{NO_COMMON_VALUE.code} "),
-    (table((80.0, 2e-7, 2e-10), unit="mV/N"), f"{UNIT_NOT_CONVERTIBLE.code} "),
+    (table((90.0, 2e-7, 2e-10)), f"{raised.NO_COMMON_VALUE.code} "),
+    (table((80.0, 2e-7, 2e-10), unit="mV/N"), f"{raised.UNIT_NOT_CONVERTIBLE.code} "),
     (HEAD + "\n", f"{COLUMNS} "),
     (GOOD.replace("80.0,", "1e300,"), "b.csv: frequency_hz: "),
     (kinds((80.0, "Fz", 2e-7, "mean")), "b.csv: kind: "),
@@ -375,12 +346,12 @@ def test_tables_that_cannot_be_compared_are_one_sentence(tmp_path, capsys, text,
 @pytest.mark.parametrize(
     ("more", "found"),
     [
-        (["a.csv"], f"{WRONG_COMPARISON_OPTION.code} a.csv: "),
-        (["b.csv", "--date", "c=2024-01-01"], f"{WRONG_COMPARISON_OPTION.code} --date: c: "),
-        (["b.csv", "--date", "a=yesterday"], f"{WRONG_COMPARISON_OPTION.code} --date: a: "),
+        (["a.csv"], f"{raised.WRONG_COMPARISON_OPTION.code} a.csv: "),
+        (["b.csv", "--date", "c=2024-01-01"], f"{raised.WRONG_COMPARISON_OPTION.code} --date: c: "),
+        (["b.csv", "--date", "a=yesterday"], f"{raised.WRONG_COMPARISON_OPTION.code} --date: a: "),
         (["nowhere.csv"], "nowhere.csv"),
-        (["empty"], f"{NO_RESULT_TABLE.code} empty: "),
-        ([], f"{WRONG_RESULT_COUNT.code} "),
+        (["empty"], f"{raised.NO_RESULT_TABLE.code} empty: "),
+        ([], f"{raised.WRONG_RESULT_COUNT.code} "),
     ],
 )
 def test_wrong_options_are_one_sentence(tmp_path, capsys, monkeypatch, more, found) -> None:

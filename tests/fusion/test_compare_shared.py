@@ -27,9 +27,8 @@ from fusion.report.recording_report import write_results
 from fusion.sensitivity.input_evidence import InputEvidence
 from fusion.sensor.compare.comparison_evaluation import ComparisonEvaluation, evaluate_comparison
 from fusion.sensor.compare.comparison_inputs import ComparedResult, ComparedValue, read_result
-from fusion.sensor.compare.comparison_notices import CONTRADICTORY_CLAIMS, POSSIBLY_SHARED
-from fusion.sensor.compare.reference_value import weighted_mean
-from fusion.sensor.compare.shared_inputs import covariance_of, find_shared_inputs
+from fusion.sensor.compare.consistency import covariance_of, find_shared_inputs, weighted_mean
+from fusion.sensor.result_notices import CONTRADICTORY_CLAIMS, POSSIBLY_SHARED
 from shaker.labels import LOAD_COMPONENTS
 
 MASS = InputEvidence("load: mass", "mass", 9.73, 6e-3, "kg", "M-1", "", "", "rig.toml: load.mass")

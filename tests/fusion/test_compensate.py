@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import re
 import shutil
 import subprocess
 from dataclasses import replace
@@ -23,13 +22,8 @@ from support import block, channel, rows
 
 from fusion.cli import main
 from fusion.errors import InputError
+from fusion.sensor import model_notices as raised
 from fusion.sensor.compensate.compensation_evaluation import evaluate_compensation, white_noise
-from fusion.sensor.compensate.compensation_notices import (
-    FILTER_REFUSED,
-    MODE_NOT_COMPENSATED,
-    NO_MODEL_FILE,
-    WRONG_COMPENSATION_OPTION,
-)
 from fusion.sensor.compensate.compensation_report import header_text, json_text, read_compensation_filters
 from fusion.sensor.compensate.compensation_subjects import CompensationSettings, read_sources
 from fusion.sensor.model_files import (
@@ -41,7 +35,6 @@ from fusion.sensor.model_files import (
     models_text,
     read_models,
 )
-from fusion.sensor.sensor_model_notices import DAMAGED_MODEL_FILE, WRONG_MODEL_FORMAT
 from shaker.compensation.filter import CompensationFilter
 from shaker.lti.indices import LABELS, indices
 from shaker.lti.lti_notices import FIGURES_NOT_LINEAR
@@ -161,26 +154,13 @@ def test_a_filter_for_every_load_of_one_target(tmp_path, capsys):
     assert np.all(np.diff(ringing) > 0)
 
 
-def test_force_feedback_with_and_without_the_load(tmp_path):
-    out, loads = tmp_path / "out", _write_loads(tmp_path / "load")
-    options = [
-        "--frequency",
-        "1000",
-        "--modes",
-        "2",
-        "--load-mass",
-        "0.198",
-        "--sample-rate",
-        "20000",
-        "--ball",
-        "1000",
-    ]
-    assert main(["compensate", str(loads), *options, "-o", str(out)]) == 0
-    page = (out / "compensate.html").read_text(encoding="utf-8")
-    rows = re.findall(r'<td class="l">((?:no )?filter[^<]*)</td><td class="r">([^<]*)</td>', page)
-    gains = {name: float(gain) for name, gain in rows}
+def test_force_feedback_with_and_without_the_load(tmp_path, refused):
+    options = {"frequency_hz": 1000.0, "modes": 2, "load_masses": (0.198,), "sample_rate_hz": 20e3}
+    settings = CompensationSettings(**options, ball_stiffness=1000.0)
+    found = evaluate_compensation(read_sources([_write_loads(tmp_path / "load")]), settings, None, {})
+    gains = {case.name: case.largest_gain for case in found.haptics.cases}
     assert gains["filter for 198 g"] > 10 * max(gains["no filter"], gains["filter for no load"])
-    assert main(["compensate", *NUMBERS, "--frequency", "900", "--ball", "1000", "-o", str(out)]) == 2
+    assert f"{OPTION} " in refused("compensate", *NUMBERS, "--frequency", "900", "--ball", "1000")
 
 
 def test_one_mode_of_two_is_reported(tmp_path):
@@ -189,7 +169,7 @@ def test_one_mode_of_two_is_reported(tmp_path):
         CompensationSettings(frequency_hz=1000.0, load_masses=(0.198,)),
     )
     found = evaluate_compensation(sources, options, None, {})
-    (notice,) = (notice for notice in found.notices if notice.code == MODE_NOT_COMPENSATED.code)
+    (notice,) = (notice for notice in found.notices if notice.code == raised.MODE_NOT_COMPENSATED.code)
     assert notice.values["share_percent"] > 1.0
 
 
@@ -273,7 +253,7 @@ def test_the_c_header_gives_the_same_bits(tmp_path):
 NUMBERS = ["--sensor-frequency", "500", "--sensor-damping", "0.004"]
 
 
-OPTION = WRONG_COMPENSATION_OPTION.code
+OPTION = raised.WRONG_COMPENSATION_OPTION.code
 
 
 @pytest.mark.parametrize(
@@ -284,11 +264,15 @@ OPTION = WRONG_COMPENSATION_OPTION.code
         ([*NUMBERS, "--bandwidth", "900", "--damping", "0.5"], OPTION, "--damping: "),
         (["--frequency", "900"], OPTION, "models.json"),
         ([*NUMBERS[:2], "--sensor-damping", "1.5", "--frequency", "900"], OPTION, "--sensor-damping: "),
-        ([*NUMBERS, "--frequency", "900", "--sample-rate", "1000"], FILTER_REFUSED.code, "--sample-rate (sensor): "),
+        (
+            [*NUMBERS, "--frequency", "900", "--sample-rate", "1000"],
+            raised.FILTER_REFUSED.code,
+            "--sample-rate (sensor): ",
+        ),
         ([*NUMBERS, "--frequency", "900", "--permitted-error", "200"], OPTION, "--permitted-error: "),
         ([*NUMBERS, "--frequency", "900", "--channel", "Fq"], OPTION, "Fq"),
         ([*NUMBERS, "--frequency", "900", "--load-mass", "0.1"], OPTION, "0.1 kg"),
-        ([*NUMBERS, "--frequency", "900", "--modes", "2"], FILTER_REFUSED.code, "--modes (sensor): "),
+        ([*NUMBERS, "--frequency", "900", "--modes", "2"], raised.FILTER_REFUSED.code, "--modes (sensor): "),
         (["nowhere", "--frequency", "900"], "", "nowhere"),
     ],
 )
@@ -305,16 +289,20 @@ def test_bad_files_are_one_sentence(tmp_path, refused):
     _write_recording(tmp_path / "release")
     both = ["--load-mass", "0", "0.1", "--apply", tmp_path / "release", "-o", tmp_path / "out"]
     for path, more, code in (
-        (empty, [], NO_MODEL_FILE.code),
-        (broken, [], DAMAGED_MODEL_FILE.code),
+        (empty, [], raised.NO_MODEL_FILE.code),
+        (broken, [], raised.DAMAGED_MODEL_FILE.code),
         (loads, ["--real-pole", "9000"], f"{OPTION} shakercal compensate: --real-pole:"),
         (loads, both, f"{OPTION} shakercal compensate: --load-mass:"),
-        (_write_models(tmp_path / "step"), ["--modes", "2"], FILTER_REFUSED.code),
+        (_write_models(tmp_path / "step"), ["--modes", "2"], raised.FILTER_REFUSED.code),
     ):
         assert f"{code} " in refused("compensate", path, "--frequency", "900", *more)
-    with pytest.raises(InputError) as caught:
-        read_compensation_filters(broken)
-    assert (caught.value.code, caught.value.values["command"]) == (DAMAGED_MODEL_FILE.code, "compensate")
+    for read, again in (
+        (read_compensation_filters, "`shakercal compensate`"),
+        (lambda path: read_sources([path]), "`shakercal step` or `shakercal load`"),
+    ):
+        with pytest.raises(InputError) as caught:
+            read(broken)
+        assert (caught.value.code, caught.value.values["to_repeat"]) == (raised.DAMAGED_MODEL_FILE.code, again)
 
 
 SIZES = st.tuples(st.integers(1, 3), st.integers(0, 2))
@@ -338,7 +326,7 @@ def entry(model: ModalModel, channel: str = "Fz", component: str = "Fz") -> Mode
     return ModelEntry(channel, component, "V/V", "pencil", model, 1e5, 3.3e-7, "a, b", 2.0)
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=15, deadline=None)
 @given(SIZES, st.integers(0, 2**32 - 1))
 def test_model_is_read_back_to_the_last_bit(sizes, seed):
     model = random_model(*sizes, np.random.default_rng(seed))
@@ -383,10 +371,11 @@ def without(*keys: Any) -> dict[str, Any]:
     ("content", "declared", "found"),
     [
         (None, None, ""),
-        (without("models"), DAMAGED_MODEL_FILE, "'models'"),
-        (without("models", 0, "modes", 0, "damping_ratio"), DAMAGED_MODEL_FILE, "'damping_ratio'"),
-        ({**without("name"), "format": 2, "name": "c"}, WRONG_MODEL_FORMAT, "2"),
-        (without("models", 0, "covariance", 0), DAMAGED_MODEL_FILE, "(6, 6)"),
+        (without("models"), raised.DAMAGED_MODEL_FILE, "'models'"),
+        (without("models", 0, "modes", 0, "damping_ratio"), raised.DAMAGED_MODEL_FILE, "'damping_ratio'"),
+        ({**without("name"), "format": 2, "name": "c"}, raised.WRONG_MODEL_FORMAT, "2"),
+        (without("models", 0, "covariance", 0), raised.DAMAGED_MODEL_FILE, "(6, 6)"),
+        ([], raised.DAMAGED_MODEL_FILE, "str"),
     ],
 )
 def test_an_unreadable_file_is_named(tmp_path, content, declared, found):
@@ -400,11 +389,8 @@ def test_an_unreadable_file_is_named(tmp_path, content, declared, found):
     assert declared is None or found in caught.value.values["found"]
 
 
-DRAWN = 200
-
-
-@pytest.mark.parametrize("times", [1.0, pytest.param(10.0, marks=pytest.mark.slow)])
-def test_u_of_figures_includes_all_poles_and_zeros(tmp_path, times):
+@pytest.mark.parametrize(("times", "count"), [(1.0, 60), pytest.param(10.0, 200, marks=pytest.mark.slow)])
+def test_u_of_figures_includes_all_poles_and_zeros(tmp_path, times, count):
     # Truth: indices of models drawn from the covariance, through the filter that was made for the one found.
     spread = times * np.array([1e-3, 2e-6, 0.05, 0.05, 6.0, 0.04])
     mode = _mode(500.0, 0.02, GAIN)
@@ -418,7 +404,7 @@ def test_u_of_figures_includes_all_poles_and_zeros(tmp_path, times):
     )
     ((made,),) = (subject.filters for subject in found.subjects)
     rng, drawn = np.random.default_rng(8), []
-    for vector in model.vector + spread * rng.normal(size=(DRAWN, len(spread))):
+    for vector in model.vector + spread * rng.normal(size=(count, len(spread))):
         sensor = model.with_vector(vector).system
         drawn.append([indices(one) for one in (sensor, sensor.times(made.compensation.system))])
     for stage, figures in enumerate((made.before, made.after)):
@@ -427,8 +413,8 @@ def test_u_of_figures_includes_all_poles_and_zeros(tmp_path, times):
             assert u is not None
             values = [one[stage].figures()[name] for one in drawn]
             value = figures.indices.figures()[name]
-            assert times > 1.0 or u == pytest.approx(np.std(values), rel=3.0 / np.sqrt(2 * DRAWN)), (stage, name)
-            assert np.sum(np.abs(np.array(values) - value) <= 2.0 * u) >= binom.ppf(1e-2, DRAWN, 0.954), (stage, name)
+            assert times > 1.0 or u == pytest.approx(np.std(values), rel=3.0 / np.sqrt(2 * count)), (stage, name)
+            assert np.sum(np.abs(np.array(values) - value) <= 2.0 * u) >= binom.ppf(1e-2, count, 0.954), (stage, name)
 
 
 def test_a_band_that_a_peak_may_cut_short_is_covered(tmp_path):
@@ -452,11 +438,11 @@ def test_a_band_that_a_peak_may_cut_short_is_covered(tmp_path):
     found = evaluate_compensation(read_sources([file]), CompensationSettings(frequency_hz=2550.0), None, {})
     ((made,),) = (subject.filters for subject in found.subjects)
     value, u_value = made.after.indices.band_10_hz, made.after.u["band_10_hz"]
-    lags = 1 / pole + u * np.random.default_rng(4).normal(size=100)
+    lags = 1 / pole + u * np.random.default_rng(4).normal(size=60)
     ends = [indices(drawn(lag).system.times(made.compensation.system)).band_10_hz for lag in lags]
     assert value is not None
     assert u_value is not None
-    assert np.mean(np.abs(np.array(ends, float) - value) < 2.0 * u_value) >= 0.93
+    assert np.mean(np.abs(np.array(ends, float) - value) < 2.0 * u_value) >= 0.9
     nonlinear = [notice for notice in found.notices if notice.code == FIGURES_NOT_LINEAR.code]
     stated = [notice.values["figures"] for notice in nonlinear if notice.where == "Fz, after the filter"]
     assert any(LABELS["band_10_hz"] in text for text in stated)

@@ -15,10 +15,15 @@ from support import rows as read_rows
 
 from fusion.cli import main
 from fusion.errors import InputError
-from fusion.sensor.decouple.decoupling_evaluation import DecoupleEvaluation, evaluate_decoupling, read_decoupling_filter
-from fusion.sensor.decouple.decoupling_notices import MISSING_RELEASES
+from fusion.recording.load import load_for_command
+from fusion.sensor.decouple.decoupling_evaluation import (
+    DecoupleEvaluation,
+    DecoupleSettings,
+    evaluate_decoupling,
+    read_decoupling_filter,
+)
 from fusion.sensor.decouple.decoupling_report import DECOUPLE, draw_step
-from fusion.sensor.sensor_model_notices import DAMAGED_MODEL_FILE
+from fusion.sensor.model_notices import DAMAGED_MODEL_FILE, LOADS_NOT_SEPARABLE, MISSING_RELEASES
 from fusion.simulate.preset import read_preset
 from fusion.simulate.releases import StepRig, sensor_model, write_steps
 from fusion.simulate.world import Draws
@@ -135,10 +140,6 @@ def test_filter_file_reads_back_to_the_last_bit(results, tmp_path):
     with pytest.raises(InputError, match="'other'") as caught:
         read_decoupling_filter(broken)
     assert (caught.value.code, caught.value.values["command"]) == (DAMAGED_MODEL_FILE.code, "decouple")
-    broken.write_text("{", encoding="utf-8")
-    with pytest.raises(InputError) as caught:
-        read_decoupling_filter(broken)
-    assert caught.value.code == DAMAGED_MODEL_FILE.code
 
 
 def test_missing_load_is_refused_by_name(campaign, tmp_path, refused):
@@ -148,6 +149,19 @@ def test_missing_load_is_refused_by_name(campaign, tmp_path, refused):
     assert f"{MISSING_RELEASES.code} " in refusal
     assert "My" in refusal
     assert not (part / "decouple").exists()
+
+
+def test_loads_that_outputs_do_not_distinguish_are_an_error_of_the_files(campaign, monkeypatch):
+    reason = "expected loads that the outputs distinguish, found Fx, found My in one direction"
+
+    def refuse(_: object) -> None:
+        raise ValueError(f"components: {reason}")
+
+    monkeypatch.setattr("fusion.sensor.decouple.decoupling_evaluation.fit_steps", refuse)
+    with pytest.raises(InputError) as caught:
+        evaluate_decoupling("one", load_for_command([campaign], "decouple"), DecoupleSettings(), {})
+    assert (caught.value.code, caught.value.key) == (LOADS_NOT_SEPARABLE.code, "components")
+    assert caught.value.values == {"reason": reason}
 
 
 def test_a_target_damping_above_one_is_refused(campaign):

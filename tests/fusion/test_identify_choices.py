@@ -11,17 +11,7 @@ from typing import Any
 import h5py
 import numpy as np
 import pytest
-from identify_factory import (
-    DAMPING,
-    LAG_S,
-    QUICK,
-    SENSITIVITY,
-    SINES_HZ,
-    SMALL,
-    STIFFNESS,
-    write_campaign,
-    write_sines,
-)
+from identify_factory import DAMPING, LAG_S, QUICK, SENSITIVITY, SINES_HZ, SMALL, STIFFNESS, write_campaign, write_sines
 from numpy.typing import NDArray
 from support import edit, rows, without_pages
 
@@ -36,6 +26,7 @@ from fusion.recording.rig import ModelChanges
 from fusion.recording.toml import to_toml
 from fusion.report.folder import Provenance, write_provenance
 from fusion.sensitivity.sensitivity_notices import LOAD_UNSTATED
+from fusion.sensor import response_notices as raised
 from fusion.sensor.identify.identification_evaluation import evaluate_identification, read_curves
 from fusion.sensor.identify.identification_inputs import (
     IdentifySettings,
@@ -44,18 +35,6 @@ from fusion.sensor.identify.identification_inputs import (
     prepare,
     read_campaign,
     transducer_placement,
-)
-from fusion.sensor.identify.identification_notices import (
-    BAND_WITHOUT_LINES,
-    DIFFERENT_SENSOR,
-    ELASTIC_LOAD,
-    EQUAL_LOAD_MASSES,
-    MISSING_IDENTIFICATION_ENTRY,
-    MISSING_MOTION_CHANNEL,
-    NO_TRANSFER_RECORDING,
-    OUTDATED_SINE_RESULTS,
-    PITCHING_NOT_DRIVEN,
-    SECOND_PEAK_NOT_EXPLAINED,
 )
 from fusion.sensor.identify.identification_report import read_sensor_models
 from fusion.sensor.identify.joint_fit import JointFit, joint_fits, mechanics, model_sensitivity
@@ -254,7 +233,7 @@ def test_elastic_load_is_in_the_model(tmp_path, stated, true):
         items = [prepare(manifest, manifest.name, None) for manifest in read_campaign(folder).transfers]
         fits[kind] = _fit([item for item, _ in items]).identification
         codes = [notice.code for _, notices in items for notice in notices]
-        assert codes.count(ELASTIC_LOAD.code) == (2 if kind == "bent" else 0)
+        assert codes.count(raised.ELASTIC_LOAD.code) == (2 if kind == "bent" else 0)
     internal = true_part(SMALL.internal, Draws(1, True)).mass_kg
     for name, value in (("stiffness_z", STIFFNESS), ("damping_z", DAMPING), ("internal_mass", internal)):
         assert abs(fits["bent"].value(name) - value) < 3.5 * fits["bent"].u(name), name
@@ -263,6 +242,7 @@ def test_elastic_load_is_in_the_model(tmp_path, stated, true):
         assert abs(fits["rigid"].value("stiffness_z") / STIFFNESS - 1.0) > 1e-3
 
 
+@pytest.mark.slow
 def test_sines_of_an_elastic_load_give_the_same_parameters(tmp_path, monkeypatch):
     suspension = ElasticLoadSuspension(**(vars(SMALL) | {"tops": {"top": (0.0, 0.0, 0.1)}}), joint_hz=JOINT_HZ)
     folder = write_campaign(tmp_path / "campaign", suspension)
@@ -319,7 +299,7 @@ def test_second_peak_selects_pitching(tmp_path):
     assert max(abs(ratio - 1.0) for ratio in overlapping) > 0.02  # a neighbouring peak distorts the reading
     near = [replace(item, measured=_lines(item.measured, 1100.0, 1300.0)) for item in found[:1]]
     alone = _fit(near, model="translation")
-    assert SECOND_PEAK_NOT_EXPLAINED.code in {notice.code for notice in alone.notices}
+    assert raised.SECOND_PEAK_NOT_EXPLAINED.code in {notice.code for notice in alone.notices}
 
 
 def _lines(measured: MeasuredTransfer, low_hz: float, high_hz: float) -> MeasuredTransfer:
@@ -340,12 +320,15 @@ def _without_table(path: Path, name: str) -> None:
 CHIRP, RIG = "chirp-9kg/recording.toml", "rig-9kg.toml"
 CASES = [
     (CHIRP, 'response = ["top"]', 'response = ["base_too"]', UNKNOWN_NAME.code, "excitation.response", "base_too"),
-    (CHIRP, 'reference = ["base"]', 'reference = ["top"]', MISSING_MOTION_CHANNEL.code, "excitation.reference", "base"),
-    (CHIRP, 'body = "load"', 'body = "base"', MISSING_MOTION_CHANNEL.code, "excitation.response", "load"),
-    (RIG, 'serial = "0815"', 'serial = "0816"', DIFFERENT_SENSOR.code, "sensor.serial", "0816"),
+    (
+        CHIRP, 'reference = ["base"]', 'reference = ["top"]',
+        raised.MISSING_MOTION_CHANNEL.code, "excitation.reference", "base",
+    ),
+    (CHIRP, 'body = "load"', 'body = "base"', raised.MISSING_MOTION_CHANNEL.code, "excitation.response", "load"),
+    (RIG, 'serial = "0815"', 'serial = "0816"', raised.DIFFERENT_SENSOR.code, "sensor.serial", "0816"),
     (
         RIG, 'name = "six-component transducer"', 'name = "another"',
-        DIFFERENT_SENSOR.code, "sensor.name", "six-component transducer",
+        raised.DIFFERENT_SENSOR.code, "sensor.name", "six-component transducer",
     ),
 ]  # fmt: skip
 
@@ -365,17 +348,18 @@ def test_incomplete_rigs_are_refused(spoiled, refused):
     assert f"{LOAD_UNSTATED.code} {spoiled / RIG}: load: " in printed
     _without_table(spoiled / "rig-4kg.toml", "sensor")
     printed = refused("identify", spoiled / "chirp-4kg", "-q")
-    assert f"{MISSING_IDENTIFICATION_ENTRY.code} {spoiled / 'rig-4kg.toml'}: sensor: " in printed
+    assert f"{raised.MISSING_IDENTIFICATION_ENTRY.code} {spoiled / 'rig-4kg.toml'}: sensor: " in printed
 
 
 @pytest.mark.parametrize(
     ("part", "options", "code", "named"),
     [
-        ("", ("--band", "9000", "9500"), BAND_WITHOUT_LINES.code, "800"),
+        ("", ("--band", "9000", "9500"), raised.BAND_WITHOUT_LINES.code, "800"),
         ("", ("--band", "900", "800"), FREQUENCIES_NOT_ASCENDING.code, "--band"),
-        ("", ("--model", "pitching"), PITCHING_NOT_DRIVEN.code, "excitation.direction"),
-        ("chirp-4kg", ("--internal-mass", "free"), EQUAL_LOAD_MASSES.code, "rig-4kg.toml: load.mass: "),
-        ("sine-0200", (), NO_TRANSFER_RECORDING.code, "excitation.kind: "),
+        ("", ("--model", "pitching"), raised.PITCHING_NOT_DRIVEN.code, "excitation.direction"),
+        ("chirp-4kg", ("--internal-mass", "free"), raised.EQUAL_LOAD_MASSES.code, "rig-4kg.toml: load.mass: "),
+        ("chirp-4kg", ("--internal-mass", "free"), raised.EQUAL_LOAD_MASSES.code, "in 1 recording"),
+        ("sine-0200", (), raised.NO_TRANSFER_RECORDING.code, "excitation.kind: "),
     ],
 )
 def test_wrong_option_is_refused(campaign, refused, part, options, code, named):
@@ -389,7 +373,7 @@ def test_results_of_other_files_are_refused(spoiled, refused):
     with h5py.File(spoiled / "sine-0200" / "results" / "result.h5", "w") as file:
         write_provenance(file, Provenance({"rig.toml": "0" * 64}, {}, {}, ()), ())
     printed = refused("identify", spoiled, "-q")
-    assert OUTDATED_SINE_RESULTS.code in printed
+    assert raised.OUTDATED_SINE_RESULTS.code in printed
     assert "sine-0200/results/result.h5: " in printed
 
 

@@ -113,7 +113,7 @@ def on_two_clocks(folders: Iterable[Path], second: str, periods: int, separate_s
         (folder / "recording.toml").write_text(to_toml({**manifest, "daq": daqs}), encoding="utf-8")
 
 
-@pytest.mark.parametrize("separate_starts", [False, True])
+@pytest.mark.parametrize("separate_starts", [pytest.param(False, marks=pytest.mark.slow), True])
 def test_chirps_with_the_same_start_share_one_tie(tmp_path, separate_starts):
     folder = write_campaign(tmp_path / "campaign", replace(SMALL, tops={"top": (0, 0, 0.1)}))
     on_two_clocks(sorted(folder.glob("chirp-*")), "top", 4, separate_starts)

@@ -12,29 +12,16 @@ import pytest
 from page_outline import self_contained
 from release_factory import two_masses
 from scipy.signal import StateSpace, lsim
-from support import edit, refusals, rows
+from support import edit, rows
 
 from fusion.cli import main
 from fusion.errors import InputError
 from fusion.recording.load import load_manifest
 from fusion.report.h5 import read_notices
+from fusion.sensor import model_notices as raised
 from fusion.sensor.load.load_evaluation import MOVING_MASS_LABEL, LoadSettings, evaluate_loads, read_series, read_table
 from fusion.sensor.load.load_models_report import parameter_rows
-from fusion.sensor.load.load_notices import (
-    COMPONENT_WITHOUT_MOVING_MASS,
-    CONTRADICTORY_MODEL_STATEMENT,
-    CONTRADICTORY_MOVING_MASS,
-    EXTRAPOLATED_LOAD,
-    LOAD_COLUMN_MISSING,
-    LOAD_TABLE_NOT_READABLE,
-    NO_MOVING_MASS,
-    PART_WITHOUT_LOAD,
-    TOO_MANY_LOADS,
-    UNKNOWN_LOAD_COLUMN,
-    WRONG_LOAD_NUMBER,
-)
 from fusion.sensor.model_files import LOAD_MODEL_FILE, UncertaintyBasis, model_text, read_load_models, read_loads
-from fusion.sensor.sensor_model_notices import DAMAGED_MODEL_FILE, WRONG_MODEL_FORMAT
 from fusion.simulate.preset import read_preset
 from fusion.simulate.releases import SeriesRig, true_modes, write_loads
 from shaker.release.load_model import LoadModel
@@ -88,7 +75,7 @@ def test_resonances_over_the_load(campaign):
     assert [float(row["load_mass"]) for row in table if row["kind"] == "predicted"] == [0.13, 0.3]
 
 
-def test_models_come_back_to_the_last_bit(campaign):
+def test_models_come_back_to_the_last_bit_and_the_page_is_complete(campaign):
     ((model, rests),) = read_loads(campaign / "load")
     assert rests.scope == "within these 5 releases of one mounting"
     with h5py.File(campaign / "load" / "load.h5") as file:
@@ -97,18 +84,14 @@ def test_models_come_back_to_the_last_bit(campaign):
         for name in ("covariance", "covariance_with_mass"):
             np.testing.assert_array_equal(getattr(model, name), group[name][()])
         assert file["components/Fy"].attrs["from_records"]
+        assert raised.EXTRAPOLATED_LOAD.code in {notice.code for notice in read_notices(file)}
+    page = (campaign / "load" / "load.html").read_text(encoding="utf-8")
+    self_contained(page)
+    assert all(word in page for word in ("±10 %", "N/m"))
     assert model.component == "Fy"
     assert model.load_masses == pytest.approx((0.0, 0.008, 0.048, 0.098, 0.198))
     written = model_text([(model, rests)], "c", "s", "p")
     assert json.loads(written)["models"] == json.loads((campaign / "load" / LOAD_MODEL_FILE).read_text())["models"]
-
-
-def test_page_is_complete(campaign):
-    text = (campaign / "load" / "load.html").read_text(encoding="utf-8")
-    self_contained(text)
-    assert all(word in text for word in ("±10 %", "N/m"))
-    with h5py.File(campaign / "load" / "load.h5") as file:
-        assert EXTRAPOLATED_LOAD.code in {notice.code for notice in read_notices(file)}
 
 
 @pytest.mark.usefixtures("no_pages")
@@ -121,12 +104,6 @@ def test_one_load_gives_two_solutions(campaign, tmp_path, capsys):
     assert first.stiffness == pytest.approx(2.36e6, rel=2e-3)
     assert second.stiffness == pytest.approx(1.134e7, rel=2e-3)
     assert second.coupling_stiffness == pytest.approx(3.933e5, rel=2e-3)
-
-
-def test_existing_results_are_not_replaced(campaign, tmp_path, capsys):
-    (tmp_path / "notes.txt").write_text("mine", encoding="utf-8")
-    assert f"{tmp_path}: " in refusals(capsys)("load", campaign, "-o", tmp_path, "-q")
-    assert [file.name for file in tmp_path.iterdir()] == ["notes.txt"]
 
 
 @pytest.fixture
@@ -165,14 +142,14 @@ def test_second_resonances_and_uncertainties_of_a_table(table):
 @pytest.mark.parametrize(
     ("text", "declared", "key", "values"),
     [
-        ("mass,frequency_hz\n1,2\n", LOAD_COLUMN_MISSING, "load_mass_kg", {}),
-        ("load_mass_kg,frequency_hz,colour\n1,2,3\n", UNKNOWN_LOAD_COLUMN, "colour", {}),
-        ("load_mass_kg,frequency_hz\n0.1,\n", WRONG_LOAD_NUMBER, "frequency_hz, row 1", {"found": "no value"}),
-        ("load_mass_kg,frequency_hz\n" + "0.1,80\n" * 101, TOO_MANY_LOADS, "", {"found": 101, "limit": 100}),
-        ("load_mass_kg,frequency_hz\n" + "1" * 200_000 + ",5\n", LOAD_TABLE_NOT_READABLE, "", {}),
-        ("load_mass_kg,frequency_hz\n0.1,x\n", WRONG_LOAD_NUMBER, "frequency_hz, row 1", {"found": "x"}),
-        ("load_mass_kg,frequency_hz\n-1,4\n", WRONG_LOAD_NUMBER, "load_mass_kg, row 1", {"found": "-1"}),
-        ("", LOAD_COLUMN_MISSING, "load_mass_kg", {}),
+        ("mass,frequency_hz\n1,2\n", raised.LOAD_COLUMN_MISSING, "load_mass_kg", {}),
+        ("load_mass_kg,frequency_hz,colour\n1,2,3\n", raised.UNKNOWN_LOAD_COLUMN, "colour", {}),
+        ("load_mass_kg,frequency_hz\n0.1,\n", raised.WRONG_LOAD_NUMBER, "frequency_hz, row 1", {"found": "no value"}),
+        ("load_mass_kg,frequency_hz\n" + "0.1,80\n" * 101, raised.TOO_MANY_LOADS, "", {"found": 101, "limit": 100}),
+        ("load_mass_kg,frequency_hz\n" + "1" * 200_000 + ",5\n", raised.LOAD_TABLE_NOT_READABLE, "", {}),
+        ("load_mass_kg,frequency_hz\n0.1,x\n", raised.WRONG_LOAD_NUMBER, "frequency_hz, row 1", {"found": "x"}),
+        ("load_mass_kg,frequency_hz\n-1,4\n", raised.WRONG_LOAD_NUMBER, "load_mass_kg, row 1", {"found": "-1"}),
+        ("", raised.LOAD_COLUMN_MISSING, "load_mass_kg", {}),
     ],
 )
 def test_wrong_tables(table, text, declared, key, values):
@@ -220,12 +197,19 @@ COVER = '\n[[part]]\nname = "cover"\nbody = "load"\nmass = 0.1\ncentre_of_mass =
             "internal_mass = 0.24",
             "internal_mass = 0.25",
             (0, 48),
-            CONTRADICTORY_MOVING_MASS,
+            raised.CONTRADICTORY_MOVING_MASS,
             "sensor.internal_mass",
             {"expected": 0.25, "file": "rig-000g.toml", "found": 0.24},
         ),
-        ("internal_mass = 0.24", "internal_mass = 0.0", (0,), NO_MOVING_MASS, "sensor.internal_mass", {"found": 0.0}),
-        ("\n[sensor]", f"{COVER}[sensor]", (0,), PART_WITHOUT_LOAD, "load", {"part": "cover"}),
+        (
+            "internal_mass = 0.24",
+            "internal_mass = 0.0",
+            (0,),
+            raised.NO_MOVING_MASS,
+            "sensor.internal_mass",
+            {"found": 0.0},
+        ),
+        ("\n[sensor]", f"{COVER}[sensor]", (0,), raised.PART_WITHOUT_LOAD, "load", {"part": "cover"}),
     ],
 )
 def test_wrong_rigs(short, old, new, grams, declared, key, values):
@@ -255,7 +239,7 @@ def test_influences_stated_by_one_rig_are_included_in_every_u(short):
     rigs[0].write_text(rigs[0].read_text(encoding="utf-8") + stated.format(2e-3), encoding="utf-8")
     with pytest.raises(InputError) as caught:
         read(short, 0, 48)
-    assert (caught.value.code, caught.value.key) == (CONTRADICTORY_MODEL_STATEMENT.code, "model")
+    assert (caught.value.code, caught.value.key) == (raised.CONTRADICTORY_MODEL_STATEMENT.code, "model")
     assert caught.value.values == {"file": "rig-000g.toml"}
 
 
@@ -265,7 +249,7 @@ def test_components_without_moving_inertia_are_left_out(short):
     edit(short / "step-000g" / "recording.toml", 'channel = "Fy"', 'channel = "bridge"')
     series, notices = read(short, 0, 48)
     assert [one.output.component for one in series] == ["Fy"]
-    (notice,) = (notice for notice in notices if notice.code == COMPONENT_WITHOUT_MOVING_MASS.code)
+    (notice,) = (notice for notice in notices if notice.code == raised.COMPONENT_WITHOUT_MOVING_MASS.code)
     assert (notice.where, notice.values) == ("Mz", {"key": "sensor.internal_inertia"})
 
 
@@ -301,23 +285,6 @@ def test_simulated_output_is_that_of_the_equations_of_motion(load):
     poles, residues = true_modes(rig, moving, load)
     change = (pole_responses(poles, t, 5e-3, 4e-4) @ residues).real
     np.testing.assert_allclose(change, lsim(StateSpace(a, push, row, np.zeros((1, 1))), force, t)[1], atol=1e-6)
-
-
-@pytest.mark.parametrize(
-    ("content", "declared", "key"),
-    [
-        ("{", DAMAGED_MODEL_FILE, ""),
-        ('{"format": 7}', WRONG_MODEL_FORMAT, "format"),
-        ('{"format": 1, "models": [{}]}', DAMAGED_MODEL_FILE, ""),
-        ("[]", DAMAGED_MODEL_FILE, ""),
-    ],
-)
-def test_wrong_model_files(tmp_path, content, declared, key):
-    (tmp_path / LOAD_MODEL_FILE).write_text(content, encoding="utf-8")
-    with pytest.raises(InputError) as caught:
-        read_load_models(tmp_path / LOAD_MODEL_FILE)
-    assert (caught.value.code, caught.value.key) == (declared.code, key)
-    assert caught.value.values["command"] == "load"
 
 
 def test_model_without_uncertainty_is_read_back(tmp_path):

@@ -20,22 +20,12 @@ from fusion.errors import InputError
 from fusion.recording.load import load_manifest
 from fusion.recording.recording_notices import WRONG_EXCITATION_KIND
 from fusion.report.h5 import read_notices
-from fusion.report.report_notices import OTHER_CONTENT
+from fusion.sensor import model_notices as raised
 from fusion.sensor.model_files import read_models
-from fusion.sensor.sensor_model_notices import MODEL_INFLUENCES_NOT_ASSESSED
-from fusion.sensor.step.step_evaluation import MeasuredResponse, measured_response
-from fusion.sensor.step.step_notices import (
-    CHAIN_IN_MODEL,
-    DRIVEN_OUTPUT_CLIPPED,
-    DRIVEN_OUTPUT_MISSING,
-    MISSING_STEP_ENTRY,
-    NO_STEP_FOUND,
-    NO_STEP_MODEL,
-    ONSET_OUTSIDE_RECORD,
-    WRONG_FORCE_CHANNEL,
-)
+from fusion.sensor.step.step_figures import MeasuredResponse, measured_response
 from fusion.sensor.step.step_records import StepInput, read_step
 from fusion.sensor.step.step_releases import LABELS, read_recording
+from shakercal._common.notices import Notice
 
 RIG = """format = 1
 name = "rope rig"
@@ -121,6 +111,7 @@ def test_models_agree_with_the_truth(campaign):
     entry = read_models(campaign / "step")["Fz", "Fz"]
     assert (entry.unit, entry.sample_rate_hz) == ("V/V", 50_000.0)
     assert entry.recording == "line-1, line-2, line-3"
+    assert entry.scope == "within these 3 releases of one mounting"
     assert entry.noise == pytest.approx(NOISE, rel=0.1)
     assert entry.model.frequency_hz[0] == pytest.approx(1700.0, rel=1e-4)
     assert entry.model.damping_ratio[0] == pytest.approx(TRUTH.damping_ratio, rel=5e-3)
@@ -163,21 +154,14 @@ def test_records_fits_and_residuals_are_in_the_file(campaign):
         assert file["Fz/pooled/model/covariance"].shape == (6, 6)
 
 
+@pytest.mark.usefixtures("no_pages")
 def test_one_recording_has_a_separate_folder_and_scope(campaign, tmp_path, capsys):
     assert main(["step", str(campaign / "line-2"), "-o", str(tmp_path / "one")]) == 0
     assert "f_n (1700." in capsys.readouterr().out
     with h5py.File(tmp_path / "one" / "step.h5") as file:
         assert file["Fz"].attrs["scope"] == "within this record of one release"
-        (notice,) = (one for one in read_notices(file) if one.code == MODEL_INFLUENCES_NOT_ASSESSED.code)
+        (notice,) = (one for one in read_notices(file) if one.code == raised.MODEL_INFLUENCES_NOT_ASSESSED.code)
         assert notice.values == {name: file["Fz"].attrs[name] for name in ("scope", "outside")}
-
-
-def test_the_scope_of_several_releases_names_their_mountings(campaign):
-    assert read_models(campaign / "step")["Fz", "Fz"].scope == "within these 3 releases of one mounting"
-
-
-def test_results_of_other_recordings_are_not_overwritten(campaign, refused):
-    assert OTHER_CONTENT.code in refused("step", campaign / "line-1", "-o", campaign / "step")
 
 
 METHODS = ["pencil", "arx", "sim", "sim_zoh", "evolution", "evolution_coefficients"]
@@ -234,20 +218,21 @@ def test_response_without_a_model_is_that_of_the_equation(tmp_path, force):
 
 def test_noise_of_a_response_is_as_large_as_reported(tmp_path):
     rng = np.random.default_rng(8)
-    responses = [response_of(write(tmp_path / f"{n}", TRUTH, rng, noise=1e-6), TRUTH) for n in range(8)]
+    responses = [response_of(write(tmp_path / f"{n}", TRUTH, rng, noise=1e-6), TRUTH) for n in range(5)]
     values = np.stack([one.value for one in responses])
-    scatter = np.sqrt(np.mean(np.abs(values - values.mean(axis=0)) ** 2, axis=0) * 8 / 7)
+    scatter = np.sqrt(np.mean(np.abs(values - values.mean(axis=0)) ** 2, axis=0) * 5 / 4)
     inside = (responses[0].frequency_hz > 200.0) & (responses[0].frequency_hz < 3000.0)
     ratio = scatter[inside] / np.mean([one.u for one in responses], axis=0)[inside]
-    assert np.sqrt(np.mean(ratio**2)) == pytest.approx(1.0, rel=0.1)
+    assert np.sqrt(np.mean(ratio**2)) == pytest.approx(1.0, rel=0.12)
 
 
+CHAIN = "frequency_hz,magnitude,phase_rad\n0,1,0\n10000,1,-0.1\n"
 OUTPUT = '[[daq.channel]]\nname = "Fz"\nquantity = "output"\nchannel = "Fz"\n'
 CASES = [  # old and new text of recording.toml, the key of the refusal, its code where this command declares it
-    ('release = "fishing line"', "onset = 0.5", "excitation.onset", ONSET_OUTSIDE_RECORD.code),
+    ('release = "fishing line"', "onset = 0.5", "excitation.onset", raised.ONSET_OUTSIDE_RECORD.code),
     ('release = "fishing line"', 'force = "cell"', "excitation.force", ""),
-    ('release = "fishing line"', 'force = "Fx"', "excitation.force", WRONG_FORCE_CHANNEL.code),
-    (OUTPUT, "", "daq.channel", DRIVEN_OUTPUT_MISSING.code),
+    ('release = "fishing line"', 'force = "Fx"', "excitation.force", raised.WRONG_FORCE_CHANNEL.code),
+    (OUTPUT, "", "daq.channel", raised.DRIVEN_OUTPUT_MISSING.code),
     ("step_amplitude = -100.0\n", "", "excitation.step_amplitude", ""),
     ("= -100.0", "= 0.0", "excitation.step_amplitude", ""),
 ]
@@ -273,7 +258,7 @@ def test_a_recording_without_outputs_is_refused(folder, refused):
     text = re.sub(r'quantity = "output"\nchannel = "F[xz]"', 'quantity = "voltage"', path.read_text(encoding="utf-8"))
     path.write_text(text, encoding="utf-8")
     refusal = refused("step", folder, "-q")
-    assert f"{MISSING_STEP_ENTRY.code} " in refusal
+    assert f"{raised.MISSING_STEP_ENTRY.code} " in refusal
     assert ": daq.channel: " in refusal
 
 
@@ -286,12 +271,12 @@ def rewrite(folder: Path, change: object) -> None:
 def test_records_without_a_step_or_clipped_are_named(folder, refused):
     rewrite(folder, lambda samples: np.clip(samples, -0.7e-4, None))
     refusal = refused("step", folder, "-q")
-    assert f"{DRIVEN_OUTPUT_CLIPPED.code} " in refusal
+    assert f"{raised.DRIVEN_OUTPUT_CLIPPED.code} " in refusal
     assert ": daq.channel.Fz: " in refusal
     rng = np.random.default_rng(1)
     rewrite(folder, lambda samples: 1e-7 * rng.standard_normal(len(samples)))
     refusal = refused("step", folder, "-q")
-    assert f"{NO_STEP_FOUND.code} " in refusal
+    assert f"{raised.NO_STEP_FOUND.code} " in refusal
     assert ": daq.channel.Fz: " in refusal
 
 
@@ -310,20 +295,25 @@ def test_other_kinds_go_to_their_commands(folder, refused, capsys):
 
 def test_two_rigs_are_not_compared_and_a_measured_release_needs_a_force(folder, tmp_path, refused):
     refusal = refused("step", folder, "-q", "--release", "measured")
-    assert f"{MISSING_STEP_ENTRY.code} " in refusal
+    assert f"{raised.MISSING_STEP_ENTRY.code} " in refusal
     assert ": excitation.force: " in refusal
     other = write(tmp_path / "other" / "two", SHORT)
     assert ": rig: " in refused("step", folder, other, "-q")
 
 
-def test_what_does_not_oscillate_or_settle_has_no_model_and_status_1(folder, refused):
+def test_what_does_not_oscillate_or_settle_has_no_model_and_the_reason_is_named(folder, refused):
     rng = np.random.default_rng(2)
 
     def ramp(samples: np.ndarray) -> np.ndarray:
         return np.where(np.arange(len(samples)) < 300, 1e-4, -1e-4) + 1e-6 * rng.standard_normal(len(samples))
 
     rewrite(folder, ramp)
-    assert NO_STEP_MODEL.code in refused("step", folder, "-q", "--release", "step", status=1)
+    (folder / "chain.csv").write_text(CHAIN, encoding="utf-8")  # a warning that is not the reason
+    edit(folder / "recording.toml", 'channel = "Fz"\n', 'channel = "Fz"\nresponse = "chain.csv"\n')
+    refusal = refused("step", folder, "-q", "--release", "step", status=1)
+    assert f"{raised.NO_STEP_MODEL.code} " in refusal
+    reason = Notice(raised.RELEASE_WITHOUT_MODEL, "one", channel="Fz", reason="")
+    assert reason.text.partition("(")[0] in refusal
 
 
 def step_of(folder: Path) -> StepInput:
@@ -351,10 +341,10 @@ def test_delays_of_channels_are_taken_off(tmp_path):
 
 
 def test_a_stated_chain_in_the_model_is_reported(folder):
-    (folder / "chain.csv").write_text("frequency_hz,magnitude,phase_rad\n0,1,0\n10000,1,-0.1\n", encoding="utf-8")
+    (folder / "chain.csv").write_text(CHAIN, encoding="utf-8")
     edit(folder / "recording.toml", 'channel = "Fz"\n', 'channel = "Fz"\nresponse = "chain.csv"\n')
     (notice,) = step_of(folder).notices
-    assert (notice.code, notice.values) == (CHAIN_IN_MODEL.code, {"channels": "Fz"})
+    assert (notice.code, notice.values) == (raised.CHAIN_IN_MODEL.code, {"channels": "Fz"})
 
 
 def test_several_takes_are_refused(folder):

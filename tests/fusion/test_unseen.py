@@ -17,7 +17,7 @@ from fusion.recording.toml import validate
 from fusion.sensor.compensate.compensation_evaluation import evaluate_compensation
 from fusion.sensor.compensate.compensation_subjects import CompensationSettings, read_sources
 from fusion.sensor.model_files import ModelEntry, ModelsFile, models_text
-from fusion.sensor.sensor_model_notices import MODEL_COVERAGE
+from fusion.sensor.model_notices import MODEL_COVERAGE
 from fusion.sensor.step.step_records import OF_RELEASES, index_quantities, pool_models
 from fusion.sensor.unmodelled_effects import stated_influences
 from shaker.decoupling.model import MultiModel

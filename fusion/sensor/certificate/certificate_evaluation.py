@@ -6,9 +6,11 @@ import re
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from datetime import date as Date
+from itertools import chain
 from pathlib import Path
-from typing import Literal, NamedTuple
+from typing import Literal
 
+from fusion.base import count_text
 from fusion.campaign.curve import CurvePoint
 from fusion.campaign.joint_evaluation import best_points, curve_points, evaluate_campaign, main_channel
 from fusion.campaign.recording_results import RecordingResults, SensorFacts, read_recorded
@@ -20,27 +22,22 @@ from fusion.recording.load import RECORDING_NAME, Manifest, find_recordings, loa
 from fusion.recording.toml import UncertainInput
 from fusion.report.folder import hash_files, sha256
 from fusion.report.table import has_phase
-from fusion.sensor.certificate.certificate_form import FORM_FILE, Conformity, Form, read_form
-from fusion.sensor.certificate.certificate_notices import (
-    EXPIRED_CERTIFICATES,
-    ISSUED_BEFORE_CALIBRATION,
-    MISSING_CERTIFICATE_ENTRIES,
-    NO_CERTIFIABLE_RESULT,
-    NOT_ONE_SENSOR,
-    OUTDATED_RESULTS,
-    WARNINGS_NOT_REVIEWED,
-)
-from fusion.sensor.certificate.certified_numbers import (
+from fusion.sensor import result_notices as declared
+from fusion.sensor.certificate.certificate_inputs import (
     CERTIFIED_COMMANDS,
+    FORM_FILE,
+    Conformity,
+    Form,
     NumberList,
     find_command,
     find_results_folder,
     read_certified_numbers,
+    read_form,
     read_results_origin,
     select_recordings,
 )
-from fusion.sensor.sensor_model_notices import MODEL_INFLUENCES_NOT_ASSESSED
-from fusion.sensor.transfer.transfer_notices import COARSE_CONVERTER_STEPS
+from fusion.sensor.model_notices import MODEL_INFLUENCES_NOT_ASSESSED
+from fusion.sensor.response_notices import COARSE_CONVERTER_STEPS
 from shaker.labels import LOAD_COMPONENTS
 from shakercal._common.notices import Notice
 
@@ -50,8 +47,8 @@ SCOPE = (
     "certificate may be reproduced in full only, unless the laboratory agrees in writing."
 )
 NOT_IN_U = {
-    declared.code
-    for declared in (CAMERA_DELAYED, COARSE_ROWS, SHUTTER_NOT_CONVERGED, PERIODIC_JITTER, COARSE_CONVERTER_STEPS)
+    notice.code
+    for notice in (CAMERA_DELAYED, COARSE_ROWS, SHUTTER_NOT_CONVERGED, PERIODIC_JITTER, COARSE_CONVERTER_STEPS)
 }
 """Codes of warnings of an effect that U does not include."""
 NOT_IN_U_WITHOUT_CODE = ("not assessed", "not in U")
@@ -120,35 +117,42 @@ class UnderlyingCertificate:
     day: str
 
 
-@dataclass(frozen=True)
-class Certificate:
-    """All content of a certificate, for XML and page.
+@dataclass(frozen=True, kw_only=True)
+class CertificateContent:
+    """What a certificate states of results.
 
     Attributes
     ----------
     elements, numbers : sensitivities, or lists of single numbers.
-    begin, end : days of the calibration.
-    conditions : name, D-SI unit, smallest and largest value.
     warnings : of the evaluation, reviewed by the authoriser.
     not_assessed : influences not included in U.
     versions : of the software that computed the results.
     """
 
-    form: Form
     title: str
-    rig_path: Path
     sensor: SensorFacts
+    elements: tuple[CertifiedElement, ...] = ()
+    numbers: tuple[NumberList, ...] = ()
+    warnings: tuple[str, ...]
+    not_assessed: tuple[str, ...]
+    versions: dict[str, str]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Certificate(CertificateContent):
+    """All content of a certificate, for XML and page.
+
+    `begin`, `end`: days of the calibration; `conditions`: name, D-SI unit, smallest and largest value.
+    """
+
+    form: Form
+    rig_path: Path
     recordings: tuple[str, ...]
     begin: Date
     end: Date
     procedure: str
     conditions: tuple[tuple[str, str, float, float], ...]
     sources: tuple[UnderlyingCertificate, ...]
-    elements: tuple[CertifiedElement, ...]
-    numbers: tuple[NumberList, ...]
-    warnings: tuple[str, ...]
-    not_assessed: tuple[str, ...]
-    versions: dict[str, str]
 
     def statements(self) -> Iterator[tuple[str, str]]:
         """Yield name and text of every statement."""
@@ -175,7 +179,7 @@ class Certificate:
         if self.not_assessed:
             yield "Not included in U", " ".join(self.not_assessed)
         if self.warnings:
-            count = f"{len(self.warnings)} warning{'s' * (len(self.warnings) > 1)}"
+            count = count_text(len(self.warnings), "warning")
             yield "Warnings", f"The evaluation gave {count}, which {administration.authoriser} has reviewed."
         if administration.remarks:
             yield "Remarks", administration.remarks
@@ -209,40 +213,21 @@ def evaluate_certificate(
         found = _sensitivities(folder.resolve().name, manifests, folders, top, form)
     else:
         found = _numbers(command, manifests, top, form)
-    warnings = list(dict.fromkeys(found.warnings))
-    if warnings and not form.administration.warnings_reviewed:
-        key = "administration.warnings_reviewed"
-        raise InputError(WARNINGS_NOT_REVIEWED, form_path, key, count=len(warnings), first=warnings[0])
+    if found.warnings and not form.administration.warnings_reviewed:
+        key, count = "administration.warnings_reviewed", len(found.warnings)
+        raise InputError(declared.WARNINGS_NOT_REVIEWED, form_path, key, count=count, first=found.warnings[0])
     days = _days(form, manifests)
     return Certificate(
+        **vars(found),
         form=form,
-        title=found.title,
         rig_path=manifests[0].rig_path,
-        sensor=found.sensor,
         recordings=tuple(manifest.name for manifest in manifests),
         begin=min(days),
         end=max(days),
         procedure=form.administration.procedure or ", ".join(sorted({m.procedure or "" for m in manifests} - {""})),
         conditions=tuple(_conditions(manifests)),
         sources=_sources([item for manifest in manifests for item in manifest.inputs]),
-        elements=found.elements,
-        numbers=found.numbers,
-        warnings=tuple(warnings),
-        not_assessed=tuple(found.not_assessed),
-        versions=found.versions,
     )
-
-
-class CertificateContent(NamedTuple):
-    """Content from the results: title, sensor, values, warnings, and influences not in U."""
-
-    title: str
-    sensor: SensorFacts
-    elements: tuple[CertifiedElement, ...]
-    numbers: tuple[NumberList, ...]
-    warnings: list[str]
-    not_assessed: list[str]
-    versions: dict[str, str]
 
 
 def _sensitivities(
@@ -261,17 +246,14 @@ def _sensitivities(
     }
     elements = tuple(_elements(points, mains, sensor.unit, form))
     if not elements:
-        raise InputError(NO_CERTIFIABLE_RESULT, top, expected="results with outputs over a driven load")
+        raise InputError(declared.NO_CERTIFIABLE_RESULT, top, expected="results with outputs over a driven load")
     ratios = all(element.kind == "ratio" for element in elements)
     return CertificateContent(
         title="Output over driven load" if ratios else "Dynamic sensitivity",
         sensor=sensor,
         elements=elements,
-        numbers=(),
-        warnings=list(_warnings(recorded, evaluation.notices)),
-        not_assessed=_not_assessed(
-            [*(notice for entry in recorded for notice in entry.joint_notices), *evaluation.notices]
-        ),
+        warnings=tuple(dict.fromkeys(_warnings(recorded, evaluation.notices))),
+        not_assessed=_not_assessed(chain(*(entry.joint_notices for entry in recorded), evaluation.notices)),
         versions=recorded[0].origin.versions,
     )
 
@@ -282,26 +264,26 @@ def _numbers(command: str, manifests: Sequence[Manifest], folder: Path, form: Fo
     for name, digest in origin.input_hashes.items():
         path = manifests[0].root / name
         if not path.is_file() or sha256(path) != digest:
-            raise InputError(OUTDATED_RESULTS, folder, expected="these files", changed=name, command=command)
+            raise InputError(declared.OUTDATED_RESULTS, folder, expected="these files", changed=name, command=command)
     tested = {(m.rig.sensor.name, m.rig.sensor.serial) for m in manifests if m.rig.sensor is not None}
     sensor = manifests[0].rig.sensor
     if len(tested) != 1 or sensor is None:
         raise _no_sensor(manifests)
+    warnings = [notice for notice in notices if notice.severity == "warning"]
     facts = SensorFacts(sensor.name, sensor.serial, sensor.channels, sensor.unit, sensor.sense, None, None, 0.0)
     return CertificateContent(
         title=CERTIFIED_COMMANDS[command].title,
         sensor=facts,
-        elements=(),
         numbers=read_certified_numbers(folder, command, k=None if form.k == "effective" else 2.0),
-        warnings=[f"{n.where}: {n.text}" if n.where else n.text for n in notices if n.severity == "warning"],
-        not_assessed=[*scopes, *_not_assessed(notices)],
+        warnings=tuple(dict.fromkeys(f"{n.where}: {n.text}" if n.where else n.text for n in warnings)),
+        not_assessed=(*scopes, *_not_assessed(notices)),
         versions=origin.versions,
     )
 
 
 def _no_sensor(manifests: Sequence[Manifest]) -> InputError:
     found = "no sensor, or several" if manifests[0].rig.sensor else "no sensor"
-    return InputError(NOT_ONE_SENSOR, manifests[0].rig_path, "sensor", found=found)
+    return InputError(declared.NOT_ONE_SENSOR, manifests[0].rig_path, "sensor", found=found)
 
 
 def _named(form: Form, manifest: Manifest) -> Form:
@@ -322,23 +304,20 @@ def _refuse_gaps(form: Form, path: Path, manifests: Sequence[Manifest]) -> None:
     if not form.item.customer_number and not any(m.rig.sensor and m.rig.sensor.serial for m in manifests):
         gaps.append("item.customer_number, or the serial number of the sensor in rig.toml")
     if gaps:
-        raise InputError(MISSING_CERTIFICATE_ENTRIES, path, ", ".join(gaps))
+        raise InputError(declared.MISSING_CERTIFICATE_ENTRIES, path, ", ".join(gaps))
     expired = [(manifest.path, notice) for manifest in manifests for notice in manifest.expiry_notices]
     if expired:
-        inputs = ", ".join(
-            dict.fromkeys(f"{notice.values['key']} ({notice.values['source']})" for _, notice in expired)
-        )
-        raise InputError(EXPIRED_CERTIFICATES, expired[0][0], inputs=inputs)
+        inputs = dict.fromkeys(f"{notice.values['key']} ({notice.values['source']})" for _, notice in expired)
+        raise InputError(declared.EXPIRED_CERTIFICATES, expired[0][0], inputs=", ".join(inputs))
     issued, last = form.administration.issued, max(_days(form, manifests))
     if issued is not None and issued < last:
-        raise InputError(ISSUED_BEFORE_CALIBRATION, path, "administration.issued", last=str(last), found=str(issued))
+        raise InputError(
+            declared.ISSUED_BEFORE_CALIBRATION, path, "administration.issued", last=str(last), found=str(issued)
+        )
 
 
 def _days(form: Form, manifests: Sequence[Manifest]) -> list[Date]:
-    """Return the days of the calibration, of the form or of all recordings.
-
-    Empty if one recording has no date.
-    """
+    """Return the days of the calibration, none if one recording has no date."""
     administration = form.administration
     if administration.begun is not None:
         return [administration.begun, administration.ended or administration.begun]
@@ -352,20 +331,16 @@ def _results_of(manifest: Manifest, folder: Path) -> RecordingResults:
     now, then = hash_files(manifest.files, manifest.root, manifest.file_identities).hashes, recorded.origin.input_hashes
     if now != then:
         changed = min(name for name in {*now, *then} if now.get(name) != then.get(name))
-        raise InputError(OUTDATED_RESULTS, folder, expected=str(manifest.path), changed=changed, command="run")
+        raise InputError(declared.OUTDATED_RESULTS, folder, expected=str(manifest.path), changed=changed, command="run")
     return recorded
 
 
 def _elements(points: Sequence[CurvePoint], mains: dict[str, str], unit: str, form: Form) -> Iterator[CertifiedElement]:
-    """Yield every element to be stated, the main ones first.
-
-    Of other outputs only elements are sensitivities; their ratios are responses of one recording.
-    """
+    """Yield every element to be stated, the main ones first; of other outputs no ratios."""
     names = list(dict.fromkeys((point.channel, point.component) for point in points))
     for channel, component in sorted(names, key=lambda name: name[0] != mains[name[1]]):
-        of_element = best_points(
-            [point for point in points if (point.channel, point.component) == (channel, component)]
-        )
+        named = (channel, component)
+        of_element = best_points([point for point in points if (point.channel, point.component) == named])
         main = mains[component] == channel
         if not main and of_element[0].kind == "ratio":
             continue
@@ -411,17 +386,14 @@ def _warnings(recorded: Iterable[RecordingResults], joint: Iterable[Notice]) -> 
     yield from (notice.text for notice in joint if notice.severity == "warning")
 
 
-def _not_assessed(notices: Iterable[Notice]) -> list[str]:
-    """Return the influences not included in U.
-
-    Of texts that differ only in numbers the first.
-    """
+def _not_assessed(notices: Iterable[Notice]) -> tuple[str, ...]:
+    """Return the influences not included in U, one of texts that differ in numbers."""
     found: dict[str, str] = {}
     for notice in notices:
         if _is_outside(notice):
             text = f"{notice.text} {notice.effect}".strip()
             found.setdefault(re.sub(r"[\d.]+", "#", text), text)
-    return list(found.values())
+    return tuple(found.values())
 
 
 def _is_outside(notice: Notice) -> bool:

@@ -14,40 +14,22 @@ import numpy as np
 from fusion.base import CommandEvaluation
 from fusion.errors import InputError
 from fusion.recording.dsi import parse_unit, same_dimension
+from fusion.sensor import result_notices as declared
 from fusion.sensor.compare.comparison_inputs import ComparedResult, ComparedValue, year_of
-from fusion.sensor.compare.comparison_notices import (
-    CONTRADICTORY_CLAIMS,
-    KINDS_NOT_COMPARED,
-    NO_COMMON_VALUE,
-    ONLY_DIFFERENT_KINDS,
-    PHASES_DIFFER_BY_180,
-    PHASES_OPPOSITE,
-    POSSIBLY_SHARED,
-    RATIOS_COMPARED,
-    RESPONSES_LEFT_OUT,
-    RESULTS_INDEPENDENT,
-    RESULTS_SHARE_INPUTS,
-    SAME_FILE,
-    UNIT_NOT_CONVERTIBLE,
-    UNMATCHED_VALUES,
-    WRONG_RESULT_COUNT,
-)
-from fusion.sensor.compare.reference_value import (
+from fusion.sensor.compare.consistency import (
     MAX_RESULTS,
     ReferenceValue,
-    complex_normalised_error,
-    drift,
-    normalised_error,
-    reference_value,
-    weighted_mean,
-)
-from fusion.sensor.compare.shared_inputs import (
     SharedInput,
+    complex_normalised_error,
     covariance_of,
+    drift,
     find_contradictory_claims,
     find_possible_shared_inputs,
     find_shared_inputs,
+    normalised_error,
+    reference_value,
     select_acting_inputs,
+    weighted_mean,
 )
 from shakercal._common.arrays import FloatArray
 from shakercal._common.notices import Notice
@@ -117,7 +99,7 @@ def evaluate_comparison(
     """
     begun = time.perf_counter()
     if not 2 <= len(results) <= MAX_RESULTS:
-        raise InputError(WRONG_RESULT_COUNT, results[0].file, found=len(results), limit=MAX_RESULTS)
+        raise InputError(declared.WRONG_RESULT_COUNT, results[0].file, found=len(results), limit=MAX_RESULTS)
     shared = find_shared_inputs(results)
     compared: list[ComparedQuantity] = []
     unmatched: list[tuple[str, ComparedValue]] = []
@@ -131,12 +113,12 @@ def evaluate_comparison(
         if len(with_phase) > 1:
             compared.append(_compared(with_phase, "phase", dates, shared))
     if not compared:
-        kinds = "; ".join(
-            f"{channel} per {component}" for channel, component, *_ in _different_kinds(unmatched, tolerance)
-        )
+        kinds = "; ".join(f"{channel} per {other}" for channel, other, *_ in _different_kinds(unmatched, tolerance))
         if kinds:
-            raise InputError(ONLY_DIFFERENT_KINDS, results[1].file, "frequency_hz", tolerance=tolerance, kinds=kinds)
-        raise InputError(NO_COMMON_VALUE, results[1].file, "frequency_hz", tolerance=tolerance)
+            raise InputError(
+                declared.ONLY_DIFFERENT_KINDS, results[1].file, "frequency_hz", tolerance=tolerance, kinds=kinds
+            )
+        raise InputError(declared.NO_COMMON_VALUE, results[1].file, "frequency_hz", tolerance=tolerance)
     acting = [item for found in compared for item in found.shared]
     return ComparisonEvaluation(
         name=f"Comparison of {', '.join(result.name for result in results)}",
@@ -187,7 +169,7 @@ def _in_one_unit(
     for name, value in group:
         if not same_dimension(value.unit, unit):
             file = next(result.file for result in results if result.name == name)
-            raise InputError(UNIT_NOT_CONVERTIBLE, file, "unit", found=value.unit, expected=unit)
+            raise InputError(declared.UNIT_NOT_CONVERTIBLE, file, "unit", found=value.unit, expected=unit)
         factor = 1.0 if value.unit == unit else parse_unit(value.unit).factor / parse_unit(unit).factor
         size, u = factor * value.magnitude, factor * value.u_magnitude
         converted.append((name, replace(value, unit=unit, magnitude=size, u_magnitude=u)))
@@ -197,10 +179,7 @@ def _in_one_unit(
 def _compared(
     group: Sequence[tuple[str, ComparedValue]], quantity: str, dates: Mapping[str, Date], shared: Sequence[SharedInput]
 ) -> ComparedQuantity:
-    """Return reference value, E_n and drift of one quantity.
-
-    Phases are unwrapped relative to the first.
-    """
+    """Return reference value, E_n and drift of one quantity; phases are unwrapped."""
     names, values = tuple(name for name, _ in group), [value for _, value in group]
     if quantity == "magnitude":
         value, u = np.array([v.magnitude for v in values]), np.array([v.u_magnitude for v in values])
@@ -253,20 +232,20 @@ def _notices(
     acting: bool,
 ) -> list[Notice]:
     """Return the notices of the comparison."""
-    independence = RESULTS_SHARE_INPUTS if acting else RESULTS_INDEPENDENT
+    independence = declared.RESULTS_SHARE_INPUTS if acting else declared.RESULTS_INDEPENDENT
     found = [*(notice for result in results for notice in result.signed), Notice(independence, "comparison")]
     for one, other in combinations(results, 2):
         names = {"first": one.name, "second": other.name}
         contradictory = dict.fromkeys(find_contradictory_claims(one, other, shared))
         if contradictory:
-            found.append(Notice(CONTRADICTORY_CLAIMS, "comparison", **names, inputs=", ".join(contradictory)))
+            found.append(Notice(declared.CONTRADICTORY_CLAIMS, "comparison", **names, inputs=", ".join(contradictory)))
         possible = list(find_possible_shared_inputs(one, other))
         if possible:
-            found.append(Notice(POSSIBLY_SHARED, "comparison", **names, inputs=", ".join(possible)))
+            found.append(Notice(declared.POSSIBLY_SHARED, "comparison", **names, inputs=", ".join(possible)))
         if Path(one.file).resolve() == Path(other.file).resolve():
-            found.append(Notice(SAME_FILE, "comparison", **names))
+            found.append(Notice(declared.SAME_FILE, "comparison", **names))
     if unmatched:
-        found.append(Notice(UNMATCHED_VALUES, "comparison", count=len(unmatched)))
+        found.append(Notice(declared.UNMATCHED_VALUES, "comparison", count=len(unmatched)))
     return found
 
 
@@ -277,12 +256,12 @@ def _about_kinds(
     if any(value.ratio for result in results for value in result.values):
         counts = ", ".join(f"{result.responses} of {result.name}" for result in results if result.responses)
         if counts:
-            yield Notice(RESPONSES_LEFT_OUT, "comparison", counts=counts)
+            yield Notice(declared.RESPONSES_LEFT_OUT, "comparison", counts=counts)
         else:
-            yield Notice(RATIOS_COMPARED, "comparison")
+            yield Notice(declared.RATIOS_COMPARED, "comparison")
     for channel, component, ratios, elements in _different_kinds(unmatched, tolerance):
         yield Notice(
-            KINDS_NOT_COMPARED,
+            declared.KINDS_NOT_COMPARED,
             "comparison",
             channel=channel,
             component=component,
@@ -333,6 +312,6 @@ def opposite_conventions(compared: Sequence[ComparedQuantity]) -> Iterator[Notic
         if np.all(normalised <= 1.0):
             continue
         if np.all(difference > np.pi - CONVENTION_RAD):
-            yield Notice(PHASES_DIFFER_BY_180, "comparison", **values)
+            yield Notice(declared.PHASES_DIFFER_BY_180, "comparison", **values)
         elif np.all(normalised > 1.0) and np.all(mirrored < np.minimum(CONVENTION_RAD, difference / 4.0)):
-            yield Notice(PHASES_OPPOSITE, "comparison", **values)
+            yield Notice(declared.PHASES_OPPOSITE, "comparison", **values)

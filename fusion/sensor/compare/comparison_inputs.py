@@ -22,12 +22,7 @@ from fusion.report.folder import CURVE_FILE, RESULT_FILE, SENSITIVITY_FILE
 from fusion.report.h5 import open_results, read_evidence
 from fusion.report.labelled_results import CAMPAIGN_FILE, read_results
 from fusion.sensitivity.input_evidence import InputEvidence
-from fusion.sensor.compare.comparison_notices import (
-    NO_RESULT_TABLE,
-    WRONG_CERTIFIED_RESULT,
-    WRONG_RESULT_CELL,
-    WRONG_RESULT_TABLE,
-)
+from fusion.sensor import result_notices as declared
 from shakercal._common.arrays import FloatArray
 from shakercal._common.notices import Notice
 
@@ -100,7 +95,7 @@ def result_file(path: Path) -> Path:
         for name in (CURVE_FILE, SENSITIVITY_FILE):
             if (folder / name).is_file():
                 return folder / name
-    raise InputError(NO_RESULT_TABLE, path, expected=f"{CURVE_FILE} or {SENSITIVITY_FILE}")
+    raise InputError(declared.NO_RESULT_TABLE, path, expected=f"{CURVE_FILE} or {SENSITIVITY_FILE}")
 
 
 def result_files(path: Path) -> list[Path]:
@@ -126,10 +121,10 @@ def read_result(name: str, path: Path) -> ComparedResult:
     columns, rows = read_rows(file, LARGEST_TABLE)
     missing = [column for column in NEEDED if column not in columns]
     if missing:
-        raise InputError(WRONG_RESULT_TABLE, file, missing[0], found="none", expected="this column")
+        raise InputError(declared.WRONG_RESULT_TABLE, file, missing[0], found="none", expected="this column")
     if not {"U_magnitude", "u_magnitude"} & set(columns):
         expected = "this column, or u_magnitude"
-        raise InputError(WRONG_RESULT_TABLE, file, "U_magnitude", found="none", expected=expected)
+        raise InputError(declared.WRONG_RESULT_TABLE, file, "U_magnitude", found="none", expected=expected)
     found: dict[tuple[float, str, str, str], ComparedValue] = {}
     for line, row in enumerate(rows, 2):
         kind = row["kind"] if "kind" in columns else KINDS[1]
@@ -138,15 +133,17 @@ def read_result(name: str, path: Path) -> ComparedResult:
         if kind not in KINDS:
             expected = f"one of {', '.join((*KINDS, HARMONIC))}"
             text = f'"{describe(kind, plain=True)}"'
-            raise InputError(WRONG_RESULT_CELL, file, "kind", found=text, expected=expected, line=line)
+            raise InputError(declared.WRONG_RESULT_CELL, file, "kind", found=text, expected=expected, line=line)
         value = _value(row, file, line, ratio=kind == "ratio")
         key = value.frequency_hz, value.channel, value.component, kind
         if key in found:
             text = f"{value.frequency_hz:g} Hz twice for {value.channel} per {value.component}"
-            raise InputError(WRONG_RESULT_CELL, file, "frequency_hz", found=text, expected="one value each", line=line)
+            raise InputError(
+                declared.WRONG_RESULT_CELL, file, "frequency_hz", found=text, expected="one value each", line=line
+            )
         found[key] = value
     if not found:
-        raise InputError(WRONG_RESULT_TABLE, file, found="no values", expected="a table with results")
+        raise InputError(declared.WRONG_RESULT_TABLE, file, found="no values", expected="a table with results")
     companions = result_files(path)[1:]
     origins, evidence = _origin(companions[0]) if companions else ({}, ())
     values = []
@@ -256,9 +253,9 @@ def _certified(name: str, file: Path) -> ComparedResult:
         columns += [curve.phase_rad, curve.u_phase_rad] if np.any(phased) else []
         key = f'result "{curve.name}"'
         if not np.isfinite(columns).all():
-            raise InputError(WRONG_CERTIFIED_RESULT, file, key, found="nan", expected="finite numbers")
+            raise InputError(declared.WRONG_CERTIFIED_RESULT, file, key, found="nan", expected="finite numbers")
         if np.any(curve.u_magnitude <= 0.0) or np.any(curve.u_phase_rad[phased] <= 0.0):
-            raise InputError(WRONG_CERTIFIED_RESULT, file, key, found="0", expected="an uncertainty above 0")
+            raise InputError(declared.WRONG_CERTIFIED_RESULT, file, key, found="0", expected="an uncertainty above 0")
         for n, frequency_hz in enumerate(curve.frequency_hz.tolist()):
             value = ComparedValue(
                 frequency_hz=frequency_hz,
@@ -274,7 +271,7 @@ def _certified(name: str, file: Path) -> ComparedResult:
             values.append(value)
     if not values:
         expected = 'a result over frequency named "… CHANNEL per COMPONENT", such as "Sensitivity Fz per Fz"'
-        raise InputError(WRONG_CERTIFIED_RESULT, file, "dcc:results", found="none", expected=expected)
+        raise InputError(declared.WRONG_CERTIFIED_RESULT, file, "dcc:results", found="none", expected=expected)
     return ComparedResult(name, file, tuple(values), certificate.date, signed=certificate.signature_notices)
 
 
@@ -290,7 +287,7 @@ def _value(row: dict[str, str], file: Path, line: int, *, ratio: bool) -> Compar
         if not np.isfinite(found) or wrong_size(found) or found < least:
             shown = f'"{describe(text, plain=True)}"'
             expected = "a finite number" if least == -np.inf else f"a number of at least {least:g}"
-            raise InputError(WRONG_RESULT_CELL, file, column, found=shown, expected=expected, line=line)
+            raise InputError(declared.WRONG_RESULT_CELL, file, column, found=shown, expected=expected, line=line)
         return found
 
     def uncertainty(of: str, factor: str) -> float:
@@ -299,14 +296,16 @@ def _value(row: dict[str, str], file: Path, line: int, *, ratio: bool) -> Compar
         else:
             found, column = number(f"U_{of}", 0.0) / min(number(factor, 1.0), 2.0), f"U_{of}"
         if found == 0.0:
-            raise InputError(WRONG_RESULT_CELL, file, column, found="0", expected="a number above 0", line=line)
+            raise InputError(
+                declared.WRONG_RESULT_CELL, file, column, found="0", expected="a number above 0", line=line
+            )
         return found
 
     texts = {}
     for column in ("channel", "component", "unit"):
         texts[column] = (row.get(column) or "").strip()
         if not texts[column]:
-            raise InputError(WRONG_RESULT_CELL, file, column, found="no value", expected="a text", line=line)
+            raise InputError(declared.WRONG_RESULT_CELL, file, column, found="no value", expected="a text", line=line)
     phase = row.get("phase_rad") not in (None, "", "nan")
     u_phase = uncertainty("phase_rad", "k_phase" if row.get("k_phase") else "k") if phase else np.nan
     return ComparedValue(

@@ -28,8 +28,8 @@ from fusion.report.table import (
 )
 from fusion.sensor.compare.comparison_evaluation import ComparedQuantity, ComparisonEvaluation, evaluate_comparison
 from fusion.sensor.compare.comparison_inputs import read_result, result_files
-from fusion.sensor.compare.comparison_notices import WRONG_COMPARISON_OPTION
-from fusion.sensor.compare.shared_inputs import SharedInput, list_titles
+from fusion.sensor.compare.consistency import SharedInput, list_titles
+from fusion.sensor.result_notices import WRONG_COMPARISON_OPTION
 
 
 class ResultRow(NamedTuple):
@@ -90,13 +90,10 @@ def draw_normalised(evaluation: ComparisonEvaluation) -> Figure:
         of_quantity = [found for found in _main(evaluation) if found.quantity == quantity]
         panel.span(-1.0, 1.0, "covered by U", colour=GREY)
         for index, result in enumerate(evaluation.results):
-            shown = [
-                (f.frequency_hz, f.reference.normalised[f.names.index(result.name)])
-                for f in of_quantity
-                if result.name in f.names
-            ]
-            if shown:
-                x, y = np.array(shown).T
+            of_result = [found for found in of_quantity if result.name in found.names]
+            if of_result:
+                x = np.array([f.frequency_hz for f in of_result])
+                y = np.array([f.reference.normalised[f.names.index(result.name)] for f in of_result])
                 panel.points(x, y, result.name, colour=COLOURS[index % len(COLOURS)], size=4.0)
         panel.y.label = f"E_n of {quantity}"
         frequency_axis(panel.x, np.array([0.95 * ends.min(), 1.05 * ends.max()]))
@@ -111,6 +108,7 @@ def _largest_text(found: ComparedQuantity) -> str:
     return signed_text(max(every)) if every else "–"
 
 
+DRIFT = "drift per year ± U"
 IN_FILE = ("frequency_hz", "channel", "component", "quantity", "unit", "names", "value", "u")
 MAX_CHARTS, MAX_LINES = 6, 6
 """Elements of which the page has a chart, and frequencies in one of them."""
@@ -147,9 +145,8 @@ def _chart(element: tuple[str, str], quantities: Sequence[ComparedQuantity]) -> 
         panel.rule(0.0, colour=GREY)
         panel.y.label = "magnitude / %" if quantity == "magnitude" else "phase / mrad"
         if reach:
-            panel.y.limits = padded_limits(
-                float(np.nanmin(np.concatenate(reach))), float(np.nanmax(np.concatenate(reach)))
-            )
+            every = np.concatenate(reach)
+            panel.y.limits = padded_limits(float(np.nanmin(every)), float(np.nanmax(every)))
     drawn.panels[-1].x.label = "year"
     text = (
         "Deviation of every dated result from the reference value with its U (k = 2), in relative terms of the "
@@ -161,20 +158,25 @@ def _chart(element: tuple[str, str], quantities: Sequence[ComparedQuantity]) -> 
 
 def largest_share(evaluation: ComparisonEvaluation, title: str) -> float:
     """Return the largest share of a variance of the shared inputs of a title."""
-    shares = [
-        (found.effects[[item.title == title for item in found.shared]] / found.u) ** 2
-        for found in evaluation.quantities
-    ]
-    return float(max(share.sum(axis=0).max() for share in shares))
+    every = [(found, [item.title == title for item in found.shared]) for found in evaluation.quantities]
+    return float(max(np.sum((found.effects[chosen] / found.u) ** 2, axis=0).max() for found, chosen in every))
 
 
 def _named(items: Sequence[SharedInput]) -> str:
-    """Return the names of an input in each result.
-
-    Of several components, the first and their number.
-    """
+    """Return the names of an input in each result, and how many components follow."""
     names = "; ".join(f"{name}: {unknown}" for name, unknown in items[0].unknowns.items())
     return names if len(items) == 1 else f"{names} and {len(items) - 1} more"
+
+
+def _reference_text(found: ComparedQuantity) -> str:
+    reference = found.reference
+    if not reference.used.any():
+        return "none, results are contradictory"
+    return quantity_html(reference.value, 2.0 * reference.u, found.unit)
+
+
+def _left_out(found: ComparedQuantity) -> str:
+    return ", ".join(name for name, used in zip(found.names, found.reference.used, strict=True) if not used) or "none"
 
 
 def _context(evaluation: ComparisonEvaluation) -> dict[str, Any]:
@@ -183,32 +185,19 @@ def _context(evaluation: ComparisonEvaluation) -> dict[str, Any]:
         page_column("quantity", lambda f: f.quantity, "l"),
         page_column("frequency / Hz", lambda f: f"{f.frequency_hz:.4f}"),
         page_column("results", lambda f: str(len(f.names))),
-        page_column(
-            "reference ± U",
-            lambda f: (
-                quantity_html(f.reference.value, 2.0 * f.reference.u, f.unit)
-                if f.reference.used.any()
-                else "none, results are contradictory"
-            ),
-        ),
+        page_column("reference ± U", _reference_text),
         page_column("p of consistency", lambda f: f"{f.reference.p:.3f}"),
-        page_column(
-            "left out",
-            lambda f: ", ".join(n for n, u in zip(f.names, f.reference.used, strict=True) if not u) or "none",
-            "l",
-        ),
+        page_column("left out", _left_out, "l"),
         page_column("largest E_n of a pair", lambda f: signed_text(f.largest)),
         page_column("of complex values", _largest_text),
     ]
     changes: list[TableColumn[ComparedQuantity]] = [
         *columns[:3],
-        page_column(
-            "drift per year ± U", lambda f: quantity_html(f.per_year or 0.0, 2.0 * (f.u_per_year or 0.0), f.unit)
-        ),
+        page_column(DRIFT, lambda f: quantity_html(f.per_year or 0.0, 2.0 * (f.u_per_year or 0.0), f.unit)),
     ]
-    titles = {
-        title: [item for item in evaluation.shared if item.title == title] for title in list_titles(evaluation.shared)
-    }
+    titles: dict[str, list[SharedInput]] = {}
+    for item in evaluation.shared:
+        titles.setdefault(item.title, []).append(item)
     common: list[TableColumn[str]] = [
         page_column("input (evidence)", lambda title: title, "l"),
         page_column("unknown in each result", lambda title: _named(titles[title]), "l"),

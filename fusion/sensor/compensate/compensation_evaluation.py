@@ -13,21 +13,7 @@ from fusion.base import CommandEvaluation
 from fusion.errors import InputError
 from fusion.recording.daq_records import read_daqs
 from fusion.recording.load import Manifest, find_recordings, load_manifest
-from fusion.sensor.compensate.compensation_notices import (
-    BAND_NOT_REACHED,
-    COVARIANCE_NOT_STATED,
-    FILTER_FOR_ONE_LOAD,
-    FILTER_REFUSED,
-    MODE_NOT_COMPENSATED,
-    MODE_UNCERTAIN,
-    NO_REAL_POLE_TO_MOVE,
-    NOISE_AMPLIFIED,
-    OUTPUTS_NOT_FILTERED,
-    SAMPLING_ERROR,
-    WIDER_BAND_POSSIBLE,
-    WRONG_COMPENSATION_OPTION,
-    WRONG_RECORDING,
-)
+from fusion.sensor import model_notices as declared
 from fusion.sensor.compensate.compensation_subjects import (
     COMMAND,
     OPTIONS,
@@ -41,6 +27,7 @@ from fusion.sensor.compensate.compensation_subjects import (
     LoadFilter,
     SubjectResult,
     select_subjects,
+    wrong_option,
 )
 from fusion.sensor.transfer.transfer_records import align
 from fusion.sensor.unmodelled_effects import CAUSE_LABELS, coverage_notice
@@ -92,10 +79,7 @@ class HapticCase:
 
 @dataclass(frozen=True)
 class Haptics:
-    """The force-feedback check of one channel with one load.
-
-    `load_mass` in kg; `gain`: the force gain that all cases share.
-    """
+    """The force-feedback check of one channel with a load (kg) at a shared `gain`."""
 
     channel: str
     load_mass: float
@@ -105,16 +89,12 @@ class Haptics:
 
 
 def check_haptics(results: Sequence[SubjectResult], settings: CompensationSettings) -> Haptics | None:
-    """Check the first force with a load model at its heaviest load.
-
-    None if no check is requested.
-    """
+    """Check the first force with a load model at its heaviest load, if requested."""
     if settings.ball_stiffness is None:
         return None
     force = next((one for one in results if one.subject.is_scheduled and one.subject.load_unit == "N"), None)
     if force is None:
-        expected = "a model of a force over the load (load.json) for --ball"
-        raise InputError(WRONG_COMPENSATION_OPTION, COMMAND, "--ball", found="none", expected=expected)
+        raise wrong_option("none", "a model of a force over the load (load.json) for --ball", "--ball")
     heaviest = max(force.filters, key=lambda one: one.load_mass or 0.0)
     mass, rate = heaviest.load_mass or 0.0, heaviest.sections.sample_rate_hz
     unloaded = Compensation(force.subject.dynamics(0.0, settings.modes, real_poles=False), heaviest.compensation.target)
@@ -162,17 +142,18 @@ def read_outputs(path: Path, *, allow_outside: bool = False) -> OutputRecord:
     """Read all output channels of one recording on one time base; raises `InputError`."""
     recordings = find_recordings(path)
     if len(recordings) != 1:
-        raise InputError(
-            WRONG_RECORDING, path, found=f"{len(recordings)} recordings", expected="one recording for --apply"
-        )
+        found = f"{len(recordings)} recordings"
+        raise InputError(declared.WRONG_RECORDING, path, found=found, expected="one recording for --apply")
     manifest = load_manifest(recordings[0], allow_outside=allow_outside)
     if manifest.take:
         found = f"{len(manifest.take)} takes"
-        raise InputError(WRONG_RECORDING, manifest.path, "take", found=found, expected="a recording of one take")
+        raise InputError(
+            declared.WRONG_RECORDING, manifest.path, "take", found=found, expected="a recording of one take"
+        )
     outputs = [(daq.name, entry) for daq in manifest.daq for entry in daq.channel if entry.quantity == "output"]
     if not outputs:
         expected = 'a channel with quantity = "output"'
-        raise InputError(WRONG_RECORDING, manifest.path, "daq.channel", found="none", expected=expected)
+        raise InputError(declared.WRONG_RECORDING, manifest.path, "daq.channel", found="none", expected=expected)
     read = align(manifest, read_daqs(manifest), outputs, "daq")
     names = tuple(entry.channel or entry.name for _, entry in outputs)
     unit = manifest.rig.unit_of(outputs[0][1].quantity)
@@ -197,10 +178,10 @@ def filter_recording(
     if not filtered:
         expected = f"one of the channels {', '.join(one.subject.channel for one in results)}"
         found = f"outputs {', '.join(record.channels)}"
-        raise InputError(WRONG_RECORDING, record.manifest.path, "daq.channel", found=found, expected=expected)
+        raise InputError(declared.WRONG_RECORDING, record.manifest.path, "daq.channel", found=found, expected=expected)
     name = record.manifest.folder.name
     if skipped:
-        notices = (*notices, Notice(OUTPUTS_NOT_FILTERED, name, channels=", ".join(skipped)))
+        notices = (*notices, Notice(declared.OUTPUTS_NOT_FILTERED, name, channels=", ".join(skipped)))
     return CompensatedRecording(name, record.sample_rate_hz, record.start_s, tuple(filtered)), notices
 
 
@@ -211,10 +192,14 @@ def _filtered(
     subject, rate_hz, filter_hz = made.subject, record.sample_rate_hz, made.sections.sample_rate_hz
     if subject.channel != STATED and subject.unit != record.unit:
         expected = f"{subject.unit}, the unit of the model of {name}"
-        raise InputError(WRONG_RECORDING, record.manifest.path, "sensor.unit", found=record.unit, expected=expected)
+        raise InputError(
+            declared.WRONG_RECORDING, record.manifest.path, "sensor.unit", found=record.unit, expected=expected
+        )
     if filter_hz != rate_hz:
         expected = f"samples at {filter_hz:g} Hz, the rate of the filter"
-        raise InputError(WRONG_RECORDING, record.manifest.path, "daq", found=f"{rate_hz:g} Hz", expected=expected)
+        raise InputError(
+            declared.WRONG_RECORDING, record.manifest.path, "daq", found=f"{rate_hz:g} Hz", expected=expected
+        )
     first = max(1, min(len(values), round(rate_hz / made.compensation.target.frequency_hz)))
     level, noise = float(np.mean(values[:first])), white_noise(values)
     run = CompensationWithUncertainty(made.compensation, rate_hz, settings.discretisation, level=level, noise=noise)
@@ -225,10 +210,7 @@ def _filtered(
 
 
 def white_noise(values: FloatArray) -> float:
-    """Return the standard deviation of the noise of samples (N,).
-
-    It is estimated from third differences, robust against steps.
-    """
+    """Return the standard deviation of noise (N,) by third differences, robust against steps."""
     if len(values) < 8:
         return 0.0
     return float(MEDIAN_TO_STD * np.median(np.abs(np.diff(values, 3))) / NOISE_FACTOR)
@@ -242,9 +224,7 @@ def add_recorded_load(
         return settings
     if len(settings.load_masses) > 1:
         expected = "one load mass with --apply, that of the recording"
-        raise InputError(
-            WRONG_COMPENSATION_OPTION, COMMAND, "--load-mass", found=f"{len(settings.load_masses)}", expected=expected
-        )
+        raise wrong_option(f"{len(settings.load_masses)}", expected, "--load-mass")
     rig = record.manifest.rig
     if settings.load_masses or rig.load is None:
         return settings
@@ -283,17 +263,17 @@ def _of_design(made: LoadFilter, settings: CompensationSettings, where: str) -> 
     """Yield notices on the certainty of the model, the target, and the requested band."""
     sensor, target, error = made.compensation.sensor, made.compensation.target, settings.permitted_error
     if settings.real_hz is not None and not len(sensor.real_hz):
-        yield Notice(NO_REAL_POLE_TO_MOVE, where)
+        yield Notice(declared.NO_REAL_POLE_TO_MOVE, where)
     if sensor.covariance is None:
-        yield Notice(COVARIANCE_NOT_STATED, where)
+        yield Notice(declared.COVARIANCE_NOT_STATED, where)
     for hertz, damping, u in zip(sensor.frequency_hz, sensor.damping_ratio, sensor.u, strict=False):
         if u > WIDTH_SHARE * damping * hertz:  # never of an unknown u, which is NaN
             share = 100.0 * float(u / (damping * hertz))
-            yield Notice(MODE_UNCERTAIN, where, frequency_hz=float(hertz), share_percent=share)
+            yield Notice(declared.MODE_UNCERTAIN, where, frequency_hz=float(hertz), share_percent=share)
     reached, best = band_ratio(target.damping_ratio, error), best_damping((1.0 - MODEL_ERROR_SHARE) * error)
     if settings.damping_ratio is not None and band_ratio(best, error) > MIN_WIDENING * reached:
         yield Notice(
-            WIDER_BAND_POSSIBLE,
+            declared.WIDER_BAND_POSSIBLE,
             where,
             damping_ratio=target.damping_ratio,
             permitted_percent=100.0 * error,
@@ -305,7 +285,9 @@ def _of_design(made: LoadFilter, settings: CompensationSettings, where: str) -> 
         gain = np.abs(made.compensation.compensated.response(np.linspace(0.0, settings.bandwidth_hz, 500)))
         worst = float(np.max(np.abs(gain / gain[0] - 1.0)))
         if worst > error * (1.0 + 1e-9):
-            yield Notice(BAND_NOT_REACHED, where, band_hz=settings.bandwidth_hz, deviation_percent=100.0 * worst)
+            yield Notice(
+                declared.BAND_NOT_REACHED, where, band_hz=settings.bandwidth_hz, deviation_percent=100.0 * worst
+            )
 
 
 def _of_effects(made: LoadFilter, where: str) -> Iterator[Notice]:
@@ -315,23 +297,15 @@ def _of_effects(made: LoadFilter, where: str) -> Iterator[Notice]:
         share = mode.step_share
         is_of_sensor = np.min(np.abs(filter_poles - mode.pole)) > 1e-9 * abs(mode.pole)
         if is_of_sensor and share is not None and share > LARGE_ERROR:
+            hertz, zeta, percent = mode.natural_hz, mode.damping_ratio, 100.0 * share
             yield Notice(
-                MODE_NOT_COMPENSATED,
-                where,
-                frequency_hz=mode.natural_hz,
-                damping_ratio=mode.damping_ratio,
-                share_percent=100.0 * share,
+                declared.MODE_NOT_COMPENSATED, where, frequency_hz=hertz, damping_ratio=zeta, share_percent=percent
             )
     if made.discretisation_error > LARGE_ERROR:
-        yield Notice(
-            SAMPLING_ERROR,
-            where,
-            rate_hz=made.sections.sample_rate_hz,
-            deviation_percent=100.0 * made.discretisation_error,
-            band_hz=made.band_hz,
-        )
+        percent, rate_hz = 100.0 * made.discretisation_error, made.sections.sample_rate_hz
+        yield Notice(declared.SAMPLING_ERROR, where, rate_hz=rate_hz, deviation_percent=percent, band_hz=made.band_hz)
     if made.noise_factor > LARGE_NOISE:
-        yield Notice(NOISE_AMPLIFIED, where, factor=made.noise_factor)
+        yield Notice(declared.NOISE_AMPLIFIED, where, factor=made.noise_factor)
 
 
 # The evaluation of a compensation.
@@ -403,7 +377,7 @@ def evaluate_compensation(
     for result in subjects:
         if result.subject.is_scheduled and len(result.filters) == 1:
             load = result.subject.load_text(result.filters[0].load_mass or 0.0)
-            notices.append(Notice(FILTER_FOR_ONE_LOAD, result.subject.name, load=load))
+            notices.append(Notice(declared.FILTER_FOR_ONE_LOAD, result.subject.name, load=load))
     notices += [notice for result in subjects for notice in remarks(result, settings)]
     return CompensateEvaluation(
         name=sources.name,
@@ -422,9 +396,7 @@ def _subject(subject: CompensationSubject, settings: CompensationSettings, rate_
     """Return the filters of one channel, one per load, all with one target."""
     if subject.is_scheduled and settings.real_hz is not None:
         expected = "no --real-pole: a model over the load has none"
-        raise InputError(
-            WRONG_COMPENSATION_OPTION, COMMAND, "--real-pole", found=f"{settings.real_hz:g} Hz", expected=expected
-        )
+        raise wrong_option(f"{settings.real_hz:g} Hz", expected, "--real-pole")
     masses: tuple[float | None, ...] = (settings.load_masses or (0.0,)) if subject.is_scheduled else (None,)
     try:
         sensors = [subject.dynamics(mass, settings.modes, settings.real_hz is not None) for mass in masses]
@@ -438,11 +410,9 @@ def _subject(subject: CompensationSubject, settings: CompensationSettings, rate_
         ]
     except ValueError as error:
         option = OPTIONS.get(str(error).partition(":")[0])
-        if option is None:  # the model itself
-            file = subject.file or Path(COMMAND)
-            raise InputError.from_exception(error, file, subject.name, FILTER_REFUSED) from error
-        key = f"{option} ({subject.name})"
-        raise InputError.from_exception(error, Path(COMMAND), key, FILTER_REFUSED) from error
+        file = None if option else subject.file  # without an option, the model itself is refused
+        key = f"{option} ({subject.name})" if option else subject.name
+        raise InputError.from_exception(error, file or Path(COMMAND), key, declared.FILTER_REFUSED) from error
     return SubjectResult(subject, tuple(filters))
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -17,7 +16,6 @@ import numpy as np
 from markupsafe import Markup
 
 from fusion.base import DASH, GRAM, MILLI, PERCENT, round_to_uncertainty
-from fusion.errors import InputError
 from fusion.estimation.coverage import coverage_factor
 from fusion.report.folder import CommandReport, hash_files
 from fusion.report.h5 import write_value
@@ -56,17 +54,16 @@ from fusion.sensor.compensate.compensation_figures import (
     draw_step,
     frequencies,
 )
-from fusion.sensor.compensate.compensation_notices import WRONG_COMPENSATION_OPTION
 from fusion.sensor.compensate.compensation_subjects import (
-    COMMAND,
     CompensationSettings,
     IndexEstimates,
     LoadFilter,
     SubjectResult,
     read_sources,
     stated_sensor,
+    wrong_option,
 )
-from fusion.sensor.model_files import FORMAT, read_model_file
+from fusion.sensor.model_files import model_file_text, pairs, read_model_file
 from shaker.compensation.effects import gain_band
 from shaker.compensation.filter import Sections, band_ratio, best_damping
 from shaker.lti.indices import LABELS, unit_of
@@ -79,17 +76,8 @@ CONVENTIONS = (
     "each of static gain 1; continuous: gain * product (s - zero)/(s - pole), rad/s; numbers are exact doubles"
 )
 SHOWN = (
-    "natural_hz",
-    "damping_ratio",
-    "peak_hz",
-    "peak_gain",
-    "band_5_hz",
-    "band_10_hz",
-    "half_power_hz",
-    "overshoot",
-    "rise_s",
-    "settling_5_s",
-    "settling_2_s",
+    *("natural_hz", "damping_ratio", "peak_hz", "peak_gain", "band_5_hz", "band_10_hz", "half_power_hz"),
+    *("overshoot", "rise_s", "settling_5_s", "settling_2_s"),
 )
 SCALE = {"s": (MILLI, "ms"), "Hz": (1.0, "Hz"), "": (1.0, "")}
 PRINTED = {"band_10_hz": "±10 % band", "overshoot": "overshoot", "settling_2_s": "2 % settling"}
@@ -108,10 +96,7 @@ LOOP = (
 
 @dataclass(frozen=True)
 class StoredFilter:
-    """A filter of compensation.json for a channel and a load.
-
-    `load_mass` in kg, None without a load model.
-    """
+    """A filter of a channel for a load in kg, None without a load model."""
 
     channel: str
     component: str
@@ -122,13 +107,12 @@ class StoredFilter:
 def json_text(evaluation: CompensateEvaluation) -> str:
     """Return the content of compensation.json."""
     content = {
-        "format": FORMAT,
         "name": evaluation.name,
         "program": evaluation.versions.get("shakercal", ""),
         "conventions": CONVENTIONS,
         "filters": [_entry(made) for made in evaluation.filters],
     }
-    return json.dumps(content, indent=2, ensure_ascii=False, allow_nan=False) + "\n"
+    return model_file_text(content)
 
 
 def read_compensation_filters(path: str | Path) -> tuple[StoredFilter, ...]:
@@ -159,10 +143,9 @@ def read_compensation_filters(path: str | Path) -> tuple[StoredFilter, ...]:
         load_mass = None if mass is None else float(mass)
         return StoredFilter(str(item["channel"]), str(item["component"]), load_mass, sections)
 
-    def parsed(content: dict[str, Any]) -> tuple[StoredFilter, ...]:
-        return tuple(stored(item) for item in content["filters"])
-
-    return read_model_file(Path(path), JSON_FILE, "compensate", parsed, "filters")
+    return read_model_file(
+        Path(path), JSON_FILE, "compensate", lambda content: tuple(map(stored, content["filters"])), "filters"
+    )
 
 
 def _entry(made: LoadFilter) -> dict[str, Any]:
@@ -181,11 +164,7 @@ def _entry(made: LoadFilter) -> dict[str, Any]:
             "u": [finite_or_none(u) for u in sensor.u],
         },
         "target": {name: getattr(target, name) for name in ("frequency_hz", "damping_ratio", "real_hz", "low_pass_hz")},
-        "continuous": {
-            "zeros": [[zero.real, zero.imag] for zero in system.zeros.tolist()],
-            "poles": [[pole.real, pole.imag] for pole in system.poles.tolist()],
-            "gain": system.gain,
-        },
+        "continuous": {"zeros": pairs(system.zeros), "poles": pairs(system.poles), "gain": system.gain},
         "sample_rate_hz": sections.sample_rate_hz,
         "gain": sections.gain,
         "sos": sections.sos.tolist(),
@@ -293,11 +272,7 @@ def number_rows(made: LoadFilter) -> Iterator[NumberRow]:
 def headlines(evaluation: CompensateEvaluation) -> list[Headline]:
     """Return band, overshoot and settling of the first filter, before and after, and its noise."""
     made = evaluation.filters[0]
-    labels = {
-        "band_10_hz": "±10 % of the static gain up to",
-        "overshoot": "Overshoot",
-        "settling_2_s": "2 % settling",
-    }
+    labels = {"band_10_hz": "±10 % of the static gain up to", "overshoot": "Overshoot", "settling_2_s": "2 % settling"}
     lines = [
         Headline(text, cell(made.after, name), f"before: {cell(made.before, name)}; {made.name}")
         for name, text in labels.items()
@@ -522,30 +497,19 @@ def run_compensate(
     force: bool = False,
     allow_outside: bool = False,
 ) -> None:
-    """Design filters of models or of a stated sensor, write them and print the summary.
-
-    `sensor`: frequency in Hz and damping ratio of a stated sensor. Results are written to folder `compensate` next to
-    the first model, or in the working folder, or to `output`.
-    """
+    """Design filters, write them and print the summary; `sensor`: frequency (Hz) and damping ratio."""
     frequency, damping = sensor
     if models and sensor != (None, None):
-        expected = "either models or --sensor-frequency with --sensor-damping"
-        raise InputError(WRONG_COMPENSATION_OPTION, COMMAND, found="both", expected=expected)
+        raise wrong_option("both", "either models or --sensor-frequency with --sensor-damping")
     if not models and (frequency is None or damping is None):
         expected = "models.json, load.json, a folder with one, or --sensor-frequency with --sensor-damping"
-        raise InputError(WRONG_COMPENSATION_OPTION, COMMAND, found="none of them", expected=expected)
+        raise wrong_option("none of them", expected)
     sources = read_sources(models) if frequency is None or damping is None else stated_sensor(frequency, damping)
     record = None if recording is None else read_outputs(recording, allow_outside=allow_outside)
     root = sources.files[0].parent if sources.files else Path.cwd()
     if settings.load_masses and not any(subject.is_scheduled for subject in sources.subjects):
         found = ", ".join(f"{mass:g} kg" for mass in settings.load_masses)
-        raise InputError(
-            WRONG_COMPENSATION_OPTION,
-            COMMAND,
-            "--load-mass",
-            found=found,
-            expected="a model over the load (load.json) for it",
-        )
+        raise wrong_option(found, "a model over the load (load.json) for it", "--load-mass")
 
     def evaluate(hashes: dict[str, str]) -> CompensateEvaluation:
         return evaluate_compensation(sources, add_recorded_load(settings, sources, record), record, hashes)

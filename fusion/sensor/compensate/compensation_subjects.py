@@ -12,12 +12,7 @@ import numpy as np
 from fusion.errors import InputError
 from fusion.estimation.coverage import coverage_factor
 from fusion.recording.values import repeated_name
-from fusion.sensor.compensate.compensation_notices import (
-    DUPLICATE_MODEL,
-    EQUIVALENT_SOLUTIONS,
-    NO_MODEL_FILE,
-    WRONG_COMPENSATION_OPTION,
-)
+from fusion.sensor import model_notices as declared
 from fusion.sensor.model_files import (
     LOAD_MODEL_FILE,
     MODELS_FILE,
@@ -67,6 +62,11 @@ STATED = "sensor"
 """Channel of a sensor that is stated by numbers."""
 
 
+def wrong_option(found: str, expected: str, option: str = "") -> InputError:
+    """Return the refusal of an option of the command."""
+    return InputError(declared.WRONG_COMPENSATION_OPTION, COMMAND, option, found=found, expected=expected)
+
+
 @dataclass(frozen=True)
 class CompensationSettings:
     """Target dynamics and options of compensation filters.
@@ -103,24 +103,13 @@ class CompensationSettings:
 
     def __post_init__(self) -> None:
         if (self.frequency_hz is None) == (self.bandwidth_hz is None):
-            found = "none" if self.frequency_hz is None else "both"
-            raise InputError(
-                WRONG_COMPENSATION_OPTION, COMMAND, found=found, expected="either --frequency or --bandwidth"
-            )
+            raise wrong_option("none" if self.frequency_hz is None else "both", "either --frequency or --bandwidth")
         if self.bandwidth_hz is not None and self.damping_ratio is not None:
             expected = "no --damping together with --bandwidth, which determines it"
-            raise InputError(
-                WRONG_COMPENSATION_OPTION, COMMAND, "--damping", found=f"{self.damping_ratio:g}", expected=expected
-            )
+            raise wrong_option(f"{self.damping_ratio:g}", expected, "--damping")
         if not 0 < self.permitted_error < 1:
             expected = "a permitted error above 0 and below 100 %"
-            raise InputError(
-                WRONG_COMPENSATION_OPTION,
-                COMMAND,
-                "--permitted-error",
-                found=f"{100 * self.permitted_error:g} %",
-                expected=expected,
-            )
+            raise wrong_option(f"{100 * self.permitted_error:g} %", expected, "--permitted-error")
 
     def target(self, sensor: SensorDynamics) -> CompensationTarget:
         """Return the target for a sensor."""
@@ -135,16 +124,10 @@ class CompensationSettings:
     @property
     def settings(self) -> dict[str, str | float | int]:
         """The settings for the results."""
-        given = {name: getattr(self, name) for name in ("permitted_error", "modes", "discretisation")}
-        optional = ("frequency_hz", "damping_ratio", "bandwidth_hz", "real_hz", "low_pass_hz", "sample_rate_hz")
-        stated = {name: getattr(self, name) for name in (*optional, "ball_stiffness")}
-        lists = {"load_masses_kg": [f"{mass:.12g}" for mass in self.load_masses], "channels": self.channels}
-        return {
-            **given,
-            "calibrated": int(self.calibrated),
-            **{name: value for name, value in stated.items() if value is not None},
-            **{name: ", ".join(values) for name, values in lists.items() if values},
-        }
+        lists = {"load_masses_kg": ", ".join(f"{mass:.12g}" for mass in self.load_masses)}
+        lists["channels"] = ", ".join(self.channels)
+        stated = {**vars(self), "calibrated": int(self.calibrated), "load_masses": None, **lists}
+        return {name: value for name, value in stated.items() if value not in (None, "")}
 
 
 # Subjects: models of step responses, models over the load, or a frequency and a damping ratio.
@@ -211,10 +194,7 @@ class CompensationSubject:
         return whole if self.scatter is None else self.scatter
 
     def factors(self, u: FloatArray, u_scatter: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return degrees of freedom and k (95 %), (Q,) each, of numbers with u (Q,).
-
-        `u_scatter` (Q,) is the part of u by scatter.
-        """
+        """Return degrees of freedom and k (95 %) of u (Q,), `u_scatter` of it scatter."""
         from scipy.special import stdtrit
 
         if not np.isfinite(self.basis.dof):
@@ -229,12 +209,10 @@ class CompensationSubject:
             made = loaded_dynamics(self.model, load_mass or 0.0, modes=modes)
             return replace(made, scatter=made.covariance if np.isfinite(self.basis.dof) else None)
         if isinstance(self.model, ModalModel):
-            made = modal_dynamics(self.model, modes=modes, real_poles=real_poles)
-            if self.scatter_covariance is None:
+            made, scatter = modal_dynamics(self.model, modes=modes, real_poles=real_poles), self.scatter_covariance
+            if scatter is None:
                 return made
-            part = modal_dynamics(
-                replace(self.model, covariance=self.scatter_covariance), modes=modes, real_poles=real_poles
-            )
+            part = modal_dynamics(replace(self.model, covariance=scatter), modes=modes, real_poles=real_poles)
             return replace(made, scatter=part.covariance)
         if modes != 1:
             raise ValueError(f"modes: expected 1 of a sensor stated by frequency and damping, found {modes}")
@@ -252,15 +230,12 @@ class CompensationSources:
 
 
 def read_sources(paths: Sequence[Path]) -> CompensationSources:
-    """Read models.json or load.json, or the one in a folder of results.
-
-    If a folder contains both, load.json is read.
-    """
+    """Read models.json or load.json; of a folder with both, load.json."""
     sources = [_read(path) for path in paths]
     subjects = tuple(subject for one in sources for subject in one.subjects)
     twice = repeated_name([subject.name for subject in subjects])
     if twice is not None:
-        raise InputError(DUPLICATE_MODEL, paths[-1], channel=twice)
+        raise InputError(declared.DUPLICATE_MODEL, paths[-1], channel=twice)
     files, notices = (sum((getattr(one, name) for one in sources), ()) for name in ("files", "notices"))
     return CompensationSources(sources[0].name, subjects, files, notices)
 
@@ -269,13 +244,10 @@ def stated_sensor(frequency_hz: float, damping_ratio: float) -> CompensationSour
     """Return a sensor of one mode that is stated by numbers."""
     if not damping_ratio < 1.0:
         expected = "a damping ratio below 1, of a sensor that oscillates"
-        raise InputError(
-            WRONG_COMPENSATION_OPTION, COMMAND, "--sensor-damping", found=f"{damping_ratio:g}", expected=expected
-        )
+        raise wrong_option(f"{damping_ratio:g}", expected, "--sensor-damping")
     source = f"stated: {frequency_hz:g} Hz, ζ = {damping_ratio:g}"
-    return CompensationSources(
-        "stated sensor", (CompensationSubject(STATED, "", "1", single_mode(frequency_hz, damping_ratio), source),), ()
-    )
+    subject = CompensationSubject(STATED, "", "1", single_mode(frequency_hz, damping_ratio), source)
+    return CompensationSources("stated sensor", (subject,), ())
 
 
 def select_subjects(sources: CompensationSources, channels: Sequence[str]) -> tuple[CompensationSubject, ...]:
@@ -283,36 +255,29 @@ def select_subjects(sources: CompensationSources, channels: Sequence[str]) -> tu
     available = [subject.channel for subject in sources.subjects]
     for name in channels:
         if name not in available:
-            raise InputError(
-                WRONG_COMPENSATION_OPTION,
-                COMMAND,
-                "--channel",
-                found=name,
-                expected=f"one of {', '.join(dict.fromkeys(available))}",
-            )
+            raise wrong_option(name, f"one of {', '.join(dict.fromkeys(available))}", "--channel")
     return tuple(subject for subject in sources.subjects if not channels or subject.channel in channels)
 
 
 def _read(path: Path) -> CompensationSources:
     """Return the subjects of one file or folder."""
-    file = path
-    if path.is_dir():
-        file = next((path / name for name in (LOAD_MODEL_FILE, MODELS_FILE) if (path / name).is_file()), path)
-        if file == path:
-            expected = f"{MODELS_FILE} of shakercal step or {LOAD_MODEL_FILE} of shakercal load in it"
-            raise InputError(NO_MODEL_FILE, path, expected=expected)
+    offered = [path / LOAD_MODEL_FILE, path / MODELS_FILE] if path.is_dir() else [path]
+    file = next((one for one in offered if one.is_file()), path)
+    if file.is_dir():
+        expected = f"{MODELS_FILE} of shakercal step or {LOAD_MODEL_FILE} of shakercal load in it"
+        raise InputError(declared.NO_MODEL_FILE, path, expected=expected)
 
     def over_loads(content: dict[str, Any]) -> bool:
         return bool(content["models"]) and "moving_mass" in content["models"][0]
 
-    return _of_loads(file) if read_model_file(file, "", "step or shakercal load", over_loads) else _of_steps(file)
+    return _of_loads(file) if read_model_file(file, "", "step or load", over_loads) else _of_steps(file)
 
 
 def _of_steps(file: Path) -> CompensationSources:
     """Return one subject per channel: for the component of its name, else the largest gain."""
     models = read_models(file)
     if not models.entries:
-        raise InputError(NO_MODEL_FILE, file, "models", expected="at least one model")
+        raise InputError(declared.NO_MODEL_FILE, file, "models", expected="at least one model")
     subjects = []
     for channel in dict.fromkeys(entry.channel for entry in models):
         offered = [entry for entry in models if entry.channel == channel]
@@ -331,7 +296,7 @@ def _of_loads(file: Path) -> CompensationSources:
         if model.solution > 1:
             continue
         if model.solutions > 1:
-            notices.append(Notice(EQUIVALENT_SOLUTIONS, model.channel, count=model.solutions))
+            notices.append(Notice(declared.EQUIVALENT_SOLUTIONS, model.channel, count=model.solutions))
         source = "two masses" if model.is_rigid else "three masses"
         subject = CompensationSubject(model.channel, model.component, model.unit, model, source, basis=basis, file=file)
         if model.load_masses:

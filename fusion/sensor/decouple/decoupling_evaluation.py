@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -10,23 +9,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fusion.base import CommandEvaluation
 from fusion.errors import ComputeError, InputError
 from fusion.recording.load import Manifest, check_one_rig
-from fusion.sensor.decouple.decoupling_notices import (
-    DIFFERENT_RECORDS,
-    LOADS_NOT_SEPARABLE,
-    MISSING_RELEASES,
-    NO_COMMON_MODEL,
-    NO_DECOUPLING_FILTER,
-    NO_RATED_LOADS,
-    RELEASED_LOADS_EXACT,
-    TARGET_ABOVE_LIMIT,
-    TARGET_NOT_REACHED,
-)
-from fusion.sensor.model_files import FORMAT, read_model_file
+from fusion.sensor import model_notices as declared
+from fusion.sensor.model_files import model_file_text, pairs, read_model_file
 from fusion.sensor.step.step_records import StepInput, read_step
 from fusion.sensor.unmodelled_effects import ModelInfluences, coverage_notice, stated_influences
 from shaker.decoupling.common_pole_fit import MultiFit, fit_steps
@@ -41,7 +29,7 @@ from shaker.decoupling.filter import (
 )
 from shaker.decoupling.model import MultiModel, missing_loads
 from shaker.labels import LOAD_COMPONENTS
-from shakercal._common.arrays import FloatArray
+from shakercal._common.arrays import ComplexArray, FloatArray
 from shakercal._common.notices import Notice
 
 # Choices of a decoupling, and parts of its evaluation.
@@ -109,10 +97,7 @@ class DecoupleEvaluation(CommandEvaluation):
 
     @property
     def ratio(self) -> FloatArray:
-        """Return the factors (D, D) from readings over loads to ratios of rated loads.
-
-        Without rated loads, NaN for pairs of different units.
-        """
+        """Factors (D, D) from readings over loads to rated loads; NaN if not comparable."""
         kind = np.array([name[0] for name in self.fit.model.components])
         different = (self.capacity is None) & (kind[:, None] != kind)
         return np.where(different, np.nan, self.scale / self.scale[:, None])
@@ -164,25 +149,23 @@ def evaluate_decoupling(
         fit = fit_steps([item.record for item in inputs])
     except ValueError as error:
         raise _unexplained(error, manifests[0]) from error
-    influences = stated_influences(
-        manifests[0].rig, [manifest.mounting for manifest in manifests], mounting_scatter=False
-    )
+    mountings = [manifest.mounting for manifest in manifests]
+    influences = stated_influences(manifests[0].rig, mountings, mounting_scatter=False)
     fit = replace(fit, model=influences.on_outputs(fit.model))
     target = _target(fit, settings)
     try:
         decoupler = design_decoupling(fit.model, target, SignalLevels(fit.sample_rate_hz, fit.noise, fit.amplitude))
     except (ValueError, np.linalg.LinAlgError) as error:
-        raise ComputeError(NO_DECOUPLING_FILTER, reason=str(error)) from error
+        raise ComputeError(declared.NO_DECOUPLING_FILTER, reason=str(error)) from error
     modes_hz = fit.model.frequency_hz
     highest = max(float(modes_hz.max()), float(target.frequency_hz.max()))
-    spaced = np.geomspace(
-        float(modes_hz.min()) / 100.0, min(FREQUENCY_MARGIN * highest, 0.45 * fit.sample_rate_hz), LINES
-    )
+    top_hz = min(FREQUENCY_MARGIN * highest, 0.45 * fit.sample_rate_hz)
+    spaced = np.geomspace(float(modes_hz.min()) / 100.0, top_hz, LINES)
     frequency_hz = np.unique(np.concatenate([spaced, modes_hz]))
     stages = crosstalks(fit.model, decoupler, fit.noise, frequency_hz, np.random.default_rng(settings.seed), DRAWS)
     sensor, names = manifests[0].rig.sensor, fit.model.components
     stated = (None if sensor is None else sensor.capacity) or (0.0,) * len(LOAD_COMPONENTS)
-    rated = np.array([dict(zip(LOAD_COMPONENTS, stated, strict=True)).get(name, 0.0) for name in names])
+    rated = np.array([stated[LOAD_COMPONENTS.index(name)] for name in names])
     capacity = rated if np.all(rated > 0) else None
     difference = np.abs(stages[-1].value - decoupler.target(frequency_hz)[:, :, None] * np.eye(len(names)))
     if capacity is None:  # loads with themselves alone
@@ -222,13 +205,9 @@ def _read(manifests: Sequence[Manifest]) -> list[StepInput]:
         for key in ("channels", "unit", "sample_rate_hz"):
             found, expected = getattr(item.record, key), getattr(record, key)
             if found != expected:
+                path, where, name = item.manifest.path, f"daq.channel ({key})", first.folder.name
                 raise InputError(
-                    DIFFERENT_RECORDS,
-                    item.manifest.path,
-                    f"daq.channel ({key})",
-                    expected=str(expected),
-                    recording=first.folder.name,
-                    found=str(found),
+                    declared.DIFFERENT_RECORDS, path, where, expected=str(expected), recording=name, found=str(found)
                 )
     stated = None if first.rig.sensor is None else first.rig.sensor.static_sensitivity
     static = None if stated is None else np.asarray(stated, dtype=np.float64)
@@ -236,20 +215,18 @@ def _read(manifests: Sequence[Manifest]) -> list[StepInput]:
     missing = missing_loads(record.channels, released, static)
     if missing:
         folder, found = first.rig_path.parent, ", ".join(released)
-        raise InputError(MISSING_RELEASES, folder, "excitation.component", missing=", ".join(missing), found=found)
+        raise InputError(
+            declared.MISSING_RELEASES, folder, "excitation.component", missing=", ".join(missing), found=found
+        )
     return inputs
 
 
 def _unexplained(error: ValueError, manifest: Manifest) -> InputError | ComputeError:
-    """Return the error of a failed fit.
-
-    Loads that cannot be separated are an error of the files.
-    """
-    key, _, rest = str(error).partition(": ")
+    """Return the error of a fit; inseparable loads are an error of the files."""
+    key = str(error).partition(": ")[0]
     if key not in ("channels", "components"):
-        return ComputeError(NO_COMMON_MODEL, reason=str(error))
-    expected, _, found = rest.removeprefix("expected ").partition(", found ")
-    return InputError(LOADS_NOT_SEPARABLE, manifest.rig_path.parent, key, found=found, expected=expected)
+        return ComputeError(declared.NO_COMMON_MODEL, reason=str(error))
+    return InputError.from_exception(error, manifest.rig_path.parent, key, declared.LOADS_NOT_SEPARABLE)
 
 
 def _target(fit: MultiFit, settings: DecoupleSettings) -> DecouplingTarget:
@@ -257,7 +234,7 @@ def _target(fit: MultiFit, settings: DecoupleSettings) -> DecouplingTarget:
     count = len(fit.model.components)
     target_hz = 0.5 * float(fit.model.frequency_hz.min()) if settings.frequency_hz is None else settings.frequency_hz
     if target_hz >= 0.25 * fit.sample_rate_hz:
-        raise ComputeError(TARGET_ABOVE_LIMIT, rate_hz=fit.sample_rate_hz, frequency_hz=target_hz)
+        raise ComputeError(declared.TARGET_ABOVE_LIMIT, rate_hz=fit.sample_rate_hz, frequency_hz=target_hz)
     return DecouplingTarget(np.full(count, target_hz), np.full(count, settings.damping_ratio))
 
 
@@ -274,12 +251,12 @@ def _notices(
     if deviation[within].max() > MAX_DEVIATION:
         first_hz = float(frequency_hz[within][deviation[within] > MAX_DEVIATION][0])
         limit = 100 * MAX_DEVIATION
-        found.append(Notice(TARGET_NOT_REACHED, "filter", frequency_hz=first_hz, limit_percent=limit))
+        found.append(Notice(declared.TARGET_NOT_REACHED, "filter", frequency_hz=first_hz, limit_percent=limit))
     if capacity is None:
-        found.append(Notice(NO_RATED_LOADS, "sensor.capacity"))
+        found.append(Notice(declared.NO_RATED_LOADS, "sensor.capacity"))
     exact = [c for c, u in zip(fit.model.components, fit.u_amplitude, strict=True) if u == 0.0]
     if exact:
-        found.append(Notice(RELEASED_LOADS_EXACT, "excitation.step_amplitude", components=", ".join(exact)))
+        found.append(Notice(declared.RELEASED_LOADS_EXACT, "excitation.step_amplitude", components=", ".join(exact)))
     return found
 
 
@@ -296,13 +273,12 @@ RECURSION = (
 def filter_text(decoupler: DecouplingFilter, model: MultiModel) -> str:
     """Return the text of decoupling.json, with the model and its standard uncertainties."""
     names = ("frequency_hz", "damping_ratio", "real_hz", "real_residue")
-    parameters = {**{name: getattr(model, name).tolist() for name in names}, "residue": _pairs(model.residue)}
+    parameters = {**{name: getattr(model, name).tolist() for name in names}, "residue": pairs(model.residue)}
     u: dict[str, Any] = {}
     if model.covariance is not None:
         u = {f"u_{name}": getattr(model.u, name).tolist() for name in names[:3]}
-        u |= {"u_residue": _pairs(model.u.residue), "u_real_residue": model.u.real_residue.tolist()}
+        u |= {"u_residue": pairs(model.u.residue), "u_real_residue": model.u.real_residue.tolist()}
     content = {
-        "format": FORMAT,
         "kind": KIND,
         "recursion": RECURSION,
         "channels": list(decoupler.channels),
@@ -310,17 +286,12 @@ def filter_text(decoupler: DecouplingFilter, model: MultiModel) -> str:
         "unit": decoupler.unit,
         "sample_rate_hz": decoupler.sample_rate_hz,
         "delay_samples": decoupler.delay,
-        "target": {
-            "frequency_hz": decoupler.target_hz.tolist(),
-            "damping_ratio": decoupler.target_damping.tolist(),
-        },
+        "target": {"frequency_hz": decoupler.target_hz.tolist(), "damping_ratio": decoupler.target_damping.tolist()},
         "taps": decoupler.taps.tolist(),
-        "poles": _pairs(decoupler.poles),
-        "driven": _pairs(decoupler.driven),
-        "shown": _pairs(decoupler.shown),
+        **{name: pairs(getattr(decoupler, name)) for name in ("poles", "driven", "shown")},
         "model": {**parameters, **u},
     }
-    return json.dumps(content, indent=1, ensure_ascii=False) + "\n"
+    return model_file_text(content, indent=1, allow_nan=True)
 
 
 def read_decoupling_filter(path: str | Path) -> DecouplingFilter:
@@ -355,9 +326,7 @@ def read_decoupling_filter(path: str | Path) -> DecouplingFilter:
             unit=content["unit"],
             sample_rate_hz=float(content["sample_rate_hz"]),
             taps=np.array(content["taps"], dtype=np.float64),
-            poles=_complex(content["poles"]),
-            driven=_complex(content["driven"]),
-            shown=_complex(content["shown"]),
+            **{name: _complex(content[name]) for name in ("poles", "driven", "shown")},
             target_hz=target["frequency_hz"],
             target_damping=target["damping_ratio"],
         )
@@ -365,12 +334,7 @@ def read_decoupling_filter(path: str | Path) -> DecouplingFilter:
     return read_model_file(Path(path), FILTER_FILE, "decouple", parsed, "filters")
 
 
-def _pairs(values: NDArray[np.complex128]) -> Any:
-    """Return complex numbers as [re, im]."""
-    return np.stack([values.real, values.imag], axis=-1).tolist()
-
-
-def _complex(pairs: Any) -> NDArray[np.complex128]:
+def _complex(pairs: Any) -> ComplexArray:
     """Return the complex numbers of [re, im]."""
     both = np.array(pairs, dtype=np.float64)
     return np.asarray(both[..., 0] + 1j * both[..., 1])

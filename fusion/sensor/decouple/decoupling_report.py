@@ -11,7 +11,7 @@ import h5py
 import numpy as np
 from markupsafe import Markup
 
-from fusion.base import DASH, K2
+from fusion.base import DASH, K2, count_text
 from fusion.campaign.executor import one_blas_thread
 from fusion.recording.load import load_for_command
 from fusion.report.figure import BLUE, COLOURS, GREY, ORANGE, Figure, empty_figure
@@ -142,10 +142,7 @@ def crosstalk_rows(evaluation: DecoupleEvaluation) -> Iterator[CrosstalkRow]:
 
 
 def largest(evaluation: DecoupleEvaluation) -> Iterator[tuple[str, float, float, str]]:
-    """Yield the largest cross-talk in a step of every stage, with U.
-
-    In % of rated loads.
-    """
+    """Yield the largest cross-talk in a step of every stage, in % of rated loads."""
     ratio = 100 * np.where(np.eye(len(evaluation.scale), dtype=np.bool_), np.nan, evaluation.ratio)
     for stage in evaluation.stages:
         size, U = stage.peak * ratio, K2 * stage.u_peak * ratio
@@ -163,7 +160,7 @@ def headlines(evaluation: DecoupleEvaluation) -> list[Headline]:
     target = evaluation.decoupler
     label = f"{target.target_hz[0]:.6g} Hz, ζ = {target.target_damping[0]:g}"
     late = 1e6 * target.delay / target.sample_rate_hz
-    remark = f"{target.delay} sample{'' if target.delay == 1 else 's'} ({late:.3g} µs) late"
+    remark = f"{count_text(target.delay, 'sample')} ({late:.3g} µs) late"
     return [*lines, Headline("Dynamics behind the filter", label, remark)]
 
 
@@ -175,31 +172,23 @@ def modes_table(evaluation: DecoupleEvaluation) -> Table:
     for i in np.argsort(model.frequency_hz):
         rank = evaluation.fit.ranks[i]
         c, d = np.unravel_index(int(np.argmax(np.abs(model.residue[i]) * scale)), scale.shape)
-        rows.append(
-            (
-                quantity_html(float(model.frequency_hz[i]), K2 * float(u.frequency_hz[i])),
-                quantity_html(100 * float(model.damping_ratio[i]), 100 * K2 * float(u.damping_ratio[i])),
-                str(rank.rank),
-                f"{model.channels[c]} by {model.components[d]}",
-            )
-        )
+        hertz = quantity_html(float(model.frequency_hz[i]), K2 * float(u.frequency_hz[i]))
+        damping = quantity_html(100 * float(model.damping_ratio[i]), 100 * K2 * float(u.damping_ratio[i]))
+        rows.append((hertz, damping, str(rank.rank), f"{model.channels[c]} by {model.components[d]}"))
     for q in np.argsort(model.real_hz):
         rank = evaluation.fit.ranks[len(model.frequency_hz) + q]
         value = quantity_html(float(model.real_hz[q]), K2 * float(u.real_hz[q]))
         rows.append((value, "real pole", str(rank.rank), DASH))
     head = ("frequency / Hz", "damping ratio / %", "shapes", "clearest in")
-    return Table(
-        f"Poles that all outputs share, with U (k = 2) {evaluation.influences.scope}", head, "rrrl", tuple(rows)
-    )
+    caption = f"Poles that all outputs share, with U (k = 2) {evaluation.influences.scope}"
+    return Table(caption, head, "rrrl", tuple(rows))
 
 
 def modes_budgets(evaluation: DecoupleEvaluation) -> list[Table]:
     """Return the budgets of frequencies and damping ratios of the modes, with influences not assessed."""
     model, influences = evaluation.fit.model, evaluation.influences
-    effects, whole = (
-        influences.effects(lambda *part: model.altered(*part).vector),
-        np.diag(np.asarray(model.covariance)),
-    )
+    effects = influences.effects(lambda *part: model.altered(*part).vector)
+    whole = np.diag(np.asarray(model.covariance))
     tables, count = [], len(model.frequency_hz)
     for what, first in (("frequencies", 0), ("damping ratios", count)):
         part = slice(first, first + count)
@@ -211,10 +200,7 @@ def modes_budgets(evaluation: DecoupleEvaluation) -> list[Table]:
 
 
 def peak_tables(evaluation: DecoupleEvaluation) -> list[Table]:
-    """Return the reading of each load while each makes a step, by stage.
-
-    In % of rated loads.
-    """
+    """Return the readings while each load makes a step, in % of rated loads."""
     names, ratio, tables = evaluation.fit.model.components, 100 * evaluation.ratio, []
     unit = "rated load" if evaluation.capacity is not None else "the step"
     for stage in evaluation.stages:
@@ -249,17 +235,18 @@ NOISE: list[TableColumn[tuple[str, float, float]]] = [
     page_column("unit", lambda row: typeset(load_unit(row[0])), "l"),
 ]
 """Noise of the loads behind the filter and with the static matrix: rows of load, noise, gain."""
+
+
+def _ms(value_s: float, u_s: float) -> str:
+    return quantity_html(1e3 * value_s, 1e3 * K2 * u_s)
+
+
 RELEASES: list[TableColumn[ReleaseFit]] = [
     page_column("recording", lambda release: release.record, "l"),
     page_column("load", lambda release: release.component, "l"),
     page_column("released by", lambda release: release.release or DASH, "l"),
-    page_column("middle / ms", lambda release: quantity_html(1e3 * release.middle_s, 1e3 * K2 * release.u_middle_s)),
-    page_column(
-        "duration / ms",
-        lambda release: (
-            quantity_html(1e3 * release.duration_s, 1e3 * K2 * release.u_duration_s) if release.duration_s else "step"
-        ),
-    ),
+    page_column("middle / ms", lambda release: _ms(release.middle_s, release.u_middle_s)),
+    page_column("duration / ms", lambda r: _ms(r.duration_s, r.u_duration_s) if r.duration_s else "step"),
     page_column("along", lambda release: {"ramp": "line", "smooth": "half a cosine"}[release.shape], "l"),
     page_column("size − mean / %", lambda release: quantity_html(100 * (release.gain - 1), 100 * K2 * release.u_gain)),
     page_column("misfit", lambda release: small(float(release.misfit.max()))),
@@ -302,22 +289,18 @@ def draw_crosstalk(evaluation: DecoupleEvaluation) -> Figure:
             panel.y.label = "cross-talk / %"
     for panel in drawn.panels[len(loads) :]:
         panel.blank = True
-    rated, bare = (
-        "load while one oscillates, in rated loads",
-        "load of its unit while one oscillates, over that one",
-    )
+    compared = "load while one oscillates, in rated loads"
+    if evaluation.capacity is None:
+        compared = "load of its unit while one oscillates, over that one"
     caption = (
-        f"Largest reading of any other {rated if evaluation.capacity is not None else bare}. Shaded: U (k = 2) by "
-        "the uncertainty of the model. Vertical lines: modes; dashed: target frequency."
+        f"Largest reading of any other {compared}. Shaded: U (k = 2) by the uncertainty of the model. Vertical lines: "
+        "modes; dashed: target frequency."
     )
     return drawn.with_title("Cross-talk over frequency", caption, main=True)
 
 
 def draw_step(evaluation: DecoupleEvaluation) -> Figure:
-    """Draw the readings of other loads during the step with the largest cross-talk.
-
-    Without rated loads, only loads of the same unit are compared.
-    """
+    """Draw other readings during the step of the largest cross-talk, in comparable units."""
     model, ratio = evaluation.fit.model, 100 * evaluation.ratio
     static = next(stage for stage in evaluation.stages if stage.stage == "static")
     size = np.nan_to_num(static.peak * ratio)
@@ -348,16 +331,15 @@ def draw_step(evaluation: DecoupleEvaluation) -> Figure:
 def printed(evaluation: DecoupleEvaluation) -> Iterator[str]:
     """Yield the printed lines."""
     model, u = evaluation.fit.model, evaluation.fit.model.u
-    modes = []
-    for i in np.argsort(model.frequency_hz):
-        modes.append(f"({quantity_text(float(model.frequency_hz[i]), K2 * float(u.frequency_hz[i]))})")
+    pairs = zip(model.frequency_hz.tolist(), (K2 * u.frequency_hz).tolist(), strict=True)
+    modes = [f"({quantity_text(*pair)})" for pair in sorted(pairs)]
     yield f"{len(modes)} modes common to {len(model.channels)} outputs: {', '.join(modes)} Hz (k = 2)"
     for what, value, U, which in largest(evaluation):
         yield f"{what}: {quantity_text(value, U, '%')}, {which}"
     target, gain = evaluation.decoupler, evaluation.noise_gain
     yield (
         f"filter to {target.target_hz[0]:.6g} Hz, damping ratio {target.target_damping[0]:g}: "
-        f"{len(target.poles)} poles, {target.delay} sample{'' if target.delay == 1 else 's'} of delay, "
+        f"{len(target.poles)} poles, {count_text(target.delay, 'sample')} of delay, "
         f"noise gain {gain.min():.3g} to {gain.max():.3g}"
     )
 
@@ -371,11 +353,7 @@ def _context(evaluation: DecoupleEvaluation) -> dict[str, Any]:
     comparable = np.count_nonzero(np.isfinite(evaluation.ratio)) > len(names)
     noise = zip(names, evaluation.noise.tolist(), evaluation.noise_gain.tolist(), strict=True)
     return {
-        "subject": [
-            *subject_of(evaluation.manifests[0].rig),
-            ("Releases", ", ".join(counts)),
-            ("Outputs", outputs),
-        ],
+        "subject": [*subject_of(evaluation.manifests[0].rig), ("Releases", ", ".join(counts)), ("Outputs", outputs)],
         "rated": evaluation.capacity is not None,
         "crosstalk": [draw_crosstalk(evaluation)] if comparable else [],
         "peaks": peak_tables(evaluation),
@@ -435,11 +413,7 @@ DECOUPLE = CommandReport(
 def run_decouple(
     path: Path, output: Path | None, settings: DecoupleSettings, *, force: bool = False, allow_outside: bool = False
 ) -> None:
-    """Evaluate all releases of a campaign together, write the results and print the summary.
-
-    Results are written to the campaign's folder `decouple`, or to `output`. A folder that cannot be used is refused
-    before the computation.
-    """
+    """Evaluate all releases of a campaign together, write the results and print the summary."""
     manifests = load_for_command([path], DECOUPLE.name, allow_outside=allow_outside)
 
     def evaluate(hashes: dict[str, str]) -> DecoupleEvaluation:

@@ -106,10 +106,7 @@ class CompliantBeams(ManifestBlock):
 
 
 class ElementPlatform(ManifestBlock):
-    """The central platform: a block of the element's material, or stated data.
-
-    In m, kg, kg·m².
-    """
+    """The platform: a block, or stated data (m, kg, kg·m²)."""
 
     half_size: Size
     thickness: Size | None = None

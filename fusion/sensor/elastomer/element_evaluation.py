@@ -11,18 +11,8 @@ import numpy as np
 
 from fusion.base import CommandEvaluation, ProgressCallback, no_progress
 from fusion.errors import InputError, as_input_error
+from fusion.sensor import bench_notices as declared
 from fusion.sensor.elastomer.element_definition import ElementDefinition
-from fusion.sensor.elastomer.element_notices import (
-    BLOCK_THICKNESS_MISSING,
-    FRAME_DEVIATES,
-    FURTHER_MODES,
-    MESH_NOT_CONVERGED,
-    MIXED_MODE,
-    NO_MEASURED_MODE,
-    PLATFORM_AS_STATED,
-    SOLID_PACKAGE_MISSING,
-    SOLID_REFUSED,
-)
 from fusion.sensor.model_files import read_models
 from fusion.sensor.unmodelled_effects import coverage_notice
 from shaker.elastomer.frame import (
@@ -46,10 +36,7 @@ from shakercal._common.notices import Notice
 
 
 class StaticsFact(NamedTuple):
-    """A number of the beam formulas, `printed` in the publication and `right` by mechanics.
-
-    NaN without a value.
-    """
+    """A number of the beam formulas, as `printed` and `right`; NaN without a value."""
 
     name: str
     label: str
@@ -74,10 +61,7 @@ class ComparedColumn:
 
 @dataclass(frozen=True)
 class SolidStudy:
-    """The solid on meshes of increasing refinement, and with a rigid platform.
-
-    The latter on the second-finest mesh.
-    """
+    """The solid on refined meshes, and `rigid` on the second-finest mesh."""
 
     refinements: tuple[int, ...]
     meshes: tuple[SolidModel, ...]
@@ -107,10 +91,7 @@ class MountedElement:
 
 @dataclass(frozen=True)
 class ElementEvaluation(CommandEvaluation):
-    """All models of an element, with their comparison.
-
-    `sensitivity`: relative change of the frequencies per relative change of a dimension.
-    """
+    """All models; `sensitivity`: relative change of frequencies per relative change of a dimension."""
 
     definition: ElementDefinition
     facts: tuple[StaticsFact, ...]
@@ -123,10 +104,7 @@ class ElementEvaluation(CommandEvaluation):
 
 
 def spread(columns: Sequence[ComparedColumn]) -> FloatArray:
-    """Return (max - min)/max (6,) over columns, as in the paper's Table 6.
-
-    NaN with fewer than two values.
-    """
+    """Return (max - min)/max (6,) over columns; NaN with fewer than two values."""
     values = np.stack([column.frequency_hz for column in columns])
     filled = np.isfinite(values)
     highest = np.max(np.where(filled, values, -np.inf), axis=0)
@@ -150,7 +128,7 @@ def measured_column(definition: ElementDefinition) -> tuple[ComparedColumn | Non
     for entry in read_models(path).driven:
         name = MODE_OF.get(entry.component)
         if name is None or not len(entry.model.frequency_hz):
-            notices.append(Notice(NO_MEASURED_MODE, "measured", component=entry.component, file=path.name))
+            notices.append(Notice(declared.NO_MEASURED_MODE, "measured", component=entry.component, file=path.name))
             continue
         index = MODE_NAMES.index(name)
         value[index], u[index] = dominant(entry.model)
@@ -160,10 +138,7 @@ def measured_column(definition: ElementDefinition) -> tuple[ComparedColumn | Non
 
 
 def dominant(model: ModalModel) -> tuple[float, float]:
-    """Return frequency (Hz) and u of the oscillating mode with the largest |r/p|.
-
-    u is NaN without covariance.
-    """
+    """Return frequency (Hz) and u of the mode with the largest |r/p|."""
     count = len(model.frequency_hz)
     index = int(np.argmax(np.abs(model.residue / model.poles[:count])))
     u = np.nan if model.covariance is None else float(np.sqrt(model.covariance[index, index]))
@@ -181,6 +156,7 @@ def _exact(name: str, kind: str, frequency_hz: FloatArray | Mapping[str, float])
 
 PRINTED_SHARE = 0.4
 """F_Q/F of equation 10."""
+GUIDED, CANTILEVERS = "compliant beams guided at mid-span", "compliant beams as cantilevers"
 
 
 def statics_facts(definition: ElementDefinition, frame: FrameModel) -> tuple[StaticsFact, ...]:
@@ -190,30 +166,21 @@ def statics_facts(definition: ElementDefinition, frame: FrameModel) -> tuple[Sta
     point, first = guided_stiffness(beams), float(frame.modes.frequency_hz[0])
     stiffness = printed.stiffness(PRINTED_SHARE)
     ratio = printed.force_ratio / 4.0
-    guided, cantilever = "compliant beams guided at mid-span", "compliant beams as cantilevers"
     shear, needed = beams.material.shear_modulus_pa, required_stiffness(first, mass)
     point_hz = (oscillator_hz(stiffness, mass), oscillator_hz(point, mass))
     masses, same = f"platform and parts, {1e3 * mass:.4g} g", f"{first:.1f} Hz with the same mass"
-    return (
-        StaticsFact(
-            "shear_modulus", "shear modulus G", printed.shear_modulus_pa, shear, "Pa", "E/(1+μ) printed for E/2(1+μ)"
-        ),
-        StaticsFact(
-            "force_ratio", "F_Q/F_c, eq. 10", printed.force_ratio, ratio, "1", f"{cantilever}; printed value 8"
-        ),
-        StaticsFact(
-            "beam_share", "F_Q/F, eq. 10", printed.beam_share, ratio / (2 * ratio + 4), "1", "printed value 0.4"
-        ),
-        StaticsFact(
-            "stiffness_point", "k, platform a point, eq. 11", stiffness, point, "N/m", f"F_Q = 0.4 F; {guided}"
-        ),
-        StaticsFact(
-            "stiffness_x", "k along x, y with the platform", np.nan, closed.x, "N/m", "closed form, no turning"
-        ),
-        StaticsFact("stiffness_z", "k along z with the platform", np.nan, closed.z, "N/m", "closed form, no turning"),
-        StaticsFact("frequency_point", "f of k and the moving mass, eq. 17", *point_hz, "Hz", masses),
-        StaticsFact("stiffness_needed", "k of one oscillator at the frame's Tx", np.nan, needed, "N/m", same),
-    )
+    shares = (printed.beam_share, ratio / (2 * ratio + 4))
+    facts: list[tuple[str, str, float, float, str, str]] = [
+        ("shear_modulus", "shear modulus G", printed.shear_modulus_pa, shear, "Pa", "E/(1+μ) printed for E/2(1+μ)"),
+        ("force_ratio", "F_Q/F_c, eq. 10", printed.force_ratio, ratio, "1", f"{CANTILEVERS}; printed value 8"),
+        ("beam_share", "F_Q/F, eq. 10", *shares, "1", "printed value 0.4"),
+        ("stiffness_point", "k, platform a point, eq. 11", stiffness, point, "N/m", f"F_Q = 0.4 F; {GUIDED}"),
+        ("stiffness_x", "k along x, y with the platform", np.nan, closed.x, "N/m", "closed form, no turning"),
+        ("stiffness_z", "k along z with the platform", np.nan, closed.z, "N/m", "closed form, no turning"),
+        ("frequency_point", "f of k and the moving mass, eq. 17", *point_hz, "Hz", masses),
+        ("stiffness_needed", "k of one oscillator at the frame's Tx", np.nan, needed, "N/m", same),
+    ]
+    return tuple(StaticsFact(*fact) for fact in facts)
 
 
 def mounted_chain(definition: ElementDefinition, frame: FrameModel) -> MountedElement | None:
@@ -250,10 +217,7 @@ REVERSED_X, REVERSED_Y = ("Tx", "Ry", "Rz"), ("Ty", "Rx", "Rz")
 
 @dataclass(frozen=True)
 class DrawnShape:
-    """One mode: corners `rest_m` (P, 4, 3) of all faces and their `motion`.
-
-    The motion has arbitrary units.
-    """
+    """One mode: corners `rest_m` (P, 4, 3) of all faces and their `motion`."""
 
     name: str
     frequency_hz: float
@@ -262,10 +226,7 @@ class DrawnShape:
 
 
 def frame_shapes(definition: ElementDefinition, model: FrameModel) -> list[DrawnShape]:
-    """Return the six modes of the frame, with sections of the beams.
-
-    The platform is a block.
-    """
+    """Return the six modes of the frame, with sections of beams and a block."""
     frame, platform = model.frame, definition.file.platform
     thickness = platform.thickness or definition.beams.beam_height_m
     centre = np.array([0.0, 0.0, platform.height])
@@ -297,10 +258,7 @@ def solid_shapes(drawn: SolidModel, finest: SolidModel) -> list[DrawnShape]:
 
 
 def _beam(ends: FloatArray, motion: FloatArray, section: Section) -> tuple[FloatArray, FloatArray]:
-    """Return corners (8, 3) of a beam between two nodes, and their motion.
-
-    `motion` (2, 6) is that of the nodes.
-    """
+    """Return corners (8, 3) of a beam and their motion by its nodes' (2, 6)."""
     along = ends[1] - ends[0]
     across = np.cross([0.0, 0.0, 1.0], along / np.linalg.norm(along))
     box = _box(1.0, 0.5 * section.width_m, 0.5 * section.height_m)
@@ -417,7 +375,7 @@ def _solid(definition: ElementDefinition, progress: ProgressCallback) -> SolidSt
     """Return the solid on all meshes; raise `InputError` for a missing key or scikit-fem."""
     block, refinements = definition.solid_block, definition.file.solid.refinements
     if block is None:
-        raise InputError(BLOCK_THICKNESS_MISSING, definition.path, "platform.thickness")
+        raise InputError(declared.BLOCK_THICKNESS_MISSING, definition.path, "platform.thickness")
     stiff = replace(block, stiffening=STIFF)
     models_to_solve = [*((block, refinement) for refinement in refinements), (stiff, refinements[-2])]
     models = []
@@ -426,27 +384,25 @@ def _solid(definition: ElementDefinition, progress: ProgressCallback) -> SolidSt
         try:
             models.append(solve_solid(definition.beams, model, refinement))
         except ImportError as error:
-            raise InputError(SOLID_PACKAGE_MISSING, "--solid", reason=str(error)) from error
+            raise InputError(declared.SOLID_PACKAGE_MISSING, "--solid", reason=str(error)) from error
         except ValueError as error:
             key = KEYS.get(str(error).partition(":")[0], "")
-            raise InputError.from_exception(error, definition.path, key, SOLID_REFUSED) from error
+            raise InputError.from_exception(error, definition.path, key, declared.SOLID_REFUSED) from error
     progress("solid", len(models_to_solve), len(models_to_solve))
     return SolidStudy(refinements, tuple(models[:-1]), models[-1])
 
 
 def _of_frame(definition: ElementDefinition, frame: FrameModel) -> list[Notice]:
     """Return notices on mixed modes, further modes, and stated platform data."""
-    found = []
-    for name, share, highest in zip(
-        MODE_NAMES, np.diag(frame.modes.participation), frame.modes.participation.max(axis=0), strict=True
-    ):
+    found, participation = [], frame.modes.participation
+    for name, share, highest in zip(MODE_NAMES, np.diag(participation), participation.max(axis=0), strict=True):
         if share < highest:
-            found.append(Notice(MIXED_MODE, name, share_percent=100.0 * float(share)))
+            found.append(Notice(declared.MIXED_MODE, name, share_percent=100.0 * float(share)))
     if len(frame.modes.others_hz):
         frequencies_hz = ", ".join(f"{value:.0f}" for value in frame.modes.others_hz)
-        found.append(Notice(FURTHER_MODES, "frame", frequencies_hz=frequencies_hz))
+        found.append(Notice(declared.FURTHER_MODES, "frame", frequencies_hz=frequencies_hz))
     if definition.file.platform.mass is not None:
-        found.append(Notice(PLATFORM_AS_STATED, "platform"))
+        found.append(Notice(declared.PLATFORM_AS_STATED, "platform"))
     return found
 
 
@@ -458,11 +414,11 @@ def _of_solid(frame: FrameModel, study: SolidStudy | None) -> list[Notice]:
     worst = int(np.argmax(np.abs(change)))
     if abs(change[worst]) > MAX_MESH_CHANGE:
         percent = 100.0 * float(change[worst])
-        found.append(Notice(MESH_NOT_CONVERGED, "solid", mode=MODE_NAMES[worst], change_percent=percent))
+        found.append(Notice(declared.MESH_NOT_CONVERGED, "solid", mode=MODE_NAMES[worst], change_percent=percent))
     for index, name in enumerate(MODE_NAMES):
         one, other = frame.modes.frequency_hz[index], study.finest.frequency_hz[index]
         if abs(one / other - 1.0) > MAX_DEVIATION:
             stiff = study.rigid.frequency_hz[index]
             deviation, from_stiff = (100.0 * float(one / value - 1.0) for value in (other, stiff))
-            found.append(Notice(FRAME_DEVIATES, name, deviation_percent=deviation, stiff_percent=from_stiff))
+            found.append(Notice(declared.FRAME_DEVIATES, name, deviation_percent=deviation, stiff_percent=from_stiff))
     return found

@@ -44,6 +44,7 @@ from shaker.elastomer.frame import MODE_NAMES, PlatformFit, RigidPart
 from shaker.elastomer.solid import SolidModel, mesh_change
 from shakercal._common.arrays import FloatArray
 
+PLATFORMS = "Platforms with the target frequencies: all are possible, none is validated"
 SPREAD = "spread"
 """Column of comparison.csv: (max - min)/max of a mode over all columns, as a ratio."""
 DIMENSION_LABELS = {
@@ -122,25 +123,20 @@ STATICS: list[TableColumn[StaticsFact]] = [
 
 def _in_milli(name: str, head: str, value: Callable[[RigidPart], float]) -> TableColumn[PlatformFit]:
     """Return a column of the fitted platform, on pages in thousandths of its unit."""
-    return TableColumn(
-        name, lambda fit: float(value(fit.platform)), head, lambda fit: f"{MILLI * value(fit.platform):.2f}"
-    )
+    return TableColumn(name, lambda fit: float(value(fit.platform)), head, lambda f: f"{MILLI * value(f.platform):.2f}")
+
+
+def _misfit(ratio: float) -> str:
+    return "< 0.01" if ratio < 1e-4 else f"{100.0 * ratio:.2g}"
 
 
 PLATFORM: list[TableColumn[PlatformFit]] = [
-    TableColumn(
-        "half_size_m", lambda fit: fit.half_size_m, "half-size / mm", lambda fit: f"{MILLI * fit.half_size_m:g}"
-    ),
+    TableColumn("half_size_m", lambda fit: fit.half_size_m, "half-size / mm", lambda f: f"{MILLI * f.half_size_m:g}"),
     _in_milli("mass_kg", "mass / g", lambda part: part.mass_kg),
     _in_milli("height_m", "height / mm", lambda part: part.height_m),
     _in_milli("gyration_x_m", "gyration x, y / mm", lambda part: part.gyration_m[0]),
     _in_milli("gyration_z_m", "gyration z / mm", lambda part: part.gyration_m[2]),
-    TableColumn(
-        "largest_misfit",
-        lambda fit: fit.misfit,
-        "misfit / %",
-        lambda fit: "< 0.01" if fit.misfit < 1e-4 else f"{100.0 * fit.misfit:.2g}",
-    ),
+    TableColumn("largest_misfit", lambda fit: fit.misfit, "misfit / %", lambda fit: _misfit(fit.misfit)),
 ]
 
 
@@ -177,9 +173,9 @@ def comparison_rows(evaluation: ElementEvaluation) -> Iterator[ComparisonRow]:
 def headlines(evaluation: ElementEvaluation) -> list[Headline]:
     """Return the frequencies of the frame, with those of the solid."""
     frame, solid = evaluation.frame.modes.frequency_hz, evaluation.solid
-    of_solid = (
-        [""] * len(MODE_NAMES) if solid is None else [f"solid: {value:.0f} Hz" for value in solid.finest.frequency_hz]
-    )
+    of_solid = [""] * len(MODE_NAMES)
+    if solid is not None:
+        of_solid = [f"solid: {value:.0f} Hz" for value in solid.finest.frequency_hz]
     shown = [MODE_NAMES.index(name) for name in ("Tx", "Tz", "Rx", "Rz")]
     return [Headline(f"{MODE_NAMES[index]}, frame", f"{frame[index]:.1f} Hz", of_solid[index]) for index in shown]
 
@@ -204,11 +200,7 @@ def comparison_table(evaluation: ElementEvaluation) -> Table:
 def stiffness_table(evaluation: ElementEvaluation) -> Table:
     """Return the static stiffness of the platform by model."""
     rows = tuple((label, *map(_plain, values.tolist())) for label, values in stiffnesses(evaluation).items())
-    head = (
-        "model",
-        *(f"{name} / (N/m)" for name in MODE_NAMES[:3]),
-        *(f"{name} / (N·m/rad)" for name in MODE_NAMES[3:]),
-    )
+    head = ("model", *(f"{name} / (N{'/m' if name.startswith('T') else '·m/rad'})" for name in MODE_NAMES))
     caption = "Static stiffness: load per displacement in the same direction, the others free"
     return Table(caption, head, "lrrrrrr", rows)
 
@@ -274,10 +266,7 @@ MARKERS = ("circle", "square", "diamond", "triangle", "inverted_triangle", "cros
 
 
 def draw_shapes(name: str, title: str, shapes: Sequence[DrawnShape]) -> tuple[PrintedFigure, bytes]:
-    """Draw six modes in space; return figure and PNG file.
-
-    Lines are at rest, coloured faces are deformed.
-    """
+    """Draw six modes in space, deformed in colour; return figure and PNG file."""
     with drawing(name):
         figure = new_figure(4.6)
         for index, shape in enumerate(shapes):
@@ -311,10 +300,7 @@ def draw_compared(evaluation: ElementEvaluation) -> Drawing:
 
 
 def draw_hand(evaluation: ElementEvaluation) -> Drawing | None:
-    """Draw the resonance over the mass of a rigidly joined hand.
-
-    With the modes of the chain of springs.
-    """
+    """Draw the resonance over the mass of a hand, rigidly joined and on springs."""
     mounted, stated = evaluation.mounted, evaluation.definition.file.mounting
     if mounted is None or stated is None:
         return None
@@ -359,9 +345,8 @@ def _panel(figure: Figure, index: int, shape: DrawnShape) -> None:
     for along, label in zip(0.2 * half * np.eye(3), "xyz", strict=True):
         axes.plot(*np.stack([foot, foot + along], axis=1), color=BLACK, linewidth=0.8, clip_on=False)
         axes.text(*(foot + 1.3 * along), label, fontsize=7.0, ha="center", va="center")
-    axes.set_title(
-        f"{shape.name}   {shape.frequency_hz:.0f} Hz", fontsize=8.5, fontweight="bold", pad=-6.0, loc="center"
-    )
+    title = f"{shape.name}   {shape.frequency_hz:.0f} Hz"
+    axes.set_title(title, fontsize=8.5, fontweight="bold", pad=-6.0, loc="center")
 
 
 # Page, files and printed lines.
@@ -412,11 +397,7 @@ def _context(evaluation: ElementEvaluation) -> dict[str, Any]:
         "statics": table("Beam formulas", STATICS, evaluation.facts),
         "convergence": convergence_table(evaluation),
         "sensitivity": sensitivity_table(evaluation),
-        "platform": table(
-            "Platforms with the target frequencies: all are possible, none is validated",
-            PLATFORM,
-            evaluation.fits,
-        ),
+        "platform": table(PLATFORMS, PLATFORM, evaluation.fits),
         "mounted": mounted_table(evaluation),
         "hand": [figure for figure in [draw_hand(evaluation)] if figure is not None],
     }
@@ -443,14 +424,18 @@ def _subject(evaluation: ElementEvaluation) -> list[tuple[str, str]]:
 
 
 def mode_shape_figures(evaluation: ElementEvaluation) -> dict[str, tuple[PrintedFigure, bytes]]:
-    """Return the figures of the mode shapes by file name."""
-    shapes = {"frame": frame_shapes(evaluation.definition, evaluation.frame)}
-    if evaluation.solid is not None:
-        shapes["solid"] = solid_shapes(evaluation.solid.meshes[0], evaluation.solid.finest)
-    return {
-        f"shapes-{model}.png": draw_shapes(f"elastomer-shapes-{model}", f"Mode shapes of the {model}", drawn)
-        for model, drawn in shapes.items()
-    }
+    """Return the figures of the mode shapes by file name, drawn once for page and files."""
+    drawn: dict[str, tuple[PrintedFigure, bytes]] | None = vars(evaluation).get("mode_shape_figures")
+    if drawn is None:
+        shapes = {"frame": frame_shapes(evaluation.definition, evaluation.frame)}
+        if evaluation.solid is not None:
+            shapes["solid"] = solid_shapes(evaluation.solid.meshes[0], evaluation.solid.finest)
+        drawn = {
+            f"shapes-{model}.png": draw_shapes(f"elastomer-shapes-{model}", f"Mode shapes of the {model}", of_model)
+            for model, of_model in shapes.items()
+        }
+        vars(evaluation)["mode_shape_figures"] = drawn  # as `cached_property` does
+    return drawn
 
 
 def _fill(file: h5py.File, evaluation: ElementEvaluation) -> None:
@@ -468,11 +453,11 @@ def _fill(file: h5py.File, evaluation: ElementEvaluation) -> None:
         write_value(file, "solid", {**meshes, "rigid_platform": study.rigid})
     write_value(file, "comparison", {column.name: column for column in evaluation.columns})
     write_value(file, "sensitivity", evaluation.sensitivity)
-    if evaluation.fits:
-        fits = {}
-        for fit in evaluation.fits:
-            values = {"platform": fit.platform, "frequency_hz": fit.frequency_hz, "largest_misfit": fit.misfit}
-            fits[f"half_size_{fit.half_size_m:g}"] = values
+    fits = {}
+    for fit in evaluation.fits:
+        values = {"platform": fit.platform, "frequency_hz": fit.frequency_hz, "largest_misfit": fit.misfit}
+        fits[f"half_size_{fit.half_size_m:g}"] = values
+    if fits:
         write_value(file, "fits", fits)
     write_value(file, "mounted", evaluation.mounted)
 
@@ -516,11 +501,7 @@ def run_elastomer(
     allow_outside: bool = False,
     progress: ProgressCallback = no_progress,
 ) -> None:
-    """Model the element of GEOMETRY.toml, write the results and print the comparison.
-
-    `path`: the file, or a folder with elastomer.toml. Results are written to the folder `elastomer` next to the file,
-    or to `output`.
-    """
+    """Model GEOMETRY.toml, or elastomer.toml of a folder, write the results and print them."""
     file = path / "elastomer.toml" if path.is_dir() else path
     read = {file.resolve(): seen} if (seen := FileIdentity.of(file)) else None
     definition = read_definition(file, allow_outside=allow_outside)

@@ -28,7 +28,6 @@ from fusion.sensor.identify.identification_inputs import (
     load_along,
     prepare,
 )
-from fusion.sensor.identify.identification_notices import NO_BAND_OF_PITCHING_LOAD, PEAK_NOT_READ
 from fusion.sensor.identify.joint_fit import (
     JointFit,
     SensitivityResult,
@@ -38,6 +37,7 @@ from fusion.sensor.identify.joint_fit import (
     relative_errors,
     sine_transfers,
 )
+from fusion.sensor.response_notices import NO_BAND_OF_PITCHING_LOAD, PEAK_NOT_READ
 from shaker.identification.measured_curves import CurveError, MeasuredCurve, MeasuredSensitivity, ParameterEstimate
 from shaker.identification.oscillator import PeakReading, peak_readings
 from shaker.identification.sensor import Load, SensorModel, UsableBand, usable_band
@@ -204,10 +204,7 @@ def _peak_readings(fit: JointFit, item: PreparedTransfer, response: str) -> Iter
 
 
 def _mode_reading(method: str, f0: float, u_f0: float, zeta: float, u_zeta: float, note: str = "") -> PeakReading:
-    """Return f₀ (Hz) and damping ratio of a mode as a reading.
-
-    Its width is 2ζf₀.
-    """
+    """Return f₀ (Hz) and damping ratio of a mode as a reading of width 2ζf₀."""
     return PeakReading(method, f0, u_f0, 2.0 * zeta * f0, 2.0 * u_zeta * f0, zeta, u_zeta, note)
 
 
@@ -351,6 +348,5 @@ def _component(
         notices.append(Notice(NO_BAND_OF_PITCHING_LOAD, fit.axis))
         loads = ()
     bands = tuple(usable_band(found.model, Load(kg, "force"), settings.permitted) for kg in loads)
-    return IdentifiedComponent(
-        fit, mass, readings, found.sensitivity, found.model, found.range_hz, loads, bands
-    ), notices
+    of_model = found.sensitivity, found.model, found.range_hz
+    return IdentifiedComponent(fit, mass, readings, *of_model, loads, bands), notices

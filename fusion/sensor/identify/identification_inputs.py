@@ -20,18 +20,7 @@ from fusion.recording.transducer import TRANSDUCERS
 from fusion.report.folder import RESULT_FILE, InputFiles, hash_files, read_provenance
 from fusion.sensitivity.elastic import InstrumentPosition, NaturalModes
 from fusion.sensitivity.moving_body import JOINT, Body, inertia_errors, joint_unknown, load_body, rigid_load
-from fusion.sensor.identify.identification_notices import (
-    BAND_WITHOUT_LINES,
-    DIFFERENT_SENSOR,
-    ELASTIC_LOAD,
-    MISSING_IDENTIFICATION_ENTRY,
-    MISSING_MOTION_CHANNEL,
-    NO_TRANSFER_RECORDING,
-    OUTDATED_SINE_RESULTS,
-    REFERENCE_ACROSS_DRIVE,
-    REFERENCES_NOT_USED,
-    SINES_NOT_EVALUATED,
-)
+from fusion.sensor import response_notices as declared
 from fusion.sensor.transfer.transfer_evaluation import KINDS, evaluate_transfer
 from fusion.sensor.transfer.transfer_records import FoundResonance, ReferenceResult, TransferSettings
 from shaker.identification.measured_curves import (
@@ -163,14 +152,14 @@ def read_campaign(path: Path, *, allow_outside: bool = False) -> IdentificationI
         kinds = ", ".join(dict.fromkeys(manifest.excitation.kind for manifest in manifests))
         where = manifests[0].path if len(manifests) == 1 else path
         expected = f"{', '.join(KINDS[:-1])} or {KINDS[-1]}"
-        raise InputError(NO_TRANSFER_RECORDING, where, "excitation.kind", found=kinds, expected=expected)
+        raise InputError(declared.NO_TRANSFER_RECORDING, where, "excitation.kind", found=kinds, expected=expected)
     results = [(manifest, _results(manifest)) for manifest in manifests if manifest.excitation.kind == "sine"]
     sines = tuple(EvaluatedSines(manifest, folder) for manifest, folder in results if folder is not None)
     missing = [manifest.name for manifest, folder in results if folder is None]
     notices = []
     if missing:
         name = missing[0] if len(missing) == 1 else "campaign"
-        notices.append(Notice(SINES_NOT_EVALUATED, name, count=len(missing)))
+        notices.append(Notice(declared.SINES_NOT_EVALUATED, name, count=len(missing)))
     used = [*transfers, *(item.manifest for item in sines)]
     check_sensor(used)
     files = [file for manifest in used for file in manifest.files]
@@ -185,14 +174,8 @@ def check_sensor(manifests: Sequence[Manifest]) -> None:
     for (manifest, sensor), key in product(named[1:], ("name", "serial")):
         first, one, other = named[0][0], getattr(named[0][1], key), getattr(sensor, key)
         if one != other:
-            raise InputError(
-                DIFFERENT_SENSOR,
-                manifest.rig_path,
-                f"sensor.{key}",
-                expected=one,
-                file=str(first.rig_path),
-                found=other,
-            )
+            path, where, file = manifest.rig_path, f"sensor.{key}", str(first.rig_path)
+            raise InputError(declared.DIFFERENT_SENSOR, path, where, expected=one, file=file, found=other)
 
 
 def _results(manifest: Manifest) -> Path | None:
@@ -206,7 +189,7 @@ def _results(manifest: Manifest) -> Path | None:
     for folder, origin in available:
         if origin.input_hashes == hashes:
             return folder
-    raise InputError(OUTDATED_SINE_RESULTS, available[0][0] / RESULT_FILE)
+    raise InputError(declared.OUTDATED_SINE_RESULTS, available[0][0] / RESULT_FILE)
 
 
 # From an evaluated transfer recording and its rig to the curve that a model of the sensor is fitted to.
@@ -269,14 +252,7 @@ def prepare(
     measured_by = [entries[channel] for channel in result.transfer.ratio.channels]
     tops = [entry for entry in measured_by if entry.body == "load" and _shows_motion(entry, drive)]
     if not tops:
-        raise InputError(
-            MISSING_MOTION_CHANNEL,
-            manifest.path,
-            "excitation.response",
-            expected=_motion_quantities(drive),
-            body="load",
-            found="none on the load",
-        )
+        raise _missing_channel(manifest, "response", drive, "load", "none on the load")
     blocks = [daq for daq in manifest.daq if any(entry in daq.channel for entry in (base, *tops))]
     clock = blocks[0] if len(blocks) == 1 else manifest.daq[0]
     ratio, errors = _load_over_base(manifest, result, [entry.name for entry in tops], name, band_hz)
@@ -299,17 +275,13 @@ def prepare(
     )
     found = tuple(item for item in result.resonances if item.response in ratio.channels)
     of_curves = {f"{channel}/{base.name}" for channel in result.transfer.ratio.channels}
-    notices = [
-        notice.at(f"{name}: {notice.where}" if notice.where else name)
-        for notice in evaluation.notices
-        if notice.where not in of_curves
-    ]
+    taken = [notice for notice in evaluation.notices if notice.where not in of_curves]
+    notices = [notice.at(f"{name}: {notice.where}" if notice.where else name) for notice in taken]
     others = [reference for reference in manifest.excitation.reference if reference != base.name]
     if others:
-        notices.append(Notice(REFERENCES_NOT_USED, name, used=base.name, unused=", ".join(others)))
-    stated = "" if bent is None else bent.stated
-    if stated:
-        notices.append(Notice(ELASTIC_LOAD, name, stated=stated))
+        notices.append(Notice(declared.REFERENCES_NOT_USED, name, used=base.name, unused=", ".join(others)))
+    if bent is not None:
+        notices.append(Notice(declared.ELASTIC_LOAD, name, stated=bent.stated))
     grids = tuple(clock.grid for clock in evaluation.clocks if clock.grid is not None)
     complete = grids if len(grids) == len(evaluation.clocks) else ()
     return PreparedTransfer(manifest, measured, found, complete), tuple(notices)
@@ -332,7 +304,9 @@ def _on_load(manifest: Manifest, tops: Sequence[ChannelEntry]) -> list[Instrumen
     for entry in tops:
         if entry.point is None:
             expected = f"the position of {entry.name} on the load, which is elastic (load.elastic of rig.toml)"
-            raise InputError(MISSING_IDENTIFICATION_ENTRY, manifest.path, "daq.channel.point", expected=expected)
+            raise InputError(
+                declared.MISSING_IDENTIFICATION_ENTRY, manifest.path, "daq.channel.point", expected=expected
+            )
     return [InstrumentPosition(entry.name, measuring_point(entry)) for entry in tops]
 
 
@@ -381,9 +355,7 @@ class FlexibleLoad:
         zero = np.zeros((len(frequency), *rows.shape), np.complex128)
 
         def stretched(modes: NaturalModes) -> ComplexArray:
-            readings = [
-                row @ modes.stretch(frequency, position) for row, position in zip(rows, positions, strict=False)
-            ]
+            readings = [row @ modes.stretch(frequency, at) for row, at in zip(rows, positions, strict=False)]
             return np.stack(readings, axis=1) if readings else zero
 
         seen = rows + sum((part.act(stretched) for part in body.elastic), zero)
@@ -433,13 +405,12 @@ def _base_entry(manifest: Manifest, entries: dict[str, ChannelEntry], drive: Flo
     for entry in named:
         if entry.body == "base" and _shows_motion(entry, drive):
             if abs(float(transducer_placement(entry).row @ drive)) < _MIN_ALONG * float(np.linalg.norm(drive)):
-                raise InputError(REFERENCE_ACROSS_DRIVE, manifest.path, "excitation.reference", found=entry.name)
+                raise InputError(
+                    declared.REFERENCE_ACROSS_DRIVE, manifest.path, "excitation.reference", found=entry.name
+                )
             return entry
     channels = ", ".join(f'"{entry.name}" ({entry.quantity} of {entry.body or "no body"})' for entry in named)
-    key, found = "excitation.reference", channels or "none"
-    raise InputError(
-        MISSING_MOTION_CHANNEL, manifest.path, key, expected=_motion_quantities(drive), body="base", found=found
-    )
+    raise _missing_channel(manifest, "reference", drive, "base", channels or "none")
 
 
 def _shows_motion(entry: ChannelEntry, drive: FloatArray) -> bool:
@@ -448,10 +419,11 @@ def _shows_motion(entry: ChannelEntry, drive: FloatArray) -> bool:
     return seen is not None and (not seen.rotational or bool(np.any(drive[3:] != 0.0)))
 
 
-def _motion_quantities(drive: FloatArray) -> str:
-    """Return the quantities that measure the motion of a rig driven along `drive`, in words."""
+def _missing_channel(manifest: Manifest, key: str, drive: FloatArray, body: str, found: str) -> InputError:
+    """Return the refusal of a recording without a channel that measures the motion along `drive`."""
     shown = [t.quantity.replace("_", " ") for t in TRANSDUCERS.values() if not t.rotational or np.any(drive[3:] != 0.0)]
-    return f"{', '.join(shown[:-1])} or {shown[-1]}"
+    expected, key = f"{', '.join(shown[:-1])} or {shown[-1]}", f"excitation.{key}"
+    return InputError(declared.MISSING_MOTION_CHANNEL, manifest.path, key, expected=expected, body=body, found=found)
 
 
 def _load_over_base(
@@ -472,7 +444,7 @@ def _load_over_base(
         chosen = (frequency >= band_hz[0]) & (frequency <= band_hz[1])
         if not np.any(chosen):
             raise InputError(
-                BAND_WITHOUT_LINES,
+                declared.BAND_WITHOUT_LINES,
                 manifest.path,
                 "excitation.band",
                 first_hz=float(frequency[0]),

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import groupby
@@ -42,7 +41,7 @@ from fusion.sensor.identify.identification_evaluation import (
 )
 from fusion.sensor.identify.identification_figures import curve_figures, sensitivity_figures
 from fusion.sensor.identify.identification_inputs import IdentifySettings, PreparedTransfer, mass_unit, read_campaign
-from fusion.sensor.model_files import FORMAT, read_model_file
+from fusion.sensor.model_files import model_file_text, read_model_file
 from shaker.identification.measured_curves import ParameterEstimate
 from shaker.identification.sensitivity import CHAIN_WORDS, SensitivityFit
 from shaker.identification.sensor import (
@@ -84,12 +83,11 @@ def numbers(component: IdentifiedComponent) -> Iterator[FoundNumber]:
     for estimate in fit.identification.derived:
         yield axis, estimate, how
     curves = {reading.recording for reading in component.readings}
-    for mode in fit.identification.modes:
-        if mode.record in curves:
-            mode_name = f"{mode.record}, mode {mode.number + 1}"
-            f0, zeta = (mode.frequency_hz, mode.u_frequency_hz, "Hz"), (mode.damping_ratio, mode.u_damping_ratio, "1")
-            yield axis, ParameterEstimate(f"frequency: {mode_name}", f"resonance f₀, {mode_name}", *f0), how
-            yield axis, ParameterEstimate(f"damping_ratio: {mode_name}", f"damping ratio ζ, {mode_name}", *zeta), how
+    for mode in (mode for mode in fit.identification.modes if mode.record in curves):
+        name = f"{mode.record}, mode {mode.number + 1}"
+        f0, zeta = (mode.frequency_hz, mode.u_frequency_hz, "Hz"), (mode.damping_ratio, mode.u_damping_ratio, "1")
+        yield axis, ParameterEstimate(f"frequency: {name}", f"resonance f₀, {name}", *f0), how
+        yield axis, ParameterEstimate(f"damping_ratio: {name}", f"damping ratio ζ, {name}", *zeta), how
     if component.sensitivity is not None:
         best = component.sensitivity.comparison.best
         for estimate in best.estimates:
@@ -359,13 +357,12 @@ def model_text(evaluation: IdentifyEvaluation) -> str:
     """Return the content of model.json."""
     sensor = evaluation.sensor
     content = {
-        "format": FORMAT,
         "campaign": evaluation.name,
         "program": evaluation.versions.get("shakercal", ""),
         "sensor": {"name": "" if sensor is None else sensor.name, "serial": "" if sensor is None else sensor.serial},
         "components": [_model_of(component) for component in evaluation.components],
     }
-    return json.dumps(content, indent=2, ensure_ascii=False) + "\n"
+    return model_file_text(content, allow_nan=True)
 
 
 def read_sensor_models(path: str | Path) -> SensorFile:
@@ -502,11 +499,7 @@ IDENTIFY = CommandReport(
 def run_identify(
     path: Path, output: Path | None, settings: IdentifySettings, *, force: bool = False, allow_outside: bool = False
 ) -> None:
-    """Identify the sensor of a campaign, write the results and print the summary.
-
-    `output`: folder of the results, by default CAMPAIGN/identify. A folder that cannot be used is refused before the
-    computation.
-    """
+    """Identify the sensor of a campaign, write the results and print the summary."""
     campaign = read_campaign(path, allow_outside=allow_outside)
 
     def evaluate(hashes: dict[str, str]) -> IdentifyEvaluation:

@@ -4,10 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import chain
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
+from fusion.base import count_text
 from fusion.campaign.excited_line import with_campaign_names
 from fusion.errors import ARGUMENT, ComputeError, InputError
 from fusion.estimation.uncertainty import Uncertainty
@@ -16,6 +19,7 @@ from fusion.recording.rig import Sensor
 from fusion.report.folder import RESULT_FILE
 from fusion.report.h5 import open_results, read_uncertainty
 from fusion.sensitivity.moving_body import inertia_errors, rigid_load
+from fusion.sensor import response_notices as declared
 from fusion.sensor.identify.identification_inputs import (
     EvaluatedSines,
     FlexibleLoad,
@@ -24,19 +28,6 @@ from fusion.sensor.identify.identification_inputs import (
     component_of,
     drive_of,
     mass_unit,
-)
-from fusion.sensor.identify.identification_notices import (
-    DAMPING_AGREES,
-    DAMPING_CONTRADICTED,
-    EQUAL_LOAD_MASSES,
-    MISSING_IDENTIFICATION_ENTRY,
-    NO_MODEL_FITTED,
-    PITCHING_NOT_DRIVEN,
-    SECOND_PEAK_NOT_EXPLAINED,
-    SENSITIVITY_EXPLANATION,
-    SENSITIVITY_NOT_EXPLAINED,
-    SENSITIVITY_NOT_MEASURED,
-    STIFFNESS_NOT_DETERMINED,
 )
 from fusion.sensor.unmodelled_effects import stated_influences
 from shaker.identification.measured_curves import (
@@ -72,10 +63,7 @@ _PITCHES_WITH = {0: 4, 1: 3, 3: 1, 4: 0}
 
 @dataclass(frozen=True)
 class JointFit:
-    """The model fitted to all curves of one driven component, with its reason.
-
-    `mass_is_free`: the internal mass was fitted, otherwise it is stated.
-    """
+    """The model fitted to all curves of one component; `mass_is_free`: not as stated."""
 
     component: int
     model: str
@@ -90,12 +78,15 @@ class JointFit:
         """Name of the component: x, y, z, rx, ry or rz."""
         return MOTION_COMPONENTS[self.component]
 
+    @property
+    def range_hz(self) -> tuple[float, float]:
+        """First and last line of all curves."""
+        lines = np.concatenate([item.measured.ratio.frequency_hz for item in self.prepared])
+        return float(lines.min()), float(lines.max())
+
 
 def joint_fits(prepared: Sequence[PreparedTransfer], settings: IdentifySettings) -> tuple[JointFit, ...]:
-    """Return one fit per driven component, each over all recordings that drive it.
-
-    The internal mass can differ between axes, so that components share no parameter.
-    """
+    """Return one fit per driven component; components share no parameter."""
     groups: dict[int, list[PreparedTransfer]] = {}
     for item in prepared:
         groups.setdefault(item.component, []).append(item)
@@ -103,10 +94,7 @@ def joint_fits(prepared: Sequence[PreparedTransfer], settings: IdentifySettings)
 
 
 def _joint_fit(component: int, group: Sequence[PreparedTransfer], settings: IdentifySettings) -> JointFit:
-    """Fit one component by the selected model.
-
-    "auto" is translation, unless a second peak indicates pitching.
-    """
+    """Fit one component; "auto" is translation, unless a second peak indicates pitching."""
     free = _mass_is_free(component, group, settings)
     peaks = max((item.peaks_hz(name) for item in group for name in item.measured.ratio.channels), key=len)
 
@@ -119,15 +107,12 @@ def _joint_fit(component: int, group: Sequence[PreparedTransfer], settings: Iden
         model, reason, identification = settings.model, "as selected", fitted(settings.model)
     notices = identification.notices
     if model == "translation" and len(peaks) > 1 and departure(identification) >= _MISFIT:
-        notices = (*notices, Notice(SECOND_PEAK_NOT_EXPLAINED, f"model {MOTION_COMPONENTS[component]}"))
+        notices = (*notices, Notice(declared.SECOND_PEAK_NOT_EXPLAINED, f"model {MOTION_COMPONENTS[component]}"))
     return JointFit(component, model, reason, free, identification, tuple(group), notices)
 
 
 def _chosen(peaks_hz: Sequence[float], fitted: Callable[[str], Identification]) -> tuple[str, str, Identification]:
-    """Return the selected model, the reason, and its fit.
-
-    If pitching explains two peaks, no other model is fitted. Otherwise it is compared with one translation.
-    """
+    """Return selected model, reason and fit: pitching if it explains two peaks."""
     pitching, reason = None, ""
     if len(peaks_hz) > 1:
         pitching = fitted("pitching")
@@ -139,10 +124,7 @@ def _chosen(peaks_hz: Sequence[float], fitted: Callable[[str], Identification]) 
         if departure(pitching) < _MISFIT:
             return "pitching", reason, pitching
     translation = fitted("translation")
-    if (
-        pitching is not None
-        and pitching.chi_squared / pitching.dof < _BETTER * translation.chi_squared / translation.dof
-    ):
+    if pitching is not None and departure(pitching) ** 2 < _BETTER * departure(translation) ** 2:
         return "pitching", f"{reason}, one translation {departure(translation):.3g}", pitching
     reason = f"one spring and damper leave residuals of {departure(translation):.3g} times their uncertainty"
     return "translation", reason, translation
@@ -156,7 +138,7 @@ def _fitted(
     if model == "pitching":
         if component not in _PITCHES_WITH:
             driven = MOTION_COMPONENTS[component]
-            raise InputError(PITCHING_NOT_DRIVEN, group[0].manifest.path, "excitation.direction", found=driven)
+            raise InputError(declared.PITCHING_NOT_DRIVEN, group[0].manifest.path, "excitation.direction", found=driven)
         structure = SpringSuspension((component, _PITCHES_WITH[component]))
     names = [parameter.name for parameter in structure.parameters]
     each = [name for name in names if name.startswith("damping_")] if settings.damping == "each" else []
@@ -164,14 +146,14 @@ def _fitted(
     sensor = next((item.manifest.rig.sensor for item in group if item.manifest.rig.sensor is not None), None)
     if inside and sensor is None:
         expected = "[sensor] with internal_mass, which recordings of one load mass cannot separate from the stiffness"
-        raise InputError(MISSING_IDENTIFICATION_ENTRY, group[0].manifest.rig_path, "sensor", expected=expected)
+        raise InputError(declared.MISSING_IDENTIFICATION_ENTRY, group[0].manifest.rig_path, "sensor", expected=expected)
     stated = {} if sensor is None else {name: sensor.moving(axis) for name, axis in inside.items()}
     records = [item.measured for item in group]
     try:
         return _with_influences(identify(records, structure, stated_values=stated, each_recording=each), group)
     except (ValueError, np.linalg.LinAlgError) as error:
         names_text, reason = ", ".join(record.name for record in records), ARGUMENT.sub("", str(error))
-        raise ComputeError(NO_MODEL_FITTED, recordings=names_text, reason=reason) from error
+        raise ComputeError(declared.NO_MODEL_FITTED, recordings=names_text, reason=reason) from error
 
 
 def _with_influences(found: Identification, group: Sequence[PreparedTransfer]) -> Identification:
@@ -187,20 +169,18 @@ def _with_influences(found: Identification, group: Sequence[PreparedTransfer]) -
     mountings = [item.manifest.mounting for item in group]
     influences = stated_influences(rig, mountings, ("load",) if several else (), mounting_scatter=False)
 
+    relative = np.array([(one.frequency, one.damping_ratio) for one in influences.unknowns]).reshape(-1, 2)
+
     def moved(item: ParameterEstimate) -> FloatArray:
         """Return the change (E,) by each unknown; of b/k that of its parts."""
         kind = item.name.partition("_")[0]
         by = {"stiffness": (2.0, 0.0), "damping": (1.0, 1.0)}.get(kind, (0.0, 0.0))
-        by = (-1.0, 1.0) if item in found.derived else by
-        return np.array(
-            [item.value * (by[0] * one.frequency + by[1] * one.damping_ratio) for one in influences.unknowns]
-        )
+        return np.asarray(item.value * (relative @ ((-1.0, 1.0) if item in found.derived else by)))
 
     def wider(item: ParameterEstimate) -> ParameterEstimate:
         return replace(item, u=float(np.linalg.norm([item.u, *moved(item)])))
 
     effects = np.stack([moved(item) for item in found.estimates], axis=1)
-    relative = np.array([(one.frequency, one.damping_ratio) for one in influences.unknowns]).reshape(-1, 2)
     of_frequency, of_damping = np.linalg.norm(relative, axis=0)
     modes = tuple(
         replace(
@@ -225,14 +205,8 @@ def _mass_is_free(component: int, group: Sequence[PreparedTransfer], settings: I
     loads = [item.load_kg for item in group]
     differ = max(loads) > (1.0 + _DIFFERENT) * min(loads)
     if settings.internal_mass == "free" and not differ:
-        raise InputError(
-            EQUAL_LOAD_MASSES,
-            group[0].manifest.rig_path,
-            "load.mass",
-            load=loads[0],
-            unit=mass_unit(component),
-            count=len(loads),
-        )
+        path, unit, count = group[0].manifest.rig_path, mass_unit(component), count_text(len(loads), "recording")
+        raise InputError(declared.EQUAL_LOAD_MASSES, path, "load.mass", load=loads[0], unit=unit, recordings=count)
     return differ if settings.internal_mass == "auto" else settings.internal_mass == "free"
 
 
@@ -268,21 +242,20 @@ def sine_transfers(
             load = measured.mass_matrix.tobytes(), str(item.manifest.rig.load)
             key = (*load, measured.drive.tobytes(), item.manifest.mounting, measured.clock)
             groups.setdefault(key, []).append(PreparedTransfer(item.manifest, measured))
-    joined = [
-        PreparedTransfer(group[0].manifest, _bent(group[0].manifest, _joined(group))) for group in groups.values()
-    ]
-    if len({item.measured.name for item in joined}) < len(joined):
-        named = [f"{item.measured.name}, mounting {item.manifest.mounting}" for item in joined]
-        joined = [
-            replace(item, measured=replace(item.measured, name=name)) for item, name in zip(joined, named, strict=True)
-        ]
-    return tuple(joined)
+    curves = [(group[0].manifest, _bent(group[0].manifest, _joined(group))) for group in groups.values()]
+    if len({measured.name for _, measured in curves}) < len(curves):
+        curves = [(m, replace(one, name=f"{one.name}, mounting {m.mounting}")) for m, one in curves]
+    return tuple(PreparedTransfer(manifest, measured) for manifest, measured in curves)
 
 
 def _bent(manifest: Manifest, measured: MeasuredTransfer) -> MeasuredTransfer:
     """Return a curve with the elastic properties of its load."""
     bent = FlexibleLoad.of(manifest, measured.ratio.frequency_hz)
     return measured if bent is None else replace(measured, bending=bent.bending(measured.tops, manifest.mounting))
+
+
+PER_LINE = ("frequency_hz", "value", "covariance", "dof")
+"""Fields of a ratio that have an entry for every line."""
 
 
 def _joined(group: Sequence[PreparedTransfer]) -> MeasuredTransfer:
@@ -292,25 +265,16 @@ def _joined(group: Sequence[PreparedTransfer]) -> MeasuredTransfer:
     """
     records = [item.measured for item in group]
     ratios = [record.ratio for record in records]
-    frequency = np.concatenate([ratio.frequency_hz for ratio in ratios])
-    order = np.argsort(frequency, kind="stable")
-    ratio = replace(
-        ratios[0],
-        frequency_hz=frequency[order],
-        value=np.concatenate([ratio.value for ratio in ratios])[order],
-        covariance=np.concatenate([ratio.covariance for ratio in ratios])[order],
-        dof=np.concatenate([ratio.dof for ratio in ratios])[order],
-    )
+    order = np.argsort(np.concatenate([ratio.frequency_hz for ratio in ratios]), kind="stable")
+    parts: dict[str, Any] = {name: np.concatenate([getattr(one, name) for one in ratios])[order] for name in PER_LINE}
+    ratio = replace(ratios[0], **parts)
     by_name = [{error.name: error.relative for error in record.errors} for record in records]
-    names = dict.fromkeys(error.name for record in records for error in record.errors)
     zeros = [np.zeros(one.value.shape, dtype=np.complex128) for one in ratios]
-    joined = tuple(
-        CurveError(
-            name,
-            np.concatenate([of_record.get(name, zero) for of_record, zero in zip(by_name, zeros, strict=True)])[order],
-        )
-        for name in names
-    )
+
+    def relative(name: str) -> ComplexArray:
+        return np.concatenate([found.get(name, zero) for found, zero in zip(by_name, zeros, strict=True)])[order]
+
+    joined = tuple(CurveError(name, relative(name)) for name in dict.fromkeys(chain(*by_name)))
     steps = f"{len(order)} steps of sines, {group[0].manifest.rig.name}"
     return replace(records[0], name=steps, ratio=ratio, errors=joined)
 
@@ -408,7 +372,12 @@ def model_sensitivity(
     """Return the model of a component, with a measuring chain if its sensitivity supports one."""
     found, covariance = mechanics(fit)
     if measured is None or len(measured.frequency_hz) < _FEWEST_LINES:
-        return _without_sensitivity(fit, found, covariance, sensor)
+        model, which = _without_chain(fit, found, covariance, sensor)
+        component = LOAD_COMPONENTS[fit.component]
+        notice = Notice(
+            declared.SENSITIVITY_NOT_MEASURED, fit.axis, component=component, sensitivity=which, fewest=_FEWEST_LINES
+        )
+        return ModelledSensitivity(model, fit.range_hz, None, (notice,))
     r_kb = covariance[0, 1] / np.sqrt(covariance[0, 0] * covariance[1, 1]) if covariance[0, 1] != 0.0 else 0.0
     u_k, u_b = (float(np.sqrt(covariance[index, index])) for index in (0, 1))
     spring = SpringPrior(float(found[0]), u_k, float(found[1]), u_b, float(r_kb))
@@ -417,27 +386,20 @@ def model_sensitivity(
         model = sensor_model(comparison.best, found, covariance)
     except (ValueError, np.linalg.LinAlgError) as error:
         reason = ARGUMENT.sub("", str(error))
-        bare = _without_sensitivity(fit, found, covariance, sensor)
-        return replace(
-            bare,
-            notices=(
-                *bare.notices,
-                Notice(SENSITIVITY_NOT_EXPLAINED, measured.channel, channel=measured.channel, reason=reason),
-            ),
-        )
+        notice = Notice(declared.SENSITIVITY_NOT_EXPLAINED, measured.channel, channel=measured.channel, reason=reason)
+        model, _ = _without_chain(fit, found, covariance, sensor)
+        return ModelledSensitivity(model, fit.range_hz, None, (notice,))
     range_hz = (float(measured.frequency_hz[0]), float(measured.frequency_hz[-1]))
     where = f"sensitivity {measured.component}"
     supported, contradicted = (_explanations(comparison, verdict) for verdict in ("supported", "refuted"))
-    notices = [Notice(SENSITIVITY_EXPLANATION, where, supported=supported, contradicted=contradicted)]
+    notices = [Notice(declared.SENSITIVITY_EXPLANATION, where, supported=supported, contradicted=contradicted)]
     if (test := comparison.damping) is not None:
-        declared = DAMPING_CONTRADICTED if test.contradicts else DAMPING_AGREES
+        outcome = declared.DAMPING_CONTRADICTED if test.contradicts else declared.DAMPING_AGREES
         needed_us, resonance_us = 1e6 * test.needed_s, 1e6 * test.resonance_s
-        notices.append(
-            Notice(declared, where, needed_us=needed_us, resonance_us=resonance_us, deviation=test.deviation)
-        )
-    return ModelledSensitivity(
-        model, range_hz, SensitivityResult(measured, comparison), (*notices, *comparison.notices)
-    )
+        times = {"needed_us": needed_us, "resonance_us": resonance_us, "deviation": test.deviation}
+        notices.append(Notice(outcome, where, **times))
+    explained = SensitivityResult(measured, comparison)
+    return ModelledSensitivity(model, range_hz, explained, (*notices, *comparison.notices))
 
 
 def _explanations(comparison: SensitivityComparison, verdict: str) -> str:
@@ -458,7 +420,7 @@ def mechanics(fit: JointFit) -> tuple[FloatArray, FloatArray]:
     pick[2, found.names.index(mass_name(fit.component))] = 1.0
     used = np.any(pick != 0.0, axis=0)
     if not np.all(np.isfinite(found.covariance[used][:, used])):
-        raise ComputeError(STIFFNESS_NOT_DETERMINED, component=axis)
+        raise ComputeError(declared.STIFFNESS_NOT_DETERMINED, component=axis)
     values = np.array([estimate.value for estimate in found.estimates])
     covariance = pick[:, used] @ found.covariance[np.ix_(used, used)] @ pick[:, used].T
     if len(dampers) > 1:
@@ -466,13 +428,10 @@ def mechanics(fit: JointFit) -> tuple[FloatArray, FloatArray]:
     return pick @ values, covariance
 
 
-def _without_sensitivity(
+def _without_chain(
     fit: JointFit, found: FloatArray, covariance: FloatArray, sensor: Sensor | None
-) -> ModelledSensitivity:
-    """Return a model without a chain, with the stated static sensitivity.
-
-    Without a stated one, one output per force.
-    """
+) -> tuple[SensorModel, str]:
+    """Return a model without a chain, and in words which static sensitivity it has."""
     component = LOAD_COMPONENTS[fit.component]
     static, u_static, unit, which = 1.0, 0.0, "1", "an output of one per force"
     if sensor is not None and sensor.static_sensitivity is not None:
@@ -484,7 +443,4 @@ def _without_sensitivity(
     whole = np.zeros((4, 4))
     whole[0, 0], whole[1:, 1:] = u_static**2, covariance
     stiffness, damping, mass = float(found[0]), float(found[1]), max(float(found[2]), 0.0)
-    model = SensorModel(static, stiffness, damping, mass, NO_CHAIN, whole, sensitivity_unit(unit, component))
-    lines = np.concatenate([item.measured.ratio.frequency_hz for item in fit.prepared])
-    notice = Notice(SENSITIVITY_NOT_MEASURED, fit.axis, component=component, sensitivity=which, fewest=_FEWEST_LINES)
-    return ModelledSensitivity(model, (float(lines.min()), float(lines.max())), None, (notice,))
+    return SensorModel(static, stiffness, damping, mass, NO_CHAIN, whole, sensitivity_unit(unit, component)), which

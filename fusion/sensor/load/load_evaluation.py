@@ -21,22 +21,7 @@ from fusion.recording.rig import Rig
 from fusion.recording.toml import read_text
 from fusion.recording.values import wrong_size
 from fusion.sensitivity.moving_body import inertia_errors, rigid_load
-from fusion.sensor.load.load_notices import (
-    COMPONENT_WITHOUT_MOVING_MASS,
-    CONTRADICTORY_MODEL_STATEMENT,
-    CONTRADICTORY_MOVING_MASS,
-    EXTRAPOLATED_LOAD,
-    LOAD_COLUMN_MISSING,
-    LOAD_TABLE_NOT_READABLE,
-    MOVING_MASS_NOT_STATED,
-    NO_FREE_OSCILLATION,
-    NO_LOAD_MODEL,
-    NO_MOVING_MASS,
-    PART_WITHOUT_LOAD,
-    TOO_MANY_LOADS,
-    UNKNOWN_LOAD_COLUMN,
-    WRONG_LOAD_NUMBER,
-)
+from fusion.sensor import model_notices as declared
 from fusion.sensor.model_files import parameter_units
 from fusion.sensor.step.step_records import effective_dof
 from fusion.sensor.step.step_releases import StepRelease, check_driven_output, read_recording
@@ -133,10 +118,7 @@ def read_series(manifests: Sequence[Manifest]) -> tuple[tuple[LoadSeries, ...], 
     Raises `InputError` for a file or key that the user has to correct.
     """
     releases, of_reading = zip(*(read_recording(manifest) for manifest in manifests), strict=True)
-    notices = [
-        *chain.from_iterable(of_reading),
-        *(notice for manifest in manifests for notice in manifest.certificate_notices),
-    ]
+    notices = [*chain(*of_reading, *(manifest.certificate_notices for manifest in manifests))]
     series, refused = list[LoadSeries](), list[InputError]()
     for index, component in enumerate(LOAD_COMPONENTS):
         of_component = [release for release in releases if release.record.component == component]
@@ -145,8 +127,8 @@ def read_series(manifests: Sequence[Manifest]) -> tuple[tuple[LoadSeries, ...], 
             series.append(_series(of_component, moving, index))
         elif of_component:
             rig_path = of_component[0].manifest.rig_path
-            refused.append(InputError(NO_MOVING_MASS, rig_path, moving[0].key, found=moving[0].value))
-            notices.append(Notice(COMPONENT_WITHOUT_MOVING_MASS, component, key=moving[0].key))
+            refused.append(InputError(declared.NO_MOVING_MASS, rig_path, moving[0].key, found=moving[0].value))
+            notices.append(Notice(declared.COMPONENT_WITHOUT_MOVING_MASS, component, key=moving[0].key))
     if not series and refused:
         raise refused[0]
     return tuple(series), tuple(notices)
@@ -164,7 +146,7 @@ def _moving(manifest: Manifest, component: int) -> MovingMass:
     """Return the moving mass that a rig states for a load component."""
     sensor = manifest.rig.sensor
     if sensor is None:
-        raise InputError(MOVING_MASS_NOT_STATED, manifest.rig_path, "sensor")
+        raise InputError(declared.MOVING_MASS_NOT_STATED, manifest.rig_path, "sensor")
     return MovingMass(*sensor.moving(component), f"sensor.internal_{'mass' if component < 3 else 'inertia'}")
 
 
@@ -181,15 +163,16 @@ def _series(releases: Sequence[StepRelease], moving: Sequence[MovingMass], compo
             modes.append(record_modes(decays[-1]))
         except ValueError as error:
             key = f"daq.channel.{release.driven}"
-            raise InputError.from_exception(error, release.manifest.path, key, NO_FREE_OSCILLATION) from error
-    first, manifests = releases[0], [release.manifest for release in releases]
+            raise InputError.from_exception(error, release.manifest.path, key, declared.NO_FREE_OSCILLATION) from error
+    first, reading = releases[0], releases[0].reading
     for release, mass in zip(releases, moving, strict=True):
         check_driven_output(first, release)
         _check_equal_mass((first.manifest, moving[0]), (release.manifest, mass))
+    manifests = [release.manifest for release in releases]
+    mountings = [manifest.mounting for manifest in manifests]
     gains, u = np.array([(release.reading.static_gain, release.reading.u_static_gain) for release in releases]).T
     between = float(np.std(gains, ddof=1) / np.sqrt(len(gains))) if len(gains) > 1 else 0.0
     u_gain = max(between, float(np.sqrt(np.sum(u**2))) / len(u))
-    reading = first.reading
     return LoadSeries(
         output=SeriesOutput(reading.component, reading.channel, reading.unit, float(np.mean(gains)), u_gain),
         names=tuple(release.name for release in releases),
@@ -197,9 +180,7 @@ def _series(releases: Sequence[StepRelease], moving: Sequence[MovingMass], compo
         masses=_masses(moving[0], masses),
         decays=tuple(decays),
         noise=np.array([item.noise for item in modes]),
-        influences=stated_influences(
-            _rig_with_influences(manifests), [manifest.mounting for manifest in manifests], NO_CAUSE
-        ),
+        influences=stated_influences(_rig_with_influences(manifests), mountings, NO_CAUSE),
     )
 
 
@@ -207,12 +188,12 @@ def _check_equal_mass(first: tuple[Manifest, MovingMass], other: tuple[Manifest,
     """Raise `InputError` if two rigs state different moving masses of their sensor."""
     (reference, expected), (manifest, found) = first, other
     if found != expected:
-        key, numbers = found.key, (expected.value, found.value)
-        if found.value == expected.value:
-            key, numbers = f"{found.key}_uncertainty", (expected.u, found.u)
+        key, stated, here = found.key, expected.value, found.value
+        if here == stated:
+            key, stated, here = f"{key}_uncertainty", expected.u, found.u
         file = reference.rig_path.name
         raise InputError(
-            CONTRADICTORY_MOVING_MASS, manifest.rig_path, key, file=file, expected=numbers[0], found=numbers[1]
+            declared.CONTRADICTORY_MOVING_MASS, manifest.rig_path, key, file=file, expected=stated, found=here
         )
 
 
@@ -225,27 +206,21 @@ def check_one_sensor(manifests: Sequence[Manifest]) -> None:
 
 
 def _rig_with_influences(manifests: Sequence[Manifest]) -> Rig:
-    """Return the rig that states influences on the model.
-
-    All such rigs must state the same.
-    """
+    """Return the rig that states influences; all such rigs must state the same."""
     stating = [one for one in manifests if one.rig.model is not None] or [manifests[0]]
     for other in stating:
         if other.rig.model != stating[0].rig.model:
             file = stating[0].rig_path.name
-            raise InputError(CONTRADICTORY_MODEL_STATEMENT, other.rig_path, "model", file=file)
+            raise InputError(declared.CONTRADICTORY_MODEL_STATEMENT, other.rig_path, "model", file=file)
     return stating[0].rig
 
 
 def _load(manifest: Manifest, component: int) -> tuple[float, dict[str, float]]:
-    """Return the load mass along a component with the change by each error.
-
-    0 without a load.
-    """
+    """Return the load mass along a component, with the change by each error."""
     if manifest.rig.load is None:
         stranded = next((part.name for part in manifest.part if part.body == "load"), None)
         if stranded is not None:
-            raise InputError(PART_WITHOUT_LOAD, manifest.rig_path, "load", part=stranded)
+            raise InputError(declared.PART_WITHOUT_LOAD, manifest.rig_path, "load", part=stranded)
         return 0.0, {}
     body = rigid_load(manifest)
     changes = {error.name: float(error.change[component, component]) for error in inertia_errors(manifest, body)}
@@ -294,16 +269,16 @@ def _columns(path: Path) -> dict[str, FloatArray]:
     try:
         rows = [{name.strip(): (cell or "").strip() for name, cell in row.items() if name is not None} for row in read]
     except csv.Error as error:
-        raise InputError(LOAD_TABLE_NOT_READABLE, path, reason=str(error)) from error
+        raise InputError(declared.LOAD_TABLE_NOT_READABLE, path, reason=str(error)) from error
     if len(rows) > MOST_LOADS:
-        raise InputError(TOO_MANY_LOADS, path, found=len(rows), limit=MOST_LOADS)
+        raise InputError(declared.TOO_MANY_LOADS, path, found=len(rows), limit=MOST_LOADS)
     head = list(rows[0] if rows else {})
     missing = next((name for name in (LOAD, FIRST) if name not in head), None)
     if missing is not None:
-        raise InputError(LOAD_COLUMN_MISSING, path, missing)
+        raise InputError(declared.LOAD_COLUMN_MISSING, path, missing)
     unknown = next((name for name in head if name not in COLUMNS), None)
     if unknown is not None:
-        raise InputError(UNKNOWN_LOAD_COLUMN, path, unknown, expected=", ".join(COLUMNS))
+        raise InputError(declared.UNKNOWN_LOAD_COLUMN, path, unknown, expected=", ".join(COLUMNS))
 
     def number(column: str, text: str, row: int) -> float:
         if not text and column not in (LOAD, FIRST):
@@ -316,7 +291,7 @@ def _columns(path: Path) -> dict[str, FloatArray]:
         if not low <= value < np.inf or wrong_size(value):
             expected = "a number of at least 0" if low == 0.0 else "a frequency above 0"
             found, expected = (text, expected) if text else ("no value", "a number")
-            raise InputError(WRONG_LOAD_NUMBER, path, f"{column}, row {row}", found=found, expected=expected)
+            raise InputError(declared.WRONG_LOAD_NUMBER, path, f"{column}, row {row}", found=found, expected=expected)
         return value
 
     return {name: np.array([number(name, row.get(name, ""), n) for n, row in enumerate(rows, 1)]) for name in COLUMNS}
@@ -453,7 +428,7 @@ def evaluate_loads(
         found += [notice for solution in component.solutions for notice in solution.notices]
         largest, unit = float(np.max(component.series.masses.load)), component.series.output.mass_unit
         if loads := ", ".join(f"{mass:g}" for mass in settings.predicted if mass > largest):
-            found.append(Notice(EXTRAPOLATED_LOAD, component.name, loads=loads, unit=unit, largest=largest))
+            found.append(Notice(declared.EXTRAPOLATED_LOAD, component.name, loads=loads, unit=unit, largest=largest))
     sensor = None if manifest is None else manifest.rig.sensor
     return LoadEvaluation(
         name=name,
@@ -473,7 +448,7 @@ def _component(series: LoadSeries, settings: LoadSettings) -> ComponentLoads:
     try:
         identified = identify_loads(series.measured, series.masses, series.output, series.decays, series.noise)
     except (ValueError, ArithmeticError, np.linalg.LinAlgError) as error:
-        raise ComputeError(NO_LOAD_MODEL, series.output.component, reason=str(error)) from error
+        raise ComputeError(declared.NO_LOAD_MODEL, series.output.component, reason=str(error)) from error
     loads, moving = series.masses.load, series.masses.moving
     lightest = int(np.argmin(loads))
     scale = np.sqrt((moving + loads[lightest]) / (moving + loads))
@@ -498,9 +473,11 @@ def _solution(model: LoadModel, dof: float, series: LoadSeries, settings: LoadSe
     limits = [
         ("formula_limit", f"two-mass formula within {percent} of the resonance", formula_limit(model, share)),
         ("change_limit", f"resonance within {percent} of that without load", change_limit(model, share)),
+        *(
+            ("frequency_limit", f"resonance of at least {hertz:g} Hz", frequency_limit(model, hertz))
+            for hertz in settings.target_hz
+        ),
     ]
-    for target_hz in settings.target_hz:
-        limits.append(("frequency_limit", f"resonance of at least {target_hz:g} Hz", frequency_limit(model, target_hz)))
     unlimited, where = LoadLimit(float("nan"), float("nan")), f"{series.output.component}, {{:.4g}} {unit}"
     (bands, u_bands, notices), (others, u_others, more) = (
         _bands(model, masses, where) for masses in (loads, requested)
@@ -520,10 +497,7 @@ def _solution(model: LoadModel, dof: float, series: LoadSeries, settings: LoadSe
 
 
 def _bands(model: LoadModel, loads: FloatArray, where: str) -> tuple[FloatArray, FloatArray, list[Notice]]:
-    """Return bands (R, 2) of loads (R,), their u, and notices.
-
-    The notices name bands that are not proportional to the model.
-    """
+    """Return bands (R, 2) of loads (R,), their u, and notices of nonlinear ones."""
     bands, u, notices = np.full((len(loads), 2), np.nan), np.full((len(loads), 2), np.nan), list[Notice]()
     for index, load in enumerate(loads.tolist()):
         bands[index] = working_bands(model, load)

@@ -44,11 +44,8 @@ def draw_characteristics(component: ComponentLoads, permitted: float) -> Figure:
     if not is_damped:
         _empty(damping, "damping is not determined")
     _draw_deviations(off, component, permitted)
-    first.y.label, second.y.label, damping.y.label = (
-        "first resonance / Hz",
-        "second resonance / Hz",
-        "damping ratio, first / %",
-    )
+    first.y.label, second.y.label = "first resonance / Hz", "second resonance / Hz"
+    damping.y.label = "damping ratio, first / %"
     for panel in drawn.panels:
         panel.x.limits = (0.0, GRAM * float(grid[-1]))
     off.x.label = damping.x.label = f"load / {small_unit(component)}"

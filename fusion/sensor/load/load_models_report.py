@@ -103,14 +103,11 @@ def _of_curve(name: str, of: str, mode: int, *, expanded: bool = False) -> Table
 
 
 def _of_measured(name: str, of: str, mode: int) -> TableColumn[LoadRow]:
-    def value(row: LoadRow) -> float | None:
-        return (
-            finite_or_none(getattr(row.component.series.measured, of)[row.load_index, mode])
-            if row.kind == RECORDED
-            else None
-        )
+    return _if_recorded(name, lambda row: getattr(row.component.series.measured, of)[row.load_index, mode])
 
-    return TableColumn(name, value)
+
+def _if_recorded(name: str, value: Callable[[LoadRow], float]) -> TableColumn[LoadRow]:
+    return TableColumn(name, lambda row: finite_or_none(value(row)) if row.kind == RECORDED else None)
 
 
 LOADS: list[TableColumn[LoadRow]] = [
@@ -139,10 +136,7 @@ LOADS: list[TableColumn[LoadRow]] = [
     _of_measured("u_measured_second_hz", "u_frequency_hz", 1),
     _of_measured("measured_damping_first", "damping_ratio", 0),
     _of_measured("u_measured_damping_first", "u_damping_ratio", 0),
-    TableColumn(
-        "formula_hz",
-        lambda row: finite_or_none(row.component.formula_hz[row.load_index]) if row.kind == RECORDED else None,
-    ),
+    _if_recorded("formula_hz", lambda row: row.component.formula_hz[row.load_index]),
     TableColumn("band_5_hz", lambda row: finite_or_none(row.bands[0])),
     TableColumn("band_10_hz", lambda row: finite_or_none(row.bands[1])),
     TableColumn("u_band_5_hz", lambda row: finite_or_none(row.u_bands[0])),
@@ -166,10 +160,7 @@ def load_rows(component: ComponentLoads, solution: LoadSolution) -> Iterator[Loa
 
 
 class LoadParameter(NamedTuple):
-    """One number of a model.
-
-    `u_given_masses`: its u without that of the masses, NaN if not known.
-    """
+    """One number of a model, and its u given the masses, NaN if unknown."""
 
     solution: int
     quantity: NamedQuantity
@@ -221,14 +212,8 @@ def parameter_rows(evaluation: LoadEvaluation) -> Iterator[ParameterRow]:
                 limit = NamedQuantity(one.value, one.u, one.dof, one.unit, f"{one.name}: {one.label}", one.label)
                 rows.append(LoadParameter(model.solution, limit, np.nan))
             for number, one, given in rows:
-                numbers = (
-                    finite_or_none(one.value),
-                    finite_or_none(one.u),
-                    finite_or_none(one.expanded),
-                    one.k,
-                    one.unit,
-                    finite_or_none(given),
-                )
+                value, u, expanded, u_given = map(finite_or_none, (one.value, one.u, one.expanded, given))
+                numbers = (value, u, expanded, one.k, one.unit, u_given)
                 yield ParameterRow(component.name, model.channel, number, one.name, *numbers)
         fit = component.identification.chosen[0]
         for name, value in zip(component.series.masses.names, fit.deviates, strict=True):
@@ -237,18 +222,12 @@ def parameter_rows(evaluation: LoadEvaluation) -> Iterator[ParameterRow]:
 
 def texts(evaluation: LoadEvaluation) -> dict[str, str | bytes]:
     """Return tables and models."""
-    program, components = evaluation.versions.get("shakercal", ""), evaluation.components
-    models = [
-        (
-            solution.model,
-            UncertaintyBasis(component.dof, component.series.influences.scope, component.series.influences.outside),
-        )
-        for component in components
-        for solution in component.solutions
-    ]
-    rows = (
-        row for component in components for solution in component.solutions for row in load_rows(component, solution)
-    )
+    program, models, rows = evaluation.versions.get("shakercal", ""), [], list[LoadRow]()
+    for component in evaluation.components:
+        influences = component.series.influences
+        basis = UncertaintyBasis(component.dof, influences.scope, influences.outside)
+        models += [(solution.model, basis) for solution in component.solutions]
+        rows += [row for solution in component.solutions for row in load_rows(component, solution)]
     return {
         "load.csv": csv_text(LOADS, rows),
         "parameters.csv": csv_text(columns_of(ParameterRow), parameter_rows(evaluation)),
@@ -263,18 +242,14 @@ def fill(file: h5py.File, evaluation: LoadEvaluation) -> None:
     for component in evaluation.components:
         group = components.create_group(component.name, track_order=True)
         series, identification = component.series, component.identification
-        group.attrs["reason"] = identification.reason
-        group.attrs["from_records"] = identification.from_records
+        for name in ("reason", "from_records"):
+            group.attrs[name] = getattr(identification, name)
         group.attrs["k"] = component.k
-        group.attrs["scope"], group.attrs["outside"] = (
-            component.series.influences.scope,
-            component.series.influences.outside,
-        )
+        group.attrs["scope"], group.attrs["outside"] = series.influences.scope, series.influences.outside
         write_value(group, "recordings", series.names)
         write_value(group, "formula_hz", component.formula_hz)
-        write_fields(group.create_group("output"), series.output)
-        write_fields(group.create_group("measured"), series.measured)
-        write_fields(group.create_group("masses"), series.masses)
+        for name in ("output", "measured", "masses"):
+            write_fields(group.create_group(name), getattr(series, name))
         write_fields(group.create_group("two_masses"), identification.rigid)
         for number, fit in enumerate(identification.elastic, 1):
             write_fields(group.create_group(f"three_masses_{number}"), fit)
@@ -447,24 +422,19 @@ def printed(evaluation: LoadEvaluation) -> Iterator[str]:
     for component in evaluation.components:
         small = small_unit(component)
         for solution in component.solutions:
-            numbers = (
-                (one, round_to_uncertainty(one.value, one.expanded)) for _, one, _ in parameters(component, solution)
-            )
-            texts = ", ".join(
-                f"{one.label.rpartition(' ')[2]} = {rounded.text} {typeset(one.unit)}" for one, rounded in numbers
-            )
+            numbers = []
+            for _, one, _ in parameters(component, solution):
+                rounded = round_to_uncertainty(one.value, one.expanded).text
+                numbers.append(f"{one.label.rpartition(' ')[2]} = {rounded} {typeset(one.unit)}")
             which, scope = f"{_structure(solution)}{_which(solution)}", component.series.influences.scope
-            yield f"{component.name} ({which}): {texts}; U {scope}"
-            for row in load_rows(component, solution):
-                if row.kind != DRAWN:
-                    model, mass = row.model_hz(0), f"{row.mass_text} {small}"
-                    line = (
-                        f"  {row.recording or row.kind}: load {mass}, resonance {round_to_uncertainty(*model).text} Hz"
-                    )
-                    if row.kind == RECORDED:
-                        seen, _ = row.measured_hz(0)
-                        line += f", measured {seen:.6g} Hz ({_percent(model[0] / seen - 1.0)} %)"
-                    yield line
+            yield f"{component.name} ({which}): {', '.join(numbers)}; U {scope}"
+            for row in (row for row in load_rows(component, solution) if row.kind != DRAWN):
+                model, named = row.model_hz(0), row.recording or row.kind
+                line = f"  {named}: load {row.mass_text} {small}, resonance {round_to_uncertainty(*model).text} Hz"
+                if row.kind == RECORDED:
+                    seen, _ = row.measured_hz(0)
+                    line += f", measured {seen:.6g} Hz ({_percent(model[0] / seen - 1.0)} %)"
+                yield line
             for limit in solution.limits:
                 mass = round_to_uncertainty(GRAM * limit.value, GRAM * limit.expanded).text
                 yield f"  {limit.label}: {f'load up to {mass} {small}' if np.isfinite(limit.value) else NO_LIMIT}"
@@ -513,11 +483,7 @@ def run_loads(
     force: bool = False,
     allow_outside: bool = False,
 ) -> None:
-    """Evaluate step recordings of several loads, write the results and print the summary.
-
-    Results are written to folder `load` of the campaign or the only recording, of several paths to the folder of the
-    first recording's rig; or to `output`.
-    """
+    """Evaluate step recordings of several loads, write the results and print the summary."""
     manifests = load_for_command(paths, LOAD.name, allow_outside=allow_outside)
 
     def evaluate(hashes: dict[str, str]) -> LoadEvaluation:
@@ -530,10 +496,7 @@ def run_loads(
 
 
 def run_table(path: Path, output: Path | None, settings: LoadSettings, *, force: bool = False) -> None:
-    """Evaluate a table of resonances, write the results and print the summary.
-
-    The settings must contain the moving mass. Results are written to `output`, or to folder `load` next to the table.
-    """
+    """Evaluate a table of resonances with the moving mass of the settings, as `run_loads` does."""
     if settings.moving_mass is None:
         raise ValueError("settings: expected the moving mass that the table's resonances belong to, found none")
     inputs = hash_files([path], path.absolute().parent)

@@ -17,23 +17,7 @@ from fusion.base import PERCENT
 from fusion.errors import InputError
 from fusion.estimation.coverage import coverage_factor
 from fusion.recording.load import Manifest, check_one_rig
-from fusion.sensor.rotate.rotation_notices import (
-    AXIS_TILT,
-    BODY_DENSITY_NOT_STATED,
-    DIFFERENT_ROTATION_CHANNELS,
-    GRAVITY_EXACT,
-    GRAVITY_FROM_LOCATION,
-    GRAVITY_OFFSET,
-    GRAVITY_REVERSED,
-    LOAD_MASS_DEVIATES,
-    LOAD_NOT_WEIGHED,
-    MATRIX_UNCERTAINTY_NOT_STATED,
-    NO_LOADED_RECORDING,
-    NO_UNLOADED_RECORDING,
-    SINGLE_MOUNTING,
-    TOTAL_WEIGHT_ONLY,
-    WEIGHT_NOT_EXPLAINED,
-)
+from fusion.sensor import bench_notices as declared
 from fusion.sensor.rotate.rotation_readings import (
     JOINT,
     RepeatedResults,
@@ -114,13 +98,13 @@ def evaluate_rotation(name: str, manifests: Sequence[Manifest], input_hashes: di
     mass_inputs = MassInputs(recordings, records, weights, gravity, air)
     numbers, scatter = quantities(mass_inputs), repeats(mass_inputs)
     notices += [*_input_notices(manifests[0], gravity, outputs), *_recording_notices(recordings, scatter)]
-    notices += [
-        *_fit_notices(weights, records),
-        *(notice for manifest in manifests for notice in manifest.certificate_notices),
-    ]
+    notices += _fit_notices(weights, records)
+    notices += [notice for manifest in manifests for notice in manifest.certificate_notices]
     for quantity in numbers:
         if quantity.name == "load_mass_normalised_deviation" and abs(quantity.value) > 1.0:
-            notices.append(Notice(LOAD_MASS_DEVIATES, "load", component=quantity.component, ratio=abs(quantity.value)))
+            notices.append(
+                Notice(declared.LOAD_MASS_DEVIATES, "load", component=quantity.component, ratio=abs(quantity.value))
+            )
     return RotationEvaluation(
         name=name,
         recordings=recordings,
@@ -147,12 +131,9 @@ def _read(manifests: Sequence[Manifest]) -> tuple[tuple[RotationRecording, ...],
                 ", ".join(f"{c} {u}".strip() for c, u in zip(r.fit.channels, r.unit, strict=True))
                 for r in (recording, first)
             )
+            file = table_path(recording.manifest)
             raise InputError(
-                DIFFERENT_ROTATION_CHANNELS,
-                table_path(recording.manifest),
-                expected=expected,
-                recording=first.name,
-                found=found,
+                declared.DIFFERENT_ROTATION_CHANNELS, file, expected=expected, recording=first.name, found=found
             )
     return tuple(item[0] for item in read), outputs, [notice for *_, of_recording in read for notice in of_recording]
 
@@ -161,20 +142,17 @@ def _input_notices(manifest: Manifest, gravity: SourcedValue, outputs: SensorOut
     """Yield notices on gravity, calibration matrix and bodies."""
     environment = manifest.rig.environment
     if environment is None or environment.gravity is None:
+        value, expanded = gravity.value, 2.0 * gravity.u
         yield Notice(
-            GRAVITY_FROM_LOCATION,
-            "gravity",
-            gravity_mps2=gravity.value,
-            expanded_mps2=2.0 * gravity.u,
-            source=gravity.source,
+            declared.GRAVITY_FROM_LOCATION, "gravity", gravity_mps2=value, expanded_mps2=expanded, source=gravity.source
         )
     elif gravity.u == 0.0:
-        yield Notice(GRAVITY_EXACT, "gravity")
+        yield Notice(declared.GRAVITY_EXACT, "gravity")
     if not outputs.u.any():
-        yield Notice(MATRIX_UNCERTAINTY_NOT_STATED, "sensor")
+        yield Notice(declared.MATRIX_UNCERTAINTY_NOT_STATED, "sensor")
     for body in load_bodies(manifest):
         if body.u_volume_m3kg > 0.0:
-            yield Notice(BODY_DENSITY_NOT_STATED, "load", body=body.name)
+            yield Notice(declared.BODY_DENSITY_NOT_STATED, "load", body=body.name)
 
 
 def _recording_notices(recordings: Sequence[RotationRecording], scatter: Sequence[RotationScatter]) -> Iterator[Notice]:
@@ -182,16 +160,16 @@ def _recording_notices(recordings: Sequence[RotationRecording], scatter: Sequenc
     kinds = {recording.with_load for recording in recordings}
     stated = bool(load_bodies(recordings[0].manifest))
     if kinds == {False}:
-        yield Notice(NO_LOADED_RECORDING, "recordings")
+        yield Notice(declared.NO_LOADED_RECORDING, "recordings")
     elif kinds == {True} and stated:
-        yield Notice(NO_UNLOADED_RECORDING, "recordings")
+        yield Notice(declared.NO_UNLOADED_RECORDING, "recordings")
     elif kinds == {True}:
-        yield Notice(TOTAL_WEIGHT_ONLY, "recordings")
+        yield Notice(declared.TOTAL_WEIGHT_ONLY, "recordings")
     elif not stated:
-        yield Notice(LOAD_NOT_WEIGHED, "load")
+        yield Notice(declared.LOAD_NOT_WEIGHED, "load")
     for state in scatter:
         if not state.between_dof:
-            yield Notice(SINGLE_MOUNTING, "repeats", count=len(state.recordings), state=state.state)
+            yield Notice(declared.SINGLE_MOUNTING, "repeats", count=len(state.recordings), state=state.state)
 
 
 def _fit_notices(weights: WeightFit, records: Sequence[RotationRecord]) -> Iterator[Notice]:
@@ -200,13 +178,13 @@ def _fit_notices(weights: WeightFit, records: Sequence[RotationRecord]) -> Itera
         row = weights.value[ROWS * r : ROWS * (r + 1)]
         zero, tilt = float(row[4]), float(np.hypot(row[5], row[6]))
         if abs(zero) > np.pi / 2.0:
-            yield Notice(GRAVITY_REVERSED, record.name, offset_deg=float(np.degrees(zero)))
+            yield Notice(declared.GRAVITY_REVERSED, record.name, offset_deg=float(np.degrees(zero)))
         elif abs(zero) > ZERO_ANGLE_NOTICE_RAD:
-            yield Notice(GRAVITY_OFFSET, record.name, offset_deg=float(np.degrees(zero)))
+            yield Notice(declared.GRAVITY_OFFSET, record.name, offset_deg=float(np.degrees(zero)))
         if tilt > AXIS_TILT_NOTICE_RAD and tilt > 3.0 * float(np.sqrt(weights.covariance[ROWS * r + 5, ROWS * r + 5])):
-            yield Notice(AXIS_TILT, record.name, tilt_deg=float(np.degrees(tilt)))
+            yield Notice(declared.AXIS_TILT, record.name, tilt_deg=float(np.degrees(tilt)))
     if weights.departure > 0.0:
-        yield Notice(WEIGHT_NOT_EXPLAINED, "channels", departure_percent=100.0 * weights.departure)
+        yield Notice(declared.WEIGHT_NOT_EXPLAINED, "channels", departure_percent=100.0 * weights.departure)
 
 
 # From weights to masses and centres of mass.
@@ -259,10 +237,7 @@ class MassInputs:
 
     @cached_property
     def single_forces(self) -> list[list[tuple[int, str]]]:
-        """Return the forces that determine the weight individually, of every recording.
-
-        Each as (index in `WEIGHT_AND_MOMENT_ROWS`, name).
-        """
+        """Forces that determine each weight individually, as (index in `WEIGHT_AND_MOMENT_ROWS`, name)."""
         finite = np.isfinite(self.weights.value.reshape(-1, ROWS)[:, UNKNOWNS_PER_RECORD:])
         return [[(1 + i, name) for i, name in enumerate(LOAD_COMPONENTS[:3]) if row[i]] for row in finite]
 
@@ -312,10 +287,7 @@ class _PerturbedInputs:
         return gradient
 
     def weight_and_moment(self, bodies: Sequence[WeighedBody]) -> FloatArray:
-        """Return weight in air (N) and first moment (N·m) of bodies.
-
-        In the order of `WEIGHT_AND_MOMENT_ROWS`.
-        """
+        """Return weight (N) and first moment (N·m) of bodies by `WEIGHT_AND_MOMENT_ROWS`."""
         load = np.zeros((len(WEIGHT_AND_MOMENT_ROWS), len(self.gravity)))
         for row in (self.body[body.name] for body in bodies):
             weight = self.gravity * row[0] * (1.0 - self.air * row[1])
@@ -323,10 +295,7 @@ class _PerturbedInputs:
         return load
 
     def mass_volume_centre(self, bodies: Sequence[WeighedBody]) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Return mass, volume per mass and centre of mass of bodies together.
-
-        In kg, m³/kg and m (3, B).
-        """
+        """Return mass (kg), volume per mass (m³/kg) and centre (m) of bodies together."""
         rows = np.array([self.body[body.name] for body in bodies])
         mass = rows[:, 0].sum(axis=0)
         volume = np.sum(rows[:, 0] * rows[:, 1], axis=0) / mass
@@ -345,10 +314,7 @@ class _PerturbedInputs:
 
 
 def quantities(mass_inputs: MassInputs) -> tuple[RotationQuantity, ...]:
-    """Return every number that the recordings determine, with its uncertainty by cause.
-
-    Derivatives are central differences over one standard uncertainty of every input.
-    """
+    """Return every number that the recordings determine, with its uncertainty by cause."""
     inputs = _PerturbedInputs(mass_inputs)
     derived = list(_derived(inputs))
     gradient = inputs.gradient(np.array([value for _, value in derived]))
@@ -420,14 +386,8 @@ def _derived(inputs: _PerturbedInputs) -> LabelledValues:
     mass_inputs = inputs.mass_inputs
     bare, loaded = (inputs.mean(with_load) for with_load in (False, True))
     # the joint weight, and forces that determine it individually in every recording
-    seen = [
-        (0, JOINT),
-        *(
-            force
-            for force in mass_inputs.single_forces[0]
-            if all(force in others for others in mass_inputs.single_forces)
-        ),
-    ]
+    first, *others = mass_inputs.single_forces
+    seen = [(0, JOINT), *(force for force in first if all(force in other for other in others))]
     internal = bare
     if internal is None and loaded is not None and mass_inputs.load:
         internal = loaded - inputs.weight_and_moment(mass_inputs.load)
@@ -484,13 +444,11 @@ def _by_component(name: str, label: str, masses: dict[str, FloatArray]) -> Label
     single = [component for component in masses if component != JOINT]
     if len(single) == 2:
         first, second = single
-        between = f"{first}-{second}"
-        yield (
-            QuantityLabel("kg", f"{name}_difference", f"{label}, axis to axis", between),
-            masses[first] - masses[second],
-        )
-        relative = PERCENT * (masses[first] - masses[second]) / masses[JOINT]
-        yield QuantityLabel("%", f"{name}_relative_difference", f"{label}, axis to axis", between), relative
+        label, between = f"{label}, axis to axis", f"{first}-{second}"
+        difference = masses[first] - masses[second]
+        yield QuantityLabel("kg", f"{name}_difference", label, between), difference
+        relative = PERCENT * difference / masses[JOINT]
+        yield QuantityLabel("%", f"{name}_relative_difference", label, between), relative
 
 
 def _centre(name: str, label: str, mean: FloatArray) -> LabelledValues:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal, NamedTuple
@@ -16,13 +16,7 @@ from fusion.estimation.coverage import NamedQuantity
 from fusion.recording.load import Manifest
 from fusion.recording.rig import RigLoad, RigPart, Sensor
 from fusion.recording.units import recorded_unit
-from fusion.sensor.rotate.rotation_notices import (
-    CONSTANT_CHANNELS,
-    GRAVITY_NOT_DETERMINED,
-    MISSING_CHANNEL_COLUMNS,
-    MISSING_ROTATION_ENTRY,
-    WRONG_ROTATION_TABLE,
-)
+from fusion.sensor import bench_notices as declared
 from shaker.io.text import read_table_columns, table_units
 from shaker.labels import LOAD_COMPONENTS, LOAD_UNITS
 from shaker.static_rotation.harmonics import AngleFit, SourcedValue, fit_angles, gravity_at
@@ -39,10 +33,7 @@ LIGHTEST_KGM3, HEAVIEST_KGM3 = 2700.0, 8000.0
 
 @dataclass(frozen=True)
 class WeighedBody:
-    """A body with stated mass, volume per mass and centre, with uncertainties.
-
-    In kg, m³/kg and m (3,).
-    """
+    """A body with stated mass, volume per mass and centre: kg, m³/kg, m (3,)."""
 
     name: str
     mass_kg: float
@@ -54,17 +45,14 @@ class WeighedBody:
 
 
 def local_gravity(manifest: Manifest) -> SourcedValue:
-    """Return the stated gravity of the rig, or that of its latitude and height.
-
-    Raises `InputError` if neither is stated.
-    """
+    """Return gravity as stated or by latitude and height; raise `InputError` without them."""
     environment = manifest.rig.surroundings
     if environment.gravity is not None:
         vector, u = np.array(environment.gravity), np.array(environment.gravity_uncertainty)
         size = float(np.linalg.norm(vector))
         return SourcedValue(size, float(np.linalg.norm(vector / size * u)), "stated in rig.toml")
     if environment.latitude is None or environment.height is None:
-        raise InputError(GRAVITY_NOT_DETERMINED, manifest.rig_path, "environment.gravity")
+        raise InputError(declared.GRAVITY_NOT_DETERMINED, manifest.rig_path, "environment.gravity")
     return gravity_at(float(np.radians(environment.latitude)), environment.height)
 
 
@@ -75,19 +63,19 @@ def unknown_volume() -> tuple[float, float]:
 
 
 def load_bodies(manifest: Manifest) -> tuple[WeighedBody, ...]:
-    """Return the load and the rig's parts on it.
-
-    They are absent in a recording without load.
-    """
+    """Return the load and the rig's parts on it, of recordings with load."""
     rig = manifest.rig
-    found = [] if rig.load is None else [_weighed("load", rig.load)]
-    return (*found, *(_weighed(part.name, part) for part in rig.part if part.body == "load"))
+    found = () if rig.load is None else (_weighed("load", rig.load),)
+    return found + _weighed_parts(rig.part)
 
 
 def recording_bodies(manifest: Manifest) -> tuple[WeighedBody, ...]:
     """Return the additional bodies of one recording: the parts of recording.toml."""
-    added = manifest.part[len(manifest.rig.part) :]
-    return tuple(_weighed(part.name, part) for part in added if part.body == "load")
+    return _weighed_parts(manifest.part[len(manifest.rig.part) :])
+
+
+def _weighed_parts(parts: Sequence[RigPart]) -> tuple[WeighedBody, ...]:
+    return tuple(_weighed(part.name, part) for part in parts if part.body == "load")
 
 
 def _weighed(name: str, entry: RigLoad | RigPart) -> WeighedBody:
@@ -132,11 +120,10 @@ class RepeatedResults:
 
     def repeats(self, gradient: FloatArray) -> RotationScatter:
         """Return the scatter of the number with gradient (V,)."""
-        forms = nested_anova(self.mountings)
-        found = dict(scatter_components(self, gradient[None]))
+        forms, found = nested_anova(self.mountings), dict(scatter_components(self, gradient[None]))
         within, between = (float(np.sqrt(found[n].variance[0])) if n in found else np.nan for n in (WITHIN, BETWEEN))
-        counts = (forms.within_dof, forms.between_dof)
-        return RotationScatter(self.state, self.recordings, self.mountings, within, between, *counts)
+        named = (self.state, self.recordings, self.mountings)
+        return RotationScatter(*named, within, between, forms.within_dof, forms.between_dof)
 
 
 class ScatterComponent(NamedTuple):
@@ -235,10 +222,7 @@ class RotationQuantity(NamedQuantity):
 
 @dataclass(frozen=True)
 class RotationEvaluation(CommandEvaluation):
-    """All recordings of one sensor on the head, their masses, and their surroundings.
-
-    `repeats`: of each state that was recorded more than once.
-    """
+    """All recordings of one sensor on the head; `repeats`: states recorded more than once."""
 
     recordings: tuple[RotationRecording, ...]
     outputs: SensorOutputs
@@ -263,32 +247,23 @@ SPELT = (("·", "."), ("*", "."), (" ", ""), ("Nm", "N.m"))
 
 
 def read_rotation(manifest: Manifest) -> tuple[RotationRecording, SensorOutputs, list[Notice]]:
-    """Return one recording with its fit, the calibration of its channels, and its notices.
-
-    Readings that no rotating weight can cause are refused.
-    """
+    """Return a recording with its fit, its channels' calibration, and notices; refuse impossible readings."""
     sensor, where = manifest.rig.sensor, manifest.folder.name
     if sensor is None:
         expected = "[sensor], whose readings are in the table"
-        raise InputError(MISSING_ROTATION_ENTRY, manifest.rig_path, "sensor", expected=expected)
+        raise InputError(declared.MISSING_ROTATION_ENTRY, manifest.rig_path, "sensor", expected=expected)
     units, are_loads = _columns(manifest, sensor)
     angle, values = _numbers(manifest, sensor, units, are_loads)
     changing = np.ptp(values, axis=0) > 0.0
     constant = [name for name, changes in zip(units, changing, strict=True) if not changes]
-    notices = [Notice(CONSTANT_CHANNELS, where, channels=", ".join(constant))] if constant else []
+    notices = [Notice(declared.CONSTANT_CHANNELS, where, channels=", ".join(constant))] if constant else []
     missing = [name for name in sensor.channels if name not in units]
     if missing:
-        notices.append(
-            Notice(MISSING_CHANNEL_COLUMNS, where, file=table_path(manifest).name, channels=", ".join(missing))
-        )
+        table = table_path(manifest).name
+        notices.append(Notice(declared.MISSING_CHANNEL_COLUMNS, where, file=table, channels=", ".join(missing)))
     channels = tuple(name for name in units if name not in constant)
     if not channels:
-        raise InputError(
-            WRONG_ROTATION_TABLE,
-            table_path(manifest),
-            expected="readings that change with the angle",
-            found="constant readings",
-        )
+        raise _wrong_table(table_path(manifest), "", "readings that change with the angle", "constant readings")
     if are_loads:
         matrix = np.eye(6)[[LOAD_COMPONENTS.index(name) for name in channels]]
     else:
@@ -325,8 +300,14 @@ def first_harmonics(recording: RotationRecording) -> RotationRecord:
 def table_path(manifest: Manifest) -> Path:
     """Return the path of the table of readings."""
     if manifest.excitation.file is None:
-        raise InputError(MISSING_ROTATION_ENTRY, manifest.path, "excitation.file", expected="the table of readings")
+        raise InputError(
+            declared.MISSING_ROTATION_ENTRY, manifest.path, "excitation.file", expected="the table of readings"
+        )
     return manifest.excitation.file
+
+
+def _wrong_table(file: Path, key: str, expected: str, found: str) -> InputError:
+    return InputError(declared.WRONG_ROTATION_TABLE, file, key, expected=expected, found=found)
 
 
 def _columns(manifest: Manifest, sensor: Sensor) -> tuple[dict[str, str], bool]:
@@ -338,44 +319,36 @@ def _columns(manifest: Manifest, sensor: Sensor) -> tuple[dict[str, str], bool]:
     with as_input_error(path):
         units = table_units(path)
     if ANGLE not in units:
-        raise InputError(
-            WRONG_ROTATION_TABLE, path, ANGLE, expected="a column of this name", found=f"the columns {', '.join(units)}"
-        )
+        raise _wrong_table(path, ANGLE, "a column of this name", f"the columns {', '.join(units)}")
     stated, written = manifest.excitation.angle_unit, ANGLE_UNITS.get(units[ANGLE].strip().lower())
     if units[ANGLE] and written != stated:
         expected = f'the unit of the column {ANGLE} in {path.name}, "{units[ANGLE]}"'
-        raise InputError(
-            WRONG_ROTATION_TABLE, manifest.path, "excitation.angle_unit", expected=expected, found=f'"{stated}"'
-        )
+        raise _wrong_table(manifest.path, "excitation.angle_unit", expected, f'"{stated}"')
     present = [name for name in sensor.channels if name in units]
     if not present:
         expected = f"columns of the sensor's channels {', '.join(sensor.channels)}"
-        raise InputError(WRONG_ROTATION_TABLE, path, found=", ".join(units), expected=expected)
+        raise _wrong_table(path, "", expected, ", ".join(units))
     spelt = {name: _spelt(units[name]) for name in present}
     bare_is_load = sensor.static_sensitivity is None and _spelt(sensor.unit) in LOAD_UNITS
     loads = [name for name in present if spelt[name] in LOAD_UNITS or (bare_is_load and not spelt[name])]
     if not loads:
         if sensor.static_sensitivity is None:
-            expected = (
-                "sensitivities that convert outputs into loads (the inverse of a calibration matrix), or columns in N"
+            expected = "sensitivities that convert outputs into loads (a calibration matrix), or columns in N"
+            raise InputError(
+                declared.MISSING_ROTATION_ENTRY, manifest.rig_path, "sensor.static_sensitivity", expected=expected
             )
-            raise InputError(MISSING_ROTATION_ENTRY, manifest.rig_path, "sensor.static_sensitivity", expected=expected)
         return spelt, False
     for name in present:
         if name not in loads:
             expected = f"N or N.m as of {loads[0]}, or outputs throughout"
-            raise InputError(WRONG_ROTATION_TABLE, path, name, found=f'the unit "{units[name]}"', expected=expected)
+            raise _wrong_table(path, name, expected, f'the unit "{units[name]}"')
     units_of_loads = dict(zip(LOAD_COMPONENTS, LOAD_UNITS, strict=True))
     for name in present:
         if name not in units_of_loads:
             expected = f"one of {', '.join(LOAD_COMPONENTS)}, since columns in N and N.m are loads"
-            raise InputError(
-                WRONG_ROTATION_TABLE, manifest.rig_path, "sensor.channels", expected=expected, found=f'"{name}"'
-            )
+            raise _wrong_table(manifest.rig_path, "sensor.channels", expected, f'"{name}"')
         if spelt[name] not in ("", units_of_loads[name]):
-            raise InputError(
-                WRONG_ROTATION_TABLE, path, name, expected=units_of_loads[name], found=f'the unit "{spelt[name]}"'
-            )
+            raise _wrong_table(path, name, units_of_loads[name], f'the unit "{spelt[name]}"')
     return {name: units_of_loads[name] for name in present}, True
 
 
@@ -390,18 +363,13 @@ def _spelt(unit: str) -> str:
 def _numbers(
     manifest: Manifest, sensor: Sensor, units: dict[str, str], are_loads: bool
 ) -> tuple[FloatArray, FloatArray]:
-    """Return angles (N,) in rad and readings (N, C).
-
-    Readings are in the sensor's unit, or in N and N·m.
-    """
+    """Return angles (N,) in rad and readings (N, C), outputs or N and N·m."""
     path, excitation, names = table_path(manifest), manifest.excitation, [ANGLE, *units]
     with as_input_error(path):
         table = read_table_columns(path, names)
     if not np.isfinite(table).all():
         row, column = (int(i) for i in np.argwhere(~np.isfinite(table))[0])
-        raise InputError(
-            WRONG_ROTATION_TABLE, path, names[column], expected="a number in every row", found=f"none in row {row + 1}"
-        )
+        raise _wrong_table(path, names[column], "a number in every row", f"none in row {row + 1}")
     scale, sensor_unit = np.ones(len(units)), _spelt(sensor.unit)
     for c, (name, unit) in enumerate([] if are_loads else units.items()):
         if "scale" in excitation.model_fields_set or not unit:
@@ -411,7 +379,7 @@ def _numbers(
         factor = None if found is None or target is None else found.over(target)
         if factor is None and unit != sensor_unit:
             expected = f'"{sensor.unit}", a multiple of it, N and N.m, or the key scale in recording.toml'
-            raise InputError(WRONG_ROTATION_TABLE, path, name, found=f'the unit "{unit}"', expected=expected)
+            raise _wrong_table(path, name, expected, f'the unit "{unit}"')
         scale[c] = 1.0 if factor is None else factor
     angle = np.radians(table[:, 0]) if excitation.angle_unit == "deg" else table[:, 0]
     return angle, table[:, 1:] * scale

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -160,10 +160,7 @@ def _draw_points(
 
 
 def draw_deviations(evaluation: RotationEvaluation) -> Figure | None:
-    """Draw the load mass less the weighed mass in %, by axis and by all.
-
-    None without both.
-    """
+    """Draw the load mass less the weighed mass in %; None without both."""
     deviations = _named(evaluation, "load_mass_relative_deviation")
     weighed = evaluation.find("weighed_mass", "stated")
     if not deviations or weighed is None:
@@ -232,10 +229,10 @@ def centres_table(evaluation: RotationEvaluation) -> Table | None:
     """Return the centres of mass in sensor axes, in mm."""
 
     def coordinate(axis: str) -> TableColumn[dict[str, RotationQuantity]]:
-        return page_column(
-            axis,
-            lambda by_axis: quantity_html(*_in_small_unit(by_axis[axis])[:2]) if axis in by_axis else DASH,
-        )
+        def cell(by_axis: dict[str, RotationQuantity]) -> str:
+            return quantity_html(*_in_small_unit(by_axis[axis])[:2]) if axis in by_axis else DASH
+
+        return page_column(axis, cell)
 
     columns: list[TableColumn[dict[str, RotationQuantity]]] = [
         page_column("position", lambda by_axis: f"{capitalise(next(iter(by_axis.values())).label)} / mm", "l"),
@@ -277,20 +274,21 @@ def repeats_tables(evaluation: RotationEvaluation) -> list[Table]:
             if weight is not None and off is not None:
                 deviation = quantity_html(MILLI * off.value, MILLI * off.expanded)
                 over = signed_text(off.value / off.expanded) if off.u > 0.0 else DASH
-                rows.append(
-                    (scatter.state, mounting, name, quantity_html(weight.value, weight.expanded), deviation, over)
-                )
+                value = quantity_html(weight.value, weight.expanded)
+                rows.append((scatter.state, mounting, name, value, deviation, over))
     caption = "Repeats: weight in air with U, deviation from the mean"
     head = ("state", "mounting", "recording", "weight / N", "minus mean / mN", "over its U")
+
+    def spread(of: Callable[[RotationScatter], float]) -> Callable[[RotationScatter], str]:
+        return lambda scatter: small(MILLI * of(scatter)) if np.isfinite(of(scatter)) else DASH
+
     columns: list[TableColumn[RotationScatter]] = [
         page_column("state", lambda scatter: scatter.state, "l"),
         page_column("recordings", lambda scatter: f"{len(scatter.recordings)}"),
         page_column("mountings", lambda scatter: f"{len(set(scatter.mountings))}"),
-        page_column(f"{WITHIN} s / mN", lambda scatter: small(MILLI * scatter.within) if scatter.within_dof else DASH),
+        page_column(f"{WITHIN} s / mN", spread(lambda scatter: scatter.within)),
         page_column("dof", lambda scatter: f"{scatter.within_dof}"),
-        page_column(
-            f"{BETWEEN} s / mN", lambda scatter: small(MILLI * scatter.between) if scatter.between_dof else DASH
-        ),
+        page_column(f"{BETWEEN} s / mN", spread(lambda scatter: scatter.between)),
         page_column("dof", lambda scatter: f"{scatter.between_dof}"),
     ]
     beyond = "Scatter of the weight beyond noise and stated errors, of one recording and of one mounting"
@@ -299,10 +297,7 @@ def repeats_tables(evaluation: RotationEvaluation) -> list[Table]:
 
 
 def harmonics_table(recording: RotationRecording, indices: Sequence[int]) -> Table:
-    """Return the terms of some load components with U.
-
-    A small amplitude has an upper limit only.
-    """
+    """Return the terms of some load components with U, small amplitudes as bounds."""
     fit, components = recording.fit, [LOAD_COMPONENTS[i] for i in indices]
     rows: dict[str, list[str]] = {}
     for q in _terms(recording):
@@ -340,15 +335,9 @@ def budget_tables(evaluation: RotationEvaluation) -> list[Table]:
     """Return the budgets of masses, deviation of the load and centres, the largest contribution first."""
 
     def budget(caption: str, shown: Sequence[RotationQuantity]) -> Table:
-        names = sorted(
-            {
-                name
-                for q in shown
-                for name, u in q.budget.items()
-                if name != UNDETERMINED_SOURCE or u > MIN_UNDETERMINED_SHARE * q.u
-            },
-            key=lambda name: -max(q.budget.get(name, 0.0) / q.u for q in shown),
-        )
+        listed = {(name, u / q.u) for q in shown for name, u in q.budget.items()}
+        named = {name for name, share in listed if name != UNDETERMINED_SOURCE or share > MIN_UNDETERMINED_SHARE}
+        names = sorted(named, key=lambda name: -max(q.budget.get(name, 0.0) / q.u for q in shown))
         scale = SCALED[shown[0].unit][0]
         rows = [(name, *(small(scale * q.budget[name]) if name in q.budget else DASH for q in shown)) for name in names]
         rows.append(("combined, k = 1", *(small(scale * q.u) for q in shown)))
@@ -481,11 +470,7 @@ ROTATE = CommandReport("rotate", "rotation", ("rotation.csv",), _texts, _fill, _
 
 
 def run_rotate(paths: Sequence[Path], output: Path | None, *, force: bool = False, allow_outside: bool = False) -> None:
-    """Evaluate rotation recordings together, write the results and print the summary.
-
-    Of a campaign folder, only recordings of kind rotation are used. Results are written to its folder `rotate`, or to
-    that of the only recording, or of several paths to the folder of rig.toml; or to `output`.
-    """
+    """Evaluate rotation recordings together, write the results and print the summary."""
     manifests = load_for_command(paths, ROTATE.name, allow_outside=allow_outside)
     manifests.sort(key=lambda manifest: bool(manifest.excitation.with_load))
     name = manifests[0].name if len(manifests) == 1 else manifests[0].rig.name

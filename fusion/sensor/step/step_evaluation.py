@@ -6,22 +6,13 @@ import time
 from collections import defaultdict
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
-from typing import NamedTuple
 
 import numpy as np
 
 from fusion.errors import ComputeError, InputError
 from fusion.recording.load import Manifest, check_one_rig
+from fusion.sensor import model_notices as declared
 from fusion.sensor.model_files import ModelEntry
-from fusion.sensor.step.step_notices import (
-    COMPONENT_WITHOUT_MODEL,
-    GAIN_DEVIATES,
-    GAIN_NOT_STATED,
-    MISSING_STEP_ENTRY,
-    NO_REAL_POLE,
-    NO_STEP_MODEL,
-    RELEASES_SELECTED,
-)
 from fusion.sensor.step.step_records import StepSettings, index_quantities, parameter_quantities, pool_models
 from fusion.sensor.step.step_releases import (
     StepComponent,
@@ -41,7 +32,6 @@ from fusion.sensor.step.step_releases import (
 from fusion.sensor.unmodelled_effects import coverage_notice, stated_influences
 from shaker.labels import LOAD_COMPONENTS, sensitivity_unit
 from shaker.lti.system import ModalModel
-from shakercal._common.arrays import ComplexArray, FloatArray
 from shakercal._common.notices import Notice
 
 # One load component: model, indices, release devices and methods.
@@ -50,10 +40,7 @@ from shakercal._common.notices import Notice
 def evaluate_component(
     releases: Sequence[StepRelease], settings: StepSettings
 ) -> tuple[StepComponent, tuple[Notice, ...]]:
-    """Return model and results of the releases of one component.
-
-    All must drive the same output.
-    """
+    """Return model and results of the releases of one component and one driven output."""
     first, fitted = releases[0], fit_component(releases, settings)
     component, channel, manifest, used = first.record.component, first.driven, first.manifest, fitted.chosen
     unit, names, notices = sensitivity_unit(first.record.unit, component), [r.name for r in used], [*fitted.notices]
@@ -72,7 +59,7 @@ def evaluate_component(
         rows = tuple(method_row(release.fit, release.name) for release in result.releases if release.fit is not None)
         result = replace(result, methods=rows)
     if not used:
-        notices.append(Notice(COMPONENT_WITHOUT_MODEL, component, channel=channel, reason=fitted.reason))
+        notices.append(Notice(declared.COMPONENT_WITHOUT_MODEL, component, channel=channel, reason=fitted.reason))
         return result, tuple(notices)
     fits = [(release, release.fit) for release in used if release.fit is not None]
     models = [release.shapes[0].model for release in used if release.shapes[0].model is not None]
@@ -98,9 +85,8 @@ def evaluate_component(
         scatter=pooled.scatter if pooled.scatter_dof else None,
         outside=influences.outside,
     )
-    parameters = parameter_quantities(pooled, unit)
-    result = replace(result, pooled=pooled, parameters=parameters, figures=found.quantities, entry=entry)
-    result = replace(result, budget=found.budget, influences=influences)
+    result = replace(result, pooled=pooled, parameters=parameter_quantities(pooled, unit), entry=entry)
+    result = replace(result, figures=found.quantities, budget=found.budget, influences=influences)
     if settings.method == "all":
         by_rule = settings.release == "auto" and used[0].name not in fitted.refitted
         rows, of_methods = compare_methods(used[0], settings, [fits[0][1]] if by_rule else ())
@@ -114,20 +100,27 @@ def _remarks(
     """Yield notices on selected releases, coverage of U, and deviations from stated values."""
     where, channel = result.component, result.channel
     if len(result.ropes) > 1:
-        yield Notice(RELEASES_SELECTED, where, channel=channel, reason=result.reason)
+        yield Notice(declared.RELEASES_SELECTED, where, channel=channel, reason=result.reason)
     yield coverage_notice(result.scope, result.influences.outside, "models")
     for notice in of_indices:
         yield notice.at(f"{where}, {notice.where}")
     if not len(model.real_hz):
-        yield Notice(NO_REAL_POLE, where, channel=channel)
+        yield Notice(declared.NO_REAL_POLE, where, channel=channel)
     if stated is None:
-        yield Notice(GAIN_NOT_STATED, where)
+        yield Notice(declared.GAIN_NOT_STATED, where)
     over = result.gains[0].normalised
     if over is not None and abs(over) > 1.0:
-        yield Notice(GAIN_DEVIATES, where, channel=channel, ratio=abs(over))
+        yield Notice(declared.GAIN_DEVIATES, where, channel=channel, ratio=abs(over))
 
 
 # From recordings of releases to models of a sensor's components.
+
+_WITHOUT_MODEL = (
+    declared.RELEASE_WITHOUT_MODEL.code,
+    declared.STRUCTURE_NOT_FOUND.code,
+    declared.COMPONENT_WITHOUT_MODEL.code,
+)
+"""Codes of the notices that state why there is no model."""
 
 
 def evaluate_steps(
@@ -171,8 +164,8 @@ def evaluate_steps(
             components.append(result)
             notices += found
     if all(result.pooled is None for result in components):
-        why = next(notice for notice in notices if notice.severity == "warning")
-        raise ComputeError(NO_STEP_MODEL, recording=why.where, reason=why.text)
+        why = next(notice for notice in notices if notice.code in _WITHOUT_MODEL)
+        raise ComputeError(declared.NO_STEP_MODEL, recording=why.where, reason=why.text)
     return StepEvaluation(
         name=name,
         rig=manifests[0].rig,
@@ -185,10 +178,7 @@ def evaluate_steps(
 
 
 def _read(manifests: Sequence[Manifest], settings: StepSettings) -> tuple[dict[str, list[StepRelease]], list[Notice]]:
-    """Return releases of one rig by component.
-
-    Those of one component must drive the same output.
-    """
+    """Return releases of one rig by component, each driving one output."""
     releases, notices = defaultdict[str, list[StepRelease]](list), list[Notice]()
     check_one_rig(manifests)
     for manifest in manifests:
@@ -199,74 +189,5 @@ def _read(manifests: Sequence[Manifest], settings: StepSettings) -> tuple[dict[s
         check_driven_output(releases[component][0], release)
         if settings.release == "measured" and release.record.force is None:
             expected = "the name of the force channel, for --release measured"
-            raise InputError(MISSING_STEP_ENTRY, manifest.path, "excitation.force", expected=expected)
+            raise InputError(declared.MISSING_STEP_ENTRY, manifest.path, "excitation.force", expected=expected)
     return releases, notices
-
-
-# The response over frequency of a release, without a model.
-
-FINAL_FRACTION = 20  # the last 1/20 of a force's record determines its final level
-MIN_EXCITATION = 0.2  # ratio to the spectrum of an ideal step below which a release excites too little
-
-
-class MeasuredResponse(NamedTuple):
-    """Output over load (K,) at frequencies (K,) in Hz.
-
-    `u` (K,): r.m.s. contribution of white noise.
-    """
-
-    frequency_hz: FloatArray
-    value: ComplexArray
-    u: FloatArray
-
-
-def measured_response(release: StepRelease) -> MeasuredResponse:
-    """Return output over load of one release from the spectra of derivatives.
-
-    H(f) = Y'(f)/X'(f), where Y' = jω·Y is the spectrum of the differences of the samples, exact below half the sampling
-    rate. X' = A·s(f)·exp(-jωt) with t the middle of the release. s = sin(πfT)/(πfT) for a load that changes linearly
-    over T, and cos(πfT)/(1 - (2fT)²) for half a cosine. If the load was measured, X' is the spectrum of its samples.
-    Frequencies at which the release excites less than a fifth of an ideal step are rejected. Only samples from the
-    onset on are used.
-    """
-    record = release.record
-    step = 1.0 / record.sample_rate_hz
-    onset = release.reading.onset_s if release.fit is None else release.fit.onset_s
-    first = max(0, int((onset - record.start_s) / step) - 3)
-    samples = record.samples[record.channels.index(release.driven), first:]
-    start_s = record.start_s + first * step
-    ends = release.reading.baseline, release.reading.steady
-    frequency, moved = _derivative(samples, ends, start_s, step)
-    if record.force is not None:
-        force = record.force[first:]
-        ends = float(record.force[: max(first, 1)].mean()), float(force[-max(1, len(force) // FINAL_FRACTION) :].mean())
-        driven = _derivative(force, ends, start_s, step)[1]
-    else:
-        turn = frequency * release.release_s
-        share = np.sinc(turn)
-        if release.shape == "smooth":
-            near = np.abs(1.0 - (2.0 * turn) ** 2) < 1e-9
-            below = np.where(near, 1.0, 1.0 - (2.0 * turn) ** 2)
-            share = np.where(near, np.pi / 4.0, np.cos(np.pi * turn) / below)
-        middle = np.exp(-2j * np.pi * frequency * (onset + 0.5 * release.release_s))
-        driven = record.amplitude * share * middle
-    excited = (np.abs(driven) >= MIN_EXCITATION * abs(record.amplitude)) & (frequency > 0.0)
-    noise = 2.0 * np.pi * frequency * release.reading.noise * step * np.sqrt(len(samples))
-    return MeasuredResponse(
-        frequency[excited], moved[excited] / driven[excited], noise[excited] / np.abs(driven[excited])
-    )
-
-
-def _derivative(
-    samples: FloatArray, ends: tuple[float, float], start_s: float, step_s: float
-) -> tuple[FloatArray, ComplexArray]:
-    """Return frequencies (K,) and spectrum (K,) of the derivative of samples (N,) between two levels.
-
-    The sum of the differences times exp(-jωt) is corrected by ωΔ/(2 sin(ωΔ/2)), the ratio of derivative and difference.
-    """
-    change = np.diff(samples, prepend=ends[0], append=ends[1])
-    frequency = np.fft.rfftfreq(len(change), step_s)[:-1]
-    turn = np.pi * frequency * step_s
-    wide = np.divide(turn, np.sin(turn), out=np.ones_like(turn), where=turn > 0.0)
-    spectrum = np.fft.rfft(change)[:-1] * wide
-    return np.asarray(frequency), np.asarray(spectrum * np.exp(-2j * np.pi * frequency * (start_s - 0.5 * step_s)))

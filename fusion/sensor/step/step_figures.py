@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from typing import NamedTuple
 
 import numpy as np
 
@@ -22,12 +23,11 @@ from fusion.report.figure import (
     frequency_axis,
     power_of_ten,
 )
-from fusion.sensor.step.step_evaluation import measured_response
 from fusion.sensor.step.step_records import PooledModel
 from fusion.sensor.step.step_releases import LABELS, StepComponent, StepRelease
 from shaker.labels import typeset
 from shaker.lti.system import ModalModel
-from shakercal._common.arrays import FloatArray
+from shakercal._common.arrays import ComplexArray, FloatArray
 
 BEFORE, AFTER = 0.6, 8.0
 """Periods of the lowest mode that the enlarged panel shows before the onset and after the release."""
@@ -107,7 +107,7 @@ def draw_devices(name: str, component: StepComponent) -> Figure:
     for index, device in enumerate(component.ropes):
         release = next(release for release in component.releases if release.name in device.releases)
         record, reading = release.record, release.reading
-        time = record.time_s - (reading.onset_s if release.fit is None else release.fit.onset_s)
+        time = record.time_s - release.timing.onset_s
         shown = (time >= -0.1 * span) & (time <= span)
         level = record.samples[record.channels.index(release.driven)][shown]
         share = (level - reading.baseline) / (reading.steady - reading.baseline)
@@ -182,10 +182,7 @@ def draw_model(name: str, component: StepComponent, pooled: PooledModel) -> Figu
 
 
 def draw_convergence(name: str, losses: list[tuple[str, str, FloatArray, int | None]]) -> Figure:
-    """Draw the loss of each method over order or generation.
-
-    A ring marks the selected order.
-    """
+    """Draw the loss of each method; a ring marks the selected order."""
     drawn = empty_figure(name, 2.7, 1, len(losses))
     for panel, colour, (label, over, loss, chosen) in zip(drawn.panels, COLOURS, losses, strict=False):
         number = np.arange(1, len(loss) + 1)
@@ -212,3 +209,69 @@ def _modes_hz(model: ModalModel) -> FloatArray:
 
 def _period_s(model: ModalModel | None) -> float:
     return 1e-3 if model is None else 1.0 / float(np.min(_modes_hz(model)))
+
+
+# The response over frequency of a release, without a model.
+
+FINAL_FRACTION = 20  # the last 1/20 of a force's record determines its final level
+MIN_EXCITATION = 0.2  # ratio to the spectrum of an ideal step below which a release excites too little
+
+
+class MeasuredResponse(NamedTuple):
+    """Output over load (K,) at frequencies in Hz; `u`: r.m.s. of white noise."""
+
+    frequency_hz: FloatArray
+    value: ComplexArray
+    u: FloatArray
+
+
+def measured_response(release: StepRelease) -> MeasuredResponse:
+    """Return output over load of one release from the spectra of derivatives.
+
+    H(f) = Y'(f)/X'(f), where Y' = jω·Y is the spectrum of the differences of the samples, exact below half the sampling
+    rate. X' = A·s(f)·exp(-jωt) with t the middle of the release. s = sin(πfT)/(πfT) for a load that changes linearly
+    over T, and cos(πfT)/(1 - (2fT)²) for half a cosine. If the load was measured, X' is the spectrum of its samples.
+    Frequencies at which the release excites less than a fifth of an ideal step are rejected. Only samples from the
+    onset on are used.
+    """
+    record = release.record
+    step = 1.0 / record.sample_rate_hz
+    timing = release.timing
+    onset, lasts = timing.onset_s, timing.release_s
+    first = max(0, int((onset - record.start_s) / step) - 3)
+    samples = record.samples[record.channels.index(release.driven), first:]
+    start_s = record.start_s + first * step
+    ends = release.reading.baseline, release.reading.steady
+    frequency, moved = _derivative(samples, ends, start_s, step)
+    if record.force is not None:
+        force = record.force[first:]
+        ends = float(record.force[: max(first, 1)].mean()), float(force[-max(1, len(force) // FINAL_FRACTION) :].mean())
+        driven = _derivative(force, ends, start_s, step)[1]
+    else:
+        turn = frequency * lasts
+        share = np.sinc(turn)
+        if timing.shape == "smooth":
+            near = np.abs(1.0 - (2.0 * turn) ** 2) < 1e-9
+            below = np.where(near, 1.0, 1.0 - (2.0 * turn) ** 2)
+            share = np.where(near, np.pi / 4.0, np.cos(np.pi * turn) / below)
+        middle = np.exp(-2j * np.pi * frequency * (onset + 0.5 * lasts))
+        driven = record.amplitude * share * middle
+    excited = (np.abs(driven) >= MIN_EXCITATION * abs(record.amplitude)) & (frequency > 0.0)
+    noise = 2.0 * np.pi * frequency * release.reading.noise * step * np.sqrt(len(samples))
+    driven = driven[excited]
+    return MeasuredResponse(frequency[excited], moved[excited] / driven, noise[excited] / np.abs(driven))
+
+
+def _derivative(
+    samples: FloatArray, ends: tuple[float, float], start_s: float, step_s: float
+) -> tuple[FloatArray, ComplexArray]:
+    """Return frequencies (K,) and spectrum (K,) of the derivative of samples (N,) between two levels.
+
+    The sum of the differences times exp(-jωt) is corrected by ωΔ/(2 sin(ωΔ/2)), the ratio of derivative and difference.
+    """
+    change = np.diff(samples, prepend=ends[0], append=ends[1])
+    frequency = np.fft.rfftfreq(len(change), step_s)[:-1]
+    turn = np.pi * frequency * step_s
+    wide = np.divide(turn, np.sin(turn), out=np.ones_like(turn), where=turn > 0.0)
+    spectrum = np.fft.rfft(change)[:-1] * wide
+    return np.asarray(frequency), np.asarray(spectrum * np.exp(-2j * np.pi * frequency * (start_s - 0.5 * step_s)))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from typing import Literal, NamedTuple
 
@@ -13,14 +13,7 @@ from fusion.estimation.coverage import NamedQuantity
 from fusion.recording.daq_records import read_daqs
 from fusion.recording.load import Manifest
 from fusion.recording.manifest import ChannelEntry
-from fusion.sensor.step.step_notices import (
-    CHAIN_IN_MODEL,
-    DUPLICATE_OUTPUT,
-    FILTER_IN_MODEL,
-    MISSING_STEP_ENTRY,
-    ONSET_OUTSIDE_RECORD,
-    WRONG_FORCE_CHANNEL,
-)
+from fusion.sensor import model_notices as declared
 from fusion.sensor.transfer.transfer_records import AlignedChannels, align
 from fusion.sensor.unmodelled_effects import NO_INFLUENCES, ModelInfluences
 from shaker.lti.indices import LABELS, SETTLING, find_figure_range, indices, moving_figures, settling_u, unit_of
@@ -29,6 +22,7 @@ from shaker.release.record import StepRecord
 from shaker.timebase.edges import kernel_reach, resample
 from shakercal._common.arrays import FloatArray
 from shakercal._common.notices import Notice
+from shakercal._common.propagation import derivatives
 
 # Choices of an identification from step responses.
 
@@ -79,20 +73,17 @@ class StepInput:
 
 
 def output_entries(manifest: Manifest) -> dict[str, tuple[str, ChannelEntry]]:
-    """Return block and entry of every output of the sensor by its name.
-
-    Raises `InputError` if there is no output, or a duplicate.
-    """
+    """Return block and entry of every output by name; `InputError` without or twice."""
     outputs: dict[str, tuple[str, ChannelEntry]] = {}
     recorded = [(daq.name, entry) for daq in manifest.daq for entry in daq.channel if entry.quantity == "output"]
     for block, entry in recorded:
         name = entry.channel or entry.name
         if name in outputs:
-            raise InputError(DUPLICATE_OUTPUT, manifest.path, "daq.channel", output=name)
+            raise InputError(declared.DUPLICATE_OUTPUT, manifest.path, "daq.channel", output=name)
         outputs[name] = block, entry
     if not outputs:
         expected = 'a channel with quantity = "output"'
-        raise InputError(MISSING_STEP_ENTRY, manifest.path, "daq.channel", expected=expected)
+        raise InputError(declared.MISSING_STEP_ENTRY, manifest.path, "daq.channel", expected=expected)
     return outputs
 
 
@@ -107,7 +98,9 @@ def read_step(manifest: Manifest) -> StepInput:
     selected = [*outputs.values(), *_force(manifest)]
     aligned = _without_delays(align(manifest, read_daqs(manifest), selected, "daq"))
     if excitation.component is None or excitation.step_amplitude is None:
-        raise InputError(MISSING_STEP_ENTRY, manifest.path, "excitation.component", expected="the load of the step")
+        raise InputError(
+            declared.MISSING_STEP_ENTRY, manifest.path, "excitation.component", expected="the load of the step"
+        )
     record = StepRecord(
         name=manifest.folder.name,
         channels=tuple(outputs),
@@ -124,19 +117,15 @@ def read_step(manifest: Manifest) -> StepInput:
     )
     end_s = record.start_s + (record.samples.shape[1] - 1) / record.sample_rate_hz
     if record.onset_s is not None and not record.start_s < record.onset_s < end_s:
+        path, start_s, found_s = manifest.path, record.start_s, record.onset_s
         raise InputError(
-            ONSET_OUTSIDE_RECORD,
-            manifest.path,
-            "excitation.onset",
-            start_s=record.start_s,
-            end_s=end_s,
-            found_s=record.onset_s,
+            declared.ONSET_OUTSIDE_RECORD, path, "excitation.onset", start_s=start_s, end_s=end_s, found_s=found_s
         )
-    notices = [*aligned.notices]
-    if chained := ", ".join(channel.entry.name for channel in aligned.channels if channel.entry.response is not None):
-        notices.append(Notice(CHAIN_IN_MODEL, record.name, channels=chained))
-    if late := ", ".join(channel.entry.name for channel in aligned.channels if channel.entry.filter_delay_s > 0.0):
-        notices.append(Notice(FILTER_IN_MODEL, record.name, channels=late))
+    notices, entries = [*aligned.notices], [channel.entry for channel in aligned.channels]
+    if chained := ", ".join(entry.name for entry in entries if entry.response is not None):
+        notices.append(Notice(declared.CHAIN_IN_MODEL, record.name, channels=chained))
+    if late := ", ".join(entry.name for entry in entries if entry.filter_delay_s > 0.0):
+        notices.append(Notice(declared.FILTER_IN_MODEL, record.name, channels=late))
     return StepInput(manifest, record, tuple(notices))
 
 
@@ -148,7 +137,7 @@ def _force(manifest: Manifest) -> list[tuple[str, ChannelEntry]]:
     named = [(daq.name, entry) for daq in manifest.daq for entry in daq.channel if entry.name == name]
     if len(named) != 1 or named[0][1].quantity != "force":
         found = f'"{name}", of quantity {named[0][1].quantity}' if len(named) == 1 else f'"{name}" {len(named)} times'
-        raise InputError(WRONG_FORCE_CHANNEL, manifest.path, "excitation.force", found=found)
+        raise InputError(declared.WRONG_FORCE_CHANNEL, manifest.path, "excitation.force", found=found)
     return named
 
 
@@ -246,10 +235,7 @@ class PooledModel:
         return np.asarray(np.sqrt(variance + common)), np.asarray(dof)
 
     def budget(self, gradient: FloatArray, influences: ModelInfluences) -> dict[str, FloatArray]:
-        """Return the contributions to u by cause, (Q,) each, of numbers with gradients (Q, P).
-
-        Their squares add up to u².
-        """
+        """Return contributions to u (Q,) by cause, with squares that add up to u²."""
         shared, other = {OF_SCALES: np.abs(gradient @ self.scale)}, gradient @ self.external_changes.T
         if len(self.shapes):
             shared[OF_SHAPES] = np.linalg.norm(gradient @ self.shapes.T, axis=1)
@@ -270,10 +256,7 @@ def effective_dof(variance: FloatArray, of_scatter: FloatArray, dof: float) -> F
 
 
 class AlternativeModels(NamedTuple):
-    """The models of all releases if one device had the other shape.
-
-    `distance`: in standard uncertainties.
-    """
+    """All releases' models if one device had the other shape; distance in u."""
 
     models: Sequence[ModalModel]
     distance: float
@@ -297,11 +280,10 @@ def pool_models(
     ordered = [sorted_modes(model) for model in models]
     scale = scale_of(ordered[0])
     vectors, covariances = _in_coordinates(ordered, scale)
-    others = [[to_coordinates(sorted_modes(model), scale) for model in other.models] for other in alternatives]
-    moved = [
-        (np.array(alternative) - vectors) / other.distance
-        for alternative, other in zip(others, alternatives, strict=True)
-    ]
+    moved = []
+    for alternative in alternatives:
+        there = np.array([to_coordinates(sorted_modes(model), scale) for model in alternative.models])
+        moved.append((there - vectors) / alternative.distance)
     least = ROUNDING * coordinate_sizes(vectors[0], len(ordered[0].real_hz))
     groups = [np.flatnonzero(np.array(mountings) == name) for name in dict.fromkeys(mountings)]
     within = [random_effects_mean(vectors[group], covariances[group], least) for group in groups]
@@ -325,18 +307,13 @@ def pool_models(
 
 
 def _in_coordinates(models: Sequence[ModalModel], scale: float) -> tuple[FloatArray, FloatArray]:
-    """Return coordinates (N, P) of models and their covariances (N, P, P).
-
-    Covariances are 0 for parameters that are rounding only.
-    """
+    """Return coordinates (N, P) and covariances (N, P, P), 0 where they are rounding."""
     vectors, covariances = [], []
     for model in models:
         stated = np.zeros((len(model.vector),) * 2) if model.covariance is None else model.covariance
         coordinates, slope = replace(model, covariance=stated).jacobian(lambda at: to_coordinates(at, scale))
-        covariance = slope @ stated @ slope.T
-        determined = np.sqrt(np.maximum(np.diag(covariance), 0.0)) > ROUNDING * coordinate_sizes(
-            coordinates, len(model.real_hz)
-        )
+        covariance, least = slope @ stated @ slope.T, ROUNDING * coordinate_sizes(coordinates, len(model.real_hz))
+        determined = np.sqrt(np.maximum(np.diag(covariance), 0.0)) > least
         vectors.append(coordinates)
         covariances.append(covariance * np.outer(determined, determined))
     return np.stack(vectors), np.stack(covariances)
@@ -346,12 +323,11 @@ def _back(model: ModalModel, mean: VectorMean, scale: float) -> tuple[FloatArray
     """Return the parameters (P,) of mean coordinates and their derivatives (P, P) by central differences."""
     modes, reals = len(model.frequency_hz), len(model.real_hz)
     step = np.maximum(STEP * np.sqrt(np.diag(mean.covariance)), 10.0 * ROUNDING * coordinate_sizes(mean.value, reals))
-    slope = np.zeros((len(step), len(step)))
-    for index, by in enumerate(step):
-        move = by * np.eye(len(step))[index]
-        up, down = (from_coordinates(mean.value + sign * move, modes, reals, scale) for sign in (1.0, -1.0))
-        slope[:, index] = (up - down) / (2.0 * by)
-    return from_coordinates(mean.value, modes, reals, scale), slope
+
+    def parameters(move: FloatArray) -> FloatArray:
+        return from_coordinates(mean.value + move, modes, reals, scale)
+
+    return parameters(np.zeros(len(step))), derivatives(parameters, step)
 
 
 def random_effects_mean(vectors: FloatArray, covariances: FloatArray, rounding: FloatArray | float = 0.0) -> VectorMean:
@@ -439,17 +415,21 @@ def index_quantities(
     discontinuous in steps of half periods. Their uncertainty is that of `settling_u` with the degrees of freedom of the
     damping ratio.
     """
-    found = indices(pooled.model.system, nominal or 1.0, sample_rate_hz)
-    names, moving = moving_figures(pooled.model, found)
-    slope = pooled.model.jacobian(moving)[1]
-    seen = find_figure_range(
-        np.asarray(pooled.model.covariance), slope, _figures_of(pooled.model, names, nominal or 1.0)
-    )
+    model = pooled.model
+    found = indices(model.system, nominal or 1.0, sample_rate_hz)
+    names, moving = moving_figures(model, found)
+    slope = model.jacobian(moving)[1]
+
+    def figures(move: FloatArray) -> FloatArray:  # NaN for an index that is not defined
+        moved = indices(model.with_move(move).system, nominal or 1.0).figures()
+        return np.array([moved[name] for name in names], dtype=np.float64)
+
+    seen = find_figure_range(np.asarray(model.covariance), slope, figures)
     u, dof = pooled.spread(slope)
     u, dof = (seen.factor * u).tolist(), dof.tolist()
     estimated = dict(zip(names, zip(u, dof, strict=True), strict=True))
     of_damping = estimated.get("damping_ratio", (0.0, np.inf))[1]
-    estimated |= {name: (settling_u(pooled.model, tolerance), of_damping) for name, tolerance in SETTLING.items()}
+    estimated |= {name: (settling_u(model, tolerance), of_damping) for name, tolerance in SETTLING.items()}
     quantities = []
     for name, value in found.figures().items():
         if value is not None and np.isfinite(value) and (nominal is not None or "nominal" not in name):
@@ -459,16 +439,3 @@ def index_quantities(
     parts = pooled.budget(slope, influences)
     budget = {cause: dict(zip(names, (seen.factor * part).tolist(), strict=True)) for cause, part in parts.items()}
     return IndexResults(tuple(quantities), (*found.notices, *seen.notices(names)), budget)
-
-
-def _figures_of(model: ModalModel, names: Sequence[str], nominal: float) -> Callable[[FloatArray], FloatArray]:
-    """Return a function from a change of the model's parameters to indices (Q,).
-
-    NaN for an index that is not defined.
-    """
-
-    def figures(move: FloatArray) -> FloatArray:
-        found = indices(model.with_move(move).system, nominal).figures()
-        return np.array([found[name] for name in names], dtype=np.float64)
-
-    return figures

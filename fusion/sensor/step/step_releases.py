@@ -7,29 +7,17 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 from itertools import chain
-from typing import NamedTuple
+from typing import Literal, NamedTuple
 
 import numpy as np
 
-from fusion.base import CommandEvaluation
+from fusion.base import CommandEvaluation, count_text
 from fusion.errors import InputError
 from fusion.estimation.coverage import NamedQuantity, RealQuantity
 from fusion.recording.load import Manifest
 from fusion.recording.rig import Rig
+from fusion.sensor import model_notices as declared
 from fusion.sensor.model_files import ModelEntry
-from fusion.sensor.step.step_notices import (
-    CLIPPED_OUTPUT,
-    DRIVEN_OUTPUT_CLIPPED,
-    DRIVEN_OUTPUT_MISSING,
-    METHOD_REMARK,
-    METHOD_WITHOUT_MODEL,
-    NO_STEP_FOUND,
-    OTHER_DRIVEN_OUTPUT,
-    RELEASE_WITHOUT_MODEL,
-    RELEASES_REFITTED,
-    SHAPE_OF_DEVICE_UNDETERMINED,
-    STRUCTURE_NOT_FOUND,
-)
 from fusion.sensor.step.step_records import (
     AlternativeModels,
     PooledModel,
@@ -43,7 +31,7 @@ from shaker.labels import LOAD_COMPONENTS
 from shaker.lti.indices import Indices, indices
 from shaker.lti.system import ModalModel
 from shaker.release.reading import ReleaseKind, compare_releases, read_releases
-from shaker.release.record import ReleaseReading, ReleaseShape, StepRecord
+from shaker.release.record import ReleaseReading, StepRecord
 from shaker.release.step_fit import (
     METHODS,
     Method,
@@ -94,19 +82,9 @@ class StepRelease:
         return self.readings[0]
 
     @property
-    def release_s(self) -> float:
-        """Duration of the change of load: of the fit, else as read."""
-        return self.reading.release_s if self.fit is None else self.fit.release_s
-
-    @property
-    def u_release_s(self) -> float:
-        """Standard uncertainty of `release_s`."""
-        return self.reading.u_release_s if self.fit is None else self.fit.u_release_s
-
-    @property
-    def shape(self) -> ReleaseShape:
-        """Shape of the change of load: of the fit, else as read."""
-        return self.reading.shape if self.fit is None else self.fit.shape
+    def timing(self) -> StepFit | ReleaseReading:
+        """Onset, duration and shape of the change of load: of the fit, else as read."""
+        return self.reading if self.fit is None else self.fit
 
     @property
     def structure(self) -> tuple[int, int] | None:
@@ -118,22 +96,15 @@ class StepRelease:
 def check_driven_output(first: StepRelease, other: StepRelease) -> None:
     """Raise `InputError` if a release drives another output than the first of its component."""
     if other.driven != first.driven:
+        path, expected, found = other.manifest.path, first.driven, other.driven
         raise InputError(
-            OTHER_DRIVEN_OUTPUT,
-            other.manifest.path,
-            "daq.channel",
-            expected=first.driven,
-            recording=first.name,
-            found=other.driven,
+            declared.OTHER_DRIVEN_OUTPUT, path, "daq.channel", expected=expected, recording=first.name, found=found
         )
 
 
 @dataclass(frozen=True)
 class StaticGain(RealQuantity):
-    """Change of an output over that of the load, mean of all releases.
-
-    `stated` with `u_stated`: the static sensitivity of rig.toml, None without one.
-    """
+    """Mean static gain of an output; `stated`, `u_stated`: of rig.toml, None without one."""
 
     channel: str
     releases: int
@@ -251,7 +222,7 @@ def read_recording(manifest: Manifest) -> tuple[StepRelease, tuple[Notice, ...]]
     if name not in record.channels:  # of outputs named otherwise the one that changes most
         if sensor is not None and name in sensor.channels:
             found = ", ".join(record.channels)
-            raise InputError(DRIVEN_OUTPUT_MISSING, manifest.path, "daq.channel", expected=name, found=found)
+            raise InputError(declared.DRIVEN_OUTPUT_MISSING, manifest.path, "daq.channel", expected=name, found=found)
         size = max(1, record.samples.shape[1] // 20)
         change = record.samples[:, -size:].mean(axis=1) - record.samples[:, :size].mean(axis=1)
         name = record.channels[int(np.argmax(np.abs(change)))]
@@ -262,13 +233,15 @@ def read_recording(manifest: Manifest) -> tuple[StepRelease, tuple[Notice, ...]]
         raise InputError.from_exception(error, manifest.path, key) from error
     driven, key = readings.pop(name), f"daq.channel.{output_entries(manifest)[name][1].name}"
     if driven.clipped:
-        raise InputError(DRIVEN_OUTPUT_CLIPPED, manifest.path, key)
+        raise InputError(declared.DRIVEN_OUTPUT_CLIPPED, manifest.path, key)
     if abs(driven.static_gain) <= CLEAR * driven.u_static_gain:
         change = float(driven.steady - driven.baseline)
-        raise InputError(NO_STEP_FOUND, manifest.path, key, component=driven.component, change=change, unit=driven.unit)
+        raise InputError(
+            declared.NO_STEP_FOUND, manifest.path, key, component=driven.component, change=change, unit=driven.unit
+        )
     clipped = [other.channel for other in readings.values() if other.clipped]
     notices = [
-        *(Notice(CLIPPED_OUTPUT, record.name, channel=channel) for channel in clipped),
+        *(Notice(declared.CLIPPED_OUTPUT, record.name, channel=channel) for channel in clipped),
         *(notice.at(f"{record.name}: {name}") for notice in driven.notices),
     ]
     others = [reading for reading in readings.values() if not reading.clipped]
@@ -283,19 +256,13 @@ def fit_release(
     `structure` (modes, real poles) is selected by rule if None. If no model is found, the release has none and a notice
     gives the reason.
     """
-    modes, real_poles = structure or (settings.modes, settings.real_poles)
+    counts = structure or (settings.modes, settings.real_poles)
+    method: Literal["arx", "pencil"] = "arx" if settings.method == "arx" else "pencil"
+    shape = None if settings.release == "auto" else settings.release
     try:
-        shapes = fit_shapes(
-            release.record,
-            release.driven,
-            release.reading,
-            modes,
-            real_poles,
-            "arx" if settings.method == "arx" else "pencil",
-            None if settings.release == "auto" else settings.release,
-        )
+        shapes = fit_shapes(release.record, release.driven, release.reading, *counts, method, shape)
     except FAILURES as error:
-        notice = Notice(RELEASE_WITHOUT_MODEL, release.name, channel=release.driven, reason=str(error))
+        notice = Notice(declared.RELEASE_WITHOUT_MODEL, release.name, channel=release.driven, reason=str(error))
         return release, (notice,)
     return replace(release, fit=merge_alternatives(shapes), shapes=shapes), ()
 
@@ -324,22 +291,15 @@ def fit_common_shape(releases: Sequence[StepRelease]) -> tuple[StepRelease, ...]
 def alternative_shapes(
     releases: Sequence[StepRelease], component: str
 ) -> Iterator[tuple[AlternativeModels, Notice | None]]:
-    """Yield alternative models for each device whose releases do not reject the other shape.
-
-    Each with a notice of the difference, None if it is small.
-    """
+    """Yield models of the other shape of undetermined devices, each with a notice if different."""
     for device in dict.fromkeys(release.record.release for release in releases if release.excess < REJECT_CHI2):
         undetermined = [release.record.release == device and release.excess < REJECT_CHI2 for release in releases]
         models = [release.shapes[int(other)].model for release, other in zip(releases, undetermined, strict=True)]
         first = releases[undetermined.index(True)]
         difference = describe_difference(first.shapes[0], first.shapes[1])
-        notice = (
-            Notice(SHAPE_OF_DEVICE_UNDETERMINED, component, device=device or UNNAMED, shapes=difference)
-            if difference
-            else None
-        )
+        notice = Notice(declared.SHAPE_OF_DEVICE_UNDETERMINED, component, device=device or UNNAMED, shapes=difference)
         alternatives = [model for model in models if model is not None]
-        yield AlternativeModels(alternatives, excess_chi2_sigmas(first.excess)), notice
+        yield AlternativeModels(alternatives, excess_chi2_sigmas(first.excess)), notice if difference else None
 
 
 # Selection of the releases for a component's model, and its structure.
@@ -362,7 +322,7 @@ def choose_releases(releases: Sequence[StepRelease]) -> tuple[tuple[StepRelease,
     devices = defaultdict[str, list[tuple[StepRelease, ModalModel]]](list)
     for release, model in models:
         devices[release.record.release].append((release, model))
-    length = {device: float(np.median([r.release_s for r, _ in group])) for device, group in devices.items()}
+    length = {device: float(np.median([r.timing.release_s for r, _ in group])) for device, group in devices.items()}
     fastest = min(length, key=lambda device: length[device])
     lowest = [float(model.frequency_hz.min()) for _, model in devices[fastest] if len(model.frequency_hz)]
     first_mode_hz = float(np.median(lowest)) if lowest else 0.0
@@ -409,8 +369,7 @@ class FittedReleases(NamedTuple):
 def fit_component(releases: Sequence[StepRelease], settings: StepSettings) -> FittedReleases:
     """Fit all releases of a component, and select those for its model.
 
-    Selected releases with a different structure than most are fitted found with that structure. They are rejected if
-    this fails.
+    Those of another structure than most are fitted again with that structure, and rejected if this fails.
     """
     fits, fit_notices = zip(*(fit_release(release, settings) for release in releases), strict=True)
     fitted, notices = fit_common_shape(fits), [*chain.from_iterable(fit_notices)]
@@ -419,21 +378,20 @@ def fit_component(releases: Sequence[StepRelease], settings: StepSettings) -> Fi
         return FittedReleases(fitted, (), reason, tuple(notices))
     structure = common_structure(chosen)
     counted = zip(structure, ("mode", "real pole"), strict=True)
-    structure_text = " and ".join(f"{count or 'no'} {kind}{'' if count == 1 else 's'}" for count, kind in counted)
+    structure_text = " and ".join(count_text(count, kind) if count else f"no {kind}s" for count, kind in counted)
     of_structure, refitted = dict[str, StepRelease](), list[str]()
     for release in chosen:
         found = release
         if release.structure != structure:
             found, _ = fit_release(replace(release, fit=None, shapes=()), settings, structure)
             if found.structure != structure:
-                notices.append(
-                    Notice(STRUCTURE_NOT_FOUND, release.name, channel=release.driven, structure=structure_text)
-                )
+                name, channel = release.name, release.driven
+                notices.append(Notice(declared.STRUCTURE_NOT_FOUND, name, channel=channel, structure=structure_text))
                 continue
             refitted.append(release.name)
         of_structure[release.name] = found
     if refitted:
-        notices.append(Notice(RELEASES_REFITTED, ", ".join(refitted), structure=structure_text))
+        notices.append(Notice(declared.RELEASES_REFITTED, ", ".join(refitted), structure=structure_text))
     used = {release.name: release for release in fit_common_shape([*of_structure.values()])}
     everything = tuple(used.get(release.name, release) for release in fitted)
     return FittedReleases(everything, tuple(used.values()), reason, tuple(notices), tuple(refitted))
@@ -455,10 +413,7 @@ LABELS: dict[Method, str] = {
 def compare_methods(
     release: StepRelease, settings: StepSettings, available: Sequence[StepFit] = ()
 ) -> tuple[tuple[MethodRow, ...], tuple[Notice, ...]]:
-    """Return the result of every method for a release, with notices.
-
-    `available`: existing fits by the same rules.
-    """
+    """Return the result of every method for a release; `available` fits are used."""
     rng, rows, notices = np.random.default_rng(SEED), list[MethodRow](), list[Notice]()
     by = partial(fit_all_methods, release.record, release.driven, rng=rng, reading=release.reading)
     existing = {fit.method: fit for fit in available}
@@ -466,10 +421,14 @@ def compare_methods(
         try:
             fit = existing.get(method) or by(methods=(method,), modes=settings.modes, real_poles=settings.real_poles)[0]
         except FAILURES as error:
-            notices.append(Notice(METHOD_WITHOUT_MODEL, release.name, method=LABELS[method], reason=str(error)))
+            notices.append(
+                Notice(declared.METHOD_WITHOUT_MODEL, release.name, method=LABELS[method], reason=str(error))
+            )
             continue
         rows.append(method_row(fit, release.name))
-        notices += [Notice(METHOD_REMARK, release.name, method=LABELS[method], remark=n.text) for n in fit.notices]
+        notices += [
+            Notice(declared.METHOD_REMARK, release.name, method=LABELS[method], remark=n.text) for n in fit.notices
+        ]
     return tuple(rows), tuple(notices)
 
 
@@ -523,20 +482,14 @@ def mean_with_scatter(value: FloatArray, u: FloatArray) -> tuple[float, float, f
 
 
 def scale_uncertainty(manifest: Manifest, channel: str) -> float:
-    """Return the relative u of output over load by both scales.
-
-    It is common to all releases.
-    """
+    """Return the relative u by both scales, common to all releases."""
     _, entry = output_entries(manifest)[channel]
     parts = (manifest.excitation.step_uncertainty, entry.scale_uncertainty, entry.individual_uncertainty)
     return float(np.sqrt(np.sum(np.square(parts))))
 
 
 def stated_gain(manifest: Manifest, channel: str, component: str) -> tuple[float | None, float]:
-    """Return the stated static sensitivity of an output for a component, and u.
-
-    None if rig.toml does not state it.
-    """
+    """Return the stated static sensitivity of an output, None without one, and u."""
     sensor = manifest.rig.sensor
     if sensor is None or sensor.static_sensitivity is None or channel not in sensor.channels:
         return None, 0.0
@@ -558,11 +511,8 @@ def group_by_device(releases: Sequence[StepRelease], used: Sequence[str]) -> tup
     for kind in compare_releases(readings):
         of_device = [release for release in releases if release.record.release == kind.release]
         names = tuple(release.name for release in of_device)
-        deviations = [
-            (r.shapes[1].release_s - r.release_s) / excess_chi2_sigmas(r.excess)
-            for r in of_device
-            if r.excess < REJECT_CHI2
-        ]
+        open_shape = [release for release in of_device if release.excess < REJECT_CHI2]
+        deviations = [(r.shapes[1].release_s - r.timing.release_s) / excess_chi2_sigmas(r.excess) for r in open_shape]
         u_mean = float(np.hypot(kind.length.u_mean, sum(deviations) / len(of_device)))
         shown = replace(kind, length=replace(kind.length, u_mean=u_mean))
         devices.append(ReleaseDevice(shown, names, not set(used).isdisjoint(names)))

@@ -161,10 +161,7 @@ NUMBERS: list[TableColumn[Number]] = [
 
 
 class BudgetPart(NamedTuple):
-    """The contribution of one cause to the u of an index.
-
-    `u` is None if the cause is not assessed (`status`).
-    """
+    """A contribution to the u of an index; `u` is None if not assessed."""
 
     component: str
     channel: str
@@ -176,10 +173,7 @@ class BudgetPart(NamedTuple):
 
 
 def budget_parts(component: StepComponent) -> Iterator[BudgetPart]:
-    """Yield the budget of every index by cause.
-
-    Squares of u add up to that in indices.csv.
-    """
+    """Yield the budget of every index by cause; squares add up to its u²."""
     for one in component.figures:
         head = component.component, component.channel, one.name
         for cause, parts in component.budget.items():
@@ -326,12 +320,8 @@ def page_context(evaluation: StepEvaluation) -> dict[str, Any]:
                 "name": component.component,
                 "channel": component.channel,
                 "reason": component.reason,
-                "indices": quantities_table(
-                    f"Indices of the model, with U {component.scope}", "index", component.figures
-                ),
-                "parameters": quantities_table(
-                    f"Parameters of the model, with U {component.scope}", "parameter", component.parameters
-                ),
+                "indices": quantities_table("index", "Indices", component.figures, component.scope),
+                "parameters": quantities_table("parameter", "Parameters", component.parameters, component.scope),
                 "budget": main_budget(component),
                 "releases": releases_table(component),
                 "ropes": ropes_table(component),
@@ -373,7 +363,7 @@ def summary_table(evaluation: StepEvaluation) -> Table | None:
     return table("Models of the driven outputs, with U", columns, evaluation.components)
 
 
-def quantities_table(caption: str, head: str, quantities: Sequence[NamedQuantity]) -> Table | None:
+def quantities_table(head: str, what: str, quantities: Sequence[NamedQuantity], scope: str) -> Table | None:
     """Return the parameters or the indices of a model."""
 
     def if_finite(text: Callable[[NamedQuantity], str]) -> Callable[[NamedQuantity], str]:
@@ -385,7 +375,7 @@ def quantities_table(caption: str, head: str, quantities: Sequence[NamedQuantity
         page_column("k", if_finite(lambda one: factor_text(one.k))),
         page_column("dof", if_finite(lambda one: degrees_of_freedom(one.dof))),
     ]
-    return table(caption, columns, quantities)
+    return table(f"{what} of the model, with U {scope}", columns, quantities)
 
 
 def main_budget(component: StepComponent) -> Table | None:
@@ -454,6 +444,12 @@ def gains_table(component: StepComponent) -> Table | None:
     def stated(gain: StaticGain) -> str:
         return DASH if gain.stated is None else quantity_text(scale * gain.stated, K2 * scale * gain.u_stated)
 
+    def share(gain: StaticGain) -> str:
+        return DASH if gain is driven else signed_text(PERCENT * gain.value / driven.value, ".3f")
+
+    def normalised(gain: StaticGain) -> str:
+        return DASH if gain.normalised is None else signed_text(gain.normalised)
+
     def peak(head: str, index: int) -> TableColumn[StaticGain]:
         return page_column(head, lambda gain: _peaks(component, gain.channel)[index])
 
@@ -461,14 +457,9 @@ def gains_table(component: StepComponent) -> Table | None:
         page_column("output", lambda gain: gain.channel, "l"),
         page_column(f"static gain / {unit}", lambda gain: quantity_text(scale * gain.value, scale * gain.expanded)),
         page_column("k", lambda gain: factor_text(gain.k)),
-        page_column(
-            f"of {driven.channel} / %",
-            lambda gain: DASH if gain is driven else signed_text(PERCENT * gain.value / driven.value, ".3f"),
-        ),
+        page_column(f"of {driven.channel} / %", share),
         page_column(f"stated / {unit}", stated),
-        page_column(
-            "difference over its U", lambda gain: DASH if gain.normalised is None else signed_text(gain.normalised)
-        ),
+        page_column("difference over its U", normalised),
         peak("first peak / Hz", 0),
         peak("second peak / Hz", 1),
         peak("its share / %", 2),
@@ -483,6 +474,7 @@ def methods_table(component: StepComponent) -> Table | None:
     def index(head: str, name: str, form: str, scale: float = 1.0) -> TableColumn[ByMethod]:
         return page_column(head, lambda by: signed_text(scale * by.figure(name), form))
 
+    unit = typeset(component.releases[0].record.unit)
     columns: list[TableColumn[ByMethod]] = [
         page_column("method", lambda by: LABELS[by.row.fit.method], "l"),
         page_column("recording", lambda by: by.row.recording, "l"),
@@ -492,10 +484,7 @@ def methods_table(component: StepComponent) -> Table | None:
         index("±5 % to / Hz", "band_5_hz", ".1f"),
         page_column("stable", lambda by: yes_or_no(by.row.fit.system.stable), "l"),
         page_column("fit / %", lambda by: signed_text(PERCENT * by.row.fit.variance_accounted, ".3f")),
-        page_column(
-            f"residual, r.m.s. / ({typeset(component.releases[0].record.unit)})",
-            lambda by: short(residual_rms(by.row.fit)),
-        ),
+        page_column(f"residual, r.m.s. / ({unit})", lambda by: short(residual_rms(by.row.fit))),
         page_column("time / s", lambda by: number(by.row.fit.duration_s)),
     ]
     return table("Methods", columns, (ByMethod(component, row) for row in component.methods))
@@ -529,10 +518,7 @@ def _mean_ms(spread: RepeatedMean) -> tuple[float, float]:
 
 
 def _peaks(component: StepComponent, channel: str) -> tuple[str, str, str]:
-    """Return the first and second peak of an output's spectrum.
-
-    Without a model, means over all releases.
-    """
+    """Return the peaks of an output's spectrum, means over the chosen or all releases."""
     releases = component.chosen or component.releases
     peaks = [reading.peaks for r in releases for reading in r.readings if reading.channel == channel]
     first = _mean_peak([found[0] for found in peaks if found])
@@ -543,10 +529,7 @@ def _peaks(component: StepComponent, channel: str) -> tuple[str, str, str]:
 
 
 def _mean_peak(peaks: Sequence[SpectrumPeak]) -> str:
-    """Return the mean frequency of peaks with U.
-
-    U is that of the readings, or of their scatter if it is larger.
-    """
+    """Return the mean frequency of peaks, U by readings or the larger scatter."""
     if not peaks:
         return DASH
     value = np.array([peak.frequency_hz for peak in peaks])
@@ -557,14 +540,9 @@ def _mean_peak(peaks: Sequence[SpectrumPeak]) -> str:
 
 
 def _gain_scale(component: StepComponent) -> tuple[float, str]:
-    """Return factor and unit for all gains of a component.
-
-    By the power of ten of the largest.
-    """
-    power, unit = (
-        round_to_uncertainty(max(abs(gain.value) for gain in component.gains), 0.0).exponent,
-        typeset(component.unit),
-    )
+    """Return factor and unit of a component's gains, by the power of the largest."""
+    power = round_to_uncertainty(max(abs(gain.value) for gain in component.gains), 0.0).exponent
+    unit = typeset(component.unit)
     return 10.0**-power, f"({power_text(power)} {unit})" if power else f"({unit})"
 
 
@@ -582,12 +560,7 @@ def run_step(
     force: bool = False,
     allow_outside: bool = False,
 ) -> None:
-    """Evaluate step recordings together, write the results and print the summary.
-
-    Of a campaign folder, only recordings of kind step are used. Results are written to its folder `step`, or to that of
-    the only recording, or of several paths to the folder of rig.toml; or to `output`. A folder that cannot be used is
-    refused before the computation.
-    """
+    """Evaluate step recordings together, write the results and print the summary."""
     manifests = load_for_command(paths, STEP.name, allow_outside=allow_outside)
     name = manifests[0].name if len(manifests) == 1 else manifests[0].rig.name
 

@@ -14,15 +14,7 @@ from fusion.recording.excitation import kinds_of
 from fusion.recording.load import Manifest
 from fusion.recording.manifest import ChannelEntry
 from fusion.recording.transducer import TRANSDUCERS
-from fusion.sensor.transfer.transfer_notices import (
-    BAND_ABOVE_LIMIT,
-    CHIRP_WITHOUT_PERIOD,
-    MISSING_TRANSFER_ENTRY,
-    PEAK_DEPARTS,
-    PEAK_NOT_FITTED,
-    PERIOD_WITHOUT_SIGNAL,
-    SCALE_UNCERTAINTY_NOT_STATED,
-)
+from fusion.sensor import response_notices as declared
 from fusion.sensor.transfer.transfer_records import (
     ChannelChain,
     FoundResonance,
@@ -71,7 +63,7 @@ def estimate_transfer(manifest: Manifest, together: SynchronousRecord, settings:
     periodic = settings.estimator == "periodic" or (settings.estimator == "auto" and repeats)
     if periodic and excitation.period is None:
         expected = "the period in s, which the periodic estimate requires"
-        raise InputError(MISSING_TRANSFER_ENTRY, manifest.path, "excitation.period", expected=expected)
+        raise InputError(declared.MISSING_TRANSFER_ENTRY, manifest.path, "excitation.period", expected=expected)
     try:
         if periodic and excitation.period is not None:
             return transfer_periodic(record, excitation.period, settle_periods=excitation.settle_periods, band_hz=band)
@@ -79,17 +71,14 @@ def estimate_transfer(manifest: Manifest, together: SynchronousRecord, settings:
     except ValueError as error:
         argument = str(error).partition(":")[0]
         if periodic and argument == "record":
+            key, found_s, channel = "excitation.period", excitation.period or 0.0, record.reference_name
             raise InputError(
-                PERIOD_WITHOUT_SIGNAL,
-                manifest.path,
-                "excitation.period",
-                found_s=excitation.period or 0.0,
-                channel=record.reference_name,
+                declared.PERIOD_WITHOUT_SIGNAL, manifest.path, key, found_s=found_s, channel=channel
             ) from error
         raise InputError.from_exception(error, manifest.path, _KEYS.get(argument, "excitation")) from error
     if excitation.kind != "chirp" or excitation.period is not None:
         return found
-    return replace(found, notices=(*found.notices, Notice(CHIRP_WITHOUT_PERIOD, "excitation.period")))
+    return replace(found, notices=(*found.notices, Notice(declared.CHIRP_WITHOUT_PERIOD, "excitation.period")))
 
 
 def _band(manifest: Manifest, together: SynchronousRecord) -> tuple[float, float] | None:
@@ -98,8 +87,9 @@ def _band(manifest: Manifest, together: SynchronousRecord) -> tuple[float, float
     if highest is None:
         return band
     if band is not None and band[0] >= highest:
+        path, (low_hz, high_hz) = manifest.path, band
         raise InputError(
-            BAND_ABOVE_LIMIT, manifest.path, "excitation.band", limit_hz=highest, low_hz=band[0], high_hz=band[1]
+            declared.BAND_ABOVE_LIMIT, path, "excitation.band", limit_hz=highest, low_hz=low_hz, high_hz=high_hz
         )
     return (0.0, highest) if band is None else (band[0], min(band[1], highest))
 
@@ -179,31 +169,25 @@ def find_resonances(
         for (peak, lines), mode in zip(peaks, _separated(curve, [lines for _, lines in peaks]), strict=True):
             frequency_hz = float(transfer.ratio.frequency_hz[peak])
             if isinstance(mode, str):
-                notices.append(Notice(PEAK_NOT_FITTED, where, frequency_hz=frequency_hz, reason=mode))
+                notices.append(Notice(declared.PEAK_NOT_FITTED, where, frequency_hz=frequency_hz, reason=mode))
                 continue
             found.append(_with_budget(curve, lines, mode, u_clock, influences))
             departs = np.sqrt(mode.fit.chi_squared / mode.fit.dof)
             if departs >= _DEPARTS:
-                notices.append(Notice(PEAK_DEPARTS, where, frequency_hz=frequency_hz, ratio=departs))
+                notices.append(Notice(declared.PEAK_DEPARTS, where, frequency_hz=frequency_hz, ratio=departs))
     return tuple(found), tuple(notices)
 
 
 @dataclass(frozen=True)
 class _Mode:
-    """One oscillator, and the values (L,) to which it was fitted.
-
-    The values are corrected for all other oscillators.
-    """
+    """One oscillator, and the values (L,) to which it was fitted, corrected for all others."""
 
     fit: Resonance
     value: ComplexArray
 
 
 def _separated(curve: _Curve, windows: Sequence[slice]) -> list[_Mode | str]:
-    """Fit every peak corrected for the other oscillators, in rounds.
-
-    A text is the reason of a failed fit.
-    """
+    """Fit every peak without the others, in rounds; a text is a failure's reason."""
     found: list[_Mode | str] = ["no fit" for _ in windows]
     for _ in range(_ROUNDS if len(windows) > 1 else 1):
         for index, lines in enumerate(windows):
@@ -221,10 +205,7 @@ def _separated(curve: _Curve, windows: Sequence[slice]) -> list[_Mode | str]:
 
 
 def _peaks(curve: _Curve) -> list[tuple[int, slice]]:
-    """Return the largest significant peaks of |H| with their lines.
-
-    Down to an eighth of the height.
-    """
+    """Return the largest significant peaks of |H|, with lines to an eighth of each."""
     from scipy.signal import find_peaks
 
     size = np.abs(curve.value)
@@ -247,10 +228,7 @@ def _peaks(curve: _Curve) -> list[tuple[int, slice]]:
 
 
 def _best(curve: _Curve, lines: slice, value: ComplexArray) -> Resonance:
-    """Fit one oscillator to values (L,) of some lines.
-
-    With residual terms of other modes if they improve the fit.
-    """
+    """Fit one oscillator to values (L,), with residual terms if they improve it."""
     frequency = curve.transfer.ratio.frequency_hz[lines]
     fit = curve.fit(lines, value, residual_terms=False)
     if fit.chi_squared > _POOR_FIT * fit.dof and len(frequency) >= 2 * _FEWEST_LINES:
@@ -365,10 +343,7 @@ def _evaluated(
 
 
 def _forced_kind(entry: ChannelEntry, quantity: Quantity | None) -> ResonanceKind:
-    """Return the form of one oscillator driven by a force.
-
-    A response that is no motion follows the spring.
-    """
+    """Return the form of an oscillator driven by a force; no motion follows the spring."""
     if entry.quantity not in TRANSDUCERS:
         return "receptance"
     order = QUANTITIES.index(quantity) - 2 if quantity else TRANSDUCERS[entry.quantity].order
@@ -394,10 +369,7 @@ def _converted(
 
 
 def _in_quantity(entry: ChannelEntry, unit: str, quantity: Quantity | None) -> tuple[int, str]:
-    """Return the number of differentiations of a channel and its resulting unit.
-
-    0 if it is no motion.
-    """
+    """Return the number of differentiations of a channel (0: no motion) and its unit."""
     if quantity is None or entry.quantity not in TRANSDUCERS:
         return 0, unit
     family, have = motion_order(unit)
@@ -407,9 +379,6 @@ def _in_quantity(entry: ChannelEntry, unit: str, quantity: Quantity | None) -> t
 
 def _unstated_scales(chains: Sequence[ChannelChain]) -> list[Notice]:
     """Return a notice of the channels without a stated uncertainty of the scale."""
-    names = [
-        chain.entry.name for chain in chains if not (scale_is_stated(chain.entry, chain.response) or chain.entry.common)
-    ]
-    if not names:
-        return []
-    return [Notice(SCALE_UNCERTAINTY_NOT_STATED, "scale_uncertainty", channels=", ".join(names))]
+    unstated = [c.entry.name for c in chains if not (scale_is_stated(c.entry, c.response) or c.entry.common)]
+    channels = ", ".join(unstated)
+    return [Notice(declared.SCALE_UNCERTAINTY_NOT_STATED, "scale_uncertainty", channels=channels)] if channels else []

@@ -10,6 +10,7 @@ import numpy as np
 
 from fusion.base import CommandEvaluation
 from fusion.errors import InputError
+from fusion.estimation.coverage import along_and_across
 from fusion.instruments.channel import DELAY_OF_FILTER, u_of_filter
 from fusion.phasors.timing import ClockResult, TimeBase, tie_daqs
 from fusion.recording.daq_records import DaqRecord, read_daqs
@@ -17,14 +18,7 @@ from fusion.recording.load import Manifest
 from fusion.recording.manifest import ChannelEntry
 from fusion.recording.response import read_response
 from fusion.recording.units import unit_notices
-from fusion.sensor.transfer.transfer_notices import (
-    CHANNELS_NOT_SIMULTANEOUS,
-    CHANNELS_RESAMPLED,
-    COARSE_CONVERTER_STEPS,
-    DEFECTIVE_SAMPLES,
-    MISSING_TRANSFER_ENTRY,
-    WRONG_CHANNEL_NAME,
-)
+from fusion.sensor import response_notices as declared
 from shaker.frf.chain import ChainResponse
 from shaker.frf.result import TransferFunction, TransferRecord
 from shaker.identification.measured_curves import CurveError
@@ -73,11 +67,7 @@ class TransferSettings:
     def as_dict(self) -> dict[str, str | float | int]:
         """Return the settings as plain values for the result files."""
         resolution = "from the record" if self.resolution_hz is None else self.resolution_hz
-        return {
-            "estimator": self.estimator,
-            "resolution_hz": resolution,
-            "quantity": self.quantity or "as measured",
-        }
+        return {"estimator": self.estimator, "resolution_hz": resolution, "quantity": self.quantity or "as measured"}
 
 
 @dataclass(frozen=True)
@@ -179,22 +169,14 @@ def channel_chain(channel: LocatedChannel, frequency_hz: FloatArray) -> ChannelC
 
 
 def uncertainty(value: ComplexArray, covariance: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return u(|H|)/|H| and u(arg H) in rad, (K,) each.
-
-    `covariance` (K, 2, 2): of the values.
-    """
-    size = np.abs(value)
-    along = np.stack([value.real, value.imag], axis=1) / size[:, None]
-    across = np.stack([-value.imag, value.real], axis=1) / size[:, None]
-    forms = [np.einsum("ki,kij,kj->k", axis, covariance, axis) for axis in (along, across)]
-    return np.sqrt(np.maximum(forms[0], 0.0)) / size, np.sqrt(np.maximum(forms[1], 0.0)) / size
+    """Return u(|H|)/|H| and u(arg H) in rad (K,) of values with covariance (K, 2, 2)."""
+    frame = along_and_across(value)
+    along, across = np.einsum("kia,kij,kja->ak", frame, covariance, frame)
+    return np.sqrt(np.maximum(along, 0.0)) / np.abs(value), np.sqrt(np.maximum(across, 0.0)) / np.abs(value)
 
 
 def ratio_errors(reference: ChannelChain, responses: Sequence[ChannelChain]) -> tuple[CurveError, ...]:
-    """Return the common errors of the ratios (K, C) of responses over reference.
-
-    Shared errors cancel.
-    """
+    """Return the common errors of the ratios (K, C), in which shared errors cancel."""
     below, above = reference.errors, [chain.errors for chain in responses]
     zero = np.zeros(len(reference.frequency_hz), dtype=np.complex128)
     names = dict.fromkeys([*below, *(name for errors in above for name in errors)])
@@ -263,7 +245,7 @@ def read_synchronous(manifest: Manifest) -> tuple[SynchronousRecord, ...]:
     excitation = manifest.excitation
     if not excitation.reference:
         expected = "the name of the channel over which the others are taken, such as the force or the base acceleration"
-        raise InputError(MISSING_TRANSFER_ENTRY, manifest.path, "excitation.reference", expected=expected)
+        raise InputError(declared.MISSING_TRANSFER_ENTRY, manifest.path, "excitation.reference", expected=expected)
     by_name: dict[str, list[tuple[str, ChannelEntry]]] = {}
     for daq in manifest.daq:
         for entry in daq.channel:
@@ -272,26 +254,20 @@ def read_synchronous(manifest: Manifest) -> tuple[SynchronousRecord, ...]:
     named = excitation.response or [name for name in by_name if name not in excitation.reference]
     if not named:
         expected = "a channel in addition to the reference"
-        raise InputError(MISSING_TRANSFER_ENTRY, manifest.path, "excitation.response", expected=expected)
+        raise InputError(declared.MISSING_TRANSFER_ENTRY, manifest.path, "excitation.response", expected=expected)
     for key, name in [*(("reference", name) for name in excitation.reference), *(("response", name) for name in named)]:
         where = by_name.get(name, [])
         if len(where) != 1:
             blocks = " and ".join(block for block, _ in where)
             found = f"{name} in the blocks {blocks}" if where else f"{name} (a trigger)"
+            expected = "the name of exactly one channel"
             raise InputError(
-                WRONG_CHANNEL_NAME,
-                manifest.path,
-                f"excitation.{key}",
-                found=found,
-                expected="the name of exactly one channel",
+                declared.WRONG_CHANNEL_NAME, manifest.path, f"excitation.{key}", found=found, expected=expected
             )
         if key == "response" and name in excitation.reference:
+            expected = "other channels than the references"
             raise InputError(
-                WRONG_CHANNEL_NAME,
-                manifest.path,
-                "excitation.response",
-                found=name,
-                expected="other channels than the references",
+                declared.WRONG_CHANNEL_NAME, manifest.path, "excitation.response", found=name, expected=expected
             )
     records = read_daqs(manifest)
     selected = [by_name[name][0] for name in named]
@@ -360,13 +336,13 @@ def align(
     slowest = min(channels, key=lambda channel: channel.rate_hz)
     time_s, rate_hz = _common_times(channels, slowest)
     if len(time_s) < 2 * len(channels):
-        raise InputError(CHANNELS_NOT_SIMULTANEOUS, manifest.path, key)
+        raise InputError(declared.CHANNELS_NOT_SIMULTANEOUS, manifest.path, key)
     values = tuple(
         resample(samples, c.position(time_s), min(1.0, rate_hz / c.rate_hz))
         for c, samples in zip(channels, recorded, strict=True)
     )
     name, highest_hz = slowest.entry.name, PASS_BAND * rate_hz
-    resampled = Notice(CHANNELS_RESAMPLED, name, channel=name, rate_hz=rate_hz, highest_hz=highest_hz)
+    resampled = Notice(declared.CHANNELS_RESAMPLED, name, channel=name, rate_hz=rate_hz, highest_hz=highest_hz)
     notices = resampled, *coarse
     return AlignedChannels(channels, values, rate_hz, float(time_s[0]), highest_hz, base, notices)
 
@@ -382,9 +358,9 @@ def _condition(manifest: Manifest, channel: LocatedChannel) -> Iterator[Notice]:
             continue  # outputs of a release and single blows are rejected by their evaluation
         if defect.kind != "steps":
             text = defect.text(channel.record.time_s(entry.name), raw.unit)
-            raise InputError(DEFECTIVE_SAMPLES, channel.record.entry.file, entry.stored_name, defect=text)
+            raise InputError(declared.DEFECTIVE_SAMPLES, channel.record.entry.file, entry.stored_name, defect=text)
         yield Notice(
-            COARSE_CONVERTER_STEPS,
+            declared.COARSE_CONVERTER_STEPS,
             entry.name,
             measure="standard deviation" if lasting else "range",
             size=size / (DITHERED if lasting else 0.5),
@@ -394,10 +370,7 @@ def _condition(manifest: Manifest, channel: LocatedChannel) -> Iterator[Notice]:
 
 
 def _common_times(channels: Sequence[LocatedChannel], slowest: LocatedChannel) -> tuple[FloatArray, float]:
-    """Return times (T,) of the slowest channel within all records, and their rate.
-
-    On the first clock.
-    """
+    """Return times (T,) of the slowest channel within all records, and their rate."""
     time_s, rate_hz, tie = slowest.record.time_s(slowest.entry.name), slowest.rate_hz, slowest.tie
     if tie is not None:
         time_s, rate_hz = tie.to_base_s(time_s), rate_hz / tie.rate

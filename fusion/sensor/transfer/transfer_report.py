@@ -92,10 +92,7 @@ def transfer_lines(evaluation: TransferEvaluation) -> Iterator[TransferLine]:
 
 
 def expanded(result: ReferenceResult, channel: int) -> tuple[FloatArray, FloatArray]:
-    """Return U(|H|)/|H| and U(arg H) in rad, (K,) each, of one response (95 %).
-
-    The noise has its degrees of freedom.
-    """
+    """Return U(|H|)/|H| and U(arg H) in rad (K,) of one response (95 %)."""
     ratio, both = result.transfer.ratio, [channel, channel + len(result.transfer.ratio.channels)]
     whole, noise = (part[:, both][:, :, both] for part in (ratio.covariance, result.random_covariance))
     value = ratio.value[:, channel]
@@ -163,14 +160,16 @@ def _damping(found: FoundResonance, unit: str = "") -> str:
     return quantity_html(100.0 * found.fit.damping_ratio, 200.0 * found.u_damping_ratio, unit)
 
 
+def _relative_damping(found: FoundResonance) -> float:
+    """Return the relative U (k = 2) of the damping ratio."""
+    return 2.0 * found.u_damping_ratio / found.fit.damping_ratio
+
+
 RESONANCES: list[TableColumn[FoundResonance]] = [
     page_column("curve", _over, "l"),
     page_column("f₀ / Hz", lambda found: quantity_html(found.fit.frequency_hz, 2.0 * found.u_frequency_hz)),
     page_column("damping ratio ζ / %", _damping),
-    page_column(
-        "quality Q",
-        lambda r: quantity_html(r.fit.quality, 2.0 * r.fit.quality * r.u_damping_ratio / r.fit.damping_ratio),
-    ),
+    page_column("quality Q", lambda r: quantity_html(r.fit.quality, r.fit.quality * _relative_damping(r))),
     page_column("fitted as", lambda found: found.fit.kind, "l"),
     page_column("lines / Hz", lambda found: f"{found.band_hz[0]:.6g} to {found.band_hz[1]:.6g}"),
     page_column("χ² per dof", lambda found: f"{found.fit.chi_squared / found.fit.dof:.2f}"),
@@ -185,8 +184,7 @@ def headlines(evaluation: TransferEvaluation) -> list[Headline]:
         value = quantity_html(fit.frequency_hz, 2.0 * found.u_frequency_hz, "Hz")
         u_frequency = 200.0 * found.u_frequency_hz / fit.frequency_hz
         lines.append(Headline(f"Resonance of {_over(found)}", value, f"U (k = 2) = {u_frequency:.2g} %"))
-        share = 200.0 * found.u_damping_ratio / fit.damping_ratio
-        remark = f"Q = {fit.quality:.5g}; U (k = 2) = {share:.2g} %"
+        remark = f"Q = {fit.quality:.5g}; U (k = 2) = {100.0 * _relative_damping(found):.2g} %"
         lines.append(Headline("Damping ratio ζ", _damping(found, "%"), remark))
     return lines
 
@@ -258,9 +256,7 @@ CHANNELS: list[TableColumn[tuple[str, ChannelEntry]]] = [
     page_column("scale", lambda row: f"{row[1].scale:g}"),
     page_column("u(scale) / %", lambda row: f"{100.0 * row[1].scale_uncertainty:g}"),
     page_column("delay ± u / µs", lambda row: f"{1e6 * row[1].delay:g} ± {1e6 * row[1].delay_uncertainty:g}"),
-    page_column(
-        "corrected response", lambda row: "none stated" if row[1].response is None else row[1].response.name, "l"
-    ),
+    page_column("corrected response", lambda row: row[1].response.name if row[1].response else "none stated", "l"),
 ]
 
 
@@ -331,11 +327,7 @@ TRANSFER: CommandReport[TransferEvaluation] = CommandReport(
 def run_transfer(
     path: Path, output: Path | None, settings: TransferSettings, *, force: bool = False, allow_outside: bool = False
 ) -> None:
-    """Evaluate recordings, write the results and print the summary.
-
-    A campaign folder: each of its transfer recordings. Results are written to the recording's folder `transfer`, or to
-    `output` (of a campaign: one folder each). Of a campaign, recordings of other kinds are left out.
-    """
+    """Evaluate each recording of a path, write its results and print the summary."""
     manifests = load_for_command([path], TRANSFER.name, allow_outside=allow_outside)
     for manifest in manifests:
         folder = manifest.folder / TRANSFER.name if output is None else output
