@@ -12,8 +12,7 @@ from pathlib import Path
 import h5py
 
 from fusion.campaign.campaign_notices import NO_RECORDING_RESULTS
-from fusion.campaign.excited_line import ExcitedLine, excited_lines, identity
-from fusion.campaign.unknowns import Knowledge
+from fusion.campaign.excited_line import ExcitedLine, Knowledge, excited_lines, identity
 from fusion.errors import InputError
 from fusion.instruments.channel import Outputs
 from fusion.phasors.timing import EdgeGrid

@@ -10,8 +10,7 @@ from typing import Literal, NamedTuple
 import numpy as np
 
 from fusion.campaign.campaign_notices import ONE_MOUNTING, TWO_REPEATS
-from fusion.campaign.excited_line import ExcitedLine, LazyUncertainty
-from fusion.campaign.unknowns import SECOND_ORDER
+from fusion.campaign.excited_line import SECOND_ORDER, ExcitedLine, LazyUncertainty
 from fusion.estimation.coverage import coverage_factor
 from fusion.estimation.fuse import EXPLANATIONS
 from fusion.estimation.measurement_model import BODY_SIZE_M

@@ -130,7 +130,7 @@ class PartSpec:
 
 @dataclass(frozen=True, config=CHECKED)
 class PlateSpec:
-    """A flexible plate on top of the load (`fusion.simulate.bending`), as stated.
+    """A flexible plate on top of the load (`fusion.simulate.world`), as stated.
 
     Its mass is part of the load's. Natural frequency with its standard uncertainty (relative), damping ratio.
     `measured_by`: stereo pairs that measure it.

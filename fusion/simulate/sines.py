@@ -20,7 +20,6 @@ from numpy.typing import NDArray
 from fusion.base import ProgressCallback, no_progress
 from fusion.recording.toml import to_toml
 from fusion.report.atomic_files import write_file
-from fusion.simulate import bending
 from fusion.simulate.preset import (
     ChannelSpec,
     DaqSpec,
@@ -38,9 +37,12 @@ from fusion.simulate.world import (
     TrueStereo,
     World,
     acceleration_at,
+    bent_view,
+    elastic_keys,
     harmonic,
     make_world,
     point_series,
+    surface_files,
     velocity_at,
     wrench,
 )
@@ -185,7 +187,7 @@ def rig_tables(world: World, recording_parts: tuple[PartSpec, ...] = ()) -> dict
         "format": 1,
         "name": preset.rig_name,
         "sensor": sensor_keys(preset, world.static_stated),
-        "load": part_keys(preset.load) | bending.elastic_keys(preset),
+        "load": part_keys(preset.load) | elastic_keys(preset),
     }
     parts = [part_table(part) for part in preset.parts if part not in recording_parts]
     if parts:
@@ -431,7 +433,7 @@ def write_run(
         _write_images(recording, world, draws, options, progress)
     if not (folder / run.rig_file).exists():
         rig = to_toml(draws.violations("rig", rig_tables(world, run.parts)))
-        write_texts(folder, {run.rig_file: rig, **bending.surface_files(preset)})
+        write_texts(folder, {run.rig_file: rig, **surface_files(preset)})
     return recording
 
 
@@ -454,7 +456,7 @@ def _write_images(
         middle = stereo.exposure_middle_s(float(world.trigger_s[frame]), exposure)
         pose_at = world.observed_motion(draws, stereo.setup.body, "camera", np.array(stereo.setup.face_centre)).pose
         load = stereo.setup.body == "load"
-        bent = bending.bent_view(world, draws, view, face, (middle, exposure)) if load else view
+        bent = bent_view(world, draws, view, face, (middle, exposure)) if load else view
         nodes = 4 if options.aliased else 2
         image = render_exposure(bent, face, pose_at, middle, exposure, nodes, times)
         at_rest = world.observed_motion(draws, "room", "camera", np.array(stereo.setup.face_centre)).pose

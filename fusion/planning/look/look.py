@@ -17,6 +17,16 @@ from fusion.instruments.transducer import TRANSDUCERS, main_direction
 from fusion.phasors.set_up import PreparedSetUp, prepare_set_ups
 from fusion.phasors.stereo_motion import read_rig
 from fusion.planning.check import inspect_recording, read_for_command
+from fusion.planning.look.data_checks import (
+    LineStrength,
+    PairPrecision,
+    examine_beat,
+    examine_camera,
+    examine_channels,
+    examine_pair,
+    examine_trigger,
+    fit_trigger_channel,
+)
 from fusion.planning.look.finding import (
     LEVEL_OF,
     VERDICTS,
@@ -27,8 +37,8 @@ from fusion.planning.look.finding import (
     refusal_findings,
     worst_verdict,
 )
-from fusion.planning.look.image_checks import PairPrecision, examine_camera, examine_pair
-from fusion.planning.look.look_notices import (
+from fusion.planning.look.trial_evaluation import notice_findings, trial_findings
+from fusion.planning.planning_notices import (
     AIM_MISSED,
     CAMERAS_DIFFER_IN_FRAMES,
     FIRST_EDGE_UNSTATED,
@@ -36,14 +46,6 @@ from fusion.planning.look.look_notices import (
     LOOK_MISSING_EDGES,
     REMARK,
 )
-from fusion.planning.look.signal_checks import (
-    LineStrength,
-    examine_beat,
-    examine_channels,
-    examine_trigger,
-    fit_trigger_channel,
-)
-from fusion.planning.look.trial_evaluation import notice_findings, trial_findings
 from fusion.recording.daq_records import DaqRecord, FileCache
 from fusion.recording.excitation import KINDS
 from fusion.recording.load import Manifest, find_recordings, load_manifest
