@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from fusion.base import ProgressCallback, no_progress
 from fusion.recording.toml import to_toml
-from fusion.report.atomic_files import write_file
+from fusion.report.atomic_files import write_file, write_files
 from fusion.simulate.preset import (
     ChannelSpec,
     DaqSpec,
@@ -58,7 +58,6 @@ from fusion.simulate.write import (
     points_file,
     points_text,
     write_recording,
-    write_texts,
 )
 from photogram.calibration.calibration_file import write_calibration
 from photogram.geometry import RigidTransform
@@ -433,7 +432,7 @@ def write_run(
         _write_images(recording, world, draws, options, progress)
     if not (folder / run.rig_file).exists():
         rig = to_toml(draws.violations("rig", rig_tables(world, run.parts)))
-        write_texts(folder, {run.rig_file: rig, **surface_files(preset)})
+        write_files(folder, {run.rig_file: rig, **surface_files(preset)})
     return recording
 
 

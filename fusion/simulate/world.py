@@ -192,10 +192,7 @@ def sensitivity(frequency_hz: FloatArray, static: FloatArray, damping_s: FloatAr
 
 
 def velocity_at(motion: SimulatedMotion, point: FloatArray, direction: FloatArray) -> ComplexArray:
-    """Return velocity phasors (K,) of a point along a fixed direction.
-
-    d·(v + ω × r).
-    """
+    """Return velocity phasors (K,) of a point along a fixed direction. d·(v + ω × r)."""
     velocity = motion.acceleration / (1j * motion.omega[:, None])
     return np.asarray((velocity[:, :3] + np.cross(velocity[:, 3:], point)) @ direction)
 
@@ -203,10 +200,7 @@ def velocity_at(motion: SimulatedMotion, point: FloatArray, direction: FloatArra
 def acceleration_at(
     motion: SimulatedMotion, point: FloatArray, direction: FloatArray, gravity: FloatArray
 ) -> ComplexArray:
-    """Return phasors (K,) of a tilting accelerometer.
-
-    d·(a + α × r) − (θ × d)·g.
-    """
+    """Return phasors (K,) of a tilting accelerometer. d·(a + α × r) − (θ × d)·g."""
     a, alpha = motion.acceleration[:, :3], motion.acceleration[:, 3:]
     tilted = np.cross(motion.displacement[:, 3:], direction)
     return np.asarray((a + np.cross(alpha, point)) @ direction - tilted @ gravity)

@@ -230,10 +230,7 @@ def _look_at(
 def _look_at_images(
     block: Manifest, images: Images, already: FileCache
 ) -> tuple[list[Finding], PairPrecision | None, int]:
-    """Return findings and precision of a pair and its number of frames.
-
-    A single camera has no precision.
-    """
+    """Return findings and precision of a pair and its number of frames. A single camera has no precision."""
     where, pair = images.stereo, block.rig.stereo[images.stereo]
     try:
         sequences = [already.images[paths, images.bit_depth] for _, paths in images.cameras]
@@ -351,10 +348,7 @@ def print_look(found: Look) -> None:
 
 
 def look_page(found: list[Look], reload_s: float | None) -> str:
-    """Return a page whose colour can be read from two metres.
-
-    `reload_s`: interval of its reloading; None without.
-    """
+    """Return a page whose colour can be read from two metres. `reload_s`: interval of its reloading; None without."""
     from fusion.report.folder import render_page
 
     verdict = worst_verdict([finding for one in found for finding in one.findings])

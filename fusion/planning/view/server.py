@@ -54,10 +54,7 @@ def page_files() -> dict[str, Path]:
 
 
 class Server(ThreadingHTTPServer):
-    """A server on the loopback address.
-
-    `address` is that of its page, with a token that every request repeats.
-    """
+    """A server on the loopback address. `address` is that of its page, with a token that every request repeats."""
 
     daemon_threads = True
 
@@ -224,10 +221,7 @@ def result_lines(viewed: ViewedRecording) -> list[float]:
 
 
 def phasors(viewed: ViewedRecording, line: int) -> ApiResponse:
-    """Return a panel for each component with all values at a line.
-
-    Values have 95 % regions.
-    """
+    """Return a panel for each component with all values at a line. Values have 95 % regions."""
     panels: dict[tuple[str, str], list[dict[str, Any]]] = {}
     for name, found in viewed.accelerations.items():
         row = polar_elements(found.value, found.uncertainty)[line]
@@ -261,10 +255,7 @@ def lines(viewed: ViewedRecording) -> ApiResponse:
 
 
 def spectrum(viewed: ViewedRecording, number: int) -> bytes:
-    """Return the amplitude spectrum of a channel in its unit.
-
-    Peaks of neighbouring bins are retained.
-    """
+    """Return the amplitude spectrum of a channel in its unit. Peaks of neighbouring bins are retained."""
     raw = viewed.raw(number)
     found = amplitude_spectrum(raw.samples, raw.sample_rate_hz, MOST_BINS)
     text = (
