@@ -175,24 +175,43 @@ def _truncate(folder: Path) -> None:
 
 
 FAULTS = [
-    (_clip, "wrong", "vibrometer.velocity_2", SIGNAL_DEFECT, {"defect": "clipped"}),
-    (_drop_out, "wrong", "bridge.Fz", SIGNAL_DEFECT, {"defect": " 0.4000"}),
-    (_kill, "wrong", "bridge.Fz", LOOK_CONSTANT_CHANNEL, {"value": 0.25, "unit": "mV/V"}),
-    (_silence, "wrong", "vibrometer.velocity_1", DRIVEN_LINE_MISSING, {"frequency_hz": 80.0}),
-    (_hum, "look", "bridge.Fz", MAINS_PICKUP, {"frequency_hz": pytest.approx(50.0, abs=0.01)}),
-    (_drift, "look", "bridge.Fz", SIGNAL_DRIFT, {"unit": "mV/V"}),
-    (_lose_edges, "wrong", "vibrometer.camera_trigger", IRREGULAR_EDGES, {"count": 1, "edges": 24, "kind": " 7)"}),
-    (_fold, "wrong", "top", ALIASED_LINES, {"lines": "76.7 Hz"}),
-    (_black, "wrong", "top left", DARK_FRAMES, {"dark": 3, "examined": 8}),
-    (_dark, "wrong", "base right", DARK_IMAGES, {"full_scale": 1023}),
-    (_overexpose, "wrong", "top right", OVEREXPOSED, {"full_scale": 1023}),
-    (_defocus, "look", "top", CAMERA_OUT_OF_FOCUS, {"side": "left"}),
-    (_defocus_both, "look", "top right", SPECKLE_SIZE, {}),
-    (_exchange, "wrong", "top", CAMERAS_EXCHANGED, {}),
-    (_another_pair, "wrong", "top", CALIBRATION_CONTRADICTED, {}),
-    (_touched, "look", "top", EPIPOLAR_OFFSET, {"offset_px": pytest.approx(0.6, abs=0.3)}),
-    (_one_frame_less, "wrong", "base", FIRST_EDGE_UNSTATED, {"frames": 23, "edges": 24}),
-    (_truncate, "wrong", "top", FILE_PROBLEM, {"reason": "0000.tif"}),
+    # What is damaged together, the colour, and for each damage where it is, its code and values.
+    (
+        (_clip, _drop_out, _lose_edges, _black, _dark),
+        "wrong",
+        [
+            ("vibrometer.velocity_2", SIGNAL_DEFECT, {"defect": "clipped"}),
+            ("bridge.Fz", SIGNAL_DEFECT, {"defect": " 0.4000"}),
+            ("vibrometer.camera_trigger", IRREGULAR_EDGES, {"count": 1, "edges": 24, "kind": " 7)"}),
+            ("top left", DARK_FRAMES, {"dark": 3, "examined": 8}),
+            ("base right", DARK_IMAGES, {"full_scale": 1023}),
+        ],
+    ),
+    (
+        (_kill, _silence, _overexpose, _one_frame_less),
+        "wrong",
+        [
+            ("bridge.Fz", LOOK_CONSTANT_CHANNEL, {"value": 0.25, "unit": "mV/V"}),
+            ("vibrometer.velocity_1", DRIVEN_LINE_MISSING, {"frequency_hz": 80.0}),
+            ("top right", OVEREXPOSED, {"full_scale": 1023}),
+            ("base", FIRST_EDGE_UNSTATED, {"frames": 23, "edges": 24}),
+        ],
+    ),
+    (
+        (_hum, _drift, _touched),
+        "look",
+        [
+            ("bridge.Fz", MAINS_PICKUP, {"frequency_hz": pytest.approx(50.0, abs=0.01)}),
+            ("bridge.Fz", SIGNAL_DRIFT, {"unit": "mV/V"}),
+            ("top", EPIPOLAR_OFFSET, {"offset_px": pytest.approx(0.6, abs=0.3)}),
+        ],
+    ),
+    ((_defocus,), "look", [("top", CAMERA_OUT_OF_FOCUS, {"side": "left"})]),
+    ((_defocus_both,), "look", [("top right", SPECKLE_SIZE, {})]),
+    ((_fold,), "wrong", [("top", ALIASED_LINES, {"lines": "76.7 Hz"})]),
+    ((_exchange,), "wrong", [("top", CAMERAS_EXCHANGED, {})]),
+    ((_another_pair,), "wrong", [("top", CALIBRATION_CONTRADICTED, {})]),
+    ((_truncate,), "wrong", [("top", FILE_PROBLEM, {"reason": "0000.tif"})]),
 ]
 
 
@@ -255,25 +274,40 @@ def _late_camera(folder: Path) -> None:
 
 
 MISTAKES = [
-    (_scale, EXPLAINED_CONTRADICTION, {"readings": "laser as a whole .*10.0", "causes": r"ten .*\(laser as a whole\)"}),
-    (_in_g, EXPLAINED_CONTRADICTION, {"readings": "base_acceleration .*0.10", "causes": r"m/s² \(base_acceleration\)"}),
-    (_another_quantity, EXPLAINED_CONTRADICTION, {"readings": "1.57 rad", "causes": "quantity .*displacement"}),
-    (_aimed_along_x, EXPLAINED_CONTRADICTION, {"causes": r"direction of velocity_1 .*\(0, 0, 1\)"}),
-    (_driven_along_x, OTHER_DIRECTION_DRIVEN, {"axis": "z", "direction": r"\[1.0, 0.0, 0.0\]"}),
-    (_transposed, EXPLAINED_CONTRADICTION, {"readings": "stereo top", "causes": "stereo.top.rotation "}),
-    (_base_inverse, EXPLAINED_CONTRADICTION, {"readings": "stereo base", "causes": "stereo.base.*translation"}),
-    (_axes_exchanged, EXPLAINED_CONTRADICTION, {"causes": r"stereo.top.rotation .*90° .*\(-1, 0, 0\)"}),
-    (_late_pair, EXPLAINED_CONTRADICTION, {"readings": "stereo top", "causes": " top .*1 edge later"}),
+    # What is stated wrongly together, and for each mistake its code and patterns of its values.
+    (
+        (_scale, _in_g),
+        EXPLAINED_CONTRADICTION,
+        [
+            {"readings": "laser as a whole .*10.0", "causes": r"ten .*\(laser as a whole\)"},
+            {"readings": "base_acceleration .*0.10", "causes": r"m/s² \(base_acceleration\)"},
+        ],
+    ),
+    (
+        (_transposed, _base_inverse),
+        EXPLAINED_CONTRADICTION,
+        [
+            {"readings": "stereo top", "causes": "stereo.top.rotation "},
+            {"readings": "stereo base", "causes": "stereo.base.*translation"},
+        ],
+    ),
+    ((_another_quantity,), EXPLAINED_CONTRADICTION, [{"readings": "1.57 rad", "causes": "quantity .*displacement"}]),
+    ((_aimed_along_x,), EXPLAINED_CONTRADICTION, [{"causes": r"direction of velocity_1 .*\(0, 0, 1\)"}]),
+    ((_axes_exchanged,), EXPLAINED_CONTRADICTION, [{"causes": r"stereo.top.rotation .*90° .*\(-1, 0, 0\)"}]),
+    ((_late_pair,), EXPLAINED_CONTRADICTION, [{"readings": "stereo top", "causes": " top .*1 edge later"}]),
+    ((_driven_along_x,), OTHER_DIRECTION_DRIVEN, [{"axis": "z", "direction": r"\[1.0, 0.0, 0.0\]"}]),
 ]
 
 
-@pytest.mark.parametrize(("mistake", "declared", "values"), MISTAKES, ids=[one[0].__name__ for one in MISTAKES])
-def test_a_mistake_in_a_manifest_is_named_with_its_cause(campaign, mistake, declared, values):
-    mistake(campaign)
+@pytest.mark.parametrize(("mistakes", "declared", "expected"), MISTAKES, ids=[one[0][0].__name__ for one in MISTAKES])
+def test_mistakes_in_a_manifest_are_named_with_their_cause(campaign, mistakes, declared, expected):
+    for mistake in mistakes:
+        mistake(campaign)
     found = look(campaign / "Fz-0080")
     assert found.verdict == "FIX MANIFEST", found.findings
     notices = [finding.notice for finding in found.findings if finding.code == declared.code]
-    assert any(all(re.search(values[name], n.values[name]) for name in values) for n in notices), found.findings
+    for values in expected:
+        assert any(all(re.search(values[name], n.values[name]) for name in values) for n in notices), found.findings
 
 
 def test_a_late_camera_of_a_pair_is_named(campaign):
@@ -299,15 +333,15 @@ def _has(notice: Notice, values: dict[str, object]) -> bool:
     return all(value in one if isinstance(value, str) else one == value for one, value in found)
 
 
-@pytest.mark.parametrize(
-    ("damage", "level", "where", "declared", "values"), FAULTS, ids=[fault[0].__name__ for fault in FAULTS]
-)
-def test_a_fault_is_named(campaign, damage, level, where, declared, values):
-    damage(campaign)
+@pytest.mark.parametrize(("damages", "level", "expected"), FAULTS, ids=[fault[0][0].__name__ for fault in FAULTS])
+def test_faults_are_named(campaign, damages, level, expected):
+    for damage in damages:
+        damage(campaign)
     found = look(campaign / "Fz-0080")
     assert found.level == level, found.findings
-    notices = [f.notice for f in found.findings if (f.level, f.where, f.code) == (level, where, declared.code)]
-    assert any(_has(notice, values) for notice in notices), found.findings
+    for where, declared, values in expected:
+        notices = [f.notice for f in found.findings if (f.level, f.where, f.code) == (level, where, declared.code)]
+        assert any(_has(notice, values) for notice in notices), found.findings
 
 
 def test_a_good_recording_is_green_and_its_uncertainty_is_foreseen(demo_recording, tmp_path, capsys):
