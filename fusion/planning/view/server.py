@@ -140,52 +140,39 @@ Query = Mapping[str, str]
 
 def api_handlers(viewed: ViewSession) -> ApiHandlers:
     """Return the function for each request of the page, by its name."""
-    cached: dict[int, SubsetViews] = {}
 
-    def subsets(query: Query) -> tuple[SubsetViews, int]:
-        viewed_recording = viewed.recording(query)
-        with viewed.lock:
-            if id(viewed_recording) not in cached:
-                cached.clear()
-                cached[id(viewed_recording)] = SubsetViews(viewed_recording)
-            return cached[id(viewed_recording)], int(query.get("pair", "0"))
+    def number(query: Query, name: str) -> int:
+        return int(query[name])
 
-    def recording(query: Query) -> ApiResponse:
-        viewed_recording, (subset_views, _) = viewed.recording(query), subsets(query)
-        description = dict(viewed_recording.description())
-        description["pairs"] = [
-            {**pair, **subset_views.description(number)} for number, pair in enumerate(description["pairs"])
-        ]
-        return {**description, "resultLines": result_lines(viewed_recording)}
-
-    def frame(query: Query) -> ApiResponse:
-        pair = viewed.recording(query).pairs[int(query["pair"])]
-        return pair.image_bytes(int(query["side"]), int(query["frame"]))
-
-    def placed(query: Query) -> ApiResponse:
-        subset_views, pair = subsets(query)
-        return subset_views.frame(pair, int(query["frame"]))
-
-    def epipolar(query: Query) -> ApiResponse:
-        subset_views, pair = subsets(query)
-        return subset_views.epipolar(pair, int(query["side"]), (float(query["x"]), float(query["y"])))
-
-    def track(query: Query) -> ApiResponse:
-        subset_views, pair = subsets(query)
-        return subset_views.track(pair, int(query["point"]))
+    def subsets(query: Query) -> SubsetViews:
+        return viewed.recording(query).subset_views
 
     return {
         "sources": lambda _: {"recordings": [overview(one) for one in viewed.sources]},
-        "recording": recording,
-        "frame": frame,
-        "subsets": placed,
-        "epipolar": epipolar,
-        "track": track,
+        "recording": lambda query: description(viewed.recording(query)),
+        "frame": lambda query: (
+            viewed.recording(query)
+            .pairs[number(query, "pair")]
+            .image_bytes(number(query, "side"), number(query, "frame"))
+        ),
+        "subsets": lambda query: subsets(query).frame(number(query, "pair"), number(query, "frame")),
+        "epipolar": lambda query: subsets(query).epipolar(
+            number(query, "pair"), number(query, "side"), (float(query["x"]), float(query["y"]))
+        ),
+        "track": lambda query: subsets(query).track(number(query, "pair"), number(query, "point")),
         "signal": lambda query: signal(viewed.recording(query), query),
-        "spectrum": lambda query: spectrum(viewed.recording(query), int(query["channel"])),
+        "spectrum": lambda query: spectrum(viewed.recording(query), number(query, "channel")),
         "lines": lambda query: lines(viewed.recording(query)),
-        "phasors": lambda query: phasors(viewed.recording(query), int(query["line"])),
+        "phasors": lambda query: phasors(viewed.recording(query), number(query, "line")),
     }
+
+
+def description(viewed: ViewedRecording) -> Mapping[str, Any]:
+    """Return the data that the page needs first, with the lines of the results."""
+    found = viewed.description()
+    pairs = [{**pair, **viewed.subset_views.description(number)} for number, pair in enumerate(found["pairs"])]
+    lines = next((found.frequency_hz.tolist() for found in viewed.accelerations.values()), [])
+    return {**found, "pairs": pairs, "resultLines": lines}
 
 
 def overview(source: ViewSource) -> Mapping[str, str]:
@@ -213,11 +200,6 @@ def overview(source: ViewSource) -> Mapping[str, str]:
         "channels": str(channels),
         "results": "" if source.results is None else source.results.name,
     }
-
-
-def result_lines(viewed: ViewedRecording) -> list[float]:
-    """Return the lines of the results."""
-    return next((found.frequency_hz.tolist() for found in viewed.accelerations.values()), [])
 
 
 def phasors(viewed: ViewedRecording, line: int) -> ApiResponse:

@@ -245,6 +245,11 @@ class ViewedRecording:
         found = read_results(self.source.results)
         return found.acceleration | ({} if found.load is None else {"load": found.load})
 
+    @cached_property
+    def subset_views(self) -> SubsetViews:
+        """Its stereo pairs with their stored results."""
+        return SubsetViews(self)
+
     def extremes(self, number: int) -> Extremes:
         """Return the extremes of a channel, computed once."""
         with self._lock:
