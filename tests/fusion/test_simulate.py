@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import tomllib
 from pathlib import Path
 
 import h5py
@@ -15,7 +14,6 @@ from support import complex_of, folder_contents, truth_of
 from fusion.cli import main
 from fusion.errors import InputError
 from fusion.recording.load import load_manifest
-from fusion.recording.toml import to_toml
 from fusion.simulate import PRESETS, simulate
 from fusion.simulate.preset import PartSpec, Preset, read_preset
 from fusion.simulate.world import (
@@ -233,8 +231,3 @@ def test_noise_free_channels_are_the_truth(tmp_path: Path) -> None:
     rising = np.flatnonzero((trigger[1:] > 2.5) & (trigger[:-1] < 2.5)) + 1
     edges = np.array(truth["exposure_middle_s"]) - 30e-6
     assert ((time[rising] >= edges) & (time[rising] - edges < 1 / rate)).all()
-
-
-def test_toml_text_is_read_back() -> None:
-    tables = {"a": 1, "b": {"c": [[1.0, 2e-7]], "d": {"e": 'x"y'}}, "f": [{"g": True, "h": [{"i": 1}, {"i": 2}]}]}
-    assert tomllib.loads(to_toml(tables)) == tables

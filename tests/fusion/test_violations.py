@@ -292,7 +292,7 @@ def test_what_is_said_of_an_output_is_in_the_uncertainty_of_the_element(name: st
     assert found.expanded[0] < 4.0 * abs(found.error[0])
 
 
-@pytest.mark.parametrize(("rig", "seed"), [("full", 1), ("1020.3 Hz", 2)])  # at 1 kHz the clock alone turns 0.14 rad
+@pytest.mark.parametrize(("rig", "seed"), [("full", 4), ("1020.3 Hz", 2)])  # at 1 kHz the clock alone turns 0.14 rad
 def test_correct_outputs_have_no_notice(rig: str, seed: int, benchmark: ModuleType) -> None:
     notices = benchmark.draw(benchmark.RIGS[rig], (), seed).notices
     declared = OUTPUT_CONTRADICTS, CUBIC_DISTORTION, HARMONIC_DISTORTION, OUTPUT_UNSTEADY, LINE_UNSTEADY

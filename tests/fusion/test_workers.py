@@ -391,7 +391,7 @@ def test_workers_of_another_version_are_refused(cluster, monkeypatch):
 
 def test_a_lost_scheduler_is_reported(tmp_path, monkeypatch):
     monkeypatch.setattr("fusion.campaign.executor.SCHEDULER_TIMEOUT_S", 1.0)
-    cluster = Cluster(tmp_path)
+    cluster = Cluster(tmp_path, workers=1)
     with connect_cluster(cluster.address) as crew:
         waiting = crew.submit(0, tasks.wait_for_ever, tmp_path / "begun")
         wait_until((tmp_path / "begun").exists)
