@@ -138,7 +138,7 @@ def _defocus(folder: Path) -> None:
 
 def _defocus_both(folder: Path) -> None:
     for side in ("left", "right"):
-        repaint(folder, f"top-{side}", lambda image, i: cv2.GaussianBlur(image.astype(np.float32), (0, 0), 4.0))
+        repaint(folder, f"base-{side}", lambda image, i: cv2.GaussianBlur(image.astype(np.float32), (0, 0), 4.0))
 
 
 def _exchange(folder: Path) -> None:
@@ -148,8 +148,8 @@ def _exchange(folder: Path) -> None:
     (place / "x").rename(place / "top-right")
 
 
-def _turn(folder: Path, angle_rad: float) -> None:
-    path = folder / "calibration" / "top.json"
+def _turn(folder: Path, name: str, angle_rad: float) -> None:
+    path = folder / "calibration" / f"{name}.json"
     content = json.loads(path.read_text())
     turned, _ = cv2.Rodrigues(np.array([angle_rad, 0.0, 0.0]))
     content["rotation"] = (turned @ np.array(content["rotation"])).tolist()
@@ -157,11 +157,11 @@ def _turn(folder: Path, angle_rad: float) -> None:
 
 
 def _another_pair(folder: Path) -> None:
-    _turn(folder, 0.03)
+    _turn(folder, "base", 0.03)
 
 
 def _touched(folder: Path) -> None:
-    _turn(folder, 4e-4)
+    _turn(folder, "top", 4e-4)
 
 
 def _one_frame_less(folder: Path) -> None:
@@ -170,7 +170,7 @@ def _one_frame_less(folder: Path) -> None:
 
 
 def _truncate(folder: Path) -> None:
-    path = folder / "Fz-0080" / "top-left" / "0000.tif"
+    path = folder / "Fz-0080" / "base-left" / "0000.tif"
     path.write_bytes(path.read_bytes()[:2000])
 
 
@@ -206,12 +206,21 @@ FAULTS = [
             ("top", EPIPOLAR_OFFSET, {"offset_px": pytest.approx(0.6, abs=0.3)}),
         ],
     ),
-    ((_defocus,), "look", [("top", CAMERA_OUT_OF_FOCUS, {"side": "left"})]),
-    ((_defocus_both,), "look", [("top right", SPECKLE_SIZE, {})]),
-    ((_fold,), "wrong", [("top", ALIASED_LINES, {"lines": "76.7 Hz"})]),
-    ((_exchange,), "wrong", [("top", CAMERAS_EXCHANGED, {})]),
-    ((_another_pair,), "wrong", [("top", CALIBRATION_CONTRADICTED, {})]),
-    ((_truncate,), "wrong", [("top", FILE_PROBLEM, {"reason": "0000.tif"})]),
+    (
+        (_defocus, _defocus_both),
+        "look",
+        [("top", CAMERA_OUT_OF_FOCUS, {"side": "left"}), ("base right", SPECKLE_SIZE, {})],
+    ),
+    (
+        (_exchange, _another_pair),
+        "wrong",
+        [("top", CAMERAS_EXCHANGED, {}), ("base", CALIBRATION_CONTRADICTED, {})],
+    ),
+    (
+        (_fold, _truncate),
+        "wrong",
+        [("top", ALIASED_LINES, {"lines": "76.7 Hz"}), ("base", FILE_PROBLEM, {"reason": "0000.tif"})],
+    ),
 ]
 
 
