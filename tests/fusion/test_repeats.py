@@ -16,7 +16,6 @@ from excited_line_factory import make_excited_line, uncertainty
 from numpy.typing import NDArray
 from scipy.stats import binom
 from simulated_drives import CAPACITY, DriveErrors, drive_setup, eight_setups, simulate_drives, true_matrix
-from support import region_distance
 from violations import JITTER_S, Rig, preset_of
 
 from fusion.base import Settings
@@ -438,23 +437,6 @@ def test_equal_scatter_along_and_across_a_mean_causes_no_loss():
     (weak,) = find_repeats([recorded(v, f"{n}", f"{n}") for n, v in enumerate((1.0 + 1.0j, -1.0 + 1.0j, 0.1 - 1.9j))])
     (turns,) = (part for part in weak.uncertainty.random if part.label == PHASE_DIFFERENCES)
     assert not np.any(turns.covariance)
-
-
-@pytest.mark.slow
-def test_the_mean_over_mountings_is_covered():
-    rng, inside = np.random.default_rng(6), []
-    truth = true_matrix(rng, 0.0)
-    base = drive_setup(rng, "", "z", (0.0, 0.0, 0.08))
-    for _ in range(120):
-        mounted = 3e-3 * rng.standard_normal(5)
-        setups = [
-            replace(base, recording=f"{m}-{n}", mounting=f"{m}", step=mounted[m] + 1e-3 * rng.standard_normal())
-            for m in range(5)
-            for n in range(1 + m % 2)
-        ]
-        (found,) = find_repeats(simulate_drives(setups, truth, DriveErrors(rng)), CAPACITY.tolist())
-        inside += [off <= 1.0 for off in region_distance(found.value[[2]], truth[2, 2], found.uncertainty.at([2]))]
-    assert 0.89 < np.mean(inside) <= 1.0
 
 
 def test_linearity_finds_the_slope_and_forgets_the_scale():

@@ -66,16 +66,6 @@ def test_wrench_agrees_with_momentum_differentiated_numerically() -> None:
         np.testing.assert_allclose(found, expected, rtol=2e-4, atol=2e-7)
 
 
-def test_wrench_of_a_mass_on_an_arm_by_hand() -> None:
-    """A point of 2 kg, 0.1 m above the origin, rocks about x with 1 rad/s² at ω = 100/s."""
-    motion = SimulatedMotion(np.array([100 / (2 * np.pi)]), np.array([[0, 0, 0, 1, 0, 0]], dtype=complex))
-    mass = TruePart(2.0, np.array([0, 0, 0.1]), np.zeros((3, 3)))
-    found = wrench(motion, [mass], GRAVITY)[0]
-    theta = -1e-4
-    force_y = 2 * (-0.1 - theta * -9.8125)  # α × c points to −y; the tilted axes see −θ·g_z of gravity
-    np.testing.assert_allclose(found, [0, force_y, 0, -0.1 * force_y, 0, 0], atol=1e-15)
-
-
 def test_laser_and_accelerometer_measure_the_moving_point() -> None:
     motion, step = _motion(), 2e-5
     point, direction = np.array([0.03, -0.04, 0.06]), np.array([0.36, 0.48, 0.8])

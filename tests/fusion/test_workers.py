@@ -303,26 +303,6 @@ def test_two_processes_give_the_tables_of_one(sweep, serial):
 
 
 @pytest.mark.slow
-def test_a_cluster_gives_the_same_tables_also_with_a_killed_worker(sweep, serial, tmp_path_factory):
-    cluster = Cluster(tmp_path_factory.mktemp("killed"))
-    killed: list[int] = []
-
-    def kill_the_first(stage: str, done: int, total: int) -> None:
-        if done == 0:
-            wait_until(lambda: bool(_begun(sweep.parent)))
-            killed.append(_begun(sweep.parent)[0])
-            os.kill(killed[0], signal.SIGKILL)
-
-    try:
-        _run(sweep, sweep.with_name("dask"), tasks.slow_job, workers=cluster.address, progress=kill_the_first)
-        assert killed[0] in [worker.pid for worker in cluster.workers]
-        assert _tables(sweep.with_name("dask")) == serial
-        assert _hidden(sweep.with_name("dask")) == []
-    finally:
-        cluster.end()
-
-
-@pytest.mark.slow
 def test_a_run_that_was_killed_goes_on_to_the_same_tables(sweep, serial, tmp_path):
     script, out = tmp_path / "run.py", tmp_path / "out"
     script.write_text(RUN)
