@@ -170,7 +170,7 @@ def write_steps(folder: Path, seed: int, rig: StepRig | None = None) -> tuple[Pa
 def sensor_model(rig: StepRig, draws: Draws) -> Model:
     """Return the response of every output (row) to every load component (column).
 
-    In V/V per N or N·m.     H = C·diag[ω²/(s² + 2ζωs + ω²)]·B·2πf_c/(s + 2πf_c): loads excite the modes by B, outputs
+    In V/V per N or N·m. H = C·diag[ω²/(s² + 2ζωs + ω²)]·B·2πf_c/(s + 2πf_c): loads excite the modes by B, outputs
     observe them by C, both nearly diagonal; the amplifier is the last factor. Residues follow from partial fractions.
     """
     modes = len(rig.frequency_hz)

@@ -512,8 +512,8 @@ def driven(
 def camera_rate(preset: Preset, frequency_hz: float) -> float:
     """Return a camera rate near 53 Hz for a line and the DAQ rates.
 
-    It beats with the line and is no simple fraction of the DAQ rates.     At the candidate rates a line advances by
-    about 0.3 cycles per frame. The selected rate has the smallest gap between the phases of its edges in the sampling
+    It beats with the line and is no simple fraction of the DAQ rates. At the candidate rates a line advances by about
+    0.3 cycles per frame. The selected rate has the smallest gap between the phases of its edges in the sampling
     intervals: this gap limits the resolution of the trigger instants.
     """
 

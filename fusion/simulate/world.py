@@ -154,10 +154,9 @@ def harmonic(time_s: FloatArray, frequency_hz: FloatArray, phasors: ComplexArray
 
 
 def wrench(motion: SimulatedMotion, parts: Sequence[TruePart], gravity: FloatArray) -> ComplexArray:
-    """Return force and moment phasors (K, 6) at the origin that accelerate parts.
+    """Return force and moment phasors (K, 6) at the origin, in body axes, that accelerate parts.
 
-    In body axes.     Newton and Euler of each part: F = m·(a + α × c) + m·θ × g, M = c × F + I·α, θ = −α/ω². The last
-    term of F is gravity in tilted axes: Rᵀ·(−m·g) = −m·g + m·θ × g to first order.
+    The last term of F is gravity in tilted axes: Rᵀ·(−m·g) = −m·g + m·θ × g to first order.
     """
     a, alpha = motion.acceleration[:, :3], motion.acceleration[:, 3:]
     tilt = np.cross(motion.displacement[:, 3:], gravity)

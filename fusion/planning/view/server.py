@@ -171,7 +171,7 @@ def description(viewed: ViewedRecording) -> Mapping[str, Any]:
     """Return the data that the page needs first, with the lines of the results."""
     found = viewed.description()
     pairs = [{**pair, **viewed.subset_views.description(number)} for number, pair in enumerate(found["pairs"])]
-    lines = next((found.frequency_hz.tolist() for found in viewed.accelerations.values()), [])
+    lines: list[float] = next((one.frequency_hz.tolist() for one in viewed.accelerations.values()), [])
     return {**found, "pairs": pairs, "resultLines": lines}
 
 
