@@ -26,10 +26,10 @@ from numpy.typing import NDArray
 from scipy.stats import binom
 from simulated_phasors import Pair, PhasorSetup, simulate_phasors
 
-from fusion.campaign.excited_line import excited_lines
+from fusion.campaign.excited_line import Knowledge, excited_lines
 from fusion.campaign.matrix import fit_matrix
 from fusion.campaign.recording_results import RecordingResults
-from fusion.campaign.unknowns import JointUnknown, Knowledge, apply_joint_estimate
+from fusion.campaign.unknowns import JointUnknown, apply_joint_estimate
 from fusion.estimation.fuse import fuse
 from fusion.estimation.uncertainty import polar_elements
 from fusion.instruments.stereo import StereoReading

@@ -27,10 +27,10 @@ from fusion.phasors.stereo_motion import (
 )
 from fusion.phasors.tracked_blocks import Motions, body_inputs
 from fusion.recording.load import load_manifest
-from fusion.simulate import bending, sines
+from fusion.simulate import sines
 from fusion.simulate.preset import Preset, StereoSetup, patches_of
 from fusion.simulate.sines import rendered_run, write_run
-from fusion.simulate.world import Draws, SimulatedMotion, World, harmonic, make_world
+from fusion.simulate.world import Draws, SimulatedMotion, World, harmonic, make_world, plate_shape, rim_acceleration
 from photogram.camera import StereoRig, triangulate
 from photogram.direct.direct_fit import pose_covariance, rest_information, rigid_share, without_noise
 from photogram.direct.shapes import PlainShapes, ShapeAmplitudes
@@ -160,8 +160,8 @@ def _places(images: PreparedImages, world: World, draws: Draws) -> tuple[FloatAr
     moved = np.repeat(rest[None], len(middle), axis=0)
     if preset.plate is not None and not room:
         load = world.motion["load"]
-        rim = -bending.rim_acceleration(preset.plate, load, draws)[:, None] / load.omega[:, None] ** 2 * lost
-        shape = bending.shape(np.hypot(rest[:, 0], rest[:, 1]) / preset.plate.radius)
+        rim = -rim_acceleration(preset.plate, load, draws)[:, None] / load.omega[:, None] ** 2 * lost
+        shape = plate_shape(np.hypot(rest[:, 0], rest[:, 1]) / preset.plate.radius)
         moved[..., 2] += harmonic(middle, load.frequency_hz, rim) * shape
     poses = SimulatedMotion(seen.frequency_hz, seen.acceleration * lost).pose(middle)
     there = np.stack([RigidTransform.from_pose(pose).apply(own) for pose, own in zip(poses, moved, strict=True)])

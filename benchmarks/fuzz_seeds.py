@@ -17,7 +17,7 @@ import tdms_factory as tdms
 import universal_factory as uff
 
 from fusion import Settings, read_results, run_path, simulate_preset
-from fusion.campaign.joint_report import join_campaign
+from fusion.campaign.joint_report import write_campaign
 from photogram.images.image_files import open_sequence, read_image
 from photogram.images.sequence import wrap_read_errors
 from photogram.point_tables import read_matrix, read_point_tables
@@ -271,7 +271,7 @@ def _results(folder: Path, data: Path) -> None:
     with TemporaryDirectory() as place:
         simulate_preset(f"{place}/matrix", "matrix", 1)
         run_path(f"{place}/matrix/1-z", f"{place}/results/1-z", Settings())
-        join_campaign(Path(place, "results"), "matrix", [Path(place, "results/1-z")], {})
+        write_campaign(Path(place, "results"), "matrix", [Path(place, "results/1-z")], {})
         for name in ("1-z/result.h5", "campaign.h5"):
             shutil.copyfile(Path(place, "results", name), folder / Path(name).name)
 

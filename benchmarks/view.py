@@ -28,8 +28,7 @@ import numpy as np
 import tifffile
 from marked import markdown_table, write_marked
 
-from fusion.planning.view.server import Server
-from fusion.planning.view.view_requests import api_handlers
+from fusion.planning.view.server import Server, api_handlers
 from fusion.planning.view.viewed_recording import ViewSession, find_sources
 
 DEMO = Path(__file__).resolve().parents[1] / "sample_images/demo"

@@ -24,19 +24,19 @@ ENDING_S = 20.0
 
 
 class Cluster:
-    """A scheduler and two workers, each a process of its own, as a laboratory starts them.
+    """A scheduler and two workers, or some, each a process of its own, as a laboratory starts them.
 
     `nannies`: each worker has one, which starts another when it dies.
     """
 
-    def __init__(self, folder: Path, *, nannies: bool = False) -> None:
+    def __init__(self, folder: Path, *, workers: int = 2, nannies: bool = False) -> None:
         self.folder = folder
         self._processes = [self._scheduler("0")]
         file = folder / "scheduler.json"
         wait_until(lambda: file.exists() and bool(file.read_text().strip()))
         self.address = json.loads(file.read_text())["address"]
         self.nanny = "--nanny" if nannies else "--no-nanny"
-        self.workers = [self._worker(folder, self.nanny) for _ in range(2)]
+        self.workers = [self._worker(folder, self.nanny) for _ in range(workers)]
         with Client(self.address, set_as_default=False) as client:
             client.wait_for_workers(len(self.workers), PATIENCE_S)
 

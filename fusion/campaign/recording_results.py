@@ -12,8 +12,7 @@ from pathlib import Path
 import h5py
 
 from fusion.campaign.campaign_notices import NO_RECORDING_RESULTS
-from fusion.campaign.excited_line import ExcitedLine, excited_lines, identity
-from fusion.campaign.unknowns import Knowledge
+from fusion.campaign.excited_line import ExcitedLine, Knowledge, excited_lines, identity
 from fusion.errors import InputError
 from fusion.instruments.channel import Outputs
 from fusion.phasors.timing import EdgeGrid
@@ -179,10 +178,7 @@ def _knowledge(file: h5py.File) -> Callable[[], Knowledge] | None:
 
 
 def _grids(file: h5py.File) -> tuple[EdgeGrid, ...]:
-    """Return the positions of trigger edges of every block with a trigger.
-
-    None if one block has no position.
-    """
+    """Return the positions of trigger edges of every block with a trigger. None if one block has no position."""
     clocks = [clock for clock in file.get("clocks", {}).values() if "trigger" in clock]
     found = [clock["grid"].attrs for clock in clocks if "grid" in clock]
     if len(found) < len(clocks):

@@ -10,8 +10,7 @@ from typing import Literal, NamedTuple
 import numpy as np
 
 from fusion.campaign.campaign_notices import ONE_MOUNTING, TWO_REPEATS
-from fusion.campaign.excited_line import ExcitedLine, LazyUncertainty
-from fusion.campaign.unknowns import SECOND_ORDER
+from fusion.campaign.excited_line import SECOND_ORDER, ExcitedLine, LazyUncertainty
 from fusion.estimation.coverage import coverage_factor
 from fusion.estimation.fuse import EXPLANATIONS
 from fusion.estimation.measurement_model import BODY_SIZE_M
@@ -165,10 +164,7 @@ def group_excitations(
 
 
 def _same(first: ExcitedLine, other: ExcitedLine, component: int, *, separate_amplitudes: bool) -> bool:
-    """Return whether two lines are one excitation.
-
-    Phases and signs of the load do not count.
-    """
+    """Return whether two lines are one excitation. Phases and signs of the load do not count."""
     if abs(np.log(other.frequency_hz / first.frequency_hz)) > SAME_FREQUENCY:
         return False
     if len(first.direction) != len(other.direction):

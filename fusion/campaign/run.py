@@ -202,11 +202,11 @@ def run_path(
         finished = [outcome.folder for outcome in outcomes if outcome.error is None]
         failed = {outcome.name: str(outcome.error) for outcome in outcomes if outcome.error is not None}
         if finished:
-            from fusion.campaign.joint_report import join_campaign  # a recording by itself needs no campaign's models
+            from fusion.campaign.joint_report import write_campaign  # a recording by itself needs no campaign's models
 
             progress(JOIN, 0, 1)
             with one_blas_thread():
-                joint, _ = join_campaign(top, path.resolve().name, finished, failed)
+                joint, _ = write_campaign(top, path.resolve().name, finished, failed)
             progress(JOIN, 1, 1)
             notices = {entry.folder: entry.joint_notices for entry in joint.recorded}
             outcomes = tuple(replace(outcome, notices=notices.get(outcome.folder.name)) for outcome in outcomes)

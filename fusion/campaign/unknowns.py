@@ -5,98 +5,25 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy.special import chdtrc
 
 from fusion.campaign.campaign_notices import CONTRADICTING_RECORDINGS, JOINT_UNKNOWNS, RECORDINGS_WITHOUT_ESTIMATE
-from fusion.campaign.excited_line import ExcitedLine, LazyUncertainty, UnknownDescription, intern_unknown
+from fusion.campaign.excited_line import SECOND_ORDER, ExcitedLine, Knowledge, LazyUncertainty, UnknownDescription
+from fusion.campaign.recording_results import RecordingResults
 from fusion.estimation.instrument_consistency import UNTESTABLE_SHARE
 from fusion.estimation.uncertainty import Contribution, Influence, Uncertainty, as_complex
 from fusion.estimation.variance_components import TEST_CONFIDENCE
-from shakercal._common.arrays import BoolArray, FloatArray, IntArray
+from shakercal._common.arrays import FloatArray, IntArray
 from shakercal._common.notices import Notice
-
-if TYPE_CHECKING:
-    from fusion.campaign.recording_results import RecordingResults
 
 AS_STATED = 0.95
 """Ratio of the joint to the stated standard uncertainty above which an unknown counts as stated (chosen)."""
 NOISE = "noise of the joint estimate of unknowns"
 """Label of the noise of all recordings in their joint estimate of unknowns."""
-SECOND_ORDER_U = 0.05
-"""Standard uncertainty, in the stated one, of the difference between an unknown in one recording and in the rig.
-
-It allows for errors of first order: a direction error of 10 mrad shortens a reading by 5e-5, a tenth of the u of a
-laser's scale. Recordings with little noise would otherwise contradict each other.
-"""
-SECOND_ORDER = "unknowns beyond first order"
 ROUNDING = 1e-12
 """Relative eigenvalue below which a covariance has no variance in a direction."""
-
-
-@dataclass(frozen=True)
-class Knowledge:
-    """Estimate of the E unknowns of one recording by its readings, in their u.
-
-    `descriptions` (E): the unknowns; `shared` (E,): those that other recordings may have, too, and that act on the load
-    through the motion alone. A₀ = A at no errors, K its change by one u of each shared unknown, N all other
-    uncertainty, P = N⁻¹ - N⁻¹X(XᵀN⁻¹X)⁻¹XᵀN⁻¹ and E the effects of the shared unknowns on the readings y = X·A + E·ε +
-    n. The readings determine ε through EᵀPy = M·ε + noise of covariance M alone, M = EᵀPE. The estimate applies to the
-    rig with ε = ε_rig + η, where η has the covariance T of second-order effects: squares of `SECOND_ORDER_U` and
-    `products` (E,).
-    """
-
-    descriptions: tuple[UnknownDescription, ...]
-    shared: BoolArray
-    estimate: FloatArray
-    covariance: FloatArray
-    products: FloatArray
-
-    @classmethod
-    def of(cls, influences: Sequence[Influence], both: Sequence[str], *numbers: FloatArray) -> Knowledge:
-        """Return the estimate for unknowns of the motion.
-
-        `both`: those that also act on the load directly.
-        """
-        about = tuple(
-            intern_unknown(i.name, i.label, i.u, i.unit, i.scope, i.type, i.dof, i.distribution) for i in influences
-        )
-        shared = [one[4] in ("rig", "mounting") and one[0] not in both for one in about]
-        return cls(about, np.array(shared, dtype=np.bool_), *numbers)
-
-    @cached_property
-    def second_order(self) -> FloatArray:
-        """T, whose off-diagonal elements are zero."""
-        return np.diag(SECOND_ORDER_U**2 + self.products[self.shared] ** 2)
-
-    @cached_property
-    def inverse(self) -> FloatArray:
-        """1 + M, the inverse of the covariance of the shared unknowns, all others marginalised."""
-        return np.asarray(np.linalg.inv(self.covariance[np.ix_(self.shared, self.shared)]))
-
-    @cached_property
-    def attenuation(self) -> FloatArray:
-        """(1 + MT)⁻¹, the attenuation of information between recording and rig by second-order effects."""
-        size = np.eye(len(self.inverse))
-        return np.asarray(np.linalg.inv(size + (self.inverse - size) @ self.second_order))
-
-    @property
-    def information(self) -> FloatArray:
-        """Information of the recording on the unknowns of the rig: (1 + MT)⁻¹M."""
-        product = self.attenuation @ (self.inverse - np.eye(len(self.inverse)))
-        return np.asarray((product + product.T) / 2.0)
-
-    @property
-    def score(self) -> FloatArray:
-        """(1 + MT)⁻¹EᵀPy."""
-        return np.asarray(self.attenuation @ self.inverse @ self.estimate[self.shared])
-
-    @property
-    def local(self) -> FloatArray:
-        """EᵀP times the effects of the unshared unknowns on the readings."""
-        return np.asarray(-self.inverse @ self.covariance[np.ix_(self.shared, ~self.shared)])
 
 
 @dataclass(frozen=True)

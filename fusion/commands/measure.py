@@ -291,7 +291,7 @@ def _view_options(parser: Parser) -> None:
 @command(_view_options, "recordings/Fz-0080/results")
 def view(options: argparse.Namespace) -> None:
     """View images, channels, spectra and phasors on a page of this machine, until Ctrl-C."""
-    from fusion.planning.view.view_requests import run_view
+    from fusion.planning.view.server import run_view
 
     run_view(
         options.source,

@@ -128,7 +128,7 @@ def _single_camera_covariance(name: str, pair: Stereo, images: ImageSequence) ->
     the sensor origin in sensor axes. None if the first image is unusable.
     """
     from fusion.phasors.stereo_motion import read_rig, sensor_from_camera
-    from fusion.planning.look.image_checks import examine_camera
+    from fusion.planning.look.data_checks import examine_camera
     from photogram.camera import FaceCamera, locate
     from photogram.direct.surface import PlacedCamera, project_body_points
     from photogram.geometry import RigidTransform

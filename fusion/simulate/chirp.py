@@ -19,6 +19,7 @@ from pydantic.dataclasses import dataclass
 
 from fusion.base import ProgressCallback, no_progress
 from fusion.recording.toml import to_toml
+from fusion.report.atomic_files import write_files
 from fusion.simulate.preset import CHECKED, PartSpec, Preset, Vector, read_preset
 from fusion.simulate.sines import (
     DRIVE_MPS2,
@@ -35,7 +36,7 @@ from fusion.simulate.sines import (
     write_run,
 )
 from fusion.simulate.world import STATIC_UNCERTAINTY, Draws, TruePart, make_world, static_sensitivity, true_part
-from fusion.simulate.write import RIG_FILE, TRUTH_FILE, Record, complex_table, write_recording, write_texts
+from fusion.simulate.write import RIG_FILE, TRUTH_FILE, Record, complex_table, write_recording
 from shaker.frf.chain import filter_poles, pole_response
 from shaker.labels import MOTION_COMPONENTS
 from shakercal._common.arrays import ComplexArray, FloatArray
@@ -81,10 +82,7 @@ class Oscillator:
     chirp: Chirp
 
     def transmissibility(self, frequency_hz: FloatArray) -> ComplexArray:
-        """Return the acceleration of the mass over that of the base.
-
-        (1 + 2ζp)/(1 + 2ζp + p²), p = jω/ω₀.
-        """
+        """Return the acceleration of the mass over that of the base. (1 + 2ζp)/(1 + 2ζp + p²), p = jω/ω₀."""
         p = 1j * frequency_hz / self.frequency_hz
         spring = 1.0 + 2.0 * self.damping_ratio * p
         return np.asarray(spring / (spring + p * p))
@@ -170,7 +168,7 @@ def write_chirp(folder: Path, seed: int, rig: Oscillator | None = None) -> Path:
         "transfer": complex_table(rig.transmissibility(frequency)),
         "drawn": draws.values,
     }
-    write_texts(folder, {RIG_FILE: to_toml({"format": 1, "name": "oscillator on a shaker, simulated"})})
+    write_files(folder, {RIG_FILE: to_toml({"format": 1, "name": "oscillator on a shaker, simulated"})})
     return write_chirp_files(folder / RECORDING, rig.chirp, samples, manifest, truth)
 
 
@@ -267,7 +265,7 @@ def write_chirps(folder: Path, suspension: SimulatedSuspension, draws: Draws) ->
     internal = true_part(suspension.internal, draws)
     lines = suspension.chirp.lines_hz
     for name, stated in suspension.loads.items():
-        write_texts(folder, {rig_file(name): to_toml(suspension_rig(suspension, stated, draws))})
+        write_files(folder, {rig_file(name): to_toml(suspension_rig(suspension, stated, draws))})
         load = true_part(stated, draws)
         ratios = {top: partial(suspension.transfer, load, internal, point) for top, point in suspension.tops.items()}
         samples = chirp_samples(suspension.chirp, draws, ratios, f"{name}.")
@@ -307,10 +305,7 @@ def suspension_rig(suspension: SimulatedSuspension, load: PartSpec, draws: Draws
 
 
 def write_pitching(folder: Path, seed: int, suspension: SimulatedSuspension | None = None) -> None:
-    """Write both rigs, a chirp recording along x of each load, and the truth.
-
-    All uncertainties are sampled once.
-    """
+    """Write both rigs, a chirp recording along x of each load, and the truth. All uncertainties are sampled once."""
     suspension = suspension or read_preset(SimulatedSuspension, "pitching")
     draws = Draws(seed, True)
     write_chirps(folder, suspension, draws)
@@ -392,4 +387,4 @@ def _write_truth(folder: Path, suspension: SimulatedSuspension, draws: Draws, ot
         **others,
         "drawn": draws.values,
     }
-    write_texts(folder, {TRUTH_FILE: json.dumps(truth)})
+    write_files(folder, {TRUTH_FILE: json.dumps(truth)})

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import tomllib
 from dataclasses import field, replace
-from functools import lru_cache
+from functools import cache, lru_cache
 from pathlib import Path
 from typing import Annotated, Any, TypeVar
 
@@ -46,8 +46,9 @@ def read_preset(kind: type[_T], name: str, **changes: Any) -> _T:
     return kind(**(_read(name) | changes))
 
 
+@cache
 def _read(source: str) -> dict[str, Any]:
-    """Return a file of presets, or a table of it (`FILE.TABLE`), with inherited keys."""
+    """Return a file of presets, or a table of it (`FILE.TABLE`), with inherited keys; nobody changes it."""
     name, *keys = source.split(".")
     table = tomllib.loads((_FOLDER / f"{name}.toml").read_text(encoding="utf-8"))
     for key in keys:
@@ -130,7 +131,7 @@ class PartSpec:
 
 @dataclass(frozen=True, config=CHECKED)
 class PlateSpec:
-    """A flexible plate on top of the load (`fusion.simulate.bending`), as stated.
+    """A flexible plate on top of the load (`fusion.simulate.world`), as stated.
 
     Its mass is part of the load's. Natural frequency with its standard uncertainty (relative), damping ratio.
     `measured_by`: stereo pairs that measure it.

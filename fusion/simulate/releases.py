@@ -15,9 +15,10 @@ import numpy as np
 from pydantic.dataclasses import dataclass
 
 from fusion.recording.toml import to_toml
+from fusion.report.atomic_files import write_files
 from fusion.simulate.preset import CHECKED, read_preset
 from fusion.simulate.world import Draws
-from fusion.simulate.write import RIG_FILE, TRUTH_FILE, Record, complex_table, write_recording, write_texts
+from fusion.simulate.write import RIG_FILE, TRUTH_FILE, Record, complex_table, write_recording
 from shaker.labels import LOAD_COMPONENTS
 from shaker.lti.system import ModalModel
 from shaker.release.load_response import pole_responses
@@ -162,14 +163,14 @@ def write_steps(folder: Path, seed: int, rig: StepRig | None = None) -> tuple[Pa
         "drawn": draws.values,
     }
     recordings = tuple(_write_release(folder / release.name, rig, model, release, draws) for release in releases(rig))
-    write_texts(folder, {RIG_FILE: to_toml(tables), TRUTH_FILE: json.dumps(truth)})
+    write_files(folder, {RIG_FILE: to_toml(tables), TRUTH_FILE: json.dumps(truth)})
     return recordings
 
 
 def sensor_model(rig: StepRig, draws: Draws) -> Model:
     """Return the response of every output (row) to every load component (column).
 
-    In V/V per N or N·m.     H = C·diag[ω²/(s² + 2ζωs + ω²)]·B·2πf_c/(s + 2πf_c): loads excite the modes by B, outputs
+    In V/V per N or N·m. H = C·diag[ω²/(s² + 2ζωs + ω²)]·B·2πf_c/(s + 2πf_c): loads excite the modes by B, outputs
     observe them by C, both nearly diagonal; the amplifier is the last factor. Residues follow from partial fractions.
     """
     modes = len(rig.frequency_hz)
@@ -273,7 +274,7 @@ def write_loads(folder: Path, seed: int, rig: SeriesRig | None = None) -> tuple[
         if grams:
             load += float(draws.normal(f"load {grams} g.mass", rig.u_load_mass_kg))
         masses[f"step-{grams:03d}g"] = load
-        write_texts(folder, {f"rig-{grams:03d}g.toml": to_toml(_series_rig(rig, grams))})
+        write_files(folder, {f"rig-{grams:03d}g.toml": to_toml(_series_rig(rig, grams))})
         recordings.append(_write_series_release(folder, rig, grams, (moving, load), draws))
     truth = {
         "format": 1,
@@ -291,7 +292,7 @@ def write_loads(folder: Path, seed: int, rig: SeriesRig | None = None) -> tuple[
         "release_s": rig.release_s,
         "drawn": draws.values,
     }
-    write_texts(folder, {TRUTH_FILE: json.dumps(truth)})
+    write_files(folder, {TRUTH_FILE: json.dumps(truth)})
     return tuple(recordings)
 
 

@@ -19,8 +19,7 @@ from numpy.typing import NDArray
 
 from fusion.base import ProgressCallback, no_progress
 from fusion.recording.toml import to_toml
-from fusion.report.atomic_files import write_file
-from fusion.simulate import bending
+from fusion.report.atomic_files import write_file, write_files
 from fusion.simulate.preset import (
     ChannelSpec,
     DaqSpec,
@@ -38,9 +37,12 @@ from fusion.simulate.world import (
     TrueStereo,
     World,
     acceleration_at,
+    bent_view,
+    elastic_keys,
     harmonic,
     make_world,
     point_series,
+    surface_files,
     velocity_at,
     wrench,
 )
@@ -56,7 +58,6 @@ from fusion.simulate.write import (
     points_file,
     points_text,
     write_recording,
-    write_texts,
 )
 from photogram.calibration.calibration_file import write_calibration
 from photogram.geometry import RigidTransform
@@ -185,7 +186,7 @@ def rig_tables(world: World, recording_parts: tuple[PartSpec, ...] = ()) -> dict
         "format": 1,
         "name": preset.rig_name,
         "sensor": sensor_keys(preset, world.static_stated),
-        "load": part_keys(preset.load) | bending.elastic_keys(preset),
+        "load": part_keys(preset.load) | elastic_keys(preset),
     }
     parts = [part_table(part) for part in preset.parts if part not in recording_parts]
     if parts:
@@ -431,7 +432,7 @@ def write_run(
         _write_images(recording, world, draws, options, progress)
     if not (folder / run.rig_file).exists():
         rig = to_toml(draws.violations("rig", rig_tables(world, run.parts)))
-        write_texts(folder, {run.rig_file: rig, **bending.surface_files(preset)})
+        write_files(folder, {run.rig_file: rig, **surface_files(preset)})
     return recording
 
 
@@ -454,7 +455,7 @@ def _write_images(
         middle = stereo.exposure_middle_s(float(world.trigger_s[frame]), exposure)
         pose_at = world.observed_motion(draws, stereo.setup.body, "camera", np.array(stereo.setup.face_centre)).pose
         load = stereo.setup.body == "load"
-        bent = bending.bent_view(world, draws, view, face, (middle, exposure)) if load else view
+        bent = bent_view(world, draws, view, face, (middle, exposure)) if load else view
         nodes = 4 if options.aliased else 2
         image = render_exposure(bent, face, pose_at, middle, exposure, nodes, times)
         at_rest = world.observed_motion(draws, "room", "camera", np.array(stereo.setup.face_centre)).pose
@@ -511,8 +512,8 @@ def driven(
 def camera_rate(preset: Preset, frequency_hz: float) -> float:
     """Return a camera rate near 53 Hz for a line and the DAQ rates.
 
-    It beats with the line and is no simple fraction of the DAQ rates.     At the candidate rates a line advances by
-    about 0.3 cycles per frame. The selected rate has the smallest gap between the phases of its edges in the sampling
+    It beats with the line and is no simple fraction of the DAQ rates. At the candidate rates a line advances by about
+    0.3 cycles per frame. The selected rate has the smallest gap between the phases of its edges in the sampling
     intervals: this gap limits the resolution of the trigger instants.
     """
 

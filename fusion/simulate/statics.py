@@ -16,11 +16,11 @@ from pydantic.dataclasses import dataclass
 
 from fusion.base import ProgressCallback
 from fusion.recording.toml import to_toml
-from fusion.report.atomic_files import write_file
+from fusion.report.atomic_files import write_file, write_files
 from fusion.sensor.model_files import MODELS_FILE, ModelEntry, ModelsFile, models_text
 from fusion.simulate.preset import CHECKED, Vector, read_preset
 from fusion.simulate.world import Draws
-from fusion.simulate.write import RIG_FILE, TRUTH_FILE, write_recording, write_texts
+from fusion.simulate.write import RIG_FILE, TRUTH_FILE, write_recording
 from photogram.calibration.calibration_file import write_calibration
 from photogram.geometry import RigidTransform, rotation_from_vector
 from photogram.synthetic.board import Board, random_poses, random_rig, render_board
@@ -94,7 +94,7 @@ def write_rotation(folder: Path, seed: int, rig: RotationRig | None = None) -> t
         },
         "environment": {"latitude": rig.latitude_deg, "height": rig.height_m, "temperature": rig.temperature_c},
     }
-    write_texts(folder, {RIG_FILE: to_toml(tables)})
+    write_files(folder, {RIG_FILE: to_toml(tables)})
     for name in (BARE, LOADED):
         manifest = {
             "format": 1,
@@ -258,7 +258,7 @@ def write_element(folder: Path, seed: int) -> Path:
     entries = tuple(_entry(preset, *pair, draws) for pair in zip(LOAD_COMPONENTS, frequency.tolist(), strict=True))
     models = ModelsFile("cross-beam element, simulated", "six-axis wrist sensor", "simulated", entries)
     texts = {GEOMETRY_FILE: to_toml(drawing), MODELS_FILE: models_text(models), TRUTH_FILE: json.dumps(truth)}
-    write_texts(folder, texts)
+    write_files(folder, texts)
     return folder / GEOMETRY_FILE
 
 

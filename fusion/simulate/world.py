@@ -13,11 +13,19 @@ from typing import Any, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from fusion.simulate import bending
-from fusion.simulate.preset import PartSpec, Preset, StereoSetup, camera_pose, face_of, nominal_rig, read_preset
+from fusion.simulate.preset import (
+    PartSpec,
+    PlateSpec,
+    Preset,
+    StereoSetup,
+    camera_pose,
+    face_of,
+    nominal_rig,
+    read_preset,
+)
 from photogram.camera import StereoRig
 from photogram.geometry import RigidTransform, rotation_from_vector
-from photogram.synthetic.scene import View, motion_bound, view_of
+from photogram.synthetic.scene import Face, View, bend_view, motion_bound, view_of
 from shakercal._common.arrays import ComplexArray, FloatArray
 
 MOUNTING_ERRORS = ("point", "direction", "transverse", "centre_of_mass")
@@ -146,10 +154,9 @@ def harmonic(time_s: FloatArray, frequency_hz: FloatArray, phasors: ComplexArray
 
 
 def wrench(motion: SimulatedMotion, parts: Sequence[TruePart], gravity: FloatArray) -> ComplexArray:
-    """Return force and moment phasors (K, 6) at the origin that accelerate parts.
+    """Return force and moment phasors (K, 6) at the origin, in body axes, that accelerate parts.
 
-    In body axes.     Newton and Euler of each part: F = m·(a + α × c) + m·θ × g, M = c × F + I·α, θ = −α/ω². The last
-    term of F is gravity in tilted axes: Rᵀ·(−m·g) = −m·g + m·θ × g to first order.
+    The last term of F is gravity in tilted axes: Rᵀ·(−m·g) = −m·g + m·θ × g to first order.
     """
     a, alpha = motion.acceleration[:, :3], motion.acceleration[:, 3:]
     tilt = np.cross(motion.displacement[:, 3:], gravity)
@@ -184,10 +191,7 @@ def sensitivity(frequency_hz: FloatArray, static: FloatArray, damping_s: FloatAr
 
 
 def velocity_at(motion: SimulatedMotion, point: FloatArray, direction: FloatArray) -> ComplexArray:
-    """Return velocity phasors (K,) of a point along a fixed direction.
-
-    d·(v + ω × r).
-    """
+    """Return velocity phasors (K,) of a point along a fixed direction. d·(v + ω × r)."""
     velocity = motion.acceleration / (1j * motion.omega[:, None])
     return np.asarray((velocity[:, :3] + np.cross(velocity[:, 3:], point)) @ direction)
 
@@ -195,10 +199,7 @@ def velocity_at(motion: SimulatedMotion, point: FloatArray, direction: FloatArra
 def acceleration_at(
     motion: SimulatedMotion, point: FloatArray, direction: FloatArray, gravity: FloatArray
 ) -> ComplexArray:
-    """Return phasors (K,) of a tilting accelerometer.
-
-    d·(a + α × r) − (θ × d)·g.
-    """
+    """Return phasors (K,) of a tilting accelerometer. d·(a + α × r) − (θ × d)·g."""
     a, alpha = motion.acceleration[:, :3], motion.acceleration[:, 3:]
     tilted = np.cross(motion.displacement[:, 3:], direction)
     return np.asarray((a + np.cross(alpha, point)) @ direction - tilted @ gravity)
@@ -264,7 +265,7 @@ class World:
         load = self.motion["load"]
         motion = self.motion.get(body, SimulatedMotion(load.frequency_hz, np.zeros_like(load.acceleration)))
         if self.preset.plate is not None and body == "load":
-            motion = bending.plate_motion(self.preset.plate, motion, draws, point)
+            motion = plate_motion(self.preset.plate, motion, draws, point)
         return draws.violations("seen", motion, self, body, instrument, point)
 
 
@@ -278,7 +279,7 @@ def make_world(preset: Preset, draws: Draws, jitter_s: float) -> World:
     sign = 1.0 if preset.sense == "on_load" else -1.0
     force = sign * wrench(load, parts, gravity)
     if preset.plate is not None:
-        force = force + sign * bending.plate_wrench(preset.plate, load, draws)
+        force = force + sign * plate_wrench(preset.plate, load, draws)
     stated, true = static_sensitivity(preset, draws)
     matrix = sensitivity(frequency, true, np.array(preset.damping_s), preset.lag_s)
     outputs = np.einsum("kcj,kj->kc", matrix, force)
@@ -398,3 +399,111 @@ def point_series(world: World, setup: StereoSetup, draws: Draws, noise: bool) ->
         deviate = draws.stream(f"{setup.name}.points").standard_normal(position.shape)
         position = position + deviate * np.array(_NOISE_M)
     return draws.violations("points", position, setup)
+
+
+# A plate on the load that bends: a disc of uniform mass m about the axis z of the sensor, with the shape s(ρ) =
+# ρ²·(1.4 − 0.4·ρ²) over the radius ρ = r/R. Its rim moves by q relative to its centre, m·⟨s²⟩·(q̈ + 2ζω₀·q̇ + ω₀²·q) =
+# −m·⟨s⟩·a, and the foot carries m·⟨s⟩·q̈ in addition to the rigid load. Means over the disc are sums over rings.
+
+SURFACE_FILE = "plate-mode-1.csv"
+RINGS, SPOKES = 12, 24  # of the surface's table
+_RADII = (np.arange(20000) + 0.5) / 20000
+
+
+def plate_shape(rho: FloatArray) -> FloatArray:
+    """Return the displacement over that of the rim, at radii over that of the rim."""
+    return np.asarray(rho**2 * (1.4 - 0.4 * rho**2))
+
+
+MEAN_SHAPE, MEAN_SQUARE_SHAPE = (
+    float(np.sum(plate_shape(_RADII) ** power * _RADII) / np.sum(_RADII)) for power in (1, 2)
+)
+
+
+def _rim_share(plate: PlateSpec, point: Sequence[float] | FloatArray) -> float:
+    return float(plate_shape(np.hypot(point[0], point[1]) / plate.radius))
+
+
+def rim_acceleration(plate: PlateSpec, motion: SimulatedMotion, draws: Draws) -> ComplexArray:
+    """Return the acceleration phasors (K,) of the rim relative to the centre.
+
+    The natural frequency has its sampled error.
+    """
+    natural = (
+        2.0 * np.pi * plate.frequency * (1.0 + float(draws.normal("plate.frequency", plate.frequency_uncertainty)))
+    )
+    omega = motion.omega
+    denominator = natural**2 - omega**2 + 2j * plate.damping * natural * omega
+    return np.asarray(omega**2 * MEAN_SHAPE / MEAN_SQUARE_SHAPE * motion.acceleration[:, 2] / denominator)
+
+
+def plate_motion(plate: PlateSpec, motion: SimulatedMotion, draws: Draws, point: FloatArray) -> SimulatedMotion:
+    """Return the apparent motion of the load at a point of the plate."""
+    moved = motion.acceleration.copy()
+    moved[:, 2] += _rim_share(plate, point) * rim_acceleration(plate, motion, draws)
+    return replace(motion, acceleration=moved)
+
+
+def plate_wrench(plate: PlateSpec, motion: SimulatedMotion, draws: Draws) -> ComplexArray:
+    """Return the wrench (K, 6) of the plate in addition to the rigid load."""
+    total = np.zeros((len(motion.frequency_hz), 6), np.complex128)
+    total[:, 2] = plate.mass * MEAN_SHAPE * rim_acceleration(plate, motion, draws)
+    return total
+
+
+def bent_view(world: World, draws: Draws, view: View, face: Face, instant: tuple[float | FloatArray, float]) -> View:
+    """Return a view of the bending face of the load, averaged over an exposure.
+
+    instant: middle of the exposure, (H,) for rows, and its length, s.
+    """
+    plate, motion, (middle_s, exposure_s) = world.preset.plate, world.motion["load"], instant
+    if plate is None:
+        return view
+    omega = motion.omega
+    lost = np.sinc(omega * exposure_s / (2.0 * np.pi))
+    turn = np.exp(1j * np.multiply.outer(middle_s, omega))
+    rim_m = np.sum(-rim_acceleration(plate, motion, draws) / omega**2 * lost * turn, axis=-1).real[..., None]
+
+    def bending(u: FloatArray, v: FloatArray) -> FloatArray:
+        position = face.origin_m + u[..., None] * face.axis_u + v[..., None] * face.axis_v
+        up = rim_m * plate_shape(np.hypot(position[..., 0], position[..., 1]) / plate.radius)
+        none = np.zeros_like(up)
+        return np.stack([none, none, up * np.cross(face.axis_u, face.axis_v)[2]], axis=-1)
+
+    return bend_view(view, face, motion.pose(float(np.mean(middle_s))), bending)
+
+
+def elastic_keys(preset: Preset) -> dict[str, Any]:
+    """Return the keys of the plate in the load's table, none without a plate."""
+    plate = preset.plate
+    if plate is None:
+        return {}
+    points = {spec.name: spec.point for daq in preset.daqs for spec in daq.channels if spec.body == "load"}
+    points |= {setup.name: setup.face_centre for setup in preset.stereo if setup.body == "load"}
+    mode = {
+        "frequency": plate.frequency,
+        "frequency_uncertainty": plate.frequency * plate.frequency_uncertainty,
+        "participation": [0.0, 0.0, plate.mass * MEAN_SHAPE, 0.0, 0.0, 0.0],
+        "modal_mass": plate.mass * MEAN_SQUARE_SHAPE,
+        "displacement": {name: [0.0, 0.0, _rim_share(plate, point)] for name, point in points.items()},
+        "surface": SURFACE_FILE,
+    }
+    measured = {"measured_by": list(plate.measured_by)} if plate.measured_by else {}
+    return {"elastic": [{"name": "plate", "shape": "modes", "damping": plate.damping, **measured, "mode": [mode]}]}
+
+
+def surface_files(preset: Preset) -> dict[str, str]:
+    """Return the file of the mode on the top face, if there is a plate."""
+    plate = preset.plate
+    if plate is None:
+        return {}
+    height_m = max(setup.face_centre[2] for setup in preset.stereo if setup.body == "load")
+    rho, angle = (
+        np.linspace(1.0, 0.0, RINGS, endpoint=False)[:, None],
+        np.linspace(0.0, 2.0 * np.pi, SPOKES, endpoint=False),
+    )
+    x, y = (plate.radius * rho * turn for turn in (np.cos(angle), np.sin(angle)))
+    up = np.broadcast_to(plate_shape(rho), x.shape)
+    rows = np.stack([x, y, np.full_like(x, height_m), 0.0 * x, 0.0 * x, up], axis=-1).reshape(-1, 6).tolist()
+    lines = [",".join(f"{value:.9g}" for value in row) for row in rows]
+    return {SURFACE_FILE: "\n".join(["x,y,z,ux,uy,uz", *lines]) + "\n"}

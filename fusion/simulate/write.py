@@ -45,13 +45,8 @@ def write_recording(
     folder.mkdir(parents=True)
     for name, recorded in (records or {}).items():
         write_record(folder / name, recorded)
-    write_texts(folder, {**(texts or {}), MANIFEST_FILE: to_toml(manifest), TRUTH_FILE: json.dumps(truth)})
+    write_files(folder, {**(texts or {}), MANIFEST_FILE: to_toml(manifest), TRUTH_FILE: json.dumps(truth)})
     return folder
-
-
-def write_texts(folder: Path, texts: Mapping[str, str]) -> None:
-    """Write text files into a folder, with identical bytes on every system."""
-    write_files(folder, texts)
 
 
 def write_record(path: Path, recorded: Record) -> None:

@@ -34,7 +34,7 @@ from photogram.camera import RIG_PARAMETERS, StereoRig
 from photogram.geometry import RigidTransform, rotation_from_vector
 from shakercal._common.notices import Notice
 
-DRAWS = 4000
+DRAWS = 1500
 PROVENANCE = Provenance({"left-01.tif": "ab" * 32}, {"target": "dots"}, {"shakercal": "0.1.0"}, ("top.json",))
 
 

@@ -116,15 +116,14 @@ def test_a_campaign_of_one_recording_is_a_campaign_and_prints_its_sensitivity(ma
 
 
 @pytest.mark.parametrize(
-    ("error", "status", "declared"),
+    ("error", "status", "declared", "workers", "failing"),
     [
-        (InputError(REFUSED_BY_READER, "a.h5", "Fz", reason="b"), EXIT_INPUT, REFUSED_BY_READER),
-        (ComputeError(WORKER_ENDED, attempts=3), EXIT_FAILED, WORKER_ENDED),
-        (OSError(28, "disk full"), EXIT_FAILED, SYSTEM_REFUSED),
-        (KeyError("x"), EXIT_FAILED, INTERNAL_ERROR),
+        (InputError(REFUSED_BY_READER, "a.h5", "Fz", reason="b"), EXIT_INPUT, REFUSED_BY_READER, "1", NAMES[0]),
+        (ComputeError(WORKER_ENDED, attempts=3), EXIT_FAILED, WORKER_ENDED, "2", NAMES[0]),
+        (OSError(28, "disk full"), EXIT_FAILED, SYSTEM_REFUSED, "1", NAMES[1]),
+        (KeyError("x"), EXIT_FAILED, INTERNAL_ERROR, "1", NAMES[0]),
     ],
 )
-@pytest.mark.parametrize(("workers", "failing"), [("1", NAMES[0]), ("1", NAMES[1]), ("2", NAMES[0])])
 def test_a_recording_that_fails_does_not_stop_the_other(
     workers, failing, error, status, declared, campaign, evaluated, monkeypatch, capsys
 ):

@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 from simulated_phasors import CASES, case_setup, simulate_phasors
 
 from fusion.campaign.campaign_notices import CONTRADICTING_RECORDINGS, JOINT_UNKNOWNS
-from fusion.campaign.excited_line import ExcitedLine, UnknownDescription
+from fusion.campaign.excited_line import SECOND_ORDER_U, ExcitedLine, Knowledge, UnknownDescription
 from fusion.campaign.recording_results import RecordingResults
-from fusion.campaign.unknowns import SECOND_ORDER_U, Knowledge, apply_joint_estimate
+from fusion.campaign.unknowns import apply_joint_estimate
 from fusion.estimation.fuse import fuse
 from fusion.estimation.least_squares import build_system, solve
 from fusion.estimation.uncertainty import Contribution, Influence, Uncertainty, as_complex, real_stack

@@ -69,6 +69,12 @@ def filled(drafted: Any, original: Any, text: str, place: str = "") -> Any:
     return original
 
 
+def drafted_recording(folder: Path) -> Any:
+    """The only recording.toml that is drafted in a folder."""
+    (text,) = (text for path, text in draft(folder).files.items() if path.name == "recording.toml")
+    return tomllib.loads(text)
+
+
 def fill(folder: Path, source: Path) -> None:
     """Fill in every manifest of a folder from that of another one."""
     for path in [folder / "rig.toml", *(entry for entry in sorted(folder.glob("*/recording.toml")))]:
@@ -276,10 +282,9 @@ def test_hum_is_no_excitation(tmp_path, case):
     with h5py.File(tmp_path / "a.h5", "a") as file:
         for channel in signals:
             file[channel].attrs["unit"] = "V"
-    (path, *_) = (path for path in draft(tmp_path).files if path.name == "recording.toml")
-    recording = tomllib.loads(draft(tmp_path).files[path])
-    assert recording["excitation"]["kind"] == "?"
-    assert "frequencies" not in recording["excitation"]
+    excitation = drafted_recording(tmp_path)["excitation"]
+    assert excitation["kind"] == "?"
+    assert "frequencies" not in excitation
 
 
 NAMES = ["acc x", "Fz", "camera_trigger"]
@@ -293,8 +298,7 @@ LISTED = {
 }
 
 
-@pytest.mark.parametrize("case", LISTED)
-@pytest.mark.parametrize("across", [False, True])
+@pytest.mark.parametrize(("case", "across"), [*((case, False) for case in LISTED), ("data set", True)])
 def test_names_beside_a_table_of_channels_are_used(tmp_path, case, across):
     time_s = np.arange(4000) / 1e3
     table = np.stack([np.sin(2 * np.pi * 80 * time_s), np.cos(2 * np.pi * 80 * time_s), 5.0 * (time_s % 0.0731 < 5e-3)])
@@ -302,8 +306,7 @@ def test_names_beside_a_table_of_channels_are_used(tmp_path, case, across):
         file.attrs["sample_rate"] = 1e3
         file["data"] = table if across else table.T
         LISTED[case](file)
-    (path, *_) = (path for path in draft(tmp_path).files if path.name == "recording.toml")
-    channels = tomllib.loads(draft(tmp_path).files[path])["daq"][0]["channel"]
+    channels = drafted_recording(tmp_path)["daq"][0]["channel"]
     found = {entry["in_file"]: (entry["name"], entry["quantity"]) for entry in channels}
     assert found == {
         "data/1": ("acc x", "acceleration"),
@@ -318,8 +321,7 @@ def test_a_list_that_does_not_fit_the_table_is_not_used(tmp_path, names):
         file.attrs["sample_rate"] = 1e3
         file["data"] = np.random.default_rng(1).normal(size=(4000, 3))
         file["names"] = names
-    (path, *_) = (path for path in draft(tmp_path).files if path.name == "recording.toml")
-    channels = tomllib.loads(draft(tmp_path).files[path])["daq"][0]["channel"]
+    channels = drafted_recording(tmp_path)["daq"][0]["channel"]
     assert [entry["name"] for entry in channels] == ["data/1", "data/2", "data/3"]
 
 
@@ -388,47 +390,28 @@ def test_a_folder_without_manifest_leads_to_init(tmp_path, refused):
     assert f"shakercal init {file.parent} " in refused("run", file)
 
 
-def _nothing(folder: Path) -> str:
-    return f"{NO_RECORDED_FILES.code} {folder}: "
-
-
-def _a_file(folder: Path) -> str:
-    (folder / "notes.txt").write_text("hello")
-    return f"{NO_RECORDED_FILES.code} {folder}: "
-
-
-def _has_recording(folder: Path) -> str:
-    _one_laser(folder)
-    (folder / "recording.toml").write_text("format = 1")
-    return f"{MANIFEST_EXISTS.code} {folder}: "
-
-
-def _all_have(folder: Path) -> str:
-    _one_laser(folder)
-    (folder / "Mx-0050" / "recording.toml").write_text("format = 1")
-    with pytest.raises(InputError) as error:
-        draft(folder)
-    assert re.findall(r"\d+", error.value.values["found"]) == ["1"]
-    return f"{MANIFEST_EXISTS.code} {folder}: "
-
-
-def _wrong_rig(folder: Path) -> str:
-    _one_laser(folder)
-    (folder / "rig.toml").write_text("format = ")
-    return f"{INVALID_SYNTAX.code} {folder / 'rig.toml'}: "
-
-
-def _wrong_from(folder: Path) -> str:
-    _one_laser(folder)
-    return f"{MISSING_FILE.code} {folder / 'nowhere' / 'recording.toml'}: "
-
-
-@pytest.mark.parametrize("make", [_nothing, _a_file, _has_recording, _all_have, _wrong_rig, _wrong_from])
-def test_what_cannot_be_drafted_is_one_sentence_and_changes_nothing(tmp_path, refused, make):
-    told = make(tmp_path)
+@pytest.mark.parametrize(
+    ("recorded", "files", "options", "declared", "where"),
+    [
+        (False, {}, [], NO_RECORDED_FILES, ""),
+        (False, {"notes.txt": "hello"}, [], NO_RECORDED_FILES, ""),
+        (True, {"recording.toml": "format = 1"}, [], MANIFEST_EXISTS, ""),
+        (True, {"Mx-0050/recording.toml": "format = 1"}, [], MANIFEST_EXISTS, ""),
+        (True, {"rig.toml": "format = "}, [], INVALID_SYNTAX, "rig.toml"),
+        (True, {}, ["--from", "nowhere"], MISSING_FILE, "recording.toml"),
+    ],
+)
+def test_what_cannot_be_drafted_is_one_sentence_and_changes_nothing(
+    tmp_path, refused, recorded, files, options, declared, where
+):
+    if recorded:
+        _one_laser(tmp_path)
+    for name, text in files.items():
+        (tmp_path / name).write_text(text)
     before = folder_contents(tmp_path)
-    more = ["--from", tmp_path / "nowhere"] if make is _wrong_from else []
-    assert told in refused("init", tmp_path, *more)
+    told = refused("init", tmp_path, *options)
+    assert told.startswith(f"shakercal: {declared.code} ")
+    assert f"{Path(options[-1]) / where if options else tmp_path / where}: " in told
     assert folder_contents(tmp_path) == before
 
 

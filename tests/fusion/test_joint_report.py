@@ -359,10 +359,10 @@ def test_files_are_written_from_files(tmp_path, monkeypatch):
         folders.append(top / f"run-{number}")
         choice = Choice(frames=24, images=False, name=f"run {number}", mounting=mounting)
         write_results(make_evaluation(tmp_path, choice), folders[-1])
-    paths = write_campaign(top, "three", folders, {})
+    paths = write_campaign(top, "three", folders, {})[1]
     assert {path.name for path in paths} == set(CAMPAIGN_FILES)
     before = {path.name: path.read_bytes() for path in paths}
-    assert all(write_campaign(top, "three", folders, {}))
+    assert all(write_campaign(top, "three", folders, {})[1])
     assert {path.name: path.read_bytes() for path in paths} == before
     seen = {(row["channel"], row["recordings"], row["mountings"]) for row in rows(top / "curve.csv")}
     assert seen == {(name, "3", "2") for name in LOADS}

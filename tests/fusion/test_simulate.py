@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import tomllib
 from pathlib import Path
 
 import h5py
@@ -15,7 +14,6 @@ from support import complex_of, folder_contents, truth_of
 from fusion.cli import main
 from fusion.errors import InputError
 from fusion.recording.load import load_manifest
-from fusion.recording.toml import to_toml
 from fusion.simulate import PRESETS, simulate
 from fusion.simulate.preset import PartSpec, Preset, read_preset
 from fusion.simulate.world import (
@@ -66,16 +64,6 @@ def test_wrench_agrees_with_momentum_differentiated_numerically() -> None:
         expected -= np.concatenate([still, np.cross(PART.centre_of_mass_m, still)])
         found = harmonic(np.array(time), FREQUENCY, wrench(motion, [PART], GRAVITY))
         np.testing.assert_allclose(found, expected, rtol=2e-4, atol=2e-7)
-
-
-def test_wrench_of_a_mass_on_an_arm_by_hand() -> None:
-    """A point of 2 kg, 0.1 m above the origin, rocks about x with 1 rad/s² at ω = 100/s."""
-    motion = SimulatedMotion(np.array([100 / (2 * np.pi)]), np.array([[0, 0, 0, 1, 0, 0]], dtype=complex))
-    mass = TruePart(2.0, np.array([0, 0, 0.1]), np.zeros((3, 3)))
-    found = wrench(motion, [mass], GRAVITY)[0]
-    theta = -1e-4
-    force_y = 2 * (-0.1 - theta * -9.8125)  # α × c points to −y; the tilted axes see −θ·g_z of gravity
-    np.testing.assert_allclose(found, [0, force_y, 0, -0.1 * force_y, 0, 0], atol=1e-15)
 
 
 def test_laser_and_accelerometer_measure_the_moving_point() -> None:
@@ -233,8 +221,3 @@ def test_noise_free_channels_are_the_truth(tmp_path: Path) -> None:
     rising = np.flatnonzero((trigger[1:] > 2.5) & (trigger[:-1] < 2.5)) + 1
     edges = np.array(truth["exposure_middle_s"]) - 30e-6
     assert ((time[rising] >= edges) & (time[rising] - edges < 1 / rate)).all()
-
-
-def test_toml_text_is_read_back() -> None:
-    tables = {"a": 1, "b": {"c": [[1.0, 2e-7]], "d": {"e": 'x"y'}}, "f": [{"g": True, "h": [{"i": 1}, {"i": 2}]}]}
-    assert tomllib.loads(to_toml(tables)) == tables

@@ -355,6 +355,7 @@ def test_the_converter_has_its_steps_and_the_stated_noise(steps: Path) -> None:
     assert volts[-1000:].mean() == pytest.approx(steady, abs=5.0 * RIG.noise * 3.0 / np.sqrt(1000))
 
 
+@pytest.mark.slow
 def test_readings_of_the_campaign_hold_the_truth_and_rank_the_ropes(steps: Path) -> None:
     readings, deviations = [], []
     for release in releases(RIG):

@@ -15,7 +15,7 @@ import validation_references
 
 from fusion.cli import main
 from fusion.planning.validation import validation_run as validation
-from fusion.planning.validation.cases import CASES
+from fusion.planning.validation.validation_run import CASES
 
 KNOWN: dict[str, Any] = json.loads(validation.REFERENCES.read_text(encoding="utf-8"))
 

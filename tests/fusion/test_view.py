@@ -25,10 +25,8 @@ from hypothesis import strategies as st
 
 from fusion.errors import InputError
 from fusion.planning.planning_notices import PORT_IN_USE, RESULTS_WITHOUT_RECORDING
-from fusion.planning.view.extremes import Extremes
-from fusion.planning.view.server import LONGEST, Server
-from fusion.planning.view.view_requests import api_handlers
-from fusion.planning.view.viewed_recording import ViewSession, find_sources
+from fusion.planning.view.server import LONGEST, Server, api_handlers
+from fusion.planning.view.viewed_recording import Extremes, ViewSession, find_sources
 from fusion.recording.load import load_manifest
 from fusion.report.recording_report import write_results
 from photogram.images.sequence import ImageSequence

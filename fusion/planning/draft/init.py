@@ -12,8 +12,7 @@ from fusion.base import natural_key
 from fusion.errors import InputError
 from fusion.planning.draft.channel_guess import HEAD
 from fusion.planning.draft.inventory import Inventory, is_recording_folder, survey_folder
-from fusion.planning.draft.recording_draft import SurveyedRecording, driven_axis, recording_text
-from fusion.planning.draft.rig_draft import rig_text
+from fusion.planning.draft.manifest_drafts import SurveyedRecording, driven_axis, recording_text, rig_text
 from fusion.planning.planning_notices import (
     FILE_EXISTS,
     MANIFEST_EXISTS,

@@ -16,6 +16,16 @@ from fusion.errors import ComputeError, InputError
 from fusion.phasors.set_up import PreparedSetUp, prepare_set_ups
 from fusion.phasors.stereo_motion import read_rig
 from fusion.planning.check import inspect_recording, read_for_command
+from fusion.planning.look.data_checks import (
+    LineStrength,
+    PairPrecision,
+    examine_beat,
+    examine_camera,
+    examine_channels,
+    examine_pair,
+    examine_trigger,
+    fit_trigger_channel,
+)
 from fusion.planning.look.finding import (
     LEVEL_OF,
     VERDICTS,
@@ -26,8 +36,8 @@ from fusion.planning.look.finding import (
     refusal_findings,
     worst_verdict,
 )
-from fusion.planning.look.image_checks import PairPrecision, examine_camera, examine_pair
-from fusion.planning.look.look_notices import (
+from fusion.planning.look.trial_evaluation import notice_findings, trial_findings
+from fusion.planning.planning_notices import (
     AIM_MISSED,
     CAMERAS_DIFFER_IN_FRAMES,
     FIRST_EDGE_UNSTATED,
@@ -35,14 +45,6 @@ from fusion.planning.look.look_notices import (
     LOOK_MISSING_EDGES,
     REMARK,
 )
-from fusion.planning.look.signal_checks import (
-    LineStrength,
-    examine_beat,
-    examine_channels,
-    examine_trigger,
-    fit_trigger_channel,
-)
-from fusion.planning.look.trial_evaluation import notice_findings, trial_findings
 from fusion.recording.daq_records import DaqRecord, FileCache
 from fusion.recording.excitation import KINDS
 from fusion.recording.load import Manifest, find_recordings, load_manifest
@@ -228,10 +230,7 @@ def _look_at(
 def _look_at_images(
     block: Manifest, images: Images, already: FileCache
 ) -> tuple[list[Finding], PairPrecision | None, int]:
-    """Return findings and precision of a pair and its number of frames.
-
-    A single camera has no precision.
-    """
+    """Return findings and precision of a pair and its number of frames. A single camera has no precision."""
     where, pair = images.stereo, block.rig.stereo[images.stereo]
     try:
         sequences = [already.images[paths, images.bit_depth] for _, paths in images.cameras]
@@ -349,10 +348,7 @@ def print_look(found: Look) -> None:
 
 
 def look_page(found: list[Look], reload_s: float | None) -> str:
-    """Return a page whose colour can be read from two metres.
-
-    `reload_s`: interval of its reloading; None without.
-    """
+    """Return a page whose colour can be read from two metres. `reload_s`: interval of its reloading; None without."""
     from fusion.report.folder import render_page
 
     verdict = worst_verdict([finding for one in found for finding in one.findings])

@@ -1,9 +1,10 @@
-"""Server of `shakercal view`: only for this machine, at an address with a secret token."""
+"""`shakercal view`: a server only for this machine, at an address with a secret token, and its answers."""
 
 from __future__ import annotations
 
 import json
 import secrets
+import webbrowser
 from collections.abc import Callable, Mapping
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from importlib.util import find_spec
@@ -14,7 +15,19 @@ from urllib.parse import parse_qs, unquote, urlsplit
 import numpy as np
 
 from fusion.errors import ComputeError, InputError
+from fusion.estimation.uncertainty import polar_elements
+from fusion.planning.lines import lines_of_recording
 from fusion.planning.planning_notices import BOKEH_MISSING, PORT_IN_USE
+from fusion.planning.view.viewed_recording import (
+    SubsetViews,
+    ViewedRecording,
+    ViewSession,
+    ViewSource,
+    find_sources,
+    table,
+)
+from fusion.recording.toml import read_toml
+from shaker.lines.spectrum import amplitude_spectrum
 
 LOOPBACK = "127.0.0.1"
 PAGE = Path(__file__).with_name("page")
@@ -40,22 +53,8 @@ def page_files() -> dict[str, Path]:
     return files | {name: scripts / name for name in LIBRARY}
 
 
-def table(head: Mapping[str, Any], *arrays: np.typing.NDArray[Any]) -> bytes:
-    """Return numbers in the page's binary format.
-
-    The length of a head, JSON, and arrays of doubles, aligned to 8 bytes.
-    """
-    text = json.dumps({**head, "lengths": [array.size for array in arrays]}, allow_nan=False).encode()
-    text += b" " * (-(len(text) + 8) % 8)
-    body = b"".join(np.ascontiguousarray(array, dtype="<f8").tobytes() for array in arrays)
-    return len(text).to_bytes(8, "little") + text + body
-
-
 class Server(ThreadingHTTPServer):
-    """A server on the loopback address.
-
-    `address` is that of its page, with a token that every request repeats.
-    """
+    """A server on the loopback address. `address` is that of its page, with a token that every request repeats."""
 
     daemon_threads = True
 
@@ -133,3 +132,142 @@ class Handler(BaseHTTPRequestHandler):
 
     def log_message(self, *_: object) -> None:
         """Suppress the log: an address contains the token."""
+
+
+MOST_COLUMNS, MOST_BINS = 4000, 4000  # more than the pixels of a screen
+Query = Mapping[str, str]
+
+
+def api_handlers(viewed: ViewSession) -> ApiHandlers:
+    """Return the function for each request of the page, by its name."""
+
+    def number(query: Query, name: str) -> int:
+        return int(query[name])
+
+    def subsets(query: Query) -> SubsetViews:
+        return viewed.recording(query).subset_views
+
+    return {
+        "sources": lambda _: {"recordings": [overview(one) for one in viewed.sources]},
+        "recording": lambda query: description(viewed.recording(query)),
+        "frame": lambda query: (
+            viewed.recording(query)
+            .pairs[number(query, "pair")]
+            .image_bytes(number(query, "side"), number(query, "frame"))
+        ),
+        "subsets": lambda query: subsets(query).frame(number(query, "pair"), number(query, "frame")),
+        "epipolar": lambda query: subsets(query).epipolar(
+            number(query, "pair"), number(query, "side"), (float(query["x"]), float(query["y"]))
+        ),
+        "track": lambda query: subsets(query).track(number(query, "pair"), number(query, "point")),
+        "signal": lambda query: signal(viewed.recording(query), query),
+        "spectrum": lambda query: spectrum(viewed.recording(query), number(query, "channel")),
+        "lines": lambda query: lines(viewed.recording(query)),
+        "phasors": lambda query: phasors(viewed.recording(query), number(query, "line")),
+    }
+
+
+def description(viewed: ViewedRecording) -> Mapping[str, Any]:
+    """Return the data that the page needs first, with the lines of the results."""
+    found = viewed.description()
+    pairs = [{**pair, **viewed.subset_views.description(number)} for number, pair in enumerate(found["pairs"])]
+    lines: list[float] = next((one.frequency_hz.tolist() for one in viewed.accelerations.values()), [])
+    return {**found, "pairs": pairs, "resultLines": lines}
+
+
+def overview(source: ViewSource) -> Mapping[str, str]:
+    """Return a row of the campaign's table, from the text of the recording's manifest alone."""
+    name = source.recording.parent.name
+    try:
+        text = read_toml(source.recording)
+    except InputError as error:
+        return {"name": name, "excitation": str(error), "images": "", "channels": "", "results": ""}
+    excitation = text.get("excitation")
+    stated = excitation if isinstance(excitation, dict) else {}
+    listed = stated.get("frequencies")
+    hz = (
+        ", ".join(f"{value:g}" for value in listed if isinstance(value, int | float))
+        if isinstance(listed, list)
+        else ""
+    )
+    blocks = text.get("daq") if isinstance(text.get("daq"), list) else []
+    channels = sum(len(block.get("channel", ())) for block in blocks or () if isinstance(block, dict))
+    pairs = text.get("images")
+    return {
+        "name": name,
+        "excitation": f"{stated.get('kind', '')} {hz}{' Hz' * bool(hz)}".strip(),
+        "images": str(len(pairs) if isinstance(pairs, list) else 0),
+        "channels": str(channels),
+        "results": "" if source.results is None else source.results.name,
+    }
+
+
+def phasors(viewed: ViewedRecording, line: int) -> ApiResponse:
+    """Return a panel for each component with all values at a line. Values have 95 % regions."""
+    panels: dict[tuple[str, str], list[dict[str, Any]]] = {}
+    for name, found in viewed.accelerations.items():
+        row = polar_elements(found.value, found.uncertainty)[line]
+        for e, element in enumerate(row):
+            if element is None or not np.isfinite(element.region.half_axes).all():
+                continue
+            value = complex(found.value[line, e])
+            panels.setdefault((f"{found.channel[e]} {found.component[e]}", found.unit[e]), []).append(
+                {
+                    "name": name,
+                    "re": value.real,
+                    "im": value.imag,
+                    "axes": list(element.region.half_axes),
+                    "angle": element.region.angle_rad,
+                    "size": f"{element.magnitude:.6g} {found.unit[e]}, {np.degrees(element.phase_rad):.4g}°",
+                }
+            )
+    text = "ellipses: 95 % regions" if panels else "Phasors require results of shakercal run."
+    shown = [{"name": name, "unit": unit, "values": values} for (name, unit), values in panels.items()]
+    return {"panels": shown, "told": text}
+
+
+def lines(viewed: ViewedRecording) -> ApiResponse:
+    """Return the lines of a recording with their origins, as `shakercal lines`."""
+    found = lines_of_recording(viewed.manifest)
+    rows = [
+        {"frequency": one.frequency_hz, "what": one.what, "use": one.use, "floor": float(np.nan_to_num(one.floor_db))}
+        for one in found.entries
+    ]
+    return {"lines": rows}
+
+
+def spectrum(viewed: ViewedRecording, number: int) -> bytes:
+    """Return the amplitude spectrum of a channel in its unit. Peaks of neighbouring bins are retained."""
+    raw = viewed.raw(number)
+    found = amplitude_spectrum(raw.samples, raw.sample_rate_hz, MOST_BINS)
+    text = (
+        f"{len(raw.samples)} samples at {raw.sample_rate_hz:g} samples/s, Hann window; the highest of neighbouring bins"
+    )
+    scale = abs(viewed.channels[number].entry.scale)
+    return table({"told": text}, found.frequency_hz, scale * found.amplitude)
+
+
+def signal(viewed: ViewedRecording, query: Query) -> bytes:
+    """Return channels between two times in columns: edges in s, and extremes in the unit."""
+    numbers = [int(text) for text in query["channels"].split(",")]
+    most = min(max(int(query.get("columns", "1000")), 1), MOST_COLUMNS)
+    arrays: list[np.typing.NDArray[Any]] = []
+    for number in numbers:
+        raw, scale = viewed.raw(number), viewed.channels[number].entry.scale
+        rate = raw.sample_rate_hz
+        begin, end = float(query.get("from", "0")), float(query.get("to", repr(len(raw.samples) / rate)))
+        found = viewed.extremes(number).columns(int(begin * rate), int(np.ceil(end * rate)), most)
+        low, high = (found.low, found.high) if scale >= 0 else (found.high, found.low)
+        arrays += [found.edge / rate, low * scale, high * scale]
+    return table({"channels": numbers}, *arrays)
+
+
+def run_view(path: Path, recording: Path | None, port: int, *, browser: bool, allow_outside: bool) -> None:
+    """Serve the page until Ctrl-C."""
+    viewed = ViewSession(find_sources(path, recording), allow_outside=allow_outside)
+    viewed.recording({})
+    with Server(api_handlers(viewed), port) as server:
+        print(f"{server.address}\nCtrl-C ends it", flush=True)
+        if browser:
+            webbrowser.open(server.address)
+        server.serve_forever()
