@@ -34,7 +34,7 @@ from marked import markdown_table, write_marked
 from photogram.direct import direct_fit, fit_torch
 from photogram.direct.fit_torch import fit_frames, torch_view
 from photogram.images.sequence import ImageSequence
-from photogram.kernels.device import resolve_device
+from photogram.kernels import resolve_device
 from photogram.measure import follow_torch
 from photogram.measure.follow import BodyPrior, BodyScene, follow_block, prepare_body, sine_terms
 from photogram.measure.follow_torch import MOST_FRAMES

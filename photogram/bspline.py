@@ -23,7 +23,6 @@ from numba.core import cgutils
 from numba.extending import intrinsic
 from numpy.typing import NDArray
 
-from photogram.kernels import njit
 from photogram.kernels.lanes import (
     DOUBLE,
     DOUBLES,
@@ -41,6 +40,7 @@ from photogram.kernels.lanes import (
     store,
 )
 from shakercal._common.arrays import Arrays, FloatArray, check_shape
+from shakercal._common.kernels import njit
 
 PADDING_PX = 4  # half the support of degree 7
 POLES = {

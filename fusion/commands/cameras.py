@@ -128,7 +128,7 @@ def align(options: argparse.Namespace) -> None:
     from fusion.base import Settings
     from fusion.cameras.align import align_file
     from fusion.report.terminal import progress_bar
-    from photogram.kernels.device import resolve_device
+    from photogram.kernels import resolve_device
 
     with progress_bar(enabled=not options.quiet) as progress:
         text = align_file(

@@ -395,7 +395,7 @@ def run(options: argparse.Namespace) -> int:
     from fusion.campaign.run import exit_status, is_campaign, run_path
     from fusion.campaign.run_summary import as_json, print_outcomes
     from fusion.report.terminal import progress_bar
-    from photogram.kernels.device import resolve_device
+    from photogram.kernels import resolve_device
 
     settings = Settings(
         subset_radius_px=options.subset_radius,

@@ -310,7 +310,7 @@ def tracked_pairs(
     are refused. An executor opens the images by the same paths; without one, threads of this process track them.
     Results are identical to the last bit. Blocks of frames in `checkpoints` are not tracked again.
     """
-    from photogram.kernels.device import resolve_device
+    from photogram.kernels import resolve_device
 
     on_gpu = executor is None and resolve_device(settings.device) != "cpu"
     with Threads(
@@ -383,7 +383,7 @@ def _answer(images: PreparedImages, pending: Pending) -> Any:
 def _prepared(
     images: PreparedImages, settings: Settings, lines: LineFrequencies | None
 ) -> BodyScene:  # a task, so of this module
-    from photogram.kernels.device import resolve_device
+    from photogram.kernels import resolve_device
     from photogram.measure.follow import BodyPrior, prepare_body, sine_terms
     from photogram.subsets.find import BodyNotFound
 

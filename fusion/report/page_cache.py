@@ -19,7 +19,7 @@ import jinja2
 from jinja2.bccache import Bucket
 
 from fusion.report.atomic_files import write_file
-from photogram.kernels import user_cache
+from shakercal._common.kernels import user_cache
 
 UNUSED_S = 30 * 86400.0
 """Age after which an entry is made again, so that entries of older versions disappear; chosen: 30 days."""

@@ -17,9 +17,9 @@ from photogram.bspline import (
     warp_inside,
 )
 from photogram.images.noise import NoiseModel
-from photogram.kernels import njit
 from photogram.subsets.reference import RUN_SUMS, run_sums
 from shakercal._common.arrays import Arrays, BoolArray, FloatArray, IntArray, check_shape
+from shakercal._common.kernels import njit
 
 SMALLEST_GAIN = 0.1  # of the reference's contrast, below which a cell does not show the body
 MIN_FILLED_SHARE = 0.1  # of a cell, below which it is excluded

@@ -25,9 +25,9 @@ from photogram.direct.surface import Patches, PlacedCamera, body_patches, patch_
 from photogram.frame_statistics import spread_choice
 from photogram.geometry import RigidTransform, rotation_vector_rate
 from photogram.images.noise import QUANTISATION, NoiseModel, fit_noise_model
-from photogram.kernels import njit
 from photogram.motion import MEDIAN_CHI2_OF_TWO
 from shakercal._common.arrays import Arrays, BoolArray, ComplexArray, FloatArray
+from shakercal._common.kernels import njit
 
 REACH_CELLS = 4.0  # distance from the nearest triangulated point within which a cell's surface is extrapolated
 MAX_STEPS = 12  # Gauss-Newton steps; usually two or three are needed

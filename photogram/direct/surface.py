@@ -10,9 +10,9 @@ import numpy as np
 
 from photogram.camera import Camera, project_one
 from photogram.geometry import RigidTransform
-from photogram.kernels import njit
 from photogram.motion import FEWEST, MEDIAN_CHI2_OF_TWO, REJECTED, SINGULAR, START_ROUNDS
 from shakercal._common.arrays import Arrays, FloatArray, check_shape
+from shakercal._common.kernels import njit
 from shakercal._common.propagation import derivatives
 
 NEIGHBOURS = 24  # points of a local plane: two rings of a square grid

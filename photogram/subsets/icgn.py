@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 
 from photogram.bspline import Spline, mean_noise_gain, sample_line, sample_points, warp_inside
 from photogram.images.noise import QUANTISATION
-from photogram.kernels import njit
 from photogram.subsets.reference import (
     AFFINE_SUMS,
     PARAMETERS,
@@ -23,6 +22,7 @@ from photogram.subsets.reference import (
     subset_offsets,
 )
 from shakercal._common.arrays import Arrays, BoolArray, FloatArray, IntArray, check_shape
+from shakercal._common.kernels import njit
 
 GAIN_AND_OFFSET = 2  # parameters
 REMAINING = {2: 0.02, 6: 0.02, 12: 0.4}  # share of the error after a step, measured, by the number of parameters

@@ -15,7 +15,6 @@ from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
 from photogram.bspline import Spline, noise_gain, sample_squares, slope_noise_gain, third_differences
-from photogram.kernels import njit
 from photogram.kernels.lanes import (
     DOUBLE,
     DOUBLES,
@@ -33,6 +32,7 @@ from photogram.kernels.lanes import (
     sum_lanes,
 )
 from shakercal._common.arrays import Arrays, BoolArray, FloatArray, IntArray, check_shape
+from shakercal._common.kernels import njit
 
 _Terms = tuple[Lanes, ...]
 AFFINE_SUMS, CURVED_SUMS, RUN_SUMS = 9, 6, 7

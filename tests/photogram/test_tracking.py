@@ -17,12 +17,12 @@ from hypothesis import strategies as st
 from scipy import ndimage
 from speckle import render_images, sequence
 
+from photogram import kernels as device_module
 from photogram.camera import Camera, StereoRig, triangulate
 from photogram.geometry import RigidTransform
 from photogram.images.image_files import open_sequence
 from photogram.images.sequence import FRAMES_AHEAD, ImageSequence
-from photogram.kernels import device as device_module
-from photogram.kernels.device import resolve_device
+from photogram.kernels import resolve_device
 from photogram.motion import RigidMotion, fit_motion
 from photogram.subsets.icgn import TrackSettings
 from photogram.subsets.reference import TrackStatus
