@@ -28,8 +28,8 @@ from photogram.direct.direct_fit import BodyView, _rigid_cells, rest_information
 from photogram.direct.surface import patch_warps
 from photogram.geometry import RigidTransform, pose_rate
 from photogram.images.sequence import ImageSequence
-from photogram.measure.body import body_motion
-from photogram.measure.follow import BodyScene, follow_block, prepare_body
+from photogram.measure.body import body_motion, follow_block
+from photogram.measure.follow import BodyScene, prepare_body
 from photogram.subsets.icgn import TrackSettings
 from photogram.synthetic.scene import render_exposure
 from shaker.labels import MOTION_COMPONENTS, component_units

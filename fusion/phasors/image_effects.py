@@ -15,8 +15,7 @@ from fusion.phasors.phasor_notices import CALIBRATION_REFUSED, NO_RIGID_MOTION, 
 from fusion.phasors.shutter import check_in_step
 from fusion.phasors.stereo_motion import ImageView, StereoMotion, sensor_from_camera
 from photogram.camera import CAMERA_PARAMETERS, FaceCamera, Rig, StereoRig, locate, principal_components
-from photogram.direct.shapes import Shapes
-from photogram.direct.surface import PlacedCamera, project_body_points
+from photogram.direct.surface import PlacedCamera, Shapes, project_body_points
 from photogram.frame_statistics import RunningMean, spread_choice
 from photogram.geometry import RigidTransform, rotation_from_vector
 from photogram.motion import RigidMotion, relative_to

@@ -32,7 +32,7 @@ MEMORY_BYTES = 1 << 26
 def track_block(scene: BodyScene, frames: range, device: str) -> FollowedBlock:  # a task, so of this module
     """Track a body through a block of frames on the chosen device."""
     from photogram.kernels import resolve_device
-    from photogram.measure.follow import follow_block
+    from photogram.measure.body import follow_block
 
     return follow_block(scene, frames, resolve_device(device))
 

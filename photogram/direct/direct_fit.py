@@ -20,8 +20,16 @@ from photogram.direct.cells import (
     reweight_cells,
     select_cells,
 )
-from photogram.direct.shapes import Shapes, shape_rates
-from photogram.direct.surface import Patches, PlacedCamera, body_patches, patch_rates, patch_warps, warps_of_points
+from photogram.direct.surface import (
+    Patches,
+    PlacedCamera,
+    Shapes,
+    body_patches,
+    patch_rates,
+    patch_warps,
+    shape_rates,
+    warps_of_points,
+)
 from photogram.frame_statistics import spread_choice
 from photogram.geometry import RigidTransform, rotation_vector_rate
 from photogram.images.noise import QUANTISATION, NoiseModel, fit_noise_model

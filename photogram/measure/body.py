@@ -11,24 +11,26 @@ import numpy as np
 
 from photogram.camera import Points3D, Rig, StereoRig, locate
 from photogram.direct.direct_fit import rest_covariance, rigid_share
-from photogram.direct.shapes import ShapeAmplitudes
+from photogram.direct.surface import ShapeAmplitudes
 from photogram.frame_statistics import RunningMean, Sample
 from photogram.geometry import RigidTransform
+from photogram.images.image_notices import BODY_DEFORMS, FRAMES_WITHOUT_GREY_FIT, GREY_FIT_DISAGREES
 from photogram.images.noise import NoiseModel
 from photogram.images.sequence import ImageSequence
 from photogram.measure.follow import (
     BodyPrior,
     BodyScene,
+    BodyTracker,
     FollowedBlock,
+    FollowedFrame,
     Progress,
     Registrations,
     central_point,
-    follow_block,
     image_motion_px,
     iterate_blocks,
     prepare_body,
+    report_progress,
 )
-from photogram.measure.rigid_notices import BODY_DEFORMS, FRAMES_WITHOUT_GREY_FIT, GREY_FIT_DISAGREES
 from photogram.motion import Deformation, DeformationMean, RigidMotion, fit_motion, overlap_correlation
 from photogram.subsets.find import BodyNotFound, DepthRange
 from photogram.subsets.icgn import TrackSettings, subset_noise, subset_positions
@@ -173,6 +175,33 @@ def measure_body(
     prior = BodyPrior(depth_m)
     scene = prepare_body(images, rig, body_from_left, settings, device, progress, prior)
     return body_motion(scene, [follow_block(scene, block, device, progress) for block in scene.blocks])
+
+
+def follow_block(
+    scene: BodyScene, frames: range, device: str = "cpu", progress: Progress | None = None
+) -> FollowedBlock:
+    """Track the body through a block of later frames."""
+    followed = []
+    for number, one in zip(frames, _found(BodyTracker(scene), frames, device), strict=True):
+        followed.append(one)
+        report_progress(progress, number + 1)
+    return tuple(followed)
+
+
+def _found(tracker: BodyTracker, frames: range, device: str) -> Iterator[FollowedFrame]:
+    """Yield the body and its subsets in some frames in turn, on a GPU in batches; none for absent frames."""
+    scene = tracker.scene
+    for absent, group in groupby(frames, scene.body.is_absent):
+        numbers = list(group)
+        run = range(numbers[0], numbers[-1] + 1)
+        if absent:
+            yield from (tracker.add_frame(None, None) for _ in run)
+        elif device != "cpu" and not scene.body.rolling_shutter:
+            from photogram.measure.follow_torch import find_in_batches
+
+            yield from find_in_batches(tracker, run, device)
+        else:
+            yield from map(tracker.find, run, zip(*(images.read_ahead(run) for images in scene.images), strict=True))
 
 
 def body_motion(scene: BodyScene, blocks: Iterable[FollowedBlock]) -> BodyMotion:

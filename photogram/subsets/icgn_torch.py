@@ -261,7 +261,7 @@ def square_sums(squares: Squares, frames: TorchSplines, pairs: Pairs, alive: Ten
     frame, square, warp = pairs
     sums = warp.new_full((len(warp), 3 + warp.shape[1]), torch.nan)
     if frames.coefficients.is_cuda and frames.coefficients.dtype == torch.float32 and (kernel := _kernel()):
-        kernel(squares, frames, pairs, alive, sums)
+        kernel(squares, frames, pairs, alive, sums, basis_polynomials(frames.degree))
         return sums
     basis = torch.from_numpy(basis_polynomials(frames.degree)).to(squares.pixels)
     size = NUMBERS_PER_PIXEL * squares.shape.shape[1] * squares.shape.element_size()

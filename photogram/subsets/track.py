@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 from photogram.bspline import Spline, spline_of_image
 from photogram.camera import StereoRig, epipolar_residual
 from photogram.frame_statistics import RunningMean
-from photogram.images.exposure import missing_pattern_reason
-from photogram.images.sequence import GreyImage, ImageSequence
+from photogram.images.image_notices import LOST_SUBSETS, OFF_EPIPOLAR_LINES
+from photogram.images.sequence import GreyImage, ImageSequence, missing_pattern_reason
 from photogram.subsets.find import (
     BodyNotFound,
     DepthRange,
@@ -30,7 +30,6 @@ from photogram.subsets.find import (
 from photogram.subsets.icgn import Registration, TrackSettings, position_covariance, subset_noise, subset_positions
 from photogram.subsets.reference import ReferenceSubsets, TrackStatus, prepare_reference
 from photogram.subsets.search import HISTORY, LARGEST_COEFFICIENT, predict_warp
-from photogram.subsets.subset_notices import LOST_SUBSETS, OFF_EPIPOLAR_LINES
 from photogram.subsets.sweep import TOLERANCE_PX
 from photogram.subsets.texture import (
     aliasing_bias,

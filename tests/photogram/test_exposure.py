@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 import pytest
 
-from photogram.images.exposure import clip_level, missing_pattern_reason, mosaic_contrast
+from photogram.images.sequence import clip_level, missing_pattern_reason, mosaic_contrast
 
 SHAPE = (300, 420)
 Y, X = np.mgrid[: SHAPE[0], : SHAPE[1]]

@@ -11,8 +11,7 @@ from speckle import SENSOR, camera, face, two_poses
 from photogram.bspline import spline_of_image
 from photogram.direct.direct_fit import BodyView, DirectFit, fit_direct, rigid_share, view_body
 from photogram.direct.fit_torch import fit_frames, torch_view
-from photogram.direct.shapes import PlainShapes
-from photogram.direct.surface import PlacedCamera
+from photogram.direct.surface import PlacedCamera, PlainShapes
 from photogram.geometry import RigidTransform
 from photogram.images.noise import NoiseModel
 from photogram.subsets.icgn_torch import spline_frames

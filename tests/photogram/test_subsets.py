@@ -10,6 +10,7 @@ from speckle import sequence
 from photogram.bspline import spline_of_image
 from photogram.camera import Camera, StereoRig
 from photogram.geometry import RigidTransform
+from photogram.images.image_notices import UNRESOLVED_TEXTURE, UNUSED_SUBSETS
 from photogram.images.noise import NoiseModel
 from photogram.subsets.icgn import TrackSettings, register
 from photogram.subsets.reference import TrackStatus, prepare_reference
@@ -21,7 +22,6 @@ from photogram.subsets.search import (
     template_shifts,
     warp_of_affine,
 )
-from photogram.subsets.subset_notices import UNRESOLVED_TEXTURE, UNUSED_SUBSETS
 from photogram.subsets.texture import (
     REASONS,
     aliasing_bias,

@@ -21,13 +21,13 @@ from photogram import kernels as device_module
 from photogram.camera import Camera, StereoRig, triangulate
 from photogram.geometry import RigidTransform
 from photogram.images.image_files import open_sequence
+from photogram.images.image_notices import OFF_EPIPOLAR_LINES, UNRESOLVED_TEXTURE
 from photogram.images.sequence import FRAMES_AHEAD, ImageSequence
 from photogram.kernels import resolve_device
 from photogram.motion import RigidMotion, fit_motion
 from photogram.subsets.icgn import TrackSettings
 from photogram.subsets.reference import TrackStatus
 from photogram.subsets.search import predict_warp
-from photogram.subsets.subset_notices import OFF_EPIPOLAR_LINES, UNRESOLVED_TEXTURE
 from photogram.subsets.track import (
     Tracks,
     follow_sequence,

@@ -25,8 +25,7 @@ from fusion.planning.look.look_notices import (
     SPECKLE_SIZE,
 )
 from photogram.camera import StereoRig, epipolar_residual, triangulate
-from photogram.images.exposure import clip_level, missing_pattern_reason
-from photogram.images.sequence import GreyImage, ImageSequence
+from photogram.images.sequence import GreyImage, ImageSequence, clip_level, missing_pattern_reason
 from photogram.subsets.search import match_features
 from photogram.subsets.texture import (
     place_subsets,
