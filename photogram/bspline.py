@@ -156,41 +156,19 @@ def noise_gain(fraction_px: FloatArray, degree: int = 5) -> FloatArray:
     return np.asarray(np.interp(position, np.arange(len(table)), table))
 
 
-def mean_noise_gain(centre_px: FloatArray, warp: FloatArray, offset_px: FloatArray, degree: int = 5) -> FloatArray:
-    """Return the mean variance (N,) of interpolated white noise of variance 1 over offsets (P,2).
+def mean_noise_gain(xp: Any, centre_px: Any, warp: Any, offset_px: Any, table: Any) -> Any:
+    """Return the mean variance (..., N) of interpolated white noise of variance 1 over offsets (P, 2).
 
-    The points about centre_px (N, 2) are moved by the affine warps (N, 6) [u, u_x, u_y, v, v_x, v_y].
+    The points about centre_px (N, 2) are moved by the affine warps (..., N, 6) [u, u_x, u_y, v, v_x, v_y]. NaN for a
+    warp that is not finite. The variance is linear in `table`, the `noise_gain_table` of the degree. Arrays of numpy
+    or tensors of torch: `xp`.
     """
-    return np.asarray(_mean_gains(centre_px, np.ascontiguousarray(warp), offset_px, noise_gain_table(degree)))
-
-
-@njit()
-def _mean_gains(centres, warps, offsets, table):  # type: ignore[no-untyped-def]
-    """Return means (N,) of the gains in x times those in y.
-
-    NaN for a warp that is not finite. The gains are linear in a table over one pixel.
-    """
-    gains = np.full(centres.shape[0], np.nan)
-    for n in range(centres.shape[0]):
-        u, u_x, u_y, v, v_x, v_y = warps[n, 0], warps[n, 1], warps[n, 2], warps[n, 3], warps[n, 4], warps[n, 5]
-        if not np.isfinite(u + u_x + u_y + v + v_x + v_y):
-            continue
-        total = 0.0
-        for p in range(offsets.shape[0]):
-            dx, dy = offsets[p, 0], offsets[p, 1]
-            x = centres[n, 0] + u + (1.0 + u_x) * dx + u_y * dy
-            y = centres[n, 1] + v + v_x * dx + (1.0 + v_y) * dy
-            total += _gain(table, x) * _gain(table, y)
-        gains[n] = total / offsets.shape[0]
-    return gains
-
-
-@njit()
-def _gain(table, position):  # type: ignore[no-untyped-def]
-    """Interpolate a function that has the period of a pixel linearly in its table."""
-    position = (position - np.floor(position)) * (table.shape[0] - 1)
-    k = min(int(position), table.shape[0] - 2)
-    return table[k] + (position - k) * (table[k + 1] - table[k])
+    deformation = xp.eye(2, dtype=warp.dtype, device=warp.device) + warp.reshape(*warp.shape[:-1], 2, 3)[..., 1:]
+    position = offset_px @ deformation.mT + (centre_px + warp[..., ::3])[..., None, :]
+    place = xp.nan_to_num(position - xp.floor(position)) * (len(table) - 1)
+    low = xp.clip(xp.asarray(place, dtype=xp.int64), 0, len(table) - 2)
+    gain = table[low] + (place - low) * (table[low + 1] - table[low])
+    return xp.where(xp.isfinite(warp).all(-1), (gain[..., 0] * gain[..., 1]).mean(-1), xp.nan)
 
 
 @cache

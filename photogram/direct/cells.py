@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import cache
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -12,6 +13,7 @@ from photogram.bspline import (
     grey_gradients,
     grey_values,
     mean_noise_gain,
+    noise_gain_table,
     sample_line,
     slope_noise_gain,
     warp_inside,
@@ -73,29 +75,23 @@ class Cells(
         return np.repeat(np.repeat(np.arange(len(self.centre_px)), np.diff(self.first)), self.runs[:, 2])
 
 
-@dataclass(frozen=True, eq=False)
-class CellSums:
-    """Comparison of the cells with another image at given warps.
+class CellSums(NamedTuple):
+    """Comparison of C cells with A other images at given warps, as arrays or tensors.
 
     NaN for a cell that leaves the image, or has less than a tenth of its contrast there.
 
     Attributes
     ----------
-    gain : (C,) contrast relative to the reference.
-    misfit : (C,) Σw·r² of the residuals after gain and offset.
-    slope : (C, 6) Σw·SD·g over the projected steepest-descent images SD.
-    misfit_noise : (C,) expected misfit per unit of the noise variance ratio.
+    gain : (A, C) contrast relative to the reference.
+    misfit : (A, C) Σw·r² of the residuals after gain and offset.
+    slope : (A, C, 6) Σw·SD·g over the projected steepest-descent images SD.
+    misfit_noise : (A, C) expected misfit per unit of the noise variance ratio.
     """
 
-    gain: FloatArray
-    misfit: FloatArray
-    slope: FloatArray
-    misfit_noise: FloatArray
-
-    @property
-    def all(self) -> tuple[FloatArray, ...]:
-        """For kernels: gain, misfit, slope, expected misfit."""
-        return self.gain, self.misfit, self.slope, self.misfit_noise
+    gain: Any
+    misfit: Any
+    slope: Any
+    misfit_noise: Any
 
 
 def lay_cells(area: BoolArray, side_px: int) -> tuple[FloatArray, IntArray, IntArray]:
@@ -196,7 +192,7 @@ def _weighted(
 
 
 def compare_cells(cells: Cells, target: Spline, warp: FloatArray) -> CellSums:
-    """Compare the cells with the image `target`, each at its affine warp (C, 6).
+    """Compare the cells with the one image `target`, each at its affine warp (C, 6).
 
     misfit_noise is Σ over the cell's pixels of κ_g + gain², reduced by the two fitted parameters. κ_g, the variance of
     interpolated noise (`noise_gain`), varies with the sub-pixel position and is averaged over nine points.
@@ -207,7 +203,7 @@ def compare_cells(cells: Cells, target: Spline, warp: FloatArray) -> CellSums:
     image = target.coefficients, target.degree
     _compare(cells.layout, reference, image, np.ascontiguousarray(warp), (gain, misfit, slope))
     interpolated = _interpolated_noise(cells, warp, target.degree)
-    return CellSums(gain, misfit, slope, (cells.count - 2) * (interpolated + gain**2))
+    return CellSums(gain[None], misfit[None], slope[None], ((cells.count - 2) * (interpolated + gain**2))[None])
 
 
 def pixel_residuals(cells: Cells, target: Spline, warp: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -234,7 +230,7 @@ def pixel_residuals(cells: Cells, target: Spline, warp: FloatArray) -> tuple[Flo
 
 def _interpolated_noise(cells: Cells, warp: FloatArray, degree: int) -> FloatArray:
     """Return the variance (C,) of interpolated white noise, averaged over nine points of each cell."""
-    return mean_noise_gain(cells.centre_px, warp, nine_points(cells.side_px), degree)
+    return np.asarray(mean_noise_gain(np, cells.centre_px, warp, nine_points(cells.side_px), noise_gain_table(degree)))
 
 
 @cache

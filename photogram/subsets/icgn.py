@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from photogram.bspline import Spline, mean_noise_gain, sample_line, sample_points, warp_inside
+from photogram.bspline import Spline, mean_noise_gain, noise_gain_table, sample_line, sample_points, warp_inside
 from photogram.images.noise import QUANTISATION
 from photogram.subsets.reference import (
     AFFINE_SUMS,
@@ -256,7 +256,7 @@ def noise_of_residual(reference: ReferenceSubsets, found: Registration, degree: 
     rounding.
     """
     offsets = subset_offsets(1) * (2.0 / 3.0 * reference.radius_px)
-    gain = mean_noise_gain(reference.centre_px, found.warp, offsets, degree)
+    gain = mean_noise_gain(np, reference.centre_px, found.warp[:, :6], offsets, noise_gain_table(degree))
     variance = found.residual_grey2 / (gain + found.gain**2 * reference.noise_gain)
     return np.sqrt(np.maximum(variance, QUANTISATION))
 
