@@ -25,7 +25,6 @@ from numpy.typing import NDArray
 
 from photogram.kernels.lanes import (
     DOUBLE,
-    DOUBLES,
     FLOATS,
     INDEX,
     Lanes,
@@ -394,13 +393,15 @@ SMALLEST_DRIFT = 1e-30  # of a line that never leaves its row or column
 def sample_squares(spline: Spline, centre_px: FloatArray, radius_px: int) -> FloatArray:
     """Return values and gradients (N,3,P) [f,f_x,f_y] on squares around centre_px (N,2).
 
-    P = (2·radius+1)² points, a pixel from each other. NaN for squares that are not wholly in the image. Points of a
-    square have the same weights, applied along x, then y.
+    P = (2·radius+1)² points, a pixel from each other, row by row. NaN for squares that are not wholly in the image.
     """
     check_shape("centre_px", centre_px, (None, 2))
-    squares = np.full((len(centre_px), 3, (2 * radius_px + 1) ** 2), np.nan)
-    _sample_squares(spline.coefficients, spline.degree, np.ascontiguousarray(centre_px), radius_px, squares)
-    return squares
+    line = np.arange(-radius_px, radius_px + 1.0)
+    offsets = np.stack(np.meshgrid(line, line), axis=-1).reshape(-1, 2)
+    value, gradient = evaluate(spline, (centre_px[:, None] + offsets).reshape(-1, 2))
+    squares = np.concatenate([value[:, None], gradient], axis=1).reshape(len(centre_px), -1, 3)
+    squares[np.isnan(squares).any(axis=(1, 2))] = np.nan
+    return np.ascontiguousarray(np.swapaxes(squares, 1, 2))
 
 
 @njit()
@@ -460,57 +461,6 @@ def _end_of_run(start, count, s, t, drift_x, drift_y):  # type: ignore[no-untype
     elif drift_y < -SMALLEST_DRIFT:
         steps = min(steps, -t / drift_y)
     return min(count, start + 1 + int(steps))
-
-
-@njit()
-def _sample_squares(c, degree, centres, radius, squares):  # type: ignore[no-untyped-def]
-    """Sample squares within the image, first along x, then along y."""
-    right, bottom, side = c.shape[1] - 2 * PADDING_PX - 1, c.shape[0] - 2 * PADDING_PX - 1, 2 * radius + 1
-    taps, points = degree + 1, (2 * radius + 1) ** 2
-    wx, sx, wy, sy = np.empty(8), np.empty(8), np.empty(8), np.empty(8)
-    smooth, slope = np.empty((side + degree, side)), np.empty((side + degree, side))
-    for n in range(centres.shape[0]):
-        x, y = centres[n, 0] - radius, centres[n, 1] - radius
-        if not (x >= 0.0 and y >= 0.0 and x + 2 * radius <= right and y + 2 * radius <= bottom):
-            continue
-        column, row = min(int(x), right + 1 - side), min(int(y), bottom + 1 - side)
-        basis(x - column, degree, wx, sx)
-        basis(y - row, degree, wy, sy)
-        left, top = column + PADDING_PX - degree // 2, row + PADDING_PX - degree // 2
-        for r in range(side + degree):
-            first = (top + r) * c.shape[1] + left
-            _weigh(c, (first, 1), wx, taps, smooth, (r * side, side))
-            _weigh(c, (first, 1), sx, taps, slope, (r * side, side))
-        for k, (source, weights) in enumerate(((smooth, wy), (slope, wy), (smooth, sy))):
-            _weigh(source, (0, side), weights, taps, squares, ((3 * n + k) * points, points))
-
-
-@intrinsic
-def _weigh(typing, source, position, weights, taps, target, span):  # type: ignore[no-untyped-def]
-    """Fill target[start + i], i < count, with Σ_k weights[k]·source[first + k·stride + i].
-
-    All arrays are flat. position: first, stride; taps: number of weights; span: start, count.
-    """
-
-    def generate(context: Any, builder: Any, signature: Any, arguments: Sequence[Any]) -> Any:
-        table, factors, out = (array_of(context, builder, signature, arguments, k) for k in (0, 2, 4))
-        (first, stride), (start, count) = (cgutils.unpack_tuple(builder, arguments[k], 2) for k in (1, 5))
-
-        def block(index: Any, mask: Any) -> None:
-            total = cgutils.alloca_once(builder, DOUBLES)
-            builder.store(constant(DOUBLES, 0.0), total)
-            with cgutils.for_range(builder, arguments[3]) as loop:
-                weight = broadcast(builder, builder.load(builder.gep(factors.data, [loop.index])), DOUBLES)
-                at = builder.add(builder.add(first, index), builder.mul(stride, loop.index))
-                value = weight * load(builder, builder.gep(table.data, [at]), DOUBLES, mask)
-                builder.store((Lanes(builder, builder.load(total)) + value).value, total)
-            position = builder.gep(out.data, [builder.add(start, index)])
-            store(builder, Lanes(builder, builder.load(total)), position, mask)
-
-        in_blocks(builder, count, DOUBLES, block)
-        return context.get_dummy_value()
-
-    return kernel_signature(source, position, weights, taps, target, span), generate
 
 
 def _run_by(weights: Callable[[Lanes], tuple[Lanes, ...]]) -> Any:

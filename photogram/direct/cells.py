@@ -168,16 +168,25 @@ def select_cells(cells: Cells, which: IntArray) -> Cells:
 def _weighted(
     layout: tuple[int, FloatArray, IntArray, IntArray], pixels: FloatArray, noise: NoiseModel, degree: int
 ) -> Cells:
-    """Return weighted cells from pixels (4, P), which are overwritten.
+    """Return weighted cells from pixels (4, P).
 
     Rows of pixels: 1, or 0 for those without weight; grey value; gradient. layout: side, centres, runs and first runs.
     """
-    _, centre, runs, first = layout
-    pixels[0] = np.where(pixels[0] > 0.0, 1.0 / noise.variance(pixels[1]), 0.0)
-    scalars, moments = np.zeros((len(centre), 4)), np.zeros((len(centre), 8, 8))
-    extent = np.zeros((len(centre), 3))
-    _prepare(centre, runs, first, pixels, scalars, moments, extent)
-    mean, total, energy, count = np.ascontiguousarray(scalars.T)  # one type of array for kernels
+    side_px, centre, runs, first = layout
+    weight = np.where(pixels[0] > 0.0, 1.0 / noise.variance(pixels[1]), 0.0)
+    used, (_, grey, along, down) = weight > 0.0, np.where(weight > 0.0, pixels, 0.0)
+    cell = np.repeat(np.repeat(np.arange(len(centre)), np.diff(first)), runs[:, 2])
+    begin = runs[first[:-1], 3]
+    dx, dy = (pixel_coordinates(runs) - centre[cell]).T
+    total = np.add.reduceat(weight, begin)
+    mean = np.add.reduceat(weight * grey, begin) / np.where(total > 0.0, total, 1.0)
+    grey = np.where(used, grey - mean[cell], 0.0)
+    rows = np.stack([used, grey, along, along * dx, along * dy, down, down * dx, down * dy])
+    moments = np.moveaxis([np.add.reduceat(weight * row * rows, begin, axis=1) for row in rows], 2, 0)
+    energy = moments[:, 1, 1].copy()
+    count, *spread = np.add.reduceat(used * np.stack([np.ones_like(dx), dx * dx, dy * dy]), begin, axis=1)
+    extent = np.stack([count, *spread], axis=1)
+    pixels = np.stack([weight, weight * grey, weight * along, weight * down])
     solid = energy > 0.0
     safe_total, safe_energy = np.where(solid, total, 1.0), np.where(solid, energy, 1.0)
     removed = np.stack([moments[:, 0, 2:] / safe_total[:, None], moments[:, 1, 2:] / safe_energy[:, None]], axis=1)
@@ -186,7 +195,7 @@ def _weighted(
     gradient_noise = slope_noise_gain(degree) * np.concatenate([extent, extent], axis=1)[:, :, None] * np.eye(6)
     hessian[~solid], energy[~solid] = 0.0, np.nan
     return Cells(
-        *layout, pixels, mean, total, energy, count.astype(np.int64), removed, hessian,
+        side_px, centre, runs, first, pixels, mean, total, energy, count.astype(np.int64), removed, hessian,
         np.where(solid[:, None, None], gradient_noise, 0.0),
     )  # fmt: skip
 
@@ -240,42 +249,6 @@ def nine_points(side_px: int) -> FloatArray:
     line = np.array([-third, 0.0, third])
     dx, dy = (grid.ravel() for grid in np.meshgrid(line, line))
     return np.column_stack([dx, dy])
-
-
-@njit()
-def _prepare(centre, runs, first, pixels, scalars, moments, extent):  # type: ignore[no-untyped-def]
-    """Weight the pixels in place, and sum their moments.
-
-    Filled are mean, Σw, Σw·f̃² and count; moments of [1 f̃ SD…]; Σ(w·variance)·(1, dx², dy²).
-    """
-    for c in range(centre.shape[0]):
-        total, level = 0.0, 0.0
-        for r in range(first[c], first[c + 1]):
-            for p in range(runs[r, 3], runs[r, 3] + runs[r, 2]):
-                total += pixels[0, p]
-                level += pixels[0, p] * pixels[1, p] if pixels[0, p] > 0.0 else 0.0
-        mean = level / total if total > 0.0 else 0.0
-        row = np.empty(8)
-        for r in range(first[c], first[c + 1]):
-            dy = runs[r, 0] - centre[c, 1]
-            for i in range(runs[r, 2]):
-                p, dx = runs[r, 3] + i, runs[r, 1] + i - centre[c, 0]
-                w = pixels[0, p]
-                if w > 0.0:
-                    f, fx, fy = pixels[1, p] - mean, pixels[2, p], pixels[3, p]
-                    row[0], row[1], row[2], row[3], row[4] = 1.0, f, fx, fx * dx, fx * dy
-                    row[5], row[6], row[7] = fy, fy * dx, fy * dy
-                    for j in range(8):
-                        for k in range(8):
-                            moments[c, j, k] += w * row[j] * row[k]
-                    extent[c, 0] += 1.0
-                    extent[c, 1] += dx * dx
-                    extent[c, 2] += dy * dy
-                    scalars[c, 3] += 1.0
-                    pixels[1, p], pixels[2, p], pixels[3, p] = w * f, w * fx, w * fy
-                else:
-                    pixels[1, p], pixels[2, p], pixels[3, p] = 0.0, 0.0, 0.0
-        scalars[c, 0], scalars[c, 1], scalars[c, 2] = mean, total, moments[c, 1, 1]
 
 
 @njit()

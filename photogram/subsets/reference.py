@@ -32,7 +32,6 @@ from photogram.kernels.lanes import (
     sum_lanes,
 )
 from shakercal._common.arrays import Arrays, BoolArray, FloatArray, IntArray, check_shape
-from shakercal._common.kernels import njit
 
 _Terms = tuple[Lanes, ...]
 AFFINE_SUMS, CURVED_SUMS, RUN_SUMS = 9, 6, 7
@@ -66,50 +65,6 @@ def curved_sums(typing, grey, mean, pixels, offsets, sums):  # type: ignore[no-u
         return a * xx, a * xy, a * yy, d * xx, d * xy, d * yy
 
     return kernel_signature(grey, mean, pixels, offsets, sums), _subset_code(terms, CURVED_SUMS)
-
-
-def _powers(degree: int) -> list[tuple[int, int]]:
-    """Return exponents of dx and dy up to a degree, ordered as `shape_values`."""
-    return [(d - b, b) for d in range(degree + 1) for b in range(d + 1)]
-
-
-def _moments_by(degree: int) -> Any:
-    """Return the code of sums of products of steepest-descent images of this degree."""
-    all_powers, shapes = _powers(2 * degree), _powers(degree)
-
-    def terms(_: Lanes, f: Lanes, along: Lanes, down: Lanes, dx: Lanes, dy: Lanes) -> _Terms:
-        power = {(1, 0): dx, (0, 1): dy}
-        for a, b in all_powers[3:]:
-            power[a, b] = power[a - 1, b] * dx if a else power[a, b - 1] * dy
-        squares, singles = (along * along, along * down, down * down), (along, down, f * along, f * down)
-        sums = [(square, which) for square in squares for which in all_powers]
-        sums += [(single, which) for single in singles for which in shapes]
-        return tuple(value * power[which] if which in power else value for value, which in sums)
-
-    @intrinsic
-    def moments(typing, grey, mean, pixels, offsets, sums):  # type: ignore[no-untyped-def]
-        """Fill sums with Σ q·dx^a·dy^b.
-
-        Of f_x², f_x·f_y, f_y² for all powers, of f_x, f_y, f̃·f_x, f̃·f_y for shapes.
-        """
-        return kernel_signature(grey, mean, pixels, offsets, sums), _subset_code(
-            terms, 3 * len(all_powers) + 4 * len(shapes)
-        )
-
-    return moments
-
-
-_affine_moments, _curved_moments = _moments_by(1), _moments_by(2)
-
-
-@njit()
-def _moments(pixels, offsets, curved, sums):  # type: ignore[no-untyped-def]
-    """Fill rows of sums (n, …) of the subsets pixels (n, 3, P)."""
-    for n in range(pixels.shape[0]):
-        if curved:
-            _curved_moments(pixels[n, 0], 0.0, pixels[n], offsets, sums[n])
-        else:
-            _affine_moments(pixels[n, 0], 0.0, pixels[n], offsets, sums[n])
 
 
 def _subset_code(terms: Callable[..., _Terms], number: int) -> Callable[..., Any]:
@@ -378,23 +333,13 @@ def _hessians(pixels: FloatArray, energy: FloatArray, radius_px: int, order: int
 
     Removed from the images are their mean and their part along f̃.
     """
-    count, size, half = len(pixels), pixels.shape[2], PARAMETERS[order] // 2
-    shapes, powers = _powers(max(order, 1)), _powers(2 * max(order, 1))
-    sums = np.empty((count, 3 * len(powers) + 4 * len(shapes)))
-    offsets = np.ascontiguousarray(subset_offsets(radius_px).T)
-    _moments(pixels, offsets, order == 2, sums)
-    affine_first = np.argsort(np.tile(np.arange(half) // 3, 2), kind="stable")
-    factor = np.array([1.0, 1.0, 1.0, 0.5, 1.0, 0.5])[:half]
-    single = sums[:, 3 * len(powers) :].reshape(count, 4, len(shapes))[:, :, :half] * factor
-    mean, part = (single[:, k : k + 2].reshape(count, 2 * half)[:, affine_first] for k in (0, 2))
-    mean, part = mean / size, part / energy[:, None]
-    at = [[powers.index((a + c, b + d)) for c, d in shapes[:half]] for a, b in shapes[:half]]
-    pairs = sums[:, : 3 * len(powers)].reshape(count, 3, len(powers))[:, :, at] * np.outer(factor, factor)
-    xx, xy, yy = np.moveaxis(pairs, 1, 0)
-    hessian = np.block([[xx, xy], [xy, yy]])[:, affine_first[:, None], affine_first]
-    hessian -= size * mean[:, :, None] * mean[:, None, :]
-    hessian -= energy[:, None, None] * part[:, :, None] * part[:, None, :]
-    return hessian, np.stack([mean, part], axis=1)
+    grey, along, down = np.moveaxis(pixels, 1, 0)[:, :, None]
+    shapes = shape_values(subset_offsets(radius_px), order)
+    parts = [slope * part for part in (shapes[:3], shapes[3:]) for slope in (along, down)]
+    steepest = np.concatenate(parts, axis=1)
+    removed = np.stack([steepest.mean(axis=2), (steepest @ grey.mT)[..., 0] / energy[:, None]], axis=1)
+    steepest -= removed[:, 0, :, None] + removed[:, 1, :, None] * grey
+    return steepest @ steepest.mT, removed
 
 
 def _invert(
