@@ -10,10 +10,10 @@ pixel of 16 bit. Positions are split into whole pixels and fraction before they 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache, reduce
-from math import sqrt
+from math import comb, factorial, sqrt
 from operator import add, mul
 from typing import Any
 
@@ -21,6 +21,7 @@ import numpy as np
 from llvmlite import ir
 from numba.core import cgutils
 from numba.extending import intrinsic
+from numpy.polynomial import Polynomial
 from numpy.typing import NDArray
 
 from photogram.kernels.lanes import (
@@ -285,58 +286,38 @@ def _recurse(typing, lines, poles):  # type: ignore[no-untyped-def]
     return kernel_signature(lines, poles), generate
 
 
-def weights_cubic(t: Lanes) -> tuple[Lanes, ...]:
-    """Return the four cubic B-splines at offset t in [0,1).
+@cache
+def basis_polynomials(degree: int) -> FloatArray:
+    """Return the coefficients (power of t, spline) of B-splines at t in [0,1).
 
-    Thévenaz et al. 2000, eq. 18.
+    Spline j is β(t + (degree−1)/2 − j), β the sum of truncated powers (Unser 1999, IEEE Signal Process. Mag. 16, 22,
+    box 1): β(x) = Σ_k (−1)^k C(n+1,k) max(0, x + (n+1)/2 − k)^n / n!.
     """
-    last = t * t * t / 6.0
-    first = 1.0 / 6.0 + 0.5 * t * (t - 1.0) - last
-    third = t + first - 2.0 * last
-    return first, 1.0 - first - third - last, third, last
+    n = degree
+    table = np.zeros((n + 1, n + 1))
+    for j in range(n + 1):
+        for k in range(n - j + 1):
+            for power in range(n + 1):
+                term = comb(n, power) * (n - j - k) ** (n - power)
+                table[power, j] += (-1) ** k * comb(n + 1, k) * term / factorial(n)
+    return table
 
 
-def weights_quintic(t: Lanes) -> tuple[Lanes, ...]:
-    """Return the six quintic B-splines at offset t in [0, 1), as `weights_septic`."""
-    h = t - 0.5
-    q = h * h
-    even0 = (q / 48.0 + 1.0 / 96.0) * q + 1.0 / 3840.0
-    odd0 = (q / -120.0 - 1.0 / 48.0) * q - 1.0 / 384.0
-    even1 = (q / -16.0 + 7.0 / 32.0) * q + 79.0 / 1280.0
-    odd1 = (q / 24.0 - 1.0 / 16.0) * q - 25.0 / 128.0
-    even2 = (q / 24.0 - 11.0 / 48.0) * q + 841.0 / 1920.0
-    odd2 = (q / -12.0 + 7.0 / 24.0) * q - 77.0 / 192.0
-    odd0, odd1, odd2 = h * odd0, h * odd1, h * odd2
-    return even0 + odd0, even1 + odd1, even2 + odd2, even2 - odd2, even1 - odd1, even0 - odd0
+def weights(t: Lanes, degree: int) -> tuple[Lanes, ...]:
+    """Return the B-splines (degree + 1) of an odd degree at offset t in [0, 1).
 
-
-def weights_septic(t: Lanes) -> tuple[Lanes, ...]:
-    """Return the eight septic B-splines at offset t in [0, 1).
-
-    With h = t − ½ the splines j and 7−j are E(h²) ± h·O(h²); polynomials from the sum of truncated powers (Unser 1999,
-    IEEE Signal Process. Mag. 16, 22, box 1).
+    With h = t − ½ the splines j and n−j are E(h²) ± h·O(h²).
     """
-    h = t - 0.5
+    half, h = (degree + 1) // 2, t - 0.5
     q = h * h
-    even0 = ((q / 1440.0 + 1.0 / 1152.0) * q + 1.0 / 7680.0) * q + 1.0 / 645120.0
-    odd0 = ((q / -5040.0 - 1.0 / 960.0) * q - 1.0 / 2304.0) * q - 1.0 / 46080.0
-    even1 = ((q / -288.0 + 19.0 / 1152.0) * q + 47.0 / 1536.0) * q + 2179.0 / 645120.0
-    odd1 = ((q / 720.0 - 1.0 / 960.0) * q - 73.0 / 2304.0) * q - 721.0 / 46080.0
-    even2 = ((q / 160.0 - 7.0 / 128.0) * q + 403.0 / 2560.0) * q + 20219.0 / 215040.0
-    odd2 = ((q / -240.0 + 19.0 / 960.0) * q - 5.0 / 2304.0) * q - 9821.0 / 46080.0
-    even3 = ((q / -288.0 + 43.0 / 1152.0) * q - 289.0 / 1536.0) * q + 259723.0 / 645120.0
-    odd3 = ((q / 144.0 - 3.0 / 64.0) * q + 43.0 / 256.0) * q - 289.0 / 1024.0
-    odd0, odd1, odd2, odd3 = h * odd0, h * odd1, h * odd2, h * odd3
-    return (
-        even0 + odd0,
-        even1 + odd1,
-        even2 + odd2,
-        even3 + odd3,
-        even3 - odd3,
-        even2 - odd2,
-        even1 - odd1,
-        even0 - odd0,
-    )
+
+    def in_squares(coefficients: FloatArray) -> Lanes:
+        first, *others = coefficients[::-1].tolist()
+        return reduce(lambda total, coefficient: total * q + coefficient, others, first)  # type: ignore[no-any-return]
+
+    centred = [Polynomial(column)(Polynomial([0.5, 1.0])).coef for column in basis_polynomials(degree).T[:half]]
+    pairs = [(in_squares(part[::2]), h * in_squares(part[1::2])) for part in centred]
+    return (*(even + odd for even, odd in pairs), *(even - odd for even, odd in reversed(pairs)))
 
 
 @njit()
@@ -463,8 +444,8 @@ def _end_of_run(start, count, s, t, drift_x, drift_y):  # type: ignore[no-untype
     return min(count, start + 1 + int(steps))
 
 
-def _run_by(weights: Callable[[Lanes], tuple[Lanes, ...]]) -> Any:
-    """Return the kernel of one run for the B-spline `weights`.
+def _run_by(degree: int) -> Any:
+    """Return the kernel of one run for splines of a degree.
 
     Whole blocks of points, then a masked one.
     """
@@ -477,7 +458,7 @@ def _run_by(weights: Callable[[Lanes], tuple[Lanes, ...]]) -> Any:
             first = broadcast(builder, builder.sitofp(index, DOUBLE), FLOATS)
             points, column = lane_numbers(builder, FLOATS) + first, builder.add(corner[1], index)
             along, down = (
-                weights(points * broadcast(builder, step, FLOATS) + broadcast(builder, begin, FLOATS))
+                weights(points * broadcast(builder, step, FLOATS) + broadcast(builder, begin, FLOATS), degree)
                 for begin, step in zip(offset, drift, strict=True)
             )
             lines = []
@@ -505,7 +486,7 @@ def _run_by(weights: Callable[[Lanes], tuple[Lanes, ...]]) -> Any:
     return run
 
 
-_run_cubic, _run_quintic, _run_septic = map(_run_by, (weights_cubic, weights_quintic, weights_septic))
+_run_cubic, _run_quintic, _run_septic = map(_run_by, (3, 5, 7))
 
 
 @njit(inline="always")

@@ -18,7 +18,6 @@ from photogram.subsets.reference import (
     TrackStatus,
     affine_sums,
     curved_sums,
-    fetch,
     subset_offsets,
 )
 from shakercal._common.arrays import Arrays, BoolArray, FloatArray, IntArray, check_shape
@@ -383,12 +382,11 @@ def _sample(subset, target, warp, grey, buffer):  # type: ignore[no-untyped-def]
 
     `buffer`: for the points of a curved row.
     """
-    centre_x, centre_y, radius, pixels, _, _, _ = subset
+    centre_x, centre_y, radius, _, _, _, _ = subset
     coefficients, degree = target
     width = buffer.shape[1]
     for number in range(width):
         dy, span = number - radius, (number * width, (number + 1) * width)
-        fetch(pixels, (3 * number * width, 3 * width))  # for the sums that follow
         x = centre_x + warp[0] + warp[2] * dy - (1.0 + warp[1]) * radius
         y = centre_y + warp[3] + (1.0 + warp[5]) * dy - warp[4] * radius
         if warp.size == 12:

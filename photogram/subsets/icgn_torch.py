@@ -6,13 +6,13 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cache, lru_cache
 from importlib.util import find_spec
-from math import ceil, comb, factorial, log
+from math import ceil, log
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from photogram.bspline import PADDING_PX, poles_of
+from photogram.bspline import PADDING_PX, basis_polynomials, poles_of
 from photogram.subsets.icgn import (
     GAIN_AND_OFFSET,
     LINEAR_PX,
@@ -65,15 +65,6 @@ class TorchSplines:
         return width - 2 * PADDING_PX, height - 2 * PADDING_PX
 
 
-def spline_frames(images: NDArray[np.generic], degree: int, device: str, precision: str = "float64") -> TorchSplines:
-    """Return the splines of images (B,H,W) on a device, mirrored at the outermost pixels."""
-    check_shape("images", images, (None, None, None))
-    if min(images.shape[1:]) < 2 * PADDING_PX:
-        raise ValueError(f"images: expected at least {2 * PADDING_PX} x {2 * PADDING_PX} px, found {images.shape[1:]}")
-    _, raw = upload_images(list(images), device)
-    return splines_of(raw, degree, precision)
-
-
 def upload_images(images: Sequence[NDArray[np.generic]], device: str) -> tuple[NDArray[np.generic], Tensor]:
     """Return B images (B, H, W) in memory and on the device.
 
@@ -116,23 +107,6 @@ def torch_type(precision: str) -> Any:
     if precision not in PRECISIONS:
         raise ValueError(f"precision: expected one of {', '.join(PRECISIONS)}, found {precision!r}")
     return getattr(torch, precision)
-
-
-@lru_cache(maxsize=4)
-def basis_polynomials(degree: int) -> FloatArray:
-    """Return the coefficients (power of t, spline) of B-splines at t in [0,1).
-
-    Spline j is β(t + (degree−1)/2 − j), β the sum of truncated powers (Unser 1999, IEEE Signal Process. Mag. 16, 22,
-    box 1): β(x) = Σ_k (−1)^k C(n+1,k) max(0, x + (n+1)/2 − k)^n / n!.
-    """
-    n = degree
-    table = np.zeros((n + 1, n + 1))
-    for j in range(n + 1):
-        for k in range(n - j + 1):
-            for power in range(n + 1):
-                term = comb(n, power) * (n - j - k) ** (n - power)
-                table[power, j] += (-1) ** k * comb(n + 1, k) * term / factorial(n)
-    return table
 
 
 def sample(frames: TorchSplines, corner: Tensor, position_px: Tensor, polynomials: Tensor) -> Tensor:

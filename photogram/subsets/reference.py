@@ -18,7 +18,6 @@ from photogram.bspline import Spline, noise_gain, sample_squares, slope_noise_ga
 from photogram.kernels.lanes import (
     DOUBLE,
     DOUBLES,
-    FLOATS,
     INDEX,
     Lanes,
     array_of,
@@ -115,24 +114,6 @@ def run_sums(typing, grey, mean, pixels, span, dx, sums):  # type: ignore[no-unt
         return context.get_dummy_value()
 
     return kernel_signature(grey, mean, pixels, span, dx, sums), generate
-
-
-@intrinsic
-def fetch(typing, table, span):  # type: ignore[no-untyped-def]
-    """Prefetch a span of a flat array, since memory is slower than sums."""
-
-    def generate(context: Any, builder: Any, signature: Any, arguments: Sequence[Any]) -> Any:
-        first = array_of(context, builder, signature, arguments, 0).data
-        start, count = cgutils.unpack_tuple(builder, arguments[1], 2)
-        numbers = [ir.Constant(ir.IntType(32), number) for number in (0, 3, 1)]  # to read, often, data
-        form = ir.FunctionType(ir.VoidType(), [first.type, *(number.type for number in numbers)])
-        prefetch = cgutils.get_or_insert_function(builder.module, form, "llvm.prefetch.p0")
-        step = ir.Constant(INDEX, FLOATS.count)
-        with cgutils.for_range_slice(builder, start, builder.add(start, count), step, INDEX) as (index, _):
-            builder.call(prefetch, [builder.gep(first, [index]), *numbers])
-        return context.get_dummy_value()
-
-    return kernel_signature(table, span), generate
 
 
 def _sum(builder: Any, count: Any, number: int, block: Callable[..., _Terms], sums: Any) -> None:

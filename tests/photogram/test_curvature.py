@@ -7,11 +7,12 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 from scipy.signal import savgol_coeffs
+from speckle import spline_frames
 
 from photogram.bspline import spline_of_image
 from photogram.subsets.find import find_without_prediction
 from photogram.subsets.icgn import Registration, TrackSettings, noise_of_residual, position_covariance, register
-from photogram.subsets.icgn_torch import register_frames, spline_frames, torch_reference
+from photogram.subsets.icgn_torch import register_frames, torch_reference
 from photogram.subsets.reference import ReferenceSubsets, TrackStatus, prepare_reference
 
 SIZE, MIDDLE, AMPLITUDE_PX = (640, 121), 60.0, 0.5

@@ -15,7 +15,7 @@ import torch
 from contracts import NEEDS_GPU, refused
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from speckle import PIXEL_M, SENSOR, Stereo, camera, face, render_images, sequence, two_poses
+from speckle import PIXEL_M, SENSOR, Stereo, camera, face, render_images, sequence, spline_frames, two_poses
 
 from photogram import frame_statistics
 from photogram.bspline import Spline, evaluate, spline_of_image
@@ -46,7 +46,6 @@ from photogram.measure.follow_torch import predict_poses
 from photogram.motion import deformation
 from photogram.subsets.find import drop_subsets
 from photogram.subsets.icgn import TrackSettings
-from photogram.subsets.icgn_torch import spline_frames
 from photogram.subsets.reference import TrackStatus
 from photogram.subsets.texture import textured_area
 from photogram.subsets.track import follow_sequence, prepare_sequence

@@ -12,17 +12,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter
+from speckle import spline_frames
 
-from photogram.bspline import spline_of_image
+from photogram.bspline import basis_polynomials, spline_of_image
 from photogram.subsets import icgn_torch as engine
 from photogram.subsets.icgn import Registration, TrackSettings, noise_of_residual, position_covariance, register
-from photogram.subsets.icgn_torch import (
-    TorchSplines,
-    basis_polynomials,
-    register_frames,
-    spline_frames,
-    torch_reference,
-)
+from photogram.subsets.icgn_torch import TorchSplines, register_frames, torch_reference
 from photogram.subsets.reference import (
     PARAMETERS,
     ReferenceSubsets,
@@ -435,8 +430,6 @@ def test_wrong_calls_are_refused(noisy_frames, prepared):
     assert frames.size_px == SIZE
     batched = torch_reference(prepared, "cpu")
     refused("^start: ", register_frames, batched, frames, REST[:3], SETTINGS)
-    refused("^images: ", spline_frames, noisy_frames[0], 5, "cpu")
-    refused("^images: .*8 x 8 px", spline_frames, noisy_frames[:, :5], 5, "cpu")
     refused("^degree: .*3, 5 or 7, .*4", spline_frames, noisy_frames, 4, "cpu")
     refused("^degree: .*3, 5 or 7, .*4", TorchSplines, frames.coefficients, 4)
     refused("^coefficients: ", TorchSplines, frames.coefficients[0], 5)
