@@ -1,7 +1,7 @@
 """B-spline interpolation of images: coefficients, values, gradients, and values along lines.
 
 Lines are the inner loop of every registration. Neighbouring points of a line read neighbouring coefficients until it
-passes into another row or drifts by a column. Such runs are computed with vectors of points, written out here:
+passes into another row or drifts by a column. Such runs are computed with vectors of points (`kernels.lanes`):
 compilers cannot prove that the grey values written are no coefficients.
 
 Coefficients and grey values along lines are float32, whose rounding is 10⁻⁷ of full scale, compared with 10⁻⁵ for a
@@ -10,35 +10,15 @@ pixel of 16 bit. Positions are split into whole pixels and fraction before they 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cache, reduce
-from math import comb, factorial, sqrt
-from operator import add, mul
+from functools import cache
+from math import sqrt
 from typing import Any
 
 import numpy as np
-from llvmlite import ir
-from numba.core import cgutils
-from numba.extending import intrinsic
-from numpy.polynomial import Polynomial
 from numpy.typing import NDArray
 
-from photogram.kernels.lanes import (
-    DOUBLE,
-    FLOATS,
-    INDEX,
-    Lanes,
-    array_of,
-    broadcast,
-    constant,
-    element,
-    in_blocks,
-    kernel_signature,
-    lane_numbers,
-    load,
-    store,
-)
+from photogram.kernels.lanes import LINES, recurse, run_cubic, run_quintic, run_septic
 from shakercal._common.arrays import Arrays, FloatArray, check_shape
 from shakercal._common.kernels import njit
 
@@ -50,7 +30,7 @@ POLES = {
 }
 REACH = 32  # pixels after which the slowest of all poles leaves 2·10⁻⁹ of a start
 DARK = np.float32(1e-20)  # far below rounding; avoids denormal numbers, which are slow, in black areas
-LINES, TILE = 32, 8  # rows or columns that are filtered at once; pixels of a row that are transposed at once
+TILE = 8  # pixels of a row that are transposed at once
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -213,13 +193,13 @@ def _prefilter(image, poles, gain, padding):  # type: ignore[no-untyped-def]
         transposed = rows[REACH : REACH + width].T[: min(LINES, height - first)]
         _copy(image[first : first + LINES], transposed, np.float32(gain))
         _mirror(rows, width)
-        _recurse(rows, poles)
+        recurse(rows, poles)
         _copy(transposed, inside[first : first + LINES], np.float32(1.0))
     for first in range(0, width, LINES):
         block = inside[:, first : first + LINES]
         columns[REACH : REACH + height, : block.shape[1]] = block
         _mirror(columns, height)
-        _recurse(columns, poles)
+        recurse(columns, poles)
         block[:] = columns[REACH : REACH + height, : block.shape[1]]
     for k in range(1, padding + 1):
         out[padding - k, padding:-padding] = out[padding + k, padding:-padding]
@@ -255,69 +235,6 @@ def _mirror(lines, count):  # type: ignore[no-untyped-def]
         before, behind = k % period, (count - 1 + k) % period
         lines[REACH - k] = lines[REACH + min(before, period - before)]
         lines[REACH + count - 1 + k] = lines[REACH + min(behind, period - behind)]
-
-
-@intrinsic
-def _recurse(typing, lines, poles):  # type: ignore[no-untyped-def]
-    """Filter lines (n,LINES) in place, down and up, for three poles.
-
-    y_k = x_k + z·y_k−1.
-    """
-
-    def generate(context: Any, builder: Any, signature: Any, arguments: Sequence[Any]) -> Any:
-        table = array_of(context, builder, signature, arguments, 0)
-        factors = [broadcast(builder, pole, FLOATS) for pole in cgutils.unpack_tuple(builder, arguments[1], 3)]
-        (count, _), zero = cgutils.unpack_tuple(builder, table.shape), constant(FLOATS, 0.0)
-        last = builder.sub(count, ir.Constant(INDEX, 1))
-        columns = range(0, LINES, FLOATS.count)
-        for upward in (False, True):
-            states = [[cgutils.alloca_once_value(builder, zero) for _ in factors] for _ in columns]
-            with cgutils.for_range(builder, count) as loop:
-                row = builder.sub(last, loop.index) if upward else loop.index
-                for column, before in zip(columns, states, strict=True):
-                    pointer = element(builder, table, row, ir.Constant(INDEX, column))
-                    value = load(builder, pointer, FLOATS)
-                    for factor, state in zip(factors, before, strict=True):
-                        value = factor * Lanes(builder, builder.load(state)) + value
-                        builder.store(value.value, state)
-                    store(builder, value, pointer)
-        return context.get_dummy_value()
-
-    return kernel_signature(lines, poles), generate
-
-
-@cache
-def basis_polynomials(degree: int) -> FloatArray:
-    """Return the coefficients (power of t, spline) of B-splines at t in [0,1).
-
-    Spline j is β(t + (degree−1)/2 − j), β the sum of truncated powers (Unser 1999, IEEE Signal Process. Mag. 16, 22,
-    box 1): β(x) = Σ_k (−1)^k C(n+1,k) max(0, x + (n+1)/2 − k)^n / n!.
-    """
-    n = degree
-    table = np.zeros((n + 1, n + 1))
-    for j in range(n + 1):
-        for k in range(n - j + 1):
-            for power in range(n + 1):
-                term = comb(n, power) * (n - j - k) ** (n - power)
-                table[power, j] += (-1) ** k * comb(n + 1, k) * term / factorial(n)
-    return table
-
-
-def weights(t: Lanes, degree: int) -> tuple[Lanes, ...]:
-    """Return the B-splines (degree + 1) of an odd degree at offset t in [0, 1).
-
-    With h = t − ½ the splines j and n−j are E(h²) ± h·O(h²).
-    """
-    half, h = (degree + 1) // 2, t - 0.5
-    q = h * h
-
-    def in_squares(coefficients: FloatArray) -> Lanes:
-        first, *others = coefficients[::-1].tolist()
-        return reduce(lambda total, coefficient: total * q + coefficient, others, first)  # type: ignore[no-any-return]
-
-    centred = [Polynomial(column)(Polynomial([0.5, 1.0])).coef for column in basis_polynomials(degree).T[:half]]
-    pairs = [(in_squares(part[::2]), h * in_squares(part[1::2])) for part in centred]
-    return (*(even + odd for even, odd in pairs), *(even - odd for even, odd in reversed(pairs)))
 
 
 @njit()
@@ -444,51 +361,6 @@ def _end_of_run(start, count, s, t, drift_x, drift_y):  # type: ignore[no-untype
     return min(count, start + 1 + int(steps))
 
 
-def _run_by(degree: int) -> Any:
-    """Return the kernel of one run for splines of a degree.
-
-    Whole blocks of points, then a masked one.
-    """
-
-    def generate(context: Any, builder: Any, signature: Any, arguments: Sequence[Any]) -> Any:
-        table, grey = (array_of(context, builder, signature, arguments, k) for k in (0, 4))
-        corner, offset, drift, span = (cgutils.unpack_tuple(builder, arguments[k], 2) for k in (1, 2, 3, 5))
-
-        def block(index: Any, mask: Any) -> None:
-            first = broadcast(builder, builder.sitofp(index, DOUBLE), FLOATS)
-            points, column = lane_numbers(builder, FLOATS) + first, builder.add(corner[1], index)
-            along, down = (
-                weights(points * broadcast(builder, step, FLOATS) + broadcast(builder, begin, FLOATS), degree)
-                for begin, step in zip(offset, drift, strict=True)
-            )
-            lines = []
-            for k in range(len(down)):
-                pointer = element(builder, table, builder.add(corner[0], ir.Constant(INDEX, k)), column)
-                taps = [
-                    load(builder, builder.gep(pointer, [ir.Constant(INDEX, j)]), FLOATS, mask)
-                    for j in range(len(along))
-                ]
-                lines.append(reduce(add, map(mul, along, taps)))
-            pointer = builder.gep(grey.data, [builder.add(span[0], index)])
-            store(builder, reduce(add, map(mul, down, lines)), pointer, mask)
-
-        in_blocks(builder, builder.sub(span[1], span[0]), FLOATS, block)
-        return context.get_dummy_value()
-
-    @intrinsic
-    def run(typing, c, corner, offset, drift, grey, span):  # type: ignore[no-untyped-def]
-        """Fill grey with the spline's values at the points of one run.
-
-        Σ_k b_k(t) Σ_j a_j(s) c[row + k, column + j + i] at point i. s and t = offset + i·drift.
-        """
-        return kernel_signature(c, corner, offset, drift, grey, span), generate
-
-    return run
-
-
-_run_cubic, _run_quintic, _run_septic = map(_run_by, (3, 5, 7))
-
-
 @njit(inline="always")
 def _run(c, degree, first, drift, grey, span):  # type: ignore[no-untyped-def]
     """Fill points start … stop of one run, the first of them at (x, y)."""
@@ -496,8 +368,8 @@ def _run(c, degree, first, drift, grey, span):  # type: ignore[no-untyped-def]
     column, row = int(x), int(y)
     offset, corner = (x - column, y - row), (row + PADDING_PX - degree // 2, column + PADDING_PX - degree // 2)
     if degree == 7:
-        _run_septic(c, corner, offset, drift, grey, span)
+        run_septic(c, corner, offset, drift, grey, span)
     elif degree == 5:
-        _run_quintic(c, corner, offset, drift, grey, span)
+        run_quintic(c, corner, offset, drift, grey, span)
     else:
-        _run_cubic(c, corner, offset, drift, grey, span)
+        run_cubic(c, corner, offset, drift, grey, span)

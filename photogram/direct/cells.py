@@ -19,7 +19,7 @@ from photogram.bspline import (
     warp_inside,
 )
 from photogram.images.noise import NoiseModel
-from photogram.subsets.reference import RUN_SUMS, run_sums
+from photogram.kernels.lanes import RUN_SUMS, run_sums
 from shakercal._common.arrays import Arrays, BoolArray, FloatArray, IntArray, check_shape
 from shakercal._common.kernels import njit
 

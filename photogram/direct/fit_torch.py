@@ -9,9 +9,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from threading import Lock
-from typing import TYPE_CHECKING
 
 import numpy as np
+import torch
+from kornia.geometry.calibration import distort_points
+from kornia.geometry.liegroup import So3
+from torch import Tensor
 
 from photogram.bspline import mean_noise_gain, noise_gain_table
 from photogram.camera import Camera
@@ -28,10 +31,6 @@ from photogram.geometry import RigidTransform, rotation_from_vector, vector_from
 from photogram.subsets.icgn_torch import Squares, TorchSplines, square_sums, torch_type
 from photogram.subsets.reference import shape_values
 from shakercal._common.arrays import FloatArray
-
-if TYPE_CHECKING:
-    import torch
-    from torch import Tensor
 
 
 @dataclass(frozen=True)
@@ -64,8 +63,6 @@ class TorchView(Squares):
 
 def torch_view(view: BodyView, device: str, precision: str) -> TorchView:
     """Return the view on a device, its pixels of `precision` 'float64' or 'float32'."""
-    import torch
-
     cells, camera_from_body = view.cells, view.camera.camera_from_body
     side, kind = cells.side_px, torch_type(precision)
     cell, reach = cells.of_pixels, (side - 1) / 2
@@ -100,8 +97,6 @@ def load_solvers(device: str) -> None:
 
     It loads them on their first call, and not in two threads at once.
     """
-    import torch
-
     with _LOADING:
         one = torch.eye(1, dtype=torch.float64, device=device)
         torch.linalg.solve(one, torch.linalg.eigvalsh(one)[:, None])
@@ -117,8 +112,6 @@ def fit_frames(
     targets: for each view the splines on its device, and which F of them are the frames. Frames leave the iteration as
     they converge; only motions, covariances and sums are copied back.
     """
-    import torch
-
     device = views[0].centre_px.device
     rotation = torch.from_numpy(rotation_from_vector(starts[:, 3:])).to(device)
     shift = torch.tensor(starts[:, :3], device=device)
@@ -163,8 +156,6 @@ def fit_frames(
 
 def _compose_inverse(rotation: Tensor, shift: Tensor, step: Tensor) -> tuple[Tensor, Tensor]:
     """Return T·δ⁻¹ of motions (A,3,3), (A,3) and steps (A,6) of shift and rotation vector."""
-    from kornia.geometry.liegroup import So3
-
     rotated = rotation @ So3.exp(step[:, 3:]).matrix().transpose(1, 2)
     return rotated, shift - (rotated @ step[:, :3, None])[..., 0]
 
@@ -172,8 +163,6 @@ def _compose_inverse(rotation: Tensor, shift: Tensor, step: Tensor) -> tuple[Ten
 @lru_cache(maxsize=16)
 def _lens(camera: Camera, device: torch.device) -> tuple[Tensor, Tensor]:
     """Return the camera's matrix and distortion on a device."""
-    import torch
-
     matrix, lens = (torch.from_numpy(part).to(device) for part in (camera.matrix, camera.distortion))
     return matrix, lens
 
@@ -181,22 +170,15 @@ def _lens(camera: Camera, device: torch.device) -> tuple[Tensor, Tensor]:
 @lru_cache(maxsize=4)
 def _noise_gains(degree: int, device: torch.device) -> Tensor:
     """Return `bspline.noise_gain_table` on a device."""
-    import torch
-
     return torch.from_numpy(noise_gain_table(degree)).to(device)
 
 
 def _eye(size: int, like: Tensor) -> Tensor:
-    import torch
-
     return torch.eye(size, dtype=like.dtype, device=like.device)
 
 
 def torch_project(camera: Camera, points_m: Tensor) -> Tensor:
     """Return `camera.project` of points (..., 3) in the camera frame, float64, on their device."""
-    import torch
-    from kornia.geometry.calibration import distort_points
-
     matrix, lens = _lens(camera, points_m.device)
     plain = _eye(3, points_m)
     depth = torch.where(points_m[..., 2:] > 0.0, points_m[..., 2:], torch.nan)
@@ -210,8 +192,6 @@ def _warps(view: TorchView, rotation: Tensor, shift: Tensor) -> Tensor:
 
     As `surface.patch_warps`.
     """
-    import torch
-
     rotated = view.turn @ rotation @ view.turn.T  # in the camera's frame the body moves by C·T·C⁻¹, C its pose
     moved = shift @ view.turn.T + view.origin_m - (rotated @ view.origin_m[:, None])[..., 0]
     seen = torch_project(view.source.camera.camera, view.points_m @ rotated.transpose(1, 2) + moved[:, None])
@@ -223,8 +203,6 @@ def _warps(view: TorchView, rotation: Tensor, shift: Tensor) -> Tensor:
 
 def _compared(view: TorchView, frames: TorchSplines, number: Tensor, rotation: Tensor, shift: Tensor) -> CellSums:
     """Compare a camera's frames `number` (A,) at motions (A, 3, 3), (A, 3): `cells.compare_cells`."""
-    import torch
-
     warp = _warps(view, rotation, shift)
     sums = _cell_sums(view, frames, number, warp)
     gain = sums[..., 2] / view.energy
@@ -242,8 +220,6 @@ def _cell_sums(view: TorchView, frames: TorchSplines, number: Tensor, warp: Tens
 
     NaN outside the image.
     """
-    import torch
-
     count = len(view.centre_px)
     flat, cell = warp.reshape(-1, 6), torch.arange(warp.shape[0] * count, device=warp.device) % count
     middle = view.centre_px[cell] + flat[:, ::3]

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
 from itertools import groupby
+from typing import TypeVar
 
 import numpy as np
 
@@ -38,14 +39,13 @@ from photogram.subsets.texture import SubsetQuality, assess_subsets
 from photogram.subsets.track import (
     EpipolarMonitor,
     StereoTracks,
-    Tracks,
-    TrackSummary,
     build_tracks,
     drop_rejected,
 )
 from shakercal._common.arrays import Arrays, BoolArray, FloatArray, IntArray
 from shakercal._common.notices import Notice
 
+_Part = TypeVar("_Part", bound=Arrays)
 MAX_CACHED_POSITIONS = 500_000  # subsets times frames of a series that is cached with its points: about 100 MB
 LARGEST_BENDING = 4.0  # rms, in standard deviations of the points; the reference's noise makes it 1.4
 LARGEST_DIFFERENCE = 2.0  # rms, in standard uncertainties of the motion of the points
@@ -90,28 +90,13 @@ class BodyMotion(Arrays):
     @cached_property
     def tracks(self) -> StereoTracks:
         """Subsets of all frames with subsets, about 500 bytes for each."""
-        blocks = list(self.tracked)
-        whole = (
-            Tracks(
-                np.concatenate([track.position_px for track in side]),
-                np.concatenate([track.covariance_px2 for track in side]),
-                np.concatenate([track.zncc for track in side]),
-                np.concatenate([track.status for track in side]),
-                side[0].noise_grey,
-            )
-            for side in zip(*(block.cameras for block in blocks), strict=True)
-        )
-        return self.tracked.summary.with_tracks(tuple(whole))
+        sides = zip(*(block.cameras for block in self.tracked), strict=True)
+        return replace(self.tracked.summary, cameras=tuple(_joined(side, "noise_grey") for side in sides))
 
     @cached_property
     def points(self) -> Points3D:
         """Points of these frames, in the body's frame, 100 bytes for each in every frame."""
-        parts = [points for _, points in self.tracked.with_points()]
-        return Points3D(
-            np.concatenate([part.position_m for part in parts]),
-            np.concatenate([part.covariance_m2 for part in parts]),
-            np.concatenate([part.reprojection_px for part in parts]),
-        )
+        return _joined([points for _, points in self.tracked.with_points()])
 
 
 def measure_body(
@@ -235,7 +220,7 @@ def body_motion(scene: BodyScene, blocks: Iterable[FollowedBlock]) -> BodyMotion
         numbers = tracked.frames[sums.frames : sums.frames + len(of_points.pose)]
         sums.add(block, points, of_points, fits.merged(of_points, numbers))
     assert sums.mean is not None
-    of_points = _joined(sums.of_points)
+    of_points = _joined(sums.of_points, "origin_m")
     motion = fits.of_all(of_points, tracked.frames)
     notices = (
         *tracked.summary.notices,
@@ -283,7 +268,7 @@ class TrackedSubsets(Arrays, shapes="frames S; pose S 6"):
     pose: FloatArray
     noise_grey: tuple[FloatArray, ...]
     monitor: EpipolarMonitor
-    summary: TrackSummary
+    summary: StereoTracks
     cached_blocks: list[tuple[StereoTracks, Points3D]] = field(default_factory=list)
 
     def __iter__(self) -> Iterator[StereoTracks]:
@@ -319,7 +304,7 @@ class TrackedSubsets(Arrays, shapes="frames S; pose S 6"):
                 for side, noise in enumerate(self.noise_grey)
             )
             rejected = self.monitor.find_rejected(tuple(camera.position_px for camera in cameras))
-            yield self.summary.with_tracks(drop_rejected(cameras, rejected))
+            yield replace(self.summary, cameras=drop_rejected(cameras, rejected))
 
     def _points(self, tracks: StereoTracks, pose: FloatArray) -> Points3D:
         """Return points of some frames, in the body's frame.
@@ -457,22 +442,14 @@ def _add_subsets(
 
 def _of_frames(motion: RigidMotion, frames: IntArray) -> RigidMotion:
     """Return the motion in some frames."""
-    return RigidMotion(
-        motion.pose[frames],
-        motion.covariance[frames],
-        motion.residual_m[frames],
-        motion.points[frames],
-        motion.origin_m,
-    )
+    selected = {name: getattr(motion, name)[frames] for name in ("pose", "covariance", "residual_m", "points")}
+    return replace(motion, **selected)
 
 
-def _joined(parts: Sequence[RigidMotion]) -> RigidMotion:
-    """Return the motion of all frames."""
-    pose, covariance, residual_m, points = (
-        np.concatenate([getattr(part, name) for part in parts])
-        for name in ("pose", "covariance", "residual_m", "points")
-    )
-    return RigidMotion(pose, covariance, residual_m, points, parts[0].origin_m)
+def _joined(parts: Sequence[_Part], constant: str = "") -> _Part:
+    """Return arrays of several runs of frames in one; `constant` is the same in all."""
+    names = [field.name for field in fields(parts[0]) if field.name != constant]
+    return replace(parts[0], **{name: np.concatenate([getattr(part, name) for part in parts]) for name in names})
 
 
 def _rigid_notices(sums: _Sums, motion: RigidMotion, of_points: RigidMotion, failed: tuple[int, int]) -> list[Notice]:

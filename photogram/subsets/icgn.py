@@ -11,13 +11,11 @@ from numpy.typing import NDArray
 
 from photogram.bspline import Spline, mean_noise_gain, noise_gain_table, sample_line, sample_points, warp_inside
 from photogram.images.noise import QUANTISATION
+from photogram.kernels.lanes import AFFINE_SUMS, affine_sums
 from photogram.subsets.reference import (
-    AFFINE_SUMS,
     PARAMETERS,
     ReferenceSubsets,
     TrackStatus,
-    affine_sums,
-    curved_sums,
     subset_offsets,
 )
 from shakercal._common.arrays import Arrays, BoolArray, FloatArray, IntArray, check_shape
@@ -373,7 +371,13 @@ def _correlate(subset, grey, parameters, sums):  # type: ignore[no-untyped-def]
     if parameters == 2:
         sums[4] = sums[6]
     elif parameters == 12:
-        curved_sums(grey, mean, pixels, offsets, sums[AFFINE_SUMS:])
+        sums[AFFINE_SUMS:] = 0.0
+        for p in range(grey.size):
+            g, dx, dy = grey[p] - mean, offsets[0, p], offsets[1, p]
+            for first, slope in ((AFFINE_SUMS, pixels[1, p]), (AFFINE_SUMS + 3, pixels[2, p])):
+                sums[first] += slope * g * (0.5 * dx * dx)
+                sums[first + 1] += slope * g * (dx * dy)
+                sums[first + 2] += slope * g * (0.5 * dy * dy)
 
 
 @njit()
