@@ -182,7 +182,7 @@ def _weighted(
     mean = np.add.reduceat(weight * grey, begin) / np.where(total > 0.0, total, 1.0)
     grey = np.where(used, grey - mean[cell], 0.0)
     rows = np.stack([used, grey, along, along * dx, along * dy, down, down * dx, down * dy])
-    moments = np.moveaxis([np.add.reduceat(weight * row * rows, begin, axis=1) for row in rows], 2, 0)
+    moments = np.stack([np.add.reduceat(weight * row * rows, begin, axis=1) for row in rows]).transpose(2, 0, 1)
     energy = moments[:, 1, 1].copy()
     count, *spread = np.add.reduceat(used * np.stack([np.ones_like(dx), dx * dx, dy * dy]), begin, axis=1)
     extent = np.stack([count, *spread], axis=1)

@@ -304,7 +304,7 @@ def _step(views: Sequence[BodyView], targets: Sequence[Spline], moved: RigidTran
     compared = [compare_cells(view.cells, target, view.warps(moved)) for view, target in both]
     with np.errstate(divide="ignore", invalid="ignore"):
         *parts, sums = solve_step(np, views, compared)
-    step = FitStep(*(part[0] for part in parts), CellTotals(*(part[0] for part in sums)))
+    step = FitStep(*(part[0] for part in parts), sums=CellTotals(*(part[0] for part in sums)))
     return step if step.solvable else None
 
 
@@ -316,8 +316,12 @@ def solve_step(xp: Any, views: Sequence[Any], compared: Sequence[CellSums]) -> F
     """
     pose = xp.zeros_like(compared[0].slope[:, 0])
     identity = xp.eye(6, dtype=pose.dtype, device=pose.device)
+    used = list[Any]()
     for _ in range(2):
-        totals = [_sum_cells(xp, view, cells, pose) for view, cells in zip(views, compared, strict=True)]
+        before, used = used, [rigid_cells(xp, view, cells, pose) for view, cells in zip(views, compared, strict=True)]
+        if xp is np and before and all(map(np.array_equal, used, before)):
+            break  # as usual; on a GPU to ask costs more than to compute again
+        totals = [_sum_cells(xp, *each) for each in zip(views, compared, used, strict=True)]
         sums = CellTotals(*(sum(parts) for parts in zip(*totals, strict=True)))
         of_motion, noise_part = sums.information[:, :6, :6], sums.noise_part[:, :6, :6]
         lowest = xp.linalg.eigvalsh(_scaled(of_motion, xp))[:, 0]
@@ -335,9 +339,9 @@ def solve_step(xp: Any, views: Sequence[Any], compared: Sequence[CellSums]) -> F
     return FitStep(pose, length, solvable, final, ratio, sums)
 
 
-def _sum_cells(xp: Any, view: Any, cells: CellSums, step: Any) -> CellTotals:
-    """Return the sums over the cells of a view that show the body after a step (A, 6)."""
-    used, size = rigid_cells(xp, view, cells, step), view.rates.shape[2]
+def _sum_cells(xp: Any, view: Any, cells: CellSums, used: Any) -> CellTotals:
+    """Return the sums over the cells of a view that show the body, `used` (A, C)."""
+    size = view.rates.shape[2]
     gain, misfit, expected = (xp.where(used, part, 0.0) for part in (cells.gain, cells.misfit, cells.misfit_noise))
     slope = gain[..., None] * xp.where(used[..., None], cells.slope, 0.0)
     information, noise_part = (

@@ -346,7 +346,7 @@ def weights(t: Lanes, degree: int) -> tuple[Lanes, ...]:
     half, h = (degree + 1) // 2, t - 0.5
     q = h * h
 
-    def in_squares(coefficients: FloatArray) -> Lanes:
+    def in_squares(coefficients: Any) -> Lanes:
         first, *others = coefficients[::-1].tolist()
         return reduce(lambda total, coefficient: total * q + coefficient, others, first)  # type: ignore[no-any-return]
 

@@ -253,7 +253,7 @@ def noise_of_residual(reference: ReferenceSubsets, found: Registration, degree: 
     rounding.
     """
     offsets = subset_offsets(1) * (2.0 / 3.0 * reference.radius_px)
-    gain = mean_noise_gain(np, reference.centre_px, found.warp[:, :6], offsets, noise_gain_table(degree))
+    gain: FloatArray = mean_noise_gain(np, reference.centre_px, found.warp[:, :6], offsets, noise_gain_table(degree))
     variance = found.residual_grey2 / (gain + found.gain**2 * reference.noise_gain)
     return np.sqrt(np.maximum(variance, QUANTISATION))
 

@@ -75,15 +75,16 @@ def _dispatcher(function: Callable[..., Any], options: dict[str, Any]) -> Any:
     dispatcher, (folder, _) = numba.njit(**options)(function), _cache_folder(function.__module__.partition(".")[0])
     if folder is None or numba.config.DISABLE_JIT:
         return dispatcher
+    path, digest = str(folder), folder.name
 
     class SourcesLocator(caching._CacheLocator):  # type: ignore[misc]
         """The folder of a package's sources, whose hash is its name."""
 
         def get_cache_path(self) -> str:
-            return str(folder)
+            return path
 
         def get_source_stamp(self) -> str:
-            return folder.name
+            return digest
 
         def get_disambiguator(self) -> str:
             return function.__module__
