@@ -304,7 +304,7 @@ def _step(views: Sequence[BodyView], targets: Sequence[Spline], moved: RigidTran
     compared = [compare_cells(view.cells, target, view.warps(moved)) for view, target in both]
     with np.errstate(divide="ignore", invalid="ignore"):
         *parts, sums = solve_step(np, views, compared)
-    step = FitStep(*(part[0] for part in parts), sums=CellTotals(*(part[0] for part in sums)))
+    step = FitStep._make((*(part[0] for part in parts), CellTotals._make(part[0] for part in sums)))
     return step if step.solvable else None
 
 

@@ -45,7 +45,7 @@ from photogram.subsets.track import (
 from shakercal._common.arrays import Arrays, BoolArray, FloatArray, IntArray
 from shakercal._common.notices import Notice
 
-_Part = TypeVar("_Part", bound=Arrays)
+_Part = TypeVar("_Part", Tracks, Points3D, RigidMotion)
 MAX_CACHED_POSITIONS = 500_000  # subsets times frames of a series that is cached with its points: about 100 MB
 LARGEST_BENDING = 4.0  # rms, in standard deviations of the points; the reference's noise makes it 1.4
 LARGEST_DIFFERENCE = 2.0  # rms, in standard uncertainties of the motion of the points
