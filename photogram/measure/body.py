@@ -39,6 +39,7 @@ from photogram.subsets.texture import SubsetQuality, assess_subsets
 from photogram.subsets.track import (
     EpipolarMonitor,
     StereoTracks,
+    Tracks,
     build_tracks,
     drop_rejected,
 )
