@@ -36,7 +36,7 @@ from fusion.simulate.sines import record, recording_tables, rendered_run, rig_ta
 from fusion.simulate.world import Draws, TrueStereo, World, make_world
 from photogram.calibration.calibration_file import read_calibration, write_calibration
 from photogram.camera import triangulate
-from photogram.direct.shapes import PlainShapes, ShapeAmplitudes
+from photogram.direct.surface import PlainShapes, ShapeAmplitudes
 from photogram.epipolar import check_epipolar
 from photogram.geometry import RigidTransform
 from photogram.motion import deformation, fit_motion

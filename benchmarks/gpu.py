@@ -31,12 +31,13 @@ import torch
 from large_recording import POSES, SIDES, camera_folder, cameras_from_world, sequence_of, setups, write_recording
 from marked import markdown_table, write_marked
 
+from photogram.device import resolve_device
 from photogram.direct import direct_fit, fit_torch
 from photogram.direct.fit_torch import fit_frames, torch_view
 from photogram.images.sequence import ImageSequence
-from photogram.kernels.device import resolve_device
 from photogram.measure import follow_torch
-from photogram.measure.follow import BodyPrior, BodyScene, follow_block, prepare_body, sine_terms
+from photogram.measure.body import follow_block
+from photogram.measure.follow import BodyPrior, BodyScene, prepare_body, sine_terms
 from photogram.measure.follow_torch import MOST_FRAMES
 from photogram.subsets.icgn import TrackSettings
 from photogram.subsets.icgn_torch import PRECISION, register_frames, splines_of, torch_reference, upload_images

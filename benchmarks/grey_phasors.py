@@ -24,12 +24,12 @@ from fusion.simulate.preset import Preset, face_of, read_preset
 from fusion.simulate.world import Draws, make_world
 from photogram.bspline import Spline, spline_of_image
 from photogram.direct.cells import compare_cells
-from photogram.direct.direct_fit import BodyView, _rigid_cells, rest_information, without_noise
+from photogram.direct.direct_fit import BodyView, rest_information, rigid_cells, without_noise
 from photogram.direct.surface import patch_warps
 from photogram.geometry import RigidTransform, pose_rate
 from photogram.images.sequence import ImageSequence
-from photogram.measure.body import body_motion
-from photogram.measure.follow import BodyScene, follow_block, prepare_body
+from photogram.measure.body import body_motion, follow_block
+from photogram.measure.follow import BodyScene, prepare_body
 from photogram.subsets.icgn import TrackSettings
 from photogram.synthetic.scene import render_exposure
 from shaker.labels import MOTION_COMPONENTS, component_units
@@ -219,12 +219,12 @@ def frame_sums(
     both, slope, sums = np.zeros((2, size, size)), np.zeros(size), np.zeros(2)
     for view, target in zip(views, targets, strict=True):
         told = compare_cells(view.cells, target, patch_warps(view.camera, view.patches, moved))
-        used = _rigid_cells(view, told, np.zeros(6))
-        gain = np.where(used, told.gain, 0.0)
+        used = rigid_cells(np, view, told, np.zeros((1, 6)))[0]
+        gain = np.where(used, told.gain[0], 0.0)
         both[0] += np.tensordot(gain**2, view.information, 1)
         both[1] += np.tensordot(gain**2, view.information_noise, 1)
-        slope += np.einsum("ci,cip->p", np.where(used[:, None], told.slope, 0.0) * gain[:, None], view.rates)
-        sums += told.misfit[used].sum(), told.misfit_noise[used].sum()
+        slope += np.einsum("ci,cip->p", np.where(used[:, None], told.slope[0], 0.0) * gain[:, None], view.rates)
+        sums += told.misfit[0][used].sum(), told.misfit_noise[0][used].sum()
     scale = max(sums[0] / sums[1], 1e-6) if sums[1] > 0.0 else 1.0
     return both[0] / scale, both[1], slope / scale
 

@@ -44,8 +44,8 @@ from photogram.camera import StereoRig
 from photogram.geometry import RigidTransform
 from photogram.images.image_files import open_sequence
 from photogram.images.sequence import ImageSequence
-from photogram.measure.body import body_motion
-from photogram.measure.follow import BLOCK_FRAMES, BodyScene, follow_block, prepare_body
+from photogram.measure.body import body_motion, follow_block
+from photogram.measure.follow import BLOCK_FRAMES, BodyScene, prepare_body
 from photogram.subsets.icgn import TrackSettings
 from photogram.subsets.reference import TrackStatus
 from photogram.subsets.track import StereoTracks, track_stereo

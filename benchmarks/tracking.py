@@ -47,7 +47,7 @@ from tracking_programs import NOT_INSTALLED, PROGRAMS, Grid
 
 from photogram.bspline import Spline, spline_of_image
 from photogram.subsets.icgn import TrackSettings, register
-from photogram.subsets.icgn_torch import register_frames, spline_frames, torch_reference
+from photogram.subsets.icgn_torch import register_frames, splines_of, torch_reference, upload_images
 from photogram.subsets.reference import prepare_reference
 from photogram.subsets.texture import subset_mean
 
@@ -249,7 +249,7 @@ def rounding_rows(rng: np.random.Generator) -> list[str]:
 def both_engines(images: list[FloatArray], centres: FloatArray, degree: int) -> list[FloatArray]:
     """Shifts (F,N,2) of the subsets in all images but the first: batched in float64, compiled with float32 values."""
     settings = TrackSettings(radius_px=GRID.radius, degree=degree)
-    frames = spline_frames(np.stack(images), degree, "cpu", "float64")
+    frames = splines_of(upload_images(images, "cpu")[1], degree, "float64")
     first, later = frames.coefficients[0].numpy(), replace(frames, coefficients=frames.coefficients[1:])
     start = np.zeros((len(images) - 1, len(centres), 6))
     precise = torch_reference(prepare_reference(Spline(first, degree), centres, GRID.radius), "cpu", "float64")

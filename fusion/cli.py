@@ -67,8 +67,8 @@ def _act(options: argparse.Namespace) -> int:
         _check_memory()
         status: int = options.act(options) or EXIT_DONE
         sys.stdout.flush()
-        if "photogram.kernels" in sys.modules:
-            from photogram.kernels import cache_failure_reason
+        if "shakercal._common.kernels" in sys.modules:
+            from shakercal._common.kernels import cache_failure_reason
 
             if reason := cache_failure_reason(other_processes=getattr(options, "workers", 1) != 1):
                 log.info("compiled functions are not cached (%s): every run compiles them again", reason)

@@ -1,7 +1,7 @@
 """B-spline interpolation of images: coefficients, values, gradients, and values along lines.
 
 Lines are the inner loop of every registration. Neighbouring points of a line read neighbouring coefficients until it
-passes into another row or drifts by a column. Such runs are computed with vectors of points, written out here:
+passes into another row or drifts by a column. Such runs are computed with vectors of points (`kernels.lanes`):
 compilers cannot prove that the grey values written are no coefficients.
 
 Coefficients and grey values along lines are float32, whose rounding is 10⁻⁷ of full scale, compared with 10⁻⁵ for a
@@ -10,37 +10,17 @@ pixel of 16 bit. Positions are split into whole pixels and fraction before they 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import cache, reduce
+from functools import cache
 from math import sqrt
-from operator import add, mul
 from typing import Any
 
 import numpy as np
-from llvmlite import ir
-from numba.core import cgutils
-from numba.extending import intrinsic
 from numpy.typing import NDArray
 
-from photogram.kernels import njit
-from photogram.kernels.lanes import (
-    DOUBLE,
-    DOUBLES,
-    FLOATS,
-    INDEX,
-    Lanes,
-    array_of,
-    broadcast,
-    constant,
-    element,
-    in_blocks,
-    kernel_signature,
-    lane_numbers,
-    load,
-    store,
-)
+from photogram.lanes import LINES, recurse, run_cubic, run_quintic, run_septic
 from shakercal._common.arrays import Arrays, FloatArray, check_shape
+from shakercal._common.kernels import njit
 
 PADDING_PX = 4  # half the support of degree 7
 POLES = {
@@ -50,7 +30,7 @@ POLES = {
 }
 REACH = 32  # pixels after which the slowest of all poles leaves 2·10⁻⁹ of a start
 DARK = np.float32(1e-20)  # far below rounding; avoids denormal numbers, which are slow, in black areas
-LINES, TILE = 32, 8  # rows or columns that are filtered at once; pixels of a row that are transposed at once
+TILE = 8  # pixels of a row that are transposed at once
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -156,41 +136,19 @@ def noise_gain(fraction_px: FloatArray, degree: int = 5) -> FloatArray:
     return np.asarray(np.interp(position, np.arange(len(table)), table))
 
 
-def mean_noise_gain(centre_px: FloatArray, warp: FloatArray, offset_px: FloatArray, degree: int = 5) -> FloatArray:
-    """Return the mean variance (N,) of interpolated white noise of variance 1 over offsets (P,2).
+def mean_noise_gain(xp: Any, centre_px: Any, warp: Any, offset_px: Any, table: Any) -> Any:
+    """Return the mean variance (..., N) of interpolated white noise of variance 1 over offsets (P, 2).
 
-    The points about centre_px (N, 2) are moved by the affine warps (N, 6) [u, u_x, u_y, v, v_x, v_y].
+    The points about centre_px (N, 2) are moved by the affine warps (..., N, 6) [u, u_x, u_y, v, v_x, v_y]. NaN for a
+    warp that is not finite. The variance is linear in `table`, the `noise_gain_table` of the degree. Arrays of numpy
+    or tensors of torch: `xp`.
     """
-    return np.asarray(_mean_gains(centre_px, np.ascontiguousarray(warp), offset_px, noise_gain_table(degree)))
-
-
-@njit()
-def _mean_gains(centres, warps, offsets, table):  # type: ignore[no-untyped-def]
-    """Return means (N,) of the gains in x times those in y.
-
-    NaN for a warp that is not finite. The gains are linear in a table over one pixel.
-    """
-    gains = np.full(centres.shape[0], np.nan)
-    for n in range(centres.shape[0]):
-        u, u_x, u_y, v, v_x, v_y = warps[n, 0], warps[n, 1], warps[n, 2], warps[n, 3], warps[n, 4], warps[n, 5]
-        if not np.isfinite(u + u_x + u_y + v + v_x + v_y):
-            continue
-        total = 0.0
-        for p in range(offsets.shape[0]):
-            dx, dy = offsets[p, 0], offsets[p, 1]
-            x = centres[n, 0] + u + (1.0 + u_x) * dx + u_y * dy
-            y = centres[n, 1] + v + v_x * dx + (1.0 + v_y) * dy
-            total += _gain(table, x) * _gain(table, y)
-        gains[n] = total / offsets.shape[0]
-    return gains
-
-
-@njit()
-def _gain(table, position):  # type: ignore[no-untyped-def]
-    """Interpolate a function that has the period of a pixel linearly in its table."""
-    position = (position - np.floor(position)) * (table.shape[0] - 1)
-    k = min(int(position), table.shape[0] - 2)
-    return table[k] + (position - k) * (table[k + 1] - table[k])
+    deformation = xp.eye(2, dtype=warp.dtype, device=warp.device) + warp.reshape(*warp.shape[:-1], 2, 3)[..., 1:]
+    position = offset_px @ deformation.mT + (centre_px + warp[..., ::3])[..., None, :]
+    place = xp.nan_to_num(position - xp.floor(position)) * (len(table) - 1)
+    low = xp.clip(xp.asarray(place, dtype=xp.int64), 0, len(table) - 2)
+    gain = table[low] + (place - low) * (table[low + 1] - table[low])
+    return xp.where(xp.isfinite(warp).all(-1), (gain[..., 0] * gain[..., 1]).mean(-1), xp.nan)
 
 
 @cache
@@ -235,13 +193,13 @@ def _prefilter(image, poles, gain, padding):  # type: ignore[no-untyped-def]
         transposed = rows[REACH : REACH + width].T[: min(LINES, height - first)]
         _copy(image[first : first + LINES], transposed, np.float32(gain))
         _mirror(rows, width)
-        _recurse(rows, poles)
+        recurse(rows, poles)
         _copy(transposed, inside[first : first + LINES], np.float32(1.0))
     for first in range(0, width, LINES):
         block = inside[:, first : first + LINES]
         columns[REACH : REACH + height, : block.shape[1]] = block
         _mirror(columns, height)
-        _recurse(columns, poles)
+        recurse(columns, poles)
         block[:] = columns[REACH : REACH + height, : block.shape[1]]
     for k in range(1, padding + 1):
         out[padding - k, padding:-padding] = out[padding + k, padding:-padding]
@@ -277,89 +235,6 @@ def _mirror(lines, count):  # type: ignore[no-untyped-def]
         before, behind = k % period, (count - 1 + k) % period
         lines[REACH - k] = lines[REACH + min(before, period - before)]
         lines[REACH + count - 1 + k] = lines[REACH + min(behind, period - behind)]
-
-
-@intrinsic
-def _recurse(typing, lines, poles):  # type: ignore[no-untyped-def]
-    """Filter lines (n,LINES) in place, down and up, for three poles.
-
-    y_k = x_k + z·y_k−1.
-    """
-
-    def generate(context: Any, builder: Any, signature: Any, arguments: Sequence[Any]) -> Any:
-        table = array_of(context, builder, signature, arguments, 0)
-        factors = [broadcast(builder, pole, FLOATS) for pole in cgutils.unpack_tuple(builder, arguments[1], 3)]
-        (count, _), zero = cgutils.unpack_tuple(builder, table.shape), constant(FLOATS, 0.0)
-        last = builder.sub(count, ir.Constant(INDEX, 1))
-        columns = range(0, LINES, FLOATS.count)
-        for upward in (False, True):
-            states = [[cgutils.alloca_once_value(builder, zero) for _ in factors] for _ in columns]
-            with cgutils.for_range(builder, count) as loop:
-                row = builder.sub(last, loop.index) if upward else loop.index
-                for column, before in zip(columns, states, strict=True):
-                    pointer = element(builder, table, row, ir.Constant(INDEX, column))
-                    value = load(builder, pointer, FLOATS)
-                    for factor, state in zip(factors, before, strict=True):
-                        value = factor * Lanes(builder, builder.load(state)) + value
-                        builder.store(value.value, state)
-                    store(builder, value, pointer)
-        return context.get_dummy_value()
-
-    return kernel_signature(lines, poles), generate
-
-
-def weights_cubic(t: Lanes) -> tuple[Lanes, ...]:
-    """Return the four cubic B-splines at offset t in [0,1).
-
-    Thévenaz et al. 2000, eq. 18.
-    """
-    last = t * t * t / 6.0
-    first = 1.0 / 6.0 + 0.5 * t * (t - 1.0) - last
-    third = t + first - 2.0 * last
-    return first, 1.0 - first - third - last, third, last
-
-
-def weights_quintic(t: Lanes) -> tuple[Lanes, ...]:
-    """Return the six quintic B-splines at offset t in [0, 1), as `weights_septic`."""
-    h = t - 0.5
-    q = h * h
-    even0 = (q / 48.0 + 1.0 / 96.0) * q + 1.0 / 3840.0
-    odd0 = (q / -120.0 - 1.0 / 48.0) * q - 1.0 / 384.0
-    even1 = (q / -16.0 + 7.0 / 32.0) * q + 79.0 / 1280.0
-    odd1 = (q / 24.0 - 1.0 / 16.0) * q - 25.0 / 128.0
-    even2 = (q / 24.0 - 11.0 / 48.0) * q + 841.0 / 1920.0
-    odd2 = (q / -12.0 + 7.0 / 24.0) * q - 77.0 / 192.0
-    odd0, odd1, odd2 = h * odd0, h * odd1, h * odd2
-    return even0 + odd0, even1 + odd1, even2 + odd2, even2 - odd2, even1 - odd1, even0 - odd0
-
-
-def weights_septic(t: Lanes) -> tuple[Lanes, ...]:
-    """Return the eight septic B-splines at offset t in [0, 1).
-
-    With h = t − ½ the splines j and 7−j are E(h²) ± h·O(h²); polynomials from the sum of truncated powers (Unser 1999,
-    IEEE Signal Process. Mag. 16, 22, box 1).
-    """
-    h = t - 0.5
-    q = h * h
-    even0 = ((q / 1440.0 + 1.0 / 1152.0) * q + 1.0 / 7680.0) * q + 1.0 / 645120.0
-    odd0 = ((q / -5040.0 - 1.0 / 960.0) * q - 1.0 / 2304.0) * q - 1.0 / 46080.0
-    even1 = ((q / -288.0 + 19.0 / 1152.0) * q + 47.0 / 1536.0) * q + 2179.0 / 645120.0
-    odd1 = ((q / 720.0 - 1.0 / 960.0) * q - 73.0 / 2304.0) * q - 721.0 / 46080.0
-    even2 = ((q / 160.0 - 7.0 / 128.0) * q + 403.0 / 2560.0) * q + 20219.0 / 215040.0
-    odd2 = ((q / -240.0 + 19.0 / 960.0) * q - 5.0 / 2304.0) * q - 9821.0 / 46080.0
-    even3 = ((q / -288.0 + 43.0 / 1152.0) * q - 289.0 / 1536.0) * q + 259723.0 / 645120.0
-    odd3 = ((q / 144.0 - 3.0 / 64.0) * q + 43.0 / 256.0) * q - 289.0 / 1024.0
-    odd0, odd1, odd2, odd3 = h * odd0, h * odd1, h * odd2, h * odd3
-    return (
-        even0 + odd0,
-        even1 + odd1,
-        even2 + odd2,
-        even3 + odd3,
-        even3 - odd3,
-        even2 - odd2,
-        even1 - odd1,
-        even0 - odd0,
-    )
 
 
 @njit()
@@ -416,13 +291,15 @@ SMALLEST_DRIFT = 1e-30  # of a line that never leaves its row or column
 def sample_squares(spline: Spline, centre_px: FloatArray, radius_px: int) -> FloatArray:
     """Return values and gradients (N,3,P) [f,f_x,f_y] on squares around centre_px (N,2).
 
-    P = (2·radius+1)² points, a pixel from each other. NaN for squares that are not wholly in the image. Points of a
-    square have the same weights, applied along x, then y.
+    P = (2·radius+1)² points, a pixel from each other, row by row. NaN for squares that are not wholly in the image.
     """
     check_shape("centre_px", centre_px, (None, 2))
-    squares = np.full((len(centre_px), 3, (2 * radius_px + 1) ** 2), np.nan)
-    _sample_squares(spline.coefficients, spline.degree, np.ascontiguousarray(centre_px), radius_px, squares)
-    return squares
+    line = np.arange(-radius_px, radius_px + 1.0)
+    offsets = np.stack(np.meshgrid(line, line), axis=-1).reshape(-1, 2)
+    value, gradient = evaluate(spline, (centre_px[:, None] + offsets).reshape(-1, 2))
+    squares = np.concatenate([value[:, None], gradient], axis=1).reshape(len(centre_px), -1, 3)
+    squares[np.isnan(squares).any(axis=(1, 2))] = np.nan
+    return np.ascontiguousarray(np.swapaxes(squares, 1, 2))
 
 
 @njit()
@@ -484,102 +361,6 @@ def _end_of_run(start, count, s, t, drift_x, drift_y):  # type: ignore[no-untype
     return min(count, start + 1 + int(steps))
 
 
-@njit()
-def _sample_squares(c, degree, centres, radius, squares):  # type: ignore[no-untyped-def]
-    """Sample squares within the image, first along x, then along y."""
-    right, bottom, side = c.shape[1] - 2 * PADDING_PX - 1, c.shape[0] - 2 * PADDING_PX - 1, 2 * radius + 1
-    taps, points = degree + 1, (2 * radius + 1) ** 2
-    wx, sx, wy, sy = np.empty(8), np.empty(8), np.empty(8), np.empty(8)
-    smooth, slope = np.empty((side + degree, side)), np.empty((side + degree, side))
-    for n in range(centres.shape[0]):
-        x, y = centres[n, 0] - radius, centres[n, 1] - radius
-        if not (x >= 0.0 and y >= 0.0 and x + 2 * radius <= right and y + 2 * radius <= bottom):
-            continue
-        column, row = min(int(x), right + 1 - side), min(int(y), bottom + 1 - side)
-        basis(x - column, degree, wx, sx)
-        basis(y - row, degree, wy, sy)
-        left, top = column + PADDING_PX - degree // 2, row + PADDING_PX - degree // 2
-        for r in range(side + degree):
-            first = (top + r) * c.shape[1] + left
-            _weigh(c, (first, 1), wx, taps, smooth, (r * side, side))
-            _weigh(c, (first, 1), sx, taps, slope, (r * side, side))
-        for k, (source, weights) in enumerate(((smooth, wy), (slope, wy), (smooth, sy))):
-            _weigh(source, (0, side), weights, taps, squares, ((3 * n + k) * points, points))
-
-
-@intrinsic
-def _weigh(typing, source, position, weights, taps, target, span):  # type: ignore[no-untyped-def]
-    """Fill target[start + i], i < count, with Σ_k weights[k]·source[first + k·stride + i].
-
-    All arrays are flat. position: first, stride; taps: number of weights; span: start, count.
-    """
-
-    def generate(context: Any, builder: Any, signature: Any, arguments: Sequence[Any]) -> Any:
-        table, factors, out = (array_of(context, builder, signature, arguments, k) for k in (0, 2, 4))
-        (first, stride), (start, count) = (cgutils.unpack_tuple(builder, arguments[k], 2) for k in (1, 5))
-
-        def block(index: Any, mask: Any) -> None:
-            total = cgutils.alloca_once(builder, DOUBLES)
-            builder.store(constant(DOUBLES, 0.0), total)
-            with cgutils.for_range(builder, arguments[3]) as loop:
-                weight = broadcast(builder, builder.load(builder.gep(factors.data, [loop.index])), DOUBLES)
-                at = builder.add(builder.add(first, index), builder.mul(stride, loop.index))
-                value = weight * load(builder, builder.gep(table.data, [at]), DOUBLES, mask)
-                builder.store((Lanes(builder, builder.load(total)) + value).value, total)
-            position = builder.gep(out.data, [builder.add(start, index)])
-            store(builder, Lanes(builder, builder.load(total)), position, mask)
-
-        in_blocks(builder, count, DOUBLES, block)
-        return context.get_dummy_value()
-
-    return kernel_signature(source, position, weights, taps, target, span), generate
-
-
-def _run_by(weights: Callable[[Lanes], tuple[Lanes, ...]]) -> Any:
-    """Return the kernel of one run for the B-spline `weights`.
-
-    Whole blocks of points, then a masked one.
-    """
-
-    def generate(context: Any, builder: Any, signature: Any, arguments: Sequence[Any]) -> Any:
-        table, grey = (array_of(context, builder, signature, arguments, k) for k in (0, 4))
-        corner, offset, drift, span = (cgutils.unpack_tuple(builder, arguments[k], 2) for k in (1, 2, 3, 5))
-
-        def block(index: Any, mask: Any) -> None:
-            first = broadcast(builder, builder.sitofp(index, DOUBLE), FLOATS)
-            points, column = lane_numbers(builder, FLOATS) + first, builder.add(corner[1], index)
-            along, down = (
-                weights(points * broadcast(builder, step, FLOATS) + broadcast(builder, begin, FLOATS))
-                for begin, step in zip(offset, drift, strict=True)
-            )
-            lines = []
-            for k in range(len(down)):
-                pointer = element(builder, table, builder.add(corner[0], ir.Constant(INDEX, k)), column)
-                taps = [
-                    load(builder, builder.gep(pointer, [ir.Constant(INDEX, j)]), FLOATS, mask)
-                    for j in range(len(along))
-                ]
-                lines.append(reduce(add, map(mul, along, taps)))
-            pointer = builder.gep(grey.data, [builder.add(span[0], index)])
-            store(builder, reduce(add, map(mul, down, lines)), pointer, mask)
-
-        in_blocks(builder, builder.sub(span[1], span[0]), FLOATS, block)
-        return context.get_dummy_value()
-
-    @intrinsic
-    def run(typing, c, corner, offset, drift, grey, span):  # type: ignore[no-untyped-def]
-        """Fill grey with the spline's values at the points of one run.
-
-        Σ_k b_k(t) Σ_j a_j(s) c[row + k, column + j + i] at point i. s and t = offset + i·drift.
-        """
-        return kernel_signature(c, corner, offset, drift, grey, span), generate
-
-    return run
-
-
-_run_cubic, _run_quintic, _run_septic = map(_run_by, (weights_cubic, weights_quintic, weights_septic))
-
-
 @njit(inline="always")
 def _run(c, degree, first, drift, grey, span):  # type: ignore[no-untyped-def]
     """Fill points start … stop of one run, the first of them at (x, y)."""
@@ -587,8 +368,8 @@ def _run(c, degree, first, drift, grey, span):  # type: ignore[no-untyped-def]
     column, row = int(x), int(y)
     offset, corner = (x - column, y - row), (row + PADDING_PX - degree // 2, column + PADDING_PX - degree // 2)
     if degree == 7:
-        _run_septic(c, corner, offset, drift, grey, span)
+        run_septic(c, corner, offset, drift, grey, span)
     elif degree == 5:
-        _run_quintic(c, corner, offset, drift, grey, span)
+        run_quintic(c, corner, offset, drift, grey, span)
     else:
-        _run_cubic(c, corner, offset, drift, grey, span)
+        run_cubic(c, corner, offset, drift, grey, span)

@@ -17,8 +17,8 @@ from typing import ClassVar
 import numpy as np
 
 from photogram.geometry import RigidTransform, invert, rotation_from_vector, skew
-from photogram.kernels import njit
 from shakercal._common.arrays import Arrays, FloatArray, IntArray, check_shape
+from shakercal._common.kernels import njit
 from shakercal._common.propagation import derivatives
 
 _NEWTON_STEPS = 60  # damped Newton steps of the inverse; usually five are needed

@@ -9,8 +9,8 @@ from operator import mul
 
 import numpy as np
 
-from photogram.kernels import njit
 from shakercal._common.arrays import Arrays, BoolArray, FloatArray, check_shape
+from shakercal._common.kernels import njit
 
 _ORTHONORMAL = 1e-6  # largest departure of RᵀR from the identity for a rotation
 _COLLINEAR = 1e-6  # smallest ratio of width to length of a point set that fixes a rotation

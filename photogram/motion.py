@@ -19,8 +19,8 @@ from photogram.geometry import (
     skew,
     vector_from_rotation,
 )
-from photogram.kernels import njit
 from shakercal._common.arrays import Arrays, BoolArray, FloatArray, IntArray, check_shape
+from shakercal._common.kernels import njit
 
 if TYPE_CHECKING:
     from scipy.sparse import csr_array, sparray

@@ -10,7 +10,7 @@ import pytest
 from numpy.typing import ArrayLike
 from scipy.stats import binom, chi2
 
-from photogram.kernels.device import resolve_device
+from photogram.device import resolve_device
 
 LEVEL = 0.95
 CHANCE = 1e-3

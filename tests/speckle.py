@@ -7,6 +7,7 @@ import numpy as np
 from photogram.camera import Camera, StereoRig
 from photogram.geometry import RigidTransform
 from photogram.images.sequence import ImageSequence
+from photogram.subsets.icgn_torch import TorchSplines, splines_of, upload_images
 from photogram.synthetic.scene import Face, ImageSensor, render, speckle_texture, view_of
 
 PIXEL_M, FOCAL = 2e-4, 1500.0
@@ -51,3 +52,8 @@ def render_images(
     pictures = [[render(view_of(one, place), body, pose[None], np.ones(1)) for pose in poses] for place in places]
     left, right = (sequence([sensor.digitise(each, rng) for each in side], sensor.full_scale) for side in pictures)
     return (left, right), StereoRig(one, one, places[1] @ places[0].inverse()), places[0].inverse()
+
+
+def spline_frames(images: np.ndarray, degree: int, device: str, precision: str = "float64") -> TorchSplines:
+    """The splines of images (B, H, W) on a device."""
+    return splines_of(upload_images(list(images), device)[1], degree, precision)

@@ -64,7 +64,7 @@ from photogram.alignment.motion_axes import fit_axis, linear_motion
 from photogram.alignment.pose_estimation import Alignment, align
 from photogram.camera import StereoRig, triangulate
 from photogram.geometry import RigidTransform
-from photogram.images.orientation import read_orientations, tag_notices
+from photogram.images.tiff import read_orientations, tag_notices
 from photogram.motion import RigidMotion, fit_motion
 from shakercal._common.arrays import FloatArray
 from shakercal._common.notices import Notice

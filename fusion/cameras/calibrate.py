@@ -38,7 +38,7 @@ from photogram.calibration.initial_bundle import FEWEST_VIEWS, LensKind, ViewPai
 from photogram.calibration.scale import KnownLength, scale_to_length
 from photogram.calibration.session import calibrate_pair
 from photogram.images.image_files import read_image
-from photogram.images.orientation import read_orientations, tag_notices
+from photogram.images.tiff import read_orientations, tag_notices
 from photogram.targets.charuco import dictionary_of
 from photogram.targets.target_view import Target, TargetNotFound, TargetView, find_target
 from shakercal._common.notices import Notice

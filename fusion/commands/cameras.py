@@ -125,7 +125,7 @@ def _align_options(parser: Parser) -> None:
 def align(options: argparse.Namespace) -> None:
     """Determine the pose of a stereo pair in the sensor frame."""
     from fusion.cameras.align import align_file
-    from photogram.kernels.device import resolve_device
+    from photogram.device import resolve_device
 
     with progress_bar(enabled=not options.quiet) as progress:
         text = align_file(

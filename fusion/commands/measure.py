@@ -394,7 +394,7 @@ def run(options: argparse.Namespace) -> int:
     """Evaluate one recording or a campaign of several."""
     from fusion.campaign.run import exit_status, is_campaign, run_path
     from fusion.campaign.run_summary import as_json, print_outcomes
-    from photogram.kernels.device import resolve_device
+    from photogram.device import resolve_device
 
     settings = Settings(
         subset_radius_px=options.subset_radius,

@@ -232,7 +232,7 @@ def device(choice: str) -> str:
     """Return an available device; "auto" is resolved later."""
     if choice == "auto":
         return choice
-    from photogram.kernels.device import resolve_device
+    from photogram.device import resolve_device
 
     try:
         return resolve_device(choice)

@@ -14,7 +14,7 @@ import numpy as np
 from fusion.estimation.uncertainty import real_stack
 from fusion.phasors.phasor_notices import PAIR_BODY_DEFORMS
 from fusion.phasors.stereo_motion import PhaseRotated
-from photogram.direct.shapes import PLAIN, ShapeAmplitudes
+from photogram.direct.surface import PLAIN, ShapeAmplitudes
 from photogram.motion import Deformation
 from shaker.sine.aliasing import alias_frequency, exposure_gain, sine_columns
 from shaker.sine.normal_equations import SineSums

@@ -28,8 +28,7 @@ from photogram.camera import (
     locate,
     principal_components,
 )
-from photogram.direct.shapes import Shapes
-from photogram.direct.surface import PlacedCamera, project_body_points
+from photogram.direct.surface import PlacedCamera, Shapes, project_body_points
 from photogram.frame_statistics import RunningMean, spread_choice
 from photogram.geometry import RigidTransform, rotation_from_vector
 from photogram.motion import RigidMotion, relative_to

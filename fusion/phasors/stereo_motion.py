@@ -37,10 +37,14 @@ from fusion.recording.values import FILE, SurfacePlane
 from photogram.calibration.calibration_file import read_calibration, read_camera
 from photogram.camera import FaceCamera, Rig, StereoRig
 from photogram.geometry import RigidTransform
-from photogram.images.exposure import inspect_first_image
 from photogram.images.image_files import open_sequence
-from photogram.images.numbering import numbers_of_names
-from photogram.images.sequence import GreyImage, ImageSequence, find_copied_frames
+from photogram.images.sequence import (
+    GreyImage,
+    ImageSequence,
+    find_copied_frames,
+    inspect_first_image,
+    numbers_of_names,
+)
 from shaker.lines.frequencies import LineFrequencies, find_lines
 from shaker.sine.aliasing import usable_lines
 from shaker.sine.phasor import Phasors
@@ -51,7 +55,7 @@ from shakercal._common.notices import Notice
 
 if TYPE_CHECKING:
     from fusion.sensitivity.mode_shapes import ModeShapes
-    from photogram.direct.shapes import ShapeAmplitudes
+    from photogram.direct.surface import ShapeAmplitudes
     from photogram.epipolar import EpipolarCheck
     from photogram.images.noise import NoiseModel
     from photogram.measure.body import BodyMotion

@@ -30,7 +30,7 @@ from fusion.phasors.phasor_notices import (
 from fusion.recording.manifest import Frames, Images, PointFiles
 from fusion.recording.rig import Stereo
 from fusion.recording.values import FILE, PULSE
-from photogram.images.numbering import FrameNumbers
+from photogram.images.sequence import FrameNumbers
 from shaker.timebase.tie import ClockTie, edge_instants, tie_clocks
 from shaker.timebase.trigger import PulseWidth, TriggerFit
 from shakercal._common.arrays import BoolArray, FloatArray, IntArray

@@ -50,8 +50,8 @@ MIN_SUBSET_FRAMES, SPARED, TIMES_UNKNOWNS = 24, 8, 2
 
 def track_block(scene: BodyScene, frames: range, device: str) -> FollowedBlock:  # a task, so of this module
     """Track a body through a block of frames on the chosen device."""
-    from photogram.kernels.device import resolve_device
-    from photogram.measure.follow import follow_block
+    from photogram.device import resolve_device
+    from photogram.measure.body import follow_block
 
     return follow_block(scene, frames, resolve_device(device))
 
@@ -226,7 +226,7 @@ def tracked_pairs(
     are refused. An executor opens the images by the same paths; without one, threads of this process track them.
     Results are identical to the last bit. Blocks of frames in `checkpoints` are not tracked again.
     """
-    from photogram.kernels.device import resolve_device
+    from photogram.device import resolve_device
 
     on_gpu = executor is None and resolve_device(settings.device) != "cpu"
     with Threads(
@@ -296,7 +296,7 @@ def _answer(images: PreparedImages, pending: Pending) -> Any:
 def _prepared(
     images: PreparedImages, settings: Settings, lines: LineFrequencies | None
 ) -> BodyScene:  # a task, so of this module
-    from photogram.kernels.device import resolve_device
+    from photogram.device import resolve_device
     from photogram.measure.follow import BodyPrior, prepare_body, sine_terms
     from photogram.subsets.find import BodyNotFound
 

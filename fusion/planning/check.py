@@ -413,7 +413,7 @@ def _read_images(images: Images, pair: Stereo, already: FileCache, highest_hz: f
 
 def _blank(takes: Sequence[Manifest], already: FileCache) -> list[tuple[str, str]]:
     """Return the stereo pairs whose first image has no pattern; `run` omits them."""
-    from photogram.images.exposure import missing_pattern_reason
+    from photogram.images.sequence import missing_pattern_reason
 
     texts = list[tuple[str, str]]()
     for images in (images for take in takes for images in take.images):

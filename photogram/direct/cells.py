@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import cache
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -12,14 +13,15 @@ from photogram.bspline import (
     grey_gradients,
     grey_values,
     mean_noise_gain,
+    noise_gain_table,
     sample_line,
     slope_noise_gain,
     warp_inside,
 )
 from photogram.images.noise import NoiseModel
-from photogram.kernels import njit
-from photogram.subsets.reference import RUN_SUMS, run_sums
+from photogram.lanes import RUN_SUMS, run_sums
 from shakercal._common.arrays import Arrays, BoolArray, FloatArray, IntArray, check_shape
+from shakercal._common.kernels import njit
 
 SMALLEST_GAIN = 0.1  # of the reference's contrast, below which a cell does not show the body
 MIN_FILLED_SHARE = 0.1  # of a cell, below which it is excluded
@@ -73,29 +75,23 @@ class Cells(
         return np.repeat(np.repeat(np.arange(len(self.centre_px)), np.diff(self.first)), self.runs[:, 2])
 
 
-@dataclass(frozen=True, eq=False)
-class CellSums:
-    """Comparison of the cells with another image at given warps.
+class CellSums(NamedTuple):
+    """Comparison of C cells with A other images at given warps, as arrays or tensors.
 
     NaN for a cell that leaves the image, or has less than a tenth of its contrast there.
 
     Attributes
     ----------
-    gain : (C,) contrast relative to the reference.
-    misfit : (C,) Σw·r² of the residuals after gain and offset.
-    slope : (C, 6) Σw·SD·g over the projected steepest-descent images SD.
-    misfit_noise : (C,) expected misfit per unit of the noise variance ratio.
+    gain : (A, C) contrast relative to the reference.
+    misfit : (A, C) Σw·r² of the residuals after gain and offset.
+    slope : (A, C, 6) Σw·SD·g over the projected steepest-descent images SD.
+    misfit_noise : (A, C) expected misfit per unit of the noise variance ratio.
     """
 
-    gain: FloatArray
-    misfit: FloatArray
-    slope: FloatArray
-    misfit_noise: FloatArray
-
-    @property
-    def all(self) -> tuple[FloatArray, ...]:
-        """For kernels: gain, misfit, slope, expected misfit."""
-        return self.gain, self.misfit, self.slope, self.misfit_noise
+    gain: Any
+    misfit: Any
+    slope: Any
+    misfit_noise: Any
 
 
 def lay_cells(area: BoolArray, side_px: int) -> tuple[FloatArray, IntArray, IntArray]:
@@ -172,16 +168,25 @@ def select_cells(cells: Cells, which: IntArray) -> Cells:
 def _weighted(
     layout: tuple[int, FloatArray, IntArray, IntArray], pixels: FloatArray, noise: NoiseModel, degree: int
 ) -> Cells:
-    """Return weighted cells from pixels (4, P), which are overwritten.
+    """Return weighted cells from pixels (4, P).
 
     Rows of pixels: 1, or 0 for those without weight; grey value; gradient. layout: side, centres, runs and first runs.
     """
-    _, centre, runs, first = layout
-    pixels[0] = np.where(pixels[0] > 0.0, 1.0 / noise.variance(pixels[1]), 0.0)
-    scalars, moments = np.zeros((len(centre), 4)), np.zeros((len(centre), 8, 8))
-    extent = np.zeros((len(centre), 3))
-    _prepare(centre, runs, first, pixels, scalars, moments, extent)
-    mean, total, energy, count = np.ascontiguousarray(scalars.T)  # one type of array for kernels
+    side_px, centre, runs, first = layout
+    weight = np.where(pixels[0] > 0.0, 1.0 / noise.variance(pixels[1]), 0.0)
+    used, (_, grey, along, down) = weight > 0.0, np.where(weight > 0.0, pixels, 0.0)
+    cell = np.repeat(np.repeat(np.arange(len(centre)), np.diff(first)), runs[:, 2])
+    begin = runs[first[:-1], 3]
+    dx, dy = (pixel_coordinates(runs) - centre[cell]).T
+    total = np.add.reduceat(weight, begin)
+    mean = np.add.reduceat(weight * grey, begin) / np.where(total > 0.0, total, 1.0)
+    grey = np.where(used, grey - mean[cell], 0.0)
+    rows = np.stack([used, grey, along, along * dx, along * dy, down, down * dx, down * dy])
+    moments = np.stack([np.add.reduceat(weight * row * rows, begin, axis=1) for row in rows]).transpose(2, 0, 1)
+    energy = moments[:, 1, 1].copy()
+    count, *spread = np.add.reduceat(used * np.stack([np.ones_like(dx), dx * dx, dy * dy]), begin, axis=1)
+    extent = np.stack([count, *spread], axis=1)
+    pixels = np.stack([weight, weight * grey, weight * along, weight * down])
     solid = energy > 0.0
     safe_total, safe_energy = np.where(solid, total, 1.0), np.where(solid, energy, 1.0)
     removed = np.stack([moments[:, 0, 2:] / safe_total[:, None], moments[:, 1, 2:] / safe_energy[:, None]], axis=1)
@@ -190,13 +195,13 @@ def _weighted(
     gradient_noise = slope_noise_gain(degree) * np.concatenate([extent, extent], axis=1)[:, :, None] * np.eye(6)
     hessian[~solid], energy[~solid] = 0.0, np.nan
     return Cells(
-        *layout, pixels, mean, total, energy, count.astype(np.int64), removed, hessian,
+        side_px, centre, runs, first, pixels, mean, total, energy, count.astype(np.int64), removed, hessian,
         np.where(solid[:, None, None], gradient_noise, 0.0),
     )  # fmt: skip
 
 
 def compare_cells(cells: Cells, target: Spline, warp: FloatArray) -> CellSums:
-    """Compare the cells with the image `target`, each at its affine warp (C, 6).
+    """Compare the cells with the one image `target`, each at its affine warp (C, 6).
 
     misfit_noise is Σ over the cell's pixels of κ_g + gain², reduced by the two fitted parameters. κ_g, the variance of
     interpolated noise (`noise_gain`), varies with the sub-pixel position and is averaged over nine points.
@@ -207,7 +212,7 @@ def compare_cells(cells: Cells, target: Spline, warp: FloatArray) -> CellSums:
     image = target.coefficients, target.degree
     _compare(cells.layout, reference, image, np.ascontiguousarray(warp), (gain, misfit, slope))
     interpolated = _interpolated_noise(cells, warp, target.degree)
-    return CellSums(gain, misfit, slope, (cells.count - 2) * (interpolated + gain**2))
+    return CellSums(gain[None], misfit[None], slope[None], ((cells.count - 2) * (interpolated + gain**2))[None])
 
 
 def pixel_residuals(cells: Cells, target: Spline, warp: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -234,7 +239,7 @@ def pixel_residuals(cells: Cells, target: Spline, warp: FloatArray) -> tuple[Flo
 
 def _interpolated_noise(cells: Cells, warp: FloatArray, degree: int) -> FloatArray:
     """Return the variance (C,) of interpolated white noise, averaged over nine points of each cell."""
-    return mean_noise_gain(cells.centre_px, warp, nine_points(cells.side_px), degree)
+    return np.asarray(mean_noise_gain(np, cells.centre_px, warp, nine_points(cells.side_px), noise_gain_table(degree)))
 
 
 @cache
@@ -244,42 +249,6 @@ def nine_points(side_px: int) -> FloatArray:
     line = np.array([-third, 0.0, third])
     dx, dy = (grid.ravel() for grid in np.meshgrid(line, line))
     return np.column_stack([dx, dy])
-
-
-@njit()
-def _prepare(centre, runs, first, pixels, scalars, moments, extent):  # type: ignore[no-untyped-def]
-    """Weight the pixels in place, and sum their moments.
-
-    Filled are mean, Σw, Σw·f̃² and count; moments of [1 f̃ SD…]; Σ(w·variance)·(1, dx², dy²).
-    """
-    for c in range(centre.shape[0]):
-        total, level = 0.0, 0.0
-        for r in range(first[c], first[c + 1]):
-            for p in range(runs[r, 3], runs[r, 3] + runs[r, 2]):
-                total += pixels[0, p]
-                level += pixels[0, p] * pixels[1, p] if pixels[0, p] > 0.0 else 0.0
-        mean = level / total if total > 0.0 else 0.0
-        row = np.empty(8)
-        for r in range(first[c], first[c + 1]):
-            dy = runs[r, 0] - centre[c, 1]
-            for i in range(runs[r, 2]):
-                p, dx = runs[r, 3] + i, runs[r, 1] + i - centre[c, 0]
-                w = pixels[0, p]
-                if w > 0.0:
-                    f, fx, fy = pixels[1, p] - mean, pixels[2, p], pixels[3, p]
-                    row[0], row[1], row[2], row[3], row[4] = 1.0, f, fx, fx * dx, fx * dy
-                    row[5], row[6], row[7] = fy, fy * dx, fy * dy
-                    for j in range(8):
-                        for k in range(8):
-                            moments[c, j, k] += w * row[j] * row[k]
-                    extent[c, 0] += 1.0
-                    extent[c, 1] += dx * dx
-                    extent[c, 2] += dy * dy
-                    scalars[c, 3] += 1.0
-                    pixels[1, p], pixels[2, p], pixels[3, p] = w * f, w * fx, w * fy
-                else:
-                    pixels[1, p], pixels[2, p], pixels[3, p] = 0.0, 0.0, 0.0
-        scalars[c, 0], scalars[c, 1], scalars[c, 2] = mean, total, moments[c, 1, 1]
 
 
 @njit()

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import pairwise
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -20,12 +21,19 @@ from photogram.direct.cells import (
     reweight_cells,
     select_cells,
 )
-from photogram.direct.shapes import Shapes, shape_rates
-from photogram.direct.surface import Patches, PlacedCamera, body_patches, patch_rates, patch_warps, warps_of_points
+from photogram.direct.surface import (
+    Patches,
+    PlacedCamera,
+    Shapes,
+    body_patches,
+    patch_rates,
+    patch_warps,
+    shape_rates,
+    warps_of_points,
+)
 from photogram.frame_statistics import spread_choice
 from photogram.geometry import RigidTransform, rotation_vector_rate
 from photogram.images.noise import QUANTISATION, NoiseModel, fit_noise_model
-from photogram.kernels import njit
 from photogram.motion import MEDIAN_CHI2_OF_TWO
 from shakercal._common.arrays import Arrays, BoolArray, ComplexArray, FloatArray
 
@@ -69,11 +77,19 @@ class BodyView(Arrays, shapes="rates C 6 p; information C p p; information_noise
     added_motion: tuple[FloatArray, FloatArray] | None = None
 
     @cached_property
-    def jacobians(self) -> tuple[FloatArray, ...]:
-        """For kernels: rates, information, its noise part, rounding misfit over noise misfit."""
-        rounding = QUANTISATION * self.cells.weight / self.cells.count
-        flat = (part.reshape(len(rounding), -1) for part in (self.information, self.information_noise))
-        return self.rates, *flat, rounding
+    def rounding(self) -> FloatArray:
+        """Misfit by rounding (C,) over that by noise."""
+        return QUANTISATION * self.cells.weight / self.cells.count
+
+    @cached_property
+    def shift_rates(self) -> FloatArray:
+        """Slopes (2·C, 6) of the cells' shifts by the six components of motion, for unit gain."""
+        return np.asarray(self.cells.hessian[:, ::3] @ self.rates[:, :, :6]).reshape(-1, 6)
+
+    @cached_property
+    def steady(self) -> BoolArray:
+        """Which cells (C,) can determine a motion."""
+        return np.isfinite(self.inverse_shift_hessian[:, 0, 0]) & self.rates[:, :, :6].any(axis=(1, 2))
 
     def warps(self, moved: RigidTransform) -> FloatArray:
         """Return the affine warps (C,6) of the cells after the motion `moved` of the body."""
@@ -182,14 +198,20 @@ def fit_direct(views: Sequence[BodyView], targets: Sequence[Spline], start: Rigi
         if step is None:
             return None
         moved = moved @ RigidTransform.from_pose(step.pose).inverse()
-        if step.length < MAX_FINAL_STEP and step.remaining_share * step.length < MAX_REMAINING_STEP:
-            information = step.information[:6, :6], step.noise_ratio * step.noise_part[:6, :6]
-            covariance = step.noise_ratio * pose_covariance(*information, moved.rotation, moved.pose[3:])
-            shapes = estimate_shape_amplitudes(
-                step.pose, step.slope, (step.information, step.noise_part), step.noise_ratio
-            )
-            return DirectFit(moved, covariance, step.noise_ratio, step.cells, *shapes)
+        if step.final:
+            return direct_fit(moved, step)
     return None
+
+
+def direct_fit(moved: RigidTransform, step: FitStep) -> DirectFit:
+    """Return the fit of one frame after its final step to the motion `moved`."""
+    ratio, information, noise_part = float(step.noise_ratio), step.sums.information, step.sums.noise_part
+    size = slice(6)
+    covariance = ratio * pose_covariance(
+        information[size, size], ratio * noise_part[size, size], moved.rotation, moved.pose[3:]
+    )
+    shapes = estimate_shape_amplitudes(step.pose, step.sums.slope, (information, noise_part), ratio)
+    return DirectFit(moved, covariance, ratio, int(step.sums.cells), *shapes)
 
 
 def coarse_fit(views: Sequence[BodyView], targets: Sequence[Spline], start: RigidTransform) -> RigidTransform | None:
@@ -235,57 +257,99 @@ def decimate(views: Sequence[BodyView]) -> tuple[BodyView, ...]:
     return tuple(some)
 
 
-@dataclass(frozen=True, eq=False)
-class _FitStep:
-    """One step of the fit.
+class CellTotals(NamedTuple):
+    """Sums over the cells that show the body, for A frames, as arrays or tensors.
 
     Attributes
     ----------
-    pose : (6,) the step δ, shift and rotation vector.
-    length : length of the step in standard uncertainties.
-    remaining_share : share of the step by which the motion may still be wrong.
-    noise_ratio : variance of the grey values over that of the noise models.
-    slope, information, noise_part : (p,), (p, p), (p, p) summed over all cells.
+    information, noise_part, slope : (A, p, p), (A, p, p), (A, p).
+    misfit : (A,).
+    expected, rounding : (A,) misfits expected of noise and of rounding.
+    cells : (A,) their number.
     """
 
-    pose: FloatArray
-    length: float
-    remaining_share: float
-    noise_ratio: float
-    slope: FloatArray
-    information: FloatArray
-    noise_part: FloatArray
-    cells: int
+    information: Any
+    noise_part: Any
+    slope: Any
+    misfit: Any
+    expected: Any
+    rounding: Any
+    cells: Any
 
 
-def _step(views: Sequence[BodyView], targets: Sequence[Spline], moved: RigidTransform) -> _FitStep | None:
-    """Return the Gauss-Newton step from a motion, None if the components are not determined.
+class FitStep(NamedTuple):
+    """Gauss-Newton steps of A frames, as arrays or tensors.
 
-    Cells are first judged at the start, then after the step of the accepted cells, so that the choice depends little on
-    the start.
+    Attributes
+    ----------
+    pose : (A, 6) the step δ, shift and rotation vector.
+    length : (A,) length of the step in standard uncertainties.
+    solvable : (A,) whether the components are determined.
+    final : (A,) whether the motion after the step is the converged one.
+    noise_ratio : (A,) variance of the grey values over that of the noise models.
+    sums : over all cells.
     """
+
+    pose: Any
+    length: Any
+    solvable: Any
+    final: Any
+    noise_ratio: Any
+    sums: CellTotals
+
+
+def _step(views: Sequence[BodyView], targets: Sequence[Spline], moved: RigidTransform) -> FitStep | None:
+    """Return the Gauss-Newton step from a motion, None if the components are not determined."""
     both = zip(views, targets, strict=True)
     compared = [compare_cells(view.cells, target, view.warps(moved)) for view, target in both]
-    pose, size, judged = np.zeros(6), views[0].rates.shape[2], list[BoolArray]()
+    with np.errstate(divide="ignore", invalid="ignore"):
+        *parts, sums = solve_step(np, views, compared)
+    step = FitStep._make((*(part[0] for part in parts), CellTotals._make(part[0] for part in sums)))
+    return step if step.solvable else None
+
+
+def solve_step(xp: Any, views: Sequence[Any], compared: Sequence[CellSums]) -> FitStep:
+    """Return the Gauss-Newton steps of A frames from the comparison of each view's cells.
+
+    `xp`: numpy, or torch for views on its device. Cells are first judged at the start, then after the step of the
+    accepted cells, so that the choice depends little on the start.
+    """
+    pose = xp.zeros_like(compared[0].slope[:, 0])
+    identity = xp.eye(6, dtype=pose.dtype, device=pose.device)
+    used = list[Any]()
     for _ in range(2):
-        before, judged = judged, [_rigid_cells(*both, pose) for both in zip(views, compared, strict=True)]
-        if before and all(map(np.array_equal, judged, before)):
-            break
-        parts, slope, sums = np.zeros((2, size**2)), np.zeros(size), np.zeros(4)
-        for view, sums_of_view, used in zip(views, compared, judged, strict=True):
-            _add_cells(used, sums_of_view.all, view.jacobians, (parts, slope, sums))
-        whole, whole_noise = parts.reshape(2, size, size)
-        information, noise_part = whole[:6, :6], whole_noise[:6, :6]
-        misfit, noise, least, cells = sums.tolist()
-        if cells < MIN_CELLS or not np.linalg.eigvalsh(_scaled(information))[0] > MIN_EIGENVALUE:
-            return None
-        scale = max(misfit, least) / noise
-        clean = without_noise(information, scale * noise_part)
-        pose = np.asarray(np.linalg.solve(clean, slope[:6]), dtype=np.float64)
-    length = float(np.sqrt(pose @ information @ pose / scale))
-    share = scale * float(np.trace(np.linalg.solve(information, noise_part))) / 6.0
-    left = share if np.array_equal(clean, information) else UNCORRECTED_SHARE * share
-    return _FitStep(pose, length, left, scale, slope, whole, whole_noise, int(cells))
+        before, used = used, [rigid_cells(xp, view, cells, pose) for view, cells in zip(views, compared, strict=True)]
+        if xp is np and before and all(map(np.array_equal, used, before)):
+            break  # as usual; on a GPU to ask costs more than to compute again
+        totals = [_sum_cells(xp, *each) for each in zip(views, compared, used, strict=True)]
+        sums = CellTotals(*(sum(parts) for parts in zip(*totals, strict=True)))
+        of_motion, noise_part = sums.information[:, :6, :6], sums.noise_part[:, :6, :6]
+        lowest = xp.linalg.eigvalsh(_scaled(of_motion, xp))[:, 0]
+        solvable = (sums.cells >= MIN_CELLS) & (lowest > MIN_EIGENVALUE)
+        information = xp.where(solvable[:, None, None], of_motion, identity)
+        ratio = xp.where(solvable, xp.maximum(sums.misfit, sums.rounding) / sums.expected, 1.0)
+        clean = information - xp.where(solvable, ratio, 0.0)[:, None, None] * noise_part
+        enough = solvable & (xp.linalg.eigvalsh(_scaled(clean, xp))[:, 0] > MIN_EIGENVALUE_SHARE * lowest)
+        system = xp.where(enough[:, None, None], clean, information)
+        pose = xp.linalg.solve(system, sums.slope[:, :6, None])[..., 0]
+    length = xp.sqrt((pose[:, None] @ information @ pose[..., None])[:, 0, 0] / ratio)
+    shortening = xp.einsum("aii->a", xp.linalg.solve(information, noise_part))
+    left = ratio * shortening / 6.0 * xp.where(enough, UNCORRECTED_SHARE, 1.0)
+    final = solvable & (length < MAX_FINAL_STEP) & (left * length < MAX_REMAINING_STEP)
+    return FitStep(pose, length, solvable, final, ratio, sums)
+
+
+def _sum_cells(xp: Any, view: Any, cells: CellSums, used: Any) -> CellTotals:
+    """Return the sums over the cells of a view that show the body, `used` (A, C)."""
+    size = view.rates.shape[2]
+    gain, misfit, expected = (xp.where(used, part, 0.0) for part in (cells.gain, cells.misfit, cells.misfit_noise))
+    slope = gain[..., None] * xp.where(used[..., None], cells.slope, 0.0)
+    information, noise_part = (
+        (gain**2 @ part.reshape(-1, size * size)).reshape(-1, size, size)
+        for part in (view.information, view.information_noise)
+    )
+    sums = misfit.sum(-1), expected.sum(-1), (expected * view.rounding).sum(-1), used.sum(-1)
+    return CellTotals(information, noise_part, slope.reshape(len(gain), -1) @ view.rates.reshape(-1, size), *sums)
 
 
 def phase_rotated_pose(
@@ -306,10 +370,10 @@ def phase_rotated_pose(
     sums, whole = np.zeros((len(phase_factors[0]), size), np.complex128), np.zeros((size, size))
     for view, target, turn in zip(views, targets, phase_factors, strict=True):
         compared = compare_cells(view.cells, target, view.warps(fit.moved))
-        used = _rigid_cells(view, compared, np.zeros(6))
-        gain = np.where(used, compared.gain, 0.0)
+        used = rigid_cells(np, view, compared, np.zeros((1, 6)))[0]
+        gain = np.where(used, compared.gain[0], 0.0)
         information = gain[:, None, None] ** 2 * (view.information - fit.noise_ratio * view.information_noise)
-        slope = np.where(used[:, None], compared.slope, 0.0) * gain[:, None]
+        slope = np.where(used[:, None], compared.slope[0], 0.0) * gain[:, None]
         sums += turn @ (information[:, :, :6] @ departure - np.einsum("ckp,ck->cp", view.rates, slope))
         whole += information.sum(axis=0)
     return np.asarray(sums @ estimator_matrix(whole).T)
@@ -394,85 +458,35 @@ def rigid_share(views: Sequence[BodyView]) -> FloatArray:
     return np.asarray(np.linalg.solve(information[:6, :6], information[:6, 6:]))
 
 
-def _rigid_cells(view: BodyView, sums: CellSums, step: FloatArray) -> BoolArray:
-    """Return which cells (C,) show the body, by their misfit and remaining shift.
+def rigid_cells(xp: Any, view: Any, cells: CellSums, step: Any) -> Any:
+    """Return which cells (A, C) show the body, by their misfit and remaining shift.
 
-    `step` (6,): motion of the body that is subtracted from the shifts.
+    `step` (A, 6): motion of the body that is subtracted from the shifts. `xp`: numpy or torch.
     """
-    used = np.zeros(len(sums.gain), dtype=np.bool_)
-    _judge_cells(sums.all, (view.rates, view.cells.hessian, view.inverse_shift_hessian), step, used)
-    return used
+    ratio = cells.misfit / cells.misfit_noise
+    finite = xp.isfinite(ratio) & xp.isfinite(cells.slope).all(-1) & view.steady
+    typical = xp.clip(_median(xp, ratio, finite), MIN_MISFIT_RATIO, None)[:, None]
+    finite &= ratio <= MAX_MISFIT_RATIO * typical
+    carried = (step @ view.shift_rates.T).reshape(*ratio.shape, 2)
+    shift = cells.slope[..., ::3] - cells.gain[..., None] * carried
+    squares = (shift[..., None] * shift[..., None, :] * view.inverse_shift_hessian).sum((-2, -1)) / typical
+    limit = REJECT_CHI2 * xp.clip(_median(xp, squares, finite) / MEDIAN_CHI2_OF_TWO, 1.0, None)
+    return finite & (squares <= limit[:, None])
 
 
-@njit(error_model="numpy")
-def _judge_cells(sums, jacobians, step, used):  # type: ignore[no-untyped-def]
-    """Set `used`, all false before, as described in `_rigid_cells`."""
-    (gain, misfit, slope, expected), (rates, hessian, translation) = sums, jacobians
-    count, number = gain.shape[0], 0
-    ratio, squares = np.empty(count), np.empty(count)
-    for c in range(count):
-        misfit_ratio = misfit[c] / expected[c]
-        if not np.isfinite(misfit_ratio + slope[c].sum() + translation[c, 0, 0]) or not rates[c, :, :6].any():
-            continue
-        used[c], ratio[number] = True, misfit_ratio
-        number += 1
-    if number == 0:
-        return
-    typical = max(np.median(ratio[:number]), MIN_MISFIT_RATIO)
-    number = 0
-    for c in range(count):
-        used[c] = used[c] and misfit[c] / expected[c] <= MAX_MISFIT_RATIO * typical
-        if used[c]:
-            x, y = slope[c, 0], slope[c, 3]
-            for i in range(6):
-                moved = 0.0
-                for j in range(6):
-                    moved += rates[c, i, j] * step[j]
-                x -= gain[c] * hessian[c, 0, i] * moved
-                y -= gain[c] * hessian[c, 3, i] * moved
-            inverse = translation[c]
-            square = inverse[0, 0] * x * x + (inverse[0, 1] + inverse[1, 0]) * x * y + inverse[1, 1] * y * y
-            squares[number] = square / typical
-            number += 1
-    limit = REJECT_CHI2 * max(1.0, np.median(squares[:number]) / MEDIAN_CHI2_OF_TWO)
-    number = 0
-    for c in range(count):
-        if used[c]:
-            used[c] = squares[number] <= limit
-            number += 1
+def _median(xp: Any, values: Any, finite: Any) -> Any:
+    """Return the median (A,) of the finite ones of values (A, C), infinite where there is none."""
+    ordered = xp.sort(xp.where(finite, values, xp.inf), -1)
+    ordered = ordered if xp is np else ordered.values
+    count, row = xp.clip(finite.sum(-1), 1, None), xp.arange(len(ordered), device=ordered.device)
+    return 0.5 * (ordered[row, (count - 1) // 2] + ordered[row, count // 2])
 
 
-@njit(error_model="numpy")
-def _add_cells(used, compared, jacobians, found):  # type: ignore[no-untyped-def]
-    """Add the used cells to information and its noise part (2,p·p), slope (p,), and sums.
-
-    The sums are the misfit, the misfits expected of noise and of rounding, and the number of cells.
-    """
-    (gain, misfit, slope, expected), (rates, information, information_noise, rounding) = compared, jacobians
-    parts, whole, sums = found
-    size = rates.shape[2]
-    for c in range(gain.shape[0]):
-        if not used[c]:
-            continue
-        square = gain[c] ** 2
-        for i in range(size**2):
-            parts[0, i] += square * information[c, i]
-            parts[1, i] += square * information_noise[c, i]
-        for k in range(6):
-            weighted = gain[c] * slope[c, k]
-            for i in range(size):
-                whole[i] += weighted * rates[c, k, i]
-        sums[0] += misfit[c]
-        sums[1] += expected[c]
-        sums[2] += expected[c] * rounding[c]
-        sums[3] += 1.0
-
-
-def _scaled(matrix: FloatArray) -> FloatArray:
+def _scaled(matrix: Any, xp: Any = np) -> Any:
     """Return symmetric matrices (...,p,p) scaled to a unit diagonal, zero where not positive."""
-    diagonal = np.diagonal(matrix, axis1=-2, axis2=-1)
-    scale = np.where(diagonal > 0.0, 1.0 / np.sqrt(np.where(diagonal > 0.0, diagonal, 1.0)), 0.0)
-    return np.asarray(matrix * (scale[..., :, None] * scale[..., None, :]))
+    diagonal = xp.einsum("...ii->...i", matrix)
+    scale = xp.where(diagonal > 0.0, 1.0 / xp.sqrt(xp.where(diagonal > 0.0, diagonal, 1.0)), 0.0)
+    return matrix * (scale[..., :, None] * scale[..., None, :])
 
 
 def without_noise(information: FloatArray, noise_part: FloatArray) -> FloatArray:

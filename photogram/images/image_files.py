@@ -11,8 +11,6 @@ from typing import cast
 import numpy as np
 
 from photogram.images.image_notices import LOSSY_IMAGES
-from photogram.images.numbering import numbers_of_names
-from photogram.images.orientation import PNG_SIGNATURE, read_orientation, tag_notices
 from photogram.images.sequence import (
     GreyImage,
     ImageHeader,
@@ -20,9 +18,19 @@ from photogram.images.sequence import (
     bytes_at,
     check_pixels,
     full_scale_of,
+    numbers_of_names,
     wrap_read_errors,
 )
-from photogram.images.tiff import GREY, TIFF_SUFFIXES, read_raw_tiff, read_tiff, tiff_header
+from photogram.images.tiff import (
+    GREY,
+    PNG_SIGNATURE,
+    TIFF_SUFFIXES,
+    read_orientation,
+    read_raw_tiff,
+    read_tiff,
+    tag_notices,
+    tiff_header,
+)
 from photogram.images.video import VIDEO_READERS
 from shakercal._common.notices import Notice
 

@@ -1,4 +1,4 @@
-"""Notices of opening a camera's image files."""
+"""Notices of images, of the subsets in them, and of the motion fitted to them."""
 
 from shakercal._common.notices import DeclaredNotice
 
@@ -73,4 +73,66 @@ COLOUR_MOSAIC = DeclaredNotice(
     effect="The pattern counts as texture and biases positions.",
     remedy="Use a monochrome camera, or only one colour.",
     link="look.md",
+)
+
+
+UNUSED_SUBSETS = DeclaredNotice(
+    "SC-210",
+    "note",
+    "{unused} of {subsets} subsets are not used: {reasons}.",
+    effect="The remaining subsets determine the motion.",
+    link="tracking.md",
+)
+UNRESOLVED_TEXTURE = DeclaredNotice(
+    "SC-211",
+    "warning",
+    "The texture is finer than the camera resolves: speckle of {speckle_px:.1f} px, {share_percent:.1f} % of its power "
+    "beyond 0.4 cycles per pixel.",
+    effect="Positions may err by {subset_bias_px:.2g} px per subset and {mean_bias_px:.2g} px in the mean of all, "
+    "periodic in the pixel. The error appears as false harmonics of the motion.",
+    remedy="Use speckle of 3 to 5 px with soft rims, or defocus slightly.",
+    link="tracking.md#interpolation",
+)
+LOST_SUBSETS = DeclaredNotice(
+    "SC-212",
+    "warning",
+    "{lost_percent:.0f} % of the subset positions are missing, mainly with the status {status}.",
+    effect="The remaining positions determine the motion of the points.",
+    remedy="Use more frames per second, and even light without reflections.",
+    link="tracking.md",
+)
+OFF_EPIPOLAR_LINES = DeclaredNotice(
+    "SC-213",
+    "warning",
+    "Matched points are {offset_px:.1f} px off their epipolar lines on average.",
+    effect="The calibration does not belong to these images, or a camera has moved since.",
+    remedy="Calibrate the pair again, or use the calibration of this recording.",
+    link="tracking.md#whether-the-cameras-still-are-what-was-calibrated",
+)
+
+
+BODY_DEFORMS = DeclaredNotice(
+    "SC-220",
+    "warning",
+    "The points depart from a rigid motion by {misfit_um:.1f} µm rms, {ratio:.0f} times their noise.",
+    effect="The body bends, or parts of it move separately. The six components describe its best rigid fit.",
+    remedy="Check the mounting; restrict `region` to the stiff part of the body.",
+    link="tracking.md#what-the-body-does-beside",
+)
+FRAMES_WITHOUT_GREY_FIT = DeclaredNotice(
+    "SC-221",
+    "warning",
+    "In {failed} of {frames} frames the motion could not be fitted to the grey values.",
+    effect="These frames have the motion of their points, which has more noise.",
+    remedy="Check the light and the texture in these frames.",
+    link="tracking.md#what-the-fit-to-the-grey-values-does",
+)
+GREY_FIT_DISAGREES = DeclaredNotice(
+    "SC-222",
+    "warning",
+    "The motion fitted to the grey values differs from that of the tracked points by {ratio:.1f} standard "
+    "uncertainties.",
+    effect="The body bends, something in front of it moves, or its texture is not resolved.",
+    remedy="Keep the view free, and check the texture and the mounting.",
+    link="tracking.md#what-the-fit-to-the-grey-values-does",
 )

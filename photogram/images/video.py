@@ -21,8 +21,6 @@ from photogram.images.image_notices import (
     FILM_DECODED,
     RAW_PHOTRON_FRAMES,
 )
-from photogram.images.numbering import numbers_of_times
-from photogram.images.orientation import TAG_OF_ANGLE, tag_notices
 from photogram.images.sequence import (
     GLIMPSE,
     GreyImage,
@@ -30,8 +28,10 @@ from photogram.images.sequence import (
     bytes_at,
     check_pixels,
     full_scale_of,
+    numbers_of_times,
     wrap_read_errors,
 )
+from photogram.images.tiff import TAG_OF_ANGLE, tag_notices
 from shakercal._common.arrays import FloatArray
 from shakercal._common.notices import Notice
 

@@ -3,32 +3,35 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
 from itertools import groupby
+from typing import TypeVar
 
 import numpy as np
 
 from photogram.camera import Points3D, Rig, StereoRig, locate
 from photogram.direct.direct_fit import rest_covariance, rigid_share
-from photogram.direct.shapes import ShapeAmplitudes
+from photogram.direct.surface import ShapeAmplitudes
 from photogram.frame_statistics import RunningMean, Sample
 from photogram.geometry import RigidTransform
+from photogram.images.image_notices import BODY_DEFORMS, FRAMES_WITHOUT_GREY_FIT, GREY_FIT_DISAGREES
 from photogram.images.noise import NoiseModel
 from photogram.images.sequence import ImageSequence
 from photogram.measure.follow import (
     BodyPrior,
     BodyScene,
+    BodyTracker,
     FollowedBlock,
+    FollowedFrame,
     Progress,
     Registrations,
     central_point,
-    follow_block,
     image_motion_px,
     iterate_blocks,
     prepare_body,
+    report_progress,
 )
-from photogram.measure.rigid_notices import BODY_DEFORMS, FRAMES_WITHOUT_GREY_FIT, GREY_FIT_DISAGREES
 from photogram.motion import Deformation, DeformationMean, RigidMotion, fit_motion, overlap_correlation
 from photogram.subsets.find import BodyNotFound, DepthRange
 from photogram.subsets.icgn import TrackSettings, subset_noise, subset_positions
@@ -37,13 +40,13 @@ from photogram.subsets.track import (
     EpipolarMonitor,
     StereoTracks,
     Tracks,
-    TrackSummary,
     build_tracks,
     drop_rejected,
 )
 from shakercal._common.arrays import Arrays, BoolArray, FloatArray, IntArray
 from shakercal._common.notices import Notice
 
+_Part = TypeVar("_Part", Tracks, Points3D, RigidMotion)
 MAX_CACHED_POSITIONS = 500_000  # subsets times frames of a series that is cached with its points: about 100 MB
 LARGEST_BENDING = 4.0  # rms, in standard deviations of the points; the reference's noise makes it 1.4
 LARGEST_DIFFERENCE = 2.0  # rms, in standard uncertainties of the motion of the points
@@ -88,28 +91,13 @@ class BodyMotion(Arrays):
     @cached_property
     def tracks(self) -> StereoTracks:
         """Subsets of all frames with subsets, about 500 bytes for each."""
-        blocks = list(self.tracked)
-        whole = (
-            Tracks(
-                np.concatenate([track.position_px for track in side]),
-                np.concatenate([track.covariance_px2 for track in side]),
-                np.concatenate([track.zncc for track in side]),
-                np.concatenate([track.status for track in side]),
-                side[0].noise_grey,
-            )
-            for side in zip(*(block.cameras for block in blocks), strict=True)
-        )
-        return self.tracked.summary.with_tracks(tuple(whole))
+        sides = zip(*(block.cameras for block in self.tracked), strict=True)
+        return replace(self.tracked.summary, cameras=tuple(_joined(side, "noise_grey") for side in sides))
 
     @cached_property
     def points(self) -> Points3D:
         """Points of these frames, in the body's frame, 100 bytes for each in every frame."""
-        parts = [points for _, points in self.tracked.with_points()]
-        return Points3D(
-            np.concatenate([part.position_m for part in parts]),
-            np.concatenate([part.covariance_m2 for part in parts]),
-            np.concatenate([part.reprojection_px for part in parts]),
-        )
+        return _joined([points for _, points in self.tracked.with_points()])
 
 
 def measure_body(
@@ -175,6 +163,33 @@ def measure_body(
     return body_motion(scene, [follow_block(scene, block, device, progress) for block in scene.blocks])
 
 
+def follow_block(
+    scene: BodyScene, frames: range, device: str = "cpu", progress: Progress | None = None
+) -> FollowedBlock:
+    """Track the body through a block of later frames."""
+    followed = []
+    for number, one in zip(frames, _found(BodyTracker(scene), frames, device), strict=True):
+        followed.append(one)
+        report_progress(progress, number + 1)
+    return tuple(followed)
+
+
+def _found(tracker: BodyTracker, frames: range, device: str) -> Iterator[FollowedFrame]:
+    """Yield the body and its subsets in some frames in turn, on a GPU in batches; none for absent frames."""
+    scene = tracker.scene
+    for absent, group in groupby(frames, scene.body.is_absent):
+        numbers = list(group)
+        run = range(numbers[0], numbers[-1] + 1)
+        if absent:
+            yield from (tracker.add_frame(None, None) for _ in run)
+        elif device != "cpu" and not scene.body.rolling_shutter:
+            from photogram.measure.follow_torch import find_in_batches
+
+            yield from find_in_batches(tracker, run, device)
+        else:
+            yield from map(tracker.find, run, zip(*(images.read_ahead(run) for images in scene.images), strict=True))
+
+
 def body_motion(scene: BodyScene, blocks: Iterable[FollowedBlock]) -> BodyMotion:
     """Return the motion of the body from the tracked blocks of a scene.
 
@@ -206,7 +221,7 @@ def body_motion(scene: BodyScene, blocks: Iterable[FollowedBlock]) -> BodyMotion
         numbers = tracked.frames[sums.frames : sums.frames + len(of_points.pose)]
         sums.add(block, points, of_points, fits.merged(of_points, numbers))
     assert sums.mean is not None
-    of_points = _joined(sums.of_points)
+    of_points = _joined(sums.of_points, "origin_m")
     motion = fits.of_all(of_points, tracked.frames)
     notices = (
         *tracked.summary.notices,
@@ -254,7 +269,7 @@ class TrackedSubsets(Arrays, shapes="frames S; pose S 6"):
     pose: FloatArray
     noise_grey: tuple[FloatArray, ...]
     monitor: EpipolarMonitor
-    summary: TrackSummary
+    summary: StereoTracks
     cached_blocks: list[tuple[StereoTracks, Points3D]] = field(default_factory=list)
 
     def __iter__(self) -> Iterator[StereoTracks]:
@@ -290,7 +305,7 @@ class TrackedSubsets(Arrays, shapes="frames S; pose S 6"):
                 for side, noise in enumerate(self.noise_grey)
             )
             rejected = self.monitor.find_rejected(tuple(camera.position_px for camera in cameras))
-            yield self.summary.with_tracks(drop_rejected(cameras, rejected))
+            yield replace(self.summary, cameras=drop_rejected(cameras, rejected))
 
     def _points(self, tracks: StereoTracks, pose: FloatArray) -> Points3D:
         """Return points of some frames, in the body's frame.
@@ -428,22 +443,14 @@ def _add_subsets(
 
 def _of_frames(motion: RigidMotion, frames: IntArray) -> RigidMotion:
     """Return the motion in some frames."""
-    return RigidMotion(
-        motion.pose[frames],
-        motion.covariance[frames],
-        motion.residual_m[frames],
-        motion.points[frames],
-        motion.origin_m,
-    )
+    selected = {name: getattr(motion, name)[frames] for name in ("pose", "covariance", "residual_m", "points")}
+    return replace(motion, **selected)
 
 
-def _joined(parts: Sequence[RigidMotion]) -> RigidMotion:
-    """Return the motion of all frames."""
-    pose, covariance, residual_m, points = (
-        np.concatenate([getattr(part, name) for part in parts])
-        for name in ("pose", "covariance", "residual_m", "points")
-    )
-    return RigidMotion(pose, covariance, residual_m, points, parts[0].origin_m)
+def _joined(parts: Sequence[_Part], constant: str = "") -> _Part:
+    """Return arrays of several runs of frames in one; `constant` is the same in all."""
+    names = [field.name for field in fields(parts[0]) if field.name != constant]
+    return replace(parts[0], **{name: np.concatenate([getattr(part, name) for part in parts]) for name in names})
 
 
 def _rigid_notices(sums: _Sums, motion: RigidMotion, of_points: RigidMotion, failed: tuple[int, int]) -> list[Notice]:

@@ -24,12 +24,12 @@ from photogram.direct.direct_fit import (
 from photogram.direct.surface import motion_from_positions, project_body_points
 from photogram.geometry import RigidTransform, rotation_from_vector
 from photogram.images.sequence import GreyImage
-from photogram.kernels import njit
 from photogram.measure.follow import UNIFORM, BodyScene, FollowedFrame, Registrations, body_views, cameras_about
 from photogram.subsets.find import identity_registration
 from photogram.subsets.icgn import register
 from photogram.subsets.reference import ReferenceSubsets, TrackStatus, prepare_reference
 from shakercal._common.arrays import Arrays, ComplexArray, FloatArray
+from shakercal._common.kernels import njit
 
 MotionSeries = tuple[FloatArray, FloatArray]
 """Rotations (..., 3, 3) and shifts (..., 3)."""

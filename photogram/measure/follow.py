@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from itertools import chain, groupby
+from itertools import chain
 from statistics import median
 
 import numpy as np
@@ -21,8 +21,14 @@ from photogram.direct.direct_fit import (
     reweight_view,
     view_body,
 )
-from photogram.direct.shapes import PlainShapes, Shapes
-from photogram.direct.surface import PlacedCamera, SeenPoints, motion_from_positions, project_body_points
+from photogram.direct.surface import (
+    PlacedCamera,
+    PlainShapes,
+    SeenPoints,
+    Shapes,
+    motion_from_positions,
+    project_body_points,
+)
 from photogram.frame_statistics import spread_choice
 from photogram.geometry import RigidTransform
 from photogram.images.noise import NoiseModel
@@ -163,7 +169,7 @@ def prepare_body(
     seen = tuple(project_body_points(camera, rest_m) for camera in cameras_about(scene, rest_m))
     scene = replace(scene, rest_m=rest_m, seen=seen)
     scene = replace(scene, views=body_views(scene, splines))
-    _report(progress, 1)
+    report_progress(progress, 1)
     scene = _with_noise(scene, progress)
     rest = range(1 + len(scene.lead), len(images[0]))
     length = BLOCK_FRAMES if device == "cpu" else GPU_BLOCK_FRAMES
@@ -187,45 +193,12 @@ def _choose_subset_frames(rest: range, target: int) -> BoolArray:
     return np.asarray(chosen | spread_choice(numbers, max(0.0, (target - len(chosen) + others) / others)))
 
 
-def follow_block(
-    scene: BodyScene, frames: range, device: str = "cpu", progress: Progress | None = None
-) -> FollowedBlock:
-    """Track the body through a block of later frames."""
-    followed = []
-    for number, one in zip(frames, _found(BodyTracker(scene), frames, device), strict=True):
-        followed.append(one)
-        _report(progress, number + 1)
-    return tuple(followed)
-
-
 def iterate_blocks(scene: BodyScene, blocks: Iterable[FollowedBlock]) -> Iterator[FollowedBlock]:
     """Yield the scene's frames from the reference on, at most `BLOCK_FRAMES` at a time."""
     at_rest = tuple(map(identity_registration, scene.references))
     for block in chain([((at_rest, None), *scene.lead)], blocks):
         for start in range(0, len(block), BLOCK_FRAMES):
             yield block[start : start + BLOCK_FRAMES]
-
-
-def _found(tracker: BodyTracker, frames: range, device: str) -> Iterator[FollowedFrame]:
-    """Yield the body and its subsets in some frames in turn, none for absent frames."""
-    for absent, group in groupby(frames, tracker.scene.body.is_absent):
-        numbers = list(group)
-        if absent:
-            yield from (tracker.add_frame(None, None) for _ in numbers)
-        else:
-            yield from _found_in(tracker, range(numbers[0], numbers[-1] + 1), device)
-
-
-def _found_in(tracker: BodyTracker, frames: range, device: str) -> Iterator[FollowedFrame]:
-    """Yield the body and its subsets in some frames, on a GPU in batches."""
-    if device != "cpu" and not tracker.scene.body.rolling_shutter:
-        from photogram.measure.follow_torch import find_in_batches
-
-        yield from find_in_batches(tracker, frames, device)
-        return
-    read = zip(*(images.read_ahead(frames) for images in tracker.scene.images), strict=True)
-    for number, images in zip(frames, read, strict=True):
-        yield tracker.find(number, images)
 
 
 class BodyTracker:
@@ -393,13 +366,13 @@ def _with_noise(scene: BodyScene, progress: Progress | None) -> BodyScene:
             scene = replace(scene, noise=noise, views=views)
             fit = _fit(scene, found, splines)
         scene = replace(scene, lead=(*scene.lead, (found, fit)))
-        _report(progress, number + 1)
+        report_progress(progress, number + 1)
         if scene.noise is not None:
             break
     return scene
 
 
-def _report(progress: Progress | None, frames: int) -> None:
+def report_progress(progress: Progress | None, frames: int) -> None:
     """Report the images of so many frames as done, two of each."""
     if progress is not None:
         progress(2 * frames)

@@ -6,10 +6,12 @@ from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from itertools import islice, pairwise, zip_longest
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+import torch
 from numpy.typing import NDArray
+from torch import Tensor
 
 from photogram.direct.direct_fit import DirectFit
 from photogram.direct.fit_torch import fit_frames, load_solvers, torch_view
@@ -34,9 +36,6 @@ from photogram.subsets.icgn_torch import (
 )
 from photogram.subsets.reference import TrackStatus
 from shakercal._common.arrays import FloatArray
-
-if TYPE_CHECKING:
-    from torch import Tensor
 
 MOST_FRAMES, FIRST_FRAMES = 128, 12
 """Frames of a batch, and of the first one, which has no prediction."""
@@ -99,8 +98,6 @@ def _read_ahead(tracker: BodyTracker, frames: range, device: str) -> Iterator[_B
 
 def _most_frames(pixels: int, device: str) -> int:
     """Return the number of frames in a batch; pixels: of one frame in all cameras."""
-    import torch
-
     most = MOST_PIXELS
     if torch.device(device).type == "cuda":
         _, memory = torch.cuda.mem_get_info(device)

@@ -9,20 +9,17 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from photogram.bspline import Spline, mean_noise_gain, sample_line, sample_points, warp_inside
+from photogram.bspline import Spline, mean_noise_gain, noise_gain_table, sample_line, sample_points, warp_inside
 from photogram.images.noise import QUANTISATION
-from photogram.kernels import njit
+from photogram.lanes import AFFINE_SUMS, affine_sums
 from photogram.subsets.reference import (
-    AFFINE_SUMS,
     PARAMETERS,
     ReferenceSubsets,
     TrackStatus,
-    affine_sums,
-    curved_sums,
-    fetch,
     subset_offsets,
 )
 from shakercal._common.arrays import Arrays, BoolArray, FloatArray, IntArray, check_shape
+from shakercal._common.kernels import njit
 
 GAIN_AND_OFFSET = 2  # parameters
 REMAINING = {2: 0.02, 6: 0.02, 12: 0.4}  # share of the error after a step, measured, by the number of parameters
@@ -256,7 +253,7 @@ def noise_of_residual(reference: ReferenceSubsets, found: Registration, degree: 
     rounding.
     """
     offsets = subset_offsets(1) * (2.0 / 3.0 * reference.radius_px)
-    gain = mean_noise_gain(reference.centre_px, found.warp, offsets, degree)
+    gain: FloatArray = mean_noise_gain(np, reference.centre_px, found.warp[:, :6], offsets, noise_gain_table(degree))
     variance = found.residual_grey2 / (gain + found.gain**2 * reference.noise_gain)
     return np.sqrt(np.maximum(variance, QUANTISATION))
 
@@ -374,7 +371,13 @@ def _correlate(subset, grey, parameters, sums):  # type: ignore[no-untyped-def]
     if parameters == 2:
         sums[4] = sums[6]
     elif parameters == 12:
-        curved_sums(grey, mean, pixels, offsets, sums[AFFINE_SUMS:])
+        sums[AFFINE_SUMS:] = 0.0
+        for p in range(grey.size):
+            g, dx, dy = grey[p] - mean, offsets[0, p], offsets[1, p]
+            for first, slope in ((AFFINE_SUMS, pixels[1, p]), (AFFINE_SUMS + 3, pixels[2, p])):
+                sums[first] += slope * g * (0.5 * dx * dx)
+                sums[first + 1] += slope * g * (dx * dy)
+                sums[first + 2] += slope * g * (0.5 * dy * dy)
 
 
 @njit()
@@ -383,12 +386,11 @@ def _sample(subset, target, warp, grey, buffer):  # type: ignore[no-untyped-def]
 
     `buffer`: for the points of a curved row.
     """
-    centre_x, centre_y, radius, pixels, _, _, _ = subset
+    centre_x, centre_y, radius, _, _, _, _ = subset
     coefficients, degree = target
     width = buffer.shape[1]
     for number in range(width):
         dy, span = number - radius, (number * width, (number + 1) * width)
-        fetch(pixels, (3 * number * width, 3 * width))  # for the sums that follow
         x = centre_x + warp[0] + warp[2] * dy - (1.0 + warp[1]) * radius
         y = centre_y + warp[3] + (1.0 + warp[5]) * dy - warp[4] * radius
         if warp.size == 12:

@@ -6,13 +6,17 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cache, lru_cache
 from importlib.util import find_spec
-from math import ceil, comb, factorial, log
-from typing import TYPE_CHECKING, Any
+from math import ceil, log
+from typing import Any
 
 import numpy as np
+import torch
 from numpy.typing import NDArray
+from torch import Tensor
+from torch.nn.functional import embedding_bag
 
 from photogram.bspline import PADDING_PX, poles_of
+from photogram.lanes import basis_polynomials
 from photogram.subsets.icgn import (
     GAIN_AND_OFFSET,
     LINEAR_PX,
@@ -27,10 +31,6 @@ from photogram.subsets.icgn import (
 )
 from photogram.subsets.reference import ReferenceSubsets, TrackStatus, shape_values, subset_offsets
 from shakercal._common.arrays import FloatArray, check_shape
-
-if TYPE_CHECKING:
-    from torch import Tensor
-
 
 # Images as B-splines on a device: coefficients of a stack of frames, and their values at many points.
 
@@ -65,22 +65,11 @@ class TorchSplines:
         return width - 2 * PADDING_PX, height - 2 * PADDING_PX
 
 
-def spline_frames(images: NDArray[np.generic], degree: int, device: str, precision: str = "float64") -> TorchSplines:
-    """Return the splines of images (B,H,W) on a device, mirrored at the outermost pixels."""
-    check_shape("images", images, (None, None, None))
-    if min(images.shape[1:]) < 2 * PADDING_PX:
-        raise ValueError(f"images: expected at least {2 * PADDING_PX} x {2 * PADDING_PX} px, found {images.shape[1:]}")
-    _, raw = upload_images(list(images), device)
-    return splines_of(raw, degree, precision)
-
-
 def upload_images(images: Sequence[NDArray[np.generic]], device: str) -> tuple[NDArray[np.generic], Tensor]:
     """Return B images (B, H, W) in memory and on the device.
 
     A GPU receives them from pinned memory, in parallel to its computations.
     """
-    import torch
-
     kind = np.result_type(*{image.dtype for image in images}).newbyteorder("=")
     on_gpu = torch.device(device).type == "cuda"
     dtype = torch.from_numpy(np.empty(0, kind)).dtype
@@ -111,28 +100,9 @@ def splines_of(raw: Tensor, degree: int, precision: str) -> TorchSplines:
 
 def torch_type(precision: str) -> Any:
     """Return the torch type named 'float64' or 'float32'."""
-    import torch
-
     if precision not in PRECISIONS:
         raise ValueError(f"precision: expected one of {', '.join(PRECISIONS)}, found {precision!r}")
     return getattr(torch, precision)
-
-
-@lru_cache(maxsize=4)
-def basis_polynomials(degree: int) -> FloatArray:
-    """Return the coefficients (power of t, spline) of B-splines at t in [0,1).
-
-    Spline j is β(t + (degree−1)/2 − j), β the sum of truncated powers (Unser 1999, IEEE Signal Process. Mag. 16, 22,
-    box 1): β(x) = Σ_k (−1)^k C(n+1,k) max(0, x + (n+1)/2 − k)^n / n!.
-    """
-    n = degree
-    table = np.zeros((n + 1, n + 1))
-    for j in range(n + 1):
-        for k in range(n - j + 1):
-            for power in range(n + 1):
-                term = comb(n, power) * (n - j - k) ** (n - power)
-                table[power, j] += (-1) ** k * comb(n + 1, k) * term / factorial(n)
-    return table
 
 
 def sample(frames: TorchSplines, corner: Tensor, position_px: Tensor, polynomials: Tensor) -> Tensor:
@@ -141,9 +111,6 @@ def sample(frames: TorchSplines, corner: Tensor, position_px: Tensor, polynomial
     corner (n,): where the coefficients of these pixels begin. A point gathers degree + 1 rows of coefficients, windows
     of one long line, weighted down and then along x.
     """
-    import torch
-    from torch.nn.functional import embedding_bag
-
     taps = frames.degree + 1
     line = frames.coefficients.view(-1)
     windows = line.as_strided((line.numel() - taps + 1, taps), (1, 1))
@@ -169,8 +136,6 @@ def sample_warped(frames: TorchSplines, squares: tuple[Tensor, Tensor, Tensor], 
     shape (s, P) of their points, as in `TorchReference`. Points are relative to the pixel under the square's centre, so
     that float32 resolves them to 1e-6 px; `basis`: `basis_polynomials` on the device.
     """
-    import torch
-
     frame, centre_px, warp = squares
     polynomials = _polynomials(warp)
     polynomials[:, :, 0] += centre_px
@@ -182,8 +147,6 @@ def sample_warped(frames: TorchSplines, squares: tuple[Tensor, Tensor, Tensor], 
 
 def corner_of(frames: TorchSplines, frame: Tensor, pixel: Tensor) -> Tensor:
     """Return flat indices (n,) of the first coefficients of whole pixels (n,2) of frames (n,)."""
-    import torch
-
     _, height, width = frames.coefficients.shape
     first = PADDING_PX - frames.degree // 2
     corner = (frame * height + pixel[:, 1] + first) * width + pixel[:, 0] + first
@@ -192,8 +155,6 @@ def corner_of(frames: TorchSplines, frame: Tensor, pixel: Tensor) -> Tensor:
 
 def _filtered(lines: Tensor, degree: int) -> Tensor:
     """Return coefficients (..., n+8) of lines of n pixels, mirrored by four at both ends."""
-    import torch
-
     inverse = _inverse_filter(lines.shape[-1], degree, lines.device, lines.dtype)
     reach = 2 * PADDING_PX + ceil(log(SMALLEST_TERM) / log(max(map(abs, poles_of(degree)))))
     coefficients = lines.new_empty((*lines.shape[:-1], len(inverse)))
@@ -209,8 +170,6 @@ def _inverse_filter(size: int, degree: int, device: Any, kind: Any) -> Tensor:
 
     The line is mirrored by four at both ends.
     """
-    import torch
-
     reach = degree // 2
     values = basis_polynomials(degree)[0, : 2 * reach + 1]
     sampled = np.zeros((size, size))
@@ -245,7 +204,7 @@ class Squares:
     mean: Tensor
 
 
-Pairs = tuple["Tensor", "Tensor", "Tensor"]
+Pairs = tuple[Tensor, Tensor, Tensor]
 """Frames (n,) and squares (n,) that are compared, and the warps (n,6 or 12)."""
 
 
@@ -256,12 +215,10 @@ def square_sums(squares: Squares, frames: TorchSplines, pairs: Pairs, alive: Ten
     square's grey values without the mean of the reference. One kernel on a GPU with Triton. Otherwise torch's
     operations, in portions that need about 64 MiB on a CPU, 2 GiB on a GPU.
     """
-    import torch
-
     frame, square, warp = pairs
     sums = warp.new_full((len(warp), 3 + warp.shape[1]), torch.nan)
     if frames.coefficients.is_cuda and frames.coefficients.dtype == torch.float32 and (kernel := _kernel()):
-        kernel(squares, frames, pairs, alive, sums)
+        kernel(squares, frames, pairs, alive, sums, basis_polynomials(frames.degree))
         return sums
     basis = torch.from_numpy(basis_polynomials(frames.degree)).to(squares.pixels)
     size = NUMBERS_PER_PIXEL * squares.shape.shape[1] * squares.shape.element_size()
@@ -282,8 +239,6 @@ def _kernel() -> Callable[..., None] | None:
 
 def _portion_sums(squares: Squares, frames: TorchSplines, pairs: Pairs, basis: Tensor) -> Tensor:
     """Return the sums (n, 3+2s) by torch's operations; basis: `basis_polynomials` on the device."""
-    import torch
-
     frame, square, warp = pairs
     grey = sample_warped(frames, (frame, squares.centre_px[square], warp), squares.shape, basis)
     grey -= squares.mean[square, None].to(grey.dtype)
@@ -329,8 +284,6 @@ def torch_reference(reference: ReferenceSubsets, device: str, precision: str = "
 
     The latter is for GPUs without fast float64.
     """
-    import torch
-
     pixel_type = torch_type(precision)
     shape = shape_values(subset_offsets(reference.radius_px), max(reference.order, 1))
     pixels = torch.from_numpy(reference.pixels).to(device, pixel_type)
@@ -380,8 +333,6 @@ def _found_in_frames(
     reference: TorchReference, frames: TorchSplines, start: FloatArray, settings: TrackSettings
 ) -> tuple[Registration, ...]:
     """Iterate all subsets in all frames from the starts (B, N, 6 or 12)."""
-    import torch
-
     count, columns, device = len(reference.centre_px), reference.columns, reference.centre_px.device
     given = columns if start.shape[2:] == (columns,) else 6
     check_shape("start", start, (len(frames.coefficients), count, given))
@@ -416,8 +367,6 @@ def _register_pairs(
 
     Each iteration waits once for the device: to choose the pairs that continue.
     """
-    import torch
-
     all_warp, all_scores, outcome = state
     first_shift = all_warp[pairs][:, :6:3]
     for iteration in range(1, settings.max_iterations + 1):
@@ -439,8 +388,6 @@ def _lost_status(
     reference: TorchReference, frames: TorchSplines, subset: Tensor, warp: Tensor, first_shift: Tensor
 ) -> Tensor:
     """Return the status (n,) of pairs that diverged or left the image, else `RUNNING`."""
-    import torch
-
     radius, shift = reference.radius_px, warp[:, :6:3]
     centre = reference.centre_px[subset] + shift
     reach = _polynomials(warp)[:, :, 1:].abs() @ reference.rim[1:]
@@ -459,8 +406,6 @@ def _solve(
     Pairs are subset and status. Scores are [zncc, gain, residual variance]. The status is `RUNNING` where another step
     is needed.
     """
-    import torch
-
     (subset, gone), (total, square, product), rim = pair, sums[:, :3].unbind(dim=1), reference.rim
     size, energy, removed = reference.shape.shape[1], reference.energy[subset], reference.removed[subset]
     spread, gain = square - total.square() / size, product / energy
@@ -492,8 +437,6 @@ def _polynomials(warp: Tensor) -> Tensor:
 
     Of 1, dx, dy, dx²/2, dx dy, dy²/2.
     """
-    import torch
-
     coefficients = torch.cat(
         [warp[:, :6].view(-1, 2, 3), warp[:, 6:].reshape(len(warp), 2, (warp.shape[1] - 6) // 2)], dim=2
     )
@@ -504,8 +447,6 @@ def _polynomials(warp: Tensor) -> Tensor:
 
 def _columns(values: Tensor) -> Tensor:
     """Return values (n, 2, s) in the order of a warp (n, 6 or 12)."""
-    import torch
-
     return torch.cat([values[:, :, :3].flatten(1), values[:, :, 3:].flatten(1)], dim=1)
 
 
@@ -514,8 +455,6 @@ def _compose_inverse(warp: Tensor, step: Tensor) -> Tensor:
 
     Affine, or polynomials of second order as matrices on their powers (Gao 2015).
     """
-    import torch
-
     if warp.shape[1] == 6:
         return torch.stack(compose_with_inverse(warp.T, step.T), dim=1)
     product = torch.matmul(_matrices(warp), torch.linalg.inv_ex(_matrices(step)).inverse)
@@ -528,8 +467,6 @@ def _compose_inverse(warp: Tensor, step: Tensor) -> Tensor:
 
 def _matrices(warp: Tensor) -> Tensor:
     """Return the matrices (n,6,6) of warps (n,12) on [1,dx,dy,dx²,dx dy,dy²], truncated."""
-    import torch
-
     coefficients = _polynomials(warp)
     coefficients[:, :, 3::2] *= 0.5
     x, y = coefficients.unbind(dim=1)

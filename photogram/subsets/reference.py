@@ -2,209 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from enum import IntEnum
-from typing import Any
 
 import numpy as np
-from llvmlite import ir
-from numba.core import cgutils
-from numba.extending import intrinsic
 from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
 from photogram.bspline import Spline, noise_gain, sample_squares, slope_noise_gain, third_differences
-from photogram.kernels import njit
-from photogram.kernels.lanes import (
-    DOUBLE,
-    DOUBLES,
-    FLOATS,
-    INDEX,
-    Lanes,
-    array_of,
-    broadcast,
-    constant,
-    element,
-    in_blocks,
-    kernel_signature,
-    lane_numbers,
-    load,
-    sum_lanes,
-)
 from shakercal._common.arrays import Arrays, BoolArray, FloatArray, IntArray, check_shape
-
-_Terms = tuple[Lanes, ...]
-AFFINE_SUMS, CURVED_SUMS, RUN_SUMS = 9, 6, 7
-
-
-@intrinsic
-def affine_sums(typing, grey, mean, pixels, offsets, sums):  # type: ignore[no-untyped-def]
-    """Fill sums (9,) of g = grey (P,) − mean times the affine steepest-descent images.
-
-    Σg, Σg², Σf̃·g and Σ(f_x, f_x·dx, f_x·dy, f_y, f_y·dx, f_y·dy)·g. pixels (3, P): f̃, f_x, f_y; offsets (2, P): dx,
-    dy.
-    """
-
-    def terms(g: Lanes, f: Lanes, along: Lanes, down: Lanes, dx: Lanes, dy: Lanes) -> _Terms:
-        a, d = along * g, down * g
-        return g, g * g, f * g, a, a * dx, a * dy, d, d * dx, d * dy
-
-    return kernel_signature(grey, mean, pixels, offsets, sums), _subset_code(terms, AFFINE_SUMS)
-
-
-@intrinsic
-def curved_sums(typing, grey, mean, pixels, offsets, sums):  # type: ignore[no-untyped-def]
-    """Fill sums (6,) with Σf_x·(dx²/2, dx·dy, dy²/2)·g and Σf_y·(…)·g.
-
-    Arguments as of `affine_sums`.
-    """
-
-    def terms(g: Lanes, _: Lanes, along: Lanes, down: Lanes, dx: Lanes, dy: Lanes) -> _Terms:
-        a, d = along * g, down * g
-        xx, xy, yy = 0.5 * dx * dx, dx * dy, 0.5 * dy * dy
-        return a * xx, a * xy, a * yy, d * xx, d * xy, d * yy
-
-    return kernel_signature(grey, mean, pixels, offsets, sums), _subset_code(terms, CURVED_SUMS)
-
-
-def _powers(degree: int) -> list[tuple[int, int]]:
-    """Return exponents of dx and dy up to a degree, ordered as `shape_values`."""
-    return [(d - b, b) for d in range(degree + 1) for b in range(d + 1)]
-
-
-def _moments_by(degree: int) -> Any:
-    """Return the code of sums of products of steepest-descent images of this degree."""
-    all_powers, shapes = _powers(2 * degree), _powers(degree)
-
-    def terms(_: Lanes, f: Lanes, along: Lanes, down: Lanes, dx: Lanes, dy: Lanes) -> _Terms:
-        power = {(1, 0): dx, (0, 1): dy}
-        for a, b in all_powers[3:]:
-            power[a, b] = power[a - 1, b] * dx if a else power[a, b - 1] * dy
-        squares, singles = (along * along, along * down, down * down), (along, down, f * along, f * down)
-        sums = [(square, which) for square in squares for which in all_powers]
-        sums += [(single, which) for single in singles for which in shapes]
-        return tuple(value * power[which] if which in power else value for value, which in sums)
-
-    @intrinsic
-    def moments(typing, grey, mean, pixels, offsets, sums):  # type: ignore[no-untyped-def]
-        """Fill sums with Σ q·dx^a·dy^b.
-
-        Of f_x², f_x·f_y, f_y² for all powers, of f_x, f_y, f̃·f_x, f̃·f_y for shapes.
-        """
-        return kernel_signature(grey, mean, pixels, offsets, sums), _subset_code(
-            terms, 3 * len(all_powers) + 4 * len(shapes)
-        )
-
-    return moments
-
-
-_affine_moments, _curved_moments = _moments_by(1), _moments_by(2)
-
-
-@njit()
-def _moments(pixels, offsets, curved, sums):  # type: ignore[no-untyped-def]
-    """Fill rows of sums (n, …) of the subsets pixels (n, 3, P)."""
-    for n in range(pixels.shape[0]):
-        if curved:
-            _curved_moments(pixels[n, 0], 0.0, pixels[n], offsets, sums[n])
-        else:
-            _affine_moments(pixels[n, 0], 0.0, pixels[n], offsets, sums[n])
-
-
-def _subset_code(terms: Callable[..., _Terms], number: int) -> Callable[..., Any]:
-    """Return the generator of the code of sums over a subset."""
-
-    def generate(context: Any, builder: Any, signature: Any, arguments: Sequence[Any]) -> Any:
-        grey, pixels, offsets, sums = (array_of(context, builder, signature, arguments, k) for k in (0, 2, 3, 4))
-        mean = broadcast(builder, arguments[1], DOUBLES)
-
-        def block(index: Any, mask: Any) -> _Terms:
-            rows = [(pixels, 0), (pixels, 1), (pixels, 2), (offsets, 0), (offsets, 1)]
-            read = [load(builder, element(builder, table, row, index), DOUBLES, mask) for table, row in rows]
-            g = load(builder, builder.gep(grey.data, [index]), DOUBLES, mask) - mean
-            return terms(_within(builder, g, mask), *read)
-
-        (count,) = cgutils.unpack_tuple(builder, grey.shape)
-        _sum(builder, count, number, block, sums)
-        return context.get_dummy_value()
-
-    return generate
-
-
-@intrinsic
-def run_sums(typing, grey, mean, pixels, span, dx, sums):  # type: ignore[no-untyped-def]
-    """Fill sums (7,) over a run of pixels with g = grey − mean.
-
-    Σw·g, Σw·g², Σw·f̃·g, Σw·f_x·g, Σw·f_x·dx·g, Σw·f_y·g, Σw·f_y·dx·g. pixels (4, P): w, w·f̃, w·f_x, w·f_y; span: the
-    first pixel and their number; dx: of the first one, the others 1 px from each other.
-    """
-
-    def generate(context: Any, builder: Any, signature: Any, arguments: Sequence[Any]) -> Any:
-        values, table, totals = (array_of(context, builder, signature, arguments, k) for k in (0, 2, 5))
-        start, count = cgutils.unpack_tuple(builder, arguments[3], 2)
-        level = broadcast(builder, arguments[1], DOUBLES)
-        begin = broadcast(builder, arguments[4], DOUBLES) + lane_numbers(builder, DOUBLES)
-
-        def block(index: Any, mask: Any) -> _Terms:
-            pixel = builder.add(start, index)
-            weight, f, along, down = (
-                load(builder, element(builder, table, row, pixel), DOUBLES, mask) for row in range(4)
-            )
-            g = _within(builder, load(builder, builder.gep(values.data, [index]), DOUBLES, mask) - level, mask)
-            offset = begin + broadcast(builder, builder.sitofp(index, DOUBLE), DOUBLES)
-            w, a, d = weight * g, along * g, down * g
-            return w, w * g, f * g, a, a * offset, d, d * offset
-
-        _sum(builder, count, RUN_SUMS, block, totals)
-        return context.get_dummy_value()
-
-    return kernel_signature(grey, mean, pixels, span, dx, sums), generate
-
-
-@intrinsic
-def fetch(typing, table, span):  # type: ignore[no-untyped-def]
-    """Prefetch a span of a flat array, since memory is slower than sums."""
-
-    def generate(context: Any, builder: Any, signature: Any, arguments: Sequence[Any]) -> Any:
-        first = array_of(context, builder, signature, arguments, 0).data
-        start, count = cgutils.unpack_tuple(builder, arguments[1], 2)
-        numbers = [ir.Constant(ir.IntType(32), number) for number in (0, 3, 1)]  # to read, often, data
-        form = ir.FunctionType(ir.VoidType(), [first.type, *(number.type for number in numbers)])
-        prefetch = cgutils.get_or_insert_function(builder.module, form, "llvm.prefetch.p0")
-        step = ir.Constant(INDEX, FLOATS.count)
-        with cgutils.for_range_slice(builder, start, builder.add(start, count), step, INDEX) as (index, _):
-            builder.call(prefetch, [builder.gep(first, [index]), *numbers])
-        return context.get_dummy_value()
-
-    return kernel_signature(table, span), generate
-
-
-def _sum(builder: Any, count: Any, number: int, block: Callable[..., _Terms], sums: Any) -> None:
-    """Generate code that adds the `number` terms of all blocks lane by lane.
-
-    Then the lanes are added.
-    """
-    totals = [cgutils.alloca_once(builder, DOUBLES) for _ in range(number)]
-    for total in totals:
-        builder.store(constant(DOUBLES, 0.0), total)
-
-    def add(index: Any, mask: Any) -> None:
-        for total, term in zip(totals, block(index, mask), strict=True):
-            builder.store((Lanes(builder, builder.load(total)) + term).value, total)
-
-    in_blocks(builder, count, DOUBLES, add)
-    for k, total in enumerate(totals):
-        pointer = builder.gep(sums.data, [ir.Constant(INDEX, k)])
-        builder.store(sum_lanes(builder, Lanes(builder, builder.load(total))), pointer)
-
-
-def _within(builder: Any, lanes: Lanes, mask: Any) -> Lanes:
-    """Return the lanes of the mask, zero in the others."""
-    return lanes if mask is None else Lanes(builder, builder.select(mask, lanes.value, constant(lanes.value.type, 0.0)))
-
-
-# Subsets of a reference image, prepared once: grey values, gradients, Hessians, and determined directions.
 
 SMALLEST_NOISE = 1e-9  # of the variance of the grey values, for images without noise
 SMALLEST_CONTRAST = 1e-6  # of the mean: ten times the rounding of float32
@@ -378,23 +184,13 @@ def _hessians(pixels: FloatArray, energy: FloatArray, radius_px: int, order: int
 
     Removed from the images are their mean and their part along f̃.
     """
-    count, size, half = len(pixels), pixels.shape[2], PARAMETERS[order] // 2
-    shapes, powers = _powers(max(order, 1)), _powers(2 * max(order, 1))
-    sums = np.empty((count, 3 * len(powers) + 4 * len(shapes)))
-    offsets = np.ascontiguousarray(subset_offsets(radius_px).T)
-    _moments(pixels, offsets, order == 2, sums)
-    affine_first = np.argsort(np.tile(np.arange(half) // 3, 2), kind="stable")
-    factor = np.array([1.0, 1.0, 1.0, 0.5, 1.0, 0.5])[:half]
-    single = sums[:, 3 * len(powers) :].reshape(count, 4, len(shapes))[:, :, :half] * factor
-    mean, part = (single[:, k : k + 2].reshape(count, 2 * half)[:, affine_first] for k in (0, 2))
-    mean, part = mean / size, part / energy[:, None]
-    at = [[powers.index((a + c, b + d)) for c, d in shapes[:half]] for a, b in shapes[:half]]
-    pairs = sums[:, : 3 * len(powers)].reshape(count, 3, len(powers))[:, :, at] * np.outer(factor, factor)
-    xx, xy, yy = np.moveaxis(pairs, 1, 0)
-    hessian = np.block([[xx, xy], [xy, yy]])[:, affine_first[:, None], affine_first]
-    hessian -= size * mean[:, :, None] * mean[:, None, :]
-    hessian -= energy[:, None, None] * part[:, :, None] * part[:, None, :]
-    return hessian, np.stack([mean, part], axis=1)
+    grey, along, down = np.moveaxis(pixels, 1, 0)[:, :, None]
+    shapes = shape_values(subset_offsets(radius_px), order)
+    parts = [slope * part for part in (shapes[:3], shapes[3:]) for slope in (along, down)]
+    steepest = np.concatenate(parts, axis=1)
+    removed = np.stack([steepest.mean(axis=2), (steepest @ grey.mT)[..., 0] / energy[:, None]], axis=1)
+    steepest -= removed[:, 0, :, None] + removed[:, 1, :, None] * grey
+    return steepest @ steepest.mT, removed
 
 
 def _invert(

@@ -17,7 +17,6 @@ MIN_INLIERS = 5  # three determine an affine map
 RANSAC_PX = 1.5  # precision of SIFT features with a margin
 ALONG_A_LINE = 1e-6  # determinant of normal equations over its bound, below which points lie on a line
 RATIO = 0.8  # of distances, by Lowe 2004
-CHUNK = 1000  # descriptors in one product of matrices
 SUPPORT = 8  # neighbours of a subset in a square grid
 LIKE_PEAK, LESS_PEAK, PEAK_PX = 0.8, 0.15, 3  # correlation of a copy, its difference to the best, radius of a peak
 
@@ -35,7 +34,13 @@ def match_features(left_image: Image, right_image: Image, most: int = FEATURES) 
     right_points, right_words = finder.detectAndCompute(_eight_bit(right_image), None)
     if min(len(left_points), len(right_points)) < 2:
         return np.empty((0, 2)), np.empty((0, 2))
-    pairs = _mutual_nearest(np.asarray(left_words, np.float32), np.asarray(right_words, np.float32))
+    matcher = cv2.BFMatcher(cv2.NORM_L2)
+    back = [match.trainIdx for match in matcher.match(right_words, left_words)]
+    pairs = [
+        (first.queryIdx, first.trainIdx)
+        for first, second in matcher.knnMatch(left_words, right_words, 2)
+        if first.distance < RATIO * second.distance and back[first.trainIdx] == first.queryIdx
+    ]
     left = np.array([left_points[first].pt for first, _ in pairs], dtype=np.float64).reshape(-1, 2)
     right = np.array([right_points[second].pt for _, second in pairs], dtype=np.float64).reshape(-1, 2)
     return left, right
@@ -193,32 +198,6 @@ def warp_of_affine(affine: FloatArray) -> FloatArray:
     """Return the warp [u,u_x,u_y,v,v_x,v_y] of the 2 x 3 affine map of coordinates."""
     (a, b, u), (c, d, v) = affine
     return np.array([u, a - 1.0, b, v, c, d - 1.0])
-
-
-def _mutual_nearest(left: NDArray[np.float32], right: NDArray[np.float32]) -> list[tuple[int, int]]:
-    """Return pairs of descriptors that are mutually nearest and pass the ratio test.
-
-    All squared distances |l|² − 2·l·r + |r|² of a part are computed at once, as one product of matrices.
-    """
-    squares = np.sum(right**2, axis=1, keepdims=True)
-    columns = np.hstack([-2 * right, np.ones_like(squares), squares]).T
-    every = np.arange(len(right))
-    least, back = np.full(len(right), np.inf), np.zeros(len(right), dtype=np.int64)
-    candidates: list[tuple[int, int]] = []
-    for start in range(0, len(left), CHUNK):
-        part = left[start : start + CHUNK]
-        squares = np.sum(part**2, axis=1, keepdims=True)
-        square = np.hstack([part, squares, np.ones_like(squares)]) @ columns
-        closer = np.argmin(square, axis=0)
-        found = square[closer, every]
-        better = found < least
-        least[better], back[better] = found[better], start + closer[better]
-        rows, nearest = np.arange(len(part)), np.argmin(square, axis=1)
-        first = square[rows, nearest]
-        square[rows, nearest] = np.inf
-        second = square.min(axis=1)
-        candidates += [(start + int(n), int(nearest[n])) for n in np.flatnonzero(first < RATIO**2 * second)]
-    return [pair for pair in candidates if back[pair[1]] == pair[0]]
 
 
 def _eight_bit(image: Image) -> NDArray[np.uint8]:

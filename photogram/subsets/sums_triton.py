@@ -7,23 +7,20 @@ writes every pixel's weights to memory. A square reads its pixels once, and the 
 from __future__ import annotations
 
 from math import isqrt
-from typing import TYPE_CHECKING
+from typing import Any
 
 import triton
 import triton.language as tl
 
 from photogram.bspline import PADDING_PX
-from photogram.subsets.icgn_torch import Pairs, Squares, TorchSplines, basis_polynomials
-
-if TYPE_CHECKING:
-    from torch import Tensor
+from shakercal._common.arrays import FloatArray
 
 BLOCK = 128  # pixels at a time: four warps
 
 
 @triton.jit
 def _weight(t, which: tl.constexpr, TAPS: tl.constexpr, BASIS: tl.constexpr):  # type: ignore[no-untyped-def]
-    """B-spline `which` at the offsets t in [0, 1): a row of `basis_polynomials`."""
+    """B-spline `which` at the offsets t in [0, 1): a row of the basis polynomials."""
     value = tl.zeros_like(t) + BASIS[(TAPS - 1) * TAPS + which]
     for k in tl.static_range(TAPS - 1):
         value = value * t + BASIS[(TAPS - 2 - k) * TAPS + which]
@@ -132,8 +129,13 @@ def _sums_of_square(  # type: ignore[no-untyped-def]
     tl.store(sums + 3 + SHAPES + which, tl.sum(steep, axis=1), mask=which < SHAPES)
 
 
-def square_sums(squares: Squares, frames: TorchSplines, pairs: Pairs, alive: Tensor, sums: Tensor) -> None:
-    """Write the sums of the pairs that are alive (n,) into sums (n, 3+2s)."""
+def square_sums(
+    squares: Any, frames: Any, pairs: tuple[Any, Any, Any], alive: Any, sums: Any, basis: FloatArray
+) -> None:
+    """Write the sums of the pairs that are alive (n,) into sums (n, 3+2s).
+
+    Arguments as of `icgn_torch.square_sums`, and the basis polynomials of the splines.
+    """
     if not len(sums):
         return
     _, height, width = frames.coefficients.shape
@@ -148,6 +150,6 @@ def square_sums(squares: Squares, frames: TorchSplines, pairs: Pairs, alive: Ten
         SHAPES=pairs[2].shape[1] // 2,
         LAYERS=squares.pixels.shape[1],
         TAPS=frames.degree + 1,
-        BASIS=tuple(basis_polynomials(frames.degree).ravel().tolist()),
+        BASIS=tuple(basis.ravel().tolist()),
         BLOCK=BLOCK,
     )

@@ -10,9 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from photogram.camera import StereoRig, epipolar_residual, triangulate
-from photogram.kernels import njit
 from photogram.subsets.search import score_peaks
 from shakercal._common.arrays import Arrays, BoolArray, FloatArray, IntArray
+from shakercal._common.kernels import njit
 from shakercal._common.propagation import derivatives
 
 Image = NDArray[Any]

@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from photogram.images.image_notices import UNRESOLVED_TEXTURE, UNUSED_SUBSETS
 from photogram.images.noise import NoiseModel
 from photogram.subsets.reference import ReferenceSubsets, TrackStatus
 from photogram.subsets.search import score_peaks
-from photogram.subsets.subset_notices import UNRESOLVED_TEXTURE, UNUSED_SUBSETS
 from shakercal._common.arrays import Arrays, BoolArray, FloatArray, check_shape
 from shakercal._common.notices import Notice
 

@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 from photogram.bspline import Spline, spline_of_image
 from photogram.camera import StereoRig, epipolar_residual
 from photogram.frame_statistics import RunningMean
-from photogram.images.exposure import missing_pattern_reason
-from photogram.images.sequence import GreyImage, ImageSequence
+from photogram.images.image_notices import LOST_SUBSETS, OFF_EPIPOLAR_LINES
+from photogram.images.sequence import GreyImage, ImageSequence, missing_pattern_reason
 from photogram.subsets.find import (
     BodyNotFound,
     DepthRange,
@@ -30,7 +30,6 @@ from photogram.subsets.find import (
 from photogram.subsets.icgn import Registration, TrackSettings, position_covariance, subset_noise, subset_positions
 from photogram.subsets.reference import ReferenceSubsets, TrackStatus, prepare_reference
 from photogram.subsets.search import HISTORY, LARGEST_COEFFICIENT, predict_warp
-from photogram.subsets.subset_notices import LOST_SUBSETS, OFF_EPIPOLAR_LINES
 from photogram.subsets.sweep import TOLERANCE_PX
 from photogram.subsets.texture import (
     aliasing_bias,
@@ -77,14 +76,14 @@ class Tracks(Arrays, shapes="position_px F N 2; covariance_px2 F N 2 2; zncc F N
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class StereoTracks(Arrays, shapes="cameras C; speckle_px C; noise_grey C; bias_px C"):
+class StereoTracks(Arrays, shapes="speckle_px C; noise_grey C; bias_px C"):
     """The same N subsets of one body in C cameras, with image properties.
 
     The only camera counts as the left one.
 
     Attributes
     ----------
-    cameras : the tracks in each camera.
+    cameras : the tracks in each camera, of all frames or of some; () for the properties alone.
     notices : of the cameras.
     speckle_px : (C,) speckle size.
     noise_grey : (C,) image noise in grey values.
@@ -100,6 +99,8 @@ class StereoTracks(Arrays, shapes="cameras C; speckle_px C; noise_grey C; bias_p
 
     def __post_init__(self) -> None:
         super().__post_init__()
+        if self.cameras:
+            check_shape("speckle_px", self.speckle_px, (len(self.cameras),))
         for other in self.cameras[1:]:
             check_shape("right.position_px", other.position_px, self.left.position_px.shape)
 
@@ -328,21 +329,7 @@ def stereo_tracks(
     monitor = EpipolarMonitor(rig)
     rejected = monitor.add((tracks[0].position_px, tracks[1].position_px), (tracks[0].status, tracks[1].status))
     summary = monitor.summarize(images, grid, settings, (tracks[0].noise_grey, tracks[1].noise_grey))
-    return summary.with_tracks(drop_rejected(tracks, rejected))
-
-
-@dataclass(frozen=True, eq=False, repr=False)
-class TrackSummary(Arrays, shapes="speckle_px C; noise_grey C; bias_px C"):
-    """Properties of the cameras and notices over all frames; see `StereoTracks`."""
-
-    notices: tuple[Notice, ...]
-    speckle_px: FloatArray
-    noise_grey: FloatArray
-    bias_px: FloatArray
-
-    def with_tracks(self, tracks: tuple[Tracks, ...]) -> StereoTracks:
-        """Return it with the tracks of all frames, or of some."""
-        return StereoTracks(tracks, self.notices, self.speckle_px, self.noise_grey, self.bias_px)
+    return replace(summary, cameras=drop_rejected(tracks, rejected))
 
 
 class EpipolarMonitor:
@@ -400,8 +387,8 @@ class EpipolarMonitor:
         grid: StereoGrid,
         settings: TrackSettings,
         noise_grey: tuple[FloatArray, ...],
-    ) -> TrackSummary:
-        """Return the properties of the cameras, whose subsets have the noise (N,).
+    ) -> StereoTracks:
+        """Return the properties of the cameras, whose subsets have the noise (N,), without their tracks.
 
         Raises `BodyNotFound` as `stereo_tracks` does.
         """
@@ -423,7 +410,7 @@ class EpipolarMonitor:
                 notices.append(Notice(LOST_SUBSETS, where, lost_percent=100 * lost / counts.sum(), status=why))
             levels.append(noise)
             biases.append(bias.mean_px)
-        return TrackSummary(tuple(notices), np.array(speckle), np.array(levels), np.array(biases))
+        return StereoTracks((), tuple(notices), np.array(speckle), np.array(levels), np.array(biases))
 
     def _refuse_copies(self, image: Image, settings: TrackSettings) -> None:
         """Raise `BodyNotFound` where all subsets leave their epipolar lines and the pattern repeats.

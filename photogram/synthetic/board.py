@@ -15,9 +15,9 @@ import numpy as np
 
 from photogram.camera import Camera, StereoRig, distort, undistort
 from photogram.geometry import RigidTransform, rotation_from_vector
-from photogram.kernels import njit
 from photogram.targets.target_view import Target, TargetView
 from shakercal._common.arrays import FloatArray, IntArray
+from shakercal._common.kernels import njit
 
 _FAR = 4.5  # distance in σ of the blur beyond which an edge has no effect
 _NODE = math.sqrt(0.6)  # Gauss-Legendre points of degree 5 on (−1, 1), weights 5/18, 8/18, 5/18 of the mean

@@ -13,8 +13,8 @@ from scipy import ndimage
 
 from photogram.camera import Camera, StereoRig
 from photogram.geometry import RigidTransform, rotation_from_vector
-from photogram.kernels import njit
 from shakercal._common.arrays import Arrays, FloatArray
+from shakercal._common.kernels import njit
 from shakercal._common.propagation import derivatives
 
 _CELL = 1.15  # spacing of the speckle grid in speckle diameters: dots cover about half of the face

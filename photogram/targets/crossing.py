@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from photogram.images.noise import QUANTISATION, NoiseModel
-from photogram.kernels import njit
 from shakercal._common.arrays import Arrays, BoolArray, FloatArray, IntArray, check_shape
+from shakercal._common.kernels import njit
 
 PARAMETERS = 10  # centre x, y, angles of both edges' normals, mean, half contrast, relative slope x, y, blur of both
 GOOD, OUTSIDE, SATURATED, NO_CROSSING, FAINT = 0, 1, 2, 3, 4

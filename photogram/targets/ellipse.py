@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from photogram.kernels import njit
 from photogram.targets.crossing import cholesky, solve
 from shakercal._common.arrays import Arrays, BoolArray, FloatArray, check_shape
+from shakercal._common.kernels import njit
 
 MIN_AREA_PX = 20  # pixels of a dot with a measurable ellipse
 BORDER_PX = 3  # margin of the image without dots

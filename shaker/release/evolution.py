@@ -1,20 +1,17 @@
 """Differential evolution, rand/1/bin, of all members at once.
 
-After Storn and Price, J. Global Optim. 11 (1997) 341. Importing this module imports numba, which compiles
-`output_errors`.
+After Storn and Price, J. Global Optim. 11 (1997) 341.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from contextlib import suppress
 from typing import Any
 
-import numba
 import numpy as np
-from numba.core.caching import FunctionCache
 
 from shakercal._common.arrays import FloatArray
+from shakercal._common.kernels import njit
 
 MUTATION, CROSSOVER = 0.8, 0.7  # the published settings
 HUGE = 1e100  # loss above which a model has grown without bound
@@ -58,28 +55,7 @@ def evolve(
     return np.asarray(end.x), tuple(path)
 
 
-def _compiled(function: Callable[..., Any]) -> Callable[..., Any]:
-    """Compile a function and cache it if a cache folder exists."""
-
-    class TolerantCache(FunctionCache):  # type: ignore[misc]
-        """A cache that ignores damaged entries and failed writes."""
-
-        def load_overload(self, *key: Any) -> Any:
-            with suppress(Exception):  # a damaged pickle may raise anything
-                return super().load_overload(*key)
-
-        def save_overload(self, *entry: Any) -> None:
-            with suppress(Exception):
-                super().save_overload(*entry)
-
-    kernel = numba.njit(nogil=True)(function)
-    with suppress(RuntimeError, OSError):  # no cache folder
-        kernel._cache = TolerantCache(function)
-    compiled: Callable[..., Any] = kernel
-    return compiled
-
-
-@_compiled
+@njit()
 def output_errors(
     members: FloatArray, most: FloatArray, load: FloatArray, output: FloatArray, before: float
 ) -> FloatArray:

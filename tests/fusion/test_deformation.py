@@ -17,7 +17,7 @@ from fusion.recording.rig import Elastic
 from fusion.sensitivity.mode_shapes import elastic_part, mode_shapes, stated_modes
 from fusion.sensitivity.moving_body import Body, with_measured_modes
 from fusion.sensitivity.sensitivity_notices import MODES_CONTRADICT
-from photogram.direct.shapes import PlainShapes, ShapeAmplitudes
+from photogram.direct.surface import PlainShapes, ShapeAmplitudes
 from shaker.sine.phasor import Phasors
 
 SHAPES = PlainShapes(np.zeros(3), np.eye(3), 0.05)

@@ -162,7 +162,7 @@ def test_a_run_that_ended_behind_its_first_block_goes_on_to_the_same_bits(tmp_pa
         )
         missing = found.missing()
         for frames in missing:
-            found.add(frames, follow.follow_block(found.scene, frames))
+            found.add(frames, body.follow_block(found.scene, frames))
             if len(missing) == 2:
                 raise KeyboardInterrupt
         return found, len(missing)

@@ -24,8 +24,7 @@ from fusion.report.recording_report import render_report
 from fusion.sensitivity.recording_evaluation import evaluate_recording
 from fusion.simulate import simulate
 from photogram.camera import Camera, FaceCamera, locate
-from photogram.direct.shapes import PlainShapes
-from photogram.direct.surface import PlacedCamera, motion_from_positions, project_body_points
+from photogram.direct.surface import PlacedCamera, PlainShapes, motion_from_positions, project_body_points
 from photogram.geometry import RigidTransform, rotation_from_vector
 from photogram.motion import RigidMotion
 from shaker.sine.phasor import Phasors

@@ -34,7 +34,7 @@ from fusion.report.atomic_files import remove_abandoned
 from fusion.report.recording_report import result_tables
 from fusion.sensitivity.analyse import Evaluation
 from fusion.simulate import simulate
-from photogram.measure.follow import follow_block
+from photogram.measure.body import follow_block
 
 
 @pytest.fixture(scope="module")
@@ -191,7 +191,7 @@ def test_threads_give_the_tables_of_one(demo_recording, serial_demo, tmp_path, m
         return follow_block(*arguments)
 
     monkeypatch.setattr("fusion.base.usable_cores", lambda: 3)
-    monkeypatch.setattr("photogram.measure.follow.follow_block", noted)
+    monkeypatch.setattr("photogram.measure.body.follow_block", noted)
     assert _demo_tables(demo_recording, tmp_path) == serial_demo
     assert len(seen) == 2
 

@@ -15,8 +15,8 @@ from contracts import refused
 
 from photogram.images.image_files import open_sequence, read_image
 from photogram.images.image_notices import ORIENTATION_NOT_APPLIED
-from photogram.images.orientation import read_orientations, tag_notices
 from photogram.images.sequence import find_copied_frames
+from photogram.images.tiff import read_orientations, tag_notices
 
 RNG = np.random.default_rng(8)
 GREY = RNG.integers(0, 1000, (12, 18), dtype=np.uint16)

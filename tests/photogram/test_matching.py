@@ -123,8 +123,8 @@ def test_many_copies_in_view_are_neither_mixed_nor_taken_for_each_other():
 )
 def test_steep_pairs_and_tilted_faces(angle_deg, tilt_deg, share):
     pair = Pair(turned(face(ENDS_IN_VIEW, 6), tilt_deg), angle_deg)
-    points = pair.matched(1).left_px
-    error = pair.matched(1).right_px - pair.right(points)
+    grid = pair.matched(1)
+    points, error = grid.left_px, grid.right_px - pair.right(grid.left_px)
     assert np.sqrt(np.mean(error**2)) < 0.04
     free = lay_stereo_grid(*pair.images(1), None, TrackSettings())
     assert len(points) >= share * len(free.left_px)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from photogram.images.numbering import numbers_of_names, numbers_of_times
+from photogram.images.sequence import numbers_of_names, numbers_of_times
 
 EIGHT = list(range(8))
 LACK = [0, 1, 3, 4, 5, 6]

@@ -12,17 +12,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter
+from speckle import spline_frames
 
 from photogram.bspline import spline_of_image
+from photogram.lanes import basis_polynomials
 from photogram.subsets import icgn_torch as engine
 from photogram.subsets.icgn import Registration, TrackSettings, noise_of_residual, position_covariance, register
-from photogram.subsets.icgn_torch import (
-    TorchSplines,
-    basis_polynomials,
-    register_frames,
-    spline_frames,
-    torch_reference,
-)
+from photogram.subsets.icgn_torch import TorchSplines, register_frames, torch_reference
 from photogram.subsets.reference import (
     PARAMETERS,
     ReferenceSubsets,
@@ -339,7 +335,7 @@ def test_prefilter_takes_every_kind_of_grey_value(kind):
 
 def test_importing_the_package_does_not_import_torch():
     """Torch takes seconds to import, also for those who track on the CPU."""
-    ask = "import sys, photogram.subsets.icgn_torch, photogram.subsets.track; print('torch' in sys.modules)"
+    ask = "import sys, photogram.measure.body, photogram.measure.exposure_motion; print('torch' in sys.modules)"
     answer = subprocess.run([sys.executable, "-c", ask], capture_output=True, text=True, check=True)
     assert answer.stdout.strip() == "False"
 
@@ -435,8 +431,6 @@ def test_wrong_calls_are_refused(noisy_frames, prepared):
     assert frames.size_px == SIZE
     batched = torch_reference(prepared, "cpu")
     refused("^start: ", register_frames, batched, frames, REST[:3], SETTINGS)
-    refused("^images: ", spline_frames, noisy_frames[0], 5, "cpu")
-    refused("^images: .*8 x 8 px", spline_frames, noisy_frames[:, :5], 5, "cpu")
     refused("^degree: .*3, 5 or 7, .*4", spline_frames, noisy_frames, 4, "cpu")
     refused("^degree: .*3, 5 or 7, .*4", TorchSplines, frames.coefficients, 4)
     refused("^coefficients: ", TorchSplines, frames.coefficients[0], 5)

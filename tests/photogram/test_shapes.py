@@ -6,16 +6,14 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
-from speckle import SENSOR, camera, face, two_poses
+from speckle import SENSOR, camera, face, spline_frames, two_poses
 
 from photogram.bspline import spline_of_image
 from photogram.direct.direct_fit import BodyView, DirectFit, fit_direct, rigid_share, view_body
 from photogram.direct.fit_torch import fit_frames, torch_view
-from photogram.direct.shapes import PlainShapes
-from photogram.direct.surface import PlacedCamera
+from photogram.direct.surface import PlacedCamera, PlainShapes
 from photogram.geometry import RigidTransform
 from photogram.images.noise import NoiseModel
-from photogram.subsets.icgn_torch import spline_frames
 from photogram.subsets.texture import textured_area
 from photogram.synthetic.scene import bend_view, motion_bound, render, view_of
 

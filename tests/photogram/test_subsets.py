@@ -10,6 +10,7 @@ from speckle import sequence
 from photogram.bspline import spline_of_image
 from photogram.camera import Camera, StereoRig
 from photogram.geometry import RigidTransform
+from photogram.images.image_notices import UNRESOLVED_TEXTURE, UNUSED_SUBSETS
 from photogram.images.noise import NoiseModel
 from photogram.subsets.icgn import TrackSettings, register
 from photogram.subsets.reference import TrackStatus, prepare_reference
@@ -21,7 +22,6 @@ from photogram.subsets.search import (
     template_shifts,
     warp_of_affine,
 )
-from photogram.subsets.subset_notices import UNRESOLVED_TEXTURE, UNUSED_SUBSETS
 from photogram.subsets.texture import (
     REASONS,
     aliasing_bias,
@@ -147,11 +147,11 @@ def test_predicted_sigma_is_the_scatter_of_tracking():
     start[:, 0] = 0.4
     found = [
         register(reference, spline_of_image(SENSOR.digitise(moved, rng)), start, TrackSettings()).warp[:, [0, 3]]
-        for _ in range(150)
+        for _ in range(60)
     ]
     scatter = np.std(found, axis=0, ddof=1)
     np.testing.assert_allclose(np.sqrt(np.mean((scatter / quality.predicted_sigma_px) ** 2, axis=0)), 1.0, atol=0.1)
-    np.testing.assert_allclose(scatter / quality.predicted_sigma_px, 1.0, atol=0.3)
+    np.testing.assert_allclose(scatter / quality.predicted_sigma_px, 1.0, atol=0.4)
 
 
 def test_unusable_subsets_are_distinguished_and_counted():

@@ -42,8 +42,7 @@ from fusion.recording.manifest import ChannelEntry, Daq
 from fusion.recording.placement import main_direction
 from fusion.recording.transducer import TRANSDUCERS
 from photogram.camera import StereoRig, epipolar_residual, triangulate
-from photogram.images.exposure import clip_level, missing_pattern_reason
-from photogram.images.sequence import GreyImage, ImageSequence
+from photogram.images.sequence import GreyImage, ImageSequence, clip_level, missing_pattern_reason
 from photogram.subsets.search import match_features
 from photogram.subsets.texture import (
     place_subsets,

@@ -194,9 +194,8 @@ def _in_xml(stated: Polar, inputs: Inputs) -> dict[str, float]:
 
     from fusion.campaign.recording_results import SensorFacts
     from fusion.sensor.certificate.certificate_evaluation import Certificate, CertifiedElement, CertifiedValue
-    from fusion.sensor.certificate.certificate_form import Form
-    from fusion.sensor.certificate.certificate_xml import DCC, SI, certificate_xml
-    from fusion.sensor.certificate.certified_numbers import CertifiedNumber, NumberList
+    from fusion.sensor.certificate.certificate_inputs import CertifiedNumber, Form, NumberList
+    from fusion.sensor.certificate.certificate_report import DCC, SI, certificate_xml
 
     k, mass = stated.k, inputs["mass"]
     value = CertifiedValue(

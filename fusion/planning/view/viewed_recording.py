@@ -25,7 +25,7 @@ from fusion.report.folder import RESULT_FILE
 from fusion.report.h5 import open_results
 from fusion.report.labelled_results import CAMPAIGN_FILE, read_results
 from fusion.report.motion_figures import neighbour_distance
-from fusion.report.points import HEAD
+from fusion.report.recording_report import POINT_COLUMNS
 from photogram.camera import Rig, StereoRig
 from photogram.geometry import rotation_from_vector
 from photogram.images.image_files import open_sequence
@@ -359,7 +359,7 @@ class SubsetResults:
         if self.table.is_file():
             found = np.full((len(self.time_s), len(self.reference_m), 3), np.nan)
             finite = np.flatnonzero(np.isfinite(self.reference_m).all(axis=1))
-            columns = [HEAD.index(name) for name in ("frame", "point", *(f"rest_{axis}_m" for axis in AXES))]
+            columns = [POINT_COLUMNS.index(name) for name in ("frame", "point", *(f"rest_{axis}_m" for axis in AXES))]
             with warnings.catch_warnings():
                 warnings.simplefilter("ignore", UserWarning)  # an empty table
                 rows = np.loadtxt(self.table, delimiter=",", skiprows=1, usecols=columns, ndmin=2)
