@@ -9,8 +9,8 @@ from typing import Any, Literal
 
 import numpy as np
 
-from photogram.calibration.adjust import RigPrior
-from photogram.calibration.bundle import Bundle, ImageObservations, ShapeKind, make_shape, step_poses
+from photogram.calibration.adjust import RigPrior, refine_pose, residuals
+from photogram.calibration.bundle import Bundle, ImageObservations, ShapeKind, make_shape
 from photogram.calibration.calibration_result import Rejection, check_view_angles
 from photogram.camera import LEFT, RIGHT, ROTATION, TRANSLATION, Camera, StereoRig
 from photogram.geometry import RigidTransform
@@ -114,8 +114,6 @@ def renumber_points(view: TargetView, turn: IntArray, shift: FloatArray) -> Targ
 
 # Pose of a target from views of a calibrated pair.
 
-_STEPS = 30  # limit of the Gauss–Newton steps; some five are usual
-_CONVERGED = 1e-9  # expected decrease of the sum of squares that ends the iteration
 _WORST_PX = 3.0  # largest rms of points in one pose of the target
 
 
@@ -173,9 +171,8 @@ def _posed(
     pose, covariance, squares = min(fits, key=lambda fit: fit[2])
     if not np.isfinite(squares):
         return pose, covariance, np.inf
-    bundle = Bundle(rig, (pose,), shape)
-    residuals = [image.position_px - bundle.model_pixels(image).pixel for image in images]
-    return pose, covariance, float(np.sqrt((np.concatenate(residuals) ** 2).sum(axis=1).mean()))
+    off = np.concatenate(residuals(Bundle(rig, (pose,), shape), images))
+    return pose, covariance, float(np.sqrt((off**2).sum(axis=1).mean()))
 
 
 def image_observations(
@@ -192,30 +189,6 @@ def _opencv_poses(turns: Sequence[Any], shifts: Sequence[Any]) -> list[RigidTran
     """Return poses from OpenCV's rotation vectors and translations."""
     poses = [np.concatenate([np.ravel(shift), np.ravel(turn)]) for turn, shift in zip(turns, shifts, strict=True)]
     return [RigidTransform.from_pose(pose.astype(np.float64)) for pose in poses]
-
-
-def refine_pose(bundle: Bundle, images: list[ImageObservations]) -> tuple[RigidTransform, FloatArray, float]:
-    """Return the pose after Gauss–Newton, its covariance and the sum of squares.
-
-    The sum is infinite if the iteration diverges.
-    """
-    for _ in range(_STEPS):
-        normal, side, squares = np.zeros((6, 6)), np.zeros(6), 0.0
-        for image in images:
-            seen = bundle.model_pixels(image)
-            residual = image.position_px - seen.pixel
-            weighted = image.precision @ seen.by_pose
-            normal += np.einsum("nki,nkj->ij", seen.by_pose, weighted)
-            side += np.einsum("nki,nk->i", weighted, residual)
-            squares += float(np.einsum("ni,nij,nj->", residual, image.precision, residual))
-        if not np.isfinite(squares):
-            break
-        step = np.asarray(np.linalg.solve(normal, side), dtype=np.float64)
-        middle = bundle.shape.flat_m.mean(axis=0)
-        bundle = replace(bundle, poses=step_poses(middle, bundle.poses, step[None], np.zeros(2)))
-        if side @ step < _CONVERGED:
-            return bundle.poses[0], np.asarray(np.linalg.inv(normal), dtype=np.float64), squares
-    return bundle.poses[0], np.full((6, 6), np.nan), np.inf
 
 
 # Start of the bundle adjustment: each camera by OpenCV, the relative pose by agreement of the views.

@@ -9,7 +9,17 @@ from typing import Literal
 
 import numpy as np
 
-from photogram.calibration.adjust import AdjustedBundle, RigPrior, adjust, residuals
+from photogram.calibration.adjust import (
+    AdjustedBundle,
+    LeaveOneOut,
+    RigPrior,
+    adjust,
+    drift_uncertainty,
+    leave_views_out,
+    residuals,
+    split_half,
+    stated_covariance,
+)
 from photogram.calibration.bundle import DRIFT_SPREAD, Bundle, FocalDrift, ImageObservations, ShapeKind
 from photogram.calibration.calibration_result import (
     AlternativeModel,
@@ -24,13 +34,6 @@ from photogram.calibration.calibration_result import (
     session_notices,
 )
 from photogram.calibration.initial_bundle import LensKind, ViewPair, image_observations, lens_prior, start_bundle
-from photogram.calibration.leave_one_out import (
-    LeaveOneOut,
-    drift_uncertainty,
-    leave_views_out,
-    split_half,
-    stated_covariance,
-)
 from photogram.camera import LEFT, RIGHT, TRANSLATION, StereoRig
 from photogram.targets.target_view import Target, TargetView
 from shakercal._common.arrays import BoolArray, FloatArray

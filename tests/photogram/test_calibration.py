@@ -16,7 +16,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from photogram.alignment.alignment_evidence import measure_target_pose
-from photogram.calibration.adjust import adjust
+from photogram.calibration.adjust import adjust, leave_views_out, predict_view
 from photogram.calibration.bundle import FocalDrift, ellipse_centres, make_shape, model_pixels
 from photogram.calibration.calibration_file import read_calibration, read_camera, write_calibration, write_camera
 from photogram.calibration.calibration_notices import (
@@ -29,7 +29,6 @@ from photogram.calibration.calibration_notices import (
 )
 from photogram.calibration.calibration_result import Calibration
 from photogram.calibration.initial_bundle import estimate_target_pose, image_observations, lens_prior, start_bundle
-from photogram.calibration.leave_one_out import leave_views_out, predict_view
 from photogram.calibration.scale import KnownLength, scale_to_length
 from photogram.calibration.session import calibrate_pair
 from photogram.camera import CAMERA_PARAMETERS, LEFT, RIG_PARAMETERS, RIGHT, Camera, StereoRig, triangulate
