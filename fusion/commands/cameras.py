@@ -47,7 +47,7 @@ def cameras(options: argparse.Namespace) -> None:
     from fusion.commands.command_notices import INVALID_OPTION, LENGTH_UNIT_REQUIRED
     from fusion.errors import InputError
     from fusion.report.terminal import progress_bar
-    from photogram.calibration.scale import KnownLength
+    from photogram.calibration.calibration_result import KnownLength
     from photogram.targets.target_view import Target
 
     try:

@@ -41,9 +41,8 @@ from photogram.alignment.alignment_evidence import (
     perpendicular_directions,
     triangulate_points,
 )
-from photogram.alignment.alignment_notices import CONTRADICTORY_EVIDENCE
-from photogram.alignment.motion_axes import fit_axis, linear_motion
-from photogram.alignment.pose_estimation import Alignment, UndeterminedPose, align
+from photogram.alignment.pose_estimation import Alignment, UndeterminedPose, align, fit_axis, linear_motion
+from photogram.calibration.calibration_notices import CONTRADICTORY_EVIDENCE
 from photogram.calibration.initial_bundle import estimate_target_pose as find_pose
 from photogram.camera import LEFT, StereoRig
 from photogram.geometry import RigidTransform, displacement_jacobian, rotation_from_vector, skew, vector_from_rotation

@@ -27,9 +27,8 @@ from photogram.calibration.calibration_notices import (
     MODEL_DIFFERENCE,
     TARGET_DEVIATION,
 )
-from photogram.calibration.calibration_result import Calibration
+from photogram.calibration.calibration_result import Calibration, KnownLength, scale_to_length
 from photogram.calibration.initial_bundle import estimate_target_pose, image_observations, lens_prior, start_bundle
-from photogram.calibration.scale import KnownLength, scale_to_length
 from photogram.calibration.session import calibrate_pair
 from photogram.camera import CAMERA_PARAMETERS, LEFT, RIG_PARAMETERS, RIGHT, Camera, StereoRig, triangulate
 from photogram.geometry import RigidTransform, rotation_from_vector, skew, vector_from_rotation

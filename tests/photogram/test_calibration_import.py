@@ -16,9 +16,7 @@ from scipy.io import savemat
 from scipy.spatial.transform import Rotation
 
 from photogram.calibration.calibration_file import read_calibration, write_calibration
-from photogram.calibration.exchange.calibration_export import export_calibration
-from photogram.calibration.exchange.calibration_import import import_calibration
-from photogram.calibration.exchange.exchange_notices import (
+from photogram.calibration.calibration_notices import (
     APPROXIMATED_CAMERA,
     CENTRE_FAR_FROM_MIDDLE,
     CENTRE_OUTSIDE_IMAGE,
@@ -29,6 +27,7 @@ from photogram.calibration.exchange.exchange_notices import (
     UNUSED_COEFFICIENTS,
     UNUSUAL_DISTANCE,
 )
+from photogram.calibration.exchange.exchange_files import export_calibration, import_calibration
 from photogram.calibration.exchange.lens import ImportedCalibration, pixel_grid
 from photogram.camera import Camera, StereoRig
 from photogram.geometry import RigidTransform, skew

@@ -25,8 +25,7 @@ from scipy.io import savemat
 from scipy.spatial.transform import Rotation
 
 from photogram.calibration.calibration_file import read_calibration, read_camera, write_calibration
-from photogram.calibration.exchange.calibration_export import export_calibration
-from photogram.calibration.exchange.calibration_import import import_calibration
+from photogram.calibration.exchange.exchange_files import export_calibration, import_calibration
 from photogram.calibration.exchange.lens import LengthUnit
 from photogram.camera import Camera, StereoRig
 from photogram.geometry import RigidTransform

@@ -26,7 +26,8 @@ from photogram.targets.chessboard import corner_view, find_chessboard, lattice_b
 from photogram.targets.crossing import NO_CROSSING, OUTSIDE, REASONS, SATURATED, CameraResponse, refine_corners
 from photogram.targets.dots import find_dots
 from photogram.targets.ellipse import FittedEllipses, fit_ellipses
-from photogram.targets.target_view import Target, TargetNotFound, TargetView, estimate_image_noise, find_target
+from photogram.targets.find_target import find_target
+from photogram.targets.target_view import Target, TargetNotFound, TargetView, estimate_image_noise
 from shakercal._common.arrays import FloatArray
 
 slow = partial(pytest.param, marks=pytest.mark.slow)

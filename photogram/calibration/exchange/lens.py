@@ -9,7 +9,7 @@ from typing import Any, Literal
 import numpy as np
 
 from photogram.calibration.calibration_file import LARGEST, check_plausible
-from photogram.calibration.exchange.exchange_notices import (
+from photogram.calibration.calibration_notices import (
     APPROXIMATED_CAMERA,
     CAMERA_GEOMETRY,
     CENTRE_FAR_FROM_MIDDLE,
