@@ -28,12 +28,12 @@ _FARTHEST = 0.35  # of a square's side, between a corner and its start
 
 
 @njit(error_model="numpy")
-def cholesky(matrix: FloatArray, factor: FloatArray) -> bool:
-    """Fill the lower factor of a symmetric matrix (P,P); return whether it is positive definite."""
+def cholesky(matrix: FloatArray, damping: float, factor: FloatArray) -> bool:
+    """Fill the lower factor of a matrix (P,P) whose diagonal is raised by a share; return whether there is one."""
     size = matrix.shape[0]
     for i in range(size):
         for j in range(i + 1):
-            total = matrix[i, j]
+            total = matrix[i, j] * (1.0 + damping) if i == j else matrix[i, j]
             for k in range(j):
                 total -= factor[i, k] * factor[j, k]
             if i == j:
@@ -222,32 +222,30 @@ def _fit(image, pixels, bend, response, weight, tolerance, p, inverse):  # type:
     It ends with a step of the centre below `tolerance` px. Fills inverse (2, 10), the centre's rows of the inverse of
     the normal matrix.
     """
-    matrix, factor = np.empty((PARAMETERS, PARAMETERS)), np.zeros((PARAMETERS, PARAMETERS))
-    damped, vector = np.empty_like(matrix), np.empty(PARAMETERS)
-    tried, step = np.empty(PARAMETERS), np.empty(PARAMETERS)
-    cost = _normal_equations(image, pixels, p, bend, response, weight, matrix, vector)
-    damping, converged = 1e-2, False
-    for _ in range(_ROUNDS):
-        damped[:] = matrix
-        for i in range(PARAMETERS):
-            damped[i, i] *= 1.0 + damping
-        if not cholesky(damped, factor):
-            return math.nan
-        step[:] = vector
-        solve(factor, step)
-        tried[:] = p + step
-        tried[8], tried[9] = max(tried[8], _SHARPEST_PX), max(tried[9], _SHARPEST_PX)
-        new_cost = _normal_equations(image, pixels, tried, bend, response, weight, matrix, vector)
-        converged = damping < 1.0 and abs(step[0]) + abs(step[1]) < tolerance
-        if new_cost <= cost or converged:
+    matrix, tried_matrix = np.empty((PARAMETERS, PARAMETERS)), np.empty((PARAMETERS, PARAMETERS))
+    factor, vector, tried_vector = np.zeros_like(matrix), np.empty(PARAMETERS), np.empty(PARAMETERS)
+    step, tried = np.empty(PARAMETERS), np.empty(PARAMETERS)
+    tried[:] = p
+    cost, damping, converged = math.inf, 1e-1, False
+    for k in range(_ROUNDS + 1):
+        new_cost = _normal_equations(image, pixels, tried, bend, response, weight, tried_matrix, tried_vector)
+        if new_cost <= cost or converged or k == 0:
             p[:] = tried
+            matrix, tried_matrix, vector, tried_vector = tried_matrix, matrix, tried_vector, vector
             cost, damping = new_cost, damping * 0.1
         else:
-            _normal_equations(image, pixels, p, bend, response, weight, matrix, vector)
             damping = max(damping * 10.0, 1e-6)
         if converged or damping > 1e6:
             break
-    if not converged or not cholesky(matrix, factor):
+        if not cholesky(matrix, damping, factor):
+            return math.nan
+        step[:] = vector
+        solve(factor, step)
+        for i in range(PARAMETERS):  # an array's sum would take seconds to compile
+            tried[i] = p[i] + step[i]
+        tried[8], tried[9] = max(tried[8], _SHARPEST_PX), max(tried[9], _SHARPEST_PX)
+        converged = damping < 1.0 and abs(step[0]) + abs(step[1]) < tolerance
+    if not converged or not cholesky(matrix, 0.0, factor):
         return math.nan
     for i in range(2):
         inverse[i] = 0.0
@@ -357,15 +355,18 @@ def fit_crossings(image, corners, response, fitted, lags):  # type: ignore[no-un
         out[FULL], out[STATUS], cost = full / count, NO_CROSSING, 0.0
         if not has_start:
             _start(image, buffer[:count], start[n], axes[n], p)
-            _weigh(buffer[:count], taper, p, bend[n], response, weight)
-            cost = _fit(image, buffer[:count], bend[n], response, weight, _CENTRED_PX, p, inverse)
-        if not (cost >= 0.0 and math.hypot(p[0] - start[n, 0], p[1] - start[n, 1]) < _FARTHEST * shorter):
-            continue
-        recount = _window(image, p[:2].copy(), axes[n], size, buffer, taper)
-        count = recount if recount > 0 else _window(image, start[n], axes[n], size, buffer, taper)
-        pixels = buffer[:count]
-        _weigh(pixels, taper, p, bend[n], response, weight)
-        cost = _fit(image, pixels, bend[n], response, weight, _CONVERGED_PX, p, inverse)
+        for tolerance in (_CENTRED_PX, _CONVERGED_PX):
+            if tolerance == _CONVERGED_PX:
+                if not (cost >= 0.0 and math.hypot(p[0] - start[n, 0], p[1] - start[n, 1]) < _FARTHEST * shorter):
+                    cost = math.nan
+                    break
+                recount = _window(image, p[:2].copy(), axes[n], size, buffer, taper)
+                count = recount if recount > 0 else _window(image, start[n], axes[n], size, buffer, taper)
+            elif has_start:
+                continue
+            pixels = buffer[:count]
+            _weigh(pixels, taper, p, bend[n], response, weight)
+            cost = _fit(image, pixels, bend[n], response, weight, tolerance, p, inverse)
         if not cost >= 0.0:
             continue
         _, _, wide, high = _box(pixels)

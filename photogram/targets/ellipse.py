@@ -347,16 +347,14 @@ def _inner_product(first, second):  # type: ignore[no-untyped-def]
 
 
 @njit()
-def _normal_equations(residual, jacobian, matrix, vector):  # type: ignore[no-untyped-def]
-    """Fill scaled J·Jᵀ and J·r, with a unit diagonal; return the scale (10,)."""
-    scale = np.empty(PARAMETER_COUNT)
+def _normal_equations(residual, jacobian, matrix, vector, scale):  # type: ignore[no-untyped-def]
+    """Fill scaled J·Jᵀ and J·r, with a unit diagonal, and the scale (10,)."""
     for i in range(PARAMETER_COUNT):
         scale[i] = math.sqrt(max(_inner_product(jacobian[i], jacobian[i]), 1e-300))
         vector[i] = _inner_product(jacobian[i], residual) / scale[i]
         for j in range(i + 1):
             matrix[i, j] = _inner_product(jacobian[i], jacobian[j]) / (scale[i] * scale[j])
             matrix[j, i] = matrix[i, j]
-    return scale
 
 
 @njit()
@@ -365,41 +363,39 @@ def _levenberg_marquardt(pixels, parameters, tolerance_px):  # type: ignore[no-u
     count = pixels[0].shape[1]
     if count <= PARAMETER_COUNT:
         return False
-    residual, trial_residual, edge_slope = np.empty(count), np.empty(count), np.empty(count)
-    jacobian, trial_jacobian = np.empty((PARAMETER_COUNT, count)), np.empty((PARAMETER_COUNT, count))
+    residual, edge_slope, jacobian = np.empty(count), np.empty(count), np.empty((PARAMETER_COUNT, count))
     matrix, lower = np.empty((PARAMETER_COUNT, PARAMETER_COUNT)), np.zeros((PARAMETER_COUNT, PARAMETER_COUNT))
-    vector = np.empty(PARAMETER_COUNT)
-    _linearise(pixels, parameters, residual, jacobian, edge_slope)
-    squares = _inner_product(residual, residual)
-    scale = _normal_equations(residual, jacobian, matrix, vector)
-    damping = START_DAMPING
-    for _ in range(MAX_STEPS):
-        if not cholesky(matrix + damping * np.eye(PARAMETER_COUNT), lower):
-            damping *= 10.0
-            continue
-        step = vector.copy()
-        solve(lower, step)
-        step /= scale
-        trial = parameters + step
-        small = max(abs(step[0]), abs(step[1]), abs(step[5])) < tolerance_px
+    vector, scale, step = np.empty(PARAMETER_COUNT), np.empty(PARAMETER_COUNT), np.empty(PARAMETER_COUNT)
+    trial = parameters.copy()
+    squares, damping, small = math.inf, 10.0 * START_DAMPING, False
+    for k in range(MAX_STEPS + 1):
         a, c, determinant = trial[2], trial[4], trial[2] * trial[4] - trial[3] * trial[3]
         area = 1.0 / math.sqrt(determinant) if determinant > 0.0 and a > 0.0 and c > 0.0 else 0.0
-        if not (1.0 < area < 1e7 and trial[5] > 0.05 and trial[5] ** 2 < area):  # no ellipse, or blur beyond its size
-            damping *= 10.0
-            continue
-        _linearise(pixels, trial, trial_residual, trial_jacobian, edge_slope)
-        trial_squares = _inner_product(trial_residual, trial_residual)
-        if trial_squares <= squares:
+        # no ellipse, or a blur beyond its size, is worse than any
+        possible = k == 0 or (1.0 < area < 1e7 and trial[5] > 0.05 and trial[5] ** 2 < area)
+        trial_squares = math.inf
+        if possible:
+            _linearise(pixels, trial, residual, jacobian, edge_slope)
+            trial_squares = _inner_product(residual, residual)
+        if possible and (trial_squares <= squares or k == 0):
             parameters[:] = trial
             if small:
                 return True
             squares, damping = trial_squares, 0.1 * damping
-            residual, trial_residual, jacobian, trial_jacobian = trial_residual, residual, trial_jacobian, jacobian
-            scale = _normal_equations(residual, jacobian, matrix, vector)
-        elif small:
+            _normal_equations(residual, jacobian, matrix, vector, scale)
+        elif possible and small:
             return True
         else:
             damping *= 10.0
+        trial[2] = math.nan
+        small = cholesky(matrix, damping, lower)
+        if small:
+            step[:] = vector
+            solve(lower, step)
+            for i in range(PARAMETER_COUNT):
+                step[i] /= scale[i]
+                trial[i] = parameters[i] + step[i]
+            small = max(abs(step[0]), abs(step[1]), abs(step[5])) < tolerance_px
     return False
 
 
@@ -410,11 +406,11 @@ def _assess_fit(pixels, parameters, quality):  # type: ignore[no-untyped-def]
     count = values.shape[1]
     residual, edge_slope, jacobian = np.empty(count), np.empty(count), np.empty((PARAMETER_COUNT, count))
     matrix, vector = np.empty((PARAMETER_COUNT, PARAMETER_COUNT)), np.empty(PARAMETER_COUNT)
+    scale, pull = np.empty(PARAMETER_COUNT), np.empty(PARAMETER_COUNT)
     _linearise(pixels, parameters, residual, jacobian, edge_slope)
-    scale = _normal_equations(residual, jacobian, matrix, vector)
+    _normal_equations(residual, jacobian, matrix, vector, scale)
     lower, inverse = np.zeros((PARAMETER_COUNT, PARAMETER_COUNT)), np.eye(PARAMETER_COUNT)
-    pull = np.zeros(PARAMETER_COUNT)
-    if not cholesky(matrix + 1e-12 * np.eye(PARAMETER_COUNT), lower):
+    if not cholesky(matrix, 1e-12, lower):
         quality[:] = math.nan
         return
     for i in range(PARAMETER_COUNT):
@@ -435,4 +431,7 @@ def _assess_fit(pixels, parameters, quality):  # type: ignore[no-untyped-def]
         sector = min(int((angle / (2.0 * math.pi) + 0.5) * SECTOR_COUNT), SECTOR_COUNT - 1)
         offset[sector] += edge_slope[k] * residual[k]
         weight[sector] += edge_slope[k] ** 2
-    quality[3] = math.sqrt(np.mean((offset / np.maximum(weight, 1e-12)) ** 2))
+    quality[3] = 0.0
+    for sector in range(SECTOR_COUNT):
+        quality[3] += (offset[sector] / max(weight[sector], 1e-12)) ** 2 / SECTOR_COUNT
+    quality[3] = math.sqrt(quality[3])

@@ -91,7 +91,7 @@ def _imported(folder: Path, text: str, *options: object) -> ImportedCalibration:
         (("left_K", "right_K"), ("left_distortion", "right_distortion")),
     ],
 )
-def test_opencvstorage(tmp_path, suffix, names):
+def test_opencv_storage(tmp_path, suffix, names):
     path = storage(tmp_path / f"stereo.{suffix}", opencv(*names))
     _assert_same(import_calibration(path, SIZE, "mm"))
 
@@ -377,7 +377,7 @@ def test_bouguet_as_printed_and_with_column_vectors_and_image_size(tmp_path):
 
 
 @pytest.mark.parametrize("relative", [True, False])
-def testdice_xml(tmp_path, relative):
+def test_dice_xml(tmp_path, relative):
     _assert_same(_imported(tmp_path, dice_xml("OPENCV_LENS_DISTORTION", relative)))
     radial = _imported(tmp_path, dice_xml("K1R3_K2R5_K3R7", relative))
     _assert_same(radial, (RADIAL_LEFT, RADIAL_RIGHT))
@@ -453,7 +453,7 @@ def test_skew_is_taken_over_exactly(tmp_path, fs):
 
 
 @pytest.mark.parametrize("split", [False, True])
-def testvic3d(tmp_path, split):
+def test_vic3d(tmp_path, split):
     path = tmp_path / "project.xml"
     path.write_text(vic3d(split), encoding="latin-1")
     _assert_same(import_calibration(path), (RADIAL_LEFT, RADIAL_RIGHT))
