@@ -282,10 +282,7 @@ def _without_noise_weights(precision: FloatArray, error: FloatArray, usable: Boo
 
 
 def _correlated_normal(arm: FloatArray, precision: FloatArray, used: BoolArray, correlation: sparray) -> FloatArray:
-    """Return Σₙₘ ρₙₘ·Bₙᵀ·Bₘ (F, 6, 6) over the points used.
-
-    B = Gᵀ·[I, −[a]×] with precisions G·Gᵀ.
-    """
+    """Return Σₙₘ ρₙₘ·Bₙᵀ·Bₘ (F, 6, 6) over the points used. B = Gᵀ·[I, −[a]×] with precisions G·Gᵀ."""
     count = used.shape[1]
     total = np.empty((len(used), 6, 6))
     for f, points in enumerate(used):
@@ -300,10 +297,7 @@ def _correlated_normal(arm: FloatArray, precision: FloatArray, used: BoolArray, 
 def _robust_start(
     source: FloatArray, target: FloatArray, usable: BoolArray
 ) -> tuple[FloatArray, FloatArray, BoolArray]:
-    """Return rotations, translations and whether each frame's points determine them.
-
-    Arun's fit with Cauchy weights.
-    """
+    """Return rotations, translations and whether each frame's points determine them. Arun's fit with Cauchy weights."""
     weight = usable.astype(np.float64)
     rotation, translation = np.empty((len(target), 3, 3)), np.empty((len(target), 3))
     fixed = np.ones(len(target), dtype=np.bool_)

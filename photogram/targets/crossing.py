@@ -61,10 +61,7 @@ def solve(factor: FloatArray, vector: FloatArray) -> None:
 
 @njit(error_model="numpy")
 def _edge(distance: float, sharpness: float) -> tuple[float, float]:
-    """Return erf(d/(√2·σ)) and its derivative by d, sharpness 1/σ.
-
-    Beyond 7σ both are at their limits to 10⁻¹¹.
-    """
+    """Return erf(d/(√2·σ)) and its derivative by d, sharpness 1/σ. Beyond 7σ both are at their limits to 10⁻¹¹."""
     scaled = distance * sharpness
     if abs(scaled) > 7.0:
         return math.copysign(1.0, scaled), 0.0
@@ -73,10 +70,7 @@ def _edge(distance: float, sharpness: float) -> tuple[float, float]:
 
 @njit(error_model="numpy")
 def _crossing(p, d_1, d_2, sharpness):  # type: ignore[no-untyped-def]
-    """Return E(d₁/s₁)·E(d₂/s₂) and its derivatives by d₁, d₂, σ₁, σ₂.
-
-    `sharpness`: 1/s of both, s² = σ² or σ² + τ².
-    """
+    """Return E(d₁/s₁)·E(d₂/s₂) and its derivatives by d₁, d₂, σ₁, σ₂. `sharpness`: 1/s of both, s² = σ² or σ² + τ²."""
     sharp_1, sharp_2 = sharpness
     e_1, by_1 = _edge(d_1, sharp_1)
     e_2, by_2 = _edge(d_2, sharp_2)
@@ -256,10 +250,7 @@ def _fit(image, pixels, bend, response, weight, tolerance, p, inverse):  # type:
 
 @njit(error_model="numpy")
 def _box(pixels):  # type: ignore[no-untyped-def]
-    """Return left, top, width and height of the box around pixels.
-
-    Numba's minimum would import SciPy's algebra.
-    """
+    """Return left, top, width and height of the box around pixels. Numba's minimum would import SciPy's algebra."""
     left, top = pixels[0]
     right, bottom = pixels[0]
     for k in range(pixels.shape[0]):
@@ -495,10 +486,7 @@ def _fit_all(
     strip: float,
     fitted: FloatArray,
 ) -> FloatArray:
-    """Fill `fitted` (N,13) for corners' start, axes and bend, and return the lags (N,4,28).
-
-    As `fit_crossings`.
-    """
+    """Fill `fitted` (N,13) for corners' start, axes and bend, and return the lags (N,4,28). As `fit_crossings`."""
     import cv2
 
     start_px, axes_px, bend_per_px = corners
@@ -556,10 +544,7 @@ def find_sharpening(
     probes = np.unique(np.linspace(0, len(start_px) - 1, _PROBES).astype(int))
 
     def chi2(mask: FloatArray) -> float:
-        """Return the median over the corners of χ² per pixel.
-
-        Infinite where most of them fail.
-        """
+        """Return the median over the corners of χ² per pixel. Infinite where most of them fail."""
         (low, high), (near, far) = _SHARPENINGS
         if not (low <= mask[0] <= high and near <= mask[1] <= far):
             return math.inf

@@ -83,7 +83,7 @@ class _Patches:
         """
         import cv2
 
-        _, found, stats, _ = cv2.connectedComponentsWithStats(mask.view(np.uint8), connectivity=4)
+        _, found, stats, centroids = cv2.connectedComponentsWithStats(mask.view(np.uint8), connectivity=4)
         labels = np.asarray(found, dtype=np.int32)
         left, top, width, height, area = np.asarray(stats, dtype=np.float64).T
         right, bottom = left + width, top + height
@@ -101,7 +101,7 @@ class _Patches:
         pixels = np.flatnonzero(patch >= 0)
         patch = patch[pixels]
         y, x = np.divmod(pixels, labels.shape[1])
-        centre = np.column_stack([np.bincount(patch, axis, minlength=count) / area[accepted] for axis in (x, y)])
+        centre = np.asarray(centroids, dtype=np.float64)[accepted]
         dx, dy = x - centre[patch, 0], y - centre[patch, 1]
         products = (dx * dx, dx * dy, dy * dy)
         xx, xy, yy = (np.bincount(patch, product, minlength=count) / area[accepted] for product in products)
@@ -281,10 +281,7 @@ def _collect_band(image, origin, parameters, reach, ring, stride):  # type: igno
 
 @njit()
 def _distance(parameters, px, py):  # type: ignore[no-untyped-def]
-    """Return ρ, the signed distance from the ellipse, and |S⁻¹ p|.
-
-    The position p is relative to the centre.
-    """
+    """Return ρ, the signed distance from the ellipse, and |S⁻¹ p|. The position p is relative to the centre."""
     gx = parameters[2] * px + parameters[3] * py
     gy = parameters[3] * px + parameters[4] * py
     rho = math.sqrt(max(px * gx + py * gy, 1e-12))

@@ -197,7 +197,7 @@ def test_effects_on_a_target_pose_are_those_of_the_perturbed_rig():
         np.testing.assert_allclose(effect, change, rtol=1e-2, atol=2e-8)
 
 
-@settings(max_examples=3, deadline=None)
+@settings(max_examples=2, deadline=None)
 @given(st.integers(0, 1000), st.lists(st.floats(-0.5, 0.5), min_size=6, max_size=6))
 def test_another_sensor_frame_moves_the_pose_and_turns_its_covariance(seed, moved):
     world = make_world(5)

@@ -169,15 +169,14 @@ def _matlab_camera(name: str, camera: Any) -> tuple[Lens, tuple[int, int] | None
         k = parse_numbers(f"{name}.IntrinsicMatrix", parameters["IntrinsicMatrix"], (3, 3)).T
     else:
         raise ValueError(f"{name}: expected K or IntrinsicMatrix, found neither")
-    if k[1, 0] != 0 or not np.array_equal(k[2], [0, 0, 1]):
-        raise ValueError(f"{name}: expected a camera matrix, found {k.tolist()}")
     radial = np.zeros(3)
     coefficients = np.ravel(parameters.get("RadialDistortion", [0, 0]))
     if coefficients.size not in (2, 3):
         raise ValueError(f"{name}.RadialDistortion: expected 2 or 3 numbers, found {coefficients.size}")
     radial[: coefficients.size] = parse_numbers(f"{name}.RadialDistortion", coefficients, coefficients.size)
     tangential = parse_numbers(f"{name}.TangentialDistortion", parameters.get("TangentialDistortion", [0, 0]), 2)
-    lens = Lens(np.array([k[0, 0], k[1, 1]]), k[:2, 2] - 1.0, radial, tangential, skew_px=float(k[0, 1]))
+    from_zero = k - [[0, 0, 1], [0, 0, 1], [0, 0, 0]]
+    lens = Lens.from_matrix(name, from_zero, radial=radial, tangential=tangential)
     stated = parameters.get("ImageSize")
     size = np.ravel([] if stated is None else stated)
     rows, columns = parse_numbers(f"{name}.ImageSize", size, 2) if size.size else (0, 0)

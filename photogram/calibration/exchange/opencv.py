@@ -15,7 +15,6 @@ from photogram.calibration.exchange.lens import (
     DistortionModel,
     Lens,
     StatedCalibration,
-    fisheye,
     parse_numbers,
     unit_of,
 )
@@ -205,18 +204,16 @@ def _lens(matrix: tuple[str, Any], distortion: tuple[str, Any], model: Distortio
     """Return one camera's lens; four coefficients need a model."""
     name, value = matrix
     k = parse_numbers(name, value, (3, 3))
-    if k[1, 0] != 0 or not np.array_equal(k[2], [0, 0, 1]):
-        raise ValueError(f"{name}: expected [[fx, s, cx], [0, fy, cy], [0, 0, 1]], found {k.tolist()}")
+    where = name
     name, value = distortion
     length = np.size(np.asarray(value, dtype=object))
     if length not in _LENGTHS:
         raise ValueError(f"{name}: expected {', '.join(map(str, _LENGTHS))} coefficients, found {length}")
     coefficients = parse_numbers(name, value, length)
-    focal, centre = np.array([k[0, 0], k[1, 1]]), k[:2, 2].copy()
     if model == "fisheye":
         if length != _FEW:
             raise ValueError(f"{name}: expected the {_FEW} coefficients of a fisheye lens, found {length}")
-        return fisheye(focal, centre, coefficients, float(k[0, 1]))
+        return Lens.from_matrix(where, k, angular=coefficients)
     if length == _FEW and model is None:
         found = f"4 coefficients in {name}: k1 k2 p1 p2 (plumb_bob) or k1 k2 k3 k4 (fisheye)"
         raise ValueError(f"distortion_model: expected plumb_bob or fisheye, found none for {found}")
@@ -228,7 +225,7 @@ def _lens(matrix: tuple[str, Any], distortion: tuple[str, Any], model: Distortio
             )
     k1, k2, p1, p2, k3, *divisor = np.concatenate([coefficients, np.zeros(4)])[:8]
     radial, tangential = np.array([k1, k2, k3]), np.array([p1, p2])
-    return Lens(focal, centre, radial, tangential, skew_px=float(k[0, 1]), divisor=np.array(divisor))
+    return Lens.from_matrix(where, k, radial=radial, tangential=tangential, divisor=np.array(divisor))
 
 
 def _sizes(values: Values) -> tuple[tuple[int, int] | None, tuple[int, int] | None]:
@@ -371,9 +368,10 @@ def read_kalibr(text: str) -> StatedCalibration:
         k = np.zeros(4)
         if models[1] != "none":
             k = parse_numbers(f"{name}.distortion_coeffs", camera.get("distortion_coeffs"), 4)
-        focal, centre = np.array([fx, fy]), np.array([cx, cy])
-        plain = Lens(focal, centre, np.array([*k[:2], 0.0]), k[2:])
-        lenses.append(fisheye(focal, centre, k) if models[1] == "equidistant" else plain)
+        centre = np.array([[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]])
+        of_angle = models[1] == "equidistant"
+        shape = {"angular": k} if of_angle else {"radial": np.array([*k[:2], 0.0]), "tangential": k[2:]}
+        lenses.append(Lens.from_matrix(name, centre, **shape))
         width, height = parse_numbers(f"{name}.resolution", camera.get("resolution"), 2)
         sizes.append((int(width), int(height)))
         poses.append(
