@@ -320,13 +320,12 @@ def _robust_start(
 def _precisions(covariance: FloatArray) -> FloatArray:
     """Return the inverses of covariances (F, N, 3, 3), NaN if not positive definite."""
     frames, count = covariance.shape[:2]
-    precision = np.full((frames, count, 3, 3), np.nan)
-    inverse = np.empty((3, 3))
+    precision = np.empty((frames, count, 3, 3))
     for f in range(frames):
         for i in range(count):
-            one = covariance[f, i]
-            if one[0, 0] > 0.0 and one[1, 1] > 0.0 and one[2, 2] > 0.0 and invert(one, inverse):
-                precision[f, i] = inverse
+            one, inverse = covariance[f, i], precision[f, i]
+            if not (one[0, 0] > 0.0 and one[1, 1] > 0.0 and one[2, 2] > 0.0 and invert(one, inverse)):
+                inverse[:] = np.nan
     return precision
 
 

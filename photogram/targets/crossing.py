@@ -60,6 +60,13 @@ def solve(factor: FloatArray, vector: FloatArray) -> None:
 
 
 @njit(error_model="numpy")
+def assign(target: FloatArray, source: FloatArray) -> None:
+    """Copy numbers (P,); numba takes seconds to compile an assignment of arrays, with its messages of shapes."""
+    for k in range(target.size):
+        target[k] = source[k]
+
+
+@njit(error_model="numpy")
 def _edge(distance: float, sharpness: float) -> tuple[float, float]:
     """Return erf(d/(√2·σ)) and its derivative by d, sharpness 1/σ. Beyond 7σ both are at their limits to 10⁻¹¹."""
     scaled = distance * sharpness
@@ -219,12 +226,12 @@ def _fit(image, pixels, bend, response, weight, tolerance, p, inverse):  # type:
     matrix, tried_matrix = np.empty((PARAMETERS, PARAMETERS)), np.empty((PARAMETERS, PARAMETERS))
     factor, vector, tried_vector = np.zeros_like(matrix), np.empty(PARAMETERS), np.empty(PARAMETERS)
     step, tried = np.empty(PARAMETERS), np.empty(PARAMETERS)
-    tried[:] = p
+    assign(tried, p)
     cost, damping, converged = math.inf, 1e-1, False
     for k in range(_ROUNDS + 1):
         new_cost = _normal_equations(image, pixels, tried, bend, response, weight, tried_matrix, tried_vector)
         if new_cost <= cost or converged or k == 0:
-            p[:] = tried
+            assign(p, tried)
             matrix, tried_matrix, vector, tried_vector = tried_matrix, matrix, tried_vector, vector
             cost, damping = new_cost, damping * 0.1
         else:
@@ -233,9 +240,9 @@ def _fit(image, pixels, bend, response, weight, tolerance, p, inverse):  # type:
             break
         if not cholesky(matrix, damping, factor):
             return math.nan
-        step[:] = vector
+        assign(step, vector)
         solve(factor, step)
-        for i in range(PARAMETERS):  # an array's sum would take seconds to compile
+        for i in range(PARAMETERS):
             tried[i] = p[i] + step[i]
         tried[8], tried[9] = max(tried[8], _SHARPEST_PX), max(tried[9], _SHARPEST_PX)
         converged = damping < 1.0 and abs(step[0]) + abs(step[1]) < tolerance
@@ -328,12 +335,12 @@ def fit_crossings(image, corners, response, fitted, lags):  # type: ignore[no-un
     inverse, p, size = np.empty((2, PARAMETERS)), np.empty(PARAMETERS), np.empty(3)
     for n in range(start.shape[0]):
         out = fitted[n]
-        p[:] = out[:PARAMETERS]
+        assign(p, out)
         has_start = not math.isnan(p[0])
         out[:], lags[n] = math.nan, math.nan
         out[STATUS] = OUTSIDE
         shorter = math.sqrt(min(axes[n, 0, 0] ** 2 + axes[n, 0, 1] ** 2, axes[n, 1, 0] ** 2 + axes[n, 1, 1] ** 2))
-        size[:] = window[n]
+        assign(size, window[n])
         count = _window(image, start[n], axes[n], size, buffer, taper)
         while count < 0 and 0.8 * size[0] * shorter > _SMALLEST_WINDOW_PX:
             size[0] *= 0.8
@@ -364,7 +371,8 @@ def fit_crossings(image, corners, response, fitted, lags):  # type: ignore[no-un
         patch = np.empty((4, high, wide + 2 * REACH))
         _spread(image, pixels, taper, weight, p, bend[n], response, inverse, patch)
         _correlate(patch, lags[n])
-        out[:PARAMETERS], out[STATUS], out[CHI2] = p, GOOD, cost / count
+        assign(out[:PARAMETERS], p)
+        out[STATUS], out[CHI2] = GOOD, cost / count
 
 
 # Sub-pixel positions of chessboard corners, by least squares to the crossing of two blurred edges.

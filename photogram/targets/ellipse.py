@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from photogram.kernels import njit
-from photogram.targets.crossing import cholesky, solve
+from photogram.targets.crossing import assign, cholesky, solve
 from shakercal._common.arrays import Arrays, BoolArray, FloatArray, check_shape
 
 MIN_AREA_PX = 20  # pixels of a dot with a measurable ellipse
@@ -249,7 +249,7 @@ def _fit_all(image, starts, inverse_shapes, reach, ring, fitted, quality):  # ty
                 good = parameters[7] != 0.0 and _levenberg_marquardt(pixels, parameters, tolerance_px)
         if good:
             _assess_fit(pixels, parameters, quality[n])
-            fitted[n] = parameters
+            assign(fitted[n], parameters)
 
 
 @njit()
@@ -375,7 +375,7 @@ def _levenberg_marquardt(pixels, parameters, tolerance_px):  # type: ignore[no-u
             _linearise(pixels, trial, residual, jacobian, edge_slope)
             trial_squares = _inner_product(residual, residual)
         if possible and (trial_squares <= squares or k == 0):
-            parameters[:] = trial
+            assign(parameters, trial)
             if small:
                 return True
             squares, damping = trial_squares, 0.1 * damping
@@ -387,7 +387,7 @@ def _levenberg_marquardt(pixels, parameters, tolerance_px):  # type: ignore[no-u
         trial[2] = math.nan
         small = cholesky(matrix, damping, lower)
         if small:
-            step[:] = vector
+            assign(step, vector)
             solve(lower, step)
             for i in range(PARAMETER_COUNT):
                 step[i] /= scale[i]

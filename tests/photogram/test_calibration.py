@@ -116,6 +116,8 @@ def _in_order(calibration: Calibration) -> np.ndarray:
 def test_derivatives_of_the_model(side, radius):
     (pose,) = _poses(np.random.default_rng(1), 1)
     camera, relative = ((RIG.left, RigidTransform.identity()), (RIG.right, RIG.right_from_left))[side]
+    if radius:  # of a dot, whose derivatives omit the change of the distortion over its rim
+        camera = replace(camera, distortion=np.zeros(5))
 
     def pixels(step: np.ndarray, shift: np.ndarray | float = 0.0) -> np.ndarray:
         there = RigidTransform(rotation_from_vector(step[3:]) @ pose.rotation, pose.translation_m + step[:3])
@@ -125,7 +127,7 @@ def test_derivatives_of_the_model(side, radius):
     if not radius:
         assert np.abs(seen.pixel - _opencv_pixels(camera, relative @ pose, FLAT)).max() < 1e-9
     by_pose = np.moveaxis([(pixels(step) - pixels(-step)) / 2e-6 for step in 1e-6 * np.eye(6)], 0, -1)
-    assert np.abs(by_pose - seen.by_pose).max() < (2e-2 if radius else 1e-4)
+    assert np.abs(by_pose - seen.by_pose).max() < 1e-4
     by_x = (pixels(np.zeros(6), np.array([1e-7, 0, 0])) - seen.pixel) / 1e-7
     assert np.abs(by_x - seen.by_point[:, :, 0]).max() < 0.5  # of some 6000 px/m
 
@@ -338,7 +340,7 @@ def test_a_wide_lens_gets_the_rational_model():
     ]
     turn, crossing = rotation_from_vector(np.array([0.0, 0.3, 0.01])), np.array([0.0, 0.0, 0.1])
     rig = StereoRig(*cameras, RigidTransform(turn, crossing - turn @ crossing + np.array([1e-3, 0, 0])))
-    pairs = simulate_session(rng, rig, random_poses(rng, rig, SESSION_BOARD, 14), SESSION_BOARD, 0.03)
+    pairs = simulate_session(rng, rig, random_poses(rng, rig, SESSION_BOARD, 20), SESSION_BOARD, 0.03)
     found = calibrate_pair(pairs, SESSION_BOARD.target, "flat")
     assert found.cross_validation.lens == "rational"
     (other,) = found.cross_validation.alternatives
