@@ -34,8 +34,15 @@ from photogram.calibration.exchange.lens import (
     fit_camera,
     pixel_grid,
 )
-from photogram.calibration.exchange.matlab import read_bouguet, read_mat, read_matlab
-from photogram.calibration.exchange.opencv import parse_json, read_kalibr, read_opencv, read_ros
+from photogram.calibration.exchange.vision import (
+    parse_json,
+    read_bouguet,
+    read_kalibr,
+    read_mat,
+    read_matlab,
+    read_opencv,
+    read_ros,
+)
 from photogram.camera import CAMERA_PARAMETERS, Camera, StereoRig
 from photogram.geometry import RigidTransform, rotation_from_vector
 from shakercal._common.arrays import FloatArray
