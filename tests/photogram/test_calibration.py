@@ -16,17 +16,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from photogram.alignment.alignment_evidence import measure_target_pose
+from photogram.calibration import calibration_notices as notices
 from photogram.calibration.adjust import adjust, leave_views_out, predict_view
 from photogram.calibration.bundle import FocalDrift, make_shape, model_pixels
 from photogram.calibration.calibration_file import read_calibration, read_camera, write_calibration, write_camera
-from photogram.calibration.calibration_notices import (
-    ASPECT_RATIO,
-    FOCAL_DRIFT,
-    KNOWN_LENGTH_CONTRADICTED,
-    LITTLE_TILT,
-    MODEL_DIFFERENCE,
-    TARGET_DEVIATION,
-)
 from photogram.calibration.calibration_result import Calibration, KnownLength, scale_to_length
 from photogram.calibration.initial_bundle import estimate_target_pose, image_observations, lens_prior, start_bundle
 from photogram.calibration.session import calibrate_pair
@@ -219,7 +212,7 @@ def test_views_turned_about_one_axis_only_are_flagged():
         rotation = rotation_from_vector(np.array([0.0, angle, 0.0]))
         poses.append(RigidTransform(rotation, np.array([0, 0, 0.5]) - rotation @ FLAT.mean(axis=0)))
     calibration = calibrate_pair(_views(rng, poses), TARGET)
-    (notice,) = (item for item in calibration.notices if item.code == LITTLE_TILT.code)
+    (notice,) = (item for item in calibration.notices if item.code == notices.LITTLE_TILT.code)
     assert notice.values["axis"] == "horizontal"
 
 
@@ -318,7 +311,7 @@ def test_focal_lengths_that_change_during_the_session_are_found_and_others_are_n
     value, u = found.cross_validation.drift.T
     assert (np.abs(value - 5e-4) < 3.5 * u).all()
     assert (u < 1e-4).all()
-    drifts = [item.values for item in found.notices if item.code == FOCAL_DRIFT.code]
+    drifts = [item.values for item in found.notices if item.code == notices.FOCAL_DRIFT.code]
     assert [item["side"] for item in drifts] == ["left", "right"]
     assert [item["change_percent"] for item in drifts] == pytest.approx(100 * value)
     assert [item["expanded_percent"] for item in drifts] == pytest.approx(200 * u)
@@ -345,7 +338,7 @@ def test_a_wide_lens_gets_the_rational_model():
     assert found.cross_validation.lens == "rational"
     (other,) = found.cross_validation.alternatives
     assert other.predicted_px > 2 * found.cross_validation.predicted_px
-    (difference,) = (item for item in found.notices if item.code == MODEL_DIFFERENCE.code)
+    (difference,) = (item for item in found.notices if item.code == notices.MODEL_DIFFERENCE.code)
     assert (difference.values["lens"], difference.values["used_lens"]) == ("polynomial", "rational")
     rays = np.column_stack([rng.uniform(-0.7, 0.7, (500, 2)), np.ones(500)])
     off = found.rig.left.project(rays) - rig.left.project(rays)
@@ -359,9 +352,9 @@ def test_a_stretched_print_is_told_by_the_focal_lengths():
     ]
     pairs = _session(3, 10, rig=replace(RIG, left=square[0], right=square[1]))
     wide = [tuple(replace(view, position_px=view.position_px * [1.0075, 1.0]) for view in pair) for pair in pairs]
-    ratios = [item for item in calibrate_pair(wide, TARGET, "flat").notices if item.code == ASPECT_RATIO.code]
+    ratios = [item for item in calibrate_pair(wide, TARGET, "flat").notices if item.code == notices.ASPECT_RATIO.code]
     assert [item.where for item in ratios] == ["left", "right"]
-    assert ASPECT_RATIO.code not in {item.code for item in calibrate_pair(pairs, TARGET).notices}
+    assert notices.ASPECT_RATIO.code not in {item.code for item in calibrate_pair(pairs, TARGET).notices}
 
 
 def test_a_known_length_is_weighed_against_the_spacing_and_a_contradiction_is_told():
@@ -375,7 +368,7 @@ def test_a_known_length_is_weighed_against_the_spacing_and_a_contradiction_is_to
     apart = float(np.linalg.norm(places[1] - places[0]))
     moved = scale_to_length(found, KnownLength(*names, 1.02 * apart, 1e-5 * apart))
     (notice,) = (item for item in moved.notices if item.where == "scale")
-    assert notice.code == KNOWN_LENGTH_CONTRADICTED.code
+    assert notice.code == notices.KNOWN_LENGTH_CONTRADICTED.code
     assert notice.values["difference_percent"] == pytest.approx(2.0)
     assert moved.scale_u > 5e-3
     refused("column,row", scale_to_length, found, KnownLength("L0", "nowhere", 0.1, 0.0))
@@ -442,7 +435,7 @@ def test_offsets_that_points_do_not_have_cost_no_uncertainty(seed):
     assert (free_u <= 1.12 * flat_u).all(), "the spread of points that lie on their lattice goes to the end of its fit"
     assert (free_u[flat_u > 0] > 0.97 * flat_u[flat_u > 0]).all()
     assert 0 < np.abs(free.shape_m - flat.shape_m).max() < 3e-6
-    (deviation,) = (notice.values for notice in free.notices if notice.code == TARGET_DEVIATION.code)
+    (deviation,) = (notice.values for notice in free.notices if notice.code == notices.TARGET_DEVIATION.code)
     assert all(0 < deviation[name] < 1 for name in ("x_um", "y_um", "z_um"))
 
 

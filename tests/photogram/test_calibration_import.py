@@ -7,48 +7,18 @@ import sys
 import zipfile
 from pathlib import Path
 
+import calibration_files as files
 import cv2
 import h5py
 import numpy as np
 import pytest
-from calibration_files import (
-    D_LEFT,
-    D_RIGHT,
-    K_LEFT,
-    K_RIGHT,
-    MATCHID_POSE,
-    ROTATION,
-    SIZE,
-    T_MM,
-    bouguet,
-    bouguet_variables,
-    dice_text,
-    dice_xml,
-    kalibr,
-    make_rig,
-    matchid,
-    matlab,
-    opencv,
-    ros,
-    storage,
-    vic3d,
-)
+from calibration_files import D_LEFT, D_RIGHT, K_LEFT, K_RIGHT, MATCHID_POSE, ROTATION, SIZE, T_MM
 from contracts import refused
 from scipy.io import savemat
 from scipy.spatial.transform import Rotation
 
+from photogram.calibration import calibration_notices as notices
 from photogram.calibration.calibration_file import read_calibration, write_calibration
-from photogram.calibration.calibration_notices import (
-    APPROXIMATED_CAMERA,
-    CENTRE_FAR_FROM_MIDDLE,
-    CENTRE_OUTSIDE_IMAGE,
-    LINEAR_POWERS,
-    NO_COMMON_VIEW,
-    SKEW_IGNORED,
-    UNCERTAINTIES_MISSING,
-    UNUSED_COEFFICIENTS,
-    UNUSUAL_DISTANCE,
-)
 from photogram.calibration.exchange.exchange_files import export_calibration, import_calibration
 from photogram.calibration.exchange.lens import ImportedCalibration, pixel_grid
 from photogram.camera import StereoRig, epipolar_residual
@@ -66,7 +36,7 @@ def _assert_same(imported: ImportedCalibration, distortions: tuple[np.ndarray, n
         np.testing.assert_allclose(found, expected.reshape(-1, 2), atol=1e-6)
     assert imported.rig.left.size_px.tolist() == list(SIZE)
     assert imported.rig.covariance is None
-    assert imported.notices[-1].code == UNCERTAINTIES_MISSING.code
+    assert imported.notices[-1].code == notices.UNCERTAINTIES_MISSING.code
 
 
 def _file(folder: Path, name: str, text: str) -> Path:
@@ -92,15 +62,15 @@ def _imported(folder: Path, text: str, *options: object) -> ImportedCalibration:
     ],
 )
 def test_opencv_storage(tmp_path, suffix, names):
-    path = storage(tmp_path / f"stereo.{suffix}", opencv(*names))
+    path = files.storage(tmp_path / f"stereo.{suffix}", files.opencv(*names))
     _assert_same(import_calibration(path, SIZE, "mm"))
 
 
 def test_opencv_in_two_files_with_the_size_in_one(tmp_path):
-    content = opencv()
-    inner = storage(tmp_path / "intrinsics.yml", {k: content[k] for k in ("M1", "D1", "M2", "D2")})
+    content = files.opencv()
+    inner = files.storage(tmp_path / "intrinsics.yml", {k: content[k] for k in ("M1", "D1", "M2", "D2")})
     outer = {"R": content["R"], "T": content["T"], "image_width": SIZE[0], "image_height": SIZE[1]}
-    _assert_same(import_calibration(inner, None, "mm", storage(tmp_path / "extrinsics.yml", outer)))
+    _assert_same(import_calibration(inner, None, "mm", files.storage(tmp_path / "extrinsics.yml", outer)))
     refused(r"intrinsics\.yml: .*rotation R", import_calibration, inner, SIZE, "mm")
 
 
@@ -117,19 +87,19 @@ def test_opencv_plain_json_with_objects_and_a_rotation_vector(tmp_path):
 
 def test_opencv_rational_distortion_is_taken_as_opencv_projects_it(tmp_path):
     distortions = np.append(D_LEFT, [0.3, -0.1, 0.05]), np.append(D_RIGHT, [-0.2, 0.04, 0.01])
-    content = opencv() | {"D1": distortions[0], "D2": np.append(distortions[1], np.zeros(6))}
-    _assert_same(import_calibration(storage(tmp_path / "s.yml", content), SIZE, "mm"), distortions)
+    content = files.opencv() | {"D1": distortions[0], "D2": np.append(distortions[1], np.zeros(6))}
+    _assert_same(import_calibration(files.storage(tmp_path / "s.yml", content), SIZE, "mm"), distortions)
 
 
 def test_opencv_needs_a_unit_and_a_size_and_both_cameras(tmp_path):
-    content = opencv()
-    path = storage(tmp_path / "s.yml", content)
+    content = files.opencv()
+    path = files.storage(tmp_path / "s.yml", content)
     refused("length_unit: ", import_calibration, path, SIZE)
     refused("image_size: ", import_calibration, path, None, "mm")
     assert import_calibration(path, SIZE, "m").rig.right_from_left.translation_m[0] == pytest.approx(-151.5)
-    many = storage(tmp_path / "s.yml", {**content, "D2": np.append(D_RIGHT, [0, 0, 0, 0.1, 0, 0, 0])})
+    many = files.storage(tmp_path / "s.yml", {**content, "D2": np.append(D_RIGHT, [0, 0, 0, 0.1, 0, 0, 0])})
     refused(r"D2: .*s1 = 0\.1", import_calibration, many, SIZE, "mm")
-    alone = storage(tmp_path / "mono.yml", {"camera_matrix": K_LEFT, "distortion_coefficients": D_LEFT})
+    alone = files.storage(tmp_path / "mono.yml", {"camera_matrix": K_LEFT, "distortion_coefficients": D_LEFT})
     refused(r"mono\.yml: camera_matrix: ", import_calibration, alone, SIZE, "mm")
 
 
@@ -151,7 +121,9 @@ def _wide(**keys: object) -> dict[str, object]:
 
 def _assert_wide(imported: ImportedCalibration, distortions: tuple[np.ndarray, np.ndarray] = ANGULAR) -> None:
     """The imported pair sees what OpenCV's fisheye cameras see, within what it says."""
-    promised = [notice.values["largest_px"] for notice in imported.notices if notice.code == APPROXIMATED_CAMERA.code]
+    promised = [
+        notice.values["largest_px"] for notice in imported.notices if notice.code == notices.APPROXIMATED_CAMERA.code
+    ]
     assert len(promised) == 2
     poses = (np.zeros(3), np.zeros(3)), (cv2.Rodrigues(ROTATION)[0], 1e-3 * T_MM)
     for found, (turn, shift), k, d, px in zip(
@@ -181,7 +153,7 @@ def test_a_fisheye_lens_that_is_stated_is_described_by_the_rational_model(tmp_pa
     if suffix == "npz":
         np.savez(path, **_wide(**keys))
     else:
-        storage(path, _wide(**keys))
+        files.storage(path, _wide(**keys))
     _assert_wide(import_calibration(path, SIZE, "mm", distortion_model=asked))
 
 
@@ -209,20 +181,20 @@ def test_a_fisheye_lens_that_is_stated_is_described_by_the_rational_model(tmp_pa
     ],
 )
 def test_four_coefficients_that_no_key_explains_or_two_keys_contradict_are_refused(tmp_path, keys, asked, words):
-    path = storage(tmp_path / "stereo.yml", _wide(**keys))
+    path = files.storage(tmp_path / "stereo.yml", _wide(**keys))
     refused(words, import_calibration, path, SIZE, "mm", distortion_model=asked)
 
 
 @pytest.mark.parametrize(("keys", "asked"), [({}, "plumb_bob"), ({"model": "radtan"}, None), ({"fisheye": 0}, None)])
 def test_four_coefficients_stated_as_those_of_a_pinhole_camera(tmp_path, keys, asked):
-    content = opencv() | {"D1": D_LEFT[:4], "D2": D_RIGHT[:4], "lens_model": "Xenoplan 35"}
-    path = storage(tmp_path / "stereo.yml", content | keys)
+    content = files.opencv() | {"D1": D_LEFT[:4], "D2": D_RIGHT[:4], "lens_model": "Xenoplan 35"}
+    path = files.storage(tmp_path / "stereo.yml", content | keys)
     imported = import_calibration(path, SIZE, "mm", distortion_model=asked)
     _assert_same(imported, (D_LEFT * [1, 1, 1, 1, 0], D_RIGHT * [1, 1, 1, 1, 0]))
 
 
 def _ros_pair(folder: Path, **cameras: object) -> tuple[Path, Path]:
-    left, right = (_file(folder, f"{n}.yaml", text) for n, text in enumerate(ros(**cameras)))
+    left, right = (_file(folder, f"{n}.yaml", text) for n, text in enumerate(files.ros(**cameras)))
     return left, right
 
 
@@ -232,9 +204,9 @@ def test_ros_and_kalibr(tmp_path):
     left, right = _ros_pair(tmp_path)
     _assert_same(import_calibration(left, extrinsics=right))
     without_k3 = D_LEFT * [1, 1, 1, 1, 0], D_RIGHT * [1, 1, 1, 1, 0]
-    _assert_same(_imported(tmp_path, kalibr()), without_k3)
+    _assert_same(_imported(tmp_path, files.kalibr()), without_k3)
     wide = tuple(zip(K_WIDE, ANGULAR, strict=True))
-    _assert_wide(_imported(tmp_path, kalibr(wide, "equidistant")))
+    _assert_wide(_imported(tmp_path, files.kalibr(wide, "equidistant")))
     left, right = _ros_pair(tmp_path, cameras=wide, model="equidistant")
     _assert_wide(import_calibration(left, extrinsics=right))
     binned = _file(tmp_path, "binned.yaml", left.read_text() + "binning_x: 2\n")
@@ -244,7 +216,7 @@ def test_ros_and_kalibr(tmp_path):
 
 
 def test_a_file_of_numpy_is_read_as_opencvs_and_a_damaged_one_refused(tmp_path):
-    np.savez(tmp_path / "a.npz", **opencv(), corners=np.zeros((30, 70, 2)))
+    np.savez(tmp_path / "a.npz", **files.opencv(), corners=np.zeros((30, 70, 2)))
     _assert_same(import_calibration(tmp_path / "a.npz", SIZE, "mm"))
     np.savez(tmp_path / "b.npz", M1=np.array([{"a": 1}], dtype=object))
     refused(r"b\.npz: M1\.npy: .*object", import_calibration, tmp_path / "b.npz", SIZE, "mm")
@@ -260,15 +232,15 @@ def test_a_file_of_numpy_is_read_as_opencvs_and_a_damaged_one_refused(tmp_path):
 
 
 def test_units_and_sizes_that_a_file_states_are_not_overruled(tmp_path):
-    content = opencv()
+    content = files.opencv()
     sizes = {"image_width1": SIZE[0], "image_height1": SIZE[1], "image_width2": 1300, "image_height2": 1000}
-    path = storage(tmp_path / "s.yml", {**content, "length_unit": "cm", **sizes})
+    path = files.storage(tmp_path / "s.yml", {**content, "length_unit": "cm", **sizes})
     rig = import_calibration(path).rig
     assert rig.right_from_left.translation_m[0] == pytest.approx(-1.515)
     assert [camera.size_px.tolist() for camera in (rig.left, rig.right)] == [list(SIZE), [1300, 1000]]
     refused("length_unit: .*cm.*mm", import_calibration, path, None, "mm")
     refused("image_size: .*1300x1000.*1280x1024", import_calibration, path, SIZE)
-    content = matlab()
+    content = files.matlab()
     for name in ("CameraParameters1", "CameraParameters2"):
         content[name] |= {"WorldUnits": "inches"}
     translation = _imported(tmp_path, json.dumps(content)).rig.right_from_left.translation_m
@@ -277,18 +249,18 @@ def test_units_and_sizes_that_a_file_states_are_not_overruled(tmp_path):
 
 
 def test_cameras_too_near_or_far_for_their_unit_and_those_that_look_past_each_other_are_told(tmp_path):
-    metres = bouguet().replace(f"{T_MM[0]:.12f}", "-0.1515").replace(f"{T_MM[2]:.12f}", "0.0245")
+    metres = files.bouguet().replace(f"{T_MM[0]:.12f}", "-0.1515").replace(f"{T_MM[2]:.12f}", "0.0245")
     metres = metres.replace(f"{T_MM[1]:.12f}", "0.00125")
     refused(r"length_unit: .*0\.000153 m.*mm", _imported, tmp_path, metres, SIZE)
     rig = _imported(tmp_path, metres, SIZE, "m").rig
     np.testing.assert_allclose(rig.right_from_left.translation_m, 1e-3 * T_MM)
-    path = storage(tmp_path / "s.yml", opencv())
+    path = files.storage(tmp_path / "s.yml", files.opencv())
     warned = [notice for notice in import_calibration(path, SIZE, "m").notices if notice.severity == "warning"]
-    assert warned[0].code == UNUSUAL_DISTANCE.code
+    assert warned[0].code == notices.UNUSUAL_DISTANCE.code
     assert warned[0].values == {"distance_m": pytest.approx(153.5, abs=0.1), "unit": "m"}
-    turned = {**opencv(), "R": Rotation.from_euler("y", -18, degrees=True).as_matrix()}
-    codes = [n.code for n in import_calibration(storage(tmp_path / "s.yml", turned), SIZE, "mm").notices]
-    assert NO_COMMON_VIEW.code in codes
+    turned = {**files.opencv(), "R": Rotation.from_euler("y", -18, degrees=True).as_matrix()}
+    codes = [n.code for n in import_calibration(files.storage(tmp_path / "s.yml", turned), SIZE, "mm").notices]
+    assert notices.NO_COMMON_VIEW.code in codes
 
 
 @pytest.mark.parametrize(
@@ -300,7 +272,7 @@ def test_cameras_too_near_or_far_for_their_unit_and_those_that_look_past_each_ot
     ],
 )
 def test_an_essential_matrix_in_opencvs_file_has_to_be_that_of_its_pose(tmp_path, changes, words):
-    path = storage(tmp_path / "s.yml", opencv() | changes)
+    path = files.storage(tmp_path / "s.yml", files.opencv() | changes)
     if words is None:
         _assert_same(import_calibration(path, SIZE, "mm"))
     else:
@@ -317,34 +289,38 @@ def test_an_essential_matrix_in_opencvs_file_has_to_be_that_of_its_pose(tmp_path
     ],
 )
 def test_an_option_without_effect_on_a_file_is_refused(tmp_path, text, options, words):
-    texts = {"bouguet": bouguet(), "vic3d": vic3d(split=False), "dice": dice_xml("OPENCV_LENS_DISTORTION", True)}
+    texts = {
+        "bouguet": files.bouguet(),
+        "vic3d": files.vic3d(split=False),
+        "dice": files.dice_xml("OPENCV_LENS_DISTORTION", True),
+    }
     path = _file(tmp_path, "calibration", texts[text])
     named = {name: path if value == "calibration" else value for name, value in options.items()}
     refused(words, import_calibration, path, None if text != "bouguet" else SIZE, **named)
 
 
 def test_what_contradicts_itself_in_dice_and_matchid_is_refused(tmp_path):
-    xml = dice_xml("OPENCV_LENS_DISTORTION", True)
+    xml = files.dice_xml("OPENCV_LENS_DISTORTION", True)
     refused("LENS_DISTORTION_MODEL: ", _imported, tmp_path, xml.replace("LENS_DISTORTION_MODEL", "LENS"))
     angles = '<Parameter name="BETA" type="double" value="0.3141" />'  # in rad beside the matrix
     words = "CAMERA 0.ALPHA, BETA, GAMMA: .*rotation_3x3_matrix"
     refused(words, _imported, tmp_path, xml.replace('<Parameter name="FX"', angles + '<Parameter name="FX"', 1))
-    inch = _imported(tmp_path, matchid(MATCHID_POSE.format(*["inch"] * 3, "deg", "deg", 18, "deg")), SIZE)
+    inch = _imported(tmp_path, files.matchid(MATCHID_POSE.format(*["inch"] * 3, "deg", "deg", 18, "deg")), SIZE)
     np.testing.assert_allclose(inch.rig.right_from_left.translation_m, 0.0254 * T_MM)
     _assert_same(
-        _imported(tmp_path, matchid(MATCHID_POSE.format(*["mm"] * 3, "deg", "rad", np.radians(18), "deg")), SIZE)
+        _imported(tmp_path, files.matchid(MATCHID_POSE.format(*["mm"] * 3, "deg", "rad", np.radians(18), "deg")), SIZE)
     )
     for units, words in (
         (("mm", "mm", "m", "deg", "deg", 18, "deg"), "tx, ty, tz: .*mm, mm, m"),
         (("ell", "ell", "ell", "deg", "deg", 18, "deg"), "tx: .*ell"),
         (("mm", "mm", "mm", "deg", "gon", 20, "deg"), "phi: .*gon"),
     ):
-        refused(words, _imported, tmp_path, matchid(MATCHID_POSE.format(*units)), SIZE)
+        refused(words, _imported, tmp_path, files.matchid(MATCHID_POSE.format(*units)), SIZE)
 
 
 @pytest.mark.parametrize("old", [False, True])
 def test_matlab_and_the_way_through_the_calibration_file(tmp_path, old):
-    imported = _imported(tmp_path, json.dumps(matlab(old)))
+    imported = _imported(tmp_path, json.dumps(files.matlab(old)))
     _assert_same(imported)
     write_calibration(tmp_path / "top.json", imported.rig)
     again = read_calibration(tmp_path / "top.json")
@@ -354,13 +330,13 @@ def test_matlab_and_the_way_through_the_calibration_file(tmp_path, old):
 
 
 def test_matlab_with_two_coefficients_a_unit_nobody_knows_or_a_transposed_rotation(tmp_path):
-    content = matlab(old=False)
+    content = files.matlab(old=False)
     for name in ("CameraParameters1", "CameraParameters2"):
         content[name] |= {"RadialDistortion": content[name]["RadialDistortion"][:2], "WorldUnits": "squares"}
     refused("length_unit", _imported, tmp_path, json.dumps(content))
     two = [1, 1, 1, 1, 0]
     _assert_same(_imported(tmp_path, json.dumps(content), None, "mm"), (D_LEFT * two, D_RIGHT * two))
-    content = matlab(old=False)
+    content = files.matlab(old=False)
     cross = np.cross(np.eye(3), T_MM) * -1.0
     content["EssentialMatrix"] = (cross @ ROTATION).tolist()
     _assert_same(_imported(tmp_path, json.dumps(content)))
@@ -369,31 +345,31 @@ def test_matlab_with_two_coefficients_a_unit_nobody_knows_or_a_transposed_rotati
 
 
 def test_bouguet_as_printed_and_with_column_vectors_and_image_size(tmp_path):
-    _assert_same(_imported(tmp_path, bouguet(), SIZE))
-    both = bouguet() + "\nR = [ " + "; ".join(" ".join(map(repr, row)) for row in ROTATION.T.tolist()) + " ]"
+    _assert_same(_imported(tmp_path, files.bouguet(), SIZE))
+    both = files.bouguet() + "\nR = [ " + "; ".join(" ".join(map(repr, row)) for row in ROTATION.T.tolist()) + " ]"
     refused("om: ", _imported, tmp_path, both, SIZE)
-    text = bouguet().replace("   ", " ;\n ") + "\nnx = 1280;\nny = 1024;"
+    text = files.bouguet().replace("   ", " ;\n ") + "\nnx = 1280;\nny = 1024;"
     _assert_same(_imported(tmp_path, text.replace("± [ 1.00000 ;\n 2.00000 ]", ";")))
 
 
 @pytest.mark.parametrize("relative", [True, False])
 def test_dice_xml(tmp_path, relative):
-    _assert_same(_imported(tmp_path, dice_xml("OPENCV_LENS_DISTORTION", relative)))
-    radial = _imported(tmp_path, dice_xml("K1R3_K2R5_K3R7", relative))
+    _assert_same(_imported(tmp_path, files.dice_xml("OPENCV_LENS_DISTORTION", relative)))
+    radial = _imported(tmp_path, files.dice_xml("K1R3_K2R5_K3R7", relative))
     _assert_same(radial, (RADIAL_LEFT, RADIAL_RIGHT))
-    none = _imported(tmp_path, dice_xml("NO_LENS_DISTORTION", relative))
+    none = _imported(tmp_path, files.dice_xml("NO_LENS_DISTORTION", relative))
     _assert_same(none, (np.zeros(5), np.zeros(5)))
 
 
 @pytest.mark.parametrize(
     ("text", "grown"),
     [  # DICe_Camera.cpp, sensor_to_image
-        (dice_text(radial=((0.02, -0.01, 0.3), (0.0,) * 3)), lambda r: r + 0.02 * r - 0.01 * r**2 + 0.3 * r**3),
+        (files.dice_text(radial=((0.02, -0.01, 0.3), (0.0,) * 3)), lambda r: r + 0.02 * r - 0.01 * r**2 + 0.3 * r**3),
         (
-            dice_xml("K1R2_K2R4_K3R6", True, radial=({"K1": -1e-3, "K2": 2e-3}, {"K1": 1.5e-3, "K2": -1e-3})),
+            files.dice_xml("K1R2_K2R4_K3R6", True, radial=({"K1": -1e-3, "K2": 2e-3}, {"K1": 1.5e-3, "K2": -1e-3})),
             lambda r: r - 1e-3 * r**2 + 2e-3 * r**4 + 0.02 * r**6,
         ),
-        (dice_xml("K1R1_K2R2_K3R3", True, radial=({"K1": 0.015, "K2": 0, "K3": 0},) * 2), lambda r: 1.015 * r),
+        (files.dice_xml("K1R1_K2R2_K3R3", True, radial=({"K1": 0.015, "K2": 0, "K3": 0},) * 2), lambda r: 1.015 * r),
     ],
     ids=["text", "odd powers", "linear"],
 )
@@ -407,9 +383,11 @@ def test_other_powers_of_dice_are_fitted_by_even_ones_and_linear_ones_are_told(t
     promised = approximated.values["largest_px"]
     assert promised < 0.1
     assert np.abs(imported.rig.left.project(POINTS_M) - expected).max() < promised + 1e-3
-    linear = [n.values["left_percent"] for n in imported.notices if n.code == LINEAR_POWERS.code]
+    linear = [n.values["left_percent"] for n in imported.notices if n.code == notices.LINEAR_POWERS.code]
     unused = [
-        (n.values["camera"], n.values["coefficients"]) for n in imported.notices if n.code == UNUSED_COEFFICIENTS.code
+        (n.values["camera"], n.values["coefficients"])
+        for n in imported.notices
+        if n.code == notices.UNUSED_COEFFICIENTS.code
     ]
     if text.startswith("#"):
         assert (linear, unused) == ([pytest.approx(2.0)], [])
@@ -419,16 +397,16 @@ def test_other_powers_of_dice_are_fitted_by_even_ones_and_linear_ones_are_told(t
 
 
 def test_dice_rotation_with_few_digits_is_told(tmp_path):
-    imported = _imported(tmp_path, dice_xml("OPENCV_LENS_DISTORTION", True, digits=4))
+    imported = _imported(tmp_path, files.dice_xml("OPENCV_LENS_DISTORTION", True, digits=4))
     assert [notice.where for notice in imported.notices if notice.severity == "warning"] == ["rotation"]
-    few = dice_xml("OPENCV_LENS_DISTORTION", True, digits=2)
+    few = files.dice_xml("OPENCV_LENS_DISTORTION", True, digits=2)
     refused("rotation: ", _imported, tmp_path, few)
 
 
 @pytest.mark.parametrize("matrix", [False, True])
 @pytest.mark.parametrize("size", [False, True])
 def test_dice_text_of_numbers_fromopencv(tmp_path, matrix, size):
-    path = _file(tmp_path, "cal.txt", dice_text(size=size, matrix=matrix))
+    path = _file(tmp_path, "cal.txt", files.dice_text(size=size, matrix=matrix))
     _assert_same(import_calibration(path, SIZE, even_radial=True), (RADIAL_LEFT, RADIAL_RIGHT))
 
 
@@ -441,12 +419,12 @@ def _skewed(matrix: np.ndarray, distortion: np.ndarray, points_m: np.ndarray, sk
 
 @pytest.mark.parametrize("fs", [(-2.5, 1.5), (40.0, 0.3)])
 def test_skew_is_taken_over_exactly(tmp_path, fs):
-    rig = import_calibration(_file(tmp_path, "cal.txt", dice_text(fs)), even_radial=True).rig
+    rig = import_calibration(_file(tmp_path, "cal.txt", files.dice_text(fs)), even_radial=True).rig
     left = _skewed(K_LEFT, RADIAL_LEFT, POINTS_M, fs[0])
     right = _skewed(K_RIGHT, RADIAL_RIGHT, POINTS_M @ ROTATION.T + 1e-3 * T_MM, fs[1])
     for found, expected in zip(rig.project(POINTS_M), (left, right), strict=True):
         np.testing.assert_allclose(found, expected, atol=1e-9)
-    printed = _imported(tmp_path, bouguet("0.00125"), SIZE).rig.left  # of the focal length
+    printed = _imported(tmp_path, files.bouguet("0.00125"), SIZE).rig.left  # of the focal length
     np.testing.assert_allclose(
         printed.project(POINTS_M), _skewed(K_LEFT, D_LEFT, POINTS_M, 0.00125 * 3200.5), atol=1e-6
     )
@@ -455,15 +433,15 @@ def test_skew_is_taken_over_exactly(tmp_path, fs):
 @pytest.mark.parametrize("split", [False, True])
 def test_vic3d(tmp_path, split):
     path = tmp_path / "project.xml"
-    path.write_text(vic3d(split), encoding="latin-1")
+    path.write_text(files.vic3d(split), encoding="latin-1")
     _assert_same(import_calibration(path), (RADIAL_LEFT, RADIAL_RIGHT))
-    loud = vic3d(split, size=False).upper().replace("Ü", "U")
+    loud = files.vic3d(split, size=False).upper().replace("Ü", "U")
     for word in ("encoding", "version", "xml"):
         loud = loud.replace(word.upper(), word, 1)
     path.write_text(loud, encoding="latin-1")
     _assert_same(import_calibration(path, SIZE), (RADIAL_LEFT, RADIAL_RIGHT))
     with zipfile.ZipFile(tmp_path / "a.z3d", "w") as archive:
-        archive.writestr("project.xml", vic3d(split).encode("latin-1"))
+        archive.writestr("project.xml", files.vic3d(split).encode("latin-1"))
     _assert_same(import_calibration(tmp_path / "a.z3d"), (RADIAL_LEFT, RADIAL_RIGHT))
 
 
@@ -476,7 +454,7 @@ def test_vic3d(tmp_path, split):
         ("1\n" + "\n".join("x" * 21), "content: .* 22 "),
         ("M1: [[900, 0, 320]\nD1: [0]", "YAML.*flow"),
         ("image_width: 640\nimage_height: 480", "M1.*M2"),
-        ("%YAML:1.0\n---\nM1: !!opencv-matrix\n  garb", "expected"),
+        ("%YAML:1.0\n---\nM1: !!files.opencv-matrix\n  garb", "expected"),
         ("%YAML:1.0\n---\nM1: [1, 2", "OpenCV"),
         ("{", "JSON"),
         ("[1, 2]", " 22, 24, 28 .*30 "),
@@ -516,16 +494,16 @@ def test_what_cannot_be_read_is_told_in_one_sentence(tmp_path, text, message):
 
 
 def test_exchanged_width_and_height_are_told(tmp_path):
-    path = _file(tmp_path, "cal.txt", dice_text(size=False))
+    path = _file(tmp_path, "cal.txt", files.dice_text(size=False))
     imported = import_calibration(path, (600, 800), even_radial=True)
     warned = [n for n in imported.notices if n.severity == "warning"]
-    assert [n.code for n in warned] == 2 * [CENTRE_OUTSIDE_IMAGE.code]
+    assert [n.code for n in warned] == 2 * [notices.CENTRE_OUTSIDE_IMAGE.code]
     imported = import_calibration(path, (2560, 2048), even_radial=True)  # the matrix of pictures half as large
     warned = [n for n in imported.notices if n.severity == "warning"]
-    assert [notice.code for notice in warned] == 2 * [CENTRE_FAR_FROM_MIDDLE.code]
+    assert [notice.code for notice in warned] == 2 * [notices.CENTRE_FAR_FROM_MIDDLE.code]
     assert (warned[0].values["width_px"], warned[0].values["height_px"]) == (2560, 2048)
     words = "image_size: .*1280x1024.*1024x1280"
-    refused(words, _imported, tmp_path, dice_text(), (1024, 1280))
+    refused(words, _imported, tmp_path, files.dice_text(), (1024, 1280))
 
 
 # Calibrations of other programs against what those programs, and the recordings they belong to, say.
@@ -712,21 +690,21 @@ def test_matlab_object_as_mat_io_prints_it(formats, tmp_path, monkeypatch):
 
 
 def test_matlab_struct_and_bouguets_variables_in_a_mat_file(tmp_path):
-    savemat(tmp_path / "s.mat", {"s": matlab(old=True)})
+    savemat(tmp_path / "s.mat", {"s": files.matlab(old=True)})
     _assert_same(import_calibration(tmp_path / "s.mat"))
-    savemat(tmp_path / "b.mat", bouguet_variables())
+    savemat(tmp_path / "b.mat", files.bouguet_variables())
     _assert_same(import_calibration(tmp_path / "b.mat"))
     savemat(tmp_path / "c.mat", {"x": 1.0})
     refused("stereoParameters.* x$", import_calibration, tmp_path / "c.mat")
 
 
 def test_dice_text_of_sandia_has_the_numbers_of_vic3d_and_a_system_two_sizes(formats):
-    vic3d = import_calibration(formats / "vic3d" / "cal_a.xml").rig
-    assert vic3d.left.matrix[0, 1] == -0.1711976745
+    files.vic3d = import_calibration(formats / "vic3d" / "cal_a.xml").rig
+    assert files.vic3d.left.matrix[0, 1] == -0.1711976745
     for name in ("cal_a.txt", "cal_a_with_R.txt"):
         text = import_calibration(formats / "dice" / name, even_radial=True).rig
-        np.testing.assert_allclose(text.left.parameters, vic3d.left.parameters, rtol=1e-9)
-        np.testing.assert_allclose(text.right_from_left.rotation, vic3d.right_from_left.rotation, atol=2e-5)
+        np.testing.assert_allclose(text.left.parameters, files.vic3d.left.parameters, rtol=1e-9)
+        np.testing.assert_allclose(text.right_from_left.rotation, files.vic3d.right_from_left.rotation, atol=2e-5)
     rig = import_calibration(formats / "dice" / "DICe_cal_a.xml").rig
     assert [camera.size_px.tolist() for camera in (rig.left, rig.right)] == [[1200, 800], [1200, 700]]
 
@@ -743,19 +721,18 @@ def test_zipped_project_that_unpacks_to_too_much_and_a_missing_package(tmp_path,
 
 
 def test_export_to_opencv_is_what_opencv_reads(tmp_path):
-    rig = make_rig(tangential=1.0, divisor=1.0)
-    program, notices = export_calibration(tmp_path / "rig.yml", rig)
-    assert (program, notices) == ("OpenCV", ())
-    storage = cv2.FileStorage(str(tmp_path / "rig.yml"), cv2.FILE_STORAGE_READ)
-    read = {name: storage.getNode(name).mat() for name in ("M1", "D1", "M2", "D2", "R", "T")}
+    rig = files.make_rig(tangential=1.0, divisor=1.0)
+    assert export_calibration(tmp_path / "rig.yml", rig) == ("OpenCV", ())
+    files.storage = cv2.FileStorage(str(tmp_path / "rig.yml"), cv2.FILE_STORAGE_READ)
+    read = {name: files.storage.getNode(name).mat() for name in ("M1", "D1", "M2", "D2", "R", "T")}
     left = cv2.projectPoints(POINTS_M, np.zeros(3), np.zeros(3), read["M1"], read["D1"])[0]
     right = cv2.projectPoints(POINTS_M, cv2.Rodrigues(read["R"])[0], read["T"], read["M2"], read["D2"])[0]
     for found, expected in zip((left, right), rig.project(POINTS_M), strict=True):
         np.testing.assert_allclose(found.reshape(-1, 2), expected, atol=1e-9)
     (notice,) = (
-        n for n in export_calibration(tmp_path / "rig.yml", make_rig(skew_px=0.5))[1] if n.where == "left camera"
+        n for n in export_calibration(tmp_path / "rig.yml", files.make_rig(skew_px=0.5))[1] if n.where == "left camera"
     )
-    assert (notice.code, notice.values) == (SKEW_IGNORED.code, {"skew_px": 0.5})
+    assert (notice.code, notice.values) == (notices.SKEW_IGNORED.code, {"skew_px": 0.5})
 
 
 @pytest.mark.parametrize(
@@ -767,7 +744,7 @@ def test_export_to_opencv_is_what_opencv_reads(tmp_path):
     ],
 )
 def test_exported_calibrations_come_back_to_the_last_digits(tmp_path, name, stated):
-    rig = make_rig(**stated)
+    rig = files.make_rig(**stated)
     export_calibration(tmp_path / name, rig)
     again = import_calibration(tmp_path / name).rig
     np.testing.assert_allclose(again.values, rig.values, rtol=1e-12, atol=1e-15)
@@ -778,9 +755,8 @@ def test_exported_calibrations_come_back_to_the_last_digits(tmp_path, name, stat
 @pytest.mark.parametrize(("name", "stated"), [("rig.xml", {"tangential": 0.5}), ("rig.json", {"divisor": 1.0})])
 def test_export_of_what_a_program_has_not_stays_within_what_it_says(tmp_path, name, stated):
     """A point seen by the original is, in the frame of the exported pair, the same point: through both cameras."""
-    rig = make_rig(**stated)
-    notices = export_calibration(tmp_path / name, rig)[1]
-    promised = max(notice.values["largest_px"] for notice in notices)
+    rig = files.make_rig(**stated)
+    promised = max(notice.values["largest_px"] for notice in export_calibration(tmp_path / name, rig)[1])
     again = import_calibration(tmp_path / name).rig
     for side in ("left", "right"):
         pixels, seen = (getattr(which, side) for which in (rig, again))
@@ -793,6 +769,6 @@ def test_export_of_what_a_program_has_not_stays_within_what_it_says(tmp_path, na
 
 def test_export_is_refused_where_it_would_not_hold(tmp_path):
     words = r"left camera: .*p1 = 0.01, p2 = -0.005 .* \d\.\d+ px"
-    refused(words, export_calibration, tmp_path / "rig.xml", make_rig(tangential=10.0))
-    refused(r"rig\.txt: .*\.yml.*\.txt", export_calibration, tmp_path / "rig.txt", make_rig())
+    refused(words, export_calibration, tmp_path / "rig.xml", files.make_rig(tangential=10.0))
+    refused(r"rig\.txt: .*\.yml.*\.txt", export_calibration, tmp_path / "rig.txt", files.make_rig())
     assert not list(tmp_path.iterdir())

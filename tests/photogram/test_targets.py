@@ -59,29 +59,6 @@ def test_bias_is_below_a_hundredth_of_a_pixel(blur_px, square_px):
     np.testing.assert_allclose(np.median(corners.blur_px), blur_px, rtol=0.05)
 
 
-@pytest.mark.slow
-def test_covariance_is_the_scatter_and_the_peer_scatters_more():
-    import cv2
-
-    board, camera = chessboard(), camera_of()
-    pose = pose_of(board, camera, 30.0, (0.4, -0.3, 0.2))
-    truth, axes, bend = _expected(pose, board, camera)
-    whitened, error, peer = [], [], []
-    clean = render_board(camera, pose, board, slant=0.3)
-    for seed in range(12):
-        image = SENSOR.digitise(clean, np.random.default_rng(seed))
-        corners = refine_corners(
-            image, truth + 0.3, axes, CameraResponse(estimate_image_noise(image), SENSOR.full_scale), bend
-        )
-        error.append(corners.position_px - truth)
-        whitened.append(np.linalg.solve(np.linalg.cholesky(corners.covariance_px2), error[-1][..., None]))
-        refined = truth.astype(np.float32).reshape(-1, 1, 2)
-        cv2.cornerSubPix((image / 16).astype(np.uint8), refined, (9, 9), (-1, -1), (3, 100, 1e-4))
-        peer.append(refined.reshape(-1, 2) - truth)
-    assert 0.93 < np.std(whitened) < 1.07
-    assert np.std(error) < 0.3 * np.std(peer)
-
-
 def test_noise_of_the_image_is_found():
     board, camera = chessboard(), camera_of()
     noise = estimate_image_noise(picture(camera, pose_of(board, camera, 40.0, (0.3, 0.2, 0.1)), board))
@@ -114,28 +91,22 @@ CHARUCO_POSE = pose_of(CHARUCO, CAMERA, 40.0, (0.4, -0.3, 0.2))
 
 
 UNNAMED = {"dictionary": None}
-OBLIQUE, TWISTED, PARTLY = ((0.4, -0.3, 0.2), 40.0, 0.0), ((0.4, -0.3, 2.5), 32.0, 0.0), ((0.2, -0.2, 0.1), 44.0, 220.0)
+OBLIQUE, TWISTED = ((0.4, -0.3, 0.2), 40.0, 0.0), ((0.4, -0.3, 2.5), 32.0, 0.0)
+SYMMETRIC, PARTLY = ((0.3, 0.3, -0.3), 34.0, 0.0), ((0.2, -0.2, 0.1), 44.0, 220.0)
 
 
 @pytest.mark.parametrize(
     ("board", "placed", "blur_px", "target", "corners", "largest_px"),
     [
         (BOARD, TWISTED, 2.0, {}, 54, 0.025),
-        *(slow(BOARD, ((0.4, -0.3, turn), 32.0, 0.0), 0.7, {}, 54, 0.025) for turn in (0.0, 1.2, -1.5)),
-        *(
-            (chessboard(size), ((0.3, 0.3, -0.3), 34.0, 0.0), 0.7, {}, size[0] * size[1], 0.02)
-            for size in ((6, 6), (8, 6))
-        ),
-        slow(chessboard((7, 7)), ((0.3, 0.3, -0.3), 34.0, 0.0), 0.7, {}, 49, 0.02),
+        (chessboard((6, 6)), SYMMETRIC, 0.7, {}, 36, 0.02),
+        (chessboard((8, 6)), SYMMETRIC, 0.7, {}, 48, 0.02),
+        slow(chessboard((7, 7)), SYMMETRIC, 0.7, {}, 49, 0.02),
         (CHARUCO, OBLIQUE, 0.7, UNNAMED, 40, 0.015),
         (charuco(legacy=True), OBLIQUE, 0.7, UNNAMED, 40, 0.015),
-        *(
-            slow(charuco(dictionary=d), OBLIQUE, 0.7, UNNAMED, 40, 0.015)
-            for d in ("DICT_6X6_250", "DICT_APRILTAG_36h11")
-        ),
+        slow(charuco(dictionary="DICT_APRILTAG_36h11"), OBLIQUE, 0.7, UNNAMED, 40, 0.015),
         (dataclasses.replace(CHARUCO, marker_share=0.5), OBLIQUE, 0.7, {}, 40, 0.02),
         (charuco(legacy=True), PARTLY, 0.7, {}, None, 0.02),
-        slow(CHARUCO, PARTLY, 0.7, {}, None, 0.02),
     ],
 )
 def test_corners_are_where_they_are(board, placed, blur_px, target, corners, largest_px):
@@ -169,9 +140,9 @@ HALF_OUTSIDE = pose_of(BOARD, CAMERA, 36.0, (0.2, -0.2, 0.1), shift_px=260.0)
         (BOARD, "^extends .*edge", lambda _: picture(CAMERA, HALF_OUTSIDE, BOARD)),
         (BOARD, ".", lambda _: picture(CAMERA, POSE, charuco((10, 7)))),
         (BOARD, "^another", {"size": (8, 5)}),
-        *(slow(BOARD, "^another", {"size": size}) for size in ((11, 6), (10, 7), (9, 5), (7, 5))),
+        *(slow(BOARD, "^another", {"size": size}) for size in ((11, 6), (10, 7))),
         (CHARUCO, "^another", {"size": (7, 5)}),
-        *(slow(CHARUCO, "^another", {"size": size}) for size in ((11, 8), (9, 4))),
+        slow(CHARUCO, "^another", {"size": (9, 4)}),
         (CHARUCO, "markers .*DICT_6X6_50", {"dictionary": "DICT_6X6_50"}),
     ],
 )
@@ -200,11 +171,11 @@ def unsharp(grey: FloatArray, amount: float, radius_px: float, gain: float, seed
     return np.clip(np.rint(noisy + mask), 0, SENSOR.full_scale).astype(np.uint16)
 
 
-SHARPENED = [(0.5, 2.0, 1.0), slow(0.5, 0.5, 1.0), slow(0.7, 1.0, 1.5), slow(1.0, 2.0, 0.7), slow(1.0, 2.0, 1.0)]
-
-
 @pytest.mark.parametrize("kind", ["chessboard", "charuco"])
-@pytest.mark.parametrize(("blur_px", "amount", "radius_px"), [*SHARPENED, slow(0.7, 0.0, 1.0), slow(0.7, 0.5, 1.0)])
+@pytest.mark.parametrize(
+    ("blur_px", "amount", "radius_px"),
+    [(0.5, 2.0, 1.0), *(slow(*case) for case in ((0.7, 1.0, 1.5), (1.0, 2.0, 0.7), (0.7, 0.0, 1.0)))],
+)
 def test_sharpened_boards_lose_no_corner(kind, blur_px, amount, radius_px):
     board = chessboard((11, 7)) if kind == "chessboard" else charuco((12, 8))
     pose = pose_of(board, CAMERA, 38.0, (0.3, -0.2, 0.1))
@@ -218,9 +189,7 @@ def test_sharpened_boards_lose_no_corner(kind, blur_px, amount, radius_px):
     assert (0.8 if kind == "chessboard" else 0.65) < whitened.std() < 1.3  # the halo of markers counts as noise
 
 
-@pytest.mark.parametrize(
-    ("gain", "amount"), [(1.35, 0.0), slow(1.35, 1.0), slow(1.5, 0.0), slow(3.0, 0.0), slow(3.0, 1.0)]
-)
+@pytest.mark.parametrize(("gain", "amount"), [(1.35, 0.0), slow(1.35, 1.0), slow(3.0, 1.0)])
 def test_saturated_pixels_cost_no_corner(gain, amount):
     board = chessboard((11, 7))
     pose = pose_of(board, CAMERA, 38.0, (0.2, -0.2, 0.1))
@@ -562,28 +531,10 @@ def test_the_truth_is_covered():
     centre, shape, image = dot(8.0, 0.8, 0.0, 0)
 
     def estimate(_: int) -> tuple[np.ndarray, np.ndarray]:
-        found = fit(image + rng.normal(0, 2.0, image.shape), centre, shape)
+        found = fit(image + rng.normal(0, 1.0 + 0.1 * np.sqrt(image)), centre, shape)
         return found.centre_px[0], found.covariance_px2[0]
 
     coverage_contract(estimate, fit(image, centre, shape).centre_px[0], 60)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    ("radius", "sigma", "noise", "shot"),
-    [(4, 0.8, 1.0, 0.0), (8, 0.8, 2.0, 0.0), (20, 2.0, 3.0, 0.0), (9, 1.0, 0.0, 0.25)],
-)
-def test_covariance_is_the_scatter_also_of_shot_noise(radius, sigma, noise, shot):
-    rng = np.random.default_rng(1)
-    normalised = []
-    for seed in range(4):
-        centre, shape, image = dot(radius, sigma, 0.0, seed)
-        middle = centre if shot else fit(image, centre, shape).centre_px[0]
-        for _ in range(100):
-            found = fit(image + rng.normal(0, noise + shot * np.sqrt(image)), centre, shape)
-            lower = np.linalg.cholesky(found.covariance_px2[0])
-            normalised.append(np.linalg.solve(lower, found.centre_px[0] - middle))
-    assert 0.95 < np.std(normalised) < 1.1
 
 
 def test_ring_is_placed_by_its_outer_edge():
