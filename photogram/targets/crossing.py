@@ -18,7 +18,7 @@ GOOD, OUTSIDE, SATURATED, NO_CROSSING, FAINT = 0, 1, 2, 3, 4
 FULL, STATUS, CHI2 = PARAMETERS, PARAMETERS + 1, PARAMETERS + 2  # columns after those of the parameters
 SATURATION, AMOUNT, RADIUS = 3, 4, 5  # of the camera's response
 REACH = 3  # px over which noise may be correlated
-_ROUNDS = 30  # usually fewer than ten are needed
+_RULES = 30, 1e-2, 1e-6, 1e6, True  # of `minimise`; usually fewer than ten steps are needed
 _MAX_PIXELS = 20_000  # of a window
 _CENTRED_PX, _CONVERGED_PX = 1e-3, 1e-4
 """Steps of the centre that end a fit: for the position of the window, and for the result, with a far smaller error."""
@@ -64,6 +64,41 @@ def assign(target: FloatArray, source: FloatArray) -> None:
     """Copy numbers (P,); numba takes seconds to compile an assignment of arrays, with its messages of shapes."""
     for k in range(target.size):
         target[k] = source[k]
+
+
+@njit(error_model="numpy", inline="always")
+def minimise(evaluate, is_small, data, p, rules):  # type: ignore[no-untyped-def]
+    """Improve parameters (P,) by Levenberg's method; return sum of squares and normal matrix, NaN without convergence.
+
+    `evaluate(data, p, matrix, vector)` fills the normal equations and returns the sum of squares, infinite for
+    impossible parameters; it may move them to their bounds. `is_small(step, damping)` ends the search. rules: number of
+    steps, first damping, least one after a refused step, largest one, and whether the last step counts in any case.
+    """
+    rounds, damping, least, most, counts = rules
+    matrix, tried_matrix = np.empty((p.size, p.size)), np.empty((p.size, p.size))
+    factor, vector, tried_vector = np.zeros((p.size, p.size)), np.empty(p.size), np.empty(p.size)
+    step, tried, cost, damping, small = np.empty(p.size), p.copy(), math.inf, 10.0 * damping, False
+    for k in range(rounds + 1):
+        new_cost = evaluate(data, tried, tried_matrix, tried_vector)
+        if new_cost <= cost or (small and counts) or k == 0:
+            assign(p, tried)
+            matrix, tried_matrix, vector, tried_vector = tried_matrix, matrix, tried_vector, vector
+            cost, damping = new_cost, damping * 0.1
+        elif not small or new_cost == math.inf:
+            damping, small = max(damping * 10.0, least), False
+        if small:
+            return cost, matrix
+        if damping > most or not cost < math.inf:
+            break
+        if cholesky(matrix, damping, factor):
+            assign(step, vector)
+            solve(factor, step)
+            small = is_small(step, damping)
+        else:
+            step[:] = math.inf
+        for i in range(p.size):
+            tried[i] = p[i] + step[i]
+    return math.nan, matrix
 
 
 @njit(error_model="numpy")
@@ -137,8 +172,10 @@ def _clipped(value: float, expected: float, response: FloatArray) -> bool:
 
 
 @njit(error_model="numpy")
-def _normal_equations(image, pixels, p, bend, response, weight, matrix, vector):  # type: ignore[no-untyped-def]
+def _normal_equations(data, p, matrix, vector):  # type: ignore[no-untyped-def]
     """Fill the weighted normal equations over the pixels (M, 2); return Σ w·r²."""
+    image, pixels, bend, response, weight = data
+    p[8], p[9] = max(p[8], _SHARPEST_PX), max(p[9], _SHARPEST_PX)
     edges, slope = _edges(p, response), np.empty(PARAMETERS)
     matrix[:] = 0.0
     vector[:] = 0.0
@@ -156,6 +193,16 @@ def _normal_equations(image, pixels, p, bend, response, weight, matrix, vector):
             for j in range(PARAMETERS):  # all of them: their number is fixed for the compiler
                 matrix[i, j] += weighted * slope[j]
     return total
+
+
+@njit(error_model="numpy")
+def _centred(step, damping):  # type: ignore[no-untyped-def]
+    return damping < 1.0 and abs(step[0]) + abs(step[1]) < _CENTRED_PX
+
+
+@njit(error_model="numpy")
+def _converged(step, damping):  # type: ignore[no-untyped-def]
+    return damping < 1.0 and abs(step[0]) + abs(step[1]) < _CONVERGED_PX
 
 
 @njit(error_model="numpy")
@@ -217,42 +264,16 @@ def _start(image, pixels, centre, axes, p):  # type: ignore[no-untyped-def]
 
 
 @njit(error_model="numpy")
-def _fit(image, pixels, bend, response, weight, tolerance, p, inverse):  # type: ignore[no-untyped-def]
-    """Improve the parameters by Levenberg's method; return Σ w·r², NaN without convergence.
-
-    It ends with a step of the centre below `tolerance` px. Fills inverse (2, 10), the centre's rows of the inverse of
-    the normal matrix.
-    """
-    matrix, tried_matrix = np.empty((PARAMETERS, PARAMETERS)), np.empty((PARAMETERS, PARAMETERS))
-    factor, vector, tried_vector = np.zeros_like(matrix), np.empty(PARAMETERS), np.empty(PARAMETERS)
-    step, tried = np.empty(PARAMETERS), np.empty(PARAMETERS)
-    assign(tried, p)
-    cost, damping, converged = math.inf, 1e-1, False
-    for k in range(_ROUNDS + 1):
-        new_cost = _normal_equations(image, pixels, tried, bend, response, weight, tried_matrix, tried_vector)
-        if new_cost <= cost or converged or k == 0:
-            assign(p, tried)
-            matrix, tried_matrix, vector, tried_vector = tried_matrix, matrix, tried_vector, vector
-            cost, damping = new_cost, damping * 0.1
-        else:
-            damping = max(damping * 10.0, 1e-6)
-        if converged or damping > 1e6:
-            break
-        if not cholesky(matrix, damping, factor):
-            return math.nan
-        assign(step, vector)
-        solve(factor, step)
-        for i in range(PARAMETERS):
-            tried[i] = p[i] + step[i]
-        tried[8], tried[9] = max(tried[8], _SHARPEST_PX), max(tried[9], _SHARPEST_PX)
-        converged = damping < 1.0 and abs(step[0]) + abs(step[1]) < tolerance
-    if not converged or not cholesky(matrix, 0.0, factor):
-        return math.nan
+def _centre_rows(matrix, inverse):  # type: ignore[no-untyped-def]
+    """Fill inverse (2, 10), the centre's rows of the inverse of a matrix; return whether there is one."""
+    factor = np.zeros((PARAMETERS, PARAMETERS))
+    if not cholesky(matrix, 0.0, factor):
+        return False
     for i in range(2):
         inverse[i] = 0.0
         inverse[i, i] = 1.0
         solve(factor, inverse[i])
-    return float(cost)
+    return True
 
 
 @njit(error_model="numpy")
@@ -353,19 +374,17 @@ def fit_crossings(image, corners, response, fitted, lags):  # type: ignore[no-un
         out[FULL], out[STATUS], cost = full / count, NO_CROSSING, 0.0
         if not has_start:
             _start(image, buffer[:count], start[n], axes[n], p)
-        for tolerance in (_CENTRED_PX, _CONVERGED_PX):
-            if tolerance == _CONVERGED_PX:
-                if not (cost >= 0.0 and math.hypot(p[0] - start[n, 0], p[1] - start[n, 1]) < _FARTHEST * shorter):
-                    cost = math.nan
-                    break
-                recount = _window(image, p[:2].copy(), axes[n], size, buffer, taper)
-                count = recount if recount > 0 else _window(image, start[n], axes[n], size, buffer, taper)
-            elif has_start:
-                continue
-            pixels = buffer[:count]
-            _weigh(pixels, taper, p, bend[n], response, weight)
-            cost = _fit(image, pixels, bend[n], response, weight, tolerance, p, inverse)
-        if not cost >= 0.0:
+            _weigh(buffer[:count], taper, p, bend[n], response, weight)
+            data = image, buffer[:count], bend[n], response, weight
+            cost, _ = minimise(_normal_equations, _centred, data, p, _RULES)
+        if not (cost >= 0.0 and math.hypot(p[0] - start[n, 0], p[1] - start[n, 1]) < _FARTHEST * shorter):
+            continue
+        recount = _window(image, p[:2].copy(), axes[n], size, buffer, taper)
+        count = recount if recount > 0 else _window(image, start[n], axes[n], size, buffer, taper)
+        pixels = buffer[:count]
+        _weigh(pixels, taper, p, bend[n], response, weight)
+        cost, matrix = minimise(_normal_equations, _converged, (image, pixels, bend[n], response, weight), p, _RULES)
+        if not (cost >= 0.0 and _centre_rows(matrix, inverse)):
             continue
         _, _, wide, high = _box(pixels)
         patch = np.empty((4, high, wide + 2 * REACH))
