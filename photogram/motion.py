@@ -282,7 +282,7 @@ def _without_noise_weights(precision: FloatArray, error: FloatArray, usable: Boo
 
 
 def _correlated_normal(arm: FloatArray, precision: FloatArray, used: BoolArray, correlation: sparray) -> FloatArray:
-    """Return Σₙₘ ρₙₘ·Bₙᵀ·Bₘ (F, 6, 6) over the points used. B = Gᵀ·[I, −[a]×] with precisions G·Gᵀ."""
+    """Return Σₙₘ ρₙₘ·Bₙᵀ·Bₘ (F, 6, 6), B = Gᵀ·[I, −[a]×] with precisions G·Gᵀ."""
     count = used.shape[1]
     total = np.empty((len(used), 6, 6))
     for f, points in enumerate(used):

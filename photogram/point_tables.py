@@ -164,7 +164,7 @@ def _named_frames(
 
 
 def _check_columns(columns: Sequence[str]) -> None:
-    """Raise `ValueError` for an unknown, missing or repeated column name. Only status and "_" may be repeated."""
+    """Raise `ValueError` for an unknown or missing column, or one repeated but status and "_"."""
     allowed = {*POSITION, *REFERENCE, "status", "frame", IGNORED}
     for name in columns:
         if name not in allowed and not name.startswith("id"):
@@ -178,7 +178,7 @@ def _check_columns(columns: Sequence[str]) -> None:
 
 
 def _point_indices(frames: Sequence[_TableFrame]) -> tuple[list[IntArray], int]:
-    """Return the index of the point in each row, and the number of points. By their identity, else by their order."""
+    """Return the point of each row, by identity or order, and their number."""
     first = frames[0]
     named, count = first.identity.shape[1] > 0, len(first.position_m)
     for frame in frames:
@@ -400,7 +400,7 @@ def _mat_columns(path: Path) -> _Columns:
 
 
 def _matrix_frames(paths: Sequence[Path], scale: float | None) -> list[_TableFrame]:
-    """Return the points of MatchID's matrices, `FRAME_X[mm].csv` and so on. Quantities X Y Z U V W of every frame."""
+    """Return the points of MatchID's matrices `FRAME_X[mm].csv` of X Y Z U V W."""
     frames: dict[str, dict[str, tuple[Path, str]]] = {}
     for path in paths:
         named = _QUANTITY.search(path.name)

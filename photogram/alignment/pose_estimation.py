@@ -1,4 +1,4 @@
-"""Pose of the camera in the sensor frame by least squares over all evidence, and axes of motion."""
+"""Pose of the camera in the sensor frame from all evidence, and axes of motion."""
 
 from __future__ import annotations
 

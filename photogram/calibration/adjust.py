@@ -1,4 +1,4 @@
-"""Bundle adjustment of cameras, relative pose, target poses and geometry, and the influence of single views."""
+"""Bundle adjustment of cameras, poses and target geometry, and the influence of single views."""
 
 from __future__ import annotations
 
@@ -102,7 +102,7 @@ def residuals(bundle: Bundle, images: Sequence[ImageObservations]) -> list[Float
 
 @dataclass(frozen=True, eq=False)
 class _Side:
-    """All images of one camera with their points (N,) in one array; `rows` of each image."""
+    """All images of one camera, with their points (N,) in one array."""
 
     side: int
     rows: tuple[slice, ...]
@@ -185,7 +185,7 @@ class BundleNormalEquations:
         return *self.spread(step, point_step), decrease
 
     def spread(self, step: FloatArray, point_step: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return the steps (32 + S + D,) of rig, geometry and drift, and (V, 6) of the poses."""
+        """Return the steps of rig, geometry and drift, and those of the poses (V, 6)."""
         rig, common, free = np.zeros(_RIG), len(self.prior), len(self.parameter_index)
         rig[self.parameter_index] = step[:free]
         return np.concatenate([rig, point_step.ravel(), step[free:common]]), step[common:].reshape(-1, 6)

@@ -249,7 +249,7 @@ def _size(found: Any) -> FloatArray:
 
 
 def _check_keys(where: str, found: Any, expected: tuple[str, ...]) -> None:
-    """Raise `ValueError` unless `found` is an object with exactly the expected keys, and of format 1 if it has one."""
+    """Raise `ValueError` unless `found` is an object with the expected keys, of format 1."""
     prefix = f"{where}." if where else ""
     if not isinstance(found, dict):
         keys = ", ".join(expected)

@@ -1,106 +1,112 @@
 """Notices of camera calibrations, their import and export, and poses in the sensor frame."""
 
-from functools import partial
-
 from shakercal._common.notices import DeclaredNotice
 
-_session = partial(DeclaredNotice, link="cameras.md#how-a-good-session-looks")
-_calculation = partial(DeclaredNotice, link="cameras.md#how-it-is-calculated")
-_scale = partial(DeclaredNotice, link="cameras.md#from-pictures-of-a-target-to-a-stereo-pair")
-_exchange = partial(DeclaredNotice, link="cameras.md#calibrations-of-other-programs")
-
-FEW_VIEWS = _session(
+FEW_VIEWS = DeclaredNotice(
     "SC-250",
     "warning",
     "Only {count} {kind} were used.",
     effect="The calibration cannot be checked.",
     remedy="Use {least} to 20 {kind}.",
+    link="cameras.md#how-a-good-session-looks",
 )
-LITTLE_TILT = _session(
+LITTLE_TILT = DeclaredNotice(
     "SC-251",
     "warning",
     "The target is tilted by only {spread_deg:.1f}° (rms) about the {axis} axis of the image.",
     effect="Focal length and distance are poorly resolved.",
     remedy="Add views tilted by 20° or more about this axis.",
+    link="cameras.md#how-a-good-session-looks",
 )
-LOW_COVERAGE = _session(
+LOW_COVERAGE = DeclaredNotice(
     "SC-252",
     "warning",
     "The points cover {share_percent:.0f} % of the {side} image.",
     effect="The distortion is extrapolated in the rest.",
     remedy="Add views with the target near the edges, or measure within the covered area.",
+    link="cameras.md#how-a-good-session-looks",
 )
-UNCERTAIN_FOCAL_LENGTH = _session(
+UNCERTAIN_FOCAL_LENGTH = DeclaredNotice(
     "SC-253",
     "warning",
     "The standard uncertainty of {parameter} is {u_percent:.1f} % (k = 1).",
     effect="Distances, and so all positions, scale with it.",
     remedy="Add tilted views at other distances.",
+    link="cameras.md#how-a-good-session-looks",
 )
-ASPECT_RATIO = _calculation(
+ASPECT_RATIO = DeclaredNotice(
     "SC-254",
     "warning",
     "The ratio of {side}.fx to {side}.fy is {ratio:.4f} with U = {expanded:.4f} (k = 2).",
     effect="A sensor with square pixels has the ratio 1.",
     remedy="Check for a print stretched along one axis, too few tilted views, or images scaled in one direction.",
+    link="cameras.md#how-it-is-calculated",
 )
-FOCAL_DRIFT = _calculation(
+FOCAL_DRIFT = DeclaredNotice(
     "SC-255",
     "warning",
     "The {side} focal length changed by {change_percent:+.3f} % (U = {expanded_percent:.3f} %, k = 2) from the first "
     "view to the last.",
     effect="The result is that of the middle of the session. U includes the range.",
     remedy="Let the cameras warm up, and fix the lenses.",
+    link="cameras.md#how-it-is-calculated",
 )
-MODEL_DIFFERENCE = _calculation(
+MODEL_DIFFERENCE = DeclaredNotice(
     "SC-256",
     "warning",
     "A {shape} target with a {lens} lens changes the results: {differences}.",
     effect="Views left out are predicted to {used_px:.3f} px by the model used ({used_shape}, {used_lens}), and to "
     "{other_px:.3f} px by this one.",
     remedy="Prefer the model with the smaller prediction residual (`--shape`, `--lens`).",
+    link="cameras.md#how-it-is-calculated",
 )
-PARAMETERS_UNDETERMINED = _calculation(
+PARAMETERS_UNDETERMINED = DeclaredNotice(
     "SC-257",
     "note",
     "These views do not determine {parameters}.",
     effect="Their values are those of an ordinary lens.",
     remedy="Add views with points near the edges of the image, and views tilted by 20°.",
+    link="cameras.md#how-it-is-calculated",
 )
-PARAMETERS_INDISTINCT = _calculation(
+PARAMETERS_INDISTINCT = DeclaredNotice(
     "SC-258",
     "note",
     "Not significantly different from zero: {parameters}.",
+    link="cameras.md#how-it-is-calculated",
 )
-TARGET_DEVIATION = _calculation(
+TARGET_DEVIATION = DeclaredNotice(
     "SC-259",
     "note",
     "The target's points deviate from their lattice by {x_um:.{digits}f} µm and {y_um:.{digits}f} µm rms in its plane, "
     "and by {z_um:.{digits}f} µm across it.",
     effect="This deviation was estimated together with the cameras.",
+    link="cameras.md#how-it-is-calculated",
 )
-EXCESS_NOISE = _session(
+EXCESS_NOISE = DeclaredNotice(
     "SC-260",
     "warning",
     "The residuals exceed the image noise by {added_px:.2f} px per coordinate.",
     effect="Causes are a rough print, a bent target, or a lens that the model does not describe.",
     remedy="Examine the residual maps.",
+    link="cameras.md#how-a-good-session-looks",
 )
-SPACING_UNCERTAINTY_UNSTATED = _scale(
+SPACING_UNCERTAINTY_UNSTATED = DeclaredNotice(
     "SC-261",
     "warning",
     "The uncertainty of the target's spacing is not stated.",
     effect="The uncertainty of all lengths does not include it.",
     remedy="State it by `--scale-uncertainty`.",
+    link="cameras.md#from-pictures-of-a-target-to-a-stereo-pair",
 )
-KNOWN_LENGTH_USED = _scale(
+KNOWN_LENGTH_USED = DeclaredNotice(
     "SC-262",
     "note",
     "The known length of {stated_mm:.6g} mm from {first} to {second} is {measured_mm:.6g} mm by the target's spacing "
     "({difference_percent:+.2g} %, U = {expanded_percent:.2g} %).",
     effect="All lengths are changed by {change_percent:+.2g} %, with U = {scale_expanded_percent:.2g} % (k = 2).",
+    link="cameras.md#from-pictures-of-a-target-to-a-stereo-pair",
 )
-KNOWN_LENGTH_CONTRADICTED = _scale(
+KNOWN_LENGTH_CONTRADICTED = DeclaredNotice(
     "SC-263",
     "warning",
     "The known length of {stated_mm:.6g} mm from {first} to {second} contradicts the target's spacing, by which it is "
@@ -108,6 +114,7 @@ KNOWN_LENGTH_CONTRADICTED = _scale(
     effect="All lengths are changed by {change_percent:+.2g} %, with the enlarged U = {scale_expanded_percent:.2g} % "
     "(k = 2).",
     remedy="Measure the length and the spacing again.",
+    link="cameras.md#from-pictures-of-a-target-to-a-stereo-pair",
 )
 EVEN_POWERS_REQUESTED = DeclaredNotice(
     "SC-264",
@@ -124,78 +131,89 @@ LINEAR_POWERS = DeclaredNotice(
     remedy="If the numbers are from OpenCV or VIC-3D, use `--even-radial`.",
     link="cameras.md#dices-text",
 )
-UNUSED_COEFFICIENTS = _exchange(
+UNUSED_COEFFICIENTS = DeclaredNotice(
     "SC-266",
     "warning",
     "{camera}: {coefficients} are ignored because {model} has no such coefficients.",
     effect="The program that wrote the file ignores them, too.",
     remedy="Check `LENS_DISTORTION_MODEL`.",
+    link="cameras.md#calibrations-of-other-programs",
 )
-MALFORMED_XML = _exchange(
+MALFORMED_XML = DeclaredNotice(
     "SC-267",
     "warning",
     "The file is not well-formed XML.",
     effect="Only its calibration and the size of its images are read.",
     remedy="Export the file again.",
+    link="cameras.md#calibrations-of-other-programs",
 )
-INEXACT_ROTATION = _exchange(
+INEXACT_ROTATION = DeclaredNotice(
     "SC-268",
     "warning",
     "The rotation matrix deviates from an orthonormal one by {deviation_mrad:.2f} mrad.",
     effect="It has too few digits and is replaced by the nearest rotation.",
+    link="cameras.md#calibrations-of-other-programs",
 )
-CAMERA_GEOMETRY = _exchange(
+CAMERA_GEOMETRY = DeclaredNotice(
     "SC-269",
     "note",
     "The cameras are {distance_mm:.2f} mm apart and rotated by {angle_deg:.2f}° against each other.",
     effect="Lengths in the file are in {unit}.",
     remedy="Compare both with the rig. If the distance is wrong, state `--length-unit`.",
+    link="cameras.md#calibrations-of-other-programs",
 )
-NO_COMMON_VIEW = _exchange(
+NO_COMMON_VIEW = DeclaredNotice(
     "SC-270",
     "warning",
     "The right camera does not see the middle of the left image.",
     effect="The file may be misread; all positions would then be wrong.",
     remedy="Check that the pose is x_right = R·x_left + T.",
+    link="cameras.md#calibrations-of-other-programs",
 )
-UNCERTAINTIES_MISSING = _exchange(
+UNCERTAINTIES_MISSING = DeclaredNotice(
     "SC-271",
     "note",
     "The file has no uncertainties.",
     remedy="State `scale_uncertainty` under `[stereo.NAME]` in rig.toml.",
+    link="cameras.md#calibrations-of-other-programs",
 )
-UNUSUAL_DISTANCE = _exchange(
+UNUSUAL_DISTANCE = DeclaredNotice(
     "SC-272",
     "warning",
     "The cameras are {distance_m:.3g} m apart with lengths in {unit}.",
     effect="The file may be misread; all positions would then be wrong.",
     remedy="Check the unit.",
+    link="cameras.md#calibrations-of-other-programs",
 )
-APPROXIMATED_CAMERA = _exchange(
+APPROXIMATED_CAMERA = DeclaredNotice(
     "SC-273",
     "note",
     "The nearest camera without {missing} differs by up to {largest_px:.3f} px over the image.",
+    link="cameras.md#calibrations-of-other-programs",
 )
-POORLY_APPROXIMATED_CAMERA = _exchange(
+POORLY_APPROXIMATED_CAMERA = DeclaredNotice(
     "SC-274",
     "warning",
     "The nearest camera without {missing} differs by up to {largest_px:.3f} px over the image.",
     effect="This systematic difference is not included in U.",
     remedy="Calibrate with a camera model that both programs have.",
+    link="cameras.md#calibrations-of-other-programs",
 )
-CENTRE_OUTSIDE_IMAGE = _exchange(
+CENTRE_OUTSIDE_IMAGE = DeclaredNotice(
     "SC-275",
     "warning",
     "The principal point ({x_px:.0f}, {y_px:.0f}) is outside the image of {width_px} × {height_px} px.",
     effect="The file may be misread; all positions would then be wrong.",
     remedy="Check whether width and height are exchanged.",
+    link="cameras.md#calibrations-of-other-programs",
 )
-CENTRE_FAR_FROM_MIDDLE = _exchange(
+CENTRE_FAR_FROM_MIDDLE = DeclaredNotice(
     "SC-276",
     "warning",
     "The principal point ({x_px:.0f}, {y_px:.0f}) is far from the middle of the image of {width_px} × {height_px} px.",
     effect="The file may be misread; all positions would then be wrong.",
     remedy="Check that the camera matrix is that of images of this size that are not cropped.",
+    link="cameras.md#calibrations-of-other-programs",
 )
 SKEW_IGNORED = DeclaredNotice(
     "SC-277",

@@ -71,7 +71,7 @@ def _pair_up(
 
 
 def _disagreement(poses: Sequence[RigidTransform], depth_m: float) -> FloatArray:
-    """Return the distance (N, N) between poses (N). It is the larger of rotation in rad and shift over the distance."""
+    """Return the distances (N, N) of poses: rotation in rad or shift over the distance."""
     rotation = np.array([pose.rotation.ravel() for pose in poses])
     shift = np.array([pose.translation_m for pose in poses])
     turn = np.arccos(np.clip((rotation @ rotation.T - 1.0) / 2.0, -1.0, 1.0))

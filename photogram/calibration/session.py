@@ -222,7 +222,7 @@ class _Session:
         return _Session(tuple(views), tuple(images), used, (_START_NOISE_PX, _START_NOISE_PX))
 
     def weighted(self, every: bool = False) -> tuple[ImageObservations, ...]:
-        """Return the images with the weights of this round. Rejected points have weight 0 unless `every`."""
+        """Return the images weighted for this round, rejected points by 0 unless `every`."""
         weighted = []
         for view, image, used in zip(self.views, self.images, self.used, strict=True):
             total = view.covariance_px2 + self.added_px[image.side] ** 2 * np.eye(2)

@@ -29,7 +29,10 @@ _FARTHEST = 0.35  # of a square's side, between a corner and its start
 
 @njit(error_model="numpy")
 def cholesky(matrix: FloatArray, damping: float, factor: FloatArray) -> bool:
-    """Fill the lower factor of a matrix (P,P) whose diagonal is raised by a share; return whether there is one."""
+    """Fill the lower factor of a matrix (P,P); return whether it is positive definite.
+
+    Its diagonal is raised by the share `damping`.
+    """
     size = matrix.shape[0]
     for i in range(size):
         for j in range(i + 1):
@@ -61,18 +64,19 @@ def solve(factor: FloatArray, vector: FloatArray) -> None:
 
 @njit(error_model="numpy")
 def assign(target: FloatArray, source: FloatArray) -> None:
-    """Copy numbers (P,); numba takes seconds to compile an assignment of arrays, with its messages of shapes."""
+    """Copy numbers (P,): numba takes seconds to compile an assignment of arrays."""
     for k in range(target.size):
         target[k] = source[k]
 
 
 @njit(error_model="numpy", inline="always")
 def minimise(evaluate, is_small, data, p, rules):  # type: ignore[no-untyped-def]
-    """Improve parameters (P,) by Levenberg's method; return sum of squares and normal matrix, NaN without convergence.
+    """Improve parameters (P,) by Levenberg's method; return sum of squares and normal matrix.
 
     `evaluate(data, p, matrix, vector)` fills the normal equations and returns the sum of squares, infinite for
     impossible parameters; it may move them to their bounds. `is_small(step, damping)` ends the search. rules: number of
     steps, first damping, least one after a refused step, largest one, and whether the last step counts in any case.
+    Without convergence the sum is NaN.
     """
     rounds, damping, least, most, counts = rules
     matrix, tried_matrix = np.empty((p.size, p.size)), np.empty((p.size, p.size))
@@ -103,7 +107,7 @@ def minimise(evaluate, is_small, data, p, rules):  # type: ignore[no-untyped-def
 
 @njit(error_model="numpy")
 def _edge(distance: float, sharpness: float) -> tuple[float, float]:
-    """Return erf(d/(√2·σ)) and its derivative by d, sharpness 1/σ. Beyond 7σ both are at their limits to 10⁻¹¹."""
+    """Return erf(d/(√2·σ)) and its derivative by d, at their limits beyond 7σ."""
     scaled = distance * sharpness
     if abs(scaled) > 7.0:
         return math.copysign(1.0, scaled), 0.0
@@ -112,7 +116,7 @@ def _edge(distance: float, sharpness: float) -> tuple[float, float]:
 
 @njit(error_model="numpy")
 def _crossing(p, d_1, d_2, sharpness):  # type: ignore[no-untyped-def]
-    """Return E(d₁/s₁)·E(d₂/s₂) and its derivatives by d₁, d₂, σ₁, σ₂. `sharpness`: 1/s of both, s² = σ² or σ² + τ²."""
+    """Return E(d₁/s₁)·E(d₂/s₂), derivatives by d₁, d₂, σ₁, σ₂; s² = σ² (+ τ²)."""
     sharp_1, sharp_2 = sharpness
     e_1, by_1 = _edge(d_1, sharp_1)
     e_2, by_2 = _edge(d_2, sharp_2)
@@ -265,7 +269,7 @@ def _start(image, pixels, centre, axes, p):  # type: ignore[no-untyped-def]
 
 @njit(error_model="numpy")
 def _centre_rows(matrix, inverse):  # type: ignore[no-untyped-def]
-    """Fill inverse (2, 10), the centre's rows of the inverse of a matrix; return whether there is one."""
+    """Fill the centre's rows (2, 10) of a matrix's inverse; return whether there is one."""
     factor = np.zeros((PARAMETERS, PARAMETERS))
     if not cholesky(matrix, 0.0, factor):
         return False
@@ -278,7 +282,7 @@ def _centre_rows(matrix, inverse):  # type: ignore[no-untyped-def]
 
 @njit(error_model="numpy")
 def _box(pixels):  # type: ignore[no-untyped-def]
-    """Return left, top, width and height of the box around pixels. Numba's minimum would import SciPy's algebra."""
+    """Return left, top, width and height of pixels: numba's minimum would import SciPy's algebra."""
     left, top = pixels[0]
     right, bottom = pixels[0]
     for k in range(pixels.shape[0]):
@@ -513,7 +517,7 @@ def _fit_all(
     strip: float,
     fitted: FloatArray,
 ) -> FloatArray:
-    """Fill `fitted` (N,13) for corners' start, axes and bend, and return the lags (N,4,28). As `fit_crossings`."""
+    """Fill `fitted` (N,13) and return the lags (N,4,28) of corners, as `fit_crossings`."""
     import cv2
 
     start_px, axes_px, bend_per_px = corners
@@ -571,7 +575,7 @@ def find_sharpening(
     probes = np.unique(np.linspace(0, len(start_px) - 1, _PROBES).astype(int))
 
     def chi2(mask: FloatArray) -> float:
-        """Return the median over the corners of χ² per pixel. Infinite where most of them fail."""
+        """Return the corners' median χ² per pixel, infinite where most of them fail."""
         (low, high), (near, far) = _SHARPENINGS
         if not (low <= mask[0] <= high and near <= mask[1] <= far):
             return math.inf

@@ -253,7 +253,7 @@ def _fit_all(image, starts, inverse_shapes, reach, ring, fitted, quality):  # ty
 
 @njit()
 def _band(image, origin, parameters, reach, ring, stride):  # type: ignore[no-untyped-def]
-    """Return the pixels of the band with room for residuals, derivatives by parameters and by distance."""
+    """Return the pixels of the band with room for residuals and derivatives."""
     pixels = _collect_band(image, origin, parameters, reach, ring, stride)
     count = pixels[0].shape[1]
     return pixels, np.empty(count), np.empty((PARAMETER_COUNT, count)), np.empty(count)
@@ -288,7 +288,7 @@ def _collect_band(image, origin, parameters, reach, ring, stride):  # type: igno
 
 @njit()
 def _distance(parameters, px, py):  # type: ignore[no-untyped-def]
-    """Return ρ, the signed distance from the ellipse, and |S⁻¹ p|. The position p is relative to the centre."""
+    """Return ρ, the signed distance from the ellipse, and |S⁻¹ p|, p from the centre."""
     gx = parameters[2] * px + parameters[3] * py
     gy = parameters[3] * px + parameters[4] * py
     rho = math.sqrt(max(px * gx + py * gy, 1e-12))
@@ -352,7 +352,7 @@ def _inner_product(first, second):  # type: ignore[no-untyped-def]
 
 @njit()
 def _normal_equations(data, parameters, matrix, vector):  # type: ignore[no-untyped-def]
-    """Fill J·Jᵀ and J·r; return Σ r², infinite for no ellipse or a blur beyond its size."""
+    """Fill J·Jᵀ and J·r; return Σ r², infinite for an impossible ellipse or blur."""
     pixels, residual, jacobian, edge_slope = data
     a, c, determinant = parameters[2], parameters[4], parameters[2] * parameters[4] - parameters[3] * parameters[3]
     area = 1.0 / math.sqrt(determinant) if determinant > 0.0 and a > 0.0 and c > 0.0 else 0.0

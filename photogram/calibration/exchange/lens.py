@@ -56,7 +56,7 @@ class Lens(Arrays, shapes="focal_px 2; centre_px 2; radial 3; tangential 2; divi
 
     @staticmethod
     def from_matrix(name: str, matrix: FloatArray, **distortion: FloatArray) -> Lens:
-        """Return the lens of a camera matrix (3, 3), called `name` in a file, with these fields."""
+        """Return the lens of a camera matrix (3, 3) that a file calls `name`."""
         if matrix[1, 0] != 0 or not np.array_equal(matrix[2], [0, 0, 1]):
             raise ValueError(f"{name}: expected [[fx, s, cx], [0, fy, cy], [0, 0, 1]], found {matrix.tolist()}")
         inner: dict[str, Any] = {"skew_px": float(matrix[0, 1]), **distortion}
