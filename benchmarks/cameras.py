@@ -38,7 +38,8 @@ from photogram.images.image_files import read_image
 from photogram.images.sequence import GreyImage
 from photogram.synthetic.board import Board, SessionFaults, random_poses, random_rig, render_board, simulate_session
 from photogram.synthetic.scene import ImageSensor
-from photogram.targets.target_view import Target, TargetNotFound, TargetView, find_target
+from photogram.targets.find_target import find_target
+from photogram.targets.target_view import Target, TargetNotFound, TargetView
 
 FloatArray = NDArray[np.float64]
 ROOT = Path(__file__).resolve().parent.parent

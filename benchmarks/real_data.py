@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
 from photogram.calibration.calibration_file import read_calibration
-from photogram.calibration.exchange.calibration_import import import_calibration
+from photogram.calibration.exchange.exchange_files import import_calibration
 from photogram.camera import Camera, StereoRig, epipolar_residual, triangulate
 from photogram.geometry import RigidTransform, fit_rigid, rotation_from_vector, vector_from_rotation
 from photogram.images.image_files import open_sequence

@@ -4,8 +4,8 @@ from .alignment.alignment_evidence import KnownPoints as KnownPoints
 from .alignment.pose_estimation import align as align
 from .calibration.calibration_file import read_calibration as read_calibration
 from .calibration.calibration_file import write_calibration as write_calibration
-from .calibration.exchange.calibration_export import export_calibration as export_calibration
-from .calibration.exchange.calibration_import import import_calibration as import_calibration
+from .calibration.exchange.exchange_files import export_calibration as export_calibration
+from .calibration.exchange.exchange_files import import_calibration as import_calibration
 from .calibration.session import calibrate_pair as calibrate_pair
 from .camera import Camera as Camera
 from .camera import StereoRig as StereoRig
@@ -27,7 +27,7 @@ from .synthetic.scene import ImageSensor as ImageSensor
 from .synthetic.scene import render as render
 from .synthetic.scene import speckle_texture as speckle_texture
 from .synthetic.scene import view_of as view_of
+from .targets.find_target import find_target as find_target
 from .targets.target_view import Target as Target
-from .targets.target_view import find_target as find_target
 
 __version__: str

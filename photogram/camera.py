@@ -544,10 +544,7 @@ def _triangulate_all(left, right, weight_left, weight_right, cameras, rotations,
 
 @njit()
 def _midpoint(left, right, cameras, rotation, translation, point):  # type: ignore[no-untyped-def]
-    """Set point (3,) to the middle between the rays, NaN if parallel.
-
-    In the left frame.
-    """
+    """Set point (3,) in the left frame to the middle between rays, NaN if parallel."""
     xl, yl = undistort(left[0], left[1], cameras[0])
     xr, yr = undistort(right[0], right[1], cameras[1])
     a, b, centre = np.ones(3), np.empty(3), np.empty(3)

@@ -215,10 +215,7 @@ def _good(mean: FloatArray, position: FloatArray) -> BoolArray:
 
 
 def _basis(position: FloatArray) -> FloatArray:
-    """Return constant, x and y (N, 3), uncorrelated and of rms 1 over the points.
-
-    A direction of no extent is zero.
-    """
+    """Return constant, x and y (N, 3), uncorrelated, of rms 1 or without extent zero."""
     columns = np.column_stack([np.ones(len(position)), position])
     for column in (1, 2):
         before = columns[:, :column]
@@ -271,10 +268,7 @@ def _explaining_turn(rig: StereoRig, matches: tuple[FloatArray, FloatArray]) -> 
 
 
 def _rotated_rig(rig: StereoRig, vector_rad: FloatArray) -> StereoRig:
-    """Return the rig after a turn of the right camera about its centre.
-
-    By a rotation vector (3,) in its frame.
-    """
+    """Return the rig after a rotation (3,) of the right camera about its centre."""
     turn = RigidTransform(rotation_from_vector(vector_rad), np.zeros(3))
     return replace(rig, right_from_left=turn @ rig.right_from_left)
 

@@ -282,10 +282,7 @@ def _without_noise_weights(precision: FloatArray, error: FloatArray, usable: Boo
 
 
 def _correlated_normal(arm: FloatArray, precision: FloatArray, used: BoolArray, correlation: sparray) -> FloatArray:
-    """Return Σₙₘ ρₙₘ·Bₙᵀ·Bₘ (F, 6, 6) over the points used.
-
-    B = Gᵀ·[I, −[a]×] with precisions G·Gᵀ.
-    """
+    """Return Σₙₘ ρₙₘ·Bₙᵀ·Bₘ (F, 6, 6), B = Gᵀ·[I, −[a]×] with precisions G·Gᵀ."""
     count = used.shape[1]
     total = np.empty((len(used), 6, 6))
     for f, points in enumerate(used):
@@ -300,10 +297,7 @@ def _correlated_normal(arm: FloatArray, precision: FloatArray, used: BoolArray, 
 def _robust_start(
     source: FloatArray, target: FloatArray, usable: BoolArray
 ) -> tuple[FloatArray, FloatArray, BoolArray]:
-    """Return rotations, translations and whether each frame's points determine them.
-
-    Arun's fit with Cauchy weights.
-    """
+    """Return rotations, translations and whether each frame's points determine them. Arun's fit with Cauchy weights."""
     weight = usable.astype(np.float64)
     rotation, translation = np.empty((len(target), 3, 3)), np.empty((len(target), 3))
     fixed = np.ones(len(target), dtype=np.bool_)
@@ -326,13 +320,12 @@ def _robust_start(
 def _precisions(covariance: FloatArray) -> FloatArray:
     """Return the inverses of covariances (F, N, 3, 3), NaN if not positive definite."""
     frames, count = covariance.shape[:2]
-    precision = np.full((frames, count, 3, 3), np.nan)
-    inverse = np.empty((3, 3))
+    precision = np.empty((frames, count, 3, 3))
     for f in range(frames):
         for i in range(count):
-            one = covariance[f, i]
-            if one[0, 0] > 0.0 and one[1, 1] > 0.0 and one[2, 2] > 0.0 and invert(one, inverse):
-                precision[f, i] = inverse
+            one, inverse = covariance[f, i], precision[f, i]
+            if not (one[0, 0] > 0.0 and one[1, 1] > 0.0 and one[2, 2] > 0.0 and invert(one, inverse)):
+                inverse[:] = np.nan
     return precision
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -164,10 +164,7 @@ def _named_frames(
 
 
 def _check_columns(columns: Sequence[str]) -> None:
-    """Raise `ValueError` for an unknown, missing or repeated column name.
-
-    Only status and "_" may be repeated.
-    """
+    """Raise `ValueError` for an unknown or missing column, or one repeated but status and "_"."""
     allowed = {*POSITION, *REFERENCE, "status", "frame", IGNORED}
     for name in columns:
         if name not in allowed and not name.startswith("id"):
@@ -181,10 +178,7 @@ def _check_columns(columns: Sequence[str]) -> None:
 
 
 def _point_indices(frames: Sequence[_TableFrame]) -> tuple[list[IntArray], int]:
-    """Return the index of the point in each row, and the number of points.
-
-    By their identity, else by their order.
-    """
+    """Return the point of each row, by identity or order, and their number."""
     first = frames[0]
     named, count = first.identity.shape[1] > 0, len(first.position_m)
     for frame in frames:
@@ -205,63 +199,55 @@ def _point_indices(frames: Sequence[_TableFrame]) -> tuple[list[IntArray], int]:
     return np.split(inverse.ravel(), ends[:-1]), len(identities)
 
 
-def _read_numbers(path: Path, width: int) -> FloatArray:
-    """Return the numeric rows (R, width) of a text table.
+def _lines(path: Path) -> Iterator[tuple[int, str]]:
+    """Yield the lines of a text that are not blank, with their numbers."""
+    lines = path.read_text(encoding="utf-8-sig", errors="replace").splitlines()
+    return ((number, line) for number, line in enumerate(lines, start=1) if line.strip())
 
-    A semicolon as separator permits the decimal comma.
-    """
-    text = path.read_text(encoding="utf-8-sig", errors="replace")
-    rows: dict[int, list[str]] = {}
-    for number, line in enumerate(text.splitlines(), start=1):
+
+def _read_numbers(path: Path, width: int) -> FloatArray:
+    """Return the numeric rows (R, width) of a text table."""
+    rows: list[list[float]] = []
+    for number, line in _lines(path):
         fields = _fields(line)
-        header = not rows and fields and not _is_number(fields[0])
-        if not fields or fields[0].startswith("#") or header:
-            continue
-        if len(fields) != width:
-            raise ValueError(f"{path}: line {number}: expected {width} columns, found {len(fields)}")
-        rows[number] = fields
+        if not fields[0].startswith("#") and (rows or _is_number(fields[0])):
+            rows.append(_row(path, number, fields, width))
     if not rows:
         raise ValueError(f"{path}: expected rows of {width} numbers, found none")
-    try:
-        return np.array(list(rows.values()), dtype=np.float64)
-    except ValueError:
-        for number, fields in rows.items():
-            for column, field in enumerate(fields, start=1):
-                if not _is_number(field):
-                    raise ValueError(
-                        f"{path}: line {number}, column {column}: expected a number, found {field!r}"
-                    ) from None
-        raise
+    return np.array(rows)
 
 
 def _fields(line: str) -> list[str]:
-    """Return the fields of a line, without blanks and quotes around them.
-
-    A semicolon as separator permits the decimal comma.
-    """
+    """Return the fields of a line, without blanks and quotes; semicolons permit the decimal comma."""
     fields = line.replace(",", ".").split(";") if ";" in line else line.split("," if "," in line else None)
     return [field.strip(' "\t') for field in fields]
 
 
-def _is_number(field: str) -> bool:
-    """Return whether the text is a number (nan included)."""
+def _row(path: Path, number: int, fields: Sequence[str], width: int, lost: Sequence[str] = ()) -> list[float]:
+    """Return the numbers of a line, NaN for the texts `lost`."""
+    if len(fields) != width:
+        raise ValueError(f"{path}: line {number}: expected {width} columns, found {len(fields)}")
+    try:
+        return [math.nan if field.lower() in lost else float(field) for field in fields]
+    except ValueError:
+        column = next(n for n, field in enumerate(fields) if not _is_number(field, lost))
+        raise ValueError(
+            f"{path}: line {number}, column {column + 1}: expected a number, found {fields[column][:40]!r}"
+        ) from None
+
+
+def _is_number(field: str, lost: Sequence[str] = ()) -> bool:
+    """Return whether the text is a number (nan included) or one of `lost`."""
     try:
         float(field)
     except ValueError:
-        return False
+        return field.lower() in lost
     return True
 
 
 # Tables whose header shows their layout.
 
-_LOST = (
-    "",
-    "nan",
-    "non un numero reale",
-    "non numérique",
-    "n. def.",
-    "neun",
-)  # texts of a missing number, as .NET writes them
+_LOST = ("", "nan", "non un numero reale", "non numérique", "n. def.", "neun")  # a missing number, as .NET writes it
 _UNITS = {"m": 1.0, "mm": 1e-3, "µm": 1e-6, "um": 1e-6, "in": 0.0254}
 _QUANTITY = re.compile(r"_([A-Za-z]+) *\[(\w+)\]\.csv$")
 _MATRIX = "MatchID"
@@ -373,24 +359,14 @@ def _text_columns(path: Path) -> _Columns:
     """Return the columns of a text table by the names in its header."""
     rows: list[list[float]] = []
     names: list[str] = []
-    for number, line in enumerate(path.read_text(encoding="utf-8-sig", errors="replace").splitlines(), start=1):
-        fields = _fields(line.lstrip("# ")) if not rows else _fields(line)
-        values = [_number(field) for field in fields]
-        if not rows and (None in values or not any(map(_is_number, fields))):
+    for number, line in _lines(path):
+        fields = _fields(line if rows else line.lstrip("# "))
+        if not rows and not (any(map(_is_number, fields)) and all(_is_number(field, _LOST) for field in fields)):
             names = fields if len(fields) > 1 else names
             continue
-        if not line.strip():
-            continue
         if fields[-1] == "" and len(fields) == len(names) + 1:
-            values.pop()
-        if len(values) != len(names):
-            raise ValueError(
-                f"{path}: line {number}: expected {len(names)} columns as in the header, found {len(values)}"
-            )
-        if None in values:
-            found = fields[values.index(None)]
-            raise ValueError(f"{path}: line {number}: expected numbers, found {found[:40]!r}")
-        rows.append([value for value in values if value is not None])
+            fields.pop()
+        rows.append(_row(path, number, fields, len(names), _LOST))
     if not rows:
         raise ValueError(f"{path}: expected a header and rows of numbers, found none")
     table, columns = np.array(rows), _Columns()
@@ -399,16 +375,6 @@ def _text_columns(path: Path) -> _Columns:
         title, unit = (name, None) if matched is None else matched.groups()
         columns.setdefault(title, (unit or "", values_of))
     return columns
-
-
-def _number(field: str) -> float | None:
-    """Return the number of a field, NaN for a missing one, else None."""
-    if field.lower() in _LOST:
-        return float("nan")
-    try:
-        return float(field)
-    except ValueError:
-        return None
 
 
 _MAT_NUMBERS = ("double", "single", *(f"{sign}int{bits}" for sign in ("", "u") for bits in (8, 16, 32, 64)))
@@ -434,10 +400,7 @@ def _mat_columns(path: Path) -> _Columns:
 
 
 def _matrix_frames(paths: Sequence[Path], scale: float | None) -> list[_TableFrame]:
-    """Return the points of MatchID's matrices, `FRAME_X[mm].csv` and so on.
-
-    Quantities X Y Z U V W of every frame.
-    """
+    """Return the points of MatchID's matrices `FRAME_X[mm].csv` of X Y Z U V W."""
     frames: dict[str, dict[str, tuple[Path, str]]] = {}
     for path in paths:
         named = _QUANTITY.search(path.name)
@@ -469,15 +432,11 @@ def read_matrix(path: Path) -> FloatArray:
 
     No header; semicolons between and after the values; a decimal comma where the system has one.
     """
-    rows: list[list[float | None]] = []
-    for number, line in enumerate(path.read_text(encoding="utf-8-sig", errors="replace").splitlines(), start=1):
-        if not line.strip():
-            continue
+    rows: list[list[float]] = []
+    for number, line in _lines(path):
         fields = [field.strip() for field in line.replace(",", ".").split(";")]
-        values = [_number(field) for field in (fields[:-1] if fields[-1] == "" else fields)]
-        if None in values or (rows and len(values) != len(rows[0])):
-            raise ValueError(f"{path}: line {number}: expected numbers, as many as in the first line, found others")
-        rows.append(values)
+        fields = fields[:-1] if fields[-1] == "" else fields
+        rows.append(_row(path, number, fields, len(rows[0]) if rows else len(fields), _LOST))
     if not rows:
         raise ValueError(f"{path}: expected rows of numbers, found none")
-    return np.array(rows, dtype=np.float64)
+    return np.array(rows)

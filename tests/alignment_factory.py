@@ -13,8 +13,7 @@ from photogram.alignment.alignment_evidence import (
     calibration_steps,
     perpendicular_directions,
 )
-from photogram.alignment.motion_axes import fit_axis, linear_motion
-from photogram.alignment.pose_estimation import Alignment
+from photogram.alignment.pose_estimation import Alignment, fit_axis, linear_motion
 from photogram.camera import ROTATION, Camera, StereoRig, triangulate
 from photogram.geometry import RigidTransform, nearest_rotation, rotation_from_vector, vector_from_rotation
 from photogram.motion import RigidMotion

@@ -132,7 +132,7 @@ def test_one_function_opens_hdf5_and_one_writes_results() -> None:
     opens = {
         name for name in MODULES for call in _calls(name, ("File",)) if re.match(r"h5py\.File\((?!'in memory')", call)
     }
-    assert opens == {"shaker.io.channel", "photogram.calibration.exchange.matlab"}
+    assert opens == {"shaker.io.channel", "photogram.calibration.exchange.vision"}
     writes = re.compile(r"[\w.]+\.(write_text|write_bytes)\(|[\w.]*open\(.*'[wax]b?'")
     calls = {
         name: _calls(name, ("write_text", "write_bytes", "open")) for name in MODULES if name.startswith("fusion.")

@@ -60,8 +60,7 @@ from photogram.alignment.alignment_evidence import (
     calibration_steps,
     parameter_derivatives,
 )
-from photogram.alignment.motion_axes import fit_axis, linear_motion
-from photogram.alignment.pose_estimation import Alignment, align
+from photogram.alignment.pose_estimation import Alignment, align, fit_axis, linear_motion
 from photogram.camera import StereoRig, triangulate
 from photogram.geometry import RigidTransform
 from photogram.images.tiff import read_orientations, tag_notices

@@ -67,7 +67,8 @@ from photogram.calibration.initial_bundle import target_symmetries
 from photogram.camera import LEFT, RIG_PARAMETERS, StereoRig
 from photogram.geometry import RigidTransform, displacement_jacobian
 from photogram.images.image_files import read_image
-from photogram.targets.target_view import LONGEST_M, SHORTEST_M, Target, TargetView, find_target
+from photogram.targets.find_target import find_target
+from photogram.targets.target_view import LONGEST_M, SHORTEST_M, Target, TargetView
 from shakercal._common.arrays import FloatArray
 from shakercal._common.notices import Notice
 

@@ -31,16 +31,15 @@ from fusion.report.table import quantity_text
 from fusion.report.terminal import print_text
 from photogram.calibration.bundle import ShapeKind
 from photogram.calibration.calibration_file import read_calibration, write_calibration, write_camera
-from photogram.calibration.calibration_result import Calibration, Rejection
-from photogram.calibration.exchange.calibration_export import export_calibration
-from photogram.calibration.exchange.calibration_import import import_calibration
+from photogram.calibration.calibration_result import Calibration, KnownLength, Rejection, scale_to_length
+from photogram.calibration.exchange.exchange_files import export_calibration, import_calibration
 from photogram.calibration.initial_bundle import FEWEST_VIEWS, LensKind, ViewPair
-from photogram.calibration.scale import KnownLength, scale_to_length
 from photogram.calibration.session import calibrate_pair
 from photogram.images.image_files import read_image
 from photogram.images.tiff import read_orientations, tag_notices
 from photogram.targets.charuco import dictionary_of
-from photogram.targets.target_view import Target, TargetNotFound, TargetView, find_target
+from photogram.targets.find_target import find_target
+from photogram.targets.target_view import Target, TargetNotFound, TargetView
 from shakercal._common.notices import Notice
 
 log = logging.getLogger("shakercal")

@@ -46,7 +46,7 @@ def _cameras_options(parser: Parser) -> None:
 def cameras(options: argparse.Namespace) -> None:
     """Calibrate a stereo pair from target images."""
     from fusion.cameras.calibrate import CameraSettings, run_camera, run_cameras
-    from photogram.calibration.scale import KnownLength
+    from photogram.calibration.calibration_result import KnownLength
     from photogram.targets.target_view import Target
 
     try:

@@ -1,22 +1,15 @@
-"""Bundle adjustment of cameras, relative pose, target poses and target geometry."""
+"""Bundle adjustment of cameras, poses and target geometry, and the influence of single views."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
 
-from photogram.calibration.bundle import (
-    DRIFT_SPREAD,
-    Bundle,
-    ImageObservations,
-    ModelledPixels,
-    model_view_pixels,
-    scale_focal_lengths,
-)
-from photogram.camera import LEFT, RIG_PARAMETERS, RIGHT
+from photogram.calibration.bundle import DRIFT_SPREAD, Bundle, ImageObservations, ModelledPixels, step_poses
+from photogram.camera import LEFT, RIG_PARAMETERS, RIGHT, StereoRig
 from photogram.geometry import RigidTransform
 from shakercal._common.arrays import FloatArray, IntArray
 
@@ -104,20 +97,14 @@ def adjust(start: Bundle, images: Sequence[ImageObservations], prior: RigPrior, 
 
 def residuals(bundle: Bundle, images: Sequence[ImageObservations]) -> list[FloatArray]:
     """Return the residuals found − modelled (N, 2) of each image."""
-    found: list[FloatArray] = [np.empty((0, 2))] * len(images)
-    for side in _sides(images):
-        difference = side.position_px - side.see(bundle).pixel
-        for number, rows in zip(side.number, side.rows, strict=True):
-            found[number] = difference[rows]
-    return found
+    return [image.position_px - image.model(bundle).pixel for image in images]
 
 
 @dataclass(frozen=True, eq=False)
 class _Side:
-    """All images of one camera with their points (N,) in one array."""
+    """All images of one camera, with their points (N,) in one array."""
 
     side: int
-    number: tuple[int, ...]
     rows: tuple[slice, ...]
     view: IntArray
     point: IntArray
@@ -125,22 +112,12 @@ class _Side:
     precision: FloatArray
     radius_m: float
 
-    def see(self, bundle: Bundle) -> ModelledPixels:
-        """Return the expected pixels of all points."""
-        rig = bundle.rig
-        camera, relative = (rig.right, rig.right_from_left) if self.side else (rig.left, RigidTransform.identity())
-        points = bundle.shape.points_m[self.point]
-        seen = model_view_pixels(camera, relative, bundle.poses, self.view, points, self.radius_m)
-        if bundle.drift is None:
-            return seen
-        return scale_focal_lengths(seen, camera, bundle.drift.growth(self.side, self.view))
-
     def by_drift(self, bundle: Bundle, seen: ModelledPixels) -> FloatArray:
         """Return the derivatives (N, 2, D) of the pixels by the focal drift."""
         if bundle.drift is None:
             return np.empty((*seen.pixel.shape, 0))
-        camera = bundle.rig.right if self.side else bundle.rig.left
-        by_growth = bundle.drift.relative_time[self.view, None] * (seen.pixel - camera.matrix[:2, 2])
+        centre = (bundle.rig.right if self.side else bundle.rig.left).matrix[:2, 2]
+        by_growth = bundle.drift.relative_time[self.view, None] * (seen.pixel - centre)
         slope = np.zeros((*seen.pixel.shape, 2))
         slope[..., self.side] = by_growth / (1 + bundle.drift.growth(self.side, self.view))[:, None]
         return slope
@@ -150,22 +127,21 @@ def _sides(images: Sequence[ImageObservations]) -> list[_Side]:
     """Return the images by camera."""
     sides = []
     for side in sorted({image.side for image in images}):
-        number = tuple(n for n, image in enumerate(images) if image.side == side)
-        mine = [images[n] for n in number]
+        mine = [image for image in images if image.side == side]
         ends = np.cumsum([0, *(len(image.point) for image in mine)]).tolist()
-        view = np.concatenate([np.full(len(image.point), image.view) for image in mine])
+        view = np.repeat([image.view for image in mine], np.diff(ends))
+        point = np.concatenate([image.point for image in mine])
         position, precision = (
             np.concatenate([getattr(p, name) for p in mine]) for name in ("position_px", "precision")
         )
         rows = tuple(slice(*pair) for pair in pairwise(ends))
-        point = np.concatenate([image.point for image in mine])
-        sides.append(_Side(side, number, rows, view, point, position, precision, mine[0].radius_m))
+        sides.append(_Side(side, rows, view, point, position, precision, mine[0].radius_m))
     return sides
 
 
 def _evaluate(bundle: Bundle, sides: Sequence[_Side], prior: RigPrior) -> tuple[float, list[ModelledPixels]]:
     """Return the sum of squares, infinite for a point behind a camera, and the pixels."""
-    seen = [side.see(bundle) for side in sides]
+    seen = [bundle.model_pixels(side.side, side.view, side.point, side.radius_m) for side in sides]
     deviation, shape = prior.deviations(bundle.rig.values), bundle.shape.value_m / bundle.shape.prior_m
     total = float(deviation @ deviation) + float(shape @ shape)
     if bundle.drift is not None:
@@ -184,22 +160,17 @@ class BundleNormalEquations:
     ----------
     parameter_index : (Q,), the rig's parameters, which are first among K.
     drifts : Number of drift parameters, which are last among K.
-    common, pose, point : (V, K, K), (V, 6, 6) and (V, P, 3, 3); P = 0 if the target's points are not free.
-    common_pose, point_common, point_pose : Couplings (V, K, 6), (V, P, K, 3) and (V, P, 6, 3).
-    common_side, pose_side, point_side : Right-hand sides.
+    matrix, side : (V, K + 6, K + 6) and (V, K + 6), of K and the pose.
+    point, coupling, point_side : (V, P, 3, 3), (V, P, K + 6, 3), (V, P, 3); P = 0 if the target's points are not free.
     prior, prior_side, point_prior, point_prior_side : Prior information (K, K), (K,) and (P, 3).
     """
 
     parameter_index: IntArray
     drifts: int
-    common: FloatArray
-    pose: FloatArray
+    matrix: FloatArray
+    side: FloatArray
     point: FloatArray
-    common_pose: FloatArray
-    point_common: FloatArray
-    point_pose: FloatArray
-    common_side: FloatArray
-    pose_side: FloatArray
+    coupling: FloatArray
     point_side: FloatArray
     prior: FloatArray
     prior_side: FloatArray
@@ -209,22 +180,15 @@ class BundleNormalEquations:
     def step(self, damping: float) -> tuple[FloatArray, FloatArray, float]:
         """Return the damped steps of rig, geometry, drift and poses and the predicted decrease."""
         reduced = self.reduced(damping)
-        side = np.concatenate([self.common_side.sum(axis=0) + self.prior_side, self.pose_side.ravel()])
-        point_side = self.point_side.sum(axis=0) + self.point_prior_side
-        step, point_step = reduced.solve(side, point_side)
-        decrease = float(side @ step + (point_side * point_step).sum())
+        step, point_step = reduced.solve()
+        decrease = float(reduced.side @ step + (reduced.point_side * point_step).sum())
         return *self.spread(step, point_step), decrease
 
     def spread(self, step: FloatArray, point_step: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return the steps of rig, geometry and drift, and of the poses.
-
-        The first (32 + S + D,) is that of rig, geometry and drift, the second (V, 6).
-        """
-        rig, common = np.zeros(_RIG), len(self.prior)
-        rig[self.parameter_index] = step[: len(self.parameter_index)]
-        return np.concatenate([rig, point_step.ravel(), step[len(self.parameter_index) : common]]), step[
-            common:
-        ].reshape(-1, 6)
+        """Return the steps of rig, geometry and drift, and those of the poses (V, 6)."""
+        rig, common, free = np.zeros(_RIG), len(self.prior), len(self.parameter_index)
+        rig[self.parameter_index] = step[:free]
+        return np.concatenate([rig, point_step.ravel(), step[free:common]]), step[common:].reshape(-1, 6)
 
     def covariance(self) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
         """Return the covariance of rig (32, 32) and poses and variances of geometry and drift."""
@@ -240,17 +204,18 @@ class BundleNormalEquations:
 
     def reduced(self, damping: float = 0.0, without: int | None = None) -> ReducedEquations:
         """Return the equations after elimination of the points, of all views except `without`."""
-        views, common, points = len(self.pose), len(self.prior), len(self.point_prior)
-        remaining = [view for view in range(views) if view != without]
+        common, points = len(self.prior), len(self.point_prior)
+        remaining = [view for view in range(len(self.matrix)) if view != without]
         size = common + 6 * len(remaining)
         matrix, coupling = np.zeros((size, size)), np.zeros((points, size, 3))
-        matrix[:common, :common] = self.common[remaining].sum(axis=0) + self.prior
-        coupling[:, :common] = self.point_common[remaining].sum(axis=0)
+        matrix[:common, :common] = self.matrix[remaining, :common, :common].sum(axis=0) + self.prior
+        coupling[:, :common] = self.coupling[remaining, :, :common].sum(axis=0)
         for row, view in zip(range(common, size, 6), remaining, strict=True):
-            matrix[row : row + 6, row : row + 6] = self.pose[view]
-            matrix[:common, row : row + 6] = self.common_pose[view]
-            matrix[row : row + 6, :common] = self.common_pose[view].T
-            coupling[:, row : row + 6] = self.point_pose[view]
+            pose = slice(row, row + 6)
+            matrix[pose, pose] = self.matrix[view, common:, common:]
+            matrix[:common, pose] = self.matrix[view, :common, common:]
+            matrix[pose, :common] = matrix[:common, pose].T
+            coupling[:, pose] = self.coupling[view, :, common:]
         point = self.point[remaining].sum(axis=0) + self.point_prior[:, :, None] * np.eye(3)
         raised = 1.0 + damping
         matrix[np.diag_indices(size)] *= raised
@@ -258,7 +223,15 @@ class BundleNormalEquations:
         inverse = np.linalg.inv(point)
         answer = coupling @ inverse
         flat = (array.transpose(1, 0, 2).reshape(size, -1) for array in (answer, coupling))
-        return ReducedEquations(matrix - next(flat) @ next(flat).T, np.diagonal(matrix).copy(), answer, inverse)
+        side = self.side[remaining, :common].sum(axis=0) + self.prior_side
+        return ReducedEquations(
+            matrix - next(flat) @ next(flat).T,
+            np.diagonal(matrix).copy(),
+            answer,
+            inverse,
+            np.concatenate([side, self.side[remaining, common:].ravel()]),
+            self.point_side[remaining].sum(axis=0) + self.point_prior_side,
+        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -271,19 +244,22 @@ class ReducedEquations:
     diagonal : (R,), before the elimination.
     answer : (P, R, 3), minus the change of a point per change of the other unknowns.
     point : (P, 3, 3), covariance of a point if the other unknowns were exact.
+    side, point_side : (R,) and (P, 3), right-hand sides before the elimination.
     """
 
     matrix: FloatArray
     diagonal: FloatArray
     answer: FloatArray
     point: FloatArray
+    side: FloatArray
+    point_side: FloatArray
 
-    def solve(self, side: FloatArray, point_side: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return the solution (R,) and that of the points (P, 3) for right-hand sides."""
+    def solve(self) -> tuple[FloatArray, FloatArray]:
+        """Return the solution (R,) and that of the points (P, 3)."""
         scale = 1 / np.sqrt(self.diagonal)
-        less = side - np.einsum("pri,pi->r", self.answer, point_side)
+        less = self.side - np.einsum("pri,pi->r", self.answer, self.point_side)
         step = np.linalg.solve(self.matrix * np.outer(scale, scale), less * scale) * scale
-        by_side = np.einsum("pij,pj->pi", self.point, point_side)
+        by_side = np.einsum("pij,pj->pi", self.point, self.point_side)
         return step, by_side - np.einsum("pri,r->pi", self.answer, step)
 
     def covariance(self) -> FloatArray:
@@ -307,25 +283,16 @@ def _normal(
     prior_matrix = np.zeros((common, common))
     prior_matrix[: len(free), : len(free)] = prior.slope.T @ prior.slope
     prior_matrix[range(len(free), common), range(len(free), common)] = precision[ranged]
-    prior_side = np.concatenate([-prior.slope.T @ prior.deviations(bundle.rig.values), side[ranged]])
-
-    def zeros(*size: int) -> FloatArray:
-        return np.zeros((views, *size))
-
     normal = BundleNormalEquations(
         parameter_index=free,
         drifts=len(drift),
-        common=zeros(common, common),
-        pose=zeros(6, 6),
-        point=zeros(points, 3, 3),
-        common_pose=zeros(common, 6),
-        point_common=zeros(points, common, 3),
-        point_pose=zeros(points, 6, 3),
-        common_side=zeros(common),
-        pose_side=zeros(6),
-        point_side=zeros(points, 3),
+        matrix=np.zeros((views, common + 6, common + 6)),
+        side=np.zeros((views, common + 6)),
+        point=np.zeros((views, points, 3, 3)),
+        coupling=np.zeros((views, points, common + 6, 3)),
+        point_side=np.zeros((views, points, 3)),
         prior=prior_matrix,
-        prior_side=prior_side,
+        prior_side=np.concatenate([-prior.slope.T @ prior.deviations(bundle.rig.values), side[ranged]]),
         point_prior=precision[single].reshape(-1, 3),
         point_prior_side=side[single].reshape(-1, 3),
     )
@@ -337,24 +304,155 @@ def _normal(
 def _add_side(normal: BundleNormalEquations, bundle: Bundle, side: _Side, seen: ModelledPixels) -> None:
     """Add the images of one camera to the normal equations."""
     by_modes = np.einsum("nki,nim->nkm", seen.by_point, bundle.shape.modes[side.point])
-    by_common = [seen.by_rig(side.side)[..., normal.parameter_index], by_modes, side.by_drift(bundle, seen)]
-    slope = np.concatenate(by_common, axis=-1)
-    weighted, weighted_pose = side.precision @ slope, side.precision @ seen.by_pose
-    residual = side.position_px - seen.pixel
+    by_rig = seen.by_rig(side.side)[..., normal.parameter_index]
+    slope = np.concatenate([by_rig, by_modes, side.by_drift(bundle, seen), seen.by_pose], axis=-1)
+    weighted, residual = side.precision @ slope, side.position_px - seen.pixel
     for rows in side.rows:
-        view, many = side.view[rows.start], 2 * (rows.stop - rows.start)
-        image_slope, image_pose = slope[rows].reshape(many, -1), seen.by_pose[rows].reshape(many, 6)
-        image_weighted, pose_weighted = weighted[rows].reshape(many, -1), weighted_pose[rows].reshape(many, 6)
-        image_residual = residual[rows].ravel()
-        normal.common[view] += image_slope.T @ image_weighted
-        normal.pose[view] += image_pose.T @ pose_weighted
-        normal.common_pose[view] += image_slope.T @ pose_weighted
-        normal.common_side[view] += image_residual @ image_weighted
-        normal.pose_side[view] += image_residual @ pose_weighted
+        view, image_weighted = side.view[rows.start], weighted[rows].reshape(-1, slope.shape[-1])
+        normal.matrix[view] += slope[rows].reshape(image_weighted.shape).T @ image_weighted
+        normal.side[view] += residual[rows].ravel() @ image_weighted
     if len(normal.point_prior):
         at = (side.view, side.point)
         weighted_point = side.precision @ seen.by_point
         normal.point[at] += np.einsum("nki,nkj->nij", seen.by_point, weighted_point)
-        normal.point_common[at] += weighted.transpose(0, 2, 1) @ seen.by_point
-        normal.point_pose[at] += weighted_pose.transpose(0, 2, 1) @ seen.by_point
+        normal.coupling[at] += weighted.transpose(0, 2, 1) @ seen.by_point
         normal.point_side[at] += np.einsum("nki,nk->ni", weighted_point, residual)
+
+
+# Pose of a target alone, by Gauss–Newton steps.
+
+_POSE_STEPS = 30  # limit of the steps; some five are usual
+_POSE_CONVERGED = 1e-9  # expected decrease of the sum of squares that ends the iteration
+
+
+def refine_pose(bundle: Bundle, images: list[ImageObservations]) -> tuple[RigidTransform, FloatArray, float]:
+    """Return the pose, its covariance and the sum of squares, infinite if the iteration diverges."""
+    for _ in range(_POSE_STEPS):
+        normal, side, squares = np.zeros((6, 6)), np.zeros(6), 0.0
+        for image in images:
+            seen = image.model(bundle)
+            residual = image.position_px - seen.pixel
+            weighted = image.precision @ seen.by_pose
+            normal += np.einsum("nki,nkj->ij", seen.by_pose, weighted)
+            side += np.einsum("nki,nk->i", weighted, residual)
+            squares += float(np.einsum("ni,nij,nj->", residual, image.precision, residual))
+        if not np.isfinite(squares):
+            break
+        step = np.asarray(np.linalg.solve(normal, side), dtype=np.float64)
+        middle = bundle.shape.flat_m.mean(axis=0)
+        bundle = replace(bundle, poses=step_poses(middle, bundle.poses, step[None], np.zeros(2)))
+        if side @ step < _POSE_CONVERGED:
+            return bundle.poses[0], np.asarray(np.linalg.inv(normal), dtype=np.float64), squares
+    return bundle.poses[0], np.full((6, 6), np.nan), np.inf
+
+
+# Influence of single views: calibration without each view, and its prediction.
+
+_LEAST = 1e-9  # of the largest variance: smaller ones are rounding
+
+
+@dataclass(frozen=True, eq=False)
+class LeaveOneOut:
+    """Changes of a calibration when each view is left out in turn.
+
+    Attributes
+    ----------
+    steps : (V, 32), change of the rig's parameters, by one Gauss–Newton step from the normal equations of the whole
+        fit.
+    drift_steps : (V, D), change of the focal drift.
+    expected : (32, 32), covariance of the sum of these changes by point noise alone: Σ (Hᵥ)⁻¹ − H⁻¹ of the normal
+        equations without and with the view.
+    prediction_residuals : Residuals (N, 2) of each image, in the order of the fit, predicted by the other views with
+        only the target's pose fitted.
+    """
+
+    steps: FloatArray
+    drift_steps: FloatArray
+    expected: FloatArray
+    prediction_residuals: tuple[FloatArray, ...]
+
+
+def leave_views_out(adjusted: AdjustedBundle, images: Sequence[ImageObservations] = ()) -> LeaveOneOut:
+    """Return the fit without each of its views in turn.
+
+    `images` are predicted, with the weights of the fit.
+    """
+    normal, bundle = adjusted.normal, adjusted.bundle
+    free = len(normal.parameter_index)
+    block = np.ix_(normal.parameter_index, normal.parameter_index)
+    steps, drifts, expected = [], [], np.zeros_like(adjusted.covariance)
+    prediction: list[FloatArray] = [np.empty((0, 2))] * len(images)
+    for view in range(len(bundle.poses)):
+        reduced = normal.reduced(without=view)
+        step, pose_steps = normal.spread(*reduced.solve())
+        steps.append(step[: len(expected)])
+        drifts.append(step[len(step) - normal.drifts :])
+        expected[block] += reduced.covariance()[:free, :free] - adjusted.covariance[block]
+        members = [n for n, image in enumerate(images) if image.view == view]
+        if members:
+            others = bundle.with_step(step, np.insert(pose_steps, view, 0.0, axis=0))
+            for n, residual in zip(members, predict_view(others, [images[n] for n in members]), strict=True):
+                prediction[n] = residual
+    return LeaveOneOut(np.array(steps), np.array(drifts), expected, tuple(prediction))
+
+
+def drift_uncertainty(adjusted: AdjustedBundle, left_out: LeaveOneOut, factor: float) -> FloatArray:
+    """Return the standard uncertainties (D,) of a drift.
+
+    The larger one of that by residuals and that by the jackknife over the views.
+    """
+    views = len(left_out.drift_steps)
+    by_views = (views - 1) / views * (left_out.drift_steps**2).sum(axis=0)
+    return np.asarray(np.sqrt(np.maximum(adjusted.drift_variance * factor, by_views)))
+
+
+def predict_view(bundle: Bundle, images: Sequence[ImageObservations]) -> list[FloatArray]:
+    """Return the residuals (N, 2) of one view's images with only the target's pose fitted."""
+    single = [replace(image, view=0) for image in images]
+    one = bundle.of_views([images[0].view])
+    pose, _, _ = refine_pose(one, single)
+    return residuals(replace(one, poses=(pose,)), single)
+
+
+def stated_covariance(covariance: FloatArray, left_out: LeaveOneOut, factor: float) -> FloatArray:
+    """Return the covariance (32, 32) of the rig, including the scatter of its views.
+
+    `covariance` of the fit times the reduced χ² `factor` is the contribution of the residuals. The delete-one-view
+    jackknife (Efron and Stein 1981, Annals of Statistics 9, 586; clusters: Cameron and Miller 2015, Journal of Human
+    Resources 50, 317) gives that of the views, whatever their errors have in common. Its principal variances are
+    expressed in units of the covariance by point noise alone. V samples of N parameters reach (1 + √(N/V))² by chance
+    (Marčenko and Pastur 1967, Mathematics of the USSR-Sbornik 1, 457). Larger variances replace the noise. They are
+    reduced by the contribution of the others to the largest of few samples (Baik and Silverstein 2006, Journal of
+    Multivariate Analysis 97, 1382). The factor (V − 1)/(V − 3) covers the few views (JCGM 101:2008, 6.4.9), so that k =
+    2 covers 95 %.
+    """
+    free = np.flatnonzero(np.diagonal(covariance) > 0)
+    views, block = len(left_out.steps), np.ix_(free, free)
+    fit = covariance[block] * factor
+    expected = left_out.expected[block] * factor * (views - 1) / views
+    scale = np.sqrt(np.maximum(np.diagonal(expected), _LEAST * np.diagonal(fit)))
+    size, axes = np.linalg.eigh(expected / np.outer(scale, scale))
+    size = np.sqrt(np.maximum(size, _LEAST * size[-1]))
+    white = (left_out.steps[:, free] / scale) @ axes / size * np.sqrt(views - 1)  # unit variances by noise alone
+    variance, turn = np.linalg.eigh(white.T @ white / views)
+    few, ratio = (views - 1) / max(views - 3, 1), len(free) / views
+    sum_ = variance + 1 - ratio  # a variance v among unit variances is estimated as v + v·ratio/(v − 1)
+    true = (sum_ + np.sqrt(np.maximum(sum_**2 - 4 * variance, 0.0))) / 2
+    more = np.where(variance > (1 + np.sqrt(ratio)) ** 2, few * true - 1, 0.0)
+    root = scale[:, None] * (axes * size) @ turn * np.sqrt(more)
+    stated = covariance * factor
+    stated[block] += root @ root.T
+    return stated
+
+
+def split_half(
+    adjusted: AdjustedBundle, images: Sequence[ImageObservations], prior: RigPrior
+) -> tuple[StereoRig, StereoRig]:
+    """Return the rigs of every second view and of the others."""
+    bundle = adjusted.bundle
+    views, rigs = len(bundle.poses), []
+    for first in (0, 1):
+        number = {view: row for row, view in enumerate(range(first, views, 2))}
+        half = [replace(image, view=number[image.view]) for image in images if image.view in number]
+        rigs.append(adjust(bundle.of_views(list(number)), half, prior, near=True).bundle.rig)
+    return rigs[0], rigs[1]

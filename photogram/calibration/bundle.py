@@ -44,6 +44,14 @@ class ModelledPixels:
             slope[..., ROTATION], slope[..., TRANSLATION] = self.by_relative[..., 3:], self.by_relative[..., :3]
         return slope
 
+    def scaled(self, camera: Camera, growth: FloatArray) -> ModelledPixels:
+        """Return the pixels for focal lengths that are larger by `growth` (N,), relative."""
+        factor, centre = 1 + growth[:, None], camera.matrix[:2, 2]
+        others = (self.by_camera, self.by_relative, self.by_pose, self.by_point)
+        by_camera, *rest = (slope * factor[..., None] for slope in others)
+        by_camera[:, 0, 2] = by_camera[:, 1, 3] = 1.0
+        return ModelledPixels(centre + (self.pixel - centre) * factor, by_camera, *rest)
+
 
 def model_pixels(
     camera: Camera,
@@ -302,6 +310,10 @@ class ImageObservations:
     precision: FloatArray
     radius_m: float
 
+    def model(self, bundle: Bundle) -> ModelledPixels:
+        """Return the modelled pixels of the points."""
+        return bundle.model_pixels(self.side, np.full(len(self.point), self.view), self.point, self.radius_m)
+
 
 @dataclass(frozen=True, eq=False)
 class FocalDrift:
@@ -325,15 +337,6 @@ class FocalDrift:
 
 
 DRIFT_SPREAD = 5e-3  # prior standard deviation of a relative drift; warming lenses change by some 10⁻³
-
-
-def scale_focal_lengths(seen: ModelledPixels, camera: Camera, growth: FloatArray) -> ModelledPixels:
-    """Return modelled pixels for focal lengths that are larger by `growth` (N,), relative."""
-    factor, centre = 1 + growth[:, None], camera.matrix[:2, 2]
-    others = (seen.by_camera, seen.by_relative, seen.by_pose, seen.by_point)
-    by_camera, *rest = (slope * factor[..., None] for slope in others)
-    by_camera[:, 0, 2] = by_camera[:, 1, 3] = 1.0
-    return ModelledPixels(centre + (seen.pixel - centre) * factor, by_camera, *rest)
 
 
 @dataclass(frozen=True, eq=False)
@@ -388,15 +391,12 @@ class Bundle:
         rotation = rotation_from_vector(step[ROTATION]) @ relative.rotation
         return RigidTransform(rotation, centre - rotation @ after)
 
-    def model_pixels(self, image: ImageObservations) -> ModelledPixels:
-        """Return the modelled pixels of an image's points with derivatives."""
-        camera = self.rig.right if image.side else self.rig.left
-        relative = self.rig.right_from_left if image.side else RigidTransform.identity()
-        points = self.shape.points_m[image.point]
-        seen = model_pixels(camera, relative, self.poses[image.view], points, image.radius_m)
-        if self.drift is None:
-            return seen
-        return scale_focal_lengths(seen, camera, self.drift.growth(image.side, np.full(len(points), image.view)))
+    def model_pixels(self, side: int, view: IntArray, point: IntArray, radius_m: float) -> ModelledPixels:
+        """Return the modelled pixels (N, 2) of points (N,) in views (N,) with derivatives."""
+        rig = self.rig
+        camera, relative = (rig.right, rig.right_from_left) if side else (rig.left, RigidTransform.identity())
+        seen = model_view_pixels(camera, relative, self.poses, view, self.shape.points_m[point], radius_m)
+        return seen if self.drift is None else seen.scaled(camera, self.drift.growth(side, view))
 
 
 def step_poses(

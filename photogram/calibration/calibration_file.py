@@ -108,9 +108,10 @@ def write_calibration(path: str | Path, rig: StereoRig, reprojection_rms_px: flo
     ...     write_calibration(f"{folder}/rig.json", rig, reprojection_rms_px=0.04)
     """
     sizes = [[int(length) for length in camera.size_px] for camera in (rig.left, rig.right)]
-    covariance = rig.covariance
     # The lens's further terms, after the 24 parameters of every file, are written only if they are uncertain
-    stated = [n for n in range(len(RIG_PARAMETERS)) if covariance is not None and (n < 24 or covariance[n, n] > 0)]
+    stated = [
+        n for n in range(len(RIG_PARAMETERS)) if rig.covariance is not None and (n < 24 or rig.covariance[n, n] > 0)
+    ]
     content = {
         "format": 1,
         "image_size": sizes[0] if sizes[0] == sizes[1] else sizes,
@@ -119,12 +120,7 @@ def write_calibration(path: str | Path, rig: StereoRig, reprojection_rms_px: flo
         "rotation": rig.right_from_left.rotation.tolist(),
         "translation": rig.right_from_left.translation_m.tolist(),
         "reprojection_rms": None if reprojection_rms_px is None else float(reprojection_rms_px),
-        "covariance": None
-        if covariance is None
-        else {
-            "parameters": [RIG_PARAMETERS[index] for index in stated],
-            "matrix": covariance[np.ix_(stated, stated)].tolist(),
-        },
+        "covariance": None if rig.covariance is None else _block(rig.covariance, RIG_PARAMETERS, stated),
     }
     _write(Path(path), content)
 
@@ -139,18 +135,20 @@ def write_camera(path: str | Path, calibration: Calibration) -> None:
     """
     camera, covariance = calibration.rig.left, calibration.rig.covariance
     assert covariance is not None
-    stated = [n for n, index in enumerate(LEFT) if covariance[index, index] > 0]
+    covariance = covariance[np.ix_(LEFT, LEFT)]
     content = {
         "format": 1,
         "image_size": [int(size) for size in camera.size_px],
         "camera": _lens(camera),
         "reprojection_rms": calibration.rms_px,
-        "covariance": {
-            "parameters": [CAMERA_PARAMETERS[n] for n in stated],
-            "matrix": covariance[np.ix_(LEFT[stated], LEFT[stated])].tolist(),
-        },
+        "covariance": _block(covariance, CAMERA_PARAMETERS, np.flatnonzero(np.diagonal(covariance) > 0).tolist()),
     }
     _write(Path(path), content)
+
+
+def _block(covariance: FloatArray, names: tuple[str, ...], stated: list[int]) -> dict[str, Any]:
+    """Return the keys of the covariance of the parameters `stated`."""
+    return {"parameters": [names[n] for n in stated], "matrix": covariance[np.ix_(stated, stated)].tolist()}
 
 
 def read_camera(path: str | Path) -> tuple[Camera, FloatArray]:
@@ -166,8 +164,6 @@ def read_camera(path: str | Path) -> tuple[Camera, FloatArray]:
             whole = np.zeros((len(RIG_PARAMETERS),) * 2) if rig.covariance is None else rig.covariance
             return rig.left, whole[np.ix_(LEFT, LEFT)]
         _check_keys("", content, _CAMERA_KEYS)
-        if isinstance(content["format"], bool) or content["format"] != 1:
-            raise ValueError(f"format: expected 1, found {content['format']!r:.60}")
         camera = _camera("camera", content["camera"], _size(content["image_size"]))
         covariance = _covariance(content["covariance"], CAMERA_PARAMETERS)
     except ValueError as error:
@@ -229,8 +225,6 @@ def _without_repeats(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
 def _rig(content: Any) -> StereoRig:
     """Return the checked stereo pair of the parsed text."""
     _check_keys("", content, _KEYS)
-    if isinstance(content["format"], bool) or content["format"] != 1:
-        raise ValueError(f"format: expected 1, found {content['format']!r:.60}")
     given = content["image_size"]
     both = isinstance(given, list) and len(given) == 2 and all(isinstance(part, list) for part in given)
     left, right = map(_size, given if both else [given, given])
@@ -255,7 +249,7 @@ def _size(found: Any) -> FloatArray:
 
 
 def _check_keys(where: str, found: Any, expected: tuple[str, ...]) -> None:
-    """Raise `ValueError` unless `found` is an object with exactly the expected keys."""
+    """Raise `ValueError` unless `found` is an object with the expected keys, of format 1."""
     prefix = f"{where}." if where else ""
     if not isinstance(found, dict):
         keys = ", ".join(expected)
@@ -266,6 +260,8 @@ def _check_keys(where: str, found: Any, expected: tuple[str, ...]) -> None:
     for key in expected:
         if key not in found:
             raise ValueError(f"{prefix}{key}: missing key")
+    if "format" in expected and (isinstance(found["format"], bool) or found["format"] != 1):
+        raise ValueError(f"format: expected 1, found {found['format']!r:.60}")
 
 
 def _numbers(where: str, found: Any, shape: tuple[int, ...], largest: float = LARGEST) -> FloatArray:

@@ -9,8 +9,8 @@ from typing import Any, Literal
 
 import numpy as np
 
-from photogram.calibration.adjust import RigPrior
-from photogram.calibration.bundle import Bundle, ImageObservations, ShapeKind, make_shape, step_poses
+from photogram.calibration.adjust import RigPrior, refine_pose, residuals
+from photogram.calibration.bundle import Bundle, ImageObservations, ShapeKind, make_shape
 from photogram.calibration.calibration_result import Rejection, check_view_angles
 from photogram.camera import LEFT, RIGHT, ROTATION, TRANSLATION, Camera, StereoRig
 from photogram.geometry import RigidTransform
@@ -71,10 +71,7 @@ def _pair_up(
 
 
 def _disagreement(poses: Sequence[RigidTransform], depth_m: float) -> FloatArray:
-    """Return the distance (N, N) between poses (N).
-
-    It is the larger of rotation in rad and shift over the distance.
-    """
+    """Return the distances (N, N) of poses: rotation in rad or shift over the distance."""
     rotation = np.array([pose.rotation.ravel() for pose in poses])
     shift = np.array([pose.translation_m for pose in poses])
     turn = np.arccos(np.clip((rotation @ rotation.T - 1.0) / 2.0, -1.0, 1.0))
@@ -114,8 +111,6 @@ def renumber_points(view: TargetView, turn: IntArray, shift: FloatArray) -> Targ
 
 # Pose of a target from views of a calibrated pair.
 
-_STEPS = 30  # limit of the Gauss–Newton steps; some five are usual
-_CONVERGED = 1e-9  # expected decrease of the sum of squares that ends the iteration
 _WORST_PX = 3.0  # largest rms of points in one pose of the target
 
 
@@ -173,9 +168,8 @@ def _posed(
     pose, covariance, squares = min(fits, key=lambda fit: fit[2])
     if not np.isfinite(squares):
         return pose, covariance, np.inf
-    bundle = Bundle(rig, (pose,), shape)
-    residuals = [image.position_px - bundle.model_pixels(image).pixel for image in images]
-    return pose, covariance, float(np.sqrt((np.concatenate(residuals) ** 2).sum(axis=1).mean()))
+    off = np.concatenate(residuals(Bundle(rig, (pose,), shape), images))
+    return pose, covariance, float(np.sqrt((off**2).sum(axis=1).mean()))
 
 
 def image_observations(
@@ -192,30 +186,6 @@ def _opencv_poses(turns: Sequence[Any], shifts: Sequence[Any]) -> list[RigidTran
     """Return poses from OpenCV's rotation vectors and translations."""
     poses = [np.concatenate([np.ravel(shift), np.ravel(turn)]) for turn, shift in zip(turns, shifts, strict=True)]
     return [RigidTransform.from_pose(pose.astype(np.float64)) for pose in poses]
-
-
-def refine_pose(bundle: Bundle, images: list[ImageObservations]) -> tuple[RigidTransform, FloatArray, float]:
-    """Return the pose after Gauss–Newton, its covariance and the sum of squares.
-
-    The sum is infinite if the iteration diverges.
-    """
-    for _ in range(_STEPS):
-        normal, side, squares = np.zeros((6, 6)), np.zeros(6), 0.0
-        for image in images:
-            seen = bundle.model_pixels(image)
-            residual = image.position_px - seen.pixel
-            weighted = image.precision @ seen.by_pose
-            normal += np.einsum("nki,nkj->ij", seen.by_pose, weighted)
-            side += np.einsum("nki,nk->i", weighted, residual)
-            squares += float(np.einsum("ni,nij,nj->", residual, image.precision, residual))
-        if not np.isfinite(squares):
-            break
-        step = np.asarray(np.linalg.solve(normal, side), dtype=np.float64)
-        middle = bundle.shape.flat_m.mean(axis=0)
-        bundle = replace(bundle, poses=step_poses(middle, bundle.poses, step[None], np.zeros(2)))
-        if side @ step < _CONVERGED:
-            return bundle.poses[0], np.asarray(np.linalg.inv(normal), dtype=np.float64), squares
-    return bundle.poses[0], np.full((6, 6), np.nan), np.inf
 
 
 # Start of the bundle adjustment: each camera by OpenCV, the relative pose by agreement of the views.
@@ -242,44 +212,33 @@ def start_bundle(
     single camera. An image is rejected if its points contradict the others of its camera, and a pair if its relative
     pose contradicts the others. Raises `ValueError` for fewer than three views of a camera, or without a pair.
     """
-    if all(right is None for _, right in pairs):
-        return _start_single(pairs, target, shape)
-    sides = [_single(pairs, side, target) for side in (0, 1)]
+    sides = [_single(pairs, side, target) for side in ((0,) if all(right is None for _, right in pairs) else (0, 1))]
     dropped = [item for side in sides for item in side.dropped]
     for side in sides:
         check_view_angles(list(side.poses.values()))
-    relative, pairs, right_poses, strange = _pair_up(pairs, sides[0].poses, sides[1].poses, target)
+    strange: list[int] = []
+    relative, right_poses = RigidTransform.identity(), Poses()
+    if len(sides) > 1:
+        relative, pairs, right_poses, strange = _pair_up(pairs, sides[0].poses, sides[1].poses, target)
     for view in strange:
         names = " and ".join(seen.name for seen in pairs[view] if seen is not None)
         reason = "the two images do not show one position of the target (mixed up, mirrored, or moved in between)"
         dropped.append(Rejection(names, 0, reason))
     used_pairs, poses = [], []
     for view, pair in enumerate(pairs):
-        used = [
-            seen if view in side.poses and view not in strange else None for seen, side in zip(pair, sides, strict=True)
-        ]
-        if used[0] is None and used[1] is None:
-            continue
-        used_pairs.append((used[0], used[1]))
-        poses.append(sides[0].poses[view] if used[0] is not None else relative.inverse() @ right_poses[view])
+        left, right = (
+            seen if view in known and view not in strange else None
+            for seen, known in zip(pair, (sides[0].poses, right_poses), strict=True)
+        )
+        if left is not None or right is not None:
+            used_pairs.append((left, right))
+            poses.append(sides[0].poses[view] if left is not None else relative.inverse() @ right_poses[view])
     both = sum(left is not None and right is not None for left, right in used_pairs)
-    if both < FEWEST_VIEWS:
+    if len(sides) > 1 and both < FEWEST_VIEWS:
         raise ValueError(f"both cameras see {both} positions of the target, at least {FEWEST_VIEWS} are needed")
-    rig = StereoRig(sides[0].camera, sides[1].camera, relative)
+    rig = StereoRig(sides[0].camera, sides[-1].camera, relative)
     index = np.unique(np.concatenate([seen.index for pair in used_pairs for seen in pair if seen is not None]), axis=0)
     return Bundle(rig, tuple(poses), make_shape(shape, index, target.spacing_m)), tuple(used_pairs), tuple(dropped)
-
-
-def _start_single(
-    pairs: Sequence[ViewPair], target: Target, shape: ShapeKind
-) -> tuple[Bundle, tuple[ViewPair, ...], tuple[Rejection, ...]]:
-    """Return the same for a single camera, used as the left one of a pair."""
-    side = _single(pairs, 0, target)
-    check_view_angles(list(side.poses.values()))
-    used_pairs = tuple(pairs[view] for view in side.poses)
-    index = np.unique(np.concatenate([seen.index for seen, _ in used_pairs if seen is not None]), axis=0)
-    rig = StereoRig(side.camera, side.camera, RigidTransform.identity())
-    return Bundle(rig, tuple(side.poses.values()), make_shape(shape, index, target.spacing_m)), used_pairs, side.dropped
 
 
 def lens_prior(rig: StereoRig, lens: LensKind = "polynomial", single: bool = False) -> RigPrior:

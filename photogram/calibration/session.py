@@ -9,7 +9,17 @@ from typing import Literal
 
 import numpy as np
 
-from photogram.calibration.adjust import AdjustedBundle, RigPrior, adjust, residuals
+from photogram.calibration.adjust import (
+    AdjustedBundle,
+    LeaveOneOut,
+    RigPrior,
+    adjust,
+    drift_uncertainty,
+    leave_views_out,
+    residuals,
+    split_half,
+    stated_covariance,
+)
 from photogram.calibration.bundle import DRIFT_SPREAD, Bundle, FocalDrift, ImageObservations, ShapeKind
 from photogram.calibration.calibration_result import (
     AlternativeModel,
@@ -24,13 +34,6 @@ from photogram.calibration.calibration_result import (
     session_notices,
 )
 from photogram.calibration.initial_bundle import LensKind, ViewPair, image_observations, lens_prior, start_bundle
-from photogram.calibration.leave_one_out import (
-    LeaveOneOut,
-    drift_uncertainty,
-    leave_views_out,
-    split_half,
-    stated_covariance,
-)
 from photogram.camera import LEFT, RIGHT, TRANSLATION, StereoRig
 from photogram.targets.target_view import Target, TargetView
 from shakercal._common.arrays import BoolArray, FloatArray
@@ -219,10 +222,7 @@ class _Session:
         return _Session(tuple(views), tuple(images), used, (_START_NOISE_PX, _START_NOISE_PX))
 
     def weighted(self, every: bool = False) -> tuple[ImageObservations, ...]:
-        """Return the images with the weights of this round.
-
-        Rejected points have weight 0 unless `every`.
-        """
+        """Return the images weighted for this round, rejected points by 0 unless `every`."""
         weighted = []
         for view, image, used in zip(self.views, self.images, self.used, strict=True):
             total = view.covariance_px2 + self.added_px[image.side] ** 2 * np.eye(2)
@@ -393,6 +393,7 @@ def _result(fit: _Fit, others: Sequence[_Fit], target: Target, scale_u: float) -
         sides = {p.side: seen for p, seen in zip(session.images, images, strict=True) if p.view == number}
         views.append(CalibratedView(pose, fit.adjusted.pose_covariance[number] * factor, sides.get(0), sides.get(1)))
     by_side = [[seen for p, seen in zip(session.images, images, strict=True) if p.side == s] for s in (0, 1)]
+    off, off_left, off_right = ([(seen.residual_px, seen.used) for seen in each] for each in (images, *by_side))
     parameters = rig_parameters(rig, prior.sigma)
     check_focal_lengths(parameters)
     calibration = Calibration(
@@ -400,8 +401,8 @@ def _result(fit: _Fit, others: Sequence[_Fit], target: Target, scale_u: float) -
         target=target,
         views=tuple(views),
         parameters=parameters,
-        rms_px=_rms(images),
-        rms_sides_px=(_rms(by_side[0]), _rms(by_side[1])),
+        rms_px=_rms(off),
+        rms_sides_px=(_rms(off_left), _rms(off_right)),
         added_px=session.added_px,
         sigma_factor=float(np.sqrt(factor)),
         dof=fit.dof,
@@ -425,13 +426,13 @@ def _judgement(fit: _Fit, others: Sequence[_Fit], prior: RigPrior) -> CrossValid
     enough = len(fit.adjusted.bundle.poses) >= _VIEWS_TO_HALVE
     u_fit = np.sqrt(np.diagonal(fit.adjusted.covariance) * fit.factor)
     tried = [
-        AlternativeModel(other.model.shape, other.model.lens, other.adjusted.bundle.rig, _predicted_rms(other))
+        AlternativeModel(other.model.shape, other.model.lens, other.adjusted.bundle.rig, _rms(other.predictions))
         for other in others
     ]
     return CrossValidation(
         fit.model.shape,
         fit.model.lens,
-        _predicted_rms(fit),
+        _rms(fit.predictions),
         u_fit,
         split_half(fit.adjusted, fit.session.weighted(), prior) if enough else None,
         tuple(tried),
@@ -439,15 +440,8 @@ def _judgement(fit: _Fit, others: Sequence[_Fit], prior: RigPrior) -> CrossValid
     )
 
 
-def _predicted_rms(fit: _Fit) -> float:
-    """Return the rms length of the residuals predicted by the other views."""
-    return float(
-        np.sqrt(np.concatenate([(difference[used] ** 2).sum(axis=1) for difference, used in fit.predictions]).mean())
-    )
-
-
-def _rms(images: Sequence[CalibratedImage]) -> float:
-    """Return the rms length of the residuals of all used points."""
-    squares = [(image.residual_px[image.used] ** 2).sum(axis=1) for image in images]
+def _rms(residuals: Sequence[tuple[FloatArray, BoolArray]]) -> float:
+    """Return the rms length of the residuals (N, 2) of the points used (N,)."""
+    squares = [(residual[used] ** 2).sum(axis=1) for residual, used in residuals]
     every = np.concatenate(squares) if squares else np.empty(0)
     return float(np.sqrt(every.mean())) if every.size else float("nan")

@@ -74,17 +74,6 @@ def _step(distance: float, sigma: float) -> float:
 
 
 @njit(error_model="numpy")
-def _interval(edges: FloatArray, value: float, guess: int) -> int:
-    """Return k with edges[k] <= value < edges[k + 1], −1 before the first edge."""
-    k = guess
-    while k >= 0 and edges[k] > value:
-        k -= 1
-    while k + 1 < edges.size and edges[k + 1] <= value:
-        k += 1
-    return k
-
-
-@njit(error_model="numpy")
 def _shares(edges: FloatArray, value: float, sigma: float, first: int, last: int, shares: FloatArray) -> None:
     """Fill shares[first : last + 1] with tile weights; tile k ends at edge k."""
     lower = 0.0
@@ -104,7 +93,6 @@ def render_tiles(camera, homography, edges_x, edges_y, tiles, sigma, image):  # 
     share_x, share_y = np.empty(edges_x.size + 1), np.empty(edges_y.size + 1)
     for row in range(image.shape[0]):
         _rays(row, camera, rays)
-        i0 = j0 = 0
         for column in range(image.shape[1]):
             ray = rays[column]
             u, v = _plane(homography, ray[0], ray[1])
@@ -112,11 +100,8 @@ def render_tiles(camera, homography, edges_x, edges_y, tiles, sigma, image):  # 
             if not reach > 0.0:
                 image[row, column] = tiles[0, 0]
                 continue
-            i0, j0 = (
-                _interval(edges_x, u - reach, max(i0 - 1, 0)) + 1,
-                _interval(edges_y, v - reach, max(j0 - 1, 0)) + 1,
-            )
-            i1, j1 = _interval(edges_x, u + reach, i0 - 1) + 1, _interval(edges_y, v + reach, j0 - 1) + 1
+            i0, i1 = np.searchsorted(edges_x, u - reach, "right"), np.searchsorted(edges_x, u + reach, "right")
+            j0, j1 = np.searchsorted(edges_y, v - reach, "right"), np.searchsorted(edges_y, v + reach, "right")
             if i0 == i1 and j0 == j1:
                 image[row, column] = tiles[j0, i0]
                 continue

@@ -191,10 +191,7 @@ def downscale(grey: NDArray[np.uint8], longest_px: int) -> tuple[NDArray[np.uint
 
 
 def _search(grey: NDArray[np.uint8], size: tuple[int, int]) -> FloatArray | None:
-    """Return the corners (columns, rows, 2) in px that OpenCV finds, None for none.
-
-    First in a smaller image.
-    """
+    """Return the corners (columns, rows, 2) that OpenCV finds, in a smaller image first."""
     import cv2
 
     small, factor = downscale(grey, SEARCHED_PX)

@@ -18,7 +18,7 @@ GOOD, OUTSIDE, SATURATED, NO_CROSSING, FAINT = 0, 1, 2, 3, 4
 FULL, STATUS, CHI2 = PARAMETERS, PARAMETERS + 1, PARAMETERS + 2  # columns after those of the parameters
 SATURATION, AMOUNT, RADIUS = 3, 4, 5  # of the camera's response
 REACH = 3  # px over which noise may be correlated
-_ROUNDS = 30  # usually fewer than ten are needed
+_RULES = 30, 1e-2, 1e-6, 1e6, True  # of `minimise`; usually fewer than ten steps are needed
 _MAX_PIXELS = 20_000  # of a window
 _CENTRED_PX, _CONVERGED_PX = 1e-3, 1e-4
 """Steps of the centre that end a fit: for the position of the window, and for the result, with a far smaller error."""
@@ -28,12 +28,15 @@ _FARTHEST = 0.35  # of a square's side, between a corner and its start
 
 
 @njit(error_model="numpy")
-def cholesky(matrix: FloatArray, factor: FloatArray) -> bool:
-    """Fill the lower factor of a symmetric matrix (P,P); return whether it is positive definite."""
+def cholesky(matrix: FloatArray, damping: float, factor: FloatArray) -> bool:
+    """Fill the lower factor of a matrix (P,P); return whether it is positive definite.
+
+    Its diagonal is raised by the share `damping`.
+    """
     size = matrix.shape[0]
     for i in range(size):
         for j in range(i + 1):
-            total = matrix[i, j]
+            total = matrix[i, j] * (1.0 + damping) if i == j else matrix[i, j]
             for k in range(j):
                 total -= factor[i, k] * factor[j, k]
             if i == j:
@@ -60,11 +63,51 @@ def solve(factor: FloatArray, vector: FloatArray) -> None:
 
 
 @njit(error_model="numpy")
-def _edge(distance: float, sharpness: float) -> tuple[float, float]:
-    """Return erf(d/(√2·σ)) and its derivative by d, sharpness 1/σ.
+def assign(target: FloatArray, source: FloatArray) -> None:
+    """Copy numbers (P,): numba takes seconds to compile an assignment of arrays."""
+    for k in range(target.size):
+        target[k] = source[k]
 
-    Beyond 7σ both are at their limits to 10⁻¹¹.
+
+@njit(error_model="numpy", inline="always")
+def minimise(evaluate, is_small, data, p, rules):  # type: ignore[no-untyped-def]
+    """Improve parameters (P,) by Levenberg's method; return sum of squares and normal matrix.
+
+    `evaluate(data, p, matrix, vector)` fills the normal equations and returns the sum of squares, infinite for
+    impossible parameters; it may move them to their bounds. `is_small(step, damping)` ends the search. rules: number of
+    steps, first damping, least one after a refused step, largest one, and whether the last step counts in any case.
+    Without convergence the sum is NaN.
     """
+    rounds, damping, least, most, counts = rules
+    matrix, tried_matrix = np.empty((p.size, p.size)), np.empty((p.size, p.size))
+    factor, vector, tried_vector = np.zeros((p.size, p.size)), np.empty(p.size), np.empty(p.size)
+    step, tried, cost, damping, small = np.empty(p.size), p.copy(), math.inf, 10.0 * damping, False
+    for k in range(rounds + 1):
+        new_cost = evaluate(data, tried, tried_matrix, tried_vector)
+        if new_cost <= cost or (small and counts) or k == 0:
+            assign(p, tried)
+            matrix, tried_matrix, vector, tried_vector = tried_matrix, matrix, tried_vector, vector
+            cost, damping = new_cost, damping * 0.1
+        elif not small or new_cost == math.inf:
+            damping, small = max(damping * 10.0, least), False
+        if small:
+            return cost, matrix
+        if damping > most or not cost < math.inf:
+            break
+        if cholesky(matrix, damping, factor):
+            assign(step, vector)
+            solve(factor, step)
+            small = is_small(step, damping)
+        else:
+            step[:] = math.inf
+        for i in range(p.size):
+            tried[i] = p[i] + step[i]
+    return math.nan, matrix
+
+
+@njit(error_model="numpy")
+def _edge(distance: float, sharpness: float) -> tuple[float, float]:
+    """Return erf(d/(√2·σ)) and its derivative by d, at their limits beyond 7σ."""
     scaled = distance * sharpness
     if abs(scaled) > 7.0:
         return math.copysign(1.0, scaled), 0.0
@@ -73,10 +116,7 @@ def _edge(distance: float, sharpness: float) -> tuple[float, float]:
 
 @njit(error_model="numpy")
 def _crossing(p, d_1, d_2, sharpness):  # type: ignore[no-untyped-def]
-    """Return E(d₁/s₁)·E(d₂/s₂) and its derivatives by d₁, d₂, σ₁, σ₂.
-
-    `sharpness`: 1/s of both, s² = σ² or σ² + τ².
-    """
+    """Return E(d₁/s₁)·E(d₂/s₂), derivatives by d₁, d₂, σ₁, σ₂; s² = σ² (+ τ²)."""
     sharp_1, sharp_2 = sharpness
     e_1, by_1 = _edge(d_1, sharp_1)
     e_2, by_2 = _edge(d_2, sharp_2)
@@ -136,8 +176,10 @@ def _clipped(value: float, expected: float, response: FloatArray) -> bool:
 
 
 @njit(error_model="numpy")
-def _normal_equations(image, pixels, p, bend, response, weight, matrix, vector):  # type: ignore[no-untyped-def]
+def _normal_equations(data, p, matrix, vector):  # type: ignore[no-untyped-def]
     """Fill the weighted normal equations over the pixels (M, 2); return Σ w·r²."""
+    image, pixels, bend, response, weight = data
+    p[8], p[9] = max(p[8], _SHARPEST_PX), max(p[9], _SHARPEST_PX)
     edges, slope = _edges(p, response), np.empty(PARAMETERS)
     matrix[:] = 0.0
     vector[:] = 0.0
@@ -155,6 +197,16 @@ def _normal_equations(image, pixels, p, bend, response, weight, matrix, vector):
             for j in range(PARAMETERS):  # all of them: their number is fixed for the compiler
                 matrix[i, j] += weighted * slope[j]
     return total
+
+
+@njit(error_model="numpy")
+def _centred(step, damping):  # type: ignore[no-untyped-def]
+    return damping < 1.0 and abs(step[0]) + abs(step[1]) < _CENTRED_PX
+
+
+@njit(error_model="numpy")
+def _converged(step, damping):  # type: ignore[no-untyped-def]
+    return damping < 1.0 and abs(step[0]) + abs(step[1]) < _CONVERGED_PX
 
 
 @njit(error_model="numpy")
@@ -216,52 +268,21 @@ def _start(image, pixels, centre, axes, p):  # type: ignore[no-untyped-def]
 
 
 @njit(error_model="numpy")
-def _fit(image, pixels, bend, response, weight, tolerance, p, inverse):  # type: ignore[no-untyped-def]
-    """Improve the parameters by Levenberg's method; return Σ w·r², NaN without convergence.
-
-    It ends with a step of the centre below `tolerance` px. Fills inverse (2, 10), the centre's rows of the inverse of
-    the normal matrix.
-    """
-    matrix, factor = np.empty((PARAMETERS, PARAMETERS)), np.zeros((PARAMETERS, PARAMETERS))
-    damped, vector = np.empty_like(matrix), np.empty(PARAMETERS)
-    tried, step = np.empty(PARAMETERS), np.empty(PARAMETERS)
-    cost = _normal_equations(image, pixels, p, bend, response, weight, matrix, vector)
-    damping, converged = 1e-2, False
-    for _ in range(_ROUNDS):
-        damped[:] = matrix
-        for i in range(PARAMETERS):
-            damped[i, i] *= 1.0 + damping
-        if not cholesky(damped, factor):
-            return math.nan
-        step[:] = vector
-        solve(factor, step)
-        tried[:] = p + step
-        tried[8], tried[9] = max(tried[8], _SHARPEST_PX), max(tried[9], _SHARPEST_PX)
-        new_cost = _normal_equations(image, pixels, tried, bend, response, weight, matrix, vector)
-        converged = damping < 1.0 and abs(step[0]) + abs(step[1]) < tolerance
-        if new_cost <= cost or converged:
-            p[:] = tried
-            cost, damping = new_cost, damping * 0.1
-        else:
-            _normal_equations(image, pixels, p, bend, response, weight, matrix, vector)
-            damping = max(damping * 10.0, 1e-6)
-        if converged or damping > 1e6:
-            break
-    if not converged or not cholesky(matrix, factor):
-        return math.nan
+def _centre_rows(matrix, inverse):  # type: ignore[no-untyped-def]
+    """Fill the centre's rows (2, 10) of a matrix's inverse; return whether there is one."""
+    factor = np.zeros((PARAMETERS, PARAMETERS))
+    if not cholesky(matrix, 0.0, factor):
+        return False
     for i in range(2):
         inverse[i] = 0.0
         inverse[i, i] = 1.0
         solve(factor, inverse[i])
-    return float(cost)
+    return True
 
 
 @njit(error_model="numpy")
 def _box(pixels):  # type: ignore[no-untyped-def]
-    """Return left, top, width and height of the box around pixels.
-
-    Numba's minimum would import SciPy's algebra.
-    """
+    """Return left, top, width and height of pixels: numba's minimum would import SciPy's algebra."""
     left, top = pixels[0]
     right, bottom = pixels[0]
     for k in range(pixels.shape[0]):
@@ -339,12 +360,12 @@ def fit_crossings(image, corners, response, fitted, lags):  # type: ignore[no-un
     inverse, p, size = np.empty((2, PARAMETERS)), np.empty(PARAMETERS), np.empty(3)
     for n in range(start.shape[0]):
         out = fitted[n]
-        p[:] = out[:PARAMETERS]
+        assign(p, out)
         has_start = not math.isnan(p[0])
         out[:], lags[n] = math.nan, math.nan
         out[STATUS] = OUTSIDE
         shorter = math.sqrt(min(axes[n, 0, 0] ** 2 + axes[n, 0, 1] ** 2, axes[n, 1, 0] ** 2 + axes[n, 1, 1] ** 2))
-        size[:] = window[n]
+        assign(size, window[n])
         count = _window(image, start[n], axes[n], size, buffer, taper)
         while count < 0 and 0.8 * size[0] * shorter > _SMALLEST_WINDOW_PX:
             size[0] *= 0.8
@@ -358,21 +379,23 @@ def fit_crossings(image, corners, response, fitted, lags):  # type: ignore[no-un
         if not has_start:
             _start(image, buffer[:count], start[n], axes[n], p)
             _weigh(buffer[:count], taper, p, bend[n], response, weight)
-            cost = _fit(image, buffer[:count], bend[n], response, weight, _CENTRED_PX, p, inverse)
+            data = image, buffer[:count], bend[n], response, weight
+            cost, _ = minimise(_normal_equations, _centred, data, p, _RULES)
         if not (cost >= 0.0 and math.hypot(p[0] - start[n, 0], p[1] - start[n, 1]) < _FARTHEST * shorter):
             continue
         recount = _window(image, p[:2].copy(), axes[n], size, buffer, taper)
         count = recount if recount > 0 else _window(image, start[n], axes[n], size, buffer, taper)
         pixels = buffer[:count]
         _weigh(pixels, taper, p, bend[n], response, weight)
-        cost = _fit(image, pixels, bend[n], response, weight, _CONVERGED_PX, p, inverse)
-        if not cost >= 0.0:
+        cost, matrix = minimise(_normal_equations, _converged, (image, pixels, bend[n], response, weight), p, _RULES)
+        if not (cost >= 0.0 and _centre_rows(matrix, inverse)):
             continue
         _, _, wide, high = _box(pixels)
         patch = np.empty((4, high, wide + 2 * REACH))
         _spread(image, pixels, taper, weight, p, bend[n], response, inverse, patch)
         _correlate(patch, lags[n])
-        out[:PARAMETERS], out[STATUS], out[CHI2] = p, GOOD, cost / count
+        assign(out[:PARAMETERS], p)
+        out[STATUS], out[CHI2] = GOOD, cost / count
 
 
 # Sub-pixel positions of chessboard corners, by least squares to the crossing of two blurred edges.
@@ -494,10 +517,7 @@ def _fit_all(
     strip: float,
     fitted: FloatArray,
 ) -> FloatArray:
-    """Fill `fitted` (N,13) for corners' start, axes and bend, and return the lags (N,4,28).
-
-    As `fit_crossings`.
-    """
+    """Fill `fitted` (N,13) and return the lags (N,4,28) of corners, as `fit_crossings`."""
     import cv2
 
     start_px, axes_px, bend_per_px = corners
@@ -555,10 +575,7 @@ def find_sharpening(
     probes = np.unique(np.linspace(0, len(start_px) - 1, _PROBES).astype(int))
 
     def chi2(mask: FloatArray) -> float:
-        """Return the median over the corners of χ² per pixel.
-
-        Infinite where most of them fail.
-        """
+        """Return the corners' median χ² per pixel, infinite where most of them fail."""
         (low, high), (near, far) = _SHARPENINGS
         if not (low <= mask[0] <= high and near <= mask[1] <= far):
             return math.inf

@@ -298,10 +298,7 @@ def local_fit(index: IntArray, position_px: FloatArray) -> tuple[FloatArray, Flo
 
 
 def _seeds(centre: FloatArray, shape: FloatArray) -> IntArray:
-    """Return triples (S, 3) of a patch and its neighbours along both axes.
-
-    The most regular surroundings first.
-    """
+    """Return triples (S, 3) of a patch and its neighbours, the most regular surroundings first."""
     from scipy.spatial import cKDTree
 
     count = min(NEIGHBOURS, len(centre) - 1)
@@ -391,10 +388,7 @@ class _Growth:
 
 
 def _extrapolate(step: IntArray, position: FloatArray, order: int) -> tuple[FloatArray, FloatArray] | None:
-    """Return point and Jacobian at position 0, from positions at `step` (N, 2).
-
-    None if all are in a line.
-    """
+    """Return point and Jacobian at position 0 of positions (N, 2), None on a line."""
     i, j = step.T.astype(np.float64)
     columns = [np.ones(len(step)), i, j]
     if order == 2:

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from photogram.targets.crossing import cholesky, solve
+from photogram.targets.crossing import assign, cholesky, minimise, solve
 from shakercal._common.arrays import Arrays, BoolArray, FloatArray, check_shape
 from shakercal._common.kernels import njit
 
@@ -83,7 +83,7 @@ class _Patches:
         """
         import cv2
 
-        _, found, stats, _ = cv2.connectedComponentsWithStats(mask.view(np.uint8), connectivity=4)
+        _, found, stats, centroids = cv2.connectedComponentsWithStats(mask.view(np.uint8), connectivity=4)
         labels = np.asarray(found, dtype=np.int32)
         left, top, width, height, area = np.asarray(stats, dtype=np.float64).T
         right, bottom = left + width, top + height
@@ -101,7 +101,7 @@ class _Patches:
         pixels = np.flatnonzero(patch >= 0)
         patch = patch[pixels]
         y, x = np.divmod(pixels, labels.shape[1])
-        centre = np.column_stack([np.bincount(patch, axis, minlength=count) / area[accepted] for axis in (x, y)])
+        centre = np.asarray(centroids, dtype=np.float64)[accepted]
         dx, dy = x - centre[patch, 0], y - centre[patch, 1]
         products = (dx * dx, dx * dy, dy * dy)
         xx, xy, yy = (np.bincount(patch, product, minlength=count) / area[accepted] for product in products)
@@ -147,8 +147,7 @@ SECTOR_COUNT = 16  # parts of the edge, each with one mean distance for the roug
 START_BLUR_PX = 1.5  # σ of the edge at the start of the fit
 COARSE_RADIUS_PX = 12.0  # a larger dot is first fitted on every second row and column
 FIRST_TOLERANCE_PX, FINAL_TOLERANCE_PX = 0.1, 0.003  # last steps of the two fits; the remaining error is far smaller
-MAX_STEPS = 25  # usually fewer than ten are needed
-START_DAMPING = 1e-4  # of Levenberg-Marquardt
+RULES = 25, 1e-4, 0.0, math.inf, False  # of `minimise`; usually fewer than ten steps are needed
 BAND_SIGMAS, BAND_PX = 3.0, 2.0  # half width of the band of fitted pixels about the edge: 3 σ + 2 px
 MAX_RING_BAND = 0.25  # inner half of that band in a ring marker, in semi-minor axes: excludes the hole
 
@@ -240,16 +239,24 @@ def _fit_all(image, starts, inverse_shapes, reach, ring, fitted, quality):  # ty
         parameters[5] = START_BLUR_PX
         determinant = parameters[2] * parameters[4] - parameters[3] ** 2
         coarse = 2 if determinant * COARSE_RADIUS_PX**4 < 1.0 else 1
-        good = True
-        for stride, tolerance_px in ((coarse, FIRST_TOLERANCE_PX), (1, FINAL_TOLERANCE_PX)):
-            if good:
-                pixels = _collect_band(image, starts[n], parameters, reach[n], ring[n], stride)
-                if parameters[7] == 0.0:
-                    _start_levels(pixels, parameters)
-                good = parameters[7] != 0.0 and _levenberg_marquardt(pixels, parameters, tolerance_px)
-        if good:
-            _assess_fit(pixels, parameters, quality[n])
-            fitted[n] = parameters
+        data = _band(image, starts[n], parameters, reach[n], ring[n], coarse)
+        _start_levels(data[0], parameters)
+        if data[1].size > PARAMETER_COUNT and parameters[7] != 0.0:
+            squares, _ = minimise(_normal_equations, _near, data, parameters, RULES)
+            data = _band(image, starts[n], parameters, reach[n], ring[n], 1)
+            if squares >= 0.0 and data[1].size > PARAMETER_COUNT and parameters[7] != 0.0:
+                squares, _ = minimise(_normal_equations, _converged, data, parameters, RULES)
+                if squares >= 0.0:
+                    _assess_fit(data, parameters, quality[n])
+                    assign(fitted[n], parameters)
+
+
+@njit()
+def _band(image, origin, parameters, reach, ring, stride):  # type: ignore[no-untyped-def]
+    """Return the pixels of the band with room for residuals and derivatives."""
+    pixels = _collect_band(image, origin, parameters, reach, ring, stride)
+    count = pixels[0].shape[1]
+    return pixels, np.empty(count), np.empty((PARAMETER_COUNT, count)), np.empty(count)
 
 
 @njit()
@@ -281,10 +288,7 @@ def _collect_band(image, origin, parameters, reach, ring, stride):  # type: igno
 
 @njit()
 def _distance(parameters, px, py):  # type: ignore[no-untyped-def]
-    """Return ρ, the signed distance from the ellipse, and |S⁻¹ p|.
-
-    The position p is relative to the centre.
-    """
+    """Return ρ, the signed distance from the ellipse, and |S⁻¹ p|, p from the centre."""
     gx = parameters[2] * px + parameters[3] * py
     gy = parameters[3] * px + parameters[4] * py
     rho = math.sqrt(max(px * gx + py * gy, 1e-12))
@@ -347,87 +351,54 @@ def _inner_product(first, second):  # type: ignore[no-untyped-def]
 
 
 @njit()
-def _normal_equations(residual, jacobian, matrix, vector):  # type: ignore[no-untyped-def]
-    """Fill scaled J·Jᵀ and J·r, with a unit diagonal; return the scale (10,)."""
-    scale = np.empty(PARAMETER_COUNT)
+def _normal_equations(data, parameters, matrix, vector):  # type: ignore[no-untyped-def]
+    """Fill J·Jᵀ and J·r; return Σ r², infinite for an impossible ellipse or blur."""
+    pixels, residual, jacobian, edge_slope = data
+    a, c, determinant = parameters[2], parameters[4], parameters[2] * parameters[4] - parameters[3] * parameters[3]
+    area = 1.0 / math.sqrt(determinant) if determinant > 0.0 and a > 0.0 and c > 0.0 else 0.0
+    if not (1.0 < area < 1e7 and parameters[5] > 0.05 and parameters[5] ** 2 < area):
+        return math.inf
+    _linearise(pixels, parameters, residual, jacobian, edge_slope)
     for i in range(PARAMETER_COUNT):
-        scale[i] = math.sqrt(max(_inner_product(jacobian[i], jacobian[i]), 1e-300))
-        vector[i] = _inner_product(jacobian[i], residual) / scale[i]
+        vector[i] = _inner_product(jacobian[i], residual)
         for j in range(i + 1):
-            matrix[i, j] = _inner_product(jacobian[i], jacobian[j]) / (scale[i] * scale[j])
+            matrix[i, j] = _inner_product(jacobian[i], jacobian[j])
             matrix[j, i] = matrix[i, j]
-    return scale
+    return _inner_product(residual, residual)
 
 
 @njit()
-def _levenberg_marquardt(pixels, parameters, tolerance_px):  # type: ignore[no-untyped-def]
-    """Fit the parameters; return whether the steps of centre and σ converge."""
-    count = pixels[0].shape[1]
-    if count <= PARAMETER_COUNT:
-        return False
-    residual, trial_residual, edge_slope = np.empty(count), np.empty(count), np.empty(count)
-    jacobian, trial_jacobian = np.empty((PARAMETER_COUNT, count)), np.empty((PARAMETER_COUNT, count))
-    matrix, lower = np.empty((PARAMETER_COUNT, PARAMETER_COUNT)), np.zeros((PARAMETER_COUNT, PARAMETER_COUNT))
-    vector = np.empty(PARAMETER_COUNT)
-    _linearise(pixels, parameters, residual, jacobian, edge_slope)
-    squares = _inner_product(residual, residual)
-    scale = _normal_equations(residual, jacobian, matrix, vector)
-    damping = START_DAMPING
-    for _ in range(MAX_STEPS):
-        if not cholesky(matrix + damping * np.eye(PARAMETER_COUNT), lower):
-            damping *= 10.0
-            continue
-        step = vector.copy()
-        solve(lower, step)
-        step /= scale
-        trial = parameters + step
-        small = max(abs(step[0]), abs(step[1]), abs(step[5])) < tolerance_px
-        a, c, determinant = trial[2], trial[4], trial[2] * trial[4] - trial[3] * trial[3]
-        area = 1.0 / math.sqrt(determinant) if determinant > 0.0 and a > 0.0 and c > 0.0 else 0.0
-        if not (1.0 < area < 1e7 and trial[5] > 0.05 and trial[5] ** 2 < area):  # no ellipse, or blur beyond its size
-            damping *= 10.0
-            continue
-        _linearise(pixels, trial, trial_residual, trial_jacobian, edge_slope)
-        trial_squares = _inner_product(trial_residual, trial_residual)
-        if trial_squares <= squares:
-            parameters[:] = trial
-            if small:
-                return True
-            squares, damping = trial_squares, 0.1 * damping
-            residual, trial_residual, jacobian, trial_jacobian = trial_residual, residual, trial_jacobian, jacobian
-            scale = _normal_equations(residual, jacobian, matrix, vector)
-        elif small:
-            return True
-        else:
-            damping *= 10.0
-    return False
+def _near(step, damping):  # type: ignore[no-untyped-def]
+    return max(abs(step[0]), abs(step[1]), abs(step[5])) < FIRST_TOLERANCE_PX
 
 
 @njit()
-def _assess_fit(pixels, parameters, quality):  # type: ignore[no-untyped-def]
+def _converged(step, damping):  # type: ignore[no-untyped-def]
+    return max(abs(step[0]), abs(step[1]), abs(step[5])) < FINAL_TOLERANCE_PX
+
+
+@njit()
+def _assess_fit(data, parameters, quality):  # type: ignore[no-untyped-def]
     """Fill `quality`: the centre's covariances xx, xy, yy and the roughness of the edge."""
-    values, origin = pixels
-    count = values.shape[1]
-    residual, edge_slope, jacobian = np.empty(count), np.empty(count), np.empty((PARAMETER_COUNT, count))
+    (values, origin), residual, jacobian, edge_slope = data
     matrix, vector = np.empty((PARAMETER_COUNT, PARAMETER_COUNT)), np.empty(PARAMETER_COUNT)
-    _linearise(pixels, parameters, residual, jacobian, edge_slope)
-    scale = _normal_equations(residual, jacobian, matrix, vector)
+    _normal_equations(data, parameters, matrix, vector)
     lower, inverse = np.zeros((PARAMETER_COUNT, PARAMETER_COUNT)), np.eye(PARAMETER_COUNT)
-    pull = np.zeros(PARAMETER_COUNT)
-    if not cholesky(matrix + 1e-12 * np.eye(PARAMETER_COUNT), lower):
+    pull = np.empty(PARAMETER_COUNT)
+    if not cholesky(matrix, 1e-12, lower):
         quality[:] = math.nan
         return
     for i in range(PARAMETER_COUNT):
         solve(lower, inverse[i])
     offset, weight = np.zeros(SECTOR_COUNT), np.zeros(SECTOR_COUNT)
     quality[:3] = 0.0
-    for k in range(count):
+    for k in range(values.shape[1]):
         for i in range(PARAMETER_COUNT):
-            vector[i] = jacobian[i, k] / scale[i]
+            vector[i] = jacobian[i, k]
         for i in range(PARAMETER_COUNT):
             pull[i] = _inner_product(inverse[i], vector)
         variance = residual[k] ** 2 / max(1.0 - _inner_product(pull, vector), 1e-3)
-        dx, dy = pull[0] / scale[0], pull[1] / scale[1]
+        dx, dy = pull[0], pull[1]
         quality[0] += dx * dx * variance
         quality[1] += dx * dy * variance
         quality[2] += dy * dy * variance
@@ -435,4 +406,7 @@ def _assess_fit(pixels, parameters, quality):  # type: ignore[no-untyped-def]
         sector = min(int((angle / (2.0 * math.pi) + 0.5) * SECTOR_COUNT), SECTOR_COUNT - 1)
         offset[sector] += edge_slope[k] * residual[k]
         weight[sector] += edge_slope[k] ** 2
-    quality[3] = math.sqrt(np.mean((offset / np.maximum(weight, 1e-12)) ** 2))
+    quality[3] = 0.0
+    for sector in range(SECTOR_COUNT):
+        quality[3] += (offset[sector] / max(weight[sector], 1e-12)) ** 2 / SECTOR_COUNT
+    quality[3] = math.sqrt(quality[3])

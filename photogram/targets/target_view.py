@@ -9,7 +9,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from photogram.images.noise import NoiseModel, fit_noise_model
-from photogram.images.sequence import GreyImage
 from shakercal._common.arrays import Arrays, FloatArray, IntArray, check_shape
 
 SHORTEST_M, LONGEST_M = 1e-4, 2.0  # of plausible targets
@@ -223,49 +222,3 @@ def outline(position_px: FloatArray) -> FloatArray:
     import cv2
 
     return np.asarray(cv2.convexHull(position_px.astype(np.float32)), dtype=np.float64).reshape(-1, 2)
-
-
-def find_target(image: GreyImage, target: Target, name: str, full_scale: int) -> TargetView:
-    """Find the points of a calibration target in an image.
-
-    Parameters
-    ----------
-    image
-        (H, W).
-    target
-        The target.
-    name
-        Of the image.
-    full_scale
-        Its largest possible grey value.
-
-    Returns
-    -------
-    TargetView
-        Sub-pixel positions in px with covariance.
-
-    Raises
-    ------
-    TargetNotFound
-        With the fault of the image.
-
-    Examples
-    --------
-    >>> board = Board(Target("chessboard", 9e-3, (8, 5)))
-    >>> camera = Camera.from_parameters(np.array([800.0, 800, 160, 120, 0, 0, 0, 0, 0]), np.array([320, 240]))
-    >>> pose = RigidTransform(np.eye(3), np.array([-0.035, -0.02, 0.3]))
-    >>> image = ImageSensor(bit_depth=8).digitise(render_board(camera, pose, board), None)
-    >>> find_target(image, board.target, "image 1", 255).position_px[0].round(2)
-    array([66.67, 66.67])
-    """
-    if target.kind == "chessboard":
-        from photogram.targets.chessboard import find_chessboard
-
-        return find_chessboard(image, target, name, full_scale)
-    if target.kind == "charuco":
-        from photogram.targets.charuco import find_charuco
-
-        return find_charuco(image, target, name, full_scale)
-    from photogram.targets.dots import find_dots
-
-    return find_dots(image, target, name, full_scale)

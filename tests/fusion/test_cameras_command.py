@@ -22,8 +22,12 @@ from fusion.errors import LENGTH_UNIT_REQUIRED
 from fusion.simulate.preset import read_preset
 from fusion.simulate.statics import SessionPreset
 from photogram.calibration.calibration_file import read_calibration, read_camera
-from photogram.calibration.calibration_notices import KNOWN_LENGTH_USED, SPACING_UNCERTAINTY_UNSTATED
-from photogram.calibration.exchange.exchange_notices import CAMERA_GEOMETRY, UNCERTAINTIES_MISSING
+from photogram.calibration.calibration_notices import (
+    CAMERA_GEOMETRY,
+    KNOWN_LENGTH_USED,
+    SPACING_UNCERTAINTY_UNSTATED,
+    UNCERTAINTIES_MISSING,
+)
 from photogram.geometry import RigidTransform
 from photogram.synthetic.board import random_poses, random_rig, render_board
 

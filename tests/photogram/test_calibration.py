@@ -16,24 +16,15 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from photogram.alignment.alignment_evidence import measure_target_pose
-from photogram.calibration.adjust import adjust
-from photogram.calibration.bundle import FocalDrift, ellipse_centres, make_shape, model_pixels
+from photogram.calibration import calibration_notices as notices
+from photogram.calibration.adjust import adjust, leave_views_out, predict_view
+from photogram.calibration.bundle import FocalDrift, make_shape, model_pixels
 from photogram.calibration.calibration_file import read_calibration, read_camera, write_calibration, write_camera
-from photogram.calibration.calibration_notices import (
-    ASPECT_RATIO,
-    FOCAL_DRIFT,
-    KNOWN_LENGTH_CONTRADICTED,
-    LITTLE_TILT,
-    MODEL_DIFFERENCE,
-    TARGET_DEVIATION,
-)
-from photogram.calibration.calibration_result import Calibration
+from photogram.calibration.calibration_result import Calibration, KnownLength, scale_to_length
 from photogram.calibration.initial_bundle import estimate_target_pose, image_observations, lens_prior, start_bundle
-from photogram.calibration.leave_one_out import leave_views_out, predict_view
-from photogram.calibration.scale import KnownLength, scale_to_length
 from photogram.calibration.session import calibrate_pair
 from photogram.camera import CAMERA_PARAMETERS, LEFT, RIG_PARAMETERS, RIGHT, Camera, StereoRig, triangulate
-from photogram.geometry import RigidTransform, rotation_from_vector, skew, vector_from_rotation
+from photogram.geometry import RigidTransform, rotation_from_vector, vector_from_rotation
 from photogram.synthetic.board import Board, SessionFaults, random_poses, random_rig, simulate_session
 from photogram.targets.target_view import Target, TargetView
 
@@ -114,36 +105,24 @@ def _in_order(calibration: Calibration) -> np.ndarray:
     return np.array([place[tuple(index)] for index in INDEX])
 
 
-@pytest.mark.slow
-def test_parameters_come_back_within_their_covariance():
-    lengths = []
-    for seed in range(8):
-        calibration = calibrate_pair(_session(seed, 10), TARGET)
-        error = rig_error(calibration.rig, RIG)
-        assert _largest(calibration) < 4.5
-        lengths.append(error[:24] @ np.linalg.solve(calibration.rig.covariance[:24, :24], error[:24]))
-        assert calibration.sigma_factor == pytest.approx(1.0, abs=0.05)
-        assert calibration.rms_px == pytest.approx(NOISE_PX * np.sqrt(2), rel=0.06)
-    # χ² of 8·24 degrees of freedom has a standard deviation of 10.2 % of its mean; the lens prior takes a little away
-    assert 0.7 < np.mean(lengths) / 24 < 1.3
-
-
-@pytest.mark.parametrize("side", [0, 1])
-def test_derivatives_of_the_model(side):
+@pytest.mark.parametrize(("side", "radius"), [(0, 0.0), (1, 0.0), (1, 0.4 * SPACING)])
+def test_derivatives_of_the_model(side, radius):
     (pose,) = _poses(np.random.default_rng(1), 1)
     camera, relative = ((RIG.left, RigidTransform.identity()), (RIG.right, RIG.right_from_left))[side]
-    seen = model_pixels(camera, relative, pose, FLAT, 0.0)
-    assert np.abs(seen.pixel - _opencv_pixels(camera, relative @ pose, FLAT)).max() < 1e-9
-    for number in range(6):
-        step = 1e-6 * np.eye(6)[number]
-        moved = [
-            RigidTransform(rotation_from_vector(s * step[3:]) @ pose.rotation, pose.translation_m + s * step[:3])
-            for s in (1, -1)
-        ]
-        ahead, behind = (_opencv_pixels(camera, relative @ there, FLAT) for there in moved)
-        assert np.abs((ahead - behind) / 2e-6 - seen.by_pose[:, :, number]).max() < 1e-4
-    by_x = model_pixels(camera, relative, pose, FLAT + np.array([1e-7, 0, 0]), 0.0).pixel - seen.pixel
-    assert np.abs(by_x / 1e-7 - seen.by_point[:, :, 0]).max() < 0.5  # of some 6000 px/m
+    if radius:  # of a dot, whose derivatives omit the change of the distortion over its rim
+        camera = replace(camera, distortion=np.zeros(5))
+
+    def pixels(step: np.ndarray, shift: np.ndarray | float = 0.0) -> np.ndarray:
+        there = RigidTransform(rotation_from_vector(step[3:]) @ pose.rotation, pose.translation_m + step[:3])
+        return model_pixels(camera, relative, there, FLAT + shift, radius).pixel
+
+    seen = model_pixels(camera, relative, pose, FLAT, radius)
+    if not radius:
+        assert np.abs(seen.pixel - _opencv_pixels(camera, relative @ pose, FLAT)).max() < 1e-9
+    by_pose = np.moveaxis([(pixels(step) - pixels(-step)) / 2e-6 for step in 1e-6 * np.eye(6)], 0, -1)
+    assert np.abs(by_pose - seen.by_pose).max() < 1e-4
+    by_x = (pixels(np.zeros(6), np.array([1e-7, 0, 0])) - seen.pixel) / 1e-7
+    assert np.abs(by_x - seen.by_point[:, :, 0]).max() < 0.5  # of some 6000 px/m
 
 
 def test_ellipse_centre_is_that_of_a_fitted_ellipse():
@@ -160,25 +139,6 @@ def test_ellipse_centre_is_that_of_a_fitted_ellipse():
             assert np.abs(centre).max() < limit
         bias = found - model_pixels(camera, RigidTransform.identity(), pose, FLAT, 0.0).pixel
         assert np.abs(bias).max() > 0.02, "the correction matters in this view"
-
-
-def test_ellipse_centre_is_the_pole_of_the_line_at_infinity():
-    """The conic's centre by its matrix, that of the dot's circle seen by a homography; derivatives by differences."""
-    rotation = rotation_from_vector(np.array([0.6, -0.4, 0.2]))
-    centre, radius, normal = np.array([0.03, -0.02, 0.4]), 0.02, rotation[:, 2]
-    inverse = np.linalg.inv(np.column_stack([rotation[:, 0], rotation[:, 1], centre]))
-    conic = inverse.T @ np.diag([1.0, 1.0, -(radius**2)]) @ inverse
-    expected = -np.linalg.solve(conic[:2, :2], conic[:2, 2])
-    found, by_place, by_normal = ellipse_centres(centre[None], normal, radius)
-    assert np.abs(found[0] - expected).max() < 1e-12
-    for axis in range(3):
-        step = 1e-6 * np.eye(3)[axis]
-        ahead, behind = (ellipse_centres((centre + s * step)[None], normal, radius)[0] for s in (1, -1))
-        assert np.abs((ahead - behind) / 2e-6 - by_place[:, :, axis]).max() < 1e-8
-        turned = [rotation_from_vector(s * step) @ normal for s in (1, -1)]
-        ahead, behind = (ellipse_centres(centre[None], there, radius)[0] for there in turned)
-        by_turn = -by_normal[0] @ skew(normal)
-        assert np.abs((ahead - behind) / 2e-6 - by_turn[:, axis]).max() < 1e-8
 
 
 def test_outlying_points_and_pictures_and_mirrored_ones_are_named_and_left_out():
@@ -200,45 +160,20 @@ def test_outlying_points_and_pictures_and_mirrored_ones_are_named_and_left_out()
 
 
 @pytest.mark.parametrize(
-    ("kind", "size", "turn"),
-    [("dots", (12, 9), -1), ("chessboard", (12, 10), -1), ("dots", (9, 9), 1j), ("dots", (9, 9), -1j)],
-)
-def test_a_target_numbered_from_another_corner(kind, size, turn):
-    """A target that looks alike after a turn; a turn of the lattice is a product in the complex plane."""
-    target, cut = Target(kind, SPACING, size), []
-    for left, right in _session(14, 8):
-        sides = []
-        for view in (left, right):
-            kept = (view.index < size).all(axis=1)
-            arrays = {name: getattr(view, name)[kept] for name in ("index", "position_px", "covariance_px2")}
-            sides.append(replace(view, **arrays))
-        cut.append((sides[0], sides[1]))
-    plain = calibrate_pair(cut, target, "flat")
-    middle = complex(size[0] - 1, size[1] - 1) / 2
-    for number in (2, 5):
-        left, right = cut[number]
-        place = (right.index @ [1, 1j] - middle) * turn + middle
-        cut[number] = (left, replace(right, index=np.rint(np.stack([place.real, place.imag], -1)).astype(np.int64)))
-    found = calibrate_pair(cut, target, "flat")
-    assert not [item for item in found.rejections if item.points == 0]
-    assert np.allclose(found.rig.left.parameters, plain.rig.left.parameters, rtol=1e-3, atol=1e-3)
-    assert found.rms_px == pytest.approx(plain.rms_px, rel=1e-3)
-
-
-@pytest.mark.parametrize(
     ("kind", "size", "turns", "rolls_deg"),
     [
         ("chessboard", (12, 10), (1, -1), (0, 180)),
-        ("chessboard", (12, 10), (1, -1), (0, 90)),
         ("chessboard", (11, 9), (1, -1), (270, 0)),
-        ("chessboard", (9, 9), (1, -1), (180, 0)),
         ("chessboard", (8, 8), (1, -1, 1j, -1j), (0, 135)),
         ("dots", (9, 8), (1, -1), (90, 270)),
         ("dots", (9, 9), (1, -1, 1j, -1j), (0, 270)),
     ],
 )
 def test_a_rolled_camera_before_a_target_that_looks_alike_after_a_turn(kind, size, turns, rolls_deg):
-    """Pictures are numbered as the finders do: the first axis to the right, as far as the target leaves a choice."""
+    """Pictures are numbered as the finders do: the first axis to the right, as far as the target leaves a choice.
+
+    Two of them are numbered from another corner.
+    """
     grid = np.stack(np.meshgrid(*map(np.arange, size), indexing="ij"), axis=-1).reshape(-1, 2)
     points, middle = np.column_stack([grid * SPACING, np.zeros(len(grid))]), complex(*size) / 2 - 0.5 - 0.5j
     left, right = (
@@ -247,15 +182,16 @@ def test_a_rolled_camera_before_a_target_that_looks_alike_after_a_turn(kind, siz
     )
     rig = replace(RIG, right_from_left=right @ RIG.right_from_left @ left.inverse())
 
-    def numbered(view: TargetView) -> TargetView:
+    def numbered(view: TargetView, other: int = 0) -> TargetView:
         places = [((view.index @ [1, 1j]) - middle) * turn + middle for turn in turns]
         slopes = [np.polynomial.polynomial.polyfit(p.real, view.position_px, 1)[1] for p in places]
-        best = places[int(np.argmax([slope[0] / np.linalg.norm(slope) for slope in slopes]))]
+        best = places[int(np.argsort([-slope[0] / np.linalg.norm(slope) for slope in slopes])[other])]
         return replace(view, index=np.rint(np.stack([best.real, best.imag], -1)).astype(np.int64))
 
     rng = np.random.default_rng(15)
     poses = [left @ pose for pose in _poses(rng, 8)]
-    pairs = [(numbered(one), numbered(other)) for one, other in _views(rng, poses, rig, points, grid)]
+    views = _views(rng, poses, rig, points, grid)
+    pairs = [(numbered(one), numbered(other, int(n in (2, 5)))) for n, (one, other) in enumerate(views)]
     calibration = calibrate_pair(pairs, Target(kind, SPACING, size), "flat")
     assert not [item for item in calibration.rejections if item.points == 0]
     assert _largest(calibration, rig) < 4.5
@@ -276,7 +212,7 @@ def test_views_turned_about_one_axis_only_are_flagged():
         rotation = rotation_from_vector(np.array([0.0, angle, 0.0]))
         poses.append(RigidTransform(rotation, np.array([0, 0, 0.5]) - rotation @ FLAT.mean(axis=0)))
     calibration = calibrate_pair(_views(rng, poses), TARGET)
-    (notice,) = (item for item in calibration.notices if item.code == LITTLE_TILT.code)
+    (notice,) = (item for item in calibration.notices if item.code == notices.LITTLE_TILT.code)
     assert notice.values["axis"] == "horizontal"
 
 
@@ -370,26 +306,22 @@ def test_u_holds_what_real_sessions_do_to_a_calibration(faults):
 
 
 def test_focal_lengths_that_change_during_the_session_are_found_and_others_are_not():
-    for seed in range(2):
-        rig, pairs = _faulty(seed, SessionFaults(focus=5e-4))
-        found = calibrate_pair(pairs, SESSION_BOARD.target)
-        value, u = found.cross_validation.drift.T
-        assert (np.abs(value - 5e-4) < 3.5 * u).all()
-        assert (u < 1e-4).all()
-        drifts = [item.values for item in found.notices if item.code == FOCAL_DRIFT.code]
-        assert [item["side"] for item in drifts] == ["left", "right"]
-        assert [item["change_percent"] for item in drifts] == pytest.approx(100 * value)
-        assert [item["expanded_percent"] for item in drifts] == pytest.approx(200 * u)
-        steady = calibrate_pair(_faulty(seed, SessionFaults())[1], SESSION_BOARD.target)
-        assert steady.cross_validation.drift is None
-        focal = [*LEFT[:2], *RIGHT[:2]]  # at any time of the session, ±0.025 % around its middle
-        spread, u_drifting, u_steady = (
-            5e-4 * rig.values[focal] / np.sqrt(12),
-            np.sqrt(np.diagonal(found.rig.covariance))[focal],
-            np.sqrt(np.diagonal(steady.rig.covariance))[focal],
-        )
-        assert (u_drifting > 0.8 * spread).all()
-        assert (u_drifting < 1.6 * np.hypot(spread, u_steady)).all()
+    rig, pairs = _faulty(0, SessionFaults(focus=5e-4))
+    found = calibrate_pair(pairs, SESSION_BOARD.target)
+    value, u = found.cross_validation.drift.T
+    assert (np.abs(value - 5e-4) < 3.5 * u).all()
+    assert (u < 1e-4).all()
+    drifts = [item.values for item in found.notices if item.code == notices.FOCAL_DRIFT.code]
+    assert [item["side"] for item in drifts] == ["left", "right"]
+    assert [item["change_percent"] for item in drifts] == pytest.approx(100 * value)
+    assert [item["expanded_percent"] for item in drifts] == pytest.approx(200 * u)
+    steady = calibrate_pair(_faulty(0, SessionFaults())[1], SESSION_BOARD.target)
+    assert steady.cross_validation.drift is None
+    focal = [*LEFT[:2], *RIGHT[:2]]  # at any time of the session, ±0.025 % around its middle
+    spread = 5e-4 * rig.values[focal] / np.sqrt(12)
+    u_drifting, u_steady = (np.sqrt(np.diagonal(one.rig.covariance))[focal] for one in (found, steady))
+    assert (u_drifting > 0.8 * spread).all()
+    assert (u_drifting < 1.6 * np.hypot(spread, u_steady)).all()
 
 
 def test_a_wide_lens_gets_the_rational_model():
@@ -406,7 +338,7 @@ def test_a_wide_lens_gets_the_rational_model():
     assert found.cross_validation.lens == "rational"
     (other,) = found.cross_validation.alternatives
     assert other.predicted_px > 2 * found.cross_validation.predicted_px
-    (difference,) = (item for item in found.notices if item.code == MODEL_DIFFERENCE.code)
+    (difference,) = (item for item in found.notices if item.code == notices.MODEL_DIFFERENCE.code)
     assert (difference.values["lens"], difference.values["used_lens"]) == ("polynomial", "rational")
     rays = np.column_stack([rng.uniform(-0.7, 0.7, (500, 2)), np.ones(500)])
     off = found.rig.left.project(rays) - rig.left.project(rays)
@@ -420,9 +352,9 @@ def test_a_stretched_print_is_told_by_the_focal_lengths():
     ]
     pairs = _session(3, 10, rig=replace(RIG, left=square[0], right=square[1]))
     wide = [tuple(replace(view, position_px=view.position_px * [1.0075, 1.0]) for view in pair) for pair in pairs]
-    ratios = [item for item in calibrate_pair(wide, TARGET, "flat").notices if item.code == ASPECT_RATIO.code]
+    ratios = [item for item in calibrate_pair(wide, TARGET, "flat").notices if item.code == notices.ASPECT_RATIO.code]
     assert [item.where for item in ratios] == ["left", "right"]
-    assert ASPECT_RATIO.code not in {item.code for item in calibrate_pair(pairs, TARGET).notices}
+    assert notices.ASPECT_RATIO.code not in {item.code for item in calibrate_pair(pairs, TARGET).notices}
 
 
 def test_a_known_length_is_weighed_against_the_spacing_and_a_contradiction_is_told():
@@ -436,7 +368,7 @@ def test_a_known_length_is_weighed_against_the_spacing_and_a_contradiction_is_to
     apart = float(np.linalg.norm(places[1] - places[0]))
     moved = scale_to_length(found, KnownLength(*names, 1.02 * apart, 1e-5 * apart))
     (notice,) = (item for item in moved.notices if item.where == "scale")
-    assert notice.code == KNOWN_LENGTH_CONTRADICTED.code
+    assert notice.code == notices.KNOWN_LENGTH_CONTRADICTED.code
     assert notice.values["difference_percent"] == pytest.approx(2.0)
     assert moved.scale_u > 5e-3
     refused("column,row", scale_to_length, found, KnownLength("L0", "nowhere", 0.1, 0.0))
@@ -449,7 +381,7 @@ def test_a_known_length_is_weighed_against_the_spacing_and_a_contradiction_is_to
 
 def test_a_single_camera_is_calibrated_with_the_same_care(tmp_path):
     ratios, alone = [], []
-    for seed in range(4):
+    for seed in range(2):
         rig, pairs = _faulty(seed, SessionFaults(smooth_px=0.05))
         found = calibrate_pair([(left, None) for left, _ in pairs], SESSION_BOARD.target, "flat")
         assert found.single
@@ -495,7 +427,7 @@ def test_points_off_the_lattice_are_found_where_asked_for():
     assert _largest(free) < 4.5
 
 
-@pytest.mark.parametrize("seed", [2, 4, 5])
+@pytest.mark.parametrize("seed", [2, *(pytest.param(seed, marks=pytest.mark.slow) for seed in (4, 5))])
 def test_offsets_that_points_do_not_have_cost_no_uncertainty(seed):
     pairs = _session(seed, 10)
     flat, free = (calibrate_pair(pairs, TARGET, shape, lens="polynomial") for shape in ("flat", "free"))
@@ -503,11 +435,11 @@ def test_offsets_that_points_do_not_have_cost_no_uncertainty(seed):
     assert (free_u <= 1.12 * flat_u).all(), "the spread of points that lie on their lattice goes to the end of its fit"
     assert (free_u[flat_u > 0] > 0.97 * flat_u[flat_u > 0]).all()
     assert 0 < np.abs(free.shape_m - flat.shape_m).max() < 3e-6
-    (deviation,) = (notice.values for notice in free.notices if notice.code == TARGET_DEVIATION.code)
+    (deviation,) = (notice.values for notice in free.notices if notice.code == notices.TARGET_DEVIATION.code)
     assert all(0 < deviation[name] < 1 for name in ("x_um", "y_um", "z_um"))
 
 
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=6, deadline=None)
 @given(st.tuples(*[st.floats(-0.5, 0.5)] * 2), st.floats(-3, 3), st.floats(0.4, 0.6))
 def test_target_pose_comes_back(tilt, turn, depth):
     rotation = rotation_from_vector(np.array([*tilt, 0.0])) @ rotation_from_vector(np.array([0.0, 0.0, turn]))
@@ -555,14 +487,6 @@ def changed(tmp_path: Path, **changes: Any) -> Path:
     path = tmp_path / "top.json"
     path.write_text(json.dumps(json.loads(EXAMPLE) | changes))
     return path
-
-
-def test_the_formats_example_is_read(tmp_path):
-    found = read_calibration(changed(tmp_path))
-    np.testing.assert_array_equal(found.left.size_px, [1280, 1024])
-    np.testing.assert_array_equal(found.right.distortion, [-0.08, 0.05, 0, 0, 0, 0, 0, 0])
-    np.testing.assert_array_equal(found.right_from_left.translation_m, [-0.15, 0, 0])
-    assert found.covariance is None
 
 
 @pytest.mark.parametrize("covariance", [None, full_covariance()], ids=["without", "with"])
@@ -661,12 +585,12 @@ def test_wrong_content_is_refused_by_file_and_key(tmp_path, changes, message):
     assert str(caught.value).startswith(f"{path}: ")
 
 
-@pytest.mark.parametrize("key", list(json.loads(EXAMPLE)))
-def test_every_key_is_required(tmp_path, key):
+def test_every_key_is_required_and_an_absent_file_is_not_read(tmp_path):
     content = json.loads(EXAMPLE)
-    del content[key]
-    (tmp_path / "top.json").write_text(json.dumps(content))
-    refused(f"top.json: {key}: ", read_calibration, tmp_path / "top.json")
+    for key in content:
+        (tmp_path / "top.json").write_text(json.dumps({name: value for name, value in content.items() if name != key}))
+        refused(f"top.json: {key}: ", read_calibration, tmp_path / "top.json")
+    refused(r"absent\.json", read_calibration, tmp_path / "absent.json", error=OSError)
 
 
 @pytest.mark.parametrize("text", ["", "{", "[1, 2]", '{"format": 1, "format": 1}', "\x80"])
@@ -675,8 +599,7 @@ def test_what_is_no_calibration_text_is_refused_by_file(tmp_path, text):
     refused(r"top\.json: ", read_calibration, tmp_path / "top.json")
 
 
-def test_cameras_of_two_sizes_come_back_and_an_absent_file_is_not_read(tmp_path):
-    refused(r"absent\.json", read_calibration, tmp_path / "absent.json", error=OSError)
+def test_cameras_of_two_sizes_come_back(tmp_path):
     other = replace(RIG, right=replace(RIG.right, size_px=np.array([1200, 900])))
     write_calibration(tmp_path / "top.json", other)
     again = read_calibration(tmp_path / "top.json")

@@ -74,7 +74,7 @@ def check_coverage(motion: RigidMotion, pose: np.ndarray) -> None:
 
 
 @given(poses, poses)
-@settings(max_examples=30, deadline=None)  # the first call compiles
+@settings(max_examples=10, deadline=None)  # the first call compiles
 def test_exact_motion_comes_back(first, second):
     reference = body(20)
     found = fit_motion(of(np.stack([moved(reference, first), moved(reference, second)])), reference, ORIGIN)
@@ -84,7 +84,7 @@ def test_exact_motion_comes_back(first, second):
 
 
 @given(poses)
-@settings(max_examples=30, deadline=None)  # the first call compiles
+@settings(max_examples=10, deadline=None)  # the first call compiles
 def test_another_frame_of_coordinates_turns_the_motion_with_it(change):
     reference, points = sample(3, 30, shaking(3, angle=0.3), 5)
     new_from_old = RigidTransform.from_pose(change)
@@ -108,23 +108,22 @@ def test_equal_isotropic_noise_gives_aruns_fit():
         np.testing.assert_allclose(pose, fit_rigid(reference - ORIGIN, one - ORIGIN).pose, atol=1e-12)
 
 
-@pytest.mark.parametrize("angle", [2e-3, 0.5])
-def test_stated_covariance_contains_the_truth_as_often_as_it_says(angle):
-    pose = shaking(4000, angle=angle)
-    reference, points = sample(4000, 12, pose, 3)
+def test_stated_covariance_contains_the_truth_as_often_as_it_says():
+    pose = shaking(1500, angle=0.5)
+    reference, points = sample(1500, 12, pose, 3)
     check_coverage(fit_motion(points, reference, ORIGIN), pose)
 
 
 def test_noise_of_the_reference_is_one_constant_and_not_in_the_covariance():
-    pose = shaking(3000)
-    _, points = sample(3000, 12, pose, 4)
+    pose = shaking(1000)
+    _, points = sample(1000, 12, pose, 4)
     wrong = sample(1, 12, np.zeros((1, 6)), 5)[1].position_m[0]
     found = fit_motion(points, wrong, ORIGIN)
     error = found.pose - pose
     constant = error.mean(axis=0)
     assert constant @ np.linalg.inv(found.covariance[0]) @ constant > 1  # a constant of the size of one frame's noise
     ratio = np.cov(error.T).diagonal() / found.covariance.mean(axis=0).diagonal()
-    np.testing.assert_allclose(ratio, 1, atol=4 * np.sqrt(2 / 3000) + 0.02)
+    np.testing.assert_allclose(ratio, 1, atol=4 * np.sqrt(2 / 1000) + 0.02)
 
 
 def test_frame_zero_is_the_default_reference_with_zero_pose_and_its_noise():
@@ -137,12 +136,11 @@ def test_frame_zero_is_the_default_reference_with_zero_pose_and_its_noise():
     assert found.points[0] == 30
 
 
-@pytest.mark.parametrize("share", [0.05, 0.2])
-def test_outliers_are_found_and_do_not_count(share):
+def test_outliers_are_found_and_do_not_count():
     pose = shaking(400, seed=9)
     reference, clean = sample(400, 60, pose, 7)
     rng = np.random.default_rng(10)
-    outlying = rng.uniform(size=(400, 60)) < share
+    outlying = rng.uniform(size=(400, 60)) < 0.2
     position = clean.position_m + np.where(outlying[..., None], rng.normal(1e-3, 1e-3, (400, 60, 3)), 0.0)
     found = fit_motion(of(position, clean.covariance_m2), reference, ORIGIN)
     assert np.mean(found.points == (~outlying).sum(axis=1)) > 0.95
@@ -286,10 +284,10 @@ def squares(shape: Deformation) -> np.ndarray:
 
 
 def test_a_rigid_body_leaves_noise_of_the_stated_covariance_which_counts_the_leverage_of_the_fit():
-    """Chi-square of all points, and of each point, over 8 series."""
-    found = np.array([squares(beside(moving(np.random.default_rng(seed)))) for seed in range(8)])
-    assert found.mean() / 3 == pytest.approx(1.0, abs=0.02)
-    np.testing.assert_allclose(found.mean(axis=(0, 1)) / 3, 1.0, atol=0.2)
+    """Chi-square of all points, and of each point, over 4 series."""
+    found = np.array([squares(beside(moving(np.random.default_rng(seed)))) for seed in range(4)])
+    assert found.mean() / 3 == pytest.approx(1.0, abs=0.03)
+    np.testing.assert_allclose(found.mean(axis=(0, 1)) / 3, 1.0, atol=0.28)
     points = moving(np.random.default_rng(9))
     few = np.array([0, 8, 30, 54, 62])
     part = Points3D(points.position_m[:, few], points.covariance_m2[:, few], points.reprojection_px[:, few])

@@ -45,12 +45,12 @@ def test_a_fit_of_the_points_takes_the_distances_of_rays_and_states_its_scatter(
     rng, rest = np.random.default_rng(1), locate(RIG, [seen(np.zeros(6))]).transformed(AWAY.inverse()).position_m[0]
     noise = np.broadcast_to(0.01**2 * np.eye(2), (1, len(POINTS), 2, 2))
     errors = []
-    for draw in range(100):
+    for draw in range(40):
         pixels = seen(MOTION) + (0.01 * rng.standard_normal((1, len(POINTS), 2)) if draw else 0.0)
         fit = fit_motion(locate(RIG, [pixels], [noise]).transformed(AWAY.inverse()), rest, np.zeros(3))
         errors.append((fit.pose[0] - MOTION) / np.sqrt(np.diagonal(fit.covariance[0])))
     assert np.abs(errors[0]).max() < 0.05
-    np.testing.assert_allclose(np.std(errors[1:], axis=0), 1.0, atol=0.2)
+    np.testing.assert_allclose(np.std(errors[1:], axis=0), 1.0, atol=0.4)
 
 
 def test_the_motion_of_a_rendered_body_by_one_camera_has_the_stated_errors():

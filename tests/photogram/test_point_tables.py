@@ -100,8 +100,8 @@ def test_dice_and_pyvale_tables(tmp_path):
     [
         ("", "header"),
         ('"X [mm]","Y [mm]"\n1,2\n', "VIC-3D, ARAMIS, DICe, pyvale, .* X, Y"),
-        ("ID;x_undef [mm]\n1;2;3\n", "line 2: .* 2 columns .* 3"),
-        ("ID;x_undef [mm]\n1;2\n3;x\n", "line 3: .*'x'"),
+        ("ID;x_undef [mm]\n1;2;3\n", "line 2: .* 2 columns, .* 3"),
+        ("ID;x_undef [mm]\n1;2\n3;x\n", "line 3, column 2: .*'x'"),
         ("ID;x_undef [px];y_undef;z_undef;u;v;w\n1;2;3;4;5;6;7\n", "x_undef: .* px"),
         ("ID;x_undef [mm];y_undef;z_undef;u;v;w\n1;2;3;4;5;6;7\n", "y_undef: .*unit"),
     ],

@@ -18,15 +18,15 @@ from scipy.ndimage import gaussian_filter
 
 from photogram.calibration.bundle import model_pixels
 from photogram.camera import Camera
-from photogram.geometry import RigidTransform, rotation_from_vector, vector_from_rotation
+from photogram.geometry import RigidTransform, rotation_from_vector
 from photogram.images.noise import NoiseModel
 from photogram.synthetic.board import Board, render_board
-from photogram.targets.charuco import find_charuco
-from photogram.targets.chessboard import corner_view, find_chessboard, lattice_bend
+from photogram.targets.chessboard import corner_view, lattice_bend
 from photogram.targets.crossing import NO_CROSSING, OUTSIDE, REASONS, SATURATED, CameraResponse, refine_corners
 from photogram.targets.dots import find_dots
 from photogram.targets.ellipse import FittedEllipses, fit_ellipses
-from photogram.targets.target_view import Target, TargetNotFound, TargetView, estimate_image_noise, find_target
+from photogram.targets.find_target import find_target
+from photogram.targets.target_view import Target, TargetNotFound, TargetView, estimate_image_noise
 from shakercal._common.arrays import FloatArray
 
 slow = partial(pytest.param, marks=pytest.mark.slow)
@@ -42,7 +42,9 @@ def _expected(pose: RigidTransform, board: Board, camera: Camera) -> tuple[Float
     return truth, np.stack([place(index + h) - place(index - h) for h in half], axis=1), lattice_bend(index, truth)
 
 
-@pytest.mark.parametrize(("blur_px", "square_px"), [(0.5, 16.0), (2.0, 40.0), slow(1.0, 16.0), slow(0.5, 40.0)])
+@pytest.mark.parametrize(
+    ("blur_px", "square_px"), [(0.5, 16.0), *(slow(*case) for case in ((2.0, 40.0), (1.0, 16.0), (0.5, 40.0)))]
+)
 def test_bias_is_below_a_hundredth_of_a_pixel(blur_px, square_px):
     board, camera = chessboard(), camera_of(900.0)
     pose = pose_of(board, camera, square_px, (0.5, -0.4, 0.3))
@@ -55,29 +57,6 @@ def test_bias_is_below_a_hundredth_of_a_pixel(blur_px, square_px):
     assert np.abs(error.mean(axis=0)).max() < 0.002
     assert np.abs(error).max() < 0.01
     np.testing.assert_allclose(np.median(corners.blur_px), blur_px, rtol=0.05)
-
-
-@pytest.mark.slow
-def test_covariance_is_the_scatter_and_the_peer_scatters_more():
-    import cv2
-
-    board, camera = chessboard(), camera_of()
-    pose = pose_of(board, camera, 30.0, (0.4, -0.3, 0.2))
-    truth, axes, bend = _expected(pose, board, camera)
-    whitened, error, peer = [], [], []
-    clean = render_board(camera, pose, board, slant=0.3)
-    for seed in range(12):
-        image = SENSOR.digitise(clean, np.random.default_rng(seed))
-        corners = refine_corners(
-            image, truth + 0.3, axes, CameraResponse(estimate_image_noise(image), SENSOR.full_scale), bend
-        )
-        error.append(corners.position_px - truth)
-        whitened.append(np.linalg.solve(np.linalg.cholesky(corners.covariance_px2), error[-1][..., None]))
-        refined = truth.astype(np.float32).reshape(-1, 1, 2)
-        cv2.cornerSubPix((image / 16).astype(np.uint8), refined, (9, 9), (-1, -1), (3, 100, 1e-4))
-        peer.append(refined.reshape(-1, 2) - truth)
-    assert 0.93 < np.std(whitened) < 1.07
-    assert np.std(error) < 0.3 * np.std(peer)
 
 
 def test_noise_of_the_image_is_found():
@@ -107,62 +86,40 @@ def test_failed_corners_have_a_reason():
 CAMERA = camera_of()
 BOARD = chessboard()
 POSE = pose_of(BOARD, CAMERA, 36.0, (0.4, -0.3, 0.2))
-
-
-@pytest.mark.parametrize(("turn", "blur_px"), [(0.0, 0.7), (2.5, 2.0), *map(slow, (1.2, -1.5, 0.0), (0.7, 0.7, 2.0))])
-def test_corners_are_where_they_are_in_any_orientation(turn, blur_px):
-    rotation = POSE.rotation @ rotation_from_vector(np.array([0.0, 0.0, turn]))
-    pose = pose_of(BOARD, CAMERA, 32.0, tuple(vector_from_rotation(rotation)))
-    view = find_chessboard(picture(CAMERA, pose, BOARD, blur_px=blur_px), BOARD.target, "a", SENSOR.full_scale)
-    error, whitened = errors(CAMERA, pose, BOARD, view)
-    assert len(view.index) == 54
-    assert np.abs(error).max() < 0.025
-    assert 0.75 < whitened.std() < 1.3
-    assert abs(view.blur_px - blur_px) < 0.05 * blur_px + 0.02
-
-
-@pytest.mark.parametrize("size", [(8, 6), (6, 6), (7, 7)])
-def test_symmetric_boards_are_taken_upright(size):
-    board = chessboard(size)
-    pose = pose_of(board, CAMERA, 34.0, (0.3, 0.3, -0.3))
-    view = find_chessboard(picture(CAMERA, pose, board), board.target, "a", SENSOR.full_scale)
-    assert np.abs(errors(CAMERA, pose, board, view)[0]).max() < 0.02
-
-
-# ChArUco boards: truth from rendered pictures, both patterns, partial views, reasons of refusal.
-
 CHARUCO = charuco()
 CHARUCO_POSE = pose_of(CHARUCO, CAMERA, 40.0, (0.4, -0.3, 0.2))
 
 
-@pytest.mark.parametrize("dictionary", ["DICT_4X4_50", slow("DICT_6X6_250"), slow("DICT_APRILTAG_36h11")])
-@pytest.mark.parametrize("legacy", [False, True])
-def test_corners_of_both_patterns_without_naming_the_dictionary(dictionary, legacy):
-    board = charuco(dictionary=dictionary, legacy=legacy)
-    target = dataclasses.replace(board.target, dictionary=None)
-    view = find_charuco(picture(CAMERA, CHARUCO_POSE, board), target, "a", SENSOR.full_scale)
-    error, whitened = errors(CAMERA, CHARUCO_POSE, board, view)
-    assert len(view.index) == 40
-    assert np.abs(error).max() < 0.015
-    assert 0.75 < whitened.std() < 1.3
+UNNAMED = {"dictionary": None}
+OBLIQUE, TWISTED = ((0.4, -0.3, 0.2), 40.0, 0.0), ((0.4, -0.3, 2.5), 32.0, 0.0)
+SYMMETRIC, PARTLY = ((0.3, 0.3, -0.3), 34.0, 0.0), ((0.2, -0.2, 0.1), 44.0, 220.0)
 
 
-@pytest.mark.parametrize(("share", "blur_px"), [(0.5, 0.7), (0.75, 1.2)])
-def test_the_size_of_the_markers_plays_no_part(share, blur_px):
-    image = picture(CAMERA, CHARUCO_POSE, dataclasses.replace(CHARUCO, marker_share=share), blur_px=blur_px)
-    view = find_charuco(image, CHARUCO.target, "a", SENSOR.full_scale)
-    error, whitened = errors(CAMERA, CHARUCO_POSE, CHARUCO, view)
-    assert np.abs(error.mean(axis=0)).max() < 0.003
-    assert whitened.std() < 1.35
-
-
-@pytest.mark.parametrize("legacy", [False, True])
-def test_a_part_of_the_board_is_enough(legacy):
-    board = charuco(legacy=legacy)
-    pose = pose_of(board, CAMERA, 44.0, (0.2, -0.2, 0.1), shift_px=220.0)
-    view = find_charuco(picture(CAMERA, pose, board), board.target, "a", SENSOR.full_scale)
-    assert 10 < len(view.index) < 40
-    assert np.abs(errors(CAMERA, pose, board, view)[0]).max() < 0.02
+@pytest.mark.parametrize(
+    ("board", "placed", "blur_px", "target", "corners", "largest_px"),
+    [
+        (BOARD, TWISTED, 2.0, {}, 54, 0.025),
+        (chessboard((6, 6)), SYMMETRIC, 0.7, {}, 36, 0.02),
+        (chessboard((8, 6)), SYMMETRIC, 0.7, {}, 48, 0.02),
+        slow(chessboard((7, 7)), SYMMETRIC, 0.7, {}, 49, 0.02),
+        (CHARUCO, OBLIQUE, 0.7, UNNAMED, 40, 0.015),
+        (charuco(legacy=True), OBLIQUE, 0.7, UNNAMED, 40, 0.015),
+        slow(charuco(dictionary="DICT_APRILTAG_36h11"), OBLIQUE, 0.7, UNNAMED, 40, 0.015),
+        (dataclasses.replace(CHARUCO, marker_share=0.5), OBLIQUE, 0.7, {}, 40, 0.02),
+        (charuco(legacy=True), PARTLY, 0.7, {}, None, 0.02),
+    ],
+)
+def test_corners_are_where_they_are(board, placed, blur_px, target, corners, largest_px):
+    """At any turn, symmetric boards upright, both patterns, with the dictionary unnamed, and of a part of a board."""
+    turn, square_px, shift_px = placed
+    pose = pose_of(board, CAMERA, square_px, turn, shift_px)
+    image = picture(CAMERA, pose, board, blur_px=blur_px)
+    view = find_target(image, dataclasses.replace(board.target, **target), "a", SENSOR.full_scale)
+    error, whitened = errors(CAMERA, pose, board, view)
+    assert len(view.index) == corners or (corners is None and 10 < len(view.index) < 40)
+    assert np.abs(error).max() < largest_px
+    assert corners is None or 0.75 < whitened.std() < 1.35
+    assert abs(view.blur_px - blur_px) < 0.05 * blur_px + 0.02
 
 
 BLANK = np.tile(np.arange(640.0) % 7 * 300, (480, 1))
@@ -173,18 +130,19 @@ HALF_OUTSIDE = pose_of(BOARD, CAMERA, 36.0, (0.2, -0.2, 0.1), shift_px=260.0)
     ("board", "reason", "change"),
     [
         (BOARD, "overexposed", lambda image: np.minimum(image * 16.0, SENSOR.full_scale)),
-        (CHARUCO, "overexposed", lambda image: np.minimum(image * 16.0, SENSOR.full_scale)),
+        slow(CHARUCO, "overexposed", lambda image: np.minimum(image * 16.0, SENSOR.full_scale)),
         (BOARD, "underexposed", lambda image: image * 0.02),
-        (CHARUCO, "underexposed", lambda image: image * 0.02),
+        slow(CHARUCO, "underexposed", lambda image: image * 0.02),
         (BOARD, "blurred", lambda image: gaussian_filter(image.astype(float), 6.0)),
-        (CHARUCO, "blurred", lambda image: gaussian_filter(image.astype(float), 5.0)),
+        slow(CHARUCO, "blurred", lambda image: gaussian_filter(image.astype(float), 5.0)),
         (CHARUCO, "mirrored", lambda image: image[:, ::-1]),
         (BOARD, "^no chessboard", lambda _: BLANK),
         (BOARD, "^extends .*edge", lambda _: picture(CAMERA, HALF_OUTSIDE, BOARD)),
         (BOARD, ".", lambda _: picture(CAMERA, POSE, charuco((10, 7)))),
-        *((BOARD, "^another", {"size": size}) for size in ((8, 5), (11, 6))),
-        *(slow(BOARD, "^another", {"size": size}) for size in ((10, 7), (9, 5), (7, 5))),
-        *((CHARUCO, "^another", {"size": size}) for size in ((7, 5), (11, 8), (9, 4))),
+        (BOARD, "^another", {"size": (8, 5)}),
+        *(slow(BOARD, "^another", {"size": size}) for size in ((11, 6), (10, 7))),
+        (CHARUCO, "^another", {"size": (7, 5)}),
+        slow(CHARUCO, "^another", {"size": (9, 4)}),
         (CHARUCO, "markers .*DICT_6X6_50", {"dictionary": "DICT_6X6_50"}),
     ],
 )
@@ -199,7 +157,7 @@ def test_bad_images_and_other_boards_are_refused_with_the_reason(board, reason, 
 
 def test_an_unknown_dictionary_is_a_wrong_call():
     target = dataclasses.replace(CHARUCO.target, dictionary="4X4")
-    refused("DICT_4X4_50", find_charuco, picture(CAMERA, CHARUCO_POSE, CHARUCO), target, "a", SENSOR.full_scale)
+    refused("DICT_4X4_50", find_target, picture(CAMERA, CHARUCO_POSE, CHARUCO), target, "a", SENSOR.full_scale)
 
 
 # Pictures that a camera has sharpened, and overexposed ones: truth rendered, then noise, unsharp mask and clipping.
@@ -213,31 +171,25 @@ def unsharp(grey: FloatArray, amount: float, radius_px: float, gain: float, seed
     return np.clip(np.rint(noisy + mask), 0, SENSOR.full_scale).astype(np.uint16)
 
 
-SHARPENED = [(0.5, 2.0, 1.0), slow(0.5, 0.5, 1.0), slow(0.7, 1.0, 1.5), slow(1.0, 2.0, 0.7), slow(1.0, 2.0, 1.0)]
-
-
 @pytest.mark.parametrize("kind", ["chessboard", "charuco"])
-@pytest.mark.parametrize(("blur_px", "amount", "radius_px"), [*SHARPENED, slow(0.7, 0.0, 1.0), slow(0.7, 0.5, 1.0)])
+@pytest.mark.parametrize(
+    ("blur_px", "amount", "radius_px"),
+    [(0.5, 2.0, 1.0), *(slow(*case) for case in ((0.7, 1.0, 1.5), (1.0, 2.0, 0.7), (0.7, 0.0, 1.0)))],
+)
 def test_sharpened_boards_lose_no_corner(kind, blur_px, amount, radius_px):
     board = chessboard((11, 7)) if kind == "chessboard" else charuco((12, 8))
-    for seed, turn in enumerate([(0.0, 0.0, 0.0), (0.3, -0.2, 0.1)]):
-        pose = pose_of(board, CAMERA, 38.0, turn)
-        image = unsharp(render_board(CAMERA, pose, board, blur_px, slant=0.3), amount, radius_px, 0.65, seed)
-        view = find_target(image, board.target, "a", SENSOR.full_scale)
-        error, whitened = errors(CAMERA, pose, board, view)
-        assert len(view.index) >= 0.95 * 77
-        assert np.abs(error.mean(axis=0)).max() < 0.005
-        assert np.abs(error).max() < 0.03
-        assert abs(view.blur_px - blur_px) < 0.1
-        least = 0.8 if kind == "chessboard" else 0.65  # the halo of markers counts as noise
-        assert (
-            seed == 0 or least < whitened.std() < 1.3
-        )  # edges along the rows show what of the profile is not modelled
+    pose = pose_of(board, CAMERA, 38.0, (0.3, -0.2, 0.1))
+    image = unsharp(render_board(CAMERA, pose, board, blur_px, slant=0.3), amount, radius_px, 0.65, 1)
+    view = find_target(image, board.target, "a", SENSOR.full_scale)
+    error, whitened = errors(CAMERA, pose, board, view)
+    assert len(view.index) >= 0.95 * 77
+    assert np.abs(error.mean(axis=0)).max() < 0.005
+    assert np.abs(error).max() < 0.03
+    assert abs(view.blur_px - blur_px) < 0.1
+    assert (0.8 if kind == "chessboard" else 0.65) < whitened.std() < 1.3  # the halo of markers counts as noise
 
 
-@pytest.mark.parametrize(
-    ("gain", "amount"), [(1.35, 0.0), slow(1.35, 1.0), slow(1.5, 0.0), slow(3.0, 0.0), slow(3.0, 1.0)]
-)
+@pytest.mark.parametrize(("gain", "amount"), [(1.35, 0.0), slow(1.35, 1.0), slow(3.0, 1.0)])
 def test_saturated_pixels_cost_no_corner(gain, amount):
     board = chessboard((11, 7))
     pose = pose_of(board, CAMERA, 38.0, (0.2, -0.2, 0.1))
@@ -266,33 +218,35 @@ def test_lost_corners_are_counted_and_reported():
     refused(words, corner_view, image, *arguments, error=TargetNotFound)
 
 
-@pytest.mark.parametrize("kind", ["chessboard", "charuco"])
-def test_of_two_boards_in_an_image_the_specified_one_is_used(kind):
-    make = chessboard if kind == "chessboard" else charuco
+def side_by_side(boards: tuple[Board, Board], px: float, turn: tuple[float, float, float]) -> tuple[np.ndarray, list]:
+    """A picture of two boards, and their poses."""
+    places = [pose_of(board, CAMERA, px, turn, 300 * k - 150) for k, board in enumerate(boards)]
+    left, right = (picture(CAMERA, place, board) for place, board in zip(places, boards, strict=True))
+    return np.concatenate([left[:, :330], right[:, 330:]], axis=1), places
+
+
+@pytest.mark.parametrize("make", [chessboard, slow(charuco)])
+def test_of_two_boards_in_an_image_the_specified_one_is_used(make):
     boards = make((9, 6)), make((7, 5))
-    poses = [pose_of(board, CAMERA, 23.0, (0.1, 0.1, 0.05), 300 * k - 150) for k, board in enumerate(boards)]
-    left, right = (picture(CAMERA, place, board) for place, board in zip(poses, boards, strict=True))
-    image = np.concatenate([left[:, :330], right[:, 330:]], axis=1)
-    for board, place in zip(boards, poses, strict=True):
+    image, places = side_by_side(boards, 23.0, (0.1, 0.1, 0.05))
+    for board, place in zip(boards, places, strict=True):
         view = find_target(image, board.target, "a", SENSOR.full_scale)
         assert len(view.index) == len(board.index)
         assert np.abs(errors(CAMERA, place, board, view)[0]).max() < 0.03
 
 
-@pytest.mark.parametrize("kind", ["chessboard", "charuco", "dots", "ring-dots"])
-def test_two_equal_boards_in_an_image_are_refused(kind):
+@pytest.mark.parametrize(
+    ("board", "px", "turn_x"),
+    [
+        (BOARD, 23.0, 0.1),
+        (CHARUCO, 23.0, 0.1),
+        (Board(Target("dots", SPACING, (7, 6))), 32.0, 0.1),
+        slow(Board(Target("dots", SPACING), rings=(4, 2), lattice=(-1, 5, -1, 4)), 32.0, np.pi),
+    ],
+)
+def test_two_equal_boards_in_an_image_are_refused(board, px, turn_x):
     """Where either of two may be the one in the other camera's picture, none is taken; a part of one is no second."""
-    make = {"chessboard": chessboard, "charuco": charuco}
-    if kind in make:
-        board = make[kind]()
-    elif kind == "dots":
-        board = Board(Target("dots", SPACING, (7, 6)))
-    else:
-        board = Board(Target("dots", SPACING), rings=(4, 2), lattice=(-1, 5, -1, 4))
-    turn = (np.pi, 0.0, 0.05) if kind == "ring-dots" else (0.1, 0.1, 0.05)
-    places = [pose_of(board, CAMERA, 32.0 if "dots" in kind else 23.0, turn, 300 * k - 150) for k in range(2)]
-    left, right = (picture(CAMERA, place, board) for place in places)
-    image = np.concatenate([left[:, :330], right[:, 330:]], axis=1)
+    image, _ = side_by_side((board, board), px, (turn_x, 0.1 if turn_x < 1 else 0.0, 0.05))
     refused("^two targets: ", find_target, image, board.target, "a", 4095)
     image[:, 330:] = np.where(np.arange(330, 640) < 360, image[:, 330:], image[5, 5])
     assert len(find_target(image, board.target, "a", 4095).index) >= 0.9 * len(board.index)
@@ -360,15 +314,9 @@ def off_px(view: TargetView, where: RigidTransform) -> np.ndarray:
     return np.linalg.norm(WIDE.project(where.apply(points)) - view.position_px, axis=1)
 
 
-@pytest.mark.parametrize("kind", ["speckle", "rings"])
-def test_speckle_and_dots_are_not_reported_as_boards_beyond_the_edge(kind):
-    if kind == "speckle":
-        image = 300 + 2000 * gaussian_filter(
-            (gaussian_filter(np.random.default_rng(3).normal(size=(480, 640)), 4.0) > 0).astype(float), 0.8
-        )
-    else:
-        image = 4095 * render_board(WIDE, pose(RINGS), RINGS)
-    image = image.astype(np.uint16)
+def test_speckle_is_not_reported_as_a_board_beyond_the_edge():
+    speckle = gaussian_filter(np.random.default_rng(3).normal(size=(480, 640)), 4.0) > 0
+    image = (300 + 2000 * gaussian_filter(speckle.astype(float), 0.8)).astype(np.uint16)
     refused("^no chessboard .*9 x 6", find_target, image, BOARD.target, "a", 4095, error=TargetNotFound)
 
 
@@ -386,12 +334,12 @@ def test_every_dot_is_found_at_its_position(board, tilt):
 
 def test_centres_are_right_to_a_hundredth_of_a_pixel_where_perspective_is_absent():
     where = pose(RINGS, turn=0.3)
-    view = find(shown(RINGS, where, noise=0.5), RINGS)
-    assert off_px(view, where).max() < 0.03
-    assert np.sqrt((off_px(view, where) ** 2).mean()) < 0.015
+    off = off_px(find(shown(RINGS, where, noise=0.5), RINGS), where)
+    assert off.max() < 0.03
+    assert np.sqrt((off**2).mean()) < 0.015
 
 
-@pytest.mark.parametrize("board", [RINGS, EQUAL_ARMS])
+@pytest.mark.parametrize("board", [slow(RINGS), EQUAL_ARMS])
 @settings(deadline=None, max_examples=2)
 @given(turn=st.floats(-np.pi, np.pi), tilt=st.floats(-0.6, 0.6))
 def test_rings_name_the_dots_at_any_turn_by_handedness_where_their_arms_are_equal(board, turn, tilt):
@@ -456,22 +404,18 @@ EVEN_ROWS = Board(Target("asymmetric-dots", SPACING_M, (5, 8)), radius=0.3)
 @pytest.mark.parametrize(
     ("reason", "target", "image"),
     [
-        slow("mirrored", RINGS.target, lambda: shown(RINGS, pose(RINGS))[:, ::-1]),
         ("mirrored", RINGS.target, lambda: shown(RINGS, pose(RINGS, 1.0))[:, ::-1]),
-        slow("mirrored", RINGS.target, lambda: shown(RINGS, pose(RINGS, 3.0))[:, ::-1]),
         ("mirrored", EVEN_ROWS.target, lambda: shown(EVEN_ROWS, pose(EVEN_ROWS))[:, ::-1]),
         ("^[012] of .* ring", RINGS.target, lambda: shown(RINGS, pose(RINGS))[:, 380:]),
         ("^no ring", Target("dots", SPACING_M), lambda: shown(PLAIN, pose(PLAIN))),
         ("^extends .*edge", PLAIN.target, lambda: shown(PLAIN, pose(PLAIN, distance_m=0.12))[:, :420]),
         ("^extends .*edge", ASYMMETRIC.target, lambda: shown(ASYMMETRIC, pose(ASYMMETRIC, 0, 0, 0.12))[:, :420]),
         ("7 x 5", Target("dots", SPACING_M, (7, 5)), lambda: shown(PLAIN, pose(PLAIN))),
-        (".", RINGS.target, lambda: 120 + 3 * WHITE),
+        slow(".", RINGS.target, lambda: 120 + 3 * WHITE),
         (".", RINGS.target, lambda: np.full(SIZE[::-1], 120)),
         (".", RINGS.target, lambda: np.where(gaussian_filter(WHITE, 3.0) > 0, 200, 30)),
-        (".", RINGS.target, lambda: shown(CHESS, pose(CHESS, 0.1))),
+        slow(".", RINGS.target, lambda: shown(CHESS, pose(CHESS, 0.1))),
         (".", PLAIN.target, lambda: shown(MARKED, pose(MARKED, 0.1))),
-        slow(".", PLAIN.target, lambda: shown(CHESS, pose(CHESS, 0.1))),
-        slow(".", RINGS.target, lambda: shown(MARKED, pose(MARKED, 0.1))),
         ("blurred", RINGS.target, lambda: shown(RINGS, pose(RINGS), blur_px=6.0)),
         ("overexposed", RINGS.target, lambda: np.minimum(90.0 * shown(RINGS, pose(RINGS)), 255)),
     ],
@@ -574,7 +518,7 @@ def dot(radius: float, sigma: float, slope: float, seed: int) -> tuple[np.ndarra
     ("radius", "sigma", "slope"), [(3, 0.7, 0), (5, 1, 0.004), (10, 0.6, 0.005), (30, 2, 0.002), (20, 5, 0)]
 )
 def test_centre_has_no_bias_at_any_size_and_blur(radius, sigma, slope):
-    for seed in range(6):
+    for seed in range(2):
         centre, shape, image = dot(radius, sigma, slope, seed)
         found = fit(image, centre + 0.2, shape)
         assert np.abs(found.centre_px[0] - centre).max() < 0.005
@@ -587,28 +531,10 @@ def test_the_truth_is_covered():
     centre, shape, image = dot(8.0, 0.8, 0.0, 0)
 
     def estimate(_: int) -> tuple[np.ndarray, np.ndarray]:
-        found = fit(image + rng.normal(0, 2.0, image.shape), centre, shape)
+        found = fit(image + rng.normal(0, 1.0 + 0.1 * np.sqrt(image)), centre, shape)
         return found.centre_px[0], found.covariance_px2[0]
 
     coverage_contract(estimate, fit(image, centre, shape).centre_px[0], 60)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    ("radius", "sigma", "noise", "shot"),
-    [(4, 0.8, 1.0, 0.0), (8, 0.8, 2.0, 0.0), (20, 2.0, 3.0, 0.0), (9, 1.0, 0.0, 0.25)],
-)
-def test_covariance_is_the_scatter_also_of_shot_noise(radius, sigma, noise, shot):
-    rng = np.random.default_rng(1)
-    normalised = []
-    for seed in range(4):
-        centre, shape, image = dot(radius, sigma, 0.0, seed)
-        middle = centre if shot else fit(image, centre, shape).centre_px[0]
-        for _ in range(100):
-            found = fit(image + rng.normal(0, noise + shot * np.sqrt(image)), centre, shape)
-            lower = np.linalg.cholesky(found.covariance_px2[0])
-            normalised.append(np.linalg.solve(lower, found.centre_px[0] - middle))
-    assert 0.95 < np.std(normalised) < 1.1
 
 
 def test_ring_is_placed_by_its_outer_edge():

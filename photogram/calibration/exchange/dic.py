@@ -8,7 +8,7 @@ from xml.etree import ElementTree
 
 import numpy as np
 
-from photogram.calibration.exchange.exchange_notices import (
+from photogram.calibration.calibration_notices import (
     EVEN_POWERS_REQUESTED,
     LINEAR_POWERS,
     UNUSED_COEFFICIENTS,

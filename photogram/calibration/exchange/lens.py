@@ -9,7 +9,7 @@ from typing import Any, Literal
 import numpy as np
 
 from photogram.calibration.calibration_file import LARGEST, check_plausible
-from photogram.calibration.exchange.exchange_notices import (
+from photogram.calibration.calibration_notices import (
     APPROXIMATED_CAMERA,
     CAMERA_GEOMETRY,
     CENTRE_FAR_FROM_MIDDLE,
@@ -47,12 +47,20 @@ class Lens(Arrays, shapes="focal_px 2; centre_px 2; radial 3; tangential 2; divi
 
     focal_px: FloatArray
     centre_px: FloatArray
-    radial: FloatArray
-    tangential: FloatArray
+    radial: FloatArray = field(default_factory=lambda: np.zeros(3))
+    tangential: FloatArray = field(default_factory=lambda: np.zeros(2))
     skew_px: float = 0.0
     exponents: tuple[int, int, int] = EVEN
     divisor: FloatArray = field(default_factory=lambda: np.zeros(3))
     angular: FloatArray | None = None
+
+    @staticmethod
+    def from_matrix(name: str, matrix: FloatArray, **distortion: FloatArray) -> Lens:
+        """Return the lens of a camera matrix (3, 3) that a file calls `name`."""
+        if matrix[1, 0] != 0 or not np.array_equal(matrix[2], [0, 0, 1]):
+            raise ValueError(f"{name}: expected [[fx, s, cx], [0, fy, cy], [0, 0, 1]], found {matrix.tolist()}")
+        inner: dict[str, Any] = {"skew_px": float(matrix[0, 1]), **distortion}
+        return Lens(np.diagonal(matrix)[:2].copy(), matrix[:2, 2].copy(), **inner)
 
     @property
     def is_exact(self) -> bool:
@@ -90,11 +98,6 @@ class Lens(Arrays, shapes="focal_px 2; centre_px 2; radial 3; tangential 2; divi
 def fisheye_radius(angle_rad: FloatArray, coefficients: FloatArray) -> FloatArray:
     """Return θ_d of rays at angles θ to the axis for fisheye coefficients (4,)."""
     return np.asarray(angle_rad * np.polynomial.polynomial.polyval(angle_rad**2, [1.0, *coefficients]))
-
-
-def fisheye(focal_px: FloatArray, centre_px: FloatArray, coefficients: FloatArray, skew_px: float = 0.0) -> Lens:
-    """Return the fisheye lens of these coefficients (4,)."""
-    return Lens(focal_px, centre_px, np.zeros(3), np.zeros(2), skew_px=skew_px, angular=coefficients)
 
 
 @dataclass(frozen=True, eq=False)
@@ -351,11 +354,9 @@ def rotation_from_cardan(angles_deg: FloatArray) -> FloatArray:
     The convention of VIC-3D and DICe (dicengine, `Camera_Info::eulers_to_rotation_matrix`; sdynpy's reader of VIC-3D
     projects).
     """
-    (sa, sb, sc), (ca, cb, cc) = np.sin(np.deg2rad(angles_deg)), np.cos(np.deg2rad(angles_deg))
-    about_x = np.array([[1, 0, 0], [0, ca, -sa], [0, sa, ca]])
-    about_y = np.array([[cb, 0, sb], [0, 1, 0], [-sb, 0, cb]])
-    about_z = np.array([[cc, -sc, 0], [sc, cc, 0], [0, 0, 1]])
-    return np.asarray(about_z @ about_y @ about_x)
+    from scipy.spatial.transform import Rotation
+
+    return np.asarray(Rotation.from_euler("xyz", angles_deg, degrees=True).as_matrix())
 
 
 def right_from_left(left: Sequence[FloatArray], right: Sequence[FloatArray]) -> tuple[FloatArray, FloatArray]:
