@@ -66,10 +66,7 @@ class ChainResponse:
 
 @dataclass(frozen=True)
 class ResponseTable:
-    """A calibrated response at N ascending frequencies: `magnitude` > 0 and `phase_rad`, (N,) each.
-
-    `phase_rad` may include whole turns. `u_magnitude` is in the unit of the magnitude, `u_phase_rad` in rad.
-    """
+    """A calibrated response at N ascending frequencies: `magnitude` > 0 and `phase_rad`, also whole turns."""
 
     frequency_hz: FloatArray
     magnitude: FloatArray
@@ -235,20 +232,14 @@ def cascade_responses(responses: Sequence[ChainResponse]) -> ChainResponse:
 
 
 def common_covariance(value: ComplexArray, errors: ComplexArray) -> FloatArray:
-    """Return the covariance (K, 2C, 2C) from E independent relative errors.
-
-    The errors (E, K, C) are those of phasors (K, C). Σ_e d_e·d_eᵀ per line, d_e = [Re, Im] of `value`·error_e.
-    """
+    """Return Σ_e d_e·d_eᵀ (K, 2C, 2C), d_e = [Re, Im] of `value` (K, C) times error_e of (E, K, C)."""
     deviation = value * errors
     stacked = np.concatenate([deviation.real, deviation.imag], axis=-1)
     return np.asarray(np.einsum("eki,ekj->kij", stacked, stacked))
 
 
 def motion_order(unit: str) -> tuple[int, int]:
-    """Return family and derivative order of a unit of `MOTION_UNITS`.
-
-    Other units are refused.
-    """
+    """Return family and derivative order of a unit of `MOTION_UNITS`; others are refused."""
     for family, units in enumerate(MOTION_UNITS):
         if unit in units:
             return family, units.index(unit)
@@ -266,10 +257,7 @@ def ratio_unit(above: str, below: str) -> str:
 
 
 def split_ratio(unit: str) -> tuple[str, str]:
-    """Return the units above and below the last division of a unit by `ratio_unit`.
-
-    The second is empty for a unit that is no ratio.
-    """
+    """Return the units above and below the last division of a unit; the second is empty for no ratio."""
     if any(unit in units for units in MOTION_UNITS):
         return unit, ""
     depth = 0
@@ -286,10 +274,7 @@ def _unwrapped(unit: str) -> str:
 
 
 def _product(s: ComplexArray, model: PoleModel) -> ComplexArray:
-    """Return Π(s − z) / Π(s − p) at s (K,).
-
-    It is computed factor by factor to avoid overflow.
-    """
+    """Return Π(s − z) / Π(s − p) at s (K,), factor by factor to avoid overflow."""
     factors = np.ones((len(s), max(len(model.zeros), len(model.poles))), dtype=np.complex128)
     factors[:, : len(model.zeros)] = s[:, None] - model.zeros
     with np.errstate(divide="ignore", invalid="ignore"):

@@ -236,10 +236,7 @@ class _Blows:
 
 @dataclass(frozen=True)
 class _BlowLines:
-    """Transforms `value` (n, K, 1 + C) at the excited lines.
-
-    `noise` (K, 1 + C, 1 + C) is that of each line.
-    """
+    """Transforms `value` (n, K, 1 + C) and `noise` (K, 1 + C, 1 + C) at the excited lines."""
 
     frequency_hz: FloatArray
     value: ComplexArray
@@ -298,10 +295,7 @@ def _required_decay(blows: _Blows) -> float:
 
 
 def _transform_windows(blows: _Blows, decay: float, band_hz: tuple[float, float]) -> _BlowLines:
-    """Return the transforms of the windows at excited lines.
-
-    These are the lines of the band below the first unexcited one.
-    """
+    """Return the transforms of the windows at the lines of the band below the first unexcited one."""
     length = len(blows.time_s)
     window = np.exp(-decay * blows.time_s)
     seen = blows.samples * window[:, None]

@@ -30,10 +30,7 @@ _SAME_PERIOD = 4.0  # standard uncertainties within which a stated period is tak
 
 @dataclass(frozen=True)
 class Periods:
-    """Phasors `value` (M, K, C) of M periods at the harmonics (K,) of 1/period.
-
-    Phases count from each period's begin.
-    """
+    """Phasors `value` (M, K, C) of M periods at harmonics (K,) of 1/period, from each period's begin."""
 
     harmonic: IntArray
     value: ComplexArray
@@ -50,10 +47,7 @@ class Period:
 
 
 def count_periods(length: int, start: float, samples: float) -> int:
-    """Return the number of periods in a record.
-
-    Where samples do not fit, the last period may lack less than half a seam.
-    """
+    """Return the number of periods in a record; the last may lack half a seam where samples do not fit."""
     slack = 0.0 if _is_whole(samples) and _is_whole(start) else 0.5 * _seam(samples)
     return int(np.floor((length - start + slack) / samples + 1e-12))
 
@@ -199,10 +193,7 @@ _DISTORTION = 3.0  # mean of an unexcited line over its uncertainty, rms, from w
 def period_notices(
     record: TransferRecord, period: Period, lines: Periods, excited: BoolArray, ratio: ComplexArray
 ) -> tuple[Notice, ...]:
-    """Return the notices about the periods of a record.
-
-    `lines.value` (M, K, 1 + C) are phasors, `ratio` (E, C) the transfer function at excited lines.
-    """
+    """Return the notices about periods with phasors (M, K, 1 + C) and `ratio` (E, C) at excited lines."""
     rate = record.sample_rate_hz
     frequency = np.asarray(lines.harmonic * (rate / period.samples), dtype=np.float64)
     value = lines.value[:, excited]
@@ -258,10 +249,7 @@ def _limits(frequency: FloatArray) -> dict[str, float]:
 
 
 def _differs(error: ComplexArray, contrast: FloatArray, frequency: FloatArray) -> BoolArray:
-    """Return the lines (K,) in blocks where a contrast over periods is significant.
-
-    The ratio of powers follows F of 2n and 2n(M-2) degrees of freedom.
-    """
+    """Return the lines (K,) in blocks where a contrast over periods is significant by Fisher's test."""
     from scipy.special import fdtrc
 
     unit = contrast / np.sqrt(contrast @ contrast)
@@ -389,10 +377,7 @@ def transfer_periodic(
 
 
 def _ratio(value: ComplexArray, frequency_hz: FloatArray, record: TransferRecord) -> tuple[Phasors, FloatArray]:
-    """Return the ratio of means over periods and its coherence.
-
-    `value` (M, K, 1 + C) are phasors, reference first.
-    """
+    """Return the ratio of means over periods, and its coherence, of phasors (M, K, 1 + C)."""
     count = len(value)
     reference, responses = value[:, :, 0], value[:, :, 1:]
     mean = reference.mean(axis=0)

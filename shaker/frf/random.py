@@ -70,10 +70,7 @@ class EstimatorSelection:
 
 
 def ratio_covariance(spectra: Spectra, ratio: ComplexArray, selection: EstimatorSelection) -> FloatArray:
-    """Return the covariance (K, 2C, 2C) of a ratio from `estimate_ratio`.
-
-    The order is [all Re, all Im] of the ratio (K, C).
-    """
+    """Return the covariance (K, 2C, 2C) of [all Re, all Im] of a ratio from `estimate_ratio`."""
     power, averages = spectra.power, spectra.averages
     if not np.all(averages > 1.0):
         return np.full((len(ratio), 2 * ratio.shape[1], 2 * ratio.shape[1]), np.nan)
@@ -92,10 +89,7 @@ def ratio_covariance(spectra: Spectra, ratio: ComplexArray, selection: Estimator
 
 
 def estimate_ratio(spectra: Spectra, selection: EstimatorSelection) -> ComplexArray:
-    """Return H (K, C) by the selected estimator.
-
-    Hv minimises |n_x|² + |n_y|²/κ, the noise on reference and response, with the noise ratio κ.
-    """
+    """Return H (K, C); Hv minimises |n_x|² + |n_y|²/κ, the noise powers with their ratio κ."""
     cross, reference, responses = spectra.cross, spectra.reference[:, None], spectra.responses
     if selection.estimator == "H1":
         return np.asarray(cross / reference)
@@ -246,10 +240,7 @@ def local_spectra(record: TransferRecord, length: int, frequency_hz: FloatArray)
 def _fit_windows(
     transform: ComplexArray, position: FloatArray, first: IntArray, bins: int
 ) -> tuple[ComplexArray, FloatArray, ComplexArray]:
-    """Return `power` and `averages` of the spectra, and bias (K, C), at lines (K,).
-
-    The lines are at bins `position` (K,), not integer. The window of each line begins at bin `first` (K,).
-    """
+    """Return `power` and `averages` of the spectra, and bias (K, C), at lines in windows from bins `first`."""
     index = first[:, None] + np.arange(bins)
     basis = ((index - position[:, None]) / (0.5 * bins))[:, :, None] ** np.arange(_ORDER + 1)
     reference, responses = transform[index, :1], transform[index, 1:]

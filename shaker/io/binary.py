@@ -60,10 +60,7 @@ class _Packing:
 
 @dataclass(frozen=True)
 class _Stated:
-    """Statements of a file about a channel.
-
-    `times` is the name of the vector of times, `time_unit` its unit; the packings are those of samples and times.
-    """
+    """Statements of a file about a channel; `times` is the name of the vector of times, `time_unit` its unit."""
 
     rate: float | None
     start: float | None

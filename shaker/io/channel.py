@@ -115,10 +115,7 @@ def convert_read_errors(path: Path) -> Iterator[None]:
 
 
 def max_sample_bytes(path: Path) -> int:
-    """Return the largest number of sample bytes in a file of this length.
-
-    Compression makes measured samples a few times smaller, and a trigger between its edges perhaps a hundred times.
-    """
+    """Return the most sample bytes in a file of this length; compression makes samples up to 100 times smaller."""
     return _FREE + _EXPANSION * path.stat().st_size
 
 
@@ -144,10 +141,7 @@ def select_names(path: Path, names: Sequence[str] | None, present: Iterable[str]
 def select_by_either_name(
     path: Path, names: Sequence[str] | None, present: Mapping[str, T], short: Sequence[str]
 ) -> dict[str, T]:
-    """Return the items of the requested names (None: all).
-
-    A unique `short` name is accepted too.
-    """
+    """Return the items of the requested names (None: all); a unique `short` name is accepted too."""
     count = Counter(short)
     alone = {name: item for name, item in zip(short, present.values(), strict=True) if count[name] == 1}
     items = {**present, **alone, **present}
@@ -187,10 +181,7 @@ _SLENDER = 4  # a table has at least that many times more samples than channels;
 
 @dataclass(frozen=True)
 class DatasetColumn:
-    """Position of a channel's `length` samples in a dataset.
-
-    They lie along `axis`, at `index` across it, or in a `field` of records.
-    """
+    """Position of a channel's `length` samples in a dataset: along `axis` at `index` across it, or in a `field`."""
 
     dataset: str
     length: int
@@ -278,10 +269,7 @@ def check_stored(path: Path, name: str, dataset: Any) -> None:
 def read_datasets(
     path: Path, datasets: Mapping[str, Any], requested: Mapping[str, DatasetColumn], exact: Collection[str] = ()
 ) -> dict[str, NDArray[Any]]:
-    """Return the samples (S,) of the requested channels as float64.
-
-    Channels of `exact` names keep their stored type. Each dataset is read once, in blocks of whole chunks.
-    """
+    """Return the samples (S,) of channels as float64, of `exact` names as stored; blocks of whole chunks are read."""
     total = 0
     for name in {column.dataset for column in requested.values()}:
         check_stored(path, name, datasets[name])

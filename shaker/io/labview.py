@@ -28,10 +28,7 @@ _COMMENT, _TIMES, _SEPARATOR = "Comment", "X_Value", "Separator"
 
 @dataclass(frozen=True)
 class _Segment:
-    """One block of a file: header entries, column titles, layout, and position of its rows.
-
-    `start` and `stop` are bytes, `line` is the line number of the first row.
-    """
+    """One block of a file: header, column titles, layout, bytes of its rows, and line of the first row."""
 
     header: dict[str, list[str]]
     titles: list[str]
@@ -43,10 +40,7 @@ class _Segment:
 
 @dataclass(frozen=True)
 class _Part:
-    """One channel in one segment: samples, column, and times with their last digit.
-
-    `times` is None without an X column.
-    """
+    """One channel in one segment: samples, column, and times (None without an X column) with their last digit."""
 
     samples: FloatArray
     segment: _Segment
@@ -106,10 +100,7 @@ def _segments(path: Path, stream: BinaryIO) -> Iterator[_Segment]:
 def _header(
     path: Path, stream: BinaryIO, start: int, size: int, line: int, separator: str | None
 ) -> tuple[dict[str, list[str]], int, int]:
-    """Return a header's entries, the byte after it, and the line number there.
-
-    Special blocks are skipped. The header of the file (`separator` None) is split by the value of its key Separator.
-    """
+    """Return a header's entries without special blocks, the byte after it, and the line number there."""
     end = find_bytes(stream, _END, start, size)
     if end < 0:
         raise ValueError(f"{path}: line {line}: expected ***End_of_Header***, found the end of the file")

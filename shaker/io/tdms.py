@@ -102,10 +102,7 @@ class TimeStatement:
 
 @dataclass(frozen=True)
 class TdmsIndex:
-    """Properties of every object by its path (`/'group'/'channel'`), and the regions of raw values.
-
-    `dated` contains the statements of every channel about its time, one for each change during writing.
-    """
+    """Properties of every object by its path (`/'group'/'channel'`), regions of raw values, and time statements."""
 
     properties: dict[str, dict[str, Any]]
     regions: tuple[TdmsRegion, ...]
@@ -315,10 +312,7 @@ def _regions(path: Path, chunk: Mapping[str, _Raw], interleaved: bool, position:
 
 
 def _card_regions(path: Path, chunk: Mapping[str, _Raw], position: int, size: int) -> list[TdmsRegion]:
-    """Return the regions of a segment of cards.
-
-    Each chunk has one buffer of rows after another.
-    """
+    """Return the regions of a segment of cards, whose chunks have one buffer of rows after another."""
     widths = next(iter(chunk.values())).widths
     if any(raw.widths != widths for raw in chunk.values()):
         raise ValueError(f"{path}: expected one layout of all channels of the cards, found several")
@@ -433,10 +427,7 @@ def read_tdms(path: Path, names: Sequence[str] | None, sample_rate_hz: float | N
 def _sample_times(
     path: Path, where: str, dated: Sequence[TimeStatement], count: int, given_hz: float | None
 ) -> SampleTimes | None:
-    """Return the times of a channel's values from its properties; None without an interval.
-
-    Times count from the first start.
-    """
+    """Return the times of values from the first start on by a channel's properties; None without an interval."""
     first = dated[0]
     if not first.interval_s:
         return None if given_hz is None else SampleTimes(agreed_rate(path, where, None, given_hz))
@@ -466,10 +457,7 @@ def _find_time_channel(name: str, index: TdmsIndex) -> str | None:
 
 
 def _values(path: Path, stream: BinaryIO, index: TdmsIndex, requested: set[str]) -> dict[str, FloatArray]:
-    """Return the scaled values of the requested channels.
-
-    Time stamps count in seconds from their first second. A card's channel without scale is its first raw scale.
-    """
+    """Return the scaled values of channels; time stamps count in seconds from their first second."""
     size = path.stat().st_size
     for (name, _), length in index.lengths.items():
         if length > 8 * size:  # a sample takes at least a bit
@@ -560,10 +548,7 @@ def _scale(path: Path, name: str, index: TdmsIndex) -> Any:
 
 
 def _starts(stream: BinaryIO, index: TdmsIndex, requested: Iterable[str]) -> dict[str, float]:
-    """Return the delay in s of every channel after the earliest requested one.
-
-    It follows from their time stamps.
-    """
+    """Return the delay in s of every channel after the earliest requested one, from their time stamps."""
     stamps: dict[str, Fraction] = {}
     for name in requested:
         stamp = index.dated[name][0].start

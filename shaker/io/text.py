@@ -53,10 +53,7 @@ _COMMA_TO_POINT = bytes.maketrans(b",", b".")
 
 @dataclass(frozen=True)
 class TextLayout:
-    """Layout of rows: number of columns, delimiter (empty: white space), decimal comma or point.
-
-    With `remarks`, text after the last column is a remark; otherwise that column must be empty.
-    """
+    """Layout of rows; with `remarks`, text after the last column is a remark, else that column must be empty."""
 
     path: Path
     columns: int
@@ -134,10 +131,7 @@ def decode_text(raw: bytes) -> str:
 
 
 def whole_lines(stream: BinaryIO, start: int, stop: int) -> Iterator[tuple[int, bytes]]:
-    """Yield end position and content of blocks of whole lines.
-
-    Each line ends with a line end.
-    """
+    """Yield end position and content of blocks of whole lines, each with a line end."""
     stream.seek(start)
     rest = b""
     while start < stop and (block := stream.read(min(BLOCK, stop - start))):
@@ -187,10 +181,7 @@ def plain_rows(block: bytes, delimiter: str) -> FloatArray | None:
 
 
 def _line_by_line(layout: TextLayout, block: bytes, line: int, requested: Sequence[int]) -> FloatArray:
-    """Return columns (S, W) of a block, read line by line.
-
-    `ValueError` with the line number for a text in one of them.
-    """
+    """Return columns (S, W) of a block line by line; `ValueError` with the line number for a text in one of them."""
     rows = []
     for number, text in enumerate(decode_text(block.replace(b"\r\n", b"\n")).split("\n"), line):
         if not text.strip() or text.startswith(_COMMENT):
@@ -284,10 +275,7 @@ def table_units(path: Path) -> dict[str, str]:
 
 
 def read_table_columns(path: Path, names: Sequence[str]) -> FloatArray:
-    """Read columns of a text table without times, as (S, len(names)).
-
-    The names are those of `table_units`.
-    """
+    """Read columns of a text table without times, by the names of `table_units`, as (S, len(names))."""
     with convert_read_errors(path):
         head = _head(path)
         columns_by_name = [head.plain.index(name) for name in select_names(path, names, head.plain)]
@@ -328,10 +316,7 @@ def _head(path: Path) -> _Head:
 
 
 def _next_line(stream: BinaryIO, line: int) -> tuple[int, int, str]:
-    """Return position, number and text of the next line with content.
-
-    Remarks and empty lines are skipped. The text is empty at the end of the file.
-    """
+    """Return position, number and text of the next line with content, no remark; empty at the end of the file."""
     while True:
         start, raw = stream.tell(), stream.readline(LONGEST_LINE + 1)
         check_line(raw)

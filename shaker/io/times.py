@@ -60,10 +60,7 @@ class Segment:
 
 
 def seconds_of(path: Path, where: str, unit: str) -> float:
-    """Return the seconds of a time unit of files (`ms`, `µs`, `milliseconds since 1970-01-01`).
-
-    No unit means seconds. `ValueError` names a unit that is none of time.
-    """
+    """Return the seconds of a time unit of files (`ms`, `milliseconds since 1970-01-01`); seconds without one."""
     words = unit.strip().split()
     name = words[0].rstrip(".") if words else "s"
     factor = _BY_NAME.get(name.lower())
@@ -197,10 +194,7 @@ def _from_first(
 
 
 def _last_digit(time_s: FloatArray) -> float:
-    """Return the power of ten (s) that divides all times.
-
-    It is 0 if finer than 1 ns. Whole intervals are exact and return 0.
-    """
+    """Return the power of ten (s) that divides all times, 0 if finer than 1 ns or a whole interval, which is exact."""
     interval = float(np.median(np.diff(time_s[:_BLOCK])))
     for decimals in range(_FINEST_DIGIT + 1):
         ticks = time_s[:_BLOCK] * 10.0**decimals
@@ -211,10 +205,7 @@ def _last_digit(time_s: FloatArray) -> float:
 
 
 def _line(time_s: FloatArray) -> tuple[float, float, float]:
-    """Return slope, offset and largest deviation of the straight line through times (S,).
-
-    Where only rounding separates them from the line between the first and the last, that line is used.
-    """
+    """Return slope, offset and largest deviation of the straight line through times (S,), of its ends if exact."""
     count = len(time_s)
     interval, half = float(time_s[-1] - time_s[0]) / (count - 1), (count - 1) / 2.0
     total = moment = 0.0

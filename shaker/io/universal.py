@@ -130,10 +130,7 @@ def _skip_binary(path: Path, stream: BinaryIO, more: bytes, line: int) -> int:
 
 
 def function_header(path: Path, records: Sequence[bytes], line: int) -> FunctionHeader:
-    """Return the content of the eleven text records of data set 58.
-
-    `line` is the line of the data set's number.
-    """
+    """Return the content of the eleven text records of data set 58, whose number is in this line."""
     if len(records) < _HEADER or not records[-1]:
         raise ValueError(f"{path}: line {line}: expected {_HEADER} records of data set 58, found fewer")
     texts = [_decode(record) for record in records]
@@ -220,10 +217,7 @@ def _text(path: Path, stream: BinaryIO, data: DataSet, head: FunctionHeader) -> 
 
 
 def fixed_width(lines: Sequence[bytes], widths: Sequence[int]) -> FloatArray | None:
-    """Return the numbers in lines of fixed fields, None for other content.
-
-    The last line may end early.
-    """
+    """Return the numbers in lines of fixed fields, of which the last may end early; None for other content."""
     total = sum(widths)
     padded = b"".join(line.rstrip(b"\r\n").ljust(total)[:total] for line in lines)
     table = np.frombuffer(padded.translate(_EXPONENT), np.uint8).reshape(-1, total)
@@ -403,10 +397,7 @@ def _integers(text: bytes, count: int) -> list[int]:
 
 
 def _reals(path: Path, line: int, lines: list[bytes], count: int | None = None) -> np.ndarray:
-    """Return the numbers of records of format 6E13.5, or between blanks.
-
-    `count` is their number where it is stated.
-    """
+    """Return the numbers, `count` where it is stated, of records of format 6E13.5, or between blanks."""
     for values in (fixed_width(lines, (13,) * 6), free_width(b" ".join(lines))):
         if values is not None and count in (None, len(values)):
             return values

@@ -242,10 +242,7 @@ class _Record:
 
 
 def _extend_lines(record: _Record, fitted: _Fitted, others: Survey, auto: bool) -> _LineSelection:
-    """Return the lines of the next fit.
-
-    These are the previous ones, new harmonics, and other lines that leak.
-    """
+    """Return the lines of the next fit: the previous ones, new harmonics, and other lines that leak."""
     multiples = [list(orders) for orders in fitted.chosen.multiples]
     limit = _NYQUIST_SHARE * record.grid.rate_hz / 2.0
     for frequency, origin in zip(others.frequency_hz, others.origin, strict=True):

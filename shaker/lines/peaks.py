@@ -65,10 +65,7 @@ class Peaks:
 
 
 class FloorSpectrum:
-    """Hann spectrum (B,) of samples (S,) with its noise floor, for one or more searches.
-
-    A search subtracts its lines from `spectrum` and restores it at the end.
-    """
+    """Hann spectrum (B,) of samples with its noise floor; a search subtracts lines and restores it."""
 
     def __init__(self, samples: FloatArray) -> None:
         self.samples = len(samples)
@@ -131,10 +128,7 @@ def find_peaks(
 
 
 def excess_power(samples: FloatArray, bin_intervals: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return the highest power over the noise floor in intervals, and its position.
-
-    `bin_intervals` (Q, 2) are in bins. Samples (S,) → ratio (Q,) and fitted position of the peak (Q,) in bins.
-    """
+    """Return the highest power over the floor in intervals (Q, 2) in bins, and its fitted position (Q,)."""
     spectrum = centred_spectrum(samples)
     power = BinPower(spectrum)
     level = replace(noise_level(power), minimum=np.finfo(np.float64).tiny)

@@ -19,10 +19,7 @@ GRID_TOLERANCE = 1e-2  # of a sampling interval: times this close to a grid are 
 
 @dataclass(frozen=True)
 class AliasedHarmonic:
-    """A harmonic that aliases onto another line `line_hz`: `frequency_hz` = `multiple`·`fundamental_hz`.
-
-    `alias_hz` is the frequency at which it appears.
-    """
+    """A harmonic `multiple`·`fundamental_hz` that appears at `alias_hz`, as the line `line_hz` does."""
 
     frequency_hz: float
     fundamental_hz: float
@@ -54,19 +51,13 @@ class SamplingGrid:
 
 
 def alias_frequency(frequency_hz: FloatArray | float, rate_hz: float) -> FloatArray:
-    """Return the alias |f - rate·round(f / rate)| of lines.
-
-    It lies between zero and the Nyquist frequency.
-    """
+    """Return the alias |f - rate·round(f / rate)| of lines, between zero and the Nyquist frequency."""
     f = np.asarray(frequency_hz, dtype=np.float64)
     return np.asarray(np.abs(f - rate_hz * np.round(f / rate_hz)))
 
 
 def frequency_of_alias(seen_hz: FloatArray, nominal_hz: FloatArray, rate_hz: float) -> FloatArray:
-    """Return the frequencies near nominal ones whose aliases are `seen_hz`.
-
-    An alias from a falling branch moves opposite to its frequency.
-    """
+    """Return the frequencies near nominal ones with aliases `seen_hz`, which may move the opposite way."""
     off = seen_hz - alias_frequency(nominal_hz, rate_hz)
     downwards = nominal_hz - rate_hz * np.floor(nominal_hz / rate_hz) > rate_hz / 2.0
     return np.asarray(nominal_hz + np.where(downwards, -off, off))
@@ -78,10 +69,7 @@ def exposure_gain(frequency_hz: FloatArray, exposure_s: float) -> FloatArray:
 
 
 def sampling_grid(time_s: FloatArray) -> SamplingGrid | None:
-    """Return the uniform grid, with gaps, of ascending times, else None.
-
-    The limit of 1 % is relative to the sampling interval.
-    """
+    """Return the uniform grid, with gaps, of ascending times within 1 % of an interval, else None."""
     check_shape("time_s", time_s, (None,))
     steps = np.diff(time_s)
     if len(time_s) < 3 or not np.all(steps > 0.0):
@@ -139,20 +127,14 @@ def sine_columns(time_s: FloatArray, frequency_hz: FloatArray) -> FloatArray:
 
 
 def angles(turns: FloatArray) -> FloatArray:
-    """Return the angles in rad from -π to π of numbers of turns, in place.
-
-    Whole turns are subtracted first, which keeps the last digits in long records.
-    """
+    """Return angles (-π to π rad) of numbers of turns, in place; long records keep their last digits."""
     turns -= np.rint(turns)
     turns *= 2.0 * np.pi
     return turns
 
 
 def condition_number(gram: FloatArray) -> float:
-    """Return the condition number of a design matrix, infinite if singular.
-
-    The input is its Gram matrix XᵀX.
-    """
+    """Return the condition number of a design matrix from its Gram matrix XᵀX, infinite if singular."""
     eigenvalues = np.linalg.eigvalsh(gram)
     limit = float(eigenvalues[-1]) * len(gram) * float(np.finfo(np.float64).eps)
     return float(np.sqrt(eigenvalues[-1] / eigenvalues[0])) if eigenvalues[0] > limit else float("inf")
@@ -165,10 +147,7 @@ def find_aliased_harmonics(
     resolution_hz: float,
     max_multiple: int = 20,
 ) -> tuple[AliasedHarmonic, ...]:
-    """Return the harmonics of the fundamentals that alias within `resolution_hz` of a line's alias.
-
-    In an unfiltered record they add to the line, and no fit can separate them.
-    """
+    """Return the harmonics that alias within `resolution_hz` of a line's alias, where no fit separates them."""
     alias = float(alias_frequency(frequency_hz, rate_hz))
     found: dict[float, AliasedHarmonic] = {}
     for fundamental in fundamentals_hz:
@@ -227,10 +206,7 @@ def separation_bins(frequency_hz: FloatArray, rate_hz: float, frames: int) -> fl
 
 
 def differences_hz(frequency_hz: FloatArray) -> FloatArray:
-    """Return the distances f_i, 2·f_i, f_i + f_j and |f_i - f_j| between lines (K,).
-
-    They are those of the exponentials at 0 and ±f.
-    """
+    """Return the distances f_i, 2·f_i, f_i + f_j and |f_i - f_j| between the exponentials of lines (K,) and 0."""
     check_shape("frequency_hz", frequency_hz, (None,))
     first, second = np.triu_indices(len(frequency_hz), k=1)
     f, g = frequency_hz[first], frequency_hz[second]

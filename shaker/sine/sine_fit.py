@@ -198,10 +198,7 @@ def rows_present(values: FloatArray | Stacked) -> BoolArray | None:
 
 
 def _root(values: FloatArray | Stacked, variance: FloatArray | None, present: BoolArray | None) -> FloatArray | None:
-    """Return weights 1/σ (S,) or (S, C) with unit mean square; None for equal weights.
-
-    Rows that are not present have weight zero.
-    """
+    """Return weights 1/σ (S,) or (S, C) of unit mean square, zero for absent rows; None for equal weights."""
     if variance is None:
         return None if present is None else present.astype(np.float64)
     if variance.shape not in (values.shape, values.shape[:1]):
@@ -297,10 +294,7 @@ class Stationarity:
         return _chance_probability(self._chi_square(u_phase_rad_per_s), len(self.time_s), self.dof)
 
     def excess_variance(self, u_phase_rad_per_s: ArrayLike) -> FloatArray:
-        """Return the variance (K, C) of the blocks beyond noise and rate error.
-
-        It includes both parts.
-        """
+        """Return the variance (K, C) of the blocks, of both parts, beyond noise and rate error."""
         blocks = len(self.time_s)
         more = np.maximum(self._chi_square(u_phase_rad_per_s) - 2.0 * (blocks - 1), 0.0)
         return np.asarray(more / np.sum(1.0 / np.maximum(self.u**2, _NO_NOISE), axis=0))
@@ -409,10 +403,7 @@ def stationarity(
 
 
 def _chance_probability(chi2: FloatArray, blocks: int, dof: FloatArray) -> FloatArray:
-    """Return the probability that noise exceeds χ² (K, C), by Fisher's distribution.
-
-    There are 2(B - 1) normal variables. `dof` (K,) are the degrees of freedom of the noise.
-    """
+    """Return the probability that noise of `dof` (K,) exceeds χ² (K, C), by Fisher's distribution."""
     from scipy.special import fdtrc
 
     free = 2.0 * (blocks - 1)
@@ -420,10 +411,7 @@ def _chance_probability(chi2: FloatArray, blocks: int, dof: FloatArray) -> Float
 
 
 def _block_length(time: FloatArray, frequency_hz: FloatArray) -> tuple[float, float, bool]:
-    """Return length of a block in s, periods in it, and whether whole.
-
-    The periods are those of the first line.
-    """
+    """Return length of a block in s, periods of the first line in it, and whether whole."""
     grid = sampling_grid(time)
     if grid is None:
         length, seen_hz = float(time[-1] - time[0]), float(frequency_hz[0])

@@ -194,10 +194,7 @@ _CAPTURE = 0.2  # of a period: an edge further from its expected time is spuriou
 
 @dataclass(frozen=True)
 class Numbering:
-    """Number of every edge (E,), and which edges (E,) are accepted as periodic.
-
-    `doubled` and `spurious` are the numbers of rejected edges.
-    """
+    """Number of every edge (E,), which edges (E,) are accepted as periodic, and the numbers of rejected ones."""
 
     number: IntArray
     accepted: BoolArray
@@ -273,10 +270,7 @@ def _period(time: FloatArray, width: FloatArray) -> float:
 
 
 def _without_outliers(number: IntArray, edges: Edges, accepted: BoolArray) -> BoolArray:
-    """Reject edges far from a straight line through the others.
-
-    The limit is 6 robust standard deviations.
-    """
+    """Reject edges further than 6 robust standard deviations from a straight line through the others."""
     resolution = (1.5 if edges.kind == "sampled" else 0.1) * float(np.median(edges.upper_s - edges.lower_s))
     for _ in range(10):
         if np.count_nonzero(accepted) < 3:

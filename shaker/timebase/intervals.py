@@ -129,10 +129,7 @@ _Intervals = tuple[FloatArray, FloatArray, FloatArray, Slopes | None]
 
 @dataclass(frozen=True)
 class _JitterStep:
-    """Lines at the middle jitter of a step of its logarithm, `width` down from `top`.
-
-    `mean` (P,) and `covariance` (P, P) are those of the lines.
-    """
+    """Mean (P,) and covariance (P, P) of lines at the middle of a step `width` down from `top` in ln jitter."""
 
     top: float
     width: float
@@ -193,10 +190,7 @@ def _at_jitter(top: float, width: float, line: tuple[FloatArray, FloatArray], in
 def _sample_lines(
     jitter_s: float, line: tuple[FloatArray, FloatArray], normal: FloatArray, intervals: _Intervals
 ) -> tuple[float, FloatArray, FloatArray, float]:
-    """Return log mean likelihood, mean, covariance and power from weighted points.
-
-    The power of the weights is 1 where at least a twentieth of the points counts.
-    """
+    """Return log mean likelihood, mean, covariance, and the power of weights (1 where 5 % of the points count)."""
     mean, covariance = line
     root = _WIDER * np.linalg.cholesky(covariance)
     points = mean + normal @ root.T
@@ -261,10 +255,7 @@ def normal_cdf(x: FloatArray) -> FloatArray:
 
 
 def _series(x: FloatArray, coefficients: FloatArray, nodes: int) -> FloatArray:
-    """Return Taylor's series (K, N) at x of any shape.
-
-    Its nodes are from -9 to 9. `nodes` is their number per standard deviation.
-    """
+    """Return Taylor's series (K, N) at x of any shape; `nodes` per standard deviation from -9 to 9."""
     flat, found = x.ravel(), np.empty(x.size)
     for first in range(0, x.size, _AT_ONCE):
         off = np.clip(flat[first : first + _AT_ONCE], -_FARTHEST, _FARTHEST)

@@ -115,10 +115,7 @@ def _by_gaps(base: TriggerFit, other: TriggerFit, low: int, high: int) -> int | 
 
 
 def _by_jitter(base: TriggerFit, other: TriggerFit, low: int, high: int) -> int | None:
-    """Return the only shift in the range with equal deviations, else None.
-
-    The deviations are those from the period.
-    """
+    """Return the only shift in the range with equal deviations from the period, else None."""
     if not (_has_jitter(base) and _has_jitter(other)):
         return None
     base_index, other_index = _deviations(base), _deviations(other)
@@ -254,10 +251,7 @@ def _from_models(base: TriggerFit, other: TriggerFit, shift: int) -> ClockLine:
 
 
 def _from_pairs(base: TriggerFit, other: TriggerFit, base_index: IntArray, other_index: IntArray) -> ClockLine:
-    """Fit a line to paired edges, free of the trigger's jitter.
-
-    The edges are middles of intervals, or resolved crossings.
-    """
+    """Fit a line to paired middles of intervals or resolved crossings, free of the trigger's jitter."""
     if base.kind == "sampled":
         position, unscale = _scale_times(other.edge_s[other_index])
         return unscale(fit_straight_line(position, base.edge_s[base_index], 0.3 * base.resolution_s))
@@ -334,10 +328,7 @@ def _from_intervals(
 
 
 def _slopes(half: float, base: TriggerFit, ratio: float, u_ratio: float) -> Slopes:
-    """Return external information about the half spans of `half` periods of two lines.
-
-    It is their ratio, and the half span of the base line.
-    """
+    """Return the ratio of the half spans of two lines, and that of `half` base periods, as external information."""
     period, u_period = base.known_period_s or (base.period_s, np.inf)
     span, signs = half * period, np.array([1.0, -1.0])
     weight = np.diag([(half * u_period) ** -2.0, 0.0]) + np.multiply.outer(signs, signs) / (u_ratio * span) ** 2

@@ -36,10 +36,7 @@ _LOCKED_SHAPE_SIZE, _LOCKED_SHAPE_POWER = 0.12, 1.5
 
 
 def fit_straight_line(position: FloatArray, time_s: FloatArray, min_scatter_s: float = 0.0) -> Posterior:
-    """Fit time_s (E,) = m + h·position by least squares.
-
-    The jitter is the scatter about the fit, the covariance that for a scatter of at least `min_scatter_s`.
-    """
+    """Fit time_s (E,) = m + h·position by least squares; the covariance is that of `min_scatter_s` or more."""
     columns = np.column_stack([np.ones_like(position), position])
     inverse, centre = np.linalg.inv(columns.T @ columns), float(time_s.mean())
     value = inverse @ (columns.T @ (time_s - centre))
@@ -50,10 +47,7 @@ def fit_straight_line(position: FloatArray, time_s: FloatArray, min_scatter_s: f
 
 @dataclass(frozen=True)
 class RisePhases:
-    """Phases (E,) of resolved edges between two samples, and the interval.
-
-    Phases range from 0 to 1. `locked`: the phases are too few for estimating the shape of the rise.
-    """
+    """Phases (E,), 0 to 1, of resolved edges between samples; `locked`: too few for the shape of the rise."""
 
     phase: FloatArray
     sample_s: float
@@ -243,20 +237,14 @@ class TriggerFit:
 
     @property
     def u_shape_s(self) -> float:
-        """Standard uncertainty of one edge from the unknown shape of a resolved rise (rms).
-
-        It is zero where the edges have enough different phases to estimate the shape.
-        """
+        """Standard uncertainty (rms) of one edge from the shape of a resolved rise that its phases do not determine."""
         if self.kind == "sampled" or not (self.locked or self.known_period_s):
             return 0.0
         squares = 0.5 * np.sum(_ORDER ** (-2.0 * _LOCKED_SHAPE_POWER))
         return self.sample_s * _LOCKED_SHAPE_SIZE * float(np.sqrt(squares))
 
     def time_s(self, number: IntArray) -> FloatArray:
-        """Return the modelled times of edges `number` in s.
-
-        They count from the first sample; `number` has any shape.
-        """
+        """Return the modelled times of edges `number`, of any shape, in s from the first sample."""
         return np.asarray(self.start_s + self.period_s * np.asarray(number, dtype=np.float64))
 
     def u_time_s(self, number: IntArray) -> FloatArray:
