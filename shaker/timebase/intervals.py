@@ -211,10 +211,9 @@ def _sample_lines(
 
 def _log_likelihood(points: FloatArray, jitter: float, intervals: _Intervals) -> FloatArray:
     """Return the log-likelihood (N,) of points (N, 2R), a line per record, at a jitter."""
+    from scipy.special import ndtr
+
     position, lower, upper, slopes = intervals
-    width = upper[0] - lower[0]
-    equal_widths = len(lower) == 1 and np.ptp(width) <= _EQUAL_WIDTH * width.max()
-    chance = _log_chance(float(width.mean()) / jitter) if equal_widths else None
     result, rows = np.empty(len(points)), max(1, _AT_ONCE // len(position))
     for first in range(0, len(points), rows):
         line = points[first : first + rows].T[:, :, None]
@@ -223,56 +222,9 @@ def _log_likelihood(points: FloatArray, jitter: float, intervals: _Intervals) ->
         # Edges whose intervals include every line with a margin contribute no information.
         telling = (below.max(axis=0) > -6.0 * jitter) | (above.min(axis=0) < 6.0 * jitter)
         below, above = below[:, telling] / jitter, above[:, telling] / jitter
-        if chance is not None:
-            each = _series(np.minimum(above, -below), chance, _WIDE_NODES)
-        else:
-            each = np.log(np.maximum(normal_cdf(above) - normal_cdf(below), 0.0) + _STRAY)
+        each = np.log(np.maximum(ndtr(above) - ndtr(below), 0.0) + _STRAY)
         result[first : first + rows] = each.sum(axis=1)
     return result if slopes is None else result + slopes.log_likelihood(points)
-
-
-@lru_cache(4)  # proposals of one jitter follow each other
-def _log_chance(width: float) -> FloatArray:
-    """Return Taylor's series (3, N) of an interval's log-likelihood, to 10⁻⁶.
-
-    It is ln(Φ(v) - Φ(v - width) + a stray's). Units: the jitter. v is the distance of lines inside the nearer bound of
-    intervals of one width.
-    """
-    node = np.arange(2.0 * _WIDE_NODES * _FARTHEST + 1.0) / _WIDE_NODES - _FARTHEST
-    share = normal_cdf(node) - normal_cdf(node - width) + _STRAY
-    first, second = (np.exp(-0.5 * end**2) / np.sqrt(2.0 * np.pi) for end in (node, node - width))
-    slope = (first - second) / share
-    bend = ((node - width) * second - node * first) / share - slope**2
-    return np.stack([np.log(share), slope, bend / 2.0])
-
-
-def normal_cdf(x: FloatArray) -> FloatArray:
-    """Return Φ(x) to 2·10⁻¹⁴ by Taylor's series of third order.
-
-    Its nodes are 1/512 apart. SciPy's function takes a fifth of a second to import.
-    """
-    return _series(x, _normal_series(), _NODES)
-
-
-def _series(x: FloatArray, coefficients: FloatArray, nodes: int) -> FloatArray:
-    """Return Taylor's series (K, N) at x of any shape; `nodes` per standard deviation from -9 to 9."""
-    flat, found = x.ravel(), np.empty(x.size)
-    for first in range(0, x.size, _AT_ONCE):
-        off = np.clip(flat[first : first + _AT_ONCE], -_FARTHEST, _FARTHEST)
-        node_index = (nodes * off + (nodes * _FARTHEST + 0.5)).astype(np.intp)
-        off -= node_index / nodes - _FARTHEST
-        *lower, highest = (order.take(node_index) for order in coefficients)
-        found[first : first + _AT_ONCE] = reduce(lambda value, order: order + off * value, lower[::-1], highest)
-    return found.reshape(x.shape)
-
-
-@cache
-def _normal_series() -> FloatArray:
-    """Return the coefficients (4, N) of Taylor's series at the nodes."""
-    node = np.arange(2.0 * _NODES * _FARTHEST + 1.0) / _NODES - _FARTHEST
-    density = np.exp(-0.5 * node**2) / np.sqrt(2.0 * np.pi)
-    value = np.array([0.5 * erfc(x) for x in (-node / np.sqrt(2.0)).tolist()])
-    return np.stack([value, density, -density * node / 2.0, density * (node**2 - 1.0) / 6.0])
 
 
 @cache
