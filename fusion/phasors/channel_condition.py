@@ -12,7 +12,7 @@ from fusion.instruments.channel import NOISE_REACH, ChannelRelativeError
 from fusion.instruments.transducer import chain_name
 from fusion.phasors.phasor_notices import CLIPPED_CHANNEL, COARSE_CONVERTER, REJECTED_SAMPLES, UNUSABLE_CHANNEL
 from shaker.io.condition import FEWEST_STEPS, Defect, converter_step
-from shaker.sine.quantisation import quantisation_error
+from shaker.sine.sine_fit import quantisation_error
 from shaker.sine.solve import SineFit
 from shaker.stacked import Stacked
 from shakercal._common.arrays import BoolArray, ComplexArray, FloatArray

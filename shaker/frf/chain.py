@@ -5,16 +5,16 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import partial
-from typing import Literal
+from typing import Literal, TypeVar
 
 import numpy as np
 
-from shaker.frf.spline import cubic_spline
 from shaker.labels import MOTION_UNITS
 from shaker.lti.roots import pair_conjugates
 from shaker.sine.phasor import derivative_factor
 from shakercal._common.arrays import BoolArray, ComplexArray, FloatArray, check_shape, check_shapes
 
+Numbers = TypeVar("Numbers", FloatArray, ComplexArray)
 FilterKind = Literal["butterworth", "bessel", "resonance"]
 PassBand = Literal["lowpass", "highpass"]
 QUANTITIES = ("displacement", "velocity", "acceleration")
@@ -232,7 +232,7 @@ def cascade_responses(responses: Sequence[ChainResponse]) -> ChainResponse:
 
 
 def common_covariance(value: ComplexArray, errors: ComplexArray) -> FloatArray:
-    """Return Σ_e d_e·d_eᵀ (K, 2C, 2C), d_e = [Re, Im] of `value` (K, C) times error_e of (E, K, C)."""
+    """Return the covariance (K, 2C, 2C) of phasors from E independent relative errors."""
     deviation = value * errors
     stacked = np.concatenate([deviation.real, deviation.imag], axis=-1)
     return np.asarray(np.einsum("eki,ekj->kij", stacked, stacked))
@@ -257,7 +257,7 @@ def ratio_unit(above: str, below: str) -> str:
 
 
 def split_ratio(unit: str) -> tuple[str, str]:
-    """Return the units above and below the last division of a unit; the second is empty for no ratio."""
+    """Return the units above and below a unit's last division, "" for none."""
     if any(unit in units for units in MOTION_UNITS):
         return unit, ""
     depth = 0
@@ -274,7 +274,7 @@ def _unwrapped(unit: str) -> str:
 
 
 def _product(s: ComplexArray, model: PoleModel) -> ComplexArray:
-    """Return Π(s − z) / Π(s − p) at s (K,), factor by factor to avoid overflow."""
+    """Return Π(s − z)/Π(s − p) at s (K,), without overflow."""
     factors = np.ones((len(s), max(len(model.zeros), len(model.poles))), dtype=np.complex128)
     factors[:, : len(model.zeros)] = s[:, None] - model.zeros
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -296,6 +296,53 @@ def _check_finite(value: np.ndarray, frequency_hz: Sequence[float] | FloatArray)
             f"frequency_hz: expected frequencies other than a zero or a pole, found {frequency_hz[bad[0]]:g} Hz"
         )
     return value
+
+
+def cubic_spline(knots: FloatArray, values: Numbers, position: FloatArray) -> Numbers:
+    """Return the not-a-knot cubic spline through values (N,) at positions; a constant for one knot.
+
+    The digits are those of `scipy.interpolate.CubicSpline`, whose package takes as long to import as a check of a whole
+    recording.
+    """
+    if len(knots) == 1:
+        return np.full(len(position), values[0])
+    step = np.diff(knots)
+    rise = np.diff(values) / step
+    slope = _slopes(knots, step, rise)
+    bend = (slope[:-1] + slope[1:] - 2.0 * rise) / step
+    curve = (rise - slope[:-1]) / step - bend
+    piece = np.clip(np.searchsorted(knots, position, side="right") - 1, 0, len(step) - 1)
+    x = position - knots[piece]
+    return np.asarray(values[piece] + slope[piece] * x + curve[piece] * (x * x) + (bend / step)[piece] * (x * x * x))
+
+
+def _slopes(knots: FloatArray, step: FloatArray, rise: Numbers) -> Numbers:
+    """Return the spline's slopes (N,) at the knots.
+
+    They make its second derivative continuous there, and the third one at the second and the last but one (de Boor
+    2001, A Practical Guide to Splines, chapter IV).
+    """
+    if len(knots) == 2:
+        return np.repeat(rise, 2)
+    inner: FloatArray = 2.0 * (step[:-1] + step[1:])
+    right = np.empty(len(knots), dtype=rise.dtype)
+    right[1:-1] = 3.0 * (step[1:] * rise[:-1] + step[:-1] * rise[1:])
+    if len(knots) == 3:  # both ends state the same: a parabola
+        right[0], right[2] = 2.0 * rise
+        return np.asarray(np.linalg.solve([[1.0, 1.0, 0.0], [step[1], inner[0], step[0]], [0.0, 1.0, 1.0]], right))
+    first, last = knots[2] - knots[0], knots[-1] - knots[-3]
+    right[0] = ((step[0] + 2.0 * first) * step[1] * rise[0] + step[0] ** 2 * rise[1]) / first
+    right[-1] = (step[-1] ** 2 * rise[-2] + (2.0 * last + step[-1]) * step[-2] * rise[-1]) / last
+    # Three diagonals by elimination; as steps are positive, no middle one becomes zero.
+    above, middle, below = [first, *step[:-1]], [step[1], *inner, step[-2]], [*step[1:], last]
+    for i, element in enumerate(below):
+        share = element / middle[i]
+        middle[i + 1] -= share * above[i]
+        right[i + 1] -= share * right[i]
+    right[-1] /= middle[-1]
+    for i in range(len(below) - 1, -1, -1):
+        right[i] = (right[i] - above[i] * right[i + 1]) / middle[i]
+    return right
 
 
 def _interpolation_error(knots: FloatArray, values: ComplexArray, positions: FloatArray) -> ComplexArray:

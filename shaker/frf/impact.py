@@ -7,7 +7,10 @@ from typing import Literal
 
 import numpy as np
 
-from shaker.frf.frf_notices import (
+from shaker.frf.random import EstimatorSelection, Spectra, choose_estimator, estimate_ratio
+from shaker.frf.result import TransferFunction, TransferRecord, circular_covariance, pooled_scatter, share_of_reference
+from shaker.lines.spectrum import hann_window
+from shaker.signal_notices import (
     ESTIMATOR_FEW_HITS,
     EXPONENTIAL_WINDOW,
     HIT_OVERLOADED,
@@ -16,9 +19,6 @@ from shaker.frf.frf_notices import (
     SINGLE_HIT,
     SINGLE_HIT_WITHOUT_NOISE,
 )
-from shaker.frf.random import EstimatorSelection, Spectra, choose_estimator, estimate_ratio
-from shaker.frf.result import TransferFunction, TransferRecord, circular_covariance, pooled_scatter, share_of_reference
-from shaker.lines.spectrum import hann_window
 from shaker.sine.phasor import Phasors
 from shakercal._common.arrays import BoolArray, ComplexArray, FloatArray, IntArray
 from shakercal._common.notices import DeclaredNotice, Notice, Value
@@ -236,7 +236,7 @@ class _Blows:
 
 @dataclass(frozen=True)
 class _BlowLines:
-    """Transforms `value` (n, K, 1 + C) and `noise` (K, 1 + C, 1 + C) at the excited lines."""
+    """Transforms (n, K, 1 + C) at the excited lines, and noise of each."""
 
     frequency_hz: FloatArray
     value: ComplexArray
@@ -295,7 +295,7 @@ def _required_decay(blows: _Blows) -> float:
 
 
 def _transform_windows(blows: _Blows, decay: float, band_hz: tuple[float, float]) -> _BlowLines:
-    """Return the transforms of the windows at the lines of the band below the first unexcited one."""
+    """Return the windows' transforms at the band's lines below the first unexcited one."""
     length = len(blows.time_s)
     window = np.exp(-decay * blows.time_s)
     seen = blows.samples * window[:, None]

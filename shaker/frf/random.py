@@ -7,9 +7,9 @@ from typing import Literal
 
 import numpy as np
 
-from shaker.frf.frf_notices import ESTIMATOR_H1, ESTIMATOR_H2, ESTIMATOR_HV, ESTIMATOR_REQUESTED
 from shaker.frf.result import TransferFunction, TransferRecord, circular_covariance, resolution_notices
 from shaker.lines.spectrum import hann_window
+from shaker.signal_notices import ESTIMATOR_H1, ESTIMATOR_H2, ESTIMATOR_HV, ESTIMATOR_REQUESTED
 from shaker.sine.phasor import Phasors
 from shakercal._common.arrays import ComplexArray, FloatArray, IntArray, check_shape
 from shakercal._common.notices import DeclaredNotice, Notice, Value
@@ -70,7 +70,7 @@ class EstimatorSelection:
 
 
 def ratio_covariance(spectra: Spectra, ratio: ComplexArray, selection: EstimatorSelection) -> FloatArray:
-    """Return the covariance (K, 2C, 2C) of [all Re, all Im] of a ratio from `estimate_ratio`."""
+    """Return the covariance (K, 2C, 2C) of a ratio, [all Re, all Im]."""
     power, averages = spectra.power, spectra.averages
     if not np.all(averages > 1.0):
         return np.full((len(ratio), 2 * ratio.shape[1], 2 * ratio.shape[1]), np.nan)
@@ -89,7 +89,7 @@ def ratio_covariance(spectra: Spectra, ratio: ComplexArray, selection: Estimator
 
 
 def estimate_ratio(spectra: Spectra, selection: EstimatorSelection) -> ComplexArray:
-    """Return H (K, C); Hv minimises |n_x|² + |n_y|²/κ, the noise powers with their ratio κ."""
+    """Return H (K, C); Hv minimises |n_x|² + |n_y|²/κ with the noise ratio κ."""
     cross, reference, responses = spectra.cross, spectra.reference[:, None], spectra.responses
     if selection.estimator == "H1":
         return np.asarray(cross / reference)
@@ -240,7 +240,7 @@ def local_spectra(record: TransferRecord, length: int, frequency_hz: FloatArray)
 def _fit_windows(
     transform: ComplexArray, position: FloatArray, first: IntArray, bins: int
 ) -> tuple[ComplexArray, FloatArray, ComplexArray]:
-    """Return `power` and `averages` of the spectra, and bias (K, C), at lines in windows from bins `first`."""
+    """Return `power`, `averages` and bias at lines in windows from bins `first`."""
     index = first[:, None] + np.arange(bins)
     basis = ((index - position[:, None]) / (0.5 * bins))[:, :, None] ** np.arange(_ORDER + 1)
     reference, responses = transform[index, :1], transform[index, 1:]

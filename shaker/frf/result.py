@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from shaker.frf.chain import ratio_unit
-from shaker.frf.frf_notices import NARROW_PEAKS
+from shaker.signal_notices import NARROW_PEAKS
 from shaker.sine.phasor import Phasors
 from shakercal._common.arrays import BoolArray, ComplexArray, FloatArray, check_shape
 from shakercal._common.notices import Notice
@@ -114,7 +114,7 @@ class TransferFunction:
 
     @property
     def coherence_bias(self) -> FloatArray:
-        """Bias (1 - γ²)²/n of the coherence (K, C) (Bendat and Piersol, Random Data, 4th ed., eq. 9.76)."""
+        """Bias (1 - γ²)²/n of the coherence (Bendat and Piersol, 4th ed., eq. 9.76)."""
         return np.asarray((1.0 - self.coherence) ** 2 / self.averages[:, None])
 
     def at_lines(self, lines: NDArray[Any]) -> TransferFunction:
@@ -137,7 +137,7 @@ class TransferFunction:
 
 
 def circular_covariance(complex_covariance: ComplexArray) -> FloatArray:
-    """Return the covariance (K, 2C, 2C) of [all Re, all Im] of circular noise with E[e eᴴ] (K, C, C)."""
+    """Return the covariance (K, 2C, 2C) of circular noise with E[e eᴴ]."""
     half = 0.5 * complex_covariance
     return np.asarray(np.block([[half.real, -half.imag], [half.imag, half.real]]))
 
@@ -187,7 +187,7 @@ _CERTAIN = 0.1  # relative uncertainty of |H| from which a peak may be noise
 def resolution_notices(
     frequency_hz: FloatArray, ratio: ComplexArray, u_ratio: FloatArray, name: str, cause: str
 ) -> list[Notice]:
-    """Return a notice of peaks of |H| narrower than lines allow, which `cause` lowers and widens."""
+    """Return a notice of peaks of |H| narrower than the line spacing allows."""
     from scipy.signal import find_peaks, peak_widths
 
     magnitude = np.abs(ratio)
@@ -250,7 +250,7 @@ def pooled_scatter(scatter: ComplexArray, ratio: ComplexArray, dof: float) -> tu
 
 
 def share_of_reference(scatter: ComplexArray, ratio: ComplexArray) -> FloatArray:
-    """Return the share (K, C) of the noise of y - Hx proportional to |H|², as in `pooled_scatter`."""
+    """Return the share (K, C) of the noise proportional to |H|², by `pooled_scatter`."""
     level, gain = np.einsum("kcc->kc", scatter).real, np.abs(ratio) ** 2
     flat, through = _shape(level, gain)
     return np.asarray(through / (flat + through))
@@ -281,7 +281,7 @@ def _shape(level: FloatArray, gain: FloatArray) -> FloatArray:
 
 
 def _outlying(level: FloatArray, dof: float) -> BoolArray:
-    """Return which lines are noisier in any channel of `level` (K, C) than common noise allows."""
+    """Return which lines are noisier, in any channel, than common noise allows."""
     from scipy.ndimage import median_filter
     from scipy.special import chdtri
 

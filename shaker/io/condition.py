@@ -141,7 +141,7 @@ def _spans(chosen: BoolArray) -> IntArray:
 
 
 def converter_step(samples: FloatArray) -> float:
-    """Return the step of which all differences of the values of samples (S,) are multiples; 0 without one."""
+    """Return the step that divides all differences of samples (S,); 0 without one."""
     excerpt = samples[:_EXCERPT]
     excerpt = excerpt[np.isfinite(excerpt)]
     off = np.abs(excerpt - np.median(excerpt)) if len(excerpt) else excerpt
@@ -268,7 +268,7 @@ def _clipping_level(samples: FloatArray, step: float, resting: bool) -> float:
 
 
 def _is_limit(samples: FloatArray, near: BoolArray, where: tuple[float, float, float], resting: bool) -> bool:
-    """Return whether the samples `near` are clipped; `where`: the top, the width below it, that of equal samples."""
+    """Return whether the samples `near` a top are clipped; `where`: it and two widths."""
     top, width, exact = where
     count, spans = int(np.count_nonzero(near)), _spans(near)
     length = spans[:, 1] - spans[:, 0]

@@ -12,9 +12,17 @@ from typing import BinaryIO
 
 import numpy as np
 
-from shaker.io.channel import MOST_CHANNELS, RawChannel, select_names
+from shaker.io.channel import (
+    MOST_CHANNELS,
+    RawChannel,
+    SampleTimes,
+    Segment,
+    agreed_rate,
+    select_names,
+    times_of_segments,
+    times_of_stamps,
+)
 from shaker.io.text import TextLayout, decode_text, digit_of, find_bytes, last_digit, read_columns, whole_lines
-from shaker.io.times import SampleTimes, Segment, agreed_rate, times_of_segments, times_of_stamps
 from shakercal._common.arrays import FloatArray
 
 _END, _CHANNELS = b"***End_of_Header***", b"\nChannels"
@@ -28,7 +36,7 @@ _COMMENT, _TIMES, _SEPARATOR = "Comment", "X_Value", "Separator"
 
 @dataclass(frozen=True)
 class _Segment:
-    """One block of a file: header, column titles, layout, bytes of its rows, and line of the first row."""
+    """One block of a file: header, column titles, layout, and position of its rows."""
 
     header: dict[str, list[str]]
     titles: list[str]
@@ -40,7 +48,7 @@ class _Segment:
 
 @dataclass(frozen=True)
 class _Part:
-    """One channel in one segment: samples, column, and times (None without an X column) with their last digit."""
+    """One channel in one segment, with times from an X column or None."""
 
     samples: FloatArray
     segment: _Segment
@@ -100,7 +108,7 @@ def _segments(path: Path, stream: BinaryIO) -> Iterator[_Segment]:
 def _header(
     path: Path, stream: BinaryIO, start: int, size: int, line: int, separator: str | None
 ) -> tuple[dict[str, list[str]], int, int]:
-    """Return a header's entries without special blocks, the byte after it, and the line number there."""
+    """Return a header's entries without special blocks, the next byte, and its line number."""
     end = find_bytes(stream, _END, start, size)
     if end < 0:
         raise ValueError(f"{path}: line {line}: expected ***End_of_Header***, found the end of the file")

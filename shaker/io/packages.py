@@ -30,13 +30,15 @@ from numpy.typing import NDArray
 
 from shaker.io.channel import (
     RawChannel,
+    SampleTimes,
+    agreed_rate,
     as_sample_array,
     check_size,
     is_time,
     select_by_either_name,
     select_names,
+    times_of_stamps,
 )
-from shaker.io.times import SampleTimes, agreed_rate, times_of_stamps
 from shakercal._common.arrays import FloatArray
 
 _LONGEST_S, _SLOWEST = 8.0, 2e6  # Dewesoft's library: seconds of the processor, and bytes that it reads in each

@@ -22,8 +22,17 @@ from typing import Any, BinaryIO
 import numpy as np
 from numpy.typing import NDArray
 
-from shaker.io.channel import BLOCK, RawChannel, is_time, select_by_either_name
-from shaker.io.times import SampleTimes, Segment, agreed_rate, times_of_segments, times_of_stamps
+from shaker.io.channel import (
+    BLOCK,
+    RawChannel,
+    SampleTimes,
+    Segment,
+    agreed_rate,
+    is_time,
+    select_by_either_name,
+    times_of_segments,
+    times_of_stamps,
+)
 from shakercal._common.arrays import FloatArray
 
 # Position of the values of every channel in a TDMS file (NI, "TDMS file format internal structure", version 2.0).
@@ -312,7 +321,7 @@ def _regions(path: Path, chunk: Mapping[str, _Raw], interleaved: bool, position:
 
 
 def _card_regions(path: Path, chunk: Mapping[str, _Raw], position: int, size: int) -> list[TdmsRegion]:
-    """Return the regions of a segment of cards, whose chunks have one buffer of rows after another."""
+    """Return the regions of a segment of cards, one buffer of rows after another."""
     widths = next(iter(chunk.values())).widths
     if any(raw.widths != widths for raw in chunk.values()):
         raise ValueError(f"{path}: expected one layout of all channels of the cards, found several")
@@ -427,7 +436,7 @@ def read_tdms(path: Path, names: Sequence[str] | None, sample_rate_hz: float | N
 def _sample_times(
     path: Path, where: str, dated: Sequence[TimeStatement], count: int, given_hz: float | None
 ) -> SampleTimes | None:
-    """Return the times of values from the first start on by a channel's properties; None without an interval."""
+    """Return the times of values by a channel's properties; None without an interval."""
     first = dated[0]
     if not first.interval_s:
         return None if given_hz is None else SampleTimes(agreed_rate(path, where, None, given_hz))
@@ -548,7 +557,7 @@ def _scale(path: Path, name: str, index: TdmsIndex) -> Any:
 
 
 def _starts(stream: BinaryIO, index: TdmsIndex, requested: Iterable[str]) -> dict[str, float]:
-    """Return the delay in s of every channel after the earliest requested one, from their time stamps."""
+    """Return the delay in s of every channel after the earliest, from time stamps."""
     stamps: dict[str, Fraction] = {}
     for name in requested:
         stamp = index.dated[name][0].start

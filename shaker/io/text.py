@@ -36,12 +36,14 @@ from shaker.io.channel import (
     BLOCK,
     LONGEST_LINE,
     RawChannel,
+    SampleTimes,
+    agreed_rate,
     convert_read_errors,
     is_time,
     select_by_either_name,
     select_names,
+    times_of_stamps,
 )
-from shaker.io.times import SampleTimes, agreed_rate, times_of_stamps
 from shakercal._common.arrays import FloatArray, check_shape
 
 # Rows of numbers in text files: whole blocks at once, line by line only for unusual blocks.
@@ -53,7 +55,7 @@ _COMMA_TO_POINT = bytes.maketrans(b",", b".")
 
 @dataclass(frozen=True)
 class TextLayout:
-    """Layout of rows; with `remarks`, text after the last column is a remark, else that column must be empty."""
+    """Layout of rows; with `remarks`, text after the last column is a remark."""
 
     path: Path
     columns: int
@@ -181,7 +183,7 @@ def plain_rows(block: bytes, delimiter: str) -> FloatArray | None:
 
 
 def _line_by_line(layout: TextLayout, block: bytes, line: int, requested: Sequence[int]) -> FloatArray:
-    """Return columns (S, W) of a block line by line; `ValueError` with the line number for a text in one of them."""
+    """Return columns (S, W) of a block line by line; `ValueError` for a text."""
     rows = []
     for number, text in enumerate(decode_text(block.replace(b"\r\n", b"\n")).split("\n"), line):
         if not text.strip() or text.startswith(_COMMENT):
@@ -275,7 +277,7 @@ def table_units(path: Path) -> dict[str, str]:
 
 
 def read_table_columns(path: Path, names: Sequence[str]) -> FloatArray:
-    """Read columns of a text table without times, by the names of `table_units`, as (S, len(names))."""
+    """Read columns (S, W) of a text table by the names of `table_units`."""
     with convert_read_errors(path):
         head = _head(path)
         columns_by_name = [head.plain.index(name) for name in select_names(path, names, head.plain)]
@@ -316,7 +318,7 @@ def _head(path: Path) -> _Head:
 
 
 def _next_line(stream: BinaryIO, line: int) -> tuple[int, int, str]:
-    """Return position, number and text of the next line with content, no remark; empty at the end of the file."""
+    """Return position, number and text of the next line that is no remark."""
     while True:
         start, raw = stream.tell(), stream.readline(LONGEST_LINE + 1)
         check_line(raw)

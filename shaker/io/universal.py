@@ -17,9 +17,19 @@ from typing import BinaryIO
 import numpy as np
 from numpy.typing import NDArray
 
-from shaker.io.channel import BLOCK, LONGEST_LINE, RawChannel, as_sample_array, convert_read_errors, select_names
+from shaker.io.channel import (
+    BLOCK,
+    LONGEST_LINE,
+    RawChannel,
+    SampleTimes,
+    agreed_rate,
+    as_sample_array,
+    convert_read_errors,
+    seconds_of,
+    select_names,
+    times_of_stamps,
+)
 from shaker.io.text import plain_rows
-from shaker.io.times import SampleTimes, agreed_rate, seconds_of, times_of_stamps
 from shakercal._common.arrays import ComplexArray, FloatArray, IntArray, check_shape
 
 # Data sets, and the functions of data set 58 in them.
@@ -130,7 +140,7 @@ def _skip_binary(path: Path, stream: BinaryIO, more: bytes, line: int) -> int:
 
 
 def function_header(path: Path, records: Sequence[bytes], line: int) -> FunctionHeader:
-    """Return the content of the eleven text records of data set 58, whose number is in this line."""
+    """Return the content of the eleven text records after the number of data set 58."""
     if len(records) < _HEADER or not records[-1]:
         raise ValueError(f"{path}: line {line}: expected {_HEADER} records of data set 58, found fewer")
     texts = [_decode(record) for record in records]
@@ -217,7 +227,7 @@ def _text(path: Path, stream: BinaryIO, data: DataSet, head: FunctionHeader) -> 
 
 
 def fixed_width(lines: Sequence[bytes], widths: Sequence[int]) -> FloatArray | None:
-    """Return the numbers in lines of fixed fields, of which the last may end early; None for other content."""
+    """Return the numbers in lines of fixed fields; None for other content."""
     total = sum(widths)
     padded = b"".join(line.rstrip(b"\r\n").ljust(total)[:total] for line in lines)
     table = np.frombuffer(padded.translate(_EXPONENT), np.uint8).reshape(-1, total)
@@ -397,7 +407,7 @@ def _integers(text: bytes, count: int) -> list[int]:
 
 
 def _reals(path: Path, line: int, lines: list[bytes], count: int | None = None) -> np.ndarray:
-    """Return the numbers, `count` where it is stated, of records of format 6E13.5, or between blanks."""
+    """Return the numbers (`count` if stated) in fields of 13, or between blanks."""
     for values in (fixed_width(lines, (13,) * 6), free_width(b" ".join(lines))):
         if values is not None and count in (None, len(values)):
             return values

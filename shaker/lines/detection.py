@@ -9,8 +9,8 @@ from typing import Any, Literal
 
 import numpy as np
 
-from shaker.lines.line_detection_notices import NO_NOMINAL_LINE, TOO_MANY_LINES
 from shaker.lines.peaks import MOST_LINES, FloorSpectrum, Peaks, find_peaks
+from shaker.signal_notices import NO_NOMINAL_LINE, TOO_MANY_LINES
 from shaker.sine.aliasing import CAPTURE, alias_frequency, frequency_of_alias
 from shaker.stacked import Stacked
 from shakercal._common.arrays import BoolArray, FloatArray, check_shape, check_shapes

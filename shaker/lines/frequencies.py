@@ -18,8 +18,8 @@ from shaker.lines.detection import (
     name_lines,
     relative_strength,
 )
-from shaker.lines.line_detection_notices import HARMONIC_OUT_OF_REACH, HARMONICS_ON_ALIAS, OTHER_LINES
 from shaker.lines.peaks import FloorSpectrum, excess_power
+from shaker.signal_notices import HARMONIC_OUT_OF_REACH, HARMONICS_ON_ALIAS, OTHER_LINES
 from shaker.sine.aliasing import (
     CAPTURE,
     SamplingGrid,
@@ -242,7 +242,7 @@ class _Record:
 
 
 def _extend_lines(record: _Record, fitted: _Fitted, others: Survey, auto: bool) -> _LineSelection:
-    """Return the lines of the next fit: the previous ones, new harmonics, and other lines that leak."""
+    """Return the lines of the next fit, with new harmonics and leaking lines."""
     multiples = [list(orders) for orders in fitted.chosen.multiples]
     limit = _NYQUIST_SHARE * record.grid.rate_hz / 2.0
     for frequency, origin in zip(others.frequency_hz, others.origin, strict=True):

@@ -65,7 +65,7 @@ class Peaks:
 
 
 class FloorSpectrum:
-    """Hann spectrum (B,) of samples with its noise floor; a search subtracts lines and restores it."""
+    """Hann spectrum (B,) of samples with its noise floor; a search restores it."""
 
     def __init__(self, samples: FloatArray) -> None:
         self.samples = len(samples)
@@ -128,7 +128,7 @@ def find_peaks(
 
 
 def excess_power(samples: FloatArray, bin_intervals: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return the highest power over the floor in intervals (Q, 2) in bins, and its fitted position (Q,)."""
+    """Return the highest power over the floor in intervals, and its position in bins."""
     spectrum = centred_spectrum(samples)
     power = BinPower(spectrum)
     level = replace(noise_level(power), minimum=np.finfo(np.float64).tiny)

@@ -58,7 +58,7 @@ def amplitude_covariance(
 
 
 def rms_uncertainty(covariance: FloatArray) -> FloatArray:
-    """Return √(trace/2) of covariances (K, 2, 2), the u of an amplitude averaged over all phases."""
+    """Return √(trace/2) of covariances (K, 2, 2): an amplitude's mean u over phases."""
     return np.asarray(np.sqrt(np.trace(covariance, axis1=1, axis2=2) / 2.0))
 
 
@@ -302,7 +302,7 @@ class RateScan:
 
     @property
     def good(self) -> BoolArray:
-        """Clear rates with most fundamentals in the preferred band; only separated ones if there are any."""
+        """Clear rates with most fundamentals in the preferred band, separated if any are."""
         good = self.clear
         if good.any():
             good &= self.preferred == self.preferred[good].max()
@@ -429,7 +429,7 @@ def _best_of(allowed: BoolArray, penalty: FloatArray, margin: FloatArray) -> int
 
 
 def _margin_bins(difference: FloatArray, slack: FloatArray, rate_hz: FloatArray, sampling: Sampling) -> FloatArray:
-    """Return the smallest distance of exponentials at each rate in bins, less the share of the tolerance."""
+    """Return the smallest distance of exponentials in bins, less the tolerance's share."""
     smallest = np.full(len(rate_hz), 0.5)
     # Each pair once: harmonics of one fundamental repeat them.
     for distance, loose in np.unique(np.round(np.column_stack([difference, slack]), 9), axis=0):

@@ -93,7 +93,7 @@ class BinLine:
 
 
 def centred_spectrum(samples: FloatArray) -> ComplexArray:
-    """Return the Hann spectrum (B,) of samples (S,) less their mean: phasors at the record's middle."""
+    """Return the Hann spectrum (B,) of samples (S,), phases at their middle."""
     count = len(samples)
     spectrum = _hann_rfft(samples, (count - 1) / 2.0)
     for part in split_bins(len(spectrum)):
@@ -225,7 +225,7 @@ def fit_line(spectrum: ComplexArray, samples: int, start: float, noise: float) -
 
 
 def line_bins(line: BinLine, bins: int, noise: float) -> tuple[int, int]:
-    """Return the first bin, and one after the last, between which a line matters against noise in a bin."""
+    """Return the range of bins outside which a line is negligible against noise."""
     reach = (abs(line.value) / (_MAX_REMAINDER * np.sqrt(noise) * np.pi)) ** (1.0 / 3.0)
     width = int(min(max(reach, 4.0), _MAX_HALF_WIDTH)) + 2
     return max(0, round(line.bin_position) - width), min(bins, round(line.bin_position) + width + 1)

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from shaker.sine.sine_fit_notices import ALIASED_LINE, ALIASED_LINE_OTHER_RATE, INSEPARABLE_LINE
+from shaker.signal_notices import ALIASED_LINE, ALIASED_LINE_OTHER_RATE, INSEPARABLE_LINE
 from shakercal._common.arrays import BoolArray, FloatArray, IntArray, check_shape
 from shakercal._common.notices import Notice, Value
 
@@ -51,7 +51,7 @@ class SamplingGrid:
 
 
 def alias_frequency(frequency_hz: FloatArray | float, rate_hz: float) -> FloatArray:
-    """Return the alias |f - rate·round(f / rate)| of lines, between zero and the Nyquist frequency."""
+    """Return the alias |f - rate·round(f/rate)| of lines, below the Nyquist frequency."""
     f = np.asarray(frequency_hz, dtype=np.float64)
     return np.asarray(np.abs(f - rate_hz * np.round(f / rate_hz)))
 
@@ -69,7 +69,7 @@ def exposure_gain(frequency_hz: FloatArray, exposure_s: float) -> FloatArray:
 
 
 def sampling_grid(time_s: FloatArray) -> SamplingGrid | None:
-    """Return the uniform grid, with gaps, of ascending times within 1 % of an interval, else None."""
+    """Return the uniform grid, with gaps, of times within 1 %, else None."""
     check_shape("time_s", time_s, (None,))
     steps = np.diff(time_s)
     if len(time_s) < 3 or not np.all(steps > 0.0):
@@ -127,14 +127,14 @@ def sine_columns(time_s: FloatArray, frequency_hz: FloatArray) -> FloatArray:
 
 
 def angles(turns: FloatArray) -> FloatArray:
-    """Return angles (-π to π rad) of numbers of turns, in place; long records keep their last digits."""
+    """Return angles (-π to π rad) of turns, in place, with their last digits."""
     turns -= np.rint(turns)
     turns *= 2.0 * np.pi
     return turns
 
 
 def condition_number(gram: FloatArray) -> float:
-    """Return the condition number of a design matrix from its Gram matrix XᵀX, infinite if singular."""
+    """Return a design matrix's condition number from its Gram matrix, infinite if singular."""
     eigenvalues = np.linalg.eigvalsh(gram)
     limit = float(eigenvalues[-1]) * len(gram) * float(np.finfo(np.float64).eps)
     return float(np.sqrt(eigenvalues[-1] / eigenvalues[0])) if eigenvalues[0] > limit else float("inf")
@@ -147,7 +147,7 @@ def find_aliased_harmonics(
     resolution_hz: float,
     max_multiple: int = 20,
 ) -> tuple[AliasedHarmonic, ...]:
-    """Return the harmonics that alias within `resolution_hz` of a line's alias, where no fit separates them."""
+    """Return the harmonics that alias within `resolution_hz` of a line, where they are inseparable."""
     alias = float(alias_frequency(frequency_hz, rate_hz))
     found: dict[float, AliasedHarmonic] = {}
     for fundamental in fundamentals_hz:
@@ -206,7 +206,7 @@ def separation_bins(frequency_hz: FloatArray, rate_hz: float, frames: int) -> fl
 
 
 def differences_hz(frequency_hz: FloatArray) -> FloatArray:
-    """Return the distances f_i, 2·f_i, f_i + f_j and |f_i - f_j| between the exponentials of lines (K,) and 0."""
+    """Return the distances between the exponentials at 0 and ±f of lines (K,)."""
     check_shape("frequency_hz", frequency_hz, (None,))
     first, second = np.triu_indices(len(frequency_hz), k=1)
     f, g = frequency_hz[first], frequency_hz[second]

@@ -78,7 +78,7 @@ def _subtract_tones(
 def _highest_change(
     ordinates: ComplexArray, level: FloatArray, bins: FloatArray, line_positions: FloatArray, length: int
 ) -> tuple[ComplexArray, FloatArray]:
-    """Return the highest straight-line change of a line as transform (K, M, C) and height (K, C)."""
+    """Return transform (K, M, C) and height (K, C) of the highest straight-line change."""
     best, height = np.zeros_like(ordinates), np.zeros((len(bins), ordinates.shape[2]))
     for position in line_positions:
         near = (bins[:, 0] < position) & (position < bins[:, -1])
@@ -94,18 +94,18 @@ def _highest_change(
 
 
 def _sine(bins: FloatArray, position: FloatArray, top: ComplexArray, length: int) -> ComplexArray:
-    """Return the transform at `bins` of a real sine with mirror image and transform `top` at its position."""
+    """Return the transform of a real sine, `top` at its position, at `bins`."""
     return np.asarray(top * _kernel(bins - position, length) + top.conj() * _kernel(bins + position, length))
 
 
 def _kernel(distance: FloatArray, length: int) -> ComplexArray:
-    """Return the transform, at a distance in bins, of a complex sine of `length` samples, 1 at its frequency."""
+    """Return the transform of a complex sine at a distance in bins."""
     turn = np.exp(-1j * np.pi * distance * (1.0 - 1.0 / length))
     return np.asarray(np.sinc(distance) / np.sinc(distance / length) * turn)
 
 
 def _ramp_kernel(distance: FloatArray, length: int) -> ComplexArray:
-    """Return the transform, at a distance in bins, of a complex sine growing from -1 to 1 over the record."""
+    """Return the transform of a complex sine that grows from -1 to 1."""
     angle = np.pi * distance
     size = (np.cos(angle) - np.sinc(distance)) / np.where(angle == 0.0, 1.0, angle)
     return np.asarray(1j * size * np.exp(-1j * angle * (1.0 - 1.0 / length)))
@@ -131,7 +131,7 @@ _NO_POWER = 1e-77  # power of an ordinate without noise
 
 @dataclass(frozen=True)
 class LineNoise:
-    """Variance (K, C) of white noise that disturbs each line as the actual noise does, and its `dof` (K,)."""
+    """Variance (K, C) of equivalent white noise for each line, with `dof` (K,)."""
 
     variance: FloatArray
     dof: FloatArray

@@ -49,7 +49,7 @@ Times = FloatArray | UniformTimes
 
 @dataclass(frozen=True)
 class _Grid:
-    """A uniform grid: sample i at `start_s` + i·`interval_s`, both exact; `centre` (B,) samples of blocks."""
+    """A uniform grid with exact `start_s` and `interval_s`, and the blocks' `centre` samples."""
 
     start_s: Fraction
     interval_s: Fraction
@@ -191,7 +191,7 @@ class Demodulator:
         return np.asarray((self.bins.min(axis=1) + self.bins.max(axis=1)) // 2)
 
     def columns(self) -> FloatArray:
-        """Return the columns (L, 2·K·4) of a full block: cosine and sine times powers of time from -1 to 1."""
+        """Return cosines and sines times powers of time (L, 2·K·4) in a block."""
         length = int(self.timeline.edges[1])
         index = np.arange(length) - length // 2
         angle = 2.0 * np.pi * np.mod(np.multiply.outer(index, self.centre) / self.timeline.samples, 1.0)
@@ -200,7 +200,7 @@ class Demodulator:
         return np.asfortranarray((turn[..., None] * powers[:, None, None, :]).reshape(length, -1))
 
     def transform(self, moments: FloatArray) -> ComplexArray:
-        """Return the transform (K, M, C) from sums (B, 2·K·4, C) of the blocks' columns times samples."""
+        """Return the transform (K, M, C) from the blocks' sums (B, 2·K·4, C)."""
         blocks, _, channels = moments.shape
         groups, samples = self.bins.shape[0], self.timeline.samples
         parts = moments.reshape(blocks, 2, groups, _ORDERS, channels)
@@ -238,7 +238,7 @@ _CHUNK = 1 << 16  # values worked on at a time: they stay in the processor's cac
 
 @dataclass(frozen=True)
 class SineSamples:
-    """Samples `values` (S, C) with weights `root` (S,) or (S, C), 1/σ or 0 for rows left out; None: ones."""
+    """Samples `values` (S, C) with weights `root` = 1/σ, 0 for rows left out."""
 
     timeline: Timeline
     values: FloatArray | Stacked
@@ -262,7 +262,7 @@ class SineSamples:
         return replace(self, root=np.where(rows if self.root.ndim == 1 else rows[:, None], 0.0, self.root))
 
     def chunks(self) -> Iterator[Chunk]:
-        """Yield all blocks: those with the same columns side by side in large products, the others separately."""
+        """Yield all blocks: those with the same columns together, in few large products."""
         times = self.timeline
         blocks, length, channels = len(times.centre_s), int(times.edges[1]), self.values.shape[1]
         most = max(1, _CHUNK // (length * channels))
@@ -284,7 +284,7 @@ class SineSamples:
 
 @dataclass(frozen=True)
 class Chunk:
-    """Blocks `first` to `last` - 1 side by side, `values` (n, B·C); one with weights `root` is alone."""
+    """Blocks `first` to `last` - 1 side by side; one with weights is alone."""
 
     first: int
     last: int
@@ -425,7 +425,7 @@ def normal_equations(samples: SineSamples, columns: SineColumns) -> SineNormalEq
 def residuals(
     samples: SineSamples, columns: SineColumns, coefficients: FloatArray
 ) -> Iterator[tuple[Chunk, FloatArray, FloatArray]]:
-    """Yield chunks, their columns (n, P), and their weighted residual (n, B·C), zero where left out."""
+    """Yield chunks with their columns (n, P) and weighted residual (n, B·C)."""
     timeline = samples.timeline
     local_coefficients = columns.block_transforms(timeline)[:, :, : len(coefficients)] @ coefficients
     common = columns.local(timeline.local(0))
@@ -455,7 +455,7 @@ class SineSolution:
     condition: float
 
     def phasors(self, lines: int) -> tuple[ComplexArray, FloatArray]:
-        """Return phasors (K, C) of the lines of `sine_columns`, and their variance (K,) for unit noise."""
+        """Return phasors (K, C) of the first lines, and their variance for unit noise."""
         scale = np.sqrt(2.0 / len(self.residual))
         spread = np.diag(self.inverse)[: 2 * lines].reshape(-1, 2).mean(axis=1)
         return np.asarray(scale * as_complex(self.coefficients, lines).conj()), scale**2 * spread

@@ -126,7 +126,7 @@ def derivative_factor(frequency_hz: FloatArray, order: int) -> ComplexArray:
 
 
 def real_stacked_diagonal(factor: ComplexArray) -> FloatArray:
-    """Return the real matrices (K, 2C, 2C) on [all Re, all Im] of multiplication by `factor` (K, C)."""
+    """Return the matrices (K, 2C, 2C) that multiply [all Re, all Im] by `factor`."""
     lines, channels = factor.shape
     matrix = np.zeros((lines, 2 * channels, 2 * channels))
     diagonal = np.arange(channels)

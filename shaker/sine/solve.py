@@ -58,7 +58,7 @@ class SineModel:
     robust: bool = False
 
     def exponents(self, frequency_hz: FloatArray) -> ComplexArray:
-        """Return the derivative (K, Q) of s = -δ + jω by the unknowns: relative frequencies, then δ."""
+        """Return the derivative (K, Q) of s = -δ + jω by frequencies and δ."""
         lines = len(frequency_hz)
         labels = np.full(lines, -1) if self.free is None else np.asarray(self.free)
         if labels.shape != (lines,):
@@ -99,13 +99,13 @@ class SineSystem:
         return np.asarray(self.project.swapaxes(1, 2)[:, None] @ self.gram @ self.project[None])
 
     def spread(self) -> FloatArray:
-        """Return the covariance G⁻¹·XᵀX·G⁻¹ (D, D, P, P) of linear parameters for unit noise, between channels."""
+        """Return the covariance G⁻¹·XᵀX·G⁻¹ of linear parameters for unit noise, between channels."""
         gram = self.gram[:, :, : self.linear, : self.linear]
         return np.asarray(self.inverse[:, None] @ gram @ self.inverse[None])
 
 
 def _products(matrices: FloatArray, right: FloatArray) -> FloatArray:
-    """Return the products (N, C) of one matrix (1, N, M), or one per channel (C, N, M), and columns (M, C)."""
+    """Return the products (N, C) of one matrix, or one per channel, and columns."""
     if len(matrices) == 1:
         return np.asarray(matrices[0] @ right)
     return np.asarray((matrices @ right.T[:, :, None])[:, :, 0].T)
@@ -267,7 +267,7 @@ class SineFit:
         return f"SineFit({self.phasors}, condition {self.condition:.3g}, {len(self.spikes)} spikes)"
 
     def model(self, time_s: FloatArray, channels: slice = slice(None)) -> FloatArray:
-        """Return the curve (T, C) offset + drift + Σ Re{X exp((jω - δ)t)} at times (T,), of some channels."""
+        """Return the curve offset + drift + Σ Re{X exp((jω - δ)t)} at times (T,)."""
         offset, drift_per_s, value = self.offset[channels], self.drift_per_s[channels], self.phasors.value[:, channels]
         curve = np.empty((len(time_s), len(offset)))
         exponent = 2j * np.pi * self.phasors.frequency_hz - self.decay_per_s
@@ -295,7 +295,7 @@ class SineFit:
         return np.asarray(as_complex(_products(self.slopes, parts), len(middle)) / to_middle)
 
     def residual_of(self, time_s: FloatArray, values: FloatArray) -> FloatArray:
-        """Return values (T, C) at times (T,) minus the curve, NaN in rows with a NaN."""
+        """Return values (T, C) minus the curve, NaN in rows with a NaN."""
         residual = values - self.model(time_s)
         residual[~np.isfinite(values).all(axis=1)] = np.nan
         return np.asarray(residual)
@@ -324,7 +324,7 @@ class Estimate:
     step: GaussNewtonStep | None
 
     def noise_between(self, first: int, second: int) -> FloatArray:
-        """Return the noise covariance (C, C) between two lines; equal indices give that of a line."""
+        """Return the noise covariance (C, C) between two lines, or of one line."""
         level = np.sqrt(self.noise[first] * self.noise[second])
         return np.asarray(self.factor * level @ self.factor.T)
 
@@ -523,7 +523,7 @@ def find_spikes(samples: SineSamples, frequency_hz: FloatArray, model: SineModel
 
 
 def _scale(samples: SineSamples, columns: SineColumns, coefficients: FloatArray) -> FloatArray:
-    """Return the standard deviation (C,) of the weighted residual by the median of evenly spaced rows."""
+    """Return the standard deviation (C,) of the weighted residual from the median of rows."""
     step = -(-samples.timeline.samples // _SAMPLE)
     chosen = []
     for chunk, _, residual in residuals(samples, columns, coefficients):

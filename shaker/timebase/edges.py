@@ -194,7 +194,7 @@ _CAPTURE = 0.2  # of a period: an edge further from its expected time is spuriou
 
 @dataclass(frozen=True)
 class Numbering:
-    """Number of every edge (E,), which edges (E,) are accepted as periodic, and the numbers of rejected ones."""
+    """Number of every edge (E,), accepted edges (E,), and how many are rejected."""
 
     number: IntArray
     accepted: BoolArray

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import cache, lru_cache, reduce
-from math import erfc
+from functools import cache
 from statistics import NormalDist
 
 import numpy as np
@@ -129,7 +128,7 @@ _Intervals = tuple[FloatArray, FloatArray, FloatArray, Slopes | None]
 
 @dataclass(frozen=True)
 class _JitterStep:
-    """Mean (P,) and covariance (P, P) of lines at the middle of a step `width` down from `top` in ln jitter."""
+    """Mean and covariance of lines at a step `width` down from `top` in ln jitter."""
 
     top: float
     width: float
@@ -190,7 +189,7 @@ def _at_jitter(top: float, width: float, line: tuple[FloatArray, FloatArray], in
 def _sample_lines(
     jitter_s: float, line: tuple[FloatArray, FloatArray], normal: FloatArray, intervals: _Intervals
 ) -> tuple[float, FloatArray, FloatArray, float]:
-    """Return log mean likelihood, mean, covariance, and the power of weights (1 where 5 % of the points count)."""
+    """Return log mean likelihood, mean, covariance and power of weighted points."""
     mean, covariance = line
     root = _WIDER * np.linalg.cholesky(covariance)
     points = mean + normal @ root.T

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from shaker.signal_notices import CONTRADICTORY_CLOCK_RATE, START_TIMES_DISAGREE
 from shaker.timebase.intervals import Posterior, Slopes, line_posterior
 from shaker.timebase.trigger import (
     MAX_DISAGREEMENT_SIGMAS,
@@ -16,7 +17,6 @@ from shaker.timebase.trigger import (
     fit_resolved,
     fit_straight_line,
 )
-from shaker.timebase.trigger_notices import CONTRADICTORY_CLOCK_RATE, START_TIMES_DISAGREE
 from shakercal._common.arrays import FloatArray, IntArray, check_shape, check_shapes
 from shakercal._common.notices import Notice
 
@@ -251,7 +251,7 @@ def _from_models(base: TriggerFit, other: TriggerFit, shift: int) -> ClockLine:
 
 
 def _from_pairs(base: TriggerFit, other: TriggerFit, base_index: IntArray, other_index: IntArray) -> ClockLine:
-    """Fit a line to paired middles of intervals or resolved crossings, free of the trigger's jitter."""
+    """Fit a line to paired edges, free of the trigger's jitter."""
     if base.kind == "sampled":
         position, unscale = _scale_times(other.edge_s[other_index])
         return unscale(fit_straight_line(position, base.edge_s[base_index], 0.3 * base.resolution_s))
@@ -328,7 +328,7 @@ def _from_intervals(
 
 
 def _slopes(half: float, base: TriggerFit, ratio: float, u_ratio: float) -> Slopes:
-    """Return the ratio of the half spans of two lines, and that of `half` base periods, as external information."""
+    """Return the ratio of two half spans, and the base one, as external information."""
     period, u_period = base.known_period_s or (base.period_s, np.inf)
     span, signs = half * period, np.array([1.0, -1.0])
     weight = np.diag([(half * u_period) ** -2.0, 0.0]) + np.multiply.outer(signs, signs) / (u_ratio * span) ** 2

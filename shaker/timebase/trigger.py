@@ -9,9 +9,7 @@ from typing import Literal
 
 import numpy as np
 
-from shaker.timebase.edges import EdgeKind, Edges, find_edges, number_edges
-from shaker.timebase.intervals import Posterior, Slopes, line_posterior
-from shaker.timebase.trigger_notices import (
+from shaker.signal_notices import (
     CONTRADICTORY_PERIOD,
     DOUBLED_EDGES,
     EXTERNAL_PERIOD,
@@ -20,6 +18,8 @@ from shaker.timebase.trigger_notices import (
     STRAY_EDGES,
     TRIGGER_JITTER,
 )
+from shaker.timebase.edges import EdgeKind, Edges, find_edges, number_edges
+from shaker.timebase.intervals import Posterior, Slopes, line_posterior
 from shakercal._common.arrays import FloatArray, IntArray, check_shape, check_shapes
 from shakercal._common.notices import Notice
 
@@ -36,7 +36,7 @@ _LOCKED_SHAPE_SIZE, _LOCKED_SHAPE_POWER = 0.12, 1.5
 
 
 def fit_straight_line(position: FloatArray, time_s: FloatArray, min_scatter_s: float = 0.0) -> Posterior:
-    """Fit time_s (E,) = m + h·position by least squares; the covariance is that of `min_scatter_s` or more."""
+    """Fit time_s (E,) = m + h·position by least squares, with covariance for the scatter."""
     columns = np.column_stack([np.ones_like(position), position])
     inverse, centre = np.linalg.inv(columns.T @ columns), float(time_s.mean())
     value = inverse @ (columns.T @ (time_s - centre))
@@ -47,7 +47,7 @@ def fit_straight_line(position: FloatArray, time_s: FloatArray, min_scatter_s: f
 
 @dataclass(frozen=True)
 class RisePhases:
-    """Phases (E,), 0 to 1, of resolved edges between samples; `locked`: too few for the shape of the rise."""
+    """Phases (E,) of resolved edges between samples; `locked`: too few for a shape."""
 
     phase: FloatArray
     sample_s: float
@@ -237,14 +237,14 @@ class TriggerFit:
 
     @property
     def u_shape_s(self) -> float:
-        """Standard uncertainty (rms) of one edge from the shape of a resolved rise that its phases do not determine."""
+        """Standard uncertainty (rms) of one edge from an undetermined shape of a resolved rise."""
         if self.kind == "sampled" or not (self.locked or self.known_period_s):
             return 0.0
         squares = 0.5 * np.sum(_ORDER ** (-2.0 * _LOCKED_SHAPE_POWER))
         return self.sample_s * _LOCKED_SHAPE_SIZE * float(np.sqrt(squares))
 
     def time_s(self, number: IntArray) -> FloatArray:
-        """Return the modelled times of edges `number`, of any shape, in s from the first sample."""
+        """Return the modelled times of edges `number` in s from the first sample."""
         return np.asarray(self.start_s + self.period_s * np.asarray(number, dtype=np.float64))
 
     def u_time_s(self, number: IntArray) -> FloatArray:

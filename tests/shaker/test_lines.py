@@ -14,7 +14,6 @@ from shaker.io import read_channels
 from shaker.lines import detection, peaks
 from shaker.lines.detection import LineOrigin, survey_lines
 from shaker.lines.frequencies import find_lines
-from shaker.lines.line_detection_notices import HARMONIC_OUT_OF_REACH, OTHER_LINES
 from shaker.lines.peaks import find_peaks
 from shaker.lines.spectrum import (
     BinPower,
@@ -25,6 +24,7 @@ from shaker.lines.spectrum import (
     hann_window,
     noise_level,
 )
+from shaker.signal_notices import HARMONIC_OUT_OF_REACH, OTHER_LINES
 from shaker.sine.sine_fit import fit_sines
 from shaker.sine.solve import SineModel
 

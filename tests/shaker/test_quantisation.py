@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from shaker.sine.quantisation import quantisation_error
-from shaker.sine.sine_fit import fit_sines
+from shaker.sine.sine_fit import fit_sines, quantisation_error
 
 ORDERS = np.arange(1, 200)
 

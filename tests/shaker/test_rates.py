@@ -21,6 +21,7 @@ from shaker.lines.rate_planner import (
     rms_uncertainty,
     scan_rates,
 )
+from shaker.signal_notices import ALIASED_LINE, ALIASED_LINE_OTHER_RATE
 from shaker.sine.aliasing import (
     CLEAR_BINS,
     alias_frequency,
@@ -34,7 +35,6 @@ from shaker.sine.aliasing import (
     usable_lines,
 )
 from shaker.sine.sine_fit import fit_sines
-from shaker.sine.sine_fit_notices import ALIASED_LINE, ALIASED_LINE_OTHER_RATE
 
 CAMERA_HZ = 52.874
 

@@ -14,8 +14,7 @@ import pytest
 import scipy.io
 
 from shaker import read_channels
-from shaker.io.channel import RawChannel
-from shaker.io.times import Segment, times_of_segments, times_of_stamps
+from shaker.io.channel import RawChannel, Segment, times_of_segments, times_of_stamps
 from tests import tdms_factory as tdms
 from tests import universal_factory as uff
 from tests.contracts import refused

@@ -10,10 +10,10 @@ from hypothesis import strategies as st
 from scipy.optimize import curve_fit
 from scipy.stats import f as f_distribution
 
+from shaker.signal_notices import MISSING_SAMPLES, SPIKES_REJECTED
 from shaker.sine.noise import neighbour_bins
 from shaker.sine.normal_equations import LONG, Demodulator, SineSums, UniformTimes, timeline
 from shaker.sine.sine_fit import fit_sines
-from shaker.sine.sine_fit_notices import MISSING_SAMPLES, SPIKES_REJECTED
 from shaker.sine.solve import SineModel
 
 CAMERA_HZ, RATE_HZ = 52.874, 51_200.0

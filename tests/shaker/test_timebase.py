@@ -14,11 +14,7 @@ from hypothesis import strategies as st
 from scipy.special import ndtr
 from scipy.stats import chi2
 
-from shaker.timebase.edges import Edges, find_edges
-from shaker.timebase.intervals import Posterior, Slopes, _log_likelihood, line_posterior, normal_cdf
-from shaker.timebase.tie import ClockTie, decide_shift, edge_instants, tie_clocks
-from shaker.timebase.trigger import TriggerFit, fit_trigger, pulse_width
-from shaker.timebase.trigger_notices import (
+from shaker.signal_notices import (
     CONTRADICTORY_PERIOD,
     DOUBLED_EDGES,
     LOCKED_EDGES,
@@ -26,6 +22,10 @@ from shaker.timebase.trigger_notices import (
     START_TIMES_DISAGREE,
     STRAY_EDGES,
 )
+from shaker.timebase.edges import Edges, find_edges
+from shaker.timebase.intervals import Posterior, Slopes, _log_likelihood, line_posterior, normal_cdf
+from shaker.timebase.tie import ClockTie, decide_shift, edge_instants, tie_clocks
+from shaker.timebase.trigger import TriggerFit, fit_trigger, pulse_width
 
 PERIOD_S = 1.0 / 52.874
 EDGES, FEW = 211, 80

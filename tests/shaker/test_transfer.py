@@ -14,7 +14,14 @@ from scipy.signal import coherence, csd, get_window, welch
 from scipy.stats import chi2
 from scipy.stats import f as fisher
 
-from shaker.frf.frf_notices import (
+from shaker.frf.impact import transfer_impact
+from shaker.frf.periodic import transfer_periodic
+from shaker.frf.random import transfer_random
+from shaker.frf.result import TransferFunction, TransferRecord, pooled_scatter
+from shaker.identification.measured_curves import MeasuredCurve
+from shaker.identification.oscillator import fit_resonance
+from shaker.io import read_channels
+from shaker.signal_notices import (
     ESTIMATOR_H1,
     ESTIMATOR_H2,
     ESTIMATOR_HV,
@@ -30,13 +37,6 @@ from shaker.frf.frf_notices import (
     SINGLE_HIT,
     SINGLE_HIT_WITHOUT_NOISE,
 )
-from shaker.frf.impact import transfer_impact
-from shaker.frf.periodic import transfer_periodic
-from shaker.frf.random import transfer_random
-from shaker.frf.result import TransferFunction, TransferRecord, pooled_scatter
-from shaker.identification.measured_curves import MeasuredCurve
-from shaker.identification.oscillator import fit_resonance
-from shaker.io import read_channels
 from shakercal._common.arrays import ComplexArray, FloatArray
 from shakercal._common.notices import Notice
 
