@@ -12,7 +12,7 @@ import numpy as np
 from shaker.labels import MOTION_UNITS
 from shaker.lti.roots import pair_conjugates
 from shaker.sine.phasor import derivative_factor
-from shakercal._common.arrays import BoolArray, ComplexArray, FloatArray, check_shape, check_shapes
+from shakercal._common.arrays import Arrays, BoolArray, ComplexArray, FloatArray, check_shape, check_shapes
 
 Numbers = TypeVar("Numbers", FloatArray, ComplexArray)
 FilterKind = Literal["butterworth", "bessel", "resonance"]
@@ -26,7 +26,7 @@ MIN_ERROR_SHARE = 1.0 / 8.0
 
 
 @dataclass(frozen=True)
-class ChainResponse:
+class ChainResponse(Arrays, shapes="value K; causes E; errors E K"):
     """Response of a chain at K lines: true phasor = measured phasor / `value`.
 
     Attributes
@@ -48,10 +48,6 @@ class ChainResponse:
     value: ComplexArray
     errors: ComplexArray
     causes: tuple[str, ...]
-
-    def __post_init__(self) -> None:
-        check_shape("value", self.value, (None,))
-        check_shape("errors", self.errors, (len(self.causes), len(self.value)))
 
     @property
     def u_magnitude(self) -> FloatArray:

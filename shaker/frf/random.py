@@ -11,7 +11,7 @@ from shaker.frf.result import TransferFunction, TransferRecord, circular_covaria
 from shaker.lines.spectrum import hann_window
 from shaker.signal_notices import ESTIMATOR_H1, ESTIMATOR_H2, ESTIMATOR_HV, ESTIMATOR_REQUESTED
 from shaker.sine.phasor import Phasors
-from shakercal._common.arrays import ComplexArray, FloatArray, IntArray, check_shape
+from shakercal._common.arrays import Arrays, ComplexArray, FloatArray, IntArray
 from shakercal._common.notices import DeclaredNotice, Notice, Value
 
 _MAX_BIAS = 0.3  # accepted bias of an estimator, in its standard uncertainties
@@ -19,7 +19,7 @@ _MIN_COHERENCE = 0.5  # from which 1 - γ² is about the sum of the two noise-to
 
 
 @dataclass(frozen=True)
-class Spectra:
+class Spectra(Arrays, shapes="power K D D; averages K"):
     """Averaged auto and cross spectra of [reference, responses].
 
     `power` (K, 1 + C, 1 + C) is E[z zᴴ] of the spectra z. `averages` (K,) is the number of independent averages.
@@ -27,10 +27,6 @@ class Spectra:
 
     power: ComplexArray
     averages: FloatArray
-
-    def __post_init__(self) -> None:
-        check_shape("power", self.power, (None, self.power.shape[-1], self.power.shape[-1]))
-        check_shape("averages", self.averages, (len(self.power),))
 
     @property
     def reference(self) -> FloatArray:

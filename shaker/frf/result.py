@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from shaker.frf.chain import ratio_unit
 from shaker.signal_notices import NARROW_PEAKS
 from shaker.sine.phasor import Phasors
-from shakercal._common.arrays import BoolArray, ComplexArray, FloatArray, check_shape
+from shakercal._common.arrays import Arrays, BoolArray, ComplexArray, FloatArray, check_shape
 from shakercal._common.notices import Notice
 
 # Input and result of the estimate of a transfer function.
@@ -77,7 +77,7 @@ class TransferRecord:
 
 
 @dataclass(frozen=True)
-class TransferFunction:
+class TransferFunction(Arrays, shapes="coherence K C; averages K; line_correlation D"):
     """Responses over a reference at K lines, H = Y/X.
 
     Attributes
@@ -102,12 +102,6 @@ class TransferFunction:
     line_correlation: ComplexArray
     notices: tuple[Notice, ...] = ()
     added_decay_per_s: float = 0.0
-
-    def __post_init__(self) -> None:
-        lines, channels = self.ratio.value.shape
-        check_shape("coherence", self.coherence, (lines, channels))
-        check_shape("averages", self.averages, (lines,))
-        check_shape("line_correlation", self.line_correlation, (None,))
 
     def __repr__(self) -> str:
         return f"TransferFunction({self.estimator} over {self.reference}: {self.ratio})"

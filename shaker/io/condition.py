@@ -44,7 +44,7 @@ _NAMED = 3  # stretches named
 
 
 @dataclass(frozen=True, repr=False)
-class Defect(Arrays):
+class Defect(Arrays, shapes="spans N 2"):
     """A defect in the samples of a channel.
 
     Attributes
@@ -62,9 +62,6 @@ class Defect(Arrays):
     levels: tuple[float, ...] = ()
     step: float = 0.0
     steps: float = np.inf
-
-    def __post_init__(self) -> None:
-        check_shape("spans", self.spans, (None, 2))
 
     @property
     def count(self) -> int:
@@ -125,13 +122,13 @@ def examine_samples(
         reach = (samples <= low) | (samples >= high)
         for defect in found:
             reach &= ~defect.mask(len(samples))
-        found.append(Defect("clipped", _spans(reach), (low, high), step))
+        found.append(Defect("clipped", runs_of(reach), (low, high), step))
     if amplitude is not None and step > 0.0 and amplitude < FEWEST_STEPS * step:
         found.append(Defect("steps", np.zeros((0, 2), dtype=np.int64), (), step, amplitude / step))
     return found
 
 
-def _spans(chosen: BoolArray) -> IntArray:
+def runs_of(chosen: BoolArray) -> IntArray:
     """Return first and last + 1 (N, 2) of each run of true values (S,)."""
     edges = np.flatnonzero(np.diff(np.concatenate([[False], chosen, [False]]).astype(np.int8)))
     return np.asarray(edges.reshape(-1, 2), dtype=np.int64)
@@ -182,7 +179,7 @@ def find_lost(samples: FloatArray, step: float, period: float) -> Defect | None:
     reach = max(int(np.ceil(period)), _SHORTEST)
     swing = _swings(samples[: len(samples) // reach * reach].reshape(-1, reach))
     usual = float(np.nanquantile(swing, _USUAL)) if np.isfinite(swing).any() else 0.0
-    quiet = _spans(swing < _QUIET * usual)
+    quiet = runs_of(swing < _QUIET * usual)
     quiet = reach * quiet[quiet[:, 1] - quiet[:, 0] > 1]
     lost = bad.copy()
     for first, last in _interruptions(samples, constant, reach, 0.5 * usual if step > 0.0 else -1.0):
@@ -191,7 +188,7 @@ def find_lost(samples: FloatArray, step: float, period: float) -> Defect | None:
         lost[first:last] = True
     if not lost.any():
         return None
-    spans = _spans(lost)
+    spans = runs_of(lost)
     return Defect("lost", spans, tuple(float(v) for v in np.unique(values[spans[:, 0]])[:_NAMED]), step)
 
 
@@ -237,7 +234,7 @@ def cut_run(samples: FloatArray, resolution: float, noise: float) -> int:
     The top of a wave of resolution q falls by 9q at most within the length of the run on either side. A clipped one
     falls by more.
     """
-    top = _spans(samples >= samples.max() - 0.25 * resolution)
+    top = runs_of(samples >= samples.max() - 0.25 * resolution)
     for start, end in top.tolist():
         length = end - start
         if length >= _RUN and start - length >= 0 and end + length <= len(samples):
@@ -270,10 +267,10 @@ def _clipping_level(samples: FloatArray, step: float, resting: bool) -> float:
 def _is_limit(samples: FloatArray, near: BoolArray, where: tuple[float, float, float], resting: bool) -> bool:
     """Return whether the samples `near` a top are clipped; `where`: it and two widths."""
     top, width, exact = where
-    count, spans = int(np.count_nonzero(near)), _spans(near)
+    count, spans = int(np.count_nonzero(near)), runs_of(near)
     length = spans[:, 1] - spans[:, 0]
     if resting:
-        visits = _spans(samples > top - _CROWDED[0][0] * width)
+        visits = runs_of(samples > top - _CROWDED[0][0] * width)
         if len(spans) < 3 or np.max(visits[:, 1] - visits[:, 0]) > _RESTS * len(near):
             return False
     within = [int(np.count_nonzero(samples > top - widths * width)) for widths, _, _ in _CROWDED]

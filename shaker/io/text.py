@@ -44,7 +44,7 @@ from shaker.io.channel import (
     select_names,
     times_of_stamps,
 )
-from shakercal._common.arrays import FloatArray, check_shape
+from shakercal._common.arrays import Arrays, FloatArray
 
 # Rows of numbers in text files: whole blocks at once, line by line only for unusual blocks.
 
@@ -356,7 +356,7 @@ _PLAIN = bytes.maketrans(b",;", b". ")  # decimal comma to point, semicolon to b
 
 
 @dataclass(frozen=True)
-class VibrometerScan:
+class VibrometerScan(Arrays, shapes="point_m P 3; samples B P S"):
     """A scan of P points: `point_m` (P, 3) and `samples` (B blocks, P points, S).
 
     Points are recorded one after another, each from time zero.
@@ -365,10 +365,6 @@ class VibrometerScan:
     point_m: FloatArray
     samples: FloatArray
     sample_rate_hz: float
-
-    def __post_init__(self) -> None:
-        check_shape("point_m", self.point_m, (None, 3))
-        check_shape("samples", self.samples, (None, len(self.point_m), None))
 
     def channels_at(self, point: int) -> dict[str, RawChannel]:
         """Return the channels of one scan point by their block number "1", "2", …."""

@@ -30,7 +30,7 @@ from shaker.io.channel import (
     times_of_stamps,
 )
 from shaker.io.text import plain_rows
-from shakercal._common.arrays import ComplexArray, FloatArray, IntArray, check_shape
+from shakercal._common.arrays import Arrays, ComplexArray, FloatArray, IntArray
 
 # Data sets, and the functions of data set 58 in them.
 
@@ -298,7 +298,7 @@ _COMPLEX = 5  # data type of complex values
 
 
 @dataclass(frozen=True)
-class UniversalShape:
+class UniversalShape(Arrays, shapes="node N; value N D"):
     """A shape at nodes, from data set 55.
 
     Attributes
@@ -320,10 +320,6 @@ class UniversalShape:
     damping_ratio: float
     time_s: float
     titles: tuple[str, ...]
-
-    def __post_init__(self) -> None:
-        check_shape("node", self.node, (None,))
-        check_shape("value", self.value, (len(self.node), None))
 
 
 def read_universal_shapes(path: str | Path) -> tuple[UniversalShape, ...]:
@@ -426,7 +422,7 @@ _KINDS = (
 
 
 @dataclass(frozen=True)
-class UniversalFunction:
+class UniversalFunction(Arrays, shapes="abscissa N; value N"):
     """A function of data set 58: `value` (N,) over `abscissa` (N,).
 
     Values are real or complex as stored. `kind` is in words ("frequency response", "spectrum", …). `response` and
@@ -444,10 +440,6 @@ class UniversalFunction:
     response: str
     reference: str
     titles: tuple[str, ...] = ()
-
-    def __post_init__(self) -> None:
-        check_shape("abscissa", self.abscissa, (None,))
-        check_shape("value", self.value, (len(self.abscissa),))
 
 
 def read_universal(path: Path, names: Sequence[str] | None, sample_rate_hz: float | None) -> dict[str, RawChannel]:

@@ -33,7 +33,7 @@ from shaker.sine.aliasing import (
 from shaker.sine.sine_fit import fit_sines, rows_present
 from shaker.sine.solve import SineFit, SineModel
 from shaker.stacked import Stacked
-from shakercal._common.arrays import BoolArray, FloatArray, IntArray, check_shape, check_shapes
+from shakercal._common.arrays import Arrays, BoolArray, FloatArray, IntArray, check_shape
 from shakercal._common.notices import Notice
 
 MAX_MULTIPLE = 20  # harmonics searched for
@@ -49,7 +49,10 @@ _STRANGERS = 3  # other lines named in one notice
 
 
 @dataclass(frozen=True)
-class LineFrequencies:
+class LineFrequencies(
+    Arrays,
+    shapes="frequency_hz K; u_frequency_hz K; nominal_hz K; multiple K; why K; nuisance_hz N",
+):
     """Lines of a recording in ascending frequency.
 
     Attributes
@@ -70,12 +73,6 @@ class LineFrequencies:
     notices: tuple[Notice, ...]
     others: Survey = field(default_factory=empty_survey)
     nuisance_hz: FloatArray = field(default_factory=lambda: np.empty(0))
-
-    def __post_init__(self) -> None:
-        check_shapes(self, (None,), "frequency_hz", "nuisance_hz")
-        check_shapes(self, self.frequency_hz.shape, "u_frequency_hz", "nominal_hz", "multiple")
-        if len(self.why) != len(self.frequency_hz):
-            raise ValueError(f"why: expected {len(self.frequency_hz)} texts, one per line, found {len(self.why)}")
 
 
 def find_lines(

@@ -23,7 +23,7 @@ from shaker.lines.spectrum import (
     noise_level,
     split_bins,
 )
-from shakercal._common.arrays import ComplexArray, FloatArray, IntArray, check_shapes
+from shakercal._common.arrays import Arrays, ComplexArray, FloatArray, IntArray
 
 MOST_LINES = 200  # of one record; more are left out with a notice
 MIN_SEPARATION_BINS = 2.5  # lines closer than this count as one; a line's change of amplitude lies within it
@@ -40,7 +40,7 @@ _EXPECTED_BINS = 1.0  # largest distance of a line from an expected position
 
 
 @dataclass(frozen=True)
-class Peaks:
+class Peaks(Arrays, shapes="bin_position L; u_bin_position L; value L; u_value L; noise L"):
     """Lines of one record in ascending frequency, with standard uncertainties.
 
     Attributes
@@ -59,9 +59,6 @@ class Peaks:
     noise: FloatArray
     level: NoiseLevel
     cut: int
-
-    def __post_init__(self) -> None:
-        check_shapes(self, self.bin_position.shape, "u_bin_position", "value", "u_value", "noise")
 
 
 class FloorSpectrum:

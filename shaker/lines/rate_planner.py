@@ -17,7 +17,7 @@ from shaker.sine.aliasing import (
     find_aliased_harmonics,
     sine_columns,
 )
-from shakercal._common.arrays import BoolArray, FloatArray, IntArray, check_shape, check_shapes
+from shakercal._common.arrays import Arrays, BoolArray, FloatArray, IntArray, check_shape
 
 # How uncertain the amplitudes of a least-squares fit of sines will be, before anything is measured.
 
@@ -105,15 +105,12 @@ class Sampling:
 
 
 @dataclass(frozen=True)
-class PlannedLines:
+class PlannedLines(Arrays, shapes="frequency_hz K; fundamental_hz K; multiple K"):
     """Lines (K,) of an excitation: `frequency_hz` = `multiple` · `fundamental_hz`, fundamentals first."""
 
     frequency_hz: FloatArray
     fundamental_hz: FloatArray
     multiple: IntArray
-
-    def __post_init__(self) -> None:
-        check_shapes(self, (len(self.frequency_hz),), "frequency_hz", "fundamental_hz", "multiple")
 
     @property
     def fundamentals_hz(self) -> FloatArray:
@@ -274,7 +271,7 @@ _SEPARATED_BINS = 1.0  # between a fitted line and a harmonic that is not
 
 
 @dataclass(frozen=True)
-class RateScan:
+class RateScan(Arrays, shapes="rate_hz R; margin_bins R; penalty R; preferred R; separated R"):
     """Rates (R,) examined for one point.
 
     Attributes
@@ -291,9 +288,6 @@ class RateScan:
     penalty: FloatArray
     preferred: IntArray
     separated: BoolArray
-
-    def __post_init__(self) -> None:
-        check_shapes(self, self.rate_hz.shape, "margin_bins", "penalty", "preferred", "separated")
 
     @property
     def clear(self) -> BoolArray:

@@ -41,7 +41,7 @@ from shaker.sine.solve import (
     sum_remainder,
 )
 from shaker.stacked import Stacked
-from shakercal._common.arrays import BoolArray, ComplexArray, FloatArray, check_shape, check_shapes
+from shakercal._common.arrays import Arrays, BoolArray, ComplexArray, FloatArray, check_shape
 from shakercal._common.notices import Notice
 
 _NO_ADDITIONS = SineModel()
@@ -242,7 +242,11 @@ _NOISE_SAMPLES = 1 << 17  # of a longer record no more are needed for its noise 
 
 
 @dataclass(frozen=True)
-class Stationarity:
+class Stationarity(
+    Arrays,
+    shapes="frequency_hz K; dof K; channels C; time_s B; value B K C; u B K C; amplitude_per_s K C;"
+    "u_amplitude_per_s K C; phase_rad_per_s K C; u_phase_rad_per_s K C; p_value K C",
+):
     """Phasors of lines over blocks of a record, with a test for drift.
 
     K lines, C channels, B blocks.
@@ -275,13 +279,6 @@ class Stationarity:
     u_phase_rad_per_s: FloatArray
     p_value: FloatArray
     dof: FloatArray
-
-    def __post_init__(self) -> None:
-        per_line = len(self.frequency_hz), len(self.channels)
-        check_shape("time_s", self.time_s, (None,))
-        check_shapes(self, (len(self.time_s), *per_line), "value", "u")
-        check_shapes(self, per_line, *_SLOPES)
-        check_shape("dof", self.dof, per_line[:1])
 
     def p_value_with_rate(self, u_phase_rad_per_s: ArrayLike) -> FloatArray:
         """Return the probability of such a scatter from noise and an uncertain rate, like `p_value`.

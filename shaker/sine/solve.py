@@ -22,7 +22,7 @@ from shaker.sine.normal_equations import (
     residuals,
 )
 from shaker.sine.phasor import Phasors
-from shakercal._common.arrays import BoolArray, ComplexArray, FloatArray, IntArray, check_shape, check_shapes
+from shakercal._common.arrays import Arrays, BoolArray, ComplexArray, FloatArray, IntArray
 from shakercal._common.notices import Notice
 
 _STEPS = 40  # Gauss-Newton steps at most
@@ -224,7 +224,11 @@ _SAME_ROTATION = 1e-9  # rad, largest difference of the phases of lines in two p
 
 
 @dataclass(frozen=True)
-class SineFit:
+class SineFit(
+    Arrays,
+    shapes="offset C; drift_per_s C; residual_rms C; offset_covariance C C; spikes N;"
+    "u_frequency_hz K; decay_per_s K; u_decay_per_s K",
+):
     """Sine approximation of C channels over S times.
 
     Attributes
@@ -255,13 +259,6 @@ class SineFit:
     spikes: IntArray
     condition: float
     notices: tuple[Notice, ...]
-
-    def __post_init__(self) -> None:
-        lines, channels = self.phasors.value.shape
-        check_shapes(self, (channels,), "offset", "drift_per_s", "residual_rms")
-        check_shapes(self, (lines,), "u_frequency_hz", "decay_per_s", "u_decay_per_s")
-        check_shape("offset_covariance", self.offset_covariance, (channels, channels))
-        check_shape("spikes", self.spikes, (None,))
 
     def __repr__(self) -> str:
         return f"SineFit({self.phasors}, condition {self.condition:.3g}, {len(self.spikes)} spikes)"

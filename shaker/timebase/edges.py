@@ -7,7 +7,7 @@ from typing import Literal
 
 import numpy as np
 
-from shakercal._common.arrays import BoolArray, FloatArray, IntArray, check_shape, check_shapes
+from shakercal._common.arrays import Arrays, BoolArray, FloatArray, IntArray, check_shape
 
 EdgeKind = Literal["sampled", "resolved"]
 
@@ -21,7 +21,7 @@ _KAISER = 8.0  # parameter of the Kaiser window: side lobes below -80 dB
 
 
 @dataclass(frozen=True)
-class Edges:
+class Edges(Arrays, shapes="lower_s E; upper_s E; estimate_s E"):
     """Edges of a trigger signal, in seconds from the record's first sample.
 
     Attributes
@@ -43,10 +43,6 @@ class Edges:
     record_s: float
     threshold: float
     bounces: int = 0
-
-    def __post_init__(self) -> None:
-        check_shape("lower_s", self.lower_s, (None,))
-        check_shapes(self, self.lower_s.shape, "upper_s", "estimate_s")
 
     def __repr__(self) -> str:
         return f"Edges({len(self.lower_s)} in {self.record_s:g} s, {self.kind}, at threshold {self.threshold:g})"
@@ -193,16 +189,13 @@ _CAPTURE = 0.2  # of a period: an edge further from its expected time is spuriou
 
 
 @dataclass(frozen=True)
-class Numbering:
+class Numbering(Arrays, shapes="number E; accepted E"):
     """Number of every edge (E,), accepted edges (E,), and how many are rejected."""
 
     number: IntArray
     accepted: BoolArray
     doubled: int
     spurious: int
-
-    def __post_init__(self) -> None:
-        check_shape("accepted", self.accepted, self.number.shape)
 
 
 def number_edges(edges: Edges) -> Numbering:

@@ -9,7 +9,7 @@ from statistics import NormalDist
 
 import numpy as np
 
-from shakercal._common.arrays import FloatArray, check_shape
+from shakercal._common.arrays import Arrays, FloatArray
 
 _POINTS, _LAST_POINTS = 250, 1000  # while the proposals settle, and afterwards
 _WIDER = 1.35  # of the standard deviation: proposals reach over the corners of a polygon
@@ -27,19 +27,16 @@ _EQUAL_WIDTH = 1e-6  # relative difference between the widths of intervals that 
 
 
 @dataclass(frozen=True)
-class Posterior:
+class Posterior(Arrays, shapes="mean P; covariance P P"):
     """Mean (P,) and covariance (P, P) of the parameters, and the mean jitter, in seconds."""
 
     mean: FloatArray
     covariance: FloatArray
     jitter_s: float
 
-    def __post_init__(self) -> None:
-        check_shape("covariance", self.covariance, (len(self.mean), len(self.mean)))
-
 
 @dataclass(frozen=True)
-class Slopes:
+class Slopes(Arrays, shapes="mean R; weight R R"):
     """External information about the half spans h (R,) of R lines.
 
     They are normal about `mean` (R,) with the inverse covariance `weight` (R, R), which is singular where only a
@@ -48,9 +45,6 @@ class Slopes:
 
     mean: FloatArray
     weight: FloatArray
-
-    def __post_init__(self) -> None:
-        check_shape("weight", self.weight, (len(self.mean), len(self.mean)))
 
     def update(self, line: Posterior) -> Posterior:
         """Return normal lines updated with this reading by linear least squares."""

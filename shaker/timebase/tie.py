@@ -17,7 +17,7 @@ from shaker.timebase.trigger import (
     fit_resolved,
     fit_straight_line,
 )
-from shakercal._common.arrays import FloatArray, IntArray, check_shape, check_shapes
+from shakercal._common.arrays import Arrays, FloatArray, IntArray
 from shakercal._common.notices import Notice
 
 # Matching edges of two records: the whole-period shift and its evidence.
@@ -32,16 +32,8 @@ _JITTER_SCORE = 6.0  # standard deviations by which one shift's correlation of t
 _JITTER_RIVAL = 0.6  # of the best shift's correlation: largest that any other shift may reach
 
 
-@dataclass(frozen=True)
-class Shift:
-    """Base edge that corresponds to the other record's edge 0, and the evidence in words."""
-
-    edges: int
-    decided_by: str
-
-
-def decide_shift(base: TriggerFit, other: TriggerFit, start_difference_s: float | None = None) -> Shift:
-    """Return the base edge that corresponds to the other record's edge 0.
+def decide_shift(base: TriggerFit, other: TriggerFit, start_difference_s: float | None) -> tuple[int, str]:
+    """Return the base edge that is the other record's edge 0, and the evidence in words.
 
     Visible burst starts and ends limit the range of shifts. Where it is more than one, common gaps, the common jitter,
     or start times (good to a quarter period) choose among them. Where start and end contradict each other, because
@@ -51,7 +43,7 @@ def decide_shift(base: TriggerFit, other: TriggerFit, start_difference_s: float 
     if low == high:
         start, end = base.idle_before and other.idle_before, base.idle_after and other.idle_after
         seen = "burst start and end" if start and end else "burst start" if start else "burst end" if end else ""
-        return Shift(low, seen or "burst length")
+        return low, seen or "burst length"
     between = (low, high) if low < high else (high, low)
     for shift, name in (
         (_by_gaps(base, other, *between), "gaps"),
@@ -59,7 +51,7 @@ def decide_shift(base: TriggerFit, other: TriggerFit, start_difference_s: float 
         (by_start_times(base, other, start_difference_s), "start times"),
     ):
         if shift is not None and between[0] <= shift <= between[1]:
-            return Shift(shift, name)
+            return shift, name
     if low > high:
         found = f"{base.edges} and {other.edges} edges with shifts from the ends of the burst of {low} and {high}"
     else:
@@ -153,7 +145,7 @@ _DIFFERENCE = np.array([[1.0, 0.0, -1.0, 0.0], [0.0, 1.0, 0.0, -1.0]])
 
 
 @dataclass(frozen=True)
-class ClockLine:
+class ClockLine(Arrays, shapes="covariance 2 2; noise 2 2"):
     """Line t_base = offset_s + rate·t_other with covariance (2, 2) of (offset_s, rate).
 
     Attributes
@@ -171,10 +163,6 @@ class ClockLine:
     noise: FloatArray = field(default_factory=lambda: np.zeros((2, 2)), kw_only=True)
     follows: FloatArray | None = field(default=None, kw_only=True)
     remaining_covariance: FloatArray | None = field(default=None, kw_only=True, metadata={"dataset": "beside"})
-
-    def __post_init__(self) -> None:
-        check_shape("covariance", self.covariance, (2, 2))
-        check_shape("noise", self.noise, (2, 2))
 
     def to_base_s(self, time_s: FloatArray) -> FloatArray:
         """Return times of the other clock on the base clock."""
@@ -450,32 +438,32 @@ def tie_clocks(
             f"other: expected the trigger period of the base clock, {base.period_s:.6g} s, found "
             f"{other.period_s:.6g} s: check the sampling rates of both"
         )
-    decided = decide_shift(base, other, start_difference_s) if shift is None else Shift(shift, "first_edge")
+    edges, evidence = decide_shift(base, other, start_difference_s) if shift is None else (shift, "first_edge")
     by_start = by_start_times(base, other, start_difference_s)
     notices: tuple[Notice, ...] = ()
-    if by_start is not None and by_start != decided.edges:
+    if by_start is not None and by_start != edges:
         notice = Notice(
             START_TIMES_DISAGREE,
             "clock",
             start_time_edge=by_start,
-            evidence=decided.decided_by,
-            used_edge=decided.edges,
+            evidence=evidence,
+            used_edge=edges,
         )
         notices = (notice,)
-    pairs, _, other_index = np.intersect1d(base.number, other.number + decided.edges, return_indices=True)
+    pairs, _, other_index = np.intersect1d(base.number, other.number + edges, return_indices=True)
     # Always from the coarser to the finer record, so that exchanged roles give the same tie.
     finer = min((base, other), key=lambda fit: (fit.resolution_s, fit.edges, fit.start_s))
     if finer is other and rate is None:
-        line = clock_line(other, base, -decided.edges).inverse()
+        line = clock_line(other, base, -edges).inverse()
     else:
-        line = clock_line(base, other, decided.edges, rate)
+        line = clock_line(base, other, edges, rate)
     middle_s = float(np.mean(other.edge_s[other_index] if len(pairs) else other.edge_s))
     return ClockTie(
         line.offset_s,
         line.rate,
         line.covariance,
-        decided.edges,
-        decided.decided_by,
+        edges,
+        evidence,
         len(pairs),
         middle_s,
         notices,
@@ -489,7 +477,7 @@ def tie_clocks(
 
 
 @dataclass(frozen=True)
-class EdgeInstants:
+class EdgeInstants(Arrays, shapes="time_s F; u_time_s F; model_share F"):
     """Times (F,) of edges on the base clock with standard uncertainty (F,).
 
     The uncertainty includes model and ties. `model_share` (F,) is their response to an error of the periodic model, 1
@@ -499,10 +487,6 @@ class EdgeInstants:
     time_s: FloatArray
     u_time_s: FloatArray
     model_share: FloatArray
-
-    def __post_init__(self) -> None:
-        check_shape("time_s", self.time_s, (None,))
-        check_shapes(self, self.time_s.shape, "u_time_s", "model_share")
 
 
 def edge_instants(

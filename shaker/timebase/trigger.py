@@ -20,7 +20,7 @@ from shaker.signal_notices import (
 )
 from shaker.timebase.edges import EdgeKind, Edges, find_edges, number_edges
 from shaker.timebase.intervals import Posterior, Slopes, line_posterior
-from shakercal._common.arrays import FloatArray, IntArray, check_shape, check_shapes
+from shakercal._common.arrays import Arrays, FloatArray, IntArray
 from shakercal._common.notices import Notice
 
 # Crossings of a resolved rise: the effect of its shape on the reconstruction, estimated from all edges.
@@ -60,7 +60,7 @@ class RisePhases:
 
 
 @dataclass(frozen=True)
-class ResolvedLine:
+class ResolvedLine(Arrays, shapes="scatter_covariance 2 2; correction_s E"):
     """Line through resolved edges, with the edge shifts (E,) by rise shapes.
 
     `scatter_covariance` (2, 2) is the part of its covariance from the individual scatter of the edges.
@@ -69,10 +69,6 @@ class ResolvedLine:
     line: Posterior
     scatter_covariance: FloatArray
     correction_s: FloatArray
-
-    def __post_init__(self) -> None:
-        check_shape("scatter_covariance", self.scatter_covariance, (2, 2))
-        check_shape("correction_s", self.correction_s, (None,))
 
 
 def fit_resolved(
@@ -151,7 +147,7 @@ RINGING_SAMPLES = 1e-3  # of a sample: timing uncertainty of a resolved edge fro
 
 
 @dataclass(frozen=True)
-class TriggerFit:
+class TriggerFit(Arrays, shapes="number E; lower_s E; upper_s E; edge_s E; correction_s E; covariance 2 2"):
     """Periodic model t_k = start_s + k·period_s of a trigger.
 
     Times count in seconds from the record's first sample.
@@ -192,11 +188,6 @@ class TriggerFit:
     open_s: float
     notices: tuple[Notice, ...]
     known_period_s: tuple[float, float] | None = None
-
-    def __post_init__(self) -> None:
-        check_shape("number", self.number, (None,))
-        check_shapes(self, self.number.shape, "lower_s", "upper_s", "edge_s", "correction_s")
-        check_shape("covariance", self.covariance, (2, 2))
 
     def __repr__(self) -> str:
         lost = f", {len(self.missing)} of them missing" if self.missing else ""
