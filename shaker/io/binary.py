@@ -37,10 +37,8 @@ _MATLAB_RATES = ("sample_rate", "fs", "Fs")
 _STARTS, _UNITS = ("start_time",), ("unit", "units")
 _TIMES = ("time", "Time", "t")
 _TIME_UNITS = ("time_unit", "time_units")
-_ASSUMED_UNITS, _UNIT_TOLERANCE = (
-    {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9},
-    0.01,
-)  # units of times that state none, by the rate
+# Units of times that state none, by the rate.
+_ASSUMED_UNITS, _UNIT_TOLERANCE = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}, 0.01
 _CF_PACKING = ("scale_factor", "add_offset", "_FillValue")
 _NWB_PACKING = ("conversion", "offset", "_FillValue")
 _LONGEST_TEXT = 1 << 20  # letters

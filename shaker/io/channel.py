@@ -242,22 +242,6 @@ def _backwards(time_s: FloatArray) -> str:
     return f"a step of {step:.6g} s after sample {index}, {time_s[index]:.6g} s from the first"
 
 
-def first_gap(times: SampleTimes) -> str | None:
-    """Describe the first deviation of non-uniform times from the grid; None for uniform ones."""
-    if times.stamp_s is None:
-        return None
-    step = np.diff(times.stamp_s)
-    median = 1.0 / times.rate_hz
-    off = np.flatnonzero(np.abs(step - median) > CONTINUOUS * median)
-    gaps = off[step[off] > median]
-    if not len(gaps):
-        return f"intervals between {step.min():.4g} s and {step.max():.4g} s"
-    index = int(gaps[0])
-    more = f", the first of {len(gaps)} gaps" if len(gaps) > 1 else ""
-    where = f"between samples {index} and {index + 1}, {times.stamp_s[index]:.6g} s from the first"
-    return f"{step[index]:.6g} s {where}{more}"
-
-
 # Raw channels.
 
 
@@ -302,7 +286,17 @@ class RawChannel:
     @property
     def gap(self) -> str | None:
         """Description of the first deviation from a uniform grid; None where times are uniform."""
-        return first_gap(SampleTimes(self.sample_rate_hz, self.start_s, self.stamp_s))
+        if self.stamp_s is None:
+            return None
+        step, median = np.diff(self.stamp_s), 1.0 / self.sample_rate_hz
+        off = np.flatnonzero(np.abs(step - median) > CONTINUOUS * median)
+        gaps = off[step[off] > median]
+        if not len(gaps):
+            return f"intervals between {step.min():.4g} s and {step.max():.4g} s"
+        index = int(gaps[0])
+        more = f", the first of {len(gaps)} gaps" if len(gaps) > 1 else ""
+        where = f"between samples {index} and {index + 1}, {self.stamp_s[index]:.6g} s from the first"
+        return f"{step[index]:.6g} s {where}{more}"
 
     @property
     def time_s(self) -> FloatArray:

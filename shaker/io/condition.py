@@ -22,11 +22,8 @@ _SHORTEST = 8  # samples of a stretch that counts as lost
 _QUIET, _USUAL = 0.02, 0.9  # of the range that nine in ten periods do not exceed: less is no signal
 _BLOCKS = 32  # parts of a record in which the longest constant run is typical
 _FEWEST = 8  # samples at a limit
-_BEYOND = (
-    0.0,
-    5e-4,
-    1e-2,
-)  # shares of all samples that may lie beyond a limit: none, spikes, noise added later
+# Shares of all samples that may lie beyond a limit: none, spikes, noise added later.
+_BEYOND = (0.0, 5e-4, 1e-2)
 _CURVED = 25.0  # times the range and the square of such a share: ten times the depth of a sine's crest of this share
 _WIDEST = 0.03  # of the range: how far samples at one limit may differ
 _CLIPPED_RATIO = 4.0 / 3.0  # samples within eight widths of a limit over those within one
@@ -223,9 +220,8 @@ def clip_levels(samples: FloatArray, step: float, *, resting: bool = False) -> t
     if len(samples) < 2 * _FEWEST or np.ptp(samples) == 0.0:
         return -np.inf, np.inf
     high, low = (_clipping_level(signal, step, resting) for signal in (samples, -samples))
-    return (
-        (-low, high) if -low < high else (-np.inf, np.inf)
-    )  # one level: the resting level of the signal between its peaks
+    # One level is the resting level of the signal between its peaks.
+    return (-low, high) if -low < high else (-np.inf, np.inf)
 
 
 def cut_run(samples: FloatArray, resolution: float, noise: float) -> int:

@@ -155,9 +155,7 @@ def _read_segment(path: Path, segment: _Segment, requested: Sequence[str]) -> di
         samples, column = columns[requested_columns[name]], requested_columns[name]
         stated = int(_value(segment, "Samples", column, len(samples)))
         if 0 < stated < len(samples) and np.isnan(samples[stated:]).all():
-            samples = samples[
-                :stated
-            ]  # columns shorter than others (X_Columns Multi) end after the stated number of samples
+            samples = samples[:stated]  # columns shorter than others (X_Columns Multi) end there
         near = {i: columns[i][: len(samples)] for i in before[name]}
         dated = [i for i, time in near.items() if np.isfinite(time).all()][-1:]
         digit = last_digit(segment.layout, segment.start, segment.stop, dated[0]) if dated else 0.0

@@ -56,14 +56,6 @@ class DataSet:
 
 
 @dataclass(frozen=True)
-class UniversalAxis:
-    """Label and unit of an axis of a function, empty where not stated."""
-
-    label: str
-    unit: str
-
-
-@dataclass(frozen=True)
 class FunctionHeader:
     """Text records of a function: kind, points (`12+Z`), form of the numbers, and axes."""
 
@@ -77,9 +69,10 @@ class FunctionHeader:
     even: bool
     start: float
     step: float
-    abscissa: UniversalAxis
-    ordinate: UniversalAxis
-    denominator: UniversalAxis
+    ordinate_label: str
+    abscissa_unit: str
+    ordinate_unit: str
+    denominator_unit: str
 
     @property
     def is_complex(self) -> bool:
@@ -159,7 +152,8 @@ def function_header(path: Path, records: Sequence[bytes], line: int) -> Function
         numbers[2] == 1,
         _real(form[30:43]),
         _real(form[43:56]),
-        *(UniversalAxis(_name(text[26:46]), _name(text[47:67])) for text in texts[7:10]),
+        _name(texts[8][26:46]),
+        *(_name(text[47:67]) for text in texts[7:10]),
     )
 
 
@@ -459,7 +453,7 @@ def read_universal(path: Path, names: Sequence[str] | None, sample_rate_hz: floa
             data, head = present[name]
             times, values = function_values(path, stream, data, head)
             where = f'channel "{name}"'
-            unit, axis = head.abscissa.unit, f"{where}: abscissa"
+            unit, axis = head.abscissa_unit, f"{where}: abscissa"
             if head.even:
                 second = seconds_of(path, axis, unit)
                 stated = 1.0 / (head.step * second) if head.step else None
@@ -468,7 +462,7 @@ def read_universal(path: Path, names: Sequence[str] | None, sample_rate_hz: floa
             else:
                 digit = None if data.more[:1].lower() == b"b" else _DIGIT * float(np.max(np.abs(times)))
                 sampled = times_of_stamps(path, axis, times, unit, digit=digit, given_hz=sample_rate_hz)
-            result[name] = RawChannel.from_times(sampled, as_sample_array(path, name, values), head.ordinate.unit)
+            result[name] = RawChannel.from_times(sampled, as_sample_array(path, name, values), head.ordinate_unit)
     return result
 
 
@@ -502,12 +496,12 @@ def read_universal_functions(path: str | Path) -> tuple[UniversalFunction, ...]:
             for name, (data, head) in _name_functions(headers).items():
                 abscissa, value = function_values(path, stream, data, head)
                 kind = _KINDS[head.kind] if 0 <= head.kind < len(_KINDS) else f"function type {head.kind}"
-                unit = head.ordinate.unit
-                if head.denominator.unit:
-                    unit = f"({unit})/({head.denominator.unit})"
+                unit = head.ordinate_unit
+                if head.denominator_unit:
+                    unit = f"({unit})/({head.denominator_unit})"
                 points = head.response_point, head.reference_point
                 functions.append(
-                    UniversalFunction(name, kind, abscissa, value, head.abscissa.unit, unit, *points, head.titles)
+                    UniversalFunction(name, kind, abscissa, value, head.abscissa_unit, unit, *points, head.titles)
                 )
             return tuple(functions)
 
@@ -528,7 +522,7 @@ def _headers(path: Path) -> list[tuple[DataSet, FunctionHeader]]:
 
 
 def _name_functions(headers: list[tuple[DataSet, FunctionHeader]]) -> dict[str, tuple[DataSet, FunctionHeader]]:
-    plain = [head.response_name or head.ordinate.label or head.response_point for _, head in headers]
+    plain = [head.response_name or head.ordinate_label or head.response_point for _, head in headers]
     count = Counter(plain)
     full = [
         name if count[name] == 1 else f"{name} {head.response_point}".strip()

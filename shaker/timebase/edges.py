@@ -216,9 +216,8 @@ def number_edges(edges: Edges) -> Numbering:
         number = np.round(position).astype(np.int64)
         distance = np.abs(position - number)
         accepted = distance <= _CAPTURE
-        order = np.lexsort(
-            (distance, number)
-        )  # of several edges with one number the nearest to the expected time is accepted
+        # Of several edges with one number the nearest to the expected time is accepted.
+        order = np.lexsort((distance, number))
         accepted[order[1:][np.diff(number[order]) == 0]] = False
         accepted = _without_outliers(number, edges, accepted)
         count = int(np.count_nonzero(accepted))

@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from shaker.io import read_channels
-from shaker.lines import detection, peaks
+from shaker.lines import detection
 from shaker.lines.detection import LineOrigin, survey_lines
 from shaker.lines.frequencies import find_lines
 from shaker.lines.peaks import find_peaks
@@ -76,24 +76,6 @@ def test_noise_level_after_a_change_is_that_of_the_whole_anew():
         assert after.lower_bound(slice(low, high)) <= after[low:high].min()
 
 
-def test_a_record_is_transformed_once_for_both_looks(monkeypatch):
-    values = np.stack([_tones(2.0, {80.0: 10.0, 160.0: 0.05, 50.0: 0.3}, 0.2, seed) for seed in range(3)], axis=1)
-    transformed: list[int] = []
-
-    def counted(samples):
-        transformed.append(len(samples))
-        return centred_spectrum(samples)
-
-    monkeypatch.setattr(peaks, "centred_spectrum", counted)
-    stored = survey_lines(values, RATE)
-    assert len(transformed) == 3
-    monkeypatch.setattr(detection, "_MAX_STORED_BINS", 2 * (len(values) // 2 + 1))  # room for two of the three
-    some = survey_lines(values, RATE)
-    assert len(transformed) == 3 + 4
-    for name in ("frequency_hz", "u_frequency_hz", "amplitude", "u_amplitude", "snr", "floor"):
-        np.testing.assert_array_equal(getattr(some, name), getattr(stored, name))
-
-
 def test_chance_height_is_that_of_exponential_values():
     rng = np.random.default_rng(0)
     floor = np.median(rng.exponential(size=(200_000, 33)), axis=1) / np.log(2.0)
@@ -130,7 +112,7 @@ EXPECTED = np.array([17.3, 34.6, 51.9])
     ("samples", "expected", "chance", "trials", "most"),
     [
         (211, EXPECTED, 0.2, 150, 46),  # 30 and three standard deviations
-        (2000, EXPECTED, 0.2, 150, 46),
+        pytest.param(2000, EXPECTED, 0.2, 150, 46, marks=pytest.mark.slow),
         pytest.param(4000, NO_LINES, 0.02, 1500, 48, marks=pytest.mark.slow),  # a right chance passes with 99.9 %
     ],
 )
@@ -259,7 +241,7 @@ def test_a_ten_thousandth_is_found_where_it_is_expected():
     assert found >= 9
 
 
-@settings(max_examples=10, deadline=None)
+@settings(max_examples=4, deadline=None)
 @given(st.floats(1e-6, 1e6), st.integers(0, 3))
 def test_scale_channels_and_direction_of_time_do_not_matter(scale, seed):
     first = _tones(1.0, {106.25: 10.0, 212.5: 0.5, 50.02: 1.0}, 0.1, seed)
@@ -284,9 +266,8 @@ def _recorded(path: Path) -> tuple[np.ndarray, float]:
     return np.stack([channel.samples for channel in channels], axis=1), channels[0].sample_rate_hz
 
 
-@pytest.mark.parametrize("factor", [16, 128])
-def test_three_tones_of_a_shaker_are_its_fundamentals(data_dir, factor):
-    values, rate = _recorded(data_dir / "shaker_three_tone" / f"data_set_1_downsampled_by_{factor}.lvm")
+def test_three_tones_of_a_shaker_are_its_fundamentals(data_dir):
+    values, rate = _recorded(data_dir / "shaker_three_tone" / "data_set_1_downsampled_by_128.lvm")
     survey = survey_lines(values[:, :1], rate)
     strong = survey.select(survey.snr > 1e6)
     np.testing.assert_allclose(strong.frequency_hz, [99.9999, 119.9999, 149.9999], atol=2e-4)
@@ -371,26 +352,10 @@ def test_only_harmonics_of_a_ten_thousandth_are_found_and_no_rounding(amplitudes
 def test_noise_alone_adds_no_harmonic():
     rng = np.random.default_rng(1)
     extra = sum(
-        len(find_lines(*_record(rng, {1: 100.0}, noise=1.0, seconds=1.0), [106.25]).multiple) - 1 for _ in range(40)
+        len(find_lines(*_record(rng, {1: 100.0}, noise=1.0, seconds=1.0), [106.25]).multiple) - 1 for _ in range(15)
     )
-    # Expected 0.04 at the stated 1e-3 per record.
+    # Expected 0.015 at the stated 1e-3 per record.
     assert extra <= 1
-
-
-def test_refined_frequency_reaches_the_bound():
-    rng = np.random.default_rng(3)
-    seconds, noise, amplitude = 1.0, 1.0, 10.0
-    errors, stated = [], []
-    for _ in range(80):
-        time, values = _record(rng, {1: amplitude}, noise, seconds)
-        refined = _refined(time, values[:, None], 106.3, (1,))
-        errors.append(refined[0] - TRUE_HZ)
-        stated.append(refined[1])
-    # Rife and Boorstyn 1974: var f = 6 σ² / (π² a² N T²) for real sines.
-    bound = np.sqrt(6.0 * noise**2 / (np.pi**2 * amplitude**2 * seconds * SAMPLED_HZ)) / seconds
-    assert np.std(errors) == pytest.approx(bound, rel=0.25)
-    assert abs(np.mean(errors)) < 4.0 * bound / np.sqrt(80)
-    assert np.mean(stated) == pytest.approx(bound, rel=0.1)
 
 
 def test_harmonics_and_channels_sharpen_the_frequency():
@@ -402,15 +367,6 @@ def test_harmonics_and_channels_sharpen_the_frequency():
     two = _refined(time, pair, 106.25, (1, 3))
     assert joint[1] == pytest.approx(alone[1] / np.sqrt(10.0), rel=0.15)
     assert two[1] == pytest.approx(joint[1] / np.sqrt(2.0), rel=0.15)
-
-
-@settings(max_examples=8, deadline=None)
-@given(st.floats(0.1, 10.0), st.floats(-1e-3, 1e-3))
-def test_frequency_follows_the_clock(scale, stretch):
-    time, values = _record(np.random.default_rng(5), {1: 10.0}, 0.1, 0.5)
-    plain = _refined(time, values[:, None], 106.25, (1,))
-    other = _refined(time * (1 + stretch), scale * values[:, None], 106.25, (1,))
-    assert other[0] * (1 + stretch) == pytest.approx(plain[0], rel=1e-9)
 
 
 def test_several_fundamentals_share_a_harmonic_once():
@@ -449,7 +405,7 @@ def test_mains_is_reported_and_is_no_line():
 def test_a_neighbour_that_leaks_is_fitted_too():
     rng, time = np.random.default_rng(20), np.arange(12_800) / SAMPLED_HZ
     error: dict[bool, list[float]] = {True: [], False: []}
-    for _ in range(12):
+    for _ in range(6):
         hum = 0.02 * np.cos(2 * np.pi * 50.03 * time + rng.uniform(0.0, 2 * np.pi))
         values = np.cos(2 * np.pi * 53.7 * time) + hum + 0.01 * rng.normal(size=len(time))
         lines = find_lines(time, values, [53.7])

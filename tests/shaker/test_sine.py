@@ -7,7 +7,6 @@ import pytest
 from contracts import refused
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from scipy.optimize import curve_fit
 from scipy.stats import f as f_distribution
 
 from shaker.signal_notices import MISSING_SAMPLES, SPIKES_REJECTED
@@ -91,7 +90,7 @@ def test_time_shift_scale_and_channel_order(shift, scale, order, seed):
     ("rate", "samples", "lines"),
     [
         pytest.param(4250.0, 400, 1, marks=pytest.mark.slow),
-        (4250.0, 400, 5),
+        pytest.param(4250.0, 400, 5, marks=pytest.mark.slow),
         (CAMERA_HZ, 211, 2),
         pytest.param(0.05 * 106.25 * 1.0173, 240, 1, marks=pytest.mark.slow),
     ],
@@ -122,20 +121,6 @@ def test_variance_reaches_the_bound_and_regions_cover(rate, samples, lines):
     assert 0.92 < ratio < 1.08
     assert 0.935 < np.mean(quotient < f_distribution.ppf(0.95, 2, dof)) < 0.985
     assert max(np.abs(bias.real).max(), np.abs(bias.imag).max()) < 4.5
-
-
-def test_stated_covariance_crosses_channels():
-    rng = np.random.default_rng(9)
-    time, frequency = np.arange(500) / 1000.0, np.array([106.0])
-    mix = np.array([[1.0, 0.0], [0.8, 0.6]])
-    values, stated = [], []
-    for _ in range(400):
-        fit = _fit(time, rng.normal(size=(500, 2)) @ mix.T, frequency)
-        values.append(fit.phasors.value[0])
-        stated.append(fit.phasors.covariance[0])
-    v = np.array(values)
-    measured = np.cov(np.concatenate([v.real, v.imag], axis=1).T)
-    np.testing.assert_allclose(np.mean(stated, axis=0), measured, atol=0.15 * measured.max())
 
 
 def test_folded_lines_are_refused_with_the_remedy():
@@ -231,20 +216,6 @@ def test_frequency_bound_in_closed_form():
     expected = np.sqrt(6.0 / (np.pi**2 * 4.0 * samples)) * rate / samples
     noise = np.sqrt(fixed.phasors.covariance[0, 0, 0] * samples / 2.0)
     assert free.u_frequency_hz[0] == pytest.approx(expected * noise, rel=1e-2)
-
-
-def test_agrees_with_curve_fit():
-    rng, time = np.random.default_rng(3), np.arange(800) / 1000.0
-
-    def curve(t: np.ndarray, a: float, b: float, f: float, d: float, c: float) -> np.ndarray:
-        return np.asarray(np.exp(-d * t) * (a * np.cos(2 * np.pi * f * t) + b * np.sin(2 * np.pi * f * t)) + c)
-
-    y = curve(time, 1.0, 0.5, 60.2, 1.5, 0.1) + 0.02 * rng.normal(size=800)
-    found, _ = curve_fit(curve, time, y, [1.0, 0.4, 60.2, 1.0, 0.0], xtol=1e-14, ftol=1e-14)
-    fit = _fit(time, y[:, None], np.array([60.1]), SineModel(free=(0,), decay="common"))
-    np.testing.assert_allclose(fit.phasors.value[0, 0], found[0] - 1j * found[1], rtol=1e-6)
-    assert fit.phasors.frequency_hz[0] == pytest.approx(found[2], rel=1e-9)
-    assert (fit.decay_per_s[0], fit.offset[0]) == (pytest.approx(found[3], rel=1e-6), pytest.approx(found[4], abs=1e-8))
 
 
 def test_fixed_lines_stay_and_lines_of_a_label_move_together():
@@ -369,14 +340,6 @@ def test_ordinates_of_blocks_are_those_of_the_transform_even_near_mains():
     np.testing.assert_allclose(found / np.sqrt(samples), expected / np.sqrt(samples), atol=1e-3)
 
 
-def test_uniform_times_written_out_are_the_same():
-    uniform = UniformTimes(-0.25, 1000.0, 700)
-    data = np.random.default_rng(4).normal(size=(700, 2))
-    first, second = _fit(uniform, data, LINES_HZ[:2]), _fit(uniform.array(), data, LINES_HZ[:2])
-    np.testing.assert_allclose(first.phasors.value, second.phasors.value, atol=1e-12)
-    np.testing.assert_allclose(first.phasors.covariance, second.phasors.covariance, rtol=1e-6, atol=1e-12)
-
-
 @pytest.mark.parametrize("each", [False, True])
 def test_weights_make_the_best_of_samples_of_unequal_noise(each):
     rng = np.random.default_rng(5)
@@ -428,11 +391,6 @@ def test_weights_count_relative_to_each_other_and_in_any_order(seed, scale):
     other = _fit(time, data[:, ::-1], frequency, variance=scale * variance[:, ::-1])
     np.testing.assert_allclose(other.phasors.value[:, ::-1], plain.phasors.value, atol=1e-12)
     np.testing.assert_allclose(other.phasors.u_re[:, ::-1], plain.phasors.u_re, rtol=1e-6)
-    mixed = rng.permutation(150)
-    free = SineModel(free=(0, 0))
-    first = _fit(time, data + np.cos(2 * np.pi * 106.25 * time)[:, None], frequency, model=free)
-    second = _fit(time[mixed], (data + np.cos(2 * np.pi * 106.25 * time)[:, None])[mixed], frequency, model=free)
-    np.testing.assert_allclose(second.phasors.frequency_hz, first.phasors.frequency_hz, rtol=1e-6)
 
 
 def test_spikes_are_left_out_and_named_in_long_records_too():

@@ -5,13 +5,13 @@ First clean signals, then what makes ties hard: jitter, filters, damage, locked 
 
 from collections.abc import Callable
 from dataclasses import replace
+from itertools import product
 
 import numpy as np
 import pytest
 from contracts import refused
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
-from scipy.special import ndtr
 from scipy.stats import chi2
 
 from shaker.signal_notices import (
@@ -23,7 +23,7 @@ from shaker.signal_notices import (
     STRAY_EDGES,
 )
 from shaker.timebase.edges import Edges, find_edges
-from shaker.timebase.intervals import Posterior, Slopes, _log_likelihood, line_posterior, normal_cdf
+from shaker.timebase.intervals import Posterior, Slopes, line_posterior
 from shaker.timebase.tie import ClockTie, decide_shift, edge_instants, tie_clocks
 from shaker.timebase.trigger import TriggerFit, fit_trigger, pulse_width
 
@@ -142,26 +142,21 @@ def test_missing_doubled_and_stray_edges_are_survived():
     assert np.sqrt(np.mean(np.square(errors))) < 0.2e-6
 
 
-def test_jitter_is_measured():
-    rng, even = np.random.default_rng(6), 0.1 + PERIOD_S * np.arange(EDGES)
-    for jitter in (2e-6, 100e-6):
-        fits = [fit_trigger(_latched(even + jitter * rng.normal(size=EDGES), 51_200.0, 4.3)) for _ in range(3)]
-        assert np.mean([fit.jitter_s for fit in fits]) == pytest.approx(jitter, rel=0.3)
-
-
 def test_scatter_is_distinguished_from_sampling():
     """30 ns of a quartz against 0.1 of a sample, few edges and many, any place between the samples."""
     rng = np.random.default_rng(26)
     for rate_hz, count in ((8_000.0, 48), (51_200.0, 211)):
         for jitter, scatters in ((0.0, False), (1e-2 / rate_hz / count, False), (0.1 / rate_hz, True)):
-            for _ in range(8):
+            for _ in range(2):
                 instants = 0.1 + PERIOD_S * (rng.uniform() + np.arange(count)) + jitter * rng.normal(size=count)
-                assert fit_trigger(_latched(instants, rate_hz, 4.3)).jitter_detected is scatters
+                fit = fit_trigger(_latched(instants, rate_hz, 4.3))
+                assert fit.jitter_detected is scatters
+                assert not scatters or fit.jitter_s == pytest.approx(jitter, rel=0.5)
 
 
 @pytest.mark.parametrize(
     ("seed", "cases", "bias", "scatter"),
-    [(7, 5, 0.06e-6, 0.13e-6), pytest.param(17, 30, 0.038e-6, 0.125e-6, marks=pytest.mark.slow)],
+    [(7, 2, 0.06e-6, 0.13e-6), pytest.param(17, 30, 0.038e-6, 0.125e-6, marks=pytest.mark.slow)],
 )
 def test_clock_offset_and_rate_without_jitter(seed, cases, bias, scatter):
     rng = np.random.default_rng(seed)
@@ -303,52 +298,21 @@ def _deviation(tie: ClockTie) -> tuple[float, float]:
     return error, error / float(tie.u_to_base_s(middle_s))
 
 
-def test_posterior_is_that_of_direct_integration():
-    position, centre = np.array([-1.0, -0.3, 0.4, 1.0]), np.array([0.3, -0.2, 0.1, 0.35])
-    lower, upper = centre - 0.5, centre + 0.5
-    # Without jitter the posterior is uniform over the polygon of all lines that pass through every interval.
-    m, h = np.meshgrid(np.linspace(-1, 1, 601), np.linspace(-1, 1, 601), indexing="ij")
-    line = m[..., None] + h[..., None] * position
-    inside = np.all((line > lower) & (line <= upper), axis=-1)
-    corner = np.stack([m[inside], h[inside]])
-    start = Posterior(np.zeros(2), 0.3 * np.eye(2), 1e-4)
-    scale = np.sqrt(np.diag(np.cov(corner)))
-    # The jitter is unknown, so that the posterior is a little wider, the less the smaller it may be.
-    for least, wider in ((1e-4, 0.3), (1e-12, 0.12)):
-        found = line_posterior(position, lower[None], upper[None], start, least)
-        np.testing.assert_allclose(found.mean, corner.mean(axis=1), atol=0.25 * scale.min())
-        np.testing.assert_allclose(np.sqrt(np.diag(found.covariance)), scale, rtol=wider)
-
-
-@pytest.mark.parametrize("jitter", [0.02, 0.3, 5.0])
-@pytest.mark.parametrize("wider", [np.zeros((1, 30)), np.linspace(0.0, 0.2, 30)[None], np.zeros((2, 30))])
-def test_the_likelihood_of_lines_is_the_product_of_their_edges(jitter, wider):
-    """Intervals of one record alike and unlike, and of two records, by SciPy's distribution."""
-    rng, position = np.random.default_rng(4), np.linspace(-1.0, 1.0, 30)
-    lower = rng.uniform(-0.6, -0.3, wider.shape)
-    upper = lower + 1.0 + wider
-    points = rng.normal(0.0, 0.3, (700, 2 * len(lower)))
-    lines = points[:, ::2, None] + points[:, 1::2, None] * position
-    below, above = (lower - lines).max(axis=1) / jitter, (upper - lines).min(axis=1) / jitter
-    expected = np.log(np.maximum(ndtr(above) - ndtr(below), 0.0) + 1e-6).sum(axis=1)
-    found = _log_likelihood(points, jitter, (position, lower, upper, None))
-    np.testing.assert_allclose(found, expected, rtol=0.0, atol=30 * 1.5e-6)
-
-
-def test_an_external_slope_cuts_the_polygon():
-    """Likelihood of lines, even over those that pass through all intervals, times the normal density of the slope."""
+@pytest.mark.parametrize("external", [None, Slopes(np.array([0.25]), np.array([[0.05**-2]]))])
+def test_posterior_is_that_of_direct_integration(external):
+    """Even over lines that pass through all intervals, times the normal density of an external slope."""
     position, centre = np.array([-1.0, -0.3, 0.4, 1.0]), np.array([0.3, -0.2, 0.1, 0.35])
     m, h = np.meshgrid(np.linspace(-1, 1, 801), np.linspace(-1, 1, 801), indexing="ij")
     line = m[..., None] + h[..., None] * position
     weight = np.all((line > centre[:, None, None].T - 0.5) & (line <= centre[:, None, None].T + 0.5), axis=-1)
-    weight = weight * np.exp(-0.5 * ((h - 0.25) / 0.05) ** 2)
+    weight = weight * (1.0 if external is None else np.exp(-0.5 * ((h - 0.25) / 0.05) ** 2))
     mean = np.array([np.sum(weight * m), np.sum(weight * h)]) / weight.sum()
     spread = np.sqrt(
         np.array([np.sum(weight * (m - mean[0]) ** 2), np.sum(weight * (h - mean[1]) ** 2)]) / weight.sum()
     )
-    start, external = Posterior(np.zeros(2), 0.3 * np.eye(2), 1e-4), Slopes(np.array([0.25]), np.array([[0.05**-2]]))
+    start = Posterior(np.zeros(2), 0.3 * np.eye(2), 1e-4)
     found = line_posterior(position, (centre - 0.5)[None], (centre + 0.5)[None], start, 1e-12, external)
-    np.testing.assert_allclose(found.mean, mean, atol=0.2 * spread.min())
+    np.testing.assert_allclose(found.mean, mean, atol=0.25 * spread.min())
     np.testing.assert_allclose(np.sqrt(np.diag(found.covariance)), spread, rtol=0.12)
 
 
@@ -395,11 +359,11 @@ def test_observed_rise_is_followed(rise):
     assert abs(normalised) < 4.0
 
 
-@pytest.mark.parametrize(("ties", "high"), [(6, 2.0), pytest.param(60, 1.15, marks=pytest.mark.slow)])
+@pytest.mark.slow
 @pytest.mark.parametrize(("rise", "noise"), [(_charging, 1e-3), (_charging, 0.02), (_half_band, 1e-3)])
-def test_the_uncertainty_includes_the_undetermined_rise_shape(rise, noise, ties, high):
+def test_the_uncertainty_includes_the_undetermined_rise_shape(rise, noise):
     rng, normalised, models = np.random.default_rng(41), [], []
-    for _ in range(ties):
+    for _ in range(60):
         first, second = _instants(rng)
         base, other = (
             fit_trigger(find_edges(signal + noise * rng.normal(size=len(signal)), rate, threshold=0.5))
@@ -412,17 +376,18 @@ def test_the_uncertainty_includes_the_undetermined_rise_shape(rise, noise, ties,
         models.append(float((base.time_s(middle) - first[FEW // 2]) / base.u_time_s(middle)))
         normalised.append(_deviation(tie_clocks(base, other))[1])
     for found in (normalised, models):
-        assert np.sqrt(np.mean(np.square(found))) < high
+        assert np.sqrt(np.mean(np.square(found))) < 1.15
 
 
-@pytest.mark.parametrize("samples", [968.0, 968.002, 968.5])
-@pytest.mark.parametrize("rise", [_ramp, _charging, _half_band])
-def test_a_rise_with_locked_edges_is_covered_and_reported(rise, samples):
-    """Slowly drifting edges (968.002 samples) do not put their drift down to the shape of the rise."""
+@pytest.mark.parametrize(
+    ("rise", "samples"), [(None, 968.0), *product((_ramp, _charging, _half_band), (968.0, 968.002, 968.5))]
+)
+def test_locked_edges_are_covered_and_reported(rise, samples):
+    """Slowly drifting edges (968.002 samples) do not put their drift down to the shape of the rise; None: no rise."""
     rng = np.random.default_rng(42)
-    for _ in range(3):
-        instants = 0.1 + rng.uniform(0.0, PERIOD_S) + samples / RATE_HZ * np.arange(FEW)
-        fit = _filtered(rise, instants, RATE_HZ, rng)
+    for phase in (0.02, 0.5, 0.97):
+        instants = (5000.0 + phase + samples * np.arange(FEW)) / RATE_HZ
+        fit = fit_trigger(_latched(instants, RATE_HZ)) if rise is None else _filtered(rise, instants, RATE_HZ, rng)
         for edge in (0, FEW // 2, FEW - 1):
             deviation = float(fit.time_s(np.array(edge))) - instants[edge]
             assert abs(deviation) < 2.0 * float(fit.u_time_s(np.array(edge)))
@@ -492,17 +457,6 @@ def test_resolved_edges_replace_the_period_of_the_others():
     assert abs(error) < 0.6e-6
     assert abs(normalised) < 3.5
     assert (tie.pairs, tie.decided_by) == (FEW, "burst start and end")
-
-
-def test_locked_sampling_is_covered_and_reported():
-    period = 968.0 / RATE_HZ
-    for phase in (0.02, 0.5, 0.97):
-        instants = (5000.0 + phase) / RATE_HZ + period * np.arange(FEW)
-        fit = fit_trigger(_latched(instants, RATE_HZ))
-        deviation = float(fit.time_s(np.array(40))) - instants[40]
-        assert abs(deviation) < 2.0 * float(fit.u_time_s(np.array(40)))
-        assert float(fit.u_time_s(np.array(40))) > 5e-6
-        assert LOCKED_EDGES.code in [notice.code for notice in fit.notices]
 
 
 def test_jitter_decides_the_shift_alone():
@@ -635,13 +589,11 @@ def test_later_records_move_the_offset_alone(base_lag_s, other_lag_s):
     assert float(moved.u_to_base_s(np.array(middle_s + other_lag_s))) == pytest.approx(u, rel=0.1)
 
 
-@pytest.mark.parametrize(
-    ("cases", "low", "high"), [(1, 0.15, 2.4), pytest.param(12, 0.65, 1.5, marks=pytest.mark.slow)]
-)
-def test_noise_of_ties_is_independent_for_records_with_equal_starts(cases, low, high):
+@pytest.mark.slow
+def test_noise_of_ties_is_independent_for_records_with_equal_starts():
     """Edges resolved between the samples, four records of each start: what scatters among them is the `noise` of it."""
     rng, scatter, stated, whole = np.random.default_rng(8), [], [], []
-    for _ in range(cases):
+    for _ in range(12):
         first, begin = 0.1 + rng.uniform(0.0, PERIOD_S), rng.uniform(0.0, 0.05)
         instants = first + PERIOD_S * np.arange(FEW)
         clean = [
@@ -660,7 +612,7 @@ def test_noise_of_ties_is_independent_for_records_with_equal_starts(cases, low, 
             stated.append(row @ tie.noise @ row)
             whole.append(row @ tie.covariance @ row)
         scatter.append(np.var(found, ddof=1))
-    assert low < np.sqrt(np.mean(scatter) / np.mean(stated)) < high
+    assert 0.65 < np.sqrt(np.mean(scatter) / np.mean(stated)) < 1.5
     assert np.all(np.array(stated) <= np.array(whole))
 
 
@@ -672,8 +624,3 @@ def test_uncertainty_from_sampling_is_no_noise():
     left = tie.with_rate(tie.rate, 1e-9)
     assert left.noise[1, 1] == pytest.approx(0.5 * tie.covariance[1, 1] * (1e-18 / (tie.covariance[1, 1] + 1e-18)) ** 2)
     assert np.linalg.eigvalsh(left.covariance - left.noise).min() > -1e-30
-
-
-def test_the_normal_distribution_between_its_nodes_and_beyond_them():
-    x = np.append(np.random.default_rng(9).uniform(-12.0, 12.0, (60_000, 2)), [[-np.inf, np.inf], [0.0, -0.0]], axis=0)
-    np.testing.assert_allclose(normal_cdf(x), ndtr(x), rtol=0.0, atol=3e-14)
