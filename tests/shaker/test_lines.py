@@ -19,14 +19,11 @@ from shaker.lines.spectrum import (
     BinPower,
     amplitude_spectrum,
     centred_spectrum,
-    chance_height,
-    fit_line,
     hann_window,
     noise_level,
 )
 from shaker.signal_notices import HARMONIC_OUT_OF_REACH, OTHER_LINES
 from shaker.sine.sine_fit import fit_sines
-from shaker.sine.solve import SineModel
 
 NO_LINES, RATE = np.empty(0), 6400.0
 
@@ -55,14 +52,6 @@ def _named(values: np.ndarray, nominal: tuple[float, ...] = ()) -> dict[float, L
     return dict(zip(np.round(survey.frequency_hz, 1).tolist(), survey.origin, strict=True))
 
 
-def test_noise_level_is_the_power_of_the_noise_and_passes_over_lines():
-    values = _tones(4.0, {800.0: 1.0, 801.0: 1.0}, 2.0)
-    level = noise_level(np.abs(centred_spectrum(values)) ** 2)
-    # A Hann bin of amplitude scaling holds 4 σ²/N · 1.5.
-    assert np.median(level[:]) == pytest.approx(6.0 * 4.0 / len(values), rel=0.1)
-    assert level.independent_bins > 60
-
-
 def test_noise_level_after_a_change_is_that_of_the_whole_anew():
     rng = np.random.default_rng(3)
     spectrum = centred_spectrum(_pink(rng, 40_000, 1.0))
@@ -74,34 +63,6 @@ def test_noise_level_after_a_change_is_that_of_the_whole_anew():
     assert not np.array_equal(after[:], before[:])
     for low, high in [(3, 50), (3, 20_001), (6000, 6001), (9990, 12_000), (19_000, 20_001)]:
         assert after.lower_bound(slice(low, high)) <= after[low:high].min()
-
-
-def test_chance_height_is_that_of_exponential_values():
-    rng = np.random.default_rng(0)
-    floor = np.median(rng.exponential(size=(200_000, 33)), axis=1) / np.log(2.0)
-    values = rng.exponential(size=200_000)
-    for chance in (0.1, 1e-2, 1e-3):
-        share = np.mean(values > chance_height(chance, 33.0) * floor)
-        assert share == pytest.approx(chance, abs=4 * np.sqrt(chance / 200_000))
-
-
-def test_fitted_line_is_near_the_bound_and_covered():
-    rng = np.random.default_rng(1)
-    samples, amplitude, noise, position = 1000, 2.0, 0.5, 123.37
-    half = np.arange(samples) - (samples - 1) / 2.0
-    sine = amplitude * np.cos(2 * np.pi * position * half / samples + 0.7)
-    lines = [
-        fit_line(centred_spectrum(sine + noise * rng.normal(size=samples)), samples, 123.0, 6.0 * noise**2 / samples)
-        for _ in range(800)
-    ]
-    error = np.array([line.bin_position for line in lines]) - position
-    # Rife and Boorstyn 1974, in bins.
-    bound = np.sqrt(6.0 * noise**2 / (np.pi**2 * amplitude**2 * samples))
-    assert 1.0 < np.std(error) / bound < 1.4
-    assert np.mean([line.u_bin_position for line in lines]) == pytest.approx(np.std(error), rel=0.08)
-    assert np.mean([line.u_value for line in lines]) == pytest.approx(
-        np.std([line.value.real for line in lines]), rel=0.08
-    )
 
 
 EXPECTED = np.array([17.3, 34.6, 51.9])
@@ -322,14 +283,6 @@ def _record(rng, amplitudes, noise=0.5, seconds=4.0):
     return time, _sum(rng, time, {multiple * TRUE_HZ: a for multiple, a in amplitudes.items()}, noise)
 
 
-def _refined(time: np.ndarray, values: np.ndarray, start: float, multiples: tuple[int, ...]) -> tuple[float, float]:
-    """Return a fundamental refined jointly with its harmonics, and its standard uncertainty."""
-    names = [str(c) for c in range(values.shape[1])]
-    model = SineModel(free=(0,) * len(multiples))
-    fit = fit_sines(time, values, start * np.array(multiples, dtype=float), names, names, model=model)
-    return float(fit.phasors.frequency_hz[0]), float(fit.u_frequency_hz[0])
-
-
 def test_published_excitation_is_found():
     # 189.3 m/s^2 with 0.96 m/s^2 at the fourth harmonic, nominal 106.25 Hz.
     time, values = _record(np.random.default_rng(0), {1: 189.3217, 4: 0.9596})
@@ -356,17 +309,6 @@ def test_noise_alone_adds_no_harmonic():
     )
     # Expected 0.015 at the stated 1e-3 per record.
     assert extra <= 1
-
-
-def test_harmonics_and_channels_sharpen_the_frequency():
-    rng = np.random.default_rng(4)
-    time, values = _record(rng, {1: 1.0, 3: 1.0}, 1.0, 1.0)
-    alone = _refined(time, values[:, None], 106.25, (1,))
-    joint = _refined(time, values[:, None], 106.25, (1, 3))
-    pair = np.stack([values, 1e-3 * _record(rng, {1: 1.0, 3: 1.0}, 1.0, 1.0)[1]], axis=1)
-    two = _refined(time, pair, 106.25, (1, 3))
-    assert joint[1] == pytest.approx(alone[1] / np.sqrt(10.0), rel=0.15)
-    assert two[1] == pytest.approx(joint[1] / np.sqrt(2.0), rel=0.15)
 
 
 def test_several_fundamentals_share_a_harmonic_once():

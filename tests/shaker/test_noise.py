@@ -267,17 +267,6 @@ def test_derivatives_add_up(frequency, first, second):
     np.testing.assert_allclose(both, derivative_factor(f, first + second), rtol=1e-12)
 
 
-def test_covariance_of_scaled_phasors_agrees_with_drawn_samples():
-    rng = np.random.default_rng(4)
-    phasors = _random_phasors(rng, lines=1)
-    factor = np.array([[0.5 - 2.0j, 3.0 + 0.0j, 1.0j]])
-    draws = rng.multivariate_normal(np.zeros(6), phasors.covariance[0], size=40_000)
-    scaled = (draws[:, :3] + 1j * draws[:, 3:]) * factor
-    expected = np.cov(np.concatenate([scaled.real, scaled.imag], axis=1).T)
-    got = phasors.scaled(factor).covariance[0]
-    np.testing.assert_allclose(got, expected, atol=0.03 * np.abs(expected).max())
-
-
 def test_selection_keeps_values_and_covariances_together():
     phasors = _random_phasors(np.random.default_rng(1))
     picked = phasors.select(["c", "a"])

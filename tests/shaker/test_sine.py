@@ -10,8 +10,7 @@ from hypothesis import strategies as st
 from scipy.stats import f as f_distribution
 
 from shaker.signal_notices import MISSING_SAMPLES, SPIKES_REJECTED
-from shaker.sine.noise import neighbour_bins
-from shaker.sine.normal_equations import LONG, Demodulator, SineSums, UniformTimes, timeline
+from shaker.sine.normal_equations import LONG, SineSums, UniformTimes
 from shaker.sine.sine_fit import fit_sines
 from shaker.sine.solve import SineModel
 
@@ -204,20 +203,6 @@ def test_stated_covariance_is_the_inverse_fisher_information(start, decay):
         assert fit.u_decay_per_s[0] ** 2 / scale == pytest.approx(bound[4, 4], rel=0.1)
 
 
-def test_frequency_bound_in_closed_form():
-    # Rife and Boorstyn 1974: var f = 6 σ² / (π² a² T² S); phase in the middle of the record 2 σ² / (a² S).
-    samples, rate, sigma = 20_000, 5000.0, 0.3
-    time = (np.arange(samples) - (samples - 1) / 2) / rate
-    y = 2.0 * np.cos(2 * np.pi * 106.25 * time) + sigma * np.random.default_rng(2).normal(size=samples)
-    fixed = _fit(time, y[:, None], np.array([106.25]), SineModel())
-    free = _fit(time, y[:, None], np.array([106.25]), FREE)
-    # Time zero is the middle here: not knowing the frequency costs nothing.
-    np.testing.assert_allclose(free.phasors.covariance, fixed.phasors.covariance, rtol=0.01, atol=1e-9)
-    expected = np.sqrt(6.0 / (np.pi**2 * 4.0 * samples)) * rate / samples
-    noise = np.sqrt(fixed.phasors.covariance[0, 0, 0] * samples / 2.0)
-    assert free.u_frequency_hz[0] == pytest.approx(expected * noise, rel=1e-2)
-
-
 def test_fixed_lines_stay_and_lines_of_a_label_move_together():
     time, true = np.arange(2000) / 1000.0, np.array([50.0, 100.1, 200.2])
     data = _series(time, true, np.ones((3, 1), dtype=complex))
@@ -324,22 +309,6 @@ def test_long_and_short_records_agree_and_many_channels_have_correct_uncertainty
     np.testing.assert_allclose(gapped.phasors.u_re, whole.phasors.u_re, rtol=0.02)
 
 
-def test_ordinates_of_blocks_are_those_of_the_transform_even_near_mains():
-    samples = 2 * LONG + 77
-    data = np.random.default_rng(3).normal(size=(samples, 2))
-    data[:, 0] += 1e4 * np.cos(2.0 * np.pi * 50.0123 * np.arange(samples) / RATE_HZ)
-    bins = neighbour_bins(samples, LINES_HZ * samples / RATE_HZ)
-    assert bins is not None
-    times = timeline(UniformTimes(0.0, RATE_HZ, samples), None)
-    demodulator = Demodulator(times, bins)
-    columns = demodulator.columns()
-    blocks = [data[times.rows(b)] for b in range(len(times.centre_s))]
-    found = demodulator.transform(np.stack([columns[: len(block)].T @ block for block in blocks]))
-    expected = np.fft.rfft(data, axis=0)[bins]
-    # The noise is 1 in these units; what is left of 10⁴ times as much must not show.
-    np.testing.assert_allclose(found / np.sqrt(samples), expected / np.sqrt(samples), atol=1e-3)
-
-
 @pytest.mark.parametrize("each", [False, True])
 def test_weights_make_the_best_of_samples_of_unequal_noise(each):
     rng = np.random.default_rng(5)
@@ -360,25 +329,6 @@ def test_weights_make_the_best_of_samples_of_unequal_noise(each):
     with pytest.raises(ValueError, match=r"^variance: .*\(240,\).*\(240, 2\)"):
         _fit(time, data, frequency, variance=np.ones(3))
     refused("^variance: ", _fit, time, data, frequency, variance=np.zeros(240))
-
-
-@settings(max_examples=15, deadline=None)
-@given(st.integers(60, 200), st.floats(0.2, 5.0), st.integers(0, 1000))
-def test_two_records_joined_are_their_weighted_mean(cut, ratio, seed):
-    rng = np.random.default_rng(seed)
-    time, frequency = np.arange(260) / 52.874, np.array([106.25])
-    variance = np.where(np.arange(260) < cut, 1.0, ratio**2)
-    data = np.sqrt(variance)[:, None] * rng.normal(size=(260, 1))
-    joint = _fit(time, data, frequency, variance=variance)
-    total, right = np.zeros((3, 3)), np.zeros(3)
-    for part in (slice(0, cut), slice(cut, 260)):
-        columns = _design(time[part], frequency) * np.array([1.0, -1.0, 1.0])
-        alone = _fit(time[part], data[part], frequency)
-        solution = np.array([alone.phasors.value[0, 0].real, alone.phasors.value[0, 0].imag, alone.offset[0]])
-        information = columns.T @ columns / variance[part][0]
-        total, right = total + information, right + information @ solution
-    expected = np.linalg.solve(total, right)
-    assert joint.phasors.value[0, 0] == pytest.approx(expected[0] + 1j * expected[1], abs=1e-9)
 
 
 @settings(max_examples=10, deadline=None)
