@@ -138,12 +138,7 @@ def table_response(table: ResponseTable, frequency_hz: FloatArray) -> ChainRespo
 
 
 def pole_response(
-    frequency_hz: FloatArray,
-    model: PoleModel,
-    *,
-    u_gain: float = 0.0,
-    u_frequency: float = 0.0,
-    u_delay_s: float = 0.0,
+    frequency_hz: FloatArray, model: PoleModel, *, u_gain: float = 0.0, u_frequency: float = 0.0, u_delay_s: float = 0.0
 ) -> ChainResponse:
     """Return the response of a pole model at frequencies (K,) in Hz.
 

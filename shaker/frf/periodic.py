@@ -296,11 +296,7 @@ _HIGHEST = 0.45  # share of the sampling rate up to which lines are taken where 
 
 
 def transfer_periodic(
-    record: TransferRecord,
-    period_s: float,
-    *,
-    settle_periods: int = 0,
-    band_hz: tuple[float, float] | None = None,
+    record: TransferRecord, period_s: float, *, settle_periods: int = 0, band_hz: tuple[float, float] | None = None
 ) -> TransferFunction:
     """Return H = Ȳ/X̄ at the excited harmonics of a periodic excitation (chirp, multisine).
 

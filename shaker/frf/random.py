@@ -98,10 +98,7 @@ def estimate_ratio(spectra: Spectra, selection: EstimatorSelection) -> ComplexAr
 
 
 def choose_estimator(
-    spectra: Spectra,
-    requested: Literal["auto", "H1", "H2", "Hv"],
-    noise_ratio: float | None,
-    reference_name: str,
+    spectra: Spectra, requested: Literal["auto", "H1", "H2", "Hv"], noise_ratio: float | None, reference_name: str
 ) -> EstimatorSelection:
     """Return the requested estimator, or the first of H1, H2, Hv with a small bias.
 

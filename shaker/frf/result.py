@@ -114,10 +114,7 @@ class TransferFunction(Arrays, shapes="coherence K C; averages K; line_correlati
     def at_lines(self, lines: NDArray[Any]) -> TransferFunction:
         """Return the lines chosen by a mask (K,) or by indices."""
         return replace(
-            self,
-            ratio=self.ratio.at_lines(lines),
-            coherence=self.coherence[lines],
-            averages=self.averages[lines],
+            self, ratio=self.ratio.at_lines(lines), coherence=self.coherence[lines], averages=self.averages[lines]
         )
 
     def between(self, band_hz: tuple[float, float]) -> TransferFunction:

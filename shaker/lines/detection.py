@@ -408,10 +408,7 @@ def decibel(power_ratio: float) -> float:
 
 
 def survey_lines(
-    values: FloatArray | Stacked,
-    rate_hz: float,
-    nominal_hz: Sequence[float] = (),
-    false_alarm: float = FALSE_ALARM,
+    values: FloatArray | Stacked, rate_hz: float, nominal_hz: Sequence[float] = (), false_alarm: float = FALSE_ALARM
 ) -> Survey:
     """Find and name the lines of uniform samples: spectral peaks over the noise floor.
 

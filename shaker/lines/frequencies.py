@@ -50,8 +50,7 @@ _STRANGERS = 3  # other lines named in one notice
 
 @dataclass(frozen=True)
 class LineFrequencies(
-    Arrays,
-    shapes="frequency_hz K; u_frequency_hz K; nominal_hz K; multiple K; why K; nuisance_hz N",
+    Arrays, shapes="frequency_hz K; u_frequency_hz K; nominal_hz K; multiple K; why K; nuisance_hz N"
 ):
     """Lines of a recording in ascending frequency.
 

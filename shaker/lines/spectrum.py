@@ -188,10 +188,7 @@ def hann_kernel(position: float, low: int, high: int, samples: int) -> tuple[Flo
     slope = np.pi * (np.cos(np.pi * distance) - dirichlet * np.cos(np.pi / samples * distance)) / below
     curvature = -(np.pi**2) / 3.0 * (1.0 - 1.0 / samples**2)
     dirichlet[near], slope[near] = 1.0 + curvature / 2.0 * series**2, curvature * series
-    return (
-        dirichlet[1:-1] + 0.5 * (dirichlet[:-2] + dirichlet[2:]),
-        slope[1:-1] + 0.5 * (slope[:-2] + slope[2:]),
-    )
+    return (dirichlet[1:-1] + 0.5 * (dirichlet[:-2] + dirichlet[2:]), slope[1:-1] + 0.5 * (slope[:-2] + slope[2:]))
 
 
 def fit_line(spectrum: ComplexArray, samples: int, start: float, noise: float) -> BinLine:

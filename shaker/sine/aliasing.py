@@ -141,11 +141,7 @@ def condition_number(gram: FloatArray) -> float:
 
 
 def find_aliased_harmonics(
-    frequency_hz: float,
-    fundamentals_hz: Sequence[float],
-    rate_hz: float,
-    resolution_hz: float,
-    max_multiple: int = 20,
+    frequency_hz: float, fundamentals_hz: Sequence[float], rate_hz: float, resolution_hz: float, max_multiple: int = 20
 ) -> tuple[AliasedHarmonic, ...]:
     """Return the harmonics that alias within `resolution_hz` of a line, where they are inseparable."""
     alias = float(alias_frequency(frequency_hz, rate_hz))

@@ -10,13 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from shaker.signal_notices import MISSING_SAMPLES, SPIKES_REJECTED
-from shaker.sine.aliasing import (
-    MAX_CONDITION,
-    alias_frequency,
-    sampling_grid,
-    separation_bins,
-    sine_columns,
-)
+from shaker.sine.aliasing import MAX_CONDITION, alias_frequency, sampling_grid, separation_bins, sine_columns
 from shaker.sine.noise import LineNoise, line_noise
 from shaker.sine.normal_equations import (
     SineSamples,

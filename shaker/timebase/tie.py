@@ -265,11 +265,7 @@ def _from_one_resolved(
 
 
 def _from_intervals(
-    base: TriggerFit,
-    other: TriggerFit,
-    shift: int,
-    begin: tuple[ClockLine, bool],
-    rate: tuple[float, float] | None,
+    base: TriggerFit, other: TriggerFit, shift: int, begin: tuple[ClockLine, bool], rate: tuple[float, float] | None
 ) -> ClockLine:
     """Estimate both lines and the common jitter from the intervals of both records.
 
@@ -442,13 +438,7 @@ def tie_clocks(
     by_start = by_start_times(base, other, start_difference_s)
     notices: tuple[Notice, ...] = ()
     if by_start is not None and by_start != edges:
-        notice = Notice(
-            START_TIMES_DISAGREE,
-            "clock",
-            start_time_edge=by_start,
-            evidence=evidence,
-            used_edge=edges,
-        )
+        notice = Notice(START_TIMES_DISAGREE, "clock", start_time_edge=by_start, evidence=evidence, used_edge=edges)
         notices = (notice,)
     pairs, _, other_index = np.intersect1d(base.number, other.number + edges, return_indices=True)
     # Always from the coarser to the finer record, so that exchanged roles give the same tie.

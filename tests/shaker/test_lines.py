@@ -15,13 +15,7 @@ from shaker.lines import detection
 from shaker.lines.detection import LineOrigin, survey_lines
 from shaker.lines.frequencies import find_lines
 from shaker.lines.peaks import find_peaks
-from shaker.lines.spectrum import (
-    BinPower,
-    amplitude_spectrum,
-    centred_spectrum,
-    hann_window,
-    noise_level,
-)
+from shaker.lines.spectrum import BinPower, amplitude_spectrum, centred_spectrum, hann_window, noise_level
 from shaker.signal_notices import HARMONIC_OUT_OF_REACH, OTHER_LINES
 from shaker.sine.sine_fit import fit_sines
 

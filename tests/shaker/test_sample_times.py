@@ -292,11 +292,7 @@ def test_intervals_of_few_digits(tmp_path, delta, x, digits, given, expected):
 
 
 def test_rows_that_no_header_dates(tmp_path):
-    refused(
-        " 60 .* 100;",
-        read_channels,
-        lvm(tmp_path / "a.lvm", "9.765625E-5", samples=60),
-    )
+    refused(" 60 .* 100;", read_channels, lvm(tmp_path / "a.lvm", "9.765625E-5", samples=60))
     dated = read_channels(lvm(tmp_path / "b.lvm", "9.765625E-5", "One", samples=60))["a"]
     assert (len(dated.samples), dated.sample_rate_hz) == (100, 10240.0)
 

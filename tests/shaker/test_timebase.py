@@ -224,12 +224,7 @@ def test_undecided_shift_is_refused_and_start_times_decide_it():
     assert (tie_clocks(base, other, start_difference_s=0.126).shift, tie_clocks(base, other, shift=3).shift) == (6, 3)
     refused("^shift: ", tie_clocks, base, other, start_difference_s=0.117)
     slow = fit_trigger(find_edges(_pulses(0.1 + 0.03 * np.arange(20), 1e4, 0.8), 1e4))
-    refused(
-        r"^other: .* 0\.02 s, found 0\.0",
-        tie_clocks,
-        replace(base, period_s=0.02),
-        slow,
-    )
+    refused(r"^other: .* 0\.02 s, found 0\.0", tie_clocks, replace(base, period_s=0.02), slow)
 
 
 def test_edges_without_a_period_are_refused():
