@@ -83,7 +83,7 @@ class TransferFunction(Arrays, shapes="coherence K C; averages K; line_correlati
     Attributes
     ----------
     ratio : the C responses over the reference with covariance.
-    coherence : (K, C), as estimated (see `coherence_bias`).
+    coherence : (K, C), as estimated, too large by (1 - γ²)²/n (Bendat and Piersol, Random Data, 4th ed., eq. 9.76).
     estimator : name of the estimator.
     reference : name of the reference.
     averages : (K,), number of independent averages.
@@ -105,11 +105,6 @@ class TransferFunction(Arrays, shapes="coherence K C; averages K; line_correlati
 
     def __repr__(self) -> str:
         return f"TransferFunction({self.estimator} over {self.reference}: {self.ratio})"
-
-    @property
-    def coherence_bias(self) -> FloatArray:
-        """Bias (1 - γ²)²/n of the coherence (Bendat and Piersol, 4th ed., eq. 9.76)."""
-        return np.asarray((1.0 - self.coherence) ** 2 / self.averages[:, None])
 
     def at_lines(self, lines: NDArray[Any]) -> TransferFunction:
         """Return the lines chosen by a mask (K,) or by indices."""

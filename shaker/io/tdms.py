@@ -15,7 +15,6 @@ import struct
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from fractions import Fraction
-from functools import cached_property
 from pathlib import Path
 from typing import Any, BinaryIO
 
@@ -110,30 +109,6 @@ class TimeStatement:
 
 
 @dataclass(frozen=True)
-class TdmsIndex:
-    """Properties of every object by its path (`/'group'/'channel'`), regions of raw values, and time statements."""
-
-    properties: dict[str, dict[str, Any]]
-    regions: tuple[TdmsRegion, ...]
-    dated: dict[str, tuple[TimeStatement, ...]]
-
-    @cached_property
-    def types(self) -> dict[str, np.dtype[Any]]:
-        """Type of the raw values of every channel by its path."""
-        return {entry.path: entry.dtype for region in self.regions for entry in region.fields}
-
-    @cached_property
-    def lengths(self) -> dict[_Key, int]:
-        """Number of values of every channel and raw scale."""
-        lengths: dict[_Key, int] = {}
-        for region in self.regions:
-            for entry in region.fields:
-                key = entry.path, entry.scale
-                lengths[key] = lengths.get(key, 0) + entry.count * region.repeats
-        return lengths
-
-
-@dataclass(frozen=True)
 class _Raw:
     """A channel's part of one chunk: number of values, type (None: texts), bytes, card scales."""
 
@@ -144,59 +119,89 @@ class _Raw:
     widths: tuple[int, ...] = ()
 
 
-def read_index(path: Path, stream: BinaryIO) -> TdmsIndex:
-    """Read the metadata of all segments; `ValueError` for a truncated file."""
-    size = stream.seek(0, 2)
-    properties: dict[str, dict[str, Any]] = {}
-    layouts: dict[str, _Raw] = {}
-    active: dict[str, bool] = {}
-    regions: list[TdmsRegion] = []
-    dated: dict[str, list[TimeStatement]] = {}
-    counts: dict[str, int] = {}
-    position = 0
-    while position < size:
-        stream.seek(position)
-        lead = stream.read(_LEAD)
-        if lead[:4] != b"TDSm":
-            raise ValueError(f"{path}: expected a TDMS segment at byte {position}, found {lead[:4]!r}")
-        if len(lead) < _LEAD:
-            raise _cut_off(path)
-        flags = struct.unpack_from("<L", lead, 4)[0]
-        order = ">" if flags & _BIG_ENDIAN else "<"
-        length, metadata = struct.unpack_from(f"{order}QQ", lead, 12)
-        end, start = position + _LEAD + length, position + _LEAD + metadata
-        if length == _UNENDING or end > size or start > end:
-            raise _cut_off(path)
-        if flags & _METADATA:
-            _read_objects(_Cursor(stream.read(metadata), order), bool(flags & _NEW_LIST), active, layouts, properties)
-        if flags & _RAW:
-            chunk = {name: layouts[name] for name, has_data in active.items() if has_data}
+class TdmsIndex:
+    """Content of a TDMS file without its values; `ValueError` for a truncated file.
+
+    Attributes
+    ----------
+    properties : those of every object by its path (`/'group'/'channel'`).
+    regions : where raw values are.
+    dated : statements of every channel about its time, one for each change during writing.
+    types, lengths : type of the raw values of every channel, and their number of every channel and raw scale.
+    """
+
+    def __init__(self, path: Path, stream: BinaryIO) -> None:
+        self.properties: dict[str, dict[str, Any]] = {}
+        self.regions: list[TdmsRegion] = []
+        self.dated: dict[str, list[TimeStatement]] = {}
+        self.types: dict[str, np.dtype[Any]] = {}
+        self.lengths: dict[_Key, int] = {}
+        self._layouts: dict[str, _Raw] = {}
+        self._active: dict[str, bool] = {}
+        self._counts: dict[str, int] = {}
+        position, size = 0, stream.seek(0, 2)
+        while position < size:
+            stream.seek(position)
+            lead = stream.read(_LEAD)
+            if lead[:4] != b"TDSm":
+                raise ValueError(f"{path}: expected a TDMS segment at byte {position}, found {lead[:4]!r}")
+            if len(lead) < _LEAD:
+                raise _cut_off(path)
+            flags = struct.unpack_from("<L", lead, 4)[0]
+            order = ">" if flags & _BIG_ENDIAN else "<"
+            length, metadata = struct.unpack_from(f"{order}QQ", lead, 12)
+            end, start = position + _LEAD + length, position + _LEAD + metadata
+            if length == _UNENDING or end > size or start > end:
+                raise _cut_off(path)
             if flags & _METADATA:
-                _add_statements(chunk, properties, dated, counts)
-            added = _regions(path, chunk, bool(flags & _INTERLEAVED), start, end - start)
-            for region in added:
-                for entry in region.fields:
-                    counts[entry.path] = counts.get(entry.path, 0) + entry.count * region.repeats
-            regions += added
-        position = end
-    _add_statements(dated, properties, dated, counts)
-    return TdmsIndex(properties, tuple(regions), {name: tuple(statements) for name, statements in dated.items()})
+                self._read_objects(_Cursor(stream.read(metadata), order), bool(flags & _NEW_LIST))
+            if flags & _RAW:
+                chunk = {name: self._layouts[name] for name, has_data in self._active.items() if has_data}
+                if flags & _METADATA:
+                    self._add_statements(chunk)
+                self._add_regions(_regions(path, chunk, bool(flags & _INTERLEAVED), start, end - start))
+            position = end
+        self._add_statements(list(self.dated))
 
+    def _read_objects(self, cursor: _Cursor, new_list: bool) -> None:
+        """Store the objects, raw data and properties of a segment's metadata."""
+        if new_list:
+            self._active.clear()
+        (objects,) = cursor.take("L")
+        for _ in range(objects):
+            path = cursor.text()
+            (kind,) = cursor.take("L")
+            if kind in (_FORMAT_CHANGING, _DIGITAL_LINE):
+                self._layouts[path] = _card_raw(cursor, path, kind)
+            elif kind not in (_NO_DATA, _AS_BEFORE):
+                self._layouts[path] = _raw(cursor)
+            elif kind == _AS_BEFORE and path not in self._layouts:
+                raise ValueError(f"expected the layout of {path}, found none before its first data")
+            self._active[path] = kind != _NO_DATA
+            object_properties = self.properties.setdefault(path, {})
+            for _ in range(cursor.take("L")[0]):
+                name = cursor.text()
+                object_properties[name] = cursor.value(cursor.take("L")[0])
 
-def _add_statements(
-    names: Iterable[str],
-    properties: Mapping[str, dict[str, Any]],
-    dated: dict[str, list[TimeStatement]],
-    counts: Mapping[str, int],
-) -> None:
-    """Add the time statements of channels that have changed since values were last written."""
-    for name in names:
-        stated = TimeStatement.of(counts.get(name, 0), properties.get(name, {}))
-        statements = dated.setdefault(name, [])
-        if not statements or statements[-1].contradicts(stated):
-            statements.append(stated)
-        else:
-            statements[-1] = statements[-1].completed_by(stated)
+    def _add_statements(self, names: Iterable[str]) -> None:
+        """Add the time statements of channels that have changed since values were last written."""
+        for name in names:
+            stated = TimeStatement.of(self._counts.get(name, 0), self.properties.get(name, {}))
+            statements = self.dated.setdefault(name, [])
+            if not statements or statements[-1].contradicts(stated):
+                statements.append(stated)
+            else:
+                statements[-1] = statements[-1].completed_by(stated)
+
+    def _add_regions(self, regions: Sequence[TdmsRegion]) -> None:
+        """Add regions of raw values, and count these."""
+        self.regions += regions
+        for region in regions:
+            for entry in region.fields:
+                key, count = (entry.path, entry.scale), entry.count * region.repeats
+                self.types[entry.path] = entry.dtype
+                self.lengths[key] = self.lengths.get(key, 0) + count
+                self._counts[entry.path] = self._counts.get(entry.path, 0) + count
 
 
 def path_parts(path: str) -> tuple[str, ...]:
@@ -246,31 +251,6 @@ def _number_type(kind: int, order: str) -> np.dtype[Any]:
     if kind not in _NUMBERS:
         raise ValueError(f"expected numbers of a known type, found type 0x{kind:X}")
     return np.dtype(order + _NUMBERS[kind])
-
-
-def _read_objects(
-    cursor: _Cursor,
-    new_list: bool,
-    active: dict[str, bool],
-    layouts: dict[str, _Raw],
-    properties: dict[str, dict[str, Any]],
-) -> None:
-    """Store the objects, raw data and properties of a segment's metadata."""
-    if new_list:
-        active.clear()
-    (objects,) = cursor.take("L")
-    for _ in range(objects):
-        path = cursor.text()
-        (kind,) = cursor.take("L")
-        if kind not in (_NO_DATA, _AS_BEFORE):
-            layouts[path] = _card_raw(cursor, path, kind) if kind in (_FORMAT_CHANGING, _DIGITAL_LINE) else _raw(cursor)
-        elif kind == _AS_BEFORE and path not in layouts:
-            raise ValueError(f"expected the layout of {path}, found none before its first data")
-        active[path] = kind != _NO_DATA
-        object_properties = properties.setdefault(path, {})
-        for _ in range(cursor.take("L")[0]):
-            name = cursor.text()
-            object_properties[name] = cursor.value(cursor.take("L")[0])
 
 
 def _raw(cursor: _Cursor) -> _Raw:
@@ -403,7 +383,7 @@ def read_tdms(path: Path, names: Sequence[str] | None, sample_rate_hz: float | N
     one block.
     """
     with path.open("rb") as stream:
-        index = read_index(path, stream)
+        index = TdmsIndex(path, stream)
         filled = {name for (name, _), length in index.lengths.items() if length}
         series = [name for name, dtype in index.types.items() if dtype.kind in "biuf" and name in filled]
         present = {"/".join(path_parts(name)): name for name in series}

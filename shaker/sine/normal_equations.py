@@ -29,25 +29,6 @@ _ROUNDING = 8.0  # units in the last place by which the times of a uniform grid 
 
 
 @dataclass(frozen=True)
-class UniformTimes:
-    """Times `start_s` + i / `rate_hz`, i < `samples`, without an array of them."""
-
-    start_s: float
-    rate_hz: float
-    samples: int
-
-    def __len__(self) -> int:
-        return self.samples
-
-    def array(self) -> FloatArray:
-        """Return the times (S,) as an array."""
-        return np.asarray(self.start_s + np.arange(self.samples) / self.rate_hz)
-
-
-Times = FloatArray | UniformTimes
-
-
-@dataclass(frozen=True)
 class _Grid:
     """A uniform grid with exact `start_s` and `interval_s`, and the blocks' `centre` samples."""
 
@@ -114,10 +95,8 @@ class Timeline:
         return float(Fraction(frequency_hz) * middle % 1)
 
 
-def timeline(times: Times, used: BoolArray | None) -> Timeline:
+def timeline(times: FloatArray, used: BoolArray | None) -> Timeline:
     """Return the blocks of a record; times that are uniform within rounding become a grid."""
-    if isinstance(times, UniformTimes):
-        return _on_grid(Fraction(times.start_s), 1 / Fraction(times.rate_hz), times.samples)
     grid = _uniform(times) if len(times) > _SHORT_BLOCK else None
     if grid is not None:
         return _on_grid(*grid, len(times))

@@ -14,8 +14,6 @@ from shaker.sine.aliasing import MAX_CONDITION, alias_frequency, sampling_grid, 
 from shaker.sine.noise import LineNoise, line_noise
 from shaker.sine.normal_equations import (
     SineSamples,
-    Times,
-    UniformTimes,
     as_complex,
     check_samples,
     solve_sines,
@@ -43,7 +41,7 @@ _ROUNDING = 1e-15  # of a channel's lines: no residual is more certain
 
 
 def fit_sines(
-    time_s: Times,
+    time_s: FloatArray,
     values: FloatArray | Stacked,
     frequency_hz: FloatArray,
     channels: Sequence[str],
@@ -61,7 +59,7 @@ def fit_sines(
     Parameters
     ----------
     time_s
-        (S,), sampling times in s, or `UniformTimes`.
+        (S,), sampling times in s.
     values
         (S, C), samples of C channels.
     frequency_hz
@@ -120,7 +118,7 @@ def fit_sines(
         return _fit_rows(time_s, samples, frequency_hz, model, names, notices)
     spikes, limit = find_spikes(samples, frequency_hz, model)
     if spikes.any():
-        first_s = _as_array(time_s)[np.argmax(spikes)]
+        first_s = time_s[np.argmax(spikes)]
         count, total = int(np.count_nonzero(spikes)), samples.count
         notices += (Notice(SPIKES_REJECTED, where, spikes=count, samples=total, limit_sigmas=limit, first_s=first_s),)
         samples = samples.drop_rows(spikes)
@@ -129,7 +127,7 @@ def fit_sines(
 
 
 def _fit_rows(
-    time_s: Times,
+    time_s: FloatArray,
     samples: SineSamples,
     frequency_hz: FloatArray,
     model: SineModel,
@@ -149,7 +147,7 @@ def _fit_rows(
     power = left.power - (explained + explained.T) / 2.0
     power += np.diag(np.maximum(0.0, -power.diagonal()))
     factor, whitening = factor_of(power / free)
-    noise = noise_at_lines(samples, columns, left, whitening, _as_array(time_s) if left.residual is not None else None)
+    noise = noise_at_lines(samples, columns, left, whitening, time_s if left.residual is not None else None)
     if noise is None:
         noise = LineNoise(np.ones((lines + 1, channels)), np.full(lines + 1, free))
     best = Estimate(columns, coefficients + change, system, factor, noise.variance, unknown, None)
@@ -206,17 +204,16 @@ def _root(values: FloatArray | Stacked, variance: FloatArray | None, present: Bo
     return np.asarray(root / np.sqrt(np.mean(root[used] ** 2, axis=0)))
 
 
-def _as_array(time_s: Times) -> FloatArray:
-    return time_s.array() if isinstance(time_s, UniformTimes) else time_s
-
-
 def _check_arguments(
-    time_s: Times, values: FloatArray | Stacked, frequency_hz: FloatArray, channels: Sequence[str], unit: Sequence[str]
+    time_s: FloatArray,
+    values: FloatArray | Stacked,
+    frequency_hz: FloatArray,
+    channels: Sequence[str],
+    unit: Sequence[str],
 ) -> None:
-    if not isinstance(time_s, UniformTimes):
-        check_shape("time_s", time_s, (None,))
-        if not np.all(np.isfinite(time_s)):
-            raise ValueError(f"time_s: expected finite times, found {int(np.sum(~np.isfinite(time_s)))} that are not")
+    check_shape("time_s", time_s, (None,))
+    if not np.all(np.isfinite(time_s)):
+        raise ValueError(f"time_s: expected finite times, found {int(np.sum(~np.isfinite(time_s)))} that are not")
     check_shape("values", values, (len(time_s), len(channels)))
     check_shape("frequency_hz", frequency_hz, (None,))
     if len(unit) != len(channels):

@@ -524,14 +524,6 @@ def test_a_peak_too_narrow_for_the_lines_is_reported():
     assert peaks[1] < 0.99 * peaks[0]
 
 
-def test_the_bias_of_coherence_is_that_of_unrelated_channels():
-    rng = np.random.default_rng(8)
-    data = record(rng.standard_normal(SAMPLES), rng.standard_normal(SAMPLES), NOISE_HZ)
-    found = transfer_random(data, 16.0, estimator="H1")
-    assert np.mean(found.coherence) == pytest.approx(1.0 / found.averages[0], rel=0.15)
-    assert np.mean(found.coherence_bias) == pytest.approx(np.mean(found.coherence), rel=0.15)
-
-
 def test_short_records_are_cut_into_segments_and_useless_ones_refused():
     data = record(*PAIR, NOISE_HZ)
     assert transfer_random(data, 0.25, band_hz=NOISE_BAND).estimator == "H1"
