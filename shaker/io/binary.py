@@ -208,15 +208,10 @@ def _sample_times(
 def read_hdf5(path: Path, names: Sequence[str] | None, sample_rate_hz: float | None) -> dict[str, RawChannel]:
     """Read channels by the names of their datasets, in groups as `group/name`.
 
-    A table (S, C) or (C, S) has the channels `name/1`, `name/2`, …. A dataset of records has one channel `name/field`
-    per numeric field. The rate is the attribute `sample_rate` (or `sampling_rate`, `sampling_frequency`, `fs`) of the
-    dataset, of the groups around it, or of the file. A dataset or field `time` next to the channel and of the same
-    length contains the times, in s or in the unit of its attribute `units`. Without rate and `time`, `sample_rate_hz`
-    is used.
-
-    `unit` (or `units`) and `start_time` are searched for in the same places as the rate. Packed numbers are unpacked:
-    times `scale_factor` plus `add_offset` with `_FillValue` as NaN (CF conventions), or times `conversion` plus
-    `offset` (NWB). Memory: the result and one block.
+    A table (S, C) or (C, S) has the channels `name/1`, `name/2`, …, a dataset of records `name/field`. Rate
+    (`sample_rate`, `sampling_rate`, `sampling_frequency`, `fs`), `unit` and `start_time` are attributes of the dataset,
+    of the groups around it, or of the file. A dataset or field `time` next to the channel and as long contains the
+    times, in s or its `units`. Packed numbers are unpacked by CF or NWB conventions. Memory: the result and one block.
     """
     import h5py
 
@@ -314,11 +309,9 @@ class _Unreadable(str):
 def read_matlab(path: Path, names: Sequence[str] | None, sample_rate_hz: float | None) -> dict[str, RawChannel]:
     """Read vectors by name, fields as `struct.field`, and table columns as `name/1`, ….
 
-    The rate is a scalar `sample_rate` (or `fs`, `Fs`) next to the channel, in the structs around it, or in the file. A
-    vector `time` (or `t`) there of the channel's length contains the times, in s or in the unit of a text `time_unit`
-    there. Without rate and times, `sample_rate_hz` is used. Texts `unit` (or `units`) and the scalar `start_time` are
-    searched for in the same places. Cell arrays, arrays of structs and objects (including `timeseries`) are refused by
-    name.
+    Scalars `sample_rate` (or `fs`, `Fs`) and `start_time` and texts `unit` are those next to the channel, in the
+    structs around it, or in the file, and so is a vector `time` (or `t`) of the channel's length, in s or its
+    `time_unit`. Cell arrays, arrays of structs and objects (also `timeseries`) are refused by name.
     """
     with path.open("rb") as stream:
         head = stream.read(520)
@@ -441,9 +434,8 @@ def _classic_leaves(name: str, value: Any) -> Iterator[tuple[str, Any]]:
 def read_wave(path: Path, names: Sequence[str] | None, sample_rate_hz: float | None) -> dict[str, RawChannel]:
     """Read channels by their number, counted from 1, without scaling.
 
-    16- and 32-bit integers keep their values, 24-bit ones are the upper bytes of 32 bits (times 256), and 8-bit ones
-    range from 0 to 255. Floats keep their values. The channel's scale has to convert these into SI units. RIFF, RIFX
-    and RF64 files are read. The file states its sampling rate, which `sample_rate_hz` must not contradict.
+    Integers and floats keep their values; 24 bits are the upper bytes of 32 (times 256), and 8 bits range from 0 to
+    255. RIFF, RIFX and RF64 files are read. `sample_rate_hz` must not contradict the file.
     """
     from scipy.io import wavfile
 

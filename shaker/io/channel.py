@@ -135,12 +135,11 @@ def times_of_stamps(
     digit: float | None = None,
     given_hz: float | None = None,
 ) -> SampleTimes:
-    """Return the times of samples (S,) from stamps: numbers or dates.
+    """Return the times of samples (S,) from stamps: numbers in a time unit, or dates.
 
-    Numbers are in a time unit. Stamps that deviate from a straight line by no more than their digits explain are
-    uniform, at the rate of its slope. All others are used unchanged. `digit` is the last printed digit of a text, in
-    its unit. `given_hz` is a rate from another source. `ValueError` where stamps decrease, where they contradict the
-    given rate, and where their digits are so coarse that a lost sample would be hidden and no rate is given.
+    Stamps that deviate from a straight line by no more than their digits explain are uniform, at the rate of its slope;
+    others are used unchanged. `digit` is the last printed digit of a text, `given_hz` a rate from another source.
+    `ValueError` where stamps decrease or contradict that rate, or are so coarse that a lost sample would be hidden.
     """
     if len(stamps) < 2:
         raise ValueError(f"{path}: {where}: expected at least 2 samples, found {len(stamps)}")

@@ -158,10 +158,9 @@ def converter_step(samples: FloatArray) -> float:
 def find_lost(samples: FloatArray, step: float, period: float) -> Defect | None:
     """Find stretches without a signal of this `period` (samples) in samples (S,).
 
-    A stretch is constant for longer than the signal can be, quiet, or not a number. The longest constant runs in the
-    parts of the record show which length is typical. Such a run may be the crest of a sine between two converter steps
-    or at a limit. Quiet means whole periods with almost no motion. Both begin or end abruptly next to the usual signal,
-    whereas a beat or a decaying motion fades.
+    A stretch is constant for longer than the constant runs that are typical of the record (crests between two steps or
+    at a limit), quiet for whole periods, or not a number. It begins or ends abruptly next to the usual signal, whereas
+    a beat or a decaying motion fades.
     """
     bad = ~np.isfinite(samples)
     values = np.where(bad, np.inf, samples) if bad.any() else samples

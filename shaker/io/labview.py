@@ -60,12 +60,10 @@ class _Part:
 def read_labview(path: Path, names: Sequence[str] | None, sample_rate_hz: float | None) -> dict[str, RawChannel]:
     """Read the channels of a LabVIEW measurement file by their column titles.
 
-    Titles that occur twice get their number (`Force #1`, `Force #2`). The sampling interval is the header's `Delta_X`.
-    An X column that contradicts it takes precedence: such a file was decimated after recording and kept its old header.
-    An interval that is a whole multiple of `Delta_X` is then exactly that multiple. A `Delta_X` of few digits needs an
-    X column or `sample_rate_hz`, which must agree with it. Segments keep their starts (`X0` or the X column, and their
-    time stamps), so that pauses between them are preserved. The `Comment` column and special blocks are skipped.
-    Memory: the result and one block.
+    Titles that occur twice get their number (`Force #1`). The sampling interval is the header's `Delta_X`, or that of
+    an X column which contradicts it: such a file was decimated after recording. A whole multiple of `Delta_X` is then
+    exact. A `Delta_X` of few digits needs an X column or `sample_rate_hz`. Segments keep their starts and pauses. The
+    `Comment` column and special blocks are skipped. Memory: the result and one block.
     """
     with path.open("rb") as stream:
         segments = list(_segments(path, stream))

@@ -134,10 +134,9 @@ def read_dewesoft(
 ) -> dict[str, RawChannel]:
     """Read channels of a Dewesoft file (.dxd, .dxz, .d7d) as physical values.
 
-    Their times are those of the file. The sampling rate of the header is not used, because files exist that were stored
-    at another rate. Dewesoft's library ends the whole program on a damaged file, or never returns. A separate process
-    therefore reads the file. It has 8 s of processor time, or one second for every 2 MB where that is more; intact
-    files need a tenth of it.
+    Times are those of the samples, because files exist whose header states another rate. Dewesoft's library ends the
+    whole program on a damaged file, or never returns. A separate process therefore reads it, with 8 s of processor time
+    or one second for every 2 MB; intact files need a tenth.
     """
     _package(path, "dwdatareader")
     longest_s = max(_LONGEST_S, path.stat().st_size / _SLOWEST)

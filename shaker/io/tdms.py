@@ -375,12 +375,11 @@ class _RawValues:
 def read_tdms(path: Path, names: Sequence[str] | None, sample_rate_hz: float | None) -> dict[str, RawChannel]:
     """Read channels by `group/channel`, or by a channel name that only one group has.
 
-    The interval is `wf_increment`. The start is `wf_start_time` plus `wf_start_offset`, counted from the earliest of
-    the requested channels. Where these change between writes, each write keeps its values: pauses are preserved, and
-    two rates are refused. A channel `time` (numbers in s or in its `unit_string`, or time stamps) of the same group and
-    length gives the times of channels without interval; others must agree with it. Without either, `sample_rate_hz` is
-    used. Scales of the hardware (`NI_Scale`) are applied. Texts and complex numbers are skipped. Memory: the result and
-    one block.
+    The interval is `wf_increment`, the start `wf_start_time` plus `wf_start_offset`, counted from the earliest channel.
+    Where these change between writes, pauses are preserved, and two rates are refused. A channel `time` (numbers in s
+    or its `unit_string`, or stamps) of the same group and length gives the times, or must agree with the interval.
+    Scales of the hardware (`NI_Scale`) are applied. Texts and complex numbers are skipped. Memory: the result and one
+    block.
     """
     with path.open("rb") as stream:
         index = TdmsIndex(path, stream)

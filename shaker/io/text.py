@@ -245,12 +245,10 @@ def read_table(path: Path, names: Sequence[str] | None, sample_rate_hz: float | 
     """Read a text table with a header line; lines that begin with # are remarks.
 
     The delimiter is that of a first line `sep=;`, else the tab, semicolon or comma that splits the header into most
-    cells, else white space. Decimal commas are accepted where the comma is not the delimiter. A row of units may follow
-    the header, or units may be part of it (`Fz [N]`, `Fz (N)`; the channel is also found as `Fz`).
-
-    Times are those of a column `time`, in s or its stated unit (ms, us, ns, min, h), else of `sample_rate_hz`. Times
-    that are uniform within their printed digits get the slope of the straight line through them as their rate. Other
-    times are used as printed. Empty cells and `nan` are NaN. Memory: the result and one block.
+    cells, else white space. Decimal commas are accepted where the comma is no delimiter. Units are in a row below the
+    header or in it (`Fz [N]`, `Fz (N)`; also found as `Fz`). Times are those of a column `time`, in s or its unit.
+    Uniform within their printed digits, they give the slope of the straight line through them as the rate. Empty cells
+    and `nan` are NaN. Memory: the result and one block.
     """
     head = _head(path)
     time = next((i for i, name in enumerate(head.short) if is_time(name)), None)

@@ -440,10 +440,9 @@ def read_universal(path: Path, names: Sequence[str] | None, sample_rate_hz: floa
     """Read the time responses of a universal file.
 
     The name of a channel is its response entity name, else the label of its ordinate, else node and direction (`12+Z`).
-    Names that occur twice get node and direction appended (`Mic 3+X`). If they are still equal, their position in the
-    file is appended (`Mic #2`). The unit of the channel is the ordinate's units label; the time unit is that of the
-    abscissa (s without one). Other data sets are skipped. Text headers have a sampling interval of six digits, so that
-    a clock read from them may be wrong by several parts in 10⁷. The trigger edges correct that.
+    Names that occur twice get node and direction appended, then their position in the file (`Mic #2`). Text headers
+    have a sampling interval of six digits, so that a clock may be wrong by several parts in 10⁷; the trigger edges
+    correct that.
     """
     headers = _headers(path)
     present = {name: item for name, item in _name_functions(headers).items() if item[1].kind == _TIME_RESPONSE}

@@ -327,14 +327,11 @@ def stationarity(
 ) -> Stationarity | None:
     """Fit the lines (K,) to blocks of whole periods and test whether they drift.
 
-    `values` (S, C) are samples at ascending times (S,). The periods are those of the first line's alias, so that a
-    block contains whole beats beyond the Nyquist rate. A record with fewer than two periods is cut into halves. There
-    are at most ten blocks. Phasors of a block are those of a fit of all lines and an offset. Their noise is the density
-    around each line of the residual of the whole record, without the sidebands that a drift makes. The test is that of
-    Fisher for 2(B - 1) real residuals about the weighted mean.
-
-    None where the blocks are too short to separate the lines, or gaps leave fewer than two blocks. Blocks with less
-    than half of their samples are left out, and so are rows with a NaN.
+    `values` (S, C) are samples at ascending times (S,). At most ten blocks have whole periods of the first line's
+    alias; fewer than two periods are cut into halves. Their noise is the density around each line of the residual of
+    the whole record, without the sidebands of a drift. The test is Fisher's for 2(B - 1) real residuals about the
+    weighted mean. None where blocks are too short to separate the lines, or fewer than two have half of their samples;
+    rows with a NaN are left out.
     """
     tiny = np.finfo(np.float64).tiny
     check_shape("time_s", time_s, (None,))
@@ -445,18 +442,16 @@ _TERMS = 30.0  # exponent at which terms of the series end
 
 
 def quantisation_error(fit: SineFit, channel: int, time_s: FloatArray, step: float) -> ComplexArray:
-    """Return the largest relative change of each line (K,) by rounding.
+    """Return the largest relative change of each line (K,) by rounding samples to a `step`.
 
-    Its real and imaginary part are those of the change; samples are rounded to a `step`. Rounding x + noise of standard
-    deviation σ to multiples of q adds, on average over the noise, Σ (-1)^m q/(πm)·exp(-2π²m²σ²/q²)·sin(2πm·x/q). For
-    one sine between two steps that changes its amplitude A by Σ (-1)^m 2q/(πm)·J₁(2πmA/q)·cos(2πm·offset/q) without
-    noise (Widrow and Kollár, Quantization Noise, 2008). Samples that are synchronous with the line add the terms that
-    alias onto it.
+    Real and imaginary part are those of the change. Rounding x + noise of standard deviation σ to multiples of q adds,
+    on average, Σ (-1)^m q/(πm)·exp(-2π²m²σ²/q²)·sin(2πm·x/q). For one sine this changes its amplitude A by Σ (-1)^m
+    2q/(πm)·J₁(2πmA/q)·cos(2πm·offset/q) without noise (Widrow and Kollár, Quantization Noise, 2008); synchronous
+    samples add the terms that alias onto it.
 
-    The sum is evaluated at the sampling times, for all lines together. The largest change over offsets, over amplitudes
-    within a step and over sampling times within an interval is returned, because synchronous samples do not show where
-    between them a step lies. Lines below half a step may be caused by rounding alone. The noise is that around each
-    line, at most the residual, minus the q²/12 that rounding may contribute.
+    The sum is evaluated at the sampling times for all lines together, and is the largest over offsets, amplitudes
+    within a step and sampling times within an interval. Lines below half a step may be caused by rounding alone. The
+    noise is that around each line, at most the residual, minus q²/12.
     """
     phasors, value = fit.phasors, fit.phasors.value[:, channel]
     count = min(len(time_s), _LONGEST, max(_MOST // max(len(value), 1), 256))

@@ -71,16 +71,15 @@ def line_posterior(
 ) -> Posterior:
     """Return the posterior of one line of instants per record.
 
-    The input are intervals (R, E) in R records. Record r has edge e, with jitter ε_e common to all records, at m_r +
-    h_r·position_e + ε_e, which lies in (lower_re, upper_re]. Infinite bounds mark an edge that a record has not seen.
-    Parameters: m_1 h_1 m_2 h_2 …. The likelihood of an edge is Φ(b/σ) - Φ(a/σ) with a the largest lower and b the
-    smallest upper bound minus its line. The jitter is Gaussian with unknown σ, log-uniform above `min_jitter_s`. The
-    posterior tends to the polygon of all intervals as the jitter vanishes and to the paired differences as it grows.
-    `start` need only be roughly right. `slopes` is external information, a further factor of the likelihood.
+    Record r has edge e, with jitter ε_e common to all records, at m_r + h_r·position_e + ε_e in the interval (lower_re,
+    upper_re] (R, E), infinite for an edge that it has not seen. Parameters: m_1 h_1 m_2 h_2 …. The likelihood of an
+    edge is Φ(b/σ) - Φ(a/σ) with a the largest lower and b the smallest upper bound minus its line; σ is unknown,
+    log-uniform above `min_jitter_s`. The posterior tends to the polygon of all intervals as the jitter vanishes and to
+    the paired differences as it grows. `start` need only be roughly right; `slopes` is a further factor of the
+    likelihood.
 
-    The lines are sampled for one jitter after another, from the largest down to where it no longer matters, with
-    smaller steps where the likelihood is steep, and averaged. Lines and jitter together fill a funnel that no Gaussian
-    proposal fits.
+    Lines and jitter together fill a funnel that no Gaussian proposal fits. The lines are therefore sampled for one
+    jitter after another, in smaller steps where the likelihood is steep, and averaged.
     """
     width = upper - lower
     most = 3.0 * start.jitter_s + 0.3 * float(np.median(width[np.isfinite(width)]))

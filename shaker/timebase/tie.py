@@ -184,12 +184,11 @@ class ClockLine(Arrays, shapes="covariance 2 2; noise 2 2"):
 def clock_line(base: TriggerFit, other: TriggerFit, shift: int, rate: tuple[float, float] | None = None) -> ClockLine:
     """Return the line from the other clock to the base clock.
 
-    `shift` is the base edge that is the other's edge 0. The trigger's jitter is the same in both records and cancels in
-    the differences of paired edges; the timing uncertainty from sampling does not. Where both records have intervals,
-    both lines and the common jitter are estimated together. Where one resolves its edges, they replace the period for
-    the other's intervals. Where both do, the differences are fitted. Two separate periodic models are the start, and
-    the result where they are more certain. `rate` is that of the clocks and its standard uncertainty from another
-    source, with which intervals are read.
+    `shift` is the base edge that is the other's edge 0. The trigger's jitter cancels in the differences of paired
+    edges; the uncertainty from sampling does not. Intervals of both records give both lines and the common jitter
+    together, resolved edges of one replace the period for the other's intervals, and those of both are fitted by their
+    differences. Two separate periodic models are the start, and the result where they are more certain. `rate` is that
+    of the clocks with standard uncertainty from another source.
     """
     _, base_index, other_index = np.intersect1d(base.number, other.number + shift, return_indices=True)
     single = _from_models(base, other, shift)
@@ -482,16 +481,13 @@ class EdgeInstants(Arrays, shapes="time_s F; u_time_s F; model_share F"):
 def edge_instants(
     base: TriggerFit, number: IntArray, others: Sequence[tuple[TriggerFit, ClockTie]] = ()
 ) -> EdgeInstants:
-    """Return the instants of the base record's edges `number` (F,).
+    """Return the instants of the base record's edges `number` (F,) from all records.
 
-    All records that show them are used. An edge is the model's time plus a Gaussian deviation of the size of the
-    jitter. Resolved crossings update it as readings with their noise; intervals truncate the remaining distribution.
-    Edges without jitter thus follow the model, and those with much jitter follow their readings. An edge that no record
-    shows keeps the model's time, with the jitter as uncertainty.
-
-    Single edges also reduce the uncertainty of the model, but not where that is common to all of them, or where
-    external information has entered the model. There the jitter alone moves them, less where the shape of a rise may
-    explain all of it.
+    An edge is the model's time plus a Gaussian deviation of the size of the jitter. Resolved crossings update it with
+    their noise; intervals truncate the remaining distribution. An edge that no record shows keeps the model's time,
+    with the jitter as uncertainty. Single edges also reduce the uncertainty of the model, but not where that is common
+    to all of them or external information has entered it. There the jitter alone moves them, less where the shape of a
+    rise may explain all of it.
     """
     records = [(base, base.number, None), *((fit, fit.number + tie.shift, tie) for fit, tie in others)]
     common_error = base.locked or base.known_period_s is not None

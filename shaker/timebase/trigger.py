@@ -76,18 +76,16 @@ def fit_resolved(
 ) -> ResolvedLine:
     """Fit a line to resolved edges, with the shapes of the rises.
 
-    The model is time_s (E,) = m + h·position + e_1(φ_1) - e_2(φ_2) with phases φ (E,) of the crossings. A rise that is
-    not band-limited (a ramp, an exponential) leaves the reconstruction with an error e. It depends only on the phase of
-    the crossing between two samples (the idea is that of the effective point-spread function: Anderson & King, PASP
-    112, 2000). It vanishes where a sample is the crossing, hence e = Σ a_j sin(π j φ). The a_j are Gaussian about 0
-    with a standard deviation that falls as a power of j. Its size and the power are unknown and averaged by the
-    restricted likelihood of the edges (Patterson & Thompson, Biometrika 58, 1971). The covariance thus includes the
-    uncertainty of a shape that few or unevenly spread edges do not determine.
+    The model is time_s (E,) = m + h·position + e_1(φ_1) - e_2(φ_2) with phases φ (E,) of the crossings; the second rise
+    is that of the clock on which `position` counts. A rise that is not band-limited leaves the reconstruction with an
+    error e of the crossing's phase between two samples (as an effective point-spread function: Anderson & King, PASP
+    112, 2000). It vanishes at a sample, hence e = Σ a_j sin(π j φ), a_j Gaussian with a standard deviation that falls
+    as a power of j. Size and power are averaged by the restricted likelihood (Patterson & Thompson, Biometrika 58,
+    1971), so that the covariance includes an undetermined shape.
 
-    A phase is the time read, not the true one: dφ_true/dφ = 1 - e' enters the likelihood. Without this
-    term, the slow drift of edges past the samples would be attributed to the shape. A locked rise is not estimated; the
-    possible effect of RC inputs on the line is in its covariance. The second rise is that of the clock on which
-    `position` counts.
+    A phase is the time read, not the true one: dφ_true/dφ = 1 - e' enters the likelihood, else the slow drift of edges
+    past the samples would be attributed to the shape. A locked rise is not estimated; the possible effect of RC inputs
+    is in the covariance.
     """
     columns = np.column_stack([np.ones_like(position), position])
     inverse = np.linalg.inv(columns.T @ columns)
@@ -453,15 +451,12 @@ def pulse_width(
     edge: Literal["rising", "falling"] = "rising",
     begin_fit: TriggerFit | None = None,
 ) -> PulseWidth:
-    """Measure the width of the pulses that begin with `edge` at `threshold` in samples (S,).
+    """Measure the width of pulses that begin with `edge` at `threshold` in samples.
 
-    `begin_fit` is the fit of their beginnings at another threshold; it is used only if both fits are of kind
-    "sampled" and have the same edges, and otherwise replaced.
-    Default threshold: half height, midway between the medians of the samples of either level. Both flanks follow the
-    same periodic model (`fit_trigger`). The width is the distance of their lines in the middle of the burst, where
-    neither depends on the period. Independent errors are assumed: jitter common to both flanks makes the uncertainty
-    too large, never too small. After an ideal low-pass filter, the ringing of one flank reaches the other with the
-    size sin(πx)/(π²x) at distance x samples. The uncertainty of short pulses includes it.
+    Default threshold: half height. `begin_fit`, the fit of their beginnings at another threshold, is used where both
+    are "sampled" and have the same edges. The width is the distance of both flanks' lines in the middle of the burst,
+    where neither depends on the period. Errors are treated as independent: common jitter makes the uncertainty too
+    large. The ringing of one flank after an ideal low-pass, sin(πx)/(π²x) at x samples, is included for short pulses.
     """
     ends: Literal["rising", "falling"] = "falling" if edge == "rising" else "rising"
     above = samples >= find_edges(samples, sample_rate_hz, threshold, edge).threshold
