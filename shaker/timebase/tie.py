@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from shaker.signal_notices import CONTRADICTORY_CLOCK_RATE, START_TIMES_DISAGREE
-from shaker.timebase.intervals import Posterior, Slopes, line_posterior
+from shaker.timebase.edges import Posterior, Slopes, line_posterior
 from shaker.timebase.trigger import (
     MAX_DISAGREEMENT_SIGMAS,
     MIN_JITTER_SAMPLES,

@@ -18,8 +18,7 @@ from shaker.signal_notices import (
     STRAY_EDGES,
     TRIGGER_JITTER,
 )
-from shaker.timebase.edges import EdgeKind, Edges, find_edges, number_edges
-from shaker.timebase.intervals import Posterior, Slopes, line_posterior
+from shaker.timebase.edges import EdgeKind, Edges, Posterior, Slopes, find_edges, line_posterior, number_edges
 from shakercal._common.arrays import Arrays, FloatArray, IntArray
 from shakercal._common.notices import Notice
 

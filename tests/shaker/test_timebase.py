@@ -22,8 +22,7 @@ from shaker.signal_notices import (
     START_TIMES_DISAGREE,
     STRAY_EDGES,
 )
-from shaker.timebase.edges import Edges, find_edges
-from shaker.timebase.intervals import Posterior, Slopes, line_posterior
+from shaker.timebase.edges import Edges, Posterior, Slopes, find_edges, line_posterior
 from shaker.timebase.tie import ClockTie, decide_shift, edge_instants, tie_clocks
 from shaker.timebase.trigger import TriggerFit, fit_trigger, pulse_width
 
