@@ -100,13 +100,13 @@ class FloorSpectrum:
 
 
 def find_peaks(
-    samples: FloatArray | FloorSpectrum,
+    floored: FloorSpectrum,
     chance: float,
     expected_bins: FloatArray,
     fitted_bins: FloatArray,
     min_amplitude: float = 0.0,
 ) -> Peaks:
-    """Find the lines of samples (S,), where noise alone adds one with probability `chance`.
+    """Find the lines of a spectrum, where noise alone adds one with probability `chance`.
 
     Half of the chance is for peaks anywhere, half for those at `expected_bins` (E,), where less height is enough. Each
     line is fitted and subtracted from the spectrum with its leakage before the floor is estimated again. A line must
@@ -114,7 +114,6 @@ def find_peaks(
     there follows from the square root of the chance, at least, for so few bins. `fitted_bins` (T,) are lines fitted
     already, with these samples as residual. `min_amplitude` is the amplitude below which a peak is rounding.
     """
-    floored = samples if isinstance(samples, FloorSpectrum) else FloorSpectrum(samples)
     state = _Search(floored, fitted_bins, expected_bins, chance, min_amplitude**2)
     for _ in range(_ROUNDS):
         if not state.grow() and not state.grow_expected():

@@ -209,29 +209,22 @@ def differences_hz(frequency_hz: FloatArray) -> FloatArray:
     return np.concatenate([frequency_hz, 2.0 * frequency_hz, f + g, np.abs(f - g)])
 
 
-def nearest_clear_rate(
-    frequency_hz: FloatArray,
-    rate_hz: float,
-    frames: int,
-    *,
-    step_hz: float = _RATE_STEP_HZ,
-    max_change: float = _MAX_CHANGE,
-) -> float | None:
+def nearest_clear_rate(frequency_hz: FloatArray, rate_hz: float, frames: int) -> float | None:
     """Return the rate nearest to `rate_hz` that separates lines (K,) by `CLEAR_BINS`; None without one.
 
-    Only multiples of `step_hz` within `max_change`·`rate_hz` are considered. Two exponentials at a distance F are too
+    Only multiples of 1 mHz within a fifth of `rate_hz` are considered. Two exponentials at a distance F are too
     close where |F/rate - k| < `CLEAR_BINS`/frames for a whole number k, which is an interval of rates. The search moves
     outwards from the present rate and leaves each interval at its far end. It therefore misses no rate and tries few.
     """
-    if not (rate_hz > 0.0 and step_hz > 0.0):
-        raise ValueError(f"rate_hz, step_hz: expected numbers above 0, found {rate_hz} and {step_hz}")
+    if not rate_hz > 0.0:
+        raise ValueError(f"rate_hz: expected a number above 0, found {rate_hz}")
     differences = differences_hz(frequency_hz)
     margin = CLEAR_BINS / frames
-    limits = (rate_hz * (1.0 - max_change), rate_hz * (1.0 + max_change))
+    limits = (rate_hz * (1.0 - _MAX_CHANGE), rate_hz * (1.0 + _MAX_CHANGE))
     found = [
         rate
         for direction, limit in zip((-1, 1), limits, strict=True)
-        if (rate := _clear_rate_towards(differences, margin, rate_hz, step_hz * direction, limit)) is not None
+        if (rate := _clear_rate_towards(differences, margin, rate_hz, _RATE_STEP_HZ * direction, limit)) is not None
     ]
     return min(found, key=lambda rate: abs(rate - rate_hz), default=None)
 

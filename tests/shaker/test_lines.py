@@ -14,7 +14,7 @@ from shaker.io import read_channels
 from shaker.lines import detection
 from shaker.lines.detection import LineOrigin, survey_lines
 from shaker.lines.frequencies import find_lines
-from shaker.lines.peaks import find_peaks
+from shaker.lines.peaks import FloorSpectrum, find_peaks
 from shaker.lines.spectrum import BinPower, amplitude_spectrum, centred_spectrum, hann_window, noise_level
 from shaker.signal_notices import HARMONIC_OUT_OF_REACH, OTHER_LINES
 from shaker.sine.sine_fit import fit_sines
@@ -73,7 +73,9 @@ EXPECTED = np.array([17.3, 34.6, 51.9])
 )
 def test_noise_alone_makes_no_more_lines_than_stated(samples, expected, chance, trials, most, exponent):
     rng = np.random.default_rng(2)
-    found = (find_peaks(_pink(rng, samples, exponent), chance, expected, NO_LINES) for _ in range(trials))
+    found = (
+        find_peaks(FloorSpectrum(_pink(rng, samples, exponent)), chance, expected, NO_LINES) for _ in range(trials)
+    )
     assert sum(len(peaks.bin_position) > 0 for peaks in found) <= most
 
 
