@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from shaker.frf.chain import ratio_unit
 from shaker.signal_notices import NARROW_PEAKS
-from shaker.sine.phasor import Phasors
+from shaker.sine.phasor import Phasors, real_stacked
 from shakercal._common.arrays import Arrays, BoolArray, ComplexArray, FloatArray, check_shape
 from shakercal._common.notices import Notice
 
@@ -124,8 +124,7 @@ class TransferFunction(Arrays, shapes="coherence K C; averages K; line_correlati
 
 def circular_covariance(complex_covariance: ComplexArray) -> FloatArray:
     """Return the covariance (K, 2C, 2C) of circular noise with E[e eᴴ]."""
-    half = 0.5 * complex_covariance
-    return np.asarray(np.block([[half.real, -half.imag], [half.imag, half.real]]))
+    return real_stacked(0.5 * complex_covariance)
 
 
 # Which harmonics a periodic reference excites.

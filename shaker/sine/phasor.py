@@ -104,7 +104,7 @@ class Phasors:
 
     def combined(self, matrix: ComplexArray, channels: Sequence[str], unit: Sequence[str]) -> Phasors:
         """Return D `channels` by complex matrices (K, D, C), with propagated covariance."""
-        jacobian = np.block([[matrix.real, -matrix.imag], [matrix.imag, matrix.real]])
+        jacobian = real_stacked(matrix)
         return replace(
             self,
             value=(matrix @ self.value[..., None])[..., 0],
@@ -125,16 +125,17 @@ def derivative_factor(frequency_hz: FloatArray, order: int) -> ComplexArray:
     return np.asarray(turn * (2.0 * np.pi * np.asarray(frequency_hz, dtype=np.float64)) ** float(order))
 
 
+def real_stacked(matrix: ComplexArray) -> FloatArray:
+    """Return real matrices (…, 2D, 2C) on [all Re, all Im] of complex ones (…, D, C)."""
+    return np.asarray(np.block([[matrix.real, -matrix.imag], [matrix.imag, matrix.real]]))
+
+
 def real_stacked_diagonal(factor: ComplexArray) -> FloatArray:
     """Return the matrices (K, 2C, 2C) that multiply [all Re, all Im] by `factor`."""
     lines, channels = factor.shape
-    matrix = np.zeros((lines, 2 * channels, 2 * channels))
-    diagonal = np.arange(channels)
-    matrix[:, diagonal, diagonal] = factor.real
-    matrix[:, diagonal, diagonal + channels] = -factor.imag
-    matrix[:, diagonal + channels, diagonal] = factor.imag
-    matrix[:, diagonal + channels, diagonal + channels] = factor.real
-    return matrix
+    matrix = np.zeros((lines, channels, channels), dtype=np.complex128)
+    matrix[:, np.arange(channels), np.arange(channels)] = factor
+    return real_stacked(matrix)
 
 
 def stack_phasors(parts: Sequence[Phasors]) -> Phasors:
