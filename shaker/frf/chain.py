@@ -12,7 +12,7 @@ import numpy as np
 from shaker.labels import MOTION_UNITS
 from shaker.lti.roots import pair_conjugates
 from shaker.sine.phasor import derivative_factor
-from shakercal._common.arrays import Arrays, BoolArray, ComplexArray, FloatArray, check_shape, check_shapes
+from shakercal._common.arrays import Arrays, BoolArray, ComplexArray, FloatArray
 
 Numbers = TypeVar("Numbers", FloatArray, ComplexArray)
 FilterKind = Literal["butterworth", "bessel", "resonance"]
@@ -61,7 +61,7 @@ class ChainResponse(Arrays, shapes="value K; causes E; errors E K"):
 
 
 @dataclass(frozen=True)
-class ResponseTable:
+class ResponseTable(Arrays, shapes="frequency_hz N; magnitude N; phase_rad N; u_magnitude N; u_phase_rad N"):
     """A calibrated response at N ascending frequencies: `magnitude` > 0 and `phase_rad`, also whole turns."""
 
     frequency_hz: FloatArray
@@ -71,8 +71,7 @@ class ResponseTable:
     u_phase_rad: FloatArray
 
     def __post_init__(self) -> None:
-        check_shape("frequency_hz", self.frequency_hz, (None,))
-        check_shapes(self, self.frequency_hz.shape, "magnitude", "phase_rad", "u_magnitude", "u_phase_rad")
+        super().__post_init__()
         if len(self.frequency_hz) == 0 or np.any(np.diff(self.frequency_hz) <= 0.0):
             raise ValueError("frequency_hz: expected ascending frequencies, found values that do not ascend")
         if np.any(self.magnitude <= 0.0):
@@ -80,7 +79,7 @@ class ResponseTable:
 
 
 @dataclass(frozen=True)
-class PoleModel:
+class PoleModel(Arrays, shapes="zeros Z; poles P"):
     """Response of zeros, poles, gain and delay.
 
     H(jω) = k·Π(jω − z) / Π(jω − p)·exp(−jωτ), z and p in rad/s, τ = `delay_s`. `gain` is k where `gain_hz` is None,
@@ -94,7 +93,7 @@ class PoleModel:
     delay_s: float = 0.0
 
     def __post_init__(self) -> None:
-        check_shapes(self, (None,), "zeros", "poles")
+        super().__post_init__()
         for name in ("zeros", "poles"):
             pair_conjugates(getattr(self, name), name)
         if np.any(self.poles.real > 0.0):

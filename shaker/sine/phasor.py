@@ -9,11 +9,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from shakercal._common.arrays import ComplexArray, FloatArray, check_shape
+from shakercal._common.arrays import Arrays, ComplexArray, FloatArray, check_shape
 
 
 @dataclass(frozen=True)
-class Phasors:
+class Phasors(Arrays, shapes="frequency_hz K; channels C; value K C; unit C; dof K"):
     """Peak phasors X of x(t) = Re{X exp(+jωt)} with covariance.
 
     X = a - jb for a·cos ωt + b·sin ωt.
@@ -43,13 +43,9 @@ class Phasors:
     dof: FloatArray
 
     def __post_init__(self) -> None:
-        check_shape("frequency_hz", self.frequency_hz, (None,))
-        lines, channels = len(self.frequency_hz), len(self.channels)
-        check_shape("value", self.value, (lines, channels))
+        super().__post_init__()
+        lines, channels = self.value.shape
         check_shape("covariance", self.covariance, (lines, 2 * channels, 2 * channels))
-        check_shape("dof", self.dof, (lines,))
-        if len(self.unit) != channels:
-            raise ValueError(f"unit: expected {channels} units, one per channel, found {len(self.unit)}")
 
     def __repr__(self) -> str:
         lines, names = self.frequency_hz, [f"{c} [{u}]" for c, u in zip(self.channels, self.unit, strict=True)]

@@ -336,7 +336,7 @@ _SAME_PERIOD = 0.01  # relative: clocks differ by less, two triggers by more
 
 
 @dataclass(frozen=True)
-class ClockTie(ClockLine):
+class ClockTie(ClockLine, shapes="covariance 2 2; noise 2 2"):
     """A clock tied to another: t_base = offset_s + rate·t_other.
 
     Both count from their record's first sample.
