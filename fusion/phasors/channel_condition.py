@@ -11,10 +11,10 @@ from fusion.errors import InputError
 from fusion.instruments.channel import NOISE_REACH, ChannelRelativeError
 from fusion.instruments.transducer import chain_name
 from fusion.phasors.phasor_notices import CLIPPED_CHANNEL, COARSE_CONVERTER, REJECTED_SAMPLES, UNUSABLE_CHANNEL
+from shaker.io.channel import Stacked
 from shaker.io.condition import FEWEST_STEPS, Defect, converter_step
 from shaker.sine.sine_fit import quantisation_error
 from shaker.sine.solve import SineFit
-from shaker.stacked import Stacked
 from shakercal._common.arrays import BoolArray, ComplexArray, FloatArray
 from shakercal._common.notices import Notice
 

@@ -25,6 +25,7 @@ from fusion.phasors.phasor_notices import (
 )
 from fusion.phasors.timing import TimeBase, TimingError, combine_timing_errors, lines_not_found_error
 from fusion.recording.response import read_response
+from shaker.io.channel import Stacked
 from shaker.lines.detection import relative_strength, survey_lines
 from shaker.lines.frequencies import LineFrequencies, find_lines
 from shaker.lines.spectrum import Spectrum, amplitude_spectrum
@@ -39,7 +40,6 @@ from shaker.sine.aliasing import (
 from shaker.sine.phasor import Phasors
 from shaker.sine.sine_fit import Stationarity, fit_sines, rows_present, stationarity
 from shaker.sine.solve import SineFit, SineModel
-from shaker.stacked import Stacked
 from shakercal._common.arrays import Arrays, BoolArray, ComplexArray, FloatArray
 from shakercal._common.notices import Notice
 

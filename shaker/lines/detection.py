@@ -9,10 +9,10 @@ from typing import Any, Literal
 
 import numpy as np
 
+from shaker.io.channel import Stacked
 from shaker.lines.peaks import MOST_LINES, FloorSpectrum, Peaks, find_peaks
 from shaker.signal_notices import NO_NOMINAL_LINE, TOO_MANY_LINES
 from shaker.sine.aliasing import CAPTURE, alias_frequency, frequency_of_alias
-from shaker.stacked import Stacked
 from shakercal._common.arrays import Arrays, BoolArray, FloatArray
 from shakercal._common.notices import Notice
 

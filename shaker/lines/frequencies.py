@@ -8,6 +8,7 @@ from typing import Literal
 
 import numpy as np
 
+from shaker.io.channel import Stacked
 from shaker.lines.detection import (
     FALSE_ALARM,
     DetectedLines,
@@ -32,7 +33,6 @@ from shaker.sine.aliasing import (
 )
 from shaker.sine.sine_fit import fit_sines, rows_present
 from shaker.sine.solve import SineFit, SineModel
-from shaker.stacked import Stacked
 from shakercal._common.arrays import Arrays, BoolArray, FloatArray, IntArray, check_shape
 from shakercal._common.notices import Notice
 

@@ -13,7 +13,7 @@ from math import lgamma
 
 import numpy as np
 
-from shaker.stacked import Stacked
+from shaker.io.channel import Stacked
 from shakercal._common.arrays import ComplexArray, FloatArray, IntArray, check_shape
 
 

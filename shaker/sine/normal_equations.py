@@ -16,8 +16,8 @@ from math import factorial
 
 import numpy as np
 
+from shaker.io.channel import Stacked
 from shaker.sine.aliasing import angles, condition_number, sine_columns
-from shaker.stacked import Stacked
 from shakercal._common.arrays import BoolArray, ComplexArray, FloatArray, IntArray, check_shape
 
 # Sampling times of a record, cut into blocks whose phases are exact however long the record is.

@@ -9,6 +9,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import ArrayLike
 
+from shaker.io.channel import Stacked
 from shaker.signal_notices import MISSING_SAMPLES, SPIKES_REJECTED
 from shaker.sine.aliasing import MAX_CONDITION, alias_frequency, sampling_grid, separation_bins, sine_columns
 from shaker.sine.noise import LineNoise, line_noise
@@ -32,7 +33,6 @@ from shaker.sine.solve import (
     phasors_at_zero,
     sum_remainder,
 )
-from shaker.stacked import Stacked
 from shakercal._common.arrays import Arrays, BoolArray, ComplexArray, FloatArray, check_shape
 from shakercal._common.notices import Notice
 

@@ -9,10 +9,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from shaker import fit_sines
+from shaker.io.channel import Stacked
 from shaker.lines.frequencies import find_lines
 from shaker.lines.spectrum import amplitude_spectrum
 from shaker.sine.sine_fit import stationarity
-from shaker.stacked import Stacked
 
 RATE_HZ = 8000.0
 
