@@ -36,11 +36,7 @@ _CLIPPED_RUN = 3  # equal samples in a row at the range's end that indicate an o
 
 @dataclass(frozen=True)
 class Hit:
-    """A pulse: first, last and peak sample, and the reason for rejection.
-
-    First and last sample are above its foot. `rejected` is None for a valid hit. `repeated_after` is the delay of a
-    second pulse in samples.
-    """
+    """A pulse above its foot, why it is rejected, and a second pulse's delay."""
 
     first: int
     last: int

@@ -242,11 +242,7 @@ def share_of_reference(scatter: ComplexArray, ratio: ComplexArray) -> FloatArray
 
 
 def _shape(level: FloatArray, gain: FloatArray) -> FloatArray:
-    """Return A and B·gain (2, K, C) of noise levels by maximum Whittle likelihood.
-
-    The scatter is exponential-like. The multiplicative steps are those of Févotte, Bertin and Durrieu, Neural
-    Computation 21 (2009).
-    """
+    """Return A and B·gain (2, K, C) by Whittle likelihood (Févotte et al. 2009)."""
     tiny = np.finfo(np.float64).tiny ** 0.25
     lines = len(level)
     size = min(_BLOCK, lines)

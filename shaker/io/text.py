@@ -355,10 +355,7 @@ _PLAIN = bytes.maketrans(b",;", b". ")  # decimal comma to point, semicolon to b
 
 @dataclass(frozen=True)
 class VibrometerScan(Arrays, shapes="point_m P 3; samples B P S"):
-    """A scan of P points: `point_m` (P, 3) and `samples` (B blocks, P points, S).
-
-    Points are recorded one after another, each from time zero.
-    """
+    """A scan of P points one after another: `point_m` (P, 3), `samples` (B, P, S)."""
 
     point_m: FloatArray
     samples: FloatArray

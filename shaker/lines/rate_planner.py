@@ -371,11 +371,7 @@ def best_rates(scan: RateScan) -> tuple[float, ...]:
 
 
 def fewest_rates(scans: Sequence[RateScan]) -> tuple[tuple[float, tuple[int, ...]], ...]:
-    """Return a small set of rates that includes a good one per point.
-
-    It is found greedily; points without a good rate are left out. Each rate has the indices of its points. All scans
-    have the same rates.
-    """
+    """Return few rates, found greedily, with the indices of the points that they serve."""
     good = np.array([scan.good for scan in scans])
     penalty = np.array([scan.penalty for scan in scans])
     margin = np.array([scan.margin_bins for scan in scans])

@@ -188,10 +188,7 @@ class Demodulator:
         offsets, inverse_index = np.unique(self.bins - self.centre[:, None], return_inverse=True)
 
         def turns(bins: IntArray) -> ComplexArray:
-            """Return exp(-2πj·j·n/N) of bins (M,) at the block centres.
-
-            j·n mod N is computed in whole numbers, which gives exact phases.
-            """
+            """Return exp(-2πj·j·n/N) of bins (M,) at the block centres, from whole numbers."""
             angle = 2.0 * np.pi * (np.multiply.outer(bins, centre) % samples) / samples
             return np.asarray(np.cos(angle) - 1j * np.sin(angle))
 

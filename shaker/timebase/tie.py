@@ -358,10 +358,7 @@ class ClockTie(ClockLine, shapes="covariance 2 2; noise 2 2"):
     notices: tuple[Notice, ...]
 
     def with_rate(self, rate: float, u_rate: float) -> ClockTie:
-        """Return the tie combined with an independent rate, weighted by variances, about its middle.
-
-        A rate that contradicts the edges is reported and not used.
-        """
+        """Return the tie combined with an independent rate; a contradictory one is reported, not used."""
         both, difference = float(self.covariance[1, 1]) + u_rate**2, rate - self.rate
         if abs(difference) > MAX_DISAGREEMENT_SIGMAS * np.sqrt(both):
             notice = Notice(

@@ -60,10 +60,7 @@ class RisePhases:
 
 @dataclass(frozen=True)
 class ResolvedLine(Arrays, shapes="scatter_covariance 2 2; correction_s E"):
-    """Line through resolved edges, with the edge shifts (E,) by rise shapes.
-
-    `scatter_covariance` (2, 2) is the part of its covariance from the individual scatter of the edges.
-    """
+    """Line through resolved edges, their shifts by rise shapes, covariance of their individual scatter."""
 
     line: Posterior
     scatter_covariance: FloatArray
@@ -392,11 +389,7 @@ def fit_trigger(edges: Edges) -> TriggerFit:
 
 
 def _locked_gap(number: IntArray, period: float, jitter: float) -> float:
-    """Return the widest gap (samples) between the phases of locked edges, 0 for others.
-
-    `number` are the numbered edges (E,). Period and jitter are in samples. Edges are not locked where they have many
-    phases, or where jitter spreads them.
-    """
+    """Return the widest gap (samples) between the phases of locked edges, 0 for others."""
     phase = np.sort(number * period % 1.0)
     gap = float(np.max(np.append(np.diff(phase), phase[0] + 1.0 - phase[-1])))
     return 0.0 if gap <= max(_LOCKED_GAP_SAMPLES, 10.0 / len(number)) or jitter >= _LOCKED_GAP_SAMPLES else gap
