@@ -39,12 +39,12 @@ from fusion.sensitivity.analyse import with_estimates
 from photogram.motion import Deformation, RigidMotion
 from shaker.io.channel import RawChannel
 from shaker.lines.frequencies import LineFrequencies
+from shaker.signal_notices import CONTRADICTORY_PERIOD
 from shaker.sine.sine_fit import fit_sines
 from shaker.sine.solve import SineModel
 from shaker.timebase.edges import find_edges
 from shaker.timebase.tie import tie_clocks
 from shaker.timebase.trigger import TriggerFit, fit_trigger
-from shaker.timebase.trigger_notices import CONTRADICTORY_PERIOD
 
 FloatArray = NDArray[np.float64]
 LINE_HZ, RATE_HZ, FRAMES, WHOLE = 106.25, 25_600.0, 96, 500

@@ -22,7 +22,6 @@ from scipy.linalg import block_diag
 from scipy.optimize import curve_fit
 from scipy.stats import f as f_distribution
 
-from shaker.sine.normal_equations import UniformTimes
 from shaker.sine.sine_fit import fit_sines
 from shaker.sine.solve import SineFit, SineModel
 
@@ -215,7 +214,7 @@ def print_large(seconds: float) -> None:
         f"| {LARGE_RATE_HZ:g} Hz, {seconds:g} s, {LARGE_CHANNELS} channels, 5 lines | s | CPU s | peak memory / data |"
     )
     print("|---|---|---|---|")
-    for way in ("known", "array of times", "unknown", "robust", "lstsq"):
+    for way in ("known", "unknown", "robust", "lstsq"):
         command = [sys.executable, __file__, "--large", way, "--seconds", str(seconds)]
         print(subprocess.run(command, check=True, capture_output=True, text=True).stdout, end="", flush=True)
 
@@ -230,17 +229,15 @@ def large(way: str, seconds: float) -> None:
         last = min(samples, first + (1 << 15))
         line = np.cos(2.0 * np.pi * np.mod(frequency[0] * np.arange(first, last) / LARGE_RATE_HZ, 1.0))
         values[first:last] = line[:, None] + SIGMA * rng.standard_normal((last - first, LARGE_CHANNELS))
-    time_s = UniformTimes(0.0, LARGE_RATE_HZ, samples)
-    written_out = time_s.array() if way in ("array of times", "lstsq") else np.empty(0)
+    time_s = np.arange(samples) / LARGE_RATE_HZ
     begin, worked = time.perf_counter(), time.process_time()
     if way == "lstsq":
-        angle = 2.0 * np.pi * np.multiply.outer(written_out, frequency)
+        angle = 2.0 * np.pi * np.multiply.outer(time_s, frequency)
         np.linalg.lstsq(np.column_stack([np.cos(angle), np.sin(angle), np.ones(samples)]), values, rcond=None)
     else:
         model = SineModel(free=(0,) * 5) if way == "unknown" else SineModel()
         start = frequency * (1.0 + (START_BINS / seconds / frequency[-1] if way == "unknown" else 0.0))
-        times = written_out if way == "array of times" else time_s
-        fit_sines(times, values, start, names, names, model=replace(model, robust=way == "robust"))
+        fit_sines(time_s, values, start, names, names, model=replace(model, robust=way == "robust"))
     spent, worked = time.perf_counter() - begin, time.process_time() - worked
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024.0 / values.nbytes
     name = {"known": "frequencies known", "unknown": "frequencies unknown", "lstsq": "numpy.linalg.lstsq"}.get(way, way)

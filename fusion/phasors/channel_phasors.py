@@ -30,6 +30,7 @@ from fusion.phasors.timing import TimeBase, TimingError, combine_timing_errors, 
 from fusion.recording.placement import chain_name
 from fusion.recording.response import read_response
 from fusion.recording.transducer import HEAD, STATIONARY, TRANSDUCERS
+from shaker.io.channel import Stacked
 from shaker.io.condition import FEWEST_STEPS, Defect, converter_step
 from shaker.lines.detection import relative_strength, survey_lines
 from shaker.lines.frequencies import LineFrequencies, find_lines
@@ -43,10 +44,8 @@ from shaker.sine.aliasing import (
     sampling_grid,
 )
 from shaker.sine.phasor import Phasors
-from shaker.sine.quantisation import quantisation_error
-from shaker.sine.sine_fit import Stationarity, fit_sines, rows_present, stationarity
+from shaker.sine.sine_fit import Stationarity, fit_sines, quantisation_error, rows_present, stationarity
 from shaker.sine.solve import SineFit, SineModel
-from shaker.stacked import Stacked
 from shakercal._common.arrays import Arrays, BoolArray, ComplexArray, FloatArray
 from shakercal._common.notices import Notice
 

@@ -19,13 +19,12 @@ from fusion.recording.daq_records import check_uniform, errors_in_set_up, read_s
 from fusion.recording.load import Manifest
 from fusion.report.terminal import print_text, stdout_console
 from shaker.io import read_channels
-from shaker.io.channel import RawChannel
+from shaker.io.channel import RawChannel, Stacked
 from shaker.lines.detection import Survey, decibel, survey_lines
 from shaker.lines.frequencies import LineFrequencies
 from shaker.lines.spectrum import Spectrum, amplitude_spectrum
 from shaker.sine.aliasing import alias_frequency
 from shaker.sine.sine_fit import fit_sines
-from shaker.stacked import Stacked
 from shakercal._common.arrays import FloatArray
 from shakercal._common.notices import Notice
 

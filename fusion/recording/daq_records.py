@@ -28,9 +28,8 @@ from fusion.recording.recording_notices import (
 from fusion.recording.transducer import TRANSDUCERS
 from fusion.recording.units import in_stated_units
 from shaker.io import read_channels
-from shaker.io.channel import RawChannel
+from shaker.io.channel import RawChannel, Stacked
 from shaker.io.condition import Defect, examine_samples
-from shaker.stacked import Stacked
 from shaker.timebase.edges import find_edges
 from shaker.timebase.trigger import PulseWidth, TriggerFit, fit_trigger, pulse_width
 from shakercal._common.arrays import FloatArray

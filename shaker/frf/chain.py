@@ -5,16 +5,16 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import partial
-from typing import Literal
+from typing import Literal, TypeVar
 
 import numpy as np
 
-from shaker.frf.spline import cubic_spline
 from shaker.labels import MOTION_UNITS
 from shaker.lti.roots import pair_conjugates
 from shaker.sine.phasor import derivative_factor
-from shakercal._common.arrays import BoolArray, ComplexArray, FloatArray, check_shape, check_shapes
+from shakercal._common.arrays import Arrays, BoolArray, ComplexArray, FloatArray
 
+Numbers = TypeVar("Numbers", FloatArray, ComplexArray)
 FilterKind = Literal["butterworth", "bessel", "resonance"]
 PassBand = Literal["lowpass", "highpass"]
 QUANTITIES = ("displacement", "velocity", "acceleration")
@@ -26,7 +26,7 @@ MIN_ERROR_SHARE = 1.0 / 8.0
 
 
 @dataclass(frozen=True)
-class ChainResponse:
+class ChainResponse(Arrays, shapes="value K; causes E; errors E K"):
     """Response of a chain at K lines: true phasor = measured phasor / `value`.
 
     Attributes
@@ -49,10 +49,6 @@ class ChainResponse:
     errors: ComplexArray
     causes: tuple[str, ...]
 
-    def __post_init__(self) -> None:
-        check_shape("value", self.value, (None,))
-        check_shape("errors", self.errors, (len(self.causes), len(self.value)))
-
     @property
     def u_magnitude(self) -> FloatArray:
         """Relative standard uncertainty of the magnitude, (K,)."""
@@ -65,11 +61,8 @@ class ChainResponse:
 
 
 @dataclass(frozen=True)
-class ResponseTable:
-    """A calibrated response at N ascending frequencies: `magnitude` > 0 and `phase_rad`, (N,) each.
-
-    `phase_rad` may include whole turns. `u_magnitude` is in the unit of the magnitude, `u_phase_rad` in rad.
-    """
+class ResponseTable(Arrays, shapes="frequency_hz N; magnitude N; phase_rad N; u_magnitude N; u_phase_rad N"):
+    """A calibrated response at N ascending frequencies: `magnitude` > 0 and `phase_rad`, also whole turns."""
 
     frequency_hz: FloatArray
     magnitude: FloatArray
@@ -78,8 +71,7 @@ class ResponseTable:
     u_phase_rad: FloatArray
 
     def __post_init__(self) -> None:
-        check_shape("frequency_hz", self.frequency_hz, (None,))
-        check_shapes(self, self.frequency_hz.shape, "magnitude", "phase_rad", "u_magnitude", "u_phase_rad")
+        super().__post_init__()
         if len(self.frequency_hz) == 0 or np.any(np.diff(self.frequency_hz) <= 0.0):
             raise ValueError("frequency_hz: expected ascending frequencies, found values that do not ascend")
         if np.any(self.magnitude <= 0.0):
@@ -87,7 +79,7 @@ class ResponseTable:
 
 
 @dataclass(frozen=True)
-class PoleModel:
+class PoleModel(Arrays, shapes="zeros Z; poles P"):
     """Response of zeros, poles, gain and delay.
 
     H(jω) = k·Π(jω − z) / Π(jω − p)·exp(−jωτ), z and p in rad/s, τ = `delay_s`. `gain` is k where `gain_hz` is None,
@@ -101,7 +93,7 @@ class PoleModel:
     delay_s: float = 0.0
 
     def __post_init__(self) -> None:
-        check_shapes(self, (None,), "zeros", "poles")
+        super().__post_init__()
         for name in ("zeros", "poles"):
             pair_conjugates(getattr(self, name), name)
         if np.any(self.poles.real > 0.0):
@@ -145,12 +137,7 @@ def table_response(table: ResponseTable, frequency_hz: FloatArray) -> ChainRespo
 
 
 def pole_response(
-    frequency_hz: FloatArray,
-    model: PoleModel,
-    *,
-    u_gain: float = 0.0,
-    u_frequency: float = 0.0,
-    u_delay_s: float = 0.0,
+    frequency_hz: FloatArray, model: PoleModel, *, u_gain: float = 0.0, u_frequency: float = 0.0, u_delay_s: float = 0.0
 ) -> ChainResponse:
     """Return the response of a pole model at frequencies (K,) in Hz.
 
@@ -235,20 +222,14 @@ def cascade_responses(responses: Sequence[ChainResponse]) -> ChainResponse:
 
 
 def common_covariance(value: ComplexArray, errors: ComplexArray) -> FloatArray:
-    """Return the covariance (K, 2C, 2C) from E independent relative errors.
-
-    The errors (E, K, C) are those of phasors (K, C). Σ_e d_e·d_eᵀ per line, d_e = [Re, Im] of `value`·error_e.
-    """
+    """Return the covariance (K, 2C, 2C) of phasors from E independent relative errors."""
     deviation = value * errors
     stacked = np.concatenate([deviation.real, deviation.imag], axis=-1)
     return np.asarray(np.einsum("eki,ekj->kij", stacked, stacked))
 
 
 def motion_order(unit: str) -> tuple[int, int]:
-    """Return family and derivative order of a unit of `MOTION_UNITS`.
-
-    Other units are refused.
-    """
+    """Return family and derivative order of a unit of `MOTION_UNITS`; others are refused."""
     for family, units in enumerate(MOTION_UNITS):
         if unit in units:
             return family, units.index(unit)
@@ -266,10 +247,7 @@ def ratio_unit(above: str, below: str) -> str:
 
 
 def split_ratio(unit: str) -> tuple[str, str]:
-    """Return the units above and below the last division of a unit by `ratio_unit`.
-
-    The second is empty for a unit that is no ratio.
-    """
+    """Return the units above and below a unit's last division, "" for none."""
     if any(unit in units for units in MOTION_UNITS):
         return unit, ""
     depth = 0
@@ -286,10 +264,7 @@ def _unwrapped(unit: str) -> str:
 
 
 def _product(s: ComplexArray, model: PoleModel) -> ComplexArray:
-    """Return Π(s − z) / Π(s − p) at s (K,).
-
-    It is computed factor by factor to avoid overflow.
-    """
+    """Return Π(s − z)/Π(s − p) at s (K,), without overflow."""
     factors = np.ones((len(s), max(len(model.zeros), len(model.poles))), dtype=np.complex128)
     factors[:, : len(model.zeros)] = s[:, None] - model.zeros
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -311,6 +286,53 @@ def _check_finite(value: np.ndarray, frequency_hz: Sequence[float] | FloatArray)
             f"frequency_hz: expected frequencies other than a zero or a pole, found {frequency_hz[bad[0]]:g} Hz"
         )
     return value
+
+
+def cubic_spline(knots: FloatArray, values: Numbers, position: FloatArray) -> Numbers:
+    """Return the not-a-knot cubic spline through values (N,) at positions; a constant for one knot.
+
+    The digits are those of `scipy.interpolate.CubicSpline`, whose package takes as long to import as a check of a whole
+    recording.
+    """
+    if len(knots) == 1:
+        return np.full(len(position), values[0])
+    step = np.diff(knots)
+    rise = np.diff(values) / step
+    slope = _slopes(knots, step, rise)
+    bend = (slope[:-1] + slope[1:] - 2.0 * rise) / step
+    curve = (rise - slope[:-1]) / step - bend
+    piece = np.clip(np.searchsorted(knots, position, side="right") - 1, 0, len(step) - 1)
+    x = position - knots[piece]
+    return np.asarray(values[piece] + slope[piece] * x + curve[piece] * (x * x) + (bend / step)[piece] * (x * x * x))
+
+
+def _slopes(knots: FloatArray, step: FloatArray, rise: Numbers) -> Numbers:
+    """Return the spline's slopes (N,) at the knots.
+
+    They make its second derivative continuous there, and the third one at the second and the last but one (de Boor
+    2001, A Practical Guide to Splines, chapter IV).
+    """
+    if len(knots) == 2:
+        return np.repeat(rise, 2)
+    inner: FloatArray = 2.0 * (step[:-1] + step[1:])
+    right = np.empty(len(knots), dtype=rise.dtype)
+    right[1:-1] = 3.0 * (step[1:] * rise[:-1] + step[:-1] * rise[1:])
+    if len(knots) == 3:  # both ends state the same: a parabola
+        right[0], right[2] = 2.0 * rise
+        return np.asarray(np.linalg.solve([[1.0, 1.0, 0.0], [step[1], inner[0], step[0]], [0.0, 1.0, 1.0]], right))
+    first, last = knots[2] - knots[0], knots[-1] - knots[-3]
+    right[0] = ((step[0] + 2.0 * first) * step[1] * rise[0] + step[0] ** 2 * rise[1]) / first
+    right[-1] = (step[-1] ** 2 * rise[-2] + (2.0 * last + step[-1]) * step[-2] * rise[-1]) / last
+    # Three diagonals by elimination; as steps are positive, no middle one becomes zero.
+    above, middle, below = [first, *step[:-1]], [step[1], *inner, step[-2]], [*step[1:], last]
+    for i, element in enumerate(below):
+        share = element / middle[i]
+        middle[i + 1] -= share * above[i]
+        right[i + 1] -= share * right[i]
+    right[-1] /= middle[-1]
+    for i in range(len(below) - 1, -1, -1):
+        right[i] = (right[i] - above[i] * right[i + 1]) / middle[i]
+    return right
 
 
 def _interpolation_error(knots: FloatArray, values: ComplexArray, positions: FloatArray) -> ComplexArray:

@@ -7,7 +7,11 @@ from typing import Literal
 
 import numpy as np
 
-from shaker.frf.frf_notices import (
+from shaker.frf.random import EstimatorSelection, Spectra, choose_estimator, estimate_ratio
+from shaker.frf.result import TransferFunction, TransferRecord, circular_covariance, pooled_scatter, share_of_reference
+from shaker.io.condition import runs_of
+from shaker.lines.spectrum import hann_window
+from shaker.signal_notices import (
     ESTIMATOR_FEW_HITS,
     EXPONENTIAL_WINDOW,
     HIT_OVERLOADED,
@@ -16,11 +20,8 @@ from shaker.frf.frf_notices import (
     SINGLE_HIT,
     SINGLE_HIT_WITHOUT_NOISE,
 )
-from shaker.frf.random import EstimatorSelection, Spectra, choose_estimator, estimate_ratio
-from shaker.frf.result import TransferFunction, TransferRecord, circular_covariance, pooled_scatter, share_of_reference
-from shaker.lines.spectrum import hann_window
 from shaker.sine.phasor import Phasors
-from shakercal._common.arrays import BoolArray, ComplexArray, FloatArray, IntArray
+from shakercal._common.arrays import BoolArray, ComplexArray, FloatArray
 from shakercal._common.notices import DeclaredNotice, Notice, Value
 
 # Hits of an impact hammer in a force record: where they are, and which of them count.
@@ -35,11 +36,7 @@ _CLIPPED_RUN = 3  # equal samples in a row at the range's end that indicate an o
 
 @dataclass(frozen=True)
 class Hit:
-    """A pulse: first, last and peak sample, and the reason for rejection.
-
-    First and last sample are above its foot. `rejected` is None for a valid hit. `repeated_after` is the delay of a
-    second pulse in samples.
-    """
+    """A pulse above its foot, why it is rejected, and a second pulse's delay."""
 
     first: int
     last: int
@@ -62,15 +59,15 @@ def find_hits(record: TransferRecord, length: int) -> list[Hit]:
     if not largest > 2.0 * _NOISE_SIGMAS * noise:
         raise ValueError(f"reference: expected a force with hits, found only noise in {record.reference_name}")
     overloaded, hits = _overloads(record), list[Hit]()
-    for around in _runs(force > _HIT_SHARE * largest):
+    for around in runs_of(force > _HIT_SHARE * largest).tolist():
         if not hits or around[0] >= hits[-1].first + length:
-            hits.append(_hit(force, noise, overloaded, around, length))
+            hits.append(_hit(force, noise, overloaded, (around[0], around[1]), length))
     return hits
 
 
 def _hit(force: FloatArray, noise: float, overloaded: BoolArray, around: tuple[int, int], length: int) -> Hit:
-    """Return the pulse around samples low … high, with the reason for its rejection."""
-    peak = around[0] + int(np.argmax(force[around[0] : around[1] + 1]))
+    """Return the pulse in a run of samples, with the reason for its rejection."""
+    peak = around[0] + int(np.argmax(force[around[0] : around[1]]))
     foot = max(_FOOT_SHARE * float(force[peak]), _NOISE_SIGMAS * noise)
     before, after = np.flatnonzero(force[: peak + 1] < foot), np.flatnonzero(force[peak:] < foot)
     first = int(before[-1]) + 1 if len(before) else 0
@@ -86,12 +83,6 @@ def _hit(force: FloatArray, noise: float, overloaded: BoolArray, around: tuple[i
     return Hit(first, last, peak)
 
 
-def _runs(mask: BoolArray) -> list[tuple[int, int]]:
-    """Return first and last index of every run of true samples."""
-    edges: IntArray = np.flatnonzero(np.diff(np.concatenate([[False], mask, [False]]).astype(np.int8)))
-    return [(int(a), int(b) - 1) for a, b in zip(edges[::2], edges[1::2], strict=True)]
-
-
 def _overloads(record: TransferRecord) -> BoolArray:
     """Return the samples (S,) where any channel stays at the end of its range."""
     overloaded = np.zeros(len(record.reference), dtype=np.bool_)
@@ -99,9 +90,9 @@ def _overloads(record: TransferRecord) -> BoolArray:
         rest = float(np.median(samples))
         far = _RANGE_END_SHARE * float(np.max(np.abs(samples - rest)))
         for end in (samples.min(), samples.max()):
-            for low, high in _runs(samples == end) if abs(end - rest) >= far else ():
-                if high - low + 1 >= _CLIPPED_RUN:
-                    overloaded[low : high + 1] = True
+            for low, high in runs_of(samples == end).tolist() if abs(end - rest) >= far else ():
+                if high - low >= _CLIPPED_RUN:
+                    overloaded[low:high] = True
     return overloaded
 
 
@@ -236,10 +227,7 @@ class _Blows:
 
 @dataclass(frozen=True)
 class _BlowLines:
-    """Transforms `value` (n, K, 1 + C) at the excited lines.
-
-    `noise` (K, 1 + C, 1 + C) is that of each line.
-    """
+    """Transforms (n, K, 1 + C) at the excited lines, and noise of each."""
 
     frequency_hz: FloatArray
     value: ComplexArray
@@ -298,10 +286,7 @@ def _required_decay(blows: _Blows) -> float:
 
 
 def _transform_windows(blows: _Blows, decay: float, band_hz: tuple[float, float]) -> _BlowLines:
-    """Return the transforms of the windows at excited lines.
-
-    These are the lines of the band below the first unexcited one.
-    """
+    """Return the windows' transforms at the band's lines below the first unexcited one."""
     length = len(blows.time_s)
     window = np.exp(-decay * blows.time_s)
     seen = blows.samples * window[:, None]

@@ -6,14 +6,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from shaker.frf.frf_notices import (
+from shaker.frf.result import TransferFunction, TransferRecord, circular_covariance, excited_lines, pooled_scatter
+from shaker.signal_notices import (
     EXCITATION_AMPLITUDE_CHANGES,
     NONLINEAR_DISTORTIONS,
     NOT_SETTLED,
     PERIODIC_ESTIMATE,
     RESPONSE_DRIFTS,
 )
-from shaker.frf.result import TransferFunction, TransferRecord, circular_covariance, excited_lines, pooled_scatter
 from shaker.sine.phasor import Phasors
 from shakercal._common.arrays import BoolArray, ComplexArray, FloatArray, IntArray
 from shakercal._common.notices import Notice
@@ -30,10 +30,7 @@ _SAME_PERIOD = 4.0  # standard uncertainties within which a stated period is tak
 
 @dataclass(frozen=True)
 class Periods:
-    """Phasors `value` (M, K, C) of M periods at the harmonics (K,) of 1/period.
-
-    Phases count from each period's begin.
-    """
+    """Phasors (M, K, C) of M periods at harmonics, from each period's begin."""
 
     harmonic: IntArray
     value: ComplexArray
@@ -50,10 +47,7 @@ class Period:
 
 
 def count_periods(length: int, start: float, samples: float) -> int:
-    """Return the number of periods in a record.
-
-    Where samples do not fit, the last period may lack less than half a seam.
-    """
+    """Return the number of periods, of which the last may lack half a seam."""
     slack = 0.0 if _is_whole(samples) and _is_whole(start) else 0.5 * _seam(samples)
     return int(np.floor((length - start + slack) / samples + 1e-12))
 
@@ -199,10 +193,7 @@ _DISTORTION = 3.0  # mean of an unexcited line over its uncertainty, rms, from w
 def period_notices(
     record: TransferRecord, period: Period, lines: Periods, excited: BoolArray, ratio: ComplexArray
 ) -> tuple[Notice, ...]:
-    """Return the notices about the periods of a record.
-
-    `lines.value` (M, K, 1 + C) are phasors, `ratio` (E, C) the transfer function at excited lines.
-    """
+    """Return the notices about periods with phasors (M, K, 1 + C)."""
     rate = record.sample_rate_hz
     frequency = np.asarray(lines.harmonic * (rate / period.samples), dtype=np.float64)
     value = lines.value[:, excited]
@@ -258,10 +249,7 @@ def _limits(frequency: FloatArray) -> dict[str, float]:
 
 
 def _differs(error: ComplexArray, contrast: FloatArray, frequency: FloatArray) -> BoolArray:
-    """Return the lines (K,) in blocks where a contrast over periods is significant.
-
-    The ratio of powers follows F of 2n and 2n(M-2) degrees of freedom.
-    """
+    """Return the lines in blocks where a contrast over periods is significant (Fisher)."""
     from scipy.special import fdtrc
 
     unit = contrast / np.sqrt(contrast @ contrast)
@@ -308,11 +296,7 @@ _HIGHEST = 0.45  # share of the sampling rate up to which lines are taken where 
 
 
 def transfer_periodic(
-    record: TransferRecord,
-    period_s: float,
-    *,
-    settle_periods: int = 0,
-    band_hz: tuple[float, float] | None = None,
+    record: TransferRecord, period_s: float, *, settle_periods: int = 0, band_hz: tuple[float, float] | None = None
 ) -> TransferFunction:
     """Return H = Ȳ/X̄ at the excited harmonics of a periodic excitation (chirp, multisine).
 
@@ -389,10 +373,7 @@ def transfer_periodic(
 
 
 def _ratio(value: ComplexArray, frequency_hz: FloatArray, record: TransferRecord) -> tuple[Phasors, FloatArray]:
-    """Return the ratio of means over periods and its coherence.
-
-    `value` (M, K, 1 + C) are phasors, reference first.
-    """
+    """Return the ratio of means over periods, reference first, and its coherence."""
     count = len(value)
     reference, responses = value[:, :, 0], value[:, :, 1:]
     mean = reference.mean(axis=0)

@@ -7,11 +7,11 @@ from typing import Literal
 
 import numpy as np
 
-from shaker.frf.frf_notices import ESTIMATOR_H1, ESTIMATOR_H2, ESTIMATOR_HV, ESTIMATOR_REQUESTED
 from shaker.frf.result import TransferFunction, TransferRecord, circular_covariance, resolution_notices
 from shaker.lines.spectrum import hann_window
+from shaker.signal_notices import ESTIMATOR_H1, ESTIMATOR_H2, ESTIMATOR_HV, ESTIMATOR_REQUESTED
 from shaker.sine.phasor import Phasors
-from shakercal._common.arrays import ComplexArray, FloatArray, IntArray, check_shape
+from shakercal._common.arrays import Arrays, ComplexArray, FloatArray, IntArray
 from shakercal._common.notices import DeclaredNotice, Notice, Value
 
 _MAX_BIAS = 0.3  # accepted bias of an estimator, in its standard uncertainties
@@ -19,7 +19,7 @@ _MIN_COHERENCE = 0.5  # from which 1 - γ² is about the sum of the two noise-to
 
 
 @dataclass(frozen=True)
-class Spectra:
+class Spectra(Arrays, shapes="power K D D; averages K"):
     """Averaged auto and cross spectra of [reference, responses].
 
     `power` (K, 1 + C, 1 + C) is E[z zᴴ] of the spectra z. `averages` (K,) is the number of independent averages.
@@ -27,10 +27,6 @@ class Spectra:
 
     power: ComplexArray
     averages: FloatArray
-
-    def __post_init__(self) -> None:
-        check_shape("power", self.power, (None, self.power.shape[-1], self.power.shape[-1]))
-        check_shape("averages", self.averages, (len(self.power),))
 
     @property
     def reference(self) -> FloatArray:
@@ -70,10 +66,7 @@ class EstimatorSelection:
 
 
 def ratio_covariance(spectra: Spectra, ratio: ComplexArray, selection: EstimatorSelection) -> FloatArray:
-    """Return the covariance (K, 2C, 2C) of a ratio from `estimate_ratio`.
-
-    The order is [all Re, all Im] of the ratio (K, C).
-    """
+    """Return the covariance (K, 2C, 2C) of a ratio, [all Re, all Im]."""
     power, averages = spectra.power, spectra.averages
     if not np.all(averages > 1.0):
         return np.full((len(ratio), 2 * ratio.shape[1], 2 * ratio.shape[1]), np.nan)
@@ -92,10 +85,7 @@ def ratio_covariance(spectra: Spectra, ratio: ComplexArray, selection: Estimator
 
 
 def estimate_ratio(spectra: Spectra, selection: EstimatorSelection) -> ComplexArray:
-    """Return H (K, C) by the selected estimator.
-
-    Hv minimises |n_x|² + |n_y|²/κ, the noise on reference and response, with the noise ratio κ.
-    """
+    """Return H (K, C); Hv minimises |n_x|² + |n_y|²/κ with the noise ratio κ."""
     cross, reference, responses = spectra.cross, spectra.reference[:, None], spectra.responses
     if selection.estimator == "H1":
         return np.asarray(cross / reference)
@@ -108,10 +98,7 @@ def estimate_ratio(spectra: Spectra, selection: EstimatorSelection) -> ComplexAr
 
 
 def choose_estimator(
-    spectra: Spectra,
-    requested: Literal["auto", "H1", "H2", "Hv"],
-    noise_ratio: float | None,
-    reference_name: str,
+    spectra: Spectra, requested: Literal["auto", "H1", "H2", "Hv"], noise_ratio: float | None, reference_name: str
 ) -> EstimatorSelection:
     """Return the requested estimator, or the first of H1, H2, Hv with a small bias.
 
@@ -246,10 +233,7 @@ def local_spectra(record: TransferRecord, length: int, frequency_hz: FloatArray)
 def _fit_windows(
     transform: ComplexArray, position: FloatArray, first: IntArray, bins: int
 ) -> tuple[ComplexArray, FloatArray, ComplexArray]:
-    """Return `power` and `averages` of the spectra, and bias (K, C), at lines (K,).
-
-    The lines are at bins `position` (K,), not integer. The window of each line begins at bin `first` (K,).
-    """
+    """Return `power`, `averages` and bias at lines in windows from bins `first`."""
     index = first[:, None] + np.arange(bins)
     basis = ((index - position[:, None]) / (0.5 * bins))[:, :, None] ** np.arange(_ORDER + 1)
     reference, responses = transform[index, :1], transform[index, 1:]

@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from shaker.frf.chain import ratio_unit
-from shaker.frf.frf_notices import NARROW_PEAKS
-from shaker.sine.phasor import Phasors
-from shakercal._common.arrays import BoolArray, ComplexArray, FloatArray, check_shape
+from shaker.signal_notices import NARROW_PEAKS
+from shaker.sine.phasor import Phasors, real_stacked
+from shakercal._common.arrays import Arrays, BoolArray, ComplexArray, FloatArray, check_shape
 from shakercal._common.notices import Notice
 
 # Input and result of the estimate of a transfer function.
@@ -77,13 +77,13 @@ class TransferRecord:
 
 
 @dataclass(frozen=True)
-class TransferFunction:
+class TransferFunction(Arrays, shapes="coherence K C; averages K; line_correlation D"):
     """Responses over a reference at K lines, H = Y/X.
 
     Attributes
     ----------
     ratio : the C responses over the reference with covariance.
-    coherence : (K, C), as estimated (see `coherence_bias`).
+    coherence : (K, C), as estimated, too large by (1 - γ²)²/n (Bendat and Piersol, Random Data, 4th ed., eq. 9.76).
     estimator : name of the estimator.
     reference : name of the reference.
     averages : (K,), number of independent averages.
@@ -103,30 +103,13 @@ class TransferFunction:
     notices: tuple[Notice, ...] = ()
     added_decay_per_s: float = 0.0
 
-    def __post_init__(self) -> None:
-        lines, channels = self.ratio.value.shape
-        check_shape("coherence", self.coherence, (lines, channels))
-        check_shape("averages", self.averages, (lines,))
-        check_shape("line_correlation", self.line_correlation, (None,))
-
     def __repr__(self) -> str:
         return f"TransferFunction({self.estimator} over {self.reference}: {self.ratio})"
-
-    @property
-    def coherence_bias(self) -> FloatArray:
-        """Bias (1 - γ²)²/n of the estimated coherence, (K, C).
-
-        Bendat and Piersol, Random Data, 4th ed., eq. 9.76.
-        """
-        return np.asarray((1.0 - self.coherence) ** 2 / self.averages[:, None])
 
     def at_lines(self, lines: NDArray[Any]) -> TransferFunction:
         """Return the lines chosen by a mask (K,) or by indices."""
         return replace(
-            self,
-            ratio=self.ratio.at_lines(lines),
-            coherence=self.coherence[lines],
-            averages=self.averages[lines],
+            self, ratio=self.ratio.at_lines(lines), coherence=self.coherence[lines], averages=self.averages[lines]
         )
 
     def between(self, band_hz: tuple[float, float]) -> TransferFunction:
@@ -140,12 +123,8 @@ class TransferFunction:
 
 
 def circular_covariance(complex_covariance: ComplexArray) -> FloatArray:
-    """Return the real covariance (K, 2C, 2C) of circular complex noise.
-
-    It is that of [all Re, all Im]; the input is E[e eᴴ] (K, C, C).
-    """
-    half = 0.5 * complex_covariance
-    return np.asarray(np.block([[half.real, -half.imag], [half.imag, half.real]]))
+    """Return the covariance (K, 2C, 2C) of circular noise with E[e eᴴ]."""
+    return real_stacked(0.5 * complex_covariance)
 
 
 # Which harmonics a periodic reference excites.
@@ -193,10 +172,7 @@ _CERTAIN = 0.1  # relative uncertainty of |H| from which a peak may be noise
 def resolution_notices(
     frequency_hz: FloatArray, ratio: ComplexArray, u_ratio: FloatArray, name: str, cause: str
 ) -> list[Notice]:
-    """Return a notice of peaks of |H| narrower than the line spacing allows.
-
-    `u_ratio` (K,) is the uncertainty of |H|. `cause` names the effect that lowers and widens such peaks.
-    """
+    """Return a notice of peaks of |H| narrower than the line spacing allows."""
     from scipy.signal import find_peaks, peak_widths
 
     magnitude = np.abs(ratio)
@@ -259,21 +235,14 @@ def pooled_scatter(scatter: ComplexArray, ratio: ComplexArray, dof: float) -> tu
 
 
 def share_of_reference(scatter: ComplexArray, ratio: ComplexArray) -> FloatArray:
-    """Return the share (K, C) of noise proportional to |H|².
-
-    The noise is that of y - Hx. The shape is that of `pooled_scatter`.
-    """
+    """Return the share (K, C) of the noise proportional to |H|², by `pooled_scatter`."""
     level, gain = np.einsum("kcc->kc", scatter).real, np.abs(ratio) ** 2
     flat, through = _shape(level, gain)
     return np.asarray(through / (flat + through))
 
 
 def _shape(level: FloatArray, gain: FloatArray) -> FloatArray:
-    """Return A and B·gain (2, K, C) of noise levels by maximum Whittle likelihood.
-
-    The scatter is exponential-like. The multiplicative steps are those of Févotte, Bertin and Durrieu, Neural
-    Computation 21 (2009).
-    """
+    """Return A and B·gain (2, K, C) by Whittle likelihood (Févotte et al. 2009)."""
     tiny = np.finfo(np.float64).tiny ** 0.25
     lines = len(level)
     size = min(_BLOCK, lines)
@@ -293,10 +262,7 @@ def _shape(level: FloatArray, gain: FloatArray) -> FloatArray:
 
 
 def _outlying(level: FloatArray, dof: float) -> BoolArray:
-    """Return which lines are noisier than common noise allows.
-
-    `level` (K, C) is examined in every channel.
-    """
+    """Return which lines are noisier, in any channel, than common noise allows."""
     from scipy.ndimage import median_filter
     from scipy.special import chdtri
 

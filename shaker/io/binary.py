@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import math
 import re
 import warnings
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -13,19 +14,21 @@ import numpy as np
 from numpy.typing import NDArray
 
 from shaker.io.channel import (
+    BLOCK,
     MAX_NESTING,
-    DatasetColumn,
+    MOST_CHANNELS,
     RawChannel,
+    SampleTimes,
+    agreed_rate,
     as_sample_array,
-    check_stored,
-    columns_of,
+    check_inside,
+    check_size,
     is_time,
     max_sample_bytes,
     open_hdf5,
-    read_datasets,
     select_names,
+    times_of_stamps,
 )
-from shaker.io.times import SampleTimes, agreed_rate, times_of_stamps
 from shakercal._common.arrays import FloatArray
 from shakercal._common.mat5 import check_mat5
 
@@ -34,14 +37,100 @@ _MATLAB_RATES = ("sample_rate", "fs", "Fs")
 _STARTS, _UNITS = ("start_time",), ("unit", "units")
 _TIMES = ("time", "Time", "t")
 _TIME_UNITS = ("time_unit", "time_units")
-_ASSUMED_UNITS, _UNIT_TOLERANCE = (
-    {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9},
-    0.01,
-)  # units of times that state none, by the rate
+# Units of times that state none, by the rate.
+_ASSUMED_UNITS, _UNIT_TOLERANCE = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}, 0.01
 _CF_PACKING = ("scale_factor", "add_offset", "_FillValue")
 _NWB_PACKING = ("conversion", "offset", "_FillValue")
 _LONGEST_TEXT = 1 << 20  # letters
 _MOST_ARRAYS = 250_000  # of a MATLAB file
+
+
+# Channels in arrays of numbers, in memory or in an HDF5 file: vectors, tables, records.
+
+_NUMBERS = "biuf"
+_SLENDER = 4  # a table has at least that many times more samples than channels; others are pictures or matrices
+
+
+@dataclass(frozen=True)
+class DatasetColumn:
+    """Position of a channel's `length` samples: along `axis` at `index`, or in a `field`."""
+
+    dataset: str
+    length: int
+    axis: int = 0
+    index: int | None = None
+    field: str | None = None
+
+
+def columns_of(name: str, dataset: Any) -> dict[str, DatasetColumn]:
+    """Return the channels of a dataset by name, empty where it contains no numeric series.
+
+    A table (S, C) or (C, S) has the channels `name/1`, `name/2`, … across its longer side, a dataset of records
+    `name/field`. A vector is one channel, and so is a table of one row or column.
+    """
+    if getattr(dataset, "shape", None) is None or dataset.size < 1 or dataset.ndim > 2:
+        return {}
+    if dataset.dtype.names and dataset.ndim == 1:
+        fields = [field for field in dataset.dtype.names if dataset.dtype[field].kind in _NUMBERS]
+        return {f"{name}/{field}": DatasetColumn(name, dataset.size, field=field) for field in fields}
+    if dataset.dtype.kind in _NUMBERS and dataset.ndim == 1:
+        return {name: DatasetColumn(name, dataset.size)}
+    count, length = min(dataset.shape, default=0), max(dataset.shape, default=0)
+    if dataset.dtype.kind not in _NUMBERS or length == count or (count > 1 and length < _SLENDER * count):
+        return {}
+    if count > MOST_CHANNELS:
+        return {}
+    axis = dataset.shape.index(length)
+    return {f"{name}/{i + 1}" if count > 1 else name: DatasetColumn(name, length, axis, i) for i in range(count)}
+
+
+def check_stored(path: Path, name: str, dataset: Any) -> None:
+    """Refuse an HDF5 dataset without samples in its file; arrays in memory pass."""
+    if not hasattr(dataset, "is_virtual"):
+        return  # an array in memory
+    check_inside(path, name, dataset)
+    if dataset.size and not dataset.id.get_storage_size():
+        raise ValueError(f'{path}: dataset "{name}": expected stored samples, found none')
+    if dataset.chunks:
+        check_size(path, f'dataset "{name}", a chunk', math.prod(dataset.chunks) * dataset.dtype.itemsize)
+
+
+def read_datasets(
+    path: Path, datasets: Mapping[str, Any], requested: Mapping[str, DatasetColumn], exact: Collection[str] = ()
+) -> dict[str, NDArray[Any]]:
+    """Return the samples of channels as float64, those of `exact` names as stored."""
+    total = 0
+    for name in {column.dataset for column in requested.values()}:
+        check_stored(path, name, datasets[name])
+    for name, column in requested.items():
+        total += 8 * column.length
+        check_size(path, f'channel "{name}"', total)
+    results: dict[str, NDArray[Any]] = {}
+    for name in dict.fromkeys(column.dataset for column in requested.values()):
+        columns = {key: column for key, column in requested.items() if column.dataset == name}
+        dataset, first_column = datasets[name], next(iter(columns.values()))
+        length, axis = first_column.length, first_column.axis
+        for key, column in columns.items():
+            stored = dataset.dtype if column.field is None else dataset.dtype[column.field]
+            results[key] = np.empty(length, stored.newbyteorder("=") if key in exact else np.float64)
+        chunks = getattr(dataset, "chunks", None)
+        chunk = chunks[axis] if chunks else 1
+        item = dataset.dtype.itemsize * dataset.size // length
+        rows = max(chunk, BLOCK // item // chunk * chunk)
+        for first in range(0, length, rows):
+            part = slice(first, min(first + rows, length))
+            block = np.asarray(dataset[part] if axis == 0 else dataset[:, part])
+            for key, column in columns.items():
+                if column.field is not None:
+                    results[key][part] = block[column.field]
+                elif column.index is None:
+                    results[key][part] = block
+                else:
+                    results[key][part] = block[:, column.index] if axis == 0 else block[column.index]
+    return results
+
+
+# Channels with the statements of their file.
 
 
 @dataclass(frozen=True)
@@ -60,10 +149,7 @@ class _Packing:
 
 @dataclass(frozen=True)
 class _Stated:
-    """Statements of a file about a channel.
-
-    `times` is the name of the vector of times, `time_unit` its unit; the packings are those of samples and times.
-    """
+    """Statements of a file about a channel; `times` names the vector of its times."""
 
     rate: float | None
     start: float | None
@@ -122,15 +208,10 @@ def _sample_times(
 def read_hdf5(path: Path, names: Sequence[str] | None, sample_rate_hz: float | None) -> dict[str, RawChannel]:
     """Read channels by the names of their datasets, in groups as `group/name`.
 
-    A table (S, C) or (C, S) has the channels `name/1`, `name/2`, …. A dataset of records has one channel `name/field`
-    per numeric field. The rate is the attribute `sample_rate` (or `sampling_rate`, `sampling_frequency`, `fs`) of the
-    dataset, of the groups around it, or of the file. A dataset or field `time` next to the channel and of the same
-    length contains the times, in s or in the unit of its attribute `units`. Without rate and `time`, `sample_rate_hz`
-    is used.
-
-    `unit` (or `units`) and `start_time` are searched for in the same places as the rate. Packed numbers are unpacked:
-    times `scale_factor` plus `add_offset` with `_FillValue` as NaN (CF conventions), or times `conversion` plus
-    `offset` (NWB). Memory: the result and one block.
+    A table (S, C) or (C, S) has the channels `name/1`, `name/2`, …, a dataset of records `name/field`. Rate
+    (`sample_rate`, `sampling_rate`, `sampling_frequency`, `fs`), `unit` and `start_time` are attributes of the dataset,
+    of the groups around it, or of the file. A dataset or field `time` next to the channel and as long contains the
+    times, in s or its `units`. Packed numbers are unpacked by CF or NWB conventions. Memory: the result and one block.
     """
     import h5py
 
@@ -228,11 +309,9 @@ class _Unreadable(str):
 def read_matlab(path: Path, names: Sequence[str] | None, sample_rate_hz: float | None) -> dict[str, RawChannel]:
     """Read vectors by name, fields as `struct.field`, and table columns as `name/1`, ….
 
-    The rate is a scalar `sample_rate` (or `fs`, `Fs`) next to the channel, in the structs around it, or in the file. A
-    vector `time` (or `t`) there of the channel's length contains the times, in s or in the unit of a text `time_unit`
-    there. Without rate and times, `sample_rate_hz` is used. Texts `unit` (or `units`) and the scalar `start_time` are
-    searched for in the same places. Cell arrays, arrays of structs and objects (including `timeseries`) are refused by
-    name.
+    Scalars `sample_rate` (or `fs`, `Fs`) and `start_time` and texts `unit` are those next to the channel, in the
+    structs around it, or in the file, and so is a vector `time` (or `t`) of the channel's length, in s or its
+    `time_unit`. Cell arrays, arrays of structs and objects (also `timeseries`) are refused by name.
     """
     with path.open("rb") as stream:
         head = stream.read(520)
@@ -355,9 +434,8 @@ def _classic_leaves(name: str, value: Any) -> Iterator[tuple[str, Any]]:
 def read_wave(path: Path, names: Sequence[str] | None, sample_rate_hz: float | None) -> dict[str, RawChannel]:
     """Read channels by their number, counted from 1, without scaling.
 
-    16- and 32-bit integers keep their values, 24-bit ones are the upper bytes of 32 bits (times 256), and 8-bit ones
-    range from 0 to 255. Floats keep their values. The channel's scale has to convert these into SI units. RIFF, RIFX
-    and RF64 files are read. The file states its sampling rate, which `sample_rate_hz` must not contradict.
+    Integers and floats keep their values; 24 bits are the upper bytes of 32 (times 256), and 8 bits range from 0 to
+    255. RIFF, RIFX and RF64 files are read. `sample_rate_hz` must not contradict the file.
     """
     from scipy.io import wavfile
 

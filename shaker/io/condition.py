@@ -22,11 +22,8 @@ _SHORTEST = 8  # samples of a stretch that counts as lost
 _QUIET, _USUAL = 0.02, 0.9  # of the range that nine in ten periods do not exceed: less is no signal
 _BLOCKS = 32  # parts of a record in which the longest constant run is typical
 _FEWEST = 8  # samples at a limit
-_BEYOND = (
-    0.0,
-    5e-4,
-    1e-2,
-)  # shares of all samples that may lie beyond a limit: none, spikes, noise added later
+# Shares of all samples that may lie beyond a limit: none, spikes, noise added later.
+_BEYOND = (0.0, 5e-4, 1e-2)
 _CURVED = 25.0  # times the range and the square of such a share: ten times the depth of a sine's crest of this share
 _WIDEST = 0.03  # of the range: how far samples at one limit may differ
 _CLIPPED_RATIO = 4.0 / 3.0  # samples within eight widths of a limit over those within one
@@ -44,7 +41,7 @@ _NAMED = 3  # stretches named
 
 
 @dataclass(frozen=True, repr=False)
-class Defect(Arrays):
+class Defect(Arrays, shapes="spans N 2"):
     """A defect in the samples of a channel.
 
     Attributes
@@ -62,9 +59,6 @@ class Defect(Arrays):
     levels: tuple[float, ...] = ()
     step: float = 0.0
     steps: float = np.inf
-
-    def __post_init__(self) -> None:
-        check_shape("spans", self.spans, (None, 2))
 
     @property
     def count(self) -> int:
@@ -125,13 +119,13 @@ def examine_samples(
         reach = (samples <= low) | (samples >= high)
         for defect in found:
             reach &= ~defect.mask(len(samples))
-        found.append(Defect("clipped", _spans(reach), (low, high), step))
+        found.append(Defect("clipped", runs_of(reach), (low, high), step))
     if amplitude is not None and step > 0.0 and amplitude < FEWEST_STEPS * step:
         found.append(Defect("steps", np.zeros((0, 2), dtype=np.int64), (), step, amplitude / step))
     return found
 
 
-def _spans(chosen: BoolArray) -> IntArray:
+def runs_of(chosen: BoolArray) -> IntArray:
     """Return first and last + 1 (N, 2) of each run of true values (S,)."""
     edges = np.flatnonzero(np.diff(np.concatenate([[False], chosen, [False]]).astype(np.int8)))
     return np.asarray(edges.reshape(-1, 2), dtype=np.int64)
@@ -141,10 +135,7 @@ def _spans(chosen: BoolArray) -> IntArray:
 
 
 def converter_step(samples: FloatArray) -> float:
-    """Return the step between neighbouring values of samples (S,); 0 where none is visible.
-
-    It is the smallest difference between distinct values, of which all other differences are multiples.
-    """
+    """Return the step that divides all differences of samples (S,); 0 without one."""
     excerpt = samples[:_EXCERPT]
     excerpt = excerpt[np.isfinite(excerpt)]
     off = np.abs(excerpt - np.median(excerpt)) if len(excerpt) else excerpt
@@ -167,10 +158,9 @@ def converter_step(samples: FloatArray) -> float:
 def find_lost(samples: FloatArray, step: float, period: float) -> Defect | None:
     """Find stretches without a signal of this `period` (samples) in samples (S,).
 
-    A stretch is constant for longer than the signal can be, quiet, or not a number. The longest constant runs in the
-    parts of the record show which length is typical. Such a run may be the crest of a sine between two converter steps
-    or at a limit. Quiet means whole periods with almost no motion. Both begin or end abruptly next to the usual signal,
-    whereas a beat or a decaying motion fades.
+    A stretch is constant for longer than the constant runs that are typical of the record (crests between two steps or
+    at a limit), quiet for whole periods, or not a number. It begins or ends abruptly next to the usual signal, whereas
+    a beat or a decaying motion fades.
     """
     bad = ~np.isfinite(samples)
     values = np.where(bad, np.inf, samples) if bad.any() else samples
@@ -185,7 +175,7 @@ def find_lost(samples: FloatArray, step: float, period: float) -> Defect | None:
     reach = max(int(np.ceil(period)), _SHORTEST)
     swing = _swings(samples[: len(samples) // reach * reach].reshape(-1, reach))
     usual = float(np.nanquantile(swing, _USUAL)) if np.isfinite(swing).any() else 0.0
-    quiet = _spans(swing < _QUIET * usual)
+    quiet = runs_of(swing < _QUIET * usual)
     quiet = reach * quiet[quiet[:, 1] - quiet[:, 0] > 1]
     lost = bad.copy()
     for first, last in _interruptions(samples, constant, reach, 0.5 * usual if step > 0.0 else -1.0):
@@ -194,7 +184,7 @@ def find_lost(samples: FloatArray, step: float, period: float) -> Defect | None:
         lost[first:last] = True
     if not lost.any():
         return None
-    spans = _spans(lost)
+    spans = runs_of(lost)
     return Defect("lost", spans, tuple(float(v) for v in np.unique(values[spans[:, 0]])[:_NAMED]), step)
 
 
@@ -229,9 +219,8 @@ def clip_levels(samples: FloatArray, step: float, *, resting: bool = False) -> t
     if len(samples) < 2 * _FEWEST or np.ptp(samples) == 0.0:
         return -np.inf, np.inf
     high, low = (_clipping_level(signal, step, resting) for signal in (samples, -samples))
-    return (
-        (-low, high) if -low < high else (-np.inf, np.inf)
-    )  # one level: the resting level of the signal between its peaks
+    # One level is the resting level of the signal between its peaks.
+    return (-low, high) if -low < high else (-np.inf, np.inf)
 
 
 def cut_run(samples: FloatArray, resolution: float, noise: float) -> int:
@@ -240,7 +229,7 @@ def cut_run(samples: FloatArray, resolution: float, noise: float) -> int:
     The top of a wave of resolution q falls by 9q at most within the length of the run on either side. A clipped one
     falls by more.
     """
-    top = _spans(samples >= samples.max() - 0.25 * resolution)
+    top = runs_of(samples >= samples.max() - 0.25 * resolution)
     for start, end in top.tolist():
         length = end - start
         if length >= _RUN and start - length >= 0 and end + length <= len(samples):
@@ -271,15 +260,12 @@ def _clipping_level(samples: FloatArray, step: float, resting: bool) -> float:
 
 
 def _is_limit(samples: FloatArray, near: BoolArray, where: tuple[float, float, float], resting: bool) -> bool:
-    """Return whether the samples `near` a top are clipped there.
-
-    `where` is the top, the width below it, and the width of equal samples.
-    """
+    """Return whether the samples `near` a top are clipped; `where`: it and two widths."""
     top, width, exact = where
-    count, spans = int(np.count_nonzero(near)), _spans(near)
+    count, spans = int(np.count_nonzero(near)), runs_of(near)
     length = spans[:, 1] - spans[:, 0]
     if resting:
-        visits = _spans(samples > top - _CROWDED[0][0] * width)
+        visits = runs_of(samples > top - _CROWDED[0][0] * width)
         if len(spans) < 3 or np.max(visits[:, 1] - visits[:, 0]) > _RESTS * len(near):
             return False
     within = [int(np.count_nonzero(samples > top - widths * width)) for widths, _, _ in _CROWDED]

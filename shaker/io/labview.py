@@ -12,9 +12,17 @@ from typing import BinaryIO
 
 import numpy as np
 
-from shaker.io.channel import MOST_CHANNELS, RawChannel, select_names
+from shaker.io.channel import (
+    MOST_CHANNELS,
+    RawChannel,
+    SampleTimes,
+    Segment,
+    agreed_rate,
+    select_names,
+    times_of_segments,
+    times_of_stamps,
+)
 from shaker.io.text import TextLayout, decode_text, digit_of, find_bytes, last_digit, read_columns, whole_lines
-from shaker.io.times import SampleTimes, Segment, agreed_rate, times_of_segments, times_of_stamps
 from shakercal._common.arrays import FloatArray
 
 _END, _CHANNELS = b"***End_of_Header***", b"\nChannels"
@@ -28,10 +36,7 @@ _COMMENT, _TIMES, _SEPARATOR = "Comment", "X_Value", "Separator"
 
 @dataclass(frozen=True)
 class _Segment:
-    """One block of a file: header entries, column titles, layout, and position of its rows.
-
-    `start` and `stop` are bytes, `line` is the line number of the first row.
-    """
+    """One block of a file: header, column titles, layout, and position of its rows."""
 
     header: dict[str, list[str]]
     titles: list[str]
@@ -43,10 +48,7 @@ class _Segment:
 
 @dataclass(frozen=True)
 class _Part:
-    """One channel in one segment: samples, column, and times with their last digit.
-
-    `times` is None without an X column.
-    """
+    """One channel in one segment, with times from an X column or None."""
 
     samples: FloatArray
     segment: _Segment
@@ -58,12 +60,10 @@ class _Part:
 def read_labview(path: Path, names: Sequence[str] | None, sample_rate_hz: float | None) -> dict[str, RawChannel]:
     """Read the channels of a LabVIEW measurement file by their column titles.
 
-    Titles that occur twice get their number (`Force #1`, `Force #2`). The sampling interval is the header's `Delta_X`.
-    An X column that contradicts it takes precedence: such a file was decimated after recording and kept its old header.
-    An interval that is a whole multiple of `Delta_X` is then exactly that multiple. A `Delta_X` of few digits needs an
-    X column or `sample_rate_hz`, which must agree with it. Segments keep their starts (`X0` or the X column, and their
-    time stamps), so that pauses between them are preserved. The `Comment` column and special blocks are skipped.
-    Memory: the result and one block.
+    Titles that occur twice get their number (`Force #1`). The sampling interval is the header's `Delta_X`, or that of
+    an X column which contradicts it: such a file was decimated after recording. A whole multiple of `Delta_X` is then
+    exact. A `Delta_X` of few digits needs an X column or `sample_rate_hz`. Segments keep their starts and pauses. The
+    `Comment` column and special blocks are skipped. Memory: the result and one block.
     """
     with path.open("rb") as stream:
         segments = list(_segments(path, stream))
@@ -106,10 +106,7 @@ def _segments(path: Path, stream: BinaryIO) -> Iterator[_Segment]:
 def _header(
     path: Path, stream: BinaryIO, start: int, size: int, line: int, separator: str | None
 ) -> tuple[dict[str, list[str]], int, int]:
-    """Return a header's entries, the byte after it, and the line number there.
-
-    Special blocks are skipped. The header of the file (`separator` None) is split by the value of its key Separator.
-    """
+    """Return a header's entries without special blocks, the next byte, and its line number."""
     end = find_bytes(stream, _END, start, size)
     if end < 0:
         raise ValueError(f"{path}: line {line}: expected ***End_of_Header***, found the end of the file")
@@ -156,9 +153,7 @@ def _read_segment(path: Path, segment: _Segment, requested: Sequence[str]) -> di
         samples, column = columns[requested_columns[name]], requested_columns[name]
         stated = int(_value(segment, "Samples", column, len(samples)))
         if 0 < stated < len(samples) and np.isnan(samples[stated:]).all():
-            samples = samples[
-                :stated
-            ]  # columns shorter than others (X_Columns Multi) end after the stated number of samples
+            samples = samples[:stated]  # columns shorter than others (X_Columns Multi) end there
         near = {i: columns[i][: len(samples)] for i in before[name]}
         dated = [i for i, time in near.items() if np.isfinite(time).all()][-1:]
         digit = last_digit(segment.layout, segment.start, segment.stop, dated[0]) if dated else 0.0

@@ -30,13 +30,15 @@ from numpy.typing import NDArray
 
 from shaker.io.channel import (
     RawChannel,
+    SampleTimes,
+    agreed_rate,
     as_sample_array,
     check_size,
     is_time,
     select_by_either_name,
     select_names,
+    times_of_stamps,
 )
-from shaker.io.times import SampleTimes, agreed_rate, times_of_stamps
 from shakercal._common.arrays import FloatArray
 
 _LONGEST_S, _SLOWEST = 8.0, 2e6  # Dewesoft's library: seconds of the processor, and bytes that it reads in each
@@ -132,10 +134,9 @@ def read_dewesoft(
 ) -> dict[str, RawChannel]:
     """Read channels of a Dewesoft file (.dxd, .dxz, .d7d) as physical values.
 
-    Their times are those of the file. The sampling rate of the header is not used, because files exist that were stored
-    at another rate. Dewesoft's library ends the whole program on a damaged file, or never returns. A separate process
-    therefore reads the file. It has 8 s of processor time, or one second for every 2 MB where that is more; intact
-    files need a tenth of it.
+    Times are those of the samples, because files exist whose header states another rate. Dewesoft's library ends the
+    whole program on a damaged file, or never returns. A separate process therefore reads it, with 8 s of processor time
+    or one second for every 2 MB; intact files need a tenth.
     """
     _package(path, "dwdatareader")
     longest_s = max(_LONGEST_S, path.stat().st_size / _SLOWEST)

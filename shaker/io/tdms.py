@@ -15,15 +15,23 @@ import struct
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from fractions import Fraction
-from functools import cached_property
 from pathlib import Path
 from typing import Any, BinaryIO
 
 import numpy as np
 from numpy.typing import NDArray
 
-from shaker.io.channel import BLOCK, RawChannel, is_time, select_by_either_name
-from shaker.io.times import SampleTimes, Segment, agreed_rate, times_of_segments, times_of_stamps
+from shaker.io.channel import (
+    BLOCK,
+    RawChannel,
+    SampleTimes,
+    Segment,
+    agreed_rate,
+    is_time,
+    select_by_either_name,
+    times_of_segments,
+    times_of_stamps,
+)
 from shakercal._common.arrays import FloatArray
 
 # Position of the values of every channel in a TDMS file (NI, "TDMS file format internal structure", version 2.0).
@@ -101,33 +109,6 @@ class TimeStatement:
 
 
 @dataclass(frozen=True)
-class TdmsIndex:
-    """Properties of every object by its path (`/'group'/'channel'`), and the regions of raw values.
-
-    `dated` contains the statements of every channel about its time, one for each change during writing.
-    """
-
-    properties: dict[str, dict[str, Any]]
-    regions: tuple[TdmsRegion, ...]
-    dated: dict[str, tuple[TimeStatement, ...]]
-
-    @cached_property
-    def types(self) -> dict[str, np.dtype[Any]]:
-        """Type of the raw values of every channel by its path."""
-        return {entry.path: entry.dtype for region in self.regions for entry in region.fields}
-
-    @cached_property
-    def lengths(self) -> dict[_Key, int]:
-        """Number of values of every channel and raw scale."""
-        lengths: dict[_Key, int] = {}
-        for region in self.regions:
-            for entry in region.fields:
-                key = entry.path, entry.scale
-                lengths[key] = lengths.get(key, 0) + entry.count * region.repeats
-        return lengths
-
-
-@dataclass(frozen=True)
 class _Raw:
     """A channel's part of one chunk: number of values, type (None: texts), bytes, card scales."""
 
@@ -138,59 +119,89 @@ class _Raw:
     widths: tuple[int, ...] = ()
 
 
-def read_index(path: Path, stream: BinaryIO) -> TdmsIndex:
-    """Read the metadata of all segments; `ValueError` for a truncated file."""
-    size = stream.seek(0, 2)
-    properties: dict[str, dict[str, Any]] = {}
-    layouts: dict[str, _Raw] = {}
-    active: dict[str, bool] = {}
-    regions: list[TdmsRegion] = []
-    dated: dict[str, list[TimeStatement]] = {}
-    counts: dict[str, int] = {}
-    position = 0
-    while position < size:
-        stream.seek(position)
-        lead = stream.read(_LEAD)
-        if lead[:4] != b"TDSm":
-            raise ValueError(f"{path}: expected a TDMS segment at byte {position}, found {lead[:4]!r}")
-        if len(lead) < _LEAD:
-            raise _cut_off(path)
-        flags = struct.unpack_from("<L", lead, 4)[0]
-        order = ">" if flags & _BIG_ENDIAN else "<"
-        length, metadata = struct.unpack_from(f"{order}QQ", lead, 12)
-        end, start = position + _LEAD + length, position + _LEAD + metadata
-        if length == _UNENDING or end > size or start > end:
-            raise _cut_off(path)
-        if flags & _METADATA:
-            _read_objects(_Cursor(stream.read(metadata), order), bool(flags & _NEW_LIST), active, layouts, properties)
-        if flags & _RAW:
-            chunk = {name: layouts[name] for name, has_data in active.items() if has_data}
+class TdmsIndex:
+    """Content of a TDMS file without its values; `ValueError` for a truncated file.
+
+    Attributes
+    ----------
+    properties : those of every object by its path (`/'group'/'channel'`).
+    regions : where raw values are.
+    dated : statements of every channel about its time, one for each change during writing.
+    types, lengths : type of the raw values of every channel, and their number of every channel and raw scale.
+    """
+
+    def __init__(self, path: Path, stream: BinaryIO) -> None:
+        self.properties: dict[str, dict[str, Any]] = {}
+        self.regions: list[TdmsRegion] = []
+        self.dated: dict[str, list[TimeStatement]] = {}
+        self.types: dict[str, np.dtype[Any]] = {}
+        self.lengths: dict[_Key, int] = {}
+        self._layouts: dict[str, _Raw] = {}
+        self._active: dict[str, bool] = {}
+        self._counts: dict[str, int] = {}
+        position, size = 0, stream.seek(0, 2)
+        while position < size:
+            stream.seek(position)
+            lead = stream.read(_LEAD)
+            if lead[:4] != b"TDSm":
+                raise ValueError(f"{path}: expected a TDMS segment at byte {position}, found {lead[:4]!r}")
+            if len(lead) < _LEAD:
+                raise _cut_off(path)
+            flags = struct.unpack_from("<L", lead, 4)[0]
+            order = ">" if flags & _BIG_ENDIAN else "<"
+            length, metadata = struct.unpack_from(f"{order}QQ", lead, 12)
+            end, start = position + _LEAD + length, position + _LEAD + metadata
+            if length == _UNENDING or end > size or start > end:
+                raise _cut_off(path)
             if flags & _METADATA:
-                _add_statements(chunk, properties, dated, counts)
-            added = _regions(path, chunk, bool(flags & _INTERLEAVED), start, end - start)
-            for region in added:
-                for entry in region.fields:
-                    counts[entry.path] = counts.get(entry.path, 0) + entry.count * region.repeats
-            regions += added
-        position = end
-    _add_statements(dated, properties, dated, counts)
-    return TdmsIndex(properties, tuple(regions), {name: tuple(statements) for name, statements in dated.items()})
+                self._read_objects(_Cursor(stream.read(metadata), order), bool(flags & _NEW_LIST))
+            if flags & _RAW:
+                chunk = {name: self._layouts[name] for name, has_data in self._active.items() if has_data}
+                if flags & _METADATA:
+                    self._add_statements(chunk)
+                self._add_regions(_regions(path, chunk, bool(flags & _INTERLEAVED), start, end - start))
+            position = end
+        self._add_statements(list(self.dated))
 
+    def _read_objects(self, cursor: _Cursor, new_list: bool) -> None:
+        """Store the objects, raw data and properties of a segment's metadata."""
+        if new_list:
+            self._active.clear()
+        (objects,) = cursor.take("L")
+        for _ in range(objects):
+            path = cursor.text()
+            (kind,) = cursor.take("L")
+            if kind in (_FORMAT_CHANGING, _DIGITAL_LINE):
+                self._layouts[path] = _card_raw(cursor, path, kind)
+            elif kind not in (_NO_DATA, _AS_BEFORE):
+                self._layouts[path] = _raw(cursor)
+            elif kind == _AS_BEFORE and path not in self._layouts:
+                raise ValueError(f"expected the layout of {path}, found none before its first data")
+            self._active[path] = kind != _NO_DATA
+            object_properties = self.properties.setdefault(path, {})
+            for _ in range(cursor.take("L")[0]):
+                name = cursor.text()
+                object_properties[name] = cursor.value(cursor.take("L")[0])
 
-def _add_statements(
-    names: Iterable[str],
-    properties: Mapping[str, dict[str, Any]],
-    dated: dict[str, list[TimeStatement]],
-    counts: Mapping[str, int],
-) -> None:
-    """Add the time statements of channels that have changed since values were last written."""
-    for name in names:
-        stated = TimeStatement.of(counts.get(name, 0), properties.get(name, {}))
-        statements = dated.setdefault(name, [])
-        if not statements or statements[-1].contradicts(stated):
-            statements.append(stated)
-        else:
-            statements[-1] = statements[-1].completed_by(stated)
+    def _add_statements(self, names: Iterable[str]) -> None:
+        """Add the time statements of channels that have changed since values were last written."""
+        for name in names:
+            stated = TimeStatement.of(self._counts.get(name, 0), self.properties.get(name, {}))
+            statements = self.dated.setdefault(name, [])
+            if not statements or statements[-1].contradicts(stated):
+                statements.append(stated)
+            else:
+                statements[-1] = statements[-1].completed_by(stated)
+
+    def _add_regions(self, regions: Sequence[TdmsRegion]) -> None:
+        """Add regions of raw values, and count these."""
+        self.regions += regions
+        for region in regions:
+            for entry in region.fields:
+                key, count = (entry.path, entry.scale), entry.count * region.repeats
+                self.types[entry.path] = entry.dtype
+                self.lengths[key] = self.lengths.get(key, 0) + count
+                self._counts[entry.path] = self._counts.get(entry.path, 0) + count
 
 
 def path_parts(path: str) -> tuple[str, ...]:
@@ -242,31 +253,6 @@ def _number_type(kind: int, order: str) -> np.dtype[Any]:
     return np.dtype(order + _NUMBERS[kind])
 
 
-def _read_objects(
-    cursor: _Cursor,
-    new_list: bool,
-    active: dict[str, bool],
-    layouts: dict[str, _Raw],
-    properties: dict[str, dict[str, Any]],
-) -> None:
-    """Store the objects, raw data and properties of a segment's metadata."""
-    if new_list:
-        active.clear()
-    (objects,) = cursor.take("L")
-    for _ in range(objects):
-        path = cursor.text()
-        (kind,) = cursor.take("L")
-        if kind not in (_NO_DATA, _AS_BEFORE):
-            layouts[path] = _card_raw(cursor, path, kind) if kind in (_FORMAT_CHANGING, _DIGITAL_LINE) else _raw(cursor)
-        elif kind == _AS_BEFORE and path not in layouts:
-            raise ValueError(f"expected the layout of {path}, found none before its first data")
-        active[path] = kind != _NO_DATA
-        object_properties = properties.setdefault(path, {})
-        for _ in range(cursor.take("L")[0]):
-            name = cursor.text()
-            object_properties[name] = cursor.value(cursor.take("L")[0])
-
-
 def _raw(cursor: _Cursor) -> _Raw:
     kind, _, count = cursor.take("LLQ")
     if kind == _STRING:
@@ -315,10 +301,7 @@ def _regions(path: Path, chunk: Mapping[str, _Raw], interleaved: bool, position:
 
 
 def _card_regions(path: Path, chunk: Mapping[str, _Raw], position: int, size: int) -> list[TdmsRegion]:
-    """Return the regions of a segment of cards.
-
-    Each chunk has one buffer of rows after another.
-    """
+    """Return the regions of a segment of cards, one buffer of rows after another."""
     widths = next(iter(chunk.values())).widths
     if any(raw.widths != widths for raw in chunk.values()):
         raise ValueError(f"{path}: expected one layout of all channels of the cards, found several")
@@ -392,15 +375,14 @@ class _RawValues:
 def read_tdms(path: Path, names: Sequence[str] | None, sample_rate_hz: float | None) -> dict[str, RawChannel]:
     """Read channels by `group/channel`, or by a channel name that only one group has.
 
-    The interval is `wf_increment`. The start is `wf_start_time` plus `wf_start_offset`, counted from the earliest of
-    the requested channels. Where these change between writes, each write keeps its values: pauses are preserved, and
-    two rates are refused. A channel `time` (numbers in s or in its `unit_string`, or time stamps) of the same group and
-    length gives the times of channels without interval; others must agree with it. Without either, `sample_rate_hz` is
-    used. Scales of the hardware (`NI_Scale`) are applied. Texts and complex numbers are skipped. Memory: the result and
-    one block.
+    The interval is `wf_increment`, the start `wf_start_time` plus `wf_start_offset`, counted from the earliest channel.
+    Where these change between writes, pauses are preserved, and two rates are refused. A channel `time` (numbers in s
+    or its `unit_string`, or stamps) of the same group and length gives the times, or must agree with the interval.
+    Scales of the hardware (`NI_Scale`) are applied. Texts and complex numbers are skipped. Memory: the result and one
+    block.
     """
     with path.open("rb") as stream:
-        index = read_index(path, stream)
+        index = TdmsIndex(path, stream)
         filled = {name for (name, _), length in index.lengths.items() if length}
         series = [name for name, dtype in index.types.items() if dtype.kind in "biuf" and name in filled]
         present = {"/".join(path_parts(name)): name for name in series}
@@ -433,10 +415,7 @@ def read_tdms(path: Path, names: Sequence[str] | None, sample_rate_hz: float | N
 def _sample_times(
     path: Path, where: str, dated: Sequence[TimeStatement], count: int, given_hz: float | None
 ) -> SampleTimes | None:
-    """Return the times of a channel's values from its properties; None without an interval.
-
-    Times count from the first start.
-    """
+    """Return the times of values by a channel's properties; None without an interval."""
     first = dated[0]
     if not first.interval_s:
         return None if given_hz is None else SampleTimes(agreed_rate(path, where, None, given_hz))
@@ -466,10 +445,7 @@ def _find_time_channel(name: str, index: TdmsIndex) -> str | None:
 
 
 def _values(path: Path, stream: BinaryIO, index: TdmsIndex, requested: set[str]) -> dict[str, FloatArray]:
-    """Return the scaled values of the requested channels.
-
-    Time stamps count in seconds from their first second. A card's channel without scale is its first raw scale.
-    """
+    """Return the scaled values of channels; time stamps count in seconds from their first second."""
     size = path.stat().st_size
     for (name, _), length in index.lengths.items():
         if length > 8 * size:  # a sample takes at least a bit
@@ -560,10 +536,7 @@ def _scale(path: Path, name: str, index: TdmsIndex) -> Any:
 
 
 def _starts(stream: BinaryIO, index: TdmsIndex, requested: Iterable[str]) -> dict[str, float]:
-    """Return the delay in s of every channel after the earliest requested one.
-
-    It follows from their time stamps.
-    """
+    """Return the delay in s of every channel after the earliest, from time stamps."""
     stamps: dict[str, Fraction] = {}
     for name in requested:
         stamp = index.dated[name][0].start

@@ -36,13 +36,15 @@ from shaker.io.channel import (
     BLOCK,
     LONGEST_LINE,
     RawChannel,
+    SampleTimes,
+    agreed_rate,
     convert_read_errors,
     is_time,
     select_by_either_name,
     select_names,
+    times_of_stamps,
 )
-from shaker.io.times import SampleTimes, agreed_rate, times_of_stamps
-from shakercal._common.arrays import FloatArray, check_shape
+from shakercal._common.arrays import Arrays, FloatArray
 
 # Rows of numbers in text files: whole blocks at once, line by line only for unusual blocks.
 
@@ -53,10 +55,7 @@ _COMMA_TO_POINT = bytes.maketrans(b",", b".")
 
 @dataclass(frozen=True)
 class TextLayout:
-    """Layout of rows: number of columns, delimiter (empty: white space), decimal comma or point.
-
-    With `remarks`, text after the last column is a remark; otherwise that column must be empty.
-    """
+    """Layout of rows; with `remarks`, text after the last column is a remark."""
 
     path: Path
     columns: int
@@ -134,10 +133,7 @@ def decode_text(raw: bytes) -> str:
 
 
 def whole_lines(stream: BinaryIO, start: int, stop: int) -> Iterator[tuple[int, bytes]]:
-    """Yield end position and content of blocks of whole lines.
-
-    Each line ends with a line end.
-    """
+    """Yield end position and content of blocks of whole lines, each with a line end."""
     stream.seek(start)
     rest = b""
     while start < stop and (block := stream.read(min(BLOCK, stop - start))):
@@ -187,10 +183,7 @@ def plain_rows(block: bytes, delimiter: str) -> FloatArray | None:
 
 
 def _line_by_line(layout: TextLayout, block: bytes, line: int, requested: Sequence[int]) -> FloatArray:
-    """Return columns (S, W) of a block, read line by line.
-
-    `ValueError` with the line number for a text in one of them.
-    """
+    """Return columns (S, W) of a block line by line; `ValueError` for a text."""
     rows = []
     for number, text in enumerate(decode_text(block.replace(b"\r\n", b"\n")).split("\n"), line):
         if not text.strip() or text.startswith(_COMMENT):
@@ -252,12 +245,10 @@ def read_table(path: Path, names: Sequence[str] | None, sample_rate_hz: float | 
     """Read a text table with a header line; lines that begin with # are remarks.
 
     The delimiter is that of a first line `sep=;`, else the tab, semicolon or comma that splits the header into most
-    cells, else white space. Decimal commas are accepted where the comma is not the delimiter. A row of units may follow
-    the header, or units may be part of it (`Fz [N]`, `Fz (N)`; the channel is also found as `Fz`).
-
-    Times are those of a column `time`, in s or its stated unit (ms, us, ns, min, h), else of `sample_rate_hz`. Times
-    that are uniform within their printed digits get the slope of the straight line through them as their rate. Other
-    times are used as printed. Empty cells and `nan` are NaN. Memory: the result and one block.
+    cells, else white space. Decimal commas are accepted where the comma is no delimiter. Units are in a row below the
+    header or in it (`Fz [N]`, `Fz (N)`; also found as `Fz`). Times are those of a column `time`, in s or its unit.
+    Uniform within their printed digits, they give the slope of the straight line through them as the rate. Empty cells
+    and `nan` are NaN. Memory: the result and one block.
     """
     head = _head(path)
     time = next((i for i, name in enumerate(head.short) if is_time(name)), None)
@@ -284,10 +275,7 @@ def table_units(path: Path) -> dict[str, str]:
 
 
 def read_table_columns(path: Path, names: Sequence[str]) -> FloatArray:
-    """Read columns of a text table without times, as (S, len(names)).
-
-    The names are those of `table_units`.
-    """
+    """Read columns (S, W) of a text table by the names of `table_units`."""
     with convert_read_errors(path):
         head = _head(path)
         columns_by_name = [head.plain.index(name) for name in select_names(path, names, head.plain)]
@@ -328,10 +316,7 @@ def _head(path: Path) -> _Head:
 
 
 def _next_line(stream: BinaryIO, line: int) -> tuple[int, int, str]:
-    """Return position, number and text of the next line with content.
-
-    Remarks and empty lines are skipped. The text is empty at the end of the file.
-    """
+    """Return position, number and text of the next line that is no remark."""
     while True:
         start, raw = stream.tell(), stream.readline(LONGEST_LINE + 1)
         check_line(raw)
@@ -369,19 +354,12 @@ _PLAIN = bytes.maketrans(b",;", b". ")  # decimal comma to point, semicolon to b
 
 
 @dataclass(frozen=True)
-class VibrometerScan:
-    """A scan of P points: `point_m` (P, 3) and `samples` (B blocks, P points, S).
-
-    Points are recorded one after another, each from time zero.
-    """
+class VibrometerScan(Arrays, shapes="point_m P 3; samples B P S"):
+    """A scan of P points one after another: `point_m` (P, 3), `samples` (B, P, S)."""
 
     point_m: FloatArray
     samples: FloatArray
     sample_rate_hz: float
-
-    def __post_init__(self) -> None:
-        check_shape("point_m", self.point_m, (None, 3))
-        check_shape("samples", self.samples, (None, len(self.point_m), None))
 
     def channels_at(self, point: int) -> dict[str, RawChannel]:
         """Return the channels of one scan point by their block number "1", "2", …."""

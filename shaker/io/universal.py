@@ -17,10 +17,20 @@ from typing import BinaryIO
 import numpy as np
 from numpy.typing import NDArray
 
-from shaker.io.channel import BLOCK, LONGEST_LINE, RawChannel, as_sample_array, convert_read_errors, select_names
+from shaker.io.channel import (
+    BLOCK,
+    LONGEST_LINE,
+    RawChannel,
+    SampleTimes,
+    agreed_rate,
+    as_sample_array,
+    convert_read_errors,
+    seconds_of,
+    select_names,
+    times_of_stamps,
+)
 from shaker.io.text import plain_rows
-from shaker.io.times import SampleTimes, agreed_rate, seconds_of, times_of_stamps
-from shakercal._common.arrays import ComplexArray, FloatArray, IntArray, check_shape
+from shakercal._common.arrays import Arrays, ComplexArray, FloatArray, IntArray
 
 # Data sets, and the functions of data set 58 in them.
 
@@ -46,14 +56,6 @@ class DataSet:
 
 
 @dataclass(frozen=True)
-class UniversalAxis:
-    """Label and unit of an axis of a function, empty where not stated."""
-
-    label: str
-    unit: str
-
-
-@dataclass(frozen=True)
 class FunctionHeader:
     """Text records of a function: kind, points (`12+Z`), form of the numbers, and axes."""
 
@@ -67,9 +69,10 @@ class FunctionHeader:
     even: bool
     start: float
     step: float
-    abscissa: UniversalAxis
-    ordinate: UniversalAxis
-    denominator: UniversalAxis
+    ordinate_label: str
+    abscissa_unit: str
+    ordinate_unit: str
+    denominator_unit: str
 
     @property
     def is_complex(self) -> bool:
@@ -130,10 +133,7 @@ def _skip_binary(path: Path, stream: BinaryIO, more: bytes, line: int) -> int:
 
 
 def function_header(path: Path, records: Sequence[bytes], line: int) -> FunctionHeader:
-    """Return the content of the eleven text records of data set 58.
-
-    `line` is the line of the data set's number.
-    """
+    """Return the content of the eleven text records after the number of data set 58."""
     if len(records) < _HEADER or not records[-1]:
         raise ValueError(f"{path}: line {line}: expected {_HEADER} records of data set 58, found fewer")
     texts = [_decode(record) for record in records]
@@ -152,7 +152,8 @@ def function_header(path: Path, records: Sequence[bytes], line: int) -> Function
         numbers[2] == 1,
         _real(form[30:43]),
         _real(form[43:56]),
-        *(UniversalAxis(_name(text[26:46]), _name(text[47:67])) for text in texts[7:10]),
+        _name(texts[8][26:46]),
+        *(_name(text[47:67]) for text in texts[7:10]),
     )
 
 
@@ -220,10 +221,7 @@ def _text(path: Path, stream: BinaryIO, data: DataSet, head: FunctionHeader) -> 
 
 
 def fixed_width(lines: Sequence[bytes], widths: Sequence[int]) -> FloatArray | None:
-    """Return the numbers in lines of fixed fields, None for other content.
-
-    The last line may end early.
-    """
+    """Return the numbers in lines of fixed fields; None for other content."""
     total = sum(widths)
     padded = b"".join(line.rstrip(b"\r\n").ljust(total)[:total] for line in lines)
     table = np.frombuffer(padded.translate(_EXPONENT), np.uint8).reshape(-1, total)
@@ -294,7 +292,7 @@ _COMPLEX = 5  # data type of complex values
 
 
 @dataclass(frozen=True)
-class UniversalShape:
+class UniversalShape(Arrays, shapes="node N; value N D"):
     """A shape at nodes, from data set 55.
 
     Attributes
@@ -316,10 +314,6 @@ class UniversalShape:
     damping_ratio: float
     time_s: float
     titles: tuple[str, ...]
-
-    def __post_init__(self) -> None:
-        check_shape("node", self.node, (None,))
-        check_shape("value", self.value, (len(self.node), None))
 
 
 def read_universal_shapes(path: str | Path) -> tuple[UniversalShape, ...]:
@@ -403,10 +397,7 @@ def _integers(text: bytes, count: int) -> list[int]:
 
 
 def _reals(path: Path, line: int, lines: list[bytes], count: int | None = None) -> np.ndarray:
-    """Return the numbers of records of format 6E13.5, or between blanks.
-
-    `count` is their number where it is stated.
-    """
+    """Return the numbers (`count` if stated) in fields of 13, or between blanks."""
     for values in (fixed_width(lines, (13,) * 6), free_width(b" ".join(lines))):
         if values is not None and count in (None, len(values)):
             return values
@@ -425,7 +416,7 @@ _KINDS = (
 
 
 @dataclass(frozen=True)
-class UniversalFunction:
+class UniversalFunction(Arrays, shapes="abscissa N; value N"):
     """A function of data set 58: `value` (N,) over `abscissa` (N,).
 
     Values are real or complex as stored. `kind` is in words ("frequency response", "spectrum", …). `response` and
@@ -444,19 +435,14 @@ class UniversalFunction:
     reference: str
     titles: tuple[str, ...] = ()
 
-    def __post_init__(self) -> None:
-        check_shape("abscissa", self.abscissa, (None,))
-        check_shape("value", self.value, (len(self.abscissa),))
-
 
 def read_universal(path: Path, names: Sequence[str] | None, sample_rate_hz: float | None) -> dict[str, RawChannel]:
     """Read the time responses of a universal file.
 
     The name of a channel is its response entity name, else the label of its ordinate, else node and direction (`12+Z`).
-    Names that occur twice get node and direction appended (`Mic 3+X`). If they are still equal, their position in the
-    file is appended (`Mic #2`). The unit of the channel is the ordinate's units label; the time unit is that of the
-    abscissa (s without one). Other data sets are skipped. Text headers have a sampling interval of six digits, so that
-    a clock read from them may be wrong by several parts in 10⁷. The trigger edges correct that.
+    Names that occur twice get node and direction appended, then their position in the file (`Mic #2`). Text headers
+    have a sampling interval of six digits, so that a clock may be wrong by several parts in 10⁷; the trigger edges
+    correct that.
     """
     headers = _headers(path)
     present = {name: item for name, item in _name_functions(headers).items() if item[1].kind == _TIME_RESPONSE}
@@ -466,7 +452,7 @@ def read_universal(path: Path, names: Sequence[str] | None, sample_rate_hz: floa
             data, head = present[name]
             times, values = function_values(path, stream, data, head)
             where = f'channel "{name}"'
-            unit, axis = head.abscissa.unit, f"{where}: abscissa"
+            unit, axis = head.abscissa_unit, f"{where}: abscissa"
             if head.even:
                 second = seconds_of(path, axis, unit)
                 stated = 1.0 / (head.step * second) if head.step else None
@@ -475,7 +461,7 @@ def read_universal(path: Path, names: Sequence[str] | None, sample_rate_hz: floa
             else:
                 digit = None if data.more[:1].lower() == b"b" else _DIGIT * float(np.max(np.abs(times)))
                 sampled = times_of_stamps(path, axis, times, unit, digit=digit, given_hz=sample_rate_hz)
-            result[name] = RawChannel.from_times(sampled, as_sample_array(path, name, values), head.ordinate.unit)
+            result[name] = RawChannel.from_times(sampled, as_sample_array(path, name, values), head.ordinate_unit)
     return result
 
 
@@ -509,12 +495,12 @@ def read_universal_functions(path: str | Path) -> tuple[UniversalFunction, ...]:
             for name, (data, head) in _name_functions(headers).items():
                 abscissa, value = function_values(path, stream, data, head)
                 kind = _KINDS[head.kind] if 0 <= head.kind < len(_KINDS) else f"function type {head.kind}"
-                unit = head.ordinate.unit
-                if head.denominator.unit:
-                    unit = f"({unit})/({head.denominator.unit})"
+                unit = head.ordinate_unit
+                if head.denominator_unit:
+                    unit = f"({unit})/({head.denominator_unit})"
                 points = head.response_point, head.reference_point
                 functions.append(
-                    UniversalFunction(name, kind, abscissa, value, head.abscissa.unit, unit, *points, head.titles)
+                    UniversalFunction(name, kind, abscissa, value, head.abscissa_unit, unit, *points, head.titles)
                 )
             return tuple(functions)
 
@@ -535,7 +521,7 @@ def _headers(path: Path) -> list[tuple[DataSet, FunctionHeader]]:
 
 
 def _name_functions(headers: list[tuple[DataSet, FunctionHeader]]) -> dict[str, tuple[DataSet, FunctionHeader]]:
-    plain = [head.response_name or head.ordinate.label or head.response_point for _, head in headers]
+    plain = [head.response_name or head.ordinate_label or head.response_point for _, head in headers]
     count = Counter(plain)
     full = [
         name if count[name] == 1 else f"{name} {head.response_point}".strip()

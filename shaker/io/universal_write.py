@@ -104,7 +104,8 @@ def _header(function: UniversalFunction, start: str, step: str) -> list[str]:
     numerator, denominator = function.unit, ""
     if parts := re.fullmatch(r"\((.*)\)/\((.*)\)", function.unit):
         numerator, denominator = parts[1], parts[2]
-    response, reference = (f"{node:10d}{direction:4d}" for node, direction in map(_node_and_direction, _ends(function)))
+    points = map(_node_and_direction, (function.response, function.reference))
+    response, reference = (f"{node:10d}{direction:4d}" for node, direction in points)
     ordinate = 6 if np.iscomplexobj(function.value) else 4
     spacing = f"{int(step != ''):10d}{start or f'{0.0:13.5E}'}{step or f'{0.0:13.5E}'}{0.0:13.5E}"
     return [
@@ -119,10 +120,6 @@ def _axis(unit: str) -> str:
     """Return the record of an axis: its quantity and unit."""
     kind = _QUANTITIES.get(unit, 1) if unit else 0
     return f"{kind:10d}{0:5d}{0:5d}{0:5d} {'NONE':20s} {_ascii(unit, 20) or 'NONE':20s}"
-
-
-def _ends(function: UniversalFunction) -> tuple[str, str]:
-    return function.response, function.reference
 
 
 def _node_and_direction(point: str) -> tuple[int, int]:

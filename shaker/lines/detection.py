@@ -9,11 +9,11 @@ from typing import Any, Literal
 
 import numpy as np
 
-from shaker.lines.line_detection_notices import NO_NOMINAL_LINE, TOO_MANY_LINES
+from shaker.io.channel import Stacked
 from shaker.lines.peaks import MOST_LINES, FloorSpectrum, Peaks, find_peaks
+from shaker.signal_notices import NO_NOMINAL_LINE, TOO_MANY_LINES
 from shaker.sine.aliasing import CAPTURE, alias_frequency, frequency_of_alias
-from shaker.stacked import Stacked
-from shakercal._common.arrays import BoolArray, FloatArray, check_shape, check_shapes
+from shakercal._common.arrays import Arrays, BoolArray, FloatArray
 from shakercal._common.notices import Notice
 
 # Most likely explanation of a line.
@@ -337,7 +337,10 @@ _HANN_NOISE = 3.0  # noise power in a Hann bin over the variance of a fitted qua
 
 
 @dataclass(frozen=True)
-class Survey:
+class Survey(
+    Arrays,
+    shapes="frequency_hz L; u_frequency_hz L; snr L; origin L; amplitude L C; u_amplitude L C; floor_hz B; floor B C",
+):
     """Lines of a record in ascending frequency.
 
     Aliased lines are at their alias.
@@ -362,15 +365,6 @@ class Survey:
     floor_hz: FloatArray
     floor: FloatArray
     notices: tuple[Notice, ...] = ()
-
-    def __post_init__(self) -> None:
-        lines = self.frequency_hz.shape
-        check_shapes(self, (len(self.frequency_hz),), "frequency_hz", "u_frequency_hz", "snr")
-        check_shape("amplitude", self.amplitude, (*lines, None))
-        check_shape("u_amplitude", self.u_amplitude, self.amplitude.shape)
-        check_shape("floor", self.floor, (len(self.floor_hz), self.amplitude.shape[1]))
-        if len(self.origin) != lines[0]:
-            raise ValueError(f"origin: expected {lines[0]} origins, one per line, found {len(self.origin)}")
 
     def __repr__(self) -> str:
         return f"Survey({len(self.frequency_hz)} lines in {self.amplitude.shape[1]} channels)"
@@ -414,10 +408,7 @@ def decibel(power_ratio: float) -> float:
 
 
 def survey_lines(
-    values: FloatArray | Stacked,
-    rate_hz: float,
-    nominal_hz: Sequence[float] = (),
-    false_alarm: float = FALSE_ALARM,
+    values: FloatArray | Stacked, rate_hz: float, nominal_hz: Sequence[float] = (), false_alarm: float = FALSE_ALARM
 ) -> Survey:
     """Find and name the lines of uniform samples: spectral peaks over the noise floor.
 

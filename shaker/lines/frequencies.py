@@ -8,6 +8,7 @@ from typing import Literal
 
 import numpy as np
 
+from shaker.io.channel import Stacked
 from shaker.lines.detection import (
     FALSE_ALARM,
     DetectedLines,
@@ -18,8 +19,8 @@ from shaker.lines.detection import (
     name_lines,
     relative_strength,
 )
-from shaker.lines.line_detection_notices import HARMONIC_OUT_OF_REACH, HARMONICS_ON_ALIAS, OTHER_LINES
 from shaker.lines.peaks import FloorSpectrum, excess_power
+from shaker.signal_notices import HARMONIC_OUT_OF_REACH, HARMONICS_ON_ALIAS, OTHER_LINES
 from shaker.sine.aliasing import (
     CAPTURE,
     SamplingGrid,
@@ -32,8 +33,7 @@ from shaker.sine.aliasing import (
 )
 from shaker.sine.sine_fit import fit_sines, rows_present
 from shaker.sine.solve import SineFit, SineModel
-from shaker.stacked import Stacked
-from shakercal._common.arrays import BoolArray, FloatArray, IntArray, check_shape, check_shapes
+from shakercal._common.arrays import Arrays, BoolArray, FloatArray, IntArray, check_shape
 from shakercal._common.notices import Notice
 
 MAX_MULTIPLE = 20  # harmonics searched for
@@ -49,7 +49,9 @@ _STRANGERS = 3  # other lines named in one notice
 
 
 @dataclass(frozen=True)
-class LineFrequencies:
+class LineFrequencies(
+    Arrays, shapes="frequency_hz K; u_frequency_hz K; nominal_hz K; multiple K; why K; nuisance_hz N"
+):
     """Lines of a recording in ascending frequency.
 
     Attributes
@@ -70,12 +72,6 @@ class LineFrequencies:
     notices: tuple[Notice, ...]
     others: Survey = field(default_factory=empty_survey)
     nuisance_hz: FloatArray = field(default_factory=lambda: np.empty(0))
-
-    def __post_init__(self) -> None:
-        check_shapes(self, (None,), "frequency_hz", "nuisance_hz")
-        check_shapes(self, self.frequency_hz.shape, "u_frequency_hz", "nominal_hz", "multiple")
-        if len(self.why) != len(self.frequency_hz):
-            raise ValueError(f"why: expected {len(self.frequency_hz)} texts, one per line, found {len(self.why)}")
 
 
 def find_lines(
@@ -242,10 +238,7 @@ class _Record:
 
 
 def _extend_lines(record: _Record, fitted: _Fitted, others: Survey, auto: bool) -> _LineSelection:
-    """Return the lines of the next fit.
-
-    These are the previous ones, new harmonics, and other lines that leak.
-    """
+    """Return the lines of the next fit, with new harmonics and leaking lines."""
     multiples = [list(orders) for orders in fitted.chosen.multiples]
     limit = _NYQUIST_SHARE * record.grid.rate_hz / 2.0
     for frequency, origin in zip(others.frequency_hz, others.origin, strict=True):

@@ -23,7 +23,7 @@ from shaker.lines.spectrum import (
     noise_level,
     split_bins,
 )
-from shakercal._common.arrays import ComplexArray, FloatArray, IntArray, check_shapes
+from shakercal._common.arrays import Arrays, ComplexArray, FloatArray, IntArray
 
 MOST_LINES = 200  # of one record; more are left out with a notice
 MIN_SEPARATION_BINS = 2.5  # lines closer than this count as one; a line's change of amplitude lies within it
@@ -40,7 +40,7 @@ _EXPECTED_BINS = 1.0  # largest distance of a line from an expected position
 
 
 @dataclass(frozen=True)
-class Peaks:
+class Peaks(Arrays, shapes="bin_position L; u_bin_position L; value L; u_value L; noise L"):
     """Lines of one record in ascending frequency, with standard uncertainties.
 
     Attributes
@@ -60,15 +60,9 @@ class Peaks:
     level: NoiseLevel
     cut: int
 
-    def __post_init__(self) -> None:
-        check_shapes(self, self.bin_position.shape, "u_bin_position", "value", "u_value", "noise")
-
 
 class FloorSpectrum:
-    """Hann spectrum (B,) of samples (S,) with its noise floor, for one or more searches.
-
-    A search subtracts its lines from `spectrum` and restores it at the end.
-    """
+    """Hann spectrum (B,) of samples with its noise floor; a search restores it."""
 
     def __init__(self, samples: FloatArray) -> None:
         self.samples = len(samples)
@@ -106,13 +100,13 @@ class FloorSpectrum:
 
 
 def find_peaks(
-    samples: FloatArray | FloorSpectrum,
+    floored: FloorSpectrum,
     chance: float,
     expected_bins: FloatArray,
     fitted_bins: FloatArray,
     min_amplitude: float = 0.0,
 ) -> Peaks:
-    """Find the lines of samples (S,), where noise alone adds one with probability `chance`.
+    """Find the lines of a spectrum, where noise alone adds one with probability `chance`.
 
     Half of the chance is for peaks anywhere, half for those at `expected_bins` (E,), where less height is enough. Each
     line is fitted and subtracted from the spectrum with its leakage before the floor is estimated again. A line must
@@ -120,7 +114,6 @@ def find_peaks(
     there follows from the square root of the chance, at least, for so few bins. `fitted_bins` (T,) are lines fitted
     already, with these samples as residual. `min_amplitude` is the amplitude below which a peak is rounding.
     """
-    floored = samples if isinstance(samples, FloorSpectrum) else FloorSpectrum(samples)
     state = _Search(floored, fitted_bins, expected_bins, chance, min_amplitude**2)
     for _ in range(_ROUNDS):
         if not state.grow() and not state.grow_expected():
@@ -131,10 +124,7 @@ def find_peaks(
 
 
 def excess_power(samples: FloatArray, bin_intervals: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return the highest power over the noise floor in intervals, and its position.
-
-    `bin_intervals` (Q, 2) are in bins. Samples (S,) → ratio (Q,) and fitted position of the peak (Q,) in bins.
-    """
+    """Return the highest power over the floor in intervals, and its position in bins."""
     spectrum = centred_spectrum(samples)
     power = BinPower(spectrum)
     level = replace(noise_level(power), minimum=np.finfo(np.float64).tiny)

@@ -17,7 +17,7 @@ from shaker.sine.aliasing import (
     find_aliased_harmonics,
     sine_columns,
 )
-from shakercal._common.arrays import BoolArray, FloatArray, IntArray, check_shape, check_shapes
+from shakercal._common.arrays import Arrays, BoolArray, FloatArray, IntArray, check_shape
 
 # How uncertain the amplitudes of a least-squares fit of sines will be, before anything is measured.
 
@@ -58,10 +58,7 @@ def amplitude_covariance(
 
 
 def rms_uncertainty(covariance: FloatArray) -> FloatArray:
-    """Return √(trace/2) of covariances (K, 2, 2).
-
-    It is the standard uncertainty of an amplitude, averaged over all phases (K,).
-    """
+    """Return √(trace/2) of covariances (K, 2, 2): an amplitude's mean u over phases."""
     return np.asarray(np.sqrt(np.trace(covariance, axis1=1, axis2=2) / 2.0))
 
 
@@ -108,15 +105,12 @@ class Sampling:
 
 
 @dataclass(frozen=True)
-class PlannedLines:
+class PlannedLines(Arrays, shapes="frequency_hz K; fundamental_hz K; multiple K"):
     """Lines (K,) of an excitation: `frequency_hz` = `multiple` · `fundamental_hz`, fundamentals first."""
 
     frequency_hz: FloatArray
     fundamental_hz: FloatArray
     multiple: IntArray
-
-    def __post_init__(self) -> None:
-        check_shapes(self, (len(self.frequency_hz),), "frequency_hz", "fundamental_hz", "multiple")
 
     @property
     def fundamentals_hz(self) -> FloatArray:
@@ -277,7 +271,7 @@ _SEPARATED_BINS = 1.0  # between a fitted line and a harmonic that is not
 
 
 @dataclass(frozen=True)
-class RateScan:
+class RateScan(Arrays, shapes="rate_hz R; margin_bins R; penalty R; preferred R; separated R"):
     """Rates (R,) examined for one point.
 
     Attributes
@@ -295,9 +289,6 @@ class RateScan:
     preferred: IntArray
     separated: BoolArray
 
-    def __post_init__(self) -> None:
-        check_shapes(self, self.rate_hz.shape, "margin_bins", "penalty", "preferred", "separated")
-
     @property
     def clear(self) -> BoolArray:
         """Whether every line is far enough from every other, (R,)."""
@@ -305,10 +296,7 @@ class RateScan:
 
     @property
     def good(self) -> BoolArray:
-        """Clear rates with most fundamentals in the preferred band.
-
-        Only separated ones count if there are any.
-        """
+        """Clear rates with most fundamentals in the preferred band, separated if any are."""
         good = self.clear
         if good.any():
             good &= self.preferred == self.preferred[good].max()
@@ -383,11 +371,7 @@ def best_rates(scan: RateScan) -> tuple[float, ...]:
 
 
 def fewest_rates(scans: Sequence[RateScan]) -> tuple[tuple[float, tuple[int, ...]], ...]:
-    """Return a small set of rates that includes a good one per point.
-
-    It is found greedily; points without a good rate are left out. Each rate has the indices of its points. All scans
-    have the same rates.
-    """
+    """Return few rates, found greedily, with the indices of the points that they serve."""
     good = np.array([scan.good for scan in scans])
     penalty = np.array([scan.penalty for scan in scans])
     margin = np.array([scan.margin_bins for scan in scans])
@@ -435,10 +419,7 @@ def _best_of(allowed: BoolArray, penalty: FloatArray, margin: FloatArray) -> int
 
 
 def _margin_bins(difference: FloatArray, slack: FloatArray, rate_hz: FloatArray, sampling: Sampling) -> FloatArray:
-    """Return the smallest distance of two exponentials at each rate in bins.
-
-    It is reduced by the share of the tolerance.
-    """
+    """Return the smallest distance of exponentials in bins, less the tolerance's share."""
     smallest = np.full(len(rate_hz), 0.5)
     # Each pair once: harmonics of one fundamental repeat them.
     for distance, loose in np.unique(np.round(np.column_stack([difference, slack]), 9), axis=0):

@@ -13,7 +13,7 @@ from math import lgamma
 
 import numpy as np
 
-from shaker.stacked import Stacked
+from shaker.io.channel import Stacked
 from shakercal._common.arrays import ComplexArray, FloatArray, IntArray, check_shape
 
 
@@ -93,10 +93,7 @@ class BinLine:
 
 
 def centred_spectrum(samples: FloatArray) -> ComplexArray:
-    """Return the Hann spectrum (B,) of samples (S,), phases at their middle.
-
-    The mean is removed. A sine on a bin shows its phasor. The window is symmetric about the middle of the record.
-    """
+    """Return the Hann spectrum (B,) of samples (S,), phases at their middle."""
     count = len(samples)
     spectrum = _hann_rfft(samples, (count - 1) / 2.0)
     for part in split_bins(len(spectrum)):
@@ -166,10 +163,7 @@ def _hann_rfft(samples: FloatArray, middle: float) -> ComplexArray:
 
 
 def _apply_window(samples: FloatArray, mean: float, middle: float, which: slice) -> FloatArray:
-    """Return the samples `which`, with `mean` subtracted, times a Hann window.
-
-    The window is 1 + cos(2π/S·(n - middle)); little memory is used.
-    """
+    """Return samples `which`, less `mean`, times 1 + cos(2π/S·(n - middle)), with little memory."""
     window = np.arange(which.start, which.stop, which.step, dtype=np.float64)
     window -= middle
     window *= 2.0 * np.pi / len(samples)
@@ -194,10 +188,7 @@ def hann_kernel(position: float, low: int, high: int, samples: int) -> tuple[Flo
     slope = np.pi * (np.cos(np.pi * distance) - dirichlet * np.cos(np.pi / samples * distance)) / below
     curvature = -(np.pi**2) / 3.0 * (1.0 - 1.0 / samples**2)
     dirichlet[near], slope[near] = 1.0 + curvature / 2.0 * series**2, curvature * series
-    return (
-        dirichlet[1:-1] + 0.5 * (dirichlet[:-2] + dirichlet[2:]),
-        slope[1:-1] + 0.5 * (slope[:-2] + slope[2:]),
-    )
+    return (dirichlet[1:-1] + 0.5 * (dirichlet[:-2] + dirichlet[2:]), slope[1:-1] + 0.5 * (slope[:-2] + slope[2:]))
 
 
 def fit_line(spectrum: ComplexArray, samples: int, start: float, noise: float) -> BinLine:
@@ -231,10 +222,7 @@ def fit_line(spectrum: ComplexArray, samples: int, start: float, noise: float) -
 
 
 def line_bins(line: BinLine, bins: int, noise: float) -> tuple[int, int]:
-    """Return the range of bins outside which a line is negligible against noise.
-
-    The range is the first bin, and one after the last. `noise` is the noise power of a bin.
-    """
+    """Return the range of bins outside which a line is negligible against noise."""
     reach = (abs(line.value) / (_MAX_REMAINDER * np.sqrt(noise) * np.pi)) ** (1.0 / 3.0)
     width = int(min(max(reach, 4.0), _MAX_HALF_WIDTH)) + 2
     return max(0, round(line.bin_position) - width), min(bins, round(line.bin_position) + width + 1)

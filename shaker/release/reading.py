@@ -9,7 +9,7 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 
-from shaker.frf.spline import cubic_spline
+from shaker.frf.chain import cubic_spline
 from shaker.io.condition import cut_run
 from shaker.release.load_response import MOMENTS, load_rate, load_share
 from shaker.release.onset import (

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from shaker.sine.sine_fit_notices import ALIASED_LINE, ALIASED_LINE_OTHER_RATE, INSEPARABLE_LINE
+from shaker.signal_notices import ALIASED_LINE, ALIASED_LINE_OTHER_RATE, INSEPARABLE_LINE
 from shakercal._common.arrays import BoolArray, FloatArray, IntArray, check_shape
 from shakercal._common.notices import Notice, Value
 
@@ -19,10 +19,7 @@ GRID_TOLERANCE = 1e-2  # of a sampling interval: times this close to a grid are 
 
 @dataclass(frozen=True)
 class AliasedHarmonic:
-    """A harmonic that aliases onto another line `line_hz`: `frequency_hz` = `multiple`·`fundamental_hz`.
-
-    `alias_hz` is the frequency at which it appears.
-    """
+    """A harmonic `multiple`·`fundamental_hz` that appears at `alias_hz`, as the line `line_hz` does."""
 
     frequency_hz: float
     fundamental_hz: float
@@ -54,19 +51,13 @@ class SamplingGrid:
 
 
 def alias_frequency(frequency_hz: FloatArray | float, rate_hz: float) -> FloatArray:
-    """Return the alias |f - rate·round(f / rate)| of lines.
-
-    It lies between zero and the Nyquist frequency.
-    """
+    """Return the alias |f - rate·round(f/rate)| of lines, below the Nyquist frequency."""
     f = np.asarray(frequency_hz, dtype=np.float64)
     return np.asarray(np.abs(f - rate_hz * np.round(f / rate_hz)))
 
 
 def frequency_of_alias(seen_hz: FloatArray, nominal_hz: FloatArray, rate_hz: float) -> FloatArray:
-    """Return the frequencies near nominal ones whose aliases are `seen_hz`.
-
-    An alias from a falling branch moves opposite to its frequency.
-    """
+    """Return the frequencies near nominal ones with aliases `seen_hz`, which may move the opposite way."""
     off = seen_hz - alias_frequency(nominal_hz, rate_hz)
     downwards = nominal_hz - rate_hz * np.floor(nominal_hz / rate_hz) > rate_hz / 2.0
     return np.asarray(nominal_hz + np.where(downwards, -off, off))
@@ -78,10 +69,7 @@ def exposure_gain(frequency_hz: FloatArray, exposure_s: float) -> FloatArray:
 
 
 def sampling_grid(time_s: FloatArray) -> SamplingGrid | None:
-    """Return the uniform grid, with gaps, of ascending times, else None.
-
-    The limit of 1 % is relative to the sampling interval.
-    """
+    """Return the uniform grid, with gaps, of times within 1 %, else None."""
     check_shape("time_s", time_s, (None,))
     steps = np.diff(time_s)
     if len(time_s) < 3 or not np.all(steps > 0.0):
@@ -139,36 +127,23 @@ def sine_columns(time_s: FloatArray, frequency_hz: FloatArray) -> FloatArray:
 
 
 def angles(turns: FloatArray) -> FloatArray:
-    """Return the angles in rad from -π to π of numbers of turns, in place.
-
-    Whole turns are subtracted first, which keeps the last digits in long records.
-    """
+    """Return angles (-π to π rad) of turns, in place, with their last digits."""
     turns -= np.rint(turns)
     turns *= 2.0 * np.pi
     return turns
 
 
 def condition_number(gram: FloatArray) -> float:
-    """Return the condition number of a design matrix, infinite if singular.
-
-    The input is its Gram matrix XᵀX.
-    """
+    """Return a design matrix's condition number from its Gram matrix, infinite if singular."""
     eigenvalues = np.linalg.eigvalsh(gram)
     limit = float(eigenvalues[-1]) * len(gram) * float(np.finfo(np.float64).eps)
     return float(np.sqrt(eigenvalues[-1] / eigenvalues[0])) if eigenvalues[0] > limit else float("inf")
 
 
 def find_aliased_harmonics(
-    frequency_hz: float,
-    fundamentals_hz: Sequence[float],
-    rate_hz: float,
-    resolution_hz: float,
-    max_multiple: int = 20,
+    frequency_hz: float, fundamentals_hz: Sequence[float], rate_hz: float, resolution_hz: float, max_multiple: int = 20
 ) -> tuple[AliasedHarmonic, ...]:
-    """Return the harmonics of the fundamentals that alias within `resolution_hz` of a line's alias.
-
-    In an unfiltered record they add to the line, and no fit can separate them.
-    """
+    """Return the harmonics that alias within `resolution_hz` of a line, where they are inseparable."""
     alias = float(alias_frequency(frequency_hz, rate_hz))
     found: dict[float, AliasedHarmonic] = {}
     for fundamental in fundamentals_hz:
@@ -227,39 +202,29 @@ def separation_bins(frequency_hz: FloatArray, rate_hz: float, frames: int) -> fl
 
 
 def differences_hz(frequency_hz: FloatArray) -> FloatArray:
-    """Return the distances f_i, 2·f_i, f_i + f_j and |f_i - f_j| between lines (K,).
-
-    They are those of the exponentials at 0 and ±f.
-    """
+    """Return the distances between the exponentials at 0 and ±f of lines (K,)."""
     check_shape("frequency_hz", frequency_hz, (None,))
     first, second = np.triu_indices(len(frequency_hz), k=1)
     f, g = frequency_hz[first], frequency_hz[second]
     return np.concatenate([frequency_hz, 2.0 * frequency_hz, f + g, np.abs(f - g)])
 
 
-def nearest_clear_rate(
-    frequency_hz: FloatArray,
-    rate_hz: float,
-    frames: int,
-    *,
-    step_hz: float = _RATE_STEP_HZ,
-    max_change: float = _MAX_CHANGE,
-) -> float | None:
+def nearest_clear_rate(frequency_hz: FloatArray, rate_hz: float, frames: int) -> float | None:
     """Return the rate nearest to `rate_hz` that separates lines (K,) by `CLEAR_BINS`; None without one.
 
-    Only multiples of `step_hz` within `max_change`·`rate_hz` are considered. Two exponentials at a distance F are too
+    Only multiples of 1 mHz within a fifth of `rate_hz` are considered. Two exponentials at a distance F are too
     close where |F/rate - k| < `CLEAR_BINS`/frames for a whole number k, which is an interval of rates. The search moves
     outwards from the present rate and leaves each interval at its far end. It therefore misses no rate and tries few.
     """
-    if not (rate_hz > 0.0 and step_hz > 0.0):
-        raise ValueError(f"rate_hz, step_hz: expected numbers above 0, found {rate_hz} and {step_hz}")
+    if not rate_hz > 0.0:
+        raise ValueError(f"rate_hz: expected a number above 0, found {rate_hz}")
     differences = differences_hz(frequency_hz)
     margin = CLEAR_BINS / frames
-    limits = (rate_hz * (1.0 - max_change), rate_hz * (1.0 + max_change))
+    limits = (rate_hz * (1.0 - _MAX_CHANGE), rate_hz * (1.0 + _MAX_CHANGE))
     found = [
         rate
         for direction, limit in zip((-1, 1), limits, strict=True)
-        if (rate := _clear_rate_towards(differences, margin, rate_hz, step_hz * direction, limit)) is not None
+        if (rate := _clear_rate_towards(differences, margin, rate_hz, _RATE_STEP_HZ * direction, limit)) is not None
     ]
     return min(found, key=lambda rate: abs(rate - rate_hz), default=None)
 

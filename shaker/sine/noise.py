@@ -22,10 +22,9 @@ def _highest_sine(
 ) -> tuple[FloatArray, ComplexArray, FloatArray]:
     """Return position, transform and height (K, C) of the highest sine.
 
-    The position is in bins, between two ordinates. Ordinates on a bin are standard exponential variables over the level
-    where there is no sine. Between two bins so is half the squared difference of neighbours. A peak near a line belongs
-    to the line's fluctuation. For a rectangular window the two ordinates are as 1/distance from the sine, with opposite
-    signs.
+    The position is between two bins. Over the level, ordinates on a bin, and half the squared difference of neighbours
+    between bins, are standard exponential variables without a sine; with one, the two ordinates are as 1/distance with
+    opposite signs. Peaks near a line belong to the line's fluctuation.
     """
     relative = ordinates / np.sqrt(level)
     between = np.abs(relative[:, 1:] - relative[:, :-1]) ** 2 / 2.0
@@ -51,10 +50,9 @@ def _subtract_tones(
 ) -> tuple[ComplexArray, ComplexArray, FloatArray]:
     """Subtract sines and straight-line changes of lines (K,) from ordinates (K, M, C).
 
-    The ordinates are at bins (K, M). The heights of sines on and between bins and of straight-line changes are compared
-    relative to the remaining noise level. The highest is subtracted first, until pure noise would be as high (Högbom
-    1974, CLEAN, one channel and line at a time). Returned are the remainder (K, M, C), the remainder including the
-    sines, and the power (K, C) of the sines in the fitted lines.
+    The highest relative to the remaining level is subtracted first, until pure noise would be as high (Högbom 1974,
+    CLEAN, one channel and line at a time). Returned are the remainder, the remainder including the sines, and the power
+    (K, C) of the sines in the fitted lines.
     """
     shape, rest, changed = _shapes(bins), ordinates.copy(), np.zeros_like(ordinates)
     leaked = np.zeros((len(bins), ordinates.shape[2]))
@@ -78,10 +76,7 @@ def _subtract_tones(
 def _highest_change(
     ordinates: ComplexArray, level: FloatArray, bins: FloatArray, line_positions: FloatArray, length: int
 ) -> tuple[ComplexArray, FloatArray]:
-    """Return the highest straight-line change of a line.
-
-    It is given as transform (K, M, C) and height (K, C).
-    """
+    """Return transform (K, M, C) and height (K, C) of the highest straight-line change."""
     best, height = np.zeros_like(ordinates), np.zeros((len(bins), ordinates.shape[2]))
     for position in line_positions:
         near = (bins[:, 0] < position) & (position < bins[:, -1])
@@ -97,27 +92,18 @@ def _highest_change(
 
 
 def _sine(bins: FloatArray, position: FloatArray, top: ComplexArray, length: int) -> ComplexArray:
-    """Return the transform at `bins` of a real sine with its mirror image.
-
-    `top` is its transform at its position.
-    """
+    """Return the transform of a real sine, `top` at its position, at `bins`."""
     return np.asarray(top * _kernel(bins - position, length) + top.conj() * _kernel(bins + position, length))
 
 
 def _kernel(distance: FloatArray, length: int) -> ComplexArray:
-    """Return the transform of a complex sine of `length` samples, 1 at its frequency.
-
-    `distance` is in bins from the sine.
-    """
+    """Return the transform of a complex sine at a distance in bins."""
     turn = np.exp(-1j * np.pi * distance * (1.0 - 1.0 / length))
     return np.asarray(np.sinc(distance) / np.sinc(distance / length) * turn)
 
 
 def _ramp_kernel(distance: FloatArray, length: int) -> ComplexArray:
-    """Return the transform of a complex sine that grows linearly.
-
-    Its amplitude changes from -1 to 1 over the record. `distance` is in bins from the sine.
-    """
+    """Return the transform of a complex sine that grows from -1 to 1."""
     angle = np.pi * distance
     size = (np.cos(angle) - np.sinc(distance)) / np.where(angle == 0.0, 1.0, angle)
     return np.asarray(1j * size * np.exp(-1j * angle * (1.0 - 1.0 / length)))
@@ -143,10 +129,7 @@ _NO_POWER = 1e-77  # power of an ordinate without noise
 
 @dataclass(frozen=True)
 class LineNoise:
-    """Variance of white noise that would disturb each line as the actual noise does.
-
-    `variance` (K, C) in the squared unit of the samples, `dof` (K,) of the estimate.
-    """
+    """Variance (K, C) of equivalent white noise for each line, with `dof` (K,)."""
 
     variance: FloatArray
     dof: FloatArray
@@ -193,13 +176,11 @@ def line_noise(residual: FloatArray, samples: int, line_bin: FloatArray, *, bloc
 def noise_of_ordinates(
     ordinates: ComplexArray, bins: FloatArray, line_bin: FloatArray, length: int, *, blocks: bool = True
 ) -> LineNoise:
-    """Return the noise of lines (K,) from nearby ordinates (K, M, C).
+    """Return the noise of lines (K,) from ordinates (K, M, C), DFT over √samples.
 
-    An ordinate is the DFT over the root of the number of samples. As `levels_at_lines`, but distinct sines between the
-    lines are subtracted first. So is the significant straight-line change of a line's amplitude and phase: the mean
-    over the record is as certain as that of a steady line, and `stationarity` reports the change. The noise is no
-    smaller than the scatter between blocks of the record about that straight line, where this is significantly larger.
-    That scatter is the mean of the ordinates nearest to the line. `length` is that of the record.
+    As `levels_at_lines`, without distinct sines between the lines and without the significant straight-line change of a
+    line, which `stationarity` reports. The noise is no smaller than the scatter between blocks of the record, the mean
+    of the ordinates nearest to the line, where this is significantly larger. `length` is that of the record.
     """
     rest, steady, leaked = _subtract_tones(ordinates, bins, line_bin, length)
     variance, dof, level = levels_at_lines(np.abs(rest) ** 2, bins, line_bin)
@@ -244,17 +225,15 @@ def neighbour_bins(length: int, line_bin: FloatArray) -> IntArray | None:
 def levels_at_lines(
     power: FloatArray, bins: FloatArray, line_bin: FloatArray
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return noise variance, degrees of freedom and level of lines.
+    """Return noise variance, degrees of freedom (K, C) and level (K, M, C) of lines.
 
-    The first two are (K, C), the nearby level is (K, M, C). The input are periodogram ordinates (K, M, C) at bins (K,
-    M) near each line at fractional bins (K,): |DFT|² over the number of samples, so that white noise of variance σ² has
-    mean σ². Each is its level S(j) times a standard exponential variable (Whittle's likelihood). S(j) = s·h(j) with
-    shapes h that are white, 1/f, 1/f² and 1/f³ above white noise with various corners. With the prior 1/s a shape has
-    the weight Π 1/h(j)·Q^-M, Q = Σ I(j)/h(j), and s has the inverse gamma distribution (M, Q).
+    `power` (K, M, C) is |DFT|² over the number of samples, with the mean σ² for white noise, at bins (K, M) near each
+    line at fractional bins (K,). Each is its level S(j) = s·h(j) times a standard exponential variable (Whittle's
+    likelihood); shapes h are white, 1/f, 1/f² and 1/f³ above white noise with various corners. With the prior 1/s a
+    shape has the weight Π 1/h(j)·Q^-M, Q = Σ I(j)/h(j), and s has the inverse gamma distribution (M, Q).
 
-    The noise of the line, s·h(line), is distributed as their mixture. Its degrees of freedom follow from that, and so
-    does the variance with the same 95 % region. Drift and 1/f noise thus count where they act, as far as the ordinates
-    show them. A position up to half a bin is that of the offset.
+    The noise of the line, s·h(line), is distributed as their mixture, which gives its degrees of freedom and the
+    variance with the same 95 % region. A position up to half a bin is that of the offset.
     """
     # The power that the fit of the lines has removed is restored; numbers of any size become moderate ones.
     top = np.maximum(power.max(axis=1, keepdims=True), _NO_POWER)

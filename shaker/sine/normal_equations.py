@@ -16,8 +16,8 @@ from math import factorial
 
 import numpy as np
 
+from shaker.io.channel import Stacked
 from shaker.sine.aliasing import angles, condition_number, sine_columns
-from shaker.stacked import Stacked
 from shakercal._common.arrays import BoolArray, ComplexArray, FloatArray, IntArray, check_shape
 
 # Sampling times of a record, cut into blocks whose phases are exact however long the record is.
@@ -29,30 +29,8 @@ _ROUNDING = 8.0  # units in the last place by which the times of a uniform grid 
 
 
 @dataclass(frozen=True)
-class UniformTimes:
-    """Times `start_s` + i / `rate_hz`, i < `samples`, without an array of them."""
-
-    start_s: float
-    rate_hz: float
-    samples: int
-
-    def __len__(self) -> int:
-        return self.samples
-
-    def array(self) -> FloatArray:
-        """Return the times (S,) as an array."""
-        return np.asarray(self.start_s + np.arange(self.samples) / self.rate_hz)
-
-
-Times = FloatArray | UniformTimes
-
-
-@dataclass(frozen=True)
 class _Grid:
-    """A uniform grid: sample i at `start_s` + i·`interval_s`, both exact.
-
-    `centre` (B,) are the samples at the block centres.
-    """
+    """A uniform grid with exact `start_s` and `interval_s`, and the blocks' `centre` samples."""
 
     start_s: Fraction
     interval_s: Fraction
@@ -117,10 +95,8 @@ class Timeline:
         return float(Fraction(frequency_hz) * middle % 1)
 
 
-def timeline(times: Times, used: BoolArray | None) -> Timeline:
+def timeline(times: FloatArray, used: BoolArray | None) -> Timeline:
     """Return the blocks of a record; times that are uniform within rounding become a grid."""
-    if isinstance(times, UniformTimes):
-        return _on_grid(Fraction(times.start_s), 1 / Fraction(times.rate_hz), times.samples)
     grid = _uniform(times) if len(times) > _SHORT_BLOCK else None
     if grid is not None:
         return _on_grid(*grid, len(times))
@@ -151,10 +127,7 @@ def _on_grid(start_s: Fraction, interval_s: Fraction, samples: int) -> Timeline:
 
 
 def _uniform(time_s: FloatArray) -> tuple[Fraction, Fraction] | None:
-    """Return start and interval of times that are uniform within rounding, else None.
-
-    The line through the deviations is added exactly, so that the rounding of single times averages out.
-    """
+    """Return exact start and interval of the line through times uniform within rounding, else None."""
     samples = len(time_s)
     start, interval = float(time_s[0]), float(time_s[-1] - time_s[0]) / (samples - 1)
     tolerance = _ROUNDING * float(np.spacing(max(abs(float(time_s[0])), abs(float(time_s[-1])))))
@@ -197,10 +170,7 @@ class Demodulator:
         return np.asarray((self.bins.min(axis=1) + self.bins.max(axis=1)) // 2)
 
     def columns(self) -> FloatArray:
-        """Return the columns (L, 2·K·4) of a full block.
-
-        They are cosine and sine, times powers of time from -1 to 1.
-        """
+        """Return cosines and sines times powers of time (L, 2·K·4) in a block."""
         length = int(self.timeline.edges[1])
         index = np.arange(length) - length // 2
         angle = 2.0 * np.pi * np.mod(np.multiply.outer(index, self.centre) / self.timeline.samples, 1.0)
@@ -209,10 +179,7 @@ class Demodulator:
         return np.asfortranarray((turn[..., None] * powers[:, None, None, :]).reshape(length, -1))
 
     def transform(self, moments: FloatArray) -> ComplexArray:
-        """Return the transform (K, M, C) from the sums of the blocks.
-
-        `moments` (B, 2·K·4, C) are the sums of columns times samples.
-        """
+        """Return the transform (K, M, C) from the blocks' sums (B, 2·K·4, C)."""
         blocks, _, channels = moments.shape
         groups, samples = self.bins.shape[0], self.timeline.samples
         parts = moments.reshape(blocks, 2, groups, _ORDERS, channels)
@@ -221,10 +188,7 @@ class Demodulator:
         offsets, inverse_index = np.unique(self.bins - self.centre[:, None], return_inverse=True)
 
         def turns(bins: IntArray) -> ComplexArray:
-            """Return exp(-2πj·j·n/N) of bins (M,) at the block centres.
-
-            j·n mod N is computed in whole numbers, which gives exact phases.
-            """
+            """Return exp(-2πj·j·n/N) of bins (M,) at the block centres, from whole numbers."""
             angle = 2.0 * np.pi * (np.multiply.outer(bins, centre) % samples) / samples
             return np.asarray(np.cos(angle) - 1j * np.sin(angle))
 
@@ -250,10 +214,7 @@ _CHUNK = 1 << 16  # values worked on at a time: they stay in the processor's cac
 
 @dataclass(frozen=True)
 class SineSamples:
-    """Samples to be fitted: `values` (S, C) at the times of `timeline` with weights.
-
-    `root` (S,) or (S, C) is one over the standard deviation, 0 for rows left out; None means ones.
-    """
+    """Samples `values` (S, C) with weights `root` = 1/σ, 0 for rows left out."""
 
     timeline: Timeline
     values: FloatArray | Stacked
@@ -277,10 +238,7 @@ class SineSamples:
         return replace(self, root=np.where(rows if self.root.ndim == 1 else rows[:, None], 0.0, self.root))
 
     def chunks(self) -> Iterator[Chunk]:
-        """Yield all blocks: those with the same columns side by side, the others separately.
-
-        A few large products replace many small ones, for which threads of the linear algebra would compete.
-        """
+        """Yield all blocks: those with the same columns together, in few large products."""
         times = self.timeline
         blocks, length, channels = len(times.centre_s), int(times.edges[1]), self.values.shape[1]
         most = max(1, _CHUNK // (length * channels))
@@ -302,10 +260,7 @@ class SineSamples:
 
 @dataclass(frozen=True)
 class Chunk:
-    """Blocks `first` to `last` - 1 side by side: `values` (n, B·C) with weights.
-
-    `root` (n, 1) or (n, C) are the weights, None for ones. A block with weights is a separate chunk.
-    """
+    """Blocks `first` to `last` - 1 side by side; one with weights is alone."""
 
     first: int
     last: int
@@ -446,10 +401,7 @@ def normal_equations(samples: SineSamples, columns: SineColumns) -> SineNormalEq
 def residuals(
     samples: SineSamples, columns: SineColumns, coefficients: FloatArray
 ) -> Iterator[tuple[Chunk, FloatArray, FloatArray]]:
-    """Yield chunks with their columns (n, P) and weighted residual (n, B·C).
-
-    The residual is zero where left out. `coefficients` (P or fewer, C) are those of the first columns.
-    """
+    """Yield chunks with their columns (n, P) and weighted residual (n, B·C)."""
     timeline = samples.timeline
     local_coefficients = columns.block_transforms(timeline)[:, :, : len(coefficients)] @ coefficients
     common = columns.local(timeline.local(0))
@@ -479,10 +431,7 @@ class SineSolution:
     condition: float
 
     def phasors(self, lines: int) -> tuple[ComplexArray, FloatArray]:
-        """Return phasors (K, C) of the first lines, and their variance (K,).
-
-        The lines are those of `sine_columns`. The variance is that for noise of variance 1, the mean of both parts.
-        """
+        """Return phasors (K, C) of the first lines, and their variance for unit noise."""
         scale = np.sqrt(2.0 / len(self.residual))
         spread = np.diag(self.inverse)[: 2 * lines].reshape(-1, 2).mean(axis=1)
         return np.asarray(scale * as_complex(self.coefficients, lines).conj()), scale**2 * spread
@@ -508,10 +457,7 @@ def solve_sines(columns: FloatArray, data: FloatArray) -> SineSolution:
 def sine_amplitudes(
     time_s: FloatArray, values: FloatArray, frequency_hz: FloatArray
 ) -> tuple[FloatArray, ComplexArray]:
-    """Return offset (C,) and phasors (K, C) of `values` (S, C) as `fit_sines`, without covariance.
-
-    For many channels, whose covariance matrix would be large.
-    """
+    """Return offset (C,) and phasors (K, C) of `values` (S, C) as `fit_sines`, without covariance."""
     check_shape("values", values, (len(time_s), None))
     solution = solve_sines(sine_columns(time_s, frequency_hz), values)
     return solution.coefficients[-1] / np.sqrt(len(time_s)), solution.phasors(len(frequency_hz))[0]

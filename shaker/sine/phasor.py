@@ -9,11 +9,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from shakercal._common.arrays import ComplexArray, FloatArray, check_shape
+from shakercal._common.arrays import Arrays, ComplexArray, FloatArray, check_shape
 
 
 @dataclass(frozen=True)
-class Phasors:
+class Phasors(Arrays, shapes="frequency_hz K; channels C; value K C; unit C; dof K"):
     """Peak phasors X of x(t) = Re{X exp(+jωt)} with covariance.
 
     X = a - jb for a·cos ωt + b·sin ωt.
@@ -43,13 +43,9 @@ class Phasors:
     dof: FloatArray
 
     def __post_init__(self) -> None:
-        check_shape("frequency_hz", self.frequency_hz, (None,))
-        lines, channels = len(self.frequency_hz), len(self.channels)
-        check_shape("value", self.value, (lines, channels))
+        super().__post_init__()
+        lines, channels = self.value.shape
         check_shape("covariance", self.covariance, (lines, 2 * channels, 2 * channels))
-        check_shape("dof", self.dof, (lines,))
-        if len(self.unit) != channels:
-            raise ValueError(f"unit: expected {channels} units, one per channel, found {len(self.unit)}")
 
     def __repr__(self) -> str:
         lines, names = self.frequency_hz, [f"{c} [{u}]" for c, u in zip(self.channels, self.unit, strict=True)]
@@ -104,7 +100,7 @@ class Phasors:
 
     def combined(self, matrix: ComplexArray, channels: Sequence[str], unit: Sequence[str]) -> Phasors:
         """Return D `channels` by complex matrices (K, D, C), with propagated covariance."""
-        jacobian = np.block([[matrix.real, -matrix.imag], [matrix.imag, matrix.real]])
+        jacobian = real_stacked(matrix)
         return replace(
             self,
             value=(matrix @ self.value[..., None])[..., 0],
@@ -125,19 +121,17 @@ def derivative_factor(frequency_hz: FloatArray, order: int) -> ComplexArray:
     return np.asarray(turn * (2.0 * np.pi * np.asarray(frequency_hz, dtype=np.float64)) ** float(order))
 
 
-def real_stacked_diagonal(factor: ComplexArray) -> FloatArray:
-    """Return the real matrices (K, 2C, 2C) equivalent to multiplication by `factor` (K, C).
+def real_stacked(matrix: ComplexArray) -> FloatArray:
+    """Return real matrices (…, 2D, 2C) on [all Re, all Im] of complex ones (…, D, C)."""
+    return np.asarray(np.block([[matrix.real, -matrix.imag], [matrix.imag, matrix.real]]))
 
-    They act on [all Re, all Im].
-    """
+
+def real_stacked_diagonal(factor: ComplexArray) -> FloatArray:
+    """Return the matrices (K, 2C, 2C) that multiply [all Re, all Im] by `factor`."""
     lines, channels = factor.shape
-    matrix = np.zeros((lines, 2 * channels, 2 * channels))
-    diagonal = np.arange(channels)
-    matrix[:, diagonal, diagonal] = factor.real
-    matrix[:, diagonal, diagonal + channels] = -factor.imag
-    matrix[:, diagonal + channels, diagonal] = factor.imag
-    matrix[:, diagonal + channels, diagonal + channels] = factor.real
-    return matrix
+    matrix = np.zeros((lines, channels, channels), dtype=np.complex128)
+    matrix[:, np.arange(channels), np.arange(channels)] = factor
+    return real_stacked(matrix)
 
 
 def stack_phasors(parts: Sequence[Phasors]) -> Phasors:

@@ -1,4 +1,4 @@
-"""Sine approximation at exact times, and its stationarity over blocks of whole periods."""
+"""Sine approximation at exact times, its stationarity over blocks of whole periods, and converter steps."""
 
 from __future__ import annotations
 
@@ -9,24 +9,17 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import ArrayLike
 
-from shaker.sine.aliasing import (
-    MAX_CONDITION,
-    alias_frequency,
-    sampling_grid,
-    separation_bins,
-    sine_columns,
-)
+from shaker.io.channel import Stacked
+from shaker.signal_notices import MISSING_SAMPLES, SPIKES_REJECTED
+from shaker.sine.aliasing import MAX_CONDITION, alias_frequency, sampling_grid, separation_bins, sine_columns
 from shaker.sine.noise import LineNoise, line_noise
 from shaker.sine.normal_equations import (
     SineSamples,
-    Times,
-    UniformTimes,
     as_complex,
     check_samples,
     solve_sines,
     timeline,
 )
-from shaker.sine.sine_fit_notices import MISSING_SAMPLES, SPIKES_REJECTED
 from shaker.sine.solve import (
     Estimate,
     SineFit,
@@ -40,8 +33,7 @@ from shaker.sine.solve import (
     phasors_at_zero,
     sum_remainder,
 )
-from shaker.stacked import Stacked
-from shakercal._common.arrays import BoolArray, ComplexArray, FloatArray, check_shape, check_shapes
+from shakercal._common.arrays import Arrays, BoolArray, ComplexArray, FloatArray, check_shape
 from shakercal._common.notices import Notice
 
 _NO_ADDITIONS = SineModel()
@@ -49,7 +41,7 @@ _ROUNDING = 1e-15  # of a channel's lines: no residual is more certain
 
 
 def fit_sines(
-    time_s: Times,
+    time_s: FloatArray,
     values: FloatArray | Stacked,
     frequency_hz: FloatArray,
     channels: Sequence[str],
@@ -67,7 +59,7 @@ def fit_sines(
     Parameters
     ----------
     time_s
-        (S,), sampling times in s, or `UniformTimes`.
+        (S,), sampling times in s.
     values
         (S, C), samples of C channels.
     frequency_hz
@@ -126,7 +118,7 @@ def fit_sines(
         return _fit_rows(time_s, samples, frequency_hz, model, names, notices)
     spikes, limit = find_spikes(samples, frequency_hz, model)
     if spikes.any():
-        first_s = _as_array(time_s)[np.argmax(spikes)]
+        first_s = time_s[np.argmax(spikes)]
         count, total = int(np.count_nonzero(spikes)), samples.count
         notices += (Notice(SPIKES_REJECTED, where, spikes=count, samples=total, limit_sigmas=limit, first_s=first_s),)
         samples = samples.drop_rows(spikes)
@@ -135,7 +127,7 @@ def fit_sines(
 
 
 def _fit_rows(
-    time_s: Times,
+    time_s: FloatArray,
     samples: SineSamples,
     frequency_hz: FloatArray,
     model: SineModel,
@@ -155,7 +147,7 @@ def _fit_rows(
     power = left.power - (explained + explained.T) / 2.0
     power += np.diag(np.maximum(0.0, -power.diagonal()))
     factor, whitening = factor_of(power / free)
-    noise = noise_at_lines(samples, columns, left, whitening, _as_array(time_s) if left.residual is not None else None)
+    noise = noise_at_lines(samples, columns, left, whitening, time_s if left.residual is not None else None)
     if noise is None:
         noise = LineNoise(np.ones((lines + 1, channels)), np.full(lines + 1, free))
     best = Estimate(columns, coefficients + change, system, factor, noise.variance, unknown, None)
@@ -198,10 +190,7 @@ def rows_present(values: FloatArray | Stacked) -> BoolArray | None:
 
 
 def _root(values: FloatArray | Stacked, variance: FloatArray | None, present: BoolArray | None) -> FloatArray | None:
-    """Return weights 1/σ (S,) or (S, C) with unit mean square; None for equal weights.
-
-    Rows that are not present have weight zero.
-    """
+    """Return weights 1/σ of unit mean square, zero for absent rows; None for equal ones."""
     if variance is None:
         return None if present is None else present.astype(np.float64)
     if variance.shape not in (values.shape, values.shape[:1]):
@@ -215,17 +204,16 @@ def _root(values: FloatArray | Stacked, variance: FloatArray | None, present: Bo
     return np.asarray(root / np.sqrt(np.mean(root[used] ** 2, axis=0)))
 
 
-def _as_array(time_s: Times) -> FloatArray:
-    return time_s.array() if isinstance(time_s, UniformTimes) else time_s
-
-
 def _check_arguments(
-    time_s: Times, values: FloatArray | Stacked, frequency_hz: FloatArray, channels: Sequence[str], unit: Sequence[str]
+    time_s: FloatArray,
+    values: FloatArray | Stacked,
+    frequency_hz: FloatArray,
+    channels: Sequence[str],
+    unit: Sequence[str],
 ) -> None:
-    if not isinstance(time_s, UniformTimes):
-        check_shape("time_s", time_s, (None,))
-        if not np.all(np.isfinite(time_s)):
-            raise ValueError(f"time_s: expected finite times, found {int(np.sum(~np.isfinite(time_s)))} that are not")
+    check_shape("time_s", time_s, (None,))
+    if not np.all(np.isfinite(time_s)):
+        raise ValueError(f"time_s: expected finite times, found {int(np.sum(~np.isfinite(time_s)))} that are not")
     check_shape("values", values, (len(time_s), len(channels)))
     check_shape("frequency_hz", frequency_hz, (None,))
     if len(unit) != len(channels):
@@ -245,7 +233,11 @@ _NOISE_SAMPLES = 1 << 17  # of a longer record no more are needed for its noise 
 
 
 @dataclass(frozen=True)
-class Stationarity:
+class Stationarity(
+    Arrays,
+    shapes="frequency_hz K; dof K; channels C; time_s B; value B K C; u B K C; amplitude_per_s K C;"
+    "u_amplitude_per_s K C; phase_rad_per_s K C; u_phase_rad_per_s K C; p_value K C",
+):
     """Phasors of lines over blocks of a record, with a test for drift.
 
     K lines, C channels, B blocks.
@@ -279,13 +271,6 @@ class Stationarity:
     p_value: FloatArray
     dof: FloatArray
 
-    def __post_init__(self) -> None:
-        per_line = len(self.frequency_hz), len(self.channels)
-        check_shape("time_s", self.time_s, (None,))
-        check_shapes(self, (len(self.time_s), *per_line), "value", "u")
-        check_shapes(self, per_line, *_SLOPES)
-        check_shape("dof", self.dof, per_line[:1])
-
     def p_value_with_rate(self, u_phase_rad_per_s: ArrayLike) -> FloatArray:
         """Return the probability of such a scatter from noise and an uncertain rate, like `p_value`.
 
@@ -297,10 +282,7 @@ class Stationarity:
         return _chance_probability(self._chi_square(u_phase_rad_per_s), len(self.time_s), self.dof)
 
     def excess_variance(self, u_phase_rad_per_s: ArrayLike) -> FloatArray:
-        """Return the variance (K, C) of the blocks beyond noise and rate error.
-
-        It includes both parts.
-        """
+        """Return the variance (K, C) of blocks, both parts, beyond noise and rate error."""
         blocks = len(self.time_s)
         more = np.maximum(self._chi_square(u_phase_rad_per_s) - 2.0 * (blocks - 1), 0.0)
         return np.asarray(more / np.sum(1.0 / np.maximum(self.u**2, _NO_NOISE), axis=0))
@@ -345,14 +327,11 @@ def stationarity(
 ) -> Stationarity | None:
     """Fit the lines (K,) to blocks of whole periods and test whether they drift.
 
-    `values` (S, C) are samples at ascending times (S,). The periods are those of the first line's alias, so that a
-    block contains whole beats beyond the Nyquist rate. A record with fewer than two periods is cut into halves. There
-    are at most ten blocks. Phasors of a block are those of a fit of all lines and an offset. Their noise is the density
-    around each line of the residual of the whole record, without the sidebands that a drift makes. The test is that of
-    Fisher for 2(B - 1) real residuals about the weighted mean.
-
-    None where the blocks are too short to separate the lines, or gaps leave fewer than two blocks. Blocks with less
-    than half of their samples are left out, and so are rows with a NaN.
+    `values` (S, C) are samples at ascending times (S,). At most ten blocks have whole periods of the first line's
+    alias; fewer than two periods are cut into halves. Their noise is the density around each line of the residual of
+    the whole record, without the sidebands of a drift. The test is Fisher's for 2(B - 1) real residuals about the
+    weighted mean. None where blocks are too short to separate the lines, or fewer than two have half of their samples;
+    rows with a NaN are left out.
     """
     tiny = np.finfo(np.float64).tiny
     check_shape("time_s", time_s, (None,))
@@ -409,10 +388,7 @@ def stationarity(
 
 
 def _chance_probability(chi2: FloatArray, blocks: int, dof: FloatArray) -> FloatArray:
-    """Return the probability that noise exceeds χ² (K, C), by Fisher's distribution.
-
-    There are 2(B - 1) normal variables. `dof` (K,) are the degrees of freedom of the noise.
-    """
+    """Return the probability that noise of `dof` (K,) exceeds χ² (K, C), by Fisher's distribution."""
     from scipy.special import fdtrc
 
     free = 2.0 * (blocks - 1)
@@ -420,10 +396,7 @@ def _chance_probability(chi2: FloatArray, blocks: int, dof: FloatArray) -> Float
 
 
 def _block_length(time: FloatArray, frequency_hz: FloatArray) -> tuple[float, float, bool]:
-    """Return length of a block in s, periods in it, and whether whole.
-
-    The periods are those of the first line.
-    """
+    """Return length of a block in s, the first line's periods, and whether whole."""
     grid = sampling_grid(time)
     if grid is None:
         length, seen_hz = float(time[-1] - time[0]), float(frequency_hz[0])
@@ -455,3 +428,59 @@ def _noise(time: FloatArray, data: FloatArray, frequency_hz: FloatArray) -> tupl
         if noise is not None:
             return noise.variance, np.minimum(noise.dof, free)
     return np.tile(np.sum(residual**2, axis=0) / free, (lines, 1)), np.full(lines, free)
+
+
+# Effect of converter steps on a sine approximation.
+
+_MOST = 1 << 21  # values of the exponentials of all lines
+_LONGEST = 1 << 15  # samples that are rounded
+_OFFSETS, _SIZES = 4, np.arange(-16, 17) / 32.0  # offsets between two steps; changes of the amplitude, in steps
+_SHIFTS, _GOLDEN = 6, (5.0**0.5 - 1.0) / 2.0  # phases of the sampling times between two samples, and their increment
+_UNDITHERED = 0.1  # of a step: noise below which rounding is that of the sine alone
+_DITHERED = 0.8  # of a step: with more noise less than 1e-5 of a step is left
+_TERMS = 30.0  # exponent at which terms of the series end
+
+
+def quantisation_error(fit: SineFit, channel: int, time_s: FloatArray, step: float) -> ComplexArray:
+    """Return the largest relative change of each line (K,) by rounding samples to a `step`.
+
+    Real and imaginary part are those of the change. Rounding x + noise of standard deviation σ to multiples of q adds,
+    on average, Σ (-1)^m q/(πm)·exp(-2π²m²σ²/q²)·sin(2πm·x/q). For one sine this changes its amplitude A by Σ (-1)^m
+    2q/(πm)·J₁(2πmA/q)·cos(2πm·offset/q) without noise (Widrow and Kollár, Quantization Noise, 2008); synchronous
+    samples add the terms that alias onto it.
+
+    The sum is evaluated at the sampling times for all lines together, and is the largest over offsets, amplitudes
+    within a step and sampling times within an interval. Lines below half a step may be caused by rounding alone. The
+    noise is that around each line, at most the residual, minus q²/12.
+    """
+    phasors, value = fit.phasors, fit.phasors.value[:, channel]
+    count = min(len(time_s), _LONGEST, max(_MOST // max(len(value), 1), 256))
+    time, size = time_s[:count], float(np.max(np.abs(value)))
+    near = 0.5 * len(time_s) * float(np.min(phasors.u_re[:, channel] ** 2 + phasors.u_im[:, channel] ** 2)) / 2.0
+    noise = np.sqrt(max(min(near, float(fit.residual_rms[channel]) ** 2) - step**2 / 12.0, 0.0)) / step
+    if noise > _DITHERED:
+        return np.zeros(len(value), dtype=np.complex128)
+    used_lines = np.where(np.abs(value) > min(0.5 * step, 0.5 * size), value, 0.0)
+    sizes = _SIZES if size > step else np.zeros(_SHIFTS)
+    interval = float(time[-1] - time[0]) / (count - 1)
+    largest = np.zeros((2, len(value)))
+    for number, late in enumerate(np.arange(_SHIFTS) * _GOLDEN % 1.0 * interval):
+        turns = np.exp(-2j * np.pi * np.multiply.outer(phasors.frequency_hz, time + late))
+        curve = (used_lines.conj() @ turns).real / step
+        for scale in 1.0 + sizes[number::_SHIFTS] * step / size:
+            for offset in np.arange(_OFFSETS) / _OFFSETS:
+                change = turns @ _rounding(scale * curve + offset, noise) * (2.0 / count * step)
+                relative = np.divide(change, value, out=np.zeros_like(change), where=value != 0.0)
+                largest = np.maximum(largest, np.abs([relative.real, relative.imag]))
+    return np.asarray(largest[0] + 1j * largest[1])
+
+
+def _rounding(values: FloatArray, noise: float) -> FloatArray:
+    """Return the mean error (S,) of rounding values with noise to whole numbers."""
+    if noise < _UNDITHERED:
+        return np.asarray(np.rint(values) - values)
+    orders = np.arange(1, int(np.ceil(np.sqrt(_TERMS / 2.0) / (np.pi * noise))) + 1)
+    total = np.zeros_like(values)
+    for m in orders.tolist():
+        total += (-1.0) ** m / (np.pi * m) * np.exp(-2.0 * (np.pi * m * noise) ** 2) * np.sin(2.0 * np.pi * m * values)
+    return total

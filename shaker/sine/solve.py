@@ -22,7 +22,7 @@ from shaker.sine.normal_equations import (
     residuals,
 )
 from shaker.sine.phasor import Phasors
-from shakercal._common.arrays import BoolArray, ComplexArray, FloatArray, IntArray, check_shape, check_shapes
+from shakercal._common.arrays import Arrays, BoolArray, ComplexArray, FloatArray, IntArray
 from shakercal._common.notices import Notice
 
 _STEPS = 40  # Gauss-Newton steps at most
@@ -58,10 +58,7 @@ class SineModel:
     robust: bool = False
 
     def exponents(self, frequency_hz: FloatArray) -> ComplexArray:
-        """Return the derivative (K, Q) of the exponents by the unknowns.
-
-        The exponents are s = -δ + jω. The unknowns are relative frequencies, then δ.
-        """
+        """Return the derivative (K, Q) of s = -δ + jω by frequencies and δ."""
         lines = len(frequency_hz)
         labels = np.full(lines, -1) if self.free is None else np.asarray(self.free)
         if labels.shape != (lines,):
@@ -102,19 +99,13 @@ class SineSystem:
         return np.asarray(self.project.swapaxes(1, 2)[:, None] @ self.gram @ self.project[None])
 
     def spread(self) -> FloatArray:
-        """Return the covariance of linear parameters for unit noise.
-
-        It is G⁻¹·XᵀX·G⁻¹ (D, D, P, P) between channels.
-        """
+        """Return the covariance G⁻¹·XᵀX·G⁻¹ of linear parameters for unit noise, between channels."""
         gram = self.gram[:, :, : self.linear, : self.linear]
         return np.asarray(self.inverse[:, None] @ gram @ self.inverse[None])
 
 
 def _products(matrices: FloatArray, right: FloatArray) -> FloatArray:
-    """Return the products (N, C) of matrices and columns (M, C).
-
-    There is one matrix (1, N, M), or one per channel (C, N, M).
-    """
+    """Return the products (N, C) of one matrix, or one per channel, and columns."""
     if len(matrices) == 1:
         return np.asarray(matrices[0] @ right)
     return np.asarray((matrices @ right.T[:, :, None])[:, :, 0].T)
@@ -233,7 +224,11 @@ _SAME_ROTATION = 1e-9  # rad, largest difference of the phases of lines in two p
 
 
 @dataclass(frozen=True)
-class SineFit:
+class SineFit(
+    Arrays,
+    shapes="offset C; drift_per_s C; residual_rms C; offset_covariance C C; spikes N;"
+    "u_frequency_hz K; decay_per_s K; u_decay_per_s K",
+):
     """Sine approximation of C channels over S times.
 
     Attributes
@@ -265,21 +260,11 @@ class SineFit:
     condition: float
     notices: tuple[Notice, ...]
 
-    def __post_init__(self) -> None:
-        lines, channels = self.phasors.value.shape
-        check_shapes(self, (channels,), "offset", "drift_per_s", "residual_rms")
-        check_shapes(self, (lines,), "u_frequency_hz", "decay_per_s", "u_decay_per_s")
-        check_shape("offset_covariance", self.offset_covariance, (channels, channels))
-        check_shape("spikes", self.spikes, (None,))
-
     def __repr__(self) -> str:
         return f"SineFit({self.phasors}, condition {self.condition:.3g}, {len(self.spikes)} spikes)"
 
     def model(self, time_s: FloatArray, channels: slice = slice(None)) -> FloatArray:
-        """Return the fitted curve (T, C) at times (T,), of some channels.
-
-        It is offset + drift + Σ Re{X exp((jω - δ)t)}.
-        """
+        """Return the curve offset + drift + Σ Re{X exp((jω - δ)t)} at times (T,)."""
         offset, drift_per_s, value = self.offset[channels], self.drift_per_s[channels], self.phasors.value[:, channels]
         curve = np.empty((len(time_s), len(offset)))
         exponent = 2j * np.pi * self.phasors.frequency_hz - self.decay_per_s
@@ -307,10 +292,7 @@ class SineFit:
         return np.asarray(as_complex(_products(self.slopes, parts), len(middle)) / to_middle)
 
     def residual_of(self, time_s: FloatArray, values: FloatArray) -> FloatArray:
-        """Return values (T, C) at times (T,) minus the curve.
-
-        Rows with a NaN are NaN.
-        """
+        """Return values (T, C) minus the curve, NaN in rows with a NaN."""
         residual = values - self.model(time_s)
         residual[~np.isfinite(values).all(axis=1)] = np.nan
         return np.asarray(residual)
@@ -339,10 +321,7 @@ class Estimate:
     step: GaussNewtonStep | None
 
     def noise_between(self, first: int, second: int) -> FloatArray:
-        """Return the noise covariance (C, C) between two lines.
-
-        Equal indices give that of a line.
-        """
+        """Return the noise covariance (C, C) between two lines, or of one line."""
         level = np.sqrt(self.noise[first] * self.noise[second])
         return np.asarray(self.factor * level @ self.factor.T)
 
@@ -541,10 +520,7 @@ def find_spikes(samples: SineSamples, frequency_hz: FloatArray, model: SineModel
 
 
 def _scale(samples: SineSamples, columns: SineColumns, coefficients: FloatArray) -> FloatArray:
-    """Return the standard deviation (C,) of the weighted residual from its median.
-
-    Evenly spaced rows are used.
-    """
+    """Return the standard deviation (C,) of the weighted residual from the median of rows."""
     step = -(-samples.timeline.samples // _SAMPLE)
     chosen = []
     for chunk, _, residual in residuals(samples, columns, coefficients):

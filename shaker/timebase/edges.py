@@ -1,13 +1,15 @@
-"""Edges in sampled signals, numbers of a periodic trigger's edges, and resampling."""
+"""Edges in sampled signals: their numbers, lines through their intervals; signals read at other times."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cache
 from typing import Literal
 
 import numpy as np
 
-from shakercal._common.arrays import BoolArray, FloatArray, IntArray, check_shape, check_shapes
+from shakercal._common.arrays import Arrays, BoolArray, FloatArray, IntArray, check_shape
 
 EdgeKind = Literal["sampled", "resolved"]
 
@@ -21,7 +23,7 @@ _KAISER = 8.0  # parameter of the Kaiser window: side lobes below -80 dB
 
 
 @dataclass(frozen=True)
-class Edges:
+class Edges(Arrays, shapes="lower_s E; upper_s E; estimate_s E"):
     """Edges of a trigger signal, in seconds from the record's first sample.
 
     Attributes
@@ -43,10 +45,6 @@ class Edges:
     record_s: float
     threshold: float
     bounces: int = 0
-
-    def __post_init__(self) -> None:
-        check_shape("lower_s", self.lower_s, (None,))
-        check_shapes(self, self.lower_s.shape, "upper_s", "estimate_s")
 
     def __repr__(self) -> str:
         return f"Edges({len(self.lower_s)} in {self.record_s:g} s, {self.kind}, at threshold {self.threshold:g})"
@@ -193,19 +191,13 @@ _CAPTURE = 0.2  # of a period: an edge further from its expected time is spuriou
 
 
 @dataclass(frozen=True)
-class Numbering:
-    """Number of every edge (E,), and which edges (E,) are accepted as periodic.
-
-    `doubled` and `spurious` are the numbers of rejected edges.
-    """
+class Numbering(Arrays, shapes="number E; accepted E"):
+    """Number of every edge (E,), accepted edges (E,), and how many are rejected."""
 
     number: IntArray
     accepted: BoolArray
     doubled: int
     spurious: int
-
-    def __post_init__(self) -> None:
-        check_shape("accepted", self.accepted, self.number.shape)
 
 
 def number_edges(edges: Edges) -> Numbering:
@@ -226,9 +218,8 @@ def number_edges(edges: Edges) -> Numbering:
         number = np.round(position).astype(np.int64)
         distance = np.abs(position - number)
         accepted = distance <= _CAPTURE
-        order = np.lexsort(
-            (distance, number)
-        )  # of several edges with one number the nearest to the expected time is accepted
+        # Of several edges with one number the nearest to the expected time is accepted.
+        order = np.lexsort((distance, number))
         accepted[order[1:][np.diff(number[order]) == 0]] = False
         accepted = _without_outliers(number, edges, accepted)
         count = int(np.count_nonzero(accepted))
@@ -273,10 +264,7 @@ def _period(time: FloatArray, width: FloatArray) -> float:
 
 
 def _without_outliers(number: IntArray, edges: Edges, accepted: BoolArray) -> BoolArray:
-    """Reject edges far from a straight line through the others.
-
-    The limit is 6 robust standard deviations.
-    """
+    """Reject edges further than 6 robust standard deviations from a straight line through the others."""
     resolution = (1.5 if edges.kind == "sampled" else 0.1) * float(np.median(edges.upper_s - edges.lower_s))
     for _ in range(10):
         if np.count_nonzero(accepted) < 3:
@@ -289,6 +277,212 @@ def _without_outliers(number: IntArray, edges: Edges, accepted: BoolArray) -> Bo
             break
         accepted = stay
     return accepted
+
+
+# Posterior of straight lines given intervals, by adaptive importance sampling.
+
+_POINTS, _LAST_POINTS = 250, 1000  # while the proposals settle, and afterwards
+_WIDER = 1.35  # of the standard deviation: proposals reach over the corners of a polygon
+_ROUNDS = 30  # of fitting a proposal at most
+_SETTLED = 0.15  # relative change of the standard deviations below which the sampling has settled
+_STRAY = 1e-6  # probability of an edge that the model does not explain
+_STEP = 1.0  # in the logarithm of the jitter
+_STEEP = 2.0  # change of the log-likelihood from step to step above which a step is halved
+_MIN_STEP = 0.02  # in the logarithm of the jitter; chosen
+_NEGLIGIBLE_JITTER = 0.1  # of the line's smallest standard deviation: smaller jitter has no effect
+_NEGLIGIBLE_SHARE = 1e-4  # share of the whole below which a step of the jitter does not count
+_AT_ONCE = 16384  # values of Φ: their memory stays in the processor's cache
+
+
+@dataclass(frozen=True)
+class Posterior(Arrays, shapes="mean P; covariance P P"):
+    """Mean (P,) and covariance (P, P) of the parameters, and the mean jitter, in seconds."""
+
+    mean: FloatArray
+    covariance: FloatArray
+    jitter_s: float
+
+
+@dataclass(frozen=True)
+class Slopes(Arrays, shapes="mean R; weight R R"):
+    """External information about the half spans h (R,) of R lines.
+
+    They are normal about `mean` (R,) with the inverse covariance `weight` (R, R), which is singular where only a
+    combination of them is stated.
+    """
+
+    mean: FloatArray
+    weight: FloatArray
+
+    def update(self, line: Posterior) -> Posterior:
+        """Return normal lines updated with this reading by linear least squares."""
+        select = np.kron(np.eye(len(self.mean)), [0.0, 1.0])
+        cross = line.covariance @ select.T
+        covariance, difference = select @ cross, self.mean - select @ line.mean
+        gain = cross @ np.linalg.solve(np.eye(len(covariance)) + self.weight @ covariance, self.weight)
+        left = line.covariance - gain @ cross.T
+        return Posterior(line.mean + gain @ difference, (left + left.T) / 2.0, line.jitter_s)
+
+    def log_likelihood(self, points: FloatArray) -> FloatArray:
+        """Return the log-likelihood (N,) of lines (N, 2R)."""
+        off = points[:, 1::2] - self.mean
+        return np.asarray(-0.5 * np.einsum("nr,rs,ns->n", off, self.weight, off))
+
+
+def line_posterior(
+    position: FloatArray,
+    lower: FloatArray,
+    upper: FloatArray,
+    start: Posterior,
+    min_jitter_s: float,
+    slopes: Slopes | None = None,
+) -> Posterior:
+    """Return the posterior of one line of instants per record.
+
+    Record r has edge e, with jitter ε_e common to all records, at m_r + h_r·position_e + ε_e in the interval (lower_re,
+    upper_re] (R, E), infinite for an edge that it has not seen. Parameters: m_1 h_1 m_2 h_2 …. The likelihood of an
+    edge is Φ(b/σ) - Φ(a/σ) with a the largest lower and b the smallest upper bound minus its line; σ is unknown,
+    log-uniform above `min_jitter_s`. The posterior tends to the polygon of all intervals as the jitter vanishes and to
+    the paired differences as it grows. `start` need only be roughly right; `slopes` is a further factor of the
+    likelihood.
+
+    Lines and jitter together fill a funnel that no Gaussian proposal fits. The lines are therefore sampled for one
+    jitter after another, in smaller steps where the likelihood is steep, and averaged.
+    """
+    width = upper - lower
+    most = 3.0 * start.jitter_s + 0.3 * float(np.median(width[np.isfinite(width)]))
+    left = float(np.log(max(most / min_jitter_s, 3.0)))
+    start = start if slopes is None else slopes.update(start)
+    intervals, line = (position, lower, upper, slopes), (start.mean, start.covariance)
+    steps: list[_JitterStep] = []
+    while left > 0.0:
+        step = _at_jitter(float(np.log(min_jitter_s)) + left, min(left, _STEP), line, intervals)
+        best, line = max([step.log_weight, *(s.log_weight for s in steps)]), (step.mean, step.covariance)
+        settled = step.jitter_s < _NEGLIGIBLE_JITTER * np.sqrt(np.diagonal(step.covariance).min())
+        steps.append(replace(step, width=left) if settled else step)
+        left -= left if settled or step.log_weight < best + np.log(_NEGLIGIBLE_SHARE) else step.width
+    while True:
+        steep = np.abs(np.diff([s.log_likelihood for s in steps])) > _STEEP
+        halved = (_shares(steps) > 0.01) & (np.array([s.width for s in steps]) > _MIN_STEP)
+        halved &= np.append(steep, False) | np.append(False, steep)
+        if not halved.any():
+            break
+        steps = [
+            part for s, split in zip(steps, halved, strict=True) for part in (s.halves(intervals) if split else (s,))
+        ]
+    points, share = _normal_points(len(start.mean)), _shares(steps)
+    steps = [_sample(s, points, intervals)[0] for s, of in zip(steps, share, strict=True) if of > _NEGLIGIBLE_SHARE]
+    share = _shares(steps)
+    means = np.array([s.mean for s in steps])
+    mean = share @ means
+    covariance = np.einsum("j,jpq->pq", share, np.array([s.covariance for s in steps]))
+    covariance += (share[:, None] * (means - mean)).T @ (means - mean)
+    return Posterior(mean, covariance, float(share @ [s.jitter_s for s in steps]))
+
+
+_Intervals = tuple[FloatArray, FloatArray, FloatArray, Slopes | None]
+
+
+@dataclass(frozen=True)
+class _JitterStep:
+    """Mean and covariance of lines at a step `width` down from `top` in ln jitter."""
+
+    top: float
+    width: float
+    log_likelihood: float
+    mean: FloatArray
+    covariance: FloatArray
+
+    @property
+    def log_weight(self) -> float:
+        """Logarithm of the integral of the likelihood over the step."""
+        return self.log_likelihood + float(np.log(self.width))
+
+    @property
+    def jitter_s(self) -> float:
+        """Jitter in the middle of the step."""
+        return float(np.exp(self.top - 0.5 * min(self.width, _STEP)))
+
+    def halves(self, intervals: _Intervals) -> tuple[_JitterStep, _JitterStep]:
+        """Return the two halves of the step."""
+        line, half = (self.mean, self.covariance), 0.5 * self.width
+        return _at_jitter(self.top, half, line, intervals), _at_jitter(self.top - half, half, line, intervals)
+
+
+def _shares(steps: Sequence[_JitterStep]) -> FloatArray:
+    """Return the share of each step in the integral of the likelihood."""
+    log_weight = np.array([step.log_weight for step in steps])
+    weight = np.exp(log_weight - log_weight.max())
+    return np.asarray(weight / weight.sum())
+
+
+def _at_jitter(top: float, width: float, line: tuple[FloatArray, FloatArray], intervals: _Intervals) -> _JitterStep:
+    """Return a step of the jitter. `line`: mean and covariance of the first proposal.
+
+    Gaussian proposals are fitted to the weighted points until they settle, tempered where few points have most of the
+    weight (Cappé et al., Statistics and Computing 18, 2008: adaptive importance sampling). The points are a
+    low-discrepancy sequence, not random numbers.
+    """
+    step = _JitterStep(top, width, -np.inf, *line)
+    normal = _normal_points(len(step.mean))[:_POINTS]
+    for _ in range(_ROUNDS):
+        old = step.covariance
+        step, power = _sample(step, normal, intervals)
+        change = np.sqrt(np.diagonal(step.covariance) / np.diagonal(old)) - 1.0
+        if power == 1.0 and np.max(np.abs(change)) < _SETTLED:
+            break
+    return step
+
+
+def _sample(step: _JitterStep, normal: FloatArray, intervals: _Intervals) -> tuple[_JitterStep, float]:
+    """Return the step from weighted points, and their power: 1 where a twentieth counts."""
+    root = _WIDER * np.linalg.cholesky(step.covariance)
+    points = step.mean + normal @ root.T
+    log_weight = _log_likelihood(points, step.jitter_s, intervals) + 0.5 * np.sum(normal**2, axis=1)
+    highest = float(log_weight.max())
+    size = highest + float(np.log(np.mean(np.exp(log_weight - highest))) + np.sum(np.log(np.diagonal(root))))
+    power = 1.0
+    while True:
+        weight = np.exp(power * (log_weight - highest))
+        weight /= weight.sum()
+        if 1.0 / np.sum(weight**2) >= len(weight) / 20.0:
+            break
+        power *= 0.7
+    mean = weight @ points
+    centred = points - mean
+    return replace(step, log_likelihood=size, mean=mean, covariance=(weight[:, None] * centred).T @ centred), power
+
+
+def _log_likelihood(points: FloatArray, jitter: float, intervals: _Intervals) -> FloatArray:
+    """Return the log-likelihood (N,) of points (N, 2R), a line per record, at a jitter."""
+    from scipy.special import ndtr
+
+    position, lower, upper, slopes = intervals
+    result, rows = np.empty(len(points)), max(1, _AT_ONCE // len(position))
+    for first in range(0, len(points), rows):
+        line = points[first : first + rows].T[:, :, None]
+        lines = line[::2] + line[1::2] * position
+        below, above = (lower[:, None] - lines).max(axis=0), (upper[:, None] - lines).min(axis=0)
+        # Edges whose intervals include every line with a margin contribute no information.
+        telling = (below.max(axis=0) > -6.0 * jitter) | (above.min(axis=0) < 6.0 * jitter)
+        below, above = below[:, telling] / jitter, above[:, telling] / jitter
+        each = np.log(np.maximum(ndtr(above) - ndtr(below), 0.0) + _STRAY)
+        result[first : first + rows] = each.sum(axis=1)
+    return result if slopes is None else result + slopes.log_likelihood(points)
+
+
+@cache
+def _normal_points(dimensions: int) -> FloatArray:
+    """Return standard normal points (N, D) from the additive recurrence with the generalised golden ratio."""
+    from scipy.special import ndtri
+
+    ratio = 1.5
+    for _ in range(50):  # ratio^(D + 1) = ratio + 1
+        ratio = (1.0 + ratio) ** (1.0 / (dimensions + 1))
+    step = ratio ** -np.arange(1.0, dimensions + 1)
+    points = np.asarray(ndtri((0.5 + np.arange(1.0, _LAST_POINTS + 1)[:, None] * step) % 1.0))
+    points.flags.writeable = False
+    return points
 
 
 # A sampled signal read at other times: band-limited interpolation.

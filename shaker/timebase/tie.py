@@ -7,7 +7,8 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from shaker.timebase.intervals import Posterior, Slopes, line_posterior, normal_cdf
+from shaker.signal_notices import CONTRADICTORY_CLOCK_RATE, START_TIMES_DISAGREE
+from shaker.timebase.edges import Posterior, Slopes, line_posterior
 from shaker.timebase.trigger import (
     MAX_DISAGREEMENT_SIGMAS,
     MIN_JITTER_SAMPLES,
@@ -16,8 +17,7 @@ from shaker.timebase.trigger import (
     fit_resolved,
     fit_straight_line,
 )
-from shaker.timebase.trigger_notices import CONTRADICTORY_CLOCK_RATE, START_TIMES_DISAGREE
-from shakercal._common.arrays import FloatArray, IntArray, check_shape, check_shapes
+from shakercal._common.arrays import Arrays, FloatArray, IntArray
 from shakercal._common.notices import Notice
 
 # Matching edges of two records: the whole-period shift and its evidence.
@@ -32,16 +32,8 @@ _JITTER_SCORE = 6.0  # standard deviations by which one shift's correlation of t
 _JITTER_RIVAL = 0.6  # of the best shift's correlation: largest that any other shift may reach
 
 
-@dataclass(frozen=True)
-class Shift:
-    """Base edge that corresponds to the other record's edge 0, and the evidence in words."""
-
-    edges: int
-    decided_by: str
-
-
-def decide_shift(base: TriggerFit, other: TriggerFit, start_difference_s: float | None = None) -> Shift:
-    """Return the base edge that corresponds to the other record's edge 0.
+def decide_shift(base: TriggerFit, other: TriggerFit, start_difference_s: float | None) -> tuple[int, str]:
+    """Return the base edge that is the other record's edge 0, and the evidence in words.
 
     Visible burst starts and ends limit the range of shifts. Where it is more than one, common gaps, the common jitter,
     or start times (good to a quarter period) choose among them. Where start and end contradict each other, because
@@ -51,7 +43,7 @@ def decide_shift(base: TriggerFit, other: TriggerFit, start_difference_s: float 
     if low == high:
         start, end = base.idle_before and other.idle_before, base.idle_after and other.idle_after
         seen = "burst start and end" if start and end else "burst start" if start else "burst end" if end else ""
-        return Shift(low, seen or "burst length")
+        return low, seen or "burst length"
     between = (low, high) if low < high else (high, low)
     for shift, name in (
         (_by_gaps(base, other, *between), "gaps"),
@@ -59,7 +51,7 @@ def decide_shift(base: TriggerFit, other: TriggerFit, start_difference_s: float 
         (by_start_times(base, other, start_difference_s), "start times"),
     ):
         if shift is not None and between[0] <= shift <= between[1]:
-            return Shift(shift, name)
+            return shift, name
     if low > high:
         found = f"{base.edges} and {other.edges} edges with shifts from the ends of the burst of {low} and {high}"
     else:
@@ -115,10 +107,7 @@ def _by_gaps(base: TriggerFit, other: TriggerFit, low: int, high: int) -> int | 
 
 
 def _by_jitter(base: TriggerFit, other: TriggerFit, low: int, high: int) -> int | None:
-    """Return the only shift in the range with equal deviations, else None.
-
-    The deviations are those from the period.
-    """
+    """Return the only shift in the range with equal deviations from the period, else None."""
     if not (_has_jitter(base) and _has_jitter(other)):
         return None
     base_index, other_index = _deviations(base), _deviations(other)
@@ -156,7 +145,7 @@ _DIFFERENCE = np.array([[1.0, 0.0, -1.0, 0.0], [0.0, 1.0, 0.0, -1.0]])
 
 
 @dataclass(frozen=True)
-class ClockLine:
+class ClockLine(Arrays, shapes="covariance 2 2; noise 2 2"):
     """Line t_base = offset_s + rate·t_other with covariance (2, 2) of (offset_s, rate).
 
     Attributes
@@ -174,10 +163,6 @@ class ClockLine:
     noise: FloatArray = field(default_factory=lambda: np.zeros((2, 2)), kw_only=True)
     follows: FloatArray | None = field(default=None, kw_only=True)
     remaining_covariance: FloatArray | None = field(default=None, kw_only=True, metadata={"dataset": "beside"})
-
-    def __post_init__(self) -> None:
-        check_shape("covariance", self.covariance, (2, 2))
-        check_shape("noise", self.noise, (2, 2))
 
     def to_base_s(self, time_s: FloatArray) -> FloatArray:
         """Return times of the other clock on the base clock."""
@@ -199,12 +184,11 @@ class ClockLine:
 def clock_line(base: TriggerFit, other: TriggerFit, shift: int, rate: tuple[float, float] | None = None) -> ClockLine:
     """Return the line from the other clock to the base clock.
 
-    `shift` is the base edge that is the other's edge 0. The trigger's jitter is the same in both records and cancels in
-    the differences of paired edges; the timing uncertainty from sampling does not. Where both records have intervals,
-    both lines and the common jitter are estimated together. Where one resolves its edges, they replace the period for
-    the other's intervals. Where both do, the differences are fitted. Two separate periodic models are the start, and
-    the result where they are more certain. `rate` is that of the clocks and its standard uncertainty from another
-    source, with which intervals are read.
+    `shift` is the base edge that is the other's edge 0. The trigger's jitter cancels in the differences of paired
+    edges; the uncertainty from sampling does not. Intervals of both records give both lines and the common jitter
+    together, resolved edges of one replace the period for the other's intervals, and those of both are fitted by their
+    differences. Two separate periodic models are the start, and the result where they are more certain. `rate` is that
+    of the clocks with standard uncertainty from another source.
     """
     _, base_index, other_index = np.intersect1d(base.number, other.number + shift, return_indices=True)
     single = _from_models(base, other, shift)
@@ -254,10 +238,7 @@ def _from_models(base: TriggerFit, other: TriggerFit, shift: int) -> ClockLine:
 
 
 def _from_pairs(base: TriggerFit, other: TriggerFit, base_index: IntArray, other_index: IntArray) -> ClockLine:
-    """Fit a line to paired edges, free of the trigger's jitter.
-
-    The edges are middles of intervals, or resolved crossings.
-    """
+    """Fit a line to paired edges, free of the trigger's jitter."""
     if base.kind == "sampled":
         position, unscale = _scale_times(other.edge_s[other_index])
         return unscale(fit_straight_line(position, base.edge_s[base_index], 0.3 * base.resolution_s))
@@ -283,11 +264,7 @@ def _from_one_resolved(
 
 
 def _from_intervals(
-    base: TriggerFit,
-    other: TriggerFit,
-    shift: int,
-    begin: tuple[ClockLine, bool],
-    rate: tuple[float, float] | None,
+    base: TriggerFit, other: TriggerFit, shift: int, begin: tuple[ClockLine, bool], rate: tuple[float, float] | None
 ) -> ClockLine:
     """Estimate both lines and the common jitter from the intervals of both records.
 
@@ -334,10 +311,7 @@ def _from_intervals(
 
 
 def _slopes(half: float, base: TriggerFit, ratio: float, u_ratio: float) -> Slopes:
-    """Return external information about the half spans of `half` periods of two lines.
-
-    It is their ratio, and the half span of the base line.
-    """
+    """Return the ratio of two half spans, and the base one, as external information."""
     period, u_period = base.known_period_s or (base.period_s, np.inf)
     span, signs = half * period, np.array([1.0, -1.0])
     weight = np.diag([(half * u_period) ** -2.0, 0.0]) + np.multiply.outer(signs, signs) / (u_ratio * span) ** 2
@@ -362,7 +336,7 @@ _SAME_PERIOD = 0.01  # relative: clocks differ by less, two triggers by more
 
 
 @dataclass(frozen=True)
-class ClockTie(ClockLine):
+class ClockTie(ClockLine, shapes="covariance 2 2; noise 2 2"):
     """A clock tied to another: t_base = offset_s + rate·t_other.
 
     Both count from their record's first sample.
@@ -384,10 +358,7 @@ class ClockTie(ClockLine):
     notices: tuple[Notice, ...]
 
     def with_rate(self, rate: float, u_rate: float) -> ClockTie:
-        """Return the tie combined with an independent rate, weighted by variances, about its middle.
-
-        A rate that contradicts the edges is reported and not used.
-        """
+        """Return the tie combined with an independent rate; a contradictory one is reported, not used."""
         both, difference = float(self.covariance[1, 1]) + u_rate**2, rate - self.rate
         if abs(difference) > MAX_DISAGREEMENT_SIGMAS * np.sqrt(both):
             notice = Notice(
@@ -459,32 +430,26 @@ def tie_clocks(
             f"other: expected the trigger period of the base clock, {base.period_s:.6g} s, found "
             f"{other.period_s:.6g} s: check the sampling rates of both"
         )
-    decided = decide_shift(base, other, start_difference_s) if shift is None else Shift(shift, "first_edge")
+    edges, evidence = decide_shift(base, other, start_difference_s) if shift is None else (shift, "first_edge")
     by_start = by_start_times(base, other, start_difference_s)
     notices: tuple[Notice, ...] = ()
-    if by_start is not None and by_start != decided.edges:
-        notice = Notice(
-            START_TIMES_DISAGREE,
-            "clock",
-            start_time_edge=by_start,
-            evidence=decided.decided_by,
-            used_edge=decided.edges,
-        )
+    if by_start is not None and by_start != edges:
+        notice = Notice(START_TIMES_DISAGREE, "clock", start_time_edge=by_start, evidence=evidence, used_edge=edges)
         notices = (notice,)
-    pairs, _, other_index = np.intersect1d(base.number, other.number + decided.edges, return_indices=True)
+    pairs, _, other_index = np.intersect1d(base.number, other.number + edges, return_indices=True)
     # Always from the coarser to the finer record, so that exchanged roles give the same tie.
     finer = min((base, other), key=lambda fit: (fit.resolution_s, fit.edges, fit.start_s))
     if finer is other and rate is None:
-        line = clock_line(other, base, -decided.edges).inverse()
+        line = clock_line(other, base, -edges).inverse()
     else:
-        line = clock_line(base, other, decided.edges, rate)
+        line = clock_line(base, other, edges, rate)
     middle_s = float(np.mean(other.edge_s[other_index] if len(pairs) else other.edge_s))
     return ClockTie(
         line.offset_s,
         line.rate,
         line.covariance,
-        decided.edges,
-        decided.decided_by,
+        edges,
+        evidence,
         len(pairs),
         middle_s,
         notices,
@@ -498,7 +463,7 @@ def tie_clocks(
 
 
 @dataclass(frozen=True)
-class EdgeInstants:
+class EdgeInstants(Arrays, shapes="time_s F; u_time_s F; model_share F"):
     """Times (F,) of edges on the base clock with standard uncertainty (F,).
 
     The uncertainty includes model and ties. `model_share` (F,) is their response to an error of the periodic model, 1
@@ -509,24 +474,17 @@ class EdgeInstants:
     u_time_s: FloatArray
     model_share: FloatArray
 
-    def __post_init__(self) -> None:
-        check_shape("time_s", self.time_s, (None,))
-        check_shapes(self, self.time_s.shape, "u_time_s", "model_share")
-
 
 def edge_instants(
     base: TriggerFit, number: IntArray, others: Sequence[tuple[TriggerFit, ClockTie]] = ()
 ) -> EdgeInstants:
-    """Return the instants of the base record's edges `number` (F,).
+    """Return the instants of the base record's edges `number` (F,) from all records.
 
-    All records that show them are used. An edge is the model's time plus a Gaussian deviation of the size of the
-    jitter. Resolved crossings update it as readings with their noise; intervals truncate the remaining distribution.
-    Edges without jitter thus follow the model, and those with much jitter follow their readings. An edge that no record
-    shows keeps the model's time, with the jitter as uncertainty.
-
-    Single edges also reduce the uncertainty of the model, but not where that is common to all of them, or where
-    external information has entered the model. There the jitter alone moves them, less where the shape of a rise may
-    explain all of it.
+    An edge is the model's time plus a Gaussian deviation of the size of the jitter. Resolved crossings update it with
+    their noise; intervals truncate the remaining distribution. An edge that no record shows keeps the model's time,
+    with the jitter as uncertainty. Single edges also reduce the uncertainty of the model, but not where that is common
+    to all of them or external information has entered it. There the jitter alone moves them, less where the shape of a
+    rise may explain all of it.
     """
     records = [(base, base.number, None), *((fit, fit.number + tie.shift, tie) for fit, tie in others)]
     common_error = base.locked or base.known_period_s is not None
@@ -560,9 +518,11 @@ def _truncate(
     mean: FloatArray, variance: FloatArray, below: FloatArray, above: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
     """Return mean and variance of Gaussians (F,) between bounds; unchanged for distant bounds."""
+    from scipy.special import ndtr
+
     deviation = np.sqrt(np.maximum(variance, 1e-30))
     low, high = np.clip((below - mean) / deviation, -40.0, 40.0), np.clip((above - mean) / deviation, -40.0, 40.0)
-    share = normal_cdf(high) - normal_cdf(low)
+    share = ndtr(high) - ndtr(low)
     # An interval that the model misses by more than the jitter explains is ignored.
     inside = share > 1e-6
     share = np.where(inside, share, 1.0)

@@ -9,9 +9,7 @@ from typing import Literal
 
 import numpy as np
 
-from shaker.timebase.edges import EdgeKind, Edges, find_edges, number_edges
-from shaker.timebase.intervals import Posterior, Slopes, line_posterior
-from shaker.timebase.trigger_notices import (
+from shaker.signal_notices import (
     CONTRADICTORY_PERIOD,
     DOUBLED_EDGES,
     EXTERNAL_PERIOD,
@@ -20,7 +18,8 @@ from shaker.timebase.trigger_notices import (
     STRAY_EDGES,
     TRIGGER_JITTER,
 )
-from shakercal._common.arrays import FloatArray, IntArray, check_shape, check_shapes
+from shaker.timebase.edges import EdgeKind, Edges, Posterior, Slopes, find_edges, line_posterior, number_edges
+from shakercal._common.arrays import Arrays, FloatArray, IntArray
 from shakercal._common.notices import Notice
 
 # Crossings of a resolved rise: the effect of its shape on the reconstruction, estimated from all edges.
@@ -36,10 +35,7 @@ _LOCKED_SHAPE_SIZE, _LOCKED_SHAPE_POWER = 0.12, 1.5
 
 
 def fit_straight_line(position: FloatArray, time_s: FloatArray, min_scatter_s: float = 0.0) -> Posterior:
-    """Fit time_s (E,) = m + h·position by least squares.
-
-    The jitter is the scatter about the fit, the covariance that for a scatter of at least `min_scatter_s`.
-    """
+    """Fit time_s (E,) = m + h·position by least squares, with covariance for the scatter."""
     columns = np.column_stack([np.ones_like(position), position])
     inverse, centre = np.linalg.inv(columns.T @ columns), float(time_s.mean())
     value = inverse @ (columns.T @ (time_s - centre))
@@ -50,10 +46,7 @@ def fit_straight_line(position: FloatArray, time_s: FloatArray, min_scatter_s: f
 
 @dataclass(frozen=True)
 class RisePhases:
-    """Phases (E,) of resolved edges between two samples, and the interval.
-
-    Phases range from 0 to 1. `locked`: the phases are too few for estimating the shape of the rise.
-    """
+    """Phases (E,) of resolved edges between samples; `locked`: too few for a shape."""
 
     phase: FloatArray
     sample_s: float
@@ -66,19 +59,12 @@ class RisePhases:
 
 
 @dataclass(frozen=True)
-class ResolvedLine:
-    """Line through resolved edges, with the edge shifts (E,) by rise shapes.
-
-    `scatter_covariance` (2, 2) is the part of its covariance from the individual scatter of the edges.
-    """
+class ResolvedLine(Arrays, shapes="scatter_covariance 2 2; correction_s E"):
+    """Line through resolved edges, their shifts by rise shapes, covariance of their individual scatter."""
 
     line: Posterior
     scatter_covariance: FloatArray
     correction_s: FloatArray
-
-    def __post_init__(self) -> None:
-        check_shape("scatter_covariance", self.scatter_covariance, (2, 2))
-        check_shape("correction_s", self.correction_s, (None,))
 
 
 def fit_resolved(
@@ -86,18 +72,16 @@ def fit_resolved(
 ) -> ResolvedLine:
     """Fit a line to resolved edges, with the shapes of the rises.
 
-    The model is time_s (E,) = m + h·position + e_1(φ_1) - e_2(φ_2) with phases φ (E,) of the crossings. A rise that is
-    not band-limited (a ramp, an exponential) leaves the reconstruction with an error e. It depends only on the phase of
-    the crossing between two samples (the idea is that of the effective point-spread function: Anderson & King, PASP
-    112, 2000). It vanishes where a sample is the crossing, hence e = Σ a_j sin(π j φ). The a_j are Gaussian about 0
-    with a standard deviation that falls as a power of j. Its size and the power are unknown and averaged by the
-    restricted likelihood of the edges (Patterson & Thompson, Biometrika 58, 1971). The covariance thus includes the
-    uncertainty of a shape that few or unevenly spread edges do not determine.
+    The model is time_s (E,) = m + h·position + e_1(φ_1) - e_2(φ_2) with phases φ (E,) of the crossings; the second rise
+    is that of the clock on which `position` counts. A rise that is not band-limited leaves the reconstruction with an
+    error e of the crossing's phase between two samples (as an effective point-spread function: Anderson & King, PASP
+    112, 2000). It vanishes at a sample, hence e = Σ a_j sin(π j φ), a_j Gaussian with a standard deviation that falls
+    as a power of j. Size and power are averaged by the restricted likelihood (Patterson & Thompson, Biometrika 58,
+    1971), so that the covariance includes an undetermined shape.
 
-    A phase is the time read, not the true one: dφ_true/dφ = 1 - e' enters the likelihood. Without this
-    term, the slow drift of edges past the samples would be attributed to the shape. A locked rise is not estimated; the
-    possible effect of RC inputs on the line is in its covariance. The second rise is that of the clock on which
-    `position` counts.
+    A phase is the time read, not the true one: dφ_true/dφ = 1 - e' enters the likelihood, else the slow drift of edges
+    past the samples would be attributed to the shape. A locked rise is not estimated; the possible effect of RC inputs
+    is in the covariance.
     """
     columns = np.column_stack([np.ones_like(position), position])
     inverse = np.linalg.inv(columns.T @ columns)
@@ -157,7 +141,7 @@ RINGING_SAMPLES = 1e-3  # of a sample: timing uncertainty of a resolved edge fro
 
 
 @dataclass(frozen=True)
-class TriggerFit:
+class TriggerFit(Arrays, shapes="number E; lower_s E; upper_s E; edge_s E; correction_s E; covariance 2 2"):
     """Periodic model t_k = start_s + k·period_s of a trigger.
 
     Times count in seconds from the record's first sample.
@@ -199,11 +183,6 @@ class TriggerFit:
     notices: tuple[Notice, ...]
     known_period_s: tuple[float, float] | None = None
 
-    def __post_init__(self) -> None:
-        check_shape("number", self.number, (None,))
-        check_shapes(self, self.number.shape, "lower_s", "upper_s", "edge_s", "correction_s")
-        check_shape("covariance", self.covariance, (2, 2))
-
     def __repr__(self) -> str:
         lost = f", {len(self.missing)} of them missing" if self.missing else ""
         return f"TriggerFit({self.edges} edges{lost}, from {self.start_s:.9g} s every {self.period_s:.9g} s)"
@@ -243,20 +222,14 @@ class TriggerFit:
 
     @property
     def u_shape_s(self) -> float:
-        """Standard uncertainty of one edge from the unknown shape of a resolved rise (rms).
-
-        It is zero where the edges have enough different phases to estimate the shape.
-        """
+        """Standard uncertainty (rms) of one edge from an undetermined shape of a resolved rise."""
         if self.kind == "sampled" or not (self.locked or self.known_period_s):
             return 0.0
         squares = 0.5 * np.sum(_ORDER ** (-2.0 * _LOCKED_SHAPE_POWER))
         return self.sample_s * _LOCKED_SHAPE_SIZE * float(np.sqrt(squares))
 
     def time_s(self, number: IntArray) -> FloatArray:
-        """Return the modelled times of edges `number` in s.
-
-        They count from the first sample; `number` has any shape.
-        """
+        """Return the modelled times of edges `number` in s from the first sample."""
         return np.asarray(self.start_s + self.period_s * np.asarray(number, dtype=np.float64))
 
     def u_time_s(self, number: IntArray) -> FloatArray:
@@ -416,11 +389,7 @@ def fit_trigger(edges: Edges) -> TriggerFit:
 
 
 def _locked_gap(number: IntArray, period: float, jitter: float) -> float:
-    """Return the widest gap (samples) between the phases of locked edges, 0 for others.
-
-    `number` are the numbered edges (E,). Period and jitter are in samples. Edges are not locked where they have many
-    phases, or where jitter spreads them.
-    """
+    """Return the widest gap (samples) between the phases of locked edges, 0 for others."""
     phase = np.sort(number * period % 1.0)
     gap = float(np.max(np.append(np.diff(phase), phase[0] + 1.0 - phase[-1])))
     return 0.0 if gap <= max(_LOCKED_GAP_SAMPLES, 10.0 / len(number)) or jitter >= _LOCKED_GAP_SAMPLES else gap
@@ -474,15 +443,12 @@ def pulse_width(
     edge: Literal["rising", "falling"] = "rising",
     begin_fit: TriggerFit | None = None,
 ) -> PulseWidth:
-    """Measure the width of the pulses that begin with `edge` at `threshold` in samples (S,).
+    """Measure the width of pulses that begin with `edge` at `threshold` in samples.
 
-    `begin_fit` is the fit of their beginnings at another threshold; it is used only if both fits are of kind
-    "sampled" and have the same edges, and otherwise replaced.
-    Default threshold: half height, midway between the medians of the samples of either level. Both flanks follow the
-    same periodic model (`fit_trigger`). The width is the distance of their lines in the middle of the burst, where
-    neither depends on the period. Independent errors are assumed: jitter common to both flanks makes the uncertainty
-    too large, never too small. After an ideal low-pass filter, the ringing of one flank reaches the other with the
-    size sin(πx)/(π²x) at distance x samples. The uncertainty of short pulses includes it.
+    Default threshold: half height. `begin_fit`, the fit of their beginnings at another threshold, is used where both
+    are "sampled" and have the same edges. The width is the distance of both flanks' lines in the middle of the burst,
+    where neither depends on the period. Errors are treated as independent: common jitter makes the uncertainty too
+    large. The ringing of one flank after an ideal low-pass, sin(πx)/(π²x) at x samples, is included for short pulses.
     """
     ends: Literal["rising", "falling"] = "falling" if edge == "rising" else "rising"
     above = samples >= find_edges(samples, sample_rate_hz, threshold, edge).threshold

@@ -26,7 +26,7 @@ from fusion.sensitivity.analyse import with_estimates
 from fusion.simulate.preset import Preset, read_preset
 from fusion.simulate.violations import violations
 from fusion.simulate.world import Draws, make_world
-from shaker.timebase.trigger_notices import CONTRADICTORY_PERIOD
+from shaker.signal_notices import CONTRADICTORY_PERIOD
 
 
 @pytest.fixture(scope="module")

@@ -16,7 +16,7 @@ from support import AT_ORIGIN, channel, evaluated, write_daq
 
 from fusion.errors import InputError
 from fusion.sensitivity.analyse import Evaluation
-from shaker.lines.line_detection_notices import HARMONICS_ON_ALIAS
+from shaker.signal_notices import HARMONICS_ON_ALIAS
 
 RATE_HZ, SAMPLES, FREQUENCY_HZ, PHASOR = 4096.0, 4096, 100.01, 0.6 * np.exp(1.1j)
 GRAVITY = 9.80665

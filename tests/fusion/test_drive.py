@@ -21,7 +21,7 @@ from fusion.report.recording_report import write_h5
 from fusion.report.tables import drift_table
 from fusion.sensitivity.analyse import Evaluation
 from shaker.lines.frequencies import LineFrequencies
-from shaker.sine.sine_fit_notices import INSEPARABLE_LINE
+from shaker.signal_notices import INSEPARABLE_LINE
 from shaker.timebase.tie import ClockTie
 from shakercal._common.notices import Notice
 

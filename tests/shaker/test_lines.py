@@ -11,22 +11,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from shaker.io import read_channels
-from shaker.lines import detection, peaks
+from shaker.lines import detection
 from shaker.lines.detection import LineOrigin, survey_lines
 from shaker.lines.frequencies import find_lines
-from shaker.lines.line_detection_notices import HARMONIC_OUT_OF_REACH, OTHER_LINES
-from shaker.lines.peaks import find_peaks
-from shaker.lines.spectrum import (
-    BinPower,
-    amplitude_spectrum,
-    centred_spectrum,
-    chance_height,
-    fit_line,
-    hann_window,
-    noise_level,
-)
+from shaker.lines.peaks import FloorSpectrum, find_peaks
+from shaker.lines.spectrum import BinPower, amplitude_spectrum, centred_spectrum, hann_window, noise_level
+from shaker.signal_notices import HARMONIC_OUT_OF_REACH, OTHER_LINES
 from shaker.sine.sine_fit import fit_sines
-from shaker.sine.solve import SineModel
 
 NO_LINES, RATE = np.empty(0), 6400.0
 
@@ -55,14 +46,6 @@ def _named(values: np.ndarray, nominal: tuple[float, ...] = ()) -> dict[float, L
     return dict(zip(np.round(survey.frequency_hz, 1).tolist(), survey.origin, strict=True))
 
 
-def test_noise_level_is_the_power_of_the_noise_and_passes_over_lines():
-    values = _tones(4.0, {800.0: 1.0, 801.0: 1.0}, 2.0)
-    level = noise_level(np.abs(centred_spectrum(values)) ** 2)
-    # A Hann bin of amplitude scaling holds 4 σ²/N · 1.5.
-    assert np.median(level[:]) == pytest.approx(6.0 * 4.0 / len(values), rel=0.1)
-    assert level.independent_bins > 60
-
-
 def test_noise_level_after_a_change_is_that_of_the_whole_anew():
     rng = np.random.default_rng(3)
     spectrum = centred_spectrum(_pink(rng, 40_000, 1.0))
@@ -76,52 +59,6 @@ def test_noise_level_after_a_change_is_that_of_the_whole_anew():
         assert after.lower_bound(slice(low, high)) <= after[low:high].min()
 
 
-def test_a_record_is_transformed_once_for_both_looks(monkeypatch):
-    values = np.stack([_tones(2.0, {80.0: 10.0, 160.0: 0.05, 50.0: 0.3}, 0.2, seed) for seed in range(3)], axis=1)
-    transformed: list[int] = []
-
-    def counted(samples):
-        transformed.append(len(samples))
-        return centred_spectrum(samples)
-
-    monkeypatch.setattr(peaks, "centred_spectrum", counted)
-    stored = survey_lines(values, RATE)
-    assert len(transformed) == 3
-    monkeypatch.setattr(detection, "_MAX_STORED_BINS", 2 * (len(values) // 2 + 1))  # room for two of the three
-    some = survey_lines(values, RATE)
-    assert len(transformed) == 3 + 4
-    for name in ("frequency_hz", "u_frequency_hz", "amplitude", "u_amplitude", "snr", "floor"):
-        np.testing.assert_array_equal(getattr(some, name), getattr(stored, name))
-
-
-def test_chance_height_is_that_of_exponential_values():
-    rng = np.random.default_rng(0)
-    floor = np.median(rng.exponential(size=(200_000, 33)), axis=1) / np.log(2.0)
-    values = rng.exponential(size=200_000)
-    for chance in (0.1, 1e-2, 1e-3):
-        share = np.mean(values > chance_height(chance, 33.0) * floor)
-        assert share == pytest.approx(chance, abs=4 * np.sqrt(chance / 200_000))
-
-
-def test_fitted_line_is_near_the_bound_and_covered():
-    rng = np.random.default_rng(1)
-    samples, amplitude, noise, position = 1000, 2.0, 0.5, 123.37
-    half = np.arange(samples) - (samples - 1) / 2.0
-    sine = amplitude * np.cos(2 * np.pi * position * half / samples + 0.7)
-    lines = [
-        fit_line(centred_spectrum(sine + noise * rng.normal(size=samples)), samples, 123.0, 6.0 * noise**2 / samples)
-        for _ in range(800)
-    ]
-    error = np.array([line.bin_position for line in lines]) - position
-    # Rife and Boorstyn 1974, in bins.
-    bound = np.sqrt(6.0 * noise**2 / (np.pi**2 * amplitude**2 * samples))
-    assert 1.0 < np.std(error) / bound < 1.4
-    assert np.mean([line.u_bin_position for line in lines]) == pytest.approx(np.std(error), rel=0.08)
-    assert np.mean([line.u_value for line in lines]) == pytest.approx(
-        np.std([line.value.real for line in lines]), rel=0.08
-    )
-
-
 EXPECTED = np.array([17.3, 34.6, 51.9])
 
 
@@ -130,13 +67,15 @@ EXPECTED = np.array([17.3, 34.6, 51.9])
     ("samples", "expected", "chance", "trials", "most"),
     [
         (211, EXPECTED, 0.2, 150, 46),  # 30 and three standard deviations
-        (2000, EXPECTED, 0.2, 150, 46),
+        pytest.param(2000, EXPECTED, 0.2, 150, 46, marks=pytest.mark.slow),
         pytest.param(4000, NO_LINES, 0.02, 1500, 48, marks=pytest.mark.slow),  # a right chance passes with 99.9 %
     ],
 )
 def test_noise_alone_makes_no_more_lines_than_stated(samples, expected, chance, trials, most, exponent):
     rng = np.random.default_rng(2)
-    found = (find_peaks(_pink(rng, samples, exponent), chance, expected, NO_LINES) for _ in range(trials))
+    found = (
+        find_peaks(FloorSpectrum(_pink(rng, samples, exponent)), chance, expected, NO_LINES) for _ in range(trials)
+    )
     assert sum(len(peaks.bin_position) > 0 for peaks in found) <= most
 
 
@@ -259,7 +198,7 @@ def test_a_ten_thousandth_is_found_where_it_is_expected():
     assert found >= 9
 
 
-@settings(max_examples=10, deadline=None)
+@settings(max_examples=4, deadline=None)
 @given(st.floats(1e-6, 1e6), st.integers(0, 3))
 def test_scale_channels_and_direction_of_time_do_not_matter(scale, seed):
     first = _tones(1.0, {106.25: 10.0, 212.5: 0.5, 50.02: 1.0}, 0.1, seed)
@@ -284,9 +223,8 @@ def _recorded(path: Path) -> tuple[np.ndarray, float]:
     return np.stack([channel.samples for channel in channels], axis=1), channels[0].sample_rate_hz
 
 
-@pytest.mark.parametrize("factor", [16, 128])
-def test_three_tones_of_a_shaker_are_its_fundamentals(data_dir, factor):
-    values, rate = _recorded(data_dir / "shaker_three_tone" / f"data_set_1_downsampled_by_{factor}.lvm")
+def test_three_tones_of_a_shaker_are_its_fundamentals(data_dir):
+    values, rate = _recorded(data_dir / "shaker_three_tone" / "data_set_1_downsampled_by_128.lvm")
     survey = survey_lines(values[:, :1], rate)
     strong = survey.select(survey.snr > 1e6)
     np.testing.assert_allclose(strong.frequency_hz, [99.9999, 119.9999, 149.9999], atol=2e-4)
@@ -341,14 +279,6 @@ def _record(rng, amplitudes, noise=0.5, seconds=4.0):
     return time, _sum(rng, time, {multiple * TRUE_HZ: a for multiple, a in amplitudes.items()}, noise)
 
 
-def _refined(time: np.ndarray, values: np.ndarray, start: float, multiples: tuple[int, ...]) -> tuple[float, float]:
-    """Return a fundamental refined jointly with its harmonics, and its standard uncertainty."""
-    names = [str(c) for c in range(values.shape[1])]
-    model = SineModel(free=(0,) * len(multiples))
-    fit = fit_sines(time, values, start * np.array(multiples, dtype=float), names, names, model=model)
-    return float(fit.phasors.frequency_hz[0]), float(fit.u_frequency_hz[0])
-
-
 def test_published_excitation_is_found():
     # 189.3 m/s^2 with 0.96 m/s^2 at the fourth harmonic, nominal 106.25 Hz.
     time, values = _record(np.random.default_rng(0), {1: 189.3217, 4: 0.9596})
@@ -371,46 +301,10 @@ def test_only_harmonics_of_a_ten_thousandth_are_found_and_no_rounding(amplitudes
 def test_noise_alone_adds_no_harmonic():
     rng = np.random.default_rng(1)
     extra = sum(
-        len(find_lines(*_record(rng, {1: 100.0}, noise=1.0, seconds=1.0), [106.25]).multiple) - 1 for _ in range(40)
+        len(find_lines(*_record(rng, {1: 100.0}, noise=1.0, seconds=1.0), [106.25]).multiple) - 1 for _ in range(15)
     )
-    # Expected 0.04 at the stated 1e-3 per record.
+    # Expected 0.015 at the stated 1e-3 per record.
     assert extra <= 1
-
-
-def test_refined_frequency_reaches_the_bound():
-    rng = np.random.default_rng(3)
-    seconds, noise, amplitude = 1.0, 1.0, 10.0
-    errors, stated = [], []
-    for _ in range(80):
-        time, values = _record(rng, {1: amplitude}, noise, seconds)
-        refined = _refined(time, values[:, None], 106.3, (1,))
-        errors.append(refined[0] - TRUE_HZ)
-        stated.append(refined[1])
-    # Rife and Boorstyn 1974: var f = 6 σ² / (π² a² N T²) for real sines.
-    bound = np.sqrt(6.0 * noise**2 / (np.pi**2 * amplitude**2 * seconds * SAMPLED_HZ)) / seconds
-    assert np.std(errors) == pytest.approx(bound, rel=0.25)
-    assert abs(np.mean(errors)) < 4.0 * bound / np.sqrt(80)
-    assert np.mean(stated) == pytest.approx(bound, rel=0.1)
-
-
-def test_harmonics_and_channels_sharpen_the_frequency():
-    rng = np.random.default_rng(4)
-    time, values = _record(rng, {1: 1.0, 3: 1.0}, 1.0, 1.0)
-    alone = _refined(time, values[:, None], 106.25, (1,))
-    joint = _refined(time, values[:, None], 106.25, (1, 3))
-    pair = np.stack([values, 1e-3 * _record(rng, {1: 1.0, 3: 1.0}, 1.0, 1.0)[1]], axis=1)
-    two = _refined(time, pair, 106.25, (1, 3))
-    assert joint[1] == pytest.approx(alone[1] / np.sqrt(10.0), rel=0.15)
-    assert two[1] == pytest.approx(joint[1] / np.sqrt(2.0), rel=0.15)
-
-
-@settings(max_examples=8, deadline=None)
-@given(st.floats(0.1, 10.0), st.floats(-1e-3, 1e-3))
-def test_frequency_follows_the_clock(scale, stretch):
-    time, values = _record(np.random.default_rng(5), {1: 10.0}, 0.1, 0.5)
-    plain = _refined(time, values[:, None], 106.25, (1,))
-    other = _refined(time * (1 + stretch), scale * values[:, None], 106.25, (1,))
-    assert other[0] * (1 + stretch) == pytest.approx(plain[0], rel=1e-9)
 
 
 def test_several_fundamentals_share_a_harmonic_once():
@@ -449,7 +343,7 @@ def test_mains_is_reported_and_is_no_line():
 def test_a_neighbour_that_leaks_is_fitted_too():
     rng, time = np.random.default_rng(20), np.arange(12_800) / SAMPLED_HZ
     error: dict[bool, list[float]] = {True: [], False: []}
-    for _ in range(12):
+    for _ in range(6):
         hum = 0.02 * np.cos(2 * np.pi * 50.03 * time + rng.uniform(0.0, 2 * np.pi))
         values = np.cos(2 * np.pi * 53.7 * time) + hum + 0.01 * rng.normal(size=len(time))
         lines = find_lines(time, values, [53.7])

@@ -54,20 +54,20 @@ def test_level_and_degrees_of_freedom_are_honest_for_white_noise():
 def test_close_lines_do_not_reduce_the_level():
     rng, time = np.random.default_rng(2), np.arange(400) / 400.0
     lines = 20.4 + 3.3 * np.arange(8)
-    levels = [left_noise(time, 2.0 * rng.normal(size=400), lines).variance for _ in range(100)]
-    assert np.mean(levels) == pytest.approx(4.0, rel=0.03)
+    levels = [left_noise(time, 2.0 * rng.normal(size=400), lines).variance for _ in range(25)]
+    assert np.mean(levels) == pytest.approx(4.0, rel=0.06)
 
 
 def test_slow_noise_is_seen_where_it_lies():
     rng = np.random.default_rng(3)
-    levels = np.array([noise_of(slow_noise(rng, 212, 20.0)[:, None], [2.0, 60.0]).variance[:, 0] for _ in range(300)])
-    np.testing.assert_allclose(np.mean(levels, axis=0), 1.0 + 20.0 / np.array([2.0, 60.0]), rtol=0.2)
+    levels = np.array([noise_of(slow_noise(rng, 212, 20.0)[:, None], [2.0, 60.0]).variance[:, 0] for _ in range(100)])
+    np.testing.assert_allclose(np.mean(levels, axis=0), 1.0 + 20.0 / np.array([2.0, 60.0]), rtol=0.3)
 
 
 def test_a_mains_line_is_no_noise():
     rng = np.random.default_rng(4)
     mains = 10.0 * np.cos(2 * np.pi * 40.3 * np.arange(FRAMES) / FRAMES)
-    noise = rng.normal(size=(200, FRAMES))
+    noise = rng.normal(size=(50, FRAMES))
     quiet = [noise_of(series[:, None], [12.0]).variance[0, 0] for series in noise]
     loud = [noise_of((series + mains)[:, None], [12.0]).variance[0, 0] for series in noise]
     # What it leaves in the line is an error of the line.
@@ -93,8 +93,8 @@ def test_a_steady_growth_is_no_noise():
     rng, time = np.random.default_rng(8), np.arange(4000) / 4000.0
     growing = 300.0 * np.exp(0.02j * (time - 0.5)) * (1.0 + 0.03 * (time - 0.5))
     wave = (growing * np.exp(2j * np.pi * 100.0 * time)).real
-    levels = [left_noise(time, wave + rng.normal(size=4000), np.array([100.0])).variance for _ in range(30)]
-    assert np.mean(levels) == pytest.approx(1.0, abs=0.1)
+    levels = [left_noise(time, wave + rng.normal(size=4000), np.array([100.0])).variance for _ in range(10)]
+    assert np.mean(levels) == pytest.approx(1.0, abs=0.2)
 
 
 def test_few_bins_give_no_level_and_zero_residual_gives_no_noise():
@@ -115,16 +115,14 @@ def test_the_level_scales_and_follows_its_channel(scale, seed):
     np.testing.assert_allclose(scaled.dof, noise.dof, rtol=1e-6)
 
 
-@pytest.mark.parametrize(
-    ("corner_hz", "trials"),
-    [(5.0, 300), *(pytest.param(corner, 900, marks=pytest.mark.slow) for corner in (5.0, 1.0, 0.0))],
-)
-def test_regions_of_a_slow_beat_cover(corner_hz, trials):
+@pytest.mark.slow
+@pytest.mark.parametrize("corner_hz", [5.0, 1.0, 0.0])
+def test_regions_of_a_slow_beat_cover(corner_hz):
     """A beat of 0.502 Hz by the stated region and by that of the white-noise formula.
 
     With a corner there are a drive that drifts by 0.05 % and a mains line as strong as the noise, too.
     """
-    rng = np.random.default_rng(6 if trials == 300 else 7)
+    rng, trials = np.random.default_rng(7), 900
     time, lines = np.arange(FRAMES) / CAMERA_HZ, 106.25 * np.arange(1, 5)
     inside = np.zeros(2)
     for _ in range(trials):
@@ -142,7 +140,7 @@ def test_regions_of_a_slow_beat_cover(corner_hz, trials):
         white = abs(error) ** 2 / 2.0 / (2.0 * fit.residual_rms[0] ** 2 / free)
         inside += [stated < fisher.ppf(0.95, 2, fit.phasors.dof[0]), white < fisher.ppf(0.95, 2, free)]
     stated, white = inside / trials
-    assert 0.92 < stated < (0.985 if trials == 300 else 0.986)  # 97 % scatter by 1 % in 300 trials
+    assert 0.92 < stated < 0.986
     assert white < 0.6 or corner_hz < 5.0
 
 
@@ -182,13 +180,14 @@ def test_noise_alone_has_even_chances():
     rng = np.random.default_rng(3)
     time = np.sort(rng.uniform(0.0, 4.0, 240))  # on no grid
     line = 40.0 * np.cos(2 * np.pi * 20.0 * time)[:, None]
-    results = [found(time, line + rng.normal(size=(240, 2)), [20.0]) for _ in range(150)]
+    results = [found(time, line + rng.normal(size=(240, 2)), [20.0]) for _ in range(60)]
     chances = np.concatenate([result.p_value.ravel() for result in results])
     assert kstest(chances, "uniform").pvalue > 1e-3
     slopes = np.concatenate([(result.amplitude_per_s / result.u_amplitude_per_s).ravel() for result in results])
-    assert np.std(slopes) == pytest.approx(1.0, abs=0.15)
+    assert np.std(slopes) == pytest.approx(1.0, abs=0.25)
 
 
+@pytest.mark.slow
 def test_slow_noise_is_no_drift():
     rng, time = np.random.default_rng(4), np.arange(FRAMES) / CAMERA_HZ
     noise = (slow_noise(rng, FRAMES, 5.0 * FRAMES / CAMERA_HZ) for _ in range(200))
@@ -200,14 +199,15 @@ def test_slow_noise_is_no_drift():
 def test_a_drift_is_distinguished_from_noise():
     rng, time = np.random.default_rng(5), np.arange(FRAMES) / CAMERA_HZ
     drifting = 500.0 * (1.0 + 2e-3 * (time - time.mean())) * np.cos(2 * np.pi * 115.748 * time)
-    results = [found(time, (drifting + rng.normal(size=FRAMES))[:, None], [115.748]) for _ in range(50)]
+    results = [found(time, (drifting + rng.normal(size=FRAMES))[:, None], [115.748]) for _ in range(25)]
     slope = np.array([result.amplitude_per_s[0, 0] for result in results])
     u = np.array([result.u_amplitude_per_s[0, 0] for result in results])
-    assert abs(slope.mean() - 1.0) < 4.0 * slope.std() / np.sqrt(50)
+    assert abs(slope.mean() - 1.0) < 4.0 * slope.std() / np.sqrt(25)
     assert slope.std() == pytest.approx(np.median(u), rel=0.4)
     assert np.mean([result.p_value[0, 0] < 1e-3 for result in results]) > 0.95
 
 
+@pytest.mark.slow
 def test_a_rate_as_uncertain_as_stated_makes_no_more_alarms_than_noise():
     # Times that run fast by 2e-6, drawn as stated: 5 mrad over four seconds, far above the noise.
     rng, time, rate = np.random.default_rng(6), np.arange(FRAMES) / CAMERA_HZ, 2e-6
@@ -265,17 +265,6 @@ def test_derivatives_add_up(frequency, first, second):
     f = np.array([frequency])
     both = derivative_factor(f, first) * derivative_factor(f, second)
     np.testing.assert_allclose(both, derivative_factor(f, first + second), rtol=1e-12)
-
-
-def test_covariance_of_scaled_phasors_agrees_with_drawn_samples():
-    rng = np.random.default_rng(4)
-    phasors = _random_phasors(rng, lines=1)
-    factor = np.array([[0.5 - 2.0j, 3.0 + 0.0j, 1.0j]])
-    draws = rng.multivariate_normal(np.zeros(6), phasors.covariance[0], size=40_000)
-    scaled = (draws[:, :3] + 1j * draws[:, 3:]) * factor
-    expected = np.cov(np.concatenate([scaled.real, scaled.imag], axis=1).T)
-    got = phasors.scaled(factor).covariance[0]
-    np.testing.assert_allclose(got, expected, atol=0.03 * np.abs(expected).max())
 
 
 def test_selection_keeps_values_and_covariances_together():

@@ -21,11 +21,12 @@ from shaker.lines.rate_planner import (
     rms_uncertainty,
     scan_rates,
 )
+from shaker.signal_notices import ALIASED_LINE, ALIASED_LINE_OTHER_RATE
+from shaker.sine import aliasing
 from shaker.sine.aliasing import (
     CLEAR_BINS,
     alias_frequency,
     condition_number,
-    exposure_gain,
     find_aliased_harmonics,
     nearest_clear_rate,
     sampling_grid,
@@ -34,7 +35,6 @@ from shaker.sine.aliasing import (
     usable_lines,
 )
 from shaker.sine.sine_fit import fit_sines
-from shaker.sine.sine_fit_notices import ALIASED_LINE, ALIASED_LINE_OTHER_RATE
 
 CAMERA_HZ = 52.874
 
@@ -48,14 +48,6 @@ def test_alias_is_periodic_even_and_below_nyquist(frequency, rate, turns):
     assert float(alias_frequency(-frequency, rate)) == pytest.approx(alias, abs=1e-8)
     line, seen = (np.cos(2 * np.pi * f * np.arange(50) / rate) for f in (frequency, alias))
     np.testing.assert_allclose(line, seen, atol=1e-9)
-
-
-def test_exposure_gain_is_the_mean_over_the_exposure():
-    exposure, frequency = 100e-6, 500.0
-    t = np.linspace(-exposure / 2, exposure / 2, 200_001)
-    mean = np.trapezoid(np.cos(2 * np.pi * frequency * t), t) / exposure
-    assert float(exposure_gain(np.array([frequency]), exposure)[0]) == pytest.approx(mean, rel=1e-9)
-    assert 1.0 - mean == pytest.approx(0.0041, abs=1e-4)
 
 
 def test_ideal_sampling_has_condition_one_and_all_published_lines_are_usable():
@@ -124,11 +116,13 @@ def _first_clear(lines: np.ndarray, rate: float, frames: int, bins: float) -> fl
     return None
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=25, deadline=None)
 @example(np.array([16.0, 24.0, 696.0]), 77.0, 20)  # at 76.8 Hz exactly as far apart as asked
 @given(LINES, st.floats(20.0, 90.0), st.integers(20, 300))
 def test_nearest_clear_rate_is_that_of_an_exhaustive_search(lines, rate, frames):
-    found = nearest_clear_rate(lines, rate, frames, step_hz=STEP_HZ)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(aliasing, "_RATE_STEP_HZ", STEP_HZ)
+        found = nearest_clear_rate(lines, rate, frames)
     change = np.nan if found is None else abs(found - rate)
     # Lines may be exactly as far apart as asked, where rounding decides: what is a hair stricter or laxer answers too
     expected = [_first_clear(lines, rate, frames, CLEAR_BINS * (1 + hair)) for hair in (-1e-9, 1e-9)]
@@ -136,7 +130,7 @@ def test_nearest_clear_rate_is_that_of_an_exhaustive_search(lines, rate, frames)
     assert np.isclose(change, changes, rtol=0, atol=1e-6, equal_nan=True).any()
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=25, deadline=None)
 @given(LINES, st.floats(20.0, 90.0), st.integers(40, 300))
 def test_a_clear_rate_makes_every_line_usable(lines, rate, frames):
     found = nearest_clear_rate(lines, rate, frames)
@@ -148,23 +142,12 @@ def test_a_clear_rate_makes_every_line_usable(lines, rate, frames):
     assert np.linalg.cond(sine_columns(np.arange(frames) / found, lines)) < 3.3
 
 
-@settings(max_examples=60, deadline=None)
-@given(LINES, st.floats(20.0, 90.0), st.integers(20, 300), st.data())
-def test_separation_is_that_of_the_aliases(lines, rate, frames, data):
-    turns = data.draw(st.lists(st.integers(0, 9), min_size=len(lines), max_size=len(lines)))
-    moved = lines + rate * np.array(turns)
-    assert separation_bins(moved, rate, frames) == pytest.approx(
-        separation_bins(lines, rate, frames), abs=1e-7 * frames
-    )
-
-
 def test_a_clear_rate_is_returned_unchanged_and_an_unresolvable_line_has_no_better_rate():
-    refused("^rate_hz, step_hz: .*-1", nearest_clear_rate, np.array([100.0]), -1.0, 211)
+    refused("^rate_hz: .*-1", nearest_clear_rate, np.array([100.0]), -1.0, 211)
     assert nearest_clear_rate(106.25 * np.arange(1, 6), 52.874, 211) == 52.874
     assert nearest_clear_rate(np.array([100.0, 100.01]), 53.0, 211) is None
     # Halving the rate doubles the record, but nobody would call it the same measurement.
     assert nearest_clear_rate(np.array([0.2]), 53.0, 211) is None
-    assert nearest_clear_rate(np.array([0.2]), 53.0, 211, max_change=0.9) == pytest.approx(33.76)
 
 
 def test_the_notice_of_a_dropped_line_names_the_cure():
@@ -235,7 +218,7 @@ def test_published_case():
     assert plan.u_amplitude[0] / white.u_amplitude[0] == pytest.approx(np.sqrt(1.0 + 5.0 / 0.502), rel=0.1)
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=20, deadline=None)
 @given(st.floats(20.0, 400.0), st.floats(40.0, 82.0), st.integers(1, 12))
 def test_multiples_of_the_rate_have_no_effect(frequency, rate, turns):
     sampling = Sampling(211, harmonics=1)
@@ -244,15 +227,6 @@ def test_multiples_of_the_rate_have_no_effect(frequency, rate, turns):
     np.testing.assert_allclose(shifted.distance_hz, first.distance_hz, atol=1e-8)
     if first.condition < 100.0:
         np.testing.assert_allclose(shifted.u_amplitude, first.u_amplitude, rtol=1e-5)
-
-
-@settings(max_examples=40, deadline=None)
-@given(st.floats(0.0, 50.0), st.floats(0.0, 50.0), st.floats(41.0, 82.0))
-def test_more_coloured_noise_is_never_better(corner, more, rate):
-    frequency = np.array([106.25])
-    less, _ = amplitude_covariance(frequency, rate, 100, corner)
-    greater, _ = amplitude_covariance(frequency, rate, 100, corner + more)
-    assert np.all(rms_uncertainty(greater) >= rms_uncertainty(less) * (1.0 - 1e-12))
 
 
 def test_coinciding_lines_are_infinitely_uncertain_and_exposure_reduces_gain():
@@ -315,7 +289,7 @@ def test_best_rates_are_clear_preferred_and_distinct():
     assert worst[0] <= 1.07 * min(others)
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=20, deadline=None)
 @given(st.integers(0, 10_000), st.integers(1, 6), st.integers(1, 8))
 def test_few_rates_serve_every_point_that_can_be_served(seed, points, rates):
     rng = np.random.default_rng(seed)
@@ -360,21 +334,16 @@ def test_wrong_calls_are_refused_by_name():
     refused("^frames: .* 11 ", amplitude_covariance, 106.25 * np.arange(1, 6), CAMERA_HZ, 11)
 
 
-@pytest.mark.parametrize(
-    ("rate", "trials", "close"),
-    [
-        (CAMERA_HZ, 800, 0.075),  # 800 trials leave 2.5 %
-        *(pytest.param(rate, 5_000, 0.03, marks=pytest.mark.slow) for rate in (CAMERA_HZ, 57.565, 43.901)),
-    ],
-)
-def test_simulated_scatter_equals_the_planned_one(rate, trials, close):
+@pytest.mark.slow
+@pytest.mark.parametrize("rate", [CAMERA_HZ, 57.565, 43.901])
+def test_simulated_scatter_equals_the_planned_one(rate):
     """Standard deviation of the fundamental's amplitude over fits of simulated frames."""
-    rng = np.random.default_rng(1 if trials == 800 else 2)
+    rng = np.random.default_rng(2)
     plan = plan_at(lines_of([106.25], 5), rate, PUBLISHED)
     time, length = np.arange(211) / rate, 16 * 211
     density = np.concatenate([[0.0], 5.0 / np.fft.rfftfreq(length, 1.0 / rate)[1:]])
     found = []
-    for _ in range(trials // 10):
+    for _ in range(500):
         white = np.fft.rfft(rng.normal(size=(length, 10)), axis=0)
         pink = np.fft.irfft(white * np.sqrt(density)[:, None], length, axis=0)
         phase = rng.uniform(0.0, 2.0 * np.pi, 10)
@@ -382,4 +351,4 @@ def test_simulated_scatter_equals_the_planned_one(rate, trials, close):
         values = clean + rng.normal(size=(211, 10)) + pink[:211]
         fit = fit_sines(time, values, plan.lines.frequency_hz, [str(i) for i in range(10)], ["m"] * 10)
         found.append(np.abs(fit.phasors.value[0]) / plan.gain[0])
-    assert np.std(np.concatenate(found)) / plan.u_amplitude[0] == pytest.approx(1.0, abs=close)
+    assert np.std(np.concatenate(found)) / plan.u_amplitude[0] == pytest.approx(1.0, abs=0.03)

@@ -14,7 +14,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from nptdms import ChannelObject, TdmsFile, TdmsWriter
 
-from shaker.io import channel as datasets
+from shaker.io import binary as datasets
 from shaker.io import read_channels
 from shaker.io import tdms as reader
 from shaker.io.channel import RawChannel

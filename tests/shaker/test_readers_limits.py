@@ -290,20 +290,18 @@ def test_tdms_of_a_digital_line(data_dir):
     assert [channel.sample_rate_hz for channel in found.values()] == [2000.0, 40.0, 0.8]
 
 
-@pytest.mark.parametrize(("factor", "samples"), [(16, 63_041), (128, 7881), (256, 3941)])
-def test_lvm_of_three_tones(data_dir, factor, samples):
-    path = present(data_dir, "shaker_three_tone", f"data_set_1_downsampled_by_{factor}.lvm")
+def test_lvm_of_three_tones(data_dir):
+    path = present(data_dir, "shaker_three_tone", "data_set_1_downsampled_by_256.lvm")
     found = read_channels(path)
     table = np.loadtxt(path, skiprows=23, delimiter="\t")
     np.testing.assert_array_equal(np.stack([channel.samples for channel in found.values()], axis=1), table[:, 1:])
-    assert len(table) == samples
+    assert len(table) == 3941
     assert [channel.unit for channel in found.values()] == ["Volts", "Pounds", "g"]
-    assert {channel.sample_rate_hz for channel in found.values()} == {51_200.0 / factor}
+    assert {channel.sample_rate_hz for channel in found.values()} == {51_200.0 / 256}
 
 
-@pytest.mark.parametrize("name", ["acceleration", "camera"])
-def test_lvm_of_hammer_records_with_decimal_comma(data_dir, name):
-    path = present(data_dir, "undersampled_video", f"{name}.lvm")
+def test_lvm_of_hammer_records_with_decimal_comma(data_dir):
+    path = present(data_dir, "undersampled_video", "acceleration.lvm")
     acceleration, force = read_channels(path).values()
     lines = path.read_text().replace(",", ".").splitlines()[23:]
     table = np.array([[float(cell) for cell in line.split("\t")[1:3]] for line in lines if line.strip()])

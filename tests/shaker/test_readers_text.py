@@ -295,14 +295,6 @@ def test_marks_within_numbers_are_numbers_and_foreign_or_missing_numbers_are_ref
     refused(r"a\.uff: line 2: .* 50 .* 44", read_channels, path)
 
 
-@pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")  # pyuff leaves files open
-@pytest.mark.parametrize("order", ["<", ">"])
-@pytest.mark.parametrize("kind", [2, 4, 5, 6])
-def test_pyuff_agrees_where_spacing_is_even(path, kind, order):
-    path.write_bytes(uff.binary_function(kind, X, VALUES[kind], True, order))
-    np.testing.assert_array_equal(read_universal_functions(path)[0].value, pyuff.UFF(str(path)).read_sets()["data"])
-
-
 def test_names_that_occur_twice_and_uneven_time_responses(path):
     same = uff.text_function(1, 4, X, Y.real, True, "Mic")
     path.write_bytes(same + same.replace(b"        12   3", b"        13  -2") + same)

@@ -14,8 +14,7 @@ import pytest
 import scipy.io
 
 from shaker import read_channels
-from shaker.io.channel import RawChannel
-from shaker.io.times import Segment, times_of_segments, times_of_stamps
+from shaker.io.channel import RawChannel, times_of_stamps
 from tests import tdms_factory as tdms
 from tests import universal_factory as uff
 from tests.contracts import refused
@@ -191,31 +190,6 @@ def test_packed_numbers_are_unpacked(tmp_path, attributes, samples):
     assert found["t/a"].sample_rate_hz == pytest.approx(100.0, rel=1e-9)
 
 
-@pytest.mark.parametrize(
-    ("starts", "steps", "expected"),
-    [
-        ((0.0, 0.1, 0.2), (0.01, 0.01, 0.01), None),
-        ((5.0, 5.1049, 5.2), (0.01, 0.01, 0.01), None),  # within half an interval: one clock
-        ((0.0, 0.25, 0.35), (0.01, 0.01, 0.01), (0.16, 9)),
-        (
-            (0.0, 0.1, 0.2),
-            (0.01, 0.01, 0.0125),
-            " 100 Hz .* 20 .* 80 Hz",
-        ),
-        ((0.0, 0.05, 0.2), (0.01, 0.01, 0.01), r" 0\.1.* s .* 0\.05.* s"),
-    ],
-)
-def test_segments_keep_their_starts(starts, steps, expected):
-    segments = [Segment(start, 10, step) for start, step in zip(starts, steps, strict=True)]
-    if isinstance(expected, str):
-        refused(expected, times_of_segments, Path("a"), "channel", segments)
-        return
-    times = times_of_segments(Path("a"), "channel", segments)
-    channel = RawChannel.from_times(times, np.zeros(30), "")
-    assert first_gap(channel) == expected
-    assert channel.start_s == starts[0]
-
-
 def _dated(start: float | None, step: float = 0.01, **more: Any) -> dict[str, Any]:
     return {"wf_increment": step, **({} if start is None else {"wf_start_time": Fraction(start)}), **more}
 
@@ -318,11 +292,7 @@ def test_intervals_of_few_digits(tmp_path, delta, x, digits, given, expected):
 
 
 def test_rows_that_no_header_dates(tmp_path):
-    refused(
-        " 60 .* 100;",
-        read_channels,
-        lvm(tmp_path / "a.lvm", "9.765625E-5", samples=60),
-    )
+    refused(" 60 .* 100;", read_channels, lvm(tmp_path / "a.lvm", "9.765625E-5", samples=60))
     dated = read_channels(lvm(tmp_path / "b.lvm", "9.765625E-5", "One", samples=60))["a"]
     assert (len(dated.samples), dated.sample_rate_hz) == (100, 10240.0)
 

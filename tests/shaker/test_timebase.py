@@ -3,22 +3,20 @@
 First clean signals, then what makes ties hard: jitter, filters, damage, locked sampling.
 """
 
-from collections.abc import Callable
+import re
+from collections.abc import Callable, Sequence
 from dataclasses import replace
+from itertools import product
+from typing import Literal
 
 import numpy as np
 import pytest
 from contracts import refused
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
-from scipy.special import ndtr
 from scipy.stats import chi2
 
-from shaker.timebase.edges import Edges, find_edges
-from shaker.timebase.intervals import Posterior, Slopes, _log_likelihood, line_posterior, normal_cdf
-from shaker.timebase.tie import ClockTie, decide_shift, edge_instants, tie_clocks
-from shaker.timebase.trigger import TriggerFit, fit_trigger, pulse_width
-from shaker.timebase.trigger_notices import (
+from shaker.signal_notices import (
     CONTRADICTORY_PERIOD,
     DOUBLED_EDGES,
     LOCKED_EDGES,
@@ -26,6 +24,9 @@ from shaker.timebase.trigger_notices import (
     START_TIMES_DISAGREE,
     STRAY_EDGES,
 )
+from shaker.timebase.edges import Edges, Posterior, Slopes, find_edges, line_posterior
+from shaker.timebase.tie import ClockTie, decide_shift, edge_instants, tie_clocks
+from shaker.timebase.trigger import TriggerFit, fit_trigger, pulse_width
 
 PERIOD_S = 1.0 / 52.874
 EDGES, FEW = 211, 80
@@ -142,26 +143,21 @@ def test_missing_doubled_and_stray_edges_are_survived():
     assert np.sqrt(np.mean(np.square(errors))) < 0.2e-6
 
 
-def test_jitter_is_measured():
-    rng, even = np.random.default_rng(6), 0.1 + PERIOD_S * np.arange(EDGES)
-    for jitter in (2e-6, 100e-6):
-        fits = [fit_trigger(_latched(even + jitter * rng.normal(size=EDGES), 51_200.0, 4.3)) for _ in range(3)]
-        assert np.mean([fit.jitter_s for fit in fits]) == pytest.approx(jitter, rel=0.3)
-
-
 def test_scatter_is_distinguished_from_sampling():
     """30 ns of a quartz against 0.1 of a sample, few edges and many, any place between the samples."""
     rng = np.random.default_rng(26)
     for rate_hz, count in ((8_000.0, 48), (51_200.0, 211)):
         for jitter, scatters in ((0.0, False), (1e-2 / rate_hz / count, False), (0.1 / rate_hz, True)):
-            for _ in range(8):
+            for _ in range(2):
                 instants = 0.1 + PERIOD_S * (rng.uniform() + np.arange(count)) + jitter * rng.normal(size=count)
-                assert fit_trigger(_latched(instants, rate_hz, 4.3)).jitter_detected is scatters
+                fit = fit_trigger(_latched(instants, rate_hz, 4.3))
+                assert fit.jitter_detected is scatters
+                assert not scatters or fit.jitter_s == pytest.approx(jitter, rel=0.5)
 
 
 @pytest.mark.parametrize(
     ("seed", "cases", "bias", "scatter"),
-    [(7, 5, 0.06e-6, 0.13e-6), pytest.param(17, 30, 0.038e-6, 0.125e-6, marks=pytest.mark.slow)],
+    [(7, 2, 0.06e-6, 0.13e-6), pytest.param(17, 30, 0.038e-6, 0.125e-6, marks=pytest.mark.slow)],
 )
 def test_clock_offset_and_rate_without_jitter(seed, cases, bias, scatter):
     rng = np.random.default_rng(seed)
@@ -229,12 +225,7 @@ def test_undecided_shift_is_refused_and_start_times_decide_it():
     assert (tie_clocks(base, other, start_difference_s=0.126).shift, tie_clocks(base, other, shift=3).shift) == (6, 3)
     refused("^shift: ", tie_clocks, base, other, start_difference_s=0.117)
     slow = fit_trigger(find_edges(_pulses(0.1 + 0.03 * np.arange(20), 1e4, 0.8), 1e4))
-    refused(
-        r"^other: .* 0\.02 s, found 0\.0",
-        tie_clocks,
-        replace(base, period_s=0.02),
-        slow,
-    )
+    refused(r"^other: .* 0\.02 s, found 0\.0", tie_clocks, replace(base, period_s=0.02), slow)
 
 
 def test_edges_without_a_period_are_refused():
@@ -303,52 +294,21 @@ def _deviation(tie: ClockTie) -> tuple[float, float]:
     return error, error / float(tie.u_to_base_s(middle_s))
 
 
-def test_posterior_is_that_of_direct_integration():
-    position, centre = np.array([-1.0, -0.3, 0.4, 1.0]), np.array([0.3, -0.2, 0.1, 0.35])
-    lower, upper = centre - 0.5, centre + 0.5
-    # Without jitter the posterior is uniform over the polygon of all lines that pass through every interval.
-    m, h = np.meshgrid(np.linspace(-1, 1, 601), np.linspace(-1, 1, 601), indexing="ij")
-    line = m[..., None] + h[..., None] * position
-    inside = np.all((line > lower) & (line <= upper), axis=-1)
-    corner = np.stack([m[inside], h[inside]])
-    start = Posterior(np.zeros(2), 0.3 * np.eye(2), 1e-4)
-    scale = np.sqrt(np.diag(np.cov(corner)))
-    # The jitter is unknown, so that the posterior is a little wider, the less the smaller it may be.
-    for least, wider in ((1e-4, 0.3), (1e-12, 0.12)):
-        found = line_posterior(position, lower[None], upper[None], start, least)
-        np.testing.assert_allclose(found.mean, corner.mean(axis=1), atol=0.25 * scale.min())
-        np.testing.assert_allclose(np.sqrt(np.diag(found.covariance)), scale, rtol=wider)
-
-
-@pytest.mark.parametrize("jitter", [0.02, 0.3, 5.0])
-@pytest.mark.parametrize("wider", [np.zeros((1, 30)), np.linspace(0.0, 0.2, 30)[None], np.zeros((2, 30))])
-def test_the_likelihood_of_lines_is_the_product_of_their_edges(jitter, wider):
-    """Intervals of one record alike and unlike, and of two records, by SciPy's distribution."""
-    rng, position = np.random.default_rng(4), np.linspace(-1.0, 1.0, 30)
-    lower = rng.uniform(-0.6, -0.3, wider.shape)
-    upper = lower + 1.0 + wider
-    points = rng.normal(0.0, 0.3, (700, 2 * len(lower)))
-    lines = points[:, ::2, None] + points[:, 1::2, None] * position
-    below, above = (lower - lines).max(axis=1) / jitter, (upper - lines).min(axis=1) / jitter
-    expected = np.log(np.maximum(ndtr(above) - ndtr(below), 0.0) + 1e-6).sum(axis=1)
-    found = _log_likelihood(points, jitter, (position, lower, upper, None))
-    np.testing.assert_allclose(found, expected, rtol=0.0, atol=30 * 1.5e-6)
-
-
-def test_an_external_slope_cuts_the_polygon():
-    """Likelihood of lines, even over those that pass through all intervals, times the normal density of the slope."""
+@pytest.mark.parametrize("external", [None, Slopes(np.array([0.25]), np.array([[0.05**-2]]))])
+def test_posterior_is_that_of_direct_integration(external):
+    """Even over lines that pass through all intervals, times the normal density of an external slope."""
     position, centre = np.array([-1.0, -0.3, 0.4, 1.0]), np.array([0.3, -0.2, 0.1, 0.35])
     m, h = np.meshgrid(np.linspace(-1, 1, 801), np.linspace(-1, 1, 801), indexing="ij")
     line = m[..., None] + h[..., None] * position
     weight = np.all((line > centre[:, None, None].T - 0.5) & (line <= centre[:, None, None].T + 0.5), axis=-1)
-    weight = weight * np.exp(-0.5 * ((h - 0.25) / 0.05) ** 2)
+    weight = weight * (1.0 if external is None else np.exp(-0.5 * ((h - 0.25) / 0.05) ** 2))
     mean = np.array([np.sum(weight * m), np.sum(weight * h)]) / weight.sum()
     spread = np.sqrt(
         np.array([np.sum(weight * (m - mean[0]) ** 2), np.sum(weight * (h - mean[1]) ** 2)]) / weight.sum()
     )
-    start, external = Posterior(np.zeros(2), 0.3 * np.eye(2), 1e-4), Slopes(np.array([0.25]), np.array([[0.05**-2]]))
+    start = Posterior(np.zeros(2), 0.3 * np.eye(2), 1e-4)
     found = line_posterior(position, (centre - 0.5)[None], (centre + 0.5)[None], start, 1e-12, external)
-    np.testing.assert_allclose(found.mean, mean, atol=0.2 * spread.min())
+    np.testing.assert_allclose(found.mean, mean, atol=0.25 * spread.min())
     np.testing.assert_allclose(np.sqrt(np.diag(found.covariance)), spread, rtol=0.12)
 
 
@@ -395,11 +355,11 @@ def test_observed_rise_is_followed(rise):
     assert abs(normalised) < 4.0
 
 
-@pytest.mark.parametrize(("ties", "high"), [(6, 2.0), pytest.param(60, 1.15, marks=pytest.mark.slow)])
+@pytest.mark.slow
 @pytest.mark.parametrize(("rise", "noise"), [(_charging, 1e-3), (_charging, 0.02), (_half_band, 1e-3)])
-def test_the_uncertainty_includes_the_undetermined_rise_shape(rise, noise, ties, high):
+def test_the_uncertainty_includes_the_undetermined_rise_shape(rise, noise):
     rng, normalised, models = np.random.default_rng(41), [], []
-    for _ in range(ties):
+    for _ in range(60):
         first, second = _instants(rng)
         base, other = (
             fit_trigger(find_edges(signal + noise * rng.normal(size=len(signal)), rate, threshold=0.5))
@@ -412,17 +372,18 @@ def test_the_uncertainty_includes_the_undetermined_rise_shape(rise, noise, ties,
         models.append(float((base.time_s(middle) - first[FEW // 2]) / base.u_time_s(middle)))
         normalised.append(_deviation(tie_clocks(base, other))[1])
     for found in (normalised, models):
-        assert np.sqrt(np.mean(np.square(found))) < high
+        assert np.sqrt(np.mean(np.square(found))) < 1.15
 
 
-@pytest.mark.parametrize("samples", [968.0, 968.002, 968.5])
-@pytest.mark.parametrize("rise", [_ramp, _charging, _half_band])
-def test_a_rise_with_locked_edges_is_covered_and_reported(rise, samples):
-    """Slowly drifting edges (968.002 samples) do not put their drift down to the shape of the rise."""
+@pytest.mark.parametrize(
+    ("rise", "samples"), [(None, 968.0), *product((_ramp, _charging, _half_band), (968.0, 968.002, 968.5))]
+)
+def test_locked_edges_are_covered_and_reported(rise, samples):
+    """Slowly drifting edges (968.002 samples) do not put their drift down to the shape of the rise; None: no rise."""
     rng = np.random.default_rng(42)
-    for _ in range(3):
-        instants = 0.1 + rng.uniform(0.0, PERIOD_S) + samples / RATE_HZ * np.arange(FEW)
-        fit = _filtered(rise, instants, RATE_HZ, rng)
+    for phase in (0.02, 0.5, 0.97):
+        instants = (5000.0 + phase + samples * np.arange(FEW)) / RATE_HZ
+        fit = fit_trigger(_latched(instants, RATE_HZ)) if rise is None else _filtered(rise, instants, RATE_HZ, rng)
         for edge in (0, FEW // 2, FEW - 1):
             deviation = float(fit.time_s(np.array(edge))) - instants[edge]
             assert abs(deviation) < 2.0 * float(fit.u_time_s(np.array(edge)))
@@ -494,25 +455,14 @@ def test_resolved_edges_replace_the_period_of_the_others():
     assert (tie.pairs, tie.decided_by) == (FEW, "burst start and end")
 
 
-def test_locked_sampling_is_covered_and_reported():
-    period = 968.0 / RATE_HZ
-    for phase in (0.02, 0.5, 0.97):
-        instants = (5000.0 + phase) / RATE_HZ + period * np.arange(FEW)
-        fit = fit_trigger(_latched(instants, RATE_HZ))
-        deviation = float(fit.time_s(np.array(40))) - instants[40]
-        assert abs(deviation) < 2.0 * float(fit.u_time_s(np.array(40)))
-        assert float(fit.u_time_s(np.array(40))) > 5e-6
-        assert LOCKED_EDGES.code in [notice.code for notice in fit.notices]
-
-
 def test_jitter_decides_the_shift_alone():
     first, _ = _instants(np.random.default_rng(26), jitter_s=30e-6)
     base = fit_trigger(_latched((first - first[0] + 0.5 * PERIOD_S)[:70], RATE_HZ, 69.6 * PERIOD_S))
     later = first - first[9] + 0.4 * PERIOD_S
     other = fit_trigger(_latched(later[9:79], OTHER_HZ, 69.7 * PERIOD_S))
     assert not any((base.idle_before, base.idle_after, other.idle_before, other.idle_after))
-    assert (decide_shift(base, other).edges, decide_shift(base, other).decided_by) == (9, "jitter")
-    assert decide_shift(other, base).edges == -9
+    assert decide_shift(base, other, None) == (9, "jitter")
+    assert decide_shift(other, base, None)[0] == -9
 
 
 def test_contradicting_ends_are_refused_by_name():
@@ -533,7 +483,7 @@ def test_single_gaps_that_coincide_by_chance_do_not_decide():
     instants = first - first[0] + 0.5 * PERIOD_S
     base = fit_trigger(_latched(np.delete(instants[:70], [20, 41, 60]), RATE_HZ, 69.6 * PERIOD_S))
     other = fit_trigger(_latched(np.delete(instants[:70], [9, 15, 33]), OTHER_HZ, 69.6 * PERIOD_S))
-    refused("^shift: ", decide_shift, base, other)
+    refused("^shift: ", decide_shift, base, other, None)
 
 
 def _jump(x: np.ndarray) -> np.ndarray:
@@ -635,13 +585,11 @@ def test_later_records_move_the_offset_alone(base_lag_s, other_lag_s):
     assert float(moved.u_to_base_s(np.array(middle_s + other_lag_s))) == pytest.approx(u, rel=0.1)
 
 
-@pytest.mark.parametrize(
-    ("cases", "low", "high"), [(1, 0.15, 2.4), pytest.param(12, 0.65, 1.5, marks=pytest.mark.slow)]
-)
-def test_noise_of_ties_is_independent_for_records_with_equal_starts(cases, low, high):
+@pytest.mark.slow
+def test_noise_of_ties_is_independent_for_records_with_equal_starts():
     """Edges resolved between the samples, four records of each start: what scatters among them is the `noise` of it."""
     rng, scatter, stated, whole = np.random.default_rng(8), [], [], []
-    for _ in range(cases):
+    for _ in range(12):
         first, begin = 0.1 + rng.uniform(0.0, PERIOD_S), rng.uniform(0.0, 0.05)
         instants = first + PERIOD_S * np.arange(FEW)
         clean = [
@@ -660,7 +608,7 @@ def test_noise_of_ties_is_independent_for_records_with_equal_starts(cases, low, 
             stated.append(row @ tie.noise @ row)
             whole.append(row @ tie.covariance @ row)
         scatter.append(np.var(found, ddof=1))
-    assert low < np.sqrt(np.mean(scatter) / np.mean(stated)) < high
+    assert 0.65 < np.sqrt(np.mean(scatter) / np.mean(stated)) < 1.5
     assert np.all(np.array(stated) <= np.array(whole))
 
 
@@ -674,6 +622,65 @@ def test_uncertainty_from_sampling_is_no_noise():
     assert np.linalg.eigvalsh(left.covariance - left.noise).min() > -1e-30
 
 
-def test_the_normal_distribution_between_its_nodes_and_beyond_them():
-    x = np.append(np.random.default_rng(9).uniform(-12.0, 12.0, (60_000, 2)), [[-np.inf, np.inf], [0.0, -0.0]], axis=0)
-    np.testing.assert_allclose(normal_cdf(x), ndtr(x), rtol=0.0, atol=3e-14)
+SLOW_HZ, START_S, CAMERA_S, PULSES = 25_600.0, 0.01234, 1.0 / 21.3, 24
+Pulse = Sequence[tuple[float, float]]
+
+
+def _bounced(pulses: Sequence[Pulse], edge: str) -> np.ndarray:
+    """Sample pulses that are each high from and to some times after its true edge."""
+    time = np.arange(int((START_S + PULSES * CAMERA_S + 0.05) * SLOW_HZ)) / SLOW_HZ
+    high = np.zeros(len(time), dtype=np.bool_)
+    for k, pulse in enumerate(pulses):
+        for begin, end in pulse:
+            high |= (time >= START_S + k * CAMERA_S + begin) & (time < START_S + k * CAMERA_S + end)
+    noise = 0.01 * np.random.default_rng(1).standard_normal(len(time))
+    return np.asarray(noise + np.where(high == (edge == "rising"), 5.0, 0.0))
+
+
+def _some(share: float, bounced: Pulse) -> list[Pulse]:
+    chosen = np.random.default_rng(7).permutation(PULSES) < share * PULSES
+    return [bounced if one else [(0.0, 2e-3)] for one in chosen]
+
+
+TWICE: Pulse = [(0.0, 2e-4), (3.5e-4, 2e-3)]
+
+
+@pytest.mark.parametrize("edge", ["rising", "falling"])
+@pytest.mark.parametrize(
+    ("pulses", "doubled"),
+    [
+        ([TWICE] * PULSES, 24),
+        ([[(0.0, 1e-3), (0.12 * CAMERA_S, 0.12 * CAMERA_S + 1e-3)]] * PULSES, 24),
+        ([[(0.0, 3e-4), (6e-4, 8e-4), (9.5e-4, 2e-3)]] * PULSES, 48),
+        ([[(0.0, 2e-3), (2.3e-3, 2.6e-3)]] * PULSES, 24),
+        ([[(0.0, 0.5 * CAMERA_S), (0.5 * CAMERA_S + 3e-4, 0.5 * CAMERA_S + 6e-4)]] * PULSES, 24),
+        ([[(0.0, 0.95 * CAMERA_S)]] * PULSES, 0),
+        *((_some(share, TWICE), round(share * PULSES)) for share in (0.125, 0.25, 0.5, 0.75)),
+    ],
+)
+def test_the_first_edge_of_bouncing_pulses_counts(
+    pulses: list[Pulse], doubled: int, edge: Literal["rising", "falling"]
+) -> None:
+    fit = fit_trigger(find_edges(_bounced(pulses, edge), SLOW_HZ, edge=edge))
+    assert (fit.edges, fit.doubled, fit.spurious, fit.missing) == (PULSES, doubled, 0, ())
+    assert abs(fit.start_s - START_S) < 3.0 * float(fit.u_time_s(np.asarray(0))) < 1e-5
+    assert fit.period_s == pytest.approx(CAMERA_S, rel=1e-5)
+
+
+@pytest.mark.parametrize("distance", [0.22, 0.3, 0.4])
+def test_two_pulses_at_comparable_distances_are_refused(distance: float) -> None:
+    """Of two cameras on one line, or of pulses that come twice, no distance says which edges are meant."""
+    gap_s = distance * CAMERA_S
+    edges = find_edges(_bounced([[(0.0, 1e-3), (gap_s, gap_s + 1e-3)]] * PULSES, "rising"), SLOW_HZ)
+    with pytest.raises(ValueError, match=r"^edges: .*alternate") as caught:
+        fit_trigger(edges)
+    distances = [float(number) for number in re.findall(r"\d+\.\d+", str(caught.value))]
+    assert distances == pytest.approx([gap_s, CAMERA_S - gap_s], abs=1.0 / SLOW_HZ)
+
+
+def test_bursts_and_lost_pulses_are_no_bounces() -> None:
+    pulse: Pulse = [(0.0, 1e-3)]
+    for present in (lambda k: k % 10 < 5, lambda k: k not in (5, 9)):
+        fit = fit_trigger(find_edges(_bounced([pulse if present(k) else [] for k in range(PULSES)], "rising"), SLOW_HZ))
+        assert (fit.doubled, fit.spurious) == (0, 0)
+        assert fit.period_s == pytest.approx(CAMERA_S, rel=1e-4)

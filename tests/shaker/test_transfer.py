@@ -14,7 +14,14 @@ from scipy.signal import coherence, csd, get_window, welch
 from scipy.stats import chi2
 from scipy.stats import f as fisher
 
-from shaker.frf.frf_notices import (
+from shaker.frf.impact import transfer_impact
+from shaker.frf.periodic import transfer_periodic
+from shaker.frf.random import transfer_random
+from shaker.frf.result import TransferFunction, TransferRecord, pooled_scatter
+from shaker.identification.measured_curves import MeasuredCurve
+from shaker.identification.oscillator import fit_resonance
+from shaker.io import read_channels
+from shaker.signal_notices import (
     ESTIMATOR_H1,
     ESTIMATOR_H2,
     ESTIMATOR_HV,
@@ -30,13 +37,6 @@ from shaker.frf.frf_notices import (
     SINGLE_HIT,
     SINGLE_HIT_WITHOUT_NOISE,
 )
-from shaker.frf.impact import transfer_impact
-from shaker.frf.periodic import transfer_periodic
-from shaker.frf.random import transfer_random
-from shaker.frf.result import TransferFunction, TransferRecord, pooled_scatter
-from shaker.identification.measured_curves import MeasuredCurve
-from shaker.identification.oscillator import fit_resonance
-from shaker.io import read_channels
 from shakercal._common.arrays import ComplexArray, FloatArray
 from shakercal._common.notices import Notice
 
@@ -159,13 +159,14 @@ def test_a_window_is_taken_only_where_the_response_outlasts_it():
     assert EXPONENTIAL_WINDOW.code in codes(short)
 
 
-@pytest.mark.parametrize(("hits", "tolerance"), [(5, 0.02), (1, 0.025)])
+@pytest.mark.parametrize(("hits", "tolerance"), [(5, 0.025), (1, 0.03)])
 def test_regions_of_95_percent_cover(hits, tolerance):
     """A single hit has the uncertainty of the noise before it."""
-    covered = [inside(transfer_impact(blows(hits, 1e-3, seed), 0.3, band_hz=BAND)) for seed in range(8)]
+    covered = [inside(transfer_impact(blows(hits, 1e-3, seed), 0.3, band_hz=BAND)) for seed in range(5)]
     assert np.mean(covered) == pytest.approx(0.95, abs=tolerance)
 
 
+@pytest.mark.slow
 def test_noise_of_the_force_common_to_all_lines_of_a_hit_counts_once():
     """On resonance the force's noise rules, of which five hits tell 2·(5 - 1) degrees of freedom and no more."""
     covered = []
@@ -200,11 +201,7 @@ def test_double_hits_overloads_and_cut_windows_do_not_count():
     assert HIT_WITHOUT_WINDOW.code in codes(transfer_impact(data, 0.45, band_hz=BAND))
 
 
-def test_scales_move_the_ratio_of_blows_and_records_without_hits_are_refused():
-    data = blows(3, 1e-3)
-    one = transfer_impact(data, 0.3, band_hz=BAND).ratio.value  # scale and polarity move the ratio
-    other = transfer_impact(replace(data, reference=-3.0 * data.reference), 0.3, band_hz=BAND).ratio.value
-    np.testing.assert_allclose(other, -one / 3.0, rtol=1e-9)
+def test_records_without_hits_are_refused():
     noise = np.random.default_rng(2).standard_normal(20000)
     quiet = TransferRecord(noise, noise[:, None], RATE, "hammer", "N", ("top",), ("m/s^2",))
     refused("^reference: .*hammer", transfer_impact, quiet, 0.1)
@@ -264,11 +261,11 @@ def test_a_chirp_without_noise_gives_the_transfer_function_whatever_its_period(p
 
 @pytest.mark.parametrize("period", [4096.0, 4096.0 * (1 + 20e-6)])
 def test_regions_of_95_percent_cover_every_line_as_often(period):
-    records = [chirp_record(period, 4.0, 1e-2, seed) for seed in range(6)]
+    records = [chirp_record(period, 4.0, 1e-2, seed) for seed in range(4)]
     found = [transfer_periodic(data, PERIOD_S) for data in records]
     # Some 900 lines a record, noise pooled over nine: the share's standard deviation is about 0.4 %.
     assert np.mean([inside(one) for one in found]) == pytest.approx(0.95, abs=0.015)
-    assert np.mean([deviations(one) for one in found]) == pytest.approx(1.04, abs=0.06)
+    assert np.mean([deviations(one) for one in found]) == pytest.approx(1.04, abs=0.08)
 
 
 def test_noise_on_the_reference_does_not_bias_the_ratio():
@@ -343,36 +340,33 @@ def test_several_responses_share_the_noise_of_the_reference():
     np.testing.assert_allclose(found.covariance[:, 0, 3], 0.0, atol=1e-6 * found.covariance[:, 0, 0].max())
 
 
-@settings(max_examples=10, deadline=None)
-@given(gain=st.floats(0.01, 100.0), other=st.floats(-50.0, -0.1), shift=st.integers(1, 2000))
-def test_scales_move_the_ratio_and_a_common_shift_does_not(gain, other, shift):
-    found = transfer_periodic(CHIRP, PERIOD_S)
-    scaled = replace(CHIRP, reference=CHIRP.reference * gain, responses=CHIRP.responses * other)
-    np.testing.assert_allclose(
-        transfer_periodic(scaled, PERIOD_S).ratio.value, found.ratio.value * (other / gain), rtol=1e-9
-    )
-    shifted = replace(
-        CHIRP, reference=np.roll(CHIRP.reference, shift), responses=np.roll(CHIRP.responses, shift, axis=0)
-    )
-    moved = transfer_periodic(shifted, PERIOD_S).ratio
-    np.testing.assert_allclose(moved.value, found.ratio.value, atol=5e-2 * np.abs(found.ratio.value).max())
-    assert np.median(np.abs(moved.value - found.ratio.value) / found.ratio.u_re) < 2.0
-
-
 CHIRP = chirp_record(4096.0, 4.0, 1e-3)
 
 
-def test_channels_may_have_any_order():
-    three = replace(
-        CHIRP,
-        responses=np.column_stack([CHIRP.responses, 2.0 * CHIRP.reference, np.roll(CHIRP.responses, 5)]),
-        channels=("a", "b", "c"),
-        unit=("m/s^2",) * 3,
-    )
-    reversed_order = replace(three, responses=three.responses[:, ::-1], channels=("c", "b", "a"))
-    one, other = (transfer_periodic(data, PERIOD_S).ratio for data in (three, reversed_order))
-    np.testing.assert_allclose(other.select(["a", "b", "c"]).value, one.value, rtol=1e-12)
-    np.testing.assert_allclose(other.select(["a", "b", "c"]).covariance, one.covariance, rtol=1e-9, atol=1e-20)
+@settings(max_examples=3, deadline=None)
+@given(gain=st.floats(0.01, 100.0), other=st.floats(-50.0, -0.1), negative=st.booleans())
+def test_scales_and_polarity_move_the_ratio(gain, other, negative):
+    gain = -gain if negative else gain
+    short = record(*(part[:25_600] for part in PAIR), NOISE_HZ, 0.05)
+    for data, transfer in (
+        (blows(2, 1e-3), lambda d: transfer_impact(d, 0.3, band_hz=BAND)),
+        (CHIRP, lambda d: transfer_periodic(d, PERIOD_S)),
+        (short, lambda d: transfer_random(d, 8.0, band_hz=NOISE_BAND)),
+        (short, lambda d: transfer_random(d, 8.0, estimator="H2", band_hz=NOISE_BAND)),
+    ):
+        scaled = replace(data, reference=data.reference * gain, responses=data.responses * other)
+        one, two = transfer(data), transfer(scaled)
+        np.testing.assert_allclose(two.ratio.value, one.ratio.value * (other / gain), rtol=1e-6)
+        np.testing.assert_allclose(two.ratio.u_re, one.ratio.u_re * abs(other / gain), rtol=1e-5)
+        np.testing.assert_allclose(two.coherence, one.coherence, rtol=1e-9)
+
+
+def test_a_common_shift_does_not_move_the_ratio():
+    found = transfer_periodic(CHIRP, PERIOD_S).ratio
+    rolled = replace(CHIRP, reference=np.roll(CHIRP.reference, 777), responses=np.roll(CHIRP.responses, 777, axis=0))
+    moved = transfer_periodic(rolled, PERIOD_S).ratio
+    np.testing.assert_allclose(moved.value, found.value, atol=5e-2 * np.abs(found.value).max())
+    assert np.median(np.abs(moved.value - found.value) / found.u_re) < 2.0
 
 
 def test_a_loud_line_of_two_periods_and_two_channels_has_an_invertible_covariance():
@@ -435,6 +429,7 @@ def test_local_polynomials_are_free_of_leakage():
     assert errors[0] < 0.1 * errors[1]
 
 
+@pytest.mark.slow
 def test_local_polynomials_have_a_resonance_within_its_uncertainty():
     """Damping and frequency of 12 records at 20 dB, by the spread of (estimate - truth)/u."""
     quotient = []
@@ -473,12 +468,13 @@ def test_overlapping_segments_count_as_welch_states():
 
 
 def test_regions_of_averages_cover():
-    pairs = [record(*random_pair(SAMPLES, NOISE_HZ, 10 + seed), NOISE_HZ, 0.05, seed) for seed in range(8)]
+    pairs = [record(*random_pair(SAMPLES, NOISE_HZ, 10 + seed), NOISE_HZ, 0.05, seed) for seed in range(3)]
     covered = [inside(transfer_random(data, 2.0, band_hz=NOISE_BAND)) for data in pairs]
-    # 8 × 501 lines, neighbours correlated: standard deviation of the share about 0.5 %.
-    assert np.mean(covered) == pytest.approx(0.95, abs=0.02)
+    # 3 × 501 lines, neighbours correlated: standard deviation of the share about 0.8 %.
+    assert np.mean(covered) == pytest.approx(0.95, abs=0.03)
 
 
+@pytest.mark.slow
 def test_scatter_of_an_average_is_that_of_its_covariance():
     """The covariance of the mean of many lines needs their correlation: 1 + 2·(4/9 + 1/36) in variance."""
     quotient = []
@@ -502,7 +498,7 @@ def test_the_estimator_follows_the_noise(on_base, on_top, expected):
     assert found.notices[0].code == {"H1": ESTIMATOR_H1, "H2": ESTIMATOR_H2, "Hv": ESTIMATOR_HV}[expected].code
     # H1 reads N_x/S_xx low.
     assert abs(relative(found)) < 0.01
-    assert transfer_random(record(base, top, NOISE_HZ), 2.0).notices[0].values["estimator"] == expected
+    assert found.notices[0].values["estimator"] == expected
     biased = transfer_random(record(base, top, NOISE_HZ), 2.0, estimator="H1", band_hz=(200.0, 2000.0))
     assert on_base == 0.0 or relative(biased) < -0.01
 
@@ -526,25 +522,6 @@ def test_a_peak_too_narrow_for_the_lines_is_reported():
     assert (notice.code, notice.values["cause"]) == (NARROW_PEAKS.code, "Leakage")
     peaks = [np.abs(found.ratio.value).max() for found in (fine, coarse)]
     assert peaks[1] < 0.99 * peaks[0]
-
-
-def test_the_bias_of_coherence_is_that_of_unrelated_channels():
-    rng = np.random.default_rng(8)
-    data = record(rng.standard_normal(SAMPLES), rng.standard_normal(SAMPLES), NOISE_HZ)
-    found = transfer_random(data, 16.0, estimator="H1")
-    assert np.mean(found.coherence) == pytest.approx(1.0 / found.averages[0], rel=0.15)
-    assert np.mean(found.coherence_bias) == pytest.approx(np.mean(found.coherence), rel=0.15)
-
-
-@settings(max_examples=8, deadline=None)
-@given(gain=st.floats(0.01, 100.0), other=st.floats(-50.0, -0.1), estimator=st.sampled_from(["auto", "H1", "H2"]))
-def test_scales_move_the_ratio(gain, other, estimator):
-    data = record(*PAIR, NOISE_HZ, 0.05)
-    scaled = replace(data, reference=data.reference * gain, responses=data.responses * other)
-    one, two = (transfer_random(d, 8.0, estimator=estimator, band_hz=NOISE_BAND) for d in (data, scaled))  # type: ignore[arg-type]
-    np.testing.assert_allclose(two.ratio.value, one.ratio.value * (other / gain), rtol=1e-6)
-    np.testing.assert_allclose(two.ratio.u_re, one.ratio.u_re * abs(other / gain), rtol=1e-5)
-    np.testing.assert_allclose(two.coherence, one.coherence, rtol=1e-9)
 
 
 def test_short_records_are_cut_into_segments_and_useless_ones_refused():
