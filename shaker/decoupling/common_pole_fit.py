@@ -16,14 +16,6 @@ from shaker.decoupling.common_pole_search import (
     select_release_shape,
     try_other_durations,
 )
-from shaker.decoupling.decoupling_notices import (
-    DURATION_AMBIGUOUS,
-    DURATION_UNLIKELY,
-    RELEASE_SHAPE_MISFIT,
-    RELEASE_SIZE_SCATTER,
-    RELEASE_TOO_SLOW,
-    SINGLE_RELEASE,
-)
 from shaker.decoupling.model import MultiModel, Poles, growing_pole_notices, sort_components
 from shaker.decoupling.release_problem import (
     PoleFit,
@@ -37,12 +29,20 @@ from shaker.decoupling.release_problem import (
     model_covariance,
     widen_for_lags,
 )
-from shaker.identification.identification_notices import FIT_NOT_CONVERGED
+from shaker.model_notices import (
+    DOUBTFUL_MODE,
+    DURATION_AMBIGUOUS,
+    DURATION_UNLIKELY,
+    FIT_NOT_CONVERGED,
+    RELEASE_SHAPE_MISFIT,
+    RELEASE_SIZE_SCATTER,
+    RELEASE_TOO_SLOW,
+    SINGLE_RELEASE,
+)
 from shaker.release.load_response import BlockMeans, average_blocks
 from shaker.release.poles import UNCLEAR, highest_frequency, shared_poles
 from shaker.release.reading import initial_release
 from shaker.release.record import ReleaseShape, StepRecord
-from shaker.release.release_notices import DOUBTFUL_MODE
 from shakercal._common.arrays import Arrays, ComplexArray, FloatArray
 from shakercal._common.fitting import NORMAL_QUANTILE_95, excess_chi2_sigmas
 from shakercal._common.notices import Notice

@@ -11,8 +11,8 @@ import numpy as np
 
 from shaker.labels import LOAD_COMPONENTS
 from shaker.lti.system import ModalModel, modal_poles
+from shaker.model_notices import GROWING_POLE
 from shaker.release.load_response import exponentials
-from shaker.release.release_notices import GROWING_POLE
 from shakercal._common.arrays import Arrays, ComplexArray, FloatArray, IntArray, check_shape, check_shapes
 from shakercal._common.notices import Notice
 

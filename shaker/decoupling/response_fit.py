@@ -10,7 +10,7 @@ import numpy as np
 
 from shaker.decoupling.model import MultiModel, Poles, growing_pole_notices
 from shaker.decoupling.release_problem import covariances, model_covariance, search_options
-from shaker.identification.identification_notices import MODEL_MISFIT
+from shaker.model_notices import MODEL_MISFIT
 from shakercal._common.arrays import Arrays, ComplexArray, FloatArray, check_shape
 from shakercal._common.fitting import BlockJacobian, LinearBlock, SeparablePoint, levenberg_marquardt
 from shakercal._common.notices import Notice

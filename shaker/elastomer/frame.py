@@ -12,8 +12,8 @@ from itertools import pairwise
 
 import numpy as np
 
-from shaker.elastomer.elastomer_notices import PLATFORM_MISFIT, PLATFORM_NOT_VALIDATED
 from shaker.elastomer.geometry import CrossBeams, ElasticMaterial, Section, beam_matrices, lump_mass
+from shaker.model_notices import PLATFORM_MISFIT, PLATFORM_NOT_VALIDATED
 from shakercal._common.arrays import Arrays, FloatArray, IntArray, check_shape, check_shapes
 from shakercal._common.fitting import LMOptions, WhitenedResiduals, levenberg_marquardt
 from shakercal._common.notices import Notice

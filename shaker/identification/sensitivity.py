@@ -8,7 +8,6 @@ from typing import Literal
 
 import numpy as np
 
-from shaker.identification.identification_notices import FIT_NOT_CONVERGED, OUTPUT_LEADS, STATED_ERROR_TOO_SMALL
 from shaker.identification.measured_curves import (
     MeasuredSensitivity,
     NamedUnknown,
@@ -17,6 +16,7 @@ from shaker.identification.measured_curves import (
 )
 from shaker.identification.sensor import CHAIN_PARAMETERS, ChainKind, ChainModel, SensorModel
 from shaker.mechanics import laplace
+from shaker.model_notices import FIT_NOT_CONVERGED, OUTPUT_LEADS, STATED_ERROR_TOO_SMALL
 from shakercal._common.arrays import Arrays, ComplexArray, FloatArray, check_shape
 from shakercal._common.fitting import LMOptions, WhitenedResiduals, levenberg_marquardt
 from shakercal._common.notices import Notice

@@ -8,8 +8,8 @@ from typing import Literal
 import numpy as np
 
 from shaker.frf.chain import ChainResponse, common_covariance, split_ratio
-from shaker.identification.identification_notices import SIGNAL_ABOVE_BAND
 from shaker.mechanics import laplace
+from shaker.model_notices import SIGNAL_ABOVE_BAND
 from shaker.sine.phasor import Phasors
 from shakercal._common.arrays import Arrays, ComplexArray, FloatArray, check_shape
 from shakercal._common.notices import Notice

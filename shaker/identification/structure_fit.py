@@ -11,20 +11,6 @@ from functools import cached_property
 
 import numpy as np
 
-from shaker.identification.identification_notices import (
-    DAMPING_UNDETERMINED,
-    FIT_UNSETTLED,
-    INERTIA_UNDETERMINED,
-    MODEL_MISFIT,
-    NEGATIVE_DAMPING,
-    NEGATIVE_INERTIA,
-    NEGATIVE_WITHIN_U,
-    RESIDUAL_NOISE,
-    STATED_ERROR_TOO_SMALL,
-    STATED_VALUE_CONTRADICTED,
-    STATED_VALUE_UNCHANGED,
-    STIFFNESS_UNDETERMINED,
-)
 from shaker.identification.identification_problem import (
     DELAY_UNIT_S,
     IdentificationProblem,
@@ -45,6 +31,20 @@ from shaker.identification.measured_curves import (
 )
 from shaker.identification.structures import MechanicalStructure
 from shaker.labels import typeset
+from shaker.model_notices import (
+    DAMPING_UNDETERMINED,
+    FIT_UNSETTLED,
+    INERTIA_UNDETERMINED,
+    MODEL_MISFIT,
+    NEGATIVE_DAMPING,
+    NEGATIVE_INERTIA,
+    NEGATIVE_WITHIN_U,
+    RESIDUAL_NOISE,
+    STATED_ERROR_TOO_SMALL,
+    STATED_VALUE_CONTRADICTED,
+    STATED_VALUE_UNCHANGED,
+    STIFFNESS_UNDETERMINED,
+)
 from shakercal._common.arrays import Arrays, ComplexArray, FloatArray, check_shape
 from shakercal._common.fitting import LMOptions, levenberg_marquardt
 from shakercal._common.notices import Notice, Value

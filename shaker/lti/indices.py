@@ -13,14 +13,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from shaker.lti.lti_notices import (
-    ALTERNATING_POLE,
-    FIGURES_NOT_LINEAR,
-    FIGURES_WITHOUT_U,
-    POLE_ABOVE_NYQUIST,
-    POLE_ZERO_CANCELLATION,
-    UNSTABLE_POLES,
-)
 from shaker.lti.responses import (
     band_edges,
     band_end,
@@ -34,6 +26,14 @@ from shaker.lti.responses import (
     transient,
 )
 from shaker.lti.system import LinearSystem, ModalModel
+from shaker.model_notices import (
+    ALTERNATING_POLE,
+    FIGURES_NOT_LINEAR,
+    FIGURES_WITHOUT_U,
+    POLE_ABOVE_NYQUIST,
+    POLE_ZERO_CANCELLATION,
+    UNSTABLE_POLES,
+)
 from shakercal._common.arrays import FloatArray
 from shakercal._common.notices import Notice
 

@@ -8,17 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from shaker.labels import mechanical_units, typeset
-from shaker.release.load_model import LoadModel
-from shaker.release.load_modes import (
-    SEARCH,
-    FreeDecay,
-    Resonances,
-    SeriesMasses,
-    SeriesOutput,
-    coloured_normal,
-    project_amplitudes,
-)
-from shaker.release.release_notices import (
+from shaker.model_notices import (
     AMBIGUOUS_SOLUTIONS,
     MASS_CONTRADICTED,
     NO_SERIES_UNCERTAINTY,
@@ -28,6 +18,16 @@ from shaker.release.release_notices import (
     THREE_MASSES,
     TWO_MASSES_ASSUMED,
     TWO_MASSES_SUFFICIENT,
+)
+from shaker.release.load_model import LoadModel
+from shaker.release.load_modes import (
+    SEARCH,
+    FreeDecay,
+    Resonances,
+    SeriesMasses,
+    SeriesOutput,
+    coloured_normal,
+    project_amplitudes,
 )
 from shaker.release.series_problem import SeriesFit, SeriesProblem
 from shakercal._common.arrays import FloatArray

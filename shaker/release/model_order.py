@@ -10,6 +10,18 @@ from typing import Literal
 import numpy as np
 
 from shaker.lti.system import ModalModel
+from shaker.model_notices import (
+    COLOURED_NOISE,
+    DOUBTFUL_MODE,
+    DOUBTFUL_REAL_POLE,
+    GROWING_POLE,
+    MODE_NEAR_SAMPLING_LIMIT,
+    ONSET_CONTRADICTED,
+    ONSET_UNCERTAIN,
+    OUTPUT_AT_LIMIT,
+    RELEASE_OUTSIDE_SEARCH,
+    RESIDUAL_ABOVE_NOISE,
+)
 from shaker.release.load_response import BlockMeans, ReleaseLoad, block_length, reduce_to_blocks
 from shaker.release.output_error import (
     FitCovariance,
@@ -23,18 +35,6 @@ from shaker.release.output_error import (
 )
 from shaker.release.poles import UNCLEAR, decimate, instrumental_variables, matrix_pencil, peaks_hz, start_poles
 from shaker.release.record import ReleaseReading, StepRecord
-from shaker.release.release_notices import (
-    COLOURED_NOISE,
-    DOUBTFUL_MODE,
-    DOUBTFUL_REAL_POLE,
-    GROWING_POLE,
-    MODE_NEAR_SAMPLING_LIMIT,
-    ONSET_CONTRADICTED,
-    ONSET_UNCERTAIN,
-    OUTPUT_AT_LIMIT,
-    RELEASE_OUTSIDE_SEARCH,
-    RESIDUAL_ABOVE_NOISE,
-)
 from shakercal._common.arrays import ComplexArray, FloatArray
 from shakercal._common.notices import Notice
 

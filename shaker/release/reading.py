@@ -11,6 +11,14 @@ import numpy as np
 
 from shaker.frf.spline import cubic_spline
 from shaker.io.condition import cut_run
+from shaker.model_notices import (
+    FORCE_CONTRADICTS_AMPLITUDE,
+    LEVEL_DRIFT,
+    OTHER_CHANNEL_TIMES,
+    OUTPUT_AT_LIMIT,
+    RELEASE_BY_LINE,
+    RELEASE_MISFIT,
+)
 from shaker.release.load_response import MOMENTS, load_rate, load_share
 from shaker.release.onset import (
     OnsetModel,
@@ -31,14 +39,6 @@ from shaker.release.record import (
     locate_change,
     ringing_level,
     spectrum_peaks,
-)
-from shaker.release.release_notices import (
-    FORCE_CONTRADICTS_AMPLITUDE,
-    LEVEL_DRIFT,
-    OTHER_CHANNEL_TIMES,
-    OUTPUT_AT_LIMIT,
-    RELEASE_BY_LINE,
-    RELEASE_MISFIT,
 )
 from shakercal._common.arrays import BoolArray, FloatArray
 from shakercal._common.fitting import BlockJacobian, LinearBlock, LMOptions, SeparablePoint, levenberg_marquardt

@@ -11,6 +11,7 @@ import numpy as np
 
 from shaker.lti.indices import pole_notices
 from shaker.lti.system import LinearSystem, ModalModel
+from shaker.model_notices import NO_CONTINUOUS_MODEL, OUTPUT_DIVERGES, RELEASE_SHAPE_UNDETERMINED
 from shaker.release.load_response import ReleaseLoad, average_blocks, every_sample, reduce_to_blocks
 from shaker.release.model_order import (
     OrderSearch,
@@ -24,7 +25,6 @@ from shaker.release.model_order import (
 from shaker.release.output_error import OutputErrorProblem, PoleStructure, fit_covariance, modal_model, solve, squares
 from shaker.release.reading import read_release
 from shaker.release.record import ReleaseReading, ReleaseShape, StepRecord
-from shaker.release.release_notices import NO_CONTINUOUS_MODEL, OUTPUT_DIVERGES, RELEASE_SHAPE_UNDETERMINED
 from shakercal._common.arrays import Arrays, FloatArray, check_shape, check_shapes
 from shakercal._common.fitting import REJECT_CHI2, excess_chi2_sigmas
 from shakercal._common.notices import Notice

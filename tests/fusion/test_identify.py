@@ -37,9 +37,9 @@ from fusion.sensor.sensor_model_notices import DAMAGED_MODEL_FILE, WRONG_MODEL_F
 from fusion.sensor.transfer.transfer_evaluation import KINDS as TRANSFER_KINDS
 from fusion.simulate.chirp import write_masses
 from fusion.simulate.world import Draws, true_part
-from shaker.identification.identification_notices import OUTPUT_LEADS
 from shaker.identification.sensitivity import CHAIN_WORDS
 from shaker.identification.sensor import Load, correct_phasors
+from shaker.model_notices import OUTPUT_LEADS
 from shaker.sine.phasor import Phasors
 
 GUIDE = (DOCS / "identify.md").read_text(encoding="utf-8")

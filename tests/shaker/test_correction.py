@@ -13,7 +13,6 @@ from real_data import SHOCK, SHOCK_RATE_HZ, Shock, as_sensor, read_shock
 from scipy import signal
 from sensitivity_factory import DAMPING, FREQUENCY, LAG, STATIC, STIFFNESS, lag, measured, resonance
 
-from shaker.identification.identification_notices import SIGNAL_ABOVE_BAND
 from shaker.identification.sensitivity import fit_chain, sensor_model
 from shaker.identification.sensor import (
     NO_CHAIN,
@@ -25,6 +24,7 @@ from shaker.identification.sensor import (
     correct_record,
     usable_band,
 )
+from shaker.model_notices import SIGNAL_ABOVE_BAND
 from shaker.sine.phasor import Phasors
 from shakercal._common.arrays import ComplexArray, FloatArray
 

@@ -10,12 +10,6 @@ from hypothesis import strategies as st
 from scipy.signal import StateSpace, cont2discrete, dlsim, lfilter
 
 from shaker.decoupling.common_pole_fit import MultiFit, fit_steps
-from shaker.decoupling.decoupling_notices import (
-    DURATION_AMBIGUOUS,
-    DURATION_UNLIKELY,
-    RELEASE_SIZE_SCATTER,
-    RELEASE_TOO_SLOW,
-)
 from shaker.decoupling.filter import (
     DecouplingFilter,
     DecouplingTarget,
@@ -26,9 +20,15 @@ from shaker.decoupling.filter import (
 )
 from shaker.decoupling.model import MultiModel, check_separable, missing_loads, sampled_modes, sort_components
 from shaker.decoupling.response_fit import ResponseFit, Responses, fit_responses
-from shaker.identification.identification_notices import MODEL_MISFIT
+from shaker.model_notices import (
+    DOUBTFUL_MODE,
+    DURATION_AMBIGUOUS,
+    DURATION_UNLIKELY,
+    MODEL_MISFIT,
+    RELEASE_SIZE_SCATTER,
+    RELEASE_TOO_SLOW,
+)
 from shaker.release.record import StepRecord
-from shaker.release.release_notices import DOUBTFUL_MODE
 from shakercal._common.arrays import ComplexArray, FloatArray
 
 

@@ -10,7 +10,6 @@ from hypothesis import strategies as st
 from scipy.linalg import expm
 from scipy.optimize import brentq
 
-from shaker.elastomer.elastomer_notices import PLATFORM_MISFIT, PLATFORM_NOT_VALIDATED
 from shaker.elastomer.frame import (
     MODE_NAMES,
     BeamFrame,
@@ -28,6 +27,7 @@ from shaker.elastomer.frame import (
     solve_frame,
 )
 from shaker.elastomer.geometry import CrossBeams, ElasticMaterial, Section, beam_matrices, beam_stiffness, lump_mass
+from shaker.model_notices import PLATFORM_MISFIT, PLATFORM_NOT_VALIDATED
 from shakercal._common.arrays import FloatArray
 
 ALUMINIUM = ElasticMaterial(72e9, 0.3, 2820.0)

@@ -7,7 +7,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from identification_factory import ALONG_Z, FloatArray, oscillator, recording, replace_ratio, rigid_mass
 
-from shaker.identification.identification_notices import (
+from shaker.identification.measured_curves import CurveError, InertiaError, MeasuredCurve, MeasuredTransfer, Placement
+from shaker.identification.oscillator import fit_resonance
+from shaker.identification.structure_fit import Identification, identify
+from shaker.identification.structures import SpringSuspension
+from shaker.mechanics import Mechanics, poles, respond
+from shaker.model_notices import (
     INERTIA_UNDETERMINED,
     MODEL_MISFIT,
     NEGATIVE_INERTIA,
@@ -16,11 +21,6 @@ from shaker.identification.identification_notices import (
     STATED_VALUE_UNCHANGED,
     STIFFNESS_UNDETERMINED,
 )
-from shaker.identification.measured_curves import CurveError, InertiaError, MeasuredCurve, MeasuredTransfer, Placement
-from shaker.identification.oscillator import fit_resonance
-from shaker.identification.structure_fit import Identification, identify
-from shaker.identification.structures import SpringSuspension
-from shaker.mechanics import Mechanics, poles, respond
 from shakercal._common.notices import Notice
 
 K, B, MI = 4.753e8, 900.0, 1.28

@@ -12,6 +12,13 @@ from hypothesis import strategies as st
 from release_factory import other_numbers, reading_of, two_masses
 from scipy.signal import StateSpace, lsim
 
+from shaker.model_notices import (
+    AMBIGUOUS_SOLUTIONS,
+    MASS_CONTRADICTED,
+    SECOND_MODE_EXCLUDED,
+    SERIES_SCATTER,
+    THREE_MASSES,
+)
 from shaker.release.load_model import (
     LoadModel,
     change_limit,
@@ -39,13 +46,6 @@ from shaker.release.load_modes import (
 )
 from shaker.release.load_series import fit_resonances, identify_loads
 from shaker.release.record import StepRecord
-from shaker.release.release_notices import (
-    AMBIGUOUS_SOLUTIONS,
-    MASS_CONTRADICTED,
-    SECOND_MODE_EXCLUDED,
-    SERIES_SCATTER,
-    THREE_MASSES,
-)
 
 LOADS = np.array([0.0, 0.008, 0.048, 0.098, 0.198])
 PUBLISHED_HZ, MOVING = np.array([500.0, 486.0, 450.0, 393.0, 320.0]), 0.240

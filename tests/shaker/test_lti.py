@@ -11,9 +11,9 @@ from scipy import signal
 from scipy.optimize import brentq
 
 from shaker.lti.indices import LABELS, SETTLING, indices, moving_figures, pole_notices, settling_u, unit_of
-from shaker.lti.lti_notices import ALTERNATING_POLE, POLE_ABOVE_NYQUIST, UNSTABLE_POLES
 from shaker.lti.responses import gain_curve, roots_between, settling_points, transient
 from shaker.lti.system import LinearSystem, ModalModel
+from shaker.model_notices import ALTERNATING_POLE, POLE_ABOVE_NYQUIST, UNSTABLE_POLES
 from shakercal._common.arrays import FloatArray
 
 RATE = 1e5

@@ -32,9 +32,9 @@ from shaker.elastomer.geometry import PublishedStatics
 from shaker.identification.measured_curves import MeasuredCurve
 from shaker.identification.oscillator import peak_readings
 from shaker.lti.indices import Indices, indices
-from shaker.lti.lti_notices import ALTERNATING_POLE, POLE_ABOVE_NYQUIST
 from shaker.lti.system import LinearSystem
 from shaker.mechanics import required_stiffness
+from shaker.model_notices import ALTERNATING_POLE, POLE_ABOVE_NYQUIST
 from shaker.release.load_model import LoadModel, first_mode_hz, formula_limit
 from shaker.release.step_fit import fit_sim, fit_step
 from shaker.sine.phasor import derivative_factor

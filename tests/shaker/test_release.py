@@ -11,6 +11,12 @@ from release_factory import Truth
 from scipy.stats import ttest_ind
 
 from shaker.io.condition import cut_run
+from shaker.model_notices import (
+    FORCE_CONTRADICTS_AMPLITUDE,
+    LEVEL_DRIFT,
+    OTHER_CHANNEL_TIMES,
+    OUTPUT_AT_LIMIT,
+)
 from shaker.release.reading import compare_releases, initial_release, read_release, read_releases
 from shaker.release.record import (
     ReleaseReading,
@@ -19,12 +25,6 @@ from shaker.release.record import (
     response_spectrum,
     ringing_level,
     spectrum_peaks,
-)
-from shaker.release.release_notices import (
-    FORCE_CONTRADICTS_AMPLITUDE,
-    LEVEL_DRIFT,
-    OTHER_CHANNEL_TIMES,
-    OUTPUT_AT_LIMIT,
 )
 
 PLAIN, SLOW = Truth(), Truth(release_s=3e-3)

@@ -22,7 +22,6 @@ from sensitivity_factory import (
     resonance,
 )
 
-from shaker.identification.identification_notices import OUTPUT_LEADS, STATED_ERROR_TOO_SMALL
 from shaker.identification.measured_curves import CurveError, MeasuredSensitivity
 from shaker.identification.sensitivity import (
     CHAIN_WORDS,
@@ -32,6 +31,7 @@ from shaker.identification.sensitivity import (
     fit_sensitivity,
 )
 from shaker.identification.sensor import CHAIN_PARAMETERS, ChainKind, ChainModel
+from shaker.model_notices import OUTPUT_LEADS, STATED_ERROR_TOO_SMALL
 from shakercal._common.arrays import ComplexArray
 
 TIME, OMEGA = DAMPING / STIFFNESS, 2.0 * np.pi * FREQUENCY

@@ -14,6 +14,7 @@ from scipy.optimize import brentq
 from scipy.signal import lsim
 
 from shaker.lti.system import LinearSystem, ModalModel
+from shaker.model_notices import COLOURED_NOISE, GROWING_POLE, RELEASE_SHAPE_UNDETERMINED
 from shaker.release.load_response import (
     BlockMeans,
     ReleaseLoad,
@@ -30,7 +31,6 @@ from shaker.release.output_error import OutputErrorProblem, PoleStructure, colum
 from shaker.release.poles import instrumental_variables, matrix_pencil, peaks_hz
 from shaker.release.reading import read_release
 from shaker.release.record import ReleaseReading, StepRecord
-from shaker.release.release_notices import COLOURED_NOISE, GROWING_POLE, RELEASE_SHAPE_UNDETERMINED
 from shaker.release.step_fit import StepFit, fit_all_methods, fit_all_orders, fit_evolution, fit_sim, fit_step
 from shakercal._common.arrays import ComplexArray, FloatArray
 
