@@ -44,8 +44,7 @@ def target_for_bandwidth(
 ) -> CompensationTarget:
     """Return the lowest target frequency that keeps a bandwidth within 1 ± δ.
 
-    All poles and zeros of the sensor count, including the uncancelled ones. A tenth of δ is reserved for the
-    uncertainty of the model. The lowest natural frequency passes the least noise.
+    All poles and zeros of the sensor count. A tenth of δ is reserved for the uncertainty of the model.
     """
     from scipy.optimize import minimize_scalar
 
@@ -95,8 +94,8 @@ def target_for_frequency(
 ) -> CompensationTarget:
     """Return the target of a frequency with the widest band of 1 ± δ.
 
-    The damping ratio is varied. The band is that of the whole sensor. A tenth of δ is reserved for the uncertainty of
-    the model. For one mode the result is `best_damping` of the remainder.
+    The damping ratio is varied; the band is that of the whole sensor. A tenth of δ is reserved for the model's
+    uncertainty.
     """
     allowed = (1.0 - MODEL_ERROR_SHARE) * permitted_error
     start = best_damping(allowed)
@@ -115,10 +114,7 @@ def target_for_frequency(
 
 
 def _gains(sensor: SensorDynamics, frequency_hz: FloatArray) -> Callable[[CompensationTarget], FloatArray]:
-    """Return a function from the target to the gain over the static one (K,).
-
-    The gain is that of the compensated sensor at frequencies (K,).
-    """
+    """Return a function from target to compensated gain over the static one (K,)."""
     s: ComplexArray = np.asarray(2j * np.pi * frequency_hz, dtype=np.complex128)
 
     def denominator(poles: list[ComplexArray]) -> ComplexArray:
@@ -137,10 +133,7 @@ def _gains(sensor: SensorDynamics, frequency_hz: FloatArray) -> Callable[[Compen
 
 
 def white_noise_gain(sections: Sections) -> float:
-    """Return the standard deviation of filtered white noise over that of the input: √Σh².
-
-    h is the impulse response. With the covariance P = APAᵀ + BBᵀ of the state Σh² = CPCᵀ + D².
-    """
+    """Return √Σh² of the impulse response, by which white noise grows."""
     from scipy.linalg import solve_discrete_lyapunov
 
     a, b, c, d = state_space(sections)
@@ -184,8 +177,7 @@ def filtered_noise(sections: Sections, frequency_hz: FloatArray, density: FloatA
 def state_space(sections: Sections) -> tuple[FloatArray, FloatArray, FloatArray, float]:
     """Return A (2S, 2S), B, C (2S,) and D of the sections in a row.
 
-    x[n+1] = A x[n] + B u[n], y = C x + D u. The states are those of the second transposed direct form, section by
-    section, as in the streaming filter.
+    The states are those of the streaming filter, the second transposed direct form of every section.
     """
     size = 2 * len(sections.sos)
     a, b, c, d = np.zeros((size, size)), np.zeros(size), np.zeros(size), 1.0
@@ -217,10 +209,7 @@ def with_parameters(sensor: SensorDynamics, vector: FloatArray) -> LinearSystem:
 
 
 def with_frequency(sensor: SensorDynamics, factor: float) -> LinearSystem:
-    """Return the whole sensor with the frequencies of its cancelled modes times a factor.
-
-    Another load has this effect.
-    """
+    """Return the whole sensor with the frequencies of its cancelled modes times a factor."""
     vector = sensor.vector.copy()
     vector[: len(sensor.frequency_hz)] *= factor
     return with_parameters(sensor, vector)
@@ -229,8 +218,7 @@ def with_frequency(sensor: SensorDynamics, factor: float) -> LinearSystem:
 def residual_ringing(compensation: Compensation, sensor: LinearSystem, after_s: float) -> float:
     """Return the largest |y/y(∞) - 1| after a step from `after_s` on.
 
-    y is the response of `sensor` with the filter, over some periods of the slowest oscillation. The sensor of the
-    filter's design has the decay of the target; another sensor rings at its natural frequency.
+    y is the response of `sensor` with the filter, over some periods of the slowest oscillation.
     """
     if not after_s >= 0:
         raise ValueError(f"after_s: expected 0 or more, found {after_s}")
@@ -248,10 +236,7 @@ def residual_ringing(compensation: Compensation, sensor: LinearSystem, after_s: 
 
 @dataclass(frozen=True, repr=False)
 class GainBand(Arrays):
-    """Standard uncertainties of a compensated sensor over `frequency_hz` (K,).
-
-    `u_gain` relative, `u_phase_rad`.
-    """
+    """Standard uncertainties of a compensated sensor over `frequency_hz` (K,). `u_gain` relative, `u_phase_rad`."""
 
     frequency_hz: FloatArray
     u_gain: FloatArray
@@ -281,10 +266,9 @@ class CompensatedSignal(Arrays):
 
 
 def gain_band(compensation: Compensation, frequency_hz: FloatArray) -> GainBand:
-    """Return u of the compensated sensor to first order by the model's covariance V.
+    """Return u of the compensated sensor to first order, Σ (∂ ln G_c/∂θ) δθ.
 
-    δT/T = Σ (∂ ln G_c/∂θ) δθ. This is valid if u of a cancelled frequency is small against half the width ζ·fn of its
-    resonance.
+    Valid if u of a cancelled frequency is small against half the width ζ·fn of its resonance.
     """
     covariance = compensation.sensor.covariance
     if covariance is None:

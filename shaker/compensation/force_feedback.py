@@ -69,10 +69,7 @@ class FeedbackRun(Arrays):
 
 @dataclass(frozen=True, repr=False)
 class _Matrices(Arrays):
-    """Sampled loop: state matrices and rows of the forces.
-
-    z[n+1] = A z[n] + B [x_h, v_h, wall, noise]; rows for F_u, indicated force and F_v.
-    """
+    """Sampled loop with states z and inputs [x_h, v_h, wall, noise]."""
 
     a: FloatArray
     b: FloatArray
@@ -96,8 +93,8 @@ def simulate_feedback(
 ) -> FeedbackRun:
     """Return the forces as the hand moves along `hand_m` (N,) towards a ball at `wall_m`.
 
-    `sensor`: output over force with its load; its output is divided by its static gain. `sections`: the compensation
-    with static gain 1, None without. `noise` (N,) in N is added to the force from the sensor.
+    `sensor`: output over force with its load, used over its static gain. `sections`: compensation with static gain 1,
+    None without. `noise` (N,) in N is added to the force from the sensor.
     """
     check_shape("hand_m", hand_m, (None,))
     added = np.zeros(len(hand_m)) if noise is None else noise
@@ -130,10 +127,7 @@ def is_stable(loop: HapticLoop, sensor: LinearSystem, sections: Sections | None)
 
 
 def largest_stable_gain(loop: HapticLoop, sensor: LinearSystem, sections: Sections | None) -> float:
-    """Return the force gain at the limit of stability.
-
-    0 if the loop is never stable, at most 10 000.
-    """
+    """Return the force gain at the limit of stability, from 0 to 10 000."""
 
     def stable(gain: float) -> bool:
         return is_stable(replace(loop, force_gain=gain), sensor, sections)
@@ -152,10 +146,7 @@ def largest_stable_gain(loop: HapticLoop, sensor: LinearSystem, sections: Sectio
 
 
 def _matrices(loop: HapticLoop, sensor: LinearSystem, sections: Sections | None, contact: bool) -> _Matrices:
-    """Return the loop as one sampled system.
-
-    z = [x, v, sensor, F_a of the previous sample, filter].
-    """
+    """Return the sampled loop of z = [x, v, sensor, last F_a, filter]."""
     plant, drive, output = _plant(loop, sensor)
     size = len(plant)
     af, bf, cf, df = np.zeros((0, 0)), np.zeros(0), np.zeros(0), 1.0
@@ -181,10 +172,7 @@ def _matrices(loop: HapticLoop, sensor: LinearSystem, sections: Sections | None,
 
 
 def _plant(loop: HapticLoop, sensor: LinearSystem) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return handle and sensor over one sample: state matrix, input matrix and output in N.
-
-    The inputs [x_h, v_h, F_a] are constant over the sample.
-    """
+    """Return handle and sensor over one sample: state matrix, input matrix, output in N."""
     from scipy.linalg import expm
 
     sensor_matrix, into, output = _modal(sensor)
@@ -201,10 +189,7 @@ def _plant(loop: HapticLoop, sensor: LinearSystem) -> tuple[FloatArray, FloatArr
 
 
 def _modal(sensor: LinearSystem) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return A, B, C of a sensor as decoupled modes.
-
-    Over its static gain; real poles follow.
-    """
+    """Return A, B, C of a sensor over its static gain as decoupled modes."""
     from scipy.linalg import block_diag
 
     if len(sensor.zeros) >= len(sensor.poles):

@@ -131,10 +131,7 @@ def fit_steps(records: Sequence[StepRecord], most_modes: int | None = None, most
 
 
 def _noise(records: Sequence[StepRecord], releases: Sequence[ReleaseTiming]) -> FloatArray:
-    """Return the standard deviation of a sample (C,) before the releases.
-
-    A noiseless output has that of its digits.
-    """
+    """Return the standard deviation of a sample (C,) before the releases."""
     sums, count = np.zeros(len(records[0].channels)), 0
     for record, release in zip(records, releases, strict=True):
         begin_s = release.middle_s - 0.5 * release.duration_s
@@ -257,8 +254,8 @@ def multi_fit(
 ) -> MultiFit:
     """Return the result of a fit in the units of the records.
 
-    The first of `fits` is the result. The others are not rejected by the records and enter the covariance
-    (`shakercal._common.fitting`). `noise` (C,) of a sample was the weight of the outputs.
+    The first of `fits` is the result; the others are not rejected by the records and enter the covariance
+    (`shakercal._common.fitting`). `noise` (C,) of a sample was the weight.
     """
     fit, *others = fits
     point, poles = fit.solution.point, fit.poles
@@ -308,10 +305,7 @@ def multi_fit(
 
 
 def _model(records: Sequence[StepRecord], problem: StepProblem, fit: PoleFit, scaled: FloatArray) -> MultiModel:
-    """Return the model of a fit.
-
-    `scaled` (C,): noise of a mean, the weight of the outputs.
-    """
+    """Return the model of a fit; `scaled` (C,) was the weight."""
     parts = [fit.poles.smooth @ coefficients for coefficients in fit.solution.point.coefficients]
     table = np.stack(parts, axis=2) * scaled[:, None]
     return MultiModel.of_poles(fit.poles, table, (records[0].channels, problem.components), records[0].unit)
@@ -354,10 +348,7 @@ def _releases(
 
 
 def _scale_share(component: str, records: Sequence[StepRecord], releases: Sequence[ReleaseFit]) -> float:
-    """Return the relative standard uncertainty of a load's scale.
-
-    As stated, and from the scatter of its releases beyond the noise.
-    """
+    """Return the relative standard uncertainty of a load's scale, stated and from scatter."""
     stated = max(record.u_amplitude for record in records if record.component == component)
     members = [release for release in releases if release.component == component]
     if len(members) < 2:
@@ -414,8 +405,8 @@ def _alternative_notices(problem: StepProblem, fit: PoleFit, others: Sequence[Po
 def mode_ranks(model: MultiModel, u: FloatArray) -> tuple[ModeRank, ...]:
     """Return the ranks of the residues of modes, then of real poles.
 
-    `u` (P,): standard uncertainties of the model's vector. For random residues over standard uncertainties the largest
-    singular value is about √C + √D, for complex ones √2 times that. A significant one is at least twice as large.
+    `u` (P,) of the model's vector. The largest singular value of random residues over their u is about √C + √D, for
+    complex ones √2 times that. A significant one is at least twice as large.
     """
     spread = model.parts(u)
     pairs: list[tuple[ComplexArray | FloatArray, FloatArray]] = [

@@ -197,9 +197,9 @@ _START_DAMPING = 0.01  # as recommended by Gustavsen and Semlyen
 def fitted_poles(frequency_hz: FloatArray, responses: ComplexArray, weights: FloatArray, modes: int) -> Poles:
     """Return the common poles of responses (R, K) with weights (R, K), from `modes` pairs.
 
-    h·σ = Σ r/(s - a), σ = 1 + Σ d/(s - a) is linear in r and d, and the zeros of σ are better poles than a. This is
-    repeated (Gustavsen and Semlyen, IEEE Trans. Power Delivery 14 (1999) 1052), with r eliminated separately for each
-    response (Deschrijver and others, IEEE Microw. Wirel. Compon. Lett. 18 (2008) 383). Unstable poles are reflected.
+    h·σ = Σ r/(s - a), σ = 1 + Σ d/(s - a) is linear in r and d, and the zeros of σ are better poles than a (Gustavsen
+    and Semlyen, IEEE Trans. Power Delivery 14 (1999) 1052), with r eliminated for each response (Deschrijver and
+    others, IEEE Microw. Wirel. Compon. Lett. 18 (2008) 383). Unstable poles are reflected.
     """
     low, high = float(np.min(frequency_hz[frequency_hz > 0])), float(np.max(frequency_hz))
     inside = np.linspace(low, high, modes + 2)[1:-1]
@@ -220,10 +220,7 @@ def fitted_poles(frequency_hz: FloatArray, responses: ComplexArray, weights: Flo
 
 
 def _zeros(poles: Poles, correction: FloatArray) -> Poles:
-    """Return the zeros of 1 + Σ d/(s - a), reflected to the left.
-
-    They are eigenvalues of diag(a) - 1·d in real form.
-    """
+    """Return the zeros of 1 + Σ d/(s - a), reflected to the left."""
     from scipy.linalg import block_diag
 
     m = poles.modes

@@ -8,10 +8,7 @@ from shakercal._common.arrays import ComplexArray
 
 
 def pair_conjugates(roots: ComplexArray, name: str) -> ComplexArray:
-    """Return roots (N,) with exact conjugate pairs, pairs first by size, then real ones.
-
-    A complex root without its conjugate is refused.
-    """
+    """Return roots (N,) with exact conjugate pairs by size, then real ones; refuse lone ones."""
     scale = 1e-9 * max(1e-300, float(np.max(np.abs(roots), initial=0.0)))
     above = roots[roots.imag > scale]
     below = roots[roots.imag < -scale]
@@ -29,10 +26,7 @@ def pair_conjugates(roots: ComplexArray, name: str) -> ComplexArray:
 
 
 def tustin_constant(rate_hz: float, prewarp_hz: float | None) -> float:
-    """Return c of s = c (z - 1)/(z + 1) in rad/s.
-
-    It is 2 fs, or ω/tan(ω/2fs) with prewarping.
-    """
+    """Return c in rad/s of s = c (z - 1)/(z + 1), perhaps prewarped."""
     if prewarp_hz is None:
         return 2.0 * rate_hz
     if not 0 < prewarp_hz < 0.5 * rate_hz:
@@ -41,10 +35,7 @@ def tustin_constant(rate_hz: float, prewarp_hz: float | None) -> float:
 
 
 def hold_factor(poles: ComplexArray, rate_hz: float) -> ComplexArray:
-    """Return the factor of residues by a hold between samples.
-
-    It is (exp(p/fs) - 1)/p, and 1/fs for a pole at 0.
-    """
+    """Return the factor of residues by a hold, (exp(p/fs) - 1)/p."""
     factor = np.expm1(poles / rate_hz) / np.where(poles == 0, 1.0, poles)
     return np.where(poles == 0, 1 / rate_hz, factor)
 

@@ -58,10 +58,7 @@ class LinearSystem(Arrays):
     def from_coefficients(
         numerator: FloatArray, denominator: FloatArray, sample_rate_hz: float | None = None
     ) -> LinearSystem:
-        """Return the system of polynomials in falling powers of s or z.
-
-        For powers of z⁻¹ both are padded to one length.
-        """
+        """Return the system of polynomials in falling powers of s or z."""
         top, bottom = (np.trim_zeros(np.asarray(part, float), "f") for part in (numerator, denominator))
         if not len(top) or not len(bottom):
             raise ValueError("numerator, denominator: expected a coefficient other than 0 in both, found none")
@@ -72,11 +69,11 @@ class LinearSystem(Arrays):
     def from_residues(
         poles: ComplexArray, residues: ComplexArray, direct: float = 0.0, sample_rate_hz: float | None = None
     ) -> LinearSystem:
-        """Return the system direct + Σ residue/(x - pole).
+        """Return the system direct + Σ residue/(x - pole) of different poles (P,).
 
-        The poles (P,) differ and are in conjugate pairs. The numerator is computed in powers of x minus the x of
-        frequency zero, in units of the poles' typical distance from it. Poles of oversampled signals, all near z = 1,
-        thus keep their digits. Leading coefficients that are zero within rounding are dropped.
+        The numerator is computed in powers of x minus the x of frequency zero, in units of the poles' typical distance
+        from it. Poles of oversampled signals, all near z = 1, thus keep their digits. Leading coefficients within
+        rounding are dropped.
         """
         p, r = np.asarray(poles, dtype=np.complex128), np.asarray(residues, dtype=np.complex128)
         rest = 0.0 if sample_rate_hz is None else 1.0
@@ -111,10 +108,7 @@ class LinearSystem(Arrays):
         return float(self.at(np.array([self.static_point]))[0].real)
 
     def at(self, x: ComplexArray) -> ComplexArray:
-        """Return H (K,) at s or z (K,), infinite at a pole.
-
-        It is computed factor by factor, so that no coefficient loses digits.
-        """
+        """Return H (K,) at s or z (K,), infinite at a pole, factor by factor."""
         point = np.asarray(x, dtype=np.complex128)[:, None]
         above = np.full((len(point), len(self.poles)), 1.0 + 0j)
         above[:, : len(self.zeros)] = point - self.zeros
@@ -153,10 +147,7 @@ class LinearSystem(Arrays):
         return self.gain if len(self.zeros) == len(self.poles) else 0.0
 
     def residues(self) -> ComplexArray:
-        """Return the residues r (P,) of H = direct + Σ r/(x - pole).
-
-        They are infinite where poles coincide.
-        """
+        """Return the residues (P,) of H - direct, infinite where poles coincide."""
         parts = np.full(len(self.poles), self.gain, dtype=np.complex128)
         with np.errstate(divide="ignore", invalid="ignore"):
             for i, pole in enumerate(self.poles):
@@ -178,10 +169,7 @@ class LinearSystem(Arrays):
         return terms, bool(np.sum(np.abs(terms)) < MAX_TERM_RATIO * max(abs(self.static_gain), abs(self.direct)))
 
     def step(self, time_s: FloatArray) -> FloatArray:
-        """Return the response (N,) to a unit step at t = 0, zero before.
-
-        For samples it is the last one at each time.
-        """
+        """Return the response (N,) to a unit step at t = 0."""
         return self._respond(time_s, step=True)
 
     def impulse(self, time_s: FloatArray) -> FloatArray:
@@ -338,10 +326,7 @@ def _same_gain(continuous: LinearSystem, samples: LinearSystem, rate_hz: float) 
 
 
 def modal_poles(omega: FloatArray, damping_ratio: FloatArray, rate: FloatArray) -> ComplexArray:
-    """Return poles in rad/s of modes (…, M) and real poles (…, Q).
-
-    They are ω(-ζ + j√(1 - ζ²)), then -`rate`.
-    """
+    """Return the upper poles (…, M) of modes, then -`rate` (…, Q), in rad/s."""
     upper = omega * (-damping_ratio + 1j * np.sqrt(1 - damping_ratio**2))
     return np.concatenate([upper, -rate + 0j], axis=-1)
 
@@ -465,9 +450,8 @@ class ModalModel(Arrays):
     def with_move(self, move: FloatArray) -> ModalModel:
         """Return the model with its parameters shifted by `move` (P,).
 
-        The shift is of first order, and linear in `to_coordinates`. Properties that a record determines well, such as
-        smoothness and static gain, stay constant for large shifts. Frequencies and lags near zero do not change sign:
-        they stay above `LEAST_LAG` of their size.
+        The shift is of first order, and linear in `to_coordinates`: smoothness and static gain stay constant for large
+        shifts. Frequencies and lags keep their sign and at least `MIN_LAG` of their size.
         """
         modes, reals = len(self.frequency_hz), len(self.real_hz)
         scale, coordinates, slope = self._linear_coordinates
@@ -487,9 +471,8 @@ class ModalModel(Arrays):
     def altered(self, frequency: float = 0.0, damping_ratio: float = 0.0, gain: float = 0.0) -> ModalModel:
         """Return the model with relative changes of all frequencies, damping ratios, and the gain.
 
-        The mechanics, modes and zeros, become H(s/(1 + `frequency`)), as with uniformly stiffer springs. Their damping
-        terms, odd powers of s in numerator and denominator, grow by `damping_ratio`. Real poles, those of the
-        amplifier, are constant, and so is the static gain unless `gain` is given.
+        Modes and zeros become H(s/(1 + `frequency`)), as with uniformly stiffer springs; their odd powers of s grow by
+        `damping_ratio`. Real poles, those of the amplifier, and the static gain are constant unless `gain` is given.
         """
         modes, reals, scale = len(self.frequency_hz), len(self.real_hz), scale_of(self)
         powers = np.arange(2 * modes + reals)
@@ -524,10 +507,9 @@ def differences(
 
 
 def even_exponentials(rates: ComplexArray, begin_s: float, step_s: float, count: int) -> tuple[ComplexArray, ...]:
-    """Return coarse and fine factors (P, m) of evenly spaced exponentials.
+    """Return coarse and fine factors (P, m) of `count` evenly spaced exponentials.
 
-    exp(rate·(begin + kΔ)) = coarse[:, k // m]·fine[:, k % m]. For k below `count`. Evenly spaced times thus need
-    2√count exponentials for each rate.
+    exp(rate·(begin + kΔ)) = coarse[:, k // m]·fine[:, k % m], which needs 2√count exponentials per rate.
     """
     size = int(np.sqrt(count - 1)) + 1
     steps, p = np.arange(size), rates[:, None]
@@ -548,10 +530,9 @@ def exponentials_between(
 def to_coordinates(model: ModalModel, scale: float) -> FloatArray:
     """Return smooth coordinates (2P,) of a model, P = 2M + Q.
 
-    They are [f_n (M), ζ (M), 1/real_hz (Q), n_0 … n_{P-1}]. H(s) = Σ n_k (s/ω0)^k/Π(1 - s/p), ω0 = `scale` in rad/s.
-    n_0 is the static gain. A response that starts smoothly has zero for its highest n_k, and so has every mean. A real
-    pole is represented by its lag: for a pole far above the modes, which is hardly visible, the lag is near zero, while
-    its frequency is arbitrary.
+    They are [f_n (M), ζ (M), 1/real_hz (Q), n_0 … n_{P-1}]. H(s) = Σ n_k (s/ω0)^k/Π(1 - s/p), ω0 = `scale` in rad/s;
+    n_0 is the static gain. A smooth start has zero for the highest n_k. A real pole far above the modes has a lag near
+    zero.
     """
     poles, residues = model.terms
     parts = [r * np.poly(np.delete(poles, index) / scale)[::-1] / scale for index, r in enumerate(residues)]
@@ -560,10 +541,7 @@ def to_coordinates(model: ModalModel, scale: float) -> FloatArray:
 
 
 def from_coordinates(coordinates: FloatArray, modes: int, reals: int, scale: float) -> FloatArray:
-    """Return the vector (2P,) of a `ModalModel` from coordinates (2P,).
-
-    It is the inverse of `to_coordinates`; |ζ| < 1.
-    """
+    """Return the vector (2P,) of a `ModalModel` from `to_coordinates`, with |ζ| < 1."""
     order = 2 * modes + reals
     frequency, damping, lag, numerator = np.split(coordinates, [modes, 2 * modes, order])
     damping = np.clip(damping, -MAX_DAMPING, MAX_DAMPING)

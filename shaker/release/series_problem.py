@@ -166,10 +166,7 @@ class SeriesProblem:
         return list(zip(parts, (f, z), self.dof, strict=True))
 
     def sigma(self, scatter: tuple[float, float]) -> FloatArray:
-        """Return relative standard deviations (N,) of all rows.
-
-        `scatter` is added to the stated ones.
-        """
+        """Return relative standard deviations (N,) of all rows. `scatter` is added to the stated ones."""
         parts = [np.sqrt(u**2 + tau**2 + FLOOR**2) for u, tau in zip(self.stated(), scatter, strict=True)]
         return np.concatenate(parts)
 

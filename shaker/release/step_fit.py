@@ -80,10 +80,7 @@ class StepFit(Arrays):
 def as_step_fit(
     record: StepRecord, reading: ReleaseReading, found: SupportedFit, method: Method, began: float
 ) -> StepFit:
-    """Return a result with its covariance from every sample.
-
-    `began`: starting time of the identification.
-    """
+    """Return a result with its covariance from every sample. `began`: starting time of the identification."""
     solution = found.solution
     value = record.samples[record.channels.index(reading.channel)]
     whole = every_sample(value, record.time_s, 1.0 / record.sample_rate_hz)
@@ -229,10 +226,7 @@ def merge_alternatives(fits: Sequence[StepFit], excess: float | None = None) -> 
 
 
 def describe_difference(first: StepFit, other: StepFit) -> str:
-    """Return both release shapes with their real poles in words.
-
-    "" for a small difference.
-    """
+    """Return both release shapes with their real poles in words. "" for a small difference."""
     if first.model is None or other.model is None or first.model.covariance is None:
         return ""
     difference = np.abs(other.model.vector - first.model.vector)
