@@ -7,12 +7,10 @@ After Storn and Price, J. Global Optim. 11 (1997) 341. Importing this module imp
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from contextlib import suppress
 from typing import Any
 
 import numba
 import numpy as np
-from numba.core.caching import FunctionCache
 
 from shakercal._common.arrays import FloatArray
 
@@ -58,29 +56,7 @@ def evolve(
     return np.asarray(end.x), tuple(path)
 
 
-def _compiled(function: Callable[..., Any]) -> Callable[..., Any]:
-    """Compile a function and cache it if a cache folder exists."""
-
-    class TolerantCache(FunctionCache):  # type: ignore[misc]
-        """A cache that ignores damaged entries and failed writes."""
-
-        def load_overload(self, *key: Any) -> Any:
-            with suppress(Exception):  # a damaged pickle may raise anything
-                return super().load_overload(*key)
-
-        def save_overload(self, *entry: Any) -> None:
-            with suppress(Exception):
-                super().save_overload(*entry)
-
-    kernel = numba.njit(nogil=True)(function)
-    with suppress(RuntimeError, OSError):  # no cache folder
-        kernel._cache = TolerantCache(function)
-    compiled: Callable[..., Any] = kernel
-    return compiled
-
-
-@_compiled
-def output_errors(
+def _output_errors(
     members: FloatArray, most: FloatArray, load: FloatArray, output: FloatArray, before: float
 ) -> FloatArray:
     """Return the squared output errors (P,) of difference equations, infinite above a limit.
@@ -106,3 +82,9 @@ def output_errors(
         if square <= limit:
             found[p] = square
     return found
+
+
+try:
+    output_errors = numba.njit(nogil=True, cache=True)(_output_errors)
+except RuntimeError:  # no folder for a cache
+    output_errors = numba.njit(nogil=True)(_output_errors)
