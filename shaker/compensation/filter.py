@@ -286,7 +286,7 @@ DISCRETE_RELATIVE_STEP = 1e-6  # of central differences
 
 
 @dataclass(frozen=True, repr=False)
-class Sections(Arrays):
+class Sections(Arrays, shapes="sos S 6"):
     """Second-order sections of a digital filter at `sample_rate_hz`.
 
     y = gain·Π_i (b0 + b1 z⁻¹ + b2 z⁻²)/(1 + a1 z⁻¹ + a2 z⁻²) u. `sos` (S, 6): rows [b0, b1, b2, 1, a1, a2] in
@@ -299,7 +299,7 @@ class Sections(Arrays):
     sample_rate_hz: float
 
     def __post_init__(self) -> None:
-        check_shape("sos", self.sos, (None, 6))
+        super().__post_init__()
         if np.any(self.sos[:, 3] != 1.0):
             raise ValueError(f"sos: expected sections with a0 = 1, found {self.sos[:, 3].tolist()}")
 

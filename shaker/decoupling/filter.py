@@ -10,7 +10,7 @@ import numpy as np
 from numpy.random import Generator
 
 from shaker.decoupling.model import MultiModel, Poles, StateSpace, sampled_modes
-from shakercal._common.arrays import Arrays, ComplexArray, FloatArray, check_shape, check_shapes
+from shakercal._common.arrays import Arrays, ComplexArray, FloatArray, check_shape
 
 # Decoupling filter: outputs to loads, as taps and a bank of poles, block by block.
 
@@ -24,7 +24,10 @@ class FilterState(Arrays):
 
 
 @dataclass(frozen=True, repr=False)
-class DecouplingFilter(Arrays):
+class DecouplingFilter(
+    Arrays,
+    shapes="channels C; components D; poles N; taps L D C; driven N C; shown D N; target_hz D; target_damping D",
+):
     """Filter for loads `components` (D,) from outputs `channels` (C,) in `unit`, at `sample_rate_hz`.
 
     f[n] = Σ_k `taps`[k]·y[n - k] + Re Σ_i `shown`[:, i]·x_i[n - L], x_i[n + 1] = `poles`[i]·x_i[n] + `driven`[i]·y[n],
@@ -45,12 +48,7 @@ class DecouplingFilter(Arrays):
     target_damping: FloatArray
 
     def __post_init__(self) -> None:
-        outputs, loads, count = len(self.channels), len(self.components), len(self.poles)
-        check_shape("taps", self.taps, (None, loads, outputs))
-        check_shape("poles", self.poles, (count,))
-        check_shape("driven", self.driven, (count, outputs))
-        check_shape("shown", self.shown, (loads, count))
-        check_shapes(self, (loads,), "target_hz", "target_damping")
+        super().__post_init__()
         if np.any(np.abs(self.poles) >= 1.0):
             raise ValueError(f"poles: expected within the unit circle, found {np.abs(self.poles).max():.9g}")
 
@@ -148,14 +146,14 @@ _REAL = 1e-9  # relative imaginary part of a real pole
 
 
 @dataclass(frozen=True, repr=False)
-class DecouplingTarget(Arrays):
+class DecouplingTarget(Arrays, shapes="frequency_hz D; damping_ratio D"):
     """One oscillator with static gain 1 as target of every load (D,)."""
 
     frequency_hz: FloatArray
     damping_ratio: FloatArray
 
     def __post_init__(self) -> None:
-        check_shape("damping_ratio", self.damping_ratio, self.frequency_hz.shape)
+        super().__post_init__()
         if np.any(self.frequency_hz <= 0):
             raise ValueError(f"frequency_hz: expected above 0, found {self.frequency_hz.tolist()}")
         if np.any((self.damping_ratio <= 0) | (self.damping_ratio >= 1)):

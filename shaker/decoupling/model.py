@@ -13,7 +13,7 @@ from shaker.labels import LOAD_COMPONENTS
 from shaker.lti.system import ModalModel, modal_poles
 from shaker.model_notices import GROWING_POLE
 from shaker.release.load_response import exponentials
-from shakercal._common.arrays import Arrays, ComplexArray, FloatArray, IntArray, check_shape, check_shapes
+from shakercal._common.arrays import Arrays, ComplexArray, FloatArray, IntArray, check_shape
 from shakercal._common.notices import Notice
 
 # Common poles of outputs and loads.
@@ -158,7 +158,10 @@ class ModelParts(Arrays):
 
 
 @dataclass(frozen=True, repr=False)
-class MultiModel(Arrays):
+class MultiModel(
+    Arrays,
+    shapes="channels C; components D; frequency_hz M; damping_ratio M; real_hz Q; residue M C D; real_residue Q C D",
+):
     """Transfer matrix of outputs `channels` (C,) over loads `components` (D,) with common poles.
 
     H(s) = Σ_m [R_m/(s - p_m) + R̄_m/(s - p̄_m)] + Σ_q R_q/(s - p_q) with p_m = -ζω + jω√(1 - ζ²), ω = 2π·`frequency_hz`
@@ -179,14 +182,9 @@ class MultiModel(Arrays):
     covariance: FloatArray | None = None
 
     def __post_init__(self) -> None:
-        modes, reals, shape = len(self.frequency_hz), len(self.real_hz), (len(self.channels), len(self.components))
-        check_shapes(self, (modes,), "frequency_hz", "damping_ratio")
-        check_shape("real_hz", self.real_hz, (reals,))
-        check_shape("residue", self.residue, (modes, *shape))
-        check_shape("real_residue", self.real_residue, (reals, *shape))
+        super().__post_init__()
         if self.covariance is not None:
-            size = self.shared + self.shared * shape[0] * shape[1]
-            check_shape("covariance", self.covariance, (size, size))
+            check_shape("covariance", self.covariance, (len(self.vector),) * 2)
         if np.any(np.abs(self.damping_ratio) >= 1.0):
             raise ValueError(f"damping_ratio: expected below 1, found {self.damping_ratio.tolist()}")
 

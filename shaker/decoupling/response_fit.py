@@ -11,7 +11,7 @@ import numpy as np
 from shaker.decoupling.model import MultiModel, Poles, growing_pole_notices
 from shaker.decoupling.release_problem import covariances, model_covariance, search_options
 from shaker.model_notices import MODEL_MISFIT
-from shakercal._common.arrays import Arrays, ComplexArray, FloatArray, check_shape
+from shakercal._common.arrays import Arrays, ComplexArray, FloatArray
 from shakercal._common.fitting import BlockJacobian, LinearBlock, SeparablePoint, levenberg_marquardt
 from shakercal._common.notices import Notice
 
@@ -22,7 +22,7 @@ Point: TypeAlias = tuple[Poles, SeparablePoint]
 
 
 @dataclass(frozen=True, repr=False)
-class Responses(Arrays):
+class Responses(Arrays, shapes="channels C; components D; frequency_hz K; value K C D; covariance K C D 2 2"):
     """Measured H (K, C, D) of outputs `channels` (C,) in `unit` over loads `components` (D,).
 
     `frequency_hz` (K,). `covariance` (K, C, D, 2, 2) of Re and Im of every element; the elements of a line are
@@ -35,11 +35,6 @@ class Responses(Arrays):
     frequency_hz: FloatArray
     value: ComplexArray
     covariance: FloatArray
-
-    def __post_init__(self) -> None:
-        shape = (len(self.frequency_hz), len(self.channels), len(self.components))
-        check_shape("value", self.value, shape)
-        check_shape("covariance", self.covariance, (*shape, 2, 2))
 
     @cached_property
     def whitener(self) -> FloatArray:

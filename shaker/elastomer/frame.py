@@ -180,7 +180,7 @@ EQUAL = 1e-4
 
 
 @dataclass(frozen=True, repr=False)
-class NamedModes(Arrays):
+class NamedModes(Arrays, shapes="frequency_hz 6; participation 6 6; shape D 6; others_hz O"):
     """The six named modes, in the order of `MODE_NAMES`.
 
     `frequency_hz` (6,). `participation` (6, 6): share of each rigid motion's mass in each mode, modes down,
@@ -192,12 +192,6 @@ class NamedModes(Arrays):
     participation: FloatArray
     shape: FloatArray
     others_hz: FloatArray
-
-    def __post_init__(self) -> None:
-        check_shape("frequency_hz", self.frequency_hz, (6,))
-        check_shape("participation", self.participation, (6, 6))
-        check_shape("shape", self.shape, (None, 6))
-        check_shape("others_hz", self.others_hz, (None,))
 
 
 def dense_modes(stiffness: FloatArray, mass: FloatArray, count: int = 12) -> tuple[FloatArray, FloatArray]:

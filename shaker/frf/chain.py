@@ -11,7 +11,7 @@ import numpy as np
 
 from shaker.frf.spline import cubic_spline
 from shaker.labels import MOTION_UNITS
-from shaker.lti.roots import pair_conjugates
+from shaker.lti.system import pair_conjugates
 from shaker.sine.phasor import derivative_factor
 from shakercal._common.arrays import BoolArray, ComplexArray, FloatArray, check_shape, check_shapes
 

@@ -8,18 +8,19 @@ from typing import Literal
 
 import numpy as np
 
-from shaker.identification.circle_fit import FEWEST_LINES, fit_circle
 from shaker.identification.measured_curves import (
+    FEWEST_LINES,
     CurveResidual,
     MeasuredCurve,
     ResidualNoise,
     estimate_residual_noise,
+    fit_circle,
     line_correlation_term,
     rational_poles,
     whitening_matrices,
 )
 from shaker.mechanics import laplace
-from shakercal._common.arrays import Arrays, BoolArray, ComplexArray, FloatArray, check_shape
+from shakercal._common.arrays import Arrays, BoolArray, ComplexArray, FloatArray
 from shakercal._common.fitting import BlockJacobian, LinearBlock, LMOptions, SeparablePoint, levenberg_marquardt
 
 ResonanceKind = Literal["transmissibility", "receptance", "mobility", "accelerance"]
@@ -36,7 +37,7 @@ _WEIGHT_TOLERANCE = 0.01  # range over the lines of the relative change of their
 
 
 @dataclass(frozen=True, repr=False)
-class Resonance(Arrays):
+class Resonance(Arrays, shapes="residual_terms 2; parameters P; covariance P P"):
     """A resonance with its uncertainty.
 
     `frequency_hz`: f₀ of the undamped oscillator. `damping_ratio` ζ; complex `gain` G; `delay_s`. `residual_terms` (2,)
@@ -56,10 +57,6 @@ class Resonance(Arrays):
     covariance: FloatArray
     chi_squared: float
     dof: float
-
-    def __post_init__(self) -> None:
-        check_shape("residual_terms", self.residual_terms, (2,))
-        check_shape("covariance", self.covariance, (len(self.parameters), len(self.parameters)))
 
     def model(self, frequency_hz: FloatArray, added_decay_per_s: float = 0.0) -> ComplexArray:
         """Return H(s) (K,) at s = a + jω, with the added decay a."""

@@ -71,7 +71,7 @@ _SMALLEST_TURN = 0.01  # rad at the highest line: start of a lag that differs fr
 
 
 @dataclass(frozen=True, repr=False)
-class SensitivityFit(Arrays):
+class SensitivityFit(Arrays, shapes="parameters P; covariance P P"):
     """Lag and chain fitted to a measured sensitivity.
 
     S(f) = S₀ / (1 + jωτ) · chain(f) with τ = b/k. `sensitivity` S₀ in `unit`; `spring_time_s` τ. `parameters` (P,):
@@ -94,9 +94,6 @@ class SensitivityFit(Arrays):
     dof: int
     probability: float
     converged: bool
-
-    def __post_init__(self) -> None:
-        check_shape("covariance", self.covariance, (len(self.parameters), len(self.parameters)))
 
     def model(self, frequency_hz: FloatArray) -> ComplexArray:
         """Return S(f) (K,) of the fitted parameters, without common errors."""
@@ -347,7 +344,7 @@ class DampingTest:
 
 
 @dataclass(frozen=True, repr=False)
-class SensitivityComparison(Arrays):
+class SensitivityComparison(Arrays, shapes="fits E; weight E"):
     """Explanations of one sensitivity: `fits` (E), Akaike `weight` (E,) with sum 1, `verdict` (E).
 
     `spring`: k and b of the resonance, None without one. `damping`: test whether S(f) without a chain agrees with it.
@@ -361,9 +358,6 @@ class SensitivityComparison(Arrays):
     damping: DampingTest | None
     text: str
     notices: tuple[Notice, ...]
-
-    def __post_init__(self) -> None:
-        check_shape("weight", self.weight, (len(self.fits),))
 
     @property
     def best(self) -> SensitivityFit:

@@ -31,7 +31,7 @@ CHAIN_PARAMETERS: dict[ChainKind, tuple[str, ...]] = {
 
 
 @dataclass(frozen=True, repr=False)
-class ChainModel(Arrays):
+class ChainModel(Arrays, shapes="names P; parameters P"):
     """Response exp(−sD) / (1 + a₁s + a₂s²) of a measuring chain, s = jω.
 
     `kind` selects the terms. `parameters` (P,) in the order of `CHAIN_PARAMETERS`: D `delay_s`, a₁ `lag_s`, a₂
@@ -40,9 +40,6 @@ class ChainModel(Arrays):
 
     kind: ChainKind
     parameters: FloatArray
-
-    def __post_init__(self) -> None:
-        check_shape("parameters", self.parameters, (len(self.names),))
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -323,7 +320,7 @@ class CorrectedPhasors(Arrays):
 
 
 @dataclass(frozen=True, repr=False)
-class CorrectedRecord(Arrays):
+class CorrectedRecord(Arrays, shapes="force N; u N; errors E N"):
     """Force on the load (N,) at the sampling instants of the output, up to `band_hz`.
 
     `u` (N,): standard uncertainty from noise and model. `errors` (E, N): force for one standard deviation of each of E
@@ -340,10 +337,6 @@ class CorrectedRecord(Arrays):
     settling: int
     removed_rms: float
     notices: tuple[Notice, ...]
-
-    def __post_init__(self) -> None:
-        check_shape("u", self.u, self.force.shape)
-        check_shape("errors", self.errors, (None, len(self.force)))
 
 
 def correct_phasors(phasors: Phasors, model: SensorModel, load: Load) -> CorrectedPhasors:

@@ -45,7 +45,7 @@ from shaker.model_notices import (
     STATED_VALUE_UNCHANGED,
     STIFFNESS_UNDETERMINED,
 )
-from shakercal._common.arrays import Arrays, ComplexArray, FloatArray, check_shape
+from shakercal._common.arrays import Arrays, ComplexArray, FloatArray
 from shakercal._common.fitting import LMOptions, levenberg_marquardt
 from shakercal._common.notices import Notice, Value
 
@@ -84,7 +84,7 @@ class FreeFactor:
 
 
 @dataclass(frozen=True, repr=False)
-class Identification(Arrays):
+class Identification(Arrays, shapes="estimates P; covariance P P"):
     """Parameters of a structure from all recordings together.
 
     Attributes
@@ -118,9 +118,6 @@ class Identification(Arrays):
     dof: float
     notices: tuple[Notice, ...]
     budget: Mapping[str, FloatArray] = field(default_factory=dict)
-
-    def __post_init__(self) -> None:
-        check_shape("covariance", self.covariance, (len(self.estimates), len(self.estimates)))
 
     def __getitem__(self, name: str) -> ParameterEstimate:
         """Return the parameter or derived number of a name."""

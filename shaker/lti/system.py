@@ -9,8 +9,8 @@ from typing import Literal
 
 import numpy as np
 
-from shaker.lti.roots import hold_factor, logarithms, pair_conjugates, tustin_constant
-from shakercal._common.arrays import Arrays, ComplexArray, FloatArray, check_shape, check_shapes
+from shakercal._common.arrays import Arrays, ComplexArray, FloatArray, check_shape
+from shakercal._common.propagation import derivatives
 
 Method = Literal["tustin", "zoh", "matched"]
 MIN_LAG, MAX_DAMPING = 0.02, 0.999  # smallest share of a shifted lag or frequency; largest |ζ|; chosen
@@ -322,6 +322,53 @@ def _same_gain(continuous: LinearSystem, samples: LinearSystem, rate_hz: float) 
     return float(np.copysign(abs(ratio), ratio.real))
 
 
+# Roots: conjugate pairs, and conversion between s and z.
+
+
+def pair_conjugates(roots: ComplexArray, name: str) -> ComplexArray:
+    """Return roots (N,) with exact conjugate pairs by size, then real ones; refuse lone ones."""
+    scale = 1e-9 * max(1e-300, float(np.max(np.abs(roots), initial=0.0)))
+    above = roots[roots.imag > scale]
+    below = roots[roots.imag < -scale]
+    real = roots[np.abs(roots.imag) <= scale].real
+    left = list(below.conj())
+    for root in above:
+        near = int(np.argmin(np.abs(np.array(left) - root))) if left else -1
+        if near < 0 or abs(left[near] - root) > 1e-6 * abs(root):
+            raise ValueError(f"{name}: expected conjugate pairs, found {root} without its conjugate")
+        left.pop(near)
+    if left:
+        raise ValueError(f"{name}: expected conjugate pairs, found {left[0].conjugate()} without its conjugate")
+    above = above[np.argsort(np.abs(above), kind="stable")]
+    return np.concatenate([np.stack([above, above.conj()], axis=1).ravel(), np.sort(real) + 0j])
+
+
+def tustin_constant(rate_hz: float, prewarp_hz: float | None) -> float:
+    """Return c in rad/s of s = c (z - 1)/(z + 1), perhaps prewarped."""
+    if prewarp_hz is None:
+        return 2.0 * rate_hz
+    if not 0 < prewarp_hz < 0.5 * rate_hz:
+        raise ValueError(f"prewarp_hz: expected a frequency between 0 and {0.5 * rate_hz} Hz, found {prewarp_hz}")
+    return float(2 * np.pi * prewarp_hz / np.tan(np.pi * prewarp_hz / rate_hz))
+
+
+def hold_factor(poles: ComplexArray, rate_hz: float) -> ComplexArray:
+    """Return the factor of residues by a hold, (exp(p/fs) - 1)/p."""
+    factor = np.expm1(poles / rate_hz) / np.where(poles == 0, 1.0, poles)
+    return np.where(poles == 0, 1 / rate_hz, factor)
+
+
+def logarithms(z: ComplexArray, rate_hz: float) -> ComplexArray:
+    """Return ln(z)·fs; a z that no real continuous system has is refused."""
+    alone = z[(z.imag == 0) & (z.real <= 0)]
+    if len(alone):
+        raise ValueError(
+            f"system: expected no real pole or zero at or below z = 0, found {alone[0].real:.6g}. It changes its sign "
+            "with every sample, which no continuous system does; use tustin"
+        )
+    return np.asarray(np.log(z) * rate_hz)
+
+
 # A system as a sum of modes, as fitted to a record, with its covariance.
 
 
@@ -332,7 +379,7 @@ def modal_poles(omega: FloatArray, damping_ratio: FloatArray, rate: FloatArray) 
 
 
 @dataclass(frozen=True, repr=False)
-class ModalModel(Arrays):
+class ModalModel(Arrays, shapes="frequency_hz M; damping_ratio M; residue M; real_hz Q; real_residue Q"):
     """Sum of modes with covariance: output over load.
 
     H(s) = Σ_m [r_m/(s - p_m) + r̄_m/(s - p̄_m)] + Σ_q r_q/(s - p_q). Oscillating modes m have p = -ζω + jω√(1 - ζ²),
@@ -355,11 +402,9 @@ class ModalModel(Arrays):
     covariance: FloatArray | None = None
 
     def __post_init__(self) -> None:
-        modes, reals = len(self.frequency_hz), len(self.real_hz)
-        check_shapes(self, (modes,), "frequency_hz", "damping_ratio", "residue")
-        check_shapes(self, (reals,), "real_hz", "real_residue")
+        super().__post_init__()
         if self.covariance is not None:
-            check_shape("covariance", self.covariance, (4 * modes + 2 * reals,) * 2)
+            check_shape("covariance", self.covariance, (len(self.vector),) * 2)
         if np.any(np.abs(self.damping_ratio) >= 1.0):
             raise ValueError(
                 f"damping_ratio: expected below 1, found {self.damping_ratio.tolist()}; use two real poles"
@@ -438,7 +483,7 @@ class ModalModel(Arrays):
         moves = step * np.sqrt(np.maximum(np.diag(self._require_covariance()), 0.0))  # less than 0 by rounding
         reals = slice(4 * len(self.frequency_hz), 4 * len(self.frequency_hz) + len(self.real_hz))
         moves[reals] = np.minimum(moves[reals], 0.05 * np.abs(self.real_hz))
-        return differences(lambda moved: function(self.with_vector(moved)), self.vector, moves)
+        return function(self), derivatives(lambda move: function(self.with_vector(self.vector + move)), moves)
 
     def propagate(
         self, function: Callable[[ModalModel], FloatArray], step: float = 1e-2
@@ -487,23 +532,6 @@ class ModalModel(Arrays):
         if self.covariance is None:
             raise ValueError("covariance: expected the covariance of the parameters, found none")
         return self.covariance
-
-
-def differences(
-    function: Callable[[FloatArray], FloatArray], parameters: FloatArray, moves: FloatArray
-) -> tuple[FloatArray, FloatArray]:
-    """Return a function's values (Q,) and their derivatives (Q, P) by central differences.
-
-    Each parameter is shifted to both sides by its part of `moves` (P,); derivatives by parameters that are not shifted
-    are 0.
-    """
-    value = np.asarray(function(parameters))
-    slopes = np.zeros((len(value), len(parameters)))
-    for index in np.flatnonzero(moves):
-        shift = np.eye(len(moves))[index] * moves[index]
-        up, down = (np.asarray(function(parameters + sign * shift)) for sign in (1.0, -1.0))
-        slopes[:, index] = (up - down) / (2.0 * moves[index])
-    return value, slopes
 
 
 def even_exponentials(rates: ComplexArray, begin_s: float, step_s: float, count: int) -> tuple[ComplexArray, ...]:

@@ -11,9 +11,10 @@ import numpy as np
 
 from shaker.lti.indices import FigureRange, find_figure_range
 from shaker.lti.responses import band_end, gain_curve
-from shaker.lti.system import LinearSystem, differences
+from shaker.lti.system import LinearSystem
 from shaker.mechanics import Mechanics, chain_terms, poles
-from shakercal._common.arrays import Arrays, ComplexArray, FloatArray, check_shape, check_shapes
+from shakercal._common.arrays import Arrays, ComplexArray, FloatArray, check_shape
+from shakercal._common.propagation import derivatives
 
 # The sensor and its load as masses in a row on a rigid base.
 
@@ -99,7 +100,7 @@ class LoadModel(Arrays):
             raise ValueError("covariance: expected that of the parameters, found none")
         most = np.where(self.numbers == 0.0, np.inf, 1e-3 * np.abs(self.numbers))
         moves = np.minimum(1e-2 * np.sqrt(np.diag(total)), most)
-        return differences(lambda moved: function(self.with_numbers(moved)), self.numbers, moves)
+        return function(self), derivatives(lambda move: function(self.with_numbers(self.numbers + move)), moves)
 
     @property
     def numbers(self) -> FloatArray:
@@ -171,7 +172,9 @@ def _chain(count: int) -> Mechanics:
 
 
 @dataclass(frozen=True, repr=False)
-class LoadCurve(Arrays):
+class LoadCurve(
+    Arrays, shapes="load_mass K; frequency_hz K 2; damping_ratio K 2; u_frequency_hz K 2; u_damping_ratio K 2"
+):
     """Frequencies and damping ratios of two modes over load masses.
 
     Load masses (K,) in kg; frequencies are natural frequencies in Hz. `frequency_hz`, `damping_ratio` and their
@@ -184,10 +187,6 @@ class LoadCurve(Arrays):
     damping_ratio: FloatArray
     u_frequency_hz: FloatArray
     u_damping_ratio: FloatArray
-
-    def __post_init__(self) -> None:
-        modes = (len(self.load_mass), 2)
-        check_shapes(self, modes, "frequency_hz", "damping_ratio", "u_frequency_hz", "u_damping_ratio")
 
 
 def load_curve(model: LoadModel, load_mass: FloatArray, u_load_mass: FloatArray | None = None) -> LoadCurve:

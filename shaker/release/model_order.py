@@ -1,4 +1,4 @@
-"""Number of poles that a release shows, and doubts about a fit."""
+"""Number of poles that a release shows, difference equations of every order, and doubts about a fit."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import Literal
 
 import numpy as np
 
-from shaker.lti.system import ModalModel
+from shaker.lti.system import LinearSystem, ModalModel
 from shaker.model_notices import (
     COLOURED_NOISE,
     DOUBTFUL_MODE,
@@ -35,7 +35,7 @@ from shaker.release.output_error import (
 )
 from shaker.release.poles import UNCLEAR, decimate, instrumental_variables, matrix_pencil, peaks_hz, start_poles
 from shaker.release.record import ReleaseReading, StepRecord
-from shakercal._common.arrays import ComplexArray, FloatArray
+from shakercal._common.arrays import Arrays, ComplexArray, FloatArray, check_shape
 from shakercal._common.notices import Notice
 
 # Modes that ring after a release: their number, and start values of the fit with the release.
@@ -297,6 +297,83 @@ def add_numerator_terms(found: OutputErrorFit, starts: list[FloatArray], highest
                 else found
             )
     return found
+
+
+# Difference equations of every order from one factorisation of the data.
+
+_BEND = 0.15  # share of the fall of ln J that may remain above the selected order
+
+
+@dataclass(frozen=True, repr=False)
+class OrderFamily(Arrays, shapes="triangle R R"):
+    """Least-squares difference equations of order 0 … n from one factorisation.
+
+    `triangle` (2n + 2, 2n + 2): R of the QR factorisation of the rows [u(k-n) y(k-n) … u(k-1) y(k-1) u(k) y(k)] over
+    all instants k, sampled at `sample_rate_hz`. In this interleaved order every leading part is the data of a lower
+    order. The method is known as augmented UD identification, or simultaneous identification of order and parameters.
+    """
+
+    triangle: FloatArray
+    sample_rate_hz: float
+
+    @property
+    def most(self) -> int:
+        """The highest order n."""
+        return len(self.triangle) // 2 - 1
+
+    def loss(self, direct: bool = True) -> FloatArray:
+        """Return J (n,), the sum of squared equation errors of order 1 … n.
+
+        `direct`: with a term b0·u(k).
+        """
+        last = 2 * np.arange(1, self.most + 1) + 1
+        squares = self.triangle[last, last] ** 2
+        return np.asarray(squares if direct else squares + self.triangle[last - 1, last] ** 2)
+
+    def parameters(self, order: int, direct: bool = True) -> FloatArray:
+        """Return the parameters of one order, interleaved.
+
+        [b_n, -a_n, …, b_1, -a_1, b_0] (2·order + 1,), b_0 only if `direct`.
+        """
+        if not 1 <= order <= self.most:
+            raise ValueError(f"order: expected 1 to {self.most}, found {order}")
+        size = 2 * order + direct
+        return np.asarray(
+            np.linalg.lstsq(self.triangle[:size, :size], self.triangle[:size, 2 * order + 1], rcond=None)[0]
+        )
+
+    def system(self, order: int, direct: bool = True) -> LinearSystem:
+        """Return the difference equation of one order as a sampled system.
+
+        y(k) = Σ b_i u(k-i) - Σ a_i y(k-i).
+        """
+        parameters = self.parameters(order, direct)
+        load, past = parameters[: 2 * order : 2][::-1], parameters[1 : 2 * order : 2][::-1]
+        numerator = np.concatenate([parameters[-1:] if direct else [0.0], load])
+        return LinearSystem.from_coefficients(numerator, np.concatenate([[1.0], -past]), self.sample_rate_hz)
+
+    def bend(self, direct: bool = True) -> int:
+        """Return the order at the bend of the loss.
+
+        It is the lowest order that leaves at most 15 % of the fall of ln J to higher ones. A significance test is not
+        useful: with noise on the output every additional order lowers the loss.
+        """
+        loss = np.log(np.maximum(self.loss(direct), 1e-300))
+        left = (loss - loss.min()) / max(1e-12, loss[0] - loss.min())
+        return int(np.argmax(left <= _BEND)) + 1
+
+
+def fit_all_orders(load: FloatArray, output: FloatArray, sample_rate_hz: float, most: int = 9) -> OrderFamily:
+    """Return the difference equations of order 0 … `most`.
+
+    Between a load (N,) and an output (N,).
+    """
+    check_shape("output", output, load.shape)
+    if len(load) < 4 * most + 4:
+        raise ValueError(f"load: expected at least {4 * most + 4} samples for order {most}, found {len(load)}")
+    windows = [np.lib.stride_tricks.sliding_window_view(part, most + 1) for part in (load, output)]
+    rows = np.stack(windows, axis=2).reshape(len(windows[0]), 2 * most + 2)
+    return OrderFamily(np.asarray(np.linalg.qr(rows)[1]), sample_rate_hz)
 
 
 # Notices of an identification.

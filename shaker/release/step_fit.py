@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import Literal
+from functools import cache
+from typing import Any, Literal, cast
 
 import numpy as np
 
@@ -17,6 +18,7 @@ from shaker.release.model_order import (
     OrderSearch,
     SupportedFit,
     add_numerator_terms,
+    fit_all_orders,
     fit_notices,
     penalised_chi_squared,
     search_order,
@@ -25,7 +27,7 @@ from shaker.release.model_order import (
 from shaker.release.output_error import OutputErrorProblem, PoleStructure, fit_covariance, modal_model, solve, squares
 from shaker.release.reading import read_release
 from shaker.release.record import ReleaseReading, ReleaseShape, StepRecord
-from shakercal._common.arrays import Arrays, FloatArray, check_shape, check_shapes
+from shakercal._common.arrays import Arrays, FloatArray
 from shakercal._common.fitting import REJECT_CHI2, excess_chi2_sigmas
 from shakercal._common.notices import Notice
 
@@ -35,7 +37,7 @@ Method = Literal["pencil", "arx", "sim", "sim_zoh", "evolution", "evolution_coef
 
 
 @dataclass(frozen=True, repr=False)
-class StepFit(Arrays):
+class StepFit(Arrays, shapes="time_s N; fitted N; residual N; convergence I"):
     """A model of one output for one load component.
 
     `model`: continuous, in output unit per load unit; None if the poles of `system` have no modal form. `system`: the
@@ -68,10 +70,6 @@ class StepFit(Arrays):
     shape: ReleaseShape = "step"
     excess: float = 0.0
     notices: tuple[Notice, ...] = ()
-
-    def __post_init__(self) -> None:
-        check_shapes(self, (None,), "time_s", "convergence")
-        check_shapes(self, self.time_s.shape, "fitted", "residual")
 
 
 # A solution as a result.
@@ -255,86 +253,6 @@ def candidate_loads(
     return tuple(ReleaseLoad(shape, record.amplitude) for shape in ("ramp", "smooth"))
 
 
-# Difference equations of every order from one factorisation of the data.
-
-_BEND = 0.15  # share of the fall of ln J that may remain above the selected order
-
-
-@dataclass(frozen=True, repr=False)
-class OrderFamily(Arrays):
-    """Least-squares difference equations of order 0 … n from one factorisation.
-
-    `triangle` (2n + 2, 2n + 2): R of the QR factorisation of the rows [u(k-n) y(k-n) … u(k-1) y(k-1) u(k) y(k)] over
-    all instants k, sampled at `sample_rate_hz`. In this interleaved order every leading part is the data of a lower
-    order. The method is known as augmented UD identification, or simultaneous identification of order and parameters.
-    """
-
-    triangle: FloatArray
-    sample_rate_hz: float
-
-    def __post_init__(self) -> None:
-        check_shape("triangle", self.triangle, (None, self.triangle.shape[0]))
-
-    @property
-    def most(self) -> int:
-        """The highest order n."""
-        return len(self.triangle) // 2 - 1
-
-    def loss(self, direct: bool = True) -> FloatArray:
-        """Return J (n,), the sum of squared equation errors of order 1 … n.
-
-        `direct`: with a term b0·u(k).
-        """
-        last = 2 * np.arange(1, self.most + 1) + 1
-        squares = self.triangle[last, last] ** 2
-        return np.asarray(squares if direct else squares + self.triangle[last - 1, last] ** 2)
-
-    def parameters(self, order: int, direct: bool = True) -> FloatArray:
-        """Return the parameters of one order, interleaved.
-
-        [b_n, -a_n, …, b_1, -a_1, b_0] (2·order + 1,), b_0 only if `direct`.
-        """
-        if not 1 <= order <= self.most:
-            raise ValueError(f"order: expected 1 to {self.most}, found {order}")
-        size = 2 * order + direct
-        return np.asarray(
-            np.linalg.lstsq(self.triangle[:size, :size], self.triangle[:size, 2 * order + 1], rcond=None)[0]
-        )
-
-    def system(self, order: int, direct: bool = True) -> LinearSystem:
-        """Return the difference equation of one order as a sampled system.
-
-        y(k) = Σ b_i u(k-i) - Σ a_i y(k-i).
-        """
-        parameters = self.parameters(order, direct)
-        load, past = parameters[: 2 * order : 2][::-1], parameters[1 : 2 * order : 2][::-1]
-        numerator = np.concatenate([parameters[-1:] if direct else [0.0], load])
-        return LinearSystem.from_coefficients(numerator, np.concatenate([[1.0], -past]), self.sample_rate_hz)
-
-    def bend(self, direct: bool = True) -> int:
-        """Return the order at the bend of the loss.
-
-        It is the lowest order that leaves at most 15 % of the fall of ln J to higher ones. A significance test is not
-        useful: with noise on the output every additional order lowers the loss.
-        """
-        loss = np.log(np.maximum(self.loss(direct), 1e-300))
-        left = (loss - loss.min()) / max(1e-12, loss[0] - loss.min())
-        return int(np.argmax(left <= _BEND)) + 1
-
-
-def fit_all_orders(load: FloatArray, output: FloatArray, sample_rate_hz: float, most: int = 9) -> OrderFamily:
-    """Return the difference equations of order 0 … `most`.
-
-    Between a load (N,) and an output (N,).
-    """
-    check_shape("output", output, load.shape)
-    if len(load) < 4 * most + 4:
-        raise ValueError(f"load: expected at least {4 * most + 4} samples for order {most}, found {len(load)}")
-    windows = [np.lib.stride_tricks.sliding_window_view(part, most + 1) for part in (load, output)]
-    rows = np.stack(windows, axis=2).reshape(len(windows[0]), 2 * most + 2)
-    return OrderFamily(np.asarray(np.linalg.qr(rows)[1]), sample_rate_hz)
-
-
 # Simultaneous identification of order and parameters, as published.
 
 
@@ -453,12 +371,53 @@ def modal_form(system: LinearSystem) -> ModalModel | None:
     )
 
 
-# Differential evolution: with the published settings, and on modal parameters.
+# Differential evolution (rand/1/bin; Storn and Price, J. Global Optim. 11 (1997) 341): with the published settings, and
+# on modal parameters.
 
+MUTATION, CROSSOVER = 0.8, 0.7  # the published settings
+HUGE = 1e100  # loss above which a model has grown without bound
+
+Losses = Callable[[FloatArray, FloatArray], FloatArray]
+"""Function from members (P, N) and their largest losses (P,) to losses (P,), infinite above the largest."""
 POPULATION, GENERATIONS, BOUND = 100, 500, 5.0  # the published settings
 _FEWER = (30, 40)  # members and generations for three bounded parameters
 _DAMPING = (1e-4, 0.5)
 _BLOCKS = 1000  # blocks of the record in the evolution
+
+
+def evolve(
+    losses: Losses, bounds: Sequence[tuple[float, float]], rng: np.random.Generator, effort: tuple[int, int]
+) -> tuple[FloatArray, tuple[float, ...]]:
+    """Return the best vector (N,) and the best loss of every generation.
+
+    `effort`: numbers of members and generations.
+    """
+    from scipy.optimize import differential_evolution
+
+    low, high = np.array(bounds).T
+    first = low + (high - low) * rng.random((effort[0], len(bounds)))
+    path, parents = list[float](), np.full(effort[0], np.inf)
+
+    def keep(intermediate_result: Any) -> None:
+        path.append(float(intermediate_result.fun))
+        parents[:] = intermediate_result.population_energies
+
+    end = differential_evolution(
+        lambda members: losses(np.ascontiguousarray(members.T), parents),
+        bounds,
+        strategy="rand1bin",
+        maxiter=effort[1],
+        init=first,
+        tol=0.0,
+        mutation=MUTATION,
+        recombination=CROSSOVER,
+        rng=rng,
+        callback=keep,
+        polish=False,
+        updating="deferred",
+        vectorized=True,
+    )
+    return np.asarray(end.x), tuple(path)
 
 
 def fit_evolution(
@@ -477,8 +436,6 @@ def fit_evolution(
     "modes": fn, ζ and a real pole for order 3 (fn, ζ for order 2), the numerator by linear least squares. The default
     method then continues from the best member and gives the covariance.
     """
-    from shaker.release.evolution import evolve
-
     began = time.perf_counter()
     reading = reading or read_release(record, channel)
     if parametrisation == "coefficients":
@@ -512,20 +469,59 @@ def _published(
     record: StepRecord, reading: ReleaseReading, rng: np.random.Generator, order: int, began: float
 ) -> StepFit:
     """Return the model by the published method, in coefficients of the difference equation."""
-    from shaker.release.evolution import evolve, output_errors
-
     signals = load_and_output(record, reading, 1)
     begin = int(np.argmax(signals[0] != 0.0))  # no model responds before it
     load, output = signals[:2, begin:]
     before = float(np.sum(signals[1, :begin] ** 2))
     bounds = [(-BOUND, BOUND)] * (2 * order)
+    errors = compiled_output_errors()
     best, path = evolve(
-        lambda members, most: output_errors(members, most, load, output, before), bounds, rng, (POPULATION, GENERATIONS)
+        lambda members, most: errors(members, most, load, output, before), bounds, rng, (POPULATION, GENERATIONS)
     )
     top, bottom = np.append(0.0, best[-2::-2]), np.append(1.0, best[::-2])
     sampled = LinearSystem.from_coefficients(top, bottom, record.sample_rate_hz)
     fit = difference_fit(record, reading, sampled, "zoh", signals, np.array(path))
     return replace(fit, order=order, duration_s=time.perf_counter() - began)
+
+
+def output_errors(
+    members: FloatArray, most: FloatArray, load: FloatArray, output: FloatArray, before: float
+) -> FloatArray:
+    """Return the squared output errors (P,) of difference equations, infinite above a limit.
+
+    `members` (P, 2n): [b_n, a_n, …, b_1, a_1] each, of H(z) = Σ b z⁻ⁱ/(1 + Σ a z⁻ⁱ). The limit is `most` (P,), at most
+    1e100. `before`: squares of the output before the start of `load` (N,) and `output` (N,). A simulation stops at its
+    limit.
+    """
+    count, order = members.shape[0], members.shape[1] // 2
+    found = np.full(count, np.inf)
+    state = np.empty(order + 1)
+    for p in range(count):
+        state[:] = 0.0
+        square, limit = before, min(most[p], HUGE)
+        for k in range(len(load)):
+            x, y = load[k], state[0]
+            for i in range(order):
+                column = 2 * (order - 1 - i)
+                state[i] = state[i + 1] + x * members[p, column] - y * members[p, column + 1]
+            square += (output[k] - y) ** 2
+            if not square <= limit:
+                break
+        if square <= limit:
+            found[p] = square
+    return found
+
+
+@cache
+def compiled_output_errors() -> Callable[..., FloatArray]:
+    """Return `output_errors`, compiled; importing numba takes half a second."""
+    import numba
+
+    try:
+        compiled = numba.njit(nogil=True, cache=True)(output_errors)
+    except RuntimeError:  # no folder for a cache
+        compiled = numba.njit(nogil=True)(output_errors)
+    return cast(Callable[..., FloatArray], compiled)
 
 
 # Every method on the same record.

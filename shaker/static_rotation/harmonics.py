@@ -157,7 +157,10 @@ class Reversal(NamedTuple):
 
 
 @dataclass(frozen=True, repr=False)
-class AngleFit(Arrays):
+class AngleFit(
+    Arrays,
+    shapes="channels C; angle_rad N; terms P; reading N C; design N P; coefficient P C; inverse P P; noise C C",
+):
     """Readings (N, C) at angles (N,) as a sum of terms.
 
     reading = design · coefficient + residual. `terms` (P,): names of the columns of `design` (N, P). They are offset,
@@ -176,14 +179,6 @@ class AngleFit(Arrays):
     inverse: FloatArray
     noise: FloatArray
     dof: float
-
-    def __post_init__(self) -> None:
-        count, channels, terms = len(self.angle_rad), len(self.channels), len(self.terms)
-        check_shape("reading", self.reading, (count, channels))
-        check_shape("design", self.design, (count, terms))
-        check_shape("coefficient", self.coefficient, (terms, channels))
-        check_shape("inverse", self.inverse, (terms, terms))
-        check_shape("noise", self.noise, (channels, channels))
 
     @property
     def residual(self) -> FloatArray:

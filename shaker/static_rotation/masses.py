@@ -9,7 +9,7 @@ from typing import Literal, NamedTuple, TypeVar
 
 import numpy as np
 
-from shakercal._common.arrays import Arrays, BoolArray, ComplexArray, FloatArray, IntArray, check_shape, check_shapes
+from shakercal._common.arrays import Arrays, BoolArray, ComplexArray, FloatArray, IntArray, check_shape
 from shakercal._common.fitting import LMOptions, WhitenedResiduals, levenberg_marquardt
 from shakercal._common.propagation import covariance_root
 
@@ -22,7 +22,7 @@ DETERMINED = 1e-6  # tolerance of the unit matrix
 
 
 @dataclass(frozen=True, repr=False)
-class SensorOutputs(Arrays):
+class SensorOutputs(Arrays, shapes="sensitivity C 6; u C 6"):
     """Response of C outputs to the load.
 
     `sensitivity` (C, 6): output per Fx … Mz; `u` (C, 6) of every element, independent. `sense`: +1 for outputs that are
@@ -32,10 +32,6 @@ class SensorOutputs(Arrays):
     sensitivity: FloatArray
     u: FloatArray
     sense: Literal[1, -1] = 1
-
-    def __post_init__(self) -> None:
-        check_shape("sensitivity", self.sensitivity, (None, 6))
-        check_shape("u", self.u, self.sensitivity.shape)
 
     @cached_property
     def inverse(self) -> FloatArray:
@@ -52,7 +48,7 @@ class SensorOutputs(Arrays):
 
 
 @dataclass(frozen=True, repr=False)
-class RotationRecord(Arrays):
+class RotationRecord(Arrays, shapes="amplitude C; axis 3; down 3"):
     """One recording: first harmonics of the C outputs and the orientation of the head.
 
     `amplitude` (C,): output = Re{amplitude exp(+jθ)}, θ is the rotation of the sensor, right-handed about `axis` (3,).
@@ -68,8 +64,8 @@ class RotationRecord(Arrays):
     down: FloatArray
 
     def __post_init__(self) -> None:
-        check_shape("covariance", self.covariance, (2 * len(self.amplitude), 2 * len(self.amplitude)))
-        check_shapes(self, (3,), "axis", "down")
+        super().__post_init__()
+        check_shape("covariance", self.covariance, (2 * len(self.amplitude),) * 2)
         if np.linalg.norm(np.cross(self.axis, self.down)) < 0.5:
             raise ValueError("axis: expected one across gravity, found one within 30 degrees of it")
 
@@ -177,7 +173,7 @@ class WeightErrorSource(NamedTuple):
 
 
 @dataclass(frozen=True, repr=False)
-class WeightFit(Arrays):
+class WeightFit(Arrays, shapes="names R; load R 6"):
     """Weights of R recordings with one sensor.
 
     `value` (R·10,), for each recording in turn: weight N, first moment x y z (weight times centre of mass, N·m), zero
@@ -197,17 +193,13 @@ class WeightFit(Arrays):
     departure: float
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         check_shape("value", self.value, (ROWS * len(self.names),))
-        check_shape("load", self.load, (len(self.names), 6))
 
     @property
     def covariance(self) -> FloatArray:
         """Covariance of `value`."""
         return np.asarray(sum(source.effect @ source.effect.T for source in self.sources))
-
-    def row_index(self, recording: int, row: int) -> int:
-        """Return the index of a recording's number in `value`."""
-        return ROWS * recording + row
 
 
 def fit_weights(records: Sequence[RotationRecord], outputs: SensorOutputs, u_angle_rad: float = 0.0) -> WeightFit:

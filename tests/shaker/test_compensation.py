@@ -13,9 +13,15 @@ from scipy.integrate import solve_ivp
 from shaker.compensation.effects import (
     MODEL_ERROR_SHARE,
     CompensationWithUncertainty,
+    FeedbackRun,
+    HapticLoop,
     filtered_noise,
     gain_band,
+    is_stable,
+    largest_stable_gain,
+    push,
     residual_ringing,
+    simulate_feedback,
     target_for_bandwidth,
     target_for_frequency,
     white_noise_gain,
@@ -35,14 +41,6 @@ from shaker.compensation.filter import (
     pad_sections,
     parameter_sections,
     single_mode,
-)
-from shaker.compensation.force_feedback import (
-    FeedbackRun,
-    HapticLoop,
-    is_stable,
-    largest_stable_gain,
-    push,
-    simulate_feedback,
 )
 from shaker.lti.indices import indices
 from shaker.lti.system import ModalModel

@@ -12,8 +12,7 @@ from hypothesis import strategies as st
 from scipy import linalg
 from scipy.optimize import brentq, least_squares, minimize_scalar
 
-from shaker.identification.circle_fit import fit_circle
-from shaker.identification.measured_curves import MeasuredCurve
+from shaker.identification.measured_curves import MeasuredCurve, fit_circle
 from shaker.identification.oscillator import (
     PeakReadings,
     Resonance,

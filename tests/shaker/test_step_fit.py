@@ -27,11 +27,19 @@ from shaker.release.load_response import (
     responses,
     responses_with_derivatives,
 )
+from shaker.release.model_order import fit_all_orders
 from shaker.release.output_error import OutputErrorProblem, PoleStructure, columns, slopes
 from shaker.release.poles import instrumental_variables, matrix_pencil, peaks_hz
 from shaker.release.reading import read_release
 from shaker.release.record import ReleaseReading, StepRecord
-from shaker.release.step_fit import StepFit, fit_all_methods, fit_all_orders, fit_evolution, fit_sim, fit_step
+from shaker.release.step_fit import (
+    StepFit,
+    compiled_output_errors,
+    fit_all_methods,
+    fit_evolution,
+    fit_sim,
+    fit_step,
+)
 from shakercal._common.arrays import ComplexArray, FloatArray
 
 RATE_HZ, AMPLITUDE = 100e3, 50.0
@@ -481,7 +489,7 @@ def test_evolution_of_modes_reaches_the_default_s_optimum():
 def test_output_errors_of_difference_equations_are_those_of_scipy_s_filter():
     from scipy.signal import lfilter
 
-    from shaker.release.evolution import output_errors
+    output_errors = compiled_output_errors()
 
     rng, load = np.random.default_rng(7), np.ones(300)
     output, members = lfilter([0.0, 0.1, 0.05], [1.0, -1.5, 0.7], load), rng.uniform(-1.5, 1.5, (60, 4))
