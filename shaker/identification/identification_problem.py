@@ -23,8 +23,8 @@ _ROUNDING = 1e-12  # share of a change below which it is rounding
 class Displacements(Arrays):
     """Change of C readings for one standard deviation of S uncertain placements.
 
-    `unknown_indices` (S,): indices of the unknowns. `rows` (S, C, n) of p, `offset` (S, C) of the base motion and
-    `reference` (S,) of the reference's reading of the base motion.
+    `unknown_indices` (S,). `rows` (S, C, n) of p, `offset` (S, C) of the base motion and `reference` (S,) of its
+    reading.
     """
 
     unknown_indices: IntArray
@@ -45,10 +45,7 @@ class Displacements(Arrays):
         )
 
     def derivatives(self, response: MechanicalResponse) -> ComplexArray:
-        """Return the derivatives (K, C, S) of the ratios.
-
-        A row that changes by r adds r·X/(d·X_base) to its ratio.
-        """
+        """Return the derivatives (K, C, S) of the ratios."""
         above = np.einsum("kn,scn->kcs", response.motion, self.rows) + self.offset.T
         return np.asarray(
             (above - response.value[:, :, None] * self.reference) / response.reference_reading[:, None, None]
@@ -106,10 +103,7 @@ class LoadBending(Arrays):
         )
 
     def derivatives(self, response: MechanicalResponse, s: ComplexArray) -> ComplexArray:
-        """Return the derivatives (K, C, V) of the ratios.
-
-        An inertial load f changes them by -y·s²·f.
-        """
+        """Return the derivatives (K, C, V) of the ratios."""
         pull = np.einsum("vkij,kj->vki", self.mass[1:], response.motion) + self.forcing[1:]
         read = np.einsum("vkcj,kj->kcv", self.rows[1:], response.motion) + self.offset[1:].transpose(1, 2, 0)
         moved = np.einsum("kci,vki->kcv", response.adjoint, pull) * s[:, None, None] ** 2
@@ -121,9 +115,8 @@ def load_bending(
 ) -> tuple[LoadBending | None, FloatArray]:
     """Return the elastic contribution of a recording's load, and a constant mass (6, 6).
 
-    The load moves by `body` (6, n) · p relative to its base. The constant mass is the elastic contribution at the line
-    of the largest ratio. It is added to the rigid mass, so that poles are those of the load near its resonance, and is
-    subtracted from the first result.
+    The constant mass is the elastic contribution at the line of the largest ratio. It is added to the rigid mass, so
+    that poles are those of the load near its resonance, and is subtracted from the first result.
     """
     if record.bending is None:
         return None, np.zeros((6, 6))
@@ -333,10 +326,7 @@ def _check(
 def _parameters(
     records: Sequence[MeasuredTransfer], structure: MechanicalStructure, each_recording: Collection[str]
 ) -> tuple[tuple[StructureParameter, ...], list[int], IntArray]:
-    """Return the fitted parameters and their indices by structure and by recording.
-
-    The latter have the shape (R, P).
-    """
+    """Return the fitted parameters, their structure indices, and indices (R, P) by recording."""
     fitted: list[StructureParameter] = []
     kinds: list[int] = []
     indices = np.zeros((len(records), len(structure.parameters)), dtype=np.int64)
@@ -359,10 +349,7 @@ def factor_name(kind: str, record: MeasuredTransfer, channel: str) -> str:
 
 
 def _free(record: MeasuredTransfer, gain: Collection[str], delay: Collection[str]) -> dict[str, ComplexArray]:
-    """Return the effect of each free factor on the logarithm of the ratios.
-
-    The change (K, C) is for one unit of the factor.
-    """
+    """Return the effect (K, C) of each free factor on the ratios' logarithm."""
     free: dict[str, ComplexArray] = {}
     for c, channel in enumerate(record.ratio.channels):
         column = np.zeros(record.ratio.value.shape, dtype=np.complex128)
@@ -431,7 +418,7 @@ def starting_vectors(problem: IdentificationProblem, starts: FloatArray) -> list
 
 
 def _significant(record: MeasuredTransfer, roots: ComplexArray) -> ComplexArray:
-    """Return the poles without which a sum of partial fractions fits the ratios much worse.
+    """Return the poles without which a sum of fractions fits much worse.
 
     Basis: 1/(s - λ) and 1/(s - λ*) of each pole, 1, s and s², separately for each response.
     """
@@ -459,10 +446,7 @@ def _significant(record: MeasuredTransfer, roots: ComplexArray) -> ComplexArray:
 def _matched(
     problem: IdentificationProblem, start: FloatArray, measured: Sequence[ComplexArray], free: IntArray
 ) -> FloatArray:
-    """Return unknowns near a start whose modes have the measured poles.
-
-    Springs and dampers change by factors.
-    """
+    """Return unknowns near a start whose modes have the measured poles."""
     whole = whole_inertia(problem, start)[free]
     factors = np.isnan(whole)
     representative = [

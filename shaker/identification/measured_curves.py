@@ -34,10 +34,7 @@ class Placement(Arrays, shapes="point_m 3; direction 3"):
 
     @property
     def row(self) -> FloatArray:
-        """Row (6,) from the motion of the sensor origin to the reading.
-
-        It is [d, r × d], for a rotation [0, d].
-        """
+        """Row [d, r × d], for a rotation [0, d], from origin motion to reading."""
         if self.turning:
             return np.concatenate([np.zeros(3), self.direction])
         return np.concatenate([self.direction, np.cross(self.point_m, self.direction)])
@@ -45,10 +42,9 @@ class Placement(Arrays, shapes="point_m 3; direction 3"):
 
 @dataclass(frozen=True, repr=False)
 class CurveError(Arrays):
-    """One named cause of error of a curve.
+    """One named cause of error of one or several curves.
 
-    `relative` (K, C): relative complex deviation of the curve for one standard deviation. Causes with equal names in
-    several curves are the same unknown.
+    `relative` (K, C): relative complex deviation of the curve for one standard deviation.
     """
 
     name: str
@@ -57,10 +53,9 @@ class CurveError(Arrays):
 
 @dataclass(frozen=True, repr=False)
 class InertiaError(Arrays, shapes="change 6 6"):
-    """One uncertain number of the load.
+    """One uncertain number of a load, or of a part of several loads.
 
-    `change` (6, 6) of its mass matrix for one standard deviation. Equal names in several recordings are the same
-    unknown, for example a part that both loads contain.
+    `change` (6, 6) of its mass matrix for one standard deviation.
     """
 
     name: str
@@ -182,9 +177,9 @@ class MeasuredSensitivity(Arrays, shapes="frequency_hz K; value K; covariance K 
 
 @dataclass(frozen=True)
 class ParameterEstimate:
-    """One fitted or derived number.
+    """One fitted or derived number, `name` in files, `label` on pages.
 
-    `name` is used in files, `label` on pages; `value` and standard uncertainty `u` in `unit`.
+    `value` and standard uncertainty `u` in `unit`.
     """
 
     name: str
@@ -196,10 +191,7 @@ class ParameterEstimate:
 
 @dataclass(frozen=True)
 class NamedUnknown:
-    """A named error as the recordings determine it.
-
-    `estimate` in its standard deviations; `remaining`: its standard uncertainty after the fit.
-    """
+    """A named error as the recordings determine it, in its standard deviations."""
 
     name: str
     estimate: float
@@ -275,10 +267,7 @@ class MeasuredCurve(Arrays, shapes="frequency_hz K; value K; covariance K 2 2; d
         return np.asarray(re * re * c[:, 0, 0] + 2.0 * re * im * c[:, 0, 1] + im * im * c[:, 1, 1])
 
     def propagated(self, gradient: ComplexArray) -> FloatArray:
-        """Return the covariance (P, P) of numbers y with δy = Σₖ Re{conj(g)·δH}.
-
-        `gradient`: g (P, K).
-        """
+        """Return the covariance (P, P) of Σₖ Re{conj(g)·δH} with g (P, K)."""
         first = np.sqrt(self.covariance[:, 0, 0])
         second = self.covariance[:, 0, 1] / first
         rest = np.sqrt(self.covariance[:, 1, 1] - second**2)
@@ -296,12 +285,12 @@ _SETTLED = 1e-4  # change of the denominator's coefficients without effect on st
 def rational_poles(
     s: ComplexArray, value: ComplexArray, noise: FloatArray, count: int, lowest: int = 0
 ) -> ComplexArray:
-    """Return the common poles (count,) of curves (K, C), ascending.
+    """Return the common poles (count,) of curves (K, C), Im λ > 0, ascending.
 
-    `noise` (K, C); the poles have Im λ > 0. Curves are fitted by Nᶜ(s)/D(s). D has the degree 2·count; N has complex
-    coefficients for the powers from `lowest` to 2·count. The fit is linearised (Levy, IRE Trans. Autom. Control 4,
-    1959) and reweighted iteratively (Sanathanan and Koerner, IEEE Trans. Autom. Control 8, 1963). Unstable poles are
-    mirrored. Real poles are replaced by poles above the band.
+    `noise` (K, C). Curves are fitted by Nᶜ(s)/D(s), D of degree 2·count, N with complex coefficients for the powers
+    from `lowest` to 2·count, linearised (Levy, IRE Trans. Autom. Control 4, 1959) and reweighted (Sanathanan and
+    Koerner, IEEE Trans. Autom. Control 8, 1963). Unstable poles are mirrored; real ones are replaced by poles above the
+    band.
     """
     middle = float(np.sqrt(np.abs(s).min() * np.abs(s).max()))
     q = (s / middle)[:, None]
@@ -346,10 +335,9 @@ def whitening_matrices(covariance: FloatArray, name: str = "covariance") -> Floa
 def line_correlation_term(
     frequency_hz: FloatArray, columns: ComplexArray, correlation: ComplexArray | None
 ) -> FloatArray:
-    """Return the term of the correlation between lines, Re Tᴴ(R - 1)T.
+    """Return Re Tᴴ(R - 1)T (N, N) of whitened columns T (K, …, N).
 
-    The result is (N, N), for whitened columns T (K, …, N) at lines (K,). R is given by `correlation` (D,), that of the
-    errors of lines 0, 1, 2 … lines apart, as in `TransferFunction`.
+    R is given by `correlation` (D,), that of the errors of lines 0, 1, 2 … lines apart, as in `TransferFunction`.
     """
     count = columns.shape[-1]
     total = np.zeros((count, count))
@@ -478,7 +466,7 @@ def _geometric(
 ) -> tuple[FloatArray, FloatArray] | None:
     """Return the circle (3,) of least weighted distances and its derivatives (3, K).
 
-    The fit starts at the algebraic circle with Taubin's normalisation. Derivatives are by the distance of each point.
+    It starts at the algebraic circle with Taubin's normalisation. Derivatives are by the distance of each point.
     """
     middle = points.mean()
     around = points - middle
@@ -508,10 +496,7 @@ def _geometric(
 def _angles(
     points: ComplexArray, curve: MeasuredCurve, factor: ComplexArray, circle: FloatArray, start: tuple[float, float]
 ) -> tuple[tuple[float, float], FloatArray] | None:
-    """Return f₀ and ζ from the angles about the centre, with derivatives.
-
-    The derivatives (2, K) are by the angles.
-    """
+    """Return f₀ and ζ from the angles about the centre, and derivatives (2, K)."""
     frequency = curve.frequency_hz
     out = points - complex(circle[0], circle[1])
     tangent = 1j * out / np.abs(out) ** 2
@@ -534,10 +519,7 @@ def _angles(
 
 
 def _angle_model(frequency_hz: FloatArray, f0: float, zeta: float) -> tuple[FloatArray, FloatArray]:
-    """Return the angle 2 atan((1/r - r)/(2ζ)) (K,) and its derivatives.
-
-    The derivatives (K, 3) are by ln(f₀)/ζ, ln ζ and α.
-    """
+    """Return 2 atan((1/r - r)/(2ζ)) (K,), derivatives (K, 3) by ln(f₀)/ζ, ln ζ, α."""
     r = frequency_hz / f0
     tangent = (1.0 / r - r) / (2.0 * zeta)
     by_tangent = 2.0 / (1.0 + tangent**2)

@@ -24,10 +24,7 @@ from shakercal._common.notices import Notice
 
 @dataclass(frozen=True)
 class SpringPrior:
-    """Stiffness and damping from a resonance, with standard uncertainties and correlation.
-
-    k in N/m, b in kg/s; for a rotation N·m/rad and N·m·s/rad.
-    """
+    """Stiffness and damping of a resonance, standard uncertainties and correlation, SI units."""
 
     k: float
     u_k: float
@@ -132,9 +129,8 @@ def fit_chain(
     """Fit S₀, τ = b/k and a chain of one kind to a sensitivity.
 
     The measured value is S₀ / (1 + jωτ) · chain · exp(Σ z r) with relative errors r by name and unknowns z ~ N(0, 1).
-    The readings need no joint covariance. `spring` is the prior of τ; `spring_free` makes τ free. Without either τ is
-    0, because a lag of the chain and one of the spring have the same curve. A stated static sensitivity is one more
-    reading of S₀.
+    `spring` is the prior of τ; `spring_free` makes τ free. Without either τ is 0, because a lag of the chain and one of
+    the spring have the same curve. A stated static sensitivity is one more reading of S₀.
     """
     from scipy.special import chdtrc
 
@@ -173,11 +169,10 @@ def fit_chain(
 
 @dataclass(frozen=True)
 class _ChainProblem:
-    """A measured sensitivity with its unknowns.
+    """A measured sensitivity with its unknowns x = [S₀, τ if unknown, chain, z].
 
-    x = [S₀, τ if unknown, chain, z of common errors]. `names`: the unknowns except z. `time_s`: τ if it is fixed, else
-    its start. `priors`: (index, value, u) of unknowns with a prior, z among them. `relative` (K, E). `whitening` (K, 2,
-    2): noise to variance one.
+    `names`: the unknowns except z of common errors. `time_s`: τ if it is fixed, else its start. `priors`: (index,
+    value, u) of unknowns with a prior. `relative` (K, E). `whitening` (K, 2, 2).
     """
 
     measured: MeasuredSensitivity
@@ -234,7 +229,7 @@ class _ChainProblem:
         return WhitenedResiduals(x, both[:, 0], both[:, 1:])
 
     def start(self) -> FloatArray:
-        """Return start values: sign and delay from the phases, the rest from the magnitudes.
+        """Return start values: sign and delay from phases, the rest from magnitudes.
 
         1/|chain|² = 1 + (a₁² - 2a₂)ω² + a₂²ω⁴: its slope over ω² distinguishes a lag from a delay.
         """

@@ -75,10 +75,9 @@ class ChainModel(Arrays, shapes="names P; parameters P"):
         return np.array([columns[name] for name in self.names], dtype=np.complex128).reshape(-1, len(s)).T
 
     def corner(self, covariance: FloatArray) -> tuple[tuple[float, float], tuple[float, float]] | None:
-        """Return corner frequency and damping ratio of a low-pass, each with u.
+        """Return (f_c, u) in Hz and (ζ, u) of a low-pass of second order.
 
-        (f_c, u) in Hz and (ζ, u); None without a low-pass of second order. f_c = 1/(2π√a₂), ζ = a₁/(2√a₂), for a₂ > 0;
-        u from the covariance (P, P) of the parameters.
+        f_c = 1/(2π√a₂), ζ = a₁/(2√a₂), for a₂ > 0, else None; u from the covariance (P, P) of the parameters.
         """
         if self.kind not in {"butterworth", "second_order"} or not self.square_s2 > 0.0:
             return None
@@ -179,10 +178,7 @@ class SensorModel(Arrays):
         return np.asarray(gain / self._divisor(laplace(frequency_hz), load) * self.chain.response(frequency_hz))
 
     def log_slopes(self, frequency_hz: FloatArray, load: Load) -> ComplexArray:
-        """Return the derivatives of ln `output_factor` by parameters and load mass.
-
-        The shape is (K, 4 + P + 1).
-        """
+        """Return derivatives (K, 4 + P + 1) of ln `output_factor` by parameters and load."""
         s, total = laplace(frequency_hz), load.mass + self.internal_mass
         divisor = self._divisor(s, load)
         by_force = np.asarray(-s * s / self.stiffness / divisor)
@@ -199,10 +195,7 @@ class SensorModel(Arrays):
         return np.stack(columns, axis=1)
 
     def covariance_root(self, load: Load) -> FloatArray:
-        """Return a square root of the covariance of parameters and load mass.
-
-        Deviations (4 + P + 1, E) for E independent causes of variance one.
-        """
+        """Return deviations (4 + P + 1, E) of parameters and load mass."""
         count = len(self.covariance)
         whole = np.zeros((count + 1, count + 1))
         whole[:count, :count], whole[count, count] = self.covariance, load.u_mass**2

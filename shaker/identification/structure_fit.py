@@ -69,10 +69,7 @@ class ModeEstimate:
 
 @dataclass(frozen=True)
 class FreeFactor:
-    """Fitted gain or delay of one response in one recording.
-
-    The model of the curve is H · gain · exp(-s delay).
-    """
+    """Fitted factor `gain` · exp(-s `delay_s`) of one response in one recording."""
 
     record: str
     channel: str
@@ -193,10 +190,7 @@ class FitState(Arrays):
 
     @cached_property
     def normal(self) -> tuple[FloatArray, FloatArray]:
-        """Normal matrix (N, N) and descent direction (N,), zero for fixed unknowns.
-
-        These are half the second derivatives and the negative half gradient of the loss.
-        """
+        """Normal matrix (N, N) and descent direction (N,), zero for fixed unknowns."""
         problem = self.problem
         normal, downhill = np.diag(problem.precision), problem.precision * (problem.expected - self.parameters)
         for curve, residual, jacobian in zip(problem.curves, self.residuals, self.jacobians, strict=True):
@@ -210,10 +204,7 @@ class FitState(Arrays):
 
 
 def evaluate(problem: IdentificationProblem, vector: FloatArray) -> FitState | None:
-    """Return the fit state of a vector, None if a parameter is impossible.
-
-    Masses and stiffnesses must be positive.
-    """
+    """Return the fit state of a vector, None unless masses and stiffnesses are positive."""
     if not all(curve.possible(vector) for curve in problem.curves):
         return None
     modelled = tuple(curve.modelled(vector) for curve in problem.curves)
@@ -226,10 +217,7 @@ def evaluate(problem: IdentificationProblem, vector: FloatArray) -> FitState | N
 
 
 def solve(problem: IdentificationProblem, state: FitState) -> FitState:
-    """Return the state of least χ² of lines and priors, starting from a state.
-
-    The result of the last step is returned even if the fit has not converged.
-    """
+    """Return the last state of a search for the least χ²."""
 
     def at(vector: FloatArray) -> FitState | None:
         return evaluate(problem, vector)
@@ -274,9 +262,9 @@ class UnknownsCovariance(Arrays):
     unsettled: float
 
     def u(self, gradient: FloatArray) -> float:
-        """Return the standard uncertainty of a function of the unknowns with a `gradient` (N,).
+        """Return the standard uncertainty of a function of the unknowns with a `gradient`.
 
-        It is infinite if the gradient has a part in an undetermined direction.
+        It is infinite if the gradient (N,) has a part in an undetermined direction.
         """
         scaled = gradient * self.scale
         size = float(np.linalg.norm(scaled))
@@ -285,10 +273,7 @@ class UnknownsCovariance(Arrays):
         return float(np.sqrt(max(0.0, float(gradient @ self.covariance @ gradient))))
 
     def covariance_of(self, gradients: FloatArray) -> FloatArray:
-        """Return the covariance (G, G) of functions of the unknowns with `gradients` (G, N).
-
-        Undetermined ones have infinite variance and no covariance with the others.
-        """
+        """Return the covariance (G, G) of functions with `gradients` (G, N), infinite where undetermined."""
         covariance = gradients @ self.covariance @ gradients.T
         undetermined = ~np.isfinite([self.u(gradient) for gradient in gradients])
         covariance[undetermined] = 0.0
@@ -298,12 +283,10 @@ class UnknownsCovariance(Arrays):
 
 
 def spread(problem: IdentificationProblem, state: FitState) -> UnknownsCovariance:
-    """Return the covariance of all unknowns.
+    """Return the covariance A⁻¹ (JᵀRJ + P) A⁻¹ of all unknowns.
 
-    It is A⁻¹ (JᵀRJ + P) A⁻¹ with A = JᵀJ + P.
-
-    R is the correlation between lines, P the precision of the priors. The basis is chosen such that A = 1. This keeps
-    the digits of directions that the stated masses and scales do not determine.
+    A = JᵀJ + P, R is the correlation between lines, P the precision of the priors. The basis is chosen such that A = 1,
+    which keeps the digits of directions that the stated masses and scales do not determine.
     """
     count, free = len(state.parameters), ~problem.fixed
     unit = np.diag(free.astype(np.float64))
@@ -500,10 +483,7 @@ def _result(
 
 
 def _lags(problem: IdentificationProblem, state: FitState, found: UnknownsCovariance) -> tuple[ParameterEstimate, ...]:
-    """Return b/k of every damper with its spring.
-
-    It is the time constant of the sensor's lag in S(f).
-    """
+    """Return b/k of every damper with its spring."""
     indices = {parameter.name: index for index, parameter in enumerate(problem.parameters)}
     derived = []
     for name, index in indices.items():

@@ -92,7 +92,7 @@ class LinearSystem(Arrays):
         return LinearSystem(zeros, p, float(total[first]) * scale**first, sample_rate_hz)
 
     def coefficients(self) -> tuple[FloatArray, FloatArray]:
-        """Return numerator and monic denominator in falling powers, the numerator padded with zeros in front."""
+        """Return numerator and monic denominator of equal lengths in falling powers."""
         top = np.atleast_1d(self.gain * np.real(np.poly(self.zeros)))
         bottom = np.atleast_1d(np.real(np.poly(self.poles)))
         return np.concatenate([np.zeros(len(bottom) - len(top)), top]), bottom
@@ -535,9 +535,9 @@ class ModalModel(Arrays, shapes="frequency_hz M; damping_ratio M; residue M; rea
 
 
 def even_exponentials(rates: ComplexArray, begin_s: float, step_s: float, count: int) -> tuple[ComplexArray, ...]:
-    """Return coarse and fine factors (P, m) of `count` evenly spaced exponentials.
+    """Return factors (P, m) whose products are evenly spaced exponentials.
 
-    exp(rate·(begin + kΔ)) = coarse[:, k // m]·fine[:, k % m], which needs 2√count exponentials per rate.
+    exp(rate·(begin + kΔ)) = coarse[:, k // m]·fine[:, k % m] for k below `count`: 2√count exponentials per rate.
     """
     size = int(np.sqrt(count - 1)) + 1
     steps, p = np.arange(size), rates[:, None]

@@ -75,10 +75,7 @@ class LoadModel(Arrays):
 
     @property
     def total_covariance(self) -> FloatArray | None:
-        """Covariance (P + 1, P + 1) of [*parameters, moving mass].
-
-        Without `covariance_with_mass` the moving mass is independent of the parameters.
-        """
+        """Covariance (P + 1, P + 1) of [*parameters, moving mass], independent unless known."""
         if self.covariance_with_mass is not None or self.covariance is None:
             return self.covariance_with_mass
         size = len(self.vector)
@@ -113,19 +110,13 @@ class LoadModel(Arrays):
         return value, np.asarray(slope @ np.asarray(self.total_covariance) @ slope.T)
 
     def altered(self, frequency: float = 0.0, damping_ratio: float = 0.0, gain: float = 0.0) -> LoadModel:
-        """Return the model with relative changes of natural frequencies, damping ratios and sensitivity.
-
-        For every load: stiffnesses by (1 + `frequency`)², dampings by (1 + `frequency`)(1 + `damping_ratio`).
-        """
+        """Return the model with relative changes of natural frequencies, damping ratios, sensitivity."""
         spring, damper = (1.0 + frequency) ** 2, (1.0 + frequency) * (1.0 + damping_ratio)
         factors = np.append(np.tile([spring, damper], len(self.vector) // 2), 1.0)
         return replace(self.with_numbers(factors * self.numbers), sensitivity=(1.0 + gain) * self.sensitivity)
 
     def poles(self, load_mass: float) -> ComplexArray:
-        """Return all 2 or 4 poles in rad/s with a load mass in kg.
-
-        A load without mass is rigid.
-        """
+        """Return all 2 or 4 poles in rad/s with a load mass in kg."""
         return self.system(load_mass).poles
 
     def system(self, load_mass: float) -> LinearSystem:
@@ -147,8 +138,7 @@ def upper_poles(numbers: FloatArray, moving_mass: float, load_mass: float) -> tu
     """Return the upper poles (M,) in rad/s, ascending, with derivatives (M, P + 2).
 
     `numbers` (P,): stiffness and damping, and those of the coupling unless the load is rigid. Derivatives by the
-    numbers, the moving mass and the load mass. A load without mass has one mode. Overdamped modes have no upper pole
-    and are missing.
+    numbers, the moving mass and the load mass. A load without mass has one mode; overdamped modes are missing.
     """
     if len(numbers) == 2 or load_mass == 0.0:
         weights, terms, columns = [moving_mass + load_mass, *numbers[:2]], [1, 2, 0, 0], [0, 1, -2, -1]
@@ -190,10 +180,7 @@ class LoadCurve(
 
 
 def load_curve(model: LoadModel, load_mass: FloatArray, u_load_mass: FloatArray | None = None) -> LoadCurve:
-    """Return frequencies and damping ratios of both modes over load masses (K,).
-
-    Uncertainties follow from the covariance of the model and `u_load_mass` (K,), default none.
-    """
+    """Return frequencies and damping ratios of both modes over load masses (K,)."""
     masses = np.asarray(load_mass, dtype=np.float64)
     if model.total_covariance is None:
         values = _modes(model, masses)
@@ -236,10 +223,9 @@ SMALLEST_DAMPING = 1e-4  # damping ratio for an undamped model: bands do not dep
 
 
 def working_bands(model: LoadModel, load_mass: float, tolerances: tuple[float, ...] = TOLERANCES) -> FloatArray:
-    """Return the frequencies (T,) in Hz up to which |H| stays within tolerances of |H(0)|.
+    """Return the frequencies (T,) in Hz up to which |H|/|H(0)| stays within tolerances.
 
-    A band without an end is NaN. A model without damping, from resonances alone, has the bands of one of very light
-    damping.
+    A band without an end is NaN. A model without damping, from resonances alone, has the bands of very light damping.
     """
     if model.damping == 0.0:
         light = 2.0 * SMALLEST_DAMPING * np.sqrt(model.stiffness * model.moving_mass)
@@ -259,8 +245,8 @@ MIN_PARAMETER_SHARE = 0.02
 def figures_u(model: LoadModel, figures: Callable[[LoadModel], FloatArray]) -> tuple[FloatArray, FigureRange]:
     """Return standard uncertainties (Q,) of figures of a model, and their reach.
 
-    To first order by the covariance of the model, multiplied by the factor of `shaker.lti.indices.reach`. `figures`
-    returns NaN for a figure that does not exist.
+    To first order by the covariance, multiplied by the factor of `find_figure_range`. `figures` returns NaN for a
+    missing figure.
     """
     total, slope = np.asarray(model.total_covariance, dtype=np.float64), model.jacobian(figures)[1]
 
@@ -278,20 +264,16 @@ HEAVIEST = 1e4  # load mass over the moving mass, upper end of the search for li
 
 
 class LoadLimit(NamedTuple):
-    """A load mass in kg with its standard uncertainty.
-
-    For a moment kg·m²; the uncertainty is NaN if it is not available.
-    """
+    """A load mass in kg, or kg·m², with its standard uncertainty or NaN."""
 
     load_mass: float
     u: float
 
 
 def formula_limit(model: LoadModel, permitted: float) -> LoadLimit | None:
-    """Return the load mass above which the rigid formula is too high.
+    """Return the load above which √(k/(m_E + m_L)) is too high by a share.
 
-    √(k/(m_E + m_L)) then exceeds the resonance by more than a share `permitted`. None if this never happens: for a
-    rigid load, or a sufficiently stiff coupling. For large loads the formula is too high by √(1 + k/k_L).
+    None if this never happens. For large loads the formula is too high by √(1 + k/k_L).
     """
     _check_share(permitted)
     most = 1.0 + permitted
@@ -306,10 +288,7 @@ def change_limit(model: LoadModel, permitted: float) -> LoadLimit | None:
 
 
 def frequency_limit(model: LoadModel, target_hz: float) -> LoadLimit | None:
-    """Return the load mass up to which the resonance is at least `target_hz`.
-
-    None if it never is.
-    """
+    """Return the load mass up to which the resonance is at least `target_hz`."""
     if not target_hz > 0:
         raise ValueError(f"target_hz: expected a frequency above 0, found {target_hz}")
     if first_mode_hz(model, 0.0) < target_hz:

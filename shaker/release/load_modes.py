@@ -34,10 +34,10 @@ class SeriesOutput:
 
 @dataclass(frozen=True, repr=False)
 class SeriesMasses(Arrays, shapes="load R; names Q; moving_effect Q; load_effect R Q"):
-    """Moving mass and load masses (R,) of R records in kg, with their named errors.
+    """Moving mass and load masses (R,) in kg, with their named errors.
 
-    `names` (Q,) of the uncertain parts. One standard uncertainty of a part changes the moving mass by `moving_effect`
-    (Q,) and the load masses by `load_effect` (R, Q). An adapter in two records is therefore one unknown.
+    One standard uncertainty of each part in `names` (Q,) changes them by `moving_effect` (Q,) and `load_effect` (R, Q).
+    An adapter in two records is therefore one unknown.
     """
 
     moving: float
@@ -69,10 +69,7 @@ class SeriesMasses(Arrays, shapes="load R; names Q; moving_effect Q; load_effect
 
 
 def stated_masses(moving: float, u_moving: float, load: FloatArray, u_load: FloatArray | None = None) -> SeriesMasses:
-    """Return masses with independent errors.
-
-    The moving mass and every different load mass (R,) have one error each.
-    """
+    """Return masses with one error each of the moving and every different load mass."""
     loads = np.asarray(load, dtype=np.float64)
     spread = np.zeros(len(loads)) if u_load is None else np.asarray(u_load, dtype=np.float64)
     uncertain = np.unique(loads[spread > 0.0])
@@ -91,10 +88,9 @@ def stated_masses(moving: float, u_moving: float, load: FloatArray, u_load: Floa
 class Resonances(
     Arrays, shapes="names R; frequency_hz R 2; u_frequency_hz R 2; damping_ratio R 2; u_damping_ratio R 2"
 ):
-    """First and second mode of R records.
+    """First and second mode of R records, natural frequencies in Hz, NaN where unknown.
 
-    Natural frequencies in Hz and damping ratios (R, 2). Unknown values are NaN. `u_…`: standard uncertainties. They are
-    0 if none is stated; the scatter about a model then determines them.
+    `u_…`: standard uncertainties, 0 if none is stated; the scatter about a model then determines them.
     """
 
     names: tuple[str, ...]
@@ -119,10 +115,7 @@ class Resonances(
 def stated_resonances(
     first_hz: FloatArray, u_first_hz: FloatArray | None = None, second_hz: FloatArray | None = None
 ) -> Resonances:
-    """Return resonances without damping: first (R,) with uncertainties if stated, second or NaN.
-
-    A second resonance has the same relative uncertainty as the first.
-    """
+    """Return resonances without damping: first (R,), second or NaN of equal relative u."""
     first = np.asarray(first_hz, dtype=np.float64)
     u = np.zeros_like(first) if u_first_hz is None else np.asarray(u_first_hz, dtype=np.float64)
     second = np.full_like(first, np.nan) if second_hz is None else np.asarray(second_hz, dtype=np.float64)
@@ -146,9 +139,8 @@ SEARCH = LMOptions(initial_damping=1e-4, damping_decrease=0.2, min_damping=1e-15
 class FreeDecay(Arrays, shapes="time_s N; value N"):
     """The output of one record after the end of its release.
 
-    `value` (N,) at `time_s` (N,). In output units, low-pass filtered and decimated by `decimation`. A filter multiplies
-    every exponential by a constant, and so does the release after its end, for any shape. The free amplitudes contain
-    these constants; poles do not change.
+    `value` (N,) at `time_s` (N,) is low-pass filtered and decimated by `decimation`. The filter, as the release of any
+    shape, multiplies every exponential by a constant, which the free amplitudes contain; poles do not change.
     """
 
     name: str
@@ -163,10 +155,7 @@ class FreeDecay(Arrays, shapes="time_s N; value N"):
 
 
 def free_decay(record: StepRecord, channel: str, reading: ReleaseReading) -> FreeDecay:
-    """Return the free oscillation of one channel after its release.
-
-    `reading` determines the end of the release.
-    """
+    """Return the free oscillation of one channel after its release."""
     from scipy.signal import firwin, upfirdn
 
     begin = reading.onset_s + 2.0 * reading.u_onset_s + reading.release_s + reading.u_release_s
@@ -190,11 +179,9 @@ def free_decay(record: StepRecord, channel: str, reading: ReleaseReading) -> Fre
 
 
 def project_amplitudes(decay: FreeDecay, poles: ComplexArray) -> tuple[FloatArray, FloatArray]:
-    """Return the residual (N,) of free modes and its derivatives (N, 2M).
+    """Return the residual (N,) of free modes (M,) and its derivatives (N, 2M).
 
-    Modes (M,) with free amplitudes, and a level. Derivatives are by Re p and Im p of each pole. y = b + Σ Re{a_m
-    exp(p_m t)} with b and a_m by linear least squares (variable projection, Golub & Pereyra 1973, the derivatives in
-    Kaufman's form).
+    y = b + Σ Re{a_m exp(p_m t)} with b and a_m by linear least squares; derivatives by Re p and Im p of each pole.
     """
     point = free_modes(decay, poles)
     return point.residuals[0][:, 0], -point.solved[0].orthogonal_complement(point.jacobians[0].rows)[:, :, 0]
@@ -220,10 +207,9 @@ def free_modes(decay: FreeDecay, poles: ComplexArray) -> SeparablePoint:
 
 
 def coloured_normal(slope: FloatArray, residual: FloatArray) -> FloatArray:
-    """Return the normal matrix Jᵀ R J for coloured noise.
+    """Return Jᵀ R J (P, P) of derivatives (N, P) for coloured noise.
 
-    (P, P) of derivatives (N, P), with R of the noise in the residual (N,). The spectrum of R is the periodogram of the
-    residual, smoothed over neighbouring lines.
+    The spectrum of R is the periodogram of the residual (N,), smoothed over neighbouring lines.
     """
     count = len(residual)
     power = np.abs(np.fft.rfft(residual)) ** 2 / count
@@ -251,10 +237,9 @@ HEAVIEST, VAGUEST = 0.3, 0.05
 
 @dataclass(frozen=True, repr=False)
 class RecordModes(Arrays):
-    """One or two modes of a record with their covariance.
+    """Upper poles (M,) in rad/s of a record, with their covariance.
 
-    Upper poles (M,) in rad/s. The covariance is of [Re p, Im p] of each mode. `noise`: standard deviation of the
-    residual, in output units.
+    The covariance is of [Re p, Im p] of each mode. `noise`: standard deviation of the residual, in output units.
     """
 
     name: str
@@ -310,7 +295,7 @@ def as_resonances(records: list[RecordModes]) -> Resonances:
 
 
 def _starts(decay: FreeDecay, value: FloatArray, above_hz: float) -> list[complex]:
-    """Return poles from the highest spectral line of the record and of shorter beginnings.
+    """Return poles from the highest spectral line of the record and shorter beginnings.
 
     The decay rate follows from the line's amplitudes in the first and in the second half.
     """
@@ -388,7 +373,7 @@ class SeriesProblem:
     def powers(self) -> FloatArray:
         """Powers (P, S) of the exponentials in springs and dampers.
 
-        They are k, c or k, c, k_L, c_L. c_L = c·k_L/k if only one damping is measured; all dampings are 0 without any.
+        c_L = c·k_L/k if only one damping is measured; all dampings are 0 without any.
         """
         springs = 1 if self.rigid else 2
         dampers = min(springs, int(self.rows[1].sum()))
@@ -416,10 +401,7 @@ class SeriesProblem:
         return int(f.sum()) - self.springs, int(z.sum()) - self.dampers
 
     def numbers(self, x: FloatArray) -> FloatArray:
-        """Return stiffnesses and dampings of unknowns x.
-
-        k, c or k, c, k_L, c_L; dampings are 0 if none is measured.
-        """
+        """Return stiffnesses and dampings of unknowns x, dampings 0 if none is measured."""
         numbers = np.exp(self.powers @ x[: self.powers.shape[1]])
         numbers[1::2] *= self.dampers > 0
         return np.asarray(numbers)
@@ -453,10 +435,7 @@ class SeriesProblem:
         return poles, np.hstack([moved[:, :-2] @ self.number_rates(x), by_mass])
 
     def modes(self, x: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return frequencies and damping ratios (2, R, 2) with derivatives of ln f and ζ.
-
-        The derivatives (2, R, 2, X) are by the unknowns x (X,).
-        """
+        """Return frequencies and damping ratios (2, R, 2) with derivatives of ln f and ζ."""
         values = np.full((2, len(self.masses.load), 2), np.nan)
         rates = np.zeros((*values.shape, len(x)))
         for r in range(values.shape[1]):
@@ -469,10 +448,7 @@ class SeriesProblem:
         return values, rates
 
     def residual(self, x: FloatArray, sigma: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return weighted residuals (N + Q,) and their derivatives (N + Q, X).
-
-        `sigma` (N,) of ln f, then of ln ζ.
-        """
+        """Return weighted residuals (N + Q,) of ln f, ln ζ, masses, and their derivatives."""
         (f, z), rates = self.modes(x)
         f_rows, z_rows = self.rows
         left, slopes = [np.log(f[f_rows] / self.measured.frequency_hz[f_rows])], [rates[0][f_rows]]
@@ -498,25 +474,19 @@ class SeriesProblem:
         return np.nan_to_num(f), np.nan_to_num(z)
 
     def groups(self, x: FloatArray) -> list[tuple[FloatArray, FloatArray, int]]:
-        """Return deviations, stated uncertainties and degrees of freedom by quantity.
-
-        The quantities are ln f and ln ζ.
-        """
+        """Return deviations, stated uncertainties and dof of ln f and of ln ζ."""
         f, z = self.stated()
         left = self.residual(x, np.ones(len(f) + len(z)))[0]
         parts = left[: len(f)], left[len(f) : len(f) + len(z)]
         return list(zip(parts, (f, z), self.dof, strict=True))
 
     def sigma(self, scatter: tuple[float, float]) -> FloatArray:
-        """Return relative standard deviations (N,) of all rows. `scatter` is added to the stated ones."""
+        """Return relative standard deviations (N,) of all rows including `scatter`."""
         parts = [np.sqrt(u**2 + tau**2 + FLOOR**2) for u, tau in zip(self.stated(), scatter, strict=True)]
         return np.concatenate(parts)
 
     def start(self, ratio: float) -> FloatArray:
-        """Return start unknowns (X,) for a ratio k_L/k.
-
-        They give resonance and damping of the lightest load.
-        """
+        """Return unknowns (X,) for a ratio k_L/k from the lightest load."""
         lightest = int(np.argmin(self.masses.load))
         shape = np.array([1.0, 0.0] if self.rigid else [1.0, 0.0, ratio, 0.0])
         load = float(self.masses.load[lightest])

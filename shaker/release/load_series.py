@@ -153,10 +153,7 @@ def _scatter(problem: SeriesProblem, x: FloatArray) -> tuple[float, float]:
 
 
 def _of_numbers(problem: SeriesProblem, x: FloatArray, covariance: FloatArray) -> FloatArray:
-    """Return the covariance of numbers and mass errors from that of x.
-
-    Both are (P + Q, P + Q).
-    """
+    """Return the covariance (P + Q, P + Q) of numbers and mass errors."""
     rates, (_, by_prior) = problem.number_rates(x), problem.prior(x)
     turn = np.vstack([np.pad(rates, ((0, 0), (0, len(by_prior)))), by_prior])
     return np.asarray(turn @ covariance @ turn.T)
@@ -220,7 +217,7 @@ MAX_SECOND_DEVIATION = 0.10
 def belonging(measured: Resonances, masses: SeriesMasses) -> tuple[Resonances, tuple[int, ...]]:
     """Return the resonances without foreign second modes, and the records with such modes.
 
-    First resonances of several load masses determine k and k_L and therefore the second modes. A second mode without
+    First resonances of several load masses determine k and k_L, and therefore the second modes. A second mode without
     load is always foreign.
     """
     seen = np.isfinite(measured.frequency_hz[:, 1])

@@ -48,13 +48,13 @@ _STEEP = 0.5  # damping ratio above which a further mode is a disturbance
 def decay_modes(
     whole: BlockMeans, reading: ReleaseReading, method: Literal["pencil", "arx"], count: int | None
 ) -> tuple[ComplexArray, float]:
-    """Return the upper poles of the decay, and the noise colour.
+    """Return the upper poles (M,) in rad/s of the decay, and the noise colour.
 
-    The poles (M,) in rad/s ring after the release. `count`: their number, None for as many as the record supports.
     Exponentials with free amplitudes and a level are fitted to the decay only, so that the release and fast poles do
-    not matter. A further mode is accepted if its line is significant in the residual's spectrum, its ζ is between 0 and
-    0.5, and it lowers B·ln(sum of squares) by more than 12 for each of its four parameters. The colour is the density
-    of the residual's blocks over that of white noise of the same variance.
+    not matter; `count` of them, or as many as the record supports. A further mode is accepted if its line is
+    significant in the residual's spectrum, its ζ is between 0 and 0.5, and it lowers B·ln(sum of squares) by more than
+    12 for each of its four parameters. The colour is the density of the residual's blocks over that of white noise of
+    the same variance.
     """
     start = reading.onset_s + reading.release_s + reading.u_onset_s
     decay = whole.between(min(start, float(whole.time_s[len(whole.time_s) * 3 // 4])), np.inf)
@@ -119,10 +119,7 @@ _LOOSE = (1.5, 2.0)  # standard deviations of logarithms of real poles and of th
 def start_vectors(
     structure: PoleStructure, load: ReleaseLoad, samples: BlockMeans, modes: ComplexArray, reading: ReleaseReading
 ) -> list[FloatArray]:
-    """Return the best grid point for every number of numerator terms.
-
-    The residual around the release decides.
-    """
+    """Return the best grid point for every number of numerator terms."""
     lowest = float(np.abs(modes).min()) / (2 * np.pi)
     rise = min(reading.rise_s, 3.0 / lowest + reading.release_s)
     near = samples.between(reading.onset_s - 2.0 / lowest, reading.onset_s + reading.release_s + rise + 2.0 / lowest)
@@ -191,8 +188,7 @@ _ROUNDING = 1e-9  # share of the output below which a residual is rounding
 class OrderSearch:
     """Data and limits of the order search.
 
-    `whole`: all samples. `loads`: candidate loads. `modes` and `reals`: given numbers, else None. `colour` of the noise
-    as in `OutputErrorProblem`.
+    `whole`: all samples. `modes` and `reals`: given numbers, else None. `colour` as in `OutputErrorProblem`.
     """
 
     whole: BlockMeans
@@ -239,10 +235,7 @@ def search_order(search: OrderSearch) -> tuple[SupportedFit, ...]:
 
 
 def _with_real(found: SupportedFit, least: float) -> SupportedFit | None:
-    """Return the fit with one more real pole, None without sufficient gain.
-
-    The predicted fall of χ² must be at least `least`.
-    """
+    """Return the fit with one more real pole, None without the `least` gain."""
     plain = found.solution
     structure, order = plain.problem.structure, plain.problem.structure.order
     two = replace(plain.problem, structure=replace(structure, reals=structure.reals + 1))
@@ -255,10 +248,7 @@ def _with_real(found: SupportedFit, least: float) -> SupportedFit | None:
 
 
 def penalised_chi_squared(fit: OutputErrorFit) -> float:
-    """Return χ² plus 8 per numerator term and 12 per pole.
-
-    A constant common to all fits of the samples is omitted.
-    """
+    """Return χ² plus 8 per numerator term and 12 per pole."""
     samples, structure = fit.problem.samples, fit.problem.structure
     least = _ROUNDING**2 * float(np.sum((samples.weight * samples.value) ** 2))
     chi_square = fit.size * float(np.log(fit.square + least)) / fit.problem.colour
@@ -279,10 +269,7 @@ def _fit_one(search: OrderSearch, load: ReleaseLoad, modes: ComplexArray, reals:
 
 
 def add_numerator_terms(found: OutputErrorFit, starts: list[FloatArray], highest_hz: float) -> OutputErrorFit:
-    """Return the fit with additional numerator terms that are significant.
-
-    Each is tried from the last fit or from its separate start.
-    """
+    """Return the fit with additional numerator terms that are significant."""
     problem = found.problem
     for terms in range(2, problem.structure.order + 1):
         richer = replace(problem, structure=replace(problem.structure, terms=terms))
@@ -331,10 +318,7 @@ class OrderFamily(Arrays, shapes="triangle R R"):
         return np.asarray(squares if direct else squares + self.triangle[last - 1, last] ** 2)
 
     def parameters(self, order: int, direct: bool = True) -> FloatArray:
-        """Return the parameters of one order, interleaved.
-
-        [b_n, -a_n, …, b_1, -a_1, b_0] (2·order + 1,), b_0 only if `direct`.
-        """
+        """Return [b_n, -a_n, …, b_1, -a_1, b_0] of one order, b_0 only if `direct`."""
         if not 1 <= order <= self.most:
             raise ValueError(f"order: expected 1 to {self.most}, found {order}")
         size = 2 * order + direct
@@ -343,20 +327,16 @@ class OrderFamily(Arrays, shapes="triangle R R"):
         )
 
     def system(self, order: int, direct: bool = True) -> LinearSystem:
-        """Return the difference equation of one order as a sampled system.
-
-        y(k) = Σ b_i u(k-i) - Σ a_i y(k-i).
-        """
+        """Return the difference equation of one order as a sampled system."""
         parameters = self.parameters(order, direct)
         load, past = parameters[: 2 * order : 2][::-1], parameters[1 : 2 * order : 2][::-1]
         numerator = np.concatenate([parameters[-1:] if direct else [0.0], load])
         return LinearSystem.from_coefficients(numerator, np.concatenate([[1.0], -past]), self.sample_rate_hz)
 
     def bend(self, direct: bool = True) -> int:
-        """Return the order at the bend of the loss.
+        """Return the lowest order that leaves 15 % of the fall of ln J.
 
-        It is the lowest order that leaves at most 15 % of the fall of ln J to higher ones. A significance test is not
-        useful: with noise on the output every additional order lowers the loss.
+        A significance test is not useful: with noise on the output every additional order lowers the loss.
         """
         loss = np.log(np.maximum(self.loss(direct), 1e-300))
         left = (loss - loss.min()) / max(1e-12, loss[0] - loss.min())
@@ -364,10 +344,7 @@ class OrderFamily(Arrays, shapes="triangle R R"):
 
 
 def fit_all_orders(load: FloatArray, output: FloatArray, sample_rate_hz: float, most: int = 9) -> OrderFamily:
-    """Return the difference equations of order 0 … `most`.
-
-    Between a load (N,) and an output (N,).
-    """
+    """Return the difference equations of order 0 … `most` of load and output (N,)."""
     check_shape("output", output, load.shape)
     if len(load) < 4 * most + 4:
         raise ValueError(f"load: expected at least {4 * most + 4} samples for order {most}, found {len(load)}")

@@ -19,10 +19,7 @@ UNCLEAR = 0.25  # relative standard uncertainty of a real pole or damping ratio 
 
 
 def shift_poles(space: FloatArray, step_s: float) -> ComplexArray:
-    """Return the non-zero poles in rad/s of a space under a shift.
-
-    The space is (L, P), the shift `step_s`.
-    """
+    """Return the non-zero poles in rad/s of a space (L, P) under a shift."""
     turns = np.linalg.eigvals(np.linalg.lstsq(space[:-1], space[1:], rcond=None)[0]).astype(np.complex128)
     return np.asarray(np.log(turns[np.abs(turns) > 1e-6]) / step_s)
 
@@ -36,8 +33,8 @@ def matrix_pencil(values: FloatArray, step_s: float, order: int) -> ComplexArray
 def instrumental_variables(values: FloatArray, step_s: float, order: int) -> ComplexArray:
     """Return poles (≤ order,) in rad/s of an autoregression, older samples as instruments.
 
-    White noise of the output biases the least squares of y(k) = Σ a_i y(k - i). Older samples have independent noise.
-    Three times the order of them make the equations.
+    White noise of the output biases the least squares of y(k) = Σ a_i y(k - i). Three times the order of older samples,
+    with independent noise, make the equations.
     """
     more = 3 * order
     windows = np.lib.stride_tricks.sliding_window_view(values, more + order + 1)
@@ -58,7 +55,7 @@ def ringing_poles(samples: FloatArray, sample_rate_hz: float, noise: float) -> C
     """Return the upper poles (M,) in rad/s of a free decay, strongest first.
 
     The decay (N,) is about zero. Matrix pencil of block means; the number of modes is that of singular values above the
-    noise. The result is empty without ringing.
+    noise.
     """
     highest_hz = _highest_line(samples, sample_rate_hz, noise)
     if highest_hz is None:
@@ -79,10 +76,7 @@ def ringing_poles(samples: FloatArray, sample_rate_hz: float, noise: float) -> C
 
 
 def _highest_line(samples: FloatArray, sample_rate_hz: float, noise: float) -> float | None:
-    """Return the highest frequency of a significant spectral line.
-
-    It must be above the noise and above a share of the strongest line.
-    """
+    """Return the highest frequency of a significant spectral line, None without one."""
     count = len(samples)
     window = np.cos(0.5 * np.pi * np.arange(count) / count) ** 2
     size = np.abs(np.fft.rfft(samples * window))
@@ -99,11 +93,10 @@ _FLOOR = 25.0  # power of a peak over the median of the spectrum; noise alone ex
 
 
 def peaks_hz(decay: FloatArray, step_s: float, count: int, local: bool = False) -> FloatArray:
-    """Return frequencies in Hz of the highest spectral peaks of a decay.
+    """Return at most `count` frequencies in Hz of the highest significant peaks.
 
-    At most `count`, all significant; the decay has the shape (N,). The final level is subtracted, and a window that
-    falls from 1 to 0 emphasises the strong beginning. The noise is the median of the spectrum, or with `local` the
-    median of neighbouring lines, for noise that depends on frequency.
+    Of a decay (N,) without its final level, weighted towards its beginning. The noise is the median of the spectrum, or
+    with `local` that of neighbouring lines, for noise that depends on frequency.
     """
     phase = 0.5 * np.pi * np.arange(len(decay)) / len(decay)
     level = float(np.average(decay, weights=np.sin(phase) ** 4 + 1e-300))
@@ -125,17 +118,14 @@ def peaks_hz(decay: FloatArray, step_s: float, count: int, local: bool = False) 
 
 
 def decimate(decay: FloatArray, step_s: float, highest_hz: float) -> tuple[FloatArray, float]:
-    """Return block means of a decay and their distance in s.
-
-    There are eight blocks per period of the fastest mode.
-    """
+    """Return block means of a decay, eight per fastest period, and their distance."""
     length = max(1, int(1.0 / (step_s * PER_PERIOD * highest_hz)))
     size = min(len(decay) // length, _LONGEST)
     return decay[: size * length].reshape(size, length).mean(axis=1), length * step_s
 
 
 def start_poles(offered: ComplexArray, modes: int, near_hz: FloatArray) -> ComplexArray:
-    """Return `modes` upper poles (M,): those next to the spectral peaks, then lightly damped ones.
+    """Return `modes` upper poles next to the spectral peaks, then lightly damped ones.
 
     A peak without a pole within 15 % of it starts at ζ = 0.02.
     """
@@ -163,10 +153,7 @@ _QUICKEST = 0.4  # largest damping ratio of a mode
 
 
 def highest_frequency(parts: Sequence[FloatArray], rate_hz: float) -> float:
-    """Return the highest frequency in Hz of significant oscillation in records of unit noise.
-
-    `parts`: records (C, N).
-    """
+    """Return the highest frequency in Hz of significant oscillation in records of unit noise."""
     highest = 0.0
     for part in parts:
         window = np.hanning(part.shape[1])
@@ -179,9 +166,9 @@ def highest_frequency(parts: Sequence[FloatArray], rate_hz: float) -> float:
 
 
 def shared_poles(parts: Sequence[FloatArray], rate_hz: float) -> ComplexArray:
-    """Return the common upper poles in rad/s of decaying records.
+    """Return the common upper poles in rad/s of decaying records (C, N).
 
-    Records (C, N) have equal white noise. The eigenvectors of the summed products of windows with eigenvalues above the
+    The records have equal white noise. The eigenvectors of the summed products of windows with eigenvalues above the
     noise span the space of the poles.
     """
     length = min(_WINDOW, min(part.shape[1] for part in parts) // 2)

@@ -163,10 +163,7 @@ class ApproximateOnset:
 
     @property
     def max_ramp_samples(self) -> float:
-        """Length in samples of the longest plausible ramp.
-
-        The output rises as fast; it is longer if noise hides the start.
-        """
+        """Length in samples of the longest plausible ramp, which noise may lengthen."""
         seen = max(0.9 - max(0.1, _MOTION_SIGMAS / max(self.signal_to_noise, 1e-300)), 0.2)
         return max(self.index_90 - self.index_10, 2.0) * 0.8 / seen**2
 
@@ -199,7 +196,7 @@ def locate_change(samples: FloatArray, near: int | None = None) -> ApproximateOn
 
 
 def _passing(samples: FloatArray, baseline: float, steady: float, share: float, start: int) -> float:
-    """Return the first passage of a share of the change after `start`, linear between samples.
+    """Return the first passage of a share of the change after `start`, between samples.
 
     Several successive samples must have passed, so that noise does not count.
     """
@@ -235,9 +232,8 @@ class Level:
 def ringing_level(samples: FloatArray, poles: ComplexArray, resolution: float) -> Level:
     """Return the level of ringing samples (N,) by least squares.
 
-    Decays of upper poles (M,) are fitted together with the level. Poles are per sample; without poles the level is the
-    mean at rest. The uncertainty includes the correlation of the residual, the last digit, and the deviation of slow
-    noise at the end of the samples that is next to the release.
+    Decays of upper poles (M,) per sample are fitted together with the level. The uncertainty includes the correlation
+    of the residual, the last digit, and slow noise.
     """
     count = len(samples)
     number = np.arange(count, dtype=np.float64)
@@ -280,13 +276,12 @@ def is_white(residual: FloatArray) -> bool:
 def slow_noise(
     columns: FloatArray, residual: FloatArray, gain: FloatArray, variance: float
 ) -> tuple[FloatArray, FloatArray]:
-    """Return variances (S,) of slow cosines in the residual, and their fitted coefficients.
+    """Return variances (S,) of slow cosines in the residual, and their fitted coefficients (K, S).
 
-    Slow noise is drift, hum and 1/f noise; the coefficients that the fit gives each cosine are (K, S). A correlation
-    over lags hardly shows noise as slow as the record. Cosines of 1, 2, … half periods over it are fitted to the
-    residual (N,) one by one, orthogonal to the columns (N, K). Each has the variance that cosines up to an octave above
-    it show beyond white noise of a `variance`, because the fit absorbs most of the slowest itself. `gain` (K, N):
-    coefficients from samples.
+    Drift, hum and 1/f noise hardly show in a correlation over lags. Cosines of 1, 2, … half periods over the record are
+    fitted to the residual (N,) one by one, orthogonal to the columns (N, K). Each has the variance that cosines up to
+    an octave above it show beyond white noise of a `variance`, because the fit absorbs most of the slowest itself.
+    `gain` (K, N): coefficients from samples.
     """
     count = len(residual)
     wave = np.cos(np.pi * np.arange(1, 2 * _SLOW_COSINES + 1) * (np.arange(count)[:, None] + 0.5) / count)
@@ -301,7 +296,7 @@ def slow_noise(
 
 
 def correlation_factor(residual: FloatArray) -> float:
-    """Return the factor by which correlation enlarges the variance of a mean, at least 1.
+    """Return the factor by which correlation enlarges the variance of a mean.
 
     1 + 2Σρ over lags until the sum of two neighbouring ones is within its scatter (Geyer, Stat. Sci. 7, 1992).
     """
@@ -329,8 +324,7 @@ _MAX_NEWTON_STEPS = 40  # for the maximum between bins
 def response_spectrum(ringing: FloatArray, sample_rate_hz: float) -> Spectrum:
     """Return the one-sided amplitude spectrum of ringing samples (N,) about their level.
 
-    The weight is half a Hann window, cos²(πn/2N), which is 1 at the start of the ringing and 0 at its end. A lasting
-    sine has its amplitude.
+    The weight is half a Hann window, 1 at the start of the ringing and 0 at its end. A lasting sine has its amplitude.
     """
     window, count = _window(len(ringing)), _MIN_PADDING * len(ringing)
     even = 1 << max(0, count.bit_length() - 6)  # multiples of which have no large prime factors

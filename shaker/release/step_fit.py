@@ -78,7 +78,7 @@ class StepFit(Arrays, shapes="time_s N; fitted N; residual N; convergence I"):
 def as_step_fit(
     record: StepRecord, reading: ReleaseReading, found: SupportedFit, method: Method, began: float
 ) -> StepFit:
-    """Return a result with its covariance from every sample. `began`: starting time of the identification."""
+    """Return a result with its covariance from every sample."""
     solution = found.solution
     value = record.samples[record.channels.index(reading.channel)]
     whole = every_sample(value, record.time_s, 1.0 / record.sample_rate_hz)
@@ -188,7 +188,7 @@ def fit_shapes(
     method: Literal["pencil", "arx"] = "pencil",
     release: ReleaseOption | None = None,
 ) -> tuple[StepFit, ...]:
-    """Return the result of `fit_step` for each possible shape of the release, the likeliest first.
+    """Return the result of `fit_step` for each possible shape, the likeliest first.
 
     All have the same numbers of poles. The covariance of each does not include the other shapes.
     """
@@ -203,7 +203,7 @@ def fit_shapes(
 
 
 def merge_alternatives(fits: Sequence[StepFit], excess: float | None = None) -> StepFit:
-    """Return the first fit of `fit_shapes`, its uncertainty including fits that are not rejected.
+    """Return the first fit, its uncertainty including fits that are not rejected.
 
     `excess`: χ² of the other fit above the first, default None: that of the record itself.
     """
@@ -224,7 +224,7 @@ def merge_alternatives(fits: Sequence[StepFit], excess: float | None = None) -> 
 
 
 def describe_difference(first: StepFit, other: StepFit) -> str:
-    """Return both release shapes with their real poles in words. "" for a small difference."""
+    """Return both release shapes with their real poles; "" for a small difference."""
     if first.model is None or other.model is None or first.model.covariance is None:
         return ""
     difference = np.abs(other.model.vector - first.model.vector)
@@ -338,10 +338,7 @@ def difference_fit(
 
 
 def load_and_output(record: StepRecord, reading: ReleaseReading, decimation: int) -> FloatArray:
-    """Return load, output above its baseline, and time (3, N).
-
-    The load is the measured one, or a step at the onset that was read.
-    """
+    """Return load (a step unless measured), output above its baseline, time (3, N)."""
     value = record.samples[record.channels.index(reading.channel)] - reading.baseline
     load = record.amplitude * (record.time_s >= reading.onset_s) if record.force is None else record.force
     if record.force is not None:
@@ -350,10 +347,7 @@ def load_and_output(record: StepRecord, reading: ReleaseReading, decimation: int
 
 
 def modal_form(system: LinearSystem) -> ModalModel | None:
-    """Return a continuous system as a sum of modes, None if impossible.
-
-    This is the case with a direct term or double poles, and for a sampled system.
-    """
+    """Return a continuous system as a sum of modes, None if impossible."""
     if system.sample_rate_hz is not None or len(system.zeros) == len(system.poles):
         return None
     gaps = np.abs(system.poles[:, None] - system.poles) + np.diag(np.full(len(system.poles), np.inf))
@@ -489,9 +483,8 @@ def output_errors(
 ) -> FloatArray:
     """Return the squared output errors (P,) of difference equations, infinite above a limit.
 
-    `members` (P, 2n): [b_n, a_n, …, b_1, a_1] each, of H(z) = Σ b z⁻ⁱ/(1 + Σ a z⁻ⁱ). The limit is `most` (P,), at most
-    1e100. `before`: squares of the output before the start of `load` (N,) and `output` (N,). A simulation stops at its
-    limit.
+    `members` (P, 2n): [b_n, a_n, …, b_1, a_1] each, of H(z) = Σ b z⁻ⁱ/(1 + Σ a z⁻ⁱ). A simulation stops at its limit
+    `most` (P,), at most 1e100. `before`: squares of the output before the start of `load` (N,) and `output` (N,).
     """
     count, order = members.shape[0], members.shape[1] // 2
     found = np.full(count, np.inf)
@@ -541,9 +534,8 @@ def fit_all_methods(
 ) -> tuple[StepFit, ...]:
     """Return the fits of one output by several methods, in the order of `methods`.
 
-    All use one reading of the release. `modes` and `real_poles` apply to the two methods with these options. The
-    published methods select their order themselves or use the published three poles. `rng` samples the first
-    generation.
+    All use one reading of the release. `modes` and `real_poles` apply to the two methods with these options; the
+    published ones select their order themselves or use three poles. `rng` samples the first generation.
     """
     reading = reading or read_release(record, channel)
 

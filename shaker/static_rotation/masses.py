@@ -94,10 +94,7 @@ def weight_load(record: RotationRecord, unknowns: FloatArray, sense: int) -> tup
 
 
 def start_values(record: RotationRecord, outputs: SensorOutputs) -> FloatArray:
-    """Return start values of the unknowns (7,) of a recording from the forces.
-
-    Readings for the opposite sense of rotation are refused.
-    """
+    """Return start values (7,) of a recording; the opposite sense of rotation is refused."""
     phasor = outputs.sense * turning_phasor(record, np.zeros(2))
     seen = outputs.determined[:FORCES] & (np.abs(phasor) > MIN_FORCE_SHARE)
     if not seen.any():
@@ -116,7 +113,7 @@ def start_values(record: RotationRecord, outputs: SensorOutputs) -> FloatArray:
 
 
 def turning_phasor(record: RotationRecord, tilt: FloatArray) -> ComplexArray:
-    """Return U (3,), the direction of gravity in sensor axes as a phasor.
+    """Return the direction of gravity in sensor axes as a phasor U (3,).
 
     The axis is tilted along and across gravity at zero angle.
     """
@@ -161,10 +158,7 @@ def mass_of_weight(weight_n: Number, gravity_mps2: Number, air_share: Number | f
 
 
 class WeightErrorSource(NamedTuple):
-    """Independent errors of one kind with their effect on all V numbers of a fit.
-
-    `effect` (V, r): of r unit deviations, with `dof`.
-    """
+    """Independent errors of one kind, `effect` (V, r) of r unit deviations."""
 
     name: str
     kind: Literal["A", "B"]
@@ -407,10 +401,7 @@ def _result(fit: _WeightSolution) -> WeightFit:
 
 
 def _projection(problem: _WeightProblem, r: int, vector: FloatArray) -> ComplexArray:
-    """Return factors (3,) from a force component to the weight, NaN for small components.
-
-    The weight is the real part of the product.
-    """
+    """Return factors (3,) from a force component to the weight, NaN for small ones."""
     unknowns = vector[UNKNOWNS_PER_RECORD * r : UNKNOWNS_PER_RECORD * (r + 1)]
     phasor = problem.outputs.sense * np.exp(1j * unknowns[4]) * turning_phasor(problem.records[r], unknowns[5:])
     size = np.abs(phasor)
@@ -419,10 +410,7 @@ def _projection(problem: _WeightProblem, r: int, vector: FloatArray) -> ComplexA
 
 
 def _sources(fit: _WeightSolution) -> Iterator[WeightErrorSource]:
-    """Yield every cause of error with its effect on all values.
-
-    Deviations that represent the same cause share one effect.
-    """
+    """Yield every cause of error with its effect on all values."""
     problem, vector, outputs = fit.problem, fit.point.parameters, fit.problem.outputs
     count, elements, u_angle = len(problem.records), problem.elements, problem.u_angle_rad
     shared_start, (row, column) = UNKNOWNS_PER_RECORD * count, elements.T
