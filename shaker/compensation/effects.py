@@ -370,7 +370,7 @@ class FeedbackRun(Arrays):
 
 @dataclass(frozen=True, repr=False)
 class _Matrices(Arrays):
-    """Sampled loop with states z and inputs [x_h, v_h, wall, noise]."""
+    """Sampled loop with states z and inputs [x_h, v_h, wall]."""
 
     a: FloatArray
     b: FloatArray
@@ -388,20 +388,16 @@ def simulate_feedback(
     sensor: LinearSystem,
     sections: Sections | None,
     hand_m: FloatArray,
-    *,
     wall_m: float = 0.0,
-    noise: FloatArray | None = None,
 ) -> FeedbackRun:
     """Return the forces as the hand moves along `hand_m` (N,) towards a ball at `wall_m`.
 
     `sensor`: output over force with its load, used over its static gain. `sections`: compensation with static gain 1,
-    None without. `noise` (N,) in N is added to the force from the sensor.
+    None without.
     """
     check_shape("hand_m", hand_m, (None,))
-    added = np.zeros(len(hand_m)) if noise is None else noise
-    check_shape("noise", added, hand_m.shape)
     speed = np.gradient(hand_m) * loop.sample_rate_hz
-    inputs = np.stack([hand_m, speed, np.full(len(hand_m), wall_m), added], axis=1)
+    inputs = np.stack([hand_m, speed, np.full(len(hand_m), wall_m)], axis=1)
     regimes = [_matrices(loop, sensor, sections, contact) for contact in (False, True)]
     limit = RUNAWAY * loop.hand_stiffness * float(np.max(np.abs(hand_m)) + 1e-12)
     forces, state = np.full((len(inputs), 3), np.nan), np.zeros(len(regimes[0].a))
@@ -455,21 +451,20 @@ def _matrices(loop: HapticLoop, sensor: LinearSystem, sections: Sections | None,
         af, bf, cf, df = state_space(replace(sections, gain=1.0))
     total = size + 1 + len(bf)
     output_row = np.concatenate([output, [0.0], np.zeros(len(bf))])
-    indicated, indicated_feed = df * output_row, np.array([0.0, 0.0, 0.0, df])
+    indicated = df * output_row
     indicated[size + 1 :] += cf
-    ball, ball_feed = np.zeros(total), np.zeros(4)
+    ball, ball_feed = np.zeros(total), np.zeros(3)
     if contact:
         ball[0], ball_feed[2] = loop.ball_stiffness, -loop.ball_stiffness
     gain = loop.force_gain
-    a, b = np.zeros((total, total)), np.zeros((total, 4))
+    a, b = np.zeros((total, total)), np.zeros((total, 3))
     a[:size, :size], a[:size, size], b[:size, :2] = plant, drive[:, 2], drive[:, :2]
-    a[size], b[size] = (1.0 + gain) * ball - gain * indicated, (1.0 + gain) * ball_feed - gain * indicated_feed
+    a[size], b[size] = (1.0 + gain) * ball - gain * indicated, (1.0 + gain) * ball_feed
     a[size + 1 :, size + 1 :] = af
     a[size + 1 :] += np.outer(bf, output_row)
-    b[size + 1 :, 3] = bf
-    hand, hand_feed = np.zeros(total), np.array([loop.hand_stiffness, loop.hand_damping, 0.0, 0.0])
+    hand, hand_feed = np.zeros(total), np.array([loop.hand_stiffness, loop.hand_damping, 0.0])
     hand[:2] = -hand_feed[:2]
-    return _Matrices(a, b, np.stack([hand, indicated, ball]), np.stack([hand_feed, indicated_feed, ball_feed]))
+    return _Matrices(a, b, np.stack([hand, indicated, ball]), np.stack([hand_feed, np.zeros(3), ball_feed]))
 
 
 def _plant(loop: HapticLoop, sensor: LinearSystem) -> tuple[FloatArray, FloatArray, FloatArray]:

@@ -488,16 +488,15 @@ def peak_readings(curve: MeasuredCurve) -> PeakReadings:
     )
 
 
-def transmissibility_levels(damping_ratio: float, level: float = 2.0) -> tuple[float, float, float]:
-    """Return r = f/f₀ of the maximum, the lower and upper point at a level.
+def transmissibility_levels(damping_ratio: float) -> tuple[float, float, float]:
+    """Return r = f/f₀ of the maximum, the lower and upper point at half power.
 
-    The transmissibility H is (1 + 2jζr)/(1 - r² + 2jζr). At the level, 1/|H|² is `level` times its value at the
-    maximum. r² solves y² - (2 - 4ζ² + 4ζ²c)y + 1 - c = 0, c = level/|H|²max. The lower r is zero if the level is not
-    reached.
+    The transmissibility H is (1 + 2jζr)/(1 - r² + 2jζr). At half power, r² solves y² - (2 - 4ζ² +
+    4ζ²c)y + 1 - c = 0, c = 2/|H|²max. The lower r is zero if half power is not reached.
     """
     square = 4.0 * damping_ratio**2
     highest = 2.0 / (np.sqrt(1.0 + 2.0 * square) + 1.0)
-    at_level = level * ((1.0 - highest) ** 2 + square * highest) / (1.0 + square * highest)
+    at_level = 2.0 * ((1.0 - highest) ** 2 + square * highest) / (1.0 + square * highest)
     middle = 1.0 - 0.5 * square * (1.0 - at_level)
     root = np.sqrt(middle**2 - 1.0 + at_level)
     return float(np.sqrt(highest)), float(np.sqrt(max(0.0, middle - root))), float(np.sqrt(middle + root))

@@ -12,11 +12,9 @@ from functools import cached_property
 import numpy as np
 
 from shaker.identification.identification_problem import (
-    DELAY_UNIT_S,
     IdentificationProblem,
     ModelledRatios,
     build_problem,
-    factor_name,
     starting_vectors,
     whole_inertia,
 )
@@ -67,19 +65,6 @@ class ModeEstimate:
     u_damping_ratio: float
 
 
-@dataclass(frozen=True)
-class FreeFactor:
-    """Fitted factor `gain` · exp(-s `delay_s`) of one response in one recording."""
-
-    record: str
-    channel: str
-    gain: complex
-    u_gain_relative: float
-    u_gain_phase_rad: float
-    delay_s: float
-    u_delay_s: float
-
-
 @dataclass(frozen=True, repr=False)
 class Identification(Arrays, shapes="estimates P; covariance P P"):
     """Parameters of a structure from all recordings together.
@@ -91,7 +76,6 @@ class Identification(Arrays, shapes="estimates P; covariance P P"):
     derived : b/k of each spring and damper
     modes : of every recording
     unknowns : named errors as estimated
-    factors : free gains and delays
     model, residual : (K, C) per recording, the curve with all estimated errors, and measured minus model
     chi_squared, dof : of the residuals over the stated covariances
     budget : contributions (P,) by cause
@@ -108,7 +92,6 @@ class Identification(Arrays, shapes="estimates P; covariance P P"):
     derived: tuple[ParameterEstimate, ...]
     modes: tuple[ModeEstimate, ...]
     unknowns: tuple[NamedUnknown, ...]
-    factors: tuple[FreeFactor, ...]
     model: tuple[ComplexArray, ...]
     residual: tuple[ComplexArray, ...]
     chi_squared: float
@@ -385,8 +368,6 @@ def identify(
     *,
     stated_values: Mapping[str, tuple[float, float]] | None = None,
     each_recording: Collection[str] = (),
-    gain: Collection[str] = (),
-    delay: Collection[str] = (),
 ) -> Identification:
     """Fit the parameters of a structure to all lines of all recordings together.
 
@@ -400,8 +381,6 @@ def identify(
         (value, u) of parameters that are stated; u = 0 fixes the parameter
     each_recording
         names of the parameters that have a separate value in every recording
-    gain, delay
-        channels whose complex gain or delay is free in every recording, because their scale is not stated
 
     Notes
     -----
@@ -409,7 +388,7 @@ def identify(
     unknown. Uncertain numbers of the load, positions and directions of transducers, and the clock rate are unknowns
     too.
     """
-    problem = build_problem(records, structure, stated_values or {}, each_recording, gain, delay)
+    problem = build_problem(records, structure, stated_values or {}, each_recording)
     lines = sum(2 * record.ratio.value.size for record in records)
     if lines <= np.count_nonzero((problem.precision == 0.0) & ~problem.fixed):
         raise ValueError(f"records: expected more real values than {len(problem.names)} unknowns, found {lines}")
@@ -472,7 +451,6 @@ def _result(
         derived=_lags(problem, state, found),
         modes=_modes(problem, state, found),
         unknowns=tuple(unknowns),
-        factors=_factors(problem, state, found),
         model=model,
         residual=tuple(curve.record.ratio.value - value for curve, value in zip(problem.curves, model, strict=True)),
         chi_squared=noise.chi_squared,
@@ -509,22 +487,3 @@ def _modes(problem: IdentificationProblem, state: FitState, found: UnknownsCovar
             f0 = float(size / (2.0 * np.pi))
             modes.append(ModeEstimate(curve.record.name, number, f0, u_size, ratio, u_ratio))
     return tuple(modes)
-
-
-def _factors(problem: IdentificationProblem, state: FitState, found: UnknownsCovariance) -> tuple[FreeFactor, ...]:
-    indices, unit = {name: index for index, name in enumerate(problem.names)}, np.eye(len(problem.names))
-
-    def of(name: str) -> tuple[float, float]:
-        index = indices.get(name)
-        return (0.0, 0.0) if index is None else (float(state.parameters[index]), found.u(unit[index]))
-
-    factors = []
-    for record in (curve.record for curve in problem.curves):
-        for channel in record.ratio.channels:
-            (size, u_size), (phase, u_phase), (delay, u_delay) = (
-                of(factor_name(kind, record, channel)) for kind in ("ln gain", "gain phase", "delay")
-            )
-            if u_size > 0.0 or u_delay > 0.0:
-                gain, times = complex(np.exp(complex(size, phase))), (delay * DELAY_UNIT_S, u_delay * DELAY_UNIT_S)
-                factors.append(FreeFactor(record.name, channel, gain, u_size, u_phase, *times))
-    return tuple(factors)

@@ -12,7 +12,7 @@ import numpy as np
 from shakercal._common.arrays import Arrays, ComplexArray, FloatArray, check_shape
 from shakercal._common.propagation import derivatives
 
-Method = Literal["tustin", "zoh", "matched"]
+Conversion = Literal["tustin", "zoh"]
 MIN_LAG, MAX_DAMPING = 0.02, 0.999  # smallest share of a shifted lag or frequency; largest |ζ|; chosen
 MAX_TERM_RATIO = 1e5
 """How much larger than their sum the parts of a response may be; beyond, poles count as coinciding."""
@@ -244,33 +244,27 @@ class LinearSystem(Arrays):
         output[:] = self.gain * through
         return state, drive, output
 
-    def sampled(self, rate_hz: float, method: Method = "zoh", prewarp_hz: float | None = None) -> LinearSystem:
+    def sampled(self, rate_hz: float, method: Conversion = "zoh") -> LinearSystem:
         """Return the system of samples at `rate_hz` equivalent to this continuous one.
 
         `zoh`: the same response to a load that is constant between samples, poles exp(p/fs). `tustin`: s = c (z - 1)/(z
-        + 1), c = 2 fs, or ω/tan(ω/2fs) so that H is the same at `prewarp_hz`. `matched`: zeros and poles exp(·/fs),
-        zeros at infinity to z = -1, the same static gain (|H| at fs/100 where that is 0 or infinite).
+        + 1), c = 2 fs.
         """
         if self.sample_rate_hz is not None:
             raise ValueError(f"system: expected a continuous system, found samples at {self.sample_rate_hz} Hz")
         if not rate_hz > 0:
             raise ValueError(f"rate_hz: expected a positive number, found {rate_hz}")
-        if prewarp_hz is not None and method != "tustin":
-            raise ValueError(f"prewarp_hz: expected only with tustin, found with {method}")
         zeros, poles = self.zeros, self.poles
         at_infinity = np.full(len(poles) - len(zeros), -1.0 + 0j)
         if method == "tustin":  # z = (c + s)/(c - s)
-            c = tustin_constant(rate_hz, prewarp_hz)
+            c = 2.0 * rate_hz
             factor = np.prod((c - zeros) / (c - poles[: len(zeros)])) / np.prod(c - poles[len(zeros) :])
             moved = np.concatenate([(c + zeros) / (c - zeros), at_infinity])
             return LinearSystem(moved, (c + poles) / (c - poles), float(np.real(self.gain * factor)), rate_hz)
         z = np.exp(poles / rate_hz)
-        if method == "matched":
-            shape = LinearSystem(np.concatenate([np.exp(zeros / rate_hz), at_infinity]), z, 1.0, rate_hz)
-            return replace(shape, gain=_same_gain(self, shape, rate_hz))
         return LinearSystem.from_residues(z, self._hold_residues() * hold_factor(poles, rate_hz), self.direct, rate_hz)
 
-    def continuous(self, method: Method = "tustin", prewarp_hz: float | None = None) -> LinearSystem:
+    def continuous(self, method: Conversion = "tustin") -> LinearSystem:
         """Return the continuous system equivalent to a sampled one, the inverse of `sampled`.
 
         A real pole or zero at or below z = 0 is refused except for `tustin`, which alone can map it.
@@ -278,21 +272,16 @@ class LinearSystem(Arrays):
         rate = self.sample_rate_hz
         if rate is None:
             raise ValueError("sample_rate_hz: expected a sampled system, found a continuous one")
-        if prewarp_hz is not None and method != "tustin":
-            raise ValueError(f"prewarp_hz: expected only with tustin, found with {method}")
         zeros, poles = self.zeros, self.poles
         left = zeros[zeros != -1]  # those at z = -1 go to infinity
         if method == "tustin":
             if np.any(poles == -1):
                 raise ValueError("poles: expected no pole at z = -1 for the Tustin conversion, found one")
-            c, far = tustin_constant(rate, prewarp_hz), len(poles) - len(zeros)
+            c, far = 2.0 * rate, len(poles) - len(zeros)
             moved = np.concatenate([c * (left - 1) / (left + 1), np.full(far, c + 0j)])
             factor = np.prod(left + 1) * (2 * c) ** (len(zeros) - len(left)) * (-1.0) ** far / np.prod(poles + 1)
             return LinearSystem(moved, c * (poles - 1) / (poles + 1), float(np.real(self.gain * factor)))
         p = logarithms(poles, rate)
-        if method == "matched":
-            shape = LinearSystem(logarithms(left, rate), p, 1.0)
-            return replace(shape, gain=1.0 / _same_gain(shape, self, rate))
         return LinearSystem.from_residues(p, self._hold_residues() / hold_factor(p, rate), self.direct)
 
     def _hold_residues(self) -> ComplexArray:
@@ -311,15 +300,6 @@ class LinearSystem(Arrays):
             )
         zeros, poles = np.concatenate([self.zeros, other.zeros]), np.concatenate([self.poles, other.poles])
         return LinearSystem(zeros, poles, self.gain * other.gain, self.sample_rate_hz)
-
-
-def _same_gain(continuous: LinearSystem, samples: LinearSystem, rate_hz: float) -> float:
-    """Return the gain correction of a sampled system at rest, or at fs/100."""
-    if np.all(continuous.zeros != 0) and np.all(continuous.poles != 0):
-        return continuous.static_gain / samples.static_gain
-    near = np.array([rate_hz / 100])
-    ratio = complex((continuous.response(near) / samples.response(near))[0])
-    return float(np.copysign(abs(ratio), ratio.real))
 
 
 # Roots: conjugate pairs, and conversion between s and z.
@@ -341,15 +321,6 @@ def pair_conjugates(roots: ComplexArray, name: str) -> ComplexArray:
         raise ValueError(f"{name}: expected conjugate pairs, found {left[0].conjugate()} without its conjugate")
     above = above[np.argsort(np.abs(above), kind="stable")]
     return np.concatenate([np.stack([above, above.conj()], axis=1).ravel(), np.sort(real) + 0j])
-
-
-def tustin_constant(rate_hz: float, prewarp_hz: float | None) -> float:
-    """Return c in rad/s of s = c (z - 1)/(z + 1), perhaps prewarped."""
-    if prewarp_hz is None:
-        return 2.0 * rate_hz
-    if not 0 < prewarp_hz < 0.5 * rate_hz:
-        raise ValueError(f"prewarp_hz: expected a frequency between 0 and {0.5 * rate_hz} Hz, found {prewarp_hz}")
-    return float(2 * np.pi * prewarp_hz / np.tan(np.pi * prewarp_hz / rate_hz))
 
 
 def hold_factor(poles: ComplexArray, rate_hz: float) -> ComplexArray:

@@ -200,15 +200,7 @@ class OrderSearch:
     colour: float = 1.0
 
 
-@dataclass(frozen=True)
-class SupportedFit:
-    """A fit that a record supports, and the sums of squares of its steps."""
-
-    solution: OutputErrorFit
-    path: tuple[float, ...]
-
-
-def search_order(search: OrderSearch) -> tuple[SupportedFit, ...]:
+def search_order(search: OrderSearch) -> tuple[OutputErrorFit, ...]:
     """Return the supported fits, one for each candidate load, the likeliest first.
 
     Modes are counted on the decay. One real pole and the length of the release are always fitted: even if they are too
@@ -225,18 +217,16 @@ def search_order(search: OrderSearch) -> tuple[SupportedFit, ...]:
     modes, colour = decay_modes(ringing, search.reading, search.method, search.modes)
     search = replace(search, colour=colour)
     reals = 1 if search.reals is None else search.reals
-    fits = [_fit_one(search, load, modes, reals) for load in search.loads]
-    found = sorted((SupportedFit(fit, fit.path) for fit in fits), key=lambda one: penalised_chi_squared(one.solution))
+    found = sorted((_fit_one(search, load, modes, reals) for load in search.loads), key=penalised_chi_squared)
     first = _with_real(found[0], CLEAR) if search.reals is None else None
-    if first is not None and penalised_chi_squared(first.solution) < penalised_chi_squared(found[0].solution):
+    if first is not None and penalised_chi_squared(first) < penalised_chi_squared(found[0]):
         rest = [_with_real(one, -np.inf) or one for one in found[1:]]
-        found = sorted([first, *rest], key=lambda one: penalised_chi_squared(one.solution))
+        found = sorted([first, *rest], key=penalised_chi_squared)
     return tuple(found)
 
 
-def _with_real(found: SupportedFit, least: float) -> SupportedFit | None:
+def _with_real(plain: OutputErrorFit, least: float) -> OutputErrorFit | None:
     """Return the fit with one more real pole, None without the `least` gain."""
-    plain = found.solution
     structure, order = plain.problem.structure, plain.problem.structure.order
     two = replace(plain.problem, structure=replace(structure, reals=structure.reals + 1))
     starts = [np.insert(plain.vector, order, plain.vector[order - 1] + further) for further in (-0.7, 0.7, 1.6)]
@@ -244,7 +234,7 @@ def _with_real(found: SupportedFit, least: float) -> SupportedFit | None:
     if gain < least * plain.problem.colour:
         return None
     more = solve(*with_loose_prior(two, start, float(np.exp(plain.vector[: structure.modes].max())) / (2 * np.pi)))
-    return SupportedFit(more, found.path + more.path)
+    return replace(more, path=plain.path + more.path)
 
 
 def penalised_chi_squared(fit: OutputErrorFit) -> float:

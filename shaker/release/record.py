@@ -334,10 +334,8 @@ def response_spectrum(ringing: FloatArray, sample_rate_hz: float) -> Spectrum:
     return Spectrum(np.asarray(frequency, dtype=np.float64), np.asarray(amplitude, dtype=np.float64))
 
 
-def spectrum_peaks(
-    ringing: FloatArray, sample_rate_hz: float, noise: float, count: int = 2
-) -> tuple[SpectrumPeak, ...]:
-    """Return up to `count` highest peaks, interpolated between bins, sorted by frequency.
+def spectrum_peaks(ringing: FloatArray, sample_rate_hz: float, noise: float) -> tuple[SpectrumPeak, ...]:
+    """Return up to two highest peaks, interpolated between bins, sorted by frequency.
 
     At a maximum of |X|², X(f) = Σ w·y·exp(-j2πft), white noise of standard deviation `noise` moves the frequency by -Σ
     n·c/(|X|²)'' with c = d(|X|²)'/dy, and the amplitude by Re(X* N)/|X|.
@@ -354,7 +352,7 @@ def spectrum_peaks(
         # level below which the spectrum falls between two peaks
         dip = min(size[top] / 1.5, size[top] - _MIN_DIP_NOISE_RATIO * floor)
         separated = all(np.min(size[min(top, other) : max(top, other) + 1]) < dip for other in order)
-        if separated and len(order) < count:
+        if separated and len(order) < 2:
             order.append(top)
     weighted, near = ringing * window, spectrum.frequency_hz[order].tolist()
     refined = np.array([_refine_peak(weighted, window, sample_rate_hz, hertz, noise) for hertz in near]).reshape(-1, 4)

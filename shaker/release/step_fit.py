@@ -11,12 +11,11 @@ from typing import Any, Literal, cast
 import numpy as np
 
 from shaker.lti.indices import pole_notices
-from shaker.lti.system import LinearSystem, ModalModel
+from shaker.lti.system import Conversion, LinearSystem, ModalModel
 from shaker.model_notices import NO_CONTINUOUS_MODEL, OUTPUT_DIVERGES, RELEASE_SHAPE_UNDETERMINED
-from shaker.release.load_response import ReleaseLoad, average_blocks, every_sample, reduce_to_blocks
+from shaker.release.load_response import ReleaseLoad, every_sample, reduce_to_blocks
 from shaker.release.model_order import (
     OrderSearch,
-    SupportedFit,
     add_numerator_terms,
     fit_all_orders,
     fit_notices,
@@ -24,7 +23,15 @@ from shaker.release.model_order import (
     search_order,
     with_loose_prior,
 )
-from shaker.release.output_error import OutputErrorProblem, PoleStructure, fit_covariance, modal_model, solve, squares
+from shaker.release.output_error import (
+    OutputErrorFit,
+    OutputErrorProblem,
+    PoleStructure,
+    fit_covariance,
+    modal_model,
+    solve,
+    squares,
+)
 from shaker.release.reading import read_release
 from shaker.release.record import ReleaseReading, ReleaseShape, StepRecord
 from shakercal._common.arrays import Arrays, FloatArray
@@ -76,10 +83,9 @@ class StepFit(Arrays, shapes="time_s N; fitted N; residual N; convergence I"):
 
 
 def as_step_fit(
-    record: StepRecord, reading: ReleaseReading, found: SupportedFit, method: Method, began: float
+    record: StepRecord, reading: ReleaseReading, solution: OutputErrorFit, method: Method, began: float
 ) -> StepFit:
     """Return a result with its covariance from every sample."""
-    solution = found.solution
     value = record.samples[record.channels.index(reading.channel)]
     whole = every_sample(value, record.time_s, 1.0 / record.sample_rate_hz)
     covariance = fit_covariance(solution, whole)
@@ -101,7 +107,7 @@ def as_step_fit(
         decimation=decimation,
         order=solution.problem.structure.order,
         variance_accounted=1.0 - float(np.sum(covariance.residual**2) / np.sum((value - value.mean()) ** 2)),
-        convergence=np.array(found.path),
+        convergence=np.array(solution.path),
         duration_s=time.perf_counter() - began,
         onset_s=middle - 0.5 * length if timed else reading.onset_s,
         u_onset_s=covariance.u_onset_s if timed else reading.u_onset_s,
@@ -198,7 +204,7 @@ def fit_shapes(
         OrderSearch(whole, reading, candidate_loads(record, reading, release), method, modes, real_poles)
     )
     fits = [as_step_fit(record, reading, one, method, began) for one in found]
-    least, *_ = costs = [penalised_chi_squared(one.solution) for one in found]
+    least, *_ = costs = [penalised_chi_squared(one) for one in found]
     return tuple(replace(fit, excess=cost - least) for fit, cost in zip(fits, costs, strict=True))
 
 
@@ -262,22 +268,20 @@ def fit_sim(
     *,
     reading: ReleaseReading | None = None,
     order: int | None = None,
-    conversion: Literal["tustin", "zoh"] = "tustin",
-    decimation: int = 1,
-    most: int = 9,
+    conversion: Conversion = "tustin",
 ) -> StepFit:
     """Fit order and parameters of a difference equation simultaneously; return it as a continuous model.
 
-    `order`: number of poles, by the bend of the loss over order 1 … `most` if None. `conversion` to continuous time:
+    `order`: number of poles, by the bend of the loss over order 1 … 9 if None. `conversion` to continuous time:
     "tustin" as in the published model of 100 kHz samples, or "zoh", exact for a load that is constant between samples.
-    `decimation`: samples averaged to one before the fit. `system.sampled(sample_rate_hz, conversion)` is the difference
-    equation. The result has no covariance. Output noise biases the least squares of the equation error, increasingly
-    with the sampling rate: at 100 kHz and 40 dB the damping of a mode of ζ = 0.015 is several times too large.
+    `system.sampled(sample_rate_hz, conversion)` is the difference equation. The result has no covariance. Output noise
+    biases the least squares of the equation error, increasingly with the sampling rate: at 100 kHz and 40 dB the
+    damping of a mode of ζ = 0.015 is several times too large.
     """
     began = time.perf_counter()
     reading = reading or read_release(record, channel)
-    signals = load_and_output(record, reading, decimation)
-    orders = fit_all_orders(signals[0], signals[1], record.sample_rate_hz / decimation, most)
+    signals = load_and_output(record, reading)
+    orders = fit_all_orders(*signals, record.sample_rate_hz)
     direct = conversion == "tustin"
     chosen = order or orders.bend(direct)
     fit = difference_fit(record, reading, orders.system(chosen, direct), conversion, signals, orders.loss(direct))
@@ -288,24 +292,23 @@ def difference_fit(
     record: StepRecord,
     reading: ReleaseReading,
     sampled: LinearSystem,
-    conversion: Literal["tustin", "zoh"],
-    signals: FloatArray,
+    conversion: Conversion,
+    signals: tuple[FloatArray, FloatArray],
     convergence: FloatArray,
 ) -> StepFit:
-    """Return the fit of a difference equation to signals (3, N) of `load_and_output`.
+    """Return the fit of a difference equation to the signals of `load_and_output`.
 
     If a pole has no continuous counterpart, the sampled system is returned with a notice.
     """
     from scipy.signal import sosfilt
 
-    (load, output, time_s), where = signals, f"{record.name}, {reading.channel}"
-    decimation = record.samples.shape[1] // len(time_s)
-    rate, system, notices = record.sample_rate_hz / decimation, sampled, tuple[Notice, ...]()
+    (load, output), where = signals, f"{record.name}, {reading.channel}"
+    system, notices = sampled, tuple[Notice, ...]()
     try:
         system = sampled.continuous(conversion)
     except ValueError as error:
         notices = (Notice(NO_CONTINUOUS_MODEL, where, reason=str(error)),)
-    notices += pole_notices(system, rate)
+    notices += pole_notices(system, record.sample_rate_hz)
     with np.errstate(over="ignore", invalid="ignore"):
         fitted = np.asarray(sosfilt(sampled.sections(), load))
     if not np.all(np.isfinite(fitted)):
@@ -320,11 +323,11 @@ def difference_fit(
         unit=record.unit,
         model=modal_form(system),
         system=system,
-        time_s=time_s,
+        time_s=record.time_s,
         fitted=fitted + reading.baseline,
         residual=output - fitted,
-        sample_rate_hz=rate,
-        decimation=decimation,
+        sample_rate_hz=record.sample_rate_hz,
+        decimation=1,
         order=len(sampled.poles),
         variance_accounted=accounted,
         convergence=convergence,
@@ -337,13 +340,13 @@ def difference_fit(
     )
 
 
-def load_and_output(record: StepRecord, reading: ReleaseReading, decimation: int) -> FloatArray:
-    """Return load (a step unless measured), output above its baseline, time (3, N)."""
+def load_and_output(record: StepRecord, reading: ReleaseReading) -> tuple[FloatArray, FloatArray]:
+    """Return load (N,), a step unless measured, and output (N,) above its baseline."""
     value = record.samples[record.channels.index(reading.channel)] - reading.baseline
     load = record.amplitude * (record.time_s >= reading.onset_s) if record.force is None else record.force
     if record.force is not None:
         load = load - np.mean(load[record.time_s < reading.onset_s])
-    return average_blocks(np.stack([load, value, record.time_s]), decimation)
+    return np.asarray(load), value
 
 
 def modal_form(system: LinearSystem) -> ModalModel | None:
@@ -374,6 +377,7 @@ HUGE = 1e100  # loss above which a model has grown without bound
 Losses = Callable[[FloatArray, FloatArray], FloatArray]
 """Function from members (P, N) and their largest losses (P,) to losses (P,), infinite above the largest."""
 POPULATION, GENERATIONS, BOUND = 100, 500, 5.0  # the published settings
+_ORDER = 3  # poles of a fit: a mode and a real pole
 _FEWER = (30, 40)  # members and generations for three bounded parameters
 _DAMPING = (1e-4, 0.5)
 _BLOCKS = 1000  # blocks of the record in the evolution
@@ -421,53 +425,48 @@ def fit_evolution(
     rng: np.random.Generator,
     reading: ReleaseReading | None = None,
     parametrisation: Literal["coefficients", "modes"] = "modes",
-    order: int = 3,
 ) -> StepFit:
     """Fit a model of one output by differential evolution (rand/1/bin, mutation 0.8, crossover 0.7).
 
     "coefficients": as published, [b_n, a_n, …, b_1, a_1] of H(z) = Σ b z⁻ⁱ/(1 + Σ a z⁻ⁱ) within ±5, population 100, 500
     generations. The loss is the squared output error; `convergence` is that of the best member over the generations.
-    "modes": fn, ζ and a real pole for order 3 (fn, ζ for order 2), the numerator by linear least squares. The default
+    "modes": fn, ζ and a real pole, the numerator by linear least squares. The default
     method then continues from the best member and gives the covariance.
     """
     began = time.perf_counter()
     reading = reading or read_release(record, channel)
     if parametrisation == "coefficients":
-        return _published(record, reading, rng, order, began)
-    if order not in (2, 3):
-        raise ValueError(f"order: expected 2 or 3 for modes, found {order}")
+        return _published(record, reading, rng, began)
     value = record.samples[record.channels.index(channel)]
     whole = every_sample(value, record.time_s, 1.0 / record.sample_rate_hz)
     margin, onset_s = reading.rise_s + reading.release_s, reading.onset_s
     samples = reduce_to_blocks(whole, onset_s - margin, onset_s + 2.0 * margin, max(1, len(value) // _BLOCKS))
-    structure, blank = PoleStructure(1, order - 2, order, 1.0 / reading.rise_s), np.zeros(order + 1)
+    structure, blank = PoleStructure(1, 1, _ORDER, 1.0 / reading.rise_s), np.zeros(_ORDER + 1)
     problem = OutputErrorProblem(structure, ReleaseLoad("step", record.amplitude), samples, blank, blank, onset_s)
     span_s, block_s = samples.time_s[-1] - samples.time_s[0], samples.step_s * samples.length.max()
     slow, fast, edge = np.log(2 * np.pi * np.array([2.0 / span_s, 0.1 / block_s, 0.4 / samples.step_s])).tolist()
     # ln ω from two periods in the record to a tenth of the blocks' rate, ζ, ln a up to 0.4 of the samples' rate
-    bounds = [(slow, fast), _DAMPING, *[(slow, edge)] * structure.reals]
+    bounds = [(slow, fast), _DAMPING, (slow, edge)]
 
     def losses(members: FloatArray, _: FloatArray) -> FloatArray:
-        vectors = np.insert(members, order, onset_s, axis=1)  # groups that fit the cache of the processor
+        vectors = np.insert(members, _ORDER, onset_s, axis=1)  # groups that fit the cache of the processor
         return np.concatenate([squares(problem, part)[:, -1] for part in np.array_split(vectors, _FEWER[0] // 10)])
 
     best, path = evolve(losses, bounds, rng, _FEWER)
     hz = float(np.exp(best[0])) / (2 * np.pi)
     start = np.append(best, onset_s)
     plain = replace(problem, structure=replace(structure, terms=1, scale=2 * np.pi * hz))
-    solution = add_numerator_terms(solve(*with_loose_prior(plain, start, hz)), [start] * order, hz)
-    return as_step_fit(record, reading, SupportedFit(solution, path), "evolution", began)
+    solution = add_numerator_terms(solve(*with_loose_prior(plain, start, hz)), [start] * _ORDER, hz)
+    return as_step_fit(record, reading, replace(solution, path=path), "evolution", began)
 
 
-def _published(
-    record: StepRecord, reading: ReleaseReading, rng: np.random.Generator, order: int, began: float
-) -> StepFit:
+def _published(record: StepRecord, reading: ReleaseReading, rng: np.random.Generator, began: float) -> StepFit:
     """Return the model by the published method, in coefficients of the difference equation."""
-    signals = load_and_output(record, reading, 1)
+    signals = load_and_output(record, reading)
     begin = int(np.argmax(signals[0] != 0.0))  # no model responds before it
-    load, output = signals[:2, begin:]
-    before = float(np.sum(signals[1, :begin] ** 2))
-    bounds = [(-BOUND, BOUND)] * (2 * order)
+    load, output = signals[0][begin:], signals[1][begin:]
+    before = float(np.sum(signals[1][:begin] ** 2))
+    bounds = [(-BOUND, BOUND)] * (2 * _ORDER)
     errors = compiled_output_errors()
     best, path = evolve(
         lambda members, most: errors(members, most, load, output, before), bounds, rng, (POPULATION, GENERATIONS)
@@ -475,7 +474,7 @@ def _published(
     top, bottom = np.append(0.0, best[-2::-2]), np.append(1.0, best[::-2])
     sampled = LinearSystem.from_coefficients(top, bottom, record.sample_rate_hz)
     fit = difference_fit(record, reading, sampled, "zoh", signals, np.array(path))
-    return replace(fit, order=order, duration_s=time.perf_counter() - began)
+    return replace(fit, duration_s=time.perf_counter() - began)
 
 
 def output_errors(

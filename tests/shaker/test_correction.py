@@ -81,7 +81,7 @@ def test_output_factor_is_that_of_the_equations_of_motion(drive):
     assert np.allclose(one.output_factor(at, load), expected, rtol=1e-9)
 
 
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=12, deadline=None)
 @given(
     drive=st.sampled_from(DRIVES),
     mass=st.floats(0.1, 20.0),
@@ -140,9 +140,9 @@ def test_band_of_a_moving_base_is_that_of_the_chain():
 def test_uncertainty_of_the_edge_is_that_of_draws(drive, chain, phase):
     one, load, rng = model(chain, relative=0.01), Load(MASS, drive, 0.02), np.random.default_rng(4)
     band = usable_band(one, load, 0.05, phase)
-    edges = [usable_band(*drawn(one, load, rng), 0.05, phase).upper_hz for _ in range(200)]
-    assert np.std(edges) == pytest.approx(band.u_upper_hz, rel=0.16)
-    assert np.mean(edges) == pytest.approx(band.upper_hz, abs=4.0 * band.u_upper_hz / np.sqrt(200))
+    edges = [usable_band(*drawn(one, load, rng), 0.05, phase).upper_hz for _ in range(80)]
+    assert np.std(edges) == pytest.approx(band.u_upper_hz, rel=0.25)
+    assert np.mean(edges) == pytest.approx(band.upper_hz, abs=4.0 * band.u_upper_hz / np.sqrt(80))
 
 
 def test_sensitivity_and_mechanics_join():
@@ -153,7 +153,7 @@ def test_sensitivity_and_mechanics_join():
         [[1.0, 0.2, 0.8], [0.2, 1.0, 0.1], [0.8, 0.1, 1.0]]
     )
     distance, errors = [], []
-    for _ in range(150):
+    for _ in range(60):
         found = mechanics + root @ rng.standard_normal(3)
         spring = replace(resonance(u_b=0.3), k=float(found[0]), b=float(found[1]), r_kb=0.2)
         one = sensor_model(fit_chain(measured(lag(FREQUENCY), rng), "lag", spring), found, root @ root.T)
@@ -163,8 +163,8 @@ def test_sensitivity_and_mechanics_join():
         correlation = one.covariance / np.multiply.outer(size, size)
         distance.append(float(error / size @ np.linalg.solve(correlation, error / size)))
         errors.append(error / size)
-    assert np.mean(distance) == pytest.approx(5.0, abs=4.5 * np.sqrt(10.0 / 150))
-    assert np.std(errors, axis=0) == pytest.approx(np.ones(5), abs=0.18)
+    assert np.mean(distance) == pytest.approx(5.0, abs=4.5 * np.sqrt(10.0 / 60))
+    assert np.std(errors, axis=0) == pytest.approx(np.ones(5), abs=0.3)
     with pytest.raises(ValueError, match=r"^fit: "):
         sensor_model(fit_chain(measured(lag(FREQUENCY)), "lag", None), mechanics, root @ root.T)
 
@@ -180,14 +180,14 @@ def test_phasors_are_corrected_with_the_uncertainty_of_the_model():
     assert np.allclose(corrected.phasors.value, force, rtol=1e-12)
     rng, size = np.random.default_rng(8), 1e-4 * STATIC
     draws = []
-    for _ in range(2000):
+    for _ in range(800):
         other, moved = drawn(one, load, rng)
         read = output[:, 0] + size * (rng.standard_normal(3) + 1j * rng.standard_normal(3))
         draws.append(read / other.output_factor(at, moved))
     spread = np.array(draws) - force[:, 0]
     for line in range(3):
         expected = np.cov(spread[:, line].real, spread[:, line].imag)
-        assert np.allclose(corrected.covariance[line], expected, atol=0.12 * expected.trace())
+        assert np.allclose(corrected.covariance[line], expected, atol=0.2 * expected.trace())
     refused("^phasors: .*V", correct_phasors, replace(phasors, unit=("V",)), one, load)
 
 
@@ -219,7 +219,7 @@ def test_record_is_corrected():
     assert np.all(found.u == 0.0)
 
 
-@settings(max_examples=15, deadline=None)
+@settings(max_examples=8, deadline=None)
 @given(delay=st.floats(-3e-4, 3e-4), index=st.integers(0, 200), size=st.floats(1.0, 1e6))
 def test_one_end_does_not_see_the_other(delay, index, size):
     one, load = model(ChainModel("delay", np.array([delay]))), Load(MASS, "base")
@@ -247,13 +247,13 @@ def test_uncertainty_of_a_record_is_that_of_draws():
     found = correct_record(output, RATE, one, load, BAND, u_noise=u_noise)
     rng = np.random.default_rng(9)
     draws = []
-    for _ in range(150):
+    for _ in range(60):
         other, moved = drawn(one, load, rng)
         read = output + u_noise * rng.standard_normal(len(output))
         draws.append(correct_record(read, RATE, other, moved, BAND).force)
     ratio = (np.std(draws, axis=0) / found.u)[slice(found.settling, -found.settling)]
-    assert np.mean(ratio) == pytest.approx(1.0, abs=0.06)  # the model's few causes err alike at all times
-    assert np.abs(ratio - 1.0).max() < 0.4
+    assert np.mean(ratio) == pytest.approx(1.0, abs=0.1)  # the model's few causes err alike at all times
+    assert np.abs(ratio - 1.0).max() < 0.6
     assert np.allclose(
         np.sum(found.errors**2, axis=0) + (found.u**2 - np.sum(found.errors**2, axis=0)).mean(), found.u**2
     )

@@ -63,7 +63,7 @@ def notices_at(found: Identification, where: str) -> dict[str, Notice]:
     return {notice.code: notice for notice in found.notices if notice.where == where}
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=12, deadline=None)
 @given(
     k=st.floats(1e6, 1e9),
     zeta=st.floats(2e-3, 0.1),
@@ -118,18 +118,16 @@ def test_resonances_that_no_load_on_a_spring_has_are_named():
 
 def test_one_recording_agrees_with_the_fit_of_one_resonance():
     record = twin(4.236, noise=0.05, rng=np.random.default_rng(4))
-    found = identify(
-        [replace_ratio(record, noise=0.05)], VERTICAL, stated_values={"internal_mass": (MI, 0.0)}, gain=["top 1"]
-    )
+    gain = [CurveError(name, np.full((len(record.s), 1), by)) for name, by in (("size", 0.5), ("turn", 0.5j))]
+    free = replace_ratio(record, noise=0.05, errors=gain)  # a gain that hardly anything is stated of
+    found = identify([free], VERTICAL, stated_values={"internal_mass": (MI, 0.0)})
     curve = MeasuredCurve(record.ratio.frequency_hz, record.ratio.value[:, 0], record.ratio.covariance)
     fit = fit_resonance(curve, "transmissibility")
-    (mode,), (factor,) = found.modes, found.factors
+    (mode,) = found.modes
     assert mode.frequency_hz == pytest.approx(fit.frequency_hz, abs=5e-3 * fit.u("frequency_hz"))
     assert mode.damping_ratio == pytest.approx(fit.damping_ratio, abs=5e-3 * fit.u("damping_ratio"))
     assert mode.u_frequency_hz == pytest.approx(fit.u("frequency_hz"), rel=0.02)
     assert mode.u_damping_ratio == pytest.approx(fit.u("damping_ratio"), rel=0.02)
-    assert abs(factor.gain - fit.gain) < 5e-3 * fit.u("gain_re")
-    assert factor.u_gain_relative == pytest.approx(fit.u("gain_re") / abs(fit.gain), rel=0.1)
     assert found.chi_squared == pytest.approx(fit.chi_squared, rel=1e-4)
 
 
@@ -169,22 +167,6 @@ def test_a_clock_moves_the_stiffness_by_twice_its_error():
     assert [unknown.name for unknown in found.unknowns] == ["clock"]
 
 
-def test_unstated_gain_and_delay():
-    recordings = []
-    for load, gain, delay in zip(LOADS, (3.0 * np.exp(1j), 0.4), (2e-5, -3e-6), strict=True):
-        record = twin(load)
-        recordings.append(
-            replace_ratio(record, record.ratio.value[:, 0] * gain * np.exp(-record.s * delay), noise=1e-5)
-        )
-    found = identify(recordings, VERTICAL, gain=["top 1"], delay=["top 1"])
-    assert found.value("stiffness_z") == pytest.approx(K, rel=1e-5)
-    assert found.value("damping_z") == pytest.approx(B, rel=1e-4)
-    assert [factor.delay_s for factor in found.factors] == pytest.approx([2e-5, -3e-6], abs=3e-9)
-    assert found.factors[0].gain == pytest.approx(3.0 * np.exp(1j), rel=1e-3)
-    assert np.abs(found.residual[0]).max() < 1e-5
-    np.testing.assert_allclose(found.model[1], recordings[1].ratio.value, atol=1e-4)
-
-
 def test_a_window_that_adds_decay_is_no_damping():
     frequency = lines(LOADS[0] + MI)
     value = oscillator(40.0 + 2j * np.pi * frequency, LOADS[0] + MI, K, B)
@@ -193,7 +175,7 @@ def test_a_window_that_adds_decay_is_no_damping():
     assert found.value("damping_z") == pytest.approx(B, rel=1e-4)
 
 
-@settings(max_examples=10, deadline=None)
+@settings(max_examples=5, deadline=None)
 @given(mass=st.floats(0.1, 10.0), time=st.floats(0.1, 10.0))
 def test_units_scale(mass, time):
     rng = np.random.default_rng(6)
@@ -317,7 +299,6 @@ def test_what_cannot_be_fitted_is_refused_with_a_reason():
         ([record, record], {}, "^records: .*4.236 kg, 4.236 kg"),
         ([record], {"stated_values": {"mass": (1.0, 0.0)}}, "^stated_values: .*stiffness_z"),
         ([record], {"stated_values": {"internal_mass": (1.0, -1.0)}}, "^stated_values: .*internal_mass"),
-        ([record], {"gain": ["side"]}, "^gain, delay: .*top 1.*side"),
         ([record], {"each_recording": ["damping_x"]}, "each_recording"),
         ([across], {}, "^records: .*4.236 kg"),
         ([few], {}, "^records: .* 3 .* 2$"),
@@ -334,13 +315,13 @@ def test_covariances_from_few_periods_give_the_scatter():
     deviation, mass = [], LOADS[0] + MI
     frequency = lines(mass, count=60)
     value = oscillator(2j * np.pi * frequency, mass, K, B)
-    for _ in range(120):
+    for _ in range(50):
         record = recording("a", frequency, value, rigid_mass(LOADS[0]), ALONG_Z, noise=0.05, rng=rng, dof=8.0)
         found = identify([record], VERTICAL, stated_values={"internal_mass": (MI, 0.0)})
         assert found.notices == ()  # χ²/dof of 8/6 is what such covariances leave
         deviation.append([(found.value(n) - t) / found.u(n) for n, t in (("stiffness_z", K), ("damping_z", B))])
-    # 240 values: standard deviation of their scatter 0.046.
-    assert np.sqrt(np.mean(np.square(deviation))) == pytest.approx(1.0, abs=0.14)
+    # 100 values: standard deviation of their scatter 0.07.
+    assert np.sqrt(np.mean(np.square(deviation))) == pytest.approx(1.0, abs=0.2)
 
 
 @pytest.mark.slow

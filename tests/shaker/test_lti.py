@@ -17,7 +17,6 @@ from shaker.model_notices import ALTERNATING_POLE, POLE_ABOVE_NYQUIST, UNSTABLE_
 from shakercal._common.arrays import FloatArray
 
 RATE = 1e5
-METHODS = ("zoh", "tustin", "matched")
 
 
 def lti(poles, gain=1.0, zeros=(), rate=None) -> LinearSystem:
@@ -72,33 +71,12 @@ def test_zoh_gives_the_step_response_at_every_sample(system):
     assert np.abs(found - system.step(time)).max() < 1e-7 * np.abs(system.step(time)).max()
 
 
-def test_tustin_with_prewarp_keeps_one_frequency():
-    system, hertz = third_order(), np.array([1700.0, 4000.0])
-    warped = system.sampled(20e3, "tustin", prewarp_hz=1700.0).response(hertz)
-    true = system.response(hertz)
-    assert abs(warped[0] / true[0] - 1) < 1e-10
-    assert abs(warped[1] / true[1] - 1) > 1e-2
-    back = system.sampled(20e3, "tustin", prewarp_hz=1700.0).continuous("tustin", prewarp_hz=1700.0)
-    assert np.allclose(back.response(hertz), true, rtol=1e-10)
-
-
-def test_matched_has_the_poles_and_the_static_gain():
-    system = with_zeros()
-    found = system.sampled(RATE, "matched")
-    assert np.allclose(np.sort_complex(found.poles), np.sort_complex(np.exp(system.poles / RATE)), rtol=1e-14)
-    assert found.static_gain == pytest.approx(system.static_gain, rel=1e-12)
-    differentiating = lti(system.poles, zeros=[0])
-    near = np.array([RATE / 100])
-    gains = abs(differentiating.sampled(RATE, "matched").response(near)), abs(differentiating.response(near))
-    assert gains[0] == pytest.approx(gains[1], rel=1e-12)
-
-
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=20, deadline=None)
 @given(
     hertz=st.floats(20.0, 8000.0),
     damping=st.floats(1e-4, 0.9),
     real=st.floats(50.0, 9000.0),
-    method=st.sampled_from(METHODS),
+    method=st.sampled_from(["zoh", "tustin"]),
 )
 def test_conversions_are_inverse(hertz, damping, real, method):
     system = third_order(hertz, damping, real)
@@ -112,16 +90,12 @@ def test_conversions_are_inverse(hertz, damping, real, method):
 
 def test_wrong_conversions_are_refused():
     turning = LinearSystem.from_coefficients(np.array([1.0, 0.0]), np.array([1.0, -0.3, -0.5]), RATE)
-    for method in ("zoh", "matched"):  # a pole that turns its sign with every sample
-        refused("^system: .*z = 0", turning.continuous, method)
+    refused("^system: .*z = 0", turning.continuous, "zoh")  # a pole that turns its sign with every sample
     assert turning.continuous("tustin").poles.real.max() < 0
     system = third_order()
     samples = system.sampled(RATE)
     refused("^system: ", samples.sampled, RATE)
     refused("^sample_rate_hz: ", system.continuous)
-    refused("prewarp_hz", system.sampled, RATE, "zoh", prewarp_hz=100.0)
-    refused("prewarp_hz", samples.continuous, "zoh", prewarp_hz=100.0)
-    refused("prewarp_hz", system.sampled, RATE, "tustin", prewarp_hz=RATE)
     refused("rate_hz", system.sampled, 0.0)
     refused("^poles: ", lti([-5.0, -5.0], 25.0).sampled, RATE, "zoh")
     refused("z = -1", lti([-1.0], rate=RATE).continuous)
@@ -317,7 +291,7 @@ def test_a_narrow_resonance_far_above_ends_the_band():
     assert found.modes[0].step_share == pytest.approx(1e-4, rel=1e-3)
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=12, deadline=None)
 @given(
     hertz=st.lists(st.floats(100.0, 5000.0), min_size=2, max_size=2),
     damping=st.lists(st.floats(0.003, 0.8), min_size=2, max_size=2),
@@ -369,7 +343,7 @@ def test_samples_agree_with_the_continuous_system():
 def test_bands_without_an_end_and_bands_that_do_not_begin():
     lead = lti([-102], 1.02, [-100])
     assert (indices(lead).band_5_hz, indices(lead).half_power_hz) == (np.inf, None)
-    assert indices(lead.sampled(1e4, "matched")).band_5_hz == pytest.approx(5e3)
+    assert indices(lead.sampled(1e4, "tustin")).band_5_hz == pytest.approx(5e3)
     off_nominal = indices(oscillator(500.0, 0.1, 1.13))
     assert off_nominal.band_5_nominal_hz is off_nominal.band_10_nominal_hz is None
     assert off_nominal.band_5_hz is not None

@@ -67,7 +67,7 @@ def chain_of(parts: list[tuple[float, float, float]]) -> MassChain:
     return MassChain(names, 5.0 * 10 ** logs[:, 0], 3e8 * 10 ** logs[:, 1], 800.0 * 10 ** logs[:, 2])
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=12, deadline=None)
 @given(chain=st.lists(st.tuples(DECADE, DECADE, DECADE), min_size=1, max_size=5).map(chain_of))
 def test_a_chain_agrees_with_state_space_and_is_rigid_at_low_frequency(chain):
     a, b, c = state_space(chain)

@@ -37,10 +37,13 @@ from shaker.release.step_fit import (
     compiled_output_errors,
     fit_all_methods,
     fit_evolution,
+    fit_shapes,
     fit_sim,
     fit_step,
+    merge_alternatives,
 )
 from shakercal._common.arrays import ComplexArray, FloatArray
+from shakercal._common.fitting import REJECT_CHI2
 
 RATE_HZ, AMPLITUDE = 100e3, 50.0
 SENSOR = ((1700.0, 0.015),), (6000.0,)
@@ -117,7 +120,8 @@ def one_mode(record: StepRecord, onset_s: float = ONSET, release_s: float = 0.0,
     return fit_step(record, "Fz", reading=rough(record, onset_s, release_s), **{"modes": 1, "real_poles": 1, **choice})
 
 
-def fitted(level_db: float, seed: int, method: str = "pencil") -> StepFit:
+@cache
+def fitted(level_db: float, seed: int = 100, method: str = "pencil") -> StepFit:
     return one_mode(record_of(clean(), ring_rms(clean(), ONSET) * 10 ** (-level_db / 20), seed), method=method)
 
 
@@ -131,7 +135,7 @@ def scores(fit: StepFit) -> FloatArray:
 
 @pytest.mark.parametrize(("level", "frequency", "damping"), [(60, 2e-6, 1e-4), (40, 2e-5, 1e-3), (20, 2e-4, 5e-3)])
 def test_published_case_within_its_bars(level, frequency, damping):
-    models = [fitted(level, seed).model for seed in range(9)]
+    models = [fitted(level, seed).model for seed in range(100, 103)]
     errors = [[abs(m.frequency_hz[0] / 1700.0 - 1.0), abs(m.damping_ratio[0] / 0.015 - 1.0)] for m in models]
     assert np.all(np.median(errors, axis=0) < [frequency, damping])
     if level < 60:
@@ -140,7 +144,7 @@ def test_published_case_within_its_bars(level, frequency, damping):
 
 def test_uncertainty_is_the_cramer_rao_bound_of_a_decaying_sine():
     """The variance is 2 s² Δ (2σ)³/A² for the decay rate σ of A·exp(-σt)·cos(ωt) in white noise, and the same for ω."""
-    model, u = model_of(fitted(40, 1))
+    model, u = model_of(fitted(40))
     decay, noise = 2 * np.pi * 1700.0 * 0.015, ring_rms(clean(), ONSET) * 0.01
     amplitude = 2 * abs(model.residue[0] / model.poles[0])
     bound = np.sqrt(2 * noise**2 / RATE_HZ * (2 * decay) ** 3) / amplitude
@@ -148,13 +152,13 @@ def test_uncertainty_is_the_cramer_rao_bound_of_a_decaying_sine():
 
 
 def test_both_starts_reach_the_same_optimum():
-    pencil, arx = (model_of(fitted(40, 3, method))[0] for method in ("pencil", "arx"))
+    pencil, arx = (fitted(40, method=method).model for method in ("pencil", "arx"))
     np.testing.assert_allclose(arx.vector, pencil.vector, rtol=1e-4)
 
 
 def test_intervals_cover_the_truth():
     """Errors at 40 dB over their u: resonance, damping, low-pass, static gain."""
-    coverage_contract(lambda seed: (scores(fitted(40, 100 + seed)), np.full(4, 1.96)), np.zeros(4), 16)
+    coverage_contract(lambda seed: (scores(fitted(40, 100 + seed)), np.full(4, 1.96)), np.zeros(4), 8)
 
 
 def band_hz(model: ModalModel | LinearSystem) -> float:
@@ -198,7 +202,7 @@ def test_coloured_noise_enlarges_the_uncertainty():
     from scipy.signal import butter, sosfilt
 
     output, found = clean(), []
-    for seed in range(12):
+    for seed in range(5):
         white = np.random.default_rng(seed).standard_normal(len(output) + 500)
         noise = 2e-3 * sosfilt(butter(4, 5e3, fs=RATE_HZ, output="sos"), white)[500:]
         fit = one_mode(record_of(output + noise, 0.0, 0))
@@ -227,7 +231,7 @@ def drift(time_s: FloatArray, rng: np.random.Generator) -> FloatArray:
 def test_what_is_as_slow_as_the_record_is_in_the_uncertainty_of_the_gain(slow):
     """The size of white noise each; by its correlation over lags alone errors were 2.4 to 6 u, of readings 2 to 4."""
     output, fits, readings = clean(), [], []
-    for seed in range(8):
+    for seed in range(3):
         added = slow(np.arange(len(output)) / RATE_HZ, np.random.default_rng(100 + seed))
         record = record_of(output + 2e-3 * added, 2e-3, seed)
         fits.append(scores(one_mode(record)))
@@ -325,16 +329,14 @@ def test_an_undetermined_shape_is_in_the_uncertainty(length, level):
     low-pass filters of 6 and of 3.3 kHz. The line was taken for it where the length as read was not clear."""
     output = released(sensor(*SENSOR), onset_s=ONSET, length_s=length, shape="smooth")
     noise = ring_rms(clean(), ONSET) * 10 ** (-level / 20)
-    for seed in range(4):
-        fit = fit_step(record_of(output, noise, seed), "Fz")
-        assert np.abs(scores(fit)).max() < 3.5
-        fits = [fit_step(record_of(output, noise, seed), "Fz", release=shape) for shape in ("ramp", "smooth")]
-        difference = np.abs(fits[0].model.vector - fits[1].model.vector)
-        if fit.notices:
-            assert fit.notices[-1].code == RELEASE_SHAPE_UNDETERMINED.code
-            assert np.all(model_of(fit)[1] > difference / 3.0)
-        else:
-            assert fit.shape == "smooth"
+    record = record_of(output, noise, 0)
+    fits = fit_shapes(record, "Fz", read_release(record, "Fz"))
+    fit = merge_alternatives(fits)
+    assert np.abs(scores(fit)).max() < 3.5
+    if fits[1].excess < REJECT_CHI2:
+        assert np.all(model_of(fit)[1] > np.abs(fits[0].model.vector - fits[1].model.vector) / 3.0)
+    else:
+        assert fit.shape == "smooth"
 
 
 POLES = np.array([2 * np.pi * 1700 * (-0.015 + 1j), 2 * np.pi * 2900 * (-0.03 + 1j), -2 * np.pi * 6000.0])
@@ -406,8 +408,8 @@ def test_instruments_do_not_mind_noise_as_least_squares_do():
     """Mean over draws: without bias beyond its scatter where the least-squares autoregression more than doubles ζ."""
     step, pole = 6e-5, POLES[0]
     found = []
+    k = np.arange(240) * step
     for seed in range(60):
-        k = np.arange(240) * step
         decay = np.real(np.exp(pole * k)) + 0.05 * np.random.default_rng(seed).standard_normal(240)
         poles = instrumental_variables(decay, step, 3)
         found.append(poles[np.argmin(np.abs(poles - pole))])
@@ -513,7 +515,7 @@ def test_exponentials_at_even_and_uneven_times(count):
 
 def test_published_evolution_is_far_from_the_truth():
     """500 generations of 100 members in coefficients within ±5 do not find the mode that the default finds."""
-    record = record_of(stepwise_output(2500), 2e-3, 1)
+    record = record_of(stepwise_output(1500), 2e-3, 1)
     fit = fit_evolution(
         record, "Fz", rng=np.random.default_rng(1), reading=rough(record, RELEASED_S), parametrisation="coefficients"
     )

@@ -231,7 +231,7 @@ def test_derivatives_of_an_elastic_load_are_those_of_differences():
         return np.asarray(rng.standard_normal(shape) + 1j * rng.standard_normal(shape))
 
     bending = Bending(("modulus", "length"), 1e-2 * some(3, lines, 6, 6), 1e-2 * some(3, lines, responses, 6))
-    problem = build_problem([replace(record, bending=bending)], PITCHING, {}, (), (), ())
+    problem = build_problem([replace(record, bending=bending)], PITCHING, {}, ())
     (curve,) = problem.curves
     start = np.array([K_X, K_RY, B_X, B_RY, M_I, J_I, *rng.standard_normal(len(problem.names) - 6)])
     found = curve.modelled(start)
