@@ -256,12 +256,6 @@ class MassChain:
         mass, damping, stiffness = fixed_base_chain(len(self.stages)).at(self._weights)[0]
         return mass, damping, stiffness
 
-    def receptance(self, frequency_hz: FloatArray) -> ComplexArray:
-        """Return displacements (K, N, N) of stage i per force on stage j in m/N."""
-        mass, damping, stiffness = self.matrices
-        s = laplace(frequency_hz)[:, None, None]
-        return np.asarray(np.linalg.inv(s * s * mass + s * damping + stiffness))
-
     def modes(self) -> tuple[FloatArray, FloatArray]:
         """Return natural frequencies in Hz and damping ratios (N,) on a fixed base, ascending."""
         roots = poles(fixed_base_chain(len(self.stages)), self._weights)[0]

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import cache
 from typing import NamedTuple
 
 import numpy as np
@@ -12,7 +11,7 @@ import numpy as np
 from shaker.lti.indices import FigureRange, find_figure_range
 from shaker.lti.responses import band_end, gain_curve
 from shaker.lti.system import LinearSystem
-from shaker.mechanics import Mechanics, chain_terms, poles
+from shaker.mechanics import fixed_base_chain, poles
 from shakercal._common.arrays import Arrays, ComplexArray, FloatArray, check_shape
 from shakercal._common.propagation import derivatives
 
@@ -145,17 +144,11 @@ def upper_poles(numbers: FloatArray, moving_mass: float, load_mass: float) -> tu
     else:
         k, c, kl, cl = numbers
         weights, terms, columns = [moving_mass, load_mass, k, kl, c, cl], [2, 4, 3, 5, 0, 1], [0, 1, 2, 3, -2, -1]
-    roots, slopes = poles(_chain(len(weights) // 3), np.array([1.0, *weights]))
+    roots, slopes = poles(fixed_base_chain(len(weights) // 3), np.array([1.0, *weights]))
     upper = roots.imag > 0.0
     rates = np.zeros((np.count_nonzero(upper), len(numbers) + 2), dtype=np.complex128)
     rates[:, columns] = slopes[upper][:, terms]
     return roots[upper], rates
-
-
-@cache
-def _chain(count: int) -> Mechanics:
-    """Return the mechanics of one or two masses in a row on a fixed base."""
-    return Mechanics(*chain_terms(count), np.zeros((1, count)), np.ones(1), np.zeros(count), 1.0)
 
 
 # Resonance and damping of a sensor over the load mass, with uncertainties.

@@ -37,7 +37,6 @@ from shaker.release.load_modes import (
     SeriesMasses,
     SeriesOutput,
     as_resonances,
-    coloured_normal,
     free_decay,
     project_amplitudes,
     record_modes,
@@ -329,15 +328,6 @@ def test_projection_removes_its_modes_completely():
     for index in range(4):
         moved = poles + np.where(np.arange(2) == index // 2, (1e-3, 1e-3j)[index % 2], 0.0)
         np.testing.assert_allclose(project_amplitudes(decay, moved)[0] / 1e-3, slope[:, index], atol=2e-6)
-
-
-def test_coloured_noise_is_weighed_by_its_spectrum():
-    rng, t = np.random.default_rng(6), np.arange(4096)
-    slope = np.stack([np.cos(0.1 * t), np.cos(2.0 * t)], axis=1)
-    noise = np.convolve(rng.standard_normal(4100), np.full(5, 0.2), mode="valid")
-    gain = np.abs([np.mean(np.exp(1j * w * np.arange(5))) for w in (0.1, 2.0)])
-    expected = gain**2 * np.sum(slope**2, axis=0)
-    np.testing.assert_allclose(np.diag(coloured_normal(slope, noise)), expected, rtol=0.35)
 
 
 def test_refusals():

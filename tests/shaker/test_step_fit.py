@@ -19,7 +19,6 @@ from shaker.release.load_response import (
     BlockMeans,
     ReleaseLoad,
     every_sample,
-    exponentials,
     load_rate,
     load_share,
     pole_responses,
@@ -404,19 +403,6 @@ def test_starts_find_the_poles_of_a_clean_decay(find):
         assert np.min(np.abs(found - pole)) < 1e-4 * abs(pole)
 
 
-def test_instruments_do_not_mind_noise_as_least_squares_do():
-    """Mean over draws: without bias beyond its scatter where the least-squares autoregression more than doubles ζ."""
-    step, pole = 6e-5, POLES[0]
-    found = []
-    k = np.arange(240) * step
-    for seed in range(60):
-        decay = np.real(np.exp(pole * k)) + 0.05 * np.random.default_rng(seed).standard_normal(240)
-        poles = instrumental_variables(decay, step, 3)
-        found.append(poles[np.argmin(np.abs(poles - pole))])
-    assert abs(np.mean(found).imag / pole.imag - 1.0) < 2e-3
-    assert abs(np.mean(found).real / pole.real - 1.0) < 0.25
-
-
 def test_peaks_are_those_of_the_ring_and_noise_has_none():
     k = np.arange(3000) / 1e5
     noise = 0.02 * np.random.default_rng(1).standard_normal(3000)
@@ -504,13 +490,6 @@ def test_output_errors_of_difference_equations_are_those_of_scipy_s_filter():
     most = np.where(np.arange(60) % 2, 0.5, 2.0) * expected
     limited = output_errors(members, most, load, output, 2.0)
     assert np.array_equal(np.isfinite(limited), np.isfinite(expected) & (most > expected))
-
-
-@pytest.mark.parametrize("count", [10, 64, 1000, 1021])
-def test_exponentials_at_even_and_uneven_times(count):
-    poles, even = np.array([-40.0 + 9e3j, -2e5 + 0j, 30.0 + 100j]), 0.1 + 1e-5 * np.arange(count)
-    for time_s in (even, even + 1e-7 * np.sin(np.arange(count)), even[::-1]):
-        np.testing.assert_allclose(exponentials(poles, time_s), np.exp(np.outer(poles, time_s)), rtol=1e-11)
 
 
 def test_published_evolution_is_far_from_the_truth():
