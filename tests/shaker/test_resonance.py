@@ -260,28 +260,6 @@ def test_without_noise_only_the_bin_maximum_depends_on_the_lines(quality, shift,
     assert found.lines_in_width == pytest.approx(found.half_power.width_hz / spacing)
 
 
-def log_parabola(frequency: FloatArray, value: ComplexArray) -> float:
-    """The usual interpolation: vertex of the parabola through ln|H| of the largest line and its two neighbours."""
-    at = int(np.argmax(np.abs(value)))
-    below, middle, above = np.log(np.abs(value[at - 1 : at + 2]))
-    return float(frequency[at] + 0.5 * SPACING * (below - above) / (below - 2.0 * middle + above))
-
-
-@pytest.mark.parametrize(("quality", "bias_hz"), [(40.0, 3.0e-4), (150.0, 2.0e-3), (800.0, 3.6e-2)])
-def test_the_parabola_of_the_reciprocal_has_no_bias_where_that_of_the_logarithm_has_some(quality, bias_hz):
-    """At 0.78125 Hz and 1477.35 Hz: the largest bias over all places of the maximum between two lines."""
-    zeta = 0.5 / quality
-    by_logarithm, by_reciprocal = [], []
-    for shift in np.linspace(0.0, 1.0, 21):
-        frequency = lines(F0, zeta, SPACING, float(shift))
-        value = transmissibility(frequency, F0, zeta)
-        true = transmissibility_levels(zeta)[0] * F0
-        by_logarithm.append(log_parabola(frequency, value) - true)
-        by_reciprocal.append(read(frequency, value, 1e-3).maximum.frequency_hz - true)
-    assert np.abs(by_logarithm).max() == pytest.approx(bias_hz, rel=0.05)
-    assert np.abs(by_reciprocal).max() < 1e-7 * F0
-
-
 @pytest.mark.parametrize(
     ("quality", "share", "spacing"),
     [

@@ -6,7 +6,7 @@ from functools import cache
 import numpy as np
 import pytest
 from contracts import coverage_contract, refused
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from release_factory import reading_of
 from scipy.integrate import solve_ivp
@@ -28,7 +28,6 @@ from shaker.release.load_response import (
 )
 from shaker.release.model_order import fit_all_orders
 from shaker.release.output_error import OutputErrorProblem, PoleStructure, columns, slopes
-from shaker.release.poles import instrumental_variables, matrix_pencil, peaks_hz
 from shaker.release.reading import read_release
 from shaker.release.record import ReleaseReading, StepRecord
 from shaker.release.step_fit import (
@@ -370,45 +369,6 @@ def test_derivatives_are_those_of_differences(load):
         high, low = (columns(problem, vector + sign * change, samples)[0] @ linear for sign in (1, -1))
         slope = (high - low) / (2 * change[index])
         np.testing.assert_allclose(found[:, index], slope, atol=2e-6 * np.abs(slope).max())
-
-
-@given(
-    modes=st.lists(st.tuples(st.floats(100, 5000), st.floats(1e-3, 0.5)), min_size=1, max_size=3, unique=True),
-    low_pass=st.lists(st.floats(6000, 20000), max_size=1),
-)
-@settings(max_examples=40, deadline=None)
-def test_numerator_terms_are_partial_fractions(modes, low_pass):
-    """The first term alone is the all-pole system, whatever its poles, unless two nearly coincide."""
-    system = sensor(tuple(modes), tuple(low_pass))
-    gaps = np.abs(system.poles[:, None] - system.poles) + np.diag(np.full(len(system.poles), np.inf))
-    if gaps.min() < 1e-2 * np.abs(system.poles).max():
-        return
-    structure = PoleStructure(len(modes), len(low_pass), 1, 1e4)
-    upper = system.poles[system.poles.imag > 0]
-    poles = np.concatenate([upper, system.poles[system.poles.imag == 0]])
-    shares = structure.shares(structure.vector(poles))
-    s = 2j * np.pi * np.array([0.0, 700.0, 3000.0])[:, None]
-    both = np.sum(shares[:, 0] / (s - poles), axis=1)
-    both += np.sum(shares[: len(upper), 0].conj() / (s - upper.conj()), axis=1)
-    np.testing.assert_allclose(both / both[0], system.at(s[:, 0]), rtol=1e-6, atol=1e-9)
-
-
-@pytest.mark.parametrize("find", [matrix_pencil, instrumental_variables])
-def test_starts_find_the_poles_of_a_clean_decay(find):
-    step = 5e-5
-    k = np.arange(240) * step
-    decay = 0.3 + np.real(np.exp(POLES[0] * k)) + 0.4 * np.imag(np.exp(POLES[1] * k))
-    found = find(decay, step, 5)
-    for pole in POLES[:2]:
-        assert np.min(np.abs(found - pole)) < 1e-4 * abs(pole)
-
-
-def test_peaks_are_those_of_the_ring_and_noise_has_none():
-    k = np.arange(3000) / 1e5
-    noise = 0.02 * np.random.default_rng(1).standard_normal(3000)
-    ring = np.real(np.exp(POLES[0] * k)) + 0.2 * np.real(np.exp(POLES[1] * k)) + noise
-    np.testing.assert_allclose(peaks_hz(ring, 1e-5, 2), [1700, 2900], rtol=0.02)
-    assert peaks_hz(noise, 1e-5, 3).size == 0
 
 
 RELEASED_S = 0.01
