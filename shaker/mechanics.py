@@ -25,18 +25,12 @@ def oscillator_hz(stiffness: float, mass: float) -> float:
 
 
 def required_stiffness(frequency_hz: float, mass: float) -> float:
-    """Return k = (2πf₀)²m in N/m for kg, or N·m/rad for kg·m².
-
-    Nitsche et al., J. Sens. Sens. Syst. 7, 2018, eq. 9.
-    """
+    """Return k = (2πf₀)²m in N/m, or N·m/rad (Nitsche et al. 2018, eq. 9)."""
     return float((2.0 * np.pi * frequency_hz) ** 2 * mass)
 
 
 def shared_spring(frequency_hz: FloatArray, mass: FloatArray) -> tuple[float, float]:
-    """Return stiffness and internal mass for resonances (N,) in Hz with stated loads (N,).
-
-    1/(2πf)² = (m + m_i)/k is a straight line over m.
-    """
+    """Return stiffness and internal mass of resonances (N,): 1/(2πf)² = (m + m_i)/k."""
     check_shape("mass", np.asarray(mass), np.asarray(frequency_hz).shape)
     if len(np.unique(mass)) < 2:
         raise ValueError(f"mass: expected two different loads or more, found {np.asarray(mass).tolist()}")
@@ -82,13 +76,9 @@ class Mechanics:
 
 @dataclass(frozen=True)
 class FrequencyTerms:
-    """Terms that depend on frequency and are added to a `Mechanics`.
+    """Terms by frequency, added to M, f, rows and offset of a `Mechanics`.
 
-    Attributes
-    ----------
-    mass : (K, n, n), added to M.
-    forcing : (K, n), added to f.
-    rows, offset : (K, C, n) and (K, C), added to those of the responses.
+    `mass` (K, n, n), `forcing` (K, n), `rows` (K, C, n) and `offset` (K, C).
     """
 
     mass: ComplexArray
@@ -101,12 +91,8 @@ class FrequencyTerms:
 class MechanicalResponse:
     """Ratios `value` (K, C) of responses to the reference at s (K,), with derivatives.
 
-    Attributes
-    ----------
-    motion : (K, n), p per unit of base motion.
-    reference_reading : (K,), reading of the reference per unit of base motion.
-    inverse : (K, n, n), of D = M s² + B s + K.
-    rows, mass, forcing : rows of the responses, M and f including the frequency-dependent terms.
+    `motion` (K, n): p per unit of base motion; `reference_reading` (K,) per unit of it; `inverse` (K, n, n) of D = M s²
+    + B s + K; `rows`, `mass`, `forcing` include the frequency-dependent terms.
     """
 
     mechanics: Mechanics
@@ -239,10 +225,7 @@ class MassChain:
                 raise ValueError(f"{name}: expected none negative, found {getattr(self, name).tolist()}")
 
     def transfer(self, frequency_hz: FloatArray, of: str, over: str = BASE) -> MechanicalResponse:
-        """Return the motion of a stage over that of another stage or the base.
-
-        Its derivatives `by_term` (K, 1, 3N) are by mass, stiffness and damping of every stage.
-        """
+        """Return the motion of a stage over that of another or the base."""
         for stage in (of, over):
             if stage not in (BASE, *self.stages):
                 raise ValueError(f"stage: expected one of {', '.join((BASE, *self.stages))}, found {stage}")

@@ -42,10 +42,7 @@ def target_for_bandwidth(
     real_hz: float | None = None,
     low_pass_hz: float | None = None,
 ) -> CompensationTarget:
-    """Return the lowest target frequency that keeps a bandwidth within 1 ± δ.
-
-    All poles and zeros of the sensor count. A tenth of δ is reserved for the uncertainty of the model.
-    """
+    """Return the lowest target frequency that keeps the whole sensor within 1 ± δ."""
     from scipy.optimize import minimize_scalar
 
     if not bandwidth_hz > 0:
@@ -92,11 +89,7 @@ def target_for_frequency(
     real_hz: float | None = None,
     low_pass_hz: float | None = None,
 ) -> CompensationTarget:
-    """Return the target of a frequency with the widest band of 1 ± δ.
-
-    The damping ratio is varied; the band is that of the whole sensor. A tenth of δ is reserved for the model's
-    uncertainty.
-    """
+    """Return the damping with the widest band 1 ± δ of the whole sensor."""
     allowed = (1.0 - MODEL_ERROR_SHARE) * permitted_error
     start = best_damping(allowed)
     template = CompensationTarget(frequency_hz, start, real_hz, low_pass_hz)
@@ -175,10 +168,7 @@ def filtered_noise(sections: Sections, frequency_hz: FloatArray, density: FloatA
 
 
 def state_space(sections: Sections) -> tuple[FloatArray, FloatArray, FloatArray, float]:
-    """Return A (2S, 2S), B, C (2S,) and D of the sections in a row.
-
-    The states are those of the streaming filter, the second transposed direct form of every section.
-    """
+    """Return A (2S, 2S), B, C (2S,) and D with the streaming filter's states."""
     size = 2 * len(sections.sos)
     a, b, c, d = np.zeros((size, size)), np.zeros(size), np.zeros(size), 1.0
     for number, (b0, b1, b2, _, a1, a2) in enumerate(sections.sos):
@@ -216,10 +206,7 @@ def with_frequency(sensor: SensorDynamics, factor: float) -> LinearSystem:
 
 
 def residual_ringing(compensation: Compensation, sensor: LinearSystem, after_s: float) -> float:
-    """Return the largest |y/y(∞) - 1| after a step from `after_s` on.
-
-    y is the response of `sensor` with the filter, over some periods of the slowest oscillation.
-    """
+    """Return the largest |y/y(∞) - 1| of `sensor` with filter after `after_s`."""
     if not after_s >= 0:
         raise ValueError(f"after_s: expected 0 or more, found {after_s}")
     whole = sensor.times(compensation.system)
@@ -469,7 +456,7 @@ def _matrices(loop: HapticLoop, sensor: LinearSystem, sections: Sections | None,
 
 def _plant(loop: HapticLoop, sensor: LinearSystem) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Return handle and sensor over one sample: state matrix, input matrix, output in N."""
-    from scipy.linalg import expm
+    from scipy.signal import cont2discrete
 
     sensor_matrix, into, output = _modal(sensor)
     size = 2 + len(into)
@@ -478,10 +465,8 @@ def _plant(loop: HapticLoop, sensor: LinearSystem) -> tuple[FloatArray, FloatArr
     a[0, 1], a[1, :2], b[1] = 1.0, -hand / loop.mass, np.array([*hand, -1.0]) / loop.mass
     a[1, 1] -= loop.damping / loop.mass
     a[2:, 2:], a[2:, :2], b[2:, :2] = sensor_matrix, -np.outer(into, hand), np.outer(into, hand)
-    both = np.zeros((size + 3, size + 3))
-    both[:size, :size], both[:size, size:] = a / loop.sample_rate_hz, b / loop.sample_rate_hz
-    step = expm(both)
-    return step[:size, :size], step[:size, size:], np.concatenate([[0.0, 0.0], output])
+    plant, drive, *_ = cont2discrete((a, b, np.eye(size), np.zeros((size, 3))), 1.0 / loop.sample_rate_hz)
+    return plant, drive, np.concatenate([[0.0, 0.0], output])
 
 
 def _modal(sensor: LinearSystem) -> tuple[FloatArray, FloatArray, FloatArray]:

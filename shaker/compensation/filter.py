@@ -99,10 +99,7 @@ def modal_dynamics(model: ModalModel, *, modes: int = 1, real_poles: bool = Fals
 
 
 def loaded_dynamics(model: LoadModel, load_mass: float, *, modes: int = 1) -> SensorDynamics:
-    """Return the dynamics with a load in kg: modes with the largest shares.
-
-    The covariance includes stiffnesses, dampings, moving mass and static sensitivity. A load without mass has one mode.
-    """
+    """Return the dynamics with a load in kg: modes with the largest shares."""
     system = model.system(load_mass)
     upper = np.flatnonzero(system.poles.imag > 0)
     if not len(upper):

@@ -80,10 +80,7 @@ def add_first_lag(problem: StepProblem, poles: Poles, releases: tuple[ReleaseTim
 def select_pole_count(
     problem: StepProblem, start: PoleCandidate, most: int | None, reals: int
 ) -> tuple[PoleFit, list[PoleCountTrial]]:
-    """Return the fit with the number of poles that the criterion selects, and all trials.
-
-    Modes are removed one by one; then modes of the residual and further lags are added while the criterion falls.
-    """
+    """Return the fit with the number of poles that the criterion selects, and all trials."""
     fit = fit_poles(problem, drop_weak_modes(problem, *start, most), start[1], *_ALONG_A_VALLEY)
 
     def trial(fitted: PoleFit, accepted: bool) -> PoleCountTrial:
@@ -210,10 +207,7 @@ def _charge(problem: StepProblem, poles: Poles) -> float:
 
 
 def removal_losses(poles: Poles, point: SeparablePoint) -> FloatArray:
-    """Return the growth of the loss without each pole (M + Q,).
-
-    b'·[(A'A)⁻¹ of its columns]⁻¹·b for fixed other poles.
-    """
+    """Return the growth of the loss without each pole (M + Q,), others fixed."""
     losses = np.zeros(poles.modes + len(poles.real_hz))
     for part in point.solved:
         whole, root = poles.smooth @ part.coefficients, poles.smooth @ part.root
@@ -240,10 +234,7 @@ def drop_weak_modes(problem: StepProblem, poles: Poles, releases: Sequence[Relea
 
 
 def _smaller(problem: StepProblem, fit: PoleFit, most: int | None) -> PoleFit | None:
-    """Return the fit without the weakest mode, None if the criterion needs all.
-
-    Only a fit shows how far the other poles and the releases replace the mode.
-    """
+    """Return the fit without the weakest mode, None if the criterion needs all."""
     poles = fit.poles
     if poles.modes < 2 or (most is not None and poles.modes <= most):
         return None

@@ -276,10 +276,7 @@ class MultiModel(
         return self.parts(np.sqrt(np.diag(self.covariance)))
 
     def column_sensitivity(self, component: int, frequency_hz: FloatArray) -> tuple[ComplexArray, FloatArray]:
-        """Return ∂H_{·j}/∂parameters (K, C, P_j) of a load's column, and their covariance.
-
-        P_j = (2M + Q)(1 + C): poles, then the residues of every output.
-        """
+        """Return ∂H_{·j} (K, C, P_j) by poles and a load's residues, and their covariance."""
         if self.covariance is None:
             raise ValueError("covariance: expected that of the parameters, found none")
         n, outputs, common = self.shared, len(self.channels), self.common_poles
@@ -381,10 +378,7 @@ def missing_loads(
 
 
 def check_separable(static_gain: FloatArray, channels: Sequence[str], components: Sequence[str]) -> None:
-    """Raise `ValueError` for loads (named) that the outputs do not distinguish.
-
-    The smallest singular value of the static matrix (C, D) with unit columns must be at least 0.001.
-    """
+    """Raise `ValueError` for loads (named) that the outputs do not distinguish."""
     if len(channels) < len(components):
         raise ValueError(
             f"channels: expected at least as many as loads, {len(components)} ({', '.join(components)}), "

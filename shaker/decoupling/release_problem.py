@@ -154,10 +154,7 @@ class StepProblem:
         return moved_poles, tuple(moved)
 
     def point(self, poles: Poles, releases: Sequence[ReleaseTiming], fixed_count: int = 0) -> SeparablePoint:
-        """Return poles and releases as a point, one block per load component.
-
-        The first `fixed_count` parameters are fixed and not part of the point.
-        """
+        """Return poles and releases as a point without the first `fixed_count` parameters."""
         blocks = tuple(
             _block(self, poles, releases, self.record_indices(name), fixed_count) for name in self.components
         )
@@ -370,10 +367,7 @@ def _block(
 def _moving(
     answered: BlockResponses, residues: ComplexArray, poles: Poles | None, duration_s: float
 ) -> tuple[FloatArray, FloatArray]:
-    """Return the derivatives (R, A) of one record's rows, with weights (C, p, R).
-
-    Parameters (p,): those of the poles, None for fixed ones, middle and logarithm of the duration.
-    """
+    """Return the derivatives (R, A) of one record's rows, with weights (C, p, R)."""
     by_onset, by_length = (residues.T @ answered.by_onset.T).real, duration_s * (residues.T @ answered.by_length.T).real
     outputs = len(by_onset)
     count = 0 if poles is None else poles.count

@@ -51,10 +51,7 @@ class Displacements(Arrays):
 
 
 def effective_placement_errors(record: MeasuredTransfer, body: FloatArray) -> tuple[PlacementError, ...]:
-    """Return the placement errors that change a reading of the load.
-
-    The load moves by `body` (6, n) · p relative to its base.
-    """
+    """Return the placement errors that change a reading of a load on `body`."""
     seen = np.column_stack([record.drive / np.linalg.norm(record.drive), body])
     return tuple(
         error

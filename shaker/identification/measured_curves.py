@@ -464,10 +464,7 @@ def fit_circle(curve: MeasuredCurve, frequency_hz: float, damping_ratio: float) 
 def _geometric(
     points: ComplexArray, curve: MeasuredCurve, factor: ComplexArray
 ) -> tuple[FloatArray, FloatArray] | None:
-    """Return the circle (3,) of least weighted distances and its derivatives (3, K).
-
-    It starts at the algebraic circle with Taubin's normalisation. Derivatives are by the distance of each point.
-    """
+    """Return the circle (3,) of least weighted distances and its derivatives (3, K)."""
     middle = points.mean()
     around = points - middle
     square = np.abs(around) ** 2

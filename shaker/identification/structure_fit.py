@@ -52,10 +52,7 @@ from shakercal._common.notices import Notice, Value
 
 @dataclass(frozen=True)
 class ModeEstimate:
-    """One mode of one recording with standard uncertainties, numbered from 0 by rising frequency.
-
-    `frequency_hz` f₀ = |λ|/2π of the undamped oscillator and `damping_ratio` ζ = -Re λ/|λ|, from the pole λ.
-    """
+    """One mode of a recording, numbered by frequency: f₀ = |λ|/2π, ζ = -Re λ/|λ|."""
 
     record: str
     number: int
@@ -150,10 +147,7 @@ _RANK_TOLERANCE = 1e-10  # singular value, columns of unit length, below which a
 
 @dataclass(frozen=True, repr=False)
 class FitState(Arrays):
-    """Unknowns (N,) with the modelled curves and the whitened residuals (K, 2C).
-
-    `loss`: χ² of lines and priors together. Derivatives are computed on first use.
-    """
+    """Unknowns (N,) with the modelled curves, whitened residuals (K, 2C), χ² as `loss`."""
 
     problem: IdentificationProblem
     parameters: FloatArray
@@ -245,10 +239,7 @@ class UnknownsCovariance(Arrays):
     unsettled: float
 
     def u(self, gradient: FloatArray) -> float:
-        """Return the standard uncertainty of a function of the unknowns with a `gradient`.
-
-        It is infinite if the gradient (N,) has a part in an undetermined direction.
-        """
+        """Return u of a function with a `gradient` (N,), infinite where undetermined."""
         scaled = gradient * self.scale
         size = float(np.linalg.norm(scaled))
         if size > 0.0 and len(self.undetermined) and np.linalg.norm(self.undetermined @ scaled) > 1e-4 * size:

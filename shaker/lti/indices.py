@@ -266,12 +266,9 @@ NONLINEAR_FACTOR = 1.2
 
 @dataclass(frozen=True)
 class FigureRange:
-    """Range of figures (Q,) within `REACH_SIGMA` standard uncertainties of a model.
+    """Lowest and highest figures (Q,) within `REACH_SIGMAS` of a model, NaN where they cease.
 
-    Attributes
-    ----------
-    low, high : (Q,), lowest and highest values, NaN where a figure ceases to exist.
-    factor : (Q,), factor by which a first-order u must be multiplied to include them, at least 1.
+    `factor` (Q,): factor by which a first-order u must be multiplied to include them, at least 1.
     """
 
     low: FloatArray

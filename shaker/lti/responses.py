@@ -357,10 +357,7 @@ class _Response:
             begin = end
 
     def coarse(self, begin: float, end: float) -> FloatArray:
-        """Return the response at the points of a piece.
-
-        In between it exceeds them by less than `SHORT`.
-        """
+        """Return the response at the points of a piece, up to `SHORT` low between."""
         if not self.separate:
             return self.ratio(np.linspace(begin, end, BLOCK + 1))
         return 1.0 + exponentials_between(self.poles, self.terms, begin, end, BLOCK + 1)

@@ -265,10 +265,7 @@ class LinearSystem(Arrays):
         return LinearSystem.from_residues(z, self._hold_residues() * hold_factor(poles, rate_hz), self.direct, rate_hz)
 
     def continuous(self, method: Conversion = "tustin") -> LinearSystem:
-        """Return the continuous system equivalent to a sampled one, the inverse of `sampled`.
-
-        A real pole or zero at or below z = 0 is refused except for `tustin`, which alone can map it.
-        """
+        """Return the continuous equivalent of a sampled system, the inverse of `sampled`."""
         rate = self.sample_rate_hz
         if rate is None:
             raise ValueError("sample_rate_hz: expected a sampled system, found a continuous one")

@@ -236,11 +236,7 @@ MIN_PARAMETER_SHARE = 0.02
 
 
 def figures_u(model: LoadModel, figures: Callable[[LoadModel], FloatArray]) -> tuple[FloatArray, FigureRange]:
-    """Return standard uncertainties (Q,) of figures of a model, and their reach.
-
-    To first order by the covariance, multiplied by the factor of `find_figure_range`. `figures` returns NaN for a
-    missing figure.
-    """
+    """Return u (Q,) of figures, NaN where there is none, and their range."""
     total, slope = np.asarray(model.total_covariance, dtype=np.float64), model.jacobian(figures)[1]
 
     def moved(move: FloatArray) -> FloatArray:

@@ -188,10 +188,7 @@ def project_amplitudes(decay: FreeDecay, poles: ComplexArray) -> tuple[FloatArra
 
 
 def free_modes(decay: FreeDecay, poles: ComplexArray) -> SeparablePoint:
-    """Return modes (M,) with free amplitudes and a level as a point of a fit.
-
-    Its parameters are [Re p, Im p] of each mode.
-    """
+    """Return modes (M,) with free amplitudes as a point of [Re p, Im p]."""
     t = decay.time_s - decay.time_s[0]
     waves = np.exp(t[:, None] * poles)
 
@@ -207,10 +204,7 @@ def free_modes(decay: FreeDecay, poles: ComplexArray) -> SeparablePoint:
 
 
 def coloured_normal(slope: FloatArray, residual: FloatArray) -> FloatArray:
-    """Return Jᵀ R J (P, P) of derivatives (N, P) for coloured noise.
-
-    The spectrum of R is the periodogram of the residual (N,), smoothed over neighbouring lines.
-    """
+    """Return Jᵀ R J (P, P), R by the smoothed periodogram of the residual (N,)."""
     count = len(residual)
     power = np.abs(np.fft.rfft(residual)) ** 2 / count
     width = min(101, max(3, len(power) // 8) | 1)
@@ -295,10 +289,7 @@ def as_resonances(records: list[RecordModes]) -> Resonances:
 
 
 def _starts(decay: FreeDecay, value: FloatArray, above_hz: float) -> list[complex]:
-    """Return poles from the highest spectral line of the record and shorter beginnings.
-
-    The decay rate follows from the line's amplitudes in the first and in the second half.
-    """
+    """Return poles of the highest spectral line, for beginnings of the record."""
     starts = []
     for part in PARTS:
         count = len(value) // part

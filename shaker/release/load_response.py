@@ -144,10 +144,7 @@ def load_rate(shape: ReleaseShape, time_s: FloatArray, onset_s: float, release_s
 def pole_responses(
     poles: ComplexArray, time_s: FloatArray, onset_s: float, release_s: float, shape: ReleaseShape = "ramp"
 ) -> ComplexArray:
-    """Return responses (N, P) of 1/(s - p) to a load from 0 to 1.
-
-    It changes in a shape from `onset_s` on within `release_s` ≥ 0; 0 is a step. Poles in rad/s.
-    """
+    """Return responses (N, P) of 1/(s - p) to a load from 0 to 1."""
     if release_s < 0:
         raise ValueError(f"release_s: expected 0 or more, found {release_s}")
     if shape == "measured":

@@ -299,10 +299,7 @@ class OrderFamily(Arrays, shapes="triangle R R"):
         return len(self.triangle) // 2 - 1
 
     def loss(self, direct: bool = True) -> FloatArray:
-        """Return J (n,), the sum of squared equation errors of order 1 … n.
-
-        `direct`: with a term b0·u(k).
-        """
+        """Return J (n,), squared equation errors of order 1 … n, `direct` with b0·u(k)."""
         last = 2 * np.arange(1, self.most + 1) + 1
         squares = self.triangle[last, last] ** 2
         return np.asarray(squares if direct else squares + self.triangle[last - 1, last] ** 2)
@@ -324,10 +321,7 @@ class OrderFamily(Arrays, shapes="triangle R R"):
         return LinearSystem.from_coefficients(numerator, np.concatenate([[1.0], -past]), self.sample_rate_hz)
 
     def bend(self, direct: bool = True) -> int:
-        """Return the lowest order that leaves 15 % of the fall of ln J.
-
-        A significance test is not useful: with noise on the output every additional order lowers the loss.
-        """
+        """Return the lowest order that leaves 15 % of the fall of ln J."""
         loss = np.log(np.maximum(self.loss(direct), 1e-300))
         left = (loss - loss.min()) / max(1e-12, loss[0] - loss.min())
         return int(np.argmax(left <= _BEND)) + 1

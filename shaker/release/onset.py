@@ -199,10 +199,7 @@ class OnsetTrial:
 
 
 def fit_onset(window: Window, start: OnsetModel, min_gain: float) -> OnsetTrial:
-    """Return the least-squares fit of all parameters of `start`.
-
-    It ends at a step that gains less than `min_gain` times the variance of the residual.
-    """
+    """Return the least-squares fit from `start`; steps gain `min_gain` variances or more."""
     rows = len(window.samples) + _AHEAD
     rules = LMOptions(
         predicted_decrease_share=0.0, actual_decrease_share=min_gain / rows, max_steps=30, max_damping=1e5

@@ -373,10 +373,7 @@ def _prior_normal(solution: OutputErrorFit, scale: FloatArray, normal: FloatArra
 
 
 def _correlated(residual: FloatArray, columns_: FloatArray) -> FloatArray:
-    """Return R·columns (N, K) with the correlation matrix R of the residual.
-
-    R of the residual (N,) is estimated with a Parzen window.
-    """
+    """Return R·columns (N, K), R of the residual (N,) through a Parzen window."""
     count = len(residual)
     size = 2 ** int(np.ceil(np.log2(2 * count)))
     correlation = np.fft.irfft(np.abs(np.fft.rfft(residual, size)) ** 2)[:count] / count
@@ -404,10 +401,7 @@ def _converter(whole: BlockMeans, residual: FloatArray, gain: FloatArray, fitted
 
 
 def _model_slopes(structure: PoleStructure, vector: FloatArray, linear: FloatArray) -> FloatArray:
-    """Return derivatives of a modal model's vector by the fit's parameters.
-
-    The shape is (P, K + 1 + terms).
-    """
+    """Return derivatives (P, K + 1 + terms) of a model by the fit's parameters."""
     m, n, count = structure.modes, structure.order, len(vector)
     shares, by_vector = structure.shares(vector), structure.share_slopes(vector)
     out = np.zeros((4 * m + 2 * structure.reals, count + len(linear)))

@@ -125,10 +125,7 @@ def decimate(decay: FloatArray, step_s: float, highest_hz: float) -> tuple[Float
 
 
 def start_poles(offered: ComplexArray, modes: int, near_hz: FloatArray) -> ComplexArray:
-    """Return `modes` upper poles next to the spectral peaks, then lightly damped ones.
-
-    A peak without a pole within 15 % of it starts at ζ = 0.02.
-    """
+    """Return `modes` upper poles: next to the spectral peaks, then lightly damped ones."""
     left = [complex(pole) for pole in offered if pole.imag > 0 and abs(pole.real) < 0.5 * abs(pole)]
     selected = []
     for omega in 2 * np.pi * near_hz[:modes]:

@@ -139,10 +139,7 @@ def _nodes(window: Window, fit: OnsetModel, variance: float) -> tuple[FloatArray
 
 
 def _node(window: Window, near: OnsetModel, lag_s: float, variance: float) -> tuple[_Node, OnsetModel] | None:
-    """Return the result at a lag and its fit by one Gauss-Newton step.
-
-    None if the step leaves the possible range.
-    """
+    """Return the result at a lag by one Gauss-Newton step, None if impossible."""
     square = near.release_s**2 + (near.lag_s**2 - lag_s**2) / MOMENTS[near.shape]
     start = replace(near, lag_s=lag_s, release_s=float(np.sqrt(max(square, 0.0))))
     trial = solve_amplitudes(window, start)
@@ -170,10 +167,7 @@ def _node(window: Window, near: OnsetModel, lag_s: float, variance: float) -> tu
 
 
 def _moments(weight: FloatArray, value: FloatArray, likely: BoolArray) -> tuple[float, float]:
-    """Return mean and standard deviation of values under weights that sum to 1.
-
-    The standard deviation is large enough for the 95 % interval to include every likely value, also a time of zero.
-    """
+    """Return mean and standard deviation; its 95 % interval includes every likely value."""
     mean = float(np.sum(weight * value))
     farthest = float(np.max(np.abs(value[likely] - mean)))
     return mean, max(float(np.sqrt(np.sum(weight * (value - mean) ** 2))), farthest / _COVERAGE)
@@ -194,10 +188,7 @@ class ForceReading(NamedTuple):
 
 
 def read_force(force: FloatArray, sample_rate_hz: float, start_s: float) -> ForceReading:
-    """Return the release that a force channel (N,) from `start_s` on shows.
-
-    Least squares of level, change, middle and length of `load_share` around the release.
-    """
+    """Return the release that a force channel (N,) from `start_s` on shows."""
     location = locate_change(force)
     length = max((location.index_90 - location.index_10) / 0.8, 2.0)
     low = max(0, int(location.index_10 - _LENGTHS * length - 8))

@@ -196,10 +196,7 @@ def locate_change(samples: FloatArray, near: int | None = None) -> ApproximateOn
 
 
 def _passing(samples: FloatArray, baseline: float, steady: float, share: float, start: int) -> float:
-    """Return the first passage of a share of the change after `start`, between samples.
-
-    Several successive samples must have passed, so that noise does not count.
-    """
+    """Return the first passage of a share by several samples after `start`, interpolated."""
     change = steady - baseline
     relative = (samples[start:] - baseline) / change if change else np.zeros(len(samples) - start)
     runs = np.convolve(relative >= share, np.ones(_MIN_SUCCESSIVE))[_MIN_SUCCESSIVE - 1 :]

@@ -194,10 +194,7 @@ def fit_shapes(
     method: Literal["pencil", "arx"] = "pencil",
     release: ReleaseOption | None = None,
 ) -> tuple[StepFit, ...]:
-    """Return the result of `fit_step` for each possible shape, the likeliest first.
-
-    All have the same numbers of poles. The covariance of each does not include the other shapes.
-    """
+    """Return the result of `fit_step` for each possible shape, the likeliest first."""
     began = time.perf_counter()
     whole = every_sample(record.samples[record.channels.index(channel)], record.time_s, 1.0 / record.sample_rate_hz)
     found = search_order(
@@ -296,10 +293,7 @@ def difference_fit(
     signals: tuple[FloatArray, FloatArray],
     convergence: FloatArray,
 ) -> StepFit:
-    """Return the fit of a difference equation to the signals of `load_and_output`.
-
-    If a pole has no continuous counterpart, the sampled system is returned with a notice.
-    """
+    """Return the fit of a difference equation to the signals of `load_and_output`."""
     from scipy.signal import sosfilt
 
     (load, output), where = signals, f"{record.name}, {reading.channel}"
@@ -386,10 +380,7 @@ _BLOCKS = 1000  # blocks of the record in the evolution
 def evolve(
     losses: Losses, bounds: Sequence[tuple[float, float]], rng: np.random.Generator, effort: tuple[int, int]
 ) -> tuple[FloatArray, tuple[float, ...]]:
-    """Return the best vector (N,) and the best loss of every generation.
-
-    `effort`: numbers of members and generations.
-    """
+    """Return the best vector (N,) and losses of `effort` = (members, generations)."""
     from scipy.optimize import differential_evolution
 
     low, high = np.array(bounds).T

@@ -254,10 +254,7 @@ def fit_angles(channels: tuple[str, ...], angle_rad: FloatArray, reading: FloatA
 
 
 def turning_sense(angle_rad: FloatArray) -> FloatArray:
-    """Return the sense ±1 (N,) of approach to each angle, by the shorter path.
-
-    The first reading has the sense of the second, one at the same angle that of the previous one; a single reading 0.
-    """
+    """Return the sense ±1 (N,) of approach to each angle, by the shorter path."""
     step = np.angle(np.exp(1j * np.diff(angle_rad)))
     sense = np.where(np.abs(step) < SAME_ANGLE_RAD, 0.0, np.sign(step))
     for i in range(1, len(sense)):

@@ -113,10 +113,7 @@ def start_values(record: RotationRecord, outputs: SensorOutputs) -> FloatArray:
 
 
 def turning_phasor(record: RotationRecord, tilt: FloatArray) -> ComplexArray:
-    """Return the direction of gravity in sensor axes as a phasor U (3,).
-
-    The axis is tilted along and across gravity at zero angle.
-    """
+    """Return gravity's direction (3,) in sensor axes as a phasor, the axis tilted."""
     from scipy.spatial.transform import Rotation
 
     share, along, across = record.frame
