@@ -40,9 +40,8 @@ from shaker.model_notices import (
     SINGLE_RELEASE,
 )
 from shaker.release.load_response import BlockMeans, average_blocks
-from shaker.release.poles import UNCLEAR, highest_frequency, shared_poles
 from shaker.release.reading import initial_release
-from shaker.release.record import ReleaseShape, StepRecord
+from shaker.release.record import UNCLEAR, ReleaseShape, StepRecord, highest_frequency, shared_poles
 from shakercal._common.arrays import Arrays, ComplexArray, FloatArray
 from shakercal._common.fitting import NORMAL_QUANTILE_95, excess_chi2_sigmas
 from shakercal._common.notices import Notice

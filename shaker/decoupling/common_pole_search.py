@@ -11,8 +11,7 @@ import numpy as np
 from shaker.decoupling.model import Poles
 from shaker.decoupling.release_problem import PoleCandidate, PoleFit, ReleaseTiming, StepProblem, by_record, fit_poles
 from shaker.release.load_response import MOMENTS
-from shaker.release.poles import shared_poles
-from shaker.release.record import ReleaseShape
+from shaker.release.record import ReleaseShape, shared_poles
 from shakercal._common.arrays import FloatArray
 from shakercal._common.fitting import REJECT_CHI2, SeparablePoint
 

@@ -1,4 +1,4 @@
-"""Measured curves with named errors, poles and circles of them, and the noise of the lines."""
+"""Measured curves with named errors, their poles and circles, and the noise of lines."""
 
 from __future__ import annotations
 

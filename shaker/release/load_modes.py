@@ -1,4 +1,4 @@
-"""Data of a series of loads: output, masses, measured resonances, and the fit of load models to them."""
+"""Series of loads: output, masses, measured resonances, and load models fitted to them."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Number of poles that a release shows, difference equations of every order, and doubts about a fit."""
+"""Number of poles that a release shows, difference equations of every order, doubtful fits."""
 
 from __future__ import annotations
 
@@ -33,8 +33,16 @@ from shaker.release.output_error import (
     solve,
     squares,
 )
-from shaker.release.poles import UNCLEAR, decimate, instrumental_variables, matrix_pencil, peaks_hz, start_poles
-from shaker.release.record import ReleaseReading, StepRecord
+from shaker.release.record import (
+    UNCLEAR,
+    ReleaseReading,
+    StepRecord,
+    decimate,
+    instrumental_variables,
+    matrix_pencil,
+    peaks_hz,
+    start_poles,
+)
 from shakercal._common.arrays import Arrays, ComplexArray, FloatArray, check_shape
 from shakercal._common.notices import Notice
 

@@ -9,8 +9,7 @@ import numpy as np
 
 from shaker.lti.system import modal_poles
 from shaker.release.load_response import load_rate, load_share, pole_responses
-from shaker.release.poles import ringing_poles
-from shaker.release.record import ApproximateOnset, ReleaseShape
+from shaker.release.record import ApproximateOnset, ReleaseShape, ringing_poles
 from shakercal._common.arrays import Arrays, ComplexArray, FloatArray
 from shakercal._common.fitting import BlockJacobian, LinearBlock, LMOptions, SeparablePoint, levenberg_marquardt
 

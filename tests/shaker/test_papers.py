@@ -1,12 +1,9 @@
 """Numbers of three publications: every row of docs/papers.md, and what its words claim of formulas and systems."""
 
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import papers
-import papers_rows_load as load_rows
-import papers_rows_wrist as wrist_rows
 import published_wrist as wrist_paper
 import pytest
 from contracts import refused
@@ -21,15 +18,11 @@ from published_formulas import (
 )
 from scipy import signal
 
-from shaker.compensation.filter import single_mode
 from shaker.identification.measured_curves import MeasuredCurve
 from shaker.identification.oscillator import peak_readings
-from shaker.lti.indices import indices
 from shaker.lti.system import LinearSystem
 from shaker.mechanics import required_stiffness
-from shaker.model_notices import ALTERNATING_POLE, POLE_ABOVE_NYQUIST
 from shaker.release.load_model import LoadModel
-from shaker.release.step_fit import fit_sim, fit_step
 
 PAGE = Path(__file__).resolve().parents[2] / "docs" / "papers.md"
 M_I, M1, M2 = 0.769, 4.236, 8.798
@@ -85,42 +78,12 @@ def test_series_deviates_where_stated():
     assert series_limits_hz(K1, 0.0) == (np.inf, np.inf)
 
 
-@pytest.mark.parametrize(("component", "kilohertz"), [("Fx", 88), ("My", 187), ("Mz", 3073), ("Fz", 435)])
-def test_no_common_rate_gives_the_stated_frequencies(component, kilohertz):
-    """At the rate that would be needed it has the stated frequency; four rates, all outside what the digits permit."""
-    stated = wrist_paper.MODELS["DE"][wrist_paper.COMPONENTS.index(component)]
-    system = replace(wrist_paper.evolved(component), sample_rate_hz=1e3 * kilohertz)
-    assert indices(system).natural_hz == pytest.approx(stated, rel=6e-3)
-    low, high = rounding_range(*wrist_paper.evolved_digits(component), wrist_paper.RATE_HZ).natural_hz
-    assert not low <= stated <= high
-
-
-def test_false_poles_give_notices():
-    assert ALTERNATING_POLE.code in [notice.code for notice in indices(wrist_paper.difference_equation()).notices]
-    found = indices(wrist_paper.transfer_function(), 1.0, 1e5)
-    assert POLE_ABOVE_NYQUIST.code in [notice.code for notice in found.notices]
-    assert indices(wrist_paper.evolved("Fx")).notices == ()
-
-
 def test_equation_19_in_the_order_of_the_augmented_data_vector():
     """θ = [b3 a3 b2 a2 b1 a1 b0] is equation 20."""
     theta = [0.0083, 0.5841, 0.0047, -0.2608, -0.0011, -1.3076, 0.0037]
     numerator, denominator = np.array(theta[::-2]), np.array([1.0, *theta[-2::-2]])
     system = LinearSystem.from_coefficients(numerator, denominator, wrist_paper.RATE_HZ)
     assert np.allclose(system.coefficients(), wrist_paper.difference_equation().coefficients(), atol=1e-12)
-
-
-def test_how_equation_20_came_about():
-    """Equation error at 100 kHz takes noise for damping and a false pole; output error does not."""
-    record = wrist_rows.simulated_release()
-    biased = fit_sim(record, "Fx", order=3)
-    mode, model = indices(biased.system).dominant, fit_step(record, "Fx").model
-    assert mode is not None
-    assert model is not None
-    assert mode.damping_ratio > 10 * 0.02
-    assert biased.system.sampled(wrist_paper.RATE_HZ, "tustin").poles[-1].real == pytest.approx(-0.65, abs=0.05)
-    assert model.frequency_hz[0] == pytest.approx(1720.0, rel=2e-4)
-    assert model.damping_ratio[0] == pytest.approx(0.02, rel=1e-2)
 
 
 def test_equations_3_follow_from_equation_2_and_a_stiff_coupling_is_equation_5():
@@ -135,14 +98,6 @@ def test_equations_3_follow_from_equation_2_and_a_stiff_coupling_is_equation_5()
     stiff, rigid = LoadModel("Fy", "Fy", "V", 0.24, k, c, 2.36e12, 0.0), LoadModel("Fy", "Fy", "V", 0.24, k, c)
     hertz = np.linspace(0.0, 900.0, 91)
     assert np.allclose(stiff.system(0.05).response(hertz), rigid.system(0.05).response(hertz), rtol=1e-3)
-
-
-def test_a_release_changes_the_overshoot_and_not_the_decay():
-    """Damping by the poles is the same however long the release takes: equation 9 reads the release as damping."""
-    short, long = (load_rows.release_of_overshoot(value, 0.004) for value in (0.97, 0.90))
-    assert short < 3.9e-4 < long
-    assert load_rows.damping_of_overshoot(0.926) == pytest.approx(0.0245, abs=5e-5)
-    assert load_rows.overshoot(single_mode(500.0, 0.004).system) == pytest.approx(0.9875, abs=5e-5)
 
 
 # What rounded coefficients may stand for.
