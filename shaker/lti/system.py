@@ -254,15 +254,12 @@ class LinearSystem(Arrays):
             raise ValueError(f"system: expected a continuous system, found samples at {self.sample_rate_hz} Hz")
         if not rate_hz > 0:
             raise ValueError(f"rate_hz: expected a positive number, found {rate_hz}")
-        zeros, poles = self.zeros, self.poles
-        at_infinity = np.full(len(poles) - len(zeros), -1.0 + 0j)
-        if method == "tustin":  # z = (c + s)/(c - s)
-            c = 2.0 * rate_hz
-            factor = np.prod((c - zeros) / (c - poles[: len(zeros)])) / np.prod(c - poles[len(zeros) :])
-            moved = np.concatenate([(c + zeros) / (c - zeros), at_infinity])
-            return LinearSystem(moved, (c + poles) / (c - poles), float(np.real(self.gain * factor)), rate_hz)
-        z = np.exp(poles / rate_hz)
-        return LinearSystem.from_residues(z, self._hold_residues() * hold_factor(poles, rate_hz), self.direct, rate_hz)
+        if method == "tustin":
+            from scipy.signal import bilinear_zpk
+
+            return LinearSystem(*bilinear_zpk(self.zeros, self.poles, self.gain, rate_hz), rate_hz)
+        z, residues = np.exp(self.poles / rate_hz), self._hold_residues() * hold_factor(self.poles, rate_hz)
+        return LinearSystem.from_residues(z, residues, self.direct, rate_hz)
 
     def continuous(self, method: Conversion = "tustin") -> LinearSystem:
         """Return the continuous equivalent of a sampled system, the inverse of `sampled`."""

@@ -179,29 +179,15 @@ def test_sensor_without_stable_inverse_has_a_stable_filter():
     assert np.abs(product - decoupler.target(frequency_hz)[:, 0]).max() < 0.05
 
 
-def test_sampled_modes_follow_loads_along_lines_exactly():
-    system = sampled_modes(MODEL.poles, list(MODEL.residue), RATE_HZ)
-    fine, count = 40, 120
-    knots = np.concatenate([[0.0], np.random.default_rng(1).standard_normal(count - 1)])
-    load = np.interp(np.arange((count - 1) * fine + 1) / fine, np.arange(count), knots)
-    a, b, c = _continuous(MODEL)
-    discrete = cont2discrete((a, b[:, :1], c, np.zeros((2, 1))), 1.0 / (RATE_HZ * fine), "foh")
-    _, reference, _ = dlsim((*discrete[:4], 1.0 / (RATE_HZ * fine)), load[:, None])
-    found = dlsim(StateSpace(system.a, system.b[:, :1], system.c, system.d[:, :1], dt=1.0), knots[:, None])[1]
-    np.testing.assert_allclose(found, reference[::fine], atol=1e-9 * np.abs(reference).max())
-
-
-def _continuous(model: MultiModel) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """State space of the modes with complex states written as pairs."""
-    size = 4 * len(model.poles)
-    a, b, c = np.zeros((size, size)), np.zeros((size, 2)), np.zeros((2, size))
-    for m, (pole, residue) in enumerate(zip(model.poles, model.residue, strict=True)):
-        for d in range(2):
-            i = 4 * m + 2 * d
-            a[i : i + 2, i : i + 2] = [[pole.real, -pole.imag], [pole.imag, pole.real]]
-            b[i, d] = 1.0
-            c[:, i], c[:, i + 1] = 2 * residue[:, d].real, -2 * residue[:, d].imag
-    return a, b, c
+def test_sampled_modes_follow_a_ramp_exactly():
+    """By Σ R·(exp(pt) - 1 - pt)/p²; loads along lines between samples are sums of late ramps."""
+    system, time_s = sampled_modes(MODEL.poles, list(MODEL.residue), RATE_HZ), np.arange(120) / RATE_HZ
+    poles = MODEL.poles[:, None]
+    ramps = (np.expm1(poles * time_s) - poles * time_s) / poles**2
+    expected = 2.0 * np.einsum("mcd,mn->dnc", MODEL.residue, ramps).real
+    for unit, outputs in zip(np.eye(2), expected, strict=True):
+        found = dlsim(StateSpace(system.a, system.b, system.c, system.d, dt=1.0), np.outer(time_s, unit))[1]
+        np.testing.assert_allclose(found, outputs, atol=1e-9 * np.abs(outputs).max())
 
 
 def test_growing_models_impossible_targets_and_missing_or_inseparable_loads_are_refused_by_name():

@@ -41,13 +41,6 @@ def with_zeros() -> LinearSystem:
     return lti(poles, 3.0, [-200 + 18000j, -200 - 18000j, -9e4])
 
 
-@pytest.mark.parametrize("system", [third_order(), with_zeros()])
-def test_tustin_is_that_of_scipy(system):
-    hertz = np.linspace(0, 0.45 * RATE, 400)
-    expected = signal.freqz_zpk(*signal.bilinear_zpk(system.zeros, system.poles, system.gain, RATE), hertz, fs=RATE)[1]
-    assert np.abs(system.sampled(RATE, "tustin").response(hertz) / expected - 1).max() < 1e-9
-
-
 @pytest.mark.parametrize("system", [third_order(), with_zeros(), third_order(3.0, 0.004, 8.0)])
 def test_zoh_gives_the_step_response_at_every_sample(system):
     time = np.arange(3000) / RATE
