@@ -257,7 +257,8 @@ class LinearSystem(Arrays):
         if method == "tustin":
             from scipy.signal import bilinear_zpk
 
-            return LinearSystem(*bilinear_zpk(self.zeros, self.poles, self.gain, rate_hz), rate_hz)
+            zeros, poles, gain = bilinear_zpk(self.zeros, self.poles, self.gain, rate_hz)
+            return LinearSystem(zeros, poles, float(gain), rate_hz)
         z, residues = np.exp(self.poles / rate_hz), self._hold_residues() * hold_factor(self.poles, rate_hz)
         return LinearSystem.from_residues(z, residues, self.direct, rate_hz)
 
