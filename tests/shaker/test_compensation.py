@@ -336,21 +336,23 @@ def test_parameter_sections_are_the_derivatives(method, corner):
         np.testing.assert_allclose(one.response(frequency), base * slopes[:, index], rtol=2e-3, atol=1e-9)
 
 
-def test_every_sample_lies_within_its_uncertainty_as_often_as_it_should():
-    """Drawn sensors and noise: the deviation from the load through the target is as large as u says."""
-    compensation, rng = _uncertain(calibrated=True), np.random.default_rng(11)
-    time, noise = np.arange(400) / RATE, 2e-3
-    aim = compensation.compensated.step(time)
-    errors = []
-    for _ in range(150):
-        f, zeta = 500.0 + 0.05 * rng.normal(), 0.004 + 1e-4 * rng.normal()
-        seen = single_mode(f, zeta, 2.0).system.step(time) + noise * rng.normal(size=400)
-        errors.append(CompensationFilter(discretise(compensation, RATE))(seen[None])[0] - aim)
-    clean = compensation.sensor.system.step(time)
-    run = CompensationWithUncertainty(compensation, RATE, noise=noise)(clean[None])
-    errors_ = np.array(errors) - (run.value[0] - aim)
-    scatter = np.sqrt(np.mean(errors_**2, axis=0))[50:]
-    np.testing.assert_allclose(scatter, run.u[0, 50:], rtol=0.3)
+def test_the_uncertainty_of_every_sample_is_its_change_by_frequency_damping_and_noise():
+    compensation, time, noise = _uncertain(calibrated=True), np.arange(400) / RATE, 2e-3
+    sections = discretise(compensation, RATE)
+
+    def indicated(frequency_hz: float, damping: float) -> np.ndarray:
+        seen = single_mode(frequency_hz, damping, 2.0).system.step(time)
+        return CompensationFilter(sections)(seen[None])[0]
+
+    first = indicated(500.0, 0.004)
+    changes = [1e2 * (indicated(*other) - first) for other in ((500.0005, 0.004), (500.0, 0.004001))]  # 0.01 u of each
+    run = CompensationWithUncertainty(compensation, RATE, noise=noise)(compensation.sensor.system.step(time)[None])
+    np.testing.assert_allclose(run.value[0], first, rtol=1e-12)
+    np.testing.assert_allclose(
+        run.u_model[0], np.linalg.norm(changes, axis=0), rtol=2e-2, atol=1e-2 * run.u_model.max()
+    )
+    assert run.u_noise == pytest.approx(noise * white_noise_gain(sections))
+    np.testing.assert_allclose(run.u, np.hypot(run.u_model, run.u_noise))
 
 
 def test_a_block_of_gaps_is_refused():
