@@ -41,9 +41,9 @@ from fusion import (
 )
 from fusion.sensor.compensate.compensation_subjects import CompensationSettings, read_sources
 from fusion.sensor.model_files import MODELS_FILE, ModelsFile, models_text
-from shaker.decoupling.decoupling_notices import DURATION_AMBIGUOUS
 from shaker.lti.indices import indices
 from shaker.lti.system import LinearSystem, ModalModel
+from shaker.model_notices import DURATION_AMBIGUOUS
 from shaker.release.reading import read_release
 from shaker.release.record import ReleaseShape, StepRecord
 from shaker.release.step_fit import METHODS, Method, fit_all_methods, fit_step

@@ -13,10 +13,7 @@ BASE = "base"
 
 
 def laplace(frequency_hz: FloatArray, added_decay_per_s: float = 0.0) -> ComplexArray:
-    """Return s = a + jω (K,) in 1/s for frequencies (K,) in Hz.
-
-    `added_decay_per_s` is a, the decay that an exponential window adds.
-    """
+    """Return s = a + jω (K,) in 1/s with an added decay a."""
     return np.asarray(added_decay_per_s + 2j * np.pi * np.asarray(frequency_hz, dtype=np.float64))
 
 
@@ -28,19 +25,12 @@ def oscillator_hz(stiffness: float, mass: float) -> float:
 
 
 def required_stiffness(frequency_hz: float, mass: float) -> float:
-    """Return k = (2πf₀)²m in N/m for kg, or N·m/rad for kg·m².
-
-    Nitsche et al., J. Sens. Sens. Syst. 7, 2018, eq. 9.
-    """
+    """Return k = (2πf₀)²m in N/m, or N·m/rad (Nitsche et al. 2018, eq. 9)."""
     return float((2.0 * np.pi * frequency_hz) ** 2 * mass)
 
 
 def shared_spring(frequency_hz: FloatArray, mass: FloatArray) -> tuple[float, float]:
-    """Return stiffness k and internal mass m_i for resonances (N,) with stated loads (N,).
-
-    Frequencies are in Hz. 1/(2πf)² = (m + m_i)/k is a straight line over m: exact for two loads, a least-squares fit
-    for more.
-    """
+    """Return stiffness and internal mass of resonances (N,): 1/(2πf)² = (m + m_i)/k."""
     check_shape("mass", np.asarray(mass), np.asarray(frequency_hz).shape)
     if len(np.unique(mass)) < 2:
         raise ValueError(f"mass: expected two different loads or more, found {np.asarray(mass).tolist()}")
@@ -86,13 +76,9 @@ class Mechanics:
 
 @dataclass(frozen=True)
 class FrequencyTerms:
-    """Terms that depend on frequency and are added to a `Mechanics`.
+    """Terms by frequency, added to M, f, rows and offset of a `Mechanics`.
 
-    Attributes
-    ----------
-    mass : (K, n, n), added to M.
-    forcing : (K, n), added to f.
-    rows, offset : (K, C, n) and (K, C), added to those of the responses.
+    `mass` (K, n, n), `forcing` (K, n), `rows` (K, C, n) and `offset` (K, C).
     """
 
     mass: ComplexArray
@@ -105,12 +91,8 @@ class FrequencyTerms:
 class MechanicalResponse:
     """Ratios `value` (K, C) of responses to the reference at s (K,), with derivatives.
 
-    Attributes
-    ----------
-    motion : (K, n), p per unit of base motion.
-    reference_reading : (K,), reading of the reference per unit of base motion.
-    inverse : (K, n, n), of D = M s² + B s + K.
-    rows, mass, forcing : rows of the responses, M and f including the frequency-dependent terms.
+    `motion` (K, n): p per unit of base motion; `reference_reading` (K,) per unit of it; `inverse` (K, n, n) of D = M s²
+    + B s + K; `rows`, `mass`, `forcing` include the frequency-dependent terms.
     """
 
     mechanics: Mechanics
@@ -126,10 +108,7 @@ class MechanicalResponse:
 
     @cached_property
     def adjoint(self) -> ComplexArray:
-        """Change (K, C, n) of the ratios per unit force on p.
-
-        It is y = D⁻¹ (rows - H · reference) / reference reading.
-        """
+        """Change (K, C, n) of the ratios per unit force on p."""
         readings = (self.rows - self.value[:, :, None] * self.mechanics.reference) / self.reference_reading[
             :, None, None
         ]
@@ -139,9 +118,8 @@ class MechanicalResponse:
     def by_term(self) -> ComplexArray:
         """Derivatives (K, C, P+E) with respect to the terms.
 
-        dH = -y · (s² df + dD p). D is symmetric, and dD and df are linear in the terms. All derivatives are therefore
-        one product of s² yp, s yp, yp and s² y with the entries of the terms' matrices. Entries that are zero in all
-        terms are skipped.
+        dH = -y · (s² df + dD p), linear in the terms: one product of s² yp, s yp, yp and s² y with the non-zero entries
+        of the terms' matrices.
         """
         matrices, forcing = self.mechanics.matrices[1:], self.mechanics.forcing[1:]
         parts, terms = [], []
@@ -187,11 +165,10 @@ def respond(
 
 
 def poles(mechanics: Mechanics, weights: FloatArray) -> tuple[ComplexArray, ComplexArray]:
-    """Return the poles λ (n,) in ascending |λ|, and their derivatives (n, P+E).
+    """Return the poles λ (n,) with Im λ ≥ 0, ascending, and derivatives (n, P+E).
 
-    Only poles with Im λ ≥ 0 are returned. They solve (M λ² + B λ + K) u = 0 with symmetric matrices: dλ = -uᵀ(dM λ² +
-    dB λ + dK)u / uᵀ(2λM + B)u (Lancaster, Lambda-Matrices and Vibrating Systems, 1966). Of two real poles of one mode
-    the slower one is returned.
+    They solve (M λ² + B λ + K) u = 0 with symmetric matrices: dλ = -uᵀ(dM λ² + dB λ + dK)u / uᵀ(2λM + B)u (Lancaster,
+    Lambda-Matrices and Vibrating Systems, 1966). Of two real poles of one mode the slower one is returned.
     """
     (mass, damping, stiffness), _ = mechanics.at(weights)
     size = len(mass)
@@ -248,11 +225,7 @@ class MassChain:
                 raise ValueError(f"{name}: expected none negative, found {getattr(self, name).tolist()}")
 
     def transfer(self, frequency_hz: FloatArray, of: str, over: str = BASE) -> MechanicalResponse:
-        """Return the motion of a stage over that of another stage or the base.
-
-        The base moves. The result has `value` (K, 1), its derivatives `by_term` (K, 1, 3N) with respect to mass,
-        stiffness and damping of every stage, and `by_log_s` (K, 1).
-        """
+        """Return the motion of a stage over that of another or the base."""
         for stage in (of, over):
             if stage not in (BASE, *self.stages):
                 raise ValueError(f"stage: expected one of {', '.join((BASE, *self.stages))}, found {stage}")
@@ -262,27 +235,12 @@ class MassChain:
 
     @property
     def matrices(self) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Matrices M, B, K (N, N) of the chain on a fixed base.
-
-        They belong to M ẍ + B ẋ + K x = 0.
-        """
+        """Matrices M, B, K (N, N) of the chain on a fixed base."""
         mass, damping, stiffness = fixed_base_chain(len(self.stages)).at(self._weights)[0]
         return mass, damping, stiffness
 
-    def receptance(self, frequency_hz: FloatArray) -> ComplexArray:
-        """Return displacements (K, N, N) of stage i per force on stage j.
-
-        They are in m/N, with a fixed base.
-        """
-        mass, damping, stiffness = self.matrices
-        s = laplace(frequency_hz)[:, None, None]
-        return np.asarray(np.linalg.inv(s * s * mass + s * damping + stiffness))
-
     def modes(self) -> tuple[FloatArray, FloatArray]:
-        """Return natural frequencies in Hz and damping ratios (N,) on a fixed base, ascending.
-
-        f₀ = |λ|/2π and ζ = -Re λ/|λ| of the poles λ.
-        """
+        """Return natural frequencies in Hz and damping ratios (N,) on a fixed base, ascending."""
         roots = poles(fixed_base_chain(len(self.stages)), self._weights)[0]
         size = np.abs(roots)
         return size / (2.0 * np.pi), -roots.real / size
@@ -300,10 +258,9 @@ def check_stages(stages: tuple[str, ...]) -> None:
 
 
 def chain_terms(count: int) -> tuple[FloatArray, FloatArray]:
-    """Return the terms M, B, K and f of a chain of `count` masses.
+    """Return M, B, K (1+3N, 3, N, N) and f (1+3N, N) of a chain.
 
-    M, B, K are (1+3N, 3, N, N), f is (1+3N, N). The first term is zero; the others are per unit of every mass,
-    stiffness and damping.
+    The first term is zero; the others are per unit of every mass, stiffness and damping.
     """
     unit = np.eye(count)
     stretch = unit - np.eye(count, k=-1)
@@ -319,9 +276,5 @@ def chain_terms(count: int) -> tuple[FloatArray, FloatArray]:
 
 @cache
 def fixed_base_chain(count: int) -> Mechanics:
-    """Return a chain of masses on a fixed base with the terms of `chain_terms`.
-
-    Its `poles` for weights [1, masses, stiffnesses, dampings] include derivatives with respect to each of them. Its
-    `at` returns the matrices M, B and K. It has no response. The result is cached because fits request it often.
-    """
+    """Return a chain on a fixed base without a response, with the terms of `chain_terms`."""
     return Mechanics(*chain_terms(count), np.zeros((1, count)), np.ones(1), np.zeros(count), 1.0)

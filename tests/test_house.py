@@ -29,7 +29,7 @@ LAYERS = {
         "measure calibration alignment synthetic",
     ),
     "shaker": (
-        "labels signal_notices",
+        "labels signal_notices model_notices",
         "sine io lti mechanics static_rotation elastomer",
         "timebase lines frf",
         "identification release compensation",

@@ -81,10 +81,7 @@ def single_mode(frequency_hz: float, damping_ratio: float, static_gain: float = 
 
 
 def modal_dynamics(model: ModalModel, *, modes: int = 1, real_poles: bool = False) -> SensorDynamics:
-    """Return the modes with the largest share in the step response, optionally with real poles.
-
-    `modes`: their number. The covariance is that of the model, for static gain and poles together.
-    """
+    """Return the `modes` with the largest shares in the step response, optionally real poles."""
     count = len(model.frequency_hz)
     if not 0 <= modes <= count:
         raise ValueError(f"modes: expected 0 to {count}, as many as the model has, found {modes}")
@@ -102,11 +99,7 @@ def modal_dynamics(model: ModalModel, *, modes: int = 1, real_poles: bool = Fals
 
 
 def loaded_dynamics(model: LoadModel, load_mass: float, *, modes: int = 1) -> SensorDynamics:
-    """Return the dynamics of a sensor with a load mass in kg.
-
-    Selected are the modes with the largest share in the step response. The covariance includes stiffnesses, dampings,
-    moving mass and static sensitivity. A load without mass has one mode, for any value of `modes`.
-    """
+    """Return the dynamics with a load in kg: modes with the largest shares."""
     system = model.system(load_mass)
     upper = np.flatnonzero(system.poles.imag > 0)
     if not len(upper):
@@ -156,10 +149,9 @@ class CompensationTarget:
 
 
 def best_damping(permitted_error: float) -> float:
-    """Return the damping ratio with the widest band within 1 ± δ.
+    """Return the damping ratio with the widest band 1 ± δ of one mode.
 
-    The band is that of |H|/H(0) for one mode. Its peak 1/(2ζ√(1 - ζ²)) is 1 + δ: ζ² = [1 - √(1 - (1 + δ)⁻²)]/2; 0.540
-    for 10 %, 0.590 for 5 %.
+    Its peak 1/(2ζ√(1 - ζ²)) is 1 + δ: ζ² = [1 - √(1 - (1 + δ)⁻²)]/2; 0.540 for 10 %, 0.590 for 5 %.
     """
     if not 0 < permitted_error < 1:
         raise ValueError(f"permitted_error: expected above 0 and below 1, found {permitted_error}")
@@ -179,10 +171,7 @@ def band_ratio(damping_ratio: float, permitted_error: float) -> float:
 
 
 def cancelled_poles(sensor: SensorDynamics) -> list[ComplexArray]:
-    """Return the poles in rad/s that a filter cancels, by section.
-
-    A section has the pair of a mode, or one real pole.
-    """
+    """Return the cancelled poles in rad/s: the pair of each mode, then each real pole."""
     pairs = [mode_poles(f, z) for f, z in zip(sensor.frequency_hz, sensor.damping_ratio, strict=True)]
     return [*pairs, *(np.array([-2 * np.pi * f + 0j]) for f in sensor.real_hz)]
 
@@ -208,10 +197,7 @@ def low_pass_poles(target: CompensationTarget) -> list[ComplexArray]:
 
 
 def mode_poles(frequency_hz: float, damping_ratio: float) -> ComplexArray:
-    """Return both poles in rad/s of a mode.
-
-    They are real for a damping ratio of 1 or more.
-    """
+    """Return both poles in rad/s of a mode, real for a damping ratio from 1."""
     root = np.sqrt(complex(damping_ratio**2 - 1.0))
     return np.asarray(2 * np.pi * frequency_hz * np.array([-damping_ratio + root, -damping_ratio - root]))
 
@@ -276,8 +262,7 @@ class Compensation:
     def sensitivities(self, frequency_hz: FloatArray) -> ComplexArray:
         """Return ∂ ln G_c/∂θ (K, P) by the parameters of `sensor.vector`.
 
-        At frequencies (K,) in Hz. A mode has the factor N = 1 + 2ζs/ω + s²/ω², a real pole N = 1 + s/a; the static gain
-        counts if calibrated.
+        A mode has the factor 1 + 2ζs/ω + s²/ω², a real pole 1 + s/a; the static gain counts if calibrated.
         """
         s = 2j * np.pi * np.asarray(frequency_hz, dtype=np.float64)[:, None]
         omega, a = 2 * np.pi * self.sensor.frequency_hz, 2 * np.pi * self.sensor.real_hz
@@ -298,7 +283,7 @@ DISCRETE_RELATIVE_STEP = 1e-6  # of central differences
 
 
 @dataclass(frozen=True, repr=False)
-class Sections(Arrays):
+class Sections(Arrays, shapes="sos S 6"):
     """Second-order sections of a digital filter at `sample_rate_hz`.
 
     y = gain·Π_i (b0 + b1 z⁻¹ + b2 z⁻²)/(1 + a1 z⁻¹ + a2 z⁻²) u. `sos` (S, 6): rows [b0, b1, b2, 1, a1, a2] in
@@ -311,15 +296,12 @@ class Sections(Arrays):
     sample_rate_hz: float
 
     def __post_init__(self) -> None:
-        check_shape("sos", self.sos, (None, 6))
+        super().__post_init__()
         if np.any(self.sos[:, 3] != 1.0):
             raise ValueError(f"sos: expected sections with a0 = 1, found {self.sos[:, 3].tolist()}")
 
     def response(self, frequency_hz: FloatArray) -> ComplexArray:
-        """Return the frequency response (K,) at frequencies (K,) in Hz, section by section.
-
-        Polynomials are evaluated in w = 1 - z⁻¹, which is small at a high sampling rate, to avoid cancellation.
-        """
+        """Return the frequency response (K,) in powers of 1 - z⁻¹, which avoids cancellation."""
         w = -np.expm1(-2j * np.pi * np.asarray(frequency_hz, dtype=np.float64)[:, None] / self.sample_rate_hz)
         c0, c1, c2 = self.sos.reshape(-1, 2, 3).transpose(2, 1, 0)  # numerator and denominator of every section
         top, bottom = (c0 + c1 + c2)[:, None] + w * ((-c1 - 2.0 * c2)[:, None] + w * c2[:, None])
@@ -329,9 +311,8 @@ class Sections(Arrays):
 def discretise(compensation: Compensation, sample_rate_hz: float, method: Discretisation = "matched") -> Sections:
     """Return the digital filter at a sampling rate.
 
-    "matched": z = exp(s/fs) of every pole and zero. The zeros are exactly the poles of the sampled sensor and cancel
-    them at every rate. "tustin": s = K(z - 1)/(z + 1), K = ω/tan(ω/2fs), ω = |zero| of each section, which preserves
-    the frequency of every cancelled mode.
+    "matched": z = exp(s/fs) of every pole and zero, so that the zeros cancel the poles of the sampled sensor at every
+    rate. "tustin": s = K(z - 1)/(z + 1) with K = ω/tan(ω/2fs), which keeps the frequency of every cancelled mode.
     """
     if method not in ("matched", "tustin"):
         raise ValueError(f'method: expected "matched" or "tustin", found "{method}"')
@@ -353,9 +334,9 @@ def pad_sections(sections: Sections, count: int) -> Sections:
 
 
 def section_row(zeros: ComplexArray, poles: ComplexArray, rate_hz: float, method: Discretisation) -> FloatArray:
-    """Return one section (6,) of zeros and poles, with static gain 1.
+    """Return one section (6,) of zeros and poles in rad/s, with static gain 1.
 
-    One or two each, in rad/s. A low-pass, which has no zeros, always uses Tustin's rule, prewarped at its corner.
+    A low-pass, which has no zeros, always uses Tustin's rule, prewarped at its corner.
     """
     constant = None
     if method == "tustin" or not len(zeros):
@@ -369,10 +350,7 @@ def section_row(zeros: ComplexArray, poles: ComplexArray, rate_hz: float, method
 
 
 def _polynomial(roots: ComplexArray, rate_hz: float, constant: float | None) -> tuple[FloatArray, float]:
-    """Return Π(1 - r z⁻¹) (3,) and its value at z = 1.
-
-    r are the images of roots in rad/s.
-    """
+    """Return Π(1 - r z⁻¹) (3,) of the images r, and its static value."""
     if constant is None:
         images, rest = np.exp(roots / rate_hz), -np.expm1(roots / rate_hz)
     else:
@@ -388,8 +366,7 @@ def parameter_sections(
 ) -> tuple[Sections, ...]:
     """Return the filters of ∂y/∂θ, one per parameter θ of `sensor.vector`.
 
-    The section of θ is replaced. The poles do not depend on the sensor, so that ∂y/∂θ is the filter with ∂b/∂θ instead
-    of b, by central differences.
+    They are the filter with ∂b/∂θ instead of b in the section of θ, by central differences.
     """
     base, sensor = discretise(compensation, sample_rate_hz, method), compensation.sensor
     modes, reals = len(sensor.frequency_hz), len(sensor.real_hz)
@@ -469,10 +446,7 @@ class CompensationFilter:
             self._settle(np.broadcast_to(np.asarray(level, dtype=np.float64), (channels,)))
 
     def __call__(self, block: FloatArray) -> FloatArray:
-        """Return the compensated block (C, N).
-
-        Samples that are not finite are refused, because their effect would never decay.
-        """
+        """Return the compensated block (C, N); samples that are not finite are refused."""
         from scipy.signal import sosfilt
 
         signal = np.ascontiguousarray(block, dtype=np.float64)

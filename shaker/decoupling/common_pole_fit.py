@@ -16,14 +16,6 @@ from shaker.decoupling.common_pole_search import (
     select_release_shape,
     try_other_durations,
 )
-from shaker.decoupling.decoupling_notices import (
-    DURATION_AMBIGUOUS,
-    DURATION_UNLIKELY,
-    RELEASE_SHAPE_MISFIT,
-    RELEASE_SIZE_SCATTER,
-    RELEASE_TOO_SLOW,
-    SINGLE_RELEASE,
-)
 from shaker.decoupling.model import MultiModel, Poles, growing_pole_notices, sort_components
 from shaker.decoupling.release_problem import (
     PoleFit,
@@ -37,12 +29,19 @@ from shaker.decoupling.release_problem import (
     model_covariance,
     widen_for_lags,
 )
-from shaker.identification.identification_notices import FIT_NOT_CONVERGED
+from shaker.model_notices import (
+    DOUBTFUL_MODE,
+    DURATION_AMBIGUOUS,
+    DURATION_UNLIKELY,
+    FIT_NOT_CONVERGED,
+    RELEASE_SHAPE_MISFIT,
+    RELEASE_SIZE_SCATTER,
+    RELEASE_TOO_SLOW,
+    SINGLE_RELEASE,
+)
 from shaker.release.load_response import BlockMeans, average_blocks
-from shaker.release.poles import UNCLEAR, highest_frequency, shared_poles
 from shaker.release.reading import initial_release
-from shaker.release.record import ReleaseShape, StepRecord
-from shaker.release.release_notices import DOUBTFUL_MODE
+from shaker.release.record import UNCLEAR, ReleaseShape, StepRecord, highest_frequency, shared_poles
 from shakercal._common.arrays import Arrays, ComplexArray, FloatArray
 from shakercal._common.fitting import NORMAL_QUANTILE_95, excess_chi2_sigmas
 from shakercal._common.notices import Notice
@@ -131,10 +130,7 @@ def fit_steps(records: Sequence[StepRecord], most_modes: int | None = None, most
 
 
 def _noise(records: Sequence[StepRecord], releases: Sequence[ReleaseTiming]) -> FloatArray:
-    """Return the standard deviation of a sample (C,) before the releases.
-
-    A noiseless output has that of its digits.
-    """
+    """Return the standard deviation of a sample (C,) before the releases."""
     sums, count = np.zeros(len(records[0].channels)), 0
     for record, release in zip(records, releases, strict=True):
         begin_s = release.middle_s - 0.5 * release.duration_s
@@ -257,8 +253,8 @@ def multi_fit(
 ) -> MultiFit:
     """Return the result of a fit in the units of the records.
 
-    The first of `fits` is the result. The others are not rejected by the records and enter the covariance
-    (`shakercal._common.fitting`). `noise` (C,) of a sample was the weight of the outputs.
+    The first of `fits` is the result; the others are not rejected by the records and enter the covariance
+    (`shakercal._common.fitting`). `noise` (C,) of a sample was the weight.
     """
     fit, *others = fits
     point, poles = fit.solution.point, fit.poles
@@ -308,10 +304,7 @@ def multi_fit(
 
 
 def _model(records: Sequence[StepRecord], problem: StepProblem, fit: PoleFit, scaled: FloatArray) -> MultiModel:
-    """Return the model of a fit.
-
-    `scaled` (C,): noise of a mean, the weight of the outputs.
-    """
+    """Return the model of a fit; `scaled` (C,) was the weight."""
     parts = [fit.poles.smooth @ coefficients for coefficients in fit.solution.point.coefficients]
     table = np.stack(parts, axis=2) * scaled[:, None]
     return MultiModel.of_poles(fit.poles, table, (records[0].channels, problem.components), records[0].unit)
@@ -354,10 +347,7 @@ def _releases(
 
 
 def _scale_share(component: str, records: Sequence[StepRecord], releases: Sequence[ReleaseFit]) -> float:
-    """Return the relative standard uncertainty of a load's scale.
-
-    As stated, and from the scatter of its releases beyond the noise.
-    """
+    """Return the relative standard uncertainty of a load's scale, stated and from scatter."""
     stated = max(record.u_amplitude for record in records if record.component == component)
     members = [release for release in releases if release.component == component]
     if len(members) < 2:
@@ -414,8 +404,8 @@ def _alternative_notices(problem: StepProblem, fit: PoleFit, others: Sequence[Po
 def mode_ranks(model: MultiModel, u: FloatArray) -> tuple[ModeRank, ...]:
     """Return the ranks of the residues of modes, then of real poles.
 
-    `u` (P,): standard uncertainties of the model's vector. For random residues over standard uncertainties the largest
-    singular value is about √C + √D, for complex ones √2 times that. A significant one is at least twice as large.
+    `u` (P,) of the model's vector. The largest singular value of random residues over their u is about √C + √D, for
+    complex ones √2 times that. A significant one is at least twice as large.
     """
     spread = model.parts(u)
     pairs: list[tuple[ComplexArray | FloatArray, FloatArray]] = [

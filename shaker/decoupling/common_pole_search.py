@@ -11,8 +11,7 @@ import numpy as np
 from shaker.decoupling.model import Poles
 from shaker.decoupling.release_problem import PoleCandidate, PoleFit, ReleaseTiming, StepProblem, by_record, fit_poles
 from shaker.release.load_response import MOMENTS
-from shaker.release.poles import shared_poles
-from shaker.release.record import ReleaseShape
+from shaker.release.record import ReleaseShape, shared_poles
 from shakercal._common.arrays import FloatArray
 from shakercal._common.fitting import REJECT_CHI2, SeparablePoint
 
@@ -59,8 +58,8 @@ class PoleCountTrial:
 def add_first_lag(problem: StepProblem, poles: Poles, releases: tuple[ReleaseTiming, ...]) -> PoleCandidate:
     """Return the best poles with a first lag, and correspondingly earlier and shorter releases.
 
-    A lag is always fitted: even one too fast to be observed changes amplitudes and phases of the ringing. A model
-    without it would claim a certainty that the records do not give.
+    A lag is always fitted: even one too fast to be observed changes the ringing, and a model without it claims too
+    much.
     """
     offers: list[PoleCandidate] = []
     for share in _LAGS:
@@ -80,11 +79,7 @@ def add_first_lag(problem: StepProblem, poles: Poles, releases: tuple[ReleaseTim
 def select_pole_count(
     problem: StepProblem, start: PoleCandidate, most: int | None, reals: int
 ) -> tuple[PoleFit, list[PoleCountTrial]]:
-    """Return the fit with the number of poles that the criterion selects, and all trials.
-
-    Unnecessary modes of the start are removed one by one. Then modes of the residual and further lags are added while
-    the criterion falls. `most`, `reals`: highest numbers of modes and of real poles.
-    """
+    """Return the fit with the number of poles that the criterion selects, and all trials."""
     fit = fit_poles(problem, drop_weak_modes(problem, *start, most), start[1], *_ALONG_A_VALLEY)
 
     def trial(fitted: PoleFit, accepted: bool) -> PoleCountTrial:
@@ -104,10 +99,9 @@ def select_pole_count(
 
 
 def select_release_shape(problem: StepProblem, near: StepProblem, fit: PoleFit) -> PoleFit:
-    """Return the fit with the better shape of each release.
+    """Return the fit with the significantly better shape of each release.
 
-    The shapes are a ramp and half a cosine; the loss must differ significantly. `near`: the problem restricted to the
-    samples around the releases, which determine the shape.
+    `near`: the problem restricted to the samples around the releases, which determine the shape.
     """
     releases = tuple(
         _better_shape(near, fit, i) if release.duration_s > _RESOLVED_SAMPLES * problem.step_s else release
@@ -132,8 +126,8 @@ def _better_shape(problem: StepProblem, fit: PoleFit, record: int) -> ReleaseTim
 def try_other_durations(problem: StepProblem, fit: PoleFit) -> tuple[PoleFit, list[AlternativeTimes]]:
     """Return the fit from the best durations of each load's releases, and the alternatives.
 
-    The alternatives have the same poles and hardly more loss. A release about as long as the period of a mode hardly
-    excites it. Large residues of this mode then compensate for a wrong duration.
+    A release about as long as the period of a mode hardly excites it, and large residues compensate for a wrong
+    duration.
     """
     releases, others = list(fit.releases), list[AlternativeTimes]()
     for component in problem.components:
@@ -158,10 +152,7 @@ def try_other_durations(problem: StepProblem, fit: PoleFit) -> tuple[PoleFit, li
 def equally_likely(
     problem: StepProblem, fit: PoleFit, others: Sequence[AlternativeTimes]
 ) -> tuple[PoleFit, tuple[PoleFit, ...]]:
-    """Return the best fit and the alternatives that are not rejected.
-
-    From these releases and from `others`.
-    """
+    """Return the best fit and the alternatives that are not rejected."""
     found = [fit]
     for indices, times in others:
         releases = list(fit.releases)
@@ -192,10 +183,7 @@ def _timed(
 
 
 def _begun(part: StepProblem, poles: Poles, release: ReleaseTiming) -> ReleaseTiming:
-    """Return the best release of one record for fixed poles, of both shapes.
-
-    Shorter and longer durations are tried if the record is not explained.
-    """
+    """Return the best release of one record for fixed poles, of both shapes."""
     ramp, smooth = replace(release, shape="ramp"), replace(release, shape="smooth")
     tried = [_timed(part, poles, [one]) for one in (ramp, smooth)]
     if min(end.loss for end in tried) >= _UNEXPLAINED * part.values:
@@ -205,10 +193,7 @@ def _begun(part: StepProblem, poles: Poles, release: ReleaseTiming) -> ReleaseTi
 
 
 def criterion(problem: StepProblem, poles: Poles, loss: float) -> float:
-    """Return N·ln(loss/N) + ln(N)·(number of parameters).
-
-    A lag adds its corner only; its residues are determined.
-    """
+    """Return N·ln(loss/N) + ln(N)·(number of parameters); a lag has one."""
     count = problem.values
     return float(count * np.log(max(loss / count, 1e-12)) + _charge(problem, poles))
 
@@ -221,10 +206,7 @@ def _charge(problem: StepProblem, poles: Poles) -> float:
 
 
 def removal_losses(poles: Poles, point: SeparablePoint) -> FloatArray:
-    """Return the growth of the loss without each pole (M + Q,).
-
-    The other poles are fixed. b'·[(A'A)⁻¹ of its columns]⁻¹·b.
-    """
+    """Return the growth of the loss without each pole (M + Q,), others fixed."""
     losses = np.zeros(poles.modes + len(poles.real_hz))
     for part in point.solved:
         whole, root = poles.smooth @ part.coefficients, poles.smooth @ part.root
@@ -251,11 +233,7 @@ def drop_weak_modes(problem: StepProblem, poles: Poles, releases: Sequence[Relea
 
 
 def _smaller(problem: StepProblem, fit: PoleFit, most: int | None) -> PoleFit | None:
-    """Return the fit without the weakest mode, None if the criterion needs all.
-
-    Only a fit shows how far the other poles and the releases replace the mode. A mode that compensates for a wrong
-    release seems necessary for fixed releases.
-    """
+    """Return the fit without the weakest mode, None if the criterion needs all."""
     poles = fit.poles
     if poles.modes < 2 or (most is not None and poles.modes <= most):
         return None
@@ -271,10 +249,7 @@ def _smaller(problem: StepProblem, fit: PoleFit, most: int | None) -> PoleFit | 
 
 
 def _larger(problem: StepProblem, fit: PoleFit, most: int | None, reals: int) -> PoleFit | None:
-    """Return the fit with the best additional mode or lag.
-
-    None at the highest numbers.
-    """
+    """Return the fit with the best additional mode or lag, None without one."""
     tried = []
     if (most is None or fit.poles.modes < most) and (mode := _left(problem, fit)) is not None:
         tried.append(fit_poles(problem, fit.poles.with_mode(mode), fit.releases, _FEW_STEPS, _ROUGH))

@@ -10,24 +10,24 @@ import numpy as np
 from numpy.random import Generator
 
 from shaker.decoupling.model import MultiModel, Poles, StateSpace, sampled_modes
-from shakercal._common.arrays import Arrays, ComplexArray, FloatArray, check_shape, check_shapes
+from shakercal._common.arrays import Arrays, ComplexArray, FloatArray, check_shape
 
 # Decoupling filter: outputs to loads, as taps and a bank of poles, block by block.
 
 
 @dataclass(frozen=True, repr=False)
 class FilterState(Arrays):
-    """State of a filter between blocks.
-
-    The last inputs (L, C) and the states of its poles (N,).
-    """
+    """Last inputs (L, C) and states of the poles (N,) between blocks."""
 
     inputs: FloatArray
     poles: ComplexArray
 
 
 @dataclass(frozen=True, repr=False)
-class DecouplingFilter(Arrays):
+class DecouplingFilter(
+    Arrays,
+    shapes="channels C; components D; poles N; taps L D C; driven N C; shown D N; target_hz D; target_damping D",
+):
     """Filter for loads `components` (D,) from outputs `channels` (C,) in `unit`, at `sample_rate_hz`.
 
     f[n] = Σ_k `taps`[k]·y[n - k] + Re Σ_i `shown`[:, i]·x_i[n - L], x_i[n + 1] = `poles`[i]·x_i[n] + `driven`[i]·y[n],
@@ -48,12 +48,7 @@ class DecouplingFilter(Arrays):
     target_damping: FloatArray
 
     def __post_init__(self) -> None:
-        outputs, loads, count = len(self.channels), len(self.components), len(self.poles)
-        check_shape("taps", self.taps, (None, loads, outputs))
-        check_shape("poles", self.poles, (count,))
-        check_shape("driven", self.driven, (count, outputs))
-        check_shape("shown", self.shown, (loads, count))
-        check_shapes(self, (loads,), "target_hz", "target_damping")
+        super().__post_init__()
         if np.any(np.abs(self.poles) >= 1.0):
             raise ValueError(f"poles: expected within the unit circle, found {np.abs(self.poles).max():.9g}")
 
@@ -71,7 +66,7 @@ class DecouplingFilter(Arrays):
     def process(self, outputs: FloatArray, state: FilterState) -> tuple[FloatArray, FilterState]:
         """Return the loads (N, D) of the next outputs (N, C), and the new state.
 
-        Sums have a fixed order sample by sample, so that blocks of any length give the same bits as one record.
+        Sums have a fixed order, so that blocks of any length give the same bits.
         """
         from scipy.signal import lfilter
 
@@ -151,17 +146,14 @@ _REAL = 1e-9  # relative imaginary part of a real pole
 
 
 @dataclass(frozen=True, repr=False)
-class DecouplingTarget(Arrays):
-    """Target dynamics of every load: one oscillator each, static gain 1.
-
-    `frequency_hz` and `damping_ratio` (D,).
-    """
+class DecouplingTarget(Arrays, shapes="frequency_hz D; damping_ratio D"):
+    """One oscillator with static gain 1 as target of every load (D,)."""
 
     frequency_hz: FloatArray
     damping_ratio: FloatArray
 
     def __post_init__(self) -> None:
-        check_shape("damping_ratio", self.damping_ratio, self.frequency_hz.shape)
+        super().__post_init__()
         if np.any(self.frequency_hz <= 0):
             raise ValueError(f"frequency_hz: expected above 0, found {self.frequency_hz.tolist()}")
         if np.any((self.damping_ratio <= 0) | (self.damping_ratio >= 1)):
@@ -264,10 +256,7 @@ class _KalmanGains(Arrays):
 
 
 def _smoother(plant: StateSpace, desired: StateSpace, delay: int) -> _KalmanGains:
-    """Return the steady Kalman filter of both systems with smoothing over a delay.
-
-    Loads and noise have unit size.
-    """
+    """Return the steady Kalman filter of both systems with smoothing, in unit sizes."""
     from scipy.linalg import block_diag, solve_discrete_are, solve_discrete_lyapunov
 
     a, b = block_diag(plant.a, desired.a), np.concatenate([plant.b, desired.b])
@@ -298,7 +287,7 @@ def _assembled(
 ) -> DecouplingFilter:
     """Return the filter as taps and poles.
 
-    Innovations up to the delay are expressed by outputs and the previous state. f(t) = z·x(t) + Σ_i G_i (y(t + i) -
+    Innovations up to the delay are expressed by outputs and the previous state: f(t) = z·x(t) + Σ_i G_i (y(t + i) -
     c·x(t + i)), x(t + i) = mⁱ x(t) + Σ_{l < i} m^{i - 1 - l} k y(t + l).
     """
     outputs, loads = kalman.c.shape[0], len(kalman.readout)
@@ -357,18 +346,15 @@ class Crosstalk(Arrays):
 
 
 def static_inverse(model: MultiModel, noise: FloatArray) -> FloatArray:
-    """Return the matrix (D, C) from outputs to loads at rest.
-
-    Weighted least squares if there are more outputs than loads.
-    """
+    """Return the matrix (D, C) from outputs to loads at rest, by weighted least squares."""
     weight = 1.0 / noise
     return np.asarray(np.linalg.pinv(weight[:, None] * model.static_gain) * weight)
 
 
 def raw_reading(model: MultiModel) -> FloatArray | None:
-    """Return the matrix (D, C) that reads each load from one output, None if ambiguous.
+    """Return the matrix (D, C) that reads each load from one output.
 
-    The output has the name of the load, else the load moves it most. Two loads must not share an output.
+    The output has the name of the load, else the load moves it most. None if two loads share an output.
     """
     static = model.static_gain
     size = np.abs(static) / np.linalg.norm(static, axis=1, keepdims=True)
@@ -399,10 +385,9 @@ def crosstalks(
 ) -> tuple[Crosstalk, ...]:
     """Return the cross-talk at every possible stage.
 
-    Readers and filter are those of the model; its uncertainty shows the possible deviation of the sensor. Over
-    frequency the covariance is propagated to first order, for the peaks by the slope towards `draws` sampled models.
-    The reading of a sampled model is extrapolated from a model nearby: outputs are linear in the determined
-    combinations, but not in poles far from the fitted ones.
+    Readers and filter are those of the model; its covariance shows the possible deviation of the sensor: over frequency
+    to first order, for the peaks by the slope towards `draws` sampled models, extrapolated from models nearby, in which
+    outputs are linear.
     """
     if model.covariance is None:
         raise ValueError("model: expected one with covariance, found none")
@@ -427,10 +412,7 @@ def crosstalks(
 
 
 def step_readings(model: MultiModel, reader: Reader, time_s: FloatArray) -> FloatArray:
-    """Return the loads read (N, D, D) for unit steps of each load.
-
-    At equally spaced times; the step is at t = 0.
-    """
+    """Return the loads read (N, D, D) for unit steps of each load."""
     return _reads(reader, len(time_s))(model.step(time_s))
 
 
@@ -451,10 +433,7 @@ def _u(model: MultiModel, shown: ComplexArray, frequency_hz: FloatArray) -> Floa
 
 
 def _root(covariance: FloatArray) -> FloatArray:
-    """Return the Cholesky root of a covariance, its eigenvalues made positive.
-
-    The root is unique, so that samples are the same on every machine.
-    """
+    """Return the Cholesky root of a mended covariance: unique, so that samples are reproducible."""
     size = np.sqrt(np.maximum(np.diag(covariance), 1e-300))
     value, vector = np.linalg.eigh(covariance / np.outer(size, size))
     mended = (vector * np.maximum(value, 1e-12)) @ vector.T
@@ -462,11 +441,7 @@ def _root(covariance: FloatArray) -> FloatArray:
 
 
 def _reads(reader: Reader, count: int) -> Callable[[FloatArray], FloatArray]:
-    """Return a function from outputs to readings.
-
-    Outputs (N, C, D) of `count` samples give readings (N, D, D). For a filter its impulse response is transformed once
-    for all outputs.
-    """
+    """Return a function from outputs (N, C, D) to readings (N, D, D)."""
     if not isinstance(reader, DecouplingFilter):
         return lambda outputs: np.asarray(reader @ outputs)
     from scipy.fft import irfft, next_fast_len, rfft

@@ -11,9 +11,9 @@ import numpy as np
 
 from shaker.labels import LOAD_COMPONENTS
 from shaker.lti.system import ModalModel, modal_poles
+from shaker.model_notices import GROWING_POLE
 from shaker.release.load_response import exponentials
-from shaker.release.release_notices import GROWING_POLE
-from shakercal._common.arrays import Arrays, ComplexArray, FloatArray, IntArray, check_shape, check_shapes
+from shakercal._common.arrays import Arrays, ComplexArray, FloatArray, IntArray, check_shape
 from shakercal._common.notices import Notice
 
 # Common poles of outputs and loads.
@@ -65,20 +65,14 @@ class Poles(Arrays):
         return indices, np.concatenate([by_frequency, by_damping, self.values[m:]])
 
     def basis(self, frequency_hz: FloatArray) -> ComplexArray:
-        """Return the columns of real and imaginary parts of the residues.
-
-        (K, 2M + Q), the real residues last. At frequencies (K,).
-        """
+        """Return the columns (K, 2M + Q) of Re and Im residues, then real ones."""
         s = 2j * np.pi * np.asarray(frequency_hz, dtype=np.float64)[:, None]
         upper, real = np.split(self.values, [self.modes])
         above, below = 1 / (s - upper), 1 / (s - upper.conj())
         return np.concatenate([above + below, 1j * (above - below), 1 / (s - real)], axis=1)
 
     def response_slopes(self, frequency_hz: FloatArray, residues: ComplexArray) -> ComplexArray:
-        """Return derivatives (…, K, 2M + Q) of the response by the parameters.
-
-        The response is Σ R/(s - p) with conjugates. Residues (…, M + Q).
-        """
+        """Return derivatives (…, K, 2M + Q) of Σ R/(s - p) by the parameters."""
         s, (which, slope) = 2j * np.pi * np.asarray(frequency_hz, dtype=np.float64)[:, None], self.slopes
         direct = (slope * residues[..., which])[..., None, :]
         mirrored = np.where(which < self.modes, direct.conj(), 0.0)
@@ -105,10 +99,7 @@ class Poles(Arrays):
         return replace(self, real_hz=np.append(self.real_hz, hz))
 
     def without(self, index: int) -> Poles:
-        """Return the poles without one.
-
-        An index above the modes is that of a real pole.
-        """
+        """Return the poles without one; real poles are counted after the modes."""
         if index < self.modes:
             return Poles(np.delete(self.frequency_hz, index), np.delete(self.damping_ratio, index), self.real_hz)
         return replace(self, real_hz=np.delete(self.real_hz, index - self.modes))
@@ -123,19 +114,13 @@ class Poles(Arrays):
 
     @cached_property
     def smooth_slopes(self) -> FloatArray:
-        """Derivatives (2M + Q, 2M + Q, 2M - 1) of `smooth` by every parameter.
-
-        Gᵀ·S = 0, dS = -G·(GᵀG)⁻¹·dGᵀ·S.
-        """
+        """Derivatives (2M + Q, 2M + Q, 2M - 1) of `smooth`, -G·(GᵀG)⁻¹·dGᵀ·S."""
         moments, slopes = self._moments()
         inverse = np.linalg.pinv(moments).T
         return np.asarray(-inverse @ (np.transpose(slopes, (0, 2, 1)) @ self.smooth))
 
     def _moments(self) -> tuple[FloatArray, FloatArray]:
-        """Return the matrix of Σ R·p^k (2M + Q, Q + 1) and its derivatives.
-
-        In units of the fastest pole.
-        """
+        """Return the matrix of Σ R·p^k (2M + Q, Q + 1) and its derivatives."""
         m, values = self.modes, self.values
         unit = float(np.abs(values).max())
         k = np.arange(len(self.real_hz) + 1)
@@ -163,10 +148,7 @@ Names: TypeAlias = tuple[str, ...]
 
 @dataclass(frozen=True, repr=False)
 class ModelParts(Arrays):
-    """Numbers arranged as the parameters of a model.
-
-    Modes (M,), residues (M, C, D), real poles (Q,) and their residues (Q, C, D).
-    """
+    """Numbers arranged as the parameters of a `MultiModel`."""
 
     frequency_hz: FloatArray
     damping_ratio: FloatArray
@@ -176,7 +158,10 @@ class ModelParts(Arrays):
 
 
 @dataclass(frozen=True, repr=False)
-class MultiModel(Arrays):
+class MultiModel(
+    Arrays,
+    shapes="channels C; components D; frequency_hz M; damping_ratio M; real_hz Q; residue M C D; real_residue Q C D",
+):
     """Transfer matrix of outputs `channels` (C,) over loads `components` (D,) with common poles.
 
     H(s) = Σ_m [R_m/(s - p_m) + R̄_m/(s - p̄_m)] + Σ_q R_q/(s - p_q) with p_m = -ζω + jω√(1 - ζ²), ω = 2π·`frequency_hz`
@@ -197,14 +182,9 @@ class MultiModel(Arrays):
     covariance: FloatArray | None = None
 
     def __post_init__(self) -> None:
-        modes, reals, shape = len(self.frequency_hz), len(self.real_hz), (len(self.channels), len(self.components))
-        check_shapes(self, (modes,), "frequency_hz", "damping_ratio")
-        check_shape("real_hz", self.real_hz, (reals,))
-        check_shape("residue", self.residue, (modes, *shape))
-        check_shape("real_residue", self.real_residue, (reals, *shape))
+        super().__post_init__()
         if self.covariance is not None:
-            size = self.shared + self.shared * shape[0] * shape[1]
-            check_shape("covariance", self.covariance, (size, size))
+            check_shape("covariance", self.covariance, (len(self.vector),) * 2)
         if np.any(np.abs(self.damping_ratio) >= 1.0):
             raise ValueError(f"damping_ratio: expected below 1, found {self.damping_ratio.tolist()}")
 
@@ -215,10 +195,7 @@ class MultiModel(Arrays):
 
     @staticmethod
     def of_poles(poles: Poles, table: FloatArray, names: tuple[Names, Names], unit: str) -> MultiModel:
-        """Return the model of coefficients (2M + Q, C, D) of `Poles.basis`.
-
-        `names` of outputs and of loads. Loads that the outputs do not distinguish are refused with their names.
-        """
+        """Return the model of coefficients (2M + Q, C, D); refuse inseparable loads."""
         re, im, real = np.split(table, [poles.modes, 2 * poles.modes])
         modes = poles.frequency_hz, poles.damping_ratio
         model = MultiModel(*names, unit, *modes, re + 1j * im, poles.real_hz, real)
@@ -227,10 +204,7 @@ class MultiModel(Arrays):
 
     @property
     def table(self) -> FloatArray:
-        """Coefficients (2M + Q, C, D) of `Poles.basis`.
-
-        Re and Im of the residues, then the real ones.
-        """
+        """Coefficients (2M + Q, C, D) of `Poles.basis`."""
         return np.concatenate([self.residue.real, self.residue.imag, self.real_residue])
 
     @property
@@ -276,10 +250,7 @@ class MultiModel(Arrays):
         return np.asarray(self.response(np.zeros(1))[0].real)
 
     def step(self, time_s: FloatArray) -> FloatArray:
-        """Return the responses (N, C, D) to a unit step of each load.
-
-        At t = 0. Σ R/p·(exp(pt) - 1), zero before.
-        """
+        """Return the responses (N, C, D) to a unit step of each load."""
         rings = exponentials(self.poles, np.maximum(np.asarray(time_s, dtype=np.float64), 0.0)) - 1.0
         upper, real = np.split(rings / self.poles[:, None], [len(self.frequency_hz)])
         swing = 2.0 * np.tensordot(upper.real, self.residue.real, (0, 0))
@@ -305,10 +276,7 @@ class MultiModel(Arrays):
         return self.parts(np.sqrt(np.diag(self.covariance)))
 
     def column_sensitivity(self, component: int, frequency_hz: FloatArray) -> tuple[ComplexArray, FloatArray]:
-        """Return ∂H_{·j}/∂parameters (K, C, P_j) of a load's column, and their covariance (P_j, P_j).
-
-        P_j = (2M + Q)(1 + C): poles, then the residues of every output. The response is analytic in all of them.
-        """
+        """Return ∂H_{·j} (K, C, P_j) by poles and a load's residues, and their covariance."""
         if self.covariance is None:
             raise ValueError("covariance: expected that of the parameters, found none")
         n, outputs, common = self.shared, len(self.channels), self.common_poles
@@ -351,9 +319,8 @@ def sampled_modes(
 ) -> StateSpace:
     """Return Σ R/(s - p) sampled, poles (P,) in rad/s, residues (C, D) each.
 
-    Conjugates of complex poles are included. The result is exact for loads that are linear between samples (triangle
-    hold). The response at a sample depends on the load at it, without the half-sample delay of constant loads. Each
-    residue matrix has as many states as its rank, scaled to unit size under white loads.
+    Conjugates are included. Exact for loads that are linear between samples (triangle hold). Each residue matrix has as
+    many states as its rank, scaled to unit size under white loads.
     """
     from scipy.linalg import block_diag
 
@@ -400,10 +367,9 @@ def sort_components(components: Iterable[str]) -> tuple[str, ...]:
 def missing_loads(
     channels: Sequence[str], components: Sequence[str], static_sensitivity: FloatArray | None = None
 ) -> tuple[str, ...]:
-    """Return the loads that a sensor measures without an excitation in any record or response.
+    """Return the loads that a sensor measures without an excitation.
 
-    It measures the loads that its outputs are named after, and those with a non-zero column of `static_sensitivity` (C,
-    6).
+    It measures those that its outputs are named after, and those with a non-zero column of `static_sensitivity` (C, 6).
     """
     named = {name for name in LOAD_COMPONENTS if name in channels}
     if static_sensitivity is not None:
@@ -412,11 +378,7 @@ def missing_loads(
 
 
 def check_separable(static_gain: FloatArray, channels: Sequence[str], components: Sequence[str]) -> None:
-    """Raise `ValueError` for loads that the outputs do not distinguish.
-
-    Of a static matrix (C, D) of C outputs and D loads; the loads are named. Columns are compared by direction: the
-    smallest singular value of the matrix of unit columns must be at least 0.001.
-    """
+    """Raise `ValueError` for loads (named) that the outputs do not distinguish."""
     if len(channels) < len(components):
         raise ValueError(
             f"channels: expected at least as many as loads, {len(components)} ({', '.join(components)}), "

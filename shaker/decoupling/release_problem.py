@@ -49,10 +49,10 @@ PoleCandidate: TypeAlias = tuple[Poles, tuple[ReleaseTiming, ...]]
 
 
 class ExplainedData(NamedTuple):
-    """A record as the poles and a release explain it.
+    """A record without its mean, as the poles and a release explain it.
 
-    The record (A, C) is without its mean; responses (A, B) are `basis` @ `triangle`. `basis` (A, B) is orthonormal;
-    `along` (B, C): the data along it; `orthogonal` (A, C): the data that no residues explain.
+    Responses (A, B) are `basis` @ `triangle`; `along` (B, C): data along the orthonormal basis; `orthogonal` (A, C):
+    the rest.
     """
 
     basis: FloatArray
@@ -136,10 +136,7 @@ class StepProblem:
         return np.concatenate([poles.vector, times])
 
     def prior(self, vector: FloatArray, poles: Poles, fixed_count: int) -> ParameterPrior:
-        """Return a wide prior of lags and durations about a start.
-
-        It guides the search along the valley between them.
-        """
+        """Return a wide prior of lags and durations, which guides along their valley."""
         u = np.full(len(vector), np.inf)
         u[2 * poles.modes : poles.count], u[poles.count + 1 :: 2] = _LOOSE
         return ParameterPrior(vector[fixed_count:], u[fixed_count:])
@@ -157,11 +154,7 @@ class StepProblem:
         return moved_poles, tuple(moved)
 
     def point(self, poles: Poles, releases: Sequence[ReleaseTiming], fixed_count: int = 0) -> SeparablePoint:
-        """Return poles and releases as a point of the search.
-
-        It has one block of rows per load component. The first `fixed_count` parameters are fixed and not part of the
-        point.
-        """
+        """Return poles and releases as a point without the first `fixed_count` parameters."""
         blocks = tuple(
             _block(self, poles, releases, self.record_indices(name), fixed_count) for name in self.components
         )
@@ -183,10 +176,7 @@ class PoleFit:
 
 
 def search_options(steps: int, min_gain: float, target_loss: float = np.inf) -> LMOptions:
-    """Return the options of a search: `steps`, smallest gain of a step, loss to reach.
-
-    `min_gain` is in units of the variance. A search that cannot reach `target_loss` ends.
-    """
+    """Return the options of a search: `steps`, smallest gain in variances, loss to reach."""
     return LMOptions(
         predicted_decrease=min_gain,
         predicted_decrease_share=0.0,
@@ -210,8 +200,8 @@ def fit_poles(
 ) -> PoleFit:
     """Return the least-squares poles and releases from a start.
 
-    It takes at most `steps` steps, or ends at one that gains less than `min_gain`. The first `fixed_count` parameters
-    are fixed. The fit is useless above `target_loss`.
+    It ends after `steps` steps, or at one that gains less than `min_gain`. The first `fixed_count` parameters are
+    fixed. The fit is useless above `target_loss`.
     """
     start = problem.vector(poles, releases)
 
@@ -237,11 +227,11 @@ def fit_poles(
 def covariances(
     point: SeparablePoint, variances: Sequence[FloatArray], prior_precision: FloatArray
 ) -> tuple[FloatArray, list[list[FloatArray]]]:
-    """Return the covariance of the parameters and the dependence of the coefficients.
+    """Return the covariance (P, P) of the parameters and the dependence of the coefficients.
 
-    (P, P) of the parameters. `variances`: of the columns (C,) of every block, in units of the weights.
-    `prior_precision` (P,): reciprocal prior variances of the parameters. Element [i][c] (B, P + B): change of the
-    coefficients with the parameters, and a square root of their covariance for fixed parameters.
+    `variances`: of the columns (C,) of every block, in units of the weights. `prior_precision` (P,): reciprocal prior
+    variances. Element [i][c] (B, P + B): change of the coefficients with the parameters, and a square root of their own
+    covariance.
     """
     inverse, count = _inverse(point.normal[0] + np.diag(prior_precision)), len(point.parameters)
     spread, follows = np.diag(prior_precision), []
@@ -333,10 +323,7 @@ def widen_for_lags(fit: PoleFit, spread: FloatArray) -> FloatArray:
 def _block(
     problem: StepProblem, poles: Poles, releases: Sequence[ReleaseTiming], indices: Sequence[int], fixed_count: int
 ) -> LinearBlock:
-    """Return the block of all records of one load.
-
-    Each record is rotated to the basis of its responses.
-    """
+    """Return the block of a load's records in the bases of their responses."""
     records, smooth = [problem.records[i] for i in indices], poles.smooth
     shown = [record.explained(poles, releases[i]) for i, record in zip(indices, records, strict=True)]
     edges = np.cumsum([0, *(len(part.along) for part in shown)])
@@ -380,12 +367,7 @@ def _block(
 def _moving(
     answered: BlockResponses, residues: ComplexArray, poles: Poles | None, duration_s: float
 ) -> tuple[FloatArray, FloatArray]:
-    """Return the derivatives of one record's rows, with weights.
-
-    Rows (R, A) minus their means, weights (C, p, R).
-
-    Parameters (p,): those of the poles, None for fixed ones, middle and logarithm of the duration.
-    """
+    """Return the derivatives (R, A) of one record's rows, with weights (C, p, R)."""
     by_onset, by_length = (residues.T @ answered.by_onset.T).real, duration_s * (residues.T @ answered.by_length.T).real
     outputs = len(by_onset)
     count = 0 if poles is None else poles.count

@@ -10,8 +10,8 @@ import numpy as np
 
 from shaker.decoupling.model import MultiModel, Poles, growing_pole_notices
 from shaker.decoupling.release_problem import covariances, model_covariance, search_options
-from shaker.identification.identification_notices import MODEL_MISFIT
-from shakercal._common.arrays import Arrays, ComplexArray, FloatArray, check_shape
+from shaker.model_notices import MODEL_MISFIT
+from shakercal._common.arrays import Arrays, ComplexArray, FloatArray
 from shakercal._common.fitting import BlockJacobian, LinearBlock, SeparablePoint, levenberg_marquardt
 from shakercal._common.notices import Notice
 
@@ -22,7 +22,7 @@ Point: TypeAlias = tuple[Poles, SeparablePoint]
 
 
 @dataclass(frozen=True, repr=False)
-class Responses(Arrays):
+class Responses(Arrays, shapes="channels C; components D; frequency_hz K; value K C D; covariance K C D 2 2"):
     """Measured H (K, C, D) of outputs `channels` (C,) in `unit` over loads `components` (D,).
 
     `frequency_hz` (K,). `covariance` (K, C, D, 2, 2) of Re and Im of every element; the elements of a line are
@@ -35,11 +35,6 @@ class Responses(Arrays):
     frequency_hz: FloatArray
     value: ComplexArray
     covariance: FloatArray
-
-    def __post_init__(self) -> None:
-        shape = (len(self.frequency_hz), len(self.channels), len(self.components))
-        check_shape("value", self.value, shape)
-        check_shape("covariance", self.covariance, (*shape, 2, 2))
 
     @cached_property
     def whitener(self) -> FloatArray:
@@ -197,9 +192,9 @@ _START_DAMPING = 0.01  # as recommended by Gustavsen and Semlyen
 def fitted_poles(frequency_hz: FloatArray, responses: ComplexArray, weights: FloatArray, modes: int) -> Poles:
     """Return the common poles of responses (R, K) with weights (R, K), from `modes` pairs.
 
-    h·σ = Σ r/(s - a), σ = 1 + Σ d/(s - a) is linear in r and d, and the zeros of σ are better poles than a. This is
-    repeated (Gustavsen and Semlyen, IEEE Trans. Power Delivery 14 (1999) 1052), with r eliminated separately for each
-    response (Deschrijver and others, IEEE Microw. Wirel. Compon. Lett. 18 (2008) 383). Unstable poles are reflected.
+    h·σ = Σ r/(s - a), σ = 1 + Σ d/(s - a) is linear in r and d, and the zeros of σ are better poles than a (Gustavsen
+    and Semlyen, IEEE Trans. Power Delivery 14 (1999) 1052), with r eliminated for each response (Deschrijver and
+    others, IEEE Microw. Wirel. Compon. Lett. 18 (2008) 383). Unstable poles are reflected.
     """
     low, high = float(np.min(frequency_hz[frequency_hz > 0])), float(np.max(frequency_hz))
     inside = np.linspace(low, high, modes + 2)[1:-1]
@@ -220,10 +215,7 @@ def fitted_poles(frequency_hz: FloatArray, responses: ComplexArray, weights: Flo
 
 
 def _zeros(poles: Poles, correction: FloatArray) -> Poles:
-    """Return the zeros of 1 + Σ d/(s - a), reflected to the left.
-
-    They are eigenvalues of diag(a) - 1·d in real form.
-    """
+    """Return the zeros of 1 + Σ d/(s - a), reflected to the left."""
     from scipy.linalg import block_diag
 
     m = poles.modes

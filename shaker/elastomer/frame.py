@@ -12,8 +12,8 @@ from itertools import pairwise
 
 import numpy as np
 
-from shaker.elastomer.elastomer_notices import PLATFORM_MISFIT, PLATFORM_NOT_VALIDATED
 from shaker.elastomer.geometry import CrossBeams, ElasticMaterial, Section, beam_matrices, lump_mass
+from shaker.model_notices import PLATFORM_MISFIT, PLATFORM_NOT_VALIDATED
 from shakercal._common.arrays import Arrays, FloatArray, IntArray, check_shape, check_shapes
 from shakercal._common.fitting import LMOptions, WhitenedResiduals, levenberg_marquardt
 from shakercal._common.notices import Notice
@@ -48,10 +48,7 @@ class RigidPart(Arrays):
 
     @property
     def mass_matrix(self) -> FloatArray:
-        """Mass matrix (6, 6) of the origin, in the plane of the beams.
-
-        Over (ux uy uz rx ry rz).
-        """
+        """Mass matrix (6, 6) of the origin, in the plane of the beams."""
         m, h = self.mass_kg, self.height_m
         matrix = np.diag(np.concatenate([[m, m, m], self.inertia_kgm2 + m * h**2 * np.array([1.0, 1.0, 0.0])]))
         matrix[0, 4] = matrix[4, 0] = m * h
@@ -115,10 +112,7 @@ class BeamFrame(Arrays):
 
     @cached_property
     def reduction(self) -> FloatArray:
-        """T (6N, F): motion of all nodes per unknown.
-
-        The first unknowns are those of the body (ux uy uz rx ry rz) at the origin.
-        """
+        """Motion (6N, F) of all nodes per unknown, the body's first."""
         count = len(self.node_m)
         free = np.setdiff1d(np.arange(count), np.concatenate([self.rigid, self.clamped]))
         first = 6 if len(self.rigid) else 0
@@ -150,10 +144,7 @@ class BeamFrame(Arrays):
         return elastic, inert
 
     def rigid_motions(self, about_m: FloatArray) -> FloatArray:
-        """Return the unknowns (F, 6) for unit translations and rotations about a point (3,).
-
-        The clamps are released.
-        """
+        """Return the unknowns (F, 6) for rigid motions about a point (3,), clamps released."""
         about_origin = self.reduction.T @ np.concatenate([rigid_motion(node) for node in self.node_m])
         if len(self.rigid):
             about_origin[:6] = np.eye(6)
@@ -161,10 +152,7 @@ class BeamFrame(Arrays):
 
 
 def rigid_motion(offset_m: FloatArray) -> FloatArray:
-    """Return the motion (6, 6) of a point per motion of the origin.
-
-    The point is at an offset (3,). The motion is (ux uy uz rx ry rz).
-    """
+    """Return the motion (6, 6) of a point at an offset per origin motion."""
     x, y, z = offset_m
     matrix = np.eye(6)
     matrix[:3, 3:] = [[0.0, z, -y], [-z, 0.0, x], [y, -x, 0.0]]
@@ -180,7 +168,7 @@ EQUAL = 1e-4
 
 
 @dataclass(frozen=True, repr=False)
-class NamedModes(Arrays):
+class NamedModes(Arrays, shapes="frequency_hz 6; participation 6 6; shape D 6; others_hz O"):
     """The six named modes, in the order of `MODE_NAMES`.
 
     `frequency_hz` (6,). `participation` (6, 6): share of each rigid motion's mass in each mode, modes down,
@@ -193,18 +181,9 @@ class NamedModes(Arrays):
     shape: FloatArray
     others_hz: FloatArray
 
-    def __post_init__(self) -> None:
-        check_shape("frequency_hz", self.frequency_hz, (6,))
-        check_shape("participation", self.participation, (6, 6))
-        check_shape("shape", self.shape, (None, 6))
-        check_shape("others_hz", self.others_hz, (None,))
-
 
 def dense_modes(stiffness: FloatArray, mass: FloatArray, count: int = 12) -> tuple[FloatArray, FloatArray]:
-    """Return the lowest frequencies (K,) in Hz and shapes (D, K).
-
-    Of K φ = ω² M φ with φᵀMφ = 1.
-    """
+    """Return the lowest frequencies (K,) in Hz and shapes (D, K), φᵀMφ = 1."""
     from scipy.linalg import eigh
 
     last = min(count, len(stiffness)) - 1
@@ -217,9 +196,9 @@ def named_modes(
 ) -> NamedModes:
     """Return the modes that deserve each name.
 
-    Among modes (K,), (D, K) the assignment of largest total mass is selected. `weigh`: multiplies by the mass matrix.
+    Among modes (K,), (D, K) the assignment of largest total mass is selected. `weigh` multiplies by the mass matrix.
     `rigid` (D, 6): translations, and rotations about the centre of mass. Modes of equal frequency are combined so that
-    each follows one axis. The sign is such that the motion that gives a mode its name is positive.
+    each follows one axis, with the motion that gives its name positive.
     """
     from scipy.linalg import polar, qr
 
@@ -241,10 +220,7 @@ def named_modes(
 
 
 def assign_names(factor: FloatArray) -> IntArray:
-    """Return the mode of each name (N,) from participation factors (K, N).
-
-    The total mass of the assignment is maximised.
-    """
+    """Return the mode of each name (N,) of largest total mass, from factors (K, N)."""
     from scipy.optimize import linear_sum_assignment
 
     return np.asarray(linear_sum_assignment(-(np.asarray(factor) ** 2).T)[1])
@@ -259,8 +235,8 @@ SAME_M = 1e-9
 def cross_frame(beams: CrossBeams, half_size_m: float, pieces: int = 6, consistent: bool = True) -> BeamFrame:
     """Return the frame of a cross with a platform of edge 2p.
 
-    Arms end at the axes of the compliant beams. Arms start at the faces of the platform, move with it, and are l/2 - p
-    long. `pieces`: divisions of every arm and of every half of a compliant beam.
+    Arms start at the faces of the platform, move with it, and end at the axes of the compliant beams, l/2 - p long.
+    `pieces`: divisions of every arm and of every half of a compliant beam.
     """
     beams.arm_m(half_size_m)
     outer, half = 0.5 * beams.span_m, 0.5 * beams.compliant_length_m
@@ -301,10 +277,7 @@ def cross_frame(beams: CrossBeams, half_size_m: float, pieces: int = 6, consiste
 
 
 def platform_stiffness(frame: BeamFrame) -> FloatArray:
-    """Return 1/C_ii (6,): load per displacement in its direction, free in all others.
-
-    Forces in N/m, moments in N·m/rad, at the origin in the plane of the beams' axes.
-    """
+    """Return 1/C_ii (6,) in N/m and N·m/rad: load per displacement, others free."""
     stiffness, _ = frame.matrices
     loads = np.eye(len(stiffness))[:, :6]
     return np.asarray(1.0 / np.diag(np.linalg.solve(stiffness, loads)[:6]))
@@ -389,7 +362,7 @@ def sensitivities(beams: CrossBeams, half_size_m: float, platform: RigidPart) ->
     """Return d ln f/d ln x (6,) of the six modes by dimension x.
 
     Dimensions are those of the beams, and the platform's half-size, mass, height and gyration (moments at constant
-    mass). Central differences; Young's modulus has 0.5 and is omitted.
+    mass).
     """
 
     def element(name: str, factor: float) -> tuple[CrossBeams, float, RigidPart]:
@@ -481,10 +454,7 @@ def platform_family(
 
 
 def _start(stiffness: FloatArray, targets: FloatArray) -> FloatArray:
-    """Return start values of mass, height and radii of gyration.
-
-    Mass from Tz, height from Tx, radii from Rx and Rz.
-    """
+    """Return start values of mass, height and radii of gyration."""
     omega = (2.0 * np.pi * targets) ** 2
     mass = stiffness[2] / omega[1]
     turning = stiffness[3] / omega[2] / mass

@@ -30,10 +30,7 @@ class ElasticMaterial:
 
 @dataclass(frozen=True)
 class Section:
-    """A rectangular section.
-
-    `width_m` along the local y axis (in the plane of the cross), `height_m` along z (across it).
-    """
+    """A rectangular section, `width_m` in the plane of the cross, `height_m` across it."""
 
     width_m: float
     height_m: float
@@ -101,10 +98,7 @@ class CrossBeams:
         return Section(self.compliant_thickness_m, self.compliant_height_m)
 
     def arm_m(self, half_size_m: float) -> float:
-        """Return the free length of a cross beam.
-
-        From the platform's face to the compliant beam's axis.
-        """
+        """Return the free length of a cross beam outside the platform."""
         arm = 0.5 * self.span_m - half_size_m
         if half_size_m < 0.0 or arm <= 0.0:
             raise ValueError(f"half_size_m: expected from 0 to below half the span {self.span_m}, found {half_size_m}")
@@ -158,10 +152,7 @@ def beam_matrices(
 
 
 def lump_mass(mass: FloatArray) -> FloatArray:
-    """Return a diagonal mass (12, 12): half the beam's mass and twist at each end.
-
-    Rotations have the diagonal terms of the consistent matrix.
-    """
+    """Return a diagonal mass (12, 12): half the beam's mass at each end."""
     total = float(mass[np.ix_(ALONG, ALONG)].sum())
     twist = float(mass[np.ix_(TWIST, TWIST)].sum())
     parts = np.array([total, total, total, twist, 0.0, 0.0]) / 2.0
@@ -172,10 +163,7 @@ def lump_mass(mass: FloatArray) -> FloatArray:
 
 
 def _symmetric(force: float, a: float, b: float, c: float) -> FloatArray:
-    """Return a matrix (4, 4) over deflection and slope of both ends.
-
-    It is zero for a common deflection.
-    """
+    """Return a matrix (4, 4) over both ends, zero for a common deflection."""
     return np.array([[force, a, -force, a], [a, b, -a, c], [-force, -a, force, -a], [a, c, -a, b]])
 
 
@@ -228,26 +216,17 @@ class PublishedStatics:
 
     @property
     def beam_share(self) -> float:
-        """Share F_Q/F of that ratio r.
-
-        F = 2F_Q + 4F_c gives r/(2r + 4); equation 10 gives 0.4.
-        """
+        """Share F_Q/F = r/(2r + 4) of that ratio; equation 10 gives 0.4."""
         return self.force_ratio / (2.0 * self.force_ratio + 4.0)
 
     def stiffness(self, beam_share: float = 0.4) -> float:
-        """Return k = 1/(2F_Q/F·ω/F_e) in N/m, equation 11.
-
-        With F_Q = 0.4F it is 1/(l³/60EI + l/5KGA).
-        """
+        """Return k = 1/(2F_Q/F·ω/F_e) in N/m, equation 11."""
         return 1.0 / (2.0 * beam_share * self.beam_compliance)
 
 
 @dataclass(frozen=True)
 class BeamStiffness:
-    """Forces per displacement of a platform without rotation.
-
-    In N/m: along x (and y), and along z.
-    """
+    """Forces per displacement in N/m of a platform without rotation."""
 
     x: float
     z: float
@@ -256,8 +235,8 @@ class BeamStiffness:
 def guided_stiffness(beams: CrossBeams) -> float:
     """Return k in N/m in the plane, of a point on hinged cross beams.
 
-    Compliant beams are guided at mid-span. k = 1/(l³/48EI + l/4KGA) + 4/(l_c³/96EI_c + l_c/2KGA_c): the published model
-    with correct equation 6 and G.
+    1/(l³/48EI + l/4KGA) + 4/(l_c³/96EI_c + l_c/2KGA_c), compliant beams guided at mid-span: the published model with
+    correct equation 6 and G.
     """
     modulus, shear = beams.material.youngs_modulus_pa, beams.shear_factor * beams.material.shear_modulus_pa
     length, beam = beams.span_m, beams.beam
@@ -288,10 +267,7 @@ def beam_stiffness(beams: CrossBeams, half_size_m: float) -> BeamStiffness:
 
 
 def _end(beams: CrossBeams, length: float, bending_m4: float, area_m2: float) -> FloatArray:
-    """Return the stiffness (2, 2) of a beam's free end.
-
-    For deflection and slope; the other end is clamped.
-    """
+    """Return the stiffness (2, 2) of a beam's free end."""
     bending = beams.material.youngs_modulus_pa * bending_m4
     shear = beams.shear_factor * beams.material.shear_modulus_pa * area_m2
     compliance = np.array([[length**2 / 3.0, length / 2.0], [length / 2.0, 1.0]]) * length / bending

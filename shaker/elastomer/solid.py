@@ -217,10 +217,7 @@ def _elastic(basis: Any, first: float, second: float) -> FloatArray:
 
 
 def _inert(basis: Any) -> FloatArray:
-    """Return the mass (C, L, 3, L, 3) of every cell at unit density.
-
-    ∫ N_i N_j δ_ab dV.
-    """
+    """Return the mass (C, L, 3, L, 3) of every cell at unit density."""
     value = np.stack([np.broadcast_to(np.asarray(field), basis.dx.shape) for (field,) in basis.basis], axis=1)
     product = (value * basis.dx[:, None, :]) @ value.transpose(0, 2, 1)
     local = np.zeros((*product.shape[:2], 3, product.shape[2], 3))
@@ -257,10 +254,7 @@ def _check_mesh(beams: CrossBeams, block: SolidBlock) -> None:
 
 
 def _mesh(beams: CrossBeams, block: SolidBlock, refinement: int) -> tuple[Any, Any]:
-    """Return the mesh of the quarter, and the mask (C,) of the platform's cells.
-
-    Cells are those of a grid that lie in one of the boxes.
-    """
+    """Return the mesh of the quarter, and the mask (C,) of the platform's cells."""
     from skfem import MeshHex
 
     inner, outer = (0.5 * (beams.span_m + sign * beams.compliant_thickness_m) for sign in (-1.0, 1.0))

@@ -10,7 +10,7 @@ from typing import Literal, TypeVar
 import numpy as np
 
 from shaker.labels import MOTION_UNITS
-from shaker.lti.roots import pair_conjugates
+from shaker.lti.system import pair_conjugates
 from shaker.sine.phasor import derivative_factor
 from shakercal._common.arrays import Arrays, BoolArray, ComplexArray, FloatArray
 

@@ -14,8 +14,6 @@ from shaker.mechanics import FrequencyTerms, MechanicalResponse, Mechanics, pole
 from shakercal._common.arrays import Arrays, BoolArray, ComplexArray, FloatArray, IntArray
 from shakercal._common.fitting import LMOptions, WhitenedResiduals, levenberg_marquardt
 
-DELAY_UNIT_S = 1e-6
-"""Unit in which free delays are unknown."""
 _ROUNDING = 1e-12  # share of a change below which it is rounding
 
 
@@ -23,8 +21,8 @@ _ROUNDING = 1e-12  # share of a change below which it is rounding
 class Displacements(Arrays):
     """Change of C readings for one standard deviation of S uncertain placements.
 
-    `unknown_indices` (S,): indices of the unknowns. `rows` (S, C, n) of p, `offset` (S, C) of the base motion and
-    `reference` (S,) of the reference's reading of the base motion.
+    `unknown_indices` (S,). `rows` (S, C, n) of p, `offset` (S, C) of the base motion and `reference` (S,) of its
+    reading.
     """
 
     unknown_indices: IntArray
@@ -45,10 +43,7 @@ class Displacements(Arrays):
         )
 
     def derivatives(self, response: MechanicalResponse) -> ComplexArray:
-        """Return the derivatives (K, C, S) of the ratios.
-
-        A row that changes by r adds r·X/(d·X_base) to its ratio.
-        """
+        """Return the derivatives (K, C, S) of the ratios."""
         above = np.einsum("kn,scn->kcs", response.motion, self.rows) + self.offset.T
         return np.asarray(
             (above - response.value[:, :, None] * self.reference) / response.reference_reading[:, None, None]
@@ -56,10 +51,7 @@ class Displacements(Arrays):
 
 
 def effective_placement_errors(record: MeasuredTransfer, body: FloatArray) -> tuple[PlacementError, ...]:
-    """Return the placement errors that change a reading of the load.
-
-    The load moves by `body` (6, n) · p relative to its base.
-    """
+    """Return the placement errors that change a reading of a load on `body`."""
     seen = np.column_stack([record.drive / np.linalg.norm(record.drive), body])
     return tuple(
         error
@@ -106,10 +98,7 @@ class LoadBending(Arrays):
         )
 
     def derivatives(self, response: MechanicalResponse, s: ComplexArray) -> ComplexArray:
-        """Return the derivatives (K, C, V) of the ratios.
-
-        An inertial load f changes them by -y·s²·f.
-        """
+        """Return the derivatives (K, C, V) of the ratios."""
         pull = np.einsum("vkij,kj->vki", self.mass[1:], response.motion) + self.forcing[1:]
         read = np.einsum("vkcj,kj->kcv", self.rows[1:], response.motion) + self.offset[1:].transpose(1, 2, 0)
         moved = np.einsum("kci,vki->kcv", response.adjoint, pull) * s[:, None, None] ** 2
@@ -121,9 +110,8 @@ def load_bending(
 ) -> tuple[LoadBending | None, FloatArray]:
     """Return the elastic contribution of a recording's load, and a constant mass (6, 6).
 
-    The load moves by `body` (6, n) · p relative to its base. The constant mass is the elastic contribution at the line
-    of the largest ratio. It is added to the rigid mass, so that poles are those of the load near its resonance, and is
-    subtracted from the first result.
+    The constant mass is the elastic contribution at the line of the largest ratio. It is added to the rigid mass, so
+    that poles are those of the load near its resonance, and is subtracted from the first result.
     """
     if record.bending is None:
         return None, np.zeros((6, 6))
@@ -226,7 +214,7 @@ class ModelledRatios(Arrays):
 
 @dataclass(frozen=True, repr=False)
 class IdentificationProblem(Arrays):
-    """All recordings and all unknowns (N,): parameters, then free factors, then named errors.
+    """All recordings and all unknowns (N,): parameters, then named errors.
 
     `parameters`: the fitted ones; `kind` (P,): index of each in the structure. `names` (N,). The prior of an unknown is
     `expected` (N,) with `precision` (N,) = 1/u², zero without a prior. Unknowns in the mask `fixed` (N,) stay at
@@ -267,17 +255,11 @@ def build_problem(
     structure: MechanicalStructure,
     stated_values: Mapping[str, tuple[float, float]],
     each_recording: Collection[str],
-    gain: Collection[str],
-    delay: Collection[str],
 ) -> IdentificationProblem:
     """Return the recordings and unknowns as a least-squares problem."""
-    _check(records, structure, stated_values, each_recording, [*gain, *delay])
+    _check(records, structure, stated_values, each_recording)
     parameters, kinds, indices = _parameters(records, structure, each_recording)
     names = {parameter.name: index for index, parameter in enumerate(parameters)}
-    factors = [_free(record, gain, delay) for record in records]
-    for free in factors:
-        for name in free:
-            names[name] = len(names)
     first_error = len(names)
     for record in records:
         causes = [error.name for error in record.errors] + [error.name for error in record.inertia_errors]
@@ -285,10 +267,7 @@ def build_problem(
         causes += () if record.bending is None else record.bending.names
         for name in [*causes, record.clock] if record.u_clock > 0.0 else causes:
             names.setdefault(f"error: {name}", len(names))
-    curves = tuple(
-        _curve(record, structure, index, free, names)
-        for record, index, free in zip(records, indices, factors, strict=True)
-    )
+    curves = tuple(_curve(record, structure, index, names) for record, index in zip(records, indices, strict=True))
     count = len(names)
     expected, precision, fixed = np.zeros(count), np.zeros(count), np.zeros(count, dtype=np.bool_)
     precision[first_error:] = 1.0
@@ -304,7 +283,6 @@ def _check(
     structure: MechanicalStructure,
     stated_values: Mapping[str, tuple[float, float]],
     each_recording: Collection[str],
-    channels: Sequence[str],
 ) -> None:
     """Refuse unknown names and ambiguous recordings."""
     if not records:
@@ -312,11 +290,9 @@ def _check(
     if len({record.name for record in records}) < len(records):
         raise ValueError(f"records: expected different names, found {', '.join(r.name for r in records)}")
     have = [parameter.name for parameter in structure.parameters]
-    measured = {channel for record in records for channel in record.ratio.channels}
     checked = (
         ("stated_values", stated_values, have),
         ("each_recording", each_recording, have),
-        ("gain, delay", channels, measured),
     )
     for argument, names, allowed in checked:
         for name in names:
@@ -333,10 +309,7 @@ def _check(
 def _parameters(
     records: Sequence[MeasuredTransfer], structure: MechanicalStructure, each_recording: Collection[str]
 ) -> tuple[tuple[StructureParameter, ...], list[int], IntArray]:
-    """Return the fitted parameters and their indices by structure and by recording.
-
-    The latter have the shape (R, P).
-    """
+    """Return the fitted parameters, their structure indices, and indices (R, P) by recording."""
     fitted: list[StructureParameter] = []
     kinds: list[int] = []
     indices = np.zeros((len(records), len(structure.parameters)), dtype=np.int64)
@@ -353,38 +326,15 @@ def _parameters(
     return tuple(fitted), kinds, indices
 
 
-def factor_name(kind: str, record: MeasuredTransfer, channel: str) -> str:
-    """Return the name of a free factor among the unknowns."""
-    return f"{kind}: {record.name}: {channel}"
-
-
-def _free(record: MeasuredTransfer, gain: Collection[str], delay: Collection[str]) -> dict[str, ComplexArray]:
-    """Return the effect of each free factor on the logarithm of the ratios.
-
-    The change (K, C) is for one unit of the factor.
-    """
-    free: dict[str, ComplexArray] = {}
-    for c, channel in enumerate(record.ratio.channels):
-        column = np.zeros(record.ratio.value.shape, dtype=np.complex128)
-        column[:, c] = 1.0
-        if channel in gain:
-            free[factor_name("ln gain", record, channel)] = column
-            free[factor_name("gain phase", record, channel)] = 1j * column
-        if channel in delay:
-            free[factor_name("delay", record, channel)] = -DELAY_UNIT_S * record.s[:, None] * column
-    return free
-
-
 def _curve(
     record: MeasuredTransfer,
     structure: MechanicalStructure,
     parameters: IntArray,
-    free: Mapping[str, ComplexArray],
     names: Mapping[str, int],
 ) -> RecordingModel:
-    relative = [*free.values(), *(error.relative for error in record.errors)]
+    relative = [error.relative for error in record.errors]
     inertia = [names[f"error: {error.name}"] for error in record.inertia_errors]
-    factors = [*(names[name] for name in free), *(names[f"error: {error.name}"] for error in record.errors)]
+    factors = [names[f"error: {error.name}"] for error in record.errors]
     bending, constant = load_bending(record, structure.body, names)
     return RecordingModel(
         record=record,
@@ -399,7 +349,7 @@ def _curve(
     )
 
 
-# Start values: parameters whose modes have the measured poles, and the gains for them.
+# Start values: parameters whose modes have the measured poles.
 
 _RULES = LMOptions(predicted_decrease=1e-2, predicted_decrease_share=1e-4, max_steps=40)
 _POLE_PRECISION = 3e-3  # relative standard deviation of a measured pole, chosen for start values
@@ -427,11 +377,11 @@ def starting_vectors(problem: IdentificationProblem, starts: FloatArray) -> list
         vector = _matched(problem, vector, measured, np.flatnonzero(~stated))
         if not any(np.allclose(vector, other, rtol=_SAME_START, atol=0.0) for other in vectors):
             vectors.append(vector)
-    return [_with_best_gains(problem, vector) for vector in vectors]
+    return vectors
 
 
 def _significant(record: MeasuredTransfer, roots: ComplexArray) -> ComplexArray:
-    """Return the poles without which a sum of partial fractions fits the ratios much worse.
+    """Return the poles without which a sum of fractions fits much worse.
 
     Basis: 1/(s - λ) and 1/(s - λ*) of each pole, 1, s and s², separately for each response.
     """
@@ -459,10 +409,7 @@ def _significant(record: MeasuredTransfer, roots: ComplexArray) -> ComplexArray:
 def _matched(
     problem: IdentificationProblem, start: FloatArray, measured: Sequence[ComplexArray], free: IntArray
 ) -> FloatArray:
-    """Return unknowns near a start whose modes have the measured poles.
-
-    Springs and dampers change by factors.
-    """
+    """Return unknowns near a start whose modes have the measured poles."""
     whole = whole_inertia(problem, start)[free]
     factors = np.isnan(whole)
     representative = [
@@ -494,21 +441,3 @@ def _matched(
 
     first = point(np.zeros(len(free)))
     return start if first is None else moved(levenberg_marquardt(point, first, _RULES).point.parameters)
-
-
-def _with_best_gains(problem: IdentificationProblem, vector: FloatArray) -> FloatArray:
-    """Return the unknowns with the free gains that fit the measured curves best."""
-    scaled = vector.copy()
-    indices = {name: index for index, name in enumerate(problem.names)}
-    for curve in problem.curves:
-        record = curve.record
-        value = curve.modelled(vector).value
-        noise = record.ratio.u_re**2 + record.ratio.u_im**2
-        for c, channel in enumerate(record.ratio.channels):
-            index = indices.get(factor_name("ln gain", record, channel))
-            if index is not None:
-                weighted = value[:, c].conj() / noise[:, c]
-                gain = complex(np.sum(weighted * record.ratio.value[:, c]) / np.sum(weighted * value[:, c]))
-                scaled[index] = np.log(max(abs(gain), np.finfo(np.float64).tiny))
-                scaled[indices[factor_name("gain phase", record, channel)]] = np.angle(gain)
-    return scaled

@@ -1,4 +1,4 @@
-"""Measured curves with named errors, poles for a start, and the noise of the lines."""
+"""Measured curves with named errors, their poles and circles, and the noise of lines."""
 
 from __future__ import annotations
 
@@ -10,14 +10,14 @@ import numpy as np
 from shaker.frf.result import TransferFunction
 from shaker.mechanics import laplace
 from shaker.sine.phasor import Phasors
-from shakercal._common.arrays import Arrays, BoolArray, ComplexArray, FloatArray, check_shape, check_shapes
+from shakercal._common.arrays import Arrays, BoolArray, ComplexArray, FloatArray, check_shape
 
 REFERENCE_INDEX = -1
 """Index of the reference among the transducers of a recording; responses count from 0."""
 
 
 @dataclass(frozen=True, repr=False)
-class Placement(Arrays):
+class Placement(Arrays, shapes="point_m 3; direction 3"):
     """Position and direction of a transducer: `point_m` (3,) and unit `direction` (3,), sensor axes.
 
     `turning`: the transducer measures the rotation about the direction, which does not depend on the point.
@@ -28,16 +28,13 @@ class Placement(Arrays):
     turning: bool = False
 
     def __post_init__(self) -> None:
-        check_shapes(self, (3,), "point_m", "direction")
+        super().__post_init__()
         if abs(float(np.linalg.norm(self.direction)) - 1.0) > 1e-6:
             raise ValueError(f"direction: expected a unit vector, found {self.direction.tolist()}")
 
     @property
     def row(self) -> FloatArray:
-        """Row (6,) from the motion of the sensor origin to the reading.
-
-        It is [d, r × d], for a rotation [0, d].
-        """
+        """Row [d, r × d], for a rotation [0, d], from origin motion to reading."""
         if self.turning:
             return np.concatenate([np.zeros(3), self.direction])
         return np.concatenate([self.direction, np.cross(self.point_m, self.direction)])
@@ -45,10 +42,9 @@ class Placement(Arrays):
 
 @dataclass(frozen=True, repr=False)
 class CurveError(Arrays):
-    """One named cause of error of a curve.
+    """One named cause of error of one or several curves.
 
-    `relative` (K, C): relative complex deviation of the curve for one standard deviation. Causes with equal names in
-    several curves are the same unknown.
+    `relative` (K, C): relative complex deviation of the curve for one standard deviation.
     """
 
     name: str
@@ -56,22 +52,18 @@ class CurveError(Arrays):
 
 
 @dataclass(frozen=True, repr=False)
-class InertiaError(Arrays):
-    """One uncertain number of the load.
+class InertiaError(Arrays, shapes="change 6 6"):
+    """One uncertain number of a load, or of a part of several loads.
 
-    `change` (6, 6) of its mass matrix for one standard deviation. Equal names in several recordings are the same
-    unknown, for example a part that both loads contain.
+    `change` (6, 6) of its mass matrix for one standard deviation.
     """
 
     name: str
     change: FloatArray
 
-    def __post_init__(self) -> None:
-        check_shape("change", self.change, (6, 6))
-
 
 @dataclass(frozen=True, repr=False)
-class PlacementError(Arrays):
+class PlacementError(Arrays, shapes="change 6"):
     """One uncertain position or direction of a transducer.
 
     `change` (6,) of its row for one standard deviation. `response_index`: number of the response, or `REFERENCE_INDEX`.
@@ -81,9 +73,6 @@ class PlacementError(Arrays):
     name: str
     response_index: int
     change: FloatArray
-
-    def __post_init__(self) -> None:
-        check_shape("change", self.change, (6,))
 
 
 @dataclass(frozen=True, repr=False)
@@ -106,7 +95,7 @@ class Bending(Arrays):
 
 
 @dataclass(frozen=True, repr=False)
-class MeasuredTransfer(Arrays):
+class MeasuredTransfer(Arrays, shapes="drive 6; mass_matrix 6 6"):
     """Ratios of load motion to base motion in one recording, with the stated load.
 
     `ratio`: C ratios (K, C) at K lines; its `covariance` (K, 2C, 2C) of [all Re, all Im] contains the noise only.
@@ -133,13 +122,12 @@ class MeasuredTransfer(Arrays):
     bending: Bending | None = None
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         shape = self.ratio.value.shape
         if self.bending is not None:
             check_shape("bending: stretch", self.bending.stretch, (None, *shape, 6))
         if len(self.tops) != shape[1]:
             raise ValueError(f"tops: expected one for each of {shape[1]} ratios, found {len(self.tops)}")
-        check_shape("drive", self.drive, (6,))
-        check_shape("mass_matrix", self.mass_matrix, (6, 6))
         for error in self.errors:
             check_shape(f"errors: {error.name}", error.relative, shape)
         for placement in self.placement_errors:
@@ -163,7 +151,7 @@ class MeasuredTransfer(Arrays):
 
 
 @dataclass(frozen=True, repr=False)
-class MeasuredSensitivity(Arrays):
+class MeasuredSensitivity(Arrays, shapes="frequency_hz K; value K; covariance K 2 2"):
     """Complex sensitivity of one output for one load component over frequency.
 
     `frequency_hz` (K,) ascending. `value` (K,) in `unit`, e.g. "(V/V)/N". `covariance` (K, 2, 2) of [Re, Im]: the part
@@ -182,19 +170,16 @@ class MeasuredSensitivity(Arrays):
     u_static: float = 0.0
 
     def __post_init__(self) -> None:
-        lines = len(self.frequency_hz)
-        check_shape("frequency_hz", self.frequency_hz, (None,))
-        check_shape("value", self.value, (lines,))
-        check_shape("covariance", self.covariance, (lines, 2, 2))
+        super().__post_init__()
         for error in self.errors:
-            check_shape(f"errors: {error.name}", error.relative, (lines, 1))
+            check_shape(f"errors: {error.name}", error.relative, (len(self.value), 1))
 
 
 @dataclass(frozen=True)
 class ParameterEstimate:
-    """One fitted or derived number.
+    """One fitted or derived number, `name` in files, `label` on pages.
 
-    `name` is used in files, `label` on pages; `value` and standard uncertainty `u` in `unit`.
+    `value` and standard uncertainty `u` in `unit`.
     """
 
     name: str
@@ -206,10 +191,7 @@ class ParameterEstimate:
 
 @dataclass(frozen=True)
 class NamedUnknown:
-    """A named error as the recordings determine it.
-
-    `estimate` in its standard deviations; `remaining`: its standard uncertainty after the fit.
-    """
+    """A named error as the recordings determine it, in its standard deviations."""
 
     name: str
     estimate: float
@@ -217,7 +199,7 @@ class NamedUnknown:
 
 
 @dataclass(frozen=True, repr=False)
-class MeasuredCurve(Arrays):
+class MeasuredCurve(Arrays, shapes="frequency_hz K; value K; covariance K 2 2; dof K"):
     """One complex frequency response with the noise of each line.
 
     Attributes
@@ -247,11 +229,7 @@ class MeasuredCurve(Arrays):
     dof: FloatArray | None = None
 
     def __post_init__(self) -> None:
-        check_shape("frequency_hz", self.frequency_hz, (None,))
-        check_shape("value", self.value, self.frequency_hz.shape)
-        check_shape("covariance", self.covariance, (*self.frequency_hz.shape, 2, 2))
-        if self.dof is not None:
-            check_shape("dof", self.dof, self.frequency_hz.shape)
+        super().__post_init__()
         if not (self.frequency_hz[0] > 0.0 and np.all(np.diff(self.frequency_hz) > 0.0)):
             raise ValueError("frequency_hz: expected ascending positive frequencies, found others")
         if not (np.all(np.isfinite(self.value)) and np.all(np.abs(self.value) > 0.0)):
@@ -289,10 +267,7 @@ class MeasuredCurve(Arrays):
         return np.asarray(re * re * c[:, 0, 0] + 2.0 * re * im * c[:, 0, 1] + im * im * c[:, 1, 1])
 
     def propagated(self, gradient: ComplexArray) -> FloatArray:
-        """Return the covariance (P, P) of numbers y with δy = Σₖ Re{conj(g)·δH}.
-
-        `gradient`: g (P, K).
-        """
+        """Return the covariance (P, P) of Σₖ Re{conj(g)·δH} with g (P, K)."""
         first = np.sqrt(self.covariance[:, 0, 0])
         second = self.covariance[:, 0, 1] / first
         rest = np.sqrt(self.covariance[:, 1, 1] - second**2)
@@ -310,12 +285,12 @@ _SETTLED = 1e-4  # change of the denominator's coefficients without effect on st
 def rational_poles(
     s: ComplexArray, value: ComplexArray, noise: FloatArray, count: int, lowest: int = 0
 ) -> ComplexArray:
-    """Return the common poles (count,) of curves (K, C), ascending.
+    """Return the common poles (count,) of curves (K, C), Im λ > 0, ascending.
 
-    `noise` (K, C); the poles have Im λ > 0. Curves are fitted by Nᶜ(s)/D(s). D has the degree 2·count; N has complex
-    coefficients for the powers from `lowest` to 2·count. The fit is linearised (Levy, IRE Trans. Autom. Control 4,
-    1959) and reweighted iteratively (Sanathanan and Koerner, IEEE Trans. Autom. Control 8, 1963). Unstable poles are
-    mirrored. Real poles are replaced by poles above the band.
+    `noise` (K, C). Curves are fitted by Nᶜ(s)/D(s), D of degree 2·count, N with complex coefficients for the powers
+    from `lowest` to 2·count, linearised (Levy, IRE Trans. Autom. Control 4, 1959) and reweighted (Sanathanan and
+    Koerner, IEEE Trans. Autom. Control 8, 1963). Unstable poles are mirrored; real ones are replaced by poles above the
+    band.
     """
     middle = float(np.sqrt(np.abs(s).min() * np.abs(s).max()))
     q = (s / middle)[:, None]
@@ -360,10 +335,9 @@ def whitening_matrices(covariance: FloatArray, name: str = "covariance") -> Floa
 def line_correlation_term(
     frequency_hz: FloatArray, columns: ComplexArray, correlation: ComplexArray | None
 ) -> FloatArray:
-    """Return the term of the correlation between lines, Re Tᴴ(R - 1)T.
+    """Return Re Tᴴ(R - 1)T (N, N) of whitened columns T (K, …, N).
 
-    The result is (N, N), for whitened columns T (K, …, N) at lines (K,). R is given by `correlation` (D,), that of the
-    errors of lines 0, 1, 2 … lines apart, as in `TransferFunction`.
+    R is given by `correlation` (D,), that of the errors of lines 0, 1, 2 … lines apart, as in `TransferFunction`.
     """
     count = columns.shape[-1]
     total = np.zeros((count, count))
@@ -384,7 +358,7 @@ _FEWEST_DOF, _MOST_DOF = 3.0, 1e9  # limits of the degrees of freedom: variances
 
 
 @dataclass(frozen=True, repr=False)
-class CurveResidual(Arrays):
+class CurveResidual(Arrays, shapes="length K; dof K"):
     """Residuals of one curve with K lines and p real numbers per line.
 
     `length` (K,): T² = rᵀS⁻¹r over the stated covariance S. `dof` (K,): degrees of freedom ν of S, infinite for a known
@@ -394,10 +368,6 @@ class CurveResidual(Arrays):
     length: FloatArray
     dof: FloatArray
     size: int
-
-    def __post_init__(self) -> None:
-        check_shape("length", self.length, (None,))
-        check_shape("dof", self.dof, self.length.shape)
 
 
 @dataclass(frozen=True, repr=False)
@@ -436,3 +406,119 @@ def estimate_residual_noise(curves: Sequence[CurveResidual], unknowns: float) ->
     common = max(1.0, chi_squared / dof / expected)
     factors = tuple((common * v + curve.length) * (v + curve.size) / (v + curve.size - 2.0) ** 2 for curve, v in pairs)
     return ResidualNoise(factors, common, chi_squared, dof, expected, float(np.sqrt(2.0 * spread / dof)))
+
+
+# Circle of a resonance in the complex plane, with frequency and damping.
+
+_PASSES = 3  # alternating fits of circle and angles, chosen
+FEWEST_LINES = 5
+"""Lines for three parameters of a circle with some redundancy."""
+
+
+@dataclass(frozen=True, repr=False)
+class CircleFit(Arrays):
+    """Frequency f₀ and damping ratio ζ with their `covariance` (2, 2).
+
+    `centre`, `radius`: the circle in the plane of H·(jf/f₀)/(1 + 2jζf/f₀).
+    """
+
+    frequency_hz: float
+    damping_ratio: float
+    covariance: FloatArray
+    centre: complex
+    radius: float
+
+
+def fit_circle(curve: MeasuredCurve, frequency_hz: float, damping_ratio: float) -> CircleFit | None:
+    """Return f₀ and ζ from the circle of a base-excited oscillator, None without a circle.
+
+    G·(1 + 2jζr)/(1 - r² + 2jζr) with r = f/f₀, multiplied by jr/(1 + 2jζr), is G/(2ζ + j(r - 1/r)). This is a circle.
+    The angle about its centre is θ = α + 2 atan((1/r - r)/(2ζ)), and f·tan((θ - α)/2) is a straight line over f². The
+    circle is fitted algebraically (Taubin, IEEE Trans. PAMI 13, 1991), then by least weighted distances. f₀, ζ and α
+    follow from the angles by weighted least squares (Kennedy and Pancoast, J. Aeronaut. Sci. 14, 1947; Ewins, Modal
+    Testing, 2000, 4.3). The constant contribution of other modes moves the circle but not the angles. `frequency_hz`
+    and `damping_ratio` are the start. They also select the lines: those above half the maximum, at least five.
+    """
+    f0, zeta = frequency_hz, damping_ratio
+    for _ in range(_PASSES):
+        distance = np.abs(curve.frequency_hz - f0)
+        nearest = float(np.sort(distance)[min(FEWEST_LINES, len(distance)) - 1])
+        part = curve.at_lines(distance <= max(np.sqrt(3.0) * zeta * f0, nearest))
+        r = part.frequency_hz / f0
+        factor = 1j * r / (1.0 + 2j * zeta * r)
+        points = part.value * factor
+        circle = _geometric(points, part, factor)
+        angles = _angles(points, part, factor, circle[0], (f0, zeta)) if circle is not None else None
+        if circle is None or angles is None:
+            return None
+        (x, y, radius), by_point = circle
+        (f0, zeta), by_angle = angles
+    # f₀ and ζ depend on the angle of every point, and on the centre, which depends on all points.
+    out = points - complex(x, y)
+    tangent, normal = 1j * out / np.abs(out) ** 2, out / np.abs(out)
+    by_centre = np.stack([by_angle @ tangent.real, by_angle @ tangent.imag], axis=1)
+    gradient = (by_angle * tangent - (by_centre @ by_point[:2]) * normal) * factor.conj()
+    return CircleFit(f0, zeta, part.propagated(gradient), complex(x, y), float(radius))
+
+
+def _geometric(
+    points: ComplexArray, curve: MeasuredCurve, factor: ComplexArray
+) -> tuple[FloatArray, FloatArray] | None:
+    """Return the circle (3,) of least weighted distances and its derivatives (3, K)."""
+    middle = points.mean()
+    around = points - middle
+    square = np.abs(around) ** 2
+    scale = 2.0 * np.sqrt(square.mean())
+    columns = np.stack([(square - square.mean()) / scale, around.real, around.imag], axis=1)
+    a, b, c = np.linalg.svd(columns, full_matrices=False)[2][2]
+    with np.errstate(all="ignore"):
+        shift = -complex(b, c) / (2.0 * a / scale)
+        centre = middle + shift
+    circle = np.array([centre.real, centre.imag, np.sqrt(abs(shift) ** 2 + square.mean())])
+    for _ in range(20):
+        if not np.all(np.isfinite(circle)):
+            return None
+        out = points - complex(circle[0], circle[1])
+        normal = out / np.maximum(np.abs(out), np.finfo(np.float64).tiny)
+        root = 1.0 / np.sqrt(curve.variance_along(normal * factor.conj()))
+        columns = np.stack([normal.real, normal.imag, np.ones(len(points))], axis=1)
+        change = np.linalg.pinv(columns * root[:, None]) * root
+        step = change @ (np.abs(out) - circle[2])
+        circle = circle + step
+        if np.abs(step).max() < 1e-12 * circle[2]:
+            break
+    return circle, change
+
+
+def _angles(
+    points: ComplexArray, curve: MeasuredCurve, factor: ComplexArray, circle: FloatArray, start: tuple[float, float]
+) -> tuple[tuple[float, float], FloatArray] | None:
+    """Return f₀ and ζ from the angles about the centre, and derivatives (2, K)."""
+    frequency = curve.frequency_hz
+    out = points - complex(circle[0], circle[1])
+    tangent = 1j * out / np.abs(out) ** 2
+    root = 1.0 / np.sqrt(curve.variance_along(tangent * factor.conj()))
+    f0, zeta = start
+    alpha = float(np.angle(np.sum(out * np.exp(-1j * _angle_model(frequency, f0, zeta)[0]))))
+    for _ in range(30):
+        model, columns = _angle_model(frequency, f0, zeta)
+        change = np.linalg.pinv(columns * root[:, None]) * root
+        step = change @ np.angle(out * np.exp(-1j * (model + alpha)))
+        step *= min(1.0, 0.5 / max(abs(step[0]), abs(step[1])))
+        f0, zeta, alpha = f0 * np.exp(step[0] * zeta), zeta * np.exp(step[1]), alpha + step[2]
+        if not (np.isfinite(f0) and 1e-9 < zeta < 1.0):
+            return None
+        if np.abs(step).max() < 1e-12:
+            break
+    if np.abs(step).max() > 1e-6:
+        return None
+    return (float(f0), float(zeta)), change[:2] * np.array([[zeta * f0], [zeta]])
+
+
+def _angle_model(frequency_hz: FloatArray, f0: float, zeta: float) -> tuple[FloatArray, FloatArray]:
+    """Return 2 atan((1/r - r)/(2ζ)) (K,), derivatives (K, 3) by ln(f₀)/ζ, ln ζ, α."""
+    r = frequency_hz / f0
+    tangent = (1.0 / r - r) / (2.0 * zeta)
+    by_tangent = 2.0 / (1.0 + tangent**2)
+    columns = [by_tangent * (1.0 / r + r) / 2.0, -by_tangent * tangent, np.ones(len(r))]
+    return np.asarray(2.0 * np.arctan(tangent)), np.stack(columns, axis=1)

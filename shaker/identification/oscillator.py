@@ -8,18 +8,19 @@ from typing import Literal
 
 import numpy as np
 
-from shaker.identification.circle_fit import FEWEST_LINES, fit_circle
 from shaker.identification.measured_curves import (
+    FEWEST_LINES,
     CurveResidual,
     MeasuredCurve,
     ResidualNoise,
     estimate_residual_noise,
+    fit_circle,
     line_correlation_term,
     rational_poles,
     whitening_matrices,
 )
 from shaker.mechanics import laplace
-from shakercal._common.arrays import Arrays, BoolArray, ComplexArray, FloatArray, check_shape
+from shakercal._common.arrays import Arrays, BoolArray, ComplexArray, FloatArray
 from shakercal._common.fitting import BlockJacobian, LinearBlock, LMOptions, SeparablePoint, levenberg_marquardt
 
 ResonanceKind = Literal["transmissibility", "receptance", "mobility", "accelerance"]
@@ -36,7 +37,7 @@ _WEIGHT_TOLERANCE = 0.01  # range over the lines of the relative change of their
 
 
 @dataclass(frozen=True, repr=False)
-class Resonance(Arrays):
+class Resonance(Arrays, shapes="residual_terms 2; parameters P; covariance P P"):
     """A resonance with its uncertainty.
 
     `frequency_hz`: f₀ of the undamped oscillator. `damping_ratio` ζ; complex `gain` G; `delay_s`. `residual_terms` (2,)
@@ -56,10 +57,6 @@ class Resonance(Arrays):
     covariance: FloatArray
     chi_squared: float
     dof: float
-
-    def __post_init__(self) -> None:
-        check_shape("residual_terms", self.residual_terms, (2,))
-        check_shape("covariance", self.covariance, (len(self.parameters), len(self.parameters)))
 
     def model(self, frequency_hz: FloatArray, added_decay_per_s: float = 0.0) -> ComplexArray:
         """Return H(s) (K,) at s = a + jω, with the added decay a."""
@@ -191,9 +188,7 @@ def _whiten_columns(whitening: FloatArray, columns: ComplexArray) -> FloatArray:
 def _fit_reweighted(
     curve: MeasuredCurve, kind: ResonanceKind, names: tuple[str, ...]
 ) -> tuple[FloatArray, FloatArray, ResidualNoise]:
-    """Fit with weights from covariance and residuals; return parameters, derivatives and noise.
-
-    The derivatives (K, 2, P) are whitened."""
+    """Fit with weights from covariance and residuals; return parameters, whitened derivatives, noise."""
     s, whitening = laplace(curve.frequency_hz, curve.added_decay_per_s), whitening_matrices(curve.covariance)
     dof = np.full(len(s), np.inf) if curve.dof is None else curve.dof
     size, noise = np.abs(s ** _POWER_OF_S[kind]), np.sqrt(0.5 * np.trace(curve.covariance, axis1=1, axis2=2))
@@ -286,10 +281,10 @@ def read_peak(curve: MeasuredCurve) -> tuple[PeakPoint, dict[PeakWidth, tuple[Pe
     """Return the maximum of a curve and the crossings on both sides for both widths.
 
     For one base-excited oscillator 1/|H|² is a parabola over f², except for a factor 1 + 4ζ²f²/f₀². The maximum is the
-    vertex of the parabola through the lines above half power. A crossing is read from the lines within a quarter width
-    around it. The search starts at the line of the maximum and at the nearest lines whose |H| is below 1/√2 of it. If
-    one side has none, the other side is mirrored. To find these lines, |H|² is averaged over neighbouring lines until
-    its noise at the maximum is 3 %, over at most a twentieth of the lines.
+    vertex through the lines above half power, a crossing is read from the lines within a quarter width around it. The
+    search starts at the line of the maximum and the nearest lines whose |H| is below 1/√2 of it; a missing side is
+    mirrored. To find these lines, |H|² is averaged until its noise at the maximum is 3 %, over at most a twentieth of
+    the lines.
     """
     magnitude = np.abs(curve.value)
     largest = int(np.argmax(magnitude))
@@ -325,12 +320,12 @@ def read_peak(curve: MeasuredCurve) -> tuple[PeakPoint, dict[PeakWidth, tuple[Pe
 def _fit_parabola(
     curve: MeasuredCurve, frequency_hz: float, reach_hz: float, fewest: int
 ) -> tuple[FloatArray, FloatArray, Callable[[float, FloatArray], tuple[float, FloatArray]]]:
-    """Fit the parabola 1/|H|² = c₀ + c₁u + c₂u² near a frequency.
+    """Fit 1/|H|² = c₀ + c₁u + c₂u² near a frequency.
 
-    Returned are c (3,), its derivatives (3, K) with respect to 1/|H|² of every line, and a function. The function
-    returns the frequency at u with its gradient (K,), from u and its gradient. u is proportional to f² -
-    `frequency_hz`². The lines within `reach_hz` are used, at least the `fewest` nearest ones. Noise of variances σᵣ²,
-    σₜ² along and across H makes 1/|H|² too large by (3σᵣ² - σₜ²)/|H|⁴ on average.
+    Returned are c (3,), its derivatives (3, K) by 1/|H|² of every line, and the frequency with its gradient (K,) as a
+    function of u and its gradient. u is proportional to f² - `frequency_hz`². The lines within `reach_hz` are used, at
+    least the `fewest` nearest ones. Noise of variances σᵣ², σₜ² along and across H makes 1/|H|² too large by (3σᵣ² -
+    σₜ²)/|H|⁴ on average.
     """
     distance = np.abs(curve.frequency_hz - frequency_hz)
     reach = max(reach_hz, float(np.sort(distance)[fewest - 1]))
@@ -393,10 +388,10 @@ def propagate_noise(curve: MeasuredCurve, *by_inverse: FloatArray) -> FloatArray
 
 
 def peak_line_variance_hz2(curve: MeasuredCurve, top: PeakPoint, width_hz: float) -> float:
-    """Return the variance (Hz²) of the frequency of the highest line due to noise.
+    """Return the variance (Hz²) of the highest line's frequency by noise.
 
-    Noise decides which line has the largest |H|. The lines above half power are equally spaced, with independent normal
-    noise about |H| of the oscillator. Each is the largest with the probability ∫ φₖ(a) Πⱼ Φⱼ(a) da.
+    The lines above half power are equally spaced, with independent normal noise about |H| of the oscillator. Each is
+    the largest with the probability ∫ φₖ(a) Πⱼ Φⱼ(a) da.
     """
     from scipy.special import log_ndtr
 
@@ -420,7 +415,7 @@ _RESOLVED_LINES = 4.0  # least number in the half-power width for a reliable wid
 class PeakReading:
     """One reading of a resonance: frequency, width and damping ratio with standard uncertainties.
 
-    Numbers that the method does not provide are NaN. `note`: a restriction of these numbers, usually empty.
+    Missing numbers are NaN. `note`: a restriction of these numbers, usually empty.
     """
 
     method: str
@@ -458,10 +453,7 @@ class PeakReadings:
 
 
 def peak_readings(curve: MeasuredCurve) -> PeakReadings:
-    """Read the highest resonance of the load's motion over the base's motion by every method.
-
-    Only `maximum_bin` is biased by the line spacing.
-    """
+    """Read the highest resonance of load over base motion by every method."""
     if len(curve.frequency_hz) < FEWEST_LINES:
         raise ValueError(f"frequency_hz: expected at least {FEWEST_LINES} lines, found {len(curve.frequency_hz)}")
     top, crossings = read_peak(curve)
@@ -496,16 +488,15 @@ def peak_readings(curve: MeasuredCurve) -> PeakReadings:
     )
 
 
-def transmissibility_levels(damping_ratio: float, level: float = 2.0) -> tuple[float, float, float]:
-    """Return r = f/f₀ of the maximum, the lower and upper point at a level.
+def transmissibility_levels(damping_ratio: float) -> tuple[float, float, float]:
+    """Return r = f/f₀ of the maximum, the lower and upper point at half power.
 
-    The transmissibility H is (1 + 2jζr)/(1 - r² + 2jζr). At the level, 1/|H|² is `level` times its value at the
-    maximum. r² solves y² - (2 - 4ζ² + 4ζ²c)y + 1 - c = 0, c = level/|H|²max. The lower r is zero if the level is not
-    reached.
+    The transmissibility H is (1 + 2jζr)/(1 - r² + 2jζr). At half power, r² solves y² - (2 - 4ζ² +
+    4ζ²c)y + 1 - c = 0, c = 2/|H|²max. The lower r is zero if half power is not reached.
     """
     square = 4.0 * damping_ratio**2
     highest = 2.0 / (np.sqrt(1.0 + 2.0 * square) + 1.0)
-    at_level = level * ((1.0 - highest) ** 2 + square * highest) / (1.0 + square * highest)
+    at_level = 2.0 * ((1.0 - highest) ** 2 + square * highest) / (1.0 + square * highest)
     middle = 1.0 - 0.5 * square * (1.0 - at_level)
     root = np.sqrt(middle**2 - 1.0 + at_level)
     return float(np.sqrt(highest)), float(np.sqrt(max(0.0, middle - root))), float(np.sqrt(middle + root))

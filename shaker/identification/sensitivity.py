@@ -8,7 +8,6 @@ from typing import Literal
 
 import numpy as np
 
-from shaker.identification.identification_notices import FIT_NOT_CONVERGED, OUTPUT_LEADS, STATED_ERROR_TOO_SMALL
 from shaker.identification.measured_curves import (
     MeasuredSensitivity,
     NamedUnknown,
@@ -17,6 +16,7 @@ from shaker.identification.measured_curves import (
 )
 from shaker.identification.sensor import CHAIN_PARAMETERS, ChainKind, ChainModel, SensorModel
 from shaker.mechanics import laplace
+from shaker.model_notices import FIT_NOT_CONVERGED, OUTPUT_LEADS, STATED_ERROR_TOO_SMALL
 from shakercal._common.arrays import Arrays, ComplexArray, FloatArray, check_shape
 from shakercal._common.fitting import LMOptions, WhitenedResiduals, levenberg_marquardt
 from shakercal._common.notices import Notice
@@ -24,10 +24,7 @@ from shakercal._common.notices import Notice
 
 @dataclass(frozen=True)
 class SpringPrior:
-    """Stiffness and damping from a resonance, with standard uncertainties and correlation.
-
-    k in N/m, b in kg/s; for a rotation N·m/rad and N·m·s/rad.
-    """
+    """Stiffness and damping of a resonance, standard uncertainties and correlation, SI units."""
 
     k: float
     u_k: float
@@ -71,7 +68,7 @@ _SMALLEST_TURN = 0.01  # rad at the highest line: start of a lag that differs fr
 
 
 @dataclass(frozen=True, repr=False)
-class SensitivityFit(Arrays):
+class SensitivityFit(Arrays, shapes="parameters P; covariance P P"):
     """Lag and chain fitted to a measured sensitivity.
 
     S(f) = S₀ / (1 + jωτ) · chain(f) with τ = b/k. `sensitivity` S₀ in `unit`; `spring_time_s` τ. `parameters` (P,):
@@ -94,9 +91,6 @@ class SensitivityFit(Arrays):
     dof: int
     probability: float
     converged: bool
-
-    def __post_init__(self) -> None:
-        check_shape("covariance", self.covariance, (len(self.parameters), len(self.parameters)))
 
     def model(self, frequency_hz: FloatArray) -> ComplexArray:
         """Return S(f) (K,) of the fitted parameters, without common errors."""
@@ -135,9 +129,8 @@ def fit_chain(
     """Fit S₀, τ = b/k and a chain of one kind to a sensitivity.
 
     The measured value is S₀ / (1 + jωτ) · chain · exp(Σ z r) with relative errors r by name and unknowns z ~ N(0, 1).
-    The readings need no joint covariance. `spring` is the prior of τ; `spring_free` makes τ free. Without either τ is
-    0, because a lag of the chain and one of the spring have the same curve. A stated static sensitivity is one more
-    reading of S₀.
+    `spring` is the prior of τ; `spring_free` makes τ free. Without either τ is 0, because a lag of the chain and one of
+    the spring have the same curve. A stated static sensitivity is one more reading of S₀.
     """
     from scipy.special import chdtrc
 
@@ -176,11 +169,10 @@ def fit_chain(
 
 @dataclass(frozen=True)
 class _ChainProblem:
-    """A measured sensitivity with its unknowns.
+    """A measured sensitivity with its unknowns x = [S₀, τ if unknown, chain, z].
 
-    x = [S₀, τ if unknown, chain, z of common errors]. `names`: the unknowns except z. `time_s`: τ if it is fixed, else
-    its start. `priors`: (index, value, u) of unknowns with a prior, z among them. `relative` (K, E). `whitening` (K, 2,
-    2): noise to variance one.
+    `names`: the unknowns except z of common errors. `time_s`: τ if it is fixed, else its start. `priors`: (index,
+    value, u) of unknowns with a prior. `relative` (K, E). `whitening` (K, 2, 2).
     """
 
     measured: MeasuredSensitivity
@@ -237,7 +229,7 @@ class _ChainProblem:
         return WhitenedResiduals(x, both[:, 0], both[:, 1:])
 
     def start(self) -> FloatArray:
-        """Return start values: sign and delay from the phases, the rest from the magnitudes.
+        """Return start values: sign and delay from phases, the rest from magnitudes.
 
         1/|chain|² = 1 + (a₁² - 2a₂)ω² + a₂²ω⁴: its slope over ω² distinguishes a lag from a delay.
         """
@@ -347,7 +339,7 @@ class DampingTest:
 
 
 @dataclass(frozen=True, repr=False)
-class SensitivityComparison(Arrays):
+class SensitivityComparison(Arrays, shapes="fits E; weight E"):
     """Explanations of one sensitivity: `fits` (E), Akaike `weight` (E,) with sum 1, `verdict` (E).
 
     `spring`: k and b of the resonance, None without one. `damping`: test whether S(f) without a chain agrees with it.
@@ -361,9 +353,6 @@ class SensitivityComparison(Arrays):
     damping: DampingTest | None
     text: str
     notices: tuple[Notice, ...]
-
-    def __post_init__(self) -> None:
-        check_shape("weight", self.weight, (len(self.fits),))
 
     @property
     def best(self) -> SensitivityFit:

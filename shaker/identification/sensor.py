@@ -8,8 +8,8 @@ from typing import Literal
 import numpy as np
 
 from shaker.frf.chain import ChainResponse, common_covariance, split_ratio
-from shaker.identification.identification_notices import SIGNAL_ABOVE_BAND
 from shaker.mechanics import laplace
+from shaker.model_notices import SIGNAL_ABOVE_BAND
 from shaker.sine.phasor import Phasors
 from shakercal._common.arrays import Arrays, ComplexArray, FloatArray, check_shape
 from shakercal._common.notices import Notice
@@ -31,7 +31,7 @@ CHAIN_PARAMETERS: dict[ChainKind, tuple[str, ...]] = {
 
 
 @dataclass(frozen=True, repr=False)
-class ChainModel(Arrays):
+class ChainModel(Arrays, shapes="names P; parameters P"):
     """Response exp(−sD) / (1 + a₁s + a₂s²) of a measuring chain, s = jω.
 
     `kind` selects the terms. `parameters` (P,) in the order of `CHAIN_PARAMETERS`: D `delay_s`, a₁ `lag_s`, a₂
@@ -40,9 +40,6 @@ class ChainModel(Arrays):
 
     kind: ChainKind
     parameters: FloatArray
-
-    def __post_init__(self) -> None:
-        check_shape("parameters", self.parameters, (len(self.names),))
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -78,10 +75,9 @@ class ChainModel(Arrays):
         return np.array([columns[name] for name in self.names], dtype=np.complex128).reshape(-1, len(s)).T
 
     def corner(self, covariance: FloatArray) -> tuple[tuple[float, float], tuple[float, float]] | None:
-        """Return corner frequency and damping ratio of a low-pass, each with u.
+        """Return (f_c, u) in Hz and (ζ, u) of a low-pass of second order.
 
-        (f_c, u) in Hz and (ζ, u); None without a low-pass of second order. f_c = 1/(2π√a₂), ζ = a₁/(2√a₂), for a₂ > 0;
-        u from the covariance (P, P) of the parameters.
+        f_c = 1/(2π√a₂), ζ = a₁/(2√a₂), for a₂ > 0, else None; u from the covariance (P, P) of the parameters.
         """
         if self.kind not in {"butterworth", "second_order"} or not self.square_s2 > 0.0:
             return None
@@ -182,10 +178,7 @@ class SensorModel(Arrays):
         return np.asarray(gain / self._divisor(laplace(frequency_hz), load) * self.chain.response(frequency_hz))
 
     def log_slopes(self, frequency_hz: FloatArray, load: Load) -> ComplexArray:
-        """Return the derivatives of ln `output_factor` by parameters and load mass.
-
-        The shape is (K, 4 + P + 1).
-        """
+        """Return derivatives (K, 4 + P + 1) of ln `output_factor` by parameters and load."""
         s, total = laplace(frequency_hz), load.mass + self.internal_mass
         divisor = self._divisor(s, load)
         by_force = np.asarray(-s * s / self.stiffness / divisor)
@@ -202,10 +195,7 @@ class SensorModel(Arrays):
         return np.stack(columns, axis=1)
 
     def covariance_root(self, load: Load) -> FloatArray:
-        """Return a square root of the covariance of parameters and load mass.
-
-        Deviations (4 + P + 1, E) for E independent causes of variance one.
-        """
+        """Return deviations (4 + P + 1, E) of parameters and load mass."""
         count = len(self.covariance)
         whole = np.zeros((count + 1, count + 1))
         whole[:count, :count], whole[count, count] = self.covariance, load.u_mass**2
@@ -323,7 +313,7 @@ class CorrectedPhasors(Arrays):
 
 
 @dataclass(frozen=True, repr=False)
-class CorrectedRecord(Arrays):
+class CorrectedRecord(Arrays, shapes="force N; u N; errors E N"):
     """Force on the load (N,) at the sampling instants of the output, up to `band_hz`.
 
     `u` (N,): standard uncertainty from noise and model. `errors` (E, N): force for one standard deviation of each of E
@@ -340,10 +330,6 @@ class CorrectedRecord(Arrays):
     settling: int
     removed_rms: float
     notices: tuple[Notice, ...]
-
-    def __post_init__(self) -> None:
-        check_shape("u", self.u, self.force.shape)
-        check_shape("errors", self.errors, (None, len(self.force)))
 
 
 def correct_phasors(phasors: Phasors, model: SensorModel, load: Load) -> CorrectedPhasors:

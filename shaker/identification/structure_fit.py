@@ -11,26 +11,10 @@ from functools import cached_property
 
 import numpy as np
 
-from shaker.identification.identification_notices import (
-    DAMPING_UNDETERMINED,
-    FIT_UNSETTLED,
-    INERTIA_UNDETERMINED,
-    MODEL_MISFIT,
-    NEGATIVE_DAMPING,
-    NEGATIVE_INERTIA,
-    NEGATIVE_WITHIN_U,
-    RESIDUAL_NOISE,
-    STATED_ERROR_TOO_SMALL,
-    STATED_VALUE_CONTRADICTED,
-    STATED_VALUE_UNCHANGED,
-    STIFFNESS_UNDETERMINED,
-)
 from shaker.identification.identification_problem import (
-    DELAY_UNIT_S,
     IdentificationProblem,
     ModelledRatios,
     build_problem,
-    factor_name,
     starting_vectors,
     whole_inertia,
 )
@@ -45,7 +29,21 @@ from shaker.identification.measured_curves import (
 )
 from shaker.identification.structures import MechanicalStructure
 from shaker.labels import typeset
-from shakercal._common.arrays import Arrays, ComplexArray, FloatArray, check_shape
+from shaker.model_notices import (
+    DAMPING_UNDETERMINED,
+    FIT_UNSETTLED,
+    INERTIA_UNDETERMINED,
+    MODEL_MISFIT,
+    NEGATIVE_DAMPING,
+    NEGATIVE_INERTIA,
+    NEGATIVE_WITHIN_U,
+    RESIDUAL_NOISE,
+    STATED_ERROR_TOO_SMALL,
+    STATED_VALUE_CONTRADICTED,
+    STATED_VALUE_UNCHANGED,
+    STIFFNESS_UNDETERMINED,
+)
+from shakercal._common.arrays import Arrays, ComplexArray, FloatArray
 from shakercal._common.fitting import LMOptions, levenberg_marquardt
 from shakercal._common.notices import Notice, Value
 
@@ -54,10 +52,7 @@ from shakercal._common.notices import Notice, Value
 
 @dataclass(frozen=True)
 class ModeEstimate:
-    """One mode of one recording with standard uncertainties, numbered from 0 by rising frequency.
-
-    `frequency_hz` f₀ = |λ|/2π of the undamped oscillator and `damping_ratio` ζ = -Re λ/|λ|, from the pole λ.
-    """
+    """One mode of a recording, numbered by frequency: f₀ = |λ|/2π, ζ = -Re λ/|λ|."""
 
     record: str
     number: int
@@ -67,24 +62,8 @@ class ModeEstimate:
     u_damping_ratio: float
 
 
-@dataclass(frozen=True)
-class FreeFactor:
-    """Fitted gain or delay of one response in one recording.
-
-    The model of the curve is H · gain · exp(-s delay).
-    """
-
-    record: str
-    channel: str
-    gain: complex
-    u_gain_relative: float
-    u_gain_phase_rad: float
-    delay_s: float
-    u_delay_s: float
-
-
 @dataclass(frozen=True, repr=False)
-class Identification(Arrays):
+class Identification(Arrays, shapes="estimates P; covariance P P"):
     """Parameters of a structure from all recordings together.
 
     Attributes
@@ -94,7 +73,6 @@ class Identification(Arrays):
     derived : b/k of each spring and damper
     modes : of every recording
     unknowns : named errors as estimated
-    factors : free gains and delays
     model, residual : (K, C) per recording, the curve with all estimated errors, and measured minus model
     chi_squared, dof : of the residuals over the stated covariances
     budget : contributions (P,) by cause
@@ -111,16 +89,12 @@ class Identification(Arrays):
     derived: tuple[ParameterEstimate, ...]
     modes: tuple[ModeEstimate, ...]
     unknowns: tuple[NamedUnknown, ...]
-    factors: tuple[FreeFactor, ...]
     model: tuple[ComplexArray, ...]
     residual: tuple[ComplexArray, ...]
     chi_squared: float
     dof: float
     notices: tuple[Notice, ...]
     budget: Mapping[str, FloatArray] = field(default_factory=dict)
-
-    def __post_init__(self) -> None:
-        check_shape("covariance", self.covariance, (len(self.estimates), len(self.estimates)))
 
     def __getitem__(self, name: str) -> ParameterEstimate:
         """Return the parameter or derived number of a name."""
@@ -173,10 +147,7 @@ _RANK_TOLERANCE = 1e-10  # singular value, columns of unit length, below which a
 
 @dataclass(frozen=True, repr=False)
 class FitState(Arrays):
-    """Unknowns (N,) with the modelled curves and the whitened residuals (K, 2C).
-
-    `loss`: χ² of lines and priors together. Derivatives are computed on first use.
-    """
+    """Unknowns (N,) with the modelled curves, whitened residuals (K, 2C), χ² as `loss`."""
 
     problem: IdentificationProblem
     parameters: FloatArray
@@ -196,10 +167,7 @@ class FitState(Arrays):
 
     @cached_property
     def normal(self) -> tuple[FloatArray, FloatArray]:
-        """Normal matrix (N, N) and descent direction (N,), zero for fixed unknowns.
-
-        These are half the second derivatives and the negative half gradient of the loss.
-        """
+        """Normal matrix (N, N) and descent direction (N,), zero for fixed unknowns."""
         problem = self.problem
         normal, downhill = np.diag(problem.precision), problem.precision * (problem.expected - self.parameters)
         for curve, residual, jacobian in zip(problem.curves, self.residuals, self.jacobians, strict=True):
@@ -213,10 +181,7 @@ class FitState(Arrays):
 
 
 def evaluate(problem: IdentificationProblem, vector: FloatArray) -> FitState | None:
-    """Return the fit state of a vector, None if a parameter is impossible.
-
-    Masses and stiffnesses must be positive.
-    """
+    """Return the fit state of a vector, None unless masses and stiffnesses are positive."""
     if not all(curve.possible(vector) for curve in problem.curves):
         return None
     modelled = tuple(curve.modelled(vector) for curve in problem.curves)
@@ -229,10 +194,7 @@ def evaluate(problem: IdentificationProblem, vector: FloatArray) -> FitState | N
 
 
 def solve(problem: IdentificationProblem, state: FitState) -> FitState:
-    """Return the state of least χ² of lines and priors, starting from a state.
-
-    The result of the last step is returned even if the fit has not converged.
-    """
+    """Return the last state of a search for the least χ²."""
 
     def at(vector: FloatArray) -> FitState | None:
         return evaluate(problem, vector)
@@ -277,10 +239,7 @@ class UnknownsCovariance(Arrays):
     unsettled: float
 
     def u(self, gradient: FloatArray) -> float:
-        """Return the standard uncertainty of a function of the unknowns with a `gradient` (N,).
-
-        It is infinite if the gradient has a part in an undetermined direction.
-        """
+        """Return u of a function with a `gradient` (N,), infinite where undetermined."""
         scaled = gradient * self.scale
         size = float(np.linalg.norm(scaled))
         if size > 0.0 and len(self.undetermined) and np.linalg.norm(self.undetermined @ scaled) > 1e-4 * size:
@@ -288,10 +247,7 @@ class UnknownsCovariance(Arrays):
         return float(np.sqrt(max(0.0, float(gradient @ self.covariance @ gradient))))
 
     def covariance_of(self, gradients: FloatArray) -> FloatArray:
-        """Return the covariance (G, G) of functions of the unknowns with `gradients` (G, N).
-
-        Undetermined ones have infinite variance and no covariance with the others.
-        """
+        """Return the covariance (G, G) of functions with `gradients` (G, N), infinite where undetermined."""
         covariance = gradients @ self.covariance @ gradients.T
         undetermined = ~np.isfinite([self.u(gradient) for gradient in gradients])
         covariance[undetermined] = 0.0
@@ -301,12 +257,10 @@ class UnknownsCovariance(Arrays):
 
 
 def spread(problem: IdentificationProblem, state: FitState) -> UnknownsCovariance:
-    """Return the covariance of all unknowns.
+    """Return the covariance A⁻¹ (JᵀRJ + P) A⁻¹ of all unknowns.
 
-    It is A⁻¹ (JᵀRJ + P) A⁻¹ with A = JᵀJ + P.
-
-    R is the correlation between lines, P the precision of the priors. The basis is chosen such that A = 1. This keeps
-    the digits of directions that the stated masses and scales do not determine.
+    A = JᵀJ + P, R is the correlation between lines, P the precision of the priors. The basis is chosen such that A = 1,
+    which keeps the digits of directions that the stated masses and scales do not determine.
     """
     count, free = len(state.parameters), ~problem.fixed
     unit = np.diag(free.astype(np.float64))
@@ -405,8 +359,6 @@ def identify(
     *,
     stated_values: Mapping[str, tuple[float, float]] | None = None,
     each_recording: Collection[str] = (),
-    gain: Collection[str] = (),
-    delay: Collection[str] = (),
 ) -> Identification:
     """Fit the parameters of a structure to all lines of all recordings together.
 
@@ -420,8 +372,6 @@ def identify(
         (value, u) of parameters that are stated; u = 0 fixes the parameter
     each_recording
         names of the parameters that have a separate value in every recording
-    gain, delay
-        channels whose complex gain or delay is free in every recording, because their scale is not stated
 
     Notes
     -----
@@ -429,7 +379,7 @@ def identify(
     unknown. Uncertain numbers of the load, positions and directions of transducers, and the clock rate are unknowns
     too.
     """
-    problem = build_problem(records, structure, stated_values or {}, each_recording, gain, delay)
+    problem = build_problem(records, structure, stated_values or {}, each_recording)
     lines = sum(2 * record.ratio.value.size for record in records)
     if lines <= np.count_nonzero((problem.precision == 0.0) & ~problem.fixed):
         raise ValueError(f"records: expected more real values than {len(problem.names)} unknowns, found {lines}")
@@ -492,7 +442,6 @@ def _result(
         derived=_lags(problem, state, found),
         modes=_modes(problem, state, found),
         unknowns=tuple(unknowns),
-        factors=_factors(problem, state, found),
         model=model,
         residual=tuple(curve.record.ratio.value - value for curve, value in zip(problem.curves, model, strict=True)),
         chi_squared=noise.chi_squared,
@@ -503,10 +452,7 @@ def _result(
 
 
 def _lags(problem: IdentificationProblem, state: FitState, found: UnknownsCovariance) -> tuple[ParameterEstimate, ...]:
-    """Return b/k of every damper with its spring.
-
-    It is the time constant of the sensor's lag in S(f).
-    """
+    """Return b/k of every damper with its spring."""
     indices = {parameter.name: index for index, parameter in enumerate(problem.parameters)}
     derived = []
     for name, index in indices.items():
@@ -532,22 +478,3 @@ def _modes(problem: IdentificationProblem, state: FitState, found: UnknownsCovar
             f0 = float(size / (2.0 * np.pi))
             modes.append(ModeEstimate(curve.record.name, number, f0, u_size, ratio, u_ratio))
     return tuple(modes)
-
-
-def _factors(problem: IdentificationProblem, state: FitState, found: UnknownsCovariance) -> tuple[FreeFactor, ...]:
-    indices, unit = {name: index for index, name in enumerate(problem.names)}, np.eye(len(problem.names))
-
-    def of(name: str) -> tuple[float, float]:
-        index = indices.get(name)
-        return (0.0, 0.0) if index is None else (float(state.parameters[index]), found.u(unit[index]))
-
-    factors = []
-    for record in (curve.record for curve in problem.curves):
-        for channel in record.ratio.channels:
-            (size, u_size), (phase, u_phase), (delay, u_delay) = (
-                of(factor_name(kind, record, channel)) for kind in ("ln gain", "gain phase", "delay")
-            )
-            if u_size > 0.0 or u_delay > 0.0:
-                gain, times = complex(np.exp(complex(size, phase))), (delay * DELAY_UNIT_S, u_delay * DELAY_UNIT_S)
-                factors.append(FreeFactor(record.name, channel, gain, u_size, u_phase, *times))
-    return tuple(factors)

@@ -33,19 +33,13 @@ class MechanicalStructure(Protocol):
 
     @property
     def body(self) -> FloatArray:
-        """Motion (6, n) of the load relative to the base per p.
-
-        In the order x y z rx ry rz. The base moves as `record.drive`.
-        """
+        """Motion (6, n) of the load, x y z rx ry rz, per p."""
 
     def mechanics(self, record: MeasuredTransfer) -> Mechanics:
         """Return the mechanics of a recording, terms in the order 1, `parameters`, `record.inertia_errors`."""
 
     def starts(self, records: Sequence[MeasuredTransfer]) -> FloatArray:
-        """Return start values (S, P) of the right order of magnitude.
-
-        The best result of all starts is used.
-        """
+        """Return start values (S, P) of the right order of magnitude."""
 
 
 def _spring_and_damper(component: int, ending: str, words: str) -> tuple[StructureParameter, StructureParameter]:
@@ -65,10 +59,7 @@ def _internal(component: int) -> StructureParameter:
 
 
 def _seen(record: MeasuredTransfer, body: FloatArray, matrices: FloatArray, forcing: FloatArray) -> Mechanics:
-    """Return the mechanics of p with the readings of a recording.
-
-    Responses are on the load, which moves by `body` · p relative to the base. The reference is on the base.
-    """
+    """Return the mechanics of p with the readings of a recording."""
     rows = np.stack([sight.row for sight in record.tops])
     base = float(record.base.row @ record.drive)
     return Mechanics(matrices, forcing, rows @ body, rows @ record.drive, np.zeros(body.shape[1]), base)
@@ -135,10 +126,7 @@ class SpringSuspension:
         return _seen(record, self.body, matrices, (full @ record.drive)[:, free])
 
     def starts(self, records: Sequence[MeasuredTransfer]) -> FloatArray:
-        """Return starts (S, P) with resonances around the largest ratio and above it.
-
-        Resonances are assigned to the components in every order.
-        """
+        """Return starts (S, P), resonances around the largest ratio in every order."""
         size = len(self.components)
         largest = max(records, key=lambda record: float(np.abs(record.ratio.value).max()))
         line = int(np.argmax(np.abs(largest.ratio.value).max(axis=1)))
@@ -154,10 +142,7 @@ class SpringSuspension:
 
 @dataclass(frozen=True)
 class Stage:
-    """A stage with an unknown spring and damper.
-
-    `has_mass`: whether it has an unknown mass in addition to the load.
-    """
+    """A stage with an unknown spring and damper, with or without a mass."""
 
     name: str
     has_mass: bool = True
@@ -205,10 +190,7 @@ class ChainStructure:
         return np.outer(np.eye(6)[self.component], np.eye(len(self.stages))[-1])
 
     def mechanics(self, record: MeasuredTransfer) -> Mechanics:
-        """Return M, B, K and f of a recording.
-
-        Its responses are on the last stage, its reference is on the base.
-        """
+        """Return M, B, K and f of a recording with responses on the last stage."""
         count = len(self.stages)
         matrices, forcing = chain_terms(count)
         mass = slice(1, 1 + count)
@@ -224,10 +206,7 @@ class ChainStructure:
         return _seen(record, self.body, moved, pushed)
 
     def starts(self, records: Sequence[MeasuredTransfer]) -> FloatArray:
-        """Return start values (S, P) from the measured poles in every order.
-
-        Each spring is set as if it carried the load.
-        """
+        """Return start values (S, P) from the measured poles in every order."""
         load = records[0].mass_matrix[self.component, self.component]
         masses = [0.1 * load for stage in self.stages if stage.has_mass]
         starts = []

@@ -13,14 +13,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from shaker.lti.lti_notices import (
-    ALTERNATING_POLE,
-    FIGURES_NOT_LINEAR,
-    FIGURES_WITHOUT_U,
-    POLE_ABOVE_NYQUIST,
-    POLE_ZERO_CANCELLATION,
-    UNSTABLE_POLES,
-)
 from shaker.lti.responses import (
     band_edges,
     band_end,
@@ -34,6 +26,14 @@ from shaker.lti.responses import (
     transient,
 )
 from shaker.lti.system import LinearSystem, ModalModel
+from shaker.model_notices import (
+    ALTERNATING_POLE,
+    FIGURES_NOT_LINEAR,
+    FIGURES_WITHOUT_U,
+    POLE_ABOVE_NYQUIST,
+    POLE_ZERO_CANCELLATION,
+    UNSTABLE_POLES,
+)
 from shakercal._common.arrays import FloatArray
 from shakercal._common.notices import Notice
 
@@ -214,10 +214,7 @@ def modes(system: LinearSystem) -> tuple[Mode, ...]:
 
 
 def step_shares(system: LinearSystem) -> FloatArray:
-    """Return the oscillation amplitude of each pole (P,) after a step, over the static gain.
-
-    Both poles of a pair are included.
-    """
+    """Return each pole's oscillation (P,) after a step over the static gain, with its conjugate."""
     below = system.poles - system.static_point
     pairs = np.where(system.poles.imag == 0, 1.0, 2.0)
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -233,10 +230,7 @@ CANCELLATION_DISTANCE = 1e-2
 
 
 def pole_notices(system: LinearSystem, sample_rate_hz: float | None = None) -> tuple[Notice, ...]:
-    """Return notices of instability, poles without physical meaning, and near cancellations.
-
-    `sample_rate_hz` is that of the samples from which a continuous model was identified; a sampled model has a rate.
-    """
+    """Return notices of instability, poles without physical meaning, and near cancellations."""
     system_rate = system.sample_rate_hz
     rate, notices = system_rate or sample_rate_hz, []
     if not system.stable:
@@ -272,12 +266,9 @@ NONLINEAR_FACTOR = 1.2
 
 @dataclass(frozen=True)
 class FigureRange:
-    """Range of figures (Q,) within `REACH_SIGMA` standard uncertainties of a model.
+    """Lowest and highest figures (Q,) within `REACH_SIGMAS` of a model, NaN where they cease.
 
-    Attributes
-    ----------
-    low, high : (Q,), lowest and highest values, NaN where a figure ceases to exist.
-    factor : (Q,), factor by which a first-order u must be multiplied to include them, at least 1.
+    `factor` (Q,): factor by which a first-order u must be multiplied to include them, at least 1.
     """
 
     low: FloatArray
@@ -303,11 +294,10 @@ def find_figure_range(
 ) -> FigureRange:
     """Return the range of figures within the covariance (P, P) of a model.
 
-    `slope` (Q, P) are their derivatives. `figures_after` returns the figures (Q,) for a shift (P,) of the parameters,
-    NaN or infinite where there is none. The parameters are shifted to both sides as far as each figure can change to
-    first order, V·g/√(gᵀVg): no other shift changes that figure as much. Every figure is evaluated for the direction of
-    every other. A band may end where the highest gain touches its limit, which the gain at its end does not show. A
-    linear figure never changes more than its first-order change, for any direction.
+    `slope` (Q, P) are their derivatives. `figures_after` returns the figures (Q,) for a shift (P,) of the parameters.
+    These are shifted to both sides as far as each figure can change to first order, V·g/√(gᵀVg), and every figure is
+    evaluated for the direction of every other: a band may end where the highest gain touches its limit. A linear figure
+    never changes more than to first order.
     """
     value, u = (
         figures_after(np.zeros(len(covariance))),
@@ -335,11 +325,9 @@ OVER_NOMINAL = ("band_5_nominal_hz", "band_10_nominal_hz")
 
 
 def moving_figures(model: ModalModel, found: Indices) -> tuple[tuple[str, ...], Callable[[ModalModel], FloatArray]]:
-    """Return functions of models whose values change like the figures.
+    """Return names (Q,) and one function of models whose values change like the figures.
 
-    The result are names (Q,) and one function with Q values. It is valid close to `model`, for `ModalModel.propagate`
-    and `.jacobian`, which need changes only. Missing figures are left out, and settling times, for which see
-    `settling_u`.
+    It is valid close to `model`. Missing figures are left out, and settling times, for which see `settling_u`.
     """
     parts: dict[str, tuple[ModelFigure, float]] = {"static_gain": (lambda at: at.static_gain, 1.0)}
     if found.dominant is not None:
@@ -361,10 +349,7 @@ def moving_figures(model: ModalModel, found: Indices) -> tuple[tuple[str, ...], 
 
 
 def _over_frequency(system: LinearSystem, found: Indices) -> dict[str, tuple[ModelFigure, float]]:
-    """Return functions for figures over frequency, with scale factors.
-
-    They are peak, bands, -3 dB and 90° at fixed frequency.
-    """
+    """Return functions for peak, bands, -3 dB and 90° at fixed frequency, with factors."""
 
     def level_at(hertz: float, over_static: bool) -> ModelFigure:
         """ln|H|, over the static gain or not."""
@@ -394,9 +379,9 @@ def _over_frequency(system: LinearSystem, found: Indices) -> dict[str, tuple[Mod
 def settling_u(model: ModalModel, tolerance: float) -> float:
     """Return the standard uncertainty in s of a settling time, NaN where there is none.
 
-    It has two parts. The crossing moves by τ with slope·τ ± curvature·τ²/2 = u of the response, away from the previous
-    turning point or towards it, but not past it. And it jumps to the next turning point, half a period away, if one
-    that is just outside moves inside, or the reverse: variance (half period)²·P(1 - P) with the probability P of that.
+    The crossing moves by τ with slope·τ ± curvature·τ²/2 = u of the response, away from or towards the previous turning
+    point. It jumps to the next turning point, half a period away, with the probability P that one just outside moves
+    inside, or the reverse: variance (half period)²·P(1 - P).
     """
     from scipy.special import ndtr
 

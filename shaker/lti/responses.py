@@ -21,19 +21,15 @@ TINY = 2.0 * float(np.finfo(np.float64).eps)
 
 
 def sign_changes(value: FloatArray) -> IntArray:
-    """Return the indices i after which `value` (N,) changes sign.
-
-    A zero at i + 1 counts too.
-    """
+    """Return the indices i after which `value` (N,) changes sign."""
     positive = value > 0
     return np.asarray(np.flatnonzero(positive[1:] != positive[:-1]), dtype=np.int64)
 
 
 def roots_between(function: Callable[[FloatArray], FloatArray], low: FloatArray, high: FloatArray) -> FloatArray:
-    """Return roots (R,) of a function, each between `low` and `high`.
+    """Return roots (R,) between `low` and `high`, where the function has different signs.
 
-    The function has different signs there. Inverse quadratic interpolation where it is safe, else bisection
-    (Chandrupatla, Adv. Eng. Softw. 28 (1997) 145-149), to the last digits.
+    Inverse quadratic interpolation where it is safe, else bisection (Chandrupatla, Adv. Eng. Softw. 28 (1997) 145-149).
     """
     at_low, at_high = np.asarray(low, dtype=np.float64), np.asarray(high, dtype=np.float64)
     if not len(at_high):
@@ -85,10 +81,7 @@ class GainCurve(Arrays):
     passed: dict[float, FloatArray] = field(default_factory=dict, compare=False)
 
     def crossings(self, *levels: float) -> list[float]:
-        """Return every frequency in Hz at which |H| crosses one of the levels, ascending.
-
-        Each level is searched once, and all levels of one call together.
-        """
+        """Return every frequency in Hz at which |H| crosses a level; each is searched once."""
         new = [level for level in dict.fromkeys(levels) if level not in self.passed]
         if new:
             self._search(new)
@@ -109,10 +102,7 @@ class GainCurve(Arrays):
         self.passed.update(zip(new, np.split(roots, np.cumsum(counts)[:-1]), strict=True))
 
     def inside(self, low: float, high: float) -> list[tuple[float, float]]:
-        """Return the ranges of frequency in Hz in which low ≤ |H| ≤ high.
-
-        The last may be infinite.
-        """
+        """Return the ranges of frequency in Hz with low ≤ |H| ≤ high."""
         ends = [0.0, *self.crossings(low, high), float(self.edges_hz[-1])]
         middle = np.abs(self.system.response(np.array([0.5 * (begin + end) for begin, end in pairwise(ends)])))
         ranges: list[tuple[float, float]] = []
@@ -128,8 +118,8 @@ class GainCurve(Arrays):
 def gain_curve(system: LinearSystem) -> GainCurve:
     """Return |H| over frequency in monotonic pieces.
 
-    The turning points are the zeros of d ln|H|/dω = Re{x'·[Σ 1/(x - zero) - Σ 1/(x - pole)]}, x' = dx/dω, between
-    points that are dense near poles and zeros: no resonance is too narrow.
+    The turning points are the zeros of d ln|H|/dω between points that are dense near poles and zeros: no resonance is
+    too narrow.
     """
     grid = _grid(system)
     turning = sign_changes(log_slope(system, grid))
@@ -139,10 +129,7 @@ def gain_curve(system: LinearSystem) -> GainCurve:
 
 
 def roots_rad(system: LinearSystem) -> tuple[ComplexArray, ComplexArray]:
-    """Return zeros and poles as s in rad/s.
-
-    Those of samples are ln(z)·rate; z = 0 is left out.
-    """
+    """Return zeros and poles in rad/s; those of samples are ln(z)·rate without z = 0."""
     if system.sample_rate_hz is None:
         return system.zeros, system.poles
     zeros, poles = (np.log(part[part != 0]) * system.sample_rate_hz for part in (system.zeros, system.poles))
@@ -171,10 +158,7 @@ def _grid(system: LinearSystem) -> FloatArray:
 
 
 def log_slope(system: LinearSystem, hertz: FloatArray) -> FloatArray:
-    """Return d ln|H|/dω (K,) in s at frequencies (K,).
-
-    Frequencies are in Hz. The slope is 0 on a zero or pole.
-    """
+    """Return d ln|H|/dω (K,) at frequencies in Hz, 0 on a zero or pole."""
     x = 2j * np.pi * np.asarray(hertz)
     change: ComplexArray = np.full(len(x), 1j)
     if system.sample_rate_hz is not None:
@@ -193,10 +177,7 @@ def band_edges(reference: float, tolerance: float) -> tuple[float, float]:
 
 
 def band_end(curve: GainCurve, reference: float, tolerance: float) -> float | None:
-    """Return the frequency in Hz up to which |H| is within ±`tolerance` of |`reference`|.
-
-    None where |H(0)| is outside.
-    """
+    """Return the end of the band within ±`tolerance` of |`reference`|; None if |H(0)| is outside."""
     ranges = curve.inside(*band_edges(reference, tolerance))
     return ranges[0][1] if ranges and ranges[0][0] == 0.0 else None
 
@@ -244,10 +225,10 @@ COINCIDING = 1e12
 
 @dataclass(frozen=True)
 class Transient:
-    """Figures of a step response, None where there is none.
+    """Figures of a step response in s and over the final value.
 
-    `overshoot` is over the final value, times are in s. For a continuous system, `highest_s` is the time of the highest
-    value, and `passing_s` (2,) are the times at which 10 and 90 % are first reached.
+    `highest_s`: time of the highest value; `passing_s` (2,): when 10 and 90 % are first reached, of a continuous
+    system.
     """
 
     overshoot: float | None = None
@@ -259,10 +240,7 @@ class Transient:
 
 
 def transient(system: LinearSystem) -> Transient:
-    """Return overshoot, rise and settling.
-
-    They are None for an unstable system or one without static gain.
-    """
+    """Return overshoot, rise and settling; None of an unstable system or one without static gain."""
     if not system.stable or not system.static_gain or not np.isfinite(system.static_gain):
         return Transient()
     if not len(system.poles):
@@ -277,10 +255,7 @@ def transient(system: LinearSystem) -> Transient:
 
 
 def settling_points(system: LinearSystem, tolerance: float) -> FloatArray | None:
-    """Return settling time and neighbouring turning points (3,) in s.
-
-    The system is continuous. None if it never settles.
-    """
+    """Return settling time and the turning points around it (3,) in s, None without settling."""
     if not system.stable or not system.static_gain or not len(system.poles):
         return None
     response = _Response(system)
@@ -311,10 +286,7 @@ def _sampled_transient(system: LinearSystem, rate: float) -> Transient:
 
 @dataclass(frozen=True)
 class _Passing:
-    """Bracket in s of the time at which a response crosses a level.
-
-    `level` is a share of the final value. `begin` equals `end` where the time is exact.
-    """
+    """Bracket in s of the crossing of `level`, a share of the final value."""
 
     begin: float
     end: float
@@ -385,10 +357,7 @@ class _Response:
             begin = end
 
     def coarse(self, begin: float, end: float) -> FloatArray:
-        """Return the response at the points of a piece.
-
-        In between it exceeds them by less than `SHORT`.
-        """
+        """Return the response at the points of a piece, up to `SHORT` low between."""
         if not self.separate:
             return self.ratio(np.linspace(begin, end, BLOCK + 1))
         return 1.0 + exponentials_between(self.poles, self.terms, begin, end, BLOCK + 1)

@@ -9,10 +9,10 @@ from typing import Literal
 
 import numpy as np
 
-from shaker.lti.roots import hold_factor, logarithms, pair_conjugates, tustin_constant
-from shakercal._common.arrays import Arrays, ComplexArray, FloatArray, check_shape, check_shapes
+from shakercal._common.arrays import Arrays, ComplexArray, FloatArray, check_shape
+from shakercal._common.propagation import derivatives
 
-Method = Literal["tustin", "zoh", "matched"]
+Conversion = Literal["tustin", "zoh"]
 MIN_LAG, MAX_DAMPING = 0.02, 0.999  # smallest share of a shifted lag or frequency; largest |ζ|; chosen
 MAX_TERM_RATIO = 1e5
 """How much larger than their sum the parts of a response may be; beyond, poles count as coinciding."""
@@ -58,10 +58,7 @@ class LinearSystem(Arrays):
     def from_coefficients(
         numerator: FloatArray, denominator: FloatArray, sample_rate_hz: float | None = None
     ) -> LinearSystem:
-        """Return the system of polynomials in falling powers of s or z.
-
-        For powers of z⁻¹ both are padded to one length.
-        """
+        """Return the system of polynomials in falling powers of s or z."""
         top, bottom = (np.trim_zeros(np.asarray(part, float), "f") for part in (numerator, denominator))
         if not len(top) or not len(bottom):
             raise ValueError("numerator, denominator: expected a coefficient other than 0 in both, found none")
@@ -72,11 +69,11 @@ class LinearSystem(Arrays):
     def from_residues(
         poles: ComplexArray, residues: ComplexArray, direct: float = 0.0, sample_rate_hz: float | None = None
     ) -> LinearSystem:
-        """Return the system direct + Σ residue/(x - pole).
+        """Return the system direct + Σ residue/(x - pole) of different poles (P,).
 
-        The poles (P,) differ and are in conjugate pairs. The numerator is computed in powers of x minus the x of
-        frequency zero, in units of the poles' typical distance from it. Poles of oversampled signals, all near z = 1,
-        thus keep their digits. Leading coefficients that are zero within rounding are dropped.
+        The numerator is computed in powers of x minus the x of frequency zero, in units of the poles' typical distance
+        from it. Poles of oversampled signals, all near z = 1, thus keep their digits. Leading coefficients within
+        rounding are dropped.
         """
         p, r = np.asarray(poles, dtype=np.complex128), np.asarray(residues, dtype=np.complex128)
         rest = 0.0 if sample_rate_hz is None else 1.0
@@ -95,7 +92,7 @@ class LinearSystem(Arrays):
         return LinearSystem(zeros, p, float(total[first]) * scale**first, sample_rate_hz)
 
     def coefficients(self) -> tuple[FloatArray, FloatArray]:
-        """Return numerator and monic denominator in falling powers, the numerator padded with zeros in front."""
+        """Return numerator and monic denominator of equal lengths in falling powers."""
         top = np.atleast_1d(self.gain * np.real(np.poly(self.zeros)))
         bottom = np.atleast_1d(np.real(np.poly(self.poles)))
         return np.concatenate([np.zeros(len(bottom) - len(top)), top]), bottom
@@ -111,10 +108,7 @@ class LinearSystem(Arrays):
         return float(self.at(np.array([self.static_point]))[0].real)
 
     def at(self, x: ComplexArray) -> ComplexArray:
-        """Return H (K,) at s or z (K,), infinite at a pole.
-
-        It is computed factor by factor, so that no coefficient loses digits.
-        """
+        """Return H (K,) at s or z (K,), infinite at a pole, factor by factor."""
         point = np.asarray(x, dtype=np.complex128)[:, None]
         above = np.full((len(point), len(self.poles)), 1.0 + 0j)
         above[:, : len(self.zeros)] = point - self.zeros
@@ -153,10 +147,7 @@ class LinearSystem(Arrays):
         return self.gain if len(self.zeros) == len(self.poles) else 0.0
 
     def residues(self) -> ComplexArray:
-        """Return the residues r (P,) of H = direct + Σ r/(x - pole).
-
-        They are infinite where poles coincide.
-        """
+        """Return the residues (P,) of H - direct, infinite where poles coincide."""
         parts = np.full(len(self.poles), self.gain, dtype=np.complex128)
         with np.errstate(divide="ignore", invalid="ignore"):
             for i, pole in enumerate(self.poles):
@@ -178,10 +169,7 @@ class LinearSystem(Arrays):
         return terms, bool(np.sum(np.abs(terms)) < MAX_TERM_RATIO * max(abs(self.static_gain), abs(self.direct)))
 
     def step(self, time_s: FloatArray) -> FloatArray:
-        """Return the response (N,) to a unit step at t = 0, zero before.
-
-        For samples it is the last one at each time.
-        """
+        """Return the response (N,) to a unit step at t = 0."""
         return self._respond(time_s, step=True)
 
     def impulse(self, time_s: FloatArray) -> FloatArray:
@@ -256,55 +244,39 @@ class LinearSystem(Arrays):
         output[:] = self.gain * through
         return state, drive, output
 
-    def sampled(self, rate_hz: float, method: Method = "zoh", prewarp_hz: float | None = None) -> LinearSystem:
+    def sampled(self, rate_hz: float, method: Conversion = "zoh") -> LinearSystem:
         """Return the system of samples at `rate_hz` equivalent to this continuous one.
 
         `zoh`: the same response to a load that is constant between samples, poles exp(p/fs). `tustin`: s = c (z - 1)/(z
-        + 1), c = 2 fs, or ω/tan(ω/2fs) so that H is the same at `prewarp_hz`. `matched`: zeros and poles exp(·/fs),
-        zeros at infinity to z = -1, the same static gain (|H| at fs/100 where that is 0 or infinite).
+        + 1), c = 2 fs.
         """
         if self.sample_rate_hz is not None:
             raise ValueError(f"system: expected a continuous system, found samples at {self.sample_rate_hz} Hz")
         if not rate_hz > 0:
             raise ValueError(f"rate_hz: expected a positive number, found {rate_hz}")
-        if prewarp_hz is not None and method != "tustin":
-            raise ValueError(f"prewarp_hz: expected only with tustin, found with {method}")
-        zeros, poles = self.zeros, self.poles
-        at_infinity = np.full(len(poles) - len(zeros), -1.0 + 0j)
-        if method == "tustin":  # z = (c + s)/(c - s)
-            c = tustin_constant(rate_hz, prewarp_hz)
-            factor = np.prod((c - zeros) / (c - poles[: len(zeros)])) / np.prod(c - poles[len(zeros) :])
-            moved = np.concatenate([(c + zeros) / (c - zeros), at_infinity])
-            return LinearSystem(moved, (c + poles) / (c - poles), float(np.real(self.gain * factor)), rate_hz)
-        z = np.exp(poles / rate_hz)
-        if method == "matched":
-            shape = LinearSystem(np.concatenate([np.exp(zeros / rate_hz), at_infinity]), z, 1.0, rate_hz)
-            return replace(shape, gain=_same_gain(self, shape, rate_hz))
-        return LinearSystem.from_residues(z, self._hold_residues() * hold_factor(poles, rate_hz), self.direct, rate_hz)
+        if method == "tustin":
+            from scipy.signal import bilinear_zpk
 
-    def continuous(self, method: Method = "tustin", prewarp_hz: float | None = None) -> LinearSystem:
-        """Return the continuous system equivalent to a sampled one, the inverse of `sampled`.
+            zeros, poles, gain = bilinear_zpk(self.zeros, self.poles, self.gain, rate_hz)
+            return LinearSystem(zeros, poles, float(gain), rate_hz)
+        z, residues = np.exp(self.poles / rate_hz), self._hold_residues() * hold_factor(self.poles, rate_hz)
+        return LinearSystem.from_residues(z, residues, self.direct, rate_hz)
 
-        A real pole or zero at or below z = 0 is refused except for `tustin`, which alone can map it.
-        """
+    def continuous(self, method: Conversion = "tustin") -> LinearSystem:
+        """Return the continuous equivalent of a sampled system, the inverse of `sampled`."""
         rate = self.sample_rate_hz
         if rate is None:
             raise ValueError("sample_rate_hz: expected a sampled system, found a continuous one")
-        if prewarp_hz is not None and method != "tustin":
-            raise ValueError(f"prewarp_hz: expected only with tustin, found with {method}")
         zeros, poles = self.zeros, self.poles
         left = zeros[zeros != -1]  # those at z = -1 go to infinity
         if method == "tustin":
             if np.any(poles == -1):
                 raise ValueError("poles: expected no pole at z = -1 for the Tustin conversion, found one")
-            c, far = tustin_constant(rate, prewarp_hz), len(poles) - len(zeros)
+            c, far = 2.0 * rate, len(poles) - len(zeros)
             moved = np.concatenate([c * (left - 1) / (left + 1), np.full(far, c + 0j)])
             factor = np.prod(left + 1) * (2 * c) ** (len(zeros) - len(left)) * (-1.0) ** far / np.prod(poles + 1)
             return LinearSystem(moved, c * (poles - 1) / (poles + 1), float(np.real(self.gain * factor)))
         p = logarithms(poles, rate)
-        if method == "matched":
-            shape = LinearSystem(logarithms(left, rate), p, 1.0)
-            return replace(shape, gain=1.0 / _same_gain(shape, self, rate))
         return LinearSystem.from_residues(p, self._hold_residues() / hold_factor(p, rate), self.direct)
 
     def _hold_residues(self) -> ComplexArray:
@@ -325,29 +297,55 @@ class LinearSystem(Arrays):
         return LinearSystem(zeros, poles, self.gain * other.gain, self.sample_rate_hz)
 
 
-def _same_gain(continuous: LinearSystem, samples: LinearSystem, rate_hz: float) -> float:
-    """Return the gain correction of a sampled system at rest, or at fs/100."""
-    if np.all(continuous.zeros != 0) and np.all(continuous.poles != 0):
-        return continuous.static_gain / samples.static_gain
-    near = np.array([rate_hz / 100])
-    ratio = complex((continuous.response(near) / samples.response(near))[0])
-    return float(np.copysign(abs(ratio), ratio.real))
+# Roots: conjugate pairs, and conversion between s and z.
+
+
+def pair_conjugates(roots: ComplexArray, name: str) -> ComplexArray:
+    """Return roots (N,) with exact conjugate pairs by size, then real ones; refuse lone ones."""
+    scale = 1e-9 * max(1e-300, float(np.max(np.abs(roots), initial=0.0)))
+    above = roots[roots.imag > scale]
+    below = roots[roots.imag < -scale]
+    real = roots[np.abs(roots.imag) <= scale].real
+    left = list(below.conj())
+    for root in above:
+        near = int(np.argmin(np.abs(np.array(left) - root))) if left else -1
+        if near < 0 or abs(left[near] - root) > 1e-6 * abs(root):
+            raise ValueError(f"{name}: expected conjugate pairs, found {root} without its conjugate")
+        left.pop(near)
+    if left:
+        raise ValueError(f"{name}: expected conjugate pairs, found {left[0].conjugate()} without its conjugate")
+    above = above[np.argsort(np.abs(above), kind="stable")]
+    return np.concatenate([np.stack([above, above.conj()], axis=1).ravel(), np.sort(real) + 0j])
+
+
+def hold_factor(poles: ComplexArray, rate_hz: float) -> ComplexArray:
+    """Return the factor of residues by a hold, (exp(p/fs) - 1)/p."""
+    factor = np.expm1(poles / rate_hz) / np.where(poles == 0, 1.0, poles)
+    return np.where(poles == 0, 1 / rate_hz, factor)
+
+
+def logarithms(z: ComplexArray, rate_hz: float) -> ComplexArray:
+    """Return ln(z)·fs; a z that no real continuous system has is refused."""
+    alone = z[(z.imag == 0) & (z.real <= 0)]
+    if len(alone):
+        raise ValueError(
+            f"system: expected no real pole or zero at or below z = 0, found {alone[0].real:.6g}. It changes its sign "
+            "with every sample, which no continuous system does; use tustin"
+        )
+    return np.asarray(np.log(z) * rate_hz)
 
 
 # A system as a sum of modes, as fitted to a record, with its covariance.
 
 
 def modal_poles(omega: FloatArray, damping_ratio: FloatArray, rate: FloatArray) -> ComplexArray:
-    """Return poles in rad/s of modes (…, M) and real poles (…, Q).
-
-    They are ω(-ζ + j√(1 - ζ²)), then -`rate`.
-    """
+    """Return the upper poles (…, M) of modes, then -`rate` (…, Q), in rad/s."""
     upper = omega * (-damping_ratio + 1j * np.sqrt(1 - damping_ratio**2))
     return np.concatenate([upper, -rate + 0j], axis=-1)
 
 
 @dataclass(frozen=True, repr=False)
-class ModalModel(Arrays):
+class ModalModel(Arrays, shapes="frequency_hz M; damping_ratio M; residue M; real_hz Q; real_residue Q"):
     """Sum of modes with covariance: output over load.
 
     H(s) = Σ_m [r_m/(s - p_m) + r̄_m/(s - p̄_m)] + Σ_q r_q/(s - p_q). Oscillating modes m have p = -ζω + jω√(1 - ζ²),
@@ -370,11 +368,9 @@ class ModalModel(Arrays):
     covariance: FloatArray | None = None
 
     def __post_init__(self) -> None:
-        modes, reals = len(self.frequency_hz), len(self.real_hz)
-        check_shapes(self, (modes,), "frequency_hz", "damping_ratio", "residue")
-        check_shapes(self, (reals,), "real_hz", "real_residue")
+        super().__post_init__()
         if self.covariance is not None:
-            check_shape("covariance", self.covariance, (4 * modes + 2 * reals,) * 2)
+            check_shape("covariance", self.covariance, (len(self.vector),) * 2)
         if np.any(np.abs(self.damping_ratio) >= 1.0):
             raise ValueError(
                 f"damping_ratio: expected below 1, found {self.damping_ratio.tolist()}; use two real poles"
@@ -453,7 +449,7 @@ class ModalModel(Arrays):
         moves = step * np.sqrt(np.maximum(np.diag(self._require_covariance()), 0.0))  # less than 0 by rounding
         reals = slice(4 * len(self.frequency_hz), 4 * len(self.frequency_hz) + len(self.real_hz))
         moves[reals] = np.minimum(moves[reals], 0.05 * np.abs(self.real_hz))
-        return differences(lambda moved: function(self.with_vector(moved)), self.vector, moves)
+        return function(self), derivatives(lambda move: function(self.with_vector(self.vector + move)), moves)
 
     def propagate(
         self, function: Callable[[ModalModel], FloatArray], step: float = 1e-2
@@ -465,9 +461,8 @@ class ModalModel(Arrays):
     def with_move(self, move: FloatArray) -> ModalModel:
         """Return the model with its parameters shifted by `move` (P,).
 
-        The shift is of first order, and linear in `to_coordinates`. Properties that a record determines well, such as
-        smoothness and static gain, stay constant for large shifts. Frequencies and lags near zero do not change sign:
-        they stay above `LEAST_LAG` of their size.
+        The shift is of first order, and linear in `to_coordinates`: smoothness and static gain stay constant for large
+        shifts. Frequencies and lags keep their sign and at least `MIN_LAG` of their size.
         """
         modes, reals = len(self.frequency_hz), len(self.real_hz)
         scale, coordinates, slope = self._linear_coordinates
@@ -487,9 +482,8 @@ class ModalModel(Arrays):
     def altered(self, frequency: float = 0.0, damping_ratio: float = 0.0, gain: float = 0.0) -> ModalModel:
         """Return the model with relative changes of all frequencies, damping ratios, and the gain.
 
-        The mechanics, modes and zeros, become H(s/(1 + `frequency`)), as with uniformly stiffer springs. Their damping
-        terms, odd powers of s in numerator and denominator, grow by `damping_ratio`. Real poles, those of the
-        amplifier, are constant, and so is the static gain unless `gain` is given.
+        Modes and zeros become H(s/(1 + `frequency`)), as with uniformly stiffer springs; their odd powers of s grow by
+        `damping_ratio`. Real poles, those of the amplifier, and the static gain are constant unless `gain` is given.
         """
         modes, reals, scale = len(self.frequency_hz), len(self.real_hz), scale_of(self)
         powers = np.arange(2 * modes + reals)
@@ -506,28 +500,10 @@ class ModalModel(Arrays):
         return self.covariance
 
 
-def differences(
-    function: Callable[[FloatArray], FloatArray], parameters: FloatArray, moves: FloatArray
-) -> tuple[FloatArray, FloatArray]:
-    """Return a function's values (Q,) and their derivatives (Q, P) by central differences.
-
-    Each parameter is shifted to both sides by its part of `moves` (P,); derivatives by parameters that are not shifted
-    are 0.
-    """
-    value = np.asarray(function(parameters))
-    slopes = np.zeros((len(value), len(parameters)))
-    for index in np.flatnonzero(moves):
-        shift = np.eye(len(moves))[index] * moves[index]
-        up, down = (np.asarray(function(parameters + sign * shift)) for sign in (1.0, -1.0))
-        slopes[:, index] = (up - down) / (2.0 * moves[index])
-    return value, slopes
-
-
 def even_exponentials(rates: ComplexArray, begin_s: float, step_s: float, count: int) -> tuple[ComplexArray, ...]:
-    """Return coarse and fine factors (P, m) of evenly spaced exponentials.
+    """Return factors (P, m) whose products are evenly spaced exponentials.
 
-    exp(rate·(begin + kΔ)) = coarse[:, k // m]·fine[:, k % m]. For k below `count`. Evenly spaced times thus need
-    2√count exponentials for each rate.
+    exp(rate·(begin + kΔ)) = coarse[:, k // m]·fine[:, k % m] for k below `count`: 2√count exponentials per rate.
     """
     size = int(np.sqrt(count - 1)) + 1
     steps, p = np.arange(size), rates[:, None]
@@ -548,10 +524,9 @@ def exponentials_between(
 def to_coordinates(model: ModalModel, scale: float) -> FloatArray:
     """Return smooth coordinates (2P,) of a model, P = 2M + Q.
 
-    They are [f_n (M), ζ (M), 1/real_hz (Q), n_0 … n_{P-1}]. H(s) = Σ n_k (s/ω0)^k/Π(1 - s/p), ω0 = `scale` in rad/s.
-    n_0 is the static gain. A response that starts smoothly has zero for its highest n_k, and so has every mean. A real
-    pole is represented by its lag: for a pole far above the modes, which is hardly visible, the lag is near zero, while
-    its frequency is arbitrary.
+    They are [f_n (M), ζ (M), 1/real_hz (Q), n_0 … n_{P-1}]. H(s) = Σ n_k (s/ω0)^k/Π(1 - s/p), ω0 = `scale` in rad/s;
+    n_0 is the static gain. A smooth start has zero for the highest n_k. A real pole far above the modes has a lag near
+    zero.
     """
     poles, residues = model.terms
     parts = [r * np.poly(np.delete(poles, index) / scale)[::-1] / scale for index, r in enumerate(residues)]
@@ -560,10 +535,7 @@ def to_coordinates(model: ModalModel, scale: float) -> FloatArray:
 
 
 def from_coordinates(coordinates: FloatArray, modes: int, reals: int, scale: float) -> FloatArray:
-    """Return the vector (2P,) of a `ModalModel` from coordinates (2P,).
-
-    It is the inverse of `to_coordinates`; |ζ| < 1.
-    """
+    """Return the vector (2P,) of a `ModalModel` from `to_coordinates`, with |ζ| < 1."""
     order = 2 * modes + reals
     frequency, damping, lag, numerator = np.split(coordinates, [modes, 2 * modes, order])
     damping = np.clip(damping, -MAX_DAMPING, MAX_DAMPING)

@@ -4,16 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import cache
 from typing import NamedTuple
 
 import numpy as np
 
 from shaker.lti.indices import FigureRange, find_figure_range
 from shaker.lti.responses import band_end, gain_curve
-from shaker.lti.system import LinearSystem, differences
-from shaker.mechanics import Mechanics, chain_terms, poles
-from shakercal._common.arrays import Arrays, ComplexArray, FloatArray, check_shape, check_shapes
+from shaker.lti.system import LinearSystem
+from shaker.mechanics import fixed_base_chain, poles
+from shakercal._common.arrays import Arrays, ComplexArray, FloatArray, check_shape
+from shakercal._common.propagation import derivatives
 
 # The sensor and its load as masses in a row on a rigid base.
 
@@ -74,10 +74,7 @@ class LoadModel(Arrays):
 
     @property
     def total_covariance(self) -> FloatArray | None:
-        """Covariance (P + 1, P + 1) of [*parameters, moving mass].
-
-        Without `covariance_with_mass` the moving mass is independent of the parameters.
-        """
+        """Covariance (P + 1, P + 1) of [*parameters, moving mass], independent unless known."""
         if self.covariance_with_mass is not None or self.covariance is None:
             return self.covariance_with_mass
         size = len(self.vector)
@@ -99,7 +96,7 @@ class LoadModel(Arrays):
             raise ValueError("covariance: expected that of the parameters, found none")
         most = np.where(self.numbers == 0.0, np.inf, 1e-3 * np.abs(self.numbers))
         moves = np.minimum(1e-2 * np.sqrt(np.diag(total)), most)
-        return differences(lambda moved: function(self.with_numbers(moved)), self.numbers, moves)
+        return function(self), derivatives(lambda move: function(self.with_numbers(self.numbers + move)), moves)
 
     @property
     def numbers(self) -> FloatArray:
@@ -112,19 +109,13 @@ class LoadModel(Arrays):
         return value, np.asarray(slope @ np.asarray(self.total_covariance) @ slope.T)
 
     def altered(self, frequency: float = 0.0, damping_ratio: float = 0.0, gain: float = 0.0) -> LoadModel:
-        """Return the model with relative changes of natural frequencies, damping ratios and sensitivity.
-
-        For every load: stiffnesses by (1 + `frequency`)², dampings by (1 + `frequency`)(1 + `damping_ratio`).
-        """
+        """Return the model with relative changes of natural frequencies, damping ratios, sensitivity."""
         spring, damper = (1.0 + frequency) ** 2, (1.0 + frequency) * (1.0 + damping_ratio)
         factors = np.append(np.tile([spring, damper], len(self.vector) // 2), 1.0)
         return replace(self.with_numbers(factors * self.numbers), sensitivity=(1.0 + gain) * self.sensitivity)
 
     def poles(self, load_mass: float) -> ComplexArray:
-        """Return all 2 or 4 poles in rad/s with a load mass in kg.
-
-        A load without mass is rigid.
-        """
+        """Return all 2 or 4 poles in rad/s with a load mass in kg."""
         return self.system(load_mass).poles
 
     def system(self, load_mass: float) -> LinearSystem:
@@ -146,32 +137,27 @@ def upper_poles(numbers: FloatArray, moving_mass: float, load_mass: float) -> tu
     """Return the upper poles (M,) in rad/s, ascending, with derivatives (M, P + 2).
 
     `numbers` (P,): stiffness and damping, and those of the coupling unless the load is rigid. Derivatives by the
-    numbers, the moving mass and the load mass. A load without mass has one mode. Overdamped modes have no upper pole
-    and are missing.
+    numbers, the moving mass and the load mass. A load without mass has one mode; overdamped modes are missing.
     """
     if len(numbers) == 2 or load_mass == 0.0:
         weights, terms, columns = [moving_mass + load_mass, *numbers[:2]], [1, 2, 0, 0], [0, 1, -2, -1]
     else:
         k, c, kl, cl = numbers
         weights, terms, columns = [moving_mass, load_mass, k, kl, c, cl], [2, 4, 3, 5, 0, 1], [0, 1, 2, 3, -2, -1]
-    roots, slopes = poles(_chain(len(weights) // 3), np.array([1.0, *weights]))
+    roots, slopes = poles(fixed_base_chain(len(weights) // 3), np.array([1.0, *weights]))
     upper = roots.imag > 0.0
     rates = np.zeros((np.count_nonzero(upper), len(numbers) + 2), dtype=np.complex128)
     rates[:, columns] = slopes[upper][:, terms]
     return roots[upper], rates
 
 
-@cache
-def _chain(count: int) -> Mechanics:
-    """Return the mechanics of one or two masses in a row on a fixed base."""
-    return Mechanics(*chain_terms(count), np.zeros((1, count)), np.ones(1), np.zeros(count), 1.0)
-
-
 # Resonance and damping of a sensor over the load mass, with uncertainties.
 
 
 @dataclass(frozen=True, repr=False)
-class LoadCurve(Arrays):
+class LoadCurve(
+    Arrays, shapes="load_mass K; frequency_hz K 2; damping_ratio K 2; u_frequency_hz K 2; u_damping_ratio K 2"
+):
     """Frequencies and damping ratios of two modes over load masses.
 
     Load masses (K,) in kg; frequencies are natural frequencies in Hz. `frequency_hz`, `damping_ratio` and their
@@ -185,16 +171,9 @@ class LoadCurve(Arrays):
     u_frequency_hz: FloatArray
     u_damping_ratio: FloatArray
 
-    def __post_init__(self) -> None:
-        modes = (len(self.load_mass), 2)
-        check_shapes(self, modes, "frequency_hz", "damping_ratio", "u_frequency_hz", "u_damping_ratio")
-
 
 def load_curve(model: LoadModel, load_mass: FloatArray, u_load_mass: FloatArray | None = None) -> LoadCurve:
-    """Return frequencies and damping ratios of both modes over load masses (K,).
-
-    Uncertainties follow from the covariance of the model and `u_load_mass` (K,), default none.
-    """
+    """Return frequencies and damping ratios of both modes over load masses (K,)."""
     masses = np.asarray(load_mass, dtype=np.float64)
     if model.total_covariance is None:
         values = _modes(model, masses)
@@ -237,10 +216,9 @@ SMALLEST_DAMPING = 1e-4  # damping ratio for an undamped model: bands do not dep
 
 
 def working_bands(model: LoadModel, load_mass: float, tolerances: tuple[float, ...] = TOLERANCES) -> FloatArray:
-    """Return the frequencies (T,) in Hz up to which |H| stays within tolerances of |H(0)|.
+    """Return the frequencies (T,) in Hz up to which |H|/|H(0)| stays within tolerances.
 
-    A band without an end is NaN. A model without damping, from resonances alone, has the bands of one of very light
-    damping.
+    A band without an end is NaN. A model without damping, from resonances alone, has the bands of very light damping.
     """
     if model.damping == 0.0:
         light = 2.0 * SMALLEST_DAMPING * np.sqrt(model.stiffness * model.moving_mass)
@@ -258,11 +236,7 @@ MIN_PARAMETER_SHARE = 0.02
 
 
 def figures_u(model: LoadModel, figures: Callable[[LoadModel], FloatArray]) -> tuple[FloatArray, FigureRange]:
-    """Return standard uncertainties (Q,) of figures of a model, and their reach.
-
-    To first order by the covariance of the model, multiplied by the factor of `shaker.lti.indices.reach`. `figures`
-    returns NaN for a figure that does not exist.
-    """
+    """Return u (Q,) of figures, NaN where there is none, and their range."""
     total, slope = np.asarray(model.total_covariance, dtype=np.float64), model.jacobian(figures)[1]
 
     def moved(move: FloatArray) -> FloatArray:
@@ -279,20 +253,16 @@ HEAVIEST = 1e4  # load mass over the moving mass, upper end of the search for li
 
 
 class LoadLimit(NamedTuple):
-    """A load mass in kg with its standard uncertainty.
-
-    For a moment kg·m²; the uncertainty is NaN if it is not available.
-    """
+    """A load mass in kg, or kg·m², with its standard uncertainty or NaN."""
 
     load_mass: float
     u: float
 
 
 def formula_limit(model: LoadModel, permitted: float) -> LoadLimit | None:
-    """Return the load mass above which the rigid formula is too high.
+    """Return the load above which √(k/(m_E + m_L)) is too high by a share.
 
-    √(k/(m_E + m_L)) then exceeds the resonance by more than a share `permitted`. None if this never happens: for a
-    rigid load, or a sufficiently stiff coupling. For large loads the formula is too high by √(1 + k/k_L).
+    None if this never happens. For large loads the formula is too high by √(1 + k/k_L).
     """
     _check_share(permitted)
     most = 1.0 + permitted
@@ -307,10 +277,7 @@ def change_limit(model: LoadModel, permitted: float) -> LoadLimit | None:
 
 
 def frequency_limit(model: LoadModel, target_hz: float) -> LoadLimit | None:
-    """Return the load mass up to which the resonance is at least `target_hz`.
-
-    None if it never is.
-    """
+    """Return the load mass up to which the resonance is at least `target_hz`."""
     if not target_hz > 0:
         raise ValueError(f"target_hz: expected a frequency above 0, found {target_hz}")
     if first_mode_hz(model, 0.0) < target_hz:

@@ -1,14 +1,16 @@
-"""Data of a series of loads: output, masses, and measured resonances."""
+"""Series of loads: output, masses, measured resonances, and load models fitted to them."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
 from shaker.labels import mechanical_units, typeset
+from shaker.release.load_model import upper_poles
 from shaker.release.record import ReleaseReading, StepRecord
-from shakercal._common.arrays import Arrays, BoolArray, ComplexArray, FloatArray, check_shape, check_shapes
+from shakercal._common.arrays import Arrays, BoolArray, ComplexArray, FloatArray, check_shape
 from shakercal._common.fitting import BlockJacobian, LinearBlock, LMOptions, SeparablePoint, levenberg_marquardt
 
 # The output, and the masses of a series of loads as named unknowns.
@@ -31,11 +33,11 @@ class SeriesOutput:
 
 
 @dataclass(frozen=True, repr=False)
-class SeriesMasses(Arrays):
-    """Moving mass and load masses (R,) of R records in kg, with their named errors.
+class SeriesMasses(Arrays, shapes="load R; names Q; moving_effect Q; load_effect R Q"):
+    """Moving mass and load masses (R,) in kg, with their named errors.
 
-    `names` (Q,) of the uncertain parts. One standard uncertainty of a part changes the moving mass by `moving_effect`
-    (Q,) and the load masses by `load_effect` (R, Q). An adapter in two records is therefore one unknown.
+    One standard uncertainty of each part in `names` (Q,) changes them by `moving_effect` (Q,) and `load_effect` (R, Q).
+    An adapter in two records is therefore one unknown.
     """
 
     moving: float
@@ -45,13 +47,11 @@ class SeriesMasses(Arrays):
     load_effect: FloatArray
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         if not self.moving > 0:
             raise ValueError(f"moving: expected a mass above 0, found {self.moving}")
-        check_shape("load", self.load, (None,))
         if np.any(self.load < 0):
             raise ValueError(f"load: expected masses of at least 0, found {float(np.min(self.load))}")
-        check_shape("moving_effect", self.moving_effect, (len(self.names),))
-        check_shape("load_effect", self.load_effect, (len(self.load), len(self.names)))
 
     @property
     def u_moving(self) -> float:
@@ -69,10 +69,7 @@ class SeriesMasses(Arrays):
 
 
 def stated_masses(moving: float, u_moving: float, load: FloatArray, u_load: FloatArray | None = None) -> SeriesMasses:
-    """Return masses with independent errors.
-
-    The moving mass and every different load mass (R,) have one error each.
-    """
+    """Return masses with one error each of the moving and every different load mass."""
     loads = np.asarray(load, dtype=np.float64)
     spread = np.zeros(len(loads)) if u_load is None else np.asarray(u_load, dtype=np.float64)
     uncertain = np.unique(loads[spread > 0.0])
@@ -88,11 +85,12 @@ def stated_masses(moving: float, u_moving: float, load: FloatArray, u_load: Floa
 
 
 @dataclass(frozen=True, repr=False)
-class Resonances(Arrays):
-    """First and second mode of R records.
+class Resonances(
+    Arrays, shapes="names R; frequency_hz R 2; u_frequency_hz R 2; damping_ratio R 2; u_damping_ratio R 2"
+):
+    """First and second mode of R records, natural frequencies in Hz, NaN where unknown.
 
-    Natural frequencies in Hz and damping ratios (R, 2). Unknown values are NaN. `u_…`: standard uncertainties. They are
-    0 if none is stated; the scatter about a model then determines them.
+    `u_…`: standard uncertainties, 0 if none is stated; the scatter about a model then determines them.
     """
 
     names: tuple[str, ...]
@@ -102,8 +100,7 @@ class Resonances(Arrays):
     u_damping_ratio: FloatArray
 
     def __post_init__(self) -> None:
-        modes = (len(self.names), 2)
-        check_shapes(self, modes, "frequency_hz", "u_frequency_hz", "damping_ratio", "u_damping_ratio")
+        super().__post_init__()
         finite = self.frequency_hz[np.isfinite(self.frequency_hz)]
         if np.any(finite <= 0) or np.any(np.isnan(self.frequency_hz[:, 0])):
             raise ValueError("frequency_hz: expected a first resonance above 0 of every record, found none")
@@ -118,10 +115,7 @@ class Resonances(Arrays):
 def stated_resonances(
     first_hz: FloatArray, u_first_hz: FloatArray | None = None, second_hz: FloatArray | None = None
 ) -> Resonances:
-    """Return resonances without damping: first (R,) with uncertainties if stated, second or NaN.
-
-    A second resonance has the same relative uncertainty as the first.
-    """
+    """Return resonances without damping: first (R,), second or NaN of equal relative u."""
     first = np.asarray(first_hz, dtype=np.float64)
     u = np.zeros_like(first) if u_first_hz is None else np.asarray(u_first_hz, dtype=np.float64)
     second = np.full_like(first, np.nan) if second_hz is None else np.asarray(second_hz, dtype=np.float64)
@@ -142,21 +136,17 @@ SEARCH = LMOptions(initial_damping=1e-4, damping_decrease=0.2, min_damping=1e-15
 
 
 @dataclass(frozen=True, repr=False)
-class FreeDecay(Arrays):
+class FreeDecay(Arrays, shapes="time_s N; value N"):
     """The output of one record after the end of its release.
 
-    `value` (N,) at `time_s` (N,). In output units, low-pass filtered and decimated by `decimation`. A filter multiplies
-    every exponential by a constant, and so does the release after its end, for any shape. The free amplitudes contain
-    these constants; poles do not change.
+    `value` (N,) at `time_s` (N,) is low-pass filtered and decimated by `decimation`. The filter, as the release of any
+    shape, multiplies every exponential by a constant, which the free amplitudes contain; poles do not change.
     """
 
     name: str
     time_s: FloatArray
     value: FloatArray
     decimation: int
-
-    def __post_init__(self) -> None:
-        check_shape("value", self.value, self.time_s.shape)
 
     @property
     def rate_hz(self) -> float:
@@ -165,10 +155,7 @@ class FreeDecay(Arrays):
 
 
 def free_decay(record: StepRecord, channel: str, reading: ReleaseReading) -> FreeDecay:
-    """Return the free oscillation of one channel after its release.
-
-    `reading` determines the end of the release.
-    """
+    """Return the free oscillation of one channel after its release."""
     from scipy.signal import firwin, upfirdn
 
     begin = reading.onset_s + 2.0 * reading.u_onset_s + reading.release_s + reading.u_release_s
@@ -192,21 +179,16 @@ def free_decay(record: StepRecord, channel: str, reading: ReleaseReading) -> Fre
 
 
 def project_amplitudes(decay: FreeDecay, poles: ComplexArray) -> tuple[FloatArray, FloatArray]:
-    """Return the residual (N,) of free modes and its derivatives (N, 2M).
+    """Return the residual (N,) of free modes (M,) and its derivatives (N, 2M).
 
-    Modes (M,) with free amplitudes, and a level. Derivatives are by Re p and Im p of each pole. y = b + Σ Re{a_m
-    exp(p_m t)} with b and a_m by linear least squares (variable projection, Golub & Pereyra 1973, the derivatives in
-    Kaufman's form).
+    y = b + Σ Re{a_m exp(p_m t)} with b and a_m by linear least squares; derivatives by Re p and Im p of each pole.
     """
     point = free_modes(decay, poles)
     return point.residuals[0][:, 0], -point.solved[0].orthogonal_complement(point.jacobians[0].rows)[:, :, 0]
 
 
 def free_modes(decay: FreeDecay, poles: ComplexArray) -> SeparablePoint:
-    """Return modes (M,) with free amplitudes and a level as a point of a fit.
-
-    Its parameters are [Re p, Im p] of each mode.
-    """
+    """Return modes (M,) with free amplitudes as a point of [Re p, Im p]."""
     t = decay.time_s - decay.time_s[0]
     waves = np.exp(t[:, None] * poles)
 
@@ -222,11 +204,7 @@ def free_modes(decay: FreeDecay, poles: ComplexArray) -> SeparablePoint:
 
 
 def coloured_normal(slope: FloatArray, residual: FloatArray) -> FloatArray:
-    """Return the normal matrix Jᵀ R J for coloured noise.
-
-    (P, P) of derivatives (N, P), with R of the noise in the residual (N,). The spectrum of R is the periodogram of the
-    residual, smoothed over neighbouring lines.
-    """
+    """Return Jᵀ R J (P, P), R by the smoothed periodogram of the residual (N,)."""
     count = len(residual)
     power = np.abs(np.fft.rfft(residual)) ** 2 / count
     width = min(101, max(3, len(power) // 8) | 1)
@@ -253,10 +231,9 @@ HEAVIEST, VAGUEST = 0.3, 0.05
 
 @dataclass(frozen=True, repr=False)
 class RecordModes(Arrays):
-    """One or two modes of a record with their covariance.
+    """Upper poles (M,) in rad/s of a record, with their covariance.
 
-    Upper poles (M,) in rad/s. The covariance is of [Re p, Im p] of each mode. `noise`: standard deviation of the
-    residual, in output units.
+    The covariance is of [Re p, Im p] of each mode. `noise`: standard deviation of the residual, in output units.
     """
 
     name: str
@@ -312,10 +289,7 @@ def as_resonances(records: list[RecordModes]) -> Resonances:
 
 
 def _starts(decay: FreeDecay, value: FloatArray, above_hz: float) -> list[complex]:
-    """Return poles from the highest spectral line of the record and of shorter beginnings.
-
-    The decay rate follows from the line's amplitudes in the first and in the second half.
-    """
+    """Return poles of the highest spectral line, for beginnings of the record."""
     starts = []
     for part in PARTS:
         count = len(value) // part
@@ -351,3 +325,187 @@ def _fitted(decay: FreeDecay, starts: list[complex], poles_before: ComplexArray)
     free = len(residual) - 1 - 2 * len(best.parameters)
     covariance = inner @ coloured_normal(slope, residual) @ inner * len(residual) / free
     return RecordModes(decay.name, poles, covariance, float(np.sqrt(residual @ residual / free)))
+
+
+# Fit of load models to the resonances: rows, unknowns, result.
+
+LARGEST = 100.0  # |logarithm| of a stiffness or damping above which a step has diverged
+FLOOR = 1e-8  # relative uncertainty if none is stated or estimated yet
+
+
+@dataclass(frozen=True)
+class SeriesProblem:
+    """A fit of ln f and ln ζ of the observed modes.
+
+    A rigid load has first modes only. Unknown x (X,): logarithms of k and, unless `rigid`, k_L; then of c and c_L if a
+    damping is measured; then the named mass errors in standard uncertainties.
+    """
+
+    measured: Resonances
+    masses: SeriesMasses
+    rigid: bool
+
+    def __post_init__(self) -> None:
+        check_shape("masses", self.masses.load, (len(self.measured.names),))
+        if not self.rigid and (self.rows[0].sum() < 2 or not np.any(self.masses.load > 0)):
+            raise ValueError(
+                "measured: expected two resonances, one of them with a load, to determine the coupling, found "
+                f"{int(self.rows[0].sum())}"
+            )
+
+    @cached_property
+    def rows(self) -> tuple[BoolArray, BoolArray]:
+        """Masks of the frequencies and of the dampings (R, 2) in the fit."""
+        seen = np.isfinite(self.measured.frequency_hz)
+        seen[:, 1] &= (self.masses.load > 0) & (not self.rigid)
+        return seen, seen & (np.nan_to_num(self.measured.damping_ratio) > 0)
+
+    @cached_property
+    def powers(self) -> FloatArray:
+        """Powers (P, S) of the exponentials in springs and dampers.
+
+        c_L = c·k_L/k if only one damping is measured; all dampings are 0 without any.
+        """
+        springs = 1 if self.rigid else 2
+        dampers = min(springs, int(self.rows[1].sum()))
+        powers = np.zeros((2 * springs, springs + dampers))
+        powers[::2, :springs] = np.eye(springs)
+        powers[1::2, springs:] = np.eye(springs, dampers)
+        if dampers == 1 and springs == 2:
+            powers[3] = [-1.0, 1.0, 1.0]
+        return powers
+
+    @property
+    def springs(self) -> int:
+        """Number of stiffnesses."""
+        return len(self.powers) // 2
+
+    @property
+    def dampers(self) -> int:
+        """Number of dampings that the measured ones determine."""
+        return int(self.powers.shape[1]) - self.springs
+
+    @property
+    def dof(self) -> tuple[int, int]:
+        """Degrees of freedom of the frequencies and of the dampings."""
+        f, z = self.rows
+        return int(f.sum()) - self.springs, int(z.sum()) - self.dampers
+
+    def numbers(self, x: FloatArray) -> FloatArray:
+        """Return stiffnesses and dampings of unknowns x, dampings 0 if none is measured."""
+        numbers = np.exp(self.powers @ x[: self.powers.shape[1]])
+        numbers[1::2] *= self.dampers > 0
+        return np.asarray(numbers)
+
+    def unknowns(self, fit: SeriesFit) -> FloatArray:
+        """Return the unknowns (X,) that a fit found."""
+        springs, dampers = fit.numbers[::2], fit.numbers[1::2][: self.dampers]
+        return np.concatenate([np.log(springs), np.log(dampers), fit.deviates])
+
+    def deviates(self, x: FloatArray) -> FloatArray:
+        """Return the named mass errors (Q,) among the unknowns."""
+        return x[self.powers.shape[1] :]
+
+    def is_sound(self, x: FloatArray) -> bool:
+        """Return whether the unknowns x are in the range of a real sensor."""
+        moving, loads = self.masses.at(self.deviates(x))
+        logarithms = np.abs(x[: self.powers.shape[1]])
+        return bool(np.all(logarithms < LARGEST) and moving > 0.0 and np.all(loads[self.masses.load > 0] > 0.0))
+
+    def number_rates(self, x: FloatArray) -> FloatArray:
+        """Return the derivatives (P, S) of the numbers by the logarithms of springs and dampers."""
+        return np.asarray(self.numbers(x)[:, None] * self.powers)
+
+    def poles(self, x: FloatArray, record: int) -> tuple[ComplexArray, ComplexArray]:
+        """Return the upper poles (M,) of one record and their derivatives (M, X)."""
+        moving, loads = self.masses.at(self.deviates(x))
+        load = float(loads[record]) if self.masses.load[record] > 0 else 0.0
+        poles, moved = upper_poles(self.numbers(x), moving, load)
+        by_mass = np.outer(moved[:, -2], self.masses.moving_effect)
+        by_mass = by_mass + np.outer(moved[:, -1], self.masses.load_effect[record])
+        return poles, np.hstack([moved[:, :-2] @ self.number_rates(x), by_mass])
+
+    def modes(self, x: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return frequencies and damping ratios (2, R, 2) with derivatives of ln f and ζ."""
+        values = np.full((2, len(self.masses.load), 2), np.nan)
+        rates = np.zeros((*values.shape, len(x)))
+        for r in range(values.shape[1]):
+            poles, change = self.poles(x, r)
+            count, size = len(poles), np.abs(poles)
+            along = (np.conj(poles)[:, None] * change).real / size[:, None] ** 2
+            values[0, r, :count], values[1, r, :count] = size / (2.0 * np.pi), -poles.real / size
+            rates[0, r, :count] = along
+            rates[1, r, :count] = -change.real / size[:, None] + (poles.real / size)[:, None] * along
+        return values, rates
+
+    def residual(self, x: FloatArray, sigma: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return weighted residuals (N + Q,) of ln f, ln ζ, masses, and their derivatives."""
+        (f, z), rates = self.modes(x)
+        f_rows, z_rows = self.rows
+        left, slopes = [np.log(f[f_rows] / self.measured.frequency_hz[f_rows])], [rates[0][f_rows]]
+        if self.dampers:
+            with np.errstate(invalid="ignore", divide="ignore"):
+                left.append(np.log(z[z_rows] / self.measured.damping_ratio[z_rows]))
+                slopes.append(rates[1][z_rows] / z[z_rows][:, None])
+        prior, by_prior = self.prior(x)
+        residual = np.concatenate([np.concatenate(left) / sigma, prior])
+        return residual, np.vstack([np.vstack(slopes) / sigma[:, None], by_prior])
+
+    def prior(self, x: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return the stated masses as residuals (Q,) with their derivatives (Q, X)."""
+        deviates = self.deviates(x)
+        return deviates, np.eye(len(x))[len(x) - len(deviates) :]
+
+    def stated(self) -> tuple[FloatArray, FloatArray]:
+        """Return the stated relative standard uncertainties of the fitted frequencies and dampings."""
+        f_rows, z_rows = self.rows
+        seen = self.measured
+        f = seen.u_frequency_hz[f_rows] / seen.frequency_hz[f_rows]
+        z = seen.u_damping_ratio[z_rows] / seen.damping_ratio[z_rows] if self.dampers else np.zeros(0)
+        return np.nan_to_num(f), np.nan_to_num(z)
+
+    def groups(self, x: FloatArray) -> list[tuple[FloatArray, FloatArray, int]]:
+        """Return deviations, stated uncertainties and dof of ln f and of ln ζ."""
+        f, z = self.stated()
+        left = self.residual(x, np.ones(len(f) + len(z)))[0]
+        parts = left[: len(f)], left[len(f) : len(f) + len(z)]
+        return list(zip(parts, (f, z), self.dof, strict=True))
+
+    def sigma(self, scatter: tuple[float, float]) -> FloatArray:
+        """Return relative standard deviations (N,) of all rows including `scatter`."""
+        parts = [np.sqrt(u**2 + tau**2 + FLOOR**2) for u, tau in zip(self.stated(), scatter, strict=True)]
+        return np.concatenate(parts)
+
+    def start(self, ratio: float) -> FloatArray:
+        """Return unknowns (X,) for a ratio k_L/k from the lightest load."""
+        lightest = int(np.argmin(self.masses.load))
+        shape = np.array([1.0, 0.0] if self.rigid else [1.0, 0.0, ratio, 0.0])
+        load = float(self.masses.load[lightest])
+        omega = 2.0 * np.pi * float(self.measured.frequency_hz[lightest, 0])
+        k = (omega / abs(upper_poles(shape, self.masses.moving, load)[0][0])) ** 2
+        springs = np.log(k * shape[::2])
+        zeta = self.measured.damping_ratio[self.rows[1]]
+        dampers = springs[: self.dampers] + (np.log(2.0 * np.median(zeta) / omega) if self.dampers else 0.0)
+        return np.concatenate([springs, dampers, np.zeros(len(self.masses.names))])
+
+
+@dataclass(frozen=True, repr=False)
+class SeriesFit(Arrays):
+    """Parameters of a load model from a series of R records.
+
+    `numbers` (P,): stiffness and damping, and those of the coupling unless rigid; dampings are 0 if none was measured.
+    `deviates` (Q,): named mass errors in standard uncertainties. `covariance` (P + Q, P + Q) of both, None if the
+    scatter is unknown. `frequency_hz`, `damping_ratio` (R, 2) of the model. `scatter`: relative standard deviations of
+    frequencies and of dampings about the model in addition to the stated ones. `chi_squared` of both for the stated
+    uncertainties, with `dof`. `excess`: χ² above that of the best minimum.
+    """
+
+    numbers: FloatArray
+    deviates: FloatArray
+    covariance: FloatArray | None
+    frequency_hz: FloatArray
+    damping_ratio: FloatArray
+    scatter: tuple[float, float]
+    chi_squared: tuple[float, float]
+    dof: tuple[int, int]
+    excess: float = 0.0

@@ -29,11 +29,10 @@ BLOCKS_PER_PERIOD = 12  # blocks per period of the fastest mode: the mean of a b
 
 @dataclass(frozen=True, repr=False)
 class BlockMeans(Arrays):
-    """Means over blocks of neighbouring samples.
+    """Means `value` (B, …) over blocks of `length` (B,) neighbouring samples, `step_s` apart.
 
-    Block b is the mean `value` (B, …) of `length` (B,) samples. Samples are `step_s` apart; the first of a block is at
-    `time_s` (B,). White noise stays white, with 1/√length of its standard deviation, and the response of a pole stays
-    an exponential. No filter has to be modelled.
+    The first sample of a block is at `time_s` (B,). White noise stays white, and the response of a pole stays an
+    exponential: no filter has to be modelled.
     """
 
     time_s: FloatArray
@@ -87,25 +86,19 @@ def reduce_to_blocks(whole: BlockMeans, fine_from_s: float, fine_to_s: float, le
 
 
 def block_length(sample_rate_hz: float, highest_hz: float) -> int:
-    """Return the samples per block after the release.
-
-    There are twelve blocks per period of the fastest mode.
-    """
+    """Return the samples per block after the release, twelve blocks per fastest period."""
     return max(1, int(sample_rate_hz / (BLOCKS_PER_PERIOD * highest_hz)))
 
 
 def average_blocks(samples: FloatArray, size: int) -> FloatArray:
-    """Return means (…, A) over blocks of `size` samples (…, N).
-
-    An incomplete last block is omitted.
-    """
+    """Return means (…, A) over whole blocks of `size` samples (…, N)."""
     count = samples.shape[-1] // size
     return np.asarray(samples[..., : count * size].reshape(*samples.shape[:-1], count, size).mean(axis=-1))
 
 
 @dataclass(frozen=True, repr=False)
 class ReleaseLoad(Arrays):
-    """Time course of a load: by `amplitude` in a `shape`, or measured samples.
+    """Time course of a load: by `amplitude` in a `shape`, or measured.
 
     `force` (N,) from `start_s` for "measured": linear between its samples, with the level at rest subtracted.
     """
@@ -129,8 +122,7 @@ class ReleaseLoad(Arrays):
 def load_share(shape: ReleaseShape, time_s: FloatArray, onset_s: float, release_s: float) -> FloatArray:
     """Return the share (N,) of the load's change at `time_s` (N,).
 
-    It is 0 before `onset_s` and 1 at the end. Between them, with x = (t - onset)/T: x for a "ramp", (1 - cos πx)/2 for
-    a "smooth" release.
+    With x = (t - onset)/T from 0 to 1: x for a "ramp", (1 - cos πx)/2 for a "smooth" release.
     """
     tau = np.asarray(time_s, dtype=np.float64) - onset_s
     if release_s <= 0.0 or shape == "step":
@@ -152,11 +144,7 @@ def load_rate(shape: ReleaseShape, time_s: FloatArray, onset_s: float, release_s
 def pole_responses(
     poles: ComplexArray, time_s: FloatArray, onset_s: float, release_s: float, shape: ReleaseShape = "ramp"
 ) -> ComplexArray:
-    """Return responses (N, P) of 1/(s - p) to a load from 0 to 1.
-
-    At `time_s` (N,). `poles` (P,) in rad/s. The load changes in a shape, by default a ramp, from `onset_s` on within
-    `release_s` ≥ 0; 0 is a step.
-    """
+    """Return responses (N, P) of 1/(s - p) to a load from 0 to 1."""
     if release_s < 0:
         raise ValueError(f"release_s: expected 0 or more, found {release_s}")
     if shape == "measured":
@@ -166,11 +154,7 @@ def pole_responses(
 
 
 def exponentials(poles: ComplexArray, tau: FloatArray) -> ComplexArray:
-    """Return exp(pτ) (P, N) at times `tau` (N,) of at least 0.
-
-    `poles` (P,) in rad/s, times in s. At equally spaced times they are products of two short series
-    (`even_exponentials`).
-    """
+    """Return exp(pτ) (P, N) at times (N,), equally spaced ones from `even_exponentials`."""
     count = len(tau)
     p = poles[:, None]
     if count < _SERIES:
@@ -204,11 +188,7 @@ def responses_with_derivatives(
     length_s: float,
     fixed_poles: bool = False,
 ) -> BlockResponses:
-    """Return the responses of poles (P,) in rad/s to a load, with derivatives.
-
-    The release has the length `length_s` and its middle at `middle_s`. `fixed_poles`: without the derivative by the
-    poles.
-    """
+    """Return the responses of poles (P,) in rad/s to a load, with derivatives."""
     if load.shape == "measured":
         return _to_force(load, poles, samples)
     value, *changes = _answered(load, poles, samples, (middle_s, length_s), 3 if fixed_poles else 4)
@@ -227,7 +207,7 @@ def responses(
 def _answered(
     load: ReleaseLoad, poles: ComplexArray, samples: BlockMeans, release: tuple[float, float], rows: int
 ) -> ComplexArray:
-    """Return the first R rows of `BlockResponses` (R, B, P), one, three or all four."""
+    """Return the first R rows of `BlockResponses` (R, B, P), one, three or four."""
     length = release[1] if load.lasting else 0.0
     tau = samples.time_s - (release[0] - 0.5 * length)
     whole = np.zeros((rows, len(poles), len(tau)), dtype=np.complex128)
@@ -249,10 +229,7 @@ def _answered(
 
 
 def release_factor(shape: ReleaseShape, x: ComplexArray) -> tuple[ComplexArray, ComplexArray]:
-    """Return the factor F of a release and its derivative by x.
-
-    F = ∫ du/dt·exp(p(T - t)) dt over the release, x = pT. F = 1 and its derivative is ½ at x = 0.
-    """
+    """Return the factor F of a release, ∫ du/dt·exp(p(T - t)) dt, and dF/dx."""
     if shape == "smooth":
         below, grown = x**2 + np.pi**2, np.exp(x)
         value = 0.5 * np.pi**2 * (1.0 + grown) / below
@@ -275,10 +252,10 @@ def _after(
     means: tuple[ComplexArray, ComplexArray],
     out: ComplexArray,
 ) -> None:
-    """Write the responses (R, P, B) of blocks after the release to `out`, as `BlockResponses`.
+    """Write the responses (R, P, B) of blocks after the release to `out`.
 
-    `sigma` (B,): first sample of each block after the end of the release. `means`, (P,) each: of exp(pt) over a block's
-    samples, and its derivative by p.
+    `sigma` (B,): first sample of each block after the end of the release. `means` (P,): of exp(pt) over a block, and
+    its derivative by p.
     """
     (mean, mean_slope), (shape, length) = means, load
     factor, slope = release_factor(shape, p * length) if length > 0 else (np.ones_like(p), np.full_like(p, 0.5))
@@ -294,10 +271,7 @@ def _after(
 
 
 def _at_times(shape: ReleaseShape, p: ComplexArray, tau: FloatArray, length: float, rows: int) -> ComplexArray:
-    """Return the responses (R, P, B) of single samples.
-
-    `tau` (B,) after the onset; zero before it.
-    """
+    """Return the responses (R, P, B) of single samples at `tau` (B,), sorted or not."""
     whole = np.zeros((rows, len(p), len(tau)), dtype=np.complex128)
     if np.any(tau[1:] < tau[:-1]):
         order = np.argsort(tau)
@@ -321,10 +295,7 @@ def _at_times(shape: ReleaseShape, p: ComplexArray, tau: FloatArray, length: flo
 
 
 def _along_line(p: ComplexArray, tau: FloatArray, length: float) -> tuple[FloatArray, ComplexArray, ComplexArray]:
-    """Return a ramp's load, its response and the derivative by p.
-
-    The response is [(exp(pτ) - 1)/p - τ]/(pT).
-    """
+    """Return a ramp's load, its response [(exp(pτ) - 1)/p - τ]/(pT), the derivative by p."""
     grown = np.expm1(p * tau)
     rise = grown / p
     value = (rise - tau) / (p * length)
@@ -333,7 +304,7 @@ def _along_line(p: ComplexArray, tau: FloatArray, length: float) -> tuple[FloatA
 
 
 def _along_cosine(p: ComplexArray, tau: FloatArray, length: float) -> tuple[FloatArray, ComplexArray, ComplexArray]:
-    """Return the load of half a cosine, its response and the derivative by the pole.
+    """Return half a cosine's load, its response and the derivative by the pole.
 
     With ω = π/T the response is [(exp(pτ) - 1)/p - (p(exp(pτ) - cos ωτ) + ω sin ωτ)/(p² + ω²)]/2.
     """
@@ -346,10 +317,7 @@ def _along_cosine(p: ComplexArray, tau: FloatArray, length: float) -> tuple[Floa
 
 
 def _means(p: ComplexArray, size: int, step_s: float) -> tuple[ComplexArray, ComplexArray]:
-    """Return the mean of exp(pt) (P,) over `size` samples, with derivative.
-
-    The first sample is at t = 0.
-    """
+    """Return the mean of exp(pt) (P,) over `size` samples from 0, with derivative."""
     if size == 1:
         return np.ones_like(p), np.zeros_like(p)
     k = np.arange(size)[:, None]

@@ -8,17 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from shaker.labels import mechanical_units, typeset
-from shaker.release.load_model import LoadModel
-from shaker.release.load_modes import (
-    SEARCH,
-    FreeDecay,
-    Resonances,
-    SeriesMasses,
-    SeriesOutput,
-    coloured_normal,
-    project_amplitudes,
-)
-from shaker.release.release_notices import (
+from shaker.model_notices import (
     AMBIGUOUS_SOLUTIONS,
     MASS_CONTRADICTED,
     NO_SERIES_UNCERTAINTY,
@@ -29,9 +19,21 @@ from shaker.release.release_notices import (
     TWO_MASSES_ASSUMED,
     TWO_MASSES_SUFFICIENT,
 )
-from shaker.release.series_problem import SeriesFit, SeriesProblem
+from shaker.release.load_model import LoadModel
+from shaker.release.load_modes import (
+    SEARCH,
+    FreeDecay,
+    Resonances,
+    SeriesFit,
+    SeriesMasses,
+    SeriesOutput,
+    SeriesProblem,
+    coloured_normal,
+    project_amplitudes,
+)
 from shakercal._common.arrays import FloatArray
 from shakercal._common.fitting import WhitenedResiduals, levenberg_marquardt
+from shakercal._common.means import additional_scatter
 from shakercal._common.notices import Notice, Value
 
 # Stiffnesses and dampings from the resonances of several loads.
@@ -131,18 +133,7 @@ def _distinct(problem: SeriesProblem, minima: list[tuple[FloatArray, float]]) ->
 
 def _scatter(problem: SeriesProblem, x: FloatArray) -> tuple[float, float]:
     """Return the relative scatter of frequencies and dampings for which χ² equals its freedom."""
-    from scipy.optimize import brentq
     from scipy.special import chdtrc
-
-    def tau(deviation: FloatArray, u: FloatArray, dof: int) -> float:
-        """Return τ with Σ d²/(u² + τ²) = dof."""
-
-        def beyond(tau: float) -> float:
-            return float(np.sum(deviation**2 / (u**2 + tau**2))) - dof
-
-        high = float(np.sqrt(np.sum(deviation**2) / dof))
-        low = 1e-12 * high
-        return float(brentq(beyond, low, high * (1.0 + 1e-9))) if high > 0.0 and beyond(low) > 0.0 else 0.0
 
     scatter = (0.0, 0.0)
     estimated = [
@@ -150,7 +141,10 @@ def _scatter(problem: SeriesProblem, x: FloatArray) -> tuple[float, float]:
         for deviation, u, dof in problem.groups(x)
     ]
     for _ in range(50 if any(estimated) else 0):
-        f, z = (tau(*group) if estimate else 0.0 for group, estimate in zip(problem.groups(x), estimated, strict=True))
+        f, z = (
+            additional_scatter(*group) if estimate else 0.0
+            for group, estimate in zip(problem.groups(x), estimated, strict=True)
+        )
         if np.allclose((f, z), scatter, rtol=1e-6, atol=0.0):
             break
         scatter = (f, z)
@@ -159,10 +153,7 @@ def _scatter(problem: SeriesProblem, x: FloatArray) -> tuple[float, float]:
 
 
 def _of_numbers(problem: SeriesProblem, x: FloatArray, covariance: FloatArray) -> FloatArray:
-    """Return the covariance of numbers and mass errors from that of x.
-
-    Both are (P + Q, P + Q).
-    """
+    """Return the covariance (P + Q, P + Q) of numbers and mass errors."""
     rates, (_, by_prior) = problem.number_rates(x), problem.prior(x)
     turn = np.vstack([np.pad(rates, ((0, 0), (0, len(by_prior)))), by_prior])
     return np.asarray(turn @ covariance @ turn.T)
@@ -226,7 +217,7 @@ MAX_SECOND_DEVIATION = 0.10
 def belonging(measured: Resonances, masses: SeriesMasses) -> tuple[Resonances, tuple[int, ...]]:
     """Return the resonances without foreign second modes, and the records with such modes.
 
-    First resonances of several load masses determine k and k_L and therefore the second modes. A second mode without
+    First resonances of several load masses determine k and k_L, and therefore the second modes. A second mode without
     load is always foreign.
     """
     seen = np.isfinite(measured.frequency_hz[:, 1])

@@ -1,4 +1,4 @@
-"""Number of poles that a release shows, and doubts about a fit."""
+"""Number of poles that a release shows, difference equations of every order, doubtful fits."""
 
 from __future__ import annotations
 
@@ -9,21 +9,8 @@ from typing import Literal
 
 import numpy as np
 
-from shaker.lti.system import ModalModel
-from shaker.release.load_response import BlockMeans, ReleaseLoad, block_length, reduce_to_blocks
-from shaker.release.output_error import (
-    FitCovariance,
-    OutputErrorFit,
-    OutputErrorProblem,
-    PoleStructure,
-    design,
-    predicted_gain,
-    solve,
-    squares,
-)
-from shaker.release.poles import UNCLEAR, decimate, instrumental_variables, matrix_pencil, peaks_hz, start_poles
-from shaker.release.record import ReleaseReading, StepRecord
-from shaker.release.release_notices import (
+from shaker.lti.system import LinearSystem, ModalModel
+from shaker.model_notices import (
     COLOURED_NOISE,
     DOUBTFUL_MODE,
     DOUBTFUL_REAL_POLE,
@@ -35,7 +22,28 @@ from shaker.release.release_notices import (
     RELEASE_OUTSIDE_SEARCH,
     RESIDUAL_ABOVE_NOISE,
 )
-from shakercal._common.arrays import ComplexArray, FloatArray
+from shaker.release.load_response import BlockMeans, ReleaseLoad, block_length, reduce_to_blocks
+from shaker.release.output_error import (
+    FitCovariance,
+    OutputErrorFit,
+    OutputErrorProblem,
+    PoleStructure,
+    design,
+    predicted_gain,
+    solve,
+    squares,
+)
+from shaker.release.record import (
+    UNCLEAR,
+    ReleaseReading,
+    StepRecord,
+    decimate,
+    instrumental_variables,
+    matrix_pencil,
+    peaks_hz,
+    start_poles,
+)
+from shakercal._common.arrays import Arrays, ComplexArray, FloatArray, check_shape
 from shakercal._common.notices import Notice
 
 # Modes that ring after a release: their number, and start values of the fit with the release.
@@ -48,13 +56,13 @@ _STEEP = 0.5  # damping ratio above which a further mode is a disturbance
 def decay_modes(
     whole: BlockMeans, reading: ReleaseReading, method: Literal["pencil", "arx"], count: int | None
 ) -> tuple[ComplexArray, float]:
-    """Return the upper poles of the decay, and the noise colour.
+    """Return the upper poles (M,) in rad/s of the decay, and the noise colour.
 
-    The poles (M,) in rad/s ring after the release. `count`: their number, None for as many as the record supports.
     Exponentials with free amplitudes and a level are fitted to the decay only, so that the release and fast poles do
-    not matter. A further mode is accepted if its line is significant in the residual's spectrum, its ζ is between 0 and
-    0.5, and it lowers B·ln(sum of squares) by more than 12 for each of its four parameters. The colour is the density
-    of the residual's blocks over that of white noise of the same variance.
+    not matter; `count` of them, or as many as the record supports. A further mode is accepted if its line is
+    significant in the residual's spectrum, its ζ is between 0 and 0.5, and it lowers B·ln(sum of squares) by more than
+    12 for each of its four parameters. The colour is the density of the residual's blocks over that of white noise of
+    the same variance.
     """
     start = reading.onset_s + reading.release_s + reading.u_onset_s
     decay = whole.between(min(start, float(whole.time_s[len(whole.time_s) * 3 // 4])), np.inf)
@@ -119,10 +127,7 @@ _LOOSE = (1.5, 2.0)  # standard deviations of logarithms of real poles and of th
 def start_vectors(
     structure: PoleStructure, load: ReleaseLoad, samples: BlockMeans, modes: ComplexArray, reading: ReleaseReading
 ) -> list[FloatArray]:
-    """Return the best grid point for every number of numerator terms.
-
-    The residual around the release decides.
-    """
+    """Return the best grid point for every number of numerator terms."""
     lowest = float(np.abs(modes).min()) / (2 * np.pi)
     rise = min(reading.rise_s, 3.0 / lowest + reading.release_s)
     near = samples.between(reading.onset_s - 2.0 / lowest, reading.onset_s + reading.release_s + rise + 2.0 / lowest)
@@ -191,8 +196,7 @@ _ROUNDING = 1e-9  # share of the output below which a residual is rounding
 class OrderSearch:
     """Data and limits of the order search.
 
-    `whole`: all samples. `loads`: candidate loads. `modes` and `reals`: given numbers, else None. `colour` of the noise
-    as in `OutputErrorProblem`.
+    `whole`: all samples. `modes` and `reals`: given numbers, else None. `colour` as in `OutputErrorProblem`.
     """
 
     whole: BlockMeans
@@ -204,15 +208,7 @@ class OrderSearch:
     colour: float = 1.0
 
 
-@dataclass(frozen=True)
-class SupportedFit:
-    """A fit that a record supports, and the sums of squares of its steps."""
-
-    solution: OutputErrorFit
-    path: tuple[float, ...]
-
-
-def search_order(search: OrderSearch) -> tuple[SupportedFit, ...]:
+def search_order(search: OrderSearch) -> tuple[OutputErrorFit, ...]:
     """Return the supported fits, one for each candidate load, the likeliest first.
 
     Modes are counted on the decay. One real pole and the length of the release are always fitted: even if they are too
@@ -229,21 +225,16 @@ def search_order(search: OrderSearch) -> tuple[SupportedFit, ...]:
     modes, colour = decay_modes(ringing, search.reading, search.method, search.modes)
     search = replace(search, colour=colour)
     reals = 1 if search.reals is None else search.reals
-    fits = [_fit_one(search, load, modes, reals) for load in search.loads]
-    found = sorted((SupportedFit(fit, fit.path) for fit in fits), key=lambda one: penalised_chi_squared(one.solution))
+    found = sorted((_fit_one(search, load, modes, reals) for load in search.loads), key=penalised_chi_squared)
     first = _with_real(found[0], CLEAR) if search.reals is None else None
-    if first is not None and penalised_chi_squared(first.solution) < penalised_chi_squared(found[0].solution):
+    if first is not None and penalised_chi_squared(first) < penalised_chi_squared(found[0]):
         rest = [_with_real(one, -np.inf) or one for one in found[1:]]
-        found = sorted([first, *rest], key=lambda one: penalised_chi_squared(one.solution))
+        found = sorted([first, *rest], key=penalised_chi_squared)
     return tuple(found)
 
 
-def _with_real(found: SupportedFit, least: float) -> SupportedFit | None:
-    """Return the fit with one more real pole, None without sufficient gain.
-
-    The predicted fall of χ² must be at least `least`.
-    """
-    plain = found.solution
+def _with_real(plain: OutputErrorFit, least: float) -> OutputErrorFit | None:
+    """Return the fit with one more real pole, None without the `least` gain."""
     structure, order = plain.problem.structure, plain.problem.structure.order
     two = replace(plain.problem, structure=replace(structure, reals=structure.reals + 1))
     starts = [np.insert(plain.vector, order, plain.vector[order - 1] + further) for further in (-0.7, 0.7, 1.6)]
@@ -251,14 +242,11 @@ def _with_real(found: SupportedFit, least: float) -> SupportedFit | None:
     if gain < least * plain.problem.colour:
         return None
     more = solve(*with_loose_prior(two, start, float(np.exp(plain.vector[: structure.modes].max())) / (2 * np.pi)))
-    return SupportedFit(more, found.path + more.path)
+    return replace(more, path=plain.path + more.path)
 
 
 def penalised_chi_squared(fit: OutputErrorFit) -> float:
-    """Return χ² plus 8 per numerator term and 12 per pole.
-
-    A constant common to all fits of the samples is omitted.
-    """
+    """Return χ² plus 8 per numerator term and 12 per pole."""
     samples, structure = fit.problem.samples, fit.problem.structure
     least = _ROUNDING**2 * float(np.sum((samples.weight * samples.value) ** 2))
     chi_square = fit.size * float(np.log(fit.square + least)) / fit.problem.colour
@@ -279,10 +267,7 @@ def _fit_one(search: OrderSearch, load: ReleaseLoad, modes: ComplexArray, reals:
 
 
 def add_numerator_terms(found: OutputErrorFit, starts: list[FloatArray], highest_hz: float) -> OutputErrorFit:
-    """Return the fit with additional numerator terms that are significant.
-
-    Each is tried from the last fit or from its separate start.
-    """
+    """Return the fit with additional numerator terms that are significant."""
     problem = found.problem
     for terms in range(2, problem.structure.order + 1):
         richer = replace(problem, structure=replace(problem.structure, terms=terms))
@@ -297,6 +282,67 @@ def add_numerator_terms(found: OutputErrorFit, starts: list[FloatArray], highest
                 else found
             )
     return found
+
+
+# Difference equations of every order from one factorisation of the data.
+
+_BEND = 0.15  # share of the fall of ln J that may remain above the selected order
+
+
+@dataclass(frozen=True, repr=False)
+class OrderFamily(Arrays, shapes="triangle R R"):
+    """Least-squares difference equations of order 0 … n from one factorisation.
+
+    `triangle` (2n + 2, 2n + 2): R of the QR factorisation of the rows [u(k-n) y(k-n) … u(k-1) y(k-1) u(k) y(k)] over
+    all instants k, sampled at `sample_rate_hz`. In this interleaved order every leading part is the data of a lower
+    order. The method is known as augmented UD identification, or simultaneous identification of order and parameters.
+    """
+
+    triangle: FloatArray
+    sample_rate_hz: float
+
+    @property
+    def most(self) -> int:
+        """The highest order n."""
+        return len(self.triangle) // 2 - 1
+
+    def loss(self, direct: bool = True) -> FloatArray:
+        """Return J (n,), squared equation errors of order 1 … n, `direct` with b0·u(k)."""
+        last = 2 * np.arange(1, self.most + 1) + 1
+        squares = self.triangle[last, last] ** 2
+        return np.asarray(squares if direct else squares + self.triangle[last - 1, last] ** 2)
+
+    def parameters(self, order: int, direct: bool = True) -> FloatArray:
+        """Return [b_n, -a_n, …, b_1, -a_1, b_0] of one order, b_0 only if `direct`."""
+        if not 1 <= order <= self.most:
+            raise ValueError(f"order: expected 1 to {self.most}, found {order}")
+        size = 2 * order + direct
+        return np.asarray(
+            np.linalg.lstsq(self.triangle[:size, :size], self.triangle[:size, 2 * order + 1], rcond=None)[0]
+        )
+
+    def system(self, order: int, direct: bool = True) -> LinearSystem:
+        """Return the difference equation of one order as a sampled system."""
+        parameters = self.parameters(order, direct)
+        load, past = parameters[: 2 * order : 2][::-1], parameters[1 : 2 * order : 2][::-1]
+        numerator = np.concatenate([parameters[-1:] if direct else [0.0], load])
+        return LinearSystem.from_coefficients(numerator, np.concatenate([[1.0], -past]), self.sample_rate_hz)
+
+    def bend(self, direct: bool = True) -> int:
+        """Return the lowest order that leaves 15 % of the fall of ln J."""
+        loss = np.log(np.maximum(self.loss(direct), 1e-300))
+        left = (loss - loss.min()) / max(1e-12, loss[0] - loss.min())
+        return int(np.argmax(left <= _BEND)) + 1
+
+
+def fit_all_orders(load: FloatArray, output: FloatArray, sample_rate_hz: float, most: int = 9) -> OrderFamily:
+    """Return the difference equations of order 0 … `most` of load and output (N,)."""
+    check_shape("output", output, load.shape)
+    if len(load) < 4 * most + 4:
+        raise ValueError(f"load: expected at least {4 * most + 4} samples for order {most}, found {len(load)}")
+    windows = [np.lib.stride_tricks.sliding_window_view(part, most + 1) for part in (load, output)]
+    rows = np.stack(windows, axis=2).reshape(len(windows[0]), 2 * most + 2)
+    return OrderFamily(np.asarray(np.linalg.qr(rows)[1]), sample_rate_hz)
 
 
 # Notices of an identification.

@@ -9,8 +9,7 @@ import numpy as np
 
 from shaker.lti.system import modal_poles
 from shaker.release.load_response import load_rate, load_share, pole_responses
-from shaker.release.poles import ringing_poles
-from shaker.release.record import ApproximateOnset, ReleaseShape
+from shaker.release.record import ApproximateOnset, ReleaseShape, ringing_poles
 from shakercal._common.arrays import Arrays, ComplexArray, FloatArray
 from shakercal._common.fitting import BlockJacobian, LinearBlock, LMOptions, SeparablePoint, levenberg_marquardt
 
@@ -100,19 +99,13 @@ class OnsetModel(Arrays):
 
     @cached_property
     def poles(self) -> ComplexArray:
-        """Upper poles of modes and lag in rad/s.
-
-        The modes (M,) are first; the pole of a lag follows if there is one.
-        """
+        """Upper poles of the modes (M,) in rad/s, then of a lag."""
         rate = np.array([1.0 / self.lag_s] if self.lag_s > 0 else [])
         return modal_poles(2 * np.pi * self.frequency_hz, self.damping_ratio, rate)
 
     @cached_property
     def weights(self) -> ComplexArray:
-        """Weights from the responses of `poles` to those of the modes.
-
-        (P, M); the real part of the product is the response.
-        """
+        """Weights (P, M) whose product with the responses of `poles` has the real part wanted."""
         modes = len(self.frequency_hz)
         upper, omega = self.poles[:modes], 2 * np.pi * self.frequency_hz
         direct = np.diag(omega**2 / (1j * upper.imag * (1.0 + self.lag_s * upper)))
@@ -140,10 +133,7 @@ class OnsetModel(Arrays):
         return np.asarray(self.columns(time_s) @ self.linear)
 
     def speed(self, time_s: FloatArray, responses: ComplexArray | None = None) -> FloatArray:
-        """Return the derivative dy/dt (N,).
-
-        For a response R of 1/(s - p) it is pR + load.
-        """
+        """Return dy/dt (N,): pR + load for a response R of 1/(s - p)."""
         responses = self.responses(time_s) if responses is None else responses
         load = load_share(self.shape, time_s, self.onset_s, self.release_s)
         rates = responses * self.poles + load[:, None]
@@ -187,10 +177,7 @@ class OnsetTrial:
 
     @property
     def normal(self) -> tuple[FloatArray, FloatArray]:
-        """Normal equations, with parameters fixed at active bounds.
-
-        A bound is active if the descent would leave it.
-        """
+        """Normal equations, with parameters fixed at bounds that the descent would leave."""
         normal, downhill = (part.copy() for part in self.projected.normal)
         fit, fixed = self.fit, np.zeros(len(downhill), dtype=np.bool_)
         fixed[1] = fit.release_s <= 0.0 and downhill[1] < 0.0
@@ -211,10 +198,7 @@ class OnsetTrial:
 
 
 def fit_onset(window: Window, start: OnsetModel, min_gain: float) -> OnsetTrial:
-    """Return the least-squares fit of all parameters of `start`, linear ones projected out.
-
-    The fit ends at a step that gains less than `min_gain` times the variance of the residual.
-    """
+    """Return the least-squares fit from `start`; steps gain `min_gain` variances or more."""
     rows = len(window.samples) + _AHEAD
     rules = LMOptions(
         predicted_decrease_share=0.0, actual_decrease_share=min_gain / rows, max_steps=30, max_damping=1e5
@@ -244,10 +228,7 @@ def solve_amplitudes(window: Window, start: OnsetModel) -> OnsetTrial:
 
 
 def _rows(window: Window, columns: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return columns and target with the two prior rows first.
-
-    (…, N + 2, 2 + M) and (N + 2,).
-    """
+    """Return columns (…, N + 2, 2 + M) and target, two prior rows first."""
     weight = np.sqrt(window.before)
     ahead = np.zeros((*columns.shape[:-2], _AHEAD, columns.shape[-1]))
     ahead[..., 0, 0], ahead[..., 1, -1] = weight, window.small
@@ -255,10 +236,7 @@ def _rows(window: Window, columns: FloatArray) -> tuple[FloatArray, FloatArray]:
 
 
 def _slopes(window: Window, fit: OnsetModel, columns: FloatArray, responses: ComplexArray) -> FloatArray:
-    """Return the derivatives (N + 2, K) of y by times, frequencies and damping ratios.
-
-    The times are centre, squared length and squared lag.
-    """
+    """Return the derivatives (N + 2, K) of y by centre, squared times, and modes."""
     time = window.time_s
     slopes = np.zeros((len(time) + _AHEAD, len(fit.vector) - len(fit.linear)))
     slopes[_AHEAD:, 0] = -fit.speed(time, responses)
@@ -293,10 +271,7 @@ def bounded_parameters(window: Window, fit: OnsetModel, parameters: FloatArray) 
 
 
 def longest_lag_s(fit: OnsetModel) -> float:
-    """Return the lag whose corner frequency is that of the lowest mode.
-
-    A recording instrument is faster than that.
-    """
+    """Return the lag whose corner is the lowest mode; instruments are faster."""
     return float(1.0 / (2 * np.pi * np.min(fit.frequency_hz)))
 
 
@@ -322,7 +297,7 @@ def find_onset(
     """Return the window around the onset of samples (N,), and its fit.
 
     The first sample is at `start_s`. The release is a straight ramp unless the Schwarz criterion selects a smooth one.
-    Without ringing, one trial mode is fitted. `min_gain` as in `fit_onset`.
+    Without ringing, one trial mode is fitted.
     """
     # a sample that is almost certainly after the release
     end = location.first_motion + 1.5 * max(location.index_90 - location.first_motion, 4.0)
@@ -373,10 +348,7 @@ def _window(
 def _start(
     window: Window, location: ApproximateOnset, poles: ComplexArray, sample_rate_hz: float, start_s: float
 ) -> OnsetModel:
-    """Return the best of a grid of centres and lengths without lag.
-
-    The modes are fixed.
-    """
+    """Return the best of a grid of centres and lengths without lag."""
     every = max(1, len(window.samples) // _GRID)
     thin = replace(
         window,
@@ -410,10 +382,10 @@ _SOON = 1.5  # periods of the lowest mode after release and lag within which the
 
 
 def rise_time(fit: OnsetModel) -> tuple[float, float] | None:
-    """Return the rise time of the fitted curve with its uncertainty.
+    """Return the time from 10 % to 90 % of the change with its uncertainty.
 
-    It is the time from 10 % to 90 % of the change. First crossings count; None if the curve does not reach them soon. A
-    crossing t of the level b + share·Σg moves by -(∂(y - level)/∂θ)/(dy/dt) with the parameters θ of the fit.
+    First crossings of the fitted curve count; None if it does not reach them soon. A crossing of the level b + share·Σg
+    moves by -(∂(y - level)/∂θ)/(dy/dt) with the parameters θ of the fit.
     """
     if fit.covariance is None:
         raise ValueError("fit: expected one with its covariance, found none")

@@ -45,17 +45,14 @@ class PoleStructure:
 
     @property
     def smoothest(self) -> int:
-        """Number of numerator terms of a chain of masses with displacement output: 2M - 1.
+        """Number 2M - 1 of numerator terms of a chain of masses.
 
         The displacement of a mass initially responds to a force like 1/s², and every low-pass filter adds 1/s.
         """
         return max(1, 2 * self.modes - 1)
 
     def poles(self, vector: FloatArray) -> ComplexArray:
-        """Return upper and real poles (…, M + Q) in rad/s of vectors.
-
-        The vectors have the shape (…, K).
-        """
+        """Return upper and real poles (…, M + Q) in rad/s of vectors (…, K)."""
         log_omega, zeta, log_real = np.split(vector[..., : self.order], [self.modes, 2 * self.modes], axis=-1)
         return modal_poles(np.exp(log_omega), zeta, np.exp(log_real))
 
@@ -93,10 +90,7 @@ class PoleStructure:
         return np.asarray(self.shares(vector)[:, :, None] * rate)
 
     def _gaps(self, poles: ComplexArray) -> ComplexArray:
-        """Return differences of each pole to all poles, conjugates last.
-
-        The shape is (…, M + Q, 2M + Q). The difference of a pole to itself is replaced by `scale`.
-        """
+        """Return differences (…, M + Q, 2M + Q) of poles, `scale` to itself."""
         gaps = poles[..., None] - np.concatenate([poles, poles[..., : self.modes].conj()], axis=-1)[..., None, :]
         diagonal = np.arange(poles.shape[-1])
         gaps[..., diagonal, diagonal] = self.scale
@@ -141,7 +135,7 @@ class OutputErrorFit(Arrays):
     """A fit of a problem.
 
     `vector`: nonlinear parameters. `linear`: [baseline, numerator terms]. `square`: weighted sum of squares of the
-    residual. `path`: its values over the steps.
+    residual, `path` over the steps.
     """
 
     problem: OutputErrorProblem
@@ -162,10 +156,7 @@ class OutputErrorFit(Arrays):
 
 
 def columns(problem: OutputErrorProblem, vector: FloatArray, samples: BlockMeans) -> tuple[FloatArray, BlockResponses]:
-    """Return the unweighted design (B, 1 + terms) and the responses of the poles.
-
-    The design has columns of the baseline and the numerator terms.
-    """
+    """Return the unweighted design (B, 1 + terms) and the responses of the poles."""
     answered = responses_with_derivatives(
         problem.load, problem.structure.poles(vector), samples, *problem.release(vector)
     )
@@ -256,9 +247,8 @@ def predicted_gain(
 ) -> tuple[float, FloatArray]:
     """Return the predicted gain of a richer model, and the best vector.
 
-    The gain is the fall of B·ln(sum of squares) by one step. The design of the richer model at each vector is joined
-    with the design and derivatives of the fit. The residual of the three together shows, without a solution, whether
-    the richer model is worth a fit.
+    The gain is the fall of B·ln(sum of squares) by one step: the design of the richer model at each vector is joined
+    with the design and derivatives of the fit, and the residual of the three shows whether it is worth a fit.
     """
     weight = plain.problem.samples.weight[:, None]
     design_of_fit, answered = columns(plain.problem, plain.vector, plain.problem.samples)
@@ -275,10 +265,7 @@ def predicted_gain(
 
 
 def _twice(structure: PoleStructure) -> FloatArray:
-    """Return 2 for an upper pole and 1 for a real one.
-
-    An upper pole also represents its conjugate.
-    """
+    """Return 2 for an upper pole with its conjugate, 1 for a real one."""
     return np.concatenate([np.full(structure.modes, 2.0), np.ones(structure.reals)])
 
 
@@ -309,7 +296,7 @@ def fit_covariance(solution: OutputErrorFit, whole: BlockMeans) -> FitCovariance
     """Return the covariance of a fit's parameters from the residual at every sample.
 
     If the residual is not white: (JᵀJ)⁻¹JᵀRJ(JᵀJ)⁻¹ with R of its correlation through a Parzen window. A converter
-    whose step is not dithered by noise has a constant error at a constant level. It is added for both levels.
+    whose step is not dithered by noise has a constant error at a constant level, added for both levels.
     """
     problem = solution.problem
     linear_part, answered = columns(problem, solution.vector, whole)
@@ -386,10 +373,7 @@ def _prior_normal(solution: OutputErrorFit, scale: FloatArray, normal: FloatArra
 
 
 def _correlated(residual: FloatArray, columns_: FloatArray) -> FloatArray:
-    """Return R·columns (N, K) with the correlation matrix R of the residual.
-
-    R of the residual (N,) is estimated with a Parzen window.
-    """
+    """Return R·columns (N, K), R of the residual (N,) through a Parzen window."""
     count = len(residual)
     size = 2 ** int(np.ceil(np.log2(2 * count)))
     correlation = np.fft.irfft(np.abs(np.fft.rfft(residual, size)) ** 2)[:count] / count
@@ -417,10 +401,7 @@ def _converter(whole: BlockMeans, residual: FloatArray, gain: FloatArray, fitted
 
 
 def _model_slopes(structure: PoleStructure, vector: FloatArray, linear: FloatArray) -> FloatArray:
-    """Return derivatives of a modal model's vector by the fit's parameters.
-
-    The shape is (P, K + 1 + terms).
-    """
+    """Return derivatives (P, K + 1 + terms) of a model by the fit's parameters."""
     m, n, count = structure.modes, structure.order, len(vector)
     shares, by_vector = structure.shares(vector), structure.share_slopes(vector)
     out = np.zeros((4 * m + 2 * structure.reals, count + len(linear)))

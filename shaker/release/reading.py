@@ -11,6 +11,14 @@ import numpy as np
 
 from shaker.frf.chain import cubic_spline
 from shaker.io.condition import cut_run
+from shaker.model_notices import (
+    FORCE_CONTRADICTS_AMPLITUDE,
+    LEVEL_DRIFT,
+    OTHER_CHANNEL_TIMES,
+    OUTPUT_AT_LIMIT,
+    RELEASE_BY_LINE,
+    RELEASE_MISFIT,
+)
 from shaker.release.load_response import MOMENTS, load_rate, load_share
 from shaker.release.onset import (
     OnsetModel,
@@ -31,14 +39,6 @@ from shaker.release.record import (
     locate_change,
     ringing_level,
     spectrum_peaks,
-)
-from shaker.release.release_notices import (
-    FORCE_CONTRADICTS_AMPLITUDE,
-    LEVEL_DRIFT,
-    OTHER_CHANNEL_TIMES,
-    OUTPUT_AT_LIMIT,
-    RELEASE_BY_LINE,
-    RELEASE_MISFIT,
 )
 from shakercal._common.arrays import BoolArray, FloatArray
 from shakercal._common.fitting import BlockJacobian, LinearBlock, LMOptions, SeparablePoint, levenberg_marquardt
@@ -117,10 +117,7 @@ def release_times(window: Window, fit: OnsetModel, correlation: float) -> tuple[
 
 
 def _nodes(window: Window, fit: OnsetModel, variance: float) -> tuple[FloatArray, list[_Node]]:
-    """Return lags (L,) around that of the fit with their results.
-
-    Each starts from its neighbour.
-    """
+    """Return lags (L,) around that of the fit with their results."""
     if fit.covariance is None:
         raise ValueError("fit: expected one with its covariance, found none")
     u_square = float(np.sqrt(fit.covariance[2, 2] / max(fit.squares / max(fit.rows - len(fit.vector), 1), 1e-300)))
@@ -142,10 +139,7 @@ def _nodes(window: Window, fit: OnsetModel, variance: float) -> tuple[FloatArray
 
 
 def _node(window: Window, near: OnsetModel, lag_s: float, variance: float) -> tuple[_Node, OnsetModel] | None:
-    """Return the result at a lag from a nearby fit, and the fit.
-
-    One Gauss-Newton step is taken. None if the step leaves the possible range.
-    """
+    """Return the result at a lag by one Gauss-Newton step, None if impossible."""
     square = near.release_s**2 + (near.lag_s**2 - lag_s**2) / MOMENTS[near.shape]
     start = replace(near, lag_s=lag_s, release_s=float(np.sqrt(max(square, 0.0))))
     trial = solve_amplitudes(window, start)
@@ -173,10 +167,7 @@ def _node(window: Window, near: OnsetModel, lag_s: float, variance: float) -> tu
 
 
 def _moments(weight: FloatArray, value: FloatArray, likely: BoolArray) -> tuple[float, float]:
-    """Return mean and standard deviation of values under weights that sum to 1.
-
-    The standard deviation is large enough for the 95 % interval to include every likely value, also a time of zero.
-    """
+    """Return mean and standard deviation; its 95 % interval includes every likely value."""
     mean = float(np.sum(weight * value))
     farthest = float(np.max(np.abs(value[likely] - mean)))
     return mean, max(float(np.sqrt(np.sum(weight * (value - mean) ** 2))), farthest / _COVERAGE)
@@ -188,10 +179,7 @@ _LENGTHS = 3.0  # lengths of the release on either side, in the fit
 
 
 class ForceReading(NamedTuple):
-    """Change of the load with its standard uncertainty, time and shape.
-
-    In N or N·m. `shape`: the better of a straight ramp and half a cosine.
-    """
+    """Change of the load in N or N·m with its u, time, shape."""
 
     interval: Interval
     change: float
@@ -200,10 +188,7 @@ class ForceReading(NamedTuple):
 
 
 def read_force(force: FloatArray, sample_rate_hz: float, start_s: float) -> ForceReading:
-    """Return the release as a force channel (N,) with first sample at `start_s` shows it.
-
-    Least squares of level, change, middle and length of `load_share` around the release.
-    """
+    """Return the release that a force channel (N,) from `start_s` on shows."""
     location = locate_change(force)
     length = max((location.index_90 - location.index_10) / 0.8, 2.0)
     low = max(0, int(location.index_10 - _LENGTHS * length - 8))
@@ -357,11 +342,10 @@ def read_release(record: StepRecord, channel: str) -> ReleaseReading:
 
 
 def initial_release(record: StepRecord) -> tuple[float, float, ReleaseShape]:
-    """Return middle, length and shape of a release, to start a fit.
+    """Return middle and length in s, and shape, of a release to start a fit.
 
-    Times in s, without a lag. They are from a measured force, else from the channel with the largest change of level
-    over its noise. To second order a lag behind the sensor acts like a later and longer release: the middle of the
-    fitted release is later by the lag, and its second moment adds to the release's.
+    They are from a measured force, else from the clearest channel. To second order a lag behind the sensor acts like a
+    later and longer release: the middle is later by the lag, and its second moment adds to the release's.
     """
     locations = locate_channels(record)
     shape: ReleaseShape
@@ -483,8 +467,8 @@ def _remarks(
 class RepeatedMean:
     """Mean of one quantity over releases, and the standard deviation of a single release.
 
-    `u_mean` has `dof` degrees of freedom. They are infinite if only the readings' uncertainties are available;
-    `repeatability` of a single release is NaN. `u_repeatability` is s/√(2(n - 1)).
+    `u_mean` has `dof` degrees of freedom, infinite if only the readings' uncertainties are available; `repeatability`
+    of a single release is NaN.
     """
 
     mean: float
@@ -498,8 +482,8 @@ class RepeatedMean:
 class ReleaseKind:
     """Releases by one device, `release`: their number, rise time and length in s.
 
-    `rank` 1 has the shortest rise time. `faster`: probability of a shorter rise time than the next rank, from Welch's
-    t. It is NaN for the last rank and for a single release without repeatability.
+    `rank` 1 has the shortest rise time. `faster`: probability (Welch's t) of a shorter rise time than the next rank,
+    NaN for the last rank and without repeatability.
     """
 
     release: str

@@ -3,30 +3,39 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 
 from shaker.lti.indices import pole_notices
-from shaker.lti.system import LinearSystem, ModalModel
-from shaker.release.load_response import ReleaseLoad, average_blocks, every_sample, reduce_to_blocks
+from shaker.lti.system import Conversion, LinearSystem, ModalModel
+from shaker.model_notices import NO_CONTINUOUS_MODEL, OUTPUT_DIVERGES, RELEASE_SHAPE_UNDETERMINED
+from shaker.release.load_response import ReleaseLoad, every_sample, reduce_to_blocks
 from shaker.release.model_order import (
     OrderSearch,
-    SupportedFit,
     add_numerator_terms,
+    fit_all_orders,
     fit_notices,
     penalised_chi_squared,
     search_order,
     with_loose_prior,
 )
-from shaker.release.output_error import OutputErrorProblem, PoleStructure, fit_covariance, modal_model, solve, squares
+from shaker.release.output_error import (
+    OutputErrorFit,
+    OutputErrorProblem,
+    PoleStructure,
+    fit_covariance,
+    modal_model,
+    solve,
+    squares,
+)
 from shaker.release.reading import read_release
 from shaker.release.record import ReleaseReading, ReleaseShape, StepRecord
-from shaker.release.release_notices import NO_CONTINUOUS_MODEL, OUTPUT_DIVERGES, RELEASE_SHAPE_UNDETERMINED
-from shakercal._common.arrays import Arrays, FloatArray, check_shape, check_shapes
+from shakercal._common.arrays import Arrays, FloatArray
 from shakercal._common.fitting import REJECT_CHI2, excess_chi2_sigmas
+from shakercal._common.kernels import njit
 from shakercal._common.notices import Notice
 
 # Result of an identification from a step response, for all methods.
@@ -35,7 +44,7 @@ Method = Literal["pencil", "arx", "sim", "sim_zoh", "evolution", "evolution_coef
 
 
 @dataclass(frozen=True, repr=False)
-class StepFit(Arrays):
+class StepFit(Arrays, shapes="time_s N; fitted N; residual N; convergence I"):
     """A model of one output for one load component.
 
     `model`: continuous, in output unit per load unit; None if the poles of `system` have no modal form. `system`: the
@@ -69,22 +78,14 @@ class StepFit(Arrays):
     excess: float = 0.0
     notices: tuple[Notice, ...] = ()
 
-    def __post_init__(self) -> None:
-        check_shapes(self, (None,), "time_s", "convergence")
-        check_shapes(self, self.time_s.shape, "fitted", "residual")
-
 
 # A solution as a result.
 
 
 def as_step_fit(
-    record: StepRecord, reading: ReleaseReading, found: SupportedFit, method: Method, began: float
+    record: StepRecord, reading: ReleaseReading, solution: OutputErrorFit, method: Method, began: float
 ) -> StepFit:
-    """Return a result with its covariance from every sample.
-
-    `began`: starting time of the identification.
-    """
-    solution = found.solution
+    """Return a result with its covariance from every sample."""
     value = record.samples[record.channels.index(reading.channel)]
     whole = every_sample(value, record.time_s, 1.0 / record.sample_rate_hz)
     covariance = fit_covariance(solution, whole)
@@ -106,7 +107,7 @@ def as_step_fit(
         decimation=decimation,
         order=solution.problem.structure.order,
         variance_accounted=1.0 - float(np.sum(covariance.residual**2) / np.sum((value - value.mean()) ** 2)),
-        convergence=np.array(found.path),
+        convergence=np.array(solution.path),
         duration_s=time.perf_counter() - began,
         onset_s=middle - 0.5 * length if timed else reading.onset_s,
         u_onset_s=covariance.u_onset_s if timed else reading.u_onset_s,
@@ -193,22 +194,19 @@ def fit_shapes(
     method: Literal["pencil", "arx"] = "pencil",
     release: ReleaseOption | None = None,
 ) -> tuple[StepFit, ...]:
-    """Return the result of `fit_step` for each possible shape of the release, the likeliest first.
-
-    All have the same numbers of poles. The covariance of each does not include the other shapes.
-    """
+    """Return the result of `fit_step` for each possible shape, the likeliest first."""
     began = time.perf_counter()
     whole = every_sample(record.samples[record.channels.index(channel)], record.time_s, 1.0 / record.sample_rate_hz)
     found = search_order(
         OrderSearch(whole, reading, candidate_loads(record, reading, release), method, modes, real_poles)
     )
     fits = [as_step_fit(record, reading, one, method, began) for one in found]
-    least, *_ = costs = [penalised_chi_squared(one.solution) for one in found]
+    least, *_ = costs = [penalised_chi_squared(one) for one in found]
     return tuple(replace(fit, excess=cost - least) for fit, cost in zip(fits, costs, strict=True))
 
 
 def merge_alternatives(fits: Sequence[StepFit], excess: float | None = None) -> StepFit:
-    """Return the first fit of `fit_shapes`, its uncertainty including fits that are not rejected.
+    """Return the first fit, its uncertainty including fits that are not rejected.
 
     `excess`: χ² of the other fit above the first, default None: that of the record itself.
     """
@@ -229,10 +227,7 @@ def merge_alternatives(fits: Sequence[StepFit], excess: float | None = None) -> 
 
 
 def describe_difference(first: StepFit, other: StepFit) -> str:
-    """Return both release shapes with their real poles in words.
-
-    "" for a small difference.
-    """
+    """Return both release shapes with their real poles; "" for a small difference."""
     if first.model is None or other.model is None or first.model.covariance is None:
         return ""
     difference = np.abs(other.model.vector - first.model.vector)
@@ -261,86 +256,6 @@ def candidate_loads(
     return tuple(ReleaseLoad(shape, record.amplitude) for shape in ("ramp", "smooth"))
 
 
-# Difference equations of every order from one factorisation of the data.
-
-_BEND = 0.15  # share of the fall of ln J that may remain above the selected order
-
-
-@dataclass(frozen=True, repr=False)
-class OrderFamily(Arrays):
-    """Least-squares difference equations of order 0 … n from one factorisation.
-
-    `triangle` (2n + 2, 2n + 2): R of the QR factorisation of the rows [u(k-n) y(k-n) … u(k-1) y(k-1) u(k) y(k)] over
-    all instants k, sampled at `sample_rate_hz`. In this interleaved order every leading part is the data of a lower
-    order. The method is known as augmented UD identification, or simultaneous identification of order and parameters.
-    """
-
-    triangle: FloatArray
-    sample_rate_hz: float
-
-    def __post_init__(self) -> None:
-        check_shape("triangle", self.triangle, (None, self.triangle.shape[0]))
-
-    @property
-    def most(self) -> int:
-        """The highest order n."""
-        return len(self.triangle) // 2 - 1
-
-    def loss(self, direct: bool = True) -> FloatArray:
-        """Return J (n,), the sum of squared equation errors of order 1 … n.
-
-        `direct`: with a term b0·u(k).
-        """
-        last = 2 * np.arange(1, self.most + 1) + 1
-        squares = self.triangle[last, last] ** 2
-        return np.asarray(squares if direct else squares + self.triangle[last - 1, last] ** 2)
-
-    def parameters(self, order: int, direct: bool = True) -> FloatArray:
-        """Return the parameters of one order, interleaved.
-
-        [b_n, -a_n, …, b_1, -a_1, b_0] (2·order + 1,), b_0 only if `direct`.
-        """
-        if not 1 <= order <= self.most:
-            raise ValueError(f"order: expected 1 to {self.most}, found {order}")
-        size = 2 * order + direct
-        return np.asarray(
-            np.linalg.lstsq(self.triangle[:size, :size], self.triangle[:size, 2 * order + 1], rcond=None)[0]
-        )
-
-    def system(self, order: int, direct: bool = True) -> LinearSystem:
-        """Return the difference equation of one order as a sampled system.
-
-        y(k) = Σ b_i u(k-i) - Σ a_i y(k-i).
-        """
-        parameters = self.parameters(order, direct)
-        load, past = parameters[: 2 * order : 2][::-1], parameters[1 : 2 * order : 2][::-1]
-        numerator = np.concatenate([parameters[-1:] if direct else [0.0], load])
-        return LinearSystem.from_coefficients(numerator, np.concatenate([[1.0], -past]), self.sample_rate_hz)
-
-    def bend(self, direct: bool = True) -> int:
-        """Return the order at the bend of the loss.
-
-        It is the lowest order that leaves at most 15 % of the fall of ln J to higher ones. A significance test is not
-        useful: with noise on the output every additional order lowers the loss.
-        """
-        loss = np.log(np.maximum(self.loss(direct), 1e-300))
-        left = (loss - loss.min()) / max(1e-12, loss[0] - loss.min())
-        return int(np.argmax(left <= _BEND)) + 1
-
-
-def fit_all_orders(load: FloatArray, output: FloatArray, sample_rate_hz: float, most: int = 9) -> OrderFamily:
-    """Return the difference equations of order 0 … `most`.
-
-    Between a load (N,) and an output (N,).
-    """
-    check_shape("output", output, load.shape)
-    if len(load) < 4 * most + 4:
-        raise ValueError(f"load: expected at least {4 * most + 4} samples for order {most}, found {len(load)}")
-    windows = [np.lib.stride_tricks.sliding_window_view(part, most + 1) for part in (load, output)]
-    rows = np.stack(windows, axis=2).reshape(len(windows[0]), 2 * most + 2)
-    return OrderFamily(np.asarray(np.linalg.qr(rows)[1]), sample_rate_hz)
-
-
 # Simultaneous identification of order and parameters, as published.
 
 
@@ -350,22 +265,20 @@ def fit_sim(
     *,
     reading: ReleaseReading | None = None,
     order: int | None = None,
-    conversion: Literal["tustin", "zoh"] = "tustin",
-    decimation: int = 1,
-    most: int = 9,
+    conversion: Conversion = "tustin",
 ) -> StepFit:
     """Fit order and parameters of a difference equation simultaneously; return it as a continuous model.
 
-    `order`: number of poles, by the bend of the loss over order 1 … `most` if None. `conversion` to continuous time:
+    `order`: number of poles, by the bend of the loss over order 1 … 9 if None. `conversion` to continuous time:
     "tustin" as in the published model of 100 kHz samples, or "zoh", exact for a load that is constant between samples.
-    `decimation`: samples averaged to one before the fit. `system.sampled(sample_rate_hz, conversion)` is the difference
-    equation. The result has no covariance. Output noise biases the least squares of the equation error, increasingly
-    with the sampling rate: at 100 kHz and 40 dB the damping of a mode of ζ = 0.015 is several times too large.
+    `system.sampled(sample_rate_hz, conversion)` is the difference equation. The result has no covariance. Output noise
+    biases the least squares of the equation error, increasingly with the sampling rate: at 100 kHz and 40 dB the
+    damping of a mode of ζ = 0.015 is several times too large.
     """
     began = time.perf_counter()
     reading = reading or read_release(record, channel)
-    signals = load_and_output(record, reading, decimation)
-    orders = fit_all_orders(signals[0], signals[1], record.sample_rate_hz / decimation, most)
+    signals = load_and_output(record, reading)
+    orders = fit_all_orders(*signals, record.sample_rate_hz)
     direct = conversion == "tustin"
     chosen = order or orders.bend(direct)
     fit = difference_fit(record, reading, orders.system(chosen, direct), conversion, signals, orders.loss(direct))
@@ -376,24 +289,20 @@ def difference_fit(
     record: StepRecord,
     reading: ReleaseReading,
     sampled: LinearSystem,
-    conversion: Literal["tustin", "zoh"],
-    signals: FloatArray,
+    conversion: Conversion,
+    signals: tuple[FloatArray, FloatArray],
     convergence: FloatArray,
 ) -> StepFit:
-    """Return the fit of a difference equation to signals (3, N) of `load_and_output`.
-
-    If a pole has no continuous counterpart, the sampled system is returned with a notice.
-    """
+    """Return the fit of a difference equation to the signals of `load_and_output`."""
     from scipy.signal import sosfilt
 
-    (load, output, time_s), where = signals, f"{record.name}, {reading.channel}"
-    decimation = record.samples.shape[1] // len(time_s)
-    rate, system, notices = record.sample_rate_hz / decimation, sampled, tuple[Notice, ...]()
+    (load, output), where = signals, f"{record.name}, {reading.channel}"
+    system, notices = sampled, tuple[Notice, ...]()
     try:
         system = sampled.continuous(conversion)
     except ValueError as error:
         notices = (Notice(NO_CONTINUOUS_MODEL, where, reason=str(error)),)
-    notices += pole_notices(system, rate)
+    notices += pole_notices(system, record.sample_rate_hz)
     with np.errstate(over="ignore", invalid="ignore"):
         fitted = np.asarray(sosfilt(sampled.sections(), load))
     if not np.all(np.isfinite(fitted)):
@@ -408,11 +317,11 @@ def difference_fit(
         unit=record.unit,
         model=modal_form(system),
         system=system,
-        time_s=time_s,
+        time_s=record.time_s,
         fitted=fitted + reading.baseline,
         residual=output - fitted,
-        sample_rate_hz=rate,
-        decimation=decimation,
+        sample_rate_hz=record.sample_rate_hz,
+        decimation=1,
         order=len(sampled.poles),
         variance_accounted=accounted,
         convergence=convergence,
@@ -425,23 +334,17 @@ def difference_fit(
     )
 
 
-def load_and_output(record: StepRecord, reading: ReleaseReading, decimation: int) -> FloatArray:
-    """Return load, output above its baseline, and time (3, N).
-
-    The load is the measured one, or a step at the onset that was read.
-    """
+def load_and_output(record: StepRecord, reading: ReleaseReading) -> tuple[FloatArray, FloatArray]:
+    """Return load (N,), a step unless measured, and output (N,) above its baseline."""
     value = record.samples[record.channels.index(reading.channel)] - reading.baseline
     load = record.amplitude * (record.time_s >= reading.onset_s) if record.force is None else record.force
     if record.force is not None:
         load = load - np.mean(load[record.time_s < reading.onset_s])
-    return average_blocks(np.stack([load, value, record.time_s]), decimation)
+    return np.asarray(load), value
 
 
 def modal_form(system: LinearSystem) -> ModalModel | None:
-    """Return a continuous system as a sum of modes, None if impossible.
-
-    This is the case with a direct term or double poles, and for a sampled system.
-    """
+    """Return a continuous system as a sum of modes, None if impossible."""
     if system.sample_rate_hz is not None or len(system.zeros) == len(system.poles):
         return None
     gaps = np.abs(system.poles[:, None] - system.poles) + np.diag(np.full(len(system.poles), np.inf))
@@ -459,12 +362,51 @@ def modal_form(system: LinearSystem) -> ModalModel | None:
     )
 
 
-# Differential evolution: with the published settings, and on modal parameters.
+# Differential evolution (rand/1/bin; Storn and Price, J. Global Optim. 11 (1997) 341): with the published settings, and
+# on modal parameters.
 
+MUTATION, CROSSOVER = 0.8, 0.7  # the published settings
+HUGE = 1e100  # loss above which a model has grown without bound
+
+Losses = Callable[[FloatArray, FloatArray], FloatArray]
+"""Function from members (P, N) and their largest losses (P,) to losses (P,), infinite above the largest."""
 POPULATION, GENERATIONS, BOUND = 100, 500, 5.0  # the published settings
+_ORDER = 3  # poles of a fit: a mode and a real pole
 _FEWER = (30, 40)  # members and generations for three bounded parameters
 _DAMPING = (1e-4, 0.5)
 _BLOCKS = 1000  # blocks of the record in the evolution
+
+
+def evolve(
+    losses: Losses, bounds: Sequence[tuple[float, float]], rng: np.random.Generator, effort: tuple[int, int]
+) -> tuple[FloatArray, tuple[float, ...]]:
+    """Return the best vector (N,) and losses of `effort` = (members, generations)."""
+    from scipy.optimize import differential_evolution
+
+    low, high = np.array(bounds).T
+    first = low + (high - low) * rng.random((effort[0], len(bounds)))
+    path, parents = list[float](), np.full(effort[0], np.inf)
+
+    def keep(intermediate_result: Any) -> None:
+        path.append(float(intermediate_result.fun))
+        parents[:] = intermediate_result.population_energies
+
+    end = differential_evolution(
+        lambda members: losses(np.ascontiguousarray(members.T), parents),
+        bounds,
+        strategy="rand1bin",
+        maxiter=effort[1],
+        init=first,
+        tol=0.0,
+        mutation=MUTATION,
+        recombination=CROSSOVER,
+        rng=rng,
+        callback=keep,
+        polish=False,
+        updating="deferred",
+        vectorized=True,
+    )
+    return np.asarray(end.x), tuple(path)
 
 
 def fit_evolution(
@@ -474,64 +416,84 @@ def fit_evolution(
     rng: np.random.Generator,
     reading: ReleaseReading | None = None,
     parametrisation: Literal["coefficients", "modes"] = "modes",
-    order: int = 3,
 ) -> StepFit:
     """Fit a model of one output by differential evolution (rand/1/bin, mutation 0.8, crossover 0.7).
 
     "coefficients": as published, [b_n, a_n, …, b_1, a_1] of H(z) = Σ b z⁻ⁱ/(1 + Σ a z⁻ⁱ) within ±5, population 100, 500
     generations. The loss is the squared output error; `convergence` is that of the best member over the generations.
-    "modes": fn, ζ and a real pole for order 3 (fn, ζ for order 2), the numerator by linear least squares. The default
+    "modes": fn, ζ and a real pole, the numerator by linear least squares. The default
     method then continues from the best member and gives the covariance.
     """
-    from shaker.release.evolution import evolve
-
     began = time.perf_counter()
     reading = reading or read_release(record, channel)
     if parametrisation == "coefficients":
-        return _published(record, reading, rng, order, began)
-    if order not in (2, 3):
-        raise ValueError(f"order: expected 2 or 3 for modes, found {order}")
+        return _published(record, reading, rng, began)
     value = record.samples[record.channels.index(channel)]
     whole = every_sample(value, record.time_s, 1.0 / record.sample_rate_hz)
     margin, onset_s = reading.rise_s + reading.release_s, reading.onset_s
     samples = reduce_to_blocks(whole, onset_s - margin, onset_s + 2.0 * margin, max(1, len(value) // _BLOCKS))
-    structure, blank = PoleStructure(1, order - 2, order, 1.0 / reading.rise_s), np.zeros(order + 1)
+    structure, blank = PoleStructure(1, 1, _ORDER, 1.0 / reading.rise_s), np.zeros(_ORDER + 1)
     problem = OutputErrorProblem(structure, ReleaseLoad("step", record.amplitude), samples, blank, blank, onset_s)
     span_s, block_s = samples.time_s[-1] - samples.time_s[0], samples.step_s * samples.length.max()
     slow, fast, edge = np.log(2 * np.pi * np.array([2.0 / span_s, 0.1 / block_s, 0.4 / samples.step_s])).tolist()
     # ln ω from two periods in the record to a tenth of the blocks' rate, ζ, ln a up to 0.4 of the samples' rate
-    bounds = [(slow, fast), _DAMPING, *[(slow, edge)] * structure.reals]
+    bounds = [(slow, fast), _DAMPING, (slow, edge)]
 
     def losses(members: FloatArray, _: FloatArray) -> FloatArray:
-        vectors = np.insert(members, order, onset_s, axis=1)  # groups that fit the cache of the processor
+        vectors = np.insert(members, _ORDER, onset_s, axis=1)  # groups that fit the cache of the processor
         return np.concatenate([squares(problem, part)[:, -1] for part in np.array_split(vectors, _FEWER[0] // 10)])
 
     best, path = evolve(losses, bounds, rng, _FEWER)
     hz = float(np.exp(best[0])) / (2 * np.pi)
     start = np.append(best, onset_s)
     plain = replace(problem, structure=replace(structure, terms=1, scale=2 * np.pi * hz))
-    solution = add_numerator_terms(solve(*with_loose_prior(plain, start, hz)), [start] * order, hz)
-    return as_step_fit(record, reading, SupportedFit(solution, path), "evolution", began)
+    solution = add_numerator_terms(solve(*with_loose_prior(plain, start, hz)), [start] * _ORDER, hz)
+    return as_step_fit(record, reading, replace(solution, path=path), "evolution", began)
 
 
-def _published(
-    record: StepRecord, reading: ReleaseReading, rng: np.random.Generator, order: int, began: float
-) -> StepFit:
+def _published(record: StepRecord, reading: ReleaseReading, rng: np.random.Generator, began: float) -> StepFit:
     """Return the model by the published method, in coefficients of the difference equation."""
-    from shaker.release.evolution import evolve, output_errors
-
-    signals = load_and_output(record, reading, 1)
+    signals = load_and_output(record, reading)
     begin = int(np.argmax(signals[0] != 0.0))  # no model responds before it
-    load, output = signals[:2, begin:]
-    before = float(np.sum(signals[1, :begin] ** 2))
-    bounds = [(-BOUND, BOUND)] * (2 * order)
+    load, output = signals[0][begin:], signals[1][begin:]
+    before = float(np.sum(signals[1][:begin] ** 2))
+    bounds = [(-BOUND, BOUND)] * (2 * _ORDER)
+    errors = output_errors
     best, path = evolve(
-        lambda members, most: output_errors(members, most, load, output, before), bounds, rng, (POPULATION, GENERATIONS)
+        lambda members, most: errors(members, most, load, output, before), bounds, rng, (POPULATION, GENERATIONS)
     )
     top, bottom = np.append(0.0, best[-2::-2]), np.append(1.0, best[::-2])
     sampled = LinearSystem.from_coefficients(top, bottom, record.sample_rate_hz)
     fit = difference_fit(record, reading, sampled, "zoh", signals, np.array(path))
-    return replace(fit, order=order, duration_s=time.perf_counter() - began)
+    return replace(fit, duration_s=time.perf_counter() - began)
+
+
+@njit()
+def output_errors(
+    members: FloatArray, most: FloatArray, load: FloatArray, output: FloatArray, before: float
+) -> FloatArray:
+    """Return the squared output errors (P,) of difference equations, infinite above a limit.
+
+    `members` (P, 2n): [b_n, a_n, …, b_1, a_1] each, of H(z) = Σ b z⁻ⁱ/(1 + Σ a z⁻ⁱ). A simulation stops at its limit
+    `most` (P,), at most 1e100. `before`: squares of the output before the start of `load` (N,) and `output` (N,).
+    """
+    count, order = members.shape[0], members.shape[1] // 2
+    found = np.full(count, np.inf)
+    state = np.empty(order + 1)
+    for p in range(count):
+        state[:] = 0.0
+        square, limit = before, min(most[p], HUGE)
+        for k in range(len(load)):
+            x, y = load[k], state[0]
+            for i in range(order):
+                column = 2 * (order - 1 - i)
+                state[i] = state[i + 1] + x * members[p, column] - y * members[p, column + 1]
+            square += (output[k] - y) ** 2
+            if not square <= limit:
+                break
+        if square <= limit:
+            found[p] = square
+    return found
 
 
 # Every method on the same record.
@@ -551,9 +513,8 @@ def fit_all_methods(
 ) -> tuple[StepFit, ...]:
     """Return the fits of one output by several methods, in the order of `methods`.
 
-    All use one reading of the release. `modes` and `real_poles` apply to the two methods with these options. The
-    published methods select their order themselves or use the published three poles. `rng` samples the first
-    generation.
+    All use one reading of the release. `modes` and `real_poles` apply to the two methods with these options; the
+    published ones select their order themselves or use three poles. `rng` samples the first generation.
     """
     reading = reading or read_release(record, channel)
 

@@ -66,10 +66,9 @@ def normal_gravity(latitude_rad: float, height_m: float) -> float:
 
 
 def gravity_at(latitude_rad: float, height_m: float) -> SourcedValue:
-    """Return gravity in m/s² from latitude and height above the sea, with its uncertainty.
+    """Return gravity in m/s² from latitude and height above the sea.
 
-    The height above the sea replaces that above the ellipsoid, as in PTB's g-Extractor. The uncertainty is that of the
-    anomalies about this value.
+    That height replaces the height above the ellipsoid, as in PTB's g-Extractor; the uncertainty is that of anomalies.
     """
     value = normal_gravity(latitude_rad, height_m)
     source = f"normal gravity (GRS 80) at {np.degrees(latitude_rad):.6g}° and {height_m:g} m"
@@ -106,8 +105,8 @@ def air_density_at(
 ) -> SourcedValue:
     """Return the density of air in kg/m³ from measured or usual conditions.
 
-    Pressure: the standard atmosphere at the height, ±10 hPa for weather; without a height that at sea level ±40 hPa. 20
-    °C ± 3 K. Relative humidity 0.5 ± 0.2. Measured values have 1 hPa, 0.5 K and 0.05 (all k = 1).
+    Pressure: the standard atmosphere at the height, ±10 hPa for weather; at an unknown height ±40 hPa. 20 °C ± 3 K.
+    Relative humidity 0.5 ± 0.2. Measured values have 1 hPa, 0.5 K and 0.05 (all k = 1).
     """
     u_weather = UNKNOWN_HEIGHT_PA if height_m is None else WEATHER_PA
     weather = SourcedValue(standard_pressure(height_m or 0.0), u_weather, "")
@@ -147,17 +146,17 @@ ROUNDING, FINEST, WHOLE = 1e-12, 1e-12, 1e-3
 
 
 class Reversal(NamedTuple):
-    """Difference between both senses of rotation.
-
-    `angle_rad` (K,) read in both senses, `difference` (K, C) forward minus backward.
-    """
+    """Difference (K, C), forward minus backward, at angles read in both senses."""
 
     angle_rad: FloatArray
     difference: FloatArray
 
 
 @dataclass(frozen=True, repr=False)
-class AngleFit(Arrays):
+class AngleFit(
+    Arrays,
+    shapes="channels C; angle_rad N; terms P; reading N C; design N P; coefficient P C; inverse P P; noise C C",
+):
     """Readings (N, C) at angles (N,) as a sum of terms.
 
     reading = design · coefficient + residual. `terms` (P,): names of the columns of `design` (N, P). They are offset,
@@ -176,14 +175,6 @@ class AngleFit(Arrays):
     inverse: FloatArray
     noise: FloatArray
     dof: float
-
-    def __post_init__(self) -> None:
-        count, channels, terms = len(self.angle_rad), len(self.channels), len(self.terms)
-        check_shape("reading", self.reading, (count, channels))
-        check_shape("design", self.design, (count, terms))
-        check_shape("coefficient", self.coefficient, (terms, channels))
-        check_shape("inverse", self.inverse, (terms, terms))
-        check_shape("noise", self.noise, (channels, channels))
 
     @property
     def residual(self) -> FloatArray:
@@ -231,11 +222,10 @@ class AngleFit(Arrays):
 def fit_angles(channels: tuple[str, ...], angle_rad: FloatArray, reading: FloatArray) -> AngleFit:
     """Fit offset, first harmonic and significant further terms to readings (N, C) at angles (N,).
 
-    Further terms are harmonics 2, 3, … as far as the angles resolve them, a linear drift over the order of the readings
-    and, if the head was rotated both ways, the difference between both senses (offset and first harmonic). The most
-    significant term enters first. It must be significant in an F test of one channel with a chance below 1 in 1000 for
-    all channels together. Angles may have any order and repeat. The variance of a reading is at least a²/12 for its
-    last digit a.
+    Further terms are harmonics as far as the angles resolve them, a linear drift and, if the head was rotated both
+    ways, the difference between both senses. The most significant term enters first. It must be significant in an F
+    test of one channel with a chance below 1 in 1000 for all channels together. The variance of a reading is at least
+    a²/12 for its last digit a.
     """
     angle, values = np.asarray(angle_rad, np.float64), np.asarray(reading, np.float64)
     check_shape("angle_rad", angle, (None,))
@@ -264,11 +254,7 @@ def fit_angles(channels: tuple[str, ...], angle_rad: FloatArray, reading: FloatA
 
 
 def turning_sense(angle_rad: FloatArray) -> FloatArray:
-    """Return the sense +1 or -1 (N,) of approach to each angle.
-
-    By the shorter path. 0 for a single reading. The first reading has the sense of the second, one at the same angle
-    that of the previous one.
-    """
+    """Return the sense ±1 (N,) of approach to each angle, by the shorter path."""
     step = np.angle(np.exp(1j * np.diff(angle_rad)))
     sense = np.where(np.abs(step) < SAME_ANGLE_RAD, 0.0, np.sign(step))
     for i in range(1, len(sense)):
@@ -296,10 +282,7 @@ def _offered(angle: FloatArray) -> tuple[list[Term], list[list[Term]]]:
 
 
 def _periodic(name: str, angle: FloatArray) -> FloatArray:
-    """Return the column of a term that depends on the angle only.
-
-    Other terms give zeros.
-    """
+    """Return the column of a term that depends on the angle, else zeros."""
     kind, _, order = name.partition(" ")
     if kind in ("cos", "sin"):
         return np.asarray(getattr(np, kind)(int(order) * angle))
@@ -315,10 +298,7 @@ def _distinct(angle: FloatArray) -> FloatArray:
 
 
 def _last_digit(column: FloatArray) -> float:
-    """Return the last digit of all readings, or 0.
-
-    It is the largest of 1, 2, 5 times a power of ten that divides them.
-    """
+    """Return the last digit of all readings, 1, 2, 5 times 10ⁿ, or 0."""
     largest = float(np.abs(column).max())
     if FINEST * largest < np.finfo(np.float64).tiny:
         return 0.0

@@ -9,7 +9,7 @@ from typing import Literal, NamedTuple, TypeVar
 
 import numpy as np
 
-from shakercal._common.arrays import Arrays, BoolArray, ComplexArray, FloatArray, IntArray, check_shape, check_shapes
+from shakercal._common.arrays import Arrays, BoolArray, ComplexArray, FloatArray, IntArray, check_shape
 from shakercal._common.fitting import LMOptions, WhitenedResiduals, levenberg_marquardt
 from shakercal._common.propagation import covariance_root
 
@@ -22,7 +22,7 @@ DETERMINED = 1e-6  # tolerance of the unit matrix
 
 
 @dataclass(frozen=True, repr=False)
-class SensorOutputs(Arrays):
+class SensorOutputs(Arrays, shapes="sensitivity C 6; u C 6"):
     """Response of C outputs to the load.
 
     `sensitivity` (C, 6): output per Fx … Mz; `u` (C, 6) of every element, independent. `sense`: +1 for outputs that are
@@ -32,10 +32,6 @@ class SensorOutputs(Arrays):
     sensitivity: FloatArray
     u: FloatArray
     sense: Literal[1, -1] = 1
-
-    def __post_init__(self) -> None:
-        check_shape("sensitivity", self.sensitivity, (None, 6))
-        check_shape("u", self.u, self.sensitivity.shape)
 
     @cached_property
     def inverse(self) -> FloatArray:
@@ -52,7 +48,7 @@ class SensorOutputs(Arrays):
 
 
 @dataclass(frozen=True, repr=False)
-class RotationRecord(Arrays):
+class RotationRecord(Arrays, shapes="amplitude C; axis 3; down 3"):
     """One recording: first harmonics of the C outputs and the orientation of the head.
 
     `amplitude` (C,): output = Re{amplitude exp(+jθ)}, θ is the rotation of the sensor, right-handed about `axis` (3,).
@@ -68,8 +64,8 @@ class RotationRecord(Arrays):
     down: FloatArray
 
     def __post_init__(self) -> None:
-        check_shape("covariance", self.covariance, (2 * len(self.amplitude), 2 * len(self.amplitude)))
-        check_shapes(self, (3,), "axis", "down")
+        super().__post_init__()
+        check_shape("covariance", self.covariance, (2 * len(self.amplitude),) * 2)
         if np.linalg.norm(np.cross(self.axis, self.down)) < 0.5:
             raise ValueError("axis: expected one across gravity, found one within 30 degrees of it")
 
@@ -98,10 +94,7 @@ def weight_load(record: RotationRecord, unknowns: FloatArray, sense: int) -> tup
 
 
 def start_values(record: RotationRecord, outputs: SensorOutputs) -> FloatArray:
-    """Return start values of the unknowns (7,) of a recording from the forces.
-
-    Readings for the opposite sense of rotation are refused.
-    """
+    """Return start values (7,) of a recording; the opposite sense of rotation is refused."""
     phasor = outputs.sense * turning_phasor(record, np.zeros(2))
     seen = outputs.determined[:FORCES] & (np.abs(phasor) > MIN_FORCE_SHARE)
     if not seen.any():
@@ -120,10 +113,7 @@ def start_values(record: RotationRecord, outputs: SensorOutputs) -> FloatArray:
 
 
 def turning_phasor(record: RotationRecord, tilt: FloatArray) -> ComplexArray:
-    """Return U (3,), the direction of gravity in sensor axes as a phasor.
-
-    The axis is tilted along and across gravity at zero angle.
-    """
+    """Return gravity's direction (3,) in sensor axes as a phasor, the axis tilted."""
     from scipy.spatial.transform import Rotation
 
     share, along, across = record.frame
@@ -165,10 +155,7 @@ def mass_of_weight(weight_n: Number, gravity_mps2: Number, air_share: Number | f
 
 
 class WeightErrorSource(NamedTuple):
-    """Independent errors of one kind with their effect on all V numbers of a fit.
-
-    `effect` (V, r): of r unit deviations, with `dof`.
-    """
+    """Independent errors of one kind, `effect` (V, r) of r unit deviations."""
 
     name: str
     kind: Literal["A", "B"]
@@ -177,7 +164,7 @@ class WeightErrorSource(NamedTuple):
 
 
 @dataclass(frozen=True, repr=False)
-class WeightFit(Arrays):
+class WeightFit(Arrays, shapes="names R; load R 6"):
     """Weights of R recordings with one sensor.
 
     `value` (R·10,), for each recording in turn: weight N, first moment x y z (weight times centre of mass, N·m), zero
@@ -197,17 +184,13 @@ class WeightFit(Arrays):
     departure: float
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         check_shape("value", self.value, (ROWS * len(self.names),))
-        check_shape("load", self.load, (len(self.names), 6))
 
     @property
     def covariance(self) -> FloatArray:
         """Covariance of `value`."""
         return np.asarray(sum(source.effect @ source.effect.T for source in self.sources))
-
-    def row_index(self, recording: int, row: int) -> int:
-        """Return the index of a recording's number in `value`."""
-        return ROWS * recording + row
 
 
 def fit_weights(records: Sequence[RotationRecord], outputs: SensorOutputs, u_angle_rad: float = 0.0) -> WeightFit:
@@ -415,10 +398,7 @@ def _result(fit: _WeightSolution) -> WeightFit:
 
 
 def _projection(problem: _WeightProblem, r: int, vector: FloatArray) -> ComplexArray:
-    """Return factors (3,) from a force component to the weight, NaN for small components.
-
-    The weight is the real part of the product.
-    """
+    """Return factors (3,) from a force component to the weight, NaN for small ones."""
     unknowns = vector[UNKNOWNS_PER_RECORD * r : UNKNOWNS_PER_RECORD * (r + 1)]
     phasor = problem.outputs.sense * np.exp(1j * unknowns[4]) * turning_phasor(problem.records[r], unknowns[5:])
     size = np.abs(phasor)
@@ -427,10 +407,7 @@ def _projection(problem: _WeightProblem, r: int, vector: FloatArray) -> ComplexA
 
 
 def _sources(fit: _WeightSolution) -> Iterator[WeightErrorSource]:
-    """Yield every cause of error with its effect on all values.
-
-    Deviations that represent the same cause share one effect.
-    """
+    """Yield every cause of error with its effect on all values."""
     problem, vector, outputs = fit.problem, fit.point.parameters, fit.problem.outputs
     count, elements, u_angle = len(problem.records), problem.elements, problem.u_angle_rad
     shared_start, (row, column) = UNKNOWNS_PER_RECORD * count, elements.T

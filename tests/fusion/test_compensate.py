@@ -37,8 +37,8 @@ from fusion.sensor.model_files import (
 )
 from shaker.compensation.filter import CompensationFilter
 from shaker.lti.indices import LABELS, indices
-from shaker.lti.lti_notices import FIGURES_NOT_LINEAR
 from shaker.lti.system import ModalModel
+from shaker.model_notices import FIGURES_NOT_LINEAR
 from shaker.release.load_model import LoadModel
 
 RATE = 50e3

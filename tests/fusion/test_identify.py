@@ -35,9 +35,9 @@ from fusion.sensor.model_notices import DAMAGED_MODEL_FILE
 from fusion.sensor.response_notices import DAMPING_CONTRADICTED, SENSITIVITY_EXPLANATION, SENSITIVITY_NOT_EXPLAINED
 from fusion.sensor.transfer.transfer_evaluation import KINDS as TRANSFER_KINDS
 from fusion.simulate.world import Draws, true_part
-from shaker.identification.identification_notices import OUTPUT_LEADS
 from shaker.identification.sensitivity import CHAIN_WORDS
 from shaker.identification.sensor import Load, correct_phasors
+from shaker.model_notices import OUTPUT_LEADS
 from shaker.sine.phasor import Phasors
 
 GUIDE = (DOCS / "identify.md").read_text(encoding="utf-8")

@@ -50,7 +50,6 @@ from fusion.simulate.chirp import (
 )
 from fusion.simulate.preset import PartSpec, read_preset
 from fusion.simulate.world import Draws, true_part
-from shaker.identification.identification_notices import NEGATIVE_INERTIA
 from shaker.identification.measured_curves import (
     REFERENCE_INDEX,
     CurveError,
@@ -59,6 +58,7 @@ from shaker.identification.measured_curves import (
     PlacementError,
 )
 from shaker.mechanics import MassChain
+from shaker.model_notices import NEGATIVE_INERTIA
 from shaker.sine.phasor import Phasors
 
 _facing_x = Placement(np.zeros(3), np.array([1.0, 0.0, 0.0]))

@@ -13,9 +13,15 @@ from scipy.integrate import solve_ivp
 from shaker.compensation.effects import (
     MODEL_ERROR_SHARE,
     CompensationWithUncertainty,
+    FeedbackRun,
+    HapticLoop,
     filtered_noise,
     gain_band,
+    is_stable,
+    largest_stable_gain,
+    push,
     residual_ringing,
+    simulate_feedback,
     target_for_bandwidth,
     target_for_frequency,
     white_noise_gain,
@@ -35,14 +41,6 @@ from shaker.compensation.filter import (
     pad_sections,
     parameter_sections,
     single_mode,
-)
-from shaker.compensation.force_feedback import (
-    FeedbackRun,
-    HapticLoop,
-    is_stable,
-    largest_stable_gain,
-    push,
-    simulate_feedback,
 )
 from shaker.lti.indices import indices
 from shaker.lti.system import ModalModel
@@ -217,15 +215,6 @@ def test_discretisation_error_falls_with_the_rate_and_is_that_of_scipy(method):
     assert (errors[0] / errors[1], errors[1] / errors[2]) == pytest.approx((4.0, 4.0), rel=0.1)
 
 
-def test_sampled_step_has_the_published_overshoot():
-    rate = 100e3
-    time = np.arange(4000) / rate
-    response = signal.sosfilt(discretise(PUBLISHED, rate).sos, PUBLISHED.sensor.system.step(time))
-    assert np.max(response) - 1 == pytest.approx(0.163, abs=1e-3)
-    outside = np.flatnonzero(np.abs(response - 1) > 0.02)[-1]
-    assert time[outside] == pytest.approx(1.29e-3, abs=2e-5)
-
-
 def test_covariance_of_modes_reaches_the_sensor_and_that_of_a_load_follows_the_rigid_formula():
     spread = np.diag([0.3, 2e-5, 0.5, 0.5, 10.0, 5.0]) ** 2
     sensor = modal_dynamics(_chain(1700.0, 0.015, 6000.0, spread), real_poles=True)
@@ -276,7 +265,7 @@ def _run(data: np.ndarray, level: float | None, switch: int, cuts: list[int]) ->
     return np.concatenate(parts, axis=1)
 
 
-@settings(deadline=None, max_examples=80)
+@settings(deadline=None, max_examples=25)
 @given(
     seed=st.integers(0, 2**32 - 1),
     cuts=st.lists(st.integers(0, 400), max_size=8),
@@ -328,15 +317,13 @@ def test_white_noise_gain_is_the_energy_of_the_impulse_response_and_that_of_a_de
     assert filtered_noise(sections, frequency, density)[1] == pytest.approx(white_noise_gain(sections), rel=1e-6)
 
 
-def test_band_of_the_gain_is_that_of_drawn_sensors():
-    compensation = _uncertain()
+def test_band_of_the_gain_is_its_change_by_frequency_and_damping():
     frequency = np.array([50.0, 300.0, 450.0, 700.0, 1000.0])
-    rng = np.random.default_rng(7)
-    f, zeta = 500.0 + 0.05 * rng.normal(size=(4000, 1)), 0.004 + 1e-4 * rng.normal(size=(4000, 1))
-    drawn, exact = (1 - (frequency / a) ** 2 + 2j * b * frequency / a for a, b in ((f, zeta), (500.0, 0.004)))
-    ratio, band = np.log(exact / drawn), gain_band(compensation, frequency)
-    np.testing.assert_allclose(band.u_gain, ratio.real.std(axis=0), rtol=0.05)
-    np.testing.assert_allclose(band.u_phase_rad, ratio.imag.std(axis=0), rtol=0.05)
+    pairs = ((500.0, 0.004), (500.0005, 0.004), (500.0, 0.004001))  # a hundredth of u of each
+    exact, *moved = (1 - (frequency / a) ** 2 + 2j * b * frequency / a for a, b in pairs)
+    changes, band = 1e2 * np.log(np.array(moved) / exact), gain_band(_uncertain(), frequency)
+    np.testing.assert_allclose(band.u_gain, np.linalg.norm(changes.real, axis=0), rtol=1e-2)
+    np.testing.assert_allclose(band.u_phase_rad, np.linalg.norm(changes.imag, axis=0), rtol=1e-2)
 
 
 @pytest.mark.parametrize(("method", "corner"), [("matched", None), ("tustin", None), ("matched", 5000.0)])
@@ -349,21 +336,23 @@ def test_parameter_sections_are_the_derivatives(method, corner):
         np.testing.assert_allclose(one.response(frequency), base * slopes[:, index], rtol=2e-3, atol=1e-9)
 
 
-def test_every_sample_lies_within_its_uncertainty_as_often_as_it_should():
-    """Drawn sensors and noise: the deviation from the load through the target is as large as u says."""
-    compensation, rng = _uncertain(calibrated=True), np.random.default_rng(11)
-    time, noise = np.arange(400) / RATE, 2e-3
-    aim = compensation.compensated.step(time)
-    errors = []
-    for _ in range(400):
-        f, zeta = 500.0 + 0.05 * rng.normal(), 0.004 + 1e-4 * rng.normal()
-        seen = single_mode(f, zeta, 2.0).system.step(time) + noise * rng.normal(size=400)
-        errors.append(CompensationFilter(discretise(compensation, RATE))(seen[None])[0] - aim)
-    clean = compensation.sensor.system.step(time)
-    run = CompensationWithUncertainty(compensation, RATE, noise=noise)(clean[None])
-    errors_ = np.array(errors) - (run.value[0] - aim)
-    scatter = np.sqrt(np.mean(errors_**2, axis=0))[50:]
-    np.testing.assert_allclose(scatter, run.u[0, 50:], rtol=0.15)
+def test_the_uncertainty_of_every_sample_is_its_change_by_frequency_damping_and_noise():
+    compensation, time, noise = _uncertain(calibrated=True), np.arange(400) / RATE, 2e-3
+    sections = discretise(compensation, RATE)
+
+    def indicated(frequency_hz: float, damping: float) -> np.ndarray:
+        seen = single_mode(frequency_hz, damping, 2.0).system.step(time)
+        return CompensationFilter(sections)(seen[None])[0]
+
+    first = indicated(500.0, 0.004)
+    changes = [1e2 * (indicated(*other) - first) for other in ((500.0005, 0.004), (500.0, 0.004001))]  # 0.01 u of each
+    run = CompensationWithUncertainty(compensation, RATE, noise=noise)(compensation.sensor.system.step(time)[None])
+    np.testing.assert_allclose(run.value[0], first, rtol=1e-12)
+    np.testing.assert_allclose(
+        run.u_model[0], np.linalg.norm(changes, axis=0), rtol=2e-2, atol=1e-2 * run.u_model.max()
+    )
+    assert run.u_noise == pytest.approx(noise * white_noise_gain(sections))
+    np.testing.assert_allclose(run.u, np.hypot(run.u_model, run.u_noise))
 
 
 def test_a_block_of_gaps_is_refused():
@@ -395,7 +384,7 @@ HAND = push(np.arange(12_000) / LOOP.sample_rate_hz, 0.03, 1.0)
 def test_fast_sampling_follows_the_continuous_equations():
     """Handle, sensor and control integrated by scipy, the ball always touched."""
     loop = replace(LOOP, force_gain=1.0, sample_rate_hz=200e3)
-    time = np.arange(20_000) / loop.sample_rate_hz
+    time = np.arange(10_000) / loop.sample_rate_hz
     hand = push(time, 0.01, 0.1)
     found = simulate_feedback(loop, TWO_MASSES.system(LOAD), None, hand, wall_m=-1e-3)
     omega2, damping = 2.36e6 / (0.240 + LOAD), 6.0 / (0.240 + LOAD)
@@ -426,12 +415,10 @@ def test_the_limit_of_the_bare_sensor_is_that_of_the_characteristic_polynomial()
     assert not stable(1.02 * found)
 
 
-def _fed_back(
-    gain: float, sections: Sections | None, load: float = LOAD, noise: np.ndarray | None = None
-) -> FeedbackRun:
+def _fed_back(gain: float, sections: Sections | None) -> FeedbackRun:
     """The hand pushed into the ball."""
     loop = replace(LOOP, force_gain=gain)
-    return simulate_feedback(loop, TWO_MASSES.system(load), sections, HAND, wall_m=0.005, noise=noise)
+    return simulate_feedback(loop, TWO_MASSES.system(LOAD), sections, HAND, wall_m=0.005)
 
 
 def test_knowing_the_load_lets_the_loop_be_stiffer_and_the_ball_follow_the_hand():
@@ -440,10 +427,9 @@ def test_knowing_the_load_lets_the_loop_be_stiffer_and_the_ball_follow_the_hand(
     none, without, aware = (largest_stable_gain(LOOP, sensor, sections) for sections in (None, UNAWARE, AWARE))
     assert none < without < 10.0
     assert aware > 20.0 * without
-    for sections in (None, UNAWARE):
-        lost = _fed_back(20.0, sections)
-        assert not lost.stable
-        assert lost.tracking_error > 0.1
+    lost = _fed_back(20.0, UNAWARE)
+    assert not lost.stable
+    assert lost.tracking_error > 0.1
     unstable = _fed_back(200.0, None)
     assert np.isnan(unstable.applied[-1])
     assert np.isinf(unstable.tracking_error)
@@ -453,14 +439,11 @@ def test_knowing_the_load_lets_the_loop_be_stiffer_and_the_ball_follow_the_hand(
     assert soft.tracking_error / stiff.tracking_error == pytest.approx(21.0 / 2.0, rel=0.15)
 
 
-def test_a_hand_at_rest_in_the_ball_is_in_balance_and_noise_of_the_sensor_reaches_it():
-    constant = np.full(30_000, 0.02)
+def test_a_hand_at_rest_in_the_ball_is_in_balance():
+    constant = np.full(20_000, 0.02)
     found = simulate_feedback(LOOP, TWO_MASSES.system(0.0), UNAWARE, constant)
     balance = 0.02 * 500.0 * 1000.0 / 1500.0
     assert (found.applied[-1], found.indicated[-1]) == pytest.approx((balance, found.fed_back[-1]), rel=1e-6)
-    noise = np.random.default_rng(3).normal(scale=0.01, size=len(HAND))
-    quiet, loud = (_fed_back(5.0, UNAWARE, 0.0, added) for added in (None, noise))
-    assert 0.0 < np.std(loud.applied - quiet.applied) < 0.01
 
 
 def test_three_masses_and_wrong_calls():

@@ -7,7 +7,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from identification_factory import ALONG_Z, FloatArray, oscillator, recording, replace_ratio, rigid_mass
 
-from shaker.identification.identification_notices import (
+from shaker.identification.measured_curves import CurveError, InertiaError, MeasuredCurve, MeasuredTransfer, Placement
+from shaker.identification.oscillator import fit_resonance
+from shaker.identification.structure_fit import Identification, identify
+from shaker.identification.structures import SpringSuspension
+from shaker.mechanics import Mechanics, poles, respond
+from shaker.model_notices import (
     INERTIA_UNDETERMINED,
     MODEL_MISFIT,
     NEGATIVE_INERTIA,
@@ -16,11 +21,6 @@ from shaker.identification.identification_notices import (
     STATED_VALUE_UNCHANGED,
     STIFFNESS_UNDETERMINED,
 )
-from shaker.identification.measured_curves import CurveError, InertiaError, MeasuredCurve, MeasuredTransfer, Placement
-from shaker.identification.oscillator import fit_resonance
-from shaker.identification.structure_fit import Identification, identify
-from shaker.identification.structures import SpringSuspension
-from shaker.mechanics import Mechanics, poles, respond
 from shakercal._common.notices import Notice
 
 K, B, MI = 4.753e8, 900.0, 1.28
@@ -63,7 +63,7 @@ def notices_at(found: Identification, where: str) -> dict[str, Notice]:
     return {notice.code: notice for notice in found.notices if notice.where == where}
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=12, deadline=None)
 @given(
     k=st.floats(1e6, 1e9),
     zeta=st.floats(2e-3, 0.1),
@@ -118,18 +118,16 @@ def test_resonances_that_no_load_on_a_spring_has_are_named():
 
 def test_one_recording_agrees_with_the_fit_of_one_resonance():
     record = twin(4.236, noise=0.05, rng=np.random.default_rng(4))
-    found = identify(
-        [replace_ratio(record, noise=0.05)], VERTICAL, stated_values={"internal_mass": (MI, 0.0)}, gain=["top 1"]
-    )
+    gain = [CurveError(name, np.full((len(record.s), 1), by)) for name, by in (("size", 0.5), ("turn", 0.5j))]
+    free = replace_ratio(record, noise=0.05, errors=gain)  # a gain that hardly anything is stated of
+    found = identify([free], VERTICAL, stated_values={"internal_mass": (MI, 0.0)})
     curve = MeasuredCurve(record.ratio.frequency_hz, record.ratio.value[:, 0], record.ratio.covariance)
     fit = fit_resonance(curve, "transmissibility")
-    (mode,), (factor,) = found.modes, found.factors
+    (mode,) = found.modes
     assert mode.frequency_hz == pytest.approx(fit.frequency_hz, abs=5e-3 * fit.u("frequency_hz"))
     assert mode.damping_ratio == pytest.approx(fit.damping_ratio, abs=5e-3 * fit.u("damping_ratio"))
     assert mode.u_frequency_hz == pytest.approx(fit.u("frequency_hz"), rel=0.02)
     assert mode.u_damping_ratio == pytest.approx(fit.u("damping_ratio"), rel=0.02)
-    assert abs(factor.gain - fit.gain) < 5e-3 * fit.u("gain_re")
-    assert factor.u_gain_relative == pytest.approx(fit.u("gain_re") / abs(fit.gain), rel=0.1)
     assert found.chi_squared == pytest.approx(fit.chi_squared, rel=1e-4)
 
 
@@ -169,22 +167,6 @@ def test_a_clock_moves_the_stiffness_by_twice_its_error():
     assert [unknown.name for unknown in found.unknowns] == ["clock"]
 
 
-def test_unstated_gain_and_delay():
-    recordings = []
-    for load, gain, delay in zip(LOADS, (3.0 * np.exp(1j), 0.4), (2e-5, -3e-6), strict=True):
-        record = twin(load)
-        recordings.append(
-            replace_ratio(record, record.ratio.value[:, 0] * gain * np.exp(-record.s * delay), noise=1e-5)
-        )
-    found = identify(recordings, VERTICAL, gain=["top 1"], delay=["top 1"])
-    assert found.value("stiffness_z") == pytest.approx(K, rel=1e-5)
-    assert found.value("damping_z") == pytest.approx(B, rel=1e-4)
-    assert [factor.delay_s for factor in found.factors] == pytest.approx([2e-5, -3e-6], abs=3e-9)
-    assert found.factors[0].gain == pytest.approx(3.0 * np.exp(1j), rel=1e-3)
-    assert np.abs(found.residual[0]).max() < 1e-5
-    np.testing.assert_allclose(found.model[1], recordings[1].ratio.value, atol=1e-4)
-
-
 def test_a_window_that_adds_decay_is_no_damping():
     frequency = lines(LOADS[0] + MI)
     value = oscillator(40.0 + 2j * np.pi * frequency, LOADS[0] + MI, K, B)
@@ -193,7 +175,7 @@ def test_a_window_that_adds_decay_is_no_damping():
     assert found.value("damping_z") == pytest.approx(B, rel=1e-4)
 
 
-@settings(max_examples=10, deadline=None)
+@settings(max_examples=5, deadline=None)
 @given(mass=st.floats(0.1, 10.0), time=st.floats(0.1, 10.0))
 def test_units_scale(mass, time):
     rng = np.random.default_rng(6)
@@ -317,7 +299,6 @@ def test_what_cannot_be_fitted_is_refused_with_a_reason():
         ([record, record], {}, "^records: .*4.236 kg, 4.236 kg"),
         ([record], {"stated_values": {"mass": (1.0, 0.0)}}, "^stated_values: .*stiffness_z"),
         ([record], {"stated_values": {"internal_mass": (1.0, -1.0)}}, "^stated_values: .*internal_mass"),
-        ([record], {"gain": ["side"]}, "^gain, delay: .*top 1.*side"),
         ([record], {"each_recording": ["damping_x"]}, "each_recording"),
         ([across], {}, "^records: .*4.236 kg"),
         ([few], {}, "^records: .* 3 .* 2$"),
@@ -328,6 +309,7 @@ def test_what_cannot_be_fitted_is_refused_with_a_reason():
     refused("^name: ", identify([record], VERTICAL).value, "damping_x")
 
 
+@pytest.mark.slow
 def test_covariances_from_few_periods_give_the_scatter():
     # 8 degrees of freedom at every line: weights 1/s² alone would understate the scatter of b by a quarter.
     rng = np.random.default_rng(17)

@@ -7,11 +7,18 @@ from functools import cache
 import numpy as np
 import pytest
 from contracts import coverage_contract, refused
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from release_factory import other_numbers, reading_of, two_masses
 from scipy.signal import StateSpace, lsim
 
+from shaker.model_notices import (
+    AMBIGUOUS_SOLUTIONS,
+    MASS_CONTRADICTED,
+    SECOND_MODE_EXCLUDED,
+    SERIES_SCATTER,
+    THREE_MASSES,
+)
 from shaker.release.load_model import (
     LoadModel,
     change_limit,
@@ -30,7 +37,6 @@ from shaker.release.load_modes import (
     SeriesMasses,
     SeriesOutput,
     as_resonances,
-    coloured_normal,
     free_decay,
     project_amplitudes,
     record_modes,
@@ -39,13 +45,6 @@ from shaker.release.load_modes import (
 )
 from shaker.release.load_series import fit_resonances, identify_loads
 from shaker.release.record import StepRecord
-from shaker.release.release_notices import (
-    AMBIGUOUS_SOLUTIONS,
-    MASS_CONTRADICTED,
-    SECOND_MODE_EXCLUDED,
-    SERIES_SCATTER,
-    THREE_MASSES,
-)
 
 LOADS = np.array([0.0, 0.008, 0.048, 0.098, 0.198])
 PUBLISHED_HZ, MOVING = np.array([500.0, 486.0, 450.0, 393.0, 320.0]), 0.240
@@ -66,6 +65,7 @@ masses, springs = st.floats(0.005, 2.0), st.floats(1e5, 1e8)
 ratios = st.floats(1e-4, 0.05)
 
 
+@settings(max_examples=30, deadline=None)
 @given(masses, masses, springs, springs, ratios, ratios)
 def test_poles_and_their_derivatives(m, ml, k, kl, zeta, other):
     numbers = np.array([k, 2.0 * zeta * np.sqrt(k * m), kl, 2.0 * other * np.sqrt(kl * min(m, ml))])
@@ -78,24 +78,6 @@ def test_poles_and_their_derivatives(m, ml, k, kl, zeta, other):
         up, down = (upper_poles(v[:4], v[4], v[5])[0] for v in (whole + step, whole - step))
         slope, scale = (up - down) / (2e-5 * value), np.abs(poles) / value
         np.testing.assert_allclose(moved[:, index] / scale, slope / scale, atol=2e-5)
-
-
-def shares(m: float, ml: float, numbers: np.ndarray) -> np.ndarray:
-    """Residues of x_E over a force on the load times the static stiffness, by the left and right eigenvectors."""
-    poles, right = np.linalg.eig(two_masses(m, ml, numbers))
-    residues = right[0] * (np.linalg.inv(right) @ np.array([0.0, 0.0, 0.0, 1.0 / ml])) * numbers[0]
-    return np.asarray(residues[np.argsort(np.abs(poles) + 1e-6 * poles.imag)])
-
-
-@pytest.mark.parametrize(("load", "k", "coupling"), [(0.048, 1.134e7, 3.933e5), (0.198, 4.181e6, 1.067e6)])
-def test_published_trap(load, k, coupling):
-    """Both solutions have the same modal shares in the output; at another load they differ."""
-    other = MODEL.with_numbers(np.append(other_numbers(MODEL.vector, MOVING, load), MOVING))
-    assert (other.stiffness, other.coupling_stiffness) == pytest.approx((k, coupling), rel=1e-3)
-    first, second = shares(MOVING, load, MODEL.vector), shares(MOVING, load, other.vector)
-    np.testing.assert_allclose(np.abs(second), np.abs(first), rtol=2e-4)
-    assert first_mode_hz(MODEL, 0.008) == pytest.approx(490.6, abs=0.1)
-    assert load > 0.1 or abs(first_mode_hz(other, 0.008) / first_mode_hz(MODEL, 0.008) - 1.0) > 0.5
 
 
 def test_published_series():
@@ -223,10 +205,10 @@ def test_limits_of_a_rigid_load():
 def test_limits_of_an_elastic_coupling():
     limit = formula_limit(MODEL, 0.05)
     assert rigid_formula_hz(MODEL, limit.load_mass) == pytest.approx(1.05 * first_mode_hz(MODEL, limit.load_mass))
-    rng = np.random.default_rng(8)
-    drawn = rng.multivariate_normal(np.append(MODEL.vector, MOVING), MODEL.total_covariance, 200)
-    limits = [formula_limit(replace(MODEL.with_numbers(row), covariance=None), 0.05) for row in drawn]
-    assert limit.u == pytest.approx(np.std([item.load_mass for item in limits if item]), rel=0.15)
+    numbers = np.append(MODEL.vector, MOVING)
+    moved = [numbers + step for step in np.diag(np.sqrt(np.diag(MODEL.total_covariance)))]
+    limits = [formula_limit(replace(MODEL.with_numbers(one), covariance=None), 0.05).load_mass for one in moved]
+    assert limit.u == pytest.approx(np.linalg.norm(np.array(limits) - limit.load_mass), rel=0.02)
     assert first_mode_hz(MODEL, frequency_limit(MODEL, 400.0).load_mass) == pytest.approx(400.0)
     assert formula_limit(replace(MODEL, coupling_stiffness=2.36e8), 0.05) is None
 
@@ -328,15 +310,6 @@ def test_projection_removes_its_modes_completely():
     for index in range(4):
         moved = poles + np.where(np.arange(2) == index // 2, (1e-3, 1e-3j)[index % 2], 0.0)
         np.testing.assert_allclose(project_amplitudes(decay, moved)[0] / 1e-3, slope[:, index], atol=2e-6)
-
-
-def test_coloured_noise_is_weighed_by_its_spectrum():
-    rng, t = np.random.default_rng(6), np.arange(4096)
-    slope = np.stack([np.cos(0.1 * t), np.cos(2.0 * t)], axis=1)
-    noise = np.convolve(rng.standard_normal(4100), np.full(5, 0.2), mode="valid")
-    gain = np.abs([np.mean(np.exp(1j * w * np.arange(5))) for w in (0.1, 2.0)])
-    expected = gain**2 * np.sum(slope**2, axis=0)
-    np.testing.assert_allclose(np.diag(coloured_normal(slope, noise)), expected, rtol=0.35)
 
 
 def test_refusals():

@@ -10,14 +10,12 @@ from hypothesis import strategies as st
 from scipy import signal
 from scipy.optimize import brentq
 
-from shaker.lti.indices import LABELS, SETTLING, indices, moving_figures, pole_notices, settling_u, unit_of
-from shaker.lti.lti_notices import ALTERNATING_POLE, POLE_ABOVE_NYQUIST, UNSTABLE_POLES
-from shaker.lti.responses import gain_curve, roots_between, settling_points, transient
+from shaker.lti.indices import LABELS, SETTLING, indices, moving_figures, pole_notices, settling_u
+from shaker.lti.responses import gain_curve, settling_points, transient
 from shaker.lti.system import LinearSystem, ModalModel
-from shakercal._common.arrays import FloatArray
+from shaker.model_notices import ALTERNATING_POLE, POLE_ABOVE_NYQUIST, UNSTABLE_POLES
 
 RATE = 1e5
-METHODS = ("zoh", "tustin", "matched")
 
 
 def lti(poles, gain=1.0, zeros=(), rate=None) -> LinearSystem:
@@ -43,28 +41,6 @@ def with_zeros() -> LinearSystem:
     return lti(poles, 3.0, [-200 + 18000j, -200 - 18000j, -9e4])
 
 
-@pytest.mark.parametrize("method", ["zoh", "tustin"])
-@pytest.mark.parametrize("system", [third_order(), with_zeros()])
-def test_conversion_agrees_with_scipy(method, system):
-    hertz = np.linspace(0, 0.45 * RATE, 400)
-    if method == "tustin":
-        expected = signal.freqz_zpk(
-            *signal.bilinear_zpk(system.zeros, system.poles, system.gain, RATE), hertz, fs=RATE
-        )[1]
-    else:  # over a state space with time in samples: polynomials in rad/s would lose their digits
-        numbers = np.trim_zeros(LinearSystem(system.zeros / RATE, system.poles / RATE, 1.0).coefficients()[0], "f")
-        below = np.poly(system.poles / RATE).real
-        scaled = system.gain * RATE ** (len(system.zeros) - len(system.poles))
-        state = signal.cont2discrete(signal.tf2ss(numbers, below), 1.0, "zoh")
-        z = np.exp(2j * np.pi * hertz / RATE)[:, None, None]
-        inner = np.linalg.solve(
-            z * np.eye(len(below) - 1) - state[0], np.broadcast_to(state[1], (400, *state[1].shape))
-        )
-        expected = scaled * (state[2] @ inner + state[3])[:, 0, 0]
-    found = system.sampled(RATE, method).response(hertz)  # type: ignore[arg-type]
-    assert np.abs(found / expected - 1).max() < 1e-9
-
-
 @pytest.mark.parametrize("system", [third_order(), with_zeros(), third_order(3.0, 0.004, 8.0)])
 def test_zoh_gives_the_step_response_at_every_sample(system):
     time = np.arange(3000) / RATE
@@ -72,33 +48,12 @@ def test_zoh_gives_the_step_response_at_every_sample(system):
     assert np.abs(found - system.step(time)).max() < 1e-7 * np.abs(system.step(time)).max()
 
 
-def test_tustin_with_prewarp_keeps_one_frequency():
-    system, hertz = third_order(), np.array([1700.0, 4000.0])
-    warped = system.sampled(20e3, "tustin", prewarp_hz=1700.0).response(hertz)
-    true = system.response(hertz)
-    assert abs(warped[0] / true[0] - 1) < 1e-10
-    assert abs(warped[1] / true[1] - 1) > 1e-2
-    back = system.sampled(20e3, "tustin", prewarp_hz=1700.0).continuous("tustin", prewarp_hz=1700.0)
-    assert np.allclose(back.response(hertz), true, rtol=1e-10)
-
-
-def test_matched_has_the_poles_and_the_static_gain():
-    system = with_zeros()
-    found = system.sampled(RATE, "matched")
-    assert np.allclose(np.sort_complex(found.poles), np.sort_complex(np.exp(system.poles / RATE)), rtol=1e-14)
-    assert found.static_gain == pytest.approx(system.static_gain, rel=1e-12)
-    differentiating = lti(system.poles, zeros=[0])
-    near = np.array([RATE / 100])
-    gains = abs(differentiating.sampled(RATE, "matched").response(near)), abs(differentiating.response(near))
-    assert gains[0] == pytest.approx(gains[1], rel=1e-12)
-
-
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=20, deadline=None)
 @given(
     hertz=st.floats(20.0, 8000.0),
     damping=st.floats(1e-4, 0.9),
     real=st.floats(50.0, 9000.0),
-    method=st.sampled_from(METHODS),
+    method=st.sampled_from(["zoh", "tustin"]),
 )
 def test_conversions_are_inverse(hertz, damping, real, method):
     system = third_order(hertz, damping, real)
@@ -112,16 +67,12 @@ def test_conversions_are_inverse(hertz, damping, real, method):
 
 def test_wrong_conversions_are_refused():
     turning = LinearSystem.from_coefficients(np.array([1.0, 0.0]), np.array([1.0, -0.3, -0.5]), RATE)
-    for method in ("zoh", "matched"):  # a pole that turns its sign with every sample
-        refused("^system: .*z = 0", turning.continuous, method)
+    refused("^system: .*z = 0", turning.continuous, "zoh")  # a pole that turns its sign with every sample
     assert turning.continuous("tustin").poles.real.max() < 0
     system = third_order()
     samples = system.sampled(RATE)
     refused("^system: ", samples.sampled, RATE)
     refused("^sample_rate_hz: ", system.continuous)
-    refused("prewarp_hz", system.sampled, RATE, "zoh", prewarp_hz=100.0)
-    refused("prewarp_hz", samples.continuous, "zoh", prewarp_hz=100.0)
-    refused("prewarp_hz", system.sampled, RATE, "tustin", prewarp_hz=RATE)
     refused("rate_hz", system.sampled, 0.0)
     refused("^poles: ", lti([-5.0, -5.0], 25.0).sampled, RATE, "zoh")
     refused("z = -1", lti([-1.0], rate=RATE).continuous)
@@ -182,14 +133,6 @@ def test_modal_form_and_its_system_are_one():
     time = np.linspace(-1e-4, 2e-3, 300)
     assert np.allclose(model.step(time), model.system.step(time), atol=1e-9)
     assert np.allclose(model.impulse(time), model.system.impulse(time), atol=1e-9 * np.abs(model.impulse(time)).max())
-
-
-def test_impulse_is_the_derivative_of_the_step():
-    residues = third_order().residues()
-    model = ModalModel(np.array([1700.0]), np.array([0.015]), residues[:1], np.array([6000.0]), residues[2:].real)
-    time, step = np.linspace(1e-5, 2e-3, 50), 1e-8
-    slope = (model.step(time + step) - model.step(time - step)) / (2 * step)
-    assert np.allclose(slope, model.impulse(time), rtol=1e-5, atol=1e-3 * np.abs(slope).max() * 1e-3)
 
 
 def test_variances_below_zero_by_rounding_have_no_effect():
@@ -278,16 +221,6 @@ def test_direct_feedthrough_is_immediate():
     assert found.overshoot == 0.0
 
 
-@pytest.mark.parametrize(
-    "system",
-    [third_order(), lti([-5.0, -5.0], 25.0), lti([0.0, -40.0], 1.0), oscillator(900.0, 0.3).times(lti([-50], 5))],
-)
-def test_a_response_at_evenly_spaced_times_is_that_at_each(system):
-    even = system.step_between(1e-3, 0.2, 1500)
-    each = system.step(np.linspace(1e-3, 0.2, 1500))
-    assert np.allclose(even, each, rtol=1e-12, atol=1e-12 * np.abs(each).max())
-
-
 def test_a_band_left_and_reentered():
     """A peak of 15 % and what comes behind it: two more ranges within ±10 %, one of them behind the peak."""
     system = oscillator(1000.0, 0.5)
@@ -317,7 +250,7 @@ def test_a_narrow_resonance_far_above_ends_the_band():
     assert found.modes[0].step_share == pytest.approx(1e-4, rel=1e-3)
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=12, deadline=None)
 @given(
     hertz=st.lists(st.floats(100.0, 5000.0), min_size=2, max_size=2),
     damping=st.lists(st.floats(0.003, 0.8), min_size=2, max_size=2),
@@ -369,7 +302,7 @@ def test_samples_agree_with_the_continuous_system():
 def test_bands_without_an_end_and_bands_that_do_not_begin():
     lead = lti([-102], 1.02, [-100])
     assert (indices(lead).band_5_hz, indices(lead).half_power_hz) == (np.inf, None)
-    assert indices(lead.sampled(1e4, "matched")).band_5_hz == pytest.approx(5e3)
+    assert indices(lead.sampled(1e4, "tustin")).band_5_hz == pytest.approx(5e3)
     off_nominal = indices(oscillator(500.0, 0.1, 1.13))
     assert off_nominal.band_5_nominal_hz is off_nominal.band_10_nominal_hz is None
     assert off_nominal.band_5_hz is not None
@@ -431,24 +364,6 @@ def test_false_poles_are_reported():
     assert [n.severity for n in pole_notices(near)] == ["note"]
 
 
-def test_roots_are_found_to_the_last_digits_whatever_the_curve():
-    """Steep, flat and bent curves at once, one with its root at an end; against numbers known beforehand."""
-    root = np.array([1e-9, 0.3, 2.0, 1.0, 4.0])
-    power = np.array([1.0, 9.0, 3.0, 1.0, 1.0])
-
-    def bent(x: FloatArray) -> FloatArray:
-        steep = np.array([1.0, 1.0, 1.0, 60.0, 1.0])
-        return np.asarray(np.sign(x - root) * np.abs(np.expm1(steep * (x - root))) ** power)
-
-    found = roots_between(bent, np.zeros(5), np.array([3.0, 1.0, 9.0, 9.0, 4.0]))
-    assert np.all(np.abs(found - root) <= 4e-16 * np.maximum(root, 1e-9))
-
-
-def test_names_and_units():
-    assert [unit_of(name) for name in ("band_5_hz", "settling_2_s", "overshoot")] == ["Hz", "s", ""]
-    assert list(indices(oscillator(10.0, 0.1)).figures()) == list(LABELS)
-
-
 def uncertain_model(relative: float) -> ModalModel:
     """Two modes and a real pole, correlated errors."""
     model = ModalModel(
@@ -471,14 +386,15 @@ def uncertainties(model: ModalModel) -> dict[str, float]:
     return u | {name: settling_u(model, tolerance) for name, tolerance in SETTLING.items()}
 
 
-def test_uncertainties_agree_with_monte_carlo():
+def test_uncertainties_are_the_changes_of_figures_by_every_cause():
     model = uncertain_model(2e-3)
     assert model.covariance is not None
-    draws = np.random.default_rng(2).multivariate_normal(model.vector, model.covariance, size=60)
-    figures = [indices(model.with_vector(draw).system).figures() for draw in draws]
+    first, causes = indices(model.system).figures(), 1e-3 * np.linalg.cholesky(model.covariance).T
+    moved = [indices(model.with_vector(model.vector + cause).system).figures() for cause in causes]
     for name, u in uncertainties(model).items():
-        spread = np.std(np.array([row[name] for row in figures if row[name] is not None], float))
-        assert u == pytest.approx(spread, rel=0.35 if "settling" in name else 0.28), name  # 3 u of 60 draws
+        if name not in SETTLING:  # these may jump
+            change = np.linalg.norm([row[name] - first[name] for row in moved]) / 1e-3
+            assert u == pytest.approx(change, rel=1e-2), name
 
 
 def test_settling_time_jumps_by_half_periods():

@@ -11,6 +11,12 @@ from release_factory import Truth
 from scipy.stats import ttest_ind
 
 from shaker.io.condition import cut_run
+from shaker.model_notices import (
+    FORCE_CONTRADICTS_AMPLITUDE,
+    LEVEL_DRIFT,
+    OTHER_CHANNEL_TIMES,
+    OUTPUT_AT_LIMIT,
+)
 from shaker.release.reading import compare_releases, initial_release, read_release, read_releases
 from shaker.release.record import (
     ReleaseReading,
@@ -19,12 +25,6 @@ from shaker.release.record import (
     response_spectrum,
     ringing_level,
     spectrum_peaks,
-)
-from shaker.release.release_notices import (
-    FORCE_CONTRADICTS_AMPLITUDE,
-    LEVEL_DRIFT,
-    OTHER_CHANNEL_TIMES,
-    OUTPUT_AT_LIMIT,
 )
 
 PLAIN, SLOW = Truth(), Truth(release_s=3e-3)
@@ -77,6 +77,7 @@ def test_the_rise_of_an_undamped_oscillator_is_the_closed_form():
     assert reading.shape == "step"
 
 
+@pytest.mark.slow
 def test_rise_times_scatter_as_stated():
     rng = np.random.default_rng(3)
     readings = [read_release(PLAIN.record(rng, 40.0), "Fz") for _ in range(12)]
@@ -85,7 +86,7 @@ def test_rise_times_scatter_as_stated():
 
 
 @given(st.sampled_from([-1.0, 1.0]), st.floats(0.01, 1e4), st.floats(-5.0, 5.0), st.floats(-10.0, 10.0))
-@settings(max_examples=5, deadline=None)
+@settings(max_examples=3, deadline=None)
 def test_units_offsets_and_clocks_do_not_matter(sign, size, offset, start_s):
     first = PLAIN.record(np.random.default_rng(4), 40.0)
     one = read_release(first, "Fz")
@@ -154,7 +155,7 @@ def test_a_clipped_record_gives_a_notice_and_the_flat_top_of_a_slow_wave_does_no
     assert reading.clipped
     assert reading.notices[0].code == OUTPUT_AT_LIMIT.code
     assert read_release(PLAIN.of(-np.maximum(samples, -0.2)), "Fz").clipped
-    truth = Truth(frequency_hz=(60.0,), lag_hz=None, release_s=1e-3, length_s=0.15)
+    truth = Truth(frequency_hz=(60.0,), lag_hz=None, release_s=1e-3, length_s=0.08)
     samples = np.round(truth.clean() / 2e-3) * 2e-3  # 16 equal samples at the top of every wave
     assert not read_release(truth.of(samples), "Fz").clipped
 
@@ -175,8 +176,8 @@ def test_a_record_without_a_release_is_refused():
     refused("^record: ", read_release, PLAIN.of(noise), "Fz")
     refused("^channel: .*'Q'", read_release, PLAIN.of(noise), "Q")
     refused("^samples: ", read_release, PLAIN.of(noise[:40]), "Fz")
-    late = replace(PLAIN, onset_s=59.9e-3)
-    refused("^record: ", read_release, late.record(np.random.default_rng(0), 40.0), "Fz")
+    late = PLAIN.record(np.random.default_rng(0), 40.0).samples[:, :1060]
+    refused("^record: ", read_release, PLAIN.of(late), "Fz")
 
 
 def test_a_stated_onset_guides_the_reading():
@@ -237,7 +238,7 @@ def test_peaks_are_where_a_fine_transform_has_them():
     first, second = spectrum_peaks(RINGING, RATE, 1e-4)
     sizes = []
     for peak, near in ((first, 450.0), (second, 1117.0)):
-        fine = near + np.linspace(-3.0, 3.0, 1201)
+        fine = near + np.linspace(-1.5, 1.5, 601)
         size = np.abs(np.exp(-2j * np.pi * np.outer(fine, TIME)) @ (window * RINGING))
         assert peak.frequency_hz == pytest.approx(fine[np.argmax(size)], abs=0.005)
         sizes.append(size.max())
@@ -247,14 +248,14 @@ def test_peaks_are_where_a_fine_transform_has_them():
 
 def test_noise_scatters_peaks_as_stated_and_adds_none():
     clean, rng = spectrum_peaks(RINGING, RATE, 1e-6), np.random.default_rng(1)
-    found = [spectrum_peaks(RINGING + 0.02 * rng.standard_normal(len(TIME)), RATE, 0.02) for _ in range(80)]
+    found = [spectrum_peaks(RINGING + 0.02 * rng.standard_normal(len(TIME)), RATE, 0.02) for _ in range(40)]
     assert all(len(peaks) == 2 for peaks in found)
     for index in (0, 1):
         moved = np.array([peaks[index].frequency_hz - clean[index].frequency_hz for peaks in found])
         stated = np.mean([peaks[index].u_frequency_hz for peaks in found])
-        assert 0.75 < np.sqrt(np.mean(moved**2)) / stated < 1.25  # 99.9 % of 80 degrees of freedom
+        assert 0.65 < np.sqrt(np.mean(moved**2)) / stated < 1.37  # 99.9 % of 40 degrees of freedom
     shares = np.array([peaks[1].share for peaks in found])
-    assert 0.75 < shares.std() / np.mean([peaks[1].u_share for peaks in found]) < 1.25
+    assert 0.65 < shares.std() / np.mean([peaks[1].u_share for peaks in found]) < 1.37
     rng = np.random.default_rng(2)
     assert not [peak for _ in range(20) for peak in spectrum_peaks(rng.standard_normal(4000), 1e5, 1.0)]
 

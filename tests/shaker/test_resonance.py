@@ -12,8 +12,7 @@ from hypothesis import strategies as st
 from scipy import linalg
 from scipy.optimize import brentq, least_squares, minimize_scalar
 
-from shaker.identification.circle_fit import fit_circle
-from shaker.identification.measured_curves import MeasuredCurve
+from shaker.identification.measured_curves import MeasuredCurve, fit_circle
 from shaker.identification.oscillator import (
     PeakReadings,
     Resonance,
@@ -65,7 +64,7 @@ def fitted(value: ComplexArray, covariance: FloatArray, kind: ResonanceKind = "r
 ONE = curve("receptance", 1477.35, 0.0076, 1.0, 2j * np.pi * FREQUENCY)
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=20, deadline=None)
 @given(
     kind=st.sampled_from(KINDS),
     f0=st.floats(1350.0, 1600.0),
@@ -97,7 +96,7 @@ def test_delay_and_the_rest_of_the_structure_come_back():
     refused("^parameter: .*mass_kg", fit.u, "mass_kg")
 
 
-def test_errors_are_those_of_the_bound_and_intervals_cover_the_truth():
+def test_the_covariance_is_that_of_the_bound():
     # Bound: the covariance at the truth, from derivatives by differences, independent of the fit's own.
     truth, s = np.array([1477.35, 0.5 / 66.0, 1.0, 0.0]), 2j * np.pi * FREQUENCY
 
@@ -110,29 +109,25 @@ def test_errors_are_those_of_the_bound_and_intervals_cover_the_truth():
     slopes = np.stack([(at(truth + h) - at(truth - h)) / (2.0 * h.sum()) for h in steps], axis=1)
     both = np.stack([slopes.real, slopes.imag], axis=1)
     bound = np.linalg.inv(np.einsum("kia,kij,kjb->ab", both, np.linalg.inv(covariance), both))
-    rng = np.random.default_rng(11)
-    lengths, chi = [], []
-    for _ in range(200):
-        fit = fitted(value + noise(covariance, rng), covariance, "transmissibility")
-        error = np.array([fit.frequency_hz, fit.damping_ratio, fit.gain.real, fit.gain.imag]) - truth
-        lengths.append(error @ np.linalg.solve(bound, error))
-        chi.append(fit.chi_squared)
-    # χ² of 4 degrees of freedom: 200 trials put its mean within 4 ± 0.2.
-    assert np.mean(lengths) == pytest.approx(4.0, abs=0.6)
-    assert np.mean(np.array(lengths) < 9.488) == pytest.approx(0.95, abs=0.045)
-    assert np.mean(chi) == pytest.approx(2 * len(FREQUENCY) - 4, rel=0.01)
-    unit = np.sqrt(bound.diagonal())
-    np.testing.assert_allclose(fit.covariance / np.outer(unit, unit), bound / np.outer(unit, unit), atol=0.2)
+    unit = np.sqrt(np.outer(bound.diagonal(), bound.diagonal()))
+    np.testing.assert_allclose(fitted(value, covariance, "transmissibility").covariance / unit, bound / unit, atol=1e-3)
 
 
-def test_correlated_lines_widen_the_uncertainty_as_they_widen_the_scatter():
-    kernel, covariance, rng = np.array([1.0, 4 / 9, 1 / 36]), even(ONE, 1e-3), np.random.default_rng(3)
-    root = np.linalg.cholesky(linalg.toeplitz(np.pad(kernel, (0, len(ONE) - 3)))) * np.sqrt(covariance[0, 0, 0])
-    fits = []
-    for _ in range(150):
-        draw = root @ (rng.standard_normal(len(ONE)) + 1j * rng.standard_normal(len(ONE)))
-        fits.append(fitted(ONE + draw, covariance, line_correlation=kernel + 0j))
-    assert np.std([fit.frequency_hz for fit in fits]) == pytest.approx(fits[-1].u("frequency_hz"), rel=0.2)
+def test_correlated_lines_enter_the_uncertainty():
+    """Against the whole covariance matrix of all lines, with derivatives by differences."""
+    truth, s = np.array([1477.35, 0.0076, 1.0, 0.0]), 2j * np.pi * FREQUENCY
+    kernel, sigma, steps = np.array([1.0, 4 / 9, 1 / 36]), 1e-3 * np.abs(ONE).max(), np.diag([1e-3, 1e-7, 1e-6, 1e-6])
+    between = linalg.toeplitz(np.pad(kernel, (0, len(ONE) - 3)))
+    ends = [[curve("receptance", p[0], p[1], complex(p[2], p[3]), s) for p in (truth - h, truth + h)] for h in steps]
+    slopes = np.stack([(high - low) / (2.0 * h.sum()) for (low, high), h in zip(ends, steps, strict=True)]) / sigma
+    inner = np.linalg.inv((slopes.conj() @ slopes.T).real)
+    expected = inner @ (slopes.conj() @ between @ slopes.T).real @ inner
+    fit = fitted(ONE, even(ONE, 1e-3), line_correlation=kernel + 0j)
+    np.testing.assert_allclose(fit.covariance, expected, rtol=1e-4, atol=1e-4 * np.sqrt(expected.max()) * 1e-6)
+    seen = MeasuredCurve(FREQUENCY, ONE, even(ONE, 1e-3), kernel + 0j)
+    expected = sigma**2 * (slopes.conj() @ between @ slopes.T).real
+    unit = np.sqrt(np.outer(expected.diagonal(), expected.diagonal()))
+    np.testing.assert_allclose(seen.propagated(slopes) / unit, expected / unit, atol=1e-9)
 
 
 def test_a_misfit_enlarges_the_uncertainty():
@@ -212,30 +207,26 @@ def lines(f0: float, zeta: float, spacing: float, shift: float = 0.0) -> FloatAr
     return np.asarray(spacing * (first + np.arange(int(2.0 * reach / spacing))))
 
 
-def by_search(zeta: float, level: float) -> tuple[float, float, float]:
-    """Maximum and crossings of |T|² found by numerical search."""
+def by_search(zeta: float) -> tuple[float, float, float]:
+    """Maximum and half-power points of |T|² found by numerical search."""
 
     def power(r: float) -> float:
         return float(np.abs(transmissibility(np.array([r]), 1.0, zeta)[0]) ** 2)
 
     top = float(minimize_scalar(lambda r: -power(r), bounds=(0.5, 1.2), method="bounded", options={"xatol": 1e-12}).x)
-    goal = power(top) / level
+    goal = 0.5 * power(top)
     return top, brentq(lambda r: power(r) - goal, 1e-3, top), brentq(lambda r: power(r) - goal, top, 3.0)
 
 
 @pytest.mark.parametrize("zeta", [1e-3, 0.0075, 0.05, 0.15])
-@pytest.mark.parametrize("level", [2.0, 4.0])
-def test_levels_of_the_transmissibility_are_where_a_search_finds_them(zeta, level):
-    if level * 1.01 >= 1.0 / (4.0 * zeta**2):
-        pytest.skip("|T| does not fall so far below its maximum on the low side")
-    expected = by_search(zeta, level)
-    found = transmissibility_levels(zeta, level)
+def test_levels_of_the_transmissibility_are_where_a_search_finds_them(zeta):
+    expected, found = by_search(zeta), transmissibility_levels(zeta)
     assert found[0] == pytest.approx(expected[0], abs=1e-7)  # a flat top is found to the root of the precision
     assert found[1:] == pytest.approx(expected[1:], rel=1e-9)
     assert found[0] == pytest.approx(1.0 - zeta**2, abs=4.0 * zeta**4)
 
 
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=15, deadline=None)
 @given(
     quality=st.floats(20.0, 800.0),
     shift=st.floats(0.0, 1.0),
@@ -259,36 +250,18 @@ def test_without_noise_only_the_bin_maximum_depends_on_the_lines(quality, shift,
     assert found.lines_in_width == pytest.approx(found.half_power.width_hz / spacing)
 
 
-def log_parabola(frequency: FloatArray, value: ComplexArray) -> float:
-    """The usual interpolation: vertex of the parabola through ln|H| of the largest line and its two neighbours."""
-    at = int(np.argmax(np.abs(value)))
-    below, middle, above = np.log(np.abs(value[at - 1 : at + 2]))
-    return float(frequency[at] + 0.5 * SPACING * (below - above) / (below - 2.0 * middle + above))
-
-
-@pytest.mark.parametrize(
-    ("quality", "bias_hz"), [(40.0, 3.0e-4), (66.0, 5.2e-4), (150.0, 2.0e-3), (400.0, 1.2e-2), (800.0, 3.6e-2)]
-)
-def test_the_parabola_of_the_reciprocal_has_no_bias_where_that_of_the_logarithm_has_some(quality, bias_hz):
-    """At 0.78125 Hz and 1477.35 Hz: the largest bias over all places of the maximum between two lines."""
-    zeta = 0.5 / quality
-    by_logarithm, by_reciprocal = [], []
-    for shift in np.linspace(0.0, 1.0, 21):
-        frequency = lines(F0, zeta, SPACING, float(shift))
-        value = transmissibility(frequency, F0, zeta)
-        true = transmissibility_levels(zeta)[0] * F0
-        by_logarithm.append(log_parabola(frequency, value) - true)
-        by_reciprocal.append(read(frequency, value, 1e-3).maximum.frequency_hz - true)
-    assert np.abs(by_logarithm).max() == pytest.approx(bias_hz, rel=0.05)
-    assert np.abs(by_reciprocal).max() < 1e-7 * F0
-
-
 @pytest.mark.parametrize(
     ("quality", "share", "spacing"),
-    [(66.0, 1e-3, SPACING), (66.0, 2e-2, 0.2), (40.0, 5e-3, SPACING), (400.0, 3e-3, SPACING), (800.0, 3e-3, SPACING)],
+    [
+        (66.0, 1e-3, SPACING),
+        (800.0, 3e-3, SPACING),
+        pytest.param(66.0, 2e-2, 0.2, marks=pytest.mark.slow),
+        pytest.param(40.0, 5e-3, SPACING, marks=pytest.mark.slow),
+        pytest.param(400.0, 3e-3, SPACING, marks=pytest.mark.slow),
+    ],
 )
 def test_readings_scatter_as_their_uncertainties(quality, share, spacing):
-    zeta, trials = 0.5 / quality, 100
+    zeta, trials = 0.5 / quality, 50
     frequency, top = lines(F0, zeta, spacing), transmissibility_levels(zeta)[0] * F0
     truths = {"maximum": top, "half_amplitude": top}
     scores = []
@@ -308,37 +281,16 @@ def test_readings_scatter_as_their_uncertainties(quality, share, spacing):
 def test_the_line_of_the_maximum_scatters_as_stated():
     """A flat top in noise: far more than half a spacing."""
     zeta, frequency = 0.5 / 40.0, lines(F0, 0.5 / 40.0, SPACING)
-    drawn = draws(transmissibility(frequency, F0, zeta), 1e-2, 120, 8)
+    drawn = draws(transmissibility(frequency, F0, zeta), 1e-2, 60, 8)
     readings = [peak_readings(MeasuredCurve(frequency, *parts)).maximum_bin for parts in drawn]
     error = np.array([reading.frequency_hz for reading in readings]) - transmissibility_levels(zeta)[0] * F0
     stated = np.sqrt(np.mean([reading.u_frequency_hz**2 for reading in readings]))
     assert stated > 3.0 * SPACING / np.sqrt(12.0)
-    assert np.sqrt(np.mean(error**2)) == pytest.approx(stated, rel=0.2)
+    assert np.sqrt(np.mean(error**2)) == pytest.approx(stated, rel=0.3)
     frequency = lines(F0, 1e-3, SPACING)  # in little noise it is uncertain by half a spacing
     found = read(frequency, transmissibility(frequency, F0, 1e-3), 1e-6)
     assert found.maximum_bin.u_frequency_hz == pytest.approx(SPACING / np.sqrt(12.0), rel=1e-6)
     assert np.isnan(found.maximum_bin.damping_ratio)
-
-
-def test_correlated_lines_are_less_certain():
-    """Errors of neighbouring lines that go together, as a Hann window makes them (Monte Carlo of windowed noise)."""
-    zeta, trials = 0.5 / 66.0, 120
-    rng, frequency = np.random.default_rng(4), lines(F0, zeta, SPACING)
-    clean = transmissibility(frequency, F0, zeta)
-    covariance = even(clean, 2e-3)
-    u = np.sqrt(covariance[0, 0, 0])
-    correlation = np.array([1.0, -2.0 / 3.0, 1.0 / 6.0], dtype=np.complex128)
-    readings, found = [], []
-    for _ in range(trials):
-        white = rng.standard_normal((2, len(clean) + 2)) / np.sqrt(1.5)
-        smeared = white[:, 1:-1] - 0.5 * (white[:, :-2] + white[:, 2:])
-        drawn = clean + u * (smeared[0] + 1j * smeared[1])
-        readings.append(peak_readings(MeasuredCurve(frequency, drawn, covariance, line_correlation=correlation)).circle)
-        found.append(readings[-1].damping_ratio / zeta - 1.0)
-    plain = peak_readings(MeasuredCurve(frequency, drawn, covariance)).circle.u_damping_ratio
-    stated = np.sqrt(np.mean([reading.u_damping_ratio**2 for reading in readings])) / zeta
-    assert np.std(found) == pytest.approx(stated, rel=0.2)
-    assert abs(plain / zeta / stated - 1.0) > 0.3
 
 
 def test_the_circle_loses_little_to_a_fit_of_the_curve_and_other_modes_do_not_turn_it():

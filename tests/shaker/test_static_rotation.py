@@ -117,26 +117,27 @@ def test_a_sine_fit_is_that_of_least_squares():
     np.testing.assert_allclose(fit.curve(STEPS) + fit.residual, values, atol=1e-12)
 
 
-def test_amplitudes_scatter_as_their_covariance():
-    rng = np.random.default_rng(2)
-    mixing = np.array([[1e-3, 0.0], [0.8e-3, 1e-3]])
-    angle = np.linspace(0.0, 5.5, 12)  # not a whole turn: cosine and sine correlate
-    clean = _readings(angle, rng, 0.0)
-    found, covariance = [], np.zeros((4, 4))
-    for _ in range(600):
-        fit = fit_angles(CHANNELS, angle, clean + rng.standard_normal(clean.shape) @ mixing.T)
-        found.append(np.concatenate([fit.amplitude().real, fit.amplitude().imag]))
-        covariance += fit.covariance() / 600.0
-    seen = np.cov(np.array(found).T)
-    scale = np.sqrt(np.outer(np.diag(seen), np.diag(seen)))
-    np.testing.assert_allclose(covariance / scale, seen / scale, atol=0.15)
+def test_the_covariance_of_amplitudes_is_that_of_readings_with_correlated_noise():
+    """Amplitudes are linear in the readings: by the change of each with each, over less than a whole turn."""
+    angle, rng = np.linspace(0.0, 5.5, 12), np.random.default_rng(2)  # cosine and sine correlate
+    values = _readings(angle, rng, 0.0) + rng.standard_normal((12, 2)) @ np.array([[1e-3, 0.8e-3], [0.0, 1e-3]])
+    fit = fit_angles(CHANNELS, angle, values)
+
+    def amplitudes(readings: np.ndarray) -> np.ndarray:
+        found = fit_angles(CHANNELS, angle, readings).amplitude()
+        return np.concatenate([found.real, found.imag])
+
+    slopes = [amplitudes(values + 1e-6 * unit.reshape(12, 2)) - amplitudes(values) for unit in np.eye(24)]
+    slope = np.array(slopes).T / 1e-6
+    expected = slope @ np.kron(np.eye(12), fit.noise) @ slope.T
+    np.testing.assert_allclose(fit.covariance(), expected, atol=1e-5 * np.abs(expected).max())
 
 
 @pytest.mark.parametrize("angle", [STEPS, BOTH_SENSES], ids=["one sense", "both senses"])
 def test_false_terms_are_rare(angle):
     rng = np.random.default_rng(3)
-    plain = sum(len(fit_angles(CHANNELS, angle, _readings(angle, rng)).terms) == 3 for _ in range(300))
-    assert plain >= 294  # some nine tests of one in a thousand each
+    plain = sum(len(fit_angles(CHANNELS, angle, _readings(angle, rng)).terms) == 3 for _ in range(100))
+    assert plain >= 97  # some nine tests of one in a thousand each
 
 
 @pytest.mark.parametrize("order", [2, 3, 5])
@@ -184,7 +185,7 @@ def test_coarse_readings_are_as_uncertain_as_their_last_digit_and_those_without_
     assert abs(fit_angles(("a",), STEPS, 4e-318 * np.sin(STEPS)[:, None]).amplitude()[0]) < 1e-317
 
 
-@settings(deadline=None, max_examples=30)
+@settings(deadline=None, max_examples=15)
 @given(
     st.lists(st.floats(0.0, 6.283), min_size=8, max_size=20, unique_by=lambda x: round(x, 1)),
     st.floats(0.1, 100.0),
@@ -235,7 +236,7 @@ def _rotation_record(
     return RotationRecord("one", fit.amplitude(), np.diag(variance), 1e9, axis, down)
 
 
-@settings(deadline=None, max_examples=25)
+@settings(deadline=None, max_examples=12)
 @given(
     st.floats(0.5, 500.0),
     st.lists(st.floats(-0.2, 0.2), min_size=3, max_size=3),
@@ -258,31 +259,33 @@ def test_weight_centre_zero_angle_and_axis_come_back(weight, centre, zero, tilt,
     assert fit.departure == 0.0
 
 
-def test_errors_scatter_as_the_covariance():
-    rng = np.random.default_rng(6)
-    centres = np.array([[0.001, -0.002, 0.01], [0.0005, 0.001, 0.04]])
-    u_angle, trials = 2e-4, 150
-    loads = zip((7.54, 75.8), centres, strict=True)
-    truth = np.concatenate([[w, *(w * centre), 0.0, 0.0, 0.0, w, w, 0.0] for w, centre in loads])
-    square, rows = 0.0, np.flatnonzero(np.arange(2 * ROWS) % ROWS != ROWS - 1)
-    for _ in range(trials):
-        matrix = SENSITIVITY + 1e-3 * SENSITIVITY * rng.standard_normal((6, 6))
-        twice = u_angle * rng.standard_normal(2)
-        true_angle = STEPS + twice[0] * np.sin(2.0 * STEPS) + twice[1] * np.cos(2.0 * STEPS)
-        records = []
-        for name, weight, centre in zip(("without", "with"), (7.54, 75.8), centres, strict=True):
-            record = _rotation_record(_load(weight, centre, angle=true_angle), matrix)
-            noise = NOISE * (rng.standard_normal(6) + 1j * rng.standard_normal(6))
-            records.append(replace(record, name=name, amplitude=record.amplitude + noise))
-        fit = fit_weights(records, _outputs(relative=1e-3), u_angle)
-        error = (fit.value - truth)[rows]
-        square = square + np.outer(error, error) / trials
-    predicted = fit.covariance[np.ix_(rows, rows)]
-    scale = np.sqrt(np.diag(predicted))
-    np.testing.assert_allclose(np.sqrt(np.diag(square)) / scale, 1.0, atol=0.25)
-    difference = np.zeros(len(rows))
-    difference[[0, 9]] = -1.0, 1.0
-    assert difference @ square @ difference == pytest.approx(difference @ predicted @ difference, rel=0.4)
+def test_the_effect_of_every_cause_is_the_change_of_the_values():
+    """By fits of readings, matrices and angles that are off by one standard uncertainty each."""
+    heavy = _rotation_record(_load(75.8, (0.0005, 0.001, 0.04)))
+    records = [_rotation_record(_load(7.54, (0.001, -0.002, 0.01))), replace(heavy, name="heavy")]
+    outputs, rows = _outputs(relative=1e-3), np.flatnonzero(np.arange(2 * ROWS) % ROWS != ROWS - 1)
+    fit = fit_weights(records, outputs, 2e-4)
+
+    def noisy(r: int, by: np.ndarray) -> np.ndarray:
+        off = [replace(one, amplitude=one.amplitude + by * (s == r)) for s, one in enumerate(records)]
+        return fit_weights(off, outputs, 2e-4).value
+
+    units = [turn * unit for unit in np.diag(NOISE) for turn in (1.0, 1.0j)]
+    matrices = [outputs.sensitivity + np.outer(unit, unit) * outputs.u for unit in np.eye(6)]
+    changed = {f"noise of {one.name}": [noisy(r, unit) for unit in units] for r, one in enumerate(records)}
+    changed["calibration matrix"] = [
+        fit_weights(records, replace(outputs, sensitivity=one), 2e-4).value for one in matrices
+    ]
+    heads = [
+        [replace(one, amplitude=one.amplitude - 1e-4j * turn * one.amplitude.conj()) for one in records]
+        for turn in (1.0, -1.0j)
+    ]
+    changed["angle of the head"] = [fit_weights(one, outputs, 2e-4).value for one in heads]
+    u = np.sqrt(np.diag(fit.covariance))[rows]
+    for source in fit.sources:
+        if source.name in changed:
+            change, effect = (np.array(changed[source.name]) - fit.value)[:, rows] / u, source.effect[rows].T / u
+            np.testing.assert_allclose(change.T @ change, effect.T @ effect, atol=5e-3)
 
 
 def test_what_two_recordings_share_cancels_in_their_ratio():

@@ -34,7 +34,12 @@ from fusion.sensor.unmodelled_effects import CAUSE_LABELS, coverage_notice
 from shaker.compensation.effects import (
     MODEL_ERROR_SHARE,
     CompensationWithUncertainty,
+    FeedbackRun,
+    HapticLoop,
+    largest_stable_gain,
+    push,
     residual_ringing,
+    simulate_feedback,
     white_noise_gain,
     with_frequency,
 )
@@ -47,7 +52,6 @@ from shaker.compensation.filter import (
     discretise,
     pad_sections,
 )
-from shaker.compensation.force_feedback import FeedbackRun, HapticLoop, largest_stable_gain, push, simulate_feedback
 from shaker.lti.indices import LABELS, find_figure_range, indices
 from shaker.lti.system import LinearSystem, ModalModel
 from shaker.release.load_model import LoadModel, figures_u

@@ -457,7 +457,7 @@ def _fill(file: h5py.File, evaluation: IdentifyEvaluation) -> None:
         for name in ("model", "reason", "mass_is_free"):
             write_value(group, name, getattr(fit, name))
         identified = group.create_group("identification", track_order=True)
-        found = ("estimates", "covariance", "correlation", "derived", "modes", "unknowns", "factors")
+        found = ("estimates", "covariance", "correlation", "derived", "modes", "unknowns")
         for name in (*found, "chi_squared", "dof", "budget"):
             write_value(identified, name, getattr(fit.identification, name))
         curves = group.create_group("recordings", track_order=True)
