@@ -18,7 +18,7 @@ from scipy.signal import lfilter
 
 from shaker.lines.detection import survey_lines
 from shaker.lines.frequencies import find_lines
-from shaker.lines.peaks import find_peaks
+from shaker.lines.peaks import FloorSpectrum, find_peaks
 from shaker.sine.sine_fit import fit_sines
 
 FloatArray = NDArray[np.float64]
@@ -60,7 +60,7 @@ def resonance(rng: np.random.Generator, samples: int) -> FloatArray:
 
 def false_alarms(name: str, records: list[FloatArray]) -> None:
     """Print in how many records of noise a line is found."""
-    found = sum(len(find_peaks(record, STATED, NOTHING, NOTHING).bin_position) > 0 for record in records)
+    found = sum(len(find_peaks(FloorSpectrum(record), STATED, NOTHING, NOTHING).bin_position) > 0 for record in records)
     share = found / len(records)
     print(f"| {name} | {len(records[0])} | {len(records)} | {100 * share:.2f} % | {100 * STATED:.0f} % |", flush=True)
 

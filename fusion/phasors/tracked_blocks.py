@@ -243,10 +243,10 @@ def tracked_pairs(
                 if isinstance(scene, RejectedPair):
                     begun.append((item, scene, {}))
                     continue
-                followed = TrackedBlocks(item, scene, settings.device, checkpoints)
-                shares = followed.missing()
+                blocks = TrackedBlocks(item, scene, settings.device, checkpoints)
+                shares = blocks.missing()
                 submitted = {share: crew.submit(1, track_block, pending, share, settings.device) for share in shares}
-                begun.append((item, followed, submitted))
+                begun.append((item, blocks, submitted))
             for item, followed, submitted in begun:  # so that no block waits in memory for the motion of another pair
                 if isinstance(followed, RejectedPair):
                     moved.append(followed)
