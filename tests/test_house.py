@@ -21,8 +21,8 @@ FORBIDDEN = {
 LAYERS = {
     "shakercal": ("_common", "__main__"),
     "photogram": (
-        "frame_statistics epipolar_notices",
-        "kernels geometry images point_tables",
+        "device lanes frame_statistics epipolar_notices",
+        "geometry images point_tables",
         "camera bspline",
         "subsets targets",
         "motion epipolar direct",

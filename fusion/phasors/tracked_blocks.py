@@ -247,17 +247,17 @@ def tracked_pairs(
                 shares = blocks.missing()
                 submitted = {share: crew.submit(1, track_block, pending, share, settings.device) for share in shares}
                 begun.append((item, blocks, submitted))
-            for item, followed, submitted in begun:  # so that no block waits in memory for the motion of another pair
-                if isinstance(followed, RejectedPair):
-                    moved.append(followed)
+            for item, tracked, submitted in begun:  # so that no block waits in memory for the motion of another pair
+                if isinstance(tracked, RejectedPair):
+                    moved.append(tracked)
                     continue
                 stage, total = f"track {item.sight.name}", 2 * len(item.left)
-                for frames in followed.scene.blocks:
+                for frames in tracked.scene.blocks:
                     progress(stage, 2 * frames.start, total)
                     if frames in submitted:
-                        followed.add(frames, _answer(item, submitted.pop(frames)))
+                        tracked.add(frames, _answer(item, submitted.pop(frames)))
                 progress(stage, total, total)
-                moved.append(threads.submit(2, _moved, item, followed))
+                moved.append(threads.submit(2, _moved, item, tracked))
             return tuple(
                 pending if isinstance(pending, RejectedPair) else _attempted(item, partial(_answer, item, pending))
                 for item, pending in zip(images, moved, strict=True)

@@ -25,6 +25,7 @@ from fusion.recording.manifest import (
     Images,
     PointFiles,
     RecordingFile,
+    RigContext,
     Take,
 )
 from fusion.recording.plausibility import plausibility_notices
@@ -41,7 +42,7 @@ from fusion.recording.recording_notices import (
     WRONG_EXCITATION_KIND,
 )
 from fusion.recording.repair import AnyBlock, Repair, is_doubtful
-from fusion.recording.rig import InstrumentHead, Rig, RigContext, RigPart, Shaker, Stereo
+from fusion.recording.rig import InstrumentHead, Rig, RigPart, Shaker, Stereo
 from fusion.recording.toml import (
     UncertainInput,
     expand_statements,

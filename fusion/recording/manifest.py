@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass, field
 from datetime import date as Date
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, Self
@@ -21,13 +22,14 @@ from fusion.recording.recording_notices import (
     VALUE_OUT_OF_RANGE,
     WRONG_VALUE_TYPE,
 )
-from fusion.recording.rig import NamedHead, RigContext, RigPart, Shaker
+from fusion.recording.rig import InstrumentHead, NamedHead, RigPart, Shaker, Stereo
 from fusion.recording.transducer import HEAD, STATIONARY, TRANSDUCERS
 from fusion.recording.values import (
     HERTZ,
     SECONDS,
     ZERO3,
     Angle,
+    Context,
     Delay,
     Direction,
     ExistingFile,
@@ -96,6 +98,14 @@ def _daq_suffix(value: Path) -> Path:
     if wrong is not None:
         raise refusal(*wrong)
     return value
+
+
+@dataclass(frozen=True)
+class RigContext(Context):
+    """Context of the validation of a recording: scope of paths, stereo pairs and heads of its rig."""
+
+    stereo: dict[str, Stereo]
+    head: dict[str, InstrumentHead] = field(default_factory=dict)
 
 
 def _head(value: object, info: ValidationInfo) -> object:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Literal, Self
 
@@ -38,7 +38,6 @@ from fusion.recording.values import (
     ZERO33,
     BodyName,
     Celsius,
-    Context,
     Delay,
     Direction,
     ExistingFile,
@@ -488,14 +487,6 @@ class NamedHead:
 
     name: str
     stated: InstrumentHead
-
-
-@dataclass(frozen=True)
-class RigContext(Context):
-    """Context of the validation of a recording: scope of paths, stereo pairs and heads of its rig."""
-
-    stereo: dict[str, Stereo]
-    head: dict[str, InstrumentHead] = field(default_factory=dict)
 
 
 class Shaker(ManifestBlock):

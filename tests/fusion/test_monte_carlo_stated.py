@@ -189,7 +189,7 @@ def test_every_unknown_of_first_order_is_drawn_with_its_size(propagated, monkeyp
     drawn: set[str] = set()
     with monkeypatch.context() as patch:
         drawn = drawing(patch, lambda name: True)
-        propagate(inputs, analysis, 10, 1)
+        propagate(inputs, analysis, 400, 1)
     for found, result, place in ((analysis.load, "load", 2), (analysis.element, "element", None)):
         uncertainty = found.uncertainty
         at = found.elements.index((2, 2)) if place is None else place

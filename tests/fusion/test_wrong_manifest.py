@@ -17,7 +17,7 @@ from support import AT_ORIGIN, block, channel, recording_head
 
 from fusion.errors import InputError
 from fusion.recording.load import load_manifest
-from fusion.recording.manifest import RecordingFile
+from fusion.recording.manifest import RecordingFile, RigContext
 from fusion.recording.recording_notices import (
     CONTRADICTING_VALUES,
     FRAMES_DO_NOT_MATCH,
@@ -36,7 +36,7 @@ from fusion.recording.recording_notices import (
     WRONG_ENCODING,
     WRONG_VALUE_TYPE,
 )
-from fusion.recording.rig import Rig, RigContext
+from fusion.recording.rig import Rig
 from fusion.recording.toml import validate
 from fusion.recording.values import PathScope
 from shakercal._common.notices import DeclaredNotice
