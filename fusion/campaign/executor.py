@@ -17,11 +17,12 @@ import threading
 import time
 import traceback
 from collections.abc import Callable, Iterator
-from concurrent.futures import CancelledError, Future, ThreadPoolExecutor
+from concurrent.futures import Future
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from multiprocessing import resource_tracker
 from multiprocessing.connection import Connection, wait
+from queue import PriorityQueue
 from typing import TYPE_CHECKING, Any, cast
 from urllib.parse import urlsplit
 
@@ -152,6 +153,21 @@ SHUTDOWN_S = 5.0
 """Time that a worker has to start, or to end after a request."""
 SIGNAL_DELAY_S = 0.5
 """Time by which the end of this process may be noticed later than that of a worker."""
+STOP_RANK = 1 << 60
+
+
+@dataclass(order=True)
+class _Task:
+    """One call that waits for a worker.
+
+    The lowest rank is the next, then the first submitted.
+    """
+
+    rank: int
+    number: int
+    function: Callable[..., Any] = field(compare=False)
+    arguments: tuple[Any, ...] = field(compare=False)
+    future: Future[LoggedResult] = field(compare=False, default_factory=Future)
 
 
 class Workers:
@@ -161,65 +177,96 @@ class Workers:
 
     def __init__(self, size: int) -> None:
         self.size = size
-        self._threads = ThreadPoolExecutor(size)
-        self._of_thread = threading.local()
+        self._queue: PriorityQueue[_Task] = PriorityQueue()
+        self._number = 0
         self._starting = threading.Lock()
+        self._stop, self._stopper = multiprocessing.Pipe(duplex=False)
         self._living: set[_Worker] = set()
-        self._ended = False
         self._ended_by_signals = cleanup_on_signal(self._kill)
+        self._leaders = [threading.Thread(target=self._lead, daemon=True) for _ in range(size)]
 
     def __enter__(self) -> Workers:
         self._ended_by_signals.__enter__()
+        for leader in self._leaders:
+            leader.start()
         return self
 
     def __exit__(self, *reason: object) -> None:
         """End the workers at once; tasks without a result are cancelled."""
+        self._stopper.close()
+        for _ in self._leaders:
+            self.submit(-STOP_RANK, call)
+        for leader in self._leaders:
+            leader.join()
+        while not self._queue.empty():
+            self._queue.get().future.cancel()
         self._ended_by_signals.__exit__(None, None, None)
-        self._threads.shutdown(cancel_futures=True)
-        for worker in self._living:
-            worker.end()
+        self._stop.close()
 
     def _kill(self) -> None:
         """End all workers at once, without waiting for locks of the main thread."""
-        self._ended = True
-        free = self._starting.acquire(timeout=SHUTDOWN_S)  # a worker during its start would report a missing parent
+        with suppress(OSError):
+            self._stopper.close()
+        self._starting.acquire(timeout=SHUTDOWN_S)  # a worker during its start would report a missing parent
         for worker in self._living.copy():
             worker.kill()
-        if free:
-            self._starting.release()
 
     def submit(self, rank: int, function: Callable[..., Any], *arguments: Any) -> Future[LoggedResult]:
-        """Submit a function of a module for the next free worker.
+        """Submit a function of a module to a worker.
+
+        The task of the lowest rank is started first.
 
         Futures among the arguments must be done; the function receives their results.
         """
+        self._number += 1
         values = tuple(argument.result() if isinstance(argument, Future) else argument for argument in arguments)
-        return self._threads.submit(self._complete, function, values)
+        task = _Task(rank, self._number, function, values)
+        self._queue.put(task)
+        return task.future
 
-    def _complete(self, function: Callable[..., Any], arguments: tuple[Any, ...]) -> LoggedResult:
-        """Return the result of a task by the worker of this thread; one that ends its workers fails."""
+    def _lead(self) -> None:
+        """Send tasks to a worker, and to a new one if it dies."""
+        worker: _Worker | None = None
+        while (task := self._queue.get()).rank > -STOP_RANK:
+            try:
+                worker = self._complete(task, worker)
+            except Exception as error:  # raised where the result is awaited
+                worker = None
+                task.future.set_exception(error)
+        if worker is not None:
+            self._end(worker)
+
+    def _end(self, worker: _Worker) -> int | None:
+        """End a worker and return its exit status."""
+        status = worker.end()
+        self._living.discard(worker)
+        return status
+
+    def _complete(self, task: _Task, worker: _Worker | None) -> _Worker | None:
+        """Complete a task and return the worker that still runs.
+
+        A task that ends its workers fails.
+        """
         for _ in range(ATTEMPTS):
-            worker = self._of_thread.worker = getattr(self._of_thread, "worker", None) or self._start()
-            answer = worker.ask((function, arguments))
+            if self._stop.poll():
+                break
+            if worker is None:
+                with self._starting:
+                    worker = _Worker()
+                    self._living.add(worker)
+            answer = worker.ask((task.function, task.arguments), self._stop)
             if answer is not None:
-                return answer
-            self._of_thread.worker = None
-            if not self._ended:
-                time.sleep(SIGNAL_DELAY_S)  # a signal to all processes may reach a worker first
-            if self._ended:
-                raise CancelledError
-            self._living.discard(worker)
-            log.warning("a worker process ended with status %s; another one repeats its task", worker.end())
-        return LoggedResult(None, ComputeError(WORKER_ENDED, attempts=ATTEMPTS), ())
-
-    def _start(self) -> _Worker:
-        """Return a new worker."""
-        with self._starting:
-            if self._ended:
-                raise CancelledError
-            worker = _Worker()
-            self._living.add(worker)
-            return worker
+                task.future.set_result(answer)
+                return worker
+            if self._stop.poll(SIGNAL_DELAY_S):  # a signal to all processes may reach a worker first
+                break
+            status, worker = self._end(worker), None
+            log.warning("a worker process ended with status %s; another one repeats its task", status)
+        if self._stop.poll():
+            task.future.cancel()
+        else:
+            task.future.set_result(LoggedResult(None, ComputeError(WORKER_ENDED, attempts=ATTEMPTS), ()))
+        return worker
 
 
 class _Worker:
@@ -243,11 +290,11 @@ class _Worker:
                     os.environ[name] = value
         other.close()
 
-    def ask(self, task: tuple[Callable[..., Any], tuple[Any, ...]]) -> LoggedResult | None:
-        """Compute a task in the process; return None if it died."""
+    def ask(self, task: tuple[Callable[..., Any], tuple[Any, ...]], stop: Any) -> LoggedResult | None:
+        """Compute a task in the process; return None if it died or `stop` was closed."""
         try:
             self._connection.send(task)
-            if self._connection in wait([self._connection, self._process.sentinel]):
+            if self._connection in wait([self._connection, self._process.sentinel, stop]):
                 return cast(LoggedResult, pickle.loads(self._connection.recv_bytes()))
         except (EOFError, BrokenPipeError, ConnectionResetError):
             log.debug("the connection to a worker broke")
@@ -255,13 +302,18 @@ class _Worker:
 
     def kill(self) -> None:
         """End the process at once and wait for its end."""
-        self._process.kill()
-        self._process.join(SHUTDOWN_S)
+        with suppress(ValueError, OSError):  # that has been closed
+            self._process.kill()
+            self._process.join(SHUTDOWN_S)
 
     def end(self) -> int | None:
         """End the process and return its exit status; the caller removes its unfinished files."""
         self._connection.close()
-        self.kill()
+        self._process.terminate()
+        self._process.join(SHUTDOWN_S)
+        if self._process.is_alive():
+            self._process.kill()
+            self._process.join()
         status = self._process.exitcode
         self._process.close()
         return status
@@ -300,8 +352,9 @@ def _serve(connection: Connection) -> None:
             packed = pickle.dumps(answer)
         except Exception as error:  # one that cannot be pickled is reported as text
             what = error if answer.error is None else answer.error
-            text = RuntimeError(f"{type(what).__name__}: {what}")
-            packed = pickle.dumps(LoggedResult(None, text, answer.log_records))
+            packed = pickle.dumps(
+                LoggedResult(None, RuntimeError(f"{type(what).__name__}: {what}"), answer.log_records)
+            )
         with suppress(OSError):
             connection.send_bytes(packed)
 
