@@ -148,9 +148,9 @@ def _phasors(result: Acceleration | LoadResult, body: str, source: str, recordin
 
 
 def poses(stereo: StereoResult) -> Iterator[tuple[float, ...]]:
-    """Yield the motion of every frame relative to the first one: time, pose, its u, residual, number of points.
+    """Yield the motion of every frame relative to the first one.
 
-    A failed frame has `nan` and no points.
+    Time, pose, its u, rms residual and number of points, as in `MOTION`. A failed frame has `nan` and no points.
     """
     motion = stereo.motion
     u_pose = np.sqrt(motion.covariance.diagonal(axis1=1, axis2=2))
@@ -390,8 +390,9 @@ def save_points(folder: Path, stereo: StereoResult) -> list[str]:
 
 
 def _point_frames(stereo: StereoResult, finite: BoolArray) -> Iterator[tuple[int, dict[str, FloatArray]]]:
-    """Yield every frame with a motion and its vectors (N, 3) in sensor axes: displacement, deviation, each with u.
+    """Yield every frame with a motion, and its vectors (N, 3) in sensor axes.
 
+    Displacement and deviation from the rigid body, each with u:
     x' − x = R·(x − o) + o + t + R·e − x with the deviation e about each point's mean over time. The covariance is that
     of the rotated e, R·V·Rᵀ, plus J·P·Jᵀ of the pose, J = [I, −[R·(x − o)]×]. Common errors of all points, such as
     those of the calibration, are not included. Points without a reference position are excluded.
