@@ -307,8 +307,10 @@ def check_campaign_folder(top: Path, recordings: Sequence[str], *, force: bool) 
         raise InputError(OTHER_CAMPAIGN_CONTENT, top, found=min(other))
 
 
-SENSOR = ("name", "serial", "channels", "unit", "sense", "capacity")
-SENSOR += tuple(f"{name}{end}" for name in ("static_sensitivity", "cross_talk") for end in ("", "_uncertainty"))
+SENSOR = [
+    *("name", "serial", "channels", "unit", "sense", "capacity", "static_sensitivity"),
+    *("static_sensitivity_uncertainty", "cross_talk", "cross_talk_uncertainty"),
+]
 """Information on the tested sensor that a campaign needs."""
 
 
@@ -375,7 +377,8 @@ def save_points(folder: Path, stereo: StereoResult) -> list[str]:
         """Yield the table frame by frame, and write the file of each frame."""
         yield ",".join(POINT_COLUMNS) + "\n"
         for number, vectors in _point_frames(stereo, finite):
-            time_s, seen = float(stereo.time_s[number]), np.isfinite(vectors["deviation_m"]).all(axis=1)
+            time_s = float(stereo.time_s[number])
+            seen = np.asarray(np.isfinite(vectors["deviation_m"]).all(axis=1))
             names.append(f"{name}/{number:04d}.vtp")
             write_file(folder / names[-1], _vtp(positions, seen, vectors))
             steps.append(f'<DataSet timestep="{time_s!r}" file="{escape(names[-1])}"/>')
