@@ -148,9 +148,9 @@ def _phasors(result: Acceleration | LoadResult, body: str, source: str, recordin
 
 
 def poses(stereo: StereoResult) -> Iterator[tuple[float, ...]]:
-    """Yield the motion of every frame relative to the first one: time, pose, its u, residual, number of points.
+    """Yield the motion of every frame relative to the first one.
 
-    A failed frame has `nan` and no points.
+    Time, pose, its u, rms residual and number of points, as in `MOTION`. A failed frame has `nan` and no points.
     """
     motion = stereo.motion
     u_pose = np.sqrt(motion.covariance.diagonal(axis1=1, axis2=2))
@@ -307,8 +307,10 @@ def check_campaign_folder(top: Path, recordings: Sequence[str], *, force: bool) 
         raise InputError(OTHER_CAMPAIGN_CONTENT, top, found=min(other))
 
 
-SENSOR: tuple[str, ...] = ("name", "serial", "channels", "unit", "sense", "capacity")
-SENSOR += tuple(f"{name}{end}" for name in ("static_sensitivity", "cross_talk") for end in ("", "_uncertainty"))
+SENSOR = [
+    *("name", "serial", "channels", "unit", "sense", "capacity", "static_sensitivity"),
+    *("static_sensitivity_uncertainty", "cross_talk", "cross_talk_uncertainty"),
+]
 """Information on the tested sensor that a campaign needs."""
 
 
@@ -375,7 +377,8 @@ def save_points(folder: Path, stereo: StereoResult) -> list[str]:
         """Yield the table frame by frame, and write the file of each frame."""
         yield ",".join(POINT_COLUMNS) + "\n"
         for number, vectors in _point_frames(stereo, finite):
-            time_s, seen = float(stereo.time_s[number]), np.asarray(np.isfinite(vectors["deviation_m"]).all(axis=1))
+            time_s = float(stereo.time_s[number])
+            seen = np.asarray(np.isfinite(vectors["deviation_m"]).all(axis=1))
             names.append(f"{name}/{number:04d}.vtp")
             write_file(folder / names[-1], _vtp(positions, seen, vectors))
             steps.append(f'<DataSet timestep="{time_s!r}" file="{escape(names[-1])}"/>')
@@ -390,8 +393,9 @@ def save_points(folder: Path, stereo: StereoResult) -> list[str]:
 
 
 def _point_frames(stereo: StereoResult, finite: BoolArray) -> Iterator[tuple[int, dict[str, FloatArray]]]:
-    """Yield every frame with a motion and its vectors (N, 3) in sensor axes: displacement, deviation, each with u.
+    """Yield every frame with a motion, and its vectors (N, 3) in sensor axes.
 
+    Displacement and deviation from the rigid body, each with u:
     x' − x = R·(x − o) + o + t + R·e − x with the deviation e about each point's mean over time. The covariance is that
     of the rotated e, R·V·Rᵀ, plus J·P·Jᵀ of the pose, J = [I, −[R·(x − o)]×]. Common errors of all points, such as
     those of the calibration, are not included. Points without a reference position are excluded.

@@ -7,6 +7,7 @@ from dataclasses import replace
 from pathlib import Path
 from xml.etree import ElementTree
 
+import cv2
 import matplotlib as mpl
 import numpy as np
 import pytest
@@ -15,7 +16,7 @@ from matplotlib.textpath import TextPath
 from matplotlib.ticker import MaxNLocator
 
 from fusion.report.figure import BLUE, GREEN, ORANGE, RED, Scale, empty_figure
-from fusion.report.figure_files import render_figure
+from fusion.report.figure_files import PNG_DPI, render_figure
 from fusion.report.static_figure import decade_ticks, limits, number_texts, round_ticks, static_svg
 from fusion.report.svg_marks import shade
 
@@ -152,6 +153,20 @@ def test_no_text_is_cut_off_and_numbers_do_not_overlap():
 def test_equal_figures_give_equal_text_and_the_file_is_that_text():
     assert static_svg(crowd()) == static_svg(crowd()) == render_figure(crowd()).decode()
     assert render_figure(crowd(), "png").startswith(b"\x89PNG")
+
+
+def test_a_png_has_the_marks_where_the_svg_has_them():
+    drawn, panel = one_panel()
+    panel.x.limits, panel.y.limits = (0.0, 10.0), (0.0, 10.0)
+    panel.points(5.0, 2.5, colour=RED, size=8.0)
+    panel.boxes((7.0, 8.0), (6.0, 9.0), colour=BLUE)
+    left, top, right, bottom = window(read(drawn))
+    shown = cv2.imdecode(np.frombuffer(render_figure(drawn, "png"), np.uint8), cv2.IMREAD_COLOR)[..., ::-1]
+    for colour, x, y in ((RED, 5.0, 2.5), (BLUE, 7.5, 7.5)):
+        parts = [int(colour[k : k + 2], 16) for k in (1, 3, 5)]
+        row, column = np.argwhere(np.abs(shown.astype(int) - parts).sum(axis=2) < 30).mean(axis=0)
+        expected = left + 0.1 * x * (right - left), bottom - 0.1 * y * (bottom - top)
+        np.testing.assert_allclose(np.array([column, row]) * 72.0 / PNG_DPI, expected, atol=0.5)
 
 
 @pytest.mark.parametrize("stated", [False, True])
