@@ -155,7 +155,10 @@ SIGNAL_DELAY_S = 0.5
 
 
 class Workers:
-    """Processes that are each served by a thread of this one. All end at the end of `with`."""
+    """Processes that are each served by a thread of this one.
+
+    All end at the end of `with`.
+    """
 
     patience_s = 0.0  # a worker that died does not compute any more
 
@@ -197,7 +200,7 @@ class Workers:
         return self._threads.submit(self._complete, function, values)
 
     def _complete(self, function: Callable[..., Any], arguments: tuple[Any, ...]) -> LoggedResult:
-        """Return the result of a task by the worker of this thread; one that ends its workers fails."""
+        """Return the result of a task; one that ends its workers fails."""
         for _ in range(ATTEMPTS):
             worker = self._of_thread.worker = getattr(self._of_thread, "worker", None) or self._start()
             answer = worker.ask((function, arguments))
@@ -360,7 +363,10 @@ class Cluster:
         return ClusterTask(self, rank, (function, *arguments))
 
     def client(self) -> Client:
-        """Return the connection to the scheduler, renewed if it was lost. Raise `ComputeError` if none answers."""
+        """Return the connection to the scheduler, renewed if it was lost.
+
+        Raise `ComputeError` if none answers.
+        """
         from distributed import Client
 
         with self._reconnecting:
