@@ -74,6 +74,52 @@ RIGS = {
 pair on either. `axial`: without what sees transverse motion of the load. `head`: the same, its laser points stated as
 beams of one head, which shifts and turns. `images`: two small rendered pairs. `clocks`: `full`, its camera
 rate drawn within 1/300, its trigger's jitter from 1 ns to 20 us, as the estimate takes both for possible."""
+LASERS, CAMERAS = ("velocity", "laser", "vibrometer", "beam"), ("stereo", "camera", "points")
+EXPECTED: dict[str, tuple[str, ...]] = {
+    "head-tilt": (*LASERS, "head"),
+    "scanner-fan": (*LASERS, "head", "mirror"),
+    "camera-shake": (*CAMERAS, "shake", "floor"),
+    "laser-shake": (*LASERS, "head", "floor"),
+    "floor-shake": ("floor", "share", "optical", *LASERS, *CAMERAS),
+    "elastic-axial": ("elastic", "rigid", "natural frequency", "joint"),
+    "elastic-bending": ("elastic", "rigid", "natural frequency", "joint", "bending"),
+    "cable": ("cable", "parallel", "stiffness"),
+    "transverse-motion": ("transverse", "unobserved", "not observed", "other load"),
+    "warm-sensor": ("temperature",),
+    "converter-nonlinearity": ("linear", "harmonic of", "converter"),
+    "folded-harmonic": ("alias", "fold", "beside the line", "drift", "stationar"),
+    "trigger-jitter": ("trigger", "edge", "jitter", *CAMERAS),
+    "locked-clocks": ("same places", "simple multiple"),
+    "lens-drift": (*CAMERAS, "epipolar", "drift", "top"),
+    "frames-lost": ("frame", "edge", *CAMERAS, "top"),
+    "lamp-flicker": ("light", "bright", "lamp", "flicker", *CAMERAS),
+    "foil-repeats": ("repeat", "period", "speckle", "match", *CAMERAS),
+    "bit-depth": ("bit", "bright", "dark", "grey"),
+    "mass": ("mass",),
+    "inertia": ("inertia",),
+    "point": ("velocity_1", *LASERS),
+    "direction": ("velocity_1", *LASERS),
+    "laser-reversed": ("velocity_1", "velocity_2", *LASERS),
+    "output-reversed": ("sign", "revers", "static sensitivity", "Fz"),
+    "lasers-exchanged": ("velocity_1", "velocity_2", *LASERS),
+    "outputs-exchanged": ("exchang", "static sensitivity", "output", "swap"),
+    "unit-mistaken": ("acceleration", "accelerometer", "unit"),
+}
+"""Words of notices with the right cause of a violation, or with its group."""
+NAMED_BY: dict[str, tuple[str, ...]] = {
+    "scanner-fan": ("SC-191",),
+    "camera-shake": ("SC-471",),
+    "laser-shake": ("SC-471",),
+    "floor-shake": ("SC-471",),
+    "elastic-axial": ("rigid",),
+    "elastic-bending": ("rigid",),
+    "cable": ("SC-469",),
+    "transverse-motion": ("SC-485", "SC-486"),
+    "warm-sensor": ("SC-468",),
+    "point": ("SC-467",),
+    "direction": ("SC-467",),
+}
+"""Codes of notices that always name the violated assumption."""
 CASES: tuple[tuple[str, tuple[str, ...]], ...] = (
     *((rig, ()) for rig in RIGS),
     ("full", ("transverse-motion",)),
@@ -291,13 +337,13 @@ def _largest_median(shifts: Sequence[FloatArray]) -> float:
 
 def judge(rig: str, names: tuple[str, ...], found: Sequence[Draw], plain: Mapping[int, Draw]) -> Row:
     """Return what all draws of a case say together; `plain`: the same seeds without violations."""
-    expects = {word.lower() for name in names for word in CATALOGUE[name].expects}
+    expects = {word.lower() for name in names for word in EXPECTED[name]}
     noticed, told, suspects = 0, 0, Counter[str]()
     for seed, one in enumerate(found, 1):
         usual = {opening(text) for text in plain[seed].notices}
         new = [text for text in (*one.notices, one.refusal) if text and opening(text) not in usual]
         named = {word for word in expects for text in new if word in text.lower()}
-        standing = {word for name in names for word in CATALOGUE[name].assumption}
+        standing = {word for name in names for word in NAMED_BY.get(name, ())}
         noticed += bool(named)
         told += any(word in text for word in standing for text in one.notices)
         suspects.update(named)

@@ -159,7 +159,10 @@ class CommonView(ManifestBlock):
 
 
 class OtherPair(ManifestBlock):
-    """The other stereo pair of common views. Without its pose the result is relative to its left camera."""
+    """The other stereo pair of common views.
+
+    Without its pose the result is relative to its left camera.
+    """
 
     stereo: Text
     calibration: ExistingFile

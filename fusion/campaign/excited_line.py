@@ -109,7 +109,10 @@ class Knowledge:
 
     @classmethod
     def of(cls, influences: Sequence[Influence], both: Sequence[str], *numbers: FloatArray) -> Knowledge:
-        """Return the estimate for unknowns of the motion. `both`: those that also act on the load directly."""
+        """Return the estimate for unknowns of the motion.
+
+        `both`: those that also act on the load directly.
+        """
         about = tuple(
             intern_unknown(i.name, i.label, i.u, i.unit, i.scope, i.type, i.dof, i.distribution) for i in influences
         )
@@ -227,7 +230,10 @@ class ExcitedLine:
 
 
 def excited_lines_of(evaluation: Evaluation) -> tuple[ExcitedLine, ...]:
-    """Return the driven lines of a recording. None without a load, an output or a stated direction."""
+    """Return the driven lines of a recording.
+
+    None without a load, an output or a stated direction.
+    """
     manifest, load, outputs = evaluation.manifest, evaluation.load, evaluation.outputs
     if load is None or outputs is None or manifest.excitation.direction is None:
         return ()

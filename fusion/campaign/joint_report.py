@@ -158,7 +158,10 @@ JOINT_FIELDS = ("curves", "repeats", "linearity", "matrices", "cross_talks", "un
 
 
 def campaign_h5(evaluation: CampaignEvaluation, files: Sequence[str]) -> bytes:
-    """Return the content of campaign.h5; `files` are the names of all joint files. Equal input gives equal bytes."""
+    """Return the content of campaign.h5; `files` are the names of all joint files.
+
+    Equal input gives equal bytes.
+    """
 
     def fill(file: Group) -> None:
         file.attrs["format"] = RESULT_FORMAT
@@ -357,7 +360,10 @@ def unknowns_table(evaluation: CampaignEvaluation) -> Table | None:
 
 
 def _crosstalk_table(found: CrossTalk) -> Table:
-    """Return the cross-talk at one frequency in per cent. An upper bound if a region includes zero."""
+    """Return the cross-talk at one frequency in per cent.
+
+    An upper bound if a region includes zero.
+    """
     rows = []
     for c, channel in enumerate(found.channels):
         cells: list[str] = [f"output {channel}"]
@@ -380,7 +386,10 @@ def _crosstalk_table(found: CrossTalk) -> Table:
 
 
 def render_campaign(evaluation: CampaignEvaluation) -> str:
-    """Return the HTML text of the page. Style and figures are included, no other file is loaded."""
+    """Return the HTML text of the page.
+
+    Style and figures are included, no other file is loaded.
+    """
     mains = main_points(evaluation, curve_points(evaluation))
     ratios = [curve for curve in evaluation.curves if curve.kind == "ratio" and len(curve.channels) > 1]
     stated = None if evaluation.sensor is None else evaluation.sensor.stated_matrix
@@ -444,7 +453,9 @@ def _subject(evaluation: CampaignEvaluation) -> list[tuple[str, str]]:
 def write_campaign(
     top: Path, name: str, folders: Sequence[Path], failed: Mapping[str, str]
 ) -> tuple[CampaignEvaluation, list[Path]]:
-    """Write the joint files of a campaign into the folder `top`; return its evaluation and their paths.
+    """Write the joint files of a campaign into the folder `top`.
+
+    Return its evaluation and their paths.
 
     `folders`: results folders of the evaluated recordings in the order of the tables. All data are read from them, so
     that equal results give equal files. `failed`: reasons by folder of the others. The files appear together, or none

@@ -1,4 +1,4 @@
-"""Lines of recordings at one frequency: a stack of loads, outputs and unknowns, and the order of their elimination."""
+"""Lines at one frequency: loads, outputs and unknowns, and the order of their elimination."""
 
 from __future__ import annotations
 

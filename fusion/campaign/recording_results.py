@@ -178,7 +178,10 @@ def _knowledge(file: h5py.File) -> Callable[[], Knowledge] | None:
 
 
 def _grids(file: h5py.File) -> tuple[EdgeGrid, ...]:
-    """Return the positions of trigger edges of every block with a trigger. None if one block has no position."""
+    """Return the positions of trigger edges of every block with a trigger.
+
+    None if one block has no position.
+    """
     clocks = [clock for clock in file.get("clocks", {}).values() if "trigger" in clock]
     found = [clock["grid"].attrs for clock in clocks if "grid" in clock]
     if len(found) < len(clocks):

@@ -164,7 +164,10 @@ def group_excitations(
 
 
 def _same(first: ExcitedLine, other: ExcitedLine, component: int, *, separate_amplitudes: bool) -> bool:
-    """Return whether two lines are one excitation. Phases and signs of the load do not count."""
+    """Return whether two lines are one excitation.
+
+    Phases and signs of the load do not count.
+    """
     if abs(np.log(other.frequency_hz / first.frequency_hz)) > SAME_FREQUENCY:
         return False
     if len(first.direction) != len(other.direction):

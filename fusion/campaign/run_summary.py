@@ -141,7 +141,10 @@ def _cells_of(row: Row) -> dict[str, str]:
 
 
 def _values(element: Polar) -> tuple[str, str, str]:
-    """Return magnitude and phase with U, and k. Value and U have the same power of ten."""
+    """Return magnitude and phase with U, and k.
+
+    Value and U have the same power of ten.
+    """
 
     def with_u(value: float, expanded: float) -> str:
         text = round_to_uncertainty(value, expanded)
@@ -217,7 +220,10 @@ def _parted(outcomes: Sequence[Outcome]) -> tuple[list[Outcome], list[Outcome]]:
 
 
 def _table_file(done: Sequence[Outcome], *, campaign: bool) -> Path:
-    """Return the table of a recording, or of a campaign's curve. For a campaign of one recording its table."""
+    """Return the table of a recording, or of a campaign's curve.
+
+    For a campaign of one recording its table.
+    """
     top = done[0].folder.parent if campaign else done[0].folder
     return top / (CURVE_FILE if campaign and len(done) > 1 else SENSITIVITY_FILE)
 

@@ -203,7 +203,10 @@ def read_for_command(manifest: Manifest, already: FileCache) -> tuple[list[str],
 
 
 def _read_as(command: str, manifest: Manifest, already: FileCache) -> list[Notice]:
-    """Return the notices of a command while it reads the files. Its modules are imported only for that command."""
+    """Return the notices of a command while it reads the files.
+
+    Its modules are imported only for that command.
+    """
     notices = list[Notice]()
     if command == "run":
         from fusion.phasors.set_up import prepare_set_ups, with_channels

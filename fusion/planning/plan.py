@@ -129,7 +129,10 @@ class SharedRate:
 
 @dataclass(frozen=True)
 class Plan:
-    """Result of a request: its points, and the smallest set of common rates. `shared` is empty if a rate was given."""
+    """Result of a request: its points, and the smallest set of common rates.
+
+    `shared` is empty if a rate was given.
+    """
 
     request: Request
     points: tuple[PlanPoint, ...]
@@ -201,7 +204,10 @@ def _check_size(request: Request) -> None:
 
 
 def _explained(lines: PlannedLines, rate_hz: float, rates: FloatArray, sampling: Sampling) -> PlanPoint:
-    """Return the given rate for a point, with the nearest good rate. It is None if the given rate is good."""
+    """Return the given rate for a point, with the nearest good rate.
+
+    It is None if the given rate is good.
+    """
     scan = scan_rates(lines, np.sort(np.append(rates, rate_hz)), sampling)
     good = scan.rate_hz[scan.good]
     nearby = None
@@ -237,7 +243,10 @@ def _check(request: Request, points: Sequence[PlannedLines]) -> None:
 
 
 class _Line(NamedTuple):
-    """One line at one rate. `point`: number or excitation; `relative`: u over the amplitude, None if unknown."""
+    """One line at one rate.
+
+    `point`: number or excitation; `relative`: u over the amplitude, None if unknown.
+    """
 
     point: str
     choice: str
@@ -270,7 +279,10 @@ def _lines_at(size: MotionSize, plan: RatePlan, point: str = "", choice: str = "
 
 
 def plan_csv(plan: Plan) -> str:
-    """Return the plan as a table with a row per point, choice and line. SI units, one header line."""
+    """Return the plan as a table with a row per point, choice and line.
+
+    SI units, one header line.
+    """
     size, rows = plan.request.size, list[_Line]()
     for number, point in enumerate(plan.points, start=1):
         for choice, at_rate in enumerate(point.choices, start=1):
@@ -283,7 +295,10 @@ def plan_csv(plan: Plan) -> str:
 
 
 def _line_columns(size: MotionSize) -> list[TableColumn[_Line]]:
-    """Return the columns of lines at a rate. A file has those with a name, the terminal those with a head."""
+    """Return the columns of lines at a rate.
+
+    A file has those with a name, the terminal those with a head.
+    """
     noise_m, unit = (1.0, PER_NOISE) if size.noise_m is None else (size.noise_m, "m")
     noise, shown_unit = _shown_noise(size)
 

@@ -73,7 +73,10 @@ def _draw_point(panel: Panel, plan: Plan, index: int, rates: FloatArray) -> None
 
 
 def draw_lines(lists: Sequence[ChannelLines], kind: str) -> bytes:
-    """Draw spectrum, noise floor and lines of every channel. `kind` is the file format: png, svg or pdf."""
+    """Draw spectrum, noise floor and lines of every channel.
+
+    `kind` is the file format: png, svg or pdf.
+    """
     panels = [(item, c) for item in lists for c in range(len(item.channels))]
     drawn = empty_figure("lines", 0.7 + 2.3 * len(panels), len(panels), shared_x=False)
     for panel, (item, c) in zip(drawn.panels, panels, strict=True):

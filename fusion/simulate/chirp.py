@@ -82,7 +82,10 @@ class Oscillator:
     chirp: Chirp
 
     def transmissibility(self, frequency_hz: FloatArray) -> ComplexArray:
-        """Return the acceleration of the mass over that of the base. (1 + 2ζp)/(1 + 2ζp + p²), p = jω/ω₀."""
+        """Return the acceleration of the mass over that of the base.
+
+        (1 + 2ζp)/(1 + 2ζp + p²), p = jω/ω₀.
+        """
         p = 1j * frequency_hz / self.frequency_hz
         spring = 1.0 + 2.0 * self.damping_ratio * p
         return np.asarray(spring / (spring + p * p))
@@ -305,7 +308,10 @@ def suspension_rig(suspension: SimulatedSuspension, load: PartSpec, draws: Draws
 
 
 def write_pitching(folder: Path, seed: int, suspension: SimulatedSuspension | None = None) -> None:
-    """Write both rigs, a chirp recording along x of each load, and the truth. All uncertainties are sampled once."""
+    """Write both rigs, a chirp recording along x of each load, and the truth.
+
+    All uncertainties are sampled once.
+    """
     suspension = suspension or read_preset(SimulatedSuspension, "pitching")
     draws = Draws(seed, True)
     write_chirps(folder, suspension, draws)

@@ -48,7 +48,7 @@ def read_preset(kind: type[_T], name: str, **changes: Any) -> _T:
 
 @cache
 def _read(source: str) -> dict[str, Any]:
-    """Return a file of presets, or a table of it (`FILE.TABLE`), with inherited keys; nobody changes it."""
+    """Return a file of presets, or a table of it (`FILE.TABLE`), with inherited keys."""
     name, *keys = source.split(".")
     table = tomllib.loads((_FOLDER / f"{name}.toml").read_text(encoding="utf-8"))
     for key in keys:

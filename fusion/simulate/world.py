@@ -154,9 +154,9 @@ def harmonic(time_s: FloatArray, frequency_hz: FloatArray, phasors: ComplexArray
 
 
 def wrench(motion: SimulatedMotion, parts: Sequence[TruePart], gravity: FloatArray) -> ComplexArray:
-    """Return force and moment phasors (K, 6) at the origin, in body axes, that accelerate parts.
+    """Return force and moment phasors (K, 6) at the origin that accelerate parts.
 
-    The last term of F is gravity in tilted axes: Rᵀ·(−m·g) = −m·g + m·θ × g to first order.
+    In body axes. The last term of F is gravity in tilted axes: Rᵀ·(−m·g) = −m·g + m·θ × g to first order.
     """
     a, alpha = motion.acceleration[:, :3], motion.acceleration[:, 3:]
     tilt = np.cross(motion.displacement[:, 3:], gravity)
@@ -191,7 +191,10 @@ def sensitivity(frequency_hz: FloatArray, static: FloatArray, damping_s: FloatAr
 
 
 def velocity_at(motion: SimulatedMotion, point: FloatArray, direction: FloatArray) -> ComplexArray:
-    """Return velocity phasors (K,) of a point along a fixed direction. d·(v + ω × r)."""
+    """Return velocity phasors (K,) of a point along a fixed direction.
+
+    d·(v + ω × r).
+    """
     velocity = motion.acceleration / (1j * motion.omega[:, None])
     return np.asarray((velocity[:, :3] + np.cross(velocity[:, 3:], point)) @ direction)
 
@@ -199,7 +202,10 @@ def velocity_at(motion: SimulatedMotion, point: FloatArray, direction: FloatArra
 def acceleration_at(
     motion: SimulatedMotion, point: FloatArray, direction: FloatArray, gravity: FloatArray
 ) -> ComplexArray:
-    """Return phasors (K,) of a tilting accelerometer. d·(a + α × r) − (θ × d)·g."""
+    """Return phasors (K,) of a tilting accelerometer.
+
+    d·(a + α × r) − (θ × d)·g.
+    """
     a, alpha = motion.acceleration[:, :3], motion.acceleration[:, 3:]
     tilted = np.cross(motion.displacement[:, 3:], direction)
     return np.asarray((a + np.cross(alpha, point)) @ direction - tilted @ gravity)

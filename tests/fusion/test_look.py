@@ -23,7 +23,7 @@ from fusion.phasors.phasor_notices import NO_INSTRUMENT
 from fusion.planning.look.data_checks import _sigma_px
 from fusion.planning.look.finding import refusal_findings
 from fusion.planning.look.look import look_page
-from fusion.planning.planning_notices import (
+from fusion.planning.look.look_notices import (
     AIM_MISSED,
     ALIASED_LINES,
     CALIBRATION_CONTRADICTED,

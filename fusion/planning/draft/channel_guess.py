@@ -35,7 +35,10 @@ def key_line(key: str, value: Any, why: str = "") -> str:
 
 
 def question_line(key: str, why: str) -> str:
-    """Return the line of a key for the laboratory to fill in. `why`: the expected value."""
+    """Return the line of a key for the laboratory to fill in.
+
+    `why`: the expected value.
+    """
     return key_line(key, UNFILLED, why)
 
 
@@ -49,7 +52,10 @@ def optional_line(key: str, value: Any, why: str) -> str:
 
 @dataclass(frozen=True)
 class ChannelGuess:
-    """Guessed quantity and scale of a file's channel. `scale`: None if unknown; `name`: that in the recording."""
+    """Guessed quantity and scale of a file's channel.
+
+    `scale`: None if unknown; `name`: that in the recording.
+    """
 
     found: FoundChannel
     quantity: str

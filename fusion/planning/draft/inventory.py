@@ -76,7 +76,10 @@ class FoundChannel:
 
 @dataclass(frozen=True)
 class FoundDaq:
-    """A file of a recorder with its channels, or its problem. `raw`: the samples by the name of the channel."""
+    """A file of a recorder with its channels, or its problem.
+
+    `raw`: the samples by the name of the channel.
+    """
 
     path: Path
     channels: tuple[FoundChannel, ...]

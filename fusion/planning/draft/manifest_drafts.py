@@ -246,7 +246,10 @@ def recording_text(surveyed: SurveyedRecording, rig: str, pair_names: Sequence[s
 
 
 def driven_lines(found: Sequence[RecorderFile]) -> tuple[list[float], str]:
-    """Return the driven lines in Hz, and their source. They are from the first file with a line."""
+    """Return the driven lines in Hz, and their source.
+
+    They are from the first file with a line.
+    """
     for recorder in found:
         usable = [
             i for i in recorder.channels if i.quantity != "trigger" and not has_word(TRIGGER_WORDS, i.found.title)
@@ -290,7 +293,10 @@ def _nominal(frequency_hz: float, u_hz: float) -> float:
 
 
 def driven_axis(name: str) -> list[float] | None:
-    """Return the direction in a folder's name, such as Fz-0080. It has 3 numbers, or 6 of a moment."""
+    """Return the direction in a folder's name, such as Fz-0080.
+
+    It has 3 numbers, or 6 of a moment.
+    """
     axis = re.search(r"(?<![A-Za-z])([FM][xyz])(?![A-Za-z])", name)
     six = [float(axis is not None and axis[1] == component) for component in LOAD_COMPONENTS]
     return None if axis is None else six[:3] if axis[1][0] == "F" else six
@@ -420,7 +426,10 @@ def _frames(inventory: Inventory, found: Sequence[RecorderFile], pair_names: Seq
 
 
 def _tied(frames: int, edges: dict[str, int]) -> Iterator[str]:
-    """Yield the trigger of frames by the number of its edges. `frames` is 0 if unknown."""
+    """Yield the trigger of frames by the number of its edges.
+
+    `frames` is 0 if unknown.
+    """
     able = {name: count for name, count in edges.items() if count >= frames}
     if not able:
         reason = f"none has {frames} edges" if edges else "none was found"

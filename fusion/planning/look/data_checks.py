@@ -1,4 +1,4 @@
-"""Checks of channels and of a few images: clipping, drift, mains, triggers, aliases, exposure, focus, calibration."""
+"""Checks of channels, triggers and a few images, alone and against the manifest."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from fusion.phasors.channel_phasors import describe_folds, folding
 from fusion.planning.look.finding import Finding, Verdict
-from fusion.planning.planning_notices import (
+from fusion.planning.look.look_notices import (
     ALIASED_HARMONIC,
     ALIASED_LINES,
     CALIBRATION_CONTRADICTED,

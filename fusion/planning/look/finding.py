@@ -8,7 +8,7 @@ from typing import Literal
 
 from fusion.errors import ComputeError, InputError
 from fusion.phasors.phasor_notices import NO_INSTRUMENT
-from fusion.planning.planning_notices import FILE_PROBLEM
+from fusion.planning.look.look_notices import FILE_PROBLEM
 from fusion.recording.recording_notices import RESPONSE_RANGE_TOO_SMALL
 from fusion.sensitivity.sensitivity_notices import POSITION_UNSTATED
 from shakercal._common.notices import Notice

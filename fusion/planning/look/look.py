@@ -36,8 +36,7 @@ from fusion.planning.look.finding import (
     refusal_findings,
     worst_verdict,
 )
-from fusion.planning.look.trial_evaluation import notice_findings, trial_findings
-from fusion.planning.planning_notices import (
+from fusion.planning.look.look_notices import (
     AIM_MISSED,
     CAMERAS_DIFFER_IN_FRAMES,
     FIRST_EDGE_UNSTATED,
@@ -45,6 +44,7 @@ from fusion.planning.planning_notices import (
     LOOK_MISSING_EDGES,
     REMARK,
 )
+from fusion.planning.look.trial_evaluation import notice_findings, trial_findings
 from fusion.recording.daq_records import DaqRecord, FileCache
 from fusion.recording.excitation import KINDS
 from fusion.recording.load import Manifest, find_recordings, load_manifest
@@ -230,7 +230,10 @@ def _look_at(
 def _look_at_images(
     block: Manifest, images: Images, already: FileCache
 ) -> tuple[list[Finding], PairPrecision | None, int]:
-    """Return findings and precision of a pair and its number of frames. A single camera has no precision."""
+    """Return findings and precision of a pair and its number of frames.
+
+    A single camera has no precision.
+    """
     where, pair = images.stereo, block.rig.stereo[images.stereo]
     try:
         sequences = [already.images[paths, images.bit_depth] for _, paths in images.cameras]
@@ -348,7 +351,10 @@ def print_look(found: Look) -> None:
 
 
 def look_page(found: list[Look], reload_s: float | None) -> str:
-    """Return a page whose colour can be read from two metres. `reload_s`: interval of its reloading; None without."""
+    """Return a page whose colour can be read from two metres.
+
+    `reload_s`: interval of its reloading; None without.
+    """
     from fusion.report.folder import render_page
 
     verdict = worst_verdict([finding for one in found for finding in one.findings])

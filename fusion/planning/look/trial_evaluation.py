@@ -20,7 +20,7 @@ from fusion.phasors.set_up import MeasuredSetUp, PreparedSetUp, measure_set_ups
 from fusion.phasors.set_up_merging import join_set_ups
 from fusion.phasors.stereo_motion import PreparedImages
 from fusion.planning.look.finding import Finding, refusal_findings
-from fusion.planning.planning_notices import (
+from fusion.planning.look.look_notices import (
     CONTRADICTORY_READINGS,
     EXPLAINED_CONTRADICTION,
     INDISTINCT_SENSITIVITY,

@@ -267,7 +267,10 @@ class QuantityComparison:
 
 @dataclass(frozen=True)
 class CaseResult:
-    """One case: description, source of the reference, and quantities. `failure`: the reason if there are none."""
+    """One case: description, source of the reference, and quantities.
+
+    `failure`: the reason if there are none.
+    """
 
     name: str
     what: str
@@ -314,7 +317,10 @@ class Validation:
 
 
 def validate(references: Mapping[str, Any] | None = None) -> Validation:
-    """Compute every frozen case and compare it with its reference. References are by default those of the package."""
+    """Compute every frozen case and compare it with its reference.
+
+    References are by default those of the package.
+    """
     stated = json.loads(REFERENCES.read_text(encoding="utf-8")) if references is None else references
     date = time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime())
     cases = tuple(_validated(name, stated[name]) for name in CASES)

@@ -1,4 +1,4 @@
-"""`shakercal view`: a server only for this machine, at an address with a secret token, and its answers."""
+"""Server of `shakercal view`: only for this machine, at an address with a secret token."""
 
 from __future__ import annotations
 
@@ -54,7 +54,10 @@ def page_files() -> dict[str, Path]:
 
 
 class Server(ThreadingHTTPServer):
-    """A server on the loopback address. `address` is that of its page, with a token that every request repeats."""
+    """A server on the loopback address.
+
+    `address` is that of its page, with a token that every request repeats.
+    """
 
     daemon_threads = True
 
@@ -203,7 +206,10 @@ def overview(source: ViewSource) -> Mapping[str, str]:
 
 
 def phasors(viewed: ViewedRecording, line: int) -> ApiResponse:
-    """Return a panel for each component with all values at a line. Values have 95 % regions."""
+    """Return a panel for each component with all values at a line.
+
+    Values have 95 % regions.
+    """
     panels: dict[tuple[str, str], list[dict[str, Any]]] = {}
     for name, found in viewed.accelerations.items():
         row = polar_elements(found.value, found.uncertainty)[line]
@@ -237,7 +243,10 @@ def lines(viewed: ViewedRecording) -> ApiResponse:
 
 
 def spectrum(viewed: ViewedRecording, number: int) -> bytes:
-    """Return the amplitude spectrum of a channel in its unit. Peaks of neighbouring bins are retained."""
+    """Return the amplitude spectrum of a channel in its unit.
+
+    Peaks of neighbouring bins are retained.
+    """
     raw = viewed.raw(number)
     found = amplitude_spectrum(raw.samples, raw.sample_rate_hz, MOST_BINS)
     text = (

@@ -181,7 +181,10 @@ class ViewedPair:
 
 
 def _shades(images: ImageSequence) -> np.typing.NDArray[np.uint8]:
-    """Return the shade (G,) of every possible grey value. Shades are stretched to the range of the first image."""
+    """Return the shade (G,) of every possible grey value.
+
+    Shades are stretched to the range of the first image.
+    """
     low, high = np.quantile(images.read(0), (DARKEST, BRIGHTEST))
     grey = np.arange(1 << (8 if images.full_scale < 256 else 16))
     return np.asarray(np.clip((grey - low) * (255.0 / max(high - low, 1.0)), 0, 255), dtype=np.uint8)
@@ -225,7 +228,10 @@ class ViewedRecording:
         self._lock = RLock()
 
     def raw(self, number: int) -> RawChannel:
-        """Return the samples of a channel as in its file. Other channels that are read in one step are cached."""
+        """Return the samples of a channel as in its file.
+
+        Other channels that are read in one step are cached.
+        """
         channel = self.channels[number]
         daq, name = channel.daq, channel.entry.name
         with self._lock:
@@ -355,7 +361,10 @@ class SubsetResults:
 
     @cached_property
     def deformation_m(self) -> FloatArray:
-        """Deformation (F, N, 3), of every frame if the points were saved. Otherwise it is the part at the lines."""
+        """Deformation (F, N, 3), of every frame if the points were saved.
+
+        Otherwise it is the part at the lines.
+        """
         if self.table.is_file():
             found = np.full((len(self.time_s), len(self.reference_m), 3), np.nan)
             finite = np.flatnonzero(np.isfinite(self.reference_m).all(axis=1))
@@ -431,7 +440,10 @@ class SubsetViews:
         return {**sides, "residual": rest, "radius": results.radius_px, "told": ""}
 
     def _seen(self, number: int, points_m: FloatArray) -> list[FloatArray]:
-        """Return the pixels (N, 2) of points (N, 3) in each camera. Points are in the sensor frame."""
+        """Return the pixels (N, 2) of points (N, 3) in each camera.
+
+        Points are in the sensor frame.
+        """
         pair = self.recording.pairs[number]
         left = sensor_from_camera(pair.manifest.rig.stereo[pair.entry.stereo]).inverse().apply(points_m)
         return [camera.project(from_left.apply(left)) for camera, from_left in pair.rig.camera_poses]
