@@ -80,6 +80,8 @@ def _dispatcher(function: Callable[..., Any], options: dict[str, Any]) -> Any:
     class SourcesLocator(caching._CacheLocator):  # type: ignore[misc]
         """The folder of a package's sources, whose hash is its name."""
 
+        _py_file = function.__code__.co_filename  # named by numba's warnings
+
         def get_cache_path(self) -> str:
             return path
 
