@@ -137,11 +137,11 @@ def noise_gain(fraction_px: FloatArray, degree: int = 5) -> FloatArray:
 
 
 def mean_noise_gain(xp: Any, centre_px: Any, warp: Any, offset_px: Any, table: Any) -> Any:
-    """Return the mean variance (..., N) of interpolated white noise of variance 1 over offsets (P, 2).
+    """Return the mean variance (..., N) of interpolated white noise of variance 1.
 
-    The points about centre_px (N, 2) are moved by the affine warps (..., N, 6) [u, u_x, u_y, v, v_x, v_y]. NaN for a
-    warp that is not finite. The variance is linear in `table`, the `noise_gain_table` of the degree. Arrays of numpy
-    or tensors of torch: `xp`.
+    It is the mean over offsets (P, 2). The points about centre_px (N, 2) are moved by the affine warps (..., N, 6) [u,
+    u_x, u_y, v, v_x, v_y]. NaN for a warp that is not finite. The variance is linear in `table`, the `noise_gain_table`
+    of the degree. Arrays of numpy or tensors of torch: `xp`.
     """
     deformation = xp.eye(2, dtype=warp.dtype, device=warp.device) + warp.reshape(*warp.shape[:-1], 2, 3)[..., 1:]
     position = offset_px @ deformation.mT + (centre_px + warp[..., ::3])[..., None, :]

@@ -1,7 +1,7 @@
-"""Generated code of the inner loops: vectors of floats or doubles as long as a register, with fixed arithmetic.
+"""Generated code of the inner loops: vectors as long as a register, with fixed arithmetic.
 
-A product in a sum is fused with it, and lanes are added in pairs. With them: sums over the pixels of subsets and cells,
-and the recursion and the values of B-splines.
+Of floats or doubles. A product in a sum is fused with it, and lanes are added in pairs. With them: sums over the pixels
+of subsets and cells, and the recursion and the values of B-splines.
 """
 
 from __future__ import annotations
@@ -339,7 +339,7 @@ def basis_polynomials(degree: int) -> FloatArray:
 
 
 def weights(t: Lanes, degree: int) -> tuple[Lanes, ...]:
-    """Return the B-splines (degree + 1) of an odd degree at offset t in [0, 1).
+    """Return the degree + 1 B-splines of an odd degree at t in [0, 1).
 
     With h = t − ½ the splines j and n−j are E(h²) ± h·O(h²).
     """

@@ -83,7 +83,7 @@ class BodyView(Arrays, shapes="rates C 6 p; information C p p; information_noise
 
     @cached_property
     def shift_rates(self) -> FloatArray:
-        """Slopes (2·C, 6) of the cells' shifts by the six components of motion, for unit gain."""
+        """Slopes (2·C, 6) of the cells' shifts by the motion, for unit gain."""
         return np.asarray(self.cells.hessian[:, ::3] @ self.rates[:, :, :6]).reshape(-1, 6)
 
     @cached_property
@@ -340,7 +340,7 @@ def solve_step(xp: Any, views: Sequence[Any], compared: Sequence[CellSums]) -> F
 
 
 def _sum_cells(xp: Any, view: Any, cells: CellSums, used: Any) -> CellTotals:
-    """Return the sums over the cells of a view that show the body, `used` (A, C)."""
+    """Return the sums over the `used` (A, C) cells of a view."""
     size = view.rates.shape[2]
     gain, misfit, expected = (xp.where(used, part, 0.0) for part in (cells.gain, cells.misfit, cells.misfit_noise))
     slope = gain[..., None] * xp.where(used[..., None], cells.slope, 0.0)
@@ -475,7 +475,7 @@ def rigid_cells(xp: Any, view: Any, cells: CellSums, step: Any) -> Any:
 
 
 def _median(xp: Any, values: Any, finite: Any) -> Any:
-    """Return the median (A,) of the finite ones of values (A, C), infinite where there is none."""
+    """Return the median (A,) of the finite values (A, C), infinite for none."""
     ordered = xp.sort(xp.where(finite, values, xp.inf), -1)
     ordered = ordered if xp is np else ordered.values
     count, row = xp.clip(finite.sum(-1), 1, None), xp.arange(len(ordered), device=ordered.device)

@@ -1,4 +1,4 @@
-"""A body's surface in a camera, the image motion of its patches, and shapes of its deformation."""
+"""A body's surface in a camera, image motion of its patches, shapes of its deformation."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""TIFF files of cameras: one image, several pages, or a stack; orientation tags of image files."""
+"""TIFF files of cameras: one image, several pages, or a stack; orientation tags."""
 
 from __future__ import annotations
 

@@ -61,7 +61,7 @@ class BodyMotion(Arrays):
     motion : fitted to the grey values of all pixels.
     motion_of_points : fitted to the points alone, in the frames with subsets.
     shape_amplitudes : deformation in addition to the motion, by the shapes it was prepared with (by default
-        `direct.shapes.PlainShapes`).
+        `direct.surface.PlainShapes`).
     subset_frames : (F,) in which subsets were searched; the other frames have a motion with residual NaN and no points.
     reprojection_px : rms.
     subsets_px : first positions of the subsets in the left camera.
@@ -175,7 +175,7 @@ def follow_block(
 
 
 def _found(tracker: BodyTracker, frames: range, device: str) -> Iterator[FollowedFrame]:
-    """Yield the body and its subsets in some frames in turn, on a GPU in batches; none for absent frames."""
+    """Yield the body and its subsets in some frames in turn, none for absent frames."""
     scene = tracker.scene
     for absent, group in groupby(frames, scene.body.is_absent):
         numbers = list(group)

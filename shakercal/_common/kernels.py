@@ -1,4 +1,4 @@
-"""Functions compiled by numba at their first call, cached until a source of their package changes.
+"""Functions compiled by numba at their first call, cached until their package changes.
 
 Numba caches a compiled function as long as its file is unchanged, although it contains code and constants of functions
 in other files. Here the cache belongs to the user, one for all checkouts, and a change in any source of a package
@@ -80,6 +80,8 @@ def _dispatcher(function: Callable[..., Any], options: dict[str, Any]) -> Any:
     class SourcesLocator(caching._CacheLocator):  # type: ignore[misc]
         """The folder of a package's sources, whose hash is its name."""
 
+        _py_file = function.__code__.co_filename  # named by numba's warnings
+
         def get_cache_path(self) -> str:
             return path
 
@@ -147,7 +149,7 @@ def user_cache(name: str) -> Path:
 
 @cache
 def _sources_digest(package: str) -> str:
-    """Return a hash of a package's sources and of this module, independent of their folder and time."""
+    """Return a hash of a package's sources, independent of their folder and time."""
     folder, digest = Path(import_module(package).__file__ or "").parent, hashlib.sha256(Path(__file__).read_bytes())
     for path in sorted(folder.rglob("*.py")):
         digest.update(path.relative_to(folder).as_posix().encode() + b"\0" + path.read_bytes())
