@@ -29,10 +29,7 @@ _FARTHEST = 0.35  # of a square's side, between a corner and its start
 
 @njit(error_model="numpy")
 def cholesky(matrix: FloatArray, damping: float, factor: FloatArray) -> bool:
-    """Fill the lower factor of a matrix (P,P); return whether it is positive definite.
-
-    Its diagonal is raised by the share `damping`.
-    """
+    """Fill the lower factor of a matrix (P,P) with raised diagonal, if there is one."""
     size = matrix.shape[0]
     for i in range(size):
         for j in range(i + 1):

@@ -699,12 +699,12 @@ def test_matlab_struct_and_bouguets_variables_in_a_mat_file(tmp_path):
 
 
 def test_dice_text_of_sandia_has_the_numbers_of_vic3d_and_a_system_two_sizes(formats):
-    files.vic3d = import_calibration(formats / "vic3d" / "cal_a.xml").rig
-    assert files.vic3d.left.matrix[0, 1] == -0.1711976745
+    vic3d = import_calibration(formats / "vic3d" / "cal_a.xml").rig
+    assert vic3d.left.matrix[0, 1] == -0.1711976745
     for name in ("cal_a.txt", "cal_a_with_R.txt"):
         text = import_calibration(formats / "dice" / name, even_radial=True).rig
-        np.testing.assert_allclose(text.left.parameters, files.vic3d.left.parameters, rtol=1e-9)
-        np.testing.assert_allclose(text.right_from_left.rotation, files.vic3d.right_from_left.rotation, atol=2e-5)
+        np.testing.assert_allclose(text.left.parameters, vic3d.left.parameters, rtol=1e-9)
+        np.testing.assert_allclose(text.right_from_left.rotation, vic3d.right_from_left.rotation, atol=2e-5)
     rig = import_calibration(formats / "dice" / "DICe_cal_a.xml").rig
     assert [camera.size_px.tolist() for camera in (rig.left, rig.right)] == [[1200, 800], [1200, 700]]
 
@@ -723,8 +723,8 @@ def test_zipped_project_that_unpacks_to_too_much_and_a_missing_package(tmp_path,
 def test_export_to_opencv_is_what_opencv_reads(tmp_path):
     rig = files.make_rig(tangential=1.0, divisor=1.0)
     assert export_calibration(tmp_path / "rig.yml", rig) == ("OpenCV", ())
-    files.storage = cv2.FileStorage(str(tmp_path / "rig.yml"), cv2.FILE_STORAGE_READ)
-    read = {name: files.storage.getNode(name).mat() for name in ("M1", "D1", "M2", "D2", "R", "T")}
+    written = cv2.FileStorage(str(tmp_path / "rig.yml"), cv2.FILE_STORAGE_READ)
+    read = {name: written.getNode(name).mat() for name in ("M1", "D1", "M2", "D2", "R", "T")}
     left = cv2.projectPoints(POINTS_M, np.zeros(3), np.zeros(3), read["M1"], read["D1"])[0]
     right = cv2.projectPoints(POINTS_M, cv2.Rodrigues(read["R"])[0], read["T"], read["M2"], read["D2"])[0]
     for found, expected in zip((left, right), rig.project(POINTS_M), strict=True):

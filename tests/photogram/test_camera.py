@@ -258,17 +258,6 @@ def test_rays_that_do_not_meet_in_front_of_the_cameras_give_nan():
     np.testing.assert_allclose(found.position_m[0, 2], [0.1, 0.0, 1.0], atol=1e-12)
 
 
-def test_another_frame_turns_positions_and_covariances():
-    left, right = (px[None] for px in stereo_rig().project(in_view(6)))
-    found = triangulate(stereo_rig(), left, right)
-    transform = RigidTransform.from_pose(np.array([0.1, 0.2, 0.3, 1.0, -0.5, 2.0]))
-    moved = found.transformed(transform)
-    np.testing.assert_allclose(moved.position_m[0, 3], transform.apply(found.position_m[0, 3]), atol=1e-15)
-    expected = transform.rotation @ found.covariance_m2[0, 3] @ transform.rotation.T
-    np.testing.assert_allclose(moved.covariance_m2[0, 3], expected, rtol=1e-12)
-    np.testing.assert_array_equal(moved.reprojection_px, found.reprojection_px)
-
-
 # Another program's stereo matches and the points it made of them: OpenCorr on the D-shaped specimen.
 
 UM = 1e-6
