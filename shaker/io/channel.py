@@ -1,4 +1,4 @@
-"""Raw channels and their times, channels that share one memory, and functions that all readers share."""
+"""Raw channels, their times, channels that share one memory, and functions of all readers."""
 
 from __future__ import annotations
 

@@ -122,7 +122,7 @@ def derivative_factor(frequency_hz: FloatArray, order: int) -> ComplexArray:
 
 
 def real_stacked(matrix: ComplexArray) -> FloatArray:
-    """Return real matrices (…, 2D, 2C) on [all Re, all Im] of complex ones (…, D, C)."""
+    """Return the real form (…, 2D, 2C) of complex matrices, for [all Re, all Im]."""
     return np.asarray(np.block([[matrix.real, -matrix.imag], [matrix.imag, matrix.real]]))
 
 

@@ -33,7 +33,7 @@ _JITTER_RIVAL = 0.6  # of the best shift's correlation: largest that any other s
 
 
 def decide_shift(base: TriggerFit, other: TriggerFit, start_difference_s: float | None) -> tuple[int, str]:
-    """Return the base edge that is the other record's edge 0, and the evidence in words.
+    """Return the base edge of the other record's edge 0, with the evidence in words.
 
     Visible burst starts and ends limit the range of shifts. Where it is more than one, common gaps, the common jitter,
     or start times (good to a quarter period) choose among them. Where start and end contradict each other, because
