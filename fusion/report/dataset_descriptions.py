@@ -5,14 +5,12 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Iterable, Mapping
 from functools import cache
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
+from fusion.report.h5_tree import Data, Group
 from shaker.labels import AXES, LOAD_COMPONENTS, LOAD_UNITS, MOTION_COMPONENTS, component_units, sensitivity_unit
-
-if TYPE_CHECKING:
-    from fusion.report.h5 import Data, Group
 
 
 class DatasetDescription(NamedTuple):

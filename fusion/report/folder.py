@@ -285,7 +285,7 @@ def write_provenance(file: Group, origin: ResultOrigin, files: Sequence[str]) ->
 
     `files` are the names of all result files.
     """
-    from fusion.report.h5 import TEXT
+    from fusion.report.h5_tree import TEXT
 
     group = file.create_group("provenance")
     hashes = origin.input_hashes
