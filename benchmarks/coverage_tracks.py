@@ -37,8 +37,8 @@ from fusion.simulate.world import Draws, TrueStereo, World, make_world
 from photogram.calibration.calibration_file import read_calibration, write_calibration
 from photogram.camera import triangulate
 from photogram.direct.surface import PlainShapes, ShapeAmplitudes
-from photogram.epipolar import check_epipolar
 from photogram.geometry import RigidTransform
+from photogram.measure.epipolar import check_epipolar
 from photogram.motion import deformation, fit_motion
 from photogram.subsets.track import StereoTracks, Tracks
 from shaker.io.channel import RawChannel

@@ -34,10 +34,10 @@ from fusion.simulate.world import Draws, SimulatedMotion, World, harmonic, make_
 from photogram.camera import StereoRig, triangulate
 from photogram.direct.direct_fit import pose_covariance, rest_information, rigid_share, without_noise
 from photogram.direct.surface import PlainShapes, ShapeAmplitudes
-from photogram.epipolar import check_epipolar
 from photogram.geometry import RigidTransform
 from photogram.images.noise import NoiseModel
 from photogram.measure.body import body_motion, follow_block
+from photogram.measure.epipolar import check_epipolar
 from photogram.measure.follow import BodyPrior, prepare_body
 from photogram.motion import RigidMotion, deformation, fit_motion
 from photogram.subsets.track import StereoTracks, Tracks

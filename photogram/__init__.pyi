@@ -10,12 +10,12 @@ from .calibration.session import calibrate_pair as calibrate_pair
 from .camera import Camera as Camera
 from .camera import StereoRig as StereoRig
 from .camera import triangulate as triangulate
-from .epipolar import check_epipolar as check_epipolar
 from .geometry import RigidTransform as RigidTransform
 from .images.image_files import open_sequence as open_sequence
 from .images.image_files import read_image as read_image
 from .images.sequence import ImageSequence as ImageSequence
 from .measure.body import measure_body as measure_body
+from .measure.epipolar import check_epipolar as check_epipolar
 from .motion import fit_motion as fit_motion
 from .point_tables import read_point_tables as read_point_tables
 from .subsets.icgn import TrackSettings as TrackSettings

@@ -47,7 +47,7 @@ def _obstacle() -> str:
 
 
 def _torch_finds_cuda() -> bool:
-    """Return whether torch and kornia are installed, torch is built for CUDA, and finds a device."""
+    """Return whether torch, built for CUDA, and kornia are installed and find a GPU."""
     if any(find_spec(package) is None for package in PACKAGES):
         return False
     import torch

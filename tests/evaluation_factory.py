@@ -25,7 +25,7 @@ from fusion.recording.toml import UncertainInput, UncertaintyStatement
 from fusion.sensitivity.analyse import Evaluation
 from fusion.sensitivity.load_phasors import LoadResult
 from fusion.sensitivity.ratio import Sensitivity
-from photogram.epipolar import EpipolarCheck
+from photogram.measure.epipolar import EpipolarCheck
 from photogram.motion import RigidMotion
 from shaker.labels import LOAD_COMPONENTS, LOAD_UNITS, MOTION_COMPONENTS, component_units
 from shaker.lines.frequencies import LineFrequencies

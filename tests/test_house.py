@@ -21,11 +21,11 @@ FORBIDDEN = {
 LAYERS = {
     "shakercal": ("_common", "__main__"),
     "photogram": (
-        "device lanes frame_statistics epipolar_notices",
+        "device lanes frame_statistics",
         "geometry images point_tables",
         "camera bspline",
         "subsets targets",
-        "motion epipolar direct",
+        "motion direct",
         "measure calibration alignment synthetic",
     ),
     "shaker": (
@@ -52,7 +52,7 @@ LAYERS = {
 }
 """Entries of each package by layer: an entry imports from its own layer and from those above it in the list."""
 MOST_ENTRIES = {"shakercal": 3, "photogram": 17, "shaker": 16, "fusion": 15}
-LONGEST_CHAIN, LONGEST_FILE, LONGEST_FUNCTION, MOST_ARGUMENTS = 17, 600, 60, 7
+LONGEST_CHAIN, LONGEST_FILE, LONGEST_FUNCTION, MOST_ARGUMENTS = 18, 600, 60, 7
 
 
 def _modules() -> dict[str, Path]:

@@ -56,9 +56,9 @@ from shakercal._common.notices import Notice
 if TYPE_CHECKING:
     from fusion.sensitivity.mode_shapes import ModeShapes
     from photogram.direct.surface import ShapeAmplitudes
-    from photogram.epipolar import EpipolarCheck
     from photogram.images.noise import NoiseModel
     from photogram.measure.body import BodyMotion
+    from photogram.measure.epipolar import EpipolarCheck
     from photogram.motion import Deformation, RigidMotion
     from photogram.subsets.texture import SubsetQuality
     from photogram.subsets.track import StereoTracks
@@ -328,7 +328,7 @@ def depth_range_m(manifest: Manifest, pair: Stereo) -> tuple[float, float] | Non
 
 def motion_from_tracks(images: PreparedImages, body: BodyMotion) -> StereoMotion:
     """Return the motion of a stereo pair's body from its tracks."""
-    from photogram.epipolar import check_epipolar
+    from photogram.measure.epipolar import check_epipolar
     from photogram.subsets.find import BodyNotFound
 
     if not np.isfinite(body.motion.pose).all(axis=1).any():

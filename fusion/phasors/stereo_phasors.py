@@ -46,7 +46,7 @@ from shakercal._common.arrays import Arrays, ComplexArray, FloatArray
 from shakercal._common.notices import Notice
 
 if TYPE_CHECKING:
-    from photogram.epipolar import EpipolarCheck
+    from photogram.measure.epipolar import EpipolarCheck
 
 STEP, MIN_FREE_FRAMES = 20.0, 4  # step over noise that is not by chance; frames beyond the unknowns of the lines
 ONE_BEAT = 1.1  # periods of a line's alias: over fewer, a slope looks like the line
@@ -166,14 +166,14 @@ def stereo_phasors(
     `strength` (K,).
     """
     sight, view, name = measured.sight, measured.view, measured.sight.name
-    time_s, exposure = sight.time_s, sight.exposure
+    time_s, exposure, length_s = sight.time_s, sight.exposure, sight.exposure.length_s
     usable, _ = resolved_lines(measured, lines)
     if not usable.any():
         raise ComputeError(NO_RIGID_MOTION, pair=name, reason=NO_LINE)
     frequency_hz = lines.frequency_hz[usable]
     notices = _step(name, time_s, measured.motion.pose[:, :3], frequency_hz)
     measured, from_mean, fit = fit_about_mean(measured, frequency_hz)
-    gain = exposure_gain(lines.frequency_hz, exposure.length_s)
+    gain = exposure_gain(lines.frequency_hz, length_s)
     timing = combine_timing_errors([*base.sight_errors(sight), *line_errors])
     errors = [error.effect_on_fit(fit, usable, 2) for error in timing]
     errors += [] if strength is None else _left_out(measured, fit, lines, usable, gain * strength)
@@ -183,8 +183,7 @@ def stereo_phasors(
     if view is not None and sight.pair.body != STATIONARY:  # effects grow with the observed motion
         effects, of_shapes = image_effects(measured, view, frequency_hz, usable, gain, notices)
         if isinstance(view.rig, StereoRig):
-            of_motion = of_shapes, moved, view.phase_rotated
-            shapes = shape_phasors(time_s, frequency_hz, view.deformed, exposure.length_s, *of_motion)
+            shapes = shape_phasors(time_s, frequency_hz, view.deformed, length_s, of_shapes, moved, view.phase_rotated)
     reading = StereoReading(
         name=name,
         pair=sight.pair,
@@ -196,15 +195,17 @@ def stereo_phasors(
         through_surface=effects.pop(THROUGH, None),
     )
     of_phasors = [*(n for n in fit.notices if n.severity == "warning"), *notices, *(shapes.notices() if shapes else ())]
-    of_phasors += _short_notices(lines, usable, sight.time_s, reading)
-    of_phasors += _jitter_notices(base, sight, lines, usable, reading)
+    of_phasors += [
+        *_short_notices(lines, usable, time_s, reading),
+        *_jitter_notices(base, sight, lines, usable, reading),
+    ]
     steady_pose = from_mean.pose.copy()
     steady_pose[fit.spikes] = np.nan
     result = StereoResult(
         name=name,
         body=sight.pair.body,
         time_s=time_s,
-        exposure_s=exposure.length_s,
+        exposure_s=length_s,
         u_exposure_s=exposure.u_length_s,
         u_rate=float(np.linalg.norm([error.rate for error in base.sight_errors(sight)])),
         motion=measured.motion,

@@ -19,7 +19,7 @@ from h5py import h5d, h5o
 from fusion.errors import InputError
 from fusion.estimation.uncertainty import Contribution, Distribution, Influence, Kind, Scope, Uncertainty
 from fusion.report.dataset_descriptions import describe
-from fusion.report.h5_tree import Group, write_tree
+from fusion.report.h5_tree import TEXT, Group, write_tree
 from fusion.report.report_notices import DAMAGED_RESULTS, OTHER_STRUCTURE, RESULTS_TOO_LARGE
 from shaker.io.channel import check_inside, check_links, full_name, open_hdf5
 from shakercal._common.notices import Notice

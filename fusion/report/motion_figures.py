@@ -28,7 +28,7 @@ from fusion.report.figure import (
     empty_figure,
 )
 from fusion.sensitivity.analyse import Evaluation
-from photogram.epipolar import COVERAGE, EpipolarCheck
+from photogram.measure.epipolar import COVERAGE, EpipolarCheck
 from shaker.labels import AXES, MOTION_COMPONENTS, component_units
 from shaker.sine.aliasing import alias_frequency
 from shakercal._common.arrays import BoolArray, ComplexArray, FloatArray, IntArray

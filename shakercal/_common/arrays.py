@@ -8,8 +8,6 @@ from typing import Any, ClassVar, Protocol, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from shakercal._common.notices import Notice
-
 FloatArray = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 IntArray = NDArray[np.int64]
@@ -53,7 +51,8 @@ class Arrays:
     _shapes: ClassVar[tuple[list[str], ...]] = ()
 
     def __init_subclass__(cls, shapes: str = "") -> None:
-        cls._shapes = tuple(shape.split() for shape in shapes.split(";") if shape)
+        if shapes:
+            cls._shapes = tuple(shape.split() for shape in shapes.split(";"))
 
     def __post_init__(self) -> None:
         lengths: dict[str, int] = {}
@@ -76,7 +75,7 @@ class Arrays:
                 parts.append(f"{part.name}=[{text}]" if text else f"{part.name} {value.shape}")
             elif isinstance(value, tuple | list) and not all(isinstance(item, int | float | str) for item in value):
                 parts.append(f"{part.name}: {len(value)}")
-            elif is_dataclass(value) and not isinstance(value, Notice):
+            elif is_dataclass(value):
                 parts.append(f"{part.name}: {type(value).__name__}")
             else:
                 parts.append(f"{part.name}={value!r:.{MAX_SHOWN_CHARACTERS}}")

@@ -12,9 +12,9 @@ import pytest
 
 from photogram.calibration.calibration_file import read_calibration
 from photogram.camera import RIG_PARAMETERS, Camera, StereoRig, epipolar_residual
-from photogram.epipolar import MOVED_PX, EpipolarCheck, check_epipolar
-from photogram.epipolar_notices import CAMERA_DRIFTS, CAMERA_MOVED, CAMERA_ROTATED, PAIR_CHANGED
 from photogram.geometry import RigidTransform, rotation_from_vector
+from photogram.measure.epipolar import MOVED_PX, EpipolarCheck, check_epipolar
+from photogram.measure.epipolar_notices import CAMERA_DRIFTS, CAMERA_MOVED, CAMERA_ROTATED, PAIR_CHANGED
 from photogram.subsets.track import StereoTracks, Tracks
 from shakercal._common.notices import Notice
 

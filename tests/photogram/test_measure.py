@@ -33,13 +33,13 @@ from photogram.direct.direct_fit import (
 )
 from photogram.direct.fit_torch import fit_frames, torch_project, torch_view
 from photogram.direct.surface import PlacedCamera, body_patches, patch_rates, patch_warps
-from photogram.epipolar import check_epipolar
 from photogram.geometry import RigidTransform
 from photogram.images.image_notices import FRAMES_WITHOUT_GREY_FIT
 from photogram.images.noise import NoiseModel
 from photogram.images.sequence import ImageSequence
 from photogram.measure import follow, follow_torch
 from photogram.measure.body import BodyMotion, body_motion, follow_block, measure_body
+from photogram.measure.epipolar import check_epipolar
 from photogram.measure.exposure_motion import ExposureMotion, prepare_exposure_correction
 from photogram.measure.follow import BodyPrior, BodyScene, BodyTracker, FollowedBlock, prepare_body, sine_terms
 from photogram.measure.follow_torch import predict_poses

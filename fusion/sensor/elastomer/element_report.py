@@ -424,7 +424,7 @@ def _subject(evaluation: ElementEvaluation) -> list[tuple[str, str]]:
 
 
 def mode_shape_figures(evaluation: ElementEvaluation) -> dict[str, tuple[PrintedFigure, bytes]]:
-    """Return the figures of the mode shapes by file name, drawn once for page and files."""
+    """Return the figures of the mode shapes by file name, drawn once."""
     drawn: dict[str, tuple[PrintedFigure, bytes]] | None = vars(evaluation).get("mode_shape_figures")
     if drawn is None:
         shapes = {"frame": frame_shapes(evaluation.definition, evaluation.frame)}

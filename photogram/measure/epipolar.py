@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from photogram.camera import StereoRig, epipolar_residual, triangulate
-from photogram.epipolar_notices import CAMERA_DRIFTS, CAMERA_MOVED, CAMERA_ROTATED, PAIR_CHANGED
 from photogram.frame_statistics import RunningMean
 from photogram.geometry import RigidTransform, rotation_from_vector
+from photogram.measure.epipolar_notices import CAMERA_DRIFTS, CAMERA_MOVED, CAMERA_ROTATED, PAIR_CHANGED
 from shakercal._common.arrays import Arrays, BoolArray, FloatArray
 from shakercal._common.notices import Notice, Value
 from shakercal._common.propagation import derivatives
