@@ -9,22 +9,29 @@ import numpy as np
 from numpy.typing import NDArray
 
 from photogram.bspline import Spline, sample_line, spline_of_image
-from photogram.camera import StereoRig, triangulate
 from photogram.direct.cells import prepare_cells
 from photogram.direct.direct_fit import (
     BodyView,
     estimator_matrix,
     fit_direct,
-    image_noise,
     phase_rotated_pose,
-    reweight_view,
     row_information,
     with_jacobians,
 )
 from photogram.direct.surface import motion_from_positions, project_body_points
 from photogram.geometry import RigidTransform, rotation_from_vector
 from photogram.images.sequence import GreyImage
-from photogram.measure.follow import UNIFORM, BodyScene, FollowedFrame, Registrations, body_views, cameras_about
+from photogram.measure.follow import (
+    UNIFORM,
+    BodyScene,
+    FollowedFrame,
+    Registrations,
+    body_views,
+    cameras_about,
+    locate_subsets,
+    reweight_scene,
+    subset_centres,
+)
 from photogram.subsets.find import identity_registration
 from photogram.subsets.icgn import register
 from photogram.subsets.reference import ReferenceSubsets, TrackStatus, prepare_reference
@@ -160,10 +167,7 @@ class ExposureCorrection(Arrays):
         if fit is None:
             return self
         views, targets, _ = self._compared(number, fit.moved)
-        noise = tuple(image_noise(*both, fit.moved) for both in zip(views, targets, strict=True))
-        weighed = zip(self.scene.views, noise, strict=True)
-        views = [reweight_view(view, model, self.scene.settings.degree) for view, model in weighed]
-        return replace(self, scene=replace(self.scene, noise=noise, views=tuple(views)))
+        return replace(self, scene=reweight_scene(self.scene, views, targets, fit.moved))
 
     def _registered(
         self, found: Registrations, references: Sequence[Spline], targets: Sequence[Spline]
@@ -309,7 +313,7 @@ def prepare_exposure_correction(scene: BodyScene, swing: ExposureMotion) -> Expo
             replace(reference, centre_px=centre_px)
             for reference, centre_px in zip(scene.references, centres_px, strict=True)
         )
-        rest_m = _points(scene, [left.centre_px, right.centre_px])
+        rest_m = locate_subsets(scene, centres_px).position_m[0]
         seen = tuple(project_body_points(camera, rest_m) for camera in cameras_about(scene, rest_m))
         corrected = replace(scene, references=(left, right), rest_m=rest_m, seen=seen)
     splines = tuple(spline_of_image(image, scene.settings.degree) for image in scene.first)
@@ -328,21 +332,13 @@ def _motion_since(scene: BodyScene, swing: ExposureMotion, number: int, side: in
     )
 
 
-def _points(scene: BodyScene, positions_px: list[FloatArray]) -> FloatArray:
-    """Return points (N, 3) in the body's frame from positions (N, 2) in both cameras."""
-    left, right = positions_px
-    assert isinstance(scene.rig, StereoRig)  # a single camera has no rolling shutter
-    return np.asarray(triangulate(scene.rig, left[None], right[None]).transformed(scene.body_from_left).position_m[0])
-
-
 def _at_one_instant(scene: BodyScene, swing: ExposureMotion, number: int, found: Registrations) -> list[FloatArray]:
     """Return the subsets' positions if all rows were exposed with the first one."""
-    positions = [
-        one.centre_px + registration.warp[:, [0, 3]] for one, registration in zip(scene.references, found, strict=True)
-    ]
+    positions = subset_centres(scene, found)
     shifts = [np.zeros_like(position) for position in positions]
     for _ in range(ROUNDS if swing.rolling_shutter else 0):
-        points = _points(scene, [position - shift for position, shift in zip(positions, shifts, strict=True)])
+        shifted = [position - shift for position, shift in zip(positions, shifts, strict=True)]
+        points = locate_subsets(scene, shifted).position_m[0]
         for side, seen in enumerate(cameras_about(scene, points)):
             displaced = apply_motion(_motion_since(scene, swing, number, side, positions[side][:, 1]), points)
             shifts[side] = seen.project(displaced) - seen.project(points)

@@ -165,7 +165,8 @@ def prepare_body(
     fixed = images, first, rig, body_from_left, settings, grid, references
     every = np.ones(len(images[0]), dtype=np.bool_)
     scene = BodyScene(*fixed, prior, np.empty((0, 3)), (), (), (), None, (), (), every)
-    rest_m = _locate(scene, tuple(map(identity_registration, references))).position_m[0]
+    at_rest = subset_centres(scene, tuple(map(identity_registration, references)))
+    rest_m = locate_subsets(scene, at_rest).position_m[0]
     seen = tuple(project_body_points(camera, rest_m) for camera in cameras_about(scene, rest_m))
     scene = replace(scene, rest_m=rest_m, seen=seen)
     scene = replace(scene, views=body_views(scene, splines))
@@ -360,10 +361,7 @@ def _with_noise(scene: BodyScene, progress: Progress | None) -> BodyScene:
         found = tuple(side.find((image, spline), None) for side, image, spline in seen)
         fit = _fit(scene, found, splines)
         if fit is not None:
-            noise = tuple(image_noise(*one, moved=fit.moved) for one in zip(scene.views, splines, strict=True))
-            weighed = zip(scene.views, noise, strict=True)
-            views = tuple(reweight_view(view, model, scene.settings.degree) for view, model in weighed)
-            scene = replace(scene, noise=noise, views=views)
+            scene = reweight_scene(scene, scene.views, splines, fit.moved)
             fit = _fit(scene, found, splines)
         scene = replace(scene, lead=(*scene.lead, (found, fit)))
         report_progress(progress, number + 1)
@@ -372,21 +370,34 @@ def _with_noise(scene: BodyScene, progress: Progress | None) -> BodyScene:
     return scene
 
 
+def reweight_scene(
+    scene: BodyScene, views: Sequence[BodyView], targets: Sequence[Spline], moved: RigidTransform
+) -> BodyScene:
+    """Return the scene weighted by the noise of one frame's images.
+
+    `views`: as compared with the images `targets` after the motion `moved`.
+    """
+    noise = tuple(image_noise(*one, moved) for one in zip(views, targets, strict=True))
+    weighed = zip(scene.views, noise, strict=True)
+    renewed = tuple(reweight_view(view, model, scene.settings.degree) for view, model in weighed)
+    return replace(scene, noise=noise, views=renewed)
+
+
 def report_progress(progress: Progress | None, frames: int) -> None:
     """Report the images of so many frames as done, two of each."""
     if progress is not None:
         progress(2 * frames)
 
 
-def _positions(scene: BodyScene, found: Registrations) -> tuple[FloatArray, ...]:
+def subset_centres(scene: BodyScene, found: Registrations) -> tuple[FloatArray, ...]:
     """Return positions (N,2) of the subsets in each camera, NaN if not found."""
     both = zip(scene.references, found, strict=True)
     return tuple(reference.centre_px + registration.warp[:, [0, 3]] for reference, registration in both)
 
 
-def _locate(scene: BodyScene, found: Registrations) -> Points3D:
-    """Return points (1, N) of one frame in the body's frame, all subsets weighted equally."""
-    return locate(scene.rig, [pixels[None] for pixels in _positions(scene, found)]).transformed(scene.body_from_left)
+def locate_subsets(scene: BodyScene, positions_px: Sequence[FloatArray]) -> Points3D:
+    """Return points (1, N) in the body's frame from positions (N, 2) in each camera."""
+    return locate(scene.rig, [pixels[None] for pixels in positions_px]).transformed(scene.body_from_left)
 
 
 def cameras_about(scene: BodyScene, rest_m: FloatArray) -> tuple[PlacedCamera, ...]:
@@ -418,9 +429,9 @@ def _fit(scene: BodyScene, found: Registrations, splines: Splines) -> DirectFit 
     """Return the direct fit of one frame from the positions of its subsets."""
     if scene.body.rolling_shutter:
         return None
-    start = motion_from_positions(scene.seen, _positions(scene, found))
+    start = motion_from_positions(scene.seen, subset_centres(scene, found))
     fit = None if start is None else fit_direct(scene.views, splines, start)
     if fit is None:  # from a fit of the points, which takes longer
-        pose = fit_motion(_locate(scene, found), scene.rest_m, np.zeros(3)).pose[0]
+        pose = fit_motion(locate_subsets(scene, subset_centres(scene, found)), scene.rest_m, np.zeros(3)).pose[0]
         fit = fit_direct(scene.views, splines, RigidTransform.from_pose(pose)) if np.isfinite(pose).all() else None
     return fit
