@@ -160,7 +160,7 @@ def test_the_matrix_campaign_excites_six_components_independently() -> None:
 
 
 def test_matrix_rigs_differ_in_gravity_only(tmp_path: Path) -> None:
-    folders = sorted(simulate(tmp_path / "matrix", "matrix", 2).glob("*/"))
+    folders = sorted(simulate(tmp_path / "matrix", "matrix", 2, frames=24).glob("*/"))
     manifests = [load_manifest(folder) for folder in folders]
     downs = [manifest.rig.environment.gravity for manifest in manifests]
     assert (downs[0], downs[4], downs[6]) == ((0.0, 0.0, -9.8125), (-9.8125, 0.0, 0.0), (0.0, -9.8125, 0.0))
