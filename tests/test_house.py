@@ -52,7 +52,7 @@ LAYERS = {
 }
 """Entries of each package by layer: an entry imports from its own layer and from those above it in the list."""
 MOST_ENTRIES = {"shakercal": 3, "photogram": 17, "shaker": 16, "fusion": 15}
-LONGEST_CHAIN, LONGEST_FILE, LONGEST_FUNCTION, MOST_ARGUMENTS = 18, 600, 60, 7
+LONGEST_CHAIN, LONGEST_FILE, LONGEST_FUNCTION, MOST_ARGUMENTS = 19, 600, 60, 7
 
 
 def _modules() -> dict[str, Path]:

@@ -46,7 +46,8 @@ from fusion.report.folder import (
     render_page,
     write_provenance,
 )
-from fusion.report.h5 import EVIDENCE, Group, h5_content, write_fields, write_value
+from fusion.report.h5 import EVIDENCE, h5_content, write_fields, write_value
+from fusion.report.h5_tree import Group
 from fusion.report.labelled_results import CAMPAIGN_FILE
 from fusion.report.recording_report import (
     CAMPAIGN_FILES,

@@ -165,8 +165,8 @@ def stereo_phasors(
     over less than one they change every part. So does motion at unresolved lines, with the relative acceleration
     `strength` (K,).
     """
-    sight, view, name = measured.sight, measured.view, measured.sight.name
-    time_s, exposure, length_s = sight.time_s, sight.exposure, sight.exposure.length_s
+    sight, view, name, exposure = measured.sight, measured.view, measured.sight.name, measured.sight.exposure
+    time_s, length_s = sight.time_s, exposure.length_s
     usable, _ = resolved_lines(measured, lines)
     if not usable.any():
         raise ComputeError(NO_RIGID_MOTION, pair=name, reason=NO_LINE)
@@ -195,12 +195,9 @@ def stereo_phasors(
         through_surface=effects.pop(THROUGH, None),
     )
     of_phasors = [*(n for n in fit.notices if n.severity == "warning"), *notices, *(shapes.notices() if shapes else ())]
-    of_phasors += [
-        *_short_notices(lines, usable, time_s, reading),
-        *_jitter_notices(base, sight, lines, usable, reading),
-    ]
-    steady_pose = from_mean.pose.copy()
-    steady_pose[fit.spikes] = np.nan
+    of_phasors += _short_notices(lines, usable, time_s, reading)
+    of_phasors += _jitter_notices(base, sight, lines, usable, reading)
+    steady = np.isin(np.arange(len(time_s)), fit.spikes, invert=True)[:, None]
     result = StereoResult(
         name=name,
         body=sight.pair.body,
@@ -216,7 +213,7 @@ def stereo_phasors(
         reprojection_px=measured.reprojection_px,
         surface=measured.deformation,
         deflection=_deflection(measured, frequency_hz),
-        stationarity=stationarity(time_s, steady_pose, frequency_hz, MOTION_COMPONENTS),
+        stationarity=stationarity(time_s, np.where(steady, from_mean.pose, np.nan), frequency_hz, MOTION_COMPONENTS),
     )
     result = result if view is None else _with_view(replace(result, shapes=shapes), view)
     return StereoPhasors(result, reading, _named(measured, of_phasors))

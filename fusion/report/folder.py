@@ -48,7 +48,7 @@ if TYPE_CHECKING:
 
     from fusion.recording.load import Manifest
     from fusion.recording.rig import Rig
-    from fusion.report.h5 import Group
+    from fusion.report.h5_tree import Group
 
 # Provenance: hashes of the input files, versions, and whether results are current.
 

@@ -34,7 +34,8 @@ from fusion.report.folder import (
     write_folder,
     write_provenance,
 )
-from fusion.report.h5 import EVIDENCE, Group, h5_content, write_fields, write_value
+from fusion.report.h5 import EVIDENCE, h5_content, write_fields, write_value
+from fusion.report.h5_tree import Group
 from fusion.report.labelled_results import CAMPAIGN_FILE
 from fusion.report.motion_figures import pair_motion_figures, subset_figures
 from fusion.report.report_notices import OTHER_CAMPAIGN_CONTENT, RESERVED_NAME
