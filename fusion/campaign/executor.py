@@ -171,7 +171,10 @@ class _Task:
 
 
 class Workers:
-    """Processes that are each served by a thread of this one. All end at the end of `with`."""
+    """Processes that are each served by a thread of this one.
+
+    All end at the end of `with`.
+    """
 
     patience_s = 0.0  # a worker that died does not compute any more
 
@@ -413,7 +416,10 @@ class Cluster:
         return ClusterTask(self, rank, (function, *arguments))
 
     def client(self) -> Client:
-        """Return the connection to the scheduler, renewed if it was lost. Raise `ComputeError` if none answers."""
+        """Return the connection to the scheduler, renewed if it was lost.
+
+        Raise `ComputeError` if none answers.
+        """
         from distributed import Client
 
         with self._reconnecting:

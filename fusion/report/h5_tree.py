@@ -1,4 +1,7 @@
-"""Groups, data sets and attributes in memory, and their HDF5 file: HDF5 answers queries as slowly as it writes."""
+"""Groups, data sets and attributes in memory, and their HDF5 file.
+
+HDF5 answers queries as slowly as it writes; therefore results are collected in memory.
+"""
 
 from __future__ import annotations
 
