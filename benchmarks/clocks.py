@@ -159,7 +159,7 @@ def simulate(case: Case, rng: np.random.Generator) -> Simulated:
         }
     )  # fmt: skip
     rig = SimpleNamespace(
-        stereo={"top": pair}, unit_of=lambda channel: "V/V" if channel.quantity == "output" else "m/s"
+        stereo={"top": pair}, unit_of=lambda quantity: "V/V" if quantity == "output" else "m/s"
     )
     manifest: Any = SimpleNamespace(rig=rig, path=Path("recording.toml"), images=(), points=(entry,))
     nothing, eye = np.zeros((FRAMES, 1, 3)), np.tile(np.eye(6), (FRAMES, 1, 1))

@@ -102,7 +102,7 @@ def _daq_suffix(value: Path) -> Path:
 
 @dataclass(frozen=True)
 class RigContext(Context):
-    """Context of the validation of a recording: scope of paths, stereo pairs and heads of its rig."""
+    """Context of the validation of a recording: paths, stereo pairs and heads of its rig."""
 
     stereo: dict[str, Stereo]
     head: dict[str, InstrumentHead] = field(default_factory=dict)
