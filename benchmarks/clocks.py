@@ -158,9 +158,7 @@ def simulate(case: Case, rng: np.random.Generator) -> Simulated:
             "scale_uncertainty": 1e-3,
         }
     )  # fmt: skip
-    rig = SimpleNamespace(
-        stereo={"top": pair}, unit_of=lambda quantity: "V/V" if quantity == "output" else "m/s"
-    )
+    rig = SimpleNamespace(stereo={"top": pair}, unit_of=lambda quantity: "V/V" if quantity == "output" else "m/s")
     manifest: Any = SimpleNamespace(rig=rig, path=Path("recording.toml"), images=(), points=(entry,))
     nothing, eye = np.zeros((FRAMES, 1, 3)), np.tile(np.eye(6), (FRAMES, 1, 1))
     motion = RigidMotion(poses - poses[0], eye, np.zeros(FRAMES), np.ones(FRAMES, dtype=np.int64), np.zeros(3))
