@@ -496,3 +496,20 @@ def test_an_absent_gpu_is_an_error_only_if_specified_and_torch_is_not_imported_w
     monkeypatch.setattr(device_module.ctypes, "CDLL", refuse)
     monkeypatch.setattr(device_module, "_torch_finds_cuda", never)
     assert resolve_device("auto") == "cpu"
+
+
+@pytest.mark.parametrize(
+    ("missing", "driver", "remedy"),
+    [
+        (("torch", "kornia"), True, r"shakercal\[gpu\]"),
+        (("kornia",), True, "kornia"),
+        ((), False, "driver"),
+        ((), True, "CUDA"),
+    ],
+)
+def test_a_refused_gpu_says_what_to_install(monkeypatch, missing, driver, remedy):
+    monkeypatch.setattr(device_module, "find_spec", lambda package: None if package in missing else package)
+    monkeypatch.setattr(device_module, "_has_driver", lambda: driver)
+    if not missing:
+        monkeypatch.setattr(device_module, "_torch_finds_cuda", lambda: False)
+    refused(f"^device: .*{remedy}", resolve_device, "cuda")
