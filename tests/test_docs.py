@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import importlib
+import importlib.util
 import re
 import subprocess
 import sys
@@ -95,3 +95,14 @@ def test_the_published_comparison_has_its_tables_filled_and_its_pictures():
     assert len(pictures) == 5
     for picture in pictures:
         assert (page.parent / picture).read_bytes().startswith(b"\x89PNG")
+
+
+def test_tables_of_modules_are_the_first_lines_of_their_docstrings() -> None:
+    spec = importlib.util.spec_from_file_location("modules", ROOT / "docs" / "modules.py")
+    assert spec is not None
+    assert spec.loader is not None
+    modules = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(modules)
+    page = (ROOT / "docs" / "architecture.md").read_text(encoding="utf-8")
+    for name, table in modules.module_tables().items():
+        assert f"<!-- {name} -->\n{table}\n<!-- end of {name} -->\n" in page, "run: python docs/modules.py"
