@@ -47,6 +47,7 @@ from fusion.recording.manifest import RecordingFile
 from fusion.recording.response import MeasuringChainFile
 from fusion.recording.rig import Rig
 from fusion.sensor.elastomer.element_definition import ElementFile
+from fusion.sensitivity.sensitivity_notices import NO_RESULT_AT_LINES
 from fusion.simulate import simulate
 
 SECONDS = 10.0  # of the processor
@@ -324,7 +325,8 @@ def fault(status: int, told: str, folder: Path, before: set[Path]) -> str:
     if max(map(len, told.splitlines() or [""])) > 3000:
         return f"a line of {max(map(len, told.splitlines()))} characters: {told[:200]}"
     new = set(folder.rglob("*")) - before
-    left = [path for path in new if path.name.startswith(".") or status != 0]
+    finished = status == 0 or (status == 1 and NO_RESULT_AT_LINES.code in told)  # with results of the other lines
+    left = [path for path in new if path.name.startswith(".") or not finished]
     return f"exit {status} left {left[0].relative_to(folder)}: {told[-200:]}" if left else ""
 
 

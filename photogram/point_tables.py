@@ -12,7 +12,7 @@ import numpy as np
 
 from photogram.images.sequence import check_file, wrap_read_errors
 from shakercal._common.arrays import Arrays, FloatArray, IntArray
-from shakercal._common.mat5 import check_mat5
+from shakercal._common.mat5 import check_mat5, load_mat
 
 POSITION = ("x", "y", "z")
 REFERENCE = ("x0", "y0", "z0")
@@ -382,14 +382,14 @@ _MAT_NUMBERS = ("double", "single", *(f"{sign}int{bits}" for sign in ("", "u") f
 
 def _mat_columns(path: Path) -> _Columns:
     """Return the arrays of a `.mat` file of the first coordinate's size, flat."""
-    from scipy.io import loadmat, whosmat
+    from scipy.io import whosmat
 
     check_mat5(path, MOST_BYTES, _MOST_ARRAYS)
     try:
         plain = {name: size for name, size, kind in whosmat(path) if kind in _MAT_NUMBERS}
         if sum(8 * math.prod(size) for size in plain.values()) > 1100 * path.stat().st_size:
             raise ValueError("more numbers declared than fit into a file of its length")
-        found = loadmat(path, variable_names=list(plain))
+        found = load_mat(path, variable_names=list(plain))
     except Exception as error:  # any error of damaged bytes
         raise ValueError(f"{path}: expected a .mat file up to version 7, found {type(error).__name__} in it") from error
     arrays = {

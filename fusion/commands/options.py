@@ -183,6 +183,8 @@ def path(text: str) -> Path:
         raise argparse.ArgumentTypeError(f"expected a path, found {shown or 'an empty text'}")
     try:
         target = Path(text).resolve()
+        if target.is_symlink():  # only circular links remain, of which Python 3.13 does not complain
+            raise RuntimeError
         if target.exists() and not (target.is_file() or target.is_dir()):
             raise argparse.ArgumentTypeError(f"expected a file or folder, found a device or pipe at {shown}")
     except (OSError, RuntimeError) as error:  # circular links raise the latter before Python 3.13

@@ -30,7 +30,7 @@ from shaker.io.channel import (
     times_of_stamps,
 )
 from shakercal._common.arrays import FloatArray
-from shakercal._common.mat5 import check_mat5
+from shakercal._common.mat5 import check_mat5, load_mat
 
 _RATES = ("sample_rate", "sampling_rate", "sampling_frequency", "fs")
 _MATLAB_RATES = ("sample_rate", "fs", "Fs")
@@ -393,7 +393,7 @@ def _hdf5_leaves(prefix: str, group: Any) -> Iterator[tuple[str, Any]]:
 
 def _classic(path: Path, names: Sequence[str] | None) -> dict[str, Any]:
     """Return the variables of an older file; for requested channels only the relevant ones."""
-    from scipy.io import loadmat, whosmat
+    from scipy.io import whosmat
 
     check_mat5(path, max_sample_bytes(path), _MOST_ARRAYS)
     roots = None
@@ -403,7 +403,7 @@ def _classic(path: Path, names: Sequence[str] | None) -> dict[str, Any]:
             roots |= {*_MATLAB_RATES, *_STARTS, *_UNITS, *_TIMES, *_TIME_UNITS}
         else:
             roots = None  # a name is wrong: the message lists all of them
-    content = loadmat(str(path), variable_names=roots)
+    content = load_mat(path, variable_names=roots)
     return dict(leaf for name, value in content.items() for leaf in _classic_leaves(name, value))
 
 

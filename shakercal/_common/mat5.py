@@ -11,6 +11,7 @@ import io
 import math
 import struct
 import zlib
+from inspect import signature
 from pathlib import Path
 from typing import Any, BinaryIO
 
@@ -21,6 +22,18 @@ _PLAIN = range(6, 16)  # classes of arrays of numbers
 _DEEPEST = 64  # cells and structs inside one another
 _LETTER = 8  # bytes in memory for each byte of text
 _BLOCK = 1 << 20  # bytes that are read at once
+
+
+def load_mat(path: Path, **options: Any) -> dict[str, Any]:
+    """Return what `scipy.io.loadmat` reads from a checked file; sparse matrices as sparse arrays.
+
+    SciPy before 1.17 has no such choice, 1.18 warns where it is not made.
+    """
+    from scipy.io import loadmat
+
+    choice = {"spmatrix": False} if "spmatrix" in signature(loadmat).parameters else {}
+    content: dict[str, Any] = loadmat(path, **choice, **options)
+    return content
 
 
 def check_mat5(path: Path, most_bytes: int, most_arrays: int) -> None:

@@ -18,7 +18,7 @@ from shaker.io import channel, read_channels
 from shaker.io.channel import LONGEST_LINE, MOST_CHANNELS
 from shaker.io.text import table_units
 from shaker.lines import spectrum
-from shakercal._common.mat5 import check_mat5
+from shakercal._common.mat5 import check_mat5, load_mat
 
 
 def _declared(path: Path, shape: tuple[int, ...], **options: object) -> None:
@@ -127,7 +127,7 @@ def test_matlab_files_of_many_writers_pass(tmp_path):
         pytest.skip("SciPy is installed without its sample files")
     for path in samples:
         try:
-            scipy.io.loadmat(path)
+            load_mat(path)
         except (TypeError, ValueError, NotImplementedError, zlib.error):
             continue
         check_mat5(path, 1 << 24, 1000)

@@ -24,7 +24,7 @@ from photogram.calibration.exchange.lens import (
 )
 from photogram.geometry import rotation_from_vector
 from shakercal._common.arrays import FloatArray
-from shakercal._common.mat5 import check_mat5
+from shakercal._common.mat5 import check_mat5, load_mat
 
 # OpenCV: FileStorage in YAML, XML or JSON, and plain JSON with the same content in lists.
 
@@ -461,7 +461,6 @@ def _has_external_data(path: Path) -> bool:
 
 def _variables(path: Path) -> dict[str, Any]:
     """Return the variables of a `.mat` file, structs and objects as dictionaries."""
-    from scipy.io import loadmat
     from scipy.io.matlab import MatlabOpaque
 
     check_mat5(path, _LARGEST_UNPACKED, _MOST_ARRAYS)
@@ -471,7 +470,7 @@ def _variables(path: Path) -> dict[str, Any]:
         if is_hdf5 and _has_external_data(path):
             raise _ExternalDataError
         if not is_hdf5:
-            found = loadmat(path, simplify_cells=True)
+            found = load_mat(path, simplify_cells=True)
             if not any(isinstance(value, MatlabOpaque) for value in found.values()):
                 return {name: value for name, value in found.items() if not name.startswith("__")}
         with warnings.catch_warnings():
