@@ -46,8 +46,8 @@ from fusion.cli import main as shakercal
 from fusion.recording.manifest import RecordingFile
 from fusion.recording.response import MeasuringChainFile
 from fusion.recording.rig import Rig
-from fusion.sensor.elastomer.element_definition import ElementFile
 from fusion.sensitivity.sensitivity_notices import NO_RESULT_AT_LINES
+from fusion.sensor.elastomer.element_definition import ElementFile
 from fusion.simulate import simulate
 
 SECONDS = 10.0  # of the processor
