@@ -263,10 +263,10 @@ def _driven_along_x(folder: Path) -> list[Mistake]:
     ("mistake", "declared"),
     [
         (_ten_times_the_scale_and_g, EXPLAINED_CONTRADICTION),
-        (_another_quantity, EXPLAINED_CONTRADICTION),
-        (_aimed_along_x, EXPLAINED_CONTRADICTION),
+        pytest.param(_another_quantity, EXPLAINED_CONTRADICTION, marks=pytest.mark.slow),
+        pytest.param(_aimed_along_x, EXPLAINED_CONTRADICTION, marks=pytest.mark.slow),
         (_poses_from_sensor_to_camera, EXPLAINED_CONTRADICTION),
-        (_axes_exchanged, EXPLAINED_CONTRADICTION),
+        pytest.param(_axes_exchanged, EXPLAINED_CONTRADICTION, marks=pytest.mark.slow),
         (_late_pair, EXPLAINED_CONTRADICTION),
         (_driven_along_x, OTHER_DIRECTION_DRIVEN),
     ],
