@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from shaker.signal_notices import CONTRADICTORY_CLOCK_RATE, START_TIMES_DISAGREE
-from shaker.timebase.edges import Posterior, Slopes, line_posterior
+from shaker.timebase.edges import Posterior, Slopes, line_posterior, normal_cdf
 from shaker.timebase.trigger import (
     MAX_DISAGREEMENT_SIGMAS,
     MIN_JITTER_SAMPLES,
@@ -518,11 +518,9 @@ def _truncate(
     mean: FloatArray, variance: FloatArray, below: FloatArray, above: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
     """Return mean and variance of Gaussians (F,) between bounds; unchanged for distant bounds."""
-    from scipy.special import ndtr
-
     deviation = np.sqrt(np.maximum(variance, 1e-30))
     low, high = np.clip((below - mean) / deviation, -40.0, 40.0), np.clip((above - mean) / deviation, -40.0, 40.0)
-    share = ndtr(high) - ndtr(low)
+    share = normal_cdf(high) - normal_cdf(low)
     # An interval that the model misses by more than the jitter explains is ignored.
     inside = share > 1e-6
     share = np.where(inside, share, 1.0)

@@ -128,7 +128,7 @@ COMMAND = "import sys\nfrom fusion.cli import main\nassert main(sys.argv[1:]) ==
 
 def test_check_imports_no_module_for_tracking_or_drawing():
     found = imported(COMMAND, "check", str(DEMO), "-q")
-    assert not found & {*DRAWING, *FOLLOWING, *OF_CAMPAIGNS, *SELDOM, *SOLVING, "rich", "multiprocessing"}
+    assert not found & {*DRAWING, *FOLLOWING, *OF_CAMPAIGNS, "scipy", "lxml", "rich", "multiprocessing"}
 
 
 def test_lines_need_no_images():
