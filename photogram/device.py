@@ -36,9 +36,14 @@ def _has_driver() -> bool:
     return True
 
 
+def _missing_packages() -> list[str]:
+    """Return the packages of the extra `gpu` that are not installed."""
+    return [package for package in PACKAGES if find_spec(package) is None]
+
+
 def _obstacle() -> str:
     """Describe what keeps torch from using a GPU, and its remedy."""
-    missing = [package for package in PACKAGES if find_spec(package) is None]
+    missing = _missing_packages()
     if missing:
         return f'no package {" or ".join(missing)} (pip install "shakercal[gpu]")'
     if not _has_driver():
@@ -48,7 +53,7 @@ def _obstacle() -> str:
 
 def _torch_finds_cuda() -> bool:
     """Return whether torch, built for CUDA, and kornia are installed and find a GPU."""
-    if any(find_spec(package) is None for package in PACKAGES):
+    if _missing_packages():
         return False
     import torch
 

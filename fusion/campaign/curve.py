@@ -31,17 +31,10 @@ from fusion.campaign.repeats import (
     unweighted_mean,
 )
 from fusion.estimation.coverage import Polar, region, region_matrix
-from fusion.estimation.uncertainty import (
-    Contribution,
-    Uncertainty,
-    as_complex,
-    over_static,
-    polar_elements,
-    real_design,
-    real_stack,
-)
+from fusion.estimation.uncertainty import Contribution, Uncertainty, as_complex, over_static, polar_elements, real_stack
 from fusion.sensitivity.ratio import StatedMatrix, driven_component
 from shaker.labels import LOAD_COMPONENTS
+from shaker.sine.phasor import real_stacked
 from shakercal._common.arrays import BoolArray, ComplexArray, FloatArray, check_shape
 
 # Linearity: whether the ratio of outputs over load changes with the amplitude of the load.
@@ -165,7 +158,9 @@ def _slope(
     unknowns, covariance = inverse @ upper[free : free + 4, -1], inverse @ inverse.T
     middle, step = complex(unknowns[0], unknowns[1]), complex(unknowns[2], unknowns[3])
     slope = step / middle
-    jacobian = np.concatenate([real_design(np.array([[-slope / middle]])), real_design(np.array([[1.0 / middle]]))], 1)
+    jacobian = np.concatenate(
+        [real_stacked(np.array([[-slope / middle]])), real_stacked(np.array([[1.0 / middle]]))], 1
+    )
     return slope, jacobian @ covariance @ jacobian.T, float(np.sum(upper[free + 4 :, -1] ** 2))
 
 

@@ -23,15 +23,10 @@ from fusion.campaign.matrix_solve import (
 )
 from fusion.estimation.coverage import region
 from fusion.estimation.instrument_consistency import leave_out_rows
-from fusion.estimation.uncertainty import (
-    Contribution,
-    Uncertainty,
-    merge_contributions,
-    real_design,
-)
+from fusion.estimation.uncertainty import Contribution, Uncertainty, merge_contributions
 from fusion.sensitivity.ratio import Sensitivity
 from shaker.labels import LOAD_COMPONENTS
-from shaker.sine.phasor import real_stacked_diagonal
+from shaker.sine.phasor import real_stacked, real_stacked_diagonal
 from shakercal._common.arrays import BoolArray, ComplexArray, FloatArray, check_shape
 from shakercal._common.notices import Notice
 
@@ -302,7 +297,7 @@ def cross_talk(fit: MatrixFit, capacity: Sequence[float]) -> CrossTalk:
         if j != main[i]:
             jacobian[i * LOADS + j, i * LOADS + j] = ratio[i, j] / main_values[i]
             jacobian[i * LOADS + j, i * LOADS + main[i]] = -value[i, j] / main_values[i]
-    uncertainty = fit.uncertainty.transformed(real_design(jacobian)[None])
+    uncertainty = fit.uncertainty.transformed(real_stacked(jacobian)[None])
     matrices = uncertainty.regions(value.reshape(1, -1))[0]
     regions = [region(e, matrix) for e, matrix in zip(value.ravel().tolist(), matrices, strict=True)]
     half_axis = np.array([found.half_axes[0] for found in regions]).reshape(value.shape)

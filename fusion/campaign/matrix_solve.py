@@ -11,9 +11,10 @@ from scipy.linalg import solve_triangular
 
 from fusion.campaign.excited_line import LOADS, ExcitedLine
 from fusion.campaign.line_stack import Stack, largest_magnitude
-from fusion.estimation.uncertainty import as_complex, real_design, real_stack
+from fusion.estimation.uncertainty import as_complex, real_stack
 from fusion.estimation.variance_components import EstimatedNoise
 from shaker.labels import LOAD_COMPONENTS
+from shaker.sine.phasor import real_stacked
 from shakercal._common.arrays import ComplexArray, FloatArray, IntArray
 
 # Whether recordings excite all six components of the load, and which are missing.
@@ -294,17 +295,17 @@ def _linearise(stack: Stack, point: LinearisationPoint, drives: IntArray) -> _Li
     residual = residual - (through @ (given - load)[..., None])[..., 0]
     effects = output_effect - through @ (of_load.swapaxes(1, 2) * size[:, None, None])
     finite = np.tile(np.isfinite(output), (1, 2))
-    turn = real_design(through)
+    turn = real_stacked(through)
     noise = stack.individual_output_covariance[drives] + turn @ stack.individual_load_covariance[
         drives
     ] @ turn.swapaxes(1, 2)
     noise = np.where(finite[:, :, None] & finite[:, None], noise, 0.0)
     return _Linear(
         residual=np.where(finite, real_stack(residual), 0.0),
-        design=np.where(finite[:, :, None], real_design(rows.reshape(len(drives), channels, -1)), 0.0),
+        design=np.where(finite[:, :, None], real_stacked(rows.reshape(len(drives), channels, -1)), 0.0),
         through=turn,
         effects=np.where(finite[:, :, None], np.concatenate([effects.real, effects.imag], axis=1), 0.0),
-        load_step=real_design(step),
+        load_step=real_stacked(step),
         noise=noise + ~finite[:, :, None] * np.eye(finite.shape[1]),
     )
 

@@ -19,12 +19,11 @@ from fusion.estimation.uncertainty import (
     Uncertainty,
     added_up,
     merge_contributions,
-    real_design,
     real_stack,
     total_variance,
 )
 from fusion.sensitivity.ratio import PriorMatrix, StatedMatrix, driven_component, prior_matrix
-from shaker.sine.phasor import real_stacked_diagonal
+from shaker.sine.phasor import real_stacked, real_stacked_diagonal
 from shakercal._common.arrays import ComplexArray, FloatArray, IntArray
 from shakercal._common.notices import Notice
 
@@ -95,7 +94,7 @@ def drive_ratio(drive: ExcitedLine, component: int, channels: Sequence[str]) -> 
     indices = [drive.channels.index(channel) for channel in channels]
     load = drive.load[component]
     ratio = drive.outputs[indices] / load
-    through = real_design(-ratio[:, None] / load)[None]
+    through = real_stacked(-ratio[:, None] / load)[None]
     upper = of_outputs.at(indices).scaled(np.full((1, len(indices)), 1.0 / load, dtype=np.complex128))
     return np.asarray(ratio), upper.plus(of_load.at([component]).transformed(through))
 

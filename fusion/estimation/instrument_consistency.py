@@ -13,8 +13,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from fusion.estimation.least_squares import FusionSolution, FusionSystem, drop_rows, solve
-from fusion.estimation.uncertainty import as_complex, real_design, real_stack
+from fusion.estimation.uncertainty import as_complex, real_stack
 from fusion.estimation.variance_components import TEST_CONFIDENCE, EstimatedNoise, fails
+from shaker.sine.phasor import real_stacked
 from shakercal._common.arrays import BoolArray, ComplexArray, FloatArray, IntArray
 
 if TYPE_CHECKING:
@@ -243,7 +244,7 @@ def compare_with_estimate(
             rows, design = rows[usable], design[usable]
             predicted = design @ np.nan_to_num(acceleration[k])
             both = np.concatenate([rows, rows + len(names)])
-            jacobian = real_design(design)
+            jacobian = real_stacked(design)
             spread = observation.phasors.covariance[k][np.ix_(both, both)]
             spread = spread + jacobian @ np.nan_to_num(covariance[k]) @ jacobian.T
             difference = real_stack(value[rows] - predicted)

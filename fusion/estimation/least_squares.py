@@ -13,8 +13,9 @@ from scipy.sparse import csr_array, diags_array
 from fusion.errors import ComputeError
 from fusion.estimation.estimation_notices import UNBOUNDED_READINGS
 from fusion.estimation.measurement_model import SCALE, UnobservedMotion, relative_change
-from fusion.estimation.uncertainty import as_complex, real_design, real_stack
+from fusion.estimation.uncertainty import as_complex, real_stack
 from shaker.labels import MOTION_COMPONENTS
+from shaker.sine.phasor import real_stacked
 from shakercal._common.arrays import BoolArray, ComplexArray, FloatArray, IntArray
 
 if TYPE_CHECKING:
@@ -211,7 +212,7 @@ def build_system(
     starts = np.concatenate([[0], np.cumsum([2 * basis.shape[1] for basis in bases])]).astype(np.int64)
     expand = np.zeros((12 * lines, starts[-1]))
     for k, basis in enumerate(bases):
-        expand[12 * k : 12 * k + 12, starts[k] : starts[k + 1]] = real_design(SCALE[:, None] * basis)
+        expand[12 * k : 12 * k + 12, starts[k] : starts[k + 1]] = real_stacked(SCALE[:, None] * basis)
     names = tuple(dict.fromkeys(name for o in observations for name in o.members))
     common: dict[str, CommonError] = {}
     for error in (error for observation in observations for error in observation.common):
@@ -335,7 +336,7 @@ def unmeasured_drive(body: str, unobserved_motion: UnobservedMotion, observed: B
 
 def _beyond(motion: FloatArray, line: IntArray, bases: Sequence[ComplexArray]) -> FloatArray:
     """Return the effect (N, 12) of motion beyond each line's basis on all rows."""
-    beyond = np.stack([real_design(np.eye(6) - SCALE[:, None] * (b @ b.conj().T) / SCALE) for b in bases])
+    beyond = np.stack([real_stacked(np.eye(6) - SCALE[:, None] * (b @ b.conj().T) / SCALE) for b in bases])
     effect = np.einsum("nj,nji->ni", motion, beyond[line])
     # The remainder of a row that lies in the basis is rounding.
     return np.where(np.abs(effect) > ROUNDING * np.abs(motion).max(axis=1, keepdims=True), effect, 0.0)

@@ -305,11 +305,6 @@ def _factors(dof: FloatArray) -> FloatArray:
     return np.array(found, dtype=np.float64).reshape(dof.shape)
 
 
-def real_design(matrix: ComplexArray) -> FloatArray:
-    """Return complex matrices in the real form that acts on [all Re, all Im]."""
-    return np.block([[matrix.real, -matrix.imag], [matrix.imag, matrix.real]])
-
-
 def real_stack(values: ComplexArray) -> FloatArray:
     """Return [all Re, all Im] along the last axis."""
     return np.concatenate([values.real, values.imag], axis=-1)

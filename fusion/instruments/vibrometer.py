@@ -8,10 +8,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from fusion.estimation.uncertainty import Contribution, Influence, Uncertainty, added_up, real_design, real_stack
+from fusion.estimation.uncertainty import Contribution, Influence, Uncertainty, added_up, real_stack
 from fusion.instruments.instrument_notices import PARALLEL_BEAMS, PARALLEL_BEAMS_WITHOUT_HEAD
 from fusion.recording.manifest import ChannelEntry
 from fusion.recording.placement import LaserBeams, chain_name
+from shaker.sine.phasor import real_stacked
 from shakercal._common.arrays import ComplexArray, FloatArray, check_shape, check_shapes
 from shakercal._common.notices import Notice
 
@@ -216,7 +217,7 @@ def _spread(points: Sequence[_Point]) -> PointSpread | None:
     uncertainty = _uncertainty(points)
     solve: FloatArray = np.linalg.pinv(columns).astype(np.float64)
     leave = np.eye(len(points)) - columns @ solve
-    plane_u, residual_u = (uncertainty.transformed(real_design(m.astype(np.complex128))[None]) for m in (solve, leave))
+    plane_u, residual_u = (uncertainty.transformed(real_stacked(m.astype(np.complex128))[None]) for m in (solve, leave))
     return PointSpread(
         instrument=", ".join(dict.fromkeys(point.observation.name for point in points)),
         body=points[0].observation.body,

@@ -21,7 +21,6 @@ from fusion.estimation.uncertainty import (
     Unknown,
     added_up,
     polar_elements,
-    real_design,
     real_stack,
     total_variance,
 )
@@ -38,7 +37,7 @@ from fusion.sensitivity.sensitivity_notices import (
 )
 from photogram.geometry import skew
 from shaker.labels import LOAD_COMPONENTS, LOAD_UNITS, MOTION_COMPONENTS
-from shaker.sine.phasor import Phasors, real_stacked_diagonal
+from shaker.sine.phasor import Phasors, real_stacked, real_stacked_diagonal
 from shakercal._common.arrays import BoolArray, ComplexArray, FloatArray, check_shape, check_shapes
 from shakercal._common.notices import Notice
 
@@ -138,7 +137,7 @@ def load_phasors(acceleration: Acceleration, body: Body) -> LoadResult:
     observed = np.isfinite(value) & (np.sqrt(spread) <= UNOBSERVED_LIMIT * np.abs(value))
     # Unobserved components are separate contributions, which include their effect on the others.
     others = tuple(part for part in acceleration.uncertainty.random if part.label not in UNOBSERVED_ITSELF)
-    carried = replace(acceleration.uncertainty, random=others).nan_as_zero().transformed(real_design(matrix))
+    carried = replace(acceleration.uncertainty, random=others).nan_as_zero().transformed(real_stacked(matrix))
     of_parameters = tuple(c.acting(real_stack(np.einsum("kij,kj->ki", c.effect, motion))) for c in changes)
     # What is elastic acts on instruments and load by one name.
     total = Uncertainty((*carried.random, *hidden.values()), added_up((*carried.influences, *of_parameters)))
@@ -172,11 +171,11 @@ def _hidden_contributions(
     u = np.where(np.isinf(amplitude), 0.0, amplitude) / np.sqrt(2.0)
     # Through the uncertain parameters an unobserved component acts even where its coefficient is zero.
     matrices = np.stack([matrix, *(c.effect for c in changes)])
-    leaked = np.zeros((len(u), 12, 12)) if acceleration.leaked is None else real_design(matrix) @ acceleration.leaked
+    leaked = np.zeros((len(u), 12, 12)) if acceleration.leaked is None else real_stacked(matrix) @ acceleration.leaked
     hidden = {}
     for index, (name, label) in enumerate(zip(MOTION_COMPONENTS, UNOBSERVED_ITSELF, strict=True)):
         if np.any(u[:, index] > 0.0):
-            columns = real_design(matrices[..., index, None]) * u[:, index, None, None]
+            columns = real_stacked(matrices[..., index, None]) * u[:, index, None, None]
             columns[0] -= leaked[:, :, [index, index + 6]]
             hidden[name] = Contribution(label, "B", np.einsum("wkia,wkja->kij", columns, columns))
     return hidden

@@ -24,7 +24,6 @@ from fusion.estimation.uncertainty import (
     element_covariances,
     merge_contributions,
     polar_elements,
-    real_design,
     real_stack,
 )
 from fusion.instruments.channel import Outputs
@@ -33,6 +32,7 @@ from fusion.sensitivity.load_phasors import BudgetEntry, LoadResult, budget
 from fusion.sensitivity.moving_body import Body
 from fusion.sensitivity.sensitivity_notices import MASS_DOUBTED, OUTPUT_CONTRADICTS
 from shaker.labels import LOAD_COMPONENTS, sensitivity_unit
+from shaker.sine.phasor import real_stacked
 from shakercal._common.arrays import BoolArray, ComplexArray, FloatArray, check_shape
 from shakercal._common.notices import Notice
 
@@ -142,7 +142,7 @@ def sensitivity_ratio(outputs: Outputs, load: LoadResult, component: int, multip
     channels = outputs.phasors.channels
     driven = np.where(load.observed[:, component], load.value[:, component], np.nan)[:, None]
     ratio = quotient(outputs.phasors.value, driven)
-    from_load = load.uncertainty.at([component]).transformed(real_design(quotient(-ratio, driven)[:, :, None]))
+    from_load = load.uncertainty.at([component]).transformed(real_stacked(quotient(-ratio, driven)[:, :, None]))
     from_outputs = outputs.uncertainty.scaled(np.broadcast_to(quotient(1.0, driven), ratio.shape))
     value = np.full((*ratio.shape, 6), complex(np.nan, np.nan))
     value[:, :, component] = ratio
@@ -212,7 +212,7 @@ def parasitic_loads(
     slope = quotient(matrix, np.broadcast_to(signal[:, :, None], (*signal.shape, 6)))
     parts = slope * load.value[:, None, :]
     value = np.sum(parts, axis=2)
-    from_load = load.uncertainty.transformed(real_design(slope))
+    from_load = load.uncertainty.transformed(real_stacked(slope))
     total = from_load.plus(outputs.uncertainty.scaled(quotient(-value, signal)))
     static_influences = []
     for unknown in unknowns:
@@ -357,10 +357,10 @@ class PriorMatrix:
         by_load = back[:, :, None] * self.value[m] - ratio[:, :, None] * others
         by_load[:, :, d] -= self.elements(outputs, load)
         total = of_outputs.nan_as_zero().transformed(
-            real_design(np.nan_to_num(quotient(by_outputs, driven[:, :, None])))
+            real_stacked(np.nan_to_num(quotient(by_outputs, driven[:, :, None])))
         )
         total = total.plus(
-            of_load.nan_as_zero().transformed(real_design(np.nan_to_num(quotient(by_load, driven[:, :, None]))))
+            of_load.nan_as_zero().transformed(real_stacked(np.nan_to_num(quotient(by_load, driven[:, :, None]))))
         )
         influences, products = list[Influence](), list[Contribution]()
         hidden = ~np.tile(given, (1, 2))
@@ -374,7 +374,7 @@ class PriorMatrix:
             by_each = back[:, :, None] * effect[:, :, None, m] - ratio[:, :, None] * others_effect
             slope = np.nan_to_num(quotient(by_each, driven[:, :, None]))
             acting = real_stack(np.einsum("ukcj,kj->ukc", slope, np.nan_to_num(load)))
-            both = real_design(slope)
+            both = real_stacked(slope)
             spread = both @ unsure @ both.swapaxes(2, 3)
             influences = [unknown.acting(change) for unknown, change in zip(unknowns, acting, strict=True)]
             products = [Contribution(u.label, "B", square) for u, square in zip(unknowns, spread, strict=True)]
@@ -483,7 +483,7 @@ def contradicting_outputs(
     predicted = force @ prior.value.T
     full = np.max(np.abs(prior.value) * rated, axis=1)
     at_line = load.uncertainty.at_lines([line]).nan_as_zero()
-    of_load = at_line.transformed(real_design(prior.value[None].astype(np.complex128)))
+    of_load = at_line.transformed(real_stacked(prior.value[None].astype(np.complex128)))
     pair = np.diagonal(of_load.covariance[0]).reshape(2, -1).sum(axis=0)
     cross = CROSS_TALK * np.max(np.abs(force) / rated) * full
     noise = 3.0 * np.hypot(np.sqrt(pair), np.hypot(outputs.phasors.u_re[line], outputs.phasors.u_im[line]))
@@ -563,7 +563,7 @@ def with_ratios(spread: PointSpread, outputs: Outputs, sensitivity: Sensitivity,
     mass = rigid.load_matrix(spread.frequency_hz)[:, axis, axis]
     driven = mass[:, None] * spread.value
     value = outputs.phasors.value[:, channel, None] / driven
-    from_output = outputs.uncertainty.at([channel]).transformed(real_design((1.0 / driven)[:, :, None]))
+    from_output = outputs.uncertainty.at([channel]).transformed(real_stacked((1.0 / driven)[:, :, None]))
     first_order = from_output.plus(spread.uncertainty.scaled(-value / spread.value))
     # Change per kilogram times the uncertainty of the masses.
     masses = [

@@ -20,7 +20,7 @@ from fusion.base import round_to_uncertainty
 from fusion.estimation.coverage import polar
 from fusion.estimation.least_squares import RANK_TOLERANCE, RESOLUTION_TOLERANCE
 from fusion.estimation.measurement_model import BODY_SIZE_M, SCALE, CommonError, Observation
-from fusion.estimation.uncertainty import Kind, as_complex, element_covariance, real_design, real_stack
+from fusion.estimation.uncertainty import Kind, as_complex, element_covariance, real_stack
 from fusion.estimation.variance_components import EstimatedNoise
 from fusion.instruments.channel import ChannelGeometry
 from fusion.instruments.stereo import StereoReading, carrier_of
@@ -31,7 +31,7 @@ from fusion.sensitivity.sensitivity_notices import SUPPORT_CORRECTED, SUPPORT_EX
 from photogram.camera import principal_components
 from photogram.geometry import skew
 from shaker.labels import MOTION_COMPONENTS, component_units
-from shaker.sine.phasor import Phasors
+from shaker.sine.phasor import Phasors, real_stacked
 from shakercal._common.arrays import Arrays, BoolArray, ComplexArray, FloatArray, IntArray
 from shakercal._common.notices import Notice
 
@@ -237,7 +237,7 @@ class _Readings(NamedTuple):
             finite = np.flatnonzero(np.isfinite(value))
             columns = np.array(seen.columns)[finite]
             both = np.concatenate([columns, columns + phasors.value.shape[1]])
-            rows.append(real_design(seen.rows(line)[finite]))
+            rows.append(real_stacked(seen.rows(line)[finite]))
             values.append(real_stack(value[finite]))
             indices = count + np.arange(len(both))
             parts.append((indices, phasors.covariance[line][np.ix_(both, both)], float(phasors.dof[line])))

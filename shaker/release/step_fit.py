@@ -458,9 +458,8 @@ def _published(record: StepRecord, reading: ReleaseReading, rng: np.random.Gener
     load, output = signals[0][begin:], signals[1][begin:]
     before = float(np.sum(signals[1][:begin] ** 2))
     bounds = [(-BOUND, BOUND)] * (2 * _ORDER)
-    errors = output_errors
     best, path = evolve(
-        lambda members, most: errors(members, most, load, output, before), bounds, rng, (POPULATION, GENERATIONS)
+        lambda members, most: output_errors(members, most, load, output, before), bounds, rng, (POPULATION, GENERATIONS)
     )
     top, bottom = np.append(0.0, best[-2::-2]), np.append(1.0, best[::-2])
     sampled = LinearSystem.from_coefficients(top, bottom, record.sample_rate_hz)
