@@ -33,11 +33,11 @@ from shaker.release.load_modes import (
 )
 from shakercal._common.arrays import FloatArray
 from shakercal._common.fitting import WhitenedResiduals, levenberg_marquardt
-from shakercal._common.means import additional_scatter
 from shakercal._common.notices import Notice, Value
 
 # Stiffnesses and dampings from the resonances of several loads.
 
+_ROUNDING = 1e-12  # scatter over that of equal weights, below which it is none
 STARTS = np.geomspace(0.03, 30.0, 9)  # ratios k_L/k of the starts
 SAME_MINIMUM = 1e-2  # relative difference of parameters below which two minima are the same
 COARSE = (1e-2, 1e-1)
@@ -142,7 +142,7 @@ def _scatter(problem: SeriesProblem, x: FloatArray) -> tuple[float, float]:
     ]
     for _ in range(50 if any(estimated) else 0):
         f, z = (
-            additional_scatter(*group) if estimate else 0.0
+            _additional_scatter(*group) if estimate else 0.0
             for group, estimate in zip(problem.groups(x), estimated, strict=True)
         )
         if np.allclose((f, z), scatter, rtol=1e-6, atol=0.0):
@@ -431,3 +431,19 @@ def _remarks(
     for name, value in zip(masses.names, fit.deviates, strict=True):
         if abs(value) > UNLIKELY:
             yield Notice(MASS_CONTRADICTED, where, cause=name, deviation=value)
+
+
+def _additional_scatter(deviation: FloatArray, u: FloatArray, dof: int) -> float:
+    """Return the standard deviation τ with Σ d²/(u² + τ²) = dof, 0 without scatter.
+
+    It belongs to deviations (N,) from a mean or model with stated uncertainties (N,) (Paule and Mandel, J. Res. NBS 87
+    (1982) 377).
+    """
+    from scipy.optimize import brentq
+
+    def beyond(tau: float) -> float:
+        return float(np.sum(deviation**2 / (u**2 + tau**2))) - dof
+
+    high = float(np.sqrt(np.sum(deviation**2) / dof))
+    low = _ROUNDING * high
+    return float(brentq(beyond, low, high * (1.0 + 1e-9))) if high > 0.0 and beyond(low) > 0.0 else 0.0
