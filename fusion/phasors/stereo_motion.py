@@ -59,6 +59,7 @@ if TYPE_CHECKING:
     from photogram.images.noise import NoiseModel
     from photogram.measure.body import BodyMotion
     from photogram.measure.epipolar import EpipolarCheck
+    from photogram.measure.fixed_pattern import FixedPattern
     from photogram.motion import Deformation, RigidMotion
     from photogram.subsets.texture import SubsetQuality
     from photogram.subsets.track import StereoTracks
@@ -161,7 +162,8 @@ class ImageView:
 
     Tracked subsets of some frames at a time, their rig, the first left image, the noise models of its cameras and the
     predicted quality of subsets. `epipolar`: whether the pair is as calibrated (None for a single camera). `deformed`:
-    deformation in shapes, from all pixels. Medians: `sigma_px` of positions by noise, and `zncc` in the left camera.
+    deformation in shapes, from all pixels. `pattern`: effect of the sensors' fixed pattern. Medians: `sigma_px` of
+    positions by noise, and `zncc` in the left camera.
     `phase_rotated`: of a rolling shutter, after its refinement.
     """
 
@@ -174,6 +176,7 @@ class ImageView:
     deformed: ShapeAmplitudes
     sigma_px: float
     zncc: float
+    pattern: FixedPattern | None = None
     phase_rotated: PhaseRotated | None = None
 
 
@@ -338,15 +341,13 @@ def motion_from_tracks(images: PreparedImages, body: BodyMotion) -> StereoMotion
     if isinstance(images.rig, StereoRig):
         epipolar = check_epipolar(body.tracked, images.rig, body.subset_frames)
         notices = epipolar.notices
-    medians = body.sigma_px, body.zncc
+    others = body.shape_amplitudes, body.sigma_px, body.zncc, body.pattern
     return StereoMotion(
         images.sight,
         body.motion,
         body.surface,
         body.reprojection_px,
-        ImageView(
-            body.tracked, images.rig, images.first, body.noise, body.quality, epipolar, body.shape_amplitudes, *medians
-        ),
+        ImageView(body.tracked, images.rig, images.first, body.noise, body.quality, epipolar, *others),
         (*images.notices, *body.notices, *notices),
         body.subset_frames,
     )

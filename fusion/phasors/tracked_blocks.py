@@ -196,8 +196,8 @@ def unpack_block(content: bytes, frames: int) -> FollowedBlock | None:
         names_of_fits = ("rotation", "translation", "scored", "covariance", "noise", "cells")
         of_fits = (arrays[name] for name in ("fitted", *names_of_fits, "amplitude", "shape-covariance", "misfit"))
         for number, rotation, translation, scored, covariance, noise, cells, *rest in zip(*of_fits, strict=True):
-            moved, rest = RigidTransform(rotation, translation), [*rest, next(scores) if scored else none]
-            fits[number] = DirectFit(moved, covariance, float(noise), int(cells), *rest)
+            moved, others = RigidTransform(rotation, translation), [*rest, next(scores) if scored else none]
+            fits[number] = DirectFit(moved, covariance, float(noise), int(cells), *others)
         found: list[tuple[Registration, ...] | None] = [None] * frames
         cameras = range(sum(name.startswith(f"{names[0]}-") for name in arrays))
         for k, number in enumerate(arrays["sought"].tolist()):
