@@ -7,20 +7,20 @@ from collections.abc import Iterator
 import numpy as np
 
 from fusion.phasors.stereo_motion import ImageView, StereoMotion
-from photogram.images.image_notices import PATTERN_CORRECTED, PATTERN_UNKNOWN
+from photogram.images.image_notices import PATTERN_CONTRADICTED, PATTERN_CORRECTED, PATTERN_UNKNOWN
 from photogram.measure.body import TrackedSubsets
 from photogram.measure.fixed_pattern import FixedPattern, cell_phasors
 from photogram.measure.follow import sine_terms
 from shaker.sine.phasor import Phasors
-from shakercal._common.arrays import ComplexArray, FloatArray, IntArray
+from shakercal._common.arrays import BoolArray, ComplexArray, FloatArray, IntArray
 from shakercal._common.notices import Notice
 from shakercal._common.propagation import covariance_root
 
 MIN_FREE_FRAMES = 4  # beyond the unknowns, to tell noise from what repeats with the motion
 SHARED_SIGMAS = 3.0  # standard deviations beyond chance, from which whole columns or rows of cells err together
 COMPONENTS = 6
-NOTABLE_SHARE, UNKNOWN_SHARE = 0.5, 1.0
-"""Correction, and its standard uncertainty, over that of noise, above which there is a notice."""
+CONTRADICTION = 3.0  # standard uncertainties by which a measured pattern exceeds a stated one
+NOTABLE_SHARE = 0.5  # correction or its standard uncertainty, over that of noise, above which there is a notice
 
 
 def pattern_effects(measured: StereoMotion, view: ImageView, frequency_hz: FloatArray) -> ComplexArray:
@@ -117,31 +117,43 @@ def _scatter(change: FloatArray, group: IntArray) -> FloatArray:
 
 
 def pattern_notices(
-    measured: StereoMotion, view: ImageView, frequency_hz: FloatArray, phasors: Phasors, effects: ComplexArray
+    measured: StereoMotion,
+    view: ImageView,
+    lines: tuple[FloatArray, BoolArray],
+    phasors: Phasors,
+    effects: ComplexArray,
 ) -> Iterator[Notice]:
-    """Yield a notice of the line with the largest effect, where it is large beside the noise of the phasors (K, 6)."""
-    pattern = view.pattern
+    """Yield notices of patterns that differ from what is stated, and of the driven line with the largest effect.
+
+    `lines`: frequencies (K,), and whether they are driven. An effect is large beside the noise of the phasors (K, 6).
+    """
+    pattern, (frequency_hz, driven) = view.pattern, lines
     if pattern is None or not len(effects):
         return
+    for camera, known, (size, u) in zip(("left", "right"), pattern.patterns, pattern.variance.tolist(), strict=False):
+        if known.known and size > 1.0 + CONTRADICTION * np.hypot(known.variance_uncertainty, u):
+            ratio = float(np.sqrt(size))
+            yield Notice(PATTERN_CONTRADICTED, f"{camera} camera", camera=camera, ratio=ratio, u=u / (2.0 * ratio))
+    if not driven.any():
+        return
     correction = np.abs(_phasors(measured, pattern.correction, frequency_hz))
-    u, value = np.sqrt(np.sum(np.abs(effects) ** 2, axis=0)), np.abs(phasors.value)
-    noise = np.hypot(phasors.u_re, phasors.u_im)
-    main = np.argmax(value[:, :3], axis=1)
-    lines = np.arange(len(frequency_hz))
-    k = int(np.argmax(np.maximum(correction, u)[lines, main] / noise[lines, main]))
-    size, u_size, of_noise, whole = (float(part[k, main[k]]) for part in (correction, u, noise, value))
+    value, noise = np.abs(phasors.value), np.hypot(phasors.u_re, phasors.u_im)
+    u, u_size = (np.sqrt(np.sum(np.abs(some) ** 2, axis=0)) for some in (effects, effects[: pattern.change.shape[1]]))
+    main, each = np.argmax(value[:, :3], axis=1), np.arange(len(frequency_hz))
+    k = int(np.argmax(np.where(driven, (np.maximum(correction, u) / noise)[each, main], 0.0)))
+    size, u_whole, of_size, of_noise, whole = (float(one[k, main[k]]) for one in (correction, u, u_size, noise, value))
     values = {
         "frequency_hz": float(frequency_hz[k]),
         "motion_px": _motion_px(measured, view),
-        "correction_percent": 100.0 * size / whole,
-        "u_percent": 100.0 * u_size / whole,
+        "u_percent": 100.0 * u_whole / whole,
     }
     where = f"{frequency_hz[k]:.6g} Hz"
-    if u_size > UNKNOWN_SHARE * of_noise:
+    if of_size > of_noise:
         yield Notice(PATTERN_UNKNOWN, where, **values)
-    elif size > NOTABLE_SHARE * of_noise:
+    elif max(size, u_whole) > NOTABLE_SHARE * of_noise:
         prnu = np.array([one.prnu for one in pattern.patterns]) * np.sqrt(np.maximum(pattern.variance[:, 0], 0.0))
-        yield Notice(PATTERN_CORRECTED, where, prnu_percent=100.0 * float(prnu.max()), **values)
+        percent = {"prnu_percent": 100.0 * float(prnu.max()), "correction_percent": 100.0 * size / whole}
+        yield Notice(PATTERN_CORRECTED, where, **percent, **values)
 
 
 def _motion_px(measured: StereoMotion, view: ImageView) -> float:

@@ -33,11 +33,12 @@ from fusion.recording.load import Manifest
 from fusion.recording.manifest import MINIMUM_FRAMES, Images, PointFiles
 from fusion.recording.rig import Stereo
 from fusion.recording.transducer import STATIONARY
-from fusion.recording.values import FILE, SurfacePlane
+from fusion.recording.values import FILE, SensorOfCamera, SurfacePlane
 from photogram.calibration.calibration_file import read_calibration, read_camera
 from photogram.camera import FaceCamera, Rig, StereoRig
 from photogram.geometry import RigidTransform
 from photogram.images.image_files import open_sequence
+from photogram.images.sensor_pattern import stated_pattern
 from photogram.images.sequence import (
     GreyImage,
     ImageSequence,
@@ -251,6 +252,8 @@ def prepare_images(
             sequences[number] = inspect_first_image(
                 replace(sequences[number], most_saturated=MAX_SATURATED), first[number]
             )
+        sequences[number] = _with_pattern(manifest, sight, side, sequences[number])
+        first[number] = sequences[number].read(0)
     copied, copies = _copies(entry, sequences)
     pair = _without_calibration_share(sight.pair, rig)
     notices: list[Notice] = [*remarks, *copies, *(notice for images in sequences for notice in images.notices)]
@@ -266,6 +269,19 @@ def prepare_images(
         modes = mode_shapes(load, sight.name)
     placed = replace(sight, pair=pair)
     return PreparedImages(placed, tuple(sequences), rig, first[0], tuple(notices), depth_m, modes, entry, copied)
+
+
+def _with_pattern(manifest: Manifest, sight: Sight, side: str, images: ImageSequence) -> ImageSequence:
+    """Return the images of a camera with its fixed pattern as stated, corrected by dark and flat images."""
+    stated: SensorOfCamera = getattr(sight.pair, side)
+    if not (stated.dark or stated.flat):
+        return replace(images, pattern=stated_pattern(stated.prnu, stated.dsnu))
+    from photogram.images.flat_field import corrected_sequence, flat_field
+
+    bits, where = images.full_scale.bit_length(), f"stereo.{sight.name}.{side}"
+    with as_input_error(manifest.rig_path, where, IMAGES_REFUSED):
+        dark, flat = (open_sequence(files, bits) if files else None for files in (stated.dark, stated.flat))
+        return corrected_sequence(images, flat_field(images, dark, flat))
 
 
 def _copies(entry: Images, sequences: Sequence[ImageSequence]) -> tuple[BoolArray, list[Notice]]:

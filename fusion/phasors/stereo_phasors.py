@@ -185,9 +185,9 @@ def stereo_phasors(
         effects, of_shapes = image_effects(measured, view, frequency_hz, usable, gain, notices)
         if isinstance(view.rig, StereoRig):
             shapes = shape_phasors(time_s, frequency_hz, view.deformed, length_s, of_shapes, moved, view.phase_rotated)
-        notices += pattern_notices(
-            measured, view, frequency_hz, moved, effects[PATTERN][:, usable] * gain[usable, None]
-        )
+        by_pattern = effects[PATTERN][:, usable] * gain[usable, None]
+        driven = frequency_hz, np.asarray(lines.multiple[usable] == 1)
+        notices += pattern_notices(measured, view, driven, moved, by_pattern)
     reading = StereoReading(
         name=name,
         pair=sight.pair,

@@ -144,7 +144,8 @@ PATTERN_CORRECTED = DeclaredNotice(
     "note",
     "The fixed pattern of the sensors (about {prnu_percent:.2g} % PRNU) shortens the motion of {motion_px:.2g} px "
     "(rms) at {frequency_hz:.6g} Hz by {correction_percent:.2g} %.",
-    effect="This is corrected by the growth of the misfit with the motion, u {u_percent:.2g} %.",
+    effect="This is corrected by the growth of the misfit with the motion. {u_percent:.2g} % (u) remain, which are in "
+    "U: also by cells of the image that err alike in every period.",
     remedy="For a smaller uncertainty state `dark` and `flat` images of each camera.",
     link="tracking.md#fixed-pattern",
 )
@@ -156,5 +157,13 @@ PATTERN_UNKNOWN = DeclaredNotice(
     effect="U includes this, for the pattern that is stated or for that of a common industrial sensor.",
     remedy="State `dark` and `flat` images or `prnu` and `dsnu` of each camera, or add some frames with the body "
     "displaced by 1 to 3 px.",
+    link="tracking.md#fixed-pattern",
+)
+PATTERN_CONTRADICTED = DeclaredNotice(
+    "SC-218",
+    "warning",
+    "The fixed pattern of the {camera} camera's sensor is {ratio:.1f} times (u {u:.1f}) the one that is stated for it.",
+    effect="The measured size is used, and its uncertainty is in U.",
+    remedy="Check that the dark and flat images, or `prnu` and `dsnu`, are those of this camera and of these settings.",
     link="tracking.md#fixed-pattern",
 )

@@ -226,11 +226,11 @@ def body_motion(scene: BodyScene, blocks: Iterable[FollowedBlock]) -> BodyMotion
         sums.add(block, points, of_points, fits.merged(of_points, numbers))
     assert sums.mean is not None
     of_points = _joined(sums.of_points, "origin_m")
-    motion = fits.of_all(of_points, tracked.frames)
+    motion, missing = fits.of_all(of_points, tracked.frames), fits.count_missing(scene.body)
     notices = (
         *tracked.summary.notices,
         *remarks,
-        *_rigid_notices(sums, _of_frames(motion, tracked.frames), of_points, fits.count_missing(scene.body)),
+        *_rigid_notices(sums, _of_frames(_as_seen(motion, pattern), tracked.frames), of_points, missing),
     )
     return BodyMotion(
         motion=motion,
@@ -436,7 +436,6 @@ def _tracked(scene: BodyScene, blocks: Iterable[FollowedBlock]) -> tuple[Tracked
     if levels:
         fits[0] = (missing[0], rest_covariance(scene.views, float(np.median(levels))), *missing[2:])
     grey = tuple(np.sqrt(side.mean) for side in noise)
-    summary = monitor.summarize(scene.first, scene.grid, scene.settings, grey)
     whole, numbers, pattern = _Fits(*map(np.array, zip(*fits, strict=True))), np.array(frames), None
     with_residuals = numbers[np.isfinite(whole.misfit[numbers, 0, 0])]
     if levels:
@@ -444,8 +443,22 @@ def _tracked(scene: BodyScene, blocks: Iterable[FollowedBlock]) -> tuple[Tracked
         full_scales = [float(images.full_scale) for images in scene.images]
         pattern = fixed_pattern(scene.views, known, full_scales, scene.settings.degree, (whole.pose, whole.misfit))
         whole = replace(whole, pose=whole.pose + pattern.correction)
+    white = grey if pattern is None else _with_pattern(scene, grey, pattern)
+    summary = monitor.summarize(scene.first, scene.grid, scene.settings, white)
     tracked = TrackedSubsets(scene, blocks, numbers, with_residuals, whole.pose[numbers], grey, monitor, summary)
     return tracked, whole, pattern
+
+
+def _with_pattern(
+    scene: BodyScene, noise_grey: tuple[FloatArray, ...], pattern: FixedPattern
+) -> tuple[FloatArray, ...]:
+    """Return the noise of the first image at the subsets, that of the pixels' fixed pattern included."""
+    whole = []
+    for side, grey in enumerate(noise_grey):
+        mean2 = np.array(np.mean(scene.references[side].mean ** 2))
+        fixed = pattern.patterns[side].variance(mean2, float(scene.images[side].full_scale))
+        whole.append(np.sqrt(grey**2 + np.maximum(pattern.variance[side, 0], 0.0) * fixed))
+    return tuple(whole)
 
 
 def _add_subsets(
@@ -465,6 +478,11 @@ def _of_frames(motion: RigidMotion, frames: IntArray) -> RigidMotion:
     """Return the motion in some frames."""
     selected = {name: getattr(motion, name)[frames] for name in ("pose", "covariance", "residual_m", "points")}
     return replace(motion, **selected)
+
+
+def _as_seen(motion: RigidMotion, pattern: FixedPattern | None) -> RigidMotion:
+    """Return the motion without the correction for the fixed pattern, which the points do not have."""
+    return motion if pattern is None else replace(motion, pose=motion.pose - pattern.correction)
 
 
 def _joined(parts: Sequence[_Part], constant: str = "") -> _Part:
