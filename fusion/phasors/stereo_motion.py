@@ -272,8 +272,8 @@ def prepare_images(
 
 
 def _with_pattern(manifest: Manifest, sight: Sight, side: str, images: ImageSequence) -> ImageSequence:
-    """Return the images of a camera with its fixed pattern as stated, corrected by dark and flat images."""
-    stated: SensorOfCamera = getattr(sight.pair, side)
+    """Return a camera's images with its fixed pattern as stated, or corrected."""
+    stated: SensorOfCamera = getattr(sight.pair, side) or SensorOfCamera()
     if not (stated.dark or stated.flat):
         return replace(images, pattern=stated_pattern(stated.prnu, stated.dsnu))
     from photogram.images.flat_field import corrected_sequence, flat_field

@@ -369,7 +369,7 @@ def solve_step(xp: Any, views: Sequence[Any], compared: Sequence[CellSums]) -> F
 def _view_residuals(
     xp: Any, view: Any, cells: CellSums, used: Any, totals: CellTotals, step: tuple[Any, Any]
 ) -> ViewResiduals:
-    """Return the residuals of a view after a step (A, 6) at a noise ratio (A,)."""
+    """Return the residuals of a view after a step (A, 6) and noise ratio (A,)."""
     pose, ratio = step
     gain = xp.where(used, cells.gain, 0.0)
     slope = gain[..., None] * xp.where(used[..., None], cells.slope, 0.0)

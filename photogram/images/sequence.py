@@ -261,7 +261,7 @@ class ImageSequence:
         return self.full_scale if self.clips_at is None else self.clips_at
 
     def read(self, index: int) -> GreyImage:
-        """Return frame `index` (H, W) with every bit of the file, as float32 after a correction of its pattern."""
+        """Return frame `index` (H, W) with every bit, float32 after a correction."""
         image = self.reader(index)
         self.check(index, image)
         return image if self.flat_field is None else self.flat_field(image, self.saturation)

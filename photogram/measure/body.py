@@ -412,7 +412,7 @@ class _Sums:
 
 
 def _tracked(scene: BodyScene, blocks: Iterable[FollowedBlock]) -> tuple[TrackedSubsets, _Fits, FixedPattern | None]:
-    """Iterate over the tracked frames for noise, notices, and the direct fits without the effect of the pattern."""
+    """Iterate over the tracked frames for noise, notices, and corrected direct fits."""
     monitor = EpipolarMonitor(scene.rig if isinstance(scene.rig, StereoRig) else None)
     noise = tuple(RunningMean() for _ in scene.images)
     levels, frames, fits = list[float](), list[int](), list[tuple[FloatArray, ...]]()
@@ -452,7 +452,7 @@ def _tracked(scene: BodyScene, blocks: Iterable[FollowedBlock]) -> tuple[Tracked
 def _with_pattern(
     scene: BodyScene, noise_grey: tuple[FloatArray, ...], pattern: FixedPattern
 ) -> tuple[FloatArray, ...]:
-    """Return the noise of the first image at the subsets, that of the pixels' fixed pattern included."""
+    """Return the noise of the first image at the subsets, fixed pattern included."""
     whole = []
     for side, grey in enumerate(noise_grey):
         mean2 = np.array(np.mean(scene.references[side].mean ** 2))
@@ -481,7 +481,7 @@ def _of_frames(motion: RigidMotion, frames: IntArray) -> RigidMotion:
 
 
 def _as_seen(motion: RigidMotion, pattern: FixedPattern | None) -> RigidMotion:
-    """Return the motion without the correction for the fixed pattern, which the points do not have."""
+    """Return the motion without the correction for the fixed pattern, as the points have it."""
     return motion if pattern is None else replace(motion, pose=motion.pose - pattern.correction)
 
 

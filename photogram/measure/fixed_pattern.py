@@ -1,4 +1,4 @@
-"""Effect of the fixed pattern of image sensors on a body's motion: its size by the misfit of the frames, correction.
+"""Fixed pattern of image sensors: its effect on a body's motion, measured and corrected.
 
 A frame is scene times pattern, and so is the reference. Moved by u, the reference's pattern P meets the frame's at
 P(x + u): their difference is part of the misfit, least at u = 0, and shortens every small motion. Half the derivative
@@ -66,7 +66,7 @@ class PatternModel(Arrays, shapes="grey2 C; variance C 4"):
 
     @classmethod
     def of(cls, view: BodyView, pattern: SensorPattern, degree: int, full_scale: float) -> PatternModel:
-        """Return the model of a camera's pattern: pixels as `pattern`, other parts of relative variance 1."""
+        """Return a camera's model: pixels as `pattern`, other parts of relative variance 1."""
         cells = view.cells
         grey2 = np.where(view.steady, np.nan_to_num(cells.energy) + cells.weight * cells.mean**2, 0.0)
         mean2 = grey2 / np.where(cells.weight > 0.0, cells.weight, 1.0)
@@ -80,7 +80,9 @@ class PatternModel(Arrays, shapes="grey2 C; variance C 4"):
         return np.array([[white, white], [white, 0.0], [0.0, white], [wide, wide]])
 
     def effects(self, pose: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return the misfit (F, 4) and the slope by the motion (F, 4, 6) that each part adds at poses (F, 6).
+        """Return what each part adds to misfit (F, 4) and slope (F, 4, 6).
+
+        `pose`: (F, 6).
 
         White pixels of variance v differ by v·(κ + 1 − 2·h(u_x)·h(u_y)), with the gain κ of interpolation, and
         correlate with the slopes of the reference (`bspline.pattern_overlap`). Columns do so along x, rows along y.
@@ -104,7 +106,7 @@ class PatternModel(Arrays, shapes="grey2 C; variance C 4"):
         return np.concatenate(misfits), np.concatenate(slopes)
 
     def information(self, level: float, size: FloatArray) -> FloatArray:
-        """Return the information (6, 6) of the scene alone, for a noise level and sizes (4,) of the parts."""
+        """Return the information (6, 6) of the scene alone for sizes (4,)."""
         view, rates = self.view, self.view.rates[:, [0, 3], :6]
         noise = level + size[0] * self.variance[:, 0] / np.maximum(view.cells.count, 1)
         clean = view.information[:, :6, :6] - noise[:, None, None] * view.information_noise[:, :6, :6]
@@ -119,7 +121,7 @@ def fixed_pattern(
     degree: int,
     fits: tuple[FloatArray, FloatArray],
 ) -> FixedPattern:
-    """Return the effect of each camera's fixed pattern, its size estimated from what is known and from the frames.
+    """Return the effect of the cameras' fixed patterns, whose size is estimated.
 
     `fits`: poses (F, 6) and misfits (F, V, 2) of the direct fits (`DirectFit.misfit`), NaN for none. Of each camera
     misfit/expected = level + Σ sizeₖ·(misfit of part k)/expected is fitted by least squares, with the known sizes as
@@ -141,13 +143,13 @@ def fixed_pattern(
         variance.append((size[0], np.sqrt(covariance[0, 0])))
     estimate = np.asarray(np.linalg.inv(whole), dtype=np.float64)
     both = np.stack([np.sum(slopes, axis=0), *roots], axis=1) @ estimate.T
-    turned = np.zeros((len(pose), both.shape[1], 6))
-    turned[fitted] = _of_pose(both, pose[fitted])
-    return FixedPattern(turned[:, 0], turned[:, 1:], np.array(variance), tuple(patterns), estimate)
+    change = np.zeros((len(pose), both.shape[1], 6))
+    change[fitted] = _of_pose(both, pose[fitted])
+    return FixedPattern(change[:, 0], change[:, 1:], np.array(variance), tuple(patterns), estimate)
 
 
 def _sizes(misfit: FloatArray, added: FloatArray, pattern: SensorPattern) -> tuple[float, FloatArray, FloatArray]:
-    """Return the noise level, and the sizes (4,) of the parts of a pattern with their covariance (4, 4).
+    """Return noise level, and sizes (4,) of a pattern's parts with their covariance.
 
     `misfit` (F, 2), found and expected; `added` (F, 4) by each part of size 1. Misfits far off are not used.
     """
@@ -170,15 +172,15 @@ def _sizes(misfit: FloatArray, added: FloatArray, pattern: SensorPattern) -> tup
         level, size = float(solution[0]), solution[1:] * u
         covariance = inverse[1:, 1:] * np.outer(u, u)
         left = np.abs(ratio - design @ np.concatenate([[level], size]))
-        again = left <= OUTLIER * 1.4826 * np.median(left[used])
-        if np.array_equal(again, used):
+        near = left <= OUTLIER * 1.4826 * np.median(left[used])
+        if np.array_equal(near, used):
             break
-        used = np.asarray(again)
+        used = np.asarray(near)
     return level, size, covariance
 
 
 def _of_pose(step: FloatArray, pose: FloatArray) -> FloatArray:
-    """Return steps (F, J, 6) in the frame of the moved body as changes of poses (F, 6)."""
+    """Return steps (F, J, 6) of the moved body as changes of poses."""
     rotation = rotation_from_vector(pose[:, 3:])
     shift = np.einsum("fij,fkj->fki", rotation, step[..., :3])
     turn = np.einsum("fij,fkj->fki", rotation_vector_rate(pose[:, 3:]) @ rotation, step[..., 3:])
@@ -186,7 +188,7 @@ def _of_pose(step: FloatArray, pose: FloatArray) -> FloatArray:
 
 
 def cell_phasors(fits: Iterable[Sequence[DirectFit]], columns: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return coefficients (T, C, 6) of the cells' residual slopes, and their variance per unit of (XᵀX)⁻¹.
+    """Return coefficients (T, C, 6) of the cells' slopes, and the slopes' covariance.
 
     `fits`: of frames with residuals, some at a time; `columns` X (S, T) of these frames. The covariance (C, 6, 6) is
     that of the slopes about the columns. A pattern leaves slopes in every cell that repeat with the motion, by chance

@@ -285,7 +285,7 @@ class BodyTracker:
         return starts
 
     def add_frame(self, found: Registrations | None, fit: DirectFit | None) -> FollowedFrame:
-        """Add the result of the next frame, and return it; residuals of cells are kept where subsets are."""
+        """Add the next frame, and return it, with cell residuals only beside subsets."""
         if found is None:
             self._history = []
             fit = None if fit is None else replace(fit, scores=fit.scores[:0])

@@ -641,8 +641,12 @@ def course_of(poses: np.ndarray, terms: np.ndarray | None = None) -> BodyTracker
     rng = np.random.default_rng(29)
     rates = rng.normal(0.0, [1e4, 1e4, 1e4, 500, 500, 500], (20, 2, 6))
     covariance = np.diag([1e-8, 1e-8, 1e-8, 1e-7, 1e-7, 1e-7]) ** 2
+    none = np.zeros(0), np.zeros((0, 0))
     fits = [
-        DirectFit(RigidTransform.from_pose(pose), covariance, 1.0, 99, np.zeros(0), np.zeros((0, 0))) for pose in poses
+        DirectFit(
+            RigidTransform.from_pose(pose), covariance, 1.0, 99, *none, np.ones((2, 2)), np.zeros((0, 6), np.float32)
+        )
+        for pose in poses
     ]
     lead, known = ((None, fits[0]),) if fits else (), BodyPrior(terms=terms)
     scene = SimpleNamespace(seen=[SimpleNamespace(rates=rates)], lead=lead, body=known)
