@@ -20,6 +20,7 @@ MIN_FREE_FRAMES = 4  # beyond the unknowns, to tell noise from what repeats with
 SHARED_SIGMAS = 3.0  # standard deviations beyond chance, from which whole columns or rows of cells err together
 COMPONENTS = 6
 CONTRADICTION = 3.0  # standard uncertainties by which a measured pattern exceeds a stated one
+OPEN_SHARE = 0.5  # of what was uncertain before, from which the frames do not show the size of a pattern
 NOTABLE_SHARE = 0.5  # correction or its standard uncertainty, over that of noise, above which there is a notice
 
 
@@ -108,7 +109,8 @@ class PatternReading(Arrays, shapes="time_s F; pose F 6; amplitude F S"):
             "motion_px": self._motion_px,
             "u_percent": 100.0 * float(u[at] / value[at]),
         }
-        if of_size[at] > noise[at]:
+        prior = np.array([one.variance_uncertainty for one in pattern.patterns])
+        if of_size[at] > noise[at] and np.any(pattern.variance[:, 1] > OPEN_SHARE * prior):
             yield Notice(PATTERN_UNKNOWN, f"{frequency_hz[k]:.6g} Hz", **values)
         elif max(correction[at], u[at]) > NOTABLE_SHARE * noise[at]:
             prnu = np.array([one.prnu for one in pattern.patterns]) * np.sqrt(np.maximum(pattern.variance[:, 0], 0.0))

@@ -89,8 +89,9 @@ def test_a_user_is_told_of_the_correction_and_of_wrong_statements(clean):
 
 
 def test_a_motion_that_does_not_show_the_pattern_is_told(clean):
-    """Frames without the motion leave only what is known of the sensor."""
+    """As by frames with hardly any motion, which leave what is known of the sensor."""
     body = measured(clean, 13, pixels)
     assert body.pattern is not None
-    open_size = replace(body, pattern=replace(body.pattern, change=20.0 * body.pattern.change))
+    variance = np.array([[1.0, TYPICAL.variance_uncertainty]] * 2)
+    open_size = replace(body, pattern=replace(body.pattern, change=20.0 * body.pattern.change, variance=variance))
     assert told(open_size) == ["SC-217"]
