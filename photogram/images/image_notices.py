@@ -155,8 +155,8 @@ PATTERN_UNKNOWN = DeclaredNotice(
     "A motion of {motion_px:.2g} px (rms) at {frequency_hz:.6g} Hz does not show how large the fixed pattern of the "
     "sensors is: it may change the result by {u_percent:.2g} % (u), more than noise.",
     effect="U includes this, for the pattern that is stated or for that of a common industrial sensor.",
-    remedy="State `dark` and `flat` images or `prnu` and `dsnu` of each camera, or add some frames with the body "
-    "displaced by 1 to 3 px.",
+    remedy="State `dark` and `flat` images or `prnu` and `dsnu` of each camera, or `displaced_left` and "
+    "`displaced_right`: some images with the body displaced by 1 to 5 px.",
     link="tracking.md#fixed-pattern",
 )
 PATTERN_CONTRADICTED = DeclaredNotice(

@@ -441,12 +441,22 @@ def _tracked(scene: BodyScene, blocks: Iterable[FollowedBlock]) -> tuple[Tracked
     if levels:
         known = [images.pattern for images in scene.images]
         full_scales = [float(images.full_scale) for images in scene.images]
-        pattern = fixed_pattern(scene.views, known, full_scales, scene.settings.degree, (whole.pose, whole.misfit))
+        seen, further = (whole.pose, whole.misfit), _displaced(scene)
+        pattern = fixed_pattern(scene.views, known, full_scales, scene.settings.degree, seen, further)
         whole = replace(whole, pose=whole.pose + pattern.correction)
     white = grey if pattern is None else _with_pattern(scene, grey, pattern)
     summary = monitor.summarize(scene.first, scene.grid, scene.settings, white)
     tracked = TrackedSubsets(scene, blocks, numbers, with_residuals, whole.pose[numbers], grey, monitor, summary)
     return tracked, whole, pattern
+
+
+def _displaced(scene: BodyScene) -> tuple[FloatArray, FloatArray]:
+    """Return poses (D, 6) and misfits (D, V, 2) of the frames with a displaced body."""
+    images = scene.body.displaced
+    frames = zip(*(one.read_ahead(range(len(one))) for one in images), strict=True)
+    found = [fit for frame in frames if (fit := BodyTracker(scene).find(0, frame)[1]) is not None]
+    pose, misfit = [fit.moved.pose for fit in found], [fit.misfit for fit in found]
+    return np.array(pose).reshape(-1, 6), np.array(misfit).reshape(-1, len(scene.views), 2)
 
 
 def _with_pattern(

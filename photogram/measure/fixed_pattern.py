@@ -23,7 +23,7 @@ from shakercal._common.propagation import covariance_root
 PARTS = ("pixels", "columns", "rows", "shadows")
 """Parts of a pattern: independent pixels; whole columns and rows; dust, whose shadows are some pixels wide."""
 SHADOW_PX = 3.0  # standard deviation of a shadow's profile, chosen
-MODEL_SHARE = 0.05  # of a correction, standard uncertainty by patterns of other kinds, chosen
+MODEL_SHARE = 0.03  # of a correction, standard uncertainty by patterns of other kinds, chosen
 FRAMES_AT_ONCE = 256
 MIN_FREE_FRAMES, OUTLIER, ROUNDS = 3, 4.0, 3
 """Frames beyond the unknowns; robust standard deviations of a rejected misfit, and rounds of rejection."""
@@ -120,21 +120,25 @@ def fixed_pattern(
     full_scales: Sequence[float],
     degree: int,
     fits: tuple[FloatArray, FloatArray],
+    displaced: tuple[FloatArray, FloatArray],
 ) -> FixedPattern:
     """Return the effect of the cameras' fixed patterns, whose size is estimated.
 
-    `fits`: poses (F, 6) and misfits (F, V, 2) of the direct fits (`DirectFit.misfit`), NaN for none. Of each camera
+    `fits`: poses (F, 6) and misfits (F, V, 2) of the direct fits (`DirectFit.misfit`), NaN for none. `displaced`: those
+    of further frames, which only show the size. Of each camera
     misfit/expected = level + Σ sizeₖ·(misfit of part k)/expected is fitted by least squares, with the known sizes as
     further observations (Bayes's theorem for normal distributions). The slope b of all cameras moves the pose by
     −H⁻¹·b, with the information H of the scene without noise and pattern.
     """
     pose, misfit = fits
     fitted = np.flatnonzero(np.isfinite(pose).all(axis=1) & np.isfinite(misfit).all(axis=(1, 2)))
+    shown = [np.concatenate([of_fits[fitted], further]) for of_fits, further in zip(fits, displaced, strict=True)]
     slopes, roots, variance, whole = [], [], [], np.zeros((6, 6))
     for side, (view, pattern, full_scale) in enumerate(zip(views, patterns, full_scales, strict=True)):
         model = PatternModel.of(view, pattern, degree, full_scale)
-        added, slope = model.effects(pose[fitted])
-        level, size, covariance = _sizes(misfit[fitted, side], added, pattern)
+        added, every_slope = model.effects(shown[0])
+        level, size, covariance = _sizes(shown[1][:, side], added, pattern)
+        slope = every_slope[: len(fitted)]
         whole += model.information(level, size)
         nominal = np.einsum("fkp,k->fp", slope, size)
         slopes.append(nominal)

@@ -83,6 +83,8 @@ class BodyPrior(Arrays, shapes="terms F m; absent F"):
     terms : (F, m) of which its motion is mainly a sum (`sine_terms`), the most important first; None if unknown. They
         predict its position, and do not enter the measurement.
     absent : (F,) frames that do not show their instant, which are skipped; None for none.
+    displaced : further images of each camera, of the body displaced by some pixels, which show how large the fixed
+        pattern of the sensors is.
     """
 
     depth_m: DepthRange | None = None
@@ -90,6 +92,7 @@ class BodyPrior(Arrays, shapes="terms F m; absent F"):
     rolling_shutter: bool = False
     terms: FloatArray | None = None
     absent: BoolArray | None = None
+    displaced: tuple[ImageSequence, ...] = ()
 
     def is_absent(self, number: int) -> bool:
         """Return whether a frame is absent."""

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from pattern_factory import AMPLITUDE_PX, COLUMNS, FRAMES, PIXEL_M, clean_images, measured, relative_error
+from pattern_factory import AMPLITUDE_PX, COLUMNS, FRAMES, PHASE, PIXEL_M, clean_images, measured, relative_error
 from speckle import sequence
 
 from photogram.bspline import evaluate, pattern_overlap, spline_of_image
@@ -78,6 +78,17 @@ def test_frames_show_a_pattern_that_was_stated_wrongly(clean):
     size, u = body.pattern.variance.T  # columns, rows and shadows, of which nothing was stated, share what is found
     assert np.all(size > 1.0 + 5.0 * u)
     assert abs(relative_error(body.motion.pose)) < 0.004
+
+
+def test_images_of_the_displaced_body_show_the_pattern():
+    """Where the body hardly moves, what is known of the sensor decides, unless it is displaced once."""
+    still, elsewhere = clean_images(0.02 * np.cos(PHASE)), clean_images(np.array([1.5, -2.0, 2.5, -1.2]))
+    alone, shown = (measured(still, 6, unequal_gains, displaced=further) for further in (None, elsewhere))
+    assert alone.pattern is not None
+    assert shown.pattern is not None
+    assert alone.pattern.variance[0, 1] > 1.0
+    assert np.all(shown.pattern.variance[:, 1] < 0.3)
+    np.testing.assert_allclose(TYPICAL.prnu * np.sqrt(shown.pattern.variance[:, 0]), 0.01, rtol=0.1)
 
 
 def test_cells_err_alike_in_every_period(clean):

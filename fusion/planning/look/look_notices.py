@@ -96,7 +96,7 @@ PATTERN_COST = DeclaredNotice(
     "Speckle of contrast {contrast:.2f}: a fixed pattern of the sensor of {prnu_percent:.2g} % (PRNU) shortens motions "
     "below 0.5 px by {shortening_percent:.2g} %, twice the pattern by four times as much.",
     effect="Motions of 0.1 to 2 px show the size of the pattern, by which `run` corrects them.",
-    remedy="For smaller motions record dark and flat images, or some frames with the body displaced by 1 to 3 px.",
+    remedy="For smaller motions record dark and flat images, or some images with the body displaced by 1 to 5 px.",
     link="tracking.md#fixed-pattern",
 )
 SPECKLE_SIZE = DeclaredNotice(
