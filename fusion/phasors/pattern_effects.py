@@ -17,7 +17,7 @@ from shakercal._common.notices import Notice
 from shakercal._common.propagation import covariance_root
 
 MIN_FREE_FRAMES = 4  # beyond the unknowns, to tell noise from what repeats with the motion
-SHARED_SIGMAS = 3.0  # standard deviations beyond chance, from which whole columns or rows of cells err together
+SHARED_SIGMAS = 2.0  # standard deviations beyond chance, from which whole columns or rows of cells err together
 COMPONENTS = 6
 CONTRADICTION = 3.0  # standard uncertainties by which a measured pattern exceeds a stated one
 OPEN_SHARE = 0.5  # of what was uncertain before, from which the frames do not show the size of a pattern
@@ -66,10 +66,12 @@ class PatternReading(Arrays, shapes="time_s F; pose F 6; amplitude F S"):
         noise = np.asarray(estimate @ noise.sum(axis=0) @ estimate.T)
         spread, effects = np.linalg.inv(columns.T @ columns), list[ComplexArray]()
         groups = [np.arange(change.shape[1]), *_cell_lines(self.tracks)]
+        motion = self._phasors(self.pose, frequency_hz)
         for k in range(lines):
             parts = slice(1 + 2 * k, 3 + 2 * k)
-            both = np.concatenate(list(change[parts]), axis=1)
-            for root in covariance_root(_beyond_noise(both, groups, np.kron(spread[parts, parts], noise))).T:
+            both, along = np.concatenate(list(change[parts]), axis=1), np.hstack([motion[k].real, -motion[k].imag])
+            by_noise = np.kron(spread[parts, parts], noise)
+            for root in covariance_root(_beyond_noise(both, groups, by_noise, along)).T:
                 effect = np.zeros((lines, COMPONENTS), np.complex128)
                 effect[k] = root[:COMPONENTS] - 1j * root[COMPONENTS:]
                 effects.append(effect)
@@ -143,18 +145,19 @@ def _cell_lines(tracks: TrackedSubsets) -> Iterator[IntArray]:
         yield np.concatenate(numbers)
 
 
-def _beyond_noise(change: FloatArray, groups: list[IntArray], noise: FloatArray) -> FloatArray:
+def _beyond_noise(change: FloatArray, groups: list[IntArray], noise: FloatArray, motion: FloatArray) -> FloatArray:
     """Return the covariance (12, 12) of a sum of changes (C, 12) beyond noise.
 
-    `groups`: the group (C,) of every cell, each its own first, then columns and rows of cells, which count where their
-    sums scatter more than those of the cells.
+    By what is common to a group of cells: `groups` are the group (C,) of every cell, first each cell alone, then
+    columns and rows of cells. These count where their sums scatter along the `motion` (12,) by more than those of the
+    cells, as chance explains in one case of forty.
     """
-    scale = np.linalg.pinv(noise)
+    direction = np.linalg.lstsq(noise, motion, rcond=None)[0]
     alone, *others = (_scatter(change, group) for group in groups)
-    extent, total = float(np.sum(scale * alone)), alone - noise
+    total = alone - noise
     for group, shared in zip(groups[1:], others, strict=True):
-        chance = SHARED_SIGMAS * np.sqrt(2.0 / (change.shape[1] * (1 + group.max(initial=0))))
-        if np.sum(scale * shared) > (1.0 + chance) * extent:
+        chance = SHARED_SIGMAS * np.sqrt(2.0 / (1 + int(group.max(initial=0))))
+        if direction @ shared @ direction > (1.0 + chance) * (direction @ alone @ direction):
             total = total + shared - alone
     return np.asarray((total + total.T) / 2.0)
 
