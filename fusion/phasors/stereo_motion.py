@@ -255,7 +255,7 @@ def prepare_images(
                 replace(sequences[number], most_saturated=MAX_SATURATED), first[number]
             )
         sequences[number] = _with_pattern(manifest, sight, side, sequences[number])
-        first[number] = sequences[number].read(0)
+        first[number] = sequences[number].without_pattern(first[number])
     copied, copies = _copies(entry, sequences)
     pair = _without_calibration_share(sight.pair, rig)
     notices: list[Notice] = [*remarks, *copies, *(notice for images in sequences for notice in images.notices)]

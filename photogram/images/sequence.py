@@ -264,6 +264,10 @@ class ImageSequence:
         """Return frame `index` (H, W) with every bit, float32 after a correction."""
         image = self.reader(index)
         self.check(index, image)
+        return self.without_pattern(image)
+
+    def without_pattern(self, image: GreyImage) -> GreyImage:
+        """Return an image as read from its file, corrected by `flat_field`."""
         return image if self.flat_field is None else self.flat_field(image, self.saturation)
 
     def check(self, index: int, image: GreyImage) -> None:
