@@ -115,8 +115,7 @@ class PatternReading(Arrays, shapes="time_s F; pose F 6; amplitude F S"):
         if of_size[at] > noise[at] and np.any(pattern.variance[:, 1] > OPEN_SHARE * prior):
             yield Notice(PATTERN_UNKNOWN, f"{frequency_hz[k]:.6g} Hz", **values)
         elif max(correction[at], u[at]) > NOTABLE_SHARE * noise[at]:
-            prnu = np.array([one.prnu for one in pattern.patterns]) * np.sqrt(np.maximum(pattern.variance[:, 0], 0.0))
-            values |= {"prnu_percent": 100.0 * float(prnu.max())}
+            values |= {"prnu_percent": 100.0 * float(pattern.prnu[:, 0].max())}
             values |= {"correction_percent": 100.0 * float(correction[at] / value[at])}
             yield Notice(PATTERN_CORRECTED, f"{frequency_hz[k]:.6g} Hz", **values)
 

@@ -65,8 +65,9 @@ class StereoResult(Arrays):
     `reference_image` (H, W), `subsets_px` (N, 2): first left image and its subsets, None for points of another program.
     `deflection`: of the points at the usable lines; `shapes`: from all pixels; both None for a single camera, which
     cannot separate depth from stretch. `noise`: of each camera. `sigma_px` (2,): median standard deviation of a
-    subset's coordinate, as predicted from the first images and as measured. `epipolar`: test of the calibration per
-    frame; its notices are among the evaluation's.
+    subset's coordinate, as predicted from the first images and as measured. `prnu` (cameras, 2): rms of the pixels'
+    gains by the fixed pattern, and u. `epipolar`: test of the calibration per frame; its notices are among the
+    evaluation's.
 
     `stationarity`: the six components over blocks of whole beats, without exposure correction. `u_exposure_s`: 0 for a
     stated exposure. `u_rate`: relative, of the frame rate. `surface`: points and their deformation in every frame, some
@@ -94,6 +95,7 @@ class StereoResult(Arrays):
     surface: Iterable[Deformation] | None = None
     noise: tuple[NoiseModel, ...] = ()
     sigma_px: FloatArray | None = None
+    prnu: FloatArray | None = None
     epipolar: EpipolarCheck | None = None
     stationarity: Stationarity | None = None
     u_exposure_s: float = 0.0
@@ -384,6 +386,7 @@ def _with_view(result: StereoResult, view: ImageView) -> StereoResult:
         median_zncc=view.zncc,
         noise=view.noise or (),
         sigma_px=sigma_px,
+        prnu=None if view.pattern is None else view.pattern.prnu,
         epipolar=None if view.epipolar is None else replace(view.epipolar, notices=()),
     )
 

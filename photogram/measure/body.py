@@ -451,7 +451,7 @@ def _tracked(scene: BodyScene, blocks: Iterable[FollowedBlock]) -> tuple[Tracked
 
 
 def _displaced(scene: BodyScene) -> tuple[FloatArray, FloatArray]:
-    """Return poses (D, 6) and misfits (D, V, 2) of the frames with a displaced body."""
+    """Return poses (D, 6) and misfits (D, V, 2) of the displaced body."""
     images = scene.body.displaced
     frames = zip(*(one.read_ahead(range(len(one))) for one in images), strict=True)
     found = [fit for frame in frames if (fit := BodyTracker(scene).find(0, frame)[1]) is not None]

@@ -49,6 +49,14 @@ class FixedPattern(Arrays, shapes="correction F 6; change F J 6; variance V 2; e
     patterns: tuple[SensorPattern, ...]
     estimate: FloatArray
 
+    @property
+    def prnu(self) -> FloatArray:
+        """Relative rms of the pixels' gains, and its standard uncertainty, of each camera (V, 2)."""
+        nominal, (size, u) = np.array([one.prnu for one in self.patterns]), self.variance.T
+        found = np.sqrt(np.maximum(size, 0.0))
+        above = np.sqrt(np.maximum(size, 0.0) + u)
+        return np.column_stack([nominal * found, nominal * (above - found)])
+
 
 @dataclass(frozen=True, eq=False, repr=False)
 class PatternModel(Arrays, shapes="grey2 C; variance C 4"):

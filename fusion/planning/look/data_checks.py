@@ -351,7 +351,7 @@ def _sigma_px(image: GreyImage, area: BoolArray, radius_px: int) -> float:
 def pattern_cost(
     where: str, seen: Sequence[CameraExamination], patterns: Sequence[SensorPattern], full_scale: int
 ) -> Iterator[Finding]:
-    """Yield by how much the sensors' fixed pattern may shorten small motions, if that is much.
+    """Yield by how much the sensors' fixed pattern may shorten small motions.
 
     The share γ·v/mean(f_x²) of the pattern's slopes in those of the image, with the pattern's variance v.
     """
