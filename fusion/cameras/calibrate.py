@@ -22,7 +22,7 @@ import numpy as np
 
 from fusion.base import ProgressCallback, check_new_file, natural_key, no_progress, versions
 from fusion.cameras.camera_notices import IMAGE_LISTS, OUTPUT_SUFFIX, TOO_FEW_IMAGES
-from fusion.cameras.camera_quantities import axes_angle_rad, baseline_m, points_of_board
+from fusion.cameras.camera_quantities import axes_angle_rad, baseline_m
 from fusion.cameras.camera_report import render_camera_report
 from fusion.errors import InputError, as_input_error
 from fusion.report.atomic_files import report_write_errors, write_atomically
@@ -200,7 +200,7 @@ def _print_remarks(calibration: Calibration) -> None:
     """Print the rejected images and the notices."""
     seen = [image for view in calibration.views for image in (view.left, view.right) if image]
     points = {image.name: len(image.used) for image in seen}
-    every = points_of_board(calibration.target)
+    every = calibration.target.points
     of = "" if every is None else f" of {every}"
     print(f"points found: {min(points.values())} to {max(points.values())}{of} in an image")
     for dropped in calibration.rejections:
@@ -217,7 +217,7 @@ def _targets(target: Target, first: Path) -> tuple[Target, ...]:
     """
     if target.kind == "charuco" and target.dictionary is None and target.size is not None:
         with suppress(OSError, ValueError):
-            dictionary = dictionary_of(read_image(first)[0], target.size)
+            dictionary = dictionary_of(read_image(first)[0], target)
             if dictionary is not None:
                 return replace(target, dictionary=dictionary), target
     return (target,)

@@ -31,7 +31,6 @@ from fusion.cameras.camera_quantities import (
     distance_m,
     images_of_camera,
     length_u,
-    points_of_board,
     residual_parts,
     target_middles_m,
     tilts_rad,
@@ -80,6 +79,7 @@ MEANINGS = {
 KINDS = {
     "chessboard": "chessboard",
     "charuco": "ChArUco board",
+    "aprilgrid": "AprilGrid",
     "dots": "dots",
     "asymmetric-dots": "dots in staggered rows",
 }
@@ -295,7 +295,7 @@ def views_table(calibration: Calibration) -> Table | None:
     lengths = (distance_m(calibration, view) for view in calibration.views)
     distances = [quantity_html(1e3 * length.value, 2e3 * length.u) for length in lengths]
 
-    every = points_of_board(calibration.target)
+    every = calibration.target.points
 
     def both(index: int, shown: Callable[[CalibratedImage], str]) -> Markup:
         """Return a cell with the entry of the left image above that of the right."""

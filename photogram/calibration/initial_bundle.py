@@ -83,7 +83,7 @@ def target_symmetries(target: Target) -> list[tuple[IntArray, FloatArray]]:
 
     Each is a matrix (2, 2) and a shift (2,).
     """
-    if target.size is None or target.kind == "charuco":
+    if target.size is None or target.kind in ("charuco", "aprilgrid"):
         return []
     columns, rows = target.size
     asymmetric, chessboard = target.kind == "asymmetric-dots", target.kind == "chessboard"
@@ -153,7 +153,7 @@ def _posed(
     import cv2
 
     index = np.unique(np.concatenate([view.index for view, _ in seen]), axis=0)
-    shape = make_shape("flat", index, target.spacing_m)
+    shape = make_shape("flat", index, target)
     images = [image_observations(view, 0, side, index, target.spacing_m) for view, side in seen]
     first = images[0]
     rays = (rig.right if first.side else rig.left).undistort(first.position_px)
@@ -238,7 +238,7 @@ def start_bundle(
         raise ValueError(f"both cameras see {both} positions of the target, at least {FEWEST_VIEWS} are needed")
     rig = StereoRig(sides[0].camera, sides[-1].camera, relative)
     index = np.unique(np.concatenate([seen.index for pair in used_pairs for seen in pair if seen is not None]), axis=0)
-    return Bundle(rig, tuple(poses), make_shape(shape, index, target.spacing_m)), tuple(used_pairs), tuple(dropped)
+    return Bundle(rig, tuple(poses), make_shape(shape, index, target)), tuple(used_pairs), tuple(dropped)
 
 
 def lens_prior(rig: StereoRig, lens: LensKind = "polynomial", single: bool = False) -> RigPrior:
@@ -328,9 +328,7 @@ def _opencv(views: Sequence[TargetView], target: Target) -> tuple[Camera, list[R
     """Return camera, target poses and the rms residual of every image."""
     import cv2
 
-    objects = [
-        np.column_stack([seen.index * target.spacing_m, np.zeros(len(seen.index))]).astype(np.float32) for seen in views
-    ]
+    objects = [target.points_m(seen.index).astype(np.float32) for seen in views]
     pixels = [seen.position_px.astype(np.float32).reshape(-1, 1, 2) for seen in views]
     shape = tuple(views[0].size_px.tolist())
     flags = cv2.CALIB_FIX_K2 | cv2.CALIB_FIX_K3 | cv2.CALIB_ZERO_TANGENT_DIST

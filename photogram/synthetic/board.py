@@ -242,7 +242,7 @@ class Board:
     @property
     def points_m(self) -> FloatArray:
         """Positions (N, 3) of `index` in the target's frame."""
-        return np.column_stack([self.index, np.zeros(len(self.index))]) * self.target.spacing_m
+        return self.target.points_m(self.index)
 
     @property
     def extent_m(self) -> FloatArray:

@@ -45,9 +45,7 @@ def corner_view(
     `TargetNotFound` for a bad exposure, a blur, or where fewer than 6 corners, or all on one line, remain.
     """
     assert target.size is not None
-    markers = target.kind == "charuco"
-    less = 1 if markers else 0
-    total = (target.size[0] - less) * (target.size[1] - less)
+    markers, total = target.kind == "charuco", target.points or 0
     across = [a * axes_px[:, 0] + b * axes_px[:, 1] for a in (-1, 1) for b in (-1, 1)]
     area = outline(np.concatenate([start_px + _MARGIN * diagonal for diagonal in across]))
     check_exposure(image, area, full_scale)
@@ -104,14 +102,14 @@ def lattice_bend(index: IntArray, position_px: FloatArray) -> FloatArray:
     bend = np.zeros((len(index), 2))
     for k, lattice in ((0, grid), (1, grid.swapaxes(0, 1))):
         before, middle, after = lattice[:, :-2], lattice[:, 1:-1], lattice[:, 2:]
-        along = (after - before) / 2
-        length = np.linalg.norm(along, axis=-1)
-        normal = np.stack([along[..., 1], -along[..., 0]], axis=-1) / length[..., None]
+        along = after - before
+        normal = np.stack([along[..., 1], -along[..., 0]], axis=-1) / np.linalg.norm(along, axis=-1)[..., None]
         steps = (lattice[1:] - lattice[:-1]).reshape(-1, 2)
         steps = steps[np.isfinite(steps).all(axis=1)]
         across = steps.mean(axis=0) if len(steps) else np.zeros(2)
         normal *= np.sign((normal * across).sum(axis=-1, keepdims=True))
-        turn = -((after + before - 2 * middle) * normal).sum(axis=-1) / length**2
+        product = np.linalg.norm(middle - before, axis=-1) * np.linalg.norm(after - middle, axis=-1)
+        turn = -((after + before - 2 * middle) * normal).sum(axis=-1) / product
         at = np.argwhere(np.isfinite(turn))
         if len(at) >= 3:
             terms = 6 if len(at) >= 18 else 3 if len(at) >= 9 else 1

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from photogram.images.sequence import GreyImage
+from photogram.targets.aprilgrid import find_aprilgrid
 from photogram.targets.charuco import find_charuco
 from photogram.targets.chessboard import find_chessboard
 from photogram.targets.dots import find_dots
@@ -46,4 +47,6 @@ def find_target(image: GreyImage, target: Target, name: str, full_scale: int) ->
         return find_chessboard(image, target, name, full_scale)
     if target.kind == "charuco":
         return find_charuco(image, target, name, full_scale)
+    if target.kind == "aprilgrid":
+        return find_aprilgrid(image, target, name, full_scale)
     return find_dots(image, target, name, full_scale)
