@@ -36,7 +36,8 @@ from photogram.camera import LEFT, RIGHT, Camera, StereoRig
 from photogram.geometry import RigidTransform, vector_from_rotation
 from photogram.images.image_files import read_image
 from photogram.images.sequence import GreyImage
-from photogram.synthetic.board import Board, SessionFaults, random_poses, random_rig, render_board, simulate_session
+from photogram.synthetic.board import SessionFaults, random_poses, random_rig, render_board, simulate_session
+from photogram.synthetic.patterns import Board
 from photogram.synthetic.scene import ImageSensor
 from photogram.targets.find_target import find_target
 from photogram.targets.target_view import Target, TargetNotFound, TargetView

@@ -11,7 +11,6 @@ import numpy as np
 from photogram.calibration.calibration_result import COVERAGE_CELLS, CalibratedImage, CalibratedView, Calibration
 from photogram.camera import LEFT, RIGHT, ROTATION, TRANSLATION, Camera, StereoRig, triangulate
 from photogram.geometry import fit_rigid, skew
-from photogram.targets.target_view import Target
 from shakercal._common.arrays import FloatArray, IntArray
 from shakercal._common.propagation import derivatives
 

@@ -38,14 +38,15 @@ _LARGEST_PX = 1600  # longest side of an image that is enlarged for small tags
 def find_aprilgrid(image: NDArray[Any], target: Target, name: str, full_scale: float) -> TargetView:
     """Return the corners of the tags of an AprilGrid, at least partly in an image.
 
-    `target.size` counts tags. The index (i, j), i = 0 … 2·columns − 1, j = 0 … 2·rows − 1, counts the tags' corners from
-    the one at the lower left of the first tag; the first component is along the rows of tags. The target's frame has x
+    `target.size` counts tags. The index (i, j), i = 0 … 2·columns − 1, j = 0 … 2·rows − 1, counts the tags' corners
+    from the lower left one of the first tag; the first component is along the rows of tags. The target's frame has x
     to the right, y up, seen from the front, and z towards the viewer, as Kalibr's. A board whose tags are numbered from
     the upper left has y down and z away from the viewer. The width of the tags' border, one or two bits, and their
     rotation on the board are found from the image (H, W). With a stated `target.first_id`, tags of other numbers belong
     to other boards and are ignored. Raises `TargetNotFound` with the fault of the image.
     """
-    assert target.size is not None and target.tag_spacing is not None
+    assert target.size is not None
+    assert target.tag_spacing is not None
     grey, expected = eight_bit(image), f"an AprilGrid of {target.size[0]} x {target.size[1]} tags"
     board, markers, border = _search(grey, target)
     if board is None:
@@ -59,7 +60,9 @@ def find_aprilgrid(image: NDArray[Any], target: Target, name: str, full_scale: f
     i, j = np.meshgrid(np.arange(2 * target.size[0]), np.arange(2 * target.size[1]), indexing="ij")
     index = np.column_stack([i.ravel(), j.ravel()])
     square = min(target.tag_spacing, border / (_BITS + 2 * border) / _CLEAR)
-    near, start, axes = expected_corners(board, _cells(target, index), square / _pitch(target), _tag_corners(target, board))
+    near, start, axes = expected_corners(
+        board, _cells(target, index), square / _pitch(target), _tag_corners(target, board)
+    )
     return corner_view(image, target, index[near], start, axes, name, full_scale)
 
 
@@ -108,7 +111,7 @@ def _cells(target: Target, index: NDArray[Any]) -> FloatArray:
 
 
 def _tag_corners(target: Target, board: MarkerBoard) -> tuple[FloatArray, FloatArray]:
-    """Return positions (K, 2) in cells and pixels (K, 2) of the detected tags' corners, whichever way they are turned."""
+    """Return positions (K, 2) in cells and pixels (K, 2) of the corners of tags turned in any way."""
     pixel = board.markers.corner_px
     at = apply(board.lattice_from_px, pixel.reshape(-1, 2)).reshape(-1, 4, 2)
     offset = np.sign(at - at.mean(axis=1, keepdims=True)) * 0.5 / _pitch(target)

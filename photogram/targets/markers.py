@@ -106,7 +106,9 @@ def predefined_dictionary(name: str) -> Any:
     return cv2.aruco.getPredefinedDictionary(code)
 
 
-def fit_markers(markers: Markers, centres: FloatArray, size: tuple[int, int], first: int, turned: bool) -> MarkerBoard | None:
+def fit_markers(
+    markers: Markers, centres: FloatArray, size: tuple[int, int], first: int, turned: bool
+) -> MarkerBoard | None:
     """Return the board of markers `first`, `first` + 1, … at `centres` (M, 2), in cells, None without one.
 
     The centres fit a homography and the upper edges have one direction of the lattice: its first one, or any of the
@@ -171,7 +173,8 @@ def check_board(
         fitting = f"{own} of {board.seen} markers"
         raise TargetNotFound(f"another target: only {fitting} are at the positions of {name}")
     cell = apply(board.lattice_from_px, markers.centre_px) + 1.0
-    another = fit(markers.part(((cell < -0.5) | (cell > np.array(size) + 0.5)).any(axis=1)))
+    beyond = np.asarray(((cell < -0.5) | (cell > np.array(size) + 0.5)).any(axis=1))
+    another = fit(markers.part(beyond))
     if another is not None and len(another.position) >= max(_SECOND, _FIT_SHARE * another.seen):
         refuse_second(name)
 
@@ -202,8 +205,12 @@ def expected_corners(
 
 
 def missing_reason(
-    image: NDArray[Any], grey: NDArray[np.uint8], full_scale: float, found: Callable[[NDArray[np.uint8]], bool | int],
-    expected: str, of: str = "",
+    image: NDArray[Any],
+    grey: NDArray[np.uint8],
+    full_scale: float,
+    found: Callable[[NDArray[np.uint8]], bool | int],
+    expected: str,
+    of: str = "",
 ) -> str:
     """Return the fault of an image in which a board was not found.
 

@@ -25,7 +25,8 @@ from photogram.calibration.initial_bundle import estimate_target_pose, image_obs
 from photogram.calibration.session import calibrate_pair
 from photogram.camera import CAMERA_PARAMETERS, LEFT, RIG_PARAMETERS, RIGHT, Camera, StereoRig, triangulate
 from photogram.geometry import RigidTransform, rotation_from_vector, vector_from_rotation
-from photogram.synthetic.board import Board, SessionFaults, random_poses, random_rig, simulate_session
+from photogram.synthetic.board import SessionFaults, random_poses, random_rig, simulate_session
+from photogram.synthetic.patterns import Board
 from photogram.targets.target_view import Target, TargetView
 
 SIZE = np.array([1280, 1024])
