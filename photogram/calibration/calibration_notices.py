@@ -188,15 +188,17 @@ UNUSUAL_DISTANCE = DeclaredNotice(
 APPROXIMATED_CAMERA = DeclaredNotice(
     "SC-273",
     "note",
-    "The nearest camera without {missing} differs by up to {largest_px:.3f} px over the image.",
+    "The nearest camera without {missing} differs by up to {largest_px:.4f} px over the image, and by up to "
+    "{percent:.2g} % in small displacements.",
     link="cameras.md#calibrations-of-other-programs",
 )
 POORLY_APPROXIMATED_CAMERA = DeclaredNotice(
     "SC-274",
     "warning",
-    "The nearest camera without {missing} differs by up to {largest_px:.3f} px over the image.",
+    "The nearest camera without {missing} differs by up to {largest_px:.4f} px over the image, and by up to "
+    "{percent:.2g} % in small displacements.",
     effect="This systematic difference is not included in U.",
-    remedy="Calibrate with a camera model that both programs have.",
+    remedy="Calibrate with a camera model that both programs have, or add the difference to `scale_uncertainty`.",
     link="cameras.md#calibrations-of-other-programs",
 )
 CENTRE_OUTSIDE_IMAGE = DeclaredNotice(

@@ -469,7 +469,7 @@ def _without(
     start = camera.parameters
     indices = [CAMERA_PARAMETERS.index(name) for name in missing]
     if not start[indices].any():
-        return NearestCamera(camera, np.zeros(3), 0.0)
+        return NearestCamera(camera, np.zeros(3), 0.0, 0.0)
     found = ", ".join(
         f"{name} = {start[index]:.3g}" for name, index in zip(missing, indices, strict=True) if start[index]
     )

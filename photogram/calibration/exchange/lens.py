@@ -27,7 +27,7 @@ from shakercal._common.notices import Notice
 
 EVEN = (2, 4, 6)
 """Exponents of this program's radial polynomial 1 + k1·r² + k2·r⁴ + k3·r⁶."""
-_GRID = 21  # points along each side of the image for the comparison of two cameras
+_GRID = 41  # points along each side of the image for the comparison of two cameras
 _STEPS = 200  # fixed-point steps of the inverse
 _INVERTED_PX = 1e-6  # residual of the inverse that ends the steps
 _ESSENTIAL = 1e-3  # largest relative deviation of an essential matrix from that of R and T
@@ -105,11 +105,13 @@ class NearestCamera:
     """The camera nearest to a lens, in a rotated frame, with the largest difference.
 
     `turn` (3,): rotation vector in rad of that frame. `largest_px`: largest difference over the image.
+    `largest_scale`: largest derivative of the difference by the pixel, the relative error of small displacements.
     """
 
     camera: Camera
     turn: FloatArray
     largest_px: float
+    largest_scale: float
 
 
 def nearest_camera(lens: Lens, size_px: IntArray) -> NearestCamera:
@@ -119,7 +121,7 @@ def nearest_camera(lens: Lens, size_px: IntArray) -> NearestCamera:
     with the matrix; a fisheye lens by the rational model.
     """
     if lens.is_exact:
-        return NearestCamera(Camera.from_parameters(lens.parameters, size_px), np.zeros(3), 0.0)
+        return NearestCamera(Camera.from_parameters(lens.parameters, size_px), np.zeros(3), 0.0, 0.0)
     start = lens.parameters
     if lens.angular is not None:
         normalised = _seen_by_fisheye(lens, lens.angular, size_px)
@@ -138,7 +140,7 @@ TURN = ("x", "y", "z")
 def fit_camera(
     pixel: FloatArray, normalised: FloatArray, start: FloatArray, free: Sequence[str], size_px: IntArray
 ) -> NearestCamera:
-    """Fit a camera that projects X/Z, Y/Z (N, 2) to pixels (N, 2).
+    """Fit a camera that projects X/Z, Y/Z (N, 2) to pixels (N, 2), those of `pixel_grid`.
 
     Parameters (13,) begin at `start`. `free` names the fitted ones and components of the rotation about x, y, z.
     """
@@ -169,7 +171,11 @@ def fit_camera(
 
     tight = {"xtol": 1e-14, "ftol": 1e-14, "gtol": 1e-14}
     fit = least_squares(lambda x: difference(x).ravel(), np.zeros(len(free)), method="lm", **tight).x
-    return NearestCamera(*moved(fit), float(np.linalg.norm(difference(fit), axis=1).max()))
+    left = difference(fit)
+    steps_px = (size_px - 1.0) / (_GRID - 1)
+    slopes = np.gradient(left.reshape(_GRID, _GRID, 2), *steps_px[::-1], axis=(0, 1), edge_order=2)
+    scale = np.linalg.norm(np.stack(slopes, axis=-1), ord=2, axis=(2, 3))
+    return NearestCamera(*moved(fit), float(np.linalg.norm(left, axis=1).max()), float(scale.max()))
 
 
 def pixel_grid(size_px: IntArray) -> FloatArray:
@@ -228,6 +234,7 @@ REMARKABLE_PX = 0.05  # difference between the file's camera and this program's 
 NEAR_M, FAR_M = 1e-3, 20.0  # usual distances of two cameras; others suggest a wrong unit
 _DEPTHS = np.geomspace(0.3, 1000.0, 40)  # in baselines, of points in a common field of view
 UNUSABLE_PX = 0.5  # and for a refusal
+REMARKABLE_SCALE, UNUSABLE_SCALE = 1e-3, 1e-2  # the same of the error of small displacements
 SIDES = ("left", "right")
 
 
@@ -384,11 +391,14 @@ def _times(size: tuple[int, int]) -> str:
 
 def approximation_notice(where: str, beyond: str, nearest: NearestCamera) -> Notice:
     """Return a notice of an approximated camera; `ValueError` for a large difference."""
-    if not nearest.largest_px <= UNUSABLE_PX:
-        expected = f"a camera without {beyond} that differs by at most {UNUSABLE_PX} px over the image"
-        raise ValueError(f"{where}: expected {expected}, found {nearest.largest_px:.3f} px")
-    declared = POORLY_APPROXIMATED_CAMERA if nearest.largest_px > REMARKABLE_PX else APPROXIMATED_CAMERA
-    return Notice(declared, where, missing=beyond, largest_px=nearest.largest_px)
+    percent = 100 * nearest.largest_scale
+    if not (nearest.largest_px <= UNUSABLE_PX and nearest.largest_scale <= UNUSABLE_SCALE):
+        limits = f"at most {UNUSABLE_PX} px and {100 * UNUSABLE_SCALE:g} % of small displacements over the image"
+        expected = f"a camera without {beyond} that differs by {limits}"
+        raise ValueError(f"{where}: expected {expected}, found {nearest.largest_px:.3f} px and {percent:.2g} %")
+    remarkable = nearest.largest_px > REMARKABLE_PX or nearest.largest_scale > REMARKABLE_SCALE
+    declared = POORLY_APPROXIMATED_CAMERA if remarkable else APPROXIMATED_CAMERA
+    return Notice(declared, where, missing=beyond, largest_px=nearest.largest_px, percent=percent)
 
 
 def _camera(side: str, lens: Lens, size: IntArray, notices: list[Notice]) -> Camera:
