@@ -85,7 +85,12 @@ def cameras(options: argparse.Namespace) -> None:
 def _import_calibration_options(parser: Parser) -> None:
     parser.value("calibration", path, "FILE", "the other program's file")
     parser.add_argument("-o", "--output", type=path, required=True, metavar="JSON", help="calibration file to write")
-    parser.value("--extrinsics", path, "FILE", "second file: OpenCV's R and T if separate, ROS's right camera")
+    text = "second file: OpenCV's R and T if separate, right camera of ROS or mrcal, COLMAP's images"
+    parser.value("--extrinsics", path, "FILE", text)
+    text = (
+        "left and right camera of a file with more than two: their names, of COLMAP and Metashape those of two images"
+    )
+    parser.add_argument("--cameras", nargs=2, metavar=("LEFT", "RIGHT"), help=text)
     parser.value("--image-size", size, "2448x2048", "width x height, if the file has none")
     text = "of the file's lengths, if it does not state it"
     parser.add_argument("--length-unit", choices=("m", "mm", "cm", "um", "in"), help=text)
@@ -98,11 +103,12 @@ def _import_calibration_options(parser: Parser) -> None:
 
 @command(_import_calibration_options, "calibration.xml -o top.json")
 def import_calibration(options: argparse.Namespace) -> None:
-    """Import a calibration of OpenCV, DICe, VIC-3D, MatchID, MATLAB, ROS or Kalibr."""
+    """Import a calibration of OpenCV, DICe, VIC-3D, MatchID, MATLAB, ROS, Kalibr and others."""
     from fusion.cameras.calibrate import convert_calibration
 
     names = ("image_size", "length_unit", "extrinsics", "even_radial", "distortion_model")
     stated = {name: getattr(options, name) for name in names}
+    stated["cameras"] = tuple(options.cameras) if options.cameras else None
     kind = convert_calibration(options.calibration, options.output, options.force, **stated)
     print(f"calibration of {kind} written: {options.output}")
 

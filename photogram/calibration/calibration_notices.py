@@ -177,6 +177,14 @@ UNCERTAINTIES_MISSING = DeclaredNotice(
     remedy="State `scale_uncertainty` under `[stereo.NAME]` in rig.toml.",
     link="cameras.md#calibrations-of-other-programs",
 )
+ARBITRARY_SCALE = DeclaredNotice(
+    "SC-240",
+    "warning",
+    "The lengths of {program} are in an arbitrary unit unless its model was scaled.",
+    effect="All positions and motions scale with it.",
+    remedy="Scale the model by a measured length there, and state `scale_uncertainty` under `[stereo.NAME]`.",
+    link="cameras.md#calibrations-of-other-programs",
+)
 UNUSUAL_DISTANCE = DeclaredNotice(
     "SC-272",
     "warning",

@@ -29,12 +29,13 @@ EVEN = (2, 4, 6)
 """Exponents of this program's radial polynomial 1 + k1·r² + k2·r⁴ + k3·r⁶."""
 _GRID = 41  # points along each side of the image for the comparison of two cameras
 _STEPS = 200  # fixed-point steps of the inverse
+_TANGENTIAL_STEPS = 20  # the same for a fisheye lens's tangential terms, of some 1e-3
 _INVERTED_PX = 1e-6  # residual of the inverse that ends the steps
 _ESSENTIAL = 1e-3  # largest relative deviation of an essential matrix from that of R and T
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Lens(Arrays, shapes="focal_px 2; centre_px 2; radial 3; tangential 2; divisor 3; angular 4"):
+class Lens(Arrays, shapes="focal_px 2; centre_px 2; radial K; tangential 2; divisor 3; angular 4"):
     """A pinhole camera with skew, radial and tangential distortion.
 
     With x = X/Z, y = Y/Z, r² = x² + y² and the factor g = (1 + Σ radial·r^exponents)/(1 + Σ divisor·r^(2, 4, 6)): x_d =
@@ -42,7 +43,7 @@ class Lens(Arrays, shapes="focal_px 2; centre_px 2; radial 3; tangential 2; divi
 
     With `angular` (4,), for a fisheye lens, g is θ_d/r, with θ = arctan r and θ_d = θ·(1 + k1·θ² + k2·θ⁴ + k3·θ⁶ +
     k4·θ⁸) (Kannala and Brandt 2006, IEEE Transactions on Pattern Analysis and Machine Intelligence 28, 1335; OpenCV's
-    `fisheye`, "equidistant" of ROS and Kalibr).
+    `fisheye`, "equidistant" of ROS and Kalibr). Its tangential terms are those of (x, y)·θ/r, as Metashape's.
     """
 
     focal_px: FloatArray
@@ -50,7 +51,7 @@ class Lens(Arrays, shapes="focal_px 2; centre_px 2; radial 3; tangential 2; divi
     radial: FloatArray = field(default_factory=lambda: np.zeros(3))
     tangential: FloatArray = field(default_factory=lambda: np.zeros(2))
     skew_px: float = 0.0
-    exponents: tuple[int, int, int] = EVEN
+    exponents: tuple[int, ...] = EVEN
     divisor: FloatArray = field(default_factory=lambda: np.zeros(3))
     angular: FloatArray | None = None
 
@@ -75,7 +76,7 @@ class Lens(Arrays, shapes="focal_px 2; centre_px 2; radial 3; tangential 2; divi
     @property
     def parameters(self) -> FloatArray:
         """Vector (13,) of `CAMERA_PARAMETERS`, for any exponents."""
-        k1, k2, k3 = self.radial
+        k1, k2, k3 = self.radial[:3]
         return np.array([*self.focal_px, *self.centre_px, k1, k2, *self.tangential, k3, *self.divisor, self.skew_px])
 
     def project(self, normalised: FloatArray) -> FloatArray:
@@ -88,11 +89,17 @@ class Lens(Arrays, shapes="focal_px 2; centre_px 2; radial 3; tangential 2; divi
         else:
             factor = fisheye_radius(np.arctan(radius), self.angular) / np.where(radius > 0, radius, 1.0)
             factor = np.where(radius > 0, factor, 1.0)
-        p1, p2 = self.tangential
-        x_d = factor * x + 2 * p1 * x * y + p2 * (radius**2 + 2 * x**2)
-        y_d = factor * y + p1 * (radius**2 + 2 * y**2) + 2 * p2 * x * y
+        x_d, y_d = (factor[:, None] * normalised + self.decentring(normalised)).T
         pixel = np.stack([self.focal_px[0] * x_d + self.skew_px * y_d, self.focal_px[1] * y_d], axis=1)
         return np.asarray(pixel + self.centre_px)
+
+    def decentring(self, normalised: FloatArray) -> FloatArray:
+        """Return the tangential distortion (N, 2) at normalised coordinates (N, 2)."""
+        radius, (p1, p2) = np.linalg.norm(normalised, axis=1), self.tangential
+        angle = radius if self.angular is None else np.arctan(radius)
+        x, y = normalised.T * (angle / np.where(radius > 0, radius, 1.0))
+        square = x * x + y * y
+        return np.column_stack([2 * p1 * x * y + p2 * (square + 2 * x * x), p1 * (square + 2 * y * y) + 2 * p2 * x * y])
 
 
 def fisheye_radius(angle_rad: FloatArray, coefficients: FloatArray) -> FloatArray:
@@ -117,16 +124,19 @@ class NearestCamera:
 def nearest_camera(lens: Lens, size_px: IntArray) -> NearestCamera:
     """Return the least-squares camera for a lens over the image.
 
-    A lens of this program's form is used unchanged. Another radial polynomial is approximated by this one, together
-    with the matrix; a fisheye lens by the rational model.
+    A lens of this program's form is used unchanged. A radial polynomial in other powers is approximated by this one,
+    together with the matrix; one with more powers, and a fisheye lens, by the rational model.
     """
     if lens.is_exact:
         return NearestCamera(Camera.from_parameters(lens.parameters, size_px), np.zeros(3), 0.0, 0.0)
     start = lens.parameters
     if lens.angular is not None:
         normalised = _seen_by_fisheye(lens, lens.angular, size_px)
-        return fit_camera(lens.project(normalised), normalised, start, (*RADIAL, *DIVISOR), size_px)
+        free = (*RADIAL, *DIVISOR, *(("cx", "cy", "p1", "p2") if lens.tangential.any() else ()))
+        return fit_camera(lens.project(normalised), normalised, start, free, size_px)
     normalised = _seen(lens, size_px)
+    if lens.exponents[: len(EVEN)] == EVEN:
+        return fit_camera(lens.project(normalised), normalised, start, (*RADIAL, *DIVISOR), size_px)
     start[[4, 5, 8]] = 0.0
     start[:2] *= 1.0 + sum(k for k, power in zip(lens.radial, lens.exponents, strict=True) if power == 0)
     return fit_camera(lens.project(normalised), normalised, start, ("fx", "fy", "cx", "cy", *RADIAL), size_px)
@@ -155,7 +165,7 @@ def fit_camera(
     powers = {"k1": 3, "k2": 5, "k3": 7, "k4": 3, "k5": 5, "k6": 7, "x": 0, "y": 0, "z": 1}
     steps = np.array(
         [
-            {"c": 1.0, "f": 1 / radius, "s": 1 / radius}.get(name[0]) or 1 / (reach * radius ** powers[name])
+            {"c": 1.0, "f": 1 / radius, "s": 1 / radius}.get(name[0]) or 1 / (reach * radius ** powers.get(name, 2))
             for name in free
         ]
     )
@@ -209,8 +219,16 @@ def _seen_by_fisheye(lens: Lens, coefficients: FloatArray, size_px: IntArray) ->
     if not radius.max() <= table[growing]:
         expected = f"a field of view of at most {np.degrees(angle[growing]):.0f} degrees off the axis"
         raise ValueError(f"distortion: expected {expected}, the range of the fisheye model's inverse, found more")
-    theta = np.interp(radius, table[: growing + 1], angle[: growing + 1])
-    return np.asarray(distorted * (np.tan(theta) / np.where(radius > 0, radius, 1.0))[:, None])
+
+    def undistorted(target: FloatArray) -> FloatArray:
+        radius = np.linalg.norm(target, axis=1)
+        theta = np.interp(radius, table[: growing + 1], angle[: growing + 1])
+        return np.asarray(target * (np.tan(theta) / np.where(radius > 0, radius, 1.0))[:, None])
+
+    normalised = undistorted(distorted)
+    for _ in range(_TANGENTIAL_STEPS if lens.tangential.any() else 0):
+        normalised = undistorted(distorted - lens.decentring(normalised))
+    return normalised
 
 
 # Conversion of a file's content to a stereo rig: units, inexact rotations, differences of camera models.
