@@ -30,6 +30,7 @@ from photogram.targets.target_view import APRILGRID_TAGS, Target, TargetNotFound
 from shakercal._common.arrays import FloatArray
 
 _BORDERS = (2, 1)  # widths of the tags' black border in bits: Kalibr's default, and that of other printers
+_DARKER = 20.0  # where a tag and a square touch, the grey level is the mean around: a larger margin separates them
 _BITS = 6  # of a tag's code along a side
 _CLEAR = 0.65  # half width of a corner's window, and a margin for blur, in its squares
 _LARGEST_PX = 1600  # longest side of an image that is enlarged for small tags
@@ -77,14 +78,16 @@ def find_grid(markers: Markers, target: Target) -> MarkerBoard | None:
 def _search(grey: NDArray[np.uint8], target: Target) -> tuple[MarkerBoard | None, Markers, int]:
     """Return the board, all tags, and their border, of a smaller image, the original or an enlarged one.
 
-    OpenCV finds a tag that touches squares at its corners if its bits measure some 4 px.
+    OpenCV finds tags whose bits measure 3 px and more.
     """
     best: tuple[MarkerBoard | None, Markers, int] | None = None
     for scale in (detect_scaled, lambda grey, search: search(grey), detect_enlarged):
         if scale is detect_enlarged and max(grey.shape) > _LARGEST_PX:
             break
         for border in _BORDERS:
-            markers = own_markers(scale(grey, partial(find_markers, dictionary=APRILGRID_TAGS, border=border)), target)
+            markers = own_markers(
+                scale(grey, partial(find_markers, dictionary=APRILGRID_TAGS, border=border, darker=_DARKER)), target
+            )
             found = find_grid(markers, target), markers, border
             if best is None or _extent(found) > _extent(best):
                 best = found

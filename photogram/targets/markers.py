@@ -70,11 +70,13 @@ Search = Callable[[NDArray[np.uint8]], Markers]
 """Finds the markers in an image of 8 bits."""
 
 
-def find_markers(grey: NDArray[np.uint8], dictionary: str, first: int | None = None, border: int = 1) -> Markers:
+def find_markers(
+    grey: NDArray[np.uint8], dictionary: str, first: int | None = None, border: int = 1, darker: float = 7.0
+) -> Markers:
     """Return the markers of a predefined dictionary in an image of 8 bits.
 
-    `first`: only the first ones of the dictionary. `border`: width of their black border, in bits. If several boards
-    are visible, numbers may occur more than once.
+    `first`: only the first ones of the dictionary. `border`: width of their black border, in bits. `darker`: grey
+    levels by which black is below the mean around it. If several boards are visible, numbers may occur more than once.
     """
     import cv2
 
@@ -84,7 +86,7 @@ def find_markers(grey: NDArray[np.uint8], dictionary: str, first: int | None = N
             predefined.bytesList[:first], predefined.markerSize, predefined.maxCorrectionBits
         )
     parameters = cv2.aruco.DetectorParameters()
-    parameters.markerBorderBits = border
+    parameters.markerBorderBits, parameters.adaptiveThreshConstant = border, darker
     corners, numbers, _ = cv2.aruco.ArucoDetector(predefined, parameters).detectMarkers(grey)
     if numbers is None or len(corners) == 0:
         return Markers(np.empty(0, dtype=np.int64), np.empty((0, 4, 2)), np.empty((0, 2)))
