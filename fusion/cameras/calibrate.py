@@ -34,7 +34,7 @@ from photogram.calibration.bundle import ShapeKind
 from photogram.calibration.calibration_file import read_calibration, write_calibration, write_camera
 from photogram.calibration.calibration_result import Calibration, KnownLength, Rejection, scale_to_length
 from photogram.calibration.exchange.exchange_files import export_calibration, import_calibration
-from photogram.calibration.initial_bundle import FEWEST_VIEWS, LensKind, ViewPair
+from photogram.calibration.initial_bundle import FEWEST_VIEWS, LensKind, ViewPair, number_partial
 from photogram.calibration.session import calibrate_pair
 from photogram.images.image_files import read_image
 from photogram.images.sequence import GreyImage
@@ -45,6 +45,10 @@ from photogram.targets.target_view import Target, TargetNotFound, TargetView
 from shakercal._common.notices import Notice
 
 log = logging.getLogger("shakercal")
+_UNNUMBERED = (
+    "a part of the board, whose corners have no certain numbers: the other camera does not see the whole board, or "
+    "several places fit; use a board with markers (charuco, aprilgrid), or keep the whole board in view"
+)
 IMAGE_FILE_SUFFIXES = (".png", ".tif", ".tiff", ".jpg", ".jpeg", ".bmp", ".pgm")
 
 
@@ -64,7 +68,10 @@ class CameraSettings:
     boards: tuple[int, ...] = ()
 
     def __post_init__(self) -> None:
-        """Refuse boards that share markers."""
+        """Refuse boards that share markers, and a deviation of points that several boards do not share."""
+        if len(self.boards) > 1 and self.shape not in ("auto", "flat"):
+            expected = "flat for several boards, whose points deviate each in its own way"
+            raise ValueError(f"shape: expected {expected}, found {self.shape}")
         marked = sorted(self.targets, key=lambda target: target.first_id or 0)
         for one, other in itertools.pairwise(marked):
             last = (one.first_id or 0) + marker_count(one) - 1
@@ -104,8 +111,9 @@ def calibrate_cameras(
     if right is not None:
         both = zip(views[: len(left)], views[len(left) :], strict=True)
         pairs = [pair for seen in both for pair in zip(*seen, strict=True)]
+    whole = [_whole(pair) for pair in pairs]
     sides = [("left ", left)] + ([("right ", right)] if right is not None else [])
-    for (side, paths), column in zip(sides, zip(*pairs, strict=True), strict=False):
+    for (side, paths), column in zip(sides, zip(*whole, strict=True), strict=False):
         usable = sum(view is not None for view in column)
         if usable < FEWEST_VIEWS:
             reasons = "; ".join(f"{Path(item.name).name}: {item.reason}" for item in failed) or "no image failed"
@@ -115,13 +123,28 @@ def calibrate_cameras(
     progress("adjust", 0, 1)
     shape = "flat" if len(settings.boards) > 1 and settings.shape == "auto" else settings.shape
     with as_input_error(_folder(images)):
-        calibration = calibrate_pair(pairs, settings.target, shape, settings.scale_u, settings.lens)
+        calibrate = partial(
+            calibrate_pair, target=settings.target, shape=shape, scale_u=settings.scale_u, lens=settings.lens
+        )
+        calibration = calibrate(whole)
+        if any(view is not None and view.is_partial for pair in pairs for view in pair):
+            numbered = [number_partial(calibration.rig, settings.target, *pair) for pair in pairs]
+            parts = [view for pair in pairs for view in pair if view is not None and view.is_partial]
+            names = {view.name for pair in numbered for view in pair if view is not None}
+            failed += [Rejection(view.name, 0, _UNNUMBERED) for view in parts if view.name not in names]
+            calibration = calibrate(numbered) if any(view.name in names for view in parts) else calibration
     if settings.known_length is not None:
         with as_input_error(_folder(images), "--known-length"):
             calibration = scale_to_length(calibration, settings.known_length)
     progress("adjust", 1, 1)
     notices = (*tag_notices(read_orientations(images)), *calibration.notices)
     return replace(calibration, rejections=(*failed, *calibration.rejections), notices=notices)
+
+
+def _whole(pair: ViewPair) -> ViewPair:
+    """Return a pair without views of a part of the board."""
+    left, right = (None if view is None or view.is_partial else view for view in pair)
+    return left, right
 
 
 def split_images(arguments: Sequence[str]) -> tuple[list[Path], list[Path]]:
@@ -263,7 +286,7 @@ def _find_one(image: GreyImage, targets: Sequence[Target], name: str, full_scale
     why = ""
     for target in targets:
         try:
-            return find_target(image, target, name, full_scale)
+            return find_target(image, target, name, full_scale, partial=True)
         except TargetNotFound as error:
             why = str(error)
     return why

@@ -112,6 +112,7 @@ def renumber_points(view: TargetView, turn: IntArray, shift: FloatArray) -> Targ
 # Pose of a target from views of a calibrated pair.
 
 _WORST_PX = 3.0  # largest rms of points in one pose of the target
+_PLACED_PX, _DISTINCT = 2.0, 0.25  # the same of a part at its place on the board, and over that of the next best place
 
 
 def estimate_target_pose(
@@ -144,6 +145,51 @@ def match_numbering(
         return right
     offered = [right, *(renumber_points(right, *turn) for turn in turns)]
     return min(offered, key=lambda view: _posed(rig, target, [(left, 0), (view, 1)])[2])
+
+
+def number_partial(
+    rig: StereoRig, target: Target, left: TargetView | None, right: TargetView | None
+) -> tuple[TargetView | None, TargetView | None]:
+    """Return the views with a part of a chessboard numbered by the other camera's view of the whole board.
+
+    Every place of the part on the board is tried, in each orientation with the right colours. A place counts if the
+    rms residual of one pose for both views is below 2 px, and a quarter of that of any other place. A part without such
+    a place, or without a view of the whole board, becomes None.
+    """
+    if not any(view is not None and view.is_partial for view in (left, right)):
+        return left, right
+    if left is None or right is None or left.is_partial == right.is_partial:
+        return tuple(None if view is None or view.is_partial else view for view in (left, right))  # type: ignore[return-value]
+    part, whole = (left, right) if left.is_partial else (right, left)
+    places = [
+        replace(renumber_points(part, turn, shift), is_partial=False) for turn, shift in _places(part.index, target)
+    ]
+    pairs = [(place, whole) if left.is_partial else (whole, place) for place in places]
+    rms = np.array([_posed(rig, target, [(one, 0), (other, 1)])[2] for one, other in pairs])
+    order = np.argsort(rms)
+    if len(rms) and rms[order[0]] < _PLACED_PX and (len(rms) == 1 or rms[order[0]] < _DISTINCT * rms[order[1]]):
+        return pairs[int(order[0])]
+    return (None, right) if left.is_partial else (left, None)
+
+
+def _places(index: IntArray, target: Target) -> list[tuple[IntArray, FloatArray]]:
+    """Return turns (2, 2) and shifts (2,) that put a part of a chessboard, index (N, 2), on the board.
+
+    A quarter turn exchanges the colours, so that the part is then displaced by an odd number of squares.
+    """
+    assert target.size is not None
+    places = []
+    for quarters, turn in enumerate(
+        (np.eye(2, dtype=np.int64), _QUARTER_TURN, -np.eye(2, dtype=np.int64), -_QUARTER_TURN)
+    ):
+        turned = index @ turn.T
+        low, room = turned.min(axis=0), np.array(target.size) - 1 - np.ptp(turned, axis=0)
+        for column in range(int(room[0]) + 1):
+            for row in range(int(room[1]) + 1):
+                shift = np.array([column, row]) - low
+                if (int((turned[0] + shift).sum()) - int(index[0].sum()) - quarters) % 2 == 0:
+                    places.append((np.asarray(turn), shift.astype(np.float64)))
+    return places
 
 
 def _posed(

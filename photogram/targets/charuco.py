@@ -53,6 +53,11 @@ def find_charuco(image: NDArray[Any], target: Target, name: str, full_scale: flo
     assert target.size is not None
     grey, expected = eight_bit(image), f"a ChArUco board of {target.size[0]} x {target.size[1]} squares"
     dictionary = target.dictionary or _dictionary(grey, target)
+    last = (target.first_id or 0) + marker_count(target) - 1
+    if target.first_id is not None and dictionary and len(predefined_dictionary(dictionary).bytesList) <= last:
+        raise ValueError(
+            f"first_id: expected a board whose last marker {last} is in its dictionary, found {dictionary}"
+        )
     board, markers = _search(grey, target, dictionary)
     if board is None:
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -24,6 +25,7 @@ from shakercal._common.arrays import FloatArray, IntArray
 _LEAST_CONTRAST = 0.4  # of a corner, in units of the median over the target
 _MARGIN = 0.75  # squares around the outermost corners that belong to the target's area
 _FEWEST = 6  # corners of a view, for a homography with a check
+_FEWEST_SIDE = 3  # corners along a side of a part of a board
 _STRIP = 0.08  # of a square, along the edges of squares with markers, at first
 _CLEAR, _NARROWEST, _WIDEST = 0.15, 0.05, 0.12  # the same later: the first less 2σ of the blur, between the others
 
@@ -137,8 +139,10 @@ def _measured(status: IntArray, total: int) -> str:
 SEARCHED_PX = 1400  # longest side of the reduced image in which the board is searched first
 
 
-def find_chessboard(image: NDArray[Any], target: Target, name: str, full_scale: float) -> TargetView:
-    """Return the inner corners of a chessboard that lies wholly in the image.
+def find_chessboard(
+    image: NDArray[Any], target: Target, name: str, full_scale: float, partial: bool = False
+) -> TargetView:
+    """Return the inner corners of a chessboard that lies wholly in the image, or if `partial` of a part of it.
 
     Index (i, j): first index to the right, second down, so that the third axis points away from the camera, and the
     square beyond corner (0, 0) is black. Where two orientations fulfil this (columns and rows both odd or both even),
@@ -157,16 +161,32 @@ def find_chessboard(image: NDArray[Any], target: Target, name: str, full_scale: 
             if corners is not None:
                 break
         else:
-            raise TargetNotFound(_reason(image, small, boards, target.size, full_scale))
+            part = next((board for board in boards if partial and _is_part(board, target.size)), None)
+            if part is None:
+                raise TargetNotFound(_reason(image, small, boards, target.size, full_scale))
+            lattice = _oriented(grey, (part.swapaxes(0, 1) + 0.5) * factor - 0.5)
+            index, start, axes = _located(lattice)
+            index[:, 0] += 0 if _begins_black(grey, lattice) else 1
+            return replace(corner_view(image, target, index, start, axes, name, full_scale), is_partial=True)
     _refuse_larger(grey, corners)
     small, factor = downscale(grey, SEARCHED_PX)
     another = _search(_covered(small, (corners + 0.5) / factor - 0.5), target.size)
     if another is not None and _is_board(small, another):
         refuse_second(f"a chessboard of {target.size[0]} x {target.size[1]} inner corners")
-    lattice = _oriented(grey, corners)
+    return corner_view(image, target, *_located(_oriented(grey, corners)), name, full_scale)
+
+
+def _located(lattice: FloatArray) -> tuple[IntArray, FloatArray, FloatArray]:
+    """Return index (N, 2), position (N, 2) and squares' sides (N, 2, 2) of a lattice of corners (I, J, 2)."""
     index = np.stack(np.meshgrid(*[np.arange(n) for n in lattice.shape[:2]], indexing="ij"), axis=-1)
-    located = index.reshape(-1, 2), lattice.reshape(-1, 2), _axes(lattice).reshape(-1, 2, 2)
-    return corner_view(image, target, *located, name, full_scale)
+    return index.reshape(-1, 2), lattice.reshape(-1, 2), _axes(lattice).reshape(-1, 2, 2)
+
+
+def _is_part(board: FloatArray, size: tuple[int, int]) -> bool:
+    """Return whether a lattice (rows, columns, 2) has fewer corners than the board, in either orientation."""
+    short, long = sorted(board.shape[:2])
+    fits = _FEWEST_SIDE <= short <= min(size) and long <= max(size)
+    return bool(fits and short * long < size[0] * size[1])
 
 
 def eight_bit(image: NDArray[Any]) -> NDArray[np.uint8]:
@@ -251,18 +271,20 @@ def _oriented(grey: NDArray[np.uint8], corners: FloatArray) -> FloatArray:
     turns = range(4) if columns == rows else (0, 2)
     candidates = [np.rot90(corners, turn) for turn in turns]
 
-    def begins_black(lattice: FloatArray) -> bool:
-        """Return whether the square beyond corner (0, 0) and those of its colour are dark."""
-        quadrants = _quadrants(grey, lattice, _axes(lattice))
-        brighter = np.nan_to_num(quadrants[..., :2].sum(-1) - quadrants[..., 2:].sum(-1))
-        parity = np.indices(lattice.shape[:2]).sum(axis=0) % 2
-        return bool((brighter * np.where(parity == 0, 1, -1)).sum() < 0)
-
     def rightward(lattice: FloatArray) -> float:
         along = lattice[-1].mean(axis=0) - lattice[0].mean(axis=0)
         return float(along[0] / np.linalg.norm(along))
 
-    return max(list(filter(begins_black, candidates)) or candidates, key=rightward)
+    black = [lattice for lattice in candidates if _begins_black(grey, lattice)]
+    return max(black or candidates, key=rightward)
+
+
+def _begins_black(grey: NDArray[np.uint8], lattice: FloatArray) -> bool:
+    """Return whether the square beyond corner (0, 0) and those of its colour are dark."""
+    quadrants = _quadrants(grey, lattice, _axes(lattice))
+    brighter = np.nan_to_num(quadrants[..., :2].sum(-1) - quadrants[..., 2:].sum(-1))
+    parity = np.indices(lattice.shape[:2]).sum(axis=0) % 2
+    return bool((brighter * np.where(parity == 0, 1, -1)).sum() < 0)
 
 
 def _boards(small: NDArray[np.uint8], size: tuple[int, int]) -> list[FloatArray]:
@@ -310,7 +332,10 @@ def _reason(
     sides = [np.rot90(lattice, turn) for turn in range(4)]
     beyond = np.concatenate([side[0] + 1.5 * (side[0] - side[1]) for side in sides])
     if ((beyond < 0) | (beyond > [small.shape[1] - 1, small.shape[0] - 1])).any():
-        return f"extends beyond the edge of the image: {seen} of {expected} inner corners are visible"
+        return (
+            f"extends beyond the edge of the image: {seen} of {expected} inner corners are visible, which the other "
+            "camera numbers if it sees the whole board; boards with markers need not be whole"
+        )
     return f"another target, or one partly covered: a chessboard of {seen} inner corners, expected {expected}"
 
 

@@ -10,7 +10,7 @@ from photogram.targets.dots import find_dots
 from photogram.targets.target_view import Target, TargetView
 
 
-def find_target(image: GreyImage, target: Target, name: str, full_scale: int) -> TargetView:
+def find_target(image: GreyImage, target: Target, name: str, full_scale: int, partial: bool = False) -> TargetView:
     """Find the points of a calibration target in an image.
 
     Parameters
@@ -23,6 +23,8 @@ def find_target(image: GreyImage, target: Target, name: str, full_scale: int) ->
         Of the image.
     full_scale
         Its largest possible grey value.
+    partial
+        Accept a part of a chessboard, whose corners have no certain number (`TargetView.is_partial`); default False.
 
     Returns
     -------
@@ -44,7 +46,7 @@ def find_target(image: GreyImage, target: Target, name: str, full_scale: int) ->
     array([66.67, 66.67])
     """
     if target.kind == "chessboard":
-        return find_chessboard(image, target, name, full_scale)
+        return find_chessboard(image, target, name, full_scale, partial)
     if target.kind == "charuco":
         return find_charuco(image, target, name, full_scale)
     if target.kind == "aprilgrid":

@@ -138,6 +138,8 @@ class TargetView(Arrays, shapes="index N 2; position_px N 2; covariance_px2 N 2 
     size_px : (2,) width and height of the image.
     lost : number of points within the image that could not be measured.
     loss_reasons : of these as text, "" for none.
+    is_partial : Whether only a part of a target without markers is visible, so that `index` counts from an unknown
+        point of it; default False.
     """
 
     name: str
@@ -149,6 +151,7 @@ class TargetView(Arrays, shapes="index N 2; position_px N 2; covariance_px2 N 2 
     size_px: IntArray
     lost: int = 0
     loss_reasons: str = ""
+    is_partial: bool = False
 
     def __post_init__(self) -> None:
         super().__post_init__()
