@@ -45,10 +45,6 @@ from photogram.targets.target_view import Target, TargetNotFound, TargetView
 from shakercal._common.notices import Notice
 
 log = logging.getLogger("shakercal")
-_UNNUMBERED = (
-    "a part of the board, whose corners have no certain numbers: the other camera does not see the whole board, or "
-    "several places fit; use a board with markers (charuco, aprilgrid), or keep the whole board in view"
-)
 IMAGE_FILE_SUFFIXES = (".png", ".tif", ".tiff", ".jpg", ".jpeg", ".bmp", ".pgm")
 
 
@@ -104,7 +100,9 @@ def calibrate_cameras(
         for path, outcomes in zip(images, workers.map(find, images), strict=True):
             views.append([view if isinstance(view, TargetView) else None for view in outcomes])
             seen = [view for view in views[-1] if view is not None]
-            failed += [Rejection(view.name, view.lost, view.loss_reasons) for view in seen if view.lost]
+            failed += [
+                Rejection(view.name, view.lost, view.loss_reasons) for view in seen if view.lost and not view.is_partial
+            ]
             failed += [] if seen else [Rejection(str(path), 0, "; ".join(dict.fromkeys(map(str, outcomes))))]
             progress("find target", len(views), len(images))
     pairs: list[ViewPair] = [(view, None) for seen in views for view in seen]
@@ -112,11 +110,16 @@ def calibrate_cameras(
         both = zip(views[: len(left)], views[len(left) :], strict=True)
         pairs = [pair for seen in both for pair in zip(*seen, strict=True)]
     whole = [_whole(pair) for pair in pairs]
+    parts = [view for pair in pairs for view in pair if view is not None and view.is_partial]
+    unnumbered = [Rejection(view.name, 0, view.loss_reasons) for view in parts]
     sides = [("left ", left)] + ([("right ", right)] if right is not None else [])
     for (side, paths), column in zip(sides, zip(*whole, strict=True), strict=False):
         usable = sum(view is not None for view in column)
         if usable < FEWEST_VIEWS:
-            reasons = "; ".join(f"{Path(item.name).name}: {item.reason}" for item in failed) or "no image failed"
+            reasons = (
+                "; ".join(f"{Path(item.name).name}: {item.reason}" for item in (*failed, *unnumbered))
+                or "no image failed"
+            )
             found = f"{usable} usable of {len(paths)} {side if right is not None else ''}images ({reasons})"
             expected = f"at least {FEWEST_VIEWS} of each camera"
             raise InputError(TOO_FEW_IMAGES, _folder(paths), found=found, expected=expected)
@@ -127,11 +130,10 @@ def calibrate_cameras(
             calibrate_pair, target=settings.target, shape=shape, scale_u=settings.scale_u, lens=settings.lens
         )
         calibration = calibrate(whole)
-        if any(view is not None and view.is_partial for pair in pairs for view in pair):
+        if parts:
             numbered = [number_partial(calibration.rig, settings.target, *pair) for pair in pairs]
-            parts = [view for pair in pairs for view in pair if view is not None and view.is_partial]
             names = {view.name for pair in numbered for view in pair if view is not None}
-            failed += [Rejection(view.name, 0, _UNNUMBERED) for view in parts if view.name not in names]
+            failed += [rejection for rejection in unnumbered if rejection.name not in names]
             calibration = calibrate(numbered) if any(view.name in names for view in parts) else calibration
     if settings.known_length is not None:
         with as_input_error(_folder(images), "--known-length"):

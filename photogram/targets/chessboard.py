@@ -161,13 +161,15 @@ def find_chessboard(
             if corners is not None:
                 break
         else:
+            reason = _reason(image, small, boards, target.size, full_scale)
             part = next((board for board in boards if partial and _is_part(board, target.size)), None)
             if part is None:
-                raise TargetNotFound(_reason(image, small, boards, target.size, full_scale))
+                raise TargetNotFound(reason)
             lattice = _oriented(grey, (part.swapaxes(0, 1) + 0.5) * factor - 0.5)
             index, start, axes = _located(lattice)
             index[:, 0] += 0 if _begins_black(grey, lattice) else 1
-            return replace(corner_view(image, target, index, start, axes, name, full_scale), is_partial=True)
+            view = corner_view(image, target, index, start, axes, name, full_scale)
+            return replace(view, is_partial=True, loss_reasons=reason)
     _refuse_larger(grey, corners)
     small, factor = downscale(grey, SEARCHED_PX)
     another = _search(_covered(small, (corners + 0.5) / factor - 0.5), target.size)
@@ -333,8 +335,8 @@ def _reason(
     beyond = np.concatenate([side[0] + 1.5 * (side[0] - side[1]) for side in sides])
     if ((beyond < 0) | (beyond > [small.shape[1] - 1, small.shape[0] - 1])).any():
         return (
-            f"extends beyond the edge of the image: {seen} of {expected} inner corners are visible, which the other "
-            "camera numbers if it sees the whole board; boards with markers need not be whole"
+            f"extends beyond the edge of the image: {seen} of {expected} inner corners are visible, whose numbers are "
+            "certain only if the other camera sees the whole board, or with markers (charuco, aprilgrid)"
         )
     return f"another target, or one partly covered: a chessboard of {seen} inner corners, expected {expected}"
 

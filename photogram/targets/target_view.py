@@ -137,7 +137,7 @@ class TargetView(Arrays, shapes="index N 2; position_px N 2; covariance_px2 N 2 
     blur_px : σ of the edges' blur, median over the points.
     size_px : (2,) width and height of the image.
     lost : number of points within the image that could not be measured.
-    loss_reasons : of these as text, "" for none.
+    loss_reasons : of these as text, "" for none; of a part of a target what is missing.
     is_partial : Whether only a part of a target without markers is visible, so that `index` counts from an unknown
         point of it; default False.
     """

@@ -154,7 +154,16 @@ def test_a_part_of_a_chessboard_counts_where_the_other_camera_sees_the_whole_boa
     told = capsys.readouterr().out
     _assert_true(tmp_path / "top.json", rig)
     assert "8 pairs" in told
-    refused_lines = [line for line in told.splitlines() if "certain numbers" in line]
+    refused_lines = [line for line in told.splitlines() if ": rejected: " in line]
     assert sorted(re.findall(r"(left|right)/(\d+)\.png", " ".join(refused_lines))) == [("left", "06"), ("right", "06")]
     points = int(re.findall(r"points found: (\d+) to", told)[0])
     assert 12 <= points < size[0] * size[1]
+
+
+def test_a_board_of_another_size_is_named_with_its_size(tmp_path: Path, refused: RefusedCommand) -> None:
+    rng, board = np.random.default_rng(6), Board(Target("chessboard", 0.012, (7, 5)))
+    rig = _rig(rng, 0.13)
+    _write(tmp_path, rig, random_poses(rng, rig, board, 3), [(board, np.zeros(2))])
+    command = ["cameras", str(tmp_path / "left"), str(tmp_path / "right"), "--target", "chessboard"]
+    told = refused(*command, "--size", "8x6", "--spacing", "12mm", "-o", str(tmp_path / "top.json"), "-q")
+    assert "7 x 5 inner corners, expected 8 x 6" in told
