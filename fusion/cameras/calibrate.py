@@ -64,7 +64,7 @@ class CameraSettings:
     boards: tuple[int, ...] = ()
 
     def __post_init__(self) -> None:
-        """Refuse boards that share markers, and a deviation of points that several boards do not share."""
+        """Refuse boards that share markers, and common deviations of their points."""
         if len(self.boards) > 1 and self.shape not in ("auto", "flat"):
             expected = "flat for several boards, whose points deviate each in its own way"
             raise ValueError(f"shape: expected {expected}, found {self.shape}")
@@ -258,7 +258,7 @@ def _print_remarks(calibration: Calibration) -> None:
 
 
 def _alternatives(target: Target, first: Path) -> tuple[Target, ...]:
-    """Return the forms of a target to search for in an image; the last is the stated one.
+    """Return the forms of a target to search for; the last is the stated one.
 
     The dictionary of a board's markers takes longer to find than the board; it is that of the first image.
     """
@@ -284,7 +284,7 @@ def _find(boards: Sequence[Sequence[Target]], path: Path) -> list[TargetView | s
 
 
 def _find_one(image: GreyImage, targets: Sequence[Target], name: str, full_scale: int) -> TargetView | str:
-    """Return the first of the targets that is found in an image, or the reason of the last failure."""
+    """Return the first target that is found, or the reason of the last failure."""
     why = ""
     for target in targets:
         try:

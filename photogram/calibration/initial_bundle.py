@@ -150,7 +150,7 @@ def match_numbering(
 def number_partial(
     rig: StereoRig, target: Target, left: TargetView | None, right: TargetView | None
 ) -> tuple[TargetView | None, TargetView | None]:
-    """Return the views with a part of a chessboard numbered by the other camera's view of the whole board.
+    """Return views of a part of a chessboard numbered by the other camera's view.
 
     Every place of the part on the board is tried, in each orientation with the right colours. A place counts if the
     rms residual of one pose for both views is below 2 px, and a quarter of that of any other place. A part without such
@@ -173,7 +173,7 @@ def number_partial(
 
 
 def _places(index: IntArray, target: Target) -> list[tuple[IntArray, FloatArray]]:
-    """Return turns (2, 2) and shifts (2,) that put a part of a chessboard, index (N, 2), on the board.
+    """Return turns (2, 2) and shifts (2,) that put a part, index (N, 2), on the board.
 
     A quarter turn exchanges the colours, so that the part is then displaced by an odd number of squares.
     """
@@ -182,12 +182,12 @@ def _places(index: IntArray, target: Target) -> list[tuple[IntArray, FloatArray]
     for quarters, turn in enumerate(
         (np.eye(2, dtype=np.int64), _QUARTER_TURN, -np.eye(2, dtype=np.int64), -_QUARTER_TURN)
     ):
-        turned = index @ turn.T
-        low, room = turned.min(axis=0), np.array(target.size) - 1 - np.ptp(turned, axis=0)
+        rotated = index @ turn.T
+        low, room = rotated.min(axis=0), np.array(target.size) - 1 - np.ptp(rotated, axis=0)
         for column in range(int(room[0]) + 1):
             for row in range(int(room[1]) + 1):
                 shift = np.array([column, row]) - low
-                if (int((turned[0] + shift).sum()) - int(index[0].sum()) - quarters) % 2 == 0:
+                if (int((rotated[0] + shift).sum()) - int(index[0].sum()) - quarters) % 2 == 0:
                     places.append((np.asarray(turn), shift.astype(np.float64)))
     return places
 

@@ -116,7 +116,10 @@ def tiles(board: Board) -> tuple[FloatArray, FloatArray, FloatArray]:
 
 
 def _aprilgrid_tiles(board: Board, columns: int, rows: int) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return edges and grey levels of an AprilGrid: tags from the lower left, y up, squares at their corners."""
+    """Return edges and grey levels of an AprilGrid.
+
+    Tags from the lower left, y up, squares at their corners.
+    """
     import cv2
 
     gap, bits = board.target.tag_spacing or 0.0, 6 + 2 * board.border

@@ -72,13 +72,14 @@ def find_grid(markers: Markers, target: Target) -> MarkerBoard | None:
     columns, rows = target.size or (0, 0)
     row, column = np.divmod(np.arange(rows * columns), max(columns, 1))
     centres = np.column_stack([column, row]) - 0.5
-    return fit_markers(markers, centres, (columns, rows), target.first_id or 0, turned=True)
+    return fit_markers(markers, centres, (columns, rows), target.first_id or 0, any_turn=True)
 
 
 def _search(grey: NDArray[np.uint8], target: Target) -> tuple[MarkerBoard | None, Markers, int]:
-    """Return the board, all tags, and their border, of a smaller image, the original or an enlarged one.
+    """Return the board, all tags, and the width of their border.
 
-    OpenCV finds tags whose bits measure 3 px and more.
+    Of a smaller image, the original or an enlarged one, whichever shows most tags. OpenCV finds tags whose bits measure
+    3 px and more.
     """
     best: tuple[MarkerBoard | None, Markers, int] | None = None
     for scale in (detect_scaled, lambda grey, search: search(grey), detect_enlarged):
@@ -109,12 +110,15 @@ def _pitch(target: Target) -> float:
 
 
 def _cells(target: Target, index: NDArray[Any]) -> FloatArray:
-    """Return positions (N, 2) of corners in cells of one tag each, the centre of the first one at −½."""
+    """Return positions (N, 2) of corners in cells of one tag each.
+
+    The centre of the first tag is at −½, as that of a ChArUco board's first square.
+    """
     return (target.lattice(index) - 0.5) / _pitch(target) - 0.5
 
 
 def _tag_corners(target: Target, board: MarkerBoard) -> tuple[FloatArray, FloatArray]:
-    """Return positions (K, 2) in cells and pixels (K, 2) of the corners of tags turned in any way."""
+    """Return positions (K, 2) in cells and pixels (K, 2) of tags' corners."""
     pixel = board.markers.corner_px
     at = apply(board.lattice_from_px, pixel.reshape(-1, 2)).reshape(-1, 4, 2)
     offset = np.sign(at - at.mean(axis=1, keepdims=True)) * 0.5 / _pitch(target)

@@ -90,7 +90,7 @@ def _dictionary(grey: NDArray[np.uint8], target: Target) -> str | None:
 
 
 def _search(grey: NDArray[np.uint8], target: Target, dictionary: str | None) -> tuple[MarkerBoard | None, Markers]:
-    """Return the board of markers and all markers, of a smaller image or of the original one."""
+    """Return the board and all markers, of a smaller image or the original one."""
     if dictionary is None:
         return None, Markers(np.empty(0, dtype=np.int64), np.empty((0, 4, 2)), np.empty((0, 2)))
     search = partial(find_markers, dictionary=dictionary)
@@ -106,7 +106,7 @@ def _search(grey: NDArray[np.uint8], target: Target, dictionary: str | None) -> 
 
 
 def own_markers(markers: Markers, target: Target) -> Markers:
-    """Return the markers that may be the target's: all, or those of its numbers if its first one is stated."""
+    """Return the markers of the target's numbers, all if its first one is not stated."""
     if target.first_id is None or target.size is None:
         return markers
     last = target.first_id + marker_count(target)
@@ -114,7 +114,7 @@ def own_markers(markers: Markers, target: Target) -> Markers:
 
 
 def marker_count(target: Target) -> int:
-    """Return the number of a board's markers; of a ChArUco board the larger one of its two patterns'."""
+    """Return the number of a board's markers, the larger one of a ChArUco board's patterns."""
     columns, rows = target.size or (0, 0)
     return columns * rows if target.kind == "aprilgrid" else (columns * rows + 1) // 2
 
@@ -142,7 +142,7 @@ def find_board(markers: Markers, target: Target, shape: tuple[int, ...]) -> Mark
     size, first = target.size or (0, 0), target.first_id or 0
     boards = []
     for legacy in (False, True) if size[1] % 2 == 0 else (False,):
-        board = fit_markers(markers, _square_centres(size, legacy), size, first, turned=False)
+        board = fit_markers(markers, _square_centres(size, legacy), size, first, any_turn=False)
         boards += [] if board is None else [replace(board, legacy=legacy)]
 
     def whole_markers(board: MarkerBoard) -> int:

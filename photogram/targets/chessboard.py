@@ -142,7 +142,9 @@ SEARCHED_PX = 1400  # longest side of the reduced image in which the board is se
 def find_chessboard(
     image: NDArray[Any], target: Target, name: str, full_scale: float, partial: bool = False
 ) -> TargetView:
-    """Return the inner corners of a chessboard that lies wholly in the image, or if `partial` of a part of it.
+    """Return the inner corners of a chessboard that lies wholly in the image.
+
+    If `partial`, also of a part of it, numbered from its first corner.
 
     Index (i, j): first index to the right, second down, so that the third axis points away from the camera, and the
     square beyond corner (0, 0) is black. Where two orientations fulfil this (columns and rows both odd or both even),
@@ -179,13 +181,13 @@ def find_chessboard(
 
 
 def _located(lattice: FloatArray) -> tuple[IntArray, FloatArray, FloatArray]:
-    """Return index (N, 2), position (N, 2) and squares' sides (N, 2, 2) of a lattice of corners (I, J, 2)."""
+    """Return index (N, 2), position (N, 2) and sides (N, 2, 2) of corners (I, J, 2)."""
     index = np.stack(np.meshgrid(*[np.arange(n) for n in lattice.shape[:2]], indexing="ij"), axis=-1)
     return index.reshape(-1, 2), lattice.reshape(-1, 2), _axes(lattice).reshape(-1, 2, 2)
 
 
 def _is_part(board: FloatArray, size: tuple[int, int]) -> bool:
-    """Return whether a lattice (rows, columns, 2) has fewer corners than the board, in either orientation."""
+    """Return whether a lattice (rows, columns, 2) may be a part of the board."""
     short, long = sorted(board.shape[:2])
     fits = _FEWEST_SIDE <= short <= min(size) and long <= max(size)
     return bool(fits and short * long < size[0] * size[1])

@@ -109,12 +109,12 @@ def predefined_dictionary(name: str) -> Any:
 
 
 def fit_markers(
-    markers: Markers, centres: FloatArray, size: tuple[int, int], first: int, turned: bool
+    markers: Markers, centres: FloatArray, size: tuple[int, int], first: int, any_turn: bool
 ) -> MarkerBoard | None:
-    """Return the board of markers `first`, `first` + 1, … at `centres` (M, 2), in cells, None without one.
+    """Return the board of markers at `centres` (M, 2), in cells; None without one.
 
-    The centres fit a homography and the upper edges have one direction of the lattice: its first one, or any of the
-    four if `turned`.
+    Their numbers begin with `first`. The centres fit a homography and the upper edges have one direction of the
+    lattice: its first one, or any of the four if `any_turn`.
     """
     import cv2
 
@@ -131,7 +131,7 @@ def fit_markers(
     at, along_edge = apply(homography, own.centre_px), apply(homography, own.centre_px + 0.25 * own.upper_px)
     edge = along_edge - at
     edge /= np.linalg.norm(edge, axis=1, keepdims=True)
-    directions = np.stack([edge[:, 0], edge[:, 1], -edge[:, 0], -edge[:, 1]] if turned else [edge[:, 0]]) > _ALIGNED
+    directions = np.stack([edge[:, 0], edge[:, 1], -edge[:, 0], -edge[:, 1]] if any_turn else [edge[:, 0]]) > _ALIGNED
     aligned = directions[int(directions.sum(axis=1).argmax())]
     good = np.flatnonzero((np.linalg.norm(at - position, axis=1) < _TOLERANCE) & aligned)
     _, once = np.unique(position[good], axis=0, return_index=True)
@@ -151,7 +151,7 @@ def detect_scaled(grey: NDArray[np.uint8], search: Search, longest_px: int = SEA
 
 
 def detect_enlarged(grey: NDArray[np.uint8], search: Search) -> Markers:
-    """Return the markers found in an image of twice the size, in the pixels of the original one."""
+    """Return the markers of an image of twice the size, in the original's pixels."""
     import cv2
 
     large = cv2.resize(grey, None, fx=2.0, fy=2.0, interpolation=cv2.INTER_CUBIC)
@@ -166,7 +166,7 @@ def _rescaled(found: Markers, factor: float) -> Markers:
 def check_board(
     markers: Markers, board: MarkerBoard, fit: Callable[[Markers], MarkerBoard | None], size: tuple[int, int], name: str
 ) -> None:
-    """Raise `TargetNotFound` for a board of another size, and for a second one like it in the image.
+    """Raise `TargetNotFound` for a board of another size, or a second equal one.
 
     `size`: its cells. `name`: "a ChArUco board of 9 x 6 squares".
     """
@@ -184,11 +184,11 @@ def check_board(
 def expected_corners(
     board: MarkerBoard, corner: FloatArray, cell: float, known: tuple[FloatArray, FloatArray]
 ) -> tuple[NDArray[np.bool_], FloatArray, FloatArray]:
-    """Return which corners (N, 2), in cells, are near markers, their pixels, and the sides there.
+    """Return which corners (N, 2) are near markers, their pixels, and the sides there.
 
-    `known`: positions (K, 2) in cells and pixels (K, 2) of points of the board. Sides (N, 2, 2) are those of a square
-    of `cell` cells. Places are those of the homography. If there are enough markers, a polynomial in the lattice adds
-    the effect of the lens.
+    Corners are in cells. `known`: positions (K, 2) in cells and pixels (K, 2) of points of the board. Sides (N, 2, 2)
+    are those of a square of `cell` cells. Places are those of the homography. If there are enough markers, a polynomial
+    in the lattice adds the effect of the lens.
     """
     position, pixel = known
     px_from_lattice = np.asarray(np.linalg.inv(board.lattice_from_px), dtype=np.float64)

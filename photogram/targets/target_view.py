@@ -68,7 +68,7 @@ class Target:
             raise ValueError(f"size: expected {most}, found {self.size[0]} x {self.size[1]}")
 
     def _check_tags(self) -> None:
-        """Raise `ValueError` for what only boards with markers have, and for an AprilGrid without a gap."""
+        """Raise `ValueError` for wrong properties of boards with markers."""
         marked = self.kind in ("charuco", "aprilgrid")
         if self.first_id is not None and not (marked and 0 <= self.first_id <= LARGEST_ID):
             expected = f"a number from 0 to {LARGEST_ID}, of a target with markers"
@@ -91,7 +91,7 @@ class Target:
         return np.asarray(tag * (1 + self.tag_spacing) + corner, dtype=np.float64)
 
     def points_m(self, index: IntArray | FloatArray) -> FloatArray:
-        """Return the positions (N, 3) in m, in the target's frame, of points `index` (N, 2)."""
+        """Return positions (N, 3) in m, in the target's frame, of points `index` (N, 2)."""
         return np.column_stack([self.lattice(index) * self.spacing_m, np.zeros(len(index))])
 
     @property

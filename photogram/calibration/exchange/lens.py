@@ -150,9 +150,10 @@ TURN = ("x", "y", "z")
 def fit_camera(
     pixel: FloatArray, normalised: FloatArray, start: FloatArray, free: Sequence[str], size_px: IntArray
 ) -> NearestCamera:
-    """Fit a camera that projects X/Z, Y/Z (N, 2) to pixels (N, 2), those of `pixel_grid`.
+    """Fit a camera that projects X/Z, Y/Z (N, 2) to pixels (N, 2).
 
-    Parameters (13,) begin at `start`. `free` names the fitted ones and components of the rotation about x, y, z.
+    The pixels are those of `pixel_grid`. Parameters (13,) begin at `start`. `free` names the fitted ones and components
+    of the rotation about x, y, z.
     """
     from scipy.optimize import least_squares
 

@@ -36,7 +36,7 @@ FOUR_POWERS = (2, 4, 6, 8)
 
 @dataclass(frozen=True, eq=False)
 class PosedCamera:
-    """A camera of a file: name, lens, size in px, and pose x_camera = rotation·x_world + translation."""
+    """A camera of a file, with its pose x_camera = rotation·x_world + translation."""
 
     name: str
     lens: Lens
@@ -52,7 +52,7 @@ def pair_of(
     habit: LengthUnit | None,
     notices: tuple[Notice, ...] = (),
 ) -> StatedCalibration:
-    """Return the pair of two cameras: the chosen ones, or the only two, the first one on the left.
+    """Return the pair of the chosen cameras, left and right, or of the only two.
 
     `cameras` are names, each with the function that reads this camera.
     """
@@ -182,7 +182,7 @@ def _text_cameras(text: str) -> dict[int, ColmapCamera]:
 
 
 def _text_images(content: bytes) -> Iterator[ColmapImage]:
-    """Yield the images of images.txt; a line of points, which may be empty, follows each one."""
+    """Yield the images of images.txt, each followed by a line of points, which may be empty."""
     is_image = True
     for line in content.decode("utf-8-sig", errors="replace").splitlines():
         words = line.split(maxsplit=_IMAGE - 1)
