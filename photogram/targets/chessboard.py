@@ -181,7 +181,7 @@ def find_chessboard(
 
 
 def _located(lattice: FloatArray) -> tuple[IntArray, FloatArray, FloatArray]:
-    """Return index (N, 2), position (N, 2) and sides (N, 2, 2) of corners (I, J, 2)."""
+    """Return index, position (N, 2) and sides (N, 2, 2) of corners (I, J, 2)."""
     index = np.stack(np.meshgrid(*[np.arange(n) for n in lattice.shape[:2]], indexing="ij"), axis=-1)
     return index.reshape(-1, 2), lattice.reshape(-1, 2), _axes(lattice).reshape(-1, 2, 2)
 

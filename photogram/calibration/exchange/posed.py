@@ -182,7 +182,10 @@ def _text_cameras(text: str) -> dict[int, ColmapCamera]:
 
 
 def _text_images(content: bytes) -> Iterator[ColmapImage]:
-    """Yield the images of images.txt, each followed by a line of points, which may be empty."""
+    """Yield the images of images.txt.
+
+    A line of points, which may be empty, follows each one.
+    """
     is_image = True
     for line in content.decode("utf-8-sig", errors="replace").splitlines():
         words = line.split(maxsplit=_IMAGE - 1)
