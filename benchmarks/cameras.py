@@ -51,6 +51,7 @@ SHARPENED_GAIN = 0.65  # of the light, so that the overshoot of sharpened pictur
 BOARDS = {
     "chessboard": Board(Target("chessboard", 9e-3, (9, 7))),
     "charuco": Board(Target("charuco", 9e-3, (11, 8), "DICT_4X4_100")),
+    "aprilgrid": Board(Target("aprilgrid", 13e-3, (5, 4), tag_spacing=0.3)),
     "dots": Board(Target("dots", 8e-3, (11, 8))),
     "ring-dots": Board(Target("dots", 8e-3), rings=(5, 3)),
 }
@@ -256,7 +257,7 @@ def true_pixels(
     board: Board, view: TargetView, camera: Camera, relative: RigidTransform, pose: RigidTransform
 ) -> FloatArray:
     """Return where the points (N, 2) of a view truly are."""
-    points = np.column_stack([view.index * board.target.spacing_m, np.zeros(len(view.index))])
+    points = board.target.points_m(view.index)
     radius = board.radius * board.target.spacing_m if view.radius > 0 else 0.0
     return model_pixels(camera, relative, pose, points, radius).pixel
 

@@ -251,7 +251,8 @@ def _print_remarks(calibration: Calibration) -> None:
     of = "" if every is None else f" of {every}"
     print(f"points found: {min(points.values())} to {max(points.values())}{of} in an image")
     for dropped in calibration.rejections:
-        what = f"{dropped.points} of {points[dropped.name]} points rejected, " if dropped.points else "rejected: "
+        whole = f" of {points[dropped.name]}" if dropped.name in points else ""  # of an image that is used
+        what = f"{dropped.points}{whole} points rejected, " if dropped.points else "rejected: "
         print_text(f"{dropped.name}: {what}{dropped.reason}")
     for notice in calibration.notices:
         print_text(f"{notice.severity} {notice.code} {notice.where}: {notice.text}")

@@ -111,8 +111,9 @@ def subject(calibration: Calibration) -> list[tuple[str, str]]:
     ]
     spacing = quantity_html(1e3 * target.spacing_m, 2e3 * target.spacing_m * calibration.scale_u, "mm").striptags()
     stated = f"{spacing}, k = 2" if calibration.scale_u > 0 else f"{spacing}, its uncertainty not stated"
+    gap = f", gaps of {target.tag_spacing:g} tags" if target.tag_spacing is not None else ""
     return [
-        ("Target", f"{KINDS[target.kind]}{size}"),
+        ("Target", f"{KINDS[target.kind]}{size}{gap}"),
         ("Spacing", stated),
         ("Images", f"{sizes[0]} px" if sizes[0] == sizes[1] else f"left {sizes[0]} px, right {sizes[1]} px"),
     ]
