@@ -112,6 +112,7 @@ def renumber_points(view: TargetView, turn: IntArray, shift: FloatArray) -> Targ
 # Pose of a target from views of a calibrated pair.
 
 _WORST_PX = 3.0  # largest rms of points in one pose of the target
+_FITTED_PLACES = 5  # of a part on a board, the nearest ones
 _PLACED_PX, _DISTINCT = 2.0, 0.25  # the same of a part at its place on the board, and over that of the next best place
 
 
@@ -152,9 +153,9 @@ def number_partial(
 ) -> tuple[TargetView | None, TargetView | None]:
     """Return views of a part of a chessboard numbered by the other camera's view.
 
-    Every place of the part on the board is tried, in each orientation with the right colours. A place counts if the
-    rms residual of one pose for both views is below 2 px, and a quarter of that of any other place. A part without such
-    a place, or without a view of the whole board, becomes None.
+    Every place of the part on the board is tried, in each orientation with the right colours. The nearest ones by the
+    pose of the whole view are fitted by one pose for both. The best is used if its rms residual is below 2 px, and a
+    quarter of that of any other place. A part without such a place, or without a view of the whole board, becomes None.
     """
     if not any(view is not None and view.is_partial for view in (left, right)):
         return left, right
@@ -164,6 +165,15 @@ def number_partial(
     places = [
         replace(renumber_points(part, turn, shift), is_partial=False) for turn, shift in _places(part.index, target)
     ]
+    pose, side = _posed(rig, target, [(whole, int(left.is_partial))])[0], int(not left.is_partial)
+    seen = (rig.right, rig.right_from_left) if side else (rig.left, RigidTransform.identity())
+
+    def distance(place: TargetView) -> float:
+        """Return the median distance, in px, of a place's corners from those seen."""
+        pixel = seen[0].project(seen[1].apply(pose.apply(target.points_m(place.index))))
+        return float(np.median(np.linalg.norm(np.nan_to_num(pixel, nan=np.inf) - place.position_px, axis=1)))
+
+    places = sorted(places, key=distance)[:_FITTED_PLACES]
     pairs = [(place, whole) if left.is_partial else (whole, place) for place in places]
     rms = np.array([_posed(rig, target, [(one, 0), (other, 1)])[2] for one, other in pairs])
     order = np.argsort(rms)
@@ -173,9 +183,10 @@ def number_partial(
 
 
 def _places(index: IntArray, target: Target) -> list[tuple[IntArray, FloatArray]]:
-    """Return turns (2, 2) and shifts (2,) that put a part, index (N, 2), on the board.
+    """Return turns (2, 2) and shifts (2,) that put a part on the board.
 
-    A quarter turn exchanges the colours, so that the part is then displaced by an odd number of squares.
+    `index` (N, 2) is that of the part. A quarter turn exchanges the colours, so that the part is then displaced by an
+    odd number of squares.
     """
     assert target.size is not None
     places = []
