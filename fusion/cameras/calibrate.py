@@ -34,7 +34,7 @@ from photogram.calibration.bundle import ShapeKind
 from photogram.calibration.calibration_file import read_calibration, write_calibration, write_camera
 from photogram.calibration.calibration_result import Calibration, KnownLength, Rejection, scale_to_length
 from photogram.calibration.exchange.exchange_files import export_calibration, import_calibration
-from photogram.calibration.initial_bundle import FEWEST_VIEWS, LensKind, ViewPair, number_partial
+from photogram.calibration.initial_bundle import FEWEST_VIEWS, LensKind, ViewPair, number_partial, whole_views
 from photogram.calibration.session import calibrate_pair
 from photogram.images.image_files import read_image
 from photogram.images.sequence import GreyImage
@@ -109,7 +109,7 @@ def calibrate_cameras(
     if right is not None:
         both = zip(views[: len(left)], views[len(left) :], strict=True)
         pairs = [pair for seen in both for pair in zip(*seen, strict=True)]
-    whole = [_whole(pair) for pair in pairs]
+    whole = [whole_views(pair) for pair in pairs]
     parts = [view for pair in pairs for view in pair if view is not None and view.is_partial]
     unnumbered = [Rejection(view.name, 0, view.loss_reasons) for view in parts]
     sides = [("left ", left)] + ([("right ", right)] if right is not None else [])
@@ -141,12 +141,6 @@ def calibrate_cameras(
     progress("adjust", 1, 1)
     notices = (*tag_notices(read_orientations(images)), *calibration.notices)
     return replace(calibration, rejections=(*failed, *calibration.rejections), notices=notices)
-
-
-def _whole(pair: ViewPair) -> ViewPair:
-    """Return a pair without views of a part of the board."""
-    left, right = (None if view is None or view.is_partial else view for view in pair)
-    return left, right
 
 
 def split_images(arguments: Sequence[str]) -> tuple[list[Path], list[Path]]:

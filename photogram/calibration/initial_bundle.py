@@ -160,7 +160,7 @@ def number_partial(
     if not any(view is not None and view.is_partial for view in (left, right)):
         return left, right
     if left is None or right is None or left.is_partial == right.is_partial:
-        return tuple(None if view is None or view.is_partial else view for view in (left, right))  # type: ignore[return-value]
+        return whole_views((left, right))
     part, whole = (left, right) if left.is_partial else (right, left)
     places = [
         replace(renumber_points(part, turn, shift), is_partial=False) for turn, shift in _places(part.index, target)
@@ -175,11 +175,18 @@ def number_partial(
 
     places = sorted(places, key=distance)[:_FITTED_PLACES]
     pairs = [(place, whole) if left.is_partial else (whole, place) for place in places]
-    rms = np.array([_posed(rig, target, [(one, 0), (other, 1)])[2] for one, other in pairs])
+    with np.errstate(all="ignore"):  # a wrong place may have no pose
+        rms = np.array([_posed(rig, target, [(one, 0), (other, 1)])[2] for one, other in pairs])
     order = np.argsort(rms)
     if len(rms) and rms[order[0]] < _PLACED_PX and (len(rms) == 1 or rms[order[0]] < _DISTINCT * rms[order[1]]):
         return pairs[int(order[0])]
-    return (None, right) if left.is_partial else (left, None)
+    return whole_views((left, right))
+
+
+def whole_views(pair: ViewPair) -> ViewPair:
+    """Return a pair without views of a part of the target."""
+    left, right = (None if view is None or view.is_partial else view for view in pair)
+    return left, right
 
 
 def _places(index: IntArray, target: Target) -> list[tuple[IntArray, FloatArray]]:
