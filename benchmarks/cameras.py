@@ -36,7 +36,8 @@ from photogram.camera import LEFT, RIGHT, Camera, StereoRig
 from photogram.geometry import RigidTransform, vector_from_rotation
 from photogram.images.image_files import read_image
 from photogram.images.sequence import GreyImage
-from photogram.synthetic.board import Board, SessionFaults, random_poses, random_rig, render_board, simulate_session
+from photogram.synthetic.board import SessionFaults, random_poses, random_rig, render_board, simulate_session
+from photogram.synthetic.patterns import Board
 from photogram.synthetic.scene import ImageSensor
 from photogram.targets.find_target import find_target
 from photogram.targets.target_view import Target, TargetNotFound, TargetView
@@ -50,6 +51,7 @@ SHARPENED_GAIN = 0.65  # of the light, so that the overshoot of sharpened pictur
 BOARDS = {
     "chessboard": Board(Target("chessboard", 9e-3, (9, 7))),
     "charuco": Board(Target("charuco", 9e-3, (11, 8), "DICT_4X4_100")),
+    "aprilgrid": Board(Target("aprilgrid", 13e-3, (5, 4), tag_spacing=0.3)),
     "dots": Board(Target("dots", 8e-3, (11, 8))),
     "ring-dots": Board(Target("dots", 8e-3), rings=(5, 3)),
 }
@@ -255,7 +257,7 @@ def true_pixels(
     board: Board, view: TargetView, camera: Camera, relative: RigidTransform, pose: RigidTransform
 ) -> FloatArray:
     """Return where the points (N, 2) of a view truly are."""
-    points = np.column_stack([view.index * board.target.spacing_m, np.zeros(len(view.index))])
+    points = board.target.points_m(view.index)
     radius = board.radius * board.target.spacing_m if view.radius > 0 else 0.0
     return model_pixels(camera, relative, pose, points, radius).pixel
 

@@ -177,6 +177,14 @@ UNCERTAINTIES_MISSING = DeclaredNotice(
     remedy="State `scale_uncertainty` under `[stereo.NAME]` in rig.toml.",
     link="cameras.md#calibrations-of-other-programs",
 )
+ARBITRARY_SCALE = DeclaredNotice(
+    "SC-240",
+    "warning",
+    "The lengths of {program} are in an arbitrary unit unless its model was scaled.",
+    effect="All positions and motions scale with it.",
+    remedy="Scale the model by a measured length there, and state `scale_uncertainty` under `[stereo.NAME]`.",
+    link="cameras.md#calibrations-of-other-programs",
+)
 UNUSUAL_DISTANCE = DeclaredNotice(
     "SC-272",
     "warning",
@@ -188,15 +196,17 @@ UNUSUAL_DISTANCE = DeclaredNotice(
 APPROXIMATED_CAMERA = DeclaredNotice(
     "SC-273",
     "note",
-    "The nearest camera without {missing} differs by up to {largest_px:.3f} px over the image.",
+    "The nearest camera without {missing} differs by up to {largest_px:.4f} px over the image, and by up to "
+    "{percent:.2g} % in small displacements.",
     link="cameras.md#calibrations-of-other-programs",
 )
 POORLY_APPROXIMATED_CAMERA = DeclaredNotice(
     "SC-274",
     "warning",
-    "The nearest camera without {missing} differs by up to {largest_px:.3f} px over the image.",
+    "The nearest camera without {missing} differs by up to {largest_px:.4f} px over the image, and by up to "
+    "{percent:.2g} % in small displacements.",
     effect="This systematic difference is not included in U.",
-    remedy="Calibrate with a camera model that both programs have.",
+    remedy="Calibrate with a camera model that both programs have, or add the difference to `scale_uncertainty`.",
     link="cameras.md#calibrations-of-other-programs",
 )
 CENTRE_OUTSIDE_IMAGE = DeclaredNotice(

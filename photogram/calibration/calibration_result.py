@@ -291,8 +291,7 @@ def _parameter_notices(calibration: Calibration) -> Iterator[Notice]:
 
 def _target_notices(calibration: Calibration) -> Iterator[Notice]:
     """Yield a notice of the target's deviation from its lattice."""
-    flat = np.column_stack([calibration.shape_index * calibration.target.spacing_m, np.zeros(len(calibration.shape_m))])
-    off = calibration.shape_m - flat
+    off = calibration.shape_m - calibration.target.points_m(calibration.shape_index)
     if off.any():
         rms = 1e6 * np.sqrt((off**2).mean(axis=0))
         digits = max(0, 1 - int(np.floor(np.log10(rms.max()))))  # two digits of the largest

@@ -83,7 +83,7 @@ def target_symmetries(target: Target) -> list[tuple[IntArray, FloatArray]]:
 
     Each is a matrix (2, 2) and a shift (2,).
     """
-    if target.size is None or target.kind == "charuco":
+    if target.size is None or target.kind in ("charuco", "aprilgrid"):
         return []
     columns, rows = target.size
     asymmetric, chessboard = target.kind == "asymmetric-dots", target.kind == "chessboard"
@@ -112,6 +112,8 @@ def renumber_points(view: TargetView, turn: IntArray, shift: FloatArray) -> Targ
 # Pose of a target from views of a calibrated pair.
 
 _WORST_PX = 3.0  # largest rms of points in one pose of the target
+_FITTED_PLACES = 5  # of a part on a board, the nearest ones
+_PLACED_PX, _DISTINCT = 2.0, 0.25  # the same of a part at its place on the board, and over that of the next best place
 
 
 def estimate_target_pose(
@@ -146,6 +148,68 @@ def match_numbering(
     return min(offered, key=lambda view: _posed(rig, target, [(left, 0), (view, 1)])[2])
 
 
+def number_partial(
+    rig: StereoRig, target: Target, left: TargetView | None, right: TargetView | None
+) -> tuple[TargetView | None, TargetView | None]:
+    """Return views of a part of a chessboard numbered by the other camera's view.
+
+    Every place of the part on the board is tried, in each orientation with the right colours. The nearest ones by the
+    pose of the whole view are fitted by one pose for both. The best is used if its rms residual is below 2 px, and a
+    quarter of that of any other place. A part without such a place, or without a view of the whole board, becomes None.
+    """
+    if not any(view is not None and view.is_partial for view in (left, right)):
+        return left, right
+    if left is None or right is None or left.is_partial == right.is_partial:
+        return whole_views((left, right))
+    part, whole = (left, right) if left.is_partial else (right, left)
+    places = [
+        replace(renumber_points(part, turn, shift), is_partial=False) for turn, shift in _places(part.index, target)
+    ]
+    pose, side = _posed(rig, target, [(whole, int(left.is_partial))])[0], int(not left.is_partial)
+    seen = (rig.right, rig.right_from_left) if side else (rig.left, RigidTransform.identity())
+
+    def distance(place: TargetView) -> float:
+        """Return the median distance, in px, of a place's corners from those seen."""
+        pixel = seen[0].project(seen[1].apply(pose.apply(target.points_m(place.index))))
+        return float(np.median(np.linalg.norm(np.nan_to_num(pixel, nan=np.inf) - place.position_px, axis=1)))
+
+    places = sorted(places, key=distance)[:_FITTED_PLACES]
+    pairs = [(place, whole) if left.is_partial else (whole, place) for place in places]
+    with np.errstate(all="ignore"):  # a wrong place may have no pose
+        rms = np.array([_posed(rig, target, [(one, 0), (other, 1)])[2] for one, other in pairs])
+    order = np.argsort(rms)
+    if len(rms) and rms[order[0]] < _PLACED_PX and (len(rms) == 1 or rms[order[0]] < _DISTINCT * rms[order[1]]):
+        return pairs[int(order[0])]
+    return whole_views((left, right))
+
+
+def whole_views(pair: ViewPair) -> ViewPair:
+    """Return a pair without views of a part of the target."""
+    left, right = (None if view is None or view.is_partial else view for view in pair)
+    return left, right
+
+
+def _places(index: IntArray, target: Target) -> list[tuple[IntArray, FloatArray]]:
+    """Return turns (2, 2) and shifts (2,) that put a part on the board.
+
+    `index` (N, 2) is that of the part. A quarter turn exchanges the colours, so that the part is then displaced by an
+    odd number of squares.
+    """
+    assert target.size is not None
+    places = []
+    for quarters, turn in enumerate(
+        (np.eye(2, dtype=np.int64), _QUARTER_TURN, -np.eye(2, dtype=np.int64), -_QUARTER_TURN)
+    ):
+        rotated = index @ turn.T
+        low, room = rotated.min(axis=0), np.array(target.size) - 1 - np.ptp(rotated, axis=0)
+        for column in range(int(room[0]) + 1):
+            for row in range(int(room[1]) + 1):
+                shift = np.array([column, row]) - low
+                if (int((rotated[0] + shift).sum()) - int(index[0].sum()) - quarters) % 2 == 0:
+                    places.append((np.asarray(turn), shift.astype(np.float64)))
+    return places
+
+
 def _posed(
     rig: StereoRig, target: Target, seen: Sequence[tuple[TargetView, int]]
 ) -> tuple[RigidTransform, FloatArray, float]:
@@ -153,7 +217,7 @@ def _posed(
     import cv2
 
     index = np.unique(np.concatenate([view.index for view, _ in seen]), axis=0)
-    shape = make_shape("flat", index, target.spacing_m)
+    shape = make_shape("flat", index, target)
     images = [image_observations(view, 0, side, index, target.spacing_m) for view, side in seen]
     first = images[0]
     rays = (rig.right if first.side else rig.left).undistort(first.position_px)
@@ -238,7 +302,7 @@ def start_bundle(
         raise ValueError(f"both cameras see {both} positions of the target, at least {FEWEST_VIEWS} are needed")
     rig = StereoRig(sides[0].camera, sides[-1].camera, relative)
     index = np.unique(np.concatenate([seen.index for pair in used_pairs for seen in pair if seen is not None]), axis=0)
-    return Bundle(rig, tuple(poses), make_shape(shape, index, target.spacing_m)), tuple(used_pairs), tuple(dropped)
+    return Bundle(rig, tuple(poses), make_shape(shape, index, target)), tuple(used_pairs), tuple(dropped)
 
 
 def lens_prior(rig: StereoRig, lens: LensKind = "polynomial", single: bool = False) -> RigPrior:
@@ -328,9 +392,7 @@ def _opencv(views: Sequence[TargetView], target: Target) -> tuple[Camera, list[R
     """Return camera, target poses and the rms residual of every image."""
     import cv2
 
-    objects = [
-        np.column_stack([seen.index * target.spacing_m, np.zeros(len(seen.index))]).astype(np.float32) for seen in views
-    ]
+    objects = [target.points_m(seen.index).astype(np.float32) for seen in views]
     pixels = [seen.position_px.astype(np.float32).reshape(-1, 1, 2) for seen in views]
     shape = tuple(views[0].size_px.tolist())
     flags = cv2.CALIB_FIX_K2 | cv2.CALIB_FIX_K3 | cv2.CALIB_ZERO_TANGENT_DIST
