@@ -130,9 +130,8 @@ def print_calibration(calibration: Calibration, output: Path, page: Path) -> Non
     rms = calibration.rms_sides_px
     baseline, angle = baseline_m(calibration.rig), axes_angle_rad(calibration.rig)
     distances = [float(np.linalg.norm(view.left_from_target.translation_m)) for view in calibration.views]
-    print(
-        f"{_of_poses(calibration, pairs, 'pairs')}, rms {calibration.rms_px:.3f} px (left {rms[0]:.3f}, right {rms[1]:.3f})"
-    )
+    print(_of_poses(calibration, pairs, "pairs"), end=", ")
+    print(f"rms {calibration.rms_px:.3f} px (left {rms[0]:.3f}, right {rms[1]:.3f})")
     print(f"target {min(distances):.3g} to {max(distances):.3g} m from the left camera")
     print(f"baseline {quantity_text(1e3 * baseline.value, 2e3 * baseline.u)} mm", end=", ")
     print(f"axes at {quantity_text(np.degrees(angle.value), np.degrees(2 * angle.u))} deg (U: k = 2)")

@@ -35,6 +35,7 @@ from photogram.calibration.calibration_result import (
 )
 from photogram.calibration.initial_bundle import (
     FEWEST_VIEWS,
+    START_NOISE_PX,
     LensKind,
     ViewPair,
     image_observations,
@@ -47,7 +48,6 @@ from photogram.targets.target_view import Target, TargetView
 from shakercal._common.arrays import BoolArray, FloatArray, IntArray
 
 _ROUNDS = 12  # limit of the rounds; some four are usual
-_START_NOISE_PX = 0.2  # noise added to that of every point in the first round
 _REJECTED = 25.0  # squared distance of an outlier, in standard deviations
 _MEDIAN_CHI2 = 2 * np.log(2.0)  # median of χ² with two degrees of freedom
 _REJECTED_SHARE = 0.3  # share of rejected points beyond which the whole image is rejected
@@ -239,7 +239,7 @@ class _Session:
                     views.append(same)
                     images.append(image_observations(same, number, side, bundle.shape.index, target.spacing_m))
         used = tuple(np.ones(len(view.index), np.bool_) for view in views)
-        start, cluster = (_START_NOISE_PX, _START_NOISE_PX), pose_clusters(bundle)
+        start, cluster = (START_NOISE_PX, START_NOISE_PX), pose_clusters(bundle)
         if cluster.max() + 1 < FEWEST_VIEWS:
             raise ValueError(
                 f"the {len(cluster)} views show {cluster.max() + 1} different poses of the target, at least "
