@@ -373,11 +373,16 @@ class LeaveOneOut:
 
 
 def leave_views_out(
-    adjusted: AdjustedBundle, images: Sequence[ImageObservations] = (), cluster: IntArray | None = None
+    adjusted: AdjustedBundle,
+    images: Sequence[ImageObservations] = (),
+    cluster: IntArray | None = None,
+    prior: RigPrior | None = None,
 ) -> LeaveOneOut:
     """Return the fit without each of its views, or without each cluster (V,) of them, in turn.
 
-    `images` are predicted, with the weights of the fit.
+    `images` are predicted, with the weights of the fit. A step of a wide lens may lead to where the lens has no image;
+    with a `prior`, the prediction is then that of an adjustment without the view. A point that has no image there
+    either has a residual as large as the image.
     """
     normal, bundle = adjusted.normal, adjusted.bundle
     free, views = len(normal.parameter_index), len(bundle.poses)
@@ -396,12 +401,37 @@ def leave_views_out(
         if members:
             every = np.zeros((views, 6))
             every[np.setdiff1d(np.arange(views), without)] = pose_steps
-            others = bundle.with_step(step, every)
-            for view in without:
-                mine = [n for n in members if images[n].view == view]
-                for n, residual in zip(mine, predict_view(others, [images[n] for n in mine]), strict=True):
-                    prediction[n] = residual
+            left_out = [images[n] for n in members]
+            predicted = _predict(bundle.with_step(step, every), left_out)
+            if prior is not None and not all(np.isfinite(residual).all() for residual in predicted):
+                predicted = _predict(_adjusted_without(bundle, images, without, prior), left_out)
+            for n, residual in zip(members, predicted, strict=True):
+                size_px = (bundle.rig.right if images[n].side else bundle.rig.left).size_px
+                prediction[n] = np.where(np.isfinite(residual), residual, size_px)
     return LeaveOneOut(np.array(steps), np.array(drifts), expected, tuple(prediction))
+
+
+def _predict(bundle: Bundle, images: Sequence[ImageObservations]) -> list[FloatArray]:
+    """Return the residuals (N, 2) of some views' images with only the poses fitted."""
+    predicted: dict[int, FloatArray] = {}
+    for view in {image.view for image in images}:
+        mine = [n for n, image in enumerate(images) if image.view == view]
+        predicted.update(zip(mine, predict_view(bundle, [images[n] for n in mine]), strict=True))
+    return [predicted[n] for n in range(len(images))]
+
+
+def _adjusted_without(
+    bundle: Bundle, images: Sequence[ImageObservations], without: Sequence[int], prior: RigPrior
+) -> Bundle:
+    """Return the bundle with cameras and target adjusted to the other views; the same if this does not converge."""
+    number = {view: row for row, view in enumerate(view for view in range(len(bundle.poses)) if view not in without)}
+    others = [replace(image, view=number[image.view]) for image in images if image.view in number]
+    try:
+        found = adjust(bundle.of_views(list(number)), others, prior, near=True).bundle
+    except ValueError:
+        return bundle
+    drift = None if bundle.drift is None or found.drift is None else replace(bundle.drift, value=found.drift.value)
+    return replace(bundle, rig=found.rig, shape=found.shape, drift=drift)
 
 
 def drift_uncertainty(adjusted: AdjustedBundle, left_out: LeaveOneOut, factor: float) -> FloatArray:

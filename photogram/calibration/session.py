@@ -165,7 +165,8 @@ def _calibrated(pairs: Sequence[ViewPair], target: Target, model: _Model) -> _Fi
         bad = _bad_images(fit)
         dropped += (*dropped_at_start, *bad)
         if not bad:
-            left_out = leave_views_out(fit.adjusted, fit.session.weighted(), fit.session.cluster)
+            prior = model.prior(fit.rig)
+            left_out = leave_views_out(fit.adjusted, fit.session.weighted(), fit.session.cluster, prior)
             return replace(fit, dropped=dropped, left_out=left_out)
         names = [None, *(item.name for item in bad)]
         remaining = [[view if view and view.name not in names else None for view in pair] for pair in pairs]
