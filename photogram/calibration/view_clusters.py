@@ -67,27 +67,34 @@ def _originals(views: Sequence[TargetView | None]) -> dict[int, str]:
 def pose_clusters(bundle: Bundle) -> IntArray:
     """Return the number (V,) of the pose that each view shows, in the order of their first views.
 
-    Views show one pose if the target differs by less than 0.05 from that in the first of them: in rotation (rad), in
-    the place of its centre in the left image (over the diagonal), and in distance (relative). Hands that hold a target
-    move it by less, a new pose differs by more.
+    Two poses are one if the target differs by less than 0.05 in rotation (rad), in the place of its centre in the left
+    image (over the diagonal), and in distance (relative): a hand that holds it moves it by less, a new pose differs by
+    more. The closest ones are merged first, and replaced by their mean.
     """
-    rotation = np.stack([pose.rotation for pose in bundle.poses])
+    rotation = np.stack([pose.rotation for pose in bundle.poses]).reshape(-1, 9) / np.sqrt(2)
     centre = np.stack([pose.apply(bundle.shape.flat_m.mean(axis=0)) for pose in bundle.poses])
-    camera, depth = bundle.rig.left, np.abs(centre[:, 2])
-    place = camera.parameters[:2] * centre[:, :2] / depth[:, None] / float(np.linalg.norm(camera.size_px))
-    cluster = np.empty(len(rotation), np.int64)
-    first: list[int] = []
-    for view in range(len(rotation)):
-        shift = np.linalg.norm(place[first] - place[view], axis=1)
-        further = np.abs(np.log(depth[first] / depth[view]))
-        turn = np.linalg.norm(rotation[first] - rotation[view], axis=(1, 2)) / np.sqrt(2)
-        difference = np.maximum(np.maximum(shift, further), turn)
-        if not first or difference.min() > _ONE_POSE:
-            first.append(view)
-            cluster[view] = len(first) - 1
-        else:
-            cluster[view] = int(difference.argmin())
-    return cluster
+    camera, depth = bundle.rig.left, np.abs(centre[:, 2:])
+    place = camera.parameters[:2] * centre[:, :2] / depth / float(np.linalg.norm(camera.size_px))
+    mean, weight = np.concatenate([rotation, place, np.log(depth)], axis=1), np.ones(len(centre))
+    cluster = np.arange(len(centre))
+    distance = np.stack([_pose_distance(mean, each) for each in mean])
+    np.fill_diagonal(distance, np.inf)
+    while distance.min() < _ONE_POSE:
+        first, second = sorted(np.unravel_index(int(distance.argmin()), distance.shape))
+        cluster[cluster == second] = first
+        mean[first] = np.average(mean[[first, second]], axis=0, weights=weight[[first, second]])
+        weight[first] += weight[second]
+        alive = np.isin(np.arange(len(cluster)), cluster)
+        distance[first] = distance[:, first] = np.where(alive, _pose_distance(mean, mean[first]), np.inf)
+        distance[first, first] = distance[second] = distance[:, second] = np.inf
+    return np.asarray(np.unique(cluster, return_inverse=True)[1].ravel(), dtype=np.int64)
+
+
+def _pose_distance(poses: FloatArray, pose: FloatArray) -> FloatArray:
+    """Return the largest difference (V,) of poses (V, 12) in rotation, place and distance."""
+    difference = poses - pose
+    parts = [np.linalg.norm(difference[:, part], axis=1) for part in (slice(9), slice(9, 11), slice(11, 12))]
+    return np.asarray(np.max(parts, axis=0))
 
 
 def _repeated(cluster: IntArray, images: Sequence[ImageObservations]) -> Iterator[list[int]]:
