@@ -12,7 +12,7 @@ from photogram.calibration.initial_bundle import FEWEST_POINTS, ViewPair
 from photogram.targets.target_view import TargetView
 from shakercal._common.arrays import BoolArray, FloatArray, IntArray
 
-_ONE_POSE = 0.05  # largest difference of one pose: rad, share of the image diagonal, share of the distance
+_ONE_POSE = 0.02  # largest difference of one pose: rad, share of the image diagonal, share of the distance
 _COPY = 1 / 3  # rms difference of the points of one image over that of two independent ones, below which it is a copy
 
 
@@ -20,8 +20,15 @@ def reject_copies(pairs: Sequence[ViewPair]) -> tuple[list[ViewPair], tuple[Reje
     """Return the views without copies of earlier images of the same camera, and the copies.
 
     Two images have new noise in every point. Points that agree within a third of it are those of one image: the same
-    file under two names, or encoded a second time.
+    file under two names, or encoded a second time. Raises `ValueError` if the images of both cameras are the same.
     """
+    both = [pair for pair in pairs if None not in pair]
+    same = [pair for pair in both if _originals(pair)]
+    if 2 * len(same) > len(both):
+        names = " and ".join(view.name for view in same[0] if view is not None)
+        raise ValueError(
+            f"the images of both cameras are the same, such as {names}: name the images of the other camera"
+        )
     originals = [_originals([pair[side] for pair in pairs]) for side in (0, 1)]
     rejections = []
     remaining: list[ViewPair] = []
@@ -67,7 +74,7 @@ def _originals(views: Sequence[TargetView | None]) -> dict[int, str]:
 def pose_clusters(bundle: Bundle) -> IntArray:
     """Return the number (V,) of the pose that each view shows, in the order of their first views.
 
-    Two poses are one if the target differs by less than 0.05 in rotation (rad), in the place of its centre in the left
+    Two poses are one if the target differs by less than 0.02 in rotation (rad), in the place of its centre in the left
     image (over the diagonal), and in distance (relative): a hand that holds it moves it by less, a new pose differs by
     more. The closest ones are merged first, and replaced by their mean.
     """
