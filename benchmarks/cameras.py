@@ -340,15 +340,15 @@ def real_dot_grid() -> None:
     found = time.perf_counter() - started
     pairs = list(zip(*views, strict=True))
     common = common_points(pairs)
-    for shape, some, name in (
-        ("auto", pairs, ""),
-        ("flat", pairs, "flat"),
-        ("flat", common, "flat, points of both images"),
-    ):
-        calibration = calibrate_pair(some, target, shape)
+    calibrations = {
+        "auto": calibrate_pair(pairs, target),
+        "flat": calibrate_pair(pairs, target, "flat"),
+        "flat, points of both images": calibrate_pair(common, target, "flat"),
+    }
+    for name, calibration in calibrations.items():
         rig, focal = calibration.rig, [*calibration.rig.left.parameters[:2], *calibration.rig.right.parameters[:2]]
         facts = f"{calibration.rms_px:.3f} | {_facts(rig.right_from_left, focal)}"
-        print(f"| this program, {name or 'auto'} | {len(calibration.views)} | {facts} |")
+        print(f"| this program, {name} | {len(calibration.views)} | {facts} |")
     wall, cpu = time.perf_counter() - started, time.process_time() - busy
     print(f"points {found:.1f} s, all {wall:.1f} s wall, {cpu:.1f} s of CPU")
     opencv_rows(common, target, rig)
@@ -387,12 +387,12 @@ def opencv_rows(pairs: Sequence[tuple[TargetView, TargetView]], target: Target, 
     In OpenCV 5.0 CALIB_DISABLE_SCHUR_COMPLEMENT has the bit of CALIB_TILTED_MODEL: it adds two angles of the sensor.
     """
     objects = [
-        np.column_stack([left.index * target.spacing_m, np.zeros(len(left.index))]).astype(np.float32)
-        for left, _ in pairs
+        np.column_stack([view.index * target.spacing_m, np.zeros(len(view.index))]).astype(np.float32)
+        for view, _ in pairs
     ]
-    pixels = [[pair[side].position_px.astype(np.float32) for pair in pairs] for side in (0, 1)]
+    left, right = ([pair[side].position_px.astype(np.float32) for pair in pairs] for side in (0, 1))
     size = tuple(int(n) for n in pairs[0][0].size_px)
-    own = [array for side in pixels for array in cv2.calibrateCamera(objects, side, size, None, None)[1:3]]
+    own = [array for side in (left, right) for array in cv2.calibrateCamera(objects, side, size, None, None)[1:3]]
     ours = [array.copy() for camera in (start.left, start.right) for array in (camera.matrix, camera.distortion[:5])]
     other = getattr(cv2, "CALIB_DISABLE_SCHUR_COMPLEMENT", 0)
     for name, cameras, flags in (
@@ -401,8 +401,9 @@ def opencv_rows(pairs: Sequence[tuple[TargetView, TargetView]], target: Target, 
         (" from this program's result", ours, 0),
         (" from this program's result, sensors tilted", ours, cv2.CALIB_TILTED_MODEL),
     ):
+        first, lens, second, other_lens = cameras
         found = cv2.stereoCalibrate(
-            objects, *pixels, *cameras, size, flags=flags | cv2.CALIB_USE_INTRINSIC_GUESS
+            objects, left, right, first, lens, second, other_lens, size, flags=flags | cv2.CALIB_USE_INTRINSIC_GUESS
         )
         rms, k1, _, k2, _, rotation, translation = found[:7]
         focal = [k1[0, 0], k1[1, 1], k2[0, 0], k2[1, 1]]

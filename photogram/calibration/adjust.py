@@ -353,7 +353,7 @@ _LEAST = 1e-9  # of the largest variance: smaller ones are rounding
 
 @dataclass(frozen=True, eq=False)
 class LeaveOneOut:
-    """Changes of a calibration when each view, or all views of each pose, are left out in turn.
+    """Changes of a calibration when each view, or each pose, is left out.
 
     Attributes
     ----------
@@ -378,7 +378,7 @@ def leave_views_out(
     cluster: IntArray | None = None,
     prior: RigPrior | None = None,
 ) -> LeaveOneOut:
-    """Return the fit without each of its views, or without each cluster (V,) of them, in turn.
+    """Return the fit without each view in turn, or each cluster (V,) of views.
 
     `images` are predicted, with the weights of the fit. A step of a wide lens may lead to where the lens has no image;
     with a `prior`, the prediction is then that of an adjustment without the view. A point that has no image there
@@ -423,7 +423,7 @@ def _predict(bundle: Bundle, images: Sequence[ImageObservations]) -> list[FloatA
 def _adjusted_without(
     bundle: Bundle, images: Sequence[ImageObservations], without: Sequence[int], prior: RigPrior
 ) -> Bundle:
-    """Return the bundle with cameras and target adjusted to the other views; the same if this does not converge."""
+    """Return the bundle adjusted to the other views; itself if this does not converge."""
     number = {view: row for row, view in enumerate(view for view in range(len(bundle.poses)) if view not in without)}
     others = [replace(image, view=number[image.view]) for image in images if image.view in number]
     try:

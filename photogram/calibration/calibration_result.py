@@ -179,7 +179,7 @@ class Calibration(Arrays, shapes="shape_index P 2; shape_m P 3"):
         return all(view.right is None for view in self.views)
 
     def pose_count(self, complete: bool = False) -> int:
-        """Return the number of different poses of the target; `complete`: with a view of both cameras."""
+        """Return the number of different poses; `complete`: of those that both cameras see."""
         views = [view for view in self.views if not complete or (view.left is not None and view.right is not None)]
         alone = sum(view.pose is None for view in views)
         return alone + len({view.pose for view in views if view.pose is not None})

@@ -261,14 +261,13 @@ class _Session:
         return tuple(weighted)
 
     def repetition(self) -> float:
-        """Return the number of images that determine as much as one pose alone, on average over the points."""
-        share = [
-            used.sum()
-            * (alone := float(np.einsum("nii->n", view.covariance_px2).mean()) / 2 + self.added_px[image.side] ** 2)
-            / (alone + more)
-            for view, image, used, more in zip(self.views, self.images, self.used, self.repeated_px2, strict=True)
-        ]
-        return float(sum(used.sum() for used in self.used) / sum(share))
+        """Return how many images determine as much as one pose, averaged over the points."""
+        every, effective = 0.0, 0.0
+        for view, image, used, more in zip(self.views, self.images, self.used, self.repeated_px2, strict=True):
+            alone = float(np.einsum("nii->n", view.covariance_px2).mean()) / 2 + self.added_px[image.side] ** 2
+            every += float(used.sum())
+            effective += float(used.sum()) * alone / (alone + more)
+        return every / effective
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,4 +1,4 @@
-"""Views of one pose of the target: copies of images, clusters of poses, errors that their images share."""
+"""Views of one pose of the target: copies, clusters, and the errors they share."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ def reject_copies(pairs: Sequence[ViewPair]) -> tuple[list[ViewPair], tuple[Reje
 
 
 def _originals(views: Sequence[TargetView | None]) -> dict[int, str]:
-    """Return the number of each copy with the name of its original, among the images of one camera."""
+    """Return the number of each copied image of a camera, with its original's name."""
     numbers = [number for number, view in enumerate(views) if view is not None]
     seen = [view for view in views if view is not None]
     if not seen:
@@ -72,7 +72,7 @@ def _originals(views: Sequence[TargetView | None]) -> dict[int, str]:
 
 
 def pose_clusters(bundle: Bundle) -> IntArray:
-    """Return the number (V,) of the pose that each view shows, in the order of their first views.
+    """Return the pose number (V,) of each view, in the order of first views.
 
     Two poses are one if the target differs by less than 0.02 in rotation (rad), in the place of its centre in the left
     image (over the diagonal), and in distance (relative): a hand that holds it moves it by less, a new pose differs by
@@ -105,7 +105,7 @@ def _pose_distance(poses: FloatArray, pose: FloatArray) -> FloatArray:
 
 
 def _repeated(cluster: IntArray, images: Sequence[ImageObservations]) -> Iterator[list[int]]:
-    """Yield the numbers of the images of one camera and one pose, where there are several."""
+    """Yield the numbers of several images of one camera and pose."""
     groups: dict[tuple[int, int], list[int]] = {}
     for number, image in enumerate(images):
         groups.setdefault((int(cluster[image.view]), image.side), []).append(number)
@@ -119,9 +119,10 @@ def repeated_variance(
     used: Sequence[BoolArray],
     parameters: float,
 ) -> FloatArray:
-    """Return the variance (I,), px² per coordinate, by which each image weighs less as one of several of its pose.
+    """Return the variance (I,), px², added to images that repeat a pose.
 
-    It is (n − 1)·s²: with it, n images together determine as much as their mean, whose variance is s² + w/n.
+    Per coordinate it is (n − 1)·s² for n images. With it, they together determine as much as their mean, whose variance
+    is s² + w/n.
 
     Let a point of a pose have the residuals rᵢ in n images. With the variance w of one image alone and s² of all, the
     mean residual has the variance s² + w/n and the mean product of two residuals is s². The adjustment takes six
