@@ -96,7 +96,7 @@ def test_bursts_of_unequal_length_and_a_hand_that_trembles():
     rig, pairs = _session(6, 7, 5, 0.05, tremor=0.004)
     lengths = [1, 2, 5, 1, 4, 1, 3]
     some = [pairs[5 * held + number] for held, length in enumerate(lengths) for number in range(length)]
-    found = calibrate_pair(some, BOARD.target)
+    found = calibrate_pair(some, BOARD.target, "flat", lens="polynomial")
     assert [view.pose for view in found.views] == np.repeat(np.arange(7), lengths).tolist()
     ratios = _ratios(found, rig)
     assert np.sqrt((ratios**2).mean()) < 1.6
@@ -132,7 +132,7 @@ def test_an_image_encoded_a_second_time_adds_next_to_nothing(error_px, copies):
         for n, (left, right) in enumerate(pairs)
     ]
     both = [pair for two in zip(pairs, again, strict=True) for pair in two]
-    found, one = calibrate_pair(both, BOARD.target), calibrate_pair(pairs, BOARD.target)
+    found, one = (calibrate_pair(some, BOARD.target, "flat", lens="polynomial") for some in (both, pairs))
     assert (len(found.views) == 9) is copies
     assert found.pose_count() == 9
     assert 0.85 < np.median(_u(found) / _u(one)) < 1.15
