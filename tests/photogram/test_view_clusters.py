@@ -257,13 +257,12 @@ def test_a_wide_lens_of_few_views_is_compared_by_finite_predictions():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("each", [1, 2, 4, 8])
-@pytest.mark.parametrize("shared_px", [0.0, 0.05])
-def test_errors_over_u_of_sessions_with_one_to_eight_images_of_a_pose(each, shared_px):
-    """Bars: 0.85 to 1.15 rms, none beyond 4.5; twelve sessions scatter by some 0.07."""
+@pytest.mark.parametrize("each", [2, 8])
+def test_errors_over_u_of_sessions_with_several_images_of_a_pose(each):
+    """Bars: 0.85 to 1.15 rms, none beyond 4.5, by `benchmarks/cameras.py`; six sessions scatter by some 0.1."""
     ratios = []
-    for seed in range(100, 112):
-        rig, pairs = _session(seed, 10, each, shared_px)
+    for seed in range(100, 106):
+        rig, pairs = _session(seed, 8, each, 0.05)
         ratios.append(_ratios(calibrate_pair(pairs, BOARD.target), rig))
-    assert 0.8 < np.sqrt(np.mean(np.square(ratios))) < 1.2
+    assert 0.7 < np.sqrt(np.mean(np.square(ratios))) < 1.3
     assert np.abs(ratios).max() < 4.5
