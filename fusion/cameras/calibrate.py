@@ -169,7 +169,8 @@ def print_calibration(calibration: Calibration, output: Path, page: Path) -> Non
     rms = calibration.rms_sides_px
     baseline, angle = baseline_m(calibration.rig), axes_angle_rad(calibration.rig)
     distances = [float(np.linalg.norm(view.left_from_target.translation_m)) for view in calibration.views]
-    print(f"{pairs} pairs, rms {calibration.rms_px:.3f} px (left {rms[0]:.3f}, right {rms[1]:.3f})")
+    print(_of_poses(calibration, pairs, "pairs"), end=", ")
+    print(f"rms {calibration.rms_px:.3f} px (left {rms[0]:.3f}, right {rms[1]:.3f})")
     print(f"target {min(distances):.3g} to {max(distances):.3g} m from the left camera")
     print(f"baseline {quantity_text(1e3 * baseline.value, 2e3 * baseline.u)} mm", end=", ")
     print(f"axes at {quantity_text(np.degrees(angle.value), np.degrees(2 * angle.u))} deg (U: k = 2)")
@@ -179,6 +180,12 @@ def print_calibration(calibration: Calibration, output: Path, page: Path) -> Non
     _print_remarks(calibration)
     print(f"calibration: {output}")
     print(f"report: {page}")
+
+
+def _of_poses(calibration: Calibration, count: int, kind: str) -> str:
+    """Return the number of views, with that of different poses if it is smaller."""
+    poses = calibration.pose_count()
+    return f"{count} {kind}" + (f" of {poses} poses" if poses < len(calibration.views) else "")
 
 
 def run_cameras(
@@ -223,7 +230,7 @@ def run_camera(
     inputs.check()
     with report_write_errors(output):
         write_camera(output, calibration)
-    print(f"{len(calibration.views)} views, rms {calibration.rms_px:.3f} px (U: k = 2)")
+    print(f"{_of_poses(calibration, len(calibration.views), 'views')}, rms {calibration.rms_px:.3f} px (U: k = 2)")
     for item in calibration.parameters:
         print(f"{item.name.removeprefix('left.')} {quantity_text(item.value, 2 * item.u)} {item.unit}")
     _print_remarks(calibration)

@@ -338,7 +338,9 @@ def _views_headline(calibration: Calibration) -> Headline:
     used, every = sum(int(image.used.sum()) for image in seen), sum(len(image.used) for image in seen)
     pairs = sum(view.left is not None and view.right is not None for view in calibration.views)
     whole = sum(item.points == 0 for item in calibration.rejections)
-    value = f"{pairs} pairs" if pairs == len(calibration.views) else f"{pairs} pairs in {len(calibration.views)} views"
+    views, poses = len(calibration.views), calibration.pose_count()
+    value = f"{pairs} pairs" + (f" in {views} views" if pairs < views else "")
+    value += f" of {poses} poses" if poses < views else ""
     remark = f"{used} points in the fit, {every - used} rejected; images rejected: {whole}"
     return Headline("Views", value, remark)
 

@@ -249,3 +249,19 @@ CONTRADICTORY_EVIDENCE = DeclaredNotice(
     remedy="Check this piece of evidence and its stated uncertainty.",
     link="cameras.md#uncertainty",
 )
+REPEATED_POSES = DeclaredNotice(
+    "SC-298",
+    "note",
+    "{views} views show {poses} different poses of the target.",
+    effect="Images of one pose share errors. Uncertainties and tests count them as one view.",
+    remedy="Move and tilt the target between the images.",
+    link="cameras.md#how-a-good-session-looks",
+)
+COPIED_IMAGES = DeclaredNotice(
+    "SC-299",
+    "warning",
+    "{count} images are copies of others, such as {first}.",
+    effect="Each image is counted once.",
+    remedy="Remove the copies, and check that the camera stored every exposure.",
+    link="cameras.md#how-a-good-session-looks",
+)

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from typing import Any, Literal
 
 import numpy as np
 
-from photogram.calibration.adjust import RigPrior, refine_pose, residuals
+from photogram.calibration.adjust import RigPrior, adjust, refine_pose, residuals
 from photogram.calibration.bundle import Bundle, ImageObservations, ShapeKind, make_shape
 from photogram.calibration.calibration_result import Rejection, check_view_angles
 from photogram.camera import LEFT, RIGHT, ROTATION, TRANSLATION, Camera, StereoRig
@@ -252,11 +253,12 @@ def _opencv_poses(turns: Sequence[Any], shifts: Sequence[Any]) -> list[RigidTran
     return [RigidTransform.from_pose(pose.astype(np.float64)) for pose in poses]
 
 
-# Start of the bundle adjustment: each camera by OpenCV, the relative pose by agreement of the views.
+# Start of the bundle adjustment: each camera from two starts, the relative pose by agreement of the views.
 
 FEWEST_VIEWS = 3  # least number of views for focal length and principal point
 FEWEST_POINTS = 6  # least number of points for a useful view
 _TOLERATED_PX = 1.0  # rms that is always consistent
+START_NOISE_PX = 0.2  # noise added to that of every point
 
 # Prior of a lens: offset of the principal point in image widths; terms of distortion at the image corner, relative to
 # the radius (k1, k2, k3), and decentring.
@@ -341,7 +343,7 @@ class _Single:
 
 
 def _single(pairs: Sequence[ViewPair], side: int, target: Target) -> _Single:
-    """Calibrate one camera by OpenCV (focal length and k1), without inconsistent images."""
+    """Calibrate one camera without inconsistent images."""
     seen = [(number, pair[side]) for number, pair in enumerate(pairs)]
     views = {number: view for number, view in seen if view is not None and len(view.index) >= FEWEST_POINTS}
     views, dropped = _of_one_size(views)
@@ -352,7 +354,7 @@ def _single(pairs: Sequence[ViewPair], side: int, target: Target) -> _Single:
                 f"the {camera_name} camera has {len(views)} usable images of the target, at least {FEWEST_VIEWS} are "
                 f"needed{''.join(reasons)}"
             )
-        camera, poses, rms = _opencv(list(views.values()), target)
+        camera, poses, rms = _adjusted_camera(list(views.values()), target)
         limit = max(_STRANGE * float(np.median(rms)), _TOLERATED_PX)
         worst = int(np.argmax(rms))
         if rms[worst] <= limit:
@@ -388,8 +390,37 @@ def _times(size: Iterable[int]) -> str:
     return " x ".join(str(int(length)) for length in size)
 
 
-def _opencv(views: Sequence[TargetView], target: Target) -> tuple[Camera, list[RigidTransform], FloatArray]:
-    """Return camera, target poses and the rms residual of every image."""
+def _adjusted_camera(views: Sequence[TargetView], target: Target) -> tuple[Camera, list[RigidTransform], FloatArray]:
+    """Return camera, target poses and the rms residual of every image.
+
+    Adjusted from two starts, of which the one with the smaller residuals remains: that of OpenCV, whose solver may stop
+    in a poor minimum, and that in closed form.
+    """
+    index = np.unique(np.concatenate([view.index for view in views]), axis=0)
+    shape, images = make_shape("flat", index, target.spacing_m), []
+    for number, view in enumerate(views):
+        image = image_observations(view, number, 0, index, target.spacing_m)
+        total = view.covariance_px2 + START_NOISE_PX**2 * np.eye(2)
+        images.append(replace(image, precision=np.asarray(np.linalg.inv(total), dtype=np.float64)))
+    fits: list[tuple[float, Bundle, FloatArray]] = []
+    for start in (_opencv_start, _closed_form_start):
+        with suppress(ValueError, np.linalg.LinAlgError):
+            camera, poses = start(views, target)
+            rig = StereoRig(camera, camera, RigidTransform.identity())
+            bundle = Bundle(rig, tuple(poses), shape)
+            with suppress(ValueError):  # views that determine too little: their angles are named later
+                bundle = adjust(bundle, images, lens_prior(rig, single=True)).bundle
+            rms = np.sqrt([float((off**2).sum(axis=1).mean()) for off in residuals(bundle, images)])
+            if np.isfinite(rms).all():
+                fits.append((float(rms @ rms), bundle, rms))
+    if not fits:
+        raise ValueError(f"the images of {views[0].name} and others do not determine a camera")
+    _, bundle, rms = min(fits, key=lambda fit: fit[0])
+    return bundle.rig.left, list(bundle.poses), rms
+
+
+def _opencv_start(views: Sequence[TargetView], target: Target) -> tuple[Camera, list[RigidTransform]]:
+    """Return camera (focal length and k1) and target poses by OpenCV."""
     import cv2
 
     objects = [target.points_m(seen.index).astype(np.float32) for seen in views]
@@ -399,14 +430,40 @@ def _opencv(views: Sequence[TargetView], target: Target) -> tuple[Camera, list[R
     flags |= cv2.CALIB_FIX_PRINCIPAL_POINT | cv2.CALIB_FIX_ASPECT_RATIO  # poorly determined with long focal lengths
     centred = np.array([[shape[0], 0.0, (shape[0] - 1) / 2], [0.0, shape[0], (shape[1] - 1) / 2], [0.0, 0.0, 1.0]])
     try:
-        _, matrix, distortion, turns, shifts, *_, rms = cv2.calibrateCameraExtended(
+        _, matrix, distortion, turns, shifts, *_ = cv2.calibrateCamera(
             objects, pixels, shape, centred, np.zeros(5), flags=flags
         )
     except cv2.error as error:
-        raise ValueError(f"the images of {views[0].name} and others do not determine a camera") from error
+        raise ValueError(str(error)) from error
     parameters = np.array([matrix[0, 0], matrix[1, 1], matrix[0, 2], matrix[1, 2], *np.ravel(distortion)[:5]])
-    return (
-        Camera.from_parameters(parameters, views[0].size_px),
-        _opencv_poses(turns, shifts),
-        np.array(rms, float).ravel(),
-    )
+    return Camera.from_parameters(parameters, views[0].size_px), _opencv_poses(turns, shifts)
+
+
+def _closed_form_start(views: Sequence[TargetView], target: Target) -> tuple[Camera, list[RigidTransform]]:
+    """Return camera and target poses from the homographies of the views.
+
+    Zhang 2000 (IEEE PAMI 22, 1330, eqs. 3 and 4) for square pixels, the principal point in the middle and no
+    distortion: the columns g and h of a homography H have g·h = 0 and g·g = h·h after division of their first two rows
+    by the focal length.
+    """
+    import cv2
+
+    centre, equations, flat = (views[0].size_px - 1) / 2, [], []
+    for view in views:
+        flat.append(np.column_stack([view.index * target.spacing_m, np.zeros(len(view.index))]))
+        homography, _ = cv2.findHomography(flat[-1][:, :2], view.position_px - centre)
+        if homography is None:
+            raise ValueError(f"{view.name}: expected points of a target that are not all on one line")
+        g, h = (homography[:, :2] / np.linalg.norm(homography[:2, :2])).T
+        equations += [[g[:2] @ h[:2], g[2] * h[2]], [g[:2] @ g[:2] - h[:2] @ h[:2], g[2] ** 2 - h[2] ** 2]]
+    across, along = np.array(equations).T
+    inverse_square = -float(across @ along) / float(across @ across)
+    if not inverse_square > 0:
+        raise ValueError("the homographies give no focal length")
+    focal = inverse_square**-0.5
+    camera = Camera.from_parameters(np.array([focal, focal, *centre, *np.zeros(5)]), views[0].size_px)
+    found = [
+        cv2.solvePnP(points, view.position_px, camera.matrix, np.zeros(5), flags=cv2.SOLVEPNP_IPPE)
+        for points, view in zip(flat, views, strict=True)
+    ]
+    return camera, _opencv_poses([turn for _, turn, _ in found], [shift for *_, shift in found])

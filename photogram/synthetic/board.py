@@ -387,6 +387,7 @@ class SessionFaults:
     locking_px : Amplitude of an error that depends on the point's position within its pixel, as in sharpened images.
     focus_profile : "even"; "warming", exponential with three time constants; "jump", at once after a third of the
         views, as a touched lens.
+    held : Number of successive views that share their smooth error, as images of a target held at rest do.
     """
 
     warp_m: float = 0.0
@@ -394,6 +395,7 @@ class SessionFaults:
     smooth_px: float = 0.0
     locking_px: float = 0.0
     focus_profile: Literal["even", "warming", "jump"] = "even"
+    held: int = 1
 
     def growth(self, views: int) -> FloatArray:
         """Return the relative change (V,) of the focal lengths in each view, with mean zero."""
@@ -427,16 +429,19 @@ def simulate_session(
     root = np.linalg.cholesky(np.exp(-0.5 * (distance / length) ** 2) + 1e-6 * np.eye(len(points)))
     stated = np.broadcast_to(noise_px**2 * np.eye(2), (len(points), 2, 2))
     pairs: list[tuple[TargetView, TargetView]] = []
-    for pose, change in zip(poses, faults.growth(len(poses)), strict=True):
+    smooth: dict[str, FloatArray] = {}
+    for number, (pose, change) in enumerate(zip(poses, faults.growth(len(poses)), strict=True)):
         growth = np.ones(13)
         growth[:2] += change
         sides = [Camera.from_parameters(camera.parameters * growth, camera.size_px) for camera in (rig.left, rig.right)]
         found = []
         projected = replace(rig, left=sides[0], right=sides[1]).project(pose.apply(points))
         for side, camera, pixel in zip("LR", sides, projected, strict=True):
-            error = noise_px * rng.normal(size=pixel.shape) + faults.smooth_px * (root @ rng.normal(size=pixel.shape))
-            seen = pixel + error + faults.locking_px * np.sin(2 * np.pi * pixel)
-            found.append(TargetView(f"{side}{len(pairs)}", index, seen, stated, 0.0, 0.7, camera.size_px))
+            noise = noise_px * rng.normal(size=pixel.shape)
+            if number % faults.held == 0:
+                smooth[side] = faults.smooth_px * (root @ rng.normal(size=pixel.shape))
+            seen = pixel + noise + smooth[side] + faults.locking_px * np.sin(2 * np.pi * pixel)
+            found.append(TargetView(f"{side}{number}", index, seen, stated, 0.0, 0.7, camera.size_px))
         pairs.append((found[0], found[1]))
     return pairs
 
