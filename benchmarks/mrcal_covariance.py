@@ -37,7 +37,8 @@ from photogram.calibration.session import calibrate_pair
 from photogram.camera import LEFT, RIG_PARAMETERS, RIGHT, ROTATION, TRANSLATION, Camera, StereoRig
 from photogram.geometry import RigidTransform, rotation_from_vector, skew, vector_from_rotation
 from photogram.images.image_files import read_image
-from photogram.synthetic.board import Board, SessionFaults, random_poses, random_rig, simulate_session
+from photogram.synthetic.board import SessionFaults, random_poses, random_rig, simulate_session
+from photogram.synthetic.patterns import Board
 from photogram.targets.find_target import find_target
 from photogram.targets.target_view import Target
 

@@ -397,7 +397,7 @@ def _adjusted_camera(views: Sequence[TargetView], target: Target) -> tuple[Camer
     in a poor minimum, and that in closed form.
     """
     index = np.unique(np.concatenate([view.index for view in views]), axis=0)
-    shape, images = make_shape("flat", index, target.spacing_m), []
+    shape, images = make_shape("flat", index, target), []
     for number, view in enumerate(views):
         image = image_observations(view, number, 0, index, target.spacing_m)
         total = view.covariance_px2 + START_NOISE_PX**2 * np.eye(2)
@@ -450,7 +450,7 @@ def _closed_form_start(views: Sequence[TargetView], target: Target) -> tuple[Cam
 
     centre, equations, flat = (views[0].size_px - 1) / 2, [], []
     for view in views:
-        flat.append(np.column_stack([view.index * target.spacing_m, np.zeros(len(view.index))]))
+        flat.append(target.points_m(view.index))
         homography, _ = cv2.findHomography(flat[-1][:, :2], view.position_px - centre)
         if homography is None:
             raise ValueError(f"{view.name}: expected points of a target that are not all on one line")
