@@ -140,7 +140,7 @@ GREY_FIT_DISAGREES = DeclaredNotice(
 # The fixed pattern of the sensors.
 
 PATTERN_CORRECTED = DeclaredNotice(
-    "SC-216",
+    "SC-214",
     "note",
     "The fixed pattern of the sensors (about {prnu_percent:.2g} % PRNU) shortens the motion of {motion_px:.2g} px "
     "(rms) at {frequency_hz:.6g} Hz by {correction_percent:.2g} %.",
@@ -150,7 +150,7 @@ PATTERN_CORRECTED = DeclaredNotice(
     link="tracking.md#fixed-pattern",
 )
 PATTERN_UNKNOWN = DeclaredNotice(
-    "SC-217",
+    "SC-215",
     "warning",
     "A motion of {motion_px:.2g} px (rms) at {frequency_hz:.6g} Hz does not show how large the fixed pattern of the "
     "sensors is: it may change the result by {u_percent:.2g} % (u), more than noise.",
@@ -160,7 +160,7 @@ PATTERN_UNKNOWN = DeclaredNotice(
     link="tracking.md#fixed-pattern",
 )
 PATTERN_CONTRADICTED = DeclaredNotice(
-    "SC-218",
+    "SC-219",
     "warning",
     "The fixed pattern of the {camera} camera's sensor is {ratio:.1f} times (u {u:.1f}) the one that is stated for it.",
     effect="The measured size is used, and its uncertainty is in U.",

@@ -84,8 +84,8 @@ def told(body: BodyMotion) -> list[str]:
 
 
 def test_a_user_is_told_of_the_correction_and_of_wrong_statements(clean):
-    assert told(measured(clean, 12, pixels)) == ["SC-216"]
-    assert told(measured(clean, 12, pixels, SensorPattern(0.002, 0.0002, 0.5, 2e-4, 2e-4, known=True)))[0] == "SC-218"
+    assert told(measured(clean, 12, pixels)) == ["SC-214"]
+    assert told(measured(clean, 12, pixels, SensorPattern(0.002, 0.0002, 0.5, 2e-4, 2e-4, known=True)))[0] == "SC-219"
 
 
 def test_a_motion_that_does_not_show_the_pattern_is_told(clean):
@@ -94,4 +94,4 @@ def test_a_motion_that_does_not_show_the_pattern_is_told(clean):
     assert body.pattern is not None
     variance = np.array([[1.0, TYPICAL.variance_uncertainty]] * 2)
     open_size = replace(body, pattern=replace(body.pattern, change=20.0 * body.pattern.change, variance=variance))
-    assert told(open_size) == ["SC-217"]
+    assert told(open_size) == ["SC-215"]
