@@ -22,13 +22,13 @@ from photogram.direct.cells import (
     select_cells,
 )
 from photogram.direct.surface import (
+    AT_REST,
     Patches,
     PlacedCamera,
     Shapes,
     body_patches,
     patch_rates,
     patch_warps,
-    shape_rates,
     warps_of_points,
 )
 from photogram.frame_statistics import spread_choice
@@ -49,6 +49,9 @@ REJECT_CHI2 = 25.0  # squared remaining shift over its variance above which a ce
 MIN_CELLS = 4  # three determine six components, without a check
 MIN_EIGENVALUE = 1e-12  # smallest eigenvalue of solvable information, scaled to a unit diagonal
 MIN_EIGENVALUE_SHARE = 1e-2  # share of the smallest eigenvalue that remains without the noise part, at least
+MAX_TURN = 0.05
+"""Rotation, or displacement over the distance, of a body from the motion of its rates, up to which these are used. Steps
+across the image are then short by half of its square: 1.2 mrad per rad."""
 MIN_MISFIT_RATIO = 1e-12  # misfit over the expected one, for images without noise
 
 
@@ -59,12 +62,13 @@ class BodyView(Arrays, shapes="rates C 6 p; information C p p; information_noise
     Attributes
     ----------
     rates : (C, 6, p) derivatives of the affine warps with respect to the p parameters: six components of motion and
-        p - 6 amplitudes of shapes.
+        p - 6 amplitudes of shapes. They are those near the motion `rates_at`.
     information : (C, p, p) information of each cell about the parameters, for unit gain.
     information_noise : (C, p, p) contribution of the reference's noise to `information`.
     inverse_shift_hessian : (C, 2, 2) inverse Hessian of the cell's shift, NaN if singular.
     added_motion : rotations (C, 5, 3, 3) and shifts (C, 5, 3) of the patches' points in one frame, applied after the
         motion of the body; None if the points only move with the body.
+    shapes : of the body's deformation, None for none.
     """
 
     camera: PlacedCamera
@@ -75,6 +79,32 @@ class BodyView(Arrays, shapes="rates C 6 p; information C p p; information_noise
     information_noise: FloatArray
     inverse_shift_hessian: FloatArray
     added_motion: tuple[FloatArray, FloatArray] | None = None
+    shapes: Shapes | None = None
+    rates_at: RigidTransform = AT_REST
+
+    @cached_property
+    def middle(self) -> tuple[FloatArray, float]:
+        """The middle (3,) of the patches at rest, and its depth in the camera."""
+        middle = np.nanmean(self.patches.points_m[:, 0], axis=0)
+        return middle, float(self.camera.camera_from_body.apply(middle)[2])
+
+    def is_near(self, moved: RigidTransform) -> bool:
+        """Return whether the rates apply to a motion."""
+        turn = 3.0 - float(np.sum(moved.rotation * self.rates_at.rotation))  # 2 - 2·cos of the angle
+        middle, depth = self.middle
+        shift = moved.apply(middle) - self.rates_at.apply(middle)
+        return turn < MAX_TURN**2 and float(shift @ shift) < (MAX_TURN * depth) ** 2
+
+    def near(self, moved: RigidTransform) -> BodyView:
+        """Return the view with rates that apply near a motion.
+
+        A point that leaves the surface is displaced in the image by its parallax, which turns with the body.
+        """
+        if self.is_near(moved):
+            return self
+        rates = patch_rates(self.camera, self.patches, self.shapes, moved)
+        view = with_jacobians(self.camera, self.cells, self.patches, rates, self.shapes)
+        return replace(view, added_motion=self.added_motion, rates_at=moved)
 
     @cached_property
     def rounding(self) -> FloatArray:
@@ -137,10 +167,7 @@ def view_body(
     spline, area, full_scale = image
     cells = prepare_cells(spline, area, side_px, noise, full_scale)
     patches = body_patches(camera, surface_m, cells.centre_px, side_px / 4, REACH_CELLS * side_px)
-    rates = patch_rates(camera, patches)
-    if shapes is not None:
-        rates = np.concatenate([rates, shape_rates(camera, patches, shapes)], axis=2)
-    return with_jacobians(camera, cells, patches, rates)
+    return with_jacobians(camera, cells, patches, patch_rates(camera, patches, shapes), shapes)
 
 
 def reweight_view(view: BodyView, noise: NoiseModel, degree: int) -> BodyView:
@@ -148,10 +175,17 @@ def reweight_view(view: BodyView, noise: NoiseModel, degree: int) -> BodyView:
 
     `degree`: degree of the spline of its image.
     """
-    return with_jacobians(view.camera, reweight_cells(view.cells, noise, degree), view.patches, view.rates)
+    return with_cells(view, reweight_cells(view.cells, noise, degree))
 
 
-def with_jacobians(camera: PlacedCamera, cells: Cells, patches: Patches, rates: FloatArray) -> BodyView:
+def with_cells(view: BodyView, cells: Cells) -> BodyView:
+    """Return the view with other pixels in the same cells."""
+    return with_jacobians(view.camera, cells, view.patches, view.rates, view.shapes)
+
+
+def with_jacobians(
+    camera: PlacedCamera, cells: Cells, patches: Patches, rates: FloatArray, shapes: Shapes | None = None
+) -> BodyView:
     """Return a view with the information of its cells, rates zero where undefined."""
     finite = np.isfinite(rates).all(axis=(1, 2)) & np.isfinite(cells.energy)
     rates = np.where(finite[:, None, None], rates, 0.0)
@@ -161,7 +195,7 @@ def with_jacobians(camera: PlacedCamera, cells: Cells, patches: Patches, rates: 
     shift = np.where(solvable[:, None, None], shift, np.eye(2))
     return BodyView(
         camera, cells, patches, rates, transposed @ cells.hessian @ rates, transposed @ cells.hessian_noise @ rates,
-        np.where(solvable[:, None, None], np.linalg.inv(shift), np.nan),
+        np.where(solvable[:, None, None], np.linalg.inv(shift), np.nan), shapes=shapes,
     )  # fmt: skip
 
 
@@ -180,7 +214,7 @@ def fit_direct(views: Sequence[BodyView], targets: Sequence[Spline], start: Rigi
     each cell are eliminated.
 
     The method is inverse-compositional Gauss-Newton (Baker, Matthews 2004) on the rigid motions: T ← T·δ⁻¹ with
-    H′·δ = Σ b·Bᵀ·slope, B the rates of the warps. The reference's noise makes H = Σ b²·Bᵀ·H·B too large by a computable
+    H′·δ = Σ b·Bᵀ·slope, B the rates of the warps, renewed where the body turns (`BodyView.near`). The reference's noise makes H = Σ b²·Bᵀ·H·B too large by a computable
     share, which H′ excludes. A third of that share of a step may remain, and iteration ends when this is below 0.02
     standard uncertainties. Cells with more than three times the median misfit are rejected. So are cells whose
     remaining shift exceeds five scaled standard deviations.
@@ -194,6 +228,7 @@ def fit_direct(views: Sequence[BodyView], targets: Sequence[Spline], start: Rigi
     """
     moved = start
     for _ in range(MAX_STEPS):
+        views = views_near(views, moved)
         step = _step(views, targets, moved)
         if step is None:
             return None
@@ -201,6 +236,11 @@ def fit_direct(views: Sequence[BodyView], targets: Sequence[Spline], start: Rigi
         if step.final:
             return direct_fit(moved, step)
     return None
+
+
+def views_near(views: Sequence[BodyView], moved: RigidTransform) -> tuple[BodyView, ...]:
+    """Return the views with rates that apply near a motion."""
+    return tuple(view.near(moved) for view in views)
 
 
 def direct_fit(moved: RigidTransform, step: FitStep) -> DirectFit:
@@ -221,6 +261,7 @@ def coarse_fit(views: Sequence[BodyView], targets: Sequence[Spline], start: Rigi
     """
     moved = start
     for _ in range(COARSE_STEPS):
+        views = views_near(views, moved)
         step = _step(views, targets, moved)
         if step is None:
             return None
@@ -252,6 +293,7 @@ def decimate(views: Sequence[BodyView]) -> tuple[BodyView, ...]:
                     getattr(view, name)[which]
                     for name in ("rates", "information", "information_noise", "inverse_shift_hessian")
                 ),
+                shapes=view.shapes,
             )
         )
     return tuple(some)

@@ -20,6 +20,7 @@ from photogram.direct.direct_fit import (
     image_noise,
     reweight_view,
     view_body,
+    views_near,
 )
 from photogram.direct.surface import (
     PlacedCamera,
@@ -205,11 +206,13 @@ def iterate_blocks(scene: BodyScene, blocks: Iterable[FollowedBlock]) -> Iterato
 class BodyTracker:
     """Tracker of a body from frame to frame of a block, with prediction.
 
-    fits: of the last consecutive frames that have one, at most `MAX_FITS`.
+    fits: of the last consecutive frames that have one, at most `MAX_FITS`. views, near: those of the scene, with rates
+    that apply to the last prediction.
     """
 
     def __init__(self, scene: BodyScene) -> None:
         self.scene, self.fits = scene, list[DirectFit]()
+        self.views, self.near = scene.views, scene.near
         self.sides = followers(scene)
         self._history, self._last = list[Registrations](), scene.lead[-1][0] if scene.lead else None
 
@@ -239,14 +242,17 @@ class BodyTracker:
         """
         if len(self.fits) < MIN_PREDICTION_FRAMES:
             return None
-        scene, along = self.scene, self.extrapolate(range(number, number + 1))
-        start: RigidTransform | None
+        along, start = self.extrapolate(range(number, number + 1)), None
         if len(along):
             start = RigidTransform.from_pose(along[0])
         else:
             start = predict_motion(self.fits)
-            start = coarse_fit(scene.near, splines, start) if scene.near else start
-        fit = None if start is None else fit_direct(scene.views, splines, start)
+            self.near = views_near(self.near, start)
+            start = coarse_fit(self.near, splines, start) if self.near else start
+        if start is None:
+            return None
+        self.views = views_near(self.views, start)
+        fit = fit_direct(self.views, splines, start)
         return None if fit is None or has_excess_noise(fit, self.fits) else fit
 
     def extrapolate(self, numbers: range) -> FloatArray:
