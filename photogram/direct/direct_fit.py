@@ -33,9 +33,10 @@ from photogram.direct.surface import (
 )
 from photogram.frame_statistics import spread_choice
 from photogram.geometry import RigidTransform, rotation_vector_rate
-from photogram.images.noise import QUANTISATION, NoiseModel, fit_noise_model
+from photogram.images.noise import QUANTISATION, NoiseModel, fit_noise_model, noise_notices
 from photogram.motion import MEDIAN_CHI2_OF_TWO
 from shakercal._common.arrays import Arrays, BoolArray, ComplexArray, FloatArray
+from shakercal._common.notices import Notice
 
 REACH_CELLS = 4.0  # distance from the nearest triangulated point within which a cell's surface is extrapolated
 MAX_STEPS = 12  # Gauss-Newton steps; usually two or three are needed
@@ -50,8 +51,8 @@ MIN_CELLS = 4  # three determine six components, without a check
 MIN_EIGENVALUE = 1e-12  # smallest eigenvalue of solvable information, scaled to a unit diagonal
 MIN_EIGENVALUE_SHARE = 1e-2  # share of the smallest eigenvalue that remains without the noise part, at least
 MAX_TURN = 0.05
-"""Rotation, or displacement over the distance, of a body from the motion of its rates, up to which these are used. Steps
-across the image are then short by half of its square: 1.2 mrad per rad."""
+"""Rotation, or displacement over the distance, of a body from the motion of its rates, up to which these are used. A
+step along the line of sight then errs by half of its square, 0.12 %."""
 MIN_MISFIT_RATIO = 1e-12  # misfit over the expected one, for images without noise
 
 
@@ -199,11 +200,17 @@ def with_jacobians(
     )  # fmt: skip
 
 
-def image_noise(view: BodyView, target: Spline, moved: RigidTransform) -> NoiseModel:
-    """Return the noise model that explains the residuals of one frame after the motion `moved`."""
-    grey, squares = pixel_residuals(view.cells, target, view.warps(moved))
-    finite = np.isfinite(squares)
-    return fit_noise_model(grey[finite], squares[finite])
+def image_noise(
+    view: BodyView, target: Spline, moved: RigidTransform, where: str
+) -> tuple[NoiseModel, tuple[Notice, ...]]:
+    """Return the noise model that explains the residuals of one frame after the motion `moved`.
+
+    With it, the notices of noise that contradicts it in the camera `where`.
+    """
+    grey, residual = pixel_residuals(view.cells, target, view.warps(moved))
+    finite = np.isfinite(residual)
+    grey, residual, row = grey[finite], residual[finite], pixel_coordinates(view.cells.runs)[finite, 1]
+    return fit_noise_model(grey, residual**2), tuple(noise_notices(grey, residual, row.astype(np.int64), where))
 
 
 def fit_direct(views: Sequence[BodyView], targets: Sequence[Spline], start: RigidTransform) -> DirectFit | None:
@@ -214,10 +221,10 @@ def fit_direct(views: Sequence[BodyView], targets: Sequence[Spline], start: Rigi
     each cell are eliminated.
 
     The method is inverse-compositional Gauss-Newton (Baker, Matthews 2004) on the rigid motions: T ← T·δ⁻¹ with
-    H′·δ = Σ b·Bᵀ·slope, B the rates of the warps, renewed where the body turns (`BodyView.near`). The reference's noise makes H = Σ b²·Bᵀ·H·B too large by a computable
-    share, which H′ excludes. A third of that share of a step may remain, and iteration ends when this is below 0.02
-    standard uncertainties. Cells with more than three times the median misfit are rejected. So are cells whose
-    remaining shift exceeds five scaled standard deviations.
+    H′·δ = Σ b·Bᵀ·slope, B the rates of the warps, renewed where the body turns (`BodyView.near`). The reference's noise
+    makes H = Σ b²·Bᵀ·H·B too large by a computable share, which H′ excludes. A third of that share of a step may
+    remain, and iteration ends when this is below 0.02 standard uncertainties. Cells with more than three times the
+    median misfit are rejected. So are cells whose remaining shift exceeds five scaled standard deviations.
 
     The covariance is s²·H′⁻¹·H·H′⁻¹ with H′ = H less the contribution of the reference's noise, and s² the misfit per
     expected misfit of the pixels used, at least that of rounding: a frame equal to the reference has no misfit. It is
@@ -278,24 +285,11 @@ def decimate(views: Sequence[BodyView]) -> tuple[BodyView, ...]:
         which = np.flatnonzero(spread_choice(np.arange(len(view.rates)), 1.0 / DECIMATION))
         if len(which) < MIN_DECIMATED:
             return ()
-        patches = view.patches
-        some.append(
-            BodyView(
-                view.camera,
-                select_cells(view.cells, which),
-                replace(
-                    patches,
-                    centre_px=patches.centre_px[which],
-                    points_m=patches.points_m[which],
-                    rest_px=patches.rest_px[which],
-                ),
-                *(
-                    getattr(view, name)[which]
-                    for name in ("rates", "information", "information_noise", "inverse_shift_hessian")
-                ),
-                shapes=view.shapes,
-            )
-        )
+        chosen = {name: getattr(view.patches, name)[which] for name in ("centre_px", "points_m", "rest_px")}
+        per_cell = ("rates", "information", "information_noise", "inverse_shift_hessian")
+        parts = {name: getattr(view, name)[which] for name in per_cell}
+        cells = select_cells(view.cells, which)
+        some.append(replace(view, cells=cells, patches=replace(view.patches, **chosen), **parts))
     return tuple(some)
 
 

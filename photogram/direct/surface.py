@@ -151,7 +151,8 @@ def patch_rates(
     if moved is AT_REST:
         return rates
     warp = patch_warps(camera, patches, moved).reshape(-1, 2, 3)
-    linear = np.where(np.isfinite(warp).all(axis=(1, 2))[:, None, None], np.eye(2) + warp[:, :, 1:], np.eye(2))
+    known = np.array(np.isfinite(warp).all(axis=(1, 2)))
+    linear = np.where(known[:, None, None], np.eye(2) + warp[:, :, 1:], np.eye(2))
     both = np.linalg.solve(linear, rates.reshape(len(warp), 2, -1))
     return np.asarray(both.reshape(rates.shape))
 
@@ -170,9 +171,7 @@ class SeenPoints(Arrays, shapes="points_m N 3; rates N 2 6"):
         return self.camera.project(self.points_m)
 
 
-def project_body_points(
-    camera: PlacedCamera, points_m: FloatArray, moved: RigidTransform = AT_REST
-) -> SeenPoints:
+def project_body_points(camera: PlacedCamera, points_m: FloatArray, moved: RigidTransform = AT_REST) -> SeenPoints:
     """Return points (N,3) of a body at rest with their pixels' derivatives in a camera.
 
     They are those of a motion that precedes `moved`. NaN for a missing point.

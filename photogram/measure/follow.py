@@ -41,12 +41,14 @@ from photogram.subsets.reference import ReferenceSubsets
 from photogram.subsets.search import HISTORY, predict_next, predict_warp
 from photogram.subsets.track import StereoGrid, first_frame, lay_single_grid, lay_stereo_grid, prepare_sequence
 from shakercal._common.arrays import Arrays, BoolArray, FloatArray
+from shakercal._common.notices import Notice
 
 Progress = Callable[[int], None]
 Splines = tuple[Spline, ...]
 Noise = tuple[NoiseModel, ...]
 Registrations = tuple[Registration, ...]
 """Of each camera: left and right of a pair, or the only one."""
+CAMERAS = ("left camera", "right camera")
 UNIFORM = NoiseModel(1.0, 0.0)
 BLOCK_FRAMES = 64
 """Constant, so that results do not depend on the number of processes: a compromise of sharing and restarts."""
@@ -114,6 +116,7 @@ class BodyScene(Arrays, shapes="rest_m N 3; subset_frames F"):
     lead : frames after the first, usually one, that were tracked to find that noise.
     blocks : the other frames, each block of which is tracked separately from the reference.
     subset_frames : (F,) in which subsets are searched, even if the direct fit succeeds.
+    noise_notices : of noise that the models do not explain.
     """
 
     images: tuple[ImageSequence, ...]
@@ -132,6 +135,7 @@ class BodyScene(Arrays, shapes="rest_m N 3; subset_frames F"):
     lead: FollowedBlock
     blocks: tuple[range, ...]
     subset_frames: BoolArray
+    noise_notices: tuple[Notice, ...] = ()
 
     @property
     def shapes(self) -> Shapes:
@@ -383,10 +387,13 @@ def reweight_scene(
 
     `views`: as compared with the images `targets` after the motion `moved`.
     """
-    noise = tuple(image_noise(*one, moved) for one in zip(views, targets, strict=True))
+    found = (
+        image_noise(view, target, moved, name) for view, target, name in zip(views, targets, CAMERAS, strict=False)
+    )
+    noise, notices = zip(*found, strict=True)
     weighed = zip(scene.views, noise, strict=True)
     renewed = tuple(reweight_view(view, model, scene.settings.degree) for view, model in weighed)
-    return replace(scene, noise=noise, views=renewed)
+    return replace(scene, noise=noise, views=renewed, noise_notices=tuple(chain.from_iterable(notices)))
 
 
 def report_progress(progress: Progress | None, frames: int) -> None:
