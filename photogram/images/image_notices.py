@@ -89,8 +89,8 @@ NOISE_OF_ROWS = DeclaredNotice(
     "note",
     "Rows have a common error of {row_grey:.2g} grey values that changes between frames, compared with "
     "{pixel_grey:.2g} of a single pixel.",
-    effect="Motions across the rows scatter about {ratio:.2g} times as much as the noise of the pixels predicts. The "
-    "uncertainty of lines includes it, since it is computed from the scatter.",
+    effect="Motions across the rows scatter more than the noise of single pixels predicts. The uncertainty of lines "
+    "includes it, since it is computed from the scatter.",
     remedy="Record more frames, or use a camera whose rows have no noise in common.",
     link="tracking.md#what-cameras-do",
 )

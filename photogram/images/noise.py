@@ -26,9 +26,9 @@ SATURATED_NOISE = 0.5  # of the variance of darker pixels, below which the brigh
 BELOW, PILED = 4, 0.5  # bins below saturated ones; range of the grey values of saturated ones over the least possible
 MIN_FALL = 0.05  # of the variance from the darkest to the brightest third, 0.10 to 0.15 with a gamma of 0.45
 SURE_SIGMA = 5.0
-SHORTENED = 5.0
-"""Shortening of motions below a pixel by a saturated share s of a body's pixels, 5·s^1.5. Measured in renderings with
-speckle of 5 px: 0.02 % for 0.03, 0.16 % for 0.1, 0.6 % for 0.25, twice that for 3 px, half for 8 px."""
+SHORTENED = 0.05
+"""Shortening of motions below a pixel by a saturated share s of a body's pixels, 0.05·s^1.5. Measured in renderings
+with speckle of 5 px: 0.02 % for 0.03, 0.16 % for 0.1, 0.6 % for 0.25; twice that for 3 px, half for 8 px."""
 MIN_IN_ROW = 20  # pixels, for the mean of a row
 
 
@@ -117,8 +117,8 @@ def noise_notices(grey: FloatArray, residual_grey: FloatArray, row: IntArray, wh
     total = sums[full] - sign * count[full] * float(np.sum(sign * sums[full]) / np.sum(count[full]))
     excess = float(np.mean(total**2 / count[full])) / variance - 1.0  # n·s²
     if excess > 1.0 + SURE_SIGMA * math.sqrt(2.0 / len(full)):
-        rows, ratio = math.sqrt(excess * variance / float(np.mean(count[full]))), math.sqrt(1.0 + excess)
-        notices.append(Notice(NOISE_OF_ROWS, where, row_grey=rows, pixel_grey=math.sqrt(variance), ratio=ratio))
+        row_grey = math.sqrt(excess * variance / float(np.mean(count[full])))
+        notices.append(Notice(NOISE_OF_ROWS, where, row_grey=row_grey, pixel_grey=math.sqrt(variance)))
     return notices
 
 
