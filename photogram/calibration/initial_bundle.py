@@ -310,13 +310,13 @@ def _refuse_telecentric(camera_name: str, views: Sequence[TargetView]) -> None:
     tilts, ratios, misfits = [], [], []
     for view in views:
         x, y = (view.index - view.index.mean(axis=0)).T
-        one, nothing = np.ones(len(x)), np.zeros(len(x))
+        one, zero = np.ones(len(x)), np.zeros(len(x))
         from_middle = (view.position_px - (view.size_px - 1) / 2) / view.size_px.max()
         radial = from_middle * np.sum(from_middle**2, axis=1, keepdims=True)
         u, v = ((view.position_px - view.position_px.mean(axis=0)) / view.size_px.max()).T
         rows = [
-            [x, y, one, nothing, nothing, nothing, radial[:, 0], -u * x, -u * y],
-            [nothing, nothing, nothing, x, y, one, radial[:, 1], -v * x, -v * y],
+            [x, y, one, zero, zero, zero, radial[:, 0], -u * x, -u * y],
+            [zero, zero, zero, x, y, one, radial[:, 1], -v * x, -v * y],
         ]
         design, target = np.concatenate([np.column_stack(row) for row in rows]), np.concatenate([u, v])
         design /= np.linalg.norm(design, axis=0)

@@ -130,9 +130,9 @@ def _warps(points, pose, camera, rest, warps):  # type: ignore[no-untyped-def]
 def patch_rates(
     camera: PlacedCamera, patches: Patches, shapes: Shapes | None = None, moved: RigidTransform = AT_REST
 ) -> FloatArray:
-    """Return the derivatives (C, 6, 6 + S) of the patches' warps by six components and S amplitudes of shapes.
+    """Return the derivatives (C, 6, 6 + S) of the patches' warps.
 
-    x y z (m) and rx ry rz (rad) of a motion δ that precedes `moved`, and amplitudes in m. The warp of both is that of
+    They are by x y z (m) and rx ry rz (rad) of a motion δ that precedes `moved`, and by S amplitudes of shapes. The warp of both is that of
     `moved` after the one that the derivatives describe, W(moved·δ) = W(moved)∘(1 + rates·δ), so that they compare at
     any motion with the derivatives of the reference image. With A, the linear part of W(moved), they are
     A⁻¹·∂W(moved·δ)/∂δ.

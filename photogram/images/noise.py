@@ -1,4 +1,4 @@
-"""Image noise as a function of brightness: read noise and shot noise, and what contradicts them."""
+"""Image noise as a function of brightness: read noise, shot noise, and contradictions to them."""
 
 from __future__ import annotations
 
@@ -145,7 +145,7 @@ def _saturation(grey: FloatArray, variance: FloatArray, count: FloatArray, where
 
 
 def _fall(grey: FloatArray, variance: FloatArray, count: FloatArray, where: str) -> Notice | None:
-    """Return a note where the noise falls from the darkest to the brightest third of the pixels."""
+    """Return a note where the noise falls from dark to bright pixels."""
     third = len(grey) // 3
     if third == 0 or variance.min() < MIN_VARIANCE_GREY2 or np.ptp(grey) < NARROW * np.abs(grey).max():
         return None

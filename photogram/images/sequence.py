@@ -437,9 +437,9 @@ def mosaic_contrast(image: NDArray[Any]) -> float:
 
 
 def alternating_gain(image: NDArray[Any], axis: int) -> float:
-    """Return the relative difference of gain of even and odd columns (axis 1) or rows (axis 0), 0 without one.
+    """Return the relative difference of gain of even and odd columns, 0 without one.
 
-    Along the axis, a pixel g and its neighbours give ±(2g − g₋ − g₊)/4, half of the difference between even and odd
+    Axis 1 is that of columns, 0 that of rows. Along the axis, a pixel g and its neighbours give ±(2g − g₋ − g₊)/4, half of the difference between even and odd
     ones, at the brightness (2g + g₋ + g₊)/4. The regression on brightness gives the difference of gain. A difference of
     offsets is constant. It does not change a motion, as a spline has no slope at the pixels there.
 
