@@ -132,10 +132,10 @@ def patch_rates(
 ) -> FloatArray:
     """Return the derivatives (C, 6, 6 + S) of the patches' warps.
 
-    They are by x y z (m) and rx ry rz (rad) of a motion δ that precedes `moved`, and by S amplitudes of shapes. The warp of both is that of
-    `moved` after the one that the derivatives describe, W(moved·δ) = W(moved)∘(1 + rates·δ), so that they compare at
-    any motion with the derivatives of the reference image. With A, the linear part of W(moved), they are
-    A⁻¹·∂W(moved·δ)/∂δ.
+    They are by x y z (m) and rx ry rz (rad) of a motion δ that precedes `moved`, and by S amplitudes of shapes. The
+    warp of both is that of `moved` after the one that the derivatives describe, W(moved·δ) = W(moved)∘(1 + rates·δ), so
+    that they compare at any motion with the derivatives of the reference image. With A, the linear part of W(moved),
+    they are A⁻¹·∂W(moved·δ)/∂δ.
     """
     rates = derivatives(
         lambda pose: patch_warps(camera, patches, moved @ RigidTransform.from_pose(pose)), np.full(6, RATE_STEP)

@@ -77,9 +77,9 @@ def fit_noise_model(grey: FloatArray, residual_grey2: FloatArray) -> NoiseModel:
 
 
 def noise_curve(grey: FloatArray, residual_grey2: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return mean grey value, robust variance and count (B,) of bins of pixels in order of brightness.
+    """Return mean grey value, robust variance and count of pixels in bins (B,).
 
-    See `fit_noise_model`.
+    The bins are in order of brightness (`fit_noise_model`).
     """
     check_shape("grey", grey, (None,))
     check_shape("residual_grey2", residual_grey2, (len(grey),))
@@ -123,7 +123,7 @@ def noise_notices(grey: FloatArray, residual_grey: FloatArray, row: IntArray, wh
 
 
 def _saturation(grey: FloatArray, variance: FloatArray, count: FloatArray, where: str) -> Notice | None:
-    """Return a warning where the brightest pixels scatter less than the noise of darker ones allows.
+    """Return a warning where the brightest pixels scatter less than noise allows.
 
     Their variance is far below that of all darker ones, or their bins are closer together than those of equally bright
     pixels with the noise of the bins below.

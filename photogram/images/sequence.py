@@ -439,9 +439,10 @@ def mosaic_contrast(image: NDArray[Any]) -> float:
 def alternating_gain(image: NDArray[Any], axis: int) -> float:
     """Return the relative difference of gain of even and odd columns, 0 without one.
 
-    Axis 1 is that of columns, 0 that of rows. Along the axis, a pixel g and its neighbours give ±(2g − g₋ − g₊)/4, half of the difference between even and odd
-    ones, at the brightness (2g + g₋ + g₊)/4. The regression on brightness gives the difference of gain. A difference of
-    offsets is constant. It does not change a motion, as a spline has no slope at the pixels there.
+    Axis 1 is that of columns, 0 that of rows. Along the axis, a pixel g and its neighbours give ±(2g − g₋ − g₊)/4, half
+    of the difference between even and odd ones, at the brightness (2g + g₋ + g₊)/4. The regression on brightness gives
+    the difference of gain. A difference of offsets is constant. It does not change a motion, as a spline has no slope
+    at the pixels there.
 
     >>> columns, rows = np.meshgrid(np.arange(128), np.arange(128))
     >>> grey = 400.0 + 200.0 * np.sin(0.5 * columns + 0.3 * rows)
