@@ -66,7 +66,7 @@ SENSOR_CLIPS = DeclaredNotice(
     link="look.md",
 )
 SENSOR_SATURATES = DeclaredNotice(
-    "SC-240",
+    "SC-244",
     "warning",
     "The sensor saturates at about {level:.0f}: the brightest {share_percent:.2g} % of the body's pixels scatter less "
     "than the noise of darker ones allows.",
@@ -76,7 +76,7 @@ SENSOR_SATURATES = DeclaredNotice(
     link="tracking.md#what-cameras-do",
 )
 NOISE_FALLS = DeclaredNotice(
-    "SC-241",
+    "SC-245",
     "note",
     "The noise variance falls by {fall_percent:.2g} % from dark to bright pixels: grey values are not proportional to "
     "light, as with a gamma of about 0.45.",
@@ -85,7 +85,7 @@ NOISE_FALLS = DeclaredNotice(
     link="tracking.md#what-cameras-do",
 )
 NOISE_OF_ROWS = DeclaredNotice(
-    "SC-242",
+    "SC-246",
     "note",
     "Rows have a common error of {row_grey:.2g} grey values that changes between frames, compared with "
     "{pixel_grey:.2g} of a single pixel.",
@@ -95,7 +95,7 @@ NOISE_OF_ROWS = DeclaredNotice(
     link="tracking.md#what-cameras-do",
 )
 COLUMNS_ALTERNATE = DeclaredNotice(
-    "SC-243",
+    "SC-247",
     "warning",
     "Even and odd {lines} differ in gain by {gain_percent:.2g} %, as with a readout by two amplifiers.",
     effect="This pattern stays in place while the body moves. It shortens motions across the {lines} below a pixel "

@@ -75,7 +75,7 @@ def test_a_gamma_is_named_and_changes_no_motion(bits):
     linear, quiet = measured(sensed(light(poses), np.random.default_rng(5)), bits)
     curved, notices = measured(gamma(0.45)(light(poses), np.random.default_rng(5)), bits)
     assert quiet == []
-    assert codes(notices) == {"SC-241"}
+    assert codes(notices) == {"SC-245"}
     assert all(notice.severity == "note" and 5.0 < notice.values["fall_percent"] < 20.0 for notice in notices)
     (error, u), (plain, _) = gain_errors(curved, poses), gain_errors(linear, poses)
     assert np.max(np.abs(error - plain)[:5] / u[:5]) < 1.0  # the same electrons, weighted differently
@@ -88,7 +88,7 @@ def test_wells_that_are_full_below_full_scale_are_named_with_their_size(level, s
     poses = swing(18, 0.1)
     plain, _ = measured(sensed(light(poses), np.random.default_rng(6)), 12)
     full, notices = measured(full_wells(level)(light(poses), np.random.default_rng(6)), 12)
-    said = [notice for notice in notices if notice.code == "SC-240"]
+    said = [notice for notice in notices if notice.code == "SC-244"]
     assert [notice.where for notice in said] == ["left camera", "right camera"]
     for notice in said:
         assert notice.values["level"] == pytest.approx(4095 * level, rel=0.01)
@@ -104,7 +104,7 @@ def test_rows_that_flicker_are_named_with_their_size(size, times):
     poses = swing(18, 0.5)
     plain, quiet = measured(sensed(light(poses), np.random.default_rng(7)), 12)
     body, notices = measured(flickering_rows(size)(light(poses), np.random.default_rng(7)), 12)
-    said = [notice for notice in notices if notice.code == "SC-242"]
+    said = [notice for notice in notices if notice.code == "SC-246"]
     assert quiet == []
     assert [notice.severity for notice in said] == ["note", "note"]
     assert all(notice.values["row_grey"] == pytest.approx(4095 * size, rel=0.3) for notice in said)
@@ -120,7 +120,7 @@ def test_even_and_odd_columns_or_rows_are_named_with_a_bound_of_their_effect(axi
     pattern = EVEN_COLUMNS if axis == 1 else EVEN_COLUMNS.T
     plain, _ = measured(sensed(light(poses), np.random.default_rng(8)), 12)
     alternating, notices = measured(gains(pattern)(light(poses), np.random.default_rng(8)), 12)
-    said = [notice for notice in notices if notice.code == "SC-243"]
+    said = [notice for notice in notices if notice.code == "SC-247"]
     assert len(said) == 2
     assert {notice.values["lines"] for notice in said} == {"columns" if axis == 1 else "rows"}
     assert all(notice.values["gain_percent"] == pytest.approx(2.0, abs=0.25) for notice in said)
@@ -162,8 +162,8 @@ def noisy(grey: np.ndarray, variance: np.ndarray, seed: int) -> list[str]:
         (lambda g: 40.0 + 0.4 * g, []),
         (lambda g: np.full_like(g, 300.0), []),  # read noise alone
         (lambda g: np.full_like(g, 0.2), []),  # rounding alone
-        (lambda g: 400.0 * (g / 1000.0) ** (2.0 - 1.0 / 0.45), ["SC-241"]),
-        (lambda g: np.where(g > 2700.0, 20.0, 40.0 + 0.4 * g), ["SC-240"]),
+        (lambda g: 400.0 * (g / 1000.0) ** (2.0 - 1.0 / 0.45), ["SC-245"]),
+        (lambda g: np.where(g > 2700.0, 20.0, 40.0 + 0.4 * g), ["SC-244"]),
     ],
     ids=["linear", "read noise", "rounding", "gamma", "full wells"],
 )
