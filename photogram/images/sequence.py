@@ -358,16 +358,19 @@ BRIGHT = 0.5  # share of the pixels at the largest grey value
 
 
 def missing_pattern_reason(image: NDArray[Any], full_scale: int) -> str:
-    """Return why an image (H, W) shows only noise, "" for one with a pattern.
+    """Return why an image (H, W) shows no pattern of a body, "" for one with a pattern.
 
-    The text begins with "dark", "overexposed" or "uniform". In tiles of 32 x 32 px without mean and slopes, diagonal
-    neighbours of a pattern correlate. Those of noise do not, nor does noise that rows or columns have in common. Tiles
-    count by their contrast, so that a small body in front of an even background is a pattern.
+    The text begins with "dark", "overexposed", "uniform" or "a raw mosaic". In tiles of 32 x 32 px without mean and
+    slopes, diagonal neighbours of a pattern correlate. Those of noise do not, nor does noise that rows or columns have
+    in common. Tiles count by their contrast, so that a small body in front of an even background is a pattern.
 
     >>> rng = np.random.default_rng(1)
     >>> missing_pattern_reason(rng.poisson(20.0, (240, 320)), 1023)
     'dark, 99 % of its grey values are at most 31 of 1023, only noise is visible'
     """
+    colours = mosaic_contrast(image)
+    if colours:
+        return f"a raw mosaic of a colour camera, whose pixels differ by {100.0 * colours:.2g} % in squares of 2 x 2"
     side = max(MIN_TILE_PX, min(TILE_PX, *image.shape))
     rows, columns = (length // side for length in image.shape)
     if rows * columns == 0:
@@ -472,7 +475,7 @@ def alternating_gain(image: NDArray[Any], axis: int) -> float:
 def inspect_first_image(images: ImageSequence, first: GreyImage) -> ImageSequence:
     """Return images with the clip level and the notices that their first image gives.
 
-    Raises `ValueError` where more than `most_saturated` of the first image is saturated, and for a colour mosaic.
+    Raises `ValueError` where more than `most_saturated` of the first image is saturated.
     """
     level = clip_level(first)
     if level is not None and level < images.full_scale:
@@ -486,10 +489,6 @@ def inspect_first_image(images: ImageSequence, first: GreyImage) -> ImageSequenc
         )
         images = replace(images, clips_at=level, notices=(*images.notices, notice))
     images.check(0, first)
-    colours = mosaic_contrast(first)
-    if colours:
-        found = f"pixels that differ by {100.0 * colours:.2g} % in squares of 2 x 2, the raw mosaic of a colour camera"
-        raise ValueError(f"{images.names[0]}: expected images of a monochrome camera, found {found}")
     for lines, axis in (("columns", 1), ("rows", 0)):
         gain = alternating_gain(first, axis)
         if gain:
