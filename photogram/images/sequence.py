@@ -358,7 +358,7 @@ BRIGHT = 0.5  # share of the pixels at the largest grey value
 
 
 def missing_pattern_reason(image: NDArray[Any], full_scale: int) -> str:
-    """Return why an image (H, W) shows no pattern of a body, "" if it does.
+    """Return why an image (H, W) shows no body, "" if it does.
 
     The text begins with "dark", "overexposed", "uniform" or "a raw mosaic". In tiles of 32 x 32 px without mean and
     slopes, diagonal neighbours of a pattern correlate. Those of noise do not, nor does noise that rows or columns have
