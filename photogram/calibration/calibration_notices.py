@@ -39,7 +39,8 @@ ASPECT_RATIO = DeclaredNotice(
     "warning",
     "The ratio of {side}.fx to {side}.fy is {ratio:.4f} with U = {expanded:.4f} (k = 2).",
     effect="A sensor with square pixels has the ratio 1.",
-    remedy="Check for a print stretched along one axis, too few tilted views, or images scaled in one direction.",
+    remedy="Check for a print stretched along one axis, too few tilted views, or images scaled in one direction. A "
+    "tilted sensor (Scheimpflug) needs no remedy.",
     link="cameras.md#how-it-is-calculated",
 )
 FOCAL_DRIFT = DeclaredNotice(

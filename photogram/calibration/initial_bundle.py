@@ -259,6 +259,8 @@ FEWEST_VIEWS = 3  # least number of views for focal length and principal point
 FEWEST_POINTS = 6  # least number of points for a useful view
 _TOLERATED_PX = 1.0  # rms that is always consistent
 START_NOISE_PX = 0.2  # noise added to that of every point
+_TILTED_RAD, _AFFINE_PX = 0.25, 0.5  # tilt of a view from which perspective shows; rms of an affine map without any
+_NO_PERSPECTIVE = 6.9  # F with two degrees of freedom, exceeded by chance in 0.1 % of views, whose median is taken
 
 # Prior of a lens: offset of the principal point in image widths; terms of distortion at the image corner, relative to
 # the radius (k1, k2, k3), and decentring.
@@ -347,6 +349,7 @@ def _single(pairs: Sequence[ViewPair], side: int, target: Target) -> _Single:
     seen = [(number, pair[side]) for number, pair in enumerate(pairs)]
     views = {number: view for number, view in seen if view is not None and len(view.index) >= FEWEST_POINTS}
     views, dropped = _of_one_size(views)
+    _refuse_telecentric(("left", "right")[side], list(views.values()))
     while True:
         if len(views) < FEWEST_VIEWS:
             camera_name, reasons = ("left", "right")[side], [f"; {item.name}: {item.reason}" for item in dropped]
@@ -362,6 +365,43 @@ def _single(pairs: Sequence[ViewPair], side: int, target: Target) -> _Single:
         view = list(views)[worst]
         reason = f"its points are {rms[worst]:.1f} px away from the prediction by the other images of this camera"
         dropped.append(Rejection(views.pop(view).name, 0, reason))
+
+
+def _refuse_telecentric(camera_name: str, views: Sequence[TargetView]) -> None:
+    """Raise `ValueError` for a camera without perspective, which determines neither distance nor focal length.
+
+    Its views of a tilted target are affine maps with radial distortion: a homography, with two parameters more, leaves
+    no smaller residual.
+    """
+    tilts, ratios, misfits = [], [], []
+    for view in views:
+        x, y = (view.index - view.index.mean(axis=0)).T
+        one, zero = np.ones(len(x)), np.zeros(len(x))
+        from_middle = (view.position_px - (view.size_px - 1) / 2) / view.size_px.max()
+        radial = from_middle * np.sum(from_middle**2, axis=1, keepdims=True)
+        u, v = ((view.position_px - view.position_px.mean(axis=0)) / view.size_px.max()).T
+        rows = [
+            [x, y, one, zero, zero, zero, radial[:, 0], -u * x, -u * y],
+            [zero, zero, zero, x, y, one, radial[:, 1], -v * x, -v * y],
+        ]
+        design, target = np.concatenate([np.column_stack(row) for row in rows]), np.concatenate([u, v])
+        design /= np.linalg.norm(design, axis=0)
+        fits = [np.linalg.lstsq(part, target)[0] for part in (design[:, :7], design)]
+        left = [float(np.sum((target - design[:, : len(fit)] @ fit) ** 2)) for fit in fits]
+        linear, *_ = np.linalg.lstsq(np.column_stack([x, y, one]), np.column_stack([u, v]))
+        stretch = np.linalg.svd(linear[:2], compute_uv=False)
+        tilts.append(float(np.arccos(stretch[1] / stretch[0])))
+        misfits.append(float(view.size_px.max()) * np.sqrt(left[0] / len(target)))
+        ratios.append(0.5 * (left[0] - left[1]) * (len(target) - 9) / max(left[1], 1e-30))
+    tilted = np.array(tilts) >= _TILTED_RAD
+    if np.count_nonzero(tilted) < FEWEST_VIEWS:
+        return
+    misfit_px = float(np.median(np.array(misfits)[tilted]))
+    if misfit_px < _AFFINE_PX and float(np.median(np.array(ratios)[tilted])) < _NO_PERSPECTIVE:
+        raise ValueError(
+            f"{camera_name} camera: expected a lens with perspective, found views of a target tilted by up to "
+            f"{np.rad2deg(max(tilts)):.0f}° without any (affine to {misfit_px:.2g} px), as of a telecentric lens"
+        )
 
 
 def _of_one_size(views: dict[int, TargetView]) -> tuple[dict[int, TargetView], list[Rejection]]:

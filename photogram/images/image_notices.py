@@ -65,14 +65,43 @@ SENSOR_CLIPS = DeclaredNotice(
     remedy="Use less light or a shorter exposure.",
     link="look.md",
 )
-COLOUR_MOSAIC = DeclaredNotice(
-    "SC-208",
+SENSOR_SATURATES = DeclaredNotice(
+    "SC-244",
     "warning",
-    "Neighbouring pixels differ by {contrast_percent:.2g} % in a pattern of 2 x 2, as in the raw mosaic of a "
-    "colour camera.",
-    effect="The pattern counts as texture and biases positions.",
-    remedy="Use a monochrome camera, or only one colour.",
-    link="look.md",
+    "The sensor saturates at about {level:.0f}: the brightest {share_percent:.2g} % of the body's pixels scatter less "
+    "than the noise of darker ones allows.",
+    effect="The texture is cut off. Motions below a pixel are too small by some {shortening_percent:.2g} %. The stated "
+    "error periodic in the pixel covers a part of it.",
+    remedy="Use less light or a shorter exposure.",
+    link="tracking.md#what-cameras-do",
+)
+NOISE_FALLS = DeclaredNotice(
+    "SC-245",
+    "note",
+    "The noise variance falls by {fall_percent:.2g} % from dark to bright pixels: grey values are not proportional to "
+    "light, as with a gamma of about 0.45.",
+    effect="Motions change by less than 0.01 %, because the curve moves with the texture.",
+    remedy="Switch off the gamma of the camera, for example to check its exposure and noise.",
+    link="tracking.md#what-cameras-do",
+)
+NOISE_OF_ROWS = DeclaredNotice(
+    "SC-246",
+    "note",
+    "Rows have a common error of {row_grey:.2g} grey values that changes between frames, compared with "
+    "{pixel_grey:.2g} of a single pixel.",
+    effect="Motions across the rows scatter more than the noise of single pixels predicts. The uncertainty of lines "
+    "includes it, since it is computed from the scatter.",
+    remedy="Record more frames, or use a camera whose rows have no noise in common.",
+    link="tracking.md#what-cameras-do",
+)
+COLUMNS_ALTERNATE = DeclaredNotice(
+    "SC-247",
+    "warning",
+    "Even and odd {lines} differ in gain by {gain_percent:.2g} %, as with a readout by two amplifiers.",
+    effect="This pattern stays in place while the body moves. It shortens motions across the {lines} below a pixel "
+    "by up to {shortening_percent:.2g} %, which no uncertainty includes.",
+    remedy="Correct the gain of the {lines} in the camera, or use motions of more than a pixel.",
+    link="tracking.md#what-cameras-do",
 )
 
 

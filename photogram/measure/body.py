@@ -20,6 +20,7 @@ from photogram.images.noise import NoiseModel
 from photogram.images.sequence import ImageSequence
 from photogram.measure.fixed_pattern import FixedPattern, fixed_pattern
 from photogram.measure.follow import (
+    CAMERAS,
     BodyPrior,
     BodyScene,
     BodyTracker,
@@ -208,8 +209,8 @@ def body_motion(scene: BodyScene, blocks: Iterable[FollowedBlock]) -> BodyMotion
         quality = tuple(
             assess_subsets(reference, first, model, side.saturation) for reference, first, model, side in sides
         )
-        named = zip(("left camera", "right camera"), quality, strict=False)
-        remarks = [notice for where, predicted in named for notice in predicted.notices(where)]
+        named = zip(CAMERAS, quality, strict=False)
+        remarks = [*scene.noise_notices, *(notice for where, predicted in named for notice in predicted.notices(where))]
     shared = None
     if settings.grid_step_px <= 2 * settings.radius_px:
         shared = overlap_correlation(scene.grid.left_px, settings.radius_px)

@@ -226,9 +226,10 @@ def read_lens(matrix: tuple[str, Any], distortion: tuple[str, Any], model: Disto
         raise ValueError(f"distortion_model: expected plumb_bob or fisheye, found none for {found}")
     for label, coefficient in zip(_BEYOND, coefficients[8:], strict=False):
         if coefficient != 0:
+            of = "a tilted sensor (Scheimpflug)" if label.startswith("tau") else "a thin prism"
             raise ValueError(
-                f"{name}: expected the distortion k1 k2 p1 p2 k3 k4 k5 k6, found {label} = {coefficient:g} of a larger "
-                "model; calibrate without it"
+                f"{name}: expected the distortion k1 k2 p1 p2 k3 k4 k5 k6, found {label} = {coefficient:g} of {of}; "
+                "calibrate without it"
             )
     k1, k2, p1, p2, k3, *divisor = np.concatenate([coefficients, np.zeros(4)])[:8]
     radial, tangential = np.array([k1, k2, k3]), np.array([p1, p2])
