@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from photogram.images.sensor_pattern import TYPICAL, SensorPattern
-from photogram.images.sequence import GreyImage, ImageSequence
+from photogram.images.sequence import GreyImage, ImageSequence, keep_saturated
 from shakercal._common.arrays import Arrays, FloatArray, check_shape
 
 SMOOTH_SHARE = 1 / 16  # of the image width, the σ beyond which differences of a flat image are lighting, not pattern
@@ -44,9 +44,7 @@ class FlatField(Arrays, shapes="dark H W; gain H W"):
         """Return an image (H, W) without the pattern, the same pixels of it saturated."""
         level = np.float32(self.dark.mean(dtype=np.float64))
         even = (image - self.dark) / self.gain + level
-        full = image >= saturation
-        bounded = np.where(full, np.maximum(even, saturation), np.minimum(even, saturation - 1))
-        return np.asarray(bounded, dtype=np.float32)
+        return keep_saturated(even, image, saturation)
 
 
 def flat_field(images: ImageSequence, dark: ImageSequence | None, flat: ImageSequence | None) -> FlatField:

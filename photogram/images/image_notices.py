@@ -96,11 +96,11 @@ NOISE_OF_ROWS = DeclaredNotice(
 )
 COLUMNS_ALTERNATE = DeclaredNotice(
     "SC-247",
-    "warning",
+    "note",
     "Even and odd {lines} differ in gain by {gain_percent:.2g} %, as with a readout by two amplifiers.",
-    effect="This pattern stays in place while the body moves. It shortens motions across the {lines} below a pixel "
-    "by up to {shortening_percent:.2g} %, which no uncertainty includes.",
-    remedy="Correct the gain of the {lines} in the camera, or use motions of more than a pixel.",
+    effect="Every image is corrected by this ratio. Without it motions across the {lines} below a pixel would be "
+    "shortened by up to {shortening_percent:.2g} %.",
+    remedy="Correct the gain of the {lines} in the camera, or state flat images.",
     link="tracking.md#what-cameras-do",
 )
 

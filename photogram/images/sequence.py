@@ -451,7 +451,7 @@ def mosaic_contrast(image: NDArray[Any]) -> float:
 
 
 def alternating_gain(image: NDArray[Any], axis: int) -> float:
-    """Return the relative difference of gain of even and odd columns, 0 without one.
+    """Return the relative excess of gain of odd columns over even ones, 0 without one.
 
     Axis 1 is that of columns, 0 that of rows. Along the axis, a pixel g and its neighbours give ±(2g − g₋ − g₊)/4, half
     of the difference between even and odd ones, at the brightness (2g + g₋ + g₊)/4. The regression on brightness gives
@@ -478,8 +478,33 @@ def alternating_gain(image: NDArray[Any], axis: int) -> float:
     left = half - offset - slope * level
     # Neighbouring values share pixels, which doubles the variance of the slope
     uncertainty = math.sqrt(2.0 * float(np.sum(left**2 * level**2))) / energy
-    gain = 2.0 * abs(slope)
-    return gain if gain > max(MIN_ALTERNATION, 2.0 * SURE_SIGMA * uncertainty) else 0.0
+    return 2.0 * slope if 2.0 * abs(slope) > max(MIN_ALTERNATION, 2.0 * SURE_SIGMA * uncertainty) else 0.0
+
+
+@dataclass(frozen=True)
+class AlternatingGains:
+    """Correction of images whose odd columns or rows have another gain than the even ones, by relative excess."""
+
+    columns: float
+    rows: float
+
+    def __call__(self, image: GreyImage, saturation: int) -> GreyImage:
+        """Return an image (H, W) with equal gains, the same pixels of it saturated."""
+        gain = [
+            np.float32(1.0) + np.float32(excess) * (np.arange(2) - np.float32(0.5))
+            for excess in (self.rows, self.columns)
+        ]
+        even = image / np.float32(1.0)
+        for row in (0, 1):
+            for column in (0, 1):
+                even[row::2, column::2] /= gain[0][row] * gain[1][column]
+        return keep_saturated(even, image, saturation)
+
+
+def keep_saturated(even: NDArray[np.float32], image: GreyImage, saturation: int) -> NDArray[np.float32]:
+    """Return corrected grey values of which the same are saturated as in the image."""
+    bounded = np.where(image >= saturation, np.maximum(even, saturation), np.minimum(even, saturation - 1))
+    return np.asarray(bounded, dtype=np.float32)
 
 
 def inspect_first_image(images: ImageSequence, first: GreyImage) -> ImageSequence:
@@ -499,18 +524,12 @@ def inspect_first_image(images: ImageSequence, first: GreyImage) -> ImageSequenc
         )
         images = replace(images, clips_at=level, notices=(*images.notices, notice))
     images.check(0, first)
-    for lines, axis in (("columns", 1), ("rows", 0)):
-        gain = alternating_gain(first, axis)
+    gains = {lines: alternating_gain(first, axis) for lines, axis in (("columns", 1), ("rows", 0))}
+    for lines, gain in gains.items():
         if gain:
-            shortened = 100.0 * SHORTENED * (0.5 * gain) ** 2
-            notice = Notice(
-                COLUMNS_ALTERNATE,
-                images.names[0],
-                lines=lines,
-                gain_percent=100.0 * gain,
-                shortening_percent=shortened,
-            )
-            images = replace(images, notices=(*images.notices, notice))
+            percent = {"gain_percent": 100.0 * abs(gain), "shortening_percent": 100.0 * SHORTENED * (0.5 * gain) ** 2}
+            notice = Notice(COLUMNS_ALTERNATE, images.names[0], lines=lines, **percent)
+            images = replace(images, notices=(*images.notices, notice), flat_field=AlternatingGains(**gains))
     return images
 
 

@@ -15,7 +15,7 @@ from photogram.direct.direct_fit import DirectFit, rest_covariance, rigid_share
 from photogram.direct.surface import ShapeAmplitudes
 from photogram.frame_statistics import RunningMean, Sample
 from photogram.geometry import RigidTransform
-from photogram.images.image_notices import BODY_DEFORMS, FRAMES_WITHOUT_GREY_FIT, GREY_FIT_DISAGREES
+from photogram.images.image_notices import BODY_DEFORMS, FRAMES_WITHOUT_GREY_FIT, GREY_FIT_DISAGREES, SENSOR_SATURATES
 from photogram.images.noise import NoiseModel
 from photogram.images.sequence import ImageSequence
 from photogram.measure.fixed_pattern import FixedPattern, fixed_pattern
@@ -442,8 +442,10 @@ def _tracked(scene: BodyScene, blocks: Iterable[FollowedBlock]) -> tuple[Tracked
     if levels:
         known = [images.pattern for images in scene.images]
         full_scales = [float(images.full_scale) for images in scene.images]
-        seen, further = (whole.pose, whole.misfit), _displaced(scene)
-        pattern = fixed_pattern(scene.views, known, full_scales, scene.settings.degree, seen, further)
+        shown = _displaced(scene)
+        if not any(notice.code == SENSOR_SATURATES.code for notice in scene.noise_notices):  # whose misfit grows too
+            shown = np.concatenate([shown[0], whole.pose]), np.concatenate([shown[1], whole.misfit])
+        pattern = fixed_pattern(scene.views, known, full_scales, scene.settings.degree, whole.pose, shown)
         whole = replace(whole, pose=whole.pose + pattern.correction)
     white = grey if pattern is None else _with_pattern(scene, grey, pattern)
     summary = monitor.summarize(scene.first, scene.grid, scene.settings, white)

@@ -8,7 +8,8 @@ measured, gives the correction, whatever the pattern is made of.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+import math
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -23,7 +24,8 @@ from shakercal._common.propagation import covariance_root
 PARTS = ("pixels", "columns", "rows", "shadows")
 """Parts of a pattern: independent pixels; whole columns and rows; dust, whose shadows are some pixels wide."""
 SHADOW_PX = 3.0  # standard deviation of a shadow's profile, chosen
-MODEL_SHARE = 0.03  # of a correction, standard uncertainty by patterns of other kinds, chosen
+MODEL_SHARE, LARGE_PRNU, LARGEST_SHARE = 0.03, 0.012, 0.3
+"""Relative standard uncertainty of a correction by patterns of other kinds, chosen; the PRNU above which it grows."""
 FRAMES_AT_ONCE = 256
 MIN_FREE_FRAMES, OUTLIER, ROUNDS = 3, 4.0, 3
 """Frames beyond the unknowns; robust standard deviations of a rejected misfit, and rounds of rejection."""
@@ -87,39 +89,61 @@ class PatternModel(Arrays, shapes="grey2 C; variance C 4"):
         white, wide = slope_noise_gain(self.degree), 0.5 / SHADOW_PX**2
         return np.array([[white, white], [white, 0.0], [0.0, white], [wide, wide]])
 
-    def effects(self, pose: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return what each part adds to misfit (F, 4) and slope (F, 4, 6).
+    def misfits(self, pose: FloatArray) -> FloatArray:
+        """Return what each part adds to the misfit (F, 4) at poses (F, 6).
 
-        `pose`: (F, 6).
-
-        White pixels of variance v differ by v·(κ + 1 − 2·h(u_x)·h(u_y)), with the gain κ of interpolation, and
-        correlate with the slopes of the reference (`bspline.pattern_overlap`). Columns do so along x, rows along y.
-        Shadows are smooth: 2·(1 − R), with R = exp(−u²/4σ²).
+        White pixels of variance v differ by v·(κ + 1 − 2·h(u_x)·h(u_y)), with the gain κ of interpolation
+        (`bspline.pattern_overlap`). Columns do so along x, rows along y. Shadows are smooth: 2·(1 − R), with
+        R = exp(−u²/4σ²).
         """
-        rates = self.view.rates[:, [0, 3], :6]
-        misfits, slopes = [], []
-        for start in range(0, len(pose), FRAMES_AT_ONCE):
-            shift = np.einsum("cip,fp->fci", rates, pose[start : start + FRAMES_AT_ONCE])
-            value, slope = pattern_overlap(shift, self.degree)
-            gain, none = noise_gain(shift, self.degree), np.zeros_like(shift[..., 0])
-            wide = np.exp(-np.sum(shift**2, axis=2) / (4.0 * SHADOW_PX**2))
+
+        def added(shift: FloatArray) -> FloatArray:
+            value, _ = pattern_overlap(shift, self.degree)
+            gain = noise_gain(shift, self.degree)
             both = gain.prod(axis=2) + 1.0 - 2.0 * value.prod(axis=2), *np.moveaxis(gain + 1.0 - 2.0 * value, 2, 0)
-            differences = np.stack([*both, 2.0 * (1.0 - wide)], axis=2)
-            white = slope * value[..., ::-1]
+            differences = np.stack([*both, 2.0 * (1.0 - _smooth_overlap(shift))], axis=2)
+            return np.asarray(np.einsum("ck,fck->fk", self.variance, differences))
+
+        return self._of_frames(added, pose)
+
+    def slopes(self, pose: FloatArray) -> FloatArray:
+        """Return what each part adds to the slope (F, 4, 6) by the motion at poses (F, 6).
+
+        The slopes of the reference correlate with the pattern of the frame.
+        """
+
+        def added(shift: FloatArray) -> FloatArray:
+            value, slope = pattern_overlap(shift, self.degree)
+            none = np.zeros_like(shift[..., 0])
             columns, rows = np.stack([slope[..., 0], none], axis=2), np.stack([none, slope[..., 1]], axis=2)
-            smooth = wide[..., None] * shift * (0.5 / SHADOW_PX**2)
-            along = np.stack([white, columns, rows, smooth], axis=2)
-            misfits.append(np.einsum("ck,fck->fk", self.variance, differences))
-            slopes.append(np.einsum("ck,fcki,cip->fkp", self.variance, along, rates, optimize=True))
-        return np.concatenate(misfits), np.concatenate(slopes)
+            smooth = _smooth_overlap(shift)[..., None] * shift * (0.5 / SHADOW_PX**2)
+            along = np.stack([slope * value[..., ::-1], columns, rows, smooth], axis=2)
+            return np.asarray(np.einsum("ck,fcki,cip->fkp", self.variance, along, self._rates, optimize=True))
+
+        return self._of_frames(added, pose)
+
+    @property
+    def _rates(self) -> FloatArray:
+        """Derivatives of the cells' shifts (C, 2, 6) by the motion."""
+        return self.view.rates[:, [0, 3], :6]
+
+    def _of_frames(self, added: Callable[[FloatArray], FloatArray], pose: FloatArray) -> FloatArray:
+        """Return what is added at the cells' shifts (F, C, 2), some frames at a time."""
+        parts = [pose[start : start + FRAMES_AT_ONCE] for start in range(0, max(len(pose), 1), FRAMES_AT_ONCE)]
+        return np.concatenate([added(np.einsum("cip,fp->fci", self._rates, part)) for part in parts])
 
     def information(self, level: float, size: FloatArray) -> FloatArray:
         """Return the information (6, 6) of the scene alone for sizes (4,)."""
-        view, rates = self.view, self.view.rates[:, [0, 3], :6]
+        view, rates = self.view, self._rates
         noise = level + size[0] * self.variance[:, 0] / np.maximum(view.cells.count, 1)
         clean = view.information[:, :6, :6] - noise[:, None, None] * view.information_noise[:, :6, :6]
         of_lines = np.einsum("k,ck,ki->ci", size[1:], self.variance[:, 1:], self.curvature[1:])
         return np.asarray(clean.sum(axis=0) - np.einsum("cip,ci,ciq->pq", rates, of_lines, rates))
+
+
+def _smooth_overlap(shift: FloatArray) -> FloatArray:
+    """Return the correlation (F, C) of shadows at shifts (F, C, 2)."""
+    return np.asarray(np.exp(-np.sum(shift**2, axis=2) / (4.0 * SHADOW_PX**2)))
 
 
 def fixed_pattern(
@@ -127,37 +151,45 @@ def fixed_pattern(
     patterns: Sequence[SensorPattern],
     full_scales: Sequence[float],
     degree: int,
-    fits: tuple[FloatArray, FloatArray],
-    displaced: tuple[FloatArray, FloatArray],
+    pose: FloatArray,
+    shown: tuple[FloatArray, FloatArray],
 ) -> FixedPattern:
     """Return the effect of the cameras' fixed patterns, whose size is estimated.
 
-    `fits`: poses (F, 6) and misfits (F, V, 2) of the direct fits (`DirectFit.misfit`), NaN for none. `displaced`: those
-    of further frames, which only show the size. Of each camera
-    misfit/expected = level + Σ sizeₖ·(misfit of part k)/expected is fitted by least squares, with the known sizes as
-    further observations (Bayes's theorem for normal distributions). The slope b of all cameras moves the pose by
-    −H⁻¹·b, with the information H of the scene without noise and pattern.
+    `pose` (F, 6): NaN for frames without a direct fit. `shown`: poses (G, 6) and misfits (G, V, 2) of the frames that
+    show the size (`DirectFit.misfit`), NaN for none. Of each camera misfit/expected = level + Σ sizeₖ·(misfit of part
+    k)/expected is fitted by least squares, with the known sizes as further observations (Bayes's theorem for normal
+    distributions). The slope b of all cameras moves the pose by −H⁻¹·b, with the information H of the scene without
+    noise and pattern.
     """
-    pose, misfit = fits
-    fitted = np.flatnonzero(np.isfinite(pose).all(axis=1) & np.isfinite(misfit).all(axis=(1, 2)))
-    shown = [np.concatenate([of_fits[fitted], further]) for of_fits, further in zip(fits, displaced, strict=True)]
+    fitted = np.flatnonzero(np.isfinite(pose).all(axis=1))
+    seen = np.isfinite(shown[0]).all(axis=1) & np.isfinite(shown[1]).all(axis=(1, 2))
+    poses, misfit = shown[0][seen], shown[1][seen]
     slopes, roots, variance, whole = [], [], [], np.zeros((6, 6))
     for side, (view, pattern, full_scale) in enumerate(zip(views, patterns, full_scales, strict=True)):
         model = PatternModel.of(view, pattern, degree, full_scale)
-        added, every_slope = model.effects(shown[0])
-        level, size, covariance = _sizes(shown[1][:, side], added, pattern)
-        slope = every_slope[: len(fitted)]
+        level, size, covariance = _sizes(misfit[:, side], model.misfits(poses), pattern)
+        slope = model.slopes(pose[fitted])
         whole += model.information(level, size)
         nominal = np.einsum("fkp,k->fp", slope, size)
         slopes.append(nominal)
         roots += [np.einsum("fkp,k->fp", slope, step) for step in covariance_root(covariance).T]
-        roots.append(MODEL_SHARE * nominal)
+        roots.append(_model_share(pattern.prnu * np.sqrt(max(size[0], 0.0))) * nominal)
         variance.append((size[0], np.sqrt(covariance[0, 0])))
     estimate = np.asarray(np.linalg.inv(whole), dtype=np.float64)
     both = np.stack([np.sum(slopes, axis=0), *roots], axis=1) @ estimate.T
     change = np.zeros((len(pose), both.shape[1], 6))
     change[fitted] = _of_pose(both, pose[fitted])
     return FixedPattern(change[:, 0], change[:, 1:], np.array(variance), tuple(patterns), estimate)
+
+
+def _model_share(prnu: float) -> float:
+    """Return the relative standard uncertainty of a correction by patterns of other kinds.
+
+    Where the misfit grows as by a larger pattern than sensors have, something else contributes, such as texture that
+    the pixels do not resolve.
+    """
+    return float(min(MODEL_SHARE * max(1.0, (prnu / LARGE_PRNU) ** 4), LARGEST_SHARE))
 
 
 def _sizes(misfit: FloatArray, added: FloatArray, pattern: SensorPattern) -> tuple[float, FloatArray, FloatArray]:
@@ -188,7 +220,26 @@ def _sizes(misfit: FloatArray, added: FloatArray, pattern: SensorPattern) -> tup
         if np.array_equal(near, used):
             break
         used = np.asarray(near)
-    return level, size, covariance
+    return level, *_with_a_positive_first(size, covariance)
+
+
+def _with_a_positive_first(mean: FloatArray, covariance: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return mean (n,) and covariance (n, n) of a normal distribution without negative first values.
+
+    A variance is not negative. Those of the truncated normal distribution (Johnson, Kotz, Balakrishnan 1994, Continuous
+    Univariate Distributions 1, 10.1), and of the other values by their regression on the first.
+    """
+    sigma = math.sqrt(float(covariance[0, 0]))
+    low = -float(mean[0]) / sigma
+    if low < -8.0:
+        return mean, covariance
+    if low > 8.0:  # far below zero: an exponential distribution
+        rise, share = 1.0 / low + low, 1.0 / low**2
+    else:
+        hazard = math.exp(-0.5 * low**2) / math.sqrt(2.0 * math.pi) / (0.5 * math.erfc(low / math.sqrt(2.0)))
+        rise, share = hazard, 1.0 + low * hazard - hazard**2
+    along = covariance[:, 0] / sigma
+    return mean + rise * along, covariance - (1.0 - share) * np.outer(along, along)
 
 
 def _of_pose(step: FloatArray, pose: FloatArray) -> FloatArray:
