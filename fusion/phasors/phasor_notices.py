@@ -294,8 +294,17 @@ CAMERAS_OUT_OF_STEP = DeclaredNotice(
     "error",
     "The {late} camera is later than the {early} one by {delay_ms:.4g} ms (frames: {frames}).",
     effect="The images of the two cameras do not belong together.",
-    remedy="Check the trigger of both cameras and the numbers of their files.",
-    link="shutter.md",
+    remedy="If the {late} camera saved {frames} frames more before its first file, or the {early} one fewer, state "
+    "{stated}. Otherwise check the trigger of both cameras.",
+    link="cameras.md#frames-of-other-edges",
+)
+FRAMES_OUT_OF_ORDER = DeclaredNotice(
+    "SC-515",
+    "error",
+    "Frames were lost or repeated within the record: {changes} (frames from 0).",
+    effect="The later frames show the body at other edges of the trigger than assumed.",
+    remedy="If the recorder lost or repeated these frames, state {stated}.",
+    link="cameras.md#frames-of-other-edges",
 )
 CAMERA_DELAYED = DeclaredNotice(
     "SC-435",

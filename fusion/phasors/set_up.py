@@ -43,6 +43,7 @@ from fusion.recording.transducer import TRANSDUCERS
 from fusion.recording.units import unit_notices
 from shaker.lines.frequencies import LineFrequencies
 from shaker.sine.aliasing import alias_frequency
+from shakercal._common.arrays import FloatArray
 from shakercal._common.notices import Notice
 
 if TYPE_CHECKING:
@@ -168,8 +169,11 @@ def _measured(prepared: PreparedSetUp, followed: Sequence[StereoMotion | Rejecte
     from fusion.phasors.stereo_phasors import pairs_phasors
 
     manifest, base = prepared.manifest, prepared.base
+    lines_hz = (
+        np.array(manifest.excitation.frequencies or ()) if prepared.lines is None else prepared.lines.frequency_hz
+    )
     seen = [
-        item if isinstance(item, RejectedPair) or any(item.sight.pair.row_time) else reject_decalibrated(item)
+        item if isinstance(item, RejectedPair) or any(item.sight.pair.row_time) else _as_stated(item, lines_hz)
         for item in followed
     ]
     left_out = [item for item in seen if isinstance(item, RejectedPair)]
@@ -182,7 +186,12 @@ def _measured(prepared: PreparedSetUp, followed: Sequence[StereoMotion | Rejecte
         prepared, motions, lines = _tied(prepared, motions, prepared.lines)
         base = prepared.base
         clock = line_clock(base)
-    checked = [reject_decalibrated(refine_rolling_shutter(item, prepared.images, lines)) for item in motions]
+    checked = [
+        _as_stated(refine_rolling_shutter(item, prepared.images, lines), lines_hz)
+        if any(item.sight.pair.row_time)
+        else reject_decalibrated(item)
+        for item in motions
+    ]
     left_out += [item for item in checked if isinstance(item, RejectedPair)]
     motions = tuple(item for item in checked if isinstance(item, StereoMotion))
     _check_left(prepared, motions, left_out)
@@ -194,6 +203,14 @@ def _measured(prepared: PreparedSetUp, followed: Sequence[StereoMotion | Rejecte
     readings = enlarge_doubted(prepared.readings, changes, distortions(prepared.channels, lines))
     rejections = tuple(item.notice for item in left_out)
     return MeasuredSetUp(replace(prepared, readings=readings), lines, stereo, (*rejections, *aliased))
+
+
+def _as_stated(motion: StereoMotion, frequency_hz: FloatArray) -> StereoMotion | RejectedPair:
+    """Return the motion of a pair whose cameras are placed and exposed as stated, or the rejected pair."""
+    from fusion.phasors.frame_order import check_frame_order  # here, for `check` follows no images
+
+    checked = check_frame_order(motion, frequency_hz)
+    return checked if isinstance(checked, RejectedPair) else reject_decalibrated(checked)
 
 
 def _tied(
