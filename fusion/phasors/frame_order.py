@@ -76,19 +76,24 @@ def check_frame_order(measured: StereoMotion, frequency_hz: FloatArray) -> Stere
     model = _Model.of(cameras, sight.time_s[numbers], interval_s, frequency_hz)
     model = replace(model, frequency_hz=_strong_lines(model))
     found = find_shifts(model, max(one.variance_px2 for one in cameras))
-    shifts = {one.side: shift for one, shift in zip(cameras, found, strict=True)}
     late, notices = lateness(model, found)
     if not late and not found.any():
         return replace(measured, notices=(*measured.notices, *notices))
-    text = _first_edges(shifts, numbers, sight.edge, step, late)
+    shifts = _of_all_frames(model, found, late, numbers, measured)
+    stated = _first_edges({one.side: shift for one, shift in zip(cameras, shifts, strict=True)}, sight.edge, step)
+    where, texts = f"stereo pair {sight.name}", {"stated": stated, "alike": _alike(model)}
     if not found.any():
         slow, fast = ("right", "left") if late > 0 else ("left", "right")
-        values = {"late": slow, "early": fast, "frames": abs(late), "delay_ms": 1e3 * abs(late) * interval_s}
-        return RejectedPair(sight.name, ComputeError(CAMERAS_OUT_OF_STEP, stated=text, **values))
-    changes = "; ".join(_describe(side, shift, numbers) for side, shift in shifts.items() if shift.any())
-    if late:
-        changes += f"; from the first frame on the right one is {_amount(-late)}"
-    return RejectedPair(sight.name, ComputeError(FRAMES_OUT_OF_ORDER, changes=changes, stated=text))
+        delay_ms = 1e3 * abs(late) * interval_s
+        error = ComputeError(
+            CAMERAS_OUT_OF_STEP, where, late=slow, early=fast, frames=abs(late), delay_ms=delay_ms, **texts
+        )
+    else:
+        changes = "; ".join(
+            _describe(one.side, shift) for one, shift in zip(cameras, shifts, strict=True) if shift.any()
+        )
+        error = ComputeError(FRAMES_OUT_OF_ORDER, where, changes=changes, **texts)
+    return RejectedPair(sight.name, error)
 
 
 def camera_series(measured: StereoMotion, view: ImageView) -> tuple[CameraSeries, ...]:
@@ -127,7 +132,7 @@ def _poses(seen: SeenPoints, moved_px: FloatArray) -> tuple[FloatArray, FloatArr
 
     Two steps with the rates at rest; the second one without outliers.
     """
-    pose, weight = np.zeros((len(moved_px), 6)), np.isfinite(moved_px).all(axis=2)
+    pose, weight = np.zeros((len(moved_px), 6)), np.asarray(np.isfinite(moved_px).all(axis=2))
     outer = np.einsum("nai,naj->nij", seen.rates, seen.rates)
     for _ in range(2):
         placed = [seen.camera.project(RigidTransform.from_pose(one).apply(seen.points_m)) for one in pose]
@@ -160,6 +165,7 @@ class _Model:
 
     `time_s` (S,), `interval_s`, `frequency_hz` (K,): of frames and lines. `values` (C, S, 6): in coordinates with
     independent errors in every camera. `weight` (C, 6): inverse variances for 1 px. `seen` (C, S): frames that count.
+    `basis` (6, 6): the coordinates of a pose p are p·basis.
     """
 
     time_s: FloatArray
@@ -168,6 +174,7 @@ class _Model:
     values: FloatArray
     weight: FloatArray
     seen: FloatArray
+    basis: FloatArray
 
     @classmethod
     def of(
@@ -180,7 +187,7 @@ class _Model:
         weight = np.array([shares, 1.0 - shares])[: len(cameras)]
         values = np.array([one.pose @ total @ basis for one in cameras])  # basis^T·total·basis = 1
         seen = np.isfinite(values).all(axis=2).astype(np.float64)
-        return cls(time_s, interval_s, frequency_hz, np.nan_to_num(values), weight, seen)
+        return cls(time_s, interval_s, frequency_hz, np.nan_to_num(values), weight, seen, total @ basis)
 
     @property
     def unknowns(self) -> int:
@@ -378,7 +385,9 @@ def _best_sequence(model: _Model, camera: int, amplitudes: FloatArray, delay_s: 
     """Return the shifts (S,) of a camera of the least sum of squares and costs of changes (Viterbi)."""
     candidates = np.arange(-FARTHEST, FARTHEST + 1)
     weight, values = model.weight[camera], model.values[camera]
-    square = np.array([(values - model.columns(camera, n, delay_s) @ amplitudes) ** 2 @ weight for n in candidates])
+    square = np.array(
+        [(values - model.columns(camera, n, delay_s) @ amplitudes) ** 2 @ weight for n in candidates.tolist()]
+    )
     square = (square * model.seen[camera]).T
     total, origins = square[0], []
     for now in square[1:]:
@@ -430,9 +439,10 @@ def lateness(model: _Model, shifts: IntArray) -> tuple[int, tuple[Notice, ...]]:
     u = omega * float(np.sqrt(2.0 * power / max(model.free, 1.0) / curvature))
     if power > EQUAL**2 * model.motion or abs(phase) <= max(LATE_RAD, LATE_U * u):
         return 0, ()
-    for count in sorted((n for n in range(-FARTHEST, FARTHEST + 1) if n), key=abs):
+    most = power + 0.5 * curvature * (max(LATE_U * u, FRAME_PHASE_TOLERANCE) / omega) ** 2
+    for count in sorted((n for n in range(-FARTHEST, FARTHEST + 1) if n), key=lambda n: (abs(n), n < 0)):
         distance = abs(np.angle(np.exp(1j * (phase - omega * count * model.interval_s))))
-        if distance < max(LATE_U * u, FRAME_PHASE_TOLERANCE) and distance < abs(phase) / 2.0:
+        if distance < abs(phase) / 2.0 and model.fit_delay(shifts, count * model.interval_s)[1] <= most:
             return count, ()
     values = {"phase_mrad": 1e3 * abs(phase), "frequency_hz": model.frequency_hz[0], "u_mrad": 1e3 * u}
     side = "right" if phase > 0.0 else "left"
@@ -447,27 +457,59 @@ def _amount(frames: int) -> str:
     return f"{abs(frames)} frame{'s' if abs(frames) > 1 else ''} {'early' if frames > 0 else 'late'}"
 
 
-def _describe(side: str, shift: IntArray, numbers: IntArray) -> str:
-    """Return the changes of a camera's shift in words."""
-    parts = []
-    for at in np.flatnonzero(np.diff(shift)) + 1:
-        before, after = numbers[at - 1], numbers[at]
-        where = f"frame {after}" if after == before + 1 else f"one of the frames {before + 1} to {after}"
-        amount = _amount(int(shift[at])) if shift[at] else "in time again"
-        parts.append(f"from {where} on {amount}")
+def _describe(side: str, shift: IntArray) -> str:
+    """Return the shifts (F,) of a camera in words."""
+    parts = [f"{_amount(int(shift[0]))} from frame 0 on"] if shift[0] else []
+    for at in (np.flatnonzero(np.diff(shift)) + 1).tolist():
+        parts.append(f"{_amount(int(shift[at])) if shift[at] else 'in time again'} from frame {at} on")
     return f"the {side} camera is " + ", ".join(parts)
 
 
-def _first_edges(shifts: Mapping[str, IntArray], numbers: IntArray, edge: IntArray, step: int, late: int) -> str:
-    """Return the key `first_edge` that states what was found."""
+def _of_all_frames(model: _Model, shifts: IntArray, late: int, numbers: IntArray, measured: StereoMotion) -> IntArray:
+    """Return the shifts (C, F) of all frames by those with subsets, the right camera late from the first frame on.
+
+    Between two frames with subsets the change is where the motion that was fitted to the grey values of both cameras
+    is best predicted: in the model's coordinates it is the mean of that of the cameras, by their weights.
+    """
+    late_by = np.array([0, late])[: len(shifts)]
+    amplitudes = model.fit_delay(shifts, late * model.interval_s)[0]
+    frames, lines = np.arange(len(measured.sight.time_s)), slice(len(shifts), None)
+    every = shifts[:, np.clip(np.searchsorted(numbers, frames, side="right") - 1, 0, None)]
+    around = replace(model, time_s=measured.sight.time_s)
+
+    def predicted(some: IntArray) -> FloatArray:
+        parts = [around.columns(c, of, late_by[c] * model.interval_s)[:, lines] for c, of in enumerate(some)]
+        return np.asarray(sum(w * (part @ amplitudes[lines]) for w, part in zip(model.weight, parts, strict=True)))
+
+    seen = measured.motion.pose @ model.basis
+    offset = np.nanmedian((seen - predicted(every))[numbers], axis=0)
+    for camera in range(len(shifts)):
+        for at in np.flatnonzero(np.diff(shifts[camera])) + 1:
+            between, tried = range(int(numbers[at - 1]) + 1, int(numbers[at]) + 1), []
+            for begin in between:
+                other = every.copy()
+                other[camera, begin : numbers[at]] = shifts[camera, at]
+                rest = (seen - offset - predicted(other))[between.start : between.stop - 1]
+                tried.append((float(np.nansum(rest**2)), begin, other))
+            every = min(tried, key=lambda item: item[:2])[2]
+    return np.asarray(every - late_by[:, None])
+
+
+def _alike(model: _Model) -> str:
+    """Return a remark on other shifts that look the same at the lines, or ""."""
+    for frames in range(1, 2 * FARTHEST + 1):
+        phase = 2.0 * np.pi * model.frequency_hz * frames * model.interval_s
+        if np.abs(np.angle(np.exp(1j * phase))).max() < FRAME_PHASE_TOLERANCE:
+            return f"; at this frame rate {frames} frames more or less look the same"
+    return ""
+
+
+def _first_edges(shifts: Mapping[str, IntArray], edge: IntArray, step: int) -> str:
+    """Return the key `first_edge` that states the shifts (F,) of each camera."""
     texts = {}
     for side, shift in shifts.items():
-        whole = shift - (late if side == "right" else 0)
-        pairs = [[0, int(edge[0] + step * whole[0])]]
-        pairs += [
-            [int(numbers[at]), int(edge[numbers[at]] + step * whole[at])] for at in np.flatnonzero(np.diff(shift)) + 1
-        ]
-        texts[side] = str(pairs) if len(pairs) > 1 else str(pairs[0][1])
+        runs = [[int(k), int(edge[k] + step * shift[k])] for k in (0, *(np.flatnonzero(np.diff(shift)) + 1))]
+        texts[side] = str(runs) if len(runs) > 1 else str(runs[0][1])
     if len(set(texts.values())) == 1:
         return f"first_edge = {next(iter(texts.values()))}"
     return f"first_edge = {{ {', '.join(f'{side} = {text}' for side, text in texts.items())} }}"

@@ -292,18 +292,19 @@ PAIR_DECALIBRATED = DeclaredNotice(
 CAMERAS_OUT_OF_STEP = DeclaredNotice(
     "SC-434",
     "error",
-    "The {late} camera is later than the {early} one by {delay_ms:.4g} ms (frames: {frames}).",
+    "The {late} camera is later than the {early} one by {delay_ms:.4g} ms (frames: {frames}), as {stated} would state"
+    "{alike}.",
     effect="The images of the two cameras do not belong together.",
-    remedy="If the {late} camera saved {frames} frames more before its first file, or the {early} one fewer, state "
-    "{stated}. Otherwise check the trigger of both cameras.",
+    remedy="If one camera began to save earlier, state {stated}, or the same for the other camera. Otherwise check the "
+    "trigger of both.",
     link="cameras.md#frames-of-other-edges",
 )
 FRAMES_OUT_OF_ORDER = DeclaredNotice(
     "SC-515",
     "error",
-    "Frames were lost or repeated within the record: {changes} (frames from 0).",
-    effect="The later frames show the body at other edges of the trigger than assumed.",
-    remedy="If the recorder lost or repeated these frames, state {stated}.",
+    "Frames were lost or repeated: {changes} (frames from 0), as {stated} would state{alike}.",
+    effect="These frames show the body at other edges of the trigger than assumed.",
+    remedy="If the recorder lost or repeated frames there, state {stated}.",
     link="cameras.md#frames-of-other-edges",
 )
 CAMERA_DELAYED = DeclaredNotice(

@@ -24,7 +24,14 @@ from fusion.phasors.channel_phasors import (
     line_strength,
 )
 from fusion.phasors.clocks import refine_ties, tie_clocks_by_motion
-from fusion.phasors.phasor_notices import HARMONIC_UNRESOLVED, NO_INSTRUMENT, TAKES_REFUSED, TIME_STAMP_GAP
+from fusion.phasors.phasor_notices import (
+    CAMERAS_OUT_OF_STEP,
+    FRAMES_OUT_OF_ORDER,
+    HARMONIC_UNRESOLVED,
+    NO_INSTRUMENT,
+    TAKES_REFUSED,
+    TIME_STAMP_GAP,
+)
 from fusion.phasors.steadiness import delay_notices, distortions, enlarge_doubted, folding_notices, line_stationarity
 from fusion.phasors.stereo_motion import (
     PreparedImages,
@@ -227,7 +234,7 @@ def _check_left(prepared: PreparedSetUp, stereo: Sequence[object], left_out: Seq
     """Raise the error of the first rejected pair if no other instrument measures a motion."""
     if left_out and not stereo and all(r.entry.quantity not in TRANSDUCERS for r in prepared.readings):
         error = left_out[0].error
-        if isinstance(error, InputError):
+        if isinstance(error, InputError) or error.declared in (CAMERAS_OUT_OF_STEP, FRAMES_OUT_OF_ORDER):
             raise error
         raise ComputeError(NO_INSTRUMENT, quantity="a motion", reason=f": {error.sentence.rstrip('.')}")
 

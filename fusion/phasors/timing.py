@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
+from functools import reduce
 from itertools import combinations
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -27,7 +28,7 @@ from fusion.phasors.phasor_notices import (
     NO_SHARED_TRIGGER,
     TOO_FEW_EDGES,
 )
-from fusion.recording.manifest import Frames, Images, PointFiles
+from fusion.recording.manifest import MINIMUM_FRAMES, Frames, Images, PointFiles
 from fusion.recording.rig import Stereo
 from fusion.recording.values import FILE, PULSE
 from photogram.images.sequence import FrameNumbers
@@ -395,7 +396,7 @@ def frame_sight(
         expected = f"the number of the edge that belongs to the first of {len(index)} frames"
         found = f"none, and {trigger.edges} edges in {entry.trigger}"
         raise InputError(EDGES_AMBIGUOUS, manifest.path, f"{key}.first_edge", found=found, expected=expected)
-    first = entry.first_edge or 0
+    first = entry.first_edge if isinstance(entry.first_edge, int) else 0
     if first + span > trigger.edges:
         expected, edges_found = (
             f"at least {first + span} edges in {entry.trigger} for {len(index)} frames",
@@ -433,6 +434,34 @@ def frame_sight(
     pair = manifest.rig.stereo[entry.stereo].model_copy(update={"delay_uncertainty": entry.delay_uncertainty})
     share = float(np.mean(edges.model_share))
     return Sight(entry.stereo, pair, exposure, np.asarray(middle_s), share, (manifest.path, key), first + index)
+
+
+def shared_edges(
+    manifest: Manifest, base: TimeBase, entry: Images, numbers: Sequence[FrameNumbers | None], frames: Sequence[int]
+) -> tuple[IntArray, list[IntArray]]:
+    """Return the edges that all cameras show by their stated runs, and their frames in each camera.
+
+    `numbers`, `frames`: numbering of the files of each camera and their count. Of frames with one edge the first one is
+    used.
+    """
+    assert isinstance(entry.first_edge, dict)
+    key, shown = f"images.{entry.stereo}.first_edge", list[IntArray]()
+    for (side, _), of_camera, count in zip(entry.cameras, numbers, frames, strict=True):
+        index = np.arange(count) if of_camera is None else of_camera.frame_index
+        edges = np.zeros(count, dtype=np.int64)
+        for frame, edge in entry.first_edge[side]:
+            if frame >= count:
+                expected = f"a frame before {count}, their number"
+                raise InputError(EDGES_AMBIGUOUS, manifest.path, f"{key}.{side}", found=str(frame), expected=expected)
+            edges[frame:] = edge + (entry.edge_step or 1) * (index[frame:] - index[frame])
+        shown.append(edges)
+    recorded = np.arange(base.first_with(entry.trigger)[1].edges)
+    common = np.asarray(reduce(np.intersect1d, [*shown, recorded]))
+    if len(common) < MINIMUM_FRAMES:
+        expected = f"at least {MINIMUM_FRAMES} edges of {entry.trigger} that all cameras show"
+        raise InputError(EDGES_AMBIGUOUS, manifest.path, key, found=str(len(common)), expected=expected)
+    first = [dict(zip(edges[::-1].tolist(), range(len(edges))[::-1], strict=True)) for edges in shown]
+    return common, [np.array([of_camera[edge] for edge in common.tolist()]) for of_camera in first]
 
 
 def frame_edges(
@@ -474,7 +503,8 @@ def frame_edges(
                 )
             )
     trigger = base.first_with(entry.trigger)[1]
-    edges, last = trigger.edges - (entry.first_edge or 0), int(first.frame_index[-1])
+    start = entry.first_edge if isinstance(entry.first_edge, int) else 0
+    edges, last = trigger.edges - start, int(first.frame_index[-1])
     if entry.edge_step is None and first.step > 1 and first.step * last < edges:
         found = f"none, numbers of files that count by {first.step} and {trigger.edges} edges in {entry.trigger}"
         expected = f"1, where each frame has the next edge, or {first.step}, where edges between have no frame"

@@ -11,9 +11,10 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
+from functools import partial
 from itertools import pairwise
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,6 +23,7 @@ from photogram.images.image_notices import COLOUR_MOSAIC, SENSOR_CLIPS
 from shakercal._common.arrays import BoolArray, FloatArray, IntArray, check_shape
 from shakercal._common.notices import Notice
 
+T = TypeVar("T")
 MAX_DIGITS = 18  # of a number of 64 bits
 NEAR = 0.25  # intervals by which time stamps may be wrong
 SHOWN = 3  # missing numbers that are named
@@ -282,6 +284,23 @@ class ImageSequence:
                 found = f"{100 * share:.1f} % of its pixels at {where}"
                 raise ValueError(f"{name}: expected an image that is not saturated, found {found}")
 
+    def select(self, frames: IntArray) -> ImageSequence:
+        """Return the frames of these numbers (F,), without their numbering.
+
+        >>> images = ImageSequence(("a", "b", "c"), (4, 4), 255, lambda k: np.full((4, 4), k, np.uint8))
+        >>> chosen = images.select(np.array([0, 2]))
+        >>> chosen.names, int(chosen.read(1).max())
+        (('a', 'c'), 2)
+        """
+        return replace(
+            self,
+            names=tuple(self.names[k] for k in frames.tolist()),
+            reader=partial(_read_selected, self.reader, frames),
+            time_s=None if self.time_s is None else self.time_s[frames],
+            numbers=None,
+            glimpse=None if self.glimpse is None else partial(_read_selected, self.glimpse, frames),
+        )
+
     def read_ahead(self, frames: Iterable[int]) -> Iterator[GreyImage]:
         """Yield frames in turn; a thread reads the next ones in advance."""
         waiting: deque[Future[GreyImage]] = deque()
@@ -295,6 +314,10 @@ class ImageSequence:
                     yield waiting.popleft().result()
             finally:
                 reader.shutdown(cancel_futures=True)
+
+
+def _read_selected(read: Callable[[int], T], frames: IntArray, index: int) -> T:  # of this module, for pickles
+    return read(int(frames[index]))
 
 
 def find_copied_frames(images: ImageSequence) -> BoolArray:
