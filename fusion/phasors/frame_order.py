@@ -6,15 +6,24 @@ show one motion, a sum of the lines. A camera whose frames belong to other edges
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from fusion.errors import ComputeError
-from fusion.phasors.phasor_notices import CAMERA_DELAYED, CAMERAS_OUT_OF_STEP, FRAMES_OUT_OF_ORDER
+from fusion.estimation.measurement_model import Observation
+from fusion.instruments.stereo import StereoReading
+from fusion.phasors.phasor_notices import (
+    CAMERA_DELAYED,
+    CAMERAS_OUT_OF_STEP,
+    FRAMES_OF_OTHER_EDGES,
+    FRAMES_OUT_OF_ORDER,
+)
 from fusion.phasors.stereo_motion import ImageView, RejectedPair, StereoMotion, sensor_from_camera
+from fusion.recording.manifest import EdgeRuns
 from fusion.recording.transducer import STATIONARY
 from photogram.camera import locate
 from photogram.direct.surface import PlacedCamera, SeenPoints, project_body_points
@@ -23,6 +32,9 @@ from photogram.geometry import RigidTransform
 from shaker.sine.aliasing import usable_lines
 from shakercal._common.arrays import FloatArray, IntArray
 from shakercal._common.notices import Notice
+
+if TYPE_CHECKING:
+    from fusion.phasors.set_up import MeasuredSetUp
 
 FARTHEST = 5  # frames by which a camera may be late or early
 SUBSETS, SEEN_SHARE, MIN_SUBSETS = 200, 0.5, 6
@@ -39,6 +51,7 @@ LATE_RAD, LATE_U = 0.01, 5.0
 """Phase between the cameras above which it is reported, and the same in standard uncertainties (chosen)."""
 FRAME_PHASE_TOLERANCE = 0.05
 """Largest difference in rad of a lag from whole frames: different frames at either end (chosen)."""
+STRONG = 0.1  # of the largest motion: lines whose phases are compared
 EQUAL = 0.2
 """Relative difference of the two cameras' motion that no lag explains."""
 PHASES, PHASE_STEP_RAD = 12, 0.05  # tried delays over a period of the strongest line, and step of derivatives
@@ -75,12 +88,15 @@ def check_frame_order(measured: StereoMotion, frequency_hz: FloatArray) -> Stere
     interval_s = step * float(np.median(np.diff(sight.time_s) / np.diff(sight.edge)))
     model = _Model.of(cameras, sight.time_s[numbers], interval_s, frequency_hz)
     model = replace(model, frequency_hz=_strong_lines(model))
-    found = find_shifts(model, max(one.variance_px2 for one in cameras))
-    late, notices = lateness(model, found)
+    noise = max(one.variance_px2 for one in cameras)
+    found = find_shifts(model, noise)
+    late, notices = lateness(model, found, noise)
     if not late and not found.any():
         return replace(measured, notices=(*measured.notices, *notices))
     shifts = _of_all_frames(model, found, late, numbers, measured)
-    stated = _first_edges({one.side: shift for one, shift in zip(cameras, shifts, strict=True)}, sight.edge, step)
+    stated = _first_edges([one.side for one in cameras], shifts, sight.edge, step)
+    if late:
+        stated += f" or {_first_edges([one.side for one in cameras], shifts + late, sight.edge, step)}"
     where, texts = f"stereo pair {sight.name}", {"stated": stated, "alike": _alike(model)}
     if not found.any():
         slow, fast = ("right", "left") if late > 0 else ("left", "right")
@@ -415,10 +431,11 @@ def _smallest(model: _Model, shifts: IntArray, most: float) -> IntArray:
     return shifts
 
 
-def lateness(model: _Model, shifts: IntArray) -> tuple[int, tuple[Notice, ...]]:
+def lateness(model: _Model, shifts: IntArray, noise: float) -> tuple[int, tuple[Notice, ...]]:
     """Return by how many frames the right camera is late from the first frame on, and a warning of another delay.
 
-    The delay of the least sum of squares, with its uncertainty by the curvature there.
+    The delay of the least sum of squares, with its uncertainty by the curvature there. None where the cameras differ by
+    more than a delay and `noise`, the variance of one coordinate in px².
     """
     if len(model.values) < 2:
         return 0, ()
@@ -437,7 +454,8 @@ def lateness(model: _Model, shifts: IntArray) -> tuple[int, tuple[Notice, ...]]:
             break
     phase = float(np.angle(np.exp(1j * omega * delay_s)))
     u = omega * float(np.sqrt(2.0 * power / max(model.free, 1.0) / curvature))
-    if power > EQUAL**2 * model.motion or abs(phase) <= max(LATE_RAD, LATE_U * u):
+    unlike = power - SUSPICIOUS * noise * model.free > EQUAL**2 * model.motion
+    if unlike or abs(phase) <= max(LATE_RAD, LATE_U * u):
         return 0, ()
     most = power + 0.5 * curvature * (max(LATE_U * u, FRAME_PHASE_TOLERANCE) / omega) ** 2
     for count in sorted((n for n in range(-FARTHEST, FARTHEST + 1) if n), key=lambda n: (abs(n), n < 0)):
@@ -447,6 +465,83 @@ def lateness(model: _Model, shifts: IntArray) -> tuple[int, tuple[Notice, ...]]:
     values = {"phase_mrad": 1e3 * abs(phase), "frequency_hz": model.frequency_hz[0], "u_mrad": 1e3 * u}
     side = "right" if phase > 0.0 else "left"
     return 0, (Notice(CAMERA_DELAYED, "exposure", late=side, delay_us=1e6 * abs(phase) / omega, **values),)
+
+
+# A pair against other instruments of its body.
+
+
+def other_edges(observations: Sequence[Observation], set_ups: Sequence[MeasuredSetUp]) -> Iterator[Notice]:
+    """Yield a warning for each pair that agrees with all others of its body if its frames belong to other edges."""
+    for index, pair in enumerate(observations):
+        geometry = pair.geometry
+        others = [one for k, one in enumerate(observations) if k != index and one.body == pair.body]
+        if not isinstance(geometry, StereoReading) or pair.body == STATIONARY or not others:
+            continue
+        for set_up in set_ups:
+            entry = next((one for one in set_up.prepared.manifest.images if one.stereo == geometry.name), None)
+            sight = next((one.sight for one in set_up.prepared.images if one.sight.name == geometry.name), None)
+            if entry is None or sight is None:
+                continue
+            interval_s = float(np.median(np.diff(sight.time_s) / np.diff(sight.edge)))
+            step = int(np.gcd.reduce(np.diff(sight.edge)))
+            found = [_edges_later(pair, other, interval_s, step) for other in others]
+            if found[0] is not None and found[0][0] and all(one is not None and one[0] == found[0][0] for one in found):
+                count, phase, frequency_hz = found[0]
+                yield Notice(
+                    FRAMES_OF_OTHER_EDGES,
+                    f"stereo pair {geometry.name}",
+                    others=", ".join(one.title for one in others),
+                    count=abs(count),
+                    side="later" if count > 0 else "earlier",
+                    phase_mrad=1e3 * abs(phase),
+                    frequency_hz=frequency_hz,
+                    stated=_moved_edges(entry.first_edge, count),
+                )
+            break
+
+
+def _edges_later(
+    pair: Observation, other: Observation, interval_s: float, step: int
+) -> tuple[int, float, float] | None:
+    """Return by how many edges a pair's frames are later than assumed if another instrument is right.
+
+    Also the phase in rad by which the pair leads, and the frequency of the line. None where no such number explains the
+    difference, or where amplitudes differ.
+    """
+    phases, sizes, frequency_hz = [], [], pair.phasors.frequency_hz
+    for k in range(len(frequency_hz)):
+        reading, rows = other.phasors.value[k], other.design[k]
+        motion = pair.phasors.value[k]
+        seen = np.isfinite(reading)
+        if not np.isfinite(motion).all() or not seen.any():
+            phases.append(0.0)
+            sizes.append(0.0)
+            continue
+        predicted = (rows @ np.linalg.lstsq(pair.design[k], motion, rcond=None)[0])[seen]
+        product = complex(np.vdot(reading[seen], predicted))
+        size = float(np.vdot(predicted, predicted).real)
+        equal = abs(product) > (1.0 - EQUAL) * max(size, float(np.vdot(reading[seen], reading[seen]).real))
+        phases.append(float(np.angle(product)))
+        sizes.append(np.sqrt(size) if equal else 0.0)
+    best = int(np.argmax(sizes))
+    if not sizes[best] > 0.0:
+        return None
+    used = [k for k, size in enumerate(sizes) if size > STRONG * sizes[best]]
+    multiples = {n * by for n in range(-FARTHEST, FARTHEST + 1) for by in (1, step)}
+    for count in sorted(multiples, key=lambda n: (abs(n), n < 0)):
+        turns = [phases[k] - 2.0 * np.pi * float(frequency_hz[k]) * count * interval_s for k in used]
+        limit = min(FRAME_PHASE_TOLERANCE, max(abs(phases[k]) for k in used) / 2.0) if count else FRAME_PHASE_TOLERANCE
+        if np.abs(np.angle(np.exp(1j * np.array(turns)))).max() < limit:
+            return count, phases[best], float(frequency_hz[best])
+    return None
+
+
+def _moved_edges(first_edge: int | dict[str, EdgeRuns] | None, count: int) -> str:
+    """Return the key `first_edge` with edges later by `count`."""
+    if not isinstance(first_edge, dict):
+        return f"first_edge = {(first_edge or 0) + count}"
+    runs = {side: [[frame, edge + count] for frame, edge in of_side] for side, of_side in first_edge.items()}
+    return _key({side: str(of_side) if len(of_side) > 1 else str(of_side[0][1]) for side, of_side in runs.items()})
 
 
 # What is found, in words and as the key that states it.
@@ -499,17 +594,22 @@ def _alike(model: _Model) -> str:
     """Return a remark on other shifts that look the same at the lines, or ""."""
     for frames in range(1, 2 * FARTHEST + 1):
         phase = 2.0 * np.pi * model.frequency_hz * frames * model.interval_s
-        if np.abs(np.angle(np.exp(1j * phase))).max() < FRAME_PHASE_TOLERANCE:
+        if np.abs(np.angle(np.exp(1j * phase))).max() < 2.0 * FRAME_PHASE_TOLERANCE:
             return f"; at this frame rate {frames} frames more or less look the same"
     return ""
 
 
-def _first_edges(shifts: Mapping[str, IntArray], edge: IntArray, step: int) -> str:
-    """Return the key `first_edge` that states the shifts (F,) of each camera."""
+def _first_edges(sides: Sequence[str], shifts: IntArray, edge: IntArray, step: int) -> str:
+    """Return the key `first_edge` that states the shifts (C, F) of the cameras."""
     texts = {}
-    for side, shift in shifts.items():
+    for side, shift in zip(sides, shifts, strict=True):
         runs = [[int(k), int(edge[k] + step * shift[k])] for k in (0, *(np.flatnonzero(np.diff(shift)) + 1))]
         texts[side] = str(runs) if len(runs) > 1 else str(runs[0][1])
+    return _key(texts)
+
+
+def _key(texts: dict[str, str]) -> str:
+    """Return the key `first_edge` of the values for each camera."""
     if len(set(texts.values())) == 1:
         return f"first_edge = {next(iter(texts.values()))}"
     return f"first_edge = {{ {', '.join(f'{side} = {text}' for side, text in texts.items())} }}"

@@ -292,19 +292,28 @@ PAIR_DECALIBRATED = DeclaredNotice(
 CAMERAS_OUT_OF_STEP = DeclaredNotice(
     "SC-434",
     "error",
-    "The {late} camera is later than the {early} one by {delay_ms:.4g} ms (frames: {frames}), as {stated} would state"
+    "The {late} camera is later than the {early} one by {delay_ms:.4g} ms (frames: {frames}). To state it: {stated}"
     "{alike}.",
     effect="The images of the two cameras do not belong together.",
-    remedy="If one camera began to save earlier, state {stated}, or the same for the other camera. Otherwise check the "
-    "trigger of both.",
+    remedy="If one camera began to save earlier, state this key. Other instruments show which camera is right. Otherwise "
+    "check the trigger of both.",
     link="cameras.md#frames-of-other-edges",
 )
 FRAMES_OUT_OF_ORDER = DeclaredNotice(
     "SC-515",
     "error",
-    "Frames were lost or repeated: {changes} (frames from 0), as {stated} would state{alike}.",
+    "Frames were lost or repeated: {changes} (frames from 0). To state it: {stated}{alike}.",
     effect="These frames show the body at other edges of the trigger than assumed.",
-    remedy="If the recorder lost or repeated frames there, state {stated}.",
+    remedy="If the recorder lost or repeated frames there, state this key.",
+    link="cameras.md#frames-of-other-edges",
+)
+FRAMES_OF_OTHER_EDGES = DeclaredNotice(
+    "SC-516",
+    "warning",
+    "The pair agrees with {others} if its frames belong to edges that are {side} by {count} (a phase of "
+    "{phase_mrad:.3g} mrad at {frequency_hz:.6g} Hz). To state it: {stated}.",
+    effect="The instruments contradict each other. A wrong edge turns the phase of the pair.",
+    remedy="Check which edge belongs to the first frame.",
     link="cameras.md#frames-of-other-edges",
 )
 CAMERA_DELAYED = DeclaredNotice(

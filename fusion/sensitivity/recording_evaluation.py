@@ -12,6 +12,7 @@ import numpy as np
 from fusion.base import CheckpointStore, Executor, ProgressCallback, Settings, no_progress, versions
 from fusion.instruments.channel import sensor_outputs
 from fusion.instruments.vibrometer import beam_notices, point_spreads
+from fusion.phasors.frame_order import other_edges
 from fusion.phasors.set_up import MeasuredSetUp, measure_set_ups, prepare_set_ups
 from fusion.phasors.set_up_merging import join_set_ups
 from fusion.phasors.stereo_phasors import unresolved_fundamentals
@@ -114,6 +115,7 @@ def evaluate_set_ups(
         *missing_result(inputs, analysis),
         *manifest.notices,
         *joined.notices,
+        *other_edges(observations, set_ups),
         *shaken,
         *beam_notices(entries),
     ]

@@ -16,6 +16,7 @@ from fusion.estimation.least_squares import FusionSolution, FusionSystem, build_
 from fusion.estimation.measurement_model import SCALE, Observation
 from fusion.instruments.channel import ChannelGeometry
 from fusion.instruments.stereo import StereoReading
+from fusion.phasors.phasor_notices import FRAMES_OF_OTHER_EDGES
 from fusion.phasors.set_up import MeasuredSetUp, PreparedSetUp, measure_set_ups
 from fusion.phasors.set_up_merging import join_set_ups
 from fusion.phasors.stereo_motion import PreparedImages
@@ -278,7 +279,10 @@ def notice_findings(notices: Iterable[Notice]) -> Iterator[Finding]:
     """
     for notice in notices:
         doubted, assumed = notice.code in QUESTIONABLE_CODES, notice.code == UNOBSERVED_MOTION_LARGE.code
-        if notice.values.get("mistake_explains") or notice.code == NO_RESULT_AT_LINES.code:
+        if notice.values.get("mistake_explains") or notice.code in (
+            NO_RESULT_AT_LINES.code,
+            FRAMES_OF_OTHER_EDGES.code,
+        ):
             yield Finding("FIX MANIFEST", notice)
         elif (notice.severity == "warning" and not assumed) or (doubted and notice.where.endswith(".toml")):
             yield Finding("CHECK", notice)
