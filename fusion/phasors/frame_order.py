@@ -94,9 +94,11 @@ def check_frame_order(measured: StereoMotion, frequency_hz: FloatArray) -> Stere
     if not late and not found.any():
         return replace(measured, notices=(*measured.notices, *notices))
     shifts = _of_all_frames(model, found, late, numbers, measured)
-    stated = _first_edges([one.side for one in cameras], shifts, sight.edge, step)
+    sides = [one.side for one in cameras]
+    files = sight.files or tuple(np.arange(len(sight.edge)) for _ in sides)
+    stated = _first_edges(sides, files, shifts, sight.edge, step)
     if late:
-        stated += f" or {_first_edges([one.side for one in cameras], shifts + late, sight.edge, step)}"
+        stated += f" or {_first_edges(sides, files, shifts + late, sight.edge, step)}"
     where, texts = f"stereo pair {sight.name}", {"stated": stated, "alike": _alike(model)}
     if not found.any():
         slow, fast = ("right", "left") if late > 0 else ("left", "right")
@@ -105,9 +107,8 @@ def check_frame_order(measured: StereoMotion, frequency_hz: FloatArray) -> Stere
             CAMERAS_OUT_OF_STEP, where, late=slow, early=fast, frames=abs(late), delay_ms=delay_ms, **texts
         )
     else:
-        changes = "; ".join(
-            _describe(one.side, shift) for one, shift in zip(cameras, shifts, strict=True) if shift.any()
-        )
+        of_sides = zip(sides, files, shifts, strict=True)
+        changes = "; ".join(_describe(side, of, shift) for side, of, shift in of_sides if shift.any())
         error = ComputeError(FRAMES_OUT_OF_ORDER, where, changes=changes, **texts)
     return RejectedPair(sight.name, error)
 
@@ -552,11 +553,11 @@ def _amount(frames: int) -> str:
     return f"{abs(frames)} frame{'s' if abs(frames) > 1 else ''} {'early' if frames > 0 else 'late'}"
 
 
-def _describe(side: str, shift: IntArray) -> str:
+def _describe(side: str, files: IntArray, shift: IntArray) -> str:
     """Return the shifts (F,) of a camera in words."""
-    parts = [f"{_amount(int(shift[0]))} from frame 0 on"] if shift[0] else []
+    parts = [f"{_amount(int(shift[0]))} from frame {files[0]} on"] if shift[0] else []
     for at in (np.flatnonzero(np.diff(shift)) + 1).tolist():
-        parts.append(f"{_amount(int(shift[at])) if shift[at] else 'in time again'} from frame {at} on")
+        parts.append(f"{_amount(int(shift[at])) if shift[at] else 'in time again'} from frame {files[at]} on")
     return f"the {side} camera is " + ", ".join(parts)
 
 
@@ -599,11 +600,14 @@ def _alike(model: _Model) -> str:
     return ""
 
 
-def _first_edges(sides: Sequence[str], shifts: IntArray, edge: IntArray, step: int) -> str:
-    """Return the key `first_edge` that states the shifts (C, F) of the cameras."""
+def _first_edges(sides: Sequence[str], files: Sequence[IntArray], shifts: IntArray, edge: IntArray, step: int) -> str:
+    """Return the key `first_edge` that states the shifts (C, F) of the cameras by the numbers of their `files`."""
     texts = {}
-    for side, shift in zip(sides, shifts, strict=True):
-        runs = [[int(k), int(edge[k] + step * shift[k])] for k in (0, *(np.flatnonzero(np.diff(shift)) + 1))]
+    for side, of_camera, shift in zip(sides, files, shifts, strict=True):
+        begin = edge + step * (shift - of_camera)  # edge of file 0 if all edges follow each other
+        at = [0, *(np.flatnonzero(np.diff(begin)) + 1).tolist()]
+        runs = [[int(of_camera[k]), int(begin[k] + step * of_camera[k])] for k in at]
+        runs[0] = [0, int(begin[0])]
         texts[side] = str(runs) if len(runs) > 1 else str(runs[0][1])
     return _key(texts)
 

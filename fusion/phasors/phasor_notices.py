@@ -295,8 +295,8 @@ CAMERAS_OUT_OF_STEP = DeclaredNotice(
     "The {late} camera is later than the {early} one by {delay_ms:.4g} ms (frames: {frames}). To state it: {stated}"
     "{alike}.",
     effect="The images of the two cameras do not belong together.",
-    remedy="If one camera began to save earlier, state this key. Other instruments show which camera is right. Otherwise "
-    "check the trigger of both.",
+    remedy="If one camera began to save earlier, state this key; other instruments show which camera is right. "
+    "Otherwise check the trigger of both.",
     link="cameras.md#frames-of-other-edges",
 )
 FRAMES_OUT_OF_ORDER = DeclaredNotice(

@@ -50,7 +50,7 @@ from shaker.sine.aliasing import usable_lines
 from shaker.sine.phasor import Phasors
 from shaker.sine.sine_fit import fit_sines
 from shaker.sine.solve import SineFit, SineModel
-from shakercal._common.arrays import BoolArray, ComplexArray, FloatArray
+from shakercal._common.arrays import BoolArray, ComplexArray, FloatArray, IntArray
 from shakercal._common.notices import Notice
 
 if TYPE_CHECKING:
@@ -227,7 +227,7 @@ def prepare_images(
         with as_input_error(manifest.path, f"{key}.{side}"):
             sequence = cached.get((paths, entry.bit_depth)) or open_sequence(paths, entry.bit_depth)
             sequences.append(sequence)
-    stated = isinstance(entry.first_edge, dict)
+    chosen, stated = list[IntArray](), isinstance(entry.first_edge, dict)
     if stated:
         numbering, counts = [images.numbers for images in sequences], [len(images) for images in sequences]
         edges, chosen = shared_edges(manifest, base, entry, numbering, counts)
@@ -246,6 +246,7 @@ def prepare_images(
     numbers = {side: images.numbers for (side, _), images in zip(entry.cameras, sequences, strict=True)}
     edges, remarks = (edges - edges[0], ()) if stated else frame_edges(manifest, base, entry, numbers, len(left))
     sight = frame_sight(manifest, base, entry, edges, max(images.size_px[1] for images in sequences))
+    sight = replace(sight, files=tuple(chosen))
     rig = read_rig(sight.pair, sequences)
     first = []
     for number, (side, _) in enumerate(entry.cameras):

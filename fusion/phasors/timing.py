@@ -50,7 +50,8 @@ class Sight:
 
     `pair`: of the rig, with values of the recording. `time_s` (F,): exposure middles on the first block's clock.
     `model_share`: mean effect of an error of the trigger's periodic model on them. `where`: file and key that error
-    messages name. `edge` (F,): number of the edge of each frame.
+    messages name. `edge` (F,): number of the edge of each frame. `files`: numbers (F,) of the frames among the files of
+    each camera; () where all files are used.
     """
 
     name: str
@@ -60,6 +61,7 @@ class Sight:
     model_share: float
     where: tuple[Path, str]
     edge: IntArray
+    files: tuple[IntArray, ...] = ()
 
 
 @dataclass(frozen=True)

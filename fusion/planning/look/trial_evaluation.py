@@ -252,7 +252,8 @@ def _few_frames(images: PreparedImages) -> PreparedImages:
     numbers = np.arange(count)
     share = (FOLLOWED - IN_A_ROW) / (count - IN_A_ROW)
     chosen = np.flatnonzero((numbers < IN_A_ROW) | spread_choice(numbers, share))
-    sight = replace(images.sight, time_s=images.sight.time_s[chosen], edge=images.sight.edge[chosen])
+    files = tuple(of[chosen] for of in images.sight.files) or tuple(chosen for _ in images.cameras)
+    sight = replace(images.sight, time_s=images.sight.time_s[chosen], edge=images.sight.edge[chosen], files=files)
     cameras = tuple(camera.select(chosen) for camera in images.cameras)
     return replace(images, sight=sight, cameras=cameras, copied=images.copied[chosen])
 
