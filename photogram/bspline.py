@@ -167,6 +167,33 @@ def slope_noise_gain(degree: int = 5) -> float:
     return float(np.sum(_cardinal(np.arange(-32.0, 33), degree)[1] ** 2))
 
 
+REACH_PX, PER_PX = 12, 64
+"""Pixels over which a spline of degree 7 still interpolates noise, and points of a table for each."""
+
+
+def pattern_overlap(shift_px: FloatArray, degree: int = 5) -> tuple[FloatArray, FloatArray]:
+    """Return the correlations of a white pattern with its interpolation at one-dimensional shifts u, of any shape.
+
+    The first is that of its values, h(u); the second that of its slopes, Σ_k h′(−k)·h(u−k), with the cardinal spline h.
+    They are 1 and 0 for u = 0, and vanish beyond two pixels.
+
+    >>> [np.round(part, 2).tolist() for part in pattern_overlap(np.array([0.0, 0.5, 3.0]))]
+    [[1.0, 0.62, 0.0], [0.0, 0.78, 0.0]]
+    """
+    positions, values, slopes = _overlap_table(degree)
+    return np.interp(shift_px, positions, values), np.interp(shift_px, positions, slopes)
+
+
+@cache
+def _overlap_table(degree: int) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return shifts, and both correlations of `pattern_overlap` there."""
+    positions = np.linspace(-REACH_PX, REACH_PX, 2 * REACH_PX * PER_PX + 1)
+    pixels = np.arange(-REACH_PX, REACH_PX + 1.0)
+    values, slopes = _cardinal(positions, degree)[0], _cardinal(-pixels, degree)[1]
+    shifted = _cardinal(np.subtract.outer(positions, pixels).ravel(), degree)[0].reshape(len(positions), -1)
+    return positions, values, shifted @ slopes
+
+
 def _cardinal(x: FloatArray, degree: int) -> tuple[FloatArray, FloatArray]:
     """Return values and slopes (M,) of the cardinal spline at x (M,), |x| ≤ 32.
 

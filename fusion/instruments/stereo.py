@@ -18,7 +18,8 @@ from shakercal._common.arrays import ComplexArray, FloatArray
 CALIBRATION = "calibration"
 SURFACE = "surface"
 PERIODIC = "error periodic in the pixel"
-SCOPES: dict[str, Scope] = {SURFACE: "mounting", PERIODIC: "recording"}
+PATTERN = "fixed pattern of the sensors"
+SCOPES: dict[str, Scope] = {SURFACE: "mounting", PERIODIC: "recording", PATTERN: "recording"}
 GEOMETRY = np.eye(6)
 """Observed components of a pair, as rows (6, 6) on the motion of the sensor origin: all six."""
 

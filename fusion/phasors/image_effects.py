@@ -1,4 +1,4 @@
-"""Errors common to all frames of a pair: calibration, surface, pixel grid."""
+"""Errors common to all frames of a pair: calibration, surface, pixel grid, fixed pattern."""
 
 from __future__ import annotations
 
@@ -9,7 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fusion.errors import ComputeError, InputError
-from fusion.instruments.stereo import CALIBRATION, PERIODIC, SURFACE
+from fusion.instruments.stereo import CALIBRATION, PATTERN, PERIODIC, SURFACE
+from fusion.phasors.pattern_effects import pattern_effects
 from fusion.phasors.phasor_notices import (
     CALIBRATION_REFUSED,
     NO_RIGID_MOTION,
@@ -49,7 +50,7 @@ def image_effects(
     usable: NDArray[np.bool_],
     gain: FloatArray,
 ) -> tuple[dict[str, ComplexArray], ComplexArray]:
-    """Return effects of calibration and pixel grid on phasors and shape amplitudes.
+    """Return effects of calibration, pixel grid and fixed pattern on phasors, of the first two on shape amplitudes.
 
     On phasors NaN at lines not `usable`; on amplitudes of shapes at the usable ones. For a single camera also the
     effects of the stated surface, and of the pose through it (THROUGH).
@@ -71,6 +72,7 @@ def image_effects(
     of_calibration = _calibration_effects(measured, view, frames, len(frequency_hz))
     periodic, periodic_of_shapes = _periodic_effects(measured, view, mean_positions, bias_px, len(frequency_hz))
     changes = {CALIBRATION: of_calibration[..., :6], PERIODIC: periodic}
+    changes[PATTERN] = pattern_effects(measured, view, frequency_hz)
     if isinstance(view.rig, FaceCamera):
         changes |= surface_effects(measured, view.rig, frames, view.deformed.shapes)
     effects, loss = {}, gain[usable][:, None]

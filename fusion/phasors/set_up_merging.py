@@ -15,7 +15,7 @@ import numpy as np
 from fusion.estimation.measurement_model import Observation
 from fusion.estimation.variance_components import EstimatedNoise
 from fusion.instruments.channel import ChannelReading, ChannelRelativeError, nonzero_errors, observe_channels
-from fusion.instruments.stereo import PERIODIC, StereoReading
+from fusion.instruments.stereo import SCOPES, StereoReading
 from fusion.phasors.channel_phasors import ChannelResult
 from fusion.phasors.phasor_notices import LARGE_REFERENCE_DRIFT, REFERENCE_DRIFT, TAKE_FREQUENCY_DIFFERS, TAKES_SCATTER
 from fusion.phasors.set_up import MeasuredSetUp, PreparedSetUp
@@ -99,7 +99,7 @@ class ReferenceTie:
     def stereo(self, pair: StereoReading) -> StereoReading:
         """Return a stereo pair as one of the first set-up; its errors remain separate."""
         effects = {
-            f"{what}, {self.name}" if what == PERIODIC else what: change * self.factor[:, None]
+            f"{what}, {self.name}" if SCOPES.get(what) == "recording" else what: change * self.factor[:, None]
             for what, change in pair.effects.items()
         }
         named = [replace(e, name=f"{self.name}: {e.name}", label=f"{self.name}: {e.label}") for e in pair.errors]

@@ -111,8 +111,10 @@ def _look(prepared: PreparedImages, correction: ExposureCorrection, frames: Sequ
     blurred = swing.phasors * exposure_gain(swing.frequency_hz, swing.exposure_s)[:, None]
     reference_motion = np.einsum("kij,kj->ki", of_motion[:, :, :6], blurred)
     side_px = correction.scene.views[0].cells.side_px
-    rotated = PhaseRotated(pose, response, reference_motion, correction.row_lag, correction.delay_s, side_px)
     assert seen.view is not None
+    if seen.view.pattern is not None:
+        pose[..., :6] += np.einsum("kij,fj->fki", response[:, :6, :6], seen.view.pattern.correction)
+    rotated = PhaseRotated(pose, response, reference_motion, correction.row_lag, correction.delay_s, side_px)
     return replace(seen, view=replace(seen.view, phase_rotated=rotated))
 
 

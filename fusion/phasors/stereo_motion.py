@@ -33,11 +33,12 @@ from fusion.recording.load import Manifest
 from fusion.recording.manifest import MINIMUM_FRAMES, Images, PointFiles
 from fusion.recording.rig import Stereo
 from fusion.recording.transducer import STATIONARY
-from fusion.recording.values import FILE, SurfacePlane
+from fusion.recording.values import FILE, SensorOfCamera, SurfacePlane
 from photogram.calibration.calibration_file import read_calibration, read_camera
 from photogram.camera import FaceCamera, Rig, StereoRig
 from photogram.geometry import RigidTransform
 from photogram.images.image_files import open_sequence
+from photogram.images.sensor_pattern import stated_pattern
 from photogram.images.sequence import (
     GreyImage,
     ImageSequence,
@@ -59,6 +60,7 @@ if TYPE_CHECKING:
     from photogram.images.noise import NoiseModel
     from photogram.measure.body import BodyMotion
     from photogram.measure.epipolar import EpipolarCheck
+    from photogram.measure.fixed_pattern import FixedPattern
     from photogram.motion import Deformation, RigidMotion
     from photogram.subsets.texture import SubsetQuality
     from photogram.subsets.track import StereoTracks
@@ -161,7 +163,8 @@ class ImageView:
 
     Tracked subsets of some frames at a time, their rig, the first left image, the noise models of its cameras and the
     predicted quality of subsets. `epipolar`: whether the pair is as calibrated (None for a single camera). `deformed`:
-    deformation in shapes, from all pixels. Medians: `sigma_px` of positions by noise, and `zncc` in the left camera.
+    deformation in shapes, from all pixels. `pattern`: effect of the sensors' fixed pattern. Medians: `sigma_px` of
+    positions by noise, and `zncc` in the left camera.
     `phase_rotated`: of a rolling shutter, after its refinement.
     """
 
@@ -174,6 +177,7 @@ class ImageView:
     deformed: ShapeAmplitudes
     sigma_px: float
     zncc: float
+    pattern: FixedPattern | None = None
     phase_rotated: PhaseRotated | None = None
 
 
@@ -255,6 +259,8 @@ def prepare_images(
             sequences[number] = inspect_first_image(
                 replace(sequences[number], most_saturated=MAX_SATURATED), first[number]
             )
+        sequences[number] = _with_pattern(manifest, sight, side, sequences[number])
+        first[number] = sequences[number].read(0)
     copied, copies = _copies(entry, sequences)
     pair = _without_calibration_share(sight.pair, rig)
     notices: list[Notice] = [*remarks, *copies, *(notice for images in sequences for notice in images.notices)]
@@ -270,6 +276,19 @@ def prepare_images(
         modes = mode_shapes(load, sight.name)
     placed = replace(sight, pair=pair)
     return PreparedImages(placed, tuple(sequences), rig, first[0], tuple(notices), depth_m, modes, entry, copied)
+
+
+def _with_pattern(manifest: Manifest, sight: Sight, side: str, images: ImageSequence) -> ImageSequence:
+    """Return the images of a camera with its fixed pattern as stated, corrected by dark and flat images."""
+    stated: SensorOfCamera = getattr(sight.pair, side)
+    if not (stated.dark or stated.flat):
+        return replace(images, pattern=stated_pattern(stated.prnu, stated.dsnu))
+    from photogram.images.flat_field import corrected_sequence, flat_field
+
+    bits, where = images.full_scale.bit_length(), f"stereo.{sight.name}.{side}"
+    with as_input_error(manifest.rig_path, where, IMAGES_REFUSED):
+        dark, flat = (open_sequence(files, bits) if files else None for files in (stated.dark, stated.flat))
+        return corrected_sequence(images, flat_field(images, dark, flat))
 
 
 def _copies(entry: Images, sequences: Sequence[ImageSequence]) -> tuple[BoolArray, list[Notice]]:
@@ -345,15 +364,13 @@ def motion_from_tracks(images: PreparedImages, body: BodyMotion) -> StereoMotion
     if isinstance(images.rig, StereoRig):
         epipolar = check_epipolar(body.tracked, images.rig, body.subset_frames)
         notices = epipolar.notices
-    medians = body.sigma_px, body.zncc
+    others = body.shape_amplitudes, body.sigma_px, body.zncc, body.pattern
     return StereoMotion(
         images.sight,
         body.motion,
         body.surface,
         body.reprojection_px,
-        ImageView(
-            body.tracked, images.rig, images.first, body.noise, body.quality, epipolar, body.shape_amplitudes, *medians
-        ),
+        ImageView(body.tracked, images.rig, images.first, body.noise, body.quality, epipolar, *others),
         (*images.notices, *body.notices, *notices),
         body.subset_frames,
     )

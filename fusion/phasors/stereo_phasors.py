@@ -13,10 +13,11 @@ from fusion.base import Threads
 from fusion.errors import ComputeError
 from fusion.estimation.measurement_model import Observation
 from fusion.instruments.channel import FittedError
-from fusion.instruments.stereo import StereoReading
+from fusion.instruments.stereo import PATTERN, StereoReading
 from fusion.phasors.channel_phasors import expand_lines
 from fusion.phasors.deformation import DeflectionShape, ShapePhasors, deflection_shape, shape_phasors
 from fusion.phasors.image_effects import THROUGH, displacement, fit_about_mean, image_effects
+from fusion.phasors.pattern_effects import pattern_notices
 from fusion.phasors.phasor_notices import (
     BODY_DISPLACED,
     BODY_LOST,
@@ -184,6 +185,9 @@ def stereo_phasors(
         effects, of_shapes = image_effects(measured, view, frequency_hz, usable, gain)
         if isinstance(view.rig, StereoRig):
             shapes = shape_phasors(time_s, frequency_hz, view.deformed, length_s, of_shapes, moved, view.phase_rotated)
+        by_pattern = effects[PATTERN][:, usable] * gain[usable, None]
+        driven = frequency_hz, np.asarray(lines.multiple[usable] == 1)
+        notices += pattern_notices(measured, view, driven, moved, by_pattern)
     reading = StereoReading(
         name=name,
         pair=sight.pair,

@@ -171,6 +171,9 @@ def pack_block(block: FollowedBlock) -> bytes:
     arrays["shape-covariance"] = np.array([fit.amplitude_covariance for _, fit in fits]).reshape(*shape, shape[1])
     arrays["noise"] = np.array([fit.noise_ratio for _, fit in fits], dtype=np.float64)
     arrays["cells"] = np.array([fit.cells for _, fit in fits], dtype=np.int64)
+    arrays["misfit"] = np.array([fit.misfit for _, fit in fits])
+    arrays["scored"] = np.array([len(fit.scores) > 0 for _, fit in fits], dtype=np.bool_)
+    arrays["scores"] = np.array([fit.scores for _, fit in fits if len(fit.scores)], dtype=np.float32)
     content = io.BytesIO()
     np.savez(content, **arrays)
     return content.getvalue() + zlib.crc32(content.getbuffer()).to_bytes(4, "big")
@@ -189,11 +192,12 @@ def unpack_block(content: bytes, frames: int) -> FollowedBlock | None:
         with np.load(io.BytesIO(content), allow_pickle=False) as file:
             arrays = {name: file[name] for name in file.files}
         fits: list[DirectFit | None] = [None] * frames
-        names_of_fits = ("rotation", "translation", "covariance", "noise", "cells", "amplitude", "shape-covariance")
-        of_fits = (arrays[name] for name in ("fitted", *names_of_fits))
-        for number, rotation, translation, covariance, noise, cells, *shapes in zip(*of_fits, strict=True):
-            moved = RigidTransform(rotation, translation)
-            fits[number] = DirectFit(moved, covariance, float(noise), int(cells), *shapes)
+        scores, none = iter(arrays["scores"]), np.empty((0, 6), np.float32)
+        names_of_fits = ("rotation", "translation", "scored", "covariance", "noise", "cells")
+        of_fits = (arrays[name] for name in ("fitted", *names_of_fits, "amplitude", "shape-covariance", "misfit"))
+        for number, rotation, translation, scored, covariance, noise, cells, *rest in zip(*of_fits, strict=True):
+            moved, others = RigidTransform(rotation, translation), [*rest, next(scores) if scored else none]
+            fits[number] = DirectFit(moved, covariance, float(noise), int(cells), *others)
         found: list[tuple[Registration, ...] | None] = [None] * frames
         cameras = range(sum(name.startswith(f"{names[0]}-") for name in arrays))
         for k, number in enumerate(arrays["sought"].tolist()):

@@ -55,6 +55,7 @@ from fusion.recording.values import (
     Positive,
     Rotation,
     RowTime,
+    SensorOfCamera,
     Share,
     SurfacePlane,
     Text,
@@ -438,6 +439,8 @@ class Stereo(ManifestBlock):
     delay_uncertainty: Annotated[NotNegative, SECONDS] = 0.0
     row_time: RowTime = (0.0, 0.0)
     row_time_uncertainty: Annotated[NotNegative, ROWS] = 0.0
+    left: SensorOfCamera = SensorOfCamera()
+    right: SensorOfCamera = SensorOfCamera()
 
     def readout_s(self, rows: int) -> float:
         """Return the delay from the first to the last of some rows, s."""

@@ -570,3 +570,15 @@ class SurfacePlane(ManifestBlock):
     normal: Direction
     distance_uncertainty: Annotated[NotNegative, NEAR]
     tilt_uncertainty: Angle
+
+
+class SensorOfCamera(ManifestBlock):
+    """The image sensor of one camera: images of its fixed pattern, or figures of its data sheet (EMVA 1288).
+
+    `dark`: lens covered. `flat`: an even, unsharp surface. `prnu`: relative. `dsnu`: share of full scale.
+    """
+
+    dark: ExistingFiles = ()
+    flat: ExistingFiles = ()
+    prnu: Share | None = None
+    dsnu: Share | None = None

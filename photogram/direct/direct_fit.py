@@ -9,6 +9,7 @@ from itertools import pairwise
 from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from photogram.bspline import Spline
 from photogram.direct.cells import (
@@ -100,7 +101,7 @@ class BodyView(Arrays, shapes="rates C 6 p; information C p p; information_noise
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class DirectFit(Arrays, shapes="covariance 6 6; amplitude S; amplitude_covariance S S"):
+class DirectFit(Arrays, shapes="covariance 6 6; amplitude S; amplitude_covariance S S; misfit V 2; scores C 6"):
     """Fit of one frame to its grey values.
 
     Attributes
@@ -111,6 +112,8 @@ class DirectFit(Arrays, shapes="covariance 6 6; amplitude S; amplitude_covarianc
     cells : number of cells used.
     amplitude : (S,) of the body's shapes in addition to that motion (`shapes.ShapeAmplitudes`).
     amplitude_covariance : (S, S).
+    misfit : (V, 2) of each view, Σw·r² and the value expected of noise.
+    scores : (C, 6) of the cells of all views (`ViewResiduals`), float32.
     """
 
     moved: RigidTransform
@@ -119,6 +122,8 @@ class DirectFit(Arrays, shapes="covariance 6 6; amplitude S; amplitude_covarianc
     cells: int
     amplitude: FloatArray
     amplitude_covariance: FloatArray
+    misfit: FloatArray
+    scores: NDArray[np.float32]
 
 
 def view_body(
@@ -211,7 +216,9 @@ def direct_fit(moved: RigidTransform, step: FitStep) -> DirectFit:
         information[size, size], ratio * noise_part[size, size], moved.rotation, moved.pose[3:]
     )
     shapes = estimate_shape_amplitudes(step.pose, step.sums.slope, (information, noise_part), ratio)
-    return DirectFit(moved, covariance, ratio, int(step.sums.cells), *shapes)
+    misfit = np.array([one.misfit for one in step.residuals])
+    scores = np.concatenate([one.scores for one in step.residuals]).astype(np.float32)
+    return DirectFit(moved, covariance, ratio, int(step.sums.cells), *shapes, misfit, scores)
 
 
 def coarse_fit(views: Sequence[BodyView], targets: Sequence[Spline], start: RigidTransform) -> RigidTransform | None:
@@ -277,6 +284,20 @@ class CellTotals(NamedTuple):
     cells: Any
 
 
+class ViewResiduals(NamedTuple):
+    """Residuals of A frames in one view after a step, as arrays or tensors.
+
+    Attributes
+    ----------
+    misfit : (A, 2) Σw·r² over the cells used, and the value expected of noise.
+    scores : (A, C, 6) derivatives of half the misfit of each cell by the motion, 0 for a rejected cell. Their sum over
+        all views is 0.
+    """
+
+    misfit: Any
+    scores: Any
+
+
 class FitStep(NamedTuple):
     """Gauss-Newton steps of A frames, as arrays or tensors.
 
@@ -288,6 +309,7 @@ class FitStep(NamedTuple):
     final : (A,) whether the motion after the step is the converged one.
     noise_ratio : (A,) variance of the grey values over that of the noise models.
     sums : over all cells.
+    residuals : of each view after the step.
     """
 
     pose: Any
@@ -296,6 +318,7 @@ class FitStep(NamedTuple):
     final: Any
     noise_ratio: Any
     sums: CellTotals
+    residuals: tuple[ViewResiduals, ...]
 
 
 def _step(views: Sequence[BodyView], targets: Sequence[Spline], moved: RigidTransform) -> FitStep | None:
@@ -303,8 +326,9 @@ def _step(views: Sequence[BodyView], targets: Sequence[Spline], moved: RigidTran
     both = zip(views, targets, strict=True)
     compared = [compare_cells(view.cells, target, view.warps(moved)) for view, target in both]
     with np.errstate(divide="ignore", invalid="ignore"):
-        *parts, sums = solve_step(np, views, compared)
-    step = FitStep._make((*(part[0] for part in parts), CellTotals._make(part[0] for part in sums)))
+        *parts, sums, residuals = solve_step(np, views, compared)
+    of_views = tuple(ViewResiduals(one.misfit[0], one.scores[0]) for one in residuals)
+    step = FitStep._make((*(part[0] for part in parts), CellTotals._make(part[0] for part in sums), of_views))
     return step if step.solvable else None
 
 
@@ -336,7 +360,25 @@ def solve_step(xp: Any, views: Sequence[Any], compared: Sequence[CellSums]) -> F
     shortening = xp.einsum("aii->a", xp.linalg.solve(information, noise_part))
     left = ratio * shortening / 6.0 * xp.where(enough, UNCORRECTED_SHARE, 1.0)
     final = solvable & (length < MAX_FINAL_STEP) & (left * length < MAX_REMAINING_STEP)
-    return FitStep(pose, length, solvable, final, ratio, sums)
+    residuals = tuple(
+        _view_residuals(xp, *each, (pose, ratio)) for each in zip(views, compared, used, totals, strict=True)
+    )
+    return FitStep(pose, length, solvable, final, ratio, sums, residuals)
+
+
+def _view_residuals(
+    xp: Any, view: Any, cells: CellSums, used: Any, totals: CellTotals, step: tuple[Any, Any]
+) -> ViewResiduals:
+    """Return the residuals of a view after a step (A, 6) at a noise ratio (A,)."""
+    pose, ratio = step
+    gain = xp.where(used, cells.gain, 0.0)
+    slope = gain[..., None] * xp.where(used[..., None], cells.slope, 0.0)
+    information = view.information[:, :6, :6] - ratio[:, None, None, None] * view.information_noise[:, :6, :6]
+    scores = xp.einsum("ack,ckp->acp", slope, view.rates[:, :, :6])
+    scores = scores - gain[..., None] ** 2 * xp.einsum("acpq,aq->acp", information, pose)
+    of_motion = xp.einsum("apq,aq->ap", totals.information[:, :6, :6], pose)
+    misfit = totals.misfit + ((of_motion - 2.0 * totals.slope[:, :6]) * pose).sum(-1)
+    return ViewResiduals(xp.stack([misfit, totals.expected], -1), scores)
 
 
 def _sum_cells(xp: Any, view: Any, cells: CellSums, used: Any) -> CellTotals:

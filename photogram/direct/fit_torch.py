@@ -120,6 +120,8 @@ def fit_frames(
     matrices = torch.zeros((2, len(starts), size, size), dtype=torch.float64, device=device)
     slopes = torch.zeros((2, len(starts), size), dtype=torch.float64, device=device)  # and last steps
     scales, counts = torch.full((2, len(starts)), torch.nan, dtype=torch.float64, device=device)
+    misfits = torch.zeros((len(starts), len(views), 2), dtype=torch.float64, device=device)
+    scores = torch.zeros((len(starts), sum(len(view.rates) for view in views), 6), dtype=torch.float32, device=device)
     active = torch.arange(len(starts), device=device)
     for _ in range(MAX_STEPS):
         compared = [
@@ -135,11 +137,13 @@ def fit_frames(
             torch.where(step.final, step.noise_ratio, torch.nan),
             step.sums.cells.to(scales),
         )
+        misfits[active] = torch.stack([one.misfit for one in step.residuals], 1)
+        scores[active] = torch.cat([one.scores for one in step.residuals], 1).to(scores)
         active = active[step.solvable & ~step.final]
         if len(active) == 0:
             break
-    found_on_device = (rotation, shift, matrices, slopes, scales, counts)
-    turns, shifts, both, slopes_and_steps, levels, cells = (part.cpu().numpy() for part in found_on_device)
+    found_on_device = (rotation, shift, matrices, slopes, scales, counts, misfits, scores)
+    turns, shifts, both, slopes_and_steps, levels, cells, *residuals = (part.cpu().numpy() for part in found_on_device)
     fits: list[DirectFit | None] = [None] * len(starts)
     fitted = np.flatnonzero(np.isfinite(levels))
     whole, level = both[:, fitted], levels[fitted]
@@ -150,7 +154,8 @@ def fit_frames(
     amplitudes, of_shapes = estimate_shape_amplitudes(steps, gradients, (whole[0], whole[1]), level)
     for k, f in enumerate(fitted):
         moved = RigidTransform(turns[f], shifts[f])
-        fits[f] = DirectFit(moved, covariances[k], float(level[k]), int(cells[f]), amplitudes[k], of_shapes[k])
+        rest = (part[f] for part in residuals)
+        fits[f] = DirectFit(moved, covariances[k], float(level[k]), int(cells[f]), amplitudes[k], of_shapes[k], *rest)
     return fits
 
 

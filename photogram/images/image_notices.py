@@ -136,3 +136,34 @@ GREY_FIT_DISAGREES = DeclaredNotice(
     remedy="Keep the view free, and check the texture and the mounting.",
     link="tracking.md#what-the-fit-to-the-grey-values-does",
 )
+
+# The fixed pattern of the sensors.
+
+PATTERN_CORRECTED = DeclaredNotice(
+    "SC-216",
+    "note",
+    "The fixed pattern of the sensors (about {prnu_percent:.2g} % PRNU) shortens the motion of {motion_px:.2g} px "
+    "(rms) at {frequency_hz:.6g} Hz by {correction_percent:.2g} %.",
+    effect="This is corrected by the growth of the misfit with the motion. {u_percent:.2g} % (u) remain, which are in "
+    "U: also by cells of the image that err alike in every period.",
+    remedy="For a smaller uncertainty state `dark` and `flat` images of each camera.",
+    link="tracking.md#fixed-pattern",
+)
+PATTERN_UNKNOWN = DeclaredNotice(
+    "SC-217",
+    "warning",
+    "A motion of {motion_px:.2g} px (rms) at {frequency_hz:.6g} Hz does not show how large the fixed pattern of the "
+    "sensors is: it may change the result by {u_percent:.2g} % (u), more than noise.",
+    effect="U includes this, for the pattern that is stated or for that of a common industrial sensor.",
+    remedy="State `dark` and `flat` images or `prnu` and `dsnu` of each camera, or add some frames with the body "
+    "displaced by 1 to 3 px.",
+    link="tracking.md#fixed-pattern",
+)
+PATTERN_CONTRADICTED = DeclaredNotice(
+    "SC-218",
+    "warning",
+    "The fixed pattern of the {camera} camera's sensor is {ratio:.1f} times (u {u:.1f}) the one that is stated for it.",
+    effect="The measured size is used, and its uncertainty is in U.",
+    remedy="Check that the dark and flat images, or `prnu` and `dsnu`, are those of this camera and of these settings.",
+    link="tracking.md#fixed-pattern",
+)

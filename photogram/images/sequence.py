@@ -20,6 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from photogram.images.image_notices import COLOUR_MOSAIC, SENSOR_CLIPS
+from photogram.images.sensor_pattern import TYPICAL, SensorPattern
 from shakercal._common.arrays import BoolArray, FloatArray, IntArray, check_shape
 from shakercal._common.notices import Notice
 
@@ -137,7 +138,8 @@ def _listed(missing: Sequence[str]) -> str:
     return ", ".join(missing[:SHOWN]) + more
 
 
-GreyImage = NDArray[np.uint8 | np.uint16]
+GreyImage = NDArray[np.uint8 | np.uint16 | np.float32]
+"""Grey values as stored, or as float32 without the fixed pattern of the sensor."""
 MAX_PIXELS = 1 << 28  # of an image
 GLIMPSE = 4096  # bytes of a frame as stored, enough to distinguish frames by their noise
 FRAMES_AHEAD = 2  # that are read in advance
@@ -224,6 +226,8 @@ class ImageSequence:
     numbers : the frames' numbers, which show where some are missing.
     glimpse : returns some bytes of a frame as stored.
     clips_at : grey value at which the sensor clips below full scale.
+    pattern : the sensor's fixed pattern, or what a correction by `flat_field` leaves of it.
+    flat_field : returns an image without the pattern, for its saturation; None for images as stored.
 
     Examples
     --------
@@ -243,6 +247,8 @@ class ImageSequence:
     numbers: FrameNumbers | None = None
     glimpse: Callable[[int], bytes] | None = None
     clips_at: int | None = None
+    pattern: SensorPattern = TYPICAL
+    flat_field: Callable[[GreyImage, int], GreyImage] | None = None
 
     def __post_init__(self) -> None:
         if self.time_s is not None:
@@ -257,10 +263,10 @@ class ImageSequence:
         return self.full_scale if self.clips_at is None else self.clips_at
 
     def read(self, index: int) -> GreyImage:
-        """Return frame `index` (H, W) as uint8 or uint16 with every bit of the file."""
+        """Return frame `index` (H, W) with every bit of the file, as float32 after a correction of its pattern."""
         image = self.reader(index)
         self.check(index, image)
-        return image
+        return image if self.flat_field is None else self.flat_field(image, self.saturation)
 
     def check(self, index: int, image: GreyImage) -> None:
         """Raise `ValueError` for an image that frame `index` cannot be, or that is saturated."""

@@ -317,7 +317,7 @@ def _read_tiff_opencv(path: Path, bits: int, page: int) -> GreyImage:
     _, pages = cv2.imdecodemulti(data, cv2.IMREAD_UNCHANGED, range=(page, page + 1))
     if len(pages) != 1:
         raise ValueError(f"{path}: not a readable TIFF file (page {page} cannot be decoded)")
-    image = cast(GreyImage, np.asarray(pages[0]))
+    image = cast(NDArray[np.uint8 | np.uint16], np.asarray(pages[0]))
     if inverted and image.dtype == np.uint8:  # which OpenCV inverts automatically
         image = ~image
     return image >> np.uint16(4) if bits == 12 else image

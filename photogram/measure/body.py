@@ -11,13 +11,14 @@ from typing import TypeVar
 import numpy as np
 
 from photogram.camera import Points3D, Rig, StereoRig, locate
-from photogram.direct.direct_fit import rest_covariance, rigid_share
+from photogram.direct.direct_fit import DirectFit, rest_covariance, rigid_share
 from photogram.direct.surface import ShapeAmplitudes
 from photogram.frame_statistics import RunningMean, Sample
 from photogram.geometry import RigidTransform
 from photogram.images.image_notices import BODY_DEFORMS, FRAMES_WITHOUT_GREY_FIT, GREY_FIT_DISAGREES
 from photogram.images.noise import NoiseModel
 from photogram.images.sequence import ImageSequence
+from photogram.measure.fixed_pattern import FixedPattern, fixed_pattern
 from photogram.measure.follow import (
     BodyPrior,
     BodyScene,
@@ -69,6 +70,7 @@ class BodyMotion(Arrays):
     zncc : median in the left camera.
     noise : noise models of each camera, None when no frame could be fitted to the grey values.
     quality : of each camera, prediction of the subsets' precision, None as above.
+    pattern : effect of the sensors' fixed pattern, None as above.
     notices : of tracking, subsets and the rigid fit.
     tracked, surface : iterate over subsets and points, and over the deformation, some frames at a time, computed anew
         from the tracked frames. `tracks` and `points` are those of all frames at once.
@@ -84,6 +86,7 @@ class BodyMotion(Arrays):
     zncc: float
     noise: tuple[NoiseModel, ...] | None
     quality: tuple[SubsetQuality, ...] | None
+    pattern: FixedPattern | None
     notices: tuple[Notice, ...]
     tracked: TrackedSubsets
     surface: SurfaceDeformation
@@ -112,9 +115,10 @@ def measure_body(
     """Track a body through the images and fit its six components of motion.
 
     Subsets are tracked. The motion that brings the body to their positions (`surface.motion_from_positions`) is the
-    start of a fit to the grey values (`direct_fit.fit_direct`), weighted by the noise of the first frame so fitted. A
-    frame in which this fails has the motion of its points (`motion.fit_motion`). `prepare_body`, `follow_block` for
-    each of the blocks and `body_motion` are the same in parts, for several threads.
+    start of a fit to the grey values (`direct_fit.fit_direct`), weighted by the noise of the first frame so fitted. The
+    effect of the sensors' fixed pattern is corrected (`fixed_pattern.fixed_pattern`). A frame in which the fit fails
+    has the motion of its points (`motion.fit_motion`). `prepare_body`, `follow_block` for each of the blocks and
+    `body_motion` are the same in parts, for several threads.
 
     Parameters
     ----------
@@ -196,7 +200,7 @@ def body_motion(scene: BodyScene, blocks: Iterable[FollowedBlock]) -> BodyMotion
     The blocks, a list or a reader from disk, are iterated twice, one at a time, and again for each use of subsets or
     points.
     """
-    tracked, fits = _tracked(scene, blocks)
+    tracked, fits, pattern = _tracked(scene, blocks)
     settings, references, noise = scene.settings, scene.references, scene.noise
     quality, remarks = None, list[Notice]()
     if noise is not None:
@@ -222,11 +226,11 @@ def body_motion(scene: BodyScene, blocks: Iterable[FollowedBlock]) -> BodyMotion
         sums.add(block, points, of_points, fits.merged(of_points, numbers))
     assert sums.mean is not None
     of_points = _joined(sums.of_points, "origin_m")
-    motion = fits.of_all(of_points, tracked.frames)
+    motion, missing = fits.of_all(of_points, tracked.frames), fits.count_missing(scene.body)
     notices = (
         *tracked.summary.notices,
         *remarks,
-        *_rigid_notices(sums, _of_frames(motion, tracked.frames), of_points, fits.count_missing(scene.body)),
+        *_rigid_notices(sums, _of_frames(_as_seen(motion, pattern), tracked.frames), of_points, missing),
     )
     return BodyMotion(
         motion=motion,
@@ -241,6 +245,7 @@ def body_motion(scene: BodyScene, blocks: Iterable[FollowedBlock]) -> BodyMotion
         zncc=sums.zncc.median,
         noise=noise,
         quality=quality,
+        pattern=pattern,
         notices=notices,
         tracked=tracked,
         surface=SurfaceDeformation(sums.mean, motion, tracked),
@@ -251,12 +256,13 @@ def body_motion(scene: BodyScene, blocks: Iterable[FollowedBlock]) -> BodyMotion
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class TrackedSubsets(Arrays, shapes="frames S; pose S 6"):
+class TrackedSubsets(Arrays, shapes="frames S; residual_frames R; pose S 6"):
     """Tracked subsets of a body, some frames at a time, repeatedly.
 
     Attributes
     ----------
     frames : (S,) in which subsets were searched.
+    residual_frames : those of them with a direct fit.
     pose : (S, 6) of the body in these frames.
     noise_grey : image noise (N,) at the subsets of each camera, over these frames.
     summary : properties of the cameras and notices.
@@ -266,6 +272,7 @@ class TrackedSubsets(Arrays, shapes="frames S; pose S 6"):
     scene: BodyScene
     blocks: Iterable[FollowedBlock]
     frames: IntArray
+    residual_frames: IntArray
     pose: FloatArray
     noise_grey: tuple[FloatArray, ...]
     monitor: EpipolarMonitor
@@ -292,6 +299,11 @@ class TrackedSubsets(Arrays, shapes="frames S; pose S 6"):
                 seen.append(both)
             yield both
         self.cached_blocks.extend(seen)
+
+    def fits(self) -> Iterator[list[DirectFit]]:
+        """Yield the direct fits of the `residual_frames`, some at a time."""
+        for block in iterate_blocks(self.scene, self.blocks):
+            yield [fit for found, fit in block if found is not None and fit is not None]
 
     def _computed(self) -> Iterator[StereoTracks]:
         for block in iterate_blocks(self.scene, self.blocks):
@@ -337,13 +349,14 @@ class SurfaceDeformation(Arrays):
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class _Fits(Arrays, shapes="pose F 6; covariance F 6 6; amplitude F S; amplitude_covariance F S S"):
+class _Fits(Arrays, shapes="pose F 6; covariance F 6 6; amplitude F S; amplitude_covariance F S S; misfit F V 2"):
     """Direct fits of all frames, NaN for none; the first frame has a typical covariance."""
 
     pose: FloatArray
     covariance: FloatArray
     amplitude: FloatArray
     amplitude_covariance: FloatArray
+    misfit: FloatArray
 
     def count_missing(self, body: BodyPrior) -> tuple[int, int]:
         """Return how many later frames have no fit, and how many there are."""
@@ -398,13 +411,13 @@ class _Sums:
         self.of_points.append(of_points)
 
 
-def _tracked(scene: BodyScene, blocks: Iterable[FollowedBlock]) -> tuple[TrackedSubsets, _Fits]:
-    """Iterate over the tracked frames for noise, notices, and the direct fits."""
+def _tracked(scene: BodyScene, blocks: Iterable[FollowedBlock]) -> tuple[TrackedSubsets, _Fits, FixedPattern | None]:
+    """Iterate over the tracked frames for noise, notices, and the direct fits without the effect of the pattern."""
     monitor = EpipolarMonitor(scene.rig if isinstance(scene.rig, StereoRig) else None)
     noise = tuple(RunningMean() for _ in scene.images)
     levels, frames, fits = list[float](), list[int](), list[tuple[FloatArray, ...]]()
-    shapes = scene.views[0].rates.shape[2] - 6
-    missing = tuple(np.full(shape, np.nan) for shape in (6, (6, 6), shapes, (shapes, shapes)))
+    shapes, cameras = scene.views[0].rates.shape[2] - 6, len(scene.views)
+    missing = tuple(np.full(shape, np.nan) for shape in (6, (6, 6), shapes, (shapes, shapes), (cameras, 2)))
     centres = tuple(map(central_point, scene.seen))
     for block in iterate_blocks(scene, blocks):
         for with_subsets, group in groupby(block, lambda one: one[0] is not None):
@@ -416,16 +429,36 @@ def _tracked(scene: BodyScene, blocks: Iterable[FollowedBlock]) -> tuple[Tracked
                 if fit is None:
                     fits.append(missing)
                 else:
-                    fits.append((fit.moved.pose, fit.covariance, fit.amplitude, fit.amplitude_covariance))
+                    fits.append((fit.moved.pose, fit.covariance, fit.amplitude, fit.amplitude_covariance, fit.misfit))
                 levels += [] if fit is None else [fit.noise_ratio]
                 if fit is not None and not with_subsets:
                     monitor.add_motion(tuple(image_motion_px(centre, fit.moved)[0] for centre in centres))
     if levels:
         fits[0] = (missing[0], rest_covariance(scene.views, float(np.median(levels))), *missing[2:])
     grey = tuple(np.sqrt(side.mean) for side in noise)
-    summary = monitor.summarize(scene.first, scene.grid, scene.settings, grey)
-    whole, numbers = _Fits(*map(np.array, zip(*fits, strict=True))), np.array(frames)
-    return TrackedSubsets(scene, blocks, numbers, whole.pose[numbers], grey, monitor, summary), whole
+    whole, numbers, pattern = _Fits(*map(np.array, zip(*fits, strict=True))), np.array(frames), None
+    with_residuals = numbers[np.isfinite(whole.misfit[numbers, 0, 0])]
+    if levels:
+        known = [images.pattern for images in scene.images]
+        full_scales = [float(images.full_scale) for images in scene.images]
+        pattern = fixed_pattern(scene.views, known, full_scales, scene.settings.degree, (whole.pose, whole.misfit))
+        whole = replace(whole, pose=whole.pose + pattern.correction)
+    white = grey if pattern is None else _with_pattern(scene, grey, pattern)
+    summary = monitor.summarize(scene.first, scene.grid, scene.settings, white)
+    tracked = TrackedSubsets(scene, blocks, numbers, with_residuals, whole.pose[numbers], grey, monitor, summary)
+    return tracked, whole, pattern
+
+
+def _with_pattern(
+    scene: BodyScene, noise_grey: tuple[FloatArray, ...], pattern: FixedPattern
+) -> tuple[FloatArray, ...]:
+    """Return the noise of the first image at the subsets, that of the pixels' fixed pattern included."""
+    whole = []
+    for side, grey in enumerate(noise_grey):
+        mean2 = np.array(np.mean(scene.references[side].mean ** 2))
+        fixed = pattern.patterns[side].variance(mean2, float(scene.images[side].full_scale))
+        whole.append(np.sqrt(grey**2 + np.maximum(pattern.variance[side, 0], 0.0) * fixed))
+    return tuple(whole)
 
 
 def _add_subsets(
@@ -445,6 +478,11 @@ def _of_frames(motion: RigidMotion, frames: IntArray) -> RigidMotion:
     """Return the motion in some frames."""
     selected = {name: getattr(motion, name)[frames] for name in ("pose", "covariance", "residual_m", "points")}
     return replace(motion, **selected)
+
+
+def _as_seen(motion: RigidMotion, pattern: FixedPattern | None) -> RigidMotion:
+    """Return the motion without the correction for the fixed pattern, which the points do not have."""
+    return motion if pattern is None else replace(motion, pose=motion.pose - pattern.correction)
 
 
 def _joined(parts: Sequence[_Part], constant: str = "") -> _Part:

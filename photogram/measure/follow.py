@@ -285,9 +285,10 @@ class BodyTracker:
         return starts
 
     def add_frame(self, found: Registrations | None, fit: DirectFit | None) -> FollowedFrame:
-        """Add the result of the next frame, and return it."""
+        """Add the result of the next frame, and return it; residuals of cells are kept where subsets are."""
         if found is None:
             self._history = []
+            fit = None if fit is None else replace(fit, scores=fit.scores[:0])
         else:
             self._last, self._history = found, [*self._history[1 - HISTORY :], found]
         self.fits = [] if fit is None else [*self.fits[1 - MAX_FITS :], fit]

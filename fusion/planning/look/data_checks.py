@@ -309,9 +309,7 @@ def examine_camera(where: str, images: ImageSequence) -> tuple[list[Finding], Ca
     return found, CameraExamination(first, area, speckle, points, radius, _sigma_px(first, area, radius))
 
 
-def _brightness(
-    where: str, first: GreyImage, others: dict[int, NDArray[np.unsignedinteger]], full_scale: int
-) -> Iterator[Finding]:
+def _brightness(where: str, first: GreyImage, others: dict[int, GreyImage], full_scale: int) -> Iterator[Finding]:
     """Yield dark frames."""
     if float(first.max()) < DARK * full_scale:
         verdict: Verdict = "REPEAT" if first.max() < LEVELS else "CHECK"
