@@ -307,6 +307,15 @@ FRAMES_OUT_OF_ORDER = DeclaredNotice(
     remedy="If the recorder lost or repeated frames there, state this key.",
     link="cameras.md#frames-of-other-edges",
 )
+ROWS_INTERLACED = DeclaredNotice(
+    "SC-517",
+    "error",
+    "Odd and even rows of the {side} camera are exposed at different times: they differ by {distance_px:.2g} px (rms) "
+    "while the body moves by {moved_px:.2g} px.",
+    effect="The camera is interlaced. Amplitude and phase are those of neither half of the rows.",
+    remedy="Record all rows at once (progressive), or save each half as an image with its own instants.",
+    link="cameras.md#interlaced-rows",
+)
 FRAMES_OF_OTHER_EDGES = DeclaredNotice(
     "SC-516",
     "warning",

@@ -29,6 +29,7 @@ from fusion.phasors.phasor_notices import (
     FRAMES_OUT_OF_ORDER,
     HARMONIC_UNRESOLVED,
     NO_INSTRUMENT,
+    ROWS_INTERLACED,
     TAKES_REFUSED,
     TIME_STAMP_GAP,
 )
@@ -180,7 +181,9 @@ def _measured(prepared: PreparedSetUp, followed: Sequence[StereoMotion | Rejecte
         np.array(manifest.excitation.frequencies or ()) if prepared.lines is None else prepared.lines.frequency_hz
     )
     seen = [
-        item if isinstance(item, RejectedPair) or any(item.sight.pair.row_time) else _as_stated(item, lines_hz)
+        item
+        if isinstance(item, RejectedPair) or any(item.sight.pair.row_time)
+        else _as_stated(item, lines_hz, prepared.images)
         for item in followed
     ]
     left_out = [item for item in seen if isinstance(item, RejectedPair)]
@@ -194,7 +197,7 @@ def _measured(prepared: PreparedSetUp, followed: Sequence[StereoMotion | Rejecte
         base = prepared.base
         clock = line_clock(base)
     checked = [
-        _as_stated(refine_rolling_shutter(item, prepared.images, lines), lines_hz)
+        _as_stated(refine_rolling_shutter(item, prepared.images, lines), lines_hz, ())
         if any(item.sight.pair.row_time)
         else reject_decalibrated(item)
         for item in motions
@@ -212,11 +215,19 @@ def _measured(prepared: PreparedSetUp, followed: Sequence[StereoMotion | Rejecte
     return MeasuredSetUp(replace(prepared, readings=readings), lines, stereo, (*rejections, *aliased))
 
 
-def _as_stated(motion: StereoMotion, frequency_hz: FloatArray) -> StereoMotion | RejectedPair:
-    """Return the motion of a pair whose cameras are placed and exposed as stated, or the rejected pair."""
-    from fusion.phasors.frame_order import check_frame_order  # here, for `check` follows no images
+def _as_stated(
+    motion: StereoMotion, frequency_hz: FloatArray, images: Sequence[PreparedImages]
+) -> StereoMotion | RejectedPair:
+    """Return the motion of a pair whose cameras are placed and exposed as stated, or the rejected pair.
+
+    The rows of `images` are compared.
+    """
+    from fusion.phasors.frame_order import check_frame_order, check_rows  # here, for `check` follows no images
 
     checked = check_frame_order(motion, frequency_hz)
+    for item in images:
+        if item.sight.name == motion.sight.name and isinstance(checked, StereoMotion):
+            checked = check_rows(checked, item)
     return checked if isinstance(checked, RejectedPair) else reject_decalibrated(checked)
 
 
@@ -234,7 +245,11 @@ def _check_left(prepared: PreparedSetUp, stereo: Sequence[object], left_out: Seq
     """Raise the error of the first rejected pair if no other instrument measures a motion."""
     if left_out and not stereo and all(r.entry.quantity not in TRANSDUCERS for r in prepared.readings):
         error = left_out[0].error
-        if isinstance(error, InputError) or error.declared in (CAMERAS_OUT_OF_STEP, FRAMES_OUT_OF_ORDER):
+        if isinstance(error, InputError) or error.declared in (
+            CAMERAS_OUT_OF_STEP,
+            FRAMES_OUT_OF_ORDER,
+            ROWS_INTERLACED,
+        ):
             raise error
         raise ComputeError(NO_INSTRUMENT, quantity="a motion", reason=f": {error.sentence.rstrip('.')}")
 

@@ -19,7 +19,8 @@ from typing import Any, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from photogram.images.image_notices import COLOUR_MOSAIC, SENSOR_CLIPS
+from photogram.images.image_notices import COLOUR_MOSAIC, ROWS_REPEATED, SENSOR_CLIPS
+from photogram.images.rows import rows_repeat
 from photogram.images.sensor_pattern import TYPICAL, SensorPattern
 from shakercal._common.arrays import BoolArray, FloatArray, IntArray, check_shape
 from shakercal._common.notices import Notice
@@ -477,6 +478,8 @@ def inspect_first_image(images: ImageSequence, first: GreyImage) -> ImageSequenc
         )
         images = replace(images, clips_at=level, notices=(*images.notices, notice))
     images.check(0, first)
+    if rows_repeat(first):
+        images = replace(images, notices=(*images.notices, Notice(ROWS_REPEATED, images.names[0])))
     colours = mosaic_contrast(first)
     if colours:
         notice = Notice(COLOUR_MOSAIC, images.names[0], contrast_percent=100.0 * colours)
